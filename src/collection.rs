@@ -67,7 +67,7 @@ pub(crate) fn prepare(
     let model = chosen_model(&settings.model, &rig, start.quiet)?;
     let root = SystemRoot::default();
     let mut virtual_cameras = VirtualSource::new(start.seed);
-    let sources = RigSources::of(&rig, &root, &mut virtual_cameras)?;
+    let sources = RigSources::new(&rig, &root, &mut virtual_cameras)?;
     let hand = virtual_cameras.hand();
     if start.all_present {
         sources.check_present()?;

@@ -1,5 +1,5 @@
-//! Tells the marker detector which of OpenCV's interfaces the system has: versions up to 4.6 have
-//! it in the contrib module `aruco`, later ones in `objdetect`.
+//! Selects the ArUco interface of the installed OpenCV: contrib module `aruco` up to version 4.6,
+//! `objdetect` from 4.7.
 
 use std::env;
 use std::path::PathBuf;
@@ -16,13 +16,13 @@ fn main() {
         Some(version) if version < (4, 7) => println!("cargo::rustc-cfg=aruco_contrib"),
         Some(_) => {}
         None => println!(
-            "cargo::warning=opencv2/core/version.hpp was not found, so OpenCV 4.7 or later is \
-             assumed; set OPENCV_INCLUDE_PATHS"
+            "cargo::warning=opencv2/core/version.hpp not found, assuming OpenCV 4.7 or later; set \
+             OPENCV_INCLUDE_PATHS"
         ),
     }
 }
 
-/// Major and minor version by OpenCV's header.
+/// Reads major and minor version from OpenCV's header.
 fn opencv_version() -> Option<(u32, u32)> {
     include_folders()
         .into_iter()
@@ -31,9 +31,8 @@ fn opencv_version() -> Option<(u32, u32)> {
             let header = std::fs::read_to_string(folder.join("opencv2/core/version.hpp")).ok()?;
             let number = |name: &str| {
                 header.lines().find_map(|line| {
-                    let mut words = line.split_whitespace();
-                    let is_it = words.next() == Some("#define") && words.next() == Some(name);
-                    is_it.then(|| words.next()?.parse().ok()).flatten()
+                    let value = line.strip_prefix("#define ")?.strip_prefix(name)?;
+                    value.trim().parse().ok()
                 })
             };
             Some((number("CV_VERSION_MAJOR")?, number("CV_VERSION_MINOR")?))
@@ -41,21 +40,20 @@ fn opencv_version() -> Option<(u32, u32)> {
 }
 
 fn include_folders() -> Vec<PathBuf> {
-    if let Some(given) = env::var_os("OPENCV_INCLUDE_PATHS") {
-        let given = given.to_string_lossy().into_owned();
-        return given
+    if let Ok(paths) = env::var("OPENCV_INCLUDE_PATHS") {
+        return paths
             .split(',')
             .map(|folder| PathBuf::from(folder.trim_start_matches('+')))
             .filter(|folder| !folder.as_os_str().is_empty())
             .collect();
     }
-    let asked = Command::new("pkg-config")
+    let output = Command::new("pkg-config")
         .args(["--variable=includedir", "opencv4"])
         .output();
-    let folder = asked
+    let folder = output
         .ok()
         .filter(|output| output.status.success())
-        .map(|output| String::from_utf8_lossy(&output.stdout).trim().to_owned());
-    let usual = ["/usr/include", "/usr/local/include"].map(PathBuf::from);
-    folder.map(PathBuf::from).into_iter().chain(usual).collect()
+        .map(|output| PathBuf::from(String::from_utf8_lossy(&output.stdout).trim()));
+    let defaults = ["/usr/include", "/usr/local/include"].map(PathBuf::from);
+    folder.into_iter().chain(defaults).collect()
 }

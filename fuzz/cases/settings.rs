@@ -5,7 +5,7 @@ use std::path::Path;
 use gripcast::config;
 use gripcast_capture::calibration::RigFile;
 use gripcast_capture::trigger::Script;
-use gripcast_pose::{BoardFile, CameraChoice, CameraFile};
+use gripcast_pose::{BoardFile, CameraFile, CameraReadOptions};
 use gripcast_session::Command;
 
 /// Panics where something is wrong.
@@ -29,7 +29,7 @@ pub(crate) fn check(input: &[u8]) {
             let _ = BoardFile::parse(text, Path::new("/proc/nonexistent"));
         }
         3 => {
-            let _ = CameraFile::parse(text, CameraChoice::default());
+            let _ = CameraFile::parse(text, CameraReadOptions::default());
         }
         _ => {
             let check = |line: &str| match line.parse::<Command>() {

@@ -33,7 +33,7 @@ use super::{board_charuco, board_make};
 use gripcast_base::error::{Error, Result};
 use gripcast_base::files::save;
 use gripcast_pose::{
-    BoardFile, Chessboard, Dictionary, ForeignBoard, Part, import_kalibr, import_ros,
+    BoardFile, BoardFormat, Body, Chessboard, Dictionary, import_kalibr, import_ros,
 };
 
 /// Arguments.
@@ -135,19 +135,19 @@ struct SheetSummary {
 impl Summary {
     fn of(file: &BoardFile) -> Self {
         let board = &file.board;
-        let part = |part: Part| PartSummary {
+        let part = |part: Body| PartSummary {
             part: part.name(),
-            markers: board.of_part(part).count(),
+            markers: board.markers_on(part).count(),
             planar: board.is_planar(part),
         };
         let markers = board.markers.iter().map(|marker| MarkerSummary {
             id: marker.id,
-            part: marker.part.name(),
+            part: marker.body.name(),
             side_m: marker.side_m(),
             center_m: marker.center_m().to_array(),
-            front: marker.front().to_array(),
+            front: marker.normal().to_array(),
         });
-        let parts = Part::ALL.into_iter().map(part);
+        let parts = Body::ALL.into_iter().map(part);
         Self {
             name: board.name.clone(),
             hash: board.hash(),
@@ -175,8 +175,8 @@ fn describe(file: &BoardFile) -> String {
         format!("hash        {}", board.hash()),
         format!("dictionary  {}", board.dictionary),
     ];
-    for part in Part::ALL {
-        let markers: Vec<_> = board.of_part(part).collect();
+    for part in Body::ALL {
+        let markers: Vec<_> = board.markers_on(part).collect();
         if markers.is_empty() {
             continue;
         }
@@ -251,20 +251,20 @@ fn import(args: &ImportArgs) -> Result<()> {
     let text = fs::read_to_string(&args.file)
         .map_err(|e| Error::io("cannot read the board", e).at(args.file.display()))?;
     let here = |e: Error| e.at(args.file.display());
-    let kind = ForeignBoard::recognise(&text).map_err(here)?;
+    let kind = BoardFormat::detect(&text).map_err(here)?;
     let board = match kind {
-        ForeignBoard::OpencvDictionary => {
+        BoardFormat::OpencvDictionary => {
             let name = args.file.to_string_lossy();
             let dictionary = Dictionary::from_opencv(&name, &text).map_err(here)?;
             return say_dictionary(args, &dictionary);
         }
-        ForeignBoard::Kalibr => {
+        BoardFormat::Kalibr => {
             let dictionary = args.dictionary()?;
             let stem = args.file.file_stem().unwrap_or_default().to_string_lossy();
             let name = args.name.clone().unwrap_or_else(|| stem.into_owned());
             import_kalibr(&text, &name, dictionary.as_ref()).map_err(here)?
         }
-        ForeignBoard::Ros => {
+        BoardFormat::Ros => {
             let dictionary = args.dictionary()?.ok_or_else(|| {
                 Error::usage(
                     "the file of aruco_opencv does not say which dictionary its boards have",

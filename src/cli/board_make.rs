@@ -13,7 +13,7 @@ use gripcast_base::error::{Error, Result, nearest_name};
 use gripcast_base::files::save;
 use gripcast_geometry::{LengthUnit, Pose};
 use gripcast_pose::print::{
-    Drawing, GripperTags, ObjectOnSheet, Paper, SheetSettings, gripper_board, gripper_sheet,
+    Drawing, GripperTags, Paper, SheetObject, SheetSettings, gripper_board, gripper_sheet,
     object_sheet, pdf, png, svg,
 };
 use gripcast_pose::{BoardFile, Dictionary};
@@ -252,7 +252,7 @@ pub(super) fn make(context: &Context, args: &MakeArgs) -> Result<()> {
         return Err(Error::usage(what));
     }
     let yaw = Pose::from_rotation(DQuat::from_rotation_z(args.yaw_deg.to_radians()));
-    let placed = ObjectOnSheet {
+    let placed = SheetObject {
         mesh: &object.mesh,
         source: &args.object,
         t_world_object: yaw * pose.t_world_object,

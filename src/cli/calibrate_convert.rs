@@ -11,7 +11,7 @@ use gripcast_base::error::{Error, Result};
 use gripcast_base::files::save;
 use gripcast_imaging::{DistortionModel, Intrinsics};
 use gripcast_pose::camera::undistort;
-use gripcast_pose::{CameraChoice, CameraFile, to_opencv, to_ros};
+use gripcast_pose::{CameraFile, CameraReadOptions, to_opencv, to_ros};
 
 #[derive(Debug, clap::Args)]
 struct Source {
@@ -68,7 +68,7 @@ fn size(text: &str) -> Result<[u32; 2], String> {
 
 impl Source {
     fn read(&self) -> Result<CameraFile> {
-        let choice = CameraChoice {
+        let choice = CameraReadOptions {
             size: self.size,
             camera: self.camera_name.as_deref(),
         };

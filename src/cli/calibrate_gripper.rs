@@ -14,7 +14,7 @@ use gripcast_imaging::{Decoder, Intrinsics};
 use gripcast_pose::calibrate::{
     CalibratedMarker, FrameSource, GripperCalibration, GripperImage, MarkerState, calibrate_gripper,
 };
-use gripcast_pose::detect::{detectors, diagnose, known_dictionaries};
+use gripcast_pose::detect::{builtin_dictionaries, detectors, diagnose};
 use gripcast_pose::refine::refine_all;
 use gripcast_pose::{BoardFile, load_intrinsics, require_size};
 
@@ -154,9 +154,9 @@ fn look(
         return Err(Error::input(what));
     };
     if seen.images.iter().all(|p| p.detections.is_empty()) {
-        let others = known_dictionaries();
+        let others = builtin_dictionaries();
         let why = diagnose(&first, &board.dictionary, &board.board.ids(), &others)?;
-        return Err(why.explain(&board.board.name));
+        return Err(why.to_error(&board.board.name));
     }
     Ok(seen)
 }
@@ -212,7 +212,7 @@ impl MarkerReport {
     fn new(marker: &CalibratedMarker) -> Self {
         let (state, reason) = match &marker.state {
             MarkerState::Calibrated => ("calibrated", None),
-            MarkerState::AsDescribed(reason) => ("as described", Some((*reason).to_owned())),
+            MarkerState::Nominal(reason) => ("as described", Some((*reason).to_owned())),
             MarkerState::Loose { moved: None } => ("loose", None),
             MarkerState::Loose {
                 moved: Some(([a, b], ..)),
@@ -221,14 +221,14 @@ impl MarkerReport {
         let sigma = marker.sigma();
         Self {
             id: marker.id,
-            part: marker.part.name(),
+            part: marker.body.name(),
             state,
             reason,
             images: marker.images,
             outliers: marker.outliers,
             shift_mm: 1e3 * marker.shift_m.length(),
             shift_xyz_mm: (1e3 * marker.shift_m).to_array(),
-            turn_deg: marker.turn_rad.to_degrees(),
+            turn_deg: marker.rotation_rad.to_degrees(),
             sigma_mm: sigma.map(|s| 1e3 * s.0),
             sigma_deg: sigma.map(|s| s.1.to_degrees()),
             rms_px: marker.rms_px,

@@ -28,9 +28,9 @@ use gripcast_base::error::{Error, ErrorKind, Result};
 use gripcast_imaging::{Decoder, Role};
 use gripcast_pose::BoardFile;
 use gripcast_pose::calibrate::{
-    CalibrationReport, Collector, CollectorSettings, Hint, PARAMETERS, Refusal,
+    CalibrationReport, Collector, CollectorSettings, Hint, PARAMETERS, Rejection,
 };
-use gripcast_pose::detect::{Diagnosis, diagnose, known_dictionaries};
+use gripcast_pose::detect::{Diagnosis, builtin_dictionaries, diagnose};
 
 /// Errors above which a person should look for the cause, px.
 const LARGE_RMS_PX: f64 = 0.5;
@@ -158,24 +158,24 @@ fn from_folder(collector: Collector, folder: &Path, say: &dyn Fn(String)) -> Res
     for path in images(folder)? {
         let name = file_name(&path);
         let offered = read_grey(&mut decoder, &path)
-            .and_then(|image| Ok((taken.collector.offer(&image)?, image)));
+            .and_then(|image| Ok((taken.collector.add_image(&image)?, image)));
         let reason = match offered {
             Err(error) => {
                 taken.lost += 1;
                 Some(error.to_string())
             }
             Ok((offer, image)) => {
-                match offer.refused {
-                    Some(Refusal::Size([width, height], _)) => {
+                match offer.rejection {
+                    Some(Rejection::Size([width, height], _)) => {
                         sizes.push(format!("{name} ({width}×{height})"));
                     }
-                    Some(Refusal::NoBoard) => {
+                    Some(Rejection::NoBoard) => {
                         taken.lost += 1;
                         without_board.get_or_insert(image);
                     }
                     _ => {}
                 }
-                offer.refused.map(|r| r.to_string())
+                offer.rejection.map(|r| r.to_string())
             }
         };
         match reason {
@@ -191,7 +191,7 @@ fn from_folder(collector: Collector, folder: &Path, say: &dyn Fn(String)) -> Res
     }
     if let Some(image) = without_board {
         let diagnosis = diagnosed(&taken.collector, &image)?;
-        let explained = diagnosis.explain(&taken.collector.file().board.name);
+        let explained = diagnosis.to_error(&taken.collector.file().board.name);
         if taken.names.is_empty() {
             return Err(explained.at(folder.display()));
         }
@@ -206,7 +206,7 @@ fn from_folder(collector: Collector, folder: &Path, say: &dyn Fn(String)) -> Res
 /// What is in an image in place of the board.
 pub(super) fn diagnosed(collector: &Collector, image: &GrayImage) -> Result<Diagnosis> {
     let file = collector.file();
-    let others = known_dictionaries();
+    let others = builtin_dictionaries();
     diagnose(image, &file.dictionary, &file.board.ids(), &others)
 }
 

@@ -121,7 +121,7 @@ pub(crate) fn run(context: &Context, args: Args) -> Result<()> {
         } => {
             let rig = RigFile::find(&rig)?;
             let checks = check_cameras(
-                RigSources::of(&rig, &root, &mut VirtualSource::new(1))?.openers,
+                RigSources::new(&rig, &root, &mut VirtualSource::new(1))?.openers,
                 &root,
                 Duration::from_secs_f64(seconds),
                 record.as_deref(),

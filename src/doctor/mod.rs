@@ -159,7 +159,7 @@ impl Patient {
 
     fn of_rig(&self, rig: &RigFile) -> Result<Vec<Finding>> {
         let mut virtual_cameras = VirtualSource::new(1);
-        let sources = RigSources::of(rig, &self.root, &mut virtual_cameras)?;
+        let sources = RigSources::new(rig, &self.root, &mut virtual_cameras)?;
         let boards = match (&rig.boards, virtual_cameras.hand()) {
             (Some(boards), _) => Some(Boards::read(boards)),
             (None, Some(hand)) => Some(Boards::of_virtual_rig(hand)),

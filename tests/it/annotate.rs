@@ -1,5 +1,4 @@
-//! Grasps of the virtual rig with its external camera, annotated live and from the dataset, held
-//! against the truth.
+//! Annotation of grasps of the virtual rig, live and from the dataset, compared with the truth.
 
 use std::fs;
 use std::path::Path;
@@ -10,7 +9,7 @@ use serde_json::{Value, json};
 use crate::json_schema::assert_schema;
 use crate::program::{collect_on, grasps, gripcast, script, stderr, succeed, verify};
 
-/// Every built-in film once.
+/// One grasp per built-in film.
 const GRASPS: usize = 8;
 
 fn annotate(dataset: &Path, more: &[&str]) -> std::process::Output {
@@ -53,7 +52,7 @@ fn collected(dir: &Path) -> std::path::PathBuf {
 }
 
 #[test]
-fn poses_of_the_virtual_rig_are_true() {
+fn poses_of_the_virtual_rig_are_accurate() {
     let dir = tempfile::tempdir().unwrap();
     let dataset = collected(dir.path());
     let live = grasps(&dataset);
@@ -84,27 +83,27 @@ fn poses_of_the_virtual_rig_are_true() {
     let done = summary(&output);
     assert_schema("annotate", &[&done]);
     assert_eq!(count(&done, "annotated"), GRASPS);
-    let mut off_mm = Vec::new();
-    let mut off_deg = Vec::new();
+    let mut errors_mm = Vec::new();
+    let mut errors_deg = Vec::new();
     for grasp in done["annotated"].as_array().unwrap() {
-        off_mm.push(grasp["off_truth_mm"].as_f64().unwrap());
-        off_deg.push(grasp["off_truth_deg"].as_f64().unwrap());
+        errors_mm.push(grasp["off_truth_mm"].as_f64().unwrap());
+        errors_deg.push(grasp["off_truth_deg"].as_f64().unwrap());
         let quality = &grasp["pose"]["quality"];
         assert_eq!(quality["ambiguous"], false, "{grasp}");
         assert_eq!(quality["notes"], json!([]), "{grasp}");
-        // None where no finger's tag is seen.
+        // None without a detected finger tag.
         if let Some(opening_m) = quality["opening_m"].as_f64() {
             assert!((opening_m - 0.08).abs() < 1e-3, "{grasp}");
         }
         assert!(Path::new(grasp["overlay"].as_str().unwrap()).is_file());
     }
-    println!("off the truth: {off_mm:.3?} mm, {off_deg:.4?}°");
-    for off in [&mut off_mm, &mut off_deg] {
-        off.sort_by(f64::total_cmp);
+    println!("errors: {errors_mm:.3?} mm, {errors_deg:.4?}°");
+    for errors in [&mut errors_mm, &mut errors_deg] {
+        errors.sort_by(f64::total_cmp);
     }
-    // Median and worst; the numbers for many images are those of `gripcast-bench pose`.
-    assert!(off_mm[GRASPS / 2] <= 0.1 && off_deg[GRASPS / 2] <= 0.08);
-    assert!(off_mm[GRASPS - 1] <= 0.4 && off_deg[GRASPS - 1] <= 0.2);
+    // Median and maximum; `gripcast-bench pose` measures more images.
+    assert!(errors_mm[GRASPS / 2] <= 0.1 && errors_deg[GRASPS / 2] <= 0.08);
+    assert!(errors_mm[GRASPS - 1] <= 0.4 && errors_deg[GRASPS - 1] <= 0.2);
     let clean = verify(&dataset);
     assert_eq!(clean["problems"], json!([]), "{clean}");
     let index = fs::read_to_string(dataset.join("metadata.jsonl")).unwrap();
@@ -114,12 +113,12 @@ fn poses_of_the_virtual_rig_are_true() {
             .all(|line| !line.contains("\"pose_t_m\":null"))
     );
 
-    what_a_person_corrected_stays(&dataset);
-    one_bad_grasp_does_not_stop_the_others(&dataset);
-    wrong_boards_are_explained(&dataset, dir.path());
+    corrections_by_hand_are_kept(&dataset);
+    invalid_grasp_does_not_stop_the_others(&dataset);
+    wrong_boards_are_reported(&dataset, dir.path());
 }
 
-fn what_a_person_corrected_stays(dataset: &Path) {
+fn corrections_by_hand_are_kept(dataset: &Path) {
     let first = grasps(dataset).into_keys().next().unwrap();
     change(dataset, &first, |record| {
         record["pose"]["t_m"] = json!([0.5, 0.5, 0.5]);
@@ -139,7 +138,7 @@ fn what_a_person_corrected_stays(dataset: &Path) {
     );
 }
 
-fn one_bad_grasp_does_not_stop_the_others(dataset: &Path) {
+fn invalid_grasp_does_not_stop_the_others(dataset: &Path) {
     let second = grasps(dataset).into_keys().nth(1).unwrap();
     let folder = dataset.join("grasps").join(&second);
     let mut kept = Vec::new();
@@ -166,14 +165,14 @@ fn one_bad_grasp_does_not_stop_the_others(dataset: &Path) {
     assert_eq!(
         grasps(dataset)[&second]["pose"],
         before,
-        "the old pose stays"
+        "the pose is unchanged"
     );
     for (path, bytes) in kept {
         fs::write(path, bytes).unwrap();
     }
 }
 
-fn wrong_boards_are_explained(dataset: &Path, dir: &Path) {
+fn wrong_boards_are_reported(dataset: &Path, dir: &Path) {
     let sheet = dir.join("other.toml");
     let pdf = dir.join("other.pdf");
     succeed(
@@ -205,10 +204,10 @@ fn wrong_boards_are_explained(dataset: &Path, dir: &Path) {
     ] {
         let output = annotate(dataset, &["--again", "--dry-run", flag, file]);
         assert!(!output.status.success());
-        let said = stderr(&output);
-        assert!(said.contains(expected), "{flag}: {said}");
+        let message = stderr(&output);
+        assert!(message.contains(expected), "{flag}: {message}");
     }
-    // A camera that was never calibrated, and boards that were never given.
+    // Without calibration and without boards.
     let last = grasps(dataset).into_keys().next_back().unwrap();
     let whole = grasps(dataset)[&last].clone();
     for (key, expected) in [
@@ -222,11 +221,11 @@ fn wrong_boards_are_explained(dataset: &Path, dir: &Path) {
                 json!({})
             };
         });
-        let said = stderr(&annotate(dataset, &["--again", "--dry-run"]));
-        assert!(said.contains(expected), "{said}");
+        let message = stderr(&annotate(dataset, &["--again", "--dry-run"]));
+        assert!(message.contains(expected), "{message}");
         change(dataset, &last, |record| *record = whole.clone());
     }
-    // The sheet of the first grasp, as if it had been printed at 91 %.
+    // The sheet of the first grasp, as if printed at 91 %.
     let first = grasps(dataset).into_values().next().unwrap();
     let key = first["boards"]["sheet"].as_str().unwrap().to_owned();
     let stored = dataset.join(format!("calibration/{key}.toml"));

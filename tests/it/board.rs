@@ -1,4 +1,4 @@
-//! `gripcast board` as a user runs it.
+//! The command `gripcast board`.
 
 use std::fs;
 use std::path::Path;
@@ -6,7 +6,7 @@ use std::process::Command;
 
 use glam::DVec3;
 use gripcast_geometry::MeshQuery;
-use gripcast_pose::{BoardFile, BoardMarker, Part};
+use gripcast_pose::{BoardFile, BoardMarker, Body};
 use gripcast_visual::gripper_parts;
 
 use crate::json_schema::assert_schema;
@@ -18,14 +18,14 @@ fn board(words: &str) -> Command {
     command
 }
 
-/// Exit code and what is said.
-fn refused(command: &mut Command) -> (i32, String) {
+/// Exit code and stderr.
+fn failure(command: &mut Command) -> (i32, String) {
     let output = command.output().unwrap();
     (output.status.code().unwrap(), stderr(&output))
 }
 
 #[test]
-fn a_sheet_is_written_in_three_formats_with_its_board() {
+fn sheet_is_written_in_three_formats_with_its_board() {
     let dir = tempfile::tempdir().unwrap();
     let at = |name: &str| dir.path().join(name).display().to_string();
     let words = format!(
@@ -49,14 +49,14 @@ fn a_sheet_is_written_in_three_formats_with_its_board() {
         made["ids"].as_array().unwrap().len(),
         file.board.markers.len()
     );
-    // The mug stands as it is modelled: its frame's origin is 40 mm above the sheet.
+    // The origin of the mug's frame is 40 mm above the sheet.
     let heights = file.board.markers.iter().flat_map(|m| m.corners_m);
     assert!(heights.into_iter().all(|c| (c.z + 0.04).abs() < 1e-6));
-    assert!(file.board.is_planar(Part::Object));
+    assert!(file.board.is_planar(Body::Object));
 }
 
 #[test]
-fn measured_rulers_change_the_board_alone() {
+fn measured_rulers_change_the_board_only() {
     let dir = tempfile::tempdir().unwrap();
     let out = dir.path().join("b.svg");
     let run = |more: &str| {
@@ -82,7 +82,7 @@ fn measured_rulers_change_the_board_alone() {
 }
 
 #[test]
-fn wrong_wishes_are_explained() {
+fn invalid_arguments_are_rejected() {
     let dir = tempfile::tempdir().unwrap();
     let out = dir.path().join("b.pdf").display().to_string();
     for (words, code, expected) in [
@@ -144,7 +144,7 @@ fn wrong_wishes_are_explained() {
         (
             format!("gripper --out {out} --body-mm 60"),
             1,
-            "no room on the body",
+            "does not fit on the body",
         ),
         (
             "show /proc/nonexistent.toml".to_owned(),
@@ -152,15 +152,15 @@ fn wrong_wishes_are_explained() {
             "/proc/nonexistent.toml",
         ),
     ] {
-        let (found, said) = refused(&mut board(&words));
-        assert_eq!(found, code, "{words}: {said}");
-        assert!(said.contains(expected), "{words}: {said}");
+        let (found, message) = failure(&mut board(&words));
+        assert_eq!(found, code, "{words}: {message}");
+        assert!(message.contains(expected), "{words}: {message}");
     }
     assert!(!Path::new(&out).exists());
 }
 
 #[test]
-fn boards_of_other_programs_are_imported() {
+fn foreign_boards_are_imported() {
     let dir = tempfile::tempdir().unwrap();
     let ros = dir.path().join("board_descriptions.yaml");
     let grid = |name: &str| {
@@ -170,13 +170,13 @@ fn boards_of_other_programs_are_imported() {
         )
     };
     fs::write(&ros, grid("table") + &grid("wall")).unwrap();
-    let (code, said) = refused(&mut board(&format!("import {}", ros.display())));
+    let (code, message) = failure(&mut board(&format!("import {}", ros.display())));
     assert_eq!(code, 2);
-    assert!(said.contains("marker_dict"), "{said}");
+    assert!(message.contains("marker_dict"), "{message}");
     let words = format!("import {} --dictionary 4X4_50", ros.display());
-    let (code, said) = refused(&mut board(&words));
+    let (code, message) = failure(&mut board(&words));
     assert_eq!(code, 2);
-    assert!(said.contains("table, wall"), "{said}");
+    assert!(message.contains("table, wall"), "{message}");
     let out = dir.path().join("wall.toml");
     let words = format!("{words} --name wall --out {} --json", out.display());
     let wall = json(&succeed(&mut board(&words)));
@@ -207,13 +207,13 @@ fn boards_of_other_programs_are_imported() {
     assert_eq!(shown["markers"], 2);
     let neither = dir.path().join("x.yaml");
     fs::write(&neither, "camera_matrix: 3\n").unwrap();
-    let (code, said) = refused(&mut board(&format!("import {}", neither.display())));
+    let (code, message) = failure(&mut board(&format!("import {}", neither.display())));
     assert_eq!(code, 1);
-    assert!(said.contains("target_type"), "{said}");
+    assert!(message.contains("target_type"), "{message}");
 }
 
 #[test]
-fn an_own_dictionary_lies_beside_the_board() {
+fn custom_dictionary_is_stored_next_to_the_board() {
     let dir = tempfile::tempdir().unwrap();
     let known = gripcast_pose::Dictionary::by_name("DICT_5X5_50").unwrap();
     let mut text = "%YAML:1.0\nnmarkers: 50\nmarkersize: 5\n".to_owned();
@@ -232,14 +232,14 @@ fn an_own_dictionary_lies_beside_the_board() {
     assert_eq!(file.dictionary.code(7), known.code(7));
 }
 
-/// The board that comes along.
+/// The bundled board.
 fn gripper() -> BoardFile {
     let root = Path::new(env!("CARGO_MANIFEST_DIR"));
     BoardFile::load(&root.join("calib/boards/gripper-umi.toml")).unwrap()
 }
 
 #[test]
-fn the_grippers_tags_are_printed_with_the_board_that_comes_along() {
+fn gripper_tags_match_the_bundled_board() {
     let dir = tempfile::tempdir().unwrap();
     let out = dir.path().join("gripper-umi.pdf");
     succeed(&mut board(&format!("gripper --out {}", out.display())));
@@ -247,39 +247,39 @@ fn the_grippers_tags_are_printed_with_the_board_that_comes_along() {
     assert_eq!(made, gripper().to_toml());
 }
 
-/// Corners and middle of a marker at an opening, m, a little in front of it.
-fn places(marker: &BoardMarker, opening: f64) -> Vec<DVec3> {
-    let shift = match marker.part {
-        Part::FingerLeft => -0.5 * opening,
-        Part::FingerRight => 0.5 * opening,
-        Part::Body | Part::Object => 0.0,
+/// Corners and centre of a marker at an opening, slightly in front of it, m.
+fn points_of(marker: &BoardMarker, opening: f64) -> Vec<DVec3> {
+    let shift = match marker.body {
+        Body::FingerLeft => -0.5 * opening,
+        Body::FingerRight => 0.5 * opening,
+        Body::Gripper | Body::Object => 0.0,
     };
-    let off = DVec3::X * shift + marker.front() * 2e-4;
+    let off = DVec3::X * shift + marker.normal() * 2e-4;
     let all = marker.corners_m.into_iter().chain([marker.center_m()]);
     all.map(|p| p + off).collect()
 }
 
-/// A camera around the gripper's front, seen from the middle of the gels, m.
+/// Position of a camera in front of the gripper, relative to the centre of the gels, m.
 fn eye(azimuth_deg: f64, elevation_deg: f64, distance: f64) -> DVec3 {
     let (a, e) = (azimuth_deg.to_radians(), elevation_deg.to_radians());
     DVec3::new(a.sin() * e.cos(), -a.cos() * e.cos(), -e.sin()) * distance
 }
 
 #[test]
-fn the_grippers_tags_are_in_front_of_it_and_seen() {
+fn gripper_tags_are_visible() {
     let board = gripper().board;
     for opening in [0.0, 0.06, 0.14] {
         let parts = gripper_parts(opening).unwrap();
         let bodies: Vec<MeshQuery> = parts.iter().map(|p| MeshQuery::new(&p.shape)).collect();
         for marker in &board.markers {
-            let points = places(marker, opening);
+            let points = points_of(marker, opening);
             let is_inside = |p: &DVec3| bodies.iter().any(|b| b.contains(*p));
             assert!(!points.iter().any(is_inside), "{}", marker.id);
             for (azimuth, elevation) in [(0.0, 10.0), (-10.0, 20.0), (10.0, 30.0), (0.0, 30.0)] {
                 for distance in [0.4, 0.8] {
                     let eye = eye(azimuth, elevation, distance);
                     let to_eye = (eye - marker.center_m()).normalize();
-                    assert!(marker.front().dot(to_eye) > 0.3, "{}", marker.id);
+                    assert!(marker.normal().dot(to_eye) > 0.3, "{}", marker.id);
                     for p in &points {
                         let hidden = bodies
                             .iter()

@@ -1,4 +1,4 @@
-//! `gripcast calibrate` as a user runs it.
+//! The command `gripcast calibrate`.
 
 use std::fs;
 use std::path::Path;
@@ -7,8 +7,8 @@ use std::process::Command;
 use glam::{DMat3, DQuat, DVec3};
 use gripcast_geometry::Pose;
 use gripcast_imaging::{Intrinsics, encode_png_grey8};
-use gripcast_pose::synthetic::{ImageConditions, Placed, render, test_camera};
-use gripcast_pose::{BoardFile, Part, load_intrinsics};
+use gripcast_pose::synthetic::{ImageConditions, PlacedBoard, render, test_camera};
+use gripcast_pose::{BoardFile, Body, load_intrinsics};
 
 use crate::json_schema::assert_schema;
 use crate::program::{gripcast, json, stderr, succeed};
@@ -21,8 +21,8 @@ fn calibrate(words: &str) -> Command {
     command
 }
 
-/// Exit code and what is said.
-fn refused(command: &mut Command) -> (i32, String) {
+/// Exit code and stderr.
+fn failure(command: &mut Command) -> (i32, String) {
     let output = command.output().unwrap();
     (output.status.code().unwrap(), stderr(&output))
 }
@@ -32,7 +32,7 @@ fn camera() -> Intrinsics {
 }
 
 #[test]
-fn intrinsics_survive_every_format() {
+fn intrinsics_round_trip_in_all_formats() {
     let dir = tempfile::tempdir().unwrap();
     let at = |name: &str| dir.path().join(name);
     let mut camera = camera();
@@ -67,7 +67,7 @@ fn intrinsics_survive_every_format() {
 }
 
 #[test]
-fn wrong_intrinsics_are_explained() {
+fn invalid_intrinsics_are_rejected() {
     let dir = tempfile::tempdir().unwrap();
     let at = |name: &str| dir.path().join(name).display().to_string();
     camera().save(Path::new(&at("a.toml"))).unwrap();
@@ -79,7 +79,11 @@ fn wrong_intrinsics_are_explained() {
     let out = at("o");
     for (words, code, expected) in [
         (format!("show {}", at("missing.yaml")), 1, "missing.yaml"),
-        (format!("show {}", at("no.yaml")), 1, "no camera file"),
+        (
+            format!("show {}", at("no.yaml")),
+            1,
+            "unknown camera file format",
+        ),
         (format!("show {}", at("k.yml")), 1, "--size 1280x720"),
         (format!("show {} --size 12,7", at("k.yml")), 2, "1280x720"),
         (
@@ -109,9 +113,9 @@ fn wrong_intrinsics_are_explained() {
             "/proc/nonexistent/o",
         ),
     ] {
-        let (found, said) = refused(&mut calibrate(&words));
-        assert_eq!(found, code, "{words}: {said}");
-        assert!(said.contains(expected), "{words}: {said}");
+        let (found, message) = failure(&mut calibrate(&words));
+        assert_eq!(found, code, "{words}: {message}");
+        assert!(message.contains(expected), "{words}: {message}");
     }
     let words = format!(
         "convert {} --size 1280x720 --to toml --out {out}",
@@ -140,15 +144,15 @@ fn photograph(folder: &Path, count: u32) {
             0.07 * (0.5 + 0.5 * (7.0 * along).sin())
         };
         let placed = [
-            (Part::Body, 0.0),
-            (Part::FingerLeft, -0.5),
-            (Part::FingerRight, 0.5),
+            (Body::Gripper, 0.0),
+            (Body::FingerLeft, -0.5),
+            (Body::FingerRight, 0.5),
         ];
-        let placed = placed.map(|(part, by)| Placed {
+        let placed = placed.map(|(body, by)| PlacedBoard {
             board: &board.board,
-            part,
+            body,
             dictionary: &board.dictionary,
-            t_camera_part: t_camera_gripper * Pose::from_translation(DVec3::X * (by * opening)),
+            t_camera_body: t_camera_gripper * Pose::from_translation(DVec3::X * (by * opening)),
         });
         let image = render(
             &camera(),
@@ -192,35 +196,35 @@ fn tags_are_calibrated_from_a_folder() {
         .iter()
         .zip(&described.board.markers)
     {
-        assert_eq!((a.id, a.part), (b.id, b.part));
+        assert_eq!((a.id, a.body), (b.id, b.body));
         assert!(a.center_m().distance(b.center_m()) < 5e-4, "{}", a.id);
     }
 
     // A damaged image is skipped and named.
     fs::write(photos.join("99.jpg"), [0xff, 0xd8, 0xff, 0x00]).unwrap();
-    let (code, said) = refused(&mut run("--closed 00.png"));
-    assert_eq!(code, 3, "{said}");
+    let (code, message) = failure(&mut run("--closed 00.png"));
+    assert_eq!(code, 3, "{message}");
     assert!(
-        said.contains("99.jpg is not used") && said.contains("1 images"),
-        "{said}"
+        message.contains("99.jpg is not used") && message.contains("1 images"),
+        "{message}"
     );
-    let (code, said) = refused(&mut run("--closed 0.png"));
+    let (code, message) = failure(&mut run("--closed 0.png"));
     assert_eq!(code, 2);
-    assert!(said.contains("00.png"), "{said}");
+    assert!(message.contains("00.png"), "{message}");
 
     // Of another size.
     let small = image::GrayImage::new(640, 480);
     fs::write(photos.join("98.png"), encode_png_grey8(&small).unwrap()).unwrap();
-    let (code, said) = refused(&mut run(""));
+    let (code, message) = failure(&mut run(""));
     assert_eq!(code, 1);
     assert!(
-        said.contains("98.png") && said.contains("640×480"),
-        "{said}"
+        message.contains("98.png") && message.contains("640×480"),
+        "{message}"
     );
 }
 
 #[test]
-fn images_without_tags_are_explained() {
+fn images_without_tags_are_reported() {
     let dir = tempfile::tempdir().unwrap();
     let photos = dir.path().join("photos");
     fs::create_dir(&photos).unwrap();
@@ -234,18 +238,21 @@ fn images_without_tags_are_explained() {
             photos.display(),
             dir.path().join("o.toml").display()
         );
-        refused(&mut calibrate(&words))
+        failure(&mut calibrate(&words))
     };
-    let (code, said) = run(TAGS);
+    let (code, message) = run(TAGS);
     assert_eq!(code, 1);
-    assert!(said.contains("no .png or .jpg"), "{said}");
+    assert!(message.contains("no .png or .jpg"), "{message}");
     let blank = image::GrayImage::new(640, 360);
     fs::write(photos.join("a.png"), encode_png_grey8(&blank).unwrap()).unwrap();
-    let (code, said) = run(TAGS);
+    let (code, message) = run(TAGS);
     assert_eq!(code, 1);
-    assert!(said.contains("no marker of any known dictionary"), "{said}");
-    let (code, said) = run("/proc/nonexistent/tags.toml");
+    assert!(
+        message.contains("no marker of any known dictionary"),
+        "{message}"
+    );
+    let (code, message) = run("/proc/nonexistent/tags.toml");
     assert_eq!(code, 1);
-    assert!(said.contains("/proc/nonexistent/tags.toml"), "{said}");
+    assert!(message.contains("/proc/nonexistent/tags.toml"), "{message}");
     assert!(!dir.path().join("o.toml").exists());
 }

@@ -1,4 +1,4 @@
-//! `gripcast calibrate intrinsics` as a user runs it.
+//! The command `gripcast calibrate intrinsics`.
 
 use std::fs;
 use std::path::Path;
@@ -28,7 +28,7 @@ const LENS: Intrinsics = Intrinsics {
     coefficients: [0.05, -0.08, 0.0, 0.0, 0.0],
 };
 
-/// The board of `board charuco` in `dir`.
+/// Creates a board by `board charuco` in `dir`.
 fn board(dir: &Path) -> BoardFile {
     let path = dir.join("c.svg");
     let mut command = gripcast();
@@ -40,7 +40,7 @@ fn board(dir: &Path) -> BoardFile {
     BoardFile::load(&dir.join("c.toml")).unwrap()
 }
 
-/// Views of a board, tilted to all sides.
+/// Views of a board, tilted in all directions.
 fn images(board: &BoardFile) -> Vec<GrayImage> {
     let facing = DQuat::from_rotation_x(std::f64::consts::PI);
     let conditions = ImageConditions {
@@ -51,11 +51,11 @@ fn images(board: &BoardFile) -> Vec<GrayImage> {
         .map(|k| {
             let azimuth = 0.7 * f64::from(k);
             let axis = DVec3::new(azimuth.cos(), azimuth.sin(), 0.0);
-            let lean = 0.5 * f64::from(u8::from(k > 0));
+            let tilt = 0.5 * f64::from(u8::from(k > 0));
             let depth = 0.35 + 0.02 * f64::from(k);
             let at = [k % 3, k / 3].map(|c| f64::from(c) - 1.0);
             let at = DVec3::new(0.2 * at[0], 0.15 * at[1], 1.0) * depth;
-            let pose = Pose::new(DQuat::from_axis_angle(axis, lean) * facing, at);
+            let pose = Pose::new(DQuat::from_axis_angle(axis, tilt) * facing, at);
             render_board(&LENS, board, &pose, &conditions, u64::from(k)).image
         })
         .collect()
@@ -87,75 +87,75 @@ fn assert_found(dir: &Path) {
 }
 
 #[test]
-fn a_folder_of_images_gives_the_lens() {
+fn lens_is_calibrated_from_a_folder() {
     let dir = tempfile::tempdir().unwrap();
     let board = board(dir.path());
-    let shots = dir.path().join("shots");
+    let folder = dir.path().join("images");
     let all = images(&board);
     for (k, image) in all.iter().enumerate() {
-        save(&shots, &format!("{k}.png"), image);
+        save(&folder, &format!("{k}.png"), image);
     }
-    let run = || calibrate(dir.path(), &["--images", "shots"]);
+    let run = || calibrate(dir.path(), &["--images", "images"]);
     let report = json(&succeed(&mut run()));
     assert!(report["rms_px"].as_f64().unwrap() < 0.15, "{report}");
-    // An image that shows what another one shows is left out and said to be.
+    // Images similar to others are excluded and listed.
     let views = count(&report, "views");
     assert!(views >= 7, "{report}");
     assert_eq!(views + count(&report, "left_out"), all.len());
     assert_found(dir.path());
 
-    fs::write(shots.join("torn.jpg"), [0xff, 0xd8, 0xff]).unwrap();
-    save(&shots, "empty.png", &GrayImage::new(640, 480));
+    fs::write(folder.join("torn.jpg"), [0xff, 0xd8, 0xff]).unwrap();
+    save(&folder, "empty.png", &GrayImage::new(640, 480));
     let output = run().output().unwrap();
-    let said = stderr(&output);
-    assert_eq!(output.status.code(), Some(3), "{said}");
+    let message = stderr(&output);
+    assert_eq!(output.status.code(), Some(3), "{message}");
     assert!(
-        said.contains("torn.jpg") && said.contains("empty.png: no marker"),
-        "{said}"
+        message.contains("torn.jpg") && message.contains("empty.png: no marker"),
+        "{message}"
     );
     let some = json(&output);
     let left_out = count(&some, "left_out");
     assert_eq!(left_out, all.len() + 2 - views);
     assert_schema("calibrate intrinsics", &[&report, &some]);
 
-    save(&shots, "z-small.png", &GrayImage::new(320, 240));
+    save(&folder, "z-small.png", &GrayImage::new(320, 240));
     let output = run().output().unwrap();
-    let said = stderr(&output);
-    assert_eq!(output.status.code(), Some(1), "{said}");
+    let message = stderr(&output);
+    assert_eq!(output.status.code(), Some(1), "{message}");
     assert!(
-        said.contains("640×480 first, then z-small.png (320×240)"),
-        "{said}"
+        message.contains("640×480 first, then z-small.png (320×240)"),
+        "{message}"
     );
 }
 
 #[test]
-fn what_is_wrong_with_images_is_told() {
+fn invalid_images_are_reported() {
     let dir = tempfile::tempdir().unwrap();
     let board = board(dir.path());
-    let shots = dir.path().join("shots");
+    let folder = dir.path().join("images");
     let images = images(&board);
-    save(&shots, "0.png", &flip_horizontal(&images[0]));
-    let refused = |folder: &str| {
+    save(&folder, "0.png", &flip_horizontal(&images[0]));
+    let failure = |folder: &str| {
         let output = calibrate(dir.path(), &["--images", folder])
             .output()
             .unwrap();
         (output.status.code(), stderr(&output))
     };
-    let (code, said) = refused("shots");
-    assert!(code == Some(1) && said.contains("mirrored"), "{said}");
-    save(&shots, "0.png", &images[0]);
-    let (code, said) = refused("shots");
+    let (code, message) = failure("images");
+    assert!(code == Some(1) && message.contains("mirrored"), "{message}");
+    save(&folder, "0.png", &images[0]);
+    let (code, message) = failure("images");
     assert!(
-        code == Some(1) && said.contains("at least 3 usable views"),
-        "{said}"
+        code == Some(1) && message.contains("at least 3 usable views"),
+        "{message}"
     );
-    let (code, said) = refused("nowhere");
-    assert!(code == Some(1) && said.contains("nowhere"), "{said}");
+    let (code, message) = failure("nowhere");
+    assert!(code == Some(1) && message.contains("nowhere"), "{message}");
     assert!(!dir.path().join("lens.toml").exists());
 }
 
 #[test]
-fn a_camera_gives_the_lens() {
+fn lens_is_calibrated_from_a_camera() {
     let dir = tempfile::tempdir().unwrap();
     let board = board(dir.path());
     let info = StreamInfo {
@@ -167,7 +167,7 @@ fn a_camera_gives_the_lens() {
         depth_unit_m: None,
     };
     let mut recorder = Recorder::create(dir.path(), Role::External, &info).unwrap();
-    // Every view twice: the board has to be still.
+    // Each view twice: the board must be at rest.
     for (k, image) in images(&board).iter().flat_map(|p| [p, p]).enumerate() {
         let frame = Frame {
             format: info.format,
@@ -187,7 +187,7 @@ fn a_camera_gives_the_lens() {
              format = \"GREY\"\nwidth = 640\nheight = 480\nfps = 30\n{more}"
         )
     };
-    // A rig has two tactile cameras, which are not opened.
+    // Required tactile cameras, which are not opened.
     let tactile = "crop_profile = \"gsmini-seventh-v1\"\n";
     let rig = [
         "schema = 1\nid = \"r\"\n".to_owned(),

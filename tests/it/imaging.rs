@@ -1,4 +1,4 @@
-//! Frames to images: golden values, damage, and real tactile images.
+//! Decoding: golden values, damage, real tactile images.
 
 use std::fs;
 
@@ -33,7 +33,7 @@ fn mjpg(image: &RgbImage, quality: u8) -> Frame {
     frame(PixelFormat::Mjpg, width, height, bytes)
 }
 
-/// Mean and largest difference of two images in grey levels.
+/// Mean and maximum difference of two images, grey levels.
 fn distance(a: &RgbImage, b: &RgbImage) -> (f64, u8) {
     assert_eq!(a.dimensions(), b.dimensions());
     let each = || {
@@ -49,7 +49,7 @@ fn distance(a: &RgbImage, b: &RgbImage) -> (f64, u8) {
     )
 }
 
-/// The file without the segments of one marker.
+/// Removes the segments of a marker.
 fn without_segments(jpeg: &[u8], marker: u8) -> Vec<u8> {
     let mut out = jpeg[..2].to_vec();
     let mut at = 2;
@@ -70,7 +70,7 @@ fn scan_start(jpeg: &[u8]) -> usize {
     header + 2 + usize::from(u16::from_be_bytes([jpeg[header + 2], jpeg[header + 3]]))
 }
 
-/// A JPEG whose Huffman tables are made for it, or one in several scans.
+/// A JPEG with optimised Huffman tables, optionally progressive.
 fn unusual_jpeg(image: &RgbImage, progressive: bool) -> Vec<u8> {
     let mut compressor = turbojpeg::Compressor::new().unwrap();
     compressor.set_optimize(true).unwrap();
@@ -88,7 +88,7 @@ fn unusual_jpeg(image: &RgbImage, progressive: bool) -> Vec<u8> {
 }
 
 #[test]
-fn red_stays_red_in_every_format() {
+fn channel_order_is_correct_in_all_formats() {
     let red = RgbImage::from_pixel(64, 48, Rgb([220, 40, 10]));
     let mut decoder = Decoder::new().unwrap();
     // BT.601, limited range, of (220, 40, 10).
@@ -99,16 +99,16 @@ fn red_stays_red_in_every_format() {
             decoder.decode(&frame, None, 32, 24).unwrap(),
             decoder.decode_full(&frame).unwrap(),
         ] {
-            let middle = image.get_pixel(image.width() / 2, image.height() / 2);
-            for (found, expected) in middle.0.into_iter().zip([220u8, 40, 10]) {
-                assert!(found.abs_diff(expected) <= 3, "{name}: {middle:?}");
+            let centre = image.get_pixel(image.width() / 2, image.height() / 2);
+            for (found, expected) in centre.0.into_iter().zip([220u8, 40, 10]) {
+                assert!(found.abs_diff(expected) <= 3, "{name}: {centre:?}");
             }
         }
     }
 }
 
 #[test]
-fn a_header_is_read_without_decoding() {
+fn header_is_parsed() {
     let gel = synthetic_gel(321, 243, 1, 0.0);
     let bytes = encode_jpeg(&gel, 80).unwrap();
     let header = inspect(&bytes).unwrap();
@@ -123,7 +123,7 @@ fn a_header_is_read_without_decoding() {
 }
 
 #[test]
-fn the_scale_is_the_smallest_that_has_the_pixels() {
+fn smallest_sufficient_scale_is_selected() {
     let target = (320, 240);
     for (profile, expected) in [
         (CropProfile::FULL, JpegScale::Eighth),
@@ -157,7 +157,7 @@ fn scaled_decoding_is_close_to_whole_decoding() {
 }
 
 #[test]
-fn odd_sizes_and_enlargement_work() {
+fn odd_sizes_and_enlargement() {
     let gel = synthetic_gel(333, 251, 5, 0.8);
     let frame = mjpg(&gel, 95);
     let mut decoder = Decoder::new().unwrap();
@@ -172,7 +172,7 @@ fn odd_sizes_and_enlargement_work() {
 }
 
 #[test]
-fn a_file_cut_off_anywhere_gives_no_image() {
+fn truncated_files_are_rejected() {
     let frame_bytes = encode_jpeg(&synthetic_gel(640, 480, 3, 0.5), 85).unwrap();
     let mut decoder = JpegDecoder::new().unwrap();
     let tenths = (1..10).map(|tenth| frame_bytes.len() * tenth / 10);
@@ -181,7 +181,7 @@ fn a_file_cut_off_anywhere_gives_no_image() {
         let damage = inspect(cut).unwrap_err();
         assert!(matches!(damage, JpegDamage::Truncated { .. }), "{damage}");
         assert_eq!(decoder.decode(cut, JpegScale::Eighth).unwrap_err(), damage);
-        // A driver that pads short frames must not hide the cut.
+        // Also if a driver pads them.
         let mut padded = cut.to_vec();
         padded.resize(frame_bytes.len(), 0);
         assert!(decoder.verify(&padded).is_err(), "{length} bytes, padded");
@@ -190,7 +190,7 @@ fn a_file_cut_off_anywhere_gives_no_image() {
 }
 
 #[test]
-fn lost_and_overwritten_bytes_are_detected() {
+fn missing_and_overwritten_bytes_are_detected() {
     let mut random = Pcg64Mcg::seed_from_u64(7);
     let mut decoder = JpegDecoder::new().unwrap();
     let whole = encode_jpeg(&synthetic_gel(640, 480, 3, 0.5), 85).unwrap();
@@ -210,7 +210,7 @@ fn lost_and_overwritten_bytes_are_detected() {
 }
 
 #[test]
-fn padding_after_the_end_is_accepted_and_garbage_is_not() {
+fn zero_padding_is_accepted() {
     let gel = synthetic_gel(160, 120, 3, 0.5);
     let clean = mjpg(&gel, 85);
     let mut decoder = Decoder::new().unwrap();
@@ -230,7 +230,7 @@ fn padding_after_the_end_is_accepted_and_garbage_is_not() {
 }
 
 #[test]
-fn missing_huffman_tables_are_supplied_whatever_came_before() {
+fn missing_huffman_tables_are_supplied() {
     let gel = synthetic_gel(320, 240, 9, 0.6);
     let complete = mjpg(&gel, 85);
     let mut decoder = Decoder::new().unwrap();
@@ -243,7 +243,7 @@ fn missing_huffman_tables_are_supplied_whatever_came_before() {
         Decoder::new().unwrap().decode_full(&bare).unwrap(),
         expected
     );
-    // Tables of an earlier frame must not leak into one that relies on the standard ones.
+    // Not those of an earlier frame.
     let other = unusual_jpeg(&synthetic_gel(320, 240, 1, 0.0), false);
     decoder
         .decode_full(&frame(PixelFormat::Mjpg, 320, 240, other))
@@ -252,8 +252,8 @@ fn missing_huffman_tables_are_supplied_whatever_came_before() {
 }
 
 #[test]
-fn restart_markers_are_followed_and_their_order_is_held() {
-    // Two images of one coding unit each make one of two with a restart between them.
+fn restart_markers_are_checked() {
+    // Joins two images of one coding unit by a restart marker.
     let parts = [1, 2].map(|seed| encode_jpeg(&synthetic_gel(16, 8, seed, 0.5), 85).unwrap());
     let start = scan_start(&parts[0]);
     let scans = parts.each_ref().map(|part| &part[start..part.len() - 2]);
@@ -283,7 +283,7 @@ fn restart_markers_are_followed_and_their_order_is_held() {
 }
 
 #[test]
-fn stored_files_give_what_the_live_path_gives() {
+fn stored_files_are_decoded_like_frames() {
     let gel = synthetic_gel(640, 480, 2, 0.4);
     let live = mjpg(&gel, 90);
     let crop = Some(&CropProfile::GSMINI_FIFTEEN);
@@ -305,7 +305,7 @@ fn stored_files_give_what_the_live_path_gives() {
 }
 
 #[test]
-fn missing_quantisation_tables_are_not_taken_from_an_earlier_frame() {
+fn missing_quantisation_tables_are_rejected() {
     let complete = mjpg(&synthetic_gel(64, 48, 9, 0.6), 85);
     let mut decoder = JpegDecoder::new().unwrap();
     decoder.decode(&complete.data, JpegScale::Whole).unwrap();
@@ -318,7 +318,7 @@ fn missing_quantisation_tables_are_not_taken_from_an_earlier_frame() {
 }
 
 #[test]
-fn a_decoder_recovers_from_damage() {
+fn decoder_recovers_from_damage() {
     let good = mjpg(&synthetic_gel(160, 120, 9, 0.6), 85);
     let mut bad = good.data.to_vec();
     let at = scan_start(&bad) + 40;
@@ -336,7 +336,7 @@ fn a_decoder_recovers_from_damage() {
 }
 
 #[test]
-fn every_wrong_frame_is_explained() {
+fn invalid_frames_are_rejected() {
     let gel = synthetic_gel(64, 48, 1, 0.0);
     let jpeg = encode_jpeg(&gel, 80).unwrap();
     let mut restarts = jpeg.clone();
@@ -352,7 +352,7 @@ fn every_wrong_frame_is_explained() {
     twelve_bit[sof + 4] = 12;
     use PixelFormat::{Grey, Mjpg, Yuyv, Z16};
     for (format, width, height, data, expected) in [
-        (Mjpg, 64, 48, vec![], "found no bytes at all"),
+        (Mjpg, 64, 48, vec![], "found no bytes"),
         (Mjpg, 64, 48, b"GIF89a".to_vec(), "found 47 49 46 38"),
         (
             Mjpg,
@@ -368,10 +368,16 @@ fn every_wrong_frame_is_explained() {
             vec![0xff, 0xd8, 0xff, 0xd9],
             "before its frame header",
         ),
-        (Mjpg, 640, 480, jpeg, "found 64×48 in the JPEG"),
+        (
+            Mjpg,
+            640,
+            480,
+            jpeg,
+            "expected a JPEG of 640×480 as configured, found 64×48",
+        ),
         (Mjpg, 64, 48, restarts, "no restart interval"),
         (Mjpg, 64, 48, arithmetic, "frame type SOF9"),
-        (Mjpg, 64, 48, twelve_bit, "12 bits a sample"),
+        (Mjpg, 64, 48, twelve_bit, "12 bits per sample"),
         (Yuyv, 64, 48, vec![0; 6143], "has 6144 bytes, found 6143"),
         (Yuyv, 63, 48, vec![0; 6048], "an even width"),
         (Grey, 64, 48, vec![0; 9216], "has 3072 bytes, found 9216"),
@@ -396,11 +402,11 @@ fn every_wrong_frame_is_explained() {
         .decode(&tiny, Some(&CropProfile::GSMINI_SEVENTH), 8, 8)
         .unwrap_err()
         .to_string();
-    assert!(text.contains("leaves nothing of a 2×2 image"), "{text}");
+    assert!(text.contains("has no window in a 2×2 image"), "{text}");
 }
 
 #[test]
-fn depth_is_read_and_shown() {
+fn depth_is_decoded() {
     let mut data = Vec::new();
     for value in [0u16, 100, 1500, 800] {
         data.extend_from_slice(&value.to_le_bytes());
@@ -421,13 +427,13 @@ fn depth_is_read_and_shown() {
 }
 
 #[test]
-fn a_decoder_can_move_to_its_thread() {
+fn decoder_is_send() {
     fn movable<T: Send + 'static>(_: &T) {}
     movable(&Decoder::new().unwrap());
 }
 
 #[test]
-fn grey_frames_become_grey_images() {
+fn grey_frames_are_decoded() {
     let frame = frame(PixelFormat::Grey, 4, 2, vec![0, 50, 100, 255, 1, 2, 3, 4]);
     let image = Decoder::new().unwrap().decode_full(&frame).unwrap();
     assert_eq!(image.get_pixel(1, 0).0, [50; 3]);
@@ -435,7 +441,7 @@ fn grey_frames_become_grey_images() {
 }
 
 #[test]
-fn a_real_press_stands_out_of_the_noise() {
+fn real_contact_exceeds_the_noise() {
     let Some(folder) = shared("data/gsmini_taxim_ball") else {
         return;
     };
@@ -458,8 +464,8 @@ fn a_real_press_stands_out_of_the_noise() {
             .unwrap()
     };
     let reference = model_view(&free);
-    // The set has one image without contact: the far corner of each press, which the ball
-    // does not reach, is the second look at an untouched gel.
+    // The data set has one image without contact; the noise is measured in a corner outside the
+    // contact.
     for press in 0..24 {
         let pressed = model_view(&load(&format!("ball_{press:02}.png")));
         let strength = |x: u32, y: u32, width: u32, height: u32| {
@@ -492,7 +498,7 @@ proptest! {
     })]
 
     #[test]
-    fn no_bytes_make_a_decoder_panic(
+    fn decoder_does_not_panic(
         format in prop::sample::select(vec![
             PixelFormat::Mjpg,
             PixelFormat::Yuyv,
@@ -519,7 +525,7 @@ proptest! {
     }
 
     #[test]
-    fn verify_and_decode_agree_on_every_altered_jpeg(
+    fn verify_and_decode_agree(
         changes in prop::collection::vec((any::<prop::sample::Index>(), any::<u8>()), 1..6),
         progressive in any::<bool>(),
     ) {

@@ -1,12 +1,12 @@
-//! Annotation of rendered images whose poses are known.
+//! Annotation of rendered images with known poses.
 
 use glam::{DQuat, DVec3};
 use image::{GrayImage, Luma, imageops};
 
 use super::*;
 use gripcast_imaging::Intrinsics;
-use gripcast_pose::synthetic::{ImageConditions, Placed, render, ring_board, test_camera};
-use gripcast_pose::{BoardFile, Dictionary, Part};
+use gripcast_pose::synthetic::{ImageConditions, PlacedBoard, render, ring_board, test_camera};
+use gripcast_pose::{BoardFile, Body, Dictionary};
 
 const WIDTH: u32 = 960;
 
@@ -23,7 +23,7 @@ fn camera() -> Intrinsics {
     test_camera(WIDTH, WIDTH * 9 / 16)
 }
 
-/// A gripper that points down over the middle of the sheet.
+/// A gripper pointing down over the centre of the sheet.
 fn t_object_gripper() -> Pose {
     let down = DQuat::from_rotation_x(std::f64::consts::PI);
     Pose::new(
@@ -43,14 +43,14 @@ fn t_camera_object() -> Pose {
     Pose::new(DQuat::from_mat3(&axes), eye).inverse()
 }
 
-struct Shot {
+struct TestImage {
     opening_m: f64,
     moved_m: f64,
     blur_px: f64,
     seed: u64,
 }
 
-impl Default for Shot {
+impl Default for TestImage {
     fn default() -> Self {
         Self {
             opening_m: 0.08,
@@ -61,28 +61,28 @@ impl Default for Shot {
     }
 }
 
-impl Shot {
-    fn image(&self, sheet: &BoardFile) -> GrayImage {
+impl TestImage {
+    fn render(&self, sheet: &BoardFile) -> GrayImage {
         let tags = tags();
         let t_camera_object = t_camera_object();
         let lift = Pose::from_translation(DVec3::Z * self.moved_m);
         let t_camera_gripper = t_camera_object * lift * t_object_gripper();
-        let part = |part: Part, slide: f64| Placed {
+        let body = |body: Body, slide: f64| PlacedBoard {
             board: &tags.board,
-            part,
+            body,
             dictionary: &tags.dictionary,
-            t_camera_part: t_camera_gripper * Pose::from_translation(DVec3::X * slide),
+            t_camera_body: t_camera_gripper * Pose::from_translation(DVec3::X * slide),
         };
         let placed = [
-            Placed {
+            PlacedBoard {
                 board: &sheet.board,
-                part: Part::Object,
+                body: Body::Object,
                 dictionary: &sheet.dictionary,
-                t_camera_part: t_camera_object,
+                t_camera_body: t_camera_object,
             },
-            part(Part::Body, 0.0),
-            part(Part::FingerLeft, -0.5 * self.opening_m),
-            part(Part::FingerRight, 0.5 * self.opening_m),
+            body(Body::Gripper, 0.0),
+            body(Body::FingerLeft, -0.5 * self.opening_m),
+            body(Body::FingerRight, 0.5 * self.opening_m),
         ];
         let conditions = ImageConditions {
             psf_px: self.blur_px,
@@ -96,13 +96,13 @@ fn annotator() -> Annotator {
     Annotator::new(sheet("DICT_6X6_250"), tags(), camera()).unwrap()
 }
 
-fn shots(shots: &[Shot]) -> Vec<(String, GrayImage)> {
+fn render_all(images: &[TestImage]) -> Vec<(String, GrayImage)> {
     let sheet = sheet("DICT_6X6_250");
-    let image = |(i, shot): (usize, &Shot)| (format!("{i}"), shot.image(&sheet));
-    shots.iter().enumerate().map(image).collect()
+    let render = |(i, image): (usize, &TestImage)| (format!("{i}"), image.render(&sheet));
+    images.iter().enumerate().map(render).collect()
 }
 
-fn annotated(images: &[(String, GrayImage)]) -> Result<Annotation> {
+fn annotate(images: &[(String, GrayImage)]) -> Result<Annotation> {
     annotator().annotate(images.iter().map(|(name, image)| (name.clone(), image)))
 }
 
@@ -110,15 +110,15 @@ fn frames(annotation: &Annotation) -> &[String] {
     &annotation.record.quality.as_ref().unwrap().frames
 }
 
-fn off_mm(record: &PoseRecord) -> f64 {
+fn error_mm(record: &PoseRecord) -> f64 {
     1e3 * DVec3::from_array(record.t_m).distance(t_object_gripper().translation_m)
 }
 
 #[test]
-fn an_image_gives_the_pose_its_covariance_and_its_quality() {
-    let found = annotated(&shots(&[Shot::default()])).unwrap();
+fn single_image_gives_pose_covariance_and_quality() {
+    let found = annotate(&render_all(&[TestImage::default()])).unwrap();
     let record = &found.record;
-    assert!(off_mm(record) < 0.2, "{} mm", off_mm(record));
+    assert!(error_mm(record) < 0.2, "{} mm", error_mm(record));
     let [w, x, y, z] = record.q_wxyz;
     let found = Pose::from_rotation(DQuat::from_xyzw(x, y, z, w));
     assert!(w >= 0.0 && found.rotation_from(&t_object_gripper()).length() < 0.003);
@@ -143,35 +143,35 @@ fn an_image_gives_the_pose_its_covariance_and_its_quality() {
 }
 
 #[test]
-fn the_last_sharp_images_before_the_fingers_close_count() {
-    let shot = |seed: u64| Shot {
+fn last_sharp_images_before_closing_are_selected() {
+    let still = |seed: u64| TestImage {
         seed,
-        ..Shot::default()
+        ..TestImage::default()
     };
-    let images = shots(&[
+    let images = render_all(&[
         // Before the gripper came to rest.
-        Shot {
+        TestImage {
             moved_m: 0.01,
-            ..shot(1)
+            ..still(1)
         },
-        shot(2),
-        Shot {
+        still(2),
+        TestImage {
             blur_px: 1.4,
-            ..shot(3)
+            ..still(3)
         },
-        shot(4),
+        still(4),
         // Closing.
-        Shot {
+        TestImage {
             opening_m: 0.076,
-            ..shot(5)
+            ..still(5)
         },
-        Shot {
+        TestImage {
             opening_m: 0.06,
             moved_m: 0.002,
-            ..shot(6)
+            ..still(6)
         },
     ]);
-    let found = annotated(&images).unwrap();
+    let found = annotate(&images).unwrap();
     assert_eq!(frames(&found), ["1", "3"]);
     assert_eq!(found.shown_image, "3");
     let quality = found.record.quality.as_ref().unwrap();
@@ -179,64 +179,68 @@ fn the_last_sharp_images_before_the_fingers_close_count() {
         quality.spread_m > 0.0 && quality.spread_m < 3e-4,
         "{quality:?}"
     );
-    assert!(off_mm(&found.record) < 0.2);
+    assert!(error_mm(&found.record) < 0.2);
 }
 
 #[test]
-fn what_is_wrong_is_explained() {
-    let fails = |image: &GrayImage| annotator().observe(image).unwrap_err().to_string();
-    let whole = Shot::default().image(&sheet("DICT_6X6_250"));
+fn invalid_images_are_diagnosed() {
+    let error = |image: &GrayImage| annotator().observe(image).unwrap_err().to_string();
+    let whole = TestImage::default().render(&sheet("DICT_6X6_250"));
     let empty = GrayImage::from_pixel(whole.width(), whole.height(), Luma([90]));
-    assert!(fails(&empty).contains("the sheet"), "{}", fails(&empty));
+    assert!(error(&empty).contains("the sheet"), "{}", error(&empty));
     let small = imageops::crop_imm(&whole, 0, 0, 640, 360).to_image();
-    assert!(fails(&small).contains("640×360"), "{}", fails(&small));
+    assert!(error(&small).contains("640×360"), "{}", error(&small));
     let mirrored = imageops::flip_horizontal(&whole);
     assert!(
-        fails(&mirrored).contains("mirrored"),
+        error(&mirrored).contains("mirrored"),
         "{}",
-        fails(&mirrored)
+        error(&mirrored)
     );
-    let other = Shot::default().image(&sheet("36h11"));
-    let text = fails(&other);
+    let other = TestImage::default().render(&sheet("36h11"));
+    let text = error(&other);
     assert!(text.contains("36h11"), "{text}");
-    // Without the upper part there is no tag of the body; without the lower no sheet.
+    // The upper half has the tags of the body, the lower half the sheet.
     let mut no_tags = whole.clone();
     let mut no_sheet = whole.clone();
     for (x, y, level) in whole.enumerate_pixels() {
         let hidden = if y < 315 { &mut no_tags } else { &mut no_sheet };
         hidden.put_pixel(x, y, Luma([level[0] / 255 * 90 + 90]));
     }
-    let text = fails(&no_tags);
+    let text = error(&no_tags);
     assert!(
         text.contains("the gripper's tags") || text.contains("one finger"),
         "{text}"
     );
     assert!(
-        fails(&no_sheet).contains("the sheet"),
+        error(&no_sheet).contains("the sheet"),
         "{}",
-        fails(&no_sheet)
+        error(&no_sheet)
     );
     let none: [(String, GrayImage); 0] = [];
     assert!(
-        annotated(&none)
+        annotate(&none)
             .unwrap_err()
             .to_string()
             .contains("no image")
     );
 }
 
-/// The image with everything but the markers in `kept` covered.
+/// The image with all markers covered but `kept`.
 fn with_only(image: &GrayImage, kept: &[u32]) -> GrayImage {
-    let seen = annotator().observe(image).unwrap();
+    let observation = annotator().observe(image).unwrap();
     let mut covered = image.clone();
-    for detection in seen.detections.iter().filter(|d| !kept.contains(&d.id)) {
+    for detection in observation
+        .detections
+        .iter()
+        .filter(|d| !kept.contains(&d.id))
+    {
         let [x, y] = (detection.corners_px.iter().sum::<glam::DVec2>() / 4.0)
             .to_array()
             .map(|c| c as u32);
         for (dx, dy) in (0..7).flat_map(|dx| (0..7).map(move |dy| (dx, dy))) {
             covered.put_pixel(x + dx - 3, y + dy - 3, Luma([90]));
         }
-        // Through the border, so that no square is left.
+        // Interrupt the border.
         for dx in 0..40 {
             let column = (x + dx).saturating_sub(20).min(image.width() - 1);
             (0..3).for_each(|dy| covered.put_pixel(column, y + dy - 1, Luma([205])));
@@ -246,18 +250,21 @@ fn with_only(image: &GrayImage, kept: &[u32]) -> GrayImage {
 }
 
 #[test]
-fn what_few_markers_leave_open_is_told() {
-    let image = Shot::default().image(&sheet("DICT_6X6_250"));
+fn few_markers_are_noted() {
+    let image = TestImage::default().render(&sheet("DICT_6X6_250"));
     let tags: Vec<u32> = (240..246).collect();
     let half = with_only(&image, &[&[9, 10, 11][..], &tags].concat());
-    let found = annotated(&[("half".to_owned(), half)]).unwrap();
+    let found = annotate(&[("half".to_owned(), half)]).unwrap();
     let notes = &found.record.quality.as_ref().unwrap().notes;
-    assert!(notes.iter().any(|n| n.contains("of 14")), "{notes:?}");
-    assert!(off_mm(&found.record) < 5.0);
+    assert!(
+        notes.iter().any(|n| n.contains("only 3 of 14")),
+        "{notes:?}"
+    );
+    assert!(error_mm(&found.record) < 5.0);
 
     let sheet_ids: Vec<u32> = (0..14).collect();
     let single = with_only(&image, &[&sheet_ids[..], &[242]].concat());
-    let found = annotated(&[("single".to_owned(), single)]).unwrap();
+    let found = annotate(&[("single".to_owned(), single)]).unwrap();
     let quality = found.record.quality.as_ref().unwrap();
     assert_eq!(quality.markers[1], 1);
     let notes = quality.notes.join("; ");
@@ -266,7 +273,7 @@ fn what_few_markers_leave_open_is_told() {
 }
 
 #[test]
-fn boards_that_do_not_go_together_are_refused() {
+fn incompatible_boards_are_rejected() {
     let text = |sheet: BoardFile, tags: BoardFile| {
         Annotator::new(sheet, tags, camera())
             .map(|_| ())
@@ -274,18 +281,18 @@ fn boards_that_do_not_go_together_are_refused() {
             .to_string()
     };
     let sheet = sheet("DICT_6X6_250");
-    assert!(text(tags(), tags()).contains("no sheet"));
-    assert!(text(sheet.clone(), sheet.clone()).contains("gripper's part"));
+    assert!(text(tags(), tags()).contains("not a sheet"));
+    assert!(text(sheet.clone(), sheet.clone()).contains("no marker of a gripper"));
     let mut clashing = sheet;
     clashing.board.markers[0].id = 240;
     assert!(text(clashing, tags()).contains("240"));
 }
 
 #[test]
-fn the_overlay_shows_axes_markers_and_the_mesh() {
-    let image = Shot::default().image(&sheet("DICT_6X6_250"));
+fn overlay_has_axes_markers_and_mesh() {
+    let image = TestImage::default().render(&sheet("DICT_6X6_250"));
     let mut annotator = annotator();
-    let seen = annotator.observe(&image).unwrap();
+    let observation = annotator.observe(&image).unwrap();
     let grey = image::DynamicImage::ImageLuma8(image).to_rgb8();
     let mut drawn = grey.clone();
     let mesh = gripcast_geometry::builtin("box").unwrap();
@@ -293,7 +300,7 @@ fn the_overlay_shows_axes_markers_and_the_mesh() {
         mesh: Some(&mesh),
         lines: vec!["BOX".to_owned()],
     };
-    overlay(&mut drawn, &seen, annotator.intrinsics(), &content);
+    overlay(&mut drawn, &observation, annotator.intrinsics(), &content);
     let coloured = |is: fn(&[u8; 3]) -> bool| drawn.pixels().filter(|p| is(&p.0)).count();
     assert!(
         coloured(|[r, g, b]| *r > 200 && *g < 90 && *b < 90) > 50,
@@ -313,8 +320,8 @@ fn the_overlay_shows_axes_markers_and_the_mesh() {
         .filter(|(a, b)| a != b)
         .count();
     assert!(changed < grey.pixels().len() / 4, "{changed}");
-    // A pose behind the camera or far to the side draws nothing and does not fail.
-    let mut behind = seen;
-    behind.object.t_camera_part.translation_m = DVec3::new(50.0, 0.0, -0.2);
+    // A pose behind the camera draws nothing.
+    let mut behind = observation;
+    behind.object.t_camera_body.translation_m = DVec3::new(50.0, 0.0, -0.2);
     overlay(&mut drawn, &behind, annotator.intrinsics(), &content);
 }

@@ -1,20 +1,19 @@
-//! Where the gripper was, relative to the object, in a grasp of a dataset: the external camera's
-//! images from before the fingers closed, the sheet that the object stands on and the gripper's
-//! tags give `t_object_gripper` (the paper's grasp-annotated dataset, §5.1).
+//! Pose annotation of grasps (the paper's grasp-annotated dataset, §5.1): `t_object_gripper` from
+//! the object's sheet and the gripper's tags in the external camera's images before the fingers
+//! close.
 //!
-//! [`Annotator::observe`] measures one image, [`choose`] takes the last sharp ones before the
-//! gripper moves, [`Annotator::annotate`] does both for a grasp; [`overlay`] draws what was found
-//! over the image.
+//! [`Annotator::observe`] measures one image, [`select`] selects the last sharp ones before the
+//! gripper moves, [`Annotator::annotate`] does both for a grasp; [`overlay`] draws the result.
 
-mod choice;
 mod observation;
 mod overlay;
 mod plausibility;
+mod selection;
 
-pub use choice::{Choice, choose};
 pub use observation::{Annotator, Observation};
 pub use overlay::{OverlayContent, overlay};
 pub use plausibility::is_between_fingers;
+pub use selection::{Selection, select};
 
 use glam::DQuat;
 use image::GrayImage;
@@ -23,18 +22,18 @@ use gripcast_base::error::{Error, Result};
 use gripcast_dataset::{PoseQuality, PoseRecord};
 use gripcast_geometry::Pose;
 
-/// A grasp's pose, with what it was found from.
+/// The pose of a grasp and its sources.
 #[derive(Clone, Debug)]
 pub struct Annotation {
-    /// What goes into `grasp.json`.
+    /// Record for `grasp.json`.
     pub record: PoseRecord,
-    /// The last image that was used.
+    /// The latest selected observation.
     pub shown: Observation,
-    /// Name of that image's file.
+    /// File name of its image.
     pub shown_image: String,
 }
 
-/// Hashes of the boards that a pose was found with.
+/// Hashes of the boards of a pose.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct BoardHashes {
     /// Of the sheet.
@@ -44,79 +43,78 @@ pub struct BoardHashes {
 }
 
 impl Annotator {
-    /// The pose of a grasp from images by time, each with the name of its file.
+    /// Annotates a grasp from named images in order of time.
     ///
     /// # Errors
-    /// `Input` if no image shows sheet and tags; it tells why the last one does not.
+    /// `Input` if sheet and tags are in no image, with the cause for the last one.
     pub fn annotate<'a>(
         &mut self,
         images: impl IntoIterator<Item = (String, &'a GrayImage)>,
     ) -> Result<Annotation> {
-        let mut seen = Vec::new();
+        let mut observed = Vec::new();
         let mut failure = None;
         for (name, image) in images {
             match self.observe(image) {
-                Ok(observation) => seen.push((name, observation)),
+                Ok(observation) => observed.push((name, observation)),
                 Err(error) => failure = Some(error.at(name)),
             }
         }
-        let named = seen.iter().map(|(name, seen)| (name.as_str(), seen));
+        let named = observed
+            .iter()
+            .map(|(name, observation)| (name.as_str(), observation));
         annotation(named, self.boards()).ok_or_else(|| {
             failure.unwrap_or_else(|| {
-                Error::input(
-                    "there is no image of the external camera from before the fingers closed",
-                )
-                .remedy("bind an external camera in the rig file")
+                Error::input("there is no image of the external camera before the fingers close")
+                    .remedy("bind an external camera in the rig file")
             })
         })
     }
 }
 
-/// The pose of a grasp from observations by time, each with the name of its file; none without
-/// observations.
+/// Annotates a grasp from named observations in order of time. `None`: there are none.
 #[must_use]
 pub fn annotation<'a>(
     observations: impl IntoIterator<Item = (&'a str, &'a Observation)>,
     boards: BoardHashes,
 ) -> Option<Annotation> {
     let (names, all): (Vec<&str>, Vec<&Observation>) = observations.into_iter().unzip();
-    let choice = choose(&all)?;
-    let shown = all[choice.last()].clone();
-    let used = choice.used.iter().map(|i| names[*i].to_owned());
+    let selection = select(&all)?;
+    let shown = all[selection.last()].clone();
+    let used = selection.used.iter().map(|i| names[*i].to_owned());
     Some(Annotation {
-        record: record(&shown, &choice, used.collect(), boards),
+        record: record(&shown, &selection, used.collect(), boards),
         shown,
-        shown_image: names[choice.last()].to_owned(),
+        shown_image: names[selection.last()].to_owned(),
     })
 }
 
 fn record(
     shown: &Observation,
-    choice: &Choice,
+    selection: &Selection,
     frames: Vec<String>,
     boards: BoardHashes,
 ) -> PoseRecord {
     let Pose {
         rotation,
         translation_m,
-    } = choice.t_object_gripper;
+    } = selection.t_object_gripper;
     let DQuat { x, y, z, w } = rotation;
     let tags = &shown.gripper.body;
     let mut notes = shown.notes.clone();
-    notes.extend(choice.notes.iter().cloned());
+    notes.extend(selection.notes.iter().cloned());
     PoseRecord {
         t_m: translation_m.to_array(),
         q_wxyz: [w, x, y, z],
         frame: "t_object_gripper".to_owned(),
-        covariance: Some(choice.covariance.as_flattened().to_vec()),
+        covariance: Some(selection.covariance.as_flattened().to_vec()),
         reprojection_px: Some(shown.object.rms_px),
         corrected_by_hand: false,
         quality: Some(PoseQuality {
             frames,
             markers: [shown.object.used_markers(), tags.used_markers()],
             tags_reprojection_px: tags.rms_px,
-            spread_m: choice.spread_m,
-            spread_rad: choice.spread_rad,
+            spread_m: selection.spread_m,
+            spread_rad: selection.spread_rad,
             blur_px: shown.blur_px,
             opening_m: shown.gripper.opening.map(|opening| opening.opening_m),
             ambiguous: shown.is_ambiguous(),

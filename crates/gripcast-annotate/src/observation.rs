@@ -1,81 +1,80 @@
-//! Sheet and tags in one image.
+//! Poses of sheet and tags in one image.
 
 use image::GrayImage;
 
 use super::BoardHashes;
 use gripcast_base::error::{Error, Result};
 use gripcast_imaging::Intrinsics;
-use gripcast_pose::detect::{Diagnosis, diagnose, known_dictionaries};
+use gripcast_pose::detect::{Diagnosis, builtin_dictionaries, diagnose};
 use gripcast_pose::refine::{refine_all, sharpness};
 use gripcast_pose::solve::{
-    GripperPose, PartPose, RelativePose, relative, solve_gripper, solve_part,
+    BodyPose, GripperPose, RelativePose, relative_pose, solve_body_pose, solve_gripper,
 };
-use gripcast_pose::{BoardFile, Detection, MarkerDetector, Part, require_size};
+use gripcast_pose::{BoardFile, Body, Detection, MarkerDetector, require_size};
 
-/// A gripper that holds or is about to hold the object is not farther from its frame, m.
+/// Maximum distance of a grasping gripper from the object's frame, m.
 const MAX_M: f64 = 0.5;
-/// Residuals from which the sheet is not as its description says, px.
-const POOR_FIT_PX: f64 = 1.0;
-/// Tags fewer than this are told of.
-const FEW_TAGS: usize = 2;
-/// The same for the sheet's markers.
-const FEW_MARKERS: usize = 4;
+/// Maximum reprojection error without a note, px.
+const MAX_RMS_PX: f64 = 1.0;
+/// Minimum number of the gripper's tags without a note.
+const MIN_TAGS: usize = 2;
+/// Minimum number of the sheet's markers without a note.
+const MIN_MARKERS: usize = 4;
 
-/// Sheet and gripper as one image shows them.
+/// Poses of sheet and gripper in one image.
 #[derive(Clone, Debug)]
 pub struct Observation {
-    /// The sheet, which has the object's frame, in the camera.
-    pub object: PartPose,
-    /// The gripper in the camera, with its opening.
+    /// Pose of the sheet, whose frame is that of the object.
+    pub object: BodyPose,
+    /// Pose and opening of the gripper.
     pub gripper: GripperPose,
-    /// The gripper in the object's frame.
+    /// Pose of the gripper in the object frame.
     pub relative: RelativePose,
-    /// The markers that were found, of both.
+    /// Detected markers of both.
     pub detections: Vec<Detection>,
-    /// Blur of their edges, px.
+    /// Blur of the markers' edges, px.
     pub blur_px: f64,
-    /// What a person should know.
+    /// Notes for the user.
     pub notes: Vec<String>,
 }
 
 impl Observation {
-    /// Whether another pose of the sheet or the gripper fits nearly as well.
+    /// Whether the pose of the sheet or of the gripper is ambiguous.
     #[must_use]
     pub fn is_ambiguous(&self) -> bool {
         self.object.ambiguous || self.gripper.body.ambiguous
     }
 }
 
-/// Measures grasps of one object with one gripper and camera.
+/// Annotates grasps of one object with one gripper and camera.
 pub struct Annotator {
     sheet: BoardFile,
     tags: BoardFile,
     intrinsics: Intrinsics,
-    /// One where both boards have the same dictionary.
+    /// A single one if both boards have the same dictionary.
     detectors: Vec<Box<dyn MarkerDetector>>,
 }
 
 impl Annotator {
-    /// For an object on its `sheet`, a gripper with `tags`, and a camera.
+    /// Creates an annotator for an object on `sheet`, a gripper with `tags`, and a camera.
     ///
     /// # Errors
-    /// `Input` if the sheet has no marker of an object, the tags none of a gripper, or both share
-    /// ids.
+    /// `Input` if the sheet has no marker of an object, the tags have none of a gripper, or both
+    /// share ids.
     pub fn new(sheet: BoardFile, tags: BoardFile, intrinsics: Intrinsics) -> Result<Self> {
-        check_parts(&sheet, &tags)?;
+        check_boards(&sheet, &tags)?;
         let mut detectors = Vec::new();
-        let same = sheet.dictionary.name() == tags.dictionary.name();
-        let (of_sheet, of_tags) = (sheet.board.ids(), tags.board.ids());
+        let (sheet_ids, tag_ids) = (sheet.board.ids(), tags.board.ids());
         let mut add = |dictionary, ids: &[u32]| -> Result<()> {
             let mut all = gripcast_pose::detect::detectors(dictionary, ids)?;
             detectors.push(all.remove(0));
             Ok(())
         };
-        if same {
-            add(&sheet.dictionary, &[of_sheet, of_tags].concat())?;
+        if sheet.dictionary.name() == tags.dictionary.name() {
+            add(&sheet.dictionary, &[sheet_ids, tag_ids].concat())?;
         } else {
-            add(&sheet.dictionary, &of_sheet)?;
-            add(&tags.dictionary, &of_tags)?;
+            add(&sheet.dictionary, &sheet_ids)?;
+            add(&tags.dictionary, &tag_ids)?;
         }
         Ok(Self {
             sheet,
@@ -85,7 +84,7 @@ impl Annotator {
         })
     }
 
-    /// The sheet that the object stands on.
+    /// The object's sheet.
     #[must_use]
     pub fn sheet(&self) -> &BoardFile {
         &self.sheet
@@ -97,7 +96,7 @@ impl Annotator {
         &self.tags
     }
 
-    /// Their hashes.
+    /// Hashes of both boards.
     #[must_use]
     pub fn boards(&self) -> BoardHashes {
         BoardHashes {
@@ -106,17 +105,17 @@ impl Annotator {
         }
     }
 
-    /// The camera.
+    /// Intrinsics of the camera.
     #[must_use]
     pub fn intrinsics(&self) -> &Intrinsics {
         &self.intrinsics
     }
 
-    /// Measures sheet and gripper in an image.
+    /// Measures the poses of sheet and gripper in an image.
     ///
     /// # Errors
-    /// `Input` for an image of another size than the intrinsics', without the sheet or the tags
-    /// (what is there in their place is told), or in which they are not as described.
+    /// `Input` for an image whose size differs from the intrinsics, without sheet or tags (with a
+    /// diagnosis), or in which they do not match their board files.
     pub fn observe(&mut self, image: &GrayImage) -> Result<Observation> {
         require_size(&self.intrinsics, image.width(), image.height())?;
         let mut found = Vec::new();
@@ -124,7 +123,7 @@ impl Annotator {
             found.extend(detector.detect(image)?);
         }
         let detections = refine_all(image, &found);
-        let seen = |board: &BoardFile| {
+        let is_detected = |board: &BoardFile| {
             let ids = board.board.ids();
             detections.iter().any(|d| ids.contains(&d.id))
         };
@@ -132,34 +131,30 @@ impl Annotator {
             ("the sheet", &self.sheet),
             ("the gripper's tags", &self.tags),
         ] {
-            if !seen(board) {
-                return Err(explain_absence(image, what, board)?);
+            if !is_detected(board) {
+                return Err(missing_board(image, what, board)?);
             }
         }
-        let object = solve_part(
+        let object = solve_body_pose(
             &self.sheet.board,
-            Part::Object,
+            Body::Object,
             &detections,
             &self.intrinsics,
         )
         .map_err(|e| e.at("the sheet"))?;
         let gripper = solve_gripper(&self.tags.board, &detections, &self.intrinsics, None)
             .map_err(|e| e.at("the gripper's tags"))?;
-        let relative = relative(&object, &gripper.body);
+        let relative = relative_pose(&object, &gripper.body);
         let distance_m = relative.t_object_gripper.translation_m.length();
         if distance_m > MAX_M {
             return Err(Error::input(format!(
-                "the gripper would be {distance_m:.2} m from the object, which is no grasp"
+                "the gripper is {distance_m:.2} m from the object: too far for a grasp"
             ))
-            .remedy("check that both board files have the sizes that were printed"));
+            .remedy("check that both board files have the printed sizes"));
         }
         let blur = sharpness(image, &detections);
-        let mut notes: Vec<String> = [&object.notes, &gripper.body.notes]
-            .into_iter()
-            .flatten()
-            .cloned()
-            .collect();
-        notes.extend(self.doubts(&object, &gripper));
+        let mut notes = [&object.notes[..], &gripper.body.notes].concat();
+        self.add_notes(&object, &gripper, &mut notes);
         Ok(Observation {
             object,
             gripper,
@@ -170,85 +165,80 @@ impl Annotator {
         })
     }
 
-    fn doubts(&self, object: &PartPose, gripper: &GripperPose) -> Vec<String> {
-        let mut doubts = Vec::new();
-        let of_sheet = object.used_markers();
-        if of_sheet < FEW_MARKERS {
-            doubts.push(format!(
-                "only {of_sheet} markers of the sheet are seen, of {}",
+    fn add_notes(&self, object: &BodyPose, gripper: &GripperPose, notes: &mut Vec<String>) {
+        let used = object.used_markers();
+        if used < MIN_MARKERS {
+            notes.push(format!(
+                "only {used} of {} markers of the sheet are detected",
                 self.sheet.board.markers.len()
             ));
         }
-        if gripper.body.used_markers() < FEW_TAGS {
-            doubts.push(
-                "one tag of the gripper decides alone: its direction is known poorly".to_owned(),
-            );
+        if gripper.body.used_markers() < MIN_TAGS {
+            notes
+                .push("only one tag of the gripper is used: its rotation is inaccurate".to_owned());
         }
         for (what, pose) in [("sheet", object), ("gripper's tags", &gripper.body)] {
             if pose.ambiguous {
-                doubts.push(format!("the pose of the {what} is ambiguous"));
+                notes.push(format!("the pose of the {what} is ambiguous"));
             }
-            if pose.rms_px > POOR_FIT_PX {
-                doubts.push(format!(
-                    "the {what} fit to {:.1} px only: are board file and intrinsics right?",
+            if pose.rms_px > MAX_RMS_PX {
+                notes.push(format!(
+                    "the reprojection error of the {what} is {:.1} px: check board file and \
+                     intrinsics",
                     pose.rms_px
                 ));
             }
         }
-        doubts
     }
 }
 
-fn check_parts(sheet: &BoardFile, tags: &BoardFile) -> Result<()> {
-    let input = |what: String| Error::input(what);
-    let is_object = |part: Part| part == Part::Object;
-    if !sheet.board.markers.iter().any(|m| is_object(m.part)) {
-        return Err(input(format!(
-            "board `{}` has no marker of part `object`, so it is no sheet",
+fn check_boards(sheet: &BoardFile, tags: &BoardFile) -> Result<()> {
+    let is_object = |body: Body| body == Body::Object;
+    if !sheet.board.markers.iter().any(|m| is_object(m.body)) {
+        return Err(Error::input(format!(
+            "board `{}` is not a sheet: it has no marker of part `object`",
             sheet.board.name
         ))
         .remedy("make one with `gripcast board make`"));
     }
-    if tags.board.markers.iter().all(|m| is_object(m.part)) {
-        return Err(input(format!(
-            "board `{}` has no marker of a gripper's part (body, finger_left, finger_right)",
+    if tags.board.markers.iter().all(|m| is_object(m.body)) {
+        return Err(Error::input(format!(
+            "board `{}` has no marker of a gripper (part body, finger_left or finger_right)",
             tags.board.name
         ))
         .remedy("make one with `gripcast board gripper`"));
     }
-    let of_tags = tags.board.ids();
-    let shared: Vec<u32> = sheet.board.ids();
-    let shared = shared.into_iter().find(|id| of_tags.contains(id));
-    match shared {
-        Some(id) if sheet.dictionary.name() == tags.dictionary.name() => Err(input(format!(
-            "both `{}` and `{}` have the marker {id} of {}",
-            sheet.board.name,
-            tags.board.name,
-            sheet.dictionary.name()
-        ))
-        .remedy("make one of them with another --first-id")),
+    let tag_ids = tags.board.ids();
+    let mut sheet_ids = sheet.board.ids().into_iter();
+    match sheet_ids.find(|id| tag_ids.contains(id)) {
+        Some(id) if sheet.dictionary.name() == tags.dictionary.name() => {
+            Err(Error::input(format!(
+                "both `{}` and `{}` have the marker {id} of {}",
+                sheet.board.name,
+                tags.board.name,
+                sheet.dictionary.name()
+            ))
+            .remedy("make one of them with a different --first-id"))
+        }
         _ => Ok(()),
     }
 }
 
-/// Why none of a board's markers was found.
-fn explain_absence(image: &GrayImage, what: &str, board: &BoardFile) -> Result<Error> {
+/// The error for a board without detected markers.
+fn missing_board(image: &GrayImage, what: &str, board: &BoardFile) -> Result<Error> {
     let ids = board.board.ids();
-    let why = diagnose(image, &board.dictionary, &ids, &known_dictionaries())?;
-    let why = match why {
-        // Other markers are in every such image: the other board's.
-        Diagnosis::OtherMarkers(_) => Diagnosis::Nothing,
-        why => why,
-    };
     let name = &board.board.name;
-    if why == Diagnosis::Nothing {
-        return Ok(Error::input(format!(
-            "{what} (board `{name}`) is not in the image: none of its markers is found"
-        ))
-        .remedy(
-            "let the camera see it, sharp and evenly lit, its markers at least 20 pixels large; \
-             give the board file of what was printed",
-        ));
-    }
-    Ok(why.explain(&format!("{what}, board `{name}`")))
+    Ok(
+        match diagnose(image, &board.dictionary, &ids, &builtin_dictionaries())? {
+            // Other markers are those of the other board.
+            Diagnosis::OtherMarkers(_) | Diagnosis::Nothing => Error::input(format!(
+                "{what} (board `{name}`) is not in the image: none of its markers is detected"
+            ))
+            .remedy(
+                "show its markers to the camera in focus, at least 20 px large and evenly lit; \
+                 give the board file of the printed board",
+            ),
+            cause => cause.to_error(&format!("{what}, board `{name}`")),
+        },
+    )
 }

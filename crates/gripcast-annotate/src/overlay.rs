@@ -1,4 +1,4 @@
-//! What was found, drawn over the image that it was found in.
+//! Draws an observation over its image.
 
 use glam::{DVec2, DVec3};
 use image::{Rgb, RgbImage};
@@ -11,9 +11,9 @@ use gripcast_pose::camera::project;
 
 /// Length of drawn axes, m.
 const AXIS_M: f64 = 0.04;
-/// Edges between faces that meet at less than this angle are not drawn, rad.
+/// Minimum angle between the faces of a drawn edge, rad.
 const CREASE_RAD: f64 = 0.5;
-/// Nearest that is drawn, m.
+/// Near clipping distance, m.
 const NEAR_M: f64 = 0.01;
 const AXES: [(DVec3, Rgb<u8>); 3] = [
     (DVec3::X, Rgb([235, 50, 50])),
@@ -22,37 +22,40 @@ const AXES: [(DVec3, Rgb<u8>); 3] = [
 ];
 const MESH: Rgb<u8> = Rgb([255, 220, 0]);
 const USED: Rgb<u8> = Rgb([0, 230, 230]);
-const LEFT_OUT: Rgb<u8> = Rgb([255, 0, 200]);
+const EXCLUDED: Rgb<u8> = Rgb([255, 0, 200]);
 const TEXT: Rgb<u8> = Rgb([255, 255, 255]);
 
-/// What is drawn besides axes and markers.
+/// Optional content of an overlay.
 #[derive(Clone, Debug, Default)]
 pub struct OverlayContent<'a> {
-    /// Mesh of the object in its own frame, m.
+    /// Mesh of the object, m.
     pub mesh: Option<&'a TriangleMesh>,
     /// Lines of text.
     pub lines: Vec<String>,
 }
 
-/// Draws over `image`: the markers that were found (cyan, those left out magenta), the frames of
-/// object and gripper (x red, y green, z blue), and the object's mesh (yellow: its outline and
-/// sharp edges that face the camera).
+/// Draws over `image`: detected markers (cyan; excluded ones magenta), the frames of object and
+/// gripper (x red, y green, z blue), and the visible outline and creases of the mesh (yellow).
 pub fn overlay(
     image: &mut RgbImage,
-    seen: &Observation,
+    observation: &Observation,
     intrinsics: &Intrinsics,
     content: &OverlayContent<'_>,
 ) {
     if let Some(mesh) = content.mesh {
-        for [a, b] in visible_edges(mesh, &seen.object.t_camera_part) {
+        for [a, b] in visible_edges(mesh, &observation.object.t_camera_body) {
             segment(image, intrinsics, a, b, 1.0, MESH);
         }
     }
-    let residuals = seen.object.markers.iter().chain(&seen.gripper.body.markers);
-    let left_out: Vec<u32> = residuals.filter(|m| !m.used).map(|m| m.id).collect();
-    for detection in &seen.detections {
-        let colour = if left_out.contains(&detection.id) {
-            LEFT_OUT
+    let residuals = observation
+        .object
+        .markers
+        .iter()
+        .chain(&observation.gripper.body.markers);
+    let excluded: Vec<u32> = residuals.filter(|m| !m.used).map(|m| m.id).collect();
+    for detection in &observation.detections {
+        let colour = if excluded.contains(&detection.id) {
+            EXCLUDED
         } else {
             USED
         };
@@ -61,7 +64,10 @@ pub fn overlay(
             line(image, corners[i], corners[(i + 1) % 4], 1.0, colour);
         }
     }
-    for pose in [&seen.object.t_camera_part, &seen.gripper.body.t_camera_part] {
+    for pose in [
+        &observation.object.t_camera_body,
+        &observation.gripper.body.t_camera_body,
+    ] {
         for (axis, colour) in AXES {
             let tip = pose.transform_point(AXIS_M * axis);
             segment(image, intrinsics, pose.translation_m, tip, 2.5, colour);
@@ -75,34 +81,33 @@ pub fn overlay(
     }
 }
 
-/// Edges in the camera's frame where a face that is seen meets one that is not, or another
-/// direction.
+/// Silhouette edges and visible creases, in the camera frame.
 fn visible_edges(mesh: &TriangleMesh, t_camera_object: &Pose) -> Vec<[DVec3; 2]> {
     let placed = mesh.transformed(t_camera_object);
     let normals: Vec<DVec3> = placed
         .all_corners()
         .map(|[a, b, c]| (b - a).cross(c - a).normalize_or_zero())
         .collect();
-    let faces_us = |triangle: &u32| {
+    let faces_camera = |triangle: &u32| {
         let corner = placed.vertices[placed.triangles[*triangle as usize][0] as usize];
         normals[*triangle as usize].dot(corner) < 0.0
     };
     let edges = placed.edges();
     let drawn = (0..edges.len()).filter(|edge| {
         let triangles = edges.triangles(*edge);
-        let seen = triangles.iter().filter(|t| faces_us(t)).count();
+        let facing = triangles.iter().filter(|t| faces_camera(t)).count();
         let is_sharp = || match triangles {
             [a, b] => normals[*a as usize].angle_between(normals[*b as usize]) > CREASE_RAD,
             _ => true,
         };
-        seen > 0 && (seen < triangles.len() || is_sharp())
+        facing > 0 && (facing < triangles.len() || is_sharp())
     });
     drawn
         .map(|edge| edges.vertices[edge].map(|v| placed.vertices[v as usize]))
         .collect()
 }
 
-/// A straight line in space, in short pieces as the lens bends it.
+/// Draws a line in space, in short pieces because of distortion.
 fn segment(
     image: &mut RgbImage,
     intrinsics: &Intrinsics,
@@ -112,24 +117,24 @@ fn segment(
     colour: Rgb<u8>,
 ) {
     const PIECES: usize = 8;
-    let place = |i: usize| {
+    let project_at = |i: usize| {
         let point = a.lerp(b, i as f64 / PIECES as f64);
         (point.z > NEAR_M).then(|| project(intrinsics, point))?
     };
     for i in 0..PIECES {
-        if let (Some(from), Some(to)) = (place(i), place(i + 1)) {
+        if let (Some(from), Some(to)) = (project_at(i), project_at(i + 1)) {
             line(image, from, to, width, colour);
         }
     }
 }
 
-/// A line with soft borders; what lies outside of the image is cut.
+/// Draws an antialiased line, clipped to the image.
 fn line(image: &mut RgbImage, a: DVec2, b: DVec2, width: f64, colour: Rgb<u8>) {
     let size = DVec2::new(f64::from(image.width()), f64::from(image.height()));
-    let reach = DVec2::splat(0.5 * width + 1.0);
-    let low = (a.min(b) - reach).max(DVec2::ZERO);
-    let high = (a.max(b) + reach).min(size - 1.0);
-    // Also false where a coordinate is no number.
+    let margin = DVec2::splat(0.5 * width + 1.0);
+    let low = (a.min(b) - margin).max(DVec2::ZERO);
+    let high = (a.max(b) + margin).min(size - 1.0);
+    // False for NaN.
     if !(low.cmple(high).all() && a.is_finite() && b.is_finite()) {
         return;
     }
@@ -139,19 +144,19 @@ fn line(image: &mut RgbImage, a: DVec2, b: DVec2, width: f64, colour: Rgb<u8>) {
         for x in low.x as u32..=high.x as u32 {
             let off = DVec2::new(f64::from(x), f64::from(y)) - a;
             let nearest = along * (off.dot(along) / length_squared).clamp(0.0, 1.0);
-            let cover = (0.5 * width + 0.5 - off.distance(nearest)).clamp(0.0, 1.0);
-            if cover > 0.0 {
+            let coverage = (0.5 * width + 0.5 - off.distance(nearest)).clamp(0.0, 1.0);
+            if coverage > 0.0 {
                 let pixel = image.get_pixel_mut(x, y);
-                for (level, wanted) in pixel.0.iter_mut().zip(colour.0) {
-                    let (old, new) = (f64::from(*level), f64::from(wanted));
-                    *level = (old + cover * (new - old)).round() as u8;
+                for (level, target) in pixel.0.iter_mut().zip(colour.0) {
+                    let (old, new) = (f64::from(*level), f64::from(target));
+                    *level = (old + coverage * (new - old)).round() as u8;
                 }
             }
         }
     }
 }
 
-/// Darkens rows, so that text can be read.
+/// Darkens rows behind text.
 fn shade(image: &mut RgbImage, from: u32, rows: u32) {
     let (width, height) = image.dimensions();
     for y in from..(from + rows).min(height) {

@@ -6,11 +6,11 @@ use gripcast_base::workers::thread_cpu_s;
 use gripcast_imaging::Intrinsics;
 use gripcast_pose::detect::detectors;
 use gripcast_pose::refine::refine_all;
-use gripcast_pose::solve::{RelativePose, relative, solve_gripper, solve_part};
+use gripcast_pose::solve::{RelativePose, relative_pose, solve_body_pose, solve_gripper};
 use gripcast_pose::synthetic::{
     GraspScene, ImageConditions, SyntheticImage, gripper_markers, ring_board, test_camera,
 };
-use gripcast_pose::{Detection, Dictionary, MarkerDetector, Part};
+use gripcast_pose::{Body, Detection, Dictionary, MarkerDetector};
 use serde::Serialize;
 
 /// All of its 587 markers are searched for, so that wrong ones can appear.
@@ -73,7 +73,7 @@ impl PoseScenes {
     ) -> Result<Vec<(&'static str, PoseFigures)>> {
         let dictionary = Dictionary::by_name(DICTIONARY)?;
         let board = ring_board(&dictionary);
-        let gripper = gripper_markers(&dictionary, [Part::Body; 2]);
+        let gripper = gripper_markers(&dictionary, [Body::Gripper; 2]);
         let camera = test_camera(self.width, self.width * 9 / 16);
         let ids: Vec<u32> = (0..dictionary.len() as u32).collect();
         let mut runs: Vec<(Box<dyn MarkerDetector>, Tally)> = detectors(&dictionary, &ids)?
@@ -117,9 +117,9 @@ impl PoseScenes {
 }
 
 fn pose_of(scene: &GraspScene, found: &[Detection], camera: &Intrinsics) -> Option<RelativePose> {
-    let object = solve_part(&scene.board, Part::Object, found, camera).ok()?;
+    let object = solve_body_pose(&scene.board, Body::Object, found, camera).ok()?;
     let gripper = solve_gripper(&scene.gripper, found, camera, None).ok()?;
-    (!object.ambiguous && !gripper.body.ambiguous).then(|| relative(&object, &gripper.body))
+    (!object.ambiguous && !gripper.body.ambiguous).then(|| relative_pose(&object, &gripper.body))
 }
 
 #[derive(Default)]
@@ -171,7 +171,7 @@ impl Tally {
         self.mm.push(1e3 * shift.length());
         self.deg.push(turn.length().to_degrees());
         let error = [shift.x, shift.y, shift.z, turn.x, turn.y, turn.z];
-        self.normalised.extend(pose.normalised_square(&error));
+        self.normalised.extend(pose.squared_mahalanobis(&error));
     }
 
     fn figures(mut self, images: u64) -> PoseFigures {

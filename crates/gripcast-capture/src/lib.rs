@@ -1,10 +1,9 @@
-//! Everything that touches USB, V4L2 or HID.
+//! Hardware access: USB, V4L2 and HID.
 //!
-//! * [`camera`]: frame sources (V4L2, replay) and their supervision; whoever opens a rig passes
-//!   what makes its virtual cameras
+//! * [`camera`]: frame sources (V4L2, replay) and their supervision
 //! * [`device`]: discovery and identity of USB cameras, access rights
-//! * [`trigger`]: pedal and script, both ending in session commands
-//! * [`calibration`]: rig files, intrinsics, factory read-out
+//! * [`trigger`]: session commands from pedals and scripts
+//! * [`calibration`]: rig files, factory intrinsics
 
 pub mod calibration;
 pub mod camera;

@@ -1,13 +1,13 @@
-//! A font of 5 × 7 pixels for labels of images.
+//! Bitmap font of 5 × 7 pixels for image labels.
 
 use image::{Rgb, RgbImage};
 
-/// Columns from one glyph to the next.
+/// Advance width of a glyph.
 pub(crate) const ADVANCE: u32 = 6;
-/// Rows of a glyph.
+/// Height of a glyph.
 pub const HEIGHT: u32 = 7;
 
-/// Rows of a glyph, the leftmost pixel in bit 4; unknown letters are blank.
+/// Rows of a glyph with the leftmost pixel in bit 4; unknown letters are blank.
 fn rows(letter: char) -> [u8; 7] {
     match letter.to_ascii_uppercase() {
         'A' => [14, 17, 17, 31, 17, 17, 17],
@@ -61,7 +61,7 @@ fn rows(letter: char) -> [u8; 7] {
     }
 }
 
-/// Writes a line of text with its upper left corner at (x, y); what lies outside is cut.
+/// Draws text with its upper left corner at (x, y), clipped to the image.
 pub fn write_text(image: &mut RgbImage, x: u32, y: u32, text: &str, colour: Rgb<u8>) {
     for (i, letter) in text.chars().enumerate() {
         for (dy, bits) in rows(letter).into_iter().enumerate() {
@@ -69,8 +69,8 @@ pub fn write_text(image: &mut RgbImage, x: u32, y: u32, text: &str, colour: Rgb<
                 if bits >> (4 - dx) & 1 == 0 {
                     continue;
                 }
-                let place = (x + i as u32 * ADVANCE + dx, y + dy as u32);
-                if let Some(pixel) = image.get_pixel_mut_checked(place.0, place.1) {
+                let (x, y) = (x + i as u32 * ADVANCE + dx, y + dy as u32);
+                if let Some(pixel) = image.get_pixel_mut_checked(x, y) {
                     *pixel = colour;
                 }
             }
@@ -83,7 +83,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn letters_are_drawn_inside_and_cut_outside() {
+    fn text_is_clipped() {
         let mut image = RgbImage::new(9, 7);
         write_text(&mut image, 0, 0, "LL", Rgb([255; 3]));
         assert_eq!(image.get_pixel(0, 0).0, [255; 3]);

@@ -1,7 +1,7 @@
 //! Named crop profiles.
 //!
-//! Public code crops a GelSight Mini in three incompatible ways, so data and models name the one
-//! they use. A profile never changes: a different rule gets a new name.
+//! Public code crops GelSight Mini images in three incompatible ways; data and models record the
+//! profile. A profile never changes; a different rule gets a new name.
 
 use gripcast_base::error::{Error, Result, nearest_name};
 
@@ -12,13 +12,13 @@ pub struct CropWindow {
     pub left: u32,
     /// First row.
     pub top: u32,
-    /// Columns.
+    /// Width.
     pub width: u32,
-    /// Rows.
+    /// Height.
     pub height: u32,
 }
 
-/// A rule that picks a window out of an image of any size.
+/// A rule for the crop window of an image of any size.
 ///
 /// | name | 3280×2464: columns, rows | 640×480: columns, rows |
 /// | --- | --- | --- |
@@ -48,15 +48,14 @@ impl CropProfile {
         rule: Rule::Full,
     };
 
-    /// The whole image of another sensor: the GelSight of 2017 with markers, of the *Feeling of
-    /// Success*. A name of its own keeps models and data of the Mini apart from it.
+    /// The whole image of the GelSight of 2017 with markers (*The Feeling of Success*).
     pub const GELSIGHT_2017_FULL: Self = Self {
         name: "gelsight-2017-full-v1",
         rule: Rule::Full,
     };
 
-    /// GelSight's own `gsrobotics`, 2022 to 2024 (`gsdevice.py`, `resize_crop_mini`): a seventh
-    /// off each side, rounded down, and two more rows off the top.
+    /// GelSight's `gsrobotics`, 2022 to 2024 (`gsdevice.py`, `resize_crop_mini`): 1/7 off each side,
+    /// rounded down, and two more rows off the top.
     pub const GSMINI_SEVENTH: Self = Self {
         name: "gsmini-seventh-v1",
         rule: Rule::Seventh,
@@ -69,8 +68,8 @@ impl CropProfile {
         rule: Rule::Fifteen,
     };
 
-    /// `gs_sdk` (`gs_device.py`, `resize_crop`) for its 320×240 output: a seventh off each side,
-    /// then as much off the top or the left as makes the rest 4:3.
+    /// `gs_sdk` (`gs_device.py`, `resize_crop`) for 320×240: 1/7 off each side, then the excess
+    /// over 4:3 off the top or the left.
     pub const GSMINI_GS_SDK: Self = Self {
         name: "gsmini-gs-sdk-v1",
         rule: Rule::GsSdk,
@@ -85,10 +84,10 @@ impl CropProfile {
         Self::GSMINI_GS_SDK,
     ];
 
-    /// The profile of a name.
+    /// The profile with a name.
     ///
     /// # Errors
-    /// [`ErrorKind::Config`] with the nearest name and the list.
+    /// [`ErrorKind::Config`] for an unknown name.
     pub fn by_name(name: &str) -> Result<Self> {
         if let Some(profile) = Self::ALL.into_iter().find(|profile| profile.name == name) {
             return Ok(profile);
@@ -97,16 +96,16 @@ impl CropProfile {
         let hint = nearest_name(name, known)
             .map_or(String::new(), |known| format!("did you mean `{known}`? "));
         Err(Error::config(format!("unknown crop profile `{name}`"))
-            .remedy(format!("{hint}known profiles: {}", known.join(", "))))
+            .remedy(format!("{hint}use one of {}", known.join(", "))))
     }
 
-    /// Name under which the profile is stored with data and models.
+    /// Name of the profile.
     #[must_use]
     pub fn name(&self) -> &'static str {
         self.name
     }
 
-    /// The window in an image of `width` × `height` pixels; `None` when nothing would be left.
+    /// The window in an image of `width` × `height` pixels; `None` if it is empty.
     #[must_use]
     pub fn window(&self, width: u32, height: u32) -> Option<CropWindow> {
         let (left, top, right, bottom) = match self.rule {
@@ -143,7 +142,7 @@ impl std::fmt::Display for CropProfile {
     }
 }
 
-/// `int(side * 0.15)` in double precision, as the source computes it.
+/// `int(side * 0.15)` in double precision, as in the source.
 fn fifteen_percent(side: u32) -> u32 {
     (f64::from(side) * 0.15) as u32
 }
@@ -189,7 +188,7 @@ mod tests {
     }
 
     #[test]
-    fn gs_sdk_trims_the_left_of_a_wide_image_and_the_top_of_a_tall_one() {
+    fn gs_sdk_crops_to_4_3() {
         assert_eq!(
             ranges(CropProfile::GSMINI_GS_SDK, 1400, 700),
             (200 + 333, 1200, 100, 600)
@@ -201,7 +200,7 @@ mod tests {
     }
 
     #[test]
-    fn too_small_images_have_no_window_and_none_panics() {
+    fn small_images_have_no_window() {
         for profile in CropProfile::ALL {
             for width in 0..20 {
                 for height in 0..20 {
@@ -216,7 +215,7 @@ mod tests {
     }
 
     #[test]
-    fn names_round_trip_and_a_slip_is_explained() {
+    fn names_round_trip() {
         for profile in CropProfile::ALL {
             assert_eq!(CropProfile::by_name(profile.name()).unwrap(), profile);
         }

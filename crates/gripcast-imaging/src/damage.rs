@@ -1,12 +1,12 @@
-//! Why a frame gives no image.
+//! Errors of decoding a frame.
 
 use std::fmt;
 
 use super::frame::{MAX_SIDE, PixelFormat};
 use super::jpeg::JpegDamage;
-use gripcast_base::error::{Error, ErrorKind};
+use gripcast_base::error::Error;
 
-/// Why a frame gives no image. The message says what was expected and what was found.
+/// Error of decoding a frame.
 #[derive(Clone, Debug, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum FrameDamage {
@@ -14,54 +14,54 @@ pub enum FrameDamage {
     Jpeg(JpegDamage),
     /// A raw frame has the wrong number of bytes.
     ByteCount {
-        /// Layout of the frame.
+        /// Pixel format of the frame.
         format: PixelFormat,
         /// Width in pixels.
         width: u32,
         /// Height in pixels.
         height: u32,
-        /// Bytes that such a frame has.
+        /// Expected number of bytes.
         expected: usize,
-        /// Bytes that it had.
+        /// Actual number of bytes.
         found: usize,
     },
-    /// The JPEG is sound, but of another size than the camera was set to.
+    /// The JPEG has a different size than the frame.
     ImageSize {
-        /// Width and height that the frame announces.
+        /// Width and height of the frame.
         expected: (u32, u32),
-        /// Width and height inside the JPEG.
+        /// Width and height of the JPEG.
         found: (u32, u32),
     },
-    /// The frame's own size is impossible for its format.
+    /// The size is invalid for the format.
     FrameSize {
-        /// Layout of the frame.
+        /// Pixel format of the frame.
         format: PixelFormat,
         /// Width in pixels.
         width: u32,
         /// Height in pixels.
         height: u32,
-        /// What such a frame must satisfy.
+        /// Requirement on the size.
         expected: &'static str,
     },
-    /// Nothing is left of the image after the crop.
+    /// The crop window is empty.
     NothingLeft {
         /// Crop profile.
         crop: &'static str,
-        /// Width in pixels before the crop.
+        /// Width of the image in pixels.
         width: u32,
-        /// Height in pixels before the crop.
+        /// Height of the image in pixels.
         height: u32,
     },
-    /// The size that was asked for cannot be produced.
+    /// The requested size is invalid.
     TargetSize {
-        /// Width that was asked for.
+        /// Requested width.
         width: u32,
-        /// Height that was asked for.
+        /// Requested height.
         height: u32,
     },
-    /// Depth was asked of a frame that has none.
+    /// The frame has no depth.
     NoDepth {
-        /// Layout of the frame.
+        /// Pixel format of the frame.
         format: PixelFormat,
     },
 }
@@ -82,7 +82,7 @@ impl fmt::Display for FrameDamage {
             ),
             Self::ImageSize { expected, found } => write!(
                 f,
-                "expected a {}×{} image as the camera was set, found {}×{} in the JPEG",
+                "expected a JPEG of {}×{} as configured, found {}×{}",
                 expected.0, expected.1, found.0, found.1
             ),
             Self::FrameSize {
@@ -92,7 +92,7 @@ impl fmt::Display for FrameDamage {
                 expected,
             } => write!(
                 f,
-                "a {format} frame of {width}×{height} pixels is impossible: expected {expected}"
+                "invalid size {width}×{height} of a {format} frame: expected {expected}"
             ),
             Self::NothingLeft {
                 crop,
@@ -100,11 +100,11 @@ impl fmt::Display for FrameDamage {
                 height,
             } => write!(
                 f,
-                "crop profile `{crop}` leaves nothing of a {width}×{height} image"
+                "crop profile `{crop}` has no window in a {width}×{height} image"
             ),
             Self::TargetSize { width, height } => write!(
                 f,
-                "cannot make an image of {width}×{height} pixels: expected 1 to {MAX_SIDE} a side"
+                "invalid image size {width}×{height}: expected 1 to {MAX_SIDE} pixels a side"
             ),
             Self::NoDepth { format } => {
                 write!(f, "expected a Z16 depth frame, found a {format} frame")
@@ -123,12 +123,12 @@ impl From<JpegDamage> for FrameDamage {
 
 impl From<FrameDamage> for Error {
     fn from(damage: FrameDamage) -> Self {
-        Self::new(ErrorKind::Input, damage.to_string())
+        Self::input(damage.to_string())
     }
 }
 
 impl From<JpegDamage> for Error {
     fn from(damage: JpegDamage) -> Self {
-        Self::new(ErrorKind::Input, damage.to_string())
+        Self::input(damage.to_string())
     }
 }

@@ -1,4 +1,4 @@
-//! Frames to images.
+//! Decodes frames to images.
 
 use image::RgbImage;
 
@@ -12,9 +12,7 @@ use super::yuyv::yuyv_to_rgb;
 use super::z16::{self, DepthImage};
 use gripcast_base::error::{Error, Result as CrateResult};
 
-/// Turns frames into images; one per thread, it keeps its buffers between frames.
-///
-/// A damaged frame gives an error, never an image.
+/// Decodes frames to images; reuses its buffers. Damaged frames are errors.
 ///
 /// ```
 /// use gripcast_imaging::{CropProfile, Decoder, Frame, PixelFormat, encode_jpeg, synthetic_gel};
@@ -44,7 +42,7 @@ impl Decoder {
     /// A decoder with empty buffers.
     ///
     /// # Errors
-    /// When libjpeg-turbo cannot be set up.
+    /// When libjpeg-turbo fails to initialise.
     pub fn new() -> CrateResult<Self> {
         Ok(Self {
             jpeg: JpegDecoder::new()?,
@@ -53,10 +51,10 @@ impl Decoder {
         })
     }
 
-    /// A stored image, JPEG or PNG, as it is.
+    /// Decodes a JPEG or PNG file at its size.
     ///
     /// # Errors
-    /// [`ErrorKind::Input`] for a damaged or foreign file.
+    /// [`ErrorKind::Input`] for a damaged or unsupported file.
     pub fn stored_image(&mut self, bytes: &[u8]) -> CrateResult<RgbImage> {
         if bytes.starts_with(&[0xff, 0xd8]) {
             let JpegHeader { width, height, .. } = jpeg::inspect(bytes)?;
@@ -65,14 +63,14 @@ impl Decoder {
         decode_png_rgb(bytes)
     }
 
-    /// The frame, cropped (`None`: whole) and resized to `width` × `height`, RGB.
+    /// Decodes, crops (`None`: not) and resizes a frame to RGB.
     ///
-    /// A JPEG is decoded at the smallest of 1/8, 1/4, 1/2 and 1 that still has the pixels asked
-    /// for inside the crop. Depth comes in false colour for previews: black where unknown, red
-    /// (100 units) over yellow and green to blue (1500 units), nearest neighbour.
+    /// A JPEG is decoded at the smallest scale of 1/8, 1/4, 1/2 and 1 with enough pixels in the
+    /// crop. Depth is shown in false colour: black for unknown, red (100 units) over yellow and
+    /// green to blue (1500 units), nearest neighbour.
     ///
     /// # Errors
-    /// [`FrameDamage`] says what is wrong with the frame or with the size asked for.
+    /// [`FrameDamage`] of the frame or for an invalid size.
     pub fn decode(
         &mut self,
         frame: &Frame,
@@ -147,7 +145,7 @@ impl Decoder {
     /// this is how training reads what the live path saw.
     ///
     /// # Errors
-    /// [`ErrorKind::Input`] when the file is neither or is damaged, or the size is impossible.
+    /// [`ErrorKind::Input`] for a damaged or unsupported file, or an invalid size.
     pub fn decode_file(
         &mut self,
         bytes: &[u8],
@@ -176,10 +174,10 @@ impl Decoder {
         }
     }
 
-    /// Depth in the camera's units, 0 where nothing was measured.
+    /// Depth in the camera's units; 0: unknown.
     ///
     /// # Errors
-    /// [`FrameDamage::NoDepth`] for other formats, or what is wrong with the frame.
+    /// [`FrameDamage::NoDepth`] for other formats, or the damage of the frame.
     pub fn depth(&self, frame: &Frame) -> Result<DepthImage, FrameDamage> {
         check(frame)?;
         let no_depth = FrameDamage::NoDepth {
@@ -191,11 +189,11 @@ impl Decoder {
         DepthImage::from_raw(frame.width, frame.height, z16::values(&frame.data)).ok_or(no_depth)
     }
 
-    /// Whether the frame decodes, at the least cost: all entropy-coded data of a JPEG is decoded
-    /// but hardly any pixel is made; raw formats have only their size to check.
+    /// Checks that a frame decodes, at minimum cost: decodes all entropy-coded data of a JPEG at
+    /// the smallest scale; checks the size of raw formats.
     ///
     /// # Errors
-    /// Exactly the damage for which [`Decoder::decode`] would refuse the frame.
+    /// The damage found by [`Decoder::decode`].
     pub fn verify(&mut self, frame: &Frame) -> Result<(), FrameDamage> {
         if let Some(header) = check(frame)? {
             self.jpeg.verify_inspected(&frame.data, &header)?;
@@ -204,15 +202,15 @@ impl Decoder {
     }
 }
 
-/// Whether the frame is plausible, without decoding: sizes, and the marker structure of a JPEG.
+/// Checks sizes and the marker structure of a JPEG, without decoding.
 ///
 /// # Errors
-/// [`FrameDamage`] says what is wrong with the frame.
+/// The damage of the frame.
 pub fn check_structure(frame: &Frame) -> Result<(), FrameDamage> {
     check(frame).map(|_| ())
 }
 
-/// [`check_structure`], with the header of a JPEG.
+/// [`check_structure`], returning the header of a JPEG.
 fn check(frame: &Frame) -> Result<Option<JpegHeader>, FrameDamage> {
     let Frame {
         format,
@@ -221,17 +219,17 @@ fn check(frame: &Frame) -> Result<Option<JpegHeader>, FrameDamage> {
         ref data,
         ..
     } = *frame;
-    let impossible = |expected| FrameDamage::FrameSize {
+    let invalid = |expected| FrameDamage::FrameSize {
         format,
         width,
         height,
         expected,
     };
     if !(1..=MAX_SIDE).contains(&width) || !(1..=MAX_SIDE).contains(&height) {
-        return Err(impossible("1 to 16384 pixels a side"));
+        return Err(invalid("1 to 16384 pixels a side"));
     }
     if format == PixelFormat::Yuyv && width % 2 != 0 {
-        return Err(impossible("an even width"));
+        return Err(invalid("an even width"));
     }
     if let Some(expected) = format.frame_bytes(width, height) {
         let found = data.len();
@@ -254,7 +252,7 @@ fn check(frame: &Frame) -> Result<Option<JpegHeader>, FrameDamage> {
     Ok(Some(header))
 }
 
-/// Depth in false colour; neighbours are not mixed, which would invent depths.
+/// Depth in false colour, by nearest neighbour.
 fn depth_preview(frame: &Frame, window: CropWindow, width: u32, height: u32) -> RgbImage {
     let nearest = |index: u32, target: u32, first: u32, count: u32| {
         let centre = (2 * u64::from(index) + 1) * u64::from(count);
@@ -269,7 +267,7 @@ fn depth_preview(frame: &Frame, window: CropWindow, width: u32, height: u32) -> 
     })
 }
 
-/// Converts a raw frame whose byte count has been checked; `rgb` takes its size.
+/// Converts a raw frame with a checked byte count.
 fn raw_to_rgb(frame: &Frame, rgb: &mut Vec<u8>) {
     rgb.resize(frame.width as usize * frame.height as usize * 3, 0);
     match frame.format {

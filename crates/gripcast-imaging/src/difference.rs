@@ -1,4 +1,4 @@
-//! What a contact changed in a tactile image.
+//! Difference of tactile images.
 
 use image::RgbImage;
 
@@ -9,20 +9,20 @@ use gripcast_base::error::{Error, Result};
 pub struct TactileDifference {
     width: u32,
     height: u32,
-    /// Row by row, R, G, B of each pixel, −255 to 255.
+    /// Row-major RGB, −255 to 255.
     levels: Vec<i16>,
 }
 
 impl TactileDifference {
-    /// The difference *grasp − initial*.
+    /// Computes the difference *grasp − initial*.
     ///
     /// # Errors
-    /// [`ErrorKind::Input`] when the sizes differ or there are no pixels.
+    /// [`ErrorKind::Input`] for different or empty sizes.
     pub fn between(initial: &RgbImage, grasp: &RgbImage) -> Result<Self> {
         let (width, height) = initial.dimensions();
         if grasp.dimensions() != (width, height) || width == 0 || height == 0 {
             return Err(Error::input(format!(
-                "cannot take the tactile difference of a {}×{} grasp and a {width}×{height} initial image: expected equal sizes with at least one pixel",
+                "the tactile difference requires equal sizes with at least one pixel, found a {}×{} grasp and a {width}×{height} initial image",
                 grasp.width(),
                 grasp.height(),
             )));
@@ -50,7 +50,7 @@ impl TactileDifference {
         self.height
     }
 
-    /// `height × width × 3` differences in grey levels, R, G, B of each pixel.
+    /// `height × width × 3` differences in grey levels, row-major RGB.
     pub fn levels(&self) -> &[i16] {
         &self.levels
     }
@@ -58,7 +58,7 @@ impl TactileDifference {
     /// Writes the model input: `[3, height, width]`, planes R, G, B, levels / 255 (−1 to 1).
     ///
     /// # Errors
-    /// [`ErrorKind::Internal`] when `out` has another length than 3 × height × width.
+    /// [`ErrorKind::Internal`] for a length of `out` other than 3 × height × width.
     pub fn write_chw(&self, out: &mut [f32]) -> Result<()> {
         if out.len() != self.levels.len() {
             return Err(Error::internal(format!(
@@ -80,20 +80,19 @@ impl TactileDifference {
         Ok(())
     }
 
-    /// For the eye: 128 is no change, `gain` grey levels for each level of difference.
-    ///
-    /// A gain of 0.5 shows every difference; 2 makes light contacts visible and clips strong ones.
+    /// Image for display: 128 is no change, scaled by `gain`. A gain of 0.5 never clips; 2 makes
+    /// light contacts visible.
     #[must_use]
     pub fn to_image(&self, gain: f32) -> RgbImage {
         let mut image = RgbImage::new(self.width, self.height);
-        for (shown, level) in image.iter_mut().zip(&self.levels) {
+        for (pixel, level) in image.iter_mut().zip(&self.levels) {
             // The cast saturates at 0 and 255; + 0.5 rounds.
-            *shown = (128.5 + f32::from(*level) * gain) as u8;
+            *pixel = (128.5 + f32::from(*level) * gain) as u8;
         }
         image
     }
 
-    /// Contact strength: mean of |difference| over all pixels and channels, in grey levels.
+    /// Contact strength: mean absolute difference over pixels and channels, in grey levels.
     #[must_use]
     pub fn mean_abs(&self) -> f32 {
         let sum: u64 = self
@@ -104,10 +103,10 @@ impl TactileDifference {
         (sum as f64 / self.levels.len() as f64) as f32
     }
 
-    /// Fraction (0 to 1) of pixels where at least one channel changed by more than `levels`.
+    /// Fraction (0 to 1) of pixels with a channel changed by more than `levels`.
     ///
-    /// Real presses of a ball change 11 to 28 % of the pixels by more than 10 levels; sensor noise
-    /// between two frames without contact stays below 10.
+    /// Presses of a real ball change 11 to 28 % of the pixels by more than 10 levels; sensor noise
+    /// stays below 10.
     #[must_use]
     pub fn changed_fraction(&self, levels: u16) -> f32 {
         let changed = self
@@ -129,7 +128,7 @@ mod tests {
     }
 
     #[test]
-    fn sign_is_grasp_minus_initial_and_channels_keep_their_order() {
+    fn sign_and_channel_order() {
         let d = TactileDifference::between(&plain([10, 100, 50]), &plain([30, 90, 50])).unwrap();
         assert_eq!(&d.levels()[..3], &[20, -10, 0]);
         let mut chw = vec![0.0; 18];
@@ -143,14 +142,14 @@ mod tests {
     }
 
     #[test]
-    fn extremes_fit() {
+    fn extreme_differences_do_not_overflow() {
         let d = TactileDifference::between(&plain([0, 7, 255]), &plain([255, 7, 0])).unwrap();
         assert_eq!(&d.levels()[..3], &[255, 0, -255]);
         assert_eq!(d.to_image(0.5).get_pixel(0, 0).0, [255, 128, 1]);
     }
 
     #[test]
-    fn unequal_sizes_and_tensors_are_refused() {
+    fn unequal_sizes_are_rejected() {
         let error = TactileDifference::between(&plain([0; 3]), &RgbImage::new(3, 2)).unwrap_err();
         assert!(error.to_string().contains("3×2"), "{error}");
         assert!(TactileDifference::between(&RgbImage::new(0, 0), &RgbImage::new(0, 0)).is_err());

@@ -1,12 +1,12 @@
-//! A flat printed image in space.
+//! Posed printed images.
 
 use image::GrayImage;
 
-/// A flat printed image, as a sheet or a card carries it.
+/// A printed sheet or card at a pose.
 #[derive(Clone, Debug)]
 pub struct FlatPrint {
-    /// The fraction of each pixel that is bare paper, 255 for all of it.
+    /// Unprinted fraction of each pixel, times 255.
     pub paper: GrayImage,
-    /// Top left, top right, bottom right, bottom left corner as seen from the front, m.
+    /// Top left, top right, bottom right, bottom left corner from the front, m.
     pub corners_m: [[f64; 3]; 4],
 }

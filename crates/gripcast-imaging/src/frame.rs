@@ -1,4 +1,4 @@
-//! One frame as a camera sent it.
+//! Raw frames of cameras.
 
 use std::fmt;
 use std::ops::Deref;
@@ -10,10 +10,10 @@ use utoipa::ToSchema;
 
 use gripcast_base::error::Error;
 
-/// Largest side of an image that is decoded or produced, in pixels.
+/// Maximum side of an image, pixels.
 pub const MAX_SIDE: u32 = 16_384;
 
-/// What a camera is for; the key of everything that is stored per camera.
+/// Role of a camera; the key of all data per camera.
 #[derive(
     Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize, ToSchema,
 )]
@@ -27,12 +27,12 @@ pub enum Role {
     Rgb,
     /// Depth camera between the fingers.
     Depth,
-    /// Colour camera that sees the whole scene.
+    /// Colour camera with a view of the whole scene.
     External,
 }
 
 impl Role {
-    /// All roles, in the order of screens and files.
+    /// All roles, in display order.
     pub const ALL: [Self; 5] = [
         Self::Left,
         Self::Right,
@@ -41,7 +41,7 @@ impl Role {
         Self::External,
     ];
 
-    /// Name in files, flags and columns.
+    /// Name of the role.
     #[must_use]
     pub fn name(self) -> &'static str {
         match self {
@@ -53,7 +53,7 @@ impl Role {
         }
     }
 
-    /// Whether the camera looks at a gel.
+    /// Whether it is a tactile sensor.
     #[must_use]
     pub fn is_tactile(self) -> bool {
         matches!(self, Self::Left | Self::Right)
@@ -80,11 +80,11 @@ impl FromStr for Role {
     }
 }
 
-/// Pixel formats that gripcast reads.
+/// Supported pixel formats.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "UPPERCASE")]
 pub enum PixelFormat {
-    /// Motion JPEG; one JPEG a frame, Huffman tables may be missing (UVC allows it).
+    /// Motion JPEG: one JPEG per frame, possibly without Huffman tables (UVC).
     Mjpg,
     /// 4:2:2 packed, Y0 U Y1 V, BT.601 limited range.
     Yuyv,
@@ -92,7 +92,7 @@ pub enum PixelFormat {
     Z16,
     /// 8-bit luminance.
     Grey,
-    /// 8-bit RGB, packed; a stored YUYV frame is read back as this.
+    /// 8-bit RGB, packed; the format of stored YUYV frames.
     Rgb,
 }
 
@@ -109,7 +109,7 @@ impl PixelFormat {
         }
     }
 
-    /// The format of a V4L2 four-character code, if it is one that gripcast reads.
+    /// The supported format of a V4L2 four-character code.
     #[must_use]
     pub fn from_fourcc(code: [u8; 4]) -> Option<Self> {
         [Self::Mjpg, Self::Yuyv, Self::Z16, Self::Grey, Self::Rgb]
@@ -117,7 +117,7 @@ impl PixelFormat {
             .find(|format| format.fourcc() == code)
     }
 
-    /// Bytes of one frame; `None` for compressed formats.
+    /// Size of a frame, bytes; `None` for compressed formats.
     #[must_use]
     pub fn frame_bytes(self, width: u32, height: u32) -> Option<usize> {
         let pixels = width as usize * height as usize;
@@ -142,7 +142,7 @@ impl fmt::Display for PixelFormat {
     }
 }
 
-/// Immutable bytes of a frame; cloning fractions them.
+/// Immutable, shared bytes of a frame.
 #[derive(Clone, PartialEq, Eq)]
 pub struct FrameBytes(Arc<Vec<u8>>);
 
@@ -160,13 +160,12 @@ impl Deref for FrameBytes {
     }
 }
 
-/// Buffers that frames are copied into, used again once nobody holds the frame any more; spares
-/// an allocation of megabytes for each frame of a running camera.
+/// Pool of frame buffers, reused once their frames are dropped.
 #[derive(Debug, Default)]
 pub struct FramePool(Vec<FrameBytes>);
 
 impl FramePool {
-    /// Buffers that are kept; frames beyond them get memory of their own.
+    /// Maximum number of pooled buffers.
     const CAPACITY: usize = 12;
 
     /// Copies `bytes` into a free buffer.
@@ -174,7 +173,7 @@ impl FramePool {
         self.fill(|buffer| buffer.extend_from_slice(bytes))
     }
 
-    /// Lets `write` append to a free, empty buffer.
+    /// Fills a free buffer by `write`.
     pub fn fill(&mut self, write: impl FnOnce(&mut Vec<u8>)) -> FrameBytes {
         for held in &mut self.0 {
             if let Some(buffer) = Arc::get_mut(&mut held.0) {
@@ -199,22 +198,22 @@ impl fmt::Debug for FrameBytes {
     }
 }
 
-/// One frame as the camera sent it, not decoded.
+/// A raw frame.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Frame {
-    /// Layout of `data`.
+    /// Pixel format of `data`.
     pub format: PixelFormat,
     /// Width in pixels.
     pub width: u32,
     /// Height in pixels.
     pub height: u32,
-    /// The payload, exactly as sent; for raw formats rows are tightly packed.
+    /// Payload; rows of raw formats are packed.
     pub data: FrameBytes,
-    /// Driver's frame counter; a jump means frames were lost before they reached us.
+    /// Driver's frame counter; gaps are lost frames.
     pub sequence: u32,
     /// Driver's capture time, `CLOCK_MONOTONIC`, ns.
     pub driver_time_ns: u64,
-    /// When gripcast took the frame from the driver, `CLOCK_MONOTONIC`, ns.
+    /// Time of reception, `CLOCK_MONOTONIC`, ns.
     pub received_ns: u64,
 }
 
@@ -237,7 +236,7 @@ mod tests {
     }
 
     #[test]
-    fn pool_uses_a_buffer_again_only_when_it_is_free() {
+    fn pool_reuses_free_buffers_only() {
         let mut pool = FramePool::default();
         let first = pool.copy(&[1, 2, 3]);
         let address = first.as_ptr();

@@ -1,15 +1,14 @@
-//! An image like that of a GelSight Mini, made from numbers alone.
+//! Synthetic GelSight Mini images, without an optical model.
 //!
-//! Colours and noise follow measurements on real Minis: without contact the top is about
-//! (40, 97, 108), the centre (125, 120, 145) and the bottom (68, 95, 81); the noise has a
-//! standard deviation of 1.5, 1.0 and 1.8 grey levels in R, G and B. A contact shades the gel by
-//! its slope, each colour from its own side, as the three lamps do. It looks right and is
-//! repeatable; it is no optical model of the sensor.
+//! Colours and noise follow measurements on real Minis: without contact, the top is about
+//! (40, 97, 108), the centre (125, 120, 145) and the bottom (68, 95, 81); the standard deviation of
+//! the noise is 1.5, 1.0 and 1.8 grey levels in R, G and B. A contact is shaded by its slope
+//! towards the three lamps.
 
 use gripcast_base::random::scramble;
 use image::RgbImage;
 
-/// A round contact, in fractions of the image.
+/// A round contact in image fractions.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct GelContact {
     /// Centre from the left edge, in image widths.
@@ -18,47 +17,45 @@ pub struct GelContact {
     pub centre_y: f32,
     /// Radius in image heights.
     pub radius: f32,
-    /// 0 = touching nothing, 1 = pressed hard.
+    /// Strength from 0 (no contact) to 1.
     pub strength: f32,
 }
 
-/// Colours at the top, centre and bottom of the untouched gel.
+/// Colours at the top, centre and bottom without contact.
 const COLUMN: [[f32; 3]; 3] = [
     [40.0, 97.0, 108.0],
     [125.0, 120.0, 145.0],
     [68.0, 95.0, 81.0],
 ];
 
-/// Largest change of a channel where the gel is steepest, in grey levels.
+/// Maximum change of each channel, grey levels.
 const SHADING: [f32; 3] = [110.0, 75.0, 105.0];
 
-/// Directions (x right, y down) from which red, green and blue light comes.
+/// Directions (x right, y down) towards the red, green and blue lamps.
 const LAMPS: [[f32; 2]; 3] = [[0.0, 1.0], [0.87, -0.5], [-0.87, -0.5]];
 
-/// Bits of a pixel's hash that are counted per channel: n bits give a variance of n/4.
+/// Hash bits counted as noise per channel: n bits have a variance of n/4.
 const NOISE_BITS: [u32; 3] = [9, 4, 13];
 
-/// The gel with one contact near the centre; `seed` moves the contact and draws the noise.
-///
-/// `contact` is its strength, from 0 (none) to 1. The same arguments give the same bytes.
+/// A gel with a contact of strength `contact` (0 to 1) near the centre; `seed` determines its
+/// position and the noise.
 pub fn synthetic_gel(width: u32, height: u32, seed: u64, contact: f32) -> RgbImage {
-    let place = scramble(seed ^ 0x6765_6c00);
+    let bits = scramble(seed ^ 0x6765_6c00);
     let offset = |bits: u64| ((bits & 0xff) as f32 / 255.0 - 0.5) * 0.2;
     gel_image(
         width,
         height,
         seed,
         GelContact {
-            centre_x: 0.5 + offset(place),
-            centre_y: 0.5 + offset(place >> 8),
+            centre_x: 0.5 + offset(bits),
+            centre_y: 0.5 + offset(bits >> 8),
             radius: 0.12,
             strength: contact,
         },
     )
 }
 
-/// The gel with a given contact; `noise_seed` draws the noise alone, so that successive frames
-/// of one scene differ as those of a camera do.
+/// A gel with a given contact; `noise_seed` determines the noise.
 pub fn gel_image(width: u32, height: u32, noise_seed: u64, contact: GelContact) -> RgbImage {
     let mut image = RgbImage::new(width, height);
     let columns: Vec<f32> = (0..width)
@@ -73,8 +70,8 @@ pub fn gel_image(width: u32, height: u32, noise_seed: u64, contact: GelContact) 
         contact.centre_x * width as f32,
         contact.centre_y * height as f32,
     );
-    // The gel is dragged down around the object: shading reaches beyond the contact itself.
-    let reach = radius * 1.6;
+    // The gel is depressed around the contact as well.
+    let outer = radius * 1.6;
     let noise = scramble(noise_seed);
     for (y, row) in image
         .chunks_exact_mut((width as usize * 3).max(3))
@@ -82,12 +79,12 @@ pub fn gel_image(width: u32, height: u32, noise_seed: u64, contact: GelContact) 
     {
         let base = column_colour((y as f32 + 0.5) / height as f32);
         let dy = y as f32 + 0.5 - cy;
-        let touched = strength > 0.0 && dy.abs() < reach;
+        let touched = strength > 0.0 && dy.abs() < outer;
         let row_noise = noise ^ (y as u64) << 32;
         for (x, pixel) in row.chunks_exact_mut(3).enumerate() {
             let mut colour = base.map(|level| level * columns[x]);
             let dx = x as f32 + 0.5 - cx;
-            if touched && dx * dx + dy * dy < reach * reach {
+            if touched && dx * dx + dy * dy < outer * outer {
                 shade(&mut colour, dx / radius, dy / radius, strength);
             }
             let mut bits = scramble(row_noise ^ x as u64);
@@ -103,7 +100,7 @@ pub fn gel_image(width: u32, height: u32, noise_seed: u64, contact: GelContact) 
     image
 }
 
-/// Colour of the untouched gel at a fraction of the height: a smooth curve through `COLUMN`.
+/// Colour without contact at a fraction of the height, interpolated through `COLUMN`.
 fn column_colour(v: f32) -> [f32; 3] {
     let [top, centre, bottom] = COLUMN;
     let end = if v < 0.5 { top } else { bottom };
@@ -112,7 +109,7 @@ fn column_colour(v: f32) -> [f32; 3] {
     std::array::from_fn(|c| centre[c] + (end[c] - centre[c]) * weight)
 }
 
-/// Adds what the slope of a pressed ball does to the light; (u, v) in contact radii.
+/// Adds the shading of a pressed ball at (u, v), in contact radii.
 fn shade(colour: &mut [f32; 3], u: f32, v: f32, strength: f32) {
     let r = (u * u + v * v).sqrt();
     let slope = if r < 1.0 {
@@ -184,7 +181,7 @@ mod tests {
     }
 
     #[test]
-    fn a_contact_shades_its_surroundings_and_nothing_else() {
+    fn contact_shading_is_local() {
         let contact = GelContact {
             centre_x: 0.4,
             centre_y: 0.5,
@@ -207,7 +204,7 @@ mod tests {
                 assert_eq!(pixel, before, "({x}, {y})");
             } else if (0.9..1.1).contains(&distance) {
                 at_edge += 1;
-                // Each lamp lights the side that faces it and shades the other.
+                // Each lamp brightens the side facing it.
                 for (c, [lx, ly]) in LAMPS.into_iter().enumerate() {
                     let facing = (dx * lx + dy * ly) / dx.hypot(dy);
                     let expected = SHADING[c] * facing;
@@ -222,7 +219,7 @@ mod tests {
     }
 
     #[test]
-    fn degenerate_sizes_and_contacts_do_not_fail() {
+    fn degenerate_sizes_and_contacts() {
         assert_eq!(synthetic_gel(1, 1, 0, f32::NAN).dimensions(), (1, 1));
         assert_eq!(synthetic_gel(0, 5, 0, 1.0).dimensions(), (0, 5));
         assert_eq!(synthetic_gel(5, 0, 0, -3.0).dimensions(), (5, 0));

@@ -1,4 +1,4 @@
-//! Intrinsics of a camera, and the file that keeps them.
+//! Camera intrinsics and their file.
 
 use std::path::Path;
 
@@ -7,19 +7,19 @@ use serde::{Deserialize, Serialize};
 use gripcast_base::error::{Error, Result};
 use gripcast_base::files::{FileKind, read_text, save};
 
-/// How a lens bends the ideal image.
+/// Distortion model of a lens.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum DistortionModel {
-    /// Not at all.
+    /// No distortion.
     None,
-    /// Brown–Conrady: ideal coordinates to distorted ones (OpenCV).
+    /// Brown–Conrady from ideal to distorted coordinates (OpenCV; `plumb_bob` of ROS).
     BrownConrady,
-    /// The same polynomial from distorted coordinates to ideal ones (D435 colour).
+    /// Brown–Conrady from distorted to ideal coordinates (D435 colour).
     InverseBrownConrady,
 }
 
-/// Pinhole intrinsics of one image size, all in pixels of that size.
+/// Pinhole intrinsics for an image size, in its pixels.
 ///
 /// Pixel (0,0) is the centre of the top-left pixel; camera frame x right, y down, z forward.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
@@ -44,10 +44,10 @@ pub struct Intrinsics {
 }
 
 impl Intrinsics {
-    /// Reads intrinsics from a TOML file, the fallback where a camera cannot be asked.
+    /// Reads a TOML file.
     ///
     /// # Errors
-    /// When the file cannot be read, or [`ErrorKind::Config`] when it is not intrinsics.
+    /// When the file cannot be read, or [`ErrorKind::Config`] for invalid intrinsics.
     pub fn load(path: &Path) -> Result<Self> {
         let text = read_text(path, FileKind::Record)
             .map_err(|e| Error::io("cannot read the intrinsics", e).at(path.display()))?;
@@ -56,7 +56,7 @@ impl Intrinsics {
         read.validate().map_err(|error| error.at(path.display()))
     }
 
-    /// Writes a file that [`Self::load`] reads.
+    /// Writes a TOML file.
     ///
     /// # Errors
     /// When the file cannot be written.
@@ -66,10 +66,10 @@ impl Intrinsics {
         save(path, text.as_bytes())
     }
 
-    /// Refuses what no camera has: a focal length or principal point far outside the image.
+    /// Checks focal length and principal point for plausibility.
     ///
     /// # Errors
-    /// [`ErrorKind::Config`] with what is implausible.
+    /// [`ErrorKind::Config`] for implausible intrinsics.
     pub fn validate(self) -> Result<Self> {
         let largest = f64::from(self.width.max(self.height));
         let focal = |f: f64| f > 0.05 * largest && f < 50.0 * largest;
@@ -100,7 +100,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn file_round_trips_and_nonsense_is_refused() {
+    fn file_round_trips() {
         let directory = tempfile::tempdir().unwrap();
         let path = directory.path().join("rgb.toml");
         let intrinsics = Intrinsics {

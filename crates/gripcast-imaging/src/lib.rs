@@ -1,8 +1,8 @@
 //! Frames and images: pixel formats, decoding, crops, differences.
 //!
 //! Colour order is RGB in memory and in files. Pixel (0,0) is the centre of the top-left pixel.
-//! A [`Frame`] is what a camera sent; a [`Decoder`] makes images of frames, all through one
-//! crop-and-resize; [`TactileDifference`] is what a contact changed between two of them.
+//! A [`Frame`] is the raw data of a camera; a [`Decoder`] converts frames to cropped and resized
+//! images; a [`TactileDifference`] is the change between two tactile images.
 //!
 //! ```
 //! use gripcast_imaging::TactileDifference;

@@ -1,4 +1,4 @@
-//! Lossless files: colour, grey and 16-bit depth as PNG, and back.
+//! PNG files: colour, grey and 16-bit depth.
 
 use std::io::Cursor;
 
@@ -14,7 +14,7 @@ use gripcast_base::error::{Error, Result};
 /// RGB image to PNG, with fast compression.
 ///
 /// # Errors
-/// [`ErrorKind::Input`] for an image without pixels.
+/// [`ErrorKind::Input`] for an empty image.
 pub fn encode_png_rgb(image: &RgbImage) -> Result<Vec<u8>> {
     let (width, height) = image.dimensions();
     encode(image.as_raw(), width, height, ExtendedColorType::Rgb8)
@@ -23,7 +23,7 @@ pub fn encode_png_rgb(image: &RgbImage) -> Result<Vec<u8>> {
 /// 8-bit grey image to PNG, with fast compression.
 ///
 /// # Errors
-/// [`ErrorKind::Input`] for an image without pixels.
+/// [`ErrorKind::Input`] for an empty image.
 pub fn encode_png_grey8(image: &GrayImage) -> Result<Vec<u8>> {
     let (width, height) = image.dimensions();
     encode(image.as_raw(), width, height, ExtendedColorType::L8)
@@ -32,7 +32,7 @@ pub fn encode_png_grey8(image: &GrayImage) -> Result<Vec<u8>> {
 /// 16-bit depth to PNG, with fast compression.
 ///
 /// # Errors
-/// [`ErrorKind::Input`] for an image without pixels.
+/// [`ErrorKind::Input`] for an empty image.
 pub fn encode_png_grey16(image: &DepthImage) -> Result<Vec<u8>> {
     let (width, height) = image.dimensions();
     // The encoder takes 16-bit samples in native byte order.
@@ -41,21 +41,21 @@ pub fn encode_png_grey16(image: &DepthImage) -> Result<Vec<u8>> {
 }
 
 fn encode(bytes: &[u8], width: u32, height: u32, colour: ExtendedColorType) -> Result<Vec<u8>> {
-    let refused = || Error::input(format!("cannot write a {width}×{height} image as PNG"));
+    let failed = || Error::input(format!("cannot write a {width}×{height} image as PNG"));
     if width == 0 || height == 0 {
-        return Err(refused());
+        return Err(failed());
     }
     let mut out = Vec::new();
     PngEncoder::new_with_quality(&mut out, CompressionType::Fast, FilterType::Adaptive)
         .write_image(bytes, width, height, colour)
-        .map_err(|cause| refused().because(cause))?;
+        .map_err(|cause| failed().because(cause))?;
     Ok(out)
 }
 
-/// PNG to RGB; grey is spread over the channels, transparency is dropped.
+/// PNG to RGB; converts grey, drops transparency.
 ///
 /// # Errors
-/// [`ErrorKind::Input`] for a damaged or foreign file.
+/// [`ErrorKind::Input`] for a damaged or unsupported file.
 pub fn decode_png_rgb(bytes: &[u8]) -> Result<RgbImage> {
     decode_png(bytes).map(DynamicImage::into_rgb8)
 }
@@ -63,7 +63,7 @@ pub fn decode_png_rgb(bytes: &[u8]) -> Result<RgbImage> {
 /// 16-bit grey PNG to depth.
 ///
 /// # Errors
-/// [`ErrorKind::Input`] for a damaged or foreign file, or one that is not 16-bit grey.
+/// [`ErrorKind::Input`] for a damaged or unsupported file.
 pub fn decode_png_grey16(bytes: &[u8]) -> Result<DepthImage> {
     match decode_png(bytes)? {
         DynamicImage::ImageLuma16(depth) => Ok(depth),
@@ -74,16 +74,16 @@ pub fn decode_png_grey16(bytes: &[u8]) -> Result<DepthImage> {
     }
 }
 
-/// A PNG as it is, of a size that stored images can have.
+/// Decodes a PNG of a supported size.
 ///
 /// # Errors
-/// [`ErrorKind::Input`] for a damaged or foreign file, and for an image that is too large.
+/// [`ErrorKind::Input`] for a damaged, unsupported or too large file.
 pub fn decode_png(bytes: &[u8]) -> Result<DynamicImage> {
-    let unreadable = |cause| Error::input("the PNG cannot be read").because(cause);
+    let unreadable = |cause| Error::input("cannot read the PNG").because(cause);
     let mut limits = Limits::default();
     limits.max_alloc = Some(MAX_STORED_BYTES);
     let decoder = PngDecoder::with_limits(Cursor::new(bytes), limits).map_err(unreadable)?;
-    // Before anything is decoded: a small file may hold a huge image.
+    // Before decoding: a small file may have a huge image.
     let (width, height) = decoder.dimensions();
     check_stored(width, height, decoder.total_bytes())?;
     DynamicImage::from_decoder(decoder).map_err(unreadable)
@@ -94,7 +94,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn images_survive_the_round_trip() {
+    fn images_round_trip() {
         let rgb = RgbImage::from_fn(7, 5, |x, y| image::Rgb([x as u8, y as u8, 200]));
         assert_eq!(decode_png_rgb(&encode_png_rgb(&rgb).unwrap()).unwrap(), rgb);
         let grey = GrayImage::from_fn(7, 5, |x, y| image::Luma([(x * y) as u8]));
@@ -110,7 +110,7 @@ mod tests {
     }
 
     #[test]
-    fn wrong_files_are_explained() {
+    fn invalid_files_are_rejected() {
         let rgb = encode_png_rgb(&RgbImage::new(2, 2)).unwrap();
         let text = decode_png_grey16(&rgb).unwrap_err().to_string();
         assert!(text.contains("16-bit grey"), "{text}");
@@ -120,9 +120,9 @@ mod tests {
     }
 
     #[test]
-    fn a_small_file_of_a_huge_image_is_refused_before_it_is_decoded() {
+    fn huge_image_is_rejected_before_decoding() {
         let mut bomb = encode_png_grey16(&DepthImage::new(1, 1)).unwrap();
-        // Width and height are the first fields of the first chunk, IHDR; its checksum follows.
+        // Width and height are the first fields of the chunk IHDR.
         bomb[16..20].copy_from_slice(&9000_u32.to_be_bytes());
         bomb[20..24].copy_from_slice(&9000_u32.to_be_bytes());
         let mut checksum = flate2::Crc::new();

@@ -1,4 +1,4 @@
-//! Crop and resize: the one way in which every image reaches a model or a screen.
+//! Crop and resize.
 
 use fast_image_resize::images::{TypedImage, TypedImageRef};
 use fast_image_resize::pixels::U8x3;
@@ -10,16 +10,16 @@ use super::damage::FrameDamage;
 use super::frame::MAX_SIDE;
 use gripcast_base::error::{Error, Result as CrateResult};
 
-/// Most that the pixels of a stored image may take, bytes; a camera of 20 Mpx needs half of it.
+/// Maximum size of the pixels of a stored image, bytes.
 pub(super) const MAX_STORED_BYTES: u64 = 128 << 20;
 
-/// Whether a stored image may be decoded.
+/// Checks the size of a stored image.
 ///
 /// # Errors
-/// `Input` for one that would take too much memory.
+/// `Input` for a too large image.
 pub(super) fn check_stored(width: u32, height: u32, bytes: u64) -> CrateResult<()> {
-    let is_possible = width <= MAX_SIDE && height <= MAX_SIDE;
-    if is_possible && bytes <= MAX_STORED_BYTES {
+    let is_valid = width <= MAX_SIDE && height <= MAX_SIDE;
+    if is_valid && bytes <= MAX_STORED_BYTES {
         return Ok(());
     }
     Err(Error::input(format!(
@@ -30,7 +30,7 @@ pub(super) fn check_stored(width: u32, height: u32, bytes: u64) -> CrateResult<(
     )))
 }
 
-/// RGB pixels of an image that may have been decoded at a reduced scale.
+/// RGB pixels, possibly at a reduced scale.
 pub(super) struct Source<'a> {
     /// Width of `rgb` in pixels.
     pub(super) width: u32,
@@ -38,16 +38,16 @@ pub(super) struct Source<'a> {
     pub(super) height: u32,
     /// `height × width × 3` bytes.
     pub(super) rgb: &'a [u8],
-    /// Pixels of the original to one pixel of `rgb` along each axis.
+    /// Pixels of the original per pixel of `rgb` along each axis.
     pub(super) reduction: u32,
 }
 
 /// Crops an image and resizes it to `width` × `height` with an antialiased bilinear filter.
 ///
-/// Pixels just outside the crop contribute to its edge, as far as the filter reaches.
+/// The filter includes pixels outside the crop.
 ///
 /// # Errors
-/// [`FrameDamage`] when the crop leaves nothing or a side is 0 or beyond 16384.
+/// [`FrameDamage`] for an empty crop or an invalid size.
 pub fn crop_and_resize(
     image: &RgbImage,
     crop: &CropProfile,
@@ -64,7 +64,7 @@ pub fn crop_and_resize(
     RgbScaler::default().resample(&source, window, width, height)
 }
 
-/// The crop's window, or why there is none.
+/// The crop window.
 pub(super) fn window_of(
     crop: &CropProfile,
     width: u32,
@@ -77,25 +77,25 @@ pub(super) fn window_of(
     })
 }
 
-/// Whether an image of this size may be produced.
+/// Checks a target size.
 pub(super) fn check_target(width: u32, height: u32) -> Result<(), FrameDamage> {
-    let possible = 1..=MAX_SIDE;
-    if possible.contains(&width) && possible.contains(&height) {
+    let valid = 1..=MAX_SIDE;
+    if valid.contains(&width) && valid.contains(&height) {
         Ok(())
     } else {
         Err(FrameDamage::TargetSize { width, height })
     }
 }
 
-/// Resizes 8-bit RGB images; keeps its buffers.
+/// Resizes 8-bit RGB images; reuses its buffers.
 #[derive(Clone, Debug, Default)]
 pub struct RgbScaler(Resizer);
 
 impl RgbScaler {
-    /// RGB rows of `from` = (width, height), enlarged to the size `to` by bilinear interpolation.
+    /// Enlarges RGB rows of size `from` to `to` by bilinear interpolation.
     ///
     /// # Errors
-    /// [`FrameDamage`] when a size is not that of the rows or is 0.
+    /// [`FrameDamage`] for an invalid size.
     pub fn enlarge(
         &mut self,
         rgb: &[u8],
@@ -111,11 +111,10 @@ impl RgbScaler {
         )
     }
 
-    /// The image in the size `to` with a Catmull-Rom filter; what is too wide or too high is cut
-    /// off on both sides.
+    /// Resizes to cover `to` with a Catmull-Rom filter, cropping both sides equally.
     ///
     /// # Errors
-    /// [`FrameDamage`] when a size is 0.
+    /// [`FrameDamage`] for an invalid size.
     pub fn cover(&mut self, image: &RgbImage, to: (u32, u32)) -> Result<RgbImage, FrameDamage> {
         let options = ResizeOptions::new()
             .resize_alg(ResizeAlg::Convolution(FilterType::CatmullRom))
@@ -145,7 +144,7 @@ impl RgbScaler {
         self.resize(source.rgb, size, (width, height), options)
     }
 
-    // `resize_typed`: `resize` would compile the kernels of all pixel types, megabytes of them.
+    // `resize` would compile the kernels of all pixel types.
     fn resize(
         &mut self,
         rgb: &[u8],
@@ -153,15 +152,15 @@ impl RgbScaler {
         (width, height): (u32, u32),
         options: ResizeOptions,
     ) -> Result<RgbImage, FrameDamage> {
-        let refused = || FrameDamage::TargetSize { width, height };
+        let invalid = || FrameDamage::TargetSize { width, height };
         let mut out = RgbImage::new(width, height);
         let from =
-            TypedImageRef::<U8x3>::from_buffer(from.0, from.1, rgb).map_err(|_| refused())?;
+            TypedImageRef::<U8x3>::from_buffer(from.0, from.1, rgb).map_err(|_| invalid())?;
         let mut to =
-            TypedImage::<U8x3>::from_buffer(width, height, &mut out).map_err(|_| refused())?;
+            TypedImage::<U8x3>::from_buffer(width, height, &mut out).map_err(|_| invalid())?;
         self.0
             .resize_typed(&from, &mut to, &options)
-            .map_err(|_| refused())?;
+            .map_err(|_| invalid())?;
         Ok(out)
     }
 }

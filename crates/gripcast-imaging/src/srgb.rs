@@ -1,4 +1,4 @@
-//! The transfer function of sRGB (IEC 61966-2-1), which cameras for people follow closely.
+//! Transfer function of sRGB (IEC 61966-2-1).
 
 use std::sync::LazyLock;
 
@@ -6,7 +6,7 @@ use std::sync::LazyLock;
 static LINEAR: LazyLock<[f32; 256]> =
     LazyLock::new(|| std::array::from_fn(|level| srgb_to_linear(level as f32)));
 
-/// Linear light in [0, 1] of an sRGB level from 0 to 255.
+/// sRGB level from 0 to 255 to linear light in [0, 1].
 pub fn srgb_to_linear(level: f32) -> f32 {
     let v = level / 255.0;
     if v <= 0.040_45 {
@@ -16,7 +16,7 @@ pub fn srgb_to_linear(level: f32) -> f32 {
     }
 }
 
-/// sRGB level from 0 to 255 of linear light, which is clipped to [0, 1]; what is no number stays so.
+/// Linear light, clamped to [0, 1], to an sRGB level from 0 to 255; NaN is kept.
 pub fn linear_to_srgb(linear: f32) -> f32 {
     let v = linear.clamp(0.0, 1.0);
     255.0
@@ -27,7 +27,7 @@ pub fn linear_to_srgb(linear: f32) -> f32 {
         }
 }
 
-/// Linear light in [0, 1] to an 8-bit sRGB value; what is no number becomes 0.
+/// Linear light in [0, 1] to an 8-bit sRGB value; NaN becomes 0.
 pub fn srgb_encode(linear: f32) -> u8 {
     linear_to_srgb(linear).round() as u8
 }
@@ -43,13 +43,13 @@ mod tests {
     use super::*;
 
     #[test]
-    fn values_survive_the_way_through_linear_light() {
+    fn values_round_trip() {
         for value in 0..=255u8 {
             assert_eq!(srgb_encode(srgb_decode(value)), value);
         }
         assert_eq!(srgb_encode(f32::NAN), 0);
         assert_eq!(srgb_encode(7.0), 255);
-        // 18 % grey is the well-known 118 of sRGB.
+        // 18 % grey is 118 in sRGB.
         assert_eq!(srgb_encode(0.18), 118);
     }
 }

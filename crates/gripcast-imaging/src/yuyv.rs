@@ -2,8 +2,8 @@
 
 /// Converts packed 4:2:2 (Y0 U Y1 V, BT.601, limited range) to RGB.
 ///
-/// `yuyv` holds 4 bytes and `rgb` 6 bytes for each pair of pixels; what exceeds the shorter of
-/// the two is left alone. Both pixels of a pair get its colour, as the sensor's bridge took it.
+/// `yuyv` has 4 bytes and `rgb` 6 bytes per pair of pixels; excess bytes are ignored. Both pixels
+/// of a pair have its chroma.
 pub(super) fn yuyv_to_rgb(yuyv: &[u8], rgb: &mut [u8]) {
     for (pair, out) in yuyv.chunks_exact(4).zip(rgb.chunks_exact_mut(6)) {
         let u = i32::from(pair[1]) - 128;
@@ -27,7 +27,7 @@ mod tests {
 
     #[test]
     fn colour_bars_of_bt601() {
-        // (Y, U, V) of the 100 % bars in limited range, and their colours.
+        // (Y, U, V) and RGB of the 100 % bars.
         for (yuv, rgb) in [
             ([235, 128, 128], [255, 255, 255]),
             ([16, 128, 128], [0, 0, 0]),
@@ -46,14 +46,14 @@ mod tests {
     }
 
     #[test]
-    fn each_pixel_of_a_pair_keeps_its_luminance() {
+    fn pixels_of_a_pair_have_their_own_luma() {
         let mut out = [0; 6];
         yuyv_to_rgb(&[16, 128, 235, 128], &mut out);
         assert_eq!(out, [0, 0, 0, 255, 255, 255]);
     }
 
     #[test]
-    fn follows_the_formula_for_all_extremes() {
+    fn matches_the_formula() {
         for y in [0u8, 15, 16, 128, 240, 255] {
             for u in [0u8, 16, 128, 240, 255] {
                 for v in [0u8, 16, 128, 240, 255] {

@@ -1,11 +1,11 @@
-//! Z16 depth: values, and a colour for previews.
+//! Z16 depth.
 
 use image::{ImageBuffer, Luma};
 
-/// Depth in units of the camera; 0 where nothing was measured.
+/// Depth in units of the camera; 0: unknown.
 pub type DepthImage = ImageBuffer<Luma<u16>, Vec<u16>>;
 
-/// Nearest and farthest depth of the colour ramp, in units (mm for a D435 as delivered).
+/// Minimum and maximum depth of the colour ramp, units (mm for a D435).
 const RAMP: (u16, u16) = (100, 1500);
 
 /// Colours from near to far.
@@ -16,7 +16,7 @@ const STOPS: [[f32; 3]; 4] = [
     [40.0, 60.0, 160.0],
 ];
 
-/// Little-endian bytes to values; an odd byte at the end is dropped.
+/// Little-endian bytes to values; drops an odd byte at the end.
 pub(super) fn values(bytes: &[u8]) -> Vec<u16> {
     bytes
         .chunks_exact(2)
@@ -24,17 +24,17 @@ pub(super) fn values(bytes: &[u8]) -> Vec<u16> {
         .collect()
 }
 
-/// Colour of a depth for previews: black where unknown, then red (100 units and nearer) over
-/// yellow and green to blue (1500 units and farther).
+/// False colour of a depth: black for unknown, red (up to 100 units) over yellow and green to blue
+/// (from 1500 units).
 pub(super) fn preview_colour(depth: u16) -> [u8; 3] {
     if depth == 0 {
         return [0; 3];
     }
     let (near, far) = RAMP;
-    let along = f32::from(depth.clamp(near, far) - near) / f32::from(far - near);
-    let place = along * (STOPS.len() - 1) as f32;
-    let segment = (place as usize).min(STOPS.len() - 2);
-    let t = place - segment as f32;
+    let fraction = f32::from(depth.clamp(near, far) - near) / f32::from(far - near);
+    let position = fraction * (STOPS.len() - 1) as f32;
+    let segment = (position as usize).min(STOPS.len() - 2);
+    let t = position - segment as f32;
     std::array::from_fn(|c| {
         let (a, b) = (STOPS[segment][c], STOPS[segment + 1][c]);
         (a + (b - a) * t + 0.5) as u8
@@ -51,7 +51,7 @@ mod tests {
     }
 
     #[test]
-    fn ramp_runs_from_red_to_blue_and_unknown_is_black() {
+    fn ramp_is_red_to_blue() {
         assert_eq!(preview_colour(0), [0, 0, 0]);
         assert_eq!(preview_colour(1), preview_colour(100));
         assert_eq!(preview_colour(100), [255, 80, 60]);

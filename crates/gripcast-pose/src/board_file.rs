@@ -1,6 +1,6 @@
-//! The file that describes a board.
+//! Board files.
 //!
-//! TOML; corners in mm because that is what a ruler reads, everything else in SI units:
+//! TOML. Corners are in mm, as read off a ruler, everything else is in SI units:
 //!
 //! ```toml
 //! schema = 1
@@ -22,50 +22,51 @@ use serde::Deserialize;
 use super::board::{Board, BoardMarker};
 use super::chessboard::Chessboard;
 use super::dictionary::Dictionary;
+use super::print::check_ruler_lengths;
 use gripcast_base::error::{Error, Result};
 use gripcast_base::files::{FileKind, Root, read_text, sha256_hex};
 use gripcast_geometry::Pose;
 
 /// Version of the format.
 const SCHEMA: i64 = 1;
-/// Digits of a board's hash: enough to tell the boards of a laboratory apart.
+/// Hexadecimal digits of a board's hash.
 const HASH_DIGITS: usize = 12;
 
-/// What is known of the printed sheet that an object stands on.
+/// The printed sheet that an object stands on.
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct PrintedSheet {
-    /// The mesh that it was drawn for: a file or `builtin:NAME`.
+    /// Mesh that the sheet was drawn for: a file or `builtin:NAME`.
     pub object: String,
-    /// Content hash of that mesh as it was drawn, in metres.
+    /// Content hash of that mesh as drawn, in metres.
     pub object_sha256: String,
-    /// Name of the paper.
+    /// Paper size.
     pub paper: String,
-    /// Hash that is printed on the sheet: that of the board as it was drawn.
+    /// Hash printed on the sheet: that of the board as drawn.
     pub printed_hash: String,
-    /// What the rulers of 100 mm measure on the paper, x and y, mm; the corners are corrected by
-    /// it.
+    /// Measured lengths of the printed 100 mm rulers along x and y, mm; the corners are corrected by
+    /// them.
     pub measured_mm: [f64; 2],
-    /// Pose of the object on the sheet: z up, z = 0 the sheet, x to the right of the sheet.
+    /// Pose of the object on the sheet: z up, the sheet at z = 0, x to the right of the sheet.
     pub t_world_object: Pose,
 }
 
-/// A board with its dictionary and what is known of its sheet.
+/// A board with its dictionary, its printed sheet and its chessboard.
 #[derive(Clone, Debug, PartialEq)]
 pub struct BoardFile {
     /// The markers.
     pub board: Board,
     /// Their dictionary.
     pub dictionary: Dictionary,
-    /// The sheet, for a board that was drawn for an object.
+    /// The sheet, for a board drawn for an object.
     pub sheet: Option<PrintedSheet>,
-    /// The squares, for markers that are on a chessboard.
+    /// The squares, for markers on a chessboard.
     pub chessboard: Option<Chessboard>,
 }
 
 impl Board {
-    /// Hash of dictionary, ids, parts and corners (to 1 nm), 12 hexadecimal digits of a SHA-256.
-    /// The name and the order of the markers do not count.
+    /// Hash of dictionary, ids, bodies and corners (to 1 nm): the first 12 hexadecimal digits of a
+    /// SHA-256. Independent of the name and of the order of the markers.
     pub fn hash(&self) -> String {
         let mut markers: Vec<&BoardMarker> = self.markers.iter().collect();
         markers.sort_by_key(|m| m.id);
@@ -80,7 +81,7 @@ impl Board {
 }
 
 impl BoardFile {
-    /// A board that was checked against its dictionary and sheet.
+    /// Validates a board against its dictionary and sheet.
     ///
     /// # Errors
     /// Those of [`Board::check`].
@@ -98,44 +99,43 @@ impl BoardFile {
         })
     }
 
-    /// The tags of a UMI gripper as they are printed by default:
-    /// `calib/boards/gripper-umi.toml`.
+    /// Returns the default tags of a UMI gripper, `calib/boards/gripper-umi.toml`.
     ///
     /// # Errors
-    /// None; a test reads the file.
+    /// None in practice: the file is built in and tested.
     pub fn gripper_umi() -> Result<Self> {
         let text = include_str!("../../../calib/boards/gripper-umi.toml");
         Self::parse(text, Path::new(""))
     }
 
-    /// The board as one on a chessboard.
+    /// Adds the chessboard that the markers are on.
     ///
     /// # Errors
-    /// `Input` if the markers are not in the chessboard's white squares.
+    /// `Input` if the markers are not in the white squares of the chessboard.
     pub fn with_chessboard(mut self, chessboard: Chessboard) -> Result<Self> {
         chessboard.check(&self.board)?;
         self.chessboard = Some(chessboard);
         Ok(self)
     }
 
-    /// Reads and checks a file. A dictionary of one's own is looked for beside it.
+    /// Reads and validates a file. A custom dictionary is looked up in the same folder.
     ///
     /// # Errors
-    /// That of the operating system, or `Input` with the line or the marker that is wrong.
+    /// IO errors, or `Input` naming the line or the marker.
     pub fn load(path: &Path) -> Result<Self> {
         let text = read_text(path, FileKind::Record)
             .map_err(|e| Error::io("cannot read the board", e).at(path.display()))?;
         Self::parse(&text, Root::beside(path).root().path()).map_err(|e| e.at(path.display()))
     }
 
-    /// Reads and checks the text of a file in `folder`.
+    /// Parses and validates the text of a file in `folder`.
     ///
     /// # Errors
     /// As [`Self::load`].
     pub fn parse(text: &str, folder: &Path) -> Result<Self> {
         let read: Record = toml::from_str(text).map_err(|e| malformed(text, &e))?;
         if read.schema != SCHEMA {
-            let what = format!("the board has schema {}, known is {SCHEMA}", read.schema);
+            let what = format!("expected board schema {SCHEMA}, found {}", read.schema);
             return Err(
                 Error::input(what).remedy("read it with the release of gripcast that wrote it")
             );
@@ -148,7 +148,7 @@ impl BoardFile {
             markers: markers?,
         };
         if let Some(sheet) = &read.sheet {
-            check_sheet(sheet)?;
+            check_ruler_lengths(sheet.measured_mm)?;
         }
         let file = Self::new(board, dictionary, read.sheet)?;
         match read.chessboard {
@@ -157,7 +157,7 @@ impl BoardFile {
         }
     }
 
-    /// The text of the file.
+    /// Serialises the board as TOML.
     pub fn to_toml(&self) -> String {
         let board = &self.board;
         let quoted = |text: &str| toml::Value::from(text).to_string();
@@ -214,19 +214,19 @@ struct MarkerRecord {
 }
 
 fn marker(record: &MarkerRecord) -> Result<BoardMarker> {
-    let at = || format!("marker {}", record.id);
+    let body = record.part.parse().map_err(|e: Error| {
+        Error::input(e.what().to_owned())
+            .remedy(e.remedy_text().unwrap_or_default())
+            .at(format!("marker {}", record.id))
+    })?;
     Ok(BoardMarker {
         id: record.id,
-        part: record.part.parse().map_err(|e: Error| {
-            Error::input(e.what().to_owned())
-                .remedy(e.remedy_text().unwrap_or_default())
-                .at(at())
-        })?,
+        body,
         corners_m: record.corners_mm.map(|c| 1e-3 * DVec3::from_array(c)),
     })
 }
 
-/// A marker in the file, and in the hash.
+/// TOML of a marker; also what is hashed.
 fn marker_text(marker: &BoardMarker) -> String {
     let corners = marker.corners_m.map(|corner| {
         let [x, y, z] = corner.to_array().map(millimetres);
@@ -235,7 +235,7 @@ fn marker_text(marker: &BoardMarker) -> String {
     format!(
         "\n[[marker]]\nid = {}\npart = \"{}\"\ncorners_mm = [{}]\n",
         marker.id,
-        marker.part,
+        marker.body,
         corners.join(", ")
     )
 }
@@ -251,43 +251,35 @@ fn chessboard_text(chessboard: &Chessboard) -> String {
     )
 }
 
-/// A length in mm to 1 nm, without zeros at the end but one.
+/// Formats a length in mm, rounded to 1 nm.
 fn millimetres(length_m: f64) -> String {
     let rounded = (1e9 * length_m).round() / 1e6;
-    // Adding zero turns −0 into 0.
+    // Adding zero maps −0 to 0.
     format!("{:?}", rounded + 0.0)
 }
 
 fn malformed(text: &str, error: &toml::de::Error) -> Error {
-    let what = error.message().trim().to_owned();
-    let line = error.span().map(|span| {
-        let before = text.get(..span.start).unwrap_or_default();
-        before.matches('\n').count() + 1
-    });
-    let error = Error::input(what);
-    match line {
-        Some(line) => error.at(format!("line {line}")),
-        None => error,
-    }
-}
-
-fn check_sheet(sheet: &PrintedSheet) -> Result<()> {
-    super::print::check_measured(sheet.measured_mm)
+    let input = Error::input(error.message().trim());
+    let Some(span) = error.span() else {
+        return input;
+    };
+    let before = text.get(..span.start).unwrap_or_default();
+    input.at(format!("line {}", before.matches('\n').count() + 1))
 }
 
 #[cfg(test)]
 mod tests {
-    use super::super::board::Part;
+    use super::super::board::Body;
     use std::fs;
 
     use super::*;
     use gripcast_base::error::ErrorKind;
 
     fn file() -> BoardFile {
-        let marker = |id: u32, part: Part| BoardMarker {
+        let marker = |id: u32, body: Body| BoardMarker {
             id,
-            part,
-            corners_m: BoardMarker::square(
+            body,
+            corners_m: BoardMarker::square_corners(
                 DVec3::new(0.07 * f64::from(id), 1.0 / 3.0, -0.0123456789),
                 DVec3::X,
                 DVec3::Y,
@@ -297,7 +289,7 @@ mod tests {
         let board = Board {
             name: "two \"parts\" ü".into(),
             dictionary: "DICT_6X6_250".into(),
-            markers: vec![marker(7, Part::Object), marker(3, Part::FingerLeft)],
+            markers: vec![marker(7, Body::Object), marker(3, Body::FingerLeft)],
         };
         let sheet = PrintedSheet {
             object: "builtin:mug".into(),
@@ -316,7 +308,7 @@ mod tests {
     }
 
     #[test]
-    fn a_board_survives_its_file() {
+    fn board_round_trips_through_toml() {
         let first = file();
         let text = first.to_toml();
         let read = parse(&text).unwrap();
@@ -324,7 +316,7 @@ mod tests {
         assert_eq!(read.sheet, first.sheet);
         assert_eq!(read.board.hash(), first.board.hash());
         for (a, b) in read.board.markers.iter().zip(&first.board.markers) {
-            assert_eq!((a.id, a.part), (b.id, b.part));
+            assert_eq!((a.id, a.body), (b.id, b.body));
             for (p, q) in a.corners_m.iter().zip(&b.corners_m) {
                 assert!(p.distance(*q) < 1e-9);
             }
@@ -336,7 +328,7 @@ mod tests {
     }
 
     #[test]
-    fn a_chessboard_survives_its_file() {
+    fn chessboard_round_trips_through_toml() {
         let chessboard = Chessboard {
             squares: [8, 6],
             square_mm: [30.1, 29.9],
@@ -349,13 +341,13 @@ mod tests {
         let text = file.with_chessboard(chessboard.clone()).unwrap().to_toml();
         assert_eq!(parse(&text).unwrap().chessboard, Some(chessboard));
         assert_eq!(parse(&text).unwrap().to_toml(), text);
-        let wrong = text.replace("legacy = true", "legacy = false");
-        let said = parse(&wrong).unwrap_err().to_string();
-        assert!(said.contains("black square"), "{said}");
+        let swapped = text.replace("legacy = true", "legacy = false");
+        let message = parse(&swapped).unwrap_err().to_string();
+        assert!(message.contains("black square"), "{message}");
     }
 
     #[test]
-    fn the_hash_is_of_what_is_seen() {
+    fn hash_ignores_name_and_marker_order() {
         let board = file().board;
         let mut other = board.clone();
         other.name = "else".into();
@@ -371,10 +363,10 @@ mod tests {
     }
 
     #[test]
-    fn mistakes_are_explained() {
+    fn malformed_files_name_line_or_marker() {
         let text = file().to_toml();
         for (from, to, expected) in [
-            ("schema = 1", "schema = 2", "schema 2, known is 1"),
+            ("schema = 1", "schema = 2", "schema 1, found 2"),
             (
                 "part = \"object\"",
                 "part = \"hand\"",
@@ -387,17 +379,17 @@ mod tests {
             ),
             ("id = 3", "id = -3", "line 19"),
             ("id = 3", "number = 3", "unknown field `number`"),
-            ("id = 3", "id = 7", "marker 7 is there twice"),
+            ("id = 3", "id = 7", "marker 7 is listed twice"),
             ("measured_mm = [100.0", "measured_mm = [10.0", "100 mm"),
             ("corners_mm = [[", "corners_mm = [[[", "line "),
             ("q_wxyz = [1.0", "q_wxyz = [2.0", "unit quaternion"),
         ] {
             assert!(text.contains(from), "{from}\n{text}");
-            let said = parse(&text.replacen(from, to, 1)).unwrap_err().to_string();
-            assert!(said.contains(expected), "{said}");
+            let message = parse(&text.replacen(from, to, 1)).unwrap_err().to_string();
+            assert!(message.contains(expected), "{message}");
         }
-        let said = parse("").unwrap_err().to_string();
-        assert!(said.contains("schema"), "{said}");
+        let message = parse("").unwrap_err().to_string();
+        assert!(message.contains("schema"), "{message}");
         let missing = BoardFile::load(Path::new("/proc/nonexistent/b.toml")).unwrap_err();
         assert_eq!(missing.kind(), ErrorKind::NotFound);
     }

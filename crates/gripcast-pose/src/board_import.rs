@@ -1,43 +1,43 @@
-//! Boards as other programs describe them.
+//! Import of boards from ROS and Kalibr.
 //!
 //! | program | file | frame |
 //! | --- | --- | --- |
-//! | ROS `aruco_opencv` | `board_descriptions.yaml`: a list of grids | x right, y up, z out of the sheet; origin in the middle or at the bottom left corner |
+//! | ROS `aruco_opencv` | `board_descriptions.yaml`: a list of grids | x right, y up, z out of the sheet; origin at the centre or the bottom left corner |
 //! | Kalibr | `target.yaml` with `target_type: aprilgrid` | the same, origin at the bottom left corner of tag 0 |
 //!
-//! ROS nodes built with OpenCV 4.7 or later count y downwards and z into the sheet; the markers
-//! are the same.
+//! ROS nodes built with OpenCV 4.7 or later use y down and z into the sheet; the markers are the
+//! same.
 
 use glam::{DVec2, DVec3};
 use serde::Deserialize;
 
-use super::board::{Board, BoardMarker, Part};
+use super::board::{Board, BoardMarker, Body};
 use super::board_check::check_side;
 use super::board_file::BoardFile;
 use super::dictionary::Dictionary;
 use super::yaml;
 use gripcast_base::error::{Error, Result};
 
-/// Most markers of an imported board.
+/// Maximum number of markers of an imported board.
 const MAX_MARKERS: u64 = 1024;
 
-/// Program whose file is read.
+/// Third-party board formats.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum ForeignBoard {
+pub enum BoardFormat {
     /// `board_descriptions.yaml` of ROS `aruco_opencv`.
     Ros,
     /// `target.yaml` of Kalibr, an aprilgrid.
     Kalibr,
-    /// A dictionary of OpenCV, which is no board.
+    /// OpenCV dictionary; contains no board.
     OpencvDictionary,
 }
 
-impl ForeignBoard {
-    /// What a text is, by the keys in it.
+impl BoardFormat {
+    /// Detects the format from the keys of a text.
     ///
     /// # Errors
-    /// `Input` if it is none of them.
-    pub fn recognise(text: &str) -> Result<Self> {
+    /// `Input` for an unknown format.
+    pub fn detect(text: &str) -> Result<Self> {
         let has = |key: &str| {
             let starts = |line: &str| {
                 let line = line.trim_start_matches([' ', '-', '\t']);
@@ -53,20 +53,19 @@ impl ForeignBoard {
         } else if has("nmarkers") || has("markersize") {
             Ok(Self::OpencvDictionary)
         } else {
-            Err(Error::input("the file is no board description that is known")
-            .remedy(
-                "known are: board_descriptions.yaml of ROS aruco_opencv (markers_x …), target.yaml \
-                 of Kalibr (target_type: aprilgrid), a dictionary of OpenCV (nmarkers …)",
+            Err(Error::input("unknown board format").remedy(
+                "supported: board_descriptions.yaml of ROS aruco_opencv (markers_x …), target.yaml \
+                 of Kalibr (target_type: aprilgrid), OpenCV dictionary (nmarkers …)",
             ))
         }
     }
 }
 
-/// All boards of a `board_descriptions.yaml`. The dictionary is a parameter of the ROS node, not
-/// part of the file.
+/// Imports all boards of a `board_descriptions.yaml`. The dictionary is a parameter of the ROS node
+/// and not in the file.
 ///
 /// # Errors
-/// `Input` for what is no such file, or a board that cannot be; it is named.
+/// `Input` for a malformed file or an invalid board, which is named.
 pub fn import_ros(text: &str, dictionary: &Dictionary) -> Result<Vec<BoardFile>> {
     let grids: Vec<RosGrid> = yaml::read(text, "the list of boards")?;
     if grids.is_empty() {
@@ -79,24 +78,21 @@ pub fn import_ros(text: &str, dictionary: &Dictionary) -> Result<Vec<BoardFile>>
         return Err(Error::input(what).remedy("rename one of them"));
     }
     let read = |grid: &RosGrid| {
-        let at = format!("board {:?}", grid.name);
-        grid.board(dictionary).map_err(|e| e.at(at))
+        let board = grid.grid().board(&grid.name, dictionary);
+        board.map_err(|e| e.at(format!("board {:?}", grid.name)))
     };
     grids.iter().map(read).collect()
 }
 
-/// An aprilgrid. Kalibr prints its tags with a border of two cells, `36h11_border2`; `dictionary`
-/// replaces that, for grids printed otherwise.
+/// Imports an aprilgrid. Kalibr prints tags with a border of two cells, `36h11_border2`;
+/// `dictionary` overrides that.
 ///
 /// # Errors
-/// `Input` for another target, or sizes that cannot be.
+/// `Input` for another target type or implausible sizes.
 pub fn import_kalibr(text: &str, name: &str, dictionary: Option<&Dictionary>) -> Result<BoardFile> {
     let target: KalibrTarget = yaml::read(text, "the target")?;
     if target.target_type != "aprilgrid" {
-        let what = format!(
-            "the target is a {:?}, which has no numbered markers",
-            target.target_type
-        );
+        let what = format!("target type {:?} has no marker ids", target.target_type);
         return Err(Error::input(what).remedy("give a target with target_type: aprilgrid"));
     }
     let missing = |key: &str| Error::input(format!("the target has no {key}"));
@@ -112,8 +108,8 @@ pub fn import_kalibr(text: &str, name: &str, dictionary: Option<&Dictionary>) ->
         side_m: side,
         gap_m: spacing * side,
         first_id: 0,
-        rows_run_up: true,
-        origin_in_middle: false,
+        is_bottom_up: true,
+        is_origin_centered: false,
     };
     let dictionary = match dictionary {
         Some(dictionary) => dictionary.clone(),
@@ -134,17 +130,16 @@ struct RosGrid {
 }
 
 impl RosGrid {
-    fn board(&self, dictionary: &Dictionary) -> Result<BoardFile> {
-        let grid = Grid {
+    fn grid(&self) -> Grid {
+        Grid {
             columns: self.markers_x,
             rows: self.markers_y,
             side_m: self.marker_size,
             gap_m: self.separation,
             first_id: self.first_id,
-            rows_run_up: false,
-            origin_in_middle: self.frame_at_center,
-        };
-        grid.board(&self.name, dictionary)
+            is_bottom_up: false,
+            is_origin_centered: self.frame_at_center,
+        }
     }
 }
 
@@ -161,7 +156,7 @@ struct KalibrTarget {
     spacing: Option<f64>,
 }
 
-/// Markers in rows and columns, numbered along rows from the left.
+/// Markers in rows and columns, numbered row by row from the left.
 struct Grid {
     columns: u32,
     rows: u32,
@@ -169,8 +164,8 @@ struct Grid {
     gap_m: f64,
     first_id: u32,
     /// The first row is the lowest.
-    rows_run_up: bool,
-    origin_in_middle: bool,
+    is_bottom_up: bool,
+    is_origin_centered: bool,
 }
 
 impl Grid {
@@ -186,15 +181,16 @@ impl Grid {
         check_side(self.side_m)?;
         if !(self.gap_m >= 0.0 && self.gap_m <= 4.0 * self.side_m) {
             let what = format!(
-                "markers of {} m cannot be {} m apart",
-                self.side_m, self.gap_m
+                "implausible gap of {} m between markers of {} m",
+                self.gap_m, self.side_m
             );
-            return Err(Error::input(what)
-                .remedy("give the size of a marker and the gap between two, both in metres"));
+            return Err(
+                Error::input(what).remedy("give marker size and gap between markers in metres")
+            );
         }
         if u64::from(self.first_id) + count > dictionary.len() as u64 {
             let what = format!(
-                "a grid of {count} markers from id {} does not fit into {}, which has {}",
+                "a grid of {count} markers from id {} exceeds {}, which has {} markers",
                 self.first_id,
                 dictionary.name(),
                 dictionary.len()
@@ -214,23 +210,21 @@ impl Grid {
     fn marker(&self, number: u32) -> BoardMarker {
         let pitch = self.side_m + self.gap_m;
         let size = DVec2::new(f64::from(self.columns), f64::from(self.rows)) * pitch - self.gap_m;
-        let row = number / self.columns;
-        let from_below = if self.rows_run_up {
-            row
-        } else {
-            self.rows - 1 - row
-        };
-        let place = DVec2::new(f64::from(number % self.columns), f64::from(from_below)) * pitch;
-        let origin = if self.origin_in_middle {
+        let (column, mut row) = (number % self.columns, number / self.columns);
+        if !self.is_bottom_up {
+            row = self.rows - 1 - row;
+        }
+        let corner = DVec2::new(f64::from(column), f64::from(row)) * pitch;
+        let origin = if self.is_origin_centered {
             0.5 * size
         } else {
             DVec2::ZERO
         };
-        let center = place + 0.5 * self.side_m - origin;
+        let center = (corner + 0.5 * self.side_m - origin).extend(0.0);
         BoardMarker {
             id: self.first_id + number,
-            part: Part::Object,
-            corners_m: BoardMarker::square(center.extend(0.0), DVec3::X, DVec3::Y, self.side_m),
+            body: Body::Object,
+            corners_m: BoardMarker::square_corners(center, DVec3::X, DVec3::Y, self.side_m),
         }
     }
 }
@@ -269,7 +263,7 @@ tagSpacing: 0.3          #ratio of space between tags to tagSize
     }
 
     #[test]
-    fn ros_grids_are_numbered_from_the_top_left() {
+    fn ros_grid_ids_start_at_top_left() {
         let boards = import_ros(ROS, &dictionary()).unwrap();
         assert_eq!(boards.len(), 2);
         let grid = &boards[0].board;
@@ -278,17 +272,17 @@ tagSpacing: 0.3          #ratio of space between tags to tagSize
             let marker = grid.markers.iter().find(|m| m.id == id).unwrap();
             1e3 * marker.corners_m[k]
         };
-        // 100 × 135 mm, the origin in the middle.
+        // 100 × 135 mm, the origin at the centre.
         assert!(corner(10, 0).distance(DVec3::new(-50.0, 67.5, 0.0)) < 1e-9);
         assert!(corner(12, 1).distance(DVec3::new(50.0, 67.5, 0.0)) < 1e-9);
         assert!(corner(21, 2).distance(DVec3::new(50.0, -67.5, 0.0)) < 1e-9);
         let below = &boards[1].board.markers[1];
         assert!((1e3 * below.corners_m[3]).distance(DVec3::ZERO) < 1e-9);
-        assert!(grid.is_planar(Part::Object));
+        assert!(grid.is_planar(Body::Object));
     }
 
     #[test]
-    fn kalibr_grids_are_numbered_from_the_bottom_left() {
+    fn kalibr_grid_ids_start_at_bottom_left() {
         let file = import_kalibr(KALIBR, "grid", None).unwrap();
         assert_eq!(file.board.dictionary, "36h11_border2");
         assert_eq!(file.board.markers.len(), 30);
@@ -302,7 +296,7 @@ tagSpacing: 0.3          #ratio of space between tags to tagSize
     }
 
     #[test]
-    fn wrong_ros_files_are_explained() {
+    fn invalid_ros_boards_are_refused() {
         for (from, to, expected) in [
             (
                 "marker_size: 0.03",
@@ -314,37 +308,29 @@ tagSpacing: 0.3          #ratio of space between tags to tagSize
                 "marker_size: 3",
                 "centimetres where metres",
             ),
-            ("separation: 0.005", "separation: 5", "apart"),
-            ("separation: 0.005", "separation: -0.005", "apart"),
-            (
-                "first_id: 10",
-                "first_id: 45",
-                "does not fit into DICT_4X4_50",
-            ),
+            ("separation: 0.005", "separation: 5", "gap of 5"),
+            ("separation: 0.005", "separation: -0.005", "gap of -0.005"),
+            ("first_id: 10", "first_id: 45", "exceeds DICT_4X4_50"),
             ("markers_x: 3", "markers_x: 0", "from 1 to 1024"),
             ("markers_x: 3", "markers_x: 4000000000", "from 1 to 1024"),
             ("  markers_y: 4\n", "", "markers_y"),
             ("name: corner", "name: GridBoard_1", "two boards are named"),
-            (
-                "frame_at_center: true",
-                "frame_at_center: [",
-                "cannot be read",
-            ),
+            ("frame_at_center: true", "frame_at_center: [", "cannot read"),
         ] {
             assert!(ROS.contains(from));
             let text = ROS.replacen(from, to, 1);
-            let said = import_ros(&text, &dictionary()).unwrap_err().to_string();
-            assert!(said.contains(expected), "{from} → {to}: {said}");
+            let message = import_ros(&text, &dictionary()).unwrap_err().to_string();
+            assert!(message.contains(expected), "{from} → {to}: {message}");
         }
-        let said = import_ros("[]", &dictionary()).unwrap_err().to_string();
-        assert!(said.contains("empty"), "{said}");
+        let message = import_ros("[]", &dictionary()).unwrap_err().to_string();
+        assert!(message.contains("empty"), "{message}");
         assert!(import_ros("name: x", &dictionary()).is_err());
     }
 
     #[test]
-    fn wrong_kalibr_files_are_explained() {
+    fn invalid_kalibr_targets_are_refused() {
         for (from, to, expected) in [
-            ("'aprilgrid'", "'checkerboard'", "no numbered markers"),
+            ("'aprilgrid'", "'checkerboard'", "no marker ids"),
             (
                 "tagSize: 0.088 ",
                 "tagSize: 88 ",
@@ -352,52 +338,50 @@ tagSpacing: 0.3          #ratio of space between tags to tagSize
             ),
             ("tagSpacing: 0.3", "tagSpacing: 26.4", "fraction of tagSize"),
             ("tagRows: 5\n", "", "no tagRows"),
-            ("tagCols: 6", "tagCols: 200", "does not fit"),
+            ("tagCols: 6", "tagCols: 200", "exceeds 36h11"),
         ] {
             let text = KALIBR.replacen(from, to, 1);
-            let said = import_kalibr(&text, "g", None).unwrap_err().to_string();
-            assert!(said.contains(expected), "{from} → {to}: {said}");
+            let message = import_kalibr(&text, "g", None).unwrap_err().to_string();
+            assert!(message.contains(expected), "{from} → {to}: {message}");
         }
     }
 
     #[test]
-    fn files_that_are_cut_off_or_damaged_give_a_whole_board_or_an_explanation() {
-        let explained = |error: Error| {
+    fn truncated_or_damaged_files_give_board_or_input_error() {
+        let rejected = |error: Error| {
             assert_eq!(error.kind(), ErrorKind::Input, "{error}");
             0
         };
-        // Boards that were read; each has been checked against its dictionary.
+        // Number of boards read; each was validated against its dictionary.
         let read = |text: &str| {
-            let ros = import_ros(text, &dictionary()).map_or_else(explained, |all| all.len());
-            let kalibr = import_kalibr(text, "g", None).map_or_else(explained, |_| 1);
+            let ros = import_ros(text, &dictionary()).map_or_else(rejected, |all| all.len());
+            let kalibr = import_kalibr(text, "g", None).map_or_else(rejected, |_| 1);
             ros + kalibr
         };
-        for (text, whole) in [(ROS, 2), (KALIBR, 1)] {
-            assert_eq!(read(text), whole);
+        for (text, count) in [(ROS, 2), (KALIBR, 1)] {
+            assert_eq!(read(text), count);
             for at in 0..text.len() {
                 let cut = &text[..at];
-                assert!(read(cut) <= whole, "{cut}");
-                for put in ["[", ":", "-", "9", "&a", "*a", "\0"] {
-                    let damaged = format!("{}{put}{}", cut, &text[at + 1..]);
-                    assert!(read(&damaged) <= whole, "{damaged}");
+                assert!(read(cut) <= count, "{cut}");
+                for byte in ["[", ":", "-", "9", "&a", "*a", "\0"] {
+                    let damaged = format!("{}{byte}{}", cut, &text[at + 1..]);
+                    assert!(read(&damaged) <= count, "{damaged}");
                 }
             }
-            // Without its first key it is no such file.
+            // Without its first key the file is invalid.
             let (_, rest) = text.split_once(':').unwrap();
             assert_eq!(read(rest), 0);
         }
     }
 
     #[test]
-    fn files_are_recognised_by_their_keys() {
-        let kind = |text: &str| ForeignBoard::recognise(text).unwrap();
-        assert_eq!(kind(ROS), ForeignBoard::Ros);
-        assert_eq!(kind(KALIBR), ForeignBoard::Kalibr);
+    fn format_is_detected_from_keys() {
+        let kind = |text: &str| BoardFormat::detect(text).unwrap();
+        assert_eq!(kind(ROS), BoardFormat::Ros);
+        assert_eq!(kind(KALIBR), BoardFormat::Kalibr);
         let dictionary = "%YAML:1.0\nnmarkers: 3\nmarkersize: 4\n";
-        assert_eq!(kind(dictionary), ForeignBoard::OpencvDictionary);
-        let said = ForeignBoard::recognise("camera: 3")
-            .unwrap_err()
-            .to_string();
-        assert!(said.contains("target_type"), "{said}");
+        assert_eq!(kind(dictionary), BoardFormat::OpencvDictionary);
+        let message = BoardFormat::detect("camera: 3").unwrap_err().to_string();
+        assert!(message.contains("target_type"), "{message}");
     }
 }

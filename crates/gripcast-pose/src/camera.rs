@@ -1,48 +1,48 @@
-//! Points through a lens: projection, its derivative, and the way back.
+//! Camera projection, its derivatives and undistortion.
 
 use glam::{DMat2, DVec2, DVec3};
 
 use gripcast_imaging::{DistortionModel, Intrinsics};
 
-/// Steps of Newton's method that any usable lens needs fewer than.
+/// Maximum number of Newton steps; any usable lens needs fewer.
 const MAX_STEPS: usize = 30;
-/// Change of ideal coordinates at which Newton's method has converged; far below 1e-6 px.
-const CONVERGED: f64 = 1e-12;
-/// Nearest depth that is in front of the camera, m.
-const MIN_M: f64 = 1e-6;
+/// Convergence tolerance of Newton's method in normalised coordinates; far below 1e-6 px.
+const TOLERANCE: f64 = 1e-12;
+/// Minimum depth of a point in front of the camera, m.
+const MIN_DEPTH_M: f64 = 1e-6;
 
-/// Pixel of a point of the camera's frame (m); none behind the camera or where the lens model
-/// folds over.
+/// Projects a point in the camera frame (m) to a pixel. None behind the camera or where the
+/// distortion model folds over.
 pub fn project(intrinsics: &Intrinsics, point_m: DVec3) -> Option<DVec2> {
     project_with_jacobian(intrinsics, point_m).map(|(pixel, _)| pixel)
 }
 
-/// [`project`] and the rows of its derivative: d x / d point and d y / d point, px/m.
+/// Like [`project`], with the rows of the Jacobian: d x / d point and d y / d point, px/m.
 pub fn project_with_jacobian(
     intrinsics: &Intrinsics,
     point_m: DVec3,
 ) -> Option<(DVec2, [DVec3; 2])> {
-    if !(point_m.is_finite() && point_m.z > MIN_M) {
+    if !(point_m.is_finite() && point_m.z > MIN_DEPTH_M) {
         return None;
     }
     let inverse_z = point_m.z.recip();
     let ideal = point_m.truncate() * inverse_z;
-    let (bent, d_bent) = distort(intrinsics, ideal)?;
+    let (distorted, d_distorted) = distort(intrinsics, ideal)?;
     let focal = DVec2::new(intrinsics.fx, intrinsics.fy);
-    let pixel = focal * bent + DVec2::new(intrinsics.cx, intrinsics.cy);
+    let pixel = focal * distorted + DVec2::new(intrinsics.cx, intrinsics.cy);
     let d_ideal_x = DVec3::new(inverse_z, 0.0, -ideal.x * inverse_z);
     let d_ideal_y = DVec3::new(0.0, inverse_z, -ideal.y * inverse_z);
     let row = |focal: f64, i: usize| {
-        focal * (d_bent.col(0)[i] * d_ideal_x + d_bent.col(1)[i] * d_ideal_y)
+        focal * (d_distorted.col(0)[i] * d_ideal_x + d_distorted.col(1)[i] * d_ideal_y)
     };
     Some((pixel, [row(focal.x, 0), row(focal.y, 1)]))
 }
 
-/// Derivatives of [`project`]'s x and y by fx, fy, cx, cy, k1, k2, p1, p2, k3 for the
-/// Brown–Conrady model; the point is one that it projects.
+/// Derivatives of [`project`]'s x and y with respect to fx, fy, cx, cy, k1, k2, p1, p2, k3 of the
+/// Brown–Conrady model, at a point that projects.
 pub(super) fn intrinsics_jacobian(intrinsics: &Intrinsics, point_m: DVec3) -> [[f64; 9]; 2] {
     let at = point_m.truncate() / point_m.z;
-    let (bent, _) = polynomial(&intrinsics.coefficients, at);
+    let (distorted, _) = polynomial(&intrinsics.coefficients, at);
     let (fx, fy) = (intrinsics.fx, intrinsics.fy);
     let (x, y) = (at.x, at.y);
     let r2 = x * x + y * y;
@@ -51,44 +51,46 @@ pub(super) fn intrinsics_jacobian(intrinsics: &Intrinsics, point_m: DVec3) -> [[
     let [a, b, c] = radial.map(|r| fx * x * r);
     let [d, e, f] = radial.map(|r| fy * y * r);
     [
-        [bent.x, 0.0, 1.0, 0.0, a, b, fx * xy, fx * xx, c],
-        [0.0, bent.y, 0.0, 1.0, d, e, fy * yy, fy * xy, f],
+        [distorted.x, 0.0, 1.0, 0.0, a, b, fx * xy, fx * xx, c],
+        [0.0, distorted.y, 0.0, 1.0, d, e, fy * yy, fy * xy, f],
     ]
 }
 
-/// Ideal coordinates (x/z, y/z) of a pixel; none where the lens model has no answer near it.
+/// Normalised coordinates (x/z, y/z) of a pixel. None if the distortion cannot be inverted there.
 pub fn undistort(intrinsics: &Intrinsics, pixel: DVec2) -> Option<DVec2> {
     let focal = DVec2::new(intrinsics.fx, intrinsics.fy);
-    let bent = (pixel - DVec2::new(intrinsics.cx, intrinsics.cy)) / focal;
+    let distorted = (pixel - DVec2::new(intrinsics.cx, intrinsics.cy)) / focal;
     match intrinsics.model {
-        DistortionModel::None => Some(bent),
-        DistortionModel::BrownConrady => invert(&intrinsics.coefficients, bent),
-        DistortionModel::InverseBrownConrady => Some(polynomial(&intrinsics.coefficients, bent).0),
+        DistortionModel::None => Some(distorted),
+        DistortionModel::BrownConrady => invert(&intrinsics.coefficients, distorted),
+        DistortionModel::InverseBrownConrady => {
+            Some(polynomial(&intrinsics.coefficients, distorted).0)
+        }
     }
     .filter(|ideal| ideal.is_finite())
 }
 
-/// Distorted coordinates of ideal ones, with the derivative.
+/// Distorts normalised coordinates; returns the derivative as well.
 fn distort(intrinsics: &Intrinsics, ideal: DVec2) -> Option<(DVec2, DMat2)> {
     let k = &intrinsics.coefficients;
     match intrinsics.model {
         DistortionModel::None => Some((ideal, DMat2::IDENTITY)),
         DistortionModel::BrownConrady => {
-            let (bent, derivative) = polynomial(k, ideal);
-            // Beyond the fold far points come back into the image.
+            let (distorted, derivative) = polynomial(k, ideal);
+            // Beyond the fold, distant points would be mapped back into the image.
             let unfolded = derivative.determinant() > 0.0 && derivative.col(0).x > 0.0;
-            unfolded.then_some((bent, derivative))
+            unfolded.then_some((distorted, derivative))
         }
         DistortionModel::InverseBrownConrady => {
-            let bent = invert(k, ideal)?;
-            let (_, derivative) = polynomial(k, bent);
-            Some((bent, derivative.inverse()))
+            let distorted = invert(k, ideal)?;
+            let (_, derivative) = polynomial(k, distorted);
+            Some((distorted, derivative.inverse()))
         }
     }
 }
 
-/// The Brown–Conrady polynomial (D. C. Brown, *Close-range camera calibration*, 1971; OpenCV's
-/// order of coefficients k1, k2, p1, p2, k3) and its derivative.
+/// Brown–Conrady polynomial (D. C. Brown, *Close-range camera calibration*, 1971; coefficients in
+/// OpenCV's order k1, k2, p1, p2, k3) and its derivative.
 fn polynomial(k: &[f64; 5], at: DVec2) -> (DVec2, DMat2) {
     let [k1, k2, p1, p2, k3] = *k;
     let (x, y) = (at.x, at.y);
@@ -113,7 +115,7 @@ fn polynomial(k: &[f64; 5], at: DVec2) -> (DVec2, DMat2) {
     (value, derivative)
 }
 
-/// What the polynomial maps onto `target`, by Newton's method from `target`.
+/// Inverts the polynomial by Newton's method, starting from `target`.
 fn invert(k: &[f64; 5], target: DVec2) -> Option<DVec2> {
     let mut at = target;
     for _ in 0..MAX_STEPS {
@@ -126,7 +128,7 @@ fn invert(k: &[f64; 5], target: DVec2) -> Option<DVec2> {
         if !at.is_finite() {
             return None;
         }
-        if step.length() < CONVERGED {
+        if step.length() < TOLERANCE {
             return Some(at);
         }
     }
@@ -157,7 +159,7 @@ mod tests {
     ];
 
     #[test]
-    fn the_derivative_is_that_of_finite_differences() {
+    fn point_jacobian_matches_finite_differences() {
         for model in MODELS {
             let lens = lens(model);
             for point in [
@@ -183,7 +185,7 @@ mod tests {
     }
 
     #[test]
-    fn the_derivative_by_the_lens_is_that_of_finite_differences() {
+    fn intrinsics_jacobian_matches_finite_differences() {
         let lens = lens(DistortionModel::BrownConrady);
         let point = DVec3::new(-0.3, 0.15, 0.6);
         let rows = intrinsics_jacobian(&lens, point);
@@ -210,7 +212,7 @@ mod tests {
     }
 
     #[test]
-    fn undistortion_is_the_inverse_of_projection() {
+    fn undistort_inverts_project() {
         for model in MODELS {
             let lens = lens(model);
             for (x, y) in [(0.0, 0.0), (1279.0, 719.0), (640.0, 3.0), (100.0, 600.0)] {
@@ -223,7 +225,7 @@ mod tests {
     }
 
     #[test]
-    fn the_models_bend_in_opposite_directions() {
+    fn inverse_model_distorts_in_opposite_direction() {
         let point = DVec3::new(0.3, 0.1, 0.6);
         let x = |model| project(&lens(model), point).unwrap().x;
         assert!(x(DistortionModel::BrownConrady) > x(DistortionModel::None) + 1.0);
@@ -236,7 +238,7 @@ mod tests {
     }
 
     #[test]
-    fn what_has_no_image_has_no_pixel() {
+    fn project_refuses_points_outside_the_model() {
         let plain = lens(DistortionModel::None);
         for point in [
             DVec3::new(0.0, 0.0, 0.0),

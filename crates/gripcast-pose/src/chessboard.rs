@@ -1,38 +1,38 @@
-//! Chessboards whose white squares carry markers (ChArUco boards).
+//! ChArUco boards: chessboards with markers in the white squares.
 //!
-//! S. Garrido-Jurado et al., *Automatic generation and detection of highly reliable fiducial
-//! markers under occlusion*, Pattern Recognition 47 (2014), describe the markers; the squares'
-//! inner corners are saddle points of the image, which blur leaves where they are.
+//! Markers: S. Garrido-Jurado et al., *Automatic generation and detection of highly reliable
+//! fiducial markers under occlusion*, Pattern Recognition 47 (2014). Inner corners are saddle
+//! points of the image, which blur does not shift.
 
 use glam::{DVec2, DVec3};
 use serde::{Deserialize, Serialize};
 
-use super::board::{Board, BoardMarker, Part};
+use super::board::{Board, BoardMarker, Body};
 use super::board_check::check_side;
 use super::dictionary::Dictionary;
 use gripcast_base::error::{Error, Result};
 
-/// Fewest and most squares along a side.
-const SQUARES: [u32; 2] = [3, 60];
-/// How far a marker may be from the middle of its square, relative to the square.
-const OFF_CENTRE: f64 = 0.03;
-/// Largest marker, relative to its square: detectors need white around it.
-const MAX_MARKER: f64 = 0.9;
+/// Range of the number of squares along a side.
+const SQUARES_RANGE: [u32; 2] = [3, 60];
+/// Maximum distance of a marker from the centre of its square, relative to the square.
+const MAX_OFFSET: f64 = 0.03;
+/// Maximum marker side, relative to its square: detectors need a white margin.
+const MAX_MARKER_RATIO: f64 = 0.9;
 
-/// Black and white squares around the middle of a board's object frame: x along the rows to the
-/// right, y up, z out of the sheet.
+/// Chessboard centred on the origin of the board's object frame: x along the rows to the right, y
+/// up, z out of the sheet.
 #[derive(Clone, Debug, PartialEq, Deserialize, Serialize)]
 #[serde(deny_unknown_fields)]
 pub struct Chessboard {
     /// Columns and rows of squares.
     pub squares: [u32; 2],
-    /// Width and height of a square on the paper, mm.
+    /// Width and height of a printed square, mm.
     pub square_mm: [f64; 2],
-    /// The layout of OpenCV before 4.6 for even numbers of rows: the square at the top left is
-    /// white. Without effect for odd numbers of rows.
+    /// Layout of OpenCV before 4.6 for even numbers of rows: the top left square is white. No effect
+    /// for odd numbers of rows.
     #[serde(default)]
     pub legacy: bool,
-    /// Hash that is printed on the sheet: that of the board as it was drawn.
+    /// Hash printed on the sheet: that of the board as drawn.
     #[serde(default)]
     pub printed_hash: Option<String>,
 }
@@ -50,17 +50,17 @@ impl Chessboard {
         ((columns - 1) * (rows - 1)) as usize
     }
 
-    /// Inner corners on the sheet, m, row by row from the top left one.
+    /// Inner corners, m, row by row from the top left.
     pub fn corners_m(&self) -> Vec<DVec2> {
         let [columns, rows] = self.squares;
         (1..rows)
             .flat_map(|row| (1..columns).map(move |column| (column, row)))
-            .map(|(column, row)| self.place_m(f64::from(column), f64::from(row)))
+            .map(|(column, row)| self.point_m(f64::from(column), f64::from(row)))
             .collect()
     }
 
-    /// Place on the sheet, m, in columns from the left and rows from the top.
-    pub fn place_m(&self, column: f64, row: f64) -> DVec2 {
+    /// Converts a position in columns from the left and rows from the top to m.
+    pub fn point_m(&self, column: f64, row: f64) -> DVec2 {
         let [width, height] = self.square_mm;
         let [columns, rows] = self.squares.map(f64::from);
         1e-3 * DVec2::new(
@@ -69,43 +69,39 @@ impl Chessboard {
         )
     }
 
-    /// Columns from the left and rows from the top of a place on the sheet.
-    fn square_of(&self, place_m: DVec2) -> DVec2 {
+    /// Inverse of [`Self::point_m`].
+    fn square_of(&self, point_m: DVec2) -> DVec2 {
         let [width, height] = self.square_mm;
         let [columns, rows] = self.squares.map(f64::from);
         DVec2::new(
-            1e3 * place_m.x / width + 0.5 * columns,
-            0.5 * rows - 1e3 * place_m.y / height,
+            1e3 * point_m.x / width + 0.5 * columns,
+            0.5 * rows - 1e3 * point_m.y / height,
         )
     }
 
-    /// White squares row by row from the top left: the order of the markers' ids.
-    pub fn white_squares(&self) -> impl Iterator<Item = [u32; 2]> {
+    /// Squares of a colour as [column, row], row by row from the top left.
+    fn squares_of(&self, is_black: bool) -> impl Iterator<Item = [u32; 2]> {
         let [columns, rows] = self.squares;
         (0..rows)
             .flat_map(move |row| (0..columns).map(move |column| [column, row]))
-            .filter(|[column, row]| !self.is_black(*column, *row))
+            .filter(move |[column, row]| self.is_black(*column, *row) == is_black)
     }
 
-    /// The black squares: their corners on the sheet, m, clockwise from the top left one.
+    /// Corners of the black squares, m, clockwise from the top left.
     pub fn black_squares_m(&self) -> Vec<[DVec2; 4]> {
-        let [columns, rows] = self.squares;
-        (0..rows)
-            .flat_map(|row| (0..columns).map(move |column| (column, row)))
-            .filter(|(column, row)| self.is_black(*column, *row))
-            .map(|(column, row)| {
-                let (x, y) = (f64::from(column), f64::from(row));
-                [(x, y), (x + 1.0, y), (x + 1.0, y + 1.0), (x, y + 1.0)]
-                    .map(|(x, y)| self.place_m(x, y))
-            })
-            .collect()
+        let corners = |square: [u32; 2]| {
+            let [x, y] = square.map(f64::from);
+            [(x, y), (x + 1.0, y), (x + 1.0, y + 1.0), (x, y + 1.0)]
+                .map(|(x, y)| self.point_m(x, y))
+        };
+        self.squares_of(true).map(corners).collect()
     }
 
-    /// The board with a marker in the middle of every white square, ids from `first_id` on, as
-    /// OpenCV numbers them.
+    /// Board with a marker at the centre of every white square, ids from `first_id`, in OpenCV's
+    /// order.
     ///
     /// # Errors
-    /// `Input` for sizes that no board has, or ids that the dictionary does not have.
+    /// `Input` for implausible sizes or ids that are not in the dictionary.
     pub fn board(
         &self,
         name: &str,
@@ -116,57 +112,50 @@ impl Chessboard {
         self.check_size()?;
         for (marker, square) in marker_mm.iter().zip(self.square_mm) {
             check_side(1e-3 * marker)?;
-            if *marker > MAX_MARKER * square {
+            if *marker > MAX_MARKER_RATIO * square {
                 return Err(Error::input(format!(
-                    "markers of {marker:.2} mm leave no white in squares of {square:.2} mm"
+                    "markers of {marker:.2} mm leave no white margin in squares of {square:.2} mm"
                 ))
                 .remedy(format!("make them {:.1} mm or smaller", 0.75 * square)));
             }
         }
-        let count = self.white_squares().count();
+        let count = self.squares_of(false).count();
         dictionary.check_ids(first_id, count).map_err(|e| {
             e.remedy("choose a smaller first id, fewer squares or a larger dictionary")
         })?;
         let half = 0.5e-3 * DVec2::from_array(marker_mm);
         let marker = |(id, [column, row]): (u32, [u32; 2])| {
-            let middle = self.place_m(f64::from(column) + 0.5, f64::from(row) + 0.5);
-            let corner = |x: f64, y: f64| (middle + half * DVec2::new(x, y)).extend(0.0);
+            let center = self.point_m(f64::from(column) + 0.5, f64::from(row) + 0.5);
+            let corners = [(-1.0, 1.0), (1.0, 1.0), (1.0, -1.0), (-1.0, -1.0)];
             BoardMarker {
                 id,
-                part: Part::Object,
-                corners_m: [
-                    corner(-1.0, 1.0),
-                    corner(1.0, 1.0),
-                    corner(1.0, -1.0),
-                    corner(-1.0, -1.0),
-                ],
+                body: Body::Object,
+                corners_m: corners.map(|(x, y)| (center + half * DVec2::new(x, y)).extend(0.0)),
             }
         };
+        let markers = (first_id..).zip(self.squares_of(false)).map(marker);
         Ok(Board {
             name: name.to_owned(),
             dictionary: dictionary.name().to_owned(),
-            markers: (first_id..).zip(self.white_squares()).map(marker).collect(),
+            markers: markers.collect(),
         })
     }
 
-    /// Checks that the markers of a board lie upright in the middle of the white squares.
+    /// Checks that the markers of a board are at the centres of the white squares.
     ///
     /// # Errors
-    /// `Input` with what is wrong.
+    /// `Input` naming the marker.
     pub fn check(&self, board: &Board) -> Result<()> {
         self.check_size()?;
-        for marker in &board.markers {
-            self.check_marker(marker)?;
-        }
-        Ok(())
+        let mut markers = board.markers.iter();
+        markers.try_for_each(|marker| self.check_marker(marker))
     }
 
     fn check_size(&self) -> Result<()> {
-        let [least, most] = SQUARES;
-        if !self.squares.iter().all(|n| (least..=most).contains(n)) {
+        let [min, max] = SQUARES_RANGE;
+        if !self.squares.iter().all(|n| (min..=max).contains(n)) {
             return Err(Error::input(format!(
-                "a chessboard must have {least} to {most} squares along each side, found \
-                     {}×{}",
+                "a chessboard must have {min} to {max} squares along each side, found {}×{}",
                 self.squares[0], self.squares[1]
             )));
         }
@@ -184,25 +173,25 @@ impl Chessboard {
         let bad =
             |what: &str| Error::input(format!("marker {} of the chessboard {what}", marker.id));
         let centre = marker.center_m();
-        if marker.part != Part::Object || centre.z.abs() > 1e-6 {
-            return Err(bad("is not in the plane z = 0 of the part \"object\""));
+        if marker.body != Body::Object || centre.z.abs() > 1e-6 {
+            return Err(bad("is not in the plane z = 0 of part \"object\""));
         }
         let at = self.square_of(centre.truncate());
         let square = at.floor();
         let [columns, rows] = self.squares.map(f64::from);
         let is_inside = square.cmpge(DVec2::ZERO).all() && square.x < columns && square.y < rows;
-        if !is_inside || (at - square - 0.5).abs().max_element() > OFF_CENTRE {
-            return Err(bad("is not in the middle of a square")
-                .remedy("the chessboard's middle is the origin of the markers' corners"));
+        if !is_inside || (at - square - 0.5).abs().max_element() > MAX_OFFSET {
+            return Err(bad("is not at the centre of a square")
+                .remedy("marker corners are relative to the centre of the chessboard"));
         }
         if self.is_black(square.x as u32, square.y as u32) {
             return Err(bad("is in a black square").remedy(
-                "boards with an even number of rows made by OpenCV before 4.6 have legacy = true",
+                "set legacy = true for boards with an even number of rows board_of by OpenCV before 4.6",
             ));
         }
         let right: DVec3 = marker.corners_m[1] - marker.corners_m[0];
         let [width, _] = self.square_mm;
-        if right.length() > 1e-3 * MAX_MARKER * width {
+        if right.length() > 1e-3 * MAX_MARKER_RATIO * width {
             return Err(bad("is too large for its square"));
         }
         Ok(())
@@ -222,13 +211,13 @@ mod tests {
         }
     }
 
-    fn made(chessboard: &Chessboard) -> Board {
+    fn board_of(chessboard: &Chessboard) -> Board {
         let dictionary = Dictionary::by_name("DICT_6X6_250").unwrap();
         chessboard.board("c", &dictionary, 0, [20.0; 2]).unwrap()
     }
 
     #[test]
-    fn markers_are_where_opencv_puts_them() {
+    fn markers_match_opencv_layouts() {
         // Upper left corners, mm from the board's upper left corner, of OpenCV 5's
         // CharucoBoard((5, 7), 40, 20) and of both layouts of (4, 4).
         for (squares, legacy, id, expected) in [
@@ -240,15 +229,18 @@ mod tests {
             ([4, 4], true, 2, [50.0, 50.0]),
         ] {
             let chessboard = chessboard(squares, legacy);
-            let board = made(&chessboard);
+            let board = board_of(&chessboard);
             let corner = board.markers[id].corners_m[0].truncate();
-            let off = 1e3 * (corner - chessboard.place_m(0.0, 0.0));
+            let off = 1e3 * (corner - chessboard.point_m(0.0, 0.0));
             let expected = DVec2::new(expected[0], -expected[1]);
             assert!(off.distance(expected) < 1e-9, "{squares:?} {legacy} {off}");
             chessboard.check(&board).unwrap();
         }
         let board = chessboard([5, 7], false);
-        assert_eq!((made(&board).markers.len(), board.corner_count()), (17, 24));
+        assert_eq!(
+            (board_of(&board).markers.len(), board.corner_count()),
+            (17, 24)
+        );
         assert_eq!(board.corners_m().len(), 24);
         assert_eq!(board.black_squares_m().len(), 18);
         let first = board.corners_m()[0];
@@ -256,28 +248,28 @@ mod tests {
     }
 
     #[test]
-    fn markers_elsewhere_are_refused() {
+    fn check_refuses_misplaced_markers() {
         let modern = chessboard([4, 4], false);
-        let old = made(&chessboard([4, 4], true));
-        let said = modern.check(&old).unwrap_err().to_string();
-        assert!(said.contains("legacy = true"), "{said}");
-        let mut moved = made(&modern);
+        let old = board_of(&chessboard([4, 4], true));
+        let message = modern.check(&old).unwrap_err().to_string();
+        assert!(message.contains("legacy = true"), "{message}");
+        let mut moved = board_of(&modern);
         for corner in &mut moved.markers[3].corners_m {
             corner.x += 0.004;
         }
-        let said = modern.check(&moved).unwrap_err().to_string();
-        assert!(said.contains("marker 3 of the chessboard is not in the middle"));
+        let message = modern.check(&moved).unwrap_err().to_string();
+        assert!(message.contains("marker 3 of the chessboard is not at the centre"));
         let dictionary = Dictionary::by_name("DICT_4X4_50").unwrap();
         for (squares, marker, expected) in [
             ([2, 5], 20.0, "3 to 60 squares"),
             ([40, 40], 20.0, "ends with id 49"),
-            ([4, 4], 39.0, "leave no white"),
+            ([4, 4], 39.0, "leave no white margin"),
             ([4, 4], 0.02, "marker's side"),
         ] {
             let chessboard = chessboard(squares, false);
-            let made = chessboard.board("c", &dictionary, 0, [marker; 2]);
-            let said = made.unwrap_err().to_string();
-            assert!(said.contains(expected), "{said}");
+            let board_of = chessboard.board("c", &dictionary, 0, [marker; 2]);
+            let message = board_of.unwrap_err().to_string();
+            assert!(message.contains(expected), "{message}");
         }
     }
 }

@@ -1,38 +1,38 @@
-//! Levenberg–Marquardt with Huber's loss (P. J. Huber, *Robust estimation of a location parameter*,
-//! 1964): squared up to a distance, linear beyond.
+//! Levenberg–Marquardt with the Huber loss (P. J. Huber, *Robust estimation of a location
+//! parameter*, 1964): quadratic up to a distance, linear beyond.
 
 use glam::{DQuat, DVec3};
 
 use gripcast_geometry::Pose;
 
-/// When a search ends.
+/// Termination criteria.
 pub(crate) struct Search {
     pub(crate) max_iterations: usize,
-    /// Relative decrease of the cost that ends it.
+    /// Minimum relative decrease of the cost.
     pub(crate) min_decrease: f64,
-    /// Damping beyond which it ends where it is; `None` if a system without solution ends it
-    /// without a result.
-    pub(crate) largest_damping: Option<f64>,
+    /// Damping at which the search ends with the current state. `None`: a singular system ends the
+    /// search without a result.
+    pub(crate) max_damping: Option<f64>,
 }
 
-/// A step that was tried.
+/// A trial step.
 pub(crate) struct Trial<S> {
     pub(crate) state: S,
-    /// It is too small to change anything.
+    /// Whether the step is below the tolerance.
     pub(crate) is_small: bool,
 }
 
-/// A minimum.
+/// Result of a search.
 pub(crate) struct Minimum<S, E> {
     pub(crate) state: S,
-    /// Linearised there.
+    /// Equations linearised at `state`.
     pub(crate) equations: E,
     pub(crate) cost: f64,
 }
 
 impl Search {
-    /// Searches the nearest minimum. `linearise` gives the equations of a step and the cost of a
-    /// state; `step` solves them for a damping, by which it multiplies the diagonal.
+    /// Finds a local minimum from `start`. `linearise` returns the equations of a step and the cost
+    /// at a state; `step` solves them with the diagonal multiplied by 1 + damping.
     pub(crate) fn minimise<S, E>(
         &self,
         start: S,
@@ -48,7 +48,7 @@ impl Search {
         let mut damping = 1e-4;
         for _ in 0..self.max_iterations {
             let trial = step(&best.state, &best.equations, damping);
-            if trial.is_none() && self.largest_damping.is_none() {
+            if trial.is_none() && self.max_damping.is_none() {
                 return None;
             }
             let is_small = trial.as_ref().is_some_and(|trial| trial.is_small);
@@ -71,7 +71,7 @@ impl Search {
                 }
             } else {
                 damping *= 10.0;
-                if is_small || self.largest_damping.is_some_and(|most| damping > most) {
+                if is_small || self.max_damping.is_some_and(|max| damping > max) {
                     break;
                 }
             }
@@ -80,7 +80,7 @@ impl Search {
     }
 }
 
-/// Weight and cost of a residual of this length.
+/// Weight and cost of a residual.
 pub(crate) fn huber(length: f64, loss: f64) -> (f64, f64) {
     if length > loss {
         (loss / length, loss * (2.0 * length - loss))
@@ -89,14 +89,34 @@ pub(crate) fn huber(length: f64, loss: f64) -> (f64, f64) {
     }
 }
 
-/// A pose after a step: shift (m), then turn (rad), if there is one, along the axes of the frame
-/// that it maps to.
+/// Applies a step to a pose: translation (m), then rotation (rad) if the step has one, along the
+/// axes of the target frame.
 pub(crate) fn moved(pose: &Pose, step: &[f64]) -> Pose {
-    let turn = step.get(3..6).map_or(DQuat::IDENTITY, |turn| {
-        DQuat::from_scaled_axis(DVec3::from_slice(turn))
+    let rotation = step.get(3..6).map_or(DQuat::IDENTITY, |rotation| {
+        DQuat::from_scaled_axis(DVec3::from_slice(rotation))
     });
     Pose::new(
-        turn * pose.rotation,
+        rotation * pose.rotation,
         pose.translation_m + DVec3::from_slice(step),
     )
+}
+
+/// Jacobian row of [`moved`] for an image gradient (px/m) at a point rotated to `arm` (m).
+pub(crate) fn pose_row(gradient: DVec3, arm: DVec3) -> [f64; 6] {
+    // d (δθ × arm) = δθ · (arm × gradient).
+    let [x, y, z] = gradient.to_array();
+    let [rx, ry, rz] = arm.cross(gradient).to_array();
+    [x, y, z, rx, ry, rz]
+}
+
+/// Angle between the rotations of two poses, rad.
+pub(crate) fn angle_between(a: &Pose, b: &Pose) -> f64 {
+    let d = a.rotation.conjugate() * b.rotation;
+    2.0 * d.xyz().length().atan2(d.w.abs())
+}
+
+/// Root mean square; 0 without errors.
+pub(crate) fn rms(errors: &[f64]) -> f64 {
+    let squares: f64 = errors.iter().map(|e| e * e).sum();
+    (squares / errors.len().max(1) as f64).sqrt()
 }

@@ -1,12 +1,12 @@
-//! Poses from printed markers: boards, detection, corner refinement, solving, calibration.
+//! Pose estimation from printed markers: boards, detection, corner refinement, pose solving,
+//! calibration, printing.
 //!
 //! # Frames
-//! A board's frame is that of what it is fixed to: the object's frame for the sheet that the
-//! object stands on, the gripper's frame (or that of a finger) for the gripper's markers. Markers
-//! are flat squares; their corners are listed top left, top right, bottom right, bottom left as
-//! they appear when the marker's code is read upright from the front. Camera: OpenCV optical
-//! frame. Pixel (0, 0) is the centre of the top-left pixel; every detector's own convention is
-//! converted in its wrapper.
+//! Marker corners are given in the frame of the rigid [`Body`] that carries them: the object frame
+//! for the sheet that the object stands on, the gripper frame for markers on the gripper and its
+//! fingers. Corners are listed top left, top right, bottom right, bottom left of the marker read
+//! upright from the front. The camera frame is OpenCV's optical frame. Pixel (0, 0) is the centre
+//! of the top-left pixel; the wrapper of each detector converts from its own convention.
 
 mod board;
 mod board_check;
@@ -28,11 +28,11 @@ pub mod solve;
 pub mod synthetic;
 mod yaml;
 
-pub use board::{Board, BoardMarker, Part};
+pub use board::{Board, BoardMarker, Body};
 pub use board_file::{BoardFile, PrintedSheet};
-pub use board_import::{ForeignBoard, import_kalibr, import_ros};
+pub use board_import::{BoardFormat, import_kalibr, import_ros};
 pub use camera_file::{
-    CameraChoice, CameraFile, CameraFormat, load_intrinsics, require_size, to_opencv, to_ros,
+    CameraFile, CameraFormat, CameraReadOptions, load_intrinsics, require_size, to_opencv, to_ros,
 };
 pub use chessboard::Chessboard;
 pub use detection::{Detection, MarkerDetector};

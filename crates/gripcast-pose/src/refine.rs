@@ -1,13 +1,11 @@
-//! Corners of markers from straight lines along their borders.
+//! Corner refinement: corners as intersections of lines fitted to the marker's sides.
 //!
-//! A marker's sides are long and straight, so that a line fitted to many points of an edge is
-//! known to a few hundredths of a pixel, and corners are where the lines meet. Refinement of the
-//! corner itself is biased by the marker's inner pattern and by the lens's blur.
+//! A line fitted to many points of a side is accurate to a few hundredths of a pixel. Refining the
+//! corner itself is biased by the marker's bits and by blur.
 //!
-//! The lens blurs light, the camera then stores sRGB levels, in which the middle of a blurred edge
-//! lies on its dark side: markers seem smaller by 0.3 px a corner at a blur of 0.7 px. Edges are
-//! found in levels, where noise is even, and moved back by what the same edge would be off if it
-//! were symmetric in light.
+//! The lens blurs light, but the image has sRGB levels, in which the centre of a blurred edge lies
+//! on its dark side: at a blur of 0.7 px, corners move inwards by 0.3 px. Edges are therefore
+//! located in linear light.
 
 use std::cmp::Ordering;
 
@@ -19,53 +17,50 @@ use gripcast_base::statistics::median;
 use super::Detection;
 use gripcast_imaging::srgb_decode;
 
-/// Most passes over the four sides; each samples along the lines of the one before.
-const MAX_PASSES: usize = 10;
-/// Corners that move less than this in a pass have arrived, px.
-const ARRIVED_PX: f64 = 0.005;
-/// Samples of the widest profile.
+/// Maximum number of iterations.
+const MAX_ITERATIONS: usize = 10;
+/// Iteration ends when no corner moves farther, px.
+const TOLERANCE_PX: f64 = 0.005;
+/// Maximum number of samples of a profile.
 const MAX_SAMPLES: usize = 15;
-/// Part of a side at each end that the other side's blur reaches.
+/// Fraction of a side at each end that is not sampled: the adjacent side blurs it.
 const ENDS: f64 = 0.12;
-/// Fewest profiles of a side, and fewest that its line is fitted to.
+/// Minimum number of sampled and of fitted profiles of a side.
 const MIN_PROFILES: usize = 8;
 const MIN_FITTED: usize = 5;
-/// Half-width of a profile: a part of the side between two limits, px.
+/// Half-width of a profile: fraction of the side, and its limits, px.
 const HALF_OF_SIDE: f64 = 1.0 / 12.0;
 const HALF_WIDTH_PX: (f64, f64) = (1.5, 3.0);
 /// Distance of samples across an edge, px.
 const STEP_PX: f64 = 0.5;
-/// Reach of the light that is summed to both sides of an edge, as a part of the blur, and at least,
-/// in samples: what lies beyond is noise or another edge.
-const REACH_OF_BLUR: f64 = 1.3;
-const MIN_REACH: usize = 2;
-/// Profiles with less contrast than this part of the median are not of this edge.
-const FAINT: f64 = 0.3;
-/// Residuals within this many robust deviations are kept.
-const KEPT_DEVIATIONS: f64 = 3.0;
-/// Residuals of a perfect line, px.
+/// Range on both sides of an edge whose light is summed: ratio to the blur, and minimum, samples.
+const RANGE_OF_BLUR: f64 = 1.3;
+const MIN_RANGE: usize = 2;
+/// Minimum contrast of a profile relative to the median.
+const MIN_CONTRAST: f64 = 0.3;
+/// Maximum residual of an inlier, robust standard deviations.
+const MAX_DEVIATIONS: f64 = 3.0;
+/// Minimum standard deviation of the residuals, px.
 const MIN_DEVIATION_PX: f64 = 0.02;
-/// Corners that move farther than this follow something else, px.
+/// Maximum displacement of a corner, px.
 const MAX_PX: f64 = 4.0;
 
-/// The detection with corners where lines along its border meet; unchanged where the border does
-/// not show four lines near the corners that were found.
-///
-/// Expects a dark border on a bright surround.
+/// Refines the corners of a marker with a dark border on a bright background. Returns the
+/// detection unchanged if the image has no four lines near its corners.
 #[must_use]
 pub fn refine_corners(image: &GrayImage, detection: &Detection) -> Detection {
     let mut corners = detection.corners_px;
-    for _ in 0..MAX_PASSES {
-        let Some(next) = pass(image, &corners) else {
+    for _ in 0..MAX_ITERATIONS {
+        let Some(next) = refine_once(image, &corners) else {
             return detection.clone();
         };
-        let step = farthest(&next, &corners);
+        let step = max_distance(&next, &corners);
         corners = next;
-        if step < ARRIVED_PX {
+        if step < TOLERANCE_PX {
             break;
         }
     }
-    let is_near = farthest(&corners, &detection.corners_px) < MAX_PX;
+    let is_near = max_distance(&corners, &detection.corners_px) < MAX_PX;
     if !(is_near && corners.iter().all(|c| c.is_finite())) {
         return detection.clone();
     }
@@ -75,12 +70,12 @@ pub fn refine_corners(image: &GrayImage, detection: &Detection) -> Detection {
     }
 }
 
-fn farthest(a: &[DVec2; 4], b: &[DVec2; 4]) -> f64 {
+fn max_distance(a: &[DVec2; 4], b: &[DVec2; 4]) -> f64 {
     let distances = a.iter().zip(b).map(|(a, b)| a.distance(*b));
     distances.fold(0.0, f64::max)
 }
 
-/// [`refine_corners`] of all detections.
+/// [`refine_corners`] for all detections.
 #[must_use]
 pub fn refine_all(image: &GrayImage, detections: &[Detection]) -> Vec<Detection> {
     detections
@@ -89,17 +84,17 @@ pub fn refine_all(image: &GrayImage, detections: &[Detection]) -> Vec<Detection>
         .collect()
 }
 
-/// How sharp the edges of markers are.
+/// Sharpness of the markers' edges.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Sharpness {
-    /// Standard deviation of the blur across the more blurred pair of sides, px; the smallest is
-    /// the sharpest. Sampling adds about a third of a pixel.
+    /// Standard deviation of the blur across the more blurred pair of sides, px. Sampling adds
+    /// about a third of a pixel.
     pub blur_px: f64,
-    /// Bright minus dark across an edge, linear light from 0 to 1.
+    /// Contrast of the edges, linear light from 0 to 1.
     pub contrast: f64,
 }
 
-/// Sharpness of the markers of an image: the median over them. None without markers.
+/// Median sharpness of the markers of an image.
 #[must_use]
 pub fn sharpness(image: &GrayImage, detections: &[Detection]) -> Option<Sharpness> {
     let mut all: Vec<Sharpness> = detections
@@ -116,10 +111,11 @@ fn marker_sharpness(image: &GrayImage, corners: &[DVec2; 4]) -> Option<Sharpness
         contrast: 0.0,
     }; 4];
     for (i, side) in sides.iter_mut().enumerate() {
-        let edge = Edge::new(corners, i)?;
-        let seen = Side::sample(image, edge)?;
-        let (blur_px, contrast) = (seen.blur_px()?, seen.contrast());
-        *side = Sharpness { blur_px, contrast };
+        let sampled = Side::sample(image, Edge::new(corners, i)?)?;
+        *side = Sharpness {
+            blur_px: sampled.blur_px()?,
+            contrast: sampled.contrast(),
+        };
     }
     // Motion blurs one pair of opposite sides.
     let pair = |a: usize, b: usize| Sharpness {
@@ -134,8 +130,8 @@ fn marker_sharpness(image: &GrayImage, corners: &[DVec2; 4]) -> Option<Sharpness
     })
 }
 
-/// New corners from a line along each side.
-fn pass(image: &GrayImage, corners: &[DVec2; 4]) -> Option<[DVec2; 4]> {
+/// Corners as intersections of the lines fitted along the sides.
+fn refine_once(image: &GrayImage, corners: &[DVec2; 4]) -> Option<[DVec2; 4]> {
     let mut sides = Vec::with_capacity(4);
     for i in 0..4 {
         sides.push(Side::sample(image, Edge::new(corners, i)?)?);
@@ -151,25 +147,20 @@ fn pass(image: &GrayImage, corners: &[DVec2; 4]) -> Option<[DVec2; 4]> {
     Some(next)
 }
 
-/// Where two lines of a point and a direction meet.
+/// Intersection of two lines given by point and direction.
 fn intersection((p, d): (DVec2, DVec2), (q, e): (DVec2, DVec2)) -> Option<DVec2> {
     let sine = d.perp_dot(e);
     (sine.abs() > 0.05 * d.length() * e.length()).then(|| p + d * ((q - p).perp_dot(e) / sine))
 }
 
-/// Samples across a side, from inside to outside.
-struct Profile {
-    /// Levels as the camera stored them.
-    levels: [f64; MAX_SAMPLES],
-    /// Light, from 0 to 1; interpolated as light, as an edge is as steep as a pixel is wide.
-    light: [f64; MAX_SAMPLES],
-}
+/// Linear light (0 to 1) across a side, from inside to outside.
+type Profile = [f64; MAX_SAMPLES];
 
-/// A side of a marker, to be sampled across.
+/// A side of a marker.
 struct Edge {
-    middle: DVec2,
+    midpoint: DVec2,
     direction: DVec2,
-    /// Away from the marker's middle.
+    /// Unit normal away from the marker's centre.
     outward: DVec2,
     length: f64,
     half_width: f64,
@@ -181,13 +172,13 @@ impl Edge {
         let centre = 0.25 * corners.iter().sum::<DVec2>();
         let direction = (b - a).try_normalize()?;
         let length = a.distance(b);
-        let middle = 0.5 * (a + b);
+        let midpoint = 0.5 * (a + b);
         let normal = direction.perp();
         let is_usable = length.is_finite() && length > 4.0;
         is_usable.then(|| Self {
-            middle,
+            midpoint,
             direction,
-            outward: if normal.dot(middle - centre) < 0.0 {
+            outward: if normal.dot(midpoint - centre) < 0.0 {
                 -normal
             } else {
                 normal
@@ -197,7 +188,7 @@ impl Edge {
         })
     }
 
-    /// Places of profiles along the side, px from its middle.
+    /// Positions of the profiles along the side, px from its midpoint.
     fn positions(&self) -> impl Iterator<Item = f64> {
         let count = MIN_PROFILES.max(self.length as usize);
         let span = (1.0 - 2.0 * ENDS) * self.length;
@@ -209,26 +200,21 @@ impl Edge {
     }
 
     /// Distance of sample `i` from the side, outwards, px.
-    fn across(&self, i: usize) -> f64 {
+    fn offset(&self, i: usize) -> f64 {
         (i as f64 - 0.5 * (self.samples() - 1) as f64) * STEP_PX
     }
 
-    /// Levels across the side, from inside to outside, [`Self::samples`] of them; none
-    /// beyond the image's border.
+    /// Samples across the side, from inside to outside. `None`: beyond the image.
     fn profile(&self, image: &GrayImage, along: f64) -> Option<Profile> {
-        let on_side = self.middle + self.direction * along;
-        let mut profile = Profile {
-            levels: [0.0; MAX_SAMPLES],
-            light: [0.0; MAX_SAMPLES],
-        };
-        for i in 0..self.samples() {
-            [profile.levels[i], profile.light[i]] =
-                bilinear(image, on_side + self.outward * self.across(i))?;
+        let on_side = self.midpoint + self.direction * along;
+        let mut profile = [0.0; MAX_SAMPLES];
+        for (i, light) in profile.iter_mut().enumerate().take(self.samples()) {
+            *light = bilinear(image, on_side + self.outward * self.offset(i))?;
         }
         Some(profile)
     }
 
-    fn mean<'a>(&self, profiles: impl Iterator<Item = &'a [f64; MAX_SAMPLES]>) -> Vec<f64> {
+    fn mean<'a>(&self, profiles: impl Iterator<Item = &'a Profile>) -> Vec<f64> {
         let mut sums = vec![0.0; self.samples()];
         let mut count = 0.0;
         for profile in profiles {
@@ -241,21 +227,21 @@ impl Edge {
     }
 }
 
-/// An edge with what the image shows across it.
+/// A sampled edge.
 struct Side {
     edge: Edge,
-    /// Places along the edge, px from its middle, and the profile there.
+    /// Positions along the edge, px from its midpoint, with their profiles.
     profiles: Vec<(f64, Profile)>,
     /// Mean of the profiles' light.
     light: Vec<f64>,
 }
 
 impl Side {
-    /// None where the image shows less than a line needs.
+    /// `None`: too few profiles.
     fn sample(image: &GrayImage, edge: Edge) -> Option<Self> {
         let at = |along| Some((along, edge.profile(image, along)?));
         let profiles: Vec<_> = edge.positions().filter_map(at).collect();
-        let light = edge.mean(profiles.iter().map(|p| &p.1.light));
+        let light = edge.mean(profiles.iter().map(|p| &p.1));
         (profiles.len() >= MIN_FITTED).then_some(Self {
             edge,
             profiles,
@@ -263,20 +249,20 @@ impl Side {
         })
     }
 
-    /// Point and direction of the line that fits the edge.
+    /// Point and direction of the line fitted to the edge.
     fn line(&self) -> Option<(DVec2, DVec2)> {
         let edge = &self.edge;
         let last = self.light.len() - 1;
-        let reach = (REACH_OF_BLUR * self.blur_px()? / STEP_PX).round() as usize;
-        let reach = reach.clamp(MIN_REACH, last / 2);
-        let within = last / 2 - reach..=last / 2 + reach;
+        let range = (RANGE_OF_BLUR * self.blur_px()? / STEP_PX).round() as usize;
+        let range = range.clamp(MIN_RANGE, last / 2);
+        let within = last / 2 - range..=last / 2 + range;
         let (dark, bright) = (self.light[*within.start()], self.light[*within.end()]);
         let contrast = bright - dark;
-        // What is missing of a step at 0, whose own sample is half.
+        // Difference to an ideal step at 0.
         let shifts = self.profiles.iter().map(|(along, profile)| {
-            let light = &profile.light[within.clone()];
+            let light = &profile[within.clone()];
             let missing = |(i, l): (usize, &f64)| {
-                let step = match i.cmp(&reach) {
+                let step = match i.cmp(&range) {
                     Ordering::Less => dark,
                     Ordering::Equal => 0.5 * (dark + bright),
                     Ordering::Greater => bright,
@@ -284,15 +270,15 @@ impl Side {
                 step - l
             };
             let missing: f64 = light.iter().enumerate().map(missing).sum();
-            let own = light[2 * reach] - light[0];
-            [*along, STEP_PX * missing / contrast, own]
+            let own_contrast = light[2 * range] - light[0];
+            [*along, STEP_PX * missing / contrast, own_contrast]
         });
         let mut points: Vec<[f64; 3]> = shifts.collect();
-        let usual = median(points.iter().map(|p| p[2]))?;
-        points.retain(|p| p[2] > FAINT * usual);
+        let median_contrast = median(points.iter().map(|p| p[2]))?;
+        points.retain(|p| p[2] > MIN_CONTRAST * median_contrast);
         let [offset, slope] = robust_line(points)?;
         (contrast > 0.0).then_some((
-            edge.middle + edge.outward * offset,
+            edge.midpoint + edge.outward * offset,
             edge.direction + edge.outward * slope,
         ))
     }
@@ -302,29 +288,29 @@ impl Side {
         self.light.iter().copied().fold(0.0, f64::max) - low
     }
 
-    /// Standard deviation of the blur: the steepest slope s of an edge with contrast c blurred by a
-    /// Gaussian is c/(σ √(2π)). None where nothing gets brighter.
+    /// Standard deviation σ of the blur: the maximum slope of an edge with contrast c after Gaussian
+    /// blur is c/(σ √(2π)). `None`: no positive slope.
     fn blur_px(&self) -> Option<f64> {
         let slopes = self.light.windows(2).map(|w| (w[1] - w[0]) / STEP_PX);
-        let steepest = slopes.fold(0.0, f64::max);
-        (steepest > 0.0).then(|| self.contrast() / (steepest * std::f64::consts::TAU.sqrt()))
+        let max_slope = slopes.fold(0.0, f64::max);
+        (max_slope > 0.0).then(|| self.contrast() / (max_slope * std::f64::consts::TAU.sqrt()))
     }
 }
 
-/// Offset at 0 and slope of the line through (x, y, …), three times without what is far off.
+/// Offset at 0 and slope of the line fitted to (x, y, …), refitted three times to the inliers.
 fn robust_line(mut points: Vec<[f64; 3]>) -> Option<[f64; 2]> {
-    let mut line = fitted(&points)?;
+    let mut line = fit_line(&points)?;
     for _ in 0..3 {
         let residual = |p: &[f64; 3], line: &[f64; 2]| (p[1] - line[0] - line[1] * p[0]).abs();
         let deviation = 1.4826 * median(points.iter().map(|p| residual(p, &line)))?;
-        let limit = KEPT_DEVIATIONS * deviation.max(MIN_DEVIATION_PX);
+        let limit = MAX_DEVIATIONS * deviation.max(MIN_DEVIATION_PX);
         points.retain(|p| residual(p, &line) < limit);
-        line = fitted(&points)?;
+        line = fit_line(&points)?;
     }
     Some(line)
 }
 
-fn fitted(points: &[[f64; 3]]) -> Option<[f64; 2]> {
+fn fit_line(points: &[[f64; 3]]) -> Option<[f64; 2]> {
     if points.len() < MIN_FITTED {
         return None;
     }
@@ -337,10 +323,10 @@ fn fitted(points: &[[f64; 3]]) -> Option<[f64; 2]> {
     slope.is_finite().then_some([y - slope * x, slope])
 }
 
-/// Level, and light from 0 to 1, between pixels; none outside of the image.
-fn bilinear(image: &GrayImage, at: DVec2) -> Option<[f64; 2]> {
+/// Bilinearly interpolated linear light from 0 to 1. `None`: outside the image.
+pub(crate) fn bilinear(image: &GrayImage, at: DVec2) -> Option<f64> {
     let (width, height) = (image.width() as usize, image.height() as usize);
-    // Written so that NaN is outside as well.
+    // False for NaN.
     let inside =
         at.x >= 0.0 && at.y >= 0.0 && at.x <= (width as f64) - 1.0 && at.y <= (height as f64) - 1.0;
     if !inside {
@@ -350,15 +336,9 @@ fn bilinear(image: &GrayImage, at: DVec2) -> Option<[f64; 2]> {
     let (fx, fy) = (at.x - x as f64, at.y - y as f64);
     let (right, below) = ((x + 1).min(width - 1), (y + 1).min(height - 1));
     let pixels = image.as_raw();
-    let levels =
-        [(x, y), (right, y), (x, below), (right, below)].map(|(x, y)| pixels[y * width + x]);
-    let mixed = |[a, b, c, d]: [f64; 4]| {
-        let top = a * (1.0 - fx) + b * fx;
-        let bottom = c * (1.0 - fx) + d * fx;
-        top * (1.0 - fy) + bottom * fy
-    };
-    Some([
-        mixed(levels.map(f64::from)),
-        mixed(levels.map(|level| f64::from(srgb_decode(level)))),
-    ])
+    let [a, b, c, d] = [(x, y), (right, y), (x, below), (right, below)]
+        .map(|(x, y)| f64::from(srgb_decode(pixels[y * width + x])));
+    let top = a * (1.0 - fx) + b * fx;
+    let bottom = c * (1.0 - fx) + d * fx;
+    Some(top * (1.0 - fy) + bottom * fy)
 }

@@ -1,4 +1,4 @@
-//! Refined corners against exact ones.
+//! Accuracy of corner refinement.
 
 use glam::DVec2;
 use image::{GrayImage, Luma};
@@ -9,41 +9,41 @@ use super::refine::*;
 use crate::synthetic::{
     GraspScene, ImageConditions, SyntheticImage, gripper_markers, ring_board, test_camera,
 };
-use crate::{Detection, Dictionary, Part};
+use crate::{Body, Detection, Dictionary};
 
 fn image(index: u64, conditions: &ImageConditions) -> SyntheticImage {
     let dictionary = Dictionary::by_name("36h11").unwrap();
     let board = ring_board(&dictionary);
-    let gripper = gripper_markers(&dictionary, [Part::Body; 2]);
+    let gripper = gripper_markers(&dictionary, [Body::Gripper; 2]);
     let scene = GraspScene::random(&board, &gripper, &dictionary, 21, index);
     scene.render(&test_camera(1280, 720), conditions, index)
 }
 
-/// Errors of corners refined from places up to 1.2 px off the truth.
+/// Errors of corners refined from positions up to 1.2 px off.
 fn errors(index: u64, conditions: &ImageConditions) -> Vec<DVec2> {
-    let seen = image(index, conditions);
+    let rendered = image(index, conditions);
     let mut random = Pcg64::seed_from_u64(index);
     let mut errors = Vec::new();
-    for truth in &seen.truth {
+    for truth in &rendered.truth {
         let mut rough = truth.clone();
         for corner in &mut rough.corners_px {
             let mut off = || random.random_range(-0.85..0.85);
             *corner += DVec2::new(off(), off());
         }
-        let found = refine_corners(&seen.image, &rough);
+        let found = refine_corners(&rendered.image, &rough);
         errors.extend((0..4).map(|i| found.corners_px[i] - truth.corners_px[i]));
     }
     errors
 }
 
-fn quantile(errors: &[DVec2], part: f64) -> f64 {
+fn quantile(errors: &[DVec2], fraction: f64) -> f64 {
     let mut lengths: Vec<f64> = errors.iter().map(|e| e.length()).collect();
     lengths.sort_by(f64::total_cmp);
-    lengths[((lengths.len() - 1) as f64 * part) as usize]
+    lengths[((lengths.len() - 1) as f64 * fraction) as usize]
 }
 
 #[test]
-fn corners_are_exact_to_hundredths_of_a_pixel_and_not_biased() {
+fn refined_corners_are_accurate_and_unbiased() {
     let errors: Vec<DVec2> = (0..4)
         .flat_map(|index| errors(index, &ImageConditions::default()))
         .collect();
@@ -55,7 +55,7 @@ fn corners_are_exact_to_hundredths_of_a_pixel_and_not_biased() {
 }
 
 #[test]
-fn motion_blurs_without_shifting() {
+fn motion_blur_does_not_bias_corners() {
     let moving = ImageConditions {
         motion_px: DVec2::new(2.5, 1.7),
         ..ImageConditions::default()
@@ -65,15 +65,15 @@ fn motion_blurs_without_shifting() {
 }
 
 #[test]
-fn sharpness_orders_images_by_their_blur() {
+fn sharpness_measures_the_blur() {
     let blur = |psf_px: f64, motion_px: DVec2| {
         let conditions = ImageConditions {
             psf_px,
             motion_px,
             ..ImageConditions::default()
         };
-        let seen = image(2, &conditions);
-        sharpness(&seen.image, &seen.truth).unwrap()
+        let rendered = image(2, &conditions);
+        sharpness(&rendered.image, &rendered.truth).unwrap()
     };
     let sharp = blur(0.7, DVec2::ZERO);
     assert!((0.6..1.0).contains(&sharp.blur_px), "{sharp:?}");
@@ -91,7 +91,7 @@ fn sharpness_orders_images_by_their_blur() {
 }
 
 #[test]
-fn where_no_border_is_the_detection_stays() {
+fn detections_without_a_border_are_unchanged() {
     let mut random = Pcg64::seed_from_u64(4);
     let noise = GrayImage::from_fn(200, 100, |_, _| Luma([random.random::<u8>()]));
     let flat = GrayImage::from_pixel(200, 100, Luma([80]));

@@ -163,7 +163,7 @@ mod tests {
     const MS: u64 = 1_000_000;
 
     fn hand() -> (VirtualHand, Arc<ManualClock>) {
-        let clock = Arc::new(ManualClock::at(1_000 * MS));
+        let clock = Arc::new(ManualClock::new(1_000 * MS));
         let films = FilmLibrary::built_in().unwrap();
         (VirtualHand::new(films, 1, clock.clone()), clock)
     }

@@ -12,7 +12,7 @@ use gripcast_base::error::{Error, Result};
 use gripcast_geometry::{Pose, TriangleMesh};
 use gripcast_imaging::{DepthImage, Intrinsics, encode_png_grey16};
 use gripcast_pose::BoardFile;
-use gripcast_pose::print::{ObjectOnSheet, ObjectSheet, usual_object_sheet};
+use gripcast_pose::print::{ObjectSheet, SheetObject, default_object_sheet};
 use gripcast_sim::fem::GelGrid;
 use gripcast_sim::grasp::{StageName, Trace, TraceFile, TraceStep};
 use gripcast_tactile::{TraceHeader, TraceStart};
@@ -132,14 +132,14 @@ pub fn shoot(
 
 /// The sheet of an object as it stands, named after its mesh.
 fn sheet_of(mesh: &TriangleMesh, source: &str, t_world_object: Pose) -> Result<ObjectSheet> {
-    let object = ObjectOnSheet {
+    let object = SheetObject {
         mesh,
         source,
         t_world_object,
     };
     let named = source.strip_prefix("builtin:").unwrap_or(source);
     let name = Path::new(named).file_stem().unwrap_or_default();
-    usual_object_sheet(&name.to_string_lossy(), &object)
+    default_object_sheet(&name.to_string_lossy(), &object)
 }
 
 /// Everything that the images of a film fraction.

@@ -1,16 +1,16 @@
-//! A first rig file from what is plugged in.
+//! Drafts a rig file from the connected cameras.
 
 use std::fmt::Write as _;
 
 use super::rig_file::RigFile;
-use crate::device::{Mode, VideoDevice};
-use gripcast_base::error::{Error, ErrorKind, Result};
+use crate::device::{Mode, VideoDevice, device_error};
+use gripcast_base::error::Result;
 use gripcast_imaging::{PixelFormat, Role};
 
 const MINI: &str = "GelSight Mini";
 const REALSENSE: &str = "RealSense";
 
-/// Values that hold exposure, white balance and gain of a GelSight Mini still.
+/// Controls with fixed exposure, white balance and gain for a GelSight Mini.
 const MINI_CONTROLS: &str = "{ auto_exposure = 1, exposure_time_absolute = 180, \
      exposure_dynamic_framerate = 0, white_balance_automatic = 0, \
      white_balance_temperature = 4500, gain = 0, power_line_frequency = 0, brightness = 0, \
@@ -20,57 +20,57 @@ const MINI_CONTROLS: &str = "{ auto_exposure = 1, exposure_time_absolute = 180, 
 /// A proposed rig file.
 #[derive(Clone, Debug)]
 pub struct Draft {
-    /// The file.
+    /// Text of the file.
     pub text: String,
-    /// What a person should know or decide, one sentence each.
+    /// Notes for the user.
     pub notes: Vec<String>,
 }
 
-/// A mode that a role would like: sizes by preference, rate in 1/s.
-struct Wish {
+/// Preferred mode of a role: sizes by preference, rate in 1/s.
+struct ModePreference {
     format: PixelFormat,
     sizes: &'static [(u32, u32)],
     fps: f64,
 }
 
-const TACTILE: Wish = Wish {
+const TACTILE: ModePreference = ModePreference {
     format: PixelFormat::Mjpg,
     sizes: &[(3280, 2464)],
     fps: 25.0,
 };
-const COLOUR: Wish = Wish {
+const COLOUR: ModePreference = ModePreference {
     format: PixelFormat::Yuyv,
     sizes: &[(1280, 720), (640, 480)],
     fps: 30.0,
 };
-const DEPTH: Wish = Wish {
+const DEPTH: ModePreference = ModePreference {
     format: PixelFormat::Z16,
     sizes: &[(640, 480), (848, 480)],
     fps: 30.0,
 };
 
-impl Wish {
-    /// The nearest mode on offer: a wanted size, else the largest; the wished rate, else the
-    /// highest. The wish itself where the modes are not known.
-    fn choose(&self, device: &VideoDevice) -> (u32, u32, f64) {
-        let offered: Vec<&Mode> = device
+impl ModePreference {
+    /// The best supported mode: a preferred size, else the largest; the preferred rate, else the
+    /// highest. The preference itself for unknown modes.
+    fn select(&self, device: &VideoDevice) -> (u32, u32, f64) {
+        let supported: Vec<&Mode> = device
             .modes
             .iter()
             .flatten()
             .filter(|mode| mode.fourcc == self.format.fourcc())
             .collect();
-        let wanted = self
+        let preferred = self
             .sizes
             .iter()
-            .find_map(|&size| offered.iter().find(|m| (m.width, m.height) == size));
-        let largest = offered
+            .find_map(|&size| supported.iter().find(|m| (m.width, m.height) == size));
+        let largest = supported
             .iter()
             .max_by_key(|m| u64::from(m.width) * u64::from(m.height));
-        match wanted.or(largest) {
+        match preferred.or(largest) {
             Some(mode) => {
-                let wished = mode.fps.iter().find(|fps| (*fps - self.fps).abs() < 0.5);
+                let preferred = mode.fps.iter().find(|fps| (*fps - self.fps).abs() < 0.5);
                 let highest = mode.fps.iter().copied().reduce(f64::max);
-                let fps = wished.copied().or(highest).unwrap_or(self.fps);
+                let fps = preferred.copied().or(highest).unwrap_or(self.fps);
                 (mode.width, mode.height, fps)
             }
             None => (self.sizes[0].0, self.sizes[0].1, self.fps),
@@ -78,12 +78,12 @@ impl Wish {
     }
 }
 
-/// Drafts a rig: two GelSight Minis become left and right in the order of their USB ports, a
-/// RealSense becomes colour and depth.
+/// Drafts a rig: two GelSight Minis as left and right in the order of their USB ports, a RealSense
+/// as colour and depth.
 ///
 /// # Errors
-/// [`ErrorKind::Device`] unless exactly two Minis are there, [`ErrorKind::Config`] for an
-/// unusable `id`.
+/// [`ErrorKind::Device`] unless exactly two Minis are connected, [`ErrorKind::Config`] for an
+/// invalid `id`.
 pub fn draft(id: &str, devices: &[VideoDevice]) -> Result<Draft> {
     let mut cameras: Vec<&VideoDevice> = devices.iter().filter(|d| d.is_camera()).collect();
     cameras.sort_by(|a, b| a.port_order(b));
@@ -93,24 +93,20 @@ pub fn draft(id: &str, devices: &[VideoDevice]) -> Result<Draft> {
         .filter(|d| d.product.starts_with(MINI) && d.index == 0)
         .collect();
     let [left, right] = minis.as_slice() else {
-        let seen: Vec<String> = cameras.iter().map(ToString::to_string).collect();
-        return Err(Error::new(
-            ErrorKind::Device,
-            format!(
-                "a rig needs two {MINI} sensors, {} found; cameras there: {}",
-                minis.len(),
-                if seen.is_empty() {
-                    "none".to_owned()
-                } else {
-                    seen.join("; ")
-                }
-            ),
-        )
-        .remedy("plug in exactly the two sensors of the gripper; `gripcast rig list` shows all"));
+        let mut names: Vec<String> = cameras.iter().map(ToString::to_string).collect();
+        if names.is_empty() {
+            names.push("none".to_owned());
+        }
+        return Err(device_error(format!(
+            "a rig needs two {MINI} sensors, {} found; connected cameras: {}",
+            minis.len(),
+            names.join("; ")
+        ))
+        .remedy("plug in exactly the two sensors of the gripper; `gripcast rig list` lists all"));
     };
     let mut notes = vec![format!(
-        "left is in port {}, right in port {}: touch the left gel while looking at the screen, \
-         and swap the two `serial` lines if the other image moves",
+        "left is in port {}, right in port {}: touch the left gel and swap the two `serial` lines \
+         if the other image changes",
         left.port, right.port
     )];
     let mut text = format!("schema = 1\nid = {}\n", quoted(id));
@@ -122,8 +118,8 @@ pub fn draft(id: &str, devices: &[VideoDevice]) -> Result<Draft> {
     }
     if same_serial {
         notes.push(
-            "the two sensors have no serial numbers of their own: they are told apart by port, so \
-             each has to stay in its port"
+            "the two sensors have no distinct serial numbers: they are distinguished by port and \
+             must stay in their ports"
                 .to_owned(),
         );
     }
@@ -133,41 +129,41 @@ pub fn draft(id: &str, devices: &[VideoDevice]) -> Result<Draft> {
 }
 
 fn realsense(text: &mut String, cameras: &[&VideoDevice], notes: &mut Vec<String>) {
-    let parts: Vec<&VideoDevice> = cameras
+    let devices: Vec<&VideoDevice> = cameras
         .iter()
         .copied()
         .filter(|d| d.product.contains(REALSENSE))
         .collect();
-    let Some(first) = parts.first() else {
+    let Some(first) = devices.first() else {
         notes.push("no RealSense camera found: the rig has no colour and no depth".to_owned());
         return;
     };
-    if parts.iter().any(|d| d.port != first.port) {
+    if devices.iter().any(|d| d.port != first.port) {
         notes.push(format!(
             "several RealSense cameras found; the one in port {} is used",
             first.port
         ));
     }
-    let part = |format, interface| {
-        let mut own = parts.iter().filter(|d| d.port == first.port);
+    let find = |format, interface| {
+        let mut own = devices.iter().filter(|d| d.port == first.port);
         own.clone()
             .find(|d| d.offers(format) == Some(true))
             .or_else(|| own.find(|d| d.modes.is_none() && d.interface == interface))
     };
-    match part(PixelFormat::Yuyv, 3) {
+    match find(PixelFormat::Yuyv, 3) {
         Some(device) => {
             section(text, Role::Rgb, &device.product, device, &COLOUR, false);
             text.push_str("# 1: mains of 50 Hz, 2: 60 Hz\n");
             line(text, "controls", "{ power_line_frequency = 1 }");
         }
-        None => notes.push(format!("{first} offers no colour images (YUYV)")),
+        None => notes.push(format!("{first} does not support colour images (YUYV)")),
     }
-    match part(PixelFormat::Z16, 0) {
+    match find(PixelFormat::Z16, 0) {
         Some(device) => {
             section(text, Role::Depth, &device.product, device, &DEPTH, false);
             line(text, "depth_unit_m", "0.001");
         }
-        None => notes.push(format!("{first} offers no depth (Z16)")),
+        None => notes.push(format!("{first} does not support depth (Z16)")),
     }
 }
 
@@ -176,10 +172,10 @@ fn section(
     role: Role,
     product: &str,
     device: &VideoDevice,
-    wish: &Wish,
+    preference: &ModePreference,
     by_port: bool,
 ) {
-    let (width, height, fps) = wish.choose(device);
+    let (width, height, fps) = preference.select(device);
     text.push_str(&format!("\n[cameras.{role}]\n"));
     line(text, "product", &quoted(product));
     if !device.serial.is_empty() {
@@ -191,7 +187,7 @@ fn section(
     if product.contains(REALSENSE) {
         line(text, "interface", &device.interface.to_string());
     }
-    line(text, "format", &quoted(&wish.format.to_string()));
+    line(text, "format", &quoted(&preference.format.to_string()));
     line(text, "width", &width.to_string());
     line(text, "height", &height.to_string());
     line(text, "fps", &fps.to_string());
@@ -209,6 +205,8 @@ fn quoted(text: &str) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use gripcast_base::error::ErrorKind;
+
     use crate::camera::{FakeCamera, FakeNodes};
     use crate::device::{SystemRoot, bind, probe, scan};
     use gripcast_testing::sysfs_tree::{Tree, Usb, d435, mini};
@@ -247,7 +245,7 @@ mod tests {
     const B: Usb<'static> = mini("3-2", "GelSight Mini R0B 28F5-K4RR", "28F5K4RR");
 
     #[test]
-    fn two_minis_and_a_d435_become_a_rig_that_binds_to_them() {
+    fn draft_binds_to_its_cameras() {
         let devices = devices(&[A, B], true);
         let draft = draft("bench-1", &devices).unwrap();
         let rig = RigFile::parse(&draft.text).unwrap();
@@ -267,7 +265,7 @@ mod tests {
     }
 
     #[test]
-    fn sensors_without_their_own_serials_are_bound_by_port() {
+    fn sensors_without_distinct_serials_are_bound_by_port() {
         for serial in ["", "0001"] {
             let devices = devices(&[Usb { serial, ..A }, Usb { serial, ..B }], false);
             let draft = draft("x", &devices).unwrap();
@@ -277,7 +275,7 @@ mod tests {
                 draft
                     .notes
                     .iter()
-                    .any(|note| note.contains("told apart by port"))
+                    .any(|note| note.contains("distinguished by port"))
             );
             assert!(draft.notes.iter().any(|note| note.contains("no RealSense")));
             for (role, camera) in &rig.cameras {
@@ -290,7 +288,7 @@ mod tests {
     }
 
     #[test]
-    fn fewer_or_more_than_two_sensors_are_refused() {
+    fn draft_requires_two_sensors() {
         for usbs in [&[][..], &[A], &[A, B, mini("3-3", "GelSight Mini", "C")]] {
             let error = draft("x", &devices(usbs, true)).unwrap_err();
             assert_eq!(error.kind(), ErrorKind::Device);

@@ -1,17 +1,16 @@
 //! Factory intrinsics of a RealSense D435, read through its UVC extension unit.
 //!
-//! The stereo function's extension unit 3, selector 1, takes a request of exactly 1024 bytes and
-//! answers with 1024 bytes. Request, little-endian: u16 length of what follows the first four
-//! bytes (20), u16 magic, u32 opcode, four u32 parameters. Reply: u32 opcode again (anything else
-//! is an error code), payload; the u32 at 1020 is the length of the payload. Payload of the
-//! colour table: 16 bytes of header with a CRC-32, then the calibration, normalised to the
-//! image's width and height.
+//! Extension unit 3 of the stereo function, selector 1, exchanges messages of 1024 bytes,
+//! little-endian. Request: u16 length after the first four bytes (20), u16 magic, u32 opcode, four
+//! u32 parameters. Reply: u32 opcode (or an error code), payload, u32 payload length at 1020.
+//! Payload of the colour table: 16 bytes of header with a CRC-32, then the calibration, normalised
+//! by the image's width and height.
 
 use std::io;
 
 use crate::camera::{ExtensionRequest, VideoNode, VideoNodes};
-use crate::device::{self, SystemRoot};
-use gripcast_base::error::{Error, ErrorKind, Result};
+use crate::device::{self, SystemRoot, device_error};
+use gripcast_base::error::{Error, Result};
 use gripcast_imaging::{DistortionModel, Intrinsics};
 
 const UNIT: u8 = 3;
@@ -22,16 +21,15 @@ const MAGIC: u16 = 0xcdab;
 const GET_CALIBRATION: u32 = 0x15;
 const COLOUR_TABLE: u32 = 0x20;
 const TABLE_HEADER_BYTES: usize = 16;
-/// Intrinsics 9, distortion 5, rotation 3, translation 3, projection 12 floats.
+/// Floats: intrinsics 9, distortion 5, rotation 3, translation 3, projection 12.
 const FLOATS: usize = 32;
-/// Attempts while the camera is busy with another request.
+/// Maximum number of attempts while the camera is busy.
 const ATTEMPTS: usize = 5;
 
-/// Asks the D435 in a USB port for the intrinsics of its colour camera. Works while it streams.
+/// Reads the intrinsics of the colour camera of the D435 in a USB port. Works while it streams.
 ///
 /// # Errors
-/// [`ErrorKind::Device`] when the camera is not there or does not tell, with the remedy of giving
-/// a file.
+/// [`ErrorKind::Device`] for a missing camera or an invalid reply.
 pub fn colour_intrinsics(
     root: &SystemRoot,
     nodes: &dyn VideoNodes,
@@ -44,7 +42,7 @@ pub fn colour_intrinsics(
         .iter()
         .filter(|d| d.port == port && d.is_camera())
         .min_by_key(|d| d.interface)
-        .ok_or_else(|| Error::new(ErrorKind::Device, format!("no camera in port {port}")))?;
+        .ok_or_else(|| device_error(format!("no camera in port {port}")))?;
     let mut node = nodes
         .open(&stereo.node)
         .map_err(|e| device::open_error(root, stereo, "open", e))?;
@@ -56,20 +54,20 @@ pub fn colour_intrinsics(
 /// Calibration of the colour camera, independent of the image size.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ColourTable {
-    /// The nine floats of the intrinsic matrix, in the order of the wire.
+    /// Intrinsic matrix in transmitted order.
     matrix: [f64; 9],
     /// Coefficients k1, k2, p1, p2, k3.
     coefficients: [f64; 5],
-    /// Image size of the calibration, pixels; zero where the table does not tell.
+    /// Image size of the calibration, pixels; zero if unknown.
     width: u16,
     height: u16,
 }
 
 impl ColourTable {
-    /// Reads the table of an open camera; the node must be one of the stereo function.
+    /// Reads the table from an open node of the stereo function.
     ///
     /// # Errors
-    /// When the camera refuses the request or answers with something else.
+    /// For a failed request or an invalid reply.
     pub fn read(node: &mut dyn VideoNode) -> Result<Self> {
         Self::parse(&exchange(
             node,
@@ -77,12 +75,12 @@ impl ColourTable {
         )?)
     }
 
-    /// Reads the payload of the reply.
+    /// Parses the payload of a reply.
     ///
     /// # Errors
-    /// [`ErrorKind::Device`] when it is too short, of another kind or damaged.
+    /// [`ErrorKind::Device`] for a truncated, damaged or different table.
     pub fn parse(payload: &[u8]) -> Result<Self> {
-        let bad = |what: String| Error::new(ErrorKind::Device, what).remedy(FALLBACK);
+        let bad = |what: String| device_error(what).remedy(FALLBACK);
         let size = u32_at(payload, 4).unwrap_or(0) as usize;
         let table = payload
             .get(TABLE_HEADER_BYTES..)
@@ -90,20 +88,20 @@ impl ColourTable {
             .filter(|table| table.len() >= FLOATS * 4 + 4)
             .ok_or_else(|| {
                 bad(format!(
-                    "the colour calibration is cut short: {} bytes for a table of {size}",
+                    "the colour calibration is truncated: {} bytes for a table of {size}",
                     payload.len()
                 ))
             })?;
         let kind = u16_at(payload, 2).map_or(0, u32::from);
         if kind != COLOUR_TABLE {
             return Err(bad(format!(
-                "the camera sent calibration table {kind} instead of {COLOUR_TABLE}"
+                "expected calibration table {COLOUR_TABLE}, found table {kind}"
             )));
         }
         let (stated, found) = (u32_at(payload, 12).unwrap_or(0), crc32(table));
         if stated != found {
             return Err(bad(format!(
-                "the colour calibration is damaged: CRC {found:08x}, the camera states {stated:08x}"
+                "the colour calibration is damaged: CRC {found:08x}, expected {stated:08x}"
             )));
         }
         let float = |i: usize| {
@@ -118,11 +116,11 @@ impl ColourTable {
         })
     }
 
-    /// Intrinsics of an image size. A size of another shape than the calibration's is a part of
-    /// the sensor: the longer side is cut, the focal length in pixels of the other side stays.
+    /// Intrinsics for an image size. A different aspect ratio crops the longer side and keeps the
+    /// focal length in pixels of the other.
     ///
     /// # Errors
-    /// [`ErrorKind::Config`] when the outcome is nothing a lens could have.
+    /// [`ErrorKind::Config`] for implausible intrinsics.
     pub fn intrinsics(&self, width: u32, height: u32) -> Result<Intrinsics> {
         let (w, h) = (f64::from(width), f64::from(height));
         let wanted = h / w;
@@ -151,9 +149,9 @@ impl ColourTable {
     }
 }
 
-const FALLBACK: &str = "give the intrinsics in a file instead";
+const FALLBACK: &str = "give an intrinsics file instead";
 
-/// One request to the camera's firmware.
+/// A request to the firmware.
 fn request(opcode: u32, parameters: [u32; 4]) -> [u8; TRANSFER_BYTES] {
     let mut bytes = [0; TRANSFER_BYTES];
     bytes[0..2].copy_from_slice(&20_u16.to_le_bytes());
@@ -165,25 +163,21 @@ fn request(opcode: u32, parameters: [u32; 4]) -> [u8; TRANSFER_BYTES] {
     bytes
 }
 
-/// The payload of a reply to `opcode`.
+/// Payload of a reply to `opcode`.
 fn reply_payload(opcode: u32, reply: &[u8; TRANSFER_BYTES]) -> Result<&[u8]> {
     let echo = u32_at(reply, 0).unwrap_or(0);
     if echo != opcode {
-        return Err(Error::new(
-            ErrorKind::Device,
-            format!(
-                "the camera answers command {opcode:#x} with code {}",
-                echo.cast_signed()
-            ),
-        )
+        return Err(device_error(format!(
+            "the camera rejects command {opcode:#x} with code {}",
+            echo.cast_signed()
+        ))
         .remedy(FALLBACK));
     }
     let length = u32_at(reply, LENGTH_AT).unwrap_or(0) as usize;
     reply[4..LENGTH_AT].get(..length).ok_or_else(|| {
-        Error::new(
-            ErrorKind::Device,
-            format!("the camera states a reply of {length} bytes, more than one holds"),
-        )
+        device_error(format!(
+            "the reply of the camera is too long: {length} bytes"
+        ))
         .remedy(FALLBACK)
     })
 }
@@ -198,20 +192,20 @@ fn exchange(node: &mut dyn VideoNode, request: [u8; TRANSFER_BYTES]) -> Result<V
             .and_then(|()| node.extension_unit(UNIT, SELECTOR, ExtensionRequest::Get, &mut reply));
         match &outcome {
             Ok(()) => return reply_payload(opcode, &reply).map(<[u8]>::to_vec),
-            Err(error) if !may_pass(error) => break,
+            Err(error) if !is_transient(error) => break,
             Err(_) => {}
         }
     }
     let cause = outcome.err().unwrap_or_else(|| io::ErrorKind::Other.into());
     if cause.raw_os_error() == Some(libc::ENOENT) {
-        let what = format!("the camera has no extension unit {UNIT} to ask for its calibration");
-        return Err(Error::new(ErrorKind::Device, what).remedy(FALLBACK));
+        let what = format!("the camera has no extension unit {UNIT} with its calibration");
+        return Err(device_error(what).remedy(FALLBACK));
     }
-    Err(Error::io("cannot ask the camera for its calibration", cause).remedy(FALLBACK))
+    Err(Error::io("cannot read the calibration of the camera", cause).remedy(FALLBACK))
 }
 
-/// Whether the camera may answer when asked again.
-fn may_pass(error: &io::Error) -> bool {
+/// Whether a retry may succeed.
+fn is_transient(error: &io::Error) -> bool {
     matches!(
         error.raw_os_error(),
         Some(libc::EIO | libc::EAGAIN | libc::EBUSY)
@@ -235,6 +229,8 @@ fn crc32(bytes: &[u8]) -> u32 {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use gripcast_base::error::ErrorKind;
+
     use crate::camera::{FakeCamera, FakeNodes};
     use gripcast_testing::sysfs_tree::{Tree, d435};
 
@@ -267,12 +263,12 @@ mod tests {
     }
 
     #[test]
-    fn crc_is_that_of_the_standard() {
+    fn crc_matches_the_check_value() {
         assert_eq!(crc32(b"123456789"), 0xcbf4_3926);
     }
 
     #[test]
-    fn request_is_laid_out_as_the_firmware_reads_it() {
+    fn request_layout() {
         let bytes = request(GET_CALIBRATION, [COLOUR_TABLE, 0, 0, 0]);
         assert_eq!(
             bytes[..12],
@@ -291,7 +287,7 @@ mod tests {
         assert_eq!(full.coefficients, [0.125, -0.25, 0.5, 0.0, 0.0625]);
         let hd = table.intrinsics(1280, 720).unwrap();
         assert!(close(hd.fx, 920.0) && close(hd.cx, 967.0 / 1.5));
-        // 640×480 is the middle of 853×480: square pixels, the same focal length either way.
+        // 640×480 is the centre of 853×480.
         let vga = table.intrinsics(640, 480).unwrap();
         assert!(
             close(vga.fx, 1380.0 * 480.0 / 1080.0) && close(vga.fx, vga.fy),
@@ -304,7 +300,7 @@ mod tests {
     }
 
     #[test]
-    fn damaged_tables_and_replies_are_refused() {
+    fn damaged_tables_and_replies_are_rejected() {
         let good = payload();
         for length in 0..good.len() {
             assert!(ColourTable::parse(&good[..length]).is_err(), "{length}");
@@ -330,7 +326,7 @@ mod tests {
     }
 
     #[test]
-    fn colour_is_asked_for_at_the_stereo_function() {
+    fn stereo_function_is_queried() {
         let mut tree = Tree::new();
         let nodes = FakeNodes::default();
         let first = tree.plug(d435("4-1"), &[(0, 4), (3, 2)]);

@@ -1,4 +1,4 @@
-//! Rig files: which camera has which role, with which mode, controls and guards; intrinsics.
+//! Rig files and factory intrinsics.
 
 mod draft;
 mod factory;

@@ -1,4 +1,4 @@
-//! The rig file (`calib/rigs/<id>.toml`): reading, checking and finding it.
+//! The rig file (`calib/rigs/<id>.toml`).
 
 use std::collections::BTreeMap;
 use std::env;
@@ -11,11 +11,11 @@ use crate::camera::{CONTROLS, FORMER_NAMES};
 use gripcast_base::error::{Error, Result, nearest_name};
 use gripcast_imaging::{MAX_SIDE, PixelFormat, Role};
 
-/// Version of the rig file format that this program reads.
+/// Version of the rig file format.
 const SCHEMA: u32 = 1;
 /// Name of the built-in rig.
 const VIRTUAL: &str = "virtual";
-/// Name of the built-in rig with an external camera, and how many frames a second that delivers.
+/// Name of the built-in rig with an external camera, and the frame rate of that camera, 1/s.
 const VIRTUAL_EXTERNAL: &str = "virtual-external";
 const EXTERNAL_FPS: f64 = 10.0;
 
@@ -25,11 +25,11 @@ const EXTERNAL_FPS: f64 = 10.0;
 pub struct RigFile {
     /// Version of this file format; 1.
     pub schema: u32,
-    /// Name of the rig, stored with every dataset.
+    /// Name of the rig, stored in datasets.
     pub id: String,
-    /// Cameras by role; `left` and `right` are needed to collect.
+    /// Cameras by role; `left` and `right` are required.
     pub cameras: BTreeMap<Role, CameraConfig>,
-    /// Printed markers that the external camera sees, from which grasps are annotated.
+    /// Printed markers for the annotation of grasps from the external camera.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub boards: Option<BoardsConfig>,
     /// Foot pedals and presenters.
@@ -37,17 +37,17 @@ pub struct RigFile {
     pub pedals: Vec<PedalConfig>,
 }
 
-/// Board files of a rig. The virtual rig knows its own.
+/// Board files of a rig. The virtual rig has built-in ones.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct BoardsConfig {
     /// Board file of the gripper's tags.
     pub tags: PathBuf,
-    /// Folder with the board file of each object's sheet, `OBJECT.toml`, or one such file.
+    /// Folder with the board files of the objects' sheets, `OBJECT.toml`, or one such file.
     pub sheets: PathBuf,
 }
 
-/// Where the frames of a camera come from.
+/// Source of a camera's frames.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum SourceKind {
@@ -67,26 +67,26 @@ pub struct CameraConfig {
     /// Kind of source.
     #[serde(default)]
     pub source: SourceKind,
-    /// USB product string, or its beginning (`GelSight Mini`).
+    /// USB product string, or a prefix of it (`GelSight Mini`).
     #[serde(default, skip_serializing_if = "String::is_empty")]
     pub product: String,
-    /// USB serial; needed when two cameras of the same product are bound.
+    /// USB serial; distinguishes cameras of the same product.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub serial: Option<String>,
-    /// USB video-control interface number; tells depth (0) from colour (3) on a D435.
+    /// USB video-control interface number; on a D435, 0 is depth and 3 colour.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub interface: Option<u8>,
     /// USB port path (`3-2.1`), only for devices without a serial.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub port: Option<String>,
-    /// Directory of a `replay` source; of a `virtual` one the folder of its films, none for
-    /// those that come with the program.
+    /// Directory of a `replay` source, or the folder of a `virtual` source's films (default: the
+    /// built-in ones).
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub path: Option<PathBuf>,
-    /// Play a `replay` source as fast as it is read instead of with its own timing.
+    /// Whether a `replay` source ignores its recorded timing.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub unpaced: bool,
-    /// Pixel format that is asked for.
+    /// Requested pixel format.
     pub format: PixelFormat,
     /// Width in pixels.
     pub width: u32,
@@ -97,13 +97,13 @@ pub struct CameraConfig {
     /// Named crop profile of a tactile camera.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub crop_profile: Option<String>,
-    /// Metres per count of a depth camera.
+    /// Depth unit of a depth camera, m.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub depth_unit_m: Option<f64>,
-    /// Intrinsics file of a colour camera; without one a D435 is asked for its factory values.
+    /// Intrinsics file of a colour camera; default for a D435: its factory intrinsics.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub intrinsics: Option<PathBuf>,
-    /// Controls to set, by V4L2 name in snake case; read back and stored with every frame.
+    /// Controls to set, by V4L2 name in snake case.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub controls: BTreeMap<String, i64>,
 }
@@ -116,10 +116,9 @@ pub struct PedalConfig {
     pub vendor: u16,
     /// USB product id.
     pub product: u16,
-    /// HID keyboard usage code → command (`trigger`, `stable`, `slip`, `undo`, …); by name of the
-    /// key (`a`, `b`, `page_down`).
+    /// Commands (`trigger`, `stable`, `slip`, `undo`, …) by key name (`a`, `b`, `page_down`).
     pub keys: BTreeMap<String, String>,
-    /// Presses closer together than this are bounces of the contact, ms.
+    /// Debounce time, ms.
     #[serde(default = "PedalConfig::default_debounce_ms")]
     pub debounce_ms: u64,
 }
@@ -131,7 +130,7 @@ impl PedalConfig {
 }
 
 impl CameraConfig {
-    /// A camera with a source and a mode; everything else is empty.
+    /// A camera with a source and a mode.
     #[must_use]
     pub fn new(source: SourceKind, format: PixelFormat, width: u32, height: u32, fps: f64) -> Self {
         Self {
@@ -155,7 +154,7 @@ impl CameraConfig {
 }
 
 impl RigFile {
-    /// The built-in rig: two tactile sensors, colour and depth, all simulated.
+    /// The built-in rig: two simulated tactile sensors, colour and depth.
     #[must_use]
     pub fn virtual_rig() -> Self {
         let camera = |format, fps| CameraConfig::new(SourceKind::Virtual, format, 640, 480, fps);
@@ -181,8 +180,7 @@ impl RigFile {
         }
     }
 
-    /// [`Self::virtual_rig`] with a camera beside the table that sees the object's sheet and the
-    /// gripper's tags.
+    /// [`Self::virtual_rig`] with an external camera for the object's sheet and the gripper's tags.
     #[must_use]
     pub fn virtual_rig_with_external() -> Self {
         let external = CameraConfig::new(
@@ -198,13 +196,12 @@ impl RigFile {
         rig
     }
 
-    /// Finds a rig by name or path: the built-in `virtual` and `virtual-external`, then `calib/rigs/NAME.toml` below the
-    /// working directory, then `gripcast/rigs/NAME.toml` in the user's configuration directory.
-    /// Anything with a slash or ending in `.toml` is a path.
+    /// Finds a rig by name or path: the built-in `virtual` and `virtual-external`, then
+    /// `calib/rigs/NAME.toml` in the working directory, then `gripcast/rigs/NAME.toml` in the user's
+    /// configuration directory. Names with a slash or ending in `.toml` are paths.
     ///
     /// # Errors
-    /// [`ErrorKind::NotFound`] listing the rigs that exist; [`ErrorKind::Config`] for a file with
-    /// a mistake.
+    /// [`ErrorKind::NotFound`] with the available rigs; [`ErrorKind::Config`] for an invalid file.
     pub fn find(name: &str) -> Result<Self> {
         let configuration = env::var_os("XDG_CONFIG_HOME")
             .map(PathBuf::from)
@@ -215,7 +212,7 @@ impl RigFile {
         Self::find_in(name, &directories)
     }
 
-    /// [`Self::find`] in given directories.
+    /// [`Self::find`] in the given directories.
     ///
     /// # Errors
     /// As [`Self::find`].
@@ -252,53 +249,50 @@ impl RigFile {
         let hint = nearest_name(name, known.iter().map(String::as_str))
             .map(|near| format!("; did you mean `{near}`?"))
             .unwrap_or_default();
-        let places: Vec<String> = directories
+        let paths: Vec<String> = directories
             .iter()
             .map(|directory| directory.join(&file).display().to_string())
             .collect();
         Err(Error::not_found(format!(
-            "there is no rig `{name}` (looked for {}){hint}",
-            places.join(", ")
+            "unknown rig `{name}` (not found: {}){hint}",
+            paths.join(", ")
         ))
         .remedy(format!(
-            "use one of {}, the path of a rig file, or write one with `gripcast rig init`",
+            "use one of {}, or the path of a rig file; `gripcast rig init` writes one",
             known.join(", ")
         )))
     }
 
-    /// Reads and checks a rig file. Relative paths in it (recordings, films, intrinsics, boards) are
-    /// taken from the directory of the file.
+    /// Reads a rig file. Its relative paths (recordings, films, intrinsics, boards) are relative to
+    /// its directory.
     ///
     /// # Errors
-    /// When it cannot be read, or [`ErrorKind::Config`] naming the line and the mistake.
+    /// For an unreadable file, or [`ErrorKind::Config`] with the line.
     pub fn load(path: &Path) -> Result<Self> {
         let text = fs::read_to_string(path)
             .map_err(|e| Error::io("cannot read the rig file", e).at(path.display()))?;
         let mut rig = Self::parse(&text).map_err(|error| error.at(path.display()))?;
         let directory = path.parent().unwrap_or(Path::new(""));
+        // `join` leaves absolute paths unchanged.
+        let resolve = |file: &mut PathBuf| *file = directory.join(&*file);
         for camera in rig.cameras.values_mut() {
-            for file in camera.path.iter_mut().chain(&mut camera.intrinsics) {
-                if file.is_relative() {
-                    *file = directory.join(&*file);
-                }
-            }
+            let files = camera.path.iter_mut().chain(&mut camera.intrinsics);
+            files.for_each(resolve);
         }
         if let Some(boards) = &mut rig.boards {
-            for file in [&mut boards.tags, &mut boards.sheets] {
-                if file.is_relative() {
-                    *file = directory.join(&*file);
-                }
-            }
+            [&mut boards.tags, &mut boards.sheets]
+                .into_iter()
+                .for_each(resolve);
         }
         Ok(rig)
     }
 
-    /// Reads and checks the text of a rig file.
+    /// Parses and validates the text of a rig file.
     ///
     /// # Errors
-    /// [`ErrorKind::Config`] naming the line and the mistake.
+    /// [`ErrorKind::Config`] with the line.
     pub fn parse(text: &str) -> Result<Self> {
-        // The version first: a newer file has keys that look like mistakes here.
+        // The version first: newer files may have unknown keys.
         #[derive(Deserialize)]
         struct Version {
             schema: Option<u32>,
@@ -306,29 +300,28 @@ impl RigFile {
         if let Ok(Version { schema }) = toml::from_str(text) {
             check_schema(schema)?;
         }
-        let rig: Self = toml::from_str(text).map_err(|error| explain(text, &error))?;
+        let rig: Self = toml::from_str(text).map_err(|error| toml_error(text, &error))?;
         rig.validate()?;
         Ok(rig)
     }
 
-    /// Checks what the types cannot: that the tactile pair is there, each camera can be found,
-    /// and its mode and controls make sense.
+    /// Validates roles, camera identities, modes and controls.
     ///
     /// # Errors
-    /// [`ErrorKind::Config`] naming the camera and the key.
+    /// [`ErrorKind::Config`] with camera and key.
     pub fn validate(&self) -> Result<()> {
         check_schema(Some(self.schema))?;
         if self.id.is_empty() || self.id.contains(['/', '\\']) || self.id.starts_with('.') {
-            return Err(wrong(format!(
-                "`id` is `{}`; it must be a plain name, for instance `bench-1`",
+            return Err(Error::config(format!(
+                "`id` must be a plain name such as `bench-1`, found `{}`",
                 self.id
             )));
         }
         for role in [Role::Left, Role::Right] {
             if !self.cameras.contains_key(&role) {
                 return Err(
-                    wrong(format!("the camera `{role}` is missing")).remedy(format!(
-                        "add a section [cameras.{role}]; both tactile sensors are needed to collect"
+                    Error::config(format!("the camera `{role}` is missing")).remedy(format!(
+                        "add a section [cameras.{role}]; both tactile sensors are required"
                     )),
                 );
             }
@@ -339,15 +332,13 @@ impl RigFile {
                 .map_err(|error| error.at(format_args!("[cameras.{role}]")))?;
         }
         if self.boards.is_some() && !self.cameras.contains_key(&Role::External) {
-            return Err(
-                wrong("[boards] is there, but no external camera".to_owned())
-                    .remedy("add [cameras.external], whose images show the boards"),
-            );
+            return Err(Error::config("[boards] requires an external camera")
+                .remedy("add a section [cameras.external]"));
         }
         self.validate_distinct()
     }
 
-    /// Two roles may not mean the same physical stream.
+    /// Roles must have different physical streams.
     fn validate_distinct(&self) -> Result<()> {
         let real: Vec<(&Role, &CameraConfig)> = self
             .cameras
@@ -363,10 +354,10 @@ impl RigFile {
                     && camera.interface == other.interface
                     && camera.format == other.format
                 {
-                    return Err(wrong(format!(
-                        "[cameras.{other_role}] and [cameras.{role}] describe the same camera"
+                    return Err(Error::config(format!(
+                        "[cameras.{other_role}] and [cameras.{role}] are the same camera"
                     ))
-                    .remedy("give each its own `serial` (`gripcast rig list` shows them)"));
+                    .remedy("give each its own `serial` (`gripcast rig list` lists them)"));
                 }
             }
         }
@@ -378,37 +369,36 @@ impl CameraConfig {
     fn validate(&self, role: Role) -> Result<()> {
         match self.source {
             SourceKind::V4l2 if self.product.is_empty() => {
-                return Err(wrong("`product` is missing".to_owned()).remedy(
-                    "give the beginning of the product name that `gripcast rig list` shows",
-                ));
+                return Err(Error::config("`product` is missing")
+                    .remedy("give a prefix of the product name listed by `gripcast rig list`"));
             }
             SourceKind::Replay if self.path.is_none() => {
-                return Err(wrong("`path` is missing".to_owned())
+                return Err(Error::config("`path` is missing")
                     .remedy("give the directory of the recording"));
             }
             SourceKind::V4l2 if self.path.is_some() => {
-                return Err(wrong(
-                    "`path` is for source = \"replay\" and \"virtual\" only".to_owned(),
+                return Err(Error::config(
+                    "`path` is only for source = \"replay\" and \"virtual\"",
                 ));
             }
             _ => {}
         }
         let side = 1..=MAX_SIDE;
         if !side.contains(&self.width) || !side.contains(&self.height) {
-            return Err(wrong(format!(
-                "{}×{} pixels is no image; 1 to {MAX_SIDE} each",
+            return Err(Error::config(format!(
+                "the image size must be 1 to {MAX_SIDE} pixels a side, found {}×{}",
                 self.width, self.height
             )));
         }
         if !(self.fps.is_finite() && self.fps > 0.0 && self.fps <= 1000.0) {
-            return Err(wrong(format!(
-                "`fps` is {}; it must be above 0 and at most 1000",
+            return Err(Error::config(format!(
+                "`fps` must be above 0 and at most 1000, found {}",
                 self.fps
             )));
         }
         if role.is_tactile() && self.crop_profile.is_none() {
-            return Err(wrong("`crop_profile` is missing".to_owned())
-                .remedy("a tactile camera needs one, for instance \"gsmini-seventh-v1\""));
+            return Err(Error::config("`crop_profile` is missing")
+                .remedy("add it, for instance \"gsmini-seventh-v1\""));
         }
         let fits = match role {
             Role::Left | Role::Right | Role::External | Role::Rgb => {
@@ -417,20 +407,20 @@ impl CameraConfig {
             Role::Depth => self.format == PixelFormat::Z16,
         };
         if !fits {
-            return Err(wrong(format!(
-                "format {} does not fit the role {role}",
+            return Err(Error::config(format!(
+                "role {role} does not support format {}",
                 self.format
             )));
         }
         if role == Role::Depth {
             match self.depth_unit_m {
                 None => {
-                    return Err(wrong("`depth_unit_m` is missing".to_owned())
-                        .remedy("a D435 counts millimetres: depth_unit_m = 0.001"));
+                    return Err(Error::config("`depth_unit_m` is missing")
+                        .remedy("add it; for a D435: depth_unit_m = 0.001"));
                 }
                 Some(unit) if !(unit.is_finite() && unit > 0.0 && unit <= 1.0) => {
-                    return Err(wrong(format!(
-                        "`depth_unit_m` is {unit}; it must be above 0 and at most 1"
+                    return Err(Error::config(format!(
+                        "`depth_unit_m` must be above 0 and at most 1, found {unit}"
                     )));
                 }
                 Some(_) => {}
@@ -452,35 +442,30 @@ fn check_control(name: &str) -> Result<()> {
     let near = former
         .map(|(_, present)| *present)
         .or_else(|| nearest_name(name, known()));
-    Err(
-        wrong(format!("unknown control `{name}`")).remedy(match near {
-            Some(near) => format!("did you mean `{near}`?"),
-            None => format!("known are {}", known().collect::<Vec<_>>().join(", ")),
-        }),
-    )
-}
-
-fn wrong(what: String) -> Error {
-    Error::config(what)
+    let remedy = match near {
+        Some(near) => format!("did you mean `{near}`?"),
+        None => format!("use one of {}", known().collect::<Vec<_>>().join(", ")),
+    };
+    Err(Error::config(format!("unknown control `{name}`")).remedy(remedy))
 }
 
 fn check_schema(found: Option<u32>) -> Result<()> {
     match found {
         Some(SCHEMA) => Ok(()),
-        Some(newer) if newer > SCHEMA => Err(wrong(format!(
-            "the rig file has schema {newer}; this gripcast reads {SCHEMA}"
+        Some(newer) if newer > SCHEMA => Err(Error::config(format!(
+            "expected rig file schema {SCHEMA}, found {newer}"
         ))
-        .remedy("update gripcast, or write the file anew with `gripcast rig init`")),
-        other => Err(wrong(match other {
-            Some(old) => format!("`schema` is {old}, expected {SCHEMA}"),
+        .remedy("update gripcast, or rewrite the file with `gripcast rig init`")),
+        other => Err(Error::config(match other {
+            Some(old) => format!("expected `schema` {SCHEMA}, found {old}"),
             None => "`schema` is missing".to_owned(),
         })
-        .remedy(format!("write `schema = {SCHEMA}` at the top"))),
+        .remedy(format!("add `schema = {SCHEMA}` at the top"))),
     }
 }
 
-/// Turns a message of the TOML reader into one with a line and the nearest known name.
-fn explain(text: &str, error: &toml::de::Error) -> Error {
+/// Adds the line and the nearest known name to a TOML error.
+fn toml_error(text: &str, error: &toml::de::Error) -> Error {
     let message = error.message().trim();
     let place = match error.span() {
         Some(span) => {
@@ -502,7 +487,7 @@ fn explain(text: &str, error: &toml::de::Error) -> Error {
         Some((first, _)) if remedy.is_some() => first.to_owned(),
         _ => message.to_owned(),
     };
-    let error = wrong(what).at(place);
+    let error = Error::config(what).at(place);
     match remedy {
         Some(remedy) => error.remedy(remedy),
         None => error,

@@ -33,7 +33,7 @@ fps = 30
 depth_unit_m = 0.001
 "#;
 
-fn refusal(from: &str, to: &str) -> String {
+fn rejection(from: &str, to: &str) -> String {
     assert!(GOOD.contains(from), "{from}");
     let error = RigFile::parse(&GOOD.replacen(from, to, 1)).unwrap_err();
     assert_eq!(error.kind(), ErrorKind::Config, "{error}");
@@ -41,7 +41,7 @@ fn refusal(from: &str, to: &str) -> String {
 }
 
 #[test]
-fn a_good_file_is_read_and_written_back_the_same() {
+fn file_round_trips() {
     let rig = RigFile::parse(GOOD).unwrap();
     assert_eq!(
         rig.cameras[&Role::Left].controls["exposure_time_absolute"],
@@ -53,39 +53,39 @@ fn a_good_file_is_read_and_written_back_the_same() {
 }
 
 #[test]
-fn misspelt_keys_are_refused_with_line_and_nearest_name() {
+fn misspelt_keys_are_reported_with_line_and_nearest_name() {
     assert_eq!(
-        refusal("product =", "produkt ="),
+        rejection("product =", "produkt ="),
         "line 5: unknown field `produkt`\n  → did you mean `product`?"
     );
     assert_eq!(
-        refusal("[cameras.left]", "[cameras.lefft]"),
+        rejection("[cameras.left]", "[cameras.lefft]"),
         "line 4: unknown variant `lefft`\n  → did you mean `left`?"
     );
     assert_eq!(
-        refusal("\"MJPG\"", "\"MJPEG\""),
+        rejection("\"MJPG\"", "\"MJPEG\""),
         "line 7: unknown variant `MJPEG`\n  → did you mean `MJPG`?"
     );
     assert_eq!(
-        refusal("auto_exposure", "exposure_auto"),
+        rejection("auto_exposure", "exposure_auto"),
         "[cameras.left]: unknown control `exposure_auto`\n  → did you mean `auto_exposure`?"
     );
-    assert!(refusal("auto_exposure", "gian").contains("did you mean `gain`?"));
-    assert!(refusal("auto_exposure", "f").contains("known are auto_exposure, "));
-    assert!(refusal("fps = 25", "fps = fast").starts_with("line 10: "));
-    assert!(refusal("width = 3280\n", "").contains("missing field `width`"));
+    assert!(rejection("auto_exposure", "gian").contains("did you mean `gain`?"));
+    assert!(rejection("auto_exposure", "f").contains("use one of auto_exposure, "));
+    assert!(rejection("fps = 25", "fps = fast").starts_with("line 10: "));
+    assert!(rejection("width = 3280\n", "").contains("missing field `width`"));
 }
 
 #[test]
-fn files_that_cannot_work_are_refused() {
+fn invalid_files_are_rejected() {
     for (from, to, expected) in [
         (
             "schema = 1",
             "schema = 2\nfuture = true",
-            "schema 2; this gripcast reads 1",
+            "expected rig file schema 1, found 2",
         ),
         ("schema = 1\n", "", "`schema` is missing"),
-        ("bench-1", "../x", "`id` is `../x`"),
+        ("bench-1", "../x", "found `../x`"),
         (
             "[cameras.right]",
             "[cameras.external]",
@@ -96,9 +96,9 @@ fn files_that_cannot_work_are_refused() {
             "",
             "[cameras.left]: `product` is missing",
         ),
-        ("width = 3280", "width = 0", "0×2464 pixels"),
-        ("fps = 25", "fps = 0", "`fps` is 0"),
-        ("fps = 25", "fps = inf", "`fps` is inf"),
+        ("width = 3280", "width = 0", "found 0×2464"),
+        ("fps = 25", "fps = 0", "at most 1000, found 0"),
+        ("fps = 25", "fps = inf", "at most 1000, found inf"),
         (
             "crop_profile = \"gsmini-seventh-v1\"\n",
             "",
@@ -107,28 +107,28 @@ fn files_that_cannot_work_are_refused() {
         (
             "format = \"MJPG\"",
             "format = \"Z16\"",
-            "format Z16 does not fit the role left",
+            "role left does not support format Z16",
         ),
         ("depth_unit_m = 0.001\n", "", "`depth_unit_m` is missing"),
         (
             "depth_unit_m = 0.001",
             "depth_unit_m = -1.0",
-            "`depth_unit_m` is -1",
+            "at most 1, found -1",
         ),
         (
             "path = \"depth\"\n",
             "",
             "[cameras.depth]: `path` is missing",
         ),
-        ("28F5K4RR", "2BNN4ZE7", "describe the same camera"),
+        ("28F5K4RR", "2BNN4ZE7", "are the same camera"),
     ] {
-        let message = refusal(from, to);
+        let message = rejection(from, to);
         assert!(message.contains(expected), "{from} → {to}: {message}");
     }
 }
 
 #[test]
-fn the_virtual_rig_holds_its_own_rules() {
+fn virtual_rig_is_valid() {
     let rig = RigFile::virtual_rig();
     rig.validate().unwrap();
     assert_eq!(RigFile::find_in("virtual", &[]).unwrap(), rig);
@@ -141,14 +141,14 @@ fn the_virtual_rig_holds_its_own_rules() {
 }
 
 #[test]
-fn rigs_are_found_by_name_and_path_and_listed_otherwise() {
+fn rigs_are_found_by_name_and_path() {
     let directory = tempfile::tempdir().unwrap();
     let (first, second) = (directory.path().join("a"), directory.path().join("b"));
     fs::create_dir_all(&first).unwrap();
     fs::create_dir_all(&second).unwrap();
     fs::write(second.join("bench-1.toml"), GOOD).unwrap();
-    let places = [first.clone(), second.clone()];
-    let rig = RigFile::find_in("bench-1", &places).unwrap();
+    let directories = [first.clone(), second.clone()];
+    let rig = RigFile::find_in("bench-1", &directories).unwrap();
     assert_eq!(rig.id, "bench-1");
     assert_eq!(rig.cameras[&Role::Depth].path, Some(second.join("depth")));
     fs::write(
@@ -156,9 +156,12 @@ fn rigs_are_found_by_name_and_path_and_listed_otherwise() {
         GOOD.replace("bench-1", "nearer"),
     )
     .unwrap();
-    assert_eq!(RigFile::find_in("bench-1", &places).unwrap().id, "nearer");
+    assert_eq!(
+        RigFile::find_in("bench-1", &directories).unwrap().id,
+        "nearer"
+    );
 
-    let error = RigFile::find_in("bench-2", &places).unwrap_err();
+    let error = RigFile::find_in("bench-2", &directories).unwrap_err();
     assert_eq!(error.kind(), ErrorKind::NotFound);
     let text = error.to_string();
     assert!(text.contains("did you mean `bench-1`?"), "{text}");

@@ -1,25 +1,25 @@
-//! The clock of drivers and cameras: `CLOCK_MONOTONIC`, and one that is moved by hand.
+//! Clocks: `CLOCK_MONOTONIC`, and a manual one for tests.
 
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Duration;
 
 use rustix::time::{ClockId, clock_gettime};
 
-/// Nanoseconds of `CLOCK_MONOTONIC`, the clock of V4L2 time stamps.
+/// `CLOCK_MONOTONIC`, the clock of V4L2 time stamps, ns.
 pub fn monotonic_ns() -> u64 {
     let now = clock_gettime(ClockId::Monotonic);
     u64::try_from(now.tv_sec).unwrap_or(0) * 1_000_000_000 + u64::try_from(now.tv_nsec).unwrap_or(0)
 }
 
-/// Where time comes from; injected so that everything timed can be tested without waiting.
+/// A source of time.
 pub trait Clock: Send + Sync {
-    /// Now, ns.
+    /// Current time, ns.
     fn now_ns(&self) -> u64;
 
-    /// Returns once `now_ns()` has reached `deadline_ns`.
+    /// Sleeps until `deadline_ns`.
     fn sleep_until(&self, deadline_ns: u64);
 
-    /// Waits until `due_ns`, at most `timeout`; whether that time has come.
+    /// Sleeps until `due_ns`, at most `timeout`; whether `due_ns` is reached.
     fn wait_for(&self, due_ns: u64, timeout: Duration) -> bool {
         let timeout_ns = u64::try_from(timeout.as_nanos()).unwrap_or(u64::MAX);
         let latest_ns = self.now_ns().saturating_add(timeout_ns);
@@ -47,17 +47,17 @@ impl Clock for MonotonicClock {
     }
 }
 
-/// A clock that stands still until it is moved; sleeping moves it.
+/// A clock that only advances by sleeping and [`Self::advance`].
 #[derive(Debug, Default)]
 pub struct ManualClock(AtomicU64);
 
 impl ManualClock {
-    /// A clock that shows `now_ns`.
-    pub fn at(now_ns: u64) -> Self {
+    /// A clock at `now_ns`.
+    pub fn new(now_ns: u64) -> Self {
         Self(AtomicU64::new(now_ns))
     }
 
-    /// Moves the clock forward by `step_ns`.
+    /// Advances the clock by `step_ns`.
     pub fn advance(&self, step_ns: u64) {
         self.0.fetch_add(step_ns, Ordering::SeqCst);
     }
@@ -78,7 +78,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn monotonic_time_never_goes_back() {
+    fn monotonic_time_is_monotonic() {
         let first = monotonic_ns();
         assert!(first > 0);
         assert!(monotonic_ns() >= first);
@@ -86,8 +86,8 @@ mod tests {
     }
 
     #[test]
-    fn sleeping_moves_the_manual_clock_forward_only() {
-        let clock = ManualClock::at(10);
+    fn sleeping_advances_the_manual_clock() {
+        let clock = ManualClock::new(10);
         clock.sleep_until(5);
         assert_eq!(clock.now_ns(), 10);
         clock.sleep_until(25);

@@ -32,7 +32,7 @@ pub(crate) use v4l2_controls::{CONTROLS, FORMER_NAMES};
 pub(crate) use v4l2_fake::{Camera as FakeCamera, FakeNodes};
 pub use v4l2_ioctl::KernelNodes;
 pub use v4l2_node::{
-    Capabilities, ControlRange, ExtensionRequest, Filled, FrameSize, Interval, Layout, Readiness,
-    VideoNode, VideoNodes,
+    Capabilities, ControlRange, ExtensionRequest, FilledBuffer, FrameSize, Interval, Layout,
+    Readiness, VideoNode, VideoNodes,
 };
 pub use v4l2_shared::SharedBytes;

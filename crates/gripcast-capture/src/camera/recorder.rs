@@ -1,12 +1,12 @@
-//! Records one camera's frames as they were sent, in the form that `replay` reads.
+//! Records the raw frames of a camera in the format of `replay`.
 //!
 //! ```text
-//! DIR/<role>/stream.json    what the stream delivers
-//!            frames.jsonl   one line a frame: file, sequence, driver_time_ns
+//! DIR/<role>/stream.json    stream configuration
+//!            frames.jsonl   one line per frame: file, sequence, driver_time_ns
 //!            000000.jpg …   payloads (jpg, yuyv, z16, grey)
 //! ```
-//! A payload is written before its line, so that whatever ends the program leaves at most a torn
-//! last line or a payload that no line names; replay skips both.
+//! A payload is written before its line: an interruption leaves at most an incomplete last line or
+//! an unreferenced payload, which replay ignores.
 
 use std::fs::{self, File};
 use std::io::Write;
@@ -56,7 +56,7 @@ impl StreamRecord {
         }
     }
 
-    /// The stream as a replay of `dir` delivers it: the camera's identity, the directory as port.
+    /// Configuration of a replay of `dir`, with the directory as port.
     pub(super) fn info(&self, dir: &Path) -> StreamInfo {
         StreamInfo {
             identity: CameraIdentity {
@@ -75,7 +75,7 @@ impl StreamRecord {
     }
 }
 
-/// One line of `frames.jsonl`.
+/// A line of `frames.jsonl`.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct FrameRecord {
@@ -104,18 +104,18 @@ pub struct Recorder {
 }
 
 impl Recorder {
-    /// Begins a recording in `dir/<role>`, which must not hold one yet.
+    /// Starts a recording in `dir/<role>`.
     ///
     /// # Errors
-    /// [`ErrorKind::Input`] when there is a recording already; otherwise the system's refusal.
+    /// [`ErrorKind::Input`] for an existing recording; I/O errors.
     pub fn create(dir: &Path, role: Role, info: &StreamInfo) -> Result<Self> {
         let dir = dir.join(role.name());
-        let begin = || -> Result<File> {
+        let create = || -> Result<File> {
             fs::create_dir_all(&dir)
                 .map_err(|error| Error::io("cannot create the directory", error))?;
             let stream = dir.join(STREAM_FILE);
             if stream.exists() {
-                return Err(Error::input("there is a recording already")
+                return Err(Error::input("the directory already has a recording")
                     .remedy("choose another directory or remove this one"));
             }
             let mut text = serde_json::to_string_pretty(&StreamRecord::new(info))
@@ -125,7 +125,7 @@ impl Recorder {
             File::create_new(dir.join(FRAMES_FILE))
                 .map_err(|error| Error::io(format!("cannot create {FRAMES_FILE}"), error))
         };
-        let lines = begin().map_err(|error| error.at(dir.display()))?;
+        let lines = create().map_err(|error| error.at(dir.display()))?;
         Ok(Self {
             dir,
             lines,
@@ -137,7 +137,7 @@ impl Recorder {
     /// Appends a frame.
     ///
     /// # Errors
-    /// When the disk refuses; the frames before stay readable.
+    /// I/O errors; previous frames stay readable.
     pub fn write(&mut self, frame: &Frame) -> Result<()> {
         let number = format!("{:06}", self.count);
         let file = FileName::of_words(&[&number, extension(self.format)]);
@@ -162,15 +162,15 @@ impl Recorder {
         Ok(())
     }
 
-    /// Frames written so far.
+    /// Number of written frames.
     pub fn count(&self) -> u64 {
         self.count
     }
 
-    /// Ends the recording and waits until its index is on disk.
+    /// Ends the recording and syncs its index.
     ///
     /// # Errors
-    /// When the disk refuses.
+    /// I/O errors.
     pub fn finish(self) -> Result<u64> {
         self.lines
             .sync_all()
@@ -211,12 +211,16 @@ mod tests {
         Recorder::create(dir.path(), Role::Left, &info()).unwrap();
         let error = Recorder::create(dir.path(), Role::Left, &info()).unwrap_err();
         assert_eq!(error.kind(), ErrorKind::Input);
-        assert!(error.to_string().contains("/left: there is a recording"));
+        assert!(
+            error
+                .to_string()
+                .contains("/left: the directory already has a recording")
+        );
         Recorder::create(dir.path(), Role::Right, &info()).unwrap();
     }
 
     #[test]
-    fn payloads_are_kept_as_sent() {
+    fn payloads_are_unchanged() {
         let dir = tempfile::tempdir().unwrap();
         let mut recorder = Recorder::create(dir.path(), Role::Left, &info()).unwrap();
         let frame = Frame {

@@ -1,12 +1,12 @@
-//! Plays a recorded directory as if it were a camera.
+//! Replays a directory as a camera.
 //!
-//! The directory of a rig file is either one that the recorder wrote (itself or its `<role>`
-//! folder holds `stream.json`), or a plain folder of images of one size. Plain images are
-//! played in the order of their names at the configured rate: `.jpg` and `.jpeg` as they are,
-//! `.png` encoded once, when the folder is opened, as JPEG of quality 98.
+//! The directory is either a recording (it or its `<role>` folder has a `stream.json`), or a folder
+//! of images of one size. Images are played in the order of their names at the configured rate:
+//! `.jpg` and `.jpeg` unchanged, `.png` encoded as JPEG of quality 98 when the folder is opened.
 
 use std::collections::BTreeSet;
 use std::fs;
+use std::io;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::Duration;
@@ -25,7 +25,7 @@ use gripcast_imaging::{Frame, FrameBytes, PixelFormat, Role, decode_png_rgb};
 
 const PNG_JPEG_QUALITY: i32 = 98;
 
-/// Opens a recorded directory.
+/// Opens a directory for replay.
 pub struct ReplayOpener {
     role: Role,
     dir: PathBuf,
@@ -34,10 +34,10 @@ pub struct ReplayOpener {
 }
 
 impl ReplayOpener {
-    /// A replay of `config.path` with the pace of `config`.
+    /// A replay of `config.path`.
     ///
     /// # Errors
-    /// [`ErrorKind::Config`] when the configuration names no directory.
+    /// [`ErrorKind::Config`] for a missing path.
     pub fn new(role: Role, config: &CameraConfig, clock: Arc<dyn Clock>) -> Result<Self> {
         let dir = config.path.clone().ok_or_else(|| {
             Error::config("a replay camera needs a directory")
@@ -52,32 +52,32 @@ impl ReplayOpener {
         })
     }
 
-    /// Reads the directory's index; returns what had to be skipped, for people.
+    /// Reads the directory's index; returns the source and warnings.
     ///
     /// # Errors
-    /// [`ErrorKind::NotFound`] when the directory is missing, [`ErrorKind::Input`] when it holds
-    /// nothing that can be played or another format or size than the rig file asks for.
+    /// [`ErrorKind::NotFound`] for a missing directory, [`ErrorKind::Input`] for one without
+    /// frames or with a different format or size than the rig file.
     pub fn load(&self) -> Result<(ReplaySource, Vec<String>)> {
         let load = || {
             if !self.dir.is_dir() {
-                return Err(Error::not_found("there is no such directory")
+                return Err(Error::not_found("the directory does not exist")
                     .remedy("correct the camera's `path` in the rig file"));
             }
-            let of_role = self.dir.join(self.role.name());
-            for dir in [&of_role, &self.dir] {
+            let role_dir = self.dir.join(self.role.name());
+            for dir in [&role_dir, &self.dir] {
                 if dir.join(STREAM_FILE).is_file() {
                     return load_recording(dir);
                 }
             }
-            let dir = if of_role.is_dir() {
-                &of_role
+            let dir = if role_dir.is_dir() {
+                &role_dir
             } else {
                 &self.dir
             };
             load_images(dir, &self.config)
         };
         let recording = load()
-            .and_then(|recording| self.checked(recording))
+            .and_then(|recording| self.check_mode(recording))
             .map_err(|error| error.at(self.dir.display()).at(self.role))?;
         let source = ReplaySource {
             info: recording.info,
@@ -90,20 +90,20 @@ impl ReplayOpener {
         Ok((source, recording.warnings))
     }
 
-    fn checked(&self, recording: Recording) -> Result<Recording> {
+    fn check_mode(&self, recording: Recording) -> Result<Recording> {
         let (info, config) = (&recording.info, &self.config);
         let found = (info.format, info.width, info.height);
-        let wanted = (config.format, config.width, config.height);
-        if found == wanted {
+        let expected = (config.format, config.width, config.height);
+        if found == expected {
             return Ok(recording);
         }
         let mode = |(format, width, height)| format!("{format} {width}×{height}");
         Err(Error::input(format!(
             "the recording is {}, expected {}",
             mode(found),
-            mode(wanted)
+            mode(expected)
         ))
-        .remedy("set format, width and height of the camera in the rig file to the recording's"))
+        .remedy("set format, width and height of the recording in the rig file"))
     }
 }
 
@@ -126,7 +126,7 @@ enum Payload {
     Bytes(FrameBytes),
 }
 
-struct Recorded {
+struct RecordedFrame {
     payload: Payload,
     sequence: u32,
     /// Since the first frame, ns.
@@ -135,7 +135,7 @@ struct Recorded {
 
 struct Recording {
     info: StreamInfo,
-    frames: Vec<Recorded>,
+    frames: Vec<RecordedFrame>,
     warnings: Vec<String>,
 }
 
@@ -147,14 +147,13 @@ fn load_recording(dir: &Path) -> Result<Recording> {
             .read(FileKind::List)
             .map_err(|error| Error::io(format!("cannot read {name}"), error))
     };
-    let stream: StreamRecord = serde_json::from_slice(&read(STREAM_FILE)?).map_err(|error| {
-        Error::input(format!("{STREAM_FILE} is no stream description")).because(error)
-    })?;
+    let stream: StreamRecord = serde_json::from_slice(&read(STREAM_FILE)?)
+        .map_err(|error| Error::input(format!("invalid {STREAM_FILE}")).because(error))?;
     if stream.schema != StreamRecord::SCHEMA {
         return Err(Error::input(format!(
-            "{STREAM_FILE} has schema {}, expected {}",
-            stream.schema,
-            StreamRecord::SCHEMA
+            "{STREAM_FILE}: expected schema {}, found {}",
+            StreamRecord::SCHEMA,
+            stream.schema
         ))
         .remedy("use the version of gripcast that recorded it, or a newer one"));
     }
@@ -167,12 +166,12 @@ fn load_recording(dir: &Path) -> Result<Recording> {
         match serde_json::from_str(line) {
             Ok(record) => records.push(record),
             Err(error) if index + 1 == lines.len() && !error.is_data() => warnings.push(format!(
-                "{FRAMES_FILE}:{}: the last line is torn and was skipped: {error}",
+                "{FRAMES_FILE}:{}: skipped the incomplete last line: {error}",
                 index + 1
             )),
             Err(error) => {
                 return Err(Error::input(format!(
-                    "{FRAMES_FILE}:{}: no frame: `{line}`",
+                    "{FRAMES_FILE}:{}: invalid frame: `{line}`",
                     index + 1
                 ))
                 .because(error));
@@ -182,42 +181,35 @@ fn load_recording(dir: &Path) -> Result<Recording> {
     let Some(first_ns) = records.first().map(|record| record.driver_time_ns) else {
         return Err(Error::input("the recording has no frames"));
     };
-    let mut frames = Vec::with_capacity(records.len());
-    for record in records {
-        frames.push(Recorded {
-            payload: Payload::File(root.top().join(&record.file)),
-            sequence: record.sequence,
-            offset_ns: record.driver_time_ns.saturating_sub(first_ns),
-        });
-    }
+    let frames = records.into_iter().map(|record| RecordedFrame {
+        payload: Payload::File(root.top().join(&record.file)),
+        sequence: record.sequence,
+        offset_ns: record.driver_time_ns.saturating_sub(first_ns),
+    });
     Ok(Recording {
         info: stream.info(dir),
-        frames,
+        frames: frames.collect(),
         warnings,
     })
 }
 
 fn load_images(dir: &Path, config: &CameraConfig) -> Result<Recording> {
-    let entries =
-        fs::read_dir(dir).map_err(|error| Error::io("cannot read the directory", error))?;
-    let mut images = BTreeSet::new();
-    for entry in entries {
-        let path = entry
-            .map_err(|error| Error::io("cannot read the directory", error))?
-            .path();
-        if image_kind(&path).is_some() {
-            images.insert(path);
-        }
-    }
+    let read = || -> io::Result<BTreeSet<PathBuf>> {
+        fs::read_dir(dir)?.map(|entry| Ok(entry?.path())).collect()
+    };
+    let mut images = read().map_err(|error| Error::io("cannot read the directory", error))?;
+    images.retain(|path| image_kind(path).is_some());
     if images.is_empty() {
         return Err(Error::input(format!(
-            "there is neither {STREAM_FILE} nor a .jpg, .jpeg or .png image"
+            "the directory has neither {STREAM_FILE} nor .jpg, .jpeg or .png images"
         ))
         .remedy("record one with `gripcast rig check --record DIRECTORY`"));
     }
     if config.fps.is_nan() || config.fps <= 0.0 {
         let fps = config.fps;
-        return Err(Error::config(format!("frame rate {fps}, expected above 0")));
+        return Err(Error::config(format!(
+            "the frame rate must be above 0, found {fps}"
+        )));
     }
     let mut size = None;
     let mut frames = Vec::with_capacity(images.len());
@@ -230,12 +222,12 @@ fn load_images(dir: &Path, config: &CameraConfig) -> Result<Recording> {
         let expected = *size.get_or_insert(found);
         if found != expected {
             return Err(Error::input(format!(
-                "the image is {}×{}, those before are {}×{}",
-                found.0, found.1, expected.0, expected.1
+                "expected an image of {}×{}, found {}×{}",
+                expected.0, expected.1, found.0, found.1
             ))
             .at(name));
         }
-        frames.push(Recorded {
+        frames.push(RecordedFrame {
             payload,
             sequence: number as u32,
             offset_ns: (number as f64 * 1e9 / config.fps) as u64,
@@ -275,15 +267,15 @@ fn image_kind(path: &Path) -> Option<ImageKind> {
 }
 
 fn open_image(path: &Path) -> Result<(Payload, (u32, u32))> {
-    let place = BeneathPath::given(path);
-    let bytes = place
+    let file = BeneathPath::given(path);
+    let bytes = file
         .read(FileKind::Image)
         .map_err(|error| Error::io("cannot read the image", error))?;
     if image_kind(path) == Some(ImageKind::Jpeg) {
         let header = turbojpeg::read_header(&bytes)
-            .map_err(|error| Error::input("this is no JPEG").because(error))?;
+            .map_err(|error| Error::input("invalid JPEG").because(error))?;
         let size = (header.width as u32, header.height as u32);
-        return Ok((Payload::File(place), size));
+        return Ok((Payload::File(file), size));
     }
     let image = decode_png_rgb(&bytes)?;
     let (width, height) = image.dimensions();
@@ -299,10 +291,10 @@ fn open_image(path: &Path) -> Result<(Payload, (u32, u32))> {
     Ok((Payload::Bytes(jpeg.to_vec().into()), (width, height)))
 }
 
-/// An open recording.
+/// A replayed directory.
 pub struct ReplaySource {
     info: StreamInfo,
-    frames: Vec<Recorded>,
+    frames: Vec<RecordedFrame>,
     unpaced: bool,
     clock: Arc<dyn Clock>,
     start_ns: Option<u64>,
@@ -347,7 +339,7 @@ impl FrameSource for ReplaySource {
             .frame_bytes(self.info.width, self.info.height)
             && data.len() != expected
         {
-            let reason = format!("{expected} bytes expected, the file has {}", data.len());
+            let reason = format!("expected {expected} bytes, found {}", data.len());
             return Err(CaptureError::Damaged { sequence, reason });
         }
         Ok(Frame {

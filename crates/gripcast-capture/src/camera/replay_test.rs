@@ -20,7 +20,7 @@ fn opener(dir: &Path, format: PixelFormat) -> (ReplayOpener, Arc<ManualClock>) {
 }
 
 fn opener_of(config: CameraConfig) -> (ReplayOpener, Arc<ManualClock>) {
-    let clock = Arc::new(ManualClock::at(1_000 * MS));
+    let clock = Arc::new(ManualClock::new(1_000 * MS));
     let opener = ReplayOpener::new(Role::Left, &config, clock.clone()).unwrap();
     (opener, clock)
 }
@@ -65,7 +65,7 @@ fn read_all(source: &mut ReplaySource) -> Vec<(u32, u64, u8)> {
 }
 
 #[test]
-fn a_recording_comes_back_with_its_timing_and_ends() {
+fn recording_is_replayed_with_its_timing() {
     let dir = tempfile::tempdir().unwrap();
     record(dir.path());
     let (opener, _) = opener(dir.path(), PixelFormat::Grey);
@@ -81,7 +81,7 @@ fn a_recording_comes_back_with_its_timing_and_ends() {
 }
 
 #[test]
-fn an_unpaced_recording_does_not_wait() {
+fn unpaced_recording_does_not_wait() {
     let dir = tempfile::tempdir().unwrap();
     record(dir.path());
     let (opener, clock) = opener_of(CameraConfig {
@@ -94,7 +94,7 @@ fn an_unpaced_recording_does_not_wait() {
 }
 
 #[test]
-fn a_torn_last_line_is_skipped_and_told() {
+fn incomplete_last_line_is_skipped_with_a_warning() {
     let dir = tempfile::tempdir().unwrap();
     record(dir.path());
     let index = dir.path().join("left").join(FRAMES_FILE);
@@ -103,7 +103,7 @@ fn a_torn_last_line_is_skipped_and_told() {
     let (opener, _) = opener(dir.path(), PixelFormat::Grey);
     let (source, warnings) = opener.load().unwrap();
     assert_eq!(source.frames.len(), 3);
-    assert!(warnings[0].starts_with("frames.jsonl:4: the last line is torn"));
+    assert!(warnings[0].starts_with("frames.jsonl:4: skipped the incomplete last line"));
 
     let text = fs::read_to_string(&index).unwrap();
     fs::write(&index, format!("rubbish\n{text}")).unwrap();
@@ -111,7 +111,7 @@ fn a_torn_last_line_is_skipped_and_told() {
     assert!(
         error
             .to_string()
-            .contains("frames.jsonl:1: no frame: `rubbish`")
+            .contains("frames.jsonl:1: invalid frame: `rubbish`")
     );
 }
 
@@ -124,16 +124,16 @@ fn short_and_missing_payloads_are_damaged_frames() {
     let (opener, _) = opener(dir.path(), PixelFormat::Grey);
     let (mut source, _) = opener.load().unwrap();
     assert!(source.next_frame(TIMEOUT).is_ok());
-    for wanted in [8, 10] {
+    for expected in [8, 10] {
         match source.next_frame(TIMEOUT) {
-            Err(CaptureError::Damaged { sequence, .. }) => assert_eq!(sequence, wanted),
+            Err(CaptureError::Damaged { sequence, .. }) => assert_eq!(sequence, expected),
             other => panic!("expected damage, got {other:?}"),
         }
     }
 }
 
 #[test]
-fn wrong_directories_are_explained() {
+fn invalid_directories_are_rejected() {
     let dir = tempfile::tempdir().unwrap();
     let fail = |dir: &Path, format| opener(dir, format).0.load().err().unwrap();
     let missing = fail(&dir.path().join("absent"), PixelFormat::Mjpg);
@@ -160,7 +160,7 @@ fn wrong_directories_are_explained() {
 }
 
 #[test]
-fn plain_images_play_in_the_order_of_their_names() {
+fn images_are_played_in_the_order_of_their_names() {
     let dir = tempfile::tempdir().unwrap();
     for (name, level) in [("b.png", 200), ("a.png", 40)] {
         image::RgbImage::from_pixel(16, 8, image::Rgb([level; 3]))
@@ -186,13 +186,12 @@ fn plain_images_play_in_the_order_of_their_names() {
         .unwrap();
     let error = opener.load().err().unwrap();
     assert!(
-        error.to_string().contains("c.png: the image is 16×9"),
+        error
+            .to_string()
+            .contains("c.png: expected an image of 16×8, found 16×9"),
         "{error}"
     );
     fs::write(dir.path().join("0.jpg"), "no").unwrap();
     let error = opener.load().err().unwrap();
-    assert!(
-        error.to_string().contains("0.jpg: this is no JPEG"),
-        "{error}"
-    );
+    assert!(error.to_string().contains("0.jpg: invalid JPEG"), "{error}");
 }

@@ -1,4 +1,4 @@
-//! The cameras of a rig file, whatever kind they are.
+//! Openers for the cameras of a rig file.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -9,55 +9,55 @@ use crate::device::SystemRoot;
 use gripcast_base::error::{Error, Result};
 use gripcast_imaging::{Intrinsics, Role};
 
-/// Opens the `virtual` cameras of a rig; the simulation behind them is not part of this crate.
+/// Creates openers for the `virtual` cameras of a rig.
 pub trait VirtualCameras {
     /// An opener for the virtual camera of `role`.
     ///
     /// # Errors
-    /// [`ErrorKind::Config`] when no virtual camera can do what `config` asks for.
+    /// [`ErrorKind::Config`] for an unsupported `config`.
     fn camera(&mut self, role: Role, config: &CameraConfig) -> Result<Box<dyn CameraOpener>>;
 }
 
-/// No virtual cameras: a rig that has some is refused.
+/// Rejects virtual cameras.
 pub struct NoVirtualCameras;
 
 impl VirtualCameras for NoVirtualCameras {
     fn camera(&mut self, role: Role, _: &CameraConfig) -> Result<Box<dyn CameraOpener>> {
-        let what = "virtual cameras are not available here";
+        let what = "virtual cameras are not supported here";
         Err(Error::config(what)
             .at(format!("camera {role}"))
             .remedy("set `source` to \"v4l2\" or \"replay\" in the rig file"))
     }
 }
 
-/// Openers for every camera of a rig.
+/// Openers for all cameras of a rig.
 pub struct RigSources {
-    /// One a camera.
+    /// One per camera.
     pub openers: Vec<Box<dyn CameraOpener>>,
-    /// Cameras whose presence can be asked before they are opened.
-    present: Vec<V4l2Opener>,
+    /// V4L2 cameras.
+    v4l2: Vec<V4l2Opener>,
 }
 
 impl RigSources {
-    /// Openers for the cameras of `rig`; nothing is opened yet. `virtual_cameras` makes those
-    /// with `source = "virtual"`.
+    /// Creates openers for the cameras of `rig`, using `virtual_cameras` for those with
+    /// `source = "virtual"`.
     ///
     /// # Errors
-    /// When the rig file asks for what a source cannot do.
-    pub fn of(
+    /// For an unsupported camera configuration.
+    pub fn new(
         rig: &RigFile,
         root: &SystemRoot,
         virtual_cameras: &mut dyn VirtualCameras,
     ) -> Result<Self> {
         let mut sources = Self {
             openers: Vec::new(),
-            present: Vec::new(),
+            v4l2: Vec::new(),
         };
         for (role, camera) in &rig.cameras {
             let opener: Box<dyn CameraOpener> = match camera.source {
                 SourceKind::V4l2 => {
                     let opener = || V4l2Opener::new(*role, camera.clone(), root.clone());
-                    sources.present.push(opener());
+                    sources.v4l2.push(opener());
                     Box::new(opener())
                 }
                 SourceKind::Replay => {
@@ -70,15 +70,15 @@ impl RigSources {
         Ok(sources)
     }
 
-    /// Factory intrinsics of D435 colour cameras for which the rig names no file. What could not
-    /// be read is told in the second value and is no obstacle to collecting.
+    /// Factory intrinsics of D435 colour cameras without an intrinsics file, and notes about
+    /// failures.
     pub fn factory_intrinsics(
         &self,
         rig: &RigFile,
         root: &SystemRoot,
     ) -> (BTreeMap<Role, Intrinsics>, Vec<String>) {
         let (mut found, mut notes) = (BTreeMap::new(), Vec::new());
-        for opener in &self.present {
+        for opener in &self.v4l2 {
             let role = opener.role();
             let Some(camera) = rig.cameras.get(&role) else {
                 continue;
@@ -101,12 +101,12 @@ impl RigSources {
         (found, notes)
     }
 
-    /// Checks that every real camera is plugged in and unambiguous.
+    /// Checks that all V4L2 cameras are connected and unambiguous.
     ///
     /// # Errors
-    /// `Device` for the first one that is not, saying what was found instead.
+    /// `Device` for the first one that is not.
     pub fn check_present(&self) -> Result<()> {
-        for opener in &self.present {
+        for opener in &self.v4l2 {
             opener
                 .find()
                 .map_err(|e| e.at(format!("camera {}", opener.role())))?;
@@ -121,10 +121,10 @@ mod tests {
     use gripcast_base::error::ErrorKind;
 
     #[test]
-    fn a_virtual_rig_is_refused_where_nothing_simulates_it() {
+    fn virtual_cameras_can_be_unsupported() {
         let rig = RigFile::virtual_rig();
-        let made = RigSources::of(&rig, &SystemRoot::default(), &mut NoVirtualCameras);
-        let error = made.err().unwrap();
+        let sources = RigSources::new(&rig, &SystemRoot::default(), &mut NoVirtualCameras);
+        let error = sources.err().unwrap();
         assert_eq!(error.kind(), ErrorKind::Config);
         let text = error.to_string();
         assert!(text.starts_with("camera left: virtual cameras"), "{text}");

@@ -1,5 +1,4 @@
-//! The seam between cameras and the rest: one trait, implemented by V4L2, replay and virtual
-//! cameras alike.
+//! Traits of frame sources: V4L2, replay and virtual cameras.
 
 use std::collections::BTreeMap;
 use std::fmt;
@@ -8,22 +7,21 @@ use std::time::Duration;
 use gripcast_base::error::{Error, Result};
 use gripcast_imaging::{Frame, PixelFormat, Role};
 
-/// Camera controls by their V4L2 name in snake case (`exposure_time_absolute`), as read back
-/// from the device; unit as the driver defines it.
+/// Control values by V4L2 name in snake case (`exposure_time_absolute`), in the driver's units.
 pub type ControlValues = BTreeMap<String, i64>;
 
-/// Which physical camera a stream comes from.
+/// Identity of a physical camera.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct CameraIdentity {
     /// USB product string, for instance `GelSight Mini R0B 2BNN-4ZE7`.
     pub product: String,
-    /// USB serial (`2BNN4ZE7`); empty where the device has none.
+    /// USB serial (`2BNN4ZE7`); may be empty.
     pub serial: String,
-    /// Number of the USB video-control interface; tells the D435's depth (0) from colour (3).
+    /// USB video-control interface number; on a D435, 0 is depth and 3 colour.
     pub interface: u8,
     /// USB port path (`3-2.1`), `virtual` or a directory.
     pub port: String,
-    /// Device node of this moment, for messages only.
+    /// Current device node, for messages.
     pub node: Option<String>,
 }
 
@@ -37,7 +35,7 @@ impl fmt::Display for CameraIdentity {
     }
 }
 
-/// What a stream delivers, as read back from the driver after it was configured.
+/// Configuration of a stream, as read back from the driver.
 #[derive(Clone, Debug, PartialEq)]
 pub struct StreamInfo {
     /// The camera behind the stream.
@@ -48,29 +46,29 @@ pub struct StreamInfo {
     pub width: u32,
     /// Height in pixels.
     pub height: u32,
-    /// Nominal frame rate, 1/s; what is measured is often less.
+    /// Nominal frame rate, 1/s.
     pub nominal_fps: f64,
-    /// Metres per count, for depth streams.
+    /// Depth unit of a depth stream, m.
     pub depth_unit_m: Option<f64>,
 }
 
-/// Why no frame came.
+/// Error of reading a frame.
 #[derive(Debug)]
 pub enum CaptureError {
-    /// Nothing arrived within the timeout; the stream is still open.
+    /// No frame within the timeout; the stream continues.
     Timeout,
-    /// The driver handed over a frame that it knows to be incomplete; the stream goes on.
+    /// A damaged frame; the stream continues.
     Damaged {
         /// Driver's frame counter.
         sequence: u32,
-        /// What is wrong with it.
+        /// Description of the damage.
         reason: String,
     },
-    /// The device is gone (unplugged); the source must be opened anew.
+    /// The device was unplugged; the source must be reopened.
     Gone,
     /// A recorded stream has ended.
     Ended,
-    /// Anything else; the source must be opened anew.
+    /// Other error; the source must be reopened.
     Failed(Error),
 }
 
@@ -88,43 +86,41 @@ impl fmt::Display for CaptureError {
     }
 }
 
-/// An open stream of frames. Dropping it stops the stream and never panics.
+/// An open stream of frames. Dropping it stops the stream.
 pub trait FrameSource: Send {
-    /// What the stream delivers.
+    /// Configuration of the stream.
     fn info(&self) -> &StreamInfo;
 
     /// Waits for the next frame, at most `timeout`.
     ///
     /// # Errors
-    /// See [`CaptureError`]: after `Timeout` and `Damaged` the stream goes on, after all others it
-    /// has to be opened anew.
+    /// See [`CaptureError`].
     fn next_frame(&mut self, timeout: Duration) -> Result<Frame, CaptureError>;
 
-    /// Reads the control values back from the device; empty for sources without controls.
+    /// Reads the control values; empty for sources without controls.
     ///
     /// # Errors
-    /// When the device refuses or is gone.
+    /// When the device fails or is unplugged.
     fn controls(&mut self) -> Result<ControlValues>;
 
-    /// What did not come to hold when the stream was opened, one sentence each: a control that
-    /// the camera lacks or changed, a frame rate it does not keep.
+    /// Requested controls and frame rate that the camera did not accept.
     fn warnings(&self) -> &[String] {
         &[]
     }
 }
 
-/// Opens one camera again and again: at the start, after an unplug, after a freeze.
+/// Opens a camera, repeatedly after errors.
 pub trait CameraOpener: Send {
     /// Role of the camera.
     fn role(&self) -> Role;
 
-    /// What is looked for, for messages: `GelSight Mini, serial 2BNN4ZE7`.
+    /// Description for messages: `GelSight Mini, serial 2BNN4ZE7`.
     fn describe(&self) -> String;
 
-    /// Finds and opens the camera and starts its stream.
+    /// Opens the camera and starts its stream.
     ///
     /// # Errors
-    /// [`gripcast_base::error::ErrorKind::Device`] while it is absent, `Busy`, `Permission` or `Config`
-    /// otherwise.
+    /// [`gripcast_base::error::ErrorKind::Device`] for an absent camera; `Busy`, `Permission` or
+    /// `Config`.
     fn open(&mut self) -> Result<Box<dyn FrameSource>>;
 }

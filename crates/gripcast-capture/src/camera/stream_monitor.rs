@@ -1,4 +1,4 @@
-//! Judges a stream from the times and counters of its frames; no IO, no clock of its own.
+//! Monitors a stream by the times and counters of its frames.
 
 use std::collections::VecDeque;
 
@@ -8,26 +8,26 @@ use utoipa::ToSchema;
 /// Limits of supervision.
 #[derive(Clone, Debug, PartialEq)]
 pub struct SupervisionPolicy {
-    /// The frame rate is measured over this long, ns.
+    /// Window of the measured frame rate, ns.
     pub fps_window_ns: u64,
-    /// No usable frame for this many nominal intervals: the camera is silent.
+    /// Nominal intervals without a usable frame after which the camera is silent.
     pub silent_periods: f64,
-    /// The same, at least this long, ns: a fast camera on a busy machine also waits for the machine.
+    /// Minimum time without a usable frame after which the camera is silent, ns.
     pub silent_after_ns: u64,
-    /// Silent or frozen for this long: the camera is opened anew, ns.
+    /// Time after which a silent or frozen camera is reopened, ns.
     pub reopen_after_ns: u64,
-    /// The same bytes again and again for this long: the image is frozen, ns. `None` for
-    /// sources that may repeat an image.
+    /// Time of repeated frames after which the image is frozen, ns; `None` for sources that may
+    /// repeat frames.
     pub freeze_after_ns: Option<u64>,
-    /// Pause before the second attempt to open, ns; doubles with each failure.
+    /// Initial backoff between attempts to open, ns; doubles with each failure.
     pub first_backoff_ns: u64,
-    /// Longest pause between attempts to open, ns.
-    pub longest_backoff_ns: u64,
-    /// Longest wait for one frame, ns; bounds how late a stop request is noticed.
+    /// Maximum backoff, ns.
+    pub max_backoff_ns: u64,
+    /// Timeout for a frame, ns; bounds the response time to a stop request.
     pub frame_timeout_ns: u64,
-    /// Counters are reported at least this often, ns.
+    /// Maximum interval between reports, ns.
     pub report_every_ns: u64,
-    /// Control values are read back this often, ns; `None` for never after opening.
+    /// Interval of reading the controls, ns; `None`: only after opening.
     pub controls_every_ns: Option<u64>,
 }
 
@@ -40,7 +40,7 @@ impl Default for SupervisionPolicy {
             reopen_after_ns: 3_000_000_000,
             freeze_after_ns: Some(1_000_000_000),
             first_backoff_ns: 250_000_000,
-            longest_backoff_ns: 1_000_000_000,
+            max_backoff_ns: 1_000_000_000,
             frame_timeout_ns: 100_000_000,
             report_every_ns: 200_000_000,
             controls_every_ns: Some(1_000_000_000),
@@ -48,72 +48,72 @@ impl Default for SupervisionPolicy {
     }
 }
 
-/// How a camera does.
+/// Health of a camera.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Health {
-    /// Being opened, or opened and its first frame awaited.
+    /// Opening, or waiting for the first frame.
     Opening,
     /// Frames arrive.
     Live,
-    /// Nothing usable arrives; the device is still there.
+    /// No usable frames from a connected device.
     Silent {
-        /// Time of the last usable frame, or of opening, ns.
+        /// Time of the last usable frame or of opening, ns.
         since_ns: u64,
     },
-    /// Frames arrive, but always the same one.
+    /// The same frame is repeated.
     Frozen {
-        /// Time of the first of the equal frames, ns.
+        /// Time of the first of the repeated frames, ns.
         since_ns: u64,
     },
-    /// Unplugged or refused; tried again.
+    /// Unplugged or failed to open; retried.
     Lost {
-        /// What the last attempt said.
+        /// Error of the last attempt.
         reason: String,
     },
     /// A recorded stream has ended.
     Ended,
 }
 
-/// What has been counted since the program started; survives reopening.
+/// Counters since the start of the program.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
 pub struct CameraCounters {
     /// Usable frames.
     pub received: u64,
-    /// Frames lost before they reached us, by the driver's counter.
+    /// Frames missing in the driver's sequence.
     pub sequence_gaps: u64,
-    /// Frames that were damaged.
+    /// Damaged frames.
     pub damaged: u64,
-    /// Frames that came later than twice the nominal interval.
+    /// Frames later than twice the nominal interval.
     pub late: u64,
-    /// Frames with the same bytes as the one before.
+    /// Frames equal to their predecessor.
     pub duplicates: u64,
-    /// How often the camera was opened again.
+    /// Number of reopens.
     pub reconnects: u64,
 }
 
-/// State of a stream at one moment.
+/// State of a stream.
 #[derive(Clone, Debug, PartialEq)]
 pub struct StreamReport {
-    /// How it does.
+    /// Health.
     pub health: Health,
-    /// What was counted.
+    /// Counters.
     pub counters: CameraCounters,
-    /// Frame rate over the policy's window, 1/s; 0 until two frames are in it.
+    /// Frame rate over the policy's window, 1/s; 0 with fewer than two frames.
     pub measured_fps: f64,
 }
 
-/// The facts of one usable frame that supervision needs.
+/// A usable frame as seen by the monitor.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct FrameFacts {
     /// Driver's frame counter.
     pub sequence: u32,
-    /// When it was received, ns.
+    /// Time of reception, ns.
     pub received_ns: u64,
-    /// Whether its bytes equal those of the frame before.
+    /// Whether it equals its predecessor.
     pub repeats: bool,
 }
 
-/// State machine of one camera's health and counters.
+/// State machine of a camera's health and counters.
 #[derive(Debug)]
 pub struct StreamMonitor {
     policy: SupervisionPolicy,
@@ -145,7 +145,7 @@ impl StreamMonitor {
         }
     }
 
-    /// The camera was opened; the driver's counter starts anew.
+    /// The camera was opened; its sequence restarts.
     pub fn opened(&mut self, now_ns: u64, nominal_fps: f64) {
         if self.was_open {
             self.counters.reconnects += 1;
@@ -164,9 +164,9 @@ impl StreamMonitor {
         self.health = Health::Opening;
     }
 
-    /// A usable frame arrived.
+    /// A usable frame was received.
     pub fn frame(&mut self, facts: FrameFacts) {
-        self.follow_sequence(facts.sequence);
+        self.count_gap(facts.sequence);
         self.counters.received += 1;
         if self.has_frame
             && self.interval_ns > 0
@@ -182,7 +182,7 @@ impl StreamMonitor {
         self.has_frame = true;
         self.usable_ns = facts.received_ns;
         self.arrivals_ns.push_back(facts.received_ns);
-        self.forget_arrivals(facts.received_ns);
+        self.drop_old_arrivals(facts.received_ns);
         self.health = if self.is_frozen(facts.received_ns) {
             Health::Frozen {
                 since_ns: self.changed_ns,
@@ -192,13 +192,13 @@ impl StreamMonitor {
         };
     }
 
-    /// A frame arrived that cannot be used; the camera falls silent if no other comes.
+    /// A damaged frame was received.
     pub fn damaged(&mut self, sequence: u32) {
-        self.follow_sequence(sequence);
+        self.count_gap(sequence);
         self.counters.damaged += 1;
     }
 
-    /// The camera is gone or could not be opened.
+    /// The camera was unplugged or could not be opened.
     pub fn lost(&mut self, reason: String) {
         self.arrivals_ns.clear();
         self.health = Health::Lost { reason };
@@ -209,9 +209,9 @@ impl StreamMonitor {
         self.health = Health::Ended;
     }
 
-    /// Time has passed while the camera is open. Returns why it has to be opened anew, if it has.
+    /// Updates the health of an open camera; the reason if it must be reopened.
     pub fn tick(&mut self, now_ns: u64) -> Option<String> {
-        self.forget_arrivals(now_ns);
+        self.drop_old_arrivals(now_ns);
         let quiet_ns = now_ns.saturating_sub(self.usable_ns);
         let periods_ns = (self.interval_ns as f64 * self.policy.silent_periods) as u64;
         let limit_ns = periods_ns.max(self.policy.silent_after_ns);
@@ -236,7 +236,7 @@ impl StreamMonitor {
 
     /// State at `now_ns`.
     pub fn report(&mut self, now_ns: u64) -> StreamReport {
-        self.forget_arrivals(now_ns);
+        self.drop_old_arrivals(now_ns);
         StreamReport {
             health: self.health.clone(),
             counters: self.counters,
@@ -244,7 +244,7 @@ impl StreamMonitor {
         }
     }
 
-    /// How the camera does.
+    /// Health of the camera.
     pub fn health(&self) -> &Health {
         &self.health
     }
@@ -264,17 +264,17 @@ impl StreamMonitor {
             .is_some_and(|limit_ns| now_ns.saturating_sub(self.changed_ns) > limit_ns)
     }
 
-    fn forget_arrivals(&mut self, now_ns: u64) {
+    fn drop_old_arrivals(&mut self, now_ns: u64) {
         let oldest_ns = now_ns.saturating_sub(self.policy.fps_window_ns);
         while self.arrivals_ns.front().is_some_and(|at| *at < oldest_ns) {
             self.arrivals_ns.pop_front();
         }
     }
 
-    fn follow_sequence(&mut self, sequence: u32) {
+    fn count_gap(&mut self, sequence: u32) {
         if let Some(last) = self.last_sequence {
             let step = sequence.wrapping_sub(last);
-            // A step of half the range or more is a counter that went back: a restart, no gap.
+            // A step of half the range or more is a restart of the counter.
             if step > 1 && step < u32::MAX / 2 {
                 self.counters.sequence_gaps += u64::from(step - 1);
             }
@@ -304,7 +304,7 @@ mod tests {
     }
 
     #[test]
-    fn steady_stream_is_live_and_its_rate_is_measured() {
+    fn steady_stream_is_live() {
         let mut monitor = opened();
         assert_eq!(*monitor.health(), Health::Opening);
         for n in 0..100 {
@@ -322,7 +322,7 @@ mod tests {
     }
 
     #[test]
-    fn gaps_count_missing_frames_across_the_wrap() {
+    fn gaps_are_counted_across_overflow() {
         let mut monitor = opened();
         for (n, sequence) in [u32::MAX - 1, u32::MAX, 0, 1, 4].into_iter().enumerate() {
             monitor.frame(fresh(sequence, 40 * (n as u64 + 1)));
@@ -331,7 +331,7 @@ mod tests {
     }
 
     #[test]
-    fn a_counter_that_goes_back_is_no_gap() {
+    fn restarted_counter_is_not_a_gap() {
         let mut monitor = opened();
         monitor.frame(fresh(500, 40));
         monitor.frame(fresh(0, 80));
@@ -345,7 +345,7 @@ mod tests {
     }
 
     #[test]
-    fn late_frames_are_those_after_twice_the_interval() {
+    fn late_frames_are_counted() {
         let mut monitor = opened();
         for (n, at_ms) in [40, 80, 160, 241, 281].into_iter().enumerate() {
             monitor.frame(fresh(n as u32, at_ms));
@@ -354,7 +354,7 @@ mod tests {
     }
 
     #[test]
-    fn damaged_frames_count_once_and_do_not_keep_the_camera_live() {
+    fn damaged_frames_do_not_keep_the_camera_live() {
         let mut monitor = opened();
         monitor.frame(fresh(0, 40));
         for n in 1..=10 {
@@ -368,7 +368,7 @@ mod tests {
     }
 
     #[test]
-    fn silence_is_noticed_then_reopened_and_ends_with_a_frame() {
+    fn silence_ends_with_a_frame_or_a_reopen() {
         let mut monitor = opened();
         monitor.frame(fresh(0, 40));
         assert_eq!(monitor.tick(360 * MS), None);
@@ -381,7 +381,7 @@ mod tests {
     }
 
     #[test]
-    fn a_camera_that_never_sends_is_reopened() {
+    fn camera_without_frames_is_reopened() {
         let mut monitor = opened();
         assert_eq!(monitor.tick(2900 * MS), None);
         assert_eq!(*monitor.health(), Health::Opening);
@@ -389,7 +389,7 @@ mod tests {
     }
 
     #[test]
-    fn equal_frames_freeze_and_a_different_one_thaws() {
+    fn repeated_frames_are_frozen() {
         let mut monitor = opened();
         monitor.frame(fresh(0, 0));
         for n in 1..=26_u32 {
@@ -405,27 +405,27 @@ mod tests {
     }
 
     #[test]
-    fn a_lasting_freeze_is_reopened_unless_repeats_are_allowed() {
+    fn frozen_camera_is_reopened_unless_repeats_are_allowed() {
         for (freeze_after_ns, reopened) in [(Some(1_000 * MS), true), (None, false)] {
             let mut monitor = StreamMonitor::new(SupervisionPolicy {
                 freeze_after_ns,
                 ..SupervisionPolicy::default()
             });
             monitor.opened(0, 25.0);
-            let mut demand = None;
+            let mut reopen = None;
             for n in 0..100_u32 {
                 monitor.frame(FrameFacts {
                     repeats: n > 0,
                     ..fresh(n, u64::from(n) * 40)
                 });
-                demand = demand.or(monitor.tick(u64::from(n) * 40 * MS));
+                reopen = reopen.or(monitor.tick(u64::from(n) * 40 * MS));
             }
-            assert_eq!(demand.is_some(), reopened);
+            assert_eq!(reopen.is_some(), reopened);
         }
     }
 
     #[test]
-    fn lost_and_ended_say_so() {
+    fn lost_and_ended_are_reported() {
         let mut monitor = opened();
         monitor.frame(fresh(0, 40));
         monitor.lost("unplugged".to_owned());

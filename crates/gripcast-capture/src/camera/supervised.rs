@@ -1,4 +1,4 @@
-//! Keeps one camera running on a thread of its own: opens, reads, judges, reopens.
+//! Supervises a camera: opens it, reads frames, monitors and reopens it.
 
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
@@ -8,36 +8,36 @@ use super::source::{CameraOpener, CaptureError, ControlValues, FrameSource, Stre
 use super::stream_monitor::{FrameFacts, Health, StreamMonitor, StreamReport, SupervisionPolicy};
 use gripcast_imaging::{Frame, FrameBytes, check_structure};
 
-/// What a supervised camera tells.
+/// Event of a supervised camera.
 #[derive(Clone, Debug)]
 pub enum CameraEvent {
-    /// The camera was opened, for the first time or again.
+    /// The camera was opened or reopened.
     Opened {
-        /// What the stream delivers.
+        /// Configuration of the stream.
         info: StreamInfo,
-        /// Control values read back.
+        /// Control values.
         controls: ControlValues,
-        /// Wishes of the rig file that did not hold.
+        /// Requests of the rig file that the camera did not accept.
         warnings: Vec<String>,
     },
     /// A usable frame.
     Frame(Frame),
-    /// A frame that cannot be used.
+    /// A damaged frame.
     Damaged {
         /// Driver's frame counter.
         sequence: u32,
-        /// What is wrong with it.
+        /// Description of the damage.
         reason: String,
     },
-    /// The control values are not what they were.
+    /// The control values changed.
     Controls(ControlValues),
-    /// Health and counters: at every change of health, and regularly.
+    /// Health and counters: on changes of health, and periodically.
     Report(StreamReport),
-    /// A recorded stream has ended; nothing follows.
+    /// The recording has ended; the last event.
     Ended,
 }
 
-/// Why reading from an open camera stopped.
+/// Reason for the end of reading.
 enum Stop {
     Requested,
     Ended,
@@ -46,8 +46,7 @@ enum Stop {
 
 /// Runs a camera until `stop` is set or a recording ends.
 ///
-/// Blocks; give it a thread. Opening is retried for ever with bounded pauses: a camera that was
-/// unplugged comes back as soon as it is plugged in again. `sink` must return quickly.
+/// Blocks; run it on a thread. Opening is retried with bounded backoff. `sink` must return quickly.
 pub fn run_camera(
     opener: &mut dyn CameraOpener,
     policy: &SupervisionPolicy,
@@ -86,7 +85,7 @@ pub fn run_camera(
         monitor.lost(reason);
         sink(CameraEvent::Report(monitor.report(clock.now_ns())));
         pause(clock, clock.now_ns() + backoff_ns, stop);
-        backoff_ns = (backoff_ns * 2).min(policy.longest_backoff_ns);
+        backoff_ns = (backoff_ns * 2).min(policy.max_backoff_ns);
     }
 }
 
@@ -112,7 +111,7 @@ fn read_frames(
 
     let timeout = Duration::from_nanos(policy.frame_timeout_ns);
     let mut previous: Option<FrameBytes> = None;
-    let mut told = monitor.health().clone();
+    let mut reported = monitor.health().clone();
     let mut report_ns = clock.now_ns() + policy.report_every_ns;
     let mut controls_ns = policy.controls_every_ns.map(|every| clock.now_ns() + every);
     loop {
@@ -148,13 +147,13 @@ fn read_frames(
             Err(CaptureError::Failed(error)) => return Stop::Reopen(error.to_string()),
         }
         let now_ns = clock.now_ns();
-        let demand = monitor.tick(now_ns);
-        if told != *monitor.health() || now_ns >= report_ns {
-            told = monitor.health().clone();
+        let reopen = monitor.tick(now_ns);
+        if reported != *monitor.health() || now_ns >= report_ns {
+            reported = monitor.health().clone();
             report_ns = now_ns + policy.report_every_ns;
             sink(CameraEvent::Report(monitor.report(now_ns)));
         }
-        if let Some(reason) = demand {
+        if let Some(reason) = reopen {
             return Stop::Reopen(reason);
         }
         if let (Some(due_ns), Some(every_ns)) = (controls_ns, policy.controls_every_ns)
@@ -162,7 +161,7 @@ fn read_frames(
             && *monitor.health() == Health::Live
         {
             controls_ns = Some(now_ns + every_ns);
-            // A camera that is gone says so at its next frame; a refused read changes nothing.
+            // Errors are ignored: an unplugged camera fails at the next frame.
             if let Ok(values) = source.controls()
                 && values != controls
             {
@@ -191,13 +190,14 @@ mod tests {
 
     use super::*;
     use crate::camera::{CameraIdentity, ManualClock};
-    use gripcast_base::error::{Error, ErrorKind, Result};
+    use crate::device::device_error;
+    use gripcast_base::error::Result;
     use gripcast_imaging::PixelFormat;
     use gripcast_imaging::Role;
 
     const MS: u64 = 1_000_000;
 
-    enum Act {
+    enum Step {
         Frame {
             after_ms: u64,
             sequence: u32,
@@ -208,18 +208,17 @@ mod tests {
         },
         Driver(CaptureError),
         Exposure(i64),
-        Refuse,
+        FailToOpen,
     }
 
-    /// Plays a list of acts; `Refuse` refuses to open.
     struct Scripted {
-        acts: Arc<Mutex<VecDeque<Act>>>,
+        steps: Arc<Mutex<VecDeque<Step>>>,
         clock: Arc<ManualClock>,
         stop: Arc<AtomicBool>,
     }
 
     struct ScriptedSource {
-        acts: Arc<Mutex<VecDeque<Act>>>,
+        steps: Arc<Mutex<VecDeque<Step>>>,
         clock: Arc<ManualClock>,
         stop: Arc<AtomicBool>,
         info: StreamInfo,
@@ -236,13 +235,13 @@ mod tests {
         }
 
         fn open(&mut self) -> Result<Box<dyn FrameSource>> {
-            let mut acts = self.acts.lock().unwrap();
-            if matches!(acts.front(), Some(Act::Refuse)) {
-                acts.pop_front();
-                return Err(Error::new(ErrorKind::Device, "no camera with serial X"));
+            let mut steps = self.steps.lock().unwrap();
+            if matches!(steps.front(), Some(Step::FailToOpen)) {
+                steps.pop_front();
+                return Err(device_error("no camera with serial X"));
             }
             Ok(Box::new(ScriptedSource {
-                acts: self.acts.clone(),
+                steps: self.steps.clone(),
                 clock: self.clock.clone(),
                 stop: self.stop.clone(),
                 info: StreamInfo {
@@ -264,7 +263,7 @@ mod tests {
         }
 
         fn next_frame(&mut self, timeout: Duration) -> Result<Frame, CaptureError> {
-            let act = self.acts.lock().unwrap().pop_front();
+            let act = self.steps.lock().unwrap().pop_front();
             let frame = |sequence, data: Vec<u8>| Frame {
                 format: PixelFormat::Grey,
                 width: 2,
@@ -275,7 +274,7 @@ mod tests {
                 received_ns: self.clock.now_ns(),
             };
             match act {
-                Some(Act::Frame {
+                Some(Step::Frame {
                     after_ms,
                     sequence,
                     shade,
@@ -286,18 +285,18 @@ mod tests {
                         ..frame(sequence, vec![shade, 0])
                     })
                 }
-                Some(Act::Short { sequence }) => Ok(frame(sequence, vec![1])),
-                Some(Act::Driver(CaptureError::Timeout)) => {
+                Some(Step::Short { sequence }) => Ok(frame(sequence, vec![1])),
+                Some(Step::Driver(CaptureError::Timeout)) => {
                     self.clock.advance(timeout.as_nanos() as u64);
                     Err(CaptureError::Timeout)
                 }
-                Some(Act::Driver(error)) => Err(error),
-                Some(Act::Exposure(value)) => {
+                Some(Step::Driver(error)) => Err(error),
+                Some(Step::Exposure(value)) => {
                     self.exposure = value;
                     self.clock.advance(1_000 * MS);
                     Ok(frame(9, vec![value as u8, 1]))
                 }
-                Some(Act::Refuse) => Err(CaptureError::Gone),
+                Some(Step::FailToOpen) => Err(CaptureError::Gone),
                 None => {
                     self.stop.store(true, Ordering::Relaxed);
                     Err(CaptureError::Timeout)
@@ -310,11 +309,11 @@ mod tests {
         }
     }
 
-    fn play(acts: Vec<Act>) -> (Vec<CameraEvent>, u64) {
+    fn play(steps: Vec<Step>) -> (Vec<CameraEvent>, u64) {
         let clock = Arc::new(ManualClock::default());
         let stop = Arc::new(AtomicBool::new(false));
         let mut opener = Scripted {
-            acts: Arc::new(Mutex::new(acts.into())),
+            steps: Arc::new(Mutex::new(steps.into())),
             clock: clock.clone(),
             stop: stop.clone(),
         };
@@ -329,9 +328,9 @@ mod tests {
         (events, clock.now_ns())
     }
 
-    fn steady(first: u32, count: u32) -> Vec<Act> {
+    fn steady(first: u32, count: u32) -> Vec<Step> {
         (first..first + count)
-            .map(|sequence| Act::Frame {
+            .map(|sequence| Step::Frame {
                 after_ms: 40,
                 sequence,
                 shade: sequence as u8,
@@ -350,13 +349,13 @@ mod tests {
     }
 
     #[test]
-    fn unplugged_camera_is_opened_again_and_counters_go_on() {
-        let mut acts = steady(0, 10);
-        acts.push(Act::Driver(CaptureError::Gone));
-        acts.push(Act::Refuse);
-        acts.push(Act::Refuse);
-        acts.extend(steady(0, 10));
-        let (events, end_ns) = play(acts);
+    fn unplugged_camera_is_reopened_and_keeps_its_counters() {
+        let mut steps = steady(0, 10);
+        steps.push(Step::Driver(CaptureError::Gone));
+        steps.push(Step::FailToOpen);
+        steps.push(Step::FailToOpen);
+        steps.extend(steady(0, 10));
+        let (events, end_ns) = play(steps);
         let opened = events
             .iter()
             .filter(|event| matches!(event, CameraEvent::Opened { .. }))
@@ -375,20 +374,20 @@ mod tests {
         let last = reports(&events).pop().unwrap();
         assert_eq!(last.counters.reconnects, 1);
         assert_eq!(last.counters.sequence_gaps, 0);
-        // Pauses of 250, 500 and 1000 ms between the attempts, and 20 frames of 40 ms.
+        // Backoff of 250, 500 and 1000 ms, and 20 frames of 40 ms.
         assert_eq!(end_ns, (1750 + 800) * MS);
     }
 
     #[test]
-    fn damaged_frames_are_told_and_never_passed_on() {
-        let mut acts = steady(0, 3);
-        acts.push(Act::Short { sequence: 3 });
-        acts.push(Act::Driver(CaptureError::Damaged {
+    fn damaged_frames_are_reported_only() {
+        let mut steps = steady(0, 3);
+        steps.push(Step::Short { sequence: 3 });
+        steps.push(Step::Driver(CaptureError::Damaged {
             sequence: 4,
             reason: "error flag".to_owned(),
         }));
-        acts.extend(steady(5, 10));
-        let (events, _) = play(acts);
+        steps.extend(steady(5, 10));
+        let (events, _) = play(steps);
         let damaged: Vec<_> = events
             .iter()
             .filter_map(|event| match event {
@@ -410,11 +409,11 @@ mod tests {
     }
 
     #[test]
-    fn silence_becomes_a_reopen() {
-        let mut acts = steady(0, 5);
-        acts.extend((0..32).map(|_| Act::Driver(CaptureError::Timeout)));
-        acts.extend(steady(0, 5));
-        let (events, _) = play(acts);
+    fn silent_camera_is_reopened() {
+        let mut steps = steady(0, 5);
+        steps.extend((0..32).map(|_| Step::Driver(CaptureError::Timeout)));
+        steps.extend(steady(0, 5));
+        let (events, _) = play(steps);
         let reports = reports(&events);
         assert!(
             reports
@@ -428,15 +427,15 @@ mod tests {
     }
 
     #[test]
-    fn a_frozen_image_is_told_and_reopened() {
-        let acts = (0..120)
-            .map(|sequence| Act::Frame {
+    fn frozen_camera_is_reopened() {
+        let steps = (0..120)
+            .map(|sequence| Step::Frame {
                 after_ms: 40,
                 sequence,
                 shade: 7,
             })
             .collect();
-        let (events, _) = play(acts);
+        let (events, _) = play(steps);
         let reports = reports(&events);
         assert!(
             reports
@@ -449,27 +448,27 @@ mod tests {
     }
 
     #[test]
-    fn changed_controls_are_told_once() {
-        let mut acts = steady(0, 3);
-        acts.push(Act::Exposure(90));
-        acts.extend(steady(10, 40));
-        let (events, _) = play(acts);
-        let told: Vec<_> = events
+    fn changed_controls_are_reported_once() {
+        let mut steps = steady(0, 3);
+        steps.push(Step::Exposure(90));
+        steps.extend(steady(10, 40));
+        let (events, _) = play(steps);
+        let values: Vec<_> = events
             .iter()
             .filter_map(|event| match event {
                 CameraEvent::Controls(values) => Some(values["exposure"]),
                 _ => None,
             })
             .collect();
-        assert_eq!(told, [90]);
+        assert_eq!(values, [90]);
     }
 
     #[test]
-    fn a_recording_that_ends_is_not_reopened() {
-        let mut acts = steady(0, 3);
-        acts.push(Act::Driver(CaptureError::Ended));
-        acts.extend(steady(0, 3));
-        let (events, _) = play(acts);
+    fn ended_recording_is_not_reopened() {
+        let mut steps = steady(0, 3);
+        steps.push(Step::Driver(CaptureError::Ended));
+        steps.extend(steady(0, 3));
+        let (events, _) = play(steps);
         assert!(matches!(events.last(), Some(CameraEvent::Ended)));
         assert_eq!(reports(&events).pop().unwrap().health, Health::Ended);
     }

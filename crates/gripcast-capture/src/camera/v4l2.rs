@@ -1,9 +1,8 @@
-//! Real cameras through V4L2: configuring, streaming, and opening by identity.
+//! V4L2 cameras: configuration, streaming, and opening by identity.
 //!
-//! A frame is copied out of the driver's buffer and the buffer handed back at once, so that a
-//! slow consumer never starves the driver. uvcvideo drops a frame that the camera marked as bad
-//! and leaves a gap in the sequence; a truncated JPEG arrives like any other and is recognised
-//! when it is decoded. Two frames may come in the wrong order (their sequence numbers tell).
+//! A frame is copied and its buffer returned at once: slow consumers do not starve the driver.
+//! uvcvideo drops frames marked as bad by the camera, with a gap in the sequence; truncated JPEGs
+//! are only detected by decoding. Frames may be out of sequence.
 
 use std::io;
 use std::ops::Range;
@@ -15,29 +14,29 @@ use super::CameraIdentity;
 use super::source::{CameraOpener, CaptureError, ControlValues, FrameSource, StreamInfo};
 use super::v4l2_controls as controls;
 use super::v4l2_ioctl::KernelNodes;
-use super::v4l2_node::{Filled, Interval, Layout, VideoNode, VideoNodes};
+use super::v4l2_node::{FilledBuffer, Interval, Layout, VideoNode, VideoNodes};
 use super::v4l2_shared::SharedBytes;
 use crate::calibration::CameraConfig;
-use crate::device::{self, SystemRoot, VideoDevice};
-use gripcast_base::error::{Error, ErrorKind, Result};
+use crate::device::{self, SystemRoot, VideoDevice, device_error};
+use gripcast_base::error::{Error, Result};
 use gripcast_imaging::{Frame, FrameBytes, FramePool, Role};
 
-/// Buffers that are asked for; at 30/s they bridge a pause of 0.2 s on our side.
+/// Number of requested buffers: 0.2 s at 30/s.
 const BUFFERS: u32 = 6;
-/// Fewer than this and the driver has none to fill while we hold one.
-const BUFFERS_NEEDED: u32 = 2;
-/// A driver's time further than this from now comes from a broken clock, ns.
+/// Minimum number of buffers: one is read while the driver fills another.
+const MIN_BUFFERS: u32 = 2;
+/// Maximum difference of a driver's time stamp from now, ns.
 const CLOCK_TOLERANCE_NS: u64 = 5_000_000_000;
-/// Fraction by which the driver's frame rate may differ from the wanted one unremarked.
+/// Maximum relative error of the frame rate without a warning.
 const FPS_TOLERANCE: f64 = 0.01;
 
-/// Why a stream did not start.
+/// Error of starting a stream.
 #[derive(Debug)]
 enum StartError {
-    /// A system call failed; the caller knows the device and explains it.
+    /// A system call failed in a step.
     System(&'static str, io::Error),
-    /// The camera does not do what the rig file asks for.
-    Refused(Error),
+    /// The camera does not support the configuration.
+    Unsupported(Error),
 }
 
 impl StartError {
@@ -46,7 +45,7 @@ impl StartError {
     }
 }
 
-fn step(name: &'static str) -> impl FnOnce(io::Error) -> StartError {
+fn failed_step(name: &'static str) -> impl FnOnce(io::Error) -> StartError {
     move |error| StartError::System(name, error)
 }
 
@@ -68,25 +67,22 @@ impl V4l2Source {
         identity: CameraIdentity,
         config: &CameraConfig,
     ) -> Result<Self, StartError> {
-        let capabilities = node.capabilities().map_err(step("query"))?;
+        let capabilities = node.capabilities().map_err(failed_step("query"))?;
         if !capabilities.video_capture || !capabilities.streaming {
-            return Err(StartError::Refused(
-                Error::new(
-                    ErrorKind::Device,
-                    format!(
-                        "{identity}: driver {} offers no streaming capture",
-                        capabilities.driver
-                    ),
-                )
-                .remedy("bind another device; `gripcast rig list` shows all"),
+            return Err(StartError::Unsupported(
+                device_error(format!(
+                    "{identity}: driver {} does not support streaming capture",
+                    capabilities.driver
+                ))
+                .remedy("bind a different device; `gripcast rig list` lists all"),
             ));
         }
         let layout = node
             .set_format(config.format.fourcc(), config.width, config.height)
-            .map_err(step("set the format of"))?;
+            .map_err(failed_step("set the format of"))?;
         let wanted = (config.format.fourcc(), config.width, config.height);
         if (layout.fourcc, layout.width, layout.height) != wanted {
-            return Err(StartError::Refused(mode_error(
+            return Err(StartError::Unsupported(mode_error(
                 node.as_mut(),
                 &identity,
                 config,
@@ -96,20 +92,25 @@ impl V4l2Source {
         let mut warnings = Vec::new();
         let nominal_fps = set_rate(node.as_mut(), config.fps, &mut warnings)?;
         warnings.extend(
-            controls::apply(node.as_mut(), &config.controls).map_err(step("set controls of"))?,
+            controls::apply(node.as_mut(), &config.controls)
+                .map_err(failed_step("set controls of"))?,
         );
-        let available = controls::available(node.as_mut()).map_err(step("read controls of"))?;
-        let count = node.map_buffers(BUFFERS).map_err(step("get buffers of"))?;
-        if count < BUFFERS_NEEDED {
+        let available =
+            controls::available(node.as_mut()).map_err(failed_step("read controls of"))?;
+        let count = node
+            .map_buffers(BUFFERS)
+            .map_err(failed_step("get buffers of"))?;
+        if count < MIN_BUFFERS {
             return Err(StartError::System(
                 "get buffers of",
                 io::Error::from_raw_os_error(libc::ENOMEM),
             ));
         }
         for index in 0..count {
-            node.enqueue(index).map_err(step("queue a buffer of"))?;
+            node.enqueue(index)
+                .map_err(failed_step("queue a buffer of"))?;
         }
-        node.start().map_err(step("start streaming from"))?;
+        node.start().map_err(failed_step("start streaming from"))?;
         Ok(Self {
             node,
             info: StreamInfo {
@@ -128,8 +129,8 @@ impl V4l2Source {
         })
     }
 
-    /// Takes one buffer from the driver, copies it and hands it back.
-    fn take(&mut self) -> Result<Option<Frame>, CaptureError> {
+    /// Dequeues a buffer, copies its frame and returns it to the driver.
+    fn read_frame(&mut self) -> Result<Option<Frame>, CaptureError> {
         let filled = match self.node.dequeue() {
             Ok(filled) => filled,
             Err(error) => {
@@ -141,7 +142,7 @@ impl V4l2Source {
             }
         };
         let frame = self.copy(&filled);
-        // A frame that is already ours is delivered even if the camera went away meanwhile.
+        // The copied frame is delivered even if the camera was unplugged.
         if let Err(error) = self.node.enqueue(filled.index) {
             if error.raw_os_error() != Some(libc::ENODEV) {
                 return Err(self.failed("return a buffer", error));
@@ -151,24 +152,24 @@ impl V4l2Source {
         frame.map(Some)
     }
 
-    fn copy(&mut self, filled: &Filled) -> Result<Frame, CaptureError> {
+    fn copy(&mut self, filled: &FilledBuffer) -> Result<Frame, CaptureError> {
         let damaged = |reason: String| CaptureError::Damaged {
             sequence: filled.sequence,
             reason,
         };
         if filled.damaged {
-            return Err(damaged("the driver marked it as incomplete".to_owned()));
+            return Err(damaged("marked as incomplete by the driver".to_owned()));
         }
         let used = filled.bytes_used as usize;
         let buffer = self.node.buffer(filled.index);
         let Some(bytes) = buffer.and_then(|buffer| buffer.first(used)) else {
             return Err(damaged(format!(
-                "the driver reports {used} bytes in buffer {}, which is not that long",
+                "the driver reports {used} bytes, more than buffer {} has",
                 filled.index
             )));
         };
         if bytes.is_empty() {
-            return Err(damaged("it is empty".to_owned()));
+            return Err(damaged("empty".to_owned()));
         }
         let data = copy_tight(
             &mut self.pool,
@@ -202,7 +203,7 @@ impl V4l2Source {
     }
 }
 
-/// Copies one frame; raw formats lose the padding at the end of each row.
+/// Copies a frame, without the row padding of raw formats.
 fn copy_tight(
     pool: &mut FramePool,
     bytes: SharedBytes<'_>,
@@ -211,7 +212,7 @@ fn copy_tight(
 ) -> Result<FrameBytes, String> {
     let whole = bytes.len();
     let Some(expected) = info.format.frame_bytes(info.width, info.height) else {
-        return copied(pool, bytes, std::iter::once(0..whole));
+        return copy_ranges(pool, bytes, std::iter::once(0..whole));
     };
     let height = info.height as usize;
     let row = expected.checked_div(height).unwrap_or(0);
@@ -221,32 +222,32 @@ fn copy_tight(
         .saturating_add(row);
     if needed > whole {
         return Err(format!(
-            "{} {}×{} needs {needed} bytes, {whole} came",
+            "{} {}×{} has {needed} bytes, found {whole}",
             info.format, info.width, info.height
         ));
     }
     if stride == row {
-        return copied(pool, bytes, std::iter::once(0..needed));
+        return copy_ranges(pool, bytes, std::iter::once(0..needed));
     }
     let starts = (0..height).map(|line| line * stride);
-    copied(pool, bytes, starts.map(|start| start..start + row))
+    copy_ranges(pool, bytes, starts.map(|start| start..start + row))
 }
 
-/// Copies parts of a buffer, one after the other.
-fn copied(
+/// Concatenates ranges of a buffer.
+fn copy_ranges(
     pool: &mut FramePool,
     bytes: SharedBytes<'_>,
-    mut parts: impl Iterator<Item = Range<usize>>,
+    mut ranges: impl Iterator<Item = Range<usize>>,
 ) -> Result<FrameBytes, String> {
-    let mut complete = false;
-    let copy = pool.fill(|to| complete = parts.all(|part| bytes.append(part, to)));
-    if complete {
+    let mut is_complete = false;
+    let copy = pool.fill(|to| is_complete = ranges.all(|range| bytes.append(range, to)));
+    if is_complete {
         return Ok(copy);
     }
-    Err(format!("a row reaches beyond its {} bytes", bytes.len()))
+    Err(format!("a row exceeds its {} bytes", bytes.len()))
 }
 
-/// Asks for a frame rate; a driver without rates, or with another one, is remarked upon.
+/// Requests a frame rate; adds a warning if the driver does not accept it.
 fn set_rate(
     node: &mut dyn VideoNode,
     fps: f64,
@@ -269,7 +270,7 @@ fn set_rate(
     };
     if (chosen - fps).abs() > fps * FPS_TOLERANCE {
         warnings.push(format!(
-            "{fps} frames/s were asked for, the camera chose {chosen}"
+            "requested {fps} frames/s, the camera delivers {chosen}"
         ));
     }
     Ok(chosen)
@@ -281,12 +282,15 @@ fn mode_error(
     config: &CameraConfig,
     chosen: Layout,
 ) -> Error {
-    let offered: Vec<String> = device::modes(node)
+    let mut modes: Vec<String> = device::modes(node)
         .iter()
         .map(ToString::to_string)
         .collect();
+    if modes.is_empty() {
+        modes.push("it lists none".to_owned());
+    }
     Error::config(format!(
-        "{identity} does not deliver {} {}×{}: it stays at {} {}×{}",
+        "{identity} does not support {} {}×{}: it selects {} {}×{}",
         config.format,
         config.width,
         config.height,
@@ -295,12 +299,8 @@ fn mode_error(
         chosen.height
     ))
     .remedy(format!(
-        "write one of its modes into the rig file: {}",
-        if offered.is_empty() {
-            "it lists none".to_owned()
-        } else {
-            offered.join(", ")
-        }
+        "set one of its modes in the rig file: {}",
+        modes.join(", ")
     ))
 }
 
@@ -318,9 +318,9 @@ impl FrameSource for V4l2Source {
             }
             let left_ns = deadline_ns.saturating_sub(self.node.now_ns());
             match self.node.wait(Duration::from_nanos(left_ns)) {
-                Ok(ready) if ready.readable || ready.failed => match self.take()? {
+                Ok(ready) if ready.readable || ready.failed => match self.read_frame()? {
                     Some(frame) => return Ok(frame),
-                    // An error without a frame: the kernel has taken the node away.
+                    // An error without a frame: unplugged.
                     None if ready.failed => return Err(self.lost()),
                     None => {}
                 },
@@ -337,7 +337,7 @@ impl FrameSource for V4l2Source {
     fn controls(&mut self) -> Result<ControlValues> {
         controls::read(self.node.as_mut(), &self.controls).map_err(|error| {
             self.gone = true;
-            Error::new(ErrorKind::Device, "cannot read the controls back")
+            device_error("cannot read the controls")
                 .because(error)
                 .at(&self.info.identity)
         })
@@ -350,12 +350,12 @@ impl FrameSource for V4l2Source {
 
 impl Drop for V4l2Source {
     fn drop(&mut self) {
-        // After an unplug STREAMOFF fails; the descriptor is closed all the same.
+        // Fails for an unplugged camera; the descriptor is closed anyway.
         self.node.stop().ok();
     }
 }
 
-/// Finds a camera by its identity and opens it, under whatever node it has at that moment.
+/// Opens a camera by its identity.
 pub struct V4l2Opener {
     role: Role,
     config: CameraConfig,
@@ -365,13 +365,13 @@ pub struct V4l2Opener {
 }
 
 impl V4l2Opener {
-    /// Opener of a camera of the rig file on the nodes of this machine.
+    /// Opener of a camera on the kernel's nodes.
     #[must_use]
     pub fn new(role: Role, config: CameraConfig, root: SystemRoot) -> Self {
         Self::with_nodes(role, config, root, Arc::new(KernelNodes))
     }
 
-    /// The same over other nodes than the kernel's.
+    /// Opener of a camera on `nodes`.
     #[must_use]
     pub fn with_nodes(
         role: Role,
@@ -388,15 +388,15 @@ impl V4l2Opener {
         }
     }
 
-    /// Pauses before each further attempt while the device is busy, 0.75 s in all by default:
-    /// a device that resumes from suspension, or a program that is just ending, is waited for.
+    /// Sets the pauses before retries while the device is busy, by default 0.75 s in total: it may
+    /// be resuming, or a program may be releasing it.
     #[must_use]
     pub fn busy_pauses(mut self, pauses: Vec<Duration>) -> Self {
         self.busy_pauses = pauses;
         self
     }
 
-    /// Scans, learns what the candidates offer, and binds.
+    /// Scans the devices, probes the candidates, and binds.
     ///
     /// # Errors
     /// As [`device::bind`].
@@ -417,7 +417,7 @@ impl V4l2Opener {
             let attempt = self
                 .nodes
                 .open(&device.node)
-                .map_err(step("open"))
+                .map_err(failed_step("open"))
                 .and_then(|node| V4l2Source::start(node, device.identity(), &self.config));
             match attempt {
                 Err(error) if error.is_busy() => match pauses.next() {
@@ -457,7 +457,7 @@ impl CameraOpener for V4l2Opener {
         let (bound, devices) = self.find()?;
         let source = self.start(&bound).map_err(|error| {
             let error = match error {
-                StartError::Refused(error) => error,
+                StartError::Unsupported(error) => error,
                 StartError::System(_, cause) if cause.raw_os_error() == Some(libc::ENOSPC) => {
                     device::no_bandwidth_error(&bound, &devices)
                 }

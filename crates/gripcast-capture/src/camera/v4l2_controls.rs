@@ -1,7 +1,7 @@
-//! Camera controls: names to V4L2 control ids, setting them and reading them back.
+//! Camera controls by name.
 //!
-//! Ids are used instead of the kernel's names because the names differ between kernels
-//! (`exposure_auto` became `auto_exposure`, `exposure_absolute` `exposure_time_absolute`).
+//! Control ids are used because the kernel's names change between versions (`exposure_auto` to
+//! `auto_exposure`, `exposure_absolute` to `exposure_time_absolute`).
 
 use std::collections::BTreeMap;
 use std::io;
@@ -12,8 +12,8 @@ use super::v4l2_node::{ControlRange, VideoNode};
 const USER: u32 = 0x0098_0900;
 const CAMERA: u32 = 0x009a_0900;
 
-/// Known controls: name, V4L2 control id. The automatic ones come first because others can only
-/// be set once these are off.
+/// Known controls: name, V4L2 control id. Automatic modes come first: some controls can only be set
+/// when these are off.
 pub(crate) const CONTROLS: [(&str, u32); 14] = [
     ("auto_exposure", CAMERA + 1),
     ("exposure_dynamic_framerate", CAMERA + 3),
@@ -31,7 +31,7 @@ pub(crate) const CONTROLS: [(&str, u32); 14] = [
     ("backlight_compensation", USER + 28),
 ];
 
-/// Names that older kernels and scripts use, with the present one.
+/// Former names of controls, with the current one.
 pub(crate) const FORMER_NAMES: [(&str, &str); 4] = [
     ("exposure_auto", "auto_exposure"),
     ("exposure_absolute", "exposure_time_absolute"),
@@ -39,13 +39,13 @@ pub(crate) const FORMER_NAMES: [(&str, &str); 4] = [
     ("white_balance_temperature_auto", "white_balance_automatic"),
 ];
 
-/// The controls that a camera has, name and id.
+/// Readable controls of a camera: name and id.
 pub(crate) type Available = Vec<(&'static str, u32)>;
 
-/// Finds out which of the known controls the camera lets us read.
+/// Lists the readable controls of a camera.
 ///
 /// # Errors
-/// `ENODEV` when the camera is gone.
+/// `ENODEV` for an unplugged camera.
 pub(crate) fn available(node: &mut dyn VideoNode) -> io::Result<Available> {
     let mut found = Vec::new();
     for (name, id) in CONTROLS {
@@ -58,10 +58,10 @@ pub(crate) fn available(node: &mut dyn VideoNode) -> io::Result<Available> {
     Ok(found)
 }
 
-/// Reads the values back; a control that the camera refuses to read at this moment is left out.
+/// Reads the control values, without those that fail.
 ///
 /// # Errors
-/// `ENODEV` when the camera is gone.
+/// `ENODEV` for an unplugged camera.
 pub(crate) fn read(node: &mut dyn VideoNode, available: &Available) -> io::Result<ControlValues> {
     let mut values = ControlValues::new();
     for &(name, id) in available {
@@ -76,11 +76,11 @@ pub(crate) fn read(node: &mut dyn VideoNode, available: &Available) -> io::Resul
     Ok(values)
 }
 
-/// Sets the wanted values, automatic controls first, and reads each back. Returns
-/// sentences on those that did not come to hold; none of these stops the stream.
+/// Sets controls, automatic modes first, and reads each back. Returns warnings about those that
+/// were not set.
 ///
 /// # Errors
-/// `ENODEV` when the camera is gone.
+/// `ENODEV` for an unplugged camera.
 pub(crate) fn apply(
     node: &mut dyn VideoNode,
     wanted: &BTreeMap<String, i64>,
@@ -88,7 +88,7 @@ pub(crate) fn apply(
     let mut warnings: Vec<String> = wanted
         .keys()
         .filter(|name| CONTROLS.iter().all(|(known, _)| known != name))
-        .map(|name| format!("control `{name}` is not one that gripcast knows; it was not set"))
+        .map(|name| format!("unknown control `{name}` was not set"))
         .collect();
     let mut absent = Vec::new();
     for (name, id) in CONTROLS {
@@ -106,12 +106,12 @@ pub(crate) fn apply(
             Ok(None) => {}
             Ok(Some(problem)) => warnings.push(format!("control `{name}`: {problem}")),
             Err(error) if error.raw_os_error() == Some(libc::ENODEV) => return Err(error),
-            Err(error) => warnings.push(format!("control `{name}` was refused: {error}")),
+            Err(error) => warnings.push(format!("cannot set control `{name}`: {error}")),
         }
     }
     if !absent.is_empty() {
         warnings.push(format!(
-            "the camera does not have these controls: {}",
+            "the camera does not support the controls {}",
             absent.join(", ")
         ));
     }
@@ -129,7 +129,7 @@ fn apply_one(
         .filter(|v| (range.minimum..=range.maximum).contains(v));
     let Some(wanted) = in_range else {
         return Ok(Some(format!(
-            "{value} is outside {}…{}; it was not set",
+            "not set: {value} is outside {}…{}",
             range.minimum, range.maximum
         )));
     };
@@ -137,6 +137,6 @@ fn apply_one(
         return Ok(Some("it is read-only".to_owned()));
     }
     node.set_control(id, wanted)?;
-    let held = node.control(id)?;
-    Ok((held != wanted).then(|| format!("set to {wanted}, the camera holds {held}")))
+    let found = node.control(id)?;
+    Ok((found != wanted).then(|| format!("set to {wanted}, read back {found}")))
 }

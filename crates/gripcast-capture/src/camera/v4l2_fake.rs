@@ -1,4 +1,4 @@
-//! A video node that follows a script instead of a kernel.
+//! A scripted video node.
 
 use std::collections::{BTreeMap, VecDeque};
 use std::io;
@@ -7,31 +7,31 @@ use std::sync::{Arc, Mutex, MutexGuard};
 use std::time::Duration;
 
 use super::v4l2_node::{
-    Capabilities, ControlRange, ExtensionRequest, Filled, FrameSize, Interval, Layout, Readiness,
-    VideoNode, VideoNodes,
+    Capabilities, ControlRange, ExtensionRequest, FilledBuffer, FrameSize, Interval, Layout,
+    Readiness, VideoNode, VideoNodes,
 };
 use super::v4l2_shared::SharedBytes;
 
-/// What happens next on the queue of a fake node.
+/// Next event on the queue of a fake node.
 #[derive(Clone, Debug)]
 pub(crate) enum Event {
-    /// A frame: sequence, payload, damaged flag. Arrives 40 ms after the one before.
+    /// A frame: sequence, payload, damaged flag; 40 ms after its predecessor.
     Frame(u32, Vec<u8>, bool),
-    /// Nothing for this long.
+    /// No events for a time.
     Silence(Duration),
     /// A signal interrupts the wait.
     Signal,
-    /// Ready, but another reader took it: `EAGAIN`.
+    /// Ready without a frame: `EAGAIN`.
     Nothing,
     /// The device is unplugged: every call fails with `ENODEV`.
     Unplug,
-    /// The node hangs up and has no frame: `EAGAIN` with `POLLERR`.
+    /// The node hangs up without a frame: `EAGAIN` with `POLLERR`.
     HangUp,
     /// Dequeueing fails with this errno.
     Fault(i32),
 }
 
-/// A camera as seen through its node.
+/// State of a fake camera.
 #[derive(Debug)]
 pub(crate) struct Camera {
     pub(crate) video_capture: bool,
@@ -39,14 +39,14 @@ pub(crate) struct Camera {
     /// Bytes per row beyond the pixels.
     pub(crate) padding: u32,
     pub(crate) controls: BTreeMap<u32, (i32, i32, i32)>,
-    /// Controls that hold another value than the one set.
+    /// Controls that ignore the value set.
     pub(crate) stubborn: Vec<u32>,
     pub(crate) events: VecDeque<Event>,
-    /// Errno of the next opens, one each.
+    /// Errors of the next opens.
     pub(crate) open_faults: VecDeque<i32>,
-    /// Errno of the next starts, one each.
+    /// Errors of the next starts.
     pub(crate) start_faults: VecDeque<i32>,
-    /// Clock of the driver's stamps, if it is the monotonic one: offset from now, ns.
+    /// Offset of the driver's time stamps, ns; `None`: not monotonic.
     pub(crate) stamp_offset_ns: Option<i64>,
     /// Replies of the extension unit.
     pub(crate) extension: Vec<u8>,
@@ -84,7 +84,7 @@ impl Default for Camera {
 }
 
 impl Camera {
-    /// A node that carries metadata instead of images.
+    /// A metadata node.
     pub(crate) fn metadata() -> Self {
         Self {
             video_capture: false,
@@ -114,7 +114,7 @@ impl Camera {
 pub(crate) struct FakeNodes(Arc<Mutex<BTreeMap<PathBuf, Arc<Mutex<Camera>>>>>);
 
 impl FakeNodes {
-    /// Puts a camera behind a path; the handle lets a test look at it and change it.
+    /// Adds a camera at a path; returns its shared state.
     pub(crate) fn insert(&self, path: impl Into<PathBuf>, camera: Camera) -> Arc<Mutex<Camera>> {
         let shared = Arc::new(Mutex::new(camera));
         self.0.lock().unwrap().insert(path.into(), shared.clone());
@@ -217,7 +217,7 @@ impl VideoNode for FakeNode {
 
     fn set_format(&mut self, fourcc: [u8; 4], width: u32, height: u32) -> io::Result<Layout> {
         let camera = self.present()?;
-        // Like the GelSight Mini: anything is accepted, the first mode stays.
+        // Like the GelSight Mini: accepts any mode, but keeps the first.
         let chosen = camera
             .modes
             .iter()
@@ -309,7 +309,7 @@ impl VideoNode for FakeNode {
         Ok(readiness)
     }
 
-    fn dequeue(&mut self) -> io::Result<Filled> {
+    fn dequeue(&mut self) -> io::Result<FilledBuffer> {
         let mut camera = self.present()?;
         assert!(camera.streaming, "dequeue before start");
         let index = camera
@@ -326,7 +326,7 @@ impl VideoNode for FakeNode {
                     .map(|offset| camera.now_ns.saturating_add_signed(offset));
                 drop(camera);
                 self.buffers[index][..payload.len()].copy_from_slice(&payload);
-                Ok(Filled {
+                Ok(FilledBuffer {
                     index: index as u32,
                     bytes_used: payload.len() as u32,
                     sequence,

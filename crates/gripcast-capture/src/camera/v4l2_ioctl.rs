@@ -1,6 +1,6 @@
 //! [`VideoNode`] on the kernel: ioctl, mmap and poll on `/dev/videoN`.
 //!
-//! The request numbers and structures are those of the `v4l` crate.
+//! Request numbers and structures are those of the `v4l` crate.
 
 #![allow(unsafe_code)]
 
@@ -16,16 +16,17 @@ use v4l::v4l_sys as sys;
 use v4l::v4l2;
 use v4l::v4l2::vidioc;
 
+use super::clock::monotonic_ns;
 use super::v4l2_node::{
-    Capabilities, ControlRange, ExtensionRequest, Filled, FrameSize, Interval, Layout, Readiness,
-    VideoNode, VideoNodes,
+    Capabilities, ControlRange, ExtensionRequest, FilledBuffer, FrameSize, Interval, Layout,
+    Readiness, VideoNode, VideoNodes,
 };
 use super::v4l2_shared::SharedBytes;
 
 const CAPTURE: u32 = sys::v4l2_buf_type_V4L2_BUF_TYPE_VIDEO_CAPTURE;
 const MMAP: u32 = sys::v4l2_memory_V4L2_MEMORY_MMAP;
 
-/// The nodes of this machine.
+/// Device nodes of the kernel.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct KernelNodes;
 
@@ -43,7 +44,7 @@ impl VideoNodes for KernelNodes {
     }
 }
 
-/// One mapped buffer of the driver.
+/// A mapped buffer of the driver.
 struct Mapping {
     start: NonNull<u8>,
     length: usize,
@@ -82,7 +83,7 @@ const UVCIOC_CTRL_QUERY: vidioc::_IOC_TYPE = (3 << 30)
     | ((b'u' as vidioc::_IOC_TYPE) << 8)
     | 0x21;
 
-/// A structure of the V4L2 ABI of which all bytes may be zero.
+/// A structure of the V4L2 ABI that may be zeroed.
 ///
 /// # Safety
 /// Every field, and every member of a union, must have a valid value of zero bytes.
@@ -118,7 +119,7 @@ fn text(bytes: &[u8]) -> String {
 }
 
 impl KernelNode {
-    /// One ioctl, again after a signal.
+    /// An ioctl, repeated after signals.
     ///
     /// # Safety
     /// `argument` must be the structure that the kernel expects with `request`.
@@ -350,7 +351,7 @@ impl VideoNode for KernelNode {
         })
     }
 
-    fn dequeue(&mut self) -> io::Result<Filled> {
+    fn dequeue(&mut self) -> io::Result<FilledBuffer> {
         let mut buffer = Self::describe_buffer(0);
         // SAFETY: VIDIOC_DQBUF carries a v4l2_buffer.
         unsafe { self.call(vidioc::VIDIOC_DQBUF, &mut buffer)? };
@@ -361,7 +362,7 @@ impl VideoNode for KernelNode {
             == sys::V4L2_BUF_FLAG_TIMESTAMP_MONOTONIC;
         let seconds = u64::try_from(buffer.timestamp.tv_sec).ok();
         let microseconds = u64::try_from(buffer.timestamp.tv_usec).ok();
-        Ok(Filled {
+        Ok(FilledBuffer {
             index: buffer.index,
             bytes_used: buffer.bytesused,
             sequence: buffer.sequence,
@@ -430,23 +431,17 @@ impl VideoNode for KernelNode {
     }
 }
 
-/// `CLOCK_MONOTONIC`, ns.
-fn monotonic_ns() -> u64 {
-    let now = rustix::time::clock_gettime(rustix::time::ClockId::Monotonic);
-    now.tv_sec as u64 * 1_000_000_000 + now.tv_nsec as u64
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
 
     #[test]
-    fn request_number_is_that_of_the_kernel_header() {
+    fn request_number_matches_the_kernel_header() {
         assert_eq!(UVCIOC_CTRL_QUERY, 0xc010_7521);
     }
 
     #[test]
-    fn a_plain_file_is_no_video_node_and_does_not_panic() {
+    fn plain_file_is_not_a_video_node() {
         let file = tempfile::NamedTempFile::new().unwrap();
         let mut node = KernelNodes.open(file.path()).unwrap();
         let not_a_device = |e: io::Error| e.raw_os_error() == Some(libc::ENOTTY);
@@ -463,14 +458,14 @@ mod tests {
     }
 
     #[test]
-    fn times_of_a_broken_driver_do_not_overflow() {
+    fn invalid_times_saturate() {
         assert_eq!(time_ns(2, 500_000), 2_500_000_000);
         assert_eq!(time_ns(0, i64::MAX as u64), u64::MAX);
         assert_eq!(time_ns(u64::MAX, 1), u64::MAX);
     }
 
     #[test]
-    fn structures_start_as_zeros() {
+    fn structures_are_zeroed() {
         let buffer: sys::v4l2_buffer = zeroed();
         assert_eq!((buffer.index, buffer.length, buffer.flags), (0, 0, 0));
         let found: sys::v4l2_capability = zeroed();
@@ -478,7 +473,7 @@ mod tests {
     }
 
     #[test]
-    fn strings_of_the_kernel_may_be_cut_anywhere() {
+    fn kernel_strings_are_truncated_safely() {
         assert_eq!(text(b"uvcvideo\0\0\0"), "uvcvideo");
         assert_eq!(text(&[b'a', 0xc3]), "a\u{fffd}");
     }

@@ -1,4 +1,4 @@
-//! The system calls on one video node, as a trait, so that tests can stand in for the kernel.
+//! Trait of the system calls on a video node.
 
 use std::io;
 use std::path::Path;
@@ -6,29 +6,29 @@ use std::time::Duration;
 
 use super::v4l2_shared::SharedBytes;
 
-/// What `VIDIOC_QUERYCAP` says about a node.
+/// Result of `VIDIOC_QUERYCAP`.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Capabilities {
     /// Kernel driver, `uvcvideo` for USB cameras.
     pub driver: String,
-    /// Name of the card, at most 31 characters.
+    /// Card name, at most 31 characters.
     pub card: String,
-    /// The node delivers images (metadata nodes do not).
+    /// Whether the node delivers images.
     pub video_capture: bool,
-    /// The node supports streaming with mapped buffers.
+    /// Whether the node supports streaming with mapped buffers.
     pub streaming: bool,
 }
 
-/// Frame sizes of one pixel format, pixels.
+/// Frame sizes of a pixel format, pixels.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum FrameSize {
-    /// Exactly this width and height.
+    /// Width and height.
     Discrete(u32, u32),
-    /// Everything up to this width and height.
+    /// Maximum width and height of a range.
     UpTo(u32, u32),
 }
 
-/// Time between frames, s, as the driver's fraction.
+/// Frame interval, s, as a fraction.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Interval {
     /// Numerator.
@@ -38,7 +38,7 @@ pub struct Interval {
 }
 
 impl Interval {
-    /// The interval of a frame rate in 1/s, exact to a thousandth.
+    /// The interval of a frame rate (1/s), rounded to 0.001/s.
     #[must_use]
     pub fn from_fps(fps: f64) -> Self {
         let milli = (fps * 1000.0).round().clamp(1.0, 1e9) as u32;
@@ -49,7 +49,7 @@ impl Interval {
         }
     }
 
-    /// Frame rate, 1/s; `None` for an interval of zero.
+    /// Frame rate, 1/s.
     #[must_use]
     pub fn fps(self) -> Option<f64> {
         (self.numerator > 0 && self.denominator > 0)
@@ -64,7 +64,7 @@ fn greatest_common_divisor(mut a: u32, mut b: u32) -> u32 {
     a
 }
 
-/// The format that the driver chose.
+/// Format selected by the driver.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Layout {
     /// Pixel format.
@@ -73,11 +73,11 @@ pub struct Layout {
     pub width: u32,
     /// Height in pixels.
     pub height: u32,
-    /// Bytes from one row to the next; 0 for compressed formats.
+    /// Row stride, bytes; 0 for compressed formats.
     pub bytes_per_line: u32,
 }
 
-/// What waiting for a frame found.
+/// Result of waiting for a frame.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Readiness {
     /// A buffer can be dequeued.
@@ -86,35 +86,35 @@ pub struct Readiness {
     pub failed: bool,
 }
 
-/// A buffer that the driver has filled.
+/// A buffer filled by the driver.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Filled {
+pub struct FilledBuffer {
     /// Index of the buffer.
     pub index: u32,
-    /// Bytes of payload.
+    /// Payload size, bytes.
     pub bytes_used: u32,
     /// Driver's frame counter.
     pub sequence: u32,
-    /// The driver knows that the payload is incomplete.
+    /// Whether the driver marked the payload as incomplete.
     pub damaged: bool,
-    /// Capture time on `CLOCK_MONOTONIC`, ns; `None` where the driver uses another clock.
+    /// Capture time on `CLOCK_MONOTONIC`, ns; `None` for other clocks.
     pub time_ns: Option<u64>,
 }
 
 /// Range of a control.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct ControlRange {
-    /// Smallest value.
+    /// Minimum.
     pub minimum: i32,
-    /// Largest value.
+    /// Maximum.
     pub maximum: i32,
-    /// The value can be read.
+    /// Whether it is readable.
     pub readable: bool,
-    /// The value can be written.
+    /// Whether it is writable.
     pub writable: bool,
 }
 
-/// Direction of a request to a UVC extension unit.
+/// Request to a UVC extension unit.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ExtensionRequest {
     /// Writes the current value.
@@ -123,7 +123,7 @@ pub enum ExtensionRequest {
     Get,
 }
 
-/// The system calls on one open video node. Errors carry the errno of the kernel.
+/// System calls on an open video node. Errors have the kernel's errno.
 ///
 /// Dropping a node unmaps its buffers and closes it.
 #[allow(clippy::missing_errors_doc)]
@@ -142,13 +142,13 @@ pub trait VideoNode: Send {
         height: u32,
         index: u32,
     ) -> io::Result<Interval>;
-    /// `VIDIOC_S_FMT`; the result is what the driver chose, not what was asked for.
+    /// `VIDIOC_S_FMT`; returns the format selected by the driver.
     fn set_format(&mut self, fourcc: [u8; 4], width: u32, height: u32) -> io::Result<Layout>;
-    /// `VIDIOC_S_PARM`; the result is what the driver chose.
+    /// `VIDIOC_S_PARM`; returns the interval selected by the driver.
     fn set_interval(&mut self, interval: Interval) -> io::Result<Interval>;
-    /// `VIDIOC_REQBUFS`, `VIDIOC_QUERYBUF` and the mapping of each; returns how many there are.
+    /// `VIDIOC_REQBUFS`, `VIDIOC_QUERYBUF` and `mmap`; returns the number of buffers.
     fn map_buffers(&mut self, count: u32) -> io::Result<u32>;
-    /// The bytes of a buffer; `None` while the driver owns it.
+    /// Bytes of a buffer; `None` while queued.
     fn buffer(&self, index: u32) -> Option<SharedBytes<'_>>;
     /// `VIDIOC_QBUF`.
     fn enqueue(&mut self, index: u32) -> io::Result<()>;
@@ -156,11 +156,11 @@ pub trait VideoNode: Send {
     fn start(&mut self) -> io::Result<()>;
     /// `VIDIOC_STREAMOFF`.
     fn stop(&mut self) -> io::Result<()>;
-    /// `poll`, at most `timeout`; `EINTR` is the caller's.
+    /// `poll`, at most `timeout`; may return `EINTR`.
     fn wait(&mut self, timeout: Duration) -> io::Result<Readiness>;
     /// `VIDIOC_DQBUF`.
-    fn dequeue(&mut self) -> io::Result<Filled>;
-    /// `VIDIOC_QUERYCTRL`; `EINVAL` for a control that the camera does not have.
+    fn dequeue(&mut self) -> io::Result<FilledBuffer>;
+    /// `VIDIOC_QUERYCTRL`; `EINVAL` for an unsupported control.
     fn control_range(&mut self, id: u32) -> io::Result<ControlRange>;
     /// `VIDIOC_G_CTRL`.
     fn control(&mut self, id: u32) -> io::Result<i32>;

@@ -1,4 +1,4 @@
-//! Memory that others may write while it is read.
+//! Shared memory of driver buffers.
 
 #![allow(unsafe_code)]
 
@@ -6,9 +6,8 @@ use std::marker::PhantomData;
 use std::ops::Range;
 use std::ptr::NonNull;
 
-/// A buffer that a driver has filled. It may change at any time: a program that writes to a
-/// loopback device has the same memory mapped. So the bytes are only copied, never borrowed as a
-/// slice.
+/// Bytes of a driver buffer. They may change at any time (a writer of a loopback device has the
+/// same memory mapped), so they are only copied, never borrowed as a slice.
 #[derive(Clone, Copy, Debug)]
 pub struct SharedBytes<'a> {
     start: NonNull<u8>,
@@ -29,7 +28,7 @@ impl<'a> SharedBytes<'a> {
         }
     }
 
-    /// The first `length` bytes, where there are as many.
+    /// The first `length` bytes.
     #[must_use]
     pub fn first(self, length: usize) -> Option<Self> {
         (length <= self.length).then_some(Self { length, ..self })
@@ -40,21 +39,21 @@ impl<'a> SharedBytes<'a> {
         self.length
     }
 
-    /// Whether there is none.
+    /// Whether there are no bytes.
     pub fn is_empty(self) -> bool {
         self.length == 0
     }
 
-    /// Appends a copy of `range` to `to`; false, and nothing appended, where it reaches beyond the
-    /// end.
+    /// Appends a copy of `range` to `to`. False without a change if the range is invalid.
     #[must_use]
     pub fn append(self, range: Range<usize>, to: &mut Vec<u8>) -> bool {
-        let Some(count) = range.end.checked_sub(range.start) else {
+        let Some(count) = range
+            .end
+            .checked_sub(range.start)
+            .filter(|_| range.end <= self.length)
+        else {
             return false;
         };
-        if range.end > self.length {
-            return false;
-        }
         to.reserve(count);
         let filled = to.len();
         // SAFETY: the range is within the bytes that `new` was promised, the vector has room for
@@ -98,7 +97,7 @@ mod tests {
         for wrong in [3..5, 5..5, 0..usize::MAX, backwards] {
             assert!(!bytes.append(wrong.clone(), &mut to), "{wrong:?}");
         }
-        assert_eq!(to, [9, 2, 3], "nothing is appended in part");
+        assert_eq!(to, [9, 2, 3], "invalid ranges append nothing");
         let first = bytes.first(2).unwrap();
         assert_eq!(first.len(), 2);
         assert!(!first.append(0..3, &mut to));
@@ -106,7 +105,7 @@ mod tests {
     }
 
     #[test]
-    fn a_copy_keeps_what_was_there_when_another_writer_goes_on() {
+    fn copies_are_independent_of_later_writes() {
         let mut file: File = tempfile::tempfile().unwrap();
         file.write_all(b"first").unwrap();
         // SAFETY: a fresh shared mapping of five bytes of the file, unmapped below.

@@ -3,6 +3,7 @@ use std::sync::Mutex;
 use super::super::v4l2_fake::{Camera, Event, FakeNodes};
 use super::*;
 use crate::calibration::SourceKind;
+use gripcast_base::error::ErrorKind;
 use gripcast_imaging::PixelFormat;
 use gripcast_testing::sysfs_tree::{Tree, mini};
 
@@ -28,7 +29,7 @@ struct Bench {
     opener: V4l2Opener,
 }
 
-/// One camera on the bench, opened by serial without pauses.
+/// A bench with one camera.
 fn bench(camera: Camera, config: CameraConfig) -> Bench {
     let mut tree = Tree::new();
     let nodes = FakeNodes::default();
@@ -62,7 +63,7 @@ fn sequence(source: &mut dyn FrameSource) -> u32 {
 }
 
 #[test]
-fn frames_carry_bytes_sequence_and_times_as_the_driver_gave_them() {
+fn frames_have_the_bytes_sequence_and_time_of_the_driver() {
     let (bench, mut source) = stream([frame(7), frame(8), frame(11)]);
     let first = source.next_frame(WAIT).unwrap();
     assert_eq!(&*first.data, YUYV_4X2);
@@ -70,14 +71,10 @@ fn frames_carry_bytes_sequence_and_times_as_the_driver_gave_them() {
     assert_eq!(first.driver_time_ns, 1_040_000_000);
     assert_eq!(first.received_ns, 1_040_000_000);
     assert_eq!(sequence(source.as_mut()), 8);
-    assert_eq!(
-        sequence(source.as_mut()),
-        11,
-        "a gap is passed on, not hidden"
-    );
+    assert_eq!(sequence(source.as_mut()), 11, "gaps are kept");
     assert!(
         bench.camera.lock().unwrap().queued.iter().all(|&q| q),
-        "each buffer goes back at once"
+        "buffers are returned at once"
     );
     assert_eq!(source.info().identity.serial, "2BNN4ZE7");
     assert_eq!(source.info().nominal_fps, 25.0);
@@ -85,7 +82,7 @@ fn frames_carry_bytes_sequence_and_times_as_the_driver_gave_them() {
 }
 
 #[test]
-fn a_stamp_of_another_or_broken_clock_is_replaced() {
+fn invalid_time_stamps_are_replaced() {
     for (offset, expected) in [
         (None, 1_040_000_000),
         (Some(-9_000_000), 1_031_000_000),
@@ -103,7 +100,7 @@ fn a_stamp_of_another_or_broken_clock_is_replaced() {
 }
 
 #[test]
-fn after_a_timeout_the_stream_goes_on() {
+fn stream_continues_after_a_timeout() {
     let (_bench, mut source) = stream([
         Event::Silence(Duration::from_millis(350)),
         frame(3),
@@ -119,7 +116,7 @@ fn after_a_timeout_the_stream_goes_on() {
     assert_eq!(
         sequence(source.as_mut()),
         4,
-        "signals and EAGAIN are waited through"
+        "signals and EAGAIN do not end the wait"
     );
     assert!(matches!(
         source.next_frame(WAIT),
@@ -128,7 +125,7 @@ fn after_a_timeout_the_stream_goes_on() {
 }
 
 #[test]
-fn damaged_empty_and_short_frames_are_told_and_the_stream_goes_on() {
+fn stream_continues_after_damaged_frames() {
     let (_bench, mut source) = stream([
         Event::Frame(1, YUYV_4X2.to_vec(), true),
         Event::Frame(2, Vec::new(), false),
@@ -139,14 +136,14 @@ fn damaged_empty_and_short_frames_are_told_and_the_stream_goes_on() {
         Err(CaptureError::Damaged { sequence, reason }) => (sequence, reason),
         other => panic!("{other:?}"),
     };
-    assert_eq!(damage(), (1, "the driver marked it as incomplete".into()));
-    assert_eq!(damage(), (2, "it is empty".into()));
-    assert_eq!(damage(), (3, "YUYV 4×2 needs 16 bytes, 15 came".into()));
+    assert_eq!(damage(), (1, "marked as incomplete by the driver".into()));
+    assert_eq!(damage(), (2, "empty".into()));
+    assert_eq!(damage(), (3, "YUYV 4×2 has 16 bytes, found 15".into()));
     assert_eq!(sequence(source.as_mut()), 4);
 }
 
 #[test]
-fn padded_rows_are_packed_tightly() {
+fn row_padding_is_removed() {
     let mut padded = Vec::new();
     for row in YUYV_4X2.chunks(8) {
         padded.extend_from_slice(row);
@@ -162,7 +159,7 @@ fn padded_rows_are_packed_tightly() {
 }
 
 #[test]
-fn unplugging_ends_the_stream_and_dropping_it_is_harmless() {
+fn unplugging_ends_the_stream() {
     for end in [Event::Unplug, Event::HangUp, Event::Fault(libc::ENODEV)] {
         let (bench, mut source) = stream([frame(0), end.clone()]);
         assert_eq!(sequence(source.as_mut()), 0, "{end:?}");
@@ -185,7 +182,7 @@ fn unplugging_ends_the_stream_and_dropping_it_is_harmless() {
 }
 
 #[test]
-fn a_camera_is_opened_again_by_serial_under_another_node() {
+fn camera_is_reopened_by_serial_at_a_different_node() {
     let (mut bench, source) = stream([frame(0), Event::Unplug]);
     drop(source);
     std::fs::remove_dir_all(bench.tree.path("sys")).unwrap();
@@ -202,9 +199,9 @@ fn a_camera_is_opened_again_by_serial_under_another_node() {
 }
 
 #[test]
-fn a_busy_device_is_tried_again_within_bounds() {
+fn busy_device_is_retried() {
     let camera = Camera {
-        // The first open is the one that asks for the modes.
+        // The first open probes the modes.
         open_faults: [libc::EBUSY, libc::EBUSY].into(),
         start_faults: [libc::EBUSY, libc::EBUSY].into(),
         ..Camera::yuyv_4x2([frame(0)])
@@ -229,15 +226,15 @@ fn a_busy_device_is_tried_again_within_bounds() {
 }
 
 #[test]
-fn refusals_at_the_start_name_the_cause() {
-    let refuse = |code| {
+fn start_errors_have_their_kind() {
+    let start_error = |code| {
         let camera = Camera {
             start_faults: [code].into(),
             ..Camera::yuyv_4x2([])
         };
         bench(camera, yuyv_4x2()).opener.open().err().unwrap()
     };
-    let full = refuse(libc::ENOSPC);
+    let full = start_error(libc::ENOSPC);
     assert_eq!(full.kind(), ErrorKind::Device);
     assert!(
         full.to_string()
@@ -245,12 +242,12 @@ fn refusals_at_the_start_name_the_cause() {
         "{full}"
     );
     assert!(full.to_string().starts_with("camera left: "), "{full}");
-    assert_eq!(refuse(libc::ENODEV).kind(), ErrorKind::Device);
-    assert_eq!(refuse(libc::EACCES).kind(), ErrorKind::Permission);
+    assert_eq!(start_error(libc::ENODEV).kind(), ErrorKind::Device);
+    assert_eq!(start_error(libc::EACCES).kind(), ErrorKind::Permission);
 }
 
 #[test]
-fn a_mode_that_the_camera_only_pretends_to_take_is_refused_with_its_modes() {
+fn unsupported_mode_is_rejected_with_the_supported_modes() {
     let config = CameraConfig {
         format: PixelFormat::Mjpg,
         width: 640,
@@ -265,17 +262,17 @@ fn a_mode_that_the_camera_only_pretends_to_take_is_refused_with_its_modes() {
     assert_eq!(error.kind(), ErrorKind::Config);
     let text = error.to_string();
     assert!(
-        text.contains("MJPG 640×480: it stays at MJPG 3280×2464"),
+        text.contains("MJPG 640×480: it selects MJPG 3280×2464"),
         "{text}"
     );
     assert!(
-        text.contains("its modes into the rig file: MJPG 3280×2464 @ 25"),
+        text.contains("its modes in the rig file: MJPG 3280×2464 @ 25"),
         "{text}"
     );
 }
 
 #[test]
-fn controls_are_set_automatic_ones_first_and_read_back() {
+fn controls_are_set_with_automatic_modes_first() {
     let id = |name: &str| {
         let known = controls::CONTROLS.iter().find(|(n, _)| *n == name);
         known.unwrap().1
@@ -312,15 +309,15 @@ fn controls_are_set_automatic_ones_first_and_read_back() {
     let warnings = source.warnings().join("\n");
     assert_eq!(source.warnings().len(), 3, "{warnings}");
     assert!(
-        warnings.contains("`gain`: 200 is outside 0…100"),
+        warnings.contains("`gain`: not set: 200 is outside 0…100"),
         "{warnings}"
     );
     assert!(
-        warnings.contains("does not have these controls: hue"),
+        warnings.contains("does not support the controls hue"),
         "{warnings}"
     );
     assert!(
-        warnings.contains("`white_balance_temperature`: set to 4500, the camera holds 4600"),
+        warnings.contains("`white_balance_temperature`: set to 4500, read back 4600"),
         "{warnings}"
     );
     let values = source.controls().unwrap();
@@ -332,7 +329,7 @@ fn controls_are_set_automatic_ones_first_and_read_back() {
 }
 
 #[test]
-fn a_rate_that_the_camera_does_not_take_is_remarked_upon() {
+fn unsupported_rate_is_a_warning() {
     let config = CameraConfig {
         fps: 60.0,
         ..yuyv_4x2()
@@ -342,12 +339,12 @@ fn a_rate_that_the_camera_does_not_take_is_remarked_upon() {
     assert_eq!(source.info().nominal_fps, 25.0);
     assert_eq!(
         source.warnings(),
-        ["60 frames/s were asked for, the camera chose 25"]
+        ["requested 60 frames/s, the camera delivers 25"]
     );
 }
 
 #[test]
-fn the_opener_says_what_it_looks_for() {
+fn opener_describes_its_camera() {
     let bench = bench(Camera::default(), yuyv_4x2());
     assert_eq!(bench.opener.describe(), "GelSight Mini, serial 2BNN4ZE7");
 }

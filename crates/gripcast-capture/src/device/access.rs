@@ -1,17 +1,17 @@
-//! Why a device node cannot be opened, and what to do about it.
+//! Errors of opening a device node, with their remedies.
 
 use std::io;
 
+use super::device_error;
 use super::discovery::VideoDevice;
 use super::owner::NodeOwner;
 use super::sysfs::SystemRoot;
 use gripcast_base::error::{Error, ErrorKind};
 
-/// Where udev rules of one's own belong. Not `70-gripcast.rules`: that would replace the packaged
-/// file of this name.
+/// File for local udev rules; `70-gripcast.rules` would replace the packaged file.
 pub const LOCAL_UDEV_RULES: &str = "/etc/udev/rules.d/70-gripcast-local.rules";
 
-/// The udev rule that opens a camera to the group `video` and to the person at the screen.
+/// The udev rule for access to a camera by the group `video` and the local user.
 #[must_use]
 pub fn udev_rule(vendor_id: u16, product_id: u16) -> String {
     format!(
@@ -20,7 +20,7 @@ pub fn udev_rule(vendor_id: u16, product_id: u16) -> String {
     )
 }
 
-/// Explains that the operating system keeps `device` from us, with the udev rule that fixes it.
+/// The error for denied access to `device`, with the udev rule.
 #[must_use]
 pub fn permission_error(device: &VideoDevice, step: &str) -> Error {
     let group = "add yourself to its group: `sudo usermod -aG video $USER`, then log in again";
@@ -42,28 +42,27 @@ pub fn permission_error(device: &VideoDevice, step: &str) -> Error {
     .remedy(remedy)
 }
 
-/// Explains why `device` could not be opened or configured.
+/// The error for a `device` that could not be opened or configured.
 #[must_use]
 pub fn open_error(root: &SystemRoot, device: &VideoDevice, step: &str, cause: io::Error) -> Error {
     let node = device.node.display();
     match cause.raw_os_error() {
         Some(libc::EACCES | libc::EPERM) => permission_error(device, step),
         Some(libc::EBUSY) => {
-            let holder = NodeOwner::find(root, &device.node)
+            let owner = NodeOwner::find(root, &device.node)
                 .map_or_else(|| "another program".to_owned(), |owner| owner.to_string());
             Error::new(
                 ErrorKind::Busy,
-                format!("cannot {step} {node} ({device}): {holder} is using it"),
+                format!("cannot {step} {node} ({device}): {owner} is using it"),
             )
             .remedy(format!(
                 "end that program; `fuser -v {node}` shows who it is"
             ))
         }
-        Some(libc::ENODEV | libc::ENXIO | libc::ENOENT) => Error::new(
-            ErrorKind::Device,
-            format!("cannot {step} {node} ({device}): the camera is gone"),
-        )
-        .remedy("plug it in again and look at its cable"),
+        Some(libc::ENODEV | libc::ENXIO | libc::ENOENT) => device_error(format!(
+            "cannot {step} {node} ({device}): the camera is disconnected"
+        ))
+        .remedy("plug it in again and check its cable"),
         _ => Error::io(format!("cannot {step} {node} ({device})"), cause),
     }
 }

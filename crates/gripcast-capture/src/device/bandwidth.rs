@@ -1,14 +1,15 @@
-//! USB bandwidth: cameras that share a bus, and what to say when it does not suffice.
+//! USB bandwidth: cameras that share a bus.
 
 use std::collections::BTreeMap;
 
+use super::device_error;
 use super::discovery::VideoDevice;
-use gripcast_base::error::{Error, ErrorKind};
+use gripcast_base::error::Error;
 
-/// Link speed of USB 2, Mbit/s. Faster links reserve on a bus of their own.
+/// Link speed of USB 2, Mbit/s. Faster links are on separate buses.
 const HIGH_SPEED_MBPS: u32 = 480;
 
-/// Buses on which more than one USB-2 camera sits, with one device a physical camera.
+/// Buses with several USB 2 cameras, with one device per physical camera.
 #[must_use]
 pub fn crowded_buses(devices: &[VideoDevice]) -> BTreeMap<u32, Vec<&VideoDevice>> {
     let mut buses: BTreeMap<u32, Vec<&VideoDevice>> = BTreeMap::new();
@@ -27,8 +28,8 @@ pub fn crowded_buses(devices: &[VideoDevice]) -> BTreeMap<u32, Vec<&VideoDevice>
     buses
 }
 
-/// Explains `ENOSPC` at the start of a stream: the kernel reserves the USB bandwidth that a
-/// camera asks for, and the bus of `device` has not enough left.
+/// The error for `ENOSPC` at the start of a stream: the bus of `device` lacks the bandwidth that
+/// the camera requests.
 #[must_use]
 pub fn no_bandwidth_error(device: &VideoDevice, all: &[VideoDevice]) -> Error {
     let mut others: Vec<String> = all
@@ -41,14 +42,13 @@ pub fn no_bandwidth_error(device: &VideoDevice, all: &[VideoDevice]) -> Error {
         .bus
         .map_or_else(|| "its USB bus".to_owned(), |bus| format!("USB bus {bus}"));
     let shared = if others.is_empty() {
-        "no other camera is seen on it; other devices may use it".to_owned()
+        "no other camera is on it; other devices may use it".to_owned()
     } else {
         format!("shared with {}", others.join("; "))
     };
-    Error::new(
-        ErrorKind::Device,
-        format!("{bus} has too little bandwidth left for {device} ({shared})"),
-    )
+    device_error(format!(
+        "{bus} has too little bandwidth left for {device} ({shared})"
+    ))
     .remedy(
         "plug one of the cameras into a port of another USB controller (a port on the other side \
          of the laptop, a dock, a PCIe card); a second hub does not help, and neither does the \

@@ -1,11 +1,12 @@
-//! Binds a role of the rig file to one of the devices that are plugged in.
+//! Binds roles of the rig file to connected devices.
 
+use super::device_error;
 use super::discovery::VideoDevice;
 use crate::calibration::CameraConfig;
-use gripcast_base::error::{Error, ErrorKind, Result};
+use gripcast_base::error::{Error, Result};
 use gripcast_imaging::Role;
 
-/// Whether two spellings of a serial are the same; the GelSight Mini prints `2BNN-4ZE7` and
+/// Compares serials by their letters and digits: the GelSight Mini is labelled `2BNN-4ZE7` and
 /// reports `2BNN4ZE7`.
 fn same_serial(a: &str, b: &str) -> bool {
     let plain = |text: &str| -> String {
@@ -17,8 +18,7 @@ fn same_serial(a: &str, b: &str) -> bool {
     plain(a) == plain(b)
 }
 
-/// Whether product, serial and interface allow `device`; such devices are worth opening to learn
-/// what they offer.
+/// Whether `device` matches product, serial and interface.
 #[must_use]
 pub fn is_candidate(config: &CameraConfig, device: &VideoDevice) -> bool {
     device.product.starts_with(&config.product)
@@ -31,34 +31,34 @@ pub fn is_candidate(config: &CameraConfig, device: &VideoDevice) -> bool {
             .is_none_or(|interface| interface == device.interface)
 }
 
-/// Finds the one device that `config` means. A serial decides wherever it is given; the port
-/// counts only without one, or between two devices with the same one.
+/// Finds the device of `config`. The port is only compared without a serial, or among devices with
+/// the same one.
 ///
 /// # Errors
-/// [`ErrorKind::Device`] when none or several match, saying which were seen and what to change.
+/// [`ErrorKind::Device`] when none or several match, listing the devices found.
 pub fn bind<'a>(
     role: Role,
     config: &CameraConfig,
     devices: &'a [VideoDevice],
 ) -> Result<&'a VideoDevice> {
-    choose(config, devices).map_err(|error| error.at(format_args!("camera {role}")))
+    select(config, devices).map_err(|error| error.at(format_args!("camera {role}")))
 }
 
-fn choose<'a>(config: &CameraConfig, devices: &'a [VideoDevice]) -> Result<&'a VideoDevice> {
+fn select<'a>(config: &CameraConfig, devices: &'a [VideoDevice]) -> Result<&'a VideoDevice> {
     let cameras: Vec<&VideoDevice> = devices.iter().filter(|d| d.is_camera()).collect();
     if cameras.is_empty() {
-        return Err(missing("no camera is plugged in".to_owned())
-            .remedy("plug the cameras in; `gripcast rig list` shows what the kernel sees"));
+        return Err(device_error("no camera is plugged in")
+            .remedy("plug the cameras in; `gripcast rig list` lists what the kernel detects"));
     }
     let of_product = keep(&cameras, |d| d.product.starts_with(&config.product));
     if of_product.is_empty() {
-        return Err(missing(format!(
-            "no camera whose product begins with `{}`; found {}",
+        return Err(device_error(format!(
+            "no camera has a product name starting with `{}`; found {}",
             config.product,
             list(&cameras)
         ))
         .remedy(
-            "plug it in, or correct `product` in the rig file; `gripcast rig list` shows all",
+            "plug it in, or correct `product` in the rig file; `gripcast rig list` lists all",
         ));
     }
     let of_serial = match &config.serial {
@@ -69,12 +69,12 @@ fn choose<'a>(config: &CameraConfig, devices: &'a [VideoDevice]) -> Result<&'a V
         Some(wanted) => {
             let kept = keep(&of_serial, |d| d.interface == wanted);
             if kept.is_empty() {
-                return Err(missing(format!(
+                return Err(device_error(format!(
                     "{} has no camera on interface {wanted}; it has {}",
                     of_serial[0],
                     interfaces(&of_serial)
                 ))
-                .remedy("correct `interface` in the rig file, or leave it out"));
+                .remedy("correct `interface` in the rig file, or remove it"));
             }
             kept
         }
@@ -83,23 +83,17 @@ fn choose<'a>(config: &CameraConfig, devices: &'a [VideoDevice]) -> Result<&'a V
     let of_port = by_port(config, of_interface)?;
     let of_format = keep(&of_port, |d| d.offers(config.format).unwrap_or(true));
     match of_format.as_slice() {
-        [] => Err(Error::new(
-            ErrorKind::Device,
-            format!(
-                "{} offers no {}; it offers {}",
+        [] => {
+            let modes = of_port.iter().flat_map(|d| d.modes.iter().flatten());
+            let modes: Vec<String> = modes.map(ToString::to_string).collect();
+            Err(device_error(format!(
+                "{} does not support {}; it supports {}",
                 of_port[0],
                 config.format,
-                {
-                    let modes: Vec<String> = of_port
-                        .iter()
-                        .flat_map(|d| d.modes.iter().flatten())
-                        .map(ToString::to_string)
-                        .collect();
-                    modes.join(", ")
-                }
-            ),
-        )
-        .remedy("write one of these modes into the rig file")),
+                modes.join(", ")
+            ))
+            .remedy("set one of these modes in the rig file"))
+        }
         [device] => Ok(device),
         several => Err(ambiguous(config, several)),
     }
@@ -123,7 +117,7 @@ fn with_serial<'a>(
         .collect();
     serials.sort_unstable();
     serials.dedup();
-    let error = missing(format!(
+    let error = device_error(format!(
         "found {} with serials {}; the rig expects {serial}",
         if config.product.is_empty() {
             "cameras"
@@ -134,17 +128,14 @@ fn with_serial<'a>(
     ));
     Err(if serials == ["none"] {
         error.remedy(
-            "this camera reports no serial number: take `serial` out of the rig file and give \
-             `port` instead",
+            "this camera reports no serial number: replace `serial` in the rig file by `port`",
         )
     } else {
-        error.remedy(
-            "plug the expected camera in, or write the serial that is there into the rig file",
-        )
+        error.remedy("plug the expected camera in, or correct `serial` in the rig file")
     })
 }
 
-/// Narrows several physical cameras down by the port of the rig file.
+/// Selects by port among several physical cameras.
 fn by_port<'a>(
     config: &CameraConfig,
     candidates: Vec<&'a VideoDevice>,
@@ -154,14 +145,14 @@ fn by_port<'a>(
     };
     let first = &candidates[0].port;
     let several = candidates.iter().any(|d| d.port != *first);
-    // A serial that one camera alone carries decides, wherever it is plugged in.
+    // A unique serial decides.
     if config.serial.is_some() && !several {
         return Ok(candidates);
     }
     let kept = keep(&candidates, |d| d.port == *port);
     if kept.is_empty() {
-        return Err(missing(format!(
-            "nothing that matches is plugged into port {port}; found {}",
+        return Err(device_error(format!(
+            "no matching camera in port {port}; found {}",
             list(&candidates)
         ))
         .remedy("plug it into that port, or correct `port` in the rig file"));
@@ -171,41 +162,31 @@ fn by_port<'a>(
 
 fn ambiguous(config: &CameraConfig, several: &[&VideoDevice]) -> Error {
     let first = several[0];
-    let error = |what: String| Error::new(ErrorKind::Device, what);
+    let cameras = list(several);
+    const BY_PORT: &str = "add `port` to the rig file and keep each camera in its port";
     if several.iter().all(|d| d.port == first.port) {
-        return error(format!(
-            "{first} has several cameras that match: {}",
-            interfaces(several)
+        let interfaces = interfaces(several);
+        return device_error(format!(
+            "{first} has several matching cameras: {interfaces}"
         ))
         .remedy("add `interface` to the rig file");
     }
     if several.iter().all(|d| d.serial.is_empty()) {
-        return error(format!(
-            "several cameras match and none has a serial number: {}",
-            list(several)
-        ))
-        .remedy("add `port` to the rig file and keep each camera in its port");
+        let what = format!("several cameras match, none with a serial number: {cameras}");
+        return device_error(what).remedy(BY_PORT);
     }
     if several
         .iter()
         .all(|d| same_serial(&d.serial, &first.serial))
     {
-        return error(format!(
-            "several cameras have the same serial number: {}",
-            list(several)
-        ))
-        .remedy("add `port` to the rig file and keep each camera in its port");
+        let what = format!("several cameras have the same serial number: {cameras}");
+        return device_error(what).remedy(BY_PORT);
     }
-    error(format!(
-        "several cameras match `{}`: {}",
-        config.product,
-        list(several)
+    device_error(format!(
+        "several cameras match `{}`: {cameras}",
+        config.product
     ))
-    .remedy("add the `serial` of the one that is meant to the rig file")
-}
-
-fn missing(what: String) -> Error {
-    Error::new(ErrorKind::Device, what)
+    .remedy("add the `serial` of the intended one to the rig file")
 }
 
 fn keep<'a>(

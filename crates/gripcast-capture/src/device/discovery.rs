@@ -1,4 +1,4 @@
-//! Finds video devices: the kernel's `video4linux` class joined with the USB device behind it.
+//! Discovers video devices: the kernel's `video4linux` class joined with the USB devices.
 
 use std::cmp::Ordering;
 use std::fmt;
@@ -14,22 +14,22 @@ use crate::camera::{CameraIdentity, FrameSize, VideoNode, VideoNodes};
 use gripcast_base::error::{Error, Result};
 use gripcast_imaging::PixelFormat;
 
-/// One video function of a device.
+/// A video device node.
 #[derive(Clone, Debug, PartialEq)]
 pub struct VideoDevice {
-    /// Device node of this moment (`/dev/video2`).
+    /// Current device node (`/dev/video2`).
     pub node: PathBuf,
-    /// Position among the nodes of the same USB function; the first one carries images.
+    /// Index among the nodes of the same USB function; the first one delivers images.
     pub index: u32,
-    /// Card name of the kernel, at most 31 characters.
+    /// Card name, at most 31 characters.
     pub name: String,
-    /// USB product string; the card name for devices that are not on USB.
+    /// USB product string, or the card name.
     pub product: String,
     /// USB manufacturer string.
     pub manufacturer: String,
-    /// USB serial; empty where the device has none.
+    /// USB serial; may be empty.
     pub serial: String,
-    /// USB vendor id; `None` for devices that are not on USB.
+    /// USB vendor id.
     pub vendor_id: Option<u16>,
     /// USB product id.
     pub product_id: Option<u16>,
@@ -37,33 +37,33 @@ pub struct VideoDevice {
     pub interface: u8,
     /// USB port path (`3-2.1`).
     pub port: String,
-    /// USB bus number; devices with the same number share its bandwidth.
+    /// USB bus number; devices on a bus share its bandwidth.
     pub bus: Option<u32>,
     /// Link speed, Mbit/s.
     pub speed_mbps: Option<u32>,
-    /// What is known about opening it.
+    /// Result of opening it.
     pub access: Access,
-    /// Whether the node carries images; `None` until it was probed successfully.
+    /// Whether the node delivers images; `None` until probed.
     pub captures: Option<bool>,
-    /// Modes on offer; `None` until it was probed successfully.
+    /// Supported modes; `None` until probed.
     pub modes: Option<Vec<Mode>>,
 }
 
 impl VideoDevice {
-    /// Whether the node carries images, by its own word or, unprobed, by its position.
+    /// Whether the node delivers images: as probed, else the first node of its function.
     #[must_use]
     pub fn is_camera(&self) -> bool {
         self.captures.unwrap_or(self.index == 0)
     }
 
-    /// Whether it offers a pixel format; `None` when its modes are not known.
+    /// Whether it supports a pixel format; `None` for unknown modes.
     #[must_use]
     pub fn offers(&self, format: PixelFormat) -> Option<bool> {
         let modes = self.modes.as_ref()?;
         Some(modes.iter().any(|mode| mode.fourcc == format.fourcc()))
     }
 
-    /// The identity that a stream from this device carries.
+    /// Camera identity of its stream.
     #[must_use]
     pub fn identity(&self) -> CameraIdentity {
         CameraIdentity {
@@ -75,7 +75,7 @@ impl VideoDevice {
         }
     }
 
-    /// Order by USB port, numbers by value (`3-2` before `3-10`), then interface and node index.
+    /// Orders by USB port (`3-2` before `3-10`), interface and node index.
     #[must_use]
     pub fn port_order(&self, other: &Self) -> Ordering {
         let numbers = |port: &str| -> Vec<u32> {
@@ -102,33 +102,33 @@ impl fmt::Display for VideoDevice {
     }
 }
 
-/// What is known about opening a device node.
+/// Accessibility of a device node.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Access {
     /// Not tried.
     Unknown,
-    /// It can be opened.
+    /// Can be opened.
     Open,
-    /// The operating system refuses: group or udev rule missing.
+    /// Permission denied: group or udev rule missing.
     Denied,
-    /// The kernel announces the device but there is no node (yet).
+    /// The device has no node (yet).
     Missing,
-    /// Another process holds it.
+    /// Opened by another process.
     Busy(Option<NodeOwner>),
-    /// Anything else, in the system's words.
+    /// Other error of the operating system.
     Failed(String),
 }
 
-/// One mode of a camera.
+/// A camera mode.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Mode {
     /// V4L2 pixel format.
     pub fourcc: [u8; 4],
-    /// Width in pixels; the largest one where the camera scales freely.
+    /// Width in pixels; the maximum for a continuous range.
     pub width: u32,
     /// Height in pixels.
     pub height: u32,
-    /// Frame rates, 1/s, as announced.
+    /// Frame rates, 1/s.
     pub fps: Vec<f64>,
 }
 
@@ -151,9 +151,7 @@ impl fmt::Display for Mode {
     }
 }
 
-/// All video devices that the kernel announces, by node number, without opening any.
-///
-/// A machine without video drivers has none; that is no error.
+/// Lists all video devices by node number, without opening them.
 ///
 /// # Errors
 /// When the device class exists and cannot be read.
@@ -188,7 +186,7 @@ pub fn scan(root: &SystemRoot) -> Result<Vec<VideoDevice>> {
 
 fn describe(root: &SystemRoot, number: u32, class_entry: &Path) -> VideoDevice {
     let name = attribute(class_entry, "name").unwrap_or_default();
-    // `device` leads to the USB interface, its parent is the USB device.
+    // `device` links to the USB interface; its parent is the USB device.
     let interface = fs::canonicalize(class_entry.join("device")).unwrap_or_default();
     let usb = interface.parent().unwrap_or(Path::new(""));
     let vendor_id = hex_attribute(usb, "idVendor");
@@ -218,7 +216,7 @@ fn describe(root: &SystemRoot, number: u32, class_entry: &Path) -> VideoDevice {
     }
 }
 
-/// Fills what sysfs did not tell from the USB listing; a system without USB changes nothing.
+/// Adds attributes missing in sysfs from the USB listing.
 fn join_usb(devices: &mut [VideoDevice]) {
     let Ok(listed) = nusb::list_devices().wait() else {
         return;
@@ -242,8 +240,7 @@ fn join_usb(devices: &mut [VideoDevice]) {
     }
 }
 
-/// Opens the node, asks whether it carries images and which modes it offers, and closes it.
-/// The outcome is in `access`, `captures` and `modes`.
+/// Opens the node and queries `access`, `captures` and `modes`.
 pub fn probe(device: &mut VideoDevice, nodes: &dyn VideoNodes, root: &SystemRoot) {
     let mut node = match nodes.open(&device.node) {
         Ok(node) => node,
@@ -269,7 +266,7 @@ pub fn probe(device: &mut VideoDevice, nodes: &dyn VideoNodes, root: &SystemRoot
     }
 }
 
-/// More entries than any camera has; ends the enumeration of a driver that never says so.
+/// Maximum number of entries, in case of a driver whose enumeration never ends.
 const ENUMERATION_LIMIT: u32 = 256;
 
 /// All modes of an open camera.

@@ -18,3 +18,9 @@ pub(crate) use discovery::modes;
 pub use discovery::{Access, Mode, VideoDevice, probe, scan};
 pub use owner::NodeOwner;
 pub use sysfs::SystemRoot;
+
+use gripcast_base::error::{Error, ErrorKind};
+
+pub(crate) fn device_error(what: impl Into<String>) -> Error {
+    Error::new(ErrorKind::Device, what)
+}

@@ -1,4 +1,4 @@
-//! Which process has a device node open.
+//! Finds the process that has opened a device node.
 
 use std::fmt;
 use std::fs;
@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 
 use super::sysfs::{SystemRoot, attribute, file_name};
 
-/// Another process that has a device node open.
+/// Another process that has opened a device node.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct NodeOwner {
     /// Process id.
@@ -16,8 +16,7 @@ pub struct NodeOwner {
 }
 
 impl NodeOwner {
-    /// Looks through the processes that we may look into; of other users' processes only a
-    /// privileged user learns.
+    /// Searches the accessible processes; those of other users need privileges.
     #[must_use]
     pub fn find(root: &SystemRoot, node: &Path) -> Option<Self> {
         let own = std::process::id();
@@ -29,11 +28,11 @@ impl NodeOwner {
             .collect();
         processes.sort();
         processes.into_iter().find_map(|(pid, directory)| {
-            let holds = fs::read_dir(directory.join("fd"))
+            let is_owner = fs::read_dir(directory.join("fd"))
                 .ok()?
                 .flatten()
                 .any(|fd| fs::read_link(fd.path()).is_ok_and(|target| target == node));
-            holds.then(|| Self {
+            is_owner.then(|| Self {
                 pid,
                 name: attribute(&directory, "comm").unwrap_or_else(|| "unknown".to_owned()),
             })

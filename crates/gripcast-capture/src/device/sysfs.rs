@@ -1,9 +1,9 @@
-//! Where the kernel describes its devices, and how its attributes are read.
+//! Reads device attributes of the kernel.
 
 use std::fs;
 use std::path::{Path, PathBuf};
 
-/// Roots of the kernel's file systems; tests put trees of their own in their place.
+/// Roots of the kernel's file systems; replaced in tests.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct SystemRoot {
     /// `/sys`.
@@ -25,7 +25,7 @@ impl Default for SystemRoot {
 }
 
 impl SystemRoot {
-    /// Whether this is the running system, not an injected tree.
+    /// Whether this is the running system.
     #[must_use]
     pub fn is_live(&self) -> bool {
         self.sys == Path::new("/sys")

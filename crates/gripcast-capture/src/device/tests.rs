@@ -1,4 +1,4 @@
-//! Discovery, binding and explanations over trees like the kernel's.
+//! Discovery, binding and errors over fake sysfs trees.
 
 use std::fs;
 use std::io;
@@ -82,12 +82,12 @@ fn scan_joins_the_node_with_its_usb_device() {
     let cameras: Vec<u32> = (0..10)
         .filter(|&i| devices[i as usize].is_camera())
         .collect();
-    assert_eq!(cameras, [0, 2, 4, 6, 8], "metadata nodes are no cameras");
+    assert_eq!(cameras, [0, 2, 4, 6, 8], "metadata nodes are not cameras");
     assert_eq!(devices[8].interface, 3);
 }
 
 #[test]
-fn a_machine_without_video_has_no_devices() {
+fn machine_without_video_has_no_devices() {
     let tree = Tree::new();
     assert!(scan(&root(&tree)).unwrap().is_empty());
     fs::remove_dir_all(tree.path("sys/class")).unwrap();
@@ -116,13 +116,13 @@ fn nodes_sort_by_number_and_ports_by_value() {
 }
 
 #[test]
-fn a_serial_decides_wherever_the_camera_is_plugged_in() {
+fn serial_overrides_the_port() {
     for (a, b) in [("3-2.1", "3-2.2"), ("3-2.2", "3-2.1")] {
         let mut tree = Tree::new();
         tree.plug(Usb { port: a, ..LEFT }, &[(0, 2)]);
         tree.plug(Usb { port: b, ..RIGHT }, &[(0, 2)]);
         let devices = scan(&root(&tree)).unwrap();
-        // The spelling with a dash, as printed on the sensor, is the same serial.
+        // With a dash, as labelled on the sensor.
         let wanted = CameraConfig {
             serial: Some("2BNN-4ZE7".into()),
             port: Some("3-2.1".into()),
@@ -137,7 +137,7 @@ fn a_serial_decides_wherever_the_camera_is_plugged_in() {
 }
 
 #[test]
-fn each_wrong_binding_says_what_is_there() {
+fn failed_bindings_list_the_devices() {
     let (tree, nodes) = bench();
     let devices = probed(&tree, &nodes);
     let message = |config: CameraConfig| {
@@ -147,7 +147,7 @@ fn each_wrong_binding_says_what_is_there() {
         error.to_string()
     };
     let text = message(config("GelSight Max"));
-    assert!(text.contains("begins with `GelSight Max`"), "{text}");
+    assert!(text.contains("starting with `GelSight Max`"), "{text}");
     assert!(text.contains("serial 28F5K4RR, port 3-2.2"), "{text}");
 
     let text = message(CameraConfig {
@@ -182,13 +182,13 @@ fn each_wrong_binding_says_what_is_there() {
         ..config("GelSight Mini")
     });
     assert!(
-        text.contains("offers no YUYV; it offers MJPG 3280×2464 @ 25"),
+        text.contains("does not support YUYV; it supports MJPG 3280×2464 @ 25"),
         "{text}"
     );
 }
 
 #[test]
-fn the_format_tells_depth_from_infrared_and_colour() {
+fn format_distinguishes_depth_infrared_and_colour() {
     let (tree, nodes) = bench();
     let devices = probed(&tree, &nodes);
     for (format, interface, node) in [
@@ -206,14 +206,14 @@ fn the_format_tells_depth_from_infrared_and_colour() {
         let bound = bind(Role::Depth, &wanted, &devices).unwrap();
         assert_eq!(bound.node, tree.node(node), "{format} {interface:?}");
     }
-    // Without the modes (no permission to ask) the interface has to be given.
+    // Without modes (no permission) the interface is required.
     let unprobed = scan(&root(&tree)).unwrap();
     let error = bind(Role::Rgb, &config("Intel(R)"), &unprobed).unwrap_err();
     assert!(error.to_string().contains("add `interface`"), "{error}");
 }
 
 #[test]
-fn equal_serials_and_none_need_a_port() {
+fn equal_or_missing_serials_require_a_port() {
     for serial in ["0001", ""] {
         let mut tree = Tree::new();
         tree.plug(mini("3-1", "GelSight Mini", serial), &[(0, 2)]);
@@ -251,7 +251,7 @@ fn equal_serials_and_none_need_a_port() {
 }
 
 #[test]
-fn refusals_of_the_system_are_explained() {
+fn system_errors_have_remedies() {
     let (tree, nodes) = bench();
     let devices = probed(&tree, &nodes);
     let explain = |code| {
@@ -287,16 +287,16 @@ fn refusals_of_the_system_are_explained() {
 }
 
 #[test]
-fn probing_tells_denied_busy_missing_and_held() {
+fn probing_reports_access() {
     let (tree, nodes) = bench();
     let mut devices = scan(&root(&tree)).unwrap();
-    let refuse = |code| FakeCamera {
+    let failing = |code| FakeCamera {
         open_faults: [code].into(),
         ..FakeCamera::default()
     };
-    nodes.insert(tree.node(0), refuse(libc::EACCES));
-    nodes.insert(tree.node(2), refuse(libc::EBUSY));
-    nodes.insert(tree.node(4), refuse(libc::ENOENT));
+    nodes.insert(tree.node(0), failing(libc::EACCES));
+    nodes.insert(tree.node(2), failing(libc::EBUSY));
+    nodes.insert(tree.node(4), failing(libc::ENOENT));
     tree.hold(77, "obs", 8);
     for device in &mut devices {
         probe(device, &nodes, &root(&tree));
@@ -314,7 +314,7 @@ fn probing_tells_denied_busy_missing_and_held() {
 }
 
 #[test]
-fn cameras_that_share_a_usb_2_bus_are_named() {
+fn cameras_on_a_shared_usb_2_bus_are_listed() {
     let (tree, nodes) = bench();
     let devices = probed(&tree, &nodes);
     let crowded = crowded_buses(&devices);

@@ -1,8 +1,7 @@
-//! Foot pedals and presenters: USB keyboards that are read through hidraw, so that they work
-//! whichever window has the focus and type into none.
+//! Foot pedals and presenters: USB keyboards read through hidraw, independent of the window focus.
 //!
 //! Reports are those of a boot keyboard (USB HID 1.11, appendix B.1): modifiers, reserved, six
-//! key usages. Worn contacts bounce, so only key-down edges count, and only after a quiet time.
+//! key usages. Key-down edges are debounced.
 
 use std::collections::BTreeMap;
 use std::ffi::{CStr, CString};
@@ -16,14 +15,14 @@ use hidapi::{HidApi, HidDevice};
 use super::TriggerEvent;
 use crate::calibration::PedalConfig;
 use crate::camera::Clock;
-use crate::device::LOCAL_UDEV_RULES;
-use gripcast_base::error::{Error, ErrorKind, Result};
+use crate::device::{LOCAL_UDEV_RULES, device_error};
+use gripcast_base::error::{Error, Result};
 
 const FIRST_BACKOFF_NS: u64 = 500_000_000;
 const MAX_BACKOFF_NS: u64 = 5_000_000_000;
 const READ_TIMEOUT_MS: i32 = 100;
 
-/// Named keys outside letters, digits and function keys: HID usages of page 7.
+/// HID usages (page 7) of named keys other than letters, digits and function keys.
 const NAMED_KEYS: &[(&str, u8)] = &[
     ("enter", 0x28),
     ("escape", 0x29),
@@ -46,7 +45,7 @@ const NAMED_KEYS: &[(&str, u8)] = &[
 ];
 
 /// HID keyboard usage of a key name: `a`–`z`, `0`–`9`, `f1`–`f12`, `enter`, `page_down`, ….
-pub fn key_usage(name: &str) -> Option<u8> {
+fn key_usage(name: &str) -> Option<u8> {
     match name.as_bytes() {
         [letter @ b'a'..=b'z'] => return Some(0x04 + (letter - b'a')),
         [b'0'] => return Some(0x27),
@@ -66,7 +65,7 @@ pub fn key_usage(name: &str) -> Option<u8> {
 }
 
 /// Key name of a HID keyboard usage; the inverse of [`key_usage`].
-pub fn usage_key(usage: u8) -> Option<String> {
+fn usage_key(usage: u8) -> Option<String> {
     match usage {
         0x04..=0x1D => Some(char::from(b'a' + (usage - 0x04)).to_string()),
         0x1E..=0x26 => Some(char::from(b'1' + (usage - 0x1E)).to_string()),
@@ -80,54 +79,42 @@ pub fn usage_key(usage: u8) -> Option<String> {
 }
 
 /// Commands of a pedal by key usage.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub struct KeyMap(BTreeMap<u8, String>);
+type KeyMap = BTreeMap<u8, String>;
 
-impl KeyMap {
-    /// The keys of a rig file's pedal.
-    ///
-    /// # Errors
-    /// [`ErrorKind::Config`] when a key has no such name or the pedal has no keys.
-    pub fn from_config(config: &PedalConfig) -> Result<Self> {
-        let place = pedal_name(config);
-        if config.keys.is_empty() {
-            return Err(Error::config("the pedal has no keys")
-                .at(place)
-                .remedy("add for instance `keys = { b = \"trigger\" }`"));
-        }
-        let mut map = BTreeMap::new();
-        for (name, command) in &config.keys {
-            let usage = key_usage(name).ok_or_else(|| {
-                Error::config(format!("unknown key `{name}`"))
-                    .at(&place)
-                    .remedy(
-                        "use a–z, 0–9, f1–f12, space, enter, escape, tab, period, comma, slash, \
-                         minus, backspace, delete, home, end, page_up, page_down, up, down, left \
-                         or right",
-                    )
-            })?;
-            map.insert(usage, command.clone());
-        }
-        Ok(Self(map))
+/// # Errors
+/// [`ErrorKind::Config`] for an unknown key or a pedal without keys.
+fn key_map(config: &PedalConfig) -> Result<KeyMap> {
+    let pedal = pedal_name(config);
+    if config.keys.is_empty() {
+        return Err(Error::config("the pedal has no keys")
+            .at(pedal)
+            .remedy("add keys, for instance `keys = { b = \"trigger\" }`"));
     }
-
-    /// Command of a key usage.
-    pub fn command(&self, usage: u8) -> Option<&str> {
-        self.0.get(&usage).map(String::as_str)
-    }
+    let usage = |(name, command): (&String, &String)| {
+        let usage = key_usage(name).ok_or_else(|| {
+            Error::config(format!("unknown key `{name}`"))
+                .at(&pedal)
+                .remedy(
+                    "use a–z, 0–9, f1–f12, space, enter, escape, tab, period, comma, slash, \
+                     minus, backspace, delete, home, end, page_up, page_down, up, down, left or \
+                     right",
+                )
+        })?;
+        Ok((usage, command.clone()))
+    };
+    config.keys.iter().map(usage).collect()
 }
 
-/// Finds key-down edges in keyboard reports; contact bounce and held keys give none.
+/// Detects debounced key-down edges in keyboard reports.
 #[derive(Debug)]
-pub struct KeyEdgeDetector {
+struct KeyEdgeDetector {
     debounce_ns: u64,
     down: Vec<u8>,
     last_edge_ns: BTreeMap<u8, u64>,
 }
 
 impl KeyEdgeDetector {
-    /// Edges of one key closer together than `debounce_ns` count as one.
-    pub fn new(debounce_ns: u64) -> Self {
+    fn new(debounce_ns: u64) -> Self {
         Self {
             debounce_ns,
             down: Vec::new(),
@@ -135,9 +122,9 @@ impl KeyEdgeDetector {
         }
     }
 
-    /// Takes one input report (8 bytes, or 9 with a leading report id) and returns the usages of
-    /// keys that went down. Reports of other lengths and roll-over errors are ignored.
-    pub fn report(&mut self, report: &[u8], now_ns: u64) -> Vec<u8> {
+    /// Usages of the keys pressed in an input report (8 bytes, or 9 with a leading report id).
+    /// Reports of other lengths and roll-over errors are ignored.
+    fn report(&mut self, report: &[u8], now_ns: u64) -> Vec<u8> {
         const ROLL_OVER: u8 = 0x01;
         let keys = match report.len() {
             8 => &report[2..8],
@@ -150,26 +137,20 @@ impl KeyEdgeDetector {
         let mut now_down: Vec<u8> = keys.iter().copied().filter(|usage| *usage > 3).collect();
         now_down.sort_unstable();
         now_down.dedup();
-        let released: Vec<u8> = self
-            .down
-            .iter()
-            .copied()
-            .filter(|usage| !now_down.contains(usage))
-            .collect();
-        for usage in released {
-            self.last_edge_ns.insert(usage, now_ns);
+        for usage in self.down.iter().filter(|usage| !now_down.contains(usage)) {
+            self.last_edge_ns.insert(*usage, now_ns);
         }
         let mut pressed = Vec::new();
         for usage in now_down.iter().copied() {
             if self.down.contains(&usage) {
                 continue;
             }
-            // Every edge restarts the quiet time, so that a release that bounces is no press.
-            let quiet = self
+            // Releases restart the debounce time as well.
+            let is_debounced = self
                 .last_edge_ns
                 .insert(usage, now_ns)
                 .is_none_or(|edge_ns| now_ns.saturating_sub(edge_ns) >= self.debounce_ns);
-            if quiet {
+            if is_debounced {
                 pressed.push(usage);
             }
         }
@@ -177,35 +158,35 @@ impl KeyEdgeDetector {
         pressed
     }
 
-    /// The pedal was unplugged: no key is down.
-    pub fn reset(&mut self) {
+    /// Releases all keys of an unplugged pedal.
+    fn reset(&mut self) {
         self.down.clear();
     }
 }
 
-/// What a pedal tells.
+/// Event of a pedal.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum PedalEvent {
     /// The pedal was opened.
     Ready {
-        /// Product name, or the ids where it has none.
+        /// Product name, or the USB ids.
         product: String,
     },
     /// A key was pressed.
     Trigger(TriggerEvent),
-    /// A key that has no command was pressed.
+    /// A key without a command was pressed.
     Unmapped {
-        /// Its name, or its usage in hex.
+        /// Name of the key, or its usage in hex.
         key: String,
     },
-    /// Absent, refused or unplugged; tried again. Told once for every new reason.
+    /// Absent, inaccessible or unplugged; retried. Sent once per reason.
     Lost {
-        /// What failed, with the remedy.
+        /// The error with its remedy.
         reason: String,
     },
 }
 
-/// The udev rule that lets a pedal's reports be read without root.
+/// The udev rule for access to a pedal without root.
 pub fn pedal_udev_rule(vendor: u16, product: u16) -> String {
     format!(
         "KERNEL==\"hidraw*\", ATTRS{{idVendor}}==\"{vendor:04x}\", \
@@ -213,26 +194,25 @@ pub fn pedal_udev_rule(vendor: u16, product: u16) -> String {
     )
 }
 
-/// Reads a pedal until `stop` is set; waits for it while it is absent. Blocks: give it a thread.
+/// Reads a pedal until `stop` is set, reopening it when it is lost. Blocks; run it on a thread.
 ///
 /// # Errors
-/// [`ErrorKind::Config`] when the pedal's keys are wrong; everything else is told through `sink`
-/// and tried again.
+/// [`ErrorKind::Config`] for invalid keys; other errors are sent to `sink` and retried.
 pub fn run_pedal(
     config: &PedalConfig,
     clock: &dyn Clock,
     stop: &AtomicBool,
     sink: &mut dyn FnMut(PedalEvent),
 ) -> Result<()> {
-    let keys = KeyMap::from_config(config)?;
+    let keys = key_map(config)?;
     let mut edges = KeyEdgeDetector::new(config.debounce_ms.saturating_mul(1_000_000));
     let mut backoff_ns = FIRST_BACKOFF_NS;
-    let mut told = String::new();
+    let mut last_reason = String::new();
     while !stop.load(Ordering::Relaxed) {
         let reason = match open_pedal(config) {
             Ok((device, product)) => {
                 backoff_ns = FIRST_BACKOFF_NS;
-                told.clear();
+                last_reason.clear();
                 edges.reset();
                 sink(PedalEvent::Ready { product });
                 match read_reports(&device, &keys, &mut edges, clock, stop, sink) {
@@ -242,8 +222,8 @@ pub fn run_pedal(
             }
             Err(error) => error.to_string(),
         };
-        if reason != told {
-            told.clone_from(&reason);
+        if reason != last_reason {
+            last_reason.clone_from(&reason);
             sink(PedalEvent::Lost { reason });
         }
         let until_ns = clock.now_ns() + backoff_ns;
@@ -270,9 +250,9 @@ fn read_reports(
             .map_err(|error| error.to_string())?;
         let at_ns = clock.now_ns();
         for usage in edges.report(&report[..length], at_ns) {
-            sink(match keys.command(usage) {
+            sink(match keys.get(&usage) {
                 Some(text) => PedalEvent::Trigger(TriggerEvent {
-                    text: text.to_owned(),
+                    text: text.clone(),
                     at_ns,
                 }),
                 None => PedalEvent::Unmapped {
@@ -284,12 +264,12 @@ fn read_reports(
     Ok(())
 }
 
-/// Product name of the pedal, if it is there and can be opened.
+/// Product name of the pedal.
 ///
 /// # Errors
-/// `Config` when its keys are wrong, `Device` when it is absent, `Permission` with the udev rule.
+/// `Config` for invalid keys, `Device` for an absent pedal, `Permission` with the udev rule.
 pub fn find_pedal(config: &PedalConfig) -> Result<String> {
-    KeyMap::from_config(config)?;
+    key_map(config)?;
     open_pedal(config).map(|(_, product)| product)
 }
 
@@ -301,9 +281,7 @@ fn open_pedal(config: &PedalConfig) -> Result<(HidDevice, String)> {
     const GENERIC_DESKTOP: u16 = 1;
     const KEYBOARD: u16 = 6;
     let failed = |what: &str, error: hidapi::HidError| {
-        Error::new(ErrorKind::Device, what)
-            .at(pedal_name(config))
-            .because(error)
+        device_error(what).at(pedal_name(config)).because(error)
     };
     let api = HidApi::new().map_err(|error| failed("cannot list HID devices", error))?;
     let mut found: Vec<(bool, i32, CString, String)> = api
@@ -316,10 +294,10 @@ fn open_pedal(config: &PedalConfig) -> Result<(HidDevice, String)> {
             (!is_keyboard, info.interface_number(), path, product)
         })
         .collect();
-    // A pedal may also offer mouse and set-up interfaces: the keyboard comes first.
+    // Some pedals also have mouse and set-up interfaces: the keyboard sorts first.
     found.sort();
     let Some((_, _, path, product)) = found.into_iter().next() else {
-        return Err(Error::new(ErrorKind::Device, "not plugged in")
+        return Err(device_error("not plugged in")
             .at(pedal_name(config))
             .remedy("plug it in, or correct vendor and product in the rig file (see `lsusb`)"));
     };
@@ -335,7 +313,7 @@ fn open_pedal(config: &PedalConfig) -> Result<(HidDevice, String)> {
     Ok((device, product))
 }
 
-/// The operating system's own answer, which hidapi passes on as text only.
+/// Opens the node for the error of the operating system: hidapi has only its text.
 fn check_access(config: &PedalConfig, path: &CStr) -> Result<()> {
     let path = path.to_string_lossy();
     match OpenOptions::new()
@@ -349,9 +327,9 @@ fn check_access(config: &PedalConfig, path: &CStr) -> Result<()> {
 }
 
 fn access_error(config: &PedalConfig, path: &str, error: io::Error) -> Error {
-    let refused = error.kind() == io::ErrorKind::PermissionDenied;
+    let is_denied = error.kind() == io::ErrorKind::PermissionDenied;
     let error = Error::io(format!("cannot open {path}"), error).at(pedal_name(config));
-    if !refused {
+    if !is_denied {
         return error;
     }
     error.remedy(format!(
@@ -364,6 +342,7 @@ fn access_error(config: &PedalConfig, path: &str, error: io::Error) -> Error {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use gripcast_base::error::ErrorKind;
 
     const MS: u64 = 1_000_000;
     const A: u8 = 0x04;
@@ -401,7 +380,7 @@ mod tests {
     }
 
     #[test]
-    fn a_bouncing_press_and_a_bouncing_release_are_one_press() {
+    fn bounces_are_one_press() {
         let sequence: &[(u64, &[u8])] = &[
             (1000, &[A]),
             (1004, &[]),
@@ -414,7 +393,7 @@ mod tests {
     }
 
     #[test]
-    fn separate_presses_count_and_held_keys_do_not_repeat() {
+    fn held_keys_do_not_repeat() {
         let sequence: &[(u64, &[u8])] = &[
             (0, &[A]),
             (30, &[A]),
@@ -427,13 +406,13 @@ mod tests {
     }
 
     #[test]
-    fn keys_are_debounced_each_on_its_own() {
+    fn keys_are_debounced_independently() {
         let sequence: &[(u64, &[u8])] = &[(0, &[A]), (10, &[A, B]), (20, &[B]), (30, &[])];
         assert_eq!(presses(sequence), [(0, A), (10, B)]);
     }
 
     #[test]
-    fn report_ids_roll_over_and_odd_lengths() {
+    fn invalid_reports_are_ignored() {
         let mut detector = KeyEdgeDetector::new(0);
         assert_eq!(detector.report(&[1, 0, 0, A, 0, 0, 0, 0, 0], 0), [A]);
         assert!(detector.report(&[0, 0, 1, 1, 1, 1, 1, 1], 1).is_empty());
@@ -443,7 +422,7 @@ mod tests {
     }
 
     #[test]
-    fn a_key_that_was_down_at_the_unplug_counts_again() {
+    fn reset_releases_all_keys() {
         let mut detector = KeyEdgeDetector::new(80 * MS);
         assert_eq!(detector.report(&keys(&[A]), 0), [A]);
         detector.reset();
@@ -472,26 +451,25 @@ mod tests {
     }
 
     #[test]
-    fn the_key_map_names_the_wrong_key() {
-        let map =
-            KeyMap::from_config(&config(&[("b", "trigger"), ("page_down", "stable")])).unwrap();
-        assert_eq!(map.command(B), Some("trigger"));
-        assert_eq!(map.command(0x4E), Some("stable"));
-        assert_eq!(map.command(A), None);
-        let error = KeyMap::from_config(&config(&[("pgdn", "stable")])).unwrap_err();
+    fn unknown_keys_are_rejected() {
+        let map = key_map(&config(&[("b", "trigger"), ("page_down", "stable")])).unwrap();
+        assert_eq!(map.get(&B).map(String::as_str), Some("trigger"));
+        assert_eq!(map.get(&0x4E).map(String::as_str), Some("stable"));
+        assert_eq!(map.get(&A), None);
+        let error = key_map(&config(&[("pgdn", "stable")])).unwrap_err();
         assert_eq!(error.kind(), ErrorKind::Config);
         assert!(
             error
                 .to_string()
                 .contains("pedal 0c45:7403: unknown key `pgdn`")
         );
-        assert!(KeyMap::from_config(&config(&[])).is_err());
+        assert!(key_map(&config(&[])).is_err());
     }
 
     #[test]
-    fn a_refusal_prints_the_udev_rule() {
-        let refused = io::Error::from(io::ErrorKind::PermissionDenied);
-        let error = access_error(&config(&[]), "/dev/hidraw3", refused);
+    fn permission_error_has_the_udev_rule() {
+        let denied = io::Error::from(io::ErrorKind::PermissionDenied);
+        let error = access_error(&config(&[]), "/dev/hidraw3", denied);
         assert_eq!(error.kind(), ErrorKind::Permission);
         let text = error.to_string();
         assert!(text.contains("/dev/hidraw3"), "{text}");

@@ -1,19 +1,19 @@
 //! Scripts of timed commands, for tests and unattended runs.
 //!
-//! One step a line; `#` begins a comment. Times are in seconds.
+//! One step per line; `#` starts a comment. Times are in seconds.
 //!
 //! | line | meaning |
 //! | --- | --- |
-//! | `[+SECONDS] COMMAND` | gives a session command, after a pause |
-//! | `wait live [T]` | until every camera is live |
-//! | `wait contact [T]`, `wait no-contact [T]` | until the gels are touched, or not |
-//! | `wait fresh [T]` | until every camera has a frame newer than the last capture |
-//! | `wait saved [T]` | until the last command is on disk; a refusal ends the script |
-//! | `sleep S` | pause |
-//! | `expect saved`, `expect refused` | what the last command must be answered with |
-//! | `stop-on-refusal` | from here on a refused command ends the script |
+//! | `[+SECONDS] COMMAND` | sends a session command, after a delay |
+//! | `wait live [T]` | waits until all cameras are live |
+//! | `wait contact [T]`, `wait no-contact [T]` | waits for contact, or no contact, on the gels |
+//! | `wait fresh [T]` | waits until all cameras have a frame newer than the last capture |
+//! | `wait saved [T]` | waits until the last command is on disk; a rejection ends the script |
+//! | `sleep S` | waits |
+//! | `expect saved`, `expect refused` | required result of the last command |
+//! | `stop-on-refusal` | a rejected command ends the script from here on |
 //!
-//! `T` is the time limit, 30 s unless given.
+//! `T` is the time limit, by default 30 s.
 
 use std::fmt;
 
@@ -24,45 +24,45 @@ const MAX_S: f64 = 86_400.0;
 const FORMS: &str = "[+SECONDS] COMMAND, wait live|contact|no-contact|fresh|saved [SECONDS], sleep \
                      SECONDS, expect saved|refused, stop-on-refusal";
 
-/// What the session answered to a command.
+/// Result of a session command.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Answer {
-    /// It is done; what it writes is on disk.
+    /// Done; its files are on disk.
     Saved,
-    /// It was refused or failed, for these reasons.
+    /// Rejected or failed, with the reason.
     Refused(String),
 }
 
-/// What a script can wait for.
+/// Conditions that a script waits for.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Conditions {
-    /// Every camera of the rig delivers frames.
+    /// All cameras of the rig deliver frames.
     pub all_live: bool,
-    /// Whether the gels are touched; `None` until frames newer than the last capture tell.
+    /// Contact on the gels; `None` until there are frames newer than the last capture.
     pub contact: Option<bool>,
-    /// Every camera has a good frame newer than the last capture.
+    /// All cameras have an undamaged frame newer than the last capture.
     pub fresh: bool,
-    /// A save is under way.
+    /// A save is in progress.
     pub saving: bool,
-    /// The answer to the script's newest command; `None` until it is there.
+    /// Result of the script's last command.
     pub last_answer: Option<Answer>,
 }
 
-/// What to do next.
+/// Next action of a script.
 #[derive(Debug)]
 pub enum ScriptAction {
-    /// Give this command now.
+    /// Send this command.
     Command(String),
-    /// Nothing yet; ask again soon.
+    /// Nothing yet.
     Wait,
     /// The script has ended.
     Done,
-    /// A step did not hold; the script has ended.
+    /// A step failed; the script has ended.
     Failed(Error),
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Awaited {
+enum Condition {
     Live,
     Contact,
     NoContact,
@@ -70,38 +70,12 @@ enum Awaited {
     Saved,
 }
 
-impl Awaited {
-    const ALL: [Self; 5] = [
-        Self::Live,
-        Self::Contact,
-        Self::NoContact,
-        Self::Fresh,
-        Self::Saved,
-    ];
-
-    fn name(self) -> &'static str {
-        match self {
-            Self::Live => "live",
-            Self::Contact => "contact",
-            Self::NoContact => "no-contact",
-            Self::Fresh => "fresh",
-            Self::Saved => "saved",
-        }
-    }
-}
-
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Expected {
-    Saved,
-    Refused,
-}
-
 #[derive(Clone, Debug, PartialEq)]
 enum Step {
     Command { delay_ns: u64, text: String },
-    Wait { awaited: Awaited, limit_ns: u64 },
+    Wait { condition: Condition, limit_ns: u64 },
     Sleep { pause_ns: u64 },
-    Expect(Expected),
+    Expect { is_rejected: bool },
     StopOnRefusal,
 }
 
@@ -115,21 +89,21 @@ struct Line {
 /// A parsed script.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Script {
-    place: String,
+    file: String,
     lines: Vec<Line>,
 }
 
 impl Script {
-    /// Parses the `text` of the file `place`; `check` says why a text is no session command.
+    /// Parses the `text` of `file`; `check` validates session commands.
     ///
     /// # Errors
-    /// [`ErrorKind::Input`] with file, line, text and what is expected.
+    /// [`ErrorKind::Input`] with file, line, text and the expected forms.
     pub fn parse(
         text: &str,
-        place: impl fmt::Display,
+        file: impl fmt::Display,
         check: &dyn Fn(&str) -> Result<(), String>,
     ) -> Result<Self> {
-        let place = place.to_string();
+        let file = file.to_string();
         let mut lines = Vec::new();
         for (index, line) in text.lines().enumerate() {
             let code = line.split('#').next().unwrap_or_default().trim();
@@ -139,8 +113,8 @@ impl Script {
             let number = index + 1;
             let step = parse_step(code, check).map_err(|problem| {
                 Error::input(format!("`{code}`: {problem}"))
-                    .at(format!("{place}:{number}"))
-                    .remedy(format!("a line is one of {FORMS}"))
+                    .at(format!("{file}:{number}"))
+                    .remedy(format!("use one of {FORMS}"))
             })?;
             lines.push(Line {
                 number,
@@ -149,9 +123,9 @@ impl Script {
             });
         }
         if lines.is_empty() {
-            return Err(Error::input("the script has no steps").at(place));
+            return Err(Error::input("the script has no steps").at(file));
         }
-        Ok(Self { place, lines })
+        Ok(Self { file, lines })
     }
 
     /// Number of steps.
@@ -159,7 +133,7 @@ impl Script {
         self.lines.len()
     }
 
-    /// Whether there are no steps; never true of a parsed script.
+    /// Whether there are no steps; false for a parsed script.
     pub fn is_empty(&self) -> bool {
         self.lines.is_empty()
     }
@@ -169,35 +143,43 @@ fn parse_step(code: &str, check: &dyn Fn(&str) -> Result<(), String>) -> Result<
     let words: Vec<&str> = code.split_whitespace().collect();
     match words.as_slice() {
         ["wait", what, limit @ ..] if limit.len() <= 1 => {
-            let awaited = Awaited::ALL
-                .into_iter()
-                .find(|awaited| awaited.name() == *what)
-                .ok_or_else(|| {
-                    format!(
-                        "`{what}` cannot be waited for; expected live, contact, no-contact, fresh or saved"
-                    )
-                })?;
+            let condition = match *what {
+                "live" => Condition::Live,
+                "contact" => Condition::Contact,
+                "no-contact" => Condition::NoContact,
+                "fresh" => Condition::Fresh,
+                "saved" => Condition::Saved,
+                _ => {
+                    return Err(format!(
+                        "unknown condition `{what}`, expected live, contact, no-contact, fresh or \
+                         saved"
+                    ));
+                }
+            };
             let limit_ns = match limit.first() {
                 Some(text) => seconds(text)?,
                 None => seconds_to_ns(DEFAULT_TIMEOUT_S),
             };
-            Ok(Step::Wait { awaited, limit_ns })
+            Ok(Step::Wait {
+                condition,
+                limit_ns,
+            })
         }
         ["sleep", pause] => Ok(Step::Sleep {
             pause_ns: seconds(pause)?,
         }),
-        ["expect", "saved"] => Ok(Step::Expect(Expected::Saved)),
-        ["expect", "refused"] => Ok(Step::Expect(Expected::Refused)),
+        ["expect", "saved"] => Ok(Step::Expect { is_rejected: false }),
+        ["expect", "refused"] => Ok(Step::Expect { is_rejected: true }),
         ["stop-on-refusal"] => Ok(Step::StopOnRefusal),
         ["wait" | "sleep" | "expect" | "stop-on-refusal", ..] => {
-            Err("this step has another form".to_owned())
+            Err("invalid arguments".to_owned())
         }
         _ => {
             let (delay_ns, text) = match code.strip_prefix('+') {
                 Some(rest) => {
                     let (delay, text) = rest
                         .split_once(char::is_whitespace)
-                        .ok_or("a command is expected after the pause")?;
+                        .ok_or("expected a command after the delay")?;
                     (seconds(delay)?, text.trim())
                 }
                 None => (0, code),
@@ -214,7 +196,9 @@ fn parse_step(code: &str, check: &dyn Fn(&str) -> Result<(), String>) -> Result<
 fn seconds(text: &str) -> Result<u64, String> {
     match text.parse::<f64>() {
         Ok(value) if (0.0..=MAX_S).contains(&value) => Ok(seconds_to_ns(value)),
-        _ => Err(format!("`{text}` is no time; expected 0 to 86400 seconds")),
+        _ => Err(format!(
+            "invalid time `{text}`, expected 0 to 86400 seconds"
+        )),
     }
 }
 
@@ -222,7 +206,7 @@ fn seconds_to_ns(seconds: f64) -> u64 {
     (seconds * 1e9).round() as u64
 }
 
-/// Plays a script: asked again and again, it says what to do next.
+/// Runs a script by polling.
 #[derive(Debug)]
 pub struct ScriptRunner {
     script: Script,
@@ -234,7 +218,7 @@ pub struct ScriptRunner {
 }
 
 impl ScriptRunner {
-    /// A runner at the first step of `script`.
+    /// Starts at the first step of `script`.
     pub fn new(script: Script) -> Self {
         Self {
             script,
@@ -246,10 +230,10 @@ impl ScriptRunner {
         }
     }
 
-    /// What to do at `now_ns`. After `Done` or `Failed` the answer is `Done`.
+    /// Action at `now_ns`; `Done` after `Failed`.
     ///
-    /// After a `Command` the caller clears [`Conditions::last_answer`] until the session has
-    /// answered that command.
+    /// After a `Command`, the caller clears [`Conditions::last_answer`] until the session has
+    /// answered.
     pub fn next(&mut self, now_ns: u64, conditions: &Conditions) -> ScriptAction {
         loop {
             if self.failed {
@@ -257,9 +241,9 @@ impl ScriptRunner {
             }
             if self.stop_on_refusal
                 && let Some(Answer::Refused(reason)) = &conditions.last_answer
-                && !self.expects_refusal()
+                && !self.expects_rejection()
             {
-                return self.fail_command(&format!("was refused: {reason}"));
+                return self.fail_command(&format!("the command was rejected: {reason}"));
             }
             let Some(line) = self.script.lines.get(self.next).cloned() else {
                 return ScriptAction::Done;
@@ -281,53 +265,54 @@ impl ScriptRunner {
                     }
                 }
                 Step::StopOnRefusal => self.stop_on_refusal = true,
-                Step::Wait { awaited, limit_ns } => {
-                    if awaited == Awaited::Saved
+                Step::Wait {
+                    condition,
+                    limit_ns,
+                } => {
+                    if condition == Condition::Saved
                         && let Some(Answer::Refused(reason)) = &conditions.last_answer
                     {
-                        return self.fail_command(&format!("was refused: {reason}"));
+                        return self.fail_command(&format!("the command was rejected: {reason}"));
                     }
-                    let holds = match awaited {
-                        Awaited::Live => conditions.all_live,
-                        Awaited::Contact => conditions.contact == Some(true),
-                        Awaited::NoContact => conditions.contact == Some(false),
-                        Awaited::Fresh => conditions.fresh,
-                        Awaited::Saved => {
+                    let is_met = match condition {
+                        Condition::Live => conditions.all_live,
+                        Condition::Contact => conditions.contact == Some(true),
+                        Condition::NoContact => conditions.contact == Some(false),
+                        Condition::Fresh => conditions.fresh,
+                        Condition::Saved => {
                             !conditions.saving && conditions.last_answer == Some(Answer::Saved)
                         }
                     };
-                    if !holds {
+                    if !is_met {
                         if elapsed_ns < limit_ns {
                             return ScriptAction::Wait;
                         }
                         let limit_s = limit_ns as f64 * 1e-9;
-                        return self.fail(&line, &format!("did not happen within {limit_s} s"));
+                        return self.fail(&line, &format!("no result within {limit_s} s"));
                     }
                 }
-                Step::Expect(expected) => match (&conditions.last_answer, expected) {
-                    (None, _) if elapsed_ns < seconds_to_ns(DEFAULT_TIMEOUT_S) => {
+                Step::Expect { is_rejected } => match &conditions.last_answer {
+                    None if elapsed_ns < seconds_to_ns(DEFAULT_TIMEOUT_S) => {
                         return ScriptAction::Wait;
                     }
-                    (None, _) => {
-                        return self
-                            .fail(&line, &format!("no answer within {DEFAULT_TIMEOUT_S} s"));
+                    None => {
+                        let problem = format!("no result within {DEFAULT_TIMEOUT_S} s");
+                        return self.fail(&line, &problem);
                     }
-                    (Some(Answer::Saved), Expected::Saved)
-                    | (Some(Answer::Refused(_)), Expected::Refused) => {}
-                    (Some(Answer::Saved), Expected::Refused) => {
-                        return self.fail(&line, "the command was not refused");
+                    Some(Answer::Saved) if is_rejected => {
+                        return self.fail(&line, "the command was not rejected");
                     }
-                    (Some(Answer::Refused(reason)), Expected::Saved) => {
-                        let reason = reason.clone();
-                        return self.fail(&line, &format!("the command was refused: {reason}"));
+                    Some(Answer::Refused(reason)) if !is_rejected => {
+                        return self.fail(&line, &format!("the command was rejected: {reason}"));
                     }
+                    Some(_) => {}
                 },
             }
             self.advance();
         }
     }
 
-    /// Steps that are done, and all steps.
+    /// Number of completed and of all steps.
     pub fn progress(&self) -> (usize, usize) {
         (self.next, self.script.len())
     }
@@ -337,14 +322,12 @@ impl ScriptRunner {
         self.step_began_ns = None;
     }
 
-    fn expects_refusal(&self) -> bool {
-        let awaited = |step: usize| {
-            self.script
-                .lines
-                .get(step)
-                .is_some_and(|line| line.step == Step::Expect(Expected::Refused))
+    fn expects_rejection(&self) -> bool {
+        let expects_rejection = |step: usize| {
+            let line = self.script.lines.get(step);
+            line.is_some_and(|line| line.step == Step::Expect { is_rejected: true })
         };
-        awaited(self.next) || self.command.is_some_and(|step| awaited(step + 1))
+        expects_rejection(self.next) || self.command.is_some_and(|step| expects_rejection(step + 1))
     }
 
     fn fail_command(&mut self, problem: &str) -> ScriptAction {
@@ -359,7 +342,7 @@ impl ScriptRunner {
         self.failed = true;
         ScriptAction::Failed(
             Error::input(format!("`{}`: {problem}", line.text))
-                .at(format!("{}:{}", self.script.place, line.number)),
+                .at(format!("{}:{}", self.script.file, line.number)),
         )
     }
 }
@@ -374,7 +357,7 @@ mod tests {
         if ["trigger", "stable", "undo", "object mug"].contains(&text) {
             Ok(())
         } else {
-            Err(format!("`{text}` is no command"))
+            Err(format!("unknown command `{text}`"))
         }
     }
 
@@ -414,7 +397,7 @@ mod tests {
     }
 
     #[test]
-    fn commands_come_in_order_after_their_pauses() {
+    fn commands_are_sent_after_their_delays() {
         let mut runner = runner("# three\nobject mug\n\n+0.5 trigger # now\nsleep 1\n stable\n");
         assert_eq!(command(runner.next(0, &live())), "object mug");
         assert!(matches!(runner.next(0, &live()), ScriptAction::Wait));
@@ -430,7 +413,7 @@ mod tests {
     }
 
     #[test]
-    fn waits_end_when_their_condition_holds() {
+    fn waits_end_when_their_condition_is_met() {
         let mut runner = runner("wait live\nwait contact\nwait no-contact\ntrigger\nwait saved");
         let mut now = Conditions::default();
         assert!(matches!(runner.next(0, &now), ScriptAction::Wait));
@@ -461,18 +444,18 @@ mod tests {
         ));
         assert_eq!(
             failure(runner.next(7 * S, &live())),
-            "demo.txt:2: `wait contact 2`: did not happen within 2 s"
+            "demo.txt:2: `wait contact 2`: no result within 2 s"
         );
         assert!(matches!(runner.next(8 * S, &live()), ScriptAction::Done));
     }
 
     #[test]
-    fn expectations_are_held_against_the_answer() {
-        let refused = || answered(Answer::Refused("no contact".to_owned()));
+    fn expectations_are_checked() {
+        let rejected = || answered(Answer::Refused("no contact".to_owned()));
         let mut good = runner("trigger\nexpect refused\ntrigger\nexpect saved");
         assert_eq!(command(good.next(0, &live())), "trigger");
         assert!(matches!(good.next(1, &live()), ScriptAction::Wait));
-        assert_eq!(command(good.next(2, &refused())), "trigger");
+        assert_eq!(command(good.next(2, &rejected())), "trigger");
         assert!(matches!(
             good.next(3, &answered(Answer::Saved)),
             ScriptAction::Done
@@ -480,62 +463,62 @@ mod tests {
 
         let mut bad = runner("trigger\nexpect saved");
         assert_eq!(command(bad.next(0, &live())), "trigger");
-        let text = failure(bad.next(1, &refused()));
+        let text = failure(bad.next(1, &rejected()));
         assert!(
             text.contains("demo.txt:2") && text.contains("no contact"),
             "{text}"
         );
 
-        let mut unrefused = runner("trigger\nexpect refused");
-        assert_eq!(command(unrefused.next(0, &live())), "trigger");
-        let text = failure(unrefused.next(1, &answered(Answer::Saved)));
-        assert!(text.contains("not refused"), "{text}");
+        let mut accepted = runner("trigger\nexpect refused");
+        assert_eq!(command(accepted.next(0, &live())), "trigger");
+        let text = failure(accepted.next(1, &answered(Answer::Saved)));
+        assert!(text.contains("not rejected"), "{text}");
 
-        let mut mute = runner("trigger\nexpect saved");
-        assert_eq!(command(mute.next(0, &live())), "trigger");
-        assert!(matches!(mute.next(S, &live()), ScriptAction::Wait));
-        assert!(failure(mute.next(31 * S, &live())).contains("no answer"));
+        let mut silent = runner("trigger\nexpect saved");
+        assert_eq!(command(silent.next(0, &live())), "trigger");
+        assert!(matches!(silent.next(S, &live()), ScriptAction::Wait));
+        assert!(failure(silent.next(31 * S, &live())).contains("no result"));
     }
 
     #[test]
-    fn a_refusal_ends_a_wait_for_the_save_and_a_strict_script() {
-        let refused = answered(Answer::Refused("stale frame".to_owned()));
+    fn rejection_ends_a_wait_and_a_strict_script() {
+        let rejected = answered(Answer::Refused("stale frame".to_owned()));
         let mut waiting = runner("object mug\ntrigger\nwait saved");
         assert_eq!(command(waiting.next(0, &live())), "object mug");
         assert_eq!(command(waiting.next(0, &live())), "trigger");
         assert_eq!(
-            failure(waiting.next(1, &refused)),
-            "demo.txt:2: `trigger`: was refused: stale frame"
+            failure(waiting.next(1, &rejected)),
+            "demo.txt:2: `trigger`: the command was rejected: stale frame"
         );
 
         let mut strict = runner("stop-on-refusal\ntrigger\nsleep 1\nundo");
         assert_eq!(command(strict.next(0, &live())), "trigger");
-        assert!(failure(strict.next(1, &refused)).contains("demo.txt:2"));
+        assert!(failure(strict.next(1, &rejected)).contains("demo.txt:2"));
 
         let mut expecting = runner("stop-on-refusal\ntrigger\nexpect refused\nundo");
         assert_eq!(command(expecting.next(0, &live())), "trigger");
         assert!(matches!(expecting.next(1, &live()), ScriptAction::Wait));
-        assert_eq!(command(expecting.next(2, &refused)), "undo");
+        assert_eq!(command(expecting.next(2, &rejected)), "undo");
     }
 
     #[test]
-    fn mistakes_name_file_line_text_and_what_is_expected() {
-        for (line, part) in [
-            ("jump", "`jump` is no command"),
-            ("+x trigger", "`x` is no time"),
-            ("+2", "a command is expected"),
-            ("+-1 trigger", "no time"),
-            ("wait rain", "cannot be waited for"),
-            ("wait", "another form"),
-            ("wait live 1 2", "another form"),
-            ("wait live nan", "no time"),
-            ("sleep 1e9", "no time"),
-            ("expect rain", "another form"),
+    fn errors_name_file_line_text_and_expected_forms() {
+        for (line, expected) in [
+            ("jump", "unknown command `jump`"),
+            ("+x trigger", "invalid time `x`"),
+            ("+2", "expected a command"),
+            ("+-1 trigger", "invalid time"),
+            ("wait rain", "unknown condition `rain`"),
+            ("wait", "invalid arguments"),
+            ("wait live 1 2", "invalid arguments"),
+            ("wait live nan", "invalid time"),
+            ("sleep 1e9", "invalid time"),
+            ("expect rain", "invalid arguments"),
         ] {
             let error = Script::parse(&format!("trigger\n{line}"), "demo.txt", &check).unwrap_err();
             let text = error.to_string();
             assert!(text.starts_with("demo.txt:2: `"), "{text}");
-            assert!(text.contains(part), "{text}");
+            assert!(text.contains(expected), "{text}");
             assert!(text.contains("wait live|contact"), "{text}");
         }
         let empty = Script::parse("# nothing\n", "demo.txt", &check).unwrap_err();

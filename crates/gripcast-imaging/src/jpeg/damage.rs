@@ -1,29 +1,28 @@
-//! What can be wrong with a JPEG.
+//! Damage of a JPEG.
 
 use std::fmt;
 
-/// Why a JPEG gives no image. The message says what was expected and what was found.
+/// Damage of a JPEG.
 #[derive(Clone, Debug, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum JpegDamage {
-    /// The bytes do not start with the start-of-image marker.
+    /// The start-of-image marker is missing.
     NotJpeg {
         /// The first bytes, at most four.
         found: Vec<u8>,
     },
-    /// The bytes end before the image does.
+    /// The image is incomplete.
     Truncated {
-        /// Length of the whole input in bytes.
+        /// Length of the input in bytes.
         length: usize,
-        /// What should have followed.
+        /// What is missing.
         expected: &'static str,
     },
-    /// The marker structure contradicts itself.
+    /// The marker structure is invalid.
     Malformed(String),
-    /// The marker structure is sound, but the compressed data does not decode to exactly one
-    /// image of the stated size.
+    /// The entropy-coded data is invalid.
     CorruptEntropy(String),
-    /// A sound JPEG of a kind that gripcast does not read.
+    /// An unsupported kind of JPEG.
     Unsupported(String),
 }
 
@@ -31,7 +30,7 @@ impl fmt::Display for JpegDamage {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Self::NotJpeg { found } if found.is_empty() => {
-                f.write_str("expected a JPEG (FF D8 …), found no bytes at all")
+                f.write_str("expected a JPEG (FF D8 …), found no bytes")
             }
             Self::NotJpeg { found } => {
                 f.write_str("expected a JPEG (FF D8 …), found")?;
@@ -39,13 +38,13 @@ impl fmt::Display for JpegDamage {
             }
             Self::Truncated { length, expected } => write!(
                 f,
-                "the JPEG is cut off: expected {expected}, found the end after {length} bytes"
+                "the JPEG is truncated: expected {expected}, found the end after {length} bytes"
             ),
             Self::Malformed(what) => write!(f, "the JPEG is malformed: {what}"),
             Self::CorruptEntropy(what) => {
                 write!(f, "the JPEG's compressed data is corrupt: {what}")
             }
-            Self::Unsupported(what) => write!(f, "this kind of JPEG is not supported: {what}"),
+            Self::Unsupported(what) => write!(f, "unsupported JPEG: {what}"),
         }
     }
 }

@@ -1,4 +1,4 @@
-//! JPEG to pixels through libjpeg-turbo.
+//! JPEG decoder on libjpeg-turbo.
 
 use turbojpeg::{Decompressor, Image, PixelFormat, ScalingFactor};
 
@@ -6,28 +6,28 @@ use super::damage::JpegDamage;
 use super::markers::{JpegHeader, inspect};
 use super::standard_tables::with_standard_tables;
 
-/// Scans of a progressive image that are still decoded; more is an attack on the decoder.
+/// Maximum number of scans of a progressive image, against denial of service.
 const MAX_SCANS: u32 = 100;
 
-/// Size of the decoded image against the coded one; sizes are rounded up.
+/// Scale of the decoded image; sizes are rounded up. Only scales with SIMD inverse transforms in
+/// libjpeg-turbo.
 ///
-/// Only the factors for which libjpeg-turbo has SIMD inverse transforms. A tactile image that
-/// goes through `Quarter` to 320×240 differs from one decoded whole and then resized by 0.15 grey
-/// levels in the mean and at most 2.
+/// A tactile image resized to 320×240 from `Quarter` differs from one resized from `Whole` by 0.15
+/// grey levels in the mean and by at most 2.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum JpegScale {
-    /// 1/8: the mean of each 8×8 block.
+    /// 1/8: mean of each 8×8 block.
     Eighth,
     /// 1/4.
     Quarter,
     /// 1/2.
     Half,
-    /// Every pixel.
+    /// 1.
     Whole,
 }
 
 impl JpegScale {
-    /// Coded pixels to one decoded pixel along each axis: 1, 2, 4 or 8.
+    /// Coded pixels per decoded pixel along each axis.
     #[must_use]
     pub fn denominator(self) -> u32 {
         match self {
@@ -38,8 +38,8 @@ impl JpegScale {
         }
     }
 
-    /// The smallest scale at which a window of `window` coded pixels still has at least
-    /// `target` pixels (width, height); `Whole` when even that has fewer.
+    /// The smallest scale at which a `window` of coded pixels has at least `target` pixels (width,
+    /// height), else `Whole`.
     #[must_use]
     pub fn smallest_for(window: (u32, u32), target: (u32, u32)) -> Self {
         [Self::Eighth, Self::Quarter, Self::Half]
@@ -62,36 +62,34 @@ impl JpegScale {
     }
 }
 
-/// Decoded pixels, RGB, rows tightly packed; borrowed from the decoder that made them.
+/// Decoded RGB pixels, rows packed.
 #[derive(Clone, Copy, Debug)]
 pub struct JpegPixels<'a> {
-    /// Width in pixels at the scale that was asked for.
+    /// Width in pixels.
     pub width: u32,
-    /// Height in pixels at the scale that was asked for.
+    /// Height in pixels.
     pub height: u32,
     /// `height × width × 3` bytes.
     pub rgb: &'a [u8],
 }
 
-/// Decodes JPEG frames; keeps the libjpeg-turbo handle and its buffers between frames.
+/// Decodes JPEG frames; reuses the libjpeg-turbo handle and its buffers.
 ///
-/// # What counts as damage
-/// Everything that [`inspect`] refuses, and every warning of libjpeg-turbo: an illegal Huffman
-/// code, a scan that ends too early, more than a few bytes left over after the last block. All
-/// scales find the same damage, because all of them read all the entropy-coded data.
+/// # Damage
+/// All errors of [`inspect`] and all warnings of libjpeg-turbo: an invalid Huffman code, an
+/// incomplete scan, more than a few bytes after the last block. All scales detect the same damage:
+/// they read all entropy-coded data.
 ///
-/// JPEG has no checksum, so damage that decodes as another legal image stays unseen: bytes
-/// altered only where they hold values, not code lengths. Of seeded random alterations of a
-/// 640×480 frame (13 kB) these were found: 1 byte 80 %, 2 bytes 89 %, 8 bytes 98 %, 50 bytes and
-/// more 100 %; of a 3280×2464 frame (221 kB): 1 byte 94 %, 8 bytes and more 100 %. A lost stretch
-/// of 200 bytes was always found. Checking each block's values against what 8-bit samples can
-/// give found only 4 % of the rest, at the price of decoding twice.
+/// JPEG has no checksum: damage that decodes as a different image is not detected. Detected random
+/// alterations of a 640×480 frame (13 kB): 1 byte 80 %, 2 bytes 89 %, 8 bytes 98 %, 50 bytes and
+/// more 100 %; of a 3280×2464 frame (221 kB): 1 byte 94 %, 8 bytes and more 100 %. A missing range
+/// of 200 bytes was always detected. Checking the range of block values detects only 4 % of the
+/// rest, at twice the cost.
 ///
 /// # Speed
-/// Reading the entropy-coded data is two thirds and more of the cost at 1/4 (frames of 200 kB
-/// and more), so neither plainer colour upsampling (2 %) nor decoding to YCbCr (5 %) is worth its
-/// loss. Decoding only the crop's blocks would save at most 15 %, and would not read the data
-/// below the crop, where damage would stay unseen.
+/// Entropy decoding is at least 2/3 of the cost at 1/4 (frames of 200 kB and more). Simpler colour
+/// upsampling saves 2 %, YCbCr output 5 %; decoding only the crop at most 15 %, without detecting
+/// damage below it.
 pub struct JpegDecoder {
     turbo: Decompressor,
     pixels: Vec<u8>,
@@ -102,30 +100,30 @@ impl JpegDecoder {
     /// A decoder with empty buffers.
     ///
     /// # Errors
-    /// [`JpegDamage::Unsupported`] when libjpeg-turbo cannot be set up (out of memory).
+    /// [`JpegDamage::Unsupported`] when libjpeg-turbo fails to initialise.
     pub fn new() -> Result<Self, JpegDamage> {
-        let set_up = || -> turbojpeg::Result<Decompressor> {
+        let create = || -> turbojpeg::Result<Decompressor> {
             let mut turbo = Decompressor::new()?;
             turbo.set_scan_limit(MAX_SCANS)?;
             Ok(turbo)
         };
         Ok(Self {
-            turbo: set_up().map_err(|error| damage_of(&error))?,
+            turbo: create().map_err(|error| damage_of(&error))?,
             pixels: Vec::new(),
             completed: Vec::new(),
         })
     }
 
-    /// Decodes an image to RGB.
+    /// Decodes to RGB.
     ///
     /// # Errors
-    /// [`JpegDamage`] for a damaged image; there are no pixels then.
+    /// The damage of the image.
     pub fn decode(&mut self, bytes: &[u8], scale: JpegScale) -> Result<JpegPixels<'_>, JpegDamage> {
         let header = inspect(bytes)?;
         self.decode_inspected(bytes, &header, scale)
     }
 
-    /// [`JpegDecoder::decode`] for bytes whose header is already known.
+    /// [`JpegDecoder::decode`] with a known header.
     pub(crate) fn decode_inspected(
         &mut self,
         bytes: &[u8],
@@ -140,17 +138,17 @@ impl JpegDecoder {
         })
     }
 
-    /// Decodes all entropy-coded data and as few pixels as possible.
+    /// Decodes all entropy-coded data at the smallest scale.
     ///
     /// # Errors
-    /// Exactly those of [`JpegDecoder::decode`].
+    /// Those of [`JpegDecoder::decode`].
     pub fn verify(&mut self, bytes: &[u8]) -> Result<JpegHeader, JpegDamage> {
         let header = inspect(bytes)?;
         self.verify_inspected(bytes, &header)?;
         Ok(header)
     }
 
-    /// [`JpegDecoder::verify`] for bytes whose header is already known.
+    /// [`JpegDecoder::verify`] with a known header.
     pub(crate) fn verify_inspected(
         &mut self,
         bytes: &[u8],
@@ -168,7 +166,7 @@ impl JpegDecoder {
         format: PixelFormat,
     ) -> Result<(u32, u32), JpegDamage> {
         let image = &bytes[..header.length.min(bytes.len())];
-        // libjpeg-turbo has the standard tables too, but prefers those of an earlier frame.
+        // libjpeg-turbo would use the tables of an earlier frame.
         let image = if header.has_huffman_tables {
             image
         } else {
@@ -201,7 +199,7 @@ impl JpegDecoder {
     }
 }
 
-/// libjpeg-turbo tells its reasons in words only.
+/// Classifies a libjpeg-turbo error by its message.
 fn damage_of(error: &turbojpeg::Error) -> JpegDamage {
     let turbojpeg::Error::TurboJpegError(text) = error else {
         return JpegDamage::Unsupported(error.to_string());

@@ -1,18 +1,18 @@
-//! Images to JPEG, for virtual cameras and tests.
+//! JPEG encoder for virtual cameras and tests.
 
 use image::RgbImage;
 use turbojpeg::{Compressor, Image, PixelFormat, Subsamp};
 
 use gripcast_base::error::{Error, Result};
 
-/// Encodes an image as a baseline 4:2:2 JPEG with the standard Huffman tables, the form in
-/// which UVC cameras send theirs. `quality` is 1 (worst) to 100.
+/// Encodes a baseline 4:2:2 JPEG with the standard Huffman tables, like UVC cameras. `quality` is 1
+/// (worst) to 100.
 ///
 /// # Errors
 /// [`ErrorKind::Input`] for an empty or too large image or a quality outside 1–100.
 pub fn encode_jpeg(image: &RgbImage, quality: u8) -> Result<Vec<u8>> {
     let (width, height) = image.dimensions();
-    let refused = |cause| {
+    let failed = |cause| {
         Error::input(format!(
             "cannot encode a {width}×{height} image as JPEG of quality {quality}"
         ))
@@ -24,11 +24,9 @@ pub fn encode_jpeg(image: &RgbImage, quality: u8) -> Result<Vec<u8>> {
                  expected at least one pixel and a quality of 1 to 100"
         )));
     }
-    let mut compressor = Compressor::new().map_err(refused)?;
-    compressor
-        .set_quality(i32::from(quality))
-        .map_err(refused)?;
-    compressor.set_subsamp(Subsamp::Sub2x1).map_err(refused)?;
+    let mut compressor = Compressor::new().map_err(failed)?;
+    compressor.set_quality(i32::from(quality)).map_err(failed)?;
+    compressor.set_subsamp(Subsamp::Sub2x1).map_err(failed)?;
     compressor
         .compress_to_vec(Image {
             pixels: image.as_raw().as_slice(),
@@ -37,5 +35,5 @@ pub fn encode_jpeg(image: &RgbImage, quality: u8) -> Result<Vec<u8>> {
             height: height as usize,
             format: PixelFormat::RGB,
         })
-        .map_err(refused)
+        .map_err(failed)
 }

@@ -1,32 +1,32 @@
-//! Walk over the marker segments of a JPEG (ITU T.81 annex B).
+//! Parser of the marker segments of a JPEG (ITU T.81 annex B).
 
 use super::code;
 use super::damage::JpegDamage;
 
-/// Images beyond this many pixels are refused before memory is taken for them.
+/// Maximum number of pixels.
 const MAX_PIXELS: u64 = 1 << 26;
 
-/// How colour is sampled against luminance.
+/// Chroma subsampling.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum Subsampling {
-    /// One component.
+    /// No colour.
     Grey,
-    /// Full colour resolution.
+    /// Full chroma resolution.
     S444,
-    /// Half horizontal colour resolution; what UVC cameras send.
+    /// Half horizontal chroma resolution (UVC cameras).
     S422,
-    /// Half colour resolution in both directions.
+    /// Half chroma resolution in both directions.
     S420,
-    /// Half vertical colour resolution.
+    /// Half vertical chroma resolution.
     S440,
-    /// Quarter horizontal colour resolution.
+    /// Quarter horizontal chroma resolution.
     S411,
-    /// Any other legal combination of sampling factors.
+    /// Other sampling factors.
     Other,
 }
 
-/// What a JPEG says about itself, read without decoding it.
+/// Header of a JPEG.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[non_exhaustive]
 pub struct JpegHeader {
@@ -36,28 +36,26 @@ pub struct JpegHeader {
     pub height: u32,
     /// Number of components: 1 (grey) or 3 (YCbCr).
     pub components: u8,
-    /// Colour sampling.
+    /// Chroma subsampling.
     pub subsampling: Subsampling,
-    /// Whether the image is coded in successive scans.
+    /// Whether the image is progressive.
     pub progressive: bool,
-    /// Whether every Huffman table that the scans use is in the file. UVC cameras may leave the
-    /// standard tables out; the decoder then supplies them.
+    /// Whether the file has all Huffman tables of its scans. UVC cameras may omit the standard
+    /// tables.
     pub has_huffman_tables: bool,
     /// Number of scans.
     pub scans: u32,
-    /// Coded blocks between restart markers; 0 without them.
+    /// Coded blocks between restart markers; 0: none.
     pub restart_interval: u16,
-    /// Number of bytes up to and including the end-of-image marker; zero padding may follow.
+    /// Number of bytes including the end-of-image marker; zero padding may follow.
     pub length: usize,
 }
 
-/// Reads the marker structure of a JPEG, from start-of-image to end-of-image.
-///
-/// Costs one pass over the bytes in search of markers; entropy-coded data is not decoded, so
-/// damage inside it goes unseen here. Zero bytes after the end are taken as padding.
+/// Parses the marker structure of a JPEG. Entropy-coded data is not decoded; zero bytes after the
+/// end are padding.
 ///
 /// # Errors
-/// [`JpegDamage`] tells the first thing that is wrong.
+/// The first damage.
 pub fn inspect(bytes: &[u8]) -> Result<JpegHeader, JpegDamage> {
     if bytes.get(..2) != Some(&[0xff, code::SOI]) {
         let found = bytes[..bytes.len().min(4)].to_vec();
@@ -67,7 +65,7 @@ pub fn inspect(bytes: &[u8]) -> Result<JpegHeader, JpegDamage> {
             JpegDamage::NotJpeg { found }
         });
     }
-    Walk {
+    Parser {
         bytes,
         at: 2,
         frame: None,
@@ -90,7 +88,7 @@ fn malformed(what: impl Into<String>) -> JpegDamage {
     JpegDamage::Malformed(what.into())
 }
 
-/// Which of the four table slots of each kind are defined so far, one bit a slot.
+/// Defined table slots of each kind, one bit per slot.
 #[derive(Default)]
 struct Tables {
     quantisation: u8,
@@ -132,7 +130,7 @@ impl FrameHeader {
     }
 }
 
-struct Walk<'a> {
+struct Parser<'a> {
     bytes: &'a [u8],
     at: usize,
     frame: Option<FrameHeader>,
@@ -142,7 +140,7 @@ struct Walk<'a> {
     has_huffman_tables: bool,
 }
 
-impl<'a> Walk<'a> {
+impl<'a> Parser<'a> {
     fn run(mut self) -> Result<JpegHeader, JpegDamage> {
         loop {
             let marker = self.marker()?;
@@ -169,7 +167,7 @@ impl<'a> Walk<'a> {
                 }
                 _ => {
                     return Err(malformed(format!(
-                        "marker FF {marker:02X} at byte {} has no place in an image",
+                        "unexpected marker FF {marker:02X} at byte {}",
                         self.at - 2
                     )));
                 }
@@ -177,7 +175,7 @@ impl<'a> Walk<'a> {
         }
     }
 
-    /// The next marker code; fill bytes (FF) before it are legal.
+    /// Reads the next marker code, after fill bytes (FF).
     fn marker(&mut self) -> Result<u8, JpegDamage> {
         let expected = if self.scans == 0 {
             "a marker segment before the scan"
@@ -206,11 +204,11 @@ impl<'a> Walk<'a> {
         Ok(marker)
     }
 
-    /// Payload of the segment whose marker was just read.
+    /// Reads the payload of the current segment.
     fn segment(&mut self) -> Result<&'a [u8], JpegDamage> {
         let bytes = self.bytes;
-        let cut = || truncated(bytes, "the rest of a marker segment");
-        let length = bytes.get(self.at..self.at + 2).ok_or_else(cut)?;
+        let end = || truncated(bytes, "the rest of a marker segment");
+        let length = bytes.get(self.at..self.at + 2).ok_or_else(end)?;
         let length = usize::from(u16::from_be_bytes([length[0], length[1]]));
         if length < 2 {
             return Err(malformed(format!(
@@ -218,7 +216,7 @@ impl<'a> Walk<'a> {
                 self.at
             )));
         }
-        let payload = bytes.get(self.at + 2..self.at + length).ok_or_else(cut)?;
+        let payload = bytes.get(self.at + 2..self.at + length).ok_or_else(end)?;
         self.at += length;
         Ok(payload)
     }
@@ -233,7 +231,7 @@ impl<'a> Walk<'a> {
         };
         if *precision != 8 {
             return Err(JpegDamage::Unsupported(format!(
-                "{precision} bits a sample, expected 8"
+                "{precision} bits per sample, expected 8"
             )));
         }
         let width = u32::from(u16::from_be_bytes([*w1, *w0]));
@@ -289,10 +287,10 @@ impl<'a> Walk<'a> {
 
     fn huffman_tables(&mut self) -> Result<(), JpegDamage> {
         let mut rest = self.segment()?;
-        while let [place, after @ ..] = rest {
-            let (class, slot) = (place >> 4, place & 15);
+        while let [class_and_slot, after @ ..] = rest {
+            let (class, slot) = (class_and_slot >> 4, class_and_slot & 15);
             let Some((counts, values)) = after.split_at_checked(16) else {
-                return Err(malformed("a Huffman table is cut off"));
+                return Err(malformed("a Huffman table is truncated"));
             };
             let symbols: usize = counts.iter().map(|n| usize::from(*n)).sum();
             if class > 1 || slot > 3 || symbols == 0 || symbols > 256 || symbols > values.len() {
@@ -313,8 +311,8 @@ impl<'a> Walk<'a> {
 
     fn quantisation_tables(&mut self) -> Result<(), JpegDamage> {
         let mut rest = self.segment()?;
-        while let [place, after @ ..] = rest {
-            let (precision, slot) = (place >> 4, place & 15);
+        while let [class_and_slot, after @ ..] = rest {
+            let (precision, slot) = (class_and_slot >> 4, class_and_slot & 15);
             let size = if precision == 0 { 64 } else { 128 };
             if precision > 1 || slot > 3 || after.len() < size {
                 return Err(malformed(format!(
@@ -364,10 +362,9 @@ impl<'a> Walk<'a> {
                 .components
                 .iter_mut()
                 .find(|c| c.id == id)
-                .ok_or_else(|| malformed(format!("the scan names component {id}, unknown")))?;
+                .ok_or_else(|| malformed(format!("the scan has the unknown component {id}")))?;
             component.scanned = true;
-            // libjpeg keeps tables from one image to the next, so a missing one would not
-            // fail there but decode with the table of an earlier frame.
+            // libjpeg would decode with the table of an earlier frame.
             if self.tables.quantisation & (1 << component.quantisation) == 0 {
                 return Err(malformed(format!(
                     "quantisation table {} is used but not defined",
@@ -381,7 +378,7 @@ impl<'a> Walk<'a> {
             if missing {
                 if frame.progressive || dc > 1 || ac > 1 {
                     return Err(malformed(format!(
-                        "Huffman tables {dc}/{ac} are used but not defined, and no standard tables exist for them"
+                        "Huffman tables {dc}/{ac} are used but neither defined nor standard"
                     )));
                 }
                 self.has_huffman_tables = false;
@@ -391,13 +388,13 @@ impl<'a> Walk<'a> {
         self.entropy_coded_data()
     }
 
-    /// Moves to the marker that ends the scan, checking the restart markers on the way.
+    /// Skips to the end of the scan, checking the restart markers.
     fn entropy_coded_data(&mut self) -> Result<(), JpegDamage> {
         let mut restarts: u32 = 0;
         loop {
-            let cut = || truncated(self.bytes, "the end-of-image marker FF D9");
-            let found = find_ff(&self.bytes[self.at..]).ok_or_else(cut)? + self.at;
-            match *self.bytes.get(found + 1).ok_or_else(cut)? {
+            let end = || truncated(self.bytes, "the end-of-image marker FF D9");
+            let found = find_ff(&self.bytes[self.at..]).ok_or_else(end)? + self.at;
+            match *self.bytes.get(found + 1).ok_or_else(end)? {
                 0 => self.at = found + 2,
                 0xff => self.at = found + 1,
                 restart @ code::RST0..=code::RST7 => {
@@ -458,14 +455,14 @@ impl<'a> Walk<'a> {
     }
 }
 
-/// Position of the first FF byte; whole blocks without one are skipped by a vectorisable test.
+/// Position of the first FF byte; skips blocks by a vectorisable test.
 fn find_ff(bytes: &[u8]) -> Option<usize> {
     const BLOCK: usize = 64;
-    let clean = bytes
+    let skipped = bytes
         .chunks_exact(BLOCK)
         .take_while(|block| !block.iter().fold(false, |any, byte| any | (*byte == 0xff)))
         .count()
         * BLOCK;
-    let rest = bytes[clean..].iter().position(|byte| *byte == 0xff)?;
-    Some(clean + rest)
+    let rest = bytes[skipped..].iter().position(|byte| *byte == 0xff)?;
+    Some(skipped + rest)
 }

@@ -1,7 +1,7 @@
-//! JPEG frames: what they hold, what is wrong with them, and their pixels.
+//! JPEG frames: header, damage, pixels.
 //!
-//! [`inspect`] walks the markers and never touches the entropy-coded data; [`JpegDecoder`] walks
-//! them too, then decodes through libjpeg-turbo, and gives no pixels for a damaged image.
+//! [`inspect`] parses the markers without decoding; [`JpegDecoder`] decodes with libjpeg-turbo and
+//! rejects damaged images.
 
 mod damage;
 mod decoder;

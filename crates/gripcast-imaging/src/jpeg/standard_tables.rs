@@ -1,14 +1,15 @@
-//! The Huffman tables that a motion-JPEG stream may leave out.
+//! Standard Huffman tables, which motion-JPEG streams may omit.
 
 use std::borrow::Cow;
 
 use super::code;
 use super::markers::JpegHeader;
 
-/// Code counts by length 1–16 bits, then the symbols (ITU T.81 tables K.3 to K.6).
+/// A Huffman table of ITU T.81 (tables K.3 to K.6).
 struct HuffmanTable {
-    /// Class in the high half (0 = DC, 1 = AC), slot in the low half.
-    place: u8,
+    /// Class (0 = DC, 1 = AC) in the high nibble, slot in the low nibble.
+    class_and_slot: u8,
+    /// Number of codes of 1–16 bits.
     counts: [u8; 16],
     symbols: &'static [u8],
 }
@@ -17,12 +18,12 @@ const DC_SYMBOLS: &[u8] = &[0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11];
 
 const TABLES: [HuffmanTable; 4] = [
     HuffmanTable {
-        place: 0x00,
+        class_and_slot: 0x00,
         counts: [0, 1, 5, 1, 1, 1, 1, 1, 1, 0, 0, 0, 0, 0, 0, 0],
         symbols: DC_SYMBOLS,
     },
     HuffmanTable {
-        place: 0x10,
+        class_and_slot: 0x10,
         counts: [0, 2, 1, 3, 3, 2, 4, 3, 5, 5, 4, 4, 0, 0, 1, 125],
         symbols: &[
             0x01, 0x02, 0x03, 0x00, 0x04, 0x11, 0x05, 0x12, 0x21, 0x31, 0x41, 0x06, 0x13, 0x51,
@@ -40,12 +41,12 @@ const TABLES: [HuffmanTable; 4] = [
         ],
     },
     HuffmanTable {
-        place: 0x01,
+        class_and_slot: 0x01,
         counts: [0, 3, 1, 1, 1, 1, 1, 1, 1, 1, 1, 0, 0, 0, 0, 0],
         symbols: DC_SYMBOLS,
     },
     HuffmanTable {
-        place: 0x11,
+        class_and_slot: 0x11,
         counts: [0, 2, 1, 2, 4, 4, 3, 4, 7, 5, 4, 4, 0, 1, 2, 119],
         symbols: &[
             0x00, 0x01, 0x02, 0x03, 0x11, 0x04, 0x05, 0x21, 0x31, 0x06, 0x12, 0x41, 0x51, 0x07,
@@ -64,8 +65,8 @@ const TABLES: [HuffmanTable; 4] = [
     },
 ];
 
-/// Writes `jpeg` to `out` with all four standard tables put before its first segment; tables
-/// that the file defines itself come later and win.
+/// Writes `jpeg` to `out` with the standard tables before its first segment; its own tables
+/// override them.
 pub(super) fn with_standard_tables(jpeg: &[u8], out: &mut Vec<u8>) {
     let (start_of_image, segments) = jpeg.split_at(jpeg.len().min(2));
     out.clear();
@@ -74,15 +75,14 @@ pub(super) fn with_standard_tables(jpeg: &[u8], out: &mut Vec<u8>) {
     let length = 2 + TABLES.iter().map(|t| 17 + t.symbols.len()).sum::<usize>();
     out.extend_from_slice(&(length as u16).to_be_bytes());
     for table in &TABLES {
-        out.push(table.place);
+        out.push(table.class_and_slot);
         out.extend_from_slice(&table.counts);
         out.extend_from_slice(table.symbols);
     }
     out.extend_from_slice(segments);
 }
 
-/// A frame as a file that any viewer opens: without the padding after its end, and with the
-/// standard Huffman tables where it lacks tables. The pixels are the same.
+/// Converts a frame to a complete file: removes padding and adds missing standard Huffman tables.
 #[must_use]
 pub fn complete<'a>(bytes: &'a [u8], header: &JpegHeader) -> Cow<'a, [u8]> {
     let image = &bytes[..header.length.min(bytes.len())];
@@ -100,7 +100,7 @@ mod tests {
     use super::*;
     use crate::{encode_jpeg, synthetic_gel};
 
-    /// Without its DHT segments.
+    /// Removes the DHT segments.
     fn without_tables(jpeg: &[u8]) -> Vec<u8> {
         let mut out = jpeg[..2].to_vec();
         let mut at = 2;
@@ -116,7 +116,7 @@ mod tests {
     }
 
     #[test]
-    fn a_complete_file_has_tables_and_no_padding() {
+    fn complete_file_has_tables_and_no_padding() {
         let jpeg = encode_jpeg(&synthetic_gel(16, 16, 1, 0.0), 90).unwrap();
         assert_eq!(complete(&jpeg, &inspect(&jpeg).unwrap()), jpeg);
         let mut sent = without_tables(&jpeg);
@@ -140,7 +140,7 @@ mod tests {
     }
 
     #[test]
-    fn tables_are_those_of_libjpeg() {
+    fn tables_match_libjpeg() {
         let jpeg = encode_jpeg(&synthetic_gel(16, 16, 1, 0.0), 90).unwrap();
         let mut completed = Vec::new();
         with_standard_tables(&jpeg, &mut completed);
@@ -148,7 +148,7 @@ mod tests {
             let length = (19 + table.symbols.len()) as u16;
             let mut segment = vec![0xff, code::DHT];
             segment.extend_from_slice(&length.to_be_bytes());
-            segment.push(table.place);
+            segment.push(table.class_and_slot);
             segment.extend_from_slice(&table.counts);
             segment.extend_from_slice(table.symbols);
             assert!(jpeg.windows(segment.len()).any(|w| w == segment));
@@ -158,14 +158,24 @@ mod tests {
     }
 
     #[test]
-    fn counts_and_symbols_agree() {
+    fn counts_match_symbols() {
         for table in &TABLES {
             let counted: usize = table.counts.iter().map(|n| usize::from(*n)).sum();
-            assert_eq!(counted, table.symbols.len(), "table {:02x}", table.place);
+            assert_eq!(
+                counted,
+                table.symbols.len(),
+                "table {:02x}",
+                table.class_and_slot
+            );
             let mut distinct = table.symbols.to_vec();
             distinct.sort_unstable();
             distinct.dedup();
-            assert_eq!(distinct.len(), counted, "table {:02x}", table.place);
+            assert_eq!(
+                distinct.len(),
+                counted,
+                "table {:02x}",
+                table.class_and_slot
+            );
         }
     }
 }

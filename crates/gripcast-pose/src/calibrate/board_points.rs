@@ -1,4 +1,4 @@
-//! The points of a board that an image shows.
+//! Calibration points of a board in an image.
 
 use std::collections::BTreeMap;
 
@@ -8,73 +8,64 @@ use image::GrayImage;
 use super::saddle::{ExpectedSaddle, refine_saddle};
 use crate::refine::refine_corners;
 use crate::solve::homography::plane_to_image;
-use crate::{BoardFile, BoardMarker, Chessboard, Detection, Part};
+use crate::{BoardFile, BoardMarker, Body, Chessboard, Detection};
 use gripcast_base::error::{Error, Result};
 use gripcast_geometry::Pose;
 
-/// Markers up to this many squares from a corner help to predict it.
-const HELPING_SQUARES: f64 = 1.8;
-/// The middle of a marker whose square touches a corner is at most this far, squares.
+/// Maximum distance of markers that predict a chessboard corner, squares.
+const PREDICTING_SQUARES: f64 = 1.8;
+/// Maximum distance of the centre of a marker whose square touches a corner, squares.
 const TOUCHING_SQUARES: f64 = 0.6;
 
-/// A point of a board in an image.
+/// A point of a board observed in an image.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct BoardPoint {
-    /// Which point of the board: the same in all images.
-    pub number: u32,
-    /// Where it is in the frame of the board's plane, m.
-    pub place_m: DVec3,
-    /// Where it was seen, px.
+    /// Index of the point on the board, the same in all images.
+    pub index: u32,
+    /// Position in the plane frame of the board, m.
+    pub point_m: DVec3,
+    /// Observed position, px.
     pub pixel: DVec2,
 }
 
-/// What an image shows of a board.
+/// Points of a board observed in an image.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct BoardPoints {
-    /// Its points, each once, by number.
+    /// The points in ascending order of their indices.
     pub points: Vec<BoardPoint>,
-    /// How many markers of the board were detected.
+    /// Number of detected markers of the board.
     pub markers: usize,
 }
 
-/// Finds the points of one board: the inner corners of its chessboard, else its markers' corners.
+/// Finds the points of a board: the inner corners of its chessboard, else its marker corners.
 #[derive(Clone, Debug)]
 pub struct PointFinder {
     file: BoardFile,
     t_plane_board: Pose,
-    extent_m: f64,
-    total: usize,
+    diameter_m: f64,
 }
 
 impl PointFinder {
-    /// A finder for a flat board.
+    /// Creates a finder for a planar board.
     ///
     /// # Errors
-    /// `Input` for a board whose object markers are not in one plane.
+    /// `Input` if the object markers of the board are not in one plane.
     pub fn new(file: &BoardFile) -> Result<Self> {
         let board = &file.board;
-        if !board.is_planar(Part::Object) {
+        if !board.is_planar(Body::Object) {
             return Err(Error::input(format!(
-                "{}: calibration needs a flat board with part \"object\"",
+                "{}: calibration needs a planar board with markers of part \"object\"",
                 board.name
             ))
-            .remedy("`gripcast board charuco` draws one"));
+            .remedy("create one with `gripcast board charuco`"));
         }
         let t_plane_board = plane_frame(file).inverse();
-        let corners = || board.of_part(Part::Object).flat_map(|m| m.corners_m);
-        let extent_m = 2.0
-            * corners()
-                .map(|c| t_plane_board.transform_point(c).length())
-                .fold(0.0, f64::max);
-        let total = match &file.chessboard {
-            Some(chessboard) => chessboard.corner_count(),
-            None => 4 * board.of_part(Part::Object).count(),
-        };
+        let corners = || board.markers_on(Body::Object).flat_map(|m| m.corners_m);
+        let radii = corners().map(|c| t_plane_board.transform_point(c).length());
         Ok(Self {
             file: file.clone(),
             t_plane_board,
-            extent_m,
-            total,
+            diameter_m: 2.0 * radii.fold(0.0, f64::max),
         })
     }
 
@@ -83,127 +74,125 @@ impl PointFinder {
         &self.file
     }
 
-    /// Maps the board's frame into that of its plane: origin in the middle of the markers, z out of
-    /// the sheet.
+    /// Maps the board frame into its plane frame: origin at the centre of the markers, z out of the
+    /// sheet.
     pub fn t_plane_board(&self) -> Pose {
         self.t_plane_board
     }
 
-    /// Number of points that the board has.
-    pub fn total(&self) -> usize {
-        self.total
-    }
-
     /// Diameter of the board, m.
-    pub fn extent_m(&self) -> f64 {
-        self.extent_m
+    pub fn diameter_m(&self) -> f64 {
+        self.diameter_m
     }
 
-    /// The points in an image with these detections, which need no refinement yet.
+    /// Finds the points in an image, given unrefined detections.
     pub fn find(&self, image: &GrayImage, detections: &[Detection]) -> BoardPoints {
-        let seen = self.seen(image, detections);
+        let observed = self.refined_markers(image, detections);
         let mut points = match &self.file.chessboard {
-            Some(chessboard) => self.saddles(image, chessboard, &seen),
-            None => self.marker_corners(&seen),
+            Some(chessboard) => self.saddles(image, chessboard, &observed),
+            None => self.marker_corners(&observed),
         };
-        points.sort_by_key(|p| p.number);
+        points.sort_by_key(|p| p.index);
         BoardPoints {
             points,
-            markers: seen.len(),
+            markers: observed.len(),
         }
     }
 
-    /// Refined markers of the board by index. One that was seen twice is no evidence, and one whose
-    /// border shows no four lines is hidden in part.
-    fn seen(&self, image: &GrayImage, detections: &[Detection]) -> BTreeMap<usize, Detection> {
-        let markers = &self.file.board.markers;
-        let mut seen = BTreeMap::new();
+    /// Refined markers by index on the board. Skips markers that are detected twice or whose corners
+    /// cannot be refined, because they are partly occluded.
+    fn refined_markers(
+        &self,
+        image: &GrayImage,
+        detections: &[Detection],
+    ) -> BTreeMap<usize, Detection> {
+        let markers = self.file.board.markers.iter();
+        let mut observed = BTreeMap::new();
         for detection in detections {
             let is_twice = detections.iter().filter(|d| d.id == detection.id).count() > 1;
-            let place = markers
-                .iter()
-                .position(|m| m.id == detection.id && m.part == Part::Object);
-            let (Some(place), false) = (place, is_twice) else {
+            let index = markers
+                .clone()
+                .position(|m| m.id == detection.id && m.body == Body::Object);
+            let (Some(index), false) = (index, is_twice) else {
                 continue;
             };
             let refined = refine_corners(image, detection);
             if refined.corners_px != detection.corners_px {
-                seen.insert(place, refined);
+                observed.insert(index, refined);
             }
         }
-        seen
+        observed
     }
 
-    fn marker_corners(&self, seen: &BTreeMap<usize, Detection>) -> Vec<BoardPoint> {
-        let markers = &self.file.board.markers;
-        let of_marker = |(place, detection): (&usize, &Detection)| {
-            let (place, pixels) = (*place, detection.corners_px);
-            let corners = markers[place].corners_m;
+    fn marker_corners(&self, observed: &BTreeMap<usize, Detection>) -> Vec<BoardPoint> {
+        let of_marker = |(marker, detection): (&usize, &Detection)| {
+            let (marker, pixels) = (*marker, detection.corners_px);
+            let corners = self.file.board.markers[marker].corners_m;
             (0..4).map(move |k| BoardPoint {
-                number: (4 * place + k) as u32,
-                place_m: self.t_plane_board.transform_point(corners[k]),
+                index: (4 * marker + k) as u32,
+                point_m: self.t_plane_board.transform_point(corners[k]),
                 pixel: pixels[k],
             })
         };
-        seen.iter().flat_map(of_marker).collect()
+        observed.iter().flat_map(of_marker).collect()
     }
 
     fn saddles(
         &self,
         image: &GrayImage,
         chessboard: &Chessboard,
-        seen: &BTreeMap<usize, Detection>,
+        observed: &BTreeMap<usize, Detection>,
     ) -> Vec<BoardPoint> {
         let corners = chessboard.corners_m();
         let columns = chessboard.squares[0] - 1;
-        let found = corners.iter().enumerate().filter_map(|(number, place)| {
-            let [column, row] = [number as u32 % columns + 1, number as u32 / columns + 1];
-            let expected = self.expected(chessboard, [column, row], seen)?;
+        let points = (0..).zip(corners).filter_map(|(index, corner)| {
+            let square = [index % columns + 1, index / columns + 1];
+            let expected = self.predict_saddle(chessboard, square, observed)?;
             Some(BoardPoint {
-                number: number as u32,
-                place_m: self.t_plane_board.transform_point(place.extend(0.0)),
+                index,
+                point_m: self.t_plane_board.transform_point(corner.extend(0.0)),
                 pixel: refine_saddle(image, &expected)?,
             })
         });
-        found.collect()
+        points.collect()
     }
 
-    /// Where the inner corner below and to the right of `column − 1`, `row − 1` should be, by the
-    /// homography of the markers around it; none if no marker beside it was seen.
-    fn expected(
+    /// Predicts the inner corner at the top left of square `column`, `row` by the homography of the
+    /// markers around it. None if no adjacent marker was observed.
+    fn predict_saddle(
         &self,
         chessboard: &Chessboard,
         [column, row]: [u32; 2],
-        seen: &BTreeMap<usize, Detection>,
+        observed: &BTreeMap<usize, Detection>,
     ) -> Option<ExpectedSaddle> {
         let markers = &self.file.board.markers;
-        let place = chessboard.place_m(f64::from(column), f64::from(row));
+        let corner = chessboard.point_m(f64::from(column), f64::from(row));
         let square = 1e-3 * DVec2::from_array(chessboard.square_mm);
         let squares_off = |marker: &BoardMarker| {
-            ((marker.center_m().truncate() - place) / square)
+            ((marker.center_m().truncate() - corner) / square)
                 .abs()
                 .max_element()
         };
-        let is_beside = |marker: &BoardMarker| squares_off(marker) <= TOUCHING_SQUARES;
-        if !seen.keys().any(|k| is_beside(&markers[*k])) {
+        let is_adjacent = |marker: &BoardMarker| squares_off(marker) <= TOUCHING_SQUARES;
+        if !observed.keys().any(|k| is_adjacent(&markers[*k])) {
             return None;
         }
-        let helping = || {
-            seen.iter()
-                .filter(|(k, _)| squares_off(&markers[**k]) <= HELPING_SQUARES)
+        let predicting = || {
+            let all = observed.iter();
+            all.filter(|(k, _)| squares_off(&markers[**k]) <= PREDICTING_SQUARES)
         };
-        let plane: Vec<DVec2> = helping()
+        let plane: Vec<DVec2> = predicting()
             .flat_map(|(k, _)| markers[*k].corners_m)
-            .map(|c| c.truncate() - place)
+            .map(|c| c.truncate() - corner)
             .collect();
-        let pixels: Vec<DVec2> = helping().flat_map(|(_, d)| d.corners_px).collect();
+        let pixels: Vec<DVec2> = predicting().flat_map(|(_, d)| d.corners_px).collect();
         let homography = plane_to_image(&plane, &pixels)?;
-        let beside: Vec<&BoardMarker> = markers.iter().filter(|m| is_beside(m)).collect();
-        let nearest = nearest_corner(&beside, place)?;
-        let at = mapped(&homography, DVec2::ZERO)?;
-        let free_px = free_distance(&homography, &beside, place, at)?;
-        // Between the corner and the markers, and as far from it in the black squares.
-        let off = |x: f64, y: f64| mapped(&homography, 0.7 * nearest * DVec2::new(x, y));
+        let adjacent: Vec<&BoardMarker> = markers.iter().filter(|m| is_adjacent(m)).collect();
+        let nearest = nearest_corner(&adjacent, corner)?;
+        let pixel = apply(&homography, DVec2::ZERO)?;
+        let free_px = distance_to_markers(&homography, &adjacent, corner, pixel)?;
+        // Between the corner and the markers, and equally far from it in the black squares.
+        let off = |x: f64, y: f64| apply(&homography, 0.7 * nearest * DVec2::new(x, y));
         let rising = [off(1.0, 1.0)?, off(-1.0, -1.0)?];
         let falling = [off(-1.0, 1.0)?, off(1.0, -1.0)?];
         // The square above and to the left is on the falling diagonal.
@@ -213,7 +202,7 @@ impl PointFinder {
             (falling, rising)
         };
         Some(ExpectedSaddle {
-            at,
+            pixel,
             white,
             black,
             free_px,
@@ -221,52 +210,51 @@ impl PointFinder {
     }
 }
 
-/// Distances along x and y to the nearest corner of the markers beside a place, m.
-fn nearest_corner(beside: &[&BoardMarker], place: DVec2) -> Option<DVec2> {
-    let corners = beside.iter().flat_map(|m| m.corners_m);
+/// Distances along x and y from `point` to the nearest marker corner, m.
+fn nearest_corner(markers: &[&BoardMarker], point: DVec2) -> Option<DVec2> {
+    let corners = markers.iter().flat_map(|m| m.corners_m);
     corners
-        .map(|c| (c.truncate() - place).abs())
+        .map(|c| (c.truncate() - point).abs())
         .min_by(|a, b| a.length().total_cmp(&b.length()))
 }
 
-/// Distance in the image from `at` to the outlines of the markers beside it.
-fn free_distance(
+/// Distance from `pixel` to the outlines of the markers in the image, px; `origin` is the origin of
+/// the homography on the board.
+fn distance_to_markers(
     homography: &DMat3,
-    beside: &[&BoardMarker],
-    place: DVec2,
-    at: DVec2,
+    markers: &[&BoardMarker],
+    origin: DVec2,
+    pixel: DVec2,
 ) -> Option<f64> {
-    let mut least = f64::INFINITY;
-    for marker in beside {
-        let corners = marker
+    let mut min = f64::INFINITY;
+    for marker in markers {
+        let [a, b, c, d] = marker
             .corners_m
-            .map(|c| mapped(homography, c.truncate() - place));
-        let [Some(a), Some(b), Some(c), Some(d)] = corners else {
-            return None;
-        };
+            .map(|c| apply(homography, c.truncate() - origin));
+        let [a, b, c, d] = [a?, b?, c?, d?];
         for (p, q) in [(a, b), (b, c), (c, d), (d, a)] {
-            least = least.min(distance_to_segment(at, p, q));
+            min = min.min(distance_to_segment(pixel, p, q));
         }
     }
-    Some(least)
+    Some(min)
 }
 
-fn distance_to_segment(at: DVec2, a: DVec2, b: DVec2) -> f64 {
-    let along = (at - a).dot(b - a) / (b - a).length_squared().max(f64::MIN_POSITIVE);
-    at.distance(a.lerp(b, along.clamp(0.0, 1.0)))
+fn distance_to_segment(point: DVec2, a: DVec2, b: DVec2) -> f64 {
+    let along = (point - a).dot(b - a) / (b - a).length_squared().max(f64::MIN_POSITIVE);
+    point.distance(a.lerp(b, along.clamp(0.0, 1.0)))
 }
 
-fn mapped(homography: &DMat3, at: DVec2) -> Option<DVec2> {
-    let h = *homography * at.extend(1.0);
+fn apply(homography: &DMat3, point: DVec2) -> Option<DVec2> {
+    let h = *homography * point.extend(1.0);
     let pixel = h.truncate() / h.z;
     pixel.is_finite().then_some(pixel)
 }
 
-/// Frame with its origin in the middle of the object's markers and z out of the sheet, as seen from
-/// the board.
+/// Frame with its origin at the centre of the object markers and z out of the sheet, in the board
+/// frame.
 fn plane_frame(file: &BoardFile) -> Pose {
-    let markers: Vec<&BoardMarker> = file.board.of_part(Part::Object).collect();
-    let middle = markers.iter().map(|m| m.center_m()).sum::<DVec3>() / markers.len().max(1) as f64;
+    let markers: Vec<&BoardMarker> = file.board.markers_on(Body::Object).collect();
+    let center = markers.iter().map(|m| m.center_m()).sum::<DVec3>() / markers.len().max(1) as f64;
     let across: DVec3 = markers
         .iter()
         .map(|m| (m.corners_m[3] - m.corners_m[1]).cross(m.corners_m[2] - m.corners_m[0]))
@@ -280,5 +268,5 @@ fn plane_frame(file: &BoardFile) -> Pose {
         .try_normalize()
         .unwrap_or_else(|| z.any_orthonormal_vector());
     let axes = DMat3::from_cols(x, z.cross(x), z);
-    Pose::new(DQuat::from_mat3(&axes), middle)
+    Pose::new(DQuat::from_mat3(&axes), center)
 }

@@ -1,4 +1,4 @@
-//! Joint Levenberg–Marquardt over the intrinsics and the poses of all views.
+//! Bundle adjustment of the intrinsics and the board poses of all views.
 //!
 //! The poses are eliminated view by view (Schur complement; B. Triggs et al., *Bundle adjustment —
 //! a modern synthesis*, 2000), which leaves nine equations.
@@ -7,54 +7,54 @@ use glam::DVec2;
 
 use super::board_points::BoardPoint;
 use crate::camera::{intrinsics_jacobian, project, project_with_jacobian};
-use crate::least_squares::{Search, Trial, huber, moved};
+use crate::least_squares::{Search, Trial, huber, moved, pose_row};
 use gripcast_base::linear::{Cholesky, NormalEquations};
 use gripcast_geometry::Pose;
 use gripcast_imaging::Intrinsics;
 
-/// Number of a lens's parameters: fx, fy, cx, cy, k1, k2, p1, p2, k3.
+/// Number of intrinsics: fx, fy, cx, cy, k1, k2, p1, p2, k3.
 pub(super) const LENS: usize = 9;
 const SEARCH: Search = Search {
     max_iterations: 80,
     min_decrease: 1e-11,
-    largest_damping: Some(1e12),
+    max_damping: Some(1e12),
 };
 
-/// Which parameters of the lens are searched.
+/// Which intrinsics are free parameters.
 pub(super) type Fitted = [bool; LENS];
 
-/// Lens and poses `t_camera_plane`, by view.
+/// Intrinsics and `t_camera_plane` of each view.
 #[derive(Clone, Debug)]
 pub(super) struct Bundle {
     pub(super) lens: Intrinsics,
     pub(super) poses: Vec<Pose>,
 }
 
-/// A minimum.
+/// Result of [`minimise`].
 #[derive(Clone, Debug)]
 pub(super) struct BundleFit {
     pub(super) bundle: Bundle,
     /// Robust cost, px².
     pub(super) cost: f64,
-    /// Inverse of the lens's information with all poses free; zero where a parameter is fixed.
+    /// Inverse information of the intrinsics, poses marginalised; zero for fixed parameters.
     pub(super) inverse_information: [[f64; LENS]; LENS],
 }
 
-/// Distance of a point from where the bundle predicts it, px; infinite behind the camera.
+/// Reprojection error of a point, px; infinite behind the camera.
 pub(super) fn error_px(lens: &Intrinsics, pose: &Pose, point: &BoardPoint) -> f64 {
-    let predicted = project(lens, pose.transform_point(point.place_m));
+    let predicted = project(lens, pose.transform_point(point.point_m));
     predicted.map_or(f64::INFINITY, |pixel| pixel.distance(point.pixel))
 }
 
-/// Searches the nearest minimum of the Huber loss, squared up to `loss_px` from a point. None
-/// where the views do not determine the parameters.
+/// Minimises the Huber loss (quadratic up to `loss_px`) from `start`. None if the views do not
+/// determine the parameters.
 pub(super) fn minimise(
     views: &[Vec<BoardPoint>],
     start: Bundle,
     fitted: &Fitted,
     loss_px: f64,
 ) -> Option<BundleFit> {
-    let found = SEARCH.minimise(
+    let minimum = SEARCH.minimise(
         start,
         |bundle| linearise(views, bundle, fitted, loss_px),
         |bundle, equations, damping| {
@@ -65,7 +65,7 @@ pub(super) fn minimise(
             })
         },
     )?;
-    let (reduced, _) = found.equations.reduced(0.0)?;
+    let (reduced, _) = minimum.equations.reduced(0.0)?;
     let mut inverse_information = Cholesky::beyond_rounding(&reduced.matrix)?.inverse();
     for (i, row) in inverse_information.iter_mut().enumerate() {
         for (j, value) in row.iter_mut().enumerate() {
@@ -75,13 +75,13 @@ pub(super) fn minimise(
         }
     }
     Some(BundleFit {
-        bundle: found.state,
-        cost: found.cost,
+        bundle: minimum.state,
+        cost: minimum.cost,
         inverse_information,
     })
 }
 
-/// Steps of the lens and of every pose.
+/// Step of the intrinsics and of every pose.
 struct Step {
     lens: [f64; LENS],
     poses: Vec<[f64; 6]>,
@@ -104,20 +104,20 @@ fn stepped(bundle: &Bundle, step: &Step) -> Bundle {
     }
 }
 
-/// Normal equations in blocks.
+/// Block normal equations.
 struct Equations {
     lens: NormalEquations<LENS>,
     poses: Vec<NormalEquations<6>>,
-    /// By view: lens × pose.
+    /// By view: intrinsics × pose.
     mixed: Vec<[[f64; 6]; LENS]>,
     fitted: Fitted,
 }
 
-/// What eliminates the pose of a view: the inverse of its block.
+/// Inverse pose block of each view.
 type Eliminated = Vec<[[f64; 6]; 6]>;
 
 impl Equations {
-    /// The lens's equations without the poses; fixed parameters have a step of 0.
+    /// Equations of the intrinsics with the poses eliminated; fixed parameters have a step of 0.
     fn reduced(&self, damping: f64) -> Option<(NormalEquations<LENS>, Eliminated)> {
         let mut reduced = self.lens.clone();
         for i in 0..LENS {
@@ -173,7 +173,7 @@ fn dot(a: &[f64; 6], b: &[f64; 6]) -> f64 {
     a.iter().zip(b).map(|(a, b)| a * b).sum()
 }
 
-/// Equations of the step and the robust cost; none if a point falls behind the camera or the lens folds over.
+/// Normal equations of the step and robust cost. None if a point does not project.
 fn linearise(
     views: &[Vec<BoardPoint>],
     bundle: &Bundle,
@@ -191,17 +191,16 @@ fn linearise(
         let mut own = NormalEquations::<6>::zero();
         let mut mixed = [[0.0; 6]; LENS];
         for point in points {
-            let arm = pose.transform_vector(point.place_m);
-            let at = arm + pose.translation_m;
-            let (pixel, gradients) = project_with_jacobian(&bundle.lens, at)?;
-            let mut by_lens = intrinsics_jacobian(&bundle.lens, at);
+            let arm = pose.transform_vector(point.point_m);
+            let point_m = arm + pose.translation_m;
+            let (pixel, gradients) = project_with_jacobian(&bundle.lens, point_m)?;
+            let mut by_lens = intrinsics_jacobian(&bundle.lens, point_m);
             let residual: DVec2 = point.pixel - pixel;
             let (weight, own_cost) = huber(residual.length(), loss_px);
             cost += own_cost;
             for (axis, value) in residual.to_array().into_iter().enumerate() {
                 let gradient = gradients[axis];
-                let turn = arm.cross(gradient);
-                let row = [gradient.x, gradient.y, gradient.z, turn.x, turn.y, turn.z];
+                let row = pose_row(gradient, arm);
                 for (entry, is_fitted) in by_lens[axis].iter_mut().zip(fitted) {
                     if !is_fitted {
                         *entry = 0.0;

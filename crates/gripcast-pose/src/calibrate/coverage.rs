@@ -1,4 +1,4 @@
-//! Which views are still needed.
+//! Coverage of the views, and hints for the next one.
 
 use std::fmt;
 
@@ -9,15 +9,15 @@ use gripcast_geometry::Pose;
 
 /// Cells of the image: columns and rows.
 pub(super) const CELLS: [usize; 2] = [4, 3];
-/// Points that a cell needs.
+/// Minimum number of points in a cell.
 const POINTS_IN_CELL: usize = 6;
-/// Least angle of the board against the image that counts as tilted, rad: 15°.
+/// Minimum angle between board and image plane of a tilted view, rad: 15°.
 const TILTED_RAD: f64 = 0.26;
 
-/// Which edge of the board is farther from the camera.
+/// Edge of the board that is farther from the camera.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Tilt {
-    /// The left edge, as the camera sees it.
+    /// The left edge in the image.
     Left,
     /// The right edge.
     Right,
@@ -28,7 +28,7 @@ pub enum Tilt {
 }
 
 impl Tilt {
-    /// All of them.
+    /// All edges.
     pub const ALL: [Self; 4] = [Self::Left, Self::Right, Self::Up, Self::Down];
 
     /// The name of the edge.
@@ -41,41 +41,36 @@ impl Tilt {
         }
     }
 
-    /// Tilt of a board whose normal is given in the camera's frame; none for one that faces the
-    /// camera.
-    pub(super) fn of(normal: DVec3) -> Option<Self> {
-        // The normal points towards the camera, to the side of the edge that is farther away.
+    /// Tilt from the board normal in the camera frame; none for a board that faces the camera.
+    pub(super) fn from_normal(normal: DVec3) -> Option<Self> {
         if normal.z.abs().min(1.0).acos() < TILTED_RAD {
             return None;
         }
-        Some(if normal.x.abs() > normal.y.abs() {
-            if normal.x < 0.0 {
-                Self::Left
-            } else {
-                Self::Right
-            }
-        } else if normal.y < 0.0 {
-            Self::Up
-        } else {
-            Self::Down
+        // The normal points towards the camera, to the side of the farther edge.
+        let is_horizontal = normal.x.abs() > normal.y.abs();
+        Some(match is_horizontal {
+            true if normal.x < 0.0 => Self::Left,
+            true => Self::Right,
+            false if normal.y < 0.0 => Self::Up,
+            false => Self::Down,
         })
     }
 }
 
-/// What to do next.
+/// The view that improves the calibration most.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Hint {
-    /// Move the board to a cell of the image: column and row.
+    /// Board in this cell of the image: column and row.
     MoveTo([usize; 2]),
-    /// Tilt it so that this edge is farther away.
+    /// Board tilted so that this edge is farther away.
     Tilt(Tilt),
-    /// Bring it nearer to the camera.
+    /// Board nearer to the camera.
     Nearer,
-    /// Take it farther away.
+    /// Board farther from the camera.
     Farther,
     /// Any other view.
     More,
-    /// There are enough views.
+    /// None: there are enough views.
     Enough,
 }
 
@@ -87,7 +82,7 @@ impl fmt::Display for Hint {
                 let height = ["upper", "middle", "lower"];
                 write!(
                     f,
-                    "hold the board to the {} {} of the image",
+                    "move the board to the {} {} of the image",
                     height[(*row).min(2)],
                     side[(*column).min(3)]
                 )
@@ -97,40 +92,40 @@ impl fmt::Display for Hint {
                 "tilt the board by 20° to 40°: its {} edge away from the camera",
                 tilt.edge()
             ),
-            Self::Nearer => f.write_str("bring the board nearer, until it fills the image"),
-            Self::Farther => f.write_str("take the board farther away, to half its size"),
-            Self::More => f.write_str("take a view from another direction"),
+            Self::Nearer => f.write_str("move the board nearer, until it fills the image"),
+            Self::Farther => f.write_str("move the board farther away, to half its size"),
+            Self::More => f.write_str("show the board from another direction"),
             Self::Enough => f.write_str("enough views"),
         }
     }
 }
 
-/// What the views so far cover.
+/// What the views cover.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Coverage {
-    /// Points of all views in each cell of the image: by row, then column.
+    /// Number of points in each cell of the image: by row, then column.
     pub cells: [[usize; CELLS[0]]; CELLS[1]],
-    /// Views by [`Tilt::ALL`].
+    /// Number of views of each tilt in [`Tilt::ALL`].
     pub tilts: [usize; 4],
-    /// Least and largest distance of the board's middle, relative to each other: 1 or more.
+    /// Ratio of the maximum to the minimum distance of the board.
     pub distance_ratio: f64,
-    /// Views.
+    /// Number of views.
     pub views: usize,
-    /// Views that are enough if all else is covered.
+    /// Required number of views.
     pub wanted: usize,
-    /// Size of the image in which the views are nearest: part of the image's height.
-    largest: f64,
+    /// Maximum height of the board in the image, fraction of the image height.
+    max_height: f64,
 }
 
 impl Coverage {
-    /// Views that each tilt needs.
-    pub const VIEWS_OF_TILT: usize = 2;
-    /// Ratio of the farthest to the nearest view that is needed.
-    pub const DISTANCES: f64 = 1.25;
+    /// Required views of each tilt.
+    pub const VIEWS_PER_TILT: usize = 2;
+    /// Required [`Self::distance_ratio`].
+    pub const MIN_DISTANCE_RATIO: f64 = 1.25;
 
-    /// Of the points of views and the board's pose in each, `t_camera_plane`, in images of
-    /// `size`; `wanted` views are enough.
-    pub(super) fn of<'a>(
+    /// Coverage of views in images of `size`, each with its points and the board's pose
+    /// `t_camera_plane`; `wanted` is the required number of views.
+    pub(super) fn new<'a>(
         size: [u32; 2],
         views: impl Iterator<Item = (&'a [BoardPoint], &'a Pose)>,
         wanted: usize,
@@ -141,11 +136,11 @@ impl Coverage {
             distance_ratio: 1.0,
             views: 0,
             wanted,
-            largest: 0.0,
+            max_height: 0.0,
         };
         let cell_px = DVec2::new(f64::from(size[0]), f64::from(size[1]))
             / DVec2::new(CELLS[0] as f64, CELLS[1] as f64);
-        let (mut least, mut most) = (f64::INFINITY, 0.0f64);
+        let (mut nearest, mut farthest) = (f64::INFINITY, 0.0f64);
         for (points, pose) in views {
             coverage.views += 1;
             let (mut low, mut high) = (f64::INFINITY, f64::NEG_INFINITY);
@@ -156,36 +151,33 @@ impl Coverage {
                 low = low.min(point.pixel.y);
                 high = high.max(point.pixel.y);
             }
-            coverage.largest = coverage.largest.max((high - low) / f64::from(size[1]));
-            if let Some(tilt) = Tilt::of(pose.transform_vector(DVec3::Z)) {
+            coverage.max_height = coverage.max_height.max((high - low) / f64::from(size[1]));
+            if let Some(tilt) = Tilt::from_normal(pose.transform_vector(DVec3::Z)) {
                 coverage.tilts[tilt as usize] += 1;
             }
-            least = least.min(pose.translation_m.z);
-            most = most.max(pose.translation_m.z);
+            nearest = nearest.min(pose.translation_m.z);
+            farthest = farthest.max(pose.translation_m.z);
         }
-        if least > 0.0 && most > 0.0 {
-            coverage.distance_ratio = most / least;
+        if nearest > 0.0 && farthest > 0.0 {
+            coverage.distance_ratio = farthest / nearest;
         }
         coverage
     }
 
-    /// What to do next: first what the calibration suffers from most.
+    /// The most useful next view.
     pub fn hint(&self) -> Hint {
-        let fewest = self.tilts.iter().copied().min().unwrap_or(0);
-        let tilt = Tilt::ALL[self.tilts.iter().position(|n| *n == fewest).unwrap_or(0)];
-        let empty = self.emptiest();
-        // Tilts and places in turn, so that they come together.
-        if fewest < Self::VIEWS_OF_TILT && (self.views.is_multiple_of(2) || empty.is_none()) {
+        let min = self.tilts.iter().copied().min().unwrap_or(0);
+        let tilt = Tilt::ALL[self.tilts.iter().position(|n| *n == min).unwrap_or(0)];
+        let empty = self.emptiest_cell();
+        // Alternate tilts and cells.
+        if min < Self::VIEWS_PER_TILT && (self.views.is_multiple_of(2) || empty.is_none()) {
             return Hint::Tilt(tilt);
         }
         if let Some(cell) = empty {
             return Hint::MoveTo(cell);
         }
-        if fewest < Self::VIEWS_OF_TILT {
-            return Hint::Tilt(tilt);
-        }
-        if self.distance_ratio < Self::DISTANCES {
-            return if self.largest < 0.6 {
+        if self.distance_ratio < Self::MIN_DISTANCE_RATIO {
+            return if self.max_height < 0.6 {
                 Hint::Nearer
             } else {
                 Hint::Farther
@@ -197,21 +189,14 @@ impl Coverage {
         Hint::Enough
     }
 
-    /// Parts of what is needed, 0 to 1.
+    /// Progress, 0 to 1.
     pub fn progress(&self) -> f64 {
-        let cells = self
-            .cells
-            .iter()
-            .flatten()
-            .filter(|n| **n >= POINTS_IN_CELL)
-            .count();
-        let tilts: usize = self
-            .tilts
-            .iter()
-            .map(|n| (*n).min(Self::VIEWS_OF_TILT))
-            .sum();
+        let cells = self.cells.iter().flatten();
+        let cells = cells.filter(|n| **n >= POINTS_IN_CELL).count();
+        let tilts = self.tilts.iter().map(|n| (*n).min(Self::VIEWS_PER_TILT));
+        let tilts = tilts.sum::<usize>();
         let views = self.views.min(self.wanted);
-        let all = CELLS[0] * CELLS[1] + 4 * Self::VIEWS_OF_TILT + self.wanted;
+        let all = CELLS[0] * CELLS[1] + 4 * Self::VIEWS_PER_TILT + self.wanted;
         (cells + tilts + views) as f64 / all as f64
     }
 
@@ -220,10 +205,10 @@ impl Coverage {
         self.cells[row][column] >= POINTS_IN_CELL
     }
 
-    /// The cell with fewest points, if they are too few.
-    fn emptiest(&self) -> Option<[usize; 2]> {
-        let places = (0..CELLS[1]).flat_map(|row| (0..CELLS[0]).map(move |column| [column, row]));
-        places
+    /// The cell with the fewest points, if it is not covered.
+    fn emptiest_cell(&self) -> Option<[usize; 2]> {
+        let cells = (0..CELLS[1]).flat_map(|row| (0..CELLS[0]).map(move |column| [column, row]));
+        cells
             .min_by_key(|[column, row]| self.cells[*row][*column])
             .filter(|[column, row]| !self.is_covered(*column, *row))
     }
@@ -234,15 +219,15 @@ mod tests {
     use super::*;
     use glam::DQuat;
 
-    /// A board that faces the camera (its z axis towards it), then turned.
-    fn pose(turn: DQuat, depth: f64) -> Pose {
+    /// A rotated board; without rotation its z axis points towards the camera.
+    fn pose(rotation: DQuat, depth: f64) -> Pose {
         let facing = DQuat::from_rotation_x(std::f64::consts::PI);
-        Pose::new(turn * facing, DVec3::Z * depth)
+        Pose::new(rotation * facing, DVec3::Z * depth)
     }
 
-    fn points(size: [u32; 2], part: [f64; 4]) -> Vec<BoardPoint> {
-        let [left, top, right, bottom] = part;
-        let place = |k: u32| {
+    fn points(size: [u32; 2], region: [f64; 4]) -> Vec<BoardPoint> {
+        let [left, top, right, bottom] = region;
+        let pixel = |k: u32| {
             let (x, y) = (f64::from(k % 8) / 7.0, f64::from(k / 8) / 7.0);
             DVec2::new(
                 f64::from(size[0]) * (left + (right - left) * x),
@@ -250,25 +235,28 @@ mod tests {
             )
         };
         (0..64)
-            .map(|number| BoardPoint {
-                number,
-                place_m: DVec3::ZERO,
-                pixel: place(number) - 0.5,
+            .map(|index| BoardPoint {
+                index,
+                point_m: DVec3::ZERO,
+                pixel: pixel(index) - 0.5,
             })
             .collect()
     }
 
     #[test]
-    fn tilts_are_named_after_the_far_edge() {
-        for (turn, expected) in [
+    fn tilt_names_farther_edge() {
+        for (rotation, expected) in [
             (DQuat::from_rotation_y(-0.5), Tilt::Right),
             (DQuat::from_rotation_y(0.5), Tilt::Left),
             (DQuat::from_rotation_x(-0.5), Tilt::Up),
             (DQuat::from_rotation_x(0.5), Tilt::Down),
         ] {
-            let pose = pose(turn, 0.5);
-            assert_eq!(Tilt::of(pose.transform_vector(DVec3::Z)), Some(expected));
-            // The edge is really farther away; the board's y axis points upwards in the image.
+            let pose = pose(rotation, 0.5);
+            assert_eq!(
+                Tilt::from_normal(pose.transform_vector(DVec3::Z)),
+                Some(expected)
+            );
+            // The edge is farther away; the board's y axis points up in the image.
             let edge = match expected {
                 Tilt::Left => DVec3::NEG_X,
                 Tilt::Right => DVec3::X,
@@ -278,24 +266,24 @@ mod tests {
             assert!(pose.transform_vector(edge).z > 0.4, "{expected:?}");
         }
         assert_eq!(
-            Tilt::of(pose(DQuat::from_rotation_x(0.2), 0.5).transform_vector(DVec3::Z)),
+            Tilt::from_normal(pose(DQuat::from_rotation_x(0.2), 0.5).transform_vector(DVec3::Z)),
             None
         );
     }
 
     #[test]
-    fn hints_lead_to_enough() {
+    fn following_hints_completes_coverage() {
         let size = [1280, 720];
         let mut views: Vec<(Vec<BoardPoint>, Pose)> = Vec::new();
-        let mut said = Vec::new();
+        let mut hints = Vec::new();
         let mut depth = 0.5;
         for _ in 0..40 {
             let all = views.iter().map(|(p, pose)| (&p[..], pose));
-            let coverage = Coverage::of(size, all, 12);
+            let coverage = Coverage::new(size, all, 12);
             let hint = coverage.hint();
-            said.push(hint);
-            let mut part = [0.3, 0.3, 0.7, 0.7];
-            let mut turn = DQuat::IDENTITY;
+            hints.push(hint);
+            let mut region = [0.3, 0.3, 0.7, 0.7];
+            let mut rotation = DQuat::IDENTITY;
             match hint {
                 Hint::Enough => {
                     assert_eq!(coverage.progress(), 1.0);
@@ -303,10 +291,10 @@ mod tests {
                 }
                 Hint::MoveTo([column, row]) => {
                     let (x, y) = (0.25 * column as f64, row as f64 / 3.0);
-                    part = [x + 0.01, y + 0.01, x + 0.24, y + 0.32];
+                    region = [x + 0.01, y + 0.01, x + 0.24, y + 0.32];
                 }
                 Hint::Tilt(tilt) => {
-                    turn = match tilt {
+                    rotation = match tilt {
                         Tilt::Left => DQuat::from_rotation_y(0.5),
                         Tilt::Right => DQuat::from_rotation_y(-0.5),
                         Tilt::Up => DQuat::from_rotation_x(-0.5),
@@ -317,11 +305,11 @@ mod tests {
                 Hint::Farther => depth = 0.8,
                 Hint::More => {}
             }
-            views.push((points(size, part), pose(turn, depth)));
+            views.push((points(size, region), pose(rotation, depth)));
         }
-        assert_eq!(said.last(), Some(&Hint::Enough), "{said:?}");
-        assert!(said.contains(&Hint::Nearer) && said.contains(&Hint::MoveTo([0, 0])));
-        let all: Vec<String> = said.iter().map(ToString::to_string).collect();
-        assert!(all.contains(&"hold the board to the upper left of the image".to_owned()));
+        assert_eq!(hints.last(), Some(&Hint::Enough), "{hints:?}");
+        assert!(hints.contains(&Hint::Nearer) && hints.contains(&Hint::MoveTo([0, 0])));
+        let all: Vec<String> = hints.iter().map(ToString::to_string).collect();
+        assert!(all.contains(&"move the board to the upper left of the image".to_owned()));
     }
 }

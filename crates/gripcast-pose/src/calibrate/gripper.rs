@@ -1,130 +1,124 @@
-//! Where the gripper's markers really are.
+//! Calibration of the marker poses on the gripper.
 //!
-//! Tags that are glued by hand are off by millimetres and degrees. Images of the gripper from
-//! many sides give the places of the markers to each other to hundredths of a millimetre, by
-//! joint least squares over camera poses, marker poses and openings (Huber's loss).
+//! Tags glued by hand are off by millimetres and degrees. Images of the gripper from many sides
+//! determine the relative marker poses to hundredths of a millimetre, by bundle adjustment over
+//! camera poses, marker poses and openings with a Huber loss.
 //!
-//! # What comes from where
-//! Images show markers, not the gripper. Seven freedoms are left, and tied to what the gripper's
-//! frame means (origin midway between the gel faces, x along which it closes, z its approach):
+//! # Frame
+//! Images show markers, not the gripper frame (origin midway between the gel faces, x = closing
+//! direction, z = approach direction). Seven degrees of freedom are determined as follows:
 //!
-//! | freedom | comes from |
+//! | degrees of freedom | source |
 //! | --- | --- |
-//! | two turns: the direction of x | the fingers: x is the line along which their markers slide, if the opening changed enough for the line to be known to 0.25°; else as the next row |
-//! | three shifts and the turn about x | the description: the rigid fit of the body's markers to where they are described; a marker that is far off weighs less. Without markers on the body, those of the fingers |
-//! | the opening's zero | images with closed fingers: there the opening is 0; without any, the described distance of the fingers' markers |
+//! | direction of x (2) | sliding direction of the fingers' markers, if the opening varies enough to determine it to 0.25°; else as the next row |
+//! | translation and rotation about x (4) | robust rigid fit of the body's markers to the board file; without markers on the body, those of the fingers |
+//! | zero of the opening (1) | images with closed fingers; without any, the nominal distance of the fingers' markers |
 //!
-//! The second row cannot be better than the gluing: its error is one constant shift and turn of
-//! the frame, the same in every image. [`GripperCalibration::frame_sigma_m`] estimates it by how
-//! the markers scatter about their description; for better, measure the tags on the gripper and
-//! correct the description. The covariances of the markers have the corners' errors alone.
+//! The second row is limited by the gluing: its error is one constant transform of the frame, the
+//! same in every image. [`GripperCalibration::frame_sigma_m`] estimates it from the scatter of the
+//! markers about the board file; to improve it, measure the tags on the gripper and correct the
+//! board file. The covariances of the markers contain the corner noise only.
 
 use glam::DVec3;
 
-use super::gripper_bundle::{Bundle, Free, OF_SLIDE, Solved, View, slides_differ};
+use super::gripper_bundle::{Bundle, Free, SLIDE_PARAMETERS, Solution, View, slides_differ};
 use super::gripper_check::{leave_one_out, rms_of_views, suspects};
-use super::gripper_frame::{Ties, conditions, tie};
-use super::gripper_report::{Loosened, Outcome, report};
+use super::gripper_frame::{FrameSources, align, constraints};
+use super::gripper_report::{LooseMarker, ReportInput, report};
 use super::gripper_result::{GripperCalibration, GripperImage};
-use super::gripper_start::{MIN_SIGHTS, Selection, select, start};
-use crate::{BoardFile, Part};
+use super::gripper_start::{MIN_OBSERVATIONS, Selection, select, start};
+use crate::least_squares::rms;
+use crate::{BoardFile, Body};
 use gripcast_base::error::{Error, Result};
 use gripcast_base::statistics::median;
 use gripcast_imaging::Intrinsics;
 
-/// Fewest images with two markers or more.
+/// Minimum number of images with two or more markers.
 const MIN_VIEWS: usize = 8;
-/// Losses of the first searches, px: tags may be 10 px from where they are described.
+/// Huber losses of the initial fits, px: tags may be 10 px off their nominal positions.
 const ROUGH_LOSSES_PX: [f64; 2] = [10.0, 2.0];
-/// The last loss: times the median error, and never narrower, px.
+/// Huber loss of the final fit, times the median error.
 const LOSS_OF_MEDIAN: f64 = 2.0;
+/// Minimum Huber loss of the final fit, px.
 const MIN_LOSS_PX: f64 = 0.1;
-/// A sighting is an outlier if it fits worse than this, px, and than so many medians.
-const OUTLIER_PX: f64 = 1.0;
-const OUTLIER_OF_MEDIAN: f64 = 6.0;
-/// With a larger error this is not the gripper of the description, px.
-const CONTRADICTION_PX: f64 = 3.0;
-/// Standard deviation of a corner's coordinate that no detector betters on real images, px.
+/// An observation is an outlier beyond this error, px, and this many median errors.
+const OUTLIER: (f64, f64) = (1.0, 6.0);
+/// Maximum median error of images that match the board, px.
+const MAX_MEDIAN_PX: f64 = 3.0;
+/// Lower bound of the standard deviation of a corner coordinate on real images, px.
 const MIN_SIGMA_PX: f64 = 0.03;
-/// The fingers' line has to be known to this to be the x axis: 0.25°.
-const LINE_SIGMA_RAD: f64 = 0.0044;
-/// Every so many images one is held out.
-const HELD_OUT: usize = 5;
-/// A marker is loose if the others have less than this part of the error without it.
-const MUCH_BETTER: f64 = 0.75;
+/// Maximum standard deviation of a sliding direction that determines the x axis: 0.25°.
+const MAX_SLIDE_SIGMA_RAD: f64 = 0.0044;
+/// Every n-th image is held out.
+const HOLDOUT_STRIDE: usize = 5;
+/// A marker is loose if the RMS error without it drops below this fraction.
+const LOOSE_RATIO: f64 = 0.75;
 
-/// Calibrates the markers of a gripper: `nominal` is where they are supposed to be, to a
-/// centimetre and 15°; the sizes of the markers are taken from it.
+/// Calibrates the markers of a gripper. `nominal` has the marker sizes and approximate poses, to
+/// 10 mm and 15°.
 ///
 /// # Errors
-/// `Input` if the board has no tags of a gripper, if fewer than eight images show two markers, if no image joins the two fingers, or
-/// if the images contradict the description.
+/// `Input` if the board has no gripper tags, fewer than eight images show two markers, no image
+/// links the two fingers, or the images do not match the board.
 pub fn calibrate_gripper(
     nominal: &BoardFile,
     intrinsics: &Intrinsics,
     images: &[GripperImage],
 ) -> Result<GripperCalibration> {
     let board = &nominal.board;
-    if board.markers.iter().all(|m| m.part == Part::Object) {
-        let what = format!("the board {} has no tags of a gripper", board.name);
+    if board.markers.iter().all(|m| m.body == Body::Object) {
+        let what = format!("board {} has no gripper tags", board.name);
         return Err(Error::input(what)
-            .remedy("give the gripper's board file, with parts body, finger_left, finger_right"));
+            .remedy("give a board file with markers of part body, finger_left or finger_right"));
     }
     let mut selection = select(board, intrinsics, images);
     check_enough(&selection, images)?;
     let mut bundle = selection.bundle.clone();
     start(&mut bundle, board, images);
-    let described = bundle.clone();
-    let ties = Ties {
+    let nominal_bundle = bundle.clone();
+    let mut sources = FrameSources {
         x_from_fingers: false,
         zero_from_closed: has_closed(&bundle),
     };
-    let mut solved = solve(bundle, ties)?;
-    let mut loosened: Vec<Loosened> = Vec::new();
+    let mut solution = solve(bundle, sources)?;
+    let mut loose: Vec<LooseMarker> = Vec::new();
     let checks = loop {
-        let checks = leave_one_out(&solved.bundle, solved.sigma_px);
-        let Some((worst, better)) = loose(&solved, &suspects(&checks), ties) else {
+        let checks = leave_one_out(&solution.bundle, solution.sigma_px);
+        let Some((worst, better)) = find_loose(&solution, &suspects(&checks), sources) else {
             break checks;
         };
         let moved = checks[worst].as_ref().and_then(|c| c.moved);
-        loosened.push(Loosened::new(&solved.bundle, worst, moved));
+        loose.push(LooseMarker::new(&solution.bundle, worst, moved));
         selection.bundle = better.bundle.clone();
         check_enough(&selection, images)?;
-        solved = better;
+        solution = better;
     };
-    let holdout_rms_px = holdout(&solved, ties);
-    let described_rms_px = rms_of_views(&described, &described.views);
-    let line = line_off(&solved, ties);
-    let ties = Ties {
-        x_from_fingers: line.is_some_and(|(_, sigma)| sigma < LINE_SIGMA_RAD),
-        ..ties
-    };
-    tie(&mut solved.bundle, ties);
-    let covariance = solved
-        .bundle
-        .covariance(solved.loss_px, &conditions(&solved.bundle, ties))
-        .ok_or_else(undetermined)?;
-    report(Outcome {
+    let holdout_rms_px = holdout(&solution, sources);
+    let described_rms_px = rms_of_views(&nominal_bundle, &nominal_bundle.views);
+    let line = slide_deviation(&solution, sources);
+    sources.x_from_fingers = line.is_some_and(|(_, sigma)| sigma < MAX_SLIDE_SIGMA_RAD);
+    align(&mut solution.bundle, sources);
+    let constraints = constraints(&solution.bundle, sources);
+    let covariance = solution.bundle.covariance(solution.loss_px, &constraints);
+    let left_out_rms = checks.iter().map(|c| c.as_ref().map(|c| c.rms_px));
+    report(ReportInput {
         nominal,
         images,
         selection,
-        solved,
-        loosened,
-        left_out_rms: checks
-            .iter()
-            .map(|c| c.as_ref().map(|c| c.rms_px))
-            .collect(),
-        covariance,
-        ties,
+        loose,
+        left_out_rms: left_out_rms.collect(),
+        covariance: covariance.ok_or_else(undetermined)?,
+        solution,
+        sources,
         line,
         holdout_rms_px,
         described_rms_px,
     })
 }
 
-/// Whether an image with closed fingers shows them together with something else.
+/// Whether an image with closed fingers shows them together with another body.
 fn has_closed(bundle: &Bundle) -> bool {
-    let differ = |v: &View| slides_differ(&bundle.markers, &v.sights);
+    let differ = |v: &View| slides_differ(&bundle.markers, &v.observations);
     bundle.views.iter().any(|v| differ(v) && !v.frees_opening)
 }
 
@@ -132,78 +126,71 @@ fn check_enough(selection: &Selection, images: &[GripperImage]) -> Result<()> {
     let (bundle, views) = (&selection.bundle, selection.bundle.views.len());
     if views < MIN_VIEWS || bundle.markers.len() < 2 {
         return Err(Error::input(format!(
-            "of {} images, {views} show two or more markers that are in {MIN_SIGHTS} \
-                 images at least; {MIN_VIEWS} are needed",
+            "{views} of {} images show two or more markers that are each in at least \
+             {MIN_OBSERVATIONS} images; {MIN_VIEWS} are needed",
             images.len()
         ))
         .remedy(
-            "take 15 to 40 sharp images of the gripper from all sides that will be seen, each \
+            "take 15 to 40 sharp images of the gripper from all sides that will be observed, each \
              with as many tags as possible, at several openings",
         ));
     }
-    let slides = |view: &View| -> Vec<f64> {
-        view.sights
-            .iter()
-            .map(|s| bundle.markers[s.marker].slide)
-            .collect()
-    };
-    let has = |list: &[f64], slide: f64| list.contains(&slide);
-    let all: Vec<f64> = bundle.markers.iter().map(|m| m.slide).collect();
-    if !(has(&all, -0.5) && has(&all, 0.5)) {
+    let has = |slide: f64| bundle.markers.iter().any(|m| m.slide == slide);
+    if !(has(-0.5) && has(0.5)) {
         return Ok(());
     }
-    let together = bundle
-        .views
-        .iter()
-        .any(|v| has(&slides(v), -0.5) && has(&slides(v), 0.5));
+    let shows = |view: &View, slide: f64| {
+        let mut observations = view.observations.iter();
+        observations.any(|o| bundle.markers[o.marker].slide == slide)
+    };
+    let mut views = bundle.views.iter();
+    let together = views.any(|v| shows(v, -0.5) && shows(v, 0.5));
     let closed = |slide: f64| {
-        let is_closed = |v: &&View| images[v.image].closed;
-        let mut closed = bundle.views.iter().filter(is_closed);
-        closed.any(|v| has(&slides(v), slide) && has(&slides(v), 0.0))
+        let mut views = bundle.views.iter().filter(|v| images[v.image].closed);
+        views.any(|v| shows(v, slide) && shows(v, 0.0))
     };
     if together || (closed(-0.5) && closed(0.5)) {
         return Ok(());
     }
     Err(
-        Error::input("no image shows markers of both fingers, so that they cannot be joined")
-            .remedy("add images that show both fingers' markers"),
+        Error::input("no image shows markers of both fingers, so they cannot be linked")
+            .remedy("add images that show the markers of both fingers"),
     )
 }
 
 fn undetermined() -> Error {
-    Error::input("the images do not determine where the markers are to each other")
+    Error::input("the images do not determine the relative marker poses")
         .remedy("add images from other sides, each with as many tags as possible")
 }
 
-/// Searches with narrowing losses, leaving outliers out.
-fn solve(mut bundle: Bundle, ties: Ties) -> Result<Solved> {
+/// Fits with decreasing losses and rejects outliers.
+fn solve(mut bundle: Bundle, sources: FrameSources) -> Result<Solution> {
     let first = ROUGH_LOSSES_PX[0];
     bundle
         .minimise(Free::Views, first, &[])
         .ok_or_else(undetermined)?;
-    let search = |bundle: &mut Bundle, loss_px: f64| {
-        let conditions = conditions(bundle, ties);
+    let fit = |bundle: &mut Bundle, loss_px: f64| {
+        let constraints = constraints(bundle, sources);
         bundle
-            .minimise(Free::All, loss_px, &conditions)
+            .minimise(Free::All, loss_px, &constraints)
             .ok_or_else(undetermined)
     };
     for loss_px in ROUGH_LOSSES_PX {
-        search(&mut bundle, loss_px)?;
-        tie(&mut bundle, ties);
+        fit(&mut bundle, loss_px)?;
+        align(&mut bundle, sources);
     }
     let mut loss_px = final_loss(&bundle);
-    search(&mut bundle, loss_px)?;
-    if leave_outliers(&mut bundle) {
+    fit(&mut bundle, loss_px)?;
+    if reject_outliers(&mut bundle) {
         loss_px = final_loss(&bundle);
-        search(&mut bundle, loss_px)?;
+        fit(&mut bundle, loss_px)?;
     }
     let errors = bundle.all_errors_px();
-    let count = errors.len() as f64;
-    let rms_px = (errors.iter().map(|e| e * e).sum::<f64>() / count).sqrt();
-    // An infinite median is of corners behind the camera.
-    if median_error_px(&bundle) > CONTRADICTION_PX {
+    let rms_px = rms(&errors);
+    // The median is infinite for corners behind the camera.
+    if median_error_px(&bundle) > MAX_MEDIAN_PX {
         return Err(Error::input(format!(
-            "the markers are {rms_px:.1} px from where the calibration puts them"
+            "the images do not match the board: RMS reprojection error {rms_px:.1} px"
         ))
         .remedy(
             "check that the board file is that of this gripper with the measured size of its \
@@ -211,14 +198,10 @@ fn solve(mut bundle: Bundle, ties: Ties) -> Result<Solved> {
         ));
     }
     let weighted: f64 = errors.iter().map(|e| e * e.min(loss_px)).sum();
-    let unknowns = bundle.globals()
-        + bundle
-            .views
-            .iter()
-            .map(|v| 6 + usize::from(v.frees_opening))
-            .sum::<usize>();
-    let free = (2.0 * count - unknowns as f64).max(1.0);
-    Ok(Solved {
+    let of_view = |v: &View| 6 + usize::from(v.frees_opening);
+    let unknowns = bundle.globals() + bundle.views.iter().map(of_view).sum::<usize>();
+    let free = (2.0 * errors.len() as f64 - unknowns as f64).max(1.0);
+    Ok(Solution {
         sigma_px: (weighted / free).sqrt().max(MIN_SIGMA_PX),
         bundle,
         loss_px,
@@ -234,85 +217,76 @@ fn final_loss(bundle: &Bundle) -> f64 {
     MIN_LOSS_PX.max(LOSS_OF_MEDIAN * median_error_px(bundle))
 }
 
-/// Leaves out sightings that fit nowhere; whether there were any.
-fn leave_outliers(bundle: &mut Bundle) -> bool {
-    let limit = OUTLIER_PX.max(OUTLIER_OF_MEDIAN * median_error_px(bundle));
-    let fits: Vec<Vec<bool>> = bundle
-        .views
-        .iter()
-        .map(|v| {
-            v.sights
-                .iter()
-                .map(|s| bundle.sight_rms_px(v, s) <= limit)
-                .collect()
-        })
-        .collect();
+/// Marks outliers as unused; returns whether there are any.
+fn reject_outliers(bundle: &mut Bundle) -> bool {
+    let limit = OUTLIER.0.max(OUTLIER.1 * median_error_px(bundle));
     let mut any = false;
-    for (view, fits) in bundle.views.iter_mut().zip(fits) {
-        for (sight, fits) in view.sights.iter_mut().zip(fits) {
-            any |= !fits;
-            sight.used = fits;
+    let mut views = bundle.views.clone();
+    for view in &mut views {
+        for i in 0..view.observations.len() {
+            let is_inlier = bundle.rms_px(view, &view.observations[i]) <= limit;
+            view.observations[i].used = is_inlier;
+            any |= !is_inlier;
         }
     }
+    bundle.views = views;
     any
 }
 
-/// The bundle without a marker and the views that lose too much by it.
+/// Removes a marker, and the views with too few other markers.
 fn without(bundle: &Bundle, marker: usize) -> Bundle {
     let mut rest = bundle.clone();
     rest.markers.remove(marker);
     for view in &mut rest.views {
-        view.sights.retain(|s| s.marker != marker);
-        for sight in &mut view.sights {
-            sight.marker -= usize::from(sight.marker > marker);
-            sight.used = true;
+        view.observations.retain(|o| o.marker != marker);
+        for observation in &mut view.observations {
+            observation.marker -= usize::from(observation.marker > marker);
+            observation.used = true;
         }
-        view.frees_opening &= slides_differ(&rest.markers, &view.sights);
+        view.frees_opening &= slides_differ(&rest.markers, &view.observations);
     }
-    rest.views.retain(|v| v.sights.len() >= 2);
+    rest.views.retain(|v| v.observations.len() >= 2);
     rest
 }
 
-/// The suspect without which the others fit much better, with that fit.
-fn loose(solved: &Solved, suspects: &[usize], ties: Ties) -> Option<(usize, Solved)> {
-    let fits = suspects
-        .iter()
-        .filter_map(|i| Some((*i, solve(without(&solved.bundle, *i), ties).ok()?)));
+/// Finds the suspect without which the others fit much better; returns that fit as well.
+fn find_loose(
+    solution: &Solution,
+    suspects: &[usize],
+    sources: FrameSources,
+) -> Option<(usize, Solution)> {
+    let fit = |i: &usize| Some((*i, solve(without(&solution.bundle, *i), sources).ok()?));
+    let fits = suspects.iter().filter_map(fit);
     fits.min_by(|a, b| a.1.rms_px.total_cmp(&b.1.rms_px))
-        .filter(|(_, fit)| fit.rms_px < MUCH_BETTER * solved.rms_px)
+        .filter(|(_, fit)| fit.rms_px < LOOSE_RATIO * solution.rms_px)
 }
 
-/// Error of images that took no part; none if too few would be left.
-fn holdout(solved: &Solved, ties: Ties) -> Option<f64> {
-    let held = |i: usize| i % HELD_OUT == HELD_OUT / 2;
-    let mut rest = solved.bundle.clone();
-    let views = rest.views.split_off(0);
-    let mut tested = Vec::new();
-    for (i, view) in views.into_iter().enumerate() {
-        if held(i) {
-            tested.push(view);
-        } else {
-            rest.views.push(view);
-        }
-    }
+/// RMS reprojection error of held-out images; none if too few would be left.
+fn holdout(solution: &Solution, sources: FrameSources) -> Option<f64> {
+    let mut rest = solution.bundle.clone();
+    let views = std::mem::take(&mut rest.views).into_iter().enumerate();
+    let is_held_out = |i: usize| i % HOLDOUT_STRIDE == HOLDOUT_STRIDE / 2;
+    let (held_out, kept): (Vec<_>, Vec<_>) = views.partition(|(i, _)| is_held_out(*i));
+    rest.views = kept.into_iter().map(|(_, view)| view).collect();
     if rest.views.len() < MIN_VIEWS {
         return None;
     }
-    let conditions = conditions(&rest, ties);
-    rest.minimise(Free::All, solved.loss_px, &conditions)?;
-    rms_of_views(&rest, &tested)
+    let constraints = constraints(&rest, sources);
+    rest.minimise(Free::All, solution.loss_px, &constraints)?;
+    let held_out: Vec<View> = held_out.into_iter().map(|(_, view)| view).collect();
+    rms_of_views(&rest, &held_out)
 }
 
-/// Angle between the line of the fingers and x in the frame of the description, and its
-/// deviation, rad; none where no finger moved.
-fn line_off(solved: &Solved, ties: Ties) -> Option<(f64, f64)> {
-    let moves = solved.bundle.views.iter().any(|v| v.frees_opening);
-    let rules = conditions(&solved.bundle, ties);
-    let covariance = solved.bundle.covariance(solved.loss_px, &rules)?;
-    let last = solved.bundle.globals() - OF_SLIDE;
+/// Angle between the sliding direction and the nominal x axis, and its standard deviation, rad.
+/// None if no finger moved.
+fn slide_deviation(solution: &Solution, sources: FrameSources) -> Option<(f64, f64)> {
+    let bundle = &solution.bundle;
+    let moves = bundle.views.iter().any(|v| v.frees_opening);
+    let covariance = bundle.covariance(solution.loss_px, &constraints(bundle, sources))?;
+    let last = bundle.globals() - SLIDE_PARAMETERS;
     let variance = covariance
         .at(last, last)
         .max(covariance.at(last + 1, last + 1));
-    let sigma = solved.sigma_px * variance.sqrt();
-    moves.then(|| (solved.bundle.slide.angle_between(DVec3::X), sigma))
+    let sigma = solution.sigma_px * variance.sqrt();
+    moves.then(|| (bundle.slide.angle_between(DVec3::X), sigma))
 }

@@ -1,15 +1,15 @@
-//! Joint least squares over views and markers of a gripper.
+//! Bundle adjustment over views and markers of a gripper.
 //!
-//! Unknowns of a view: `t_camera_gripper` and the opening; of a marker: its pose on its part; of
-//! all together: the direction in which the fingers slide. The views are eliminated from the
-//! normal equations (B. Triggs et al., *Bundle adjustment: a modern synthesis*, 2000), which
-//! leaves a small dense system for the markers.
+//! Parameters of a view: `t_camera_gripper` and the opening; of a marker: its pose on its body;
+//! global: the sliding direction of the fingers. The views are eliminated from the normal equations
+//! (B. Triggs et al., *Bundle adjustment: a modern synthesis*, 2000), which leaves a small dense
+//! system for the markers.
 
 use glam::{DVec2, DVec3};
 
-use crate::Part;
+use crate::Body;
 use crate::camera::{project, project_with_jacobian};
-use crate::least_squares::{Search, Trial, huber, moved};
+use crate::least_squares::{Search, Trial, huber, moved, pose_row, rms};
 use gripcast_base::linear::{Factor, Symmetric};
 use gripcast_geometry::Pose;
 use gripcast_imaging::Intrinsics;
@@ -17,68 +17,68 @@ use gripcast_imaging::Intrinsics;
 const SEARCH: Search = Search {
     max_iterations: 50,
     min_decrease: 1e-10,
-    largest_damping: None,
+    max_damping: None,
 };
-/// Steps below this (m, rad) change nothing.
-const CONVERGED: f64 = 1e-10;
-/// Unknowns of a view: shift and turn along the camera's axes, opening.
-const OF_VIEW: usize = 7;
-/// Unknowns of a marker: shift of its middle and turn along the gripper's axes.
-pub(super) const OF_MARKER: usize = 6;
-/// Unknowns of the sliding direction.
-pub(super) const OF_SLIDE: usize = 2;
-/// The sliding direction is x within about 5°, against corners of 0.1 px: decides only where the
-/// images say nothing, px²/rad².
+/// Convergence tolerance of steps, m and rad.
+const TOLERANCE: f64 = 1e-10;
+/// Parameters of a view: translation and rotation along the camera's axes, opening.
+const VIEW_PARAMETERS: usize = 7;
+/// Parameters of a marker: translation of its centre and rotation along the gripper's axes.
+pub(super) const MARKER_PARAMETERS: usize = 6;
+/// Parameters of the sliding direction.
+pub(super) const SLIDE_PARAMETERS: usize = 2;
+/// Prior weight of x as sliding direction, px²/rad²: about 5° against corner noise of 0.1 px, so
+/// that it only matters where the images do not determine the direction.
 const SLIDE_PRIOR: f64 = 1.3;
-/// Weight of the frame's conditions, times the largest entry of the matrix: they are exact.
-const FRAME_WEIGHT: f64 = 1e3;
+/// Weight of the frame constraints, times the largest matrix entry: they hold exactly.
+const CONSTRAINT_WEIGHT: f64 = 1e3;
 
-/// A marker that is solved for.
+/// A marker whose pose is estimated.
 #[derive(Clone, Debug)]
 pub(super) struct Marker {
     pub(super) id: u32,
-    pub(super) part: Part,
-    /// Its corners in its own frame: origin in the middle, x right, y up; m.
+    pub(super) body: Body,
+    /// Corners in the marker frame (origin at the centre, x right, y up), m.
     pub(super) local: [DVec3; 4],
-    /// `t_part_marker` of the description.
+    /// Nominal `t_body_marker`, from the board file.
     pub(super) nominal: Pose,
-    /// `t_part_marker`.
+    /// `t_body_marker`.
     pub(super) pose: Pose,
-    /// How far it moves along the sliding direction per metre of opening.
+    /// Displacement along the sliding direction per metre of opening.
     pub(super) slide: f64,
 }
 
-/// A marker in an image.
+/// A marker observed in an image.
 #[derive(Clone, Debug)]
-pub(super) struct Sight {
-    /// Its place in the list of markers.
+pub(super) struct Observation {
+    /// Index of the marker.
     pub(super) marker: usize,
     pub(super) pixels: [DVec2; 4],
-    /// False for one that was left out as an outlier.
+    /// False for an outlier.
     pub(super) used: bool,
 }
 
 /// An image.
 #[derive(Clone, Debug)]
 pub(super) struct View {
-    /// Its place in the list of images.
+    /// Index of the image.
     pub(super) image: usize,
     /// `t_camera_gripper`.
     pub(super) pose: Pose,
     pub(super) opening_m: f64,
-    /// The opening is not known, and the image shows it.
+    /// Whether the opening is unknown and determined by the image.
     pub(super) frees_opening: bool,
-    pub(super) sights: Vec<Sight>,
+    pub(super) observations: Vec<Observation>,
 }
 
-/// Whether some of the sights are of parts that move against each other.
-pub(super) fn slides_differ(markers: &[Marker], sights: &[Sight]) -> bool {
-    let slide = |s: &Sight| markers[s.marker].slide;
-    let mut pairs = sights.windows(2);
+/// Whether the observed markers are on bodies that move relative to each other.
+pub(super) fn slides_differ(markers: &[Marker], observations: &[Observation]) -> bool {
+    let slide = |o: &Observation| markers[o.marker].slide;
+    let mut pairs = observations.windows(2);
     pairs.any(|pair| slide(&pair[0]) != slide(&pair[1]))
 }
 
-/// Everything that is solved for.
+/// All parameters of the adjustment.
 #[derive(Clone, Debug)]
 pub(super) struct Bundle {
     pub(super) camera: Intrinsics,
@@ -88,15 +88,15 @@ pub(super) struct Bundle {
     pub(super) views: Vec<View>,
 }
 
-/// A minimum.
-pub(super) struct Solved {
+/// Result of the bundle adjustment.
+pub(super) struct Solution {
     pub(super) bundle: Bundle,
     pub(super) loss_px: f64,
     pub(super) sigma_px: f64,
     pub(super) rms_px: f64,
 }
 
-/// What moves in a search.
+/// Which parameters are free.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Free {
     All,
@@ -104,86 +104,83 @@ pub(super) enum Free {
     Markers,
 }
 
-/// A condition on a step of the markers that the images leave open; its entries are not zero.
-pub(super) type Condition = Vec<(usize, f64)>;
+/// Linear constraint on a step in a direction that the images do not determine: non-zero entries
+/// by parameter.
+pub(super) type Constraint = Vec<(usize, f64)>;
 
 impl Marker {
-    /// Its corners on its part, at opening 0, m.
+    /// Corners on the body at opening 0, m.
     pub(super) fn corners(&self) -> [DVec3; 4] {
         self.local.map(|c| self.pose.transform_point(c))
     }
 }
 
 impl Bundle {
-    /// Number of unknowns that are not of a view.
+    /// Number of global parameters: those of markers and sliding direction.
     pub(super) fn globals(&self) -> usize {
-        OF_MARKER * self.markers.len() + OF_SLIDE
+        MARKER_PARAMETERS * self.markers.len() + SLIDE_PARAMETERS
     }
 
-    /// Two unit vectors across the sliding direction: the axes of its step.
+    /// Two unit vectors perpendicular to the sliding direction: the axes of its step.
     pub(super) fn across(&self) -> [DVec3; 2] {
         let first = self.slide.cross(DVec3::Z).normalize_or(DVec3::Y);
         [first, self.slide.cross(first)]
     }
 
-    /// Distances of a marker's corners from where they are predicted, px; infinite behind the
-    /// camera.
-    pub(super) fn errors_px(&self, view: &View, sight: &Sight) -> [f64; 4] {
-        let marker = &self.markers[sight.marker];
+    /// Reprojection errors of a marker's corners, px; infinite behind the camera.
+    pub(super) fn errors_px(&self, view: &View, observation: &Observation) -> [f64; 4] {
+        let marker = &self.markers[observation.marker];
         let slid = self.slide * (marker.slide * view.opening_m);
         let corners = marker.corners();
         std::array::from_fn(|k| {
             let point = view.pose.transform_point(corners[k] + slid);
-            project(&self.camera, point).map_or(f64::INFINITY, |p| p.distance(sight.pixels[k]))
+            let pixel = observation.pixels[k];
+            project(&self.camera, point).map_or(f64::INFINITY, |p| p.distance(pixel))
         })
     }
 
-    /// Root mean square of [`Self::errors_px`].
-    pub(super) fn sight_rms_px(&self, view: &View, sight: &Sight) -> f64 {
-        let squares = self.errors_px(view, sight).map(|e| e * e);
-        (squares.iter().sum::<f64>() / 4.0).sqrt()
+    /// RMS reprojection error of a marker, px.
+    pub(super) fn rms_px(&self, view: &View, observation: &Observation) -> f64 {
+        rms(&self.errors_px(view, observation))
     }
 
-    /// Errors of all corners that are used, px.
+    /// Reprojection errors of all inlier corners, px.
     pub(super) fn all_errors_px(&self) -> Vec<f64> {
-        let used = |view| {
+        let inliers = |view| {
             let view: &View = view;
-            let sights = view.sights.iter().filter(|s| s.used);
-            sights
-                .flat_map(|s| self.errors_px(view, s))
-                .collect::<Vec<f64>>()
+            let observations = view.observations.iter().filter(|o| o.used);
+            observations.flat_map(|o| self.errors_px(view, o))
         };
-        self.views.iter().flat_map(used).collect()
+        self.views.iter().flat_map(inliers).collect()
     }
 
-    /// Searches the nearest minimum of the Huber loss; the conditions keep the frame where it is.
-    /// The cost (px²); none where the images do not determine the unknowns.
+    /// Minimises the Huber loss under the constraints, which fix the frame. Returns the cost (px²);
+    /// none if the images do not determine the parameters.
     pub(super) fn minimise(
         &mut self,
         free: Free,
         loss_px: f64,
-        conditions: &[Condition],
+        constraints: &[Constraint],
     ) -> Option<f64> {
-        let found = SEARCH.minimise(
+        let minimum = SEARCH.minimise(
             self.clone(),
             |bundle| bundle.linearise(loss_px),
             |bundle, system, damping| {
-                let step = system.step(free, damping, conditions)?;
+                let step = system.step(free, damping, constraints)?;
                 Some(Trial {
                     state: bundle.stepped(&step),
                     is_small: step.is_small(),
                 })
             },
         )?;
-        *self = found.state;
-        Some(found.cost)
+        *self = minimum.state;
+        Some(minimum.cost)
     }
 
-    /// Covariance of the unknowns that are not of a view, for corners of 1 px, under the
-    /// conditions.
-    pub(super) fn covariance(&self, loss_px: f64, conditions: &[Condition]) -> Option<Symmetric> {
+    /// Covariance of the global parameters under the constraints, for corner noise of 1 px.
+    pub(super) fn covariance(&self, loss_px: f64, constraints: &[Constraint]) -> Option<Symmetric> {
         let (system, _) = self.linearise(loss_px)?;
-        let (matrix, _, _) = system.reduced(0.0, conditions)?;
+        let (matrix, _, _) = system.reduced(0.0, constraints)?;
         Some(matrix.factor()?.inverse())
     }
 
@@ -193,37 +190,39 @@ impl Bundle {
             view.pose = moved(&view.pose, step);
             view.opening_m += step.get(6).copied().unwrap_or(0.0);
         }
-        for (marker, step) in next.markers.iter_mut().zip(step.globals.chunks(OF_MARKER)) {
+        for (marker, step) in next
+            .markers
+            .iter_mut()
+            .zip(step.globals.chunks(MARKER_PARAMETERS))
+        {
             marker.pose = moved(&marker.pose, step);
         }
-        let turned = self
-            .across()
-            .into_iter()
-            .zip(&step.globals[self.globals() - OF_SLIDE..]);
-        let turned = turned.map(|(axis, by)| axis * *by).sum::<DVec3>();
-        next.slide = (self.slide + turned).normalize_or(DVec3::X);
+        let slide_step = &step.globals[self.globals() - SLIDE_PARAMETERS..];
+        let slide_step = self.across().into_iter().zip(slide_step);
+        let change = slide_step.map(|(axis, by)| axis * *by).sum::<DVec3>();
+        next.slide = (self.slide + change).normalize_or(DVec3::X);
         next
     }
 
-    /// Normal equations of the step and the cost; none if a corner falls behind the camera.
+    /// Normal equations of the step and cost. None if a corner does not project.
     fn linearise(&self, loss_px: f64) -> Option<(System, f64)> {
         let mut system = System::new(self.globals(), self.views.len());
         let mut cost = 0.0;
         for (i, view) in self.views.iter().enumerate() {
-            for sight in view.sights.iter().filter(|s| s.used) {
-                cost += self.add_sight(i, sight, loss_px, &mut system)?;
+            for observation in view.observations.iter().filter(|o| o.used) {
+                cost += self.add_observation(i, observation, loss_px, &mut system)?;
             }
             let block = &mut system.views[i];
-            // What an image does not show stays as it is.
-            let shows = view.frees_opening && block.matrix.at(6, 6) > 0.0;
-            if !shows {
+            // Parameters that an image does not determine stay fixed.
+            let is_determined = view.frees_opening && block.matrix.at(6, 6) > 0.0;
+            if !is_determined {
                 block.pin_opening();
             }
-            if view.sights.iter().all(|s| !s.used) {
+            if view.observations.iter().all(|o| !o.used) {
                 (0..6).for_each(|i| block.matrix.pin(i));
             }
         }
-        let first = self.globals() - OF_SLIDE;
+        let first = self.globals() - SLIDE_PARAMETERS;
         for (k, axis) in self.across().into_iter().enumerate() {
             let off = axis.dot(DVec3::X);
             system.matrix.add(first + k, first + k, SLIDE_PRIOR);
@@ -233,45 +232,44 @@ impl Bundle {
         cost.is_finite().then_some((system, cost))
     }
 
-    fn add_sight(
+    fn add_observation(
         &self,
-        number: usize,
-        sight: &Sight,
+        view_index: usize,
+        observation: &Observation,
         loss_px: f64,
         system: &mut System,
     ) -> Option<f64> {
-        let (view, marker) = (&self.views[number], &self.markers[sight.marker]);
+        let view = &self.views[view_index];
+        let marker = &self.markers[observation.marker];
         let back = view.pose.rotation.conjugate();
         let across = self.across();
-        let first = OF_MARKER * sight.marker;
-        let last = self.globals() - OF_SLIDE;
+        let first = MARKER_PARAMETERS * observation.marker;
+        let last = self.globals() - SLIDE_PARAMETERS;
         let mut cost = 0.0;
-        for (local, seen) in marker.local.into_iter().zip(sight.pixels) {
+        for (local, observed) in marker.local.into_iter().zip(observation.pixels) {
             let on_marker = marker.pose.transform_vector(local);
-            let on_part = on_marker + marker.pose.translation_m;
-            let in_gripper = on_part + self.slide * (marker.slide * view.opening_m);
+            let on_body = on_marker + marker.pose.translation_m;
+            let in_gripper = on_body + self.slide * (marker.slide * view.opening_m);
             let arm = view.pose.transform_vector(in_gripper);
             let (pixel, gradients) =
                 project_with_jacobian(&self.camera, arm + view.pose.translation_m)?;
-            let residual = seen - pixel;
+            let residual = observed - pixel;
             let (weight, own_cost) = huber(residual.length(), loss_px);
             cost += own_cost;
             for (gradient, value) in gradients.into_iter().zip(residual.to_array()) {
-                let turn = arm.cross(gradient);
                 let inner = back * gradient;
                 let opening = inner.dot(self.slide) * marker.slide;
-                let of_view = [
-                    gradient.x, gradient.y, gradient.z, turn.x, turn.y, turn.z, opening,
-                ];
-                let turn = on_marker.cross(inner);
+                let [x, y, z, rx, ry, rz] = pose_row(gradient, arm);
+                let view_row = [x, y, z, rx, ry, rz, opening];
+                let [x, y, z, rx, ry, rz] = pose_row(inner, on_marker);
                 let slid = across.map(|a| a.dot(inner) * marker.slide * view.opening_m);
                 let row = [
-                    (first, inner.x),
-                    (first + 1, inner.y),
-                    (first + 2, inner.z),
-                    (first + 3, turn.x),
-                    (first + 4, turn.y),
-                    (first + 5, turn.z),
+                    (first, x),
+                    (first + 1, y),
+                    (first + 2, z),
+                    (first + 3, rx),
+                    (first + 4, ry),
+                    (first + 5, rz),
                     (last, slid[0]),
                     (last + 1, slid[1]),
                 ];
@@ -279,23 +277,29 @@ impl Bundle {
                 for (i, entry) in row {
                     system.vector[i] += weight * entry * value;
                 }
-                system.views[number].add(&of_view, &row, value, weight);
+                system.views[view_index].add(&view_row, &row, value, weight);
             }
         }
         Some(cost)
     }
 }
 
-/// The equations of one view.
+/// Normal equations of a view.
 struct Block {
     matrix: Symmetric,
-    vector: [f64; OF_VIEW],
-    /// View's unknowns × those that are not of a view.
-    coupling: [Vec<f64>; OF_VIEW],
+    vector: [f64; VIEW_PARAMETERS],
+    /// View parameters × global parameters.
+    coupling: [Vec<f64>; VIEW_PARAMETERS],
 }
 
 impl Block {
-    fn add(&mut self, own: &[f64; OF_VIEW], other: &[(usize, f64)], value: f64, weight: f64) {
+    fn add(
+        &mut self,
+        own: &[f64; VIEW_PARAMETERS],
+        other: &[(usize, f64)],
+        value: f64,
+        weight: f64,
+    ) {
         for (i, a) in own.iter().enumerate() {
             let weighted = weight * a;
             for (j, b) in own.iter().enumerate() {
@@ -329,15 +333,15 @@ struct Step {
 impl Step {
     fn is_small(&self) -> bool {
         let all = self.views.iter().flatten().chain(&self.globals);
-        all.into_iter().all(|s| s.abs() < CONVERGED)
+        all.into_iter().all(|s| s.abs() < TOLERANCE)
     }
 }
 
 impl System {
     fn new(globals: usize, views: usize) -> Self {
         let block = || Block {
-            matrix: Symmetric::zero(OF_VIEW),
-            vector: [0.0; OF_VIEW],
+            matrix: Symmetric::zero(VIEW_PARAMETERS),
+            vector: [0.0; VIEW_PARAMETERS],
             coupling: std::array::from_fn(|_| vec![0.0; globals]),
         };
         Self {
@@ -347,11 +351,11 @@ impl System {
         }
     }
 
-    fn step(&self, free: Free, damping: f64, conditions: &[Condition]) -> Option<Step> {
+    fn step(&self, free: Free, damping: f64, constraints: &[Constraint]) -> Option<Step> {
         let still = vec![0.0; self.vector.len()];
         let (globals, factors) = match free {
             Free::All => {
-                let (matrix, vector, factors) = self.reduced(damping, conditions)?;
+                let (matrix, vector, factors) = self.reduced(damping, constraints)?;
                 (matrix.factor()?.solve(&vector), Some(factors))
             }
             Free::Views => (still, Some(self.factors(damping)?)),
@@ -360,18 +364,18 @@ impl System {
                 matrix.damp(1.0 + damping);
                 let mut vector = self.vector.clone();
                 let size = matrix.size();
-                (size - OF_SLIDE..size).for_each(|i| matrix.pin(i));
-                vector[size - OF_SLIDE..].fill(0.0);
+                (size - SLIDE_PARAMETERS..size).for_each(|i| matrix.pin(i));
+                vector[size - SLIDE_PARAMETERS..].fill(0.0);
                 (matrix.factor()?.solve(&vector), None)
             }
         };
         let views = self.views.iter().enumerate().map(|(i, block)| {
             let Some(factors) = &factors else {
-                return vec![0.0; OF_VIEW];
+                return vec![0.0; VIEW_PARAMETERS];
             };
             let coupled =
                 |row: &Vec<f64>| row.iter().zip(&globals).map(|(a, b)| a * b).sum::<f64>();
-            let right: Vec<f64> = (0..OF_VIEW)
+            let right: Vec<f64> = (0..VIEW_PARAMETERS)
                 .map(|k| block.vector[k] - coupled(&block.coupling[k]))
                 .collect();
             factors[i].solve(&right)
@@ -389,16 +393,16 @@ impl System {
         self.views.iter().map(damped).collect()
     }
 
-    /// The equations of what is not of a view, the conditions added: matrix and right-hand side,
-    /// and the factors of the views.
+    /// Eliminates the views and adds the constraints. Returns matrix and right-hand side of the
+    /// global parameters, and the factors of the views.
     fn reduced(
         &self,
         damping: f64,
-        conditions: &[Condition],
+        constraints: &[Constraint],
     ) -> Option<(Symmetric, Vec<f64>, Vec<Factor>)> {
         let factors = self.factors(damping)?;
         let mut matrix = self.matrix.clone();
-        let scale = FRAME_WEIGHT * matrix.largest();
+        let scale = CONSTRAINT_WEIGHT * matrix.largest();
         matrix.damp(1.0 + damping);
         let mut vector = self.vector.clone();
         let size = matrix.size();
@@ -406,8 +410,9 @@ impl System {
             let touched: Vec<usize> = (0..size)
                 .filter(|j| block.coupling.iter().any(|row| row[*j] != 0.0))
                 .collect();
-            let column =
-                |j: usize| -> [f64; OF_VIEW] { std::array::from_fn(|k| block.coupling[k][j]) };
+            let column = |j: usize| -> [f64; VIEW_PARAMETERS] {
+                std::array::from_fn(|k| block.coupling[k][j])
+            };
             for j in &touched {
                 let solved = factor.solve(&column(*j));
                 let with =
@@ -418,8 +423,8 @@ impl System {
                 vector[*j] -= with(&block.vector);
             }
         }
-        for condition in conditions {
-            matrix.add_outer(condition, scale);
+        for constraint in constraints {
+            matrix.add_outer(constraint, scale);
         }
         Some((matrix, vector, factors))
     }

@@ -1,57 +1,58 @@
-//! What a calibration says of each marker, and of the whole.
+//! Assembly of the gripper calibration's result.
 
 use glam::DVec3;
 
-use super::gripper_bundle::{Bundle, Free, Marker, OF_MARKER, Sight, Solved, View};
-use super::gripper_check::{Moved, angle};
-use super::gripper_frame::{Ties, scatter};
+use super::gripper_bundle::{Bundle, Free, MARKER_PARAMETERS, Marker, Observation, Solution, View};
+use super::gripper_check::Moved;
+use super::gripper_frame::{FrameSources, frame_sigma};
 use super::gripper_result::{
     CalibratedMarker, FrameSource, GripperCalibration, GripperImage, MarkerState,
 };
 use super::gripper_start::{Selection, framed};
-use crate::{Board, BoardFile, BoardMarker, Part};
+use crate::least_squares::{angle_between, rms};
+use crate::{Board, BoardFile, BoardMarker, Body};
 use gripcast_base::error::Result;
 use gripcast_base::linear::Symmetric;
 use gripcast_geometry::Pose;
 
-/// Deviations of a marker that are too large for poses of a tenth of a millimetre, m and rad.
-const WEAK: (f64, f64) = (3e-4, 0.0052);
-/// Loss with which the last place of a loose marker is found, px.
+/// Standard deviations above which a marker is reported as uncertain, m and rad.
+const UNCERTAIN: (f64, f64) = (3e-4, 0.0052);
+/// Huber loss of the fit of a loose marker's last pose, px.
 const LOOSE_LOSS_PX: f64 = 2.0;
 
-/// A marker that did not stay in its place.
-pub(super) struct Loosened {
+/// A marker that moved during the image sequence.
+pub(super) struct LooseMarker {
     marker: Marker,
     moved: Option<Moved>,
     /// By image.
-    sights: Vec<(usize, Sight)>,
+    observations: Vec<(usize, Observation)>,
 }
 
-impl Loosened {
-    pub(super) fn new(bundle: &Bundle, place: usize, moved: Option<Moved>) -> Self {
+impl LooseMarker {
+    pub(super) fn new(bundle: &Bundle, index: usize, moved: Option<Moved>) -> Self {
         let own = |v: &View| {
-            let sight = v.sights.iter().find(|s| s.marker == place)?.clone();
-            Some((v.image, sight))
+            let own = v.observations.iter().find(|o| o.marker == index)?;
+            Some((v.image, own.clone()))
         };
         Self {
-            marker: bundle.markers[place].clone(),
+            marker: bundle.markers[index].clone(),
             moved,
-            sights: bundle.views.iter().filter_map(own).collect(),
+            observations: bundle.views.iter().filter_map(own).collect(),
         }
     }
 
     fn state(&self, images: &[GripperImage]) -> MarkerState {
         let named = |m: Moved| {
             let names = m.images.map(|i| images[i].name.clone());
-            (names, m.shift_m, m.turn_rad)
+            (names, m.shift_m, m.rotation_rad)
         };
         MarkerState::Loose {
             moved: self.moved.map(named),
         }
     }
 
-    /// `t_part_marker` after it moved, in the bundle's frame; none if it moved more than once.
-    fn last_place(&self, bundle: &Bundle) -> Option<Pose> {
+    /// `t_body_marker` after the move, in the frame of `bundle`. None if it moved more than once.
+    fn last_pose(&self, bundle: &Bundle) -> Option<Pose> {
         let since = self.moved?.images[1];
         let mut alone = Bundle {
             markers: vec![self.marker.clone()],
@@ -59,100 +60,92 @@ impl Loosened {
         };
         alone.views.retain(|v| v.image >= since);
         for view in &mut alone.views {
-            let own = self.sights.iter().find(|(image, _)| *image == view.image);
-            let own = own.map(|(_, s)| Sight {
+            let mut observations = self.observations.iter();
+            let own = observations.find(|(image, _)| *image == view.image);
+            let own = own.map(|(_, o)| Observation {
                 marker: 0,
                 used: true,
-                ..s.clone()
+                ..o.clone()
             });
-            view.sights = own.into_iter().collect();
+            view.observations = own.into_iter().collect();
         }
         alone.minimise(Free::Markers, LOOSE_LOSS_PX, &[])?;
         alone.markers.first().map(|m| m.pose)
     }
 }
 
-/// What a report is made of.
-pub(super) struct Outcome<'a> {
+/// Data of the report.
+pub(super) struct ReportInput<'a> {
     pub(super) nominal: &'a BoardFile,
     pub(super) images: &'a [GripperImage],
     pub(super) selection: Selection,
-    pub(super) solved: Solved,
-    pub(super) loosened: Vec<Loosened>,
+    pub(super) solution: Solution,
+    pub(super) loose: Vec<LooseMarker>,
     pub(super) left_out_rms: Vec<Option<f64>>,
     pub(super) covariance: Symmetric,
-    pub(super) ties: Ties,
+    pub(super) sources: FrameSources,
     pub(super) line: Option<(f64, f64)>,
     pub(super) holdout_rms_px: Option<f64>,
     pub(super) described_rms_px: Option<f64>,
 }
 
-impl Outcome<'_> {
-    /// Place of a marker among those that were solved.
-    fn solved_place(&self, id: u32) -> Option<usize> {
-        self.solved.bundle.markers.iter().position(|m| m.id == id)
-    }
-
+impl ReportInput<'_> {
     fn state(&self, id: u32) -> MarkerState {
-        if let Some(loose) = self.loosened.iter().find(|l| l.marker.id == id) {
+        if let Some(loose) = self.loose.iter().find(|l| l.marker.id == id) {
             return loose.state(self.images);
         }
         let selection = &self.selection;
         for (ids, reason) in [
-            (&selection.unseen, "no image shows it"),
+            (&selection.unobserved, "not in any image"),
             (
                 &selection.rare,
-                "fewer than 4 images show it together with others",
+                "in fewer than 4 images together with others",
             ),
             (
-                &selection.apart,
-                "no image shows it together with the others",
+                &selection.unlinked,
+                "not in any image together with the others",
             ),
         ] {
             if ids.contains(&id) {
-                return MarkerState::AsDescribed(reason);
+                return MarkerState::Nominal(reason);
             }
         }
         MarkerState::Calibrated
     }
 
     fn marker(&self, marker: &BoardMarker) -> (CalibratedMarker, [DVec3; 4]) {
+        let bundle = &self.solution.bundle;
         let mut framed = framed(marker);
-        let place = self.solved_place(marker.id);
-        if let Some(place) = place {
-            framed.pose = self.solved.bundle.markers[place].pose;
-        } else if let Some(loose) = self.loosened.iter().find(|l| l.marker.id == marker.id) {
-            framed.pose = loose
-                .last_place(&self.solved.bundle)
-                .unwrap_or(framed.nominal);
+        let index = bundle.markers.iter().position(|m| m.id == marker.id);
+        if let Some(index) = index {
+            framed.pose = bundle.markers[index].pose;
+        } else if let Some(loose) = self.loose.iter().find(|l| l.marker.id == marker.id) {
+            framed.pose = loose.last_pose(bundle).unwrap_or(framed.nominal);
         }
-        let sights = self.solved.bundle.views.iter().flat_map(|v| {
-            let own = v.sights.iter().filter(|s| Some(s.marker) == place);
-            own.map(move |s| (v, s))
+        let observations = bundle.views.iter().flat_map(|v| {
+            let own = v.observations.iter().filter(|o| Some(o.marker) == index);
+            own.map(move |o| (v, o))
         });
-        let sights: Vec<_> = sights.collect();
-        let used = || sights.iter().filter(|(_, s)| s.used);
-        let squares: f64 = used()
-            .map(|(v, s)| self.solved.bundle.sight_rms_px(v, s).powi(2))
-            .sum();
-        let count = used().count();
-        let found = CalibratedMarker {
+        let (inliers, outliers): (Vec<_>, Vec<_>) = observations.partition(|(_, o)| o.used);
+        let errors: Vec<f64> = inliers.iter().map(|(v, o)| bundle.rms_px(v, o)).collect();
+        let calibrated = CalibratedMarker {
             id: marker.id,
-            part: marker.part,
+            body: marker.body,
             state: self.state(marker.id),
-            images: count,
-            outliers: sights.len() - count,
+            images: inliers.len(),
+            outliers: outliers.len(),
             shift_m: framed.pose.translation_m - framed.nominal.translation_m,
-            turn_rad: angle(&framed.pose, &framed.nominal),
-            covariance: place.map(|place| self.block(place)),
-            rms_px: (count > 0).then(|| (squares / count as f64).sqrt()),
-            left_out_rms_px: place.and_then(|place| self.left_out_rms[place]),
+            rotation_rad: angle_between(&framed.pose, &framed.nominal),
+            covariance: index.map(|index| self.marker_covariance(index)),
+            rms_px: (!errors.is_empty()).then(|| rms(&errors)),
+            left_out_rms_px: index.and_then(|index| self.left_out_rms[index]),
         };
-        (found, framed.corners())
+        (calibrated, framed.corners())
     }
 
-    fn block(&self, place: usize) -> [[f64; 6]; 6] {
-        let (first, variance) = (OF_MARKER * place, self.solved.sigma_px.powi(2));
+    fn marker_covariance(&self, index: usize) -> [[f64; 6]; 6] {
+        let first = MARKER_PARAMETERS * index;
+        let variance = self.solution.sigma_px.powi(2);
         let entry = |i, j| variance * self.covariance.at(first + i, first + j);
         std::array::from_fn(|i| std::array::from_fn(|j| entry(i, j)))
     }
@@ -162,113 +155,115 @@ impl Outcome<'_> {
         for m in markers {
             match &m.state {
                 MarkerState::Calibrated => {}
-                MarkerState::AsDescribed(reason) => notes.push(format!(
-                    "marker {} stays where it is described: {reason}",
+                MarkerState::Nominal(reason) => notes.push(format!(
+                    "marker {} keeps its pose of the board file: {reason}",
                     m.id
                 )),
                 MarkerState::Loose {
-                    moved: Some(([a, b], shift, turn)),
+                    moved: Some(([a, b], shift, rotation)),
                 } => notes.push(format!(
                     "marker {} moved between {a} and {b}, by {:.2} mm and {:.1}°: glue it again \
-                     and repeat the images; the file has its last place",
+                     and repeat the images; the result has its last pose",
                     m.id,
                     1e3 * shift,
-                    turn.to_degrees()
+                    rotation.to_degrees()
                 )),
                 MarkerState::Loose { moved: None } => notes.push(format!(
-                    "marker {} does not stay in its place: glue it again and repeat the images; \
-                     the file has it where it is described",
+                    "marker {} is loose: glue it again and repeat the images; the result has its \
+                     pose of the board file",
                     m.id
                 )),
             }
-            if m.sigma().is_some_and(|(t, r)| t > WEAK.0 || r > WEAK.1) {
+            if m.sigma()
+                .is_some_and(|(t, r)| t > UNCERTAIN.0 || r > UNCERTAIN.1)
+            {
                 notes.push(format!(
-                    "marker {} is known badly: add images that show it large, from several \
-                     sides, together with others",
+                    "marker {} is uncertain: add close images of it from several sides, together \
+                     with others",
                     m.id
                 ));
             }
         }
-        let has_fingers = self.solved.bundle.markers.iter().any(|m| m.slide != 0.0);
-        if has_fingers && !self.ties.zero_from_closed {
+        if self.has_fingers() && !self.sources.zero_from_closed {
             notes.push(
-                "no image with closed fingers was named (--closed): the opening's zero is that \
-                 of the description"
+                "no image with closed fingers (--closed): the zero of the opening is taken from \
+                 the board file"
                     .into(),
             );
         }
-        if has_fingers && !self.ties.x_from_fingers {
+        if self.has_fingers() && !self.sources.x_from_fingers {
             notes.push(
-                "the fingers moved too little to show the x axis: it is that of the description; \
-                 add images at openings 30 mm apart or more"
+                "the fingers moved too little to determine the x axis: it is taken from the board \
+                 file; add images at openings 30 mm apart or more"
                     .into(),
             );
         }
         notes
     }
+
+    fn has_fingers(&self) -> bool {
+        let mut markers = self.solution.bundle.markers.iter();
+        markers.any(|m| m.slide != 0.0)
+    }
 }
 
-/// The report.
+/// Assembles the result.
 ///
 /// # Errors
-/// `Input` for a board that cannot be, as two tags in one place.
-pub(super) fn report(outcome: Outcome<'_>) -> Result<GripperCalibration> {
-    let described = &outcome.nominal.board;
+/// `Input` for an invalid board, for instance overlapping tags.
+pub(super) fn report(input: ReportInput<'_>) -> Result<GripperCalibration> {
+    let nominal = &input.nominal.board;
     let mut markers = Vec::new();
     let mut board = Board {
-        name: format!("{}-calibrated", described.name),
-        ..described.clone()
+        name: format!("{}-calibrated", nominal.name),
+        ..nominal.clone()
     };
     for marker in &mut board.markers {
-        if marker.part == Part::Object {
+        if marker.body == Body::Object {
             continue;
         }
-        let (found, corners) = outcome.marker(marker);
+        let (calibrated, corners) = input.marker(marker);
         marker.corners_m = corners;
-        markers.push(found);
+        markers.push(calibrated);
     }
-    let notes = outcome.notes(&markers);
-    let bundle = &outcome.solved.bundle;
-    let shows = |v: &&View| {
-        v.frees_opening
-            || v.sights
-                .iter()
-                .any(|s| bundle.markers[s.marker].slide != 0.0)
+    let bundle = &input.solution.bundle;
+    let shows_finger = |v: &&View| {
+        let mut observations = v.observations.iter();
+        v.frees_opening || observations.any(|o| bundle.markers[o.marker].slide != 0.0)
     };
-    let has_fingers = bundle.markers.iter().any(|m| m.slide != 0.0);
-    let openings = || bundle.views.iter().filter(shows).map(|v| v.opening_m);
-    let span = [
-        openings().fold(f64::INFINITY, f64::min),
-        openings().fold(f64::NEG_INFINITY, f64::max),
-    ];
-    let source = |by_fingers: bool| match (has_fingers, by_fingers) {
-        (_, true) => FrameSource::Fingers,
-        (true, false) => FrameSource::Description,
+    let views = bundle.views.iter().filter(shows_finger);
+    let openings = views.map(|v| v.opening_m);
+    let span = openings.fold([f64::INFINITY, f64::NEG_INFINITY], |[min, max], opening| {
+        [min.min(opening), max.max(opening)]
+    });
+    let source = |from_fingers: bool| match from_fingers {
+        true => FrameSource::Fingers,
+        false => FrameSource::Description,
+    };
+    let zero_from = match (input.has_fingers(), input.sources.zero_from_closed) {
         (false, false) => FrameSource::Nothing,
+        (_, from_closed) => source(from_closed),
     };
-    let frame = scatter(bundle, outcome.ties);
-    let name = |i: usize| outcome.images[i].name.clone();
-    let left_out = outcome.selection.left_out.iter();
+    let frame = frame_sigma(bundle, input.sources);
+    let name = |i: usize| input.images[i].name.clone();
+    let left_out = input.selection.left_out.iter();
     Ok(GripperCalibration {
-        board: BoardFile::new(board, outcome.nominal.dictionary.clone(), None)?,
+        board: BoardFile::new(board, input.nominal.dictionary.clone(), None)?,
+        notes: input.notes(&markers),
         markers,
         images: bundle.views.len(),
-        rms_px: outcome.solved.rms_px,
-        described_rms_px: outcome.described_rms_px,
-        holdout_rms_px: outcome.holdout_rms_px,
-        corner_sigma_px: outcome.solved.sigma_px,
-        openings_m: has_fingers.then_some(span),
-        x_from: match outcome.ties.x_from_fingers {
-            true => FrameSource::Fingers,
-            false => FrameSource::Description,
-        },
-        line_off_rad: outcome.line,
-        zero_from: source(outcome.ties.zero_from_closed),
+        rms_px: input.solution.rms_px,
+        described_rms_px: input.described_rms_px,
+        holdout_rms_px: input.holdout_rms_px,
+        corner_sigma_px: input.solution.sigma_px,
+        openings_m: input.has_fingers().then_some(span),
+        x_from: source(input.sources.x_from_fingers),
+        line_off_rad: input.line,
+        zero_from,
         frame_sigma_m: frame.map(|f| f.0),
         frame_sigma_rad: frame.map(|f| f.1),
         left_out: left_out
             .map(|(i, why)| (name(*i), (*why).to_owned()))
             .collect(),
-        notes,
     })
 }

@@ -1,42 +1,42 @@
-//! What a calibration of the gripper's markers takes and gives.
+//! Input and result of the gripper calibration.
 
 use glam::DVec3;
 
-use crate::{BoardFile, Detection, Part};
+use crate::{BoardFile, Body, Detection};
 
 /// An image of the gripper.
 #[derive(Clone, Debug)]
 pub struct GripperImage {
-    /// What people call it.
+    /// Display name.
     pub name: String,
-    /// The markers in it, refined.
+    /// Detected markers with refined corners.
     pub detections: Vec<Detection>,
-    /// The fingers are closed: the gel faces touch, the opening is 0.
+    /// Whether the fingers are closed: the gel faces touch and the opening is 0.
     pub closed: bool,
 }
 
-/// What a freedom of the frame comes from.
+/// Source of a degree of freedom of the frame.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum FrameSource {
     /// The fingers: their motion, or images with closed fingers.
     Fingers,
-    /// The description of the tags.
+    /// The board file.
     Description,
-    /// Nothing: there are no markers on fingers.
+    /// None: there are no markers on the fingers.
     Nothing,
 }
 
-/// How a marker was found.
+/// Calibration state of a marker.
 #[derive(Clone, Debug, PartialEq)]
 pub enum MarkerState {
-    /// It was calibrated.
+    /// Calibrated.
     Calibrated,
-    /// It stays where it is described; the reason.
-    AsDescribed(&'static str),
-    /// It did not stay in its place during the images.
+    /// Kept at its nominal pose, for this reason.
+    Nominal(&'static str),
+    /// Moved during the image sequence.
     Loose {
-        /// The images between which it moved, by how much (m, rad); none if it moved more than
-        /// once.
+        /// Images before and after the move, translation (m) and rotation (rad); none if it moved
+        /// more than once.
         moved: Option<([String; 2], f64, f64)>,
     },
 }
@@ -44,31 +44,31 @@ pub enum MarkerState {
 /// A marker of the calibrated board.
 #[derive(Clone, Debug, PartialEq)]
 pub struct CalibratedMarker {
-    /// Its number in the dictionary.
+    /// Id in the dictionary.
     pub id: u32,
-    /// What it is fixed to.
-    pub part: Part,
-    /// How it was found.
+    /// Body that carries the marker.
+    pub body: Body,
+    /// Calibration state.
     pub state: MarkerState,
-    /// Images that it was calibrated with.
+    /// Number of images with inlier observations.
     pub images: usize,
-    /// Images in which it was an outlier.
+    /// Number of images with outlier observations.
     pub outliers: usize,
-    /// From where it is described to where it is, along the gripper's axes, m.
+    /// Translation from the nominal to the calibrated position along the gripper's axes, m.
     pub shift_m: DVec3,
-    /// The turn between both, rad.
-    pub turn_rad: f64,
-    /// Covariance of [δt, δθ] of `t_part_marker`, m and rad along the gripper's axes, the frame
-    /// taken as exact; none for a marker that was not calibrated.
+    /// Rotation between nominal and calibrated orientation, rad.
+    pub rotation_rad: f64,
+    /// Covariance of [δt, δθ] of `t_body_marker`, m and rad along the gripper's axes, in an exact
+    /// frame; none for a marker that was not calibrated.
     pub covariance: Option<[[f64; 6]; 6]>,
-    /// Root mean square reprojection error, px.
+    /// RMS reprojection error, px.
     pub rms_px: Option<f64>,
-    /// The same where the images are solved without it.
+    /// Leave-one-out RMS reprojection error, px.
     pub left_out_rms_px: Option<f64>,
 }
 
 impl CalibratedMarker {
-    /// Standard deviations of its place (m) and its turn (rad), over all directions.
+    /// Standard deviations of position (m) and orientation (rad), over all directions.
     #[must_use]
     pub fn sigma(&self) -> Option<(f64, f64)> {
         let c = self.covariance?;
@@ -77,37 +77,37 @@ impl CalibratedMarker {
     }
 }
 
-/// A calibrated gripper.
+/// Result of the gripper calibration.
 #[derive(Clone, Debug, PartialEq)]
 pub struct GripperCalibration {
-    /// The markers where they are, under the ids of the description.
+    /// Board with the calibrated marker poses.
     pub board: BoardFile,
-    /// The markers in the order of the description.
+    /// The markers in the order of the nominal board.
     pub markers: Vec<CalibratedMarker>,
-    /// Images that took part.
+    /// Number of images used.
     pub images: usize,
-    /// Root mean square reprojection error, px.
+    /// RMS reprojection error, px.
     pub rms_px: f64,
-    /// That of the same images with the markers where they are described.
+    /// The same with the nominal marker poses.
     pub described_rms_px: Option<f64>,
-    /// That of every fifth image where the others calibrate.
+    /// RMS reprojection error of every fifth image, calibrated with the others, px.
     pub holdout_rms_px: Option<f64>,
-    /// Standard deviation of one coordinate of a corner that the covariances assume, px.
+    /// Standard deviation of one corner coordinate assumed by the covariances, px.
     pub corner_sigma_px: f64,
-    /// Smallest and largest opening, m; none without markers on the fingers.
+    /// Minimum and maximum opening, m; none without markers on the fingers.
     pub openings_m: Option<[f64; 2]>,
-    /// What the direction of x comes from.
+    /// Source of the x direction.
     pub x_from: FrameSource,
-    /// Angle between the fingers' line and the described x axis, with its deviation, rad.
+    /// Angle between the sliding direction and the nominal x axis, and its standard deviation, rad.
     pub line_off_rad: Option<(f64, f64)>,
-    /// What the opening's zero comes from.
+    /// Source of the opening's zero.
     pub zero_from: FrameSource,
-    /// Estimated standard deviation of the frame's origin, over all directions, m.
+    /// Standard deviation of the frame's origin over all directions, m.
     pub frame_sigma_m: Option<f64>,
-    /// Estimated standard deviation of the frame's direction about its worst axis, rad.
+    /// Standard deviation of the frame's orientation about its least certain axis, rad.
     pub frame_sigma_rad: Option<f64>,
-    /// Images that took no part, with the reason.
+    /// Names of excluded images, with the reason.
     pub left_out: Vec<(String, String)>,
-    /// What a person should know.
+    /// Notes for the user.
     pub notes: Vec<String>,
 }

@@ -1,36 +1,36 @@
-//! Which sightings take part, and where the search begins.
+//! Selection of markers and images, and initial view poses.
 
 use glam::{DMat3, DQuat, DVec3};
 
-use super::gripper_bundle::{Bundle, Marker, Sight, View, slides_differ};
+use super::gripper_bundle::{Bundle, Marker, Observation, View, slides_differ};
 use super::gripper_result::GripperImage;
-use crate::solve::{solve_gripper, solve_part};
-use crate::{Board, BoardMarker, Detection, Part};
+use crate::solve::{solve_body_pose, solve_gripper};
+use crate::{Board, BoardMarker, Body, Detection};
 use gripcast_geometry::Pose;
 use gripcast_imaging::Intrinsics;
 
-/// Fewest images in which a marker is seen together with others.
-pub(super) const MIN_SIGHTS: usize = 4;
-/// Error beyond which a corner tells nothing but that it is wrong, px.
-const WRONG_PX: f64 = 30.0;
-/// Openings that searches start from, m.
+/// Minimum number of images that show a marker together with others.
+pub(super) const MIN_OBSERVATIONS: usize = 4;
+/// Errors are clipped at this when initial poses are scored, px.
+const MAX_ERROR_PX: f64 = 30.0;
+/// Initial openings, m.
 const OPENINGS_M: [f64; 4] = [0.0, 0.03, 0.06, 0.09];
 
-/// What becomes of the board's markers.
+/// Markers and images used for calibration.
 pub(super) struct Selection {
-    /// The markers that take part, and the images with at least two of them.
+    /// The selected markers, and the images with at least two of them.
     pub(super) bundle: Bundle,
-    /// Ids that no image shows.
-    pub(super) unseen: Vec<u32>,
-    /// Ids with too few images.
+    /// Ids that are not in any image.
+    pub(super) unobserved: Vec<u32>,
+    /// Ids in too few images.
     pub(super) rare: Vec<u32>,
-    /// Ids that no image shows together with those that take part.
-    pub(super) apart: Vec<u32>,
-    /// Images that take no part, with the reason.
+    /// Ids that are not in any image together with selected markers.
+    pub(super) unlinked: Vec<u32>,
+    /// Excluded images, with the reason.
     pub(super) left_out: Vec<(usize, &'static str)>,
 }
 
-/// A marker of the board with a frame of its own.
+/// A board marker with its own frame.
 pub(super) fn framed(marker: &BoardMarker) -> Marker {
     let [a, b, c, d] = marker.corners_m;
     let right = (b - a + c - d).normalize_or(DVec3::X);
@@ -40,23 +40,23 @@ pub(super) fn framed(marker: &BoardMarker) -> Marker {
     let back = pose.inverse();
     Marker {
         id: marker.id,
-        part: marker.part,
+        body: marker.body,
         local: marker.corners_m.map(|c| back.transform_point(c)),
         nominal: pose,
         pose,
-        slide: marker.part.slide(),
+        slide: marker.body.slide(),
     }
 }
 
-/// Chooses markers and images, without poses of the views.
+/// Selects markers and images; the views get identity poses.
 pub(super) fn select(board: &Board, camera: &Intrinsics, images: &[GripperImage]) -> Selection {
     let all: Vec<Marker> = board
         .markers
         .iter()
-        .filter(|m| m.part != Part::Object)
+        .filter(|m| m.body != Body::Object)
         .map(framed)
         .collect();
-    let seen: Vec<Vec<(usize, &Detection)>> = images.iter().map(|p| sightings(&all, p)).collect();
+    let observed: Vec<_> = images.iter().map(|image| observe(&all, image)).collect();
     let mut selection = Selection {
         bundle: Bundle {
             camera: *camera,
@@ -64,34 +64,34 @@ pub(super) fn select(board: &Board, camera: &Intrinsics, images: &[GripperImage]
             slide: DVec3::X,
             views: Vec::new(),
         },
-        unseen: Vec::new(),
+        unobserved: Vec::new(),
         rare: Vec::new(),
-        apart: Vec::new(),
+        unlinked: Vec::new(),
         left_out: Vec::new(),
     };
-    let taken = selection.take_markers(&all, &seen);
-    let place = |m: usize| (0..m).filter(|k| taken[*k]).count();
-    for (image, sights) in seen.iter().enumerate() {
-        let here = sights.iter().filter(|(m, _)| taken[*m]);
-        let here: Vec<Sight> = here
-            .map(|(m, d)| Sight {
-                marker: place(*m),
+    let selected = selection.select_markers(&all, &observed);
+    let index = |m: usize| (0..m).filter(|k| selected[*k]).count();
+    for (image, detected) in observed.iter().enumerate() {
+        let observations = detected.iter().filter(|(m, _)| selected[*m]);
+        let observations: Vec<Observation> = observations
+            .map(|(m, d)| Observation {
+                marker: index(*m),
                 pixels: d.corners_px,
                 used: true,
             })
             .collect();
         let mut leave_out = |reason| selection.left_out.push((image, reason));
-        match (sights.len(), here.len()) {
-            (0, _) => leave_out("no marker of the gripper was found"),
-            (_, 0 | 1) => leave_out("only one marker that takes part was found"),
+        match (detected.len(), observations.len()) {
+            (0, _) => leave_out("no marker of the gripper detected"),
+            (_, 0 | 1) => leave_out("fewer than two usable markers detected"),
             _ => {
-                let differ = slides_differ(&selection.bundle.markers, &here);
+                let differ = slides_differ(&selection.bundle.markers, &observations);
                 selection.bundle.views.push(View {
                     image,
                     pose: Pose::IDENTITY,
                     opening_m: 0.0,
                     frees_opening: differ && !images[image].closed,
-                    sights: here,
+                    observations,
                 });
             }
         }
@@ -100,82 +100,85 @@ pub(super) fn select(board: &Board, camera: &Intrinsics, images: &[GripperImage]
 }
 
 impl Selection {
-    /// Takes the largest group of markers that are seen together often enough; which of all.
-    fn take_markers(&mut self, all: &[Marker], seen: &[Vec<(usize, &Detection)>]) -> Vec<bool> {
-        let is_seen = |m: usize| seen.iter().flatten().any(|(i, _)| *i == m);
-        let mut taken: Vec<bool> = (0..all.len()).map(is_seen).collect();
-        let ids = |chosen: &dyn Fn(usize) -> bool| -> Vec<u32> {
-            let chosen = (0..all.len()).filter(|m| chosen(*m));
-            chosen.map(|m| all[m].id).collect()
+    /// Selects the largest group of markers that are observed together often enough. Returns a mask.
+    fn select_markers(
+        &mut self,
+        all: &[Marker],
+        observed: &[Vec<(usize, &Detection)>],
+    ) -> Vec<bool> {
+        let indices = 0..all.len();
+        let is_observed = |m: usize| observed.iter().flatten().any(|(i, _)| *i == m);
+        let mut selected: Vec<bool> = indices.clone().map(is_observed).collect();
+        let ids = |test: &dyn Fn(usize) -> bool| -> Vec<u32> {
+            let matching = (0..all.len()).filter(|m| test(*m));
+            matching.map(|m| all[m].id).collect()
         };
-        self.unseen = ids(&|m| !taken[m]);
-        let shown = |taken: &[bool], sights: &[(usize, &Detection)]| -> Vec<usize> {
-            let here = sights.iter().map(|(m, _)| *m).filter(|m| taken[*m]);
-            here.collect()
+        self.unobserved = ids(&|m| !selected[m]);
+        let in_image = |selected: &[bool], image: &[(usize, &Detection)]| -> Vec<usize> {
+            let markers = image.iter().map(|(m, _)| *m);
+            markers.filter(|m| selected[*m]).collect()
         };
         loop {
             let mut counts = vec![0; all.len()];
-            for here in seen.iter().map(|sights| shown(&taken, sights)) {
-                if here.len() >= 2 {
-                    here.into_iter().for_each(|m| counts[m] += 1);
+            for markers in observed.iter().map(|image| in_image(&selected, image)) {
+                if markers.len() >= 2 {
+                    markers.into_iter().for_each(|m| counts[m] += 1);
                 }
             }
-            let few = (0..all.len()).find(|m| taken[*m] && counts[*m] < MIN_SIGHTS);
-            let Some(few) = few else { break };
-            taken[few] = false;
-            self.rare.push(all[few].id);
+            let is_rare = |m: &usize| selected[*m] && counts[*m] < MIN_OBSERVATIONS;
+            let Some(rare) = indices.clone().find(is_rare) else {
+                break;
+            };
+            selected[rare] = false;
+            self.rare.push(all[rare].id);
         }
         self.rare.sort_unstable();
-        let groups = groups(all.len(), seen.iter().map(|s| shown(&taken, s)));
-        let size = |group: usize| {
-            (0..all.len())
-                .filter(|m| taken[*m] && groups[*m] == group)
-                .count()
-        };
-        let best = (0..all.len())
-            .filter(|m| taken[*m])
-            .map(|m| groups[m])
-            .max_by_key(|g| size(*g));
-        let is_apart = |m: usize| taken[m] && Some(groups[m]) != best;
-        self.apart = ids(&is_apart);
-        let taken: Vec<bool> = (0..all.len()).map(|m| taken[m] && !is_apart(m)).collect();
-        let chosen = all.iter().zip(&taken).filter(|(_, taken)| **taken);
-        self.bundle.markers = chosen.map(|(marker, _)| marker.clone()).collect();
-        taken
+        let groups = groups(all.len(), observed.iter().map(|i| in_image(&selected, i)));
+        let members = || indices.clone().filter(|m| selected[*m]);
+        let size = |group: usize| members().filter(|m| groups[*m] == group).count();
+        let best = members().map(|m| groups[m]).max_by_key(|g| size(*g));
+        let is_unlinked = |m: usize| selected[m] && Some(groups[m]) != best;
+        self.unlinked = ids(&is_unlinked);
+        let linked = |m: usize| selected[m] && !is_unlinked(m);
+        self.bundle.markers = indices
+            .clone()
+            .filter(|m| linked(*m))
+            .map(|m| all[m].clone())
+            .collect();
+        indices.map(linked).collect()
     }
 }
 
-/// An image's detections of the gripper's markers; one that is found twice is neither.
-fn sightings<'a>(all: &[Marker], image: &'a GripperImage) -> Vec<(usize, &'a Detection)> {
-    let is_sound = |d: &Detection| {
-        let twice = image.detections.iter().filter(|o| o.id == d.id).count() > 1;
-        !twice && d.corners_px.iter().all(|c| c.is_finite())
+/// Detections of the gripper's markers in an image, with marker indices. Skips markers that are
+/// detected twice.
+fn observe<'a>(all: &[Marker], image: &'a GripperImage) -> Vec<(usize, &'a Detection)> {
+    let is_valid = |d: &&Detection| {
+        let is_twice = image.detections.iter().filter(|o| o.id == d.id).count() > 1;
+        !is_twice && d.corners_px.iter().all(|c| c.is_finite())
     };
-    let place = |d: &Detection| all.iter().position(|m| m.id == d.id);
-    let sound = image.detections.iter().filter(|d| is_sound(d));
-    sound.filter_map(|d| place(d).map(|m| (m, d))).collect()
+    let index = |d: &Detection| all.iter().position(|m| m.id == d.id);
+    let valid = image.detections.iter().filter(is_valid);
+    valid.filter_map(|d| Some((index(d)?, d))).collect()
 }
 
-/// Number of the group that each marker belongs to: those that some image shows together.
-fn groups(count: usize, shown: impl Iterator<Item = Vec<usize>>) -> Vec<usize> {
+/// Group of each marker: markers that are linked by common images share a group.
+fn groups(count: usize, images: impl Iterator<Item = Vec<usize>>) -> Vec<usize> {
     let mut group: Vec<usize> = (0..count).collect();
-    for here in shown {
-        let Some(first) = here.first().map(|m| group[*m]) else {
+    for markers in images {
+        let Some(first) = markers.first().map(|m| group[*m]) else {
             continue;
         };
-        for m in here {
+        for m in markers {
             let old = group[m];
-            group
-                .iter_mut()
-                .filter(|g| **g == old)
-                .for_each(|g| *g = first);
+            let same = group.iter_mut().filter(|g| **g == old);
+            same.for_each(|g| *g = first);
         }
     }
     group
 }
 
-/// Gives each view the pose that fits best with markers where they are described: of all markers
-/// together, or of one of them alone where they are too far off for that.
+/// Initialises each view with the best pose for nominal markers: from all markers together, or from
+/// one of them alone if they are too far off.
 pub(super) fn start(bundle: &mut Bundle, board: &Board, images: &[GripperImage]) {
     for i in 0..bundle.views.len() {
         let image = &images[bundle.views[i].image];
@@ -194,7 +197,7 @@ pub(super) fn start(bundle: &mut Bundle, board: &Board, images: &[GripperImage])
     }
 }
 
-/// Possible poses `t_camera_gripper` with openings (m).
+/// Candidate poses `t_camera_gripper` with openings (m).
 fn candidates(
     bundle: &Bundle,
     view: &View,
@@ -206,31 +209,21 @@ fn candidates(
     let known = (!view.frees_opening).then_some(0.0);
     if let Ok(found) = solve_gripper(board, &image.detections, camera, known) {
         let opening_m = found.opening.map_or(0.0, |o| o.opening_m);
-        result.push((found.body.t_camera_part, opening_m));
+        result.push((found.body.t_camera_body, opening_m));
     }
     let openings = if view.frees_opening {
         &OPENINGS_M[..]
     } else {
         &[0.0]
     };
-    for sight in &view.sights {
-        let marker = &bundle.markers[sight.marker];
-        let alone = Board {
-            markers: board
-                .markers
-                .iter()
-                .filter(|m| m.id == marker.id)
-                .cloned()
-                .collect(),
-            ..board.clone()
-        };
-        let Ok(found) = solve_part(&alone, marker.part, &image.detections, camera) else {
+    for observation in &view.observations {
+        let marker = &bundle.markers[observation.marker];
+        let mut alone = board.clone();
+        alone.markers.retain(|m| m.id == marker.id);
+        let Ok(found) = solve_body_pose(&alone, marker.body, &image.detections, camera) else {
             continue;
         };
-        for pose in [Some(found.t_camera_part), found.runner_up]
-            .into_iter()
-            .flatten()
-        {
+        for pose in std::iter::once(found.t_camera_body).chain(found.runner_up) {
             for opening_m in openings {
                 let slid = DVec3::X * (marker.slide * opening_m);
                 result.push((pose * Pose::from_translation(-slid), *opening_m));
@@ -240,8 +233,9 @@ fn candidates(
     result
 }
 
-/// Sum of squared errors, each at most that of a wrong corner, px².
+/// Sum of squared clipped errors, px².
 fn score(bundle: &Bundle, view: &View) -> f64 {
-    let errors = view.sights.iter().flat_map(|s| bundle.errors_px(view, s));
-    errors.map(|e| e.min(WRONG_PX).powi(2)).sum()
+    let observations = view.observations.iter();
+    let errors = observations.flat_map(|o| bundle.errors_px(view, o));
+    errors.map(|e| e.min(MAX_ERROR_PX).powi(2)).sum()
 }

@@ -1,20 +1,20 @@
-//! Grippers with tags that are off: corners with noise, and one set of rendered images.
+//! Calibration of misplaced tags: noisy corners, and one set of rendered images.
 
 use glam::{DMat3, DQuat, DVec2, DVec3};
 use rand::{RngExt as _, SeedableRng as _};
 use rand_pcg::Pcg64;
 
 use super::gripper_bundle::{Bundle, Marker};
-use super::gripper_check::angle;
-use super::gripper_frame::{Ties, tie};
+use super::gripper_frame::{FrameSources, align};
 use super::gripper_start::framed;
 use super::*;
 use crate::camera::project;
 use crate::detect::detectors;
+use crate::least_squares::angle_between;
 use crate::refine::refine_all;
 use crate::solve::solve_gripper;
-use crate::synthetic::{ImageConditions, Placed, render, test_camera};
-use crate::{Board, BoardFile, Detection, Part};
+use crate::synthetic::{ImageConditions, PlacedBoard, render, test_camera};
+use crate::{Board, BoardFile, Body, Detection};
 use gripcast_base::linear::Symmetric;
 use gripcast_geometry::Pose;
 use gripcast_imaging::Intrinsics;
@@ -39,16 +39,16 @@ fn direction(random: &mut Pcg64) -> DVec3 {
     DVec3::new(n(), n(), n()).normalize_or(DVec3::X)
 }
 
-/// The board with each marker moved by up to 3 mm and turned by up to 3°.
+/// The board with each marker shifted by up to 3 mm and rotated by up to 3°.
 fn glued(board: &Board, seed: u64) -> Board {
     let mut random = Pcg64::seed_from_u64(seed);
     let mut off = board.clone();
     for marker in &mut off.markers {
         let frame = framed(marker);
         let shift = direction(&mut random) * random.random_range(0.0..0.003);
-        let turn = direction(&mut random) * random.random_range(0.0..3f64.to_radians());
+        let rotation = direction(&mut random) * random.random_range(0.0..3f64.to_radians());
         let pose = Pose::new(
-            DQuat::from_scaled_axis(turn) * frame.pose.rotation,
+            DQuat::from_scaled_axis(rotation) * frame.pose.rotation,
             frame.pose.translation_m + shift,
         );
         marker.corners_m = frame.local.map(|c| pose.transform_point(c));
@@ -78,23 +78,23 @@ fn poses(count: usize, seed: u64) -> Vec<(Pose, f64)> {
         .collect()
 }
 
-fn shift(part: Part, opening: f64) -> Pose {
-    let by = match part {
-        Part::FingerLeft => -0.5,
-        Part::FingerRight => 0.5,
+fn shift(body: Body, opening: f64) -> Pose {
+    let by = match body {
+        Body::FingerLeft => -0.5,
+        Body::FingerRight => 0.5,
         _ => 0.0,
     };
     Pose::from_translation(DVec3::X * (by * opening))
 }
 
-/// What the camera sees of a board, with noise.
-fn seen(board: &Board, (pose, opening): &(Pose, f64), random: &mut Pcg64) -> Vec<Detection> {
+/// Noisy detections of a board.
+fn detect(board: &Board, (pose, opening): &(Pose, f64), random: &mut Pcg64) -> Vec<Detection> {
     let camera = camera();
     let eye = pose.inverse().translation_m;
     let mut found = Vec::new();
     for marker in &board.markers {
         let to_eye = (eye - marker.center_m()).normalize();
-        let slid = *pose * shift(marker.part, *opening);
+        let slid = *pose * shift(marker.body, *opening);
         let corners = marker
             .corners_m
             .map(|c| project(&camera, slid.transform_point(c)));
@@ -102,7 +102,7 @@ fn seen(board: &Board, (pose, opening): &(Pose, f64), random: &mut Pcg64) -> Vec
             continue;
         };
         let inside = |p: &DVec2| p.x > 5.0 && p.y > 5.0 && p.x < 1275.0 && p.y < 715.0;
-        if marker.front().dot(to_eye) < 0.25 || ![a, b, c, d].iter().all(inside) {
+        if marker.normal().dot(to_eye) < 0.25 || ![a, b, c, d].iter().all(inside) {
             continue;
         }
         let noisy = |p| p + DVec2::new(normal(random), normal(random)) * NOISE_PX;
@@ -120,7 +120,7 @@ fn images(board: &Board, views: &[(Pose, f64)], seed: u64) -> Vec<GripperImage> 
     let mut random = Pcg64::seed_from_u64(seed);
     let image = |(i, view): (usize, &(Pose, f64))| GripperImage {
         name: format!("{i:03}.png"),
-        detections: seen(board, view, &mut random),
+        detections: detect(board, view, &mut random),
         closed: view.1 == 0.0,
     };
     views.iter().enumerate().map(image).collect()
@@ -130,7 +130,7 @@ fn framed_all(board: &Board) -> Vec<Marker> {
     board.markers.iter().map(framed).collect()
 }
 
-/// The found markers in the frame in which those of the body fit the truth best, and the change
+/// The calibrated markers in the frame in which those on the body fit the truth best, and the change
 /// of frame.
 fn aligned(found: &Board, truth: &Board) -> (Vec<Marker>, Pose) {
     let mut markers = framed_all(found);
@@ -138,45 +138,45 @@ fn aligned(found: &Board, truth: &Board) -> (Vec<Marker>, Pose) {
     for (marker, true_marker) in markers.iter_mut().zip(framed_all(truth)) {
         marker.nominal = true_marker.pose;
     }
-    let markers = tied_with(markers, false);
+    let markers = aligned_with(markers, false);
     let change = markers[0].pose * before.inverse();
     (markers, change)
 }
 
-/// Markers in the frame that fits their descriptions.
-fn tied_with(markers: Vec<Marker>, x_from_fingers: bool) -> Vec<Marker> {
+/// Markers in the frame that fits their nominal poses.
+fn aligned_with(markers: Vec<Marker>, x_from_fingers: bool) -> Vec<Marker> {
     let mut bundle = Bundle {
         camera: camera(),
         markers,
         slide: DVec3::X,
         views: Vec::new(),
     };
-    let ties = Ties {
+    let sources = FrameSources {
         x_from_fingers,
         zero_from_closed: true,
     };
-    tie(&mut bundle, ties);
+    align(&mut bundle, sources);
     bundle.markers
 }
 
-/// Largest errors (m, rad) of the markers to each other.
+/// Maximum relative errors (m, rad) of the markers.
 fn between_markers(found: &Board, truth: &Board) -> (f64, f64) {
     let markers = aligned(found, truth).0;
     let shift = |m: &Marker| m.pose.translation_m.distance(m.nominal.translation_m);
-    let turn = |m: &Marker| angle(&m.pose, &m.nominal);
+    let rotation = |m: &Marker| angle_between(&m.pose, &m.nominal);
     (
         markers.iter().map(shift).fold(0.0, f64::max),
-        markers.iter().map(turn).fold(0.0, f64::max),
+        markers.iter().map(rotation).fold(0.0, f64::max),
     )
 }
 
-/// The truth in the frame that a calibration ties it to.
-fn tied(truth: &Board, nominal: &Board) -> Vec<Marker> {
+/// The truth in the frame of the calibration.
+fn truth_in_frame(truth: &Board, nominal: &Board) -> Vec<Marker> {
     let mut markers = framed_all(truth);
     for (marker, described) in markers.iter_mut().zip(framed_all(nominal)) {
         marker.nominal = described.nominal;
     }
-    tied_with(markers, true)
+    aligned_with(markers, true)
 }
 
 fn board_of(markers: &[Marker], like: &Board) -> Board {
@@ -187,16 +187,18 @@ fn board_of(markers: &[Marker], like: &Board) -> Board {
     board
 }
 
-/// eᵀ C⁻¹ e of a marker's pose.
-fn normalised(found: &CalibratedMarker, pose: &Pose, truth: &Pose) -> f64 {
+/// Squared Mahalanobis distance eᵀ C⁻¹ e of a marker's pose.
+fn squared_mahalanobis(found: &CalibratedMarker, pose: &Pose, truth: &Pose) -> f64 {
     let shift = truth.translation_m - pose.translation_m;
-    let turn = (truth.rotation * pose.rotation.conjugate()).to_scaled_axis();
-    let turn = if turn.length() > 3.0 {
+    let rotation = (truth.rotation * pose.rotation.conjugate()).to_scaled_axis();
+    let rotation = if rotation.length() > 3.0 {
         DVec3::ZERO
     } else {
-        turn
+        rotation
     };
-    let e = [shift.x, shift.y, shift.z, turn.x, turn.y, turn.z];
+    let e = [
+        shift.x, shift.y, shift.z, rotation.x, rotation.y, rotation.z,
+    ];
     let covariance = found.covariance.unwrap();
     let mut matrix = Symmetric::zero(6);
     for (i, row) in covariance.iter().enumerate() {
@@ -209,7 +211,7 @@ fn normalised(found: &CalibratedMarker, pose: &Pose, truth: &Pose) -> f64 {
 }
 
 #[test]
-fn tags_that_are_off_are_found_and_their_covariance_is_honest() {
+fn misplaced_tags_are_calibrated_with_consistent_covariance() {
     let file = nominal();
     const RUNS: u64 = 12;
     let (mut worst, mut sum, mut count) = ((0.0f64, 0.0f64), 0.0, 0.0);
@@ -235,16 +237,16 @@ fn tags_that_are_off_are_found_and_their_covariance_is_honest() {
         );
         let held = found.holdout_rms_px.unwrap();
         assert!(held < 1.6 * found.rms_px, "{held} {}", found.rms_px);
-        let (shift, turn) = between_markers(&found.board.board, &truth);
-        worst = (worst.0.max(shift), worst.1.max(turn));
-        let expected = tied(&truth, &file.board);
+        let (shift, rotation) = between_markers(&found.board.board, &truth);
+        worst = (worst.0.max(shift), worst.1.max(rotation));
+        let expected = truth_in_frame(&truth, &file.board);
         for (marker, (pose, truth)) in found
             .markers
             .iter()
             .zip(framed_all(&found.board.board).iter().zip(&expected))
         {
             assert_eq!(marker.state, MarkerState::Calibrated);
-            sum += normalised(marker, &pose.pose, &truth.pose);
+            sum += squared_mahalanobis(marker, &pose.pose, &truth.pose);
             count += 1.0;
         }
     }
@@ -265,30 +267,30 @@ fn pose_errors(board: &Board, truth: &Board, t_frame: &Pose) -> ((f64, f64), (f6
     let mut random = Pcg64::seed_from_u64(77);
     let (mut mm, mut deg) = (Vec::new(), Vec::new());
     for view in poses(120, 78) {
-        let detections = seen(truth, &view, &mut random);
+        let detections = detect(truth, &view, &mut random);
         let Ok(found) = solve_gripper(board, &detections, &camera(), None) else {
             continue;
         };
-        let gripper = found.body.t_camera_part * *t_frame;
+        let gripper = found.body.t_camera_body * *t_frame;
         mm.push(1e3 * gripper.translation_m.distance(view.0.translation_m));
-        deg.push(angle(&gripper, &view.0).to_degrees());
+        deg.push(angle_between(&gripper, &view.0).to_degrees());
     }
     let count = mm.len();
     (quantiles(mm), quantiles(deg), count)
 }
 
 #[test]
-fn poses_with_the_calibrated_tags_are_those_of_a_perfect_board() {
+fn poses_with_calibrated_tags_match_perfect_board() {
     let file = nominal();
     let truth = glued(&file.board, 9);
     let found = calibrate_gripper(&file, &camera(), &images(&truth, &poses(30, 10), 11)).unwrap();
     let perfect = pose_errors(&truth, &truth, &Pose::IDENTITY);
     let before = pose_errors(&file.board, &truth, &Pose::IDENTITY);
-    // The frame is tied to the description, which is off by a constant.
+    // The frame is that of the board file, which is off by a constant.
     let offset = aligned(&found.board.board, &truth).1.inverse();
     let after = pose_errors(&found.board.board, &truth, &offset);
     assert_eq!(after.2, perfect.2);
-    // What is left of the calibration's own error is far below that of one image at its worst:
+    // The remaining calibration error is far below the worst error of a single image:
     // measured 0.052 mm (median) and 0.122 mm (95 %) against 0.023 and 0.089 of the perfect board.
     assert!(
         after.0.0 < 0.08 && after.0.1 < 1.5 * perfect.0.1,
@@ -310,7 +312,7 @@ fn poses_with_the_calibrated_tags_are_those_of_a_perfect_board() {
 }
 
 #[test]
-fn rendered_images_give_the_tags() {
+fn rendered_images_recover_tags() {
     let file = nominal();
     let truth = glued(&file.board, 21);
     let conditions = ImageConditions::default();
@@ -319,12 +321,12 @@ fn rendered_images_give_the_tags() {
         .remove(0);
     let views = poses(14, 22);
     let image = |(i, view): (usize, &(Pose, f64))| {
-        let parts = [Part::Body, Part::FingerLeft, Part::FingerRight];
-        let placed = parts.map(|part| Placed {
+        let bodies = [Body::Gripper, Body::FingerLeft, Body::FingerRight];
+        let placed = bodies.map(|body| PlacedBoard {
             board: &truth,
-            part,
+            body,
             dictionary: &file.dictionary,
-            t_camera_part: view.0 * shift(part, view.1),
+            t_camera_body: view.0 * shift(body, view.1),
         });
         let rendered = render(&camera(), &placed, &conditions, i as u64).image;
         let detections = detector.detect(&rendered).unwrap();
@@ -336,15 +338,15 @@ fn rendered_images_give_the_tags() {
     };
     let images: Vec<GripperImage> = views.iter().enumerate().map(image).collect();
     let found = calibrate_gripper(&file, &camera(), &images).unwrap();
-    let (shift, turn) = between_markers(&found.board.board, &truth);
+    let (shift, rotation) = between_markers(&found.board.board, &truth);
     assert!(shift < 1e-4, "{shift}");
     // Measured 0.066°, of a finger's tag, which are small in these images.
-    assert!(turn < 0.1f64.to_radians(), "{turn}");
+    assert!(rotation < 0.1f64.to_radians(), "{rotation}");
     assert!(found.rms_px < 0.12, "{}", found.rms_px);
 }
 
 #[test]
-fn a_tag_that_moves_meanwhile_is_named() {
+fn tag_moved_between_images_is_reported() {
     let file = nominal();
     let truth = glued(&file.board, 31);
     let mut later = truth.clone();
@@ -379,13 +381,13 @@ fn a_tag_that_moves_meanwhile_is_named() {
         .iter()
         .filter(|m| m.state == MarkerState::Calibrated);
     assert_eq!(others.count(), 5);
-    // The file has its last place.
-    let (apart, _) = between_markers(&found.board.board, &later);
-    assert!(apart < 2e-4, "{apart}");
+    // The file has its last pose.
+    let (distance, _) = between_markers(&found.board.board, &later);
+    assert!(distance < 2e-4, "{distance}");
 }
 
 #[test]
-fn a_wrong_sighting_is_left_out_and_an_unseen_tag_stays() {
+fn outlier_is_rejected_and_unobserved_tag_stays_nominal() {
     let file = nominal();
     let truth = glued(&file.board, 41);
     let mut all = images(&truth, &poses(20, 42), 43);
@@ -400,17 +402,17 @@ fn a_wrong_sighting_is_left_out_and_an_unseen_tag_stays() {
     assert_eq!(found.markers[1].outliers, 1);
     assert_eq!(
         found.markers[3].state,
-        MarkerState::AsDescribed("no image shows it")
+        MarkerState::Nominal("not in any image")
     );
     let described = &file.board.markers[3];
     let kept = &found.board.board.markers[3];
     assert!(kept.corners_m[0].distance(described.corners_m[0]) < 1e-12);
-    assert!(found.notes.iter().any(|n| n.contains("marker 243 stays")));
+    assert!(found.notes.iter().any(|n| n.contains("marker 243 keeps")));
     assert!(found.rms_px < 0.1, "{}", found.rms_px);
 }
 
 #[test]
-fn without_closed_fingers_or_motion_the_description_decides() {
+fn without_closed_fingers_or_motion_nominal_frame_is_kept() {
     let file = nominal();
     let mut views = poses(16, 52);
     for (i, view) in views.iter_mut().enumerate() {
@@ -420,22 +422,25 @@ fn without_closed_fingers_or_motion_the_description_decides() {
     assert_eq!(found.x_from, FrameSource::Description);
     assert_eq!(found.zero_from, FrameSource::Description);
     for expected in ["--closed", "30 mm apart"] {
-        let said = found.notes.iter().any(|n| n.contains(expected));
-        assert!(said, "{:?}", found.notes);
+        let is_noted = found.notes.iter().any(|n| n.contains(expected));
+        assert!(is_noted, "{:?}", found.notes);
     }
     let [least, most] = found.openings_m.unwrap();
     assert!(
         (least - 0.04).abs() < 3e-4 && (most - 0.0415).abs() < 3e-4,
         "{least} {most}"
     );
-    // The fingers' places at opening 0 are 40 mm from where they were seen: measured 0.39 mm and
+    // The fingers are detected 40 mm from their positions at opening 0: measured 0.39 mm and
     // 0.069°.
-    let (shift, turn) = between_markers(&found.board.board, &file.board);
-    assert!(shift < 6e-4 && turn < 0.1f64.to_radians(), "{shift} {turn}");
+    let (shift, rotation) = between_markers(&found.board.board, &file.board);
+    assert!(
+        shift < 6e-4 && rotation < 0.1f64.to_radians(),
+        "{shift} {rotation}"
+    );
 }
 
 #[test]
-fn tags_on_the_body_alone_need_no_opening() {
+fn tags_on_body_alone_need_no_opening() {
     let file = nominal();
     let truth = glued(&file.board, 61);
     let mut all = images(&truth, &poses(16, 62), 63);
@@ -451,20 +456,23 @@ fn tags_on_the_body_alone_need_no_opening() {
         markers: board.markers[..4].to_vec(),
         ..board.clone()
     };
-    let (shift, turn) = between_markers(&body(&found.board.board), &body(&truth));
-    assert!(shift < 1e-4 && turn < 0.1f64.to_radians(), "{shift} {turn}");
+    let (shift, rotation) = between_markers(&body(&found.board.board), &body(&truth));
+    assert!(
+        shift < 1e-4 && rotation < 0.1f64.to_radians(),
+        "{shift} {rotation}"
+    );
 }
 
 #[test]
-fn what_cannot_be_calibrated_is_explained() {
+fn unusable_image_sets_are_refused() {
     let file = nominal();
     let all = images(&file.board, &poses(20, 72), 73);
-    let refused = |all: &[GripperImage]| {
+    let error = |all: &[GripperImage]| {
         let error = calibrate_gripper(&file, &camera(), all).unwrap_err();
         error.to_string()
     };
-    assert!(refused(&[]).contains("8 are needed"));
-    assert!(refused(&all[..7]).contains("8 are needed"));
+    assert!(error(&[]).contains("8 are needed"));
+    assert!(error(&all[..7]).contains("8 are needed"));
     let change = |keep: &dyn Fn(usize, u32) -> bool| {
         let mut changed = all.clone();
         for (i, image) in changed.iter_mut().enumerate() {
@@ -473,20 +481,20 @@ fn what_cannot_be_calibrated_is_explained() {
         }
         changed
     };
-    assert!(refused(&change(&|i, id| id == 240 + (i as u32 % 6))).contains("8 are needed"));
+    assert!(error(&change(&|i, id| id == 240 + (i as u32 % 6))).contains("8 are needed"));
     let one_finger_each = change(&|i, id| id != if i % 2 == 0 { 244 } else { 245 });
-    assert!(refused(&one_finger_each).contains("both fingers"));
-    // Another gripper: the tags have changed places in half of the images.
+    assert!(error(&one_finger_each).contains("both fingers"));
+    // Another gripper: the tags' corners are permuted in most images.
     let mut swapped = all.clone();
     for (i, image) in swapped.iter_mut().enumerate() {
         for detection in image.detections.iter_mut() {
             detection.corners_px.rotate_left(i % 4);
         }
     }
-    let said = refused(&swapped);
+    let message = error(&swapped);
     assert!(
-        said.contains("px from where") || said.contains("do not determine"),
-        "{said}"
+        message.contains("do not match") || message.contains("do not determine"),
+        "{message}"
     );
     let mut broken = all;
     broken[3].detections[0].corners_px[1] = DVec2::NAN;
@@ -494,13 +502,13 @@ fn what_cannot_be_calibrated_is_explained() {
 }
 
 #[test]
-fn the_truth_survives_its_own_frame() {
-    // A frame that is tied stays, and the tie of a perfect board is the board.
+fn aligned_frame_is_stable() {
+    // An aligned frame stays, and the alignment of a perfect board is the board.
     let file = nominal();
-    let markers = tied(&file.board, &file.board);
+    let markers = truth_in_frame(&file.board, &file.board);
     let same = board_of(&markers, &file.board);
-    let (shift, turn) = between_markers(&same, &file.board);
-    assert!(shift < 1e-12 && turn < 1e-7);
+    let (shift, rotation) = between_markers(&same, &file.board);
+    assert!(shift < 1e-12 && rotation < 1e-7);
     for (a, b) in same.markers.iter().zip(&file.board.markers) {
         assert!(a.corners_m[2].distance(b.corners_m[2]) < 1e-9);
     }

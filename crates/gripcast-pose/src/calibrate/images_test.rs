@@ -5,7 +5,7 @@ use rand::SeedableRng as _;
 use rand_pcg::Pcg64;
 
 use super::intrinsics_test::{poses, truth};
-use super::{Collector, CollectorSettings, PointFinder, Refusal};
+use super::{Collector, CollectorSettings, PointFinder, Rejection};
 use crate::camera::project;
 use crate::detect::{ApriltagDetector, ApriltagSettings};
 use crate::synthetic::{ImageConditions, render_board, ring_board};
@@ -50,7 +50,7 @@ fn image(lens: &Intrinsics, file: &BoardFile, pose: &Pose, seed: u64) -> GrayIma
 }
 
 #[test]
-fn chessboard_corners_are_found_without_bias() {
+fn chessboard_corners_have_no_bias() {
     let (lens, file) = (truth(), charuco());
     let finder = PointFinder::new(&file).unwrap();
     let mut detector = ApriltagDetector::new(
@@ -74,7 +74,7 @@ fn chessboard_corners_are_found_without_bias() {
             visible += usize::from(inside);
         }
         for point in found.points {
-            let corner = corners[point.number as usize];
+            let corner = corners[point.index as usize];
             let pixel = project(&lens, pose.transform_point(corner.extend(0.0))).unwrap();
             errors.push(point.pixel - pixel);
         }
@@ -92,15 +92,15 @@ fn chessboard_corners_are_found_without_bias() {
 }
 
 #[test]
-fn images_of_a_charuco_board_give_the_lens() {
+fn charuco_images_recover_intrinsics() {
     let (lens, file) = (small_lens(), charuco());
     let mut collector = Collector::new(&file, CollectorSettings::default()).unwrap();
     let mut random = Pcg64::seed_from_u64(3);
     for (seed, pose) in poses(14, &mut random, 0.6).iter().enumerate() {
-        let offer = collector
-            .offer(&image(&lens, &file, pose, seed as u64))
+        let add_image = collector
+            .add_image(&image(&lens, &file, pose, seed as u64))
             .unwrap();
-        println!("{offer:?}");
+        println!("{add_image:?}");
     }
     let report = collector.finish().unwrap();
     println!("{report:#?}");
@@ -111,7 +111,7 @@ fn images_of_a_charuco_board_give_the_lens() {
 }
 
 #[test]
-fn images_of_markers_alone_give_the_lens() {
+fn marker_images_recover_intrinsics() {
     let lens = small_lens();
     let dictionary = Dictionary::by_name("DICT_6X6_250").unwrap();
     let file = BoardFile::new(ring_board(&dictionary), dictionary, None).unwrap();
@@ -119,7 +119,7 @@ fn images_of_markers_alone_give_the_lens() {
     let mut random = Pcg64::seed_from_u64(4);
     for (seed, pose) in poses(12, &mut random, 0.6).iter().enumerate() {
         let image = image(&lens, &file, pose, seed as u64);
-        collector.offer(&image).unwrap();
+        collector.add_image(&image).unwrap();
     }
     let report = collector.finish().unwrap();
     println!("{report:#?}");
@@ -130,58 +130,62 @@ fn images_of_markers_alone_give_the_lens() {
 }
 
 #[test]
-fn images_of_no_use_are_refused() {
+fn unusable_images_are_rejected() {
     let (lens, file) = (small_lens(), charuco());
     let settings = CollectorSettings::default();
     let mut collector = Collector::new(&file, settings).unwrap();
     let mut random = Pcg64::seed_from_u64(5);
     let poses = poses(4, &mut random, 0.6);
     let first = image(&lens, &file, &poses[1], 0);
-    let refused =
-        |collector: &mut Collector, image: &GrayImage| collector.offer(image).unwrap().refused;
-    assert_eq!(refused(&mut collector, &first), None);
+    let rejection = |collector: &mut Collector, image: &GrayImage| {
+        collector.add_image(image).unwrap().rejection
+    };
+    assert_eq!(rejection(&mut collector, &first), None);
     let again = image(&lens, &file, &poses[1], 1);
-    assert_eq!(refused(&mut collector, &again), Some(Refusal::Duplicate(0)));
     assert_eq!(
-        refused(&mut collector, &flip_horizontal(&first)),
-        Some(Refusal::NoBoard)
+        rejection(&mut collector, &again),
+        Some(Rejection::Duplicate(0))
+    );
+    assert_eq!(
+        rejection(&mut collector, &flip_horizontal(&first)),
+        Some(Rejection::NoBoard)
     );
     let other = GrayImage::new(320, 240);
     assert_eq!(
-        refused(&mut collector, &other),
-        Some(Refusal::Size([320, 240], [640, 480]))
+        rejection(&mut collector, &other),
+        Some(Rejection::Size([320, 240], [640, 480]))
     );
     let blurred = ImageConditions {
         psf_px: 2.6,
         ..ImageConditions::default()
     };
     let blurred = render_board(&lens, &file, &poses[2], &blurred, 2).image;
-    let said = refused(&mut collector, &blurred);
+    let rejected = rejection(&mut collector, &blurred);
     assert!(
-        matches!(said, Some(Refusal::Blurred(_) | Refusal::NoBoard)),
-        "{said:?}"
+        matches!(rejected, Some(Rejection::Blurred(_) | Rejection::NoBoard)),
+        "{rejected:?}"
     );
     assert_eq!(collector.views().len(), 1);
-    assert!(collector.offer(&GrayImage::new(4, 4)).is_err());
-    // Live, the board has to be still.
+    assert!(collector.add_image(&GrayImage::new(4, 4)).is_err());
+    // A live camera needs a static board.
     let still = CollectorSettings {
         still: true,
         ..settings
     };
     let mut live = Collector::new(&file, still).unwrap();
     assert!(matches!(
-        refused(&mut live, &first),
-        Some(Refusal::Moving(_))
+        rejection(&mut live, &first),
+        Some(Rejection::Moving(_))
     ));
-    assert_eq!(refused(&mut live, &again), None);
-    let said = live.finish().unwrap_err().to_string();
-    assert!(said.contains("at least 3 usable views"), "{said}");
+    assert_eq!(rejection(&mut live, &again), None);
+    let message = live.finish().unwrap_err().to_string();
+    assert!(message.contains("at least 3 usable views"), "{message}");
 }
 
 /// OpenCV's tutorial images of a board of 5 × 7 squares of 40 mm with markers of 20 mm, in a
 /// folder that `GRIPCAST_CHARUCO` names.
 #[test]
-fn real_images_fit() {
+fn real_charuco_images_are_calibrated() {
     let Some(folder) = std::env::var_os("GRIPCAST_CHARUCO") else {
         return skip(
             Needs::Charuco,
@@ -207,10 +211,10 @@ fn real_images_fit() {
         let path = std::path::Path::new(&folder).join(format!("img_0{k}.jpg"));
         let bytes = std::fs::read(&path).unwrap();
         let image = decoder.decode_file(&bytes, None, 640, 480).unwrap();
-        let offer = collector
-            .offer(&image::imageops::grayscale(&image))
+        let add_image = collector
+            .add_image(&image::imageops::grayscale(&image))
             .unwrap();
-        println!("{}: {offer:?}", path.display());
+        println!("{}: {add_image:?}", path.display());
     }
     let report = collector.finish().unwrap();
     println!("{report:#?}");

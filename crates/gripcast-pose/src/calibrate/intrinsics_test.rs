@@ -28,14 +28,14 @@ fn normal(random: &mut Pcg64) -> f64 {
     radius * (std::f64::consts::TAU * random.random::<f64>()).cos()
 }
 
-/// Poses of a board that faces the camera, tilted in turn to all sides, in all parts of the
-/// image, 0.3 to 0.6 m away.
+/// Poses of a board that faces the camera, tilted to all sides, in all regions of the image, 0.3 to
+/// 0.6 m away.
 pub(super) fn poses(count: usize, random: &mut Pcg64, tilt: f64) -> Vec<Pose> {
     (0..count)
         .map(|k| {
             let azimuth =
                 std::f64::consts::TAU * (k as f64 * 0.382 + 0.05 * random.random::<f64>());
-            let lean =
+            let angle =
                 tilt * (0.6 + 0.4 * random.random::<f64>()) * f64::from(u8::from(k % 4 != 0));
             let axis = DVec3::new(azimuth.cos(), azimuth.sin(), 0.0);
             let roll = DQuat::from_rotation_z(0.5 * (random.random::<f64>() - 0.5));
@@ -43,25 +43,25 @@ pub(super) fn poses(count: usize, random: &mut Pcg64, tilt: f64) -> Vec<Pose> {
             let depth = 0.3 + 0.3 * random.random::<f64>();
             let cell = [k % 3, (k / 3) % 3].map(|c| c as f64 - 1.0);
             let at = DVec3::new(0.32 * cell[0], 0.17 * cell[1], 1.0) * depth;
-            Pose::new(DQuat::from_axis_angle(axis, lean) * facing * roll, at)
+            Pose::new(DQuat::from_axis_angle(axis, angle) * facing * roll, at)
         })
         .collect()
 }
 
-/// A grid of 8 × 6 points, 25 mm apart, as far as the image shows it.
+/// Visible points of a grid of 8 × 6 points, 25 mm apart.
 fn view(lens: &Intrinsics, pose: &Pose, noise: f64, random: &mut Pcg64) -> Vec<BoardPoint> {
-    let place = |k: u32| {
+    let grid_point = |k: u32| {
         let (x, y) = (f64::from(k % 8) - 3.5, f64::from(k / 8) - 2.5);
         0.025 * DVec3::new(x, y, 0.0)
     };
-    let all = (0..48).filter_map(|number| {
-        let place_m = place(number);
-        let pixel = project(lens, pose.transform_point(place_m))?;
+    let all = (0..48).filter_map(|index| {
+        let point_m = grid_point(index);
+        let pixel = project(lens, pose.transform_point(point_m))?;
         let size = DVec2::new(f64::from(SIZE[0]), f64::from(SIZE[1]));
         let inside = pixel.cmpgt(DVec2::ZERO).all() && pixel.cmplt(size).all();
         inside.then(|| BoardPoint {
-            number,
-            place_m,
+            index,
+            point_m,
             pixel: pixel + noise * DVec2::new(normal(random), normal(random)),
         })
     });
@@ -98,7 +98,7 @@ fn assert_near(report: &CalibrationReport, truth: &Intrinsics) {
 }
 
 #[test]
-fn exact_points_give_the_exact_lens() {
+fn exact_points_recover_exact_intrinsics() {
     let truth = truth();
     let report = calibrate_intrinsics(SIZE, &views(&truth, 9, 0.6, 0.0, 1)).unwrap();
     for (ours, expected) in values(&report.intrinsics).iter().zip(values(&truth)) {
@@ -111,10 +111,10 @@ fn exact_points_give_the_exact_lens() {
     assert!(!report.fitted[8] && report.sigma[8] == 0.0);
 }
 
-/// The normalised square error of fx, fy, cx, cy, k1, k2, p1, p2 by their own deviations is 1 on
-/// average if these are honest.
+/// The squared errors of fx, fy, cx, cy, k1, k2, p1, p2, normalised by their sigmas, average 1 if
+/// the sigmas are consistent.
 #[test]
-fn deviations_are_honest() {
+fn sigmas_are_consistent_with_errors() {
     let truth = truth();
     let (mut squares, mut spread) = ([0.0; 8], 0.0);
     let seeds = 40;
@@ -132,14 +132,14 @@ fn deviations_are_honest() {
     }
     println!("normalised squares {squares:.2?}, jackknife over claimed {spread:.2}");
     for mean in squares {
-        // 40 squares have a deviation of 0.22.
+        // The mean of 40 squares has a standard deviation of 0.22.
         assert!((0.5..1.7).contains(&mean), "{squares:.2?}");
     }
     assert!((0.6..1.6).contains(&spread), "{spread}");
 }
 
 #[test]
-fn other_lenses_are_found_too() {
+fn strong_and_weak_distortion_is_recovered() {
     let plain = |fx: f64, coefficients| Intrinsics {
         fx,
         fy: 1.002 * fx,
@@ -183,34 +183,36 @@ fn views_from_one_direction_are_refused() {
     let truth = truth();
     for (tilt, noise) in [(0.0, 0.0), (0.0, 0.1), (0.03, 0.1)] {
         let error = calibrate_intrinsics(SIZE, &views(&truth, 12, tilt, noise, 3)).unwrap_err();
-        let said = error.to_string();
+        let message = error.to_string();
         assert!(
-            said.contains("direction") && said.contains("tilted"),
-            "{said}"
+            message.contains("direction") && message.contains("tilted"),
+            "{message}"
         );
     }
-    // Tilted, but all alike; only rolled and moved.
+    // All with the same tilt, only rolled and moved.
     let mut random = Pcg64::seed_from_u64(4);
-    let alike: Vec<_> = poses(12, &mut random, 0.0)
+    let same_tilt: Vec<_> = poses(12, &mut random, 0.0)
         .iter()
         .map(|p| Pose::new(DQuat::from_rotation_x(0.5) * p.rotation, p.translation_m))
         .map(|p| view(&truth, &p, 0.1, &mut random))
         .collect();
-    let said = calibrate_intrinsics(SIZE, &alike).unwrap_err().to_string();
-    assert!(said.contains("direction"), "{said}");
+    let message = calibrate_intrinsics(SIZE, &same_tilt)
+        .unwrap_err()
+        .to_string();
+    assert!(message.contains("direction"), "{message}");
     let few = views(&truth, 2, 0.6, 0.0, 3);
-    let said = calibrate_intrinsics(SIZE, &few).unwrap_err().to_string();
-    assert!(said.contains("at least 3 usable views"), "{said}");
+    let message = calibrate_intrinsics(SIZE, &few).unwrap_err().to_string();
+    assert!(message.contains("at least 3 usable views"), "{message}");
     assert!(calibrate_intrinsics(SIZE, &[]).is_err());
 }
 
 #[test]
-fn a_bad_view_and_moved_corners_do_no_harm() {
+fn outlier_view_and_points_are_excluded() {
     let truth = truth();
     let mut views = views(&truth, 14, 0.6, 0.05, 5);
-    // A view in which the board was bent, single corners that are wrong.
+    // A view of a bent board, and single wrong corners.
     for point in &mut views[4] {
-        let at = point.place_m / 0.1;
+        let at = point.point_m / 0.1;
         point.pixel += 6.0 * DVec2::new(at.x * at.y, at.x * at.x);
     }
     views[2][5].pixel.x += 7.0;
@@ -224,8 +226,8 @@ fn a_bad_view_and_moved_corners_do_no_harm() {
 }
 
 #[test]
-fn what_views_do_not_determine_is_not_fitted() {
-    // Small boards in the image's middle say nothing of its corners.
+fn undetermined_coefficients_are_not_fitted() {
+    // Small boards at the image centre do not constrain the image corners.
     let lens = Intrinsics {
         coefficients: [0.0; 5],
         ..truth()
@@ -248,15 +250,15 @@ fn what_views_do_not_determine_is_not_fitted() {
 }
 
 #[test]
-fn a_wrong_description_is_told() {
+fn wrong_board_file_is_refused() {
     let mut views = views(&truth(), 9, 0.6, 0.05, 8);
     for points in &mut views {
         for point in points.iter_mut() {
-            // Rows that are farther apart the higher they are.
-            point.place_m.y += 4.0 * point.place_m.y * point.place_m.y;
-            point.place_m.x += 3.0 * point.place_m.x * point.place_m.y;
+            // Row spacing increases upwards.
+            point.point_m.y += 4.0 * point.point_m.y * point.point_m.y;
+            point.point_m.x += 3.0 * point.point_m.x * point.point_m.y;
         }
     }
-    let said = calibrate_intrinsics(SIZE, &views).unwrap_err().to_string();
-    assert!(said.contains("board's description"), "{said}");
+    let message = calibrate_intrinsics(SIZE, &views).unwrap_err().to_string();
+    assert!(message.contains("do not match the board file"), "{message}");
 }

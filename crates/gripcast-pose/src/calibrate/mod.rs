@@ -1,5 +1,5 @@
-//! Calibration from images: the intrinsics of a camera from views of a board, the places of the
-//! gripper's tags.
+//! Calibration from images: camera intrinsics from views of a board, and the poses of the gripper's
+//! tags.
 
 mod board_points;
 mod bundle;
@@ -23,7 +23,7 @@ mod saddle;
 mod start;
 
 pub use board_points::{BoardPoint, BoardPoints, PointFinder};
-pub use collector::{Collector, CollectorSettings, Offer, Refusal};
+pub use collector::{AddedImage, Collector, CollectorSettings, Rejection};
 pub use coverage::{Coverage, Hint, Tilt};
 pub use gripper::calibrate_gripper;
 pub use gripper_result::{

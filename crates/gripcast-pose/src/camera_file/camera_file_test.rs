@@ -1,4 +1,4 @@
-//! Files of every format there and back, and everything that can be wrong with them.
+//! Round trips of every format, and malformed files.
 
 use super::*;
 use gripcast_base::error::ErrorKind;
@@ -86,18 +86,18 @@ fn camera() -> Intrinsics {
 }
 
 fn read(text: &str) -> Result<CameraFile> {
-    CameraFile::parse(text, CameraChoice::default())
+    CameraFile::parse(text, CameraReadOptions::default())
 }
 
-fn chosen(camera: &str) -> CameraChoice<'_> {
-    CameraChoice {
+fn chosen(camera: &str) -> CameraReadOptions<'_> {
+    CameraReadOptions {
         camera: Some(camera),
-        ..CameraChoice::default()
+        ..CameraReadOptions::default()
     }
 }
 
 #[test]
-fn files_of_all_formats_are_read() {
+fn all_formats_are_read() {
     let ros = read(ROS).unwrap();
     assert_eq!((ros.format, ros.intrinsics), (CameraFormat::Ros, camera()));
     assert_eq!(ros.camera_name.as_deref(), Some("external"));
@@ -115,11 +115,11 @@ fn files_of_all_formats_are_read() {
 }
 
 #[test]
-fn what_is_written_reads_back_exactly() {
-    let mut awkward = camera();
-    awkward.fx = 915.123_456_789_012_3;
-    awkward.coefficients = [1e-7, -1.0 / 3.0, 1.5e-17, -0.0, 2.5e-3];
-    for intrinsics in [camera(), awkward] {
+fn written_files_round_trip_exactly() {
+    let mut unusual = camera();
+    unusual.fx = 915.123_456_789_012_3;
+    unusual.coefficients = [1e-7, -1.0 / 3.0, 1.5e-17, -0.0, 2.5e-3];
+    for intrinsics in [camera(), unusual] {
         let ros = read(&to_ros(&intrinsics, "left_2").unwrap()).unwrap();
         assert_eq!(ros.intrinsics, intrinsics);
         assert_eq!(ros.camera_name.as_deref(), Some("left_2"));
@@ -127,8 +127,8 @@ fn what_is_written_reads_back_exactly() {
         let opencv = read(&to_opencv(&intrinsics, Some(0.1)).unwrap()).unwrap();
         assert_eq!((opencv.intrinsics, opencv.rms_px), (intrinsics, Some(0.1)));
     }
-    // YAML 1.1 reads 1e-7 as a word.
-    assert!(to_ros(&awkward, "c").unwrap().contains("[1.0e-7, "));
+    // YAML 1.1 reads 1e-7 as a string.
+    assert!(to_ros(&unusual, "c").unwrap().contains("[1.0e-7, "));
     let straight = Intrinsics {
         model: DistortionModel::None,
         coefficients: [0.0; 5],
@@ -139,15 +139,15 @@ fn what_is_written_reads_back_exactly() {
 }
 
 #[test]
-fn lenses_that_cannot_be_said_are_not_written() {
+fn unsupported_models_are_not_written() {
     let inverse = Intrinsics {
         model: DistortionModel::InverseBrownConrady,
         ..camera()
     };
-    let said = to_ros(&inverse, "c").unwrap_err().to_string();
+    let message = to_ros(&inverse, "c").unwrap_err().to_string();
     assert!(
-        said.contains("inverse-brown-conrady") && said.contains("ROS"),
-        "{said}"
+        message.contains("inverse-brown-conrady") && message.contains("ROS"),
+        "{message}"
     );
     assert!(to_opencv(&inverse, None).is_err());
     let straight = Intrinsics {
@@ -164,37 +164,37 @@ fn lenses_that_cannot_be_said_are_not_written() {
 }
 
 #[test]
-fn a_file_without_a_size_needs_one() {
+fn file_without_size_needs_size_option() {
     let text = OPENCV.replace("image_width: 1280\nimage_height: 720\n", "");
-    let said = read(&text).unwrap_err().to_string();
-    assert!(said.contains("--size 1280x720"), "{said}");
-    let sized = |size| CameraChoice {
+    let message = read(&text).unwrap_err().to_string();
+    assert!(message.contains("--size 1280x720"), "{message}");
+    let sized = |size| CameraReadOptions {
         size: Some(size),
         camera: None,
     };
     let file = CameraFile::parse(&text, sized([1280, 720])).unwrap();
     assert_eq!(file.intrinsics, camera());
-    let said = CameraFile::parse(OPENCV, sized([640, 480])).unwrap_err();
-    assert!(said.to_string().contains("1280×720"), "{said}");
-    let said = CameraFile::parse(&text, sized([64, 48])).unwrap_err();
-    assert!(said.to_string().contains("implausible"), "{said}");
+    let message = CameraFile::parse(OPENCV, sized([640, 480])).unwrap_err();
+    assert!(message.to_string().contains("1280×720"), "{message}");
+    let message = CameraFile::parse(&text, sized([64, 48])).unwrap_err();
+    assert!(message.to_string().contains("implausible"), "{message}");
 }
 
 #[test]
-fn another_image_size_is_refused() {
+fn require_size_refuses_other_image_size() {
     assert!(require_size(&camera(), 1280, 720).is_ok());
     let error = require_size(&camera(), 1920, 1080).unwrap_err();
     assert_eq!(error.kind(), ErrorKind::Input);
-    let said = error.to_string();
+    let message = error.to_string();
     assert!(
-        said.contains("1280×720") && said.contains("1920×1080"),
-        "{said}"
+        message.contains("1280×720") && message.contains("1920×1080"),
+        "{message}"
     );
-    assert!(said.contains("calibrate at 1920×1080"), "{said}");
+    assert!(message.contains("calibrate at 1920×1080"), "{message}");
 }
 
 #[test]
-fn wrong_ros_files_are_explained() {
+fn malformed_ros_files_are_refused() {
     for (from, to, expected) in [
         ("plumb_bob", "equidistant", "\"equidistant\""),
         (
@@ -217,36 +217,36 @@ fn wrong_ros_files_are_explained() {
             "data: [0.9, 0.1, 0, 0, 1, 0, 0, 0, 1]",
             "stereo",
         ),
-        ("  cols: 5", "  cols: 4", "1 × 4 numbers, found 5"),
+        ("  cols: 5", "  cols: 4", "expected 1 × 4 numbers, found 5"),
         ("0.08]", ".nan]", "entry NaN"),
-        ("image_width: 1280", "image_width: wide", "cannot be read"),
+        ("image_width: 1280", "image_width: wide", "cannot read"),
         ("image_width: 1280\n", "", "image size"),
         ("[915.25", "[0.91525", "implausible"),
         (
             "cols: 5\n  data: [0.12, -0.25, 0.0007, -4e-4, 0.08]",
             "cols: 8\n  data: [0.12, -0.25, 0.0007, -4e-4, 0.08, 0, 0.3, 0]",
-            "the rational model",
+            "rational model",
         ),
         (
             "cols: 5\n  data: [0.12, -0.25, 0.0007, -4e-4, 0.08]",
             "cols: 12\n  data: [0, 0, 0, 0, 0, 0, 0, 0, 0, 0.1, 0, 0]",
-            "the thin prism model",
+            "thin prism model",
         ),
         (
             "cols: 5\n  data: [0.12, -0.25, 0.0007, -4e-4, 0.08]",
             "cols: 3\n  data: [0.12, -0.25, 0.0007]",
-            "there are 3 distortion coefficients",
+            "found 3",
         ),
         ("rows: 3\n  cols: 4", "rows: 4\n  cols: 3", "must be 3 × 4"),
         (
             "  data: [915.25, 0, 642.8, 0, 911, 357.4, 0, 0, 1]\n",
             "",
-            "cannot be read",
+            "cannot read",
         ),
     ] {
         assert!(ROS.contains(from), "{from}");
-        let said = read(&ROS.replacen(from, to, 1)).unwrap_err().to_string();
-        assert!(said.contains(expected), "{from} → {to}: {said}");
+        let message = read(&ROS.replacen(from, to, 1)).unwrap_err().to_string();
+        assert!(message.contains(expected), "{from} → {to}: {message}");
     }
     let zeros = ROS.replace("plumb_bob", "rational_polynomial").replace(
         "cols: 5\n  data: [0.12, -0.25, 0.0007, -4e-4, 0.08]",
@@ -261,29 +261,29 @@ fn wrong_ros_files_are_explained() {
 }
 
 #[test]
-fn wrong_opencv_and_kalibr_files_are_explained() {
+fn malformed_opencv_and_kalibr_files_are_refused() {
     for (from, to, expected) in [
         ("flags: 0", "fisheye_model: 1", "fisheye"),
         ("camera_matrix:", "M1:", "stereo pair"),
         ("camera_matrix:", "matrix:", "no camera_matrix"),
         ("distortion_coefficients:", "coefficients:", "five zeros"),
-        ("rows: 5", "rows: 6", "6 × 1 numbers, found 5"),
+        ("rows: 5", "rows: 6", "expected 6 × 1 numbers, found 5"),
     ] {
         assert!(OPENCV.contains(from), "{from}");
-        let said = read(&OPENCV.replacen(from, to, 1)).unwrap_err().to_string();
-        assert!(said.contains(expected), "{from} → {to}: {said}");
+        let message = read(&OPENCV.replacen(from, to, 1)).unwrap_err().to_string();
+        assert!(message.contains(expected), "{from} → {to}: {message}");
     }
-    let said = read(KALIBR).unwrap_err().to_string();
+    let message = read(KALIBR).unwrap_err().to_string();
     assert!(
-        said.contains("2 cameras") && said.contains("cam0, cam1"),
-        "{said}"
+        message.contains("2 cameras") && message.contains("cam0, cam1"),
+        "{message}"
     );
-    let said = CameraFile::parse(KALIBR, chosen("cam1"))
+    let message = CameraFile::parse(KALIBR, chosen("cam1"))
         .unwrap_err()
         .to_string();
     assert!(
-        said.contains("cam1: ") && said.contains("equidistant"),
-        "{said}"
+        message.contains("cam1: ") && message.contains("equidistant"),
+        "{message}"
     );
     assert!(CameraFile::parse(KALIBR, chosen("cam7")).is_err());
     for (from, to, expected) in [
@@ -292,40 +292,40 @@ fn wrong_opencv_and_kalibr_files_are_explained() {
         ("  resolution: [1280, 720]\n", "", "image size"),
     ] {
         let text = KALIBR.replacen(from, to, 1);
-        let said = CameraFile::parse(&text, chosen("cam0"))
+        let message = CameraFile::parse(&text, chosen("cam0"))
             .unwrap_err()
             .to_string();
-        assert!(said.contains(expected), "{from} → {to}: {said}");
+        assert!(message.contains(expected), "{from} → {to}: {message}");
     }
 }
 
 #[test]
-fn what_is_no_camera_file_is_said() {
+fn unknown_formats_are_refused() {
     for (text, expected) in [
         ("<?xml version=\"1.0\"?><opencv_storage/>", "YAML"),
         ("{\"camera_matrix\": 1}", "JSON"),
-        ("", "no camera file"),
-        ("hello\n", "no camera file"),
+        ("", "unknown camera file format"),
+        ("hello\n", "unknown camera file format"),
         ("width = 3\n", "missing field"),
-        ("camera_matrix: 3\n", "cannot be read"),
+        ("camera_matrix: 3\n", "cannot read"),
     ] {
-        let said = read(text).unwrap_err().to_string();
-        assert!(said.contains(expected), "{text}: {said}");
+        let message = read(text).unwrap_err().to_string();
+        assert!(message.contains(expected), "{text}: {message}");
     }
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("c.yaml");
     std::fs::write(&path, [0xff, 0xfe, 0x00]).unwrap();
-    let said = load_intrinsics(&path).unwrap_err().to_string();
+    let message = load_intrinsics(&path).unwrap_err().to_string();
     assert!(
-        said.contains("c.yaml") && said.contains("no text"),
-        "{said}"
+        message.contains("c.yaml") && message.contains("not UTF-8"),
+        "{message}"
     );
     let missing = load_intrinsics(Path::new("/proc/nonexistent/c.yaml")).unwrap_err();
     assert_eq!(missing.kind(), ErrorKind::NotFound);
 }
 
 #[test]
-fn damaged_files_give_a_valid_camera_or_an_explanation() {
+fn damaged_files_give_valid_camera_or_error() {
     let check = |text: &str| match CameraFile::parse(text, chosen("cam0")) {
         Ok(file) => {
             assert!(file.intrinsics.validate().is_ok(), "{text}");
@@ -338,17 +338,17 @@ fn damaged_files_give_a_valid_camera_or_an_explanation() {
         }
     };
     for text in [ROS, OPENCV, KALIBR] {
-        let mut refused = 0;
+        let mut rejected = 0;
         for at in (0..text.len()).step_by(7) {
-            refused += usize::from(!check(&text[..at]));
-            for put in ["[", ":", "-", "9", "&a", "*a", "\0"] {
-                check(&format!("{}{put}{}", &text[..at], &text[at + 1..]));
+            rejected += usize::from(!check(&text[..at]));
+            for byte in ["[", ":", "-", "9", "&a", "*a", "\0"] {
+                check(&format!("{}{byte}{}", &text[..at], &text[at + 1..]));
             }
         }
-        // Much of a file is needed.
+        // Most cuts remove something that is needed.
         assert!(
-            refused > text.len() / 7 / 4,
-            "{refused} of {}",
+            rejected > text.len() / 7 / 4,
+            "{rejected} of {}",
             text.len() / 7
         );
     }

@@ -1,10 +1,10 @@
-//! `camchain.yaml` of Kalibr.
+//! Kalibr's `camchain.yaml`.
 
 use std::collections::BTreeMap;
 
 use serde::Deserialize;
 
-use super::lens::{ForeignCamera, unknown_lens};
+use super::lens::{ForeignCamera, unsupported};
 use crate::yaml;
 use gripcast_base::error::{Error, Result, unknown_name};
 
@@ -21,24 +21,24 @@ struct Camera {
 pub(super) fn read(text: &str, chosen: Option<&str>) -> Result<ForeignCamera> {
     let mut cameras: BTreeMap<String, Camera> = yaml::read(text, "the camchain")?;
     let names: Vec<String> = cameras.keys().cloned().collect();
-    let known: Vec<&str> = names.iter().map(|name| &**name).collect();
-    let name = match (chosen, &known[..]) {
+    let listed: Vec<&str> = names.iter().map(|name| &**name).collect();
+    let name = match (chosen, &listed[..]) {
         (_, [only]) => *only,
         (Some(name), _) => name,
         (None, _) => {
             return Err(
-                Error::input(format!("the camchain has {} cameras", known.len())).remedy(format!(
-                    "choose one: `gripcast calibrate convert FILE --camera-name {} --to toml --out \
-                 FILE.toml`; there are {}",
-                    known.first().unwrap_or(&"cam0"),
-                    known.join(", ")
+                Error::input(format!("the camchain has {} cameras", listed.len())).remedy(format!(
+                    "choose one of {}: `gripcast calibrate convert FILE --camera-name {} --to toml \
+                     --out FILE.toml`",
+                    listed.join(", "),
+                    listed.first().unwrap_or(&"cam0")
                 )),
             );
         }
     };
     let camera = cameras
         .remove(name)
-        .ok_or_else(|| unknown_name("camera", name, &known))?;
+        .ok_or_else(|| unknown_name("camera", name, &listed))?;
     let foreign = camera.foreign(name);
     foreign.map_err(|e| e.at(name))
 }
@@ -46,22 +46,17 @@ pub(super) fn read(text: &str, chosen: Option<&str>) -> Result<ForeignCamera> {
 impl Camera {
     fn foreign(&self, name: &str) -> Result<ForeignCamera> {
         if self.camera_model != "pinhole" {
-            return Err(unknown_lens(&format!(
-                "the camera model {:?}",
-                self.camera_model
-            )));
+            return Err(unsupported(format!("camera model {:?}", self.camera_model)));
         }
         let is_straight = self.distortion_model == "none";
         if self.distortion_model != "radtan" && !is_straight {
-            return Err(unknown_lens(&format!(
-                "the model {:?}",
-                self.distortion_model
-            )));
+            let model = &self.distortion_model;
+            return Err(unsupported(format!("distortion model {model:?}")));
         }
         let [fx, fy, cx, cy] = self.intrinsics[..] else {
+            let found = self.intrinsics.len();
             return Err(Error::input(format!(
-                "intrinsics of a pinhole camera are 4 numbers, found {}",
-                self.intrinsics.len()
+                "expected 4 numbers in intrinsics, found {found}"
             )));
         };
         Ok(ForeignCamera {

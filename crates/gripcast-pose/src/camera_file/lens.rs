@@ -1,63 +1,62 @@
-//! Camera matrices and coefficients of other programs as intrinsics.
+//! Conversion of third-party camera matrices and distortion coefficients.
 
 use gripcast_base::error::{Error, Result};
 use gripcast_imaging::{DistortionModel, Intrinsics};
 
-/// OpenCV's order of coefficients, by what they belong to.
-const COEFFICIENTS: [(&str, usize); 4] = [
-    ("plumb bob", 5),
-    ("the rational model (k4, k5, k6)", 8),
-    ("the thin prism model (s1 to s4)", 12),
-    ("the tilted model (τx, τy)", 14),
+/// OpenCV's distortion models and their numbers of coefficients.
+const MODELS: [(&str, usize); 4] = [
+    ("plumb_bob", 5),
+    ("rational model (k4, k5, k6)", 8),
+    ("thin prism model (s1 to s4)", 12),
+    ("tilted model (τx, τy)", 14),
 ];
 
-/// A matrix as files have it, row by row.
+/// A matrix in a file, row by row.
 #[derive(Clone, Debug, serde::Deserialize)]
 pub(super) struct Matrix {
-    pub rows: usize,
+    pub(super) rows: usize,
     pub(super) cols: usize,
     pub(super) data: Vec<f64>,
 }
 
 impl Matrix {
-    /// Its numbers, if there are as many as it says, and finite.
-    pub(super) fn numbers(&self, what: &str) -> Result<&[f64]> {
-        if self.rows.checked_mul(self.cols) != Some(self.data.len()) {
-            return Err(Error::input(format!(
-                "{what} is said to have {} × {} numbers, found {}",
-                self.rows,
-                self.cols,
-                self.data.len()
-            )));
+    /// The entries, checked for count and finiteness.
+    pub(super) fn numbers(&self, name: &str) -> Result<&[f64]> {
+        let Self { rows, cols, data } = self;
+        if rows.checked_mul(*cols) != Some(data.len()) {
+            let found = data.len();
+            let what = format!("{name}: expected {rows} × {cols} numbers, found {found}");
+            return Err(Error::input(what));
         }
-        if let Some(wild) = self.data.iter().find(|v| !v.is_finite()) {
-            return Err(Error::input(format!("{what} has the entry {wild}")));
+        if let Some(invalid) = data.iter().find(|v| !v.is_finite()) {
+            return Err(Error::input(format!("{name}: invalid entry {invalid}")));
         }
-        Ok(&self.data)
+        Ok(data)
     }
 
-    /// A 3 × 3 matrix.
-    pub(super) fn square(&self, what: &str) -> Result<[f64; 9]> {
-        if (self.rows, self.cols) != (3, 3) {
-            return Err(Error::input(format!(
-                "{what} must be 3 × 3, found {} × {}",
-                self.rows, self.cols
-            )));
-        }
-        let numbers = self.numbers(what)?;
-        <[f64; 9]>::try_from(numbers)
-            .map_err(|_| Error::input(format!("{what} must have 9 numbers")))
+    /// The entries of a matrix with `shape` rows and columns.
+    pub(super) fn shaped<const N: usize>(&self, name: &str, shape: [usize; 2]) -> Result<[f64; N]> {
+        let numbers = self.numbers(name)?;
+        let entries = numbers.try_into().ok();
+        entries
+            .filter(|_| [self.rows, self.cols] == shape)
+            .ok_or_else(|| {
+                Error::input(format!(
+                    "{name} must be {} × {}, found {} × {}",
+                    shape[0], shape[1], self.rows, self.cols
+                ))
+            })
     }
 }
 
-/// A camera as a file of another program has it.
+/// A camera as described by a third-party file.
 #[derive(Default)]
 pub(super) struct ForeignCamera {
     pub(super) width: Option<u32>,
     pub(super) height: Option<u32>,
-    /// The camera matrix, row by row.
+    /// Camera matrix, row by row.
     pub(super) matrix: [f64; 9],
-    /// Coefficients in OpenCV's order.
+    /// Distortion coefficients in OpenCV's order.
     pub(super) coefficients: Vec<f64>,
     pub(super) camera_name: Option<String>,
     /// Reprojection error, px.
@@ -66,28 +65,26 @@ pub(super) struct ForeignCamera {
 }
 
 impl ForeignCamera {
-    /// Its intrinsics, for images of the size that the file says, or else of `size`.
+    /// Converts to intrinsics for the image size of the file, else `size`.
     pub(super) fn intrinsics(&self, size: Option<[u32; 2]>) -> Result<Intrinsics> {
         let own = self.width.zip(self.height);
         let (width, height) = own.or(size.map(<(u32, u32)>::from)).ok_or_else(|| {
-            Error::input("the file does not say which image size its intrinsics are for").remedy(
-                "convert it once with the size of the images it was calibrated with: `gripcast \
-                 calibrate convert FILE --size 1280x720 --to toml --out FILE.toml`",
+            Error::input("the file has no image size").remedy(
+                "convert it once with the image size of the calibration: `gripcast calibrate \
+                 convert FILE --size 1280x720 --to toml --out FILE.toml`",
             )
         })?;
         let [fx, skew, cx, k10, fy, cy, k20, k21, scale] = self.matrix;
         if skew != 0.0 {
-            return Err(Error::input(format!(
-                "the camera matrix has a skew of {skew}, and pixels here have right angles"
-            ))
-            .remedy("calibrate without skew, as OpenCV and ROS do"));
+            let what = format!("the camera matrix has a skew of {skew}, expected 0");
+            return Err(Error::input(what).remedy("calibrate without skew, as OpenCV and ROS do"));
         }
         if [k10, k20, k21] != [0.0; 3] || scale != 1.0 {
             return Err(Error::input(format!(
                 "the camera matrix must be [fx 0 cx; 0 fy cy; 0 0 1], found {:?}",
                 self.matrix
             ))
-            .remedy("numbers are listed row by row"));
+            .remedy("list the numbers row by row"));
         }
         let coefficients = plumb_bob(&self.coefficients)?;
         let is_straight = coefficients == [0.0; 5];
@@ -108,30 +105,29 @@ impl ForeignCamera {
     }
 }
 
-/// k1, k2, p1, p2, k3 of a longer or shorter list, if what is beyond them is zero.
+/// Reduces a coefficient list to k1, k2, p1, p2, k3 if all others are zero.
 fn plumb_bob(coefficients: &[f64]) -> Result<[f64; 5]> {
     let count = coefficients.len();
     if ![0, 4, 5, 8, 12, 14].contains(&count) {
         return Err(Error::input(format!(
-            "there are {count} distortion coefficients; known are lists of 4, 5, 8, 12 and 14"
+            "expected 4, 5, 8, 12 or 14 distortion coefficients, found {count}"
         )));
     }
     let used = coefficients.iter().rposition(|c| *c != 0.0);
     let needed = used.map_or(0, |last| last + 1);
-    let model = COEFFICIENTS.iter().find(|(_, most)| needed <= *most);
     if needed > 5 {
-        let name = model.map_or("an unknown model", |(name, _)| *name);
-        return Err(unknown_lens(name));
+        let model = MODELS.iter().find(|(_, count)| needed <= *count);
+        let name = model.map_or("unknown distortion model", |(name, _)| *name);
+        return Err(unsupported(name));
     }
     let mut result = [0.0; 5];
-    for (to, from) in result.iter_mut().zip(coefficients) {
-        *to = *from;
-    }
+    let kept = count.min(5);
+    result[..kept].copy_from_slice(&coefficients[..kept]);
     Ok(result)
 }
 
-/// Refuses a lens model by its name.
-pub(super) fn unknown_lens(name: &str) -> Error {
-    Error::input(format!("the lens has {name}, which is not known here"))
+/// Error for an unsupported camera or distortion model.
+pub(super) fn unsupported(model: impl std::fmt::Display) -> Error {
+    Error::input(format!("unsupported: {model}"))
         .remedy("calibrate with five coefficients: k1, k2, p1, p2, k3 (plumb_bob, radtan)")
 }

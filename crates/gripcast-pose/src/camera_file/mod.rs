@@ -1,10 +1,10 @@
-//! Files that keep a camera's intrinsics: gripcast's own, and those of ROS, OpenCV and Kalibr.
+//! Camera intrinsics files of gripcast, ROS, OpenCV and Kalibr.
 //!
-//! All of them have the same pinhole camera with k1, k2, p1, p2, k3 (Brown–Conrady) and the same
-//! pixel convention as [`Intrinsics`]. What has another lens model is refused by its name, and
-//! nothing is scaled to another image size: intrinsics belong to one.
+//! All describe a pinhole camera with k1, k2, p1, p2, k3 (Brown–Conrady, `plumb_bob`) and use the
+//! pixel convention of [`Intrinsics`]. Other distortion models are rejected. Intrinsics are not
+//! scaled to other image sizes.
 //!
-//! OpenCV's XML and JSON are not read.
+//! OpenCV's XML and JSON are not supported.
 
 mod kalibr;
 mod lens;
@@ -16,14 +16,16 @@ use std::path::Path;
 
 pub use write::{to_opencv, to_ros};
 
+use lens::ForeignCamera;
+
 use gripcast_base::error::{Error, Result};
 use gripcast_base::files::{FileKind, read_regular};
 use gripcast_imaging::Intrinsics;
 
-/// Formats of camera files.
+/// Format of a camera file.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum CameraFormat {
-    /// gripcast's own.
+    /// gripcast's TOML.
     Toml,
     /// `camera_info` of ROS, YAML.
     Ros,
@@ -33,32 +35,32 @@ pub enum CameraFormat {
     Kalibr,
 }
 
-/// A camera file that was read.
+/// A parsed camera file.
 #[derive(Clone, Debug, PartialEq)]
 pub struct CameraFile {
-    /// What it was.
+    /// Its format.
     pub format: CameraFormat,
-    /// The camera.
+    /// The intrinsics.
     pub intrinsics: Intrinsics,
-    /// What the file calls the camera.
+    /// Camera name given in the file.
     pub camera_name: Option<String>,
     /// Reprojection error of the calibration, px.
     pub rms_px: Option<f64>,
-    /// What a person should know about it.
+    /// Notes for the user.
     pub notes: Vec<String>,
 }
 
-/// What the reader is told beyond the file.
+/// What the file itself may not say.
 #[derive(Clone, Copy, Debug, Default)]
-pub struct CameraChoice<'a> {
-    /// Width and height for a file that does not have them; in others it has to agree, px.
+pub struct CameraReadOptions<'a> {
+    /// Image width and height, px, for files without them; must agree with the file otherwise.
     pub size: Option<[u32; 2]>,
-    /// Which camera of a file with several.
+    /// Name of the camera in a file with several.
     pub camera: Option<&'a str>,
 }
 
 impl CameraFormat {
-    /// Its name on the command line.
+    /// Name on the command line.
     #[must_use]
     pub fn name(self) -> &'static str {
         match self {
@@ -69,17 +71,17 @@ impl CameraFormat {
         }
     }
 
-    /// What a text is, by its content.
+    /// Detects the format of a text.
     ///
     /// # Errors
-    /// `Input` for what is none of them.
-    pub fn recognise(text: &str) -> Result<Self> {
+    /// `Input` for an unknown format.
+    pub fn detect(text: &str) -> Result<Self> {
         let text = text.trim_start_matches('\u{feff}');
         let start = text.trim_start();
         if start.starts_with('<') || start.starts_with('{') {
-            let what = "XML and JSON of OpenCV's FileStorage are not read";
+            let what = "XML and JSON of OpenCV's FileStorage are not supported";
             return Err(Error::input(what)
-                .remedy("write it as YAML: a file name that ends in .yml does that in OpenCV"));
+                .remedy("write YAML: give OpenCV's FileStorage a file name that ends in .yml"));
         }
         if start.starts_with("%YAML:") || text.contains("!!opencv-matrix") {
             return Ok(Self::Opencv);
@@ -103,53 +105,54 @@ impl CameraFormat {
         if has_line(&is_assignment) {
             return Ok(Self::Toml);
         }
-        Err(Error::input("this is no camera file that is known").remedy(
-            "give gripcast's TOML, camera_info YAML of ROS, YAML of OpenCV's FileStorage with \
-             camera_matrix, or camchain.yaml of Kalibr",
+        Err(Error::input("unknown camera file format").remedy(
+            "supported: gripcast's TOML, camera_info YAML of ROS, OpenCV FileStorage YAML with \
+             camera_matrix, camchain.yaml of Kalibr",
         ))
     }
 }
 
 impl CameraFile {
-    /// Reads a file of any known format.
+    /// Reads a file of any supported format.
     ///
     /// # Errors
-    /// As [`Self::parse`], and that of the operating system.
-    pub fn load(path: &Path, choice: CameraChoice<'_>) -> Result<Self> {
+    /// As [`Self::parse`], and IO errors.
+    pub fn load(path: &Path, options: CameraReadOptions<'_>) -> Result<Self> {
         let bytes = read_regular(path, FileKind::Record)
             .map_err(|e| Error::io("cannot read the camera file", e).at(path.display()))?;
-        let text = String::from_utf8(bytes).map_err(|_| Error::input("the camera file is no text"));
-        text.and_then(|text| Self::parse(&text, choice))
+        let text =
+            String::from_utf8(bytes).map_err(|_| Error::input("the camera file is not UTF-8 text"));
+        text.and_then(|text| Self::parse(&text, options))
             .map_err(|e| e.at(path.display()))
     }
 
-    /// Reads the text of a file.
+    /// Parses the text of a file.
     ///
     /// # Errors
-    /// `Input` or `Config`: what is missing or wrong, or which lens model is not known.
-    pub fn parse(text: &str, choice: CameraChoice<'_>) -> Result<Self> {
-        let format = CameraFormat::recognise(text)?;
-        let foreign = match format {
-            CameraFormat::Toml => None,
-            CameraFormat::Ros => Some(ros::read(text)?),
-            CameraFormat::Opencv => Some(opencv::read(text)?),
-            CameraFormat::Kalibr => Some(kalibr::read(text, choice.camera)?),
-        };
-        let intrinsics = match &foreign {
-            Some(foreign) => foreign.intrinsics(choice.size).map_err(|e| {
+    /// `Input` or `Config` for missing or invalid entries and unsupported distortion models.
+    pub fn parse(text: &str, options: CameraReadOptions<'_>) -> Result<Self> {
+        let format = CameraFormat::detect(text)?;
+        let mut foreign = ForeignCamera::default();
+        let intrinsics: Intrinsics = if format == CameraFormat::Toml {
+            toml::from_str(text).map_err(|e| Error::config(e.message().trim()))?
+        } else {
+            foreign = match format {
+                CameraFormat::Kalibr => kalibr::read(text, options.camera)?,
+                CameraFormat::Opencv => opencv::read(text)?,
+                _ => ros::read(text)?,
+            };
+            foreign.intrinsics(options.size).map_err(|e| {
                 match foreign.camera_name.as_deref() {
-                    // A camchain has several.
+                    // A camchain lists several cameras.
                     Some(name) if format == CameraFormat::Kalibr => e.at(name),
                     _ => e,
                 }
-            })?,
-            None => toml::from_str(text).map_err(|e| Error::config(e.message().trim()))?,
+            })?
         };
         let intrinsics = intrinsics.validate()?;
-        if let Some([width, height]) = choice.size {
+        if let Some([width, height]) = options.size {
             require_size(&intrinsics, width, height)?;
         }
-        let foreign = foreign.unwrap_or_default();
         Ok(Self {
             format,
             intrinsics,
@@ -160,30 +163,29 @@ impl CameraFile {
     }
 }
 
-/// Reads intrinsics from gripcast's TOML, or from a file of ROS, OpenCV or Kalibr: the content
-/// decides.
+/// Reads intrinsics from a file of any supported format.
 ///
 /// # Errors
 /// As [`CameraFile::load`].
 pub fn load_intrinsics(path: &Path) -> Result<Intrinsics> {
-    Ok(CameraFile::load(path, CameraChoice::default())?.intrinsics)
+    Ok(CameraFile::load(path, CameraReadOptions::default())?.intrinsics)
 }
 
-/// Refuses intrinsics of another image size than `width` × `height` px. They are not scaled:
-/// drivers crop as often as they scale, and a wrong guess moves every pose unnoticed.
+/// Requires intrinsics for images of `width` × `height` px. Intrinsics are not scaled: drivers crop
+/// as often as they scale, and a wrong guess biases every pose unnoticed.
 ///
 /// # Errors
-/// `Input` with both sizes; the caller adds the image's name.
+/// `Input` with both sizes; the caller adds the name of the image.
 pub fn require_size(intrinsics: &Intrinsics, width: u32, height: u32) -> Result<()> {
     if (intrinsics.width, intrinsics.height) == (width, height) {
         return Ok(());
     }
     Err(Error::input(format!(
-        "the intrinsics are for images of {}×{} pixels, and this is one of {width}×{height}",
+        "the intrinsics are for {}×{} px images, the image is {width}×{height} px",
         intrinsics.width, intrinsics.height
     ))
     .remedy(format!(
-        "calibrate at {width}×{height}, or take images of {}×{}; intrinsics are not scaled",
+        "calibrate at {width}×{height}, or use images of {}×{}; intrinsics are not scaled",
         intrinsics.width, intrinsics.height
     )))
 }

@@ -1,8 +1,8 @@
-//! OpenCV's `FileStorage`, YAML, with the keys of its calibration sample and their usual variants.
+//! OpenCV `FileStorage` YAML, with the keys of OpenCV's calibration sample and common variants.
 
 use serde::Deserialize;
 
-use super::lens::{ForeignCamera, Matrix, unknown_lens};
+use super::lens::{ForeignCamera, Matrix, unsupported};
 use crate::yaml;
 use gripcast_base::error::{Error, Result};
 
@@ -38,32 +38,30 @@ struct Record {
 }
 
 pub(super) fn read(text: &str) -> Result<ForeignCamera> {
-    let read: Record = yaml::read(text, "the camera file of OpenCV")?;
+    let read: Record = yaml::read(text, "the OpenCV camera file")?;
     if read.fisheye_model.is_some_and(|flag| flag != 0) {
-        return Err(unknown_lens("OpenCV's fisheye model"));
+        return Err(unsupported("OpenCV fisheye model"));
     }
     let missing = || {
         if read.left_of_pair.is_some() {
-            return Error::input("this is the file of a stereo pair (M1, D1, M2, D2)")
-                .remedy("write one camera's M and D as camera_matrix and distortion_coefficients");
+            return Error::input("the file describes a stereo pair (M1, D1, M2, D2)").remedy(
+                "write M and D of one camera as camera_matrix and distortion_coefficients",
+            );
         }
         Error::input("the file has no camera_matrix")
             .remedy("OpenCV's calibration writes camera_matrix and distortion_coefficients")
     };
     let matrix = read.camera_matrix.as_ref().ok_or_else(missing)?;
-    let matrix = matrix.square("camera_matrix")?;
-    let coefficients = match &read.distortion_coefficients {
-        Some(list) => list.numbers("distortion_coefficients")?,
-        None => {
-            return Err(Error::input("the file has no distortion_coefficients")
-                .remedy("a lens without distortion has five zeros"));
-        }
-    };
+    let matrix = matrix.shaped("camera_matrix", [3, 3])?;
+    let coefficients = read.distortion_coefficients.as_ref().ok_or_else(|| {
+        Error::input("the file has no distortion_coefficients")
+            .remedy("write five zeros for a lens without distortion")
+    })?;
     Ok(ForeignCamera {
         width: read.image_width,
         height: read.image_height,
         matrix,
-        coefficients: coefficients.to_vec(),
+        coefficients: coefficients.numbers("distortion_coefficients")?.to_vec(),
         camera_name: read.camera_name,
         rms_px: read.avg_reprojection_error.filter(|e| e.is_finite()),
         notes: Vec::new(),

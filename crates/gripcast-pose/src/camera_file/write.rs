@@ -1,17 +1,17 @@
-//! Camera files for other programs.
+//! Export of camera files.
 
 use super::CameraFormat;
 use gripcast_base::error::{Error, Result};
 use gripcast_imaging::{DistortionModel, Intrinsics};
 
-/// The text of a `camera_info` YAML of ROS for raw images: no rectification.
+/// Formats a ROS `camera_info` YAML for raw images (no rectification).
 ///
 /// # Errors
-/// `Input` for a lens that ROS has no name for; `Usage` for a camera name that ROS does not take.
+/// `Input` for a distortion model that ROS does not have; `Usage` for an invalid ROS camera name.
 pub fn to_ros(intrinsics: &Intrinsics, camera_name: &str) -> Result<String> {
     let is_letter = |c: char| c.is_ascii_alphanumeric() || c == '_';
     if camera_name.is_empty() || !camera_name.chars().all(is_letter) {
-        let what = format!("ROS takes no camera named {camera_name:?}");
+        let what = format!("invalid ROS camera name {camera_name:?}");
         return Err(Error::usage(what)
             .remedy("use letters, digits and underscores: --camera-name external"));
     }
@@ -37,10 +37,10 @@ pub fn to_ros(intrinsics: &Intrinsics, camera_name: &str) -> Result<String> {
     ))
 }
 
-/// The text of a YAML of OpenCV's `FileStorage`, with the keys of its calibration sample.
+/// Formats an OpenCV `FileStorage` YAML with the keys of OpenCV's calibration sample.
 ///
 /// # Errors
-/// `Input` for a lens that OpenCV has no coefficients for.
+/// `Input` for a distortion model that OpenCV does not have.
 pub fn to_opencv(intrinsics: &Intrinsics, rms_px: Option<f64>) -> Result<String> {
     let coefficients = plumb_bob(intrinsics, CameraFormat::Opencv)?;
     let block = |name: &str, rows: usize, data: &[f64]| {
@@ -68,21 +68,20 @@ fn matrix(i: &Intrinsics) -> [f64; 9] {
     [i.fx, 0.0, i.cx, 0.0, i.fy, i.cy, 0.0, 0.0, 1.0]
 }
 
-/// The coefficients for programs that bend ideal coordinates into distorted ones.
+/// Coefficients k1, k2, p1, p2, k3 that map ideal to distorted coordinates.
 fn plumb_bob(intrinsics: &Intrinsics, format: CameraFormat) -> Result<[f64; 5]> {
     match intrinsics.model {
         DistortionModel::None => Ok([0.0; 5]),
         DistortionModel::BrownConrady => Ok(intrinsics.coefficients),
         DistortionModel::InverseBrownConrady if intrinsics.coefficients == [0.0; 5] => Ok([0.0; 5]),
         DistortionModel::InverseBrownConrady => Err(Error::input(format!(
-            "the lens has the model inverse-brown-conrady (distorted coordinates to ideal \
-                 ones), which {} has not: its coefficients run the other way",
+            "{} does not support the model inverse-brown-conrady (distorted to ideal coordinates)",
             match format {
                 CameraFormat::Ros => "ROS",
                 _ => "OpenCV",
             }
         ))
-        .remedy("calibrate the camera: that gives brown-conrady coefficients")),
+        .remedy("calibrate the camera to get brown-conrady coefficients")),
     }
 }
 
@@ -91,8 +90,8 @@ fn numbers(values: &[f64]) -> String {
     texts.join(", ")
 }
 
-/// The shortest decimal that reads back as the same number. YAML 1.1 (ROS's Python) takes an
-/// exponent for a number only after a point and with a sign.
+/// Shortest decimal that round-trips. YAML 1.1 (ROS's Python) requires a point and a signed
+/// exponent.
 fn number(value: f64) -> String {
     let text = format!("{value:?}");
     let Some((mantissa, exponent)) = text.split_once('e') else {

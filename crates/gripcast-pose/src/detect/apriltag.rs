@@ -1,8 +1,8 @@
-//! Detection with the AprilTag C library, which is compiled in.
+//! Marker detection with the AprilTag C library, which is compiled in.
 //!
 //! E. Olson, *AprilTag: a robust and flexible visual fiducial system*, ICRA 2011; J. Wang and
-//! E. Olson, *AprilTag 2*, IROS 2016. Its families are data, so that ArUco's dictionaries are
-//! searched by the same code.
+//! E. Olson, *AprilTag 2*, IROS 2016. Tag families are data, so the library detects ArUco
+//! dictionaries as well.
 
 #![allow(unsafe_code)]
 
@@ -17,29 +17,28 @@ use crate::{Detection, Dictionary, MarkerDetector};
 use gripcast_base::error::{Error, Result};
 use gripcast_imaging::srgb_decode;
 
-/// The library puts (0, 0) at the top-left pixel's corner.
+/// The library puts (0, 0) at the corner of the top-left pixel.
 const HALF_PIXEL: DVec2 = DVec2::splat(0.5);
-/// Most cells along a side: the library has 64 bits for a code and needs one of them.
+/// Maximum number of cells along a side: the library reserves one of 64 code bits.
 const MAX_CELLS: usize = 7;
-/// Least distance of a dictionary's markers at which a bit is corrected.
+/// Minimum Hamming distance of a dictionary for bit correction.
 const MIN_DISTANCE_TO_CORRECT: u32 = 6;
-/// Fraction of the pixels that may be brighter than white once light is stretched: lamps, glints.
-const BRIGHTEST: f64 = 0.002;
-/// Most that light is amplified; beyond, noise would be.
+/// Fraction of saturated pixels after the intensity is stretched: lamps, glints.
+const SATURATED_FRACTION: f64 = 0.002;
+/// Maximum gain of the intensity stretch; limits noise.
 const MAX_GAIN: f32 = 8.0;
-/// Range of noise in a window that is thresholded (144 pixels), in standard deviations, with some
-/// reserve.
+/// Noise range in a thresholding window (144 pixels), in standard deviations, with some margin.
 const NOISE_RANGE: f64 = 7.0;
-/// Limits of the contrast that a window needs, grey levels; the first is the library's own.
+/// Range of the minimum window contrast, grey levels; the lower bound is the library's default.
 const MIN_CONTRAST: (i32, i32) = (5, 60);
 
-/// What can be set.
+/// Detector settings.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct ApriltagSettings {
-    /// Quads are searched for in an image of which every n-th pixel is taken; 1 to 4. Larger is
-    /// faster and misses small markers; corners and codes come from the full image.
+    /// Decimation of the image for quad detection, 1 to 4. Larger values are faster and miss small
+    /// markers; corners and codes are read from the full image.
     pub decimate: u32,
-    /// Edges are fitted in the full image.
+    /// Whether edges are refined in the full image.
     pub refine_edges: bool,
 }
 
@@ -52,11 +51,11 @@ impl Default for ApriltagSettings {
     }
 }
 
-/// Searches for the markers of one dictionary, on the calling thread.
+/// Detects the markers of one dictionary on the calling thread.
 pub struct ApriltagDetector {
     detector: *mut sys::apriltag_detector,
     family: *mut sys::apriltag_family,
-    /// What the family points to; not touched as long as it does.
+    /// Data that the family points to; must not be changed while it does.
     _tables: Tables,
     /// Marker id of each code of the family.
     ids: Vec<u32>,
@@ -74,12 +73,12 @@ struct Tables {
 unsafe impl Send for ApriltagDetector {}
 
 impl ApriltagDetector {
-    /// A detector for the markers of `dictionary` whose ids are in `whitelist`. One wrong bit is
-    /// corrected, but none in dictionaries whose markers differ by less than six.
+    /// Creates a detector for the markers of `dictionary` with ids in `whitelist`. Corrects one bit
+    /// if the dictionary's minimum Hamming distance is 6 or more, else none.
     ///
     /// # Errors
-    /// `Input` for an empty whitelist, an id that the dictionary does not have, a dictionary of
-    /// more than 7×7 cells, or a decimation that is not possible.
+    /// `Input` for an empty whitelist, an unknown id, a dictionary of more than 7×7 cells, or an
+    /// invalid decimation.
     pub fn new(
         dictionary: &Dictionary,
         whitelist: &[u32],
@@ -88,125 +87,114 @@ impl ApriltagDetector {
         let side = dictionary.bits_per_side();
         if side > MAX_CELLS {
             return Err(Error::input(format!(
-                "the detector takes markers of up to {MAX_CELLS}×{MAX_CELLS} cells; {} has \
-                     {side}×{side}",
+                "the detector supports up to {MAX_CELLS}×{MAX_CELLS} cells, {} has {side}×{side}",
                 dictionary.name()
             )));
         }
-        let ids = allowed(dictionary, whitelist)?;
-        if !(1..=4).contains(&settings.decimate) {
-            return Err(Error::input(format!(
-                "decimation by {}; possible are 1 to 4",
-                settings.decimate
-            )));
+        let ids = sorted_ids(dictionary, whitelist)?;
+        let decimate = settings.decimate;
+        if !(1..=4).contains(&decimate) {
+            let what = format!("decimation must be 1 to 4, found {decimate}");
+            return Err(Error::input(what));
         }
-        // The dictionary counts cells from 1 within the border, the library from 0 with it.
+        // The dictionary counts cells from 1 inside the border, the library from 0 with the border.
         let border = dictionary.border_cells() as u32 - 1;
-        let places = dictionary.rotation_grouped_places();
+        let cells = dictionary.rotation_grouped_cells();
         let mut tables = Tables {
             codes: ids
                 .iter()
                 .filter_map(|id| dictionary.rotation_grouped_code(*id))
                 .collect(),
-            bit_x: places.iter().map(|place| place[0] + border).collect(),
-            bit_y: places.iter().map(|place| place[1] + border).collect(),
+            bit_x: cells.iter().map(|cell| cell[0] + border).collect(),
+            bit_y: cells.iter().map(|cell| cell[1] + border).collect(),
             name: CString::new(dictionary.name().replace('\0', "")).unwrap_or_default(),
         };
-        let raw = Box::into_raw(Box::new(raw_family(dictionary, &mut tables)));
-        // SAFETY: no arguments; the result is checked below.
-        let detector = unsafe { sys::apriltag_detector_create() };
         let this = Self {
-            detector,
-            family: raw,
+            // SAFETY: no arguments; `configure` checks the result.
+            detector: unsafe { sys::apriltag_detector_create() },
+            family: Box::into_raw(Box::new(raw_family(dictionary, &mut tables))),
             _tables: tables,
             ids,
         };
-        this.configure(settings, corrected_bits(dictionary))?;
+        // In a small dictionary one wrong bit already makes markers of anything.
+        let corrected_bits = i32::from(dictionary.min_distance() >= MIN_DISTANCE_TO_CORRECT);
+        this.configure(settings, corrected_bits)?;
         Ok(this)
     }
 
-    fn configure(&self, settings: ApriltagSettings, corrected_bits: u32) -> Result<()> {
-        // SAFETY: null or a detector that create() made and that nobody else has.
+    fn configure(&self, settings: ApriltagSettings, corrected_bits: i32) -> Result<()> {
+        // SAFETY: null, or a detector made by create() and owned by `self` alone.
         let Some(detector) = (unsafe { self.detector.as_mut() }) else {
-            return Err(Error::internal("the AprilTag library has no memory"));
+            return Err(Error::internal("the AprilTag library is out of memory"));
         };
-        // A library of another version would have other fields at these places.
+        // The defaults of another library version would be at other offsets.
         let as_expected = detector.nthreads == 1
             && detector.quad_decimate == 2.0
             && detector.decode_sharpening == 0.25
             && detector.qtp.max_nmaxima == 10
             && detector.qtp.min_white_black_diff == 5;
         if !as_expected {
-            return Err(Error::internal(
-                "another version of the AprilTag library was linked than this program expects",
-            )
-            .remedy("build with APRILTAG_SYS_METHOD=raw,static"));
+            return Err(
+                Error::internal("unexpected version of the AprilTag library linked")
+                    .remedy("build with APRILTAG_SYS_METHOD=raw,static"),
+            );
         }
         detector.quad_decimate = settings.decimate as f32;
         detector.refine_edges = settings.refine_edges;
-        // SAFETY: both were made by `new`, the family for this detector alone; its tables live as
-        // long as the detector, and their sizes were validated.
+        // SAFETY: both were made by `new`, the family for this detector alone; its tables outlive
+        // the detector, and their sizes were validated.
         unsafe {
-            sys::apriltag_detector_add_family_bits(
-                self.detector,
-                self.family,
-                corrected_bits as i32,
-            );
+            sys::apriltag_detector_add_family_bits(self.detector, self.family, corrected_bits);
         }
         // SAFETY: as above.
         if unsafe { (*self.family).impl_.is_null() } {
             return Err(Error::internal(
-                "the AprilTag library could not prepare the dictionary",
+                "the AprilTag library cannot prepare the dictionary",
             ));
         }
         Ok(())
     }
 
-    /// Places without contrast beyond the noise are not searched: most of the time would go there.
-    fn set_least_contrast(&mut self, image: &GrayImage) {
-        let range = NOISE_RANGE * noise(image);
-        let least = (range.round() as i32).clamp(MIN_CONTRAST.0, MIN_CONTRAST.1);
+    /// Runs the library once on an image. Windows without contrast above the noise are skipped;
+    /// they would take most of the time.
+    fn search(&mut self, image: &GrayImage) -> Result<Vec<Detection>> {
+        let contrast = (NOISE_RANGE * noise(image)).round() as i32;
+        let contrast = contrast.clamp(MIN_CONTRAST.0, MIN_CONTRAST.1);
         // SAFETY: the detector is valid, which `configure` has checked, and borrowed exclusively.
         unsafe {
-            (*self.detector).qtp.min_white_black_diff = least;
+            (*self.detector).qtp.min_white_black_diff = contrast;
         }
-    }
-
-    /// One pass over an image.
-    fn search(&mut self, image: &GrayImage) -> Result<Vec<Detection>> {
-        self.set_least_contrast(image);
         let (width, height) = (image.width() as i32, image.height() as i32);
         let mut image = sys::image_u8 {
             width,
             height,
             stride: width,
-            // Only read: the library writes into its input for a blur alone, which is off.
+            // Only read: the library writes into its input for blurring only, which is off.
             buf: image.as_raw().as_ptr().cast_mut(),
         };
         // SAFETY: the detector is valid and borrowed exclusively; the image describes the
         // image's pixels, width × height bytes that outlive the call.
         let found = unsafe { sys::apriltag_detector_detect(self.detector, &raw mut image) };
-        // SAFETY: null or an array of the library with pointers to detections.
+        // SAFETY: null, or the library's array of pointers to detections.
         let Some(array) = (unsafe { found.as_ref() }) else {
-            return Err(Error::internal("the AprilTag library has no memory"));
+            return Err(Error::internal("the AprilTag library is out of memory"));
         };
         let mut detections = Vec::new();
         let pointers = array.data.cast::<*const sys::apriltag_detection>();
         for i in 0..usize::try_from(array.size).unwrap_or(0) {
-            // SAFETY: the array has `size` pointers, each to a detection of its own.
+            // SAFETY: the array has `size` valid pointers to detections.
             let raw = unsafe { (*pointers.add(i)).as_ref() };
             detections.extend(raw.and_then(|raw| self.detection(raw)));
         }
-        // SAFETY: the array came from this library and is not used any more.
+        // SAFETY: the array came from this library and is not used afterwards.
         unsafe { sys::apriltag_detections_destroy(found) };
         Ok(detections)
     }
 
     fn detection(&self, raw: &sys::apriltag_detection) -> Option<Detection> {
         let id = *self.ids.get(usize::try_from(raw.id).ok()?)?;
-        // The library starts at the bottom left and goes against the clock.
-        let [c, d, e, f] = [3, 2, 1, 0].map(|i: usize| DVec2::from_array(raw.p[i]) - HALF_PIXEL);
-        let corners_px = [c, d, e, f];
+        // The library lists corners counter-clockwise from the bottom left.
+        let corners_px = [3, 2, 1, 0].map(|i: usize| DVec2::from_array(raw.p[i]) - HALF_PIXEL);
         corners_px
             .iter()
             .all(|p| p.is_finite())
@@ -226,11 +214,11 @@ impl MarkerDetector for ApriltagDetector {
 
     fn detect(&mut self, image: &GrayImage) -> Result<Vec<Detection>> {
         check_size(image)?;
-        let mut detections = self.search(&light(image))?;
-        // Light of 8 bits lacks contrast where it is dim beside bright lamps or windows.
-        for dim in self.search(image)? {
-            if detections.iter().all(|known| known.id != dim.id) {
-                detections.push(dim);
+        let mut detections = self.search(&linear_intensity(image))?;
+        // 8-bit linear intensity lacks contrast in the dark beside lamps or windows.
+        for dark in self.search(image)? {
+            if detections.iter().all(|d| d.id != dark.id) {
+                detections.push(dark);
             }
         }
         detections.sort_by_key(|d| d.id);
@@ -240,7 +228,7 @@ impl MarkerDetector for ApriltagDetector {
 
 impl Drop for ApriltagDetector {
     fn drop(&mut self) {
-        // SAFETY: made by `new` and not used any more; the detector lets go of the family first.
+        // SAFETY: made by `new` and not used afterwards; the detector releases the family first.
         unsafe {
             if !self.detector.is_null() {
                 sys::apriltag_detector_destroy(self.detector);
@@ -250,14 +238,14 @@ impl Drop for ApriltagDetector {
     }
 }
 
-/// Light instead of sRGB levels, stretched to the whole range. In levels white spreads over black
-/// where an edge is blurred, so that small dark cells vanish and corners move inwards.
-fn light(image: &GrayImage) -> GrayImage {
+/// Converts sRGB levels to linear intensity, stretched to the full range. In sRGB levels, white
+/// spreads over black at blurred edges: small dark cells vanish and corners move inwards.
+fn linear_intensity(image: &GrayImage) -> GrayImage {
     let mut counts = [0usize; 256];
     for level in image.as_raw() {
         counts[usize::from(*level)] += 1;
     }
-    let mut above = (image.as_raw().len() as f64 * BRIGHTEST) as usize;
+    let mut above = (image.as_raw().len() as f64 * SATURATED_FRACTION) as usize;
     let white = (1..=255u8).rev().find(|level| {
         let count = counts[usize::from(*level)];
         above = above.saturating_sub(count);
@@ -267,27 +255,22 @@ fn light(image: &GrayImage) -> GrayImage {
     let table: [u8; 256] = std::array::from_fn(|level| {
         (255.0 * gain * srgb_decode(level as u8)).round().min(255.0) as u8
     });
-    let mut light = image.clone();
-    for pixel in light.iter_mut() {
-        *pixel = table[usize::from(*pixel)];
-    }
-    light
+    let mut linear = image.clone();
+    linear.iter_mut().for_each(|p| *p = table[usize::from(*p)]);
+    linear
 }
 
-/// Standard deviation of the noise, grey levels: the median second difference along rows, which
-/// the few edges of an image hardly change.
+/// Standard deviation of the noise, grey levels, from the median absolute second difference along
+/// rows, on which the few edges of an image have little effect.
 fn noise(image: &GrayImage) -> f64 {
-    const EVERY: (usize, usize) = (7, 5);
-    // Median of |x| and deviation of a second difference, for a deviation of 1.
-    const OF_DEVIATION: f64 = 0.6745 * 2.449;
+    const STRIDES: (usize, usize) = (7, 5);
+    // Median of |x| times the deviation of a second difference, for unit noise.
+    const MEDIAN_OF_UNIT_NOISE: f64 = 0.6745 * 2.449;
     let mut counts = [0u32; 1021];
-    for row in image
-        .as_raw()
-        .chunks_exact(image.width() as usize)
-        .step_by(EVERY.1)
-    {
-        for three in row.windows(3).step_by(EVERY.0) {
-            let [a, b, c] = [three[0], three[1], three[2]].map(i32::from);
+    let rows = image.as_raw().chunks_exact(image.width() as usize);
+    for row in rows.step_by(STRIDES.1) {
+        for window in row.windows(3).step_by(STRIDES.0) {
+            let [a, b, c] = [window[0], window[1], window[2]].map(i32::from);
             counts[(a - 2 * b + c).unsigned_abs() as usize] += 1;
         }
     }
@@ -297,32 +280,22 @@ fn noise(image: &GrayImage) -> f64 {
         below += count;
         below > half
     });
-    median.unwrap_or(0) as f64 / OF_DEVIATION
+    median.unwrap_or(0) as f64 / MEDIAN_OF_UNIT_NOISE
 }
 
-/// Bits that may be corrected without taking one marker for another: in a small dictionary, one
-/// wrong bit already makes markers of anything.
-fn corrected_bits(dictionary: &Dictionary) -> u32 {
-    u32::from(dictionary.min_distance() >= MIN_DISTANCE_TO_CORRECT)
-}
-
-/// The whitelist in ascending order, every id once.
-fn allowed(dictionary: &Dictionary, whitelist: &[u32]) -> Result<Vec<u32>> {
+/// Sorts and deduplicates the whitelist; rejects ids outside the dictionary.
+fn sorted_ids(dictionary: &Dictionary, whitelist: &[u32]) -> Result<Vec<u32>> {
     let mut ids = whitelist.to_vec();
     ids.sort_unstable();
     ids.dedup();
-    let count = dictionary.len();
+    let (name, count) = (dictionary.name(), dictionary.len());
     match ids.last() {
-        None => Err(Error::input(format!(
-            "no marker of {} to search for",
-            dictionary.name()
-        ))),
-        Some(last) if *last as usize >= count => Err(Error::input(format!(
-            "{} has the markers 0 to {}, not {last}",
-            dictionary.name(),
-            count - 1
-        ))
-        .remedy("check the dictionary's name in the board's description")),
+        None => Err(Error::input(format!("no marker ids of {name} given"))),
+        Some(last) if *last as usize >= count => {
+            let max = count - 1;
+            let what = format!("id {last} is not in {name}, which has ids 0 to {max}");
+            Err(Error::input(what).remedy("check the dictionary in the board file"))
+        }
         Some(_) => Ok(ids),
     }
 }

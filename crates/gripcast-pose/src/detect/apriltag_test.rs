@@ -1,4 +1,4 @@
-//! The detector against images with known corners.
+//! Detection in images with known corners.
 
 use glam::DVec2;
 use image::{GrayImage, Luma};
@@ -9,7 +9,7 @@ use super::*;
 use crate::synthetic::{
     GraspScene, ImageConditions, SyntheticImage, gripper_markers, ring_board, test_camera,
 };
-use crate::{Detection, Dictionary, MarkerDetector as _, Part};
+use crate::{Body, Detection, Dictionary, MarkerDetector as _};
 
 fn dictionary(name: &str) -> Dictionary {
     Dictionary::by_name(name).unwrap()
@@ -21,7 +21,7 @@ fn every_id(dictionary: &Dictionary) -> Vec<u32> {
 
 fn image(dictionary: &Dictionary, index: u64) -> SyntheticImage {
     let board = ring_board(dictionary);
-    let gripper = gripper_markers(dictionary, [Part::Body; 2]);
+    let gripper = gripper_markers(dictionary, [Body::Gripper; 2]);
     let scene = GraspScene::random(&board, &gripper, dictionary, 3, index);
     scene.render(&test_camera(1280, 720), &ImageConditions::default(), index)
 }
@@ -43,7 +43,7 @@ fn corner_errors(found: &[Detection], truth: &[Detection]) -> Vec<DVec2> {
 }
 
 #[test]
-fn all_dictionaries_are_found_with_their_corners_in_our_pixels() {
+fn detects_all_dictionaries_without_pixel_offset() {
     for name in [
         "36h11",
         "DICT_APRILTAG_36h11",
@@ -52,12 +52,12 @@ fn all_dictionaries_are_found_with_their_corners_in_our_pixels() {
         "DICT_5X5_100",
     ] {
         let searched = dictionary(name);
-        let seen = image(&searched, 1);
-        assert!(seen.truth.len() >= 12, "{}", seen.truth.len());
+        let rendered = image(&searched, 1);
+        assert!(rendered.truth.len() >= 12, "{}", rendered.truth.len());
         let found = detector(&searched, &every_id(&searched))
-            .detect(&seen.image)
+            .detect(&rendered.image)
             .unwrap();
-        for truth in &seen.truth {
+        for truth in &rendered.truth {
             assert!(
                 found.iter().any(|d| d.id == truth.id),
                 "{} {}",
@@ -65,8 +65,8 @@ fn all_dictionaries_are_found_with_their_corners_in_our_pixels() {
                 truth.id
             );
         }
-        let errors = corner_errors(&found, &seen.truth);
-        // Another convention shifts all corners by half a pixel.
+        let errors = corner_errors(&found, &rendered.truth);
+        // Another pixel convention would shift all corners by half a pixel.
         let bias = errors.iter().sum::<DVec2>() / errors.len() as f64;
         assert!(bias.length() < 0.03, "{} {bias}", name);
         let worst = errors.iter().map(|e| e.length()).fold(0.0, f64::max);
@@ -75,41 +75,46 @@ fn all_dictionaries_are_found_with_their_corners_in_our_pixels() {
 }
 
 #[test]
-fn only_the_whitelist_is_reported() {
+fn reports_whitelisted_ids_only() {
     let searched = dictionary("36h11");
-    let seen = image(&searched, 1);
+    let rendered = image(&searched, 1);
     let allowed = [3, 5, 41, 5, 500];
-    let found = detector(&searched, &allowed).detect(&seen.image).unwrap();
+    let found = detector(&searched, &allowed)
+        .detect(&rendered.image)
+        .unwrap();
     let ids: Vec<u32> = found.iter().map(|d| d.id).collect();
-    let expected: Vec<u32> = seen
+    let expected: Vec<u32> = rendered
         .truth
         .iter()
         .map(|d| d.id)
         .filter(|id| allowed.contains(id))
         .collect();
     assert!(!expected.is_empty());
-    // A marker that is covered at its edge may be found as well.
+    // A marker that is occluded at its edge may be detected as well.
     assert!(expected.iter().all(|id| ids.contains(id)), "{ids:?}");
     assert!(ids.iter().all(|id| allowed.contains(id)), "{ids:?}");
-    for (ids, expected) in [(&[][..], "no marker"), (&[2, 587][..], "0 to 586, not 587")] {
-        let refused = ApriltagDetector::new(&searched, ids, ApriltagSettings::default());
-        let text = refused.err().unwrap().to_string();
+    for (ids, expected) in [
+        (&[][..], "no marker ids"),
+        (&[2, 587][..], "id 587 is not in"),
+    ] {
+        let result = ApriltagDetector::new(&searched, ids, ApriltagSettings::default());
+        let text = result.err().unwrap().to_string();
         assert!(text.contains(expected), "{text}");
     }
 }
 
 #[test]
-fn a_wrong_bit_is_corrected_where_markers_differ_enough() {
+fn corrects_one_bit_in_large_distance_dictionaries() {
     for (name, expected) in [("DICT_6X6_250", Some(1)), ("DICT_4X4_50", None)] {
         let dictionary = dictionary(name);
-        let seen = image(&dictionary, 2);
-        let id = seen.truth[0].id;
+        let rendered = image(&dictionary, 2);
+        let id = rendered.truth[0].id;
         let mut codes: Vec<u64> = (0..50).map(|id| dictionary.code(id).unwrap()).collect();
         codes[id as usize] ^= 1 << 6;
         let side = dictionary.bits_per_side();
         let wrong = Dictionary::from_codes(name, side, 1, codes).unwrap();
         let hamming = |dictionary: &Dictionary| {
-            let found = detector(dictionary, &[id]).detect(&seen.image).unwrap();
+            let found = detector(dictionary, &[id]).detect(&rendered.image).unwrap();
             found.first().map(|d| d.hamming)
         };
         assert_eq!(hamming(&dictionary), Some(0), "{name}");
@@ -118,7 +123,7 @@ fn a_wrong_bit_is_corrected_where_markers_differ_enough() {
 }
 
 #[test]
-fn images_without_sense_do_no_harm() {
+fn survives_noise_patterns_and_extreme_sizes() {
     let searched = dictionary("36h11");
     let mut random = Pcg64::seed_from_u64(9);
     for decimate in [1, 2, 4] {
@@ -150,10 +155,10 @@ fn images_without_sense_do_no_harm() {
 }
 
 #[test]
-fn markers_of_little_contrast_are_found_in_clean_and_in_noisy_images() {
+fn detects_low_contrast_markers_with_and_without_noise() {
     let searched = dictionary("36h11");
     let board = ring_board(&searched);
-    let gripper = gripper_markers(&searched, [Part::Body; 2]);
+    let gripper = gripper_markers(&searched, [Body::Gripper; 2]);
     let scene = GraspScene::random(&board, &gripper, &searched, 3, 1);
     for (levels, noise) in [([40.0, 22.0, 30.0], 0.5), ([120.0, 60.0, 90.0], 5.0)] {
         let conditions = ImageConditions {
@@ -161,11 +166,11 @@ fn markers_of_little_contrast_are_found_in_clean_and_in_noisy_images() {
             noise,
             ..ImageConditions::default()
         };
-        let seen = scene.render(&test_camera(1280, 720), &conditions, 5);
+        let rendered = scene.render(&test_camera(1280, 720), &conditions, 5);
         let found = detector(&searched, &every_id(&searched))
-            .detect(&seen.image)
+            .detect(&rendered.image)
             .unwrap();
-        let missed = seen
+        let missed = rendered
             .truth
             .iter()
             .filter(|truth| found.iter().all(|d| d.id != truth.id));

@@ -1,4 +1,4 @@
-//! Why a board's markers are not found in an image.
+//! Diagnosis of images in which a board is not detected.
 
 use std::fmt;
 
@@ -9,44 +9,43 @@ use super::{ApriltagDetector, ApriltagSettings};
 use crate::{DICTIONARY_NAMES, Dictionary, MarkerDetector as _};
 use gripcast_base::error::{Error, Result};
 
-/// Markers of another dictionary that tell more than chance.
+/// Minimum number of markers of another dictionary that is not chance.
 const MIN_MARKERS: usize = 2;
 
-/// What is in an image in place of a board.
+/// What an image shows instead of the board.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Diagnosis {
-    /// Markers of the board are there; these ids.
+    /// The board's markers with these ids are visible.
     Present(Vec<u32>),
-    /// Markers of the board are there in the mirrored image; these ids.
+    /// The board's markers with these ids are visible in the mirrored image.
     Mirrored(Vec<u32>),
-    /// Markers of the board's dictionary that the board does not have; these ids.
+    /// Markers of the board's dictionary with other ids.
     OtherMarkers(Vec<u32>),
-    /// Markers of other dictionaries, with how many; several if they share these markers.
+    /// Markers of other dictionaries.
     OtherDictionaries {
-        /// Names of the dictionaries.
+        /// Names of the dictionaries; several if they have these markers in common.
         names: Vec<String>,
-        /// How many markers of them were found.
+        /// Number of markers.
         markers: usize,
     },
-    /// No marker of any known dictionary.
+    /// No marker of any dictionary.
     Nothing,
 }
 
-/// Searches `image` for the markers of `dictionary` with ids in `board_ids`, for what else it
-/// could be if there are none, and for markers of `others`. Takes as long as one detection for
-/// each dictionary.
+/// Searches `image` for the markers of `dictionary` with ids in `board_ids`, then for mirrored
+/// markers, other ids, and the dictionaries `others`. Takes one detection per dictionary.
 ///
 /// # Errors
-/// `Input` for an image or ids that no detector takes.
+/// `Input` for an image or ids that the detector does not support.
 pub fn diagnose(
     image: &GrayImage,
     dictionary: &Dictionary,
     board_ids: &[u32],
     others: &[Dictionary],
 ) -> Result<Diagnosis> {
-    let seen = ids(image, dictionary, board_ids)?;
-    if !seen.is_empty() {
-        return Ok(Diagnosis::Present(seen));
+    let present = ids(image, dictionary, board_ids)?;
+    if !present.is_empty() {
+        return Ok(Diagnosis::Present(present));
     }
     let mirrored = ids(&flip_horizontal(image), dictionary, board_ids)?;
     if mirrored.len() >= MIN_MARKERS.min(board_ids.len()) {
@@ -65,9 +64,9 @@ pub fn diagnose(
     })
 }
 
-/// All dictionaries that are known by name.
+/// Returns all built-in dictionaries.
 #[must_use]
-pub fn known_dictionaries() -> Vec<Dictionary> {
+pub fn builtin_dictionaries() -> Vec<Dictionary> {
     DICTIONARY_NAMES
         .iter()
         .filter_map(|name| Dictionary::by_name(name).ok())
@@ -75,19 +74,19 @@ pub fn known_dictionaries() -> Vec<Dictionary> {
 }
 
 impl Diagnosis {
-    /// The `Input` error that explains to a person why `board` was not found.
+    /// The `Input` error that explains why `board` was not detected.
     #[must_use]
-    pub fn explain(&self, board: &str) -> Error {
+    pub fn to_error(&self, board: &str) -> Error {
         let remedy = match self {
-            Self::Present(_) => "let the camera see more of it, sharply and evenly lit",
-            Self::Mirrored(_) => "switch the mirroring off in the camera's driver or software",
-            Self::OtherMarkers(_) => "give the description of the board that was printed",
+            Self::Present(_) => "show more of the board, in focus and evenly lit",
+            Self::Mirrored(_) => "disable mirroring in the camera's driver or software",
+            Self::OtherMarkers(_) => "give the board file of the printed board",
             Self::OtherDictionaries { .. } => {
-                "set the dictionary in the board's description to that of the printed board"
+                "set the dictionary in the board file to that of the printed board"
             }
             Self::Nothing => {
-                "check that the board is in the image, sharp, evenly lit, and its markers at \
-                 least 20 pixels large with white around them"
+                "check that the board is in view, in focus and evenly lit, with markers of at \
+                 least 20 pixels and a white margin"
             }
         };
         Error::input(format!("{board}: {self}")).remedy(remedy)
@@ -97,23 +96,25 @@ impl Diagnosis {
 impl fmt::Display for Diagnosis {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
-            Self::Present(ids) => write!(f, "its markers {} are in the image", listed(ids)),
-            Self::Mirrored(ids) => write!(
-                f,
-                "the image is mirrored: read backwards it has its markers {}",
-                listed(ids)
-            ),
+            Self::Present(ids) => write!(f, "markers {} are visible", listed(ids)),
+            Self::Mirrored(ids) => {
+                write!(
+                    f,
+                    "the image is mirrored: flipped, it shows markers {}",
+                    listed(ids)
+                )
+            }
             Self::OtherMarkers(ids) => write!(
                 f,
-                "none of its markers is in the image, but {} of its dictionary",
+                "none of its markers is visible, but markers {} of its dictionary are",
                 listed(ids)
             ),
             Self::OtherDictionaries { names, markers } => write!(
                 f,
-                "none of its markers is in the image, but {markers} of {}",
+                "none of its markers is visible, but {markers} of {} are",
                 names.join(" or ")
             ),
-            Self::Nothing => write!(f, "no marker of any known dictionary is in the image"),
+            Self::Nothing => f.write_str("no marker of any known dictionary is visible"),
         }
     }
 }
@@ -125,7 +126,7 @@ fn listed(ids: &[u32]) -> String {
     format!("{}{more}", shown.join(", "))
 }
 
-/// Ids that are read without a wrong bit, each once.
+/// Unique ids that are decoded without bit errors.
 fn ids(image: &GrayImage, dictionary: &Dictionary, whitelist: &[u32]) -> Result<Vec<u32>> {
     let settings = ApriltagSettings::default();
     let found = ApriltagDetector::new(dictionary, whitelist, settings)?.detect(image)?;
@@ -135,65 +136,65 @@ fn ids(image: &GrayImage, dictionary: &Dictionary, whitelist: &[u32]) -> Result<
     Ok(ids)
 }
 
-/// The smallest dictionaries with most markers in the image; none with fewer than two markers.
+/// The smallest dictionaries with the max markers in the image; none below [`MIN_MARKERS`].
 fn best_dictionaries(image: &GrayImage, others: &[Dictionary]) -> Result<(Vec<String>, usize)> {
     let mut scores: Vec<(usize, &Dictionary)> = Vec::new();
     for other in others {
         let everything: Vec<u32> = (0..other.len() as u32).collect();
         scores.push((ids(image, other, &everything)?.len(), other));
     }
-    let most = scores.iter().map(|(count, _)| *count).max().unwrap_or(0);
-    if most < MIN_MARKERS {
+    let max = scores.iter().map(|(count, _)| *count).max().unwrap_or(0);
+    if max < MIN_MARKERS {
         return Ok((Vec::new(), 0));
     }
-    let best = || scores.iter().filter(|(count, _)| *count == most);
+    let best = || scores.iter().filter(|(count, _)| *count == max);
     let smallest = best().map(|(_, d)| d.len()).min().unwrap_or(0);
     let names = best()
         .filter(|(_, d)| d.len() == smallest)
         .map(|(_, d)| d.name().to_owned());
-    Ok((names.collect(), most))
+    Ok((names.collect(), max))
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::Part;
+    use crate::Body;
     use crate::synthetic::{GraspScene, ImageConditions, gripper_markers, ring_board, test_camera};
 
     fn image(name: &str) -> GrayImage {
         let dictionary = Dictionary::by_name(name).unwrap();
         let board = ring_board(&dictionary);
-        let gripper = gripper_markers(&dictionary, [Part::Body; 2]);
+        let gripper = gripper_markers(&dictionary, [Body::Gripper; 2]);
         let scene = GraspScene::random(&board, &gripper, &dictionary, 8, 0);
         let camera = test_camera(1280, 720);
         scene.render(&camera, &ImageConditions::default(), 0).image
     }
 
     #[test]
-    fn each_mistake_is_told_from_the_others() {
-        let others = known_dictionaries();
+    fn diagnose_distinguishes_mistakes() {
+        let others = builtin_dictionaries();
         let board = Dictionary::by_name("DICT_6X6_250").unwrap();
-        let right = image("DICT_6X6_250");
+        let matching = image("DICT_6X6_250");
         let on_board: Vec<u32> = (0..14).collect();
-        let diagnosed =
+        let diagnose_board =
             |image: &GrayImage, ids: &[u32]| diagnose(image, &board, ids, &others).unwrap();
-        let Diagnosis::Present(found) = diagnosed(&right, &on_board) else {
+        let Diagnosis::Present(found) = diagnose_board(&matching, &on_board) else {
             panic!("the board is there");
         };
         assert!(found.len() > 8);
-        let mirrored = diagnosed(&flip_horizontal(&right), &on_board);
+        let mirrored = diagnose_board(&flip_horizontal(&matching), &on_board);
         assert!(
             matches!(&mirrored, Diagnosis::Mirrored(ids) if ids.len() > 8),
             "{mirrored}"
         );
-        let foreign = diagnosed(&right, &[100, 101, 102]);
+        let foreign = diagnose_board(&matching, &[100, 101, 102]);
         assert!(
             matches!(&foreign, Diagnosis::OtherMarkers(ids) if ids.len() > 8),
             "{foreign}"
         );
-        let blank = diagnosed(&GrayImage::new(640, 480), &on_board);
+        let blank = diagnose_board(&GrayImage::new(640, 480), &on_board);
         assert_eq!(blank, Diagnosis::Nothing);
-        let text = blank.explain("mug-board").to_string();
+        let text = blank.to_error("mug-board").to_string();
         assert!(
             text.contains("mug-board: no marker of any known dictionary"),
             "{text}"
@@ -201,8 +202,8 @@ mod tests {
     }
 
     #[test]
-    fn the_dictionary_that_fits_is_named() {
-        let others = known_dictionaries();
+    fn diagnose_names_matching_dictionary() {
+        let others = builtin_dictionaries();
         let board = Dictionary::by_name("DICT_6X6_250").unwrap();
         for (name, expected) in [("DICT_5X5_100", "DICT_5X5_50"), ("36h11", "36h11")] {
             let found = diagnose(&image(name), &board, &[0, 1, 2, 3], &others).unwrap();
@@ -210,7 +211,7 @@ mod tests {
                 panic!("{found}");
             };
             assert!(names.iter().any(|n| n == expected), "{names:?}");
-            assert!(*markers > 8 && found.explain("b").to_string().contains(expected));
+            assert!(*markers > 8 && found.to_error("b").to_string().contains(expected));
         }
     }
 }

@@ -10,23 +10,21 @@ mod opencv;
 #[cfg(feature = "opencv")]
 pub use self::opencv::OpencvDetector;
 pub use apriltag::{ApriltagDetector, ApriltagSettings};
-pub use diagnosis::{Diagnosis, diagnose, known_dictionaries};
+pub use diagnosis::{Diagnosis, builtin_dictionaries, diagnose};
 
 use image::GrayImage;
 
 use super::{Dictionary, MarkerDetector};
 use gripcast_base::error::{Error, Result};
 
-/// Shortest side of an image that is searched, px.
-const MIN_SIDE: u32 = 32;
-/// Longest side of an image that is searched, px.
-const MAX_SIDE: u32 = 16_384;
+/// Supported image sides, px.
+const SIDE_RANGE: std::ops::RangeInclusive<u32> = 32..=16_384;
 
-/// All detectors that are compiled in, the default one first, for the markers of `dictionary`
-/// whose ids are in `whitelist`.
+/// Creates all detectors that are compiled in, the default one first, for the markers of
+/// `dictionary` with ids in `whitelist`.
 ///
 /// # Errors
-/// `Input` for what they cannot search for.
+/// Those of the detectors.
 pub fn detectors(
     dictionary: &Dictionary,
     whitelist: &[u32],
@@ -40,15 +38,15 @@ pub fn detectors(
     ])
 }
 
-/// `Input` for an image that no detector takes.
+/// Refuses images that no detector supports.
 fn check_size(image: &GrayImage) -> Result<()> {
     let (width, height) = image.dimensions();
-    let taken = MIN_SIDE..=MAX_SIDE;
-    if taken.contains(&width) && taken.contains(&height) {
+    if SIDE_RANGE.contains(&width) && SIDE_RANGE.contains(&height) {
         return Ok(());
     }
     Err(Error::input(format!(
-        "cannot search an image of {width}×{height} pixels for markers: each side has to \
-             have {MIN_SIDE} to {MAX_SIDE}"
+        "cannot detect markers in a {width}×{height} px image: each side must have {} to {} px",
+        SIDE_RANGE.start(),
+        SIDE_RANGE.end()
     )))
 }

@@ -1,9 +1,9 @@
-//! Detection with the system's OpenCV, for comparison: contrib module `aruco` up to 4.6, main
-//! module `objdetect` from 4.7 on.
+//! Marker detection with the system's OpenCV, as a baseline: contrib module `aruco` up to 4.6,
+//! `objdetect` from 4.7.
 //!
 //! S. Garrido-Jurado et al., *Automatic generation and detection of highly reliable fiducial
-//! markers under occlusion*, Pattern Recognition 47 (2014). OpenCV's corners are biased by their
-//! own refinement, which is left out: they go through [`refine_all`].
+//! markers under occlusion*, Pattern Recognition 47 (2014). OpenCV's biased corner refinement is
+//! replaced by [`refine_all`].
 
 use glam::DVec2;
 use image::GrayImage;
@@ -15,78 +15,59 @@ use crate::refine::refine_all;
 use crate::{Detection, Dictionary, MarkerDetector};
 use gripcast_base::error::{Error, Result};
 
-/// Searches for the markers of one of OpenCV's predefined dictionaries.
+/// Detects the markers of one of OpenCV's predefined dictionaries.
 pub struct OpencvDetector {
     dictionary: Predefined,
     /// Ascending.
     whitelist: Vec<u32>,
 }
 
-/// What OpenCV calls a dictionary.
+/// A dictionary of OpenCV.
 #[derive(Clone, Copy)]
 struct Predefined {
     number: i32,
-    /// Half turns from OpenCV's upright marker to ours.
-    half_turned: bool,
+    /// Whether OpenCV's marker is rotated by 180° relative to ours.
+    is_rotated: bool,
 }
 
-/// OpenCV's numbers of its dictionaries, the same in both modules.
+/// OpenCV's number of a dictionary, the same in both modules.
 fn predefined(name: &str) -> Option<Predefined> {
-    const NAMES: [&str; 17] = [
-        "DICT_4X4_50",
-        "DICT_4X4_100",
-        "DICT_4X4_250",
-        "DICT_4X4_1000",
-        "DICT_5X5_50",
-        "DICT_5X5_100",
-        "DICT_5X5_250",
-        "DICT_5X5_1000",
-        "DICT_6X6_50",
-        "DICT_6X6_100",
-        "DICT_6X6_250",
-        "DICT_6X6_1000",
-        "DICT_7X7_50",
-        "DICT_7X7_100",
-        "DICT_7X7_250",
-        "DICT_7X7_1000",
-        "DICT_ARUCO_ORIGINAL",
-    ];
-    const APRILTAG_36H11: i32 = 20;
-    let upright = |number| Predefined {
-        number,
-        half_turned: false,
+    let number = match name {
+        "DICT_4X4_50" => 0,
+        "DICT_4X4_100" => 1,
+        "DICT_5X5_50" => 4,
+        "DICT_5X5_100" => 5,
+        "DICT_5X5_250" => 6,
+        "DICT_6X6_50" => 8,
+        "DICT_6X6_100" => 9,
+        "DICT_6X6_250" => 10,
+        "DICT_ARUCO_ORIGINAL" => 16,
+        "DICT_APRILTAG_36h11" | "36h11" => 20,
+        _ => return None,
     };
-    match name {
-        "DICT_APRILTAG_36h11" => Some(upright(APRILTAG_36H11)),
-        "36h11" => Some(Predefined {
-            number: APRILTAG_36H11,
-            half_turned: true,
-        }),
-        _ => {
-            let at = NAMES.iter().position(|known| *known == name)?;
-            i32::try_from(at).ok().map(upright)
-        }
-    }
+    Some(Predefined {
+        number,
+        is_rotated: name == "36h11",
+    })
 }
 
 impl OpencvDetector {
-    /// A detector for the markers of `dictionary` whose ids are in `whitelist`.
+    /// Creates a detector for the markers of `dictionary` with ids in `whitelist`.
     ///
     /// # Errors
-    /// `Input` for a dictionary that OpenCV has not built in, or an empty whitelist.
+    /// `Input` for a dictionary that OpenCV does not have, or an empty whitelist.
     pub fn new(dictionary: &Dictionary, whitelist: &[u32]) -> Result<Self> {
         let Some(predefined) = predefined(dictionary.name()) else {
-            return Err(Error::input(format!(
-                "OpenCV has no dictionary {} built in",
-                dictionary.name()
-            ))
-            .remedy("take the detector apriltag, which reads any dictionary"));
+            return Err(
+                Error::input(format!("OpenCV has no dictionary {}", dictionary.name()))
+                    .remedy("use the detector apriltag, which supports any dictionary"),
+            );
         };
         let mut whitelist = whitelist.to_vec();
         whitelist.sort_unstable();
         if whitelist.is_empty() {
             return Err(Error::input(format!(
-                "no marker of {} to search for",
+                "no marker ids of {} given",
                 dictionary.name()
             )));
         }
@@ -116,13 +97,13 @@ impl MarkerDetector for OpencvDetector {
                 continue;
             }
             let mut corners_px = [a, b, c, d].map(|p| DVec2::new(f64::from(p.x), f64::from(p.y)));
-            if self.dictionary.half_turned {
+            if self.dictionary.is_rotated {
                 corners_px.rotate_left(2);
             }
             found.push(Detection {
                 id,
                 corners_px,
-                // OpenCV tells neither.
+                // OpenCV reports neither.
                 hamming: 0,
                 margin: 0.0,
             });
@@ -132,7 +113,7 @@ impl MarkerDetector for OpencvDetector {
     }
 }
 
-/// Four points a marker, and ids.
+/// Four points per marker, and ids.
 type Found = (Vector<Mat>, Vector<i32>);
 
 #[cfg(aruco_contrib)]
@@ -169,7 +150,7 @@ fn search(image: &GrayImage, dictionary: i32) -> opencv::Result<Found> {
     Ok((corners, ids))
 }
 
-/// A copy of the image's pixels.
+/// Copies the pixels of an image.
 fn mat(image: &GrayImage) -> opencv::Result<Mat> {
     let (width, height) = (image.width() as i32, image.height() as i32);
     let mut mat = Mat::new_rows_cols_with_default(height, width, CV_8UC1, 0.into())?;
@@ -180,26 +161,26 @@ fn mat(image: &GrayImage) -> opencv::Result<Mat> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::Part;
+    use crate::Body;
     use crate::synthetic::{GraspScene, ImageConditions, gripper_markers, ring_board, test_camera};
 
     #[test]
-    fn opencv_finds_the_same_corners_in_our_convention() {
+    fn opencv_corners_match_truth_in_our_convention() {
         for name in ["DICT_6X6_250", "DICT_APRILTAG_36h11", "36h11"] {
             let dictionary = Dictionary::by_name(name).unwrap();
             let board = ring_board(&dictionary);
-            let gripper = gripper_markers(&dictionary, [Part::Body; 2]);
+            let gripper = gripper_markers(&dictionary, [Body::Gripper; 2]);
             let scene = GraspScene::random(&board, &gripper, &dictionary, 3, 1);
             let camera = test_camera(1280, 720);
-            let seen = scene.render(&camera, &ImageConditions::default(), 1);
+            let rendered = scene.render(&camera, &ImageConditions::default(), 1);
             let ids: Vec<u32> = (0..50).collect();
             let found = OpencvDetector::new(&dictionary, &ids)
                 .unwrap()
-                .detect(&seen.image)
+                .detect(&rendered.image)
                 .unwrap();
             assert!(found.len() >= 12, "{name}: {}", found.len());
             for detection in &found {
-                let Some(truth) = seen.truth.iter().find(|t| t.id == detection.id) else {
+                let Some(truth) = rendered.truth.iter().find(|t| t.id == detection.id) else {
                     continue;
                 };
                 for (a, b) in detection.corners_px.iter().zip(&truth.corners_px) {

@@ -1,4 +1,4 @@
-//! OpenCV's file of a dictionary of one's own.
+//! Custom dictionaries in OpenCV's file format.
 
 use std::collections::BTreeMap;
 
@@ -7,12 +7,12 @@ use gripcast_base::error::{Error, Result};
 
 fn bad(what: String) -> Error {
     Error::input(what).remedy(
-        "an OpenCV dictionary has nmarkers, markersize, and marker_0 … with a string of \
+        "an OpenCV dictionary has nmarkers, markersize, and marker_0 … with strings of \
          markersize² digits 0 and 1",
     )
 }
 
-/// Cells along a side, and codes.
+/// Returns cells along a side, and codes.
 pub(super) fn read(text: &str) -> Result<(usize, Vec<u64>)> {
     let entries: BTreeMap<String, String> = yaml::read(text, "the dictionary")?;
     let number = |key: &str| -> Result<usize> {
@@ -26,9 +26,7 @@ pub(super) fn read(text: &str) -> Result<(usize, Vec<u64>)> {
     let count = number("nmarkers")?;
     let present = entries.keys().filter(|k| k.starts_with("marker_")).count();
     if count != present {
-        return Err(bad(format!(
-            "nmarkers says {count} markers, but the file has {present}"
-        )));
+        return Err(bad(format!("nmarkers is {count}, found {present} markers")));
     }
     let codes: Result<Vec<u64>> = (0..count)
         .map(|id| {
@@ -44,7 +42,7 @@ pub(super) fn read(text: &str) -> Result<(usize, Vec<u64>)> {
     Ok((side, codes?))
 }
 
-/// The code of a string of digits, one a cell; none if it is not one.
+/// Parses a string of binary digits, one per cell.
 fn code(cells: &str, side: usize) -> Option<u64> {
     let is_binary = cells.bytes().all(|b| matches!(b, b'0' | b'1'));
     if !is_binary || Some(cells.len()) != side.checked_mul(side) {

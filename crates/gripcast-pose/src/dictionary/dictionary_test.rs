@@ -2,7 +2,7 @@ use super::*;
 use gripcast_base::error::ErrorKind;
 
 #[test]
-fn tables_are_the_published_ones() {
+fn codes_match_published_tables() {
     let first = |name: &str, count: u32| -> Vec<u64> {
         let dictionary = Dictionary::by_name(name).unwrap();
         let code = |id| dictionary.rotation_grouped_code(id).unwrap();
@@ -14,14 +14,14 @@ fn tables_are_the_published_ones() {
         [0x152_c6e3, 0x15_8da8, 0x1b9_77e8]
     );
     assert_eq!(first("DICT_6X6_250", 2), [0x1_8735_9537, 0xbebe_30f0]);
-    // AprilTag's own table of the family begins so.
+    // First entry of AprilTag's own table.
     assert_eq!(first("36h11", 1), [0xd_7e00_984b]);
     let original = Dictionary::by_name("DICT_ARUCO_ORIGINAL").unwrap();
     assert_eq!(original.code(1), Some(0x108_4217));
 }
 
 #[test]
-fn markers_differ_under_rotation_by_the_stated_distance() {
+fn min_distance_matches_published_values() {
     for (name, side, count, distance) in [
         ("DICT_4X4_50", 4, 50, 4),
         ("DICT_4X4_100", 4, 100, 3),
@@ -45,25 +45,28 @@ fn markers_differ_under_rotation_by_the_stated_distance() {
 }
 
 #[test]
-fn a_quarter_turn_rotates_the_groups() {
+fn rotation_by_90_degrees_rotates_bit_groups() {
     for name in ["DICT_4X4_50", "DICT_5X5_50", "DICT_6X6_50"] {
         let dictionary = Dictionary::by_name(name).unwrap();
         let side = dictionary.bits_per_side();
         let code = dictionary.code(7).unwrap();
-        let quarter = turned(code, side);
-        let turned = Dictionary::from_codes("t", side, 1, vec![quarter]).unwrap();
+        let quarter = rotated(code, side);
+        let rotated_dictionary = Dictionary::from_codes("t", side, 1, vec![quarter]).unwrap();
         let middle = side % 2;
         let group = side * side / 4;
         let plain = dictionary.rotation_grouped_code(7).unwrap() >> middle;
         let mask = (1u64 << (4 * group)) - 1;
         // Clockwise: what was in the last group comes first.
         let rotated = (plain >> group | plain << (3 * group)) & mask;
-        assert_eq!(turned.rotation_grouped_code(0).unwrap() >> middle, rotated);
+        assert_eq!(
+            rotated_dictionary.rotation_grouped_code(0).unwrap() >> middle,
+            rotated
+        );
     }
 }
 
 #[test]
-fn opencv_draws_36h11_upside_down() {
+fn opencv_36h11_is_rotated_by_180_degrees() {
     let april = Dictionary::by_name("36h11").unwrap();
     let opencv = Dictionary::by_name("DICT_APRILTAG_36h11").unwrap();
     for id in [0, 17, 586] {
@@ -84,14 +87,14 @@ fn opencv_draws_36h11_upside_down() {
 }
 
 #[test]
-fn names_are_found_without_prefix_and_misspelt_ones_answered() {
-    for (said, meant) in [
+fn names_match_without_prefix_and_typos_get_suggestion() {
+    for (name, expected) in [
         ("4x4_50", "DICT_4X4_50"),
         ("dict_6x6_250", "DICT_6X6_250"),
         ("tag36h11", "36h11"),
         ("apriltag_36H11", "DICT_APRILTAG_36h11"),
     ] {
-        assert_eq!(Dictionary::by_name(said).unwrap().name(), meant);
+        assert_eq!(Dictionary::by_name(name).unwrap().name(), expected);
     }
     let text = Dictionary::by_name("DICT_6X6_25").unwrap_err().to_string();
     assert!(text.contains("did you mean DICT_6X6_250?"), "{text}");
@@ -101,7 +104,7 @@ const TWO: &str = "%YAML:1.0\n---\nnmarkers: 2\nmarkersize: 3\nmaxCorrectionBits
                    marker_0: \"101011001\"\nmarker_1: 001010111\n";
 
 #[test]
-fn opencv_files_are_read_with_or_without_quotes() {
+fn opencv_files_accept_quoted_and_bare_codes() {
     let dictionary = Dictionary::from_opencv("own.yml", TWO).unwrap();
     assert_eq!((dictionary.len(), dictionary.bits_per_side()), (2, 3));
     let marker = dictionary.marker(1).unwrap();
@@ -115,12 +118,12 @@ fn opencv_files_are_read_with_or_without_quotes() {
 }
 
 #[test]
-fn wrong_opencv_files_are_explained() {
+fn malformed_opencv_files_are_refused() {
     let same = TWO.replace("001010111", "\"101011001\"");
     for (text, expected) in [
         (
             TWO.replace("nmarkers: 2", "nmarkers: 3"),
-            "says 3 markers, but the file has 2",
+            "nmarkers is 3, found 2",
         ),
         (TWO.replace("marker_1", "marker_2"), "no marker_1"),
         (TWO.replace("markersize: 3\n", ""), "no markersize"),
@@ -131,12 +134,12 @@ fn wrong_opencv_files_are_explained() {
         (TWO.replace("001010111", "\"0010101\""), "3 × 3 digits"),
         (TWO.replace("001010111", "\"0010101x1\""), "3 × 3 digits"),
         (TWO.replace("markersize: 3", "markersize: 99999999999"), "9"),
-        (TWO.replace("nmarkers: 2", "nmarkers: [2"), "cannot be read"),
+        (TWO.replace("nmarkers: 2", "nmarkers: [2"), "cannot read"),
         (same, "same cells"),
         (String::new(), "the dictionary"),
     ] {
-        let said = Dictionary::from_opencv("own.yml", &text).unwrap_err();
-        assert!(said.to_string().contains(expected), "{said}");
+        let message = Dictionary::from_opencv("own.yml", &text).unwrap_err();
+        assert!(message.to_string().contains(expected), "{message}");
     }
     let none = Dictionary::open("none.yaml", Path::new("/proc/nonexistent")).unwrap_err();
     assert_eq!(none.kind(), ErrorKind::NotFound);

@@ -1,4 +1,4 @@
-//! Dictionaries: which pattern of black and white cells stands for which number.
+//! Marker dictionaries: the cell pattern of each id.
 
 mod custom;
 mod tables;
@@ -8,10 +8,10 @@ use std::path::Path;
 use gripcast_base::error::{Error, Result, unknown_name};
 use gripcast_base::files::{FileKind, Root};
 
-/// Most cells along a side: a code is a `u64`.
+/// Maximum number of cells along a side: a code is a `u64`.
 const MAX_SIDE: usize = 8;
 
-/// Names that [`Dictionary::by_name`] knows.
+/// Names accepted by [`Dictionary::by_name`].
 pub const DICTIONARY_NAMES: &[&str] = &[
     "DICT_4X4_50",
     "DICT_4X4_100",
@@ -46,7 +46,7 @@ impl MarkerCells {
     }
 }
 
-/// Markers of one size and border, each with its number.
+/// A set of markers with the same size and border, indexed by id.
 ///
 /// ```
 /// use gripcast_pose::Dictionary;
@@ -59,70 +59,69 @@ pub struct Dictionary {
     name: String,
     side: usize,
     border: usize,
-    /// Cells row by row from the top left, the first in the highest of `side²` bits; 1 is white.
+    /// Cells row by row from the top left, the first in the highest of `side²` bits; 1 = white.
     codes: Vec<u64>,
 }
 
 impl Dictionary {
-    /// A dictionary by its name, in upper or lower case, with or without the prefix `DICT_`.
+    /// Returns a built-in dictionary. Names are case-insensitive; the prefix `DICT_` is optional.
     ///
-    /// `36h11` stands upright as AprilTag's own images do, `DICT_APRILTAG_36h11` as OpenCV draws
-    /// it: the same codes turned by half a turn. `36h11_border2` has the border of two cells that
-    /// Kalibr prints. `DICT_ARUCO_ORIGINAL` has markers that look alike when turned
-    /// ([`Self::min_distance`] is 0): take it for boards that exist, not for new ones.
+    /// `36h11` has the orientation of AprilTag's own images, `DICT_APRILTAG_36h11` that of OpenCV:
+    /// the same codes rotated by 180°. `36h11_border2` has Kalibr's border of two cells.
+    /// `DICT_ARUCO_ORIGINAL` has markers that are rotations of each other ([`Self::min_distance`]
+    /// is 0): use it for existing boards only.
     ///
     /// # Errors
-    /// `Usage` for another name; the remedy has the nearest one.
+    /// `Usage` for an unknown name; the remedy suggests the nearest one.
     pub fn by_name(name: &str) -> Result<Self> {
         let known = canonical(name).ok_or_else(|| {
             unknown_name("dictionary", name, DICTIONARY_NAMES)
-                .remedy("a dictionary of your own is given by its OpenCV file, .yml or .yaml")
+                .remedy("give a custom dictionary as an OpenCV file, .yml or .yaml")
         })?;
         let (side, border, codes) = tables::codes(known)?;
         Self::from_codes(known, side, border, codes)
     }
 
-    /// A dictionary by its name, or read from the file that the name is: an OpenCV dictionary
-    /// (`.yml`, `.yaml`), its path relative to `folder`.
+    /// Returns a built-in dictionary, or reads an OpenCV dictionary file (`.yml`, `.yaml`) whose path
+    /// is relative to `folder`.
     ///
     /// # Errors
-    /// `Usage` for an unknown name, `Input` or that of the operating system for a file.
+    /// `Usage` for an unknown name, `Input` or an IO error for a file.
     pub fn open(name: &str, folder: &Path) -> Result<Self> {
         if !is_file_name(name) {
             return Self::by_name(name);
         }
-        // A board that is stored in a dataset has no folder, and names no file.
+        // A board stored in a dataset has no folder and may not refer to a file.
         if folder.as_os_str().is_empty() {
-            let what =
-                format!("the board names a dictionary file, {name:?}, and lies in no folder");
+            let what = format!("dictionary file {name:?} of a board without a folder");
             return Err(
-                Error::input(what).remedy("use a dictionary by its name, for instance DICT_4X4_50")
+                Error::input(what).remedy("use a built-in dictionary, for instance DICT_4X4_50")
             );
         }
         let path = folder.join(name);
         let text = Root::new(folder)
             .resolve(name)
-            .and_then(|place| place.read_to_string(FileKind::Record))
+            .and_then(|file| file.read_to_string(FileKind::Record))
             .map_err(|e| Error::io("cannot read the dictionary", e).at(path.display()))?;
         Self::from_opencv(name, &text).map_err(|e| e.at(path.display()))
     }
 
-    /// A dictionary of OpenCV's format: `nmarkers`, `markersize`, and `marker_N` with the cells row
-    /// by row, `1` being white.
+    /// Parses an OpenCV dictionary: `nmarkers`, `markersize`, and `marker_N` with the cells row by
+    /// row, 1 = white.
     ///
     /// # Errors
-    /// `Input`, with the entry that is wrong.
+    /// `Input` naming the invalid entry.
     pub fn from_opencv(name: &str, text: &str) -> Result<Self> {
         let (side, codes) = custom::read(text)?;
         Self::from_codes(name, side, 1, codes)
     }
 
-    /// A dictionary of `side` × `side` cells in a border of `border` black cells. Codes have the
-    /// cells row by row from the top left, the first in the highest of the side² bits, 1 is white.
+    /// Creates a dictionary of `side` × `side` cells with a border of `border` black cells. Codes
+    /// have the cells row by row from the top left, the first in the highest of side² bits, 1 =
+    /// white.
     ///
     /// # Errors
-    /// `Input` for a side that is not from 3 to 8, no border, no codes, too long codes, or one
-    /// that appears twice.
+    /// `Input` for a side outside 3 to 8, no border, no codes, too long or duplicate codes.
     pub fn from_codes(name: &str, side: usize, border: usize, codes: Vec<u64>) -> Result<Self> {
         let bad = |what: String| Err(Error::input(what));
         if !(3..=MAX_SIDE).contains(&side) {
@@ -131,7 +130,9 @@ impl Dictionary {
             ));
         }
         if border == 0 || codes.is_empty() {
-            return bad("a dictionary needs a border of at least one cell and a marker".to_owned());
+            return bad(
+                "a dictionary needs at least one marker and a border of one cell".to_owned(),
+            );
         }
         let too_long = |code: &u64| side < MAX_SIDE && code >> (side * side) != 0;
         if let Some(id) = codes.iter().position(too_long) {
@@ -153,32 +154,32 @@ impl Dictionary {
         })
     }
 
-    /// Its name; that of a known dictionary in its usual form.
+    /// Name; for built-in dictionaries one of [`DICTIONARY_NAMES`].
     pub fn name(&self) -> &str {
         &self.name
     }
 
-    /// Checks that `count` markers from `first_id` on exist.
+    /// Checks that ids from `first_id` on exist for `count` markers.
     ///
     /// # Errors
-    /// `Input`; the caller adds what helps.
+    /// `Input`; the caller adds the remedy.
     pub(crate) fn check_ids(&self, first_id: u32, count: usize) -> Result<()> {
         if first_id as usize + count <= self.len() {
             return Ok(());
         }
         Err(Error::input(format!(
-            "{count} markers from id {first_id} are needed, but {} ends with id {}",
+            "{count} markers from id {first_id} exceed {}, which ends with id {}",
             self.name,
             self.len() - 1
         )))
     }
 
-    /// Number of markers; ids run from 0.
+    /// Number of markers; ids start at 0.
     pub fn len(&self) -> usize {
         self.codes.len()
     }
 
-    /// Whether there is no marker; never so.
+    /// Whether the dictionary is empty; always false.
     pub fn is_empty(&self) -> bool {
         self.codes.is_empty()
     }
@@ -193,12 +194,12 @@ impl Dictionary {
         self.border
     }
 
-    /// Cells along a side, border and all.
+    /// Cells along a side, including the border.
     pub fn cells_per_side(&self) -> usize {
         self.side + 2 * self.border
     }
 
-    /// Cells of a marker; none if the id is not in the dictionary.
+    /// Cells of a marker; none for an unknown id.
     pub fn marker(&self, id: u32) -> Option<MarkerCells> {
         let code = self.code(id)?;
         let side = self.side;
@@ -210,67 +211,66 @@ impl Dictionary {
         self.codes.get(id as usize).copied()
     }
 
-    /// Cells of a marker in the order of [`Self::rotation_grouped_places`], the first in the
-    /// highest bit: the form of AprilTag 3, in which a quarter turn is a rotation of bits.
+    /// Cells of a marker in the order of [`Self::rotation_grouped_cells`], the first in the highest
+    /// bit: AprilTag 3's layout, in which a rotation by 90° is a rotation of bits.
     pub fn rotation_grouped_code(&self, id: u32) -> Option<u64> {
         let code = self.code(id)?;
-        let places = self.rotation_grouped_places();
-        Some(places.iter().fold(0, |grouped, [x, y]| {
+        let cells = self.rotation_grouped_cells();
+        Some(cells.iter().fold(0, |grouped, [x, y]| {
             let white = is_white(code, self.side, *y as usize - 1, *x as usize - 1);
             grouped << 1 | u64::from(white)
         }))
     }
 
-    /// Column and row of each bit of [`Self::rotation_grouped_code`], counted from 1 within the
-    /// border: a quarter of the cells, the same turned by 90°, 180° and 270°, and the middle.
-    pub fn rotation_grouped_places(&self) -> Vec<[u32; 2]> {
+    /// Column and row of each bit of [`Self::rotation_grouped_code`], counted from 1 inside the
+    /// border: a quarter of the cells, their rotations by 90°, 180° and 270°, and the centre.
+    pub fn rotation_grouped_cells(&self) -> Vec<[u32; 2]> {
         let n = self.side as u32;
         let ring = |r: u32| (r..=n - r).map(move |x| [x, r]);
         let mut quarter: Vec<[u32; 2]> = (1..=n / 2).flat_map(ring).collect();
-        let mut places = quarter.clone();
+        let mut cells = quarter.clone();
         for _ in 0..3 {
-            for place in &mut quarter {
-                *place = [n + 1 - place[1], place[0]];
+            for cell in &mut quarter {
+                *cell = [n + 1 - cell[1], cell[0]];
             }
-            places.extend(&quarter);
+            cells.extend(&quarter);
         }
         if n % 2 == 1 {
-            places.push([n.div_ceil(2); 2]);
+            cells.push([n.div_ceil(2); 2]);
         }
-        places
+        cells
     }
 
-    /// Fewest cells in which two markers differ, each turned in all ways, or a marker differs from
-    /// itself turned. Compares all pairs: some milliseconds.
+    /// Minimum Hamming distance between any two markers in any rotation, or between a marker and its
+    /// own rotations. Compares all pairs, which takes some milliseconds.
     pub fn min_distance(&self) -> u32 {
-        let turned: Vec<[u64; 4]> = self.codes.iter().map(|&c| self.turns(c)).collect();
-        let mut least = (self.side * self.side) as u32;
-        for (id, turns) in turned.iter().enumerate() {
-            let itself = turns[1..].iter().map(|t| (turns[0] ^ t).count_ones());
-            let others = turned[..id].iter().flatten();
-            let others = others.map(|t| (turns[0] ^ t).count_ones());
-            least = itself.chain(others).fold(least, u32::min);
+        let all: Vec<[u64; 4]> = self.codes.iter().map(|&c| self.rotations(c)).collect();
+        let mut min = (self.side * self.side) as u32;
+        for (id, rotations) in all.iter().enumerate() {
+            let others = rotations[1..].iter().chain(all[..id].iter().flatten());
+            let distances = others.map(|code| (rotations[0] ^ code).count_ones());
+            min = distances.fold(min, u32::min);
         }
-        least
+        min
     }
 
-    /// A code turned by 0, 1, 2 and 3 quarters clockwise.
-    fn turns(&self, code: u64) -> [u64; 4] {
-        let mut turns = [code; 4];
-        for quarter in 1..4 {
-            turns[quarter] = turned(turns[quarter - 1], self.side);
+    /// A code rotated clockwise by 0°, 90°, 180° and 270°.
+    fn rotations(&self, code: u64) -> [u64; 4] {
+        let mut rotations = [code; 4];
+        for i in 1..4 {
+            rotations[i] = rotated(rotations[i - 1], self.side);
         }
-        turns
+        rotations
     }
 }
 
-/// Whether a name in place of a dictionary means a file.
+/// Whether a dictionary name refers to a file.
 fn is_file_name(name: &str) -> bool {
     let suffix = Path::new(name).extension().unwrap_or_default();
     suffix.eq_ignore_ascii_case("yml") || suffix.eq_ignore_ascii_case("yaml")
 }
 
-/// The known name that is meant.
+/// Built-in name that matches `name`.
 fn canonical(name: &str) -> Option<&'static str> {
     let plain = |text: &str| {
         let text = text.trim().to_ascii_lowercase();
@@ -281,25 +281,24 @@ fn canonical(name: &str) -> Option<&'static str> {
         }
     };
     let wanted = plain(name);
-    let is_meant = |known: &&&str| plain(known) == wanted;
-    DICTIONARY_NAMES.iter().find(is_meant).copied()
+    DICTIONARY_NAMES
+        .iter()
+        .copied()
+        .find(|n| plain(n) == wanted)
 }
 
 fn is_white(code: u64, side: usize, row: usize, column: usize) -> bool {
     code >> (side * side - 1 - (row * side + column)) & 1 == 1
 }
 
-/// Cells of a marker that is turned clockwise by a quarter.
-fn turned(code: u64, side: usize) -> u64 {
-    let mut turned = 0;
-    for row in 0..side {
-        for column in 0..side {
-            // What stood in the first column, read upwards, becomes the first row.
-            let white = is_white(code, side, side - 1 - column, row);
-            turned = turned << 1 | u64::from(white);
-        }
-    }
-    turned
+/// A code rotated clockwise by 90°.
+fn rotated(code: u64, side: usize) -> u64 {
+    let cells = (0..side).flat_map(|row| (0..side).map(move |column| (row, column)));
+    cells.fold(0, |rotated, (row, column)| {
+        // The first column, read upwards, becomes the first row.
+        let white = is_white(code, side, side - 1 - column, row);
+        rotated << 1 | u64::from(white)
+    })
 }
 
 #[cfg(test)]

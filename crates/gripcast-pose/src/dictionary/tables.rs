@@ -1,7 +1,7 @@
-//! The published codes.
+//! Published codes of the built-in dictionaries.
 //!
-//! Hexadecimal, one number a marker: cells row by row from the top left, the first in the highest
-//! bit, 1 is white. Smaller dictionaries of a size are the beginnings of the largest.
+//! Hexadecimal, one number per marker: cells row by row from the top left, the first in the highest
+//! bit, 1 = white. Smaller dictionaries of a size are prefixes of the largest.
 
 use gripcast_base::error::{Error, Result};
 
@@ -10,7 +10,7 @@ const ARUCO_5X5: &str = include_str!("codes/aruco_5x5.txt");
 const ARUCO_6X6: &str = include_str!("codes/aruco_6x6.txt");
 const APRILTAG_36H11: &str = include_str!("codes/apriltag_36h11.txt");
 
-/// Cells along a side, border and codes of a dictionary by its usual name.
+/// Returns cells along a side, border and codes of a built-in dictionary.
 pub(super) fn codes(name: &str) -> Result<(usize, usize, Vec<u64>)> {
     let (side, border, text, count) = match name {
         "DICT_4X4_50" => (4, 1, ARUCO_4X4, 50),
@@ -27,24 +27,21 @@ pub(super) fn codes(name: &str) -> Result<(usize, usize, Vec<u64>)> {
     };
     let mut codes = parse(text, count)?;
     if name == "DICT_APRILTAG_36h11" {
-        // Half a turn reverses the order of the cells.
+        // A rotation by 180° reverses the order of the cells.
         codes.iter_mut().for_each(|c| *c = c.reverse_bits() >> 28);
     }
     Ok((side, border, codes))
 }
 
 fn parse(text: &str, count: usize) -> Result<Vec<u64>> {
-    let read: std::result::Result<Vec<u64>, _> = text
-        .split_whitespace()
-        .take(count)
+    let words = text.split_whitespace().take(count);
+    words
         .map(|word| u64::from_str_radix(word, 16))
-        .collect();
-    let damaged = |e| Error::internal("a built-in dictionary is damaged").because(e);
-    read.map_err(damaged)
+        .collect::<Result<_, _>>()
+        .map_err(|e| Error::internal("damaged built-in dictionary").because(e))
 }
 
-/// Garrido-Jurado's first dictionary: five rows, each with two bits of the number in a Hamming
-/// code.
+/// Garrido-Jurado's first dictionary: five rows, each with two bits of the id in a Hamming code.
 fn original() -> Vec<u64> {
     const WORDS: [u64; 4] = [0x10, 0x17, 0x09, 0x0e];
     let row = |id: usize, k: usize| WORDS[id >> (8 - 2 * k) & 3];

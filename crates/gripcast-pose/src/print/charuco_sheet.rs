@@ -1,30 +1,30 @@
-//! The sheet of a chessboard with markers, for calibration.
+//! Sheet of a ChArUco board.
 
 use glam::DVec2;
 
 use super::drawing::{Drawing, Shape};
-use super::furniture::{MARGIN_MM, notes, ruler};
 use super::layout::NOTES_MM;
+use super::notes::{MARGIN_MM, notes, ruler};
 use super::paper::Paper;
-use super::{RULER_MM, check_measured};
+use super::{RULER_MM, check_ruler_lengths};
 use crate::{Board, BoardFile, Chessboard, Dictionary};
 use gripcast_base::error::{Error, Result};
 
-/// White around the squares, mm: beyond the outermost black ones a detector needs some.
+/// White border around the squares, mm.
 const BORDER_MM: f64 = 4.0;
-/// Strip for a horizontal ruler below the squares, mm.
+/// Height of the strip of the horizontal ruler below the squares, mm.
 const RULER_STRIP_MM: f64 = 6.0;
-/// Strip for the vertical ruler and the notes beside the squares, mm.
+/// Width of the strip of the vertical ruler and the notes beside the squares, mm.
 const SIDE_MM: f64 = 34.0;
 
-/// What a chessboard's sheet is made of.
+/// Settings of a ChArUco sheet.
 #[derive(Clone, Debug)]
 pub struct CharucoSettings {
     /// Name of the board.
     pub name: String,
     /// Dictionary of the markers.
     pub dictionary: Dictionary,
-    /// Id of the first marker; the others follow it row by row.
+    /// Id of the first marker; the others follow row by row.
     pub first_id: u32,
     /// Columns and rows of squares.
     pub squares: [u32; 2],
@@ -36,29 +36,29 @@ pub struct CharucoSettings {
     pub legacy: bool,
     /// Paper, in portrait or landscape.
     pub paper: Paper,
-    /// What the rulers of 100 mm measure on the printed sheet, x and y, mm. It corrects the board,
-    /// not the drawing.
+    /// Measured lengths of the 100 mm rulers on the printed sheet, x and y, mm. They scale the
+    /// board, not the drawing.
     pub measured_mm: [f64; 2],
 }
 
 /// A sheet and its board.
 #[derive(Clone, Debug)]
 pub struct CharucoSheet {
-    /// What is printed.
+    /// The drawing to print.
     pub drawing: Drawing,
-    /// Hash of the board as it was drawn.
+    /// Hash of the drawn board.
     pub printed_hash: String,
-    /// The board; the origin of its frame is the chessboard's middle.
+    /// The board, in a frame at the chessboard's centre.
     pub file: BoardFile,
 }
 
-/// Draws a chessboard with a marker in each white square, rulers, and the board's hash.
+/// Draws a ChArUco board with rulers and the board's hash.
 ///
 /// # Errors
-/// `Input` for implausible sizes, ids that the dictionary does not have, or a board that does not
-/// fit on the paper; the remedy names what does.
+/// `Input` for implausible sizes, ids outside the dictionary, or a board larger than the paper;
+/// the remedy names sizes that fit.
 pub fn charuco_sheet(settings: &CharucoSettings) -> Result<CharucoSheet> {
-    check_measured(settings.measured_mm)?;
+    check_ruler_lengths(settings.measured_mm)?;
     let (nominal, board) = settings.board([RULER_MM; 2])?;
     let layout = layout(settings).ok_or_else(|| does_not_fit(settings))?;
     let printed_hash = board.hash();
@@ -74,7 +74,7 @@ pub fn charuco_sheet(settings: &CharucoSettings) -> Result<CharucoSheet> {
 }
 
 impl CharucoSettings {
-    /// Chessboard and markers as a printer makes them whose rulers measure `measured_mm`.
+    /// Chessboard and markers scaled by the measured rulers.
     fn board(&self, measured_mm: [f64; 2]) -> Result<(Chessboard, Board)> {
         let scaled = |length: f64| measured_mm.map(|mm| length * mm / RULER_MM);
         let chessboard = Chessboard {
@@ -94,25 +94,25 @@ impl CharucoSettings {
     }
 }
 
-/// Where things are on the sheet, mm.
+/// Positions on the sheet, mm.
 struct Layout {
     size_mm: [f64; 2],
-    /// Middle of the chessboard.
-    middle: DVec2,
+    /// Centre of the chessboard.
+    centre: DVec2,
     /// Left end of the horizontal ruler, lower end of the vertical one.
     rulers: [DVec2; 2],
     /// Top left corner and width of the notes.
     notes: (DVec2, f64),
 }
 
-/// Notes below the squares, else beside them; portrait first where both are possible.
+/// Prefers notes below the squares to notes beside them, and portrait to landscape.
 fn layout(settings: &CharucoSettings) -> Option<Layout> {
     let sizes = [settings.paper.portrait_mm(), settings.paper.landscape_mm()];
     let below = sizes.iter().find_map(|size| notes_below(settings, *size));
     below.or_else(|| sizes.iter().find_map(|size| notes_beside(settings, *size)))
 }
 
-/// The free area of a sheet.
+/// Corners of the printable area.
 fn area([width, height]: [f64; 2]) -> [DVec2; 2] {
     [
         DVec2::splat(MARGIN_MM),
@@ -124,14 +124,14 @@ fn notes_below(settings: &CharucoSettings, size_mm: [f64; 2]) -> Option<Layout> 
     let [low, mut high] = area(size_mm);
     let floor = high.y;
     high.y -= NOTES_MM + BORDER_MM;
-    // The vertical ruler stands at the left border.
+    // The vertical ruler is at the left border.
     let left = low.x + 8.0;
     let extent = settings.extent_mm();
     let room = high - DVec2::new(left, low.y);
     let fits = extent.cmple(room).all() && floor - NOTES_MM - RULER_MM > low.y;
     fits.then(|| Layout {
         size_mm,
-        middle: 0.5 * (DVec2::new(left, low.y) + high),
+        centre: 0.5 * (DVec2::new(left, low.y) + high),
         rulers: [
             DVec2::new(low.x, floor),
             DVec2::new(low.x, floor - NOTES_MM),
@@ -152,7 +152,7 @@ fn notes_beside(settings: &CharucoSettings, size_mm: [f64; 2]) -> Option<Layout>
         let side = high.x - SIDE_MM + BORDER_MM;
         Layout {
             size_mm,
-            middle: low + DVec2::new(0.5 * (room.x - BORDER_MM).max(extent.x), 0.5 * extent.y),
+            centre: low + DVec2::new(0.5 * (room.x - BORDER_MM).max(extent.x), 0.5 * extent.y),
             rulers: [DVec2::new(low.x, high.y), DVec2::new(side, high.y)],
             notes: (DVec2::new(side, low.y), high.x - side),
         }
@@ -161,22 +161,19 @@ fn notes_beside(settings: &CharucoSettings, size_mm: [f64; 2]) -> Option<Layout>
 
 fn does_not_fit(settings: &CharucoSettings) -> Error {
     let extent = settings.extent_mm();
-    let fits = |paper: &Paper| {
+    let fits = |square_mm, paper| {
         let other = CharucoSettings {
-            paper: *paper,
+            square_mm,
+            paper,
             ..settings.clone()
         };
         layout(&other).is_some()
     };
     let smaller = (1..200).map(|k| settings.square_mm - 0.5 * f64::from(k));
-    let square_mm = smaller.take_while(|s| *s > 5.0).find(|s| {
-        let other = CharucoSettings {
-            square_mm: *s,
-            ..settings.clone()
-        };
-        layout(&other).is_some()
-    });
-    let paper = Paper::ALL.into_iter().find(fits);
+    let mut smaller = smaller.take_while(|s| *s > 5.0);
+    let square_mm = smaller.find(|s| fits(*s, settings.paper));
+    let mut papers = Paper::ALL.into_iter();
+    let paper = papers.find(|paper| fits(settings.square_mm, *paper));
     let remedies = [
         square_mm.map(|mm| format!("squares of {mm} mm fit on {}", settings.paper)),
         paper.map(|paper| format!("{paper} is large enough")),
@@ -202,7 +199,7 @@ fn draw(
 ) -> Drawing {
     let hash = board.hash();
     let mut drawing = Drawing::new(layout.size_mm, &format!("{} {hash}", board.name));
-    let on_sheet = |place_m: DVec2| layout.middle + 1e3 * DVec2::new(place_m.x, -place_m.y);
+    let on_sheet = |point_m: DVec2| layout.centre + 1e3 * DVec2::new(point_m.x, -point_m.y);
     for [top_left, ..] in chessboard.black_squares_m() {
         let at = on_sheet(top_left);
         let side = settings.square_mm;
@@ -265,11 +262,11 @@ mod tests {
     }
 
     #[test]
-    fn the_image_of_a_sheet_shows_its_board() {
+    fn rastered_sheet_is_detected() {
         for (squares, square_mm) in [([8, 6], 30.0), ([5, 7], 30.0), ([4, 4], 30.0)] {
             let sheet = charuco_sheet(&settings(squares, square_mm, Paper::A4)).unwrap();
             let dpi = 100.0;
-            // A camera is never as sharp as the raster, and stores levels instead of light.
+            // Like a camera: blurred, in sRGB levels.
             let mut image = image::imageops::blur(&raster(&sheet.drawing, dpi).unwrap(), 0.7);
             for level in image.iter_mut() {
                 *level = gripcast_imaging::srgb_encode(f32::from(*level) / 255.0);
@@ -283,24 +280,25 @@ mod tests {
             let found = finder.find(&image, &detections);
             assert_eq!(
                 (found.markers, found.points.len()),
-                (ids.len(), finder.total())
+                (
+                    ids.len(),
+                    sheet.file.chessboard.as_ref().unwrap().corner_count()
+                )
             );
-            let middle = layout(&settings(squares, square_mm, Paper::A4))
-                .unwrap()
-                .middle;
+            let layout = layout(&settings(squares, square_mm, Paper::A4)).unwrap();
             let on_image = |point: &BoardPoint| {
-                let mm = 1e3 * point.place_m.truncate();
-                (middle + DVec2::new(mm.x, -mm.y)) * dpi / 25.4 - 0.5
+                let mm = 1e3 * point.point_m.truncate();
+                (layout.centre + DVec2::new(mm.x, -mm.y)) * dpi / 25.4 - 0.5
             };
-            let off = |point: &BoardPoint| point.pixel.distance(on_image(point));
-            let worst = found.points.iter().map(off).fold(0.0, f64::max);
-            // Measured 0.053 to 0.065 px: corners of 45 px squares in 256 levels.
-            assert!(worst < 0.075, "{worst}");
+            let error = |point: &BoardPoint| point.pixel.distance(on_image(point));
+            let max_error = found.points.iter().map(error).fold(0.0, f64::max);
+            // Measured: 0.053 to 0.065 px.
+            assert!(max_error < 0.075, "{max_error}");
         }
     }
 
     #[test]
-    fn everything_is_on_the_paper_and_apart() {
+    fn shapes_are_on_the_paper_and_do_not_overlap() {
         for (squares, square_mm, paper) in [
             ([8, 6], 30.0, Paper::A4),
             ([5, 7], 34.0, Paper::A4),
@@ -351,7 +349,7 @@ mod tests {
     }
 
     #[test]
-    fn a_printers_scale_is_in_the_board_and_not_in_the_drawing() {
+    fn printer_scale_changes_the_board_only() {
         let nominal = charuco_sheet(&settings([5, 7], 30.0, Paper::A4)).unwrap();
         let measured = CharucoSettings {
             measured_mm: [99.0, 101.0],
@@ -366,17 +364,17 @@ mod tests {
     }
 
     #[test]
-    fn what_does_not_fit_is_told() {
-        let said = |squares, square_mm, paper| {
+    fn sizes_that_fit_are_named() {
+        let error_of = |squares, square_mm, paper| {
             let error = charuco_sheet(&settings(squares, square_mm, paper)).unwrap_err();
             error.to_string()
         };
-        let text = said([8, 6], 40.0, Paper::A4);
+        let text = error_of([8, 6], 40.0, Paper::A4);
         assert!(
             text.contains("320 × 240 mm") && text.contains("A3 is large enough"),
             "{text}"
         );
         assert!(text.contains("squares of 30.5 mm fit on A4"), "{text}");
-        assert!(said([30, 30], 30.0, Paper::A4).contains("ends with id 249"));
+        assert!(error_of([30, 30], 30.0, Paper::A4).contains("ends with id 249"));
     }
 }

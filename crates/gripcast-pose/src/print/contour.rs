@@ -1,4 +1,4 @@
-//! The outline of a mesh at a height: its section with a horizontal plane.
+//! Sections of a mesh with horizontal planes.
 
 use std::collections::HashMap;
 use std::hash::Hash;
@@ -7,43 +7,40 @@ use glam::DVec2;
 
 use gripcast_geometry::TriangleMesh;
 
-/// A line around or through an area.
+/// A polyline.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct Outline {
     /// Points in the unit of their source.
     pub(super) points: Vec<DVec2>,
-    /// Whether the last point joins the first.
+    /// Whether the last point connects to the first.
     pub(super) closed: bool,
 }
 
-/// An edge of the mesh, by its vertices in ascending order.
+/// Vertices of a mesh edge in ascending order.
 type Edge = [u32; 2];
 
-/// Section of a mesh with the plane z = `height`, m. Outlines of a closed mesh are closed. A vertex
-/// in the plane counts as above it.
+/// Section of a mesh with the plane z = `height`, m. Outlines of a closed mesh are closed.
+/// Vertices in the plane count as above it.
 pub(super) fn section(mesh: &TriangleMesh, height: f64) -> Vec<Outline> {
     let is_above = |v: u32| mesh.vertices[v as usize].z >= height;
-    // From the edge where the section enters a triangle to that where it leaves, in order.
+    // Edges where the section enters and leaves each triangle.
     let mut steps: Vec<(Edge, Edge)> = Vec::new();
     for triangle in &mesh.triangles {
         let [a, b, c] = *triangle;
         let crossed = [(a, b), (b, c), (c, a)].map(|(p, q)| {
             (is_above(p) != is_above(q)).then(|| ([p.min(q), p.max(q)], is_above(p)))
         });
-        let mut leaves = None;
-        let mut enters = None;
-        for (edge, falls) in crossed.into_iter().flatten() {
-            if falls {
-                leaves = Some(edge);
-            } else {
-                enters = Some(edge);
-            }
-        }
-        if let (Some(from), Some(to)) = (enters, leaves) {
-            steps.push((from, to));
+        let edge = |falls: bool| {
+            crossed
+                .iter()
+                .flatten()
+                .rfind(|crossing| crossing.1 == falls)
+        };
+        if let (Some((from, _)), Some((to, _))) = (edge(false), edge(true)) {
+            steps.push((*from, *to));
         }
     }
-    let place = |[p, q]: Edge| {
+    let intersection = |[p, q]: Edge| {
         let (p, q) = (mesh.vertices[p as usize], mesh.vertices[q as usize]);
         let t = (height - p.z) / (q.z - p.z);
         p.truncate().lerp(q.truncate(), t)
@@ -51,13 +48,13 @@ pub(super) fn section(mesh: &TriangleMesh, height: f64) -> Vec<Outline> {
     chain(&steps)
         .into_iter()
         .map(|(edges, closed)| Outline {
-            points: edges.into_iter().map(place).collect(),
+            points: edges.into_iter().map(intersection).collect(),
             closed,
         })
         .collect()
 }
 
-/// Joins steps end to end; whether each chain is closed. Every chain is as long as it can be.
+/// Joins steps to chains of maximum length, each with whether it is closed.
 pub(super) fn chain<T: Copy + Eq + Hash>(steps: &[(T, T)]) -> Vec<(Vec<T>, bool)> {
     let mut from: HashMap<T, Vec<usize>> = HashMap::new();
     let mut into: HashMap<T, usize> = HashMap::new();
@@ -67,7 +64,7 @@ pub(super) fn chain<T: Copy + Eq + Hash>(steps: &[(T, T)]) -> Vec<(Vec<T>, bool)
     }
     let mut used = vec![false; steps.len()];
     let mut chains = Vec::new();
-    // Open chains begin where no step ends; what is left are loops.
+    // Open chains start where no step ends; the rest are loops.
     let is_start = |k: &usize| !into.contains_key(&steps[*k].0);
     let order = (0..steps.len()).filter(is_start).chain(0..steps.len());
     for first in order.collect::<Vec<_>>() {
@@ -94,28 +91,27 @@ pub(super) fn chain<T: Copy + Eq + Hash>(steps: &[(T, T)]) -> Vec<(Vec<T>, bool)
     chains
 }
 
-/// An outline without the points that lie within `tolerance` of the line between their
-/// neighbours (Douglas and Peucker, 1973).
-pub(super) fn simplified(outline: &Outline, tolerance: f64) -> Outline {
+/// Simplifies an outline within `tolerance` (Douglas and Peucker, 1973).
+pub(super) fn simplify(outline: &Outline, tolerance: f64) -> Outline {
     let mut points = outline.points.clone();
     if outline.closed {
-        // The loop is cut at the point farthest from the first, so that both halves are open.
+        // Cut the loop at the point farthest from the first.
         points.extend(outline.points.first());
     }
-    let keep = if outline.closed && points.len() > 3 {
+    let points = if outline.closed && points.len() > 3 {
         let far = |k: &usize| points[*k].distance(points[0]);
-        let middle = (0..points.len()).max_by(|a, b| far(a).total_cmp(&far(b)));
-        let middle = middle.unwrap_or(0).max(1);
-        let mut kept = reduce(&points[..=middle], tolerance);
+        let cut = (0..points.len()).max_by(|a, b| far(a).total_cmp(&far(b)));
+        let cut = cut.unwrap_or(0).max(1);
+        let mut kept = reduce(&points[..=cut], tolerance);
         kept.pop();
-        kept.extend(reduce(&points[middle..], tolerance));
+        kept.extend(reduce(&points[cut..], tolerance));
         kept.pop();
         kept
     } else {
         reduce(&outline.points, tolerance)
     };
     Outline {
-        points: keep,
+        points,
         closed: outline.closed,
     }
 }
@@ -158,15 +154,15 @@ mod tests {
     }
 
     #[test]
-    fn a_box_is_cut_in_a_rectangle() {
+    fn section_of_a_box_is_a_rectangle() {
         let mesh = builtin("box").unwrap();
-        // Also through a row of vertices and just above the bottom.
+        // Also through vertices and near the bottom.
         for height in [-0.0297, 0.0, 0.0123] {
             let found = section(&mesh, height);
             assert_eq!(found.len(), 1, "{height}");
             assert!(found[0].closed);
             assert!((length(&found[0]) - 0.16).abs() < 1e-12);
-            let plain = simplified(&found[0], 1e-6);
+            let plain = simplify(&found[0], 1e-6);
             assert!(plain.points.len() <= 6, "{:?}", plain.points);
             assert!((length(&plain) - 0.16).abs() < 1e-9);
         }
@@ -174,8 +170,8 @@ mod tests {
     }
 
     #[test]
-    fn a_hollow_body_has_two_outlines() {
-        // The mug's wall at a third of its height, its handle beside.
+    fn section_of_a_hollow_mesh_has_two_outlines() {
+        // The wall and the handle of the mug.
         let found = section(&builtin("mug").unwrap(), 0.0);
         assert!(
             found.len() >= 2 && found.iter().all(|o| o.closed),
@@ -190,14 +186,10 @@ mod tests {
     }
 
     #[test]
-    fn an_open_mesh_gives_open_lines() {
+    fn section_of_an_open_mesh_is_open() {
         let mut mesh = builtin("box").unwrap();
-        let middle = |t: &[u32; 3]| t.iter().map(|v| mesh.vertices[*v as usize].x).sum::<f64>();
-        let kept = mesh
-            .triangles
-            .iter()
-            .filter(|t| middle(t) < 0.0589)
-            .copied();
+        let sum_x = |t: &[u32; 3]| t.iter().map(|v| mesh.vertices[*v as usize].x).sum::<f64>();
+        let kept = mesh.triangles.iter().filter(|t| sum_x(t) < 0.0589).copied();
         mesh.triangles = kept.collect();
         let found = section(&mesh, 0.001);
         assert_eq!(found.len(), 1);
@@ -210,7 +202,7 @@ mod tests {
     }
 
     #[test]
-    fn simplifying_keeps_within_the_tolerance() {
+    fn simplification_stays_within_the_tolerance() {
         let circle: Vec<DVec2> = (0..360)
             .map(|k| DVec2::from_angle(f64::from(k).to_radians()))
             .collect();
@@ -218,7 +210,7 @@ mod tests {
             points: circle.clone(),
             closed: true,
         };
-        let plain = simplified(&outline, 0.01);
+        let plain = simplify(&outline, 0.01);
         assert!(
             plain.closed && plain.points.len() < 60,
             "{}",

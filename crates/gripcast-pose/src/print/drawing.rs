@@ -1,4 +1,4 @@
-//! What is on a sheet, before it becomes a file.
+//! Vector drawing of a sheet.
 
 use glam::DVec2;
 
@@ -13,45 +13,45 @@ pub type Colour = [u8; 3];
 /// Black.
 pub(super) const BLACK: Colour = [0; 3];
 
-/// Which point of a text stands at its place.
+/// Anchor of a text.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum TextAnchor {
-    /// The left end of its baseline.
+    /// Left end of the baseline.
     Start,
-    /// The middle of its baseline.
+    /// Centre of the baseline.
     Middle,
 }
 
-/// A part of a drawing. Places in mm from the top left corner of the sheet, y down.
+/// An element of a drawing; positions in mm from the top left corner of the sheet, y down.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Shape {
-    /// A black rectangle with white ones in it: x, y, width, height of each.
+    /// A black rectangle with white holes: x, y, width, height of each.
     Marker {
         /// The black rectangle.
         outer: [f64; 4],
-        /// White rectangles within it, which do not overlap.
+        /// Disjoint white rectangles within it.
         holes: Vec<[f64; 4]>,
     },
-    /// A line through points.
+    /// A polyline.
     Line {
         /// The points.
         points: Vec<DVec2>,
-        /// Whether it returns to the first.
+        /// Whether the last point connects to the first.
         closed: bool,
         /// Width, mm.
         width_mm: f64,
-        /// Length of dashes and gaps, mm; none for a solid line.
+        /// Lengths of dashes and gaps, mm.
         dash_mm: Option<[f64; 2]>,
         /// Colour.
         colour: Colour,
     },
     /// A line of text, ASCII.
     Text {
-        /// Place of the anchor on the baseline.
+        /// Position of the anchor.
         at: DVec2,
-        /// Size of the font, mm.
+        /// Font size, mm.
         size_mm: f64,
-        /// What stands at the place.
+        /// Anchor.
         anchor: TextAnchor,
         /// The text.
         text: String,
@@ -63,9 +63,9 @@ pub enum Shape {
 pub struct Drawing {
     /// Width and height, mm.
     pub size_mm: [f64; 2],
-    /// What is said about it in the file.
+    /// Title in the file's metadata.
     pub title: String,
-    /// What is on it, from below to above.
+    /// Elements in drawing order.
     pub shapes: Vec<Shape>,
 }
 
@@ -79,7 +79,7 @@ impl Drawing {
         }
     }
 
-    /// Adds a marker with its top left corner, border and all, at `corner`.
+    /// Adds a marker with the top left corner of its border at `corner`.
     pub(super) fn marker(
         &mut self,
         dictionary: &Dictionary,
@@ -112,7 +112,7 @@ impl Drawing {
     }
 
     /// Adds a thin black line.
-    pub(super) fn thin(&mut self, from: DVec2, to: DVec2) {
+    pub(super) fn thin_line(&mut self, from: DVec2, to: DVec2) {
         self.line(vec![from, to], THIN_MM, BLACK);
     }
 
@@ -128,7 +128,7 @@ impl Drawing {
     }
 
     /// Adds a dashed line.
-    pub(super) fn dashed(&mut self, points: Vec<DVec2>, closed: bool) {
+    pub(super) fn dashed_line(&mut self, points: Vec<DVec2>, closed: bool) {
         self.shapes.push(Shape::Line {
             points,
             closed,
@@ -138,7 +138,7 @@ impl Drawing {
         });
     }
 
-    /// Adds text; what is not ASCII becomes `?`.
+    /// Adds text; other than ASCII characters become `?`.
     pub fn text(&mut self, at: DVec2, size_mm: f64, anchor: TextAnchor, text: &str) {
         self.shapes.push(Shape::Text {
             at,
@@ -148,7 +148,7 @@ impl Drawing {
         });
     }
 
-    /// The outer rectangles of its markers: x, y, width, height.
+    /// Outer rectangles of the markers: x, y, width, height.
     pub fn markers(&self) -> impl Iterator<Item = [f64; 4]> {
         self.shapes.iter().filter_map(|shape| match shape {
             Shape::Marker { outer, .. } => Some(*outer),

@@ -1,4 +1,4 @@
-//! Sheets and tags as images in space, for renderers.
+//! Sheets and tags as posed images, for renderers.
 
 use glam::DVec2;
 use image::{GrayImage, Luma};
@@ -11,17 +11,17 @@ use gripcast_imaging::FlatPrint;
 
 /// Resolution of a sheet, dots per inch.
 const SHEET_DPI: f64 = 300.0;
-/// Pixels of a cell of a tag; much finer than any camera sees it.
+/// Pixels per cell of a tag.
 const CELL_PX: u32 = 24;
 
 impl ObjectSheet {
-    /// The sheet in the world of the object's pose, if it is printed as it is drawn.
+    /// The sheet in the world frame, printed to scale.
     ///
     /// # Errors
     /// Those of [`raster`].
     pub fn flat_print(&self) -> Result<FlatPrint> {
         let paper = raster(&self.drawing, SHEET_DPI)?;
-        // The image's size is rounded to whole pixels, the sheet's is not.
+        // The size of the image: that of the sheet, rounded to whole pixels.
         let size_mm = DVec2::new(f64::from(paper.width()), f64::from(paper.height()));
         let size_mm = size_mm * 25.4 / SHEET_DPI;
         let corner = |x: f64, y: f64| self.to_world(DVec2::new(x, y)).to_array();
@@ -38,13 +38,13 @@ impl ObjectSheet {
 }
 
 impl BoardFile {
-    /// Its markers with a white zone of a cell around each, in the frames of their parts, and how
-    /// far each moves along x per metre of opening.
+    /// The markers with a quiet zone of one cell, in their body frames, each with its displacement
+    /// along x per metre of opening.
     pub fn flat_prints(&self) -> Vec<(f64, FlatPrint)> {
         let markers = self.board.markers.iter();
         let print = |marker: &BoardMarker| {
             let cells = self.dictionary.marker(marker.id)?;
-            Some((marker.part.slide(), tag(marker, &cells, &self.dictionary)))
+            Some((marker.body.slide(), tag(marker, &cells, &self.dictionary)))
         };
         markers.filter_map(print).collect()
     }
@@ -54,8 +54,8 @@ fn tag(marker: &BoardMarker, cells: &MarkerCells, dictionary: &Dictionary) -> Fl
     let count = dictionary.cells_per_side() as u32;
     let border = dictionary.border_cells();
     let is_white = |x: u32, y: u32| {
-        let place = |at: u32| (at / CELL_PX).checked_sub(1).filter(|cell| *cell < count);
-        let (Some(column), Some(row)) = (place(x), place(y)) else {
+        let cell = |at: u32| (at / CELL_PX).checked_sub(1).filter(|cell| *cell < count);
+        let (Some(column), Some(row)) = (cell(x), cell(y)) else {
             return true;
         };
         let inner = |at: u32| (at as usize).checked_sub(border);

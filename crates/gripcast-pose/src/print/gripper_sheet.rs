@@ -1,21 +1,21 @@
-//! The sheet of the gripper's tags, to cut out and fold.
+//! Sheet of the gripper's tags, to cut out and fold.
 
 use glam::DVec2;
 
 use super::drawing::{Drawing, TextAnchor};
-use super::furniture::{LABEL_MM, MARGIN_MM, footer};
 use super::gripper_board::{GripperTags, fold_rad, gripper_board};
+use super::notes::{LABEL_MM, MARGIN_MM, footer};
 use super::paper::Paper;
 use gripcast_base::error::Result;
 
-/// Width of a tab for glue, mm.
+/// Width of a glue tab, mm.
 const TAB_MM: f64 = 8.0;
 /// Distance between cards, mm.
 const GAP_MM: f64 = 12.0;
 
-/// Draws the tags of a gripper on paper in portrait: the roof as a strip that is folded into a
-/// prism, so that its angle comes by itself, two cards for the rail's ends, and a flag for each
-/// finger. Cut along solid lines, fold along dashed ones.
+/// Draws the tags of a gripper in portrait: the roof as a strip to fold into a prism of the
+/// correct angle, two cards for the rail's ends, and a flag for each finger. Solid lines are cut,
+/// dashed lines folded.
 ///
 /// # Errors
 /// Those of [`gripper_board`].
@@ -26,7 +26,7 @@ pub fn gripper_sheet(tags: &GripperTags, paper: Paper) -> Result<Drawing> {
     };
     let board = gripper_board(&nominal)?.board;
     let title = format!("{} {}", board.name, board.hash());
-    let mut pen = Pen {
+    let mut sheet = TagSheet {
         drawing: Drawing::new(paper.portrait_mm(), &title),
         tags,
     };
@@ -39,29 +39,28 @@ pub fn gripper_sheet(tags: &GripperTags, paper: Paper) -> Result<Drawing> {
         "{plus} (+x) and {minus} (-x), on top of the camera: fold backwards to a prism, glue the \
          tab inside"
     );
-    pen.label(at, &roof);
-    pen.roof(at, body);
+    sheet.label(at, &roof);
+    sheet.roof(at, body);
     at.y += body + GAP_MM;
-    pen.label(at, "in front of the rail's ends");
+    sheet.label(at, "in front of the rail's ends");
     for k in [0, 1] {
         let corner = at + DVec2::new(f64::from(k) * (body + GAP_MM), 0.0);
-        pen.card(corner, body, tags.body_m, 2 + k);
+        sheet.card(corner, body, tags.body_m, 2 + k);
     }
     at.y += body + GAP_MM;
-    pen.label(
+    sheet.label(
         at,
         "flags at the fingers' plates: fold the tab backwards, glue it to the outer side",
     );
-    // The left finger (−x) is at the right hand of whoever looks at the gripper's front, and its
-    // tab is at the left hand of its flag.
-    pen.flag(at, finger, 4, true);
-    pen.flag(
+    // From the front, the left finger (−x) is on the right, with its tab left of its flag.
+    sheet.flag(at, finger, 4, true);
+    sheet.flag(
         at + DVec2::new(2.0 * finger + GAP_MM, 0.0),
         finger,
         5,
         false,
     );
-    let mut drawing = pen.drawing;
+    let mut drawing = sheet.drawing;
     let lines = [
         format!(
             "gripper tags {}, hash {}, {}, {}",
@@ -77,19 +76,19 @@ pub fn gripper_sheet(tags: &GripperTags, paper: Paper) -> Result<Drawing> {
     Ok(drawing)
 }
 
-struct Pen<'a> {
+struct TagSheet<'a> {
     drawing: Drawing,
     tags: &'a GripperTags,
 }
 
-impl Pen<'_> {
+impl TagSheet<'_> {
     fn label(&mut self, at: DVec2, text: &str) {
         let above = at - DVec2::new(0.0, 2.0);
         self.drawing.text(above, LABEL_MM, TextAnchor::Start, text);
     }
 
-    /// A strip of two faces, the prism's back and a tab. The roof's −x face is at the right hand
-    /// of whoever looks at the gripper's front.
+    /// A strip of two faces, the prism's back and a tab. From the front, the −x face is on the
+    /// right.
     fn roof(&mut self, at: DVec2, card: f64) {
         let back = 2.0 * card * (0.5 * (std::f64::consts::PI - fold_rad())).sin();
         let folds = [card, 2.0 * card, 2.0 * card + back];
@@ -128,10 +127,10 @@ impl Pen<'_> {
         self.number(face, card, number, side);
     }
 
-    /// Number and place below a card.
-    fn number(&mut self, at: DVec2, card: f64, number: u32, place: &str) {
+    /// Label with id and position below a card.
+    fn number(&mut self, at: DVec2, card: f64, number: u32, position: &str) {
         let below = at + DVec2::new(0.5 * card, card + 1.3 * LABEL_MM);
-        let text = format!("{} ({place})", self.tags.first_id + number);
+        let text = format!("{} ({position})", self.tags.first_id + number);
         self.drawing
             .text(below, LABEL_MM, TextAnchor::Middle, &text);
     }
@@ -145,7 +144,7 @@ impl Pen<'_> {
         }
     }
 
-    /// The line to cut along.
+    /// Cutting line.
     fn outline(&mut self, at: DVec2, size: DVec2) {
         let corners = [
             at,
@@ -154,20 +153,20 @@ impl Pen<'_> {
             at + DVec2::new(0.0, size.y),
         ];
         for k in 0..4 {
-            self.drawing.thin(corners[k], corners[(k + 1) % 4]);
+            self.drawing.thin_line(corners[k], corners[(k + 1) % 4]);
         }
     }
 
     fn fold(&mut self, top: DVec2, length: f64) {
         let bottom = top + DVec2::new(0.0, length);
-        self.drawing.dashed(vec![top, bottom], false);
+        self.drawing.dashed_line(vec![top, bottom], false);
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::super::drawing::Shape;
-    use super::super::layout::keeps_quiet;
+    use super::super::layout::is_outside_quiet_zones;
     use super::*;
     use crate::Dictionary;
 
@@ -183,7 +182,7 @@ mod tests {
     }
 
     #[test]
-    fn every_paper_has_room_and_quiet_zones_are_kept() {
+    fn shapes_fit_on_all_papers_outside_the_quiet_zones() {
         for paper in Paper::ALL {
             for dictionary in ["DICT_4X4_50", "36h11"] {
                 let tags = tags(dictionary);
@@ -206,7 +205,10 @@ mod tests {
                                     outer: marker,
                                     holes: Vec::new(),
                                 });
-                                assert!(keeps_quiet(&one, low, high, of(marker)), "{shape:?}");
+                                assert!(
+                                    is_outside_quiet_zones(&one, low, high, of(marker)),
+                                    "{shape:?}"
+                                );
                             }
                             (low, high)
                         }
@@ -221,10 +223,10 @@ mod tests {
     }
 
     #[test]
-    fn the_prism_closes_at_the_angle_of_the_faces() {
+    fn prism_has_the_angle_of_the_faces() {
         let tags = tags("DICT_6X6_250");
         let sheet = gripper_sheet(&tags, Paper::A4).unwrap();
-        // The roof comes first: its outline, then its three folds.
+        // The first lines are the roof's outline and its three folds.
         let lines = sheet.shapes.iter().filter_map(|shape| match shape {
             Shape::Line {
                 points, dash_mm, ..
@@ -236,11 +238,11 @@ mod tests {
         let folds: Vec<f64> = lines.iter().filter(|l| l.1).map(|l| l.0 - left).collect();
         let (card, back) = (folds[0], folds[2] - folds[1]);
         assert!((folds[1] - 2.0 * card).abs() < 1e-9);
-        // The triangle of two faces and the back has its apex where the faces of the board meet.
+        // Apex angle of the triangle of two faces and the back.
         let apex = (1.0 - back * back / (2.0 * card * card)).acos();
         let board = gripper_board(&tags).unwrap().board;
-        let front = |k: usize| board.markers[k].front();
-        let between = front(0).angle_between(front(1));
+        let normal = |k: usize| board.markers[k].normal();
+        let between = normal(0).angle_between(normal(1));
         assert!((apex + between - std::f64::consts::PI).abs() < 1e-9);
         assert!((card - tags.card_mm(tags.body_m)).abs() < 1e-9);
     }

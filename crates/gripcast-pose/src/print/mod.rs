@@ -1,18 +1,16 @@
-//! Sheets to print: the board that an object stands on, the tags of the gripper, the chessboard
-//! for calibration.
+//! Printable sheets: object board, gripper tags, chessboard for calibration.
 //!
-//! A sheet is a [`Drawing`] in mm, which [`svg`], [`pdf`] and [`png`] write. Lengths in this module
-//! are mm on paper: x to the right and y down from the top left corner, unless a name says
-//! otherwise.
+//! A sheet is a [`Drawing`], written by [`svg`], [`pdf`] and [`png`]. Lengths are mm on paper, x to
+//! the right and y down from the top left corner, unless named otherwise.
 
 mod charuco_sheet;
 mod contour;
 mod drawing;
 mod flat;
-mod furniture;
 mod gripper_board;
 mod gripper_sheet;
 mod layout;
+mod notes;
 mod object_sheet;
 mod paper;
 mod pdf;
@@ -28,7 +26,7 @@ pub use drawing::{Colour, Drawing, Shape, TextAnchor};
 pub use gripper_board::{GripperTags, gripper_board};
 pub use gripper_sheet::gripper_sheet;
 pub use object_sheet::{
-    ObjectOnSheet, ObjectSheet, SheetSettings, object_sheet, usual_object_sheet,
+    ObjectSheet, SheetObject, SheetSettings, default_object_sheet, object_sheet,
 };
 pub use paper::Paper;
 
@@ -41,7 +39,7 @@ pub const RULER_MM: f64 = 100.0;
 ///
 /// # Errors
 /// `Input` if a printer cannot be that wrong.
-pub fn check_measured(measured_mm: [f64; 2]) -> Result<()> {
+pub fn check_ruler_lengths(measured_mm: [f64; 2]) -> Result<()> {
     if measured_mm
         .iter()
         .all(|m| (m / RULER_MM - 1.0).abs() <= 0.1)

@@ -1,69 +1,68 @@
-//! The sheet that an object stands on.
+//! Sheet of markers that an object is placed on.
 
 use glam::{DVec2, DVec3};
 
-use super::contour::{Outline, section, simplified};
+use super::contour::{Outline, section, simplify};
 use super::drawing::{BLACK, Colour, Drawing, Shape, TextAnchor};
-use super::furniture::{LABEL_MM, footer};
-use super::layout::{Layout, MarkerSize, keeps_quiet, layout};
+use super::layout::{Layout, MarkerSize, is_outside_quiet_zones, layout};
+use super::notes::{LABEL_MM, footer};
 use super::paper::Paper;
 use super::silhouette::Silhouette;
-use super::{RULER_MM, check_measured};
-use crate::{Board, BoardFile, BoardMarker, Dictionary, Part, PrintedSheet};
+use super::{RULER_MM, check_ruler_lengths};
+use crate::{Board, BoardFile, BoardMarker, Body, Dictionary, PrintedSheet};
 use gripcast_base::error::{Error, Result};
 use gripcast_geometry::{Pose, TriangleMesh};
 
-/// Height above the table of the section that is drawn as the bottom, m: above the roundings of
-/// scanned and printed bodies' lowest edges.
+/// Height of the section drawn as the bottom, m: above rounded edges of scanned and printed
+/// objects.
 const SECTION_M: f64 = 0.3e-3;
-/// Largest distance of an object's lowest point from the sheet, m.
+/// Maximum distance of an object's lowest point from the sheet, m.
 const ON_SHEET_M: f64 = 1e-4;
-/// Width of the line that the object is aligned with, mm.
+/// Width of the bottom's outline, mm.
 const CONTOUR_MM: f64 = 0.35;
 /// Length of a drawn axis, mm.
 const AXIS_MM: f64 = 20.0;
-/// Axes in red, green and blue, dark enough for a grey printer.
+/// Names and colours of the axes.
 const AXES: [(&str, Colour); 3] = [
     ("x", [190, 20, 20]),
     ("y", [20, 120, 20]),
     ("z", [30, 30, 190]),
 ];
 
-/// The object that a sheet is made for.
+/// The object of a sheet.
 #[derive(Clone, Debug)]
-pub struct ObjectOnSheet<'a> {
-    /// Its mesh, m, in its own frame: the frame of the board.
+pub struct SheetObject<'a> {
+    /// Mesh, m; its frame is the frame of the board.
     pub mesh: &'a TriangleMesh,
-    /// Where the mesh comes from, as the board file says it.
+    /// Source of the mesh, recorded in the board file.
     pub source: &'a str,
-    /// Its stable pose on the sheet: z up, z = 0 the sheet, x to the right of the sheet.
+    /// Stable pose of the object on the sheet (z = 0, z up, x to the right).
     pub t_world_object: Pose,
 }
 
-/// What a sheet is made of.
+/// Settings of an object sheet.
 #[derive(Clone, Debug)]
 pub struct SheetSettings {
     /// Name of the board.
     pub name: String,
     /// Dictionary of the markers.
     pub dictionary: Dictionary,
-    /// Id of the first marker; the others follow it.
+    /// Id of the first marker.
     pub first_id: u32,
     /// Side of a marker, m.
     pub marker_m: f64,
     /// Paper.
     pub paper: Paper,
-    /// What the rulers of 100 mm measure on the printed sheet, x and y, mm. It corrects the board,
-    /// not the drawing.
+    /// Measured lengths of the 100 mm rulers on the printed sheet, x and y, mm. They scale the
+    /// board, not the drawing.
     pub measured_mm: [f64; 2],
 }
 
-/// A sheet with the usual markers, of 30 mm from `DICT_6X6_250`, on the smallest of A4 and A3 that
-/// is large enough.
+/// Draws the sheet of an object with 30 mm markers of `DICT_6X6_250`, on A4 if it fits, else A3.
 ///
 /// # Errors
 /// Those of [`object_sheet`] on A3.
-pub fn usual_object_sheet(name: &str, object: &ObjectOnSheet<'_>) -> Result<ObjectSheet> {
+pub fn default_object_sheet(name: &str, object: &SheetObject<'_>) -> Result<ObjectSheet> {
     let on = |paper: Paper| {
         let settings = SheetSettings {
             name: name.to_owned(),
@@ -81,17 +80,16 @@ pub fn usual_object_sheet(name: &str, object: &ObjectOnSheet<'_>) -> Result<Obje
 /// A sheet and its board.
 #[derive(Clone, Debug)]
 pub struct ObjectSheet {
-    /// What is printed.
+    /// The drawing to print.
     pub drawing: Drawing,
-    /// The markers in the object's frame.
+    /// The board, in the object frame.
     pub file: BoardFile,
-    /// The world's origin on the drawing, mm.
+    /// Origin of the world frame on the drawing, mm.
     origin_mm: DVec2,
 }
 
 impl ObjectSheet {
-    /// Where a point of the drawing, mm, lies in the world of the object's pose, m, if it is
-    /// printed as it is drawn.
+    /// Maps a point of the drawing (mm), printed to scale, to the world frame (m).
     #[must_use]
     pub fn to_world(&self, drawn_mm: DVec2) -> DVec3 {
         let off = 1e-3 * (drawn_mm - self.origin_mm);
@@ -99,22 +97,22 @@ impl ObjectSheet {
     }
 }
 
-/// Draws the sheet of an object: markers in a ring around its silhouette (dashed), the outline of
-/// its bottom (solid), its frame's axes, rulers, and the board's hash.
+/// Draws the sheet of an object: a ring of markers around its silhouette (dashed), the outline of
+/// its bottom (solid), the axes of its frame, rulers, and the board's hash.
 ///
-/// The board's frame is the frame of the mesh; a place (x, y) of the sheet, y up, is (x, y, 0) in
-/// the pose's world. A printer's scale is taken out about the middle of the bottom's outline, to
-/// which the object is aligned.
+/// The board frame is the frame of the mesh; (x, y) of the sheet, y up, is (x, y, 0) in the world
+/// frame. The printer's scale is applied about the centre of the bottom's outline, to which the
+/// object is aligned.
 ///
 /// # Errors
-/// `Input` if the object does not stand on the sheet, a size is implausible, the ids run out of the
-/// dictionary, or the object does not fit; the remedy then names the paper that is large enough.
-pub fn object_sheet(object: &ObjectOnSheet<'_>, settings: &SheetSettings) -> Result<ObjectSheet> {
-    check_measured(settings.measured_mm)?;
+/// `Input` if the object does not stand on the sheet, a size is implausible, ids are outside the
+/// dictionary, or the object does not fit; the remedy then names a paper that is large enough.
+pub fn object_sheet(object: &SheetObject<'_>, settings: &SheetSettings) -> Result<ObjectSheet> {
+    check_ruler_lengths(settings.measured_mm)?;
     let t_world_object = object.t_world_object;
     let standing = object.mesh.transformed(&t_world_object);
     check_standing(&standing)?;
-    let silhouette = Silhouette::of(&standing);
+    let silhouette = Silhouette::new(&standing);
     let marker = MarkerSize {
         side: 1e3 * settings.marker_m,
         cell: 1e3 * settings.marker_m / settings.dictionary.cells_per_side() as f64,
@@ -129,13 +127,13 @@ pub fn object_sheet(object: &ObjectOnSheet<'_>, settings: &SheetSettings) -> Res
     let bottom: Vec<Outline> = section(&standing, SECTION_M)
         .iter()
         .map(millimetres)
-        .map(|outline| simplified(&outline, 0.01))
+        .map(|outline| simplify(&outline, 0.01))
         .collect();
-    let placed = Placed {
+    let placed = PlacedBoard {
         layout,
         marker,
-        object_middle: 0.5 * (silhouette.low + silhouette.high),
-        aligned_middle: middle(&bottom).unwrap_or(0.5 * (silhouette.low + silhouette.high)),
+        object_centre: 0.5 * (silhouette.low + silhouette.high),
+        aligned_centre: centre(&bottom).unwrap_or(0.5 * (silhouette.low + silhouette.high)),
         t_world_object,
     };
     let nominal = placed.board(settings, [RULER_MM; 2]);
@@ -157,7 +155,7 @@ pub fn object_sheet(object: &ObjectOnSheet<'_>, settings: &SheetSettings) -> Res
     })
 }
 
-/// Refuses an object that floats above the sheet or is sunk into it.
+/// Checks that the object stands on the sheet.
 fn check_standing(standing: &TriangleMesh) -> Result<()> {
     standing.validate()?;
     let lowest = standing.bounds().min.z;
@@ -178,8 +176,8 @@ fn millimetres(outline: &Outline) -> Outline {
     }
 }
 
-/// Middle of the box around outlines.
-fn middle(outlines: &[Outline]) -> Option<DVec2> {
+/// Centre of the bounding box of outlines.
+fn centre(outlines: &[Outline]) -> Option<DVec2> {
     let points = || outlines.iter().flat_map(|o| &o.points).copied();
     let low = points().reduce(DVec2::min)?;
     let high = points().reduce(DVec2::max)?;
@@ -192,50 +190,49 @@ fn does_not_fit(paper: Paper, marker: MarkerSize, silhouette: &Silhouette) -> Er
     let other = Paper::ALL.into_iter().find(fits);
     let remedy = other.map_or_else(
         || {
-            "no paper that is known is large enough: choose smaller markers, turn the object, or \
-            take another stable pose"
+            "no paper is large enough: choose smaller markers, rotate the object, or choose \
+             another stable pose"
                 .to_owned()
         },
-        |paper| format!("{paper} is large enough; smaller markers or a turn may help as well"),
+        |paper| format!("{paper} is large enough; smaller markers or a rotation may help as well"),
     );
     Error::input(format!(
-        "the object covers {:.0} × {:.0} mm: on {paper} no ring of markers of {} mm fits around \
-             it",
+        "the object covers {:.0} × {:.0} mm: no ring of {} mm markers fits around it on {paper}",
         size.x, size.y, marker.side
     ))
     .remedy(remedy)
 }
 
 /// Object and markers on the sheet.
-struct Placed {
+struct PlacedBoard {
     layout: Layout,
     marker: MarkerSize,
-    /// The point of the world's table plane, mm, that lies at the layout's middle.
-    object_middle: DVec2,
-    /// The point that stays where it is when the printer's scale is taken out, mm.
-    aligned_middle: DVec2,
+    /// Point of the table at the layout's centre, mm.
+    object_centre: DVec2,
+    /// Fixed point of the printer's scale, mm.
+    aligned_centre: DVec2,
     t_world_object: Pose,
 }
 
-impl Placed {
-    /// Point of the sheet, mm, to which a point of the table plane belongs.
+impl PlacedBoard {
+    /// Maps a point of the table to the sheet, mm.
     fn to_sheet(&self, table: DVec2) -> DVec2 {
-        let off = table - self.object_middle;
-        self.layout.middle + DVec2::new(off.x, -off.y)
+        let off = table - self.object_centre;
+        self.layout.centre + DVec2::new(off.x, -off.y)
     }
 
-    /// The reverse.
+    /// Inverse of [`Self::to_sheet`].
     fn to_table(&self, sheet: DVec2) -> DVec2 {
-        let off = sheet - self.layout.middle;
-        self.object_middle + DVec2::new(off.x, -off.y)
+        let off = sheet - self.layout.centre;
+        self.object_centre + DVec2::new(off.x, -off.y)
     }
 
     fn board(&self, settings: &SheetSettings, measured_mm: [f64; 2]) -> Board {
         let scale = DVec2::from_array(measured_mm) / RULER_MM;
         let t_object_world = self.t_world_object.inverse();
-        let place = |sheet: DVec2| {
-            let drawn = self.to_table(sheet) - self.aligned_middle;
-            let printed = self.aligned_middle + drawn * scale;
+        let to_object = |sheet: DVec2| {
+            let drawn = self.to_table(sheet) - self.aligned_centre;
+            let printed = self.aligned_centre + drawn * scale;
             t_object_world.transform_point(1e-3 * printed.extend(0.0))
         };
         let side = self.marker.side;
@@ -247,8 +244,8 @@ impl Placed {
         ];
         let marker = |(corner, id): (&DVec2, u32)| BoardMarker {
             id,
-            part: Part::Object,
-            corners_m: square.map(|off| place(*corner + off)),
+            body: Body::Object,
+            corners_m: square.map(|off| to_object(*corner + off)),
         };
         let corners = self.layout.corners.iter();
         Board {
@@ -262,7 +259,7 @@ impl Placed {
         &self,
         board: &Board,
         settings: &SheetSettings,
-        object: &ObjectOnSheet<'_>,
+        object: &SheetObject<'_>,
         silhouette: &Silhouette,
         bottom: &[Outline],
     ) -> Drawing {
@@ -270,7 +267,7 @@ impl Placed {
         let mut drawing = Drawing::new(self.layout.size_mm, &title);
         self.draw_markers(&mut drawing, board, &settings.dictionary);
         for outline in silhouette.outlines() {
-            drawing.dashed(self.on_sheet(&outline), true);
+            drawing.dashed_line(self.on_sheet(&outline), true);
         }
         for outline in bottom {
             drawing.shapes.push(Shape::Line {
@@ -302,24 +299,25 @@ impl Placed {
         }
     }
 
-    /// Cross and axes of the object's frame as they appear from above, where they leave the
-    /// markers alone.
+    /// Origin and axes of the object frame from above, if they do not touch the markers.
     fn draw_axes(&self, drawing: &mut Drawing) {
         let origin = self.to_sheet(1e3 * self.t_world_object.translation_m.truncate());
-        let reach = DVec2::splat(AXIS_MM + 4.0);
+        let half = DVec2::splat(AXIS_MM + 4.0);
         let [width, height] = drawing.size_mm;
         let page = DVec2::new(width, height);
-        let is_inside = (origin - reach).min_element() > 0.0 && (origin + reach).cmplt(page).all();
-        if !is_inside || !keeps_quiet(drawing, origin - reach, origin + reach, self.marker.cell) {
+        let is_inside = (origin - half).min_element() > 0.0 && (origin + half).cmplt(page).all();
+        if !is_inside
+            || !is_outside_quiet_zones(drawing, origin - half, origin + half, self.marker.cell)
+        {
             return;
         }
         for arm in [DVec2::X, DVec2::Y] {
-            drawing.thin(origin - 3.0 * arm, origin + 3.0 * arm);
+            drawing.thin_line(origin - 3.0 * arm, origin + 3.0 * arm);
         }
         let axes = [DVec3::X, DVec3::Y, DVec3::Z];
         for (axis, (name, colour)) in axes.into_iter().zip(AXES) {
-            let seen = self.t_world_object.transform_vector(axis);
-            let along = DVec2::new(seen.x, -seen.y);
+            let direction = self.t_world_object.transform_vector(axis);
+            let along = DVec2::new(direction.x, -direction.y);
             if along.length() < 0.2 {
                 continue;
             }
@@ -338,7 +336,7 @@ impl Placed {
         drawing: &mut Drawing,
         board: &Board,
         settings: &SheetSettings,
-        object: &ObjectOnSheet<'_>,
+        object: &SheetObject<'_>,
     ) {
         let ids = board.ids();
         let lines = [

@@ -14,20 +14,20 @@ fn settings() -> SheetSettings {
     }
 }
 
-/// A mesh in one of its stable poses, turned about the vertical.
-fn lying(mesh: &TriangleMesh, pose: usize, yaw_rad: f64) -> ObjectOnSheet<'_> {
+/// A mesh in one of its stable poses, rotated about the vertical.
+fn lying(mesh: &TriangleMesh, pose: usize, yaw_rad: f64) -> SheetObject<'_> {
     let pose = stable_poses(mesh, 0.0).unwrap()[pose].t_world_object;
-    ObjectOnSheet {
+    SheetObject {
         mesh,
         source: "builtin:test",
         t_world_object: Pose::from_rotation(DQuat::from_rotation_z(yaw_rad)) * pose,
     }
 }
 
-/// A built-in mesh as it is modelled.
-fn on(mesh: &TriangleMesh) -> ObjectOnSheet<'_> {
+/// A built-in mesh in its own orientation.
+fn on(mesh: &TriangleMesh) -> SheetObject<'_> {
     let lowest = mesh.bounds().min.z;
-    ObjectOnSheet {
+    SheetObject {
         mesh,
         source: "builtin:test",
         t_world_object: Pose::from_translation(DVec3::new(0.0, 0.0, -lowest)),
@@ -39,7 +39,7 @@ fn close(a: f64, b: f64) -> bool {
 }
 
 #[test]
-fn markers_keep_away_from_the_object_and_from_each_other() {
+fn markers_and_object_do_not_overlap() {
     for (name, paper, pose, yaw) in [
         ("mug", Paper::A4, 0, 0.0),
         ("mug", Paper::Letter, 1, 0.7),
@@ -58,7 +58,7 @@ fn markers_keep_away_from_the_object_and_from_each_other() {
         let [width, height] = sheet.drawing.size_mm;
         for (k, [x, y, w, h]) in markers.iter().enumerate() {
             assert!(close(*w, 30.0) && close(*h, 30.0));
-            // On the paper with its quiet zone, and nothing else in it.
+            // The quiet zone is on the paper and empty.
             assert!(x - cell > 0.0 && y - cell > 0.0);
             assert!(x + w + cell < width && y + h + cell < height);
             for [p, q, _, _] in &markers[..k] {
@@ -76,12 +76,12 @@ fn markers_keep_away_from_the_object_and_from_each_other() {
             for pair in points.windows(2) {
                 let (low, high) = (pair[0].min(pair[1]), pair[0].max(pair[1]));
                 assert!(
-                    keeps_quiet(&sheet.drawing, low, high, cell - 1e-9),
+                    is_outside_quiet_zones(&sheet.drawing, low, high, cell - 1e-9),
                     "{name}: {shape:?}"
                 );
             }
         }
-        // Every vertex of the object, seen from above, is outside of the quiet zones.
+        // All vertices of the object are outside the quiet zones.
         let t = sheet.file.sheet.as_ref().unwrap().t_world_object;
         for marker in &sheet.file.board.markers {
             let [low, high] = span(marker, &t);
@@ -108,13 +108,13 @@ fn span(marker: &BoardMarker, t_world_object: &Pose) -> [DVec2; 2] {
 }
 
 #[test]
-fn a_corner_is_drawn_where_the_board_file_says() {
+fn drawing_matches_the_board_file() {
     let mesh = builtin("wedge").unwrap();
     let sheet = object_sheet(&lying(&mesh, 2, 0.3), &settings()).unwrap();
     let t = sheet.file.sheet.as_ref().unwrap().t_world_object;
     let drawn: Vec<[f64; 4]> = sheet.drawing.markers().collect();
     assert_eq!(drawn.len(), sheet.file.board.markers.len());
-    // One shift brings all drawn corners onto the table, y up.
+    // All drawn corners match the table after one translation.
     let on_table = |k: usize, c: usize| {
         let corner = sheet.file.board.markers[k].corners_m[c];
         1e3 * t.transform_point(corner).truncate()
@@ -129,7 +129,7 @@ fn a_corner_is_drawn_where_the_board_file_says() {
             assert!(on_table(k, c).distance(expected) < 1e-9);
         }
     }
-    // The contour that is drawn is the object's own, moved by the same shift.
+    // The drawn outline matches that of the object.
     let bottom: Vec<DVec2> = sheet
         .drawing
         .shapes
@@ -154,7 +154,7 @@ fn a_corner_is_drawn_where_the_board_file_says() {
 }
 
 #[test]
-fn rulers_are_a_hundred_millimetres() {
+fn sheet_has_two_rulers() {
     let mesh = builtin("box").unwrap();
     let sheet = object_sheet(&on(&mesh), &settings()).unwrap();
     let is_ruler = |shape: &&Shape| match shape {
@@ -168,7 +168,7 @@ fn rulers_are_a_hundred_millimetres() {
 }
 
 #[test]
-fn a_printers_scale_corrects_the_board_and_not_the_drawing() {
+fn printer_scale_changes_the_board_only() {
     let mesh = builtin("mug").unwrap();
     let plain = object_sheet(&on(&mesh), &settings()).unwrap();
     let scaled = SheetSettings {
@@ -190,73 +190,73 @@ fn a_printers_scale_corrects_the_board_and_not_the_drawing() {
     {
         let [low, high] = span(b, &t);
         assert!((high - low).distance(DVec2::new(29.7, 30.45)) < 1e-6);
-        // About the middle of the mug's foot, which is the axis: 14 mm left of the box's middle.
+        // The fixed point is the axis of the mug, not the centre of its bounding box.
         let [from, _] = span(a, &t);
-        let middle = (low - from * DVec2::new(0.99, 1.015)) / DVec2::new(0.01, -0.015);
+        let fixed_point = (low - from * DVec2::new(0.99, 1.015)) / DVec2::new(0.01, -0.015);
         assert!(
-            middle.distance(1e3 * t.translation_m.truncate()) < 0.2,
-            "{middle}"
+            fixed_point.distance(1e3 * t.translation_m.truncate()) < 0.2,
+            "{fixed_point}"
         );
     }
 }
 
 #[test]
-fn too_large_objects_are_told_which_paper_fits() {
+fn papers_that_fit_are_named() {
     let large = builtin("box").unwrap().scaled(4.5);
-    let said = object_sheet(&on(&large), &settings())
+    let error = object_sheet(&on(&large), &settings())
         .unwrap_err()
         .to_string();
     assert!(
-        said.contains("covers 180") && said.contains("A3 is large enough"),
-        "{said}"
+        error.contains("covers 180") && error.contains("A3 is large enough"),
+        "{error}"
     );
     let huge = builtin("box").unwrap().scaled(20.0);
-    let said = object_sheet(&on(&huge), &settings())
+    let error = object_sheet(&on(&huge), &settings())
         .unwrap_err()
         .to_string();
-    assert!(said.contains("no paper"), "{said}");
+    assert!(error.contains("no paper"), "{error}");
 }
 
 #[test]
-fn impossible_wishes_are_explained() {
+fn invalid_settings_are_rejected() {
     let mesh = builtin("box").unwrap();
-    let refused = |object: &ObjectOnSheet<'_>, settings: &SheetSettings, word: &str| {
-        let said = object_sheet(object, settings).unwrap_err().to_string();
-        assert!(said.contains(word), "{said}");
+    let check = |object: &SheetObject<'_>, settings: &SheetSettings, word: &str| {
+        let error = object_sheet(object, settings).unwrap_err().to_string();
+        assert!(error.contains(word), "{error}");
     };
-    let floating = ObjectOnSheet {
+    let floating = SheetObject {
         t_world_object: Pose::IDENTITY,
         ..on(&mesh)
     };
-    refused(&floating, &settings(), "lowest point is at -30.000 mm");
+    check(&floating, &settings(), "lowest point is at -30.000 mm");
     let empty = TriangleMesh::default();
-    let nothing = ObjectOnSheet {
+    let nothing = SheetObject {
         mesh: &empty,
         ..on(&mesh)
     };
-    refused(&nothing, &settings(), "no triangles");
+    check(&nothing, &settings(), "no triangles");
     let with = |change: &dyn Fn(&mut SheetSettings)| {
         let mut changed = settings();
         change(&mut changed);
         changed
     };
-    refused(&on(&mesh), &with(&|s| s.first_id = 245), "ends with id 249");
-    refused(
+    check(&on(&mesh), &with(&|s| s.first_id = 245), "ends with id 249");
+    check(
         &on(&mesh),
         &with(&|s| s.marker_m = 30.0),
         "from 5 to 400 mm",
     );
-    refused(
+    check(
         &on(&mesh),
         &with(&|s| s.marker_m = f64::NAN),
         "from 5 to 400 mm",
     );
-    refused(
+    check(
         &on(&mesh),
         &with(&|s| s.measured_mm = [9.9, 10.0]),
         "100 mm",
     );
-    refused(
+    check(
         &on(&mesh),
         &with(&|s| s.measured_mm = [f64::NAN; 2]),
         "100 mm",

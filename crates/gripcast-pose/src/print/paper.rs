@@ -1,11 +1,11 @@
-//! Sizes of paper.
+//! Paper sizes.
 
 use std::fmt;
 use std::str::FromStr;
 
 use gripcast_base::error::{Error, Result, unknown_name};
 
-/// A size of paper.
+/// A paper size.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Paper {
     /// 210 × 297 mm.
@@ -21,7 +21,7 @@ impl Paper {
     /// All sizes.
     pub const ALL: [Self; 3] = [Self::A4, Self::A3, Self::Letter];
 
-    /// Its name.
+    /// Name of the size.
     pub fn name(self) -> &'static str {
         match self {
             Self::A4 => "A4",
@@ -56,8 +56,9 @@ impl FromStr for Paper {
     type Err = Error;
 
     fn from_str(text: &str) -> Result<Self> {
-        let is_meant = |paper: &Self| paper.name().eq_ignore_ascii_case(text);
-        let known = Self::ALL.into_iter().find(is_meant);
-        known.ok_or_else(|| unknown_name("paper", text, &Self::ALL.map(Self::name)))
+        let mut papers = Self::ALL.into_iter();
+        papers
+            .find(|paper| paper.name().eq_ignore_ascii_case(text))
+            .ok_or_else(|| unknown_name("paper", text, &Self::ALL.map(Self::name)))
     }
 }

@@ -1,17 +1,16 @@
-//! A drawing as PDF.
+//! PDF output.
 
 use glam::DVec2;
 use pdf_writer::{Content, Finish as _, Name, Pdf, Rect, Ref, Str, TextStr};
 
 use super::drawing::{Drawing, Shape, TextAnchor};
 
-/// Points of 1/72 in in a millimetre.
+/// Points (1/72 in) per millimetre.
 const POINTS_PER_MM: f64 = 72.0 / 25.4;
-/// Mean width of a letter of Helvetica, relative to the size of the font; digits have this one.
+/// Width of Helvetica's digits, relative to the font size.
 const LETTER: f64 = 0.556;
 
-/// The PDF file of a drawing: vectors and the built-in font Helvetica. Viewers are asked not to
-/// scale the page when they print it.
+/// Writes a drawing as PDF with the standard font Helvetica and print scaling off.
 pub fn pdf(drawing: &Drawing) -> Vec<u8> {
     let [catalog, pages, page, font, content, info] = [1, 2, 3, 4, 5, 6].map(Ref::new);
     let [width, height] = drawing.size_mm.map(|mm| (mm * POINTS_PER_MM) as f32);
@@ -34,7 +33,7 @@ pub fn pdf(drawing: &Drawing) -> Vec<u8> {
     file.finish()
 }
 
-/// The page's content in mm, y down: the first transform makes points of them.
+/// The page's content stream, in mm with y down after the first transform.
 fn stream(drawing: &Drawing, height: f32) -> Vec<u8> {
     let scale = POINTS_PER_MM as f32;
     let mut out = Content::new();
@@ -53,7 +52,7 @@ fn push(out: &mut Content, shape: &Shape) {
                 let [x, y, width, height] = [x, y, width, height].map(|v| *v as f32);
                 out.rect(x, y, width, height);
             }
-            // One path, so that no seams show between cells.
+            // A single path avoids seams between cells.
             out.fill_even_odd();
         }
         Shape::Line {
@@ -111,9 +110,9 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_page_and_a_ruler_have_their_size() {
+    fn page_and_lines_are_to_scale() {
         let mut drawing = Drawing::new([297.0, 210.0], "t");
-        drawing.thin(DVec2::new(12.5, 20.0), DVec2::new(112.5, 20.0));
+        drawing.thin_line(DVec2::new(12.5, 20.0), DVec2::new(112.5, 20.0));
         drawing.text(DVec2::new(20.0, 30.0), 3.0, TextAnchor::Middle, "(100 mm)");
         let bytes = pdf(&drawing);
         let text = String::from_utf8_lossy(&bytes);
@@ -126,7 +125,7 @@ mod tests {
         let size = numbers(media);
         assert!((size[2] - 297.0 * POINTS_PER_MM).abs() < 1e-4, "{media}");
         assert!((size[3] - 210.0 * POINTS_PER_MM).abs() < 1e-4, "{media}");
-        // Coordinates are mm; the transform turns 100 of them into 283.4646 points.
+        // 100 mm are 283.4646 points.
         let transform = numbers(line(" cm"));
         assert!((100.0 * transform[0] - 283.464_566_9).abs() < 1e-4);
         assert!((100.0 * transform[3] + 283.464_566_9).abs() < 1e-4);

@@ -1,8 +1,8 @@
-//! A drawing as a grey PNG of known resolution.
+//! Greyscale PNG output.
 //!
-//! Cells are drawn by the fraction of each pixel that they cover, so that their edges keep their
-//! place to a hundredth of a pixel. A point at x mm lies at x · dpi / 25.4 − ½ px, pixel (0, 0)
-//! being the centre of the top-left pixel.
+//! Cells are drawn by their coverage of each pixel, so that their edges are accurate to a hundredth
+//! of a pixel. A point at x mm is at x · dpi / 25.4 − ½ px; (0, 0) is the centre of the top-left
+//! pixel.
 
 use glam::DVec2;
 use image::GrayImage;
@@ -11,21 +11,21 @@ use noto_sans_mono_bitmap::{FontWeight, RasterHeight, get_raster, get_raster_wid
 use super::drawing::{Drawing, Shape, TextAnchor};
 use gripcast_base::error::{Error, Result};
 
-/// Resolutions that are drawn, dots per inch.
+/// Supported resolutions, dots per inch.
 const DPI: std::ops::RangeInclusive<f64> = 72.0..=1200.0;
-/// Width of a letter, relative to the size of the font: that of Helvetica's digits.
+/// Width of Helvetica's digits, relative to the font size.
 const LETTER: f64 = 0.556;
-/// Height of the font's raster, px, with the parts below the baseline.
+/// Height of a rastered letter including descenders, px.
 const RASTER: usize = 32;
-/// Row of the raster on which letters stand.
+/// Row of the baseline in the raster.
 const BASELINE: f64 = 25.0;
-/// Size of the font that the raster shows, px.
+/// Font size of the raster, px.
 const RASTER_EM: f64 = 27.0;
 
-/// The PNG file of a drawing, grey, with its resolution in the chunk `pHYs`.
+/// Writes a drawing as greyscale PNG with its resolution in the chunk `pHYs`.
 ///
 /// # Errors
-/// `Input` for a resolution that is not from 72 to 1200 dots per inch.
+/// `Input` for a resolution outside 72 to 1200 dots per inch.
 pub fn png(drawing: &Drawing, dpi: f64) -> Result<Vec<u8>> {
     let image = raster(drawing, dpi)?;
     let failed =
@@ -46,7 +46,7 @@ pub fn png(drawing: &Drawing, dpi: f64) -> Result<Vec<u8>> {
     Ok(out)
 }
 
-/// The pixels of a drawing: the fraction of each that is bare paper, 255 all of it.
+/// Rasters a drawing: 255 times the fraction of each pixel that is not covered.
 ///
 /// # Errors
 /// As [`png()`].
@@ -60,23 +60,23 @@ pub fn raster(drawing: &Drawing, dpi: f64) -> Result<GrayImage> {
     }
     let scale = dpi / 25.4;
     let [width, height] = drawing.size_mm.map(|mm| (mm * scale).round() as u32);
-    let mut film = Film {
+    let mut canvas = Canvas {
         image: GrayImage::from_pixel(width, height, image::Luma([255])),
         scale,
     };
     for shape in &drawing.shapes {
-        film.draw(shape);
+        canvas.draw(shape);
     }
-    Ok(film.image)
+    Ok(canvas.image)
 }
 
-struct Film {
+struct Canvas {
     image: GrayImage,
-    /// Pixels in a millimetre.
+    /// Pixels per millimetre.
     scale: f64,
 }
 
-impl Film {
+impl Canvas {
     fn draw(&mut self, shape: &Shape) {
         match shape {
             Shape::Marker { outer, holes } => self.marker(outer, holes),
@@ -110,8 +110,8 @@ impl Film {
         }
     }
 
-    /// Columns or rows that an interval in px touches, cut off at the image.
-    fn touched(from: f64, to: f64, count: u32) -> std::ops::Range<u32> {
+    /// Columns or rows that overlap an interval in px, clamped to the image.
+    fn overlapping(from: f64, to: f64, count: u32) -> std::ops::Range<u32> {
         let clamp = |v: f64| v.clamp(0.0, f64::from(count)) as u32;
         clamp(from.floor())..clamp(to.ceil())
     }
@@ -120,17 +120,17 @@ impl Film {
         let scaled = |r: &[f64; 4]| r.map(|v| v * self.scale);
         let outer = scaled(outer);
         let holes: Vec<[f64; 4]> = holes.iter().map(scaled).collect();
-        let columns = Self::touched(outer[0], outer[0] + outer[2], self.image.width());
-        let rows = Self::touched(outer[1], outer[1] + outer[3], self.image.height());
+        let columns = Self::overlapping(outer[0], outer[0] + outer[2], self.image.width());
+        let rows = Self::overlapping(outer[1], outer[1] + outer[3], self.image.height());
         for y in rows {
             for x in columns.clone() {
-                let white: f64 = holes.iter().map(|hole| covered(hole, x, y)).sum();
-                self.darken(x, y, covered(&outer, x, y) - white, 0.0);
+                let white: f64 = holes.iter().map(|hole| coverage(hole, x, y)).sum();
+                self.darken(x, y, coverage(&outer, x, y) - white, 0.0);
             }
         }
     }
 
-    /// A line with butt ends.
+    /// A line with butt caps.
     fn segment(&mut self, [a, b]: [DVec2; 2], width_mm: f64, grey: f64) {
         let (a, b) = (a * self.scale, b * self.scale);
         let half = 0.5 * width_mm * self.scale;
@@ -138,12 +138,12 @@ impl Film {
         let along = (b - a).normalize_or_zero();
         let (low, high) = (a.min(b) - half - 1.0, a.max(b) + half + 1.0);
         let ramp = |inside: f64| (inside + 0.5).clamp(0.0, 1.0);
-        for y in Self::touched(low.y, high.y, self.image.height()) {
-            for x in Self::touched(low.x, high.x, self.image.width()) {
+        for y in Self::overlapping(low.y, high.y, self.image.height()) {
+            for x in Self::overlapping(low.x, high.x, self.image.width()) {
                 let p = DVec2::new(f64::from(x) + 0.5, f64::from(y) + 0.5) - a;
                 let (u, v) = (p.dot(along), p.perp_dot(along).abs());
                 let ends = ramp(u).min(ramp(length - u));
-                // Thinner than a pixel, it is paler, not narrower.
+                // Lines thinner than a pixel are drawn lighter.
                 let across = (ramp(half - v) - ramp(-half - v)).max(0.0);
                 self.darken(x, y, ends * across, grey);
             }
@@ -168,7 +168,7 @@ impl Film {
         };
         let columns = get_raster_width(FontWeight::Regular, RasterHeight::Size32);
         let at = at * self.scale;
-        // Pixels of the image in one of the glyph, along x and y.
+        // Image pixels per glyph pixel, along x and y.
         let step = DVec2::new(
             LETTER * size_mm * self.scale / columns as f64,
             size_mm * self.scale / RASTER_EM,
@@ -178,8 +178,8 @@ impl Film {
         let bottom = top + RASTER as f64 * step.y;
         let ink =
             |column: usize, row: usize| f64::from(glyph.pixel(column, row).unwrap_or(0)) / 255.0;
-        for y in Self::touched(top, bottom, self.image.height()) {
-            for x in Self::touched(at.x, right, self.image.width()) {
+        for y in Self::overlapping(top, bottom, self.image.height()) {
+            for x in Self::overlapping(at.x, right, self.image.width()) {
                 let column = (f64::from(x) + 0.5 - at.x) / step.x;
                 let row = (f64::from(y) + 0.5 - top) / step.y;
                 if column < 0.0 || row < 0.0 {
@@ -197,8 +197,8 @@ impl Film {
     }
 }
 
-/// Fraction of a pixel that a rectangle in px covers; pixel 0 reaches from 0 to 1.
-fn covered([left, top, width, height]: &[f64; 4], x: u32, y: u32) -> f64 {
+/// Fraction of a pixel covered by a rectangle in px; pixel 0 is from 0 to 1.
+fn coverage([left, top, width, height]: &[f64; 4], x: u32, y: u32) -> f64 {
     let overlap = |from: f64, length: f64, pixel: u32| {
         let pixel = f64::from(pixel);
         ((from + length).min(pixel + 1.0) - from.max(pixel)).max(0.0)
@@ -206,7 +206,7 @@ fn covered([left, top, width, height]: &[f64; 4], x: u32, y: u32) -> f64 {
     overlap(*left, *width, x) * overlap(*top, *height, y)
 }
 
-/// The dashes of a line.
+/// Dashes of a line.
 fn dashes(points: &[DVec2], [on, off]: [f64; 2]) -> Vec<[DVec2; 2]> {
     let mut pieces = Vec::new();
     let mut is_on = true;
@@ -237,7 +237,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_file_tells_its_resolution() {
+    fn file_has_its_resolution() {
         let drawing = Drawing::new([50.8, 25.4], "t");
         let bytes = png(&drawing, 300.0).unwrap();
         let decoder = png::Decoder::new(std::io::Cursor::new(bytes));
@@ -255,11 +255,11 @@ mod tests {
     }
 
     #[test]
-    fn a_hundred_millimetres_are_counted_in_pixels() {
+    fn lines_are_to_scale() {
         let mut drawing = Drawing::new([120.0, 20.0], "t");
         let y = 10.0;
         for x in [10.0, 110.0] {
-            drawing.thin(DVec2::new(x, y - 3.0), DVec2::new(x, y + 3.0));
+            drawing.thin_line(DVec2::new(x, y - 3.0), DVec2::new(x, y + 3.0));
         }
         let image = raster(&drawing, 300.0).unwrap();
         let row = (y * 300.0 / 25.4) as u32;
@@ -272,9 +272,9 @@ mod tests {
             })
             .collect();
         let middle = |range: std::ops::Range<usize>| {
-            let part = &dark[range];
-            let weight: f64 = part.iter().map(|(_, w)| w).sum();
-            part.iter().map(|(x, w)| x * w).sum::<f64>() / weight
+            let dark = &dark[range];
+            let weight: f64 = dark.iter().map(|(_, w)| w).sum();
+            dark.iter().map(|(x, w)| x * w).sum::<f64>() / weight
         };
         let half = dark.len() / 2;
         let (first, last) = (middle(0..half), middle(half..dark.len()));
@@ -283,7 +283,7 @@ mod tests {
     }
 
     #[test]
-    fn edges_of_cells_keep_their_place_below_a_pixel() {
+    fn cell_edges_are_accurate_below_a_pixel() {
         let mut drawing = Drawing::new([20.0, 20.0], "t");
         drawing.shapes.push(Shape::Marker {
             outer: [2.03, 3.07, 10.0, 10.0],
@@ -301,7 +301,7 @@ mod tests {
     }
 
     #[test]
-    fn dashes_carry_over_corners() {
+    fn dashes_continue_around_corners() {
         let points = [DVec2::ZERO, DVec2::new(3.0, 0.0), DVec2::new(3.0, 4.0)];
         let pieces = dashes(&points, [2.0, 2.0]);
         let length: f64 = pieces.iter().map(|[a, b]| a.distance(*b)).sum();

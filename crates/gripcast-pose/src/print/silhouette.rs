@@ -1,36 +1,36 @@
-//! What an object covers of the sheet, seen from above.
+//! Silhouette of an object on the sheet from above.
 
 use glam::DVec2;
 
-use super::contour::{Outline, chain, simplified};
+use super::contour::{Outline, chain, simplify};
 use gripcast_geometry::TriangleMesh;
 
-/// Width of a sample, mm, for objects that are not very large.
+/// Minimum distance of samples, mm.
 const PITCH_MM: f64 = 0.1;
-/// Most samples along a side.
+/// Maximum number of samples along a side.
 const MAX_SAMPLES: f64 = 3000.0;
 
-/// Samples on a grid, each covered or not. Good to half a sample.
+/// Binary samples on a grid.
 pub(super) struct Silhouette {
-    /// Middle of the first sample, mm.
+    /// Centre of the first sample, mm.
     first: DVec2,
     pitch: f64,
     columns: usize,
     rows: usize,
     covered: Vec<bool>,
-    /// Corners of the box around it, mm.
+    /// Corners of the bounding box, mm.
     pub(super) low: DVec2,
     pub(super) high: DVec2,
 }
 
 impl Silhouette {
-    /// Projection along z of a mesh in metres, which must not be empty.
-    pub(super) fn of(mesh: &TriangleMesh) -> Self {
+    /// Projects a non-empty mesh (m) along z.
+    pub(super) fn new(mesh: &TriangleMesh) -> Self {
         let bounds = mesh.bounds();
         let (low, high) = (1e3 * bounds.min.truncate(), 1e3 * bounds.max.truncate());
         let size = high - low;
         let pitch = PITCH_MM.max(size.max_element() / MAX_SAMPLES);
-        // A free sample all around lets outlines close.
+        // Uncovered samples all around close the outlines.
         let count = |length: f64| (length / pitch).ceil() as usize + 3;
         let (columns, rows) = (count(size.x), count(size.y));
         let mut silhouette = Self {
@@ -95,21 +95,21 @@ impl Silhouette {
 
     /// Outlines in mm.
     pub(super) fn outlines(&self) -> Vec<Outline> {
-        let place = |[x, y]: [i64; 2]| {
-            // Half a sample, as corners lie between the samples.
+        let position = |[x, y]: [i64; 2]| {
+            // Corners lie between the samples.
             self.first + (DVec2::new(x as f64, y as f64) - 0.5) * self.pitch
         };
         let smooth = |corners: Vec<[i64; 2]>| {
             let outline = Outline {
-                points: corners.into_iter().map(place).collect(),
+                points: corners.into_iter().map(position).collect(),
                 closed: true,
             };
-            simplified(&outline, 0.9 * self.pitch)
+            simplify(&outline, 0.9 * self.pitch)
         };
         self.borders().into_iter().map(smooth).collect()
     }
 
-    /// Closed walks along the sides between covered and free samples, by their corners.
+    /// Corners of the closed boundaries between covered and uncovered samples.
     fn borders(&self) -> Vec<Vec<[i64; 2]>> {
         let is_covered = |x: i64, y: i64| {
             let (column, row) = (x as usize, y as usize);
@@ -119,7 +119,7 @@ impl Silhouette {
                 && row < self.rows
                 && self.covered[row * self.columns + column]
         };
-        // Sides with the covered sample at one hand, in order of rows.
+        // Boundary sides of the covered samples, oriented, by row.
         let mut sides: Vec<([i64; 2], [i64; 2])> = Vec::new();
         for y in 0..self.rows as i64 {
             for x in 0..self.columns as i64 {
@@ -150,11 +150,11 @@ mod tests {
     use gripcast_geometry::builtin;
 
     #[test]
-    fn a_mug_covers_its_body_and_its_handle() {
-        let silhouette = Silhouette::of(&builtin("mug").unwrap());
+    fn silhouette_of_a_mug_has_its_handle() {
+        let silhouette = Silhouette::new(&builtin("mug").unwrap());
         assert!((silhouette.high.x - 63.0).abs() < 0.2 && (silhouette.low.x + 30.0).abs() < 0.2);
         let at = |x: f64, y: f64| silhouette.touches(DVec2::new(x, y), DVec2::new(x, y));
-        // The wall, the bottom that is seen through the opening, the handle.
+        // The wall, the bottom and the handle.
         assert!(at(-29.0, 0.0) && at(0.0, 0.0) && at(60.0, 0.0));
         assert!(!at(60.0, 20.0) && !at(-25.0, 25.0) && !at(200.0, 0.0));
         let outlines = silhouette.outlines();
@@ -168,22 +168,22 @@ mod tests {
     }
 
     #[test]
-    fn a_ring_has_an_inner_outline() {
+    fn silhouette_of_a_ring_has_an_inner_outline() {
         let mesh = builtin("mug").unwrap();
-        // Without what lies above the bottom's inside: the wall alone.
+        // The wall without the bottom.
         let is_wall = |t: &&[u32; 3]| {
-            let middle = t
+            let centre = t
                 .iter()
                 .map(|v| mesh.vertices[*v as usize])
                 .sum::<glam::DVec3>()
                 / 3.0;
-            middle.truncate().length() > 0.0255
+            centre.truncate().length() > 0.0255
         };
         let ring = TriangleMesh {
             vertices: mesh.vertices.clone(),
             triangles: mesh.triangles.iter().filter(is_wall).copied().collect(),
         };
-        let silhouette = Silhouette::of(&ring);
+        let silhouette = Silhouette::new(&ring);
         assert_eq!(silhouette.outlines().len(), 2);
         assert!(!silhouette.touches(DVec2::splat(-5.0), DVec2::splat(5.0)));
         assert!(silhouette.touches(DVec2::splat(-22.0), DVec2::splat(22.0)));

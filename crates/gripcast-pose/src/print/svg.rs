@@ -1,4 +1,4 @@
-//! A drawing as SVG.
+//! SVG output.
 
 use std::fmt::Write as _;
 
@@ -6,7 +6,7 @@ use glam::DVec2;
 
 use super::drawing::{Drawing, Shape, TextAnchor};
 
-/// The SVG file of a drawing; one user unit is one millimetre.
+/// Writes a drawing as SVG; one user unit is one millimetre.
 pub fn svg(drawing: &Drawing) -> String {
     let [width, height] = drawing.size_mm.map(number);
     let mut out = format!(
@@ -26,7 +26,7 @@ fn push(out: &mut String, shape: &Shape) {
     match shape {
         Shape::Marker { outer, holes } => {
             let path: String = std::iter::once(outer).chain(holes).map(rectangle).collect();
-            // One path, so that no seams show between cells.
+            // A single path avoids seams between cells.
             let _ = writeln!(out, "<path fill-rule=\"evenodd\" d=\"{path}\"/>");
         }
         Shape::Line {
@@ -77,14 +77,14 @@ fn rectangle([x, y, width, height]: &[f64; 4]) -> String {
 }
 
 fn polyline(points: &[DVec2]) -> String {
-    let places: Vec<String> = points
+    let positions: Vec<String> = points
         .iter()
         .map(|p| format!("{} {}", number(p.x), number(p.y)))
         .collect();
-    format!("M{}", places.join("L"))
+    format!("M{}", positions.join("L"))
 }
 
-/// Millimetres to a tenth of a micrometre.
+/// Millimetres, rounded to 0.1 µm.
 fn number(value: f64) -> String {
     let rounded = (value * 1e4).round() / 1e4;
     format!("{}", rounded + 0.0)
@@ -102,10 +102,10 @@ mod tests {
     use crate::Dictionary;
 
     #[test]
-    fn millimetres_are_millimetres() {
+    fn user_units_are_millimetres() {
         let mut drawing = Drawing::new([210.0, 297.0], "a <b> & ü");
-        drawing.thin(DVec2::new(10.0, 20.0), DVec2::new(110.0, 20.0));
-        drawing.dashed(vec![DVec2::ZERO, DVec2::X, DVec2::Y], true);
+        drawing.thin_line(DVec2::new(10.0, 20.0), DVec2::new(110.0, 20.0));
+        drawing.dashed_line(vec![DVec2::ZERO, DVec2::X, DVec2::Y], true);
         drawing.text(DVec2::ONE, 3.0, TextAnchor::Middle, "100 mm < 1 m");
         let text = svg(&drawing);
         assert!(text.contains("width=\"210mm\" height=\"297mm\" viewBox=\"0 0 210 297\""));
@@ -116,7 +116,7 @@ mod tests {
     }
 
     #[test]
-    fn a_marker_is_one_path_with_its_white_cells_cut_out() {
+    fn marker_is_a_single_path_with_holes() {
         let dictionary = Dictionary::by_name("DICT_4X4_50").unwrap();
         let mut drawing = Drawing::new([100.0, 100.0], "m");
         let cells = dictionary.marker(0).unwrap();

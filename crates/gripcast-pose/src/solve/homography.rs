@@ -1,14 +1,14 @@
-//! Homography from a plane to ideal image coordinates.
+//! Homography from a plane to normalised image coordinates.
 
 use glam::{DMat3, DVec2, DVec3};
 
 use gripcast_base::linear::NormalEquations;
 
-/// H that maps plane coordinates (m) to ideal image coordinates, with h33 = 1: the origin of the
-/// plane has to be in front of the camera, as the middle of what is seen is.
+/// Homography from plane coordinates (m) to normalised image coordinates, with h33 = 1: the
+/// origin of the plane must be in front of the camera.
 ///
 /// Direct linear transform over normalised points (Hartley, *In defense of the eight-point
-/// algorithm*, 1997). None for points that do not span the plane.
+/// algorithm*, 1997). `None`: the points do not span the plane.
 pub(crate) fn plane_to_image(plane_m: &[DVec2], ideal: &[DVec2]) -> Option<DMat3> {
     let (plane, from_plane) = normalised(plane_m)?;
     let (image, from_image) = normalised(ideal)?;
@@ -31,7 +31,7 @@ pub(crate) fn plane_to_image(plane_m: &[DVec2], ideal: &[DVec2]) -> Option<DMat3
     (scale.is_finite() && scale != 0.0).then(|| result * scale.recip())
 }
 
-/// Points with centroid 0 and mean distance 1, and the map that made them.
+/// Points with centroid 0 and mean distance 1, and the applied transform.
 fn normalised(points: &[DVec2]) -> Option<(Vec<DVec2>, DMat3)> {
     let count = points.len() as f64;
     let centre = points.iter().sum::<DVec2>() / count;
@@ -82,7 +82,7 @@ mod tests {
     }
 
     #[test]
-    fn points_on_a_line_have_none() {
+    fn collinear_points_have_no_homography() {
         let line: Vec<DVec2> = (0..5).map(|i| DVec2::splat(f64::from(i))).collect();
         assert!(plane_to_image(&line, &line).is_none());
         assert!(plane_to_image(&[DVec2::ZERO; 4], &line[..4]).is_none());

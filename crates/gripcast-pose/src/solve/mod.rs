@@ -1,179 +1,171 @@
-//! Poses from detected markers: starts from each marker's two possible poses, joint
-//! Levenberg–Marquardt over all corners of a rigid part, covariance, ambiguity.
+//! Poses of rigid bodies from detected markers: initial poses by IPPE, joint Levenberg–Marquardt
+//! over all corners, covariance, ambiguity.
 
+mod body_pose;
 pub(super) mod homography;
 mod hypotheses;
 mod ippe;
-mod part_pose;
+mod observation;
 mod reprojection;
-mod sighting;
 #[cfg(test)]
 mod solve_test;
 
-pub use part_pose::{GripperPose, MarkerResidual, Opening, PartPose, RelativePose, relative};
+pub use body_pose::{BodyPose, GripperPose, MarkerResidual, Opening, RelativePose, relative_pose};
 
-use super::board::{Board, Part};
+use super::board::{Board, Body};
 use super::detection::Detection;
+use super::least_squares::angle_between;
 use gripcast_base::error::{Error, Result};
 use gripcast_base::statistics::median;
 use gripcast_imaging::Intrinsics;
-use hypotheses::{angle_between, hypotheses, together};
-use reprojection::{Fit, Observation, State, minimise};
-use sighting::{Sighting, normals_apart, sightings};
+use hypotheses::{coplanar_poses, hypotheses};
+use observation::{MarkerObservation, normal_spread, observe_markers};
+use reprojection::{CornerObservation, Fit, State, minimise};
 
-/// Standard deviation of a corner's coordinate that no detector betters on real images, px.
+/// Lower bound of the standard deviation of a corner coordinate, px.
 const MIN_SIGMA_PX: f64 = 0.03;
-/// As many residuals of [`MIN_SIGMA_PX`] are added before a deviation is taken of few.
+/// Number of residuals of [`MIN_SIGMA_PX`] that the estimated deviation includes as a prior.
 const PRIOR_RESIDUALS: f64 = 4.0;
-/// Residuals of the least-squares part of the loss, times their median.
+/// Ratio of the Huber threshold to the median residual.
 const LOSS_OF_MEDIAN: f64 = 2.0;
-/// Loss of the first search, px.
+/// Huber threshold of the first search, px.
 const ROUGH_LOSS_PX: f64 = 2.0;
-/// The loss is never narrower, px.
+/// Minimum Huber threshold, px.
 const MIN_LOSS_PX: f64 = 0.1;
-/// A marker is an outlier if it fits worse than this and than [`OUTLIER_OF_MEDIAN`], px.
+/// A marker is an outlier if its residual exceeds this and [`OUTLIER_OF_MEDIAN`], px.
 const OUTLIER_PX: f64 = 1.0;
-/// See [`OUTLIER_PX`]; times the median residual.
+/// Ratio of an outlier's residual to the median residual.
 const OUTLIER_OF_MEDIAN: f64 = 5.0;
-/// With a larger error the markers are not where the board's description has them, px.
-const CONTRADICTION_PX: f64 = 4.0;
-/// Minima nearer than this are one, rad.
+/// Maximum reprojection error at which markers match the board file, px.
+const MAX_RMS_PX: f64 = 4.0;
+/// Rotations closer than this belong to the same minimum, rad.
 const SAME_MINIMUM_RAD: f64 = 0.017;
-/// Markers whose normals are this far apart have one pose: 30°.
+/// Spread of the normals from which the pose is unambiguous: 30°.
 const UNAMBIGUOUS_RAD: f64 = std::f64::consts::FRAC_PI_6;
-/// The runner-up is refuted by this many squared deviations of a corner …
-const REFUTED: f64 = 25.0;
-/// … which is at least this, px, as single markers hide their errors well.
-const REFUTED_SIGMA_PX: f64 = 0.1;
-/// Openings that searches start from, m.
+/// The alternative is rejected if its cost is higher by this many corner variances …
+const REJECTION_VARIANCES: f64 = 25.0;
+/// … with at least this deviation, px: residuals of a single marker underestimate the errors.
+const MIN_REJECTION_SIGMA_PX: f64 = 0.1;
+/// Initial openings of the search, m.
 const OPENINGS_M: [f64; 3] = [0.0, 0.04, 0.08];
 
-/// Pose of one rigid part from its markers among `detections`.
+/// Solves the pose of a rigid body from its markers in `detections`.
 ///
 /// # Errors
-/// `Input` if none of its markers was seen, or if they contradict the board's description.
-pub fn solve_part(
+/// `Input` if none of its markers was detected, or if they do not match the board file.
+pub fn solve_body_pose(
     board: &Board,
-    part: Part,
+    body: Body,
     detections: &[Detection],
     intrinsics: &Intrinsics,
-) -> Result<PartPose> {
-    let (seen, notes) = sightings(board, &[part], detections, intrinsics);
-    // A rigid part's own markers do not slide against each other.
-    let seen: Vec<Sighting> = seen.into_iter().map(|s| slid(s, 0.0)).collect();
-    let solved = solve::<6>(board, part, &seen, intrinsics, &[0.0])?;
-    Ok(part_pose(part, &seen, solved, notes))
+) -> Result<BodyPose> {
+    let (observed, notes) = observe_markers(board, &[body], detections, intrinsics);
+    let observed: Vec<_> = observed.into_iter().map(|o| at_opening(o, 0.0)).collect();
+    let solution = solve::<6>(board, body, &observed, intrinsics, &[0.0])?;
+    Ok(body_pose(body, &observed, solution, notes))
 }
 
-/// Pose of the gripper from the markers on its body and fingers, with its opening.
+/// Solves the gripper's pose and opening from the markers on its body and fingers.
 ///
-/// The fingers move along ∓x by half of the opening. A `known_opening_m` is taken as exact; it is
-/// needed if all markers that were seen are on one finger.
+/// The fingers move along ∓x by half of the opening. `known_opening_m` is exact; it is required
+/// if only markers of one finger are detected.
 ///
 /// # Errors
-/// `Input` if no marker of the gripper was seen, if the opening is not determined, or if the
-/// markers contradict the board's description.
+/// `Input` if no marker of the gripper was detected, if the opening is not determined, or if the
+/// markers do not match the board file.
 pub fn solve_gripper(
     board: &Board,
     detections: &[Detection],
     intrinsics: &Intrinsics,
     known_opening_m: Option<f64>,
 ) -> Result<GripperPose> {
-    let parts = [Part::Body, Part::FingerLeft, Part::FingerRight];
-    let (seen, mut notes) = sightings(board, &parts, detections, intrinsics);
-    let slides = |s: &Sighting| s.corners[0].slide;
-    let fingers = seen.iter().any(|s| slides(s) != 0.0);
-    let one_slide = seen.windows(2).all(|s| slides(&s[0]) == slides(&s[1]));
-    let known = match known_opening_m {
-        Some(opening_m) => Some(opening_m),
-        None if !fingers => Some(0.0),
-        None => None,
-    };
-    if let Some(opening_m) = known {
-        let seen: Vec<Sighting> = seen.into_iter().map(|s| slid(s, opening_m)).collect();
-        let solved = solve::<6>(board, Part::Body, &seen, intrinsics, &[0.0])?;
-        let opening = known_opening_m.map(|opening_m| Opening {
+    let bodies = [Body::Gripper, Body::FingerLeft, Body::FingerRight];
+    let (observed, mut notes) = observe_markers(board, &bodies, detections, intrinsics);
+    let slide = |o: &MarkerObservation| o.corners[0].slide;
+    let has_finger = observed.iter().any(|o| slide(o) != 0.0);
+    if has_finger && known_opening_m.is_none() {
+        if observed.windows(2).all(|o| slide(&o[0]) == slide(&o[1])) {
+            return Err(Error::input(
+                "only markers of one finger were detected: they do not determine both pose and \
+                 opening",
+            )
+            .remedy("give the opening, or show markers of the body or of the other finger"));
+        }
+        let solution = match solve::<7>(board, Body::Gripper, &observed, intrinsics, &OPENINGS_M) {
+            Ok(solution) => solution,
+            // The only finger marker may be the outlier.
+            Err(error) => {
+                return solve_without_fingers(board, observed, intrinsics, notes).ok_or(error);
+            }
+        };
+        let opening = Opening {
+            opening_m: solution.fit.state.opening_m,
+            sigma_m: solution.sigma_px * solution.fit.inverse_information[6][6].sqrt(),
+        };
+        if opening.opening_m < -3.0 * opening.sigma_m - 1e-3 {
+            notes.push(format!(
+                "the opening of {:.1} mm is below 0: left and right finger may be exchanged in \
+                 the board file",
+                1e3 * opening.opening_m
+            ));
+        }
+        return Ok(GripperPose {
+            body: body_pose(Body::Gripper, &observed, solution, notes),
+            opening: Some(opening),
+        });
+    }
+    let opening_m = known_opening_m.unwrap_or(0.0);
+    let rigid = observed.into_iter().map(|o| at_opening(o, opening_m));
+    let observed: Vec<_> = rigid.collect();
+    let solution = solve::<6>(board, Body::Gripper, &observed, intrinsics, &[0.0])?;
+    Ok(GripperPose {
+        body: body_pose(Body::Gripper, &observed, solution, notes),
+        opening: known_opening_m.map(|opening_m| Opening {
             opening_m,
             sigma_m: 0.0,
-        });
-        let body = part_pose(Part::Body, &seen, solved, notes);
-        return Ok(GripperPose { body, opening });
-    }
-    if one_slide {
-        return Err(Error::input(
-            "only markers of one finger were seen, so that pose and opening cannot be told apart",
-        )
-        .remedy(
-            "give the opening, or let the camera see the body's or the other finger's markers",
-        ));
-    }
-    let solved = match solve::<7>(board, Part::Body, &seen, intrinsics, &OPENINGS_M) {
-        Ok(solved) => solved,
-        // Without its only finger marker, which may be the outlier, nothing tells the opening.
-        Err(error) => {
-            return solve_body(board, seen, intrinsics, notes).ok_or(error);
-        }
-    };
-    let opening = Opening {
-        opening_m: solved.fit.state.opening_m,
-        sigma_m: solved.sigma_px * solved.fit.inverse_information[6][6].sqrt(),
-    };
-    if opening.opening_m < -3.0 * opening.sigma_m - 1e-3 {
-        notes.push(format!(
-            "the opening of {:.1} mm is below 0: left and right finger may be exchanged in the \
-             board's description",
-            1e3 * opening.opening_m
-        ));
-    }
-    Ok(GripperPose {
-        body: part_pose(Part::Body, &seen, solved, notes),
-        opening: Some(opening),
+        }),
     })
 }
 
-/// The gripper from the markers of its body alone; none if they contradict each other, or there
-/// are none.
-fn solve_body(
+/// Solves the gripper's pose from the markers of its body alone. `None`: there are none, or they
+/// do not match the board file.
+fn solve_without_fingers(
     board: &Board,
-    mut seen: Vec<Sighting>,
+    observed: Vec<MarkerObservation>,
     intrinsics: &Intrinsics,
     mut notes: Vec<String>,
 ) -> Option<GripperPose> {
-    let on_finger = |s: &Sighting| s.corners[0].slide != 0.0;
-    let left_out: Vec<String> = seen
-        .iter()
-        .filter(|s| on_finger(s))
-        .map(|s| s.id.to_string())
-        .collect();
-    seen.retain(|s| !on_finger(s));
-    let solved = solve::<6>(board, Part::Body, &seen, intrinsics, &[0.0]).ok()?;
+    let (fingers, observed): (Vec<_>, Vec<_>) = observed
+        .into_iter()
+        .partition(|o| o.corners[0].slide != 0.0);
+    let solution = solve::<6>(board, Body::Gripper, &observed, intrinsics, &[0.0]).ok()?;
     notes.push(format!(
-        "the fingers' marker {} was left out: it is not where the body's markers put it",
-        left_out.join(", ")
+        "finger marker {} was excluded: it contradicts the body's markers",
+        ids(fingers.iter())
     ));
     Some(GripperPose {
-        body: part_pose(Part::Body, &seen, solved, notes),
+        body: body_pose(Body::Gripper, &observed, solution, notes),
         opening: None,
     })
 }
 
-/// The marker where `opening_m` puts it, as part of a rigid body.
-fn slid(mut sighting: Sighting, opening_m: f64) -> Sighting {
-    for corner in &mut sighting.corners {
+/// The marker moved to an opening, fixed to the body.
+fn at_opening(mut observation: MarkerObservation, opening_m: f64) -> MarkerObservation {
+    for corner in &mut observation.corners {
         corner.point_m.x += corner.slide * opening_m;
         corner.slide = 0.0;
     }
-    sighting
+    observation
 }
 
-/// Another pose that fits.
-struct Rival {
+/// An alternative pose.
+struct Alternative {
     state: State,
     cost: f64,
     is_minimum: bool,
 }
 
-impl Rival {
+impl Alternative {
     fn new<const N: usize>(fit: &Fit<N>, is_minimum: bool) -> Self {
         Self {
             state: fit.state,
@@ -183,71 +175,71 @@ impl Rival {
     }
 }
 
-/// A minimum with what is known about it.
-struct Solved<const N: usize> {
+/// The best minimum and its quality.
+struct Solution<const N: usize> {
     fit: Fit<N>,
     runner_up: Option<State>,
     ambiguity: Option<f64>,
     ambiguous: bool,
     rms_px: f64,
     sigma_px: f64,
-    /// By sighting.
+    /// One per observed marker.
     residuals: Vec<MarkerResidual>,
-    normals_apart_rad: f64,
+    normal_spread_rad: f64,
 }
 
 fn solve<const N: usize>(
     board: &Board,
-    part: Part,
-    seen: &[Sighting],
+    body: Body,
+    observed: &[MarkerObservation],
     intrinsics: &Intrinsics,
     openings_m: &[f64],
-) -> Result<Solved<N>> {
-    let all: Vec<&Sighting> = seen.iter().collect();
+) -> Result<Solution<N>> {
+    let all: Vec<&MarkerObservation> = observed.iter().collect();
     if all.is_empty() {
-        return Err(unseen(board, part));
+        return Err(not_detected(board, body));
     }
     let starts = hypotheses(intrinsics, &all, openings_m);
-    let (used, fit, loss_px) =
-        without_outliers::<N>(intrinsics, all, &starts).ok_or_else(|| undetermined(board, seen))?;
+    let (used, fit, loss_px) = without_outliers::<N>(intrinsics, all, &starts)
+        .ok_or_else(|| undetermined(board, observed))?;
     let rms_px = rms(intrinsics, &used, &fit.state);
-    if rms_px > CONTRADICTION_PX {
-        return Err(contradiction(board, &used, rms_px));
+    if rms_px > MAX_RMS_PX {
+        return Err(mismatch(board, &used, rms_px));
     }
     let sigma_px = corner_sigma::<N>(intrinsics, &used, &fit.state, loss_px);
-    let apart = normals_apart(&used);
-    let others = starts.into_iter().chain(together(&used));
-    let bearable = REFUTED * sigma_px.max(REFUTED_SIGMA_PX).powi(2);
-    let is_bearable = |rival: &Rival| rival.cost - fit.cost <= bearable;
-    let rival = runner_up(intrinsics, &used, &fit, others, loss_px)
-        .filter(|rival| rival.is_minimum || is_bearable(rival));
-    let refuted = !rival.as_ref().is_some_and(is_bearable);
-    let residuals = seen.iter().map(|s| MarkerResidual {
-        id: s.id,
-        rms_px: s.rms_px(intrinsics, &fit.state),
-        used: used.iter().any(|u| std::ptr::eq(*u, s)),
+    let normal_spread_rad = normal_spread(&used);
+    let others = starts.into_iter().chain(coplanar_poses(&used));
+    let max_increase = REJECTION_VARIANCES * sigma_px.max(MIN_REJECTION_SIGMA_PX).powi(2);
+    let is_plausible = |other: &Alternative| other.cost - fit.cost <= max_increase;
+    let runner_up = runner_up(intrinsics, &used, &fit, others, loss_px)
+        .filter(|other| other.is_minimum || is_plausible(other));
+    let is_rejected = !runner_up.as_ref().is_some_and(is_plausible);
+    let residuals = observed.iter().map(|o| MarkerResidual {
+        id: o.id,
+        rms_px: o.rms_px(intrinsics, &fit.state),
+        used: used.iter().any(|u| std::ptr::eq(*u, o)),
     });
-    Ok(Solved {
+    Ok(Solution {
         residuals: residuals.collect(),
-        ambiguity: rival
+        ambiguity: runner_up
             .as_ref()
-            .map(|rival| rms(intrinsics, &used, &rival.state) / rms_px.max(f64::MIN_POSITIVE)),
-        runner_up: rival.map(|rival| rival.state),
-        ambiguous: !refuted && apart < UNAMBIGUOUS_RAD,
+            .map(|other| rms(intrinsics, &used, &other.state) / rms_px.max(f64::MIN_POSITIVE)),
+        runner_up: runner_up.map(|other| other.state),
+        ambiguous: !is_rejected && normal_spread_rad < UNAMBIGUOUS_RAD,
         rms_px,
         sigma_px,
-        normals_apart_rad: apart,
+        normal_spread_rad,
         fit,
     })
 }
 
-/// Solves, leaves out the worst marker as long as it is an outlier, and solves again. Two markers
-/// that contradict each other do not tell which of them is wrong.
+/// Solves repeatedly, each time without the worst outlier, down to two markers: of two that
+/// contradict each other, either may be wrong.
 fn without_outliers<'a, const N: usize>(
     intrinsics: &Intrinsics,
-    mut used: Vec<&'a Sighting>,
+    mut used: Vec<&'a MarkerObservation>,
     starts: &[State],
-) -> Option<(Vec<&'a Sighting>, Fit<N>, f64)> {
+) -> Option<(Vec<&'a MarkerObservation>, Fit<N>, f64)> {
     loop {
         let (fit, loss_px) = best_fit::<N>(intrinsics, &used, starts)?;
         let limit = OUTLIER_PX.max(OUTLIER_OF_MEDIAN * median_error(intrinsics, &used, &fit.state));
@@ -262,10 +254,10 @@ fn without_outliers<'a, const N: usize>(
     }
 }
 
-/// The lowest minimum that the starts lead to, and its loss, which follows the residuals.
+/// The best minimum over all starts, and its Huber threshold (px), derived from the residuals.
 fn best_fit<const N: usize>(
     intrinsics: &Intrinsics,
-    used: &[&Sighting],
+    used: &[&MarkerObservation],
     starts: &[State],
 ) -> Option<(Fit<N>, f64)> {
     let corners = corners(used);
@@ -285,50 +277,49 @@ fn best_fit<const N: usize>(
     Some((best, loss_px))
 }
 
-/// The best pose that is not `best`: another minimum, or the mirror image at its best distance
-/// where it leads to no minimum of its own.
+/// The best alternative to `best`: another minimum, or a start with optimised translation if its
+/// search ends at `best`.
 fn runner_up<const N: usize>(
     intrinsics: &Intrinsics,
-    used: &[&Sighting],
+    used: &[&MarkerObservation],
     best: &Fit<N>,
     starts: impl Iterator<Item = State>,
     loss_px: f64,
-) -> Option<Rival> {
+) -> Option<Alternative> {
     let corners = corners(used);
     let is_other = |state: &State| angle_between(&state.pose, &best.state.pose) > SAME_MINIMUM_RAD;
     starts
         .filter_map(|start| {
             let minimum = minimise::<N>(intrinsics, &corners, start, loss_px)
-                .map(|fit| Rival::new(&fit, true));
+                .map(|fit| Alternative::new(&fit, true));
             let mirror = || {
                 minimise::<3>(intrinsics, &corners, start, loss_px)
-                    .map(|fit| Rival::new(&fit, false))
+                    .map(|fit| Alternative::new(&fit, false))
             };
-            let other = |rival: &Rival| is_other(&rival.state);
+            let other = |found: &Alternative| is_other(&found.state);
             minimum.filter(other).or_else(|| mirror().filter(other))
         })
         .min_by(|a, b| a.cost.total_cmp(&b.cost))
 }
 
-fn corners(used: &[&Sighting]) -> Vec<Observation> {
+fn corners(used: &[&MarkerObservation]) -> Vec<CornerObservation> {
     used.iter().flat_map(|s| s.corners).collect()
 }
 
-fn median_error(intrinsics: &Intrinsics, used: &[&Sighting], state: &State) -> f64 {
+fn median_error(intrinsics: &Intrinsics, used: &[&MarkerObservation], state: &State) -> f64 {
     let errors = used.iter().flat_map(|s| s.errors_px(intrinsics, state));
     median(errors).unwrap_or(f64::INFINITY)
 }
 
-fn rms(intrinsics: &Intrinsics, used: &[&Sighting], state: &State) -> f64 {
+fn rms(intrinsics: &Intrinsics, used: &[&MarkerObservation], state: &State) -> f64 {
     let squares = used.iter().map(|s| s.rms_px(intrinsics, state).powi(2));
     (squares.sum::<f64>() / used.len() as f64).sqrt()
 }
 
-/// Deviation of one coordinate of a corner: that of the residuals, as far as there are enough of
-/// them to tell, and no better than any camera's.
+/// Standard deviation of a corner coordinate, from the residuals and the prior.
 fn corner_sigma<const N: usize>(
     intrinsics: &Intrinsics,
-    used: &[&Sighting],
+    used: &[&MarkerObservation],
     state: &State,
     loss_px: f64,
 ) -> f64 {
@@ -342,81 +333,81 @@ fn corner_sigma<const N: usize>(
     variance.sqrt().max(MIN_SIGMA_PX)
 }
 
-fn part_pose<const N: usize>(
-    part: Part,
-    seen: &[Sighting],
-    solved: Solved<N>,
+fn body_pose<const N: usize>(
+    body: Body,
+    observed: &[MarkerObservation],
+    solution: Solution<N>,
     mut notes: Vec<String>,
-) -> PartPose {
-    let variance = solved.sigma_px.powi(2);
+) -> BodyPose {
+    let variance = solution.sigma_px.powi(2);
     let mut covariance = [[0.0; 6]; 6];
-    for (row, from) in covariance.iter_mut().zip(&solved.fit.inverse_information) {
+    for (row, from) in covariance.iter_mut().zip(&solution.fit.inverse_information) {
         for (value, from) in row.iter_mut().zip(from) {
             *value = variance * from;
         }
     }
-    for marker in solved.residuals.iter().filter(|m| !m.used) {
+    for marker in solution.residuals.iter().filter(|m| !m.used) {
         notes.push(format!(
-            "marker {} was left out: it is {:.1} px from where the other markers put it",
+            "marker {} was excluded as an outlier: its reprojection error is {:.1} px",
             marker.id, marker.rms_px
         ));
     }
-    if solved.ambiguous {
+    if solution.ambiguous {
         notes.push(format!(
-            "the pose is ambiguous: its mirror image fits as well ({} marker(s), normals {:.0}° \
-             apart)",
-            seen.len(),
-            solved.normals_apart_rad.to_degrees()
+            "the pose is ambiguous: its mirror image fits as well ({} marker(s), normals within \
+             {:.0}°)",
+            observed.len(),
+            solution.normal_spread_rad.to_degrees()
         ));
     }
-    PartPose {
-        part,
-        t_camera_part: solved.fit.state.pose,
+    BodyPose {
+        body,
+        t_camera_body: solution.fit.state.pose,
         covariance,
-        rms_px: solved.rms_px,
-        corner_sigma_px: solved.sigma_px,
-        markers: solved.residuals,
-        ambiguity: solved.ambiguity,
-        runner_up: solved.runner_up.map(|state| state.pose),
-        ambiguous: solved.ambiguous,
-        normals_apart_rad: solved.normals_apart_rad,
+        rms_px: solution.rms_px,
+        corner_sigma_px: solution.sigma_px,
+        markers: solution.residuals,
+        ambiguity: solution.ambiguity,
+        runner_up: solution.runner_up.map(|state| state.pose),
+        ambiguous: solution.ambiguous,
+        normal_spread_rad: solution.normal_spread_rad,
         notes,
     }
 }
 
-fn unseen(board: &Board, part: Part) -> Error {
-    let what = match part {
-        Part::Object => "the object's board",
-        Part::Body => "the gripper",
-        Part::FingerLeft => "the left finger",
-        Part::FingerRight => "the right finger",
+fn not_detected(board: &Board, body: Body) -> Error {
+    let what = match body {
+        Body::Object => "the object's board",
+        Body::Gripper => "the gripper",
+        Body::FingerLeft => "the left finger",
+        Body::FingerRight => "the right finger",
     };
-    Error::input(format!("no marker of {what} ({}) was seen", board.name))
-        .remedy("let the camera see it sharply, large enough (20 px a marker) and evenly lit")
+    Error::input(format!("no marker of {what} ({}) was detected", board.name))
+        .remedy("show the markers to the camera in focus, at least 20 px large and evenly lit")
 }
 
-fn undetermined(board: &Board, seen: &[Sighting]) -> Error {
+fn undetermined(board: &Board, observed: &[MarkerObservation]) -> Error {
     Error::input(format!(
         "the markers {} of {} do not determine a pose",
-        ids(seen.iter()),
+        ids(observed.iter()),
         board.name
     ))
-    .remedy("check the corners in the board's description: four of a square, clockwise")
+    .remedy("check the corners in the board file: the four of a square, clockwise")
 }
 
-fn contradiction(board: &Board, used: &[&Sighting], rms_px: f64) -> Error {
+fn mismatch(board: &Board, used: &[&MarkerObservation], rms_px: f64) -> Error {
     Error::input(format!(
-        "the markers {} are not where {} has them: {rms_px:.1} px off at best",
+        "the markers {} do not match the board {}: their reprojection error is {rms_px:.1} px",
         ids(used.iter().copied()),
         board.name
     ))
     .remedy(
-        "check that this is the printed board, that its marker size and scale were measured, and \
-         that the intrinsics belong to this camera and resolution",
+        "check that the board file is that of the printed board, that marker size and scale were \
+         measured, and that the intrinsics belong to this camera and resolution",
     )
 }
 
-fn ids<'a>(sightings: impl Iterator<Item = &'a Sighting>) -> String {
-    let ids: Vec<String> = sightings.map(|s| s.id.to_string()).collect();
+fn ids<'a>(observed: impl Iterator<Item = &'a MarkerObservation>) -> String {
+    let ids: Vec<String> = observed.map(|s| s.id.to_string()).collect();
     ids.join(", ")
 }

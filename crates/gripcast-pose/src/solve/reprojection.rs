@@ -1,9 +1,9 @@
-//! Least reprojection error by Levenberg–Marquardt, with a robust loss.
+//! Minimum of the reprojection error by Levenberg–Marquardt with the Huber loss.
 
 use glam::{DVec2, DVec3};
 
 use crate::camera::{project, project_with_jacobian};
-use crate::least_squares::{Search, Trial, huber, moved};
+use crate::least_squares::{Search, Trial, huber, moved, pose_row};
 use gripcast_base::linear::{Cholesky, NormalEquations};
 use gripcast_geometry::Pose;
 use gripcast_imaging::Intrinsics;
@@ -11,28 +11,27 @@ use gripcast_imaging::Intrinsics;
 const SEARCH: Search = Search {
     max_iterations: 60,
     min_decrease: 1e-12,
-    largest_damping: None,
+    max_damping: None,
 };
-/// Steps below this (m, rad) change nothing.
-const CONVERGED: f64 = 1e-10;
+/// Steps below this (m, rad) end the search.
+const TOLERANCE: f64 = 1e-10;
 
-/// One corner: where it is on its part and where it was seen.
+/// A corner on its body and in the image.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Observation {
-    /// In the frame that is solved for, at opening 0, m.
+pub(super) struct CornerObservation {
+    /// In the body frame at opening 0, m.
     pub(super) point_m: DVec3,
-    /// How far it moves along x per metre of opening.
+    /// Displacement along x per metre of opening.
     pub(super) slide: f64,
-    /// Where it was seen.
     pub(super) pixel: DVec2,
 }
 
-/// What is solved for.
+/// The unknowns.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct State {
-    /// `t_camera_part`.
+    /// `t_camera_body`.
     pub(super) pose: Pose,
-    /// Opening of the gripper, m; 0 where there is none.
+    /// Opening of the gripper, m; 0 for a rigid body.
     pub(super) opening_m: f64,
 }
 
@@ -42,27 +41,27 @@ pub(super) struct Fit<const N: usize> {
     pub(super) state: State,
     /// Robust cost, px².
     pub(super) cost: f64,
-    /// Inverse of JᵀWJ in m, rad, m per px; the weights are those of the loss.
+    /// (JᵀWJ)⁻¹ in m, rad, m per px, with the weights of the loss.
     pub(super) inverse_information: [[f64; N]; N],
 }
 
-/// Where a corner is seen, minus where `state` predicts it, px; none behind the camera.
+/// Observed minus predicted corner, px. `None`: behind the camera.
 pub(super) fn residual(
     intrinsics: &Intrinsics,
     state: &State,
-    observation: &Observation,
+    observation: &CornerObservation,
 ) -> Option<DVec2> {
     let point = state.pose.transform_point(opened(state, observation));
     Some(observation.pixel - project(intrinsics, point)?)
 }
 
-/// Searches the nearest minimum of the Huber loss, squared up to `loss_px` from a corner.
+/// Finds a local minimum of the Huber loss with threshold `loss_px`.
 ///
-/// Unknowns are [δt, δθ] (m, rad; `N` = 6) of t = t̂ + δt, R = exp(δθ) R̂, both along the
-/// camera's axes, the opening as well (`N` = 7), or δt alone (`N` = 3). None where the corners do not determine them.
+/// Unknowns are [δt, δθ] (m, rad; `N` = 6) of t = t̂ + δt, R = exp(δθ) R̂ along the camera axes,
+/// and the opening (`N` = 7), or δt alone (`N` = 3). `None`: the corners do not determine them.
 pub(super) fn minimise<const N: usize>(
     intrinsics: &Intrinsics,
-    observations: &[Observation],
+    observations: &[CornerObservation],
     start: State,
     loss_px: f64,
 ) -> Option<Fit<N>> {
@@ -77,7 +76,7 @@ pub(super) fn minimise<const N: usize>(
             let step = damped.solve()?;
             Some(Trial {
                 state: stepped(state, &step),
-                is_small: step.iter().all(|s| s.abs() < CONVERGED),
+                is_small: step.iter().all(|s| s.abs() < TOLERANCE),
             })
         },
     )?;
@@ -88,8 +87,8 @@ pub(super) fn minimise<const N: usize>(
     })
 }
 
-/// The corner in the solved frame at the state's opening, m.
-fn opened(state: &State, observation: &Observation) -> DVec3 {
+/// The corner in the body frame at the state's opening, m.
+fn opened(state: &State, observation: &CornerObservation) -> DVec3 {
     observation.point_m + DVec3::X * (observation.slide * state.opening_m)
 }
 
@@ -100,10 +99,10 @@ fn stepped<const N: usize>(state: &State, step: &[f64; N]) -> State {
     }
 }
 
-/// Normal equations of the step and the robust cost; none if a corner falls behind the camera.
+/// Normal equations of the step and the robust cost. `None`: a corner is behind the camera.
 fn linearise<const N: usize>(
     intrinsics: &Intrinsics,
-    observations: &[Observation],
+    observations: &[CornerObservation],
     state: &State,
     loss_px: f64,
 ) -> Option<(NormalEquations<N>, f64)> {
@@ -118,19 +117,12 @@ fn linearise<const N: usize>(
         let (weight, own_cost) = huber(residual.length(), loss_px);
         cost += own_cost;
         for (gradient, value) in gradients.into_iter().zip(residual.to_array()) {
-            // d (δθ × arm) = δθ · (arm × gradient).
-            let turn = arm.cross(gradient);
-            let full = [
-                gradient.x,
-                gradient.y,
-                gradient.z,
-                turn.x,
-                turn.y,
-                turn.z,
-                gradient.dot(along) * observation.slide,
-            ];
+            let slide = gradient.dot(along) * observation.slide;
+            let columns = pose_row(gradient, arm).into_iter().chain([slide]);
             let mut row = [0.0; N];
-            row.copy_from_slice(&full[..N]);
+            row.iter_mut()
+                .zip(columns)
+                .for_each(|(to, from)| *to = from);
             equations.add(&row, value, weight);
         }
     }
@@ -166,17 +158,17 @@ mod tests {
         }
     }
 
-    fn seen() -> Vec<Observation> {
+    fn observations() -> Vec<CornerObservation> {
         (0..8)
             .map(|i| {
                 let (f, slide) = (f64::from(i), if i < 4 { -0.5 } else { 0.5 });
-                Observation {
+                CornerObservation {
                     point_m: DVec3::new(f.sin(), (2.0 * f).cos(), (1.7 * f).sin()) * 0.03,
                     slide,
                     pixel: DVec2::ZERO,
                 }
             })
-            .map(|o| Observation {
+            .map(|o| CornerObservation {
                 pixel: -residual(&camera(), &truth(), &o).unwrap(),
                 ..o
             })
@@ -184,47 +176,47 @@ mod tests {
     }
 
     #[test]
-    fn the_gradient_is_that_of_finite_differences() {
-        let observations = seen();
+    fn gradient_matches_finite_differences() {
+        let corners = observations();
         let at = stepped(&truth(), &[0.004, -0.003, 0.01, 0.02, 0.05, -0.03, 0.01]);
         let loss = 2.0;
-        let (equations, _) = linearise::<7>(&camera(), &observations, &at, loss).unwrap();
+        let (equations, _) = linearise::<7>(&camera(), &corners, &at, loss).unwrap();
         for i in 0..7 {
             let cost = |h: f64| {
                 let mut step = [0.0; 7];
                 step[i] = h;
-                linearise::<7>(&camera(), &observations, &stepped(&at, &step), loss)
+                linearise::<7>(&camera(), &corners, &stepped(&at, &step), loss)
                     .unwrap()
                     .1
             };
             let slope = (cost(1e-6) - cost(-1e-6)) / 2e-6;
-            let ours = -2.0 * equations.vector[i];
+            let gradient = -2.0 * equations.vector[i];
             assert!(
-                (slope - ours).abs() < 1e-5 * slope.abs().max(1e3),
-                "{i}: {slope} {ours}"
+                (slope - gradient).abs() < 1e-5 * slope.abs().max(1e3),
+                "{i}: {slope} {gradient}"
             );
         }
     }
 
     #[test]
-    fn pose_and_opening_are_recovered_from_afar() {
+    fn search_converges_from_a_distant_start() {
         let start = State {
             opening_m: 0.0,
             ..stepped(&truth(), &[0.02, 0.01, 0.05, 0.2, -0.1, 0.2])
         };
-        let fit = minimise::<7>(&camera(), &seen(), start, 1e3).unwrap();
+        let fit = minimise::<7>(&camera(), &observations(), start, 1e3).unwrap();
         assert!(fit.cost < 1e-16, "{}", fit.cost);
         assert!((fit.state.opening_m - 0.05).abs() < 1e-9);
-        let apart = fit.state.pose.translation_m - truth().pose.translation_m;
-        assert!(apart.length() < 1e-9, "{apart}");
+        let error = fit.state.pose.translation_m - truth().pose.translation_m;
+        assert!(error.length() < 1e-9, "{error}");
     }
 
     #[test]
-    fn one_wild_corner_pulls_little_with_a_robust_loss() {
-        let mut observations = seen();
-        observations[2].pixel += DVec2::new(30.0, -20.0);
+    fn robust_loss_limits_the_influence_of_an_outlier() {
+        let mut corners = observations();
+        corners[2].pixel += DVec2::new(30.0, -20.0);
         let off = |loss| {
-            let fit = minimise::<7>(&camera(), &observations, truth(), loss).unwrap();
+            let fit = minimise::<7>(&camera(), &corners, truth(), loss).unwrap();
             fit.state
                 .pose
                 .translation_m
@@ -234,11 +226,11 @@ mod tests {
     }
 
     #[test]
-    fn an_opening_that_nothing_shows_is_not_invented() {
-        let still: Vec<_> = seen()
+    fn undetermined_opening_has_no_solution() {
+        let rigid: Vec<_> = observations()
             .into_iter()
-            .map(|o| Observation { slide: 0.0, ..o })
+            .map(|o| CornerObservation { slide: 0.0, ..o })
             .collect();
-        assert!(minimise::<7>(&camera(), &still, truth(), 1.0).is_none());
+        assert!(minimise::<7>(&camera(), &rigid, truth(), 1.0).is_none());
     }
 }

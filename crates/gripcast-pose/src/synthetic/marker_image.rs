@@ -1,4 +1,4 @@
-//! Renders markers and knows where their corners are.
+//! Renders markers with ground truth of their corners.
 
 use glam::DVec2;
 use image::GrayImage;
@@ -7,56 +7,56 @@ use rayon::prelude::*;
 use super::degrade::{ImageConditions, degrade};
 use super::surface::{Decal, Shade, Surface, chessboard_surface, surfaces};
 use crate::camera::{project, undistort};
-use crate::{Board, BoardFile, Detection, Dictionary, Part};
+use crate::{Board, BoardFile, Body, Detection, Dictionary};
 use gripcast_geometry::Pose;
 use gripcast_imaging::Intrinsics;
 
-/// Side of the tiles that are rendered with one list of candidates, px.
+/// Side of a tile, px; its pixels share a list of candidates.
 const TILE: u32 = 32;
-/// Samples of a pixel that an edge crosses, on a lattice without two in one row or column.
+/// Samples of a pixel crossed by an edge, on a lattice with one sample per row and column.
 const SAMPLES: usize = 32;
 const LATTICE: usize = 13;
 
-/// A part of a board that is in the image.
+/// A posed body of a board.
 #[derive(Clone, Copy, Debug)]
-pub struct Placed<'a> {
+pub struct PlacedBoard<'a> {
     /// The board.
     pub board: &'a Board,
-    /// Which of its parts.
-    pub part: Part,
-    /// Its dictionary; markers that it does not have are not drawn.
+    /// The body.
+    pub body: Body,
+    /// Dictionary; unknown markers are not drawn.
     pub dictionary: &'a Dictionary,
-    /// Maps the part's frame into the camera's.
-    pub t_camera_part: Pose,
+    /// Pose of the body in the camera frame.
+    pub t_camera_body: Pose,
 }
 
-/// An image, and what is in it.
+/// An image with ground truth.
 #[derive(Clone, Debug)]
 pub struct SyntheticImage {
     /// The image.
     pub image: GrayImage,
-    /// Markers with exact corners that are completely in the image and hidden by nothing.
+    /// Exact corners of the fully visible markers.
     pub truth: Vec<Detection>,
-    /// The other markers in front of the camera: partly hidden or out of the image.
+    /// Exact corners of the other markers in front of the camera: partly occluded or outside the image.
     pub covered: Vec<Detection>,
 }
 
-/// Renders printed markers on white sheets: markers in one plane share one sheet.
+/// Renders markers on white sheets; coplanar markers share a sheet.
 #[must_use]
 pub fn render(
     intrinsics: &Intrinsics,
-    placed: &[Placed<'_>],
+    placed: &[PlacedBoard<'_>],
     conditions: &ImageConditions,
     seed: u64,
 ) -> SyntheticImage {
     let surfaces: Vec<Surface> = placed
         .iter()
-        .flat_map(|p| surfaces(p.board, p.part, p.dictionary, &p.t_camera_part, intrinsics))
+        .flat_map(|p| surfaces(p.board, p.body, p.dictionary, &p.t_camera_body, intrinsics))
         .collect();
     image_of(intrinsics, &surfaces, conditions, seed)
 }
 
-/// Renders a board for calibration: its markers, and the squares of its chessboard if it has one.
+/// Renders the markers and the chessboard of a calibration board.
 #[must_use]
 pub fn render_board(
     intrinsics: &Intrinsics,
@@ -74,7 +74,7 @@ pub fn render_board(
             t_camera_board,
             intrinsics,
         )],
-        None => surfaces(board, Part::Object, dictionary, t_camera_board, intrinsics),
+        None => surfaces(board, Body::Object, dictionary, t_camera_board, intrinsics),
     };
     image_of(intrinsics, &surfaces, conditions, seed)
 }
@@ -100,7 +100,7 @@ fn image_of(
     }
 }
 
-/// Ideal coordinates of the corners of all pixels.
+/// Normalised coordinates of the corners of all pixels.
 struct Rays {
     width: usize,
     corners: Vec<DVec2>,
@@ -123,10 +123,11 @@ impl Rays {
         Self { width, corners }
     }
 
-    /// At parts (0–1) of a pixel; the lens is linear within one.
-    fn at(&self, x: usize, y: usize, part: DVec2) -> DVec2 {
+    /// Interpolates within a pixel at `fraction` (0–1).
+    fn at(&self, x: usize, y: usize, fraction: DVec2) -> DVec2 {
         let [a, b, c, d] = self.around(x, y);
-        a.lerp(b, part.x).lerp(c.lerp(d, part.x), part.y)
+        a.lerp(b, fraction.x)
+            .lerp(c.lerp(d, fraction.x), fraction.y)
     }
 
     fn around(&self, x: usize, y: usize) -> [DVec2; 4] {
@@ -135,7 +136,7 @@ impl Rays {
     }
 }
 
-/// Surfaces that may be seen in a tile, each with its markers there.
+/// Surfaces that may be visible in a tile, with their decals there.
 type Candidates<'a> = Vec<(&'a Surface, Vec<usize>)>;
 
 fn candidates(surfaces: &[Surface], min: DVec2, max: DVec2) -> Candidates<'_> {
@@ -148,7 +149,7 @@ fn candidates(surfaces: &[Surface], min: DVec2, max: DVec2) -> Candidates<'_> {
     .collect()
 }
 
-/// What a ray sees first.
+/// Shade at the first intersection of a ray.
 fn shade(candidates: &Candidates<'_>, ideal: DVec2) -> Shade {
     let hits = candidates
         .iter()
@@ -181,7 +182,7 @@ fn render_rows(
     }
 }
 
-/// Grey level of a pixel: the mean over its area.
+/// Mean light over the area of a pixel.
 fn level(
     here: &Candidates<'_>,
     rays: &Rays,
@@ -199,14 +200,14 @@ fn level(
     let sum: f32 = (0..SAMPLES)
         .map(|i| {
             let lattice = DVec2::new(i as f64, (i * LATTICE % SAMPLES) as f64);
-            let part = (lattice + 0.5) / SAMPLES as f64;
-            conditions.light(shade(here, rays.at(x, y, part)))
+            let fraction = (lattice + 0.5) / SAMPLES as f64;
+            conditions.light(shade(here, rays.at(x, y, fraction)))
         })
         .sum();
     sum / SAMPLES as f32
 }
 
-/// Markers that nothing hides, with most of a cell around them, and the others.
+/// Fully visible markers including most of their quiet zone, and the others.
 fn visible(intrinsics: &Intrinsics, surfaces: &[Surface]) -> (Vec<Detection>, Vec<Detection>) {
     let (mut truth, mut covered) = (Vec::new(), Vec::new());
     for surface in surfaces {
@@ -214,11 +215,15 @@ fn visible(intrinsics: &Intrinsics, surfaces: &[Surface]) -> (Vec<Detection>, Ve
             let Some(corners_px) = corners(intrinsics, decal) else {
                 continue;
             };
-            let everywhere =
-                grid(decal).all(|at| is_seen(intrinsics, surfaces, surface, at).unwrap_or(false));
-            let list = if everywhere { &mut truth } else { &mut covered };
+            let is_complete = grid(decal)
+                .all(|at| is_visible(intrinsics, surfaces, surface, at).unwrap_or(false));
+            let list = if is_complete {
+                &mut truth
+            } else {
+                &mut covered
+            };
             list.push(Detection {
-                id: decal.id,
+                id: decal.pattern.id,
                 corners_px,
                 hamming: 0,
                 margin: 0.0,
@@ -234,7 +239,7 @@ fn corners(intrinsics: &Intrinsics, decal: &Decal) -> Option<[DVec2; 4]> {
     Some([a?, b?, c?, d?])
 }
 
-/// Points of a marker and of a narrow frame around it, in the camera's frame.
+/// Grid over a marker and a narrow border, in the camera frame.
 fn grid(decal: &Decal) -> impl Iterator<Item = glam::DVec3> {
     const STEPS: usize = 12;
     let [a, b, _, d] = decal.corners_m;
@@ -243,7 +248,7 @@ fn grid(decal: &Decal) -> impl Iterator<Item = glam::DVec3> {
         .flat_map(move |i| (0..=STEPS).map(move |k| a + (b - a) * along(i) + (d - a) * along(k)))
 }
 
-fn is_seen(
+fn is_visible(
     intrinsics: &Intrinsics,
     surfaces: &[Surface],
     own: &Surface,

@@ -1,4 +1,4 @@
-//! Images of printed markers with known poses: the test bed of the whole area.
+//! Synthetic images of markers with known poses.
 
 mod degrade;
 mod marker_image;
@@ -6,5 +6,5 @@ mod scene;
 mod surface;
 
 pub use degrade::ImageConditions;
-pub use marker_image::{Placed, SyntheticImage, render, render_board};
+pub use marker_image::{PlacedBoard, SyntheticImage, render, render_board};
 pub use scene::{GraspScene, gripper_markers, ring_board, test_camera};

@@ -1,20 +1,20 @@
-//! A board, a gripper above it and a camera, at random.
+//! Random scenes of a board, a gripper above it and a camera.
 
 use glam::{DQuat, DVec3};
 use rand::RngExt as _;
 use rand_pcg::Pcg64;
 
-use super::{ImageConditions, Placed, SyntheticImage, render};
-use crate::{Board, BoardMarker, Dictionary, Part};
+use super::{ImageConditions, PlacedBoard, SyntheticImage, render};
+use crate::{Board, BoardMarker, Body, Dictionary};
 use gripcast_geometry::Pose;
 use gripcast_imaging::{DistortionModel, Intrinsics};
 
 /// Side of all markers, m.
 const MARKER_M: f64 = 0.03;
-/// Yaw of the gripper's markers to both sides, and their pitch: 35°.
-const LEANING_RAD: f64 = 0.6109;
+/// Yaw (to both sides) and pitch of the gripper's markers: 35°.
+const TILT_RAD: f64 = 0.6109;
 
-/// Fourteen markers of 30 mm around the middle of a sheet of A4: ids 0 to 13.
+/// Fourteen markers of 30 mm around the centre of an A4 sheet: ids 0 to 13.
 #[must_use]
 pub fn ring_board(dictionary: &Dictionary) -> Board {
     let mut markers = Vec::new();
@@ -27,7 +27,7 @@ pub fn ring_board(dictionary: &Dictionary) -> Board {
             let x = -0.108 + 0.054 * f64::from(column);
             let y = 0.072 - 0.048 * f64::from(row);
             let centre = Pose::from_translation(DVec3::new(x, y, 0.0));
-            markers.push(marker(markers.len() as u32, Part::Object, &centre));
+            markers.push(marker(markers.len() as u32, Body::Object, &centre));
         }
     }
     Board {
@@ -37,17 +37,17 @@ pub fn ring_board(dictionary: &Dictionary) -> Board {
     }
 }
 
-/// Two markers of 30 mm on one side of a gripper, 56° apart: ids 40 and 41. `parts` says what
+/// Two markers of 30 mm on one side of a gripper, 56° apart: ids 40 and 41. `bodies` are what
 /// carries the one at −x and the one at +x.
 #[must_use]
-pub fn gripper_markers(dictionary: &Dictionary, parts: [Part; 2]) -> Board {
-    let place = |side: f64| {
+pub fn gripper_markers(dictionary: &Dictionary, bodies: [Body; 2]) -> Board {
+    let t_body_marker = |side: f64| {
         let normal = DVec3::new(
-            LEANING_RAD.cos() * (side * LEANING_RAD).sin(),
-            LEANING_RAD.cos() * LEANING_RAD.cos(),
-            -LEANING_RAD.sin(),
+            TILT_RAD.cos() * (side * TILT_RAD).sin(),
+            TILT_RAD.cos() * TILT_RAD.cos(),
+            -TILT_RAD.sin(),
         );
-        // Up on the marker is against the approach.
+        // The marker's up is opposite to the approach.
         let up = (-DVec3::Z).reject_from(normal).normalize_or(DVec3::X);
         let axes = glam::DMat3::from_cols(up.cross(normal), up, normal);
         Pose::new(
@@ -59,24 +59,24 @@ pub fn gripper_markers(dictionary: &Dictionary, parts: [Part; 2]) -> Board {
         name: "gripper".to_owned(),
         dictionary: dictionary.name().to_owned(),
         markers: vec![
-            marker(40, parts[0], &place(-1.0)),
-            marker(41, parts[1], &place(1.0)),
+            marker(40, bodies[0], &t_body_marker(-1.0)),
+            marker(41, bodies[1], &t_body_marker(1.0)),
         ],
     }
 }
 
-/// The marker whose frame (x right, y up, z towards its front) is `t_part_marker`.
-fn marker(id: u32, part: Part, t_part_marker: &Pose) -> BoardMarker {
+/// The marker with the frame `t_body_marker`: x right, y up, z normal.
+fn marker(id: u32, body: Body, t_body_marker: &Pose) -> BoardMarker {
     let h = 0.5 * MARKER_M;
     let corners = [(-h, h), (h, h), (h, -h), (-h, -h)];
     BoardMarker {
         id,
-        part,
-        corners_m: corners.map(|(x, y)| t_part_marker.transform_point(DVec3::new(x, y, 0.0))),
+        body,
+        corners_m: corners.map(|(x, y)| t_body_marker.transform_point(DVec3::new(x, y, 0.0))),
     }
 }
 
-/// Intrinsics like those of a D435's colour camera at a width of 640, 1280, 1920 …
+/// Intrinsics similar to the colour camera of a D435.
 #[must_use]
 pub fn test_camera(width: u32, height: u32) -> Intrinsics {
     let focal = 915.0 * f64::from(width) / 1280.0;
@@ -92,7 +92,7 @@ pub fn test_camera(width: u32, height: u32) -> Intrinsics {
     }
 }
 
-/// A gripper above a board, seen by a camera.
+/// A gripper above a board, in front of a camera.
 #[derive(Clone, Debug)]
 pub struct GraspScene {
     /// The object's board.
@@ -101,17 +101,17 @@ pub struct GraspScene {
     pub gripper: Board,
     /// The dictionary of both.
     pub dictionary: Dictionary,
-    /// Maps the object's frame into the camera's.
+    /// Pose of the object in the camera frame.
     pub t_camera_object: Pose,
-    /// Maps the gripper's frame into the camera's.
+    /// Pose of the gripper in the camera frame.
     pub t_camera_gripper: Pose,
-    /// Opening of the gripper, m; moves markers on fingers only.
+    /// Opening of the gripper, m; displaces the finger markers.
     pub opening_m: f64,
 }
 
 impl GraspScene {
-    /// Scene `index` of a seed: camera 0.4–0.8 m from the board, 20–55° from its normal; gripper
-    /// 50–90 mm above the board, its markers towards the camera.
+    /// Scene `index` of a seed: camera at 0.4–0.8 m and 20–55° from the board's normal, gripper
+    /// 50–90 mm above the board with its markers towards the camera.
     #[must_use]
     pub fn random(
         board: &Board,
@@ -121,7 +121,7 @@ impl GraspScene {
         index: u64,
     ) -> Self {
         let mut random = Pcg64::new(u128::from(seed), u128::from(index));
-        // The first numbers of neighbouring streams resemble each other.
+        // The first numbers of adjacent streams are correlated.
         for _ in 0..8 {
             let _: u64 = random.random();
         }
@@ -141,13 +141,13 @@ impl GraspScene {
         let roll = DQuat::from_rotation_z(between(-0.35, 0.35));
         let t_object_camera =
             Pose::new(DQuat::from_mat3(&axes) * roll, target + towards * distance);
-        // The gripper's y axis points to the camera's side, its z axis down.
+        // Gripper y towards the camera, z down.
         let heading = azimuth + between(-15.0f64, 15.0).to_radians();
         let upright = DQuat::from_mat3(&glam::DMat3::from_cols(DVec3::Y, DVec3::X, -DVec3::Z));
-        let mut lean = || between(-8.0f64, 8.0).to_radians();
-        let tipped = DQuat::from_rotation_x(lean()) * DQuat::from_rotation_y(lean());
+        let mut tilt = || between(-8.0f64, 8.0).to_radians();
+        let tilted = DQuat::from_rotation_x(tilt()) * DQuat::from_rotation_y(tilt());
         let t_object_gripper = Pose::new(
-            DQuat::from_rotation_z(heading) * tipped * upright,
+            DQuat::from_rotation_z(heading) * tilted * upright,
             DVec3::new(
                 between(-0.025, 0.025),
                 between(-0.015, 0.015),
@@ -165,13 +165,13 @@ impl GraspScene {
         }
     }
 
-    /// Truth of what annotation is about.
+    /// True pose of the gripper relative to the object.
     #[must_use]
     pub fn t_object_gripper(&self) -> Pose {
         self.t_camera_object.inverse() * self.t_camera_gripper
     }
 
-    /// The scene's image.
+    /// Renders the scene.
     #[must_use]
     pub fn render(
         &self,
@@ -180,22 +180,22 @@ impl GraspScene {
         seed: u64,
     ) -> SyntheticImage {
         let half = DVec3::X * (0.5 * self.opening_m);
-        let gripper = |part, shift| Placed {
+        let gripper = |body, shift| PlacedBoard {
             board: &self.gripper,
-            part,
+            body,
             dictionary: &self.dictionary,
-            t_camera_part: self.t_camera_gripper * Pose::from_translation(shift),
+            t_camera_body: self.t_camera_gripper * Pose::from_translation(shift),
         };
         let placed = [
-            Placed {
+            PlacedBoard {
                 board: &self.board,
-                part: Part::Object,
+                body: Body::Object,
                 dictionary: &self.dictionary,
-                t_camera_part: self.t_camera_object,
+                t_camera_body: self.t_camera_object,
             },
-            gripper(Part::Body, DVec3::ZERO),
-            gripper(Part::FingerLeft, -half),
-            gripper(Part::FingerRight, half),
+            gripper(Body::Gripper, DVec3::ZERO),
+            gripper(Body::FingerLeft, -half),
+            gripper(Body::FingerRight, half),
         ];
         render(intrinsics, &placed, conditions, seed)
     }

@@ -1,18 +1,18 @@
-//! Sheets and cards that carry markers, as a ray sees them.
+//! Ray casting of sheets with markers.
 
 use glam::{DMat3, DQuat, DVec2, DVec3};
 
 use crate::camera::project;
-use crate::{Board, BoardMarker, Chessboard, Dictionary, MarkerCells, Part};
+use crate::{Board, BoardMarker, Body, Chessboard, Dictionary, MarkerCells};
 use gripcast_geometry::Pose;
 use gripcast_imaging::Intrinsics;
 
-/// Planes closer than this and parallel are one sheet, m.
+/// Parallel planes closer than this share a sheet, m.
 const ONE_SHEET_M: f64 = 1e-4;
-/// White around the outermost markers, in cells.
+/// White margin around the outermost markers, cells.
 const MARGIN_CELLS: f64 = 2.0;
 
-/// What a ray meets.
+/// Shade at the end of a ray.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Shade {
     Background,
@@ -20,7 +20,7 @@ pub(super) enum Shade {
     Black,
 }
 
-/// Pixels that something can be seen in.
+/// Bounding box in the image, px.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Bounds {
     min: DVec2,
@@ -33,11 +33,11 @@ impl Bounds {
     }
 }
 
-/// A flat white piece with markers.
+/// A flat white sheet with markers.
 pub(super) struct Surface {
-    /// Ideal image coordinates (x, y, 1) to plane coordinates, homogeneous.
+    /// Homography from normalised image coordinates (x, y, 1) to the plane.
     to_plane: DMat3,
-    /// Camera's height above the plane, m; the markers face the camera if it is positive.
+    /// Height of the camera above the plane, m; negative behind it.
     height: f64,
     min: DVec2,
     max: DVec2,
@@ -45,24 +45,31 @@ pub(super) struct Surface {
     pub(super) decals: Vec<Decal>,
 }
 
-/// A marker on a surface.
+/// A posed pattern on a surface.
 pub(super) struct Decal {
-    pub(super) id: u32,
+    pub(super) pattern: Pattern,
     pub(super) bounds: Bounds,
-    /// Its corners in the camera's frame, m.
+    /// Corners in the camera frame, m.
     pub(super) corners_m: [DVec3; 4],
     origin: DVec2,
     right: DVec2,
     down: DVec2,
-    /// Cells along a side with the border, and of the border.
+}
+
+/// A marker or a black square.
+pub(super) struct Pattern {
+    pub(super) id: u32,
+    /// Corners in the body frame, m.
+    corners_m: [DVec3; 4],
+    /// Number of cells along a side including the border, and along the border.
     cells: usize,
     border: usize,
-    /// None for a square that is black all over.
+    /// `None`: a black square.
     data: Option<MarkerCells>,
 }
 
 impl Surface {
-    /// Depth (m) at which the ray (x, y, 1) meets the piece, and where on its plane.
+    /// Intersection with the ray (x, y, 1): depth (m), and point of the plane.
     pub(super) fn hit(&self, ideal: DVec2) -> Option<(f64, DVec2)> {
         let h = self.to_plane * ideal.extend(1.0);
         let depth = -self.height / h.z;
@@ -71,7 +78,7 @@ impl Surface {
         is_hit.then_some((depth, at))
     }
 
-    /// Shade at a point of the plane; `decals` are those that may be there.
+    /// Shade at a point of the plane; `decals` are the candidates.
     pub(super) fn shade(&self, at: DVec2, decals: &[usize]) -> Shade {
         if self.height <= 0.0 {
             return Shade::Background;
@@ -87,34 +94,39 @@ impl Surface {
 
 impl Decal {
     fn is_white(&self, at: DVec2) -> Option<bool> {
+        let Pattern {
+            cells,
+            border,
+            data,
+            ..
+        } = &self.pattern;
         let from = at - self.origin;
         let cell = |along: DVec2| {
-            let place = from.dot(along) * self.cells as f64;
-            (place >= 0.0 && place < self.cells as f64).then_some(place as usize)
+            let index = from.dot(along) * *cells as f64;
+            (index >= 0.0 && index < *cells as f64).then_some(index as usize)
         };
         let (column, row) = (cell(self.right)?, cell(self.down)?);
-        let inside = self.border..self.cells - self.border;
+        let inside = *border..cells - border;
         let is_data = inside.contains(&column) && inside.contains(&row);
-        let is_white = |data: &MarkerCells| data.is_white(row - self.border, column - self.border);
-        Some(is_data && self.data.as_ref().is_some_and(is_white))
+        let is_white = |data: &MarkerCells| data.is_white(row - border, column - border);
+        Some(is_data && data.as_ref().is_some_and(is_white))
     }
 
-    /// Whether it is a marker.
     pub(super) fn is_marker(&self) -> bool {
-        self.data.is_some()
+        self.pattern.data.is_some()
     }
 }
 
-/// The sheets of one part of a board: markers of one plane share one.
+/// The sheets of a body; coplanar markers share a sheet.
 pub(super) fn surfaces(
     board: &Board,
-    part: Part,
+    body: Body,
     dictionary: &Dictionary,
-    t_camera_part: &Pose,
+    t_camera_body: &Pose,
     intrinsics: &Intrinsics,
 ) -> Vec<Surface> {
     let mut sheets: Vec<(Pose, Vec<&BoardMarker>)> = Vec::new();
-    for marker in board.markers.iter().filter(|m| m.part == part) {
+    for marker in board.markers.iter().filter(|m| m.body == body) {
         let frame = plane_of(marker);
         let sheet = sheets.iter_mut().find(|(plane, _)| {
             let back = plane.inverse();
@@ -135,11 +147,11 @@ pub(super) fn surfaces(
     sheets
         .iter()
         .map(|(plane, markers)| {
-            let pieces = pieces(markers, dictionary);
+            let patterns = patterns(markers, dictionary);
             let cell = markers.first().map_or(0.0, |m| {
                 m.corners_m[0].distance(m.corners_m[1]) / dictionary.cells_per_side() as f64
             });
-            surface(plane, pieces, cell, t_camera_part, intrinsics)
+            surface(plane, patterns, cell, t_camera_body, intrinsics)
         })
         .collect()
 }
@@ -153,9 +165,9 @@ pub(super) fn chessboard_surface(
     intrinsics: &Intrinsics,
 ) -> Surface {
     let markers: Vec<&BoardMarker> = board.markers.iter().collect();
-    let mut all = pieces(&markers, dictionary);
+    let mut all = patterns(&markers, dictionary);
     let squares = chessboard.black_squares_m();
-    all.extend(squares.iter().map(|corners| Piece {
+    all.extend(squares.iter().map(|corners| Pattern {
         id: 0,
         corners_m: corners.map(|c| c.extend(0.0)),
         cells: 1,
@@ -166,18 +178,9 @@ pub(super) fn chessboard_surface(
     surface(&Pose::IDENTITY, all, margin_m, t_camera_board, intrinsics)
 }
 
-/// What becomes a [`Decal`].
-struct Piece {
-    id: u32,
-    corners_m: [DVec3; 4],
-    cells: usize,
-    border: usize,
-    data: Option<MarkerCells>,
-}
-
-fn pieces(markers: &[&BoardMarker], dictionary: &Dictionary) -> Vec<Piece> {
+fn patterns(markers: &[&BoardMarker], dictionary: &Dictionary) -> Vec<Pattern> {
     let known = markers.iter().filter_map(|marker| {
-        Some(Piece {
+        Some(Pattern {
             id: marker.id,
             corners_m: marker.corners_m,
             cells: dictionary.cells_per_side(),
@@ -188,7 +191,7 @@ fn pieces(markers: &[&BoardMarker], dictionary: &Dictionary) -> Vec<Piece> {
     known.collect()
 }
 
-/// Origin at the top-left corner, x to the right, z towards the front.
+/// Frame at the top-left corner: x to the right, z normal.
 fn plane_of(marker: &BoardMarker) -> Pose {
     let [a, b, _, d] = marker.corners_m;
     let x = (b - a).normalize_or(DVec3::X);
@@ -199,29 +202,26 @@ fn plane_of(marker: &BoardMarker) -> Pose {
 
 fn surface(
     plane: &Pose,
-    pieces: Vec<Piece>,
+    patterns: Vec<Pattern>,
     cell_m: f64,
-    t_camera_part: &Pose,
+    t_camera_body: &Pose,
     intrinsics: &Intrinsics,
 ) -> Surface {
-    let t_camera_plane = *t_camera_part * *plane;
+    let t_camera_plane = *t_camera_body * *plane;
     let flat = |c: DVec3| plane.inverse().transform_point(c).truncate();
-    let corners = || pieces.iter().flat_map(|p| p.corners_m).map(flat);
+    let corners = || patterns.iter().flat_map(|p| p.corners_m).map(flat);
     let margin = DVec2::splat(MARGIN_CELLS * cell_m);
     let min = corners().fold(DVec2::INFINITY, DVec2::min) - margin;
     let max = corners().fold(DVec2::NEG_INFINITY, DVec2::max) + margin;
-    let decals = pieces.into_iter().map(|piece| {
-        let [a, b, _, d] = piece.corners_m.map(flat);
+    let decals = patterns.into_iter().map(|pattern| {
+        let [a, b, _, d] = pattern.corners_m.map(flat);
         Decal {
-            id: piece.id,
             bounds: bounds(&[a, b, b + d - a, d], &t_camera_plane, intrinsics),
-            corners_m: piece.corners_m.map(|c| t_camera_part.transform_point(c)),
+            corners_m: pattern.corners_m.map(|c| t_camera_body.transform_point(c)),
             origin: a,
             right: (b - a) / (b - a).length_squared(),
             down: (d - a) / (d - a).length_squared(),
-            cells: piece.cells,
-            border: piece.border,
-            data: piece.data,
+            pattern,
         }
     });
     let decals = decals.collect();
@@ -247,7 +247,7 @@ fn surface(
     }
 }
 
-/// Pixels around a polygon of the plane; everything if a part of it cannot be projected.
+/// Bounding box of a polygon of the plane; infinite if it cannot be projected.
 fn bounds(outline: &[DVec2; 4], t_camera_plane: &Pose, intrinsics: &Intrinsics) -> Bounds {
     const PIECES: usize = 8;
     let mut bounds = Bounds {

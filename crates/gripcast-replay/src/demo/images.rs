@@ -8,7 +8,7 @@ use gripcast_base::random::SeedStream;
 use gripcast_geometry::Pose;
 use gripcast_imaging::{Intrinsics, encode_jpeg};
 use gripcast_pose::BoardFile;
-use gripcast_pose::print::{ObjectOnSheet, ObjectSheet, usual_object_sheet};
+use gripcast_pose::print::{ObjectSheet, SheetObject, default_object_sheet};
 use gripcast_sim::fem::GelGrid;
 use gripcast_sim::grasp::{GripperState, Snapshot};
 use gripcast_visual::{
@@ -59,12 +59,12 @@ impl Stand {
     /// `Input` for an object that no paper is large enough for.
     pub(super) fn new(object: &DemoObject, seed: u64) -> Result<Self> {
         let looks = SeedStream::named(seed, &format!("looks {}", object.name)).bits();
-        let lying = ObjectOnSheet {
+        let lying = SheetObject {
             mesh: &object.mesh,
             source: &object.source,
             t_world_object: object.t_world_object,
         };
-        let sheet = usual_object_sheet(&object.name, &lying)?;
+        let sheet = default_object_sheet(&object.name, &lying)?;
         let tags = BoardFile::gripper_umi()?;
         Ok(Self {
             model: Model::plain(&object.mesh, drawn_finish(looks), looks)?,

@@ -1,4 +1,4 @@
-//! What every sheet has besides markers: rulers, lines of text.
+//! Rulers and notes of a sheet.
 
 use glam::DVec2;
 
@@ -6,16 +6,16 @@ use super::RULER_MM;
 use super::drawing::{Drawing, TextAnchor};
 use super::layout::NOTES_MM;
 
-/// Free border that printers leave, mm.
+/// Unprintable border, mm.
 pub(super) const MARGIN_MM: f64 = 8.0;
-/// Size of the notes' font, mm.
+/// Font size of the notes, mm.
 pub(super) const NOTE_MM: f64 = 2.6;
-/// Size of the font of numbers beside markers, mm.
+/// Font size of labels, mm.
 pub(super) const LABEL_MM: f64 = 2.2;
-/// Width that a letter takes at most on average, relative to the size of the font.
+/// Upper bound of the mean letter width, relative to the font size.
 const LETTER: f64 = 0.56;
 
-/// A ruler of 100 mm from `start`, along x or, upwards, along y. Its ends are the middles of its
+/// Draws a ruler of 100 mm from `start`, along x or upwards along y. It ends at the centres of its
 /// first and last tick.
 pub(super) fn ruler(drawing: &mut Drawing, start: DVec2, is_vertical: bool) {
     let (along, across) = if is_vertical {
@@ -23,7 +23,7 @@ pub(super) fn ruler(drawing: &mut Drawing, start: DVec2, is_vertical: bool) {
     } else {
         (DVec2::X, DVec2::NEG_Y)
     };
-    drawing.thin(start, start + along * RULER_MM);
+    drawing.thin_line(start, start + along * RULER_MM);
     for tick in 0..=10 {
         let at = start + along * (0.1 * RULER_MM * f64::from(tick));
         let length = match tick {
@@ -31,7 +31,7 @@ pub(super) fn ruler(drawing: &mut Drawing, start: DVec2, is_vertical: bool) {
             5 => 3.0,
             _ => 2.0,
         };
-        drawing.thin(at, at + across * length);
+        drawing.thin_line(at, at + across * length);
     }
     let axis = if is_vertical { "y" } else { "x" };
     let label = format!("{RULER_MM:.0} mm");
@@ -45,8 +45,7 @@ pub(super) fn ruler(drawing: &mut Drawing, start: DVec2, is_vertical: bool) {
     drawing.text(end + second, LABEL_MM, TextAnchor::Start, &label);
 }
 
-/// The rulers in the lower left corner, along x and, above it, along y, and beside them lines of
-/// notes from `corner` downwards.
+/// Draws both rulers in the lower left corner, and notes beside them at the offset `corner`.
 pub(super) fn footer(drawing: &mut Drawing, corner: DVec2, lines: &[String]) {
     let [width, height] = drawing.size_mm;
     let floor = height - MARGIN_MM;
@@ -56,29 +55,28 @@ pub(super) fn footer(drawing: &mut Drawing, corner: DVec2, lines: &[String]) {
     notes(drawing, start, width - MARGIN_MM - start.x, lines);
 }
 
-/// Lines of notes from `corner` downwards, wrapped to `width` mm; where the last one ends.
-pub(super) fn notes(drawing: &mut Drawing, corner: DVec2, width: f64, lines: &[String]) -> f64 {
-    let most = (width / (LETTER * NOTE_MM)).floor().max(8.0) as usize;
+/// Draws notes from `corner` downwards, wrapped to `width` mm.
+pub(super) fn notes(drawing: &mut Drawing, corner: DVec2, width: f64, lines: &[String]) {
+    let max_length = (width / (LETTER * NOTE_MM)).floor().max(8.0) as usize;
     let mut y = corner.y;
-    for line in lines.iter().flat_map(|line| wrapped(line, most)) {
+    for line in lines.iter().flat_map(|line| wrap(line, max_length)) {
         y += 1.25 * NOTE_MM;
         drawing.text(DVec2::new(corner.x, y), NOTE_MM, TextAnchor::Start, &line);
     }
-    y
 }
 
-/// Words in lines of at most `most` letters; a longer word is cut.
-fn wrapped(text: &str, most: usize) -> Vec<String> {
+/// Splits text into lines of at most `max_length` letters; longer words are cut.
+fn wrap(text: &str, max_length: usize) -> Vec<String> {
     let mut lines = vec![String::new()];
     for word in text.split_whitespace() {
         let letters: Vec<char> = word.chars().collect();
-        for piece in letters.chunks(most) {
+        for piece in letters.chunks(max_length) {
             let piece: String = piece.iter().collect();
             let count = lines.len();
             let last = &mut lines[count - 1];
             if last.is_empty() {
                 *last = piece;
-            } else if last.chars().count() + 1 + piece.chars().count() <= most {
+            } else if last.chars().count() + 1 + piece.chars().count() <= max_length {
                 *last += " ";
                 *last += &piece;
             } else {
@@ -95,8 +93,8 @@ mod tests {
 
     #[test]
     fn notes_wrap_between_words() {
-        assert_eq!(wrapped("aa bb cc", 5), ["aa bb", "cc"]);
-        assert_eq!(wrapped("abcdefgh i", 4), ["abcd", "efgh", "i"]);
-        assert_eq!(wrapped("", 4), [""]);
+        assert_eq!(wrap("aa bb cc", 5), ["aa bb", "cc"]);
+        assert_eq!(wrap("abcdefgh i", 4), ["abcd", "efgh", "i"]);
+        assert_eq!(wrap("", 4), [""]);
     }
 }
