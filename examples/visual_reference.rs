@@ -18,8 +18,8 @@ use std::path::{Path, PathBuf};
 
 use glam::{DVec3, Vec3};
 use gripcast_visual::{
-    Bitmap, Camera, Colour, DenoiseSettings, Environment, Image, Material, Mesh, PixelFilter,
-    RenderSettings, Renderer, Rendering, Scene, Watch, denoise, load_hdr,
+    Bitmap, Camera, Colour, DenoiseSettings, EnvMap, Image, Material, Mesh, PixelFilter,
+    RenderControl, RenderSettings, Renderer, Rendering, Scene, denoise, load_hdr,
 };
 use image::{Rgb, RgbImage};
 use serde_json::json;
@@ -47,15 +47,15 @@ fn main() -> Done<()> {
     let prepare_s = cpu_seconds() - started;
     let render = |samples: u32, seed: u64| -> Done<(Rendering, f64)> {
         let settings = RenderSettings {
-            samples,
+            samples_per_pixel: samples,
             max_bounces: 5,
-            roulette_from: 4,
+            rr_depth: 4,
             filter: PixelFilter::Box,
             seed,
             ..RenderSettings::default()
         };
         let started = cpu_seconds();
-        let rendering = renderer.render(&scene.camera, &settings, &Watch::default())?;
+        let rendering = renderer.render(&scene.camera, &settings, &RenderControl::default())?;
         Ok((rendering, cpu_seconds() - started))
     };
     let mut figures = Vec::new();
@@ -164,12 +164,12 @@ fn scene(options: &Options) -> Done<Scene> {
         },
         other => return Err(format!("there is no material {other}").into()),
     };
-    let environment = match &options.hdr {
-        Some(path) => Environment::new(load_hdr(path)?),
-        None => Environment::new(sky(1024, 512)),
+    let env_map = match &options.hdr {
+        Some(path) => EnvMap::new(load_hdr(path)?),
+        None => EnvMap::new(sky(1024, 512)),
     };
     let eye = DVec3::new(0.26, -0.16, 0.2);
-    let pose = Camera::looking_at(eye, DVec3::new(0.0, 0.0, 0.05)).ok_or("no view")?;
+    let pose = Camera::look_at(eye, DVec3::new(0.0, 0.0, 0.05)).ok_or("no view")?;
     Ok(Scene {
         meshes: vec![blob(282, 142, 0), Mesh::ground(Vec3::ZERO, 0.5, 0.25, 1)],
         materials: vec![
@@ -182,7 +182,7 @@ fn scene(options: &Options) -> Done<Scene> {
             Bitmap::from_srgb8(&stripes(512, [200, 90, 40], [230, 220, 190]))?,
             Bitmap::from_srgb8(&stripes(512, [110, 80, 50], [170, 140, 100]))?,
         ],
-        environment,
+        env_map,
         camera: Camera::centred(320, 240, 0.75, pose),
     })
 }
@@ -309,7 +309,7 @@ fn export(scene: &Scene, out: &Path) -> Done<()> {
         texture.to_srgb8().save(file)?;
     }
     write_pfm(
-        &with_poles(&scene.environment.map),
+        &with_poles(&scene.env_map.map),
         &out.join("environment.pfm"),
     )?;
     let materials: Vec<_> = scene.materials.iter().map(material_json).collect();
@@ -320,8 +320,8 @@ fn export(scene: &Scene, out: &Path) -> Done<()> {
         "materials": materials,
         "environment": {
             "file": "environment.pfm",
-            "rotation_rad": scene.environment.rotation_rad,
-            "intensity": scene.environment.intensity,
+            "rotation_rad": scene.env_map.rotation_rad,
+            "intensity": scene.env_map.intensity,
         },
         "camera": {
             "width": camera.width, "height": camera.height,

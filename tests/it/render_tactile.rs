@@ -5,11 +5,11 @@ use gripcast_tactile::calibrate::{CalibrateOptions, CalibrationReport, run};
 
 use gripcast_testing::shared;
 
-fn fots(most_fitted: Option<usize>, seed: u64) -> Option<CalibrationReport> {
+fn fots(max_fitted: Option<usize>, seed: u64) -> Option<CalibrationReport> {
     let options = CalibrateOptions {
-        most_fitted,
+        max_fitted,
         seed,
-        ..CalibrateOptions::of_folder(shared("data/fots_ball")?)
+        ..CalibrateOptions::from_folder(shared("data/fots_ball")?)
     };
     Some(run(&options).unwrap().report)
 }
@@ -38,7 +38,7 @@ fn contacts_of_a_real_mini_are_found_and_explained() {
     let Some(folder) = shared("data/gsmini_taxim_ball") else {
         return;
     };
-    let mut options = CalibrateOptions::of_folder(folder);
+    let mut options = CalibrateOptions::from_folder(folder);
     options.read.ball_diameter_m = Some(4e-3);
     options.read.size = Some((320, 240));
     options.read.find_contacts = true;

@@ -28,7 +28,7 @@ impl BackgroundFit {
     ///
     /// The sampled polynomials are nearly orthogonal: a few sweeps over the normal equations make
     /// the fit exact enough.
-    pub fn of_image(image: &RgbImage, degree: usize) -> Self {
+    pub fn from_image(image: &RgbImage, degree: usize) -> Self {
         let degree = degree.min(MAX_DEGREE);
         let (width, height) = (image.width() as usize, image.height() as usize);
         let (columns, rows) = (legendre(width, degree), legendre(height, degree));
@@ -182,7 +182,7 @@ mod tests {
             let place = |i: u32, n: f64| (2.0 * f64::from(i) + 1.0) / n - 1.0;
             Rgb(colour(place(x, 64.0), place(y, 48.0)).map(|v| v.round() as u8))
         });
-        let fit = BackgroundFit::of_image(&image, 4);
+        let fit = BackgroundFit::from_image(&image, 4);
         fit.validate().unwrap();
         let planes = fit.planes(64, 48);
         for (i, pixel) in image.pixels().enumerate() {
@@ -197,7 +197,7 @@ mod tests {
 
     #[test]
     fn wrong_fits_are_refused() {
-        let mut fit = BackgroundFit::of_image(&RgbImage::new(8, 8), 2);
+        let mut fit = BackgroundFit::from_image(&RgbImage::new(8, 8), 2);
         fit.green.pop();
         assert!(fit.validate().unwrap_err().to_string().contains("green"));
         fit.degree = 99;
@@ -206,7 +206,7 @@ mod tests {
 
     #[test]
     fn degree_zero_is_the_mean() {
-        let fit = BackgroundFit::of_image(&RgbImage::from_pixel(5, 4, Rgb([7, 8, 9])), 0);
+        let fit = BackgroundFit::from_image(&RgbImage::from_pixel(5, 4, Rgb([7, 8, 9])), 0);
         assert!((fit.red[0] - 7.0).abs() < 1e-9 && fit.blue.len() == 1);
     }
 }

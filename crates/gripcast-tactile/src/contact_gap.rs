@@ -12,7 +12,7 @@ use super::rasteriser::Rasteriser;
 use gripcast_geometry::{Pose, TriangleMesh};
 use gripcast_sim::contact::barrier::Barrier;
 
-/// Distance of the samples over the face, m.
+/// CentreDistance of the samples over the face, m.
 const SAMPLE_M: f64 = 1e-4;
 
 /// Mean distance between a deformed face (in the sensor's frame) and the object, weighted by the

@@ -16,7 +16,7 @@ pub(super) struct Region {
 
 impl Region {
     /// Smallest region that holds every value other than 0; `None` if there is none.
-    pub(super) fn of_nonzero(plane: &[f32], width: usize) -> Option<Self> {
+    pub(super) fn nonzero(plane: &[f32], width: usize) -> Option<Self> {
         let mut found: Option<Self> = None;
         for (y, row) in plane.chunks_exact(width.max(1)).enumerate() {
             let Some(first) = row.iter().position(|v| *v != 0.0) else {
@@ -162,7 +162,7 @@ mod tests {
 
     fn filtered(plane: &[f32], width: usize, sigma: f64) -> Vec<f32> {
         let mut out = plane.to_vec();
-        if let Some(region) = Region::of_nonzero(plane, width) {
+        if let Some(region) = Region::nonzero(plane, width) {
             Gaussian::new(sigma).apply(&mut out, width, region);
         }
         out
@@ -225,6 +225,6 @@ mod tests {
 
     #[test]
     fn an_empty_plane_stays_empty() {
-        assert_eq!(Region::of_nonzero(&[0.0; 12], 4), None);
+        assert_eq!(Region::nonzero(&[0.0; 12], 4), None);
     }
 }

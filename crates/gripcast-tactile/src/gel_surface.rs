@@ -15,7 +15,7 @@ use super::profile::SensorProfile;
 use super::rasteriser::Rasteriser;
 use super::renderer::TactileRenderer;
 use super::scene::TactileScene;
-use super::scene_renderer::{SceneRenderer, look};
+use super::scene_renderer::{SceneRenderer, noise};
 use super::smooth::Smoothing;
 use gripcast_base::error::{Error, Result};
 use gripcast_geometry::{Pose, TriangleMesh};
@@ -64,7 +64,7 @@ impl SceneRenderer for GelSurfaceRenderer {
             )
             .remedy("render the end of a stage of a simulated grasp")
         })?;
-        self.shading.render(&press, &look(&self.drift, seed))
+        self.shading.render(&press, &noise(&self.drift, seed))
     }
 }
 

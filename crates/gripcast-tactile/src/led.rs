@@ -108,7 +108,7 @@ impl LedShading {
         };
         let mut light = RowLight::default();
         for led in &self.leds {
-            let lamp = Lamp::new(led, self.shininess);
+            let lamp = PointLight::new(led, self.shininess);
             for row in region.y0..region.y1 {
                 let span = row * geometry.width + region.x0..row * geometry.width + region.x1;
                 let [first, y] = geometry.pixel_to_gel_m(region.x0 as f64, row as f64);
@@ -135,7 +135,7 @@ impl LedShading {
     }
 }
 
-/// Change of a lamp's light along a row, as [`Lamp::change`] for each pixel, in loops that
+/// Change of a lamp's light along a row, as [`PointLight::change`] for each pixel, in loops that
 /// vectorise.
 #[derive(Default)]
 struct RowLight {
@@ -147,7 +147,7 @@ struct RowLight {
 
 impl RowLight {
     /// `start` is the place of the first pixel, m; the others follow along x.
-    fn fill(&mut self, lamp: &Lamp, start: [f32; 2], pixel_m: f32, normals: [&[f32]; 3]) {
+    fn fill(&mut self, lamp: &PointLight, start: [f32; 2], pixel_m: f32, normals: [&[f32]; 3]) {
         let [nx, ny, nz] = normals;
         for plane in [
             &mut self.diffuse,
@@ -175,8 +175,8 @@ impl RowLight {
             *shine = (2.0 * facing * (1.0 + nz) - upward).max(0.0);
             *flat = upward.max(0.0);
         }
-        raise_all(&mut self.shine, lamp.shininess);
-        raise_all(&mut self.shine_flat, lamp.shininess);
+        pow_all(&mut self.shine, lamp.shininess);
+        pow_all(&mut self.shine_flat, lamp.shininess);
         let flat = self.shine_flat.iter().zip(&self.falloff);
         for (shine, (flat, falloff)) in self.shine.iter_mut().zip(flat) {
             *shine = falloff * (*shine - flat);
@@ -185,7 +185,7 @@ impl RowLight {
 }
 
 /// Each value to the power of `exponent`, by squaring.
-fn raise_all(values: &mut [f32], exponent: u32) {
+fn pow_all(values: &mut [f32], exponent: u32) {
     const BLOCK: usize = 16;
     for block in values.chunks_mut(BLOCK) {
         let mut square = [0.0f32; BLOCK];
@@ -207,7 +207,7 @@ fn raise_all(values: &mut [f32], exponent: u32) {
 
 /// A lamp in single precision.
 #[derive(Clone, Debug)]
-pub(super) struct Lamp {
+pub(super) struct PointLight {
     position: [f32; 3],
     distance_square: f32,
     diffuse: [f32; 3],
@@ -215,7 +215,7 @@ pub(super) struct Lamp {
     shininess: u32,
 }
 
-impl Lamp {
+impl PointLight {
     pub(super) fn new(led: &Led, shininess: u32) -> Self {
         let position = led.position_m.map(|v| v as f32);
         Self {
@@ -273,7 +273,7 @@ mod tests {
     fn a_slope_towards_the_lamp_is_brighter() {
         let guess = LedShading::mini_guess();
         guess.validate().unwrap();
-        let red = Lamp::new(&guess.leds[0], guess.shininess);
+        let red = PointLight::new(&guess.leds[0], guess.shininess);
         let tilt = |degrees: f32| {
             let (sin, cos) = degrees.to_radians().sin_cos();
             [0.0, sin, cos - 1.0]
@@ -299,7 +299,7 @@ mod tests {
             .map(|i| 1e-4 * ((i % 37) as f32 * 0.6).sin() * (i / 37) as f32)
             .collect();
         let mut normals = Normals::default();
-        normals.take(&map, &geometry);
+        normals.compute(&map, &geometry);
         let shading = LedShading::mini_guess();
         let mut planes = std::array::from_fn(|_| vec![0.0; 185]);
         shading.add(&geometry, &normals, &mut planes);
@@ -310,7 +310,7 @@ mod tests {
                 .leds
                 .iter()
                 .map(|led| {
-                    let [d, s] = Lamp::new(led, 8).change([x as f32, y as f32], normal);
+                    let [d, s] = PointLight::new(led, 8).change([x as f32, y as f32], normal);
                     led.diffuse[1] as f32 * d + led.specular[1] as f32 * s
                 })
                 .sum();

@@ -11,7 +11,7 @@
 //!
 //! [`TactileRenderer`] works by a [`SensorProfile`], which [`calibrate`] fits to real presses:
 //! depth → shape of the gel ([`Smoothing`]) → normals → change of light ([`ShadingModel`]) on the
-//! image of the untouched gel → drift and noise ([`FrameLook`]).
+//! image of the untouched gel → drift and noise ([`FrameNoise`]).
 
 mod background;
 mod bessel;
@@ -45,15 +45,15 @@ pub use contact_gap::contact_gap;
 pub use depth::{gel_surface_depth, object_depth};
 pub use gel_surface::{GelSurfaceRenderer, faceted};
 pub use led::{Led, LedShading};
-pub use membrane::sink_of_ball_m;
-pub use noise::{Drift, FrameLook};
+pub use membrane::ball_sink_m;
+pub use noise::{Drift, FrameNoise};
 pub use normals::Normals;
 pub use press_depth::{PressDepth, SensorGeometry};
 pub use profile::{Background, SensorProfile, ShadingModel};
 pub use rasteriser::{NO_TRIANGLE, Rasteriser};
 pub use renderer::TactileRenderer;
 pub use rigid_press::{depth_under_force, foundation_pa_m};
-pub use scene::{Mounting, SensorPlace, SimulatedGel, TactileScene};
+pub use scene::{MountingAngle, SensorMount, SimulatedGel, TactileScene};
 pub use scene_renderer::{ObjectDepthRenderer, SceneRenderer};
 pub use shading::{NormalOrder, PolynomialShading, PositionOrder};
 pub use smooth::{Smoother, Smoothing};

@@ -17,12 +17,12 @@ const SWEEPS: usize = 10;
 /// Over-relaxation.
 const OMEGA: f32 = 1.4;
 /// The coarsest level has at least this many pixels on its shorter side.
-const COARSEST: usize = 6;
+const MIN_COARSE_SIDE: usize = 6;
 
 /// Depth of the border of a ball's contact below the untouched face, m.
 ///
 /// `contact_m` is the radius of the contact, `ball_m` that of the ball, `length_m` the length λ.
-pub fn sink_of_ball_m(contact_m: f64, ball_m: f64, length_m: f64) -> f64 {
+pub fn ball_sink_m(contact_m: f64, ball_m: f64, length_m: f64) -> f64 {
     if length_m <= 0.0 || contact_m <= 0.0 {
         return 0.0;
     }
@@ -56,16 +56,16 @@ impl Membrane {
     }
 
     /// Raises the object's depth to the depth of the face, in place.
-    pub(super) fn settle(&mut self, depth: &mut [f32], width: usize) {
+    pub(super) fn solve(&mut self, depth: &mut [f32], width: usize) {
         if self.length_px <= 0.0 || depth.iter().all(|d| *d == 0.0) {
             return;
         }
-        self.lay_out(width, depth.len() / width);
-        halve(depth, width, &mut self.levels[0]);
+        self.allocate(width, depth.len() / width);
+        downsample(depth, width, &mut self.levels[0]);
         for i in 1..self.levels.len() {
             let (finer, coarser) = self.levels.split_at_mut(i);
             let finer = &finer[i - 1];
-            halve(&finer.obstacle, finer.width, &mut coarser[0]);
+            downsample(&finer.obstacle, finer.width, &mut coarser[0]);
         }
         for i in (0..self.levels.len()).rev() {
             let length = self.length_px / (2 << i) as f64;
@@ -74,16 +74,16 @@ impl Membrane {
             match coarser.first() {
                 Some(coarser) => {
                     level.face.copy_from_slice(&level.obstacle);
-                    raise(&mut level.face, level.width, coarser);
+                    upsample_max(&mut level.face, level.width, coarser);
                 }
                 None => level.face.copy_from_slice(&level.obstacle),
             }
             level.relax((length * length) as f32);
         }
-        raise(depth, width, &self.levels[0]);
+        upsample_max(depth, width, &self.levels[0]);
     }
 
-    fn lay_out(&mut self, width: usize, height: usize) {
+    fn allocate(&mut self, width: usize, height: usize) {
         let (mut w, mut h) = (width.div_ceil(2), height.div_ceil(2));
         if self
             .levels
@@ -100,7 +100,7 @@ impl Membrane {
                 obstacle: vec![0.0; w * h],
                 face: vec![0.0; w * h],
             });
-            if w.min(h) < 2 * COARSEST {
+            if w.min(h) < 2 * MIN_COARSE_SIDE {
                 return;
             }
             (w, h) = (w.div_ceil(2), h.div_ceil(2));
@@ -137,7 +137,7 @@ impl Level {
 }
 
 /// Means of 2 × 2 pixels into a level's obstacle.
-fn halve(fine: &[f32], width: usize, coarse: &mut Level) {
+fn downsample(fine: &[f32], width: usize, coarse: &mut Level) {
     for (rows, out) in fine
         .chunks(2 * width)
         .zip(coarse.obstacle.chunks_exact_mut(coarse.width))
@@ -152,11 +152,11 @@ fn halve(fine: &[f32], width: usize, coarse: &mut Level) {
 }
 
 /// Raises a plane to the interpolation of a level of half its resolution.
-fn raise(fine: &mut [f32], width: usize, coarse: &Level) {
+fn upsample_max(fine: &mut [f32], width: usize, coarse: &Level) {
     let mut blended = vec![0.0f32; coarse.width];
     for (y, row) in fine.chunks_exact_mut(width).enumerate() {
         let near = &coarse.face[y / 2 * coarse.width..][..coarse.width];
-        let other = beside(y, coarse.height) * coarse.width;
+        let other = adjacent_row(y, coarse.height) * coarse.width;
         let far = &coarse.face[other..][..coarse.width];
         for (out, (near, far)) in blended.iter_mut().zip(near.iter().zip(far)) {
             *out = 0.75 * near + 0.25 * far;
@@ -173,7 +173,7 @@ fn raise(fine: &mut [f32], width: usize, coarse: &Level) {
 }
 
 /// The coarse row on the other side of fine row `y`.
-fn beside(y: usize, height: usize) -> usize {
+fn adjacent_row(y: usize, height: usize) -> usize {
     if y.is_multiple_of(2) {
         (y / 2).saturating_sub(1)
     } else {
@@ -187,7 +187,7 @@ mod tests {
 
     /// A ball pressed until its contact has the radius `a`, all in pixels.
     fn pressed(width: usize, height: usize, a: f64, ball: f64, length: f64) -> Vec<f32> {
-        let sink = sink_of_ball_m(a, ball, length);
+        let sink = ball_sink_m(a, ball, length);
         let border = (ball * ball - a * a).sqrt();
         let depth = |i: usize| {
             let x = (i % width) as f64 - 0.5 * (width as f64 - 1.0);
@@ -206,8 +206,8 @@ mod tests {
         let (width, height, a, ball, length) = (320, 240, 40.0, 46.0, 20.0);
         let object = pressed(width, height, a, ball, length);
         let mut face = object.clone();
-        Membrane::new(length).settle(&mut face, width);
-        let sink = sink_of_ball_m(a, ball, length);
+        Membrane::new(length).solve(&mut face, width);
+        let sink = ball_sink_m(a, ball, length);
         for i in 0..face.len() {
             let x = (i % width) as f64 - 159.5;
             let y = (i / width) as f64 - 119.5;
@@ -226,10 +226,10 @@ mod tests {
     fn the_face_is_never_above_the_object_and_length_0_changes_nothing() {
         let object = pressed(101, 77, 20.0, 30.0, 9.0);
         let mut face = object.clone();
-        Membrane::new(9.0).settle(&mut face, 101);
+        Membrane::new(9.0).solve(&mut face, 101);
         assert!(face.iter().zip(&object).all(|(u, h)| u >= h));
         let mut same = object.clone();
-        Membrane::new(0.0).settle(&mut same, 101);
+        Membrane::new(0.0).solve(&mut same, 101);
         assert_eq!(same, object);
     }
 
@@ -238,7 +238,7 @@ mod tests {
         for (width, height) in [(1, 1), (2, 2), (3, 1), (13, 7)] {
             let mut face = vec![0.0; width * height];
             face[0] = 1.0;
-            Membrane::new(3.0).settle(&mut face, width);
+            Membrane::new(3.0).solve(&mut face, width);
             assert!(face.iter().all(|u| (0.0..=1.0).contains(u)));
         }
     }

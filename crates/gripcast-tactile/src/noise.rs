@@ -5,7 +5,7 @@ use serde::{Deserialize, Serialize};
 
 /// What differs between two frames of the same sensor with the same contact.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct FrameLook {
+pub struct FrameNoise {
     /// Factor on red, green, blue.
     pub gain: [f32; 3],
     /// Added to red, green, blue after the gain, grey levels.
@@ -14,7 +14,7 @@ pub struct FrameLook {
     pub noise_seed: Option<u64>,
 }
 
-impl Default for FrameLook {
+impl Default for FrameNoise {
     /// As calibrated, without noise.
     fn default() -> Self {
         Self {
@@ -41,16 +41,16 @@ pub struct Drift {
 
 impl Drift {
     /// A frame's look with gain and offset drawn from the spread, and noise, all from one seed.
-    pub fn draw(&self, seed: u64) -> FrameLook {
-        let draw = |stream: u64, std: f64| {
+    pub fn sample(&self, seed: u64) -> FrameNoise {
+        let deviation = |stream: u64, std: f64| {
             let bits = scramble(seed ^ scramble(stream.wrapping_add(0x6472_6966)));
             std as f32 * deviate(bits)
         };
-        let gain: [f32; 3] = std::array::from_fn(|c| 1.0 + draw(c as u64, self.gain_std[c]));
-        FrameLook {
+        let gain: [f32; 3] = std::array::from_fn(|c| 1.0 + deviation(c as u64, self.gain_std[c]));
+        FrameNoise {
             gain,
             offset: std::array::from_fn(|c| {
-                draw(3 + c as u64, self.offset_std[c]) + (1.0 - gain[c]) * self.pivot[c] as f32
+                deviation(3 + c as u64, self.offset_std[c]) + (1.0 - gain[c]) * self.pivot[c] as f32
             }),
             noise_seed: Some(scramble(seed ^ 0x6e6f_6973)),
         }
@@ -99,15 +99,15 @@ mod tests {
             offset_std: [3.0, 1.0, 0.0],
             pivot: [100.0; 3],
         };
-        assert_eq!(drift.draw(3), drift.draw(3));
-        assert_ne!(drift.draw(3), drift.draw(4));
-        let looks: Vec<FrameLook> = (0..4000).map(|seed| drift.draw(seed)).collect();
-        let std = |value: &dyn Fn(&FrameLook) -> f32| {
-            (looks.iter().map(|l| value(l).powi(2)).sum::<f32>() / 4000.0).sqrt()
+        assert_eq!(drift.sample(3), drift.sample(3));
+        assert_ne!(drift.sample(3), drift.sample(4));
+        let frames: Vec<FrameNoise> = (0..4000).map(|seed| drift.sample(seed)).collect();
+        let std = |value: &dyn Fn(&FrameNoise) -> f32| {
+            (frames.iter().map(|l| value(l).powi(2)).sum::<f32>() / 4000.0).sqrt()
         };
         assert!((std(&|l| l.gain[0] - 1.0) - 0.05).abs() < 0.003);
         // The pivot moves by the offset alone.
         assert!((std(&|l| l.gain[0] * 100.0 + l.offset[0] - 100.0) - 3.0).abs() < 0.15);
-        assert!(looks.iter().all(|l| l.gain[1] == 1.0));
+        assert!(frames.iter().all(|l| l.gain[1] == 1.0));
     }
 }

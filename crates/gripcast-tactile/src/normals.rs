@@ -23,7 +23,7 @@ pub struct Normals {
 
 impl Normals {
     /// Takes the normals of a height map (m, `width * height`) by central differences.
-    pub fn take(&mut self, height_m: &[f32], geometry: &SensorGeometry) {
+    pub fn compute(&mut self, height_m: &[f32], geometry: &SensorGeometry) {
         let (width, pixel_m) = (geometry.width, geometry.pixel_m);
         let rows = height_m.len() / width.max(1);
         self.width = width;
@@ -31,7 +31,7 @@ impl Normals {
             plane.clear();
             plane.resize(height_m.len(), 0.0);
         }
-        self.region = Region::of_nonzero(height_m, width).map(|r| r.grown(1, width, rows));
+        self.region = Region::nonzero(height_m, width).map(|r| r.grown(1, width, rows));
         let Some(region) = self.region else {
             return;
         };
@@ -59,7 +59,7 @@ impl Normals {
     }
 
     /// Lays steeper normals down to a tilt of sine `steepest`, in the direction they have.
-    pub fn limit(&mut self, steepest: f32) {
+    pub fn limit_slope(&mut self, steepest: f32) {
         let Some(region) = self.region else {
             return;
         };
@@ -127,7 +127,7 @@ mod tests {
             .map(|i| 1e-4 * (0.75 * (i % width) as f32 - 0.4 * (i / width) as f32) + 1.0)
             .collect();
         let mut normals = Normals::default();
-        normals.take(&map, &geometry);
+        normals.compute(&map, &geometry);
         let length = (1.0f32 + 0.75 * 0.75 + 0.4 * 0.4).sqrt();
         for i in 0..map.len() {
             assert!((normals.x[i] + 0.75 / length).abs() < 2e-3);
@@ -140,19 +140,19 @@ mod tests {
     fn steep_normals_are_laid_down_and_keep_their_direction() {
         let map: Vec<f32> = (0..108).map(|i| 3e-4 * (i % 12) as f32).collect();
         let mut normals = Normals::default();
-        normals.take(&map, &geometry());
-        normals.limit(0.5);
+        normals.compute(&map, &geometry());
+        normals.limit_slope(0.5);
         assert!((normals.x[50] + 0.5).abs() < 1e-6 && normals.y[50] == 0.0);
         assert!((normals.z_less_1[50] + 1.0 - 0.75f32.sqrt()).abs() < 1e-6);
         let before = normals.clone();
-        normals.limit(0.6);
+        normals.limit_slope(0.6);
         assert_eq!(normals.x, before.x);
     }
 
     #[test]
     fn flat_is_flat() {
         let mut normals = Normals::default();
-        normals.take(&[0.0; 108], &geometry());
+        normals.compute(&[0.0; 108], &geometry());
         assert_eq!(normals.x, [0.0; 108]);
         assert_eq!(normals.z_less_1, [0.0; 108]);
     }

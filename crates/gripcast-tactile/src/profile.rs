@@ -173,11 +173,11 @@ impl SensorProfile {
         // All are on the disk before the first takes its name: they belong together.
         let mut staged = Vec::new();
         for (path, bytes) in files {
-            let file = StagedFile::write(&path, &bytes).map_err(|e| unwritten(&path, e))?;
+            let file = StagedFile::write(&path, &bytes).map_err(|e| not_written(&path, e))?;
             staged.push((path, file));
         }
         for (path, file) in staged {
-            file.commit().map_err(|e| unwritten(&path, e))?;
+            file.commit().map_err(|e| not_written(&path, e))?;
         }
         Ok(())
     }
@@ -198,14 +198,14 @@ impl SensorProfile {
     pub fn validate(&self) -> Result<()> {
         if self.schema != SCHEMA {
             return Err(
-                wrong(format!("schema must be {SCHEMA}, found {}", self.schema))
+                invalid(format!("schema must be {SCHEMA}, found {}", self.schema))
                     .remedy("calibrate the sensor again with this program"),
             );
         }
         let grid = &self.geometry;
         for (key, side) in [("width", grid.width), ("height", grid.height)] {
             if !(2..=MAX_SIDE).contains(&side) {
-                return Err(wrong(format!(
+                return Err(invalid(format!(
                     "geometry.{key} must be 2 to {MAX_SIDE} pixels, found {side}"
                 )));
             }
@@ -248,7 +248,7 @@ impl SensorProfile {
     }
 }
 
-fn wrong(what: String) -> Error {
+fn invalid(what: String) -> Error {
     Error::config(format!("sensor profile: {what}"))
 }
 
@@ -256,14 +256,14 @@ fn in_range(key: &str, value: f64, range: std::ops::RangeInclusive<f64>) -> Resu
     if range.contains(&value) {
         return Ok(());
     }
-    Err(wrong(format!(
+    Err(invalid(format!(
         "{key} must be {} to {}, found {value}",
         range.start(),
         range.end()
     )))
 }
 
-fn unwritten(path: &Path, cause: io::Error) -> Error {
+fn not_written(path: &Path, cause: io::Error) -> Error {
     Error::io("cannot write the sensor profile", cause)
         .at(path.display())
         .remedy("name a file in a folder that exists and can be written")

@@ -46,7 +46,7 @@ impl Rasteriser {
     ) -> &[f32] {
         self.project(mesh, t_sensor_mesh, grid);
         self.clear(grid, range_m[1]);
-        let mut target = Target {
+        let mut target = Canvas {
             grid: Grid::new(grid),
             range_m,
             nearest_m: &mut self.nearest_m,
@@ -71,7 +71,7 @@ impl Rasteriser {
         self.clear(grid, range_m[1]);
         self.triangles.clear();
         self.triangles.resize(self.nearest_m.len(), NO_TRIANGLE);
-        let mut target = Target {
+        let mut target = Canvas {
             grid: Grid::new(grid),
             range_m,
             nearest_m: &mut self.nearest_m,
@@ -125,7 +125,7 @@ impl Grid {
 }
 
 /// What is drawn into.
-struct Target<'a> {
+struct Canvas<'a> {
     grid: Grid,
     range_m: [f64; 2],
     nearest_m: &'a mut [f32],
@@ -139,19 +139,19 @@ struct Plane {
     bounds_m: [f32; 2],
 }
 
-impl Target<'_> {
+impl Canvas<'_> {
     #[inline]
     fn draw<const TRIANGLES: bool>(&mut self, corners: [&Corner; 3], index: u32) {
         let [a, b, c] = corners;
         let [near, far] = self.range_m;
-        let (lowest, highest) = (least(a[2], b[2], c[2]), most(a[2], b[2], c[2]));
+        let (lowest, highest) = (min3(a[2], b[2], c[2]), max3(a[2], b[2], c[2]));
         if lowest >= far || highest < near {
             return;
         }
-        let left = first_at_or_after(least(a[0], b[0], c[0]), self.grid.width);
-        let right = first_at_or_after(most(a[0], b[0], c[0]), self.grid.width);
-        let top = first_at_or_after(least(a[1], b[1], c[1]), self.grid.height);
-        let bottom = first_at_or_after(most(a[1], b[1], c[1]), self.grid.height);
+        let left = first_at_or_after(min3(a[0], b[0], c[0]), self.grid.width);
+        let right = first_at_or_after(max3(a[0], b[0], c[0]), self.grid.width);
+        let top = first_at_or_after(min3(a[1], b[1], c[1]), self.grid.height);
+        let bottom = first_at_or_after(max3(a[1], b[1], c[1]), self.grid.height);
         if left >= right || top >= bottom {
             return;
         }
@@ -161,14 +161,14 @@ impl Target<'_> {
             slope,
             bounds_m: [lowest as f32, highest as f32],
         };
-        let [upper, middle, lower] = by_row(corners);
-        let long = Border::new(upper, lower);
+        let [upper, middle, lower] = sorted_by_row(corners);
+        let long = Edge::new(upper, lower);
         let turn = first_at_or_after(middle[1], self.grid.height);
         for (rows, from, to) in [(top..turn, upper, middle), (turn..bottom, middle, lower)] {
             if rows.is_empty() {
                 continue;
             }
-            let short = Border::new(from, to);
+            let short = Edge::new(from, to);
             for row in rows {
                 let ends = [long.column(row), short.column(row)];
                 let start = first_at_or_after(ends[0].min(ends[1]), self.grid.width);
@@ -200,12 +200,12 @@ impl Target<'_> {
         let at = row * self.grid.stride;
         let pixels = at + columns.start..at + columns.end;
         let ids = if TRIANGLES { pixels.clone() } else { 0..0 };
-        let held = &mut self.nearest_m[pixels];
+        let depth = &mut self.nearest_m[pixels];
         let ids = &mut self.triangles[ids];
-        for (k, held) in held.iter_mut().enumerate() {
+        for (k, depth) in depth.iter_mut().enumerate() {
             let z = (from + k as f32 * step).max(lowest).min(highest);
-            if z >= near && z < *held {
-                *held = z;
+            if z >= near && z < *depth {
+                *depth = z;
                 if TRIANGLES {
                     ids[k] = index;
                 }
@@ -233,12 +233,12 @@ fn slopes([a, b, c]: [&Corner; 3]) -> Option<[f64; 2]> {
 }
 
 /// A side of a triangle, followed downwards.
-struct Border {
+struct Edge {
     from: [f64; 2],
     columns_per_row: f64,
 }
 
-impl Border {
+impl Edge {
     #[inline]
     fn new(upper: &Corner, lower: &Corner) -> Self {
         Self {
@@ -254,7 +254,7 @@ impl Border {
 }
 
 #[inline]
-fn by_row([mut a, mut b, mut c]: [&Corner; 3]) -> [&Corner; 3] {
+fn sorted_by_row([mut a, mut b, mut c]: [&Corner; 3]) -> [&Corner; 3] {
     if b[1] < a[1] {
         std::mem::swap(&mut a, &mut b);
     }
@@ -277,12 +277,12 @@ fn first_at_or_after(place: f64, limit: f64) -> usize {
 }
 
 #[inline]
-fn least(a: f64, b: f64, c: f64) -> f64 {
+fn min3(a: f64, b: f64, c: f64) -> f64 {
     a.min(b).min(c)
 }
 
 #[inline]
-fn most(a: f64, b: f64, c: f64) -> f64 {
+fn max3(a: f64, b: f64, c: f64) -> f64 {
     a.max(b).max(c)
 }
 

@@ -3,7 +3,7 @@
 use image::RgbImage;
 
 use super::background::planes_of;
-use super::noise::{FrameLook, pixel_noise};
+use super::noise::{FrameNoise, pixel_noise};
 use super::normals::Normals;
 use super::press_depth::{PressDepth, SensorGeometry};
 use super::profile::{SensorProfile, ShadingModel};
@@ -65,14 +65,14 @@ impl TactileRenderer {
     pub fn change(&mut self, press: &PressDepth) -> Result<&[Vec<f32>; 3]> {
         self.check(press)?;
         let height_m = self.smoother.smooth(press);
-        self.normals.take(height_m, &self.geometry);
+        self.normals.compute(height_m, &self.geometry);
         for plane in &mut self.change {
             plane.clear();
             plane.resize(press.depth_m.len(), 0.0);
         }
         match &self.shading {
             ShadingModel::Polynomial(s) => {
-                self.normals.limit(s.steepest as f32);
+                self.normals.limit_slope(s.steepest as f32);
                 s.add(&self.geometry, &self.normals, &mut self.change);
             }
             ShadingModel::Leds(s) => s.add(&self.geometry, &self.normals, &mut self.change),
@@ -84,25 +84,25 @@ impl TactileRenderer {
     ///
     /// # Errors
     /// `Input` if the press was taken on another grid.
-    pub fn render(&mut self, press: &PressDepth, look: &FrameLook) -> Result<RgbImage> {
+    pub fn render(&mut self, press: &PressDepth, noise: &FrameNoise) -> Result<RgbImage> {
         self.change(press)?;
         let mut image = RgbImage::new(self.geometry.width as u32, self.geometry.height as u32);
-        self.compose(look, &mut image);
+        self.compose(noise, &mut image);
         Ok(image)
     }
 
     /// gain · (untouched + change) + offset + noise, rounded.
-    fn compose(&self, look: &FrameLook, image: &mut RgbImage) {
+    fn compose(&self, noise: &FrameNoise, image: &mut RgbImage) {
         let [red, green, blue] = &self.untouched;
         let [d_red, d_green, d_blue] = &self.change;
         let light = red.iter().zip(d_red);
         let light = light.zip(green.iter().zip(d_green));
         let light = light.zip(blue.iter().zip(d_blue));
         // + 0.5 rounds; the cast saturates at 0 and 255.
-        let [o_red, o_green, o_blue] = look.offset.map(|v| v + 0.5);
-        let [g_red, g_green, g_blue] = look.gain;
+        let [o_red, o_green, o_blue] = noise.offset.map(|v| v + 0.5);
+        let [g_red, g_green, g_blue] = noise.gain;
         let pixels = image.chunks_exact_mut(3).zip(light);
-        let Some(seed) = look.noise_seed else {
+        let Some(seed) = noise.noise_seed else {
             for (pixel, (((r, dr), (g, dg)), (b, db))) in pixels {
                 pixel[0] = (g_red * (r + dr) + o_red) as u8;
                 pixel[1] = (g_green * (g + dg) + o_green) as u8;

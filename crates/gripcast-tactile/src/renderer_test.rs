@@ -14,7 +14,7 @@ fn nothing_touches_and_the_untouched_gel_is_seen() {
     let profile = SensorProfile::gelsight_mini().unwrap();
     let mut renderer = mini();
     let press = PressDepth::untouched(renderer.geometry());
-    let image = renderer.render(&press, &FrameLook::default()).unwrap();
+    let image = renderer.render(&press, &FrameNoise::default()).unwrap();
     assert_eq!(Some(image), profile.background.image);
 }
 
@@ -46,18 +46,18 @@ fn opposite_slopes_change_red_in_opposite_ways() {
 fn the_same_seed_gives_the_same_bytes_whatever_came_before() {
     let mut renderer = mini();
     let press = ball(&renderer);
-    let look = FrameLook {
+    let noise = FrameNoise {
         noise_seed: Some(11),
-        ..FrameLook::default()
+        ..FrameNoise::default()
     };
-    let first = renderer.render(&press, &look).unwrap();
+    let first = renderer.render(&press, &noise).unwrap();
     let untouched = PressDepth::untouched(renderer.geometry());
-    renderer.render(&untouched, &look).unwrap();
-    assert_eq!(renderer.render(&press, &look).unwrap(), first);
-    assert_eq!(mini().render(&press, &look).unwrap(), first);
-    let other = FrameLook {
+    renderer.render(&untouched, &noise).unwrap();
+    assert_eq!(renderer.render(&press, &noise).unwrap(), first);
+    assert_eq!(mini().render(&press, &noise).unwrap(), first);
+    let other = FrameNoise {
         noise_seed: Some(12),
-        ..look
+        ..noise
     };
     assert_ne!(renderer.render(&press, &other).unwrap(), first);
 }
@@ -66,12 +66,12 @@ fn the_same_seed_gives_the_same_bytes_whatever_came_before() {
 fn noise_has_the_deviation_of_the_profile() {
     let mut renderer = mini();
     let press = PressDepth::untouched(renderer.geometry());
-    let still = renderer.render(&press, &FrameLook::default()).unwrap();
-    let look = FrameLook {
+    let still = renderer.render(&press, &FrameNoise::default()).unwrap();
+    let noise = FrameNoise {
         noise_seed: Some(1),
-        ..FrameLook::default()
+        ..FrameNoise::default()
     };
-    let noisy = renderer.render(&press, &look).unwrap();
+    let noisy = renderer.render(&press, &noise).unwrap();
     let expected = SensorProfile::gelsight_mini().unwrap().noise_std;
     for c in 0..3 {
         let square: f64 = still
@@ -90,12 +90,12 @@ fn noise_has_the_deviation_of_the_profile() {
 fn gain_and_offset_apply_and_saturate() {
     let mut renderer = mini();
     let press = PressDepth::untouched(renderer.geometry());
-    let look = FrameLook {
+    let noise = FrameNoise {
         gain: [0.0; 3],
         offset: [300.0, -5.0, 77.0],
         noise_seed: None,
     };
-    let image = renderer.render(&press, &look).unwrap();
+    let image = renderer.render(&press, &noise).unwrap();
     assert!(image.pixels().all(|p| p.0 == [255, 0, 77]));
 }
 
@@ -119,5 +119,5 @@ fn depths_that_are_no_numbers_do_not_fail() {
     press.depth_m[40_000] = f32::NAN;
     press.depth_m[40_001] = f32::INFINITY;
     press.depth_m[40_002] = -1.0;
-    renderer.render(&press, &FrameLook::default()).unwrap();
+    renderer.render(&press, &FrameNoise::default()).unwrap();
 }

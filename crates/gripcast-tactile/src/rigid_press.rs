@@ -5,7 +5,7 @@ use super::rasteriser::Rasteriser;
 use gripcast_geometry::{Pose, TriangleMesh};
 
 /// Halvings of the interval in which the depth lies: finer than a nanometre.
-const HALVINGS: u32 = 24;
+const BISECTION_STEPS: u32 = 24;
 
 /// Stiffness of a thin gel on a rigid back, Pa/m: an elastic foundation whose material cannot move
 /// aside, E (1 − ν) / ((1 + ν)(1 − 2ν)) over its thickness (Johnson, *Contact Mechanics*, §4.3).
@@ -15,7 +15,7 @@ pub fn foundation_pa_m(young_pa: f64, poisson: f64, thickness_m: f64) -> f64 {
 }
 
 /// Depth (m) of the deepest pixel at which a foundation of `stiffness_pa_m` carries `force_n`, at
-/// most the gel's thickness; none where the object does not lie over the image. `t_sensor_object`
+/// max_m the gel's thickness; none where the object does not lie over the image. `t_sensor_object`
 /// gives the object's turn and its place across; its z is not used.
 pub fn depth_under_force(
     object: &TriangleMesh,
@@ -41,16 +41,16 @@ pub fn depth_under_force(
         let sunk: f64 = heights.iter().map(|height| (depth - height).max(0.0)).sum();
         stiffness_pa_m * pixel_m2 * sunk
     };
-    let (mut least, mut most) = (0.0, grid.gel_thickness_m);
-    for _ in 0..HALVINGS {
-        let middle = 0.5 * (least + most);
+    let (mut min_m, mut max_m) = (0.0, grid.gel_thickness_m);
+    for _ in 0..BISECTION_STEPS {
+        let middle = 0.5 * (min_m + max_m);
         if carried(middle) < force_n {
-            least = middle;
+            min_m = middle;
         } else {
-            most = middle;
+            max_m = middle;
         }
     }
-    Some(most)
+    Some(max_m)
 }
 
 #[cfg(test)]

@@ -3,7 +3,7 @@
 //! # Frames
 //! The gel's own frame is that of [`Finger`]: z from the back to the face, x along the gripper's
 //! approach, y across; its origin lies in the middle of the back, which moves with the finger. The
-//! sensor's frame is the gel's, turned about z by the [`Mounting`], so that x runs along the
+//! sensor's frame is the gel's, turned about z by the [`MountingAngle`], so that x runs along the
 //! columns and y along the rows of the image. Unturned, what lies further along the approach is
 //! further right in both images; what lies further along the gripper's y is further up in the
 //! left finger's and further down in the right one's.
@@ -23,11 +23,11 @@ use gripcast_sim::grasp::{Finger, Snapshot, TraceStep};
 /// gel's x axis turned by this angle about the gel's z axis, towards its y axis.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(try_from = "u16", into = "u16")]
-pub struct Mounting {
+pub struct MountingAngle {
     quarters: u8,
 }
 
-impl Mounting {
+impl MountingAngle {
     /// A turn by 0, 90, 180 or 270 degrees.
     ///
     /// # Errors
@@ -53,7 +53,7 @@ impl Mounting {
     }
 }
 
-impl TryFrom<u16> for Mounting {
+impl TryFrom<u16> for MountingAngle {
     type Error = String;
 
     fn try_from(degrees: u16) -> Result<Self, String> {
@@ -61,27 +61,27 @@ impl TryFrom<u16> for Mounting {
     }
 }
 
-impl From<Mounting> for u16 {
-    fn from(mounting: Mounting) -> Self {
+impl From<MountingAngle> for u16 {
+    fn from(mounting: MountingAngle) -> Self {
         mounting.degrees()
     }
 }
 
 /// Which sensor of the gripper.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct SensorPlace {
+pub struct SensorMount {
     /// The finger that carries it.
     pub finger: Finger,
     /// How it is turned there.
-    pub mounting: Mounting,
+    pub mounting: MountingAngle,
 }
 
-impl SensorPlace {
+impl SensorMount {
     /// The sensor of a finger, unturned.
     pub fn on(finger: Finger) -> Self {
         Self {
             finger,
-            mounting: Mounting::default(),
+            mounting: MountingAngle::default(),
         }
     }
 
@@ -94,14 +94,14 @@ impl SensorPlace {
 }
 
 /// How far an object is taken away so that nothing touches, m.
-const AWAY_M: f64 = 10.0;
+const CLEARANCE_M: f64 = 10.0;
 
 /// The gels of a simulated grasp.
 #[derive(Clone, Debug)]
 pub struct SimulatedGel {
     /// Mesh at rest.
     pub grid: GelGrid,
-    /// Distance at which contact begins, m.
+    /// CentreDistance at which contact begins, m.
     pub d_hat_m: f64,
 }
 
@@ -130,17 +130,17 @@ impl<'a> TactileScene<'a> {
     ///
     /// # Errors
     /// `Input` where the mesh is invalid, or the snapshot's gels have other nodes than `gel`.
-    pub fn of_snapshot(
+    pub fn from_snapshot(
         object: &'a TriangleMesh,
         gel: &SimulatedGel,
         snapshot: &Snapshot,
-        place: SensorPlace,
+        mount: SensorMount,
     ) -> Result<Self> {
         object.validate()?;
         let thickness = gel.grid.thickness_m();
-        let t_gripper_sensor = place.t_gripper_sensor(snapshot.opening_m, thickness);
+        let t_gripper_sensor = mount.t_gripper_sensor(snapshot.opening_m, thickness);
         let t_sensor_world = (snapshot.t_world_gripper * t_gripper_sensor).inverse();
-        let nodes = &snapshot.gels[place.finger as usize];
+        let nodes = &snapshot.gels[mount.finger as usize];
         let (face, back_m) = deformed_face(&gel.grid, nodes, &t_sensor_world)?;
         let t_sensor_object = t_sensor_world * snapshot.t_world_object;
         let gap = contact_gap(object, &t_sensor_object, &face, gel.d_hat_m);
@@ -161,19 +161,19 @@ impl<'a> TactileScene<'a> {
     ///
     /// # Errors
     /// `Input` where the mesh is invalid.
-    pub fn of_step(
+    pub fn from_step(
         object: &'a TriangleMesh,
         gel: &SimulatedGel,
         t_world_gripper: &Pose,
         step: &TraceStep,
-        place: SensorPlace,
+        mount: SensorMount,
     ) -> Result<Self> {
         object.validate()?;
         let thickness = gel.grid.thickness_m();
-        let t_gripper_sensor = place.t_gripper_sensor(step.opening_m, thickness);
+        let t_gripper_sensor = mount.t_gripper_sensor(step.opening_m, thickness);
         let lift = Pose::from_translation(DVec3::Z * step.lifted_m);
         let t_sensor_world = (lift * *t_world_gripper * t_gripper_sensor).inverse();
-        let least = step.min_gap_m[place.finger as usize].unwrap_or(gel.d_hat_m);
+        let least = step.min_gap_m[mount.finger as usize].unwrap_or(gel.d_hat_m);
         Ok(Self {
             object,
             t_sensor_object: t_sensor_world * step.t_world_object,
@@ -187,20 +187,20 @@ impl<'a> TactileScene<'a> {
     ///
     /// # Errors
     /// `Input` where the mesh is invalid.
-    pub fn at_start(
+    pub fn before_closing(
         object: &'a TriangleMesh,
         gel: &SimulatedGel,
         [t_world_object, t_world_gripper]: [&Pose; 2],
         opening_m: f64,
-        place: SensorPlace,
+        mount: SensorMount,
     ) -> Result<Self> {
         object.validate()?;
         let thickness = gel.grid.thickness_m();
-        let t_gripper_sensor = place.t_gripper_sensor(opening_m, thickness);
+        let t_gripper_sensor = mount.t_gripper_sensor(opening_m, thickness);
         let t_sensor_world = (*t_world_gripper * t_gripper_sensor).inverse();
         let positions = gel.grid.positions();
         let rest: Vec<_> = positions.iter().map(|p| p.to_array()).collect();
-        let unturned = Pose::from_rotation(place.mounting.rotation().conjugate());
+        let unturned = Pose::from_rotation(mount.mounting.rotation().conjugate());
         Ok(Self {
             object,
             t_sensor_object: t_sensor_world * *t_world_object,
@@ -213,7 +213,7 @@ impl<'a> TactileScene<'a> {
     /// The same sensor with the object taken away and its face flat.
     #[must_use]
     pub fn untouched(&self) -> Self {
-        let away = Pose::from_translation(DVec3::Z * AWAY_M);
+        let away = Pose::from_translation(DVec3::Z * CLEARANCE_M);
         let flat = |face: &TriangleMesh| TriangleMesh {
             vertices: face
                 .vertices
@@ -233,7 +233,7 @@ impl<'a> TactileScene<'a> {
     pub fn without_contact(object: &'a TriangleMesh, grid: &SensorGeometry) -> Self {
         Self {
             object,
-            t_sensor_object: Pose::from_translation(DVec3::Z * AWAY_M),
+            t_sensor_object: Pose::from_translation(DVec3::Z * CLEARANCE_M),
             face_m: grid.gel_thickness_m,
             gap_m: 0.0,
             gel_face: None,

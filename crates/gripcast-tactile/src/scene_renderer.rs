@@ -3,7 +3,7 @@
 use image::RgbImage;
 
 use super::depth::object_depth;
-use super::noise::{Drift, FrameLook};
+use super::noise::{Drift, FrameNoise};
 use super::press_depth::SensorGeometry;
 use super::profile::SensorProfile;
 use super::rasteriser::Rasteriser;
@@ -63,11 +63,11 @@ impl SceneRenderer for ObjectDepthRenderer {
 
     fn render(&mut self, scene: &TactileScene<'_>, seed: Option<u64>) -> Result<RgbImage> {
         let press = object_depth(scene, &self.grid(), &mut self.rasteriser);
-        self.shading.render(&press, &look(&self.drift, seed))
+        self.shading.render(&press, &noise(&self.drift, seed))
     }
 }
 
 /// Drift and noise of a seed; none without one.
-pub(super) fn look(drift: &Drift, seed: Option<u64>) -> FrameLook {
-    seed.map_or_else(FrameLook::default, |seed| drift.draw(seed))
+pub(super) fn noise(drift: &Drift, seed: Option<u64>) -> FrameNoise {
+    seed.map_or_else(FrameNoise::default, |seed| drift.sample(seed))
 }

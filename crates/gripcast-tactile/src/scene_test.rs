@@ -43,7 +43,7 @@ fn feature(across: DVec3) -> TriangleMesh {
 /// A grasp with both gels at rest.
 fn snapshot(gel: &SimulatedGel) -> Snapshot {
     let nodes = Finger::BOTH.map(|finger| {
-        let t_gripper_gel = SensorPlace::on(finger).t_gripper_sensor(OPENING_M, 4e-3);
+        let t_gripper_gel = SensorMount::on(finger).t_gripper_sensor(OPENING_M, 4e-3);
         let place = gripper() * t_gripper_gel;
         let at = |p: &DVec3| place.transform_point(*p).to_array();
         gel.grid.positions().iter().map(at).collect()
@@ -59,9 +59,9 @@ fn snapshot(gel: &SimulatedGel) -> Snapshot {
 }
 
 /// Mean column and row of what is pressed in, from the image's middle, and the deepest point.
-fn pressed_at(object: &TriangleMesh, place: SensorPlace) -> ([f64; 2], f64) {
+fn pressed_at(object: &TriangleMesh, mount: SensorMount) -> ([f64; 2], f64) {
     let gel = gel();
-    let scene = TactileScene::of_snapshot(object, &gel, &snapshot(&gel), place).unwrap();
+    let scene = TactileScene::from_snapshot(object, &gel, &snapshot(&gel), mount).unwrap();
     assert!((scene.face_m - 4e-3).abs() < 1e-12);
     assert_eq!(
         scene.gap_m, gel.d_hat_m,
@@ -84,13 +84,13 @@ fn features_appear_where_the_frames_say() {
     let ahead = feature(DVec3::Z * 5e-3);
     let aside = feature(DVec3::Y * 4e-3);
     for finger in Finger::BOTH {
-        let ([column, row], depth) = pressed_at(&ahead, SensorPlace::on(finger));
+        let ([column, row], depth) = pressed_at(&ahead, SensorMount::on(finger));
         assert!(
             (column - 25.0).abs() < 0.6 && row.abs() < 0.6,
             "{finger:?} {column} {row}"
         );
         assert!((depth - 1.5e-3).abs() < 1e-8, "1 mm and the gap: {depth}");
-        let ([column, row], _) = pressed_at(&aside, SensorPlace::on(finger));
+        let ([column, row], _) = pressed_at(&aside, SensorMount::on(finger));
         let expected = if finger == Finger::Left { -20.0 } else { 20.0 };
         assert!(
             (row - expected).abs() < 0.6 && column.abs() < 0.6,
@@ -110,8 +110,8 @@ fn a_turned_sensor_turns_its_image_the_other_way() {
     ];
     for finger in Finger::BOTH {
         for (degrees, expected) in expected {
-            let mounting = Mounting::from_degrees(degrees).unwrap();
-            let (at, _) = pressed_at(&ahead, SensorPlace { finger, mounting });
+            let mounting = MountingAngle::from_degrees(degrees).unwrap();
+            let (at, _) = pressed_at(&ahead, SensorMount { finger, mounting });
             let off = (at[0] - expected[0]).abs().max((at[1] - expected[1]).abs());
             assert!(off < 0.6, "{finger:?} {degrees}: {at:?}");
         }
@@ -121,7 +121,7 @@ fn a_turned_sensor_turns_its_image_the_other_way() {
 #[test]
 fn sensor_frames_are_right_handed_and_face_each_other() {
     for finger in Finger::BOTH {
-        let pose = SensorPlace::on(finger).t_gripper_sensor(OPENING_M, 4e-3);
+        let pose = SensorMount::on(finger).t_gripper_sensor(OPENING_M, 4e-3);
         assert!((pose.rotation_matrix().determinant() - 1.0).abs() < 1e-12);
         let face = pose.transform_point(DVec3::Z * 4e-3);
         let expected = -0.5 * OPENING_M * finger.closing();
@@ -132,12 +132,12 @@ fn sensor_frames_are_right_handed_and_face_each_other() {
 
 #[test]
 fn mountings_are_quarter_turns() {
-    let text = Mounting::from_degrees(45).unwrap_err().to_string();
+    let text = MountingAngle::from_degrees(45).unwrap_err().to_string();
     assert!(text.contains("found 45"), "{text}");
-    let mounting: Mounting = serde_json::from_str("270").unwrap();
+    let mounting: MountingAngle = serde_json::from_str("270").unwrap();
     assert_eq!(mounting.degrees(), 270);
     assert_eq!(serde_json::to_string(&mounting).unwrap(), "270");
-    assert!(serde_json::from_str::<Mounting>("30").is_err());
+    assert!(serde_json::from_str::<MountingAngle>("30").is_err());
 }
 
 #[test]
@@ -156,17 +156,17 @@ fn a_step_sees_what_the_snapshot_of_its_moment_sees() {
         solver: None,
     };
     for finger in Finger::BOTH {
-        let place = SensorPlace::on(finger);
-        let scene = TactileScene::of_step(&object, &gel, &gripper(), &step, place).unwrap();
-        let known = TactileScene::of_snapshot(&object, &gel, &snapshot(&gel), place).unwrap();
+        let place = SensorMount::on(finger);
+        let scene = TactileScene::from_step(&object, &gel, &gripper(), &step, place).unwrap();
+        let known = TactileScene::from_snapshot(&object, &gel, &snapshot(&gel), place).unwrap();
         let apart = scene.t_sensor_object.inverse() * known.t_sensor_object;
         assert!(apart.translation_m.length() < 1e-12);
         assert!(scene.gel_face.is_none());
         assert_eq!(scene.gap_m, [5e-4, 4.75e-4][finger as usize]);
     }
     step.opening_m -= 2e-3;
-    let place = SensorPlace::on(Finger::Right);
-    let scene = TactileScene::of_step(&object, &gel, &gripper(), &step, place).unwrap();
+    let place = SensorMount::on(Finger::Right);
+    let scene = TactileScene::from_step(&object, &gel, &gripper(), &step, place).unwrap();
     let press = object_depth(&scene, &GRID, &mut Rasteriser::new());
     assert!((press.deepest_m() - 2.475e-3).abs() < 1e-8);
 }
@@ -189,8 +189,8 @@ fn before_the_fingers_close_nothing_is_pressed() {
                 d_hat_m: 5e-4,
             };
             let poses = [&scene.t_world_object, &scene.t_world_gripper];
-            let place = SensorPlace::on(finger);
-            TactileScene::at_start(&scene.mesh, &gel, poses, scene.opening_m, place).unwrap()
+            let place = SensorMount::on(finger);
+            TactileScene::before_closing(&scene.mesh, &gel, poses, scene.opening_m, place).unwrap()
         };
         let press = object_depth(&start, &GRID, &mut Rasteriser::new());
         assert_eq!(press.deepest_m(), 0.0);
@@ -227,9 +227,9 @@ fn snapshots_of_another_gel_and_broken_meshes_are_explained() {
     let gel = gel();
     let mut other = snapshot(&gel);
     other.gels[0].pop();
-    let place = SensorPlace::on(Finger::Left);
-    let text = TactileScene::of_snapshot(&object, &gel, &other, place).unwrap_err();
+    let place = SensorMount::on(Finger::Left);
+    let text = TactileScene::from_snapshot(&object, &gel, &other, place).unwrap_err();
     assert!(text.to_string().contains("429 nodes"), "{text}");
     let empty = TriangleMesh::default();
-    assert!(TactileScene::of_snapshot(&empty, &gel, &snapshot(&gel), place).is_err());
+    assert!(TactileScene::from_snapshot(&empty, &gel, &snapshot(&gel), place).is_err());
 }

@@ -94,7 +94,11 @@ pub(super) fn position_terms(x: f32, y: f32) -> [f32; POSITION_TERMS] {
 }
 
 /// Place of a pixel, ±1 at the ends of the longer side.
-pub(super) fn normalised_place(geometry: &SensorGeometry, column: usize, row: usize) -> [f32; 2] {
+pub(super) fn normalised_position(
+    geometry: &SensorGeometry,
+    column: usize,
+    row: usize,
+) -> [f32; 2] {
     let half = 0.5 * (geometry.width.max(geometry.height).max(2) as f64 - 1.0);
     let from_middle = |i: usize, n: usize| (i as f64 - 0.5 * (n as f64 - 1.0)) / half;
     [
@@ -171,13 +175,13 @@ impl PolynomialShading {
             return;
         };
         let places: Vec<f32> = (region.x0..region.x1)
-            .map(|x| normalised_place(geometry, x, 0)[0])
+            .map(|x| normalised_position(geometry, x, 0)[0])
             .collect();
         let mut term = vec![0.0f32; places.len()];
         let [red, green, blue] = planes;
         for row in region.y0..region.y1 {
             let span = row * geometry.width + region.x0..row * geometry.width + region.x1;
-            let [_, y] = normalised_place(geometry, 0, row);
+            let [_, y] = normalised_position(geometry, 0, row);
             let normal = [
                 &normals.x[span.clone()],
                 &normals.y[span.clone()],
@@ -260,7 +264,7 @@ mod tests {
             .map(|i| 1e-4 * ((i % 20) as f32 * 0.7).sin() * ((i / 20) as f32 * 0.5).cos())
             .collect();
         let mut normals = Normals::default();
-        normals.take(&map, &geometry);
+        normals.compute(&map, &geometry);
         for normal in NormalOrder::ALL {
             for position in PositionOrder::ALL {
                 let values: Vec<f64> = (0..normal.terms() * position.terms())
@@ -279,7 +283,7 @@ mod tests {
                 shading.add(&geometry, &normals, &mut planes);
                 for i in [0, 57, 133, 279] {
                     let t = normal_terms(normals.x[i], normals.y[i], normals.z_less_1[i]);
-                    let [x, y] = normalised_place(&geometry, i % 20, i / 20);
+                    let [x, y] = normalised_position(&geometry, i % 20, i / 20);
                     let q = position_terms(x, y);
                     let expected: f64 = (0..normal.terms())
                         .flat_map(|k| (0..position.terms()).map(move |p| (k, p)))
@@ -313,8 +317,8 @@ mod tests {
 
     #[test]
     fn places_are_one_at_the_ends_of_the_longer_side() {
-        assert_eq!(normalised_place(&geometry(), 0, 0)[0], -1.0);
-        assert_eq!(normalised_place(&geometry(), 19, 0)[0], 1.0);
-        assert!(normalised_place(&geometry(), 0, 13)[1] < 0.7);
+        assert_eq!(normalised_position(&geometry(), 0, 0)[0], -1.0);
+        assert_eq!(normalised_position(&geometry(), 19, 0)[0], 1.0);
+        assert!(normalised_position(&geometry(), 0, 13)[1] < 0.7);
     }
 }

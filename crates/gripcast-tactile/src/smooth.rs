@@ -1,6 +1,6 @@
 //! The shape of the gel's face under a press.
 //!
-//! The gel sinks around the contact (see [`sink_of_ball_m`]) and its coat bends with a finite
+//! The gel sinks around the contact (see [`ball_sink_m`]) and its coat bends with a finite
 //! radius, for which a Gaussian stands.
 
 use serde::{Deserialize, Serialize};
@@ -68,8 +68,8 @@ impl Smoother {
         let width = press.geometry.width;
         self.height.clear();
         self.height.extend_from_slice(&press.depth_m);
-        self.membrane.settle(&mut self.height, width);
-        if let Some(region) = Region::of_nonzero(&self.height, width) {
+        self.membrane.solve(&mut self.height, width);
+        if let Some(region) = Region::nonzero(&self.height, width) {
             self.gaussian.apply(&mut self.height, width, region);
         }
         &self.height

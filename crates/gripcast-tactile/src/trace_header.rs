@@ -42,7 +42,7 @@ pub struct TraceStart {
     pub t_world_object: Pose,
     /// The gripper in the object's frame.
     pub t_object_gripper: Pose,
-    /// Distance between the undeformed gel faces, m.
+    /// CentreDistance between the undeformed gel faces, m.
     pub opening_m: f64,
 }
 

@@ -48,19 +48,20 @@ impl SensorVariation {
 
     /// The sensor of a seed; `spread` 0 is that of the profile, 1 differs as sensors do.
     #[must_use]
-    pub fn drawn(seed: u64, spread: f64) -> Self {
-        let mut draw = SeedStream::named(seed, "tactile sensor");
+    pub fn sample(seed: u64, spread: f64) -> Self {
+        let mut stream = SeedStream::named(seed, "tactile sensor");
         // The sum of three uniform numbers has deviation 1/2 and ends.
         let mut about_one = |std: f64| {
-            let sum: f64 = (0..3).map(|_| draw.uniform()).sum();
+            let sum: f64 = (0..3).map(|_| stream.uniform()).sum();
             1.0 + spread * std * 2.0 * (sum - 1.5)
         };
         let light = [0; 3].map(|_| about_one(LIGHT_STD));
         let response = [0; 3].map(|_| about_one(RESPONSE_STD));
-        let mut factor = |[low, high]: [f64; 2]| draw.between_log(low, high).powf(spread);
+        let mut factor = |[low, high]: [f64; 2]| stream.between_log(low, high).powf(spread);
         let (noise, smoothing) = (factor(NOISE), factor(SMOOTHING));
-        let is_mirrored = draw.uniform() < 0.5 * spread;
-        let tint = [0; 3].map(|_| [0; 5].map(|_| spread * draw.between(-TINT_LEVELS, TINT_LEVELS)));
+        let is_mirrored = stream.uniform() < 0.5 * spread;
+        let tint =
+            [0; 3].map(|_| [0; 5].map(|_| spread * stream.between(-TINT_LEVELS, TINT_LEVELS)));
         Self {
             light,
             response,
@@ -73,7 +74,7 @@ impl SensorVariation {
 
     /// The profile of the sensor.
     #[must_use]
-    pub fn of(&self, profile: &SensorProfile) -> SensorProfile {
+    pub fn apply(&self, profile: &SensorProfile) -> SensorProfile {
         let mut varied = profile.clone();
         varied.noise_std = profile.noise_std.map(|std| self.noise * std);
         varied.smoothing.sigma_m *= self.smoothing;
@@ -86,7 +87,7 @@ impl SensorVariation {
             fitted(&background.fit, geometry.width, geometry.height)
         });
         self.repaint(image);
-        background.fit = BackgroundFit::of_image(image, background.fit.degree);
+        background.fit = BackgroundFit::from_image(image, background.fit.degree);
         varied
     }
 
@@ -139,9 +140,9 @@ mod tests {
 
     #[test]
     fn without_spread_it_is_the_sensor_of_the_profile() {
-        let same = SensorVariation::drawn(5, 0.0);
+        let same = SensorVariation::sample(5, 0.0);
         assert_eq!(same, SensorVariation::NONE);
-        let varied = same.of(&shipped());
+        let varied = same.apply(&shipped());
         assert_eq!(varied.shading, shipped().shading);
         assert_eq!(varied.noise_std, shipped().noise_std);
         assert_eq!(
@@ -154,11 +155,11 @@ mod tests {
     fn sensors_differ_as_real_ones_do_and_stay_valid() {
         let mut differences = Vec::new();
         for seed in 0..40 {
-            let varied = SensorVariation::drawn(seed, 1.0).of(&shipped());
+            let varied = SensorVariation::sample(seed, 1.0).apply(&shipped());
             varied.validate().unwrap();
             let off = mean_difference(&background(&varied), &background(&shipped()));
             differences.push(off);
-            assert_eq!(varied, SensorVariation::drawn(seed, 1.0).of(&shipped()));
+            assert_eq!(varied, SensorVariation::sample(seed, 1.0).apply(&shipped()));
         }
         differences.sort_by(f64::total_cmp);
         assert!(differences[0] > 1.0, "{differences:?}");
@@ -170,7 +171,7 @@ mod tests {
     fn a_profile_without_a_image_is_painted_from_its_fit() {
         let mut profile = shipped();
         profile.background.image = None;
-        let varied = SensorVariation::NONE.of(&profile);
+        let varied = SensorVariation::NONE.apply(&profile);
         let off = mean_difference(&background(&varied), &background(&shipped()));
         assert!(off < 4.0, "{off}");
     }

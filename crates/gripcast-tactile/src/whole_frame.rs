@@ -10,20 +10,20 @@ use gripcast_imaging::CropWindow;
 
 /// Where a column or row of the painted frame lies in the sensor's own image.
 #[derive(Clone, Copy, Debug)]
-struct Line {
+struct SampleLine {
     /// The line before it.
     before: usize,
     /// Fraction of the line after that.
     fraction: f32,
-    /// Distance outside of the crop, in parts of its size.
+    /// CentreDistance outside of the crop, in parts of its size.
     outside: f32,
 }
 
 /// How the sensor's image, which is a crop, fills the whole frame of its camera.
 #[derive(Clone, Debug)]
 pub struct WholeFrame {
-    columns: Vec<Line>,
-    rows: Vec<Line>,
+    columns: Vec<SampleLine>,
+    rows: Vec<SampleLine>,
     size: (u32, u32),
 }
 
@@ -52,7 +52,7 @@ impl WholeFrame {
     ///
     /// # Errors
     /// `Internal` where an image has another size than its profile.
-    pub fn place(&self, image: &RgbImage, untouched: &RgbImage) -> Result<RgbImage> {
+    pub fn compose(&self, image: &RgbImage, untouched: &RgbImage) -> Result<RgbImage> {
         let wrong_size = || {
             let what = "a tactile image has another size than its profile";
             Error::internal(what)
@@ -93,7 +93,7 @@ impl WholeFrame {
 
 /// Places of `painted` lines, which show `full` lines of which `window` is the crop, in an image
 /// of `size` lines.
-fn lines(painted: u32, full: u32, window: Range<u32>, size: usize) -> Vec<Line> {
+fn lines(painted: u32, full: u32, window: Range<u32>, size: usize) -> Vec<SampleLine> {
     let (first, span) = (
         f64::from(window.start),
         f64::from(window.end - window.start),
@@ -104,7 +104,7 @@ fn lines(painted: u32, full: u32, window: Range<u32>, size: usize) -> Vec<Line> 
             let fraction = (at - first) / span;
             let pixel = (fraction * size as f64 - 0.5).clamp(0.0, size as f64 - 1.0);
             let before = (pixel as usize).min(size.saturating_sub(2));
-            Line {
+            SampleLine {
                 before,
                 fraction: (pixel - before as f64) as f32,
                 outside: (-fraction).max(fraction - 1.0).max(0.0) as f32,
@@ -140,7 +140,7 @@ mod tests {
         let full = (640, 480);
         let window = profile.crop_profile.window(full.0, full.1).unwrap();
         let whole = WholeFrame::new(&profile, window, full, full);
-        let frame = whole.place(&image, &image).unwrap();
+        let frame = whole.compose(&image, &image).unwrap();
         let cut = crop_and_resize(&frame, &CropProfile::GSMINI_SEVENTH, 320, 240).unwrap();
         let (off, shifted) = (
             mean_difference(&cut, &image),
@@ -157,7 +157,7 @@ mod tests {
         let window = profile.crop_profile.window(640, 480).unwrap();
         let whole = WholeFrame::new(&profile, window, (640, 480), (320, 240));
         let error = whole
-            .place(&RgbImage::new(8, 8), &RgbImage::new(8, 8))
+            .compose(&RgbImage::new(8, 8), &RgbImage::new(8, 8))
             .unwrap_err();
         assert_eq!(error.kind(), ErrorKind::Internal);
     }

@@ -52,7 +52,7 @@ pub(super) fn decode(bytes: &[u8]) -> Result<Loaded> {
     let image = match bytes {
         [0xff, 0xd8, ..] => decode_jpeg(bytes)?,
         _ if is_png => decode_png(bytes)?,
-        _ => return Err(foreign(bytes)),
+        _ => return Err(unsupported(bytes)),
     };
     let (width, height) = image.dimensions();
     let largest = width.max(height);
@@ -119,7 +119,7 @@ fn decode_png(bytes: &[u8]) -> Result<RgbImage> {
 }
 
 /// Says what the file is instead, where that is known.
-fn foreign(bytes: &[u8]) -> Error {
+fn unsupported(bytes: &[u8]) -> Error {
     let is = match bytes {
         [] => "it is empty",
         [0xab, b'K', b'T', b'X', ..] => "it is a KTX texture",
@@ -173,7 +173,7 @@ mod tests {
     #[test]
     fn wrong_files_are_explained() {
         let whole = encode_png_rgb(&image(8, 8)).unwrap();
-        for (bytes, on_progress) in [
+        for (bytes, expected) in [
             (&b""[..], "empty"),
             (b"\xabKTX 20\xbb", "KTX"),
             (b"RIFF....WEBP", "WebP"),
@@ -183,10 +183,7 @@ mod tests {
             (b"\xff\xd8\xff\xe0", "JPEG"),
         ] {
             let error = decode(bytes).err().unwrap();
-            assert!(
-                error.to_string().contains(on_progress),
-                "{on_progress}: {error}"
-            );
+            assert!(error.to_string().contains(expected), "{expected}: {error}");
         }
         let missing = load_bitmap(Path::new("/nowhere/wood.png")).unwrap_err();
         assert_eq!(missing.kind(), ErrorKind::NotFound);

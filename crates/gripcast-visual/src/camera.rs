@@ -44,7 +44,7 @@ impl Camera {
 
     /// Pose of a camera at `eye` whose axis goes through `target`, upright with respect to the
     /// world's z; m. `None` if the two are the same point or above one another.
-    pub fn looking_at(eye: DVec3, target: DVec3) -> Option<Pose> {
+    pub fn look_at(eye: DVec3, target: DVec3) -> Option<Pose> {
         let forward = (target - eye).try_normalize()?;
         let right = forward.cross(DVec3::Z).try_normalize()?;
         let axes = glam::DMat3::from_cols(right, forward.cross(right), forward);

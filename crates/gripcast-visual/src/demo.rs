@@ -2,7 +2,7 @@
 
 use super::finish::Finish;
 use super::model::Model;
-use super::pattern::Pattern;
+use super::procedural::ProceduralTexture;
 use gripcast_base::error::Result;
 use gripcast_base::random::SeedStream;
 use gripcast_geometry::builtin;
@@ -20,14 +20,14 @@ use gripcast_geometry::builtin;
 /// | `spike` | aluminium, glass, plastic |
 /// | `ball` | plastic, wood, steel |
 /// | `bottle` | plastic, glass, aluminium |
-pub fn usual_finishes(name: &str) -> &'static [Finish] {
-    use Finish::{Aluminium, Copper, Glass, Painted, Steel};
-    const CERAMIC: Finish = Painted(Pattern::Ceramic);
-    const METAL: Finish = Painted(Pattern::BrushedMetal);
-    const PLASTIC: Finish = Painted(Pattern::Plastic);
-    const PRINT: Finish = Painted(Pattern::Print);
-    const STONE: Finish = Painted(Pattern::Stone);
-    const WOOD: Finish = Painted(Pattern::Wood);
+pub fn typical_finishes(name: &str) -> &'static [Finish] {
+    use Finish::{Aluminium, Copper, Glass, Steel, Textured};
+    const CERAMIC: Finish = Textured(ProceduralTexture::Ceramic);
+    const METAL: Finish = Textured(ProceduralTexture::BrushedMetal);
+    const PLASTIC: Finish = Textured(ProceduralTexture::Plastic);
+    const PRINT: Finish = Textured(ProceduralTexture::Print);
+    const STONE: Finish = Textured(ProceduralTexture::Stone);
+    const WOOD: Finish = Textured(ProceduralTexture::Wood);
     match name.strip_prefix("builtin:").unwrap_or(name) {
         "mug" => &[CERAMIC, Glass, Steel, PLASTIC],
         "box" => &[PRINT, WOOD, PLASTIC],
@@ -48,15 +48,15 @@ pub fn usual_finishes(name: &str) -> &'static [Finish] {
 /// `NotFound` for an unknown name; the remedy lists the names.
 pub fn demo_model(name: &str, seed: u64) -> Result<Model> {
     let shape = builtin(name)?;
-    let finishes = usual_finishes(name);
+    let finishes = typical_finishes(name);
     let mut stream = SeedStream::named(seed, "finish");
     let finish = finishes[stream.index(finishes.len())];
-    Model::plain(&shape, finish, stream.bits())
+    Model::with_finish(&shape, finish, stream.bits())
 }
 
 /// A finish for a shape of the user, drawn by the seed.
-pub fn drawn_finish(seed: u64) -> Finish {
-    let finishes = usual_finishes("");
+pub fn random_finish(seed: u64) -> Finish {
+    let finishes = typical_finishes("");
     finishes[SeedStream::named(seed, "finish").index(finishes.len())]
 }
 
@@ -75,7 +75,7 @@ mod tests {
                 assert_eq!((model.meshes.len(), model.materials.len()), (1, 1));
                 glass += usize::from(matches!(model.materials[0], Material::Dielectric { .. }));
             }
-            assert!(usual_finishes(name).len() >= 3, "{name}");
+            assert!(typical_finishes(name).len() >= 3, "{name}");
         }
         assert!(glass > 0);
         assert!(demo_model("builtin:mugg", 0).is_err());

@@ -4,7 +4,7 @@ use std::fmt;
 use std::str::FromStr;
 
 use super::material::{Colour, Material};
-use super::pattern::Pattern;
+use super::procedural::ProceduralTexture;
 use super::texture::Bitmap;
 use gripcast_base::error::{Error, Result, unknown_name};
 
@@ -19,7 +19,7 @@ pub(super) const STEEL: [[f32; 3]; 2] = [[3.11, 3.18, 2.32], [3.33, 3.33, 3.135]
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Finish {
     /// A painted surface.
-    Painted(Pattern),
+    Textured(ProceduralTexture),
     /// Clear glass; the mesh must be closed.
     Glass,
     /// Polished stainless steel (optical constants of chromium).
@@ -33,7 +33,7 @@ pub enum Finish {
 }
 
 impl Finish {
-    const BARE: [Self; 5] = [
+    const UNTEXTURED: [Self; 5] = [
         Self::Glass,
         Self::Steel,
         Self::Aluminium,
@@ -43,14 +43,14 @@ impl Finish {
 
     /// All of them.
     pub fn all() -> impl Iterator<Item = Self> {
-        let painted = Pattern::ALL.into_iter().map(Self::Painted);
-        painted.chain(Self::BARE)
+        let painted = ProceduralTexture::ALL.into_iter().map(Self::Textured);
+        painted.chain(Self::UNTEXTURED)
     }
 
     /// Name in commands and files.
     pub fn name(self) -> &'static str {
         match self {
-            Self::Painted(pattern) => pattern.name(),
+            Self::Textured(pattern) => pattern.name(),
             Self::Glass => "glass",
             Self::Steel => "steel",
             Self::Aluminium => "aluminium",
@@ -71,8 +71,8 @@ impl Finish {
     ) -> Result<(Material, Option<(Bitmap, f64)>)> {
         // Index and extinction as those of steel.
         let (eta, k, roughness) = match self {
-            Self::Painted(pattern) => {
-                let painted = pattern.paint(TEXTURE_PX, seed);
+            Self::Textured(pattern) => {
+                let painted = pattern.generate(TEXTURE_PX, seed);
                 let material = Material::Principled {
                     base_colour: Colour::Texture(texture),
                     metallic: painted.metallic,
@@ -127,7 +127,7 @@ mod tests {
             assert_eq!(finish.to_string().parse::<Finish>().unwrap(), finish);
             let (material, texture) = finish.material(1, 0).unwrap();
             material.validate(usize::from(texture.is_some())).unwrap();
-            assert_eq!(texture.is_some(), matches!(finish, Finish::Painted(_)));
+            assert_eq!(texture.is_some(), matches!(finish, Finish::Textured(_)));
         }
         let text = "glas".parse::<Finish>().unwrap_err().to_string();
         assert!(text.contains("did you mean glass?"), "{text}");

@@ -5,15 +5,15 @@ use std::sync::Arc;
 
 use glam::{DQuat, DVec3, Vec3};
 
+use super::annotation_markers::{AnnotationMarkers, PRINT_LIFT_M};
 use super::camera::Camera;
-use super::conditions::{GroundChoice, VisualConditions};
+use super::conditions::{GroundSource, VisualConditions};
 use super::d435::{colour_camera, t_gripper_camera};
 use super::finish::STEEL;
 use super::grasp_state::GraspState;
 use super::gripper::{GripperSurface, gripper_parts};
 use super::material::{Colour, Material};
 use super::model::Model;
-use super::print::{GraspPrints, PRINT_LIFT_M};
 use super::scene::{Mesh, Scene};
 use super::shading::{Projection, shaded_mesh};
 use super::texture::Bitmap;
@@ -48,7 +48,7 @@ impl View {
     /// Its camera.
     pub fn camera(self, state: &GraspState, conditions: &VisualConditions) -> Camera {
         match self {
-            Self::EyeInHand(size) => eye_in_hand(state, conditions, size),
+            Self::EyeInHand(size) => eye_in_hand_camera(state, conditions, size),
             Self::External(size) => external(state, size),
         }
     }
@@ -80,7 +80,7 @@ pub fn annotation_scene(
     state: &GraspState,
     conditions: &VisualConditions,
     camera: Camera,
-    prints: &GraspPrints,
+    prints: &AnnotationMarkers,
 ) -> Result<Scene> {
     let mut scene = compose(object, state, conditions, camera, true, PRINT_LIFT_M)?;
     prints.add_to(&mut scene, &state.t_world_gripper, state.opening_m);
@@ -100,7 +100,7 @@ fn compose(
         meshes: Vec::new(),
         materials: Vec::new(),
         textures: Vec::new(),
-        environment: conditions.environment(),
+        env_map: conditions.env_map(),
         camera,
     };
     object.add_to(&mut scene, &state.t_world_object);
@@ -130,14 +130,14 @@ fn compose(
 
 /// The eye-in-hand camera of the conditions. If it would not see both gel faces, it is moved
 /// towards its nominal place until it does.
-pub fn eye_in_hand(
+pub fn eye_in_hand_camera(
     state: &GraspState,
     conditions: &VisualConditions,
     [width, height]: [usize; 2],
 ) -> Camera {
     let moved = |fraction: f64| {
-        let shift = conditions.camera_move.translation_m * fraction;
-        let turn = DQuat::IDENTITY.slerp(conditions.camera_move.rotation, fraction);
+        let shift = conditions.t_nominal_camera.translation_m * fraction;
+        let turn = DQuat::IDENTITY.slerp(conditions.t_nominal_camera.rotation, fraction);
         let t_gripper_moved = t_gripper_camera() * Pose::new(turn, shift);
         let mut camera = colour_camera(width, height, state.t_world_gripper * t_gripper_moved);
         let factor = 1.0 + fraction * (conditions.focal_factor - 1.0);
@@ -183,7 +183,7 @@ fn external(state: &GraspState, [width, height]: [usize; 2]) -> Camera {
     let direction = (turn + DVec3::Z * height_fraction).normalize();
     let mut eye = target + 0.62 * direction;
     eye.z = eye.z.max(0.12);
-    let pose = Camera::looking_at(eye, target).unwrap_or(state.t_world_gripper);
+    let pose = Camera::look_at(eye, target).unwrap_or(state.t_world_gripper);
     let wide = width as f64 / height.max(1) as f64;
     let fov = 2.0 * (0.31 * wide.min(1.6)).atan();
     Camera::centred(width, height, fov, pose)
@@ -216,12 +216,12 @@ fn check_camera(scene: &Scene, object: &Model) -> Result<()> {
 /// The table.
 fn ground(conditions: &VisualConditions, size_px: u32) -> Result<Model> {
     let (bitmap, tile_m, roughness, metallic) = match &conditions.ground {
-        GroundChoice::Painted(pattern, seed) => {
-            let painted = pattern.paint(size_px, *seed);
+        GroundSource::Textured(pattern, seed) => {
+            let painted = pattern.generate(size_px, *seed);
             let bitmap = Arc::new(Bitmap::from_srgb8(&painted.image)?);
             (bitmap, painted.tile_m, painted.roughness, painted.metallic)
         }
-        GroundChoice::Image(bitmap, width) => {
+        GroundSource::Image(bitmap, width) => {
             if !(width.is_finite() && *width > 0.0) {
                 return Err(Error::input(format!(
                     "the width of the ground's texture must be positive, found {width} m"
@@ -241,7 +241,7 @@ fn ground(conditions: &VisualConditions, size_px: u32) -> Result<Model> {
         *uv = [uv[0] + across, uv[1] + down];
     }
     let turn = Pose::from_rotation(DQuat::from_rotation_z(
-        conditions.ground_turn_rad % (2.0 * PI),
+        conditions.ground_yaw_rad % (2.0 * PI),
     ));
     Ok(Model {
         meshes: vec![mesh.transformed(&turn)],

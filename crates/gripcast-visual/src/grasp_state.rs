@@ -22,7 +22,7 @@ pub struct GraspState {
 
 impl GraspState {
     /// Before the fingers close.
-    pub fn before(scene: &gripcast_sim::grasp::Scene) -> Self {
+    pub fn before_closing(scene: &gripcast_sim::grasp::Scene) -> Self {
         Self {
             t_world_object: scene.t_world_object,
             t_world_gripper: scene.t_world_gripper,
@@ -36,7 +36,7 @@ impl GraspState {
     ///
     /// # Errors
     /// `Input` if the number of nodes is that of no known mesh.
-    pub fn at(snapshot: &Snapshot, grid: Option<&GelGrid>) -> Result<Self> {
+    pub fn from_snapshot(snapshot: &Snapshot, grid: Option<&GelGrid>) -> Result<Self> {
         let [left, right] = &snapshot.gels;
         Ok(Self {
             t_world_object: snapshot.t_world_object,

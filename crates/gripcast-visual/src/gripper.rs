@@ -42,7 +42,7 @@ use gripcast_base::error::{Error, Result};
 use gripcast_geometry::{Pose, TriangleMesh};
 
 /// Widest opening that is drawn, m.
-const WIDEST_M: f64 = 0.2;
+const MAX_OPENING_M: f64 = 0.2;
 const MM: f64 = 1e-3;
 
 /// What a part is made of.
@@ -86,9 +86,9 @@ pub struct GripperPart {
 /// # Errors
 /// `Input` for an opening that is not from 0 to 0.2 m.
 pub fn gripper_parts(opening_m: f64) -> Result<Vec<GripperPart>> {
-    if !(0.0..=WIDEST_M).contains(&opening_m) {
+    if !(0.0..=MAX_OPENING_M).contains(&opening_m) {
         return Err(Error::input(format!(
-            "the gripper's opening must be from 0 to {WIDEST_M} m, found {opening_m}"
+            "the gripper's opening must be from 0 to {MAX_OPENING_M} m, found {opening_m}"
         ))
         .remedy("give the distance between the gels' faces in metres"));
     }

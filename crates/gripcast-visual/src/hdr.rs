@@ -37,9 +37,9 @@ pub fn load_hdr(path: &Path) -> Result<Image> {
 /// `Input` as [`load_hdr`].
 pub fn read_hdr(bytes: &[u8]) -> Result<Image> {
     if !bytes.starts_with(b"#?") {
-        return Err(no_hdr(bytes));
+        return Err(not_hdr(bytes));
     }
-    let mut reader = Reader { bytes, at: 0 };
+    let mut reader = Reader { bytes, position: 0 };
     let (size, exposure) = reader.header()?;
     let Layout { width, height, .. } = size;
     // Rows are added as they are found: a header alone takes no memory.
@@ -47,7 +47,7 @@ pub fn read_hdr(bytes: &[u8]) -> Result<Image> {
     let mut codes = vec![[0_u8; 4]; width];
     for row in 0..height {
         reader.scan_line(&mut codes).map_err(|what| {
-            bad(format!("{what} in row {row} of {height}"))
+            invalid(format!("{what} in row {row} of {height}"))
                 .remedy("check that the file was copied whole")
         })?;
         pixels.extend(
@@ -65,12 +65,12 @@ pub fn read_hdr(bytes: &[u8]) -> Result<Image> {
     Image::from_pixels(width, height, pixels)
 }
 
-fn bad(what: impl Into<String>) -> Error {
+fn invalid(what: impl Into<String>) -> Error {
     Error::input(what)
 }
 
 /// Says what the file is instead, where that is known.
-fn no_hdr(bytes: &[u8]) -> Error {
+fn not_hdr(bytes: &[u8]) -> Error {
     let is = match bytes {
         [] => "the file is empty",
         [0x76, 0x2f, 0x31, 0x01, ..] => "it is an OpenEXR image",
@@ -81,7 +81,7 @@ fn no_hdr(bytes: &[u8]) -> Error {
         }
         _ => "it does not start with `#?RADIANCE`",
     };
-    bad(format!("this is no Radiance HDR image: {is}"))
+    invalid(format!("this is no Radiance HDR image: {is}"))
         .remedy("use a .hdr file (RGBE), for instance from Poly Haven, or a painted sky")
 }
 
@@ -95,13 +95,13 @@ struct Layout {
 
 struct Reader<'a> {
     bytes: &'a [u8],
-    at: usize,
+    position: usize,
 }
 
 impl Reader<'_> {
     fn byte(&mut self) -> Result<u8, &'static str> {
-        let byte = self.bytes.get(self.at).ok_or("the file ends")?;
-        self.at += 1;
+        let byte = self.bytes.get(self.position).ok_or("the file ends")?;
+        self.position += 1;
         Ok(*byte)
     }
 
@@ -110,9 +110,9 @@ impl Reader<'_> {
     }
 
     fn line(&mut self) -> Option<String> {
-        let rest = self.bytes.get(self.at..)?;
+        let rest = self.bytes.get(self.position..)?;
         let length = rest.iter().position(|&b| b == b'\n')?;
-        self.at += length + 1;
+        self.position += length + 1;
         let text = String::from_utf8_lossy(&rest[..length]);
         Some(text.trim_end_matches('\r').to_string())
     }
@@ -124,7 +124,7 @@ impl Reader<'_> {
             let Some(line) = self.line() else { break };
             if let Some(format) = line.strip_prefix("FORMAT=") {
                 if format.trim() != "32-bit_rle_rgbe" {
-                    return Err(bad(format!(
+                    return Err(invalid(format!(
                         "HDR values must be 32-bit_rle_rgbe, found {format:?}"
                     ))
                     .remedy("convert the image to RGBE"));
@@ -139,7 +139,7 @@ impl Reader<'_> {
             }
         }
         Err(
-            bad("the HDR header does not end in a size such as `-Y 512 +X 1024`")
+            invalid("the HDR header does not end in a size such as `-Y 512 +X 1024`")
                 .remedy("check that the file was copied whole"),
         )
     }
@@ -152,7 +152,7 @@ impl Reader<'_> {
         if is_new && announced == codes.len() && (8..32_768).contains(&codes.len()) {
             return (0..4).try_for_each(|channel| self.channel(codes, channel));
         }
-        self.at -= 4;
+        self.position -= 4;
         self.old_line(codes)
     }
 
@@ -216,10 +216,10 @@ fn layout(line: &str) -> Result<Layout> {
         }
         _ => None,
     };
-    let size = parsed.ok_or_else(|| bad(format!("the HDR size {line:?} cannot be read")))?;
+    let size = parsed.ok_or_else(|| invalid(format!("the HDR size {line:?} cannot be read")))?;
     let is_usable = |n: usize| (1..=MAX_SIDE).contains(&n);
     if !is_usable(size.width) || !is_usable(size.height) {
-        return Err(bad(format!(
+        return Err(invalid(format!(
             "an HDR image must have 1 to {MAX_SIDE} pixels a side, found {}×{}",
             size.width, size.height
         ))
@@ -283,7 +283,7 @@ mod tests {
         let mut overlong = vec![2, 2, 0, 8];
         overlong.extend([128 + 9, 1]);
         let xyze = b"#?RADIANCE\nFORMAT=32-bit_rle_xyze\n\n-Y 1 +X 1\nabcd".to_vec();
-        for (bytes, on_progress) in [
+        for (bytes, expected) in [
             (Vec::new(), "empty"),
             (b"\x89PNG\r\n".to_vec(), "PNG"),
             (b"\xff\xd8\xff\xe0".to_vec(), "JPEG"),
@@ -303,10 +303,7 @@ mod tests {
         ] {
             let error = read_hdr(&bytes).unwrap_err();
             assert_eq!(error.kind(), ErrorKind::Input);
-            assert!(
-                error.to_string().contains(on_progress),
-                "{on_progress}: {error}"
-            );
+            assert!(error.to_string().contains(expected), "{expected}: {error}");
         }
         let missing = load_hdr(Path::new("/nowhere/sky.hdr")).unwrap_err();
         assert_eq!(missing.kind(), ErrorKind::NotFound);

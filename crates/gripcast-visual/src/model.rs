@@ -7,7 +7,7 @@ use glam::{DVec3, Vec3};
 use super::bitmap_file;
 use super::finish::Finish;
 use super::material::{Colour, Material};
-use super::pattern::Pattern;
+use super::procedural::ProceduralTexture;
 use super::scene::{Mesh, Scene};
 use super::shading::{Projection, shaded_mesh};
 use super::texture::Bitmap;
@@ -19,7 +19,7 @@ use gripcast_geometry::{
 };
 
 /// Transmission from which a material is drawn as glass; below, it is opaque.
-const GLASS_FROM: f64 = 0.5;
+const MIN_GLASS_TRANSMISSION: f64 = 0.5;
 
 /// Meshes in the body's own frame, with the materials and textures that they name.
 #[derive(Clone, Debug, Default)]
@@ -42,14 +42,14 @@ pub struct LoadedModel {
 }
 
 /// How to read an image that a mesh names by a path beside it.
-type ReadBeside<'a> = &'a dyn Fn(&str) -> std::io::Result<Vec<u8>>;
+type ReadRelative<'a> = &'a dyn Fn(&str) -> std::io::Result<Vec<u8>>;
 
 impl Model {
     /// A shape of one material; textures are projected from its six sides.
     ///
     /// # Errors
     /// None for a valid mesh.
-    pub fn plain(shape: &TriangleMesh, finish: Finish, seed: u64) -> Result<Self> {
+    pub fn with_finish(shape: &TriangleMesh, finish: Finish, seed: u64) -> Result<Self> {
         let (material, texture) = finish.material(seed, 0)?;
         let (textures, projection) = match texture {
             Some((texture, tile_m)) => (vec![texture], projection(shape, finish, tile_m)),
@@ -80,11 +80,11 @@ impl Model {
     /// None for a valid mesh; what is missing becomes a warning.
     pub fn from_textured(
         mesh: &TexturedMesh,
-        beside: ReadBeside<'_>,
+        beside: ReadRelative<'_>,
         finish: Finish,
         seed: u64,
     ) -> Result<LoadedModel> {
-        let mut build = Build {
+        let mut build = ModelBuilder {
             model: Self::default(),
             warnings: mesh.warnings.clone(),
             beside,
@@ -162,7 +162,7 @@ impl Model {
 fn projection(shape: &TriangleMesh, finish: Finish, tile_m: f64) -> Projection {
     let bounds = shape.bounds();
     let extent = bounds.extent().max_element();
-    let fits = matches!(finish, Finish::Painted(Pattern::Print)) && extent > 0.0;
+    let fits = matches!(finish, Finish::Textured(ProceduralTexture::Print)) && extent > 0.0;
     Projection::Box {
         width_m: if fits { extent } else { tile_m },
         origin_m: if fits { bounds.min } else { DVec3::ZERO },
@@ -188,21 +188,21 @@ fn signed_volume(mesh: &TexturedMesh) -> f64 {
 }
 
 /// A model that is being made.
-struct Build<'a> {
+struct ModelBuilder<'a> {
     model: Model,
     warnings: Vec<String>,
-    beside: ReadBeside<'a>,
+    beside: ReadRelative<'a>,
 }
 
-impl Build<'_> {
+impl ModelBuilder<'_> {
     /// Adds a material; whether it has an image.
     fn material(&mut self, from: &MeshMaterial) -> bool {
         let label = format!("material {:?}", from.name);
-        let mut tell = |text: String| self.warnings.push(format!("{label}: {text}"));
+        let mut warn = |text: String| self.warnings.push(format!("{label}: {text}"));
         if from.emission.iter().any(|e| *e > 0.0) {
-            tell("it shines by itself, which is not drawn".to_string());
+            warn("it shines by itself, which is not drawn".to_string());
         }
-        if from.transmission > GLASS_FROM {
+        if from.transmission > MIN_GLASS_TRANSMISSION {
             self.model.materials.push(Material::Dielectric {
                 ior: from.ior as f32,
                 roughness: from.roughness as f32,
@@ -211,7 +211,7 @@ impl Build<'_> {
             return false;
         }
         if from.transmission > 0.0 {
-            tell("it is partly transparent and is drawn opaque".to_string());
+            warn("it is partly transparent and is drawn opaque".to_string());
         }
         let (mut roughness, mut metallic) = (from.roughness, from.metallic);
         if let Some(source) = &from.metallic_roughness_image
@@ -314,7 +314,7 @@ impl Build<'_> {
 
     /// A part of no material of the file.
     fn unpainted(&mut self, part: &MeshPart, finish: Finish, seed: u64) -> Result<Mesh> {
-        let own = Model::plain(&part.shape, finish, seed)?;
+        let own = Model::with_finish(&part.shape, finish, seed)?;
         let (materials, textures) = (self.model.materials.len(), self.model.textures.len());
         let (material, texture) = (own.materials[0], own.textures);
         self.model.materials.push(match material {

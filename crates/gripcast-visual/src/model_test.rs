@@ -1,11 +1,11 @@
 use super::*;
-use crate::pattern::Pattern;
+use crate::procedural::ProceduralTexture;
 use gripcast_geometry::{MeshFormat, builtin, read_textured_mesh};
 use gripcast_imaging::encode_png_rgb;
 use image::RgbImage;
 use std::io;
 
-const PLASTIC: Finish = Finish::Painted(Pattern::Plastic);
+const PLASTIC: Finish = Finish::Textured(ProceduralTexture::Plastic);
 
 fn no_file(_: &str) -> io::Result<Vec<u8>> {
     Err(io::ErrorKind::NotFound.into())
@@ -47,7 +47,7 @@ fn a_textured_square_shows_its_image_upright() {
 #[test]
 fn what_is_missing_becomes_a_warning_and_grey() {
     let mtl = b"newmtl paint\nmap_Kd gone.png\n".to_vec();
-    for (files, on_progress) in [
+    for (files, expected) in [
         (vec![], "a.mtl"),
         (vec![("a.mtl", mtl.clone())], "gone.png"),
         (
@@ -59,7 +59,7 @@ fn what_is_missing_becomes_a_warning_and_grey() {
     ] {
         let loaded = read(SQUARE, &files);
         let text = loaded.warnings.join("\n");
-        assert!(text.contains(on_progress), "{on_progress}: {text}");
+        assert!(text.contains(expected), "{expected}: {text}");
         assert_eq!(loaded.model.meshes.len(), 1);
     }
 }
@@ -129,11 +129,15 @@ fn plain_shapes_get_a_finish_and_scenes_renumber_it() {
         meshes: Vec::new(),
         materials: Vec::new(),
         textures: Vec::new(),
-        environment: crate::Environment::uniform([1.0; 3]),
+        env_map: crate::EnvMap::uniform([1.0; 3]),
         camera: crate::Camera::centred(8, 8, 1.0, Pose::IDENTITY),
     };
-    for finish in [PLASTIC, Finish::Glass, Finish::Painted(Pattern::Wood)] {
-        let model = Model::plain(&shape, finish, 3).unwrap();
+    for finish in [
+        PLASTIC,
+        Finish::Glass,
+        Finish::Textured(ProceduralTexture::Wood),
+    ] {
+        let model = Model::with_finish(&shape, finish, 3).unwrap();
         model.add_to(&mut scene, &Pose::from_translation(DVec3::X));
     }
     scene.validate().unwrap();
@@ -160,10 +164,7 @@ fn textures_outside_of_the_folder_are_not_read() {
     assert_eq!(textures("own.png").0, 1);
     let absolute = dir.path().join("secret.png").display().to_string();
     for name in [&*absolute, "../secret.png", "link.png"] {
-        let (count, on_progress) = textures(name);
-        assert!(
-            count == 0 && on_progress.contains(name),
-            "{name}: {on_progress}"
-        );
+        let (count, expected) = textures(name);
+        assert!(count == 0 && expected.contains(name), "{name}: {expected}");
     }
 }

@@ -6,16 +6,16 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 use glam::Vec3;
 use rayon::prelude::*;
 
-use super::bsdf::Prepared;
+use super::bsdf::PreparedMaterial;
 use super::bvh::{Bvh, Lanes, WithLanes, dispatch};
 use super::camera::{Camera, Ray};
-use super::dome::Dome;
+use super::env_map_sampler::EnvMapSampler;
 use super::film::{FilterTable, PathSample, PixelMeans, PixelSums};
-use super::integrator::{Batch, Integrator, Strategy};
+use super::integrator::{Batch, Integrator, LightSampling};
 use super::linear_image::Image;
-use super::sampler::Net;
+use super::sampler::SobolSampler;
 use super::scene::Scene;
-use super::settings::{RenderSettings, Watch};
+use super::settings::{RenderControl, RenderSettings};
 use super::surface::Face;
 use super::texture::Bitmap;
 use gripcast_base::error::{Error, ErrorKind, Result};
@@ -48,10 +48,10 @@ pub struct Rendering {
 pub struct Renderer {
     bvh: Bvh,
     faces: Vec<Face>,
-    materials: Vec<Prepared>,
+    materials: Vec<PreparedMaterial>,
     textures: Vec<Bitmap>,
-    dome: Dome,
-    strategy: Strategy,
+    env_map: EnvMapSampler,
+    strategy: LightSampling,
 }
 
 impl Renderer {
@@ -75,10 +75,10 @@ impl Renderer {
         Ok(Self {
             bvh,
             faces: ordered,
-            materials: scene.materials.iter().map(Prepared::new).collect(),
+            materials: scene.materials.iter().map(PreparedMaterial::new).collect(),
             textures: scene.textures.clone(),
-            dome: Dome::new(&scene.environment),
-            strategy: Strategy::default(),
+            env_map: EnvMapSampler::new(&scene.env_map),
+            strategy: LightSampling::default(),
         })
     }
 
@@ -95,16 +95,16 @@ impl Renderer {
     /// use glam::DVec3;
     ///
     /// let eye = DVec3::new(0.2, -0.2, 0.15);
-    /// let pose = Camera::looking_at(eye, DVec3::ZERO).unwrap_or_default();
+    /// let pose = Camera::look_at(eye, DVec3::ZERO).unwrap_or_default();
     /// let scene = Scene {
     ///     meshes: vec![Mesh::from_triangles(&builtin("mug")?, 0)],
     ///     materials: vec![Material::grey(0.5)],
     ///     textures: Vec::new(),
-    ///     environment: Environment::uniform([1.0; 3]),
+    ///     env_map: EnvMap::uniform([1.0; 3]),
     ///     camera: Camera::centred(32, 24, 0.7, pose),
     /// };
-    /// let settings = RenderSettings { samples: 4, ..RenderSettings::default() };
-    /// let rendering = Renderer::new(&scene)?.render(&scene.camera, &settings, &Watch::default())?;
+    /// let settings = RenderSettings { samples_per_pixel: 4, ..RenderSettings::default() };
+    /// let rendering = Renderer::new(&scene)?.render(&scene.camera, &settings, &RenderControl::default())?;
     /// rendering.image.to_srgb8(1.0);
     /// # Ok::<(), gripcast_base::error::Error>(())
     /// ```
@@ -112,11 +112,11 @@ impl Renderer {
         &self,
         camera: &Camera,
         settings: &RenderSettings,
-        watch: &Watch<'_>,
+        control: &RenderControl<'_>,
     ) -> Result<Rendering> {
         camera.validate().map_err(|e| e.at("camera"))?;
         settings.validate()?;
-        let net = Net::new(settings.samples, settings.seed);
+        let net = SobolSampler::new(settings.samples_per_pixel, settings.seed);
         let filter = FilterTable::new(settings.filter);
         let job = Job {
             integrator: self.integrator(settings),
@@ -131,7 +131,7 @@ impl Renderer {
         let tiles: Vec<Vec<TilePixel>> = (0..count)
             .into_par_iter()
             .map(|tile| {
-                if watch.cancelled() {
+                if control.cancelled() {
                     return Err(Error::new(
                         ErrorKind::Interrupted,
                         "the rendering was cancelled",
@@ -145,8 +145,8 @@ impl Renderer {
                     rows,
                 });
                 let finished = done.fetch_add(1, Ordering::Relaxed) + 1;
-                if let Some(progress) = watch.progress {
-                    progress(finished, count);
+                if let Some(on_progress) = control.on_progress {
+                    on_progress(finished, count);
                 }
                 Ok(pixels)
             })
@@ -182,9 +182,9 @@ impl Renderer {
             faces: &self.faces,
             materials: &self.materials,
             textures: &self.textures,
-            dome: &self.dome,
+            env_map: &self.env_map,
             max_bounces: settings.max_bounces,
-            roulette_from: settings.roulette_from,
+            rr_depth: settings.rr_depth,
             strategy: self.strategy,
         }
     }
@@ -228,7 +228,7 @@ struct Job<'a> {
     integrator: Integrator<'a>,
     camera: CameraRays,
     settings: &'a RenderSettings,
-    net: &'a Net,
+    net: &'a SobolSampler,
     filter: &'a FilterTable,
 }
 
@@ -240,7 +240,7 @@ impl<'a> Job<'a> {
         batch.clear();
         for index in samples {
             let numbers = self.net.sample(pixel, index);
-            let [u, v] = numbers.pair(0);
+            let [u, v] = numbers.get_2d(0);
             let x = column as f32 + self.filter.offset(u);
             let y = row as f32 + self.filter.offset(v);
             batch.push(self.camera.ray(x, y), numbers);
@@ -256,7 +256,7 @@ impl<'a> Job<'a> {
                 radiance: path.radiance.min(ceiling),
                 ..*path
             };
-            sums.add(&path, index < self.settings.samples / 2);
+            sums.add(&path, index < self.settings.samples_per_pixel / 2);
         }
     }
 }
@@ -283,7 +283,7 @@ impl WithLanes for Tile<'_> {
         let job = self.job;
         let bvh = job.integrator.bvh;
         let mut stack = bvh.stack();
-        let samples = job.settings.samples;
+        let samples = job.settings.samples_per_pixel;
         let mut batch = Batch::new(samples.min(BATCH) as usize, bvh.stack());
         let mut pixels = Vec::with_capacity(self.columns.len() * self.rows.len());
         for row in self.rows {
@@ -298,7 +298,7 @@ impl WithLanes for Tile<'_> {
                     first += BATCH;
                 }
                 let middle = job.camera.ray(column as f32, row as f32);
-                let hit = bvh.closest(lanes, &middle, f32::INFINITY, &mut stack);
+                let hit = bvh.intersect(lanes, &middle, f32::INFINITY, &mut stack);
                 pixels.push(TilePixel {
                     place: [column, row],
                     means: sums.means(samples, samples / 2),
@@ -327,7 +327,7 @@ impl WithLanes for DepthRow<'_> {
         let mut depths = Vec::with_capacity(self.columns);
         for column in 0..self.columns {
             let ray = self.rays.ray(column as f32, self.row as f32);
-            let hit = self.bvh.closest(lanes, &ray, f32::INFINITY, &mut stack);
+            let hit = self.bvh.intersect(lanes, &ray, f32::INFINITY, &mut stack);
             depths.push(hit.map_or(0.0, |h| h.t * ray.direction.dot(self.rays.forward)));
         }
         depths

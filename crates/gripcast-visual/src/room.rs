@@ -7,10 +7,10 @@ use std::f32::consts::TAU;
 
 use glam::Vec3;
 
-use super::environment::light_of_kelvin;
+use super::env_map::light_of_kelvin;
 use gripcast_base::random::SeedStream;
 
-/// Rectangle on a face of the room that shines or is painted.
+/// Rectangle on a face of the room that emits or is painted.
 struct Panel {
     face: Face,
     /// Middle in the face's coordinates, m.
@@ -18,8 +18,8 @@ struct Panel {
     /// Half extent in the face's coordinates, m.
     half: [f32; 2],
     /// Radiance of a shining panel, reflectance of a painted one.
-    color: [f32; 3],
-    shines: bool,
+    colour: [f32; 3],
+    emits: bool,
     /// Window bars: panes along both axes; 1 × 1 has none.
     panes: [u32; 2],
 }
@@ -39,7 +39,7 @@ pub(super) struct Room {
     /// Height of the viewer (the table) and of the ceiling above the floor, m.
     heights: [f32; 2],
     /// Turn of the room about z, rad.
-    turn: f32,
+    yaw_rad: f32,
     ceiling: [f32; 3],
     walls: [[f32; 3]; 4],
     floor: [f32; 3],
@@ -66,22 +66,22 @@ impl Room {
         for k in 0..columns * rows {
             let part = |k: usize, count: usize| (k as f32 + 0.5) / count as f32 - 0.5;
             let place = [part(k % columns, columns), part(k / columns, rows)];
-            let shines = !(is_out && columns * rows > 1 && k == out);
+            let emits = !(is_out && columns * rows > 1 && k == out);
             room.panels.push(Panel {
                 face: Face::Ceiling,
                 centre: [0, 1].map(|a| 1.6 * room.half[a] * place[a] + shift[a]),
                 half,
-                color: if shines {
+                colour: if emits {
                     light.map(|l| level * l)
                 } else {
                     [0.85; 3]
                 },
-                shines,
+                emits,
                 panes: [1, 1],
             });
         }
         room.furnish(stream);
-        room.settle(light, 0.35);
+        room.set_ambient(light, 0.35);
         room
     }
 
@@ -108,14 +108,14 @@ impl Room {
                     face: Face::Wall(wall),
                     centre: [pitch * (k as f32 + 0.5) - 0.5 * width, 1.55],
                     half,
-                    color: daylight.map(|l| level * l),
-                    shines: true,
+                    colour: daylight.map(|l| level * l),
+                    emits: true,
                     panes,
                 });
             }
         }
         room.furnish(stream);
-        room.settle(daylight, 0.3);
+        room.set_ambient(daylight, 0.3);
         room
     }
 
@@ -138,7 +138,7 @@ impl Room {
                 stream.between(0.7, 0.95) as f32,
                 stream.between(2.4, 3.4) as f32,
             ],
-            turn: stream.between(0.0, f64::from(TAU)) as f32,
+            yaw_rad: stream.between(0.0, f64::from(TAU)) as f32,
             ceiling: paint(stream, 0.7, 0.88, 0.03),
             walls,
             floor: paint(stream, 0.1, 0.45, 0.2),
@@ -155,7 +155,7 @@ impl Room {
                 let height = stream.pick([0.45, 0.6, 1.0]) as f32;
                 let half = [stream.between(0.2, 0.8) as f32, height];
                 let grey = stream.between_log(0.04, 0.7);
-                let color = [0; 3].map(|_| (grey * (1.0 + stream.between(-0.35, 0.35))) as f32);
+                let colour = [0; 3].map(|_| (grey * (1.0 + stream.between(-0.35, 0.35))) as f32);
                 self.panels.push(Panel {
                     face: Face::Wall(wall),
                     centre: [
@@ -164,8 +164,8 @@ impl Room {
                         if stream.uniform() < 0.7 { height } else { 1.6 },
                     ],
                     half: if half[1] > 0.9 { [0.45, 1.0] } else { half },
-                    color: color.map(|c| c.min(0.85)),
-                    shines: false,
+                    colour: colour.map(|c| c.min(0.85)),
+                    emits: false,
                     panes: [1, 1],
                 });
             }
@@ -174,15 +174,15 @@ impl Room {
 
     /// Radiance of a white wall: the emitted power spread over all faces, times what further
     /// reflections add.
-    fn settle(&mut self, light: [f32; 3], fraction: f32) {
+    fn set_ambient(&mut self, light: [f32; 3], fraction: f32) {
         let [a, b] = self.half;
         let height = self.heights[1];
         let area = 8.0 * a * b + 4.0 * (a + b) * height;
         let emitted: f32 = self
             .panels
             .iter()
-            .filter(|panel| panel.shines)
-            .map(|panel| 4.0 * panel.half[0] * panel.half[1] * panel.color[1])
+            .filter(|panel| panel.emits)
+            .map(|panel| 4.0 * panel.half[0] * panel.half[1] * panel.colour[1])
             .sum();
         // Of light that falls on a wall about half is reflected: twice the first reflection.
         let level = 2.0 * emitted / area + 0.02 * fraction;
@@ -191,7 +191,7 @@ impl Room {
 
     /// What a viewer above the table sees in a direction of the world.
     pub(super) fn radiance(&self, direction: Vec3) -> [f32; 3] {
-        let (sin, cos) = self.turn.sin_cos();
+        let (sin, cos) = self.yaw_rad.sin_cos();
         let d = Vec3::new(
             cos * direction.x + sin * direction.y,
             cos * direction.y - sin * direction.x,
@@ -208,14 +208,14 @@ impl Room {
         // Panels listed later hang in front of earlier ones, windows and lamps in front of all.
         let mut seen = lit;
         for panel in self.panels.iter().filter(|panel| panel.face == face) {
-            let Some(is_frame) = panel.covers(place) else {
+            let Some(is_frame) = panel.coverage(place) else {
                 continue;
             };
-            if panel.shines && !is_frame {
-                return panel.color;
+            if panel.emits && !is_frame {
+                return panel.colour;
             }
-            let color = if is_frame { [0.7; 3] } else { panel.color };
-            seen = std::array::from_fn(|c| color[c] * self.ambient[c] * corner);
+            let colour = if is_frame { [0.7; 3] } else { panel.colour };
+            seen = std::array::from_fn(|c| colour[c] * self.ambient[c] * corner);
         }
         seen
     }
@@ -261,12 +261,12 @@ impl Room {
 
 impl Panel {
     /// Whether a place lies on its frame or bars; none where it lies outside.
-    fn covers(&self, place: [f32; 2]) -> Option<bool> {
+    fn coverage(&self, place: [f32; 2]) -> Option<bool> {
         let offset = [0, 1].map(|a| place[a] - self.centre[a]);
         if (0..2).any(|a| offset[a].abs() > self.half[a]) {
             return None;
         }
-        if !self.shines || self.panes == [1, 1] {
+        if !self.emits || self.panes == [1, 1] {
             return Some(false);
         }
         let is_bar = |a: usize| {

@@ -12,13 +12,13 @@ use gripcast_base::random::mix;
 const PAIRS: usize = 24;
 /// Longest net, samples; more samples start another with other shifts.
 const MAX_NET: u32 = 4096;
-const TURN: u64 = 0x9e37_79b9_7f4a_7c15;
+const GOLDEN_RATIO: u64 = 0x9e37_79b9_7f4a_7c15;
 /// 2^-24.
 const UNIT: f32 = 1.0 / 16_777_216.0;
 
 /// Points of one net for all pairs.
 #[derive(Debug)]
-pub(super) struct Net {
+pub(super) struct SobolSampler {
     /// Sample by sample.
     points: Vec<[[u32; 2]; PAIRS]>,
     seed: u64,
@@ -26,15 +26,15 @@ pub(super) struct Net {
 
 /// The numbers of one sample of a pixel.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct PixelSample<'a> {
+pub(super) struct PixelSampler<'a> {
     points: &'a [[u32; 2]; PAIRS],
     key: u64,
     /// Differs between samples that share a key.
     index: u32,
 }
 
-impl Net {
-    /// Net for a number of samples.
+impl SobolSampler {
+    /// SobolSampler for a number of samples.
     pub(super) fn new(samples: u32, seed: u64) -> Self {
         let length = samples.next_power_of_two().min(MAX_NET);
         let point = |index: u32, pair: u64| {
@@ -53,10 +53,10 @@ impl Net {
 
     /// A sample of the pixel with this number.
     #[inline(always)]
-    pub(super) fn sample(&self, pixel: u64, index: u32) -> PixelSample<'_> {
+    pub(super) fn sample(&self, pixel: u64, index: u32) -> PixelSampler<'_> {
         let length = self.points.len() as u32;
         let net = u64::from(index / length);
-        PixelSample {
+        PixelSampler {
             points: &self.points[(index % length) as usize],
             key: mix(self.seed ^ mix(pixel ^ (net << 40))),
             index,
@@ -64,11 +64,13 @@ impl Net {
     }
 }
 
-impl PixelSample<'_> {
+impl PixelSampler<'_> {
     /// The two numbers of a pair of dimensions.
     #[inline(always)]
-    pub(super) fn pair(&self, pair: usize) -> [f32; 2] {
-        let shift = mix(self.key.wrapping_add((pair as u64 + 1).wrapping_mul(TURN)));
+    pub(super) fn get_2d(&self, pair: usize) -> [f32; 2] {
+        let shift = mix(self
+            .key
+            .wrapping_add((pair as u64 + 1).wrapping_mul(GOLDEN_RATIO)));
         let [x, y] = match self.points.get(pair) {
             Some(&point) => point,
             None => {
@@ -103,7 +105,7 @@ fn scrambled(value: u32, seed: u64) -> u32 {
     for bit in 0..32 {
         // A leading 1 tells prefixes of different length apart.
         let prefix = (1u64 << bit) | (u64::from(value) >> (32 - bit));
-        let flip = mix(seed ^ prefix.wrapping_mul(TURN)) >> 63;
+        let flip = mix(seed ^ prefix.wrapping_mul(GOLDEN_RATIO)) >> 63;
         flips |= (flip as u32) << (31 - bit);
     }
     value ^ flips
@@ -115,10 +117,10 @@ mod tests {
 
     #[test]
     fn every_pair_of_a_pixel_is_a_net() {
-        let net = Net::new(64, 5);
+        let net = SobolSampler::new(64, 5);
         for pair in [0, 1, 7, PAIRS - 1] {
             for pixel in [0, 9] {
-                let points: Vec<_> = (0..64).map(|i| net.sample(pixel, i).pair(pair)).collect();
+                let points: Vec<_> = (0..64).map(|i| net.sample(pixel, i).get_2d(pair)).collect();
                 // Each elementary box of area 1/64 holds exactly one point.
                 for log_x in 0..=6 {
                     let (nx, ny) = (1usize << log_x, 64usize >> log_x);
@@ -135,8 +137,8 @@ mod tests {
 
     #[test]
     fn pairs_and_pixels_are_uncorrelated() {
-        let net = Net::new(64, 1);
-        let centred = |pixel, pair: usize, index| net.sample(pixel, index).pair(pair)[0] - 0.5;
+        let net = SobolSampler::new(64, 1);
+        let centred = |pixel, pair: usize, index| net.sample(pixel, index).get_2d(pair)[0] - 0.5;
         // Pixels fraction nets under different shifts, so only the mean over pixels vanishes.
         for (step, pairs) in [(0, [0, 1]), (1, [0, 0]), (320, [2, 5]), (0, [30, 31])] {
             let mut sum = 0.0;
@@ -153,12 +155,15 @@ mod tests {
 
     #[test]
     fn longer_runs_start_other_nets_and_seeds_differ() {
-        let net = Net::new(1 << 14, 0);
+        let net = SobolSampler::new(1 << 14, 0);
         assert_eq!(net.points.len(), MAX_NET as usize);
-        assert_ne!(net.sample(0, 1).pair(0), net.sample(0, MAX_NET + 1).pair(0));
         assert_ne!(
-            net.sample(0, 1).pair(0),
-            Net::new(1 << 14, 1).sample(0, 1).pair(0)
+            net.sample(0, 1).get_2d(0),
+            net.sample(0, MAX_NET + 1).get_2d(0)
+        );
+        assert_ne!(
+            net.sample(0, 1).get_2d(0),
+            SobolSampler::new(1 << 14, 1).sample(0, 1).get_2d(0)
         );
     }
 }

@@ -3,7 +3,7 @@
 use glam::{DVec3, Vec3};
 
 use super::camera::Camera;
-use super::environment::Environment;
+use super::env_map::EnvMap;
 use super::material::{Colour, Material};
 use super::texture::Bitmap;
 use gripcast_base::error::{Error, Result};
@@ -130,7 +130,7 @@ pub struct Scene {
     /// Colours that materials refer to.
     pub textures: Vec<Bitmap>,
     /// Light from all directions, infinitely far away.
-    pub environment: Environment,
+    pub env_map: EnvMap,
     /// Where the image is taken from.
     pub camera: Camera,
 }
@@ -151,9 +151,7 @@ impl Scene {
                 .validate(self.textures.len())
                 .map_err(|e| e.at(format!("material {m}")))?;
         }
-        self.environment
-            .validate()
-            .map_err(|e| e.at("environment"))?;
+        self.env_map.validate().map_err(|e| e.at("env_map"))?;
         self.camera.validate().map_err(|e| e.at("camera"))
     }
 
@@ -206,7 +204,7 @@ mod tests {
             ],
             materials: vec![Material::grey(0.5)],
             textures: Vec::new(),
-            environment: Environment::uniform([1.0; 3]),
+            env_map: EnvMap::uniform([1.0; 3]),
             camera: at(1.0),
         };
         // In the hollow of the mug, in its wall, and far away.

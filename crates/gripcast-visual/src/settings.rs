@@ -20,11 +20,11 @@ pub enum PixelFilter {
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct RenderSettings {
     /// Paths for each pixel; powers of two are spread best.
-    pub samples: u32,
+    pub samples_per_pixel: u32,
     /// Most reflections and refractions of a path.
     pub max_bounces: u32,
     /// From this bounce on, paths that carry little end at random (Russian roulette).
-    pub roulette_from: u32,
+    pub rr_depth: u32,
     /// Largest value that one path may add to a channel; what lies above is lost. `None` keeps the
     /// image unbiased.
     pub clamp: Option<f32>,
@@ -37,9 +37,9 @@ pub struct RenderSettings {
 impl Default for RenderSettings {
     fn default() -> Self {
         Self {
-            samples: 64,
+            samples_per_pixel: 64,
             max_bounces: 6,
-            roulette_from: 3,
+            rr_depth: 3,
             clamp: None,
             filter: PixelFilter::default(),
             seed: 0,
@@ -50,10 +50,10 @@ impl Default for RenderSettings {
 impl RenderSettings {
     pub(super) fn validate(&self) -> Result<()> {
         let bad = |what: String| Err(Error::usage(what));
-        if !(1..=1 << 20).contains(&self.samples) {
-            let found = self.samples;
+        if !(1..=1 << 20).contains(&self.samples_per_pixel) {
+            let found = self.samples_per_pixel;
             return bad(format!(
-                "the number of samples must be from 1 to {}, found {found}",
+                "the number of samples_per_pixel must be from 1 to {}, found {found}",
                 1 << 20
             ));
         }
@@ -67,14 +67,14 @@ impl RenderSettings {
 
 /// Ways to follow and to stop a rendering.
 #[derive(Clone, Copy, Default)]
-pub struct Watch<'a> {
+pub struct RenderControl<'a> {
     /// Called from any thread with the number of finished tiles and of all tiles.
-    pub progress: Option<&'a (dyn Fn(usize, usize) + Sync)>,
+    pub on_progress: Option<&'a (dyn Fn(usize, usize) + Sync)>,
     /// Once true, rendering ends soon with an error of kind `Interrupted`.
     pub cancel: Option<&'a AtomicBool>,
 }
 
-impl Watch<'_> {
+impl RenderControl<'_> {
     /// Whether the rendering is to end.
     pub(super) fn cancelled(&self) -> bool {
         self.cancel.is_some_and(|flag| flag.load(Ordering::Relaxed))

@@ -32,7 +32,7 @@ pub fn shaded_mesh(
 ) -> Mesh {
     let faces: Vec<DVec3> = mesh.all_corners().map(scaled_normal).collect();
     let corners = corner_normals(mesh, crease_rad);
-    let mut known: HashMap<(u32, [i32; 3], u8), u32> = HashMap::new();
+    let mut vertex_ids: HashMap<(u32, [i32; 3], u8), u32> = HashMap::new();
     let mut shaded = Mesh {
         material,
         ..Mesh::default()
@@ -47,15 +47,17 @@ pub fn shaded_mesh(
             let (vertex, normal) = (triangle[k], corners[t][k].as_vec3());
             // Normals equal to 1e-4 are one.
             let rounded = normal.to_array().map(|c| (c * 1e4).round() as i32);
-            renamed[k] = *known.entry((vertex, rounded, side)).or_insert_with(|| {
-                let place = mesh.vertices[vertex as usize];
-                shaded.positions.push(place.as_vec3());
-                shaded.normals.push(normal);
-                if let Projection::Box { width_m, origin_m } = projection {
-                    shaded.uvs.push(box_uv((place - origin_m) / width_m, side));
-                }
-                shaded.positions.len() as u32 - 1
-            });
+            renamed[k] = *vertex_ids
+                .entry((vertex, rounded, side))
+                .or_insert_with(|| {
+                    let place = mesh.vertices[vertex as usize];
+                    shaded.positions.push(place.as_vec3());
+                    shaded.normals.push(normal);
+                    if let Projection::Box { width_m, origin_m } = projection {
+                        shaded.uvs.push(box_uv((place - origin_m) / width_m, side));
+                    }
+                    shaded.positions.len() as u32 - 1
+                });
         }
         shaded.triangles.push(renamed);
     }

@@ -1,7 +1,7 @@
 //! Light domes painted from a seed: rooms with lamps or windows, overcast and clear skies.
 //!
-//! Radiance is relative: each dome is scaled so that a white matt table under it has radiance 1,
-//! whatever the kind, and [`Environment::intensity`](super::Environment) alone decides on the
+//! Radiance is relative: each map is scaled so that a white matt table under it has radiance 1,
+//! whatever the kind, and [`EnvMap::intensity`](super::EnvMap) alone decides on the
 //! brightness.
 
 use std::f32::consts::{PI, TAU};
@@ -11,13 +11,13 @@ use std::str::FromStr;
 use glam::Vec3;
 use rayon::prelude::*;
 
-use super::environment::light_of_kelvin;
+use super::env_map::light_of_kelvin;
 use super::linear_image::Image;
 use super::room::Room;
 use gripcast_base::error::{Error, Result, unknown_name};
 use gripcast_base::random::SeedStream;
 
-/// Kind of a painted dome.
+/// Kind of a painted map.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Sky {
     /// Room without windows, rectangular lamps under its ceiling.
@@ -44,11 +44,11 @@ impl Sky {
         }
     }
 
-    /// Paints the dome, `2 * height` × `height` pixels, laid out as
-    /// [`Environment`](super::Environment) wants it; the same arguments give the same values.
-    pub fn paint(self, height: usize, seed: u64) -> Image {
+    /// Paints the map, `2 * height` × `height` pixels, laid out as
+    /// [`EnvMap`](super::EnvMap) wants it; the same arguments give the same values.
+    pub fn generate(self, height: usize, seed: u64) -> Image {
         let mut stream = SeedStream::named(seed, self.name());
-        let mut dome = match self {
+        let mut map = match self {
             Self::Studio => {
                 let room = Room::with_lamps(&mut stream);
                 paint_by_direction(height, |d| room.radiance(d))
@@ -66,8 +66,8 @@ impl Sky {
                 paint_by_direction(height, |d| sky.radiance(d))
             }
         };
-        normalise(&mut dome);
-        dome
+        normalise_env_map(&mut map);
+        map
     }
 }
 
@@ -86,11 +86,11 @@ impl FromStr for Sky {
     }
 }
 
-/// Luminance that a white matt horizontal surface reflects under a dome (its irradiance over π).
-pub fn white_table_luminance(dome: &Image) -> f64 {
-    let (width, height) = (dome.width, dome.height);
+/// Luminance that a white matt horizontal surface reflects under a map (its irradiance over π).
+pub fn white_table_luminance(map: &Image) -> f64 {
+    let (width, height) = (map.width, map.height);
     let mut sum = 0.0;
-    for (row, pixels) in dome.pixels.chunks(width.max(1)).enumerate() {
+    for (row, pixels) in map.pixels.chunks(width.max(1)).enumerate() {
         let (from, to) = (row as f64, row as f64 + 1.0);
         let [a, b] = [from, to].map(|r| {
             let polar = std::f64::consts::PI * (r / height as f64).min(0.5);
@@ -107,13 +107,13 @@ pub fn white_table_luminance(dome: &Image) -> f64 {
     sum / std::f64::consts::PI
 }
 
-/// Scales a dome until [`white_table_luminance`] is 1; a dome without light above the horizon
+/// Scales a map until [`white_table_luminance`] is 1; a map without light above the horizon
 /// stays as it is.
-pub fn normalise(dome: &mut Image) {
-    let found = white_table_luminance(dome);
+pub fn normalise_env_map(map: &mut Image) {
+    let found = white_table_luminance(map);
     if found.is_normal() && found > 0.0 {
         let factor = (1.0 / found) as f32;
-        for value in dome.pixels.iter_mut().flatten() {
+        for value in map.pixels.iter_mut().flatten() {
             *value *= factor;
         }
     }
@@ -123,8 +123,8 @@ pub fn normalise(dome: &mut Image) {
 fn paint_by_direction(height: usize, radiance: impl Fn(Vec3) -> [f32; 3] + Sync) -> Image {
     let height = height.max(2);
     let width = 2 * height;
-    let mut dome = Image::filled(width, height, [0.0; 3]);
-    dome.pixels
+    let mut map = Image::filled(width, height, [0.0; 3]);
+    map.pixels
         .par_chunks_mut(width)
         .enumerate()
         .for_each(|(row, pixels)| {
@@ -141,7 +141,7 @@ fn paint_by_direction(height: usize, radiance: impl Fn(Vec3) -> [f32; 3] + Sync)
                 }
             }
         });
-    dome
+    map
 }
 
 /// Radiance of the ground around, from the light that falls on it.
@@ -253,40 +253,40 @@ mod tests {
     fn domes_are_finite_repeatable_and_light_the_table_alike() {
         for sky in Sky::ALL {
             for seed in 0..5 {
-                let dome = sky.paint(64, seed);
-                assert_eq!((dome.width, dome.height), (128, 64));
-                assert_eq!(dome, sky.paint(64, seed), "{sky}");
+                let map = sky.generate(64, seed);
+                assert_eq!((map.width, map.height), (128, 64));
+                assert_eq!(map, sky.generate(64, seed), "{sky}");
                 assert!(
-                    dome.pixels
+                    map.pixels
                         .iter()
                         .flatten()
                         .all(|v| v.is_finite() && *v >= 0.0)
                 );
-                let table = white_table_luminance(&dome);
+                let table = white_table_luminance(&map);
                 assert!((table - 1.0).abs() < 1e-3, "{sky} {seed}: {table}");
             }
-            assert_ne!(sky.paint(32, 1), sky.paint(32, 2), "{sky}");
+            assert_ne!(sky.generate(32, 1), sky.generate(32, 2), "{sky}");
         }
     }
 
     #[test]
     fn a_grey_dome_lights_the_table_with_its_own_radiance() {
-        let mut dome = Image::filled(32, 16, [0.25; 3]);
-        assert!((white_table_luminance(&dome) - 0.25).abs() < 1e-6);
-        normalise(&mut dome);
-        assert!((dome.pixels[3][1] - 1.0).abs() < 1e-6);
+        let mut map = Image::filled(32, 16, [0.25; 3]);
+        assert!((white_table_luminance(&map) - 0.25).abs() < 1e-6);
+        normalise_env_map(&mut map);
+        assert!((map.pixels[3][1] - 1.0).abs() < 1e-6);
         let mut dark = Image::filled(4, 2, [0.0; 3]);
-        normalise(&mut dark);
+        normalise_env_map(&mut dark);
         assert_eq!(dark.pixels[0], [0.0; 3]);
     }
 
     #[test]
     fn rooms_and_sun_have_bright_spots_and_the_overcast_sky_none() {
         let contrast = |sky: Sky, seed| {
-            let dome = sky.paint(128, seed);
-            let levels = dome.pixels.iter().map(|p| luminance(*p));
+            let map = sky.generate(128, seed);
+            let levels = map.pixels.iter().map(|p| luminance(*p));
             let peak = levels.clone().fold(0.0, f32::max);
-            peak / (levels.sum::<f32>() / dome.pixels.len() as f32)
+            peak / (levels.sum::<f32>() / map.pixels.len() as f32)
         };
         for seed in 0..4 {
             assert!(

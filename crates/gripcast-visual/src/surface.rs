@@ -20,9 +20,9 @@ pub(super) struct Face {
     pub(super) material: u32,
 }
 
-/// Place where a ray meets a surface.
+/// SurfaceInteraction where a ray meets a surface.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Place {
+pub(super) struct SurfaceInteraction {
     pub(super) position: Vec3,
     /// Unit normal of the triangle, by the order of its corners.
     pub(super) normal: Vec3,
@@ -63,13 +63,13 @@ impl Face {
 
     /// The place of a hit.
     #[inline(always)]
-    pub(super) fn place(&self, hit: &Hit) -> Place {
+    pub(super) fn interaction(&self, hit: &Hit) -> SurfaceInteraction {
         let [v, w] = hit.weights;
         let u = 1.0 - v - w;
         let normal = normal_of(self.corners);
         let shading = mix(self.normals, [u, v, w]).normalize_or(normal);
         let [a, b, c] = self.uvs;
-        Place {
+        SurfaceInteraction {
             position: mix(self.corners, [u, v, w]),
             normal,
             shading_normal: if shading.dot(normal) < 0.0 {
@@ -97,11 +97,11 @@ fn normal_of([a, b, c]: [Vec3; 3]) -> Vec3 {
     cross.normalize_or(Vec3::Z)
 }
 
-impl Place {
+impl SurfaceInteraction {
     /// Start of a ray that leaves towards `direction`, moved off the surface so that rounding does
     /// not let the ray meet it again.
     #[inline(always)]
-    pub(super) fn start(&self, direction: Vec3) -> Vec3 {
+    pub(super) fn ray_origin(&self, direction: Vec3) -> Vec3 {
         let size = self.position.abs().max_element().max(MIN_SIZE);
         let offset = self.normal * (OFFSET * size);
         if direction.dot(self.normal) < 0.0 {

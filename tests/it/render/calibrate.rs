@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 
 use gripcast_imaging::encode_png_rgb;
 use gripcast_tactile::calibrate::BallContact;
-use gripcast_tactile::{FrameLook, SensorProfile, TactileRenderer};
+use gripcast_tactile::{FrameNoise, SensorProfile, TactileRenderer};
 use serde_json::{Value, json as value};
 
 use super::{png, refused, render};
@@ -37,18 +37,18 @@ pub(super) fn rendered_presses(dir: &Path) -> PathBuf {
             ball_m: 2e-3,
         };
         let press = contact.press(profile.smoothing.sink_length_m);
-        let look = FrameLook {
+        let look = FrameNoise {
             noise_seed: Some(number),
-            ..FrameLook::default()
+            ..FrameNoise::default()
         };
         let name = format!("press_{number}.png");
         save(&name, &renderer.render(&press, &look).unwrap());
         presses.push(value!({"file": name, "center_px": centre, "radius_px": radius_px}));
     }
     let nothing = gripcast_tactile::PressDepth::untouched(grid);
-    let look = FrameLook {
+    let look = FrameNoise {
         noise_seed: Some(99),
-        ..FrameLook::default()
+        ..FrameNoise::default()
     };
     save("no_contact.png", &renderer.render(&nothing, &look).unwrap());
     let list = value!({

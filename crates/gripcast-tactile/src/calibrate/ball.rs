@@ -1,6 +1,6 @@
 //! The known shape of a calibration press: a ball in contact over a disc.
 
-use crate::membrane::sink_of_ball_m;
+use crate::membrane::ball_sink_m;
 use crate::{PressDepth, SensorGeometry};
 
 /// Largest contact radius that is taken, of the ball's radius: beyond it the slope at the border
@@ -33,11 +33,11 @@ impl BallContact {
     }
 
     /// Depth of the ball below the untouched face of a gel that comes up again over
-    /// `sink_length_m` around the contact (see [`sink_of_ball_m`]); with 0 this is
+    /// `sink_length_m` around the contact (see [`ball_sink_m`]); with 0 this is
     /// [`BallContact::cap`].
     pub fn press(&self, sink_length_m: f64) -> PressDepth {
         let contact_m = self.contact_m();
-        let sink = sink_of_ball_m(contact_m, self.ball_m, sink_length_m);
+        let sink = ball_sink_m(contact_m, self.ball_m, sink_length_m);
         ball_press(
             self.geometry,
             self.centre_px,
@@ -106,7 +106,7 @@ mod tests {
         let expected = 2e-3 - (4e-6f64 - 1.2e-3 * 1.2e-3).sqrt();
         assert!((f64::from(at(&cap, 150)) - expected).abs() < 1e-9);
         let press = contact.press(1e-3);
-        let sink = sink_of_ball_m(1.2e-3, 2e-3, 1e-3);
+        let sink = ball_sink_m(1.2e-3, 2e-3, 1e-3);
         assert!((f64::from(at(&press, 170)) - sink).abs() < 1e-9);
         assert!(at(&press, 172) > 0.0);
     }
@@ -124,7 +124,7 @@ mod tests {
         // Counted as a contact of 0.95 of the ball's radius.
         let contact = 0.95 * 2e-3;
         let deep = 2e-3 - (4e-6f64 - contact * contact).sqrt();
-        let sink = sink_of_ball_m(contact, 2e-3, 1e-3);
+        let sink = ball_sink_m(contact, 2e-3, 1e-3);
         assert!((f64::from(press.depth_m[0]) - deep - sink).abs() < 1e-9);
         // The ball itself reaches over 33 pixels.
         assert!(press.depth_m[33] > 0.0 && press.depth_m[34] == 0.0);

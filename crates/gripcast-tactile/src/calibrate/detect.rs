@@ -20,7 +20,7 @@ const SINK_LENGTH_M: f64 = 1e-3;
 /// The window around the contact reaches this far, m.
 const WINDOW_M: f64 = 3.6e-3;
 /// Largest fraction of the change that the best trial may leave.
-const MAX_LEFT: f64 = 0.6;
+const MAX_RESIDUAL: f64 = 0.6;
 /// Largest contact radius that is tried, of the ball's radius.
 const MAX_CONTACT: f64 = 0.95;
 /// Terms of the shading and a constant.
@@ -42,10 +42,10 @@ pub(super) fn find_contact(set: &PressSet, image: &RgbImage) -> Result<([f64; 2]
         &[0.15 * spread, 0.15 * spread, 0.25 * start[2]],
         200,
         1e-6,
-        &mut |trial| window.left_by([trial[0], trial[1]], trial[2], ball_px),
+        &mut |trial| window.residual_fraction([trial[0], trial[1]], trial[2], ball_px),
     );
     let radius = best[2].clamp(MIN_RADIUS_PX, largest);
-    if !left.is_finite() || left > MAX_LEFT {
+    if !left.is_finite() || left > MAX_RESIDUAL {
         return Err(format!(
             "no contact of a ball is found in it (the best disc leaves {:.0} % of the change)",
             100.0 * left
@@ -82,7 +82,7 @@ fn energy_of(change: &ChangePlanes, width: usize) -> Vec<f32> {
     let mut energy = vec![0.0f32; change[0].len()];
     for plane in change {
         let mut plane = plane.clone();
-        if let Some(region) = Region::of_nonzero(&plane, width) {
+        if let Some(region) = Region::nonzero(&plane, width) {
             gaussian.apply(&mut plane, width, region);
         }
         for (sum, value) in energy.iter_mut().zip(&plane) {
@@ -96,7 +96,7 @@ fn energy_of(change: &ChangePlanes, width: usize) -> Vec<f32> {
 fn centre_of_energy(energy: &[f32], set: &PressSet) -> Result<([f64; 2], f64), String> {
     let width = set.geometry.width;
     let mut blurred = energy.to_vec();
-    if let Some(region) = Region::of_nonzero(energy, width) {
+    if let Some(region) = Region::nonzero(energy, width) {
         Gaussian::new(12.0).apply(&mut blurred, width, region);
     }
     let Some(peak) = (0..blurred.len()).max_by(|a, b| blurred[*a].total_cmp(&blurred[*b])) else {
@@ -171,7 +171,7 @@ impl Window {
     }
 
     /// Fraction of the squared change that the best shading of a trial leaves.
-    fn left_by(&self, centre: [f64; 2], radius: f64, ball_px: f64) -> f64 {
+    fn residual_fraction(&self, centre: [f64; 2], radius: f64, ball_px: f64) -> f64 {
         let radius = radius.clamp(MIN_RADIUS_PX, MAX_CONTACT * ball_px);
         let slope = Slope::new(radius, ball_px, self.sink_px);
         let mut gram = [[0.0; TERMS]; TERMS];

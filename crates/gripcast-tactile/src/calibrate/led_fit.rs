@@ -1,15 +1,15 @@
-//! Fits lamps to presses: their places by downhill simplex, their strengths, which enter
+//! Fits lamps to presses: their places by downhill simplex, their fit_intensities, which enter
 //! linearly and may not be negative, by coordinate descent inside.
 
 use super::press_set::PressSet;
-use super::score::{Distance, observe};
+use super::score::{CentreDistance, observe};
 use super::simplex::minimise;
 use super::sums::normals_of;
-use crate::led::Lamp;
+use crate::led::PointLight;
 use crate::{Led, LedShading, Smoothing};
 
 /// About so many pixels of each press are used.
-const PIXELS_A_PRESS: usize = 400;
+const PIXELS_PER_PRESS: usize = 400;
 /// Pixels up to this distance from the border of a contact are fitted.
 const FIT_PX: f64 = 30.0;
 /// Phong exponents that are tried.
@@ -18,7 +18,7 @@ const SHININESS: [u32; 4] = [2, 4, 8, 16];
 const EVALUATIONS: usize = 220;
 /// Sweeps of the coordinate descent.
 const SWEEPS: usize = 60;
-/// Penalty on strengths, of the mean diagonal.
+/// Penalty on fit_intensities, of the mean diagonal.
 const RIDGE: f64 = 1e-3;
 /// Distances of lamps from the middle and from the face that are believed, m.
 const REACH_M: std::ops::RangeInclusive<f64> = 4e-3..=60e-3;
@@ -46,10 +46,10 @@ pub(super) fn fit_leds(set: &PressSet, train: &[usize], smoothing: &Smoothing) -
     let steps = [0.6, 4.0, 3.0].repeat(3);
     let mut best: Option<(f64, LedShading)> = None;
     for shininess in SHININESS {
-        let mut value = |unknowns: &[f64]| strengths(&samples, unknowns, shininess).0;
+        let mut value = |unknowns: &[f64]| fit_intensities(&samples, unknowns, shininess).0;
         let (place, error) = minimise(&start, &steps, EVALUATIONS, 1e-9, &mut value);
         if best.as_ref().is_none_or(|(least, _)| error < *least) {
-            best = Some((error, strengths(&samples, &place, shininess).1));
+            best = Some((error, fit_intensities(&samples, &place, shininess).1));
         }
     }
     best.map_or(guess, |(_, shading)| shading)
@@ -61,12 +61,12 @@ fn samples(set: &PressSet, train: &[usize], smoothing: &Smoothing) -> Vec<Sample
         let press = &set.presses[*index];
         let normals = normals_of(set, press, smoothing);
         let observed = observe(set, press);
-        let distance = Distance::of(press);
+        let distance = CentreDistance::new(press);
         let near: Vec<usize> = (0..normals.x.len())
             .filter(|i| distance.at(*i) < press.radius_px + FIT_PX)
             .collect();
         // A stride without a factor in common with the image's sides.
-        let stride = (near.len() / PIXELS_A_PRESS).max(1) | 1;
+        let stride = (near.len() / PIXELS_PER_PRESS).max(1) | 1;
         for i in near.into_iter().step_by(stride) {
             let (x, y) = (i % set.geometry.width, i / set.geometry.width);
             let [x, y] = set.geometry.pixel_to_gel_m(x as f64, y as f64);
@@ -81,7 +81,7 @@ fn samples(set: &PressSet, train: &[usize], smoothing: &Smoothing) -> Vec<Sample
 }
 
 /// Places of the lamps from the unknowns: azimuth (rad), distance and height (mm) of each.
-fn lamps(unknowns: &[f64]) -> Vec<Led> {
+fn leds_at(unknowns: &[f64]) -> Vec<Led> {
     unknowns
         .chunks_exact(3)
         .map(|u| {
@@ -97,10 +97,13 @@ fn lamps(unknowns: &[f64]) -> Vec<Led> {
         .collect()
 }
 
-/// Best strengths of lamps at given places; squared error and the shading.
-fn strengths(samples: &[Sample], unknowns: &[f64], shininess: u32) -> (f64, LedShading) {
-    let mut leds = lamps(unknowns);
-    let unit: Vec<Lamp> = leds.iter().map(|led| Lamp::new(led, shininess)).collect();
+/// Best fit_intensities of lamps at given places; squared error and the shading.
+fn fit_intensities(samples: &[Sample], unknowns: &[f64], shininess: u32) -> (f64, LedShading) {
+    let mut leds = leds_at(unknowns);
+    let unit: Vec<PointLight> = leds
+        .iter()
+        .map(|led| PointLight::new(led, shininess))
+        .collect();
     let count = 2 * unit.len();
     let mut gram = vec![0.0; count * count];
     let mut cross = vec![[0.0; 3]; count];
@@ -128,7 +131,7 @@ fn strengths(samples: &[Sample], unknowns: &[f64], shininess: u32) -> (f64, LedS
     let mut error = square;
     for channel in 0..3 {
         let right: Vec<f64> = cross.iter().map(|row| row[channel]).collect();
-        let solution = not_negative(&gram, &right);
+        let solution = non_negative_least_squares(&gram, &right);
         for (i, w) in solution.iter().enumerate() {
             let image: f64 = (0..count).map(|j| gram[i * count + j] * solution[j]).sum();
             error += w * (image - 2.0 * right[i]);
@@ -141,7 +144,7 @@ fn strengths(samples: &[Sample], unknowns: &[f64], shininess: u32) -> (f64, LedS
 }
 
 /// Least squares with solutions ≥ 0, by coordinate descent.
-fn not_negative(gram: &[f64], right: &[f64]) -> Vec<f64> {
+fn non_negative_least_squares(gram: &[f64], right: &[f64]) -> Vec<f64> {
     let count = right.len();
     let mut solution = vec![0.0f64; count];
     for _ in 0..SWEEPS {
@@ -160,14 +163,14 @@ mod tests {
 
     #[test]
     fn solutions_stay_at_zero_where_the_free_one_is_negative() {
-        let solution = not_negative(&[2.0, 0.5, 0.5, 1.0], &[3.0, -1.0]);
+        let solution = non_negative_least_squares(&[2.0, 0.5, 0.5, 1.0], &[3.0, -1.0]);
         assert!((solution[0] - 1.5).abs() < 1e-9 && solution[1] == 0.0);
     }
 
     #[test]
     fn strengths_of_known_lamps_come_back() {
         let unknowns = [0.3, 12.0, 5.0, 2.4, 14.0, 6.0, -1.8, 13.0, 4.0];
-        let mut truth = lamps(&unknowns);
+        let mut truth = leds_at(&unknowns);
         for (i, led) in truth.iter_mut().enumerate() {
             led.diffuse[i] = 100.0;
             led.specular = [5.0, 10.0, 15.0];
@@ -182,7 +185,7 @@ mod tests {
                     truth
                         .iter()
                         .map(|led| {
-                            let [d, s] = Lamp::new(led, 8).change(place, normal);
+                            let [d, s] = PointLight::new(led, 8).change(place, normal);
                             led.diffuse[c] * f64::from(d) + led.specular[c] * f64::from(s)
                         })
                         .sum()
@@ -194,7 +197,7 @@ mod tests {
                 }
             })
             .collect();
-        let (error, shading) = strengths(&samples, &unknowns, 8);
+        let (error, shading) = fit_intensities(&samples, &unknowns, 8);
         assert!(error < 1e-3, "{error}");
         assert!((shading.leds[1].diffuse[1] - 100.0).abs() < 10.0);
     }

@@ -8,7 +8,7 @@ use rayon::prelude::*;
 use super::detect::find_contact;
 use super::press_file::{Label, PressEntry, PressList, read_image};
 use super::press_set::{LabelledPress, PressSet, ScaleSource, SkippedPress};
-use super::score::{Distance, observe};
+use super::score::{CentreDistance, observe};
 use crate::SensorGeometry;
 use crate::background::planes_of;
 use gripcast_base::error::{Error, Result};
@@ -19,9 +19,9 @@ use gripcast_imaging::{CropProfile, CropWindow, crop_and_resize};
 const NOMINAL_VIEW_M: f64 = 18.6e-3;
 /// Thickness of a Mini's gel, m.
 const GEL_THICKNESS_M: f64 = 4e-3;
-/// Ball diameters that are believed, m.
+/// Ball diameters that are in_range, m.
 const BALL_M: std::ops::RangeInclusive<f64> = 5e-4..=0.1;
-/// Pixel sizes that are believed, m.
+/// Pixel sizes that are in_range, m.
 const PIXEL_M: std::ops::RangeInclusive<f64> = 1e-6..=1e-3;
 /// A press is saturated when this fraction of the values in its disc is newly at 0 or 255. One
 /// channel at its end is common under the bright side of a real ball.
@@ -33,7 +33,7 @@ const MIN_CHANGE: f64 = 5.0;
 /// Largest change where nothing touches, grey levels (root mean square of a channel), after gain
 /// and offset: a real gel far from a contact stays below 8.
 const MAX_OUTSIDE: f64 = 16.0;
-/// Gains of the exposure that are believed.
+/// Gains of the exposure that are in_range.
 const GAIN: std::ops::RangeInclusive<f64> = 0.5..=2.0;
 /// Fewest pixels of a side.
 const MIN_SIDE: u32 = 64;
@@ -59,7 +59,7 @@ pub struct ReadOptions {
 
 impl ReadOptions {
     /// A folder as it is.
-    pub fn of_folder(folder: impl Into<PathBuf>) -> Self {
+    pub fn from_folder(folder: impl Into<PathBuf>) -> Self {
         Self {
             folder: folder.into(),
             ball_diameter_m: None,
@@ -115,7 +115,7 @@ impl PressSet {
             }
         }
         if set.presses.is_empty() {
-            return Err(nothing_usable(&set.skipped).at(place));
+            return Err(none_usable(&set.skipped).at(place));
         }
         Ok(set)
     }
@@ -148,7 +148,7 @@ impl PressSet {
             image,
             centre_px,
             radius_px,
-            found: given.is_none(),
+            is_detected: given.is_none(),
         };
         self.check(&press)?;
         Ok(press)
@@ -182,8 +182,8 @@ impl PressSet {
         }
         let observed = observe(self, press);
         let outside = observed.outside_rms.into_iter().fold(0.0, f64::max);
-        let believed = observed.gain.iter().all(|gain| GAIN.contains(gain));
-        if outside > MAX_OUTSIDE || !believed {
+        let plausible = observed.gain.iter().all(|gain| GAIN.contains(gain));
+        if outside > MAX_OUTSIDE || !plausible {
             return Err(format!(
                 "its background is not that of the image without contact (gain {:.2?}, {outside:.1} \
                  grey levels left): another sensor or other light?",
@@ -206,7 +206,7 @@ fn ball_diameter(options: &ReadOptions, list: &PressList) -> Result<f64> {
         return Err(Error::input("the diameter of the ball is not known")
             .remedy("give it (--ball-diameter), or as `ball_diameter_m` in presses.json"));
     };
-    believed("the diameter of the ball", diameter, BALL_M)
+    in_range("the diameter of the ball", diameter, BALL_M)
 }
 
 /// Size of a stored pixel, m.
@@ -217,7 +217,7 @@ fn pixel_size(
 ) -> Result<(f64, ScaleSource)> {
     match options.pixel_m.or(list.m_per_px) {
         Some(pixel_m) => {
-            let pixel_m = believed("the size of a pixel", pixel_m, PIXEL_M)?;
+            let pixel_m = in_range("the size of a pixel", pixel_m, PIXEL_M)?;
             Ok((pixel_m, ScaleSource::Given))
         }
         None => {
@@ -227,7 +227,7 @@ fn pixel_size(
     }
 }
 
-fn believed(what: &str, value: f64, range: std::ops::RangeInclusive<f64>) -> Result<f64> {
+fn in_range(what: &str, value: f64, range: std::ops::RangeInclusive<f64>) -> Result<f64> {
     if range.contains(&value) {
         return Ok(value);
     }
@@ -239,7 +239,7 @@ fn believed(what: &str, value: f64, range: std::ops::RangeInclusive<f64>) -> Res
     .remedy("give it in metres"))
 }
 
-fn nothing_usable(skipped: &[SkippedPress]) -> Error {
+fn none_usable(skipped: &[SkippedPress]) -> Error {
     let first = skipped.first().map_or_else(
         || "the list is empty".to_owned(),
         |press| format!("{}: {}", press.file, press.reason),
@@ -321,7 +321,7 @@ struct Disc {
 
 impl Disc {
     fn of(press: &LabelledPress) -> Self {
-        let distance = Distance::of(press);
+        let distance = CentreDistance::new(press);
         let count = (press.image.width() * press.image.height()) as usize;
         let pixels: Vec<usize> = (0..count)
             .filter(|i| distance.at(*i) < press.radius_px)

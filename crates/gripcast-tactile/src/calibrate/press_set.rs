@@ -21,7 +21,7 @@ pub struct LabelledPress {
     /// Radius of the contact, pixels.
     pub radius_px: f64,
     /// Whether the contact was found in the image, not given.
-    pub found: bool,
+    pub is_detected: bool,
 }
 
 /// A press that is not used.

@@ -44,7 +44,7 @@ pub struct CalibrateOptions {
     /// Fraction of the presses that is fitted, above 0, at most 1.
     pub train_fraction: f64,
     /// Most presses that are fitted; those of the fraction beyond them are not used.
-    pub most_fitted: Option<usize>,
+    pub max_fitted: Option<usize>,
     /// Seed of the split.
     pub seed: u64,
     /// Kind of shading.
@@ -63,11 +63,11 @@ pub struct CalibrateOptions {
 
 impl CalibrateOptions {
     /// Half of the presses of a folder, polynomial shading.
-    pub fn of_folder(folder: impl Into<std::path::PathBuf>) -> Self {
+    pub fn from_folder(folder: impl Into<std::path::PathBuf>) -> Self {
         Self {
-            read: ReadOptions::of_folder(folder),
+            read: ReadOptions::from_folder(folder),
             train_fraction: 0.5,
-            most_fitted: None,
+            max_fitted: None,
             seed: 0,
             model: ModelChoice::Polynomial(Terms::default()),
             fit_scale: false,
@@ -106,7 +106,7 @@ pub fn run(options: &CalibrateOptions) -> Result<Calibration> {
     }
     let place = options.read.folder.display();
     let mut set = PressSet::read(&options.read)?;
-    let (train, held_out) = set.split(options.train_fraction, options.most_fitted, options.seed);
+    let (train, held_out) = set.split(options.train_fraction, options.max_fitted, options.seed);
     let fitted = fit(&mut set, &train, options).map_err(|e| e.at(&place))?;
     let counts = [train.len(), held_out.len()];
     let profile = profile(&set, counts, &fitted, options);
@@ -247,7 +247,7 @@ fn profile(
         shading: fitted.shading.clone(),
         background: Background {
             file: None,
-            fit: BackgroundFit::of_image(&set.no_contact, BACKGROUND_DEGREE),
+            fit: BackgroundFit::from_image(&set.no_contact, BACKGROUND_DEGREE),
             image: Some(set.no_contact.clone()),
         },
     }
@@ -258,7 +258,7 @@ fn provenance(
     [fitted, held_out]: [usize; 2],
     options: &CalibrateOptions,
 ) -> String {
-    let found = set.presses.iter().filter(|press| press.found).count();
+    let found = set.presses.iter().filter(|press| press.is_detected).count();
     let text = format!(
         "Fitted on {fitted} presses of a ball of {} mm ({held_out} held out, seed {}, contacts of \
          {found} found in the images). {}",
@@ -302,7 +302,7 @@ fn noise(set: &PressSet, fitted: &Fitted) -> [f64; 3] {
             .map(|seen| {
                 let plane = &seen.change[c];
                 let mut slow = plane.clone();
-                if let Some(region) = Region::of_nonzero(plane, width) {
+                if let Some(region) = Region::nonzero(plane, width) {
                     Gaussian::new(3.0).apply(&mut slow, width, region);
                 }
                 let sizes = plane.iter().zip(&slow);
@@ -329,7 +329,7 @@ fn report(
         fitted: train,
         held_out,
         skipped: set.skipped.clone(),
-        contacts_found: set.presses.iter().filter(|press| press.found).count(),
+        contacts_found: set.presses.iter().filter(|press| press.is_detected).count(),
         seed: options.seed,
         model: match profile.shading {
             ShadingModel::Polynomial(_) => "polynomial",

@@ -7,7 +7,7 @@ use image::{Rgb, RgbImage};
 use serde_json::{Value, json};
 
 use super::*;
-use crate::FrameLook;
+use crate::FrameNoise;
 use crate::calibrate::{BallContact, LabelledPress, change_between};
 use crate::{NormalOrder, PositionOrder, SensorGeometry, Smoothing};
 use gripcast_base::error::ErrorKind;
@@ -49,7 +49,7 @@ fn truth() -> SensorProfile {
         }),
         background: Background {
             file: None,
-            fit: BackgroundFit::of_image(&no_contact, 2),
+            fit: BackgroundFit::from_image(&no_contact, 2),
             image: Some(no_contact),
         },
     }
@@ -65,14 +65,14 @@ fn contact(i: usize) -> BallContact {
 }
 
 fn image(i: usize) -> RgbImage {
-    let look = FrameLook {
+    let noise = FrameNoise {
         gain: [1.03, 0.98, 1.0],
         offset: [-2.0, 1.0, 0.5],
         noise_seed: Some(i as u64),
     };
     let press = contact(i).press(truth().smoothing.sink_length_m);
     let mut renderer = TactileRenderer::new(&truth()).unwrap();
-    renderer.render(&press, &look).unwrap()
+    renderer.render(&press, &noise).unwrap()
 }
 
 fn save(path: &Path, image: &RgbImage) {
@@ -109,7 +109,7 @@ fn folder(count: usize, change: impl FnOnce(&Path, &mut Value)) -> tempfile::Tem
 fn options(folder: &tempfile::TempDir) -> CalibrateOptions {
     CalibrateOptions {
         name: "made-up".to_owned(),
-        ..CalibrateOptions::of_folder(folder.path())
+        ..CalibrateOptions::from_folder(folder.path())
     }
 }
 
@@ -141,7 +141,7 @@ fn known_light_comes_back() {
 #[test]
 fn contacts_are_found_without_labels() {
     let folder = folder(4, |_, list| *list = Value::Null);
-    let mut read = ReadOptions::of_folder(folder.path());
+    let mut read = ReadOptions::from_folder(folder.path());
     let text = PressSet::read(&read).unwrap_err().to_string();
     assert!(text.contains("ball"), "{text}");
     read.ball_diameter_m = Some(2.0 * BALL_M);
@@ -192,7 +192,7 @@ fn bad_presses_are_skipped_with_a_reason() {
         presses[7]["radius_px"] = Value::Null;
         presses[8]["radius_px"] = json!(40.0);
     });
-    let read = ReadOptions::of_folder(folder.path());
+    let read = ReadOptions::from_folder(folder.path());
     let set = PressSet::read(&read).unwrap();
     assert_eq!(set.presses.len(), 1);
     let expected = [
@@ -216,7 +216,7 @@ fn bad_presses_are_skipped_with_a_reason() {
 #[test]
 fn folders_that_cannot_be_used_are_explained() {
     let empty = tempfile::tempdir().unwrap();
-    let missing = CalibrateOptions::of_folder(empty.path().join("nowhere"));
+    let missing = CalibrateOptions::from_folder(empty.path().join("nowhere"));
     assert_eq!(run(&missing).unwrap_err().kind(), ErrorKind::NotFound);
     let text = run(&options(&empty)).unwrap_err().to_string();
     assert!(text.contains("no_contact.png"), "{text}");
@@ -247,11 +247,11 @@ fn a_perfect_and_an_empty_renderer_have_the_scores_of_the_definition() {
             file: i.to_string(),
             image: {
                 let press = contact(i).press(1e-3);
-                renderer.render(&press, &FrameLook::default()).unwrap()
+                renderer.render(&press, &FrameNoise::default()).unwrap()
             },
             centre_px: contact(i).centre_px,
             radius_px: contact(i).radius_px,
-            found: false,
+            is_detected: false,
         })
         .collect();
     let set = super::super::press_set::made_up(GEOMETRY, BALL_M, free.clone(), presses);
@@ -263,7 +263,7 @@ fn a_perfect_and_an_empty_renderer_have_the_scores_of_the_definition() {
     assert_eq!(nothing.patch_l1, nothing.no_contact_l1);
     let perfect = score(&set, &[0, 1, 2], &mut |contact| {
         let press = contact.press(1e-3);
-        let image = renderer.render(&press, &FrameLook::default())?;
+        let image = renderer.render(&press, &FrameNoise::default())?;
         Ok(change_between(&image, &free))
     })
     .unwrap();

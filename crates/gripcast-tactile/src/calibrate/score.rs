@@ -91,8 +91,8 @@ pub fn score(
         let press = &set.presses[*index];
         let observed = observe(set, press);
         let change = render(&set.contact(press))?;
-        let sums = PatchSums::take(set, press, &observed, Some(&change));
-        let nothing = PatchSums::take(set, press, &observed, None);
+        let sums = PatchErrors::new(set, press, &observed, Some(&change));
+        let nothing = PatchErrors::new(set, press, &observed, None);
         error += sums.square;
         reference += nothing.square;
         presses.push(PressScore {
@@ -131,7 +131,7 @@ pub fn change_between(pressed: &RgbImage, untouched: &RgbImage) -> ChangePlanes 
 
 /// The background of a press and what the press changed in it.
 pub fn observe(set: &PressSet, press: &LabelledPress) -> ObservedChange {
-    let distance = Distance::of(press);
+    let distance = CentreDistance::new(press);
     let outside = |i: usize| distance.at(i) > press.radius_px + OUTSIDE_PX;
     observe_where(set, &press.image, outside)
 }
@@ -151,7 +151,7 @@ pub(super) fn observe_where(
     let chosen: Vec<usize> = (0..seen.change[0].len()).filter(|i| chosen(*i)).collect();
     for (channel, untouched) in set.untouched.iter().enumerate() {
         let plane = &mut seen.change[channel];
-        let (gain, offset) = line_through(&chosen, untouched, plane);
+        let (gain, offset) = fit_line(&chosen, untouched, plane);
         for (value, untouched) in plane.iter_mut().zip(untouched) {
             *value -= (gain * f64::from(*untouched) + offset) as f32;
         }
@@ -163,7 +163,7 @@ pub(super) fn observe_where(
 }
 
 /// Least-squares y = gain · x + offset over some pixels; (1, mean difference) where x is constant.
-fn line_through(chosen: &[usize], x: &[f32], y: &[f32]) -> (f64, f64) {
+fn fit_line(chosen: &[usize], x: &[f32], y: &[f32]) -> (f64, f64) {
     let count = chosen.len().max(1) as f64;
     let mean = |plane: &[f32]| chosen.iter().map(|i| f64::from(plane[*i])).sum::<f64>() / count;
     let (mean_x, mean_y) = (mean(x), mean(y));
@@ -177,15 +177,15 @@ fn line_through(chosen: &[usize], x: &[f32], y: &[f32]) -> (f64, f64) {
     (gain, mean_y - gain * mean_x)
 }
 
-/// Distance of pixels from a contact's centre.
+/// CentreDistance of pixels from a contact's centre.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Distance {
+pub(super) struct CentreDistance {
     centre_px: [f64; 2],
     width: usize,
 }
 
-impl Distance {
-    pub(super) fn of(press: &LabelledPress) -> Self {
+impl CentreDistance {
+    pub(super) fn new(press: &LabelledPress) -> Self {
         Self {
             centre_px: press.centre_px,
             width: press.image.width() as usize,
@@ -205,20 +205,20 @@ pub(super) fn in_patch(distance: f64, radius_px: f64) -> bool {
 }
 
 /// Errors summed over a patch.
-struct PatchSums {
+struct PatchErrors {
     square: f64,
     absolute: f64,
     values: f64,
 }
 
-impl PatchSums {
-    fn take(
+impl PatchErrors {
+    fn new(
         set: &PressSet,
         press: &LabelledPress,
         observed: &ObservedChange,
         change: Option<&ChangePlanes>,
     ) -> Self {
-        let distance = Distance::of(press);
+        let distance = CentreDistance::new(press);
         let mut sums = Self {
             square: 0.0,
             absolute: 0.0,

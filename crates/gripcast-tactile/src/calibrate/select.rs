@@ -5,8 +5,8 @@ use serde::Serialize;
 
 use super::press_set::PressSet;
 use super::score::{ObservedChange, observe};
-use super::sums::{PressSums, SquareSums, term_places};
-use crate::shading::normalised_place;
+use super::sums::{PressSums, SquareSums, term_indices};
+use crate::shading::normalised_position;
 use crate::{NormalOrder, PolynomialShading, PositionOrder, Smoothing};
 use gripcast_base::error::{Error, Result};
 use gripcast_base::linear::Symmetric;
@@ -22,10 +22,10 @@ const RIDGES: [f64; 7] = [1e-4, 3e-4, 1e-3, 3e-3, 1e-2, 3e-2, 1e-1];
 /// Most folds of the cross-validation.
 const MAX_FOLDS: usize = 7;
 /// The model with fewest terms within this distance of the best is taken.
-const AS_GOOD: f64 = 0.002;
+const FVE_TOLERANCE: f64 = 0.002;
 /// Standard deviation of the contacts' places, of half the longer side, from which terms of the
 /// place can be told apart: linear, quadratic.
-const SPREAD_FOR: [f64; 2] = [0.06, 0.1];
+const MIN_SPREAD: [f64; 2] = [0.06, 0.1];
 
 /// A shading model and how it was chosen.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
@@ -71,15 +71,15 @@ pub(super) fn choose(
         .par_iter()
         .map(|i| observe(set, &set.presses[*i]))
         .collect();
-    let bench = Bench {
+    let cross_validation = CrossValidation {
         set,
         train,
         observed,
         candidates: candidates(set, train, terms),
     };
     let mut best: Option<(ChosenModel, Vec<PressSums>)> = None;
-    let mut consider = |sink_length_m: f64, sigma_m: f64| {
-        let (model, sums) = bench.judge(Smoothing {
+    let mut try_smoothing = |sink_length_m: f64, sigma_m: f64| {
+        let (model, sums) = cross_validation.evaluate(Smoothing {
             sink_length_m,
             sigma_m,
         });
@@ -91,15 +91,15 @@ pub(super) fn choose(
     };
     let mut length = 0.0;
     for candidate in SINK_LENGTHS_M {
-        length = consider(candidate, FIRST_SIGMA_M);
+        length = try_smoothing(candidate, FIRST_SIGMA_M);
     }
     for sigma in SIGMAS_M.into_iter().filter(|s| *s != FIRST_SIGMA_M) {
-        consider(length, sigma);
+        try_smoothing(length, sigma);
     }
     let Some((model, sums)) = best else {
         return Err(Error::internal("no shape of the gel was tried"));
     };
-    let places = term_places(model.normal, model.position);
+    let places = term_indices(model.normal, model.position);
     let all = SquareSums::total(sums.iter().map(|s| &s.fit));
     let solution = solve(&all, &places, model.ridge)?;
     let [red, green, blue] = solution;
@@ -120,7 +120,7 @@ pub(super) fn choose(
 
 /// Terms to try, few before many.
 fn candidates(set: &PressSet, train: &[usize], terms: Terms) -> Vec<(NormalOrder, PositionOrder)> {
-    let highest = highest_position(set, train);
+    let highest = max_position_order(set, train);
     let mut all: Vec<(NormalOrder, PositionOrder)> = NormalOrder::ALL
         .into_iter()
         .flat_map(|n| PositionOrder::ALL.into_iter().map(move |p| (n, p)))
@@ -137,12 +137,12 @@ fn candidates(set: &PressSet, train: &[usize], terms: Terms) -> Vec<(NormalOrder
 }
 
 /// Highest power of the place that the contacts are spread enough for.
-fn highest_position(set: &PressSet, train: &[usize]) -> PositionOrder {
+fn max_position_order(set: &PressSet, train: &[usize]) -> PositionOrder {
     let places: Vec<[f32; 2]> = train
         .iter()
         .map(|i| {
             let [x, y] = set.presses[*i].centre_px;
-            normalised_place(&set.geometry, x.max(0.0) as usize, y.max(0.0) as usize)
+            normalised_position(&set.geometry, x.max(0.0) as usize, y.max(0.0) as usize)
         })
         .collect();
     let spread = |axis: usize| {
@@ -152,31 +152,31 @@ fn highest_position(set: &PressSet, train: &[usize]) -> PositionOrder {
         (square.sum::<f64>() / count).sqrt()
     };
     let least = spread(0).min(spread(1));
-    if least >= SPREAD_FOR[1] {
+    if least >= MIN_SPREAD[1] {
         PositionOrder::Quadratic
-    } else if least >= SPREAD_FOR[0] {
+    } else if least >= MIN_SPREAD[0] {
         PositionOrder::Linear
     } else {
         PositionOrder::Constant
     }
 }
 
-struct Bench<'a> {
+struct CrossValidation<'a> {
     set: &'a PressSet,
     train: &'a [usize],
     observed: Vec<ObservedChange>,
     candidates: Vec<(NormalOrder, PositionOrder)>,
 }
 
-impl Bench<'_> {
+impl CrossValidation<'_> {
     /// Best terms and ridge for a shape of the gel, and the sums of the presses.
-    fn judge(&self, smoothing: Smoothing) -> (ChosenModel, Vec<PressSums>) {
+    fn evaluate(&self, smoothing: Smoothing) -> (ChosenModel, Vec<PressSums>) {
         let sums: Vec<PressSums> = self
             .train
             .par_iter()
             .zip(&self.observed)
             .map(|(i, seen)| {
-                PressSums::take(self.set, &self.set.presses[*i], &seen.change, &smoothing)
+                PressSums::new(self.set, &self.set.presses[*i], &seen.change, &smoothing)
             })
             .collect();
         let folds = sums.len().min(MAX_FOLDS);
@@ -193,12 +193,12 @@ impl Bench<'_> {
             .collect();
         let scores: Vec<f64> = trials
             .par_iter()
-            .map(|(n, p, ridge)| cross_validated(&sums, &without, &term_places(*n, *p), *ridge))
+            .map(|(n, p, ridge)| cross_validated(&sums, &without, &term_indices(*n, *p), *ridge))
             .collect();
         let best = scores.iter().copied().fold(f64::NEG_INFINITY, f64::max);
         let place = scores
             .iter()
-            .position(|s| *s >= best - AS_GOOD)
+            .position(|s| *s >= best - FVE_TOLERANCE)
             .unwrap_or(0);
         let (normal, position, ridge) = trials[place];
         let model = ChosenModel {

@@ -37,7 +37,7 @@ pub(super) fn minimise(
         let reflected = probe(-1.0);
         let next = if reflected.0 < corners[0].0 {
             let expanded = probe(-2.0);
-            Some(better(reflected, expanded))
+            Some(min_corner(reflected, expanded))
         } else if reflected.0 < corners[worst - 1].0 {
             Some(reflected)
         } else {
@@ -57,7 +57,7 @@ pub(super) fn minimise(
 
 type Corner = (f64, Vec<f64>);
 
-fn better(a: Corner, b: Corner) -> Corner {
+fn min_corner(a: Corner, b: Corner) -> Corner {
     if a.0 <= b.0 { a } else { b }
 }
 

@@ -1,10 +1,10 @@
 //! Sums of squares of a press, from which any polynomial shading is fitted and scored.
 
 use super::press_set::{LabelledPress, PressSet};
-use super::score::{ChangePlanes, Distance, in_patch};
+use super::score::{CentreDistance, ChangePlanes, in_patch};
 use crate::normals::Normals;
 use crate::shading::{
-    NORMAL_TERMS, NormalOrder, POSITION_TERMS, PositionOrder, normal_terms, normalised_place,
+    NORMAL_TERMS, NormalOrder, POSITION_TERMS, PositionOrder, normal_terms, normalised_position,
     position_terms,
 };
 use crate::{Smoother, Smoothing};
@@ -36,7 +36,7 @@ pub(super) struct PressSums {
 }
 
 /// Places of the terms of a smaller shading among those of the largest.
-pub(super) fn term_places(normal: NormalOrder, position: PositionOrder) -> Vec<usize> {
+pub(super) fn term_indices(normal: NormalOrder, position: PositionOrder) -> Vec<usize> {
     (0..normal.terms())
         .flat_map(|k| (0..position.terms()).map(move |p| k * POSITION_TERMS + p))
         .collect()
@@ -47,20 +47,20 @@ pub(super) fn normals_of(set: &PressSet, press: &LabelledPress, smoothing: &Smoo
     let depth = set.contact(press).press(smoothing.sink_length_m);
     let mut normals = Normals::default();
     let mut smoother = Smoother::new(smoothing, set.geometry.pixel_m);
-    normals.take(smoother.smooth(&depth), &set.geometry);
+    normals.compute(smoother.smooth(&depth), &set.geometry);
     normals
 }
 
 impl PressSums {
     /// Sums of a press whose change was observed.
-    pub(super) fn take(
+    pub(super) fn new(
         set: &PressSet,
         press: &LabelledPress,
         change: &ChangePlanes,
         smoothing: &Smoothing,
     ) -> Self {
         let normals = normals_of(set, press, smoothing);
-        let distance = Distance::of(press);
+        let distance = CentreDistance::new(press);
         let radius = press.radius_px;
         let over = |chosen: &dyn Fn(f64) -> bool| {
             let (width, height) = (set.geometry.width, set.geometry.height);
@@ -98,7 +98,7 @@ impl SquareSums {
         let mut sums = Self::zero();
         for i in pixels {
             let t = normal_terms(normals.x[*i], normals.y[*i], normals.z_less_1[*i]);
-            let [x, y] = normalised_place(&set.geometry, i % width, i / width);
+            let [x, y] = normalised_position(&set.geometry, i % width, i / width);
             let q = position_terms(x, y);
             let mut terms = [0.0; TERMS];
             for (terms, t) in terms.as_chunks_mut::<POSITION_TERMS>().0.iter_mut().zip(t) {

@@ -6,7 +6,7 @@
 
 use std::collections::VecDeque;
 
-use super::table::{Coefficients, Seen, TaximTable, bin, terms};
+use super::table::{Coefficients, SampleRange, TaximTable, bin, terms};
 use gripcast_base::error::{Error, Result};
 use gripcast_base::linear::Cholesky;
 
@@ -49,7 +49,7 @@ impl TaximTable {
                 presses.len()
             )));
         }
-        let mut sheets = Vec::with_capacity(presses.len());
+        let mut binned = Vec::with_capacity(presses.len());
         for (index, press) in presses.iter().enumerate() {
             let expected = image_size[0] * image_size[1];
             if press.change.len() != expected {
@@ -58,28 +58,28 @@ impl TaximTable {
                     press.change.len()
                 )));
             }
-            let sheet = press.binned(image_size[0], bins).ok_or_else(|| {
+            let filled = press.binned(image_size[0], bins).ok_or_else(|| {
                 refused(format!(
                     "press {index}: no pixel of its contact lies in the image"
                 ))
             })?;
-            sheets.push(sheet);
+            binned.push(filled);
         }
         let mut channels = [0; 3].map(|_| Vec::with_capacity(bins * bins));
-        let mut seen = Vec::with_capacity(bins * bins);
-        let mut samples = Vec::with_capacity(sheets.len());
+        let mut ranges = Vec::with_capacity(bins * bins);
+        let mut samples = Vec::with_capacity(binned.len());
         for bin in 0..bins * bins {
             samples.clear();
-            samples.extend(sheets.iter().map(|sheet| sheet[bin]));
+            samples.extend(binned.iter().map(|filled| filled[bin]));
             let fitted = polynomial(&samples, image_size);
             for (channel, coefficients) in channels.iter_mut().zip(fitted) {
                 channel.push(coefficients);
             }
-            let mut range = Seen::NOTHING;
+            let mut range = SampleRange::EMPTY;
             samples.iter().for_each(|s| range.add(s.place, s.change));
-            seen.push(range);
+            ranges.push(range);
         }
-        Ok(Self::new(bins, image_size, channels).limited(seen))
+        Ok(Self::new(bins, image_size, channels).limited(ranges))
     }
 }
 
@@ -110,18 +110,18 @@ impl BallPress<'_> {
         if queue.is_empty() {
             return None;
         }
-        let mut sheet: Vec<Sample> = sums.iter().map(|(count, sum)| sum.over(*count)).collect();
+        let mut filled: Vec<Sample> = sums.iter().map(|(count, sum)| sum.over(*count)).collect();
         let mut known: Vec<bool> = sums.iter().map(|(count, _)| *count > 0.0).collect();
         while let Some(from) = queue.pop_front() {
             for to in neighbours(from, bins).into_iter().flatten() {
                 if !known[to] {
                     known[to] = true;
-                    sheet[to] = sheet[from];
+                    filled[to] = filled[from];
                     queue.push_back(to);
                 }
             }
         }
-        Some(sheet)
+        Some(filled)
     }
 }
 

@@ -41,7 +41,7 @@ impl TaximHeights {
         let own_pixels = self.pixel_m / grid.pixel_m;
         let kept = (self.kept_fraction * press.deepest_m()) as f32;
         let mut heights = press.depth_m.clone();
-        let Some(mut region) = Region::of_nonzero(&heights, grid.width) else {
+        let Some(mut region) = Region::nonzero(&heights, grid.width) else {
             return heights;
         };
         for sigma in &self.pyramid_px {

@@ -54,7 +54,7 @@ impl Shadows {
                 continue;
             };
             let mut shade = self.shade(lamp, heights_m, grid);
-            if let Some(region) = Region::of_nonzero(&shade, grid.width) {
+            if let Some(region) = Region::nonzero(&shade, grid.width) {
                 let softness = self.softness_m / grid.pixel_m;
                 Gaussian::new(softness).apply(&mut shade, grid.width, region);
             }

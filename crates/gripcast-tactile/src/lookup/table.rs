@@ -7,16 +7,16 @@ pub(super) type Coefficients = [f64; 6];
 
 /// What the presses that a bin was fitted to hold.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct Seen {
+pub(super) struct SampleRange {
     /// Lowest and highest column and row.
     pub(super) place: [[f64; 2]; 2],
     /// Lowest and highest change of red, green, blue, grey levels.
     pub(super) change: [[f64; 2]; 3],
 }
 
-impl Seen {
-    /// Of nothing; [`Seen::add`] follows.
-    pub(super) const NOTHING: Self = Self {
+impl SampleRange {
+    /// Of nothing; [`SampleRange::add`] follows.
+    pub(super) const EMPTY: Self = Self {
         place: [[f64::INFINITY, f64::NEG_INFINITY]; 2],
         change: [[f64::INFINITY, f64::NEG_INFINITY]; 3],
     };
@@ -45,7 +45,7 @@ pub struct TaximTable {
     /// Red, green, blue; bin (angle, direction) at angle · bins + direction.
     channels: [Vec<Coefficients>; 3],
     /// Of each bin; empty for a table that was not fitted.
-    seen: Vec<Seen>,
+    ranges: Vec<SampleRange>,
 }
 
 impl TaximTable {
@@ -58,13 +58,13 @@ impl TaximTable {
             bins,
             image_size,
             channels,
-            seen: Vec::new(),
+            ranges: Vec::new(),
         }
     }
 
     /// The same table with what its presses held, bin by bin.
-    pub(super) fn limited(mut self, seen: Vec<Seen>) -> Self {
-        self.seen = seen;
+    pub(super) fn limited(mut self, ranges: Vec<SampleRange>) -> Self {
+        self.ranges = ranges;
         self
     }
 
@@ -96,22 +96,22 @@ impl TaximTable {
     /// table's image) where the height towards the camera rises by `slope` (pixels per pixel,
     /// along columns and rows).
     ///
-    /// A fitted table keeps to its presses: a place outside of those that a bin has seen counts as
-    /// the nearest of them, and a change beyond those seen there is cut to them. Polynomials grow
+    /// A fitted table keeps to its presses: a place outside of those that a bin has ranges counts as
+    /// the nearest of them, and a change beyond those ranges there is cut to them. Polynomials grow
     /// without bound elsewhere.
     pub fn change(&self, slope: [f32; 2], place: [f64; 2]) -> [f64; 3] {
         let angle = f64::from(slope[0].hypot(slope[1])).atan();
         let direction = f64::from(slope[1]).atan2(f64::from(slope[0]));
         let bin = bin(self.bins, angle, direction);
-        let seen = self.seen.get(bin);
-        let place = seen.map_or(place, |s| {
+        let ranges = self.ranges.get(bin);
+        let place = ranges.map_or(place, |s| {
             [0, 1].map(|axis| within(s.place[axis], place[axis]))
         });
         let terms = terms(place);
         [0, 1, 2].map(|channel| {
             let coefficients = &self.channels[channel][bin];
             let change = coefficients.iter().zip(terms).map(|(c, t)| c * t).sum();
-            seen.map_or(change, |s| within(s.change[channel], change))
+            ranges.map_or(change, |s| within(s.change[channel], change))
         })
     }
 }

@@ -33,7 +33,7 @@ impl AlbedoTable {
         }
     }
 
-    /// Value at a cosine.
+    /// BsdfValue at a cosine.
     #[inline(always)]
     pub(super) fn at(&self, cos: f32) -> f32 {
         let x = cos.clamp(0.0, 1.0) * (ENTRIES - 1) as f32;

@@ -1,6 +1,6 @@
 use std::f32::consts::PI;
 
-use super::super::sampler::Net;
+use super::super::sampler::SobolSampler;
 use super::*;
 
 fn white(roughness: f32, metallic: f32) -> Material {
@@ -34,23 +34,23 @@ fn direction(cos: f32, azimuth: f32) -> Vec3 {
     Vec3::new(sin * azimuth.cos(), sin * azimuth.sin(), cos)
 }
 
-fn prepared(material: &Material) -> Prepared {
-    Prepared::new(material)
+fn prepared(material: &Material) -> PreparedMaterial {
+    PreparedMaterial::new(material)
 }
 
-fn at(material: &Prepared, outgoing: Vec3) -> Bsdf<'_> {
+fn at(material: &PreparedMaterial, outgoing: Vec3) -> Bsdf<'_> {
     material.at(&[], [0.0; 2], outgoing)
 }
 
 /// Fraction of the light from all directions that is scattered, by sampling.
-fn sampled_albedo(material: &Prepared, outgoing: Vec3) -> Vec3 {
-    let net = Net::new(4096, 3);
+fn sampled_albedo(material: &PreparedMaterial, outgoing: Vec3) -> Vec3 {
+    let net = SobolSampler::new(4096, 3);
     let bsdf = at(material, outgoing);
     let mut sum = Vec3::ZERO;
     for index in 0..4096 {
         let numbers = net.sample(0, index);
-        let choice = numbers.pair(0)[0];
-        if let Some(sample) = bsdf.sample(outgoing, choice, numbers.pair(1)) {
+        let choice = numbers.get_2d(0)[0];
+        if let Some(sample) = bsdf.sample(outgoing, choice, numbers.get_2d(1)) {
             sum += sample.weight;
         }
     }
@@ -154,10 +154,10 @@ fn densities_integrate_to_the_fraction_of_samples_that_scatter() {
             let outgoing = direction(cos, 0.3);
             let bsdf = at(&material, outgoing);
             let (value, pdf) = integrals(&bsdf, outgoing, through);
-            let net = Net::new(4096, 8);
+            let net = SobolSampler::new(4096, 8);
             let kept = (0..4096).filter(|&index| {
                 let numbers = net.sample(0, index);
-                bsdf.sample(outgoing, numbers.pair(0)[0], numbers.pair(1))
+                bsdf.sample(outgoing, numbers.get_2d(0)[0], numbers.get_2d(1))
                     .is_some()
             });
             let kept = kept.count() as f32 / 4096.0;
@@ -173,7 +173,7 @@ fn densities_integrate_to_the_fraction_of_samples_that_scatter() {
 
 #[test]
 fn samples_carry_the_value_and_density_of_their_direction() {
-    let net = Net::new(256, 1);
+    let net = SobolSampler::new(256, 1);
     for case in [
         Material::grey(0.5),
         white(0.3, 0.3),
@@ -185,7 +185,7 @@ fn samples_carry_the_value_and_density_of_their_direction() {
             let bsdf = at(&material, outgoing);
             for index in 0..256 {
                 let numbers = net.sample(7, index);
-                let Some(sample) = bsdf.sample(outgoing, numbers.pair(0)[0], numbers.pair(1))
+                let Some(sample) = bsdf.sample(outgoing, numbers.get_2d(0)[0], numbers.get_2d(1))
                 else {
                     continue;
                 };

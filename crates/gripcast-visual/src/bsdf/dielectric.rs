@@ -9,43 +9,47 @@
 use glam::Vec3;
 
 use super::albedo_table::AlbedoTable;
-use super::fresnel::dielectric;
-use super::ggx::{Ggx, SMOOTH};
-use super::{Sample, Value};
+use super::fresnel::fresnel_dielectric;
+use super::ggx::{Ggx, MIN_ALPHA};
+use super::{BsdfSample, BsdfValue};
 
 /// Surface of glass. A direction with z > 0 is outside.
 #[derive(Clone, Debug)]
 pub(in super::super) struct Dielectric {
     ior: f32,
     transmittance: Vec3,
-    facets: Option<Facets>,
+    facets: Option<Rough>,
 }
 
 /// Roughness of a surface that is not clear.
 #[derive(Clone, Debug)]
-struct Facets {
+struct Rough {
     ggx: Ggx,
     /// Fraction of the light that single scattering keeps, seen from outside and from inside.
-    kept: [AlbedoTable; 2],
+    albedo: [AlbedoTable; 2],
 }
 
 impl Dielectric {
     pub(super) fn new(ior: f32, roughness: f32, transmittance: Vec3) -> Self {
-        let rough = roughness * roughness >= SMOOTH && ior != 1.0;
+        let rough = roughness * roughness >= MIN_ALPHA && ior != 1.0;
         let facets = rough.then(|| {
-            let ggx = Ggx::of_roughness(roughness);
-            let kept = [ior, 1.0 / ior].map(|ior| {
+            let ggx = Ggx::from_roughness(roughness);
+            let albedo = [ior, 1.0 / ior].map(|ior| {
                 AlbedoTable::new(|v, u| {
-                    let m = ggx.sample_visible(v, u);
-                    let (reflected, cos_t) = dielectric(v.dot(m), ior);
+                    let m = ggx.sample_vndf(v, u);
+                    let (reflected, cos_t) = fresnel_dielectric(v.dot(m), ior);
                     let up = 2.0 * v.dot(m) * m - v;
                     let down = refracted(v, m, cos_t, ior);
-                    let up = if up.z > 0.0 { ggx.visible(up) } else { 0.0 };
-                    let down = if down.z < 0.0 { ggx.visible(down) } else { 0.0 };
+                    let up = if up.z > 0.0 { ggx.smith_g1(up) } else { 0.0 };
+                    let down = if down.z < 0.0 {
+                        ggx.smith_g1(down)
+                    } else {
+                        0.0
+                    };
                     reflected * up + (1.0 - reflected) * down
                 })
             });
-            Facets { ggx, kept }
+            Rough { ggx, albedo }
         });
         Self {
             ior,
@@ -54,7 +58,7 @@ impl Dielectric {
         }
     }
 
-    pub(super) fn is_clear(&self) -> bool {
+    pub(super) fn is_smooth(&self) -> bool {
         self.facets.is_none()
     }
 
@@ -70,9 +74,9 @@ impl Dielectric {
     }
 
     #[inline(always)]
-    pub(super) fn value(&self, outgoing: Vec3, incoming: Vec3) -> Value {
+    pub(super) fn value(&self, outgoing: Vec3, incoming: Vec3) -> BsdfValue {
         let Some(rough) = &self.facets else {
-            return Value::NONE;
+            return BsdfValue::NONE;
         };
         let (ior, side) = self.seen_from(outgoing);
         let (o, i) = (outgoing * side, incoming * side);
@@ -82,10 +86,10 @@ impl Dielectric {
         let m = if m.z < 0.0 { -m } else { m };
         let (cos_o, cos_i) = (o.dot(m), i.dot(m));
         if cos_o <= 0.0 || (cos_i > 0.0) != reflects {
-            return Value::NONE;
+            return BsdfValue::NONE;
         }
-        let (fresnel, _) = dielectric(cos_o, ior);
-        let visible = rough.ggx.visible_density(o, m);
+        let (fresnel, _) = fresnel_dielectric(cos_o, ior);
+        let visible = rough.ggx.vndf_pdf(o, m);
         let (pdf, tint) = if reflects {
             (fresnel * visible / (4.0 * cos_o), Vec3::ONE)
         } else {
@@ -93,22 +97,22 @@ impl Dielectric {
             let jacobian = ior * ior * -cos_i / (stretch * stretch).max(f32::MIN_POSITIVE);
             ((1.0 - fresnel) * visible * jacobian, self.transmittance)
         };
-        Value {
+        BsdfValue {
             value: tint * (pdf * rough.weight(o, i, side)),
             pdf,
         }
     }
 
     #[inline(always)]
-    pub(super) fn sample(&self, outgoing: Vec3, choice: f32, u: [f32; 2]) -> Option<Sample> {
+    pub(super) fn sample(&self, outgoing: Vec3, choice: f32, u: [f32; 2]) -> Option<BsdfSample> {
         let (ior, side) = self.seen_from(outgoing);
         let o = outgoing * side;
         let m = match &self.facets {
-            Some(rough) => rough.ggx.sample_visible(o, u),
+            Some(rough) => rough.ggx.sample_vndf(o, u),
             None => Vec3::Z,
         };
         let cos_o = o.dot(m);
-        let (fresnel, cos_t) = dielectric(cos_o, ior);
+        let (fresnel, cos_t) = fresnel_dielectric(cos_o, ior);
         let reflects = choice < fresnel;
         let i = if reflects {
             2.0 * cos_o * m - o
@@ -124,14 +128,14 @@ impl Dielectric {
             self.transmittance
         };
         let Some(rough) = &self.facets else {
-            return Some(Sample {
+            return Some(BsdfSample {
                 direction: i * side,
                 weight: tint,
                 pdf: 1.0,
                 delta: true,
             });
         };
-        let visible = rough.ggx.visible_density(o, m);
+        let visible = rough.ggx.vndf_pdf(o, m);
         let pdf = if reflects {
             fresnel * visible / (4.0 * cos_o)
         } else {
@@ -141,7 +145,7 @@ impl Dielectric {
             (1.0 - fresnel) * visible * jacobian
         };
         let weight = tint * rough.weight(o, i, side);
-        (pdf > 0.0 && pdf.is_finite()).then_some(Sample {
+        (pdf > 0.0 && pdf.is_finite()).then_some(BsdfSample {
             direction: i * side,
             weight,
             pdf,
@@ -150,12 +154,12 @@ impl Dielectric {
     }
 }
 
-impl Facets {
-    /// Value over density of the samples, without tint.
+impl Rough {
+    /// BsdfValue over density of the samples, without tint.
     #[inline(always)]
     fn weight(&self, o: Vec3, i: Vec3, side: f32) -> f32 {
-        let kept = &self.kept[usize::from(side < 0.0)];
-        self.ggx.visible(i) / kept.at(o.z).max(1e-3)
+        let albedo = &self.albedo[usize::from(side < 0.0)];
+        self.ggx.smith_g1(i) / albedo.at(o.z).max(1e-3)
     }
 }
 

@@ -11,7 +11,7 @@ use glam::Vec3;
 use super::super::trigonometry::sin_cos_turns;
 
 /// Below this width a surface is taken as a perfect mirror where that is possible.
-pub(super) const SMOOTH: f32 = 1e-3;
+pub(super) const MIN_ALPHA: f32 = 1e-3;
 
 /// Isotropic distribution. Vectors are in the frame of the surface, z along the normal.
 #[derive(Clone, Copy, Debug)]
@@ -22,15 +22,15 @@ pub(super) struct Ggx {
 
 impl Ggx {
     /// Distribution of a roughness in [0, 1].
-    pub(super) fn of_roughness(roughness: f32) -> Self {
+    pub(super) fn from_roughness(roughness: f32) -> Self {
         Self {
-            alpha: (roughness * roughness).max(SMOOTH),
+            alpha: (roughness * roughness).max(MIN_ALPHA),
         }
     }
 
     /// Density of facets with normal `m`, m.z > 0.
     #[inline(always)]
-    pub(super) fn density(&self, m: Vec3) -> f32 {
+    pub(super) fn ndf(&self, m: Vec3) -> f32 {
         let a2 = self.alpha * self.alpha;
         // 1 - m.z² from the other components, which keep their precision near the normal.
         let spread = m.x * m.x + m.y * m.y + a2 * m.z * m.z;
@@ -46,19 +46,19 @@ impl Ggx {
 
     /// Fraction of the facets that are visible from `v`.
     #[inline(always)]
-    pub(super) fn visible(&self, v: Vec3) -> f32 {
+    pub(super) fn smith_g1(&self, v: Vec3) -> f32 {
         1.0 / (1.0 + self.lambda(v))
     }
 
     /// Fraction of the facets that are visible from both directions (height-correlated).
     #[inline(always)]
-    pub(super) fn visible_from_both(&self, a: Vec3, b: Vec3) -> f32 {
+    pub(super) fn smith_g2(&self, a: Vec3, b: Vec3) -> f32 {
         1.0 / (1.0 + self.lambda(a) + self.lambda(b))
     }
 
     /// Normal of a facet that is visible from `v` (v.z > 0), from two numbers in [0, 1).
     #[inline(always)]
-    pub(super) fn sample_visible(&self, v: Vec3, [u1, u2]: [f32; 2]) -> Vec3 {
+    pub(super) fn sample_vndf(&self, v: Vec3, [u1, u2]: [f32; 2]) -> Vec3 {
         let stretched = Vec3::new(self.alpha * v.x, self.alpha * v.y, v.z).normalize();
         let (sin, cos) = sin_cos_turns(u1);
         let z = (1.0 - u2) * (1.0 + stretched.z) - stretched.z;
@@ -67,9 +67,9 @@ impl Ggx {
         Vec3::new(self.alpha * half.x, self.alpha * half.y, half.z.max(1e-7)).normalize()
     }
 
-    /// Density with which [`Ggx::sample_visible`] takes `m`.
+    /// Density with which [`Ggx::sample_vndf`] takes `m`.
     #[inline(always)]
-    pub(super) fn visible_density(&self, v: Vec3, m: Vec3) -> f32 {
-        self.visible(v) * v.dot(m).max(0.0) * self.density(m) / v.z.max(f32::MIN_POSITIVE)
+    pub(super) fn vndf_pdf(&self, v: Vec3, m: Vec3) -> f32 {
+        self.smith_g1(v) * v.dot(m).max(0.0) * self.ndf(m) / v.z.max(f32::MIN_POSITIVE)
     }
 }

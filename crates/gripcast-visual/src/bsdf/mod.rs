@@ -16,20 +16,20 @@ use glam::Vec3;
 
 use self::conductor::Conductor;
 use self::dielectric::Dielectric;
-use self::principled::{Principled, PrincipledAt};
+use self::principled::{Principled, PrincipledBsdf};
 use super::material::{Colour, Material};
 use super::texture::Bitmap;
 
 /// What a pair of directions gives.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Value {
+pub(super) struct BsdfValue {
     /// Scattered fraction times |cos| of the incoming direction, 1/sr.
     pub(super) value: Vec3,
     /// Density with which the incoming direction is sampled, 1/sr.
     pub(super) pdf: f32,
 }
 
-impl Value {
+impl BsdfValue {
     const NONE: Self = Self {
         value: Vec3::ZERO,
         pdf: 0.0,
@@ -38,10 +38,10 @@ impl Value {
 
 /// A sampled direction.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Sample {
+pub(super) struct BsdfSample {
     /// Incoming direction.
     pub(super) direction: Vec3,
-    /// Value over density.
+    /// BsdfValue over density.
     pub(super) weight: Vec3,
     /// Density, 1/sr; meaningless for `delta`.
     pub(super) pdf: f32,
@@ -49,9 +49,9 @@ pub(super) struct Sample {
     pub(super) delta: bool,
 }
 
-impl Sample {
+impl BsdfSample {
     #[inline(always)]
-    fn of(direction: Vec3, value: Vec3, pdf: f32) -> Option<Self> {
+    fn new(direction: Vec3, value: Vec3, pdf: f32) -> Option<Self> {
         (pdf > 0.0).then(|| Self {
             direction,
             weight: value / pdf,
@@ -63,7 +63,7 @@ impl Sample {
 
 /// Material with everything that does not depend on the place computed.
 #[derive(Clone, Debug)]
-pub(super) struct Prepared {
+pub(super) struct PreparedMaterial {
     kind: Kind,
     colour: Colour,
 }
@@ -80,12 +80,12 @@ enum Kind {
 #[derive(Clone, Copy, Debug)]
 pub(super) enum Bsdf<'a> {
     Diffuse(Vec3),
-    Principled(PrincipledAt<'a>),
+    Principled(PrincipledBsdf<'a>),
     Conductor(&'a Conductor),
     Dielectric(&'a Dielectric),
 }
 
-impl Prepared {
+impl PreparedMaterial {
     pub(super) fn new(material: &Material) -> Self {
         let kind = match *material {
             Material::Diffuse { .. } => Kind::Diffuse,
@@ -125,8 +125,8 @@ impl Prepared {
     pub(super) fn is_delta(&self) -> bool {
         match &self.kind {
             Kind::Diffuse | Kind::Principled(_) => false,
-            Kind::Conductor(surface) => surface.is_mirror(),
-            Kind::Dielectric(surface) => surface.is_clear(),
+            Kind::Conductor(surface) => surface.is_smooth(),
+            Kind::Dielectric(surface) => surface.is_smooth(),
         }
     }
 
@@ -153,9 +153,9 @@ impl Bsdf<'_> {
         matches!(self, Self::Dielectric(_))
     }
 
-    /// Value and density of a pair of directions.
+    /// BsdfValue and density of a pair of directions.
     #[inline(always)]
-    pub(super) fn value(&self, outgoing: Vec3, incoming: Vec3) -> Value {
+    pub(super) fn value(&self, outgoing: Vec3, incoming: Vec3) -> BsdfValue {
         match self {
             Self::Diffuse(reflectance) => diffuse::value(*reflectance, incoming),
             Self::Principled(surface) => surface.value(outgoing, incoming),
@@ -166,7 +166,7 @@ impl Bsdf<'_> {
 
     /// Samples an incoming direction from three numbers in [0, 1); `None` where none scatters.
     #[inline(always)]
-    pub(super) fn sample(&self, outgoing: Vec3, choice: f32, u: [f32; 2]) -> Option<Sample> {
+    pub(super) fn sample(&self, outgoing: Vec3, choice: f32, u: [f32; 2]) -> Option<BsdfSample> {
         match self {
             Self::Diffuse(reflectance) => Some(diffuse::sample(*reflectance, u)),
             Self::Principled(surface) => surface.sample(outgoing, choice, u),

@@ -1,4 +1,4 @@
-//! Binary hierarchy over boxes by binned surface area heuristic, collapsed to eight children a
+//! BinaryNode hierarchy over boxes by binned surface area heuristic, collapsed to eight children a
 //! node.
 //!
 //! Sources: Wald, *On fast construction of SAH-based bounding volume hierarchies* (2007); Wald,
@@ -55,7 +55,7 @@ impl Bounds {
 }
 
 /// Node of the binary tree.
-struct Binary {
+struct BinaryNode {
     bounds: Bounds,
     /// Inner node: index of the left child. Leaf: first of its boxes in the order.
     first: u32,
@@ -76,14 +76,14 @@ pub(super) enum Child {
 
 /// Node with up to eight children.
 #[derive(Clone, Debug)]
-pub(super) struct Wide {
+pub(super) struct WideNode {
     pub(super) children: Vec<(Bounds, Child)>,
 }
 
 /// Hierarchy over boxes. Node 0 is the root; a parent comes before its children.
 #[derive(Debug, Default)]
 pub(super) struct Tree {
-    pub(super) nodes: Vec<Wide>,
+    pub(super) nodes: Vec<WideNode>,
     /// Index of each box in the order of the leaves.
     pub(super) order: Vec<u32>,
     /// Number of nodes on the longest way from the root.
@@ -113,7 +113,7 @@ impl Tree {
     }
 
     /// Appends the wide node of a binary one with all below it.
-    fn collapse(&mut self, binary: &[Binary], root: u32, depth: usize) -> u32 {
+    fn collapse(&mut self, binary: &[BinaryNode], root: u32, depth: usize) -> u32 {
         self.depth = self.depth.max(depth);
         let mut chosen = vec![root];
         loop {
@@ -134,11 +134,11 @@ impl Tree {
             chosen.push(node.right);
         }
         let index = self.nodes.len();
-        self.nodes.push(Wide {
+        self.nodes.push(WideNode {
             children: Vec::with_capacity(chosen.len()),
         });
         for node in chosen {
-            let Binary {
+            let BinaryNode {
                 bounds,
                 first,
                 count,
@@ -157,7 +157,7 @@ impl Tree {
 struct Builder<'a> {
     boxes: &'a [Bounds],
     centres: Vec<Vec3>,
-    nodes: &'a mut Vec<Binary>,
+    nodes: &'a mut Vec<BinaryNode>,
 }
 
 impl Builder<'_> {
@@ -167,7 +167,7 @@ impl Builder<'_> {
             .iter()
             .fold(Bounds::EMPTY, |all, &i| all.union(self.boxes[i as usize]));
         let index = self.nodes.len();
-        self.nodes.push(Binary {
+        self.nodes.push(BinaryNode {
             bounds,
             first,
             right: 0,
@@ -191,7 +191,7 @@ impl Builder<'_> {
             .iter()
             .fold(Bounds::EMPTY, |all, &i| all.with(self.centres[i as usize]));
         let found = match depth < MAX_SAH_DEPTH {
-            true => self.best_plane(order, &centres),
+            true => self.best_split(order, &centres),
             false => None,
         };
         if let Some(plane) = found {
@@ -217,11 +217,11 @@ impl Builder<'_> {
     }
 
     /// The split of least expected cost, if the centres are apart.
-    fn best_plane(&self, order: &[u32], centres: &Bounds) -> Option<Plane> {
-        let mut best: Option<(f32, Plane)> = None;
+    fn best_split(&self, order: &[u32], centres: &Bounds) -> Option<SplitPlane> {
+        let mut best: Option<(f32, SplitPlane)> = None;
         for axis in 0..3 {
             let extent = centres.max[axis] - centres.min[axis];
-            let mut plane = Plane {
+            let mut plane = SplitPlane {
                 axis,
                 start: centres.min[axis],
                 scale: BINS as f32 / extent,
@@ -236,7 +236,7 @@ impl Builder<'_> {
                 *bounds = bounds.union(self.boxes[i as usize]);
                 *count += 1;
             }
-            let (split, cost) = cheapest(&bins);
+            let (split, cost) = cheapest_split(&bins);
             if cost < best.as_ref().map_or(f32::INFINITY, |b| b.0) {
                 plane.split = split;
                 best = Some((cost, plane));
@@ -247,7 +247,7 @@ impl Builder<'_> {
 }
 
 /// Boundary between bins along an axis.
-struct Plane {
+struct SplitPlane {
     axis: usize,
     start: f32,
     scale: f32,
@@ -255,16 +255,16 @@ struct Plane {
     split: usize,
 }
 
-impl Plane {
+impl SplitPlane {
     #[inline]
     fn bin(&self, centre: Vec3) -> usize {
         (((centre[self.axis] - self.start) * self.scale) as usize).min(BINS - 1)
     }
 }
 
-/// First bin of the second group of the cheapest split, and its cost: areas times the number of
+/// First bin of the second group of the cheapest_split split, and its cost: areas times the number of
 /// leaves that the groups fill.
-fn cheapest(bins: &[(Bounds, u32); BINS]) -> (usize, f32) {
+fn cheapest_split(bins: &[(Bounds, u32); BINS]) -> (usize, f32) {
     let cost =
         |bounds: &Bounds, count: u32| bounds.half_area() * (count as usize).div_ceil(WIDTH) as f32;
     let mut right = [0.0; BINS];

@@ -23,7 +23,7 @@ use super::camera::Ray;
 /// Bit that tells leaves from nodes in a reference.
 const LEAF: u32 = 1 << 31;
 /// Reference to nothing.
-const NOTHING: u32 = u32::MAX;
+const EMPTY: u32 = u32::MAX;
 /// Farther ends of boxes are moved by the largest error of their distance (3 roundings).
 const SAFETY: f32 = 1.000_000_6;
 /// Smallest component of a direction, so that its inverse is finite.
@@ -64,7 +64,7 @@ pub(super) struct Bvh {
 }
 
 /// A ray as the tests want it.
-struct Prepared<L: Lanes> {
+struct PreparedRay<L: Lanes> {
     origin: [L::F; 3],
     inverse: [L::F; 3],
     /// Which of the six planes of a box is nearer, for each axis.
@@ -73,7 +73,7 @@ struct Prepared<L: Lanes> {
     shear: Shear<L>,
 }
 
-impl<L: Lanes> Prepared<L> {
+impl<L: Lanes> PreparedRay<L> {
     #[inline(always)]
     fn new(lanes: L, ray: &Ray) -> Self {
         // Written out: the compiler does not widen what runs inside closures.
@@ -125,7 +125,7 @@ impl Bvh {
         for wide in &tree.nodes {
             let mut node = Node {
                 planes: [[f32::INFINITY; WIDTH]; 6],
-                children: [NOTHING; WIDTH],
+                children: [EMPTY; WIDTH],
             };
             node.planes[3..].fill([f32::NEG_INFINITY; WIDTH]);
             for (slot, (bounds, child)) in wide.children.iter().enumerate() {
@@ -155,26 +155,26 @@ impl Bvh {
 
     /// Scratch space that is large enough for this hierarchy.
     pub(super) fn stack(&self) -> Stack {
-        Stack(vec![(NOTHING, 0.0); (WIDTH - 1) * self.depth + WIDTH])
+        Stack(vec![(EMPTY, 0.0); (WIDTH - 1) * self.depth + WIDTH])
     }
 
-    /// First triangle that the ray meets at a distance in (0, `reach`).
+    /// First triangle that the ray meets at a distance in (0, `t_max`).
     #[inline(always)]
-    pub(super) fn closest<L: Lanes>(
+    pub(super) fn intersect<L: Lanes>(
         &self,
         lanes: L,
         ray: &Ray,
-        reach: f32,
+        t_max: f32,
         stack: &mut Stack,
     ) -> Option<Hit> {
         if self.nodes.is_empty() {
             return None;
         }
-        let prepared = Prepared::new(lanes, ray);
+        let prepared = PreparedRay::new(lanes, ray);
         let stack = stack.0.as_mut_slice();
         let mut best = Hit {
-            t: reach,
-            face: NOTHING,
+            t: t_max,
+            face: EMPTY,
             weights: [0.0; 2],
         };
         let mut height = 0;
@@ -182,7 +182,7 @@ impl Bvh {
         loop {
             if current & LEAF == 0 {
                 let node = &self.nodes[current as usize];
-                let (mut mask, near) = node.enter(lanes, &prepared, best.t);
+                let (mut mask, near) = node.intersect_children(lanes, &prepared, best.t);
                 if mask != 0 {
                     let first = mask.trailing_zeros() as usize & (WIDTH - 1);
                     mask &= mask - 1;
@@ -213,13 +213,13 @@ impl Bvh {
                 }
             } else {
                 let leaf = &self.leaves[(current & !LEAF) as usize];
-                if let Some(hit) = leaf.closest(lanes, &prepared.shear, best.t) {
+                if let Some(hit) = leaf.intersect(lanes, &prepared.shear, best.t) {
                     best = hit;
                 }
             }
             loop {
                 if height == 0 {
-                    return (best.face != NOTHING).then_some(best);
+                    return (best.face != EMPTY).then_some(best);
                 }
                 height -= 1;
                 let (next, distance) = stack[height];
@@ -231,27 +231,37 @@ impl Bvh {
         }
     }
 
-    /// Whether the ray meets any triangle at a distance in (0, `reach`).
+    /// Whether the ray meets any triangle at a distance in (0, `t_max`).
     #[inline(always)]
-    pub(super) fn any<L: Lanes>(&self, lanes: L, ray: &Ray, reach: f32, stack: &mut Stack) -> bool {
+    pub(super) fn occluded<L: Lanes>(
+        &self,
+        lanes: L,
+        ray: &Ray,
+        t_max: f32,
+        stack: &mut Stack,
+    ) -> bool {
         if self.nodes.is_empty() {
             return false;
         }
-        let prepared = Prepared::new(lanes, ray);
+        let prepared = PreparedRay::new(lanes, ray);
         let stack = stack.0.as_mut_slice();
         let mut height = 0;
         let mut current = 0u32;
         loop {
             if current & LEAF == 0 {
                 let node = &self.nodes[current as usize];
-                let (mut mask, _) = node.enter(lanes, &prepared, reach);
+                let (mut mask, _) = node.intersect_children(lanes, &prepared, t_max);
                 while mask != 0 {
                     let slot = mask.trailing_zeros() as usize & (WIDTH - 1);
                     mask &= mask - 1;
                     stack[height].0 = node.children[slot];
                     height += 1;
                 }
-            } else if self.leaves[(current & !LEAF) as usize].any(lanes, &prepared.shear, reach) {
+            } else if self.leaves[(current & !LEAF) as usize].occluded(
+                lanes,
+                &prepared.shear,
+                t_max,
+            ) {
                 return true;
             }
             if height == 0 {
@@ -264,9 +274,14 @@ impl Bvh {
 }
 
 impl Node {
-    /// Children that the ray enters before `reach`, and the distances at which it does.
+    /// Children that the ray enters before `t_max`, and the distances at which it does.
     #[inline(always)]
-    fn enter<L: Lanes>(&self, lanes: L, ray: &Prepared<L>, reach: f32) -> (u32, L::F) {
+    fn intersect_children<L: Lanes>(
+        &self,
+        lanes: L,
+        ray: &PreparedRay<L>,
+        t_max: f32,
+    ) -> (u32, L::F) {
         let nx = self.distance(lanes, ray, ray.near[0], 0);
         let ny = self.distance(lanes, ray, ray.near[1], 1);
         let nz = self.distance(lanes, ray, ray.near[2], 2);
@@ -275,13 +290,19 @@ impl Node {
         let fz = self.distance(lanes, ray, ray.far[2], 2);
         let near = lanes.max(lanes.max(nx, ny), lanes.max(nz, lanes.splat(0.0)));
         let far = lanes.mul(lanes.min(fx, lanes.min(fy, fz)), lanes.splat(SAFETY));
-        let far = lanes.min(far, lanes.splat(reach));
+        let far = lanes.min(far, lanes.splat(t_max));
         (lanes.le(near, far), near)
     }
 
     /// Distances to one plane of each box.
     #[inline(always)]
-    fn distance<L: Lanes>(&self, lanes: L, ray: &Prepared<L>, plane: usize, axis: usize) -> L::F {
+    fn distance<L: Lanes>(
+        &self,
+        lanes: L,
+        ray: &PreparedRay<L>,
+        plane: usize,
+        axis: usize,
+    ) -> L::F {
         let from = lanes.sub(lanes.load(&self.planes[plane]), ray.origin[axis]);
         lanes.mul(from, ray.inverse[axis])
     }

@@ -3,7 +3,7 @@
 use glam::Vec3;
 
 use super::lanes::{Lanes, WIDTH};
-use super::{Hit, NOTHING};
+use super::{EMPTY, Hit};
 use crate::camera::Ray;
 
 /// Corners of up to eight triangles, coordinate by coordinate; absent ones are no numbers and
@@ -63,7 +63,7 @@ fn splat<L: Lanes>(lanes: L, [x, y, z]: [f32; 3]) -> [L::F; 3] {
 }
 
 /// What the test gives for eight triangles.
-struct Tested<L: Lanes> {
+struct TriangleTest<L: Lanes> {
     /// Lanes that are hit.
     mask: u32,
     t: L::F,
@@ -73,7 +73,7 @@ struct Tested<L: Lanes> {
 }
 
 impl Triangles {
-    /// At most [`WIDTH`] triangles by their corners.
+    /// At max_edge [`WIDTH`] triangles by their corners.
     pub(super) fn new(first: u32, faces: impl Iterator<Item = [Vec3; 3]>) -> Self {
         let mut corners = [[[f32::NAN; WIDTH]; 3]; 3];
         for (lane, face) in faces.take(WIDTH).enumerate() {
@@ -87,8 +87,8 @@ impl Triangles {
     }
 
     #[inline(always)]
-    pub(super) fn closest<L: Lanes>(&self, lanes: L, ray: &Shear<L>, reach: f32) -> Option<Hit> {
-        let tested = self.test(lanes, ray, reach);
+    pub(super) fn intersect<L: Lanes>(&self, lanes: L, ray: &Shear<L>, t_max: f32) -> Option<Hit> {
+        let tested = self.test(lanes, ray, t_max);
         let mut mask = tested.mask;
         if mask == 0 {
             return None;
@@ -109,7 +109,7 @@ impl Triangles {
             lanes.store(v)[nearest] * inverse,
             lanes.store(w)[nearest] * inverse,
         ];
-        debug_assert!(self.first != NOTHING);
+        debug_assert!(self.first != EMPTY);
         Some(Hit {
             t: t[nearest],
             face: self.first + nearest as u32,
@@ -118,12 +118,12 @@ impl Triangles {
     }
 
     #[inline(always)]
-    pub(super) fn any<L: Lanes>(&self, lanes: L, ray: &Shear<L>, reach: f32) -> bool {
-        self.test(lanes, ray, reach).mask != 0
+    pub(super) fn occluded<L: Lanes>(&self, lanes: L, ray: &Shear<L>, t_max: f32) -> bool {
+        self.test(lanes, ray, t_max).mask != 0
     }
 
     #[inline(always)]
-    fn test<L: Lanes>(&self, lanes: L, ray: &Shear<L>, reach: f32) -> Tested<L> {
+    fn test<L: Lanes>(&self, lanes: L, ray: &Shear<L>, t_max: f32) -> TriangleTest<L> {
         let zero = lanes.splat(0.0);
         let a = self.sheared(lanes, ray, 0);
         let b = self.sheared(lanes, ray, 1);
@@ -145,13 +145,13 @@ impl Triangles {
             lanes.add(lanes.mul(v, b[2]), lanes.mul(w, c[2])),
         );
         let t = lanes.mul(lanes.mul(scaled, ray.lanes_shear[2]), inverse_sum);
-        let least = lanes.min(u, lanes.min(v, w));
-        let most = lanes.max(u, lanes.max(v, w));
+        let min_edge = lanes.min(u, lanes.min(v, w));
+        let max_edge = lanes.max(u, lanes.max(v, w));
         // Lanes that hold no number fail every comparison, also that of the distance.
-        let inside = lanes.le(zero, least) | lanes.le(most, zero);
-        let ahead = lanes.lt(zero, t) & lanes.lt(t, lanes.splat(reach));
+        let inside = lanes.le(zero, min_edge) | lanes.le(max_edge, zero);
+        let ahead = lanes.lt(zero, t) & lanes.lt(t, lanes.splat(t_max));
         let flat = lanes.eq(sum, zero);
-        Tested {
+        TriangleTest {
             mask: inside & ahead & !flat,
             t,
             weights: [v, w],

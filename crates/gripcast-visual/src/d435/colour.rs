@@ -50,7 +50,7 @@ const EXPOSURE_STEPS: u32 = 14;
 /// The 8-bit sRGB image that the camera gives for linear light; the same seed gives the same
 /// bytes.
 pub fn develop(light: &Image, settings: &ColourSettings, seed: u64) -> RgbImage {
-    let mut image = cleaned(light);
+    let mut image = sanitised(light);
     vignette(&mut image, settings.vignette);
     blur(&mut image, settings.blur_px);
     let balance = white_balance(&image, settings.white_balance);
@@ -74,7 +74,7 @@ pub fn develop(light: &Image, settings: &ColourSettings, seed: u64) -> RgbImage 
                 let deviation = (electrons + read * read).sqrt();
                 (electrons + deviation * noise[k]) / full_well * balance[k]
             });
-            finish(measured, settings.saturation).map(encode)
+            tone_mapped(measured, settings.saturation).map(encode)
         })
         .collect();
     let (width, height) = (image.width as u32, image.height as u32);
@@ -82,7 +82,7 @@ pub fn develop(light: &Image, settings: &ColourSettings, seed: u64) -> RgbImage 
 }
 
 /// Light without negative values and values that are no numbers.
-fn cleaned(light: &Image) -> Image {
+fn sanitised(light: &Image) -> Image {
     let mut image = light.clone();
     for value in image.pixels.iter_mut().flatten() {
         *value = if value.is_finite() {
@@ -184,7 +184,7 @@ fn exposure(image: &Image, balance: [f32; 3], settings: &ColourSettings) -> f32 
             .iter()
             .map(|p| {
                 let seen = std::array::from_fn(|k| (p[k] * gain).min(1.0) * balance[k]);
-                let [r, g, b] = finish(seen, settings.saturation).map(encode);
+                let [r, g, b] = tone_mapped(seen, settings.saturation).map(encode);
                 0.299 * f64::from(r) + 0.587 * f64::from(g) + 0.114 * f64::from(b)
             })
             .sum();
@@ -203,7 +203,7 @@ fn exposure(image: &Image, balance: [f32; 3], settings: &ColourSettings) -> f32 
 }
 
 /// Saturation, and a shoulder that keeps highlights from clipping hard, on linear values.
-fn finish(light: [f32; 3], saturation: f32) -> [f32; 3] {
+fn tone_mapped(light: [f32; 3], saturation: f32) -> [f32; 3] {
     let grey = luminance(light);
     light.map(|v| {
         let v = (grey + saturation * (v - grey)).max(0.0);

@@ -17,15 +17,15 @@ pub struct DepthSettings {
     /// Focal length of the stereo images, px: 640 × 360 with 87° has 337.
     pub stereo_focal_px: f64,
     /// Error of the disparity, standard deviation, px.
-    pub subpixel: f64,
+    pub disparity_std_px: f64,
     /// Fraction of that error that neighbours within about 4 pixels have in common, 0 to 1.
-    pub common_fraction: f64,
+    pub correlated_fraction: f64,
     /// Steps of the disparity in a pixel.
     pub disparity_steps: f64,
     /// Largest disparity, px; what is nearer than `f · b / it` has no depth.
-    pub most_disparity_px: f64,
+    pub max_disparity_px: f64,
     /// Farthest depth, m.
-    pub farthest_m: f64,
+    pub max_depth_m: f64,
     /// Angle between a surface and the line of sight below which nothing is matched, rad.
     pub grazing_rad: f64,
     /// Length of a depth unit, m.
@@ -37,11 +37,11 @@ impl Default for DepthSettings {
     fn default() -> Self {
         Self {
             stereo_focal_px: 337.0,
-            subpixel: 0.08,
-            common_fraction: 0.7,
+            disparity_std_px: 0.08,
+            correlated_fraction: 0.7,
             disparity_steps: 32.0,
-            most_disparity_px: 126.0,
-            farthest_m: 10.0,
+            max_disparity_px: 126.0,
+            max_depth_m: 10.0,
             grazing_rad: 7.0 * std::f64::consts::PI / 180.0,
             unit_m: 1e-3,
         }
@@ -50,21 +50,21 @@ impl Default for DepthSettings {
 
 impl DepthSettings {
     /// Smallest depth that is measured, m.
-    pub fn nearest_m(&self) -> f64 {
-        self.stereo_focal_px * BASELINE_M / self.most_disparity_px
+    pub fn min_depth_m(&self) -> f64 {
+        self.stereo_focal_px * BASELINE_M / self.max_disparity_px
     }
 
     /// Standard deviation of a measured depth, m.
-    pub fn deviation_m(&self, depth_m: f64) -> f64 {
-        depth_m * depth_m * self.subpixel / (self.stereo_focal_px * BASELINE_M)
+    pub fn depth_std_m(&self, depth_m: f64) -> f64 {
+        depth_m * depth_m * self.disparity_std_px / (self.stereo_focal_px * BASELINE_M)
     }
 
     fn validate(&self) -> Result<()> {
         let positive = [
             ("stereo focal length", self.stereo_focal_px),
             ("number of disparity steps", self.disparity_steps),
-            ("largest disparity", self.most_disparity_px),
-            ("farthest depth", self.farthest_m),
+            ("largest disparity", self.max_disparity_px),
+            ("farthest depth", self.max_depth_m),
             ("depth unit", self.unit_m),
         ];
         for (name, value) in positive {
@@ -74,11 +74,11 @@ impl DepthSettings {
                 )));
             }
         }
-        if !(self.subpixel >= 0.0 && (0.0..=1.0).contains(&self.common_fraction)) {
+        if !(self.disparity_std_px >= 0.0 && (0.0..=1.0).contains(&self.correlated_fraction)) {
             return Err(Error::input(format!(
                 "the disparity's error must not be negative and its common fraction from 0 to \
                      1, found {} and {}",
-                self.subpixel, self.common_fraction
+                self.disparity_std_px, self.correlated_fraction
             )));
         }
         Ok(())
@@ -114,7 +114,7 @@ pub fn measure_depth(
         .enumerate()
         .for_each(|(row, codes)| {
             let line = &depth_m[row * width..(row + 1) * width];
-            let seen = seen_by_both(line, camera);
+            let seen = visible_to_both(line, camera);
             for (column, code) in codes.iter_mut().enumerate() {
                 let place = (column, row);
                 if seen[column] && !is_grazing(depth_m, place, camera, settings) {
@@ -129,14 +129,15 @@ pub fn measure_depth(
 /// One depth with its noise and quantisation.
 fn measured(depth: f32, place: (usize, usize), settings: &DepthSettings, seed: u64) -> u16 {
     let depth = f64::from(depth);
-    if !(settings.nearest_m()..=settings.farthest_m).contains(&depth) {
+    if !(settings.min_depth_m()..=settings.max_depth_m).contains(&depth) {
         return 0;
     }
     let scale = settings.stereo_focal_px * BASELINE_M;
-    let noise = settings.subpixel * disparity_noise(place, settings.common_fraction, seed);
+    let noise =
+        settings.disparity_std_px * disparity_noise(place, settings.correlated_fraction, seed);
     let steps = ((scale / depth + noise) * settings.disparity_steps).round();
     let disparity = steps / settings.disparity_steps;
-    if disparity <= 0.0 || disparity > settings.most_disparity_px {
+    if disparity <= 0.0 || disparity > settings.max_disparity_px {
         return 0;
     }
     // Depths beyond 16 bits have no code.
@@ -150,7 +151,7 @@ fn measured(depth: f32, place: (usize, usize), settings: &DepthSettings, seed: u
 
 /// Noise of unit variance: a part from a coarse lattice, which neighbours fraction, and one of the
 /// pixel's own.
-fn disparity_noise((column, row): (usize, usize), common_fraction: f64, seed: u64) -> f64 {
+fn disparity_noise((column, row): (usize, usize), correlated_fraction: f64, seed: u64) -> f64 {
     const SPACING: usize = 4;
     let own = f64::from(gaussians(seed, (row as u64) << 32 | column as u64)[0]);
     let (cx, cy) = (column / SPACING, row / SPACING);
@@ -169,12 +170,12 @@ fn disparity_noise((column, row): (usize, usize), common_fraction: f64, seed: u6
     let lattice = [at(0, 0), at(1, 0), at(0, 1), at(1, 1)];
     let sum: f64 = weights.iter().zip(lattice).map(|(w, g)| w * g).sum();
     let norm = weights.iter().map(|w| w * w).sum::<f64>().sqrt();
-    common_fraction.sqrt() * sum / norm + (1.0 - common_fraction).sqrt() * own
+    correlated_fraction.sqrt() * sum / norm + (1.0 - correlated_fraction).sqrt() * own
 }
 
 /// Which pixels of a row both imagers see: a surface is hidden from an imager where a nearer one
 /// lies on the same line of sight.
-fn seen_by_both(line: &[f32], camera: &Camera) -> Vec<bool> {
+fn visible_to_both(line: &[f32], camera: &Camera) -> Vec<bool> {
     let mut seen: Vec<bool> = line.iter().map(|z| z.is_finite() && *z > 0.0).collect();
     for imager_m in [LEFT_IMAGER_M, LEFT_IMAGER_M + BASELINE_M] {
         let shift = camera.focal_px[0] * imager_m;
@@ -257,7 +258,7 @@ mod tests {
             let n = values.len() as f64;
             let mean = values.iter().sum::<f64>() / n;
             let deviation = (values.iter().map(|z| (z - mean).powi(2)).sum::<f64>() / n).sqrt();
-            let expected = DepthSettings::default().deviation_m(f64::from(depth));
+            let expected = DepthSettings::default().depth_std_m(f64::from(depth));
             assert!(
                 (mean - f64::from(depth)).abs() < 0.1 * expected + 5e-5,
                 "{mean}"
@@ -272,7 +273,7 @@ mod tests {
     #[test]
     fn codes_are_millimetres_and_too_near_is_zero() {
         let settings = DepthSettings::default();
-        assert!((settings.nearest_m() - 0.1337).abs() < 1e-3);
+        assert!((settings.min_depth_m() - 0.1337).abs() < 1e-3);
         let code = |depth: f32| {
             let codes = measure_depth(&[depth; 320 * 240], &camera(), &settings, 0).unwrap();
             codes.get_pixel(160, 120).0[0]

@@ -17,7 +17,7 @@ use super::camera::Camera;
 use gripcast_geometry::Pose;
 
 /// Place of the colour camera in the gripper frame, m.
-const PLACE_M: [f64; 3] = [0.0, -0.078, -0.165];
+const POSITION_M: [f64; 3] = [0.0, -0.078, -0.165];
 /// Turn of its axis from the approach towards the plane of the fingers, rad.
 const PITCH_RAD: f64 = 22.0 * std::f64::consts::PI / 180.0;
 /// Columns and rows of the colour stream.
@@ -32,7 +32,7 @@ pub(super) const LEFT_IMAGER_M: f64 = 0.0147;
 /// The colour camera in the gripper frame.
 pub fn t_gripper_camera() -> Pose {
     let turn = DQuat::from_rotation_x(-PITCH_RAD);
-    Pose::new(turn, DVec3::from_array(PLACE_M))
+    Pose::new(turn, DVec3::from_array(POSITION_M))
 }
 
 /// The colour camera's image, cropped in its middle to the shape of `width` × `height` and

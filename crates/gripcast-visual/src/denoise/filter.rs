@@ -12,7 +12,7 @@ use crate::renderer::Rendering;
 /// Least weight of a pixel for itself, so that one unlike all others keeps its light.
 const MIN_OWN_TRUST: f32 = 1e-6;
 /// Difference between the sky and everything else; more than any weight bridges.
-const APART: f32 = 1e6;
+const SKY_DISTANCE: f32 = 1e6;
 
 /// One value for each pixel.
 type Plane = Vec<f32>;
@@ -67,7 +67,7 @@ impl Scratch {
 }
 
 /// Pixels that follow one another in a row and those that they are compared with.
-struct Pair {
+struct PixelRun {
     p: usize,
     q: usize,
     len: usize,
@@ -187,10 +187,10 @@ impl<'a> Guide<'a> {
 
     /// Some pixels of a row and those so far away from them, if they lie in the image.
     #[inline(always)]
-    fn pair(&self, row: usize, columns: &Range<usize>, [dx, dy]: [isize; 2]) -> Option<Pair> {
+    fn pair(&self, row: usize, columns: &Range<usize>, [dx, dy]: [isize; 2]) -> Option<PixelRun> {
         let [width, height] = self.size;
         let other = row.checked_add_signed(dy).filter(|other| *other < height)?;
-        Some(Pair {
+        Some(PixelRun {
             p: row * width + columns.start,
             q: (other * width + columns.start).wrapping_add_signed(dx),
             len: columns.len(),
@@ -248,7 +248,7 @@ impl<'a> Guide<'a> {
     /// Squared difference of pixels less the noise, in units of the noise, for both halves.
     /// Fireflies tell nothing.
     #[inline(always)]
-    fn pixel_distances(&self, &Pair { p, q, len }: &Pair, [a, b]: [&mut [f32]; 2]) {
+    fn pixel_distances(&self, &PixelRun { p, q, len }: &PixelRun, [a, b]: [&mut [f32]; 2]) {
         let [vp, vq] = [p, q].map(|at| &self.variance[at..][..len]);
         let [tp, tq] = [p, q].map(|at| &self.trust[at..][..len]);
         let [[ap, aq], [bp, bq]] = self
@@ -256,8 +256,8 @@ impl<'a> Guide<'a> {
             .each_ref()
             .map(|light| [p, q].map(|at| three(light, at, len)));
         for i in 0..len {
-            let expected = vp[i] + least(vp[i], vq[i]);
-            let scale = least(tp[i], tq[i]) / (vp[i] + vq[i] + 1e-6);
+            let expected = vp[i] + min(vp[i], vq[i]);
+            let scale = min(tp[i], tq[i]) / (vp[i] + vq[i] + 1e-6);
             a[i] = scale * (square_distance(ap, aq, i) / 3.0 - expected);
             b[i] = scale * (square_distance(bp, bq, i) / 3.0 - expected);
         }
@@ -266,7 +266,7 @@ impl<'a> Guide<'a> {
     /// Weight by the first surfaces, 1 for the same and 0 for different ones, times the trust in
     /// the other pixel.
     #[inline(always)]
-    fn same_surface(&self, &Pair { p, q, len }: &Pair, trust: &[f32], out: &mut [f32]) {
+    fn same_surface(&self, &PixelRun { p, q, len }: &PixelRun, trust: &[f32], out: &mut [f32]) {
         let [zp, zq] = [p, q].map(|at| &self.depth_m[at..][..len]);
         let [sp, sq] = [p, q].map(|at| &self.sky[at..][..len]);
         let nearness = &self.nearness[p..][..len];
@@ -279,7 +279,7 @@ impl<'a> Guide<'a> {
         let by_depth = 1.0 / self.settings.depth;
         for i in 0..len {
             let depth = (zp[i] - zq[i]) * nearness[i] * by_depth;
-            let sky = (sp[i] - sq[i]) * APART;
+            let sky = (sp[i] - sq[i]) * SKY_DISTANCE;
             let distance = square_distance(ap, aq, i) * by_albedo
                 + square_distance(np, nq, i) * by_normal
                 + depth * depth
@@ -307,7 +307,7 @@ fn square_distance(a: [&[f32]; 3], b: [&[f32]; 3], i: usize) -> f32 {
 
 /// The smaller one; unlike `f32::min` a single instruction.
 #[inline(always)]
-fn least(a: f32, b: f32) -> f32 {
+fn min(a: f32, b: f32) -> f32 {
     if a < b { a } else { b }
 }
 

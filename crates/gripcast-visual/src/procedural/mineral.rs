@@ -1,7 +1,7 @@
 //! Stone, concrete and tiles.
 
-use super::noise::{Cells, Fractal, Value, mix, mix_color, smoothstep};
-use super::{PaintedSurface, paint_by_place, scaled, srgb};
+use super::noise::{FractalNoise, ValueNoise, WorleyNoise, mix, mix_colour, smoothstep};
+use super::{GeneratedTexture, scaled, srgb, texture_from_fn};
 use gripcast_base::random::{SeedStream, lattice};
 
 /// Grounds and veins of marble.
@@ -19,14 +19,14 @@ const GRANITES: [[u32; 3]; 4] = [
     [0xd8d4cc, 0xb0aaa0, 0x6c6862],
 ];
 
-pub(super) fn stone(size_px: u32, stream: &mut SeedStream) -> PaintedSurface {
+pub(super) fn stone(size_px: u32, stream: &mut SeedStream) -> GeneratedTexture {
     let is_marble = stream.uniform() < 0.5;
     let image = if is_marble {
         marble(size_px, stream)
     } else {
         granite(size_px, stream)
     };
-    PaintedSurface::new(
+    GeneratedTexture::new(
         image,
         if is_marble { 0.6 } else { 0.3 },
         stream.between(0.08, 0.4),
@@ -37,27 +37,27 @@ pub(super) fn stone(size_px: u32, stream: &mut SeedStream) -> PaintedSurface {
 fn marble(size_px: u32, stream: &mut SeedStream) -> image::RgbImage {
     let [ground, vein] = stream.pick(MARBLES).map(srgb);
     let veins = Veins::new(stream.bits());
-    paint_by_place(size_px, |x, y| {
+    texture_from_fn(size_px, |x, y| {
         let (fraction, cloud) = veins.at(x, y);
-        scaled(mix_color(ground, vein, fraction), cloud)
+        scaled(mix_colour(ground, vein, fraction), cloud)
     })
 }
 
 /// Veins of marble.
 pub(super) struct Veins {
-    bend: Fractal,
-    field: Fractal,
-    fine: Fractal,
-    cloud: Fractal,
+    bend: FractalNoise,
+    field: FractalNoise,
+    fine: FractalNoise,
+    cloud: FractalNoise,
 }
 
 impl Veins {
     pub(super) fn new(seed: u64) -> Self {
         Self {
-            bend: Fractal::new(seed, [3, 3], 4),
-            field: Fractal::new(seed ^ 0x11, [3, 4], 5),
-            fine: Fractal::new(seed ^ 0x12, [7, 6], 4),
-            cloud: Fractal::new(seed ^ 0x13, [3, 3], 3),
+            bend: FractalNoise::new(seed, [3, 3], 4),
+            field: FractalNoise::new(seed ^ 0x11, [3, 4], 5),
+            fine: FractalNoise::new(seed ^ 0x12, [7, 6], 4),
+            cloud: FractalNoise::new(seed ^ 0x13, [3, 3], 3),
         }
     }
 
@@ -76,16 +76,16 @@ impl Veins {
 
 fn granite(size_px: u32, stream: &mut SeedStream) -> image::RgbImage {
     let granite = Granite::new(stream.pick(GRANITES).map(srgb), stream.bits());
-    paint_by_place(size_px, |x, y| granite.color(x, y))
+    texture_from_fn(size_px, |x, y| granite.colour(x, y))
 }
 
 /// Grains of three minerals.
 pub(super) struct Granite {
     minerals: [[f32; 3]; 3],
-    bend: Fractal,
-    large: Cells,
-    small: Cells,
-    grain: Value,
+    bend: FractalNoise,
+    large: WorleyNoise,
+    small: WorleyNoise,
+    grain: ValueNoise,
 }
 
 impl Granite {
@@ -93,14 +93,14 @@ impl Granite {
     pub(super) fn new(minerals: [[f32; 3]; 3], seed: u64) -> Self {
         Self {
             minerals,
-            bend: Fractal::new(seed, [24, 24], 3),
-            large: Cells::new(seed ^ 0x21, 70),
-            small: Cells::new(seed ^ 0x22, 150),
-            grain: Value::new(seed ^ 0x23, [160, 160]),
+            bend: FractalNoise::new(seed, [24, 24], 3),
+            large: WorleyNoise::new(seed ^ 0x21, 70),
+            small: WorleyNoise::new(seed ^ 0x22, 150),
+            grain: ValueNoise::new(seed ^ 0x23, [160, 160]),
         }
     }
 
-    pub(super) fn color(&self, x: f32, y: f32) -> [f32; 3] {
+    pub(super) fn colour(&self, x: f32, y: f32) -> [f32; 3] {
         let bend = 0.012 * (self.bend.at(x, y) - 0.5);
         let (near, far, id) = self.large.at(x + bend, y - bend);
         let (_, _, small) = self.small.at(x - bend, y + bend);
@@ -112,17 +112,17 @@ impl Granite {
         let edge = smoothstep(0.0, 0.25, far - near);
         let grain = mix(0.85, 1.1, self.grain.at(x, y));
         let between = self.minerals[1];
-        scaled(mix_color(between, chosen, mix(0.55, 1.0, edge)), grain)
+        scaled(mix_colour(between, chosen, mix(0.55, 1.0, edge)), grain)
     }
 }
 
-pub(super) fn concrete(size_px: u32, stream: &mut SeedStream) -> PaintedSurface {
+pub(super) fn concrete(size_px: u32, stream: &mut SeedStream) -> GeneratedTexture {
     let grey = stream.between(0.16, 0.5) as f32;
     let warmth = stream.between(-0.05, 0.07) as f32;
     let base = [grey * (1.0 + warmth), grey, grey * (1.0 - warmth)];
     let concrete = Concrete::new(stream.bits());
-    PaintedSurface::new(
-        paint_by_place(size_px, |x, y| scaled(base, concrete.shade(x, y))),
+    GeneratedTexture::new(
+        texture_from_fn(size_px, |x, y| scaled(base, concrete.shade(x, y))),
         0.5,
         stream.between(0.6, 0.9),
         0.0,
@@ -131,17 +131,17 @@ pub(super) fn concrete(size_px: u32, stream: &mut SeedStream) -> PaintedSurface 
 
 /// Stained sand with pores.
 pub(super) struct Concrete {
-    stain: Fractal,
-    sand: Value,
-    pores: Cells,
+    stain: FractalNoise,
+    sand: ValueNoise,
+    pores: WorleyNoise,
 }
 
 impl Concrete {
     pub(super) fn new(seed: u64) -> Self {
         Self {
-            stain: Fractal::new(seed, [3, 3], 6),
-            sand: Value::new(seed ^ 0x31, [220, 220]),
-            pores: Cells::new(seed ^ 0x32, 60),
+            stain: FractalNoise::new(seed, [3, 3], 6),
+            sand: ValueNoise::new(seed ^ 0x31, [220, 220]),
+            pores: WorleyNoise::new(seed ^ 0x32, 60),
         }
     }
 
@@ -160,7 +160,7 @@ impl Concrete {
     }
 }
 
-pub(super) fn tiles(size_px: u32, stream: &mut SeedStream) -> PaintedSurface {
+pub(super) fn tiles(size_px: u32, stream: &mut SeedStream) -> GeneratedTexture {
     let tile = srgb(stream.pick([0xe9e7e1, 0xcfd6d8, 0xb9a58c, 0x6f8088, 0x3d4246]));
     let grout = srgb(stream.pick([0x9b9790, 0x5f5c58, 0xd2cfc8]));
     let count = stream.pick([2_u32, 3, 4]);
@@ -168,9 +168,9 @@ pub(super) fn tiles(size_px: u32, stream: &mut SeedStream) -> PaintedSurface {
     let seed = stream.bits();
     let tile_m = 0.4;
     let half_joint = 0.0015 / tile_m as f32 * count as f32;
-    let clouds = Fractal::new(seed, [6, 6], 4);
-    let sands = Value::new(seed ^ 0x41, [200, 200]);
-    let image = paint_by_place(size_px, |x, y| {
+    let clouds = FractalNoise::new(seed, [6, 6], 4);
+    let sands = ValueNoise::new(seed ^ 0x41, [200, 200]);
+    let image = texture_from_fn(size_px, |x, y| {
         let (mut sx, sy) = (x * count as f32, y * count as f32);
         let row = sy as i64;
         if is_bond && row % 2 == 1 {
@@ -183,7 +183,7 @@ pub(super) fn tiles(size_px: u32, stream: &mut SeedStream) -> PaintedSurface {
         let own = mix(0.92, 1.05, lattice(seed, column, row, 0));
         let cloud = mix(0.94, 1.04, clouds.at(x, y));
         let sand = mix(0.8, 1.1, sands.at(x, y));
-        mix_color(scaled(tile, own * cloud), scaled(grout, sand), in_joint)
+        mix_colour(scaled(tile, own * cloud), scaled(grout, sand), in_joint)
     });
-    PaintedSurface::new(image, tile_m, stream.between(0.1, 0.4), 0.0)
+    GeneratedTexture::new(image, tile_m, stream.between(0.1, 0.4), 0.0)
 }

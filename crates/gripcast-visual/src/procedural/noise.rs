@@ -5,13 +5,13 @@
 use gripcast_base::random::lattice;
 
 /// Gradient-free value noise with quintic interpolation, 0 to 1.
-pub(super) struct Value {
+pub(super) struct ValueNoise {
     cells: [usize; 2],
     /// At the corners of the cells, row by row.
     levels: Vec<f32>,
 }
 
-impl Value {
+impl ValueNoise {
     /// Over a lattice of `cells` × `cells` cells in the unit square.
     pub(super) fn new(seed: u64, cells: [u32; 2]) -> Self {
         let [nx, ny] = cells.map(|n| i64::from(n.max(1)));
@@ -42,14 +42,15 @@ impl Value {
 }
 
 /// Sum of octaves of value noise, each twice as fine and half as strong, 0 to 1.
-pub(super) struct Fractal {
-    octaves: Vec<Value>,
+pub(super) struct FractalNoise {
+    octaves: Vec<ValueNoise>,
 }
 
-impl Fractal {
+impl FractalNoise {
     /// The coarsest of the octaves has `cells` × `cells` cells in the unit square.
     pub(super) fn new(seed: u64, cells: [u32; 2], octaves: u32) -> Self {
-        let octave = |o: u32| Value::new(seed.wrapping_add(u64::from(o)), cells.map(|n| n << o));
+        let octave =
+            |o: u32| ValueNoise::new(seed.wrapping_add(u64::from(o)), cells.map(|n| n << o));
         Self {
             octaves: (0..octaves).map(octave).collect(),
         }
@@ -67,13 +68,13 @@ impl Fractal {
 }
 
 /// One random point in each cell of a lattice (Worley, 1996).
-pub(super) struct Cells {
+pub(super) struct WorleyNoise {
     count: i64,
     /// Place in its cell and a number in 0..1 of each point, row by row.
     points: Vec<[f32; 3]>,
 }
 
-impl Cells {
+impl WorleyNoise {
     /// In a lattice of `count` × `count` cells in the unit square.
     pub(super) fn new(seed: u64, count: u32) -> Self {
         let n = i64::from(count.max(1));
@@ -127,7 +128,7 @@ pub(super) fn mix(a: f32, b: f32, t: f32) -> f32 {
     a + (b - a) * t
 }
 
-pub(super) fn mix_color(a: [f32; 3], b: [f32; 3], t: f32) -> [f32; 3] {
+pub(super) fn mix_colour(a: [f32; 3], b: [f32; 3], t: f32) -> [f32; 3] {
     std::array::from_fn(|c| mix(a[c], b[c], t))
 }
 
@@ -143,7 +144,7 @@ mod tests {
 
     #[test]
     fn noise_repeats_and_stays_in_range() {
-        let (fractal, cells) = (Fractal::new(5, [4, 6], 4), Cells::new(5, 7));
+        let (fractal, cells) = (FractalNoise::new(5, [4, 6], 4), WorleyNoise::new(5, 7));
         for i in 0..200 {
             let (x, y) = (i as f32 * 0.0137, i as f32 * 0.0311);
             let a = fractal.at(x, y);
@@ -157,7 +158,7 @@ mod tests {
 
     #[test]
     fn noise_is_continuous_over_the_border() {
-        let noise = Value::new(9, [8, 8]);
+        let noise = ValueNoise::new(9, [8, 8]);
         for i in 0..50 {
             let y = i as f32 / 50.0;
             let (left, right) = (noise.at(0.0, y), noise.at(0.999_999, y));
@@ -168,7 +169,7 @@ mod tests {
     #[test]
     fn places_that_wrap_to_the_far_end_have_a_value() {
         for cells in [1, 2, 9] {
-            let noise = (Value::new(1, [cells; 2]), Cells::new(1, cells));
+            let noise = (ValueNoise::new(1, [cells; 2]), WorleyNoise::new(1, cells));
             for place in [-1e-9, 1.0, -3.0, 1e9] {
                 assert!((0.0..=1.0).contains(&noise.0.at(place, place)));
                 assert!(noise.1.at(place, place).0.is_finite());

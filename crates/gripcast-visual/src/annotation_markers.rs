@@ -20,8 +20,8 @@ const INK: f32 = 0.02;
 /// The table lies this much below a sheet, m, so that the sheet is seen and not the table.
 pub(super) const PRINT_LIFT_M: f64 = 1e-4;
 /// The camera's place, seen from the gripper's front: turn, angle above the table, distance.
-const MAX_TURN_RAD: f64 = 0.3;
-const ABOVE_RAD: [f64; 2] = [0.42, 0.56];
+const MAX_AZIMUTH_RAD: f64 = 0.3;
+const ELEVATION_RAD: [f64; 2] = [0.42, 0.56];
 const DISTANCE_M: [f64; 2] = [0.62, 0.70];
 /// Height of the middle of the image, as a fraction of that of the gripper's top.
 const TARGET_FRACTION: f64 = 0.42;
@@ -30,7 +30,7 @@ const CARD_M: f64 = 5e-4;
 
 /// A flat printed image, with the colours of paper and ink.
 #[derive(Clone, Debug)]
-struct Print {
+struct PrintedPlane {
     image: Bitmap,
     /// Top left, top right, bottom right, bottom left as seen from the front.
     corners_m: [DVec3; 4],
@@ -38,23 +38,23 @@ struct Print {
 
 /// Sheet and tags of a grasp.
 #[derive(Clone, Debug)]
-pub struct GraspPrints {
+pub struct AnnotationMarkers {
     /// In the world.
-    sheet: Print,
+    sheet: PrintedPlane,
     /// In the gripper's frame, for opening 0, with how far each moves along x per metre of opening.
-    tags: Vec<(f64, Print)>,
+    tags: Vec<(f64, PrintedPlane)>,
 }
 
-impl GraspPrints {
+impl AnnotationMarkers {
     /// A sheet, whose frame is the world in which its object stands, and the tags of a gripper in
     /// its frame at opening 0, each with how far it moves along x per metre of opening.
     ///
     /// # Errors
     /// `Input` for an image that is too large.
     pub fn new(sheet: &FlatPrint, tags: &[(f64, FlatPrint)]) -> Result<Self> {
-        let tag = |(slide, print): &(f64, FlatPrint)| Ok((*slide, Print::new(print)?));
+        let tag = |(slide, print): &(f64, FlatPrint)| Ok((*slide, PrintedPlane::new(print)?));
         Ok(Self {
-            sheet: Print::new(sheet)?,
+            sheet: PrintedPlane::new(sheet)?,
             tags: tags.iter().map(tag).collect::<Result<_>>()?,
         })
     }
@@ -74,7 +74,7 @@ fn printed(white: f32) -> u8 {
     srgb_encode(INK + white * (PAPER - INK))
 }
 
-impl Print {
+impl PrintedPlane {
     fn new(print: &FlatPrint) -> Result<Self> {
         let paper = &print.paper;
         let image = RgbImage::from_fn(paper.width(), paper.height(), |x, y| {
@@ -139,8 +139,8 @@ pub fn annotation_camera(state: &GraspState, [width, height]: [usize; 2], seed: 
     let approach = gripper.transform_vector(DVec3::Z);
     let flat = |v: DVec3| (v * DVec3::new(1.0, 1.0, 0.0)).normalize_or_zero();
     let front = flat(gripper.transform_vector(DVec3::NEG_Y)).normalize_or(DVec3::NEG_Y);
-    let turn = draw.between(-MAX_TURN_RAD, MAX_TURN_RAD);
-    let above = draw.between(ABOVE_RAD[0], ABOVE_RAD[1]);
+    let turn = draw.between(-MAX_AZIMUTH_RAD, MAX_AZIMUTH_RAD);
+    let above = draw.between(ELEVATION_RAD[0], ELEVATION_RAD[1]);
     let distance = draw.between(DISTANCE_M[0], DISTANCE_M[1]);
     let side = DQuat::from_rotation_z(turn) * front;
     let direction = above.cos() * side + above.sin() * DVec3::Z;
@@ -148,7 +148,7 @@ pub fn annotation_camera(state: &GraspState, [width, height]: [usize; 2], seed: 
     let mut target = gripper.translation_m - 0.09 * approach + 0.02 * front;
     target.z = TARGET_FRACTION * (gripper.translation_m.z + 0.22);
     let eye = target + distance * direction;
-    let pose = Camera::looking_at(eye, target).unwrap_or(state.t_world_gripper);
+    let pose = Camera::look_at(eye, target).unwrap_or(state.t_world_gripper);
     let scale = width as f64 / 1280.0;
     Camera {
         width,

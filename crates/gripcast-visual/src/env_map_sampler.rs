@@ -1,8 +1,8 @@
-//! The dome of light, prepared for sampling directions in proportion to luminance.
+//! The sampler of light, prepared for sampling directions in proportion to luminance.
 //!
 //! Between the centres of four texels radiance is bilinear, and so is the density of the samples:
 //! luminance times the sine of the polar angle at each row of centres. A patch between centres is
-//! chosen by inverting cumulative sums, which keeps evenly spread numbers evenly spread; the place
+//! chosen by inverting cumulative sums, which keeps evenly spread numbers evenly spread; the point
 //! in it by inverting two linear densities. What is looked up at random is kept small, as the time
 //! goes by what misses the caches: sums for groups of patches only, texels of 8 bytes.
 
@@ -10,7 +10,7 @@ use std::f32::consts::PI;
 
 use glam::{Vec3, Vec4};
 
-use super::environment::Environment;
+use super::env_map::EnvMap;
 use super::linear_image::luminance;
 use super::trigonometry::{sin_cos_turns, turns_of};
 
@@ -19,7 +19,7 @@ const MIN_SINE: f32 = 1e-6;
 
 /// Light that comes from a direction.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Incident {
+pub(super) struct EnvSample {
     /// Unit vector towards the light.
     pub(super) direction: Vec3,
     pub(super) radiance: Vec3,
@@ -27,7 +27,7 @@ pub(super) struct Incident {
     pub(super) pdf: f32,
 }
 
-impl Incident {
+impl EnvSample {
     /// No direction.
     pub(super) const NONE: Self = Self {
         direction: Vec3::ZERO,
@@ -66,7 +66,7 @@ impl Texel {
 
     /// Red, green, blue and luminance.
     #[inline(always)]
-    fn light(self) -> Vec4 {
+    fn decode(self) -> Vec4 {
         let unit = f32::from_bits(((self.0 >> (3 * Self::BITS)) as u32) << 23);
         let r = (self.0 & Self::MASK) as i32 as f32;
         let g = (self.0 >> Self::BITS & Self::MASK) as i32 as f32;
@@ -75,9 +75,9 @@ impl Texel {
     }
 }
 
-/// Cumulative sums of many distributions with the same number of entries.
+/// CdfTable sums of many distributions with the same number of entries.
 #[derive(Debug)]
-struct Cumulative {
+struct CdfTable {
     entries: usize,
     /// `entries + 1` sums from 0 to 1 each.
     sums: Vec<f32>,
@@ -85,9 +85,9 @@ struct Cumulative {
     guide: Vec<u16>,
 }
 
-/// Dome of light.
+/// EnvMapSampler of light.
 #[derive(Debug)]
-pub(super) struct Dome {
+pub(super) struct EnvMapSampler {
     width: usize,
     height: usize,
     /// Row by row.
@@ -96,24 +96,24 @@ pub(super) struct Dome {
     /// texel centres.
     sines: Vec<f32>,
     /// Of the rows of patches.
-    rows: Cumulative,
+    rows: CdfTable,
     /// Of the groups of patches in each row.
-    groups: Cumulative,
+    groups: CdfTable,
     /// 1 / integral of the density over the unit square; 0 for darkness.
     inverse_total: f32,
     /// Rotation in turns.
-    turn: f32,
+    rotation_turns: f32,
 }
 
-/// Place in a patch.
-struct Place {
+/// PatchPoint in a patch.
+struct PatchPoint {
     row: usize,
     column: usize,
     fx: f32,
     fy: f32,
 }
 
-impl Cumulative {
+impl CdfTable {
     fn new(entries: usize, distributions: usize) -> Self {
         Self {
             entries,
@@ -180,35 +180,35 @@ fn lerp(a: f32, b: f32, t: f32) -> f32 {
     a + (b - a) * t
 }
 
-impl Dome {
-    /// Prepares a valid environment.
-    pub(super) fn new(environment: &Environment) -> Self {
-        let (width, height) = (environment.map.width, environment.map.height);
+impl EnvMapSampler {
+    /// Prepares a valid env_map.
+    pub(super) fn new(env_map: &EnvMap) -> Self {
+        let (width, height) = (env_map.map.width, env_map.map.height);
         let texel = |p: &[f32; 3]| {
             // Light that is too bright for the format of the texels is as bright as it can be.
-            Texel::new(p.map(|v| (v * environment.intensity).min(1e30)))
+            Texel::new(p.map(|v| (v * env_map.intensity).min(1e30)))
         };
         let edge = |e: usize| (e as f64 - 0.5).clamp(0.0, height as f64) / height as f64;
         let sines: Vec<f32> = (0..height + 2)
             .map(|e| (std::f64::consts::PI * edge(e)).sin() as f32)
             .collect();
-        let mut dome = Self {
+        let mut sampler = Self {
             width,
             height,
-            texels: environment.map.pixels.iter().map(texel).collect(),
+            texels: env_map.map.pixels.iter().map(texel).collect(),
             sines,
-            rows: Cumulative::new(height + 1, 1),
-            groups: Cumulative::new(0, 0),
+            rows: CdfTable::new(height + 1, 1),
+            groups: CdfTable::new(0, 0),
             inverse_total: 0.0,
-            turn: (environment.rotation_rad / (2.0 * PI)).rem_euclid(1.0),
+            rotation_turns: (env_map.rotation_rad / (2.0 * PI)).rem_euclid(1.0),
         };
         let group_count = width.div_ceil(GROUP);
-        let mut groups = Cumulative::new(group_count, height + 1);
+        let mut groups = CdfTable::new(group_count, height + 1);
         let mut masses = Vec::with_capacity(height + 1);
         for row in 0..=height {
             let weight = |column: usize| {
-                let [a, b, c, d] = dome.corners(row, column).map(|t| f64::from(t.w));
-                let [top, bottom] = [row, row + 1].map(|e| f64::from(dome.sines[e]));
+                let [a, b, c, d] = sampler.corners(row, column).map(|t| f64::from(t.w));
+                let [top, bottom] = [row, row + 1].map(|e| f64::from(sampler.sines[e]));
                 0.25 * (top * (a + b) + bottom * (c + d))
             };
             let group = |g: usize| (g * GROUP..width.min((g + 1) * GROUP)).map(weight).sum();
@@ -216,12 +216,12 @@ impl Dome {
             let mass = groups.push(weights.into_iter());
             masses.push(mass * (edge(row + 1) - edge(row)) / width as f64);
         }
-        dome.groups = groups;
-        let total = dome.rows.push(masses.iter().copied());
+        sampler.groups = groups;
+        let total = sampler.rows.push(masses.iter().copied());
         if total > 0.0 {
-            dome.inverse_total = (1.0 / total) as f32;
+            sampler.inverse_total = (1.0 / total) as f32;
         }
-        dome
+        sampler
     }
 
     /// Texels at the corners of a patch: top left, top right, bottom left, bottom right.
@@ -235,17 +235,17 @@ impl Dome {
         let top = row.saturating_sub(1) * self.width;
         let bottom = row.min(self.height - 1) * self.width;
         [
-            self.texels[top + column].light(),
-            self.texels[top + next].light(),
-            self.texels[bottom + column].light(),
-            self.texels[bottom + next].light(),
+            self.texels[top + column].decode(),
+            self.texels[top + next].decode(),
+            self.texels[bottom + column].decode(),
+            self.texels[bottom + next].decode(),
         ]
     }
 
     /// Chooses a patch of a group in proportion to its weight: its column, what is left of the
     /// number, and its corners.
     #[inline(always)]
-    fn choose(&self, row: usize, group: usize, u: f32) -> (usize, f32, [Vec4; 4]) {
+    fn select_patch(&self, row: usize, group: usize, u: f32) -> (usize, f32, [Vec4; 4]) {
         let first = group * GROUP;
         let count = GROUP.min(self.width - first);
         let top = row.saturating_sub(1) * self.width;
@@ -259,8 +259,8 @@ impl Dome {
         for k in 0..=count {
             let column = first + k;
             let column = if column == self.width { 0 } else { column };
-            above[k] = self.texels[top + column].light();
-            below[k] = self.texels[bottom + column].light();
+            above[k] = self.texels[top + column].decode();
+            below[k] = self.texels[bottom + column].decode();
             if k > 0 {
                 let weight = sine_top * (above[k - 1].w + above[k].w)
                     + sine_bottom * (below[k - 1].w + below[k].w);
@@ -283,21 +283,21 @@ impl Dome {
         (first + k, rest.clamp(0.0, 1.0), corners)
     }
 
-    /// Radiance and density at a place in the patch with these corners.
+    /// Radiance and density at a point in the patch with these corners.
     #[inline(always)]
-    fn light_at(&self, place: &Place, corners: &[Vec4; 4], direction: Vec3) -> Incident {
+    fn eval_patch(&self, point: &PatchPoint, corners: &[Vec4; 4], direction: Vec3) -> EnvSample {
         let [a, b, c, d] = *corners;
-        let top = a + (b - a) * place.fx;
-        let bottom = c + (d - c) * place.fx;
-        let radiance = top + (bottom - top) * place.fy;
+        let top = a + (b - a) * point.fx;
+        let bottom = c + (d - c) * point.fx;
+        let radiance = top + (bottom - top) * point.fy;
         let density = lerp(
-            self.sines[place.row] * top.w,
-            self.sines[place.row + 1] * bottom.w,
-            place.fy,
+            self.sines[point.row] * top.w,
+            self.sines[point.row + 1] * bottom.w,
+            point.fy,
         );
         let flat = direction.x * direction.x + direction.y * direction.y;
         let sine = flat.sqrt().max(MIN_SINE);
-        Incident {
+        EnvSample {
             direction,
             radiance: radiance.truncate(),
             pdf: density * self.inverse_total / (2.0 * PI * PI * sine),
@@ -306,9 +306,9 @@ impl Dome {
 
     /// Light from a direction (unit vector), with the density at which it is sampled.
     #[inline(always)]
-    pub(super) fn light_from(&self, direction: Vec3) -> Incident {
+    pub(super) fn eval(&self, direction: Vec3) -> EnvSample {
         let azimuth = turns_of(direction.y, direction.x);
-        let u = 0.5 - azimuth + self.turn;
+        let u = 0.5 - azimuth + self.rotation_turns;
         let flat = (direction.x * direction.x + direction.y * direction.y).sqrt();
         let v = 2.0 * turns_of(flat, direction.z);
         let x = (u - u.floor()) * self.width as f32 - 0.5;
@@ -328,21 +328,21 @@ impl Dome {
         } else {
             fy
         };
-        let place = Place {
+        let point = PatchPoint {
             row,
             column: column.min(self.width - 1),
             fx: x - low,
             fy: fy.clamp(0.0, 1.0),
         };
-        self.light_at(&place, &self.corners(place.row, place.column), direction)
+        self.eval_patch(&point, &self.corners(point.row, point.column), direction)
     }
 
     /// Direction in proportion to luminance, from two numbers in [0, 1).
     #[inline(always)]
-    pub(super) fn sample(&self, [u1, u2]: [f32; 2]) -> Incident {
+    pub(super) fn sample(&self, [u1, u2]: [f32; 2]) -> EnvSample {
         let (row, u1) = self.rows.invert(0, u1);
         let (group, u2) = self.groups.invert(row, u2);
-        let (column, u2, corners) = self.choose(row, group, u2);
+        let (column, u2, corners) = self.select_patch(row, group, u2);
         let [a, b, c, d] = [corners[0].w, corners[1].w, corners[2].w, corners[3].w];
         let [top, bottom] = [self.sines[row], self.sines[row + 1]];
         let fy = invert_linear(top * (a + b), bottom * (c + d), u1);
@@ -358,20 +358,20 @@ impl Dome {
         };
         let u = (column as f32 + 0.5 + fx) / self.width as f32;
         let v = (y - 0.5) / self.height as f32;
-        let azimuth = 0.5 - u + self.turn;
+        let azimuth = 0.5 - u + self.rotation_turns;
         let (sin_azimuth, cos_azimuth) = sin_cos_turns(azimuth - azimuth.floor());
         let (sin_polar, cos_polar) = sin_cos_turns(0.5 * v);
         let direction = Vec3::new(sin_polar * cos_azimuth, sin_polar * sin_azimuth, cos_polar);
-        let place = Place {
+        let point = PatchPoint {
             row,
             column,
             fx,
             fy,
         };
-        self.light_at(&place, &corners, direction)
+        self.eval_patch(&point, &corners, direction)
     }
 }
 
 #[cfg(test)]
-#[path = "dome_test.rs"]
+#[path = "env_map_sampler_test.rs"]
 mod tests;

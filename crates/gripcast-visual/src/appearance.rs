@@ -53,7 +53,7 @@ impl FinishClass {
 /// What is drawn on the surface.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
-pub enum PatternWord {
+pub enum SurfacePattern {
     /// One colour.
     Plain,
     /// Lines of wood.
@@ -86,7 +86,7 @@ pub enum PatternWord {
     Printed,
 }
 
-impl PatternWord {
+impl SurfacePattern {
     /// All of them.
     pub const ALL: [Self; 15] = [
         Self::Plain,
@@ -110,7 +110,7 @@ impl PatternWord {
 /// Surface of a whole object, as [`Model::coated`](super::Model::coated) draws it.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct Look {
+pub struct Appearance {
     /// How it reflects light.
     pub finish: FinishClass,
     /// Main colour, linear RGB in [0, 1]; of glass what passes through a body.
@@ -118,10 +118,10 @@ pub struct Look {
     /// 0 mirror to 1 dull.
     pub roughness: f32,
     /// What is drawn on it.
-    pub pattern: PatternWord,
+    pub pattern: SurfacePattern,
 }
 
-impl Look {
+impl Appearance {
     /// Checks the ranges of the numbers.
     ///
     /// # Errors
@@ -129,17 +129,17 @@ impl Look {
     pub fn validate(&self) -> Result<()> {
         let checked = in_range("base_colour", &self.base_colour, 0.0..=1.0)
             .and_then(|()| in_range("roughness", &[self.roughness], 0.0..=1.0));
-        checked.map_err(|e| e.at("look"))
+        checked.map_err(|e| e.at("appearance"))
     }
 
     /// Whether its surface is damaged all over.
     pub(super) fn is_worn(&self) -> bool {
-        use PatternWord::{Cracked, Rusty, Scratched, Worn};
+        use SurfacePattern::{Cracked, Rusty, Scratched, Worn};
         matches!(self.pattern, Scratched | Worn | Rusty | Cracked)
     }
 
     /// Whether it is a print, with colours beside the base colour.
     pub(super) fn is_print(&self) -> bool {
-        self.finish == FinishClass::Print || self.pattern == PatternWord::Printed
+        self.finish == FinishClass::Print || self.pattern == SurfacePattern::Printed
     }
 }

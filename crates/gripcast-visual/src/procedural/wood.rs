@@ -2,8 +2,8 @@
 
 use std::f32::consts::TAU;
 
-use super::noise::{Fractal, Value, mix, mix_color, smoothstep};
-use super::{PaintedSurface, paint_by_place, scaled, srgb};
+use super::noise::{FractalNoise, ValueNoise, mix, mix_colour, smoothstep};
+use super::{GeneratedTexture, scaled, srgb, texture_from_fn};
 use gripcast_base::random::{SeedStream, lattice};
 
 /// Light and dark wood of a year: beech, oak, pine, cherry, walnut, wenge, bleached ash.
@@ -18,11 +18,11 @@ const SPECIES: [[u32; 2]; 7] = [
 ];
 
 /// What wood is sawn into boards; they lie along x.
-pub(super) struct Timber {
+pub(super) struct Wood {
     /// Light and dark wood of a year.
     pub(super) early: [f32; 3],
     pub(super) late: [f32; 3],
-    /// Boards in the unit square.
+    /// WoodTexture in the unit square.
     pub(super) boards: u32,
     /// Years across a board.
     pub(super) rings: f32,
@@ -32,10 +32,10 @@ pub(super) struct Timber {
     pub(super) seed: u64,
 }
 
-pub(super) fn paint(size_px: u32, stream: &mut SeedStream) -> PaintedSurface {
+pub(super) fn paint(size_px: u32, stream: &mut SeedStream) -> GeneratedTexture {
     let [early, late] = stream.pick(SPECIES).map(srgb);
     let boards = stream.pick([1_u32, 1, 3, 4, 6]);
-    let wood = Boards::sawn(Timber {
+    let wood = WoodTexture::new(Wood {
         early,
         late,
         boards,
@@ -45,56 +45,56 @@ pub(super) fn paint(size_px: u32, stream: &mut SeedStream) -> PaintedSurface {
         lightness: stream.between(0.85, 1.1) as f32,
         seed: stream.bits(),
     });
-    PaintedSurface::new(
-        paint_by_place(size_px, |x, y| wood.color(x, y)),
+    GeneratedTexture::new(
+        texture_from_fn(size_px, |x, y| wood.colour(x, y)),
         0.6,
         stream.between(0.3, 0.65),
         0.0,
     )
 }
 
-/// Boards of one timber.
-pub(super) struct Boards {
-    timber: Timber,
+/// WoodTexture of one wood.
+pub(super) struct WoodTexture {
+    wood: Wood,
     boards: Vec<Board>,
 }
 
 struct Board {
     seed: u64,
     tone: f32,
-    warp: Fractal,
-    fibre: Fractal,
-    pores: Value,
-    faint: Fractal,
+    warp: FractalNoise,
+    fibre: FractalNoise,
+    pores: ValueNoise,
+    faint: FractalNoise,
 }
 
-impl Boards {
-    pub(super) fn sawn(timber: Timber) -> Self {
+impl WoodTexture {
+    pub(super) fn new(wood: Wood) -> Self {
         let board = |number: u32| {
-            let own = timber.seed.wrapping_add(u64::from(number) * 977);
+            let own = wood.seed.wrapping_add(u64::from(number) * 977);
             Board {
                 seed: own,
-                tone: timber.lightness * mix(0.92, 1.08, lattice(own, 1, 2, 3)),
-                warp: Fractal::new(own, [2, 3 * timber.boards], 3),
-                fibre: Fractal::new(own ^ 0x5bd1, [6, 160], 2),
-                pores: Value::new(own ^ 0x77, [24, 300]),
-                faint: Fractal::new(own ^ 0x2b, [3, 2 * timber.boards], 2),
+                tone: wood.lightness * mix(0.92, 1.08, lattice(own, 1, 2, 3)),
+                warp: FractalNoise::new(own, [2, 3 * wood.boards], 3),
+                fibre: FractalNoise::new(own ^ 0x5bd1, [6, 160], 2),
+                pores: ValueNoise::new(own ^ 0x77, [24, 300]),
+                faint: FractalNoise::new(own ^ 0x2b, [3, 2 * wood.boards], 2),
             }
         };
         Self {
-            boards: (0..timber.boards.max(1)).map(board).collect(),
-            timber,
+            boards: (0..wood.boards.max(1)).map(board).collect(),
+            wood,
         }
     }
 
-    pub(super) fn color(&self, x: f32, y: f32) -> [f32; 3] {
-        let Timber {
+    pub(super) fn colour(&self, x: f32, y: f32) -> [f32; 3] {
+        let Wood {
             early,
             late,
             rings,
             wave,
             ..
-        } = self.timber;
+        } = self.wood;
         let count = self.boards.len();
         let number = ((y * count as f32) as usize).min(count - 1);
         let board = &self.boards[number];
@@ -113,7 +113,7 @@ impl Boards {
         let pore = smoothstep(0.78, 0.92, board.pores.at(x, y));
         let tone = board.tone * mix(0.86, 1.1, fibre) * (1.0 - 0.25 * pore);
         let faint = mix(0.35, 0.8, board.faint.at(x, y));
-        let wood = scaled(mix_color(early, late, faint * is_late), tone);
+        let wood = scaled(mix_colour(early, late, faint * is_late), tone);
         scaled(wood, 1.0 - 0.65 * joint(x, across, count, board.seed))
     }
 }

@@ -1,68 +1,68 @@
 //! Colours that go with a base colour; all linear RGB.
 
-use super::super::noise::{mix, mix_color};
-use super::super::random_color;
+use super::super::noise::{mix, mix_colour};
+use super::super::random_colour;
 use crate::linear_image::luminance;
 use gripcast_base::random::SeedStream;
 
 /// Largest reflectance that is painted: that of bright white paint.
-pub(super) const BRIGHTEST: f32 = 0.95;
+pub(super) const MAX_REFLECTANCE: f32 = 0.95;
 /// Luminance of middle grey.
 const MIDDLE: f32 = 0.18;
 
 /// A colour with each channel times its own factor.
-pub(super) fn tinted(color: [f32; 3], factors: [f32; 3]) -> [f32; 3] {
-    std::array::from_fn(|c| color[c] * factors[c])
+pub(super) fn tinted(colour: [f32; 3], factors: [f32; 3]) -> [f32; 3] {
+    std::array::from_fn(|c| colour[c] * factors[c])
 }
 
 /// The grey of a colour's luminance.
-pub(super) fn grey_of(color: [f32; 3]) -> [f32; 3] {
-    [luminance(color); 3]
+pub(super) fn grey_of(colour: [f32; 3]) -> [f32; 3] {
+    [luminance(colour); 3]
 }
 
 /// Hue and saturation of a colour with another luminance; paler where it would be too bright.
-pub(super) fn with_luminance(color: [f32; 3], wanted: f32) -> [f32; 3] {
-    let own = luminance(color);
-    let wanted = wanted.min(BRIGHTEST);
+pub(super) fn with_luminance(colour: [f32; 3], wanted: f32) -> [f32; 3] {
+    let own = luminance(colour);
+    let wanted = wanted.min(MAX_REFLECTANCE);
     if own < 1e-4 {
         return [wanted; 3];
     }
-    let lit = color.map(|c| c * wanted / own);
+    let lit = colour.map(|c| c * wanted / own);
     let largest = lit.into_iter().fold(0.0, f32::max);
-    if largest <= BRIGHTEST {
+    if largest <= MAX_REFLECTANCE {
         return lit;
     }
-    let grey = (largest - BRIGHTEST) / (largest - wanted).max(1e-6);
-    mix_color(lit, [wanted; 3], grey.min(1.0))
+    let grey = (largest - MAX_REFLECTANCE) / (largest - wanted).max(1e-6);
+    mix_colour(lit, [wanted; 3], grey.min(1.0))
 }
 
 /// A colour turned about the grey axis, rad.
-pub(super) fn hue_turned(color: [f32; 3], angle: f32) -> [f32; 3] {
+pub(super) fn rotate_hue(colour: [f32; 3], angle: f32) -> [f32; 3] {
     let (sin, cos) = angle.sin_cos();
-    let mean = (color[0] + color[1] + color[2]) / 3.0;
+    let mean = (colour[0] + colour[1] + colour[2]) / 3.0;
     let turned: [f32; 3] = std::array::from_fn(|c| {
-        let across = (color[(c + 2) % 3] - color[(c + 1) % 3]) / 3f32.sqrt();
-        (mean + cos * (color[c] - mean) + sin * across).max(0.0)
+        let across = (colour[(c + 2) % 3] - colour[(c + 1) % 3]) / 3f32.sqrt();
+        (mean + cos * (colour[c] - mean) + sin * across).max(0.0)
     });
-    with_luminance(turned, luminance(color))
+    with_luminance(turned, luminance(colour))
 }
 
 /// Whether a colour has no hue to speak of.
-fn is_grey(color: [f32; 3]) -> bool {
-    let largest = color.into_iter().fold(0.0, f32::max);
-    let least = color.into_iter().fold(f32::MAX, f32::min);
+fn is_grey(colour: [f32; 3]) -> bool {
+    let largest = colour.into_iter().fold(0.0, f32::max);
+    let least = colour.into_iter().fold(f32::MAX, f32::min);
     largest - least < 0.25 * largest
 }
 
 /// A second colour beside the base: of a neighbouring or the opposite hue, darker than a light
 /// base and lighter than a dark one.
 pub(super) fn accent(base: [f32; 3], stream: &mut SeedStream) -> [f32; 3] {
-    let random = random_color(stream, [0.5, 0.95], [0.4, 0.95]);
+    let random = random_colour(stream, [0.5, 0.95], [0.4, 0.95]);
     let angle = stream.pick([0.0_f32, 0.5, -0.5, 2.6, 3.1, -2.6]);
     let hue = if is_grey(base) {
         random
     } else {
-        hue_turned(base, angle)
+        rotate_hue(base, angle)
     };
     with_luminance(hue, contrasting(base, stream))
 }
@@ -87,12 +87,12 @@ pub(super) fn legible(base: [f32; 3]) -> [f32; 3] {
 }
 
 /// A colour drawn towards dust or bare fibre: paler and lighter.
-pub(super) fn faded(color: [f32; 3], fraction: f32) -> [f32; 3] {
-    let own = luminance(color);
+pub(super) fn faded(colour: [f32; 3], fraction: f32) -> [f32; 3] {
+    let own = luminance(colour);
     let lighter = mix(own, 0.55, 0.35).max(own);
-    mix_color(
-        color,
-        mix_color(with_luminance(color, lighter), [lighter; 3], 0.6),
+    mix_colour(
+        colour,
+        mix_colour(with_luminance(colour, lighter), [lighter; 3], 0.6),
         fraction,
     )
 }

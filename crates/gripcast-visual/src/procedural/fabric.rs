@@ -2,27 +2,27 @@
 
 use std::f32::consts::PI;
 
-use super::noise::{Fractal, mix};
-use super::{PaintedSurface, paint_by_place, random_color, scaled};
+use super::noise::{FractalNoise, mix};
+use super::{GeneratedTexture, random_colour, scaled, texture_from_fn};
 use gripcast_base::random::{SeedStream, lattice};
 
 /// Threads along each side of a tile.
 const THREADS: u32 = 96;
 
-pub(super) fn paint(size_px: u32, stream: &mut SeedStream) -> PaintedSurface {
-    let warp = random_color(stream, [0.05, 0.7], [0.25, 0.9]);
+pub(super) fn paint(size_px: u32, stream: &mut SeedStream) -> GeneratedTexture {
+    let warp = random_colour(stream, [0.05, 0.7], [0.25, 0.9]);
     let weft = if stream.uniform() < 0.5 {
         scaled(warp, stream.between(0.6, 1.1) as f32)
     } else {
-        random_color(stream, [0.05, 0.7], [0.25, 0.9])
+        random_colour(stream, [0.05, 0.7], [0.25, 0.9])
     };
     let weave = Weave::random(THREADS, stream);
-    let image = paint_by_place(size_px, |x, y| {
+    let image = texture_from_fn(size_px, |x, y| {
         let thread = weave.thread(x, y);
         let base = if thread.is_warp { warp } else { weft };
         base.map(|c| (c * thread.shade).min(0.9))
     });
-    PaintedSurface::new(
+    GeneratedTexture::new(
         image,
         stream.between(0.06, 0.14),
         stream.between(0.8, 0.95),
@@ -37,7 +37,7 @@ pub(super) struct Weave {
     /// 2: plain weave; 3, 4: twill, whose floats shift by one thread a row.
     repeat: i64,
     seed: u64,
-    wear: Fractal,
+    wear: FractalNoise,
 }
 
 /// The thread on top at a place.
@@ -56,7 +56,7 @@ impl Weave {
             threads,
             repeat,
             seed,
-            wear: Fractal::new(seed ^ 0x3c, [4, 4], 3),
+            wear: FractalNoise::new(seed ^ 0x3c, [4, 4], 3),
         }
     }
 

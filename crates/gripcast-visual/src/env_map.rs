@@ -1,4 +1,4 @@
-//! Dome of light around the scene.
+//! EnvMapSampler of light around the scene.
 
 use super::linear_image::Image;
 use gripcast_base::error::{Error, Result};
@@ -10,7 +10,7 @@ use gripcast_base::error::{Error, Result};
 /// (towards −y), so that the image appears as it was taken. Pixel centres are at (i + ½)/n;
 /// between them radiance is interpolated bilinearly.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Environment {
+pub struct EnvMap {
     /// Radiance, linear RGB; usually twice as wide as high.
     pub map: Image,
     /// Turns the dome about the world's z, counter-clockwise seen from above, rad.
@@ -19,8 +19,8 @@ pub struct Environment {
     pub intensity: f32,
 }
 
-impl Environment {
-    /// Dome from a latitude-longitude image, not turned, intensity 1.
+impl EnvMap {
+    /// EnvMapSampler from a latitude-longitude image, not turned, intensity 1.
     pub fn new(map: Image) -> Self {
         Self {
             map,

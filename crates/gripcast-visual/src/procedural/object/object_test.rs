@@ -3,8 +3,8 @@ use super::*;
 use crate::linear_image::LUMINANCE;
 use gripcast_imaging::srgb_decode;
 
-fn look(finish: Finish, pattern: Word, base_colour: [f32; 3]) -> Look {
-    Look {
+fn appearance(finish: Finish, pattern: Pattern, base_colour: [f32; 3]) -> Appearance {
+    Appearance {
         finish,
         base_colour,
         roughness: 0.3,
@@ -12,8 +12,8 @@ fn look(finish: Finish, pattern: Word, base_colour: [f32; 3]) -> Look {
     }
 }
 
-fn all() -> impl Iterator<Item = (Finish, Word)> {
-    let words = |finish| Word::ALL.into_iter().map(move |word| (finish, word));
+fn all() -> impl Iterator<Item = (Finish, Pattern)> {
+    let words = |finish| Pattern::ALL.into_iter().map(move |word| (finish, word));
     Finish::ALL.into_iter().flat_map(words)
 }
 
@@ -39,12 +39,16 @@ const YELLOW: [f32; 3] = [0.745, 0.479, 0.0137];
 #[test]
 fn coats_are_fixed_by_their_seed_and_tile() {
     for (finish, word) in all() {
-        let look = look(finish, word, OAK);
-        let coat = paint(&look, 64, 5);
-        assert_eq!(coat, paint(&look, 64, 5), "{look:?}");
-        assert_ne!(coat.image, paint(&look, 64, 6).image, "{look:?}");
-        assert!(coat.tile_m > 0.0 && (0.0..=1.0).contains(&coat.roughness));
-        closes(&coat.image, &format!("{look:?}"));
+        let appearance = appearance(finish, word, OAK);
+        let object = paint(&appearance, 64, 5);
+        assert_eq!(object, paint(&appearance, 64, 5), "{appearance:?}");
+        assert_ne!(
+            object.image,
+            paint(&appearance, 64, 6).image,
+            "{appearance:?}"
+        );
+        assert!(object.tile_m > 0.0 && (0.0..=1.0).contains(&object.roughness));
+        closes(&object.image, &format!("{appearance:?}"));
     }
 }
 
@@ -53,9 +57,9 @@ fn one_thread_paints_what_many_do() {
     let pool = rayon::ThreadPoolBuilder::new().num_threads(1).build();
     let one = pool.unwrap();
     for (finish, word) in all().step_by(7) {
-        let look = look(finish, word, BLUE);
-        let alone = one.install(|| paint(&look, 48, 9));
-        assert_eq!(alone, paint(&look, 48, 9), "{look:?}");
+        let appearance = appearance(finish, word, BLUE);
+        let alone = one.install(|| paint(&appearance, 48, 9));
+        assert_eq!(alone, paint(&appearance, 48, 9), "{appearance:?}");
     }
 }
 
@@ -63,13 +67,13 @@ fn one_thread_paints_what_many_do() {
 fn the_base_colour_is_the_mean() {
     for (finish, word) in all() {
         for (seed, base) in [OAK, WHITE, BLACK, BLUE, YELLOW].into_iter().enumerate() {
-            let look = look(finish, word, base);
-            let image = paint(&look, 64, seed as u64).image;
+            let appearance = appearance(finish, word, base);
+            let image = paint(&appearance, 64, seed as u64).image;
             let ratio = mean_luminance(&image) / luminance(base);
-            if look.is_print() || word == Word::Rusty {
+            if appearance.is_print() || word == Pattern::Rusty {
                 assert!(image.pixels().any(|p| p != image.get_pixel(0, 0)));
             } else {
-                assert!((0.85..=1.15).contains(&ratio), "{look:?}: {ratio}");
+                assert!((0.85..=1.15).contains(&ratio), "{appearance:?}: {ratio}");
             }
         }
     }
@@ -79,7 +83,7 @@ fn the_base_colour_is_the_mean() {
 fn patterns_of_one_finish_differ() {
     for finish in Finish::ALL {
         let contrast = |word| {
-            let image = paint(&look(finish, word, BLUE), 64, 3).image;
+            let image = paint(&appearance(finish, word, BLUE), 64, 3).image;
             let mean = mean_luminance(&image);
             let levels = image.pixels().map(|p| {
                 let parts = p.0.iter().zip(LUMINANCE);
@@ -87,8 +91,13 @@ fn patterns_of_one_finish_differ() {
             });
             (levels.map(|v| v * v).sum::<f32>() / (64.0 * 64.0)).sqrt()
         };
-        for word in [Word::Striped, Word::Dotted, Word::Scratched, Word::Rusty] {
-            let (marked, plain) = (contrast(word), contrast(Word::Plain));
+        for word in [
+            Pattern::Striped,
+            Pattern::Dotted,
+            Pattern::Scratched,
+            Pattern::Rusty,
+        ] {
+            let (marked, plain) = (contrast(word), contrast(Pattern::Plain));
             let wanted = if finish == Finish::Print { 0.3 } else { plain };
             assert!(marked > wanted, "{finish:?} {word:?}: {marked} {plain}");
         }
@@ -98,9 +107,9 @@ fn patterns_of_one_finish_differ() {
 #[test]
 fn black_and_white_can_be_painted() {
     for (finish, word) in all() {
-        let black = paint(&look(finish, word, [0.0; 3]), 16, 1);
-        let white = paint(&look(finish, word, [1.0; 3]), 16, 1);
-        if !look(finish, word, [0.0; 3]).is_print() && word != Word::Rusty {
+        let black = paint(&appearance(finish, word, [0.0; 3]), 16, 1);
+        let white = paint(&appearance(finish, word, [1.0; 3]), 16, 1);
+        if !appearance(finish, word, [0.0; 3]).is_print() && word != Pattern::Rusty {
             assert!(mean_luminance(&white.image) > 0.8, "{finish:?} {word:?}");
         }
         assert_eq!(black.image.dimensions(), (16, 16));
@@ -109,17 +118,17 @@ fn black_and_white_can_be_painted() {
 
 #[test]
 fn metals_are_metallic_and_wear_is_dull() {
-    for word in Word::ALL {
-        let metal = paint(&look(Finish::Metal, word, WHITE), 16, 1);
-        assert_eq!(metal.metallic == 1.0, word != Word::Rusty, "{word:?}");
+    for word in Pattern::ALL {
+        let metal = paint(&appearance(Finish::Metal, word, WHITE), 16, 1);
+        assert_eq!(metal.metallic == 1.0, word != Pattern::Rusty, "{word:?}");
         assert_eq!(
-            paint(&look(Finish::Paper, word, WHITE), 16, 1).metallic,
+            paint(&appearance(Finish::Paper, word, WHITE), 16, 1).metallic,
             0.0
         );
     }
-    let rusty = Look {
+    let rusty = Appearance {
         roughness: 0.1,
-        ..look(Finish::Metal, Word::Rusty, WHITE)
+        ..appearance(Finish::Metal, Pattern::Rusty, WHITE)
     };
     assert!(paint(&rusty, 16, 1).roughness > 0.4);
 }

@@ -1,7 +1,7 @@
 //! Even surfaces: brushed metal, glaze, plastic.
 
-use super::noise::{Cells, Fractal, Value, mix, mix_color, smoothstep};
-use super::{PaintedSurface, paint_by_place, random_color, scaled, srgb};
+use super::noise::{FractalNoise, ValueNoise, WorleyNoise, mix, mix_colour, smoothstep};
+use super::{GeneratedTexture, random_colour, scaled, srgb, texture_from_fn};
 use gripcast_base::random::{SeedStream, lattice};
 
 /// Aluminium, steel, brass, bronze, dark anodised: reflectance at normal incidence, sRGB.
@@ -11,11 +11,11 @@ const GLAZES: [u32; 7] = [
     0xf0efea, 0xe8dfc9, 0xb7cbb4, 0xa9c4d8, 0x34508f, 0xb5603c, 0x4c5358,
 ];
 
-pub(super) fn brushed_metal(size_px: u32, stream: &mut SeedStream) -> PaintedSurface {
+pub(super) fn brushed_metal(size_px: u32, stream: &mut SeedStream) -> GeneratedTexture {
     let base = srgb(stream.pick(METALS));
     let streaks = Streaks::random(stream);
-    PaintedSurface::new(
-        paint_by_place(size_px, |x, y| scaled(base, streaks.shade(x, y))),
+    GeneratedTexture::new(
+        texture_from_fn(size_px, |x, y| scaled(base, streaks.shade(x, y))),
         0.1,
         stream.between(0.25, 0.45),
         1.0,
@@ -25,8 +25,8 @@ pub(super) fn brushed_metal(size_px: u32, stream: &mut SeedStream) -> PaintedSur
 /// Fine lines along x.
 pub(super) struct Streaks {
     depth: f32,
-    coarse: Fractal,
-    fine: Value,
+    coarse: FractalNoise,
+    fine: ValueNoise,
 }
 
 impl Streaks {
@@ -35,8 +35,8 @@ impl Streaks {
         let seed = stream.bits();
         Self {
             depth,
-            coarse: Fractal::new(seed, [3, 128], 2),
-            fine: Value::new(seed ^ 0x1f, [8, 512]),
+            coarse: FractalNoise::new(seed, [3, 128], 2),
+            fine: ValueNoise::new(seed ^ 0x1f, [8, 512]),
         }
     }
 
@@ -47,28 +47,28 @@ impl Streaks {
     }
 }
 
-pub(super) fn ceramic(size_px: u32, stream: &mut SeedStream) -> PaintedSurface {
+pub(super) fn ceramic(size_px: u32, stream: &mut SeedStream) -> GeneratedTexture {
     let base = srgb(stream.pick(GLAZES));
     let speck = srgb(stream.pick([0x5a4a3a, 0x2d3140, 0x8a7a66]));
     let is_speckled = stream.uniform() < 0.5;
     let seed = stream.bits();
     let (glaze, specks) = (Glaze::new(seed), Specks::new(seed ^ 0x51, 40));
-    let image = paint_by_place(size_px, |x, y| {
+    let image = texture_from_fn(size_px, |x, y| {
         let mottled = scaled(base, glaze.shade(x, y));
         if !is_speckled {
             return mottled;
         }
-        mix_color(mottled, speck, 0.8 * specks.cover(x, y))
+        mix_colour(mottled, speck, 0.8 * specks.cover(x, y))
     });
-    PaintedSurface::new(image, 0.12, stream.between(0.06, 0.22), 0.0)
+    GeneratedTexture::new(image, 0.12, stream.between(0.06, 0.22), 0.0)
 }
 
 /// A layer whose thickness varies a little.
-pub(super) struct Glaze(Fractal);
+pub(super) struct Glaze(FractalNoise);
 
 impl Glaze {
     pub(super) fn new(seed: u64) -> Self {
-        Self(Fractal::new(seed, [5, 5], 4))
+        Self(FractalNoise::new(seed, [5, 5], 4))
     }
 
     /// Factor on the colour.
@@ -78,12 +78,12 @@ impl Glaze {
 }
 
 /// Scattered round specks, each of its own size.
-pub(super) struct Specks(Cells);
+pub(super) struct Specks(WorleyNoise);
 
 impl Specks {
     /// A third of `count` × `count` cells hold a speck.
     pub(super) fn new(seed: u64, count: u32) -> Self {
-        Self(Cells::new(seed, count))
+        Self(WorleyNoise::new(seed, count))
     }
 
     /// 1 on a speck, 0 beside.
@@ -98,17 +98,17 @@ impl Specks {
     }
 }
 
-pub(super) fn plastic(size_px: u32, stream: &mut SeedStream) -> PaintedSurface {
+pub(super) fn plastic(size_px: u32, stream: &mut SeedStream) -> GeneratedTexture {
     let is_coloured = stream.uniform() < 0.65;
     let base = if is_coloured {
-        random_color(stream, [0.35, 0.9], [0.35, 0.95])
+        random_colour(stream, [0.35, 0.9], [0.35, 0.95])
     } else {
         let grey = stream.between_log(0.03, 0.75) as f32;
         [grey, 0.99 * grey, 0.96 * grey]
     };
     let moulded = Moulded::new(stream.bits());
-    PaintedSurface::new(
-        paint_by_place(size_px, |x, y| scaled(base, moulded.shade(x, y))),
+    GeneratedTexture::new(
+        texture_from_fn(size_px, |x, y| scaled(base, moulded.shade(x, y))),
         0.2,
         stream.between(0.2, 0.55),
         0.0,
@@ -118,14 +118,14 @@ pub(super) fn plastic(size_px: u32, stream: &mut SeedStream) -> PaintedSurface {
 /// Moulded plastic: a fine grain on faint clouds.
 pub(super) struct Moulded {
     seed: u64,
-    cloud: Fractal,
+    cloud: FractalNoise,
 }
 
 impl Moulded {
     pub(super) fn new(seed: u64) -> Self {
         Self {
             seed,
-            cloud: Fractal::new(seed, [4, 4], 3),
+            cloud: FractalNoise::new(seed, [4, 4], 3),
         }
     }
 

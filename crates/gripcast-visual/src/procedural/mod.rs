@@ -1,11 +1,11 @@
 //! Surfaces painted from a seed: wood, stone, fabric, glaze, print and others, as images that
 //! tile.
 
-mod coat;
-mod coating;
 mod fabric;
+mod metal_glaze_plastic;
 mod mineral;
 mod noise;
+mod object;
 mod print;
 mod simple;
 mod wood;
@@ -21,12 +21,12 @@ use gripcast_base::error::{Error, Result, unknown_name};
 use gripcast_base::random::SeedStream;
 use gripcast_imaging::srgb_decode;
 
-pub(super) use coat::paint as paint_coat;
+pub(super) use object::paint as paint_object;
 
 /// Kind of a painted surface.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Pattern {
-    /// Boards or veneer of oak, beech, walnut and others.
+pub enum ProceduralTexture {
+    /// WoodTexture or veneer of oak, beech, walnut and others.
     Wood,
     /// Metal brushed in one direction.
     BrushedMetal,
@@ -50,7 +50,7 @@ pub enum Pattern {
     Noise,
 }
 
-impl Pattern {
+impl ProceduralTexture {
     /// All of them.
     pub const ALL: [Self; 11] = [
         Self::Wood,
@@ -94,14 +94,14 @@ impl Pattern {
     }
 
     /// Paints `size_px` × `size_px` pixels; the same arguments give the same bytes.
-    pub fn paint(self, size_px: u32, seed: u64) -> PaintedSurface {
+    pub fn generate(self, size_px: u32, seed: u64) -> GeneratedTexture {
         let mut stream = SeedStream::named(seed, self.name());
         match self {
             Self::Wood => wood::paint(size_px, &mut stream),
-            Self::BrushedMetal => coating::brushed_metal(size_px, &mut stream),
+            Self::BrushedMetal => metal_glaze_plastic::brushed_metal(size_px, &mut stream),
             Self::Fabric => fabric::paint(size_px, &mut stream),
-            Self::Ceramic => coating::ceramic(size_px, &mut stream),
-            Self::Plastic => coating::plastic(size_px, &mut stream),
+            Self::Ceramic => metal_glaze_plastic::ceramic(size_px, &mut stream),
+            Self::Plastic => metal_glaze_plastic::plastic(size_px, &mut stream),
             Self::Print => print::paint(size_px, &mut stream),
             Self::Stone => mineral::stone(size_px, &mut stream),
             Self::Concrete => mineral::concrete(size_px, &mut stream),
@@ -112,13 +112,13 @@ impl Pattern {
     }
 }
 
-impl fmt::Display for Pattern {
+impl fmt::Display for ProceduralTexture {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.pad(self.name())
     }
 }
 
-impl FromStr for Pattern {
+impl FromStr for ProceduralTexture {
     type Err = Error;
 
     fn from_str(text: &str) -> Result<Self> {
@@ -129,7 +129,7 @@ impl FromStr for Pattern {
 
 /// A painted surface: an image that tiles, and how it reflects.
 #[derive(Clone, Debug, PartialEq)]
-pub struct PaintedSurface {
+pub struct GeneratedTexture {
     /// Base colour, sRGB, square.
     pub image: RgbImage,
     /// Width of the image on the surface, m.
@@ -140,7 +140,7 @@ pub struct PaintedSurface {
     pub metallic: f32,
 }
 
-impl PaintedSurface {
+impl GeneratedTexture {
     fn new(image: RgbImage, tile_m: f64, roughness: f64, metallic: f32) -> Self {
         Self {
             image,
@@ -152,12 +152,12 @@ impl PaintedSurface {
 }
 
 /// Square image of a linear colour of each place in the unit square.
-fn paint_by_place(size_px: u32, color: impl Fn(f32, f32) -> [f32; 3] + Sync) -> RgbImage {
-    light_by_place(size_px, color).to_srgb8(1.0)
+fn texture_from_fn(size_px: u32, colour: impl Fn(f32, f32) -> [f32; 3] + Sync) -> RgbImage {
+    linear_from_fn(size_px, colour).to_srgb8(1.0)
 }
 
 /// The same in linear light.
-fn light_by_place(size_px: u32, color: impl Fn(f32, f32) -> [f32; 3] + Sync) -> Image {
+fn linear_from_fn(size_px: u32, colour: impl Fn(f32, f32) -> [f32; 3] + Sync) -> Image {
     let size = size_px.max(1) as usize;
     let place = |index: usize| (index as f32 + 0.5) / size as f32;
     let mut image = Image::filled(size, size, [0.0; 3]);
@@ -167,7 +167,7 @@ fn light_by_place(size_px: u32, color: impl Fn(f32, f32) -> [f32; 3] + Sync) -> 
         .enumerate()
         .for_each(|(row, pixels)| {
             for (column, pixel) in pixels.iter_mut().enumerate() {
-                *pixel = color(place(column), place(row));
+                *pixel = colour(place(column), place(row));
             }
         });
     image
@@ -179,12 +179,12 @@ fn srgb(code: u32) -> [f32; 3] {
 }
 
 /// A colour with each channel times a factor.
-fn scaled(color: [f32; 3], factor: f32) -> [f32; 3] {
-    color.map(|c| c * factor)
+fn scaled(colour: [f32; 3], factor: f32) -> [f32; 3] {
+    colour.map(|c| c * factor)
 }
 
 /// A random colour by hue, saturation and value in the given ranges, linear.
-fn random_color(stream: &mut SeedStream, saturation: [f64; 2], value: [f64; 2]) -> [f32; 3] {
+fn random_colour(stream: &mut SeedStream, saturation: [f64; 2], value: [f64; 2]) -> [f32; 3] {
     let hue = stream.between(0.0, 6.0);
     let s = stream.between(saturation[0], saturation[1]);
     let v = stream.between(value[0], value[1]);
@@ -231,10 +231,10 @@ mod tests {
 
     #[test]
     fn images_are_fixed_by_their_seed_and_tile() {
-        for pattern in Pattern::ALL {
-            let painted = pattern.paint(128, 5);
-            assert_eq!(painted, pattern.paint(128, 5), "{pattern}");
-            let other = pattern.paint(128, 6);
+        for pattern in ProceduralTexture::ALL {
+            let painted = pattern.generate(128, 5);
+            assert_eq!(painted, pattern.generate(128, 5), "{pattern}");
+            let other = pattern.generate(128, 6);
             assert_ne!(painted.image, other.image, "{pattern}");
             assert!(painted.tile_m > 0.0 && (0.0..=1.0).contains(&painted.roughness));
             closes(&painted.image, pattern.name());
@@ -243,9 +243,9 @@ mod tests {
 
     #[test]
     fn images_are_no_single_value_and_plausible_reflectances() {
-        for pattern in Pattern::ALL {
+        for pattern in ProceduralTexture::ALL {
             for seed in 0..6 {
-                let image = pattern.paint(64, seed).image;
+                let image = pattern.generate(64, seed).image;
                 let mean = image.iter().map(|v| f64::from(*v)).sum::<f64>() / image.len() as f64;
                 assert!((8.0..=246.0).contains(&mean), "{pattern} {seed}: {mean}");
                 let first = image.get_pixel(0, 0);
@@ -256,10 +256,13 @@ mod tests {
 
     #[test]
     fn names_are_read_back_and_misspelt_ones_explained() {
-        for pattern in Pattern::ALL {
-            assert_eq!(pattern.to_string().parse::<Pattern>().unwrap(), pattern);
+        for pattern in ProceduralTexture::ALL {
+            assert_eq!(
+                pattern.to_string().parse::<ProceduralTexture>().unwrap(),
+                pattern
+            );
         }
-        let text = "wod".parse::<Pattern>().unwrap_err().to_string();
+        let text = "wod".parse::<ProceduralTexture>().unwrap_err().to_string();
         assert!(
             text.contains("did you mean wood?") && text.contains("concrete"),
             "{text}"
@@ -270,8 +273,8 @@ mod tests {
     fn random_colors_stay_in_their_ranges() {
         let mut stream = SeedStream::named(1, "colors");
         for _ in 0..100 {
-            let color = random_color(&mut stream, [0.2, 0.8], [0.3, 0.9]);
-            assert!(color.iter().all(|c| (0.0..=0.9).contains(c)), "{color:?}");
+            let colour = random_colour(&mut stream, [0.2, 0.8], [0.3, 0.9]);
+            assert!(colour.iter().all(|c| (0.0..=0.9).contains(c)), "{colour:?}");
         }
     }
 }

@@ -1,7 +1,7 @@
 //! Printed carton: colour fields, a badge, lines of text, a bar code.
 
-use super::noise::{Fractal, mix, mix_color};
-use super::{PaintedSurface, paint_by_place, random_color, scaled, srgb};
+use super::noise::{FractalNoise, mix, mix_colour};
+use super::{GeneratedTexture, random_colour, scaled, srgb, texture_from_fn};
 use gripcast_base::random::{SeedStream, lattice};
 
 /// Bare paper.
@@ -30,13 +30,13 @@ pub(super) struct Label {
     /// Left, top, right, bottom.
     bars: [f32; 4],
     seed: u64,
-    paper: Fractal,
+    paper: FractalNoise,
 }
 
-pub(super) fn paint(size_px: u32, stream: &mut SeedStream) -> PaintedSurface {
+pub(super) fn paint(size_px: u32, stream: &mut SeedStream) -> GeneratedTexture {
     let label = Label::random(stream);
-    PaintedSurface::new(
-        paint_by_place(size_px, |x, y| {
+    GeneratedTexture::new(
+        texture_from_fn(size_px, |x, y| {
             scaled(label.ink(x, y, label.ground), label.paper(x, y))
         }),
         0.08,
@@ -51,7 +51,7 @@ impl Label {
         let ground = if is_white {
             srgb(0xf1efe9)
         } else {
-            random_color(stream, [0.3, 0.85], [0.6, 0.95])
+            random_colour(stream, [0.3, 0.85], [0.6, 0.95])
         };
         let top = stream.between(0.1, 0.4) as f32;
         let mut place = |low: f64, high: f64| stream.between(low, high) as f32;
@@ -67,8 +67,8 @@ impl Label {
         let bars = [0.72, place(0.72, 0.8), 0.93, 0.92];
         let inks = Inks {
             text: srgb(INK),
-            field: random_color(stream, [0.5, 0.95], [0.35, 0.95]),
-            badge: random_color(stream, [0.4, 0.95], [0.5, 1.0]),
+            field: random_colour(stream, [0.5, 0.95], [0.35, 0.95]),
+            badge: random_colour(stream, [0.4, 0.95], [0.5, 1.0]),
         };
         let band = [top, top + stream.between(0.12, 0.3) as f32];
         let seed = stream.bits();
@@ -80,7 +80,7 @@ impl Label {
             text,
             bars,
             seed,
-            paper: Fractal::new(seed, [24, 24], 3),
+            paper: FractalNoise::new(seed, [24, 24], 3),
         }
     }
 
@@ -91,26 +91,26 @@ impl Label {
 
     /// Colour on a ground of any colour, on even paper.
     pub(super) fn ink(&self, x: f32, y: f32, ground: [f32; 3]) -> [f32; 3] {
-        let mut color = ground;
+        let mut colour = ground;
         if (self.band[0]..self.band[1]).contains(&y) {
-            color = self.inks.field;
+            colour = self.inks.field;
         }
         let [cx, cy, radius] = self.disc;
         let from_centre = (x - cx).hypot(y - cy) / radius;
         if from_centre < 1.0 {
-            color = if from_centre > 0.86 {
+            colour = if from_centre > 0.86 {
                 srgb(PAPER)
             } else {
                 self.inks.badge
             };
         }
         match self.is_bar(x, y) {
-            Some(true) => color = mix_color(color, srgb(INK), 0.93),
-            _ if self.is_text(x, y) => color = mix_color(color, self.inks.text, 0.93),
-            Some(false) => color = srgb(PAPER),
+            Some(true) => colour = mix_colour(colour, srgb(INK), 0.93),
+            _ if self.is_text(x, y) => colour = mix_colour(colour, self.inks.text, 0.93),
+            Some(false) => colour = srgb(PAPER),
             None => {}
         }
-        color
+        colour
     }
 
     /// Words as dark blocks with the strokes of letters.
