@@ -1,4 +1,4 @@
-//! Shapes with the appearance of a [`Appearance`] or with an image of the user's.
+//! Models of a shape with an [`Appearance`] or with a texture image.
 
 use super::appearance::{Appearance, FinishClass};
 use super::material::{Colour, Material};
@@ -9,25 +9,25 @@ use super::texture::Bitmap;
 use gripcast_base::error::{Error, Result};
 use gripcast_geometry::{CREASE_RAD, TriangleMesh};
 
-/// Width and height of painted coats, px.
+/// Side of the generated textures, px.
 const TEXTURE_PX: u32 = 256;
-/// Index of refraction of glass, plastic, lacquer and glaze.
+/// Index of refraction of glass, plastic, varnish and glaze.
 const IOR: f32 = 1.5;
-/// Roughness of glass under scratches.
+/// Minimum roughness of worn glass.
 const WORN_GLASS: f32 = 0.12;
-/// Roughness under an image: silk-matt paint.
+/// Roughness of a surface with a user's texture: satin paint.
 const IMAGE_ROUGHNESS: f32 = 0.5;
 
 impl Model {
-    /// A shape (m) with an appearance; `seed` decides where grain, dots and wear lie. Textured
-    /// coats are projected from the six sides of the shape: prints fit it once, the others keep
-    /// the size that they have on things of some centimetres.
+    /// Builds a model of a shape (m) with a generated texture; `seed` places grain, dots and wear.
+    /// The texture is box-projected: a print covers the object once, other patterns keep their real
+    /// size.
     ///
-    /// Glass shows its tint and roughness, but no pattern. A shape that is not closed cannot be
-    /// of glass: it is drawn as glossy plastic.
+    /// Glass has a tint and roughness but no pattern. A mesh that is not closed cannot be glass and
+    /// is rendered as glossy plastic.
     ///
     /// # Errors
-    /// `Input` for a appearance that [`Appearance::validate`] refuses.
+    /// `Input` if [`Appearance::validate`] fails.
     ///
     /// ```
     /// use gripcast_geometry::builtin;
@@ -79,18 +79,18 @@ impl Model {
         })
     }
 
-    /// A shape (m) with an image as its base colour, `width_m` wide on the surface, repeated and
-    /// projected from the six sides; upright on the vertical ones. See
-    /// [`load_bitmap`](super::load_bitmap) for files.
+    /// Builds a model of a shape (m) with an image as its base colour, `width_m` wide on the
+    /// surface, tiled and box-projected, upright on the vertical sides.
+    /// [`load_bitmap`](super::load_bitmap) reads image files.
     ///
     /// # Errors
-    /// `Input` for a width that is not positive.
+    /// `Input` if the width is not positive.
     pub fn textured(mesh: &TriangleMesh, image: &Bitmap, width_m: f64) -> Result<Self> {
         if !width_m.is_finite() || width_m <= 0.0 {
             return Err(Error::input(format!(
                 "the width of a texture must be positive, found {width_m} m"
             ))
-            .remedy("give the width that the image has on the object, in metres"));
+            .remedy("give the width of the image on the object in metres"));
         }
         let projection = Projection::Box {
             width_m,
@@ -115,8 +115,8 @@ impl Model {
     }
 }
 
-/// The base colour is what a body lets through, so what each of its two surfaces lets through is
-/// the root of it.
+/// The base colour is the transmittance of the whole body, so each of its two interfaces transmits
+/// the square root of it.
 fn glass(appearance: &Appearance) -> Material {
     let roughness = if appearance.is_worn() {
         appearance.roughness.max(WORN_GLASS)
@@ -158,7 +158,7 @@ mod tests {
     }
 
     #[test]
-    fn every_look_is_a_model_that_can_be_rendered() {
+    fn every_appearance_gives_a_valid_model() {
         let mesh = builtin("sphere").unwrap();
         for finish in FinishClass::ALL {
             for pattern in SurfacePattern::ALL {
@@ -174,7 +174,7 @@ mod tests {
     }
 
     #[test]
-    fn glass_is_tinted_and_rougher_when_scratched() {
+    fn scratched_glass_is_rougher_and_keeps_its_tint() {
         let mesh = builtin("box").unwrap();
         let of = |mesh: &TriangleMesh, pattern| {
             let appearance = Appearance {
@@ -206,7 +206,7 @@ mod tests {
     }
 
     #[test]
-    fn bad_looks_and_widths_are_explained() {
+    fn invalid_appearance_or_width_is_refused() {
         let mesh = builtin("box").unwrap();
         let mut bad = appearance(FinishClass::Plastic, SurfacePattern::Plain);
         bad.base_colour[1] = f32::NAN;
@@ -228,7 +228,7 @@ mod tests {
     }
 
     #[test]
-    fn images_keep_their_proportions() {
+    fn texture_keeps_its_aspect_ratio() {
         let mesh = builtin("box").unwrap();
         let image = Bitmap::from_srgb8(&image::RgbImage::new(40, 20)).unwrap();
         let model = Model::textured(&mesh, &image, 0.06).unwrap();

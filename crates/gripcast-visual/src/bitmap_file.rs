@@ -1,4 +1,4 @@
-//! Images that users and meshes name, as textures.
+//! Reads PNG and JPEG files as textures.
 
 use std::path::Path;
 
@@ -10,14 +10,15 @@ use gripcast_base::files::{FileKind, read_regular};
 use gripcast_imaging::jpeg::{JpegDecoder, JpegScale, inspect};
 use gripcast_imaging::{CropProfile, crop_and_resize};
 
-/// Textures are scaled down to this side; more detail than an image of a grasp can show.
+/// Longest side of a texture, px. Larger images are scaled down: renders of a grasp show no more
+/// detail.
 const MAX_TEXTURE: u32 = 4096;
-/// Images with a longer side are refused.
+/// Longest side of an image that is read, px.
 const MAX_SIDE: u32 = 32_768;
-/// Memory that decoding may take, bytes.
+/// Memory limit of the decoder, bytes.
 const MAX_MEMORY: u64 = 2 << 30;
 
-/// A decoded image, and a warning where it was changed.
+/// A decoded image and, if it was scaled down, a warning.
 pub(super) struct Loaded {
     pub(super) image: RgbImage,
     pub(super) warning: Option<String>,
@@ -26,7 +27,7 @@ pub(super) struct Loaded {
 /// Reads a PNG or JPEG file as a texture.
 ///
 /// # Errors
-/// `NotFound`, `Permission`, `Io` if the file cannot be read; `Input` if it is no PNG or JPEG
+/// `NotFound`, `Permission`, `Io` if the file cannot be read; `Input` if it is not a PNG or JPEG
 /// image, is damaged or too large.
 pub fn load_bitmap(path: &Path) -> Result<Bitmap> {
     let bytes = read_regular(path, FileKind::Mesh).map_err(|e| {
@@ -38,15 +39,15 @@ pub fn load_bitmap(path: &Path) -> Result<Bitmap> {
     Bitmap::from_srgb8(&loaded.image)
 }
 
-/// The texture in the bytes of a PNG or JPEG file.
+/// Decodes a PNG or JPEG image as a texture.
 ///
 /// # Errors
-/// As of [`load_bitmap`].
+/// `Input` as [`load_bitmap`].
 pub fn read_bitmap(bytes: &[u8]) -> Result<Bitmap> {
     Bitmap::from_srgb8(&decode(bytes)?.image)
 }
 
-/// Decodes a PNG or JPEG image and scales it down to the largest texture.
+/// Decodes a PNG or JPEG image and scales it down to [`MAX_TEXTURE`].
 pub(super) fn decode(bytes: &[u8]) -> Result<Loaded> {
     let is_png = bytes.starts_with(b"\x89PNG");
     let image = match bytes {
@@ -70,7 +71,7 @@ pub(super) fn decode(bytes: &[u8]) -> Result<Loaded> {
         .map_err(Error::from)?;
     Ok(Loaded {
         warning: Some(format!(
-            "the image of {width}×{height} is scaled down to {}×{}",
+            "the image of {width}×{height} px is scaled down to {}×{} px",
             small.width(),
             small.height()
         )),
@@ -80,10 +81,10 @@ pub(super) fn decode(bytes: &[u8]) -> Result<Loaded> {
 
 fn too_large(width: u32, height: u32) -> Error {
     Error::input(format!(
-        "a texture may have {MAX_SIDE} pixels a side, found {width}×{height}"
+        "a texture may have at most {MAX_SIDE} pixels per side, found {width}×{height}"
     ))
     .remedy(format!(
-        "scale it down; {MAX_TEXTURE} pixels are used at most"
+        "scale it down to {MAX_TEXTURE} pixels, the most that is used"
     ))
 }
 
@@ -102,9 +103,9 @@ fn decode_jpeg(bytes: &[u8]) -> Result<RgbImage> {
 
 fn decode_png(bytes: &[u8]) -> Result<RgbImage> {
     let unreadable = |e| {
-        Error::input("the PNG cannot be read")
+        Error::input("cannot decode the PNG image")
             .because(e)
-            .remedy("check that the file was copied whole, or save the image again")
+            .remedy("check that the file is complete, or export the image again")
     };
     let reader = || ImageReader::with_format(std::io::Cursor::new(bytes), ImageFormat::Png);
     let (width, height) = reader().into_dimensions().map_err(unreadable)?;
@@ -118,7 +119,7 @@ fn decode_png(bytes: &[u8]) -> Result<RgbImage> {
     Ok(reader.decode().map_err(unreadable)?.into_rgb8())
 }
 
-/// Says what the file is instead, where that is known.
+/// Error for a file of another type, which is named if recognised.
 fn unsupported(bytes: &[u8]) -> Error {
     let is = match bytes {
         [] => "it is empty",
@@ -129,7 +130,7 @@ fn unsupported(bytes: &[u8]) -> Error {
         [b'D', b'D', b'S', ..] => "it is a DDS texture",
         _ if bytes.starts_with(b"version https://git-lfs") => "it is a Git LFS pointer",
         _ if bytes.starts_with(b"#?") => "it is a Radiance HDR image",
-        _ => "its first bytes are those of neither",
+        _ => "the file has neither signature",
     };
     Error::input(format!("a texture must be a PNG or JPEG image, but {is}"))
         .remedy("convert it to PNG or JPEG")
@@ -148,7 +149,7 @@ mod tests {
     }
 
     #[test]
-    fn png_and_jpeg_files_become_textures() {
+    fn png_and_jpeg_files_load_as_textures() {
         let folder = tempfile::tempdir().unwrap();
         let png = folder.path().join("a.png");
         fs::write(&png, encode_png_rgb(&image(8, 6)).unwrap()).unwrap();
@@ -161,7 +162,7 @@ mod tests {
     }
 
     #[test]
-    fn huge_images_are_scaled_down_with_a_warning() {
+    fn large_image_is_scaled_down_with_warning() {
         let loaded = decode(&encode_png_rgb(&image(5000, 10)).unwrap()).unwrap();
         assert_eq!(loaded.image.dimensions(), (4096, 8));
         assert!(loaded.warning.unwrap().contains("5000×10"));
@@ -171,7 +172,7 @@ mod tests {
     }
 
     #[test]
-    fn wrong_files_are_explained() {
+    fn unsupported_file_error_names_its_format() {
         let whole = encode_png_rgb(&image(8, 8)).unwrap();
         for (bytes, expected) in [
             (&b""[..], "empty"),

@@ -1,4 +1,4 @@
-//! What differs from image to image: light, ground, camera, colour of the gripper.
+//! Per-image conditions for domain randomisation: light, ground, camera, colour of the gripper.
 
 use std::f64::consts::TAU;
 use std::sync::Arc;
@@ -13,29 +13,29 @@ use super::texture::Bitmap;
 use gripcast_base::random::SeedStream;
 use gripcast_geometry::Pose;
 
-/// Rows of painted env_maps.
+/// Rows of procedural environment maps.
 const ENV_MAP_ROWS: usize = 256;
 
 /// Ranges from which the conditions of an image are sampled.
 #[derive(Clone, Debug)]
 pub struct VisualRandomisation {
-    /// Domes to choose from, as [`EnvMap`] lays them out; none for painted skies.
+    /// Environment maps to choose from, laid out as in [`EnvMap`]; if empty, procedural skies.
     pub env_maps: Vec<Arc<Image>>,
-    /// Kinds of painted skies to choose from; none for all.
+    /// Procedural skies to choose from; if empty, all.
     pub skies: Vec<Sky>,
-    /// Textures of the ground to choose from, with their width on the ground, m; none for painted
-    /// ones.
+    /// Ground images to choose from, with their width on the ground, m; if empty, procedural
+    /// textures.
     pub ground_images: Vec<(Arc<Bitmap>, f64)>,
-    /// Kinds of painted ground_images to choose from; none for all that tables are made of.
+    /// Procedural ground textures to choose from; if empty, [`ProceduralTexture::GROUNDS`].
     pub ground_textures: Vec<ProceduralTexture>,
-    /// Brightness of the dome, least and most; sampled log-uniformly. The automatic exposure evens
-    /// out most of it.
+    /// Range of the environment map's intensity, sampled log-uniformly. Automatic exposure
+    /// compensates for most of it.
     pub intensity: [f64; 2],
-    /// Largest shift of the camera along each of its axes, m.
+    /// Maximum translation of the camera along each of its axes, m.
     pub camera_shift_m: f64,
-    /// Largest turn of the camera about each of its axes, rad.
+    /// Maximum rotation of the camera about each of its axes, rad.
     pub camera_rotation_rad: f64,
-    /// Factor on the focal length, least and most.
+    /// Range of the factor on the focal length.
     pub focal_factor: [f64; 2],
 }
 
@@ -54,52 +54,52 @@ impl Default for VisualRandomisation {
     }
 }
 
-/// Light of an image.
+/// Source of the environment map.
 #[derive(Clone, Debug)]
 pub enum EnvMapSource {
-    /// Textured from a seed.
+    /// Generated from a seed.
     Textured(Sky, u64),
-    /// An image, such as a Radiance HDR file.
+    /// A latitude-longitude image, such as a Radiance HDR file.
     Image(Arc<Image>),
 }
 
-/// Ground of an image.
+/// Source of the ground texture.
 #[derive(Clone, Debug)]
 pub enum GroundSource {
-    /// Textured from a seed.
+    /// Generated from a seed.
     Textured(ProceduralTexture, u64),
     /// An image and its width on the ground, m.
     Image(Arc<Bitmap>, f64),
 }
 
-/// The conditions of one image.
+/// Sampled conditions of one image.
 #[derive(Clone, Debug)]
 pub struct VisualConditions {
-    /// Light.
+    /// Environment map.
     pub env_map: EnvMapSource,
-    /// Turn of the dome about the world's z, rad.
+    /// Rotation of the environment map about the world's z axis, rad.
     pub env_yaw_rad: f64,
-    /// Factor on the dome, whose white table has luminance 1.
+    /// Factor on the environment map, which is normalised so that a white table has luminance 1.
     pub intensity: f64,
-    /// Ground.
+    /// Ground texture.
     pub ground: GroundSource,
-    /// Turn of the ground's texture about the world's z, rad.
+    /// Rotation of the ground texture about the world's z axis, rad.
     pub ground_yaw_rad: f64,
-    /// Shift of the ground's texture, m.
+    /// Translation of the ground texture, m.
     pub ground_shift_m: [f64; 2],
-    /// Roughness of a ground from an image.
+    /// Roughness of the ground if its texture is an image.
     pub ground_roughness: f64,
-    /// Moves the camera in its own optical frame (maps the moved frame into the nominal one).
+    /// Pose of the camera in its nominal optical frame.
     pub t_nominal_camera: Pose,
     /// Factor on the focal length.
     pub focal_factor: f64,
-    /// Colour of the gripper's printed parts, linear.
+    /// Colour of the gripper's 3D-printed parts, linear RGB.
     pub print_colour: [f32; 3],
-    /// Seed of the sensor's noise.
+    /// Seed of the camera's sensor noise.
     pub sensor_seed: u64,
 }
 
-/// Colours of filament, linear: black, dark grey, grey, white, orange, blue.
+/// Filament colours, linear RGB: black, dark grey, grey, white, orange, blue.
 const FILAMENTS: [[f32; 3]; 6] = [
     [0.018, 0.018, 0.02],
     [0.06, 0.06, 0.065],
@@ -110,7 +110,8 @@ const FILAMENTS: [[f32; 3]; 6] = [
 ];
 
 impl VisualRandomisation {
-    /// The usual ranges, `spread` times as wide: 0 for the nominal camera and brightness.
+    /// The default ranges widened by the factor `spread`; 0 gives the nominal camera and
+    /// brightness.
     pub fn with_spread(spread: f64) -> Self {
         let usual = Self::default();
         Self {
@@ -122,7 +123,7 @@ impl VisualRandomisation {
         }
     }
 
-    /// The conditions of a seed.
+    /// Samples the conditions of a seed.
     pub fn sample(&self, seed: u64) -> VisualConditions {
         let mut light = SeedStream::named(seed, "light");
         let mut ground = SeedStream::named(seed, "ground");
@@ -135,16 +136,17 @@ impl VisualRandomisation {
         let [dim, bright] = self.intensity;
         VisualConditions {
             env_map: match self.env_maps.len() {
-                0 => {
-                    EnvMapSource::Textured(one_of(&self.skies, &Sky::ALL, &mut light), light.bits())
-                }
+                0 => EnvMapSource::Textured(
+                    pick_from(&self.skies, &Sky::ALL, &mut light),
+                    light.bits(),
+                ),
                 count => EnvMapSource::Image(self.env_maps[light.index(count)].clone()),
             },
             env_yaw_rad: light.between(0.0, TAU),
             intensity: light.between_log(dim, bright),
             ground: match self.ground_images.len() {
                 0 => GroundSource::Textured(
-                    one_of(
+                    pick_from(
                         &self.ground_textures,
                         &ProceduralTexture::GROUNDS,
                         &mut ground,
@@ -170,14 +172,14 @@ impl VisualRandomisation {
     }
 }
 
-/// One of those that were named, else of all.
-fn one_of<T: Copy>(named: &[T], all: &[T], stream: &mut SeedStream) -> T {
+/// Picks one of `named`, or of `all` if none is named.
+fn pick_from<T: Copy>(named: &[T], all: &[T], stream: &mut SeedStream) -> T {
     let choice = if named.is_empty() { all } else { named };
     choice[stream.index(choice.len())]
 }
 
 impl VisualConditions {
-    /// The dome of light, scaled and turned.
+    /// Returns the rotated and scaled environment map.
     pub fn env_map(&self) -> EnvMap {
         let mut map = match &self.env_map {
             EnvMapSource::Textured(sky, seed) => sky.generate(ENV_MAP_ROWS, *seed),
@@ -197,7 +199,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn conditions_are_fixed_by_the_seed_and_within_their_ranges() {
+    fn conditions_depend_on_seed_and_stay_in_range() {
         let ranges = VisualRandomisation::default();
         let mut skies = Vec::new();
         for seed in 0..40 {
@@ -218,7 +220,7 @@ mod tests {
     }
 
     #[test]
-    fn ranges_are_widened_and_narrowed() {
+    fn spread_scales_the_ranges() {
         let usual = format!("{:?}", VisualRandomisation::default());
         assert_eq!(
             format!("{:?}", VisualRandomisation::with_spread(1.0)),
@@ -237,7 +239,7 @@ mod tests {
     }
 
     #[test]
-    fn named_skies_and_grounds_are_used() {
+    fn given_skies_and_ground_textures_are_used() {
         let named = VisualRandomisation {
             skies: vec![Sky::Overcast],
             ground_textures: vec![ProceduralTexture::Wood, ProceduralTexture::Stone],
@@ -251,7 +253,7 @@ mod tests {
                 EnvMapSource::Textured(Sky::Overcast, _)
             ));
             let GroundSource::Textured(pattern, _) = sampled.ground else {
-                panic!("an image was sampled");
+                panic!("expected a procedural ground");
             };
             ground_images.push(pattern.name());
         }
@@ -261,7 +263,7 @@ mod tests {
     }
 
     #[test]
-    fn named_images_are_used() {
+    fn given_images_are_used() {
         let dome = Arc::new(Image::filled(8, 4, [3.0; 3]));
         let bitmap = Bitmap::from_srgb8(&image::RgbImage::new(2, 2)).unwrap();
         let ranges = VisualRandomisation {

@@ -1,4 +1,4 @@
-//! Built-in objects with materials, so that images look good without any file.
+//! Built-in objects with typical materials.
 
 use super::finish::Finish;
 use super::model::Model;
@@ -7,7 +7,7 @@ use gripcast_base::error::Result;
 use gripcast_base::random::SeedStream;
 use gripcast_geometry::builtin;
 
-/// Finishes that suit a built-in mesh, the most usual first.
+/// Finishes that suit a built-in mesh, most common first.
 ///
 /// | mesh | finishes |
 /// | --- | --- |
@@ -42,7 +42,7 @@ pub fn typical_finishes(name: &str) -> &'static [Finish] {
     }
 }
 
-/// A built-in mesh with one of its usual finishes, drawn by the seed.
+/// Builds a built-in mesh with one of its typical finishes, picked by the seed.
 ///
 /// # Errors
 /// `NotFound` for an unknown name; the remedy lists the names.
@@ -54,7 +54,7 @@ pub fn demo_model(name: &str, seed: u64) -> Result<Model> {
     Model::with_finish(&shape, finish, stream.bits())
 }
 
-/// A finish for a shape of the user, drawn by the seed.
+/// Picks a finish for an unknown shape.
 pub fn random_finish(seed: u64) -> Finish {
     let finishes = typical_finishes("");
     finishes[SeedStream::named(seed, "finish").index(finishes.len())]
@@ -67,7 +67,7 @@ mod tests {
     use gripcast_geometry::BUILTIN_NAMES;
 
     #[test]
-    fn every_built_in_mesh_has_a_model() {
+    fn every_builtin_mesh_has_a_model() {
         let mut glass = 0;
         for name in BUILTIN_NAMES {
             for seed in 0..3 {

@@ -1,26 +1,27 @@
-//! EnvMapSampler of light around the scene.
+//! Environment map around the scene.
 
 use super::linear_image::Image;
 use gripcast_base::error::{Error, Result};
 
-/// Light from infinitely far away: radiance over directions, as a latitude-longitude image.
+/// Environment map: radiance arriving from infinity over all directions, as a latitude-longitude
+/// image.
 ///
-/// The top row of the image lies around the world's +z, the bottom row around −z. Without
-/// rotation the middle column looks along +x, columns further right lie clockwise seen from above
-/// (towards −y), so that the image appears as it was taken. Pixel centres are at (i + ½)/n;
-/// between them radiance is interpolated bilinearly.
+/// The top row of the image is the world's +z, the bottom row −z. Without rotation the centre
+/// column is +x and columns further right lie clockwise seen from above (towards −y), so that the
+/// image appears as it was taken. Pixel centres are at (i + ½)/n; radiance is interpolated
+/// bilinearly.
 #[derive(Clone, Debug, PartialEq)]
 pub struct EnvMap {
     /// Radiance, linear RGB; usually twice as wide as high.
     pub map: Image,
-    /// Turns the dome about the world's z, counter-clockwise seen from above, rad.
+    /// Rotation about the world's z axis, counter-clockwise seen from above, rad.
     pub rotation_rad: f32,
     /// Factor on all radiance.
     pub intensity: f32,
 }
 
 impl EnvMap {
-    /// EnvMapSampler from a latitude-longitude image, not turned, intensity 1.
+    /// Environment map with intensity 1 and no rotation.
     pub fn new(map: Image) -> Self {
         Self {
             map,
@@ -29,7 +30,7 @@ impl EnvMap {
         }
     }
 
-    /// The same radiance from all directions.
+    /// Constant radiance from all directions.
     pub fn uniform(radiance: [f32; 3]) -> Self {
         Self::new(Image::filled(4, 2, radiance))
     }
@@ -40,7 +41,7 @@ impl EnvMap {
         if width == 0 || height == 0 || self.map.pixels.len() != width * height {
             let found = self.map.pixels.len();
             return bad(format!(
-                "a map of {width}×{height} must have that many pixels, found {found}"
+                "an environment map of {width}×{height} must have as many pixels, found {found}"
             ));
         }
         if !self.rotation_rad.is_finite() {
@@ -51,8 +52,8 @@ impl EnvMap {
             let found = self.intensity;
             return bad(format!("the intensity must not be negative, found {found}"));
         }
-        let wrong = |p: &[f32; 3]| p.iter().any(|v| !(0.0..=f32::MAX).contains(v));
-        if let Some(at) = self.map.pixels.iter().position(wrong) {
+        let is_invalid = |p: &[f32; 3]| p.iter().any(|v| !(0.0..=f32::MAX).contains(v));
+        if let Some(at) = self.map.pixels.iter().position(is_invalid) {
             let (column, row) = (at % width, at / width);
             let found = self.map.pixels[at];
             return bad(format!(
@@ -63,9 +64,10 @@ impl EnvMap {
     }
 }
 
-/// Linear RGB of a black body, luminance 1, for 2000 to 12000 K.
+/// Returns the linear RGB of a black body of 2000 to 12000 K with luminance 1.
 ///
-/// The chromaticity is Krystek's fit of the Planckian locus (Color Research & Application, 1985).
+/// The chromaticity is Krystek's approximation of the Planckian locus (Color Research &
+/// Application, 1985).
 pub(super) fn light_of_kelvin(kelvin: f32) -> [f32; 3] {
     let t = kelvin.clamp(2000.0, 12_000.0);
     let u = (0.860_117_76 + 1.541_182_5e-4 * t + 1.286_412_2e-7 * t * t)

@@ -34,7 +34,7 @@ fn samples(sampler: &EnvMapSampler, count: u32) -> Vec<EnvSample> {
 }
 
 #[test]
-fn sampled_directions_have_the_density_and_radiance_that_evaluation_gives() {
+fn samples_agree_with_evaluation() {
     let sampler = EnvMapSampler::new(&varied());
     for sample in samples(&sampler, 4096) {
         let found = sampler.eval(sample.direction);
@@ -82,7 +82,7 @@ fn density_is_proportional_to_luminance_and_integrates_to_one() {
 }
 
 #[test]
-fn irradiance_of_known_skies() {
+fn irradiance_matches_closed_forms() {
     // Uniform: π L. Radiance 1 + z: π + 2π/3, from above.
     let horizontal = |env_map: &EnvMap| {
         let sampler = EnvMapSampler::new(env_map);
@@ -105,7 +105,7 @@ fn irradiance_of_known_skies() {
 }
 
 #[test]
-fn directions_follow_the_documented_layout() {
+fn directions_follow_documented_layout() {
     let mut map = Image::filled(8, 4, [0.0; 3]);
     // Left of the middle, upper half: around azimuth +π/8, polar 3π/8.
     map.pixels[8 + 3] = [1.0; 3];
@@ -133,7 +133,7 @@ fn directions_follow_the_documented_layout() {
 }
 
 #[test]
-fn darkness_is_never_sampled() {
+fn black_texels_are_never_sampled() {
     let sampler = EnvMapSampler::new(&EnvMap::uniform([0.0; 3]));
     assert!(samples(&sampler, 16).iter().all(|l| l.pdf == 0.0));
     assert_eq!(sampler.eval(Vec3::X).pdf, 0.0);
@@ -142,7 +142,7 @@ fn darkness_is_never_sampled() {
 }
 
 #[test]
-fn texels_keep_five_digits_of_the_brightest_channel() {
+fn texels_keep_five_digits_of_brightest_channel() {
     for rgb in [
         [0.0; 3],
         [1.0, 0.5, 0.25],

@@ -1,4 +1,4 @@
-//! What a body without a material of its own is made of.
+//! Default materials for bodies without their own.
 
 use std::fmt;
 use std::str::FromStr;
@@ -8,17 +8,17 @@ use super::procedural::ProceduralTexture;
 use super::texture::Bitmap;
 use gripcast_base::error::{Error, Result, unknown_name};
 
-/// Width and height of painted textures, px.
+/// Side of the generated textures, px.
 const TEXTURE_PX: u32 = 512;
 
-/// Index and extinction of chromium, which stainless steel looks like, at 630, 532 and 465 nm
-/// (Rakic et al., Applied Optics, 1998).
+/// Complex index of refraction (η, k) of chromium, which resembles stainless steel, at 630, 532 and
+/// 465 nm (Rakic et al., Applied Optics, 1998).
 pub(super) const STEEL: [[f32; 3]; 2] = [[3.11, 3.18, 2.32], [3.33, 3.33, 3.135]];
 
 /// Material of a whole body.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Finish {
-    /// A painted surface.
+    /// Procedural texture.
     Textured(ProceduralTexture),
     /// Clear glass; the mesh must be closed.
     Glass,
@@ -41,13 +41,13 @@ impl Finish {
         Self::Gold,
     ];
 
-    /// All of them.
+    /// Iterates over all finishes.
     pub fn all() -> impl Iterator<Item = Self> {
         let painted = ProceduralTexture::ALL.into_iter().map(Self::Textured);
         painted.chain(Self::UNTEXTURED)
     }
 
-    /// Name in commands and files.
+    /// Name on the command line and in files.
     pub fn name(self) -> &'static str {
         match self {
             Self::Textured(pattern) => pattern.name(),
@@ -59,17 +59,17 @@ impl Finish {
         }
     }
 
-    /// The material and, for painted ones, its texture and the width of it on the surface, m.
-    /// The texture is to be number `texture` of the scene.
+    /// Returns the material and, for textured finishes, the texture and its width on the surface,
+    /// m. The material refers to the texture by the index `texture`.
     ///
     /// # Errors
-    /// None; the signature is that of the texture's constructor.
+    /// None in practice; passed on from [`Bitmap::from_srgb8`].
     pub(super) fn material(
         self,
         seed: u64,
         texture: usize,
     ) -> Result<(Material, Option<(Bitmap, f64)>)> {
-        // Index and extinction as those of steel.
+        // (η, k) as for [`STEEL`].
         let (eta, k, roughness) = match self {
             Self::Textured(pattern) => {
                 let painted = pattern.generate(TEXTURE_PX, seed);
@@ -112,7 +112,7 @@ impl FromStr for Finish {
         let found = Self::all().find(|f| f.name() == text);
         found.ok_or_else(|| {
             let names: Vec<&str> = Self::all().map(Self::name).collect();
-            unknown_name("material", text, &names)
+            unknown_name("finish", text, &names)
         })
     }
 }

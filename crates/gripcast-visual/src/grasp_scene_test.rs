@@ -39,7 +39,7 @@ fn snapshot(state: &GraspState, resolution: GelResolution) -> Snapshot {
 }
 
 #[test]
-fn both_gels_and_the_object_are_in_view_for_every_seed() {
+fn gels_and_object_are_in_view_for_every_seed() {
     let (model, state) = mug_state();
     let ranges = VisualRandomisation::default();
     for seed in 0..100 {
@@ -59,7 +59,7 @@ fn both_gels_and_the_object_are_in_view_for_every_seed() {
 }
 
 #[test]
-fn a_camera_moved_too_far_is_brought_back() {
+fn camera_moves_back_until_gels_are_visible() {
     let (_, state) = mug_state();
     let mut conditions = VisualRandomisation::default().sample(0);
     conditions.t_nominal_camera = Pose::from_rotation(DQuat::from_rotation_y(0.9));
@@ -68,7 +68,7 @@ fn a_camera_moved_too_far_is_brought_back() {
 }
 
 #[test]
-fn the_scene_holds_object_ground_gripper_and_gels() {
+fn scene_contains_object_ground_gripper_and_gels() {
     let (model, state) = mug_state();
     let conditions = VisualRandomisation::default().sample(5);
     let view = View::EyeInHand([64, 48]);
@@ -76,7 +76,7 @@ fn the_scene_holds_object_ground_gripper_and_gels() {
     let outside = grasp_scene(&model, &state, &conditions, View::External([64, 48])).unwrap();
     assert!(
         outside.meshes.len() > scene.meshes.len(),
-        "the D435 is seen from outside only"
+        "the D435 is visible only from outside"
     );
 
     for resolution in [
@@ -104,7 +104,7 @@ fn the_scene_holds_object_ground_gripper_and_gels() {
 }
 
 #[test]
-fn gels_of_unknown_meshes_are_explained() {
+fn gel_of_unknown_mesh_is_refused() {
     let (_, state) = mug_state();
     let mut snapshot = snapshot(&state, GelResolution::Coarse);
     snapshot.gels[1].pop();
@@ -124,7 +124,7 @@ fn gels_of_unknown_meshes_are_explained() {
 }
 
 #[test]
-fn cameras_inside_something_are_explained() {
+fn camera_inside_object_or_ground_is_refused() {
     let (model, state) = mug_state();
     let conditions = VisualRandomisation::default().sample(1);
     let mut big = model.clone();

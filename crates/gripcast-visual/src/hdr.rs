@@ -1,10 +1,10 @@
-//! Radiance HDR images (RGBE), as light domes come in.
+//! Radiance HDR images (RGBE), the usual format of environment maps.
 //!
-//! Not read by `image` (0.25): it knows only `-Y +X`, allocates the whole image from the header,
-//! takes rows of fewer than 8 pixels that begin with (2, 2, …) for run lengths, and its factor of
-//! repetitions overflows on a chain of empty ones. Here every way in which a file can be wrong gets
-//! its own words. Format: Ward, *Real Pixels* (Graphics Gems II, 1991) and the manual page of
-//! Radiance's `rpict`.
+//! `image` 0.25 is not used: it reads only `-Y +X`, allocates the whole image from the header,
+//! mistakes rows of fewer than 8 pixels that begin with (2, 2, …) for run lengths, and its repeat
+//! factor overflows on a chain of empty runs. This reader has a specific error for each kind of
+//! damage. Format: Ward, *Real Pixels* (Graphics Gems II, 1991) and the manual page of Radiance's
+//! `rpict`.
 
 use std::path::Path;
 
@@ -12,16 +12,16 @@ use super::linear_image::Image;
 use gripcast_base::error::{Error, Result};
 use gripcast_base::files::{FileKind, read_regular};
 
-/// Most pixels of a side; a dome of 16384 × 8192 is the largest that is offered anywhere.
+/// Maximum pixels per side; the largest environment maps in circulation have 16384 × 8192.
 const MAX_SIDE: usize = 16_384;
-/// Header lines that are read before it is no header.
+/// Maximum number of header lines.
 const MAX_HEADER_LINES: usize = 200;
 
 /// Reads a Radiance HDR file as linear RGB radiance, top row first.
 ///
 /// # Errors
-/// `NotFound`, `Permission`, `Io` if the file cannot be read; `Input` if it is no Radiance HDR
-/// image, is cut off or too large.
+/// `NotFound`, `Permission`, `Io` if the file cannot be read; `Input` if it is not a Radiance HDR
+/// image, is truncated or too large.
 pub fn load_hdr(path: &Path) -> Result<Image> {
     let bytes = read_regular(path, FileKind::Mesh).map_err(|e| {
         Error::io("cannot read the HDR image", e)
@@ -42,13 +42,13 @@ pub fn read_hdr(bytes: &[u8]) -> Result<Image> {
     let mut reader = Reader { bytes, position: 0 };
     let (size, exposure) = reader.header()?;
     let Layout { width, height, .. } = size;
-    // Rows are added as they are found: a header alone takes no memory.
+    // Rows are appended as they are decoded, so that a forged header cannot allocate memory.
     let mut pixels = Vec::new();
     let mut codes = vec![[0_u8; 4]; width];
     for row in 0..height {
         reader.scan_line(&mut codes).map_err(|what| {
             invalid(format!("{what} in row {row} of {height}"))
-                .remedy("check that the file was copied whole")
+                .remedy("check that the file is complete")
         })?;
         pixels.extend(
             codes
@@ -69,7 +69,7 @@ fn invalid(what: impl Into<String>) -> Error {
     Error::input(what)
 }
 
-/// Says what the file is instead, where that is known.
+/// Error for a file of another type, which is named if recognised.
 fn not_hdr(bytes: &[u8]) -> Error {
     let is = match bytes {
         [] => "the file is empty",
@@ -81,8 +81,8 @@ fn not_hdr(bytes: &[u8]) -> Error {
         }
         _ => "it does not start with `#?RADIANCE`",
     };
-    invalid(format!("this is no Radiance HDR image: {is}"))
-        .remedy("use a .hdr file (RGBE), for instance from Poly Haven, or a painted sky")
+    invalid(format!("not a Radiance HDR image: {is}"))
+        .remedy("use a .hdr file (RGBE), for instance from Poly Haven, or a procedural sky")
 }
 
 /// Size and order of the pixels.
@@ -117,7 +117,7 @@ impl Reader<'_> {
         Some(text.trim_end_matches('\r').to_string())
     }
 
-    /// Layout and product of the exposures that were applied to the values.
+    /// Returns the layout and the product of the exposures applied to the values.
     fn header(&mut self) -> Result<(Layout, f32)> {
         let mut exposure = 1.0_f32;
         for _ in 0..MAX_HEADER_LINES {
@@ -140,11 +140,11 @@ impl Reader<'_> {
         }
         Err(
             invalid("the HDR header does not end in a size such as `-Y 512 +X 1024`")
-                .remedy("check that the file was copied whole"),
+                .remedy("check that the file is complete"),
         )
     }
 
-    /// One row, in any of the three encodings.
+    /// Decodes one row in any of the three encodings.
     fn scan_line(&mut self, codes: &mut [[u8; 4]]) -> Result<(), &'static str> {
         let first = self.code()?;
         let is_new = first[0] == 2 && first[1] == 2 && first[2] < 128;
@@ -156,47 +156,47 @@ impl Reader<'_> {
         self.old_line(codes)
     }
 
-    /// One channel of a row, run by run.
+    /// Decodes one channel of a run-length encoded row.
     fn channel(&mut self, codes: &mut [[u8; 4]], channel: usize) -> Result<(), &'static str> {
-        let mut at = 0;
-        while at < codes.len() {
+        let mut column = 0;
+        while column < codes.len() {
             let count = self.byte()?;
             let length = usize::from(if count > 128 { count - 128 } else { count });
-            if length == 0 || at + length > codes.len() {
+            if length == 0 || column + length > codes.len() {
                 return Err("a run does not fit the width");
             }
             if count > 128 {
                 let value = self.byte()?;
-                codes[at..at + length]
+                codes[column..column + length]
                     .iter_mut()
                     .for_each(|c| c[channel] = value);
             } else {
-                for code in &mut codes[at..at + length] {
+                for code in &mut codes[column..column + length] {
                     code[channel] = self.byte()?;
                 }
             }
-            at += length;
+            column += length;
         }
         Ok(())
     }
 
-    /// Flat pixels, where (1, 1, 1, n) repeats the last one.
+    /// Decodes flat pixels, where (1, 1, 1, n) repeats the previous one.
     fn old_line(&mut self, codes: &mut [[u8; 4]]) -> Result<(), &'static str> {
-        let (mut at, mut shift) = (0, 0_u32);
-        while at < codes.len() {
+        let (mut column, mut shift) = (0, 0_u32);
+        while column < codes.len() {
             let code = self.code()?;
             if code[..3] != [1, 1, 1] {
-                codes[at] = code;
-                (at, shift) = (at + 1, 0);
+                codes[column] = code;
+                (column, shift) = (column + 1, 0);
                 continue;
             }
             let length = usize::from(code[3]) << shift;
-            if at == 0 || shift > 16 || at + length > codes.len() {
+            if column == 0 || shift > 16 || column + length > codes.len() {
                 return Err("a repetition does not fit the width");
             }
-            let last = codes[at - 1];
-            codes[at..at + length].fill(last);
-            (at, shift) = (at + length, shift + 8);
+            let last = codes[column - 1];
+            codes[column..column + length].fill(last);
+            (column, shift) = (column + length, shift + 8);
         }
         Ok(())
     }
@@ -216,11 +216,11 @@ fn layout(line: &str) -> Result<Layout> {
         }
         _ => None,
     };
-    let size = parsed.ok_or_else(|| invalid(format!("the HDR size {line:?} cannot be read")))?;
+    let size = parsed.ok_or_else(|| invalid(format!("invalid HDR size {line:?}")))?;
     let is_usable = |n: usize| (1..=MAX_SIDE).contains(&n);
     if !is_usable(size.width) || !is_usable(size.height) {
         return Err(invalid(format!(
-            "an HDR image must have 1 to {MAX_SIDE} pixels a side, found {}×{}",
+            "an HDR image must have 1 to {MAX_SIDE} pixels per side, found {}×{}",
             size.width, size.height
         ))
         .remedy("scale it down; 2048×1024 is enough for lighting"));
@@ -228,7 +228,7 @@ fn layout(line: &str) -> Result<Layout> {
     Ok(size)
 }
 
-/// Mantissas with a common exponent to radiance.
+/// Converts mantissas with a common exponent to radiance.
 fn radiance([r, g, b, exponent]: [u8; 4]) -> [f32; 3] {
     if exponent == 0 {
         return [0.0; 3];
@@ -248,7 +248,7 @@ mod tests {
     }
 
     #[test]
-    fn all_three_encodings_are_read() {
+    fn all_three_encodings_are_decoded() {
         let flat = [128, 64, 32, 129, 0, 0, 0, 0];
         let image = read_hdr(&file("-Y 1 +X 2", &flat)).unwrap();
         assert_eq!(image.pixels, [[1.0, 0.5, 0.25], [0.0; 3]]);
@@ -267,7 +267,7 @@ mod tests {
     }
 
     #[test]
-    fn other_orders_and_exposures_are_undone() {
+    fn pixel_order_and_exposure_are_normalised() {
         let body = [128, 0, 0, 129, 0, 128, 0, 129];
         let turned = read_hdr(&file("+Y 2 -X 1", &body)).unwrap();
         assert_eq!(turned.pixels, [[0.0, 1.0, 0.0], [1.0, 0.0, 0.0]]);
@@ -277,7 +277,7 @@ mod tests {
     }
 
     #[test]
-    fn wrong_files_are_explained() {
+    fn damaged_or_foreign_file_is_explained() {
         let whole = file("-Y 2 +X 1", &[128, 64, 32, 129, 128, 64, 32, 129]);
         let cut = &whole[..whole.len() - 2];
         let mut overlong = vec![2, 2, 0, 8];
@@ -297,9 +297,9 @@ mod tests {
             (xyze, "32-bit_rle_xyze"),
             (cut.to_vec(), "the file ends in row 1 of 2"),
             (file("-Y 1 +X 8", &overlong), "does not fit the width"),
-            (file("-Y 1 +X 99999999", &[]), "pixels a side"),
-            (file("-Y 0 +X 4", &[]), "pixels a side"),
-            (file("-Y one +X 4", &[]), "cannot be read"),
+            (file("-Y 1 +X 99999999", &[]), "pixels per side"),
+            (file("-Y 0 +X 4", &[]), "pixels per side"),
+            (file("-Y one +X 4", &[]), "invalid HDR size"),
         ] {
             let error = read_hdr(&bytes).unwrap_err();
             assert_eq!(error.kind(), ErrorKind::Input);

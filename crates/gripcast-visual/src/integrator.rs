@@ -1,8 +1,8 @@
-//! Light along paths: next-event estimation towards the env_map and sampling of the materials,
-//! combined by the power heuristic; Russian roulette.
+//! Path tracing: next-event estimation towards the environment map and BSDF sampling, combined by
+//! multiple importance sampling (power heuristic), with Russian roulette.
 //!
-//! The paths of a pixel advance together, bounce by bounce, so that look-ups in the env_map, which
-//! miss the processor's caches, overlap one another.
+//! The paths of a pixel advance together, bounce by bounce, so that environment-map lookups, which
+//! miss the cache, overlap.
 //!
 //! Sources: Kajiya, *The rendering equation* (1986); Veach and Guibas, *Optimally combining
 //! sampling techniques for Monte Carlo rendering* (1995).
@@ -18,31 +18,31 @@ use super::sampler::PixelSampler;
 use super::surface::{Face, Frame, SurfaceInteraction};
 use super::texture::Bitmap;
 
-/// Least chance to survive the roulette.
+/// Minimum survival probability of Russian roulette.
 const MIN_SURVIVAL: f32 = 0.05;
-/// Pairs of sampler: one for the place in the pixel, then these for each bounce.
+/// Sample dimensions, in pairs: one for the pixel position, then these for each bounce.
 const PAIRS_PER_BOUNCE: usize = 3;
 const LIGHT_PAIR: usize = 1;
 const DIRECTION_PAIR: usize = 2;
 const CHOICE_PAIR: usize = 3;
 
-/// How light is looked for. All ways have the same mean.
+/// Light sampling strategy. All have the same expected value.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 #[cfg_attr(
     not(test),
-    expect(dead_code, reason = "single ways are there to be compared in tests")
+    expect(dead_code, reason = "tests compare the single strategies")
 )]
 pub(super) enum LightSampling {
-    /// Both ways, weighted by the power heuristic.
+    /// Multiple importance sampling with the power heuristic.
     #[default]
     Mis,
-    /// Towards the env_map alone (mirrors and clear glass excepted).
+    /// Next-event estimation only (except for mirrors and clear glass).
     Light,
-    /// By the material alone.
+    /// BSDF sampling only.
     Bsdf,
 }
 
-/// The prepared scene and the limits of paths.
+/// The prepared scene and the limits of a path.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Integrator<'a> {
     pub(super) bvh: &'a Bvh,
@@ -56,19 +56,19 @@ pub(super) struct Integrator<'a> {
     pub(super) strategy: LightSampling,
 }
 
-/// A path on its way.
+/// State of a path.
 #[derive(Clone, Copy, Debug)]
 struct Path<'a> {
     ray: Ray,
     throughput: Vec3,
-    /// Density with which the ray's direction was sampled; infinite if nothing else finds it.
+    /// Sampling density of the ray's direction; infinite for a delta BSDF and for camera rays.
     pdf: f32,
     sampler: PixelSampler<'a>,
-    /// Where its light is gathered.
+    /// Index in [`Batch::samples`].
     index: usize,
 }
 
-/// Paths that advance together, and scratch space for them.
+/// Paths that advance together, with scratch space.
 #[derive(Debug)]
 pub(super) struct Batch<'a> {
     paths: Vec<Path<'a>>,
@@ -76,7 +76,7 @@ pub(super) struct Batch<'a> {
     lights: Vec<EnvSample>,
     escaped: Vec<Path<'a>>,
     stack: Stack,
-    /// What each path gave, in the order of [`Batch::push`].
+    /// Contribution of each path, in the order of [`Batch::push`].
     pub(super) samples: Vec<PathSample>,
 }
 
@@ -97,7 +97,7 @@ impl<'a> Batch<'a> {
         self.samples.clear();
     }
 
-    /// Adds a path that starts with a ray from the camera.
+    /// Adds a path that starts with a camera ray.
     #[inline(always)]
     pub(crate) fn push(&mut self, ray: Ray, sampler: PixelSampler<'a>) {
         self.paths.push(Path {
@@ -111,7 +111,7 @@ impl<'a> Batch<'a> {
     }
 }
 
-/// A surface as a path sees it.
+/// A surface interaction with its BSDF and shading frame.
 struct Vertex<'a> {
     bsdf: Bsdf<'a>,
     interaction: SurfaceInteraction,
@@ -121,14 +121,14 @@ struct Vertex<'a> {
 }
 
 impl Vertex<'_> {
-    /// Whether the shading frame and the triangle agree on which side a direction is.
+    /// Whether a direction lies on the same side of the shading frame and of the triangle.
     #[inline(always)]
     fn sides_agree(&self, world: Vec3, local: Vec3) -> bool {
         world.dot(self.interaction.normal) * local.z > 0.0
     }
 }
 
-/// Fraction of the first of two densities by the power heuristic.
+/// Weight of the first of two strategies with the given densities (power heuristic).
 #[inline(always)]
 fn power_heuristic(first: f32, second: f32) -> f32 {
     if first.is_infinite() {
@@ -139,7 +139,7 @@ fn power_heuristic(first: f32, second: f32) -> f32 {
 }
 
 impl<'a> Integrator<'a> {
-    /// Follows all paths of a batch to their ends.
+    /// Traces all paths of a batch until they end.
     #[inline(always)]
     pub(super) fn trace<L: Lanes>(&self, lanes: L, batch: &mut Batch<'_>) {
         let mut bounce = 0;
@@ -152,14 +152,15 @@ impl<'a> Integrator<'a> {
         }
     }
 
-    /// Parts the paths that meet a surface from those that escape.
+    /// Intersects the rays with the scene; separates paths that hit a surface from those that
+    /// escape.
     #[inline(always)]
     fn intersect_scene<L: Lanes>(&self, lanes: L, batch: &mut Batch<'_>) {
         batch.hits.clear();
         batch.escaped.clear();
         let mut kept = 0;
-        for at in 0..batch.paths.len() {
-            let path = batch.paths[at];
+        for i in 0..batch.paths.len() {
+            let path = batch.paths[i];
             match self
                 .bvh
                 .intersect(lanes, &path.ray, f32::INFINITY, &mut batch.stack)
@@ -175,7 +176,7 @@ impl<'a> Integrator<'a> {
         batch.paths.truncate(kept);
     }
 
-    /// Adds the light of the env_map to the paths that escaped.
+    /// Adds the environment light of the escaped paths.
     #[inline(always)]
     fn add_env_light(&self, batch: &mut Batch<'_>, bounce: u32) {
         for path in &batch.escaped {
@@ -193,7 +194,7 @@ impl<'a> Integrator<'a> {
         }
     }
 
-    /// Chooses a direction towards the env_map for each path.
+    /// Samples a direction of the environment map for each path.
     #[inline(always)]
     fn sample_env_light(&self, batch: &mut Batch<'_>, bounce: u32) {
         batch.lights.clear();
@@ -209,13 +210,13 @@ impl<'a> Integrator<'a> {
         }
     }
 
-    /// Adds the light that comes directly from the env_map and sends the paths on.
+    /// Adds the direct light and extends the paths.
     #[inline(always)]
     fn scatter<L: Lanes>(&self, lanes: L, batch: &mut Batch<'_>, bounce: u32) {
         let mut kept = 0;
-        for at in 0..batch.paths.len() {
-            let path = batch.paths[at];
-            let vertex = self.vertex(&batch.hits[at], path.ray.direction);
+        for i in 0..batch.paths.len() {
+            let path = batch.paths[i];
+            let vertex = self.vertex(&batch.hits[i], path.ray.direction);
             let sample = &mut batch.samples[path.index];
             if bounce == 0 {
                 sample.albedo = vertex.bsdf.albedo();
@@ -224,7 +225,7 @@ impl<'a> Integrator<'a> {
             if bounce == self.max_bounces {
                 continue;
             }
-            let light = &batch.lights[at];
+            let light = &batch.lights[i];
             if light.pdf > 0.0 {
                 let direct = self.direct_light(lanes, &vertex, light, &mut batch.stack);
                 sample.radiance += path.throughput * direct;
@@ -237,7 +238,7 @@ impl<'a> Integrator<'a> {
         batch.paths.truncate(kept);
     }
 
-    /// The path after a scattering, if it goes on.
+    /// Samples the BSDF; returns the extended path, or `None` if it ends.
     #[inline(always)]
     fn scattered_path<'b>(
         &self,
@@ -291,7 +292,7 @@ impl<'a> Integrator<'a> {
             interaction.shading_normal = -interaction.shading_normal;
         }
         let side = outgoing.dot(interaction.normal);
-        // A shading normal that faces away would leave the surface black.
+        // A back-facing shading normal would render the surface black.
         if outgoing.dot(interaction.shading_normal) * side <= 0.0 {
             interaction.shading_normal = interaction.normal;
         }
@@ -305,7 +306,7 @@ impl<'a> Integrator<'a> {
         }
     }
 
-    /// Light of the env_map that is scattered at a vertex, estimated by one direction towards it.
+    /// Estimates the direct light scattered at a vertex from one sampled direction.
     #[inline(always)]
     fn direct_light<L: Lanes>(
         &self,

@@ -1,8 +1,8 @@
 //! Path-traced images of the scene of a grasp.
 //!
-//! A [`Scene`] (meshes, materials, textures, dome of light) is prepared once as a [`Renderer`],
-//! which then makes images of it from any [`Camera`]. Light is linear RGB with the primaries of
-//! sRGB; [`Image::to_srgb8`] makes the 8-bit image.
+//! Prepare a [`Scene`] (meshes, materials, textures, environment map) once as a [`Renderer`], then
+//! render it from any [`Camera`]. Colours are linear RGB with the sRGB primaries;
+//! [`Image::to_srgb8`] converts to 8 bits.
 //!
 //! World: z up, metres. Camera: OpenCV optical frame. Pixel (0, 0) is the centre of the top-left
 //! pixel.

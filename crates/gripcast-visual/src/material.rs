@@ -1,10 +1,10 @@
-//! What surfaces are made of.
+//! Surface materials.
 
 use std::ops::RangeInclusive;
 
 use gripcast_base::error::{Error, Result};
 
-/// Colour of a material: one value or a texture.
+/// Colour of a material: constant or textured.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Colour {
     /// Linear RGB in [0, 1].
@@ -13,59 +13,58 @@ pub enum Colour {
     Texture(usize),
 }
 
-/// Reflection and transmission of a surface.
+/// Material of a surface.
 ///
-/// `roughness` is the square root of the width α of the GGX distribution of microfacets, in
-/// [0, 1]. All materials but [`Material::Dielectric`] are opaque and alike on both sides.
+/// `roughness` in [0, 1] is the square root of the GGX width α. All materials except
+/// [`Material::Dielectric`] are opaque and two-sided.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Material {
-    /// Ideal diffuse reflection.
+    /// Lambertian reflection.
     Diffuse {
-        /// Fraction of the light that is reflected.
+        /// Albedo.
         reflectance: Colour,
     },
-    /// Metallic-roughness model as in glTF: a dielectric layer over a diffuse base, blended with a
+    /// Metallic-roughness model of glTF: a dielectric layer over a diffuse base, blended with a
     /// metal of the same colour.
     Principled {
-        /// Colour of the diffuse base and of the metal at normal incidence.
+        /// Albedo of the base and reflectance of the metal at normal incidence.
         base_colour: Colour,
-        /// 0 dielectric to 1 metal.
+        /// From 0 (dielectric) to 1 (metal).
         metallic: f32,
-        /// 0 mirror to 1 dull.
+        /// From 0 (mirror) to 1 (matt).
         roughness: f32,
         /// Index of refraction of the layer, usually 1.5.
         ior: f32,
     },
-    /// Metal by its complex index of refraction η + ik for red, green, blue.
+    /// Metal with the complex index of refraction η + ik for red, green, blue.
     Conductor {
-        /// Real part.
+        /// η.
         eta: [f32; 3],
-        /// Imaginary part.
+        /// k.
         k: [f32; 3],
-        /// 0 mirror to 1 dull.
+        /// From 0 (mirror) to 1 (matt).
         roughness: f32,
     },
-    /// Solid glass. The mesh must be closed; its outside is where the corners of a triangle run
-    /// counter-clockwise.
+    /// Solid glass. The mesh must be closed, with triangles counter-clockwise seen from outside.
     Dielectric {
-        /// Index of refraction inside over outside, e.g. 1.5.
+        /// Index of refraction, inside over outside, e.g. 1.5.
         ior: f32,
-        /// 0 clear to 1 frosted.
+        /// From 0 (clear) to 1 (frosted).
         roughness: f32,
-        /// Factor on the light at each passage through the surface, linear RGB in [0, 1].
+        /// Transmittance of each interface, linear RGB in [0, 1].
         transmittance: [f32; 3],
     },
 }
 
 impl Material {
-    /// Diffuse grey.
+    /// Lambertian grey.
     pub fn grey(reflectance: f32) -> Self {
         Self::Diffuse {
             reflectance: Colour::Constant([reflectance; 3]),
         }
     }
 
-    /// The colour that may be a texture.
+    /// Returns the colour that may be textured.
     pub fn colour(&self) -> Option<Colour> {
         match *self {
             Self::Diffuse { reflectance } => Some(reflectance),
@@ -76,7 +75,7 @@ impl Material {
 }
 
 impl Material {
-    /// Checks ranges and the index of the texture.
+    /// Checks the ranges and the texture index, given the number of textures.
     pub(super) fn validate(&self, textures: usize) -> Result<()> {
         match *self {
             Self::Diffuse { .. } => Ok(()),
@@ -108,7 +107,7 @@ impl Material {
         match self.colour() {
             Some(Colour::Constant(rgb)) => in_range("colour", &rgb, 0.0..=1.0),
             Some(Colour::Texture(t)) if t >= textures => Err(Error::input(format!(
-                "it names texture {t}, but there are only {textures}"
+                "texture index {t} is out of range, the scene has {textures} textures"
             ))),
             Some(Colour::Texture(_)) | None => Ok(()),
         }

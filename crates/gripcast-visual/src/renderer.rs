@@ -131,7 +131,7 @@ impl Renderer {
         let tiles: Vec<Vec<TilePixel>> = (0..count)
             .into_par_iter()
             .map(|tile| {
-                if control.cancelled() {
+                if control.is_cancelled() {
                     return Err(Error::new(
                         ErrorKind::Interrupted,
                         "the rendering was cancelled",

@@ -16,7 +16,7 @@ fn camera() -> Camera {
     Camera::centred(SIZE, SIZE, 0.35, pose)
 }
 
-/// EnvMapSampler with a gradient and a bright spot.
+/// Environment map with a gradient and a bright spot.
 fn env_map() -> EnvMap {
     let mut map = Image::filled(32, 16, [0.4, 0.5, 0.6]);
     for (at, pixel) in map.pixels.iter_mut().enumerate() {
@@ -63,7 +63,7 @@ fn in_pool(threads: usize, work: impl FnOnce() -> Rendering + Send) -> Rendering
 }
 
 #[test]
-fn the_same_bits_at_any_number_of_threads() {
+fn result_does_not_depend_on_thread_count() {
     let scene = scene(Material::grey(0.7), env_map());
     let settings = settings(4);
     let one = in_pool(1, || render(&scene, &settings));
@@ -80,7 +80,7 @@ fn the_same_bits_at_any_number_of_threads() {
 }
 
 #[test]
-fn white_things_vanish_in_a_white_furnace() {
+fn white_materials_pass_the_furnace_test() {
     let metal = Material::Conductor {
         eta: [0.0; 3],
         k: [1.0; 3],
@@ -123,7 +123,7 @@ fn white_things_vanish_in_a_white_furnace() {
 }
 
 #[test]
-fn every_way_of_looking_for_light_has_the_same_mean() {
+fn light_sampling_strategies_have_equal_means() {
     for material in [
         Material::grey(0.8),
         Material::Principled {
@@ -155,7 +155,7 @@ fn every_way_of_looking_for_light_has_the_same_mean() {
 }
 
 #[test]
-fn roulette_and_lengths_of_nets_do_not_change_the_mean() {
+fn roulette_and_sample_count_do_not_bias() {
     let scene = scene(Material::grey(0.9), env_map());
     let mean = |settings: &RenderSettings| render(&scene, settings).image.mean();
     let plain = mean(&RenderSettings {
@@ -174,7 +174,7 @@ fn roulette_and_lengths_of_nets_do_not_change_the_mean() {
 }
 
 #[test]
-fn a_clamp_removes_fireflies_alone() {
+fn clamp_limits_only_bright_paths() {
     let scene = scene(Material::grey(0.8), env_map());
     let free = render(&scene, &settings(16));
     let loose = render(
@@ -196,7 +196,7 @@ fn a_clamp_removes_fireflies_alone() {
 }
 
 #[test]
-fn depth_is_along_the_axis_and_pixels_project_back() {
+fn depth_is_along_optical_axis() {
     let scene = scene(Material::grey(0.5), env_map());
     let renderer = Renderer::new(&scene).unwrap();
     let depth = renderer.depth(&scene.camera).unwrap();
@@ -224,7 +224,7 @@ fn depth_is_along_the_axis_and_pixels_project_back() {
 }
 
 #[test]
-fn guides_are_those_of_the_first_surface() {
+fn albedo_and_normal_are_of_first_surface() {
     let scene = scene(Material::grey(0.25), EnvMap::uniform([0.0; 3]));
     let rendering = render(&scene, &settings(4));
     let middle = SIZE / 2 * SIZE + SIZE / 2;
@@ -241,7 +241,7 @@ fn guides_are_those_of_the_first_surface() {
 }
 
 #[test]
-fn textures_are_seen_where_they_are() {
+fn ground_texture_has_documented_orientation() {
     // Four colours on the ground, seen from straight above.
     let image =
         image::RgbImage::from_raw(2, 2, vec![255, 0, 0, 0, 255, 0, 0, 0, 255, 255, 255, 255]);
@@ -267,7 +267,7 @@ fn textures_are_seen_where_they_are() {
 }
 
 #[test]
-fn a_rendering_can_be_followed_and_cancelled() {
+fn rendering_reports_progress_and_can_be_cancelled() {
     use std::sync::atomic::AtomicBool;
     let scene = scene(Material::grey(0.5), env_map());
     let renderer = Renderer::new(&scene).unwrap();
@@ -294,7 +294,7 @@ fn a_rendering_can_be_followed_and_cancelled() {
 }
 
 #[test]
-fn bad_scenes_are_explained() {
+fn invalid_scene_error_names_the_value() {
     let good = scene(Material::grey(0.5), env_map());
     let explain = |change: &dyn Fn(&mut Scene), words: &[&str]| {
         let mut bad = good.clone();
@@ -314,7 +314,7 @@ fn bad_scenes_are_explained() {
     );
     explain(
         &|s| s.meshes[1].material = 5,
-        &["mesh 1", "material 5", "only 2"],
+        &["mesh 1", "material index 5", "2 materials"],
     );
     explain(
         &|s| s.meshes[0].normals.truncate(2),
@@ -326,7 +326,7 @@ fn bad_scenes_are_explained() {
                 reflectance: Colour::Texture(2),
             };
         },
-        &["material 1", "texture 2"],
+        &["material 1", "texture index 2"],
     );
     explain(
         &|s| {
@@ -351,7 +351,7 @@ fn bad_scenes_are_explained() {
     );
     explain(
         &|s| s.env_map.map.pixels[9][1] = f32::INFINITY,
-        &["env_map", "column 9"],
+        &["environment map", "column 9"],
     );
     explain(&|s| s.camera.width = 0, &["camera", "0×24"]);
     assert!(Bitmap::from_srgb8(&image::RgbImage::new(0, 0)).is_err());

@@ -1,4 +1,4 @@
-//! All that is rendered: meshes, materials, textures, light and camera.
+//! Scene description: meshes, materials, textures, environment map and camera.
 
 use glam::{DVec3, Vec3};
 
@@ -12,14 +12,14 @@ use gripcast_geometry::{Pose, TriangleMesh};
 /// Winding number above which a point is inside.
 const INSIDE: f64 = 0.9;
 
-/// Triangle mesh of one material, in world coordinates.
+/// Triangle mesh with one material, in world coordinates.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Mesh {
-    /// Corners, m.
+    /// Vertex positions, m.
     pub positions: Vec<Vec3>,
-    /// Unit shading normals, one for each position; empty for flat faces.
+    /// Unit shading normals, one per vertex; empty for flat shading.
     pub normals: Vec<Vec3>,
-    /// Texture coordinates, one for each position; empty without texture.
+    /// Texture coordinates, one per vertex; empty without texture.
     pub uvs: Vec<[f32; 2]>,
     /// Indices into `positions`, counter-clockwise seen from outside.
     pub triangles: Vec<[u32; 3]>,
@@ -38,7 +38,7 @@ impl Mesh {
         }
     }
 
-    /// Copy in world coordinates of a mesh in frame b.
+    /// Copy of a mesh in frame b, in world coordinates.
     #[must_use]
     pub fn transformed(&self, t_world_b: &Pose) -> Self {
         let position = |p: &Vec3| t_world_b.transform_point(p.as_dvec3()).as_vec3();
@@ -50,7 +50,7 @@ impl Mesh {
         }
     }
 
-    /// Horizontal square with its middle at `centre`, seen from above; the texture repeats every
+    /// Horizontal square centred at `centre`, facing up; the texture repeats every
     /// `texture_size_m`.
     pub fn ground(centre: Vec3, half_width_m: f32, texture_size_m: f32, material: usize) -> Self {
         let corners = [[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0f32]];
@@ -72,7 +72,7 @@ impl Mesh {
         for (name, found) in [("normals", self.normals.len()), ("uvs", self.uvs.len())] {
             if found != 0 && found != count {
                 return bad(format!(
-                    "the number of {name} must be 0 or that of the positions ({count}), found {found}"
+                    "the number of {name} must be 0 or that of the positions, {count}, found {found}"
                 ));
             }
         }
@@ -100,48 +100,48 @@ impl Mesh {
         if let Some(t) = self.triangles.iter().position(outside) {
             let found = self.triangles[t];
             return bad(format!(
-                "triangle {t} names positions {found:?}, but there are only {count}"
+                "triangle {t} has vertex indices {found:?}, but the mesh has {count} vertices"
             ));
         }
         let Some(material) = scene.materials.get(self.material) else {
             let found = (self.material, scene.materials.len());
             return bad(format!(
-                "the mesh names material {}, but there are only {}",
+                "material index {} is out of range, the scene has {} materials",
                 found.0, found.1
             ));
         };
         if matches!(material.colour(), Some(Colour::Texture(_))) && self.uvs.is_empty() {
-            return Err(Error::input(
-                "the mesh has an image as texture, but no texture coordinates",
-            )
-            .remedy("use a mesh with texture coordinates"));
+            return Err(
+                Error::input("the mesh has a texture but no texture coordinates")
+                    .remedy("use a mesh with texture coordinates"),
+            );
         }
         Ok(())
     }
 }
 
-/// All that is rendered.
+/// A scene to render.
 #[derive(Clone, Debug)]
 pub struct Scene {
-    /// Surfaces, world coordinates.
+    /// Meshes, world coordinates.
     pub meshes: Vec<Mesh>,
-    /// What the meshes are made of.
+    /// Materials of the meshes.
     pub materials: Vec<Material>,
-    /// Colours that materials refer to.
+    /// Textures of the materials.
     pub textures: Vec<Bitmap>,
-    /// Light from all directions, infinitely far away.
+    /// Environment map.
     pub env_map: EnvMap,
-    /// Where the image is taken from.
+    /// Camera.
     pub camera: Camera,
 }
 
 impl Scene {
-    /// Whether it can be rendered.
+    /// Checks that the scene can be rendered.
     ///
     /// # Errors
-    /// `Input` for coordinates that are not finite, indices of vertices, materials or textures out
-    /// of range, parameters of materials out of range, an unusable dome of light or camera, each
-    /// with the place and what was found.
+    /// `Input` for non-finite coordinates, vertex, material or texture indices or material
+    /// parameters out of range, an invalid environment map or camera; the error names the element
+    /// and the value.
     pub fn validate(&self) -> Result<()> {
         for (m, mesh) in self.meshes.iter().enumerate() {
             mesh.validate(self).map_err(|e| e.at(format!("mesh {m}")))?;
@@ -151,28 +151,30 @@ impl Scene {
                 .validate(self.textures.len())
                 .map_err(|e| e.at(format!("material {m}")))?;
         }
-        self.env_map.validate().map_err(|e| e.at("env_map"))?;
+        self.env_map
+            .validate()
+            .map_err(|e| e.at("environment map"))?;
         self.camera.validate().map_err(|e| e.at("camera"))
     }
 
-    /// Whether the camera is outside of all solids.
+    /// Checks that the camera is outside all closed meshes.
     ///
     /// # Errors
-    /// `Input` if it is inside of a closed mesh, whose inner side would fill the image. Found by
-    /// the winding number of each mesh around the camera (sum of the solid angles of its
-    /// triangles; van Oosterom and Strackee 1983), which open meshes do not bring near 1.
+    /// `Input` if it is inside a closed mesh, whose inside would fill the image. Decided by the
+    /// winding number of each mesh around the camera (sum of the solid angles of its triangles; van
+    /// Oosterom and Strackee 1983), which stays well below 1 for open meshes.
     pub fn check_camera_outside(&self, camera: &Camera) -> Result<()> {
         let eye = camera.t_world_camera.translation_m;
         for (m, mesh) in self.meshes.iter().enumerate() {
-            let turns: f64 = mesh
+            let winding: f64 = mesh
                 .triangles
                 .iter()
                 .map(|t| solid_angle(t.map(|v| mesh.positions[v as usize].as_dvec3() - eye)))
                 .sum::<f64>()
                 / (4.0 * std::f64::consts::PI);
-            if turns.abs() > INSIDE {
+            if winding.abs() > INSIDE {
                 return Err(
-                    Error::input(format!("the camera at {eye} m is inside of mesh {m}"))
+                    Error::input(format!("the camera at {eye} m is inside mesh {m}"))
                         .remedy("move the camera or the mesh, or check the unit of the mesh"),
                 );
             }
@@ -194,7 +196,7 @@ mod tests {
     use gripcast_geometry::builtin;
 
     #[test]
-    fn a_camera_inside_of_a_solid_is_found() {
+    fn camera_inside_closed_mesh_is_detected() {
         let at =
             |x: f64| Camera::centred(4, 4, 1.0, Pose::from_translation(DVec3::new(x, 0.0, 0.0)));
         let scene = Scene {
@@ -211,6 +213,6 @@ mod tests {
         assert!(scene.check_camera_outside(&at(0.0)).is_ok());
         assert!(scene.check_camera_outside(&at(0.5)).is_ok());
         let text = scene.check_camera_outside(&at(-0.028)).unwrap_err();
-        assert!(text.to_string().contains("inside of mesh 1"), "{text}");
+        assert!(text.to_string().contains("inside mesh 1"), "{text}");
     }
 }

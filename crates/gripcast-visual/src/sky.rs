@@ -1,8 +1,7 @@
-//! Light domes painted from a seed: rooms with lamps or windows, overcast and clear skies.
+//! Procedural environment maps: rooms with lamps or windows, overcast and clear skies.
 //!
-//! Radiance is relative: each map is scaled so that a white matt table under it has radiance 1,
-//! whatever the kind, and [`EnvMap::intensity`](super::EnvMap) alone decides on the
-//! brightness.
+//! Each map is scaled so that a white Lambertian table under it has luminance 1;
+//! [`EnvMap::intensity`](super::EnvMap) alone sets the brightness.
 
 use std::f32::consts::{PI, TAU};
 use std::fmt;
@@ -17,24 +16,24 @@ use super::room::Room;
 use gripcast_base::error::{Error, Result, unknown_name};
 use gripcast_base::random::SeedStream;
 
-/// Kind of a painted map.
+/// Kind of a procedural environment map.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Sky {
-    /// Room without windows, rectangular lamps under its ceiling.
+    /// Room without windows, rectangular lamps on its ceiling.
     Studio,
     /// Room with windows on one or two walls.
     WindowRoom,
-    /// Covered sky (CIE standard overcast sky).
+    /// Overcast sky (CIE standard overcast sky).
     Overcast,
-    /// Clear sky with the sun.
+    /// Clear sky with sun.
     Sunny,
 }
 
 impl Sky {
-    /// All of them.
+    /// All kinds.
     pub const ALL: [Self; 4] = [Self::Studio, Self::WindowRoom, Self::Overcast, Self::Sunny];
 
-    /// Name in commands and files.
+    /// Name on the command line and in files.
     pub fn name(self) -> &'static str {
         match self {
             Self::Studio => "studio",
@@ -44,26 +43,26 @@ impl Sky {
         }
     }
 
-    /// Paints the map, `2 * height` × `height` pixels, laid out as
-    /// [`EnvMap`](super::EnvMap) wants it; the same arguments give the same values.
+    /// Generates a map of `2 * height` × `height` pixels, laid out as in [`EnvMap`](super::EnvMap);
+    /// the result depends on the arguments alone.
     pub fn generate(self, height: usize, seed: u64) -> Image {
         let mut stream = SeedStream::named(seed, self.name());
         let mut map = match self {
             Self::Studio => {
                 let room = Room::with_lamps(&mut stream);
-                paint_by_direction(height, |d| room.radiance(d))
+                map_from_fn(height, |d| room.radiance(d))
             }
             Self::WindowRoom => {
                 let room = Room::with_windows(&mut stream);
-                paint_by_direction(height, |d| room.radiance(d))
+                map_from_fn(height, |d| room.radiance(d))
             }
             Self::Overcast => {
                 let sky = OvercastSky::random(&mut stream);
-                paint_by_direction(height, |d| sky.radiance(d))
+                map_from_fn(height, |d| sky.radiance(d))
             }
             Self::Sunny => {
                 let sky = ClearSky::random(&mut stream);
-                paint_by_direction(height, |d| sky.radiance(d))
+                map_from_fn(height, |d| sky.radiance(d))
             }
         };
         normalise_env_map(&mut map);
@@ -81,12 +80,12 @@ impl FromStr for Sky {
     type Err = Error;
 
     fn from_str(text: &str) -> Result<Self> {
-        let found = Self::ALL.into_iter().find(|known| known.name() == text);
-        found.ok_or_else(|| unknown_name("painted sky", text, &Self::ALL.map(Self::name)))
+        let found = Self::ALL.into_iter().find(|sky| sky.name() == text);
+        found.ok_or_else(|| unknown_name("sky", text, &Self::ALL.map(Self::name)))
     }
 }
 
-/// Luminance that a white matt horizontal surface reflects under a map (its irradiance over π).
+/// Returns the luminance of a white Lambertian horizontal surface under a map (irradiance over π).
 pub fn white_table_luminance(map: &Image) -> f64 {
     let (width, height) = (map.width, map.height);
     let mut sum = 0.0;
@@ -96,7 +95,7 @@ pub fn white_table_luminance(map: &Image) -> f64 {
             let polar = std::f64::consts::PI * (r / height as f64).min(0.5);
             polar.sin().powi(2)
         });
-        // Integral of cos · sin over the row, times the width of a pixel.
+        // Integral of cos · sin over the row, times the pixel width.
         let weight = 0.5 * (b - a) * std::f64::consts::TAU / width as f64;
         let row_sum: f64 = pixels
             .iter()
@@ -107,8 +106,8 @@ pub fn white_table_luminance(map: &Image) -> f64 {
     sum / std::f64::consts::PI
 }
 
-/// Scales a map until [`white_table_luminance`] is 1; a map without light above the horizon
-/// stays as it is.
+/// Scales a map so that [`white_table_luminance`] is 1; a map without light above the horizon is
+/// unchanged.
 pub fn normalise_env_map(map: &mut Image) {
     let found = white_table_luminance(map);
     if found.is_normal() && found > 0.0 {
@@ -119,8 +118,8 @@ pub fn normalise_env_map(map: &mut Image) {
     }
 }
 
-/// Radiance of each pixel from the mean of four directions within it.
-fn paint_by_direction(height: usize, radiance: impl Fn(Vec3) -> [f32; 3] + Sync) -> Image {
+/// Evaluates the radiance of each pixel as the mean of four directions in it.
+fn map_from_fn(height: usize, radiance: impl Fn(Vec3) -> [f32; 3] + Sync) -> Image {
     let height = height.max(2);
     let width = 2 * height;
     let mut map = Image::filled(width, height, [0.0; 3]);
@@ -144,9 +143,9 @@ fn paint_by_direction(height: usize, radiance: impl Fn(Vec3) -> [f32; 3] + Sync)
     map
 }
 
-/// Radiance of the ground around, from the light that falls on it.
-fn ground(albedo: [f32; 3], direction: Vec3) -> [f32; 3] {
-    // Towards the nadir the table and the person stand in the light.
+/// Radiance of the surrounding ground, given that of unshaded ground.
+fn ground_radiance(albedo: [f32; 3], direction: Vec3) -> [f32; 3] {
+    // Towards the nadir, table and operator cast shadows.
     let shade = 1.0 - 0.5 * (-direction.z).clamp(0.0, 1.0);
     albedo.map(|a| a * shade)
 }
@@ -156,7 +155,7 @@ fn ground(albedo: [f32; 3], direction: Vec3) -> [f32; 3] {
 struct OvercastSky {
     tint: [f32; 3],
     ground: [f32; 3],
-    /// Direction of the brightest part of the clouds, and how much brighter it is.
+    /// Direction of the brightest clouds, and their relative extra brightness.
     bright: (Vec3, f32),
 }
 
@@ -178,7 +177,7 @@ impl OvercastSky {
 
     fn radiance(&self, d: Vec3) -> [f32; 3] {
         if d.z < 0.0 {
-            return ground(self.ground.map(|g| g * 0.75), d);
+            return ground_radiance(self.ground.map(|g| g * 0.75), d);
         }
         let (towards, strength) = self.bright;
         let bright = strength * (d.dot(towards).max(0.0)).powi(12);
@@ -187,12 +186,12 @@ impl OvercastSky {
     }
 }
 
-/// Clear sky: the CIE clear sky's distribution around a sun of finite size.
+/// CIE clear sky with a sun disc of finite size.
 struct ClearSky {
     sun: Vec3,
-    /// Cosine of the radius of the disc that stands for the sun.
+    /// Cosine of the angular radius of the sun disc.
     disc: f32,
-    /// Radiance of the disc over that of the zenith.
+    /// Radiance of the disc relative to the zenith.
     sun_level: f32,
     sun_tint: [f32; 3],
     ground: [f32; 3],
@@ -203,8 +202,8 @@ impl ClearSky {
         let elevation = stream.between(0.25, 1.15) as f32;
         let azimuth = stream.between(0.0, f64::from(TAU)) as f32;
         let (z, ring) = (elevation.sin(), elevation.cos());
-        // A disc wider than the real sun (0.27°) of the same irradiance spares the tracer
-        // fireflies and keeps shadows sharp enough.
+        // A disc wider than the real sun (0.27°) of the same irradiance avoids fireflies and keeps
+        // shadows sharp enough.
         let radius = 1.2_f32.to_radians();
         let ratio = stream.between(3.0, 7.0) as f32;
         let albedo = stream.between(0.12, 0.35) as f32;
@@ -220,8 +219,8 @@ impl ClearSky {
 
     fn radiance(&self, d: Vec3) -> [f32; 3] {
         if d.z < 0.0 {
-            // Sunlit ground is several times brighter than the sky alone would make it.
-            return ground(self.ground.map(|g| 4.0 * g), d);
+            // Sunlit ground is several times brighter than under the sky alone.
+            return ground_radiance(self.ground.map(|g| 4.0 * g), d);
         }
         let cosine = d.dot(self.sun).clamp(-1.0, 1.0);
         let angle = cosine.acos();
@@ -250,7 +249,7 @@ mod tests {
     use crate::linear_image::luminance;
 
     #[test]
-    fn domes_are_finite_repeatable_and_light_the_table_alike() {
+    fn maps_are_deterministic_and_normalised() {
         for sky in Sky::ALL {
             for seed in 0..5 {
                 let map = sky.generate(64, seed);
@@ -270,7 +269,7 @@ mod tests {
     }
 
     #[test]
-    fn a_grey_dome_lights_the_table_with_its_own_radiance() {
+    fn constant_map_lights_table_with_its_radiance() {
         let mut map = Image::filled(32, 16, [0.25; 3]);
         assert!((white_table_luminance(&map) - 0.25).abs() < 1e-6);
         normalise_env_map(&mut map);
@@ -281,7 +280,7 @@ mod tests {
     }
 
     #[test]
-    fn rooms_and_sun_have_bright_spots_and_the_overcast_sky_none() {
+    fn only_overcast_sky_has_no_bright_spots() {
         let contrast = |sky: Sky, seed| {
             let map = sky.generate(128, seed);
             let levels = map.pixels.iter().map(|p| luminance(*p));
@@ -301,7 +300,7 @@ mod tests {
     }
 
     #[test]
-    fn warm_light_is_red_and_cold_light_blue() {
+    fn warm_light_is_red_and_cold_light_is_blue() {
         let (warm, cold) = (light_of_kelvin(2700.0), light_of_kelvin(9000.0));
         assert!(
             warm[0] > 2.0 * warm[2] && cold[2] > 1.2 * cold[0],
@@ -313,7 +312,7 @@ mod tests {
     }
 
     #[test]
-    fn misspelt_skies_are_explained() {
+    fn misspelt_sky_gets_a_suggestion() {
         let text = "suny".parse::<Sky>().unwrap_err().to_string();
         assert!(text.contains("did you mean sunny?"), "{text}");
         assert_eq!("window-room".parse::<Sky>().unwrap(), Sky::WindowRoom);

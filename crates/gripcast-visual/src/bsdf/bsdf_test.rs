@@ -12,7 +12,7 @@ fn white(roughness: f32, metallic: f32) -> Material {
     }
 }
 
-/// A perfect reflector: the index of refraction 0 + i·1 has reflectance 1 at all angles.
+/// A perfect reflector: index of refraction 0 + i·1 has reflectance 1 at all angles.
 fn perfect_metal(roughness: f32) -> Material {
     Material::Conductor {
         eta: [0.0; 3],
@@ -42,7 +42,7 @@ fn at(material: &PreparedMaterial, outgoing: Vec3) -> Bsdf<'_> {
     material.at(&[], [0.0; 2], outgoing)
 }
 
-/// Fraction of the light from all directions that is scattered, by sampling.
+/// Directional albedo estimated by sampling.
 fn sampled_albedo(material: &PreparedMaterial, outgoing: Vec3) -> Vec3 {
     let net = SobolSampler::new(4096, 3);
     let bsdf = at(material, outgoing);
@@ -57,15 +57,14 @@ fn sampled_albedo(material: &PreparedMaterial, outgoing: Vec3) -> Vec3 {
     sum / 4096.0
 }
 
-/// Integrals of value and density over directions; the sphere is cut into cells that are fine
-/// around the mirror direction and the normal.
+/// Integrals of value and density over all directions.
 fn integrals(bsdf: &Bsdf<'_>, outgoing: Vec3, below: bool) -> (Vec3, f32) {
-    let (steps, turns) = (300, 120);
+    let (steps, azimuths) = (300, 120);
     let (mut value, mut pdf) = (glam::DVec3::ZERO, 0.0f64);
     for i in 0..steps {
         let cos = (i as f32 + 0.5) / steps as f32;
-        for j in 0..turns {
-            let azimuth = 2.0 * PI * (j as f32 + 0.5) / turns as f32;
+        for j in 0..azimuths {
+            let azimuth = 2.0 * PI * (j as f32 + 0.5) / azimuths as f32;
             for side in if below { &[1.0, -1.0][..] } else { &[1.0] } {
                 let mut incoming = direction(cos, azimuth);
                 incoming.z *= side;
@@ -75,12 +74,12 @@ fn integrals(bsdf: &Bsdf<'_>, outgoing: Vec3, below: bool) -> (Vec3, f32) {
             }
         }
     }
-    let cell = 2.0 * std::f64::consts::PI / f64::from(steps * turns);
+    let cell = 2.0 * std::f64::consts::PI / f64::from(steps * azimuths);
     ((value * cell).as_vec3(), (pdf * cell) as f32)
 }
 
 #[test]
-fn white_materials_return_all_light_at_every_roughness_and_angle() {
+fn white_materials_conserve_energy() {
     for roughness in [0.0, 0.1, 0.3, 0.5, 0.8, 1.0] {
         let cases = [
             Material::grey(1.0),
@@ -115,7 +114,7 @@ fn frosted_glass_conserves_energy_from_inside() {
 }
 
 #[test]
-fn no_material_returns_more_than_it_gets() {
+fn no_material_gains_energy() {
     let gold = |roughness| Material::Conductor {
         eta: [0.14, 0.37, 1.44],
         k: [3.98, 2.38, 1.6],
@@ -140,7 +139,7 @@ fn no_material_returns_more_than_it_gets() {
 }
 
 #[test]
-fn densities_integrate_to_the_fraction_of_samples_that_scatter() {
+fn pdf_integrates_to_fraction_of_valid_samples() {
     for case in [
         Material::grey(0.5),
         white(0.4, 0.0),
@@ -172,7 +171,7 @@ fn densities_integrate_to_the_fraction_of_samples_that_scatter() {
 }
 
 #[test]
-fn samples_carry_the_value_and_density_of_their_direction() {
+fn samples_agree_with_value_and_pdf() {
     let net = SobolSampler::new(256, 1);
     for case in [
         Material::grey(0.5),
@@ -234,7 +233,7 @@ fn reflection_is_reciprocal() {
 }
 
 #[test]
-fn clear_glass_refracts_by_snell() {
+fn clear_glass_obeys_snells_law() {
     let material = prepared(&glass(0.0));
     let outgoing = direction(0.6, 0.0);
     let sample = at(&material, outgoing)
@@ -243,7 +242,7 @@ fn clear_glass_refracts_by_snell() {
     assert!(sample.delta && sample.direction.z < 0.0);
     let sines = [outgoing, sample.direction].map(|d| (d.x * d.x + d.y * d.y).sqrt());
     assert!((sines[0] / sines[1] - 1.5).abs() < 1e-5);
-    // And back again on the same way.
+    // The reverse direction.
     let back = at(&material, sample.direction)
         .sample(sample.direction, 0.99, [0.5; 2])
         .unwrap();

@@ -1,4 +1,4 @@
-//! Metal with a complex index of refraction.
+//! Conductor with a complex index of refraction.
 
 use glam::Vec3;
 
@@ -8,8 +8,7 @@ use super::fresnel::fresnel_conductor;
 use super::ggx::{Ggx, MIN_ALPHA};
 use super::{BsdfSample, BsdfValue};
 
-/// Metal; light that facets reflect repeatedly is given back as in
-/// [`principled`](super::principled).
+/// Rough or smooth metal, with multiple scattering as in [`principled`](super::principled).
 #[derive(Clone, Debug)]
 pub(in super::super) struct Conductor {
     eta: Vec3,
@@ -17,13 +16,13 @@ pub(in super::super) struct Conductor {
     facets: Option<Rough>,
 }
 
-/// Roughness of a surface that is no mirror.
+/// Microfacets of a rough surface.
 #[derive(Clone, Debug)]
 struct Rough {
     ggx: Ggx,
-    /// Share that facets which reflect everything send back.
+    /// Directional single-scattering albedo for Fresnel reflectance 1.
     albedo: AlbedoTable,
-    /// Factor of the multi_scatter reflections.
+    /// Factor of the multiple-scattering lobe.
     multi_scatter: Vec3,
 }
 
@@ -83,7 +82,7 @@ impl Conductor {
         BsdfSample::new(direction, value, pdf)
     }
 
-    /// Reflectance at normal incidence.
+    /// Returns the reflectance at normal incidence.
     pub(super) fn albedo(&self) -> Vec3 {
         fresnel_conductor(1.0, self.eta, self.k)
     }

@@ -1,10 +1,9 @@
-//! Solid glass, clear or frosted (Walter et al., *Microfacet models for refraction through rough
+//! Dielectric, smooth or rough (Walter et al., *Microfacet models for refraction through rough
 //! surfaces*, 2007).
 //!
-//! What is carried along a path is radiance over the square of the index of refraction, which
-//! refraction does not change. The share that facets lose by hiding one another is made up by a
-//! factor that depends on the outgoing direction alone, so frosted glass conserves energy but is
-//! reciprocal only up to that factor.
+//! Paths carry radiance divided by the squared index of refraction, which refraction preserves.
+//! Energy lost to shadowing and masking is restored by a factor that depends on the outgoing
+//! direction alone: rough glass conserves energy but is reciprocal only up to that factor.
 
 use glam::Vec3;
 
@@ -13,7 +12,7 @@ use super::fresnel::fresnel_dielectric;
 use super::ggx::{Ggx, MIN_ALPHA};
 use super::{BsdfSample, BsdfValue};
 
-/// Surface of glass. A direction with z > 0 is outside.
+/// Dielectric interface. Directions with z > 0 are outside.
 #[derive(Clone, Debug)]
 pub(in super::super) struct Dielectric {
     ior: f32,
@@ -21,11 +20,11 @@ pub(in super::super) struct Dielectric {
     facets: Option<Rough>,
 }
 
-/// Roughness of a surface that is not clear.
+/// Microfacets of a rough surface.
 #[derive(Clone, Debug)]
 struct Rough {
     ggx: Ggx,
-    /// Fraction of the light that single scattering keeps, seen from outside and from inside.
+    /// Directional single-scattering albedo seen from outside and from inside.
     albedo: [AlbedoTable; 2],
 }
 
@@ -62,8 +61,8 @@ impl Dielectric {
         self.facets.is_none()
     }
 
-    /// Index of refraction of the far side over the near side, and the factor that turns the near
-    /// side up.
+    /// Returns the index of refraction of the far side over the near side, and the sign that flips
+    /// the near side up.
     #[inline(always)]
     fn seen_from(&self, outgoing: Vec3) -> (f32, f32) {
         if outgoing.z > 0.0 {
@@ -155,7 +154,7 @@ impl Dielectric {
 }
 
 impl Rough {
-    /// BsdfValue over density of the samples, without tint.
+    /// Returns value over density of a sample, without tint.
     #[inline(always)]
     fn weight(&self, o: Vec3, i: Vec3, side: f32) -> f32 {
         let albedo = &self.albedo[usize::from(side < 0.0)];
@@ -163,7 +162,7 @@ impl Rough {
     }
 }
 
-/// Direction of the light that is refracted at a facet towards `o`.
+/// Returns the direction of light refracted at a microfacet towards `o`.
 #[inline(always)]
 fn refracted(o: Vec3, m: Vec3, cos_t: f32, ior: f32) -> Vec3 {
     let cos_o = o.dot(m);

@@ -1,4 +1,4 @@
-//! Ideal diffuse reflection.
+//! Lambertian reflection.
 
 use std::f32::consts::{FRAC_1_PI, PI};
 
@@ -7,7 +7,7 @@ use glam::Vec3;
 use super::super::trigonometry::sin_cos_turns;
 use super::{BsdfSample, BsdfValue};
 
-/// Direction above the surface with density cos/π.
+/// Samples a direction with density cos/π.
 #[inline(always)]
 pub(super) fn sample_cosine([u1, u2]: [f32; 2]) -> Vec3 {
     let (sin, cos) = sin_cos_turns(u2);

@@ -1,8 +1,8 @@
-//! Fraction of the light that a smooth boundary reflects.
+//! Fresnel reflectance of smooth interfaces.
 
 use glam::Vec3;
 
-/// Schlick's weight of white at grazing angles, (1 - cos)⁵ (*An inexpensive BRDF model*, 1994).
+/// Schlick's weight (1 - cos)⁵ (*An inexpensive BRDF model*, 1994).
 #[inline(always)]
 pub(super) fn schlick_weight(cos: f32) -> f32 {
     let m = (1.0 - cos).clamp(0.0, 1.0);
@@ -10,13 +10,14 @@ pub(super) fn schlick_weight(cos: f32) -> f32 {
     m2 * m2 * m
 }
 
-/// Reflectance at normal incidence of a dielectric.
+/// Reflectance of a dielectric at normal incidence.
 pub(super) fn f0_from_ior(ior: f32) -> f32 {
     ((ior - 1.0) / (ior + 1.0)).powi(2)
 }
 
-/// Reflectance of a dielectric, and the cosine of the refracted ray (0 under total reflection).
-/// `cos` > 0 on the side where the light is, `ior` of the other side over this one.
+/// Reflectance of a dielectric, and the cosine of the refracted ray (0 under total internal
+/// reflection). `cos` > 0 on the incident side; `ior` is that of the far side over the incident
+/// side.
 #[inline(always)]
 pub(super) fn fresnel_dielectric(cos: f32, ior: f32) -> (f32, f32) {
     let sin2 = (1.0 - cos * cos).max(0.0) / (ior * ior);
@@ -29,7 +30,7 @@ pub(super) fn fresnel_dielectric(cos: f32, ior: f32) -> (f32, f32) {
     (0.5 * (s * s + p * p), cos_t)
 }
 
-/// Reflectance of a metal with index of refraction η + ik.
+/// Reflectance of a conductor with index of refraction η + ik.
 #[inline(always)]
 pub(super) fn fresnel_conductor(cos: f32, eta: Vec3, k: Vec3) -> Vec3 {
     let cos2 = cos * cos;
@@ -57,7 +58,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn glass_reflects_four_percent_and_everything_at_grazing() {
+    fn dielectric_matches_known_reflectances() {
         assert!((fresnel_dielectric(1.0, 1.5).0 - 0.04).abs() < 1e-6);
         assert!((f0_from_ior(1.5) - 0.04).abs() < 1e-6);
         assert!(fresnel_dielectric(1e-4, 1.5).0 > 0.999);
@@ -71,7 +72,7 @@ mod tests {
     }
 
     #[test]
-    fn metals_agree_with_complex_arithmetic() {
+    fn conductor_agrees_with_complex_arithmetic() {
         // r = (cos - n cos_t)/(cos + n cos_t) etc. with complex n, in double precision.
         let exact = |cos: f64, n: f64, k: f64| {
             type C = (f64, f64);

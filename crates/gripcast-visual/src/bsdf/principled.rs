@@ -1,10 +1,9 @@
-//! Dielectric layer over a diffuse base, blended with metal.
+//! Dielectric layer over a diffuse base, blended with a conductor.
 //!
-//! The base gets what the layer lets through, on the way in and out: (1 - E(o)) (1 - E(i)) /
-//! (1 - mean E), with E the share that the layer reflects in all. This keeps reciprocity, and a
-//! white base makes the whole exactly white. What rough metal loses because facets hide one
-//! another is given back the same way (Kulla and Conty, *Revisiting physically based shading at
-//! Imageworks*, 2017).
+//! The base receives what the layer transmits on the way in and out: (1 - E(o)) (1 - E(i)) / (1 -
+//! mean E), with the directional albedo E of the layer. This is reciprocal and makes a white base
+//! exactly white. Energy that rough metal loses to multiple scattering is restored in the same way
+//! (Kulla and Conty, *Revisiting physically based shading at Imageworks*, 2017).
 
 use glam::Vec3;
 
@@ -15,34 +14,34 @@ use super::ggx::Ggx;
 use super::{BsdfSample, BsdfValue};
 use crate::linear_image::luminance;
 
-/// Least fraction of either lobe in the samples, so that none is starved.
+/// Minimum sampling fraction of each lobe.
 const MIN_LOBE_FRACTION: f32 = 0.1;
 
-/// Parameters that hold for the whole surface.
+/// Parameters of the whole surface.
 #[derive(Clone, Debug)]
 pub(super) struct Principled {
     ggx: Ggx,
     metallic: f32,
     /// Reflectance of the layer at normal incidence.
     f0: f32,
-    /// Share that facets which reflect everything send back.
+    /// Directional single-scattering albedo for Fresnel reflectance 1.
     metal_albedo: AlbedoTable,
-    /// Share that the layer sends back.
+    /// Directional albedo of the layer.
     layer_albedo: AlbedoTable,
     mean_metal_albedo: f32,
     mean_layer_albedo: f32,
 }
 
-/// The surface at a place, seen from a direction.
+/// The surface at a point, seen from a direction.
 #[derive(Clone, Copy, Debug)]
 pub(in super::super) struct PrincipledBsdf<'a> {
     surface: &'a Principled,
-    /// Reflectance of facets at normal incidence.
+    /// Fresnel reflectance at normal incidence.
     f0: Vec3,
-    /// Factors of the base and of the metal's multi_scatter reflections.
+    /// Factors of the diffuse base and of the metal's multiple scattering.
     base: Vec3,
     multi_scatter: Vec3,
-    /// Fraction of the samples that go to the facets.
+    /// Fraction of the samples drawn from the specular lobe.
     fraction: f32,
 }
 
@@ -93,7 +92,7 @@ impl Principled {
         let spread = (1.0 - metal) * passed * grey + metal * grey * hidden;
         let fraction = facets / (facets + spread).max(1e-6);
         let fraction = if metal == 1.0 {
-            // Dark metal has no base that could be starved.
+            // Dark metal has no base to sample.
             (1.0 - hidden).max(MIN_LOBE_FRACTION)
         } else {
             fraction.clamp(MIN_LOBE_FRACTION, 1.0 - MIN_LOBE_FRACTION)
@@ -145,7 +144,7 @@ impl PrincipledBsdf<'_> {
         BsdfSample::new(direction, value, pdf)
     }
 
-    /// Fraction of the light that is sent back in all, for guiding a denoiser.
+    /// Albedo for the denoiser.
     #[inline(always)]
     pub(super) fn albedo(&self) -> Vec3 {
         (self.base + self.f0).min(Vec3::ONE)

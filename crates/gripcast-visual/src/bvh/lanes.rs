@@ -1,7 +1,7 @@
-//! Eight floats at once: with AVX2 where the processor has it, as plain arrays elsewhere. Both give
-//! the same bits, as nothing is fused.
+//! Eight-lane f32 SIMD: AVX2 if available, plain arrays otherwise. Both give the same bits, since
+//! no multiply-add is fused.
 
-/// Number of boxes or triangles that are tested together.
+/// Number of boxes or triangles tested together.
 pub(in super::super) const WIDTH: usize = 8;
 
 /// Operations on eight floats.
@@ -16,9 +16,9 @@ pub(in super::super) trait Lanes: Copy + Send + Sync {
     fn sub(self, a: Self::F, b: Self::F) -> Self::F;
     fn mul(self, a: Self::F, b: Self::F) -> Self::F;
     fn div(self, a: Self::F, b: Self::F) -> Self::F;
-    /// Smaller of each pair; `b` if one is no number.
+    /// Lane-wise minimum; `b` if one is NaN.
     fn min(self, a: Self::F, b: Self::F) -> Self::F;
-    /// Larger of each pair; `b` if one is no number.
+    /// Lane-wise maximum; `b` if one is NaN.
     fn max(self, a: Self::F, b: Self::F) -> Self::F;
     /// Bit i: a ≤ b in lane i.
     fn le(self, a: Self::F, b: Self::F) -> u32;
@@ -28,7 +28,7 @@ pub(in super::super) trait Lanes: Copy + Send + Sync {
     fn eq(self, a: Self::F, b: Self::F) -> u32;
 }
 
-/// Plain arrays.
+/// Portable implementation.
 #[derive(Clone, Copy, Debug)]
 pub(in super::super) struct Portable;
 
@@ -114,7 +114,7 @@ mod avx2 {
 
     use super::{Lanes, WIDTH, WithLanes};
 
-    /// Work with its lanes.
+    /// Adapter from [`WithLanes`] to `pulp`.
     pub(super) struct Wide<W> {
         pub(super) work: W,
         pub(super) simd: V3,
@@ -199,15 +199,15 @@ mod avx2 {
     }
 }
 
-/// Work that is compiled for the widest lanes of the processor.
+/// Work compiled for the widest available lanes.
 pub(in super::super) trait WithLanes {
     type Output;
 
-    /// Must be `#[inline(always)]`, as must be what it calls and should run wide.
+    /// Must be `#[inline(always)]`, like everything it calls that should be vectorised.
     fn with_lanes<L: Lanes>(self, lanes: L) -> Self::Output;
 }
 
-/// Runs the work with the widest lanes of the processor.
+/// Runs the work with the widest available lanes.
 #[inline]
 pub(in super::super) fn dispatch<W: WithLanes>(work: W) -> W::Output {
     #[cfg(target_arch = "x86_64")]

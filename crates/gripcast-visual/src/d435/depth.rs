@@ -1,4 +1,4 @@
-//! Exact depth to what the stereo camera would measure.
+//! Model of the stereo depth camera: exact depth to measured depth.
 
 use rayon::prelude::*;
 
@@ -8,32 +8,33 @@ use gripcast_base::error::{Error, Result};
 use gripcast_base::random::gaussians;
 use gripcast_imaging::DepthImage;
 
-/// What the stereo module does to depth.
+/// Settings of the stereo depth module.
 ///
 /// The error of a triangulated depth is `z² · s / (f · b)` for an error `s` of the disparity
 /// (Intel, *Best-known-methods for tuning D400 series depth cameras*).
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct DepthSettings {
-    /// Focal length of the stereo images, px: 640 × 360 with 87° has 337.
+    /// Focal length of the stereo images, px; 337 for 640 × 360 with 87°.
     pub stereo_focal_px: f64,
-    /// Error of the disparity, standard deviation, px.
+    /// Standard deviation of the disparity noise, px.
     pub disparity_std_px: f64,
-    /// Fraction of that error that neighbours within about 4 pixels have in common, 0 to 1.
+    /// Fraction of the noise variance that is correlated between neighbours within about 4 pixels,
+    /// 0 to 1.
     pub correlated_fraction: f64,
-    /// Steps of the disparity in a pixel.
+    /// Disparity steps per pixel.
     pub disparity_steps: f64,
-    /// Largest disparity, px; what is nearer than `f · b / it` has no depth.
+    /// Maximum disparity, px; closer than `f · b / max_disparity` there is no depth.
     pub max_disparity_px: f64,
-    /// Farthest depth, m.
+    /// Maximum depth, m.
     pub max_depth_m: f64,
-    /// Angle between a surface and the line of sight below which nothing is matched, rad.
+    /// Minimum angle between a surface and the viewing ray, rad; below it stereo matching fails.
     pub grazing_rad: f64,
-    /// Length of a depth unit, m.
+    /// Depth unit, m.
     pub unit_m: f64,
 }
 
 impl Default for DepthSettings {
-    /// 640 × 360: from 0.134 m on, 1 mm units.
+    /// Settings for 640 × 360: minimum depth 0.134 m, 1 mm units.
     fn default() -> Self {
         Self {
             stereo_focal_px: 337.0,
@@ -49,7 +50,7 @@ impl Default for DepthSettings {
 }
 
 impl DepthSettings {
-    /// Smallest depth that is measured, m.
+    /// Minimum measured depth, m.
     pub fn min_depth_m(&self) -> f64 {
         self.stereo_focal_px * BASELINE_M / self.max_disparity_px
     }
@@ -62,9 +63,9 @@ impl DepthSettings {
     fn validate(&self) -> Result<()> {
         let positive = [
             ("stereo focal length", self.stereo_focal_px),
-            ("number of disparity steps", self.disparity_steps),
-            ("largest disparity", self.max_disparity_px),
-            ("farthest depth", self.max_depth_m),
+            ("disparity steps", self.disparity_steps),
+            ("maximum disparity", self.max_disparity_px),
+            ("maximum depth", self.max_depth_m),
             ("depth unit", self.unit_m),
         ];
         for (name, value) in positive {
@@ -76,7 +77,7 @@ impl DepthSettings {
         }
         if !(self.disparity_std_px >= 0.0 && (0.0..=1.0).contains(&self.correlated_fraction)) {
             return Err(Error::input(format!(
-                "the disparity's error must not be negative and its common fraction from 0 to \
+                "the disparity noise must not be negative and its correlated fraction from 0 to \
                      1, found {} and {}",
                 self.disparity_std_px, self.correlated_fraction
             )));
@@ -85,15 +86,15 @@ impl DepthSettings {
     }
 }
 
-/// Depth codes in units of `unit_m`, aligned to the colour image, from exact depths along the
-/// optical axis (m, row by row; not finite or 0 where there is no surface).
+/// Simulates the depth camera: converts exact depths along the optical axis (m, row-major; 0 or not
+/// finite without a surface) to depth codes in units of `unit_m`, aligned to the colour image.
 ///
-/// 0 stands for no depth: too near or far, seen by only one of the imagers (the shadow beside
-/// near edges), or a surface that is seen at a grazing angle. Glass and mirrors get the depth of
-/// their surface; a real D435 often sees through them.
+/// Code 0 means no depth: too near or far, visible to only one imager (the shadow beside near
+/// edges), or a surface at a grazing angle. Glass and mirrors get the depth of their surface; a
+/// real D435 often sees through them.
 ///
 /// # Errors
-/// `Input` for another number of depths than the camera has pixels, or impossible settings.
+/// `Input` if the number of depths is not that of the camera's pixels, or settings are invalid.
 pub fn measure_depth(
     depth_m: &[f32],
     camera: &Camera,
@@ -105,7 +106,7 @@ pub fn measure_depth(
     if depth_m.len() != width * height || depth_m.is_empty() {
         let found = depth_m.len();
         return Err(Error::input(format!(
-            "a depth image of {width}×{height} cannot hold {found} depths"
+            "a depth image of {width}×{height} must have as many depths, found {found}"
         )));
     }
     let mut codes = vec![0_u16; depth_m.len()];
@@ -114,11 +115,11 @@ pub fn measure_depth(
         .enumerate()
         .for_each(|(row, codes)| {
             let line = &depth_m[row * width..(row + 1) * width];
-            let seen = visible_to_both(line, camera);
+            let visible = visible_to_both(line, camera);
             for (column, code) in codes.iter_mut().enumerate() {
-                let place = (column, row);
-                if seen[column] && !is_grazing(depth_m, place, camera, settings) {
-                    *code = measured(line[column], place, settings, seed);
+                let pixel = (column, row);
+                if visible[column] && !is_grazing(depth_m, pixel, camera, settings) {
+                    *code = measured(line[column], pixel, settings, seed);
                 }
             }
         });
@@ -126,21 +127,21 @@ pub fn measure_depth(
         .ok_or_else(|| Error::internal("the depth image has the wrong size"))
 }
 
-/// One depth with its noise and quantisation.
-fn measured(depth: f32, place: (usize, usize), settings: &DepthSettings, seed: u64) -> u16 {
+/// Measures one depth with noise and quantisation.
+fn measured(depth: f32, pixel: (usize, usize), settings: &DepthSettings, seed: u64) -> u16 {
     let depth = f64::from(depth);
     if !(settings.min_depth_m()..=settings.max_depth_m).contains(&depth) {
         return 0;
     }
     let scale = settings.stereo_focal_px * BASELINE_M;
     let noise =
-        settings.disparity_std_px * disparity_noise(place, settings.correlated_fraction, seed);
+        settings.disparity_std_px * disparity_noise(pixel, settings.correlated_fraction, seed);
     let steps = ((scale / depth + noise) * settings.disparity_steps).round();
     let disparity = steps / settings.disparity_steps;
     if disparity <= 0.0 || disparity > settings.max_disparity_px {
         return 0;
     }
-    // Depths beyond 16 bits have no code.
+    // Codes beyond 16 bits are invalid.
     let code = (scale / disparity / settings.unit_m).round();
     if code <= f64::from(u16::MAX) {
         code as u16
@@ -149,14 +150,14 @@ fn measured(depth: f32, place: (usize, usize), settings: &DepthSettings, seed: u
     }
 }
 
-/// Noise of unit variance: a part from a coarse lattice, which neighbours fraction, and one of the
-/// pixel's own.
+/// Noise of unit variance: the sum of a coarse lattice, shared by neighbours, and independent
+/// noise.
 fn disparity_noise((column, row): (usize, usize), correlated_fraction: f64, seed: u64) -> f64 {
     const SPACING: usize = 4;
     let own = f64::from(gaussians(seed, (row as u64) << 32 | column as u64)[0]);
     let (cx, cy) = (column / SPACING, row / SPACING);
-    let part = |at: usize| (at % SPACING) as f64 / SPACING as f64 + 0.5 / SPACING as f64;
-    let (fx, fy) = (part(column), part(row));
+    let offset = |c: usize| (c % SPACING) as f64 / SPACING as f64 + 0.5 / SPACING as f64;
+    let (fx, fy) = (offset(column), offset(row));
     let at = |i: usize, j: usize| {
         let item = ((cy + j) as u64) << 32 | (cx + i) as u64;
         f64::from(gaussians(seed ^ 0x5a5a_1234, item)[0])
@@ -173,14 +174,14 @@ fn disparity_noise((column, row): (usize, usize), correlated_fraction: f64, seed
     correlated_fraction.sqrt() * sum / norm + (1.0 - correlated_fraction).sqrt() * own
 }
 
-/// Which pixels of a row both imagers see: a surface is hidden from an imager where a nearer one
-/// lies on the same line of sight.
+/// Marks the pixels of a row visible to both imagers: a surface is occluded if a nearer one lies on
+/// the same line of sight.
 fn visible_to_both(line: &[f32], camera: &Camera) -> Vec<bool> {
-    let mut seen: Vec<bool> = line.iter().map(|z| z.is_finite() && *z > 0.0).collect();
+    let mut visible: Vec<bool> = line.iter().map(|z| z.is_finite() && *z > 0.0).collect();
     for imager_m in [LEFT_IMAGER_M, LEFT_IMAGER_M + BASELINE_M] {
         let shift = camera.focal_px[0] * imager_m;
         let column_of = |column: usize, depth: f32| column as f64 - shift / f64::from(depth);
-        // Seen from further right, near surfaces move left over far ones: a pixel is hidden if
+        // Seen from further right, near surfaces shift left over far ones: a pixel is occluded if
         // one to its right lands at or left of it.
         let mut leftmost = f64::INFINITY;
         for column in (0..line.len()).rev() {
@@ -189,15 +190,15 @@ fn visible_to_both(line: &[f32], camera: &Camera) -> Vec<bool> {
             }
             let there = column_of(column, line[column]);
             if there > leftmost {
-                seen[column] = false;
+                visible[column] = false;
             }
             leftmost = leftmost.min(there);
         }
     }
-    seen
+    visible
 }
 
-/// Whether the surface at a pixel is seen at too small an angle, or its edge lies there.
+/// Whether the surface at a pixel is at a grazing angle or at a depth edge.
 fn is_grazing(
     depth_m: &[f32],
     (column, row): (usize, usize),
@@ -206,7 +207,8 @@ fn is_grazing(
 ) -> bool {
     let at = |c: usize, r: usize| f64::from(depth_m[r * camera.width + c]);
     let here = at(column, row);
-    // Depth per pixel along an axis, the smaller of both sides: an edge spoils only one side.
+    // Depth change per pixel along an axis, the smaller one of both sides: an edge affects only one
+    // side.
     let slope = |low: Option<f64>, high: Option<f64>| {
         let steps = [low.map(|z| here - z), high.map(|z| z - here)];
         let found = steps.into_iter().flatten().filter(|s| s.is_finite());
@@ -219,8 +221,8 @@ fn is_grazing(
     let (Some(dx), Some(dy)) = (slope(left, right), slope(up, down)) else {
         return true;
     };
-    // Gradient of log depth per unit of the image plane: the surface z(u, v) has the normal
-    // (-gx, -gy, 1 + u gx + v gy) with g = f · dz / z.
+    // Gradient of the log depth over the image plane: the surface z(u, v) has the normal (-gx, -gy,
+    // 1 + u gx + v gy) with g = f · dz / z.
     let [fx, fy] = camera.focal_px;
     let (gx, gy) = (fx * dx / here, fy * dy / here);
     let u = (column as f64 - camera.principal_px[0]) / fx;
@@ -228,7 +230,7 @@ fn is_grazing(
     let along = 1.0 + u * gx + v * gy;
     let normal = (gx * gx + gy * gy + along * along).sqrt();
     let ray = (1.0 + u * u + v * v).sqrt();
-    // The ray (u, v, 1) times the normal is 1.
+    // The dot product of the ray (u, v, 1) and the normal is 1.
     1.0 / (normal * ray) < settings.grazing_rad.sin()
 }
 
@@ -251,7 +253,7 @@ mod tests {
     }
 
     #[test]
-    fn noise_grows_with_the_square_of_the_depth() {
+    fn noise_grows_with_depth_squared() {
         for depth in [0.4_f32, 0.8, 1.6] {
             let codes = wall(depth);
             let values: Vec<f64> = codes.iter().map(|c| f64::from(*c) * 1e-4).collect();
@@ -271,7 +273,7 @@ mod tests {
     }
 
     #[test]
-    fn codes_are_millimetres_and_too_near_is_zero() {
+    fn codes_are_millimetres_and_0_out_of_range() {
         let settings = DepthSettings::default();
         assert!((settings.min_depth_m() - 0.1337).abs() < 1e-3);
         let code = |depth: f32| {
@@ -286,7 +288,7 @@ mod tests {
     }
 
     #[test]
-    fn near_edges_throw_a_shadow_on_one_side() {
+    fn near_edge_leaves_stereo_shadow_on_one_side() {
         let camera = camera();
         let depth: Vec<f32> = (0..320 * 240)
             .map(|i| {
@@ -308,7 +310,7 @@ mod tests {
     }
 
     #[test]
-    fn grazing_surfaces_have_no_depth() {
+    fn grazing_surface_has_no_depth() {
         let camera = camera();
         let plane = |angle: f64| {
             // A floor whose angle to the optical axis is `angle`, 0.5 m in front.
@@ -326,7 +328,7 @@ mod tests {
     }
 
     #[test]
-    fn wrong_sizes_and_settings_are_explained() {
+    fn wrong_size_or_settings_are_refused() {
         let settings = DepthSettings::default();
         let text = measure_depth(&[1.0; 10], &camera(), &settings, 0).unwrap_err();
         assert!(text.to_string().contains("320×240"), "{text}");

@@ -1,7 +1,7 @@
-//! The weighted means.
+//! Joint non-local means filter.
 //!
-//! Everything lies in planes of one value for each pixel and is worked through row by row, so that
-//! loops become vectors. Nothing is fused: all processors give the same bits.
+//! All data lie in planes of one value per pixel and are processed row by row, so that loops
+//! vectorise. No multiply-add is fused: all processors give the same bits.
 
 use std::ops::Range;
 
@@ -9,47 +9,47 @@ use super::noise::{noise, trust, variance_of_paths};
 use super::{DenoiseSettings, Light, add};
 use crate::renderer::Rendering;
 
-/// Least weight of a pixel for itself, so that one unlike all others keeps its light.
+/// Minimum weight of a pixel for itself, so that outliers keep their light.
 const MIN_OWN_TRUST: f32 = 1e-6;
-/// Difference between the sky and everything else; more than any weight bridges.
+/// Distance between environment and surface; exceeds the reach of any weight.
 const SKY_DISTANCE: f32 = 1e6;
 
-/// One value for each pixel.
+/// One value per pixel.
 type Plane = Vec<f32>;
-/// A colour for each pixel, channel by channel.
+/// One plane per colour channel.
 type Planes = [Plane; 3];
 
-/// What weights are made of.
+/// Features from which the weights are computed.
 pub(super) struct Guide<'a> {
     settings: &'a DenoiseSettings,
-    /// Columns and rows.
+    /// Width and height, px.
     size: [usize; 2],
-    /// Light of both halves.
+    /// Light of both halves of the paths.
     halves: [Planes; 2],
     albedo: Planes,
     normal: Planes,
     depth_m: Plane,
-    /// 1 / depth; 0 for the sky.
+    /// 1 / depth; 0 for the environment.
     nearness: Plane,
-    /// 1 for the sky.
+    /// 1 for the environment, 0 for surfaces.
     sky: Plane,
     /// Variance of the light of one half.
     variance: Plane,
-    /// Fraction of its weight that a pixel keeps.
+    /// Weight factor of each pixel; below 1 for fireflies.
     trust: Plane,
-    /// The same for itself.
+    /// Weight factor of each pixel for itself.
     own_trust: Plane,
 }
 
-/// Space that is used again for every distance between pixels.
+/// Buffers reused for every displacement.
 struct Scratch {
-    /// Differences of single pixels for both halves, from the first column that is compared.
+    /// Pixel distances for both halves, from the first compared column.
     single: [Plane; 2],
-    /// Sums of them over the rows of a patch.
+    /// Sums of pixel distances over the rows of a patch.
     padded: Plane,
-    /// Differences of patches for both halves.
+    /// Patch distances for both halves.
     distance: [Plane; 2],
-    /// Weights by the first surfaces of a row.
+    /// Surface weights of a row.
     same: Plane,
 }
 
@@ -66,7 +66,7 @@ impl Scratch {
     }
 }
 
-/// Pixels that follow one another in a row and those that they are compared with.
+/// Run of pixels `p` in a row and the displaced pixels `q` they are compared with.
 struct PixelRun {
     p: usize,
     q: usize,
@@ -74,7 +74,7 @@ struct PixelRun {
 }
 
 impl<'a> Guide<'a> {
-    /// `halves` is the light of the halves of the paths, divided by `albedo`.
+    /// `halves` is the light of the halves of the paths, demodulated by `albedo`.
     pub(super) fn new(
         rendering: &Rendering,
         settings: &'a DenoiseSettings,
@@ -107,7 +107,7 @@ impl<'a> Guide<'a> {
         }
     }
 
-    /// Filtered light of some rows.
+    /// Returns the filtered light of some rows.
     pub(super) fn filter(&self, rows: Range<usize>) -> Vec<[f32; 3]> {
         pulp::Arch::new().dispatch(|| self.filter_lanes(&rows))
     }
@@ -133,8 +133,7 @@ impl<'a> Guide<'a> {
             .collect()
     }
 
-    /// Adds to each pixel of some rows the one that lies so far away, with its weight, where there
-    /// is one.
+    /// Adds the displaced, weighted pixels to the sums of some rows.
     #[inline(always)]
     fn add_moved(
         &self,
@@ -162,7 +161,7 @@ impl<'a> Guide<'a> {
             let at = line * width + columns.start;
             let same = &scratch.same[..pair.len];
             for (half, sums) in sums.iter_mut().enumerate() {
-                // The other half decides.
+                // The weights of one half come from the other half.
                 let distance = &scratch.distance[1 - half][at..][..pair.len];
                 let [r, g, b] = three(&self.halves[half], pair.q, pair.len);
                 let [r_sum, g_sum, b_sum, weights] =
@@ -178,14 +177,14 @@ impl<'a> Guide<'a> {
         }
     }
 
-    /// Columns that stay in the image when moved.
+    /// Columns that stay in the image after a displacement.
     fn columns(&self, dx: isize) -> Range<usize> {
         let first = (-dx).max(0);
         let last = self.size[0] as isize - dx.max(0);
         first as usize..last.max(first) as usize
     }
 
-    /// Some pixels of a row and those so far away from them, if they lie in the image.
+    /// Pixels of a row with their displaced counterparts, if these lie in the image.
     #[inline(always)]
     fn pair(&self, row: usize, columns: &Range<usize>, [dx, dy]: [isize; 2]) -> Option<PixelRun> {
         let [width, height] = self.size;
@@ -197,8 +196,8 @@ impl<'a> Guide<'a> {
         })
     }
 
-    /// For each pixel of some rows: how far the patch around it differs from the moved one, beyond
-    /// what noise explains.
+    /// Computes for each pixel of some rows the distance between its patch and the displaced one,
+    /// beyond the expected noise.
     #[inline(always)]
     fn patch_distances(
         &self,
@@ -224,7 +223,7 @@ impl<'a> Guide<'a> {
             let lines = near.filter(|row| self.pair(*row, columns, by).is_some());
             let whole = scale / (side * lines.clone().count().max(1)) as f32;
             for half in 0..2 {
-                // What lies beside the columns adds nothing.
+                // Pixels beside the columns contribute nothing.
                 scratch.padded[..len + 2 * patch].fill(0.0);
                 for row in lines.clone() {
                     let single = &scratch.single[half][(row - above) * width..][..len];
@@ -236,7 +235,7 @@ impl<'a> Guide<'a> {
                     add(out, &scratch.padded[k..][..len]);
                 }
                 out.iter_mut().for_each(|value| *value *= whole);
-                // Less of a patch lies in the image at its sides.
+                // Patches are truncated at the image sides.
                 for i in (0..len.min(patch)).chain(len.saturating_sub(patch).max(patch)..len) {
                     let found = (i + patch + 1).min(len) - i.saturating_sub(patch);
                     out[i] *= side as f32 / found as f32;
@@ -245,8 +244,8 @@ impl<'a> Guide<'a> {
         }
     }
 
-    /// Squared difference of pixels less the noise, in units of the noise, for both halves.
-    /// Fireflies tell nothing.
+    /// Squared difference of pixels less the expected noise, in units of the noise, for both
+    /// halves. Fireflies are ignored.
     #[inline(always)]
     fn pixel_distances(&self, &PixelRun { p, q, len }: &PixelRun, [a, b]: [&mut [f32]; 2]) {
         let [vp, vq] = [p, q].map(|at| &self.variance[at..][..len]);
@@ -263,8 +262,8 @@ impl<'a> Guide<'a> {
         }
     }
 
-    /// Weight by the first surfaces, 1 for the same and 0 for different ones, times the trust in
-    /// the other pixel.
+    /// Surface weight (1 for the same first surface, 0 for different ones) times the weight factor
+    /// of the displaced pixel.
     #[inline(always)]
     fn same_surface(&self, &PixelRun { p, q, len }: &PixelRun, trust: &[f32], out: &mut [f32]) {
         let [zp, zq] = [p, q].map(|at| &self.depth_m[at..][..len]);
@@ -293,7 +292,7 @@ fn planes(pixels: &[[f32; 3]]) -> Planes {
     std::array::from_fn(|k| pixels.iter().map(|pixel| pixel[k]).collect())
 }
 
-/// Some pixels of three planes.
+/// Returns a run of three planes.
 #[inline(always)]
 fn three(planes: &Planes, at: usize, len: usize) -> [&[f32]; 3] {
     planes.each_ref().map(|plane| &plane[at..][..len])
@@ -305,7 +304,7 @@ fn square_distance(a: [&[f32]; 3], b: [&[f32]; 3], i: usize) -> f32 {
     x * x + y * y + z * z
 }
 
-/// The smaller one; unlike `f32::min` a single instruction.
+/// Compiles to a single instruction, unlike `f32::min`.
 #[inline(always)]
 fn min(a: f32, b: f32) -> f32 {
     if a < b { a } else { b }
@@ -316,7 +315,7 @@ fn positive(a: f32) -> f32 {
     if a > 0.0 { a } else { 0.0 }
 }
 
-/// Weight for a distance: close to exp(-x), 0 from x = 4 on.
+/// Weight of a distance: close to exp(-x), 0 from x = 4 on.
 #[inline(always)]
 fn falloff(distance: f32) -> f32 {
     let base = positive(1.0 - 0.25 * positive(distance));

@@ -1,16 +1,14 @@
-//! Denoiser guided by the first surfaces: non-local means over patches, joint with albedo, normal
-//! and depth.
+//! Denoiser: non-local means guided by albedo, normal and depth of the first surfaces.
 //!
-//! A pixel becomes the weighted mean of the pixels around it. Weights compare small patches of
-//! light, divided by the albedo so that textures stay sharp, against the noise that is expected
-//! there, and the first surfaces. The weights for one half of the paths come from the other half,
-//! so that noise does not choose itself.
+//! A pixel becomes the weighted mean of its neighbourhood. Weights compare small patches of light,
+//! demodulated by the albedo so that textures stay sharp, relative to the expected noise, and the
+//! first surfaces. The weights for one half of the paths come from the other half, so that noise
+//! does not select itself.
 //!
-//! A firefly, a pixel with one or a few paths that are far brighter than all around, would be
-//! spread evenly over its neighbourhood: a bright square. Its weight is cut, see [`noise::trust`]; the
-//! light that it stands for is lost, as with a clamp, and the image is so much too dark there.
-//! Pixels without such paths keep their weight. Sources: Buades, Coll, Morel, *A non-local algorithm for
-//! image denoising* (2005); Rousselle, Knaus, Zwicker, *Adaptive rendering with non-local means
+//! A firefly (a pixel dominated by one or a few very bright paths) would be spread over its
+//! neighbourhood as a bright square. Its weight is reduced (see [`noise::trust`]); its excess light
+//! is lost, as with a clamp. Sources: Buades, Coll, Morel, *A non-local algorithm for image
+//! denoising* (2005); Rousselle, Knaus, Zwicker, *Adaptive rendering with non-local means
 //! filtering* (2012); Rousselle, Manzi, Zwicker, *Robust denoising using feature and color
 //! information* (2013).
 
@@ -23,26 +21,25 @@ use self::filter::Guide;
 use super::linear_image::Image;
 use super::renderer::Rendering;
 
-/// Albedo below which light is not divided any further.
+/// Minimum albedo by which light is demodulated.
 const MIN_ALBEDO: f32 = 0.02;
-/// Rows that are filtered together.
+/// Rows filtered together.
 const BAND: usize = 16;
 
-/// How much is smoothed.
+/// Denoiser settings.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct DenoiseSettings {
-    /// Radius of the neighbourhood, px.
+    /// Radius of the search window, px.
     pub radius: usize,
-    /// Radius of the compared patches, px.
+    /// Radius of the patches, px.
     pub patch_radius: usize,
-    /// How far patches may differ, in standard deviations of their noise.
+    /// Tolerated patch difference, standard deviations of the noise.
     pub noise: f32,
-    /// Difference of albedo, of the cosine between normals and of relative depth at which the
-    /// weight of a pixel has fallen to 1/e.
+    /// Albedo difference at which a pixel's weight has fallen to 1/e.
     pub albedo: f32,
-    /// See `albedo`.
+    /// The same for 1 − cosine between the normals.
     pub normal: f32,
-    /// See `albedo`.
+    /// The same for the relative depth difference.
     pub depth: f32,
 }
 
@@ -59,10 +56,10 @@ impl Default for DenoiseSettings {
     }
 }
 
-/// Light of one half of the paths.
+/// Demodulated light of one half of the paths.
 type Light = Vec<[f32; 3]>;
 
-/// Image with less noise. The result depends on the rendering alone.
+/// Returns the denoised image; it depends on the arguments alone.
 pub fn denoise(rendering: &Rendering, settings: &DenoiseSettings) -> Image {
     let (width, height) = (rendering.image.width, rendering.image.height);
     let albedo: Vec<[f32; 3]> = (0..width * height)
@@ -142,7 +139,7 @@ mod tests {
     }
 
     #[test]
-    fn noise_shrinks_and_edges_stay() {
+    fn noise_shrinks_and_edges_stay_sharp() {
         let (rendering, truth) = noisy();
         let before = rendering.image.rmse(&truth).unwrap();
         let image = denoise(&rendering, &DenoiseSettings::default());
@@ -160,7 +157,7 @@ mod tests {
     }
 
     #[test]
-    fn a_clean_image_stays_as_it_is() {
+    fn noise_free_image_is_unchanged() {
         let (mut rendering, truth) = noisy();
         rendering.image = truth.clone();
         rendering.halves = [truth.clone(), truth.clone()];
@@ -207,7 +204,7 @@ mod tests {
     }
 
     #[test]
-    fn what_many_paths_see_is_no_firefly() {
+    fn bright_pixel_of_many_paths_is_not_a_firefly() {
         let (mut rendering, _) = noisy();
         let of = |rendering: &Rendering| {
             let albedo = vec![[1.0; 3]; 48 * 32];

@@ -6,7 +6,7 @@ use super::noise::{FractalNoise, mix};
 use super::{GeneratedTexture, random_colour, scaled, texture_from_fn};
 use gripcast_base::random::{SeedStream, lattice};
 
-/// Threads along each side of a tile.
+/// Threads along each side of the texture.
 const THREADS: u32 = 96;
 
 pub(super) fn paint(size_px: u32, stream: &mut SeedStream) -> GeneratedTexture {
@@ -30,25 +30,25 @@ pub(super) fn paint(size_px: u32, stream: &mut SeedStream) -> GeneratedTexture {
     )
 }
 
-/// Crossing threads.
+/// Woven threads.
 pub(super) struct Weave {
-    /// Along each side of the unit square.
+    /// Threads along each side of the unit square.
     threads: u32,
-    /// 2: plain weave; 3, 4: twill, whose floats shift by one thread a row.
+    /// 2: plain weave; 3, 4: twill, whose floats shift by one thread per row.
     repeat: i64,
     seed: u64,
     wear: FractalNoise,
 }
 
-/// The thread on top at a place.
+/// Top thread at a position.
 pub(super) struct Thread {
     pub(super) is_warp: bool,
-    /// Factor on its colour.
+    /// Factor on the colour.
     pub(super) shade: f32,
 }
 
 impl Weave {
-    /// `threads` must be a multiple of 12, that of the repeats of all weaves.
+    /// `threads` must be a multiple of 12, the common period of all weaves.
     pub(super) fn random(threads: u32, stream: &mut SeedStream) -> Self {
         let repeat = stream.pick([2_i64, 2, 3, 4]);
         let seed = stream.bits();
@@ -69,7 +69,7 @@ impl Weave {
         } else {
             (self.seed ^ 0xa5, sx, sy.fract(), j)
         };
-        // A thread is round, and bends down where it goes under the next one.
+        // Threads are round and bend down where they pass under the next one.
         let round = (PI * across).sin().max(0.0).sqrt();
         let bend = 0.75 + 0.25 * (PI * along.fract()).sin();
         let thread = mix(0.8, 1.1, lattice(own, number, 0, 1));

@@ -1,4 +1,4 @@
-//! Even surfaces: brushed metal, glaze, plastic.
+//! Smooth surfaces: brushed metal, glaze, plastic.
 
 use super::noise::{FractalNoise, ValueNoise, WorleyNoise, mix, mix_colour, smoothstep};
 use super::{GeneratedTexture, random_colour, scaled, srgb, texture_from_fn};
@@ -22,7 +22,7 @@ pub(super) fn brushed_metal(size_px: u32, stream: &mut SeedStream) -> GeneratedT
     )
 }
 
-/// Fine lines along x.
+/// Brushed streaks along x.
 pub(super) struct Streaks {
     depth: f32,
     coarse: FractalNoise,
@@ -63,7 +63,7 @@ pub(super) fn ceramic(size_px: u32, stream: &mut SeedStream) -> GeneratedTexture
     GeneratedTexture::new(image, 0.12, stream.between(0.06, 0.22), 0.0)
 }
 
-/// A layer whose thickness varies a little.
+/// Glaze of slightly varying thickness.
 pub(super) struct Glaze(FractalNoise);
 
 impl Glaze {
@@ -77,16 +77,16 @@ impl Glaze {
     }
 }
 
-/// Scattered round specks, each of its own size.
+/// Scattered round specks of varying size.
 pub(super) struct Specks(WorleyNoise);
 
 impl Specks {
-    /// A third of `count` × `count` cells hold a speck.
+    /// A third of the `count` × `count` cells contain a speck.
     pub(super) fn new(seed: u64, count: u32) -> Self {
         Self(WorleyNoise::new(seed, count))
     }
 
-    /// 1 on a speck, 0 beside.
+    /// 1 on a speck, 0 elsewhere.
     pub(super) fn cover(&self, x: f32, y: f32) -> f32 {
         let (near, _, id) = self.0.at(x, y);
         let radius = 0.22 * (id * 3.0).fract();
@@ -115,7 +115,7 @@ pub(super) fn plastic(size_px: u32, stream: &mut SeedStream) -> GeneratedTexture
     )
 }
 
-/// Moulded plastic: a fine grain on faint clouds.
+/// Moulded plastic: fine grain and faint clouds.
 pub(super) struct Moulded {
     seed: u64,
     cloud: FractalNoise,

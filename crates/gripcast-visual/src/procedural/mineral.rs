@@ -4,14 +4,14 @@ use super::noise::{FractalNoise, ValueNoise, WorleyNoise, mix, mix_colour, smoot
 use super::{GeneratedTexture, scaled, srgb, texture_from_fn};
 use gripcast_base::random::{SeedStream, lattice};
 
-/// Grounds and veins of marble.
+/// Base and vein colours of marble.
 const MARBLES: [[u32; 2]; 4] = [
     [0xe6e3de, 0x8d8a88],
     [0x2a2b2d, 0xa8a49c],
     [0xd8c9b0, 0x9a7f5f],
     [0x5b6b5f, 0xc9cfc4],
 ];
-/// Three minerals of a granite each.
+/// Mineral colours of granite.
 const GRANITES: [[u32; 3]; 4] = [
     [0xb9b4ad, 0x77726c, 0x26262a],
     [0xc7a48f, 0x8a6a5c, 0x2e2a2a],
@@ -43,7 +43,7 @@ fn marble(size_px: u32, stream: &mut SeedStream) -> image::RgbImage {
     })
 }
 
-/// Veins of marble.
+/// Marble veins.
 pub(super) struct Veins {
     bend: FractalNoise,
     field: FractalNoise,
@@ -61,11 +61,11 @@ impl Veins {
         }
     }
 
-    /// Fraction of the vein's colour, and a factor on all.
+    /// Fraction of the vein colour, and a factor on the result.
     pub(super) fn at(&self, x: f32, y: f32) -> (f32, f32) {
         let bend = 0.18 * (self.bend.at(x, y) - 0.5);
         let field = self.field.at(x + bend, y - bend);
-        // Veins lie where the field crosses its middle.
+        // Veins follow the mid-level contour of the field.
         let ridge = 1.0 - (2.0 * field - 1.0).abs();
         let fine = self.fine.at(x - bend, y + bend);
         let fine = 1.0 - (2.0 * fine - 1.0).abs();
@@ -89,7 +89,7 @@ pub(super) struct Granite {
 }
 
 impl Granite {
-    /// The most frequent mineral first.
+    /// Minerals in order of frequency.
     pub(super) fn new(minerals: [[f32; 3]; 3], seed: u64) -> Self {
         Self {
             minerals,

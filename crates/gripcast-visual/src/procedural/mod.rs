@@ -1,5 +1,4 @@
-//! Surfaces painted from a seed: wood, stone, fabric, glaze, print and others, as images that
-//! tile.
+//! Procedural textures: tileable images of wood, stone, fabric, glaze, print and others.
 
 mod fabric;
 mod metal_glaze_plastic;
@@ -23,10 +22,10 @@ use gripcast_imaging::srgb_decode;
 
 pub(super) use object::paint as paint_object;
 
-/// Kind of a painted surface.
+/// Kind of a procedural texture.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ProceduralTexture {
-    /// WoodTexture or veneer of oak, beech, walnut and others.
+    /// Boards or veneer of oak, beech, walnut and others.
     Wood,
     /// Metal brushed in one direction.
     BrushedMetal,
@@ -34,7 +33,7 @@ pub enum ProceduralTexture {
     Fabric,
     /// Glazed ceramic, plain or speckled.
     Ceramic,
-    /// Plastic of one colour, with a fine grain.
+    /// Plastic of one colour with a fine grain.
     Plastic,
     /// Printed carton: colour fields, lines of text, a bar code.
     Print,
@@ -42,7 +41,7 @@ pub enum ProceduralTexture {
     Stone,
     /// Concrete with pores.
     Concrete,
-    /// Tiles with joints.
+    /// Tiles with grout.
     Tiles,
     /// Squares of two colours.
     Checker,
@@ -51,7 +50,7 @@ pub enum ProceduralTexture {
 }
 
 impl ProceduralTexture {
-    /// All of them.
+    /// All kinds.
     pub const ALL: [Self; 11] = [
         Self::Wood,
         Self::BrushedMetal,
@@ -66,7 +65,7 @@ impl ProceduralTexture {
         Self::Noise,
     ];
 
-    /// Those that table tops and floors have.
+    /// Kinds found on table tops and floors.
     pub const GROUNDS: [Self; 6] = [
         Self::Wood,
         Self::Plastic,
@@ -76,7 +75,7 @@ impl ProceduralTexture {
         Self::Tiles,
     ];
 
-    /// Name in commands and files.
+    /// Name on the command line and in files.
     pub fn name(self) -> &'static str {
         match self {
             Self::Wood => "wood",
@@ -93,7 +92,7 @@ impl ProceduralTexture {
         }
     }
 
-    /// Paints `size_px` × `size_px` pixels; the same arguments give the same bytes.
+    /// Generates `size_px` × `size_px` pixels; the result depends on the arguments alone.
     pub fn generate(self, size_px: u32, seed: u64) -> GeneratedTexture {
         let mut stream = SeedStream::named(seed, self.name());
         match self {
@@ -122,21 +121,21 @@ impl FromStr for ProceduralTexture {
     type Err = Error;
 
     fn from_str(text: &str) -> Result<Self> {
-        let found = Self::ALL.into_iter().find(|known| known.name() == text);
-        found.ok_or_else(|| unknown_name("painted surface", text, &Self::ALL.map(Self::name)))
+        let found = Self::ALL.into_iter().find(|texture| texture.name() == text);
+        found.ok_or_else(|| unknown_name("texture", text, &Self::ALL.map(Self::name)))
     }
 }
 
-/// A painted surface: an image that tiles, and how it reflects.
+/// A tileable base-colour image with its reflection parameters.
 #[derive(Clone, Debug, PartialEq)]
 pub struct GeneratedTexture {
     /// Base colour, sRGB, square.
     pub image: RgbImage,
     /// Width of the image on the surface, m.
     pub tile_m: f64,
-    /// Perceptual roughness, 0 mirror to 1 matt.
+    /// Perceptual roughness, 0 (mirror) to 1 (matt).
     pub roughness: f32,
-    /// 0 dielectric, 1 metal.
+    /// 0 (dielectric) to 1 (metal).
     pub metallic: f32,
 }
 
@@ -151,15 +150,15 @@ impl GeneratedTexture {
     }
 }
 
-/// Square image of a linear colour of each place in the unit square.
+/// Square sRGB image of a function from the unit square to linear RGB.
 fn texture_from_fn(size_px: u32, colour: impl Fn(f32, f32) -> [f32; 3] + Sync) -> RgbImage {
     linear_from_fn(size_px, colour).to_srgb8(1.0)
 }
 
-/// The same in linear light.
+/// Square linear image of a function from the unit square to linear RGB.
 fn linear_from_fn(size_px: u32, colour: impl Fn(f32, f32) -> [f32; 3] + Sync) -> Image {
     let size = size_px.max(1) as usize;
-    let place = |index: usize| (index as f32 + 0.5) / size as f32;
+    let position = |index: usize| (index as f32 + 0.5) / size as f32;
     let mut image = Image::filled(size, size, [0.0; 3]);
     image
         .pixels
@@ -167,7 +166,7 @@ fn linear_from_fn(size_px: u32, colour: impl Fn(f32, f32) -> [f32; 3] + Sync) ->
         .enumerate()
         .for_each(|(row, pixels)| {
             for (column, pixel) in pixels.iter_mut().enumerate() {
-                *pixel = colour(place(column), place(row));
+                *pixel = colour(position(column), position(row));
             }
         });
     image
@@ -178,12 +177,12 @@ fn srgb(code: u32) -> [f32; 3] {
     [16, 8, 0].map(|shift| srgb_decode((code >> shift & 0xff) as u8))
 }
 
-/// A colour with each channel times a factor.
+/// Scales all channels of a colour.
 fn scaled(colour: [f32; 3], factor: f32) -> [f32; 3] {
     colour.map(|c| c * factor)
 }
 
-/// A random colour by hue, saturation and value in the given ranges, linear.
+/// Random linear colour with hue, saturation and value in the given ranges.
 fn random_colour(stream: &mut SeedStream, saturation: [f64; 2], value: [f64; 2]) -> [f32; 3] {
     let hue = stream.between(0.0, 6.0);
     let s = stream.between(saturation[0], saturation[1]);
@@ -230,7 +229,7 @@ mod tests {
     }
 
     #[test]
-    fn images_are_fixed_by_their_seed_and_tile() {
+    fn textures_depend_on_seed_and_tile() {
         for pattern in ProceduralTexture::ALL {
             let painted = pattern.generate(128, 5);
             assert_eq!(painted, pattern.generate(128, 5), "{pattern}");
@@ -242,7 +241,7 @@ mod tests {
     }
 
     #[test]
-    fn images_are_no_single_value_and_plausible_reflectances() {
+    fn textures_vary_and_have_plausible_albedo() {
         for pattern in ProceduralTexture::ALL {
             for seed in 0..6 {
                 let image = pattern.generate(64, seed).image;
@@ -255,7 +254,7 @@ mod tests {
     }
 
     #[test]
-    fn names_are_read_back_and_misspelt_ones_explained() {
+    fn names_round_trip_and_misspelt_gets_suggestion() {
         for pattern in ProceduralTexture::ALL {
             assert_eq!(
                 pattern.to_string().parse::<ProceduralTexture>().unwrap(),
@@ -270,7 +269,7 @@ mod tests {
     }
 
     #[test]
-    fn random_colors_stay_in_their_ranges() {
+    fn random_colours_stay_in_range() {
         let mut stream = SeedStream::named(1, "colors");
         for _ in 0..100 {
             let colour = random_colour(&mut stream, [0.2, 0.8], [0.3, 0.9]);

@@ -1,18 +1,18 @@
-//! Noise that repeats: every function has period 1 along x and y.
+//! Tileable noise: every function has period 1 along x and y.
 //!
-//! The random numbers of a lattice are drawn once, since an image asks for each of them often.
+//! Lattice values are computed once, since an image reads each of them often.
 
 use gripcast_base::random::lattice;
 
-/// Gradient-free value noise with quintic interpolation, 0 to 1.
+/// Value noise with quintic interpolation, 0 to 1.
 pub(super) struct ValueNoise {
     cells: [usize; 2],
-    /// At the corners of the cells, row by row.
+    /// Values at the lattice points, row-major.
     levels: Vec<f32>,
 }
 
 impl ValueNoise {
-    /// Over a lattice of `cells` × `cells` cells in the unit square.
+    /// Noise on a lattice of `cells` × `cells` cells in the unit square.
     pub(super) fn new(seed: u64, cells: [u32; 2]) -> Self {
         let [nx, ny] = cells.map(|n| i64::from(n.max(1)));
         let layer = nx * 8191 + ny;
@@ -41,13 +41,13 @@ impl ValueNoise {
     }
 }
 
-/// Sum of octaves of value noise, each twice as fine and half as strong, 0 to 1.
+/// Fractal noise: octaves of value noise, each twice as fine and half as strong, 0 to 1.
 pub(super) struct FractalNoise {
     octaves: Vec<ValueNoise>,
 }
 
 impl FractalNoise {
-    /// The coarsest of the octaves has `cells` × `cells` cells in the unit square.
+    /// The coarsest octave has `cells` × `cells` cells in the unit square.
     pub(super) fn new(seed: u64, cells: [u32; 2], octaves: u32) -> Self {
         let octave =
             |o: u32| ValueNoise::new(seed.wrapping_add(u64::from(o)), cells.map(|n| n << o));
@@ -67,15 +67,15 @@ impl FractalNoise {
     }
 }
 
-/// One random point in each cell of a lattice (Worley, 1996).
+/// Cellular noise: one random point per cell (Worley, 1996).
 pub(super) struct WorleyNoise {
     count: i64,
-    /// Place in its cell and a number in 0..1 of each point, row by row.
+    /// Position in its cell and a random number in [0, 1) of each point, row-major.
     points: Vec<[f32; 3]>,
 }
 
 impl WorleyNoise {
-    /// In a lattice of `count` × `count` cells in the unit square.
+    /// Noise with `count` × `count` cells in the unit square.
     pub(super) fn new(seed: u64, count: u32) -> Self {
         let n = i64::from(count.max(1));
         let point = |x, y| [1, 2, 3].map(|z| lattice(seed, x, y, z));
@@ -87,8 +87,8 @@ impl WorleyNoise {
         }
     }
 
-    /// Distances to the nearest and the second nearest point, in cells, and the number of the
-    /// nearest.
+    /// Returns the distances to the nearest and second nearest point, in cells, and the random
+    /// number of the nearest.
     pub(super) fn at(&self, x: f32, y: f32) -> (f32, f32, f32) {
         let n = self.count;
         let (sx, sy) = (wrapped(x) * n as f32, wrapped(y) * n as f32);
@@ -115,7 +115,7 @@ impl WorleyNoise {
     }
 }
 
-/// A coordinate in the unit square.
+/// Wraps a coordinate to the unit square.
 fn wrapped(c: f32) -> f32 {
     if (0.0..1.0).contains(&c) {
         c
@@ -132,7 +132,7 @@ pub(super) fn mix_colour(a: [f32; 3], b: [f32; 3], t: f32) -> [f32; 3] {
     std::array::from_fn(|c| mix(a[c], b[c], t))
 }
 
-/// 0 below `low`, 1 above `high`, smooth between.
+/// Smoothstep from 0 at `low` to 1 at `high`.
 pub(super) fn smoothstep(low: f32, high: f32, x: f32) -> f32 {
     let t = ((x - low) / (high - low)).clamp(0.0, 1.0);
     t * t * (3.0 - 2.0 * t)
@@ -143,7 +143,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn noise_repeats_and_stays_in_range() {
+    fn noise_is_periodic_and_in_range() {
         let (fractal, cells) = (FractalNoise::new(5, [4, 6], 4), WorleyNoise::new(5, 7));
         for i in 0..200 {
             let (x, y) = (i as f32 * 0.0137, i as f32 * 0.0311);
@@ -157,7 +157,7 @@ mod tests {
     }
 
     #[test]
-    fn noise_is_continuous_over_the_border() {
+    fn noise_is_continuous_across_border() {
         let noise = ValueNoise::new(9, [8, 8]);
         for i in 0..50 {
             let y = i as f32 / 50.0;
@@ -167,7 +167,7 @@ mod tests {
     }
 
     #[test]
-    fn places_that_wrap_to_the_far_end_have_a_value() {
+    fn coordinates_beyond_the_border_wrap() {
         for cells in [1, 2, 9] {
             let noise = (ValueNoise::new(1, [cells; 2]), WorleyNoise::new(1, cells));
             for place in [-1e-9, 1.0, -3.0, 1e9] {

@@ -9,7 +9,7 @@ const PAPER: u32 = 0xf4f2ec;
 /// Black ink.
 const INK: u32 = 0x1d1d22;
 
-/// Colours of a print beside that of its ground.
+/// Ink colours of a label.
 #[derive(Clone, Copy)]
 pub(super) struct Inks {
     pub text: [f32; 3],
@@ -17,17 +17,17 @@ pub(super) struct Inks {
     pub(super) badge: [f32; 3],
 }
 
-/// What is printed; places and sizes in the unit square.
+/// Layout of a label; positions and sizes in the unit square.
 pub(super) struct Label {
     ground: [f32; 3],
     pub(super) inks: Inks,
-    /// Lower and upper edge of the colour field.
+    /// Lower and upper edge of the colour band.
     band: [f32; 2],
-    /// Centre and radius.
+    /// Centre and radius of the badge.
     disc: [f32; 3],
-    /// Left, top, right, bottom, and the height of a line.
+    /// Left, top, right, bottom of the text block, and the line height.
     text: [f32; 5],
-    /// Left, top, right, bottom.
+    /// Left, top, right, bottom of the bar code.
     bars: [f32; 4],
     seed: u64,
     paper: FractalNoise,
@@ -84,12 +84,12 @@ impl Label {
         }
     }
 
-    /// Factor of the paper on all colours.
+    /// Factor of the paper texture.
     pub(super) fn paper(&self, x: f32, y: f32) -> f32 {
         mix(0.95, 1.02, self.paper.at(x, y))
     }
 
-    /// Colour on a ground of any colour, on even paper.
+    /// Colour of the label on a ground colour, without paper texture.
     pub(super) fn ink(&self, x: f32, y: f32, ground: [f32; 3]) -> [f32; 3] {
         let mut colour = ground;
         if (self.band[0]..self.band[1]).contains(&y) {
@@ -113,7 +113,7 @@ impl Label {
         colour
     }
 
-    /// Words as dark blocks with the strokes of letters.
+    /// Whether a position is inked text: words of letters made of strokes.
     fn is_text(&self, x: f32, y: f32) -> bool {
         let [left, top, right, bottom, height] = self.text;
         if !(left..right).contains(&x) || !(top..bottom).contains(&y) {
@@ -126,14 +126,14 @@ impl Label {
         let line = line as i64;
         let letter = ((x - left) / (0.55 * height)) as i64;
         let is_space = lattice(self.seed, letter, line, 1) < 0.17;
-        // Three by five strokes to a letter.
+        // Three by five strokes per letter.
         let column = ((x - left) / (0.55 * height) * 3.6).fract();
         let stroke = ((x - left) / (0.55 * height) * 3.0) as i64;
         let row = (((y - top) / (1.9 * height)).fract() / 0.53 * 5.0) as i64;
         !is_space && column > 0.1 && lattice(self.seed, stroke, 5 * line + row, 2) < 0.55
     }
 
-    /// Within the bar code: whether there is ink.
+    /// Whether a position of the bar code is inked; `None` outside of it.
     fn is_bar(&self, x: f32, y: f32) -> Option<bool> {
         let [left, top, right, bottom] = self.bars;
         let margin = 0.012;

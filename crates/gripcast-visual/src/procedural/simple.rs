@@ -1,4 +1,4 @@
-//! Patterns without a model: squares and clouds.
+//! Checkerboard and random clouds.
 
 use super::noise::{FractalNoise, mix, mix_colour};
 use super::{GeneratedTexture, random_colour, scaled, texture_from_fn};
@@ -24,7 +24,7 @@ pub(super) fn noise(size_px: u32, stream: &mut SeedStream) -> GeneratedTexture {
     let first = FractalNoise::new(seed, [cells; 2], 5);
     let second = FractalNoise::new(seed ^ 0x61, [cells + 1; 2], 5);
     let image = texture_from_fn(size_px, |x, y| {
-        // Away from the middle, where sums of octaves gather.
+        // Increases the contrast: sums of octaves cluster around the middle.
         let spread = |v: f32| (2.2 * (v - 0.5) + 0.5).clamp(0.0, 1.0);
         let mixed = mix_colour(colors[0], colors[1], spread(first.at(x, y)));
         mix_colour(mixed, colors[2], spread(second.at(x, y)))

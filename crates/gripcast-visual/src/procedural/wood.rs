@@ -1,4 +1,4 @@
-//! Wood: year rings cut along the grain, fibres, and joints between boards.
+//! Wood: growth rings cut along the grain, fibres, and joints between boards.
 
 use std::f32::consts::TAU;
 
@@ -6,7 +6,7 @@ use super::noise::{FractalNoise, ValueNoise, mix, mix_colour, smoothstep};
 use super::{GeneratedTexture, scaled, srgb, texture_from_fn};
 use gripcast_base::random::{SeedStream, lattice};
 
-/// Light and dark wood of a year: beech, oak, pine, cherry, walnut, wenge, bleached ash.
+/// Early and late wood of beech, oak, pine, cherry, walnut, wenge, bleached ash.
 const SPECIES: [[u32; 2]; 7] = [
     [0xd9b48a, 0xbd8f63],
     [0xc9a173, 0x9c7346],
@@ -17,16 +17,16 @@ const SPECIES: [[u32; 2]; 7] = [
     [0xd8cdbd, 0xb9aa97],
 ];
 
-/// What wood is sawn into boards; they lie along x.
+/// Parameters of sawn wood; boards lie along x.
 pub(super) struct Wood {
-    /// Light and dark wood of a year.
+    /// Early and late wood of a growth ring.
     pub(super) early: [f32; 3],
     pub(super) late: [f32; 3],
-    /// WoodTexture in the unit square.
+    /// Boards in the unit square.
     pub(super) boards: u32,
-    /// Years across a board.
+    /// Growth rings across a board.
     pub(super) rings: f32,
-    /// How far rings wander, in years.
+    /// Waviness, growth rings.
     pub(super) wave: f32,
     pub(super) lightness: f32,
     pub(super) seed: u64,
@@ -39,7 +39,7 @@ pub(super) fn paint(size_px: u32, stream: &mut SeedStream) -> GeneratedTexture {
         early,
         late,
         boards,
-        // Rings and fibres keep their width on the surface, however many boards there are.
+        // Rings and fibres keep their width on the surface for any number of boards.
         rings: stream.between(8.0, 22.0).round() as f32 / boards as f32,
         wave: stream.between(0.6, 2.2) as f32,
         lightness: stream.between(0.85, 1.1) as f32,
@@ -53,7 +53,7 @@ pub(super) fn paint(size_px: u32, stream: &mut SeedStream) -> GeneratedTexture {
     )
 }
 
-/// WoodTexture of one wood.
+/// Texture of one or more boards.
 pub(super) struct WoodTexture {
     wood: Wood,
     boards: Vec<Board>,
@@ -101,10 +101,10 @@ impl WoodTexture {
         let across = y * count as f32 - number as f32;
         let warp = board.warp.at(x, y);
         let is_late = if count == 1 {
-            // One board has to close on itself.
+            // A single board must tile.
             0.5 - 0.5 * (TAU * (rings.round() * y + wave * (2.0 * warp - 1.0))).cos()
         } else {
-            // A year begins with light wood and ends in a sharp dark line.
+            // A growth ring starts with light early wood and ends in a sharp dark line.
             let phase = rings * across + wave * (2.0 * warp - 1.0);
             let year = (phase + lattice(board.seed, 0, 0, 9)).rem_euclid(1.0);
             smoothstep(0.45, 0.9, year) * (1.0 - smoothstep(0.93, 1.0, year))
@@ -118,12 +118,12 @@ impl WoodTexture {
     }
 }
 
-/// 1 in the joint between two boards, or at the end of one.
+/// 1 in the joint between two boards or at the end of one.
 fn joint(x: f32, across: f32, boards: usize, seed: u64) -> f32 {
     if boards == 1 {
         return 0.0;
     }
-    // Half a joint of 1.6 mm, on a tile of 0.6 m.
+    // Half a joint of 1.6 mm on a texture of 0.6 m.
     let half = 0.0013;
     let side = across.min(1.0 - across) / boards as f32;
     let end = (x - lattice(seed, 4, 5, 6)).rem_euclid(1.0);

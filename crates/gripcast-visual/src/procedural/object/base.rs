@@ -1,4 +1,4 @@
-//! What a surface is of, in one colour: wood, cloth, glaze, stone.
+//! Base layer of a surface in one colour: wood, cloth, glaze, stone.
 
 use std::f32::consts::PI;
 
@@ -14,7 +14,7 @@ use crate::appearance::Appearance;
 use crate::linear_image::luminance;
 use gripcast_base::random::{SeedStream, lattice};
 
-/// Threads along each side; a multiple of 12, as all weaves want.
+/// Threads along each side; a multiple of 12, the common period of all weaves.
 const THREADS: u32 = 48;
 /// Columns and rows of stitches.
 const WALES: f32 = 18.0;
@@ -47,18 +47,18 @@ pub(super) fn layer(appearance: &Appearance, stream: &mut SeedStream) -> Layer {
     }
 }
 
-/// A layer that only lightens and darkens.
+/// A layer that scales the brightness.
 pub(super) fn shaded(shade: impl Fn(f32, f32) -> f32 + Sync + 'static) -> Layer {
     Box::new(move |x, y, below| scaled(below, shade(x, y)))
 }
 
-/// Clouds between two factors.
+/// Clouds between two brightness factors.
 pub(super) fn clouds(cells: [u32; 2], range: [f32; 2], stream: &mut SeedStream) -> Layer {
     let cloud = FractalNoise::new(stream.bits(), cells, 4);
     shaded(move |x, y| mix(range[0], range[1], cloud.at(x, y)))
 }
 
-/// Year rings and fibres along y, upright on the sides of an object.
+/// Growth rings and fibres along y, vertical on the sides of an object.
 pub(super) fn wood(contrast: f32, stream: &mut SeedStream) -> Layer {
     let toward = |factor: f32| mix(1.0, factor, contrast);
     let boards = WoodTexture::new(Wood {
@@ -73,7 +73,7 @@ pub(super) fn wood(contrast: f32, stream: &mut SeedStream) -> Layer {
     Box::new(move |x, y, below| tinted(below, boards.colour(y, x)))
 }
 
-/// Crossing threads; `depth` 1 for cloth, less where they are only embossed.
+/// Woven threads; `depth` is 1 for cloth, less for embossed patterns.
 pub(super) fn weave(depth: f32, stream: &mut SeedStream) -> Layer {
     let weave = Weave::random(THREADS, stream);
     let weft = stream.between(0.6, 1.0) as f32;
@@ -84,7 +84,7 @@ pub(super) fn weave(depth: f32, stream: &mut SeedStream) -> Layer {
     })
 }
 
-/// Rows of loops, seen from the smooth side: each a V of two strands.
+/// Stockinette stitches: each a V of two strands.
 pub(super) fn knit(depth: f32, stream: &mut SeedStream) -> Layer {
     let seed = stream.bits();
     let wear = FractalNoise::new(seed ^ 0x3c, [4, 4], 3);
@@ -115,7 +115,7 @@ fn granite(base: [f32; 3], stream: &mut SeedStream) -> Layer {
 fn marble(base: [f32; 3], stream: &mut SeedStream) -> Layer {
     let veins = Veins::new(stream.bits());
     let own = luminance(base);
-    // Veins of dark marble are light.
+    // Dark marble has light veins.
     let vein = if own > 0.12 {
         scaled(mix_colour(base, grey_of(base), 0.4), 0.35)
     } else {
@@ -146,7 +146,7 @@ fn paper(stream: &mut SeedStream) -> Layer {
     })
 }
 
-/// Skin of fruit or hide: broad changes of hue and fine pores.
+/// Skin of fruit or hide: broad hue variation and fine pores.
 fn peel(base: [f32; 3], stream: &mut SeedStream) -> Layer {
     let seed = stream.bits();
     let angle = stream.between(-0.16, 0.16) as f32;

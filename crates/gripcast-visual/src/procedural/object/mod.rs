@@ -1,4 +1,5 @@
-//! Coats: the whole surface of an object painted around the base colour of its [`Appearance`].
+//! Object textures: the whole surface of an object, generated around the base colour of its
+//! [`Appearance`].
 
 mod base;
 mod palette;
@@ -15,16 +16,16 @@ use gripcast_base::random::SeedStream;
 
 use palette::MAX_REFLECTANCE;
 
-/// A step of painting: the linear colour at a place of the unit square from the colour below.
+/// Texture layer: the linear colour at a position of the unit square, given the colour below.
 type Layer = Box<dyn Fn(f32, f32, [f32; 3]) -> [f32; 3] + Sync>;
 
-/// Metal that is left between spots of rust.
+/// Metallic value of rusty metal.
 const RUSTY_METALLIC: f32 = 0.6;
 
-/// Paints a object, `size_px` × `size_px` pixels that tile; the same arguments give the same bytes.
-/// Its mean luminance is that of the base colour, but for print and rust.
+/// Generates a tileable texture of `size_px` × `size_px` pixels; the result depends on the
+/// arguments alone. Its mean luminance is that of the base colour, except for prints and rust.
 pub(crate) fn paint(appearance: &Appearance, size_px: u32, seed: u64) -> GeneratedTexture {
-    let mut stream = SeedStream::named(seed, "object");
+    let mut stream = SeedStream::named(seed, "coat");
     let layers = layers(appearance, size_px, &mut stream);
     let mut image = linear_from_fn(size_px, |x, y| {
         let paint = |below: [f32; 3], layer: &Layer| layer(x, y, below);
@@ -45,7 +46,7 @@ pub(crate) fn paint(appearance: &Appearance, size_px: u32, seed: u64) -> Generat
     }
 }
 
-/// From the bottom to the top.
+/// Returns the layers from bottom to top.
 fn layers(appearance: &Appearance, size_px: u32, stream: &mut SeedStream) -> Vec<Layer> {
     let base = base::layer(appearance, stream);
     let pattern = pattern::layer(appearance, size_px, stream);
@@ -54,7 +55,7 @@ fn layers(appearance: &Appearance, size_px: u32, stream: &mut SeedStream) -> Vec
         .then(|| pattern::printed(appearance.base_colour, size_px, stream));
     let wear = wear::layer(appearance, size_px, stream);
     let below = if appearance.finish == Finish::Fabric {
-        // Colours are in the threads, whose relief shades them.
+        // The pattern is dyed into the threads, whose relief shades it.
         [pattern, Some(base)]
     } else {
         [Some(base), pattern]
@@ -62,10 +63,9 @@ fn layers(appearance: &Appearance, size_px: u32, stream: &mut SeedStream) -> Vec
     below.into_iter().chain([print, wear]).flatten().collect()
 }
 
-/// Scales an image so that its mean luminance is as wanted, as far as no pixel gets brighter
-/// than bright paint.
+/// Scales an image to a mean luminance, limited by [`MAX_REFLECTANCE`].
 fn balance(image: &mut Image, wanted: f32) {
-    // What is cut off at the top is missing in the mean: the second pass makes up for it.
+    // The second pass compensates for clipping in the first.
     for _ in 0..2 {
         let mean = luminance(image.mean().map(|c| c as f32));
         if mean <= 0.0 {
@@ -78,8 +78,8 @@ fn balance(image: &mut Image, wanted: f32) {
     }
 }
 
-/// Width of the painted square on the surface, m; chosen so that grain, threads and grooves have
-/// their usual size on an object of some centimetres.
+/// Width of the texture on the surface, m; grain, threads and grooves have their usual size on a
+/// hand-sized object.
 fn tile_m(appearance: &Appearance) -> f64 {
     match (appearance.finish, appearance.pattern) {
         (Finish::Wood, _) | (_, Pattern::Grain) => 0.10,
@@ -92,15 +92,15 @@ fn tile_m(appearance: &Appearance) -> f64 {
     }
 }
 
-/// Wear takes the gloss away.
+/// Wear increases the roughness.
 fn roughness(appearance: &Appearance) -> f32 {
-    let least = match appearance.pattern {
+    let min = match appearance.pattern {
         Pattern::Scratched => 0.15,
         Pattern::Worn => 0.25,
         Pattern::Rusty => 0.5,
         _ => 0.0,
     };
-    appearance.roughness.max(least)
+    appearance.roughness.max(min)
 }
 
 #[cfg(test)]

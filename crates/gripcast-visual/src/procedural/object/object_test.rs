@@ -37,7 +37,7 @@ const BLUE: [f32; 3] = [0.018, 0.093, 0.381];
 const YELLOW: [f32; 3] = [0.745, 0.479, 0.0137];
 
 #[test]
-fn coats_are_fixed_by_their_seed_and_tile() {
+fn textures_depend_on_seed_and_tile() {
     for (finish, word) in all() {
         let appearance = appearance(finish, word, OAK);
         let object = paint(&appearance, 64, 5);
@@ -53,7 +53,7 @@ fn coats_are_fixed_by_their_seed_and_tile() {
 }
 
 #[test]
-fn one_thread_paints_what_many_do() {
+fn texture_does_not_depend_on_thread_count() {
     let pool = rayon::ThreadPoolBuilder::new().num_threads(1).build();
     let one = pool.unwrap();
     for (finish, word) in all().step_by(7) {
@@ -64,7 +64,7 @@ fn one_thread_paints_what_many_do() {
 }
 
 #[test]
-fn the_base_colour_is_the_mean() {
+fn base_colour_is_the_mean() {
     for (finish, word) in all() {
         for (seed, base) in [OAK, WHITE, BLACK, BLUE, YELLOW].into_iter().enumerate() {
             let appearance = appearance(finish, word, base);
@@ -105,7 +105,7 @@ fn patterns_of_one_finish_differ() {
 }
 
 #[test]
-fn black_and_white_can_be_painted() {
+fn black_and_white_are_supported() {
     for (finish, word) in all() {
         let black = paint(&appearance(finish, word, [0.0; 3]), 16, 1);
         let white = paint(&appearance(finish, word, [1.0; 3]), 16, 1);
@@ -117,7 +117,7 @@ fn black_and_white_can_be_painted() {
 }
 
 #[test]
-fn metals_are_metallic_and_wear_is_dull() {
+fn metal_is_metallic_and_wear_is_rough() {
     for word in Pattern::ALL {
         let metal = paint(&appearance(Finish::Metal, word, WHITE), 16, 1);
         assert_eq!(metal.metallic == 1.0, word != Pattern::Rusty, "{word:?}");

@@ -1,26 +1,26 @@
-//! Colours that go with a base colour; all linear RGB.
+//! Colours derived from a base colour; all linear RGB.
 
 use super::super::noise::{mix, mix_colour};
 use super::super::random_colour;
 use crate::linear_image::luminance;
 use gripcast_base::random::SeedStream;
 
-/// Largest reflectance that is painted: that of bright white paint.
+/// Maximum albedo of generated textures: bright white paint.
 pub(super) const MAX_REFLECTANCE: f32 = 0.95;
 /// Luminance of middle grey.
 const MIDDLE: f32 = 0.18;
 
-/// A colour with each channel times its own factor.
+/// Multiplies a colour by factors per channel.
 pub(super) fn tinted(colour: [f32; 3], factors: [f32; 3]) -> [f32; 3] {
     std::array::from_fn(|c| colour[c] * factors[c])
 }
 
-/// The grey of a colour's luminance.
+/// Returns the grey of a colour's luminance.
 pub(super) fn grey_of(colour: [f32; 3]) -> [f32; 3] {
     [luminance(colour); 3]
 }
 
-/// Hue and saturation of a colour with another luminance; paler where it would be too bright.
+/// Changes the luminance of a colour; desaturates it if it would be too bright.
 pub(super) fn with_luminance(colour: [f32; 3], wanted: f32) -> [f32; 3] {
     let own = luminance(colour);
     let wanted = wanted.min(MAX_REFLECTANCE);
@@ -36,7 +36,7 @@ pub(super) fn with_luminance(colour: [f32; 3], wanted: f32) -> [f32; 3] {
     mix_colour(lit, [wanted; 3], grey.min(1.0))
 }
 
-/// A colour turned about the grey axis, rad.
+/// Rotates a colour about the grey axis, rad.
 pub(super) fn rotate_hue(colour: [f32; 3], angle: f32) -> [f32; 3] {
     let (sin, cos) = angle.sin_cos();
     let mean = (colour[0] + colour[1] + colour[2]) / 3.0;
@@ -47,15 +47,15 @@ pub(super) fn rotate_hue(colour: [f32; 3], angle: f32) -> [f32; 3] {
     with_luminance(turned, luminance(colour))
 }
 
-/// Whether a colour has no hue to speak of.
+/// Whether a colour has little saturation.
 fn is_grey(colour: [f32; 3]) -> bool {
     let largest = colour.into_iter().fold(0.0, f32::max);
     let least = colour.into_iter().fold(f32::MAX, f32::min);
     largest - least < 0.25 * largest
 }
 
-/// A second colour beside the base: of a neighbouring or the opposite hue, darker than a light
-/// base and lighter than a dark one.
+/// Returns an accent colour of a neighbouring or the opposite hue, darker than a light base and
+/// lighter than a dark one.
 pub(super) fn accent(base: [f32; 3], stream: &mut SeedStream) -> [f32; 3] {
     let random = random_colour(stream, [0.5, 0.95], [0.4, 0.95]);
     let angle = stream.pick([0.0_f32, 0.5, -0.5, 2.6, 3.1, -2.6]);
@@ -67,7 +67,7 @@ pub(super) fn accent(base: [f32; 3], stream: &mut SeedStream) -> [f32; 3] {
     with_luminance(hue, contrasting(base, stream))
 }
 
-/// A luminance that stands out from a colour's.
+/// Returns a luminance that contrasts with a colour.
 fn contrasting(base: [f32; 3], stream: &mut SeedStream) -> f32 {
     let own = luminance(base);
     if own > MIDDLE {
@@ -77,7 +77,7 @@ fn contrasting(base: [f32; 3], stream: &mut SeedStream) -> f32 {
     }
 }
 
-/// White on a dark colour, nearly black on a light one.
+/// Returns white on a dark colour, nearly black on a light one.
 pub(super) fn legible(base: [f32; 3]) -> [f32; 3] {
     if luminance(base) > MIDDLE {
         [0.012; 3]
@@ -86,7 +86,7 @@ pub(super) fn legible(base: [f32; 3]) -> [f32; 3] {
     }
 }
 
-/// A colour drawn towards dust or bare fibre: paler and lighter.
+/// Fades a colour towards dust or bare fibre: less saturated and lighter.
 pub(super) fn faded(colour: [f32; 3], fraction: f32) -> [f32; 3] {
     let own = luminance(colour);
     let lighter = mix(own, 0.55, 0.35).max(own);

@@ -176,7 +176,7 @@ fn flecks(base: [f32; 3], size_px: u32, stream: &mut SeedStream) -> Layer {
         count: 420,
         length: [0.008, 0.035],
         spread_rad: 3.2,
-        turn_rad: 1.2,
+        bend_rad: 1.2,
         dark: 0.65,
     };
     let mask = Mask::drawn(size_px, &fibres, stream);

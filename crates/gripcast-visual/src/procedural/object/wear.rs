@@ -1,4 +1,4 @@
-//! Wear: scratches, rubbed and chipped places, rust and tarnish, cracks.
+//! Wear layers: scratches, rubbed and chipped areas, rust and tarnish, cracks.
 
 use super::super::noise::{FractalNoise, ValueNoise, WorleyNoise, mix, mix_colour, smoothstep};
 use super::super::{scaled, srgb};
@@ -37,7 +37,7 @@ fn scratched(appearance: &Appearance, size_px: u32, stream: &mut SeedStream) -> 
         count: 90,
         length: [0.03, 0.6],
         spread_rad: stream.pick([0.5, 1.2, 3.2]),
-        turn_rad: 0.35,
+        bend_rad: 0.35,
         dark: if own > 0.25 { 0.7 } else { 0.25 },
     };
     let mask = Mask::drawn(size_px, &strokes, stream);
@@ -52,7 +52,7 @@ fn scratched(appearance: &Appearance, size_px: u32, stream: &mut SeedStream) -> 
     })
 }
 
-/// Patches where what lies below comes through.
+/// Patches where the layer below shows through.
 fn worn(appearance: &Appearance, stream: &mut SeedStream) -> Layer {
     let base = appearance.base_colour;
     let under = match appearance.finish {
@@ -71,7 +71,7 @@ fn worn(appearance: &Appearance, stream: &mut SeedStream) -> Layer {
     Box::new(move |x, y, below| {
         let rubbed = cloud.at(x, y) + 0.12 * (fine.at(x, y) - 0.5);
         let fraction = smoothstep(0.46, 0.66, rubbed);
-        // Texture shows through on both.
+        // The relief of the texture remains visible on both.
         let relief = luminance(below) / luminance(base).max(1e-4);
         mix_colour(
             below,
@@ -107,7 +107,7 @@ fn rusty(appearance: &Appearance, stream: &mut SeedStream) -> Layer {
     }
 }
 
-/// Spots that grow from pits, with an orange rim.
+/// Rust spots growing from pits, with an orange rim.
 fn rusted(stream: &mut SeedStream) -> Layer {
     let seed = stream.bits();
     let [crust, brown, rim] = RUST.map(srgb);
@@ -127,14 +127,14 @@ fn rusted(stream: &mut SeedStream) -> Layer {
             mix_colour(brown, crust, smoothstep(0.4, 0.6, fine)),
             inside,
         );
-        // A stain around the spot.
+        // Stain around the spot.
         let stain = 0.35 * smoothstep(-0.08, 0.0, depth);
         let stained = mix_colour(below, tinted(below, [0.85, 0.6, 0.4]), stain);
         mix_colour(stained, colour, 0.95 * cover)
     })
 }
 
-/// Brown tarnish and, in the deepest places, verdigris.
+/// Brown tarnish and, in the deepest areas, verdigris.
 fn tarnished(base: [f32; 3], stream: &mut SeedStream) -> Layer {
     let brown = tinted(base, [0.34, 0.26, 0.20]);
     let green = srgb(VERDIGRIS);
@@ -154,7 +154,7 @@ fn tarnished(base: [f32; 3], stream: &mut SeedStream) -> Layer {
 fn cracked(appearance: &Appearance, stream: &mut SeedStream) -> Layer {
     let base = appearance.base_colour;
     let own = luminance(base);
-    // The crackle of a glaze is a fine net, other surfaces have few deep cracks.
+    // Glaze crackles in a fine net; other surfaces have few deep cracks.
     let (count, width, depth) = match appearance.finish {
         Finish::Ceramic | Finish::Glass => (stream.pick([11, 14, 17]), 0.13, 0.7),
         Finish::Organic => (stream.pick([8, 11, 14]), 0.12, 0.7),
@@ -173,7 +173,7 @@ fn cracked(appearance: &Appearance, stream: &mut SeedStream) -> Layer {
     Box::new(move |x, y, below| {
         let [dx, dy] = [0, 1].map(|k: usize| 0.09 * (bend[k].at(x, y) - 0.5));
         let (near, far, _) = cells.at(x + dx, y + dy);
-        // Cracks run out where the surface holds together.
+        // Cracks end where the surface holds together.
         let open = if is_net {
             1.0
         } else {
