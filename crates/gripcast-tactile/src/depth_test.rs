@@ -28,7 +28,7 @@ fn depth(scene: &TactileScene<'_>) -> PressDepth {
 }
 
 #[test]
-fn a_ball_at_a_known_place_has_its_own_depth() {
+fn ball_has_analytic_depth() {
     let radius = 6e-3;
     // Sagitta of a face: 0.6 µm.
     let ball = bumpy_ball(radius, 0.0, 160, 320);
@@ -54,7 +54,7 @@ fn a_ball_at_a_known_place_has_its_own_depth() {
 }
 
 #[test]
-fn depths_end_at_the_thickness_of_the_gel() {
+fn depth_is_clipped_to_gel_thickness() {
     let ball = bumpy_ball(8e-3, 0.0, 40, 40);
     // 5 mm deep, beyond the gel's back: still no hole.
     let press = depth(&scene(&ball, DVec3::Z * 7e-3, 0.0));
@@ -64,14 +64,14 @@ fn depths_end_at_the_thickness_of_the_gel() {
 }
 
 #[test]
-fn what_lies_behind_the_sensor_is_not_seen() {
+fn object_behind_the_sensor_is_ignored() {
     let ball = bumpy_ball(8e-3, 0.0, 40, 40);
     let press = depth(&scene(&ball, DVec3::Z * -30e-3, 0.0));
     assert_eq!(press, PressDepth::untouched(GRID));
 }
 
 #[test]
-fn an_undeformed_gel_is_flat_and_a_sunken_one_is_seen() {
+fn gel_surface_depth_shows_only_indentation() {
     let ball = bumpy_ball(8e-3, 0.0, 40, 40);
     let corner = |x: f64, y: f64, z: f64| DVec3::new(0.0125 * x, 0.01 * y, z);
     let face = |middle: f64| TriangleMesh {
@@ -94,7 +94,7 @@ fn an_undeformed_gel_is_flat_and_a_sunken_one_is_seen() {
     // Half a pixel from the middle of a pyramid 1 mm deep.
     let expected = 1e-3 * (1.0 - 0.5e-4 / 0.01);
     assert!((sunken.deepest_m() - expected).abs() < 1e-7);
-    // A bulge beyond the face at rest is no press.
+    // A bulge beyond the face at rest is not an indentation.
     seen.gel_face = Some(face(4.2e-3));
     let bulge = gel_surface_depth(&seen, &GRID, &mut Rasteriser::new());
     assert_eq!(bulge, Some(PressDepth::untouched(GRID)));

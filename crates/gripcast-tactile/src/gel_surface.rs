@@ -1,9 +1,9 @@
-//! The image of the deformed gel's own mesh, to compare with: what Taccel's built-in renderer
-//! looks at (Li et al. 2025).
+//! Baseline renderer: image of the deformed gel mesh, as in Taccel's built-in renderer (Li et al.
+//! 2025).
 //!
-//! Rays meet the flat triangles of the gel's face, so each triangle of the mesh has one normal and
-//! shows as a flat patch, and the face sinks beyond the contact. Colours are those of the sensor's
-//! profile; Taccel's own are a neural network of another sensor.
+//! Rays hit the flat triangles of the gel face, so each triangle has one normal and shows as a flat
+//! patch, and the face sinks around the contact. Shading is that of the sensor profile; Taccel uses
+//! a neural network of another sensor.
 
 use glam::DVec3;
 use image::RgbImage;
@@ -21,7 +21,7 @@ use gripcast_base::error::{Error, Result};
 use gripcast_geometry::{Pose, TriangleMesh};
 use gripcast_sim::fem::{GelGrid, Side};
 
-/// Renders the deformed face of the gel, without smoothing.
+/// Renders the deformed gel face without smoothing.
 #[derive(Clone, Debug)]
 pub struct GelSurfaceRenderer {
     shading: TactileRenderer,
@@ -30,10 +30,10 @@ pub struct GelSurfaceRenderer {
 }
 
 impl GelSurfaceRenderer {
-    /// A renderer with the colours of a sensor's profile.
+    /// Renderer with the shading of a sensor profile.
     ///
     /// # Errors
-    /// `Config` if the profile is not valid.
+    /// `Config` if the profile is invalid.
     pub fn new(profile: &SensorProfile) -> Result<Self> {
         let unsmoothed = SensorProfile {
             smoothing: Smoothing::default(),
@@ -59,17 +59,15 @@ impl SceneRenderer for GelSurfaceRenderer {
     fn render(&mut self, scene: &TactileScene<'_>, seed: Option<u64>) -> Result<RgbImage> {
         let grid = self.grid();
         let press = gel_surface_depth(scene, &grid, &mut self.rasteriser).ok_or_else(|| {
-            Error::input(
-                "the gel-surface renderer needs the deformed gel, which this scene does not have",
-            )
-            .remedy("render the end of a stage of a simulated grasp")
+            Error::input("the gel-surface renderer needs the deformed gel, which the scene lacks")
+                .remedy("render the end of a stage of a simulated grasp")
         })?;
         self.shading.render(&press, &noise(&self.drift, seed))
     }
 }
 
-/// A press as flat triangles between the nodes of a gel's face that lie on it: the best that a
-/// mesh of the gel can show of it.
+/// Resamples a press at the nodes of a gel face with flat triangles between them: the best that the
+/// gel mesh can represent.
 pub fn faceted(press: &PressDepth, gel: &GelGrid, rasteriser: &mut Rasteriser) -> PressDepth {
     let grid = &press.geometry;
     let thickness = gel.thickness_m();
@@ -85,15 +83,15 @@ pub fn faceted(press: &PressDepth, gel: &GelGrid, rasteriser: &mut Rasteriser) -
             .collect(),
     };
     let range = [f64::NEG_INFINITY, thickness];
-    let seen = rasteriser.nearest(&face, &Pose::IDENTITY, grid, range);
-    depth_below(seen, thickness, grid)
+    let nearest = rasteriser.nearest(&face, &Pose::IDENTITY, grid, range);
+    depth_below(nearest, thickness, grid)
 }
 
-/// Depth at the pixel nearest to a point of the face; 0 outside the image.
+/// Returns the depth at the pixel nearest to a point of the face; 0 outside the image.
 fn depth_at(press: &PressDepth, point: &DVec3) -> f64 {
     let grid = &press.geometry;
-    let pixel = |at: f64, count: usize| {
-        let pixel = (at / grid.pixel_m + 0.5 * (count as f64 - 1.0)).round();
+    let pixel = |c: f64, count: usize| {
+        let pixel = (c / grid.pixel_m + 0.5 * (count as f64 - 1.0)).round();
         (pixel >= 0.0 && pixel < count as f64).then_some(pixel as usize)
     };
     match (pixel(point.x, grid.width), pixel(point.y, grid.height)) {
@@ -132,7 +130,7 @@ mod tests {
     }
 
     #[test]
-    fn an_undeformed_gel_is_the_untouched_image_for_every_renderer() {
+    fn every_renderer_shows_undeformed_gel_as_background() {
         let object = builtin("builtin:sphere").unwrap();
         let profile = SensorProfile::gelsight_mini().unwrap();
         let untouched = profile.background.image.clone().unwrap();
@@ -156,7 +154,7 @@ mod tests {
     }
 
     #[test]
-    fn each_face_of_the_mesh_has_one_colour() {
+    fn each_triangle_has_one_colour() {
         let object = builtin("builtin:sphere").unwrap();
         let mut profile = SensorProfile::gelsight_mini().unwrap();
         // A flat background and colours that do not depend on the place.
@@ -178,7 +176,7 @@ mod tests {
     }
 
     #[test]
-    fn facets_meet_the_press_at_the_nodes_of_the_gel() {
+    fn facets_match_the_press_at_gel_nodes() {
         let geometry = SensorGeometry {
             width: 200,
             height: 160,
@@ -206,7 +204,7 @@ mod tests {
     }
 
     #[test]
-    fn a_scene_without_gel_is_explained() {
+    fn scene_without_gel_is_refused() {
         let object = builtin("builtin:sphere").unwrap();
         let profile = SensorProfile::gelsight_mini().unwrap();
         let lacking = TactileScene {
@@ -221,7 +219,7 @@ mod tests {
     }
 
     #[test]
-    fn a_seed_gives_the_same_bytes_and_another_other_noise() {
+    fn noise_depends_on_seed() {
         let object = builtin("builtin:sphere").unwrap();
         let profile = SensorProfile::gelsight_mini().unwrap();
         let mut renderer = ObjectDepthRenderer::new(&profile).unwrap();

@@ -1,10 +1,9 @@
-//! Shading from the geometry of the lamps: near point lights, diffuse and specular.
+//! LED shading: near point lights with diffuse and specular reflection.
 //!
-//! For a lamp at p, a point of the face at q and the unit vector l from q to p,
-//! I = (d₀/|p − q|)² · (k_d max(n·l, 0) + k_s max(r_z, 0)^α), r = 2 (n·l) n − l (Phong), with the
-//! camera straight above the face and d₀ the lamp's distance from the face's middle. The change
-//! against the untouched gel is Σ I(n) − Σ I(0, 0, 1), so light that does not depend on the
-//! slope drops out.
+//! For an LED at p, a point of the face at q and the unit vector l from q to p, I = (d₀/|p − q|)² ·
+//! (k_d max(n·l, 0) + k_s max(r_z, 0)^α), r = 2 (n·l) n − l (Phong), with the camera straight above
+//! the face and d₀ the distance of the LED from the centre of the face. The change relative to the
+//! untouched gel is Σ I(n) − Σ I(0, 0, 1), so slope-independent light cancels.
 
 use serde::{Deserialize, Serialize};
 
@@ -16,36 +15,35 @@ use gripcast_base::error::{Error, Result};
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Led {
-    /// Place: x along the columns and y along the rows from the image's middle, z from the
-    /// face towards the camera, m.
+    /// Position, m: x along the columns and y along the rows from the image centre, z from the face
+    /// towards the camera.
     pub position_m: [f64; 3],
-    /// Diffuse strength in red, green, blue, grey levels.
+    /// Diffuse intensity in red, green, blue, grey levels.
     pub diffuse: [f64; 3],
-    /// Specular strength in red, green, blue, grey levels.
+    /// Specular intensity in red, green, blue, grey levels.
     pub specular: [f64; 3],
 }
 
-/// Lamps and gloss of a sensor.
+/// LEDs and shininess of a sensor.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct LedShading {
     /// Phong exponent, 1 to 64.
     pub shininess: u32,
-    /// The lamps.
+    /// LEDs.
     pub leds: Vec<Led>,
 }
 
-/// Most lamps.
+/// Maximum number of LEDs.
 const MAX_LEDS: usize = 16;
-/// Largest Phong exponent.
+/// Maximum Phong exponent.
 const MAX_SHININESS: u32 = 64;
 
 impl LedShading {
-    /// Three lamps, red, green and blue, a third of a turn apart beside the pad, as a Mini's
-    /// colours suggest: red from the top of the image. Strengths are a guess to start a fit
-    /// from.
+    /// Initial guess for a GelSight Mini: red, green and blue LEDs at 120° beside the pad, red at
+    /// the top of the image.
     pub fn mini_guess() -> Self {
-        let lamp = |degrees: f64, channel: usize| {
+        let led = |degrees: f64, channel: usize| {
             let (sin, cos) = degrees.to_radians().sin_cos();
             let mut diffuse = [15.0; 3];
             diffuse[channel] = 120.0;
@@ -59,19 +57,19 @@ impl LedShading {
         };
         Self {
             shininess: 8,
-            leds: vec![lamp(-90.0, 0), lamp(30.0, 1), lamp(150.0, 2)],
+            leds: vec![led(-90.0, 0), led(30.0, 1), led(150.0, 2)],
         }
     }
 
-    /// Checks counts and values.
+    /// Checks counts and ranges.
     ///
     /// # Errors
-    /// `Config` with what was expected and found.
+    /// `Config` with the expected and the found value.
     pub fn validate(&self) -> Result<()> {
         let refused = |what: String| Err(Error::config(what));
         if self.leds.is_empty() || self.leds.len() > MAX_LEDS {
             return refused(format!(
-                "shading.leds must hold 1 to {MAX_LEDS} lamps, found {}",
+                "shading.leds must contain 1 to {MAX_LEDS} LEDs, found {}",
                 self.leds.len()
             ));
         }
@@ -84,7 +82,9 @@ impl LedShading {
         for (i, led) in self.leds.iter().enumerate() {
             let values = [led.position_m, led.diffuse, led.specular];
             if values.iter().flatten().any(|v| !v.is_finite()) {
-                return refused(format!("shading.leds[{i}] holds a value that is no number"));
+                return refused(format!(
+                    "shading.leds[{i}] contains a value that is not finite"
+                ));
             }
             if led.position_m[2] <= 0.0 {
                 return refused(format!(
@@ -96,7 +96,7 @@ impl LedShading {
         Ok(())
     }
 
-    /// Adds the change of every pixel, grey levels, to the planes of red, green and blue.
+    /// Adds the change of each pixel, grey levels, to the red, green and blue planes.
     pub(super) fn add(
         &self,
         geometry: &SensorGeometry,
@@ -108,13 +108,13 @@ impl LedShading {
         };
         let mut light = RowLight::default();
         for led in &self.leds {
-            let lamp = PointLight::new(led, self.shininess);
+            let light_source = PointLight::new(led, self.shininess);
             for row in region.y0..region.y1 {
                 let span = row * geometry.width + region.x0..row * geometry.width + region.x1;
                 let [first, y] = geometry.pixel_to_gel_m(region.x0 as f64, row as f64);
                 let start = [first as f32, y as f32];
                 light.fill(
-                    &lamp,
+                    &light_source,
                     start,
                     geometry.pixel_m as f32,
                     [
@@ -124,7 +124,10 @@ impl LedShading {
                     ],
                 );
                 for (channel, plane) in planes.iter_mut().enumerate() {
-                    let (diffuse, specular) = (lamp.diffuse[channel], lamp.specular[channel]);
+                    let (diffuse, specular) = (
+                        light_source.diffuse[channel],
+                        light_source.specular[channel],
+                    );
                     let row = plane[span.clone()].iter_mut();
                     for (out, (d, s)) in row.zip(light.diffuse.iter().zip(&light.shine)) {
                         *out += diffuse * d + specular * s;
@@ -135,8 +138,7 @@ impl LedShading {
     }
 }
 
-/// Change of a lamp's light along a row, as [`PointLight::change`] for each pixel, in loops that
-/// vectorise.
+/// Change of an LED's light along a row, as [`PointLight::change`], in loops that vectorise.
 #[derive(Default)]
 struct RowLight {
     diffuse: Vec<f32>,
@@ -146,8 +148,8 @@ struct RowLight {
 }
 
 impl RowLight {
-    /// `start` is the place of the first pixel, m; the others follow along x.
-    fn fill(&mut self, lamp: &PointLight, start: [f32; 2], pixel_m: f32, normals: [&[f32]; 3]) {
+    /// `start` is the position of the first pixel, m; the others follow along x.
+    fn fill(&mut self, led: &PointLight, start: [f32; 2], pixel_m: f32, normals: [&[f32]; 3]) {
         let [nx, ny, nz] = normals;
         for plane in [
             &mut self.diffuse,
@@ -157,7 +159,7 @@ impl RowLight {
         ] {
             plane.resize(nx.len(), 0.0);
         }
-        let (y, z) = (lamp.position[1] - start[1], lamp.position[2]);
+        let (y, z) = (led.position[1] - start[1], led.position[2]);
         let across = y * y + z * z;
         let out = self.diffuse.iter_mut().zip(self.falloff.iter_mut());
         let out = out.zip(self.shine.iter_mut().zip(self.shine_flat.iter_mut()));
@@ -165,18 +167,18 @@ impl RowLight {
         for (i, (((diffuse, falloff), (shine, flat)), (nx, (ny, nz)))) in
             out.zip(normals).enumerate()
         {
-            let x = lamp.position[0] - (start[0] + i as f32 * pixel_m);
+            let x = led.position[0] - (start[0] + i as f32 * pixel_m);
             let square = x * x + across;
             let inverse = 1.0 / square.sqrt();
             let upward = z * inverse;
             let facing = (nx * x + ny * y) * inverse + (1.0 + nz) * upward;
-            *falloff = lamp.distance_square / square;
+            *falloff = led.distance_square / square;
             *diffuse = *falloff * (facing.max(0.0) - upward);
             *shine = (2.0 * facing * (1.0 + nz) - upward).max(0.0);
             *flat = upward.max(0.0);
         }
-        pow_all(&mut self.shine, lamp.shininess);
-        pow_all(&mut self.shine_flat, lamp.shininess);
+        pow_all(&mut self.shine, led.shininess);
+        pow_all(&mut self.shine_flat, led.shininess);
         let flat = self.shine_flat.iter().zip(&self.falloff);
         for (shine, (flat, falloff)) in self.shine.iter_mut().zip(flat) {
             *shine = falloff * (*shine - flat);
@@ -184,7 +186,7 @@ impl RowLight {
     }
 }
 
-/// Each value to the power of `exponent`, by squaring.
+/// Raises all values to a power by repeated squaring.
 fn pow_all(values: &mut [f32], exponent: u32) {
     const BLOCK: usize = 16;
     for block in values.chunks_mut(BLOCK) {
@@ -205,7 +207,7 @@ fn pow_all(values: &mut [f32], exponent: u32) {
     }
 }
 
-/// A lamp in single precision.
+/// An LED in single precision.
 #[derive(Clone, Debug)]
 pub(super) struct PointLight {
     position: [f32; 3],
@@ -227,16 +229,16 @@ impl PointLight {
         }
     }
 
-    /// Diffuse and specular light of unit strength at a place of the face (m) with a normal
-    /// (nx, ny, nz − 1), less that of the untouched face.
-    pub(super) fn change(&self, place: [f32; 2], normal: [f32; 3]) -> [f32; 2] {
+    /// Returns the diffuse and specular change, for unit intensity, at a position of the face (m)
+    /// with the normal (nx, ny, nz − 1).
+    pub(super) fn change(&self, position: [f32; 2], normal: [f32; 3]) -> [f32; 2] {
         let [x, y, z_less_1] = normal;
         if x == 0.0 && y == 0.0 {
             return [0.0; 2];
         }
         let to = [
-            self.position[0] - place[0],
-            self.position[1] - place[1],
+            self.position[0] - position[0],
+            self.position[1] - position[1],
             self.position[2],
         ];
         let square: f32 = to.iter().map(|v| v * v).sum();
@@ -252,7 +254,6 @@ impl PointLight {
     }
 }
 
-/// base^exponent by squaring.
 fn power(base: f32, exponent: u32) -> f32 {
     let (mut result, mut square, mut left) = (1.0, base, exponent);
     while left > 0 {
@@ -270,7 +271,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_slope_towards_the_lamp_is_brighter() {
+    fn slope_towards_the_led_is_brighter() {
         let guess = LedShading::mini_guess();
         guess.validate().unwrap();
         let red = PointLight::new(&guess.leds[0], guess.shininess);
@@ -288,7 +289,7 @@ mod tests {
     }
 
     #[test]
-    fn rows_give_the_light_of_their_pixels() {
+    fn row_shading_equals_pixel_shading() {
         let geometry = SensorGeometry {
             width: 37,
             height: 5,
@@ -327,7 +328,7 @@ mod tests {
     }
 
     #[test]
-    fn lamps_behind_the_face_are_refused() {
+    fn led_behind_the_face_is_refused() {
         let mut shading = LedShading::mini_guess();
         shading.leds[1].position_m[2] = 0.0;
         assert!(

@@ -1,17 +1,17 @@
-//! Images of a GelSight Mini pressed on an object.
+//! Tactile images of a GelSight Mini pressed on an object.
 //!
-//! A press is a map of depths on the sensor's pixel grid ([`PressDepth`]); a renderer makes a
-//! image of it. Columns of the image run along the gel's x axis (the gripper's approach,
-//! 25 mm), rows along its y axis, as the sensor's camera sees it from behind the gel.
+//! A press is a depth map on the sensor's pixel grid ([`PressDepth`]), from which a renderer makes
+//! an image. Image columns run along the gel's x axis (the gripper's approach direction, 25 mm),
+//! rows along its y axis, as seen by the sensor's camera behind the gel.
 //!
-//! A [`TactileScene`] is what a sensor meets, of a simulated grasp or of a mesh pressed by hand;
-//! every [`SceneRenderer`] makes images of it. That of the paper is [`ObjectDepthRenderer`]:
-//! [`object_depth`] by a z-buffer ([`Rasteriser`]), then [`TactileRenderer`]. To compare with are
-//! [`GelSurfaceRenderer`] and [`lookup::LookupRenderer`].
+//! A [`TactileScene`] is the object and the gel in the sensor frame, from a simulated grasp or from
+//! a mesh pressed to a given depth; every [`SceneRenderer`] renders it. [`ObjectDepthRenderer`] is
+//! the renderer of the paper: [`object_depth`] by a z-buffer ([`Rasteriser`]), then
+//! [`TactileRenderer`]. [`GelSurfaceRenderer`] and [`lookup::LookupRenderer`] are baselines.
 //!
-//! [`TactileRenderer`] works by a [`SensorProfile`], which [`calibrate`] fits to real presses:
-//! depth → shape of the gel ([`Smoothing`]) → normals → change of light ([`ShadingModel`]) on the
-//! image of the untouched gel → drift and noise ([`FrameNoise`]).
+//! [`TactileRenderer`] uses a [`SensorProfile`], which [`calibrate`] fits to real presses: depth →
+//! gel shape ([`Smoothing`]) → normals → change of light ([`ShadingModel`]) on the background image
+//! → drift and noise ([`FrameNoise`]).
 
 mod background;
 mod bessel;

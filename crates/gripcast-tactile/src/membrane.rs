@@ -1,27 +1,26 @@
-//! How the gel sinks around an object: an obstacle problem.
+//! Deformation of the gel around an object as an obstacle problem.
 //!
-//! The face is a stretched membrane on an elastic bed that the object pushes in: u minimises
-//! ∫ λ²|∇u|² + u² under u ≥ h, with h the object's depth below the untouched face. Where the
-//! face is free, u = λ²∇²u: it leaves the object without a kink and falls off over the length λ.
-//! A ball in contact over the radius a sinks a further λ · tan φ · K₀(a/λ)/K₁(a/λ) below the far
-//! face, φ the slope at the border (modified Bessel functions).
+//! The face is a stretched membrane on an elastic foundation, indented by the object: u minimises ∫
+//! λ²|∇u|² + u² subject to u ≥ h, with the object's depth h below the untouched face. Where the
+//! face is free, u = λ²∇²u: it leaves the object without a kink and decays over the length λ. A
+//! ball in contact over the radius a sinks by a further λ · tan φ · K₀(a/λ)/K₁(a/λ), with the slope
+//! φ at the border (modified Bessel functions).
 //!
-//! Solved from coarse to fine by red-black Gauss-Seidel with over-relaxation and projection on
-//! u ≥ h, down to half the resolution; on the full grid u is the larger of h and the
-//! interpolation.
+//! Solved coarse to fine by red-black projected SOR down to half the resolution; on the full grid u
+//! is the maximum of h and the interpolation.
 
 use super::bessel::{k0, k1};
 
-/// Sweeps on every level; the coarser one gives the start.
+/// Sweeps per level; each level starts from the coarser one.
 const SWEEPS: usize = 10;
-/// Over-relaxation.
+/// Over-relaxation factor.
 const OMEGA: f32 = 1.4;
-/// The coarsest level has at least this many pixels on its shorter side.
+/// Minimum shorter side of the coarsest level, pixels.
 const MIN_COARSE_SIDE: usize = 6;
 
 /// Depth of the border of a ball's contact below the untouched face, m.
 ///
-/// `contact_m` is the radius of the contact, `ball_m` that of the ball, `length_m` the length λ.
+/// `contact_m` is the contact radius, `ball_m` the ball radius, `length_m` the length λ.
 pub fn ball_sink_m(contact_m: f64, ball_m: f64, length_m: f64) -> f64 {
     if length_m <= 0.0 || contact_m <= 0.0 {
         return 0.0;
@@ -31,7 +30,7 @@ pub fn ball_sink_m(contact_m: f64, ball_m: f64, length_m: f64) -> f64 {
     slope * length_m * k0(x) / k1(x)
 }
 
-/// Grids of one size, coarsest last; level 0 has half the resolution of the image.
+/// Multigrid levels, coarsest last; level 0 has half the resolution of the image.
 #[derive(Clone, Debug)]
 pub(super) struct Membrane {
     length_px: f64,
@@ -47,7 +46,7 @@ struct Level {
 }
 
 impl Membrane {
-    /// Prepares a membrane of length λ in pixels.
+    /// Prepares a membrane of length λ, pixels.
     pub(super) fn new(length_px: f64) -> Self {
         Self {
             length_px,
@@ -55,7 +54,7 @@ impl Membrane {
         }
     }
 
-    /// Raises the object's depth to the depth of the face, in place.
+    /// Replaces the object's depth by the depth of the face, in place.
     pub(super) fn solve(&mut self, depth: &mut [f32], width: usize) {
         if self.length_px <= 0.0 || depth.iter().all(|d| *d == 0.0) {
             return;
@@ -118,7 +117,7 @@ impl Level {
         }
     }
 
-    /// Every second pixel of a row; the border continues outwards.
+    /// Relaxes every second pixel of a row; replicated border.
     fn relax_row(&mut self, y: usize, first: usize, weight: f32) {
         let (width, last) = (self.width, self.width - 1);
         let above = y.saturating_sub(1) * width;
@@ -136,14 +135,14 @@ impl Level {
     }
 }
 
-/// Means of 2 × 2 pixels into a level's obstacle.
+/// Averages 2 × 2 pixels into a level's obstacle.
 fn downsample(fine: &[f32], width: usize, coarse: &mut Level) {
     for (rows, out) in fine
         .chunks(2 * width)
         .zip(coarse.obstacle.chunks_exact_mut(coarse.width))
     {
         let (upper, lower) = rows.split_at(width);
-        // An odd last row counts twice, an odd last column too.
+        // An odd last row or column counts twice.
         let lower = if lower.is_empty() { upper } else { lower };
         for (out, (u, l)) in out.iter_mut().zip(upper.chunks(2).zip(lower.chunks(2))) {
             *out = 0.25 * (u[0] + u[u.len() - 1] + l[0] + l[l.len() - 1]);
@@ -172,7 +171,7 @@ fn upsample_max(fine: &mut [f32], width: usize, coarse: &Level) {
     }
 }
 
-/// The coarse row on the other side of fine row `y`.
+/// Returns the coarse row on the other side of fine row `y`.
 fn adjacent_row(y: usize, height: usize) -> usize {
     if y.is_multiple_of(2) {
         (y / 2).saturating_sub(1)
@@ -202,7 +201,7 @@ mod tests {
     }
 
     #[test]
-    fn a_ball_settles_as_the_closed_form() {
+    fn pressed_ball_matches_closed_form() {
         let (width, height, a, ball, length) = (320, 240, 40.0, 46.0, 20.0);
         let object = pressed(width, height, a, ball, length);
         let mut face = object.clone();
@@ -223,7 +222,7 @@ mod tests {
     }
 
     #[test]
-    fn the_face_is_never_above_the_object_and_length_0_changes_nothing() {
+    fn face_stays_below_object_and_length_0_is_identity() {
         let object = pressed(101, 77, 20.0, 30.0, 9.0);
         let mut face = object.clone();
         Membrane::new(9.0).solve(&mut face, 101);

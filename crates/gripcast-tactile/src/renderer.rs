@@ -1,4 +1,4 @@
-//! From the depth of a press to the sensor's image.
+//! Renders the sensor image of a press.
 
 use image::RgbImage;
 
@@ -10,11 +10,10 @@ use super::profile::{SensorProfile, ShadingModel};
 use super::smooth::Smoother;
 use gripcast_base::error::{Error, Result};
 
-/// Largest relative difference of pixel sizes that counts as the same.
+/// Relative tolerance of pixel sizes.
 const SAME_PIXEL: f64 = 1e-6;
 
-/// Makes images of one sensor; keeps its buffers from frame to frame. One thread; several
-/// renderers work side by side.
+/// Renders images of one sensor on one thread; buffers are reused between frames.
 #[derive(Clone, Debug)]
 pub struct TactileRenderer {
     geometry: SensorGeometry,
@@ -30,7 +29,7 @@ impl TactileRenderer {
     /// Prepares a sensor.
     ///
     /// # Errors
-    /// `Config` if the profile is not valid.
+    /// `Config` if the profile is invalid.
     pub fn new(profile: &SensorProfile) -> Result<Self> {
         profile.validate()?;
         let geometry = profile.geometry;
@@ -52,16 +51,16 @@ impl TactileRenderer {
         })
     }
 
-    /// Grid, scale and gel of the images.
+    /// Pixel grid, scale and gel of the images.
     pub fn geometry(&self) -> SensorGeometry {
         self.geometry
     }
 
-    /// What the press changes in the image, grey levels: planes of red, green, blue, each
-    /// `width * height`, not rounded and not clipped.
+    /// Returns the change of the image caused by a press, grey levels: red, green and blue planes
+    /// of `width * height`, neither rounded nor clipped.
     ///
     /// # Errors
-    /// `Input` if the press was taken on another grid.
+    /// `Input` if the press is on another grid.
     pub fn change(&mut self, press: &PressDepth) -> Result<&[Vec<f32>; 3]> {
         self.check(press)?;
         let height_m = self.smoother.smooth(press);
@@ -80,10 +79,10 @@ impl TactileRenderer {
         Ok(&self.change)
     }
 
-    /// The sensor's image of the press, 8 bits a channel.
+    /// Renders the sensor image of a press, 8 bits per channel.
     ///
     /// # Errors
-    /// `Input` if the press was taken on another grid.
+    /// `Input` if the press is on another grid.
     pub fn render(&mut self, press: &PressDepth, noise: &FrameNoise) -> Result<RgbImage> {
         self.change(press)?;
         let mut image = RgbImage::new(self.geometry.width as u32, self.geometry.height as u32);
@@ -91,7 +90,7 @@ impl TactileRenderer {
         Ok(image)
     }
 
-    /// gain · (untouched + change) + offset + noise, rounded.
+    /// Writes gain · (untouched + change) + offset + noise, rounded.
     fn compose(&self, noise: &FrameNoise, image: &mut RgbImage) {
         let [red, green, blue] = &self.untouched;
         let [d_red, d_green, d_blue] = &self.change;
@@ -141,7 +140,7 @@ impl TactileRenderer {
             theirs.pixel_m,
             press.depth_m.len()
         ))
-        .remedy("take the depth with the geometry of the sensor's profile"))
+        .remedy("render the depth with the geometry of the sensor profile"))
     }
 }
 

@@ -10,7 +10,7 @@ fn ball(renderer: &TactileRenderer) -> PressDepth {
 }
 
 #[test]
-fn nothing_touches_and_the_untouched_gel_is_seen() {
+fn no_contact_renders_the_background() {
     let profile = SensorProfile::gelsight_mini().unwrap();
     let mut renderer = mini();
     let press = PressDepth::untouched(renderer.geometry());
@@ -19,7 +19,7 @@ fn nothing_touches_and_the_untouched_gel_is_seen() {
 }
 
 #[test]
-fn a_press_changes_its_surroundings_and_nothing_far_away() {
+fn press_changes_only_its_surroundings() {
     let mut renderer = mini();
     let press = ball(&renderer);
     let change = renderer.change(&press).unwrap();
@@ -34,7 +34,7 @@ fn a_press_changes_its_surroundings_and_nothing_far_away() {
 }
 
 #[test]
-fn opposite_slopes_change_red_in_opposite_ways() {
+fn opposite_slopes_change_red_oppositely() {
     let mut renderer = mini();
     let press = ball(&renderer);
     let change = renderer.change(&press).unwrap();
@@ -43,7 +43,7 @@ fn opposite_slopes_change_red_in_opposite_ways() {
 }
 
 #[test]
-fn the_same_seed_gives_the_same_bytes_whatever_came_before() {
+fn image_depends_on_seed_not_on_earlier_frames() {
     let mut renderer = mini();
     let press = ball(&renderer);
     let noise = FrameNoise {
@@ -63,7 +63,7 @@ fn the_same_seed_gives_the_same_bytes_whatever_came_before() {
 }
 
 #[test]
-fn noise_has_the_deviation_of_the_profile() {
+fn noise_has_std_of_the_profile() {
     let mut renderer = mini();
     let press = PressDepth::untouched(renderer.geometry());
     let still = renderer.render(&press, &FrameNoise::default()).unwrap();
@@ -100,7 +100,7 @@ fn gain_and_offset_apply_and_saturate() {
 }
 
 #[test]
-fn presses_on_another_grid_are_refused() {
+fn press_on_another_grid_is_refused() {
     let mut renderer = mini();
     let mut geometry = renderer.geometry();
     geometry.pixel_m *= 2.0;
@@ -113,7 +113,7 @@ fn presses_on_another_grid_are_refused() {
 }
 
 #[test]
-fn depths_that_are_no_numbers_do_not_fail() {
+fn non_finite_depths_are_tolerated() {
     let mut renderer = mini();
     let mut press = ball(&renderer);
     press.depth_m[40_000] = f32::NAN;

@@ -23,13 +23,13 @@ fn gel() -> SimulatedGel {
     }
 }
 
-/// A gripper somewhere, turned.
+/// A rotated gripper pose.
 fn gripper() -> Pose {
     let turn = DQuat::from_rotation_x(0.7) * DQuat::from_rotation_z(-2.0);
     Pose::new(turn, DVec3::new(0.1, -0.2, 0.3))
 }
 
-/// A box of 2 mm that reaches 1 mm into both gels; its middle in the gripper's frame.
+/// A 2 mm box that reaches 1 mm into both gels, centred at `across` in the gripper frame.
 fn feature(across: DVec3) -> TriangleMesh {
     let mut mesh = builtin("builtin:box").unwrap();
     let extent = mesh.bounds().extent();
@@ -40,7 +40,7 @@ fn feature(across: DVec3) -> TriangleMesh {
     mesh
 }
 
-/// A grasp with both gels at rest.
+/// A snapshot with both gels at rest.
 fn snapshot(gel: &SimulatedGel) -> Snapshot {
     let nodes = Finger::BOTH.map(|finger| {
         let t_gripper_gel = SensorMount::on(finger).t_gripper_sensor(OPENING_M, 4e-3);
@@ -58,14 +58,14 @@ fn snapshot(gel: &SimulatedGel) -> Snapshot {
     }
 }
 
-/// Mean column and row of what is pressed in, from the image's middle, and the deepest point.
+/// Mean column and row of the indentation from the image centre, and the maximum depth.
 fn pressed_at(object: &TriangleMesh, mount: SensorMount) -> ([f64; 2], f64) {
     let gel = gel();
     let scene = TactileScene::from_snapshot(object, &gel, &snapshot(&gel), mount).unwrap();
     assert!((scene.face_m - 4e-3).abs() < 1e-12);
     assert_eq!(
         scene.gap_m, gel.d_hat_m,
-        "undeformed: nothing within reach is seen as touching"
+        "undeformed gel: no contact is measured"
     );
     let press = object_depth(&scene, &GRID, &mut Rasteriser::new());
     let (mut sum, mut count) = ([0.0; 2], 0.0);
@@ -80,7 +80,7 @@ fn pressed_at(object: &TriangleMesh, mount: SensorMount) -> ([f64; 2], f64) {
 }
 
 #[test]
-fn features_appear_where_the_frames_say() {
+fn features_appear_at_documented_positions() {
     let ahead = feature(DVec3::Z * 5e-3);
     let aside = feature(DVec3::Y * 4e-3);
     for finger in Finger::BOTH {
@@ -100,7 +100,7 @@ fn features_appear_where_the_frames_say() {
 }
 
 #[test]
-fn a_turned_sensor_turns_its_image_the_other_way() {
+fn mounting_angle_rotates_image_oppositely() {
     let ahead = feature(DVec3::Z * 5e-3);
     let expected = [
         (0, [25.0, 0.0]),
@@ -131,7 +131,7 @@ fn sensor_frames_are_right_handed_and_face_each_other() {
 }
 
 #[test]
-fn mountings_are_quarter_turns() {
+fn mounting_angle_must_be_quarter_turn() {
     let text = MountingAngle::from_degrees(45).unwrap_err().to_string();
     assert!(text.contains("found 45"), "{text}");
     let mounting: MountingAngle = serde_json::from_str("270").unwrap();
@@ -141,7 +141,7 @@ fn mountings_are_quarter_turns() {
 }
 
 #[test]
-fn a_step_sees_what_the_snapshot_of_its_moment_sees() {
+fn step_agrees_with_snapshot_of_same_time() {
     let object = feature(DVec3::Z * 5e-3);
     let gel = gel();
     let lift = 0.02;
@@ -172,7 +172,7 @@ fn a_step_sees_what_the_snapshot_of_its_moment_sees() {
 }
 
 #[test]
-fn before_the_fingers_close_nothing_is_pressed() {
+fn no_contact_before_the_fingers_close() {
     let scene = Scene {
         mesh: feature(DVec3::ZERO),
         mass_kg: 0.1,
@@ -202,7 +202,7 @@ fn before_the_fingers_close_nothing_is_pressed() {
 }
 
 #[test]
-fn a_plain_mesh_is_pressed_as_deep_as_asked() {
+fn mesh_is_pressed_to_given_depth() {
     let object = feature(DVec3::ZERO);
     let upright = Pose::from_rotation(DQuat::from_mat3(&DMat3::from_cols(
         DVec3::Z,
@@ -214,7 +214,10 @@ fn a_plain_mesh_is_pressed_as_deep_as_asked() {
     assert!((press.deepest_m() - 8e-4).abs() < 1e-8);
     let aside = Pose::from_translation(DVec3::X * 0.1);
     let text = TactileScene::pressed(&object, &aside, 8e-4, &GRID).unwrap_err();
-    assert!(text.to_string().contains("does not lie over"), "{text}");
+    assert!(
+        text.to_string().contains("not over the sensor's image"),
+        "{text}"
+    );
     for depth in [0.0, -1e-3, 5e-3, f64::NAN] {
         let text = TactileScene::pressed(&object, &upright, depth, &GRID).unwrap_err();
         assert!(text.to_string().contains("thickness of 0.004"), "{text}");
@@ -222,7 +225,7 @@ fn a_plain_mesh_is_pressed_as_deep_as_asked() {
 }
 
 #[test]
-fn snapshots_of_another_gel_and_broken_meshes_are_explained() {
+fn snapshot_of_another_gel_or_invalid_mesh_is_refused() {
     let object = feature(DVec3::ZERO);
     let gel = gel();
     let mut other = snapshot(&gel);

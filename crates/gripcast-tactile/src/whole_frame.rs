@@ -1,4 +1,4 @@
-//! The frame of a sensor's camera around the image that a renderer makes of its crop.
+//! Full camera frame around the rendered crop of a sensor.
 
 use std::ops::Range;
 
@@ -8,18 +8,18 @@ use super::profile::SensorProfile;
 use gripcast_base::error::{Error, Result};
 use gripcast_imaging::CropWindow;
 
-/// Where a column or row of the painted frame lies in the sensor's own image.
+/// Source position of a column or row of the full frame in the sensor image.
 #[derive(Clone, Copy, Debug)]
 struct SampleLine {
-    /// The line before it.
+    /// Index of the source line before it.
     before: usize,
-    /// Fraction of the line after that.
+    /// Weight of the next source line.
     fraction: f32,
-    /// CentreDistance outside of the crop, in parts of its size.
+    /// Distance outside of the crop, relative to its size.
     outside: f32,
 }
 
-/// How the sensor's image, which is a crop, fills the whole frame of its camera.
+/// Extends sensor images, which are crops, to full camera frames.
 #[derive(Clone, Debug)]
 pub struct WholeFrame {
     columns: Vec<SampleLine>,
@@ -28,8 +28,8 @@ pub struct WholeFrame {
 }
 
 impl WholeFrame {
-    /// Frames of `painted` columns and rows that show a camera's `full` ones, of which `window` is
-    /// the crop.
+    /// Frames of `painted` columns and rows that cover a camera frame of `full`, of which `window`
+    /// is the crop.
     #[must_use]
     pub fn new(
         profile: &SensorProfile,
@@ -47,14 +47,14 @@ impl WholeFrame {
         }
     }
 
-    /// The whole frame: inside of the crop `image`, outside its rim, the contact fading into
-    /// the untouched gel and both into the dark housing.
+    /// Composes a full frame: `image` inside the crop; outside, the contact fades into the
+    /// untouched gel and both into the dark housing.
     ///
     /// # Errors
-    /// `Internal` where an image has another size than its profile.
+    /// `Internal` if an image has another size than its profile.
     pub fn compose(&self, image: &RgbImage, untouched: &RgbImage) -> Result<RgbImage> {
         let wrong_size = || {
-            let what = "a tactile image has another size than its profile";
+            let what = "the size of a tactile image differs from its profile";
             Error::internal(what)
         };
         if image.dimensions() != self.size || untouched.dimensions() != self.size {
@@ -91,8 +91,8 @@ impl WholeFrame {
     }
 }
 
-/// Places of `painted` lines, which show `full` lines of which `window` is the crop, in an image
-/// of `size` lines.
+/// Source positions of `painted` lines that cover `full` lines, of which `window` is the crop of
+/// `size` source lines.
 fn lines(painted: u32, full: u32, window: Range<u32>, size: usize) -> Vec<SampleLine> {
     let (first, span) = (
         f64::from(window.start),
@@ -113,7 +113,7 @@ fn lines(painted: u32, full: u32, window: Range<u32>, size: usize) -> Vec<Sample
         .collect()
 }
 
-/// Rises smoothly from 0 at 0 to 1 at 1.
+/// Smoothstep from 0 at 0 to 1 at 1.
 fn ease(t: f32) -> f32 {
     let t = t.clamp(0.0, 1.0);
     t * t * (3.0 - 2.0 * t)
@@ -127,7 +127,7 @@ mod tests {
     use gripcast_testing::mean_difference;
 
     #[test]
-    fn the_crop_gives_the_image_back_and_the_rim_is_dark() {
+    fn crop_reproduces_image_and_rim_is_dark() {
         let profile = SensorProfile::gelsight_mini().unwrap();
         // Waves of 40 pixels show a shift of a fraction of one.
         let wave = |x: u32| 128.0 + 60.0 * (f64::from(x) * std::f64::consts::TAU / 40.0).sin();
@@ -152,7 +152,7 @@ mod tests {
     }
 
     #[test]
-    fn an_image_of_another_size_is_refused() {
+    fn image_of_another_size_is_refused() {
         let profile = SensorProfile::gelsight_mini().unwrap();
         let window = profile.crop_profile.window(640, 480).unwrap();
         let whole = WholeFrame::new(&profile, window, (640, 480), (320, 240));

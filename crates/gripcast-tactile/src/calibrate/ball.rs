@@ -1,27 +1,27 @@
-//! The known shape of a calibration press: a ball in contact over a disc.
+//! Analytic depth of a calibration press: a ball in contact over a disc.
 
 use crate::membrane::ball_sink_m;
 use crate::{PressDepth, SensorGeometry};
 
-/// Largest contact radius that is taken, of the ball's radius: beyond it the slope at the border
-/// grows without bound.
+/// Maximum contact radius relative to the ball radius; beyond it the border slope grows without
+/// bound.
 const MAX_CONTACT: f64 = 0.95;
 
-/// A ball pressed into the gel, in contact over a disc.
+/// Contact of a ball pressed into the gel.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct BallContact {
-    /// The sensor's grid.
+    /// Sensor grid.
     pub geometry: SensorGeometry,
-    /// Centre of the disc: column and row, pixels.
+    /// Centre of the contact disc: column and row, px.
     pub centre_px: [f64; 2],
-    /// Radius of the disc, pixels.
+    /// Radius of the contact disc, px.
     pub radius_px: f64,
     /// Radius of the ball, m.
     pub ball_m: f64,
 }
 
 impl BallContact {
-    /// Depth of the ball below the border of its contact: the cap alone, 0 outside the disc.
+    /// Depth of the ball below the border of its contact (spherical cap), 0 outside the disc.
     pub fn cap(&self) -> PressDepth {
         ball_press(
             self.geometry,
@@ -32,9 +32,8 @@ impl BallContact {
         )
     }
 
-    /// Depth of the ball below the untouched face of a gel that comes up again over
-    /// `sink_length_m` around the contact (see [`ball_sink_m`]); with 0 this is
-    /// [`BallContact::cap`].
+    /// Depth of the ball below the untouched face of a gel with decay length `sink_length_m` (see
+    /// [`ball_sink_m`]); 0 gives [`BallContact::cap`].
     pub fn press(&self, sink_length_m: f64) -> PressDepth {
         let contact_m = self.contact_m();
         let sink = ball_sink_m(contact_m, self.ball_m, sink_length_m);
@@ -47,17 +46,17 @@ impl BallContact {
         )
     }
 
-    /// Radius of the contact, m, at most 0.95 of the ball's.
+    /// Contact radius, m, at most 0.95 of the ball radius.
     pub fn contact_m(&self) -> f64 {
         (self.radius_px * self.geometry.pixel_m).min(MAX_CONTACT * self.ball_m)
     }
 }
 
-/// Depth of a ball below the untouched face, m: at a distance ρ from the centre
-/// √(R² − ρ²) − √(R² − a²) + sink, where that is positive.
+/// Depth of a ball below the untouched face, m: √(R² − ρ²) − √(R² − a²) + sink at a distance ρ from
+/// the centre, where positive.
 ///
-/// `radius_px` is the radius a of the contact (at most 0.95 R is taken), `ball_m` the radius R of
-/// the ball, `sink_m` how deep the border of the contact lies below the untouched face.
+/// `radius_px` is the contact radius a (at most 0.95 R is used), `ball_m` the ball radius R,
+/// `sink_m` the depth of the contact border below the untouched face.
 pub fn ball_press(
     geometry: SensorGeometry,
     centre_px: [f64; 2],
@@ -93,7 +92,7 @@ mod tests {
     };
 
     #[test]
-    fn a_cap_ends_at_the_contact_and_a_press_goes_beyond() {
+    fn cap_ends_at_contact_and_press_extends_beyond() {
         let contact = BallContact {
             geometry: GEOMETRY,
             centre_px: [150.0, 100.0],
@@ -112,7 +111,7 @@ mod tests {
     }
 
     #[test]
-    fn a_contact_as_wide_as_the_ball_stays_finite() {
+    fn contact_as_wide_as_the_ball_stays_finite() {
         let contact = BallContact {
             geometry: GEOMETRY,
             centre_px: [0.0, 0.0],

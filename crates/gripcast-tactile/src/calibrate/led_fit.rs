@@ -1,5 +1,5 @@
-//! Fits lamps to presses: their places by downhill simplex, their fit_intensities, which enter
-//! linearly and may not be negative, by coordinate descent inside.
+//! Fits LEDs to presses: positions by downhill simplex, non-negative intensities, which enter
+//! linearly, by coordinate descent.
 
 use super::press_set::PressSet;
 use super::score::{CentreDistance, observe};
@@ -8,30 +8,30 @@ use super::sums::normals_of;
 use crate::led::PointLight;
 use crate::{Led, LedShading, Smoothing};
 
-/// About so many pixels of each press are used.
+/// Approximate number of pixels used per press.
 const PIXELS_PER_PRESS: usize = 400;
 /// Pixels up to this distance from the border of a contact are fitted.
 const FIT_PX: f64 = 30.0;
-/// Phong exponents that are tried.
+/// Candidate Phong exponents.
 const SHININESS: [u32; 4] = [2, 4, 8, 16];
-/// Evaluations of the simplex for each exponent.
+/// Simplex evaluations per exponent.
 const EVALUATIONS: usize = 220;
 /// Sweeps of the coordinate descent.
 const SWEEPS: usize = 60;
-/// Penalty on fit_intensities, of the mean diagonal.
+/// Ridge on the intensities, relative to the mean diagonal.
 const RIDGE: f64 = 1e-3;
-/// Distances of lamps from the middle and from the face that are believed, m.
+/// Plausible distances of LEDs from the centre and heights above the face, m.
 const REACH_M: std::ops::RangeInclusive<f64> = 4e-3..=60e-3;
 const ABOVE_M: std::ops::RangeInclusive<f64> = 1e-3..=40e-3;
 
-/// A pixel of a press: place (m), normal (nx, ny, nz − 1), change (grey levels).
+/// A pixel of a press: position (m), normal (nx, ny, nz − 1), change (grey levels).
 struct Sample {
-    place: [f32; 2],
+    position: [f32; 2],
     normal: [f32; 3],
     change: [f64; 3],
 }
 
-/// Fits three lamps to presses of a set, by index, for a given shape of the gel.
+/// Fits three LEDs to some presses of a set for a given gel shape.
 pub(super) fn fit_leds(set: &PressSet, train: &[usize], smoothing: &Smoothing) -> LedShading {
     let samples = samples(set, train, smoothing);
     let guess = LedShading::mini_guess();
@@ -47,9 +47,12 @@ pub(super) fn fit_leds(set: &PressSet, train: &[usize], smoothing: &Smoothing) -
     let mut best: Option<(f64, LedShading)> = None;
     for shininess in SHININESS {
         let mut value = |unknowns: &[f64]| fit_intensities(&samples, unknowns, shininess).0;
-        let (place, error) = minimise(&start, &steps, EVALUATIONS, 1e-9, &mut value);
-        if best.as_ref().is_none_or(|(least, _)| error < *least) {
-            best = Some((error, fit_intensities(&samples, &place, shininess).1));
+        let (unknowns, error) = minimise(&start, &steps, EVALUATIONS, 1e-9, &mut value);
+        if best
+            .as_ref()
+            .is_none_or(|(best_error, _)| error < *best_error)
+        {
+            best = Some((error, fit_intensities(&samples, &unknowns, shininess).1));
         }
     }
     best.map_or(guess, |(_, shading)| shading)
@@ -65,13 +68,13 @@ fn samples(set: &PressSet, train: &[usize], smoothing: &Smoothing) -> Vec<Sample
         let near: Vec<usize> = (0..normals.x.len())
             .filter(|i| distance.at(*i) < press.radius_px + FIT_PX)
             .collect();
-        // A stride without a factor in common with the image's sides.
+        // Odd stride: no common factor with the image sides.
         let stride = (near.len() / PIXELS_PER_PRESS).max(1) | 1;
         for i in near.into_iter().step_by(stride) {
             let (x, y) = (i % set.geometry.width, i / set.geometry.width);
             let [x, y] = set.geometry.pixel_to_gel_m(x as f64, y as f64);
             samples.push(Sample {
-                place: [x as f32, y as f32],
+                position: [x as f32, y as f32],
                 normal: [normals.x[i], normals.y[i], normals.z_less_1[i]],
                 change: std::array::from_fn(|c| f64::from(observed.change[c][i])),
             });
@@ -80,7 +83,7 @@ fn samples(set: &PressSet, train: &[usize], smoothing: &Smoothing) -> Vec<Sample
     samples
 }
 
-/// Places of the lamps from the unknowns: azimuth (rad), distance and height (mm) of each.
+/// LEDs at positions given by azimuth (rad), distance and height (mm) of each.
 fn leds_at(unknowns: &[f64]) -> Vec<Led> {
     unknowns
         .chunks_exact(3)
@@ -97,7 +100,7 @@ fn leds_at(unknowns: &[f64]) -> Vec<Led> {
         .collect()
 }
 
-/// Best fit_intensities of lamps at given places; squared error and the shading.
+/// Fits intensities at given positions; returns the relative squared error and the shading.
 fn fit_intensities(samples: &[Sample], unknowns: &[f64], shininess: u32) -> (f64, LedShading) {
     let mut leds = leds_at(unknowns);
     let unit: Vec<PointLight> = leds
@@ -111,7 +114,7 @@ fn fit_intensities(samples: &[Sample], unknowns: &[f64], shininess: u32) -> (f64
     let mut terms = vec![0.0; count];
     for sample in samples {
         for (lamp, out) in unit.iter().zip(terms.chunks_exact_mut(2)) {
-            let [diffuse, specular] = lamp.change(sample.place, sample.normal);
+            let [diffuse, specular] = lamp.change(sample.position, sample.normal);
             out.copy_from_slice(&[f64::from(diffuse), f64::from(specular)]);
         }
         for (i, a) in terms.iter().enumerate() {
@@ -143,7 +146,7 @@ fn fit_intensities(samples: &[Sample], unknowns: &[f64], shininess: u32) -> (f64
     (error / square.max(1e-12), LedShading { shininess, leds })
 }
 
-/// Least squares with solutions ≥ 0, by coordinate descent.
+/// Non-negative least squares by coordinate descent.
 fn non_negative_least_squares(gram: &[f64], right: &[f64]) -> Vec<f64> {
     let count = right.len();
     let mut solution = vec![0.0f64; count];
@@ -162,13 +165,13 @@ mod tests {
     use super::*;
 
     #[test]
-    fn solutions_stay_at_zero_where_the_free_one_is_negative() {
+    fn negative_solutions_are_clamped_to_zero() {
         let solution = non_negative_least_squares(&[2.0, 0.5, 0.5, 1.0], &[3.0, -1.0]);
         assert!((solution[0] - 1.5).abs() < 1e-9 && solution[1] == 0.0);
     }
 
     #[test]
-    fn strengths_of_known_lamps_come_back() {
+    fn intensities_of_known_leds_are_recovered() {
         let unknowns = [0.3, 12.0, 5.0, 2.4, 14.0, 6.0, -1.8, 13.0, 4.0];
         let mut truth = leds_at(&unknowns);
         for (i, led) in truth.iter_mut().enumerate() {
@@ -179,19 +182,19 @@ mod tests {
             .map(|i| {
                 let (a, b) = ((i % 30) as f32 / 15.0 - 1.0, (i / 30) as f32 / 15.0 - 1.0);
                 let length = (1.0 + a * a + b * b).sqrt();
-                let place = [4e-3 * b, 3e-3 * a * b];
+                let position = [4e-3 * b, 3e-3 * a * b];
                 let normal = [a / length, b / length, 1.0 / length - 1.0];
                 let change = std::array::from_fn(|c| {
                     truth
                         .iter()
                         .map(|led| {
-                            let [d, s] = PointLight::new(led, 8).change(place, normal);
+                            let [d, s] = PointLight::new(led, 8).change(position, normal);
                             led.diffuse[c] * f64::from(d) + led.specular[c] * f64::from(s)
                         })
                         .sum()
                 });
                 Sample {
-                    place,
+                    position,
                     normal,
                     change,
                 }

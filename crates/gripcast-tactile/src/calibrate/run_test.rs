@@ -1,4 +1,4 @@
-//! Calibration on presses that were rendered: what went in has to come out.
+//! Calibration on rendered presses recovers the rendering parameters.
 
 use std::fs;
 use std::path::Path;
@@ -21,7 +21,7 @@ const GEOMETRY: SensorGeometry = SensorGeometry {
 };
 const BALL_M: f64 = 2.5e-3;
 
-/// A sensor with a known light that changes along x.
+/// A sensor with known shading that varies along x.
 fn truth() -> SensorProfile {
     let no_contact = RgbImage::from_fn(160, 120, |x, y| {
         Rgb([90 + (x / 4) as u8, 120 - (y / 4) as u8, 100 + (y / 5) as u8])
@@ -114,7 +114,7 @@ fn options(folder: &tempfile::TempDir) -> CalibrateOptions {
 }
 
 #[test]
-fn known_light_comes_back() {
+fn known_shading_is_recovered() {
     let folder = folder(10, |_, _| ());
     let result = run(&options(&folder)).unwrap();
     let report = &result.report;
@@ -123,13 +123,13 @@ fn known_light_comes_back() {
     assert!(report.score.patch_psnr_db > 35.0, "{report:?}");
     assert!(report.score.no_contact_psnr_db < 30.0);
     assert!(result.skipped.is_empty());
-    // Gain and offset are those that were put in; the noise is that of a frame (the image
-    // without contact has none, so the difference of both is divided by √2).
+    // Gain and offset are the rendered ones; the noise is that of one frame (the no-contact image
+    // has none, so the difference is divided by √2).
     assert!((report.gain_mean[0] - 1.03).abs() < 0.02, "{report:?}");
     assert!((report.noise_std[0] - 0.75).abs() < 0.2, "{report:?}");
     assert_eq!(result.image.width() % 4, 0);
     result.profile.validate().unwrap();
-    // The same again, and another split.
+    // Deterministic, and depends on the split.
     assert_eq!(run(&options(&folder)).unwrap().profile, result.profile);
     let other = CalibrateOptions {
         seed: 5,
@@ -139,7 +139,7 @@ fn known_light_comes_back() {
 }
 
 #[test]
-fn contacts_are_found_without_labels() {
+fn contacts_are_detected_without_labels() {
     let folder = folder(4, |_, list| *list = Value::Null);
     let mut read = ReadOptions::from_folder(folder.path());
     let text = PressSet::read(&read).unwrap_err().to_string();
@@ -157,7 +157,7 @@ fn contacts_are_found_without_labels() {
 }
 
 #[test]
-fn lamps_are_fitted_too() {
+fn leds_are_fitted() {
     let folder = folder(8, |_, _| ());
     let options = CalibrateOptions {
         model: ModelChoice::Leds,
@@ -169,7 +169,7 @@ fn lamps_are_fitted_too() {
 }
 
 #[test]
-fn bad_presses_are_skipped_with_a_reason() {
+fn unusable_presses_are_skipped_with_reason() {
     let folder = folder(9, |path, list| {
         save(
             &path.join("press_1.png"),
@@ -214,7 +214,7 @@ fn bad_presses_are_skipped_with_a_reason() {
 }
 
 #[test]
-fn folders_that_cannot_be_used_are_explained() {
+fn unusable_folder_is_explained() {
     let empty = tempfile::tempdir().unwrap();
     let missing = CalibrateOptions::from_folder(empty.path().join("nowhere"));
     assert_eq!(run(&missing).unwrap_err().kind(), ErrorKind::NotFound);
@@ -239,7 +239,7 @@ fn folders_that_cannot_be_used_are_explained() {
 }
 
 #[test]
-fn a_perfect_and_an_empty_renderer_have_the_scores_of_the_definition() {
+fn perfect_and_empty_renderer_have_defined_scores() {
     let mut renderer = TactileRenderer::new(&truth()).unwrap();
     let free = truth().background.image.unwrap();
     let presses = (0..3)
@@ -254,7 +254,7 @@ fn a_perfect_and_an_empty_renderer_have_the_scores_of_the_definition() {
             is_detected: false,
         })
         .collect();
-    let set = super::super::press_set::made_up(GEOMETRY, BALL_M, free.clone(), presses);
+    let set = super::super::press_set::test_set(GEOMETRY, BALL_M, free.clone(), presses);
     let nothing = score(&set, &[0, 1, 2], &mut |_| {
         Ok(std::array::from_fn(|_| vec![0.0; 160 * 120]))
     })

@@ -1,27 +1,26 @@
-//! Height map of Taxim (Si & Yuan 2022, §III-B): the gel around a contact, as a pyramid of
-//! Gaussian filters that each put the object's own shape back where it is pressed deep.
+//! Height map of Taxim (Si & Yuan 2022, §III-B): gel around a contact as a pyramid of Gaussian
+//! filters, each of which restores the object's shape in the deep contact.
 
 use crate::gaussian::{Gaussian, Region};
 use crate::press_depth::PressDepth;
 
-/// Parameters of the height map, in pixels of Taxim's image; and that image.
+/// Parameters of the height map in pixels of Taxim's image.
 #[derive(Clone, Debug, PartialEq)]
 pub struct TaximHeights {
-    /// Size of a pixel of Taxim's image, m.
+    /// Pixel size of Taxim's image, m.
     pub pixel_m: f64,
-    /// Columns and rows of Taxim's image.
+    /// Width and height of Taxim's image, px.
     pub image_size: [usize; 2],
-    /// Standard deviations of the filters of the pyramid, in order, pixels.
+    /// Standard deviations of the pyramid's filters in order, px.
     pub pyramid_px: Vec<f64>,
-    /// Standard deviation of the filter that ends it, pixels.
+    /// Standard deviation of the final filter, px.
     pub last_px: f64,
-    /// Where the press is deeper than this fraction of its deepest point, the object's shape is put
-    /// back.
+    /// The object's shape is restored where the press is deeper than this fraction of its maximum.
     pub kept_fraction: f64,
 }
 
 impl Default for TaximHeights {
-    /// The published ones, of kernels of 201, 101, 51, 21, 11 and 5 pixels and a last one of 5, on
+    /// Published parameters: kernels of 201, 101, 51, 21, 11 and 5 pixels and a final one of 5, on
     /// images of 640 × 480 at 0.0295 mm.
     fn default() -> Self {
         Self {
@@ -35,7 +34,7 @@ impl Default for TaximHeights {
 }
 
 impl TaximHeights {
-    /// Height of the face towards the camera under each pixel, m.
+    /// Returns the height of the face towards the camera, m.
     pub(super) fn heights(&self, press: &PressDepth) -> Vec<f32> {
         let grid = &press.geometry;
         let own_pixels = self.pixel_m / grid.pixel_m;
@@ -80,7 +79,7 @@ mod tests {
     }
 
     #[test]
-    fn the_gel_rises_around_the_contact_and_keeps_it() {
+    fn gel_rises_around_contact_and_keeps_its_depth() {
         let press = bump();
         let heights = TaximHeights::default().heights(&press);
         let at = |x: usize, y: usize| heights[y * 80 + x];

@@ -1,16 +1,16 @@
-//! The table fitted to the presses that sensor profiles are calibrated with.
+//! Fits a lookup table to calibration presses.
 
 use super::{BallPress, LookupRenderer, TaximHeights, TaximTable};
 use crate::calibrate::{PressSet, observe};
 use gripcast_base::error::Result;
 
-/// Bins of a table along each axis, as Taxim has them.
+/// Bins of a table along each axis, as in Taxim.
 const BINS: usize = 125;
 
-/// A renderer over the no-contact image of a set, its table fitted to some of the presses.
+/// Renderer on the no-contact image of a set, its table fitted to some of the presses.
 ///
 /// # Errors
-/// `Input` where no index is given, or a contact lies outside the image.
+/// `Input` if no index is given or a contact lies outside the image.
 pub fn fit_to_presses(
     set: &PressSet,
     indices: &[usize],

@@ -1,35 +1,35 @@
-//! Shadows of the lamps beside the pad, marched over the height map.
+//! Shadows of the LEDs beside the pad, ray-marched over the height map.
 
 use crate::gaussian::{Gaussian, Region};
 use crate::press_depth::SensorGeometry;
 
-/// A lamp far enough for its light to come from one direction.
+/// A distant LED with parallel light.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ShadowLamp {
-    /// Channel that it lights: 0 red, 1 green, 2 blue.
+    /// Channel lit by the LED: 0 red, 1 green, 2 blue.
     pub channel: usize,
-    /// Direction to it in the image, from the columns' axis towards the rows', rad.
+    /// Direction to the LED in the image, from the column axis towards the row axis, rad.
     pub azimuth_rad: f64,
-    /// Rise of its light over the gel, m per m.
+    /// Slope of the light rays over the gel, m/m.
     pub rise: f64,
-    /// Fraction of the channel's light that it gives.
+    /// Fraction of the channel's light that comes from the LED.
     pub fraction: f64,
 }
 
-/// Lamps and the softness of their shadows.
+/// LEDs and softness of their shadows.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Shadows {
-    /// The lamps.
+    /// LEDs.
     pub lamps: Vec<ShadowLamp>,
-    /// Longest shadow, m.
+    /// Maximum length of a shadow, m.
     pub reach_m: f64,
-    /// Standard deviation of the filter that softens them, m.
+    /// Standard deviation of the filter that softens shadows, m.
     pub softness_m: f64,
 }
 
 impl Default for Shadows {
-    /// Red, green, blue a third of a turn apart, red from the top of the image, flat enough for
-    /// the edge of a press of 1 mm to throw a shadow of 2 mm. A guess, not a measurement.
+    /// Red, green and blue LEDs at 120°, red at the top of the image, low enough for a 1 mm edge to
+    /// cast a 2 mm shadow. A guess, not a measurement.
     fn default() -> Self {
         let lamp = |channel, degrees: f64| ShadowLamp {
             channel,
@@ -46,7 +46,7 @@ impl Default for Shadows {
 }
 
 impl Shadows {
-    /// Fraction of each channel's light that arrives, row by row.
+    /// Returns the transmitted fraction of each channel's light, row-major.
     pub(super) fn light(&self, heights_m: &[f32], grid: &SensorGeometry) -> [Vec<f32>; 3] {
         let mut light = [0; 3].map(|_| vec![1.0; heights_m.len()]);
         for lamp in &self.lamps {
@@ -65,15 +65,15 @@ impl Shadows {
         light
     }
 
-    /// 1 where something on the way to the lamp stands above its light.
+    /// Returns 1 where something on the way to the LED occludes its light.
     fn shade(&self, lamp: &ShadowLamp, heights_m: &[f32], grid: &SensorGeometry) -> Vec<f32> {
         let top = heights_m.iter().copied().fold(0.0, f32::max);
         let (sin, cos) = lamp.azimuth_rad.sin_cos();
         let rise = (lamp.rise * grid.pixel_m) as f32;
         let longest = (self.reach_m / grid.pixel_m) as usize;
-        let place = |start: usize, steps: usize, along: f64, side: usize| {
-            let at = (start as f64 + steps as f64 * along).round();
-            (at >= 0.0 && at < side as f64).then_some(at as usize)
+        let step_to = |start: usize, steps: usize, along: f64, side: usize| {
+            let target = (start as f64 + steps as f64 * along).round();
+            (target >= 0.0 && target < side as f64).then_some(target as usize)
         };
         let is_shaded = |pixel: usize| {
             let (column, row) = (pixel % grid.width, pixel / grid.width);
@@ -84,8 +84,8 @@ impl Shadows {
                     return false;
                 }
                 let towards = (
-                    place(column, steps, cos, grid.width),
-                    place(row, steps, sin, grid.height),
+                    step_to(column, steps, cos, grid.width),
+                    step_to(row, steps, sin, grid.height),
                 );
                 let (Some(x), Some(y)) = towards else {
                     return false;
@@ -107,7 +107,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_step_throws_its_shadow_away_from_the_lamp() {
+    fn step_casts_shadow_away_from_led() {
         let grid = SensorGeometry {
             width: 60,
             height: 20,
