@@ -3,7 +3,7 @@
 use super::appearance::{Appearance, FinishClass};
 use super::material::{Colour, Material};
 use super::model::{Model, is_closed};
-use super::procedural::paint_object;
+use super::procedural::object_texture;
 use super::shading::{Projection, shaded_mesh};
 use super::texture::Bitmap;
 use gripcast_base::error::{Error, Result};
@@ -56,14 +56,14 @@ impl Model {
                 textures: Vec::new(),
             });
         }
-        let coat = paint_object(appearance, TEXTURE_PX, seed);
+        let texture = object_texture(appearance, TEXTURE_PX, seed);
         let bounds = mesh.bounds();
         let extent = bounds.extent().max_element();
         let projection = Projection::Box {
             width_m: if appearance.is_print() && extent > 0.0 {
                 extent
             } else {
-                coat.tile_m
+                texture.tile_m
             },
             origin_m: bounds.min,
         };
@@ -71,11 +71,11 @@ impl Model {
             meshes: vec![shaded_mesh(mesh, CREASE_RAD, projection, 0)],
             materials: vec![Material::Principled {
                 base_colour: Colour::Texture(0),
-                metallic: coat.metallic,
-                roughness: coat.roughness,
+                metallic: texture.metallic,
+                roughness: texture.roughness,
                 ior: IOR,
             }],
-            textures: vec![Bitmap::from_srgb8(&coat.image)?],
+            textures: vec![Bitmap::from_srgb8(&texture.image)?],
         })
     }
 

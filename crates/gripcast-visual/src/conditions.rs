@@ -58,7 +58,7 @@ impl Default for VisualRandomisation {
 #[derive(Clone, Debug)]
 pub enum EnvMapSource {
     /// Generated from a seed.
-    Textured(Sky, u64),
+    Procedural(Sky, u64),
     /// A latitude-longitude image, such as a Radiance HDR file.
     Image(Arc<Image>),
 }
@@ -67,7 +67,7 @@ pub enum EnvMapSource {
 #[derive(Clone, Debug)]
 pub enum GroundSource {
     /// Generated from a seed.
-    Textured(ProceduralTexture, u64),
+    Procedural(ProceduralTexture, u64),
     /// An image and its width on the ground, m.
     Image(Arc<Bitmap>, f64),
 }
@@ -129,14 +129,14 @@ impl VisualRandomisation {
         let mut ground = SeedStream::named(seed, "ground");
         let mut camera = SeedStream::named(seed, "camera");
         let mut colour = SeedStream::named(seed, "print");
-        let turn = self.camera_rotation_rad;
-        let turns = [0; 3].map(|_| camera.between(-turn, turn));
+        let angle = self.camera_rotation_rad;
+        let angles = [0; 3].map(|_| camera.between(-angle, angle));
         let shift = [0; 3].map(|_| camera.between(-1.0, 1.0) * self.camera_shift_m);
         let [near, far] = self.focal_factor;
         let [dim, bright] = self.intensity;
         VisualConditions {
             env_map: match self.env_maps.len() {
-                0 => EnvMapSource::Textured(
+                0 => EnvMapSource::Procedural(
                     pick_from(&self.skies, &Sky::ALL, &mut light),
                     light.bits(),
                 ),
@@ -145,7 +145,7 @@ impl VisualRandomisation {
             env_yaw_rad: light.between(0.0, TAU),
             intensity: light.between_log(dim, bright),
             ground: match self.ground_images.len() {
-                0 => GroundSource::Textured(
+                0 => GroundSource::Procedural(
                     pick_from(
                         &self.ground_textures,
                         &ProceduralTexture::GROUNDS,
@@ -162,7 +162,7 @@ impl VisualRandomisation {
             ground_shift_m: [ground.uniform(), ground.uniform()],
             ground_roughness: ground.between(0.3, 0.8),
             t_nominal_camera: Pose::new(
-                DQuat::from_euler(glam::EulerRot::XYZ, turns[0], turns[1], turns[2]),
+                DQuat::from_euler(glam::EulerRot::XYZ, angles[0], angles[1], angles[2]),
                 DVec3::from_array(shift),
             ),
             focal_factor: camera.between(near, far),
@@ -182,7 +182,7 @@ impl VisualConditions {
     /// Returns the rotated and scaled environment map.
     pub fn env_map(&self) -> EnvMap {
         let mut map = match &self.env_map {
-            EnvMapSource::Textured(sky, seed) => sky.generate(ENV_MAP_ROWS, *seed),
+            EnvMapSource::Procedural(sky, seed) => sky.generate(ENV_MAP_ROWS, *seed),
             EnvMapSource::Image(image) => image.as_ref().clone(),
         };
         super::sky::normalise_env_map(&mut map);
@@ -208,9 +208,9 @@ mod tests {
             assert!((0.3..=3.0).contains(&sampled.intensity));
             assert!((0.96..=1.05).contains(&sampled.focal_factor));
             assert!(sampled.t_nominal_camera.translation_m.abs().max_element() <= 0.006);
-            let turn = 2.0 * sampled.t_nominal_camera.rotation.w.acos();
-            assert!(turn <= 3f64.sqrt() * ranges.camera_rotation_rad + 1e-9);
-            if let EnvMapSource::Textured(sky, _) = sampled.env_map {
+            let angle = 2.0 * sampled.t_nominal_camera.rotation.w.acos();
+            assert!(angle <= 3f64.sqrt() * ranges.camera_rotation_rad + 1e-9);
+            if let EnvMapSource::Procedural(sky, _) = sampled.env_map {
                 skies.push(sky.name());
             }
         }
@@ -250,9 +250,9 @@ mod tests {
             let sampled = named.sample(seed);
             assert!(matches!(
                 sampled.env_map,
-                EnvMapSource::Textured(Sky::Overcast, _)
+                EnvMapSource::Procedural(Sky::Overcast, _)
             ));
-            let GroundSource::Textured(pattern, _) = sampled.ground else {
+            let GroundSource::Procedural(pattern, _) = sampled.ground else {
                 panic!("expected a procedural ground");
             };
             ground_images.push(pattern.name());
@@ -264,10 +264,10 @@ mod tests {
 
     #[test]
     fn given_images_are_used() {
-        let dome = Arc::new(Image::filled(8, 4, [3.0; 3]));
+        let map = Arc::new(Image::filled(8, 4, [3.0; 3]));
         let bitmap = Bitmap::from_srgb8(&image::RgbImage::new(2, 2)).unwrap();
         let ranges = VisualRandomisation {
-            env_maps: vec![dome],
+            env_maps: vec![map],
             ground_images: vec![(Arc::new(bitmap), 0.5)],
             ..VisualRandomisation::default()
         };

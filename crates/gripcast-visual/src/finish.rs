@@ -43,14 +43,14 @@ impl Finish {
 
     /// Iterates over all finishes.
     pub fn all() -> impl Iterator<Item = Self> {
-        let painted = ProceduralTexture::ALL.into_iter().map(Self::Textured);
-        painted.chain(Self::UNTEXTURED)
+        let textured = ProceduralTexture::ALL.into_iter().map(Self::Textured);
+        textured.chain(Self::UNTEXTURED)
     }
 
     /// Name on the command line and in files.
     pub fn name(self) -> &'static str {
         match self {
-            Self::Textured(pattern) => pattern.name(),
+            Self::Textured(texture) => texture.name(),
             Self::Glass => "glass",
             Self::Steel => "steel",
             Self::Aluminium => "aluminium",
@@ -71,16 +71,16 @@ impl Finish {
     ) -> Result<(Material, Option<(Bitmap, f64)>)> {
         // (η, k) as for [`STEEL`].
         let (eta, k, roughness) = match self {
-            Self::Textured(pattern) => {
-                let painted = pattern.generate(TEXTURE_PX, seed);
+            Self::Textured(texture_kind) => {
+                let generated = texture_kind.generate(TEXTURE_PX, seed);
                 let material = Material::Principled {
                     base_colour: Colour::Texture(texture),
-                    metallic: painted.metallic,
-                    roughness: painted.roughness,
+                    metallic: generated.metallic,
+                    roughness: generated.roughness,
                     ior: 1.5,
                 };
-                let bitmap = Bitmap::from_srgb8(&painted.image)?;
-                return Ok((material, Some((bitmap, painted.tile_m))));
+                let bitmap = Bitmap::from_srgb8(&generated.image)?;
+                return Ok((material, Some((bitmap, generated.tile_m))));
             }
             Self::Glass => {
                 let material = Material::Dielectric {

@@ -137,8 +137,8 @@ pub fn eye_in_hand_camera(
 ) -> Camera {
     let moved = |fraction: f64| {
         let shift = conditions.t_nominal_camera.translation_m * fraction;
-        let turn = DQuat::IDENTITY.slerp(conditions.t_nominal_camera.rotation, fraction);
-        let t_gripper_moved = t_gripper_camera() * Pose::new(turn, shift);
+        let rotation = DQuat::IDENTITY.slerp(conditions.t_nominal_camera.rotation, fraction);
+        let t_gripper_moved = t_gripper_camera() * Pose::new(rotation, shift);
         let mut camera = colour_camera(width, height, state.t_world_gripper * t_gripper_moved);
         let factor = 1.0 + fraction * (conditions.focal_factor - 1.0);
         camera.focal_px = camera.focal_px.map(|f| f * factor);
@@ -160,10 +160,10 @@ pub fn sees_gels(camera: &Camera, state: &GraspState) -> bool {
             .into_iter()
             .all(|[y, z]| {
                 let corner = state.t_world_gripper.transform_point(DVec3::new(x, y, z));
-                camera.project(corner).is_some_and(|place| {
+                camera.project(corner).is_some_and(|position| {
                     (0..2).all(|a| {
                         let border = BORDER_FRACTION * size[a];
-                        (border..=size[a] - 1.0 - border).contains(&place[a])
+                        (border..=size[a] - 1.0 - border).contains(&position[a])
                     })
                 })
             })
@@ -179,8 +179,8 @@ fn external(state: &GraspState, [width, height]: [usize; 2]) -> Camera {
     let along = DVec3::Z.cross(side);
     // Midway between the table under the object and the end of the handle.
     let target = gripper.translation_m - 0.105 * approach;
-    let (turn, height_fraction) = (0.75 * side + 0.66 * along, 0.3);
-    let direction = (turn + DVec3::Z * height_fraction).normalize();
+    let horizontal = 0.75 * side + 0.66 * along;
+    let direction = (horizontal + DVec3::Z * 0.3).normalize();
     let mut eye = target + 0.62 * direction;
     eye.z = eye.z.max(0.12);
     let pose = Camera::look_at(eye, target).unwrap_or(state.t_world_gripper);
@@ -216,10 +216,15 @@ fn check_camera(scene: &Scene, object: &Model) -> Result<()> {
 /// Builds the table.
 fn ground(conditions: &VisualConditions, size_px: u32) -> Result<Model> {
     let (bitmap, tile_m, roughness, metallic) = match &conditions.ground {
-        GroundSource::Textured(pattern, seed) => {
-            let painted = pattern.generate(size_px, *seed);
-            let bitmap = Arc::new(Bitmap::from_srgb8(&painted.image)?);
-            (bitmap, painted.tile_m, painted.roughness, painted.metallic)
+        GroundSource::Procedural(texture, seed) => {
+            let generated = texture.generate(size_px, *seed);
+            let bitmap = Arc::new(Bitmap::from_srgb8(&generated.image)?);
+            (
+                bitmap,
+                generated.tile_m,
+                generated.roughness,
+                generated.metallic,
+            )
         }
         GroundSource::Image(bitmap, width) => {
             if !(width.is_finite() && *width > 0.0) {
@@ -240,11 +245,11 @@ fn ground(conditions: &VisualConditions, size_px: u32) -> Result<Model> {
     for uv in &mut mesh.uvs {
         *uv = [uv[0] + across, uv[1] + down];
     }
-    let turn = Pose::from_rotation(DQuat::from_rotation_z(
+    let yaw = Pose::from_rotation(DQuat::from_rotation_z(
         conditions.ground_yaw_rad % (2.0 * PI),
     ));
     Ok(Model {
-        meshes: vec![mesh.transformed(&turn)],
+        meshes: vec![mesh.transformed(&yaw)],
         materials: vec![Material::Principled {
             base_colour: Colour::Texture(0),
             metallic,

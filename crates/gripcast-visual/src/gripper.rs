@@ -219,8 +219,11 @@ fn camera() -> Vec<GripperPart> {
     ];
     let lens = |x| rod("camera lens", Housing, x, [1.0, 4.5], 3.2, 24);
     parts.extend([0.0, 14.7, 45.0, 64.7].map(lens));
-    let place = t_gripper_camera();
-    parts.iter().map(|part| part.moved(&place)).collect()
+    let t_gripper_camera = t_gripper_camera();
+    parts
+        .iter()
+        .map(|part| part.moved(&t_gripper_camera))
+        .collect()
 }
 
 #[cfg(test)]

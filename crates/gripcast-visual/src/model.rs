@@ -89,7 +89,7 @@ impl Model {
             warnings: mesh.warnings.clone(),
             beside,
         };
-        let made: Vec<bool> = mesh
+        let is_textured: Vec<bool> = mesh
             .materials
             .iter()
             .map(|material| build.material(material))
@@ -102,7 +102,7 @@ impl Model {
         }
         for (number, part) in mesh.parts.iter().enumerate() {
             let mut own = match part.material {
-                Some(material) => build.part(part, material, made[material], number),
+                Some(material) => build.part(part, material, is_textured[material], number),
                 None => build.unpainted(part, finish, seed)?,
             };
             if is_inside_out {

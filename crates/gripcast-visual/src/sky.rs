@@ -128,10 +128,10 @@ fn map_from_fn(height: usize, radiance: impl Fn(Vec3) -> [f32; 3] + Sync) -> Ima
         .enumerate()
         .for_each(|(row, pixels)| {
             for (column, pixel) in pixels.iter_mut().enumerate() {
-                for part in [[0.25, 0.25], [0.75, 0.25], [0.25, 0.75], [0.75, 0.75]] {
-                    let polar = PI * (row as f32 + part[0]) / height as f32;
-                    let turn = (column as f32 + part[1]) / width as f32;
-                    let azimuth = TAU * (0.5 - turn);
+                for offset in [[0.25, 0.25], [0.75, 0.25], [0.25, 0.75], [0.75, 0.75]] {
+                    let polar = PI * (row as f32 + offset[0]) / height as f32;
+                    let u = (column as f32 + offset[1]) / width as f32;
+                    let azimuth = TAU * (0.5 - u);
                     let (z, ring) = (polar.cos(), polar.sin());
                     let value = radiance(Vec3::new(ring * azimuth.cos(), ring * azimuth.sin(), z));
                     for (sum, value) in pixel.iter_mut().zip(value) {

@@ -52,9 +52,9 @@ impl Conductor {
         let cosine = cosine_density(incoming);
         let fraction = rough.albedo.at(outgoing.z);
         let diffuse_lobe = (1.0 - fraction) * (1.0 - rough.albedo.at(incoming.z)) * cosine;
-        let seen = ggx.smith_g2(outgoing, incoming);
+        let g2 = ggx.smith_g2(outgoing, incoming);
         BsdfValue {
-            value: fresnel * (facets * seen) + rough.multi_scatter * diffuse_lobe,
+            value: fresnel * (facets * g2) + rough.multi_scatter * diffuse_lobe,
             pdf: fraction * facets * ggx.smith_g1(outgoing) + (1.0 - fraction) * cosine,
         }
     }

@@ -122,9 +122,9 @@ impl PrincipledBsdf<'_> {
         if surface.metallic > 0.0 {
             spread += self.multi_scatter * (1.0 - surface.metal_albedo.at(incoming.z));
         }
-        let seen = ggx.smith_g2(outgoing, incoming);
+        let g2 = ggx.smith_g2(outgoing, incoming);
         BsdfValue {
-            value: fresnel * (facets * seen) + spread * cosine,
+            value: fresnel * (facets * g2) + spread * cosine,
             pdf: self.fraction * facets * ggx.smith_g1(outgoing) + (1.0 - self.fraction) * cosine,
         }
     }

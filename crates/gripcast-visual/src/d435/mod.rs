@@ -30,8 +30,8 @@ pub(super) const LEFT_IMAGER_M: f64 = 0.0147;
 
 /// Pose of the colour camera in the gripper frame.
 pub fn t_gripper_camera() -> Pose {
-    let turn = DQuat::from_rotation_x(-PITCH_RAD);
-    Pose::new(turn, DVec3::from_array(POSITION_M))
+    let rotation = DQuat::from_rotation_x(-PITCH_RAD);
+    Pose::new(rotation, DVec3::from_array(POSITION_M))
 }
 
 /// Returns the colour camera for a centre crop with the aspect ratio of `width` × `height`, scaled

@@ -9,7 +9,7 @@ use gripcast_base::random::{SeedStream, lattice};
 /// Threads along each side of the texture.
 const THREADS: u32 = 96;
 
-pub(super) fn paint(size_px: u32, stream: &mut SeedStream) -> GeneratedTexture {
+pub(super) fn generate(size_px: u32, stream: &mut SeedStream) -> GeneratedTexture {
     let warp = random_colour(stream, [0.05, 0.7], [0.25, 0.9]);
     let weft = if stream.uniform() < 0.5 {
         scaled(warp, stream.between(0.6, 1.1) as f32)

@@ -20,7 +20,7 @@ use gripcast_base::error::{Error, Result, unknown_name};
 use gripcast_base::random::SeedStream;
 use gripcast_imaging::srgb_decode;
 
-pub(super) use object::paint as paint_object;
+pub(super) use object::object_texture;
 
 /// Kind of a procedural texture.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -96,12 +96,12 @@ impl ProceduralTexture {
     pub fn generate(self, size_px: u32, seed: u64) -> GeneratedTexture {
         let mut stream = SeedStream::named(seed, self.name());
         match self {
-            Self::Wood => wood::paint(size_px, &mut stream),
+            Self::Wood => wood::generate(size_px, &mut stream),
             Self::BrushedMetal => metal_glaze_plastic::brushed_metal(size_px, &mut stream),
-            Self::Fabric => fabric::paint(size_px, &mut stream),
+            Self::Fabric => fabric::generate(size_px, &mut stream),
             Self::Ceramic => metal_glaze_plastic::ceramic(size_px, &mut stream),
             Self::Plastic => metal_glaze_plastic::plastic(size_px, &mut stream),
-            Self::Print => print::paint(size_px, &mut stream),
+            Self::Print => print::generate(size_px, &mut stream),
             Self::Stone => mineral::stone(size_px, &mut stream),
             Self::Concrete => mineral::concrete(size_px, &mut stream),
             Self::Tiles => mineral::tiles(size_px, &mut stream),
@@ -231,12 +231,12 @@ mod tests {
     #[test]
     fn textures_depend_on_seed_and_tile() {
         for pattern in ProceduralTexture::ALL {
-            let painted = pattern.generate(128, 5);
-            assert_eq!(painted, pattern.generate(128, 5), "{pattern}");
+            let texture = pattern.generate(128, 5);
+            assert_eq!(texture, pattern.generate(128, 5), "{pattern}");
             let other = pattern.generate(128, 6);
-            assert_ne!(painted.image, other.image, "{pattern}");
-            assert!(painted.tile_m > 0.0 && (0.0..=1.0).contains(&painted.roughness));
-            closes(&painted.image, pattern.name());
+            assert_ne!(texture.image, other.image, "{pattern}");
+            assert!(texture.tile_m > 0.0 && (0.0..=1.0).contains(&texture.roughness));
+            closes(&texture.image, pattern.name());
         }
     }
 

@@ -33,7 +33,7 @@ pub(super) struct Label {
     paper: FractalNoise,
 }
 
-pub(super) fn paint(size_px: u32, stream: &mut SeedStream) -> GeneratedTexture {
+pub(super) fn generate(size_px: u32, stream: &mut SeedStream) -> GeneratedTexture {
     let label = Label::random(stream);
     GeneratedTexture::new(
         texture_from_fn(size_px, |x, y| {
@@ -54,17 +54,17 @@ impl Label {
             random_colour(stream, [0.3, 0.85], [0.6, 0.95])
         };
         let top = stream.between(0.1, 0.4) as f32;
-        let mut place = |low: f64, high: f64| stream.between(low, high) as f32;
-        let disc = [place(0.25, 0.75), place(0.25, 0.45), place(0.1, 0.2)];
-        let left = place(0.06, 0.2);
+        let mut between = |low: f64, high: f64| stream.between(low, high) as f32;
+        let disc = [between(0.25, 0.75), between(0.25, 0.45), between(0.1, 0.2)];
+        let left = between(0.06, 0.2);
         let text = [
             left,
-            place(0.6, 0.68),
-            place(0.5, 0.66),
+            between(0.6, 0.68),
+            between(0.5, 0.66),
             0.92,
-            place(0.018, 0.03),
+            between(0.018, 0.03),
         ];
-        let bars = [0.72, place(0.72, 0.8), 0.93, 0.92];
+        let bars = [0.72, between(0.72, 0.8), 0.93, 0.92];
         let inks = Inks {
             text: srgb(INK),
             field: random_colour(stream, [0.5, 0.95], [0.35, 0.95]),

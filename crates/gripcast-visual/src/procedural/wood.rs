@@ -32,7 +32,7 @@ pub(super) struct Wood {
     pub(super) seed: u64,
 }
 
-pub(super) fn paint(size_px: u32, stream: &mut SeedStream) -> GeneratedTexture {
+pub(super) fn generate(size_px: u32, stream: &mut SeedStream) -> GeneratedTexture {
     let [early, late] = stream.pick(SPECIES).map(srgb);
     let boards = stream.pick([1_u32, 1, 3, 4, 6]);
     let wood = WoodTexture::new(Wood {

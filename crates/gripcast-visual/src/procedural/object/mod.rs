@@ -24,12 +24,12 @@ const RUSTY_METALLIC: f32 = 0.6;
 
 /// Generates a tileable texture of `size_px` × `size_px` pixels; the result depends on the
 /// arguments alone. Its mean luminance is that of the base colour, except for prints and rust.
-pub(crate) fn paint(appearance: &Appearance, size_px: u32, seed: u64) -> GeneratedTexture {
+pub(crate) fn object_texture(appearance: &Appearance, size_px: u32, seed: u64) -> GeneratedTexture {
     let mut stream = SeedStream::named(seed, "coat");
     let layers = layers(appearance, size_px, &mut stream);
     let mut image = linear_from_fn(size_px, |x, y| {
-        let paint = |below: [f32; 3], layer: &Layer| layer(x, y, below);
-        layers.iter().fold(appearance.base_colour, paint)
+        let apply = |below: [f32; 3], layer: &Layer| layer(x, y, below);
+        layers.iter().fold(appearance.base_colour, apply)
     });
     if !appearance.is_print() && appearance.pattern != Pattern::Rusty {
         balance(&mut image, luminance(appearance.base_colour));

@@ -40,11 +40,11 @@ const YELLOW: [f32; 3] = [0.745, 0.479, 0.0137];
 fn textures_depend_on_seed_and_tile() {
     for (finish, word) in all() {
         let appearance = appearance(finish, word, OAK);
-        let object = paint(&appearance, 64, 5);
-        assert_eq!(object, paint(&appearance, 64, 5), "{appearance:?}");
+        let object = object_texture(&appearance, 64, 5);
+        assert_eq!(object, object_texture(&appearance, 64, 5), "{appearance:?}");
         assert_ne!(
             object.image,
-            paint(&appearance, 64, 6).image,
+            object_texture(&appearance, 64, 6).image,
             "{appearance:?}"
         );
         assert!(object.tile_m > 0.0 && (0.0..=1.0).contains(&object.roughness));
@@ -58,8 +58,8 @@ fn texture_does_not_depend_on_thread_count() {
     let one = pool.unwrap();
     for (finish, word) in all().step_by(7) {
         let appearance = appearance(finish, word, BLUE);
-        let alone = one.install(|| paint(&appearance, 48, 9));
-        assert_eq!(alone, paint(&appearance, 48, 9), "{appearance:?}");
+        let alone = one.install(|| object_texture(&appearance, 48, 9));
+        assert_eq!(alone, object_texture(&appearance, 48, 9), "{appearance:?}");
     }
 }
 
@@ -68,7 +68,7 @@ fn base_colour_is_the_mean() {
     for (finish, word) in all() {
         for (seed, base) in [OAK, WHITE, BLACK, BLUE, YELLOW].into_iter().enumerate() {
             let appearance = appearance(finish, word, base);
-            let image = paint(&appearance, 64, seed as u64).image;
+            let image = object_texture(&appearance, 64, seed as u64).image;
             let ratio = mean_luminance(&image) / luminance(base);
             if appearance.is_print() || word == Pattern::Rusty {
                 assert!(image.pixels().any(|p| p != image.get_pixel(0, 0)));
@@ -83,7 +83,7 @@ fn base_colour_is_the_mean() {
 fn patterns_of_one_finish_differ() {
     for finish in Finish::ALL {
         let contrast = |word| {
-            let image = paint(&appearance(finish, word, BLUE), 64, 3).image;
+            let image = object_texture(&appearance(finish, word, BLUE), 64, 3).image;
             let mean = mean_luminance(&image);
             let levels = image.pixels().map(|p| {
                 let parts = p.0.iter().zip(LUMINANCE);
@@ -107,8 +107,8 @@ fn patterns_of_one_finish_differ() {
 #[test]
 fn black_and_white_are_supported() {
     for (finish, word) in all() {
-        let black = paint(&appearance(finish, word, [0.0; 3]), 16, 1);
-        let white = paint(&appearance(finish, word, [1.0; 3]), 16, 1);
+        let black = object_texture(&appearance(finish, word, [0.0; 3]), 16, 1);
+        let white = object_texture(&appearance(finish, word, [1.0; 3]), 16, 1);
         if !appearance(finish, word, [0.0; 3]).is_print() && word != Pattern::Rusty {
             assert!(mean_luminance(&white.image) > 0.8, "{finish:?} {word:?}");
         }
@@ -119,10 +119,10 @@ fn black_and_white_are_supported() {
 #[test]
 fn metal_is_metallic_and_wear_is_rough() {
     for word in Pattern::ALL {
-        let metal = paint(&appearance(Finish::Metal, word, WHITE), 16, 1);
+        let metal = object_texture(&appearance(Finish::Metal, word, WHITE), 16, 1);
         assert_eq!(metal.metallic == 1.0, word != Pattern::Rusty, "{word:?}");
         assert_eq!(
-            paint(&appearance(Finish::Paper, word, WHITE), 16, 1).metallic,
+            object_texture(&appearance(Finish::Paper, word, WHITE), 16, 1).metallic,
             0.0
         );
     }
@@ -130,5 +130,5 @@ fn metal_is_metallic_and_wear_is_rough() {
         roughness: 0.1,
         ..appearance(Finish::Metal, Pattern::Rusty, WHITE)
     };
-    assert!(paint(&rusty, 16, 1).roughness > 0.4);
+    assert!(object_texture(&rusty, 16, 1).roughness > 0.4);
 }

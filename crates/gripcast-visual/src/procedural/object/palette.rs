@@ -50,8 +50,8 @@ pub(super) fn rotate_hue(colour: [f32; 3], angle: f32) -> [f32; 3] {
 /// Whether a colour has little saturation.
 fn is_grey(colour: [f32; 3]) -> bool {
     let largest = colour.into_iter().fold(0.0, f32::max);
-    let least = colour.into_iter().fold(f32::MAX, f32::min);
-    largest - least < 0.25 * largest
+    let smallest = colour.into_iter().fold(f32::MAX, f32::min);
+    largest - smallest < 0.25 * largest
 }
 
 /// Returns an accent colour of a neighbouring or the opposite hue, darker than a light base and
