@@ -33,9 +33,9 @@ pub enum FinishClass {
     Organic,
 }
 
+#[cfg(test)]
 impl FinishClass {
-    /// All classes.
-    pub const ALL: [Self; 11] = [
+    pub(super) const ALL: [Self; 11] = [
         Self::Wood,
         Self::Metal,
         Self::Fabric,
@@ -86,9 +86,9 @@ pub enum SurfacePattern {
     Printed,
 }
 
+#[cfg(test)]
 impl SurfacePattern {
-    /// All patterns.
-    pub const ALL: [Self; 15] = [
+    pub(super) const ALL: [Self; 15] = [
         Self::Plain,
         Self::Grain,
         Self::Brushed,

@@ -1,7 +1,7 @@
 //! Models of a shape with an [`Appearance`] or with a texture image.
 
 use super::appearance::{Appearance, FinishClass};
-use super::material::{Colour, Material};
+use super::material::{Colour, IOR, Material};
 use super::model::{Model, is_closed};
 use super::procedural::object_texture;
 use super::shading::{Projection, shaded_mesh};
@@ -11,8 +11,6 @@ use gripcast_geometry::{CREASE_RAD, TriangleMesh};
 
 /// Side of the generated textures, px.
 const TEXTURE_PX: u32 = 256;
-/// Index of refraction of glass, plastic, varnish and glaze.
-const IOR: f32 = 1.5;
 /// Minimum roughness of worn glass.
 const WORN_GLASS: f32 = 0.12;
 /// Roughness of a surface with a user's texture: satin paint.
@@ -69,12 +67,11 @@ impl Model {
         };
         Ok(Self {
             meshes: vec![shaded_mesh(mesh, CREASE_RAD, projection, 0)],
-            materials: vec![Material::Principled {
-                base_colour: Colour::Texture(0),
-                metallic: texture.metallic,
-                roughness: texture.roughness,
-                ior: IOR,
-            }],
+            materials: vec![Material::glossy(
+                Colour::Texture(0),
+                texture.metallic,
+                texture.roughness,
+            )],
             textures: vec![Bitmap::from_srgb8(&texture.image)?],
         })
     }
@@ -104,12 +101,7 @@ impl Model {
         }
         Ok(Self {
             meshes: vec![shaded],
-            materials: vec![Material::Principled {
-                base_colour: Colour::Texture(0),
-                metallic: 0.0,
-                roughness: IMAGE_ROUGHNESS,
-                ior: IOR,
-            }],
+            materials: vec![Material::glossy(Colour::Texture(0), 0.0, IMAGE_ROUGHNESS)],
             textures: vec![image.clone()],
         })
     }
@@ -146,13 +138,10 @@ mod tests {
     }
 
     fn validate(model: &Model) {
-        let mut scene = Scene {
-            meshes: Vec::new(),
-            materials: Vec::new(),
-            textures: Vec::new(),
-            env_map: EnvMap::uniform([1.0; 3]),
-            camera: Camera::centred(8, 8, 1.0, Pose::IDENTITY),
-        };
+        let mut scene = Scene::empty(
+            EnvMap::uniform([1.0; 3]),
+            Camera::centred(8, 8, 1.0, Pose::IDENTITY),
+        );
         model.add_to(&mut scene, &Pose::IDENTITY);
         scene.validate().unwrap();
     }

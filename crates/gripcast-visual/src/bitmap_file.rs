@@ -30,11 +30,7 @@ pub(super) struct Loaded {
 /// `NotFound`, `Permission`, `Io` if the file cannot be read; `Input` if it is not a PNG or JPEG
 /// image, is damaged or too large.
 pub fn load_bitmap(path: &Path) -> Result<Bitmap> {
-    let bytes = read_regular(path, FileKind::Mesh).map_err(|e| {
-        Error::io("cannot read the texture", e)
-            .at(path.display())
-            .remedy("check the path and its permissions")
-    })?;
+    let bytes = read_image_file(path, "texture")?;
     let loaded = decode(&bytes).map_err(|e| e.at(path.display()))?;
     Bitmap::from_srgb8(&loaded.image)
 }
@@ -49,10 +45,9 @@ pub fn read_bitmap(bytes: &[u8]) -> Result<Bitmap> {
 
 /// Decodes a PNG or JPEG image and scales it down to [`MAX_TEXTURE`].
 pub(super) fn decode(bytes: &[u8]) -> Result<Loaded> {
-    let is_png = bytes.starts_with(b"\x89PNG");
     let image = match bytes {
         [0xff, 0xd8, ..] => decode_jpeg(bytes)?,
-        _ if is_png => decode_png(bytes)?,
+        [0x89, b'P', b'N', b'G', ..] => decode_png(bytes)?,
         _ => return Err(unsupported(bytes)),
     };
     let (width, height) = image.dimensions();
@@ -121,19 +116,43 @@ fn decode_png(bytes: &[u8]) -> Result<RgbImage> {
 
 /// Error for a file of another type, which is named if recognised.
 fn unsupported(bytes: &[u8]) -> Error {
-    let is = match bytes {
-        [] => "it is empty",
-        [0xab, b'K', b'T', b'X', ..] => "it is a KTX texture",
-        [b'R', b'I', b'F', b'F', ..] => "it is a WebP image",
-        [b'G', b'I', b'F', ..] => "it is a GIF image",
-        [b'B', b'M', ..] => "it is a BMP image",
-        [b'D', b'D', b'S', ..] => "it is a DDS texture",
-        _ if bytes.starts_with(b"version https://git-lfs") => "it is a Git LFS pointer",
-        _ if bytes.starts_with(b"#?") => "it is a Radiance HDR image",
-        _ => "the file has neither signature",
-    };
-    Error::input(format!("a texture must be a PNG or JPEG image, but {is}"))
-        .remedy("convert it to PNG or JPEG")
+    let is = format_name(bytes).unwrap_or("of another type");
+    Error::input(format!(
+        "a texture must be a PNG or JPEG image, but the file is {is}"
+    ))
+    .remedy("convert it to PNG or JPEG")
+}
+
+/// Names the type of a file by its signature.
+pub(super) fn format_name(bytes: &[u8]) -> Option<&'static str> {
+    const SIGNATURES: [(&[u8], &str); 10] = [
+        (b"\x89PNG", "a PNG image"),
+        (b"\xff\xd8", "a JPEG image"),
+        (b"#?", "a Radiance HDR image"),
+        (b"\x76\x2f\x31\x01", "an OpenEXR image"),
+        (b"\xabKTX", "a KTX texture"),
+        (b"RIFF", "a WebP image"),
+        (b"GIF", "a GIF image"),
+        (b"BM", "a BMP image"),
+        (b"DDS", "a DDS texture"),
+        (
+            b"version https://git-lfs",
+            "a Git LFS pointer (fetch it with `git lfs pull`)",
+        ),
+    ];
+    let known = SIGNATURES
+        .iter()
+        .find(|(start, _)| bytes.starts_with(start));
+    known.map_or(bytes.is_empty().then_some("empty"), |(_, name)| Some(name))
+}
+
+/// Reads a whole image file, with an error that says what cannot be read.
+pub(super) fn read_image_file(path: &Path, what: &str) -> Result<Vec<u8>> {
+    read_regular(path, FileKind::Mesh).map_err(|e| {
+        Error::io(format!("cannot read the {what}"), e)
+            .at(path.display())
+            .remedy("check the path and its permissions")
+    })
 }
 
 #[cfg(test)]

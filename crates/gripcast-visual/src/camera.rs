@@ -2,7 +2,8 @@
 
 use glam::{DVec3, Vec3};
 
-use gripcast_base::error::{Error, Result};
+use super::material::ensure;
+use gripcast_base::error::Result;
 use gripcast_geometry::Pose;
 
 /// Ray `origin + t * direction`, world frame.
@@ -78,30 +79,23 @@ impl Camera {
     }
 
     pub(super) fn validate(&self) -> Result<()> {
-        let bad = |what: String| Err(Error::input(what));
         let (width, height) = (self.width, self.height);
         // Columns and rows must fit the pixel seeds.
-        if !(1..=1 << 15).contains(&width) || !(1..=1 << 15).contains(&height) {
-            return bad(format!(
-                "the image must have 1 to 32768 columns and rows, found {width}×{height}"
-            ));
-        }
-        if !self.focal_px.iter().all(|f| f.is_finite() && *f > 0.0) {
-            let found = self.focal_px;
-            return bad(format!(
-                "the focal lengths must be positive, found {found:?}"
-            ));
-        }
-        if !self.principal_px.iter().all(|c| c.is_finite()) {
-            let found = self.principal_px;
-            return bad(format!(
-                "the principal point must be finite, found {found:?}"
-            ));
-        }
-        if !self.t_world_camera.translation_m.is_finite() {
-            let found = self.t_world_camera.translation_m;
-            return bad(format!("the camera position must be finite, found {found}"));
-        }
-        Ok(())
+        let fits = |side| (1..=1 << 15).contains(&side);
+        ensure(fits(width) && fits(height), || {
+            format!("the image must have 1 to 32768 columns and rows, found {width}×{height}")
+        })?;
+        let focal = self.focal_px;
+        ensure(focal.iter().all(|f| f.is_finite() && *f > 0.0), || {
+            format!("the focal lengths must be positive, found {focal:?}")
+        })?;
+        let principal = self.principal_px;
+        ensure(principal.iter().all(|c| c.is_finite()), || {
+            format!("the principal point must be finite, found {principal:?}")
+        })?;
+        let eye = self.t_world_camera.translation_m;
+        ensure(eye.is_finite(), || {
+            format!("the camera position must be finite, found {eye}")
+        })
     }
 }

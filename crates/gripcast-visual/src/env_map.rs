@@ -1,7 +1,8 @@
 //! Environment map around the scene.
 
 use super::linear_image::Image;
-use gripcast_base::error::{Error, Result};
+use super::material::ensure;
+use gripcast_base::error::Result;
 
 /// Environment map: radiance arriving from infinity over all directions, as a latitude-longitude
 /// image.
@@ -36,31 +37,30 @@ impl EnvMap {
     }
 
     pub(super) fn validate(&self) -> Result<()> {
-        let bad = |what: String| Err(Error::input(what));
-        let (width, height) = (self.map.width, self.map.height);
-        if width == 0 || height == 0 || self.map.pixels.len() != width * height {
-            let found = self.map.pixels.len();
-            return bad(format!(
+        let (width, height, found) = (self.map.width, self.map.height, self.map.pixels.len());
+        ensure(found > 0 && found == width * height, || {
+            format!(
                 "an environment map of {width}×{height} must have as many pixels, found {found}"
-            ));
-        }
-        if !self.rotation_rad.is_finite() {
-            let found = self.rotation_rad;
-            return bad(format!("the rotation must be finite, found {found}"));
-        }
-        if !(0.0..=f32::MAX).contains(&self.intensity) {
-            let found = self.intensity;
-            return bad(format!("the intensity must not be negative, found {found}"));
-        }
+            )
+        })?;
+        ensure(self.rotation_rad.is_finite(), || {
+            format!("the rotation must be finite, found {}", self.rotation_rad)
+        })?;
+        ensure((0.0..=f32::MAX).contains(&self.intensity), || {
+            format!(
+                "the intensity must not be negative, found {}",
+                self.intensity
+            )
+        })?;
         let is_invalid = |p: &[f32; 3]| p.iter().any(|v| !(0.0..=f32::MAX).contains(v));
-        if let Some(at) = self.map.pixels.iter().position(is_invalid) {
-            let (column, row) = (at % width, at / width);
-            let found = self.map.pixels[at];
-            return bad(format!(
+        let invalid = self.map.pixels.iter().position(is_invalid);
+        ensure(invalid.is_none(), || {
+            let index = invalid.unwrap_or_default();
+            let (column, row, found) = (index % width, index / width, self.map.pixels[index]);
+            format!(
                 "radiance must be finite and not negative, found {found:?} in column {column}, row {row}"
-            ));
-        }
-        Ok(())
+            )
+        })
     }
 }
 

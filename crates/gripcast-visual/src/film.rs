@@ -21,12 +21,10 @@ impl FilterTable {
     pub(super) fn new(filter: PixelFilter) -> Self {
         let radius = match filter {
             PixelFilter::Box => 0.5,
-            PixelFilter::Tent => 1.0,
             PixelFilter::Gaussian => CUT,
         };
         let height = |x: f64| match filter {
             PixelFilter::Box => 1.0,
-            PixelFilter::Tent => 1.0 - x.abs(),
             PixelFilter::Gaussian => (-0.5 * (x / SIGMA).powi(2)).exp(),
         };
         let steps = 1 << 14;
@@ -148,7 +146,6 @@ mod tests {
             (sum / 4096.0).sqrt()
         };
         assert!((spread(PixelFilter::Box) - 1.0 / 12f64.sqrt()).abs() < 1e-3);
-        assert!((spread(PixelFilter::Tent) - 1.0 / 6f64.sqrt()).abs() < 2e-3);
         // The cut at 4 σ takes little off.
         assert!((spread(PixelFilter::Gaussian) - SIGMA).abs() < 5e-3);
         let table = FilterTable::new(PixelFilter::Gaussian);

@@ -1,9 +1,8 @@
 //! Default materials for bodies without their own.
 
-use std::fmt;
 use std::str::FromStr;
 
-use super::material::{Colour, Material};
+use super::material::{Colour, IOR, Material};
 use super::procedural::ProceduralTexture;
 use super::texture::Bitmap;
 use gripcast_base::error::{Error, Result, unknown_name};
@@ -73,18 +72,14 @@ impl Finish {
         let (eta, k, roughness) = match self {
             Self::Textured(texture_kind) => {
                 let generated = texture_kind.generate(TEXTURE_PX, seed);
-                let material = Material::Principled {
-                    base_colour: Colour::Texture(texture),
-                    metallic: generated.metallic,
-                    roughness: generated.roughness,
-                    ior: 1.5,
-                };
+                let colour = Colour::Texture(texture);
+                let material = Material::glossy(colour, generated.metallic, generated.roughness);
                 let bitmap = Bitmap::from_srgb8(&generated.image)?;
                 return Ok((material, Some((bitmap, generated.tile_m))));
             }
             Self::Glass => {
                 let material = Material::Dielectric {
-                    ior: 1.5,
+                    ior: IOR,
                     roughness: 0.0,
                     transmittance: [0.98, 0.99, 0.985],
                 };
@@ -96,12 +91,6 @@ impl Finish {
             Self::Gold => ([0.14, 0.37, 1.44], [3.98, 2.39, 1.60], 0.18),
         };
         Ok((Material::Conductor { eta, k, roughness }, None))
-    }
-}
-
-impl fmt::Display for Finish {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.pad(self.name())
     }
 }
 
@@ -124,7 +113,7 @@ mod tests {
     #[test]
     fn every_finish_has_a_name_and_a_material() {
         for finish in Finish::all() {
-            assert_eq!(finish.to_string().parse::<Finish>().unwrap(), finish);
+            assert_eq!(finish.name().parse::<Finish>().unwrap(), finish);
             let (material, texture) = finish.material(1, 0).unwrap();
             material.validate(usize::from(texture.is_some())).unwrap();
             assert_eq!(texture.is_some(), matches!(finish, Finish::Textured(_)));

@@ -96,13 +96,7 @@ fn compose(
     with_camera: bool,
     table_below_m: f64,
 ) -> Result<Scene> {
-    let mut scene = Scene {
-        meshes: Vec::new(),
-        materials: Vec::new(),
-        textures: Vec::new(),
-        env_map: conditions.env_map(),
-        camera,
-    };
+    let mut scene = Scene::empty(conditions.env_map(), camera);
     object.add_to(&mut scene, &state.t_world_object);
     check_camera(&scene, object)?;
     let table = Pose::from_translation(DVec3::NEG_Z * table_below_m);
@@ -250,12 +244,7 @@ fn ground(conditions: &VisualConditions, size_px: u32) -> Result<Model> {
     ));
     Ok(Model {
         meshes: vec![mesh.transformed(&yaw)],
-        materials: vec![Material::Principled {
-            base_colour: Colour::Texture(0),
-            metallic,
-            roughness,
-            ior: 1.5,
-        }],
+        materials: vec![Material::glossy(Colour::Texture(0), metallic, roughness)],
         textures: vec![bitmap.as_ref().clone()],
     })
 }
@@ -285,11 +274,8 @@ fn gripper(state: &GraspState, print: [f32; 3], with_camera: bool) -> Result<Mod
 
 /// Returns the material of a gripper part.
 fn surface_material(surface: GripperSurface, print: [f32; 3]) -> Material {
-    let plastic = |colour: [f32; 3], roughness: f32| Material::Principled {
-        base_colour: Colour::Constant(colour),
-        metallic: 0.0,
-        roughness,
-        ior: 1.5,
+    let plastic = |colour: [f32; 3], roughness: f32| {
+        Material::glossy(Colour::Constant(colour), 0.0, roughness)
     };
     match surface {
         GripperSurface::Gel => plastic([0.23, 0.235, 0.24], 0.55),
@@ -303,12 +289,9 @@ fn surface_material(surface: GripperSurface, print: [f32; 3]) -> Material {
             roughness: 0.4,
         },
         GripperSurface::Rubber => plastic([0.022; 3], 0.7),
-        GripperSurface::CameraShell => Material::Principled {
-            base_colour: Colour::Constant([0.72, 0.72, 0.74]),
-            metallic: 1.0,
-            roughness: 0.5,
-            ior: 1.5,
-        },
+        GripperSurface::CameraShell => {
+            Material::glossy(Colour::Constant([0.72, 0.72, 0.74]), 1.0, 0.5)
+        }
         GripperSurface::CameraWindow => plastic([0.006; 3], 0.1),
     }
 }

@@ -8,9 +8,9 @@
 
 use std::path::Path;
 
+use super::bitmap_file::{format_name, read_image_file};
 use super::linear_image::Image;
 use gripcast_base::error::{Error, Result};
-use gripcast_base::files::{FileKind, read_regular};
 
 /// Maximum pixels per side; the largest environment maps in circulation have 16384 × 8192.
 const MAX_SIDE: usize = 16_384;
@@ -23,11 +23,7 @@ const MAX_HEADER_LINES: usize = 200;
 /// `NotFound`, `Permission`, `Io` if the file cannot be read; `Input` if it is not a Radiance HDR
 /// image, is truncated or too large.
 pub fn load_hdr(path: &Path) -> Result<Image> {
-    let bytes = read_regular(path, FileKind::Mesh).map_err(|e| {
-        Error::io("cannot read the HDR image", e)
-            .at(path.display())
-            .remedy("check the path and its permissions")
-    })?;
+    let bytes = read_image_file(path, "HDR image")?;
     read_hdr(&bytes).map_err(|e| e.at(path.display()))
 }
 
@@ -71,17 +67,8 @@ fn invalid(what: impl Into<String>) -> Error {
 
 /// Error for a file of another type, which is named if recognised.
 fn not_hdr(bytes: &[u8]) -> Error {
-    let is = match bytes {
-        [] => "the file is empty",
-        [0x76, 0x2f, 0x31, 0x01, ..] => "it is an OpenEXR image",
-        [0xff, 0xd8, ..] => "it is a JPEG image",
-        [0x89, b'P', b'N', b'G', ..] => "it is a PNG image",
-        _ if bytes.starts_with(b"version https://git-lfs") => {
-            "it is a Git LFS pointer (fetch the file with `git lfs pull`)"
-        }
-        _ => "it does not start with `#?RADIANCE`",
-    };
-    invalid(format!("not a Radiance HDR image: {is}"))
+    let is = format_name(bytes).unwrap_or("without the signature `#?RADIANCE`");
+    invalid(format!("not a Radiance HDR image: the file is {is}"))
         .remedy("use a .hdr file (RGBE), for instance from Poly Haven, or a procedural sky")
 }
 

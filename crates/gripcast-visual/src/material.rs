@@ -4,6 +4,9 @@ use std::ops::RangeInclusive;
 
 use gripcast_base::error::{Error, Result};
 
+/// Index of refraction of glass, plastic, varnish and glaze.
+pub(super) const IOR: f32 = 1.5;
+
 /// Colour of a material: constant or textured.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Colour {
@@ -64,6 +67,16 @@ impl Material {
         }
     }
 
+    /// Principled material with the index of refraction of plastic, varnish and glaze.
+    pub(super) fn glossy(base_colour: Colour, metallic: f32, roughness: f32) -> Self {
+        Self::Principled {
+            base_colour,
+            metallic,
+            roughness,
+            ior: IOR,
+        }
+    }
+
     /// Returns the colour that may be textured.
     pub fn colour(&self) -> Option<Colour> {
         match *self {
@@ -72,9 +85,7 @@ impl Material {
             Self::Conductor { .. } | Self::Dielectric { .. } => None,
         }
     }
-}
 
-impl Material {
     /// Checks the ranges and the texture index, given the number of textures.
     pub(super) fn validate(&self, textures: usize) -> Result<()> {
         match *self {
@@ -106,21 +117,27 @@ impl Material {
         }?;
         match self.colour() {
             Some(Colour::Constant(rgb)) => in_range("colour", &rgb, 0.0..=1.0),
-            Some(Colour::Texture(t)) if t >= textures => Err(Error::input(format!(
-                "texture index {t} is out of range, the scene has {textures} textures"
-            ))),
-            Some(Colour::Texture(_)) | None => Ok(()),
+            Some(Colour::Texture(t)) => ensure(t < textures, || {
+                format!("texture index {t} is out of range, the scene has {textures} textures")
+            }),
+            None => Ok(()),
         }
     }
 }
 
 pub(super) fn in_range(name: &str, values: &[f32], range: RangeInclusive<f32>) -> Result<()> {
-    match values.iter().find(|v| !range.contains(v)) {
-        None => Ok(()),
-        Some(found) => Err(Error::input(format!(
-            "{name} must be from {} to {}, found {found}",
-            range.start(),
-            range.end()
-        ))),
+    let outside = values.iter().find(|v| !range.contains(v));
+    ensure(outside.is_none(), || {
+        let (low, high, found) = (range.start(), range.end(), outside.unwrap_or(&f32::NAN));
+        format!("{name} must be from {low} to {high}, found {found}")
+    })
+}
+
+/// Fails with an `Input` error of the given text unless the condition holds.
+pub(super) fn ensure(holds: bool, text: impl FnOnce() -> String) -> Result<()> {
+    if holds {
+        Ok(())
+    } else {
+        Err(Error::input(text()))
     }
 }

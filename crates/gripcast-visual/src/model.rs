@@ -51,14 +51,11 @@ impl Model {
     /// None for a valid mesh.
     pub fn with_finish(shape: &TriangleMesh, finish: Finish, seed: u64) -> Result<Self> {
         let (material, texture) = finish.material(seed, 0)?;
-        let (textures, projection) = match texture {
-            Some((texture, tile_m)) => (vec![texture], projection(shape, finish, tile_m)),
-            None => (Vec::new(), Projection::None),
-        };
+        let (bitmap, projection) = finish_projection(shape, finish, texture);
         Ok(Self {
             meshes: vec![shaded_mesh(shape, CREASE_RAD, projection, 0)],
             materials: vec![material],
-            textures,
+            textures: bitmap.into_iter().collect(),
         })
     }
 
@@ -103,7 +100,7 @@ impl Model {
         for (number, part) in mesh.parts.iter().enumerate() {
             let mut own = match part.material {
                 Some(material) => build.part(part, material, is_textured[material], number),
-                None => build.unpainted(part, finish, seed)?,
+                None => build.part_with_finish(part, finish, seed)?,
             };
             if is_inside_out {
                 own.triangles.iter_mut().for_each(|t| t.swap(0, 1));
@@ -158,15 +155,24 @@ impl Model {
     }
 }
 
-/// Box projection of a finish: a print covers the shape once, other textures keep their real size.
-fn projection(shape: &TriangleMesh, finish: Finish, tile_m: f64) -> Projection {
+/// Returns the texture of a finish and its box projection: a print covers the shape once, other
+/// textures keep their real size.
+fn finish_projection(
+    shape: &TriangleMesh,
+    finish: Finish,
+    texture: Option<(Bitmap, f64)>,
+) -> (Option<Bitmap>, Projection) {
+    let Some((bitmap, tile_m)) = texture else {
+        return (None, Projection::None);
+    };
     let bounds = shape.bounds();
     let extent = bounds.extent().max_element();
-    let fits = matches!(finish, Finish::Textured(ProceduralTexture::Print)) && extent > 0.0;
-    Projection::Box {
-        width_m: if fits { extent } else { tile_m },
-        origin_m: if fits { bounds.min } else { DVec3::ZERO },
-    }
+    let covers = finish == Finish::Textured(ProceduralTexture::Print) && extent > 0.0;
+    let (width_m, origin_m) = match covers {
+        true => (extent, bounds.min),
+        false => (tile_m, DVec3::ZERO),
+    };
+    (Some(bitmap), Projection::Box { width_m, origin_m })
 }
 
 /// Returns the volume enclosed by all parts in the unit of the mesh; 0 if they are not closed,
@@ -310,28 +316,13 @@ impl ModelBuilder<'_> {
     }
 
     /// Converts a part without a material.
-    fn unpainted(&mut self, part: &MeshPart, finish: Finish, seed: u64) -> Result<Mesh> {
-        let own = Model::with_finish(&part.shape, finish, seed)?;
-        let (materials, textures) = (self.model.materials.len(), self.model.textures.len());
-        let (material, texture) = (own.materials[0], own.textures);
-        self.model.materials.push(match material {
-            Material::Principled {
-                metallic,
-                roughness,
-                ior,
-                ..
-            } => Material::Principled {
-                base_colour: Colour::Texture(textures),
-                metallic,
-                roughness,
-                ior,
-            },
-            other => other,
-        });
-        self.model.textures.extend(texture);
-        let mut mesh = own.meshes.into_iter().next().unwrap_or_default();
-        mesh.material = materials;
-        Ok(mesh)
+    fn part_with_finish(&mut self, part: &MeshPart, finish: Finish, seed: u64) -> Result<Mesh> {
+        let (material, texture) = finish.material(seed, self.model.textures.len())?;
+        let (bitmap, projection) = finish_projection(&part.shape, finish, texture);
+        self.model.materials.push(material);
+        self.model.textures.extend(bitmap);
+        let index = self.model.materials.len() - 1;
+        Ok(shaded_mesh(&part.shape, CREASE_RAD, projection, index))
     }
 }
 

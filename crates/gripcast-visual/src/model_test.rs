@@ -125,13 +125,10 @@ fn inside_out_mesh_is_flipped() {
 #[test]
 fn scene_renumbers_materials_and_textures() {
     let shape = builtin("box").unwrap();
-    let mut scene = Scene {
-        meshes: Vec::new(),
-        materials: Vec::new(),
-        textures: Vec::new(),
-        env_map: crate::EnvMap::uniform([1.0; 3]),
-        camera: crate::Camera::centred(8, 8, 1.0, Pose::IDENTITY),
-    };
+    let mut scene = Scene::empty(
+        crate::EnvMap::uniform([1.0; 3]),
+        crate::Camera::centred(8, 8, 1.0, Pose::IDENTITY),
+    );
     for finish in [
         PLASTIC,
         Finish::Glass,

@@ -1,4 +1,4 @@
-//! From a scene to images.
+//! Renders images of a scene.
 
 use std::ops::Range;
 use std::sync::atomic::{AtomicUsize, Ordering};
@@ -7,7 +7,7 @@ use glam::Vec3;
 use rayon::prelude::*;
 
 use super::bsdf::PreparedMaterial;
-use super::bvh::{Bvh, Lanes, WithLanes, dispatch};
+use super::bvh::{Bvh, Lanes, Stack, WithLanes, dispatch};
 use super::camera::{Camera, Ray};
 use super::env_map_sampler::EnvMapSampler;
 use super::film::{FilterTable, PathSample, PixelMeans, PixelSums};
@@ -20,30 +20,30 @@ use super::surface::Face;
 use super::texture::Bitmap;
 use gripcast_base::error::{Error, ErrorKind, Result};
 
-/// Columns and rows of a tile.
+/// Side of a tile, px.
 const TILE: usize = 16;
-/// Most paths that advance together.
+/// Maximum number of paths that advance together.
 const BATCH: u32 = 64;
 
-/// An image and what a denoiser and a depth camera want beside it. Row by row.
+/// Rendered image with auxiliary buffers for the denoiser and the depth camera. Row-major.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Rendering {
     /// Radiance, linear RGB.
     pub image: Image,
-    /// Variance of each value of the image, as if its paths were independent.
+    /// Variance of each pixel value, assuming independent paths.
     pub variance: Image,
-    /// Images of the first and of the second half of the paths; both the whole for one path.
+    /// Images of the first and second half of the paths; both are the whole image for one path.
     pub halves: [Image; 2],
-    /// Colour of the first surface; of the sky its radiance, at most 1.
+    /// Albedo of the first surface; for the environment its radiance, clipped to 1.
     pub albedo: Image,
-    /// Mean unit normal of the first surface, world; 0 for the sky.
+    /// Mean shading normal of the first surface, world; 0 for the environment.
     pub normal: Image,
-    /// Distance of the first surface along the optical axis in the middle of each pixel, m; 0
-    /// where there is none.
+    /// Depth of the first surface along the optical axis at the pixel centre, m; 0 if there is
+    /// none.
     pub depth_m: Vec<f32>,
 }
 
-/// A scene prepared for images from any camera.
+/// A scene prepared for rendering from any camera.
 #[derive(Debug)]
 pub struct Renderer {
     bvh: Bvh,
@@ -55,14 +55,14 @@ pub struct Renderer {
 }
 
 impl Renderer {
-    /// Prepares a scene; its camera plays no part yet.
+    /// Prepares a scene; its camera is not used.
     ///
     /// # Errors
-    /// `Input` for a scene that [`Scene::validate`] refuses.
+    /// `Input` if [`Scene::validate`] fails.
     pub fn new(scene: &Scene) -> Result<Self> {
         scene.validate()?;
         let faces = Face::all(scene);
-        // Indices of triangles share their 32 bits with a mark of the hierarchy.
+        // Triangle indices share their 32 bits with a flag of the BVH.
         if faces.len() >= 1 << 30 {
             let found = faces.len();
             return Err(Error::input(format!(
@@ -82,22 +82,22 @@ impl Renderer {
         })
     }
 
-    /// Image from a camera. The same scene, camera and settings give the same bits, whatever
-    /// the number of threads.
+    /// Renders an image. The result depends on the scene, camera and settings alone, not on the
+    /// number of threads.
     ///
     /// # Errors
-    /// `Input` for an unusable camera, `Usage` for settings out of range, `Interrupted` when
+    /// `Input` for an invalid camera, `Usage` for settings out of range, `Interrupted` if
     /// cancelled.
     ///
     /// ```
-    /// use gripcast_geometry::{Pose, builtin};
+    /// use gripcast_geometry::{CREASE_RAD, Pose, builtin};
     /// use gripcast_visual::*;
     /// use glam::DVec3;
     ///
     /// let eye = DVec3::new(0.2, -0.2, 0.15);
     /// let pose = Camera::look_at(eye, DVec3::ZERO).unwrap_or_default();
     /// let scene = Scene {
-    ///     meshes: vec![Mesh::from_triangles(&builtin("mug")?, 0)],
+    ///     meshes: vec![shaded_mesh(&builtin("mug")?, CREASE_RAD, Projection::None, 0)],
     ///     materials: vec![Material::grey(0.5)],
     ///     textures: Vec::new(),
     ///     env_map: EnvMap::uniform([1.0; 3]),
@@ -134,7 +134,7 @@ impl Renderer {
                 if control.is_cancelled() {
                     return Err(Error::new(
                         ErrorKind::Interrupted,
-                        "the rendering was cancelled",
+                        "rendering was cancelled",
                     ));
                 }
                 let columns = tile % across * TILE..camera.width.min((tile % across + 1) * TILE);
@@ -154,11 +154,11 @@ impl Renderer {
         Ok(assemble(camera, tiles.into_iter().flatten()))
     }
 
-    /// Distance of the first surface along the optical axis in the middle of each pixel, m, row by
-    /// row; 0 where there is none.
+    /// Renders the depth of the first surface along the optical axis at the pixel centres, m,
+    /// row-major; 0 if there is none.
     ///
     /// # Errors
-    /// `Input` for an unusable camera.
+    /// `Input` for an invalid camera.
     pub fn depth(&self, camera: &Camera) -> Result<Vec<f32>> {
         camera.validate().map_err(|e| e.at("camera"))?;
         let rays = CameraRays::new(camera);
@@ -190,10 +190,10 @@ impl Renderer {
     }
 }
 
-/// Rays of a camera in single precision.
+/// Camera rays in single precision.
 struct CameraRays {
     origin: Vec3,
-    /// World directions of the optical axes; the first two for one pixel.
+    /// Optical axes in the world; the first two scaled to one pixel.
     right: Vec3,
     down: Vec3,
     forward: Vec3,
@@ -221,9 +221,23 @@ impl CameraRays {
             direction: (self.forward + across + down).normalize(),
         }
     }
+
+    /// Depth of the first surface at the centre of a pixel; 0 if there is none.
+    #[inline(always)]
+    fn depth<L: Lanes>(
+        &self,
+        lanes: L,
+        bvh: &Bvh,
+        [column, row]: [usize; 2],
+        stack: &mut Stack,
+    ) -> f32 {
+        let ray = self.ray(column as f32, row as f32);
+        let hit = bvh.intersect(lanes, &ray, f32::INFINITY, stack);
+        hit.map_or(0.0, |h| h.t * ray.direction.dot(self.forward))
+    }
 }
 
-/// What all tiles fraction.
+/// State shared by all tiles.
 struct Job<'a> {
     integrator: Integrator<'a>,
     camera: CameraRays,
@@ -233,7 +247,7 @@ struct Job<'a> {
 }
 
 impl<'a> Job<'a> {
-    /// Fills the batch with the paths of these samples of a pixel.
+    /// Fills the batch with the paths of some samples of a pixel.
     #[inline(always)]
     fn start(&self, [column, row]: [usize; 2], samples: Range<u32>, batch: &mut Batch<'a>) {
         let pixel = (row as u64) << 16 | column as u64;
@@ -247,9 +261,9 @@ impl<'a> Job<'a> {
         }
     }
 
-    /// Adds what the paths of these samples gave.
+    /// Adds the contributions of some samples of a pixel.
     #[inline(always)]
-    fn gather(&self, samples: Range<u32>, batch: &Batch<'a>, sums: &mut PixelSums) {
+    fn accumulate(&self, samples: Range<u32>, batch: &Batch<'a>, sums: &mut PixelSums) {
         let ceiling = Vec3::splat(self.settings.clamp.unwrap_or(f32::INFINITY));
         for (index, path) in samples.zip(&batch.samples) {
             let path = PathSample {
@@ -261,14 +275,14 @@ impl<'a> Job<'a> {
     }
 }
 
-/// A finished pixel with its column and row.
+/// A finished pixel at a column and row.
 struct TilePixel {
-    place: [usize; 2],
+    position: [usize; 2],
     means: PixelMeans,
     depth_m: f32,
 }
 
-/// A tile to be rendered.
+/// A tile to render.
 struct Tile<'a> {
     job: &'a Job<'a>,
     columns: Range<usize>,
@@ -294,15 +308,13 @@ impl WithLanes for Tile<'_> {
                     let range = first..samples.min(first + BATCH);
                     job.start([column, row], range.clone(), &mut batch);
                     job.integrator.trace(lanes, &mut batch);
-                    job.gather(range, &batch, &mut sums);
+                    job.accumulate(range, &batch, &mut sums);
                     first += BATCH;
                 }
-                let middle = job.camera.ray(column as f32, row as f32);
-                let hit = bvh.intersect(lanes, &middle, f32::INFINITY, &mut stack);
                 pixels.push(TilePixel {
-                    place: [column, row],
+                    position: [column, row],
                     means: sums.means(samples, samples / 2),
-                    depth_m: hit.map_or(0.0, |h| h.t * middle.direction.dot(job.camera.forward)),
+                    depth_m: job.camera.depth(lanes, bvh, [column, row], &mut stack),
                 });
             }
         }
@@ -310,7 +322,7 @@ impl WithLanes for Tile<'_> {
     }
 }
 
-/// A row of depths to be found.
+/// A row of depths to render.
 struct DepthRow<'a> {
     bvh: &'a Bvh,
     rays: &'a CameraRays,
@@ -326,9 +338,8 @@ impl WithLanes for DepthRow<'_> {
         let mut stack = self.bvh.stack();
         let mut depths = Vec::with_capacity(self.columns);
         for column in 0..self.columns {
-            let ray = self.rays.ray(column as f32, self.row as f32);
-            let hit = self.bvh.intersect(lanes, &ray, f32::INFINITY, &mut stack);
-            depths.push(hit.map_or(0.0, |h| h.t * ray.direction.dot(self.rays.forward)));
+            let pixel = [column, self.row];
+            depths.push(self.rays.depth(lanes, self.bvh, pixel, &mut stack));
         }
         depths
     }
@@ -346,7 +357,7 @@ fn assemble(camera: &Camera, pixels: impl Iterator<Item = TilePixel>) -> Renderi
         depth_m: vec![0.0; width * height],
     };
     for pixel in pixels {
-        let at = pixel.place[1] * width + pixel.place[0];
+        let at = pixel.position[1] * width + pixel.position[0];
         rendering.image.pixels[at] = pixel.means.radiance;
         rendering.variance.pixels[at] = pixel.means.variance;
         for half in 0..2 {

@@ -4,6 +4,7 @@ use super::super::env_map::EnvMap;
 use super::super::material::{Colour, Material};
 use super::super::scene::Mesh;
 use super::super::settings::PixelFilter;
+use super::super::shading::{Projection, shaded_mesh};
 use super::super::texture::Bitmap;
 use super::*;
 use gripcast_geometry::{Pose, builtin};
@@ -28,7 +29,8 @@ fn env_map() -> EnvMap {
 
 /// A ball on the ground.
 fn scene(material: Material, env_map: EnvMap) -> Scene {
-    let mut ball = Mesh::from_triangles(&builtin("sphere").unwrap(), 0);
+    let sphere = builtin("sphere").unwrap();
+    let mut ball = shaded_mesh(&sphere, 4.0, Projection::None, 0);
     ball.normals = ball.positions.iter().map(|p| p.normalize()).collect();
     Scene {
         meshes: vec![

@@ -4,10 +4,10 @@ use glam::{DVec3, Vec3};
 
 use super::camera::Camera;
 use super::env_map::EnvMap;
-use super::material::{Colour, Material};
+use super::material::{Colour, Material, ensure};
 use super::texture::Bitmap;
 use gripcast_base::error::{Error, Result};
-use gripcast_geometry::{Pose, TriangleMesh};
+use gripcast_geometry::Pose;
 
 /// Winding number above which a point is inside.
 const INSIDE: f64 = 0.9;
@@ -28,16 +28,6 @@ pub struct Mesh {
 }
 
 impl Mesh {
-    /// Flat-shaded mesh without texture coordinates.
-    pub fn from_triangles(mesh: &TriangleMesh, material: usize) -> Self {
-        Self {
-            positions: mesh.vertices.iter().map(|v| v.as_vec3()).collect(),
-            triangles: mesh.triangles.clone(),
-            material,
-            ..Self::default()
-        }
-    }
-
     /// Copy of a mesh in frame b, in world coordinates.
     #[must_use]
     pub fn transformed(&self, t_world_b: &Pose) -> Self {
@@ -67,56 +57,45 @@ impl Mesh {
     }
 
     fn validate(&self, scene: &Scene) -> Result<()> {
-        let bad = |what: String| Err(Error::input(what));
         let count = self.positions.len();
         for (name, found) in [("normals", self.normals.len()), ("uvs", self.uvs.len())] {
-            if found != 0 && found != count {
-                return bad(format!(
+            ensure(found == 0 || found == count, || {
+                format!(
                     "the number of {name} must be 0 or that of the positions, {count}, found {found}"
-                ));
-            }
+                )
+            })?;
         }
-        if let Some(v) = self.positions.iter().position(|p| !p.is_finite()) {
-            let found = self.positions[v];
-            return bad(format!(
-                "position {v} must have finite coordinates, found {found}"
-            ));
+        for (v, p) in self.positions.iter().enumerate() {
+            ensure(p.is_finite(), || {
+                format!("position {v} must have finite coordinates, found {p}")
+            })?;
         }
-        if let Some(v) = self.normals.iter().position(|n| !n.is_finite()) {
-            let found = self.normals[v];
-            return bad(format!("normal {v} must be finite, found {found}"));
+        for (v, n) in self.normals.iter().enumerate() {
+            ensure(n.is_finite(), || {
+                format!("normal {v} must be finite, found {n}")
+            })?;
         }
-        if let Some(v) = self
-            .uvs
-            .iter()
-            .position(|uv| !uv.iter().all(|c| c.is_finite()))
-        {
-            let found = self.uvs[v];
-            return bad(format!(
-                "texture coordinate {v} must be finite, found {found:?}"
-            ));
+        for (v, uv) in self.uvs.iter().enumerate() {
+            ensure(uv.iter().all(|c| c.is_finite()), || {
+                format!("texture coordinate {v} must be finite, found {uv:?}")
+            })?;
         }
-        let outside = |t: &[u32; 3]| t.iter().any(|&v| v as usize >= count);
-        if let Some(t) = self.triangles.iter().position(outside) {
-            let found = self.triangles[t];
-            return bad(format!(
-                "triangle {t} has vertex indices {found:?}, but the mesh has {count} vertices"
-            ));
+        for (t, triangle) in self.triangles.iter().enumerate() {
+            ensure(triangle.iter().all(|&v| (v as usize) < count), || {
+                format!(
+                    "triangle {t} has vertex indices {triangle:?}, but the mesh has {count} vertices"
+                )
+            })?;
         }
-        let Some(material) = scene.materials.get(self.material) else {
-            let found = (self.material, scene.materials.len());
-            return bad(format!(
-                "material index {} is out of range, the scene has {} materials",
-                found.0, found.1
-            ));
-        };
-        if matches!(material.colour(), Some(Colour::Texture(_))) && self.uvs.is_empty() {
-            return Err(
-                Error::input("the mesh has a texture but no texture coordinates")
-                    .remedy("use a mesh with texture coordinates"),
-            );
-        }
-        Ok(())
+        let (material, count) = (self.material, scene.materials.len());
+        ensure(material < count, || {
+            format!("material index {material} is out of range, the scene has {count} materials")
+        })?;
+        let is_textured = matches!(scene.materials[material].colour(), Some(Colour::Texture(_)));
+        ensure(!is_textured || !self.uvs.is_empty(), || {
+            "the mesh has a texture but no texture coordinates".to_owned()
+        })
+        .map_err(|e| e.remedy("use a mesh with texture coordinates"))
     }
 }
 
@@ -136,6 +115,17 @@ pub struct Scene {
 }
 
 impl Scene {
+    /// A scene without meshes.
+    pub(super) fn empty(env_map: EnvMap, camera: Camera) -> Self {
+        Self {
+            meshes: Vec::new(),
+            materials: Vec::new(),
+            textures: Vec::new(),
+            env_map,
+            camera,
+        }
+    }
+
     /// Checks that the scene can be rendered.
     ///
     /// # Errors
@@ -193,7 +183,8 @@ fn solid_angle([a, b, c]: [DVec3; 3]) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use gripcast_geometry::builtin;
+    use crate::shading::{Projection, shaded_mesh};
+    use gripcast_geometry::{CREASE_RAD, builtin};
 
     #[test]
     fn camera_inside_closed_mesh_is_detected() {
@@ -202,7 +193,7 @@ mod tests {
         let scene = Scene {
             meshes: vec![
                 Mesh::ground(Vec3::new(0.0, 0.0, -1e-3), 0.5, 0.1, 0),
-                Mesh::from_triangles(&builtin("mug").unwrap(), 0),
+                shaded_mesh(&builtin("mug").unwrap(), CREASE_RAD, Projection::None, 0),
             ],
             materials: vec![Material::grey(0.5)],
             textures: Vec::new(),

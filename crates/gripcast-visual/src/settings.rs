@@ -9,8 +9,6 @@ use gripcast_base::error::{Error, Result};
 pub enum PixelFilter {
     /// Box of one pixel.
     Box,
-    /// Tent of radius 1 px.
-    Tent,
     /// Gaussian with σ = 0.5 px, truncated at 2 px.
     #[default]
     Gaussian,

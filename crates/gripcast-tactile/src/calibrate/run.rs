@@ -261,7 +261,7 @@ fn provenance(
     let found = set.presses.iter().filter(|press| press.is_detected).count();
     let text = format!(
         "Fitted on {fitted} presses of a ball of {} mm ({held_out} held out, seed {}, contacts of \
-         {found} detected in the images). {}",
+         {found} found in the images). {}",
         set.ball_m * 2e3,
         options.seed,
         options.note

@@ -91,12 +91,7 @@ impl Conductor {
 impl Rough {
     fn new(eta: Vec3, k: Vec3, roughness: f32) -> Self {
         let ggx = Ggx::from_roughness(roughness);
-        let albedo = AlbedoTable::new(|v, u| {
-            let m = ggx.sample_vndf(v, u);
-            let i = 2.0 * v.dot(m) * m - v;
-            let seen = ggx.smith_g2(v, i) / ggx.smith_g1(v);
-            if i.z > 0.0 { seen } else { 0.0 }
-        });
+        let albedo = AlbedoTable::new(|v, u| ggx.reflected(v, u).0);
         let mean_albedo = albedo.mean();
         let steps = 256;
         let mut mean = Vec3::ZERO;

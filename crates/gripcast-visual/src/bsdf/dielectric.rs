@@ -73,6 +73,14 @@ impl Dielectric {
     }
 
     #[inline(always)]
+    fn tint(&self, reflects: bool) -> Vec3 {
+        match reflects {
+            true => Vec3::ONE,
+            false => self.transmittance,
+        }
+    }
+
+    #[inline(always)]
     pub(super) fn value(&self, outgoing: Vec3, incoming: Vec3) -> BsdfValue {
         let Some(rough) = &self.facets else {
             return BsdfValue::NONE;
@@ -89,13 +97,8 @@ impl Dielectric {
         }
         let (fresnel, _) = fresnel_dielectric(cos_o, ior);
         let visible = rough.ggx.vndf_pdf(o, m);
-        let (pdf, tint) = if reflects {
-            (fresnel * visible / (4.0 * cos_o), Vec3::ONE)
-        } else {
-            let stretch = cos_o + ior * cos_i;
-            let jacobian = ior * ior * -cos_i / (stretch * stretch).max(f32::MIN_POSITIVE);
-            ((1.0 - fresnel) * visible * jacobian, self.transmittance)
-        };
+        let pdf = density(fresnel, visible, [cos_o, cos_i], ior);
+        let tint = self.tint(reflects);
         BsdfValue {
             value: tint * (pdf * rough.weight(o, i, side)),
             pdf,
@@ -121,11 +124,7 @@ impl Dielectric {
         if (i.z > 0.0) != reflects || i.z == 0.0 {
             return None;
         }
-        let tint = if reflects {
-            Vec3::ONE
-        } else {
-            self.transmittance
-        };
+        let tint = self.tint(reflects);
         let Some(rough) = &self.facets else {
             return Some(BsdfSample {
                 direction: i * side,
@@ -135,14 +134,8 @@ impl Dielectric {
             });
         };
         let visible = rough.ggx.vndf_pdf(o, m);
-        let pdf = if reflects {
-            fresnel * visible / (4.0 * cos_o)
-        } else {
-            let cos_i = -i.dot(m);
-            let stretch = cos_o - ior * cos_i;
-            let jacobian = ior * ior * cos_i / (stretch * stretch).max(f32::MIN_POSITIVE);
-            (1.0 - fresnel) * visible * jacobian
-        };
+        let cos_i = if reflects { cos_o } else { i.dot(m) };
+        let pdf = density(fresnel, visible, [cos_o, cos_i], ior);
         let weight = tint * rough.weight(o, i, side);
         (pdf > 0.0 && pdf.is_finite()).then_some(BsdfSample {
             direction: i * side,
@@ -160,6 +153,18 @@ impl Rough {
         let albedo = &self.albedo[usize::from(side < 0.0)];
         self.ggx.smith_g1(i) / albedo.at(o.z).max(1e-3)
     }
+}
+
+/// Sampling density of the incoming direction, given the density of the visible normal; the
+/// direction is reflected if the cosines have the same sign, else refracted.
+#[inline(always)]
+fn density(fresnel: f32, visible: f32, [cos_o, cos_i]: [f32; 2], ior: f32) -> f32 {
+    if cos_i > 0.0 {
+        return fresnel * visible / (4.0 * cos_o);
+    }
+    let stretch = cos_o + ior * cos_i;
+    let jacobian = ior * ior * -cos_i / (stretch * stretch).max(f32::MIN_POSITIVE);
+    (1.0 - fresnel) * visible * jacobian
 }
 
 /// Returns the direction of light refracted at a microfacet towards `o`.

@@ -72,4 +72,13 @@ impl Ggx {
     pub(super) fn vndf_pdf(&self, v: Vec3, m: Vec3) -> f32 {
         self.smith_g1(v) * v.dot(m).max(0.0) * self.ndf(m) / v.z.max(f32::MIN_POSITIVE)
     }
+
+    /// Weight of a sampled reflection of `v` for Fresnel reflectance 1, and the cosine between
+    /// `v` and the microfacet normal.
+    pub(super) fn reflected(&self, v: Vec3, u: [f32; 2]) -> (f32, f32) {
+        let m = self.sample_vndf(v, u);
+        let i = 2.0 * v.dot(m) * m - v;
+        let weight = self.smith_g2(v, i) / self.smith_g1(v);
+        (if i.z > 0.0 { weight } else { 0.0 }, v.dot(m))
+    }
 }

@@ -49,16 +49,10 @@ impl Principled {
     pub(super) fn new(metallic: f32, roughness: f32, ior: f32) -> Self {
         let ggx = Ggx::from_roughness(roughness);
         let f0 = f0_from_ior(ior);
-        let weight = |v: Vec3, u: [f32; 2]| {
-            let m = ggx.sample_vndf(v, u);
-            let i = 2.0 * v.dot(m) * m - v;
-            let seen = ggx.smith_g2(v, i) / ggx.smith_g1(v);
-            (if i.z > 0.0 { seen } else { 0.0 }, v.dot(m))
-        };
-        let metal_albedo = AlbedoTable::new(|v, u| weight(v, u).0);
+        let metal_albedo = AlbedoTable::new(|v, u| ggx.reflected(v, u).0);
         let layer_albedo = AlbedoTable::new(|v, u| {
-            let (seen, cos) = weight(v, u);
-            seen * (f0 + (1.0 - f0) * schlick_weight(cos))
+            let (weight, cos) = ggx.reflected(v, u);
+            weight * (f0 + (1.0 - f0) * schlick_weight(cos))
         });
         Self {
             ggx,

@@ -4,28 +4,71 @@
 /// Number of boxes or triangles tested together.
 pub(in super::super) const WIDTH: usize = 8;
 
-/// Operations on eight floats.
+/// Operations on eight floats; the provided methods are the portable implementation.
 pub(in super::super) trait Lanes: Copy + Send + Sync {
     /// Eight floats.
     type F: Copy;
 
     fn load(self, values: &[f32; WIDTH]) -> Self::F;
     fn store(self, values: Self::F) -> [f32; WIDTH];
-    fn splat(self, value: f32) -> Self::F;
-    fn add(self, a: Self::F, b: Self::F) -> Self::F;
-    fn sub(self, a: Self::F, b: Self::F) -> Self::F;
-    fn mul(self, a: Self::F, b: Self::F) -> Self::F;
-    fn div(self, a: Self::F, b: Self::F) -> Self::F;
+    #[inline(always)]
+    fn splat(self, value: f32) -> Self::F {
+        self.load(&[value; WIDTH])
+    }
+
+    #[inline(always)]
+    fn add(self, a: Self::F, b: Self::F) -> Self::F {
+        self.load(&zip(self.store(a), self.store(b), |a, b| a + b))
+    }
+
+    #[inline(always)]
+    fn sub(self, a: Self::F, b: Self::F) -> Self::F {
+        self.load(&zip(self.store(a), self.store(b), |a, b| a - b))
+    }
+
+    #[inline(always)]
+    fn mul(self, a: Self::F, b: Self::F) -> Self::F {
+        self.load(&zip(self.store(a), self.store(b), |a, b| a * b))
+    }
+
+    #[inline(always)]
+    fn div(self, a: Self::F, b: Self::F) -> Self::F {
+        self.load(&zip(self.store(a), self.store(b), |a, b| a / b))
+    }
+
     /// Lane-wise minimum; `b` if one is NaN.
-    fn min(self, a: Self::F, b: Self::F) -> Self::F;
+    #[inline(always)]
+    fn min(self, a: Self::F, b: Self::F) -> Self::F {
+        self.load(&zip(self.store(a), self.store(b), |a, b| {
+            if a < b { a } else { b }
+        }))
+    }
+
     /// Lane-wise maximum; `b` if one is NaN.
-    fn max(self, a: Self::F, b: Self::F) -> Self::F;
+    #[inline(always)]
+    fn max(self, a: Self::F, b: Self::F) -> Self::F {
+        self.load(&zip(self.store(a), self.store(b), |a, b| {
+            if a > b { a } else { b }
+        }))
+    }
+
     /// Bit i: a ≤ b in lane i.
-    fn le(self, a: Self::F, b: Self::F) -> u32;
+    #[inline(always)]
+    fn le(self, a: Self::F, b: Self::F) -> u32 {
+        bits(self.store(a), self.store(b), |a, b| a <= b)
+    }
+
     /// Bit i: a < b in lane i.
-    fn lt(self, a: Self::F, b: Self::F) -> u32;
+    #[inline(always)]
+    fn lt(self, a: Self::F, b: Self::F) -> u32 {
+        bits(self.store(a), self.store(b), |a, b| a < b)
+    }
+
     /// Bit i: a = b in lane i.
-    fn eq(self, a: Self::F, b: Self::F) -> u32;
+    #[inline(always)]
+    fn eq(self, a: Self::F, b: Self::F) -> u32 {
+        bits(self.store(a), self.store(b), |a, b| a == b)
+    }
 }
 
 /// Portable implementation.
@@ -53,56 +96,6 @@ impl Lanes for Portable {
     #[inline(always)]
     fn store(self, values: Self::F) -> [f32; WIDTH] {
         values
-    }
-
-    #[inline(always)]
-    fn splat(self, value: f32) -> Self::F {
-        [value; WIDTH]
-    }
-
-    #[inline(always)]
-    fn add(self, a: Self::F, b: Self::F) -> Self::F {
-        zip(a, b, |a, b| a + b)
-    }
-
-    #[inline(always)]
-    fn sub(self, a: Self::F, b: Self::F) -> Self::F {
-        zip(a, b, |a, b| a - b)
-    }
-
-    #[inline(always)]
-    fn mul(self, a: Self::F, b: Self::F) -> Self::F {
-        zip(a, b, |a, b| a * b)
-    }
-
-    #[inline(always)]
-    fn div(self, a: Self::F, b: Self::F) -> Self::F {
-        zip(a, b, |a, b| a / b)
-    }
-
-    #[inline(always)]
-    fn min(self, a: Self::F, b: Self::F) -> Self::F {
-        zip(a, b, |a, b| if a < b { a } else { b })
-    }
-
-    #[inline(always)]
-    fn max(self, a: Self::F, b: Self::F) -> Self::F {
-        zip(a, b, |a, b| if a > b { a } else { b })
-    }
-
-    #[inline(always)]
-    fn le(self, a: Self::F, b: Self::F) -> u32 {
-        bits(a, b, |a, b| a <= b)
-    }
-
-    #[inline(always)]
-    fn lt(self, a: Self::F, b: Self::F) -> u32 {
-        bits(a, b, |a, b| a < b)
-    }
-
-    #[inline(always)]
-    fn eq(self, a: Self::F, b: Self::F) -> u32 {
-        bits(a, b, |a, b| a == b)
     }
 }
 

@@ -5,6 +5,7 @@ use rayon::prelude::*;
 
 use crate::linear_image::{Image, luminance};
 use gripcast_base::random::gaussians;
+use gripcast_imaging::srgb_encode;
 
 /// Exposure, lens and sensor of the colour camera.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -74,7 +75,7 @@ pub fn develop(light: &Image, settings: &ColourSettings, seed: u64) -> RgbImage 
                 let deviation = (electrons + read * read).sqrt();
                 (electrons + deviation * noise[k]) / full_well * balance[k]
             });
-            tone_mapped(measured, settings.saturation).map(encode)
+            tone_mapped(measured, settings.saturation).map(srgb_encode)
         })
         .collect();
     let (width, height) = (image.width as u32, image.height as u32);
@@ -184,7 +185,7 @@ fn exposure(image: &Image, balance: [f32; 3], settings: &ColourSettings) -> f32 
             .iter()
             .map(|p| {
                 let measured = std::array::from_fn(|k| (p[k] * gain).min(1.0) * balance[k]);
-                let [r, g, b] = tone_mapped(measured, settings.saturation).map(encode);
+                let [r, g, b] = tone_mapped(measured, settings.saturation).map(srgb_encode);
                 0.299 * f64::from(r) + 0.587 * f64::from(g) + 0.114 * f64::from(b)
             })
             .sum();
@@ -214,17 +215,6 @@ fn tone_mapped(light: [f32; 3], saturation: f32) -> [f32; 3] {
             0.7 + 0.3 * (1.0 - (-(v - 0.7) / 0.3).exp())
         }
     })
-}
-
-/// sRGB transfer function (IEC 61966-2-1), rounded.
-fn encode(linear: f32) -> u8 {
-    let v = linear.clamp(0.0, 1.0);
-    let encoded = if v <= 0.003_130_8 {
-        12.92 * v
-    } else {
-        1.055 * v.powf(1.0 / 2.4) - 0.055
-    };
-    (255.0 * encoded).round() as u8
 }
 
 #[cfg(test)]

@@ -4,9 +4,23 @@ use rayon::prelude::*;
 
 use super::{BASELINE_M, LEFT_IMAGER_M};
 use crate::camera::Camera;
+use crate::material::ensure;
 use gripcast_base::error::{Error, Result};
 use gripcast_base::random::gaussians;
 use gripcast_imaging::DepthImage;
+
+/// Focal length of the stereo images of 640 × 360 with 87°, px.
+const STEREO_FOCAL_PX: f64 = 337.0;
+/// Fraction of the noise variance that is correlated between neighbours within about 4 pixels.
+const CORRELATED_FRACTION: f64 = 0.7;
+/// Disparity steps per pixel.
+const DISPARITY_STEPS: f64 = 32.0;
+/// Maximum disparity, px; closer than `f · b / max_disparity`, 0.134 m, there is no depth.
+const MAX_DISPARITY_PX: f64 = 126.0;
+/// Maximum depth, m.
+const MAX_DEPTH_M: f64 = 10.0;
+/// Minimum angle between a surface and the viewing ray, rad; below it stereo matching fails.
+const GRAZING_RAD: f64 = 7.0 * std::f64::consts::PI / 180.0;
 
 /// Settings of the stereo depth module.
 ///
@@ -14,75 +28,36 @@ use gripcast_imaging::DepthImage;
 /// (Intel, *Best-known-methods for tuning D400 series depth cameras*).
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct DepthSettings {
-    /// Focal length of the stereo images, px; 337 for 640 × 360 with 87°.
-    pub stereo_focal_px: f64,
     /// Standard deviation of the disparity noise, px.
     pub disparity_std_px: f64,
-    /// Fraction of the noise variance that is correlated between neighbours within about 4 pixels,
-    /// 0 to 1.
-    pub correlated_fraction: f64,
-    /// Disparity steps per pixel.
-    pub disparity_steps: f64,
-    /// Maximum disparity, px; closer than `f · b / max_disparity` there is no depth.
-    pub max_disparity_px: f64,
-    /// Maximum depth, m.
-    pub max_depth_m: f64,
-    /// Minimum angle between a surface and the viewing ray, rad; below it stereo matching fails.
-    pub grazing_rad: f64,
     /// Depth unit, m.
     pub unit_m: f64,
 }
 
 impl Default for DepthSettings {
-    /// Settings for 640 × 360: minimum depth 0.134 m, 1 mm units.
+    /// Noise of a textured scene, 1 mm units.
     fn default() -> Self {
         Self {
-            stereo_focal_px: 337.0,
             disparity_std_px: 0.08,
-            correlated_fraction: 0.7,
-            disparity_steps: 32.0,
-            max_disparity_px: 126.0,
-            max_depth_m: 10.0,
-            grazing_rad: 7.0 * std::f64::consts::PI / 180.0,
             unit_m: 1e-3,
         }
     }
 }
 
 impl DepthSettings {
-    /// Minimum measured depth, m.
-    pub fn min_depth_m(&self) -> f64 {
-        self.stereo_focal_px * BASELINE_M / self.max_disparity_px
-    }
-
     /// Standard deviation of a measured depth, m.
     pub fn depth_std_m(&self, depth_m: f64) -> f64 {
-        depth_m * depth_m * self.disparity_std_px / (self.stereo_focal_px * BASELINE_M)
+        depth_m * depth_m * self.disparity_std_px / (STEREO_FOCAL_PX * BASELINE_M)
     }
 
     fn validate(&self) -> Result<()> {
-        let positive = [
-            ("stereo focal length", self.stereo_focal_px),
-            ("disparity steps", self.disparity_steps),
-            ("maximum disparity", self.max_disparity_px),
-            ("maximum depth", self.max_depth_m),
-            ("depth unit", self.unit_m),
-        ];
-        for (name, value) in positive {
-            if !(value.is_finite() && value > 0.0) {
-                return Err(Error::input(format!(
-                    "the {name} must be positive, found {value}"
-                )));
-            }
-        }
-        if !(self.disparity_std_px >= 0.0 && (0.0..=1.0).contains(&self.correlated_fraction)) {
-            return Err(Error::input(format!(
-                "the disparity noise must not be negative and its correlated fraction from 0 to \
-                     1, found {} and {}",
-                self.disparity_std_px, self.correlated_fraction
-            )));
-        }
-        Ok(())
+        let (std_px, unit_m) = (self.disparity_std_px, self.unit_m);
+        ensure(std_px >= 0.0, || {
+            format!("the disparity noise must not be negative, found {std_px} px")
+        })?;
+        ensure(unit_m.is_finite() && unit_m > 0.0, || {
+            format!("the depth unit must be positive, found {unit_m} m")
+        })
     }
 }
 
@@ -103,12 +78,10 @@ pub fn measure_depth(
 ) -> Result<DepthImage> {
     settings.validate()?;
     let (width, height) = (camera.width, camera.height);
-    if depth_m.len() != width * height || depth_m.is_empty() {
-        let found = depth_m.len();
-        return Err(Error::input(format!(
-            "a depth image of {width}×{height} must have as many depths, found {found}"
-        )));
-    }
+    let found = depth_m.len();
+    ensure(found > 0 && found == width * height, || {
+        format!("a depth image of {width}×{height} must have as many depths, found {found}")
+    })?;
     let mut codes = vec![0_u16; depth_m.len()];
     codes
         .par_chunks_mut(width)
@@ -118,7 +91,7 @@ pub fn measure_depth(
             let visible = visible_to_both(line, camera);
             for (column, code) in codes.iter_mut().enumerate() {
                 let pixel = (column, row);
-                if visible[column] && !is_grazing(depth_m, pixel, camera, settings) {
+                if visible[column] && !is_grazing(depth_m, pixel, camera) {
                     *code = measured(line[column], pixel, settings, seed);
                 }
             }
@@ -130,15 +103,14 @@ pub fn measure_depth(
 /// Measures one depth with noise and quantisation.
 fn measured(depth: f32, pixel: (usize, usize), settings: &DepthSettings, seed: u64) -> u16 {
     let depth = f64::from(depth);
-    if !(settings.min_depth_m()..=settings.max_depth_m).contains(&depth) {
+    let scale = STEREO_FOCAL_PX * BASELINE_M;
+    if !(scale / MAX_DISPARITY_PX..=MAX_DEPTH_M).contains(&depth) {
         return 0;
     }
-    let scale = settings.stereo_focal_px * BASELINE_M;
-    let noise =
-        settings.disparity_std_px * disparity_noise(pixel, settings.correlated_fraction, seed);
-    let steps = ((scale / depth + noise) * settings.disparity_steps).round();
-    let disparity = steps / settings.disparity_steps;
-    if disparity <= 0.0 || disparity > settings.max_disparity_px {
+    let noise = settings.disparity_std_px * disparity_noise(pixel, seed);
+    let steps = ((scale / depth + noise) * DISPARITY_STEPS).round();
+    let disparity = steps / DISPARITY_STEPS;
+    if disparity <= 0.0 || disparity > MAX_DISPARITY_PX {
         return 0;
     }
     // Codes beyond 16 bits are invalid.
@@ -152,7 +124,7 @@ fn measured(depth: f32, pixel: (usize, usize), settings: &DepthSettings, seed: u
 
 /// Noise of unit variance: the sum of a coarse lattice, shared by neighbours, and independent
 /// noise.
-fn disparity_noise((column, row): (usize, usize), correlated_fraction: f64, seed: u64) -> f64 {
+fn disparity_noise((column, row): (usize, usize), seed: u64) -> f64 {
     const SPACING: usize = 4;
     let own = f64::from(gaussians(seed, (row as u64) << 32 | column as u64)[0]);
     let (cx, cy) = (column / SPACING, row / SPACING);
@@ -171,7 +143,7 @@ fn disparity_noise((column, row): (usize, usize), correlated_fraction: f64, seed
     let lattice = [at(0, 0), at(1, 0), at(0, 1), at(1, 1)];
     let sum: f64 = weights.iter().zip(lattice).map(|(w, g)| w * g).sum();
     let norm = weights.iter().map(|w| w * w).sum::<f64>().sqrt();
-    correlated_fraction.sqrt() * sum / norm + (1.0 - correlated_fraction).sqrt() * own
+    CORRELATED_FRACTION.sqrt() * sum / norm + (1.0 - CORRELATED_FRACTION).sqrt() * own
 }
 
 /// Marks the pixels of a row visible to both imagers: a surface is occluded if a nearer one lies on
@@ -199,12 +171,7 @@ fn visible_to_both(line: &[f32], camera: &Camera) -> Vec<bool> {
 }
 
 /// Whether the surface at a pixel is at a grazing angle or at a depth edge.
-fn is_grazing(
-    depth_m: &[f32],
-    (column, row): (usize, usize),
-    camera: &Camera,
-    settings: &DepthSettings,
-) -> bool {
+fn is_grazing(depth_m: &[f32], (column, row): (usize, usize), camera: &Camera) -> bool {
     let at = |c: usize, r: usize| f64::from(depth_m[r * camera.width + c]);
     let here = at(column, row);
     // Depth change per pixel along an axis, the smaller one of both sides: an edge affects only one
@@ -231,7 +198,7 @@ fn is_grazing(
     let normal = (gx * gx + gy * gy + along * along).sqrt();
     let ray = (1.0 + u * u + v * v).sqrt();
     // The dot product of the ray (u, v, 1) and the normal is 1.
-    1.0 / (normal * ray) < settings.grazing_rad.sin()
+    1.0 / (normal * ray) < GRAZING_RAD.sin()
 }
 
 #[cfg(test)]
@@ -275,12 +242,12 @@ mod tests {
     #[test]
     fn codes_are_millimetres_and_0_out_of_range() {
         let settings = DepthSettings::default();
-        assert!((settings.min_depth_m() - 0.1337).abs() < 1e-3);
         let code = |depth: f32| {
             let codes = measure_depth(&[depth; 320 * 240], &camera(), &settings, 0).unwrap();
             codes.get_pixel(160, 120).0[0]
         };
-        assert_eq!(code(0.12), 0);
+        assert_eq!(code(0.133), 0);
+        assert_ne!(code(0.136), 0);
         assert_eq!(code(12.0), 0);
         assert_eq!(code(f32::INFINITY), 0);
         assert_eq!(code(0.0), 0);

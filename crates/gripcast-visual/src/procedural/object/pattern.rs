@@ -1,4 +1,4 @@
-//! What is drawn on a surface: stripes, dots, specks, clouds, print.
+//! Pattern layers: stripes, dots, specks, clouds, print.
 
 use std::f32::consts::TAU;
 
@@ -15,10 +15,10 @@ use crate::appearance::Appearance;
 use crate::linear_image::luminance;
 use gripcast_base::random::SeedStream;
 
-/// Luminance from which specks and bruises are darker than the base.
+/// Luminance above which specks and bruises are darker than the base.
 const LIGHT: f32 = 0.06;
 
-/// The layer of a pattern; none where the base shows it already or there is none.
+/// Returns the layer of a pattern; `None` if the base layer already shows it or there is none.
 pub(super) fn layer(
     appearance: &Appearance,
     size_px: u32,
@@ -61,12 +61,12 @@ fn striped(appearance: &Appearance, stream: &mut SeedStream) -> Layer {
     bands(accent(appearance.base_colour, stream), stream)
 }
 
-/// Bands along x, which are rings around an upright object.
+/// Bands along x: rings around an upright object.
 fn bands(colour: [f32; 3], stream: &mut SeedStream) -> Layer {
     let count = stream.pick([3.0_f32, 4.0, 5.0, 6.0, 8.0]);
     let width = stream.between(0.15, 0.42) as f32;
     let phase = stream.uniform() as f32;
-    // A thin line beside each band.
+    // Thin line beside each band.
     let line = stream.pick([0.0_f32, 0.0, 0.06]);
     let soft = 0.004 * count;
     let hand = FractalNoise::new(stream.bits(), [5, 2], 2);
@@ -85,19 +85,19 @@ fn bands(colour: [f32; 3], stream: &mut SeedStream) -> Layer {
     })
 }
 
-/// Upright flutes of corrugated cardboard.
+/// Vertical flutes of corrugated cardboard.
 fn corrugated(stream: &mut SeedStream) -> Layer {
     let flutes = stream.pick([14.0_f32, 18.0, 22.0]);
     let phase = stream.uniform() as f32;
     shaded(move |x, _| {
         let height = (TAU * (flutes * x + phase)).cos();
-        // One flank is turned to the light.
+        // One flank faces the light.
         let flank = (TAU * (flutes * x + phase + 0.2)).sin();
         1.0 + 0.10 * height + 0.08 * flank
     })
 }
 
-/// Dots in rows, each row shifted by half a dot.
+/// Dots in rows, offset by half a dot.
 fn dotted(base: [f32; 3], stream: &mut SeedStream) -> Layer {
     let colour = accent(base, stream);
     let count = stream.pick([4.0_f32, 6.0, 8.0]);
@@ -116,7 +116,7 @@ fn dotted(base: [f32; 3], stream: &mut SeedStream) -> Layer {
 fn speckled(appearance: &Appearance, size_px: u32, stream: &mut SeedStream) -> Option<Layer> {
     let base = appearance.base_colour;
     Some(match appearance.finish {
-        // Granite is a base.
+        // Speckled stone is a base layer.
         Finish::Stone => return None,
         Finish::Ceramic => specks(fired_speck(base), 40, stream),
         Finish::Print => specks(accent(base, stream), 34, stream),
@@ -130,7 +130,7 @@ fn speckled(appearance: &Appearance, size_px: u32, stream: &mut SeedStream) -> O
     })
 }
 
-/// Iron in the glaze; light specks on a dark one.
+/// Iron specks in the glaze; light specks on a dark one.
 fn fired_speck(base: [f32; 3]) -> [f32; 3] {
     let own = luminance(base);
     if own > LIGHT {
@@ -149,7 +149,7 @@ fn specks(colour: [f32; 3], count: u32, stream: &mut SeedStream) -> Layer {
     })
 }
 
-/// Fine bumps of powder object, moulded leather grain or blasted metal.
+/// Fine bumps of powder coat, moulded leather grain or blasted metal.
 fn grained(range: [f32; 2], stream: &mut SeedStream) -> Layer {
     let seed = stream.bits();
     let fine = ValueNoise::new(seed, [128, 128]);
@@ -170,7 +170,7 @@ fn pores(stream: &mut SeedStream) -> Layer {
     })
 }
 
-/// Fibres of other colours in recycled paper.
+/// Coloured fibres of recycled paper.
 fn flecks(base: [f32; 3], size_px: u32, stream: &mut SeedStream) -> Layer {
     let fibres = Strokes {
         count: 420,
@@ -199,7 +199,7 @@ fn melange(stream: &mut SeedStream) -> Layer {
     })
 }
 
-/// Short dark rays of beech, along the fibres.
+/// Short dark rays of beech along the grain.
 fn rays(stream: &mut SeedStream) -> Layer {
     let rays = ValueNoise::new(stream.bits(), [90, 24]);
     shaded(move |x, y| 1.0 - 0.35 * smoothstep(0.72, 0.9, rays.at(x, y)))
@@ -235,7 +235,7 @@ fn mottled(appearance: &Appearance, stream: &mut SeedStream) -> Option<Layer> {
     })
 }
 
-/// Dents of a round hammer: each reflects its own part of the room.
+/// Dents of a round hammer, each reflecting another part of the room.
 fn hammered(stream: &mut SeedStream) -> Layer {
     let count = stream.pick([9, 11, 14]);
     let cells = WorleyNoise::new(stream.bits(), count);
@@ -246,7 +246,7 @@ fn hammered(stream: &mut SeedStream) -> Layer {
     })
 }
 
-/// Facets of crumpled paper, light along their folds.
+/// Facets of crumpled paper, bright along the folds.
 fn crumpled(stream: &mut SeedStream) -> Layer {
     let seed = stream.bits();
     let bend = FractalNoise::new(seed, [6, 6], 3);
@@ -257,14 +257,14 @@ fn crumpled(stream: &mut SeedStream) -> Layer {
         let facet = |cells: &WorleyNoise, fold: f32| {
             let (near, far, id) = cells.at(x + shift, y + shift);
             let edge = 1.0 - smoothstep(0.0, fold, far - near);
-            // Each facet leans its own way.
+            // Each facet has its own inclination.
             mix(0.84, 1.06, id) + 0.1 * (id - 0.5) * near + 0.08 * edge
         };
         facet(&large, 0.05) * facet(&small, 0.09)
     })
 }
 
-/// Pale dust in patches.
+/// Patches of pale dust.
 fn dusty(base: [f32; 3], stream: &mut SeedStream) -> Layer {
     let own = luminance(base);
     let dust = mix_colour(
@@ -279,7 +279,7 @@ fn dusty(base: [f32; 3], stream: &mut SeedStream) -> Layer {
     })
 }
 
-/// Brown patches; pale ones on what is dark.
+/// Brown patches; pale ones on dark surfaces.
 fn bruised(base: [f32; 3], stream: &mut SeedStream) -> Layer {
     let own = luminance(base);
     let patch = if own > LIGHT {
@@ -294,7 +294,7 @@ fn bruised(base: [f32; 3], stream: &mut SeedStream) -> Layer {
     })
 }
 
-/// Two colours stirred into each other: wax, soap, clay.
+/// Two colours stirred together: wax, soap, clay.
 fn marbled(base: [f32; 3], stream: &mut SeedStream) -> Layer {
     let own = luminance(base);
     let turned = rotate_hue(base, stream.between(-0.5, 0.5) as f32);
@@ -313,7 +313,7 @@ fn marbled(base: [f32; 3], stream: &mut SeedStream) -> Layer {
     })
 }
 
-/// A label whose colours go with that of its base.
+/// A label with ink colours that match the base.
 pub(super) fn printed(base: [f32; 3], size_px: u32, stream: &mut SeedStream) -> Layer {
     let mut label = Label::random(stream);
     label.inks = Inks {
@@ -321,7 +321,7 @@ pub(super) fn printed(base: [f32; 3], size_px: u32, stream: &mut SeedStream) -> 
         field: accent(base, stream),
         badge: accent(base, stream),
     };
-    // Strokes of letters are narrower than a pixel: the mean of four places in it.
+    // Letter strokes are narrower than a pixel: average of four positions.
     let quarter = 0.25 / size_px.max(1) as f32;
     let within = [
         [-quarter, -quarter],
