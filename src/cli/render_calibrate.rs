@@ -191,7 +191,7 @@ pub(crate) fn run(context: &Context, args: Args) -> Result<()> {
     let image = args.out.with_extension("fit.png");
     save(&image, &encode_png_rgb(&calibration.image)?)?;
     if !context.quiet {
-        for press in &calibration.skipped {
+        for press in &calibration.report.skipped {
             note!("gripcast: {} is not used: {}", press.file, press.reason);
         }
     }
@@ -204,7 +204,7 @@ pub(crate) fn run(context: &Context, args: Args) -> Result<()> {
     } else {
         print(&text(&calibration.report, &args.out))?;
     }
-    match calibration.skipped.len() {
+    match calibration.report.skipped.len() {
         0 => Ok(()),
         count => Err(Error::new(
             ErrorKind::Partial,

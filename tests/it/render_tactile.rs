@@ -43,7 +43,11 @@ fn contacts_of_a_real_mini_are_found_and_explained() {
     options.read.size = Some((320, 240));
     options.read.find_contacts = true;
     let result = run(&options).unwrap();
-    assert!(result.skipped.is_empty(), "{:?}", result.skipped);
+    assert!(
+        result.report.skipped.is_empty(),
+        "{:?}",
+        result.report.skipped
+    );
     assert_eq!(result.report.contacts_found, 24);
     assert!(result.report.score.fve >= 0.92, "{:?}", result.report.score);
     let shipped = SensorProfile::gelsight_mini().unwrap();

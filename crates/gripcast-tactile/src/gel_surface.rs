@@ -9,13 +9,11 @@ use glam::DVec3;
 use image::RgbImage;
 
 use super::depth::{depth_below, gel_surface_depth};
-use super::noise::Drift;
 use super::press_depth::{PressDepth, SensorGeometry};
 use super::profile::SensorProfile;
 use super::rasteriser::Rasteriser;
-use super::renderer::TactileRenderer;
 use super::scene::TactileScene;
-use super::scene_renderer::{SceneRenderer, noise};
+use super::scene_renderer::{ObjectDepthRenderer, SceneRenderer, noise};
 use super::smooth::Smoothing;
 use gripcast_base::error::{Error, Result};
 use gripcast_geometry::{Pose, TriangleMesh};
@@ -23,11 +21,7 @@ use gripcast_sim::fem::{GelGrid, Side};
 
 /// Renders the deformed gel face without smoothing.
 #[derive(Clone, Debug)]
-pub struct GelSurfaceRenderer {
-    shading: TactileRenderer,
-    drift: Drift,
-    rasteriser: Rasteriser,
-}
+pub struct GelSurfaceRenderer(ObjectDepthRenderer);
 
 impl GelSurfaceRenderer {
     /// Renderer with the shading of a sensor profile.
@@ -39,30 +33,22 @@ impl GelSurfaceRenderer {
             smoothing: Smoothing::default(),
             ..profile.clone()
         };
-        Ok(Self {
-            shading: TactileRenderer::new(&unsmoothed)?,
-            drift: profile.drift,
-            rasteriser: Rasteriser::new(),
-        })
+        ObjectDepthRenderer::new(&unsmoothed).map(Self)
     }
 }
 
 impl SceneRenderer for GelSurfaceRenderer {
-    fn name(&self) -> &'static str {
-        "gel-surface"
-    }
-
     fn grid(&self) -> SensorGeometry {
-        self.shading.geometry()
+        self.0.grid()
     }
 
     fn render(&mut self, scene: &TactileScene<'_>, seed: Option<u64>) -> Result<RgbImage> {
         let grid = self.grid();
-        let press = gel_surface_depth(scene, &grid, &mut self.rasteriser).ok_or_else(|| {
+        let press = gel_surface_depth(scene, &grid, &mut self.0.rasteriser).ok_or_else(|| {
             Error::input("the gel-surface renderer needs the deformed gel, which the scene lacks")
                 .remedy("render the end of a stage of a simulated grasp")
         })?;
-        self.shading.render(&press, &noise(&self.drift, seed))
+        self.0.shading.render(&press, &noise(&self.0.drift, seed))
     }
 }
 
@@ -103,7 +89,6 @@ fn depth_at(press: &PressDepth, point: &DVec3) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::ObjectDepthRenderer;
     use crate::lookup::{LookupRenderer, TaximHeights, TaximTable};
     use gripcast_geometry::builtin;
 
@@ -149,7 +134,7 @@ mod tests {
         for mut renderer in renderers {
             assert_eq!(renderer.grid(), profile.geometry);
             let image = renderer.render(&scene(&object, 0.0), None).unwrap();
-            assert_eq!(image, untouched, "{}", renderer.name());
+            assert_eq!(image, untouched);
         }
     }
 
@@ -163,8 +148,9 @@ mod tests {
         let change = |renderer: &mut GelSurfaceRenderer, depth: f64| {
             let grid = renderer.grid();
             let press =
-                gel_surface_depth(&scene(&object, depth), &grid, &mut renderer.rasteriser).unwrap();
-            renderer.shading.change(&press).unwrap().clone()
+                gel_surface_depth(&scene(&object, depth), &grid, &mut renderer.0.rasteriser)
+                    .unwrap();
+            renderer.0.shading.change(&press).unwrap().clone()
         };
         let sunk = change(&mut renderer, 2e-3);
         let grid = renderer.grid();

@@ -101,17 +101,10 @@ impl TactileRenderer {
         let [o_red, o_green, o_blue] = noise.offset.map(|v| v + 0.5);
         let [g_red, g_green, g_blue] = noise.gain;
         let pixels = image.chunks_exact_mut(3).zip(light);
-        let Some(seed) = noise.noise_seed else {
-            for (pixel, (((r, dr), (g, dg)), (b, db))) in pixels {
-                pixel[0] = (g_red * (r + dr) + o_red) as u8;
-                pixel[1] = (g_green * (g + dg) + o_green) as u8;
-                pixel[2] = (g_blue * (b + db) + o_blue) as u8;
-            }
-            return;
-        };
         let [s_red, s_green, s_blue] = self.noise_std;
         for (i, (pixel, (((r, dr), (g, dg)), (b, db)))) in pixels.enumerate() {
-            let [n_red, n_green, n_blue] = pixel_noise(seed, i);
+            let draws = noise.noise_seed.map(|seed| pixel_noise(seed, i));
+            let [n_red, n_green, n_blue] = draws.unwrap_or_default();
             pixel[0] = (g_red * (r + dr) + o_red + s_red * n_red) as u8;
             pixel[1] = (g_green * (g + dg) + o_green + s_green * n_green) as u8;
             pixel[2] = (g_blue * (b + db) + o_blue + s_blue * n_blue) as u8;
@@ -121,12 +114,8 @@ impl TactileRenderer {
     fn check(&self, press: &PressDepth) -> Result<()> {
         let (ours, theirs) = (&self.geometry, &press.geometry);
         let same_pixel = (ours.pixel_m - theirs.pixel_m).abs() <= SAME_PIXEL * ours.pixel_m;
-        let pixels = ours.width * ours.height;
-        if ours.width == theirs.width
-            && ours.height == theirs.height
-            && same_pixel
-            && press.depth_m.len() == pixels
-        {
+        let same_grid = (ours.width, ours.height) == (theirs.width, theirs.height);
+        if same_grid && same_pixel && press.depth_m.len() == ours.width * ours.height {
             return Ok(());
         }
         Err(Error::input(format!(

@@ -1,12 +1,18 @@
 use super::*;
-use crate::calibrate::ball_press;
+use crate::calibrate::BallContact;
 
 fn mini() -> TactileRenderer {
     TactileRenderer::new(&SensorProfile::gelsight_mini().unwrap()).unwrap()
 }
 
 fn ball(renderer: &TactileRenderer) -> PressDepth {
-    ball_press(renderer.geometry(), [170.0, 110.0], 15.0, 2e-3, 2e-4)
+    let contact = BallContact {
+        geometry: renderer.geometry(),
+        centre_px: [170.0, 110.0],
+        radius_px: 15.0,
+        ball_m: 2e-3,
+    };
+    contact.press_sunk_by(2e-4)
 }
 
 #[test]

@@ -9,7 +9,6 @@
 //! further down in the right one's.
 
 use glam::{DQuat, DVec3};
-use serde::{Deserialize, Serialize};
 
 use super::contact_gap::contact_gap;
 use super::press_depth::SensorGeometry;
@@ -21,8 +20,7 @@ use gripcast_sim::grasp::{Finger, Snapshot, TraceStep};
 
 /// Rotation of a sensor on its finger in quarter turns: the image columns run along the gel's x
 /// axis rotated by this angle about the gel's z axis, towards y.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(try_from = "u16", into = "u16")]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct MountingAngle {
     quarters: u8,
 }
@@ -50,20 +48,6 @@ impl MountingAngle {
 
     fn rotation(self) -> DQuat {
         DQuat::from_rotation_z(f64::from(self.degrees()).to_radians())
-    }
-}
-
-impl TryFrom<u16> for MountingAngle {
-    type Error = String;
-
-    fn try_from(degrees: u16) -> Result<Self, String> {
-        Self::from_degrees(degrees).map_err(|e| e.what().to_owned())
-    }
-}
-
-impl From<MountingAngle> for u16 {
-    fn from(mounting: MountingAngle) -> Self {
-        mounting.degrees()
     }
 }
 

@@ -15,9 +15,6 @@ use gripcast_base::error::Result;
 ///
 /// Renderers reuse buffers between frames: use one per thread.
 pub trait SceneRenderer: Send {
-    /// Name on the command line.
-    fn name(&self) -> &'static str;
-
     /// Pixel grid of the images.
     fn grid(&self) -> SensorGeometry;
 
@@ -32,9 +29,9 @@ pub trait SceneRenderer: Send {
 /// Renderer of the paper (§3.2): depth of the object, smoothed and shaded by a sensor profile.
 #[derive(Clone, Debug)]
 pub struct ObjectDepthRenderer {
-    shading: TactileRenderer,
-    drift: Drift,
-    rasteriser: Rasteriser,
+    pub(super) shading: TactileRenderer,
+    pub(super) drift: Drift,
+    pub(super) rasteriser: Rasteriser,
 }
 
 impl ObjectDepthRenderer {
@@ -52,10 +49,6 @@ impl ObjectDepthRenderer {
 }
 
 impl SceneRenderer for ObjectDepthRenderer {
-    fn name(&self) -> &'static str {
-        "object-depth"
-    }
-
     fn grid(&self) -> SensorGeometry {
         self.shading.geometry()
     }

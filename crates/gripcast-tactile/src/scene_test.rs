@@ -134,10 +134,7 @@ fn sensor_frames_are_right_handed_and_face_each_other() {
 fn mounting_angle_must_be_quarter_turn() {
     let text = MountingAngle::from_degrees(45).unwrap_err().to_string();
     assert!(text.contains("found 45"), "{text}");
-    let mounting: MountingAngle = serde_json::from_str("270").unwrap();
-    assert_eq!(mounting.degrees(), 270);
-    assert_eq!(serde_json::to_string(&mounting).unwrap(), "270");
-    assert!(serde_json::from_str::<MountingAngle>("30").is_err());
+    assert_eq!(MountingAngle::from_degrees(270).unwrap().degrees(), 270);
 }
 
 #[test]

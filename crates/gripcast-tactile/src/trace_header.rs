@@ -74,40 +74,25 @@ pub struct TraceHeader {
     pub object: TraceObject,
 }
 
-#[derive(Deserialize)]
-struct Record {
-    gel_axes_m: [Vec<f64>; 3],
-    object: TraceObject,
-    parameters: Parameters,
-}
-
-#[derive(Deserialize)]
-struct Parameters {
-    solver: Solver,
-}
-
-#[derive(Deserialize)]
-struct Solver {
-    d_hat_m: f64,
-}
-
 impl TraceHeader {
     /// Parses the header of a trace file.
     ///
     /// # Errors
     /// `Input` if it lacks gel or object, or the gel mesh is invalid.
     pub fn read(header: &Value) -> Result<Self> {
-        let record = Record::deserialize(header).map_err(|cause| {
+        let lacking = |cause| {
             Error::input("the trace header lacks object or gel data")
                 .because(cause)
                 .remedy("create a trace with `gripcast sim grasp … --trace FILE.bin`")
-        })?;
+        };
+        let d_hat_m = &header["parameters"]["solver"]["d_hat_m"];
+        let axes_m = Deserialize::deserialize(&header["gel_axes_m"]).map_err(lacking)?;
         Ok(Self {
+            object: TraceObject::deserialize(&header["object"]).map_err(lacking)?,
             gel: SimulatedGel {
-                grid: GelGrid::new(record.gel_axes_m)?,
-                d_hat_m: record.parameters.solver.d_hat_m,
+                d_hat_m: f64::deserialize(d_hat_m).map_err(lacking)?,
+                grid: GelGrid::new(axes_m)?,
             },
-            object: record.object,
         })
     }
 }

@@ -21,63 +21,38 @@ pub struct BallContact {
 }
 
 impl BallContact {
-    /// Depth of the ball below the border of its contact (spherical cap), 0 outside the disc.
-    pub fn cap(&self) -> PressDepth {
-        ball_press(
-            self.geometry,
-            self.centre_px,
-            self.radius_px,
-            self.ball_m,
-            0.0,
-        )
+    /// Depth of the ball below the untouched face of a gel with decay length `sink_length_m` (see
+    /// [`ball_sink_m`]).
+    pub fn press(&self, sink_length_m: f64) -> PressDepth {
+        self.press_sunk_by(ball_sink_m(self.contact_m(), self.ball_m, sink_length_m))
     }
 
-    /// Depth of the ball below the untouched face of a gel with decay length `sink_length_m` (see
-    /// [`ball_sink_m`]); 0 gives [`BallContact::cap`].
-    pub fn press(&self, sink_length_m: f64) -> PressDepth {
-        let contact_m = self.contact_m();
-        let sink = ball_sink_m(contact_m, self.ball_m, sink_length_m);
-        ball_press(
-            self.geometry,
-            self.centre_px,
-            self.radius_px,
-            self.ball_m,
-            sink,
-        )
+    /// Depth of the ball below the untouched face, m: √(R² − ρ²) − √(R² − a²) + sink at a distance
+    /// ρ from the centre, where positive, with the contact radius a and the ball radius R;
+    /// `sink_m` is the depth of the contact border below the untouched face.
+    pub(crate) fn press_sunk_by(&self, sink_m: f64) -> PressDepth {
+        let geometry = self.geometry;
+        let mut press = PressDepth::untouched(geometry);
+        let square = |x: f64| x * x;
+        let border = (square(self.ball_m) - square(self.contact_m()))
+            .max(0.0)
+            .sqrt();
+        for (i, depth) in press.depth_m.iter_mut().enumerate() {
+            let x = ((i % geometry.width) as f64 - self.centre_px[0]) * geometry.pixel_m;
+            let y = ((i / geometry.width) as f64 - self.centre_px[1]) * geometry.pixel_m;
+            let over = square(self.ball_m) - x * x - y * y;
+            if over > 0.0 {
+                let deep = (over.sqrt() - border + sink_m).max(0.0);
+                *depth = deep.min(geometry.gel_thickness_m) as f32;
+            }
+        }
+        press
     }
 
     /// Contact radius, m, at most 0.95 of the ball radius.
-    pub fn contact_m(&self) -> f64 {
+    fn contact_m(&self) -> f64 {
         (self.radius_px * self.geometry.pixel_m).min(MAX_CONTACT * self.ball_m)
     }
-}
-
-/// Depth of a ball below the untouched face, m: √(R² − ρ²) − √(R² − a²) + sink at a distance ρ from
-/// the centre, where positive.
-///
-/// `radius_px` is the contact radius a (at most 0.95 R is used), `ball_m` the ball radius R,
-/// `sink_m` the depth of the contact border below the untouched face.
-pub fn ball_press(
-    geometry: SensorGeometry,
-    centre_px: [f64; 2],
-    radius_px: f64,
-    ball_m: f64,
-    sink_m: f64,
-) -> PressDepth {
-    let mut press = PressDepth::untouched(geometry);
-    let square = |x: f64| x * x;
-    let contact_m = (radius_px * geometry.pixel_m).min(MAX_CONTACT * ball_m);
-    let border = (square(ball_m) - square(contact_m)).max(0.0).sqrt();
-    for (i, depth) in press.depth_m.iter_mut().enumerate() {
-        let x = ((i % geometry.width) as f64 - centre_px[0]) * geometry.pixel_m;
-        let y = ((i / geometry.width) as f64 - centre_px[1]) * geometry.pixel_m;
-        let over = square(ball_m) - x * x - y * y;
-        if over > 0.0 {
-            let deep = (over.sqrt() - border + sink_m).max(0.0);
-            *depth = deep.min(geometry.gel_thickness_m) as f32;
-        }
-    }
-    press
 }
 
 #[cfg(test)]
@@ -100,7 +75,7 @@ mod tests {
             ball_m: 2e-3,
         };
         let at = |press: &PressDepth, x: usize| press.depth_m[100 * 320 + x];
-        let cap = contact.cap();
+        let cap = contact.press_sunk_by(0.0);
         assert!(at(&cap, 169) > 0.0 && at(&cap, 170) == 0.0);
         let expected = 2e-3 - (4e-6f64 - 1.2e-3 * 1.2e-3).sqrt();
         assert!((f64::from(at(&cap, 150)) - expected).abs() < 1e-9);

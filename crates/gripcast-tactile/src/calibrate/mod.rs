@@ -19,7 +19,7 @@ mod sheet;
 mod simplex;
 mod sums;
 
-pub use ball::{BallContact, ball_press};
+pub use ball::BallContact;
 pub use press_read::ReadOptions;
 pub use press_set::{LabelledPress, PressSet, ScaleSource, SkippedPress};
 pub use report::CalibrationReport;

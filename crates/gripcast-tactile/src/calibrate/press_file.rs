@@ -14,8 +14,7 @@ use serde::Deserialize;
 
 use gripcast_base::error::{Error, Result};
 use gripcast_base::files::{FileKind, Root};
-use gripcast_imaging::jpeg::JpegScale;
-use gripcast_imaging::{JpegDecoder, decode_png_rgb};
+use gripcast_imaging::Decoder;
 
 /// Name of the press list.
 const LIST: &str = "presses.json";
@@ -156,16 +155,6 @@ pub(super) fn read_image(folder: &Path, file: &str) -> Result<RgbImage> {
         .resolve(file)
         .and_then(|path| path.read(FileKind::Image))
         .map_err(|e| Error::io("cannot read the image", e).at(path.display()))?;
-    decode(&bytes).map_err(|e| e.at(path.display()))
-}
-
-fn decode(bytes: &[u8]) -> Result<RgbImage> {
-    if !bytes.starts_with(&[0xff, 0xd8]) {
-        return decode_png_rgb(bytes);
-    }
-    let mut decoder = JpegDecoder::new()?;
-    let pixels = decoder.decode(bytes, JpegScale::Whole)?;
-    let (width, height) = (pixels.width, pixels.height);
-    RgbImage::from_raw(width, height, pixels.rgb.to_vec())
-        .ok_or_else(|| Error::input("the JPEG image has an invalid size"))
+    let decoded = Decoder::new()?.stored_image(&bytes);
+    decoded.map_err(|e| e.at(path.display()))
 }

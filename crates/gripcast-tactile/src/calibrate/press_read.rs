@@ -206,7 +206,7 @@ fn ball_diameter(options: &ReadOptions, list: &PressList) -> Result<f64> {
         return Err(Error::input("unknown ball diameter")
             .remedy("pass --ball-diameter, or set `ball_diameter_m` in presses.json"));
     };
-    in_range("the ball diameter", diameter, BALL_M)
+    plausible("the ball diameter", diameter, BALL_M)
 }
 
 /// Returns the size of a stored pixel, m, and its source.
@@ -217,7 +217,7 @@ fn pixel_size(
 ) -> Result<(f64, ScaleSource)> {
     match options.pixel_m.or(list.m_per_px) {
         Some(pixel_m) => {
-            let pixel_m = in_range("the pixel size", pixel_m, PIXEL_M)?;
+            let pixel_m = plausible("the pixel size", pixel_m, PIXEL_M)?;
             Ok((pixel_m, ScaleSource::Given))
         }
         None => {
@@ -227,7 +227,7 @@ fn pixel_size(
     }
 }
 
-fn in_range(what: &str, value: f64, range: std::ops::RangeInclusive<f64>) -> Result<f64> {
+fn plausible(what: &str, value: f64, range: std::ops::RangeInclusive<f64>) -> Result<f64> {
     if range.contains(&value) {
         return Ok(value);
     }

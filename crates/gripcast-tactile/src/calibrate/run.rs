@@ -4,7 +4,7 @@ use image::RgbImage;
 
 use super::led_fit::fit_leds;
 use super::press_read::ReadOptions;
-use super::press_set::{PressSet, ScaleSource, SkippedPress};
+use super::press_set::{PressSet, ScaleSource};
 use super::report::CalibrationReport;
 use super::score::{ChangePlanes, ObservedChange, Score, observe, score};
 use super::select::{ChosenModel, Terms, choose};
@@ -88,8 +88,6 @@ pub struct Calibration {
     pub report: CalibrationReport,
     /// Real, rendered and residual images of scored presses.
     pub image: RgbImage,
-    /// Unusable presses, for the caller to report.
-    pub skipped: Vec<SkippedPress>,
 }
 
 /// Calibrates a sensor.
@@ -141,7 +139,6 @@ pub fn run(options: &CalibrateOptions) -> Result<Calibration> {
         profile,
         report,
         image,
-        skipped: set.skipped,
     })
 }
 

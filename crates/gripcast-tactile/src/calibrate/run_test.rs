@@ -122,7 +122,7 @@ fn known_shading_is_recovered() {
     assert!(report.score.fve > 0.97, "{report:?}");
     assert!(report.score.patch_psnr_db > 35.0, "{report:?}");
     assert!(report.score.no_contact_psnr_db < 30.0);
-    assert!(result.skipped.is_empty());
+    assert!(result.report.skipped.is_empty());
     // Gain and offset are the rendered ones; the noise is that of one frame (the no-contact image
     // has none, so the difference is divided by √2).
     assert!((report.gain_mean[0] - 1.03).abs() < 0.02, "{report:?}");

@@ -79,7 +79,7 @@ impl TaximTable {
             samples.iter().for_each(|s| range.add(s.position, s.change));
             ranges.push(range);
         }
-        Ok(Self::new(bins, image_size, channels).limited(ranges))
+        Ok(Self::new(bins, image_size, channels, ranges))
     }
 }
 

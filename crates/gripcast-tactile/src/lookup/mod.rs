@@ -137,10 +137,6 @@ impl LookupRenderer {
 }
 
 impl SceneRenderer for LookupRenderer {
-    fn name(&self) -> &'static str {
-        "lookup"
-    }
-
     fn grid(&self) -> SensorGeometry {
         self.grid
     }

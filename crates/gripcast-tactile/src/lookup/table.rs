@@ -53,38 +53,33 @@ impl TaximTable {
         bins: usize,
         image_size: [usize; 2],
         channels: [Vec<Coefficients>; 3],
+        ranges: Vec<SampleRange>,
     ) -> Self {
         Self {
             bins,
             image_size,
             channels,
-            ranges: Vec::new(),
+            ranges,
         }
-    }
-
-    /// Limits the table to the ranges of its samples, bin by bin.
-    pub(super) fn limited(mut self, ranges: Vec<SampleRange>) -> Self {
-        self.ranges = ranges;
-        self
     }
 
     /// Constant change everywhere.
     #[cfg(test)]
     pub(crate) fn constant(bins: usize, image_size: [usize; 2], change: [f64; 3]) -> Self {
         let same = |value| vec![[0.0, 0.0, 0.0, 0.0, 0.0, value]; bins * bins];
-        Self::new(bins, image_size, change.map(same))
+        Self::new(bins, image_size, change.map(same), Vec::new())
     }
 
     /// A change of each channel by one grey level a column.
     #[cfg(test)]
     pub(super) fn linear_in_column(bins: usize, image_size: [usize; 2]) -> Self {
         let coefficients = vec![[0.0, 0.0, 0.0, 1.0, 0.0, 0.0]; bins * bins];
-        Self::new(bins, image_size, [0; 3].map(|_| coefficients.clone()))
-    }
-
-    /// Bins of each axis.
-    pub fn bins(&self) -> usize {
-        self.bins
+        Self::new(
+            bins,
+            image_size,
+            [0; 3].map(|_| coefficients.clone()),
+            Vec::new(),
+        )
     }
 
     /// Columns and rows of the images it is for.
@@ -139,7 +134,7 @@ mod tests {
         // 45 degrees, uphill towards larger rows: angle bin 2, direction bin 3.
         red[2 * bins + 3] = [1e-2, 0.0, 0.0, 0.5, -1.0, 3.0];
         let zero = vec![[0.0; 6]; bins * bins];
-        let table = TaximTable::new(bins, [640, 480], [red, zero.clone(), zero]);
+        let table = TaximTable::new(bins, [640, 480], [red, zero.clone(), zero], Vec::new());
         let change = table.change([0.0, 1.01], [10.0, 4.0]);
         assert!(
             (change[0] - 5.0).abs() < 1e-12 && change[1] == 0.0,
