@@ -9,14 +9,14 @@
 
 use glam::Vec3;
 
-use super::bsdf::{Bsdf, PreparedMaterial};
-use super::bvh::{Bvh, Hit, Lanes, Stack};
+use super::bsdf::Bsdf;
+use super::bvh::{Hit, Lanes, Stack};
 use super::camera::Ray;
-use super::env_map_sampler::{EnvMapSampler, EnvSample};
+use super::env_map_sampler::EnvSample;
 use super::film::PathSample;
+use super::renderer::Renderer;
 use super::sampler::PixelSampler;
-use super::surface::{Face, Frame, SurfaceInteraction};
-use super::texture::Bitmap;
+use super::surface::{Frame, SurfaceInteraction};
 
 /// Minimum survival probability of Russian roulette.
 const MIN_SURVIVAL: f32 = 0.05;
@@ -45,15 +45,9 @@ pub(super) enum LightSampling {
 /// The prepared scene and the limits of a path.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Integrator<'a> {
-    pub(super) bvh: &'a Bvh,
-    /// In the order of the hierarchy.
-    pub(super) faces: &'a [Face],
-    pub(super) materials: &'a [PreparedMaterial],
-    pub(super) textures: &'a [Bitmap],
-    pub(super) env_map: &'a EnvMapSampler,
+    pub(super) scene: &'a Renderer,
     pub(super) max_bounces: u32,
     pub(super) rr_depth: u32,
-    pub(super) strategy: LightSampling,
 }
 
 /// State of a path.
@@ -162,6 +156,7 @@ impl<'a> Integrator<'a> {
         for i in 0..batch.paths.len() {
             let path = batch.paths[i];
             match self
+                .scene
                 .bvh
                 .intersect(lanes, &path.ray, f32::INFINITY, &mut batch.stack)
             {
@@ -180,8 +175,8 @@ impl<'a> Integrator<'a> {
     #[inline(always)]
     fn add_env_light(&self, batch: &mut Batch<'_>, bounce: u32) {
         for path in &batch.escaped {
-            let light = self.env_map.eval(path.ray.direction);
-            let fraction = match self.strategy {
+            let light = self.scene.env_map.eval(path.ray.direction);
+            let fraction = match self.scene.strategy {
                 LightSampling::Mis => power_heuristic(path.pdf, light.pdf),
                 LightSampling::Bsdf => 1.0,
                 LightSampling::Light => f32::from(u8::from(path.pdf.is_infinite())),
@@ -199,11 +194,11 @@ impl<'a> Integrator<'a> {
     fn sample_env_light(&self, batch: &mut Batch<'_>, bounce: u32) {
         batch.lights.clear();
         let pair = bounce as usize * PAIRS_PER_BOUNCE + LIGHT_PAIR;
-        let wanted = self.strategy != LightSampling::Bsdf && bounce < self.max_bounces;
+        let wanted = self.scene.strategy != LightSampling::Bsdf && bounce < self.max_bounces;
         for (path, hit) in batch.paths.iter().zip(&batch.hits) {
-            let material = self.faces[hit.face as usize].material;
-            let light = match wanted && !self.materials[material as usize].is_delta() {
-                true => self.env_map.sample(path.sampler.get_2d(pair)),
+            let material = self.scene.faces[hit.face as usize].material;
+            let light = match wanted && !self.scene.materials[material as usize].is_delta() {
+                true => self.scene.env_map.sample(path.sampler.get_2d(pair)),
                 false => EnvSample::NONE,
             };
             batch.lights.push(light);
@@ -282,8 +277,8 @@ impl<'a> Integrator<'a> {
 
     #[inline(always)]
     fn vertex(&self, hit: &Hit, direction: Vec3) -> Vertex<'a> {
-        let face = &self.faces[hit.face as usize];
-        let material = &self.materials[face.material as usize];
+        let face = &self.scene.faces[hit.face as usize];
+        let material = &self.scene.materials[face.material as usize];
         let mut interaction = face.interaction(hit);
         let outgoing = -direction;
         let side = outgoing.dot(interaction.normal);
@@ -299,7 +294,7 @@ impl<'a> Integrator<'a> {
         let frame = Frame::around(interaction.shading_normal);
         let local = frame.to_local(outgoing);
         Vertex {
-            bsdf: material.at(self.textures, interaction.uv, local),
+            bsdf: material.at(&self.scene.textures, interaction.uv, local),
             interaction,
             frame,
             outgoing: local,
@@ -321,7 +316,7 @@ impl<'a> Integrator<'a> {
             return Vec3::ZERO;
         }
         let scattered = vertex.bsdf.value(vertex.outgoing, incoming);
-        let fraction = match self.strategy {
+        let fraction = match self.scene.strategy {
             LightSampling::Mis => power_heuristic(light.pdf, scattered.pdf),
             _ => 1.0,
         };
@@ -333,7 +328,7 @@ impl<'a> Integrator<'a> {
             origin: vertex.interaction.ray_origin(light.direction),
             direction: light.direction,
         };
-        match self.bvh.occluded(lanes, &ray, f32::INFINITY, stack) {
+        match self.scene.bvh.occluded(lanes, &ray, f32::INFINITY, stack) {
             true => Vec3::ZERO,
             false => contribution,
         }

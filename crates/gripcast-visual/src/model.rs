@@ -17,6 +17,7 @@ use gripcast_geometry::{
     Aabb, CREASE_RAD, ImageSource, LengthUnit, MeshMaterial, MeshPart, Pose, TexturedMesh,
     TriangleMesh, load_textured_mesh,
 };
+use gripcast_imaging::{srgb_decode, srgb_encode};
 
 /// Minimum transmission of a material rendered as glass; below it is opaque.
 const MIN_GLASS_TRANSMISSION: f64 = 0.5;
@@ -331,13 +332,8 @@ fn tinted(mut image: image::RgbImage, color: [f64; 3]) -> image::RgbImage {
     if color == [1.0; 3] {
         return image;
     }
-    let tables: [[u8; 256]; 3] = color.map(|factor| {
-        std::array::from_fn(|v| {
-            let linear = gripcast_imaging::srgb_decode(v as u8) * factor as f32;
-            let one = super::linear_image::Image::filled(1, 1, [linear; 3]);
-            one.to_srgb8(1.0).get_pixel(0, 0)[0]
-        })
-    });
+    let tables: [[u8; 256]; 3] = color
+        .map(|factor| std::array::from_fn(|v| srgb_encode(srgb_decode(v as u8) * factor as f32)));
     for pixel in image.pixels_mut() {
         for (value, table) in pixel.0.iter_mut().zip(&tables) {
             *value = table[usize::from(*value)];

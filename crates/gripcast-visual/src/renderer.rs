@@ -46,12 +46,12 @@ pub struct Rendering {
 /// A scene prepared for rendering from any camera.
 #[derive(Debug)]
 pub struct Renderer {
-    bvh: Bvh,
-    faces: Vec<Face>,
-    materials: Vec<PreparedMaterial>,
-    textures: Vec<Bitmap>,
-    env_map: EnvMapSampler,
-    strategy: LightSampling,
+    pub(super) bvh: Bvh,
+    pub(super) faces: Vec<Face>,
+    pub(super) materials: Vec<PreparedMaterial>,
+    pub(super) textures: Vec<Bitmap>,
+    pub(super) env_map: EnvMapSampler,
+    pub(super) strategy: LightSampling,
 }
 
 impl Renderer {
@@ -178,14 +178,9 @@ impl Renderer {
 
     fn integrator(&self, settings: &RenderSettings) -> Integrator<'_> {
         Integrator {
-            bvh: &self.bvh,
-            faces: &self.faces,
-            materials: &self.materials,
-            textures: &self.textures,
-            env_map: &self.env_map,
+            scene: self,
             max_bounces: settings.max_bounces,
             rr_depth: settings.rr_depth,
-            strategy: self.strategy,
         }
     }
 }
@@ -295,7 +290,7 @@ impl WithLanes for Tile<'_> {
     #[inline(always)]
     fn with_lanes<L: Lanes>(self, lanes: L) -> Self::Output {
         let job = self.job;
-        let bvh = job.integrator.bvh;
+        let bvh = &job.integrator.scene.bvh;
         let mut stack = bvh.stack();
         let samples = job.settings.samples_per_pixel;
         let mut batch = Batch::new(samples.min(BATCH) as usize, bvh.stack());

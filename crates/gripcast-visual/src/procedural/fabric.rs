@@ -16,11 +16,11 @@ pub(super) fn generate(size_px: u32, stream: &mut SeedStream) -> GeneratedTextur
     } else {
         random_colour(stream, [0.05, 0.7], [0.25, 0.9])
     };
-    let weave = Weave::random(THREADS, stream);
+    let weave = weave(THREADS, stream);
     let image = texture_from_fn(size_px, |x, y| {
-        let thread = weave.thread(x, y);
-        let base = if thread.is_warp { warp } else { weft };
-        base.map(|c| (c * thread.shade).min(0.9))
+        let (is_warp, shade) = weave(x, y);
+        let base = if is_warp { warp } else { weft };
+        base.map(|c| (c * shade).min(0.9))
     });
     GeneratedTexture::new(
         image,
@@ -30,54 +30,32 @@ pub(super) fn generate(size_px: u32, stream: &mut SeedStream) -> GeneratedTextur
     )
 }
 
-/// Woven threads.
-pub(super) struct Weave {
-    /// Threads along each side of the unit square.
+/// Woven threads: whether the top thread is warp, and the factor on its colour. `threads` must be
+/// a multiple of 12, the common period of all weaves.
+pub(super) fn weave(
     threads: u32,
-    /// 2: plain weave; 3, 4: twill, whose floats shift by one thread per row.
-    repeat: i64,
-    seed: u64,
-    wear: FractalNoise,
-}
-
-/// Top thread at a position.
-pub(super) struct Thread {
-    pub(super) is_warp: bool,
-    /// Factor on the colour.
-    pub(super) shade: f32,
-}
-
-impl Weave {
-    /// `threads` must be a multiple of 12, the common period of all weaves.
-    pub(super) fn random(threads: u32, stream: &mut SeedStream) -> Self {
-        let repeat = stream.pick([2_i64, 2, 3, 4]);
-        let seed = stream.bits();
-        Self {
-            threads,
-            repeat,
-            seed,
-            wear: FractalNoise::new(seed ^ 0x3c, [4, 4], 3),
-        }
-    }
-
-    pub(super) fn thread(&self, x: f32, y: f32) -> Thread {
-        let (sx, sy) = (x * self.threads as f32, y * self.threads as f32);
+    stream: &mut SeedStream,
+) -> impl Fn(f32, f32) -> (bool, f32) + Sync + use<> {
+    // 2: plain weave; 3, 4: twill, whose floats shift by one thread per row.
+    let repeat = stream.pick([2_i64, 2, 3, 4]);
+    let seed = stream.bits();
+    let wear = FractalNoise::new(seed ^ 0x3c, [4, 4], 3);
+    move |x, y| {
+        let (sx, sy) = (x * threads as f32, y * threads as f32);
         let (i, j) = (sx as i64, sy as i64);
-        let is_warp = (i + j).rem_euclid(self.repeat) < (self.repeat + 1) / 2;
+        let is_warp = (i + j).rem_euclid(repeat) < (repeat + 1) / 2;
         let (own, along, across, number) = if is_warp {
-            (self.seed, sy, sx.fract(), i)
+            (seed, sy, sx.fract(), i)
         } else {
-            (self.seed ^ 0xa5, sx, sy.fract(), j)
+            (seed ^ 0xa5, sx, sy.fract(), j)
         };
         // Threads are round and bend down where they pass under the next one.
         let round = (PI * across).sin().max(0.0).sqrt();
         let bend = 0.75 + 0.25 * (PI * along.fract()).sin();
         let thread = mix(0.8, 1.1, lattice(own, number, 0, 1));
         let twist = lattice(own, number, (along * 6.0) as i64, 2);
-        let wear = mix(0.9, 1.08, self.wear.at(x, y));
-        Thread {
-            is_warp,
-            shade: mix(0.35, 1.0, round) * bend * thread * mix(0.88, 1.08, twist) * wear,
-        }
+        let wear = mix(0.9, 1.08, wear.at(x, y));
+        let shade = mix(0.35, 1.0, round) * bend * thread * mix(0.88, 1.08, twist) * wear;
+        (is_warp, shade)
     }
 }

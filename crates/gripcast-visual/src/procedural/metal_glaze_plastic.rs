@@ -13,38 +13,22 @@ const GLAZES: [u32; 7] = [
 
 pub(super) fn brushed_metal(size_px: u32, stream: &mut SeedStream) -> GeneratedTexture {
     let base = srgb(stream.pick(METALS));
-    let streaks = Streaks::random(stream);
+    let streaks = streaks(stream);
     GeneratedTexture::new(
-        texture_from_fn(size_px, |x, y| scaled(base, streaks.shade(x, y))),
+        texture_from_fn(size_px, |x, y| scaled(base, streaks(x, y))),
         0.1,
         stream.between(0.25, 0.45),
         1.0,
     )
 }
 
-/// Brushed streaks along x.
-pub(super) struct Streaks {
-    depth: f32,
-    coarse: FractalNoise,
-    fine: ValueNoise,
-}
-
-impl Streaks {
-    pub(super) fn random(stream: &mut SeedStream) -> Self {
-        let depth = stream.between(0.1, 0.25) as f32;
-        let seed = stream.bits();
-        Self {
-            depth,
-            coarse: FractalNoise::new(seed, [3, 128], 2),
-            fine: ValueNoise::new(seed ^ 0x1f, [8, 512]),
-        }
-    }
-
-    /// Factor on the colour.
-    pub(super) fn shade(&self, x: f32, y: f32) -> f32 {
-        let (coarse, fine) = (self.coarse.at(x, y), self.fine.at(x, y));
-        1.0 - self.depth * (0.6 * coarse + 0.4 * fine)
-    }
+/// Brightness of brushed streaks along x.
+pub(super) fn streaks(stream: &mut SeedStream) -> impl Fn(f32, f32) -> f32 + Sync + use<> {
+    let depth = stream.between(0.1, 0.25) as f32;
+    let seed = stream.bits();
+    let coarse = FractalNoise::new(seed, [3, 128], 2);
+    let fine = ValueNoise::new(seed ^ 0x1f, [8, 512]);
+    move |x, y| 1.0 - depth * (0.6 * coarse.at(x, y) + 0.4 * fine.at(x, y))
 }
 
 pub(super) fn ceramic(size_px: u32, stream: &mut SeedStream) -> GeneratedTexture {
@@ -52,43 +36,28 @@ pub(super) fn ceramic(size_px: u32, stream: &mut SeedStream) -> GeneratedTexture
     let speck = srgb(stream.pick([0x5a4a3a, 0x2d3140, 0x8a7a66]));
     let is_speckled = stream.uniform() < 0.5;
     let seed = stream.bits();
-    let (glaze, specks) = (Glaze::new(seed), Specks::new(seed ^ 0x51, 40));
+    let (glaze, specks) = (glaze(seed), specks(seed ^ 0x51, 40));
     let image = texture_from_fn(size_px, |x, y| {
-        let mottled = scaled(base, glaze.shade(x, y));
+        let mottled = scaled(base, glaze(x, y));
         if !is_speckled {
             return mottled;
         }
-        mix_colour(mottled, speck, 0.8 * specks.cover(x, y))
+        mix_colour(mottled, speck, 0.8 * specks(x, y))
     });
     GeneratedTexture::new(image, 0.12, stream.between(0.06, 0.22), 0.0)
 }
 
-/// Glaze of slightly varying thickness.
-pub(super) struct Glaze(FractalNoise);
-
-impl Glaze {
-    pub(super) fn new(seed: u64) -> Self {
-        Self(FractalNoise::new(seed, [5, 5], 4))
-    }
-
-    /// Factor on the colour.
-    pub(super) fn shade(&self, x: f32, y: f32) -> f32 {
-        mix(0.94, 1.03, self.0.at(x, y))
-    }
+/// Brightness of a glaze of slightly varying thickness.
+pub(super) fn glaze(seed: u64) -> impl Fn(f32, f32) -> f32 + Sync {
+    let thickness = FractalNoise::new(seed, [5, 5], 4);
+    move |x, y| mix(0.94, 1.03, thickness.at(x, y))
 }
 
-/// Scattered round specks of varying size.
-pub(super) struct Specks(WorleyNoise);
-
-impl Specks {
-    /// A third of the `count` × `count` cells contain a speck.
-    pub(super) fn new(seed: u64, count: u32) -> Self {
-        Self(WorleyNoise::new(seed, count))
-    }
-
-    /// 1 on a speck, 0 elsewhere.
-    pub(super) fn cover(&self, x: f32, y: f32) -> f32 {
-        let (near, _, id) = self.0.at(x, y);
+/// Cover of scattered round specks of varying size in a third of `count` × `count` cells.
+pub(super) fn specks(seed: u64, count: u32) -> impl Fn(f32, f32) -> f32 + Sync {
+    let cells = WorleyNoise::new(seed, count);
+    move |x, y| {
+        let (near, _, id) = cells.at(x, y);
         let radius = 0.22 * (id * 3.0).fract();
         if id < 0.33 {
             1.0 - smoothstep(0.7 * radius, radius + 0.02, near)
@@ -106,32 +75,20 @@ pub(super) fn plastic(size_px: u32, stream: &mut SeedStream) -> GeneratedTexture
         let grey = stream.between_log(0.03, 0.75) as f32;
         [grey, 0.99 * grey, 0.96 * grey]
     };
-    let moulded = Moulded::new(stream.bits());
+    let moulded = moulded(stream.bits());
     GeneratedTexture::new(
-        texture_from_fn(size_px, |x, y| scaled(base, moulded.shade(x, y))),
+        texture_from_fn(size_px, |x, y| scaled(base, moulded(x, y))),
         0.2,
         stream.between(0.2, 0.55),
         0.0,
     )
 }
 
-/// Moulded plastic: fine grain and faint clouds.
-pub(super) struct Moulded {
-    seed: u64,
-    cloud: FractalNoise,
-}
-
-impl Moulded {
-    pub(super) fn new(seed: u64) -> Self {
-        Self {
-            seed,
-            cloud: FractalNoise::new(seed, [4, 4], 3),
-        }
-    }
-
-    /// Factor on the colour.
-    pub(super) fn shade(&self, x: f32, y: f32) -> f32 {
-        let grain = lattice(self.seed, (x * 512.0) as i64, (y * 512.0) as i64, 0);
-        mix(0.95, 1.03, self.cloud.at(x, y)) * mix(0.985, 1.015, grain)
+/// Brightness of moulded plastic: fine grain and faint clouds.
+pub(super) fn moulded(seed: u64) -> impl Fn(f32, f32) -> f32 + Sync {
+    let cloud = FractalNoise::new(seed, [4, 4], 3);
+    move |x, y| {
+        let grain = lattice(seed, (x * 512.0) as i64, (y * 512.0) as i64, 0);
+        mix(0.95, 1.03, cloud.at(x, y)) * mix(0.985, 1.015, grain)
     }
 }

@@ -36,83 +36,56 @@ pub(super) fn stone(size_px: u32, stream: &mut SeedStream) -> GeneratedTexture {
 
 fn marble(size_px: u32, stream: &mut SeedStream) -> image::RgbImage {
     let [ground, vein] = stream.pick(MARBLES).map(srgb);
-    let veins = Veins::new(stream.bits());
+    let veins = veins(stream.bits());
     texture_from_fn(size_px, |x, y| {
-        let (fraction, cloud) = veins.at(x, y);
+        let (fraction, cloud) = veins(x, y);
         scaled(mix_colour(ground, vein, fraction), cloud)
     })
 }
 
-/// Marble veins.
-pub(super) struct Veins {
-    bend: FractalNoise,
-    field: FractalNoise,
-    fine: FractalNoise,
-    cloud: FractalNoise,
-}
-
-impl Veins {
-    pub(super) fn new(seed: u64) -> Self {
-        Self {
-            bend: FractalNoise::new(seed, [3, 3], 4),
-            field: FractalNoise::new(seed ^ 0x11, [3, 4], 5),
-            fine: FractalNoise::new(seed ^ 0x12, [7, 6], 4),
-            cloud: FractalNoise::new(seed ^ 0x13, [3, 3], 3),
-        }
-    }
-
-    /// Fraction of the vein colour, and a factor on the result.
-    pub(super) fn at(&self, x: f32, y: f32) -> (f32, f32) {
-        let bend = 0.18 * (self.bend.at(x, y) - 0.5);
-        let field = self.field.at(x + bend, y - bend);
+/// Marble veins: fraction of the vein colour, and a factor on the result.
+pub(super) fn veins(seed: u64) -> impl Fn(f32, f32) -> (f32, f32) + Sync {
+    let bend = FractalNoise::new(seed, [3, 3], 4);
+    let field = FractalNoise::new(seed ^ 0x11, [3, 4], 5);
+    let fine = FractalNoise::new(seed ^ 0x12, [7, 6], 4);
+    let cloud = FractalNoise::new(seed ^ 0x13, [3, 3], 3);
+    move |x, y| {
+        let bend = 0.18 * (bend.at(x, y) - 0.5);
+        let field = field.at(x + bend, y - bend);
         // Veins follow the mid-level contour of the field.
         let ridge = 1.0 - (2.0 * field - 1.0).abs();
-        let fine = self.fine.at(x - bend, y + bend);
+        let fine = fine.at(x - bend, y + bend);
         let fine = 1.0 - (2.0 * fine - 1.0).abs();
         let fraction = 0.75 * smoothstep(0.86, 1.0, ridge) + 0.3 * smoothstep(0.93, 1.0, fine);
-        (fraction.min(1.0), mix(0.9, 1.04, self.cloud.at(x, y)))
+        (fraction.min(1.0), mix(0.9, 1.04, cloud.at(x, y)))
     }
 }
 
 fn granite(size_px: u32, stream: &mut SeedStream) -> image::RgbImage {
-    let granite = Granite::new(stream.pick(GRANITES).map(srgb), stream.bits());
-    texture_from_fn(size_px, |x, y| granite.colour(x, y))
+    texture_from_fn(
+        size_px,
+        grains(stream.pick(GRANITES).map(srgb), stream.bits()),
+    )
 }
 
-/// Grains of three minerals.
-pub(super) struct Granite {
-    minerals: [[f32; 3]; 3],
-    bend: FractalNoise,
-    large: WorleyNoise,
-    small: WorleyNoise,
-    grain: ValueNoise,
-}
-
-impl Granite {
-    /// Minerals in order of frequency.
-    pub(super) fn new(minerals: [[f32; 3]; 3], seed: u64) -> Self {
-        Self {
-            minerals,
-            bend: FractalNoise::new(seed, [24, 24], 3),
-            large: WorleyNoise::new(seed ^ 0x21, 70),
-            small: WorleyNoise::new(seed ^ 0x22, 150),
-            grain: ValueNoise::new(seed ^ 0x23, [160, 160]),
-        }
-    }
-
-    pub(super) fn colour(&self, x: f32, y: f32) -> [f32; 3] {
-        let bend = 0.012 * (self.bend.at(x, y) - 0.5);
-        let (near, far, id) = self.large.at(x + bend, y - bend);
-        let (_, _, small) = self.small.at(x - bend, y + bend);
+/// Colour of the grains of three minerals, given in order of frequency.
+pub(super) fn grains(minerals: [[f32; 3]; 3], seed: u64) -> impl Fn(f32, f32) -> [f32; 3] + Sync {
+    let bend = FractalNoise::new(seed, [24, 24], 3);
+    let large = WorleyNoise::new(seed ^ 0x21, 70);
+    let small = WorleyNoise::new(seed ^ 0x22, 150);
+    let grain = ValueNoise::new(seed ^ 0x23, [160, 160]);
+    move |x, y| {
+        let bend = 0.012 * (bend.at(x, y) - 0.5);
+        let (near, far, id) = large.at(x + bend, y - bend);
+        let (_, _, small) = small.at(x - bend, y + bend);
         let chosen = match 0.7 * id + 0.3 * small {
-            fraction if fraction < 0.5 => self.minerals[0],
-            fraction if fraction < 0.74 => self.minerals[1],
-            _ => self.minerals[2],
+            fraction if fraction < 0.5 => minerals[0],
+            fraction if fraction < 0.74 => minerals[1],
+            _ => minerals[2],
         };
         let edge = smoothstep(0.0, 0.25, far - near);
-        let grain = mix(0.85, 1.1, self.grain.at(x, y));
-        let between = self.minerals[1];
-        scaled(mix_colour(between, chosen, mix(0.55, 1.0, edge)), grain)
+        let grain = mix(0.85, 1.1, grain.at(x, y));
+        scaled(mix_colour(minerals[1], chosen, mix(0.55, 1.0, edge)), grain)
     }
 }
 
@@ -120,36 +93,24 @@ pub(super) fn concrete(size_px: u32, stream: &mut SeedStream) -> GeneratedTextur
     let grey = stream.between(0.16, 0.5) as f32;
     let warmth = stream.between(-0.05, 0.07) as f32;
     let base = [grey * (1.0 + warmth), grey, grey * (1.0 - warmth)];
-    let concrete = Concrete::new(stream.bits());
+    let concrete = stained_sand(stream.bits());
     GeneratedTexture::new(
-        texture_from_fn(size_px, |x, y| scaled(base, concrete.shade(x, y))),
+        texture_from_fn(size_px, |x, y| scaled(base, concrete(x, y))),
         0.5,
         stream.between(0.6, 0.9),
         0.0,
     )
 }
 
-/// Stained sand with pores.
-pub(super) struct Concrete {
-    stain: FractalNoise,
-    sand: ValueNoise,
-    pores: WorleyNoise,
-}
-
-impl Concrete {
-    pub(super) fn new(seed: u64) -> Self {
-        Self {
-            stain: FractalNoise::new(seed, [3, 3], 6),
-            sand: ValueNoise::new(seed ^ 0x31, [220, 220]),
-            pores: WorleyNoise::new(seed ^ 0x32, 60),
-        }
-    }
-
-    /// Factor on the colour.
-    pub(super) fn shade(&self, x: f32, y: f32) -> f32 {
-        let stain = mix(0.8, 1.15, self.stain.at(x, y));
-        let sand = mix(0.93, 1.05, self.sand.at(x, y));
-        let (near, _, id) = self.pores.at(x, y);
+/// Brightness of stained sand with pores.
+pub(super) fn stained_sand(seed: u64) -> impl Fn(f32, f32) -> f32 + Sync {
+    let stain = FractalNoise::new(seed, [3, 3], 6);
+    let sand = ValueNoise::new(seed ^ 0x31, [220, 220]);
+    let pores = WorleyNoise::new(seed ^ 0x32, 60);
+    move |x, y| {
+        let stain = mix(0.8, 1.15, stain.at(x, y));
+        let sand = mix(0.93, 1.05, sand.at(x, y));
+        let (near, _, id) = pores.at(x, y);
         let radius = 0.16 * (id * 7.0).fract().powi(2);
         let pore = if id < 0.3 {
             1.0 - smoothstep(0.5 * radius, radius + 0.01, near)

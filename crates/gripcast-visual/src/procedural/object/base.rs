@@ -2,9 +2,9 @@
 
 use std::f32::consts::PI;
 
-use super::super::fabric::Weave;
-use super::super::metal_glaze_plastic::{Glaze, Moulded};
-use super::super::mineral::{Concrete, Granite, Veins};
+use super::super::fabric;
+use super::super::metal_glaze_plastic::{glaze, moulded};
+use super::super::mineral::{grains, stained_sand, veins};
 use super::super::noise::{FractalNoise, ValueNoise, WorleyNoise, mix, mix_colour, smoothstep};
 use super::super::scaled;
 use super::super::wood::{Wood, WoodTexture};
@@ -26,21 +26,12 @@ pub(super) fn layer(appearance: &Appearance, stream: &mut SeedStream) -> Layer {
         (Finish::Metal, _) => clouds([3, 3], [0.95, 1.03], stream),
         (Finish::Fabric, Pattern::Knitted) => knit(1.0, stream),
         (Finish::Fabric, _) => weave(1.0, stream),
-        (Finish::Ceramic, _) => {
-            let glaze = Glaze::new(stream.bits());
-            shaded(move |x, y| glaze.shade(x, y))
-        }
-        (Finish::Plastic | Finish::Glass, _) => {
-            let moulded = Moulded::new(stream.bits());
-            shaded(move |x, y| moulded.shade(x, y))
-        }
+        (Finish::Ceramic, _) => shaded(glaze(stream.bits())),
+        (Finish::Plastic | Finish::Glass, _) => shaded(moulded(stream.bits())),
         (Finish::Print, _) => clouds([24, 24], [0.98, 1.02], stream),
         (Finish::Stone, Pattern::Speckled) => granite(appearance.base_colour, stream),
         (Finish::Stone, Pattern::Marbled) => marble(appearance.base_colour, stream),
-        (Finish::Stone, _) => {
-            let concrete = Concrete::new(stream.bits());
-            shaded(move |x, y| concrete.shade(x, y))
-        }
+        (Finish::Stone, _) => shaded(stained_sand(stream.bits())),
         (Finish::Rubber, _) => rubber(stream),
         (Finish::Paper, _) => paper(stream),
         (Finish::Organic, _) => peel(appearance.base_colour, stream),
@@ -75,12 +66,12 @@ pub(super) fn wood(contrast: f32, stream: &mut SeedStream) -> Layer {
 
 /// Woven threads; `depth` is 1 for cloth, less for embossed patterns.
 pub(super) fn weave(depth: f32, stream: &mut SeedStream) -> Layer {
-    let weave = Weave::random(THREADS, stream);
+    let weave = fabric::weave(THREADS, stream);
     let weft = stream.between(0.6, 1.0) as f32;
     shaded(move |x, y| {
-        let thread = weave.thread(x, y);
-        let own = if thread.is_warp { 1.0 } else { weft };
-        mix(1.0, own * thread.shade, depth)
+        let (is_warp, shade) = weave(x, y);
+        let own = if is_warp { 1.0 } else { weft };
+        mix(1.0, own * shade, depth)
     })
 }
 
@@ -108,12 +99,12 @@ fn granite(base: [f32; 3], stream: &mut SeedStream) -> Layer {
     let light = with_luminance(mix_colour(base, grey_of(base), 0.3), 1.25 * luminance(base));
     let middle = scaled(base, 0.75);
     let dark = scaled(grey_of(base), 0.25);
-    let granite = Granite::new([light, middle, dark], stream.bits());
-    Box::new(move |x, y, _| granite.colour(x, y))
+    let granite = grains([light, middle, dark], stream.bits());
+    Box::new(move |x, y, _| granite(x, y))
 }
 
 fn marble(base: [f32; 3], stream: &mut SeedStream) -> Layer {
-    let veins = Veins::new(stream.bits());
+    let veins = veins(stream.bits());
     let own = luminance(base);
     // Dark marble has light veins.
     let vein = if own > 0.12 {
@@ -122,7 +113,7 @@ fn marble(base: [f32; 3], stream: &mut SeedStream) -> Layer {
         with_luminance(base, 5.0 * own + 0.05)
     };
     Box::new(move |x, y, below| {
-        let (fraction, cloud) = veins.at(x, y);
+        let (fraction, cloud) = veins(x, y);
         scaled(mix_colour(below, vein, fraction), cloud)
     })
 }

@@ -2,8 +2,8 @@
 
 use std::f32::consts::TAU;
 
-use super::super::metal_glaze_plastic::{Specks, Streaks};
-use super::super::mineral::Veins;
+use super::super::metal_glaze_plastic::{self, streaks};
+use super::super::mineral::veins;
 use super::super::noise::{FractalNoise, ValueNoise, WorleyNoise, mix, mix_colour, smoothstep};
 use super::super::print::{Inks, Label};
 use super::super::scaled;
@@ -28,10 +28,7 @@ pub(super) fn layer(
     let layer = match appearance.pattern {
         Pattern::Grain if appearance.finish == Finish::Wood => return None,
         Pattern::Grain => wood(0.6, stream),
-        Pattern::Brushed => {
-            let streaks = Streaks::random(stream);
-            shaded(move |x, y| streaks.shade(x, y))
-        }
+        Pattern::Brushed => shaded(streaks(stream)),
         Pattern::Woven | Pattern::Knitted if appearance.finish == Finish::Fabric => return None,
         Pattern::Woven => weave(0.5, stream),
         Pattern::Knitted => knit(0.5, stream),
@@ -141,10 +138,10 @@ fn fired_speck(base: [f32; 3]) -> [f32; 3] {
 }
 
 fn specks(colour: [f32; 3], count: u32, stream: &mut SeedStream) -> Layer {
-    let coarse = Specks::new(stream.bits(), count);
-    let fine = Specks::new(stream.bits(), 2 * count);
+    let coarse = metal_glaze_plastic::specks(stream.bits(), count);
+    let fine = metal_glaze_plastic::specks(stream.bits(), 2 * count);
     Box::new(move |x, y, below| {
-        let cover = coarse.cover(x, y).max(0.8 * fine.cover(x, y));
+        let cover = coarse(x, y).max(0.8 * fine(x, y));
         mix_colour(below, colour, 0.85 * cover)
     })
 }
@@ -182,10 +179,7 @@ fn flecks(base: [f32; 3], size_px: u32, stream: &mut SeedStream) -> Layer {
     let mask = Mask::drawn(size_px, &fibres, stream);
     let dark = scaled(rotate_hue(base, stream.between(-1.0, 1.0) as f32), 0.4);
     let light = faded(base, 1.0);
-    Box::new(move |x, y, below| match mask.at(x, y) {
-        mark if mark < 0.0 => mix_colour(below, dark, -0.9 * mark),
-        mark => mix_colour(below, light, 0.9 * mark),
-    })
+    mask.layer(dark, light)
 }
 
 /// Yarn of lighter and darker fibres.
@@ -303,10 +297,10 @@ fn marbled(base: [f32; 3], stream: &mut SeedStream) -> Layer {
     } else {
         with_luminance(turned, 4.0 * own + 0.02)
     };
-    let veins = Veins::new(stream.bits());
+    let veins = veins(stream.bits());
     let stirred = FractalNoise::new(stream.bits(), [2, 3], 3);
     Box::new(move |x, y, below| {
-        let (fraction, cloud) = veins.at(x, y);
+        let (fraction, cloud) = veins(x, y);
         let swirl = (TAU * 2.5 * stirred.at(x, y)).sin();
         let wide = 0.55 * smoothstep(0.55, 1.0, swirl);
         scaled(mix_colour(below, other, fraction.max(wide)), cloud)

@@ -2,6 +2,8 @@
 
 use std::f64::consts::TAU;
 
+use super::super::noise::mix_colour;
+use super::Layer;
 use gripcast_base::random::SeedStream;
 
 /// Line parameters; lengths in image widths. Lines wrap around the image.
@@ -82,10 +84,15 @@ impl Mask {
         }
     }
 
-    /// Returns the mark at a position of the unit square.
-    pub(super) fn at(&self, x: f32, y: f32) -> f32 {
-        let index = |c: f32| ((c * self.size as f32) as usize).min(self.size - 1);
-        self.cover[index(y) * self.size + index(x)]
+    /// Layer that draws the lines in a dark and a light colour.
+    pub(super) fn layer(self, dark: [f32; 3], light: [f32; 3]) -> Layer {
+        let index = move |c: f32| ((c * self.size as f32) as usize).min(self.size - 1);
+        Box::new(
+            move |x, y, below| match self.cover[index(y) * self.size + index(x)] {
+                mark if mark < 0.0 => mix_colour(below, dark, -0.9 * mark),
+                mark => mix_colour(below, light, 0.9 * mark),
+            },
+        )
     }
 }
 

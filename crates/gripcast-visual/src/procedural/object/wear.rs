@@ -46,10 +46,7 @@ fn scratched(appearance: &Appearance, size_px: u32, stream: &mut SeedStream) -> 
         _ => faded(with_luminance(base, (2.0 * own + 0.04).min(0.8)), 0.6),
     };
     let dark = scaled(base, 0.4);
-    Box::new(move |x, y, below| match mask.at(x, y) {
-        mark if mark < 0.0 => mix_colour(below, dark, -0.9 * mark),
-        mark => mix_colour(below, light, 0.9 * mark),
-    })
+    mask.layer(dark, light)
 }
 
 /// Patches where the layer below shows through.
