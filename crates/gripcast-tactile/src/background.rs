@@ -3,6 +3,7 @@
 use image::RgbImage;
 use serde::{Deserialize, Serialize};
 
+use super::ensure;
 use gripcast_base::error::{Error, Result};
 
 /// Maximum degree of a fit.
@@ -61,27 +62,25 @@ impl BackgroundFit {
     /// # Errors
     /// `Config` with the channel, the expected and the found number.
     pub fn validate(&self) -> Result<()> {
-        if self.degree > MAX_DEGREE {
-            return Err(Error::config(format!(
-                "background.degree must be 0 to {MAX_DEGREE}, found {}",
-                self.degree
-            )));
-        }
-        let expected = terms(self.degree).count();
-        let channels = [
-            ("red", &self.red),
-            ("green", &self.green),
-            ("blue", &self.blue),
-        ];
-        for (name, values) in channels {
-            if values.len() != expected || values.iter().any(|v| !v.is_finite()) {
-                return Err(Error::config(format!(
-                    "background.{name} must be {expected} finite coefficients for degree {}, \
-                         found {}",
-                    self.degree,
-                    values.len()
-                )));
-            }
+        let degree = self.degree;
+        ensure(degree <= MAX_DEGREE, || {
+            Error::config(format!(
+                "background.degree must be 0 to {MAX_DEGREE}, found {degree}"
+            ))
+        })?;
+        let expected = terms(degree).count();
+        let channels = [&self.red, &self.green, &self.blue];
+        for (name, values) in ["red", "green", "blue"].into_iter().zip(channels) {
+            let found = values.len();
+            ensure(
+                found == expected && values.iter().all(|v| v.is_finite()),
+                || {
+                    Error::config(format!(
+                        "background.{name} must be {expected} finite coefficients for degree \
+                     {degree}, found {found}"
+                    ))
+                },
+            )?;
         }
         Ok(())
     }

@@ -7,6 +7,7 @@
 
 use serde::{Deserialize, Serialize};
 
+use super::ensure;
 use super::normals::Normals;
 use super::press_depth::SensorGeometry;
 use gripcast_base::error::{Error, Result};
@@ -66,32 +67,25 @@ impl LedShading {
     /// # Errors
     /// `Config` with the expected and the found value.
     pub fn validate(&self) -> Result<()> {
-        let refused = |what: String| Err(Error::config(what));
-        if self.leds.is_empty() || self.leds.len() > MAX_LEDS {
-            return refused(format!(
-                "shading.leds must contain 1 to {MAX_LEDS} LEDs, found {}",
-                self.leds.len()
-            ));
-        }
-        if self.shininess == 0 || self.shininess > MAX_SHININESS {
-            return refused(format!(
-                "shading.shininess must be 1 to {MAX_SHININESS}, found {}",
-                self.shininess
-            ));
-        }
+        let require = |holds, what: &dyn Fn() -> String| {
+            ensure(holds, || Error::config(format!("shading.{}", what())))
+        };
+        let (count, shininess) = (self.leds.len(), self.shininess);
+        require((1..=MAX_LEDS).contains(&count), &|| {
+            format!("leds must contain 1 to {MAX_LEDS} LEDs, found {count}")
+        })?;
+        require((1..=MAX_SHININESS).contains(&shininess), &|| {
+            format!("shininess must be 1 to {MAX_SHININESS}, found {shininess}")
+        })?;
         for (i, led) in self.leds.iter().enumerate() {
             let values = [led.position_m, led.diffuse, led.specular];
-            if values.iter().flatten().any(|v| !v.is_finite()) {
-                return refused(format!(
-                    "shading.leds[{i}] contains a value that is not finite"
-                ));
-            }
-            if led.position_m[2] <= 0.0 {
-                return refused(format!(
-                    "shading.leds[{i}] must lie in front of the face (z > 0), found z = {} m",
-                    led.position_m[2]
-                ));
-            }
+            require(values.iter().flatten().all(|v| v.is_finite()), &|| {
+                format!("leds[{i}] contains a value that is not finite")
+            })?;
+            let z = led.position_m[2];
+            require(z > 0.0, &|| {
+                format!("leds[{i}] must lie in front of the face (z > 0), found z = {z} m")
+            })?;
         }
         Ok(())
     }

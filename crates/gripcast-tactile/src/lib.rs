@@ -60,3 +60,8 @@ pub use smooth::{Smoother, Smoothing};
 pub use trace_header::{TraceHeader, TraceObject, TraceStart};
 pub use variation::SensorVariation;
 pub use whole_frame::WholeFrame;
+
+/// Fails with the given error unless the condition holds.
+fn ensure<E>(holds: bool, error: impl FnOnce() -> E) -> Result<(), E> {
+    if holds { Ok(()) } else { Err(error()) }
+}

@@ -11,6 +11,7 @@ use image::RgbImage;
 use serde::{Deserialize, Serialize};
 
 use super::background::BackgroundFit;
+use super::ensure;
 use super::led::LedShading;
 use super::noise::Drift;
 use super::press_depth::SensorGeometry;
@@ -205,11 +206,11 @@ impl SensorProfile {
         }
         let grid = &self.geometry;
         for (key, side) in [("width", grid.width), ("height", grid.height)] {
-            if !(2..=MAX_SIDE).contains(&side) {
-                return Err(invalid(format!(
+            ensure((2..=MAX_SIDE).contains(&side), || {
+                invalid(format!(
                     "geometry.{key} must be 2 to {MAX_SIDE} pixels, found {side}"
-                )));
-            }
+                ))
+            })?;
         }
         in_range("geometry.pixel_m", grid.pixel_m, PIXEL_M)?;
         in_range(
@@ -236,16 +237,14 @@ impl SensorProfile {
         let Some(image) = &self.background.image else {
             return Ok(());
         };
-        let expected = (self.geometry.width, self.geometry.height);
-        let found = (image.width() as usize, image.height() as usize);
-        if expected == found {
-            return Ok(());
-        }
-        Err(Error::input(format!(
-            "the background image must be {}×{} pixels as in the profile's geometry, found \
-                 {}×{}",
-            expected.0, expected.1, found.0, found.1
-        )))
+        let [width, height] = [image.width(), image.height()];
+        let (columns, rows) = (self.geometry.width, self.geometry.height);
+        ensure((columns, rows) == (width as usize, height as usize), || {
+            Error::input(format!(
+                "the background image must be {columns}×{rows} pixels as in the profile's \
+                 geometry, found {width}×{height}"
+            ))
+        })
     }
 }
 
@@ -254,14 +253,10 @@ fn invalid(what: String) -> Error {
 }
 
 fn in_range(key: &str, value: f64, range: std::ops::RangeInclusive<f64>) -> Result<()> {
-    if range.contains(&value) {
-        return Ok(());
-    }
-    Err(invalid(format!(
-        "{key} must be {} to {}, found {value}",
-        range.start(),
-        range.end()
-    )))
+    let (low, high) = (range.start(), range.end());
+    ensure(range.contains(&value), || {
+        invalid(format!("{key} must be {low} to {high}, found {value}"))
+    })
 }
 
 fn not_written(path: &Path, cause: io::Error) -> Error {

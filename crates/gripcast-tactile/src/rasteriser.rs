@@ -44,17 +44,7 @@ impl Rasteriser {
         grid: &SensorGeometry,
         range_m: [f64; 2],
     ) -> &[f32] {
-        self.project(mesh, t_sensor_mesh, grid);
-        self.clear(grid, range_m[1]);
-        let mut target = Canvas {
-            grid: Grid::new(grid),
-            range_m,
-            nearest_m: &mut self.nearest_m,
-            triangles: &mut [],
-        };
-        for triangle in &mesh.triangles {
-            target.draw::<false>(triangle.map(|v| &self.corners[v as usize]), 0);
-        }
+        self.draw::<false>(mesh, t_sensor_mesh, grid, range_m);
         &self.nearest_m
     }
 
@@ -67,11 +57,26 @@ impl Rasteriser {
         grid: &SensorGeometry,
         range_m: [f64; 2],
     ) -> (&[f32], &[u32]) {
+        self.draw::<true>(mesh, t_sensor_mesh, grid, range_m);
+        (&self.nearest_m, &self.triangles)
+    }
+
+    fn draw<const TRIANGLES: bool>(
+        &mut self,
+        mesh: &TriangleMesh,
+        t_sensor_mesh: &Pose,
+        grid: &SensorGeometry,
+        range_m: [f64; 2],
+    ) {
         self.project(mesh, t_sensor_mesh, grid);
-        self.clear(grid, range_m[1]);
+        let pixels = grid.width * grid.height;
+        self.nearest_m.clear();
+        self.nearest_m.resize(pixels, range_m[1] as f32);
         self.triangles.clear();
-        self.triangles.resize(self.nearest_m.len(), NO_TRIANGLE);
-        let mut target = Canvas {
+        if TRIANGLES {
+            self.triangles.resize(pixels, NO_TRIANGLE);
+        }
+        let mut canvas = Canvas {
             grid: Grid::new(grid),
             range_m,
             nearest_m: &mut self.nearest_m,
@@ -79,9 +84,8 @@ impl Rasteriser {
         };
         for (index, triangle) in mesh.triangles.iter().enumerate() {
             let corners = triangle.map(|v| &self.corners[v as usize]);
-            target.draw::<true>(corners, index as u32);
+            canvas.draw::<TRIANGLES>(corners, index as u32);
         }
-        (&self.nearest_m, &self.triangles)
     }
 
     /// Projects the vertices of the mesh onto the pixel grid.
@@ -97,12 +101,6 @@ impl Rasteriser {
         self.corners.clear();
         let project = |v: &DVec3| (rotation * *v + shift).to_array();
         self.corners.extend(mesh.vertices.iter().map(project));
-    }
-
-    fn clear(&mut self, grid: &SensorGeometry, far_m: f64) {
-        self.nearest_m.clear();
-        self.nearest_m
-            .resize(grid.width * grid.height, far_m as f32);
     }
 }
 

@@ -9,6 +9,7 @@
 
 use serde::{Deserialize, Serialize};
 
+use super::ensure;
 use super::normals::Normals;
 use super::press_depth::SensorGeometry;
 use gripcast_base::error::{Error, Result};
@@ -137,28 +138,25 @@ impl PolynomialShading {
     /// # Errors
     /// `Config` with the channel, the expected and the found number.
     pub fn validate(&self) -> Result<()> {
-        if !(self.steepest > 0.0 && self.steepest <= 1.0) {
-            return Err(Error::config(format!(
-                "shading.steepest must be above 0 and at most 1, found {}",
-                self.steepest
-            )));
-        }
-        let expected = self.normal.terms() * self.position.terms();
+        let steepest = self.steepest;
+        ensure(steepest > 0.0 && steepest <= 1.0, || {
+            Error::config(format!(
+                "shading.steepest must be above 0 and at most 1, found {steepest}"
+            ))
+        })?;
+        let (normal, position) = (self.normal, self.position);
+        let expected = normal.terms() * position.terms();
         for (name, values) in ["red", "green", "blue"].into_iter().zip(self.channels()) {
-            if values.len() != expected {
-                return Err(Error::config(format!(
-                    "shading.{name} must have {expected} coefficients for {:?} normals and \
-                         {:?} position, found {}",
-                    self.normal,
-                    self.position,
-                    values.len()
-                )));
-            }
-            if let Some(bad) = values.iter().find(|v| !v.is_finite()) {
-                return Err(Error::config(format!(
-                    "shading.{name} must be finite, found {bad}"
-                )));
-            }
+            let found = values.len();
+            ensure(
+                found == expected && values.iter().all(|v| v.is_finite()),
+                || {
+                    Error::config(format!(
+                        "shading.{name} must be {expected} finite coefficients for {normal:?} normals \
+                     and {position:?} position, found {found}"
+                    ))
+                },
+            )?;
         }
         Ok(())
     }

@@ -8,9 +8,10 @@ use rayon::prelude::*;
 use super::detect::find_contact;
 use super::press_file::{Label, PressEntry, PressList, read_image};
 use super::press_set::{LabelledPress, PressSet, ScaleSource, SkippedPress};
-use super::score::{CentreDistance, observe};
+use super::score::{CentreDistance, ObservedChange, observe};
 use crate::SensorGeometry;
 use crate::background::planes_of;
+use crate::ensure;
 use gripcast_base::error::{Error, Result};
 use gripcast_imaging::{CropProfile, CropWindow, crop_and_resize};
 
@@ -156,48 +157,49 @@ impl PressSet {
 
     /// Checks a press; returns the reason why it cannot be used.
     fn check(&self, press: &LabelledPress) -> Result<(), String> {
-        let ball_px = self.ball_m / self.geometry.pixel_m;
-        if press.radius_px > 1.05 * ball_px {
-            return Err(format!(
-                "the contact radius of {:.1} px exceeds the ball's radius of {ball_px:.1} px",
-                press.radius_px
-            ));
-        }
+        let (radius, ball) = (press.radius_px, self.ball_m / self.geometry.pixel_m);
+        ensure(radius <= 1.05 * ball, || {
+            format!(
+                "the contact radius of {radius:.1} px exceeds the ball's radius of {ball:.1} px"
+            )
+        })?;
         let disc = Disc::of(press);
-        if disc.inside < MIN_INSIDE {
-            return Err(format!(
-                "the contact lies off the image ({:.0} % of the disc is inside, at least {:.0} % \
-is required)",
-                100.0 * disc.inside,
-                100.0 * MIN_INSIDE
-            ));
-        }
+        let (inside, required) = (100.0 * disc.inside, 100.0 * MIN_INSIDE);
+        ensure(disc.inside >= MIN_INSIDE, || {
+            format!(
+                "the contact lies off the image ({inside:.0} % of the disc is inside, at least \
+                 {required:.0} % is required)"
+            )
+        })?;
         let saturated = disc.saturated(press, &self.no_contact);
-        if saturated > MAX_SATURATED {
-            return Err(format!(
-                "the image is saturated: {:.0} % of the values in the contact are at 0 or 255; lower the \
-                 exposure or press less",
+        ensure(saturated <= MAX_SATURATED, || {
+            format!(
+                "the image is saturated: {:.0} % of the values in the contact are at 0 or 255; \
+                 lower the exposure or press less",
                 100.0 * saturated
-            ));
-        }
-        let observed = observe(self, press);
-        let outside = observed.outside_rms.into_iter().fold(0.0, f64::max);
-        let plausible = observed.gain.iter().all(|gain| GAIN.contains(gain));
-        if outside > MAX_OUTSIDE || !plausible {
-            return Err(format!(
-                "the background differs from the no-contact image (gain {:.2?}, residual {outside:.1} \
-                 grey levels): another sensor or other light?",
-                observed.gain
-            ));
-        }
-        let change = disc.rms(&observed.change);
-        if change < MIN_CHANGE {
-            return Err(format!(
+            )
+        })?;
+        let ObservedChange {
+            gain,
+            change,
+            outside_rms,
+            ..
+        } = observe(self, press);
+        let outside = outside_rms.into_iter().fold(0.0, f64::max);
+        let plausible = gain.iter().all(|gain| GAIN.contains(gain));
+        ensure(outside <= MAX_OUTSIDE && plausible, || {
+            format!(
+                "the background differs from the no-contact image (gain {gain:.2?}, residual \
+                 {outside:.1} grey levels): another sensor or other light?"
+            )
+        })?;
+        let change = disc.rms(&change);
+        ensure(change >= MIN_CHANGE, || {
+            format!(
                 "nothing changes inside the contact ({change:.1} grey levels, at least \
                  {MIN_CHANGE} are required): wrong label or image"
-            ));
-        }
-        Ok(())
+            )
+        })
     }
 }
 
