@@ -18,7 +18,7 @@ use std::path::{Path, PathBuf};
 
 use glam::{DVec3, Vec3};
 use gripcast_visual::{
-    Bitmap, Camera, Colour, DenoiseSettings, EnvMap, Image, Material, Mesh, PixelFilter,
+    Bitmap, Camera, Colour, DENOISE_RADIUS_PX, EnvMap, Image, Material, Mesh, PixelFilter,
     RenderControl, RenderSettings, Renderer, Rendering, Scene, denoise, load_hdr,
 };
 use image::{Rgb, RgbImage};
@@ -71,7 +71,7 @@ fn main() -> BoxResult<()> {
     for &samples in &options.samples {
         let (rendering, cpu_s) = render(samples, 2)?;
         let started = cpu_seconds();
-        let smooth = denoise(&rendering, &DenoiseSettings::default());
+        let smooth = denoise(&rendering, DENOISE_RADIUS_PX);
         let denoise_cpu_s = cpu_seconds() - started;
         let image = rendering.image;
         save(&image, &options.out.join(format!("samples{samples}")))?;

@@ -27,14 +27,14 @@ use gripcast_imaging::{encode_jpeg, encode_png_rgb};
 use gripcast_sim::fem::{GelGrid, GelResolution};
 use gripcast_sim::grasp::Finger;
 use gripcast_tactile::calibrate::{self, CalibrateOptions, PressSet};
-use gripcast_tactile::lookup::{TaximHeights, fit_to_presses};
+use gripcast_tactile::lookup::fit_to_presses;
 use gripcast_tactile::{
     FrameNoise, GelSurfaceRenderer, ObjectDepthRenderer, PressDepth, Rasteriser,
     SceneRenderer as _, SensorMount, SensorProfile, Smoothing, TactileRenderer, TactileScene,
     faceted, object_depth,
 };
 use gripcast_visual::{
-    ColourSettings, DenoiseSettings, GraspState, RenderControl, RenderSettings, Renderer, View,
+    ColourSettings, DENOISE_RADIUS_PX, GraspState, RenderControl, RenderSettings, Renderer, View,
     VisualRandomisation, demo_model, denoise, develop, grasp_scene,
 };
 
@@ -125,7 +125,7 @@ fn real_row(args: &Args) -> Result<(Vec<Tile>, Fitted)> {
     let Some(&shown) = held_out.iter().max_by(widest) else {
         return Err(Error::input("no press is left to show").at(args.presses.display()));
     };
-    let lookup = fit_to_presses(&set, &train, TaximHeights::default())?;
+    let lookup = fit_to_presses(&set, &train)?;
     let press = &set.presses[shown];
     let contact = set.contact(press);
     let depth = contact.press(profile.smoothing.sink_length_m);
@@ -208,7 +208,7 @@ fn traced_row(grasp: &SimulatedGrasp, args: &Args) -> Result<Vec<Tile>> {
         };
         let rendering =
             Renderer::new(&scene)?.render(&scene.camera, &settings, &RenderControl::default())?;
-        let light = denoise(&rendering, &DenoiseSettings::default());
+        let light = denoise(&rendering, DENOISE_RADIUS_PX);
         let image = develop(&light, &ColourSettings::default(), conditions.sensor_seed);
         tiles.push((format!("{name}, seed {seed}"), image));
     }

@@ -35,7 +35,7 @@ use gripcast_geometry::{LengthUnit, Pose};
 use gripcast_imaging::{DepthImage, TactileDifference, encode_png_grey16, encode_png_rgb};
 use gripcast_sim::grasp::Finger;
 use gripcast_tactile::calibrate::{PressSet, ReadOptions};
-use gripcast_tactile::lookup::{LookupRenderer, Shadows, TaximHeights, fit_to_presses};
+use gripcast_tactile::lookup::{LookupRenderer, fit_to_presses};
 use gripcast_tactile::{
     GelSurfaceRenderer, MountingAngle, ObjectDepthRenderer, PressDepth, Rasteriser, SceneRenderer,
     SensorMount, SensorProfile, TactileScene, object_depth,
@@ -258,8 +258,8 @@ impl Args {
             ..ReadOptions::from_folder(folder)
         })?;
         let all: Vec<usize> = (0..set.presses.len()).collect();
-        let renderer = fit_to_presses(&set, &all, TaximHeights::default())?;
-        Ok(renderer.with_shadows(Shadows::default()))
+        let renderer = fit_to_presses(&set, &all)?;
+        Ok(renderer.with_shadows())
     }
 
     fn noise(&self) -> Option<u64> {

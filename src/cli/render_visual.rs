@@ -37,7 +37,7 @@ use gripcast_geometry::{LengthUnit, Pose};
 use gripcast_imaging::{encode_png_grey16, encode_png_rgb};
 use gripcast_sim::grasp::{GraspPose, Placed, Placement, resting_pose};
 use gripcast_visual::{
-    Bitmap, ColourSettings, DenoiseSettings, DepthSettings, Finish, GraspState, Image, Model,
+    Bitmap, ColourSettings, DENOISE_RADIUS_PX, DepthSettings, Finish, GraspState, Image, Model,
     ProceduralTexture, RenderControl, RenderSettings, Renderer, Sky, View, VisualConditions,
     VisualRandomisation, denoise, develop, grasp_scene, load_bitmap, load_hdr, measure_depth,
     normalise_env_map,
@@ -384,7 +384,7 @@ impl<'a> Job<'a> {
         let renderer = Renderer::new(&scene)?;
         let rendering = renderer.render(&scene.camera, &settings, &watch)?;
         let light = if quality.denoise {
-            denoise(&rendering, &DenoiseSettings::default())
+            denoise(&rendering, DENOISE_RADIUS_PX)
         } else {
             rendering.image
         };

@@ -13,7 +13,7 @@ use gripcast_imaging::{Decoder, Role};
 use gripcast_report::image::data_uri;
 use gripcast_sim::grasp::Snapshot;
 use gripcast_visual::{
-    ColourSettings, DenoiseSettings, Finish, GraspState, Model, ProceduralTexture, RenderControl,
+    ColourSettings, DENOISE_RADIUS_PX, Finish, GraspState, Model, ProceduralTexture, RenderControl,
     RenderSettings, Renderer, View, VisualConditions, VisualRandomisation, denoise, develop,
     grasp_scene,
 };
@@ -123,6 +123,6 @@ fn rendered(
         },
         &RenderControl::default(),
     )?;
-    let light = denoise(&rendering, &DenoiseSettings::default());
+    let light = denoise(&rendering, DENOISE_RADIUS_PX);
     Ok(develop(&light, &ColourSettings::default(), settings.seed))
 }

@@ -12,8 +12,8 @@ use gripcast_tactile::{
     SensorVariation, SimulatedGel, TactileScene, depth_under_force, foundation_pa_m,
 };
 use gripcast_visual::{
-    ColourSettings, DenoiseSettings, GraspState, Model, RenderControl, RenderSettings, Renderer,
-    View, VisualRandomisation, denoise, develop, grasp_scene,
+    ColourSettings, GraspState, Model, RenderControl, RenderSettings, Renderer, View,
+    VisualRandomisation, denoise, develop, grasp_scene,
 };
 
 use super::plan::RenderingPlan;
@@ -151,11 +151,7 @@ impl Photographer {
         };
         let rendering =
             Renderer::new(&scene)?.render(&scene.camera, &settings, &RenderControl::default())?;
-        let settings = DenoiseSettings {
-            radius: DENOISE_RADIUS,
-            ..DenoiseSettings::default()
-        };
-        let light = denoise(&rendering, &settings);
+        let light = denoise(&rendering, DENOISE_RADIUS);
         let image = develop(&light, &ColourSettings::default(), draw.bits());
         encode_jpeg(&image, QUALITY)
     }

@@ -89,7 +89,7 @@ fn depth_at(press: &PressDepth, point: &DVec3) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::lookup::{LookupRenderer, TaximHeights, TaximTable};
+    use crate::lookup::{LookupRenderer, TaximTable};
     use gripcast_geometry::builtin;
 
     /// The middle of the face sunk by `depth_m`, the object far away.
@@ -120,12 +120,7 @@ mod tests {
         let profile = SensorProfile::gelsight_mini().unwrap();
         let untouched = profile.background.image.clone().unwrap();
         let table = TaximTable::constant(9, [640, 480], [5.0, 0.0, 0.0]);
-        let lookup = LookupRenderer::new(
-            profile.geometry,
-            untouched.clone(),
-            table,
-            TaximHeights::default(),
-        );
+        let lookup = LookupRenderer::new(profile.geometry, untouched.clone(), table);
         let renderers: [Box<dyn SceneRenderer>; 3] = [
             Box::new(ObjectDepthRenderer::new(&profile).unwrap()),
             Box::new(GelSurfaceRenderer::new(&profile).unwrap()),

@@ -17,7 +17,7 @@ use gripcast_sim::fem::GelGrid;
 use gripcast_sim::grasp::{StageName, Trace, TraceFile, TraceStep};
 use gripcast_tactile::{TraceHeader, TraceStart};
 use gripcast_visual::{
-    AnnotationMarkers, Camera, ColourSettings, DenoiseSettings, DepthSettings, GraspState, Model,
+    AnnotationMarkers, Camera, ColourSettings, DENOISE_RADIUS_PX, DepthSettings, GraspState, Model,
     RenderControl, RenderSettings, Renderer, View, VisualConditions, VisualRandomisation,
     annotation_camera, annotation_scene, denoise, develop, grasp_scene, measure_depth,
 };
@@ -184,7 +184,7 @@ impl Set<'_> {
             ..RenderSettings::default()
         };
         let rendering = renderer.render(camera, &settings, &RenderControl::default())?;
-        let light = denoise(&rendering, &DenoiseSettings::default());
+        let light = denoise(&rendering, DENOISE_RADIUS_PX);
         // The noise is that of each frame.
         let colour = ColourSettings {
             full_well_e: 1e9,

@@ -21,16 +21,6 @@ pub struct GraspState {
 }
 
 impl GraspState {
-    /// State before the fingers close.
-    pub fn before_closing(scene: &gripcast_sim::grasp::Scene) -> Self {
-        Self {
-            t_world_object: scene.t_world_object,
-            t_world_gripper: scene.t_world_gripper,
-            opening_m: scene.opening_m,
-            gels: None,
-        }
-    }
-
     /// State at a snapshot of a trace. `grid` is the mesh of its gels; `None` for the standard
     /// pads.
     ///

@@ -92,11 +92,11 @@ pub fn gripper_parts(opening_m: f64) -> Result<Vec<GripperPart>> {
         ))
         .remedy("give the distance between the gel faces in metres"));
     }
-    let Ok(boxes) = toml::from_str::<Boxes>(include_str!("gripper.toml")) else {
+    let Ok(dimensions) = toml::from_str::<Dimensions>(include_str!("gripper.toml")) else {
         return Err(Error::internal("cannot parse gripper.toml"));
     };
     let mut parts = Vec::new();
-    for part in finger(boxes.finger) {
+    for part in finger(&dimensions) {
         // Modelled at positive x: the right finger.
         let moved = part.moved(&Pose::from_translation(DVec3::X * 0.5 * opening_m));
         parts.push(GripperPart {
@@ -105,20 +105,24 @@ pub fn gripper_parts(opening_m: f64) -> Result<Vec<GripperPart>> {
         });
         parts.push(moved);
     }
-    parts.extend(rail(opening_m).map(GripperPart::rounded_box_part));
-    parts.extend(boxes.body.into_iter().map(GripperPart::rounded_box_part));
+    parts.extend(rail(opening_m).map(GripperPart::from_box));
+    parts.extend(dimensions.body.into_iter().map(GripperPart::from_box));
     parts.extend(camera());
     Ok(parts)
 }
 
 type Range = [f64; 2];
 /// A rounded box: name, surface, bounds along x, y and z, rounding; mm.
-type Block = (String, GripperSurface, Range, Range, Range, f64);
+type BoxSpec = (String, GripperSurface, Range, Range, Range, f64);
 
 #[derive(Deserialize)]
-struct Boxes {
-    finger: Vec<Block>,
-    body: Vec<Block>,
+struct Dimensions {
+    finger: Vec<BoxSpec>,
+    body: Vec<BoxSpec>,
+    /// Screws on the sides that the cameras see: x, z, y of the head, radius; mm.
+    screws: Vec<[f64; 4]>,
+    /// Control points of the cable of a finger, mm.
+    cable: Vec<[f64; 3]>,
 }
 
 impl GripperPart {
@@ -131,7 +135,7 @@ impl GripperPart {
         }
     }
 
-    fn rounded_box_part((name, surface, x, y, z, rounding): Block) -> Self {
+    fn from_box((name, surface, x, y, z, rounding): BoxSpec) -> Self {
         let low = DVec3::new(x[0], y[0], z[0]) * MM;
         let high = DVec3::new(x[1], y[1], z[1]) * MM;
         Self::new(&name, surface, rounded_box(low, high, rounding * MM))
@@ -142,48 +146,28 @@ impl GripperPart {
     }
 }
 
-/// Screws on the sides that the cameras see: x, z, y of the head, radius; mm.
-const SCREWS: [[f64; 4]; 6] = [
-    [13.0, -17.5, 17.2, 1.6],
-    [26.0, -7.5, 17.2, 1.6],
-    [11.0, -90.5, 17.8, 2.4],
-    [31.0, -90.5, 17.8, 2.4],
-    [11.0, -99.5, 17.8, 2.4],
-    [31.0, -99.5, 17.8, 2.4],
-];
-/// Control points of the cable of a finger, mm.
-const CABLE: [DVec3; 6] = [
-    DVec3::new(14.0, 0.0, -18.0),
-    DVec3::new(14.0, 1.0, -34.0),
-    DVec3::new(20.0, 9.0, -56.0),
-    DVec3::new(38.0, 17.0, -80.0),
-    DVec3::new(46.0, 18.0, -104.0),
-    DVec3::new(38.0, 14.0, -118.0),
-];
-
 /// Parts of the right finger with its gel face at x = 0.
-fn finger(boxes: Vec<Block>) -> Vec<GripperPart> {
-    let mut parts: Vec<_> = boxes
-        .into_iter()
-        .map(GripperPart::rounded_box_part)
-        .collect();
+fn finger(dimensions: &Dimensions) -> Vec<GripperPart> {
+    let boxes = dimensions.finger.iter().cloned();
+    let mut parts: Vec<_> = boxes.map(GripperPart::from_box).collect();
     for (side, y) in [(-1.0, [-16.5, -14.0]), (1.0, [14.0, 16.5])] {
         let name = "cradle".to_owned();
         let cradle = (name, Print, [9.0, 30.0], y, [-21.0, -4.0], 1.0);
-        parts.push(GripperPart::rounded_box_part(cradle));
-        for [x, z, reach, radius] in SCREWS {
+        parts.push(GripperPart::from_box(cradle));
+        for &[x, z, reach, radius] in &dimensions.screws {
             let [from, to] = [reach - 3.0, reach].map(|y| DVec3::new(x, y * side, z) * MM);
             let shape = cylinder(from, to, radius * MM, 20);
             parts.push(GripperPart::new("screw", Steel, shape));
         }
     }
-    let cable = tube(&smooth_path(&CABLE.map(|p| p * MM), 6), 1.8 * MM, 16);
+    let points = dimensions.cable.iter().map(|p| DVec3::from_array(*p) * MM);
+    let cable = tube(&smooth_path(&points.collect::<Vec<_>>(), 6), 1.8 * MM, 16);
     parts.push(GripperPart::new("cable", Rubber, cable));
     parts
 }
 
 /// Rail and rail ends; longer for openings above 140 mm.
-fn rail(opening_m: f64) -> [Block; 3] {
+fn rail(opening_m: f64) -> [BoxSpec; 3] {
     let half = (0.5 * opening_m / MM + 42.0).max(112.0);
     let end = |x| {
         let name = "rail end".to_owned();
@@ -203,7 +187,7 @@ fn camera() -> Vec<GripperPart> {
     let middle = 14.7 + 17.5;
     let rounded_box_part = |name: &str, surface, half: f64, y, z, rounding| {
         let x = [middle - half, middle + half];
-        GripperPart::rounded_box_part((name.to_owned(), surface, x, y, z, rounding))
+        GripperPart::from_box((name.to_owned(), surface, x, y, z, rounding))
     };
     let rod = |name, surface, x: f64, z: Range, radius, segments| {
         let [from, to] = z.map(|z| DVec3::new(x, 0.0, z) * MM);

@@ -53,7 +53,7 @@ pub use d435::{
     develop, measure_depth, t_gripper_camera,
 };
 pub use demo::{demo_model, random_finish, typical_finishes};
-pub use denoise::{DenoiseSettings, denoise};
+pub use denoise::{DENOISE_RADIUS_PX, denoise};
 pub use env_map::EnvMap;
 pub use finish::Finish;
 pub use grasp_scene::{View, annotation_scene, eye_in_hand_camera, grasp_scene, sees_gels};

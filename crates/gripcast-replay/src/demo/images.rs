@@ -12,7 +12,7 @@ use gripcast_pose::print::{ObjectOnSheet, ObjectSheet, usual_object_sheet};
 use gripcast_sim::fem::GelGrid;
 use gripcast_sim::grasp::{Placed, Snapshot};
 use gripcast_visual::{
-    AnnotationMarkers, Camera, ColourSettings, DenoiseSettings, GraspState, Model, RenderControl,
+    AnnotationMarkers, Camera, ColourSettings, DENOISE_RADIUS_PX, GraspState, Model, RenderControl,
     RenderSettings, Renderer, Scene, View, VisualConditions, VisualRandomisation,
     annotation_camera, annotation_scene, denoise, develop, grasp_scene, random_finish,
 };
@@ -117,7 +117,7 @@ impl Stand {
                 cancel: watch.cancel,
             };
             let rendering = Renderer::new(scene)?.render(camera, &settings, &watch)?;
-            let light = denoise(&rendering, &cleaning(number));
+            let light = denoise(&rendering, denoise_radius_px(number));
             let image = develop(&light, &colour(number), seed ^ number);
             encode_jpeg(&image, QUALITY)
         };
@@ -136,15 +136,11 @@ impl Stand {
 }
 
 /// The denoiser of an image.
-fn cleaning(number: u64) -> DenoiseSettings {
-    let usual = DenoiseSettings::default();
-    DenoiseSettings {
-        radius: if number == BESIDE_NUMBER {
-            BESIDE_DENOISE_PX
-        } else {
-            usual.radius
-        },
-        ..usual
+fn denoise_radius_px(number: u64) -> usize {
+    if number == BESIDE_NUMBER {
+        BESIDE_DENOISE_PX
+    } else {
+        DENOISE_RADIUS_PX
     }
 }
 

@@ -9,9 +9,7 @@ mod shadow;
 mod table;
 
 pub use fit::BallPress;
-pub use height::TaximHeights;
 pub use on_presses::fit_to_presses;
-pub use shadow::{ShadowLamp, Shadows};
 pub use table::TaximTable;
 
 use image::{Rgb, RgbImage};
@@ -35,8 +33,7 @@ pub struct LookupRenderer {
     grid: SensorGeometry,
     background: RgbImage,
     table: TaximTable,
-    heights: TaximHeights,
-    shadows: Option<Shadows>,
+    has_shadows: bool,
     rasteriser: Rasteriser,
 }
 
@@ -45,12 +42,7 @@ impl LookupRenderer {
     ///
     /// # Errors
     /// `Input` if the image size differs from the grid.
-    pub fn new(
-        grid: SensorGeometry,
-        background: RgbImage,
-        table: TaximTable,
-        heights: TaximHeights,
-    ) -> Result<Self> {
+    pub fn new(grid: SensorGeometry, background: RgbImage, table: TaximTable) -> Result<Self> {
         let found = (background.width() as usize, background.height() as usize);
         if found != (grid.width, grid.height) {
             return Err(Error::input(format!(
@@ -62,16 +54,15 @@ impl LookupRenderer {
             grid,
             background,
             table,
-            heights,
-            shadows: None,
+            has_shadows: false,
             rasteriser: Rasteriser::new(),
         })
     }
 
     /// Adds shadows.
     #[must_use]
-    pub fn with_shadows(mut self, shadows: Shadows) -> Self {
-        self.shadows = Some(shadows);
+    pub fn with_shadows(mut self) -> Self {
+        self.has_shadows = true;
         self
     }
 
@@ -90,8 +81,10 @@ impl LookupRenderer {
                 self.grid, press.geometry
             )));
         }
-        let heights = self.heights.heights(press);
-        let light = self.shadows.as_ref().map(|s| s.light(&heights, &self.grid));
+        let heights = height::heights(press);
+        let light = self
+            .has_shadows
+            .then(|| shadow::transmitted_light(&heights, &self.grid));
         let SensorGeometry { width, height, .. } = self.grid;
         // The polynomials use pixels of the table's own image.
         let [columns, rows] = self.table.image_size();
@@ -184,7 +177,7 @@ mod tests {
 
     fn renderer(table: TaximTable) -> LookupRenderer {
         let untouched = RgbImage::from_pixel(64, 48, Rgb([100, 110, 120]));
-        LookupRenderer::new(GRID, untouched, table, TaximHeights::default()).unwrap()
+        LookupRenderer::new(GRID, untouched, table).unwrap()
     }
 
     fn block() -> PressDepth {
@@ -214,7 +207,7 @@ mod tests {
     #[test]
     fn pixels_far_from_contact_are_unchanged() {
         let table = TaximTable::constant(9, [640, 480], [200.0, -20.0, 5.0]);
-        let renderer = renderer(table).with_shadows(Shadows::default());
+        let renderer = renderer(table).with_shadows();
         let mut press = PressDepth::untouched(GRID);
         assert!(
             renderer
@@ -230,7 +223,7 @@ mod tests {
         let change = renderer.change(&press).unwrap();
         assert!(change[6 * 64 + 10][0] > 100.0, "{:?}", change[6 * 64 + 10]);
         // Filters as wide as 1 mm leave a slope everywhere within their reach.
-        let heights = renderer.heights.heights(&press);
+        let heights = height::heights(&press);
         let is_far = |i: &usize| distance(*i) > 34.0;
         let far: Vec<usize> = (0..64 * 48).filter(is_far).collect();
         assert!(far.iter().any(|i| heights[*i] > 0.0));
@@ -249,7 +242,7 @@ mod tests {
     fn shadows_only_darken() {
         let table = TaximTable::constant(9, [640, 480], [0.0; 3]);
         let plain = renderer(table.clone()).image(&block()).unwrap();
-        let shaded = renderer(table).with_shadows(Shadows::default());
+        let shaded = renderer(table).with_shadows();
         let shaded = shaded.image(&block()).unwrap();
         assert!(shaded.iter().zip(plain.iter()).all(|(a, b)| a <= b));
         assert!(shaded != plain);
@@ -259,7 +252,7 @@ mod tests {
     fn image_or_press_of_another_size_is_refused() {
         let table = TaximTable::constant(9, [640, 480], [0.0; 3]);
         let small = RgbImage::new(32, 48);
-        let text = LookupRenderer::new(GRID, small, table.clone(), TaximHeights::default());
+        let text = LookupRenderer::new(GRID, small, table.clone());
         let text = text.unwrap_err().to_string();
         assert!(
             text.contains("64 × 48") && text.contains("32 × 48"),

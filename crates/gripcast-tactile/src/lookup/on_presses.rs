@@ -1,6 +1,6 @@
 //! Fits a lookup table to calibration presses.
 
-use super::{BallPress, LookupRenderer, TaximHeights, TaximTable};
+use super::{BallPress, LookupRenderer, TaximTable};
 use crate::calibrate::{PressSet, observe};
 use gripcast_base::error::Result;
 
@@ -11,11 +11,7 @@ const BINS: usize = 125;
 ///
 /// # Errors
 /// `Input` if no index is given or a contact lies outside the image.
-pub fn fit_to_presses(
-    set: &PressSet,
-    indices: &[usize],
-    heights: TaximHeights,
-) -> Result<LookupRenderer> {
+pub fn fit_to_presses(set: &PressSet, indices: &[usize]) -> Result<LookupRenderer> {
     let changes: Vec<Vec<[f32; 3]>> = indices
         .iter()
         .map(|index| {
@@ -35,5 +31,5 @@ pub fn fit_to_presses(
         })
         .collect();
     let table = TaximTable::fit(&presses, [set.geometry.width, set.geometry.height], BINS)?;
-    LookupRenderer::new(set.geometry, set.no_contact.clone(), table, heights)
+    LookupRenderer::new(set.geometry, set.no_contact.clone(), table)
 }

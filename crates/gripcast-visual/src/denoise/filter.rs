@@ -6,9 +6,19 @@
 use std::ops::Range;
 
 use super::noise::{noise, trust, variance_of_paths};
-use super::{DenoiseSettings, Light, add};
+use super::{Light, add};
 use crate::renderer::Rendering;
 
+/// Radius of the patches, px.
+const PATCH_RADIUS: usize = 2;
+/// Tolerated patch difference, standard deviations of the noise.
+const NOISE_TOLERANCE: f32 = 0.6;
+/// Albedo difference at which a pixel's weight has fallen to 1/e.
+const ALBEDO_TOLERANCE: f32 = 0.2;
+/// The same for 1 − cosine between the normals.
+const NORMAL_TOLERANCE: f32 = 0.05;
+/// The same for the relative depth difference.
+const DEPTH_TOLERANCE: f32 = 0.02;
 /// Minimum weight of a pixel for itself, so that outliers keep their light.
 const MIN_OWN_TRUST: f32 = 1e-6;
 /// Distance between environment and surface; exceeds the reach of any weight.
@@ -20,8 +30,9 @@ type Plane = Vec<f32>;
 type Planes = [Plane; 3];
 
 /// Features from which the weights are computed.
-pub(super) struct Guide<'a> {
-    settings: &'a DenoiseSettings,
+pub(super) struct Guide {
+    /// Radius of the search window, px.
+    radius: usize,
     /// Width and height, px.
     size: [usize; 2],
     /// Light of both halves of the paths.
@@ -73,21 +84,21 @@ struct PixelRun {
     len: usize,
 }
 
-impl<'a> Guide<'a> {
+impl Guide {
     /// `halves` is the light of the halves of the paths, demodulated by `albedo`.
     pub(super) fn new(
         rendering: &Rendering,
-        settings: &'a DenoiseSettings,
+        radius: usize,
         halves: &[Light; 2],
         albedo: &[[f32; 3]],
     ) -> Self {
         let size = [rendering.image.width, rendering.image.height];
         let of_paths = variance_of_paths(rendering, albedo);
-        let trust = trust(halves, &of_paths, size, settings.radius);
+        let trust = trust(halves, &of_paths, size, radius);
         let depth_m = rendering.depth_m.clone();
         let is_surface = |z: &f32| *z > 0.0;
         Self {
-            settings,
+            radius,
             size,
             halves: halves.each_ref().map(|light| planes(light)),
             albedo: planes(&rendering.albedo.pixels),
@@ -119,8 +130,8 @@ impl<'a> Guide<'a> {
         for plane in sums.as_flattened_mut() {
             plane.resize(rows.len() * width, 0.0);
         }
-        let mut scratch = Scratch::new(rows.len(), width, self.settings.patch_radius);
-        let radius = self.settings.radius as isize;
+        let mut scratch = Scratch::new(rows.len(), width, PATCH_RADIUS);
+        let radius = self.radius as isize;
         for dy in -radius..=radius {
             for dx in -radius..=radius {
                 self.add_moved(rows, [dx, dy], &mut sums, &mut scratch);
@@ -207,7 +218,7 @@ impl<'a> Guide<'a> {
         scratch: &mut Scratch,
     ) {
         let [width, height] = self.size;
-        let (patch, len) = (self.settings.patch_radius, columns.len());
+        let (patch, len) = (PATCH_RADIUS, columns.len());
         let above = rows.start.saturating_sub(patch);
         for row in above..height.min(rows.end + patch) {
             if let Some(pair) = self.pair(row, columns, by) {
@@ -217,7 +228,7 @@ impl<'a> Guide<'a> {
             }
         }
         let side = 2 * patch + 1;
-        let scale = 1.0 / (self.settings.noise * self.settings.noise);
+        let scale = 1.0 / (NOISE_TOLERANCE * NOISE_TOLERANCE);
         for (line, row) in rows.clone().enumerate() {
             let near = row.saturating_sub(patch)..height.min(row + patch + 1);
             let lines = near.filter(|row| self.pair(*row, columns, by).is_some());
@@ -273,9 +284,9 @@ impl<'a> Guide<'a> {
         let out = &mut out[..len];
         let [ap, aq] = [p, q].map(|at| three(&self.albedo, at, len));
         let [np, nq] = [p, q].map(|at| three(&self.normal, at, len));
-        let by_albedo = 1.0 / (self.settings.albedo * self.settings.albedo);
-        let by_normal = 0.5 / self.settings.normal;
-        let by_depth = 1.0 / self.settings.depth;
+        let by_albedo = 1.0 / (ALBEDO_TOLERANCE * ALBEDO_TOLERANCE);
+        let by_normal = 0.5 / NORMAL_TOLERANCE;
+        let by_depth = 1.0 / DEPTH_TOLERANCE;
         for i in 0..len {
             let depth = (zp[i] - zq[i]) * nearness[i] * by_depth;
             let sky = (sp[i] - sq[i]) * SKY_DISTANCE;

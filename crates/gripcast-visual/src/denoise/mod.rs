@@ -26,41 +26,14 @@ const MIN_ALBEDO: f32 = 0.02;
 /// Rows filtered together.
 const BAND: usize = 16;
 
-/// Denoiser settings.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct DenoiseSettings {
-    /// Radius of the search window, px.
-    pub radius: usize,
-    /// Radius of the patches, px.
-    pub patch_radius: usize,
-    /// Tolerated patch difference, standard deviations of the noise.
-    pub noise: f32,
-    /// Albedo difference at which a pixel's weight has fallen to 1/e.
-    pub albedo: f32,
-    /// The same for 1 − cosine between the normals.
-    pub normal: f32,
-    /// The same for the relative depth difference.
-    pub depth: f32,
-}
-
-impl Default for DenoiseSettings {
-    fn default() -> Self {
-        Self {
-            radius: 7,
-            patch_radius: 2,
-            noise: 0.6,
-            albedo: 0.2,
-            normal: 0.05,
-            depth: 0.02,
-        }
-    }
-}
+/// Usual radius of the search window of [`denoise`], px.
+pub const DENOISE_RADIUS_PX: usize = 7;
 
 /// Demodulated light of one half of the paths.
 type Light = Vec<[f32; 3]>;
 
-/// Returns the denoised image; it depends on the arguments alone.
-pub fn denoise(rendering: &Rendering, settings: &DenoiseSettings) -> Image {
+/// Returns the denoised image; `radius_px` is the radius of the search window.
+pub fn denoise(rendering: &Rendering, radius_px: usize) -> Image {
     let (width, height) = (rendering.image.width, rendering.image.height);
     let albedo: Vec<[f32; 3]> = (0..width * height)
         .map(|at| match rendering.depth_m[at] > 0.0 {
@@ -74,7 +47,7 @@ pub fn denoise(rendering: &Rendering, settings: &DenoiseSettings) -> Image {
             .map(|(p, a)| std::array::from_fn(|k| p[k] / a[k]))
             .collect()
     });
-    let guide = Guide::new(rendering, settings, &halves, &albedo);
+    let guide = Guide::new(rendering, radius_px, &halves, &albedo);
     let bands: Vec<Vec<[f32; 3]>> = (0..height.div_ceil(BAND))
         .into_par_iter()
         .map(|band| guide.filter(band * BAND..height.min((band + 1) * BAND)))
@@ -142,7 +115,7 @@ mod tests {
     fn noise_shrinks_and_edges_stay_sharp() {
         let (rendering, truth) = noisy();
         let before = rendering.image.rmse(&truth).unwrap();
-        let image = denoise(&rendering, &DenoiseSettings::default());
+        let image = denoise(&rendering, DENOISE_RADIUS_PX);
         let after = image.rmse(&truth).unwrap();
         assert!(after < 0.35 * before, "{before} to {after}");
         // The stripes of the texture keep their contrast.
@@ -162,7 +135,7 @@ mod tests {
         rendering.image = truth.clone();
         rendering.halves = [truth.clone(), truth.clone()];
         rendering.variance.pixels.fill([0.0; 3]);
-        let image = denoise(&rendering, &DenoiseSettings::default());
+        let image = denoise(&rendering, DENOISE_RADIUS_PX);
         assert!(image.rmse(&truth).unwrap() < 1e-4);
     }
 
@@ -184,15 +157,14 @@ mod tests {
     #[test]
     fn fireflies_leave_no_squares() {
         let (clean, truth) = noisy_by(0.1);
-        let settings = DenoiseSettings::default();
-        let wanted = denoise(&clean, &settings);
+        let wanted = denoise(&clean, DENOISE_RADIUS_PX);
         // In the middle, near another, and in a corner.
         let places = [(20, 10), (25, 12), (47, 31)];
         let mut rendering = clean;
         for ((column, row), factor) in places.iter().zip([1000.0, 50.0, 1000.0]) {
             add_firefly(&mut rendering, row * 48 + column, factor);
         }
-        let found = denoise(&rendering, &settings);
+        let found = denoise(&rendering, DENOISE_RADIUS_PX);
         for (at, (found, wanted)) in found.pixels.iter().zip(&wanted.pixels).enumerate() {
             let ratio = found[0] / wanted[0];
             // Spread evenly, 1000 means would be 4.4 means a pixel.
