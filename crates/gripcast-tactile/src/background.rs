@@ -35,7 +35,7 @@ impl BackgroundFit {
         let (columns, rows) = (legendre(width, degree), legendre(height, degree));
         let (column_products, row_products) = (products(&columns), products(&rows));
         let [red, green, blue] = std::array::from_fn(|channel| {
-            let wanted = moments(image, channel, &columns, &rows);
+            let target = moments(image, channel, &columns, &rows);
             let mut values = vec![0.0; terms(degree).count()];
             for _ in 0..SWEEPS {
                 for (term, (i, j)) in terms(degree).enumerate() {
@@ -44,7 +44,7 @@ impl BackgroundFit {
                     };
                     let found: f64 = terms(degree).zip(&values).map(fitted).sum();
                     let norm = column_products[i][i] * row_products[j][j];
-                    values[term] += (wanted[i][j] - found) / norm;
+                    values[term] += (target[i][j] - found) / norm;
                 }
             }
             values
@@ -178,8 +178,8 @@ mod tests {
     fn smooth_image_is_reproduced() {
         let colour = |x: f64, y: f64| [120.0 + 40.0 * x * y, 100.0 - 50.0 * y * y, 80.0 + 20.0 * x];
         let image = RgbImage::from_fn(64, 48, |x, y| {
-            let place = |i: u32, n: f64| (2.0 * f64::from(i) + 1.0) / n - 1.0;
-            Rgb(colour(place(x, 64.0), place(y, 48.0)).map(|v| v.round() as u8))
+            let position = |i: u32, n: f64| (2.0 * f64::from(i) + 1.0) / n - 1.0;
+            Rgb(colour(position(x, 64.0), position(y, 48.0)).map(|v| v.round() as u8))
         });
         let fit = BackgroundFit::from_image(&image, 4);
         fit.validate().unwrap();

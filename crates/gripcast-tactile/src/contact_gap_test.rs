@@ -40,13 +40,13 @@ fn parallel_plates_have_gap_of_their_distance() {
 
 #[test]
 fn inclined_plates_have_gap_of_their_distance() {
-    let turned = |mesh: &TriangleMesh| {
+    let tilted = |mesh: &TriangleMesh| {
         mesh.transformed(&Pose::from_rotation(glam::DQuat::from_rotation_x(0.5)))
     };
     let found = contact_gap(
-        &turned(&plate(3e-3 + 4e-4)),
+        &tilted(&plate(3e-3 + 4e-4)),
         &Pose::IDENTITY,
-        &turned(&plate(3e-3)),
+        &tilted(&plate(3e-3)),
         D_HAT_M,
     );
     assert!((found.unwrap() - 4e-4).abs() < 1e-8, "{found:?}");
@@ -64,8 +64,13 @@ fn simulated(mesh: &TriangleMesh, depth_m: f64) -> (System, TriangleMesh) {
     let collider = Collider::new(mesh);
     let body = AffineBody::new(1.0, 1.0, DMat3::IDENTITY, 1e9).unwrap();
     let lowest = mesh.bounds().min.z;
-    let place = DVec3::Z * (grid.thickness_m() + 1.02 * D_HAT_M - lowest);
-    let object = Object::new(body, AffineState::rigid(place, DMat3::IDENTITY), &collider).fixed();
+    let position = DVec3::Z * (grid.thickness_m() + 1.02 * D_HAT_M - lowest);
+    let object = Object::new(
+        body,
+        AffineState::rigid(position, DMat3::IDENTITY),
+        &collider,
+    )
+    .fixed();
     let material = GelMaterial::default();
     let drive = Drive::PerArea(1e12);
     let gel = Gel::new(&grid, &material, drive, &parameters, |p| p).unwrap();
@@ -77,7 +82,7 @@ fn simulated(mesh: &TriangleMesh, depth_m: f64) -> (System, TriangleMesh) {
         }
         assert!(system.step(&StepStart::default()).converged);
     }
-    (system, mesh.transformed(&Pose::from_translation(place)))
+    (system, mesh.transformed(&Pose::from_translation(position)))
 }
 
 #[test]

@@ -214,7 +214,7 @@ fn triangle_indices_agree_with_ray_casting() {
     let pose = random_pose(&mut Pcg64Mcg::seed_from_u64(4));
     let query = MeshQuery::new(&mug.transformed(&pose));
     let mut rasteriser = Rasteriser::new();
-    // Buffers of an earlier frame must not show.
+    // Buffers of an earlier frame must not be visible.
     rasteriser.nearest(&bumpy_ball(0.02, 0.0, 20, 20), &pose, &GRID, RANGE);
     let (z, triangles) = rasteriser.nearest_with_triangles(&mug, &pose, &GRID, RANGE);
     for (pixel, (z, triangle)) in z.iter().zip(triangles).enumerate() {

@@ -110,8 +110,8 @@ fn press_on_another_grid_is_refused() {
     let mut renderer = mini();
     let mut geometry = renderer.geometry();
     geometry.pixel_m *= 2.0;
-    let wrong = PressDepth::untouched(geometry);
-    let text = renderer.change(&wrong).unwrap_err().to_string();
+    let other_grid = PressDepth::untouched(geometry);
+    let text = renderer.change(&other_grid).unwrap_err().to_string();
     assert!(text.contains("grid"), "{text}");
     let mut short = PressDepth::untouched(renderer.geometry());
     short.depth_m.pop();

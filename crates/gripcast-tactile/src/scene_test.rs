@@ -25,8 +25,8 @@ fn gel() -> SimulatedGel {
 
 /// A rotated gripper pose.
 fn gripper() -> Pose {
-    let turn = DQuat::from_rotation_x(0.7) * DQuat::from_rotation_z(-2.0);
-    Pose::new(turn, DVec3::new(0.1, -0.2, 0.3))
+    let rotation = DQuat::from_rotation_x(0.7) * DQuat::from_rotation_z(-2.0);
+    Pose::new(rotation, DVec3::new(0.1, -0.2, 0.3))
 }
 
 /// A 2 mm box that reaches 1 mm into both gels, centred at `across` in the gripper frame.
@@ -44,9 +44,9 @@ fn feature(across: DVec3) -> TriangleMesh {
 fn snapshot(gel: &SimulatedGel) -> Snapshot {
     let nodes = Finger::BOTH.map(|finger| {
         let t_gripper_gel = SensorMount::on(finger).t_gripper_sensor(OPENING_M, 4e-3);
-        let place = gripper() * t_gripper_gel;
-        let at = |p: &DVec3| place.transform_point(*p).to_array();
-        gel.grid.positions().iter().map(at).collect()
+        let t_world_gel = gripper() * t_gripper_gel;
+        let to_world = |p: &DVec3| t_world_gel.transform_point(*p).to_array();
+        gel.grid.positions().iter().map(to_world).collect()
     });
     Snapshot {
         stage: StageName::Adjustment,
@@ -111,9 +111,11 @@ fn mounting_angle_rotates_image_oppositely() {
     for finger in Finger::BOTH {
         for (degrees, expected) in expected {
             let mounting = MountingAngle::from_degrees(degrees).unwrap();
-            let (at, _) = pressed_at(&ahead, SensorMount { finger, mounting });
-            let off = (at[0] - expected[0]).abs().max((at[1] - expected[1]).abs());
-            assert!(off < 0.6, "{finger:?} {degrees}: {at:?}");
+            let (centre, _) = pressed_at(&ahead, SensorMount { finger, mounting });
+            let off = (centre[0] - expected[0])
+                .abs()
+                .max((centre[1] - expected[1]).abs());
+            assert!(off < 0.6, "{finger:?} {degrees}: {centre:?}");
         }
     }
 }
@@ -153,17 +155,17 @@ fn step_agrees_with_snapshot_of_same_time() {
         solver: None,
     };
     for finger in Finger::BOTH {
-        let place = SensorMount::on(finger);
-        let scene = TactileScene::from_step(&object, &gel, &gripper(), &step, place).unwrap();
-        let known = TactileScene::from_snapshot(&object, &gel, &snapshot(&gel), place).unwrap();
-        let apart = scene.t_sensor_object.inverse() * known.t_sensor_object;
-        assert!(apart.translation_m.length() < 1e-12);
+        let mount = SensorMount::on(finger);
+        let scene = TactileScene::from_step(&object, &gel, &gripper(), &step, mount).unwrap();
+        let reference = TactileScene::from_snapshot(&object, &gel, &snapshot(&gel), mount).unwrap();
+        let offset = scene.t_sensor_object.inverse() * reference.t_sensor_object;
+        assert!(offset.translation_m.length() < 1e-12);
         assert!(scene.gel_face.is_none());
         assert_eq!(scene.gap_m, [5e-4, 4.75e-4][finger as usize]);
     }
     step.opening_m -= 2e-3;
-    let place = SensorMount::on(Finger::Right);
-    let scene = TactileScene::from_step(&object, &gel, &gripper(), &step, place).unwrap();
+    let mount = SensorMount::on(Finger::Right);
+    let scene = TactileScene::from_step(&object, &gel, &gripper(), &step, mount).unwrap();
     let press = object_depth(&scene, &GRID, &mut Rasteriser::new());
     assert!((press.deepest_m() - 2.475e-3).abs() < 1e-8);
 }
@@ -186,8 +188,8 @@ fn no_contact_before_the_fingers_close() {
                 d_hat_m: 5e-4,
             };
             let poses = [&scene.t_world_object, &scene.t_world_gripper];
-            let place = SensorMount::on(finger);
-            TactileScene::before_closing(&scene.mesh, &gel, poses, scene.opening_m, place).unwrap()
+            let mount = SensorMount::on(finger);
+            TactileScene::before_closing(&scene.mesh, &gel, poses, scene.opening_m, mount).unwrap()
         };
         let press = object_depth(&start, &GRID, &mut Rasteriser::new());
         assert_eq!(press.deepest_m(), 0.0);
@@ -227,9 +229,9 @@ fn snapshot_of_another_gel_or_invalid_mesh_is_refused() {
     let gel = gel();
     let mut other = snapshot(&gel);
     other.gels[0].pop();
-    let place = SensorMount::on(Finger::Left);
-    let text = TactileScene::from_snapshot(&object, &gel, &other, place).unwrap_err();
+    let mount = SensorMount::on(Finger::Left);
+    let text = TactileScene::from_snapshot(&object, &gel, &other, mount).unwrap_err();
     assert!(text.to_string().contains("429 nodes"), "{text}");
     let empty = TriangleMesh::default();
-    assert!(TactileScene::from_snapshot(&empty, &gel, &snapshot(&gel), place).is_err());
+    assert!(TactileScene::from_snapshot(&empty, &gel, &snapshot(&gel), mount).is_err());
 }

@@ -155,11 +155,7 @@ impl<'a> Integrator<'a> {
         let mut kept = 0;
         for i in 0..batch.paths.len() {
             let path = batch.paths[i];
-            match self
-                .scene
-                .bvh
-                .intersect(lanes, &path.ray, f32::INFINITY, &mut batch.stack)
-            {
+            match self.scene.bvh.intersect(lanes, &path.ray, &mut batch.stack) {
                 Some(hit) => {
                     batch.hits.push(hit);
                     batch.paths[kept] = path;
@@ -328,7 +324,7 @@ impl<'a> Integrator<'a> {
             origin: vertex.interaction.ray_origin(light.direction),
             direction: light.direction,
         };
-        match self.scene.bvh.occluded(lanes, &ray, f32::INFINITY, stack) {
+        match self.scene.bvh.occluded(lanes, &ray, stack) {
             true => Vec3::ZERO,
             false => contribution,
         }

@@ -227,7 +227,7 @@ impl CameraRays {
         stack: &mut Stack,
     ) -> f32 {
         let ray = self.ray(column as f32, row as f32);
-        let hit = bvh.intersect(lanes, &ray, f32::INFINITY, stack);
+        let hit = bvh.intersect(lanes, &ray, stack);
         hit.map_or(0.0, |h| h.t * ray.direction.dot(self.forward))
     }
 }

@@ -110,7 +110,7 @@ fn white_materials_pass_the_furnace_test() {
             ..settings(64)
         };
         let rendering = render(&scene, &settings);
-        // Of the ball alone: what surrounds it is exact.
+        // The ball only: its surroundings are exact.
         let pixels = rendering.image.pixels.iter().zip(&rendering.depth_m);
         let ball: Vec<f64> = pixels
             .filter(|(_, depth)| **depth > 0.0)

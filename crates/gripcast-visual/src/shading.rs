@@ -115,8 +115,8 @@ mod tests {
         let shaded = shaded_mesh(&mesh, CREASE_RAD, Projection::None, 3);
         assert_eq!(shaded.positions.len(), mesh.vertices.len());
         assert_eq!(shaded.material, 3);
-        for (place, normal) in shaded.positions.iter().zip(&shaded.normals) {
-            assert!(place.normalize().dot(*normal) > 0.99);
+        for (position, normal) in shaded.positions.iter().zip(&shaded.normals) {
+            assert!(position.normalize().dot(*normal) > 0.99);
         }
     }
 

@@ -27,6 +27,11 @@ impl BallContact {
         self.press_sunk_by(ball_sink_m(self.contact_m(), self.ball_m, sink_length_m))
     }
 
+    /// Depth of the ball below the border of its contact (spherical cap), 0 outside the disc.
+    pub fn cap(&self) -> PressDepth {
+        self.press_sunk_by(0.0)
+    }
+
     /// Depth of the ball below the untouched face, m: √(R² − ρ²) − √(R² − a²) + sink at a distance
     /// ρ from the centre, where positive, with the contact radius a and the ball radius R;
     /// `sink_m` is the depth of the contact border below the untouched face.
@@ -75,7 +80,7 @@ mod tests {
             ball_m: 2e-3,
         };
         let at = |press: &PressDepth, x: usize| press.depth_m[100 * 320 + x];
-        let cap = contact.press_sunk_by(0.0);
+        let cap = contact.cap();
         assert!(at(&cap, 169) > 0.0 && at(&cap, 170) == 0.0);
         let expected = 2e-3 - (4e-6f64 - 1.2e-3 * 1.2e-3).sqrt();
         assert!((f64::from(at(&cap, 150)) - expected).abs() < 1e-9);

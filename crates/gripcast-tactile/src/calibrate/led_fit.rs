@@ -113,8 +113,8 @@ fn fit_intensities(samples: &[Sample], unknowns: &[f64], shininess: u32) -> (f64
     let mut square = 0.0;
     let mut terms = vec![0.0; count];
     for sample in samples {
-        for (lamp, out) in unit.iter().zip(terms.chunks_exact_mut(2)) {
-            let [diffuse, specular] = lamp.change(sample.position, sample.normal);
+        for (light, out) in unit.iter().zip(terms.chunks_exact_mut(2)) {
+            let [diffuse, specular] = light.change(sample.position, sample.normal);
             out.copy_from_slice(&[f64::from(diffuse), f64::from(specular)]);
         }
         for (i, a) in terms.iter().enumerate() {

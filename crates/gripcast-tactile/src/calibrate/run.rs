@@ -296,8 +296,8 @@ fn noise(set: &PressSet, fitted: &Fitted) -> [f64; 3] {
         let each: Vec<f64> = fitted
             .observed
             .iter()
-            .map(|seen| {
-                let plane = &seen.change[c];
+            .map(|observed| {
+                let plane = &observed.change[c];
                 let mut slow = plane.clone();
                 if let Some(region) = Region::nonzero(plane, width) {
                     Gaussian::new(3.0).apply(&mut slow, width, region);

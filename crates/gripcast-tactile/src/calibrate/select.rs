@@ -121,7 +121,7 @@ pub(super) fn choose(
 
 /// Candidate orders, fewest terms first.
 fn candidates(set: &PressSet, train: &[usize], terms: Terms) -> Vec<(NormalOrder, PositionOrder)> {
-    let highest = max_position_order(set, train);
+    let max_position = max_position_order(set, train);
     let mut all: Vec<(NormalOrder, PositionOrder)> = NormalOrder::ALL
         .into_iter()
         .flat_map(|n| PositionOrder::ALL.into_iter().map(move |p| (n, p)))
@@ -129,7 +129,7 @@ fn candidates(set: &PressSet, train: &[usize], terms: Terms) -> Vec<(NormalOrder
             terms.normal.is_none_or(|wanted| wanted == *n)
                 && match terms.position {
                     Some(wanted) => wanted == *p,
-                    None => *p <= highest,
+                    None => *p <= max_position,
                 }
         })
         .collect();

@@ -90,8 +90,8 @@ mod tests {
     #[test]
     fn rosenbrock_function_is_minimised() {
         let mut valley = |p: &[f64]| 100.0 * (p[1] - p[0] * p[0]).powi(2) + (1.0 - p[0]).powi(2);
-        let (place, value) = minimise(&[-1.2, 1.0], &[0.2, 0.2], 400, 1e-12, &mut valley);
-        assert!(value < 1e-8 && (place[0] - 1.0).abs() < 1e-3, "{place:?}");
+        let (point, value) = minimise(&[-1.2, 1.0], &[0.2, 0.2], 400, 1e-12, &mut valley);
+        assert!(value < 1e-8 && (point[0] - 1.0).abs() < 1e-3, "{point:?}");
     }
 
     #[test]

@@ -244,7 +244,7 @@ mod tests {
 
     #[test]
     fn table_does_not_extrapolate_beyond_presses() {
-        // Three presses at nearly one spot: the polynomials of place are all but open.
+        // Three presses at nearly one spot: the position polynomials are barely determined.
         let (table, changes) = fitted(&[[50.0, 40.0], [52.0, 41.0], [51.0, 43.0]]);
         let largest = changes.iter().flatten().flatten();
         let largest = f64::from(largest.fold(0.0, |most: f32, v| most.max(v.abs())));

@@ -29,11 +29,8 @@ impl WithLanes for Closest<'_> {
     #[inline(always)]
     fn with_lanes<L: Lanes>(self, lanes: L) -> Self::Output {
         let mut stack = self.0.stack();
-        let hit = self.0.intersect(lanes, &self.1, f32::INFINITY, &mut stack);
-        (
-            hit,
-            self.0.occluded(lanes, &self.1, f32::INFINITY, &mut stack),
-        )
+        let hit = self.0.intersect(lanes, &self.1, &mut stack);
+        (hit, self.0.occluded(lanes, &self.1, &mut stack))
     }
 }
 

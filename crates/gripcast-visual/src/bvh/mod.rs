@@ -157,13 +157,12 @@ impl Bvh {
         Stack(vec![(EMPTY, 0.0); (WIDTH - 1) * self.depth + WIDTH])
     }
 
-    /// Returns the closest hit at a distance in (0, `t_max`).
+    /// Returns the closest hit at a positive distance.
     #[inline(always)]
     pub(super) fn intersect<L: Lanes>(
         &self,
         lanes: L,
         ray: &Ray,
-        t_max: f32,
         stack: &mut Stack,
     ) -> Option<Hit> {
         if self.nodes.is_empty() {
@@ -172,7 +171,7 @@ impl Bvh {
         let prepared = PreparedRay::new(lanes, ray);
         let stack = stack.0.as_mut_slice();
         let mut best = Hit {
-            t: t_max,
+            t: f32::INFINITY,
             face: EMPTY,
             weights: [0.0; 2],
         };
@@ -230,15 +229,9 @@ impl Bvh {
         }
     }
 
-    /// Whether any triangle is hit at a distance in (0, `t_max`).
+    /// Whether any triangle is hit at a positive distance.
     #[inline(always)]
-    pub(super) fn occluded<L: Lanes>(
-        &self,
-        lanes: L,
-        ray: &Ray,
-        t_max: f32,
-        stack: &mut Stack,
-    ) -> bool {
+    pub(super) fn occluded<L: Lanes>(&self, lanes: L, ray: &Ray, stack: &mut Stack) -> bool {
         if self.nodes.is_empty() {
             return false;
         }
@@ -249,7 +242,7 @@ impl Bvh {
         loop {
             if current & LEAF == 0 {
                 let node = &self.nodes[current as usize];
-                let (mut mask, _) = node.intersect_children(lanes, &prepared, t_max);
+                let (mut mask, _) = node.intersect_children(lanes, &prepared, f32::INFINITY);
                 while mask != 0 {
                     let slot = mask.trailing_zeros() as usize & (WIDTH - 1);
                     mask &= mask - 1;

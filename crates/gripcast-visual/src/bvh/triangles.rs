@@ -118,8 +118,8 @@ impl Triangles {
     }
 
     #[inline(always)]
-    pub(super) fn occluded<L: Lanes>(&self, lanes: L, ray: &Shear<L>, t_max: f32) -> bool {
-        self.test(lanes, ray, t_max).mask != 0
+    pub(super) fn occluded<L: Lanes>(&self, lanes: L, ray: &Shear<L>) -> bool {
+        self.test(lanes, ray, f32::INFINITY).mask != 0
     }
 
     #[inline(always)]

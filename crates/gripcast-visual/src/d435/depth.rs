@@ -268,7 +268,7 @@ mod tests {
             .collect();
         let codes = measure_depth(&depth, &camera, &DepthSettings::default(), 1).unwrap();
         let holes = |from: u32, to: u32| (from..to).filter(|&x| codes.get_pixel(x, 99)[0] == 0);
-        // Seen from the right, the near plate moves left over what lies left of it.
+        // Seen from the right, the near plate occludes pixels to its left.
         let shift = camera.focal_px[0] * (LEFT_IMAGER_M + BASELINE_M) * (1.0 / 0.3 - 1.0 / 0.6);
         let left = holes(0, 100).count() as f64;
         assert!((left - shift).abs() <= 2.0, "{left} {shift}");

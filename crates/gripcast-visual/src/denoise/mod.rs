@@ -159,17 +159,17 @@ mod tests {
         let (clean, truth) = noisy_by(0.1);
         let wanted = denoise(&clean, DENOISE_RADIUS_PX);
         // In the middle, near another, and in a corner.
-        let places = [(20, 10), (25, 12), (47, 31)];
+        let fireflies = [(20, 10), (25, 12), (47, 31)];
         let mut rendering = clean;
-        for ((column, row), factor) in places.iter().zip([1000.0, 50.0, 1000.0]) {
+        for ((column, row), factor) in fireflies.iter().zip([1000.0, 50.0, 1000.0]) {
             add_firefly(&mut rendering, row * 48 + column, factor);
         }
         let found = denoise(&rendering, DENOISE_RADIUS_PX);
         for (at, (found, wanted)) in found.pixels.iter().zip(&wanted.pixels).enumerate() {
             let ratio = found[0] / wanted[0];
             // Spread evenly, 1000 means would be 4.4 means a pixel.
-            let place = (at % 48, at / 48);
-            assert!((ratio - 1.0).abs() < 0.04, "{place:?}: {ratio}");
+            let pixel = (at % 48, at / 48);
+            assert!((ratio - 1.0).abs() < 0.04, "{pixel:?}: {ratio}");
         }
         let [before, after] = [&wanted, &found].map(|p| p.rmse(&truth).unwrap());
         assert!(after < 1.05 * before, "{before} to {after}");

@@ -170,9 +170,9 @@ mod tests {
     fn coordinates_beyond_the_border_wrap() {
         for cells in [1, 2, 9] {
             let noise = (ValueNoise::new(1, [cells; 2]), WorleyNoise::new(1, cells));
-            for place in [-1e-9, 1.0, -3.0, 1e9] {
-                assert!((0.0..=1.0).contains(&noise.0.at(place, place)));
-                assert!(noise.1.at(place, place).0.is_finite());
+            for c in [-1e-9, 1.0, -3.0, 1e9] {
+                assert!((0.0..=1.0).contains(&noise.0.at(c, c)));
+                assert!(noise.1.at(c, c).0.is_finite());
             }
         }
     }
