@@ -249,11 +249,7 @@ impl Bvh {
                     stack[height].0 = node.children[slot];
                     height += 1;
                 }
-            } else if self.leaves[(current & !LEAF) as usize].occluded(
-                lanes,
-                &prepared.shear,
-                t_max,
-            ) {
+            } else if self.leaves[(current & !LEAF) as usize].occluded(lanes, &prepared.shear) {
                 return true;
             }
             if height == 0 {
