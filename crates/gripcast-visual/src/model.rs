@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use glam::{DVec3, Vec3};
+use glam::DVec3;
 
 use super::bitmap_file;
 use super::finish::Finish;
@@ -306,9 +306,13 @@ impl ModelBuilder<'_> {
         match (&part.normals, &part.uvs) {
             (None, Some(uvs)) if textured => flat_with_uvs(part, uvs, material),
             (Some(normals), uvs) if !needs_projection => Mesh {
-                positions: positions(part),
+                positions: part.shape.vertices.iter().map(|v| v.as_vec3()).collect(),
                 normals: normals.iter().map(|n| n.as_vec3()).collect(),
-                uvs: uvs.as_deref().map(single).unwrap_or_default(),
+                uvs: uvs
+                    .iter()
+                    .flatten()
+                    .map(|uv| uv.map(|c| c as f32))
+                    .collect(),
                 triangles: part.shape.triangles.clone(),
                 material,
             },
@@ -340,14 +344,6 @@ fn tinted(mut image: image::RgbImage, color: [f64; 3]) -> image::RgbImage {
         }
     }
     image
-}
-
-fn positions(part: &MeshPart) -> Vec<Vec3> {
-    part.shape.vertices.iter().map(|v| v.as_vec3()).collect()
-}
-
-fn single(uvs: &[[f64; 2]]) -> Vec<[f32; 2]> {
-    uvs.iter().map(|uv| uv.map(|c| c as f32)).collect()
 }
 
 /// Converts a part with texture coordinates but without normals.

@@ -8,6 +8,8 @@ use std::f32::consts::TAU;
 use glam::Vec3;
 
 use super::env_map::light_of_kelvin;
+use super::linear_image::Image;
+use super::sky::map_from_fn;
 use gripcast_base::random::SeedStream;
 
 /// Emitting or painted rectangle on a face of the room.
@@ -189,8 +191,13 @@ impl Room {
         self.ambient = light.map(|l| level * (0.85 + 0.15 * l));
     }
 
+    /// Renders the environment map of the room with `height` rows.
+    pub(super) fn env_map(&self, height: usize) -> Image {
+        map_from_fn(height, |direction| self.radiance(direction))
+    }
+
     /// Returns the radiance from a world direction.
-    pub(super) fn radiance(&self, direction: Vec3) -> [f32; 3] {
+    fn radiance(&self, direction: Vec3) -> [f32; 3] {
         let (sin, cos) = self.yaw_rad.sin_cos();
         let d = Vec3::new(
             cos * direction.x + sin * direction.y,

@@ -47,14 +47,8 @@ impl Sky {
     pub fn generate(self, height: usize, seed: u64) -> Image {
         let mut stream = SeedStream::named(seed, self.name());
         let mut map = match self {
-            Self::Studio => {
-                let room = Room::with_lamps(&mut stream);
-                map_from_fn(height, |d| room.radiance(d))
-            }
-            Self::WindowRoom => {
-                let room = Room::with_windows(&mut stream);
-                map_from_fn(height, |d| room.radiance(d))
-            }
+            Self::Studio => Room::with_lamps(&mut stream).env_map(height),
+            Self::WindowRoom => Room::with_windows(&mut stream).env_map(height),
             Self::Overcast => {
                 let sky = OvercastSky::random(&mut stream);
                 map_from_fn(height, |d| sky.radiance(d))
@@ -112,7 +106,7 @@ pub fn normalise_env_map(map: &mut Image) {
 }
 
 /// Evaluates the radiance of each pixel as the mean of four directions in it.
-fn map_from_fn(height: usize, radiance: impl Fn(Vec3) -> [f32; 3] + Sync) -> Image {
+pub(super) fn map_from_fn(height: usize, radiance: impl Fn(Vec3) -> [f32; 3] + Sync) -> Image {
     let height = height.max(2);
     let width = 2 * height;
     let mut map = Image::filled(width, height, [0.0; 3]);

@@ -2,7 +2,7 @@
 //!
 //! With the labelled radius r of a contact and the distance d from its centre, pixels:
 //! - background: per channel gain · no-contact + offset, least squares over d > r + 45, because
-//! exposure and white balance drift between frames;
+//!   exposure and white balance drift between frames;
 //! - patch: d < r + 10;
 //! - FVE (fraction of variance explained) = 1 − SSE(rendered) / SSE(background alone) in the patch;
 //! - L1 and PSNR (peak 255) in the patch over all channels, of the rendered 8-bit image.
