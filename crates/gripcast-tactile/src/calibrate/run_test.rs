@@ -202,7 +202,7 @@ fn unusable_presses_are_skipped_with_reason() {
         "nothing changes",
         "cannot read",
         "off the image",
-        "label must be",
+        "invalid label",
         "ball's radius",
     ];
     for (skipped, expected) in set.skipped.iter().zip(expected) {
