@@ -20,10 +20,10 @@ use gripcast_sim::grasp::{
 };
 use gripcast_sim::{Engine as _, FemEngine, GraspSetup};
 use gripcast_tactile::{
-    ObjectDepthRenderer, SceneRenderer as _, SensorPlace, SensorProfile, SimulatedGel, TactileScene,
+    ObjectDepthRenderer, SceneRenderer as _, SensorMount, SensorProfile, SimulatedGel, TactileScene,
 };
 use gripcast_visual::{
-    ColourSettings, GraspState, RenderSettings, Renderer, View, VisualRandomisation, Watch,
+    ColourSettings, GraspState, RenderControl, RenderSettings, Renderer, View, VisualRandomisation,
     demo_model, develop, grasp_scene,
 };
 
@@ -74,7 +74,7 @@ pub(crate) fn run(object: &str, folder: &Path) -> Result<String> {
     let gel = gel.ok_or_else(no_contact)?;
     let mut tactile = ObjectDepthRenderer::new(&SensorProfile::gelsight_mini()?)?;
     for (finger, name) in [(Finger::Left, "left.png"), (Finger::Right, "right.png")] {
-        let scene = TactileScene::of_snapshot(&mesh, &gel, settled, SensorPlace::on(finger))?;
+        let scene = TactileScene::from_snapshot(&mesh, &gel, settled, SensorMount::on(finger))?;
         // The seed decides noise and drift; `None` renders without.
         save(
             &folder.join(name),
@@ -84,14 +84,15 @@ pub(crate) fn run(object: &str, folder: &Path) -> Result<String> {
 
     // Light, ground and camera offsets are drawn from a seed too.
     let conditions = VisualRandomisation::default().sample(1);
-    let state = GraspState::at(settled, Some(&gel.grid))?;
+    let state = GraspState::from_snapshot(settled, Some(&gel.grid))?;
     let model = demo_model(object, 1)?;
     let scene = grasp_scene(&model, &state, &conditions, View::EyeInHand([160, 120]))?;
     let settings = RenderSettings {
-        samples: 16,
+        samples_per_pixel: 16,
         ..RenderSettings::default()
     };
-    let rendering = Renderer::new(&scene)?.render(&scene.camera, &settings, &Watch::default())?;
+    let rendering =
+        Renderer::new(&scene)?.render(&scene.camera, &settings, &RenderControl::default())?;
     let colour = develop(
         &rendering.image,
         &ColourSettings::default(),

@@ -1,5 +1,5 @@
-//! The path tracer on a reference scene: CPU time, error at several numbers of paths, and the scene
-//! written out for another renderer.
+//! Path tracer on a reference scene: CPU time and error for several sample counts, and export of
+//! the scene for another renderer.
 //!
 //! ```text
 //! cargo run --release --example visual_reference -- OUT [--hdr FILE] [--material NAME]
@@ -7,7 +7,7 @@
 //! ```
 //!
 //! Prints one JSON object. `OUT` receives the images as PFM (linear light) and PNG, and with
-//! `--export` the scene as `scene.json` with PLY meshes, PNG textures and a PFM dome whose rows
+//! `--export` the scene as `scene.json` with PLY meshes, PNG textures and a PFM environment map whose rows
 //! begin and end at the poles, which `tests/peers/mitsuba_scene.py` renders.
 //! Materials: diffuse, principled, metal, glass.
 
@@ -18,13 +18,13 @@ use std::path::{Path, PathBuf};
 
 use glam::{DVec3, Vec3};
 use gripcast_visual::{
-    Bitmap, Camera, Colour, DenoiseSettings, Environment, Image, Material, Mesh, PixelFilter,
-    RenderSettings, Renderer, Rendering, Scene, Watch, denoise, load_hdr,
+    Bitmap, Camera, Colour, DENOISE_RADIUS_PX, EnvMap, Image, Material, Mesh, PixelFilter,
+    RenderControl, RenderSettings, Renderer, Rendering, Scene, denoise, load_hdr,
 };
 use image::{Rgb, RgbImage};
 use serde_json::json;
 
-type Done<T> = Result<T, Box<dyn Error>>;
+type BoxResult<T> = Result<T, Box<dyn Error>>;
 
 struct Options {
     out: PathBuf,
@@ -35,7 +35,7 @@ struct Options {
     export: bool,
 }
 
-fn main() -> Done<()> {
+fn main() -> BoxResult<()> {
     let options = options()?;
     fs::create_dir_all(&options.out)?;
     let scene = scene(&options)?;
@@ -45,17 +45,17 @@ fn main() -> Done<()> {
     let started = cpu_seconds();
     let renderer = Renderer::new(&scene)?;
     let prepare_s = cpu_seconds() - started;
-    let render = |samples: u32, seed: u64| -> Done<(Rendering, f64)> {
+    let render = |samples: u32, seed: u64| -> BoxResult<(Rendering, f64)> {
         let settings = RenderSettings {
-            samples,
+            samples_per_pixel: samples,
             max_bounces: 5,
-            roulette_from: 4,
+            rr_depth: 4,
             filter: PixelFilter::Box,
             seed,
             ..RenderSettings::default()
         };
         let started = cpu_seconds();
-        let rendering = renderer.render(&scene.camera, &settings, &Watch::default())?;
+        let rendering = renderer.render(&scene.camera, &settings, &RenderControl::default())?;
         Ok((rendering, cpu_seconds() - started))
     };
     let mut figures = Vec::new();
@@ -71,7 +71,7 @@ fn main() -> Done<()> {
     for &samples in &options.samples {
         let (rendering, cpu_s) = render(samples, 2)?;
         let started = cpu_seconds();
-        let smooth = denoise(&rendering, &DenoiseSettings::default());
+        let smooth = denoise(&rendering, DENOISE_RADIUS_PX);
         let denoise_cpu_s = cpu_seconds() - started;
         let image = rendering.image;
         save(&image, &options.out.join(format!("samples{samples}")))?;
@@ -94,7 +94,7 @@ fn main() -> Done<()> {
     Ok(())
 }
 
-fn options() -> Done<Options> {
+fn options() -> BoxResult<Options> {
     let mut options = Options {
         out: PathBuf::new(),
         hdr: None,
@@ -124,12 +124,12 @@ fn options() -> Done<Options> {
         }
     }
     if options.out.as_os_str().is_empty() {
-        return Err("name a folder for the images".into());
+        return Err("missing output folder".into());
     }
     Ok(options)
 }
 
-/// CPU time of all threads of this process.
+/// CPU time of all threads of this process, s.
 fn cpu_seconds() -> f64 {
     let stat = fs::read_to_string("/proc/self/schedstat").unwrap_or_default();
     let own = |text: &str| text.split(' ').next().and_then(|t| t.parse::<f64>().ok());
@@ -141,7 +141,7 @@ fn cpu_seconds() -> f64 {
     all.sum::<f64>().max(own(&stat).unwrap_or(0.0)) * 1e-9
 }
 
-fn scene(options: &Options) -> Done<Scene> {
+fn scene(options: &Options) -> BoxResult<Scene> {
     let material = match options.material.as_str() {
         "diffuse" => Material::Diffuse {
             reflectance: Colour::Texture(0),
@@ -162,14 +162,14 @@ fn scene(options: &Options) -> Done<Scene> {
             roughness: 0.0,
             transmittance: [1.0; 3],
         },
-        other => return Err(format!("there is no material {other}").into()),
+        other => return Err(format!("unknown material `{other}`").into()),
     };
-    let environment = match &options.hdr {
-        Some(path) => Environment::new(load_hdr(path)?),
-        None => Environment::new(sky(1024, 512)),
+    let env_map = match &options.hdr {
+        Some(path) => EnvMap::new(load_hdr(path)?),
+        None => EnvMap::new(sky(1024, 512)),
     };
     let eye = DVec3::new(0.26, -0.16, 0.2);
-    let pose = Camera::looking_at(eye, DVec3::new(0.0, 0.0, 0.05)).ok_or("no view")?;
+    let pose = Camera::look_at(eye, DVec3::new(0.0, 0.0, 0.05)).ok_or("no view")?;
     Ok(Scene {
         meshes: vec![blob(282, 142, 0), Mesh::ground(Vec3::ZERO, 0.5, 0.25, 1)],
         materials: vec![
@@ -182,14 +182,14 @@ fn scene(options: &Options) -> Done<Scene> {
             Bitmap::from_srgb8(&stripes(512, [200, 90, 40], [230, 220, 190]))?,
             Bitmap::from_srgb8(&stripes(512, [110, 80, 50], [170, 140, 100]))?,
         ],
-        environment,
+        env_map,
         camera: Camera::centred(320, 240, 0.75, pose),
     })
 }
 
-/// Bumpy ball of radius about 60 mm on the ground with smooth normals.
+/// Bumpy ball of about 60 mm radius on the ground with smooth normals.
 fn blob(columns: usize, rows: usize, material: usize) -> Mesh {
-    let place = |u: f64, v: f64| {
+    let position = |u: f64, v: f64| {
         let (azimuth, polar) = (2.0 * PI * u, PI * v);
         let bump = (6.0 * azimuth).sin() * (5.0 * polar).sin() * polar.sin();
         let radius = 0.055 * (1.0 + 0.12 * bump);
@@ -207,15 +207,15 @@ fn blob(columns: usize, rows: usize, material: usize) -> Mesh {
         for column in 0..=columns {
             let (u, v) = (column as f64 / columns as f64, row as f64 / rows as f64);
             let h = 1e-5;
-            let across = place(u + h, v) - place(u - h, v);
-            let down = place(u, v + h) - place(u, v - h);
+            let across = position(u + h, v) - position(u - h, v);
+            let down = position(u, v + h) - position(u, v - h);
             let pole = if row == 0 { DVec3::Z } else { DVec3::NEG_Z };
             let normal = match row {
                 0 => pole,
                 r if r == rows => pole,
                 _ => down.cross(across).normalize(),
             };
-            mesh.positions.push(place(u, v).as_vec3());
+            mesh.positions.push(position(u, v).as_vec3());
             mesh.normals.push(normal.as_vec3());
             mesh.uvs.push([2.0 * u as f32, v as f32]);
         }
@@ -236,7 +236,7 @@ fn blob(columns: usize, rows: usize, material: usize) -> Mesh {
     mesh
 }
 
-/// Stripes between two colours with some unevenness.
+/// Irregular stripes between two colours.
 fn stripes(size: u32, dark: [u8; 3], light: [u8; 3]) -> RgbImage {
     RgbImage::from_fn(size, size, |x, y| {
         let [u, v] = [x, y].map(|c| 2.0 * PI * f64::from(c) / f64::from(size));
@@ -282,14 +282,14 @@ fn sky(width: usize, height: usize) -> Image {
     image
 }
 
-fn save(image: &Image, path: &Path) -> Done<()> {
+fn save(image: &Image, path: &Path) -> BoxResult<()> {
     write_pfm(image, &path.with_extension("pfm"))?;
     image.to_srgb8(0.8).save(path.with_extension("png"))?;
     Ok(())
 }
 
 /// Portable float map: rows from the bottom, little-endian.
-fn write_pfm(image: &Image, path: &Path) -> Done<()> {
+fn write_pfm(image: &Image, path: &Path) -> BoxResult<()> {
     let mut bytes = format!("PF\n{} {}\n-1.0\n", image.width, image.height).into_bytes();
     for row in image.pixels.chunks(image.width).rev() {
         bytes.extend(row.iter().flatten().flat_map(|v| v.to_le_bytes()));
@@ -297,7 +297,7 @@ fn write_pfm(image: &Image, path: &Path) -> Done<()> {
     Ok(fs::write(path, bytes)?)
 }
 
-fn export(scene: &Scene, out: &Path) -> Done<()> {
+fn export(scene: &Scene, out: &Path) -> BoxResult<()> {
     let mut meshes = Vec::new();
     for (m, mesh) in scene.meshes.iter().enumerate() {
         let file = format!("mesh{m}.ply");
@@ -309,7 +309,7 @@ fn export(scene: &Scene, out: &Path) -> Done<()> {
         texture.to_srgb8().save(file)?;
     }
     write_pfm(
-        &with_poles(&scene.environment.map),
+        &with_poles(&scene.env_map.map),
         &out.join("environment.pfm"),
     )?;
     let materials: Vec<_> = scene.materials.iter().map(material_json).collect();
@@ -320,8 +320,8 @@ fn export(scene: &Scene, out: &Path) -> Done<()> {
         "materials": materials,
         "environment": {
             "file": "environment.pfm",
-            "rotation_rad": scene.environment.rotation_rad,
-            "intensity": scene.environment.intensity,
+            "rotation_rad": scene.env_map.rotation_rad,
+            "intensity": scene.env_map.intensity,
         },
         "camera": {
             "width": camera.width, "height": camera.height,
@@ -362,7 +362,8 @@ fn material_json(material: &Material) -> serde_json::Value {
     }
 }
 
-/// The same dome on rows that begin and end at the poles: exact where ours is bilinear.
+/// Resamples an environment map to rows that start and end at the poles, where other renderers
+/// interpolate.
 fn with_poles(map: &Image) -> Image {
     let row = |r: usize, column: usize| map.at(column, r.min(map.height - 1));
     let mut out = Image::filled(map.width, 2 * map.height + 1, [0.0; 3]);

@@ -43,7 +43,7 @@ pub(crate) struct Args {
     train_fraction: f64,
     /// Most presses that are fitted
     #[arg(long, value_name = "N")]
-    most_fitted: Option<usize>,
+    max_fitted: Option<usize>,
     /// Seed of the split
     #[arg(long, default_value_t = 0)]
     seed: u64,
@@ -124,7 +124,7 @@ fn size(text: &str) -> Result<(u32, u32), String> {
 
 impl Args {
     fn options(&self) -> CalibrateOptions {
-        let mut options = CalibrateOptions::of_folder(&self.presses);
+        let mut options = CalibrateOptions::from_folder(&self.presses);
         let metres = |mm: f64| 1e-3 * mm;
         options.read.ball_diameter_m = self.ball_mm.map(metres);
         options.read.pixel_m = self.pixel_mm.map(metres);
@@ -132,7 +132,7 @@ impl Args {
         options.read.size = self.size;
         options.read.find_contacts = self.find_contacts;
         options.train_fraction = self.train_fraction;
-        options.most_fitted = self.most_fitted;
+        options.max_fitted = self.max_fitted;
         options.seed = self.seed;
         options.fit_scale = self.fit_scale;
         options.crop_profile = self.crop_profile;
@@ -191,7 +191,7 @@ pub(crate) fn run(context: &Context, args: Args) -> Result<()> {
     let image = args.out.with_extension("fit.png");
     save(&image, &encode_png_rgb(&calibration.image)?)?;
     if !context.quiet {
-        for press in &calibration.skipped {
+        for press in &calibration.report.skipped {
             note!("gripcast: {} is not used: {}", press.file, press.reason);
         }
     }
@@ -204,7 +204,7 @@ pub(crate) fn run(context: &Context, args: Args) -> Result<()> {
     } else {
         print(&text(&calibration.report, &args.out))?;
     }
-    match calibration.skipped.len() {
+    match calibration.report.skipped.len() {
         0 => Ok(()),
         count => Err(Error::new(
             ErrorKind::Partial,

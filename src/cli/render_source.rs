@@ -11,7 +11,7 @@ use gripcast_base::files::{FileKind, read_regular};
 use gripcast_geometry::{LengthUnit, TriangleMesh};
 use gripcast_sim::grasp::{Snapshot, StageName, Trace, TraceFile};
 use gripcast_tactile::{SimulatedGel, TraceHeader, TraceObject, TraceStart};
-use gripcast_visual::{Finish, Model, demo_model, drawn_finish};
+use gripcast_visual::{Finish, Model, demo_model, random_finish};
 
 /// The moment of a grasp that is rendered.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
@@ -80,10 +80,10 @@ impl ObjectSource {
         let Some(path) = self.path() else {
             return match finish {
                 None => demo_model(&self.name, seed),
-                Some(finish) => Model::plain(&self.load()?, finish, seed),
+                Some(finish) => Model::with_finish(&self.load()?, finish, seed),
             };
         };
-        let finish = finish.unwrap_or_else(|| drawn_finish(seed));
+        let finish = finish.unwrap_or_else(|| random_finish(seed));
         let loaded = Model::load(path, self.unit, finish, seed)?;
         for warning in &loaded.warnings {
             progress.line(format!("{}: {warning}", path.display()));

@@ -37,9 +37,10 @@ use gripcast_geometry::{LengthUnit, Pose};
 use gripcast_imaging::{encode_png_grey16, encode_png_rgb};
 use gripcast_sim::grasp::{GraspPose, GripperState, Placement, resting_pose};
 use gripcast_visual::{
-    Bitmap, ColourSettings, DenoiseSettings, DepthSettings, Finish, GraspState, Image, Model,
-    Pattern, RenderSettings, Renderer, Sky, View, VisualConditions, VisualRandomisation, Watch,
-    denoise, develop, grasp_scene, load_bitmap, load_hdr, measure_depth, normalise,
+    Bitmap, ColourSettings, DENOISE_RADIUS_PX, DepthSettings, Finish, GraspState, Image, Model,
+    ProceduralTexture, RenderControl, RenderSettings, Renderer, Sky, View, VisualConditions,
+    VisualRandomisation, denoise, develop, grasp_scene, load_bitmap, load_hdr, measure_depth,
+    normalise_env_map,
 };
 
 /// Arguments.
@@ -113,7 +114,7 @@ struct LookFlags {
     /// tables are made of]
     #[arg(long, value_name = "NAME", value_delimiter = ',', value_parser = pattern,
         conflicts_with = "ground")]
-    pattern: Vec<Pattern>,
+    pattern: Vec<ProceduralTexture>,
     /// Width of such an image on the ground
     #[arg(long, value_name = "M", default_value_t = 0.5)]
     ground_width_m: f64,
@@ -162,7 +163,7 @@ fn sky(text: &str) -> Result<Sky, String> {
     text.parse().map_err(|e: Error| e.to_string())
 }
 
-fn pattern(text: &str) -> Result<Pattern, String> {
+fn pattern(text: &str) -> Result<ProceduralTexture, String> {
     text.parse().map_err(|e: Error| e.to_string())
 }
 
@@ -241,7 +242,7 @@ impl<'a> Job<'a> {
     fn new(args: &'a Args, plan: &'a OutPlan, progress: &'a Progress) -> Result<Self> {
         let dome = |path: &PathBuf| -> Result<Arc<Image>> {
             let mut dome = load_hdr(path)?;
-            normalise(&mut dome);
+            normalise_env_map(&mut dome);
             Ok(Arc::new(dome))
         };
         let width = args.look.ground_width_m;
@@ -257,10 +258,10 @@ impl<'a> Job<'a> {
             plan,
             progress,
             randomisation: VisualRandomisation {
-                domes: args.look.hdri.iter().map(dome).collect::<Result<_>>()?,
-                grounds: args.look.ground.iter().map(ground).collect::<Result<_>>()?,
+                env_maps: args.look.hdri.iter().map(dome).collect::<Result<_>>()?,
+                ground_images: args.look.ground.iter().map(ground).collect::<Result<_>>()?,
                 skies: args.look.sky.clone(),
-                patterns: args.look.pattern.clone(),
+                ground_textures: args.look.pattern.clone(),
                 ..VisualRandomisation::default()
             },
         })
@@ -281,7 +282,7 @@ impl<'a> Job<'a> {
         let mut written = Vec::new();
         for &moment in &self.args.moment {
             let state = match grasp.snapshot(moment)? {
-                Some(snapshot) => GraspState::at(snapshot, Some(&grasp.gel.grid))?,
+                Some(snapshot) => GraspState::from_snapshot(snapshot, Some(&grasp.gel.grid))?,
                 None => {
                     let start = &grasp.start;
                     GraspState {
@@ -369,21 +370,21 @@ impl<'a> Job<'a> {
         let conditions = self.randomisation.sample(seed);
         let scene = grasp_scene(model, state, &conditions, view)?;
         let settings = RenderSettings {
-            samples: quality.samples,
+            samples_per_pixel: quality.samples,
             max_bounces: quality.bounces,
             clamp: quality.clamp,
             seed,
             ..RenderSettings::default()
         };
         let progress = |done: usize, all: usize| self.progress.at(done as u64, all as u64);
-        let watch = Watch {
-            progress: self.plan.is_single.then_some(&progress),
+        let watch = RenderControl {
+            on_progress: self.plan.is_single.then_some(&progress),
             cancel: None,
         };
         let renderer = Renderer::new(&scene)?;
         let rendering = renderer.render(&scene.camera, &settings, &watch)?;
         let light = if quality.denoise {
-            denoise(&rendering, &DenoiseSettings::default())
+            denoise(&rendering, DENOISE_RADIUS_PX)
         } else {
             rendering.image
         };

@@ -1,31 +1,31 @@
-//! The calibration of the tactile renderer on real presses.
+//! Calibration of the tactile renderer on real presses.
 
 use gripcast_tactile::SensorProfile;
 use gripcast_tactile::calibrate::{CalibrateOptions, CalibrationReport, run};
 
 use gripcast_testing::shared;
 
-fn fots(most_fitted: Option<usize>, seed: u64) -> Option<CalibrationReport> {
+fn fots(max_fitted: Option<usize>, seed: u64) -> Option<CalibrationReport> {
     let options = CalibrateOptions {
-        most_fitted,
+        max_fitted,
         seed,
-        ..CalibrateOptions::of_folder(shared("data/fots_ball")?)
+        ..CalibrateOptions::from_folder(shared("data/fots_ball")?)
     };
     Some(run(&options).unwrap().report)
 }
 
 #[test]
-fn half_of_the_presses_explain_the_others() {
+fn half_of_the_presses_explain_the_rest() {
     let Some(report) = fots(None, 0) else { return };
     assert_eq!((report.fitted, report.held_out), (14, 14));
     assert!(report.score.fve >= 0.92, "{:?}", report.score);
     assert!(report.score.patch_psnr_db >= 29.0, "{:?}", report.score);
-    // The baseline is that of the definition.
+    // PSNR of the background alone.
     assert!((report.score.no_contact_psnr_db - 17.5).abs() < 0.3);
 }
 
 #[test]
-fn five_presses_are_enough_for_a_start() {
+fn five_presses_reach_usable_fve() {
     let Some(report) = fots(Some(5), 1) else {
         return;
     };
@@ -34,16 +34,20 @@ fn five_presses_are_enough_for_a_start() {
 }
 
 #[test]
-fn contacts_of_a_real_mini_are_found_and_explained() {
+fn contacts_of_real_mini_are_detected() {
     let Some(folder) = shared("data/gsmini_taxim_ball") else {
         return;
     };
-    let mut options = CalibrateOptions::of_folder(folder);
+    let mut options = CalibrateOptions::from_folder(folder);
     options.read.ball_diameter_m = Some(4e-3);
     options.read.size = Some((320, 240));
     options.read.find_contacts = true;
     let result = run(&options).unwrap();
-    assert!(result.skipped.is_empty(), "{:?}", result.skipped);
+    assert!(
+        result.report.skipped.is_empty(),
+        "{:?}",
+        result.report.skipped
+    );
     assert_eq!(result.report.contacts_found, 24);
     assert!(result.report.score.fve >= 0.92, "{:?}", result.report.score);
     let shipped = SensorProfile::gelsight_mini().unwrap();

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 
 use gripcast_geometry::LengthUnit;
 use gripcast_visual::{
-    Colour, Finish, Model, Pattern, load_bitmap, load_hdr, white_table_luminance,
+    Colour, Finish, Model, ProceduralTexture, load_bitmap, load_hdr, white_table_luminance,
 };
 
 use gripcast_testing::shared;
@@ -51,7 +51,7 @@ fn a_mesh_whose_texture_is_missing_is_drawn_grey_with_a_warning() {
     let Some(path) = shared("data/ycb_drake/004_sugar_box_textured.obj") else {
         return;
     };
-    let finish = Finish::Painted(Pattern::Plastic);
+    let finish = Finish::Textured(ProceduralTexture::Plastic);
     let loaded = Model::load(&path, LengthUnit::Metre, finish, 0).unwrap();
     let text = loaded.warnings.join("\n");
     assert!(text.contains("004_sugar_box_textured.png"), "{text}");

@@ -390,7 +390,7 @@ fn appearance(
     let (looks, textures) = (&object.looks, &object.textures);
     let which = draw.index(looks.len() + textures.len());
     if let Some(look) = looks.get(which) {
-        let model = Model::coated(mesh, &look.look, draw.bits())?;
+        let model = Model::with_appearance(mesh, &look.look, draw.bits())?;
         return Ok((look.words.clone(), model));
     }
     let texture = textures.get(which - looks.len()).ok_or_else(|| {

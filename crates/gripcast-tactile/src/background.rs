@@ -1,40 +1,41 @@
-//! The image of the untouched gel: a smooth fit that fits into a profile, or an image beside it.
+//! Image of the untouched gel: a smooth fit stored in the profile.
 
 use image::RgbImage;
 use serde::{Deserialize, Serialize};
 
+use super::ensure;
 use gripcast_base::error::{Error, Result};
 
-/// Highest total degree of a fit.
+/// Maximum degree of a fit.
 const MAX_DEGREE: usize = 12;
 
-/// Smooth colours of the untouched gel: per channel Σ c_ij P_i(x) P_j(y), i + j ≤ degree, with
-/// Legendre polynomials P and x, y in ±1 over the columns and rows.
+/// Smooth fit of the background: per channel Σ c_ij P_i(x) P_j(y), i + j ≤ degree, with Legendre
+/// polynomials P and x, y in ±1 across the columns and rows.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct BackgroundFit {
-    /// Highest i + j, up to 12.
+    /// Maximum i + j, up to 12.
     pub degree: usize,
-    /// Red, grey levels: i = 0 with all j, then i = 1, …
+    /// Red coefficients, grey levels: i = 0 with all j, then i = 1, …
     pub red: Vec<f64>,
-    /// Green, in the same order.
+    /// Green coefficients, same order.
     pub green: Vec<f64>,
-    /// Blue, in the same order.
+    /// Blue coefficients, same order.
     pub blue: Vec<f64>,
 }
 
 impl BackgroundFit {
-    /// Least-squares fit to an image of at least 2 × 2 pixels.
+    /// Fits an image of at least 2 × 2 pixels by least squares.
     ///
-    /// The sampled polynomials are nearly orthogonal: a few sweeps over the normal equations make
-    /// the fit exact enough.
-    pub fn of_image(image: &RgbImage, degree: usize) -> Self {
+    /// The sampled polynomials are nearly orthogonal, so a few Gauss-Seidel sweeps over the normal
+    /// equations suffice.
+    pub fn from_image(image: &RgbImage, degree: usize) -> Self {
         let degree = degree.min(MAX_DEGREE);
         let (width, height) = (image.width() as usize, image.height() as usize);
         let (columns, rows) = (legendre(width, degree), legendre(height, degree));
         let (column_products, row_products) = (products(&columns), products(&rows));
         let [red, green, blue] = std::array::from_fn(|channel| {
-            let wanted = moments(image, channel, &columns, &rows);
+            let target = moments(image, channel, &columns, &rows);
             let mut values = vec![0.0; terms(degree).count()];
             for _ in 0..SWEEPS {
                 for (term, (i, j)) in terms(degree).enumerate() {
@@ -43,7 +44,7 @@ impl BackgroundFit {
                     };
                     let found: f64 = terms(degree).zip(&values).map(fitted).sum();
                     let norm = column_products[i][i] * row_products[j][j];
-                    values[term] += (wanted[i][j] - found) / norm;
+                    values[term] += (target[i][j] - found) / norm;
                 }
             }
             values
@@ -56,37 +57,35 @@ impl BackgroundFit {
         }
     }
 
-    /// Checks the number of coefficients.
+    /// Checks the degree and the number of coefficients.
     ///
     /// # Errors
-    /// `Config` with the channel, the number expected and found.
+    /// `Config` with the channel, the expected and the found number.
     pub fn validate(&self) -> Result<()> {
-        if self.degree > MAX_DEGREE {
-            return Err(Error::config(format!(
-                "background.degree must be 0 to {MAX_DEGREE}, found {}",
-                self.degree
-            )));
-        }
-        let expected = terms(self.degree).count();
-        let channels = [
-            ("red", &self.red),
-            ("green", &self.green),
-            ("blue", &self.blue),
-        ];
-        for (name, values) in channels {
-            if values.len() != expected || values.iter().any(|v| !v.is_finite()) {
-                return Err(Error::config(format!(
-                    "background.{name} must be {expected} finite coefficients for degree {}, \
-                         found {}",
-                    self.degree,
-                    values.len()
-                )));
-            }
+        let degree = self.degree;
+        ensure(degree <= MAX_DEGREE, || {
+            Error::config(format!(
+                "background.degree must be 0 to {MAX_DEGREE}, found {degree}"
+            ))
+        })?;
+        let expected = terms(degree).count();
+        let channels = [&self.red, &self.green, &self.blue];
+        for (name, values) in ["red", "green", "blue"].into_iter().zip(channels) {
+            let found = values.len();
+            ensure(
+                found == expected && values.iter().all(|v| v.is_finite()),
+                || {
+                    Error::config(format!(
+                        "background.{name} must be {expected} finite coefficients for degree \
+                     {degree}, found {found}"
+                    ))
+                },
+            )?;
         }
         Ok(())
     }
 
-    /// The colours on a grid, grey levels: planes of red, green, blue.
+    /// Evaluates the fit on a grid: planes of red, green, blue, grey levels.
     pub fn planes(&self, width: usize, height: usize) -> [Vec<f32>; 3] {
         let (columns, rows) = (legendre(width, self.degree), legendre(height, self.degree));
         [&self.red, &self.green, &self.blue].map(|values| {
@@ -99,22 +98,22 @@ impl BackgroundFit {
     }
 }
 
-/// Sweeps of the fit.
+/// Gauss-Seidel sweeps of the fit.
 const SWEEPS: usize = 4;
 
-/// Degrees (i, j) of all terms.
+/// Iterates over the degrees (i, j) of all terms.
 fn terms(degree: usize) -> impl Iterator<Item = (usize, usize)> {
     (0..=degree).flat_map(move |i| (0..=degree - i).map(move |j| (i, j)))
 }
 
-/// P_0 to P_degree at `count` pixel centres over ±1.
+/// Evaluates P_0 to P_degree at `count` pixel centres across ±1.
 fn legendre(count: usize, degree: usize) -> Vec<Vec<f64>> {
-    let places = (0..count).map(|i| (2.0 * i as f64 + 1.0) / count as f64 - 1.0);
-    let places: Vec<f64> = places.collect();
-    let mut all = vec![vec![1.0; count], places.clone()];
+    let positions = (0..count).map(|i| (2.0 * i as f64 + 1.0) / count as f64 - 1.0);
+    let positions: Vec<f64> = positions.collect();
+    let mut all = vec![vec![1.0; count], positions.clone()];
     for n in 1..degree {
         let next = (0..count).map(|i| {
-            let (n, x) = (n as f64, places[i]);
+            let (n, x) = (n as f64, positions[i]);
             ((2.0 * n + 1.0) * x * all[all.len() - 1][i] - n * all[all.len() - 2][i]) / (n + 1.0)
         });
         let next = next.collect();
@@ -123,13 +122,13 @@ fn legendre(count: usize, degree: usize) -> Vec<Vec<f64>> {
     all
 }
 
-/// Sums of the products of each two of some polynomials over the pixels.
+/// Gram matrix of some polynomials over the pixels.
 fn products(polynomials: &[Vec<f64>]) -> Vec<Vec<f64>> {
     let with = |a: &Vec<f64>| polynomials.iter().map(|b| dot(a, b)).collect();
     polynomials.iter().map(with).collect()
 }
 
-/// `[i][j]`: sum of a channel of an image times column polynomial i and row polynomial j.
+/// `[i][j]`: sum over a channel times column polynomial i and row polynomial j.
 fn moments(
     image: &RgbImage,
     channel: usize,
@@ -165,7 +164,7 @@ fn subtract(plane: &mut [f64], column: &[f64], row: &[f64], step: f64) {
     }
 }
 
-/// Planes of red, green, blue of an image, grey levels.
+/// Returns the red, green and blue planes of an image, grey levels.
 pub(super) fn planes_of(image: &RgbImage) -> [Vec<f32>; 3] {
     std::array::from_fn(|c| image.pixels().map(|p| f32::from(p.0[c])).collect())
 }
@@ -176,13 +175,13 @@ mod tests {
     use image::Rgb;
 
     #[test]
-    fn a_smooth_image_comes_back() {
+    fn smooth_image_is_reproduced() {
         let colour = |x: f64, y: f64| [120.0 + 40.0 * x * y, 100.0 - 50.0 * y * y, 80.0 + 20.0 * x];
         let image = RgbImage::from_fn(64, 48, |x, y| {
-            let place = |i: u32, n: f64| (2.0 * f64::from(i) + 1.0) / n - 1.0;
-            Rgb(colour(place(x, 64.0), place(y, 48.0)).map(|v| v.round() as u8))
+            let position = |i: u32, n: f64| (2.0 * f64::from(i) + 1.0) / n - 1.0;
+            Rgb(colour(position(x, 64.0), position(y, 48.0)).map(|v| v.round() as u8))
         });
-        let fit = BackgroundFit::of_image(&image, 4);
+        let fit = BackgroundFit::from_image(&image, 4);
         fit.validate().unwrap();
         let planes = fit.planes(64, 48);
         for (i, pixel) in image.pixels().enumerate() {
@@ -196,8 +195,8 @@ mod tests {
     }
 
     #[test]
-    fn wrong_fits_are_refused() {
-        let mut fit = BackgroundFit::of_image(&RgbImage::new(8, 8), 2);
+    fn invalid_fit_is_refused() {
+        let mut fit = BackgroundFit::from_image(&RgbImage::new(8, 8), 2);
         fit.green.pop();
         assert!(fit.validate().unwrap_err().to_string().contains("green"));
         fit.degree = 99;
@@ -206,7 +205,7 @@ mod tests {
 
     #[test]
     fn degree_zero_is_the_mean() {
-        let fit = BackgroundFit::of_image(&RgbImage::from_pixel(5, 4, Rgb([7, 8, 9])), 0);
+        let fit = BackgroundFit::from_image(&RgbImage::from_pixel(5, 4, Rgb([7, 8, 9])), 0);
         assert!((fit.red[0] - 7.0).abs() < 1e-9 && fit.blue.len() == 1);
     }
 }

@@ -1,7 +1,7 @@
-//! Modified Bessel functions of order 0 and 1 for positive arguments, relative error below 1e-6
-//! (Abramowitz and Stegun, *Handbook of Mathematical Functions*, 9.8.1 to 9.8.8).
+//! Modified Bessel functions of the second kind K₀ and K₁ for positive arguments, relative error
+//! below 1e-6 (Abramowitz and Stegun, *Handbook of Mathematical Functions*, 9.8.1 to 9.8.8).
 
-/// Σ c_i x^i.
+/// Evaluates Σ c_i x^i.
 fn polynomial(x: f64, coefficients: &[f64]) -> f64 {
     coefficients.iter().rev().fold(0.0, |sum, c| sum * x + c)
 }
@@ -106,7 +106,7 @@ mod tests {
     }
 
     #[test]
-    fn both_equal_their_integrals() {
+    fn k0_and_k1_equal_their_integrals() {
         for x in [0.05, 0.3, 1.0, 1.99, 2.01, 4.0, 9.0] {
             let (zero, one) = (integral(0.0, x), integral(1.0, x));
             assert!((k0(x) / zero - 1.0).abs() < 2e-6, "{x}: {} {zero}", k0(x));

@@ -1,22 +1,22 @@
-//! How far a pressed gel stands off the object in the simulator.
+//! Gap between a pressed gel and the object in the simulator.
 //!
-//! Contact forces act over a distance: the barrier of incremental potential contact begins at
-//! `d_hat` and grows without bound towards 0, so the gel is pressed by a surface that lies a gap g
-//! in front of the object, smaller where the pressure is higher. A real gel lies on the object.
-//! The image of the press is therefore that of the object moved towards the gel by g. The object
-//! keeps its shape, so one g is taken for the whole image: the mean of the gaps between the
-//! deformed face and the object, weighted by the barrier's force at each.
+//! Contact forces act at a distance: the barrier of incremental potential contact starts at `d_hat`
+//! and grows without bound towards 0, so the gel is pressed by a surface at a gap g in front of the
+//! object, smaller at higher pressure. A real gel touches the object. The tactile image is
+//! therefore rendered with the object moved towards the gel by g. To keep the object's shape, one g
+//! is used for the whole image: the mean gap between the deformed face and the object, weighted by
+//! the barrier force.
 
 use super::press_depth::SensorGeometry;
 use super::rasteriser::Rasteriser;
 use gripcast_geometry::{Pose, TriangleMesh};
 use gripcast_sim::contact::barrier::Barrier;
 
-/// Distance of the samples over the face, m.
+/// Spacing of the samples on the face, m.
 const SAMPLE_M: f64 = 1e-4;
 
-/// Mean distance between a deformed face (in the sensor's frame) and the object, weighted by the
-/// force of a barrier from `d_hat_m` on; none where nothing touches.
+/// Returns the mean gap (m) between a deformed face (sensor frame) and the object, weighted by the
+/// force of a barrier with support `d_hat_m`; `None` without contact.
 pub fn contact_gap(
     object: &TriangleMesh,
     t_sensor_object: &Pose,
@@ -31,7 +31,7 @@ pub fn contact_gap(
         pixel_m: SAMPLE_M,
         gel_thickness_m: bounds.max.z,
     };
-    // Along z, a gap on a slope is longer than its distance.
+    // Along z, the gap on a slope exceeds its distance.
     let reach = bounds.max.z + 4.0 * d_hat_m;
     let range = [f64::NEG_INFINITY, reach];
     let (mut over, mut under) = (Rasteriser::new(), Rasteriser::new());

@@ -27,7 +27,7 @@ fn plate(z: f64) -> TriangleMesh {
 }
 
 #[test]
-fn parallel_plates_have_their_distance() {
+fn parallel_plates_have_gap_of_their_distance() {
     for gap in [1e-4, 3e-4, 4.8e-4] {
         let found = contact_gap(&plate(3e-3 + gap), &Pose::IDENTITY, &plate(3e-3), D_HAT_M);
         assert!((found.unwrap() - gap).abs() < 1e-9, "{found:?}");
@@ -39,20 +39,20 @@ fn parallel_plates_have_their_distance() {
 }
 
 #[test]
-fn slopes_have_the_distance_of_their_planes() {
-    let turned = |mesh: &TriangleMesh| {
+fn inclined_plates_have_gap_of_their_distance() {
+    let tilted = |mesh: &TriangleMesh| {
         mesh.transformed(&Pose::from_rotation(glam::DQuat::from_rotation_x(0.5)))
     };
     let found = contact_gap(
-        &turned(&plate(3e-3 + 4e-4)),
+        &tilted(&plate(3e-3 + 4e-4)),
         &Pose::IDENTITY,
-        &turned(&plate(3e-3)),
+        &tilted(&plate(3e-3)),
         D_HAT_M,
     );
     assert!((found.unwrap() - 4e-4).abs() < 1e-8, "{found:?}");
 }
 
-/// The gel pressed by `depth_m` beyond first contact; its object in the gel's frame.
+/// A gel pressed by `depth_m` beyond first contact, and the object in the gel's frame.
 fn simulated(mesh: &TriangleMesh, depth_m: f64) -> (System, TriangleMesh) {
     let parameters = SolverParameters {
         dt_s: 1.0,
@@ -64,8 +64,13 @@ fn simulated(mesh: &TriangleMesh, depth_m: f64) -> (System, TriangleMesh) {
     let collider = Collider::new(mesh);
     let body = AffineBody::new(1.0, 1.0, DMat3::IDENTITY, 1e9).unwrap();
     let lowest = mesh.bounds().min.z;
-    let place = DVec3::Z * (grid.thickness_m() + 1.02 * D_HAT_M - lowest);
-    let object = Object::new(body, AffineState::rigid(place, DMat3::IDENTITY), &collider).fixed();
+    let position = DVec3::Z * (grid.thickness_m() + 1.02 * D_HAT_M - lowest);
+    let object = Object::new(
+        body,
+        AffineState::rigid(position, DMat3::IDENTITY),
+        &collider,
+    )
+    .fixed();
     let material = GelMaterial::default();
     let drive = Drive::PerArea(1e12);
     let gel = Gel::new(&grid, &material, drive, &parameters, |p| p).unwrap();
@@ -77,11 +82,11 @@ fn simulated(mesh: &TriangleMesh, depth_m: f64) -> (System, TriangleMesh) {
         }
         assert!(system.step(&StepStart::default()).converged);
     }
-    (system, mesh.transformed(&Pose::from_translation(place)))
+    (system, mesh.transformed(&Pose::from_translation(position)))
 }
 
 #[test]
-fn a_simulated_press_has_the_gap_of_its_forces() {
+fn simulated_press_has_force_weighted_gap() {
     let ball = bumpy_ball(8e-3, 0.0, 60, 60);
     let mut block = builtin("builtin:box").unwrap();
     for vertex in &mut block.vertices {
@@ -96,12 +101,8 @@ fn a_simulated_press_has_the_gap_of_its_forces() {
             triangles: grid.triangles(Side::Front).to_vec(),
         };
         let found = contact_gap(&placed, &Pose::IDENTITY, &face, D_HAT_M).unwrap();
-        let (mean, least) = (gel.mean_gap().unwrap(), gel.min_gap().unwrap());
-        println!("{found:e} {mean:e} {least:e}");
-        assert!(
-            (found - mean).abs() < 1.5e-5,
-            "{found:e} {mean:e} {least:e}"
-        );
-        assert!(found > least && found < D_HAT_M);
+        let (mean, min) = (gel.mean_gap().unwrap(), gel.min_gap().unwrap());
+        assert!((found - mean).abs() < 1.5e-5, "{found:e} {mean:e} {min:e}");
+        assert!(found > min && found < D_HAT_M);
     }
 }

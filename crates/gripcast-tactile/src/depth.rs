@@ -1,15 +1,15 @@
-//! Tactile depth of the paper (§3.2): parallel rays from the sensor's image plane onto the object
-//! itself, not onto the gel, clipped at the thickness of the gel.
+//! Tactile depth as in the paper (§3.2): parallel rays from the sensor's image plane onto the
+//! object, not onto the gel, clipped to the gel thickness.
 
 use super::press_depth::{PressDepth, SensorGeometry};
 use super::rasteriser::Rasteriser;
 use super::scene::TactileScene;
 
-/// z of the image plane, m: behind the gel's back, inside the sensor's housing, where no object
-/// can be. What lies behind it, as the far wall of a mug around the finger, is not seen.
+/// z of the image plane, m: behind the gel, inside the sensor's housing. Surfaces behind it, such
+/// as the far wall of a mug around the finger, are ignored.
 pub(super) const IMAGE_PLANE_M: f64 = -0.01;
 
-/// Depth of the object in the gel under each pixel, from 0 to the gel's thickness.
+/// Renders the depth of the object in the gel per pixel, from 0 to the gel thickness.
 pub fn object_depth(
     scene: &TactileScene<'_>,
     grid: &SensorGeometry,
@@ -21,11 +21,11 @@ pub fn object_depth(
     depth_below(nearest, touch, grid)
 }
 
-/// Depth of the deformed gel's own face under each pixel, from 0 to the gel's thickness; none
-/// where the scene has no deformed face.
+/// Renders the depth of the deformed gel face per pixel, from 0 to the gel thickness; `None` if the
+/// scene has no deformed face.
 ///
-/// Away from the object the face sinks as well, and each triangle of its mesh is flat: the
-/// deformed area is larger than the contact, and checkered.
+/// The face also sinks around the object and its triangles are flat, so the deformed area is larger
+/// than the contact and faceted.
 pub fn gel_surface_depth(
     scene: &TactileScene<'_>,
     grid: &SensorGeometry,
@@ -37,7 +37,7 @@ pub fn gel_surface_depth(
     Some(depth_below(nearest, scene.face_m, grid))
 }
 
-/// Depths of surface heights below a plane.
+/// Converts surface heights to depths below a plane.
 pub(super) fn depth_below(z_m: &[f32], plane_m: f64, grid: &SensorGeometry) -> PressDepth {
     let (plane, thickness) = (plane_m as f32, grid.gel_thickness_m as f32);
     PressDepth {

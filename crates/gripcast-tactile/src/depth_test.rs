@@ -13,10 +13,10 @@ const GRID: SensorGeometry = SensorGeometry {
     gel_thickness_m: 4e-3,
 };
 
-fn scene(object: &TriangleMesh, place: DVec3, gap_m: f64) -> TactileScene<'_> {
+fn scene(object: &TriangleMesh, position: DVec3, gap_m: f64) -> TactileScene<'_> {
     TactileScene {
         object,
-        t_sensor_object: Pose::from_translation(place),
+        t_sensor_object: Pose::from_translation(position),
         face_m: 4e-3,
         gap_m,
         gel_face: None,
@@ -28,19 +28,19 @@ fn depth(scene: &TactileScene<'_>) -> PressDepth {
 }
 
 #[test]
-fn a_ball_at_a_known_place_has_its_own_depth() {
+fn ball_has_analytic_depth() {
     let radius = 6e-3;
     // Sagitta of a face: 0.6 µm.
     let ball = bumpy_ball(radius, 0.0, 160, 320);
-    let place = DVec3::new(1.1e-3, -0.7e-3, 4e-3 + radius - 1.2e-3);
+    let position = DVec3::new(1.1e-3, -0.7e-3, 4e-3 + radius - 1.2e-3);
     for gap in [0.0, 4.5e-4] {
-        let press = depth(&scene(&ball, place, gap));
+        let press = depth(&scene(&ball, position, gap));
         let mut worst = 0.0f64;
         for (pixel, depth) in press.depth_m.iter().enumerate() {
             let [x, y] = GRID.pixel_to_gel_m((pixel % 120) as f64, (pixel / 120) as f64);
-            let aside = (x - place.x).powi(2) + (y - place.y).powi(2);
+            let aside = (x - position.x).powi(2) + (y - position.y).powi(2);
             let up = (radius * radius - aside).max(0.0).sqrt();
-            let expected = (4e-3 + gap - (place.z - up)).max(0.0);
+            let expected = (4e-3 + gap - (position.z - up)).max(0.0);
             let expected = if aside < radius * radius {
                 expected
             } else {
@@ -54,7 +54,7 @@ fn a_ball_at_a_known_place_has_its_own_depth() {
 }
 
 #[test]
-fn depths_end_at_the_thickness_of_the_gel() {
+fn depth_is_clipped_to_gel_thickness() {
     let ball = bumpy_ball(8e-3, 0.0, 40, 40);
     // 5 mm deep, beyond the gel's back: still no hole.
     let press = depth(&scene(&ball, DVec3::Z * 7e-3, 0.0));
@@ -64,14 +64,14 @@ fn depths_end_at_the_thickness_of_the_gel() {
 }
 
 #[test]
-fn what_lies_behind_the_sensor_is_not_seen() {
+fn object_behind_the_sensor_is_ignored() {
     let ball = bumpy_ball(8e-3, 0.0, 40, 40);
     let press = depth(&scene(&ball, DVec3::Z * -30e-3, 0.0));
     assert_eq!(press, PressDepth::untouched(GRID));
 }
 
 #[test]
-fn an_undeformed_gel_is_flat_and_a_sunken_one_is_seen() {
+fn gel_surface_depth_shows_only_indentation() {
     let ball = bumpy_ball(8e-3, 0.0, 40, 40);
     let corner = |x: f64, y: f64, z: f64| DVec3::new(0.0125 * x, 0.01 * y, z);
     let face = |middle: f64| TriangleMesh {
@@ -84,18 +84,18 @@ fn an_undeformed_gel_is_flat_and_a_sunken_one_is_seen() {
         ],
         triangles: vec![[0, 1, 4], [1, 2, 4], [2, 3, 4], [3, 0, 4]],
     };
-    let mut seen = scene(&ball, DVec3::Z * 0.1, 0.0);
-    assert!(gel_surface_depth(&seen, &GRID, &mut Rasteriser::new()).is_none());
-    seen.gel_face = Some(face(4e-3));
-    let flat = gel_surface_depth(&seen, &GRID, &mut Rasteriser::new());
+    let mut scene = scene(&ball, DVec3::Z * 0.1, 0.0);
+    assert!(gel_surface_depth(&scene, &GRID, &mut Rasteriser::new()).is_none());
+    scene.gel_face = Some(face(4e-3));
+    let flat = gel_surface_depth(&scene, &GRID, &mut Rasteriser::new());
     assert_eq!(flat, Some(PressDepth::untouched(GRID)));
-    seen.gel_face = Some(face(3e-3));
-    let sunken = gel_surface_depth(&seen, &GRID, &mut Rasteriser::new()).unwrap();
+    scene.gel_face = Some(face(3e-3));
+    let sunken = gel_surface_depth(&scene, &GRID, &mut Rasteriser::new()).unwrap();
     // Half a pixel from the middle of a pyramid 1 mm deep.
     let expected = 1e-3 * (1.0 - 0.5e-4 / 0.01);
     assert!((sunken.deepest_m() - expected).abs() < 1e-7);
-    // A bulge beyond the face at rest is no press.
-    seen.gel_face = Some(face(4.2e-3));
-    let bulge = gel_surface_depth(&seen, &GRID, &mut Rasteriser::new());
+    // A bulge beyond the face at rest is not an indentation.
+    scene.gel_face = Some(face(4.2e-3));
+    let bulge = gel_surface_depth(&scene, &GRID, &mut Rasteriser::new());
     assert_eq!(bulge, Some(PressDepth::untouched(GRID)));
 }

@@ -1,11 +1,11 @@
 //! Gaussian filter of a plane of `f32`.
 
-/// Reach of the kernel in standard deviations; beyond it the weight is below 0.0003 of the peak.
+/// Kernel radius in standard deviations; beyond it the weight is below 0.0003 of the peak.
 const REACH: f64 = 4.0;
-/// Columns that are summed together; enough to fill the vector registers.
+/// Columns summed together; fills the vector registers.
 const LANES: usize = 16;
 
-/// The part of a plane that is not zero: columns `x0..x1`, rows `y0..y1`.
+/// Non-zero region of a plane: columns `x0..x1`, rows `y0..y1`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct Region {
     pub(super) x0: usize,
@@ -15,8 +15,8 @@ pub(super) struct Region {
 }
 
 impl Region {
-    /// Smallest region that holds every value other than 0; `None` if there is none.
-    pub(super) fn of_nonzero(plane: &[f32], width: usize) -> Option<Self> {
+    /// Returns the smallest region that contains all non-zero values; `None` if all are 0.
+    pub(super) fn nonzero(plane: &[f32], width: usize) -> Option<Self> {
         let mut found: Option<Self> = None;
         for (y, row) in plane.chunks_exact(width.max(1)).enumerate() {
             let Some(first) = row.iter().position(|v| *v != 0.0) else {
@@ -36,7 +36,7 @@ impl Region {
         found
     }
 
-    /// The region with a margin on each side, inside `width` × `height`.
+    /// Returns the region grown by a margin, clipped to `width` × `height`.
     pub(super) fn grown(self, margin: usize, width: usize, height: usize) -> Self {
         Self {
             x0: self.x0.saturating_sub(margin),
@@ -47,19 +47,19 @@ impl Region {
     }
 }
 
-/// Separable Gaussian; the border's values are continued outwards.
+/// Separable Gaussian filter with replicated border.
 #[derive(Clone, Debug)]
 pub(super) struct Gaussian {
-    /// Weights from the middle outwards; middle plus twice the rest is 1.
+    /// Weights from the centre outwards; the centre plus twice the others is 1.
     taps: Vec<f32>,
-    /// Rows after the horizontal pass.
+    /// Result of the horizontal pass.
     half: Vec<f32>,
-    /// One row with its border continued.
+    /// One row with its border replicated.
     padded: Vec<f32>,
 }
 
 impl Gaussian {
-    /// A filter of a standard deviation in pixels; 0 leaves the plane as it is.
+    /// Filter with a standard deviation in pixels; 0 is the identity.
     pub(super) fn new(sigma_px: f64) -> Self {
         let reach = (REACH * sigma_px.max(0.0)).ceil() as usize;
         let weight = |k: usize| (-0.5 * (k as f64 / sigma_px).powi(2)).exp();
@@ -75,12 +75,12 @@ impl Gaussian {
         }
     }
 
-    /// Pixels beyond which a value has no influence.
+    /// Kernel radius, pixels.
     pub(super) fn reach(&self) -> usize {
         self.taps.len() - 1
     }
 
-    /// Filters the plane, which is zero outside `region`; returns where it is not zero now.
+    /// Filters the plane, which is zero outside `region`; returns its new non-zero region.
     pub(super) fn apply(&mut self, plane: &mut [f32], width: usize, region: Region) -> Region {
         let height = plane.len() / width.max(1);
         let reach = self.reach();
@@ -102,7 +102,7 @@ impl Gaussian {
         wide
     }
 
-    /// One output row from the rows above and below it.
+    /// Computes one output row from the rows above and below.
     fn filter_column_block(
         &self,
         [width, height]: [usize; 2],
@@ -127,17 +127,17 @@ impl Gaussian {
     }
 }
 
-/// Writes the row with `reach` copies of its ends on both sides.
+/// Writes the row padded by `reach` copies of its end values.
 fn continue_border(row: &[f32], reach: usize, padded: &mut Vec<f32>) {
     let (first, last) = (row[0], row[row.len() - 1]);
     padded.clear();
     padded.resize(reach, first);
     padded.extend_from_slice(row);
-    // Room for the last block of lanes beside the border.
+    // Padding for the last block of lanes.
     padded.resize(2 * reach + row.len() + LANES, last);
 }
 
-/// `out[i]` = sum over the kernel centred at `padded[i + reach]`.
+/// Writes `out[i]` as the sum over the kernel centred at `padded[i + reach]`.
 fn filter_row(taps: &[f32], padded: &[f32], out: &mut [f32]) {
     let reach = taps.len() - 1;
     for (block, out) in out.chunks_mut(LANES).enumerate() {
@@ -146,7 +146,7 @@ fn filter_row(taps: &[f32], padded: &[f32], out: &mut [f32]) {
         for (k, tap) in taps.iter().enumerate() {
             let left = &padded[start + reach - k..][..LANES];
             let right = &padded[start + reach + k..][..LANES];
-            // The middle is counted once.
+            // The centre is counted once.
             let tap = if k == 0 { 0.5 * tap } else { *tap };
             for lane in 0..LANES {
                 sum[lane] += tap * (left[lane] + right[lane]);
@@ -162,14 +162,14 @@ mod tests {
 
     fn filtered(plane: &[f32], width: usize, sigma: f64) -> Vec<f32> {
         let mut out = plane.to_vec();
-        if let Some(region) = Region::of_nonzero(plane, width) {
+        if let Some(region) = Region::nonzero(plane, width) {
             Gaussian::new(sigma).apply(&mut out, width, region);
         }
         out
     }
 
     #[test]
-    fn a_point_becomes_the_sampled_gaussian() {
+    fn impulse_becomes_sampled_gaussian() {
         let (width, height) = (61, 51);
         let mut plane = vec![0.0; width * height];
         plane[25 * width + 30] = 1.0;
@@ -188,7 +188,7 @@ mod tests {
     }
 
     #[test]
-    fn borders_are_continued_so_a_constant_stays() {
+    fn constant_plane_is_unchanged() {
         let plane = vec![2.0; 40 * 7];
         for value in filtered(&plane, 40, 4.0) {
             assert!((value - 2.0).abs() < 1e-5);
@@ -208,7 +208,7 @@ mod tests {
     }
 
     #[test]
-    fn only_the_reach_of_the_region_changes_and_nothing_is_lost() {
+    fn filtering_a_region_equals_filtering_the_plane() {
         let (width, height) = (90, 70);
         let mut plane = vec![0.0; width * height];
         plane[3 * width + 80] = 5.0;
@@ -224,7 +224,7 @@ mod tests {
     }
 
     #[test]
-    fn an_empty_plane_stays_empty() {
-        assert_eq!(Region::of_nonzero(&[0.0; 12], 4), None);
+    fn zero_plane_has_no_region() {
+        assert_eq!(Region::nonzero(&[0.0; 12], 4), None);
     }
 }

@@ -1,75 +1,59 @@
-//! The image of the deformed gel's own mesh, to compare with: what Taccel's built-in renderer
-//! looks at (Li et al. 2025).
+//! Baseline renderer: image of the deformed gel mesh, as in Taccel's built-in renderer (Li et al.
+//! 2025).
 //!
-//! Rays meet the flat triangles of the gel's face, so each triangle of the mesh has one normal and
-//! shows as a flat patch, and the face sinks beyond the contact. Colours are those of the sensor's
-//! profile; Taccel's own are a neural network of another sensor.
+//! Rays hit the flat triangles of the gel face, so each triangle has one normal and shows as a flat
+//! patch, and the face sinks around the contact. Shading is that of the sensor profile; Taccel uses
+//! a neural network of another sensor.
 
 use glam::DVec3;
 use image::RgbImage;
 
 use super::depth::{depth_below, gel_surface_depth};
-use super::noise::Drift;
 use super::press_depth::{PressDepth, SensorGeometry};
 use super::profile::SensorProfile;
 use super::rasteriser::Rasteriser;
-use super::renderer::TactileRenderer;
 use super::scene::TactileScene;
-use super::scene_renderer::{SceneRenderer, look};
+use super::scene_renderer::{ObjectDepthRenderer, SceneRenderer, noise};
 use super::smooth::Smoothing;
 use gripcast_base::error::{Error, Result};
 use gripcast_geometry::{Pose, TriangleMesh};
 use gripcast_sim::fem::{GelGrid, Side};
 
-/// Renders the deformed face of the gel, without smoothing.
+/// Renders the deformed gel face without smoothing.
 #[derive(Clone, Debug)]
-pub struct GelSurfaceRenderer {
-    shading: TactileRenderer,
-    drift: Drift,
-    rasteriser: Rasteriser,
-}
+pub struct GelSurfaceRenderer(ObjectDepthRenderer);
 
 impl GelSurfaceRenderer {
-    /// A renderer with the colours of a sensor's profile.
+    /// Renderer with the shading of a sensor profile.
     ///
     /// # Errors
-    /// `Config` if the profile is not valid.
+    /// `Config` if the profile is invalid.
     pub fn new(profile: &SensorProfile) -> Result<Self> {
         let unsmoothed = SensorProfile {
             smoothing: Smoothing::default(),
             ..profile.clone()
         };
-        Ok(Self {
-            shading: TactileRenderer::new(&unsmoothed)?,
-            drift: profile.drift,
-            rasteriser: Rasteriser::new(),
-        })
+        ObjectDepthRenderer::new(&unsmoothed).map(Self)
     }
 }
 
 impl SceneRenderer for GelSurfaceRenderer {
-    fn name(&self) -> &'static str {
-        "gel-surface"
-    }
-
     fn grid(&self) -> SensorGeometry {
-        self.shading.geometry()
+        self.0.grid()
     }
 
     fn render(&mut self, scene: &TactileScene<'_>, seed: Option<u64>) -> Result<RgbImage> {
         let grid = self.grid();
-        let press = gel_surface_depth(scene, &grid, &mut self.rasteriser).ok_or_else(|| {
-            Error::input(
-                "the gel-surface renderer needs the deformed gel, which this scene does not have",
-            )
-            .remedy("render the end of a stage of a simulated grasp")
+        let press = gel_surface_depth(scene, &grid, &mut self.0.rasteriser).ok_or_else(|| {
+            Error::input("the gel-surface renderer needs the deformed gel, which the scene lacks")
+                .remedy("render the end of a stage of a simulated grasp")
         })?;
-        self.shading.render(&press, &look(&self.drift, seed))
+        self.0.shading.render(&press, &noise(&self.0.drift, seed))
     }
 }
 
-/// A press as flat triangles between the nodes of a gel's face that lie on it: the best that a
-/// mesh of the gel can show of it.
+/// Resamples a press at the nodes of a gel face with flat triangles between them: the best that the
+/// gel mesh can represent.
 pub fn faceted(press: &PressDepth, gel: &GelGrid, rasteriser: &mut Rasteriser) -> PressDepth {
     let grid = &press.geometry;
     let thickness = gel.thickness_m();
@@ -85,15 +69,15 @@ pub fn faceted(press: &PressDepth, gel: &GelGrid, rasteriser: &mut Rasteriser) -
             .collect(),
     };
     let range = [f64::NEG_INFINITY, thickness];
-    let seen = rasteriser.nearest(&face, &Pose::IDENTITY, grid, range);
-    depth_below(seen, thickness, grid)
+    let nearest = rasteriser.nearest(&face, &Pose::IDENTITY, grid, range);
+    depth_below(nearest, thickness, grid)
 }
 
-/// Depth at the pixel nearest to a point of the face; 0 outside the image.
+/// Returns the depth at the pixel nearest to a point of the face; 0 outside the image.
 fn depth_at(press: &PressDepth, point: &DVec3) -> f64 {
     let grid = &press.geometry;
-    let pixel = |at: f64, count: usize| {
-        let pixel = (at / grid.pixel_m + 0.5 * (count as f64 - 1.0)).round();
+    let pixel = |c: f64, count: usize| {
+        let pixel = (c / grid.pixel_m + 0.5 * (count as f64 - 1.0)).round();
         (pixel >= 0.0 && pixel < count as f64).then_some(pixel as usize)
     };
     match (pixel(point.x, grid.width), pixel(point.y, grid.height)) {
@@ -105,8 +89,7 @@ fn depth_at(press: &PressDepth, point: &DVec3) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::ObjectDepthRenderer;
-    use crate::lookup::{LookupRenderer, TaximHeights, TaximTable};
+    use crate::lookup::{LookupRenderer, TaximTable};
     use gripcast_geometry::builtin;
 
     /// The middle of the face sunk by `depth_m`, the object far away.
@@ -132,17 +115,12 @@ mod tests {
     }
 
     #[test]
-    fn an_undeformed_gel_is_the_untouched_image_for_every_renderer() {
+    fn every_renderer_shows_undeformed_gel_as_background() {
         let object = builtin("builtin:sphere").unwrap();
         let profile = SensorProfile::gelsight_mini().unwrap();
         let untouched = profile.background.image.clone().unwrap();
         let table = TaximTable::constant(9, [640, 480], [5.0, 0.0, 0.0]);
-        let lookup = LookupRenderer::new(
-            profile.geometry,
-            untouched.clone(),
-            table,
-            TaximHeights::default(),
-        );
+        let lookup = LookupRenderer::new(profile.geometry, untouched.clone(), table);
         let renderers: [Box<dyn SceneRenderer>; 3] = [
             Box::new(ObjectDepthRenderer::new(&profile).unwrap()),
             Box::new(GelSurfaceRenderer::new(&profile).unwrap()),
@@ -151,12 +129,12 @@ mod tests {
         for mut renderer in renderers {
             assert_eq!(renderer.grid(), profile.geometry);
             let image = renderer.render(&scene(&object, 0.0), None).unwrap();
-            assert_eq!(image, untouched, "{}", renderer.name());
+            assert_eq!(image, untouched);
         }
     }
 
     #[test]
-    fn each_face_of_the_mesh_has_one_colour() {
+    fn each_triangle_has_one_colour() {
         let object = builtin("builtin:sphere").unwrap();
         let mut profile = SensorProfile::gelsight_mini().unwrap();
         // A flat background and colours that do not depend on the place.
@@ -165,8 +143,9 @@ mod tests {
         let change = |renderer: &mut GelSurfaceRenderer, depth: f64| {
             let grid = renderer.grid();
             let press =
-                gel_surface_depth(&scene(&object, depth), &grid, &mut renderer.rasteriser).unwrap();
-            renderer.shading.change(&press).unwrap().clone()
+                gel_surface_depth(&scene(&object, depth), &grid, &mut renderer.0.rasteriser)
+                    .unwrap();
+            renderer.0.shading.change(&press).unwrap().clone()
         };
         let sunk = change(&mut renderer, 2e-3);
         let grid = renderer.grid();
@@ -178,7 +157,7 @@ mod tests {
     }
 
     #[test]
-    fn facets_meet_the_press_at_the_nodes_of_the_gel() {
+    fn facets_match_the_press_at_gel_nodes() {
         let geometry = SensorGeometry {
             width: 200,
             height: 160,
@@ -206,7 +185,7 @@ mod tests {
     }
 
     #[test]
-    fn a_scene_without_gel_is_explained() {
+    fn scene_without_gel_is_refused() {
         let object = builtin("builtin:sphere").unwrap();
         let profile = SensorProfile::gelsight_mini().unwrap();
         let lacking = TactileScene {
@@ -221,7 +200,7 @@ mod tests {
     }
 
     #[test]
-    fn a_seed_gives_the_same_bytes_and_another_other_noise() {
+    fn noise_depends_on_seed() {
         let object = builtin("builtin:sphere").unwrap();
         let profile = SensorProfile::gelsight_mini().unwrap();
         let mut renderer = ObjectDepthRenderer::new(&profile).unwrap();

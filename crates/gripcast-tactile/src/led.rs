@@ -1,13 +1,13 @@
-//! Shading from the geometry of the lamps: near point lights, diffuse and specular.
+//! LED shading: near point lights with diffuse and specular reflection.
 //!
-//! For a lamp at p, a point of the face at q and the unit vector l from q to p,
-//! I = (d₀/|p − q|)² · (k_d max(n·l, 0) + k_s max(r_z, 0)^α), r = 2 (n·l) n − l (Phong), with the
-//! camera straight above the face and d₀ the lamp's distance from the face's middle. The change
-//! against the untouched gel is Σ I(n) − Σ I(0, 0, 1), so light that does not depend on the
-//! slope drops out.
+//! For an LED at p, a point of the face at q and the unit vector l from q to p, I = (d₀/|p − q|)² ·
+//! (k_d max(n·l, 0) + k_s max(r_z, 0)^α), r = 2 (n·l) n − l (Phong), with the camera straight above
+//! the face and d₀ the distance of the LED from the centre of the face. The change relative to the
+//! untouched gel is Σ I(n) − Σ I(0, 0, 1), so slope-independent light cancels.
 
 use serde::{Deserialize, Serialize};
 
+use super::ensure;
 use super::normals::Normals;
 use super::press_depth::SensorGeometry;
 use gripcast_base::error::{Error, Result};
@@ -16,36 +16,35 @@ use gripcast_base::error::{Error, Result};
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Led {
-    /// Place: x along the columns and y along the rows from the image's middle, z from the
-    /// face towards the camera, m.
+    /// Position, m: x along the columns and y along the rows from the image centre, z from the face
+    /// towards the camera.
     pub position_m: [f64; 3],
-    /// Diffuse strength in red, green, blue, grey levels.
+    /// Diffuse intensity in red, green, blue, grey levels.
     pub diffuse: [f64; 3],
-    /// Specular strength in red, green, blue, grey levels.
+    /// Specular intensity in red, green, blue, grey levels.
     pub specular: [f64; 3],
 }
 
-/// Lamps and gloss of a sensor.
+/// LEDs and shininess of a sensor.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct LedShading {
     /// Phong exponent, 1 to 64.
     pub shininess: u32,
-    /// The lamps.
+    /// LEDs.
     pub leds: Vec<Led>,
 }
 
-/// Most lamps.
+/// Maximum number of LEDs.
 const MAX_LEDS: usize = 16;
-/// Largest Phong exponent.
+/// Maximum Phong exponent.
 const MAX_SHININESS: u32 = 64;
 
 impl LedShading {
-    /// Three lamps, red, green and blue, a third of a turn apart beside the pad, as a Mini's
-    /// colours suggest: red from the top of the image. Strengths are a guess to start a fit
-    /// from.
+    /// Initial guess for a GelSight Mini: red, green and blue LEDs at 120° beside the pad, red at
+    /// the top of the image.
     pub fn mini_guess() -> Self {
-        let lamp = |degrees: f64, channel: usize| {
+        let led = |degrees: f64, channel: usize| {
             let (sin, cos) = degrees.to_radians().sin_cos();
             let mut diffuse = [15.0; 3];
             diffuse[channel] = 120.0;
@@ -59,44 +58,39 @@ impl LedShading {
         };
         Self {
             shininess: 8,
-            leds: vec![lamp(-90.0, 0), lamp(30.0, 1), lamp(150.0, 2)],
+            leds: vec![led(-90.0, 0), led(30.0, 1), led(150.0, 2)],
         }
     }
 
-    /// Checks counts and values.
+    /// Checks counts and ranges.
     ///
     /// # Errors
-    /// `Config` with what was expected and found.
+    /// `Config` with the expected and the found value.
     pub fn validate(&self) -> Result<()> {
-        let refused = |what: String| Err(Error::config(what));
-        if self.leds.is_empty() || self.leds.len() > MAX_LEDS {
-            return refused(format!(
-                "shading.leds must hold 1 to {MAX_LEDS} lamps, found {}",
-                self.leds.len()
-            ));
-        }
-        if self.shininess == 0 || self.shininess > MAX_SHININESS {
-            return refused(format!(
-                "shading.shininess must be 1 to {MAX_SHININESS}, found {}",
-                self.shininess
-            ));
-        }
+        let require = |holds, what: &dyn Fn() -> String| {
+            ensure(holds, || Error::config(format!("shading.{}", what())))
+        };
+        let (count, shininess) = (self.leds.len(), self.shininess);
+        require((1..=MAX_LEDS).contains(&count), &|| {
+            format!("leds must contain 1 to {MAX_LEDS} LEDs, found {count}")
+        })?;
+        require((1..=MAX_SHININESS).contains(&shininess), &|| {
+            format!("shininess must be 1 to {MAX_SHININESS}, found {shininess}")
+        })?;
         for (i, led) in self.leds.iter().enumerate() {
             let values = [led.position_m, led.diffuse, led.specular];
-            if values.iter().flatten().any(|v| !v.is_finite()) {
-                return refused(format!("shading.leds[{i}] holds a value that is no number"));
-            }
-            if led.position_m[2] <= 0.0 {
-                return refused(format!(
-                    "shading.leds[{i}] must lie in front of the face (z > 0), found z = {} m",
-                    led.position_m[2]
-                ));
-            }
+            require(values.iter().flatten().all(|v| v.is_finite()), &|| {
+                format!("leds[{i}] contains a value that is not finite")
+            })?;
+            let z = led.position_m[2];
+            require(z > 0.0, &|| {
+                format!("leds[{i}] must lie in front of the face (z > 0), found z = {z} m")
+            })?;
         }
         Ok(())
     }
 
-    /// Adds the change of every pixel, grey levels, to the planes of red, green and blue.
+    /// Adds the change of each pixel, grey levels, to the red, green and blue planes.
     pub(super) fn add(
         &self,
         geometry: &SensorGeometry,
@@ -108,13 +102,13 @@ impl LedShading {
         };
         let mut light = RowLight::default();
         for led in &self.leds {
-            let lamp = Lamp::new(led, self.shininess);
+            let light_source = PointLight::new(led, self.shininess);
             for row in region.y0..region.y1 {
                 let span = row * geometry.width + region.x0..row * geometry.width + region.x1;
                 let [first, y] = geometry.pixel_to_gel_m(region.x0 as f64, row as f64);
                 let start = [first as f32, y as f32];
                 light.fill(
-                    &lamp,
+                    &light_source,
                     start,
                     geometry.pixel_m as f32,
                     [
@@ -124,7 +118,10 @@ impl LedShading {
                     ],
                 );
                 for (channel, plane) in planes.iter_mut().enumerate() {
-                    let (diffuse, specular) = (lamp.diffuse[channel], lamp.specular[channel]);
+                    let (diffuse, specular) = (
+                        light_source.diffuse[channel],
+                        light_source.specular[channel],
+                    );
                     let row = plane[span.clone()].iter_mut();
                     for (out, (d, s)) in row.zip(light.diffuse.iter().zip(&light.shine)) {
                         *out += diffuse * d + specular * s;
@@ -135,8 +132,7 @@ impl LedShading {
     }
 }
 
-/// Change of a lamp's light along a row, as [`Lamp::change`] for each pixel, in loops that
-/// vectorise.
+/// Change of an LED's light along a row, as [`PointLight::change`], in loops that vectorise.
 #[derive(Default)]
 struct RowLight {
     diffuse: Vec<f32>,
@@ -146,8 +142,8 @@ struct RowLight {
 }
 
 impl RowLight {
-    /// `start` is the place of the first pixel, m; the others follow along x.
-    fn fill(&mut self, lamp: &Lamp, start: [f32; 2], pixel_m: f32, normals: [&[f32]; 3]) {
+    /// `start` is the position of the first pixel, m; the others follow along x.
+    fn fill(&mut self, led: &PointLight, start: [f32; 2], pixel_m: f32, normals: [&[f32]; 3]) {
         let [nx, ny, nz] = normals;
         for plane in [
             &mut self.diffuse,
@@ -157,7 +153,7 @@ impl RowLight {
         ] {
             plane.resize(nx.len(), 0.0);
         }
-        let (y, z) = (lamp.position[1] - start[1], lamp.position[2]);
+        let (y, z) = (led.position[1] - start[1], led.position[2]);
         let across = y * y + z * z;
         let out = self.diffuse.iter_mut().zip(self.falloff.iter_mut());
         let out = out.zip(self.shine.iter_mut().zip(self.shine_flat.iter_mut()));
@@ -165,18 +161,18 @@ impl RowLight {
         for (i, (((diffuse, falloff), (shine, flat)), (nx, (ny, nz)))) in
             out.zip(normals).enumerate()
         {
-            let x = lamp.position[0] - (start[0] + i as f32 * pixel_m);
+            let x = led.position[0] - (start[0] + i as f32 * pixel_m);
             let square = x * x + across;
             let inverse = 1.0 / square.sqrt();
             let upward = z * inverse;
             let facing = (nx * x + ny * y) * inverse + (1.0 + nz) * upward;
-            *falloff = lamp.distance_square / square;
+            *falloff = led.distance_square / square;
             *diffuse = *falloff * (facing.max(0.0) - upward);
             *shine = (2.0 * facing * (1.0 + nz) - upward).max(0.0);
             *flat = upward.max(0.0);
         }
-        raise_all(&mut self.shine, lamp.shininess);
-        raise_all(&mut self.shine_flat, lamp.shininess);
+        pow_all(&mut self.shine, led.shininess);
+        pow_all(&mut self.shine_flat, led.shininess);
         let flat = self.shine_flat.iter().zip(&self.falloff);
         for (shine, (flat, falloff)) in self.shine.iter_mut().zip(flat) {
             *shine = falloff * (*shine - flat);
@@ -184,8 +180,8 @@ impl RowLight {
     }
 }
 
-/// Each value to the power of `exponent`, by squaring.
-fn raise_all(values: &mut [f32], exponent: u32) {
+/// Raises all values to a power by repeated squaring.
+fn pow_all(values: &mut [f32], exponent: u32) {
     const BLOCK: usize = 16;
     for block in values.chunks_mut(BLOCK) {
         let mut square = [0.0f32; BLOCK];
@@ -205,9 +201,9 @@ fn raise_all(values: &mut [f32], exponent: u32) {
     }
 }
 
-/// A lamp in single precision.
+/// An LED in single precision.
 #[derive(Clone, Debug)]
-pub(super) struct Lamp {
+pub(super) struct PointLight {
     position: [f32; 3],
     distance_square: f32,
     diffuse: [f32; 3],
@@ -215,7 +211,7 @@ pub(super) struct Lamp {
     shininess: u32,
 }
 
-impl Lamp {
+impl PointLight {
     pub(super) fn new(led: &Led, shininess: u32) -> Self {
         let position = led.position_m.map(|v| v as f32);
         Self {
@@ -227,16 +223,16 @@ impl Lamp {
         }
     }
 
-    /// Diffuse and specular light of unit strength at a place of the face (m) with a normal
-    /// (nx, ny, nz − 1), less that of the untouched face.
-    pub(super) fn change(&self, place: [f32; 2], normal: [f32; 3]) -> [f32; 2] {
+    /// Returns the diffuse and specular change, for unit intensity, at a position of the face (m)
+    /// with the normal (nx, ny, nz − 1).
+    pub(super) fn change(&self, position: [f32; 2], normal: [f32; 3]) -> [f32; 2] {
         let [x, y, z_less_1] = normal;
         if x == 0.0 && y == 0.0 {
             return [0.0; 2];
         }
         let to = [
-            self.position[0] - place[0],
-            self.position[1] - place[1],
+            self.position[0] - position[0],
+            self.position[1] - position[1],
             self.position[2],
         ];
         let square: f32 = to.iter().map(|v| v * v).sum();
@@ -244,7 +240,7 @@ impl Lamp {
         let l = to.map(|v| v / square.sqrt());
         let z = 1.0 + z_less_1;
         let facing = x * l[0] + y * l[1] + z * l[2];
-        let shine = |r_z: f32| power(r_z.max(0.0), self.shininess);
+        let shine = |r_z: f32| r_z.max(0.0).powi(self.shininess as i32);
         [
             falloff * (facing.max(0.0) - l[2]),
             falloff * (shine(2.0 * facing * z - l[2]) - shine(l[2])),
@@ -252,28 +248,15 @@ impl Lamp {
     }
 }
 
-/// base^exponent by squaring.
-fn power(base: f32, exponent: u32) -> f32 {
-    let (mut result, mut square, mut left) = (1.0, base, exponent);
-    while left > 0 {
-        if left & 1 == 1 {
-            result *= square;
-        }
-        square *= square;
-        left >>= 1;
-    }
-    result
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
 
     #[test]
-    fn a_slope_towards_the_lamp_is_brighter() {
+    fn slope_towards_the_led_is_brighter() {
         let guess = LedShading::mini_guess();
         guess.validate().unwrap();
-        let red = Lamp::new(&guess.leds[0], guess.shininess);
+        let red = PointLight::new(&guess.leds[0], guess.shininess);
         let tilt = |degrees: f32| {
             let (sin, cos) = degrees.to_radians().sin_cos();
             [0.0, sin, cos - 1.0]
@@ -288,7 +271,7 @@ mod tests {
     }
 
     #[test]
-    fn rows_give_the_light_of_their_pixels() {
+    fn row_shading_equals_pixel_shading() {
         let geometry = SensorGeometry {
             width: 37,
             height: 5,
@@ -299,7 +282,7 @@ mod tests {
             .map(|i| 1e-4 * ((i % 37) as f32 * 0.6).sin() * (i / 37) as f32)
             .collect();
         let mut normals = Normals::default();
-        normals.take(&map, &geometry);
+        normals.compute(&map, &geometry);
         let shading = LedShading::mini_guess();
         let mut planes = std::array::from_fn(|_| vec![0.0; 185]);
         shading.add(&geometry, &normals, &mut planes);
@@ -310,7 +293,7 @@ mod tests {
                 .leds
                 .iter()
                 .map(|led| {
-                    let [d, s] = Lamp::new(led, 8).change([x as f32, y as f32], normal);
+                    let [d, s] = PointLight::new(led, 8).change([x as f32, y as f32], normal);
                     led.diffuse[1] as f32 * d + led.specular[1] as f32 * s
                 })
                 .sum();
@@ -319,15 +302,18 @@ mod tests {
     }
 
     #[test]
-    fn powers_are_powers() {
+    fn powers_agree_with_powi() {
         for exponent in [1, 2, 7, 8, 33, 64] {
-            let expected = 0.93f32.powi(exponent as i32);
-            assert!((power(0.93, exponent) - expected).abs() < 1e-5);
+            let bases: Vec<f32> = (0..999).map(|i| i as f32 / 997.0).collect();
+            let mut powers = bases.clone();
+            pow_all(&mut powers, exponent);
+            let expected: Vec<f32> = bases.iter().map(|b| b.powi(exponent as i32)).collect();
+            assert_eq!(powers, expected);
         }
     }
 
     #[test]
-    fn lamps_behind_the_face_are_refused() {
+    fn led_behind_the_face_is_refused() {
         let mut shading = LedShading::mini_guess();
         shading.leds[1].position_m[2] = 0.0;
         assert!(

@@ -1,17 +1,17 @@
-//! Images of a GelSight Mini pressed on an object.
+//! Tactile images of a GelSight Mini pressed on an object.
 //!
-//! A press is a map of depths on the sensor's pixel grid ([`PressDepth`]); a renderer makes a
-//! image of it. Columns of the image run along the gel's x axis (the gripper's approach,
-//! 25 mm), rows along its y axis, as the sensor's camera sees it from behind the gel.
+//! A press is a depth map on the sensor's pixel grid ([`PressDepth`]), from which a renderer makes
+//! an image. Image columns run along the gel's x axis (the gripper's approach direction, 25 mm),
+//! rows along its y axis, as seen by the sensor's camera behind the gel.
 //!
-//! A [`TactileScene`] is what a sensor meets, of a simulated grasp or of a mesh pressed by hand;
-//! every [`SceneRenderer`] makes images of it. That of the paper is [`ObjectDepthRenderer`]:
-//! [`object_depth`] by a z-buffer ([`Rasteriser`]), then [`TactileRenderer`]. To compare with are
-//! [`GelSurfaceRenderer`] and [`lookup::LookupRenderer`].
+//! A [`TactileScene`] is the object and the gel in the sensor frame, from a simulated grasp or from
+//! a mesh pressed to a given depth; every [`SceneRenderer`] renders it. [`ObjectDepthRenderer`] is
+//! the renderer of the paper: [`object_depth`] by a z-buffer ([`Rasteriser`]), then
+//! [`TactileRenderer`]. [`GelSurfaceRenderer`] and [`lookup::LookupRenderer`] are baselines.
 //!
-//! [`TactileRenderer`] works by a [`SensorProfile`], which [`calibrate`] fits to real presses:
-//! depth → shape of the gel ([`Smoothing`]) → normals → change of light ([`ShadingModel`]) on the
-//! image of the untouched gel → drift and noise ([`FrameLook`]).
+//! [`TactileRenderer`] uses a [`SensorProfile`], which [`calibrate`] fits to real presses: depth →
+//! gel shape ([`Smoothing`]) → normals → change of light ([`ShadingModel`]) on the background image
+//! → drift and noise ([`FrameNoise`]).
 
 mod background;
 mod bessel;
@@ -45,18 +45,23 @@ pub use contact_gap::contact_gap;
 pub use depth::{gel_surface_depth, object_depth};
 pub use gel_surface::{GelSurfaceRenderer, faceted};
 pub use led::{Led, LedShading};
-pub use membrane::sink_of_ball_m;
-pub use noise::{Drift, FrameLook};
+pub use membrane::ball_sink_m;
+pub use noise::{Drift, FrameNoise};
 pub use normals::Normals;
 pub use press_depth::{PressDepth, SensorGeometry};
 pub use profile::{Background, SensorProfile, ShadingModel};
 pub use rasteriser::{NO_TRIANGLE, Rasteriser};
 pub use renderer::TactileRenderer;
 pub use rigid_press::{depth_under_force, foundation_pa_m};
-pub use scene::{Mounting, SensorPlace, SimulatedGel, TactileScene};
+pub use scene::{MountingAngle, SensorMount, SimulatedGel, TactileScene};
 pub use scene_renderer::{ObjectDepthRenderer, SceneRenderer};
 pub use shading::{NormalOrder, PolynomialShading, PositionOrder};
 pub use smooth::{Smoother, Smoothing};
 pub use trace_header::{TraceHeader, TraceObject, TraceStart};
 pub use variation::SensorVariation;
 pub use whole_frame::WholeFrame;
+
+/// Fails with the given error unless the condition holds.
+fn ensure<E>(holds: bool, error: impl FnOnce() -> E) -> Result<(), E> {
+    if holds { Ok(()) } else { Err(error()) }
+}

@@ -1,28 +1,27 @@
-//! How the gel sinks around an object: an obstacle problem.
+//! Deformation of the gel around an object as an obstacle problem.
 //!
-//! The face is a stretched membrane on an elastic bed that the object pushes in: u minimises
-//! ∫ λ²|∇u|² + u² under u ≥ h, with h the object's depth below the untouched face. Where the
-//! face is free, u = λ²∇²u: it leaves the object without a kink and falls off over the length λ.
-//! A ball in contact over the radius a sinks a further λ · tan φ · K₀(a/λ)/K₁(a/λ) below the far
-//! face, φ the slope at the border (modified Bessel functions).
+//! The face is a stretched membrane on an elastic foundation, indented by the object: u minimises ∫
+//! λ²|∇u|² + u² subject to u ≥ h, with the object's depth h below the untouched face. Where the
+//! face is free, u = λ²∇²u: it leaves the object without a kink and decays over the length λ. A
+//! ball in contact over the radius a sinks by a further λ · tan φ · K₀(a/λ)/K₁(a/λ), with the slope
+//! φ at the border (modified Bessel functions).
 //!
-//! Solved from coarse to fine by red-black Gauss-Seidel with over-relaxation and projection on
-//! u ≥ h, down to half the resolution; on the full grid u is the larger of h and the
-//! interpolation.
+//! Solved coarse to fine by red-black projected SOR down to half the resolution; on the full grid u
+//! is the maximum of h and the interpolation.
 
 use super::bessel::{k0, k1};
 
-/// Sweeps on every level; the coarser one gives the start.
+/// Sweeps per level; each level starts from the coarser one.
 const SWEEPS: usize = 10;
-/// Over-relaxation.
+/// Over-relaxation factor.
 const OMEGA: f32 = 1.4;
-/// The coarsest level has at least this many pixels on its shorter side.
-const COARSEST: usize = 6;
+/// Minimum shorter side of the coarsest level, pixels.
+const MIN_COARSE_SIDE: usize = 6;
 
 /// Depth of the border of a ball's contact below the untouched face, m.
 ///
-/// `contact_m` is the radius of the contact, `ball_m` that of the ball, `length_m` the length λ.
-pub fn sink_of_ball_m(contact_m: f64, ball_m: f64, length_m: f64) -> f64 {
+/// `contact_m` is the contact radius, `ball_m` the ball radius, `length_m` the length λ.
+pub fn ball_sink_m(contact_m: f64, ball_m: f64, length_m: f64) -> f64 {
     if length_m <= 0.0 || contact_m <= 0.0 {
         return 0.0;
     }
@@ -31,7 +30,7 @@ pub fn sink_of_ball_m(contact_m: f64, ball_m: f64, length_m: f64) -> f64 {
     slope * length_m * k0(x) / k1(x)
 }
 
-/// Grids of one size, coarsest last; level 0 has half the resolution of the image.
+/// Multigrid levels, coarsest last; level 0 has half the resolution of the image.
 #[derive(Clone, Debug)]
 pub(super) struct Membrane {
     length_px: f64,
@@ -47,7 +46,7 @@ struct Level {
 }
 
 impl Membrane {
-    /// Prepares a membrane of length λ in pixels.
+    /// Prepares a membrane of length λ, pixels.
     pub(super) fn new(length_px: f64) -> Self {
         Self {
             length_px,
@@ -55,17 +54,17 @@ impl Membrane {
         }
     }
 
-    /// Raises the object's depth to the depth of the face, in place.
-    pub(super) fn settle(&mut self, depth: &mut [f32], width: usize) {
+    /// Replaces the object's depth by the depth of the face, in place.
+    pub(super) fn solve(&mut self, depth: &mut [f32], width: usize) {
         if self.length_px <= 0.0 || depth.iter().all(|d| *d == 0.0) {
             return;
         }
-        self.lay_out(width, depth.len() / width);
-        halve(depth, width, &mut self.levels[0]);
+        self.allocate(width, depth.len() / width);
+        downsample(depth, width, &mut self.levels[0]);
         for i in 1..self.levels.len() {
             let (finer, coarser) = self.levels.split_at_mut(i);
             let finer = &finer[i - 1];
-            halve(&finer.obstacle, finer.width, &mut coarser[0]);
+            downsample(&finer.obstacle, finer.width, &mut coarser[0]);
         }
         for i in (0..self.levels.len()).rev() {
             let length = self.length_px / (2 << i) as f64;
@@ -74,16 +73,16 @@ impl Membrane {
             match coarser.first() {
                 Some(coarser) => {
                     level.face.copy_from_slice(&level.obstacle);
-                    raise(&mut level.face, level.width, coarser);
+                    upsample_max(&mut level.face, level.width, coarser);
                 }
                 None => level.face.copy_from_slice(&level.obstacle),
             }
             level.relax((length * length) as f32);
         }
-        raise(depth, width, &self.levels[0]);
+        upsample_max(depth, width, &self.levels[0]);
     }
 
-    fn lay_out(&mut self, width: usize, height: usize) {
+    fn allocate(&mut self, width: usize, height: usize) {
         let (mut w, mut h) = (width.div_ceil(2), height.div_ceil(2));
         if self
             .levels
@@ -100,7 +99,7 @@ impl Membrane {
                 obstacle: vec![0.0; w * h],
                 face: vec![0.0; w * h],
             });
-            if w.min(h) < 2 * COARSEST {
+            if w.min(h) < 2 * MIN_COARSE_SIDE {
                 return;
             }
             (w, h) = (w.div_ceil(2), h.div_ceil(2));
@@ -118,7 +117,7 @@ impl Level {
         }
     }
 
-    /// Every second pixel of a row; the border continues outwards.
+    /// Relaxes every second pixel of a row; replicated border.
     fn relax_row(&mut self, y: usize, first: usize, weight: f32) {
         let (width, last) = (self.width, self.width - 1);
         let above = y.saturating_sub(1) * width;
@@ -136,14 +135,14 @@ impl Level {
     }
 }
 
-/// Means of 2 × 2 pixels into a level's obstacle.
-fn halve(fine: &[f32], width: usize, coarse: &mut Level) {
+/// Averages 2 × 2 pixels into a level's obstacle.
+fn downsample(fine: &[f32], width: usize, coarse: &mut Level) {
     for (rows, out) in fine
         .chunks(2 * width)
         .zip(coarse.obstacle.chunks_exact_mut(coarse.width))
     {
         let (upper, lower) = rows.split_at(width);
-        // An odd last row counts twice, an odd last column too.
+        // An odd last row or column counts twice.
         let lower = if lower.is_empty() { upper } else { lower };
         for (out, (u, l)) in out.iter_mut().zip(upper.chunks(2).zip(lower.chunks(2))) {
             *out = 0.25 * (u[0] + u[u.len() - 1] + l[0] + l[l.len() - 1]);
@@ -152,11 +151,11 @@ fn halve(fine: &[f32], width: usize, coarse: &mut Level) {
 }
 
 /// Raises a plane to the interpolation of a level of half its resolution.
-fn raise(fine: &mut [f32], width: usize, coarse: &Level) {
+fn upsample_max(fine: &mut [f32], width: usize, coarse: &Level) {
     let mut blended = vec![0.0f32; coarse.width];
     for (y, row) in fine.chunks_exact_mut(width).enumerate() {
         let near = &coarse.face[y / 2 * coarse.width..][..coarse.width];
-        let other = beside(y, coarse.height) * coarse.width;
+        let other = adjacent_row(y, coarse.height) * coarse.width;
         let far = &coarse.face[other..][..coarse.width];
         for (out, (near, far)) in blended.iter_mut().zip(near.iter().zip(far)) {
             *out = 0.75 * near + 0.25 * far;
@@ -172,8 +171,8 @@ fn raise(fine: &mut [f32], width: usize, coarse: &Level) {
     }
 }
 
-/// The coarse row on the other side of fine row `y`.
-fn beside(y: usize, height: usize) -> usize {
+/// Returns the coarse row on the other side of fine row `y`.
+fn adjacent_row(y: usize, height: usize) -> usize {
     if y.is_multiple_of(2) {
         (y / 2).saturating_sub(1)
     } else {
@@ -187,7 +186,7 @@ mod tests {
 
     /// A ball pressed until its contact has the radius `a`, all in pixels.
     fn pressed(width: usize, height: usize, a: f64, ball: f64, length: f64) -> Vec<f32> {
-        let sink = sink_of_ball_m(a, ball, length);
+        let sink = ball_sink_m(a, ball, length);
         let border = (ball * ball - a * a).sqrt();
         let depth = |i: usize| {
             let x = (i % width) as f64 - 0.5 * (width as f64 - 1.0);
@@ -202,12 +201,12 @@ mod tests {
     }
 
     #[test]
-    fn a_ball_settles_as_the_closed_form() {
+    fn pressed_ball_matches_closed_form() {
         let (width, height, a, ball, length) = (320, 240, 40.0, 46.0, 20.0);
         let object = pressed(width, height, a, ball, length);
         let mut face = object.clone();
-        Membrane::new(length).settle(&mut face, width);
-        let sink = sink_of_ball_m(a, ball, length);
+        Membrane::new(length).solve(&mut face, width);
+        let sink = ball_sink_m(a, ball, length);
         for i in 0..face.len() {
             let x = (i % width) as f64 - 159.5;
             let y = (i / width) as f64 - 119.5;
@@ -223,13 +222,13 @@ mod tests {
     }
 
     #[test]
-    fn the_face_is_never_above_the_object_and_length_0_changes_nothing() {
+    fn face_stays_below_object_and_length_0_is_identity() {
         let object = pressed(101, 77, 20.0, 30.0, 9.0);
         let mut face = object.clone();
-        Membrane::new(9.0).settle(&mut face, 101);
+        Membrane::new(9.0).solve(&mut face, 101);
         assert!(face.iter().zip(&object).all(|(u, h)| u >= h));
         let mut same = object.clone();
-        Membrane::new(0.0).settle(&mut same, 101);
+        Membrane::new(0.0).solve(&mut same, 101);
         assert_eq!(same, object);
     }
 
@@ -238,7 +237,7 @@ mod tests {
         for (width, height) in [(1, 1), (2, 2), (3, 1), (13, 7)] {
             let mut face = vec![0.0; width * height];
             face[0] = 1.0;
-            Membrane::new(3.0).settle(&mut face, width);
+            Membrane::new(3.0).solve(&mut face, width);
             assert!(face.iter().all(|u| (0.0..=1.0).contains(u)));
         }
     }

@@ -1,21 +1,21 @@
-//! Noise of the camera and slow drift of its exposure, drawn from a seed.
+//! Camera noise and drift of exposure and white balance, sampled from a seed.
 
 use gripcast_base::random::scramble;
 use serde::{Deserialize, Serialize};
 
-/// What differs between two frames of the same sensor with the same contact.
+/// Gain, offset and noise of one frame.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct FrameLook {
-    /// Factor on red, green, blue.
+pub struct FrameNoise {
+    /// Gain of red, green, blue.
     pub gain: [f32; 3],
-    /// Added to red, green, blue after the gain, grey levels.
+    /// Offset of red, green, blue after the gain, grey levels.
     pub offset: [f32; 3],
-    /// Seed of the noise; none for an image without noise.
+    /// Seed of the pixel noise; `None` for no noise.
     pub noise_seed: Option<u64>,
 }
 
-impl Default for FrameLook {
-    /// As calibrated, without noise.
+impl Default for FrameNoise {
+    /// No drift, no noise.
     fn default() -> Self {
         Self {
             gain: [1.0; 3],
@@ -25,8 +25,8 @@ impl Default for FrameLook {
     }
 }
 
-/// Drift of a sensor's exposure and white balance between frames:
-/// I = pivot + gain · (I₀ − pivot) + offset, per channel.
+/// Distribution of gain and offset between frames: I = pivot + gain · (I₀ − pivot) + offset, per
+/// channel.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Drift {
@@ -34,37 +34,37 @@ pub struct Drift {
     pub gain_std: [f64; 3],
     /// Standard deviation of the offset of red, green, blue, grey levels.
     pub offset_std: [f64; 3],
-    /// Grey level that the gain leaves as it is: the mean of the untouched gel, where gain and
-    /// offset vary independently.
+    /// Grey level unchanged by the gain: the mean of the background, about which gain and offset
+    /// vary independently.
     pub pivot: [f64; 3],
 }
 
 impl Drift {
-    /// A frame's look with gain and offset drawn from the spread, and noise, all from one seed.
-    pub fn draw(&self, seed: u64) -> FrameLook {
-        let draw = |stream: u64, std: f64| {
+    /// Samples gain, offset and noise of a frame from a seed.
+    pub fn sample(&self, seed: u64) -> FrameNoise {
+        let deviation = |stream: u64, std: f64| {
             let bits = scramble(seed ^ scramble(stream.wrapping_add(0x6472_6966)));
             std as f32 * deviate(bits)
         };
-        let gain: [f32; 3] = std::array::from_fn(|c| 1.0 + draw(c as u64, self.gain_std[c]));
-        FrameLook {
+        let gain: [f32; 3] = std::array::from_fn(|c| 1.0 + deviation(c as u64, self.gain_std[c]));
+        FrameNoise {
             gain,
             offset: std::array::from_fn(|c| {
-                draw(3 + c as u64, self.offset_std[c]) + (1.0 - gain[c]) * self.pivot[c] as f32
+                deviation(3 + c as u64, self.offset_std[c]) + (1.0 - gain[c]) * self.pivot[c] as f32
             }),
             noise_seed: Some(scramble(seed ^ 0x6e6f_6973)),
         }
     }
 }
 
-/// Draws of the noise of one pixel's channels, of standard deviation 1.
+/// Unit-variance noise of a pixel's channels.
 pub(super) fn pixel_noise(seed: u64, pixel: usize) -> [f32; 3] {
     let bits = scramble(seed ^ (pixel as u64).wrapping_mul(0x9e37_79b9_7f4a_7c15));
     std::array::from_fn(|c| deviate(bits >> (21 * c)))
 }
 
-/// Nearly normal deviate of the lower 21 bits: 16 coins and a uniform of 5 bits that fills the
-/// steps between them.
+/// Approximately normal deviate of the lower 21 bits: 16 coins and a 5-bit uniform variable that
+/// fills the steps.
 fn deviate(bits: u64) -> f32 {
     /// 1/√(16/4 + 1/12).
     const SCALE: f32 = 0.494_881_7;
@@ -78,7 +78,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn noise_is_white_with_unit_deviation() {
+    fn noise_is_white_with_unit_variance() {
         let draws: Vec<[f32; 3]> = (0..40_000).map(|i| pixel_noise(7, i)).collect();
         for c in 0..3 {
             let mean: f32 = draws.iter().map(|d| d[c]).sum::<f32>() / 40_000.0;
@@ -93,21 +93,21 @@ mod tests {
     }
 
     #[test]
-    fn drift_follows_its_spread_and_its_seed() {
+    fn drift_depends_on_seed_and_matches_its_std() {
         let drift = Drift {
             gain_std: [0.05, 0.0, 0.02],
             offset_std: [3.0, 1.0, 0.0],
             pivot: [100.0; 3],
         };
-        assert_eq!(drift.draw(3), drift.draw(3));
-        assert_ne!(drift.draw(3), drift.draw(4));
-        let looks: Vec<FrameLook> = (0..4000).map(|seed| drift.draw(seed)).collect();
-        let std = |value: &dyn Fn(&FrameLook) -> f32| {
-            (looks.iter().map(|l| value(l).powi(2)).sum::<f32>() / 4000.0).sqrt()
+        assert_eq!(drift.sample(3), drift.sample(3));
+        assert_ne!(drift.sample(3), drift.sample(4));
+        let frames: Vec<FrameNoise> = (0..4000).map(|seed| drift.sample(seed)).collect();
+        let std = |value: &dyn Fn(&FrameNoise) -> f32| {
+            (frames.iter().map(|l| value(l).powi(2)).sum::<f32>() / 4000.0).sqrt()
         };
         assert!((std(&|l| l.gain[0] - 1.0) - 0.05).abs() < 0.003);
         // The pivot moves by the offset alone.
         assert!((std(&|l| l.gain[0] * 100.0 + l.offset[0] - 100.0) - 3.0).abs() < 0.15);
-        assert!(looks.iter().all(|l| l.gain[1] == 1.0));
+        assert!(frames.iter().all(|l| l.gain[1] == 1.0));
     }
 }

@@ -1,29 +1,29 @@
-//! Unit normals of the pressed face.
+//! Unit normals of the deformed gel face.
 
 use super::gaussian::Region;
 use super::press_depth::SensorGeometry;
 
-/// Unit normals of a height map, as planes of `width * height`; (0, 0, 1) where the face is flat.
+/// Unit normals of a height map as planes of `width * height`; (0, 0, 1) where the face is flat.
 ///
 /// With the height h towards the sensor's camera, n = (−∂h/∂x, −∂h/∂y, 1) / |·|; x along the
 /// columns, y along the rows.
 #[derive(Clone, Debug, Default)]
 pub struct Normals {
-    /// Columns.
+    /// Width, px.
     pub width: usize,
     /// x component.
     pub x: Vec<f32>,
     /// y component.
     pub y: Vec<f32>,
-    /// z component minus 1, which keeps its precision where the slope is small.
+    /// z component minus 1, which is precise for small slopes.
     pub z_less_1: Vec<f32>,
-    /// Where the face is not flat.
+    /// Region where the face is not flat.
     pub(super) region: Option<Region>,
 }
 
 impl Normals {
-    /// Takes the normals of a height map (m, `width * height`) by central differences.
-    pub fn take(&mut self, height_m: &[f32], geometry: &SensorGeometry) {
+    /// Computes the normals of a height map (m, `width * height`) by central differences.
+    pub fn compute(&mut self, height_m: &[f32], geometry: &SensorGeometry) {
         let (width, pixel_m) = (geometry.width, geometry.pixel_m);
         let rows = height_m.len() / width.max(1);
         self.width = width;
@@ -31,7 +31,7 @@ impl Normals {
             plane.clear();
             plane.resize(height_m.len(), 0.0);
         }
-        self.region = Region::of_nonzero(height_m, width).map(|r| r.grown(1, width, rows));
+        self.region = Region::nonzero(height_m, width).map(|r| r.grown(1, width, rows));
         let Some(region) = self.region else {
             return;
         };
@@ -41,25 +41,26 @@ impl Normals {
             let below = (y + 1).min(rows - 1);
             let step = per_pixel / (below - above).max(1) as f32;
             let span = |row: usize| &height_m[row * width + region.x0..row * width + region.x1];
-            let place = y * width + region.x0..y * width + region.x1;
-            for (out, (a, b)) in self.y[place.clone()]
+            let span_here = y * width + region.x0..y * width + region.x1;
+            for (out, (a, b)) in self.y[span_here.clone()]
                 .iter_mut()
                 .zip(span(above).iter().zip(span(below)))
             {
                 *out = (a - b) * step;
             }
             let row = &height_m[y * width..(y + 1) * width];
-            row_slopes(row, region, per_pixel, &mut self.x[place.clone()]);
+            row_slopes(row, region, per_pixel, &mut self.x[span_here.clone()]);
             normalise(
-                &mut self.x[place.clone()],
-                &mut self.y[place.clone()],
-                &mut self.z_less_1[place],
+                &mut self.x[span_here.clone()],
+                &mut self.y[span_here.clone()],
+                &mut self.z_less_1[span_here],
             );
         }
     }
 
-    /// Lays steeper normals down to a tilt of sine `steepest`, in the direction they have.
-    pub fn limit(&mut self, steepest: f32) {
+    /// Limits the slope: reduces the sine of steeper normals to `steepest`, keeping their
+    /// direction.
+    pub fn limit_slope(&mut self, steepest: f32) {
         let Some(region) = self.region else {
             return;
         };
@@ -83,7 +84,7 @@ impl Normals {
     }
 }
 
-/// −∂h/∂x along one row, one-sided at the image's border.
+/// Computes −∂h/∂x along one row, one-sided at the border.
 fn row_slopes(row: &[f32], region: Region, per_pixel: f32, out: &mut [f32]) {
     let last = row.len() - 1;
     let half = 0.5 * per_pixel;
@@ -94,7 +95,7 @@ fn row_slopes(row: &[f32], region: Region, per_pixel: f32, out: &mut [f32]) {
     }
 }
 
-/// Slopes to unit normals, in place.
+/// Converts slopes to unit normals in place.
 fn normalise(x: &mut [f32], y: &mut [f32], z_less_1: &mut [f32]) {
     for ((x, y), z) in x.iter_mut().zip(y.iter_mut()).zip(z_less_1) {
         let square = *x * *x + *y * *y;
@@ -120,14 +121,14 @@ mod tests {
     }
 
     #[test]
-    fn a_plane_has_one_normal_and_unit_length() {
+    fn plane_has_constant_unit_normal() {
         let geometry = geometry();
         let (width, height) = (geometry.width, geometry.height);
         let map: Vec<f32> = (0..width * height)
             .map(|i| 1e-4 * (0.75 * (i % width) as f32 - 0.4 * (i / width) as f32) + 1.0)
             .collect();
         let mut normals = Normals::default();
-        normals.take(&map, &geometry);
+        normals.compute(&map, &geometry);
         let length = (1.0f32 + 0.75 * 0.75 + 0.4 * 0.4).sqrt();
         for i in 0..map.len() {
             assert!((normals.x[i] + 0.75 / length).abs() < 2e-3);
@@ -137,22 +138,22 @@ mod tests {
     }
 
     #[test]
-    fn steep_normals_are_laid_down_and_keep_their_direction() {
+    fn slope_limit_keeps_direction() {
         let map: Vec<f32> = (0..108).map(|i| 3e-4 * (i % 12) as f32).collect();
         let mut normals = Normals::default();
-        normals.take(&map, &geometry());
-        normals.limit(0.5);
+        normals.compute(&map, &geometry());
+        normals.limit_slope(0.5);
         assert!((normals.x[50] + 0.5).abs() < 1e-6 && normals.y[50] == 0.0);
         assert!((normals.z_less_1[50] + 1.0 - 0.75f32.sqrt()).abs() < 1e-6);
         let before = normals.clone();
-        normals.limit(0.6);
+        normals.limit_slope(0.6);
         assert_eq!(normals.x, before.x);
     }
 
     #[test]
-    fn flat_is_flat() {
+    fn flat_map_has_vertical_normals() {
         let mut normals = Normals::default();
-        normals.take(&[0.0; 108], &geometry());
+        normals.compute(&[0.0; 108], &geometry());
         assert_eq!(normals.x, [0.0; 108]);
         assert_eq!(normals.z_less_1, [0.0; 108]);
     }

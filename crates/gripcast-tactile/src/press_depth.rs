@@ -1,24 +1,24 @@
-//! How deep an object is pressed into the gel, pixel by pixel.
+//! Indentation depth map of a press.
 
 use serde::{Deserialize, Serialize};
 
-/// Pixel grid and gel of a sensor. The middle of the grid lies over the middle of the gel.
+/// Pixel grid and gel of a sensor. The grid is centred on the gel.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct SensorGeometry {
-    /// Columns.
+    /// Width, px.
     pub width: usize,
-    /// Rows.
+    /// Height, px.
     pub height: usize,
-    /// Size of a pixel on the gel's face, m.
+    /// Pixel size on the gel face, m.
     pub pixel_m: f64,
-    /// Thickness of the gel: no press is deeper, m.
+    /// Gel thickness, the maximum depth, m.
     pub gel_thickness_m: f64,
 }
 
 impl SensorGeometry {
-    /// Place of a pixel's centre on the gel's face: x along the columns, y along the rows, m from
-    /// the middle.
+    /// Returns the position of a pixel on the gel face: x along the columns, y along the rows, m
+    /// from the centre.
     pub fn pixel_to_gel_m(&self, column: f64, row: f64) -> [f64; 2] {
         [
             (column - 0.5 * (self.width as f64 - 1.0)) * self.pixel_m,
@@ -27,17 +27,17 @@ impl SensorGeometry {
     }
 }
 
-/// Depth of the press under each pixel, m: how far the face is pushed in, 0 where nothing touches.
+/// Indentation depth per pixel, m: how far the face is pushed in, 0 without contact.
 #[derive(Clone, Debug, PartialEq)]
 pub struct PressDepth {
-    /// The grid.
+    /// Pixel grid.
     pub geometry: SensorGeometry,
-    /// Row by row, `width * height`.
+    /// Row-major, `width * height`.
     pub depth_m: Vec<f32>,
 }
 
 impl PressDepth {
-    /// Nothing touches.
+    /// Depth map without contact.
     pub fn untouched(geometry: SensorGeometry) -> Self {
         Self {
             geometry,
@@ -45,7 +45,7 @@ impl PressDepth {
         }
     }
 
-    /// Largest depth, m.
+    /// Maximum depth, m.
     pub fn deepest_m(&self) -> f64 {
         f64::from(self.depth_m.iter().copied().fold(0.0, f32::max))
     }

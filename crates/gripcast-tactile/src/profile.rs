@@ -1,8 +1,8 @@
-//! A sensor's profile: everything the tactile renderer has to know of one sensor.
+//! Sensor profile: all parameters of the tactile renderer for one sensor.
 //!
-//! A profile is a TOML file (`calib/sensors/<serial>.toml`), written by the calibration. The
-//! image of the untouched gel lies beside it as PNG; the file itself holds a smooth fit of that
-//! image, so that it also works alone.
+//! A profile is a TOML file (`calib/sensors/<serial>.toml`) written by the calibration, with the
+//! background image as PNG beside it. The file also contains a smooth fit of the background, so
+//! that it works alone.
 
 use std::io;
 use std::path::Path;
@@ -11,6 +11,7 @@ use image::RgbImage;
 use serde::{Deserialize, Serialize};
 
 use super::background::BackgroundFit;
+use super::ensure;
 use super::led::LedShading;
 use super::noise::Drift;
 use super::press_depth::SensorGeometry;
@@ -22,25 +23,25 @@ use gripcast_imaging::{CropProfile, decode_png_rgb, encode_png_rgb};
 
 /// Version of the file format.
 const SCHEMA: u32 = 1;
-/// Largest width or height of an image, pixels.
+/// Maximum width or height of an image, px.
 const MAX_SIDE: usize = 4096;
-/// Pixel sizes that are believed, m.
+/// Plausible pixel sizes, m.
 const PIXEL_M: std::ops::RangeInclusive<f64> = 1e-6..=1e-3;
-/// Gel thicknesses that are believed, m.
+/// Plausible gel thicknesses, m.
 const THICKNESS_M: std::ops::RangeInclusive<f64> = 1e-4..=0.05;
-/// The generic profile, fitted on real presses; its text says on which.
+/// Generic profile, fitted to real presses; its provenance names them.
 const MINI_TOML: &str = include_str!("../../../calib/sensors/gelsight-mini.toml");
-/// The untouched gel of the same sensor.
+/// Background of the same sensor.
 const MINI_BACKGROUND: &[u8] =
     include_bytes!("../../../calib/sensors/gelsight-mini.background.png");
 
-/// How slopes change the light.
+/// Shading model: how slopes change the light.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(tag = "model", rename_all = "snake_case")]
 pub enum ShadingModel {
-    /// Polynomial of normal and place.
+    /// Polynomial of normal and position.
     Polynomial(PolynomialShading),
-    /// Near point lights.
+    /// Near point lights (LEDs).
     Leds(LedShading),
 }
 
@@ -53,55 +54,55 @@ impl ShadingModel {
     }
 }
 
-/// The untouched gel.
+/// Background: image of the untouched gel.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Background {
-    /// Name of the image (PNG) beside the profile; without one the fit is shown.
+    /// File name of the PNG image beside the profile; without it the fit is used.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub file: Option<FileName>,
     /// Smooth fit of the image.
     pub fit: BackgroundFit,
-    /// The image itself, once read.
+    /// The image, once loaded.
     #[serde(skip)]
     pub image: Option<RgbImage>,
 }
 
-/// Everything the renderer knows of a sensor.
+/// All parameters of the tactile renderer for a sensor.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct SensorProfile {
     /// Version of the format, 1.
     pub schema: u32,
-    /// Name, as the file is called.
+    /// Name of the profile, as its file.
     pub name: String,
     /// USB serial of the sensor; empty for a generic profile.
     #[serde(default, skip_serializing_if = "String::is_empty")]
     pub serial: String,
-    /// Named crop that makes such images of the camera's frames.
+    /// Crop of the camera frames that yields such images.
     #[serde(with = "crop_name")]
     pub crop_profile: CropProfile,
-    /// Where the numbers come from.
+    /// Origin of the parameters.
     pub provenance: String,
-    /// Standard deviation of the camera's noise in red, green, blue, grey levels.
+    /// Standard deviation of the camera noise in red, green, blue, grey levels.
     pub noise_std: [f64; 3],
-    /// Grid, scale and gel.
+    /// Pixel grid, scale and gel.
     pub geometry: SensorGeometry,
-    /// Shape of the gel around a contact.
+    /// Gel shape around a contact.
     pub smoothing: Smoothing,
     /// Drift between frames.
     pub drift: Drift,
-    /// Light.
+    /// Shading model.
     pub shading: ShadingModel,
-    /// The untouched gel.
+    /// Background.
     pub background: Background,
 }
 
 impl SensorProfile {
-    /// The generic GelSight Mini, built into the program.
+    /// Returns the built-in generic GelSight Mini profile.
     ///
     /// # Errors
-    /// None; the shipped file is held by a test.
+    /// None; a test covers the built-in file.
     pub fn gelsight_mini() -> Result<Self> {
         let mut profile = Self::from_toml(MINI_TOML)?;
         profile.background.image = Some(decode_png_rgb(MINI_BACKGROUND)?);
@@ -109,36 +110,36 @@ impl SensorProfile {
         Ok(profile)
     }
 
-    /// Reads a profile's text; the untouched gel is its smooth fit.
+    /// Parses a profile; its background is the smooth fit.
     ///
     /// # Errors
-    /// `Config` for another format version, unknown or missing keys, values out of range.
+    /// `Config` for another schema version, unknown or missing keys, values out of range.
     pub fn from_toml(text: &str) -> Result<Self> {
         let profile: Self = toml::from_str(text)
-            .map_err(|cause| Error::config("the sensor profile cannot be read").because(cause))?;
+            .map_err(|cause| Error::config("cannot parse the sensor profile").because(cause))?;
         profile.validate()?;
         Ok(profile)
     }
 
-    /// Reads a profile and the image beside it.
+    /// Reads a profile and its background image.
     ///
     /// # Errors
     /// `NotFound`, `Permission`, `Io` if a file cannot be read; `Config` as
-    /// [`SensorProfile::from_toml`]; `Input` if the image is none or of another size.
+    /// [`SensorProfile::from_toml`]; `Input` if the image is invalid or of another size.
     pub fn load(path: &Path) -> Result<Self> {
         let text = read_text(path, FileKind::Record).map_err(|e| {
             Error::io("cannot read the sensor profile", e)
                 .at(path.display())
-                .remedy("check the path, or make a profile with `gripcast render calibrate`")
+                .remedy("check the path, or create a profile with `gripcast render calibrate`")
         })?;
         let mut profile = Self::from_toml(&text).map_err(|e| e.at(path.display()))?;
         if let Some(name) = &profile.background.file {
             let beside = Root::beside(path).join(name);
             let bytes = beside.read(FileKind::Image).map_err(|e| {
-                Error::io("cannot read the image of the untouched gel", e)
+                Error::io("cannot read the background image", e)
                     .at(beside.display())
                     .remedy(format!(
-                        "put it beside the profile, or delete the line `file = {:?}` there to use \
+                        "put it beside the profile, or delete the line `file = {:?}` to use \
                          the smooth fit",
                         name.as_str()
                     ))
@@ -150,11 +151,12 @@ impl SensorProfile {
         Ok(profile)
     }
 
-    /// Writes the profile and, if it has one, the image beside it as `<stem>.background.png`.
+    /// Writes the profile and, if it has one, the background image beside it as
+    /// `<stem>.background.png`.
     ///
     /// # Errors
-    /// `Config` if the profile is not valid; the error of the operating system if a file cannot
-    /// be written, and then the old files stay.
+    /// `Config` if the profile is invalid; the error of the operating system if a file cannot be
+    /// written, in which case the old files are kept.
     pub fn save(&self, path: &Path) -> Result<()> {
         let mut profile = self.clone();
         let stem = path.file_stem().unwrap_or_default().to_string_lossy();
@@ -170,45 +172,45 @@ impl SensorProfile {
             files.push((path.with_file_name(name.as_str()), encode_png_rgb(image)?));
         }
         files.push((path.to_owned(), profile.to_toml()?.into_bytes()));
-        // All are on the disk before the first takes its name: they belong together.
+        // All files are staged before the first is committed, since they belong together.
         let mut staged = Vec::new();
         for (path, bytes) in files {
-            let file = StagedFile::write(&path, &bytes).map_err(|e| unwritten(&path, e))?;
+            let file = StagedFile::write(&path, &bytes).map_err(|e| not_written(&path, e))?;
             staged.push((path, file));
         }
         for (path, file) in staged {
-            file.commit().map_err(|e| unwritten(&path, e))?;
+            file.commit().map_err(|e| not_written(&path, e))?;
         }
         Ok(())
     }
 
-    /// The text of the file.
+    /// Serialises the profile.
     ///
     /// # Errors
-    /// None for a profile that is valid.
+    /// None for a valid profile.
     pub fn to_toml(&self) -> Result<String> {
         toml::to_string(self)
-            .map_err(|cause| Error::internal("the sensor profile cannot be written").because(cause))
+            .map_err(|cause| Error::internal("cannot serialise the sensor profile").because(cause))
     }
 
-    /// Checks every value.
+    /// Checks all values.
     ///
     /// # Errors
-    /// `Config` with the key, what was expected and found.
+    /// `Config` with the key, the expected and the found value.
     pub fn validate(&self) -> Result<()> {
         if self.schema != SCHEMA {
             return Err(
-                wrong(format!("schema must be {SCHEMA}, found {}", self.schema))
-                    .remedy("calibrate the sensor again with this program"),
+                invalid(format!("schema must be {SCHEMA}, found {}", self.schema))
+                    .remedy("recalibrate the sensor with this version of gripcast"),
             );
         }
         let grid = &self.geometry;
         for (key, side) in [("width", grid.width), ("height", grid.height)] {
-            if !(2..=MAX_SIDE).contains(&side) {
-                return Err(wrong(format!(
+            ensure((2..=MAX_SIDE).contains(&side), || {
+                invalid(format!(
                     "geometry.{key} must be 2 to {MAX_SIDE} pixels, found {side}"
-                )));
-            }
+                ))
+            })?;
         }
         in_range("geometry.pixel_m", grid.pixel_m, PIXEL_M)?;
         in_range(
@@ -235,41 +237,35 @@ impl SensorProfile {
         let Some(image) = &self.background.image else {
             return Ok(());
         };
-        let expected = (self.geometry.width, self.geometry.height);
-        let found = (image.width() as usize, image.height() as usize);
-        if expected == found {
-            return Ok(());
-        }
-        Err(Error::input(format!(
-            "the image of the untouched gel must be {}×{} as the profile's geometry, found \
-                 {}×{}",
-            expected.0, expected.1, found.0, found.1
-        )))
+        let [width, height] = [image.width(), image.height()];
+        let (columns, rows) = (self.geometry.width, self.geometry.height);
+        ensure((columns, rows) == (width as usize, height as usize), || {
+            Error::input(format!(
+                "the background image must be {columns}×{rows} pixels as in the profile's \
+                 geometry, found {width}×{height}"
+            ))
+        })
     }
 }
 
-fn wrong(what: String) -> Error {
+fn invalid(what: String) -> Error {
     Error::config(format!("sensor profile: {what}"))
 }
 
 fn in_range(key: &str, value: f64, range: std::ops::RangeInclusive<f64>) -> Result<()> {
-    if range.contains(&value) {
-        return Ok(());
-    }
-    Err(wrong(format!(
-        "{key} must be {} to {}, found {value}",
-        range.start(),
-        range.end()
-    )))
+    let (low, high) = (range.start(), range.end());
+    ensure(range.contains(&value), || {
+        invalid(format!("{key} must be {low} to {high}, found {value}"))
+    })
 }
 
-fn unwritten(path: &Path, cause: io::Error) -> Error {
+fn not_written(path: &Path, cause: io::Error) -> Error {
     Error::io("cannot write the sensor profile", cause)
         .at(path.display())
-        .remedy("name a file in a folder that exists and can be written")
+        .remedy("choose a file in an existing, writable folder")
 }
 
-/// A crop profile by its name.
+/// Serialises a crop profile by its name.
 mod crop_name {
     use serde::{Deserialize, Deserializer, Serializer, de::Error as _};
 
@@ -292,7 +288,7 @@ mod tests {
     use gripcast_base::error::ErrorKind;
 
     #[test]
-    fn the_shipped_profile_is_valid_and_survives_a_file() {
+    fn builtin_profile_is_valid_and_round_trips() {
         let profile = SensorProfile::gelsight_mini().unwrap();
         assert_eq!(
             (profile.geometry.width, profile.geometry.height),
@@ -313,7 +309,7 @@ mod tests {
     }
 
     #[test]
-    fn lamps_survive_a_file_too() {
+    fn led_shading_round_trips() {
         let mut profile = SensorProfile::gelsight_mini().unwrap();
         profile.shading = ShadingModel::Leds(LedShading::mini_guess());
         let back = SensorProfile::from_toml(&profile.to_toml().unwrap()).unwrap();
@@ -321,7 +317,7 @@ mod tests {
     }
 
     #[test]
-    fn mistakes_are_explained() {
+    fn invalid_profile_error_names_the_key() {
         let good = SensorProfile::gelsight_mini().unwrap().to_toml().unwrap();
         for (from, to, expected) in [
             ("schema = 1", "schema = 2", "schema must be 1"),
@@ -341,7 +337,7 @@ mod tests {
     }
 
     #[test]
-    fn missing_and_foreign_files_are_explained() {
+    fn missing_or_invalid_files_are_explained() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("a.toml");
         assert_eq!(
@@ -365,7 +361,7 @@ mod tests {
     }
 
     #[test]
-    fn a_profile_that_cannot_be_written_leaves_the_old_image() {
+    fn failed_save_keeps_old_image() {
         let folder = tempfile::tempdir().unwrap();
         let mut profile = SensorProfile::gelsight_mini().unwrap();
         let image = folder.path().join("a.background.png");

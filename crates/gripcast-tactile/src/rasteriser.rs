@@ -1,25 +1,25 @@
-//! Orthographic z-buffer: the surface of a mesh that is nearest to a sensor, pixel by pixel.
+//! Orthographic z-buffer: per pixel the mesh surface nearest to the sensor.
 //!
-//! Parallel rays from one plane need no tree: each triangle is projected and its spans are
-//! compared with what the pixels hold. A pixel belongs to a triangle when its centre lies inside,
-//! or on its left or upper border (columns to the right, rows downwards), so neighbours neither
-//! overlap nor leave a gap: a shared border is computed with the same operations for both.
+//! Parallel rays need no acceleration structure: each triangle is projected and rasterised span by
+//! span. A pixel belongs to a triangle if its centre lies inside or on its left or top edge, so
+//! that neighbours neither overlap nor leave a gap: a shared edge is computed by the same
+//! operations for both.
 
 use glam::{DMat3, DVec3};
 
 use super::press_depth::SensorGeometry;
 use gripcast_geometry::{Pose, TriangleMesh};
 
-/// No triangle: what `Rasteriser::triangles` holds where nothing is seen.
+/// Value of [`Rasteriser::nearest_with_triangles`] for pixels without a triangle.
 pub const NO_TRIANGLE: u32 = u32::MAX;
 
-/// A corner on the pixel grid: column, row (pixels), z (m).
+/// Projected vertex: column, row (px), z (m).
 type Corner = [f64; 3];
 
-/// Buffers of the z-buffer, kept between frames.
+/// Z-buffer, reused between frames.
 ///
-/// The frame of a sensor has x along the columns and y along the rows of its image and z from
-/// the gel's back to its face; its origin lies in the middle of the back.
+/// Sensor frame: x along the columns and y along the rows of the image, z from the gel's back to
+/// its face; the origin is the centre of the back.
 #[derive(Clone, Debug, Default)]
 pub struct Rasteriser {
     corners: Vec<Corner>,
@@ -28,12 +28,12 @@ pub struct Rasteriser {
 }
 
 impl Rasteriser {
-    /// Without buffers yet.
+    /// Creates a rasteriser with empty buffers.
     pub fn new() -> Self {
         Self::default()
     }
 
-    /// Smallest z (m) of the mesh at or above `range_m[0]` under each pixel, row by row;
+    /// Returns per pixel, row-major, the minimum z (m) of the mesh at or above `range_m[0]`;
     /// `range_m[1]` where nothing is below that.
     ///
     /// The mesh must be valid ([`TriangleMesh::validate`]).
@@ -44,22 +44,12 @@ impl Rasteriser {
         grid: &SensorGeometry,
         range_m: [f64; 2],
     ) -> &[f32] {
-        self.project(mesh, t_sensor_mesh, grid);
-        self.clear(grid, range_m[1]);
-        let mut target = Target {
-            grid: Grid::new(grid),
-            range_m,
-            nearest_m: &mut self.nearest_m,
-            triangles: &mut [],
-        };
-        for triangle in &mesh.triangles {
-            target.draw::<false>(triangle.map(|v| &self.corners[v as usize]), 0);
-        }
+        self.draw::<false>(mesh, t_sensor_mesh, grid, range_m);
         &self.nearest_m
     }
 
-    /// As [`Rasteriser::nearest`], with the triangle seen in each pixel ([`NO_TRIANGLE`] where
-    /// none is); of triangles at equal distance the first.
+    /// As [`Rasteriser::nearest`], with the visible triangle of each pixel ([`NO_TRIANGLE`] if
+    /// none); the first triangle wins at equal distance.
     pub fn nearest_with_triangles(
         &mut self,
         mesh: &TriangleMesh,
@@ -67,11 +57,26 @@ impl Rasteriser {
         grid: &SensorGeometry,
         range_m: [f64; 2],
     ) -> (&[f32], &[u32]) {
+        self.draw::<true>(mesh, t_sensor_mesh, grid, range_m);
+        (&self.nearest_m, &self.triangles)
+    }
+
+    fn draw<const TRIANGLES: bool>(
+        &mut self,
+        mesh: &TriangleMesh,
+        t_sensor_mesh: &Pose,
+        grid: &SensorGeometry,
+        range_m: [f64; 2],
+    ) {
         self.project(mesh, t_sensor_mesh, grid);
-        self.clear(grid, range_m[1]);
+        let pixels = grid.width * grid.height;
+        self.nearest_m.clear();
+        self.nearest_m.resize(pixels, range_m[1] as f32);
         self.triangles.clear();
-        self.triangles.resize(self.nearest_m.len(), NO_TRIANGLE);
-        let mut target = Target {
+        if TRIANGLES {
+            self.triangles.resize(pixels, NO_TRIANGLE);
+        }
+        let mut canvas = Canvas {
             grid: Grid::new(grid),
             range_m,
             nearest_m: &mut self.nearest_m,
@@ -79,15 +84,14 @@ impl Rasteriser {
         };
         for (index, triangle) in mesh.triangles.iter().enumerate() {
             let corners = triangle.map(|v| &self.corners[v as usize]);
-            target.draw::<true>(corners, index as u32);
+            canvas.draw::<TRIANGLES>(corners, index as u32);
         }
-        (&self.nearest_m, &self.triangles)
     }
 
-    /// Corners of the mesh on the pixel grid.
+    /// Projects the vertices of the mesh onto the pixel grid.
     fn project(&mut self, mesh: &TriangleMesh, t_sensor_mesh: &Pose, grid: &SensorGeometry) {
         let to_pixels = DVec3::new(1.0 / grid.pixel_m, 1.0 / grid.pixel_m, 1.0);
-        let turn = DMat3::from_diagonal(to_pixels) * t_sensor_mesh.rotation_matrix();
+        let rotation = DMat3::from_diagonal(to_pixels) * t_sensor_mesh.rotation_matrix();
         let middle = DVec3::new(
             0.5 * (grid.width as f64 - 1.0),
             0.5 * (grid.height as f64 - 1.0),
@@ -95,14 +99,8 @@ impl Rasteriser {
         );
         let shift = to_pixels * t_sensor_mesh.translation_m + middle;
         self.corners.clear();
-        let project = |v: &DVec3| (turn * *v + shift).to_array();
+        let project = |v: &DVec3| (rotation * *v + shift).to_array();
         self.corners.extend(mesh.vertices.iter().map(project));
-    }
-
-    fn clear(&mut self, grid: &SensorGeometry, far_m: f64) {
-        self.nearest_m.clear();
-        self.nearest_m
-            .resize(grid.width * grid.height, far_m as f32);
     }
 }
 
@@ -124,34 +122,34 @@ impl Grid {
     }
 }
 
-/// What is drawn into.
-struct Target<'a> {
+/// Render target.
+struct Canvas<'a> {
     grid: Grid,
     range_m: [f64; 2],
     nearest_m: &'a mut [f32],
     triangles: &'a mut [u32],
 }
 
-/// z over a triangle's plane: at a corner, and its slopes along column and row (m per pixel).
+/// Plane of a triangle: z at a vertex, and its slopes along column and row (m per pixel).
 struct Plane {
     at: Corner,
     slope: [f64; 2],
     bounds_m: [f32; 2],
 }
 
-impl Target<'_> {
+impl Canvas<'_> {
     #[inline]
     fn draw<const TRIANGLES: bool>(&mut self, corners: [&Corner; 3], index: u32) {
         let [a, b, c] = corners;
         let [near, far] = self.range_m;
-        let (lowest, highest) = (least(a[2], b[2], c[2]), most(a[2], b[2], c[2]));
+        let (lowest, highest) = (min3(a[2], b[2], c[2]), max3(a[2], b[2], c[2]));
         if lowest >= far || highest < near {
             return;
         }
-        let left = first_at_or_after(least(a[0], b[0], c[0]), self.grid.width);
-        let right = first_at_or_after(most(a[0], b[0], c[0]), self.grid.width);
-        let top = first_at_or_after(least(a[1], b[1], c[1]), self.grid.height);
-        let bottom = first_at_or_after(most(a[1], b[1], c[1]), self.grid.height);
+        let left = first_at_or_after(min3(a[0], b[0], c[0]), self.grid.width);
+        let right = first_at_or_after(max3(a[0], b[0], c[0]), self.grid.width);
+        let top = first_at_or_after(min3(a[1], b[1], c[1]), self.grid.height);
+        let bottom = first_at_or_after(max3(a[1], b[1], c[1]), self.grid.height);
         if left >= right || top >= bottom {
             return;
         }
@@ -161,14 +159,14 @@ impl Target<'_> {
             slope,
             bounds_m: [lowest as f32, highest as f32],
         };
-        let [upper, middle, lower] = by_row(corners);
-        let long = Border::new(upper, lower);
-        let turn = first_at_or_after(middle[1], self.grid.height);
-        for (rows, from, to) in [(top..turn, upper, middle), (turn..bottom, middle, lower)] {
+        let [upper, middle, lower] = sorted_by_row(corners);
+        let long = Edge::new(upper, lower);
+        let split = first_at_or_after(middle[1], self.grid.height);
+        for (rows, from, to) in [(top..split, upper, middle), (split..bottom, middle, lower)] {
             if rows.is_empty() {
                 continue;
             }
-            let short = Border::new(from, to);
+            let short = Edge::new(from, to);
             for row in rows {
                 let ends = [long.column(row), short.column(row)];
                 let start = first_at_or_after(ends[0].min(ends[1]), self.grid.width);
@@ -180,7 +178,7 @@ impl Target<'_> {
         }
     }
 
-    /// Compares the pixels of a part of a row with a triangle's plane.
+    /// Depth-tests a span of a row.
     #[inline]
     fn span<const TRIANGLES: bool>(
         &mut self,
@@ -194,18 +192,18 @@ impl Target<'_> {
             + column_slope * (columns.start as f64 - plane.at[0])
             + row_slope * (row as f64 - plane.at[1]);
         let (from, step) = (from as f32, column_slope as f32);
-        // Rounding must not carry a triangle seen edge-on beyond its corners.
+        // Rounding must not move an edge-on triangle beyond its vertices.
         let [lowest, highest] = plane.bounds_m;
         let near = self.range_m[0] as f32;
         let at = row * self.grid.stride;
         let pixels = at + columns.start..at + columns.end;
         let ids = if TRIANGLES { pixels.clone() } else { 0..0 };
-        let held = &mut self.nearest_m[pixels];
+        let depth = &mut self.nearest_m[pixels];
         let ids = &mut self.triangles[ids];
-        for (k, held) in held.iter_mut().enumerate() {
+        for (k, depth) in depth.iter_mut().enumerate() {
             let z = (from + k as f32 * step).max(lowest).min(highest);
-            if z >= near && z < *held {
-                *held = z;
+            if z >= near && z < *depth {
+                *depth = z;
                 if TRIANGLES {
                     ids[k] = index;
                 }
@@ -214,7 +212,7 @@ impl Target<'_> {
     }
 }
 
-/// Slopes of z along column and row; none for a triangle seen exactly edge-on.
+/// Slopes of z along column and row; `None` for an edge-on triangle.
 #[inline]
 fn slopes([a, b, c]: [&Corner; 3]) -> Option<[f64; 2]> {
     let (u, v) = (
@@ -232,13 +230,13 @@ fn slopes([a, b, c]: [&Corner; 3]) -> Option<[f64; 2]> {
     ])
 }
 
-/// A side of a triangle, followed downwards.
-struct Border {
+/// Edge of a triangle, traversed downwards.
+struct Edge {
     from: [f64; 2],
     columns_per_row: f64,
 }
 
-impl Border {
+impl Edge {
     #[inline]
     fn new(upper: &Corner, lower: &Corner) -> Self {
         Self {
@@ -254,7 +252,7 @@ impl Border {
 }
 
 #[inline]
-fn by_row([mut a, mut b, mut c]: [&Corner; 3]) -> [&Corner; 3] {
+fn sorted_by_row([mut a, mut b, mut c]: [&Corner; 3]) -> [&Corner; 3] {
     if b[1] < a[1] {
         std::mem::swap(&mut a, &mut b);
     }
@@ -267,22 +265,22 @@ fn by_row([mut a, mut b, mut c]: [&Corner; 3]) -> [&Corner; 3] {
     [a, b, c]
 }
 
-/// First whole number from `place` on, within 0..=`limit`.
+/// Returns the first integer at or after `place`, within 0..=`limit`.
 #[inline]
-fn first_at_or_after(place: f64, limit: f64) -> usize {
-    let place = place.max(0.0).min(limit);
-    // A library call without SSE4.1 otherwise: `ceil` is the costliest step of a small triangle.
-    let below = place as u32;
-    (below + u32::from(f64::from(below) < place)) as usize
+fn first_at_or_after(x: f64, limit: f64) -> usize {
+    let x = x.max(0.0).min(limit);
+    // `ceil` is a library call without SSE4.1 and dominates small triangles.
+    let below = x as u32;
+    (below + u32::from(f64::from(below) < x)) as usize
 }
 
 #[inline]
-fn least(a: f64, b: f64, c: f64) -> f64 {
+fn min3(a: f64, b: f64, c: f64) -> f64 {
     a.min(b).min(c)
 }
 
 #[inline]
-fn most(a: f64, b: f64, c: f64) -> f64 {
+fn max3(a: f64, b: f64, c: f64) -> f64 {
     a.max(b).max(c)
 }
 

@@ -22,7 +22,7 @@ fn random_pose(rng: &mut impl Rng) -> Pose {
     Pose::new(turn, DVec3::new(random(), random(), random()) * 5e-3)
 }
 
-/// Largest difference where both see something, and the pixels that only one sees.
+/// Returns the maximum difference where both hit, and the pixels that only one hits.
 fn compare(mesh: &TriangleMesh, pose: &Pose, range: [f64; 2]) -> (f32, usize, usize) {
     let mut rasteriser = Rasteriser::new();
     let ours = rasteriser.nearest(mesh, pose, &GRID, range);
@@ -42,7 +42,7 @@ fn compare(mesh: &TriangleMesh, pose: &Pose, range: [f64; 2]) -> (f32, usize, us
 }
 
 #[test]
-fn depths_are_those_of_rays_and_silhouettes_the_same_pixels() {
+fn depth_and_silhouette_agree_with_ray_casting() {
     let mut rng = Pcg64Mcg::seed_from_u64(1);
     let mut meshes: Vec<TriangleMesh> = ["mug", "box", "wedge", "spike"]
         .map(|name| builtin(&format!("builtin:{name}")).unwrap().scaled(0.25))
@@ -60,7 +60,7 @@ fn depths_are_those_of_rays_and_silhouettes_the_same_pixels() {
 }
 
 #[test]
-fn thin_and_steep_triangles_are_those_of_rays() {
+fn thin_and_steep_triangles_agree_with_ray_casting() {
     let mut rng = Pcg64Mcg::seed_from_u64(2);
     let mut soup = TriangleMesh::default();
     for index in 0..600 {
@@ -82,7 +82,7 @@ fn thin_and_steep_triangles_are_those_of_rays() {
 }
 
 #[test]
-fn what_has_no_area_on_the_image_is_not_seen() {
+fn degenerate_triangles_are_not_drawn() {
     let p = |x: f64, y: f64, z: f64| DVec3::new(x, y, z) * 1e-3;
     let mesh = TriangleMesh {
         vertices: vec![
@@ -108,7 +108,7 @@ fn covered(mesh: &TriangleMesh) -> Vec<usize> {
 }
 
 #[test]
-fn borders_on_pixel_centres_belong_to_the_pixels_right_and_below() {
+fn edges_on_pixel_centres_follow_top_left_rule() {
     let at = |column: f64, row: f64| {
         let [x, y] = GRID.pixel_to_gel_m(column, row);
         DVec3::new(x, y, 0.0)
@@ -150,7 +150,7 @@ fn borders_on_pixel_centres_belong_to_the_pixels_right_and_below() {
 }
 
 #[test]
-fn a_fan_covers_each_pixel_once() {
+fn fan_covers_each_pixel_once() {
     let mut rng = Pcg64Mcg::seed_from_u64(3);
     let mut fan = TriangleMesh {
         vertices: vec![DVec3::new(1e-4, -2e-4, 0.0)],
@@ -178,7 +178,7 @@ fn a_fan_covers_each_pixel_once() {
 }
 
 #[test]
-fn triangles_far_larger_than_the_image_keep_their_depth() {
+fn huge_triangle_keeps_its_depth() {
     let mesh = TriangleMesh {
         vertices: vec![
             DVec3::new(-300.0, -200.0, -30.0),
@@ -197,7 +197,7 @@ fn triangles_far_larger_than_the_image_keep_their_depth() {
 }
 
 #[test]
-fn surfaces_before_the_range_hide_nothing() {
+fn surfaces_before_the_range_are_ignored() {
     let ball = bumpy_ball(0.01, 0.0, 40, 40);
     // Its near half lies before the plane at 0, so the inside of the far half is seen.
     let mut rasteriser = Rasteriser::new();
@@ -209,12 +209,12 @@ fn surfaces_before_the_range_hide_nothing() {
 }
 
 #[test]
-fn the_seen_triangle_is_that_of_the_ray() {
+fn triangle_indices_agree_with_ray_casting() {
     let mug = builtin("builtin:mug").unwrap().scaled(0.25);
     let pose = random_pose(&mut Pcg64Mcg::seed_from_u64(4));
     let query = MeshQuery::new(&mug.transformed(&pose));
     let mut rasteriser = Rasteriser::new();
-    // Buffers of an earlier frame must not show.
+    // Buffers of an earlier frame must not be visible.
     rasteriser.nearest(&bumpy_ball(0.02, 0.0, 20, 20), &pose, &GRID, RANGE);
     let (z, triangles) = rasteriser.nearest_with_triangles(&mug, &pose, &GRID, RANGE);
     for (pixel, (z, triangle)) in z.iter().zip(triangles).enumerate() {

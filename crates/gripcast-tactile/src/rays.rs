@@ -1,4 +1,4 @@
-//! Depth by one ray a pixel: the slow and obvious way, to hold the z-buffer against.
+//! Ray-cast depth: slow reference for the z-buffer.
 
 use std::f64::consts::{PI, TAU};
 
@@ -8,7 +8,7 @@ use crate::depth::{IMAGE_PLANE_M, depth_below};
 use crate::{PressDepth, SensorGeometry, TactileScene};
 use gripcast_geometry::{MeshQuery, TriangleMesh};
 
-/// [`crate::object_depth`] by one ray a pixel; the mesh of `query` is in the sensor's frame.
+/// [`crate::object_depth`] by ray casting; the mesh of `query` is in the sensor frame.
 pub fn depth_by_rays(
     scene: &TactileScene<'_>,
     query: &MeshQuery,
@@ -19,7 +19,7 @@ pub fn depth_by_rays(
     depth_below(&nearest, touch, grid)
 }
 
-/// [`crate::Rasteriser::nearest`] by one ray a pixel; the mesh of `query` is in the sensor's frame.
+/// [`crate::Rasteriser::nearest`] by ray casting; the mesh of `query` is in the sensor frame.
 pub fn nearest_by_rays(
     query: &MeshQuery,
     grid: &SensorGeometry,
@@ -35,7 +35,7 @@ pub fn nearest_by_rays(
         .collect()
 }
 
-/// Closed ball with bumps (m) of `rings` parts from pole to pole.
+/// Closed ball with bumps of height `bump`, m, with `rings` rings from pole to pole.
 pub fn bumpy_ball(radius: f64, bump: f64, rings: u32, segments: u32) -> TriangleMesh {
     let at = |ring: u32, segment: u32| {
         let polar = PI * f64::from(ring) / f64::from(rings);
@@ -74,7 +74,7 @@ mod tests {
     use gripcast_geometry::MassProperties;
 
     #[test]
-    fn the_ball_is_closed_and_as_large_as_said() {
+    fn ball_is_closed_and_has_expected_volume() {
         let ball = bumpy_ball(0.01, 0.0, 60, 60);
         assert!(ball.edges().is_closed());
         let volume = MassProperties::from_mesh(&ball).unwrap().volume_m3;

@@ -1,20 +1,19 @@
-//! From the depth of a press to the sensor's image.
+//! Renders the sensor image of a press.
 
 use image::RgbImage;
 
 use super::background::planes_of;
-use super::noise::{FrameLook, pixel_noise};
+use super::noise::{FrameNoise, pixel_noise};
 use super::normals::Normals;
 use super::press_depth::{PressDepth, SensorGeometry};
 use super::profile::{SensorProfile, ShadingModel};
 use super::smooth::Smoother;
 use gripcast_base::error::{Error, Result};
 
-/// Largest relative difference of pixel sizes that counts as the same.
+/// Relative tolerance of pixel sizes.
 const SAME_PIXEL: f64 = 1e-6;
 
-/// Makes images of one sensor; keeps its buffers from frame to frame. One thread; several
-/// renderers work side by side.
+/// Renders images of one sensor on one thread; buffers are reused between frames.
 #[derive(Clone, Debug)]
 pub struct TactileRenderer {
     geometry: SensorGeometry,
@@ -30,7 +29,7 @@ impl TactileRenderer {
     /// Prepares a sensor.
     ///
     /// # Errors
-    /// `Config` if the profile is not valid.
+    /// `Config` if the profile is invalid.
     pub fn new(profile: &SensorProfile) -> Result<Self> {
         profile.validate()?;
         let geometry = profile.geometry;
@@ -52,27 +51,27 @@ impl TactileRenderer {
         })
     }
 
-    /// Grid, scale and gel of the images.
+    /// Pixel grid, scale and gel of the images.
     pub fn geometry(&self) -> SensorGeometry {
         self.geometry
     }
 
-    /// What the press changes in the image, grey levels: planes of red, green, blue, each
-    /// `width * height`, not rounded and not clipped.
+    /// Returns the change of the image caused by a press, grey levels: red, green and blue planes
+    /// of `width * height`, neither rounded nor clipped.
     ///
     /// # Errors
-    /// `Input` if the press was taken on another grid.
+    /// `Input` if the press is on another grid.
     pub fn change(&mut self, press: &PressDepth) -> Result<&[Vec<f32>; 3]> {
         self.check(press)?;
         let height_m = self.smoother.smooth(press);
-        self.normals.take(height_m, &self.geometry);
+        self.normals.compute(height_m, &self.geometry);
         for plane in &mut self.change {
             plane.clear();
             plane.resize(press.depth_m.len(), 0.0);
         }
         match &self.shading {
             ShadingModel::Polynomial(s) => {
-                self.normals.limit(s.steepest as f32);
+                self.normals.limit_slope(s.steepest as f32);
                 s.add(&self.geometry, &self.normals, &mut self.change);
             }
             ShadingModel::Leds(s) => s.add(&self.geometry, &self.normals, &mut self.change),
@@ -80,39 +79,32 @@ impl TactileRenderer {
         Ok(&self.change)
     }
 
-    /// The sensor's image of the press, 8 bits a channel.
+    /// Renders the sensor image of a press, 8 bits per channel.
     ///
     /// # Errors
-    /// `Input` if the press was taken on another grid.
-    pub fn render(&mut self, press: &PressDepth, look: &FrameLook) -> Result<RgbImage> {
+    /// `Input` if the press is on another grid.
+    pub fn render(&mut self, press: &PressDepth, noise: &FrameNoise) -> Result<RgbImage> {
         self.change(press)?;
         let mut image = RgbImage::new(self.geometry.width as u32, self.geometry.height as u32);
-        self.compose(look, &mut image);
+        self.compose(noise, &mut image);
         Ok(image)
     }
 
-    /// gain · (untouched + change) + offset + noise, rounded.
-    fn compose(&self, look: &FrameLook, image: &mut RgbImage) {
+    /// Writes gain · (untouched + change) + offset + noise, rounded.
+    fn compose(&self, noise: &FrameNoise, image: &mut RgbImage) {
         let [red, green, blue] = &self.untouched;
         let [d_red, d_green, d_blue] = &self.change;
         let light = red.iter().zip(d_red);
         let light = light.zip(green.iter().zip(d_green));
         let light = light.zip(blue.iter().zip(d_blue));
         // + 0.5 rounds; the cast saturates at 0 and 255.
-        let [o_red, o_green, o_blue] = look.offset.map(|v| v + 0.5);
-        let [g_red, g_green, g_blue] = look.gain;
+        let [o_red, o_green, o_blue] = noise.offset.map(|v| v + 0.5);
+        let [g_red, g_green, g_blue] = noise.gain;
         let pixels = image.chunks_exact_mut(3).zip(light);
-        let Some(seed) = look.noise_seed else {
-            for (pixel, (((r, dr), (g, dg)), (b, db))) in pixels {
-                pixel[0] = (g_red * (r + dr) + o_red) as u8;
-                pixel[1] = (g_green * (g + dg) + o_green) as u8;
-                pixel[2] = (g_blue * (b + db) + o_blue) as u8;
-            }
-            return;
-        };
         let [s_red, s_green, s_blue] = self.noise_std;
         for (i, (pixel, (((r, dr), (g, dg)), (b, db)))) in pixels.enumerate() {
-            let [n_red, n_green, n_blue] = pixel_noise(seed, i);
+            let draws = noise.noise_seed.map(|seed| pixel_noise(seed, i));
+            let [n_red, n_green, n_blue] = draws.unwrap_or_default();
             pixel[0] = (g_red * (r + dr) + o_red + s_red * n_red) as u8;
             pixel[1] = (g_green * (g + dg) + o_green + s_green * n_green) as u8;
             pixel[2] = (g_blue * (b + db) + o_blue + s_blue * n_blue) as u8;
@@ -122,12 +114,8 @@ impl TactileRenderer {
     fn check(&self, press: &PressDepth) -> Result<()> {
         let (ours, theirs) = (&self.geometry, &press.geometry);
         let same_pixel = (ours.pixel_m - theirs.pixel_m).abs() <= SAME_PIXEL * ours.pixel_m;
-        let pixels = ours.width * ours.height;
-        if ours.width == theirs.width
-            && ours.height == theirs.height
-            && same_pixel
-            && press.depth_m.len() == pixels
-        {
+        let same_grid = (ours.width, ours.height) == (theirs.width, theirs.height);
+        if same_grid && same_pixel && press.depth_m.len() == ours.width * ours.height {
             return Ok(());
         }
         Err(Error::input(format!(
@@ -141,7 +129,7 @@ impl TactileRenderer {
             theirs.pixel_m,
             press.depth_m.len()
         ))
-        .remedy("take the depth with the geometry of the sensor's profile"))
+        .remedy("render the depth with the geometry of the sensor profile"))
     }
 }
 

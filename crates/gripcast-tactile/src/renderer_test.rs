@@ -1,25 +1,31 @@
 use super::*;
-use crate::calibrate::ball_press;
+use crate::calibrate::BallContact;
 
 fn mini() -> TactileRenderer {
     TactileRenderer::new(&SensorProfile::gelsight_mini().unwrap()).unwrap()
 }
 
 fn ball(renderer: &TactileRenderer) -> PressDepth {
-    ball_press(renderer.geometry(), [170.0, 110.0], 15.0, 2e-3, 2e-4)
+    let contact = BallContact {
+        geometry: renderer.geometry(),
+        centre_px: [170.0, 110.0],
+        radius_px: 15.0,
+        ball_m: 2e-3,
+    };
+    contact.press_sunk_by(2e-4)
 }
 
 #[test]
-fn nothing_touches_and_the_untouched_gel_is_seen() {
+fn no_contact_renders_the_background() {
     let profile = SensorProfile::gelsight_mini().unwrap();
     let mut renderer = mini();
     let press = PressDepth::untouched(renderer.geometry());
-    let image = renderer.render(&press, &FrameLook::default()).unwrap();
+    let image = renderer.render(&press, &FrameNoise::default()).unwrap();
     assert_eq!(Some(image), profile.background.image);
 }
 
 #[test]
-fn a_press_changes_its_surroundings_and_nothing_far_away() {
+fn press_changes_only_its_surroundings() {
     let mut renderer = mini();
     let press = ball(&renderer);
     let change = renderer.change(&press).unwrap();
@@ -34,7 +40,7 @@ fn a_press_changes_its_surroundings_and_nothing_far_away() {
 }
 
 #[test]
-fn opposite_slopes_change_red_in_opposite_ways() {
+fn opposite_slopes_change_red_oppositely() {
     let mut renderer = mini();
     let press = ball(&renderer);
     let change = renderer.change(&press).unwrap();
@@ -43,35 +49,35 @@ fn opposite_slopes_change_red_in_opposite_ways() {
 }
 
 #[test]
-fn the_same_seed_gives_the_same_bytes_whatever_came_before() {
+fn image_depends_on_seed_not_on_earlier_frames() {
     let mut renderer = mini();
     let press = ball(&renderer);
-    let look = FrameLook {
+    let noise = FrameNoise {
         noise_seed: Some(11),
-        ..FrameLook::default()
+        ..FrameNoise::default()
     };
-    let first = renderer.render(&press, &look).unwrap();
+    let first = renderer.render(&press, &noise).unwrap();
     let untouched = PressDepth::untouched(renderer.geometry());
-    renderer.render(&untouched, &look).unwrap();
-    assert_eq!(renderer.render(&press, &look).unwrap(), first);
-    assert_eq!(mini().render(&press, &look).unwrap(), first);
-    let other = FrameLook {
+    renderer.render(&untouched, &noise).unwrap();
+    assert_eq!(renderer.render(&press, &noise).unwrap(), first);
+    assert_eq!(mini().render(&press, &noise).unwrap(), first);
+    let other = FrameNoise {
         noise_seed: Some(12),
-        ..look
+        ..noise
     };
     assert_ne!(renderer.render(&press, &other).unwrap(), first);
 }
 
 #[test]
-fn noise_has_the_deviation_of_the_profile() {
+fn noise_has_std_of_the_profile() {
     let mut renderer = mini();
     let press = PressDepth::untouched(renderer.geometry());
-    let still = renderer.render(&press, &FrameLook::default()).unwrap();
-    let look = FrameLook {
+    let still = renderer.render(&press, &FrameNoise::default()).unwrap();
+    let noise = FrameNoise {
         noise_seed: Some(1),
-        ..FrameLook::default()
+        ..FrameNoise::default()
     };
-    let noisy = renderer.render(&press, &look).unwrap();
+    let noisy = renderer.render(&press, &noise).unwrap();
     let expected = SensorProfile::gelsight_mini().unwrap().noise_std;
     for c in 0..3 {
         let square: f64 = still
@@ -90,22 +96,22 @@ fn noise_has_the_deviation_of_the_profile() {
 fn gain_and_offset_apply_and_saturate() {
     let mut renderer = mini();
     let press = PressDepth::untouched(renderer.geometry());
-    let look = FrameLook {
+    let noise = FrameNoise {
         gain: [0.0; 3],
         offset: [300.0, -5.0, 77.0],
         noise_seed: None,
     };
-    let image = renderer.render(&press, &look).unwrap();
+    let image = renderer.render(&press, &noise).unwrap();
     assert!(image.pixels().all(|p| p.0 == [255, 0, 77]));
 }
 
 #[test]
-fn presses_on_another_grid_are_refused() {
+fn press_on_another_grid_is_refused() {
     let mut renderer = mini();
     let mut geometry = renderer.geometry();
     geometry.pixel_m *= 2.0;
-    let wrong = PressDepth::untouched(geometry);
-    let text = renderer.change(&wrong).unwrap_err().to_string();
+    let other_grid = PressDepth::untouched(geometry);
+    let text = renderer.change(&other_grid).unwrap_err().to_string();
     assert!(text.contains("grid"), "{text}");
     let mut short = PressDepth::untouched(renderer.geometry());
     short.depth_m.pop();
@@ -113,11 +119,11 @@ fn presses_on_another_grid_are_refused() {
 }
 
 #[test]
-fn depths_that_are_no_numbers_do_not_fail() {
+fn non_finite_depths_are_tolerated() {
     let mut renderer = mini();
     let mut press = ball(&renderer);
     press.depth_m[40_000] = f32::NAN;
     press.depth_m[40_001] = f32::INFINITY;
     press.depth_m[40_002] = -1.0;
-    renderer.render(&press, &FrameLook::default()).unwrap();
+    renderer.render(&press, &FrameNoise::default()).unwrap();
 }

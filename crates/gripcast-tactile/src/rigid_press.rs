@@ -1,22 +1,23 @@
-//! How deep a force presses an object into a gel that was not simulated.
+//! Indentation depth of an unsimulated press from its force.
 
 use super::press_depth::SensorGeometry;
 use super::rasteriser::Rasteriser;
 use gripcast_geometry::{Pose, TriangleMesh};
 
-/// Halvings of the interval in which the depth lies: finer than a nanometre.
-const HALVINGS: u32 = 24;
+/// Bisection steps for the depth: finer than a nanometre.
+const BISECTION_STEPS: u32 = 24;
 
-/// Stiffness of a thin gel on a rigid back, Pa/m: an elastic foundation whose material cannot move
-/// aside, E (1 − ν) / ((1 + ν)(1 − 2ν)) over its thickness (Johnson, *Contact Mechanics*, §4.3).
+/// Stiffness (Pa/m) of a thin gel on a rigid backing: an elastic foundation of laterally
+/// constrained material, E (1 − ν) / ((1 + ν)(1 − 2ν)) over its thickness (Johnson, *Contact
+/// Mechanics*, §4.3).
 pub fn foundation_pa_m(young_pa: f64, poisson: f64, thickness_m: f64) -> f64 {
     let constrained = young_pa * (1.0 - poisson) / ((1.0 + poisson) * (1.0 - 2.0 * poisson));
     constrained / thickness_m
 }
 
-/// Depth (m) of the deepest pixel at which a foundation of `stiffness_pa_m` carries `force_n`, at
-/// most the gel's thickness; none where the object does not lie over the image. `t_sensor_object`
-/// gives the object's turn and its place across; its z is not used.
+/// Returns the maximum depth (m) at which a foundation of `stiffness_pa_m` carries `force_n`, at
+/// most the gel thickness; `None` if the object is not over the image. The z of `t_sensor_object`
+/// is ignored.
 pub fn depth_under_force(
     object: &TriangleMesh,
     t_sensor_object: &Pose,
@@ -26,12 +27,12 @@ pub fn depth_under_force(
 ) -> Option<f64> {
     let everywhere = [f64::NEG_INFINITY, f64::INFINITY];
     let mut rasteriser = Rasteriser::new();
-    let seen = rasteriser.nearest(object, t_sensor_object, grid, everywhere);
-    let lowest = seen.iter().copied().fold(f32::INFINITY, f32::min);
+    let nearest = rasteriser.nearest(object, t_sensor_object, grid, everywhere);
+    let lowest = nearest.iter().copied().fold(f32::INFINITY, f32::min);
     if !lowest.is_finite() {
         return None;
     }
-    let heights: Vec<f64> = seen
+    let heights: Vec<f64> = nearest
         .iter()
         .map(|z| f64::from(z - lowest))
         .filter(|height| *height < grid.gel_thickness_m)
@@ -41,16 +42,16 @@ pub fn depth_under_force(
         let sunk: f64 = heights.iter().map(|height| (depth - height).max(0.0)).sum();
         stiffness_pa_m * pixel_m2 * sunk
     };
-    let (mut least, mut most) = (0.0, grid.gel_thickness_m);
-    for _ in 0..HALVINGS {
-        let middle = 0.5 * (least + most);
+    let (mut min_m, mut max_m) = (0.0, grid.gel_thickness_m);
+    for _ in 0..BISECTION_STEPS {
+        let middle = 0.5 * (min_m + max_m);
         if carried(middle) < force_n {
-            least = middle;
+            min_m = middle;
         } else {
-            most = middle;
+            max_m = middle;
         }
     }
-    Some(most)
+    Some(max_m)
 }
 
 #[cfg(test)]
@@ -66,7 +67,7 @@ mod tests {
     }
 
     #[test]
-    fn a_flat_face_sinks_by_its_pressure_over_the_stiffness() {
+    fn flat_face_depth_is_pressure_over_stiffness() {
         let bar = builtin("box").unwrap();
         let k = foundation_pa_m(1e6, 0.3, 0.004);
         let grid = grid();
@@ -78,7 +79,7 @@ mod tests {
     }
 
     #[test]
-    fn a_ball_sinks_with_the_root_of_the_force() {
+    fn ball_depth_grows_with_root_of_force() {
         // F = k π R δ² for a ball on an elastic foundation.
         let ball = builtin("ball").unwrap();
         let k = foundation_pa_m(1e6, 0.3, 0.004);
@@ -95,7 +96,7 @@ mod tests {
     }
 
     #[test]
-    fn nothing_under_the_sensor_has_no_depth() {
+    fn object_beside_the_sensor_has_no_depth() {
         let ball = builtin("ball").unwrap();
         let aside = Pose::from_translation(DVec3::X * 0.5);
         assert_eq!(depth_under_force(&ball, &aside, 5.0, 1e8, &grid()), None);

@@ -1,15 +1,14 @@
-//! What a tactile sensor meets: the object and the gel in the sensor's frame.
+//! Tactile scene: the object and the gel in the sensor frame.
 //!
 //! # Frames
-//! The gel's own frame is that of [`Finger`]: z from the back to the face, x along the gripper's
-//! approach, y across; its origin lies in the middle of the back, which moves with the finger. The
-//! sensor's frame is the gel's, turned about z by the [`Mounting`], so that x runs along the
-//! columns and y along the rows of the image. Unturned, what lies further along the approach is
-//! further right in both images; what lies further along the gripper's y is further up in the
-//! left finger's and further down in the right one's.
+//! Gel frame ([`Finger`]): z from the back to the face, x along the gripper's approach direction, y
+//! across; the origin is the centre of the back and moves with the finger. The sensor frame is the
+//! gel frame rotated about z by the [`MountingAngle`], so that x runs along the columns and y along
+//! the rows of the image. At 0°, points further along the approach direction are further right in
+//! both images; points further along the gripper's y are further up in the left finger's image and
+//! further down in the right one's.
 
 use glam::{DQuat, DVec3};
-use serde::{Deserialize, Serialize};
 
 use super::contact_gap::contact_gap;
 use super::press_depth::SensorGeometry;
@@ -19,16 +18,15 @@ use gripcast_geometry::{Pose, TriangleMesh};
 use gripcast_sim::fem::{GelGrid, Side};
 use gripcast_sim::grasp::{Finger, Snapshot, TraceStep};
 
-/// How a sensor is turned on its finger, in quarter turns: its image's columns run along the
-/// gel's x axis turned by this angle about the gel's z axis, towards its y axis.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(try_from = "u16", into = "u16")]
-pub struct Mounting {
+/// Rotation of a sensor on its finger in quarter turns: the image columns run along the gel's x
+/// axis rotated by this angle about the gel's z axis, towards y.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct MountingAngle {
     quarters: u8,
 }
 
-impl Mounting {
-    /// A turn by 0, 90, 180 or 270 degrees.
+impl MountingAngle {
+    /// Angle of 0, 90, 180 or 270 degrees.
     ///
     /// # Errors
     /// `Input` for another angle.
@@ -38,12 +36,12 @@ impl Mounting {
                 quarters: (degrees / 90) as u8,
             }),
             other => Err(Error::input(format!(
-                "a sensor is mounted at 0, 90, 180 or 270 degrees, found {other}"
+                "the mounting angle must be 0, 90, 180 or 270 degrees, found {other}"
             ))),
         }
     }
 
-    /// The turn, degrees.
+    /// Angle, degrees.
     pub fn degrees(self) -> u16 {
         90 * u16::from(self.quarters)
     }
@@ -53,39 +51,25 @@ impl Mounting {
     }
 }
 
-impl TryFrom<u16> for Mounting {
-    type Error = String;
-
-    fn try_from(degrees: u16) -> Result<Self, String> {
-        Self::from_degrees(degrees).map_err(|e| e.what().to_owned())
-    }
-}
-
-impl From<Mounting> for u16 {
-    fn from(mounting: Mounting) -> Self {
-        mounting.degrees()
-    }
-}
-
-/// Which sensor of the gripper.
+/// Mounting of one of the gripper's sensors.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct SensorPlace {
-    /// The finger that carries it.
+pub struct SensorMount {
+    /// Finger that carries the sensor.
     pub finger: Finger,
-    /// How it is turned there.
-    pub mounting: Mounting,
+    /// Rotation on the finger.
+    pub mounting: MountingAngle,
 }
 
-impl SensorPlace {
-    /// The sensor of a finger, unturned.
+impl SensorMount {
+    /// Sensor of a finger mounted at 0°.
     pub fn on(finger: Finger) -> Self {
         Self {
             finger,
-            mounting: Mounting::default(),
+            mounting: MountingAngle::default(),
         }
     }
 
-    /// Pose of the sensor's frame on a gripper whose undeformed faces are `opening_m` apart.
+    /// Pose of the sensor frame on a gripper whose undeformed faces are `opening_m` apart.
     pub fn t_gripper_sensor(self, opening_m: f64, gel_thickness_m: f64) -> Pose {
         let back = -(0.5 * opening_m + gel_thickness_m);
         let rotation = DQuat::from_mat3(&self.finger.rotation()) * self.mounting.rotation();
@@ -93,54 +77,53 @@ impl SensorPlace {
     }
 }
 
-/// How far an object is taken away so that nothing touches, m.
-const AWAY_M: f64 = 10.0;
+/// Displacement of an object out of contact, m.
+const CLEARANCE_M: f64 = 10.0;
 
-/// The gels of a simulated grasp.
+/// Gel of a simulated grasp.
 #[derive(Clone, Debug)]
 pub struct SimulatedGel {
     /// Mesh at rest.
     pub grid: GelGrid,
-    /// Distance at which contact begins, m.
+    /// Distance at which the contact barrier starts, m.
     pub d_hat_m: f64,
 }
 
-/// What a sensor meets.
+/// Object and gel in the sensor frame.
 #[derive(Clone, Debug)]
 pub struct TactileScene<'a> {
     /// Surface of the object in its own frame, m.
     pub object: &'a TriangleMesh,
-    /// The object in the sensor's frame.
+    /// Pose of the object in the sensor frame.
     pub t_sensor_object: Pose,
-    /// z of the gel's face at rest in the sensor's frame, m.
+    /// z of the face at rest in the sensor frame, m.
     pub face_m: f64,
-    /// How far the object stands off a face that it presses on, m: depths count from a plane
-    /// this much beyond the face.
+    /// Contact gap, m: depths are measured from a plane this far beyond the face.
     pub gap_m: f64,
-    /// The deformed face in the sensor's frame, where it is known.
+    /// Deformed face in the sensor frame, if known.
     pub gel_face: Option<TriangleMesh>,
 }
 
 impl<'a> TactileScene<'a> {
-    /// The end of a stage of a simulated grasp.
+    /// Scene at the end of a stage of a simulated grasp.
     ///
-    /// The face at rest is the thickness above the mean of the back's nodes, which yield to the
-    /// force by some µm. The gap is measured between the deformed face and the object
+    /// The face at rest lies one thickness above the mean of the back's nodes, which yield to the
+    /// force by some µm. The gap between the deformed face and the object is measured
     /// ([`contact_gap`]).
     ///
     /// # Errors
-    /// `Input` where the mesh is invalid, or the snapshot's gels have other nodes than `gel`.
-    pub fn of_snapshot(
+    /// `Input` if the mesh is invalid or the number of gel nodes differs from that of `gel`.
+    pub fn from_snapshot(
         object: &'a TriangleMesh,
         gel: &SimulatedGel,
         snapshot: &Snapshot,
-        place: SensorPlace,
+        mount: SensorMount,
     ) -> Result<Self> {
         object.validate()?;
         let thickness = gel.grid.thickness_m();
-        let t_gripper_sensor = place.t_gripper_sensor(snapshot.opening_m, thickness);
+        let t_gripper_sensor = mount.t_gripper_sensor(snapshot.opening_m, thickness);
         let t_sensor_world = (snapshot.t_world_gripper * t_gripper_sensor).inverse();
-        let nodes = &snapshot.gels[place.finger as usize];
+        let nodes = &snapshot.gels[mount.finger as usize];
         let (face, back_m) = deformed_face(&gel.grid, nodes, &t_sensor_world)?;
         let t_sensor_object = t_sensor_world * snapshot.t_world_object;
         let gap = contact_gap(object, &t_sensor_object, &face, gel.d_hat_m);
@@ -153,67 +136,67 @@ impl<'a> TactileScene<'a> {
         })
     }
 
-    /// Any step of a simulated grasp; the deformed face is not known.
+    /// Scene at any step of a simulated grasp, without the deformed face.
     ///
-    /// `t_world_gripper` is the gripper before the lift, as the first snapshot has it. The gap is
-    /// halfway between the step's smallest one and `d_hat`, which is within 10 µm of the one
-    /// that is measured where the face is known; `d_hat` where nothing touches.
+    /// `t_world_gripper` is the gripper pose before the lift. The gap is taken halfway between the
+    /// minimum gap of the step and `d_hat`, within 10 µm of the measured one; `d_hat` without
+    /// contact.
     ///
     /// # Errors
-    /// `Input` where the mesh is invalid.
-    pub fn of_step(
+    /// `Input` if the mesh is invalid.
+    pub fn from_step(
         object: &'a TriangleMesh,
         gel: &SimulatedGel,
         t_world_gripper: &Pose,
         step: &TraceStep,
-        place: SensorPlace,
+        mount: SensorMount,
     ) -> Result<Self> {
         object.validate()?;
         let thickness = gel.grid.thickness_m();
-        let t_gripper_sensor = place.t_gripper_sensor(step.opening_m, thickness);
+        let t_gripper_sensor = mount.t_gripper_sensor(step.opening_m, thickness);
         let lift = Pose::from_translation(DVec3::Z * step.lifted_m);
         let t_sensor_world = (lift * *t_world_gripper * t_gripper_sensor).inverse();
-        let least = step.min_gap_m[place.finger as usize].unwrap_or(gel.d_hat_m);
+        let min_gap = step.min_gap_m[mount.finger as usize].unwrap_or(gel.d_hat_m);
         Ok(Self {
             object,
             t_sensor_object: t_sensor_world * step.t_world_object,
             face_m: thickness,
-            gap_m: 0.5 * (least + gel.d_hat_m),
+            gap_m: 0.5 * (min_gap + gel.d_hat_m),
             gel_face: None,
         })
     }
 
-    /// A grasp before the fingers close, their undeformed faces `opening_m` apart.
+    /// Scene before the fingers close, with undeformed faces `opening_m` apart.
     ///
     /// # Errors
-    /// `Input` where the mesh is invalid.
-    pub fn at_start(
+    /// `Input` if the mesh is invalid.
+    pub fn before_closing(
         object: &'a TriangleMesh,
         gel: &SimulatedGel,
         [t_world_object, t_world_gripper]: [&Pose; 2],
         opening_m: f64,
-        place: SensorPlace,
+        mount: SensorMount,
     ) -> Result<Self> {
         object.validate()?;
         let thickness = gel.grid.thickness_m();
-        let t_gripper_sensor = place.t_gripper_sensor(opening_m, thickness);
+        let t_gripper_sensor = mount.t_gripper_sensor(opening_m, thickness);
         let t_sensor_world = (*t_world_gripper * t_gripper_sensor).inverse();
         let positions = gel.grid.positions();
         let rest: Vec<_> = positions.iter().map(|p| p.to_array()).collect();
-        let unturned = Pose::from_rotation(place.mounting.rotation().conjugate());
+        let t_sensor_gel = Pose::from_rotation(mount.mounting.rotation().conjugate());
         Ok(Self {
             object,
             t_sensor_object: t_sensor_world * *t_world_object,
             face_m: thickness,
             gap_m: gel.d_hat_m,
-            gel_face: Some(deformed_face(&gel.grid, &rest, &unturned)?.0),
+            gel_face: Some(deformed_face(&gel.grid, &rest, &t_sensor_gel)?.0),
         })
     }
 
-    /// The same sensor with the object taken away and its face flat.
+    /// Returns the scene without contact and with a flat face.
     #[must_use]
     pub fn untouched(&self) -> Self {
-        let away = Pose::from_translation(DVec3::Z * AWAY_M);
+        let away = Pose::from_translation(DVec3::Z * CLEARANCE_M);
         let flat = |face: &TriangleMesh| TriangleMesh {
             vertices: face
                 .vertices
@@ -229,23 +212,23 @@ impl<'a> TactileScene<'a> {
         }
     }
 
-    /// A gel with the object beside it, out of its image.
+    /// Scene of a gel with the object out of its image.
     pub fn without_contact(object: &'a TriangleMesh, grid: &SensorGeometry) -> Self {
         Self {
             object,
-            t_sensor_object: Pose::from_translation(DVec3::Z * AWAY_M),
+            t_sensor_object: Pose::from_translation(DVec3::Z * CLEARANCE_M),
             face_m: grid.gel_thickness_m,
             gap_m: 0.0,
             gel_face: None,
         }
     }
 
-    /// An object pressed in along the sensor's z axis until the deepest pixel of the image is
-    /// `depth_m` deep. `t_sensor_object` gives its turn and its place across; its z is not used.
+    /// Scene of an object pressed along the sensor's z axis to the maximum depth `depth_m`. The z
+    /// of `t_sensor_object` is ignored.
     ///
     /// # Errors
-    /// `Input` where the mesh is invalid, no pixel lies under it, or the depth is not above 0 and
-    /// at most the gel's thickness.
+    /// `Input` if the mesh is invalid, not over the image, or the depth is not above 0 and at most
+    /// the gel thickness.
     pub fn pressed(
         object: &'a TriangleMesh,
         t_sensor_object: &Pose,
@@ -256,19 +239,17 @@ impl<'a> TactileScene<'a> {
         let thickness = grid.gel_thickness_m;
         if !(depth_m > 0.0 && depth_m <= thickness) {
             return Err(Error::input(format!(
-                "the depth of a press must be above 0 and at most the gel's thickness of \
+                "the depth of a press must be above 0 and at most the gel thickness of \
                      {thickness} m, found {depth_m}"
             )));
         }
         let everywhere = [f64::NEG_INFINITY, f64::INFINITY];
         let mut rasteriser = Rasteriser::new();
-        let seen = rasteriser.nearest(object, t_sensor_object, grid, everywhere);
-        let lowest = f64::from(seen.iter().copied().fold(f32::INFINITY, f32::min));
+        let nearest = rasteriser.nearest(object, t_sensor_object, grid, everywhere);
+        let lowest = f64::from(nearest.iter().copied().fold(f32::INFINITY, f32::min));
         if !lowest.is_finite() {
-            return Err(
-                Error::input("the object does not lie over the sensor's image")
-                    .remedy("shift it: x = 0, y = 0 is the middle of the gel"),
-            );
+            return Err(Error::input("the object is not over the sensor's image")
+                .remedy("shift it: x = 0, y = 0 is the centre of the gel"));
         }
         let press = Pose::from_translation(DVec3::Z * (thickness - depth_m - lowest));
         Ok(Self {
@@ -281,7 +262,7 @@ impl<'a> TactileScene<'a> {
     }
 }
 
-/// The face of a gel in the sensor's frame, and the mean z of its back's nodes there, m.
+/// Returns the face of a gel and the mean z of its back's nodes in the sensor frame, m.
 fn deformed_face(
     grid: &GelGrid,
     nodes: &[[f64; 3]],
@@ -290,10 +271,10 @@ fn deformed_face(
     let expected = grid.positions().len();
     if nodes.len() != expected {
         return Err(Error::input(format!(
-            "expected the {expected} nodes of the gel's mesh, found {}",
+            "expected {expected} nodes of the gel mesh, found {}",
             nodes.len()
         ))
-        .remedy("take the mesh from the trace that the snapshot comes from"));
+        .remedy("use the gel mesh of the snapshot's trace"));
     }
     let at = |node: usize| t_sensor_nodes.transform_point(DVec3::from_array(nodes[node]));
     // The face is the last layer of the grid.
@@ -308,7 +289,7 @@ fn deformed_face(
             .collect(),
     };
     face.validate()
-        .map_err(|e| Error::input("the trace's gel is damaged").because(e))?;
+        .map_err(|e| Error::input("invalid gel mesh in the trace").because(e))?;
     let back = grid.driven();
     let sum: f64 = back.iter().map(|&node| at(node as usize).z).sum();
     Ok((face, sum / back.len().max(1) as f64))

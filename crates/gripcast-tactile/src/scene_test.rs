@@ -23,13 +23,13 @@ fn gel() -> SimulatedGel {
     }
 }
 
-/// A gripper somewhere, turned.
+/// A rotated gripper pose.
 fn gripper() -> Pose {
-    let turn = DQuat::from_rotation_x(0.7) * DQuat::from_rotation_z(-2.0);
-    Pose::new(turn, DVec3::new(0.1, -0.2, 0.3))
+    let rotation = DQuat::from_rotation_x(0.7) * DQuat::from_rotation_z(-2.0);
+    Pose::new(rotation, DVec3::new(0.1, -0.2, 0.3))
 }
 
-/// A box of 2 mm that reaches 1 mm into both gels; its middle in the gripper's frame.
+/// A 2 mm box that reaches 1 mm into both gels, centred at `across` in the gripper frame.
 fn feature(across: DVec3) -> TriangleMesh {
     let mut mesh = builtin("builtin:box").unwrap();
     let extent = mesh.bounds().extent();
@@ -40,13 +40,13 @@ fn feature(across: DVec3) -> TriangleMesh {
     mesh
 }
 
-/// A grasp with both gels at rest.
+/// A snapshot with both gels at rest.
 fn snapshot(gel: &SimulatedGel) -> Snapshot {
     let nodes = Finger::BOTH.map(|finger| {
-        let t_gripper_gel = SensorPlace::on(finger).t_gripper_sensor(OPENING_M, 4e-3);
-        let place = gripper() * t_gripper_gel;
-        let at = |p: &DVec3| place.transform_point(*p).to_array();
-        gel.grid.positions().iter().map(at).collect()
+        let t_gripper_gel = SensorMount::on(finger).t_gripper_sensor(OPENING_M, 4e-3);
+        let t_world_gel = gripper() * t_gripper_gel;
+        let to_world = |p: &DVec3| t_world_gel.transform_point(*p).to_array();
+        gel.grid.positions().iter().map(to_world).collect()
     });
     Snapshot {
         stage: StageName::Adjustment,
@@ -58,14 +58,14 @@ fn snapshot(gel: &SimulatedGel) -> Snapshot {
     }
 }
 
-/// Mean column and row of what is pressed in, from the image's middle, and the deepest point.
-fn pressed_at(object: &TriangleMesh, place: SensorPlace) -> ([f64; 2], f64) {
+/// Mean column and row of the indentation from the image centre, and the maximum depth.
+fn pressed_at(object: &TriangleMesh, mount: SensorMount) -> ([f64; 2], f64) {
     let gel = gel();
-    let scene = TactileScene::of_snapshot(object, &gel, &snapshot(&gel), place).unwrap();
+    let scene = TactileScene::from_snapshot(object, &gel, &snapshot(&gel), mount).unwrap();
     assert!((scene.face_m - 4e-3).abs() < 1e-12);
     assert_eq!(
         scene.gap_m, gel.d_hat_m,
-        "undeformed: nothing within reach is seen as touching"
+        "undeformed gel: no contact is measured"
     );
     let press = object_depth(&scene, &GRID, &mut Rasteriser::new());
     let (mut sum, mut count) = ([0.0; 2], 0.0);
@@ -80,17 +80,17 @@ fn pressed_at(object: &TriangleMesh, place: SensorPlace) -> ([f64; 2], f64) {
 }
 
 #[test]
-fn features_appear_where_the_frames_say() {
+fn features_appear_at_documented_positions() {
     let ahead = feature(DVec3::Z * 5e-3);
     let aside = feature(DVec3::Y * 4e-3);
     for finger in Finger::BOTH {
-        let ([column, row], depth) = pressed_at(&ahead, SensorPlace::on(finger));
+        let ([column, row], depth) = pressed_at(&ahead, SensorMount::on(finger));
         assert!(
             (column - 25.0).abs() < 0.6 && row.abs() < 0.6,
             "{finger:?} {column} {row}"
         );
         assert!((depth - 1.5e-3).abs() < 1e-8, "1 mm and the gap: {depth}");
-        let ([column, row], _) = pressed_at(&aside, SensorPlace::on(finger));
+        let ([column, row], _) = pressed_at(&aside, SensorMount::on(finger));
         let expected = if finger == Finger::Left { -20.0 } else { 20.0 };
         assert!(
             (row - expected).abs() < 0.6 && column.abs() < 0.6,
@@ -100,7 +100,7 @@ fn features_appear_where_the_frames_say() {
 }
 
 #[test]
-fn a_turned_sensor_turns_its_image_the_other_way() {
+fn mounting_angle_rotates_image_oppositely() {
     let ahead = feature(DVec3::Z * 5e-3);
     let expected = [
         (0, [25.0, 0.0]),
@@ -110,10 +110,12 @@ fn a_turned_sensor_turns_its_image_the_other_way() {
     ];
     for finger in Finger::BOTH {
         for (degrees, expected) in expected {
-            let mounting = Mounting::from_degrees(degrees).unwrap();
-            let (at, _) = pressed_at(&ahead, SensorPlace { finger, mounting });
-            let off = (at[0] - expected[0]).abs().max((at[1] - expected[1]).abs());
-            assert!(off < 0.6, "{finger:?} {degrees}: {at:?}");
+            let mounting = MountingAngle::from_degrees(degrees).unwrap();
+            let (centre, _) = pressed_at(&ahead, SensorMount { finger, mounting });
+            let off = (centre[0] - expected[0])
+                .abs()
+                .max((centre[1] - expected[1]).abs());
+            assert!(off < 0.6, "{finger:?} {degrees}: {centre:?}");
         }
     }
 }
@@ -121,7 +123,7 @@ fn a_turned_sensor_turns_its_image_the_other_way() {
 #[test]
 fn sensor_frames_are_right_handed_and_face_each_other() {
     for finger in Finger::BOTH {
-        let pose = SensorPlace::on(finger).t_gripper_sensor(OPENING_M, 4e-3);
+        let pose = SensorMount::on(finger).t_gripper_sensor(OPENING_M, 4e-3);
         assert!((pose.rotation_matrix().determinant() - 1.0).abs() < 1e-12);
         let face = pose.transform_point(DVec3::Z * 4e-3);
         let expected = -0.5 * OPENING_M * finger.closing();
@@ -131,17 +133,14 @@ fn sensor_frames_are_right_handed_and_face_each_other() {
 }
 
 #[test]
-fn mountings_are_quarter_turns() {
-    let text = Mounting::from_degrees(45).unwrap_err().to_string();
+fn mounting_angle_must_be_quarter_turn() {
+    let text = MountingAngle::from_degrees(45).unwrap_err().to_string();
     assert!(text.contains("found 45"), "{text}");
-    let mounting: Mounting = serde_json::from_str("270").unwrap();
-    assert_eq!(mounting.degrees(), 270);
-    assert_eq!(serde_json::to_string(&mounting).unwrap(), "270");
-    assert!(serde_json::from_str::<Mounting>("30").is_err());
+    assert_eq!(MountingAngle::from_degrees(270).unwrap().degrees(), 270);
 }
 
 #[test]
-fn a_step_sees_what_the_snapshot_of_its_moment_sees() {
+fn step_agrees_with_snapshot_of_same_time() {
     let object = feature(DVec3::Z * 5e-3);
     let gel = gel();
     let lift = 0.02;
@@ -156,23 +155,23 @@ fn a_step_sees_what_the_snapshot_of_its_moment_sees() {
         solver: None,
     };
     for finger in Finger::BOTH {
-        let place = SensorPlace::on(finger);
-        let scene = TactileScene::of_step(&object, &gel, &gripper(), &step, place).unwrap();
-        let known = TactileScene::of_snapshot(&object, &gel, &snapshot(&gel), place).unwrap();
-        let apart = scene.t_sensor_object.inverse() * known.t_sensor_object;
-        assert!(apart.translation_m.length() < 1e-12);
+        let mount = SensorMount::on(finger);
+        let scene = TactileScene::from_step(&object, &gel, &gripper(), &step, mount).unwrap();
+        let reference = TactileScene::from_snapshot(&object, &gel, &snapshot(&gel), mount).unwrap();
+        let offset = scene.t_sensor_object.inverse() * reference.t_sensor_object;
+        assert!(offset.translation_m.length() < 1e-12);
         assert!(scene.gel_face.is_none());
         assert_eq!(scene.gap_m, [5e-4, 4.75e-4][finger as usize]);
     }
     step.opening_m -= 2e-3;
-    let place = SensorPlace::on(Finger::Right);
-    let scene = TactileScene::of_step(&object, &gel, &gripper(), &step, place).unwrap();
+    let mount = SensorMount::on(Finger::Right);
+    let scene = TactileScene::from_step(&object, &gel, &gripper(), &step, mount).unwrap();
     let press = object_depth(&scene, &GRID, &mut Rasteriser::new());
     assert!((press.deepest_m() - 2.475e-3).abs() < 1e-8);
 }
 
 #[test]
-fn before_the_fingers_close_nothing_is_pressed() {
+fn no_contact_before_the_fingers_close() {
     let scene = Scene {
         mesh: feature(DVec3::ZERO),
         mass_kg: 0.1,
@@ -189,8 +188,8 @@ fn before_the_fingers_close_nothing_is_pressed() {
                 d_hat_m: 5e-4,
             };
             let poses = [&scene.t_world_object, &scene.t_world_gripper];
-            let place = SensorPlace::on(finger);
-            TactileScene::at_start(&scene.mesh, &gel, poses, scene.opening_m, place).unwrap()
+            let mount = SensorMount::on(finger);
+            TactileScene::before_closing(&scene.mesh, &gel, poses, scene.opening_m, mount).unwrap()
         };
         let press = object_depth(&start, &GRID, &mut Rasteriser::new());
         assert_eq!(press.deepest_m(), 0.0);
@@ -202,7 +201,7 @@ fn before_the_fingers_close_nothing_is_pressed() {
 }
 
 #[test]
-fn a_plain_mesh_is_pressed_as_deep_as_asked() {
+fn mesh_is_pressed_to_given_depth() {
     let object = feature(DVec3::ZERO);
     let upright = Pose::from_rotation(DQuat::from_mat3(&DMat3::from_cols(
         DVec3::Z,
@@ -214,7 +213,10 @@ fn a_plain_mesh_is_pressed_as_deep_as_asked() {
     assert!((press.deepest_m() - 8e-4).abs() < 1e-8);
     let aside = Pose::from_translation(DVec3::X * 0.1);
     let text = TactileScene::pressed(&object, &aside, 8e-4, &GRID).unwrap_err();
-    assert!(text.to_string().contains("does not lie over"), "{text}");
+    assert!(
+        text.to_string().contains("not over the sensor's image"),
+        "{text}"
+    );
     for depth in [0.0, -1e-3, 5e-3, f64::NAN] {
         let text = TactileScene::pressed(&object, &upright, depth, &GRID).unwrap_err();
         assert!(text.to_string().contains("thickness of 0.004"), "{text}");
@@ -222,14 +224,14 @@ fn a_plain_mesh_is_pressed_as_deep_as_asked() {
 }
 
 #[test]
-fn snapshots_of_another_gel_and_broken_meshes_are_explained() {
+fn snapshot_of_another_gel_or_invalid_mesh_is_refused() {
     let object = feature(DVec3::ZERO);
     let gel = gel();
     let mut other = snapshot(&gel);
     other.gels[0].pop();
-    let place = SensorPlace::on(Finger::Left);
-    let text = TactileScene::of_snapshot(&object, &gel, &other, place).unwrap_err();
+    let mount = SensorMount::on(Finger::Left);
+    let text = TactileScene::from_snapshot(&object, &gel, &other, mount).unwrap_err();
     assert!(text.to_string().contains("429 nodes"), "{text}");
     let empty = TriangleMesh::default();
-    assert!(TactileScene::of_snapshot(&empty, &gel, &snapshot(&gel), place).is_err());
+    assert!(TactileScene::from_snapshot(&empty, &gel, &snapshot(&gel), mount).is_err());
 }

@@ -1,19 +1,20 @@
-//! Polynomial shading: what a slope of the gel adds to the image.
+//! Polynomial shading: change of the image as a function of the gel's slope.
 //!
-//! For each channel the change against the untouched gel, in grey levels, is
-//! d(n, x, y) = Σ_k t_k(n) · Σ_p c_kp · q_p(x, y), with terms t_k of the unit normal (linear:
-//! nx, ny, nz − 1; quadratic adds nx², ny², nx ny, nx (nz − 1), ny (nz − 1); cubic adds nx³, ny³,
-//! nx² ny, nx ny²) and terms q_p of the place (constant: 1; linear: x, y; quadratic: x², y², xy).
-//! x and y count from the image's middle and are ±1 at the ends of its longer side. It is the
-//! form of GelSight's `gssim`, whose coefficients per light are polynomials of the place too.
+//! For each channel the change relative to the untouched gel, grey levels, is d(n, x, y) = Σ_k
+//! t_k(n) · Σ_p c_kp · q_p(x, y), with terms t_k of the unit normal (linear: nx, ny, nz − 1;
+//! quadratic adds nx², ny², nx ny, nx (nz − 1), ny (nz − 1); cubic adds nx³, ny³, nx² ny, nx ny²)
+//! and terms q_p of the position (constant: 1; linear: x, y; quadratic: x², y², xy). x and y are 0
+//! at the image centre and ±1 at the ends of its longer side. GelSight's `gssim` uses the same
+//! form, with one polynomial of the position per light.
 
 use serde::{Deserialize, Serialize};
 
+use super::ensure;
 use super::normals::Normals;
 use super::press_depth::SensorGeometry;
 use gripcast_base::error::{Error, Result};
 
-/// Highest power of the normal in a polynomial shading.
+/// Order of a polynomial shading in the normal.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum NormalOrder {
@@ -25,11 +26,11 @@ pub enum NormalOrder {
     Cubic,
 }
 
-/// Highest power of the place in a polynomial shading.
+/// Order of a polynomial shading in the position.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum PositionOrder {
-    /// 1 term: the same everywhere.
+    /// 1 term: uniform over the image.
     Constant,
     /// 3 terms.
     Linear,
@@ -37,13 +38,13 @@ pub enum PositionOrder {
     Quadratic,
 }
 
-/// Most terms of the normal.
+/// Maximum number of terms of the normal.
 pub(super) const NORMAL_TERMS: usize = 12;
-/// Most terms of the place.
+/// Maximum number of terms of the position.
 pub(super) const POSITION_TERMS: usize = 6;
 
 impl NormalOrder {
-    /// All, from few terms to many.
+    /// All orders, ascending.
     pub const ALL: [Self; 3] = [Self::Linear, Self::Quadratic, Self::Cubic];
 
     /// Number of terms.
@@ -57,7 +58,7 @@ impl NormalOrder {
 }
 
 impl PositionOrder {
-    /// All, from few terms to many.
+    /// All orders, ascending.
     pub const ALL: [Self; 3] = [Self::Constant, Self::Linear, Self::Quadratic];
 
     /// Number of terms.
@@ -70,7 +71,7 @@ impl PositionOrder {
     }
 }
 
-/// The terms of a normal (nx, ny, nz − 1), the longest list.
+/// Returns all terms of a normal (nx, ny, nz − 1).
 pub(super) fn normal_terms(x: f32, y: f32, z: f32) -> [f32; NORMAL_TERMS] {
     [
         x,
@@ -88,13 +89,17 @@ pub(super) fn normal_terms(x: f32, y: f32, z: f32) -> [f32; NORMAL_TERMS] {
     ]
 }
 
-/// The terms of a place, the longest list.
+/// Returns all terms of a position.
 pub(super) fn position_terms(x: f32, y: f32) -> [f32; POSITION_TERMS] {
     [1.0, x, y, x * x, y * y, x * y]
 }
 
-/// Place of a pixel, ±1 at the ends of the longer side.
-pub(super) fn normalised_place(geometry: &SensorGeometry, column: usize, row: usize) -> [f32; 2] {
+/// Position of a pixel, ±1 at the ends of the longer side.
+pub(super) fn normalised_position(
+    geometry: &SensorGeometry,
+    column: usize,
+    row: usize,
+) -> [f32; 2] {
     let half = 0.5 * (geometry.width.max(geometry.height).max(2) as f64 - 1.0);
     let from_middle = |i: usize, n: usize| (i as f64 - 0.5 * (n as f64 - 1.0)) / half;
     [
@@ -103,64 +108,60 @@ pub(super) fn normalised_place(geometry: &SensorGeometry, column: usize, row: us
     ]
 }
 
-/// Coefficients of a polynomial shading; see the module for the formula.
+/// Coefficients of a polynomial shading; the module documents the formula.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct PolynomialShading {
-    /// Powers of the normal.
+    /// Order in the normal.
     pub normal: NormalOrder,
-    /// Powers of the place.
+    /// Order in the position.
     pub position: PositionOrder,
-    /// Sine of the steepest tilt that was fitted, above 0 to 1. Steeper slopes are shaded as this
-    /// one: a polynomial means nothing beyond the data.
+    /// Maximum sine of the slope in the fitted data, above 0 to 1. Steeper slopes are limited to
+    /// it, since a polynomial does not extrapolate.
     pub steepest: f64,
-    /// Red, grey levels: term of the normal by term of the normal, each with all terms of the
-    /// place.
+    /// Red coefficients, grey levels: for each term of the normal all terms of the position.
     pub red: Vec<f64>,
-    /// Green, in the same order.
+    /// Green coefficients, same order.
     pub green: Vec<f64>,
-    /// Blue, in the same order.
+    /// Blue coefficients, same order.
     pub blue: Vec<f64>,
 }
 
 impl PolynomialShading {
-    /// Red, green, blue.
+    /// Returns the red, green and blue coefficients.
     pub fn channels(&self) -> [&[f64]; 3] {
         [&self.red, &self.green, &self.blue]
     }
 
-    /// Checks lengths and values.
+    /// Checks counts and ranges.
     ///
     /// # Errors
-    /// `Config` with the channel, the length expected and found.
+    /// `Config` with the channel, the expected and the found number.
     pub fn validate(&self) -> Result<()> {
-        if !(self.steepest > 0.0 && self.steepest <= 1.0) {
-            return Err(Error::config(format!(
-                "shading.steepest must be above 0 and at most 1, found {}",
-                self.steepest
-            )));
-        }
-        let expected = self.normal.terms() * self.position.terms();
+        let steepest = self.steepest;
+        ensure(steepest > 0.0 && steepest <= 1.0, || {
+            Error::config(format!(
+                "shading.steepest must be above 0 and at most 1, found {steepest}"
+            ))
+        })?;
+        let (normal, position) = (self.normal, self.position);
+        let expected = normal.terms() * position.terms();
         for (name, values) in ["red", "green", "blue"].into_iter().zip(self.channels()) {
-            if values.len() != expected {
-                return Err(Error::config(format!(
-                    "shading.{name} must have {expected} coefficients for {:?} normals and \
-                         {:?} place, found {}",
-                    self.normal,
-                    self.position,
-                    values.len()
-                )));
-            }
-            if let Some(bad) = values.iter().find(|v| !v.is_finite()) {
-                return Err(Error::config(format!(
-                    "shading.{name} holds {bad}, which is no number"
-                )));
-            }
+            let found = values.len();
+            ensure(
+                found == expected && values.iter().all(|v| v.is_finite()),
+                || {
+                    Error::config(format!(
+                        "shading.{name} must be {expected} finite coefficients for {normal:?} normals \
+                     and {position:?} position, found {found}"
+                    ))
+                },
+            )?;
         }
         Ok(())
     }
 
-    /// Adds the change of every pixel, grey levels, to the planes of red, green and blue.
+    /// Adds the change of each pixel, grey levels, to the red, green and blue planes.
     pub(super) fn add(
         &self,
         geometry: &SensorGeometry,
@@ -170,14 +171,14 @@ impl PolynomialShading {
         let Some(region) = normals.region else {
             return;
         };
-        let places: Vec<f32> = (region.x0..region.x1)
-            .map(|x| normalised_place(geometry, x, 0)[0])
+        let positions: Vec<f32> = (region.x0..region.x1)
+            .map(|x| normalised_position(geometry, x, 0)[0])
             .collect();
-        let mut term = vec![0.0f32; places.len()];
+        let mut term = vec![0.0f32; positions.len()];
         let [red, green, blue] = planes;
         for row in region.y0..region.y1 {
             let span = row * geometry.width + region.x0..row * geometry.width + region.x1;
-            let [_, y] = normalised_place(geometry, 0, row);
+            let [_, y] = normalised_position(geometry, 0, row);
             let normal = [
                 &normals.x[span.clone()],
                 &normals.y[span.clone()],
@@ -186,14 +187,24 @@ impl PolynomialShading {
             for k in 0..self.normal.terms() {
                 fill_term(k, normal, &mut term);
                 let along = |values: &[f64]| self.along_row(values, k, y);
-                add_term(&term, &places, along(&self.red), &mut red[span.clone()]);
-                add_term(&term, &places, along(&self.green), &mut green[span.clone()]);
-                add_term(&term, &places, along(&self.blue), &mut blue[span.clone()]);
+                add_term(&term, &positions, along(&self.red), &mut red[span.clone()]);
+                add_term(
+                    &term,
+                    &positions,
+                    along(&self.green),
+                    &mut green[span.clone()],
+                );
+                add_term(
+                    &term,
+                    &positions,
+                    along(&self.blue),
+                    &mut blue[span.clone()],
+                );
             }
         }
     }
 
-    /// Coefficient of term `k` in the row at `y`, as a polynomial of x: c0 + c1 x + c2 x².
+    /// Coefficients of term `k` in the row at `y` as a polynomial of x: c0 + c1 x + c2 x².
     fn along_row(&self, values: &[f64], k: usize, y: f32) -> [f32; 3] {
         let count = self.position.terms();
         let mut c = [0.0f32; POSITION_TERMS];
@@ -204,7 +215,7 @@ impl PolynomialShading {
     }
 }
 
-/// Term `k` of the normals of a row, in the order of [`normal_terms`].
+/// Writes term `k` of the normals of a row, in the order of [`normal_terms`].
 fn fill_term(k: usize, [x, y, z]: [&[f32]; 3], out: &mut [f32]) {
     match k {
         0 => out.copy_from_slice(x),
@@ -234,8 +245,8 @@ fn triple(out: &mut [f32], [a, b, c]: [&[f32]; 3]) {
     }
 }
 
-fn add_term(term: &[f32], places: &[f32], [c0, c1, c2]: [f32; 3], out: &mut [f32]) {
-    for (out, (t, x)) in out.iter_mut().zip(term.iter().zip(places)) {
+fn add_term(term: &[f32], positions: &[f32], [c0, c1, c2]: [f32; 3], out: &mut [f32]) {
+    for (out, (t, x)) in out.iter_mut().zip(term.iter().zip(positions)) {
         *out += t * (c0 + x * (c1 + x * c2));
     }
 }
@@ -254,13 +265,13 @@ mod tests {
     }
 
     #[test]
-    fn rows_give_the_sum_of_terms() {
+    fn row_shading_equals_sum_of_terms() {
         let geometry = geometry();
         let map: Vec<f32> = (0..280)
             .map(|i| 1e-4 * ((i % 20) as f32 * 0.7).sin() * ((i / 20) as f32 * 0.5).cos())
             .collect();
         let mut normals = Normals::default();
-        normals.take(&map, &geometry);
+        normals.compute(&map, &geometry);
         for normal in NormalOrder::ALL {
             for position in PositionOrder::ALL {
                 let values: Vec<f64> = (0..normal.terms() * position.terms())
@@ -279,7 +290,7 @@ mod tests {
                 shading.add(&geometry, &normals, &mut planes);
                 for i in [0, 57, 133, 279] {
                     let t = normal_terms(normals.x[i], normals.y[i], normals.z_less_1[i]);
-                    let [x, y] = normalised_place(&geometry, i % 20, i / 20);
+                    let [x, y] = normalised_position(&geometry, i % 20, i / 20);
                     let q = position_terms(x, y);
                     let expected: f64 = (0..normal.terms())
                         .flat_map(|k| (0..position.terms()).map(move |p| (k, p)))
@@ -293,7 +304,7 @@ mod tests {
     }
 
     #[test]
-    fn wrong_coefficients_are_explained() {
+    fn invalid_coefficients_are_refused() {
         let mut shading = PolynomialShading {
             normal: NormalOrder::Linear,
             position: PositionOrder::Linear,
@@ -312,9 +323,9 @@ mod tests {
     }
 
     #[test]
-    fn places_are_one_at_the_ends_of_the_longer_side() {
-        assert_eq!(normalised_place(&geometry(), 0, 0)[0], -1.0);
-        assert_eq!(normalised_place(&geometry(), 19, 0)[0], 1.0);
-        assert!(normalised_place(&geometry(), 0, 13)[1] < 0.7);
+    fn position_is_1_at_ends_of_longer_side() {
+        assert_eq!(normalised_position(&geometry(), 0, 0)[0], -1.0);
+        assert_eq!(normalised_position(&geometry(), 19, 0)[0], 1.0);
+        assert!(normalised_position(&geometry(), 0, 13)[1] < 0.7);
     }
 }

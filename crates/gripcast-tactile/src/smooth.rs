@@ -1,7 +1,7 @@
-//! The shape of the gel's face under a press.
+//! Shape of the gel face under a press.
 //!
-//! The gel sinks around the contact (see [`sink_of_ball_m`]) and its coat bends with a finite
-//! radius, for which a Gaussian stands.
+//! The gel sinks around the contact (see [`ball_sink_m`]); the finite bending radius of its coating
+//! is approximated by a Gaussian.
 
 use serde::{Deserialize, Serialize};
 
@@ -10,24 +10,24 @@ use super::membrane::Membrane;
 use super::press_depth::PressDepth;
 use gripcast_base::error::{Error, Result};
 
-/// Largest length that is believed, pixels.
+/// Maximum length, pixels.
 const MAX_PX: f64 = 200.0;
 
-/// What the gel does that the object does not.
+/// Parameters of the gel shape around a contact.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Smoothing {
-    /// Length over which the gel around a contact comes up again, m; 0 = it does not sink.
+    /// Decay length of the indentation around a contact, m; 0 = none.
     pub sink_length_m: f64,
-    /// Standard deviation of the Gaussian that follows, m; 0 = none.
+    /// Standard deviation of the Gaussian applied afterwards, m; 0 = none.
     pub sigma_m: f64,
 }
 
 impl Smoothing {
-    /// Checks the values for pixels of a size.
+    /// Checks the lengths for a pixel size.
     ///
     /// # Errors
-    /// `Config` with the key, what was expected and found.
+    /// `Config` with the key, the expected and the found value.
     pub fn validate(&self, pixel_m: f64) -> Result<()> {
         for (key, length_m) in [
             ("sink_length_m", self.sink_length_m),
@@ -45,7 +45,7 @@ impl Smoothing {
     }
 }
 
-/// A [`Smoothing`] made ready for pixels of one size.
+/// A [`Smoothing`] prepared for one pixel size.
 #[derive(Clone, Debug)]
 pub struct Smoother {
     membrane: Membrane,
@@ -63,13 +63,13 @@ impl Smoother {
         }
     }
 
-    /// Height of the face towards the camera, m, `width * height`.
+    /// Returns the height of the face towards the camera, m, `width * height`.
     pub fn smooth(&mut self, press: &PressDepth) -> &[f32] {
         let width = press.geometry.width;
         self.height.clear();
         self.height.extend_from_slice(&press.depth_m);
-        self.membrane.settle(&mut self.height, width);
-        if let Some(region) = Region::of_nonzero(&self.height, width) {
+        self.membrane.solve(&mut self.height, width);
+        if let Some(region) = Region::nonzero(&self.height, width) {
             self.gaussian.apply(&mut self.height, width, region);
         }
         &self.height
@@ -102,7 +102,7 @@ mod tests {
     }
 
     #[test]
-    fn the_gel_sinks_around_the_contact_and_keeps_its_middle() {
+    fn gel_sinks_around_contact_and_keeps_its_depth() {
         let press = ball();
         let (middle, outside) = (60 * 160 + 80, 60 * 160 + 80 + 30);
         let height = |smoothing: Smoothing| Smoother::new(&smoothing, 1e-4).smooth(&press).to_vec();
@@ -116,14 +116,14 @@ mod tests {
     }
 
     #[test]
-    fn nothing_touches_nothing_moves() {
+    fn no_contact_gives_flat_face() {
         let press = PressDepth::untouched(ball().geometry);
         let mut smoother = Smoother::new(&SMOOTHING, 1e-4);
         assert!(smoother.smooth(&press).iter().all(|h| *h == 0.0));
     }
 
     #[test]
-    fn a_smoother_can_be_used_again() {
+    fn smoother_can_be_reused() {
         let press = ball();
         let mut smoother = Smoother::new(&SMOOTHING, 1e-4);
         let first = smoother.smooth(&press).to_vec();
@@ -132,7 +132,7 @@ mod tests {
     }
 
     #[test]
-    fn wrong_values_are_explained() {
+    fn invalid_lengths_are_refused() {
         for sigma_m in [-1e-4, f64::NAN, 1.0] {
             let smoothing = Smoothing {
                 sigma_m,

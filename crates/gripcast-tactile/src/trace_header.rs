@@ -1,4 +1,4 @@
-//! What a trace says about its object and its gels.
+//! Object and gel data in the header of a trace.
 
 use std::path::{Path, PathBuf};
 
@@ -12,17 +12,17 @@ use gripcast_geometry::{
 };
 use gripcast_sim::fem::GelGrid;
 
-/// The object of a trace. From its header's `object`: `{"source", "sha256", "unit", "scale"}`.
+/// Object of a trace, from the header's `object`: `{"source", "sha256", "unit", "scale"}`.
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 pub struct TraceObject {
     /// Mesh file, or `builtin:NAME`.
     pub source: String,
-    /// Hash of the mesh that was simulated ([`TriangleMesh::content_hash`]).
+    /// Hash of the simulated mesh ([`TriangleMesh::content_hash`]).
     pub sha256: String,
-    /// Unit of the coordinates in the file: mm, cm, m, in.
+    /// Length unit of the file: mm, cm, m, in.
     #[serde(default = "metre")]
     pub unit: String,
-    /// Factor on its size.
+    /// Scale factor.
     #[serde(default = "one")]
     pub scale: f64,
 }
@@ -35,89 +35,74 @@ fn one() -> f64 {
     1.0
 }
 
-/// How a grasp began. From the header's `pose`.
+/// Initial poses of a grasp, from the header's `pose`.
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
 pub struct TraceStart {
-    /// The object in the world.
+    /// Pose of the object in the world.
     pub t_world_object: Pose,
-    /// The gripper in the object's frame.
+    /// Pose of the gripper in the object frame.
     pub t_object_gripper: Pose,
     /// Distance between the undeformed gel faces, m.
     pub opening_m: f64,
 }
 
 impl TraceStart {
-    /// Reads it from the header of a trace file.
+    /// Parses the header of a trace file.
     ///
     /// # Errors
-    /// `Input` where the header does not have it.
+    /// `Input` if the header lacks the poses.
     pub fn read(header: &Value) -> Result<Self> {
         Self::deserialize(&header["pose"]).map_err(|cause| {
-            Error::input("the trace's header does not tell how the grasp began")
+            Error::input("the trace header lacks the initial poses")
                 .because(cause)
-                .remedy("simulate the grasp again with this gripcast")
+                .remedy("simulate the grasp again with this version of gripcast")
         })
     }
 
-    /// The gripper in the world.
+    /// Pose of the gripper in the world.
     pub fn t_world_gripper(&self) -> Pose {
         self.t_world_object * self.t_object_gripper
     }
 }
 
-/// What a renderer needs of a trace's header.
+/// Header data used by the renderers.
 #[derive(Clone, Debug)]
 pub struct TraceHeader {
-    /// The gels: the header's `gel_axes_m` and `parameters.solver.d_hat_m`.
+    /// Gel, from the header's `gel_axes_m` and `parameters.solver.d_hat_m`.
     pub gel: SimulatedGel,
-    /// The object.
+    /// Object.
     pub object: TraceObject,
 }
 
-#[derive(Deserialize)]
-struct Record {
-    gel_axes_m: [Vec<f64>; 3],
-    object: TraceObject,
-    parameters: Parameters,
-}
-
-#[derive(Deserialize)]
-struct Parameters {
-    solver: Solver,
-}
-
-#[derive(Deserialize)]
-struct Solver {
-    d_hat_m: f64,
-}
-
 impl TraceHeader {
-    /// Reads the header of a trace file.
+    /// Parses the header of a trace file.
     ///
     /// # Errors
-    /// `Input` where it lacks gels or object, or the gel's mesh is none.
+    /// `Input` if it lacks gel or object, or the gel mesh is invalid.
     pub fn read(header: &Value) -> Result<Self> {
-        let record = Record::deserialize(header).map_err(|cause| {
-            Error::input("the trace's header does not tell its object and gels")
+        let lacking = |cause| {
+            Error::input("the trace header lacks object or gel data")
                 .because(cause)
-                .remedy("write one with `gripcast sim grasp … --trace FILE.bin`")
-        })?;
+                .remedy("create a trace with `gripcast sim grasp … --trace FILE.bin`")
+        };
+        let d_hat_m = &header["parameters"]["solver"]["d_hat_m"];
+        let axes_m = Deserialize::deserialize(&header["gel_axes_m"]).map_err(lacking)?;
         Ok(Self {
+            object: TraceObject::deserialize(&header["object"]).map_err(lacking)?,
             gel: SimulatedGel {
-                grid: GelGrid::new(record.gel_axes_m)?,
-                d_hat_m: record.parameters.solver.d_hat_m,
+                d_hat_m: f64::deserialize(d_hat_m).map_err(lacking)?,
+                grid: GelGrid::new(axes_m)?,
             },
-            object: record.object,
         })
     }
 }
 
 impl TraceObject {
-    /// The simulated mesh, read again from [`Self::file`] and compared with the trace.
+    /// Loads the simulated mesh from [`Self::file`] and verifies its hash.
     ///
     /// # Errors
-    /// `NotFound`, `Io`, `Input` as of reading a mesh; `Input` where the mesh is no longer the
-    /// one that was simulated.
+    /// `NotFound`, `Io`, `Input` as for reading a mesh; `Input` if the mesh differs from the
+    /// simulated one.
     pub fn load(&self, trace: &Path) -> Result<TriangleMesh> {
         let mesh = match self.file(trace) {
             None => builtin(&self.source)?,
@@ -128,19 +113,17 @@ impl TraceObject {
                 .map_err(|e| e.at(&self.source))?;
         if mesh.content_hash() != self.sha256 {
             return Err(Error::input(format!(
-                "this is another mesh than the simulated one, at unit {} and scale {}",
+                "the mesh differs from the simulated one (unit {}, scale {})",
                 self.unit, self.scale
             ))
             .at(&self.source)
-            .remedy(
-                "name the mesh that was simulated with --object, or simulate the grasp again",
-            ));
+            .remedy("pass the simulated mesh with --object, or simulate the grasp again"));
         }
         Ok(mesh)
     }
 
-    /// The mesh file, `None` for a built-in shape. A relative path that is not there is looked for
-    /// from the trace's folder, then by its name in that folder.
+    /// Returns the mesh file; `None` for a built-in shape. A relative path that does not exist is
+    /// resolved against the trace's folder, then by its file name in that folder.
     pub fn file(&self, trace: &Path) -> Option<PathBuf> {
         if self.source.starts_with("builtin:") {
             return None;
@@ -148,8 +131,8 @@ impl TraceObject {
         let given = PathBuf::from(&self.source);
         let folder = trace.parent().unwrap_or_else(|| Path::new(""));
         let name = given.file_name().unwrap_or_default();
-        let places = [given.clone(), folder.join(&given), folder.join(name)];
-        let found = places.into_iter().find(|place| place.exists());
+        let candidates = [given.clone(), folder.join(&given), folder.join(name)];
+        let found = candidates.into_iter().find(|path| path.exists());
         Some(found.unwrap_or(given))
     }
 }
@@ -179,7 +162,7 @@ mod tests {
     }
 
     #[test]
-    fn a_header_gives_gel_and_object() {
+    fn header_contains_gel_and_object() {
         let sha256 = simulated("builtin:mug", 0.9);
         let object = json!({"source": "builtin:mug", "sha256": sha256, "scale": 0.9,
             "triangles": 1, "mass_kg": 0.06});
@@ -191,7 +174,7 @@ mod tests {
     }
 
     #[test]
-    fn a_mesh_file_is_found_beside_the_trace_and_compared() {
+    fn mesh_is_found_beside_trace_and_verified() {
         let folder = tempfile::tempdir().unwrap();
         let mesh = builtin("builtin:wedge").unwrap();
         save_mesh(&folder.path().join("part.obj"), &mesh).unwrap();
@@ -207,16 +190,13 @@ mod tests {
         assert_eq!(object.load(&trace).unwrap(), prepared.mesh);
         object.scale = 1.01;
         let text = object.load(&trace).unwrap_err().to_string();
-        assert!(
-            text.contains("another mesh than the simulated one"),
-            "{text}"
-        );
+        assert!(text.contains("differs from the simulated one"), "{text}");
         object.source = "lost.obj".to_owned();
         assert_eq!(object.load(&trace).unwrap_err().kind(), ErrorKind::NotFound);
     }
 
     #[test]
-    fn headers_without_gels_are_explained() {
+    fn header_without_gel_is_refused() {
         for broken in [
             json!({}),
             json!([1]),

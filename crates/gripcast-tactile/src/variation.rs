@@ -1,4 +1,4 @@
-//! Sensors of a kind differ: lamps, gel, camera.
+//! Variation between sensors of a kind: LEDs, gel, camera.
 
 use image::{Rgb, RgbImage, imageops};
 
@@ -7,36 +7,36 @@ use super::profile::{SensorProfile, ShadingModel};
 use super::shading::PolynomialShading;
 use gripcast_base::random::SeedStream;
 
-/// Standard deviations between GelSight Minis at spread 1. The mean colours of untouched gels of
-/// seven units differ by 13, 8 and 14 % in red, green and blue; the other values are judged.
+/// Standard deviations between GelSight Minis at spread 1. The mean background colours of seven
+/// units differ by 13, 8 and 14 % in red, green and blue; the other values are estimates.
 const LIGHT_STD: f64 = 0.10;
 const RESPONSE_STD: f64 = 0.12;
-/// Largest change of the background's shape for each of its low terms, grey levels.
+/// Maximum change of the background for each low-order term, grey levels.
 const TINT_LEVELS: f64 = 6.0;
-/// Least and most of the factors on noise and smoothing.
+/// Ranges of the factors on noise and smoothing.
 const NOISE: [f64; 2] = [0.6, 2.0];
 const SMOOTHING: [f64; 2] = [0.85, 1.25];
 
-/// How a sensor differs from the one that a profile was made of.
+/// Difference of a sensor from that of a profile.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SensorVariation {
-    /// Factor on the light of the untouched gel in red, green, blue.
+    /// Factor on the background in red, green, blue.
     pub light: [f64; 3],
-    /// Factor on what a slope changes in red, green, blue.
+    /// Factor on the slope response in red, green, blue.
     pub response: [f64; 3],
-    /// Factor on the camera's noise.
+    /// Factor on the camera noise.
     pub noise: f64,
-    /// Factor on the width of the smoothing.
+    /// Factor on the smoothing width.
     pub smoothing: f64,
-    /// Whether the untouched gel is mirrored left to right.
+    /// Whether the background is mirrored left to right.
     pub is_mirrored: bool,
-    /// Added to the untouched gel, grey levels for each channel: x, y, xy, 2x² − 1, 2y² − 1 with x
-    /// and y in ±1 over columns and rows.
+    /// Added to the background, grey levels per channel: x, y, xy, 2x² − 1, 2y² − 1 with x and y in
+    /// ±1 across columns and rows.
     pub tint: [[f64; 5]; 3],
 }
 
 impl SensorVariation {
-    /// The sensor of the profile.
+    /// No variation.
     pub const NONE: Self = Self {
         light: [1.0; 3],
         response: [1.0; 3],
@@ -46,21 +46,22 @@ impl SensorVariation {
         tint: [[0.0; 5]; 3],
     };
 
-    /// The sensor of a seed; `spread` 0 is that of the profile, 1 differs as sensors do.
+    /// Samples a sensor; `spread` 0 gives [`Self::NONE`], 1 the spread of real sensors.
     #[must_use]
-    pub fn drawn(seed: u64, spread: f64) -> Self {
-        let mut draw = SeedStream::named(seed, "tactile sensor");
-        // The sum of three uniform numbers has deviation 1/2 and ends.
+    pub fn sample(seed: u64, spread: f64) -> Self {
+        let mut stream = SeedStream::named(seed, "tactile sensor");
+        // The sum of three uniform numbers has standard deviation 1/2 and bounded support.
         let mut about_one = |std: f64| {
-            let sum: f64 = (0..3).map(|_| draw.uniform()).sum();
+            let sum: f64 = (0..3).map(|_| stream.uniform()).sum();
             1.0 + spread * std * 2.0 * (sum - 1.5)
         };
         let light = [0; 3].map(|_| about_one(LIGHT_STD));
         let response = [0; 3].map(|_| about_one(RESPONSE_STD));
-        let mut factor = |[low, high]: [f64; 2]| draw.between_log(low, high).powf(spread);
+        let mut factor = |[low, high]: [f64; 2]| stream.between_log(low, high).powf(spread);
         let (noise, smoothing) = (factor(NOISE), factor(SMOOTHING));
-        let is_mirrored = draw.uniform() < 0.5 * spread;
-        let tint = [0; 3].map(|_| [0; 5].map(|_| spread * draw.between(-TINT_LEVELS, TINT_LEVELS)));
+        let is_mirrored = stream.uniform() < 0.5 * spread;
+        let tint =
+            [0; 3].map(|_| [0; 5].map(|_| spread * stream.between(-TINT_LEVELS, TINT_LEVELS)));
         Self {
             light,
             response,
@@ -71,33 +72,33 @@ impl SensorVariation {
         }
     }
 
-    /// The profile of the sensor.
+    /// Returns the profile of the varied sensor.
     #[must_use]
-    pub fn of(&self, profile: &SensorProfile) -> SensorProfile {
+    pub fn apply(&self, profile: &SensorProfile) -> SensorProfile {
         let mut varied = profile.clone();
         varied.noise_std = profile.noise_std.map(|std| self.noise * std);
         varied.smoothing.sigma_m *= self.smoothing;
         if let ShadingModel::Polynomial(shading) = &mut varied.shading {
-            self.scale(shading);
+            self.scale_response(shading);
         }
         let background = &mut varied.background;
         let image = background.image.get_or_insert_with(|| {
             let geometry = profile.geometry;
-            fitted(&background.fit, geometry.width, geometry.height)
+            image_of_fit(&background.fit, geometry.width, geometry.height)
         });
-        self.repaint(image);
-        background.fit = BackgroundFit::of_image(image, background.fit.degree);
+        self.vary_background(image);
+        background.fit = BackgroundFit::from_image(image, background.fit.degree);
         varied
     }
 
-    fn scale(&self, shading: &mut PolynomialShading) {
+    fn scale_response(&self, shading: &mut PolynomialShading) {
         let channels = [&mut shading.red, &mut shading.green, &mut shading.blue];
         for (channel, factor) in channels.into_iter().zip(self.response) {
             channel.iter_mut().for_each(|value| *value *= factor);
         }
     }
 
-    fn repaint(&self, image: &mut RgbImage) {
+    fn vary_background(&self, image: &mut RgbImage) {
         if self.is_mirrored {
             imageops::flip_horizontal_in_place(image);
         }
@@ -116,7 +117,7 @@ impl SensorVariation {
     }
 }
 
-fn fitted(fit: &BackgroundFit, width: usize, height: usize) -> RgbImage {
+fn image_of_fit(fit: &BackgroundFit, width: usize, height: usize) -> RgbImage {
     let planes = fit.planes(width, height);
     RgbImage::from_fn(width as u32, height as u32, |x, y| {
         let at = y as usize * width + x as usize;
@@ -138,10 +139,10 @@ mod tests {
     }
 
     #[test]
-    fn without_spread_it_is_the_sensor_of_the_profile() {
-        let same = SensorVariation::drawn(5, 0.0);
+    fn spread_0_gives_the_profile() {
+        let same = SensorVariation::sample(5, 0.0);
         assert_eq!(same, SensorVariation::NONE);
-        let varied = same.of(&shipped());
+        let varied = same.apply(&shipped());
         assert_eq!(varied.shading, shipped().shading);
         assert_eq!(varied.noise_std, shipped().noise_std);
         assert_eq!(
@@ -151,14 +152,14 @@ mod tests {
     }
 
     #[test]
-    fn sensors_differ_as_real_ones_do_and_stay_valid() {
+    fn sensors_vary_like_real_ones_and_stay_valid() {
         let mut differences = Vec::new();
         for seed in 0..40 {
-            let varied = SensorVariation::drawn(seed, 1.0).of(&shipped());
+            let varied = SensorVariation::sample(seed, 1.0).apply(&shipped());
             varied.validate().unwrap();
             let off = mean_difference(&background(&varied), &background(&shipped()));
             differences.push(off);
-            assert_eq!(varied, SensorVariation::drawn(seed, 1.0).of(&shipped()));
+            assert_eq!(varied, SensorVariation::sample(seed, 1.0).apply(&shipped()));
         }
         differences.sort_by(f64::total_cmp);
         assert!(differences[0] > 1.0, "{differences:?}");
@@ -167,10 +168,10 @@ mod tests {
     }
 
     #[test]
-    fn a_profile_without_a_image_is_painted_from_its_fit() {
+    fn background_without_image_comes_from_its_fit() {
         let mut profile = shipped();
         profile.background.image = None;
-        let varied = SensorVariation::NONE.of(&profile);
+        let varied = SensorVariation::NONE.apply(&profile);
         let off = mean_difference(&background(&varied), &background(&shipped()));
         assert!(off < 4.0, "{off}");
     }

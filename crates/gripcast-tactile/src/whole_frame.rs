@@ -1,4 +1,4 @@
-//! The frame of a sensor's camera around the image that a renderer makes of its crop.
+//! Full camera frame around the rendered crop of a sensor.
 
 use std::ops::Range;
 
@@ -8,28 +8,28 @@ use super::profile::SensorProfile;
 use gripcast_base::error::{Error, Result};
 use gripcast_imaging::CropWindow;
 
-/// Where a column or row of the painted frame lies in the sensor's own image.
+/// Source position of a column or row of the full frame in the sensor image.
 #[derive(Clone, Copy, Debug)]
-struct Line {
-    /// The line before it.
+struct SampleLine {
+    /// Index of the source line before it.
     before: usize,
-    /// Fraction of the line after that.
+    /// Weight of the next source line.
     fraction: f32,
-    /// Distance outside of the crop, in parts of its size.
+    /// Distance outside of the crop, relative to its size.
     outside: f32,
 }
 
-/// How the sensor's image, which is a crop, fills the whole frame of its camera.
+/// Extends sensor images, which are crops, to full camera frames.
 #[derive(Clone, Debug)]
 pub struct WholeFrame {
-    columns: Vec<Line>,
-    rows: Vec<Line>,
+    columns: Vec<SampleLine>,
+    rows: Vec<SampleLine>,
     size: (u32, u32),
 }
 
 impl WholeFrame {
-    /// Frames of `painted` columns and rows that show a camera's `full` ones, of which `window` is
-    /// the crop.
+    /// Frames of `painted` columns and rows that cover a camera frame of `full`, of which `window`
+    /// is the crop.
     #[must_use]
     pub fn new(
         profile: &SensorProfile,
@@ -47,14 +47,14 @@ impl WholeFrame {
         }
     }
 
-    /// The whole frame: inside of the crop `image`, outside its rim, the contact fading into
-    /// the untouched gel and both into the dark housing.
+    /// Composes a full frame: `image` inside the crop; outside, the contact fades into the
+    /// untouched gel and both into the dark housing.
     ///
     /// # Errors
-    /// `Internal` where an image has another size than its profile.
-    pub fn place(&self, image: &RgbImage, untouched: &RgbImage) -> Result<RgbImage> {
+    /// `Internal` if an image has another size than its profile.
+    pub fn compose(&self, image: &RgbImage, untouched: &RgbImage) -> Result<RgbImage> {
         let wrong_size = || {
-            let what = "a tactile image has another size than its profile";
+            let what = "the size of a tactile image differs from its profile";
             Error::internal(what)
         };
         if image.dimensions() != self.size || untouched.dimensions() != self.size {
@@ -91,9 +91,9 @@ impl WholeFrame {
     }
 }
 
-/// Places of `painted` lines, which show `full` lines of which `window` is the crop, in an image
-/// of `size` lines.
-fn lines(painted: u32, full: u32, window: Range<u32>, size: usize) -> Vec<Line> {
+/// Source positions of `painted` lines that cover `full` lines, of which `window` is the crop of
+/// `size` source lines.
+fn lines(painted: u32, full: u32, window: Range<u32>, size: usize) -> Vec<SampleLine> {
     let (first, span) = (
         f64::from(window.start),
         f64::from(window.end - window.start),
@@ -104,7 +104,7 @@ fn lines(painted: u32, full: u32, window: Range<u32>, size: usize) -> Vec<Line> 
             let fraction = (at - first) / span;
             let pixel = (fraction * size as f64 - 0.5).clamp(0.0, size as f64 - 1.0);
             let before = (pixel as usize).min(size.saturating_sub(2));
-            Line {
+            SampleLine {
                 before,
                 fraction: (pixel - before as f64) as f32,
                 outside: (-fraction).max(fraction - 1.0).max(0.0) as f32,
@@ -113,7 +113,7 @@ fn lines(painted: u32, full: u32, window: Range<u32>, size: usize) -> Vec<Line> 
         .collect()
 }
 
-/// Rises smoothly from 0 at 0 to 1 at 1.
+/// Smoothstep from 0 at 0 to 1 at 1.
 fn ease(t: f32) -> f32 {
     let t = t.clamp(0.0, 1.0);
     t * t * (3.0 - 2.0 * t)
@@ -127,7 +127,7 @@ mod tests {
     use gripcast_testing::mean_difference;
 
     #[test]
-    fn the_crop_gives_the_image_back_and_the_rim_is_dark() {
+    fn crop_reproduces_image_and_rim_is_dark() {
         let profile = SensorProfile::gelsight_mini().unwrap();
         // Waves of 40 pixels show a shift of a fraction of one.
         let wave = |x: u32| 128.0 + 60.0 * (f64::from(x) * std::f64::consts::TAU / 40.0).sin();
@@ -140,7 +140,7 @@ mod tests {
         let full = (640, 480);
         let window = profile.crop_profile.window(full.0, full.1).unwrap();
         let whole = WholeFrame::new(&profile, window, full, full);
-        let frame = whole.place(&image, &image).unwrap();
+        let frame = whole.compose(&image, &image).unwrap();
         let cut = crop_and_resize(&frame, &CropProfile::GSMINI_SEVENTH, 320, 240).unwrap();
         let (off, shifted) = (
             mean_difference(&cut, &image),
@@ -152,12 +152,12 @@ mod tests {
     }
 
     #[test]
-    fn an_image_of_another_size_is_refused() {
+    fn image_of_another_size_is_refused() {
         let profile = SensorProfile::gelsight_mini().unwrap();
         let window = profile.crop_profile.window(640, 480).unwrap();
         let whole = WholeFrame::new(&profile, window, (640, 480), (320, 240));
         let error = whole
-            .place(&RgbImage::new(8, 8), &RgbImage::new(8, 8))
+            .compose(&RgbImage::new(8, 8), &RgbImage::new(8, 8))
             .unwrap_err();
         assert_eq!(error.kind(), ErrorKind::Internal);
     }

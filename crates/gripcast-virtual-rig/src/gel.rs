@@ -10,7 +10,7 @@ use gripcast_base::error::Result;
 use gripcast_imaging::{CropWindow, Role};
 use gripcast_sim::grasp::Finger;
 use gripcast_tactile::{
-    FrameLook, PressDepth, Rasteriser, SensorPlace, SensorProfile, TactileRenderer, TactileScene,
+    FrameNoise, PressDepth, Rasteriser, SensorMount, SensorProfile, TactileRenderer, TactileScene,
     WholeFrame, object_depth,
 };
 
@@ -21,7 +21,7 @@ const OWN_COLOUR: f64 = 4.0;
 pub(super) struct GelPainter {
     finger: Finger,
     seed: u64,
-    look: FrameLook,
+    look: FrameNoise,
     rasteriser: Rasteriser,
     renderer: TactileRenderer,
     frame: WholeFrame,
@@ -51,9 +51,9 @@ impl GelPainter {
             height: full.1,
         });
         let frame = WholeFrame::new(&profile, window, full, painted);
-        let look = FrameLook {
+        let look = FrameNoise {
             offset: [0, 1, 2].map(|n| (OWN_COLOUR * signed_unit(seed, 1, n)) as f32),
-            ..FrameLook::default()
+            ..FrameNoise::default()
         };
         // The crop is shrunk to the sensor's image, which averages noise.
         let shrunk = f64::from(painted.0) / f64::from(full.0) * f64::from(window.width)
@@ -88,7 +88,7 @@ impl GelPainter {
         if self.shown != Some(wanted) {
             let image = self.render(&moment.film, moment.step)?;
             let image = image.as_ref().unwrap_or(&self.untouched);
-            self.still = self.frame.place(image, &self.untouched)?;
+            self.still = self.frame.compose(image, &self.untouched)?;
             self.shown = Some(wanted);
         }
         let mut image = self.still.as_raw().clone();
@@ -103,10 +103,10 @@ impl GelPainter {
         if step.min_gap_m[self.finger as usize].is_none() {
             return Ok(None);
         }
-        let place = SensorPlace::on(self.finger);
+        let place = SensorMount::on(self.finger);
         let t_world_gripper = film.start().t_world_gripper();
         let mesh = film.mesh()?;
-        let scene = TactileScene::of_step(mesh, film.gel(), &t_world_gripper, step, place)?;
+        let scene = TactileScene::from_step(mesh, film.gel(), &t_world_gripper, step, place)?;
         let press = object_depth(&scene, &self.renderer.geometry(), &mut self.rasteriser);
         self.renderer.render(&press, &self.look).map(Some)
     }
@@ -152,15 +152,15 @@ mod tests {
         let mut renderer = ObjectDepthRenderer::new(&profile).unwrap();
         for (side, finger) in [(Role::Left, Finger::Left), (Role::Right, Finger::Right)] {
             let mut painter = GelPainter::new(side, 1, SIZE, SIZE).unwrap();
-            painter.look = FrameLook::default();
+            painter.look = FrameNoise::default();
             let shown = moment(&film, 1.0);
             let cut = cropped(painter.paint(&shown, 1).unwrap());
             let step = &film.steps()[shown.step];
             let t_world_gripper = film.start().t_world_gripper();
-            let place = SensorPlace::on(finger);
+            let place = SensorMount::on(finger);
             let mesh = film.mesh().unwrap();
             let scene =
-                TactileScene::of_step(mesh, film.gel(), &t_world_gripper, step, place).unwrap();
+                TactileScene::from_step(mesh, film.gel(), &t_world_gripper, step, place).unwrap();
             let made = renderer.render(&scene, None).unwrap();
             let bare = renderer.render(&scene.untouched(), None).unwrap();
             assert!(mean_difference(&made, &bare) > 1.0, "nothing is pressed in");

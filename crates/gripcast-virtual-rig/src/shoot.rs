@@ -17,8 +17,8 @@ use gripcast_sim::fem::GelGrid;
 use gripcast_sim::grasp::{StageName, Trace, TraceFile, TraceStep};
 use gripcast_tactile::{TraceHeader, TraceStart};
 use gripcast_visual::{
-    Camera, ColourSettings, DenoiseSettings, DepthSettings, GraspPrints, GraspState, Model,
-    RenderSettings, Renderer, View, VisualConditions, VisualRandomisation, Watch,
+    AnnotationMarkers, Camera, ColourSettings, DENOISE_RADIUS_PX, DepthSettings, GraspState, Model,
+    RenderControl, RenderSettings, Renderer, View, VisualConditions, VisualRandomisation,
     annotation_camera, annotation_scene, denoise, develop, grasp_scene, measure_depth,
 };
 
@@ -90,7 +90,7 @@ pub fn shoot(
     };
     let sheet = sheet_of(mesh, &object.source, set.start.t_world_object)?;
     let tags = BoardFile::gripper_umi()?;
-    let prints = GraspPrints::new(&sheet.flat_print()?, &tags.flat_prints())?;
+    let prints = AnnotationMarkers::new(&sheet.flat_print()?, &tags.flat_prints())?;
     let beside = annotation_camera(&set.state(0)?, settings.outside, settings.seed);
     let keys = keys_of(trace, &shown, beside.intrinsics());
     let all = keys.keys.len() + keys.outside_keys.len();
@@ -166,7 +166,7 @@ impl Set<'_> {
         let at = &self.trace.steps[step];
         let is_now = |t_s: f64| (t_s - at.t_s).abs() < 1e-9;
         if let Some(snapshot) = self.trace.snapshots.iter().find(|s| is_now(s.t_s)) {
-            return GraspState::at(snapshot, Some(&self.grid));
+            return GraspState::from_snapshot(snapshot, Some(&self.grid));
         }
         let lift = Pose::from_translation(DVec3::Z * at.lifted_m);
         Ok(GraspState {
@@ -179,12 +179,12 @@ impl Set<'_> {
 
     fn image(&self, renderer: &Renderer, camera: &Camera, blur_px: f32) -> Result<RgbImage> {
         let settings = RenderSettings {
-            samples: self.settings.samples,
+            samples_per_pixel: self.settings.samples,
             seed: self.settings.seed,
             ..RenderSettings::default()
         };
-        let rendering = renderer.render(camera, &settings, &Watch::default())?;
-        let light = denoise(&rendering, &DenoiseSettings::default());
+        let rendering = renderer.render(camera, &settings, &RenderControl::default())?;
+        let light = denoise(&rendering, DENOISE_RADIUS_PX);
         // The noise is that of each frame.
         let colour = ColourSettings {
             full_well_e: 1e9,
@@ -198,7 +198,7 @@ impl Set<'_> {
 
 fn depth_image(renderer: &Renderer, camera: &Camera) -> Result<DepthImage> {
     let noiseless = DepthSettings {
-        subpixel: 0.0,
+        disparity_std_px: 0.0,
         ..DepthSettings::default()
     };
     measure_depth(&renderer.depth(camera)?, camera, &noiseless, 0)

@@ -121,7 +121,7 @@ impl DepthPainter {
             let from_row = down.source(row);
             for (column, noise) in (0..width).zip(noise) {
                 let true_m = f64::from(image.get_pixel(across.source(column), from_row)[0]) * 1e-3;
-                let deviation = self.settings.deviation_m(true_m) / DEPTH_NOISE_STEPS;
+                let deviation = self.settings.depth_std_m(true_m) / DEPTH_NOISE_STEPS;
                 depth_m.push((true_m + deviation * f64::from(*noise)) as f32);
             }
         }
@@ -214,7 +214,7 @@ mod tests {
         let column: Vec<f64> = frames.iter().map(|f| f64::from(f[160 * 12 + 80])).collect();
         let mean = column.iter().sum::<f64>() / 40.0;
         let spread = (column.iter().map(|z| (z - mean).powi(2)).sum::<f64>() / 39.0).sqrt();
-        let expected = DepthSettings::default().deviation_m(mean);
+        let expected = DepthSettings::default().depth_std_m(mean);
         assert!(
             mean > 0.1 && (spread / expected - 1.0).abs() < 0.4,
             "{spread} {expected}"

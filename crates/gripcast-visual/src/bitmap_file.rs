@@ -1,4 +1,4 @@
-//! Images that users and meshes name, as textures.
+//! Reads PNG and JPEG files as textures.
 
 use std::path::Path;
 
@@ -10,14 +10,15 @@ use gripcast_base::files::{FileKind, read_regular};
 use gripcast_imaging::jpeg::{JpegDecoder, JpegScale, inspect};
 use gripcast_imaging::{CropProfile, crop_and_resize};
 
-/// Textures are scaled down to this side; more detail than an image of a grasp can show.
+/// Longest side of a texture, px. Larger images are scaled down: renders of a grasp show no more
+/// detail.
 const MAX_TEXTURE: u32 = 4096;
-/// Images with a longer side are refused.
+/// Longest side of an image that is read, px.
 const MAX_SIDE: u32 = 32_768;
-/// Memory that decoding may take, bytes.
+/// Memory limit of the decoder, bytes.
 const MAX_MEMORY: u64 = 2 << 30;
 
-/// A decoded image, and a warning where it was changed.
+/// A decoded image and, if it was scaled down, a warning.
 pub(super) struct Loaded {
     pub(super) image: RgbImage,
     pub(super) warning: Option<String>,
@@ -26,33 +27,28 @@ pub(super) struct Loaded {
 /// Reads a PNG or JPEG file as a texture.
 ///
 /// # Errors
-/// `NotFound`, `Permission`, `Io` if the file cannot be read; `Input` if it is no PNG or JPEG
+/// `NotFound`, `Permission`, `Io` if the file cannot be read; `Input` if it is not a PNG or JPEG
 /// image, is damaged or too large.
 pub fn load_bitmap(path: &Path) -> Result<Bitmap> {
-    let bytes = read_regular(path, FileKind::Mesh).map_err(|e| {
-        Error::io("cannot read the texture", e)
-            .at(path.display())
-            .remedy("check the path and its permissions")
-    })?;
+    let bytes = read_image_file(path, "texture")?;
     let loaded = decode(&bytes).map_err(|e| e.at(path.display()))?;
     Bitmap::from_srgb8(&loaded.image)
 }
 
-/// The texture in the bytes of a PNG or JPEG file.
+/// Decodes a PNG or JPEG image as a texture.
 ///
 /// # Errors
-/// As of [`load_bitmap`].
+/// `Input` as [`load_bitmap`].
 pub fn read_bitmap(bytes: &[u8]) -> Result<Bitmap> {
     Bitmap::from_srgb8(&decode(bytes)?.image)
 }
 
-/// Decodes a PNG or JPEG image and scales it down to the largest texture.
+/// Decodes a PNG or JPEG image and scales it down to [`MAX_TEXTURE`].
 pub(super) fn decode(bytes: &[u8]) -> Result<Loaded> {
-    let is_png = bytes.starts_with(b"\x89PNG");
     let image = match bytes {
         [0xff, 0xd8, ..] => decode_jpeg(bytes)?,
-        _ if is_png => decode_png(bytes)?,
-        _ => return Err(foreign(bytes)),
+        [0x89, b'P', b'N', b'G', ..] => decode_png(bytes)?,
+        _ => return Err(unsupported(bytes)),
     };
     let (width, height) = image.dimensions();
     let largest = width.max(height);
@@ -70,7 +66,7 @@ pub(super) fn decode(bytes: &[u8]) -> Result<Loaded> {
         .map_err(Error::from)?;
     Ok(Loaded {
         warning: Some(format!(
-            "the image of {width}×{height} is scaled down to {}×{}",
+            "the image of {width}×{height} px is scaled down to {}×{} px",
             small.width(),
             small.height()
         )),
@@ -80,10 +76,10 @@ pub(super) fn decode(bytes: &[u8]) -> Result<Loaded> {
 
 fn too_large(width: u32, height: u32) -> Error {
     Error::input(format!(
-        "a texture may have {MAX_SIDE} pixels a side, found {width}×{height}"
+        "a texture may have at most {MAX_SIDE} pixels per side, found {width}×{height}"
     ))
     .remedy(format!(
-        "scale it down; {MAX_TEXTURE} pixels are used at most"
+        "scale it down to {MAX_TEXTURE} pixels, the most that is used"
     ))
 }
 
@@ -102,9 +98,9 @@ fn decode_jpeg(bytes: &[u8]) -> Result<RgbImage> {
 
 fn decode_png(bytes: &[u8]) -> Result<RgbImage> {
     let unreadable = |e| {
-        Error::input("the PNG cannot be read")
+        Error::input("cannot decode the PNG image")
             .because(e)
-            .remedy("check that the file was copied whole, or save the image again")
+            .remedy("check that the file is complete, or export the image again")
     };
     let reader = || ImageReader::with_format(std::io::Cursor::new(bytes), ImageFormat::Png);
     let (width, height) = reader().into_dimensions().map_err(unreadable)?;
@@ -118,21 +114,45 @@ fn decode_png(bytes: &[u8]) -> Result<RgbImage> {
     Ok(reader.decode().map_err(unreadable)?.into_rgb8())
 }
 
-/// Says what the file is instead, where that is known.
-fn foreign(bytes: &[u8]) -> Error {
-    let is = match bytes {
-        [] => "it is empty",
-        [0xab, b'K', b'T', b'X', ..] => "it is a KTX texture",
-        [b'R', b'I', b'F', b'F', ..] => "it is a WebP image",
-        [b'G', b'I', b'F', ..] => "it is a GIF image",
-        [b'B', b'M', ..] => "it is a BMP image",
-        [b'D', b'D', b'S', ..] => "it is a DDS texture",
-        _ if bytes.starts_with(b"version https://git-lfs") => "it is a Git LFS pointer",
-        _ if bytes.starts_with(b"#?") => "it is a Radiance HDR image",
-        _ => "its first bytes are those of neither",
-    };
-    Error::input(format!("a texture must be a PNG or JPEG image, but {is}"))
-        .remedy("convert it to PNG or JPEG")
+/// Error for a file of another type, which is named if recognised.
+fn unsupported(bytes: &[u8]) -> Error {
+    let is = format_name(bytes).unwrap_or("of another type");
+    Error::input(format!(
+        "a texture must be a PNG or JPEG image, but the file is {is}"
+    ))
+    .remedy("convert it to PNG or JPEG")
+}
+
+/// Names the type of a file by its signature.
+pub(super) fn format_name(bytes: &[u8]) -> Option<&'static str> {
+    const SIGNATURES: [(&[u8], &str); 10] = [
+        (b"\x89PNG", "a PNG image"),
+        (b"\xff\xd8", "a JPEG image"),
+        (b"#?", "a Radiance HDR image"),
+        (b"\x76\x2f\x31\x01", "an OpenEXR image"),
+        (b"\xabKTX", "a KTX texture"),
+        (b"RIFF", "a WebP image"),
+        (b"GIF", "a GIF image"),
+        (b"BM", "a BMP image"),
+        (b"DDS", "a DDS texture"),
+        (
+            b"version https://git-lfs",
+            "a Git LFS pointer (fetch it with `git lfs pull`)",
+        ),
+    ];
+    let known = SIGNATURES
+        .iter()
+        .find(|(start, _)| bytes.starts_with(start));
+    known.map_or(bytes.is_empty().then_some("empty"), |(_, name)| Some(name))
+}
+
+/// Reads a whole image file, with an error that says what cannot be read.
+pub(super) fn read_image_file(path: &Path, what: &str) -> Result<Vec<u8>> {
+    read_regular(path, FileKind::Mesh).map_err(|e| {
+        Error::io(format!("cannot read the {what}"), e)
+            .at(path.display())
+            .remedy("check the path and its permissions")
+    })
 }
 
 #[cfg(test)]
@@ -148,7 +168,7 @@ mod tests {
     }
 
     #[test]
-    fn png_and_jpeg_files_become_textures() {
+    fn png_and_jpeg_files_load_as_textures() {
         let folder = tempfile::tempdir().unwrap();
         let png = folder.path().join("a.png");
         fs::write(&png, encode_png_rgb(&image(8, 6)).unwrap()).unwrap();
@@ -161,7 +181,7 @@ mod tests {
     }
 
     #[test]
-    fn huge_images_are_scaled_down_with_a_warning() {
+    fn large_image_is_scaled_down_with_warning() {
         let loaded = decode(&encode_png_rgb(&image(5000, 10)).unwrap()).unwrap();
         assert_eq!(loaded.image.dimensions(), (4096, 8));
         assert!(loaded.warning.unwrap().contains("5000×10"));
@@ -171,9 +191,9 @@ mod tests {
     }
 
     #[test]
-    fn wrong_files_are_explained() {
+    fn unsupported_file_error_names_its_format() {
         let whole = encode_png_rgb(&image(8, 8)).unwrap();
-        for (bytes, on_progress) in [
+        for (bytes, expected) in [
             (&b""[..], "empty"),
             (b"\xabKTX 20\xbb", "KTX"),
             (b"RIFF....WEBP", "WebP"),
@@ -183,10 +203,7 @@ mod tests {
             (b"\xff\xd8\xff\xe0", "JPEG"),
         ] {
             let error = decode(bytes).err().unwrap();
-            assert!(
-                error.to_string().contains(on_progress),
-                "{on_progress}: {error}"
-            );
+            assert!(error.to_string().contains(expected), "{expected}: {error}");
         }
         let missing = load_bitmap(Path::new("/nowhere/wood.png")).unwrap_err();
         assert_eq!(missing.kind(), ErrorKind::NotFound);

@@ -2,10 +2,11 @@
 
 use glam::{DVec3, Vec3};
 
-use gripcast_base::error::{Error, Result};
+use super::material::ensure;
+use gripcast_base::error::Result;
 use gripcast_geometry::Pose;
 
-/// Ray of light: `origin + t * direction`.
+/// Ray `origin + t * direction`, world frame.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Ray {
     pub(super) origin: Vec3,
@@ -16,21 +17,21 @@ pub(super) struct Ray {
 /// (0, 0) is the centre of the top-left pixel.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Camera {
-    /// Columns.
+    /// Width of the image, px.
     pub width: usize,
-    /// Rows.
+    /// Height of the image, px.
     pub height: usize,
     /// Focal length along x and y, px.
     pub focal_px: [f64; 2],
-    /// Where the optical axis meets the image: column, row.
+    /// Principal point: column, row, px.
     pub principal_px: [f64; 2],
-    /// Maps the optical frame into the world.
+    /// Pose of the optical frame in the world.
     pub t_world_camera: Pose,
 }
 
 impl Camera {
-    /// Camera with square pixels, its axis through the middle of the image and the field of view
-    /// `fov_x_rad` across the width.
+    /// Camera with square pixels and its principal point at the image centre; `fov_x_rad` is the
+    /// horizontal field of view.
     pub fn centred(width: usize, height: usize, fov_x_rad: f64, t_world_camera: Pose) -> Self {
         let focal = 0.5 * width as f64 / (0.5 * fov_x_rad).tan();
         Self {
@@ -42,17 +43,17 @@ impl Camera {
         }
     }
 
-    /// Pose of a camera at `eye` whose axis goes through `target`, upright with respect to the
-    /// world's z; m. `None` if the two are the same point or above one another.
-    pub fn looking_at(eye: DVec3, target: DVec3) -> Option<Pose> {
+    /// Returns the pose of a camera at `eye` (m) that points at `target` with the world's z axis
+    /// up; `None` if the two coincide or one is straight above the other.
+    pub fn look_at(eye: DVec3, target: DVec3) -> Option<Pose> {
         let forward = (target - eye).try_normalize()?;
         let right = forward.cross(DVec3::Z).try_normalize()?;
         let axes = glam::DMat3::from_cols(right, forward.cross(right), forward);
         Some(Pose::new(glam::DQuat::from_mat3(&axes), eye))
     }
 
-    /// World position of the pinhole, m, and unit direction of what a place in the image sees;
-    /// whole numbers are the centres of pixels.
+    /// Returns the origin (m) and unit direction, world frame, of the ray through an image
+    /// position; integers are pixel centres.
     pub fn ray(&self, column: f64, row: f64) -> [DVec3; 2] {
         let direction = DVec3::new(
             (column - self.principal_px[0]) / self.focal_px[0],
@@ -64,8 +65,8 @@ impl Camera {
         [pose.translation_m, world]
     }
 
-    /// Column, row and depth along the optical axis (m) of a world point; `None` if it is not in
-    /// front of the camera.
+    /// Projects a world point (m) to column, row (px) and depth along the optical axis (m); `None`
+    /// if the point is not in front of the camera.
     pub fn project(&self, point: DVec3) -> Option<[f64; 3]> {
         let p = self.t_world_camera.inverse().transform_point(point);
         (p.z > 0.0).then(|| {
@@ -78,32 +79,23 @@ impl Camera {
     }
 
     pub(super) fn validate(&self) -> Result<()> {
-        let bad = |what: String| Err(Error::input(what));
         let (width, height) = (self.width, self.height);
-        // More rows or columns would not fit the seeds of the pixels.
-        if !(1..=1 << 15).contains(&width) || !(1..=1 << 15).contains(&height) {
-            return bad(format!(
-                "the image must have 1 to 32768 columns and rows, found {width}×{height}"
-            ));
-        }
-        if !self.focal_px.iter().all(|f| f.is_finite() && *f > 0.0) {
-            let found = self.focal_px;
-            return bad(format!(
-                "the focal lengths must be positive, found {found:?}"
-            ));
-        }
-        if !self.principal_px.iter().all(|c| c.is_finite()) {
-            let found = self.principal_px;
-            return bad(format!(
-                "the principal point must be finite, found {found:?}"
-            ));
-        }
-        if !self.t_world_camera.translation_m.is_finite() {
-            let found = self.t_world_camera.translation_m;
-            return bad(format!(
-                "the camera must be at a finite place, found {found}"
-            ));
-        }
-        Ok(())
+        // Columns and rows must fit the pixel seeds.
+        let fits = |side| (1..=1 << 15).contains(&side);
+        ensure(fits(width) && fits(height), || {
+            format!("the image must have 1 to 32768 columns and rows, found {width}×{height}")
+        })?;
+        let focal = self.focal_px;
+        ensure(focal.iter().all(|f| f.is_finite() && *f > 0.0), || {
+            format!("the focal lengths must be positive, found {focal:?}")
+        })?;
+        let principal = self.principal_px;
+        ensure(principal.iter().all(|c| c.is_finite()), || {
+            format!("the principal point must be finite, found {principal:?}")
+        })?;
+        let eye = self.t_world_camera.translation_m;
+        ensure(eye.is_finite(), || {
+            format!("the camera position must be finite, found {eye}")
+        })
     }
 }

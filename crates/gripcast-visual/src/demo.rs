@@ -1,13 +1,13 @@
-//! Built-in objects with materials, so that images look good without any file.
+//! Built-in objects with typical materials.
 
 use super::finish::Finish;
 use super::model::Model;
-use super::pattern::Pattern;
+use super::procedural::ProceduralTexture;
 use gripcast_base::error::Result;
 use gripcast_base::random::SeedStream;
 use gripcast_geometry::builtin;
 
-/// Finishes that suit a built-in mesh, the most usual first.
+/// Finishes that suit a built-in mesh, most common first.
 ///
 /// | mesh | finishes |
 /// | --- | --- |
@@ -20,14 +20,14 @@ use gripcast_geometry::builtin;
 /// | `spike` | aluminium, glass, plastic |
 /// | `ball` | plastic, wood, steel |
 /// | `bottle` | plastic, glass, aluminium |
-pub fn usual_finishes(name: &str) -> &'static [Finish] {
-    use Finish::{Aluminium, Copper, Glass, Painted, Steel};
-    const CERAMIC: Finish = Painted(Pattern::Ceramic);
-    const METAL: Finish = Painted(Pattern::BrushedMetal);
-    const PLASTIC: Finish = Painted(Pattern::Plastic);
-    const PRINT: Finish = Painted(Pattern::Print);
-    const STONE: Finish = Painted(Pattern::Stone);
-    const WOOD: Finish = Painted(Pattern::Wood);
+pub fn typical_finishes(name: &str) -> &'static [Finish] {
+    use Finish::{Aluminium, Copper, Glass, Steel, Textured};
+    const CERAMIC: Finish = Textured(ProceduralTexture::Ceramic);
+    const METAL: Finish = Textured(ProceduralTexture::BrushedMetal);
+    const PLASTIC: Finish = Textured(ProceduralTexture::Plastic);
+    const PRINT: Finish = Textured(ProceduralTexture::Print);
+    const STONE: Finish = Textured(ProceduralTexture::Stone);
+    const WOOD: Finish = Textured(ProceduralTexture::Wood);
     match name.strip_prefix("builtin:").unwrap_or(name) {
         "mug" => &[CERAMIC, Glass, Steel, PLASTIC],
         "box" => &[PRINT, WOOD, PLASTIC],
@@ -42,21 +42,21 @@ pub fn usual_finishes(name: &str) -> &'static [Finish] {
     }
 }
 
-/// A built-in mesh with one of its usual finishes, drawn by the seed.
+/// Builds a built-in mesh with one of its typical finishes, picked by the seed.
 ///
 /// # Errors
 /// `NotFound` for an unknown name; the remedy lists the names.
 pub fn demo_model(name: &str, seed: u64) -> Result<Model> {
     let shape = builtin(name)?;
-    let finishes = usual_finishes(name);
+    let finishes = typical_finishes(name);
     let mut stream = SeedStream::named(seed, "finish");
     let finish = finishes[stream.index(finishes.len())];
-    Model::plain(&shape, finish, stream.bits())
+    Model::with_finish(&shape, finish, stream.bits())
 }
 
-/// A finish for a shape of the user, drawn by the seed.
-pub fn drawn_finish(seed: u64) -> Finish {
-    let finishes = usual_finishes("");
+/// Picks a finish for an unknown shape.
+pub fn random_finish(seed: u64) -> Finish {
+    let finishes = typical_finishes("");
     finishes[SeedStream::named(seed, "finish").index(finishes.len())]
 }
 
@@ -67,7 +67,7 @@ mod tests {
     use gripcast_geometry::BUILTIN_NAMES;
 
     #[test]
-    fn every_built_in_mesh_has_a_model() {
+    fn every_builtin_mesh_has_a_model() {
         let mut glass = 0;
         for name in BUILTIN_NAMES {
             for seed in 0..3 {
@@ -75,7 +75,7 @@ mod tests {
                 assert_eq!((model.meshes.len(), model.materials.len()), (1, 1));
                 glass += usize::from(matches!(model.materials[0], Material::Dielectric { .. }));
             }
-            assert!(usual_finishes(name).len() >= 3, "{name}");
+            assert!(typical_finishes(name).len() >= 3, "{name}");
         }
         assert!(glass > 0);
         assert!(demo_model("builtin:mugg", 0).is_err());

@@ -1,19 +1,19 @@
-//! Where in a pixel the paths start, and what is gathered of them.
+//! Film: pixel filter and accumulation of path samples.
 
 use glam::{DVec3, Vec3};
 
 use super::settings::PixelFilter;
 
 const ENTRIES: usize = 256;
-/// Standard deviation of the Gaussian filter, and where it is cut, px.
+/// Standard deviation and cut-off radius of the Gaussian filter, px.
 const SIGMA: f64 = 0.5;
 const CUT: f64 = 2.0;
 
-/// Reconstruction filter, used by drawing the places of the samples from it, so that each path
-/// counts for one pixel with the same weight (filter importance sampling).
+/// Reconstruction filter for filter importance sampling: pixel offsets are drawn from the filter
+/// and every path has the same weight.
 #[derive(Debug)]
 pub(super) struct FilterTable {
-    /// Offset from the pixel's centre, px, at equal steps of its distribution function.
+    /// Inverse CDF at equal steps: offset from the pixel centre, px.
     offsets: [f32; ENTRIES + 1],
 }
 
@@ -21,12 +21,10 @@ impl FilterTable {
     pub(super) fn new(filter: PixelFilter) -> Self {
         let radius = match filter {
             PixelFilter::Box => 0.5,
-            PixelFilter::Tent => 1.0,
             PixelFilter::Gaussian => CUT,
         };
         let height = |x: f64| match filter {
             PixelFilter::Box => 1.0,
-            PixelFilter::Tent => 1.0 - x.abs(),
             PixelFilter::Gaussian => (-0.5 * (x / SIGMA).powi(2)).exp(),
         };
         let steps = 1 << 14;
@@ -47,7 +45,7 @@ impl FilterTable {
         Self { offsets }
     }
 
-    /// Offset for a number in [0, 1), px.
+    /// Returns the offset for a random number in [0, 1), px.
     #[inline(always)]
     pub(super) fn offset(&self, u: f32) -> f32 {
         let x = u * ENTRIES as f32;
@@ -57,12 +55,13 @@ impl FilterTable {
     }
 }
 
-/// What one path gives.
+/// Contribution of one path.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct PathSample {
     pub(super) radiance: Vec3,
-    /// Albedo and shading normal of the first surface; of the sky its (clipped) radiance and 0.
+    /// Albedo of the first surface; for the environment its radiance, clipped to 1.
     pub(super) albedo: Vec3,
+    /// Shading normal of the first surface, world; 0 for the environment.
     pub(super) normal: Vec3,
 }
 
@@ -81,9 +80,9 @@ pub(super) struct PixelSums {
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct PixelMeans {
     pub(super) radiance: [f32; 3],
-    /// Variance of `radiance`, as if the paths were independent.
+    /// Variance of the mean radiance, assuming independent paths.
     pub(super) variance: [f32; 3],
-    /// Mean of each half of the paths.
+    /// Mean radiance of each half of the paths.
     pub(super) halves: [[f32; 3]; 2],
     pub(super) albedo: [f32; 3],
     pub(super) normal: [f32; 3],
@@ -102,7 +101,7 @@ impl PixelSums {
         self.normal += sample.normal;
     }
 
-    /// Means over `samples` paths, of which `first` are the first half.
+    /// Returns the means over `samples` paths, of which the first `first` form the first half.
     pub(super) fn means(&self, samples: u32, first: u32) -> PixelMeans {
         let n = f64::from(samples);
         let mean = self.radiance / n;
@@ -139,7 +138,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn offsets_follow_their_filters() {
+    fn offsets_follow_filter_distribution() {
         let spread = |filter| {
             let table = FilterTable::new(filter);
             let offsets = (0..4096).map(|i| table.offset((i as f32 + 0.5) / 4096.0));
@@ -147,7 +146,6 @@ mod tests {
             (sum / 4096.0).sqrt()
         };
         assert!((spread(PixelFilter::Box) - 1.0 / 12f64.sqrt()).abs() < 1e-3);
-        assert!((spread(PixelFilter::Tent) - 1.0 / 6f64.sqrt()).abs() < 2e-3);
         // The cut at 4 σ takes little off.
         assert!((spread(PixelFilter::Gaussian) - SIGMA).abs() < 5e-3);
         let table = FilterTable::new(PixelFilter::Gaussian);
@@ -155,7 +153,7 @@ mod tests {
     }
 
     #[test]
-    fn sums_give_means_variance_and_halves() {
+    fn sums_give_mean_variance_and_halves() {
         let mut sums = PixelSums::default();
         for value in [1.0, 3.0, 5.0, 7.0] {
             let sample = PathSample {

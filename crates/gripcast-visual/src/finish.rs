@@ -1,25 +1,24 @@
-//! What a body without a material of its own is made of.
+//! Default materials for bodies without their own.
 
-use std::fmt;
 use std::str::FromStr;
 
-use super::material::{Colour, Material};
-use super::pattern::Pattern;
+use super::material::{Colour, IOR, Material};
+use super::procedural::ProceduralTexture;
 use super::texture::Bitmap;
 use gripcast_base::error::{Error, Result, unknown_name};
 
-/// Width and height of painted textures, px.
+/// Side of the generated textures, px.
 const TEXTURE_PX: u32 = 512;
 
-/// Index and extinction of chromium, which stainless steel looks like, at 630, 532 and 465 nm
-/// (Rakic et al., Applied Optics, 1998).
+/// Complex index of refraction (η, k) of chromium, which resembles stainless steel, at 630, 532 and
+/// 465 nm (Rakic et al., Applied Optics, 1998).
 pub(super) const STEEL: [[f32; 3]; 2] = [[3.11, 3.18, 2.32], [3.33, 3.33, 3.135]];
 
 /// Material of a whole body.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Finish {
-    /// A painted surface.
-    Painted(Pattern),
+    /// Procedural texture.
+    Textured(ProceduralTexture),
     /// Clear glass; the mesh must be closed.
     Glass,
     /// Polished stainless steel (optical constants of chromium).
@@ -33,7 +32,7 @@ pub enum Finish {
 }
 
 impl Finish {
-    const BARE: [Self; 5] = [
+    const UNTEXTURED: [Self; 5] = [
         Self::Glass,
         Self::Steel,
         Self::Aluminium,
@@ -41,16 +40,16 @@ impl Finish {
         Self::Gold,
     ];
 
-    /// All of them.
+    /// Iterates over all finishes.
     pub fn all() -> impl Iterator<Item = Self> {
-        let painted = Pattern::ALL.into_iter().map(Self::Painted);
-        painted.chain(Self::BARE)
+        let textured = ProceduralTexture::ALL.into_iter().map(Self::Textured);
+        textured.chain(Self::UNTEXTURED)
     }
 
-    /// Name in commands and files.
+    /// Name on the command line and in files.
     pub fn name(self) -> &'static str {
         match self {
-            Self::Painted(pattern) => pattern.name(),
+            Self::Textured(texture) => texture.name(),
             Self::Glass => "glass",
             Self::Steel => "steel",
             Self::Aluminium => "aluminium",
@@ -59,32 +58,28 @@ impl Finish {
         }
     }
 
-    /// The material and, for painted ones, its texture and the width of it on the surface, m.
-    /// The texture is to be number `texture` of the scene.
+    /// Returns the material and, for textured finishes, the texture and its width on the surface,
+    /// m. The material refers to the texture by the index `texture`.
     ///
     /// # Errors
-    /// None; the signature is that of the texture's constructor.
+    /// None in practice; passed on from [`Bitmap::from_srgb8`].
     pub(super) fn material(
         self,
         seed: u64,
         texture: usize,
     ) -> Result<(Material, Option<(Bitmap, f64)>)> {
-        // Index and extinction as those of steel.
+        // (η, k) as for [`STEEL`].
         let (eta, k, roughness) = match self {
-            Self::Painted(pattern) => {
-                let painted = pattern.paint(TEXTURE_PX, seed);
-                let material = Material::Principled {
-                    base_colour: Colour::Texture(texture),
-                    metallic: painted.metallic,
-                    roughness: painted.roughness,
-                    ior: 1.5,
-                };
-                let bitmap = Bitmap::from_srgb8(&painted.image)?;
-                return Ok((material, Some((bitmap, painted.tile_m))));
+            Self::Textured(texture_kind) => {
+                let generated = texture_kind.generate(TEXTURE_PX, seed);
+                let colour = Colour::Texture(texture);
+                let material = Material::glossy(colour, generated.metallic, generated.roughness);
+                let bitmap = Bitmap::from_srgb8(&generated.image)?;
+                return Ok((material, Some((bitmap, generated.tile_m))));
             }
             Self::Glass => {
                 let material = Material::Dielectric {
-                    ior: 1.5,
+                    ior: IOR,
                     roughness: 0.0,
                     transmittance: [0.98, 0.99, 0.985],
                 };
@@ -99,12 +94,6 @@ impl Finish {
     }
 }
 
-impl fmt::Display for Finish {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.pad(self.name())
-    }
-}
-
 impl FromStr for Finish {
     type Err = Error;
 
@@ -112,7 +101,7 @@ impl FromStr for Finish {
         let found = Self::all().find(|f| f.name() == text);
         found.ok_or_else(|| {
             let names: Vec<&str> = Self::all().map(Self::name).collect();
-            unknown_name("material", text, &names)
+            unknown_name("finish", text, &names)
         })
     }
 }
@@ -124,10 +113,10 @@ mod tests {
     #[test]
     fn every_finish_has_a_name_and_a_material() {
         for finish in Finish::all() {
-            assert_eq!(finish.to_string().parse::<Finish>().unwrap(), finish);
+            assert_eq!(finish.name().parse::<Finish>().unwrap(), finish);
             let (material, texture) = finish.material(1, 0).unwrap();
             material.validate(usize::from(texture.is_some())).unwrap();
-            assert_eq!(texture.is_some(), matches!(finish, Finish::Painted(_)));
+            assert_eq!(texture.is_some(), matches!(finish, Finish::Textured(_)));
         }
         let text = "glas".parse::<Finish>().unwrap_err().to_string();
         assert!(text.contains("did you mean glass?"), "{text}");

@@ -1,63 +1,63 @@
-//! The scene of a grasp, as the cameras see it.
+//! Scene of a grasp as the cameras see it.
 
 use std::f64::consts::PI;
 use std::sync::Arc;
 
 use glam::{DQuat, DVec3, Vec3};
 
+use super::annotation_markers::{AnnotationMarkers, PRINT_LIFT_M};
 use super::camera::Camera;
-use super::conditions::{GroundChoice, VisualConditions};
+use super::conditions::{GroundSource, VisualConditions};
 use super::d435::{colour_camera, t_gripper_camera};
 use super::finish::STEEL;
 use super::grasp_state::GraspState;
 use super::gripper::{GripperSurface, gripper_parts};
 use super::material::{Colour, Material};
 use super::model::Model;
-use super::print::{GraspPrints, PRINT_LIFT_M};
 use super::scene::{Mesh, Scene};
 use super::shading::{Projection, shaded_mesh};
 use super::texture::Bitmap;
 use gripcast_base::error::{Error, Result};
 use gripcast_geometry::{Aabb, CREASE_RAD, Pose};
 
-/// Half width of the table, m; beyond it the lower half of the dome is seen.
+/// Half width of the table, m; beyond it the lower hemisphere of the environment map is visible.
 const TABLE_HALF_M: f32 = 0.9;
-/// Pixels of a painted ground, and in an image that shows no more of it.
+/// Side of a procedural ground texture, px; [`SMALL_GROUND_PX`] for small images.
 const GROUND_PX: u32 = 1024;
 const SMALL_GROUND_PX: u32 = 512;
-/// Columns of a small image.
+/// Maximum width of a small image, px.
 const SMALL_WIDTH: usize = 320;
-/// Half extent of a gel's face along the gripper's y and z, m.
+/// Half extent of a gel face along the gripper's y and z, m.
 const GEL_HALF_M: [f64; 2] = [0.010, 0.0125];
-/// Space between the gels and the border of the image, as a fraction of its size.
+/// Minimum margin between the gels and the image border, fraction of the image size.
 const BORDER_FRACTION: f64 = 0.02;
-/// Attempts at a camera that sees both gels, each closer to the nominal place.
+/// Camera poses tried until both gels are visible, each closer to the nominal pose.
 const CAMERA_ATTEMPTS: u32 = 8;
 
-/// Where the image is taken from.
+/// Viewpoint; the sizes are columns and rows.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum View {
-    /// The D435 on the gripper, moved as the conditions say; the sizes are columns and rows of
-    /// the image that is cropped in the middle of the colour stream and scaled.
+    /// The D435 on the gripper, displaced by the conditions; a centre crop of the colour stream
+    /// scaled to the size.
     EyeInHand([usize; 2]),
-    /// From outside, three quarters from the front: the whole gripper, the object and the table.
+    /// External three-quarter view of the gripper, the object and the table.
     External([usize; 2]),
 }
 
 impl View {
-    /// Its camera.
+    /// Returns the camera of the view.
     pub fn camera(self, state: &GraspState, conditions: &VisualConditions) -> Camera {
         match self {
-            Self::EyeInHand(size) => eye_in_hand(state, conditions, size),
+            Self::EyeInHand(size) => eye_in_hand_camera(state, conditions, size),
             Self::External(size) => external(state, size),
         }
     }
 }
 
-/// Composes the scene that a camera sees.
+/// Composes the scene of a view.
 ///
 /// # Errors
-/// `Input` where the camera is inside the object or below the ground, the opening is impossible or
+/// `Input` if the camera is inside the object or below the ground, the opening is out of range or
 /// the image has no pixels.
 pub fn grasp_scene(
     object: &Model,
@@ -70,8 +70,8 @@ pub fn grasp_scene(
     compose(object, state, conditions, camera, with_camera, 0.0)
 }
 
-/// The scene of [`grasp_scene`] seen from outside by `camera`, with the object on a printed sheet
-/// and tags on the gripper.
+/// Composes the scene of [`grasp_scene`] for an external camera, with the object on an ArUco board
+/// and markers on the gripper.
 ///
 /// # Errors
 /// As [`grasp_scene`].
@@ -80,7 +80,7 @@ pub fn annotation_scene(
     state: &GraspState,
     conditions: &VisualConditions,
     camera: Camera,
-    prints: &GraspPrints,
+    prints: &AnnotationMarkers,
 ) -> Result<Scene> {
     let mut scene = compose(object, state, conditions, camera, true, PRINT_LIFT_M)?;
     prints.add_to(&mut scene, &state.t_world_gripper, state.opening_m);
@@ -96,13 +96,7 @@ fn compose(
     with_camera: bool,
     table_below_m: f64,
 ) -> Result<Scene> {
-    let mut scene = Scene {
-        meshes: Vec::new(),
-        materials: Vec::new(),
-        textures: Vec::new(),
-        environment: conditions.environment(),
-        camera,
-    };
+    let mut scene = Scene::empty(conditions.env_map(), camera);
     object.add_to(&mut scene, &state.t_world_object);
     check_camera(&scene, object)?;
     let table = Pose::from_translation(DVec3::NEG_Z * table_below_m);
@@ -128,17 +122,17 @@ fn compose(
     Ok(scene)
 }
 
-/// The eye-in-hand camera of the conditions. If it would not see both gel faces, it is moved
-/// towards its nominal place until it does.
-pub fn eye_in_hand(
+/// Returns the eye-in-hand camera of the conditions, moved towards its nominal pose until it sees
+/// both gel faces.
+pub fn eye_in_hand_camera(
     state: &GraspState,
     conditions: &VisualConditions,
     [width, height]: [usize; 2],
 ) -> Camera {
     let moved = |fraction: f64| {
-        let shift = conditions.camera_move.translation_m * fraction;
-        let turn = DQuat::IDENTITY.slerp(conditions.camera_move.rotation, fraction);
-        let t_gripper_moved = t_gripper_camera() * Pose::new(turn, shift);
+        let shift = conditions.t_nominal_camera.translation_m * fraction;
+        let rotation = DQuat::IDENTITY.slerp(conditions.t_nominal_camera.rotation, fraction);
+        let t_gripper_moved = t_gripper_camera() * Pose::new(rotation, shift);
         let mut camera = colour_camera(width, height, state.t_world_gripper * t_gripper_moved);
         let factor = 1.0 + fraction * (conditions.focal_factor - 1.0);
         camera.focal_px = camera.focal_px.map(|f| f * factor);
@@ -150,7 +144,7 @@ pub fn eye_in_hand(
         .unwrap_or_else(|| moved(0.0))
 }
 
-/// Whether the corners of both gel faces lie within the image, with a small border.
+/// Whether the corners of both gel faces lie in the image with a small margin.
 pub fn sees_gels(camera: &Camera, state: &GraspState) -> bool {
     let size = [camera.width as f64, camera.height as f64];
     let [y, z] = GEL_HALF_M;
@@ -160,37 +154,37 @@ pub fn sees_gels(camera: &Camera, state: &GraspState) -> bool {
             .into_iter()
             .all(|[y, z]| {
                 let corner = state.t_world_gripper.transform_point(DVec3::new(x, y, z));
-                camera.project(corner).is_some_and(|place| {
+                camera.project(corner).is_some_and(|position| {
                     (0..2).all(|a| {
                         let border = BORDER_FRACTION * size[a];
-                        (border..=size[a] - 1.0 - border).contains(&place[a])
+                        (border..=size[a] - 1.0 - border).contains(&position[a])
                     })
                 })
             })
     })
 }
 
-/// Three-quarter view from the side of the camera, slightly from above.
+/// Three-quarter view from the camera's side, slightly from above.
 fn external(state: &GraspState, [width, height]: [usize; 2]) -> Camera {
     let gripper = &state.t_world_gripper;
     let approach = gripper.transform_vector(DVec3::Z);
     let flat = |v: DVec3| (v * DVec3::new(1.0, 1.0, 0.0)).normalize_or_zero();
     let side = flat(gripper.transform_vector(DVec3::NEG_Y)).normalize_or(DVec3::NEG_Y);
     let along = DVec3::Z.cross(side);
-    // The middle between the table under the object and the end of the handle.
+    // Midway between the table under the object and the end of the handle.
     let target = gripper.translation_m - 0.105 * approach;
-    let (turn, height_fraction) = (0.75 * side + 0.66 * along, 0.3);
-    let direction = (turn + DVec3::Z * height_fraction).normalize();
+    let horizontal = 0.75 * side + 0.66 * along;
+    let direction = (horizontal + DVec3::Z * 0.3).normalize();
     let mut eye = target + 0.62 * direction;
     eye.z = eye.z.max(0.12);
-    let pose = Camera::looking_at(eye, target).unwrap_or(state.t_world_gripper);
+    let pose = Camera::look_at(eye, target).unwrap_or(state.t_world_gripper);
     let wide = width as f64 / height.max(1) as f64;
     let fov = 2.0 * (0.31 * wide.min(1.6)).atan();
     Camera::centred(width, height, fov, pose)
 }
 
-/// Explains a camera that sees nothing but the inside of something; the scene holds only the
-/// object yet.
+/// Refuses a camera inside the object or below the ground; the scene contains only the object so
+/// far.
 fn check_camera(scene: &Scene, object: &Model) -> Result<()> {
     let bad = |what: String| {
         Error::input(what)
@@ -213,15 +207,20 @@ fn check_camera(scene: &Scene, object: &Model) -> Result<()> {
     })
 }
 
-/// The table.
+/// Builds the table.
 fn ground(conditions: &VisualConditions, size_px: u32) -> Result<Model> {
     let (bitmap, tile_m, roughness, metallic) = match &conditions.ground {
-        GroundChoice::Painted(pattern, seed) => {
-            let painted = pattern.paint(size_px, *seed);
-            let bitmap = Arc::new(Bitmap::from_srgb8(&painted.image)?);
-            (bitmap, painted.tile_m, painted.roughness, painted.metallic)
+        GroundSource::Procedural(texture, seed) => {
+            let generated = texture.generate(size_px, *seed);
+            let bitmap = Arc::new(Bitmap::from_srgb8(&generated.image)?);
+            (
+                bitmap,
+                generated.tile_m,
+                generated.roughness,
+                generated.metallic,
+            )
         }
-        GroundChoice::Image(bitmap, width) => {
+        GroundSource::Image(bitmap, width) => {
             if !(width.is_finite() && *width > 0.0) {
                 return Err(Error::input(format!(
                     "the width of the ground's texture must be positive, found {width} m"
@@ -240,37 +239,32 @@ fn ground(conditions: &VisualConditions, size_px: u32) -> Result<Model> {
     for uv in &mut mesh.uvs {
         *uv = [uv[0] + across, uv[1] + down];
     }
-    let turn = Pose::from_rotation(DQuat::from_rotation_z(
-        conditions.ground_turn_rad % (2.0 * PI),
+    let yaw = Pose::from_rotation(DQuat::from_rotation_z(
+        conditions.ground_yaw_rad % (2.0 * PI),
     ));
     Ok(Model {
-        meshes: vec![mesh.transformed(&turn)],
-        materials: vec![Material::Principled {
-            base_colour: Colour::Texture(0),
-            metallic,
-            roughness,
-            ior: 1.5,
-        }],
+        meshes: vec![mesh.transformed(&yaw)],
+        materials: vec![Material::glossy(Colour::Texture(0), metallic, roughness)],
         textures: vec![bitmap.as_ref().clone()],
     })
 }
 
-/// The gripper in its own frame. The D435 is drawn only where it does not take the image, gels
-/// only where no deformed ones are given.
+/// Builds the gripper in its own frame; the D435 only if `with_camera`, the gels only if no
+/// deformed ones are given.
 fn gripper(state: &GraspState, print: [f32; 3], with_camera: bool) -> Result<Model> {
     let mut model = Model::default();
-    let mut known: Vec<GripperSurface> = Vec::new();
+    let mut surfaces: Vec<GripperSurface> = Vec::new();
     for part in gripper_parts(state.opening_m)? {
         let is_camera = part.name.starts_with("camera");
         let is_replaced = part.surface == GripperSurface::Gel && state.gels.is_some();
         if is_replaced || (is_camera && !with_camera) {
             continue;
         }
-        let found = known.iter().position(|surface| *surface == part.surface);
+        let found = surfaces.iter().position(|surface| *surface == part.surface);
         let material = found.unwrap_or_else(|| {
-            known.push(part.surface);
+            surfaces.push(part.surface);
             model.materials.push(surface_material(part.surface, print));
-            known.len() - 1
+            surfaces.len() - 1
         });
         let mesh = shaded_mesh(&part.shape, CREASE_RAD, Projection::None, material);
         model.meshes.push(mesh);
@@ -278,13 +272,10 @@ fn gripper(state: &GraspState, print: [f32; 3], with_camera: bool) -> Result<Mod
     Ok(model)
 }
 
-/// Material of a part of the gripper.
+/// Returns the material of a gripper part.
 fn surface_material(surface: GripperSurface, print: [f32; 3]) -> Material {
-    let plastic = |colour: [f32; 3], roughness: f32| Material::Principled {
-        base_colour: Colour::Constant(colour),
-        metallic: 0.0,
-        roughness,
-        ior: 1.5,
+    let plastic = |colour: [f32; 3], roughness: f32| {
+        Material::glossy(Colour::Constant(colour), 0.0, roughness)
     };
     match surface {
         GripperSurface::Gel => plastic([0.23, 0.235, 0.24], 0.55),
@@ -298,12 +289,9 @@ fn surface_material(surface: GripperSurface, print: [f32; 3]) -> Material {
             roughness: 0.4,
         },
         GripperSurface::Rubber => plastic([0.022; 3], 0.7),
-        GripperSurface::CameraShell => Material::Principled {
-            base_colour: Colour::Constant([0.72, 0.72, 0.74]),
-            metallic: 1.0,
-            roughness: 0.5,
-            ior: 1.5,
-        },
+        GripperSurface::CameraShell => {
+            Material::glossy(Colour::Constant([0.72, 0.72, 0.74]), 1.0, 0.5)
+        }
         GripperSurface::CameraWindow => plastic([0.006; 3], 0.1),
     }
 }

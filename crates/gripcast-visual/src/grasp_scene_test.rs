@@ -39,11 +39,11 @@ fn snapshot(state: &GraspState, resolution: GelResolution) -> Snapshot {
 }
 
 #[test]
-fn both_gels_and_the_object_are_in_view_for_every_seed() {
+fn gels_and_object_are_in_view_for_every_seed() {
     let (model, state) = mug_state();
     let ranges = VisualRandomisation::default();
     for seed in 0..100 {
-        let camera = eye_in_hand(&state, &ranges.sample(seed), [320, 240]);
+        let camera = eye_in_hand_camera(&state, &ranges.sample(seed), [320, 240]);
         assert!(sees_gels(&camera, &state), "{seed}");
         let places = model
             .positions()
@@ -59,16 +59,16 @@ fn both_gels_and_the_object_are_in_view_for_every_seed() {
 }
 
 #[test]
-fn a_camera_moved_too_far_is_brought_back() {
+fn camera_moves_back_until_gels_are_visible() {
     let (_, state) = mug_state();
     let mut conditions = VisualRandomisation::default().sample(0);
-    conditions.camera_move = Pose::from_rotation(DQuat::from_rotation_y(0.9));
-    let camera = eye_in_hand(&state, &conditions, [320, 240]);
+    conditions.t_nominal_camera = Pose::from_rotation(DQuat::from_rotation_y(0.9));
+    let camera = eye_in_hand_camera(&state, &conditions, [320, 240]);
     assert!(sees_gels(&camera, &state));
 }
 
 #[test]
-fn the_scene_holds_object_ground_gripper_and_gels() {
+fn scene_contains_object_ground_gripper_and_gels() {
     let (model, state) = mug_state();
     let conditions = VisualRandomisation::default().sample(5);
     let view = View::EyeInHand([64, 48]);
@@ -76,7 +76,7 @@ fn the_scene_holds_object_ground_gripper_and_gels() {
     let outside = grasp_scene(&model, &state, &conditions, View::External([64, 48])).unwrap();
     assert!(
         outside.meshes.len() > scene.meshes.len(),
-        "the D435 is seen from outside only"
+        "the D435 is visible only from outside"
     );
 
     for resolution in [
@@ -85,7 +85,7 @@ fn the_scene_holds_object_ground_gripper_and_gels() {
         GelResolution::Fine,
     ] {
         let snapshot = snapshot(&state, resolution);
-        let pressed = GraspState::at(&snapshot, None).unwrap();
+        let pressed = GraspState::from_snapshot(&snapshot, None).unwrap();
         let scene_pressed = grasp_scene(&model, &pressed, &conditions, view).unwrap();
         assert_eq!(scene_pressed.meshes.len(), scene.meshes.len());
         let gels = pressed.gels.unwrap();
@@ -104,11 +104,13 @@ fn the_scene_holds_object_ground_gripper_and_gels() {
 }
 
 #[test]
-fn gels_of_unknown_meshes_are_explained() {
+fn gel_of_unknown_mesh_is_refused() {
     let (_, state) = mug_state();
     let mut snapshot = snapshot(&state, GelResolution::Coarse);
     snapshot.gels[1].pop();
-    let text = GraspState::at(&snapshot, None).unwrap_err().to_string();
+    let text = GraspState::from_snapshot(&snapshot, None)
+        .unwrap_err()
+        .to_string();
     assert!(text.contains("428 nodes"), "{text}");
     let grid = GelGrid::uniform([5, 4, 2], [0.025, 0.02, 0.004]).unwrap();
     let own = grid
@@ -117,12 +119,12 @@ fn gels_of_unknown_meshes_are_explained() {
         .map(|p| p.to_array())
         .collect::<Vec<_>>();
     snapshot.gels = [own.clone(), own];
-    assert!(GraspState::at(&snapshot, None).is_err());
-    assert!(GraspState::at(&snapshot, Some(&grid)).is_ok());
+    assert!(GraspState::from_snapshot(&snapshot, None).is_err());
+    assert!(GraspState::from_snapshot(&snapshot, Some(&grid)).is_ok());
 }
 
 #[test]
-fn cameras_inside_something_are_explained() {
+fn camera_inside_object_or_ground_is_refused() {
     let (model, state) = mug_state();
     let conditions = VisualRandomisation::default().sample(1);
     let mut big = model.clone();
@@ -131,7 +133,7 @@ fn cameras_inside_something_are_explained() {
     }
     let view = View::EyeInHand([64, 48]);
     // The wall of a mug as high as a person.
-    let eye = eye_in_hand(&state, &conditions, [64, 48])
+    let eye = eye_in_hand_camera(&state, &conditions, [64, 48])
         .t_world_camera
         .translation_m;
     let wall = DVec3::new(0.58, 0.1, 0.3);

@@ -1,4 +1,4 @@
-//! Where object, gripper and gels are when an image is taken.
+//! Poses of object, gripper and gels at the time of an image.
 
 use glam::DVec3;
 
@@ -7,36 +7,26 @@ use gripcast_geometry::{Pose, TriangleMesh};
 use gripcast_sim::fem::{GelGrid, GelResolution, Side};
 use gripcast_sim::grasp::Snapshot;
 
-/// Where everything is.
+/// Poses of the object, the gripper and the gels.
 #[derive(Clone, Debug)]
 pub struct GraspState {
-    /// The object's frame in the world.
+    /// Pose of the object in the world.
     pub t_world_object: Pose,
-    /// The gripper in the world.
+    /// Pose of the gripper in the world.
     pub t_world_gripper: Pose,
     /// Distance between the undeformed gel faces, m.
     pub opening_m: f64,
-    /// Deformed gels in the world, left and right; none to draw them undeformed.
+    /// Deformed gels in the world, left and right; if `None`, undeformed gels are rendered.
     pub gels: Option<[TriangleMesh; 2]>,
 }
 
 impl GraspState {
-    /// Before the fingers close.
-    pub fn before(scene: &gripcast_sim::grasp::Scene) -> Self {
-        Self {
-            t_world_object: scene.t_world_object,
-            t_world_gripper: scene.t_world_gripper,
-            opening_m: scene.opening_m,
-            gels: None,
-        }
-    }
-
-    /// At a snapshot of a trace. `grid` is the mesh of its gels; none if it is one of the
-    /// standard pads.
+    /// State at a snapshot of a trace. `grid` is the mesh of its gels; `None` for the standard
+    /// pads.
     ///
     /// # Errors
-    /// `Input` if the number of nodes is that of no known mesh.
-    pub fn at(snapshot: &Snapshot, grid: Option<&GelGrid>) -> Result<Self> {
+    /// `Input` if the number of gel nodes matches no known mesh.
+    pub fn from_snapshot(snapshot: &Snapshot, grid: Option<&GelGrid>) -> Result<Self> {
         let [left, right] = &snapshot.gels;
         Ok(Self {
             t_world_object: snapshot.t_world_object,
@@ -47,7 +37,7 @@ impl GraspState {
     }
 }
 
-/// The closed surface of a gel over its nodes in the world.
+/// Returns the closed surface of a gel from its nodes in the world.
 fn gel_surface(nodes: &[[f64; 3]], grid: Option<&GelGrid>) -> Result<TriangleMesh> {
     use GelResolution::{Coarse, Default, Fine};
     let standard = || {
@@ -63,10 +53,10 @@ fn gel_surface(nodes: &[[f64; 3]], grid: Option<&GelGrid>) -> Result<TriangleMes
         }
         _ => {
             return Err(Error::input(format!(
-                "the gel of the trace has {} nodes, as no standard pad has",
+                "the gel of the trace has {} nodes, which matches no standard pad",
                 nodes.len()
             ))
-            .remedy("give the gel mesh that the grasp was simulated with"));
+            .remedy("give the gel mesh with which the grasp was simulated"));
         }
     };
     let sides = [

@@ -1,10 +1,10 @@
-//! A UMI-style parallel gripper with two GelSight Minis, in code.
+//! Mesh model of a UMI-style parallel gripper with two GelSight Minis.
 //!
 //! # Dimensions
-//! Gripper frame: origin midway between the gel faces, x closing, z approach, the camera towards
-//! −y. mm; x is measured from a finger's gel face outwards, the rest from the origin. The Mini
-//! has its real outer size; rails, palm and handle are a plausible hand-held gripper, not a copy
-//! of one.
+//! Gripper frame: origin midway between the gel faces, x closing direction, z approach direction,
+//! the camera on the −y side; mm. x is measured outwards from a finger's gel face, y and z from the
+//! origin. The Mini has its real outer dimensions; rails, palm and handle are a plausible hand-held
+//! gripper, not a copy of one.
 //!
 //! | part | x | y | z | rounding |
 //! | --- | --- | --- | --- | --- |
@@ -19,7 +19,7 @@
 //! | cable, diameter 3.6 | 14 to 46 | 0 to 18 | −118 to −19 | – |
 //! | carriage | 4 to 38 | ±17 | −104 to −86 | 1.5 |
 //!
-//! x from the middle of the gripper:
+//! x from the centre of the gripper:
 //!
 //! | part | x | y | z | rounding |
 //! | --- | --- | --- | --- | --- |
@@ -28,7 +28,7 @@
 //! | palm | ±62 | ±24 | −156 to −116 | 6 |
 //! | handle | ±17 | ±15 | −262 to −150 | 12 |
 //! | camera arm | ±12 | −68 to −10 | −192 to −170 | 3 |
-//! | D435 | 90 wide, 25 high, 25 deep, its ends round, behind the camera’s place | | | 12.5 |
+//! | D435 | 90 wide, 25 high, 25 deep, rounded ends, behind the camera's origin | | | 12.5 |
 
 use glam::DVec3;
 
@@ -41,21 +41,21 @@ use super::solids::{cylinder, mirrored_x, rounded_box, smooth_path, tube};
 use gripcast_base::error::{Error, Result};
 use gripcast_geometry::{Pose, TriangleMesh};
 
-/// Widest opening that is drawn, m.
-const WIDEST_M: f64 = 0.2;
+/// Maximum opening, m.
+const MAX_OPENING_M: f64 = 0.2;
 const MM: f64 = 1e-3;
 
-/// What a part is made of.
+/// Surface material of a part.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum GripperSurface {
-    /// Coating of the gel: matt grey.
+    /// Gel coating: matt grey.
     Gel,
     /// Black plastic of the sensor.
     Housing,
     /// White ink.
     Label,
-    /// Printed plastic of the fingers, the palm and the camera arm.
+    /// 3D-printed plastic of the fingers, the palm and the camera arm.
     Print,
     /// Black anodised aluminium.
     Anodised,
@@ -65,39 +65,39 @@ pub enum GripperSurface {
     Rubber,
     /// Shell of the D435.
     CameraShell,
-    /// Its dark window.
+    /// Dark window of the D435.
     CameraWindow,
 }
 
 /// A closed body of the gripper.
 #[derive(Clone, Debug)]
 pub struct GripperPart {
-    /// What it is, as in the table of this module.
+    /// Name of the part as in the table of this module.
     pub name: String,
-    /// What it is made of.
+    /// Surface material.
     pub surface: GripperSurface,
     /// Shape in the gripper frame, m.
     pub shape: TriangleMesh,
 }
 
-/// All parts of a gripper whose undeformed gel faces are `opening_m` apart. The gels come first,
-/// left then right; the D435 comes last, as the parts named `camera …`.
+/// Returns all parts of a gripper whose undeformed gel faces are `opening_m` apart. The gels come
+/// first, left then right; the D435 comes last, as the parts named `camera …`.
 ///
 /// # Errors
-/// `Input` for an opening that is not from 0 to 0.2 m.
+/// `Input` if the opening is not within 0 to 0.2 m.
 pub fn gripper_parts(opening_m: f64) -> Result<Vec<GripperPart>> {
-    if !(0.0..=WIDEST_M).contains(&opening_m) {
+    if !(0.0..=MAX_OPENING_M).contains(&opening_m) {
         return Err(Error::input(format!(
-            "the gripper's opening must be from 0 to {WIDEST_M} m, found {opening_m}"
+            "the gripper's opening must be from 0 to {MAX_OPENING_M} m, found {opening_m}"
         ))
-        .remedy("give the distance between the gels' faces in metres"));
+        .remedy("give the distance between the gel faces in metres"));
     }
-    let Ok(blocks) = toml::from_str::<Blocks>(include_str!("gripper.toml")) else {
-        return Err(Error::internal("the gripper is damaged"));
+    let Ok(dimensions) = toml::from_str::<Dimensions>(include_str!("gripper.toml")) else {
+        return Err(Error::internal("cannot parse gripper.toml"));
     };
     let mut parts = Vec::new();
-    for part in finger(blocks.finger) {
-        // Drawn at positive x, which is the right finger.
+    for part in finger(&dimensions) {
+        // Modelled at positive x: the right finger.
         let moved = part.moved(&Pose::from_translation(DVec3::X * 0.5 * opening_m));
         parts.push(GripperPart {
             shape: mirrored_x(&moved.shape),
@@ -105,20 +105,24 @@ pub fn gripper_parts(opening_m: f64) -> Result<Vec<GripperPart>> {
         });
         parts.push(moved);
     }
-    parts.extend(rail(opening_m).map(GripperPart::block));
-    parts.extend(blocks.body.into_iter().map(GripperPart::block));
+    parts.extend(rail(opening_m).map(GripperPart::from_box));
+    parts.extend(dimensions.body.into_iter().map(GripperPart::from_box));
     parts.extend(camera());
     Ok(parts)
 }
 
 type Range = [f64; 2];
 /// A rounded box: name, surface, bounds along x, y and z, rounding; mm.
-type Block = (String, GripperSurface, Range, Range, Range, f64);
+type BoxSpec = (String, GripperSurface, Range, Range, Range, f64);
 
 #[derive(Deserialize)]
-struct Blocks {
-    finger: Vec<Block>,
-    body: Vec<Block>,
+struct Dimensions {
+    finger: Vec<BoxSpec>,
+    body: Vec<BoxSpec>,
+    /// Screws on the sides that the cameras see: x, z, y of the head, radius; mm.
+    screws: Vec<[f64; 4]>,
+    /// Control points of the cable of a finger, mm.
+    cable: Vec<[f64; 3]>,
 }
 
 impl GripperPart {
@@ -131,7 +135,7 @@ impl GripperPart {
         }
     }
 
-    fn block((name, surface, x, y, z, rounding): Block) -> Self {
+    fn from_box((name, surface, x, y, z, rounding): BoxSpec) -> Self {
         let low = DVec3::new(x[0], y[0], z[0]) * MM;
         let high = DVec3::new(x[1], y[1], z[1]) * MM;
         Self::new(&name, surface, rounded_box(low, high, rounding * MM))
@@ -142,45 +146,28 @@ impl GripperPart {
     }
 }
 
-/// Screws on the sides that the cameras see: x, z, reach of their heads in y, radius; mm.
-const SCREWS: [[f64; 4]; 6] = [
-    [13.0, -17.5, 17.2, 1.6],
-    [26.0, -7.5, 17.2, 1.6],
-    [11.0, -90.5, 17.8, 2.4],
-    [31.0, -90.5, 17.8, 2.4],
-    [11.0, -99.5, 17.8, 2.4],
-    [31.0, -99.5, 17.8, 2.4],
-];
-/// Places that the cable of a finger goes through, mm.
-const CABLE: [DVec3; 6] = [
-    DVec3::new(14.0, 0.0, -18.0),
-    DVec3::new(14.0, 1.0, -34.0),
-    DVec3::new(20.0, 9.0, -56.0),
-    DVec3::new(38.0, 17.0, -80.0),
-    DVec3::new(46.0, 18.0, -104.0),
-    DVec3::new(38.0, 14.0, -118.0),
-];
-
 /// Parts of the right finger with its gel face at x = 0.
-fn finger(blocks: Vec<Block>) -> Vec<GripperPart> {
-    let mut parts: Vec<_> = blocks.into_iter().map(GripperPart::block).collect();
+fn finger(dimensions: &Dimensions) -> Vec<GripperPart> {
+    let boxes = dimensions.finger.iter().cloned();
+    let mut parts: Vec<_> = boxes.map(GripperPart::from_box).collect();
     for (side, y) in [(-1.0, [-16.5, -14.0]), (1.0, [14.0, 16.5])] {
         let name = "cradle".to_owned();
         let cradle = (name, Print, [9.0, 30.0], y, [-21.0, -4.0], 1.0);
-        parts.push(GripperPart::block(cradle));
-        for [x, z, reach, radius] in SCREWS {
+        parts.push(GripperPart::from_box(cradle));
+        for &[x, z, reach, radius] in &dimensions.screws {
             let [from, to] = [reach - 3.0, reach].map(|y| DVec3::new(x, y * side, z) * MM);
             let shape = cylinder(from, to, radius * MM, 20);
             parts.push(GripperPart::new("screw", Steel, shape));
         }
     }
-    let cable = tube(&smooth_path(&CABLE.map(|p| p * MM), 6), 1.8 * MM, 16);
+    let points = dimensions.cable.iter().map(|p| DVec3::from_array(*p) * MM);
+    let cable = tube(&smooth_path(&points.collect::<Vec<_>>(), 6), 1.8 * MM, 16);
     parts.push(GripperPart::new("cable", Rubber, cable));
     parts
 }
 
-/// The rail, longer for openings above 140 mm, and its ends.
-fn rail(opening_m: f64) -> [Block; 3] {
+/// Rail and rail ends; longer for openings above 140 mm.
+fn rail(opening_m: f64) -> [BoxSpec; 3] {
     let half = (0.5 * opening_m / MM + 42.0).max(112.0);
     let end = |x| {
         let name = "rail end".to_owned();
@@ -194,13 +181,13 @@ fn rail(opening_m: f64) -> [Block; 3] {
     ]
 }
 
-/// The D435 around its colour camera: imagers 14.7 and 64.7 mm to the right of it, 4.2 mm behind
-/// the window (data sheet of the D400 series).
+/// The D435 around its colour camera: infrared imagers 14.7 and 64.7 mm to the right, window 4.2 mm
+/// in front (D400 series data sheet).
 fn camera() -> Vec<GripperPart> {
     let middle = 14.7 + 17.5;
-    let block = |name: &str, surface, half: f64, y, z, rounding| {
+    let rounded_box_part = |name: &str, surface, half: f64, y, z, rounding| {
         let x = [middle - half, middle + half];
-        GripperPart::block((name.to_owned(), surface, x, y, z, rounding))
+        GripperPart::from_box((name.to_owned(), surface, x, y, z, rounding))
     };
     let rod = |name, surface, x: f64, z: Range, radius, segments| {
         let [from, to] = z.map(|z| DVec3::new(x, 0.0, z) * MM);
@@ -209,15 +196,18 @@ fn camera() -> Vec<GripperPart> {
     let (shell, ends) = ("camera shell", [-20.8, 3.6]);
     let window = [-8.0, 8.0];
     let mut parts = vec![
-        block(shell, CameraShell, 32.5, [-12.5, 12.5], ends, 0.2),
+        rounded_box_part(shell, CameraShell, 32.5, [-12.5, 12.5], ends, 0.2),
         rod(shell, CameraShell, middle + -32.5, ends, 12.5, 48),
         rod(shell, CameraShell, middle + 32.5, ends, 12.5, 48),
-        block("camera window", CameraWindow, 40.0, window, [0.0, 4.2], 0.5),
+        rounded_box_part("camera window", CameraWindow, 40.0, window, [0.0, 4.2], 0.5),
     ];
     let lens = |x| rod("camera lens", Housing, x, [1.0, 4.5], 3.2, 24);
     parts.extend([0.0, 14.7, 45.0, 64.7].map(lens));
-    let place = t_gripper_camera();
-    parts.iter().map(|part| part.moved(&place)).collect()
+    let t_gripper_camera = t_gripper_camera();
+    parts
+        .iter()
+        .map(|part| part.moved(&t_gripper_camera))
+        .collect()
 }
 
 #[cfg(test)]
@@ -226,7 +216,7 @@ mod tests {
     use gripcast_geometry::{MassProperties, MeshQuery};
 
     #[test]
-    fn every_part_is_closed_and_turned_outwards() {
+    fn every_part_is_closed_and_faces_outwards() {
         for opening in [0.0, 0.042, 0.2] {
             for part in gripper_parts(opening).unwrap() {
                 assert!(part.shape.edges().is_closed(), "{}", part.name);
@@ -237,7 +227,7 @@ mod tests {
     }
 
     #[test]
-    fn gel_faces_are_the_opening_apart() {
+    fn gel_faces_are_opening_apart() {
         for opening in [0.0, 0.042, 0.11] {
             let parts = gripper_parts(opening).unwrap();
             let [left, right] = [&parts[0], &parts[1]].map(|part| {
@@ -256,7 +246,7 @@ mod tests {
     }
 
     #[test]
-    fn the_mini_has_its_size_and_nothing_reaches_between_the_faces() {
+    fn mini_has_its_size_and_gap_between_faces_is_free() {
         let parts = gripper_parts(0.05).unwrap();
         let mini = parts[0].shape.bounds().union(&parts[2].shape.bounds());
         let size = (mini.max - mini.min) * 1e3;
@@ -280,7 +270,7 @@ mod tests {
     }
 
     #[test]
-    fn nothing_hides_the_gels_from_the_camera() {
+    fn camera_has_clear_view_of_gels() {
         let parts = gripper_parts(0.06).unwrap();
         let eye = t_gripper_camera().translation_m;
         for part in parts.iter().filter(|p| !p.name.starts_with("camera")) {
@@ -294,7 +284,7 @@ mod tests {
     }
 
     #[test]
-    fn impossible_openings_are_explained() {
+    fn opening_out_of_range_is_refused() {
         for bad in [-0.01, 0.3, f64::NAN] {
             let text = gripper_parts(bad).unwrap_err().to_string();
             assert!(text.contains("opening") && text.contains("0.2"), "{text}");

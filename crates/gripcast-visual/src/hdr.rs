@@ -1,33 +1,29 @@
-//! Radiance HDR images (RGBE), as light domes come in.
+//! Radiance HDR images (RGBE), the usual format of environment maps.
 //!
-//! Not read by `image` (0.25): it knows only `-Y +X`, allocates the whole image from the header,
-//! takes rows of fewer than 8 pixels that begin with (2, 2, …) for run lengths, and its factor of
-//! repetitions overflows on a chain of empty ones. Here every way in which a file can be wrong gets
-//! its own words. Format: Ward, *Real Pixels* (Graphics Gems II, 1991) and the manual page of
-//! Radiance's `rpict`.
+//! `image` 0.25 is not used: it reads only `-Y +X`, allocates the whole image from the header,
+//! mistakes rows of fewer than 8 pixels that begin with (2, 2, …) for run lengths, and its repeat
+//! factor overflows on a chain of empty runs. This reader has a specific error for each kind of
+//! damage. Format: Ward, *Real Pixels* (Graphics Gems II, 1991) and the manual page of Radiance's
+//! `rpict`.
 
 use std::path::Path;
 
+use super::bitmap_file::{format_name, read_image_file};
 use super::linear_image::Image;
 use gripcast_base::error::{Error, Result};
-use gripcast_base::files::{FileKind, read_regular};
 
-/// Most pixels of a side; a dome of 16384 × 8192 is the largest that is offered anywhere.
+/// Maximum pixels per side; the largest environment maps in circulation have 16384 × 8192.
 const MAX_SIDE: usize = 16_384;
-/// Header lines that are read before it is no header.
+/// Maximum number of header lines.
 const MAX_HEADER_LINES: usize = 200;
 
 /// Reads a Radiance HDR file as linear RGB radiance, top row first.
 ///
 /// # Errors
-/// `NotFound`, `Permission`, `Io` if the file cannot be read; `Input` if it is no Radiance HDR
-/// image, is cut off or too large.
+/// `NotFound`, `Permission`, `Io` if the file cannot be read; `Input` if it is not a Radiance HDR
+/// image, is truncated or too large.
 pub fn load_hdr(path: &Path) -> Result<Image> {
-    let bytes = read_regular(path, FileKind::Mesh).map_err(|e| {
-        Error::io("cannot read the HDR image", e)
-            .at(path.display())
-            .remedy("check the path and its permissions")
-    })?;
+    let bytes = read_image_file(path, "HDR image")?;
     read_hdr(&bytes).map_err(|e| e.at(path.display()))
 }
 
@@ -37,18 +33,18 @@ pub fn load_hdr(path: &Path) -> Result<Image> {
 /// `Input` as [`load_hdr`].
 pub fn read_hdr(bytes: &[u8]) -> Result<Image> {
     if !bytes.starts_with(b"#?") {
-        return Err(no_hdr(bytes));
+        return Err(not_hdr(bytes));
     }
-    let mut reader = Reader { bytes, at: 0 };
+    let mut reader = Reader { bytes, position: 0 };
     let (size, exposure) = reader.header()?;
     let Layout { width, height, .. } = size;
-    // Rows are added as they are found: a header alone takes no memory.
+    // Rows are appended as they are decoded, so that a forged header cannot allocate memory.
     let mut pixels = Vec::new();
     let mut codes = vec![[0_u8; 4]; width];
     for row in 0..height {
         reader.scan_line(&mut codes).map_err(|what| {
-            bad(format!("{what} in row {row} of {height}"))
-                .remedy("check that the file was copied whole")
+            invalid(format!("{what} in row {row} of {height}"))
+                .remedy("check that the file is complete")
         })?;
         pixels.extend(
             codes
@@ -65,24 +61,15 @@ pub fn read_hdr(bytes: &[u8]) -> Result<Image> {
     Image::from_pixels(width, height, pixels)
 }
 
-fn bad(what: impl Into<String>) -> Error {
+fn invalid(what: impl Into<String>) -> Error {
     Error::input(what)
 }
 
-/// Says what the file is instead, where that is known.
-fn no_hdr(bytes: &[u8]) -> Error {
-    let is = match bytes {
-        [] => "the file is empty",
-        [0x76, 0x2f, 0x31, 0x01, ..] => "it is an OpenEXR image",
-        [0xff, 0xd8, ..] => "it is a JPEG image",
-        [0x89, b'P', b'N', b'G', ..] => "it is a PNG image",
-        _ if bytes.starts_with(b"version https://git-lfs") => {
-            "it is a Git LFS pointer (fetch the file with `git lfs pull`)"
-        }
-        _ => "it does not start with `#?RADIANCE`",
-    };
-    bad(format!("this is no Radiance HDR image: {is}"))
-        .remedy("use a .hdr file (RGBE), for instance from Poly Haven, or a painted sky")
+/// Error for a file of another type, which is named if recognised.
+fn not_hdr(bytes: &[u8]) -> Error {
+    let is = format_name(bytes).unwrap_or("without the signature `#?RADIANCE`");
+    invalid(format!("not a Radiance HDR image: the file is {is}"))
+        .remedy("use a .hdr file (RGBE), for instance from Poly Haven, or a procedural sky")
 }
 
 /// Size and order of the pixels.
@@ -95,13 +82,13 @@ struct Layout {
 
 struct Reader<'a> {
     bytes: &'a [u8],
-    at: usize,
+    position: usize,
 }
 
 impl Reader<'_> {
     fn byte(&mut self) -> Result<u8, &'static str> {
-        let byte = self.bytes.get(self.at).ok_or("the file ends")?;
-        self.at += 1;
+        let byte = self.bytes.get(self.position).ok_or("the file ends")?;
+        self.position += 1;
         Ok(*byte)
     }
 
@@ -110,21 +97,21 @@ impl Reader<'_> {
     }
 
     fn line(&mut self) -> Option<String> {
-        let rest = self.bytes.get(self.at..)?;
+        let rest = self.bytes.get(self.position..)?;
         let length = rest.iter().position(|&b| b == b'\n')?;
-        self.at += length + 1;
+        self.position += length + 1;
         let text = String::from_utf8_lossy(&rest[..length]);
         Some(text.trim_end_matches('\r').to_string())
     }
 
-    /// Layout and product of the exposures that were applied to the values.
+    /// Returns the layout and the product of the exposures applied to the values.
     fn header(&mut self) -> Result<(Layout, f32)> {
         let mut exposure = 1.0_f32;
         for _ in 0..MAX_HEADER_LINES {
             let Some(line) = self.line() else { break };
             if let Some(format) = line.strip_prefix("FORMAT=") {
                 if format.trim() != "32-bit_rle_rgbe" {
-                    return Err(bad(format!(
+                    return Err(invalid(format!(
                         "HDR values must be 32-bit_rle_rgbe, found {format:?}"
                     ))
                     .remedy("convert the image to RGBE"));
@@ -139,12 +126,12 @@ impl Reader<'_> {
             }
         }
         Err(
-            bad("the HDR header does not end in a size such as `-Y 512 +X 1024`")
-                .remedy("check that the file was copied whole"),
+            invalid("the HDR header does not end in a size such as `-Y 512 +X 1024`")
+                .remedy("check that the file is complete"),
         )
     }
 
-    /// One row, in any of the three encodings.
+    /// Decodes one row in any of the three encodings.
     fn scan_line(&mut self, codes: &mut [[u8; 4]]) -> Result<(), &'static str> {
         let first = self.code()?;
         let is_new = first[0] == 2 && first[1] == 2 && first[2] < 128;
@@ -152,51 +139,51 @@ impl Reader<'_> {
         if is_new && announced == codes.len() && (8..32_768).contains(&codes.len()) {
             return (0..4).try_for_each(|channel| self.channel(codes, channel));
         }
-        self.at -= 4;
+        self.position -= 4;
         self.old_line(codes)
     }
 
-    /// One channel of a row, run by run.
+    /// Decodes one channel of a run-length encoded row.
     fn channel(&mut self, codes: &mut [[u8; 4]], channel: usize) -> Result<(), &'static str> {
-        let mut at = 0;
-        while at < codes.len() {
+        let mut column = 0;
+        while column < codes.len() {
             let count = self.byte()?;
             let length = usize::from(if count > 128 { count - 128 } else { count });
-            if length == 0 || at + length > codes.len() {
+            if length == 0 || column + length > codes.len() {
                 return Err("a run does not fit the width");
             }
             if count > 128 {
                 let value = self.byte()?;
-                codes[at..at + length]
+                codes[column..column + length]
                     .iter_mut()
                     .for_each(|c| c[channel] = value);
             } else {
-                for code in &mut codes[at..at + length] {
+                for code in &mut codes[column..column + length] {
                     code[channel] = self.byte()?;
                 }
             }
-            at += length;
+            column += length;
         }
         Ok(())
     }
 
-    /// Flat pixels, where (1, 1, 1, n) repeats the last one.
+    /// Decodes flat pixels, where (1, 1, 1, n) repeats the previous one.
     fn old_line(&mut self, codes: &mut [[u8; 4]]) -> Result<(), &'static str> {
-        let (mut at, mut shift) = (0, 0_u32);
-        while at < codes.len() {
+        let (mut column, mut shift) = (0, 0_u32);
+        while column < codes.len() {
             let code = self.code()?;
             if code[..3] != [1, 1, 1] {
-                codes[at] = code;
-                (at, shift) = (at + 1, 0);
+                codes[column] = code;
+                (column, shift) = (column + 1, 0);
                 continue;
             }
             let length = usize::from(code[3]) << shift;
-            if at == 0 || shift > 16 || at + length > codes.len() {
+            if column == 0 || shift > 16 || column + length > codes.len() {
                 return Err("a repetition does not fit the width");
             }
-            let last = codes[at - 1];
-            codes[at..at + length].fill(last);
-            (at, shift) = (at + length, shift + 8);
+            let last = codes[column - 1];
+            codes[column..column + length].fill(last);
+            (column, shift) = (column + length, shift + 8);
         }
         Ok(())
     }
@@ -216,11 +203,11 @@ fn layout(line: &str) -> Result<Layout> {
         }
         _ => None,
     };
-    let size = parsed.ok_or_else(|| bad(format!("the HDR size {line:?} cannot be read")))?;
+    let size = parsed.ok_or_else(|| invalid(format!("invalid HDR size {line:?}")))?;
     let is_usable = |n: usize| (1..=MAX_SIDE).contains(&n);
     if !is_usable(size.width) || !is_usable(size.height) {
-        return Err(bad(format!(
-            "an HDR image must have 1 to {MAX_SIDE} pixels a side, found {}×{}",
+        return Err(invalid(format!(
+            "an HDR image must have 1 to {MAX_SIDE} pixels per side, found {}×{}",
             size.width, size.height
         ))
         .remedy("scale it down; 2048×1024 is enough for lighting"));
@@ -228,7 +215,7 @@ fn layout(line: &str) -> Result<Layout> {
     Ok(size)
 }
 
-/// Mantissas with a common exponent to radiance.
+/// Converts mantissas with a common exponent to radiance.
 fn radiance([r, g, b, exponent]: [u8; 4]) -> [f32; 3] {
     if exponent == 0 {
         return [0.0; 3];
@@ -248,7 +235,7 @@ mod tests {
     }
 
     #[test]
-    fn all_three_encodings_are_read() {
+    fn all_three_encodings_are_decoded() {
         let flat = [128, 64, 32, 129, 0, 0, 0, 0];
         let image = read_hdr(&file("-Y 1 +X 2", &flat)).unwrap();
         assert_eq!(image.pixels, [[1.0, 0.5, 0.25], [0.0; 3]]);
@@ -267,7 +254,7 @@ mod tests {
     }
 
     #[test]
-    fn other_orders_and_exposures_are_undone() {
+    fn pixel_order_and_exposure_are_normalised() {
         let body = [128, 0, 0, 129, 0, 128, 0, 129];
         let turned = read_hdr(&file("+Y 2 -X 1", &body)).unwrap();
         assert_eq!(turned.pixels, [[0.0, 1.0, 0.0], [1.0, 0.0, 0.0]]);
@@ -277,13 +264,13 @@ mod tests {
     }
 
     #[test]
-    fn wrong_files_are_explained() {
+    fn damaged_or_foreign_file_is_explained() {
         let whole = file("-Y 2 +X 1", &[128, 64, 32, 129, 128, 64, 32, 129]);
         let cut = &whole[..whole.len() - 2];
         let mut overlong = vec![2, 2, 0, 8];
         overlong.extend([128 + 9, 1]);
         let xyze = b"#?RADIANCE\nFORMAT=32-bit_rle_xyze\n\n-Y 1 +X 1\nabcd".to_vec();
-        for (bytes, on_progress) in [
+        for (bytes, expected) in [
             (Vec::new(), "empty"),
             (b"\x89PNG\r\n".to_vec(), "PNG"),
             (b"\xff\xd8\xff\xe0".to_vec(), "JPEG"),
@@ -297,16 +284,13 @@ mod tests {
             (xyze, "32-bit_rle_xyze"),
             (cut.to_vec(), "the file ends in row 1 of 2"),
             (file("-Y 1 +X 8", &overlong), "does not fit the width"),
-            (file("-Y 1 +X 99999999", &[]), "pixels a side"),
-            (file("-Y 0 +X 4", &[]), "pixels a side"),
-            (file("-Y one +X 4", &[]), "cannot be read"),
+            (file("-Y 1 +X 99999999", &[]), "pixels per side"),
+            (file("-Y 0 +X 4", &[]), "pixels per side"),
+            (file("-Y one +X 4", &[]), "invalid HDR size"),
         ] {
             let error = read_hdr(&bytes).unwrap_err();
             assert_eq!(error.kind(), ErrorKind::Input);
-            assert!(
-                error.to_string().contains(on_progress),
-                "{on_progress}: {error}"
-            );
+            assert!(error.to_string().contains(expected), "{expected}: {error}");
         }
         let missing = load_hdr(Path::new("/nowhere/sky.hdr")).unwrap_err();
         assert_eq!(missing.kind(), ErrorKind::NotFound);

@@ -1,82 +1,76 @@
-//! Light along paths: next-event estimation towards the dome and sampling of the materials,
-//! combined by the power heuristic; Russian roulette.
+//! Path tracing: next-event estimation towards the environment map and BSDF sampling, combined by
+//! multiple importance sampling (power heuristic), with Russian roulette.
 //!
-//! The paths of a pixel advance together, bounce by bounce, so that look-ups in the dome, which
-//! miss the processor's caches, overlap one another.
+//! The paths of a pixel advance together, bounce by bounce, so that environment-map lookups, which
+//! miss the cache, overlap.
 //!
 //! Sources: Kajiya, *The rendering equation* (1986); Veach and Guibas, *Optimally combining
 //! sampling techniques for Monte Carlo rendering* (1995).
 
 use glam::Vec3;
 
-use super::bsdf::{Bsdf, Prepared};
-use super::bvh::{Bvh, Hit, Lanes, Stack};
+use super::bsdf::Bsdf;
+use super::bvh::{Hit, Lanes, Stack};
 use super::camera::Ray;
-use super::dome::{Dome, Incident};
+use super::env_map_sampler::EnvSample;
 use super::film::PathSample;
-use super::sampler::PixelSample;
-use super::surface::{Face, Frame, Place};
-use super::texture::Bitmap;
+use super::renderer::Renderer;
+use super::sampler::PixelSampler;
+use super::surface::{Frame, SurfaceInteraction};
 
-/// Least chance to survive the roulette.
+/// Minimum survival probability of Russian roulette.
 const MIN_SURVIVAL: f32 = 0.05;
-/// Pairs of numbers: one for the place in the pixel, then these for each bounce.
+/// Sample dimensions, in pairs: one for the pixel position, then these for each bounce.
 const PAIRS_PER_BOUNCE: usize = 3;
 const LIGHT_PAIR: usize = 1;
 const DIRECTION_PAIR: usize = 2;
 const CHOICE_PAIR: usize = 3;
 
-/// How light is looked for. All ways have the same mean.
+/// Light sampling strategy. All have the same expected value.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 #[cfg_attr(
     not(test),
-    expect(dead_code, reason = "single ways are there to be compared in tests")
+    expect(dead_code, reason = "tests compare the single strategies")
 )]
-pub(super) enum Strategy {
-    /// Both ways, weighted by the power heuristic.
+pub(super) enum LightSampling {
+    /// Multiple importance sampling with the power heuristic.
     #[default]
-    Both,
-    /// Towards the dome alone (mirrors and clear glass excepted).
+    Mis,
+    /// Next-event estimation only (except for mirrors and clear glass).
     Light,
-    /// By the material alone.
-    Material,
+    /// BSDF sampling only.
+    Bsdf,
 }
 
-/// The prepared scene and the limits of paths.
+/// The prepared scene and the limits of a path.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Integrator<'a> {
-    pub(super) bvh: &'a Bvh,
-    /// In the order of the hierarchy.
-    pub(super) faces: &'a [Face],
-    pub(super) materials: &'a [Prepared],
-    pub(super) textures: &'a [Bitmap],
-    pub(super) dome: &'a Dome,
+    pub(super) scene: &'a Renderer,
     pub(super) max_bounces: u32,
-    pub(super) roulette_from: u32,
-    pub(super) strategy: Strategy,
+    pub(super) rr_depth: u32,
 }
 
-/// A path on its way.
+/// State of a path.
 #[derive(Clone, Copy, Debug)]
 struct Path<'a> {
     ray: Ray,
     throughput: Vec3,
-    /// Density with which the ray's direction was sampled; infinite if nothing else finds it.
-    density: f32,
-    numbers: PixelSample<'a>,
-    /// Where its light is gathered.
+    /// Sampling density of the ray's direction; infinite for a delta BSDF and for camera rays.
+    pdf: f32,
+    sampler: PixelSampler<'a>,
+    /// Index in [`Batch::samples`].
     index: usize,
 }
 
-/// Paths that advance together, and scratch space for them.
+/// Paths that advance together, with scratch space.
 #[derive(Debug)]
 pub(super) struct Batch<'a> {
     paths: Vec<Path<'a>>,
     hits: Vec<Hit>,
-    lights: Vec<Incident>,
+    lights: Vec<EnvSample>,
     escaped: Vec<Path<'a>>,
     stack: Stack,
-    /// What each path gave, in the order of [`Batch::push`].
+    /// Contribution of each path, in the order of [`Batch::push`].
     pub(super) samples: Vec<PathSample>,
 }
 
@@ -97,38 +91,38 @@ impl<'a> Batch<'a> {
         self.samples.clear();
     }
 
-    /// Adds a path that starts with a ray from the camera.
+    /// Adds a path that starts with a camera ray.
     #[inline(always)]
-    pub(crate) fn push(&mut self, ray: Ray, numbers: PixelSample<'a>) {
+    pub(crate) fn push(&mut self, ray: Ray, sampler: PixelSampler<'a>) {
         self.paths.push(Path {
             ray,
             throughput: Vec3::ONE,
-            density: f32::INFINITY,
-            numbers,
+            pdf: f32::INFINITY,
+            sampler,
             index: self.samples.len(),
         });
         self.samples.push(PathSample::default());
     }
 }
 
-/// A surface as a path sees it.
+/// A surface interaction with its BSDF and shading frame.
 struct Vertex<'a> {
     bsdf: Bsdf<'a>,
-    place: Place,
+    interaction: SurfaceInteraction,
     frame: Frame,
     /// Local direction back along the path.
     outgoing: Vec3,
 }
 
 impl Vertex<'_> {
-    /// Whether the shading frame and the triangle agree on which side a direction is.
+    /// Whether a direction lies on the same side of the shading frame and of the triangle.
     #[inline(always)]
     fn sides_agree(&self, world: Vec3, local: Vec3) -> bool {
-        world.dot(self.place.normal) * local.z > 0.0
+        world.dot(self.interaction.normal) * local.z > 0.0
     }
 }
 
-/// Fraction of the first of two densities by the power heuristic.
+/// Weight of the first of two strategies with the given densities (power heuristic).
 #[inline(always)]
 fn power_heuristic(first: f32, second: f32) -> f32 {
     if first.is_infinite() {
@@ -139,31 +133,29 @@ fn power_heuristic(first: f32, second: f32) -> f32 {
 }
 
 impl<'a> Integrator<'a> {
-    /// Follows all paths of a batch to their ends.
+    /// Traces all paths of a batch until they end.
     #[inline(always)]
     pub(super) fn trace<L: Lanes>(&self, lanes: L, batch: &mut Batch<'_>) {
         let mut bounce = 0;
         while !batch.paths.is_empty() {
-            self.find_hits(lanes, batch);
-            self.gather_escaped(batch, bounce);
-            self.choose_lights(batch, bounce);
+            self.intersect_scene(lanes, batch);
+            self.add_env_light(batch, bounce);
+            self.sample_env_light(batch, bounce);
             self.scatter(lanes, batch, bounce);
             bounce += 1;
         }
     }
 
-    /// Parts the paths that meet a surface from those that escape.
+    /// Intersects the rays with the scene; separates paths that hit a surface from those that
+    /// escape.
     #[inline(always)]
-    fn find_hits<L: Lanes>(&self, lanes: L, batch: &mut Batch<'_>) {
+    fn intersect_scene<L: Lanes>(&self, lanes: L, batch: &mut Batch<'_>) {
         batch.hits.clear();
         batch.escaped.clear();
         let mut kept = 0;
-        for at in 0..batch.paths.len() {
-            let path = batch.paths[at];
-            match self
-                .bvh
-                .closest(lanes, &path.ray, f32::INFINITY, &mut batch.stack)
-            {
+        for i in 0..batch.paths.len() {
+            let path = batch.paths[i];
+            match self.scene.bvh.intersect(lanes, &path.ray, &mut batch.stack) {
                 Some(hit) => {
                     batch.hits.push(hit);
                     batch.paths[kept] = path;
@@ -175,15 +167,15 @@ impl<'a> Integrator<'a> {
         batch.paths.truncate(kept);
     }
 
-    /// Adds the light of the dome to the paths that escaped.
+    /// Adds the environment light of the escaped paths.
     #[inline(always)]
-    fn gather_escaped(&self, batch: &mut Batch<'_>, bounce: u32) {
+    fn add_env_light(&self, batch: &mut Batch<'_>, bounce: u32) {
         for path in &batch.escaped {
-            let light = self.dome.light_from(path.ray.direction);
-            let fraction = match self.strategy {
-                Strategy::Both => power_heuristic(path.density, light.pdf),
-                Strategy::Material => 1.0,
-                Strategy::Light => f32::from(u8::from(path.density.is_infinite())),
+            let light = self.scene.env_map.eval(path.ray.direction);
+            let fraction = match self.scene.strategy {
+                LightSampling::Mis => power_heuristic(path.pdf, light.pdf),
+                LightSampling::Bsdf => 1.0,
+                LightSampling::Light => f32::from(u8::from(path.pdf.is_infinite())),
             };
             let sample = &mut batch.samples[path.index];
             sample.radiance += path.throughput * light.radiance * fraction;
@@ -193,43 +185,43 @@ impl<'a> Integrator<'a> {
         }
     }
 
-    /// Chooses a direction towards the dome for each path.
+    /// Samples a direction of the environment map for each path.
     #[inline(always)]
-    fn choose_lights(&self, batch: &mut Batch<'_>, bounce: u32) {
+    fn sample_env_light(&self, batch: &mut Batch<'_>, bounce: u32) {
         batch.lights.clear();
         let pair = bounce as usize * PAIRS_PER_BOUNCE + LIGHT_PAIR;
-        let wanted = self.strategy != Strategy::Material && bounce < self.max_bounces;
+        let wanted = self.scene.strategy != LightSampling::Bsdf && bounce < self.max_bounces;
         for (path, hit) in batch.paths.iter().zip(&batch.hits) {
-            let material = self.faces[hit.face as usize].material;
-            let light = match wanted && !self.materials[material as usize].is_delta() {
-                true => self.dome.sample(path.numbers.pair(pair)),
-                false => Incident::NONE,
+            let material = self.scene.faces[hit.face as usize].material;
+            let light = match wanted && !self.scene.materials[material as usize].is_delta() {
+                true => self.scene.env_map.sample(path.sampler.get_2d(pair)),
+                false => EnvSample::NONE,
             };
             batch.lights.push(light);
         }
     }
 
-    /// Adds the light that comes directly from the dome and sends the paths on.
+    /// Adds the direct light and extends the paths.
     #[inline(always)]
     fn scatter<L: Lanes>(&self, lanes: L, batch: &mut Batch<'_>, bounce: u32) {
         let mut kept = 0;
-        for at in 0..batch.paths.len() {
-            let path = batch.paths[at];
-            let vertex = self.vertex(&batch.hits[at], path.ray.direction);
+        for i in 0..batch.paths.len() {
+            let path = batch.paths[i];
+            let vertex = self.vertex(&batch.hits[i], path.ray.direction);
             let sample = &mut batch.samples[path.index];
             if bounce == 0 {
                 sample.albedo = vertex.bsdf.albedo();
-                sample.normal = vertex.place.shading_normal;
+                sample.normal = vertex.interaction.shading_normal;
             }
             if bounce == self.max_bounces {
                 continue;
             }
-            let light = &batch.lights[at];
+            let light = &batch.lights[i];
             if light.pdf > 0.0 {
-                let direct = self.direct(lanes, &vertex, light, &mut batch.stack);
+                let direct = self.direct_light(lanes, &vertex, light, &mut batch.stack);
                 sample.radiance += path.throughput * direct;
             }
-            if let Some(next) = self.next(&path, &vertex, bounce) {
+            if let Some(next) = self.scattered_path(&path, &vertex, bounce) {
                 batch.paths[kept] = next;
                 kept += 1;
             }
@@ -237,12 +229,17 @@ impl<'a> Integrator<'a> {
         batch.paths.truncate(kept);
     }
 
-    /// The path after a scattering, if it goes on.
+    /// Samples the BSDF; returns the extended path, or `None` if it ends.
     #[inline(always)]
-    fn next<'b>(&self, path: &Path<'b>, vertex: &Vertex<'_>, bounce: u32) -> Option<Path<'b>> {
+    fn scattered_path<'b>(
+        &self,
+        path: &Path<'b>,
+        vertex: &Vertex<'_>,
+        bounce: u32,
+    ) -> Option<Path<'b>> {
         let pairs = bounce as usize * PAIRS_PER_BOUNCE;
-        let [choice, survival] = path.numbers.pair(pairs + CHOICE_PAIR);
-        let u = path.numbers.pair(pairs + DIRECTION_PAIR);
+        let [choice, survival] = path.sampler.get_2d(pairs + CHOICE_PAIR);
+        let u = path.sampler.get_2d(pairs + DIRECTION_PAIR);
         let scattered = vertex.bsdf.sample(vertex.outgoing, choice, u)?;
         let direction = vertex.frame.to_world(scattered.direction);
         if !vertex.sides_agree(direction, scattered.direction) {
@@ -253,7 +250,7 @@ impl<'a> Integrator<'a> {
         if largest <= 0.0 {
             return None;
         }
-        if bounce + 1 >= self.roulette_from && largest < 1.0 {
+        if bounce + 1 >= self.rr_depth && largest < 1.0 {
             let chance = largest.max(MIN_SURVIVAL);
             if survival >= chance {
                 return None;
@@ -262,11 +259,11 @@ impl<'a> Integrator<'a> {
         }
         Some(Path {
             ray: Ray {
-                origin: vertex.place.start(direction),
+                origin: vertex.interaction.ray_origin(direction),
                 direction,
             },
             throughput,
-            density: match scattered.delta {
+            pdf: match scattered.delta {
                 true => f32::INFINITY,
                 false => scattered.pdf,
             },
@@ -276,37 +273,37 @@ impl<'a> Integrator<'a> {
 
     #[inline(always)]
     fn vertex(&self, hit: &Hit, direction: Vec3) -> Vertex<'a> {
-        let face = &self.faces[hit.face as usize];
-        let material = &self.materials[face.material as usize];
-        let mut place = face.place(hit);
+        let face = &self.scene.faces[hit.face as usize];
+        let material = &self.scene.materials[face.material as usize];
+        let mut interaction = face.interaction(hit);
         let outgoing = -direction;
-        let side = outgoing.dot(place.normal);
+        let side = outgoing.dot(interaction.normal);
         if side < 0.0 && !material.transmits() {
-            place.normal = -place.normal;
-            place.shading_normal = -place.shading_normal;
+            interaction.normal = -interaction.normal;
+            interaction.shading_normal = -interaction.shading_normal;
         }
-        let side = outgoing.dot(place.normal);
-        // A shading normal that faces away would leave the surface black.
-        if outgoing.dot(place.shading_normal) * side <= 0.0 {
-            place.shading_normal = place.normal;
+        let side = outgoing.dot(interaction.normal);
+        // A back-facing shading normal would render the surface black.
+        if outgoing.dot(interaction.shading_normal) * side <= 0.0 {
+            interaction.shading_normal = interaction.normal;
         }
-        let frame = Frame::around(place.shading_normal);
+        let frame = Frame::around(interaction.shading_normal);
         let local = frame.to_local(outgoing);
         Vertex {
-            bsdf: material.at(self.textures, place.uv, local),
-            place,
+            bsdf: material.at(&self.scene.textures, interaction.uv, local),
+            interaction,
             frame,
             outgoing: local,
         }
     }
 
-    /// Light of the dome that is scattered at a vertex, estimated by one direction towards it.
+    /// Estimates the direct light scattered at a vertex from one sampled direction.
     #[inline(always)]
-    fn direct<L: Lanes>(
+    fn direct_light<L: Lanes>(
         &self,
         lanes: L,
         vertex: &Vertex<'_>,
-        light: &Incident,
+        light: &EnvSample,
         stack: &mut Stack,
     ) -> Vec3 {
         let incoming = vertex.frame.to_local(light.direction);
@@ -315,8 +312,8 @@ impl<'a> Integrator<'a> {
             return Vec3::ZERO;
         }
         let scattered = vertex.bsdf.value(vertex.outgoing, incoming);
-        let fraction = match self.strategy {
-            Strategy::Both => power_heuristic(light.pdf, scattered.pdf),
+        let fraction = match self.scene.strategy {
+            LightSampling::Mis => power_heuristic(light.pdf, scattered.pdf),
             _ => 1.0,
         };
         let contribution = scattered.value * light.radiance * (fraction / light.pdf);
@@ -324,10 +321,10 @@ impl<'a> Integrator<'a> {
             return Vec3::ZERO;
         }
         let ray = Ray {
-            origin: vertex.place.start(light.direction),
+            origin: vertex.interaction.ray_origin(light.direction),
             direction: light.direction,
         };
-        match self.bvh.any(lanes, &ray, f32::INFINITY, stack) {
+        match self.scene.bvh.occluded(lanes, &ray, stack) {
             true => Vec3::ZERO,
             false => contribution,
         }

@@ -1,23 +1,25 @@
 //! Path-traced images of the scene of a grasp.
 //!
-//! A [`Scene`] (meshes, materials, textures, dome of light) is prepared once as a [`Renderer`],
-//! which then makes images of it from any [`Camera`]. Light is linear RGB with the primaries of
-//! sRGB; [`Image::to_srgb8`] makes the 8-bit image.
+//! Prepare a [`Scene`] (meshes, materials, textures, environment map) once as a [`Renderer`], then
+//! render it from any [`Camera`]. Colours are linear RGB with the sRGB primaries;
+//! [`Image::to_srgb8`] converts to 8 bits.
 //!
 //! World: z up, metres. Camera: OpenCV optical frame. Pixel (0, 0) is the centre of the top-left
 //! pixel.
 
+mod annotation_markers;
+mod appearance;
+mod appearance_model;
 mod bitmap_file;
 mod bsdf;
 mod bvh;
 mod camera;
-mod coated;
 mod conditions;
 mod d435;
 mod demo;
 mod denoise;
-mod dome;
-mod environment;
+mod env_map;
+mod env_map_sampler;
 mod film;
 mod finish;
 mod grasp_scene;
@@ -26,11 +28,9 @@ mod gripper;
 mod hdr;
 mod integrator;
 mod linear_image;
-mod look;
 mod material;
 mod model;
-mod pattern;
-mod print;
+mod procedural;
 mod renderer;
 mod room;
 mod sampler;
@@ -43,30 +43,30 @@ mod surface;
 mod texture;
 mod trigonometry;
 
+pub use annotation_markers::{AnnotationMarkers, annotation_camera};
+pub use appearance::{Appearance, FinishClass, SurfacePattern};
 pub use bitmap_file::{load_bitmap, read_bitmap};
 pub use camera::Camera;
-pub use conditions::{DomeChoice, GroundChoice, VisualConditions, VisualRandomisation};
+pub use conditions::{EnvMapSource, GroundSource, VisualConditions, VisualRandomisation};
 pub use d435::{
     COLOUR_FOCAL_PX, COLOUR_SIZE, ColourSettings, DepthSettings, colour_camera, crop_scale,
     develop, measure_depth, t_gripper_camera,
 };
-pub use demo::{demo_model, drawn_finish, usual_finishes};
-pub use denoise::{DenoiseSettings, denoise};
-pub use environment::Environment;
+pub use demo::{demo_model, random_finish, typical_finishes};
+pub use denoise::{DENOISE_RADIUS_PX, denoise};
+pub use env_map::EnvMap;
 pub use finish::Finish;
-pub use grasp_scene::{View, annotation_scene, eye_in_hand, grasp_scene, sees_gels};
+pub use grasp_scene::{View, annotation_scene, eye_in_hand_camera, grasp_scene, sees_gels};
 pub use grasp_state::GraspState;
 pub use gripper::{GripperPart, GripperSurface, gripper_parts};
 pub use hdr::{load_hdr, read_hdr};
 pub use linear_image::Image;
-pub use look::{FinishClass, Look, PatternWord};
 pub use material::{Colour, Material};
 pub use model::{LoadedModel, Model};
-pub use pattern::{PaintedSurface, Pattern};
-pub use print::{GraspPrints, annotation_camera};
+pub use procedural::{GeneratedTexture, ProceduralTexture};
 pub use renderer::{Renderer, Rendering};
 pub use scene::{Mesh, Scene};
-pub use settings::{PixelFilter, RenderSettings, Watch};
+pub use settings::{PixelFilter, RenderControl, RenderSettings};
 pub use shading::{Projection, shaded_mesh};
-pub use sky::{Sky, normalise, white_table_luminance};
+pub use sky::{Sky, normalise_env_map, white_table_luminance};
 pub use texture::Bitmap;

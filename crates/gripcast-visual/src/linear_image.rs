@@ -1,26 +1,26 @@
-//! Image in linear light.
+//! Images in linear light.
 
 use image::RgbImage;
 
 use gripcast_base::error::{Error, Result};
 use gripcast_imaging::srgb_encode;
 
-/// Weights of linear R, G, B in the luminance (ITU-R BT.709).
+/// Weights of linear R, G, B in luminance (ITU-R BT.709).
 pub(super) const LUMINANCE: [f32; 3] = [0.2126, 0.7152, 0.0722];
 
-/// Linear-light RGB image, row by row from the top left.
+/// Linear RGB image, row-major from the top left.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Image {
-    /// Columns.
+    /// Width, px.
     pub width: usize,
-    /// Rows.
+    /// Height, px.
     pub height: usize,
-    /// `width * height` values of R, G, B.
+    /// `width * height` RGB values.
     pub pixels: Vec<[f32; 3]>,
 }
 
 impl Image {
-    /// Image of one colour.
+    /// Image of a constant colour.
     pub fn filled(width: usize, height: usize, colour: [f32; 3]) -> Self {
         Self {
             width,
@@ -29,15 +29,15 @@ impl Image {
         }
     }
 
-    /// Image from its pixels, row by row.
+    /// Image from row-major pixels.
     ///
     /// # Errors
-    /// `Input` without pixels or for another number of pixels than `width * height`.
+    /// `Input` if there are no pixels or not `width * height` of them.
     pub fn from_pixels(width: usize, height: usize, pixels: Vec<[f32; 3]>) -> Result<Self> {
         if width == 0 || height == 0 || pixels.len() != width * height {
             let found = pixels.len();
             return Err(Error::input(format!(
-                "an image of {width}×{height} cannot hold {found} pixels"
+                "an image of {width}×{height} must have as many pixels, found {found}"
             )));
         }
         Ok(Self {
@@ -47,12 +47,12 @@ impl Image {
         })
     }
 
-    /// Pixel in a column and row.
+    /// Returns the pixel in a column and row.
     pub fn at(&self, column: usize, row: usize) -> [f32; 3] {
         self.pixels[row * self.width + column]
     }
 
-    /// Mean of each channel.
+    /// Returns the mean of each channel.
     pub fn mean(&self) -> [f64; 3] {
         let mut sum = [0.0; 3];
         for pixel in &self.pixels {
@@ -63,10 +63,11 @@ impl Image {
         sum.map(|s| s / self.pixels.len().max(1) as f64)
     }
 
-    /// Root of the mean squared difference over pixels and channels to an image of the same size.
+    /// Returns the root-mean-square difference over pixels and channels to an image of the same
+    /// size.
     ///
     /// # Errors
-    /// `Input` when the sizes differ.
+    /// `Input` if the sizes differ.
     pub fn rmse(&self, other: &Self) -> Result<f64> {
         if (self.width, self.height) != (other.width, other.height) {
             let [a, b] = [self, other].map(|p| format!("{}×{}", p.width, p.height));
@@ -83,8 +84,8 @@ impl Image {
         Ok((sum / (3 * self.pixels.len()).max(1) as f64).sqrt())
     }
 
-    /// 8-bit sRGB image: each value times `exposure`, clipped to [0, 1], encoded by the transfer
-    /// function of IEC 61966-2-1 and rounded. A value that is no number becomes 0.
+    /// Converts to 8-bit sRGB: scales by `exposure`, clips to [0, 1], applies the transfer function
+    /// of IEC 61966-2-1 and rounds. NaN becomes 0.
     pub fn to_srgb8(&self, exposure: f32) -> RgbImage {
         let bytes = self.pixels.iter().flatten();
         let bytes = bytes.map(|v| srgb_encode(v * exposure)).collect();
@@ -92,7 +93,7 @@ impl Image {
     }
 }
 
-/// Luminance of linear RGB.
+/// Returns the luminance of a linear RGB value.
 #[inline(always)]
 pub(super) fn luminance(rgb: [f32; 3]) -> f32 {
     LUMINANCE[0] * rgb[0] + LUMINANCE[1] * rgb[1] + LUMINANCE[2] * rgb[2]
@@ -110,7 +111,7 @@ mod tests {
     }
 
     #[test]
-    fn means_and_errors() {
+    fn mean_and_rmse_of_known_images() {
         let a = Image::filled(2, 2, [1.0, 2.0, 3.0]);
         let b = Image::filled(2, 2, [1.0, 2.0, 6.0]);
         assert_eq!(a.mean(), [1.0, 2.0, 3.0]);

@@ -1,10 +1,13 @@
-//! What surfaces are made of.
+//! Surface materials.
 
 use std::ops::RangeInclusive;
 
 use gripcast_base::error::{Error, Result};
 
-/// Colour of a material: one value or a texture.
+/// Index of refraction of glass, plastic, varnish and glaze.
+pub(super) const IOR: f32 = 1.5;
+
+/// Colour of a material: constant or textured.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Colour {
     /// Linear RGB in [0, 1].
@@ -13,59 +16,68 @@ pub enum Colour {
     Texture(usize),
 }
 
-/// Reflection and transmission of a surface.
+/// Material of a surface.
 ///
-/// `roughness` is the square root of the width α of the GGX distribution of microfacets, in
-/// [0, 1]. All materials but [`Material::Dielectric`] are opaque and alike on both sides.
+/// `roughness` in [0, 1] is the square root of the GGX width α. All materials except
+/// [`Material::Dielectric`] are opaque and two-sided.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Material {
-    /// Ideal diffuse reflection.
+    /// Lambertian reflection.
     Diffuse {
-        /// Fraction of the light that is reflected.
+        /// Albedo.
         reflectance: Colour,
     },
-    /// Metallic-roughness model as in glTF: a dielectric layer over a diffuse base, blended with a
+    /// Metallic-roughness model of glTF: a dielectric layer over a diffuse base, blended with a
     /// metal of the same colour.
     Principled {
-        /// Colour of the diffuse base and of the metal at normal incidence.
+        /// Albedo of the base and reflectance of the metal at normal incidence.
         base_colour: Colour,
-        /// 0 dielectric to 1 metal.
+        /// From 0 (dielectric) to 1 (metal).
         metallic: f32,
-        /// 0 mirror to 1 dull.
+        /// From 0 (mirror) to 1 (matt).
         roughness: f32,
         /// Index of refraction of the layer, usually 1.5.
         ior: f32,
     },
-    /// Metal by its complex index of refraction η + ik for red, green, blue.
+    /// Metal with the complex index of refraction η + ik for red, green, blue.
     Conductor {
-        /// Real part.
+        /// η.
         eta: [f32; 3],
-        /// Imaginary part.
+        /// k.
         k: [f32; 3],
-        /// 0 mirror to 1 dull.
+        /// From 0 (mirror) to 1 (matt).
         roughness: f32,
     },
-    /// Solid glass. The mesh must be closed; its outside is where the corners of a triangle run
-    /// counter-clockwise.
+    /// Solid glass. The mesh must be closed, with triangles counter-clockwise seen from outside.
     Dielectric {
-        /// Index of refraction inside over outside, e.g. 1.5.
+        /// Index of refraction, inside over outside, e.g. 1.5.
         ior: f32,
-        /// 0 clear to 1 frosted.
+        /// From 0 (clear) to 1 (frosted).
         roughness: f32,
-        /// Factor on the light at each passage through the surface, linear RGB in [0, 1].
+        /// Transmittance of each interface, linear RGB in [0, 1].
         transmittance: [f32; 3],
     },
 }
 
 impl Material {
-    /// Diffuse grey.
+    /// Lambertian grey.
     pub fn grey(reflectance: f32) -> Self {
         Self::Diffuse {
             reflectance: Colour::Constant([reflectance; 3]),
         }
     }
 
-    /// The colour that may be a texture.
+    /// Principled material with the index of refraction of plastic, varnish and glaze.
+    pub(super) fn glossy(base_colour: Colour, metallic: f32, roughness: f32) -> Self {
+        Self::Principled {
+            base_colour,
+            metallic,
+            roughness,
+            ior: IOR,
+        }
+    }
+
+    /// Returns the colour that may be textured.
     pub fn colour(&self) -> Option<Colour> {
         match *self {
             Self::Diffuse { reflectance } => Some(reflectance),
@@ -73,10 +85,8 @@ impl Material {
             Self::Conductor { .. } | Self::Dielectric { .. } => None,
         }
     }
-}
 
-impl Material {
-    /// Checks ranges and the index of the texture.
+    /// Checks the ranges and the texture index, given the number of textures.
     pub(super) fn validate(&self, textures: usize) -> Result<()> {
         match *self {
             Self::Diffuse { .. } => Ok(()),
@@ -107,21 +117,27 @@ impl Material {
         }?;
         match self.colour() {
             Some(Colour::Constant(rgb)) => in_range("colour", &rgb, 0.0..=1.0),
-            Some(Colour::Texture(t)) if t >= textures => Err(Error::input(format!(
-                "it names texture {t}, but there are only {textures}"
-            ))),
-            Some(Colour::Texture(_)) | None => Ok(()),
+            Some(Colour::Texture(t)) => ensure(t < textures, || {
+                format!("texture index {t} is out of range, the scene has {textures} textures")
+            }),
+            None => Ok(()),
         }
     }
 }
 
 pub(super) fn in_range(name: &str, values: &[f32], range: RangeInclusive<f32>) -> Result<()> {
-    match values.iter().find(|v| !range.contains(v)) {
-        None => Ok(()),
-        Some(found) => Err(Error::input(format!(
-            "{name} must be from {} to {}, found {found}",
-            range.start(),
-            range.end()
-        ))),
+    let outside = values.iter().find(|v| !range.contains(v));
+    ensure(outside.is_none(), || {
+        let (low, high, found) = (range.start(), range.end(), outside.unwrap_or(&f32::NAN));
+        format!("{name} must be from {low} to {high}, found {found}")
+    })
+}
+
+/// Fails with an `Input` error of the given text unless the condition holds.
+pub(super) fn ensure(holds: bool, text: impl FnOnce() -> String) -> Result<()> {
+    if holds {
+        Ok(())
+    } else {
+        Err(Error::input(text()))
     }
 }

@@ -1,13 +1,13 @@
-//! A body with its materials, in its own frame, ready to be put into a scene.
+//! A body with its materials in its own frame, ready to be added to a scene.
 
 use std::path::Path;
 
-use glam::{DVec3, Vec3};
+use glam::DVec3;
 
 use super::bitmap_file;
 use super::finish::Finish;
 use super::material::{Colour, Material};
-use super::pattern::Pattern;
+use super::procedural::ProceduralTexture;
 use super::scene::{Mesh, Scene};
 use super::shading::{Projection, shaded_mesh};
 use super::texture::Bitmap;
@@ -17,48 +17,46 @@ use gripcast_geometry::{
     Aabb, CREASE_RAD, ImageSource, LengthUnit, MeshMaterial, MeshPart, Pose, TexturedMesh,
     TriangleMesh, load_textured_mesh,
 };
+use gripcast_imaging::{srgb_decode, srgb_encode};
 
-/// Transmission from which a material is drawn as glass; below, it is opaque.
-const GLASS_FROM: f64 = 0.5;
+/// Minimum transmission of a material rendered as glass; below it is opaque.
+const MIN_GLASS_TRANSMISSION: f64 = 0.5;
 
-/// Meshes in the body's own frame, with the materials and textures that they name.
+/// Meshes in the body's own frame with their materials and textures.
 #[derive(Clone, Debug, Default)]
 pub struct Model {
     /// Surfaces, in the body's own frame.
     pub meshes: Vec<Mesh>,
-    /// Materials that the meshes name.
+    /// Materials of the meshes.
     pub materials: Vec<Material>,
-    /// Textures that the materials name.
+    /// Textures of the materials.
     pub textures: Vec<Bitmap>,
 }
 
-/// A model read from a file, and what was wrong with it.
+/// A model read from a file, with warnings.
 #[derive(Clone, Debug)]
 pub struct LoadedModel {
     /// The model.
     pub model: Model,
-    /// What was left out or replaced, in words.
+    /// What was omitted or replaced.
     pub warnings: Vec<String>,
 }
 
-/// How to read an image that a mesh names by a path beside it.
-type ReadBeside<'a> = &'a dyn Fn(&str) -> std::io::Result<Vec<u8>>;
+/// Reads an image that a mesh refers to by a relative path.
+type ReadRelative<'a> = &'a dyn Fn(&str) -> std::io::Result<Vec<u8>>;
 
 impl Model {
-    /// A shape of one material; textures are projected from its six sides.
+    /// Model of a single finish; textures are box-projected.
     ///
     /// # Errors
     /// None for a valid mesh.
-    pub fn plain(shape: &TriangleMesh, finish: Finish, seed: u64) -> Result<Self> {
+    pub fn with_finish(shape: &TriangleMesh, finish: Finish, seed: u64) -> Result<Self> {
         let (material, texture) = finish.material(seed, 0)?;
-        let (textures, projection) = match texture {
-            Some((texture, tile_m)) => (vec![texture], projection(shape, finish, tile_m)),
-            None => (Vec::new(), Projection::None),
-        };
+        let (bitmap, projection) = finish_projection(shape, finish, texture);
         Ok(Self {
             meshes: vec![shaded_mesh(shape, CREASE_RAD, projection, 0)],
             materials: vec![material],
-            textures,
+            textures: bitmap.into_iter().collect(),
         })
     }
 
@@ -73,37 +71,37 @@ impl Model {
         Self::from_textured(&mesh, &companions(path), finish, seed)
     }
 
-    /// A mesh with looks as a model; `beside` reads the images that it names by a relative
+    /// Converts a mesh with materials; `beside` reads the images that it refers to by a relative
     /// path. Parts without a material get `finish`.
     ///
     /// # Errors
-    /// None for a valid mesh; what is missing becomes a warning.
+    /// None for a valid mesh; missing files are warnings.
     pub fn from_textured(
         mesh: &TexturedMesh,
-        beside: ReadBeside<'_>,
+        beside: ReadRelative<'_>,
         finish: Finish,
         seed: u64,
     ) -> Result<LoadedModel> {
-        let mut build = Build {
+        let mut build = ModelBuilder {
             model: Self::default(),
             warnings: mesh.warnings.clone(),
             beside,
         };
-        let made: Vec<bool> = mesh
+        let is_textured: Vec<bool> = mesh
             .materials
             .iter()
             .map(|material| build.material(material))
             .collect();
         let is_inside_out = signed_volume(mesh) < 0.0;
         if is_inside_out {
-            build
-                .warnings
-                .push("the mesh is inside out (its volume is negative) and was turned".to_string());
+            build.warnings.push(
+                "the mesh is inside out (negative volume); its triangles are flipped".to_string(),
+            );
         }
         for (number, part) in mesh.parts.iter().enumerate() {
             let mut own = match part.material {
-                Some(material) => build.part(part, material, made[material], number),
-                None => build.unpainted(part, finish, seed)?,
+                Some(material) => build.part(part, material, is_textured[material], number),
+                None => build.part_with_finish(part, finish, seed)?,
             };
             if is_inside_out {
                 own.triangles.iter_mut().for_each(|t| t.swap(0, 1));
@@ -117,7 +115,7 @@ impl Model {
         })
     }
 
-    /// The same model, larger by a factor.
+    /// Returns the model scaled by a factor.
     #[must_use]
     pub fn scaled(mut self, factor: f64) -> Self {
         for mesh in &mut self.meshes {
@@ -128,7 +126,7 @@ impl Model {
         self
     }
 
-    /// Puts the model into a scene at a place.
+    /// Adds the model to a scene.
     pub fn add_to(&self, scene: &mut Scene, t_world_model: &Pose) {
         let (materials, textures) = (scene.materials.len(), scene.textures.len());
         let renumbered = |mut material: Material| {
@@ -151,26 +149,35 @@ impl Model {
         }));
     }
 
-    /// Corners of all triangles' meshes in the frame of the model, m.
+    /// Iterates over the vertices of all meshes in the model's frame, m.
     pub fn positions(&self) -> impl Iterator<Item = DVec3> {
         let all = self.meshes.iter().flat_map(|mesh| &mesh.positions);
         all.map(|p| p.as_dvec3())
     }
 }
 
-/// How a painted surface lies on a shape: a print fits it once, the others keep their own size.
-fn projection(shape: &TriangleMesh, finish: Finish, tile_m: f64) -> Projection {
+/// Returns the texture of a finish and its box projection: a print covers the shape once, other
+/// textures keep their real size.
+fn finish_projection(
+    shape: &TriangleMesh,
+    finish: Finish,
+    texture: Option<(Bitmap, f64)>,
+) -> (Option<Bitmap>, Projection) {
+    let Some((bitmap, tile_m)) = texture else {
+        return (None, Projection::None);
+    };
     let bounds = shape.bounds();
     let extent = bounds.extent().max_element();
-    let fits = matches!(finish, Finish::Painted(Pattern::Print)) && extent > 0.0;
-    Projection::Box {
-        width_m: if fits { extent } else { tile_m },
-        origin_m: if fits { bounds.min } else { DVec3::ZERO },
-    }
+    let covers = finish == Finish::Textured(ProceduralTexture::Print) && extent > 0.0;
+    let (width_m, origin_m) = match covers {
+        true => (extent, bounds.min),
+        false => (tile_m, DVec3::ZERO),
+    };
+    (Some(bitmap), Projection::Box { width_m, origin_m })
 }
 
-/// Volume that the triangles of all parts enclose, in the unit of the mesh; 0 if they do not
-/// close, as far as their vector areas tell.
+/// Returns the volume enclosed by all parts in the unit of the mesh; 0 if they are not closed,
+/// judged by the sum of the vector areas.
 fn signed_volume(mesh: &TexturedMesh) -> f64 {
     let corners = || mesh.parts.iter().flat_map(|part| part.shape.all_corners());
     let areas = corners().map(|[a, b, c]| 0.5 * (b - a).cross(c - a));
@@ -187,22 +194,22 @@ fn signed_volume(mesh: &TexturedMesh) -> f64 {
         .sum()
 }
 
-/// A model that is being made.
-struct Build<'a> {
+/// A model under construction.
+struct ModelBuilder<'a> {
     model: Model,
     warnings: Vec<String>,
-    beside: ReadBeside<'a>,
+    beside: ReadRelative<'a>,
 }
 
-impl Build<'_> {
-    /// Adds a material; whether it has an image.
+impl ModelBuilder<'_> {
+    /// Adds a material; returns whether it is textured.
     fn material(&mut self, from: &MeshMaterial) -> bool {
         let label = format!("material {:?}", from.name);
-        let mut tell = |text: String| self.warnings.push(format!("{label}: {text}"));
+        let mut warn = |text: String| self.warnings.push(format!("{label}: {text}"));
         if from.emission.iter().any(|e| *e > 0.0) {
-            tell("it shines by itself, which is not drawn".to_string());
+            warn("emission is not rendered".to_string());
         }
-        if from.transmission > GLASS_FROM {
+        if from.transmission > MIN_GLASS_TRANSMISSION {
             self.model.materials.push(Material::Dielectric {
                 ior: from.ior as f32,
                 roughness: from.roughness as f32,
@@ -211,13 +218,13 @@ impl Build<'_> {
             return false;
         }
         if from.transmission > 0.0 {
-            tell("it is partly transparent and is drawn opaque".to_string());
+            warn("partial transparency is rendered opaque".to_string());
         }
         let (mut roughness, mut metallic) = (from.roughness, from.metallic);
         if let Some(source) = &from.metallic_roughness_image
             && let Some(image) = self.image(source, &label)
         {
-            // One value for the whole material: the mean of the image.
+            // The mean of the image is used for the whole material.
             let mean = |channel: usize| {
                 let values = image.pixels().map(|p| f64::from(p[channel]));
                 values.sum::<f64>() / f64::from(image.width() * image.height()) / 255.0
@@ -230,7 +237,7 @@ impl Build<'_> {
             .map(|source| self.image(source, &label));
         let base_colour = match image {
             Some(Some(image)) => self.texture(tinted(image, from.base_color)),
-            // The colour beside an image is white as a rule.
+            // The factor of an image is usually white.
             Some(None) => None,
             None => Some(Colour::Constant(from.base_color.map(|c| c as f32))),
         };
@@ -250,7 +257,7 @@ impl Build<'_> {
         Some(Colour::Texture(self.model.textures.len() - 1))
     }
 
-    /// A decoded image; none, with a warning, where it cannot be had.
+    /// Returns the decoded image; `None`, with a warning, if that fails.
     fn image(&mut self, source: &ImageSource, label: &str) -> Option<image::RgbImage> {
         let name = source.name();
         let read = match source {
@@ -259,21 +266,18 @@ impl Build<'_> {
         };
         let loaded = match read {
             Ok(bytes) => bitmap_file::decode(&bytes).map_err(|e| e.to_string()),
-            Err(error) => Err(format!("it cannot be read: {error}")),
+            Err(error) => Err(format!("cannot read it: {error}")),
         };
         let (image, warning) = match loaded {
             Ok(loaded) => (Some(loaded.image), loaded.warning),
-            Err(text) => (
-                None,
-                Some(format!("{text}; plain grey is used in its place")),
-            ),
+            Err(text) => (None, Some(format!("{text}; grey is used instead"))),
         };
-        let told = warning.map(|text| format!("{label}: texture {name:?}: {text}"));
-        self.warnings.extend(told);
+        let warning = warning.map(|text| format!("{label}: texture {name:?}: {text}"));
+        self.warnings.extend(warning);
         image
     }
 
-    /// A part with a material of the file.
+    /// Converts a part with a material of the file.
     fn part(&mut self, part: &MeshPart, material: usize, textured: bool, number: usize) -> Mesh {
         let extent = part.shape.bounds().extent().max_element();
         let width = if extent > 0.0 { extent } else { 1.0 };
@@ -281,14 +285,14 @@ impl Build<'_> {
             && !is_closed(&part.shape)
         {
             self.warnings.push(format!(
-                "part {number} is of glass, but its surface is not closed: light in it is wrong"
+                "part {number} is glass but not closed: refraction is wrong"
             ));
         }
         let needs_projection = textured && part.uvs.is_none();
         if needs_projection {
             self.warnings.push(format!(
-                "part {number} has a texture, but no texture coordinates: the image is \
-                 projected from its six sides"
+                "part {number} has a texture but no texture coordinates: the image is \
+                 box-projected"
             ));
         }
         let projection = if needs_projection {
@@ -302,9 +306,13 @@ impl Build<'_> {
         match (&part.normals, &part.uvs) {
             (None, Some(uvs)) if textured => flat_with_uvs(part, uvs, material),
             (Some(normals), uvs) if !needs_projection => Mesh {
-                positions: positions(part),
+                positions: part.shape.vertices.iter().map(|v| v.as_vec3()).collect(),
                 normals: normals.iter().map(|n| n.as_vec3()).collect(),
-                uvs: uvs.as_deref().map(single).unwrap_or_default(),
+                uvs: uvs
+                    .iter()
+                    .flatten()
+                    .map(|uv| uv.map(|c| c as f32))
+                    .collect(),
                 triangles: part.shape.triangles.clone(),
                 material,
             },
@@ -312,44 +320,24 @@ impl Build<'_> {
         }
     }
 
-    /// A part of no material of the file.
-    fn unpainted(&mut self, part: &MeshPart, finish: Finish, seed: u64) -> Result<Mesh> {
-        let own = Model::plain(&part.shape, finish, seed)?;
-        let (materials, textures) = (self.model.materials.len(), self.model.textures.len());
-        let (material, texture) = (own.materials[0], own.textures);
-        self.model.materials.push(match material {
-            Material::Principled {
-                metallic,
-                roughness,
-                ior,
-                ..
-            } => Material::Principled {
-                base_colour: Colour::Texture(textures),
-                metallic,
-                roughness,
-                ior,
-            },
-            other => other,
-        });
-        self.model.textures.extend(texture);
-        let mut mesh = own.meshes.into_iter().next().unwrap_or_default();
-        mesh.material = materials;
-        Ok(mesh)
+    /// Converts a part without a material.
+    fn part_with_finish(&mut self, part: &MeshPart, finish: Finish, seed: u64) -> Result<Mesh> {
+        let (material, texture) = finish.material(seed, self.model.textures.len())?;
+        let (bitmap, projection) = finish_projection(&part.shape, finish, texture);
+        self.model.materials.push(material);
+        self.model.textures.extend(bitmap);
+        let index = self.model.materials.len() - 1;
+        Ok(shaded_mesh(&part.shape, CREASE_RAD, projection, index))
     }
 }
 
-/// An image times a linear colour.
+/// Multiplies an image by a linear colour.
 fn tinted(mut image: image::RgbImage, color: [f64; 3]) -> image::RgbImage {
     if color == [1.0; 3] {
         return image;
     }
-    let tables: [[u8; 256]; 3] = color.map(|factor| {
-        std::array::from_fn(|v| {
-            let linear = gripcast_imaging::srgb_decode(v as u8) * factor as f32;
-            let one = super::linear_image::Image::filled(1, 1, [linear; 3]);
-            one.to_srgb8(1.0).get_pixel(0, 0)[0]
-        })
-    });
+    let tables: [[u8; 256]; 3] = color
+        .map(|factor| std::array::from_fn(|v| srgb_encode(srgb_decode(v as u8) * factor as f32)));
     for pixel in image.pixels_mut() {
         for (value, table) in pixel.0.iter_mut().zip(&tables) {
             *value = table[usize::from(*value)];
@@ -358,17 +346,9 @@ fn tinted(mut image: image::RgbImage, color: [f64; 3]) -> image::RgbImage {
     image
 }
 
-fn positions(part: &MeshPart) -> Vec<Vec3> {
-    part.shape.vertices.iter().map(|v| v.as_vec3()).collect()
-}
-
-fn single(uvs: &[[f64; 2]]) -> Vec<[f32; 2]> {
-    uvs.iter().map(|uv| uv.map(|c| c as f32)).collect()
-}
-
-/// A part with texture coordinates but no normals: smooth over its welded shape.
+/// Converts a part with texture coordinates but without normals.
 fn flat_with_uvs(part: &MeshPart, uvs: &[[f64; 2]], material: usize) -> Mesh {
-    // Seams of the texture must not become creases: normals are those of the welded shape.
+    // Texture seams must not become creases: normals come from the welded shape.
     let welded = welded(&part.shape);
     let smooth = shaded_mesh(&welded, CREASE_RAD, Projection::None, material);
     let mut mesh = Mesh {
@@ -388,9 +368,9 @@ fn flat_with_uvs(part: &MeshPart, uvs: &[[f64; 2]], material: usize) -> Mesh {
     mesh
 }
 
-/// Copy in which vertices at one place are one, triangles in their order.
+/// Merges vertices at the same position; keeps the order of the triangles.
 fn welded(shape: &TriangleMesh) -> TriangleMesh {
-    let mut known = std::collections::HashMap::new();
+    let mut vertex_ids = std::collections::HashMap::new();
     let mut vertices = Vec::new();
     let renamed: Vec<u32> = shape
         .vertices
@@ -398,7 +378,7 @@ fn welded(shape: &TriangleMesh) -> TriangleMesh {
         .map(|v| {
             // Adding zero turns −0 into 0.
             let key = (*v + DVec3::ZERO).to_array().map(f64::to_bits);
-            *known.entry(key).or_insert_with(|| {
+            *vertex_ids.entry(key).or_insert_with(|| {
                 vertices.push(*v);
                 vertices.len() as u32 - 1
             })

@@ -1,11 +1,11 @@
 use super::*;
-use crate::pattern::Pattern;
+use crate::procedural::ProceduralTexture;
 use gripcast_geometry::{MeshFormat, builtin, read_textured_mesh};
 use gripcast_imaging::encode_png_rgb;
 use image::RgbImage;
 use std::io;
 
-const PLASTIC: Finish = Finish::Painted(Pattern::Plastic);
+const PLASTIC: Finish = Finish::Textured(ProceduralTexture::Plastic);
 
 fn no_file(_: &str) -> io::Result<Vec<u8>> {
     Err(io::ErrorKind::NotFound.into())
@@ -31,7 +31,7 @@ fn red_top() -> Vec<u8> {
 }
 
 #[test]
-fn a_textured_square_shows_its_image_upright() {
+fn textured_square_shows_its_image_upright() {
     let mtl = b"newmtl paint\nmap_Kd top.png\n".to_vec();
     let loaded = read(SQUARE, &[("a.mtl", mtl), ("top.png", red_top())]);
     assert!(loaded.warnings.is_empty(), "{:?}", loaded.warnings);
@@ -45,9 +45,9 @@ fn a_textured_square_shows_its_image_upright() {
 }
 
 #[test]
-fn what_is_missing_becomes_a_warning_and_grey() {
+fn missing_texture_becomes_grey_with_warning() {
     let mtl = b"newmtl paint\nmap_Kd gone.png\n".to_vec();
-    for (files, on_progress) in [
+    for (files, expected) in [
         (vec![], "a.mtl"),
         (vec![("a.mtl", mtl.clone())], "gone.png"),
         (
@@ -59,18 +59,18 @@ fn what_is_missing_becomes_a_warning_and_grey() {
     ] {
         let loaded = read(SQUARE, &files);
         let text = loaded.warnings.join("\n");
-        assert!(text.contains(on_progress), "{on_progress}: {text}");
+        assert!(text.contains(expected), "{expected}: {text}");
         assert_eq!(loaded.model.meshes.len(), 1);
     }
 }
 
 #[test]
-fn a_texture_without_coordinates_is_projected_with_a_warning() {
+fn texture_without_coordinates_is_box_projected() {
     let obj = "mtllib a.mtl\nv 0 0 0\nv 1 0 0\nv 0 1 0\nusemtl paint\nf 1 2 3\n";
     let mtl = b"newmtl paint\nmap_Kd top.png\n".to_vec();
     let loaded = read(obj, &[("a.mtl", mtl), ("top.png", red_top())]);
     assert!(
-        loaded.warnings[0].contains("projected"),
+        loaded.warnings[0].contains("box-projected"),
         "{:?}",
         loaded.warnings
     );
@@ -78,7 +78,7 @@ fn a_texture_without_coordinates_is_projected_with_a_warning() {
 }
 
 #[test]
-fn glass_and_metal_get_their_materials() {
+fn glass_and_metal_are_recognised() {
     let obj = "mtllib a.mtl\nv 0 0 0\nv 1 0 0\nv 0 1 0\nusemtl glass\nf 1 2 3\n\
                usemtl steel\nf 1 3 2\nusemtl lamp\nf 1 2 3\n";
     let mtl = "newmtl glass\nd 0.1\nNi 1.45\nKd 0 0 0\nnewmtl steel\nKd 0.3 0.3 0.3\nPm 1\n\
@@ -94,13 +94,13 @@ fn glass_and_metal_get_their_materials() {
     );
     let text = loaded.warnings.join("\n");
     assert!(
-        text.contains("not closed") && text.contains("shines"),
+        text.contains("not closed") && text.contains("emission"),
         "{text}"
     );
 }
 
 #[test]
-fn meshes_inside_out_are_turned() {
+fn inside_out_mesh_is_flipped() {
     let mut shape = builtin("box").unwrap();
     shape.triangles.iter_mut().for_each(|t| t.swap(0, 1));
     let loaded = Model::from_textured(&shape.into(), &no_file, Finish::Glass, 0).unwrap();
@@ -123,17 +123,18 @@ fn meshes_inside_out_are_turned() {
 }
 
 #[test]
-fn plain_shapes_get_a_finish_and_scenes_renumber_it() {
+fn scene_renumbers_materials_and_textures() {
     let shape = builtin("box").unwrap();
-    let mut scene = Scene {
-        meshes: Vec::new(),
-        materials: Vec::new(),
-        textures: Vec::new(),
-        environment: crate::Environment::uniform([1.0; 3]),
-        camera: crate::Camera::centred(8, 8, 1.0, Pose::IDENTITY),
-    };
-    for finish in [PLASTIC, Finish::Glass, Finish::Painted(Pattern::Wood)] {
-        let model = Model::plain(&shape, finish, 3).unwrap();
+    let mut scene = Scene::empty(
+        crate::EnvMap::uniform([1.0; 3]),
+        crate::Camera::centred(8, 8, 1.0, Pose::IDENTITY),
+    );
+    for finish in [
+        PLASTIC,
+        Finish::Glass,
+        Finish::Textured(ProceduralTexture::Wood),
+    ] {
+        let model = Model::with_finish(&shape, finish, 3).unwrap();
         model.add_to(&mut scene, &Pose::from_translation(DVec3::X));
     }
     scene.validate().unwrap();
@@ -143,7 +144,7 @@ fn plain_shapes_get_a_finish_and_scenes_renumber_it() {
 }
 
 #[test]
-fn textures_outside_of_the_folder_are_not_read() {
+fn textures_outside_the_folder_are_not_read() {
     let dir = tempfile::tempdir().unwrap();
     let inside = dir.path().join("jail");
     std::fs::create_dir(&inside).unwrap();
@@ -160,10 +161,7 @@ fn textures_outside_of_the_folder_are_not_read() {
     assert_eq!(textures("own.png").0, 1);
     let absolute = dir.path().join("secret.png").display().to_string();
     for name in [&*absolute, "../secret.png", "link.png"] {
-        let (count, on_progress) = textures(name);
-        assert!(
-            count == 0 && on_progress.contains(name),
-            "{name}: {on_progress}"
-        );
+        let (count, expected) = textures(name);
+        assert!(count == 0 && expected.contains(name), "{name}: {expected}");
     }
 }

@@ -1,4 +1,4 @@
-//! From a scene to images.
+//! Renders images of a scene.
 
 use std::ops::Range;
 use std::sync::atomic::{AtomicUsize, Ordering};
@@ -6,63 +6,63 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 use glam::Vec3;
 use rayon::prelude::*;
 
-use super::bsdf::Prepared;
-use super::bvh::{Bvh, Lanes, WithLanes, dispatch};
+use super::bsdf::PreparedMaterial;
+use super::bvh::{Bvh, Lanes, Stack, WithLanes, dispatch};
 use super::camera::{Camera, Ray};
-use super::dome::Dome;
+use super::env_map_sampler::EnvMapSampler;
 use super::film::{FilterTable, PathSample, PixelMeans, PixelSums};
-use super::integrator::{Batch, Integrator, Strategy};
+use super::integrator::{Batch, Integrator, LightSampling};
 use super::linear_image::Image;
-use super::sampler::Net;
+use super::sampler::SobolSampler;
 use super::scene::Scene;
-use super::settings::{RenderSettings, Watch};
+use super::settings::{RenderControl, RenderSettings};
 use super::surface::Face;
 use super::texture::Bitmap;
 use gripcast_base::error::{Error, ErrorKind, Result};
 
-/// Columns and rows of a tile.
+/// Side of a tile, px.
 const TILE: usize = 16;
-/// Most paths that advance together.
+/// Maximum number of paths that advance together.
 const BATCH: u32 = 64;
 
-/// An image and what a denoiser and a depth camera want beside it. Row by row.
+/// Rendered image with auxiliary buffers for the denoiser and the depth camera. Row-major.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Rendering {
     /// Radiance, linear RGB.
     pub image: Image,
-    /// Variance of each value of the image, as if its paths were independent.
+    /// Variance of each pixel value, assuming independent paths.
     pub variance: Image,
-    /// Images of the first and of the second half of the paths; both the whole for one path.
+    /// Images of the first and second half of the paths; both are the whole image for one path.
     pub halves: [Image; 2],
-    /// Colour of the first surface; of the sky its radiance, at most 1.
+    /// Albedo of the first surface; for the environment its radiance, clipped to 1.
     pub albedo: Image,
-    /// Mean unit normal of the first surface, world; 0 for the sky.
+    /// Mean shading normal of the first surface, world; 0 for the environment.
     pub normal: Image,
-    /// Distance of the first surface along the optical axis in the middle of each pixel, m; 0
-    /// where there is none.
+    /// Depth of the first surface along the optical axis at the pixel centre, m; 0 if there is
+    /// none.
     pub depth_m: Vec<f32>,
 }
 
-/// A scene prepared for images from any camera.
+/// A scene prepared for rendering from any camera.
 #[derive(Debug)]
 pub struct Renderer {
-    bvh: Bvh,
-    faces: Vec<Face>,
-    materials: Vec<Prepared>,
-    textures: Vec<Bitmap>,
-    dome: Dome,
-    strategy: Strategy,
+    pub(super) bvh: Bvh,
+    pub(super) faces: Vec<Face>,
+    pub(super) materials: Vec<PreparedMaterial>,
+    pub(super) textures: Vec<Bitmap>,
+    pub(super) env_map: EnvMapSampler,
+    pub(super) strategy: LightSampling,
 }
 
 impl Renderer {
-    /// Prepares a scene; its camera plays no part yet.
+    /// Prepares a scene; its camera is not used.
     ///
     /// # Errors
-    /// `Input` for a scene that [`Scene::validate`] refuses.
+    /// `Input` if [`Scene::validate`] fails.
     pub fn new(scene: &Scene) -> Result<Self> {
         scene.validate()?;
         let faces = Face::all(scene);
-        // Indices of triangles share their 32 bits with a mark of the hierarchy.
+        // Triangle indices share their 32 bits with a flag of the BVH.
         if faces.len() >= 1 << 30 {
             let found = faces.len();
             return Err(Error::input(format!(
@@ -75,36 +75,36 @@ impl Renderer {
         Ok(Self {
             bvh,
             faces: ordered,
-            materials: scene.materials.iter().map(Prepared::new).collect(),
+            materials: scene.materials.iter().map(PreparedMaterial::new).collect(),
             textures: scene.textures.clone(),
-            dome: Dome::new(&scene.environment),
-            strategy: Strategy::default(),
+            env_map: EnvMapSampler::new(&scene.env_map),
+            strategy: LightSampling::default(),
         })
     }
 
-    /// Image from a camera. The same scene, camera and settings give the same bits, whatever
-    /// the number of threads.
+    /// Renders an image. The result depends on the scene, camera and settings alone, not on the
+    /// number of threads.
     ///
     /// # Errors
-    /// `Input` for an unusable camera, `Usage` for settings out of range, `Interrupted` when
+    /// `Input` for an invalid camera, `Usage` for settings out of range, `Interrupted` if
     /// cancelled.
     ///
     /// ```
-    /// use gripcast_geometry::{Pose, builtin};
+    /// use gripcast_geometry::{CREASE_RAD, Pose, builtin};
     /// use gripcast_visual::*;
     /// use glam::DVec3;
     ///
     /// let eye = DVec3::new(0.2, -0.2, 0.15);
-    /// let pose = Camera::looking_at(eye, DVec3::ZERO).unwrap_or_default();
+    /// let pose = Camera::look_at(eye, DVec3::ZERO).unwrap_or_default();
     /// let scene = Scene {
-    ///     meshes: vec![Mesh::from_triangles(&builtin("mug")?, 0)],
+    ///     meshes: vec![shaded_mesh(&builtin("mug")?, CREASE_RAD, Projection::None, 0)],
     ///     materials: vec![Material::grey(0.5)],
     ///     textures: Vec::new(),
-    ///     environment: Environment::uniform([1.0; 3]),
+    ///     env_map: EnvMap::uniform([1.0; 3]),
     ///     camera: Camera::centred(32, 24, 0.7, pose),
     /// };
-    /// let settings = RenderSettings { samples: 4, ..RenderSettings::default() };
-    /// let rendering = Renderer::new(&scene)?.render(&scene.camera, &settings, &Watch::default())?;
+    /// let settings = RenderSettings { samples_per_pixel: 4, ..RenderSettings::default() };
+    /// let rendering = Renderer::new(&scene)?.render(&scene.camera, &settings, &RenderControl::default())?;
     /// rendering.image.to_srgb8(1.0);
     /// # Ok::<(), gripcast_base::error::Error>(())
     /// ```
@@ -112,11 +112,11 @@ impl Renderer {
         &self,
         camera: &Camera,
         settings: &RenderSettings,
-        watch: &Watch<'_>,
+        control: &RenderControl<'_>,
     ) -> Result<Rendering> {
         camera.validate().map_err(|e| e.at("camera"))?;
         settings.validate()?;
-        let net = Net::new(settings.samples, settings.seed);
+        let net = SobolSampler::new(settings.samples_per_pixel, settings.seed);
         let filter = FilterTable::new(settings.filter);
         let job = Job {
             integrator: self.integrator(settings),
@@ -131,10 +131,10 @@ impl Renderer {
         let tiles: Vec<Vec<TilePixel>> = (0..count)
             .into_par_iter()
             .map(|tile| {
-                if watch.cancelled() {
+                if control.is_cancelled() {
                     return Err(Error::new(
                         ErrorKind::Interrupted,
-                        "the rendering was cancelled",
+                        "rendering was cancelled",
                     ));
                 }
                 let columns = tile % across * TILE..camera.width.min((tile % across + 1) * TILE);
@@ -145,8 +145,8 @@ impl Renderer {
                     rows,
                 });
                 let finished = done.fetch_add(1, Ordering::Relaxed) + 1;
-                if let Some(progress) = watch.progress {
-                    progress(finished, count);
+                if let Some(on_progress) = control.on_progress {
+                    on_progress(finished, count);
                 }
                 Ok(pixels)
             })
@@ -154,11 +154,11 @@ impl Renderer {
         Ok(assemble(camera, tiles.into_iter().flatten()))
     }
 
-    /// Distance of the first surface along the optical axis in the middle of each pixel, m, row by
-    /// row; 0 where there is none.
+    /// Renders the depth of the first surface along the optical axis at the pixel centres, m,
+    /// row-major; 0 if there is none.
     ///
     /// # Errors
-    /// `Input` for an unusable camera.
+    /// `Input` for an invalid camera.
     pub fn depth(&self, camera: &Camera) -> Result<Vec<f32>> {
         camera.validate().map_err(|e| e.at("camera"))?;
         let rays = CameraRays::new(camera);
@@ -178,22 +178,17 @@ impl Renderer {
 
     fn integrator(&self, settings: &RenderSettings) -> Integrator<'_> {
         Integrator {
-            bvh: &self.bvh,
-            faces: &self.faces,
-            materials: &self.materials,
-            textures: &self.textures,
-            dome: &self.dome,
+            scene: self,
             max_bounces: settings.max_bounces,
-            roulette_from: settings.roulette_from,
-            strategy: self.strategy,
+            rr_depth: settings.rr_depth,
         }
     }
 }
 
-/// Rays of a camera in single precision.
+/// Camera rays in single precision.
 struct CameraRays {
     origin: Vec3,
-    /// World directions of the optical axes; the first two for one pixel.
+    /// Optical axes in the world; the first two scaled to one pixel.
     right: Vec3,
     down: Vec3,
     forward: Vec3,
@@ -221,54 +216,68 @@ impl CameraRays {
             direction: (self.forward + across + down).normalize(),
         }
     }
+
+    /// Depth of the first surface at the centre of a pixel; 0 if there is none.
+    #[inline(always)]
+    fn depth<L: Lanes>(
+        &self,
+        lanes: L,
+        bvh: &Bvh,
+        [column, row]: [usize; 2],
+        stack: &mut Stack,
+    ) -> f32 {
+        let ray = self.ray(column as f32, row as f32);
+        let hit = bvh.intersect(lanes, &ray, stack);
+        hit.map_or(0.0, |h| h.t * ray.direction.dot(self.forward))
+    }
 }
 
-/// What all tiles fraction.
+/// State shared by all tiles.
 struct Job<'a> {
     integrator: Integrator<'a>,
     camera: CameraRays,
     settings: &'a RenderSettings,
-    net: &'a Net,
+    net: &'a SobolSampler,
     filter: &'a FilterTable,
 }
 
 impl<'a> Job<'a> {
-    /// Fills the batch with the paths of these samples of a pixel.
+    /// Fills the batch with the paths of some samples of a pixel.
     #[inline(always)]
     fn start(&self, [column, row]: [usize; 2], samples: Range<u32>, batch: &mut Batch<'a>) {
         let pixel = (row as u64) << 16 | column as u64;
         batch.clear();
         for index in samples {
             let numbers = self.net.sample(pixel, index);
-            let [u, v] = numbers.pair(0);
+            let [u, v] = numbers.get_2d(0);
             let x = column as f32 + self.filter.offset(u);
             let y = row as f32 + self.filter.offset(v);
             batch.push(self.camera.ray(x, y), numbers);
         }
     }
 
-    /// Adds what the paths of these samples gave.
+    /// Adds the contributions of some samples of a pixel.
     #[inline(always)]
-    fn gather(&self, samples: Range<u32>, batch: &Batch<'a>, sums: &mut PixelSums) {
+    fn accumulate(&self, samples: Range<u32>, batch: &Batch<'a>, sums: &mut PixelSums) {
         let ceiling = Vec3::splat(self.settings.clamp.unwrap_or(f32::INFINITY));
         for (index, path) in samples.zip(&batch.samples) {
             let path = PathSample {
                 radiance: path.radiance.min(ceiling),
                 ..*path
             };
-            sums.add(&path, index < self.settings.samples / 2);
+            sums.add(&path, index < self.settings.samples_per_pixel / 2);
         }
     }
 }
 
-/// A finished pixel with its column and row.
+/// A finished pixel at a column and row.
 struct TilePixel {
-    place: [usize; 2],
+    position: [usize; 2],
     means: PixelMeans,
     depth_m: f32,
 }
 
-/// A tile to be rendered.
+/// A tile to render.
 struct Tile<'a> {
     job: &'a Job<'a>,
     columns: Range<usize>,
@@ -281,9 +290,9 @@ impl WithLanes for Tile<'_> {
     #[inline(always)]
     fn with_lanes<L: Lanes>(self, lanes: L) -> Self::Output {
         let job = self.job;
-        let bvh = job.integrator.bvh;
+        let bvh = &job.integrator.scene.bvh;
         let mut stack = bvh.stack();
-        let samples = job.settings.samples;
+        let samples = job.settings.samples_per_pixel;
         let mut batch = Batch::new(samples.min(BATCH) as usize, bvh.stack());
         let mut pixels = Vec::with_capacity(self.columns.len() * self.rows.len());
         for row in self.rows {
@@ -294,15 +303,13 @@ impl WithLanes for Tile<'_> {
                     let range = first..samples.min(first + BATCH);
                     job.start([column, row], range.clone(), &mut batch);
                     job.integrator.trace(lanes, &mut batch);
-                    job.gather(range, &batch, &mut sums);
+                    job.accumulate(range, &batch, &mut sums);
                     first += BATCH;
                 }
-                let middle = job.camera.ray(column as f32, row as f32);
-                let hit = bvh.closest(lanes, &middle, f32::INFINITY, &mut stack);
                 pixels.push(TilePixel {
-                    place: [column, row],
+                    position: [column, row],
                     means: sums.means(samples, samples / 2),
-                    depth_m: hit.map_or(0.0, |h| h.t * middle.direction.dot(job.camera.forward)),
+                    depth_m: job.camera.depth(lanes, bvh, [column, row], &mut stack),
                 });
             }
         }
@@ -310,7 +317,7 @@ impl WithLanes for Tile<'_> {
     }
 }
 
-/// A row of depths to be found.
+/// A row of depths to render.
 struct DepthRow<'a> {
     bvh: &'a Bvh,
     rays: &'a CameraRays,
@@ -326,9 +333,8 @@ impl WithLanes for DepthRow<'_> {
         let mut stack = self.bvh.stack();
         let mut depths = Vec::with_capacity(self.columns);
         for column in 0..self.columns {
-            let ray = self.rays.ray(column as f32, self.row as f32);
-            let hit = self.bvh.closest(lanes, &ray, f32::INFINITY, &mut stack);
-            depths.push(hit.map_or(0.0, |h| h.t * ray.direction.dot(self.rays.forward)));
+            let pixel = [column, self.row];
+            depths.push(self.rays.depth(lanes, self.bvh, pixel, &mut stack));
         }
         depths
     }
@@ -346,7 +352,7 @@ fn assemble(camera: &Camera, pixels: impl Iterator<Item = TilePixel>) -> Renderi
         depth_m: vec![0.0; width * height],
     };
     for pixel in pixels {
-        let at = pixel.place[1] * width + pixel.place[0];
+        let at = pixel.position[1] * width + pixel.position[0];
         rendering.image.pixels[at] = pixel.means.radiance;
         rendering.variance.pixels[at] = pixel.means.variance;
         for half in 0..2 {

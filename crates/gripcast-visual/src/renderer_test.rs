@@ -1,9 +1,10 @@
 use glam::DVec3;
 
-use super::super::environment::Environment;
+use super::super::env_map::EnvMap;
 use super::super::material::{Colour, Material};
 use super::super::scene::Mesh;
 use super::super::settings::PixelFilter;
+use super::super::shading::{Projection, shaded_mesh};
 use super::super::texture::Bitmap;
 use super::*;
 use gripcast_geometry::{Pose, builtin};
@@ -12,23 +13,24 @@ const SIZE: usize = 24;
 
 fn camera() -> Camera {
     let eye = DVec3::new(0.12, -0.1, 0.08);
-    let pose = Camera::looking_at(eye, DVec3::ZERO).unwrap();
+    let pose = Camera::look_at(eye, DVec3::ZERO).unwrap();
     Camera::centred(SIZE, SIZE, 0.35, pose)
 }
 
-/// Dome with a gradient and a bright spot.
-fn dome() -> Environment {
+/// Environment map with a gradient and a bright spot.
+fn env_map() -> EnvMap {
     let mut map = Image::filled(32, 16, [0.4, 0.5, 0.6]);
     for (at, pixel) in map.pixels.iter_mut().enumerate() {
         *pixel = pixel.map(|v| v * (1.5 - at as f32 / 512.0));
     }
     map.pixels[5 * 32 + 20] = [60.0, 50.0, 40.0];
-    Environment::new(map)
+    EnvMap::new(map)
 }
 
 /// A ball on the ground.
-fn scene(material: Material, environment: Environment) -> Scene {
-    let mut ball = Mesh::from_triangles(&builtin("sphere").unwrap(), 0);
+fn scene(material: Material, env_map: EnvMap) -> Scene {
+    let sphere = builtin("sphere").unwrap();
+    let mut ball = shaded_mesh(&sphere, 4.0, Projection::None, 0);
     ball.normals = ball.positions.iter().map(|p| p.normalize()).collect();
     Scene {
         meshes: vec![
@@ -37,14 +39,14 @@ fn scene(material: Material, environment: Environment) -> Scene {
         ],
         materials: vec![material, Material::grey(0.5)],
         textures: Vec::new(),
-        environment,
+        env_map,
         camera: camera(),
     }
 }
 
 fn settings(samples: u32) -> RenderSettings {
     RenderSettings {
-        samples,
+        samples_per_pixel: samples,
         filter: PixelFilter::Box,
         ..RenderSettings::default()
     }
@@ -53,7 +55,7 @@ fn settings(samples: u32) -> RenderSettings {
 fn render(scene: &Scene, settings: &RenderSettings) -> Rendering {
     let renderer = Renderer::new(scene).unwrap();
     renderer
-        .render(&scene.camera, settings, &Watch::default())
+        .render(&scene.camera, settings, &RenderControl::default())
         .unwrap()
 }
 
@@ -63,8 +65,8 @@ fn in_pool(threads: usize, work: impl FnOnce() -> Rendering + Send) -> Rendering
 }
 
 #[test]
-fn the_same_bits_at_any_number_of_threads() {
-    let scene = scene(Material::grey(0.7), dome());
+fn result_does_not_depend_on_thread_count() {
+    let scene = scene(Material::grey(0.7), env_map());
     let settings = settings(4);
     let one = in_pool(1, || render(&scene, &settings));
     let two = in_pool(2, || render(&scene, &settings));
@@ -80,7 +82,7 @@ fn the_same_bits_at_any_number_of_threads() {
 }
 
 #[test]
-fn white_things_vanish_in_a_white_furnace() {
+fn white_materials_pass_the_furnace_test() {
     let metal = Material::Conductor {
         eta: [0.0; 3],
         k: [1.0; 3],
@@ -98,17 +100,17 @@ fn white_things_vanish_in_a_white_furnace() {
         ior: 1.5,
     };
     for material in [Material::grey(1.0), metal, plastic, glass(0.0), glass(0.4)] {
-        let mut scene = scene(material, Environment::uniform([1.0; 3]));
+        let mut scene = scene(material, EnvMap::uniform([1.0; 3]));
         scene.meshes.pop();
         // Flat faces: the shading normals of smooth ones lose a little at the rim.
         scene.meshes[0].normals.clear();
         let settings = RenderSettings {
             max_bounces: 1000,
-            roulette_from: 1000,
+            rr_depth: 1000,
             ..settings(64)
         };
         let rendering = render(&scene, &settings);
-        // Of the ball alone: what surrounds it is exact.
+        // The ball only: its surroundings are exact.
         let pixels = rendering.image.pixels.iter().zip(&rendering.depth_m);
         let ball: Vec<f64> = pixels
             .filter(|(_, depth)| **depth > 0.0)
@@ -123,7 +125,7 @@ fn white_things_vanish_in_a_white_furnace() {
 }
 
 #[test]
-fn every_way_of_looking_for_light_has_the_same_mean() {
+fn light_sampling_strategies_have_equal_means() {
     for material in [
         Material::grey(0.8),
         Material::Principled {
@@ -133,15 +135,16 @@ fn every_way_of_looking_for_light_has_the_same_mean() {
             ior: 1.5,
         },
     ] {
-        let scene = scene(material, dome());
+        let scene = scene(material, env_map());
         let mean = |strategy| {
             let mut renderer = Renderer::new(&scene).unwrap();
             renderer.strategy = strategy;
-            let rendering = renderer.render(&scene.camera, &settings(256), &Watch::default());
+            let rendering =
+                renderer.render(&scene.camera, &settings(256), &RenderControl::default());
             rendering.unwrap().image.mean()
         };
-        let both = mean(Strategy::Both);
-        for strategy in [Strategy::Light, Strategy::Material] {
+        let both = mean(LightSampling::Mis);
+        for strategy in [LightSampling::Light, LightSampling::Bsdf] {
             let one = mean(strategy);
             for k in 0..3 {
                 assert!(
@@ -154,15 +157,15 @@ fn every_way_of_looking_for_light_has_the_same_mean() {
 }
 
 #[test]
-fn roulette_and_lengths_of_nets_do_not_change_the_mean() {
-    let scene = scene(Material::grey(0.9), dome());
+fn roulette_and_sample_count_do_not_bias() {
+    let scene = scene(Material::grey(0.9), env_map());
     let mean = |settings: &RenderSettings| render(&scene, settings).image.mean();
     let plain = mean(&RenderSettings {
-        roulette_from: 100,
+        rr_depth: 100,
         ..settings(256)
     });
     let roulette = mean(&RenderSettings {
-        roulette_from: 1,
+        rr_depth: 1,
         ..settings(256)
     });
     let odd = mean(&settings(173));
@@ -173,8 +176,8 @@ fn roulette_and_lengths_of_nets_do_not_change_the_mean() {
 }
 
 #[test]
-fn a_clamp_removes_fireflies_alone() {
-    let scene = scene(Material::grey(0.8), dome());
+fn clamp_limits_only_bright_paths() {
+    let scene = scene(Material::grey(0.8), env_map());
     let free = render(&scene, &settings(16));
     let loose = render(
         &scene,
@@ -195,8 +198,8 @@ fn a_clamp_removes_fireflies_alone() {
 }
 
 #[test]
-fn depth_is_along_the_axis_and_pixels_project_back() {
-    let scene = scene(Material::grey(0.5), dome());
+fn depth_is_along_optical_axis() {
+    let scene = scene(Material::grey(0.5), env_map());
     let renderer = Renderer::new(&scene).unwrap();
     let depth = renderer.depth(&scene.camera).unwrap();
     let mut met = 0;
@@ -223,8 +226,8 @@ fn depth_is_along_the_axis_and_pixels_project_back() {
 }
 
 #[test]
-fn guides_are_those_of_the_first_surface() {
-    let scene = scene(Material::grey(0.25), Environment::uniform([0.0; 3]));
+fn albedo_and_normal_are_of_first_surface() {
+    let scene = scene(Material::grey(0.25), EnvMap::uniform([0.0; 3]));
     let rendering = render(&scene, &settings(4));
     let middle = SIZE / 2 * SIZE + SIZE / 2;
     assert_eq!(rendering.albedo.pixels[middle], [0.25; 3]);
@@ -240,11 +243,11 @@ fn guides_are_those_of_the_first_surface() {
 }
 
 #[test]
-fn textures_are_seen_where_they_are() {
+fn ground_texture_has_documented_orientation() {
     // Four colours on the ground, seen from straight above.
     let image =
         image::RgbImage::from_raw(2, 2, vec![255, 0, 0, 0, 255, 0, 0, 0, 255, 255, 255, 255]);
-    let mut scene = scene(Material::grey(0.5), Environment::uniform([1.0; 3]));
+    let mut scene = scene(Material::grey(0.5), EnvMap::uniform([1.0; 3]));
     scene.meshes = vec![Mesh::ground(Vec3::ZERO, 0.5, 1.0, 0)];
     scene.materials[0] = Material::Diffuse {
         reflectance: Colour::Texture(0),
@@ -266,35 +269,35 @@ fn textures_are_seen_where_they_are() {
 }
 
 #[test]
-fn a_rendering_can_be_followed_and_cancelled() {
+fn rendering_reports_progress_and_can_be_cancelled() {
     use std::sync::atomic::AtomicBool;
-    let scene = scene(Material::grey(0.5), dome());
+    let scene = scene(Material::grey(0.5), env_map());
     let renderer = Renderer::new(&scene).unwrap();
     let seen = AtomicUsize::new(0);
     let progress = |done: usize, all: usize| {
         assert!(done <= all && all == 4);
         seen.fetch_max(done, Ordering::Relaxed);
     };
-    let watch = Watch {
-        progress: Some(&progress),
+    let control = RenderControl {
+        on_progress: Some(&progress),
         cancel: None,
     };
     renderer
-        .render(&scene.camera, &settings(1), &watch)
+        .render(&scene.camera, &settings(1), &control)
         .unwrap();
     assert_eq!(seen.load(Ordering::Relaxed), 4);
     let stop = AtomicBool::new(true);
-    let watch = Watch {
-        progress: None,
+    let control = RenderControl {
+        on_progress: None,
         cancel: Some(&stop),
     };
-    let error = renderer.render(&scene.camera, &settings(1), &watch);
+    let error = renderer.render(&scene.camera, &settings(1), &control);
     assert_eq!(error.unwrap_err().kind(), ErrorKind::Interrupted);
 }
 
 #[test]
-fn bad_scenes_are_explained() {
-    let good = scene(Material::grey(0.5), dome());
+fn invalid_scene_error_names_the_value() {
+    let good = scene(Material::grey(0.5), env_map());
     let explain = |change: &dyn Fn(&mut Scene), words: &[&str]| {
         let mut bad = good.clone();
         change(&mut bad);
@@ -313,7 +316,7 @@ fn bad_scenes_are_explained() {
     );
     explain(
         &|s| s.meshes[1].material = 5,
-        &["mesh 1", "material 5", "only 2"],
+        &["mesh 1", "material index 5", "2 materials"],
     );
     explain(
         &|s| s.meshes[0].normals.truncate(2),
@@ -325,7 +328,7 @@ fn bad_scenes_are_explained() {
                 reflectance: Colour::Texture(2),
             };
         },
-        &["material 1", "texture 2"],
+        &["material 1", "texture index 2"],
     );
     explain(
         &|s| {
@@ -349,12 +352,12 @@ fn bad_scenes_are_explained() {
         &["mesh 0", "no texture coordinates"],
     );
     explain(
-        &|s| s.environment.map.pixels[9][1] = f32::INFINITY,
-        &["environment", "column 9"],
+        &|s| s.env_map.map.pixels[9][1] = f32::INFINITY,
+        &["environment map", "column 9"],
     );
     explain(&|s| s.camera.width = 0, &["camera", "0×24"]);
     assert!(Bitmap::from_srgb8(&image::RgbImage::new(0, 0)).is_err());
     let renderer = Renderer::new(&good).unwrap();
-    let none = renderer.render(&good.camera, &settings(0), &Watch::default());
+    let none = renderer.render(&good.camera, &settings(0), &RenderControl::default());
     assert_eq!(none.unwrap_err().kind(), ErrorKind::Usage);
 }

@@ -1,26 +1,28 @@
-//! A room as a light dome: lamps, windows, walls and furniture as seen from the middle of a table.
+//! Environment map of a room: lamps, windows, walls and furniture seen from the middle of a table.
 //!
-//! The walls are lit by a rough estimate (everything the lamps and windows give, spread evenly,
-//! darker in the corners), enough for plausible reflections and soft light.
+//! The walls get a rough estimate of the indirect light (the emitted power spread evenly, darker in
+//! the corners), enough for plausible reflections and soft light.
 
 use std::f32::consts::TAU;
 
 use glam::Vec3;
 
-use super::environment::light_of_kelvin;
+use super::env_map::light_of_kelvin;
+use super::linear_image::Image;
+use super::sky::map_from_fn;
 use gripcast_base::random::SeedStream;
 
-/// Rectangle on a face of the room that shines or is painted.
+/// Emitting or painted rectangle on a face of the room.
 struct Panel {
     face: Face,
-    /// Middle in the face's coordinates, m.
+    /// Centre in the coordinates of the face, m.
     centre: [f32; 2],
-    /// Half extent in the face's coordinates, m.
+    /// Half extent in the coordinates of the face, m.
     half: [f32; 2],
-    /// Radiance of a shining panel, reflectance of a painted one.
-    color: [f32; 3],
-    shines: bool,
-    /// Window bars: panes along both axes; 1 × 1 has none.
+    /// Radiance of an emitter, albedo of a painted panel.
+    colour: [f32; 3],
+    emits: bool,
+    /// Window panes along both axes; 1 × 1 has no bars.
     panes: [u32; 2],
 }
 
@@ -28,18 +30,18 @@ struct Panel {
 enum Face {
     Floor,
     Ceiling,
-    /// Wall at the end of an axis of the room: +x, +y, −x, −y.
+    /// Wall at the end of a room axis: +x, +y, −x, −y.
     Wall(u8),
 }
 
-/// A box of walls around the viewer.
+/// Box-shaped room around the viewer.
 pub(super) struct Room {
     /// Half width along x and y, m.
     half: [f32; 2],
-    /// Height of the viewer (the table) and of the ceiling above the floor, m.
+    /// Heights of the viewer (the table) and of the ceiling above the floor, m.
     heights: [f32; 2],
-    /// Turn of the room about z, rad.
-    turn: f32,
+    /// Rotation of the room about z, rad.
+    yaw_rad: f32,
     ceiling: [f32; 3],
     walls: [[f32; 3]; 4],
     floor: [f32; 3],
@@ -49,7 +51,7 @@ pub(super) struct Room {
 }
 
 impl Room {
-    /// Lamps under the ceiling.
+    /// Room with lamps on the ceiling.
     pub(super) fn with_lamps(stream: &mut SeedStream) -> Self {
         let mut room = Self::bare(stream);
         let light = light_of_kelvin(stream.between(2900.0, 6000.0) as f32);
@@ -61,31 +63,31 @@ impl Room {
             stream.between(-0.6, 0.6) as f32,
             stream.between(-0.6, 0.6) as f32,
         ];
-        let is_out = stream.uniform() < 0.3;
-        let out = stream.index(columns * rows);
+        let has_dead_lamp = stream.uniform() < 0.3;
+        let dead_lamp = stream.index(columns * rows);
         for k in 0..columns * rows {
-            let part = |k: usize, count: usize| (k as f32 + 0.5) / count as f32 - 0.5;
-            let place = [part(k % columns, columns), part(k / columns, rows)];
-            let shines = !(is_out && columns * rows > 1 && k == out);
+            let cell = |k: usize, count: usize| (k as f32 + 0.5) / count as f32 - 0.5;
+            let position = [cell(k % columns, columns), cell(k / columns, rows)];
+            let emits = !(has_dead_lamp && columns * rows > 1 && k == dead_lamp);
             room.panels.push(Panel {
                 face: Face::Ceiling,
-                centre: [0, 1].map(|a| 1.6 * room.half[a] * place[a] + shift[a]),
+                centre: [0, 1].map(|a| 1.6 * room.half[a] * position[a] + shift[a]),
                 half,
-                color: if shines {
+                colour: if emits {
                     light.map(|l| level * l)
                 } else {
                     [0.85; 3]
                 },
-                shines,
+                emits,
                 panes: [1, 1],
             });
         }
         room.furnish(stream);
-        room.settle(light, 0.35);
+        room.set_ambient(light, 0.35);
         room
     }
 
-    /// Windows in one or two walls, lamps off or dim.
+    /// Room with windows in one or two walls, lamps off or dim.
     pub(super) fn with_windows(stream: &mut SeedStream) -> Self {
         let mut room = Self::bare(stream);
         let daylight = light_of_kelvin(stream.between(5500.0, 8500.0) as f32);
@@ -108,14 +110,14 @@ impl Room {
                     face: Face::Wall(wall),
                     centre: [pitch * (k as f32 + 0.5) - 0.5 * width, 1.55],
                     half,
-                    color: daylight.map(|l| level * l),
-                    shines: true,
+                    colour: daylight.map(|l| level * l),
+                    emits: true,
                     panes,
                 });
             }
         }
         room.furnish(stream);
-        room.settle(daylight, 0.3);
+        room.set_ambient(daylight, 0.3);
         room
     }
 
@@ -138,7 +140,7 @@ impl Room {
                 stream.between(0.7, 0.95) as f32,
                 stream.between(2.4, 3.4) as f32,
             ],
-            turn: stream.between(0.0, f64::from(TAU)) as f32,
+            yaw_rad: stream.between(0.0, f64::from(TAU)) as f32,
             ceiling: paint(stream, 0.7, 0.88, 0.03),
             walls,
             floor: paint(stream, 0.1, 0.45, 0.2),
@@ -147,7 +149,7 @@ impl Room {
         }
     }
 
-    /// Cupboards, shelves, doors and images: dark and coloured rectangles on the walls.
+    /// Adds cupboards, shelves, doors and pictures: dark and coloured rectangles on the walls.
     fn furnish(&mut self, stream: &mut SeedStream) {
         for wall in 0..4_u8 {
             let half_width = self.half[usize::from(wall % 2 == 0)];
@@ -155,73 +157,78 @@ impl Room {
                 let height = stream.pick([0.45, 0.6, 1.0]) as f32;
                 let half = [stream.between(0.2, 0.8) as f32, height];
                 let grey = stream.between_log(0.04, 0.7);
-                let color = [0; 3].map(|_| (grey * (1.0 + stream.between(-0.35, 0.35))) as f32);
+                let colour = [0; 3].map(|_| (grey * (1.0 + stream.between(-0.35, 0.35))) as f32);
                 self.panels.push(Panel {
                     face: Face::Wall(wall),
                     centre: [
                         stream.between(-0.8, 0.8) as f32 * half_width,
-                        // On the floor, or hung at the height of the eyes.
+                        // On the floor or at eye level.
                         if stream.uniform() < 0.7 { height } else { 1.6 },
                     ],
                     half: if half[1] > 0.9 { [0.45, 1.0] } else { half },
-                    color: color.map(|c| c.min(0.85)),
-                    shines: false,
+                    colour: colour.map(|c| c.min(0.85)),
+                    emits: false,
                     panes: [1, 1],
                 });
             }
         }
     }
 
-    /// Radiance of a white wall: the emitted power spread over all faces, times what further
-    /// reflections add.
-    fn settle(&mut self, light: [f32; 3], fraction: f32) {
+    /// Sets the radiance of a white wall: the emitted power spread over all faces, plus multiple
+    /// reflections.
+    fn set_ambient(&mut self, light: [f32; 3], fraction: f32) {
         let [a, b] = self.half;
         let height = self.heights[1];
         let area = 8.0 * a * b + 4.0 * (a + b) * height;
         let emitted: f32 = self
             .panels
             .iter()
-            .filter(|panel| panel.shines)
-            .map(|panel| 4.0 * panel.half[0] * panel.half[1] * panel.color[1])
+            .filter(|panel| panel.emits)
+            .map(|panel| 4.0 * panel.half[0] * panel.half[1] * panel.colour[1])
             .sum();
-        // Of light that falls on a wall about half is reflected: twice the first reflection.
+        // A wall reflects about half of the light: twice the first reflection.
         let level = 2.0 * emitted / area + 0.02 * fraction;
         self.ambient = light.map(|l| level * (0.85 + 0.15 * l));
     }
 
-    /// What a viewer above the table sees in a direction of the world.
-    pub(super) fn radiance(&self, direction: Vec3) -> [f32; 3] {
-        let (sin, cos) = self.turn.sin_cos();
+    /// Renders the environment map of the room with `height` rows.
+    pub(super) fn env_map(&self, height: usize) -> Image {
+        map_from_fn(height, |direction| self.radiance(direction))
+    }
+
+    /// Returns the radiance from a world direction.
+    fn radiance(&self, direction: Vec3) -> [f32; 3] {
+        let (sin, cos) = self.yaw_rad.sin_cos();
         let d = Vec3::new(
             cos * direction.x + sin * direction.y,
             cos * direction.y - sin * direction.x,
             direction.z,
         );
-        let (face, place, from_edge) = self.hit(d);
+        let (face, position, edge_distance) = self.hit(d);
         let paint = match face {
             Face::Floor => self.floor,
             Face::Ceiling => self.ceiling,
             Face::Wall(wall) => self.walls[usize::from(wall)],
         };
-        let corner = 1.0 - 0.35 * (-from_edge / 0.25).exp();
+        let corner = 1.0 - 0.35 * (-edge_distance / 0.25).exp();
         let lit: [f32; 3] = std::array::from_fn(|c| paint[c] * self.ambient[c] * corner);
-        // Panels listed later hang in front of earlier ones, windows and lamps in front of all.
-        let mut seen = lit;
+        // Later panels occlude earlier ones; windows and lamps occlude all others.
+        let mut radiance = lit;
         for panel in self.panels.iter().filter(|panel| panel.face == face) {
-            let Some(is_frame) = panel.covers(place) else {
+            let Some(is_frame) = panel.coverage(position) else {
                 continue;
             };
-            if panel.shines && !is_frame {
-                return panel.color;
+            if panel.emits && !is_frame {
+                return panel.colour;
             }
-            let color = if is_frame { [0.7; 3] } else { panel.color };
-            seen = std::array::from_fn(|c| color[c] * self.ambient[c] * corner);
+            let colour = if is_frame { [0.7; 3] } else { panel.colour };
+            radiance = std::array::from_fn(|c| colour[c] * self.ambient[c] * corner);
         }
-        seen
+        radiance
     }
 
-    /// The face that a ray meets, the place on it (along the wall, above the floor; m) and the
-    /// distance from its nearest edge, m.
+    /// Returns the face that a ray hits, the position on it (along the wall, above the floor; m)
+    /// and the distance from its nearest edge, m.
     fn hit(&self, d: Vec3) -> (Face, [f32; 2], f32) {
         let [eye, ceiling] = self.heights;
         let reach = |half: f32, along: f32| half / along.abs().max(1e-6);
@@ -260,13 +267,13 @@ impl Room {
 }
 
 impl Panel {
-    /// Whether a place lies on its frame or bars; none where it lies outside.
-    fn covers(&self, place: [f32; 2]) -> Option<bool> {
-        let offset = [0, 1].map(|a| place[a] - self.centre[a]);
+    /// Whether a position lies on the frame or bars of the panel; `None` outside the panel.
+    fn coverage(&self, position: [f32; 2]) -> Option<bool> {
+        let offset = [0, 1].map(|a| position[a] - self.centre[a]);
         if (0..2).any(|a| offset[a].abs() > self.half[a]) {
             return None;
         }
-        if !self.shines || self.panes == [1, 1] {
+        if !self.emits || self.panes == [1, 1] {
             return Some(false);
         }
         let is_bar = |a: usize| {

@@ -1,25 +1,25 @@
-//! All that is rendered: meshes, materials, textures, light and camera.
+//! Scene description: meshes, materials, textures, environment map and camera.
 
 use glam::{DVec3, Vec3};
 
 use super::camera::Camera;
-use super::environment::Environment;
-use super::material::{Colour, Material};
+use super::env_map::EnvMap;
+use super::material::{Colour, Material, ensure};
 use super::texture::Bitmap;
 use gripcast_base::error::{Error, Result};
-use gripcast_geometry::{Pose, TriangleMesh};
+use gripcast_geometry::Pose;
 
 /// Winding number above which a point is inside.
 const INSIDE: f64 = 0.9;
 
-/// Triangle mesh of one material, in world coordinates.
+/// Triangle mesh with one material, in world coordinates.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Mesh {
-    /// Corners, m.
+    /// Vertex positions, m.
     pub positions: Vec<Vec3>,
-    /// Unit shading normals, one for each position; empty for flat faces.
+    /// Unit shading normals, one per vertex; empty for flat shading.
     pub normals: Vec<Vec3>,
-    /// Texture coordinates, one for each position; empty without texture.
+    /// Texture coordinates, one per vertex; empty without texture.
     pub uvs: Vec<[f32; 2]>,
     /// Indices into `positions`, counter-clockwise seen from outside.
     pub triangles: Vec<[u32; 3]>,
@@ -28,17 +28,7 @@ pub struct Mesh {
 }
 
 impl Mesh {
-    /// Flat-shaded mesh without texture coordinates.
-    pub fn from_triangles(mesh: &TriangleMesh, material: usize) -> Self {
-        Self {
-            positions: mesh.vertices.iter().map(|v| v.as_vec3()).collect(),
-            triangles: mesh.triangles.clone(),
-            material,
-            ..Self::default()
-        }
-    }
-
-    /// Copy in world coordinates of a mesh in frame b.
+    /// Copy of a mesh in frame b, in world coordinates.
     #[must_use]
     pub fn transformed(&self, t_world_b: &Pose) -> Self {
         let position = |p: &Vec3| t_world_b.transform_point(p.as_dvec3()).as_vec3();
@@ -50,7 +40,7 @@ impl Mesh {
         }
     }
 
-    /// Horizontal square with its middle at `centre`, seen from above; the texture repeats every
+    /// Horizontal square centred at `centre`, facing up; the texture repeats every
     /// `texture_size_m`.
     pub fn ground(centre: Vec3, half_width_m: f32, texture_size_m: f32, material: usize) -> Self {
         let corners = [[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0f32]];
@@ -67,81 +57,81 @@ impl Mesh {
     }
 
     fn validate(&self, scene: &Scene) -> Result<()> {
-        let bad = |what: String| Err(Error::input(what));
         let count = self.positions.len();
         for (name, found) in [("normals", self.normals.len()), ("uvs", self.uvs.len())] {
-            if found != 0 && found != count {
-                return bad(format!(
-                    "the number of {name} must be 0 or that of the positions ({count}), found {found}"
-                ));
-            }
+            ensure(found == 0 || found == count, || {
+                format!(
+                    "the number of {name} must be 0 or that of the positions, {count}, found {found}"
+                )
+            })?;
         }
-        if let Some(v) = self.positions.iter().position(|p| !p.is_finite()) {
-            let found = self.positions[v];
-            return bad(format!(
-                "position {v} must have finite coordinates, found {found}"
-            ));
+        for (v, p) in self.positions.iter().enumerate() {
+            ensure(p.is_finite(), || {
+                format!("position {v} must have finite coordinates, found {p}")
+            })?;
         }
-        if let Some(v) = self.normals.iter().position(|n| !n.is_finite()) {
-            let found = self.normals[v];
-            return bad(format!("normal {v} must be finite, found {found}"));
+        for (v, n) in self.normals.iter().enumerate() {
+            ensure(n.is_finite(), || {
+                format!("normal {v} must be finite, found {n}")
+            })?;
         }
-        if let Some(v) = self
-            .uvs
-            .iter()
-            .position(|uv| !uv.iter().all(|c| c.is_finite()))
-        {
-            let found = self.uvs[v];
-            return bad(format!(
-                "texture coordinate {v} must be finite, found {found:?}"
-            ));
+        for (v, uv) in self.uvs.iter().enumerate() {
+            ensure(uv.iter().all(|c| c.is_finite()), || {
+                format!("texture coordinate {v} must be finite, found {uv:?}")
+            })?;
         }
-        let outside = |t: &[u32; 3]| t.iter().any(|&v| v as usize >= count);
-        if let Some(t) = self.triangles.iter().position(outside) {
-            let found = self.triangles[t];
-            return bad(format!(
-                "triangle {t} names positions {found:?}, but there are only {count}"
-            ));
+        for (t, triangle) in self.triangles.iter().enumerate() {
+            ensure(triangle.iter().all(|&v| (v as usize) < count), || {
+                format!(
+                    "triangle {t} has vertex indices {triangle:?}, but the mesh has {count} vertices"
+                )
+            })?;
         }
-        let Some(material) = scene.materials.get(self.material) else {
-            let found = (self.material, scene.materials.len());
-            return bad(format!(
-                "the mesh names material {}, but there are only {}",
-                found.0, found.1
-            ));
-        };
-        if matches!(material.colour(), Some(Colour::Texture(_))) && self.uvs.is_empty() {
-            return Err(Error::input(
-                "the mesh has an image as texture, but no texture coordinates",
-            )
-            .remedy("use a mesh with texture coordinates"));
-        }
-        Ok(())
+        let (material, count) = (self.material, scene.materials.len());
+        ensure(material < count, || {
+            format!("material index {material} is out of range, the scene has {count} materials")
+        })?;
+        let is_textured = matches!(scene.materials[material].colour(), Some(Colour::Texture(_)));
+        ensure(!is_textured || !self.uvs.is_empty(), || {
+            "the mesh has a texture but no texture coordinates".to_owned()
+        })
+        .map_err(|e| e.remedy("use a mesh with texture coordinates"))
     }
 }
 
-/// All that is rendered.
+/// A scene to render.
 #[derive(Clone, Debug)]
 pub struct Scene {
-    /// Surfaces, world coordinates.
+    /// Meshes, world coordinates.
     pub meshes: Vec<Mesh>,
-    /// What the meshes are made of.
+    /// Materials of the meshes.
     pub materials: Vec<Material>,
-    /// Colours that materials refer to.
+    /// Textures of the materials.
     pub textures: Vec<Bitmap>,
-    /// Light from all directions, infinitely far away.
-    pub environment: Environment,
-    /// Where the image is taken from.
+    /// Environment map.
+    pub env_map: EnvMap,
+    /// Camera.
     pub camera: Camera,
 }
 
 impl Scene {
-    /// Whether it can be rendered.
+    /// A scene without meshes.
+    pub(super) fn empty(env_map: EnvMap, camera: Camera) -> Self {
+        Self {
+            meshes: Vec::new(),
+            materials: Vec::new(),
+            textures: Vec::new(),
+            env_map,
+            camera,
+        }
+    }
+
+    /// Checks that the scene can be rendered.
     ///
     /// # Errors
-    /// `Input` for coordinates that are not finite, indices of vertices, materials or textures out
-    /// of range, parameters of materials out of range, an unusable dome of light or camera, each
-    /// with the place and what was found.
+    /// `Input` for non-finite coordinates, vertex, material or texture indices or material
+    /// parameters out of range, an invalid environment map or camera; the error names the element
+    /// and the value.
     pub fn validate(&self) -> Result<()> {
         for (m, mesh) in self.meshes.iter().enumerate() {
             mesh.validate(self).map_err(|e| e.at(format!("mesh {m}")))?;
@@ -151,30 +141,30 @@ impl Scene {
                 .validate(self.textures.len())
                 .map_err(|e| e.at(format!("material {m}")))?;
         }
-        self.environment
+        self.env_map
             .validate()
-            .map_err(|e| e.at("environment"))?;
+            .map_err(|e| e.at("environment map"))?;
         self.camera.validate().map_err(|e| e.at("camera"))
     }
 
-    /// Whether the camera is outside of all solids.
+    /// Checks that the camera is outside all closed meshes.
     ///
     /// # Errors
-    /// `Input` if it is inside of a closed mesh, whose inner side would fill the image. Found by
-    /// the winding number of each mesh around the camera (sum of the solid angles of its
-    /// triangles; van Oosterom and Strackee 1983), which open meshes do not bring near 1.
+    /// `Input` if it is inside a closed mesh, whose inside would fill the image. Decided by the
+    /// winding number of each mesh around the camera (sum of the solid angles of its triangles; van
+    /// Oosterom and Strackee 1983), which stays well below 1 for open meshes.
     pub fn check_camera_outside(&self, camera: &Camera) -> Result<()> {
         let eye = camera.t_world_camera.translation_m;
         for (m, mesh) in self.meshes.iter().enumerate() {
-            let turns: f64 = mesh
+            let winding: f64 = mesh
                 .triangles
                 .iter()
                 .map(|t| solid_angle(t.map(|v| mesh.positions[v as usize].as_dvec3() - eye)))
                 .sum::<f64>()
                 / (4.0 * std::f64::consts::PI);
-            if turns.abs() > INSIDE {
+            if winding.abs() > INSIDE {
                 return Err(
-                    Error::input(format!("the camera at {eye} m is inside of mesh {m}"))
+                    Error::input(format!("the camera at {eye} m is inside mesh {m}"))
                         .remedy("move the camera or the mesh, or check the unit of the mesh"),
                 );
             }
@@ -193,26 +183,27 @@ fn solid_angle([a, b, c]: [DVec3; 3]) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use gripcast_geometry::builtin;
+    use crate::shading::{Projection, shaded_mesh};
+    use gripcast_geometry::{CREASE_RAD, builtin};
 
     #[test]
-    fn a_camera_inside_of_a_solid_is_found() {
+    fn camera_inside_closed_mesh_is_detected() {
         let at =
             |x: f64| Camera::centred(4, 4, 1.0, Pose::from_translation(DVec3::new(x, 0.0, 0.0)));
         let scene = Scene {
             meshes: vec![
                 Mesh::ground(Vec3::new(0.0, 0.0, -1e-3), 0.5, 0.1, 0),
-                Mesh::from_triangles(&builtin("mug").unwrap(), 0),
+                shaded_mesh(&builtin("mug").unwrap(), CREASE_RAD, Projection::None, 0),
             ],
             materials: vec![Material::grey(0.5)],
             textures: Vec::new(),
-            environment: Environment::uniform([1.0; 3]),
+            env_map: EnvMap::uniform([1.0; 3]),
             camera: at(1.0),
         };
         // In the hollow of the mug, in its wall, and far away.
         assert!(scene.check_camera_outside(&at(0.0)).is_ok());
         assert!(scene.check_camera_outside(&at(0.5)).is_ok());
         let text = scene.check_camera_outside(&at(-0.028)).unwrap_err();
-        assert!(text.to_string().contains("inside of mesh 1"), "{text}");
+        assert!(text.to_string().contains("inside mesh 1"), "{text}");
     }
 }

@@ -1,45 +1,43 @@
-//! How an image is made.
+//! Render settings.
 
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use gripcast_base::error::{Error, Result};
 
-/// How much of the light around a pixel's centre counts for it (reconstruction filter).
+/// Pixel reconstruction filter.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum PixelFilter {
-    /// The pixel's square alone.
+    /// Box of one pixel.
     Box,
-    /// Falls linearly to 0 at a distance of 1 px.
-    Tent,
-    /// Gaussian with σ = 0.5 px, cut at 2 px.
+    /// Gaussian with σ = 0.5 px, truncated at 2 px.
     #[default]
     Gaussian,
 }
 
-/// How an image is made.
+/// Settings of a rendering.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct RenderSettings {
-    /// Paths for each pixel; powers of two are spread best.
-    pub samples: u32,
-    /// Most reflections and refractions of a path.
+    /// Samples per pixel; powers of two are best distributed.
+    pub samples_per_pixel: u32,
+    /// Maximum number of reflections and refractions of a path.
     pub max_bounces: u32,
-    /// From this bounce on, paths that carry little end at random (Russian roulette).
-    pub roulette_from: u32,
-    /// Largest value that one path may add to a channel; what lies above is lost. `None` keeps the
-    /// image unbiased.
+    /// Bounce at which Russian roulette starts.
+    pub rr_depth: u32,
+    /// Maximum contribution of one path to a channel; brighter paths are clamped, which biases the
+    /// image. `None` keeps it unbiased.
     pub clamp: Option<f32>,
     /// Reconstruction filter.
     pub filter: PixelFilter,
-    /// Decides on every random choice.
+    /// Random seed.
     pub seed: u64,
 }
 
 impl Default for RenderSettings {
     fn default() -> Self {
         Self {
-            samples: 64,
+            samples_per_pixel: 64,
             max_bounces: 6,
-            roulette_from: 3,
+            rr_depth: 3,
             clamp: None,
             filter: PixelFilter::default(),
             seed: 0,
@@ -50,10 +48,10 @@ impl Default for RenderSettings {
 impl RenderSettings {
     pub(super) fn validate(&self) -> Result<()> {
         let bad = |what: String| Err(Error::usage(what));
-        if !(1..=1 << 20).contains(&self.samples) {
-            let found = self.samples;
+        if !(1..=1 << 20).contains(&self.samples_per_pixel) {
+            let found = self.samples_per_pixel;
             return bad(format!(
-                "the number of samples must be from 1 to {}, found {found}",
+                "samples per pixel must be from 1 to {}, found {found}",
                 1 << 20
             ));
         }
@@ -65,18 +63,17 @@ impl RenderSettings {
     }
 }
 
-/// Ways to follow and to stop a rendering.
+/// Progress callback and cancellation of a rendering.
 #[derive(Clone, Copy, Default)]
-pub struct Watch<'a> {
-    /// Called from any thread with the number of finished tiles and of all tiles.
-    pub progress: Option<&'a (dyn Fn(usize, usize) + Sync)>,
-    /// Once true, rendering ends soon with an error of kind `Interrupted`.
+pub struct RenderControl<'a> {
+    /// Called from any thread with the numbers of finished tiles and of all tiles.
+    pub on_progress: Option<&'a (dyn Fn(usize, usize) + Sync)>,
+    /// Once true, rendering stops soon with an error of kind `Interrupted`.
     pub cancel: Option<&'a AtomicBool>,
 }
 
-impl Watch<'_> {
-    /// Whether the rendering is to end.
-    pub(super) fn cancelled(&self) -> bool {
+impl RenderControl<'_> {
+    pub(super) fn is_cancelled(&self) -> bool {
         self.cancel.is_some_and(|flag| flag.load(Ordering::Relaxed))
     }
 }

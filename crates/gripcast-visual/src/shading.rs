@@ -1,4 +1,4 @@
-//! Normals and texture coordinates for meshes that have none.
+//! Shading normals and texture coordinates of meshes without them.
 
 use std::collections::HashMap;
 
@@ -7,23 +7,23 @@ use glam::DVec3;
 use super::scene::Mesh;
 use gripcast_geometry::{TriangleMesh, corner_normals};
 
-/// How a mesh gets its texture coordinates.
+/// Texture projection of a mesh.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Projection {
     /// None.
     None,
-    /// Along the axis nearest to each triangle's normal: the image repeats on all six sides,
-    /// with seams between them.
+    /// Box projection: along the axis nearest to each triangle's normal. The image repeats on all
+    /// six sides, with seams between them.
     Box {
         /// Width of the image, m.
         width_m: f64,
-        /// Where a corner of the image lies, m.
+        /// Position of a corner of the image, m.
         origin_m: DVec3,
     },
 }
 
 /// Mesh of one material with shading normals: smooth where triangles meet at less than
-/// `crease_rad`, sharp elsewhere; vertices at creases and seams are there more than once.
+/// `crease_rad`, sharp elsewhere. Vertices at creases and seams are duplicated.
 pub fn shaded_mesh(
     mesh: &TriangleMesh,
     crease_rad: f64,
@@ -32,7 +32,7 @@ pub fn shaded_mesh(
 ) -> Mesh {
     let faces: Vec<DVec3> = mesh.all_corners().map(scaled_normal).collect();
     let corners = corner_normals(mesh, crease_rad);
-    let mut known: HashMap<(u32, [i32; 3], u8), u32> = HashMap::new();
+    let mut vertex_ids: HashMap<(u32, [i32; 3], u8), u32> = HashMap::new();
     let mut shaded = Mesh {
         material,
         ..Mesh::default()
@@ -45,29 +45,33 @@ pub fn shaded_mesh(
         let mut renamed = [0; 3];
         for k in 0..3 {
             let (vertex, normal) = (triangle[k], corners[t][k].as_vec3());
-            // Normals equal to 1e-4 are one.
+            // Normals that agree to 1e-4 are merged.
             let rounded = normal.to_array().map(|c| (c * 1e4).round() as i32);
-            renamed[k] = *known.entry((vertex, rounded, side)).or_insert_with(|| {
-                let place = mesh.vertices[vertex as usize];
-                shaded.positions.push(place.as_vec3());
-                shaded.normals.push(normal);
-                if let Projection::Box { width_m, origin_m } = projection {
-                    shaded.uvs.push(box_uv((place - origin_m) / width_m, side));
-                }
-                shaded.positions.len() as u32 - 1
-            });
+            renamed[k] = *vertex_ids
+                .entry((vertex, rounded, side))
+                .or_insert_with(|| {
+                    let position = mesh.vertices[vertex as usize];
+                    shaded.positions.push(position.as_vec3());
+                    shaded.normals.push(normal);
+                    if let Projection::Box { width_m, origin_m } = projection {
+                        shaded
+                            .uvs
+                            .push(box_uv((position - origin_m) / width_m, side));
+                    }
+                    shaded.positions.len() as u32 - 1
+                });
         }
         shaded.triangles.push(renamed);
     }
     shaded
 }
 
-/// Normal of a triangle times twice its area.
+/// Normal of a triangle scaled by twice its area.
 fn scaled_normal([a, b, c]: [DVec3; 3]) -> DVec3 {
     (b - a).cross(c - a)
 }
 
-/// Which of the six sides of a box a normal points to: twice the axis, plus 1 for its lower end.
+/// Side of a box that a normal points to: twice the axis, plus 1 for the negative direction.
 fn side_of(normal: DVec3) -> u8 {
     let size = normal.abs();
     let axis = if size.x >= size.y && size.x >= size.z {
@@ -80,8 +84,8 @@ fn side_of(normal: DVec3) -> u8 {
     2 * axis as u8 + u8::from(normal[axis] < 0.0)
 }
 
-/// Texture coordinates of a place in widths of the image, on a side seen from outside; upright
-/// (v runs down along −z) on the four vertical sides.
+/// Texture coordinates of a position in image widths on a side seen from outside; upright (v runs
+/// along −z) on the four vertical sides.
 fn box_uv(p: DVec3, side: u8) -> [f32; 2] {
     let uv = match side {
         0 => [p.y, -p.z],
@@ -100,7 +104,7 @@ mod tests {
     use gripcast_geometry::{CREASE_RAD, builtin};
 
     #[test]
-    fn a_box_keeps_its_edges_and_a_sphere_is_smooth() {
+    fn box_has_sharp_edges_and_sphere_is_smooth() {
         let mesh = builtin("box").unwrap();
         let shaded = shaded_mesh(&mesh, CREASE_RAD, Projection::None, 0);
         for normal in &shaded.normals {
@@ -111,13 +115,13 @@ mod tests {
         let shaded = shaded_mesh(&mesh, CREASE_RAD, Projection::None, 3);
         assert_eq!(shaded.positions.len(), mesh.vertices.len());
         assert_eq!(shaded.material, 3);
-        for (place, normal) in shaded.positions.iter().zip(&shaded.normals) {
-            assert!(place.normalize().dot(*normal) > 0.99);
+        for (position, normal) in shaded.positions.iter().zip(&shaded.normals) {
+            assert!(position.normalize().dot(*normal) > 0.99);
         }
     }
 
     #[test]
-    fn projected_images_keep_their_size_and_are_not_mirrored() {
+    fn box_projection_keeps_scale_and_orientation() {
         let projection = Projection::Box {
             width_m: 0.02,
             origin_m: DVec3::splat(0.3),
@@ -139,7 +143,7 @@ mod tests {
     }
 
     #[test]
-    fn degenerate_triangles_have_a_normal_all_the_same() {
+    fn degenerate_triangle_has_unit_normals() {
         let mesh = TriangleMesh {
             vertices: vec![DVec3::ZERO, DVec3::X, DVec3::X],
             triangles: vec![[0, 1, 2]],

@@ -1,40 +1,38 @@
-//! Light domes painted from a seed: rooms with lamps or windows, overcast and clear skies.
+//! Procedural environment maps: rooms with lamps or windows, overcast and clear skies.
 //!
-//! Radiance is relative: each dome is scaled so that a white matt table under it has radiance 1,
-//! whatever the kind, and [`Environment::intensity`](super::Environment) alone decides on the
-//! brightness.
+//! Each map is scaled so that a white Lambertian table under it has luminance 1;
+//! [`EnvMap::intensity`](super::EnvMap) alone sets the brightness.
 
 use std::f32::consts::{PI, TAU};
-use std::fmt;
 use std::str::FromStr;
 
 use glam::Vec3;
 use rayon::prelude::*;
 
-use super::environment::light_of_kelvin;
+use super::env_map::light_of_kelvin;
 use super::linear_image::Image;
 use super::room::Room;
 use gripcast_base::error::{Error, Result, unknown_name};
 use gripcast_base::random::SeedStream;
 
-/// Kind of a painted dome.
+/// Kind of a procedural environment map.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Sky {
-    /// Room without windows, rectangular lamps under its ceiling.
+    /// Room without windows, rectangular lamps on its ceiling.
     Studio,
     /// Room with windows on one or two walls.
     WindowRoom,
-    /// Covered sky (CIE standard overcast sky).
+    /// Overcast sky (CIE standard overcast sky).
     Overcast,
-    /// Clear sky with the sun.
+    /// Clear sky with sun.
     Sunny,
 }
 
 impl Sky {
-    /// All of them.
+    /// All kinds.
     pub const ALL: [Self; 4] = [Self::Studio, Self::WindowRoom, Self::Overcast, Self::Sunny];
 
-    /// Name in commands and files.
+    /// Name on the command line and in files.
     pub fn name(self) -> &'static str {
         match self {
             Self::Studio => "studio",
@@ -44,36 +42,24 @@ impl Sky {
         }
     }
 
-    /// Paints the dome, `2 * height` × `height` pixels, laid out as
-    /// [`Environment`](super::Environment) wants it; the same arguments give the same values.
-    pub fn paint(self, height: usize, seed: u64) -> Image {
+    /// Generates a map of `2 * height` × `height` pixels, laid out as in [`EnvMap`](super::EnvMap);
+    /// the result depends on the arguments alone.
+    pub fn generate(self, height: usize, seed: u64) -> Image {
         let mut stream = SeedStream::named(seed, self.name());
-        let mut dome = match self {
-            Self::Studio => {
-                let room = Room::with_lamps(&mut stream);
-                paint_by_direction(height, |d| room.radiance(d))
-            }
-            Self::WindowRoom => {
-                let room = Room::with_windows(&mut stream);
-                paint_by_direction(height, |d| room.radiance(d))
-            }
+        let mut map = match self {
+            Self::Studio => Room::with_lamps(&mut stream).env_map(height),
+            Self::WindowRoom => Room::with_windows(&mut stream).env_map(height),
             Self::Overcast => {
                 let sky = OvercastSky::random(&mut stream);
-                paint_by_direction(height, |d| sky.radiance(d))
+                map_from_fn(height, |d| sky.radiance(d))
             }
             Self::Sunny => {
                 let sky = ClearSky::random(&mut stream);
-                paint_by_direction(height, |d| sky.radiance(d))
+                map_from_fn(height, |d| sky.radiance(d))
             }
         };
-        normalise(&mut dome);
-        dome
-    }
-}
-
-impl fmt::Display for Sky {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.pad(self.name())
+        normalise_env_map(&mut map);
+        map
     }
 }
 
@@ -81,22 +67,22 @@ impl FromStr for Sky {
     type Err = Error;
 
     fn from_str(text: &str) -> Result<Self> {
-        let found = Self::ALL.into_iter().find(|known| known.name() == text);
-        found.ok_or_else(|| unknown_name("painted sky", text, &Self::ALL.map(Self::name)))
+        let found = Self::ALL.into_iter().find(|sky| sky.name() == text);
+        found.ok_or_else(|| unknown_name("sky", text, &Self::ALL.map(Self::name)))
     }
 }
 
-/// Luminance that a white matt horizontal surface reflects under a dome (its irradiance over π).
-pub fn white_table_luminance(dome: &Image) -> f64 {
-    let (width, height) = (dome.width, dome.height);
+/// Returns the luminance of a white Lambertian horizontal surface under a map (irradiance over π).
+pub fn white_table_luminance(map: &Image) -> f64 {
+    let (width, height) = (map.width, map.height);
     let mut sum = 0.0;
-    for (row, pixels) in dome.pixels.chunks(width.max(1)).enumerate() {
+    for (row, pixels) in map.pixels.chunks(width.max(1)).enumerate() {
         let (from, to) = (row as f64, row as f64 + 1.0);
         let [a, b] = [from, to].map(|r| {
             let polar = std::f64::consts::PI * (r / height as f64).min(0.5);
             polar.sin().powi(2)
         });
-        // Integral of cos · sin over the row, times the width of a pixel.
+        // Integral of cos · sin over the row, times the pixel width.
         let weight = 0.5 * (b - a) * std::f64::consts::TAU / width as f64;
         let row_sum: f64 = pixels
             .iter()
@@ -107,32 +93,32 @@ pub fn white_table_luminance(dome: &Image) -> f64 {
     sum / std::f64::consts::PI
 }
 
-/// Scales a dome until [`white_table_luminance`] is 1; a dome without light above the horizon
-/// stays as it is.
-pub fn normalise(dome: &mut Image) {
-    let found = white_table_luminance(dome);
+/// Scales a map so that [`white_table_luminance`] is 1; a map without light above the horizon is
+/// unchanged.
+pub fn normalise_env_map(map: &mut Image) {
+    let found = white_table_luminance(map);
     if found.is_normal() && found > 0.0 {
         let factor = (1.0 / found) as f32;
-        for value in dome.pixels.iter_mut().flatten() {
+        for value in map.pixels.iter_mut().flatten() {
             *value *= factor;
         }
     }
 }
 
-/// Radiance of each pixel from the mean of four directions within it.
-fn paint_by_direction(height: usize, radiance: impl Fn(Vec3) -> [f32; 3] + Sync) -> Image {
+/// Evaluates the radiance of each pixel as the mean of four directions in it.
+pub(super) fn map_from_fn(height: usize, radiance: impl Fn(Vec3) -> [f32; 3] + Sync) -> Image {
     let height = height.max(2);
     let width = 2 * height;
-    let mut dome = Image::filled(width, height, [0.0; 3]);
-    dome.pixels
+    let mut map = Image::filled(width, height, [0.0; 3]);
+    map.pixels
         .par_chunks_mut(width)
         .enumerate()
         .for_each(|(row, pixels)| {
             for (column, pixel) in pixels.iter_mut().enumerate() {
-                for part in [[0.25, 0.25], [0.75, 0.25], [0.25, 0.75], [0.75, 0.75]] {
-                    let polar = PI * (row as f32 + part[0]) / height as f32;
-                    let turn = (column as f32 + part[1]) / width as f32;
-                    let azimuth = TAU * (0.5 - turn);
+                for offset in [[0.25, 0.25], [0.75, 0.25], [0.25, 0.75], [0.75, 0.75]] {
+                    let polar = PI * (row as f32 + offset[0]) / height as f32;
+                    let u = (column as f32 + offset[1]) / width as f32;
+                    let azimuth = TAU * (0.5 - u);
                     let (z, ring) = (polar.cos(), polar.sin());
                     let value = radiance(Vec3::new(ring * azimuth.cos(), ring * azimuth.sin(), z));
                     for (sum, value) in pixel.iter_mut().zip(value) {
@@ -141,12 +127,12 @@ fn paint_by_direction(height: usize, radiance: impl Fn(Vec3) -> [f32; 3] + Sync)
                 }
             }
         });
-    dome
+    map
 }
 
-/// Radiance of the ground around, from the light that falls on it.
-fn ground(albedo: [f32; 3], direction: Vec3) -> [f32; 3] {
-    // Towards the nadir the table and the person stand in the light.
+/// Radiance of the surrounding ground, given that of unshaded ground.
+fn ground_radiance(albedo: [f32; 3], direction: Vec3) -> [f32; 3] {
+    // Towards the nadir, table and operator cast shadows.
     let shade = 1.0 - 0.5 * (-direction.z).clamp(0.0, 1.0);
     albedo.map(|a| a * shade)
 }
@@ -156,7 +142,7 @@ fn ground(albedo: [f32; 3], direction: Vec3) -> [f32; 3] {
 struct OvercastSky {
     tint: [f32; 3],
     ground: [f32; 3],
-    /// Direction of the brightest part of the clouds, and how much brighter it is.
+    /// Direction of the brightest clouds, and their relative extra brightness.
     bright: (Vec3, f32),
 }
 
@@ -178,7 +164,7 @@ impl OvercastSky {
 
     fn radiance(&self, d: Vec3) -> [f32; 3] {
         if d.z < 0.0 {
-            return ground(self.ground.map(|g| g * 0.75), d);
+            return ground_radiance(self.ground.map(|g| g * 0.75), d);
         }
         let (towards, strength) = self.bright;
         let bright = strength * (d.dot(towards).max(0.0)).powi(12);
@@ -187,12 +173,12 @@ impl OvercastSky {
     }
 }
 
-/// Clear sky: the CIE clear sky's distribution around a sun of finite size.
+/// CIE clear sky with a sun disc of finite size.
 struct ClearSky {
     sun: Vec3,
-    /// Cosine of the radius of the disc that stands for the sun.
+    /// Cosine of the angular radius of the sun disc.
     disc: f32,
-    /// Radiance of the disc over that of the zenith.
+    /// Radiance of the disc relative to the zenith.
     sun_level: f32,
     sun_tint: [f32; 3],
     ground: [f32; 3],
@@ -203,8 +189,8 @@ impl ClearSky {
         let elevation = stream.between(0.25, 1.15) as f32;
         let azimuth = stream.between(0.0, f64::from(TAU)) as f32;
         let (z, ring) = (elevation.sin(), elevation.cos());
-        // A disc wider than the real sun (0.27°) of the same irradiance spares the tracer
-        // fireflies and keeps shadows sharp enough.
+        // A disc wider than the real sun (0.27°) of the same irradiance avoids fireflies and keeps
+        // shadows sharp enough.
         let radius = 1.2_f32.to_radians();
         let ratio = stream.between(3.0, 7.0) as f32;
         let albedo = stream.between(0.12, 0.35) as f32;
@@ -220,8 +206,8 @@ impl ClearSky {
 
     fn radiance(&self, d: Vec3) -> [f32; 3] {
         if d.z < 0.0 {
-            // Sunlit ground is several times brighter than the sky alone would make it.
-            return ground(self.ground.map(|g| 4.0 * g), d);
+            // Sunlit ground is several times brighter than under the sky alone.
+            return ground_radiance(self.ground.map(|g| 4.0 * g), d);
         }
         let cosine = d.dot(self.sun).clamp(-1.0, 1.0);
         let angle = cosine.acos();
@@ -250,43 +236,43 @@ mod tests {
     use crate::linear_image::luminance;
 
     #[test]
-    fn domes_are_finite_repeatable_and_light_the_table_alike() {
+    fn maps_are_deterministic_and_normalised() {
         for sky in Sky::ALL {
             for seed in 0..5 {
-                let dome = sky.paint(64, seed);
-                assert_eq!((dome.width, dome.height), (128, 64));
-                assert_eq!(dome, sky.paint(64, seed), "{sky}");
+                let map = sky.generate(64, seed);
+                assert_eq!((map.width, map.height), (128, 64));
+                assert_eq!(map, sky.generate(64, seed), "{sky:?}");
                 assert!(
-                    dome.pixels
+                    map.pixels
                         .iter()
                         .flatten()
                         .all(|v| v.is_finite() && *v >= 0.0)
                 );
-                let table = white_table_luminance(&dome);
-                assert!((table - 1.0).abs() < 1e-3, "{sky} {seed}: {table}");
+                let table = white_table_luminance(&map);
+                assert!((table - 1.0).abs() < 1e-3, "{sky:?} {seed}: {table}");
             }
-            assert_ne!(sky.paint(32, 1), sky.paint(32, 2), "{sky}");
+            assert_ne!(sky.generate(32, 1), sky.generate(32, 2), "{sky:?}");
         }
     }
 
     #[test]
-    fn a_grey_dome_lights_the_table_with_its_own_radiance() {
-        let mut dome = Image::filled(32, 16, [0.25; 3]);
-        assert!((white_table_luminance(&dome) - 0.25).abs() < 1e-6);
-        normalise(&mut dome);
-        assert!((dome.pixels[3][1] - 1.0).abs() < 1e-6);
+    fn constant_map_lights_table_with_its_radiance() {
+        let mut map = Image::filled(32, 16, [0.25; 3]);
+        assert!((white_table_luminance(&map) - 0.25).abs() < 1e-6);
+        normalise_env_map(&mut map);
+        assert!((map.pixels[3][1] - 1.0).abs() < 1e-6);
         let mut dark = Image::filled(4, 2, [0.0; 3]);
-        normalise(&mut dark);
+        normalise_env_map(&mut dark);
         assert_eq!(dark.pixels[0], [0.0; 3]);
     }
 
     #[test]
-    fn rooms_and_sun_have_bright_spots_and_the_overcast_sky_none() {
+    fn only_overcast_sky_has_no_bright_spots() {
         let contrast = |sky: Sky, seed| {
-            let dome = sky.paint(128, seed);
-            let levels = dome.pixels.iter().map(|p| luminance(*p));
+            let map = sky.generate(128, seed);
+            let levels = map.pixels.iter().map(|p| luminance(*p));
             let peak = levels.clone().fold(0.0, f32::max);
-            peak / (levels.sum::<f32>() / dome.pixels.len() as f32)
+            peak / (levels.sum::<f32>() / map.pixels.len() as f32)
         };
         for seed in 0..4 {
             assert!(
@@ -301,7 +287,7 @@ mod tests {
     }
 
     #[test]
-    fn warm_light_is_red_and_cold_light_blue() {
+    fn warm_light_is_red_and_cold_light_is_blue() {
         let (warm, cold) = (light_of_kelvin(2700.0), light_of_kelvin(9000.0));
         assert!(
             warm[0] > 2.0 * warm[2] && cold[2] > 1.2 * cold[0],
@@ -313,7 +299,7 @@ mod tests {
     }
 
     #[test]
-    fn misspelt_skies_are_explained() {
+    fn misspelt_sky_gets_a_suggestion() {
         let text = "suny".parse::<Sky>().unwrap_err().to_string();
         assert!(text.contains("did you mean sunny?"), "{text}");
         assert_eq!("window-room".parse::<Sky>().unwrap(), Sky::WindowRoom);

@@ -1,4 +1,4 @@
-//! Closed bodies that machines are made of: rounded boxes, cylinders, tubes.
+//! Closed solids of machine parts: rounded boxes, cylinders, tubes.
 
 use std::collections::BTreeMap;
 use std::f64::consts::{FRAC_PI_4, TAU};
@@ -25,7 +25,7 @@ pub(super) fn rounded_box(low: DVec3, high: DVec3, radius: f64) -> TriangleMesh 
     });
     let last = 2 * ROUNDING_STEPS + 1;
     let mut mesh = TriangleMesh::default();
-    let mut known = BTreeMap::new();
+    let mut vertex_ids = BTreeMap::new();
     for axis in 0..3 {
         let (u, v) = ((axis + 1) % 3, (axis + 2) % 3);
         for end in [0, last] {
@@ -33,7 +33,7 @@ pub(super) fn rounded_box(low: DVec3, high: DVec3, radius: f64) -> TriangleMesh 
                 let mut quad = [(0, 0), (1, 0), (1, 1), (0, 1)].map(|(di, dj)| {
                     let mut at = [0; 3];
                     (at[axis], at[u], at[v]) = (end, i + di, j + dj);
-                    *known.entry(at).or_insert_with(|| {
+                    *vertex_ids.entry(at).or_insert_with(|| {
                         let on_box = DVec3::new(lines[0][at[0]], lines[1][at[1]], lines[2][at[2]]);
                         let core = on_box.clamp(-inner, inner);
                         let outwards = (on_box - core).normalize_or_zero();
@@ -50,13 +50,12 @@ pub(super) fn rounded_box(low: DVec3, high: DVec3, radius: f64) -> TriangleMesh 
     mesh
 }
 
-/// Cylinder around the line between two points that are not the same, m.
+/// Cylinder between two distinct points, m.
 pub(super) fn cylinder(from: DVec3, to: DVec3, radius: f64, segments: u32) -> TriangleMesh {
     tube(&[from, to], radius, segments)
 }
 
-/// Round tube along a path of two points or more that does not turn back on itself, with flat
-/// ends, m.
+/// Round tube along a path of two or more points without reversal, with flat ends, m.
 pub(super) fn tube(path: &[DVec3], radius: f64, segments: u32) -> TriangleMesh {
     let mut mesh = TriangleMesh::default();
     let mut normal = DVec3::ZERO;
@@ -65,7 +64,7 @@ pub(super) fn tube(path: &[DVec3], radius: f64, segments: u32) -> TriangleMesh {
         let before = path[k.saturating_sub(1)];
         let after = path[(k + 1).min(path.len() - 1)];
         let along = (after - before).normalize_or(DVec3::Z);
-        // The frame of the ring before, turned as little as possible.
+        // Frame of the previous ring, rotated as little as possible.
         let carried = normal - along * normal.dot(along);
         normal = carried
             .try_normalize()
@@ -98,7 +97,7 @@ pub(super) fn tube(path: &[DVec3], radius: f64, segments: u32) -> TriangleMesh {
     mesh
 }
 
-/// Mirrored at the plane x = 0.
+/// Mirrors at the plane x = 0.
 pub(super) fn mirrored_x(mesh: &TriangleMesh) -> TriangleMesh {
     TriangleMesh {
         vertices: mesh
@@ -110,7 +109,7 @@ pub(super) fn mirrored_x(mesh: &TriangleMesh) -> TriangleMesh {
     }
 }
 
-/// Points of a smooth curve through the given ones (Catmull–Rom, uniform), `steps` to a piece.
+/// Points of a uniform Catmull–Rom curve through the given points, `steps` per segment.
 pub(super) fn smooth_path(points: &[DVec3], steps: usize) -> Vec<DVec3> {
     let at = |k: isize| points[k.clamp(0, points.len() as isize - 1) as usize];
     let mut path = Vec::new();
@@ -146,7 +145,7 @@ mod tests {
     use std::f64::consts::PI;
 
     #[test]
-    fn bodies_are_closed_and_have_their_volume() {
+    fn solids_are_closed_and_have_expected_volume() {
         let sharp = rounded_box(DVec3::ZERO, DVec3::new(1.0, 2.0, 3.0), 1e-4);
         let round = rounded_box(DVec3::splat(-1.0), DVec3::splat(1.0), 1.0);
         let rod = cylinder(DVec3::ZERO, DVec3::new(1.0, 1.0, 0.0), 0.1, 64);
@@ -174,7 +173,7 @@ mod tests {
     }
 
     #[test]
-    fn smooth_paths_go_through_their_points() {
+    fn smooth_path_passes_through_its_points() {
         let points = [DVec3::ZERO, DVec3::X, DVec3::ONE];
         let path = smooth_path(&points, 5);
         assert_eq!(path.len(), 11);

@@ -1,37 +1,37 @@
-//! The triangles of a scene as shading wants them, and the place where a ray meets one.
+//! Triangles prepared for shading, and surface interactions.
 
 use glam::Vec3;
 
 use super::bvh::Hit;
 use super::scene::{Mesh, Scene};
 
-/// Offset of new rays from the surface as a fraction of the largest coordinate: 64 roundings.
+/// Offset of ray origins from the surface as a fraction of the largest coordinate: 64 ulps.
 const OFFSET: f32 = 64.0 * f32::EPSILON;
-/// Coordinates below this size, m, do not make the offset smaller.
+/// Minimum coordinate used for the offset, m.
 const MIN_SIZE: f32 = 0.03;
 
-/// Triangle with everything that shading needs.
+/// Triangle with its shading attributes.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Face {
     pub(super) corners: [Vec3; 3],
     normals: [Vec3; 3],
     uvs: [[f32; 2]; 3],
-    /// Index of the material.
+    /// Material index.
     pub(super) material: u32,
 }
 
-/// Place where a ray meets a surface.
+/// Point where a ray hits a surface.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Place {
+pub(super) struct SurfaceInteraction {
     pub(super) position: Vec3,
-    /// Unit normal of the triangle, by the order of its corners.
+    /// Unit geometric normal, by the winding of the triangle.
     pub(super) normal: Vec3,
-    /// Unit normal for shading, on the same side.
+    /// Unit shading normal on the same side.
     pub(super) shading_normal: Vec3,
     pub(super) uv: [f32; 2],
 }
 
-/// Orthonormal axes with the third along a normal.
+/// Orthonormal frame with its third axis along a normal.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Frame {
     x: Vec3,
@@ -41,19 +41,19 @@ pub(super) struct Frame {
 
 impl Face {
     fn new(mesh: &Mesh, triangle: [u32; 3]) -> Self {
-        let at = triangle.map(|v| v as usize);
-        let corners = at.map(|v| mesh.positions[v]);
-        let flat = normal_of(corners);
+        let vertices = triangle.map(|v| v as usize);
+        let corners = vertices.map(|v| mesh.positions[v]);
+        let flat = geometric_normal(corners);
         let smooth = |v: usize| mesh.normals.get(v).and_then(|n| n.try_normalize());
         Self {
             corners,
-            normals: at.map(|v| smooth(v).unwrap_or(flat)),
-            uvs: at.map(|v| mesh.uvs.get(v).copied().unwrap_or_default()),
+            normals: vertices.map(|v| smooth(v).unwrap_or(flat)),
+            uvs: vertices.map(|v| mesh.uvs.get(v).copied().unwrap_or_default()),
             material: mesh.material as u32,
         }
     }
 
-    /// All triangles of a scene, mesh by mesh.
+    /// Returns all triangles of a scene, mesh by mesh.
     pub(super) fn all(scene: &Scene) -> Vec<Self> {
         let meshes = scene.meshes.iter();
         meshes
@@ -61,16 +61,16 @@ impl Face {
             .collect()
     }
 
-    /// The place of a hit.
+    /// Returns the surface interaction of a hit.
     #[inline(always)]
-    pub(super) fn place(&self, hit: &Hit) -> Place {
+    pub(super) fn interaction(&self, hit: &Hit) -> SurfaceInteraction {
         let [v, w] = hit.weights;
         let u = 1.0 - v - w;
-        let normal = normal_of(self.corners);
-        let shading = mix(self.normals, [u, v, w]).normalize_or(normal);
+        let normal = geometric_normal(self.corners);
+        let shading = interpolate(self.normals, [u, v, w]).normalize_or(normal);
         let [a, b, c] = self.uvs;
-        Place {
-            position: mix(self.corners, [u, v, w]),
+        SurfaceInteraction {
+            position: interpolate(self.corners, [u, v, w]),
             normal,
             shading_normal: if shading.dot(normal) < 0.0 {
                 -shading
@@ -86,22 +86,22 @@ impl Face {
 }
 
 #[inline(always)]
-fn mix(p: [Vec3; 3], weights: [f32; 3]) -> Vec3 {
+fn interpolate(p: [Vec3; 3], weights: [f32; 3]) -> Vec3 {
     p[0] * weights[0] + p[1] * weights[1] + p[2] * weights[2]
 }
 
 #[inline(always)]
-fn normal_of([a, b, c]: [Vec3; 3]) -> Vec3 {
-    // Scaled up, since the square of an area of small triangles falls below what f32 can hold.
+fn geometric_normal([a, b, c]: [Vec3; 3]) -> Vec3 {
+    // Scaled up: the squared area of a small triangle underflows f32.
     let cross = ((b - a) * 1e4).cross((c - a) * 1e4);
     cross.normalize_or(Vec3::Z)
 }
 
-impl Place {
-    /// Start of a ray that leaves towards `direction`, moved off the surface so that rounding does
-    /// not let the ray meet it again.
+impl SurfaceInteraction {
+    /// Origin of a ray that leaves in `direction`, offset from the surface to avoid
+    /// self-intersection.
     #[inline(always)]
-    pub(super) fn start(&self, direction: Vec3) -> Vec3 {
+    pub(super) fn ray_origin(&self, direction: Vec3) -> Vec3 {
         let size = self.position.abs().max_element().max(MIN_SIZE);
         let offset = self.normal * (OFFSET * size);
         if direction.dot(self.normal) < 0.0 {
@@ -113,7 +113,7 @@ impl Place {
 }
 
 impl Frame {
-    /// Axes around a unit vector (Duff et al., *Building an orthonormal basis, revisited*, 2017).
+    /// Frame around a unit vector (Duff et al., *Building an orthonormal basis, revisited*, 2017).
     #[inline(always)]
     pub(super) fn around(z: Vec3) -> Self {
         let sign = 1f32.copysign(z.z);

@@ -1,28 +1,27 @@
-//! Images over a surface: linear RGB reflectance in [0, 1].
+//! Bitmap textures: linear RGB albedo in [0, 1].
 
 use image::RgbImage;
 
 use gripcast_base::error::{Error, Result};
 use gripcast_imaging::srgb_decode;
 
-/// Image that is repeated over the texture plane and interpolated bilinearly in linear light.
+/// Repeating texture image with bilinear interpolation in linear light.
 ///
-/// Texture coordinates run from the outer corner of the top-left pixel: u to the right, v **down**
-/// (as in glTF; the v of OBJ files runs up and is turned by their reader). The image spans
-/// [0, 1]².
+/// Texture coordinates start at the outer corner of the top-left pixel: u to the right, v **down**
+/// (as in glTF; the OBJ reader flips v). The image spans [0, 1]².
 #[derive(Clone, Debug, PartialEq)]
 pub struct Bitmap {
     width: usize,
     height: usize,
-    /// sRGB, row by row; the fourth byte only aligns.
+    /// sRGB, row-major; the fourth byte is padding.
     texels: Vec<[u8; 4]>,
 }
 
 impl Bitmap {
-    /// From an 8-bit sRGB image.
+    /// Texture from an 8-bit sRGB image.
     ///
     /// # Errors
-    /// `Input` for an image without pixels.
+    /// `Input` if the image has no pixels.
     pub fn from_srgb8(image: &RgbImage) -> Result<Self> {
         let (width, height) = image.dimensions();
         if width == 0 || height == 0 {
@@ -42,7 +41,7 @@ impl Bitmap {
         [self.width, self.height]
     }
 
-    /// The image, 8-bit sRGB.
+    /// Returns the 8-bit sRGB image.
     pub fn to_srgb8(&self) -> RgbImage {
         let bytes = self
             .texels
@@ -52,7 +51,7 @@ impl Bitmap {
         RgbImage::from_raw(self.width as u32, self.height as u32, bytes).unwrap_or_default()
     }
 
-    /// Linear RGB at texture coordinates.
+    /// Samples linear RGB at texture coordinates.
     #[inline]
     pub fn sample(&self, uv: [f32; 2]) -> [f32; 3] {
         let [x0, x1, fx] = neighbours(uv[0], self.width);
@@ -71,11 +70,11 @@ impl Bitmap {
     }
 }
 
-/// The two texels around a coordinate, repeated, and the fraction of the second.
+/// Returns the two texels around a coordinate, wrapped, and the weight of the second.
 #[inline(always)]
 fn neighbours(coordinate: f32, count: usize) -> [f32; 3] {
     let size = count as f32;
-    // A coordinate that is no number takes the first texel.
+    // NaN selects the first texel.
     let wrapped = (coordinate - coordinate.floor()).max(0.0);
     let x = wrapped * size - 0.5;
     let low = x.floor();

@@ -1,23 +1,23 @@
-//! Sine, cosine and arc tangent in single precision, inlined, for the mapping between
-//! directions and the dome of light. Error below 3e-7 (polynomials 4.3.97, 4.3.99 and
-//! 4.4.49 of Abramowitz and Stegun, *Handbook of Mathematical Functions*).
+//! Inlined single-precision sine, cosine and arc tangent for mapping directions to the environment
+//! map. Error below 3e-7 (polynomials 4.3.97, 4.3.99 and 4.4.49 of Abramowitz and Stegun, *Handbook
+//! of Mathematical Functions*).
 
 use std::f32::consts::{FRAC_PI_2, PI};
 
-/// Value of the polynomial with these coefficients, lowest first.
+/// Evaluates a polynomial; coefficients in ascending order.
 #[inline(always)]
 fn polynomial<const N: usize>(x: f32, coefficients: [f32; N]) -> f32 {
     let mut sum = 0.0;
-    for at in (0..N).rev() {
-        sum = sum * x + coefficients[at];
+    for k in (0..N).rev() {
+        sum = sum * x + coefficients[k];
     }
     sum
 }
 
-/// Sine and cosine of 2π times a number in [0, 1].
+/// Sine and cosine of an angle in [0, 1) turns.
 #[inline(always)]
 pub(super) fn sin_cos_turns(turns: f32) -> (f32, f32) {
-    // Half a turn each, then half of that: angles in [-π/2, π/2].
+    // Fold to [-π/2, π/2].
     let centred = turns - 0.5;
     let folded = if centred.abs() > 0.25 {
         0.5f32.copysign(centred) - centred
@@ -52,7 +52,7 @@ pub(super) fn sin_cos_turns(turns: f32) -> (f32, f32) {
     (-sin, -cos)
 }
 
-/// Angle of a vector in the plane, in turns from the x axis: [-0.5, 0.5]; 0 for no vector.
+/// Angle of a vector from the x axis, turns in [-0.5, 0.5]; 0 for the zero vector.
 #[inline(always)]
 pub(super) fn turns_of(y: f32, x: f32) -> f32 {
     let (ax, ay) = (x.abs(), y.abs());
@@ -84,7 +84,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn sines_and_cosines_of_turns() {
+    fn sine_and_cosine_match_std() {
         for i in 0..=4000 {
             let turns = f64::from(i) / 4000.0;
             let (sin, cos) = sin_cos_turns(turns as f32);
@@ -95,7 +95,7 @@ mod tests {
     }
 
     #[test]
-    fn angles_of_vectors() {
+    fn turns_of_inverts_sine_and_cosine() {
         for i in -2000..=2000 {
             let turns = f64::from(i) / 4001.0;
             let (sin, cos) = (std::f64::consts::TAU * turns).sin_cos();

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 
 use gripcast_imaging::encode_png_rgb;
 use gripcast_tactile::calibrate::BallContact;
-use gripcast_tactile::{FrameLook, SensorProfile, TactileRenderer};
+use gripcast_tactile::{FrameNoise, SensorProfile, TactileRenderer};
 use serde_json::{Value, json as value};
 
 use super::{png, refused, render};
@@ -37,20 +37,23 @@ pub(super) fn rendered_presses(dir: &Path) -> PathBuf {
             ball_m: 2e-3,
         };
         let press = contact.press(profile.smoothing.sink_length_m);
-        let look = FrameLook {
+        let noise = FrameNoise {
             noise_seed: Some(number),
-            ..FrameLook::default()
+            ..FrameNoise::default()
         };
         let name = format!("press_{number}.png");
-        save(&name, &renderer.render(&press, &look).unwrap());
+        save(&name, &renderer.render(&press, &noise).unwrap());
         presses.push(value!({"file": name, "center_px": centre, "radius_px": radius_px}));
     }
     let nothing = gripcast_tactile::PressDepth::untouched(grid);
-    let look = FrameLook {
+    let noise = FrameNoise {
         noise_seed: Some(99),
-        ..FrameLook::default()
+        ..FrameNoise::default()
     };
-    save("no_contact.png", &renderer.render(&nothing, &look).unwrap());
+    save(
+        "no_contact.png",
+        &renderer.render(&nothing, &noise).unwrap(),
+    );
     let list = value!({
         "no_contact": "no_contact.png",
         "sensor": "rendered",
@@ -64,13 +67,13 @@ pub(super) fn rendered_presses(dir: &Path) -> PathBuf {
     folder
 }
 
-fn calibrate(folder: &Path, more: &str) -> Value {
-    let words = format!("--presses {} --json {more}", folder.display());
+fn calibrate(folder: &Path, flags: &str) -> Value {
+    let words = format!("--presses {} --json {flags}", folder.display());
     json(&succeed(&mut render("calibrate", &words)))
 }
 
 #[test]
-fn a_rendered_sensor_is_found_again() {
+fn calibration_recovers_rendered_sensor() {
     let dir = tempfile::tempdir().unwrap();
     let folder = rendered_presses(dir.path());
     let out = dir.path().join("sensor.toml");
@@ -98,35 +101,35 @@ fn a_rendered_sensor_is_found_again() {
 }
 
 #[test]
-fn wrong_presses_are_explained() {
+fn unusable_presses_are_reported() {
     let dir = tempfile::tempdir().unwrap();
     let folder = rendered_presses(dir.path());
     let out = dir.path().join("s.toml").display().to_string();
-    let at = folder.display();
+    let presses = folder.display();
     let nowhere = dir.path().join("nowhere");
-    let (code, said) = refused(&mut render(
+    let (code, message) = refused(&mut render(
         "calibrate",
         &format!("--presses {} --out {out}", nowhere.display()),
     ));
-    assert_eq!(code, 1, "{said}");
-    let (code, said) = refused(&mut render(
+    assert_eq!(code, 1, "{message}");
+    let (code, message) = refused(&mut render(
         "calibrate",
-        &format!("--presses {at} --train-fraction 0 --out {out}"),
+        &format!("--presses {presses} --train-fraction 0 --out {out}"),
     ));
-    assert_eq!(code, 2, "{said}");
-    // One press of another sensor: the others are fitted, and the exit code tells.
+    assert_eq!(code, 2, "{message}");
+    // One press of another sensor: the others are fitted and the exit code is 3.
     let other = image::RgbImage::from_pixel(320, 240, image::Rgb([250, 10, 200]));
     fs::write(folder.join("press_3.png"), encode_png_rgb(&other).unwrap()).unwrap();
-    let (code, said) = refused(&mut render(
+    let (code, message) = refused(&mut render(
         "calibrate",
-        &format!("--presses {at} --out {out}"),
+        &format!("--presses {presses} --out {out}"),
     ));
-    assert_eq!(code, 3, "{said}");
-    assert!(said.contains("press_3.png"), "{said}");
+    assert_eq!(code, 3, "{message}");
+    assert!(message.contains("press_3.png"), "{message}");
 }
 
 #[test]
-fn real_presses_are_explained_well_enough() {
+fn real_presses_reach_measured_fve() {
     let Some(folder) = shared("data/fots_ball") else {
         return;
     };

@@ -1,11 +1,11 @@
-//! The renderers side by side.
+//! `gripcast render figure`: the renderers side by side.
 
 use super::calibrate::rendered_presses;
 use super::{png, refused, render, trace};
 use crate::program::succeed;
 
 #[test]
-fn the_figure_has_three_rows_of_five_images() {
+fn figure_has_three_rows_of_five_images() {
     let dir = tempfile::tempdir().unwrap();
     let presses = rendered_presses(dir.path());
     let out = dir.path().join("figure.png");
@@ -19,7 +19,7 @@ fn the_figure_has_three_rows_of_five_images() {
     let figure = png(out);
     let (width, height) = figure.dimensions();
     assert!(width > 5 * 320 && height > 3 * 240, "{width} x {height}");
-    // The middle of every tile is an image, not the sheet.
+    // The middle of every tile is an image, not the background of the sheet.
     for row in 0..3 {
         for column in 0..5 {
             let (x, y) = (
@@ -32,7 +32,7 @@ fn the_figure_has_three_rows_of_five_images() {
 }
 
 #[test]
-fn presses_that_are_not_there_are_explained() {
+fn missing_presses_are_reported() {
     let dir = tempfile::tempdir().unwrap();
     let out = dir.path().join("figure.png");
     let words = format!(
@@ -41,7 +41,7 @@ fn presses_that_are_not_there_are_explained() {
         trace().display(),
         out.display()
     );
-    let (code, said) = refused(&mut render("figure", &words));
-    assert_eq!(code, 1, "{said}");
-    assert!(said.contains("nowhere"), "{said}");
+    let (code, message) = refused(&mut render("figure", &words));
+    assert_eq!(code, 1, "{message}");
+    assert!(message.contains("nowhere"), "{message}");
 }

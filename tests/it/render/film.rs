@@ -1,4 +1,4 @@
-//! `gripcast render film`, and a rig that plays what it made.
+//! `gripcast render film`, and a virtual rig that plays the result.
 
 use std::fs;
 
@@ -7,7 +7,7 @@ use crate::json_schema::assert_schema;
 use crate::program::{collect_on, grasps, json, script, stderr, succeed};
 
 #[test]
-fn a_rig_plays_a_film_and_writes_its_truth() {
+fn rig_plays_film_and_writes_ground_truth() {
     let dir = tempfile::tempdir().unwrap();
     let films = dir.path().join("films");
     let words = format!("--samples 1 --size 32x24 --out {} --json", films.display());
@@ -42,39 +42,42 @@ fn a_rig_plays_a_film_and_writes_its_truth() {
     let is_success = truth["outcome"] == "success";
     assert_eq!(truth["held"], is_success, "{truth}");
 
-    // What is wrong with a film is said before anything is collected.
+    // A damaged film is reported before collection starts.
     let strip = films.join("mug.colour.jpg");
     let whole = fs::read(&strip).unwrap();
     fs::write(&strip, &whole[..whole.len() / 2]).unwrap();
     let output = collect("e").output().unwrap();
     assert_eq!(output.status.code(), Some(1));
-    let said = stderr(&output);
+    let message = stderr(&output);
     assert!(
-        said.contains("mug") && said.contains("render film"),
-        "{said}"
+        message.contains("mug") && message.contains("render film"),
+        "{message}"
     );
     fs::write(&rig, text.replacen("path = \"films\"\n", "", 1)).unwrap();
-    let said = stderr(&collect("f").output().unwrap());
-    assert!(said.contains("the same films"), "{said}");
+    let message = stderr(&collect("f").output().unwrap());
+    assert!(message.contains("the same films"), "{message}");
 }
 
 #[test]
-fn wrong_traces_are_explained_and_the_rest_is_made() {
+fn invalid_trace_or_size_is_refused() {
     let dir = tempfile::tempdir().unwrap();
     let bad = dir.path().join("bad.bin");
     fs::write(&bad, b"not a trace").unwrap();
     let out = dir.path().join("films");
     let words = format!("--samples 1 --size 16x12 --out {}", out.display());
-    let (code, said) = refused(render("film", &words).arg("--trace").arg(&bad));
-    assert!(code == 1 && said.contains("bad.bin"), "{code}: {said}");
+    let (code, message) = refused(render("film", &words).arg("--trace").arg(&bad));
+    assert!(
+        code == 1 && message.contains("bad.bin"),
+        "{code}: {message}"
+    );
     assert_eq!(fs::read_dir(&out).unwrap().count(), 0);
-    let (code, said) = refused(
+    let (code, message) = refused(
         render("film", "--out x --size 0x12")
             .arg("--trace")
             .arg(&bad),
     );
     assert!(
-        code == 2 && said.contains("from 1 to 8192"),
-        "{code}: {said}"
+        code == 2 && message.contains("from 1 to 8192"),
+        "{code}: {message}"
     );
 }

@@ -1,4 +1,4 @@
-//! `gripcast render` as a user runs it.
+//! End-to-end tests of `gripcast render`.
 
 mod calibrate;
 mod figure;
@@ -38,7 +38,7 @@ fn render(kind: &str, words: &str) -> Command {
     command
 }
 
-/// Exit code and what is said.
+/// Runs a command; returns its exit code and stderr.
 fn refused(command: &mut Command) -> (i32, String) {
     let output = command.output().unwrap();
     (output.status.code().unwrap(), stderr(&output))

@@ -1,4 +1,4 @@
-//! Tactile images.
+//! `gripcast render tactile`.
 
 use std::fs;
 
@@ -8,7 +8,7 @@ use crate::json_schema::assert_schema;
 use crate::program::{json, succeed};
 
 #[test]
-fn both_sides_of_a_grasp_are_rendered_with_depth_and_difference() {
+fn grasp_is_rendered_with_depth_and_difference() {
     let dir = tempfile::tempdir().unwrap();
     let out = dir.path().join("images");
     let words = format!(
@@ -33,26 +33,23 @@ fn both_sides_of_a_grasp_are_rendered_with_depth_and_difference() {
     let initial = png(out.join("mug.initial.left.png"));
     let grasp = png(out.join("mug.grasp.left.png"));
     assert_eq!(grasp.dimensions(), (320, 240));
-    assert!(initial != grasp, "the press shows");
+    assert!(initial != grasp, "the press must be visible");
     let depth = depth_png(out.join("mug.grasp.right.depth.png"));
     let deepest = depth.iter().max().copied().unwrap();
-    let said = images
+    let record = images
         .iter()
         .find(|p| p["side"] == "right" && p["moment"] == "grasp");
-    let said = said.unwrap()["deepest_m"].as_f64().unwrap();
+    let reported_m = record.unwrap()["deepest_m"].as_f64().unwrap();
     assert!(
-        (f64::from(deepest) - 1e6 * said).abs() <= 0.51,
-        "{deepest} µm, {said} m"
+        (f64::from(deepest) - 1e6 * reported_m).abs() <= 0.51,
+        "{deepest} µm, {reported_m} m"
     );
     let quiet = png(out.join("mug.initial.left.difference.png"));
-    assert!(
-        quiet.iter().all(|&v| v == 128),
-        "nothing has changed before contact"
-    );
+    assert!(quiet.iter().all(|&v| v == 128), "no change before contact");
 }
 
 #[test]
-fn the_same_seed_gives_the_same_bytes_and_another_another_noise() {
+fn noise_depends_on_seed() {
     let dir = tempfile::tempdir().unwrap();
     let take = |name: &str, seed: &str| {
         let out = dir.path().join(name);
@@ -70,7 +67,7 @@ fn the_same_seed_gives_the_same_bytes_and_another_another_noise() {
 }
 
 #[test]
-fn every_method_renders_and_they_differ() {
+fn methods_render_different_images() {
     let dir = tempfile::tempdir().unwrap();
     let presses = rendered_presses(dir.path());
     let take = |method: &str| {
@@ -89,7 +86,7 @@ fn every_method_renders_and_they_differ() {
 }
 
 #[test]
-fn a_mesh_alone_is_pressed_as_deep_as_asked() {
+fn mesh_is_pressed_to_given_depth() {
     let dir = tempfile::tempdir().unwrap();
     let out = dir.path().join("press.png");
     let words = format!(
@@ -106,7 +103,7 @@ fn a_mesh_alone_is_pressed_as_deep_as_asked() {
 }
 
 #[test]
-fn a_batch_goes_on_after_a_broken_trace() {
+fn batch_continues_after_broken_trace() {
     let dir = tempfile::tempdir().unwrap();
     let broken = dir.path().join("broken.bin");
     let whole = fs::read(trace()).unwrap();
@@ -118,22 +115,22 @@ fn a_batch_goes_on_after_a_broken_trace() {
         trace().display(),
         out.display()
     );
-    let (code, said) = refused(&mut render("tactile", &words));
-    assert_eq!(code, 3, "{said}");
+    let (code, message) = refused(&mut render("tactile", &words));
+    assert_eq!(code, 3, "{message}");
     assert!(
-        said.contains("broken.bin") && said.contains("it ends after"),
-        "{said}"
+        message.contains("broken.bin") && message.contains("it ends after"),
+        "{message}"
     );
     assert!(out.join("mug.grasp.left.png").exists());
 }
 
 #[test]
-fn wrong_input_is_explained() {
+fn invalid_input_is_refused() {
     let dir = tempfile::tempdir().unwrap();
     let trace = trace().display().to_string();
     let out = dir.path().join("x.png").display().to_string();
-    let not = dir.path().join("not.toml");
-    fs::write(&not, "schema = 7").unwrap();
+    let invalid = dir.path().join("not.toml");
+    fs::write(&invalid, "schema = 7").unwrap();
     let cases = [
         (
             format!("--trace {trace} --out {out}"),
@@ -143,7 +140,7 @@ fn wrong_input_is_explained() {
         (
             format!("--trace {trace} --side left --object builtin:box --out {out}"),
             1,
-            "another mesh",
+            "differs from the simulated",
         ),
         (
             format!("--trace {out} --side left --out {out}"),
@@ -153,7 +150,7 @@ fn wrong_input_is_explained() {
         (
             format!(
                 "--trace {trace} --side left --profile {} --out {out}",
-                not.display()
+                invalid.display()
             ),
             2,
             "schema",
@@ -174,9 +171,9 @@ fn wrong_input_is_explained() {
             "folder",
         ),
     ];
-    for (words, code, part) in cases {
-        let (found, said) = refused(&mut render("tactile", &words));
-        assert_eq!(found, code, "{words}: {said}");
-        assert!(said.contains(part), "{words}: {said}");
+    for (words, code, expected) in cases {
+        let (found, message) = refused(&mut render("tactile", &words));
+        assert_eq!(found, code, "{words}: {message}");
+        assert!(message.contains(expected), "{words}: {message}");
     }
 }

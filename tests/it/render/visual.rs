@@ -1,4 +1,4 @@
-//! Path-traced images.
+//! `gripcast render visual`.
 
 use std::fs;
 
@@ -9,7 +9,7 @@ use crate::program::{json, succeed};
 const SMALL: &str = "--size 48x36 --samples 4";
 
 #[test]
-fn a_grasp_is_seen_with_its_depth_at_any_number_of_threads() {
+fn image_and_depth_do_not_depend_on_threads() {
     let dir = tempfile::tempdir().unwrap();
     let take = |name: &str, threads: u32| {
         let out = dir.path().join(name);
@@ -26,7 +26,7 @@ fn a_grasp_is_seen_with_its_depth_at_any_number_of_threads() {
     };
     assert!(
         take("one.png", 1) == take("two.png", 2),
-        "threads change the image"
+        "the image depends on the number of threads"
     );
     let image = png(dir.path().join("one.png"));
     let mean = image.iter().map(|&v| f64::from(v)).sum::<f64>() / (48.0 * 36.0 * 3.0);
@@ -37,7 +37,7 @@ fn a_grasp_is_seen_with_its_depth_at_any_number_of_threads() {
 }
 
 #[test]
-fn several_images_differ_in_light_and_ground() {
+fn images_vary_in_light_and_ground() {
     let dir = tempfile::tempdir().unwrap();
     let out = dir.path().join("many");
     let words = format!(
@@ -55,20 +55,20 @@ fn several_images_differ_in_light_and_ground() {
 }
 
 #[test]
-fn wrong_input_is_explained() {
+fn invalid_input_is_refused() {
     let dir = tempfile::tempdir().unwrap();
     let out = dir.path().join("x.png").display().to_string();
-    let not = dir.path().join("not.hdr");
-    fs::write(&not, "hello").unwrap();
-    let not = not.display();
+    let invalid = dir.path().join("not.hdr");
+    fs::write(&invalid, "hello").unwrap();
+    let invalid = invalid.display();
     let cases = [
         (
-            format!("--object builtin:box --hdri {not} --out {out}"),
+            format!("--object builtin:box --hdri {invalid} --out {out}"),
             1,
             "not.hdr",
         ),
         (
-            format!("--object builtin:box --ground {not} --out {out}"),
+            format!("--object builtin:box --ground {invalid} --out {out}"),
             1,
             "not.hdr",
         ),
@@ -103,9 +103,9 @@ fn wrong_input_is_explained() {
             "folder",
         ),
     ];
-    for (words, code, part) in cases {
-        let (found, said) = refused(&mut render("visual", &words));
-        assert_eq!(found, code, "{words}: {said}");
-        assert!(said.contains(part), "{words}: {said}");
+    for (words, code, expected) in cases {
+        let (found, message) = refused(&mut render("visual", &words));
+        assert_eq!(found, code, "{words}: {message}");
+        assert!(message.contains(expected), "{words}: {message}");
     }
 }

@@ -12,9 +12,9 @@ use gripcast_pose::print::{ObjectSheet, SheetObject, default_object_sheet};
 use gripcast_sim::fem::GelGrid;
 use gripcast_sim::grasp::{GripperState, Snapshot};
 use gripcast_visual::{
-    Camera, ColourSettings, DenoiseSettings, GraspPrints, GraspState, Model, RenderSettings,
-    Renderer, Scene, View, VisualConditions, VisualRandomisation, Watch, annotation_camera,
-    annotation_scene, denoise, develop, drawn_finish, grasp_scene,
+    AnnotationMarkers, Camera, ColourSettings, DENOISE_RADIUS_PX, GraspState, Model, RenderControl,
+    RenderSettings, Renderer, Scene, View, VisualConditions, VisualRandomisation,
+    annotation_camera, annotation_scene, denoise, develop, grasp_scene, random_finish,
 };
 
 /// Columns and rows of the images between the fingers, and their paths for each pixel.
@@ -37,7 +37,7 @@ pub(super) struct Stand {
     pub(super) sheet: ObjectSheet,
     /// The gripper's tags.
     pub(super) tags: BoardFile,
-    prints: GraspPrints,
+    prints: AnnotationMarkers,
     t_world_object: Pose,
     conditions: VisualConditions,
 }
@@ -67,8 +67,8 @@ impl Stand {
         let sheet = default_object_sheet(&object.name, &lying)?;
         let tags = BoardFile::gripper_umi()?;
         Ok(Self {
-            model: Model::plain(&object.mesh, drawn_finish(looks), looks)?,
-            prints: GraspPrints::new(&sheet.flat_print()?, &tags.flat_prints())?,
+            model: Model::with_finish(&object.mesh, random_finish(looks), looks)?,
+            prints: AnnotationMarkers::new(&sheet.flat_print()?, &tags.flat_prints())?,
             sheet,
             tags,
             t_world_object: object.t_world_object,
@@ -105,19 +105,19 @@ impl Stand {
             opening_m: placed.opening_m,
             gels: None,
         };
-        let after = GraspState::at(grasped, Some(grid))?;
+        let after = GraspState::from_snapshot(grasped, Some(grid))?;
         let shoot = |scene: &Scene, camera: &Camera, samples, number: u64| {
             let settings = RenderSettings {
-                samples,
+                samples_per_pixel: samples,
                 seed: seed ^ number,
                 ..RenderSettings::default()
             };
-            let watch = Watch {
-                progress: None,
+            let watch = RenderControl {
+                on_progress: None,
                 cancel: watch.cancel,
             };
             let rendering = Renderer::new(scene)?.render(camera, &settings, &watch)?;
-            let light = denoise(&rendering, &cleaning(number));
+            let light = denoise(&rendering, denoise_radius_px(number));
             let image = develop(&light, &colour(number), seed ^ number);
             encode_jpeg(&image, QUALITY)
         };
@@ -136,15 +136,11 @@ impl Stand {
 }
 
 /// The denoiser of an image.
-fn cleaning(number: u64) -> DenoiseSettings {
-    let usual = DenoiseSettings::default();
-    DenoiseSettings {
-        radius: if number == BESIDE_NUMBER {
-            BESIDE_DENOISE_PX
-        } else {
-            usual.radius
-        },
-        ..usual
+fn denoise_radius_px(number: u64) -> usize {
+    if number == BESIDE_NUMBER {
+        BESIDE_DENOISE_PX
+    } else {
+        DENOISE_RADIUS_PX
     }
 }
 

@@ -6,7 +6,7 @@ use gripcast_geometry::TriangleMesh;
 use gripcast_imaging::encode_jpeg;
 use gripcast_sim::grasp::{Finger, GripperState, Snapshot};
 use gripcast_tactile::{
-    ObjectDepthRenderer, SceneRenderer as _, SensorPlace, SensorProfile, SensorVariation,
+    ObjectDepthRenderer, SceneRenderer as _, SensorMount, SensorProfile, SensorVariation,
     SimulatedGel, TactileScene, WholeFrame,
 };
 
@@ -43,7 +43,7 @@ const VARIATIONS: [SensorVariation; 2] = [
 /// None; a test makes them.
 pub(super) fn sensor(finger: Finger) -> Result<SensorProfile> {
     let variation = &VARIATIONS[finger as usize];
-    let mut profile = variation.of(&SensorProfile::gelsight_mini()?);
+    let mut profile = variation.apply(&SensorProfile::gelsight_mini()?);
     profile.name = format!("demo-{}", ["left", "right"][finger as usize]);
     profile.provenance = format!(
         "Not a real sensor: the shipped gelsight-mini profile with its background mirrored and \
@@ -97,11 +97,12 @@ impl Sensors {
     ) -> Result<[Vec<u8>; 2]> {
         let profile = self.profile(finger);
         let mut renderer = ObjectDepthRenderer::new(profile)?;
-        let place = SensorPlace::on(finger);
+        let place = SensorMount::on(finger);
         let poses = [&contact.t_world_object, &contact.placed.t_world_gripper];
         let opening = contact.placed.opening_m;
-        let before = TactileScene::at_start(contact.mesh, contact.gel, poses, opening, place)?;
-        let after = TactileScene::of_snapshot(contact.mesh, contact.gel, contact.grasped, place)?;
+        let before =
+            TactileScene::before_closing(contact.mesh, contact.gel, poses, opening, place)?;
+        let after = TactileScene::from_snapshot(contact.mesh, contact.gel, contact.grasped, place)?;
         let full = (FRAME[0], FRAME[1]);
         let window = profile
             .crop_profile
@@ -111,7 +112,7 @@ impl Sensors {
         let untouched = renderer.render(&before.untouched(), None)?;
         let mut frame = |scene: &TactileScene<'_>, seed| -> Result<Vec<u8>> {
             let image = renderer.render(scene, Some(seed))?;
-            encode_jpeg(&whole.place(&image, &untouched)?, QUALITY)
+            encode_jpeg(&whole.compose(&image, &untouched)?, QUALITY)
         };
         Ok([frame(&before, seeds[0])?, frame(&after, seeds[1])?])
     }

@@ -1,6 +1,6 @@
 //! Appearances of an object without a language model.
 
-use super::look::{Look, Modifier, linear_rgb};
+use super::look::{Appearance, Modifier, linear_rgb};
 use super::material::Material;
 use super::surface::{Coat, Shade, State};
 use gripcast_base::random::SeedStream;
@@ -69,12 +69,12 @@ fn phrase(coat: &Coat, state: &State, shade: &Shade) -> String {
     said.collect::<Vec<_>>().join(" ")
 }
 
-fn look(coat: &Coat, state: &State, shade: &Shade, stream: &mut SeedStream) -> Look {
+fn look(coat: &Coat, state: &State, shade: &Shade, stream: &mut SeedStream) -> Appearance {
     let brightness = stream.between(1.0 - SHADE_CHANGE, 1.0 + SHADE_CHANGE) as f32;
     let rougher = stream.between(-ROUGHNESS_CHANGE, ROUGHNESS_CHANGE) as f32;
     // What is clear stays clear.
     let change = if state.2 < 0.05 { 0.0 } else { rougher };
-    Look {
+    Appearance {
         finish: coat.finish,
         base_colour: linear_rgb(shade.1).map(|c| (c * brightness).clamp(0.0, 1.0)),
         roughness: (state.2 + change).clamp(0.0, 1.0),

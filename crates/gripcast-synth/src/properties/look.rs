@@ -3,7 +3,7 @@
 use serde::{Deserialize, Serialize};
 
 use gripcast_imaging::srgb_decode;
-pub use gripcast_visual::{FinishClass, Look, PatternWord};
+pub use gripcast_visual::{Appearance, FinishClass, SurfacePattern};
 
 /// An appearance of an object: the words that come before its category, and the look.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -12,7 +12,7 @@ pub struct Modifier {
     /// For instance `scratched blue enamel`.
     pub words: String,
     /// What these words look like.
-    pub look: Look,
+    pub look: Appearance,
 }
 
 /// Linear RGB of a colour written as 0xRRGGBB in sRGB.

@@ -18,7 +18,7 @@ pub use llm::{
     Appearances, DEFAULT_KEY_VARIABLE, EndpointKey, LlmClient, LlmOptions, PropertyAsker,
     PropertyQuery, Wait, physical_prompt, texture_prompt,
 };
-pub use look::{FinishClass, Look, Modifier, PatternWord};
+pub use look::{Appearance, FinishClass, Modifier, SurfacePattern};
 pub use material::Material;
 pub use physical::{
     FRICTION_RANGE, MASS_RANGE_KG, MAX_MASS_KG, MassMap, PhysicalProperties, PropertySource,

@@ -5,13 +5,13 @@ use std::sync::LazyLock;
 
 use serde::Deserialize;
 
-use super::look::{FinishClass, PatternWord};
+use super::look::{FinishClass, SurfacePattern};
 use super::material::Material;
 
 /// A colour word and its colour, sRGB 0xRRGGBB.
 pub(super) type Shade = (String, u32);
 /// A word for a state, its pattern and roughness.
-pub(super) type State = (String, PatternWord, f32);
+pub(super) type State = (String, SurfacePattern, f32);
 
 /// A kind of surface; each of its states goes with each of its shades.
 #[derive(Clone, Debug, PartialEq)]
@@ -29,7 +29,7 @@ pub(super) struct Coat {
 #[serde(deny_unknown_fields)]
 pub(super) struct Words {
     pub(super) finishes: Vec<(String, FinishClass)>,
-    pub(super) patterns: Vec<(String, PatternWord)>,
+    pub(super) patterns: Vec<(String, SurfacePattern)>,
     pub(super) roughness: Vec<(String, f32)>,
 }
 

@@ -3,8 +3,8 @@
 use super::look::FinishClass::{
     self, Ceramic, Fabric, Glass, Metal, Organic, Paper, Plastic, Print, Rubber, Stone, Wood,
 };
-use super::look::PatternWord::{self, Grain, Plain, Printed, Speckled, Woven};
-use super::look::{Look, Modifier, linear_rgb};
+use super::look::SurfacePattern::{self, Grain, Plain, Printed, Speckled, Woven};
+use super::look::{Appearance, Modifier, linear_rgb};
 use super::material::Material;
 use super::surface::{SURFACES, Shade};
 use gripcast_base::random::SeedStream;
@@ -22,7 +22,7 @@ impl Modifier {
 
 /// The look of an appearance in English words. What the words leave open is that of the bare
 /// material, the colour one by chance.
-fn look_of_words(words: &str, material: &Material, seed: u64) -> Look {
+fn look_of_words(words: &str, material: &Material, seed: u64) -> Appearance {
     let text = words.to_lowercase();
     let spoken: Vec<&str> = text
         .split(|c: char| !c.is_alphabetic())
@@ -34,7 +34,7 @@ fn look_of_words(words: &str, material: &Material, seed: u64) -> Look {
     let roughness = last(&spoken, &known.roughness).unwrap_or(usual_roughness(finish));
     let mut stream = SeedStream::named(seed, &format!("look/{text}"));
     let hex = colour(&spoken).unwrap_or_else(|| any_colour(finish, material, &mut stream));
-    Look {
+    Appearance {
         finish,
         base_colour: linear_rgb(hex),
         roughness,
@@ -93,7 +93,7 @@ fn any_colour(finish: FinishClass, material: &Material, stream: &mut SeedStream)
         .map_or(0x80_8080, |(_, hex)| *hex)
 }
 
-fn usual_pattern(finish: FinishClass) -> PatternWord {
+fn usual_pattern(finish: FinishClass) -> SurfacePattern {
     match finish {
         Wood => Grain,
         Fabric => Woven,
@@ -118,10 +118,10 @@ fn usual_roughness(finish: FinishClass) -> f32 {
 
 #[cfg(test)]
 mod tests {
-    use super::super::look::PatternWord::{Brushed, Scratched, Worn};
+    use super::super::look::SurfacePattern::{Brushed, Scratched, Worn};
     use super::*;
 
-    fn look(words: &str) -> Look {
+    fn look(words: &str) -> Appearance {
         look_of_words(words, Material::named("abs").unwrap(), 1)
     }
 

@@ -1,84 +1,63 @@
-//! The known shape of a calibration press: a ball in contact over a disc.
+//! Analytic depth of a calibration press: a ball in contact over a disc.
 
-use crate::membrane::sink_of_ball_m;
+use crate::membrane::ball_sink_m;
 use crate::{PressDepth, SensorGeometry};
 
-/// Largest contact radius that is taken, of the ball's radius: beyond it the slope at the border
-/// grows without bound.
+/// Maximum contact radius relative to the ball radius; beyond it the border slope grows without
+/// bound.
 const MAX_CONTACT: f64 = 0.95;
 
-/// A ball pressed into the gel, in contact over a disc.
+/// Contact of a ball pressed into the gel.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct BallContact {
-    /// The sensor's grid.
+    /// Sensor grid.
     pub geometry: SensorGeometry,
-    /// Centre of the disc: column and row, pixels.
+    /// Centre of the contact disc: column and row, px.
     pub centre_px: [f64; 2],
-    /// Radius of the disc, pixels.
+    /// Radius of the contact disc, px.
     pub radius_px: f64,
     /// Radius of the ball, m.
     pub ball_m: f64,
 }
 
 impl BallContact {
-    /// Depth of the ball below the border of its contact: the cap alone, 0 outside the disc.
-    pub fn cap(&self) -> PressDepth {
-        ball_press(
-            self.geometry,
-            self.centre_px,
-            self.radius_px,
-            self.ball_m,
-            0.0,
-        )
-    }
-
-    /// Depth of the ball below the untouched face of a gel that comes up again over
-    /// `sink_length_m` around the contact (see [`sink_of_ball_m`]); with 0 this is
-    /// [`BallContact::cap`].
+    /// Depth of the ball below the untouched face of a gel with decay length `sink_length_m` (see
+    /// [`ball_sink_m`]).
     pub fn press(&self, sink_length_m: f64) -> PressDepth {
-        let contact_m = self.contact_m();
-        let sink = sink_of_ball_m(contact_m, self.ball_m, sink_length_m);
-        ball_press(
-            self.geometry,
-            self.centre_px,
-            self.radius_px,
-            self.ball_m,
-            sink,
-        )
+        self.press_sunk_by(ball_sink_m(self.contact_m(), self.ball_m, sink_length_m))
     }
 
-    /// Radius of the contact, m, at most 0.95 of the ball's.
-    pub fn contact_m(&self) -> f64 {
+    /// Depth of the ball below the border of its contact (spherical cap), 0 outside the disc.
+    pub fn cap(&self) -> PressDepth {
+        self.press_sunk_by(0.0)
+    }
+
+    /// Depth of the ball below the untouched face, m: √(R² − ρ²) − √(R² − a²) + sink at a distance
+    /// ρ from the centre, where positive, with the contact radius a and the ball radius R;
+    /// `sink_m` is the depth of the contact border below the untouched face.
+    pub(crate) fn press_sunk_by(&self, sink_m: f64) -> PressDepth {
+        let geometry = self.geometry;
+        let mut press = PressDepth::untouched(geometry);
+        let square = |x: f64| x * x;
+        let border = (square(self.ball_m) - square(self.contact_m()))
+            .max(0.0)
+            .sqrt();
+        for (i, depth) in press.depth_m.iter_mut().enumerate() {
+            let x = ((i % geometry.width) as f64 - self.centre_px[0]) * geometry.pixel_m;
+            let y = ((i / geometry.width) as f64 - self.centre_px[1]) * geometry.pixel_m;
+            let over = square(self.ball_m) - x * x - y * y;
+            if over > 0.0 {
+                let deep = (over.sqrt() - border + sink_m).max(0.0);
+                *depth = deep.min(geometry.gel_thickness_m) as f32;
+            }
+        }
+        press
+    }
+
+    /// Contact radius, m, at most 0.95 of the ball radius.
+    fn contact_m(&self) -> f64 {
         (self.radius_px * self.geometry.pixel_m).min(MAX_CONTACT * self.ball_m)
     }
-}
-
-/// Depth of a ball below the untouched face, m: at a distance ρ from the centre
-/// √(R² − ρ²) − √(R² − a²) + sink, where that is positive.
-///
-/// `radius_px` is the radius a of the contact (at most 0.95 R is taken), `ball_m` the radius R of
-/// the ball, `sink_m` how deep the border of the contact lies below the untouched face.
-pub fn ball_press(
-    geometry: SensorGeometry,
-    centre_px: [f64; 2],
-    radius_px: f64,
-    ball_m: f64,
-    sink_m: f64,
-) -> PressDepth {
-    let mut press = PressDepth::untouched(geometry);
-    let square = |x: f64| x * x;
-    let contact_m = (radius_px * geometry.pixel_m).min(MAX_CONTACT * ball_m);
-    let border = (square(ball_m) - square(contact_m)).max(0.0).sqrt();
-    for (i, depth) in press.depth_m.iter_mut().enumerate() {
-        let x = ((i % geometry.width) as f64 - centre_px[0]) * geometry.pixel_m;
-        let y = ((i / geometry.width) as f64 - centre_px[1]) * geometry.pixel_m;
-        let over = square(ball_m) - x * x - y * y;
-        if over > 0.0 {
-            let deep = (over.sqrt() - border + sink_m).max(0.0);
-            *depth = deep.min(geometry.gel_thickness_m) as f32;
-        }
-    }
-    press
 }
 
 #[cfg(test)]
@@ -93,7 +72,7 @@ mod tests {
     };
 
     #[test]
-    fn a_cap_ends_at_the_contact_and_a_press_goes_beyond() {
+    fn cap_ends_at_contact_and_press_extends_beyond() {
         let contact = BallContact {
             geometry: GEOMETRY,
             centre_px: [150.0, 100.0],
@@ -106,13 +85,13 @@ mod tests {
         let expected = 2e-3 - (4e-6f64 - 1.2e-3 * 1.2e-3).sqrt();
         assert!((f64::from(at(&cap, 150)) - expected).abs() < 1e-9);
         let press = contact.press(1e-3);
-        let sink = sink_of_ball_m(1.2e-3, 2e-3, 1e-3);
+        let sink = ball_sink_m(1.2e-3, 2e-3, 1e-3);
         assert!((f64::from(at(&press, 170)) - sink).abs() < 1e-9);
         assert!(at(&press, 172) > 0.0);
     }
 
     #[test]
-    fn a_contact_as_wide_as_the_ball_stays_finite() {
+    fn contact_as_wide_as_the_ball_stays_finite() {
         let contact = BallContact {
             geometry: GEOMETRY,
             centre_px: [0.0, 0.0],
@@ -124,7 +103,7 @@ mod tests {
         // Counted as a contact of 0.95 of the ball's radius.
         let contact = 0.95 * 2e-3;
         let deep = 2e-3 - (4e-6f64 - contact * contact).sqrt();
-        let sink = sink_of_ball_m(contact, 2e-3, 1e-3);
+        let sink = ball_sink_m(contact, 2e-3, 1e-3);
         assert!((f64::from(press.depth_m[0]) - deep - sink).abs() < 1e-9);
         // The ball itself reaches over 33 pixels.
         assert!(press.depth_m[33] > 0.0 && press.depth_m[34] == 0.0);

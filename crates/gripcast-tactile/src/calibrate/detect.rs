@@ -1,8 +1,8 @@
-//! Finds the contact of a ball in an image.
+//! Detects the contact of a ball in an image.
 //!
-//! The shape of a pressed ball is known but for its centre and the radius of its contact. For a
-//! trial of the three, quadratic shading is fitted to the change around the contact; the trial
-//! that leaves least is taken (downhill simplex). The colours need not be known.
+//! The shape of a pressed ball depends on its centre and contact radius only. For each trial,
+//! quadratic shading is fitted to the change around the contact, and the residual is minimised by
+//! downhill simplex. The shading need not be known.
 
 use image::RgbImage;
 
@@ -15,20 +15,20 @@ use crate::shading::{NormalOrder, normal_terms};
 use gripcast_base::linear::Cholesky;
 use gripcast_base::statistics::median;
 
-/// Assumed length over which the gel comes up around a contact, m.
+/// Assumed decay length around a contact, m.
 const SINK_LENGTH_M: f64 = 1e-3;
-/// The window around the contact reaches this far, m.
+/// Half size of the window around the contact, m.
 const WINDOW_M: f64 = 3.6e-3;
-/// Largest fraction of the change that the best trial may leave.
-const MAX_LEFT: f64 = 0.6;
-/// Largest contact radius that is tried, of the ball's radius.
+/// Maximum residual fraction of the best trial.
+const MAX_RESIDUAL: f64 = 0.6;
+/// Maximum contact radius relative to the ball radius.
 const MAX_CONTACT: f64 = 0.95;
-/// Terms of the shading and a constant.
+/// Quadratic shading terms and a constant.
 const TERMS: usize = 9;
-/// Change that counts as a contact, grey levels.
+/// Minimum change of a contact, grey levels.
 const MIN_CHANGE: f32 = 8.0;
 
-/// Centre and radius of the contact, pixels, or why none is found.
+/// Returns centre and radius of the contact, px, or the reason why none is found.
 pub(super) fn find_contact(set: &PressSet, image: &RgbImage) -> Result<([f64; 2], f64), String> {
     let change = change_of(set, image);
     let energy = energy_of(&change, set.geometry.width);
@@ -37,37 +37,38 @@ pub(super) fn find_contact(set: &PressSet, image: &RgbImage) -> Result<([f64; 2]
     let ball_px = set.ball_m / set.geometry.pixel_m;
     let largest = MAX_CONTACT * ball_px;
     let start = [centre[0], centre[1], (0.8 * spread).min(0.8 * largest)];
-    let (best, left) = minimise(
+    let (best, residual) = minimise(
         &start,
         &[0.15 * spread, 0.15 * spread, 0.25 * start[2]],
         200,
         1e-6,
-        &mut |trial| window.left_by([trial[0], trial[1]], trial[2], ball_px),
+        &mut |trial| window.residual_fraction([trial[0], trial[1]], trial[2], ball_px),
     );
     let radius = best[2].clamp(MIN_RADIUS_PX, largest);
-    if !left.is_finite() || left > MAX_LEFT {
+    if !residual.is_finite() || residual > MAX_RESIDUAL {
         return Err(format!(
-            "no contact of a ball is found in it (the best disc leaves {:.0} % of the change)",
-            100.0 * left
+            "no contact of a ball found in the image (the best fit leaves {:.0} % of the change)",
+            100.0 * residual
         ));
     }
     Ok(([best[0], best[1]], radius))
 }
 
-/// Smallest radius that is tried, pixels.
+/// Minimum contact radius, px.
 const MIN_RADIUS_PX: f64 = 2.0;
 
-/// The change, with the background fitted on what looks untouched.
+/// Returns the change, with the background fitted to the pixels that look untouched.
 fn change_of(set: &PressSet, image: &RgbImage) -> ChangePlanes {
-    let mut seen = observe_where(set, image, |_| true);
+    let mut observed = observe_where(set, image, |_| true);
     for _ in 0..6 {
-        let limits: [f32; 3] = std::array::from_fn(|c| 2.5 * spread_of(&seen.change[c]).max(1.0));
-        let before = seen.change;
-        seen = observe_where(set, image, |i| {
+        let limits: [f32; 3] =
+            std::array::from_fn(|c| 2.5 * spread_of(&observed.change[c]).max(1.0));
+        let before = observed.change;
+        observed = observe_where(set, image, |i| {
             (0..3).all(|c| before[c][i].abs() < limits[c])
         });
     }
-    seen.change
+    observed.change
 }
 
 /// Robust standard deviation: 1.4826 × median of |value|.
@@ -76,13 +77,13 @@ fn spread_of(plane: &[f32]) -> f32 {
     1.4826 * median(sizes).unwrap_or(0.0) as f32
 }
 
-/// Squared change of all channels, slightly smoothed against noise.
+/// Squared change over all channels, slightly smoothed.
 fn energy_of(change: &ChangePlanes, width: usize) -> Vec<f32> {
     let mut gaussian = Gaussian::new(2.0);
     let mut energy = vec![0.0f32; change[0].len()];
     for plane in change {
         let mut plane = plane.clone();
-        if let Some(region) = Region::of_nonzero(&plane, width) {
+        if let Some(region) = Region::nonzero(&plane, width) {
             gaussian.apply(&mut plane, width, region);
         }
         for (sum, value) in energy.iter_mut().zip(&plane) {
@@ -92,21 +93,21 @@ fn energy_of(change: &ChangePlanes, width: usize) -> Vec<f32> {
     energy
 }
 
-/// Centre of the strongest change and the root mean square distance from it, pixels.
+/// Returns the centre of the strongest change and the RMS distance from it, px.
 fn centre_of_energy(energy: &[f32], set: &PressSet) -> Result<([f64; 2], f64), String> {
     let width = set.geometry.width;
     let mut blurred = energy.to_vec();
-    if let Some(region) = Region::of_nonzero(energy, width) {
+    if let Some(region) = Region::nonzero(energy, width) {
         Gaussian::new(12.0).apply(&mut blurred, width, region);
     }
     let Some(peak) = (0..blurred.len()).max_by(|a, b| blurred[*a].total_cmp(&blurred[*b])) else {
-        return Err("it has no pixels".to_owned());
+        return Err("the image has no pixels".to_owned());
     };
     let strongest = energy.iter().copied().fold(0.0, f32::max).sqrt();
     if strongest < MIN_CHANGE {
         return Err(format!(
-            "nothing touches in it: the largest change is {strongest:.1} grey levels, at least \
-             {MIN_CHANGE} are needed"
+            "no contact in the image: the maximum change is {strongest:.1} grey levels, at least \
+             {MIN_CHANGE} are required"
         ));
     }
     let mut centre = [(peak % width) as f64, (peak / width) as f64];
@@ -135,9 +136,9 @@ fn centre_of_energy(energy: &[f32], set: &PressSet) -> Result<([f64; 2], f64), S
     Ok((centre, spread))
 }
 
-/// Change around a contact, every second pixel.
+/// Subsampled change around a contact.
 struct Window {
-    places: Vec<[f64; 2]>,
+    positions: Vec<[f64; 2]>,
     change: Vec<[f64; 3]>,
     square: f64,
     sink_px: f64,
@@ -154,7 +155,7 @@ impl Window {
             (first.min(count)..last).step_by(step)
         };
         let mut window = Self {
-            places: Vec::new(),
+            positions: Vec::new(),
             change: Vec::new(),
             square: 0.0,
             sink_px: SINK_LENGTH_M / set.geometry.pixel_m,
@@ -163,21 +164,21 @@ impl Window {
             for x in span(centre[0], width) {
                 let values = [0, 1, 2].map(|c| f64::from(change[c][y * width + x]));
                 window.square += values.iter().map(|v| v * v).sum::<f64>();
-                window.places.push([x as f64, y as f64]);
+                window.positions.push([x as f64, y as f64]);
                 window.change.push(values);
             }
         }
         window
     }
 
-    /// Fraction of the squared change that the best shading of a trial leaves.
-    fn left_by(&self, centre: [f64; 2], radius: f64, ball_px: f64) -> f64 {
+    /// Returns the fraction of the squared change unexplained by the best shading of a trial.
+    fn residual_fraction(&self, centre: [f64; 2], radius: f64, ball_px: f64) -> f64 {
         let radius = radius.clamp(MIN_RADIUS_PX, MAX_CONTACT * ball_px);
         let slope = Slope::new(radius, ball_px, self.sink_px);
         let mut gram = [[0.0; TERMS]; TERMS];
         let mut cross = [[0.0; 3]; TERMS];
-        for (place, change) in self.places.iter().zip(&self.change) {
-            let terms = slope.terms(place[0] - centre[0], place[1] - centre[1]);
+        for (position, change) in self.positions.iter().zip(&self.change) {
+            let terms = slope.terms(position[0] - centre[0], position[1] - centre[1]);
             for (i, a) in terms.iter().enumerate() {
                 for (j, b) in terms.iter().enumerate().take(i + 1) {
                     gram[i][j] += a * b;
@@ -187,7 +188,7 @@ impl Window {
                 }
             }
         }
-        let ridge = 1e-6 * self.places.len() as f64;
+        let ridge = 1e-6 * self.positions.len() as f64;
         for (i, row) in gram.iter_mut().enumerate() {
             row[i] += ridge;
         }
@@ -205,7 +206,7 @@ impl Window {
     }
 }
 
-/// Slope of the gel around a ball, towards the camera, as a function of the distance.
+/// Radial slope of the gel around a ball, towards the camera.
 struct Slope {
     contact: f64,
     ball: f64,
@@ -233,7 +234,7 @@ impl Slope {
         }
     }
 
-    /// Terms of the shading at a place from the centre.
+    /// Shading terms at a position relative to the centre.
     fn terms(&self, x: f64, y: f64) -> [f64; TERMS] {
         let distance = x.hypot(y).max(1e-9);
         let slope = self.at(distance);

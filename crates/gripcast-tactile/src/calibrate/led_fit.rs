@@ -1,37 +1,37 @@
-//! Fits lamps to presses: their places by downhill simplex, their strengths, which enter
-//! linearly and may not be negative, by coordinate descent inside.
+//! Fits LEDs to presses: positions by downhill simplex, non-negative intensities, which enter
+//! linearly, by coordinate descent.
 
 use super::press_set::PressSet;
-use super::score::{Distance, observe};
+use super::score::{CentreDistance, observe};
 use super::simplex::minimise;
 use super::sums::normals_of;
-use crate::led::Lamp;
+use crate::led::PointLight;
 use crate::{Led, LedShading, Smoothing};
 
-/// About so many pixels of each press are used.
-const PIXELS_A_PRESS: usize = 400;
+/// Approximate number of pixels used per press.
+const PIXELS_PER_PRESS: usize = 400;
 /// Pixels up to this distance from the border of a contact are fitted.
 const FIT_PX: f64 = 30.0;
-/// Phong exponents that are tried.
+/// Candidate Phong exponents.
 const SHININESS: [u32; 4] = [2, 4, 8, 16];
-/// Evaluations of the simplex for each exponent.
+/// Simplex evaluations per exponent.
 const EVALUATIONS: usize = 220;
 /// Sweeps of the coordinate descent.
 const SWEEPS: usize = 60;
-/// Penalty on strengths, of the mean diagonal.
+/// Ridge on the intensities, relative to the mean diagonal.
 const RIDGE: f64 = 1e-3;
-/// Distances of lamps from the middle and from the face that are believed, m.
+/// Plausible distances of LEDs from the centre and heights above the face, m.
 const REACH_M: std::ops::RangeInclusive<f64> = 4e-3..=60e-3;
 const ABOVE_M: std::ops::RangeInclusive<f64> = 1e-3..=40e-3;
 
-/// A pixel of a press: place (m), normal (nx, ny, nz − 1), change (grey levels).
+/// A pixel of a press: position (m), normal (nx, ny, nz − 1), change (grey levels).
 struct Sample {
-    place: [f32; 2],
+    position: [f32; 2],
     normal: [f32; 3],
     change: [f64; 3],
 }
 
-/// Fits three lamps to presses of a set, by index, for a given shape of the gel.
+/// Fits three LEDs to some presses of a set for a given gel shape.
 pub(super) fn fit_leds(set: &PressSet, train: &[usize], smoothing: &Smoothing) -> LedShading {
     let samples = samples(set, train, smoothing);
     let guess = LedShading::mini_guess();
@@ -46,10 +46,13 @@ pub(super) fn fit_leds(set: &PressSet, train: &[usize], smoothing: &Smoothing) -
     let steps = [0.6, 4.0, 3.0].repeat(3);
     let mut best: Option<(f64, LedShading)> = None;
     for shininess in SHININESS {
-        let mut value = |unknowns: &[f64]| strengths(&samples, unknowns, shininess).0;
-        let (place, error) = minimise(&start, &steps, EVALUATIONS, 1e-9, &mut value);
-        if best.as_ref().is_none_or(|(least, _)| error < *least) {
-            best = Some((error, strengths(&samples, &place, shininess).1));
+        let mut value = |unknowns: &[f64]| fit_intensities(&samples, unknowns, shininess).0;
+        let (unknowns, error) = minimise(&start, &steps, EVALUATIONS, 1e-9, &mut value);
+        if best
+            .as_ref()
+            .is_none_or(|(best_error, _)| error < *best_error)
+        {
+            best = Some((error, fit_intensities(&samples, &unknowns, shininess).1));
         }
     }
     best.map_or(guess, |(_, shading)| shading)
@@ -61,17 +64,17 @@ fn samples(set: &PressSet, train: &[usize], smoothing: &Smoothing) -> Vec<Sample
         let press = &set.presses[*index];
         let normals = normals_of(set, press, smoothing);
         let observed = observe(set, press);
-        let distance = Distance::of(press);
+        let distance = CentreDistance::new(press);
         let near: Vec<usize> = (0..normals.x.len())
             .filter(|i| distance.at(*i) < press.radius_px + FIT_PX)
             .collect();
-        // A stride without a factor in common with the image's sides.
-        let stride = (near.len() / PIXELS_A_PRESS).max(1) | 1;
+        // Odd stride: no common factor with the image sides.
+        let stride = (near.len() / PIXELS_PER_PRESS).max(1) | 1;
         for i in near.into_iter().step_by(stride) {
             let (x, y) = (i % set.geometry.width, i / set.geometry.width);
             let [x, y] = set.geometry.pixel_to_gel_m(x as f64, y as f64);
             samples.push(Sample {
-                place: [x as f32, y as f32],
+                position: [x as f32, y as f32],
                 normal: [normals.x[i], normals.y[i], normals.z_less_1[i]],
                 change: std::array::from_fn(|c| f64::from(observed.change[c][i])),
             });
@@ -80,8 +83,8 @@ fn samples(set: &PressSet, train: &[usize], smoothing: &Smoothing) -> Vec<Sample
     samples
 }
 
-/// Places of the lamps from the unknowns: azimuth (rad), distance and height (mm) of each.
-fn lamps(unknowns: &[f64]) -> Vec<Led> {
+/// LEDs at positions given by azimuth (rad), distance and height (mm) of each.
+fn leds_at(unknowns: &[f64]) -> Vec<Led> {
     unknowns
         .chunks_exact(3)
         .map(|u| {
@@ -97,18 +100,21 @@ fn lamps(unknowns: &[f64]) -> Vec<Led> {
         .collect()
 }
 
-/// Best strengths of lamps at given places; squared error and the shading.
-fn strengths(samples: &[Sample], unknowns: &[f64], shininess: u32) -> (f64, LedShading) {
-    let mut leds = lamps(unknowns);
-    let unit: Vec<Lamp> = leds.iter().map(|led| Lamp::new(led, shininess)).collect();
+/// Fits intensities at given positions; returns the relative squared error and the shading.
+fn fit_intensities(samples: &[Sample], unknowns: &[f64], shininess: u32) -> (f64, LedShading) {
+    let mut leds = leds_at(unknowns);
+    let unit: Vec<PointLight> = leds
+        .iter()
+        .map(|led| PointLight::new(led, shininess))
+        .collect();
     let count = 2 * unit.len();
     let mut gram = vec![0.0; count * count];
     let mut cross = vec![[0.0; 3]; count];
     let mut square = 0.0;
     let mut terms = vec![0.0; count];
     for sample in samples {
-        for (lamp, out) in unit.iter().zip(terms.chunks_exact_mut(2)) {
-            let [diffuse, specular] = lamp.change(sample.place, sample.normal);
+        for (light, out) in unit.iter().zip(terms.chunks_exact_mut(2)) {
+            let [diffuse, specular] = light.change(sample.position, sample.normal);
             out.copy_from_slice(&[f64::from(diffuse), f64::from(specular)]);
         }
         for (i, a) in terms.iter().enumerate() {
@@ -128,7 +134,7 @@ fn strengths(samples: &[Sample], unknowns: &[f64], shininess: u32) -> (f64, LedS
     let mut error = square;
     for channel in 0..3 {
         let right: Vec<f64> = cross.iter().map(|row| row[channel]).collect();
-        let solution = not_negative(&gram, &right);
+        let solution = non_negative_least_squares(&gram, &right);
         for (i, w) in solution.iter().enumerate() {
             let image: f64 = (0..count).map(|j| gram[i * count + j] * solution[j]).sum();
             error += w * (image - 2.0 * right[i]);
@@ -140,8 +146,8 @@ fn strengths(samples: &[Sample], unknowns: &[f64], shininess: u32) -> (f64, LedS
     (error / square.max(1e-12), LedShading { shininess, leds })
 }
 
-/// Least squares with solutions ≥ 0, by coordinate descent.
-fn not_negative(gram: &[f64], right: &[f64]) -> Vec<f64> {
+/// Non-negative least squares by coordinate descent.
+fn non_negative_least_squares(gram: &[f64], right: &[f64]) -> Vec<f64> {
     let count = right.len();
     let mut solution = vec![0.0f64; count];
     for _ in 0..SWEEPS {
@@ -159,15 +165,15 @@ mod tests {
     use super::*;
 
     #[test]
-    fn solutions_stay_at_zero_where_the_free_one_is_negative() {
-        let solution = not_negative(&[2.0, 0.5, 0.5, 1.0], &[3.0, -1.0]);
+    fn negative_solutions_are_clamped_to_zero() {
+        let solution = non_negative_least_squares(&[2.0, 0.5, 0.5, 1.0], &[3.0, -1.0]);
         assert!((solution[0] - 1.5).abs() < 1e-9 && solution[1] == 0.0);
     }
 
     #[test]
-    fn strengths_of_known_lamps_come_back() {
+    fn intensities_of_known_leds_are_recovered() {
         let unknowns = [0.3, 12.0, 5.0, 2.4, 14.0, 6.0, -1.8, 13.0, 4.0];
-        let mut truth = lamps(&unknowns);
+        let mut truth = leds_at(&unknowns);
         for (i, led) in truth.iter_mut().enumerate() {
             led.diffuse[i] = 100.0;
             led.specular = [5.0, 10.0, 15.0];
@@ -176,25 +182,25 @@ mod tests {
             .map(|i| {
                 let (a, b) = ((i % 30) as f32 / 15.0 - 1.0, (i / 30) as f32 / 15.0 - 1.0);
                 let length = (1.0 + a * a + b * b).sqrt();
-                let place = [4e-3 * b, 3e-3 * a * b];
+                let position = [4e-3 * b, 3e-3 * a * b];
                 let normal = [a / length, b / length, 1.0 / length - 1.0];
                 let change = std::array::from_fn(|c| {
                     truth
                         .iter()
                         .map(|led| {
-                            let [d, s] = Lamp::new(led, 8).change(place, normal);
+                            let [d, s] = PointLight::new(led, 8).change(position, normal);
                             led.diffuse[c] * f64::from(d) + led.specular[c] * f64::from(s)
                         })
                         .sum()
                 });
                 Sample {
-                    place,
+                    position,
                     normal,
                     change,
                 }
             })
             .collect();
-        let (error, shading) = strengths(&samples, &unknowns, 8);
+        let (error, shading) = fit_intensities(&samples, &unknowns, 8);
         assert!(error < 1e-3, "{error}");
         assert!((shading.leds[1].diffuse[1] - 100.0).abs() < 10.0);
     }

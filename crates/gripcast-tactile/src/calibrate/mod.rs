@@ -1,9 +1,9 @@
-//! Fits a sensor's profile to real presses of a ball.
+//! Calibration: fits a sensor profile to real presses of a ball.
 //!
-//! A folder holds an image of the untouched gel and presses of a ball of known diameter
-//! ([`PressSet`]; contacts without a label are found). Part of the presses, drawn by seed, is
-//! fitted: shape of the gel, terms and ridge of the shading by cross-validation among them, then
-//! the coefficients on all of them. The others are scored ([`score`]).
+//! A folder contains an image of the untouched gel and presses of a ball of known diameter
+//! ([`PressSet`]; unlabelled contacts are detected). A random split of the presses is fitted: first
+//! gel shape, shading terms and ridge by cross-validation, then the coefficients on all of them.
+//! The held-out presses are scored ([`score`]).
 
 mod ball;
 mod detect;
@@ -19,7 +19,7 @@ mod sheet;
 mod simplex;
 mod sums;
 
-pub use ball::{BallContact, ball_press};
+pub use ball::BallContact;
 pub use press_read::ReadOptions;
 pub use press_set::{LabelledPress, PressSet, ScaleSource, SkippedPress};
 pub use report::CalibrationReport;

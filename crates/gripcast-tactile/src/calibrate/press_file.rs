@@ -1,11 +1,11 @@
-//! The folder of a calibration: `presses.json`, or images alone.
+//! Calibration folder: `presses.json`, or images only.
 //!
 //! ```json
 //! {"no_contact": "no_contact.png", "ball_diameter_m": 0.0047, "m_per_px": 5.1e-5,
 //!  "presses": [{"file": "press_01.png", "center_px": [76.0, 182.0], "radius_px": 38.0}]}
 //! ```
 //! `ball_diameter_m` and `m_per_px` may be null, `center_px` and `radius_px` may be missing: the
-//! contact is then found in the image. Other keys are not read.
+//! contact is then detected in the image. Other keys are ignored.
 
 use std::path::Path;
 
@@ -14,12 +14,11 @@ use serde::Deserialize;
 
 use gripcast_base::error::{Error, Result};
 use gripcast_base::files::{FileKind, Root};
-use gripcast_imaging::jpeg::JpegScale;
-use gripcast_imaging::{JpegDecoder, decode_png_rgb};
+use gripcast_imaging::Decoder;
 
-/// Name of the list.
+/// Name of the press list.
 const LIST: &str = "presses.json";
-/// Names under which the image without contact is looked for where there is no list.
+/// File stems of the no-contact image in a folder without a list.
 const NO_CONTACT: [&str; 6] = [
     "no_contact",
     "nocontact",
@@ -28,42 +27,42 @@ const NO_CONTACT: [&str; 6] = [
     "bg",
     "reference",
 ];
-/// Suffixes of images.
+/// Suffixes of image files.
 const SUFFIXES: [&str; 3] = ["png", "jpg", "jpeg"];
 
-/// A folder's list of presses.
+/// List of the presses of a folder.
 #[derive(Clone, Debug, Deserialize)]
 pub(super) struct PressList {
-    /// Image of the untouched gel.
+    /// File of the no-contact image.
     pub(super) no_contact: String,
-    /// Diameter of the ball, m.
+    /// Ball diameter, m.
     #[serde(default)]
     pub(super) ball_diameter_m: Option<f64>,
-    /// Size of a pixel, m.
+    /// Pixel size, m.
     #[serde(default)]
     pub(super) m_per_px: Option<f64>,
     /// The presses.
     pub(super) presses: Vec<PressEntry>,
 }
 
-/// One press of the list.
+/// An entry of the list.
 #[derive(Clone, Debug, Default, Deserialize)]
 pub(super) struct PressEntry {
-    /// Image.
+    /// Image file.
     pub(super) file: String,
-    /// Column and row of the contact's centre, pixels.
+    /// Column and row of the contact centre, px.
     #[serde(default)]
     center_px: Option<Vec<Option<f64>>>,
-    /// Radius of the contact, pixels.
+    /// Contact radius, px.
     #[serde(default)]
     radius_px: Option<f64>,
 }
 
-/// Label of a press: centre and radius, pixels.
+/// Label of a press: contact centre and radius, px.
 pub(super) type Label = ([f64; 2], f64);
 
 impl PressEntry {
-    /// The label; `None` where there is none, a reason where it is wrong.
+    /// Returns the label, `None` if there is none, or an error text if it is invalid.
     pub(super) fn label(&self) -> Result<Option<Label>, String> {
         match (self.center_px.as_deref(), self.radius_px) {
             (None, None) => Ok(None),
@@ -71,7 +70,7 @@ impl PressEntry {
                 Ok(Some(([*x, *y], r)))
             }
             (centre, radius) => Err(format!(
-                "its label must be two numbers `center_px` and a positive `radius_px`, found \
+                "invalid label: expected two numbers `center_px` and a positive `radius_px`, found \
                  {centre:?} and {radius:?}"
             )),
         }
@@ -79,42 +78,42 @@ impl PressEntry {
 }
 
 impl PressList {
-    /// Reads the list of a folder, or makes one of the images in it.
+    /// Reads the list of a folder, or creates one from its images.
     pub(super) fn read(folder: &Path) -> Result<Self> {
         let path = Root::new(folder).top().join(LIST);
         match path.read(FileKind::List) {
             Ok(bytes) => serde_json::from_slice(&bytes).map_err(|cause| {
-                Error::input("the list of presses cannot be read")
+                Error::input("cannot parse the list of presses")
                     .because(cause)
                     .at(path.display())
                     .remedy(
-                        "it needs `no_contact` and `presses`, each with `file`, `center_px` and \
-                         `radius_px`; delete the list to have the contacts found",
+                        "it must have `no_contact` and `presses`, each with `file`, `center_px` and \
+                         `radius_px`; delete the list to detect the contacts",
                     )
             }),
-            Err(e) if e.kind() == std::io::ErrorKind::NotFound => Self::of_images(folder),
+            Err(e) if e.kind() == std::io::ErrorKind::NotFound => Self::from_images(folder),
             Err(e) => Err(Error::io("cannot read the list of presses", e).at(path.display())),
         }
     }
 
-    fn of_images(folder: &Path) -> Result<Self> {
+    fn from_images(folder: &Path) -> Result<Self> {
         let mut names = image_names(folder)?;
         let stem = |name: &str| {
             let stem = Path::new(name).file_stem().unwrap_or_default();
             stem.to_string_lossy().to_ascii_lowercase()
         };
-        let Some(place) = names
+        let Some(index) = names
             .iter()
             .position(|name| NO_CONTACT.contains(&stem(name).as_str()))
         else {
             return Err(Error::not_found(format!(
-                "neither {LIST} nor an image without contact is there; {} other images",
+                "neither {LIST} nor a no-contact image found; {} other images",
                 names.len()
             ))
             .at(folder.display())
             .remedy("name the image of the untouched gel no_contact.png"));
         };
-        let no_contact = names.remove(place);
+        let no_contact = names.remove(index);
         let presses = names
             .into_iter()
             .map(|file| PressEntry {
@@ -131,12 +130,12 @@ impl PressList {
     }
 }
 
-/// Names of the images in a folder, sorted.
+/// Returns the sorted names of the images in a folder.
 fn image_names(folder: &Path) -> Result<Vec<String>> {
     let refused = |e| {
         Error::io("cannot read the folder of presses", e)
             .at(folder.display())
-            .remedy("name a folder with presses.json or with images of presses")
+            .remedy("give a folder with presses.json or with images of presses")
     };
     let mut names = Vec::new();
     for entry in Root::new(folder).top().entries().map_err(refused)? {
@@ -154,18 +153,8 @@ pub(super) fn read_image(folder: &Path, file: &str) -> Result<RgbImage> {
     let path = folder.join(file);
     let bytes = Root::new(folder)
         .resolve(file)
-        .and_then(|place| place.read(FileKind::Image))
+        .and_then(|path| path.read(FileKind::Image))
         .map_err(|e| Error::io("cannot read the image", e).at(path.display()))?;
-    decode(&bytes).map_err(|e| e.at(path.display()))
-}
-
-fn decode(bytes: &[u8]) -> Result<RgbImage> {
-    if !bytes.starts_with(&[0xff, 0xd8]) {
-        return decode_png_rgb(bytes);
-    }
-    let mut decoder = JpegDecoder::new()?;
-    let pixels = decoder.decode(bytes, JpegScale::Whole)?;
-    let (width, height) = (pixels.width, pixels.height);
-    RgbImage::from_raw(width, height, pixels.rgb.to_vec())
-        .ok_or_else(|| Error::input("the JPEG has an impossible size"))
+    let decoded = Decoder::new()?.stored_image(&bytes);
+    decoded.map_err(|e| e.at(path.display()))
 }

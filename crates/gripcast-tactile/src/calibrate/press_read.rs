@@ -1,4 +1,4 @@
-//! Reads presses: crops, labels and checks them.
+//! Reads, crops, labels and validates presses.
 
 use std::path::PathBuf;
 
@@ -8,58 +8,59 @@ use rayon::prelude::*;
 use super::detect::find_contact;
 use super::press_file::{Label, PressEntry, PressList, read_image};
 use super::press_set::{LabelledPress, PressSet, ScaleSource, SkippedPress};
-use super::score::{Distance, observe};
+use super::score::{CentreDistance, ObservedChange, observe};
 use crate::SensorGeometry;
 use crate::background::planes_of;
+use crate::ensure;
 use gripcast_base::error::{Error, Result};
 use gripcast_imaging::{CropProfile, CropWindow, crop_and_resize};
 
-/// Longer side that a GelSight Mini sees, m, where the scale is not given. Published values lie
+/// Longer side of a GelSight Mini's view, m, if the scale is not given. Published values lie
 /// between 18.6 and 20.3 mm.
 const NOMINAL_VIEW_M: f64 = 18.6e-3;
-/// Thickness of a Mini's gel, m.
+/// Gel thickness of a Mini, m.
 const GEL_THICKNESS_M: f64 = 4e-3;
-/// Ball diameters that are believed, m.
+/// Plausible ball diameters, m.
 const BALL_M: std::ops::RangeInclusive<f64> = 5e-4..=0.1;
-/// Pixel sizes that are believed, m.
+/// Plausible pixel sizes, m.
 const PIXEL_M: std::ops::RangeInclusive<f64> = 1e-6..=1e-3;
-/// A press is saturated when this fraction of the values in its disc is newly at 0 or 255. One
-/// channel at its end is common under the bright side of a real ball.
+/// Maximum fraction of values in the contact disc newly at 0 or 255. One saturated channel is
+/// common under the bright side of a real ball.
 const MAX_SATURATED: f64 = 0.25;
-/// At least this fraction of the contact's disc has to lie in the image.
+/// Minimum fraction of the contact disc inside the image.
 const MIN_INSIDE: f64 = 0.8;
-/// Change in the disc that counts as a contact, grey levels (root mean square of a channel).
+/// Minimum change in the contact disc, grey levels (RMS of a channel).
 const MIN_CHANGE: f64 = 5.0;
-/// Largest change where nothing touches, grey levels (root mean square of a channel), after gain
-/// and offset: a real gel far from a contact stays below 8.
+/// Maximum change far from the contact, grey levels (RMS of a channel), after gain and offset: a
+/// real gel stays below 8.
 const MAX_OUTSIDE: f64 = 16.0;
-/// Gains of the exposure that are believed.
+/// Plausible exposure gains.
 const GAIN: std::ops::RangeInclusive<f64> = 0.5..=2.0;
-/// Fewest pixels of a side.
+/// Minimum side of an image, px.
 const MIN_SIDE: u32 = 64;
-/// Most pixels of a side.
+/// Maximum side of an image, px.
 const MAX_SIDE: u32 = 4096;
 
-/// What to read and how.
+/// Source and preprocessing of the presses.
 #[derive(Clone, Debug)]
 pub struct ReadOptions {
-    /// Folder with `presses.json`, or with images alone.
+    /// Folder with `presses.json`, or with images only.
     pub folder: PathBuf,
-    /// Diameter of the ball, m; goes before that of the file.
+    /// Ball diameter, m; overrides that of the list.
     pub ball_diameter_m: Option<f64>,
-    /// Size of a pixel of the stored images, m; goes before that of the file.
+    /// Pixel size of the stored images, m; overrides that of the list.
     pub pixel_m: Option<f64>,
     /// Crop of the stored images.
     pub crop: CropProfile,
-    /// Width and height after the crop; none = as stored.
+    /// Width and height after the crop; `None` keeps the stored size.
     pub size: Option<(u32, u32)>,
-    /// Finds every contact in the image, labelled or not.
+    /// Detects all contacts, ignoring labels.
     pub find_contacts: bool,
 }
 
 impl ReadOptions {
-    /// A folder as it is.
-    pub fn of_folder(folder: impl Into<PathBuf>) -> Self {
+    /// Reads a folder without preprocessing.
+    pub fn from_folder(folder: impl Into<PathBuf>) -> Self {
         Self {
             folder: folder.into(),
             ball_diameter_m: None,
@@ -72,19 +73,19 @@ impl ReadOptions {
 }
 
 impl PressSet {
-    /// Reads a folder. Presses that cannot be used are listed with the reason.
+    /// Reads a folder. Unusable presses are listed with the reason.
     ///
     /// # Errors
-    /// `NotFound`, `Io`, `Input` if the folder, its list or the image without contact cannot be
-    /// used, the ball is unknown, or no press is left.
+    /// `NotFound`, `Io`, `Input` if the folder, its list or the no-contact image cannot be used,
+    /// the ball diameter is unknown, or no press is usable.
     pub fn read(options: &ReadOptions) -> Result<Self> {
         let list = PressList::read(&options.folder)?;
-        let place = options.folder.display().to_string();
-        let ball_m = 0.5 * ball_diameter(options, &list).map_err(|e| e.at(&place))?;
+        let folder = options.folder.display().to_string();
+        let ball_m = 0.5 * ball_diameter(options, &list).map_err(|e| e.at(&folder))?;
         let stored = read_image(&options.folder, &list.no_contact)?;
-        let frame = Reframe::new(&stored, options).map_err(|e| e.at(&place))?;
+        let frame = Reframe::new(&stored, options).map_err(|e| e.at(&folder))?;
         let (stored_pixel_m, scale) =
-            pixel_size(options, &list, &frame).map_err(|e| e.at(&place))?;
+            pixel_size(options, &list, &frame).map_err(|e| e.at(&folder))?;
         let no_contact = frame.apply(&stored)?;
         let mut set = Self {
             geometry: SensorGeometry {
@@ -115,7 +116,7 @@ impl PressSet {
             }
         }
         if set.presses.is_empty() {
-            return Err(nothing_usable(&set.skipped).at(place));
+            return Err(none_usable(&set.skipped).at(folder));
         }
         Ok(set)
     }
@@ -126,11 +127,11 @@ impl PressSet {
         frame: &Reframe,
         entry: &PressEntry,
     ) -> Result<LabelledPress, String> {
-        let given = entry.label()?;
+        let label = entry.label()?;
         let stored = read_image(&options.folder, &entry.file).map_err(|e| e.to_string())?;
         if stored.dimensions() != frame.stored {
             return Err(format!(
-                "it has {}×{} pixels, the image without contact {}×{}",
+                "the image has {}×{} pixels, the no-contact image {}×{}",
                 stored.width(),
                 stored.height(),
                 frame.stored.0,
@@ -138,8 +139,8 @@ impl PressSet {
             ));
         }
         let image = frame.apply(&stored).map_err(|e| e.to_string())?;
-        let given = given.filter(|_| !options.find_contacts);
-        let (centre_px, radius_px) = match given {
+        let label = label.filter(|_| !options.find_contacts);
+        let (centre_px, radius_px) = match label {
             Some(label) => frame.label(label),
             None => find_contact(self, &image)?,
         };
@@ -148,68 +149,69 @@ impl PressSet {
             image,
             centre_px,
             radius_px,
-            found: given.is_none(),
+            is_detected: label.is_none(),
         };
         self.check(&press)?;
         Ok(press)
     }
 
-    /// Why a press cannot be used.
+    /// Checks a press; returns the reason why it cannot be used.
     fn check(&self, press: &LabelledPress) -> Result<(), String> {
-        let ball_px = self.ball_m / self.geometry.pixel_m;
-        if press.radius_px > 1.05 * ball_px {
-            return Err(format!(
-                "its contact radius of {:.1} pixels is more than the ball's radius of {ball_px:.1}",
-                press.radius_px
-            ));
-        }
+        let (radius, ball) = (press.radius_px, self.ball_m / self.geometry.pixel_m);
+        ensure(radius <= 1.05 * ball, || {
+            format!(
+                "the contact radius of {radius:.1} px exceeds the ball's radius of {ball:.1} px"
+            )
+        })?;
         let disc = Disc::of(press);
-        if disc.inside < MIN_INSIDE {
-            return Err(format!(
-                "its contact lies off the image ({:.0} % of the disc is inside, at least {:.0} % \
-                 is needed)",
-                100.0 * disc.inside,
-                100.0 * MIN_INSIDE
-            ));
-        }
+        let (inside, required) = (100.0 * disc.inside, 100.0 * MIN_INSIDE);
+        ensure(disc.inside >= MIN_INSIDE, || {
+            format!(
+                "the contact lies off the image ({inside:.0} % of the disc is inside, at least \
+                 {required:.0} % is required)"
+            )
+        })?;
         let saturated = disc.saturated(press, &self.no_contact);
-        if saturated > MAX_SATURATED {
-            return Err(format!(
-                "it is saturated: {:.0} % of the values in the contact are at 0 or 255; lower the \
-                 exposure or press less",
+        ensure(saturated <= MAX_SATURATED, || {
+            format!(
+                "the image is saturated: {:.0} % of the values in the contact are at 0 or 255; \
+                 lower the exposure or press less",
                 100.0 * saturated
-            ));
-        }
-        let observed = observe(self, press);
-        let outside = observed.outside_rms.into_iter().fold(0.0, f64::max);
-        let believed = observed.gain.iter().all(|gain| GAIN.contains(gain));
-        if outside > MAX_OUTSIDE || !believed {
-            return Err(format!(
-                "its background is not that of the image without contact (gain {:.2?}, {outside:.1} \
-                 grey levels left): another sensor or other light?",
-                observed.gain
-            ));
-        }
-        let change = disc.rms(&observed.change);
-        if change < MIN_CHANGE {
-            return Err(format!(
-                "nothing changes inside its contact ({change:.1} grey levels, at least \
-                 {MIN_CHANGE} are needed): label or image is wrong"
-            ));
-        }
-        Ok(())
+            )
+        })?;
+        let ObservedChange {
+            gain,
+            change,
+            outside_rms,
+            ..
+        } = observe(self, press);
+        let outside = outside_rms.into_iter().fold(0.0, f64::max);
+        let plausible = gain.iter().all(|gain| GAIN.contains(gain));
+        ensure(outside <= MAX_OUTSIDE && plausible, || {
+            format!(
+                "the background differs from the no-contact image (gain {gain:.2?}, residual \
+                 {outside:.1} grey levels): another sensor or other light?"
+            )
+        })?;
+        let change = disc.rms(&change);
+        ensure(change >= MIN_CHANGE, || {
+            format!(
+                "nothing changes inside the contact ({change:.1} grey levels, at least \
+                 {MIN_CHANGE} are required): wrong label or image"
+            )
+        })
     }
 }
 
 fn ball_diameter(options: &ReadOptions, list: &PressList) -> Result<f64> {
     let Some(diameter) = options.ball_diameter_m.or(list.ball_diameter_m) else {
-        return Err(Error::input("the diameter of the ball is not known")
-            .remedy("give it (--ball-diameter), or as `ball_diameter_m` in presses.json"));
+        return Err(Error::input("unknown ball diameter")
+            .remedy("pass --ball-diameter, or set `ball_diameter_m` in presses.json"));
     };
-    believed("the diameter of the ball", diameter, BALL_M)
+    plausible("the ball diameter", diameter, BALL_M)
 }
 
-/// Size of a stored pixel, m.
+/// Returns the size of a stored pixel, m, and its source.
 fn pixel_size(
     options: &ReadOptions,
     list: &PressList,
@@ -217,7 +219,7 @@ fn pixel_size(
 ) -> Result<(f64, ScaleSource)> {
     match options.pixel_m.or(list.m_per_px) {
         Some(pixel_m) => {
-            let pixel_m = believed("the size of a pixel", pixel_m, PIXEL_M)?;
+            let pixel_m = plausible("the pixel size", pixel_m, PIXEL_M)?;
             Ok((pixel_m, ScaleSource::Given))
         }
         None => {
@@ -227,7 +229,7 @@ fn pixel_size(
     }
 }
 
-fn believed(what: &str, value: f64, range: std::ops::RangeInclusive<f64>) -> Result<f64> {
+fn plausible(what: &str, value: f64, range: std::ops::RangeInclusive<f64>) -> Result<f64> {
     if range.contains(&value) {
         return Ok(value);
     }
@@ -239,13 +241,13 @@ fn believed(what: &str, value: f64, range: std::ops::RangeInclusive<f64>) -> Res
     .remedy("give it in metres"))
 }
 
-fn nothing_usable(skipped: &[SkippedPress]) -> Error {
+fn none_usable(skipped: &[SkippedPress]) -> Error {
     let first = skipped.first().map_or_else(
         || "the list is empty".to_owned(),
         |press| format!("{}: {}", press.file, press.reason),
     );
     Error::input(format!(
-        "none of {} presses can be used ({first})",
+        "none of {} presses is usable ({first})",
         skipped.len()
     ))
     .remedy("fix the presses or take new ones")
@@ -263,11 +265,11 @@ impl Reframe {
     fn new(stored: &RgbImage, options: &ReadOptions) -> Result<Self> {
         let (width, height) = stored.dimensions();
         let refused = |what: String| {
-            Err(Error::input(what).remedy("calibrate with images of 64 to 4096 pixels a side"))
+            Err(Error::input(what).remedy("use images of 64 to 4096 pixels per side"))
         };
         let Some(window) = options.crop.window(width, height) else {
             return refused(format!(
-                "crop `{}` leaves nothing of {width}×{height} pixels",
+                "crop `{}` of {width}×{height} pixels is empty",
                 options.crop
             ));
         };
@@ -286,7 +288,7 @@ impl Reframe {
         })
     }
 
-    /// New pixels to one stored pixel, mean of both axes.
+    /// Scale of the resize, mean of both axes.
     fn zoom(&self) -> f64 {
         let x = f64::from(self.size.0) / f64::from(self.window.width);
         let y = f64::from(self.size.1) / f64::from(self.window.height);
@@ -312,16 +314,16 @@ impl Reframe {
     }
 }
 
-/// Pixels of a contact.
+/// Pixels of a contact disc.
 struct Disc {
     pixels: Vec<usize>,
-    /// Fraction of the disc in the image.
+    /// Fraction of the disc inside the image.
     inside: f64,
 }
 
 impl Disc {
     fn of(press: &LabelledPress) -> Self {
-        let distance = Distance::of(press);
+        let distance = CentreDistance::new(press);
         let count = (press.image.width() * press.image.height()) as usize;
         let pixels: Vec<usize> = (0..count)
             .filter(|i| distance.at(*i) < press.radius_px)
@@ -343,7 +345,7 @@ impl Disc {
         count as f64 / (3 * self.pixels.len()).max(1) as f64
     }
 
-    /// Root mean square of the change over the channel where it is largest.
+    /// Maximum over the channels of the RMS change.
     fn rms(&self, change: &[Vec<f32>; 3]) -> f64 {
         let count = self.pixels.len().max(1) as f64;
         change

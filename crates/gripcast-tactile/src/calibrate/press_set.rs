@@ -1,4 +1,4 @@
-//! Presses ready to fit and to score.
+//! Set of presses for fitting and scoring.
 
 use image::RgbImage;
 use rand::SeedableRng as _;
@@ -12,60 +12,60 @@ use crate::SensorGeometry;
 /// A press with its contact.
 #[derive(Clone, Debug)]
 pub struct LabelledPress {
-    /// File.
+    /// File name.
     pub file: String,
     /// The sensor's image.
     pub image: RgbImage,
-    /// Column and row of the contact's centre, pixels.
+    /// Column and row of the contact centre, px.
     pub centre_px: [f64; 2],
-    /// Radius of the contact, pixels.
+    /// Contact radius, px.
     pub radius_px: f64,
-    /// Whether the contact was found in the image, not given.
-    pub found: bool,
+    /// Whether the contact was detected in the image rather than labelled.
+    pub is_detected: bool,
 }
 
 /// A press that is not used.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub struct SkippedPress {
-    /// File.
+    /// File name.
     pub file: String,
-    /// Why.
+    /// Why it is not used.
     pub reason: String,
 }
 
-/// Where the size of a pixel comes from.
+/// Source of the pixel size.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum ScaleSource {
     /// Given with the presses or by the user.
     Given,
-    /// A Mini's nominal view.
+    /// Nominal view of a Mini.
     Nominal,
-    /// Chosen by cross-validation around another value.
+    /// Fitted by cross-validation.
     Fitted,
 }
 
 /// Presses of one ball on one sensor.
 #[derive(Clone, Debug)]
 pub struct PressSet {
-    /// Grid and scale.
+    /// Pixel grid and scale.
     pub geometry: SensorGeometry,
-    /// Where the scale comes from.
+    /// Source of the scale.
     pub scale: ScaleSource,
-    /// Radius of the ball, m.
+    /// Ball radius, m.
     pub ball_m: f64,
-    /// The untouched gel.
+    /// No-contact image.
     pub no_contact: RgbImage,
-    /// Planes of the untouched gel.
+    /// Planes of the no-contact image.
     pub(super) untouched: [Vec<f32>; 3],
     /// Usable presses, in the order of the list.
     pub presses: Vec<LabelledPress>,
-    /// The others.
+    /// Unusable presses.
     pub skipped: Vec<SkippedPress>,
 }
 
 impl PressSet {
-    /// The contact of a press.
+    /// Returns the contact of a press.
     pub fn contact(&self, press: &LabelledPress) -> BallContact {
         BallContact {
             geometry: self.geometry,
@@ -75,21 +75,21 @@ impl PressSet {
         }
     }
 
-    /// Indices for fitting and for scoring: a shuffle by seed, the first `fraction` of it to fit
-    /// (at most `most`, at least one), the others, in equal number for every `most`, to score.
-    pub fn split(&self, fraction: f64, most: Option<usize>, seed: u64) -> (Vec<usize>, Vec<usize>) {
+    /// Splits the presses at random into indices to fit and to score: the first `fraction` of the
+    /// shuffle is fitted (at least one, at most `max`), the rest is scored, independently of `max`.
+    pub fn split(&self, fraction: f64, max: Option<usize>, seed: u64) -> (Vec<usize>, Vec<usize>) {
         let mut order: Vec<usize> = (0..self.presses.len()).collect();
         order.shuffle(&mut Pcg64::seed_from_u64(seed));
         let count = (fraction * order.len() as f64).round() as usize;
         let held_out = order.split_off(count.clamp(1, order.len()));
-        order.truncate(most.unwrap_or(usize::MAX).max(1));
+        order.truncate(max.unwrap_or(usize::MAX).max(1));
         (order, held_out)
     }
 }
 
-/// A press without a set, for tests of the fit.
+/// A press set for tests of the fit.
 #[cfg(test)]
-pub(super) fn made_up(
+pub(super) fn test_set(
     geometry: SensorGeometry,
     ball_m: f64,
     no_contact: RgbImage,

@@ -1,4 +1,4 @@
-//! What a calibration found, for people and programs.
+//! Report of a calibration.
 
 use serde::Serialize;
 
@@ -7,41 +7,40 @@ use super::score::Score;
 use super::select::ChosenModel;
 
 /// Result of a calibration. `fve`, `patch_psnr_db`, `patch_l1` and the no-contact baseline are
-/// those of the presses that were not fitted (of the fitted ones where none is left, see
-/// `scored_on`).
+/// those of the held-out presses, or of the fitted ones if none is held out (see `scored_on`).
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct CalibrationReport {
     /// Scores.
     #[serde(flatten)]
     pub score: Score,
-    /// `held_out`, or `fitted` where every press was fitted.
+    /// `held_out`, or `fitted` if no press is held out.
     pub scored_on: &'static str,
-    /// Presses fitted.
+    /// Number of fitted presses.
     pub fitted: usize,
-    /// Presses held out.
+    /// Number of held-out presses.
     pub held_out: usize,
-    /// Presses that could not be used.
+    /// Unusable presses.
     pub skipped: Vec<SkippedPress>,
-    /// Presses whose contact was found in the image.
+    /// Number of presses whose contact was detected in the image.
     pub contacts_found: usize,
     /// Seed of the split.
     pub seed: u64,
     /// `polynomial` or `leds`.
     pub model: &'static str,
-    /// Shape of the gel and terms; for lamps the polynomial by which the shape was chosen.
+    /// Gel shape and shading terms; for LEDs those of the polynomial that selected the shape.
     pub chosen: ChosenModel,
-    /// Diameter of the ball, m.
+    /// Ball diameter, m.
     pub ball_diameter_m: f64,
-    /// Size of a pixel, m.
+    /// Pixel size, m.
     pub pixel_m: f64,
-    /// Where it comes from.
+    /// Source of the pixel size.
     pub scale: ScaleSource,
-    /// Cross-validated FVE for each scale that was tried: pixel size (m), FVE.
+    /// Cross-validated FVE of each candidate scale: pixel size (m), FVE.
     pub scale_scan: Vec<[f64; 2]>,
-    /// Mean gain of the presses against the image without contact.
+    /// Mean gain of the presses relative to the no-contact image.
     pub gain_mean: [f64; 3],
-    /// Mean offset at the background's mean level, grey levels.
+    /// Mean offset at the mean level of the background, grey levels.
     pub offset_mean: [f64; 3],
-    /// Noise of one frame, grey levels.
+    /// Noise of one frame, standard deviation, grey levels.
     pub noise_std: [f64; 3],
 }

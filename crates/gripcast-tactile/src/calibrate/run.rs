@@ -1,10 +1,10 @@
-//! The whole calibration.
+//! Runs a calibration.
 
 use image::RgbImage;
 
 use super::led_fit::fit_leds;
 use super::press_read::ReadOptions;
-use super::press_set::{PressSet, ScaleSource, SkippedPress};
+use super::press_set::{PressSet, ScaleSource};
 use super::report::CalibrationReport;
 use super::score::{ChangePlanes, ObservedChange, Score, observe, score};
 use super::select::{ChosenModel, Terms, choose};
@@ -18,56 +18,56 @@ use gripcast_base::error::{Error, Result};
 use gripcast_base::statistics::median;
 use gripcast_imaging::CropProfile;
 
-/// Factors on the size of a pixel that are tried.
+/// Candidate factors on the pixel size.
 const SCALES: [f64; 7] = [0.85, 0.9, 0.95, 1.0, 1.05, 1.1, 1.15];
-/// Degree of the smooth fit of the background.
+/// Degree of the background fit.
 const BACKGROUND_DEGREE: usize = 8;
-/// Presses in the image of the calibration.
+/// Presses shown in the calibration image.
 const MAX_ROWS: usize = 6;
-/// Version of the profile.
+/// Schema version of the profile.
 const SCHEMA: u32 = 1;
 
-/// What kind of shading is fitted.
+/// Shading model to fit.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ModelChoice {
-    /// Polynomial of normal and place; terms that are left open are chosen.
+    /// Polynomial of normal and position; unset orders are chosen by cross-validation.
     Polynomial(Terms),
     /// Three near point lights.
     Leds,
 }
 
-/// What to calibrate and how.
+/// Options of a calibration.
 #[derive(Clone, Debug)]
 pub struct CalibrateOptions {
     /// The presses.
     pub read: ReadOptions,
-    /// Fraction of the presses that is fitted, above 0, at most 1.
+    /// Fraction of the presses to fit, above 0, at most 1.
     pub train_fraction: f64,
-    /// Most presses that are fitted; those of the fraction beyond them are not used.
-    pub most_fitted: Option<usize>,
+    /// Maximum number of presses to fit; the rest of the fraction is not used.
+    pub max_fitted: Option<usize>,
     /// Seed of the split.
     pub seed: u64,
-    /// Kind of shading.
+    /// Shading model.
     pub model: ModelChoice,
-    /// Chooses the size of a pixel too, within 15 % of the one given.
+    /// Also fits the pixel size, within 15 % of the given one.
     pub fit_scale: bool,
     /// Name of the profile.
     pub name: String,
     /// Serial of the sensor; may be empty.
     pub serial: String,
-    /// Crop that makes such images of the sensor's frames.
+    /// Crop of the sensor's frames that yields such images.
     pub crop_profile: CropProfile,
-    /// Added to the profile's provenance: where the presses come from.
+    /// Origin of the presses, appended to the profile's provenance.
     pub note: String,
 }
 
 impl CalibrateOptions {
-    /// Half of the presses of a folder, polynomial shading.
-    pub fn of_folder(folder: impl Into<std::path::PathBuf>) -> Self {
+    /// Fits polynomial shading to half of the presses of a folder.
+    pub fn from_folder(folder: impl Into<std::path::PathBuf>) -> Self {
         Self {
-            read: ReadOptions::of_folder(folder),
+            read: ReadOptions::from_folder(folder),
             train_fraction: 0.5,
-            most_fitted: None,
+            max_fitted: None,
             seed: 0,
             model: ModelChoice::Polynomial(Terms::default()),
             fit_scale: false,
@@ -79,24 +79,22 @@ impl CalibrateOptions {
     }
 }
 
-/// A calibrated sensor.
+/// Result of a calibration.
 #[derive(Clone, Debug)]
 pub struct Calibration {
-    /// The profile.
+    /// Fitted profile.
     pub profile: SensorProfile,
-    /// Scores and choices.
+    /// Scores and chosen model.
     pub report: CalibrationReport,
-    /// Real, rendered and residual of presses that were scored.
+    /// Real, rendered and residual images of scored presses.
     pub image: RgbImage,
-    /// Presses that could not be used; the caller tells of them.
-    pub skipped: Vec<SkippedPress>,
 }
 
 /// Calibrates a sensor.
 ///
 /// # Errors
-/// Those of [`PressSet::read`]; `Usage` for a fraction out of range; `Input` if fewer than two
-/// presses are left to fit.
+/// Those of [`PressSet::read`]; `Usage` if the fraction is out of range; `Input` if there are fewer
+/// than two presses to fit.
 pub fn run(options: &CalibrateOptions) -> Result<Calibration> {
     if !(options.train_fraction > 0.0 && options.train_fraction <= 1.0) {
         return Err(Error::usage(format!(
@@ -104,10 +102,10 @@ pub fn run(options: &CalibrateOptions) -> Result<Calibration> {
             options.train_fraction
         )));
     }
-    let place = options.read.folder.display();
+    let folder = options.read.folder.display();
     let mut set = PressSet::read(&options.read)?;
-    let (train, held_out) = set.split(options.train_fraction, options.most_fitted, options.seed);
-    let fitted = fit(&mut set, &train, options).map_err(|e| e.at(&place))?;
+    let (train, held_out) = set.split(options.train_fraction, options.max_fitted, options.seed);
+    let fitted = fit(&mut set, &train, options).map_err(|e| e.at(&folder))?;
     let counts = [train.len(), held_out.len()];
     let profile = profile(&set, counts, &fitted, options);
     let scored = if held_out.is_empty() {
@@ -141,11 +139,10 @@ pub fn run(options: &CalibrateOptions) -> Result<Calibration> {
         profile,
         report,
         image,
-        skipped: set.skipped,
     })
 }
 
-/// What was fitted.
+/// Fitted model and observations.
 struct Fitted {
     model: ChosenModel,
     shading: ShadingModel,
@@ -180,7 +177,7 @@ fn fit(set: &mut PressSet, train: &[usize], options: &CalibrateOptions) -> Resul
 
 type Choice = (ChosenModel, PolynomialShading);
 
-/// Tries sizes of a pixel around the one of the set; leaves the best in the set.
+/// Cross-validates candidate pixel sizes; sets the best in `set`.
 fn scan_scales(
     set: &mut PressSet,
     train: &[usize],
@@ -209,7 +206,7 @@ fn scan_scales(
     Ok((best.0, best.1, scan))
 }
 
-/// Change that the renderer makes of a labelled contact.
+/// Renders the change of a labelled contact.
 fn rendered(
     renderer: &mut TactileRenderer,
     set: &PressSet,
@@ -247,7 +244,7 @@ fn profile(
         shading: fitted.shading.clone(),
         background: Background {
             file: None,
-            fit: BackgroundFit::of_image(&set.no_contact, BACKGROUND_DEGREE),
+            fit: BackgroundFit::from_image(&set.no_contact, BACKGROUND_DEGREE),
             image: Some(set.no_contact.clone()),
         },
     }
@@ -258,7 +255,7 @@ fn provenance(
     [fitted, held_out]: [usize; 2],
     options: &CalibrateOptions,
 ) -> String {
-    let found = set.presses.iter().filter(|press| press.found).count();
+    let found = set.presses.iter().filter(|press| press.is_detected).count();
     let text = format!(
         "Fitted on {fitted} presses of a ball of {} mm ({held_out} held out, seed {}, contacts of \
          {found} found in the images). {}",
@@ -269,7 +266,7 @@ fn provenance(
     text.trim_end().to_owned()
 }
 
-/// Mean level of the untouched gel, per channel.
+/// Mean level of the background per channel.
 fn pivot(set: &PressSet) -> [f64; 3] {
     std::array::from_fn(|c| {
         let plane = &set.untouched[c];
@@ -277,7 +274,7 @@ fn pivot(set: &PressSet) -> [f64; 3] {
     })
 }
 
-/// What the drift adds at a level, grey levels.
+/// Offset caused by the drift at a grey level.
 fn offset_at(observed: &ObservedChange, channel: usize, pivot: f64) -> f64 {
     observed.offset[channel] + (observed.gain[channel] - 1.0) * pivot
 }
@@ -291,18 +288,18 @@ fn standard_deviation(observed: &[ObservedChange], value: &dyn Fn(&ObservedChang
     mean(observed, &|o| (value(o) - middle).powi(2)).sqrt()
 }
 
-/// Noise of one frame: what is left of the difference of two frames far from the contact when
-/// its slow part is taken off, by √2.
+/// Noise of one frame: robust deviation of the high-pass difference of two frames far from the
+/// contact, divided by √2.
 fn noise(set: &PressSet, fitted: &Fitted) -> [f64; 3] {
     let width = set.geometry.width;
     std::array::from_fn(|c| {
         let each: Vec<f64> = fitted
             .observed
             .iter()
-            .map(|seen| {
-                let plane = &seen.change[c];
+            .map(|observed| {
+                let plane = &observed.change[c];
                 let mut slow = plane.clone();
-                if let Some(region) = Region::of_nonzero(plane, width) {
+                if let Some(region) = Region::nonzero(plane, width) {
                     Gaussian::new(3.0).apply(&mut slow, width, region);
                 }
                 let sizes = plane.iter().zip(&slow);
@@ -329,7 +326,7 @@ fn report(
         fitted: train,
         held_out,
         skipped: set.skipped.clone(),
-        contacts_found: set.presses.iter().filter(|press| press.found).count(),
+        contacts_found: set.presses.iter().filter(|press| press.is_detected).count(),
         seed: options.seed,
         model: match profile.shading {
             ShadingModel::Polynomial(_) => "polynomial",

@@ -1,4 +1,4 @@
-//! Calibration on presses that were rendered: what went in has to come out.
+//! Calibration on rendered presses recovers the rendering parameters.
 
 use std::fs;
 use std::path::Path;
@@ -7,7 +7,7 @@ use image::{Rgb, RgbImage};
 use serde_json::{Value, json};
 
 use super::*;
-use crate::FrameLook;
+use crate::FrameNoise;
 use crate::calibrate::{BallContact, LabelledPress, change_between};
 use crate::{NormalOrder, PositionOrder, SensorGeometry, Smoothing};
 use gripcast_base::error::ErrorKind;
@@ -21,7 +21,7 @@ const GEOMETRY: SensorGeometry = SensorGeometry {
 };
 const BALL_M: f64 = 2.5e-3;
 
-/// A sensor with a known light that changes along x.
+/// A sensor with known shading that varies along x.
 fn truth() -> SensorProfile {
     let no_contact = RgbImage::from_fn(160, 120, |x, y| {
         Rgb([90 + (x / 4) as u8, 120 - (y / 4) as u8, 100 + (y / 5) as u8])
@@ -49,7 +49,7 @@ fn truth() -> SensorProfile {
         }),
         background: Background {
             file: None,
-            fit: BackgroundFit::of_image(&no_contact, 2),
+            fit: BackgroundFit::from_image(&no_contact, 2),
             image: Some(no_contact),
         },
     }
@@ -65,14 +65,14 @@ fn contact(i: usize) -> BallContact {
 }
 
 fn image(i: usize) -> RgbImage {
-    let look = FrameLook {
+    let noise = FrameNoise {
         gain: [1.03, 0.98, 1.0],
         offset: [-2.0, 1.0, 0.5],
         noise_seed: Some(i as u64),
     };
     let press = contact(i).press(truth().smoothing.sink_length_m);
     let mut renderer = TactileRenderer::new(&truth()).unwrap();
-    renderer.render(&press, &look).unwrap()
+    renderer.render(&press, &noise).unwrap()
 }
 
 fn save(path: &Path, image: &RgbImage) {
@@ -109,12 +109,12 @@ fn folder(count: usize, change: impl FnOnce(&Path, &mut Value)) -> tempfile::Tem
 fn options(folder: &tempfile::TempDir) -> CalibrateOptions {
     CalibrateOptions {
         name: "made-up".to_owned(),
-        ..CalibrateOptions::of_folder(folder.path())
+        ..CalibrateOptions::from_folder(folder.path())
     }
 }
 
 #[test]
-fn known_light_comes_back() {
+fn known_shading_is_recovered() {
     let folder = folder(10, |_, _| ());
     let result = run(&options(&folder)).unwrap();
     let report = &result.report;
@@ -122,14 +122,14 @@ fn known_light_comes_back() {
     assert!(report.score.fve > 0.97, "{report:?}");
     assert!(report.score.patch_psnr_db > 35.0, "{report:?}");
     assert!(report.score.no_contact_psnr_db < 30.0);
-    assert!(result.skipped.is_empty());
-    // Gain and offset are those that were put in; the noise is that of a frame (the image
-    // without contact has none, so the difference of both is divided by √2).
+    assert!(result.report.skipped.is_empty());
+    // Gain and offset are the rendered ones; the noise is that of one frame (the no-contact image
+    // has none, so the difference is divided by √2).
     assert!((report.gain_mean[0] - 1.03).abs() < 0.02, "{report:?}");
     assert!((report.noise_std[0] - 0.75).abs() < 0.2, "{report:?}");
     assert_eq!(result.image.width() % 4, 0);
     result.profile.validate().unwrap();
-    // The same again, and another split.
+    // Deterministic, and depends on the split.
     assert_eq!(run(&options(&folder)).unwrap().profile, result.profile);
     let other = CalibrateOptions {
         seed: 5,
@@ -139,9 +139,9 @@ fn known_light_comes_back() {
 }
 
 #[test]
-fn contacts_are_found_without_labels() {
+fn contacts_are_detected_without_labels() {
     let folder = folder(4, |_, list| *list = Value::Null);
-    let mut read = ReadOptions::of_folder(folder.path());
+    let mut read = ReadOptions::from_folder(folder.path());
     let text = PressSet::read(&read).unwrap_err().to_string();
     assert!(text.contains("ball"), "{text}");
     read.ball_diameter_m = Some(2.0 * BALL_M);
@@ -157,7 +157,7 @@ fn contacts_are_found_without_labels() {
 }
 
 #[test]
-fn lamps_are_fitted_too() {
+fn leds_are_fitted() {
     let folder = folder(8, |_, _| ());
     let options = CalibrateOptions {
         model: ModelChoice::Leds,
@@ -169,7 +169,7 @@ fn lamps_are_fitted_too() {
 }
 
 #[test]
-fn bad_presses_are_skipped_with_a_reason() {
+fn unusable_presses_are_skipped_with_reason() {
     let folder = folder(9, |path, list| {
         save(
             &path.join("press_1.png"),
@@ -192,7 +192,7 @@ fn bad_presses_are_skipped_with_a_reason() {
         presses[7]["radius_px"] = Value::Null;
         presses[8]["radius_px"] = json!(40.0);
     });
-    let read = ReadOptions::of_folder(folder.path());
+    let read = ReadOptions::from_folder(folder.path());
     let set = PressSet::read(&read).unwrap();
     assert_eq!(set.presses.len(), 1);
     let expected = [
@@ -202,7 +202,7 @@ fn bad_presses_are_skipped_with_a_reason() {
         "nothing changes",
         "cannot read",
         "off the image",
-        "label must be",
+        "invalid label",
         "ball's radius",
     ];
     for (skipped, expected) in set.skipped.iter().zip(expected) {
@@ -214,9 +214,9 @@ fn bad_presses_are_skipped_with_a_reason() {
 }
 
 #[test]
-fn folders_that_cannot_be_used_are_explained() {
+fn unusable_folder_is_explained() {
     let empty = tempfile::tempdir().unwrap();
-    let missing = CalibrateOptions::of_folder(empty.path().join("nowhere"));
+    let missing = CalibrateOptions::from_folder(empty.path().join("nowhere"));
     assert_eq!(run(&missing).unwrap_err().kind(), ErrorKind::NotFound);
     let text = run(&options(&empty)).unwrap_err().to_string();
     assert!(text.contains("no_contact.png"), "{text}");
@@ -239,7 +239,7 @@ fn folders_that_cannot_be_used_are_explained() {
 }
 
 #[test]
-fn a_perfect_and_an_empty_renderer_have_the_scores_of_the_definition() {
+fn perfect_and_empty_renderer_have_defined_scores() {
     let mut renderer = TactileRenderer::new(&truth()).unwrap();
     let free = truth().background.image.unwrap();
     let presses = (0..3)
@@ -247,14 +247,14 @@ fn a_perfect_and_an_empty_renderer_have_the_scores_of_the_definition() {
             file: i.to_string(),
             image: {
                 let press = contact(i).press(1e-3);
-                renderer.render(&press, &FrameLook::default()).unwrap()
+                renderer.render(&press, &FrameNoise::default()).unwrap()
             },
             centre_px: contact(i).centre_px,
             radius_px: contact(i).radius_px,
-            found: false,
+            is_detected: false,
         })
         .collect();
-    let set = super::super::press_set::made_up(GEOMETRY, BALL_M, free.clone(), presses);
+    let set = super::super::press_set::test_set(GEOMETRY, BALL_M, free.clone(), presses);
     let nothing = score(&set, &[0, 1, 2], &mut |_| {
         Ok(std::array::from_fn(|_| vec![0.0; 160 * 120]))
     })
@@ -263,7 +263,7 @@ fn a_perfect_and_an_empty_renderer_have_the_scores_of_the_definition() {
     assert_eq!(nothing.patch_l1, nothing.no_contact_l1);
     let perfect = score(&set, &[0, 1, 2], &mut |contact| {
         let press = contact.press(1e-3);
-        let image = renderer.render(&press, &FrameLook::default())?;
+        let image = renderer.render(&press, &FrameNoise::default())?;
         Ok(change_between(&image, &free))
     })
     .unwrap();

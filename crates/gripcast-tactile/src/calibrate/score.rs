@@ -1,14 +1,14 @@
-//! How close a renderer comes to real presses.
+//! Scores rendered images against real presses.
 //!
-//! With r the labelled radius of a contact and d the distance from its centre, pixels:
+//! With the labelled radius r of a contact and the distance d from its centre, pixels:
 //! - background: per channel gain · no-contact + offset, least squares over d > r + 45, because
 //!   exposure and white balance drift between frames;
 //! - patch: d < r + 10;
 //! - FVE (fraction of variance explained) = 1 − SSE(rendered) / SSE(background alone) in the patch;
 //! - L1 and PSNR (peak 255) in the patch over all channels, of the rendered 8-bit image.
 //!
-//! Measures of the whole image are left out: most of it is background, so an image without any
-//! contact scores as high as a good one.
+//! Whole-image measures are not used: most of the image is background, so an image without contact
+//! scores as high as a good one.
 
 use image::RgbImage;
 use serde::Serialize;
@@ -18,31 +18,31 @@ use super::press_set::{LabelledPress, PressSet};
 use crate::background::planes_of;
 use gripcast_base::error::Result;
 
-/// The background is fitted beyond this distance from the contact's border, pixels.
+/// Minimum distance from the contact border for fitting the background, px.
 const OUTSIDE_PX: f64 = 45.0;
-/// The patch reaches this far beyond the contact's border, pixels.
+/// Width of the patch beyond the contact border, px.
 const PATCH_PX: f64 = 10.0;
 
-/// Change of an image: planes of red, green, blue, grey levels, each `width * height`.
+/// Change of an image: red, green and blue planes, grey levels, each `width * height`.
 pub type ChangePlanes = [Vec<f32>; 3];
 
-/// What a real press changed.
+/// Change of a real image caused by a press.
 #[derive(Clone, Debug)]
 pub struct ObservedChange {
-    /// Factor on the no-contact image, per channel.
+    /// Gain relative to the no-contact image, per channel.
     pub gain: [f64; 3],
-    /// Added after the gain, grey levels.
+    /// Offset after the gain, grey levels.
     pub offset: [f64; 3],
-    /// The image less gain · no-contact + offset.
+    /// The image minus (gain · no-contact + offset).
     pub change: ChangePlanes,
-    /// Root mean square of the change where the background was fitted, grey levels.
+    /// RMS change where the background was fitted, grey levels.
     pub outside_rms: [f64; 3],
 }
 
 /// Score of one press.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct PressScore {
-    /// File.
+    /// File name.
     pub file: String,
     /// Fraction of variance explained in the patch.
     pub fve: f64,
@@ -56,12 +56,12 @@ pub struct PressScore {
     pub no_contact_l1: f64,
 }
 
-/// Score over presses: means of the presses' scores.
+/// Mean score over presses.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct Score {
-    /// Fraction of variance explained in the patch, mean over the presses.
+    /// Mean fraction of variance explained in the patch.
     pub fve: f64,
-    /// The same with the squared errors of all presses added up first.
+    /// The same from the squared errors pooled over all presses.
     pub fve_pooled: f64,
     /// PSNR of the patch, dB.
     pub patch_psnr_db: f64,
@@ -71,12 +71,12 @@ pub struct Score {
     pub no_contact_psnr_db: f64,
     /// Mean absolute error of the background alone, grey levels.
     pub no_contact_l1: f64,
-    /// Press by press.
+    /// Scores of the presses.
     pub presses: Vec<PressScore>,
 }
 
-/// Scores a renderer on presses of a set, by index. `render` gives the change of the image
-/// that a contact makes; [`change_between`] takes it from two images.
+/// Scores a renderer on some presses of a set. `render` returns the change caused by a contact;
+/// [`change_between`] computes it from two images.
 ///
 /// # Errors
 /// Those of `render`.
@@ -91,8 +91,8 @@ pub fn score(
         let press = &set.presses[*index];
         let observed = observe(set, press);
         let change = render(&set.contact(press))?;
-        let sums = PatchSums::take(set, press, &observed, Some(&change));
-        let nothing = PatchSums::take(set, press, &observed, None);
+        let sums = PatchErrors::new(set, press, &observed, Some(&change));
+        let nothing = PatchErrors::new(set, press, &observed, None);
         error += sums.square;
         reference += nothing.square;
         presses.push(PressScore {
@@ -118,7 +118,7 @@ pub fn score(
     })
 }
 
-/// What differs between two images of the same size.
+/// Returns the difference of two images of the same size.
 pub fn change_between(pressed: &RgbImage, untouched: &RgbImage) -> ChangePlanes {
     let mut change = planes_of(pressed);
     for (plane, other) in change.iter_mut().zip(planes_of(untouched)) {
@@ -129,41 +129,43 @@ pub fn change_between(pressed: &RgbImage, untouched: &RgbImage) -> ChangePlanes 
     change
 }
 
-/// The background of a press and what the press changed in it.
+/// Fits the background of a press and returns the change.
 pub fn observe(set: &PressSet, press: &LabelledPress) -> ObservedChange {
-    let distance = Distance::of(press);
+    let distance = CentreDistance::new(press);
     let outside = |i: usize| distance.at(i) > press.radius_px + OUTSIDE_PX;
     observe_where(set, &press.image, outside)
 }
 
-/// [`observe`] with the background fitted on the pixels of a choice.
+/// [`observe`] with the background fitted to selected pixels.
 pub(super) fn observe_where(
     set: &PressSet,
     image: &RgbImage,
     chosen: impl Fn(usize) -> bool,
 ) -> ObservedChange {
-    let mut seen = ObservedChange {
+    let mut observed = ObservedChange {
         gain: [1.0; 3],
         offset: [0.0; 3],
         change: planes_of(image),
         outside_rms: [0.0; 3],
     };
-    let chosen: Vec<usize> = (0..seen.change[0].len()).filter(|i| chosen(*i)).collect();
+    let chosen: Vec<usize> = (0..observed.change[0].len())
+        .filter(|i| chosen(*i))
+        .collect();
     for (channel, untouched) in set.untouched.iter().enumerate() {
-        let plane = &mut seen.change[channel];
-        let (gain, offset) = line_through(&chosen, untouched, plane);
+        let plane = &mut observed.change[channel];
+        let (gain, offset) = fit_line(&chosen, untouched, plane);
         for (value, untouched) in plane.iter_mut().zip(untouched) {
             *value -= (gain * f64::from(*untouched) + offset) as f32;
         }
         let square: f64 = chosen.iter().map(|i| f64::from(plane[*i]).powi(2)).sum();
-        seen.outside_rms[channel] = (square / chosen.len().max(1) as f64).sqrt();
-        (seen.gain[channel], seen.offset[channel]) = (gain, offset);
+        observed.outside_rms[channel] = (square / chosen.len().max(1) as f64).sqrt();
+        (observed.gain[channel], observed.offset[channel]) = (gain, offset);
     }
-    seen
+    observed
 }
 
-/// Least-squares y = gain · x + offset over some pixels; (1, mean difference) where x is constant.
-fn line_through(chosen: &[usize], x: &[f32], y: &[f32]) -> (f64, f64) {
+/// Least-squares fit y = gain · x + offset over some pixels; (1, mean difference) if x is constant.
+fn fit_line(chosen: &[usize], x: &[f32], y: &[f32]) -> (f64, f64) {
     let count = chosen.len().max(1) as f64;
     let mean = |plane: &[f32]| chosen.iter().map(|i| f64::from(plane[*i])).sum::<f64>() / count;
     let (mean_x, mean_y) = (mean(x), mean(y));
@@ -177,15 +179,15 @@ fn line_through(chosen: &[usize], x: &[f32], y: &[f32]) -> (f64, f64) {
     (gain, mean_y - gain * mean_x)
 }
 
-/// Distance of pixels from a contact's centre.
+/// Distance of pixels from a contact centre.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Distance {
+pub(super) struct CentreDistance {
     centre_px: [f64; 2],
     width: usize,
 }
 
-impl Distance {
-    pub(super) fn of(press: &LabelledPress) -> Self {
+impl CentreDistance {
+    pub(super) fn new(press: &LabelledPress) -> Self {
         Self {
             centre_px: press.centre_px,
             width: press.image.width() as usize,
@@ -204,21 +206,21 @@ pub(super) fn in_patch(distance: f64, radius_px: f64) -> bool {
     distance < radius_px + PATCH_PX
 }
 
-/// Errors summed over a patch.
-struct PatchSums {
+/// Sums of errors over a patch.
+struct PatchErrors {
     square: f64,
     absolute: f64,
     values: f64,
 }
 
-impl PatchSums {
-    fn take(
+impl PatchErrors {
+    fn new(
         set: &PressSet,
         press: &LabelledPress,
         observed: &ObservedChange,
         change: Option<&ChangePlanes>,
     ) -> Self {
-        let distance = Distance::of(press);
+        let distance = CentreDistance::new(press);
         let mut sums = Self {
             square: 0.0,
             absolute: 0.0,
@@ -232,7 +234,7 @@ impl PatchSums {
                 let background =
                     observed.gain[c] * f64::from(set.untouched[c][i]) + observed.offset[c];
                 let change = change.map_or(0.0, |planes| f64::from(planes[c][i]));
-                // The image has 8 bits: + 0.5 rounds, the cast saturates.
+                // 8-bit rounding: + 0.5 rounds, the cast saturates.
                 let shown = (background + change + 0.5) as u8;
                 let error = f64::from(shown) - f64::from(real);
                 sums.square += error * error;

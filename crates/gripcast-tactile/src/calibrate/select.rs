@@ -1,60 +1,61 @@
-//! Chooses shape of the gel, terms and ridge by cross-validation inside the presses to fit.
+//! Selects gel shape, shading terms and ridge by cross-validation on the presses to fit.
 
 use rayon::prelude::*;
 use serde::Serialize;
 
 use super::press_set::PressSet;
 use super::score::{ObservedChange, observe};
-use super::sums::{PressSums, SquareSums, term_places};
-use crate::shading::normalised_place;
+use super::sums::{PressSums, SquareSums, term_indices};
+use crate::shading::normalised_position;
 use crate::{NormalOrder, PolynomialShading, PositionOrder, Smoothing};
 use gripcast_base::error::{Error, Result};
 use gripcast_base::linear::Symmetric;
 
-/// Lengths over which the gel comes up around a contact that are tried, m.
+/// Candidate decay lengths, m.
 const SINK_LENGTHS_M: [f64; 5] = [5e-4, 7e-4, 1e-3, 1.4e-3, 2e-3];
-/// Gaussians that are tried, m.
+/// Candidate Gaussians, m.
 const SIGMAS_M: [f64; 4] = [5e-5, 1e-4, 2e-4, 3e-4];
-/// The Gaussian while the length is chosen, m.
+/// Gaussian while the length is selected, m.
 const FIRST_SIGMA_M: f64 = 1e-4;
-/// Ridges that are tried, of the mean square of nx and ny.
+/// Candidate ridges, relative to the mean square of nx and ny.
 const RIDGES: [f64; 7] = [1e-4, 3e-4, 1e-3, 3e-3, 1e-2, 3e-2, 1e-1];
-/// Most folds of the cross-validation.
+/// Maximum number of folds.
 const MAX_FOLDS: usize = 7;
-/// The model with fewest terms within this distance of the best is taken.
-const AS_GOOD: f64 = 0.002;
-/// Standard deviation of the contacts' places, of half the longer side, from which terms of the
-/// place can be told apart: linear, quadratic.
-const SPREAD_FOR: [f64; 2] = [0.06, 0.1];
+/// The simplest model within this FVE of the best is selected.
+const FVE_TOLERANCE: f64 = 0.002;
+/// Minimum standard deviation of the contact positions, relative to half the longer side, for
+/// linear and quadratic position terms.
+const MIN_SPREAD: [f64; 2] = [0.06, 0.1];
 
-/// A shading model and how it was chosen.
+/// A selected shading model.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct ChosenModel {
-    /// Powers of the normal.
+    /// Order in the normal.
     pub normal: NormalOrder,
-    /// Powers of the place.
+    /// Order in the position.
     pub position: PositionOrder,
-    /// Penalty on squared coefficients, of the mean square of nx and ny.
+    /// Ridge penalty, relative to the mean square of nx and ny.
     pub ridge: f64,
-    /// Shape of the gel.
+    /// Gel shape.
     pub smoothing: Smoothing,
-    /// Fraction of variance explained in the cross-validation.
+    /// Cross-validated fraction of variance explained.
     pub cv_fve: f64,
 }
 
-/// Limits of a choice.
+/// Orders of the shading; unset ones are selected.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Terms {
-    /// Powers of the normal; none = chosen.
+    /// Order in the normal; `None` = selected.
     pub normal: Option<NormalOrder>,
-    /// Powers of the place; none = chosen among those that the presses' places can tell apart.
+    /// Order in the position; `None` = selected among those that the contact positions can
+    /// identify.
     pub position: Option<PositionOrder>,
 }
 
-/// Chooses and fits a polynomial shading on presses of a set, by index.
+/// Selects and fits a polynomial shading on some presses of a set.
 ///
 /// # Errors
-/// `Input` if there are fewer than two presses to fit.
+/// `Input` if there are fewer than two presses.
 pub(super) fn choose(
     set: &PressSet,
     train: &[usize],
@@ -62,24 +63,24 @@ pub(super) fn choose(
 ) -> Result<(ChosenModel, PolynomialShading)> {
     if train.len() < 2 {
         return Err(Error::input(format!(
-            "at least 2 presses are needed to fit, found {}",
+            "at least 2 presses are required to fit, found {}",
             train.len()
         ))
-        .remedy("take more presses, 5 or more all over the pad, or fit a larger fraction"));
+        .remedy("take more presses, 5 or more spread over the pad, or fit a larger fraction"));
     }
     let observed: Vec<ObservedChange> = train
         .par_iter()
         .map(|i| observe(set, &set.presses[*i]))
         .collect();
-    let bench = Bench {
+    let cross_validation = CrossValidation {
         set,
         train,
         observed,
         candidates: candidates(set, train, terms),
     };
     let mut best: Option<(ChosenModel, Vec<PressSums>)> = None;
-    let mut consider = |sink_length_m: f64, sigma_m: f64| {
-        let (model, sums) = bench.judge(Smoothing {
+    let mut try_smoothing = |sink_length_m: f64, sigma_m: f64| {
+        let (model, sums) = cross_validation.evaluate(Smoothing {
             sink_length_m,
             sigma_m,
         });
@@ -91,17 +92,17 @@ pub(super) fn choose(
     };
     let mut length = 0.0;
     for candidate in SINK_LENGTHS_M {
-        length = consider(candidate, FIRST_SIGMA_M);
+        length = try_smoothing(candidate, FIRST_SIGMA_M);
     }
     for sigma in SIGMAS_M.into_iter().filter(|s| *s != FIRST_SIGMA_M) {
-        consider(length, sigma);
+        try_smoothing(length, sigma);
     }
     let Some((model, sums)) = best else {
-        return Err(Error::internal("no shape of the gel was tried"));
+        return Err(Error::internal("no gel shape was evaluated"));
     };
-    let places = term_places(model.normal, model.position);
+    let indices = term_indices(model.normal, model.position);
     let all = SquareSums::total(sums.iter().map(|s| &s.fit));
-    let solution = solve(&all, &places, model.ridge)?;
+    let solution = solve(&all, &indices, model.ridge)?;
     let [red, green, blue] = solution;
     let shading = PolynomialShading {
         normal: model.normal,
@@ -118,9 +119,9 @@ pub(super) fn choose(
     Ok((model, shading))
 }
 
-/// Terms to try, few before many.
+/// Candidate orders, fewest terms first.
 fn candidates(set: &PressSet, train: &[usize], terms: Terms) -> Vec<(NormalOrder, PositionOrder)> {
-    let highest = highest_position(set, train);
+    let max_position = max_position_order(set, train);
     let mut all: Vec<(NormalOrder, PositionOrder)> = NormalOrder::ALL
         .into_iter()
         .flat_map(|n| PositionOrder::ALL.into_iter().map(move |p| (n, p)))
@@ -128,7 +129,7 @@ fn candidates(set: &PressSet, train: &[usize], terms: Terms) -> Vec<(NormalOrder
             terms.normal.is_none_or(|wanted| wanted == *n)
                 && match terms.position {
                     Some(wanted) => wanted == *p,
-                    None => *p <= highest,
+                    None => *p <= max_position,
                 }
         })
         .collect();
@@ -136,47 +137,52 @@ fn candidates(set: &PressSet, train: &[usize], terms: Terms) -> Vec<(NormalOrder
     all
 }
 
-/// Highest power of the place that the contacts are spread enough for.
-fn highest_position(set: &PressSet, train: &[usize]) -> PositionOrder {
-    let places: Vec<[f32; 2]> = train
+/// Highest order in the position identifiable from the contact positions.
+fn max_position_order(set: &PressSet, train: &[usize]) -> PositionOrder {
+    let indices: Vec<[f32; 2]> = train
         .iter()
         .map(|i| {
             let [x, y] = set.presses[*i].centre_px;
-            normalised_place(&set.geometry, x.max(0.0) as usize, y.max(0.0) as usize)
+            normalised_position(&set.geometry, x.max(0.0) as usize, y.max(0.0) as usize)
         })
         .collect();
     let spread = |axis: usize| {
-        let count = places.len() as f64;
-        let mean = places.iter().map(|p| f64::from(p[axis])).sum::<f64>() / count;
-        let square = places.iter().map(|p| (f64::from(p[axis]) - mean).powi(2));
+        let count = indices.len() as f64;
+        let mean = indices.iter().map(|p| f64::from(p[axis])).sum::<f64>() / count;
+        let square = indices.iter().map(|p| (f64::from(p[axis]) - mean).powi(2));
         (square.sum::<f64>() / count).sqrt()
     };
-    let least = spread(0).min(spread(1));
-    if least >= SPREAD_FOR[1] {
+    let min_spread = spread(0).min(spread(1));
+    if min_spread >= MIN_SPREAD[1] {
         PositionOrder::Quadratic
-    } else if least >= SPREAD_FOR[0] {
+    } else if min_spread >= MIN_SPREAD[0] {
         PositionOrder::Linear
     } else {
         PositionOrder::Constant
     }
 }
 
-struct Bench<'a> {
+struct CrossValidation<'a> {
     set: &'a PressSet,
     train: &'a [usize],
     observed: Vec<ObservedChange>,
     candidates: Vec<(NormalOrder, PositionOrder)>,
 }
 
-impl Bench<'_> {
-    /// Best terms and ridge for a shape of the gel, and the sums of the presses.
-    fn judge(&self, smoothing: Smoothing) -> (ChosenModel, Vec<PressSums>) {
+impl CrossValidation<'_> {
+    /// Returns the best orders and ridge for a gel shape, and the sums of the presses.
+    fn evaluate(&self, smoothing: Smoothing) -> (ChosenModel, Vec<PressSums>) {
         let sums: Vec<PressSums> = self
             .train
             .par_iter()
             .zip(&self.observed)
-            .map(|(i, seen)| {
-                PressSums::take(self.set, &self.set.presses[*i], &seen.change, &smoothing)
+            .map(|(i, observed)| {
+                PressSums::new(
+                    self.set,
+                    &self.set.presses[*i],
+                    &observed.change,
+                    &smoothing,
+                )
             })
             .collect();
         let folds = sums.len().min(MAX_FOLDS);
@@ -193,64 +199,64 @@ impl Bench<'_> {
             .collect();
         let scores: Vec<f64> = trials
             .par_iter()
-            .map(|(n, p, ridge)| cross_validated(&sums, &without, &term_places(*n, *p), *ridge))
+            .map(|(n, p, ridge)| cross_validated(&sums, &without, &term_indices(*n, *p), *ridge))
             .collect();
         let best = scores.iter().copied().fold(f64::NEG_INFINITY, f64::max);
-        let place = scores
+        let index = scores
             .iter()
-            .position(|s| *s >= best - AS_GOOD)
+            .position(|s| *s >= best - FVE_TOLERANCE)
             .unwrap_or(0);
-        let (normal, position, ridge) = trials[place];
+        let (normal, position, ridge) = trials[index];
         let model = ChosenModel {
             normal,
             position,
             ridge,
             smoothing,
-            cv_fve: scores[place],
+            cv_fve: scores[index],
         };
         (model, sums)
     }
 }
 
-/// Mean fraction of variance explained in the patches of presses left out of the fit.
+/// Mean fraction of variance explained in the patches of left-out presses.
 fn cross_validated(
     sums: &[PressSums],
     without: &[SquareSums],
-    places: &[usize],
+    indices: &[usize],
     ridge: f64,
 ) -> f64 {
     let folds = without.len();
     let mut total = 0.0;
     for (fold, fitted) in without.iter().enumerate() {
-        let Ok(solution) = solve(fitted, places, ridge) else {
+        let Ok(solution) = solve(fitted, indices, ridge) else {
             return f64::NEG_INFINITY;
         };
         for press in sums.iter().skip(fold).step_by(folds) {
-            total += 1.0 - press.patch.error(places, &solution) / press.patch.square;
+            total += 1.0 - press.patch.error(indices, &solution) / press.patch.square;
         }
     }
     total / sums.len() as f64
 }
 
-/// Ridge regression: (G + ρ τ I) w = b, τ the sum of the squares of nx and ny halved.
-fn solve(sums: &SquareSums, places: &[usize], ridge: f64) -> Result<[Vec<f64>; 3]> {
-    // Terms 0 and POSITION_TERMS of the largest shading are nx and ny at constant place.
-    let scale = 0.5 * (sums.gram[places[0]][places[0]] + sums.gram[NY][NY]);
-    let mut matrix = Symmetric::zero(places.len());
-    for (i, a) in places.iter().enumerate() {
-        for (j, b) in places.iter().enumerate() {
+/// Ridge regression: (G + ρ τ I) w = b, with τ half the sum of the squares of nx and ny.
+fn solve(sums: &SquareSums, indices: &[usize], ridge: f64) -> Result<[Vec<f64>; 3]> {
+    // Terms 0 and [`NY`] are nx and ny at constant position.
+    let scale = 0.5 * (sums.gram[indices[0]][indices[0]] + sums.gram[NY][NY]);
+    let mut matrix = Symmetric::zero(indices.len());
+    for (i, a) in indices.iter().enumerate() {
+        for (j, b) in indices.iter().enumerate() {
             matrix.add(i, j, sums.gram[*a][*b]);
         }
         matrix.add(i, i, ridge * scale);
     }
     let factor = matrix.factor().ok_or_else(|| {
-        Error::input("the presses do not determine the shading: no slope is seen in any of them")
+        Error::input("the presses do not determine the shading: none of them shows a slope")
     })?;
     Ok([0, 1, 2].map(|c| {
-        let right: Vec<f64> = places.iter().map(|place| sums.cross[*place][c]).collect();
+        let right: Vec<f64> = indices.iter().map(|index| sums.cross[*index][c]).collect();
         factor.solve(&right)
     }))
 }
 
-/// Place of ny among the terms of the largest shading.
+/// Index of ny among all terms.
 const NY: usize = crate::shading::POSITION_TERMS;

@@ -1,4 +1,4 @@
-//! The image of a calibration: real, rendered and residual, press by press.
+//! Overview image of a calibration: real, rendered and residual per press.
 
 use image::{Rgb, RgbImage};
 
@@ -6,28 +6,28 @@ use super::press_set::PressSet;
 use super::score::{ChangePlanes, PressScore, observe};
 use gripcast_imaging::caption::{self, write_text};
 
-/// Reach of a tile beyond the contact's border, pixels.
+/// Margin of a tile beyond the contact border, px.
 const MARGIN_PX: f64 = 45.0;
-/// Smallest and largest side of a tile, pixels.
+/// Range of the side of a tile, px.
 const SIDE: std::ops::RangeInclusive<u32> = 96..=400;
-/// Pixels between tiles.
+/// Gap between tiles, px.
 const GAP: u32 = 4;
-/// Rows of a caption.
+/// Height of a caption, px.
 const CAPTION: u32 = caption::HEIGHT + 4;
-/// Grey levels of the residual image to one of the residual.
+/// Gain of the residual image.
 const RESIDUAL_GAIN: f32 = 2.0;
-/// Columns.
+/// Titles of the columns.
 const COLUMNS: [&str; 4] = ["no contact", "real", "rendered", "residual x2"];
 
-/// A press with what was rendered for it.
+/// A press with its rendered change.
 pub(super) struct Row<'a> {
     pub(super) index: usize,
     pub(super) change: ChangePlanes,
     pub(super) score: &'a PressScore,
 }
 
-/// One row a press: the background with its drift, the real image, the rendered one, and real −
-/// rendered at twice its size around grey; above each row the file and its scores.
+/// One row per press: background with drift, real image, rendered image, and real − rendered at
+/// twice its size around grey, captioned with file and scores.
 pub(super) fn sheet(set: &PressSet, rows: &[Row<'_>]) -> RgbImage {
     let radius = rows
         .iter()
@@ -80,8 +80,8 @@ fn draw_row(sheet: &mut RgbImage, set: &PressSet, row: &Row<'_>, side: u32, top:
                 std::array::from_fn(|c| 128.0 + RESIDUAL_GAIN * (f32::from(real[c]) - rendered[c]));
             let tiles = [background, real.map(f32::from), rendered, residual];
             for (column, colour) in tiles.into_iter().enumerate() {
-                let at = GAP + column as u32 * (side + GAP) + dx;
-                sheet.put_pixel(at, top + dy, Rgb(colour.map(|v| (v + 0.5) as u8)));
+                let column_x = GAP + column as u32 * (side + GAP) + dx;
+                sheet.put_pixel(column_x, top + dy, Rgb(colour.map(|v| (v + 0.5) as u8)));
             }
         }
     }

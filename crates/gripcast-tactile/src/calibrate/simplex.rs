@@ -1,8 +1,8 @@
-//! Downhill simplex of Nelder and Mead (*The Computer Journal* 7, 1965), for a few unknowns.
+//! Downhill simplex of Nelder and Mead (*The Computer Journal* 7, 1965).
 
-/// Smallest value found: starts at `start`, with a first step for each unknown; stops after
-/// `evaluations` or when the values at the corners differ by less than `tolerance`. Returns the
-/// place and its value.
+/// Minimises a function from `start` with an initial step per unknown; stops after `evaluations` or
+/// when the values at the vertices differ by less than `tolerance`. Returns the minimiser and its
+/// value.
 pub(super) fn minimise(
     start: &[f64],
     steps: &[f64],
@@ -21,23 +21,23 @@ pub(super) fn minimise(
         corners.sort_by(|a, b| a.0.total_cmp(&b.0));
         let worst = corners.len() - 1;
         if left == 0 || corners[worst].0 - corners[0].0 < tolerance {
-            let (best, place) = corners.swap_remove(0);
-            return (place, best);
+            let (best, point) = corners.swap_remove(0);
+            return (point, best);
         }
         let middle = mean(&corners[..worst]);
         let mut probe = |factor: f64| {
-            let place: Vec<f64> = middle
+            let point: Vec<f64> = middle
                 .iter()
                 .zip(&corners[worst].1)
                 .map(|(m, w)| m + factor * (w - m))
                 .collect();
             left = left.saturating_sub(1);
-            (value(&place), place)
+            (value(&point), point)
         };
         let reflected = probe(-1.0);
         let next = if reflected.0 < corners[0].0 {
             let expanded = probe(-2.0);
-            Some(better(reflected, expanded))
+            Some(min_corner(reflected, expanded))
         } else if reflected.0 < corners[worst - 1].0 {
             Some(reflected)
         } else {
@@ -57,7 +57,7 @@ pub(super) fn minimise(
 
 type Corner = (f64, Vec<f64>);
 
-fn better(a: Corner, b: Corner) -> Corner {
+fn min_corner(a: Corner, b: Corner) -> Corner {
     if a.0 <= b.0 { a } else { b }
 }
 
@@ -71,7 +71,7 @@ fn mean(corners: &[Corner]) -> Vec<f64> {
     sum
 }
 
-/// Halves the simplex towards its best corner; returns the evaluations it took.
+/// Shrinks the simplex towards its best vertex; returns the number of evaluations.
 fn shrink(corners: &mut [Corner], value: &mut dyn FnMut(&[f64]) -> f64) -> usize {
     let best = corners[0].1.clone();
     for (v, corner) in corners.iter_mut().skip(1) {
@@ -88,14 +88,14 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_banana_valley_is_followed_to_its_end() {
+    fn rosenbrock_function_is_minimised() {
         let mut valley = |p: &[f64]| 100.0 * (p[1] - p[0] * p[0]).powi(2) + (1.0 - p[0]).powi(2);
-        let (place, value) = minimise(&[-1.2, 1.0], &[0.2, 0.2], 400, 1e-12, &mut valley);
-        assert!(value < 1e-8 && (place[0] - 1.0).abs() < 1e-3, "{place:?}");
+        let (point, value) = minimise(&[-1.2, 1.0], &[0.2, 0.2], 400, 1e-12, &mut valley);
+        assert!(value < 1e-8 && (point[0] - 1.0).abs() < 1e-3, "{point:?}");
     }
 
     #[test]
-    fn values_that_are_no_numbers_end_it() {
+    fn nan_values_terminate() {
         let (_, value) = minimise(&[0.0], &[1.0], 50, 1e-9, &mut |_| f64::NAN);
         assert!(value.is_nan());
     }

@@ -1,17 +1,17 @@
-//! Sums of squares of a press, from which any polynomial shading is fitted and scored.
+//! Normal-equation sums of a press, from which any polynomial shading is fitted and scored.
 
 use super::press_set::{LabelledPress, PressSet};
-use super::score::{ChangePlanes, Distance, in_patch};
+use super::score::{CentreDistance, ChangePlanes, in_patch};
 use crate::normals::Normals;
 use crate::shading::{
-    NORMAL_TERMS, NormalOrder, POSITION_TERMS, PositionOrder, normal_terms, normalised_place,
+    NORMAL_TERMS, NormalOrder, POSITION_TERMS, PositionOrder, normal_terms, normalised_position,
     position_terms,
 };
 use crate::{Smoother, Smoothing};
 
-/// Pixels up to this distance from the border of a contact are fitted.
+/// Maximum distance of fitted pixels from the contact border.
 const FIT_PX: f64 = 50.0;
-/// Every so many pixels along both axes are taken.
+/// Subsampling along both axes, px.
 const STRIDE: usize = 2;
 /// Terms of the largest shading.
 const TERMS: usize = NORMAL_TERMS * POSITION_TERMS;
@@ -27,40 +27,40 @@ pub(super) struct SquareSums {
 /// Sums of one press.
 #[derive(Clone, Debug)]
 pub(super) struct PressSums {
-    /// Where shading is fitted.
+    /// Over the fitted pixels.
     pub(super) fit: SquareSums,
-    /// Where it is scored.
+    /// Over the scored patch.
     pub(super) patch: SquareSums,
-    /// Sine of the steepest tilt in the press.
+    /// Maximum sine of the slope in the press.
     pub(super) steepest: f64,
 }
 
-/// Places of the terms of a smaller shading among those of the largest.
-pub(super) fn term_places(normal: NormalOrder, position: PositionOrder) -> Vec<usize> {
+/// Indices of a shading's terms among those of the largest.
+pub(super) fn term_indices(normal: NormalOrder, position: PositionOrder) -> Vec<usize> {
     (0..normal.terms())
         .flat_map(|k| (0..position.terms()).map(move |p| k * POSITION_TERMS + p))
         .collect()
 }
 
-/// Normals of a labelled contact under a shape of the gel.
+/// Normals of a labelled contact for a gel shape.
 pub(super) fn normals_of(set: &PressSet, press: &LabelledPress, smoothing: &Smoothing) -> Normals {
     let depth = set.contact(press).press(smoothing.sink_length_m);
     let mut normals = Normals::default();
     let mut smoother = Smoother::new(smoothing, set.geometry.pixel_m);
-    normals.take(smoother.smooth(&depth), &set.geometry);
+    normals.compute(smoother.smooth(&depth), &set.geometry);
     normals
 }
 
 impl PressSums {
-    /// Sums of a press whose change was observed.
-    pub(super) fn take(
+    /// Computes the sums of a press from its observed change.
+    pub(super) fn new(
         set: &PressSet,
         press: &LabelledPress,
         change: &ChangePlanes,
         smoothing: &Smoothing,
     ) -> Self {
         let normals = normals_of(set, press, smoothing);
-        let distance = Distance::of(press);
+        let distance = CentreDistance::new(press);
         let radius = press.radius_px;
         let over = |chosen: &dyn Fn(f64) -> bool| {
             let (width, height) = (set.geometry.width, set.geometry.height);
@@ -98,7 +98,7 @@ impl SquareSums {
         let mut sums = Self::zero();
         for i in pixels {
             let t = normal_terms(normals.x[*i], normals.y[*i], normals.z_less_1[*i]);
-            let [x, y] = normalised_place(&set.geometry, i % width, i / width);
+            let [x, y] = normalised_position(&set.geometry, i % width, i / width);
             let q = position_terms(x, y);
             let mut terms = [0.0; TERMS];
             for (terms, t) in terms.as_chunks_mut::<POSITION_TERMS>().0.iter_mut().zip(t) {
@@ -107,7 +107,7 @@ impl SquareSums {
             let values = [0, 1, 2].map(|c| f64::from(change[c][*i]));
             sums.square += values.iter().map(|v| v * v).sum::<f64>();
             for (k, term) in terms.iter().enumerate() {
-                // The other half is symmetric.
+                // Symmetric.
                 for (sum, other) in sums.gram[k][..=k].iter_mut().zip(&terms) {
                     *sum += term * other;
                 }
@@ -124,7 +124,7 @@ impl SquareSums {
         sums
     }
 
-    /// Sums of several presses, in their order.
+    /// Adds up the sums of several presses in order.
     pub(super) fn total<'a>(parts: impl Iterator<Item = &'a Self>) -> Self {
         let mut total = Self::zero();
         for part in parts {
@@ -139,12 +139,12 @@ impl SquareSums {
         total
     }
 
-    /// Squared error that coefficients of the terms at `places` leave.
-    pub(super) fn error(&self, places: &[usize], coefficients: &[Vec<f64>; 3]) -> f64 {
+    /// Squared error of coefficients of the terms at `indices`.
+    pub(super) fn error(&self, indices: &[usize], coefficients: &[Vec<f64>; 3]) -> f64 {
         let mut error = self.square;
         for (c, coefficients) in coefficients.iter().enumerate() {
-            for (a, w) in places.iter().zip(coefficients) {
-                let image: f64 = places
+            for (a, w) in indices.iter().zip(coefficients) {
+                let image: f64 = indices
                     .iter()
                     .zip(coefficients)
                     .map(|(b, w)| self.gram[*a][*b] * w)

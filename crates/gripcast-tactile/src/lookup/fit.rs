@@ -1,37 +1,37 @@
-//! Fits Taxim's table to presses of a ball (Si & Yuan 2022, §III-A).
+//! Fits a Taxim table to presses of a ball (Si & Yuan 2022, §III-A).
 //!
-//! The slope at a pixel is that of the ball itself. A press fills the bins that its pixels fall
-//! into with their mean change and mean place; the other bins take those of the nearest filled
-//! one. Then each bin has one sample a press, to which its polynomial is fitted.
+//! The slope at a pixel is that of the ball. Each press assigns to every bin the mean change and
+//! position of its pixels; empty bins copy the nearest filled one. Each bin then has one sample per
+//! press, to which its polynomial is fitted.
 
 use std::collections::VecDeque;
 
-use super::table::{Coefficients, Seen, TaximTable, bin, terms};
+use super::table::{Coefficients, SampleRange, TaximTable, bin, terms};
 use gripcast_base::error::{Error, Result};
 use gripcast_base::linear::Cholesky;
 
-/// Weight of the prior that a bin's change does not depend on the place, for each press. Few
-/// presses at similar places leave the polynomial open otherwise.
+/// Ridge per press towards a change independent of the position; regularises few presses at similar
+/// positions.
 const RIDGE: f64 = 1e-3;
 
 /// A press of a ball.
 #[derive(Clone, Debug)]
 pub struct BallPress<'a> {
-    /// Change of red, green, blue against the untouched gel, grey levels, row by row.
+    /// Change of red, green, blue relative to the untouched gel, grey levels, row-major.
     pub change: &'a [[f32; 3]],
-    /// Middle of the contact: column, row.
+    /// Contact centre: column, row, px.
     pub center_px: [f64; 2],
-    /// Radius of the contact, pixels.
+    /// Contact radius, px.
     pub contact_radius_px: f64,
-    /// Radius of the ball, pixels.
+    /// Ball radius, px.
     pub ball_radius_px: f64,
 }
 
-/// One press in the bins.
+/// Sample of a bin from one press.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 struct Sample {
-    /// Column and row.
-    place: [f64; 2],
+    /// Column and row, px.
+    position: [f64; 2],
     change: [f64; 3],
 }
 
@@ -39,17 +39,17 @@ impl TaximTable {
     /// Fits a table of `bins` × `bins` to presses on images of `image_size` (columns, rows).
     ///
     /// # Errors
-    /// `Input` where there is no press, fewer than 2 bins, a press of another size, or one
-    /// without a pixel of contact in the image.
+    /// `Input` without presses, with fewer than 2 bins, for a press of another size or without a
+    /// contact pixel in the image.
     pub fn fit(presses: &[BallPress<'_>], image_size: [usize; 2], bins: usize) -> Result<Self> {
         let refused = |what: String| Error::input(what);
         if presses.is_empty() || bins < 2 {
             return Err(refused(format!(
-                "a table needs at least one press and 2 bins, found {} and {bins}",
+                "a table requires at least 1 press and 2 bins, found {} and {bins}",
                 presses.len()
             )));
         }
-        let mut sheets = Vec::with_capacity(presses.len());
+        let mut binned = Vec::with_capacity(presses.len());
         for (index, press) in presses.iter().enumerate() {
             let expected = image_size[0] * image_size[1];
             if press.change.len() != expected {
@@ -58,49 +58,49 @@ impl TaximTable {
                     press.change.len()
                 )));
             }
-            let sheet = press.binned(image_size[0], bins).ok_or_else(|| {
+            let filled = press.binned(image_size[0], bins).ok_or_else(|| {
                 refused(format!(
-                    "press {index}: no pixel of its contact lies in the image"
+                    "press {index}: no pixel of the contact lies in the image"
                 ))
             })?;
-            sheets.push(sheet);
+            binned.push(filled);
         }
         let mut channels = [0; 3].map(|_| Vec::with_capacity(bins * bins));
-        let mut seen = Vec::with_capacity(bins * bins);
-        let mut samples = Vec::with_capacity(sheets.len());
+        let mut ranges = Vec::with_capacity(bins * bins);
+        let mut samples = Vec::with_capacity(binned.len());
         for bin in 0..bins * bins {
             samples.clear();
-            samples.extend(sheets.iter().map(|sheet| sheet[bin]));
+            samples.extend(binned.iter().map(|filled| filled[bin]));
             let fitted = polynomial(&samples, image_size);
             for (channel, coefficients) in channels.iter_mut().zip(fitted) {
                 channel.push(coefficients);
             }
-            let mut range = Seen::NOTHING;
-            samples.iter().for_each(|s| range.add(s.place, s.change));
-            seen.push(range);
+            let mut range = SampleRange::EMPTY;
+            samples.iter().for_each(|s| range.add(s.position, s.change));
+            ranges.push(range);
         }
-        Ok(Self::new(bins, image_size, channels).limited(seen))
+        Ok(Self::new(bins, image_size, channels, ranges))
     }
 }
 
 impl BallPress<'_> {
-    /// Mean place and change in each bin; none if no pixel lies in the contact.
+    /// Returns the mean position and change of each bin; `None` if no pixel is in contact.
     fn binned(&self, width: usize, bins: usize) -> Option<Vec<Sample>> {
         let mut sums = vec![(0.0, Sample::default()); bins * bins];
         let reach = self.contact_radius_px.min(self.ball_radius_px);
         for (pixel, change) in self.change.iter().enumerate() {
-            let place = [(pixel % width) as f64, (pixel / width) as f64];
-            let [x, y] = [0, 1].map(|axis| place[axis] - self.center_px[axis]);
+            let position = [(pixel % width) as f64, (pixel / width) as f64];
+            let [x, y] = [0, 1].map(|axis| position[axis] - self.center_px[axis]);
             let radius = x.hypot(y);
             if radius >= reach {
                 continue;
             }
-            // The height falls away from the middle.
+            // The height decreases away from the centre.
             let angle = (radius / self.ball_radius_px).asin();
             let (count, sum) = &mut sums[bin(bins, angle, (-y).atan2(-x))];
             *count += 1.0;
-            for (sum, place) in sum.place.iter_mut().zip(place) {
-                *sum += place;
+            for (sum, coordinate) in sum.position.iter_mut().zip(position) {
+                *sum += coordinate;
             }
             for (sum, change) in sum.change.iter_mut().zip(change) {
                 *sum += f64::from(*change);
@@ -110,31 +110,31 @@ impl BallPress<'_> {
         if queue.is_empty() {
             return None;
         }
-        let mut sheet: Vec<Sample> = sums.iter().map(|(count, sum)| sum.over(*count)).collect();
-        let mut known: Vec<bool> = sums.iter().map(|(count, _)| *count > 0.0).collect();
+        let mut filled: Vec<Sample> = sums.iter().map(|(count, sum)| sum.over(*count)).collect();
+        let mut is_filled: Vec<bool> = sums.iter().map(|(count, _)| *count > 0.0).collect();
         while let Some(from) = queue.pop_front() {
             for to in neighbours(from, bins).into_iter().flatten() {
-                if !known[to] {
-                    known[to] = true;
-                    sheet[to] = sheet[from];
+                if !is_filled[to] {
+                    is_filled[to] = true;
+                    filled[to] = filled[from];
                     queue.push_back(to);
                 }
             }
         }
-        Some(sheet)
+        Some(filled)
     }
 }
 
 impl Sample {
     fn over(self, count: f64) -> Self {
         Self {
-            place: self.place.map(|v| v / count),
+            position: self.position.map(|v| v / count),
             change: self.change.map(|v| v / count),
         }
     }
 }
 
-/// Bins beside a bin: of the next smaller and larger angle, and of both directions around.
+/// Neighbouring bins: next smaller and larger angle, and both directions (cyclic).
 fn neighbours(bin: usize, bins: usize) -> [Option<usize>; 4] {
     let (angle, direction) = (bin / bins, bin % bins);
     [
@@ -145,16 +145,16 @@ fn neighbours(bin: usize, bins: usize) -> [Option<usize>; 4] {
     ]
 }
 
-/// Least squares of red, green, blue over the samples of a bin.
+/// Least-squares polynomials of red, green, blue over the samples of a bin.
 fn polynomial(samples: &[Sample], [width, height]: [usize; 2]) -> [Coefficients; 3] {
-    // Places are taken to about ±1; raw pixels would make the squares outweigh all else.
+    // Positions are scaled to about ±1 for conditioning.
     let scale = 2.0 / width.max(height) as f64;
     let middle = [0.5 * width as f64, 0.5 * height as f64];
     let mut normal = [[0.0; 6]; 6];
     let mut right = [[0.0; 6]; 3];
     for sample in samples {
-        let place = [0, 1].map(|axis| (sample.place[axis] - middle[axis]) * scale);
-        let row = terms(place);
+        let position = [0, 1].map(|axis| (sample.position[axis] - middle[axis]) * scale);
+        let row = terms(position);
         for (i, term) in row.iter().enumerate() {
             for (entry, other) in normal[i].iter_mut().zip(row) {
                 *entry += term * other;
@@ -167,15 +167,15 @@ fn polynomial(samples: &[Sample], [width, height]: [usize; 2]) -> [Coefficients;
     for (i, row) in normal.iter_mut().enumerate().take(5) {
         row[i] += RIDGE * samples.len() as f64;
     }
-    let least = |rest: f64, _| Some(rest.max(f64::MIN_POSITIVE));
-    let factor = Cholesky::with_pivots(&normal, least);
+    let clamp = |rest: f64, _| Some(rest.max(f64::MIN_POSITIVE));
+    let factor = Cholesky::with_pivots(&normal, clamp);
     right.map(|right| {
         let solved = factor.as_ref().map_or(right, |factor| factor.solve(&right));
         unscaled(solved, scale, middle)
     })
 }
 
-/// The same polynomial in pixels.
+/// Converts a polynomial of scaled positions to pixels.
 fn unscaled(c: Coefficients, s: f64, [mx, my]: [f64; 2]) -> Coefficients {
     let [xx, yy, xy, x, y, one] = [
         c[0] * s * s,
@@ -243,8 +243,8 @@ mod tests {
     }
 
     #[test]
-    fn nothing_is_made_up_beyond_the_presses() {
-        // Three presses at nearly one spot: the polynomials of place are all but open.
+    fn table_does_not_extrapolate_beyond_presses() {
+        // Three presses at nearly one spot: the position polynomials are barely determined.
         let (table, changes) = fitted(&[[50.0, 40.0], [52.0, 41.0], [51.0, 43.0]]);
         let largest = changes.iter().flatten().flatten();
         let largest = f64::from(largest.fold(0.0, |most: f32, v| most.max(v.abs())));
@@ -265,7 +265,7 @@ mod tests {
     }
 
     #[test]
-    fn a_fit_reproduces_a_synthetic_table() {
+    fn fit_reproduces_synthetic_table() {
         let centers: Vec<[f64; 2]> = (0..20)
             .map(|i| {
                 [
@@ -290,7 +290,7 @@ mod tests {
     }
 
     #[test]
-    fn coefficients_in_pixels_are_the_same_polynomial() {
+    fn unscaled_coefficients_are_equivalent() {
         let c = [1.0, -2.0, 0.5, 3.0, -1.0, 4.0];
         let (scale, middle) = (0.02, [60.0, 45.0]);
         let raw = unscaled(c, scale, middle);
@@ -303,7 +303,7 @@ mod tests {
     }
 
     #[test]
-    fn wrong_presses_are_explained() {
+    fn invalid_presses_are_refused() {
         let change = vec![[0.0; 3]; 10];
         let press = BallPress {
             change: &change,

@@ -1,60 +1,38 @@
-//! Height map of Taxim (Si & Yuan 2022, §III-B): the gel around a contact, as a pyramid of
-//! Gaussian filters that each put the object's own shape back where it is pressed deep.
+//! Height map of Taxim (Si & Yuan 2022, §III-B): gel around a contact as a pyramid of Gaussian
+//! filters, each of which restores the object's shape in the deep contact.
 
 use crate::gaussian::{Gaussian, Region};
 use crate::press_depth::PressDepth;
 
-/// Parameters of the height map, in pixels of Taxim's image; and that image.
-#[derive(Clone, Debug, PartialEq)]
-pub struct TaximHeights {
-    /// Size of a pixel of Taxim's image, m.
-    pub pixel_m: f64,
-    /// Columns and rows of Taxim's image.
-    pub image_size: [usize; 2],
-    /// Standard deviations of the filters of the pyramid, in order, pixels.
-    pub pyramid_px: Vec<f64>,
-    /// Standard deviation of the filter that ends it, pixels.
-    pub last_px: f64,
-    /// Where the press is deeper than this fraction of its deepest point, the object's shape is put
-    /// back.
-    pub kept_fraction: f64,
-}
+/// Pixel size of Taxim's image of 640 × 480, m.
+const PIXEL_M: f64 = 2.95e-5;
+/// Standard deviations of the pyramid's filters in order, px of Taxim's image: the published
+/// kernels of 201, 101, 51, 21, 11 and 5 pixels.
+const PYRAMID_PX: [f64; 6] = [30.5, 15.5, 8.0, 3.5, 2.0, 1.1];
+/// Standard deviation of the final filter of 5 pixels, px of Taxim's image.
+const LAST_PX: f64 = 1.1;
+/// The object's shape is restored where the press is deeper than this fraction of its maximum.
+const KEPT_FRACTION: f64 = 0.4;
 
-impl Default for TaximHeights {
-    /// The published ones, of kernels of 201, 101, 51, 21, 11 and 5 pixels and a last one of 5, on
-    /// images of 640 × 480 at 0.0295 mm.
-    fn default() -> Self {
-        Self {
-            pixel_m: 2.95e-5,
-            image_size: [640, 480],
-            pyramid_px: vec![30.5, 15.5, 8.0, 3.5, 2.0, 1.1],
-            last_px: 1.1,
-            kept_fraction: 0.4,
-        }
-    }
-}
-
-impl TaximHeights {
-    /// Height of the face towards the camera under each pixel, m.
-    pub(super) fn heights(&self, press: &PressDepth) -> Vec<f32> {
-        let grid = &press.geometry;
-        let own_pixels = self.pixel_m / grid.pixel_m;
-        let kept = (self.kept_fraction * press.deepest_m()) as f32;
-        let mut heights = press.depth_m.clone();
-        let Some(mut region) = Region::of_nonzero(&heights, grid.width) else {
-            return heights;
-        };
-        for sigma in &self.pyramid_px {
-            region = Gaussian::new(sigma * own_pixels).apply(&mut heights, grid.width, region);
-            for (height, depth) in heights.iter_mut().zip(&press.depth_m) {
-                if *depth > kept {
-                    *height = *depth;
-                }
+/// Returns the height of the face towards the camera, m.
+pub(super) fn heights(press: &PressDepth) -> Vec<f32> {
+    let grid = &press.geometry;
+    let own_pixels = PIXEL_M / grid.pixel_m;
+    let kept = (KEPT_FRACTION * press.deepest_m()) as f32;
+    let mut heights = press.depth_m.clone();
+    let Some(mut region) = Region::nonzero(&heights, grid.width) else {
+        return heights;
+    };
+    for sigma in PYRAMID_PX {
+        region = Gaussian::new(sigma * own_pixels).apply(&mut heights, grid.width, region);
+        for (height, depth) in heights.iter_mut().zip(&press.depth_m) {
+            if *depth > kept {
+                *height = *depth;
             }
         }
-        Gaussian::new(self.last_px * own_pixels).apply(&mut heights, grid.width, region);
-        heights
     }
+    Gaussian::new(LAST_PX * own_pixels).apply(&mut heights, grid.width, region);
+    heights
 }
 
 #[cfg(test)]
@@ -80,18 +58,15 @@ mod tests {
     }
 
     #[test]
-    fn the_gel_rises_around_the_contact_and_keeps_it() {
+    fn gel_rises_around_contact_and_keeps_its_depth() {
         let press = bump();
-        let heights = TaximHeights::default().heights(&press);
+        let heights = heights(&press);
         let at = |x: usize, y: usize| heights[y * 80 + x];
         assert!((at(40, 30) - 1e-3).abs() < 1e-6, "{}", at(40, 30));
         let beside = [54, 58, 64, 72].map(|x| at(x, 30));
         assert!(beside.windows(2).all(|w| w[0] > w[1]), "{beside:?}");
         assert!(beside[0] > 1e-4 && beside[3] > 0.0);
         let untouched = PressDepth::untouched(press.geometry);
-        assert_eq!(
-            TaximHeights::default().heights(&untouched),
-            untouched.depth_m
-        );
+        assert_eq!(super::heights(&untouched), untouched.depth_m);
     }
 }

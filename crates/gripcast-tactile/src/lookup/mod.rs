@@ -1,6 +1,6 @@
-//! The lookup-table renderer of Taxim (Si & Yuan 2022), to compare with: a pyramid of Gaussian
-//! filters for the gel around the contact, a table of polynomials for the colours, shadows marched
-//! over the height map instead of its shadow table.
+//! Baseline renderer: Taxim's lookup table (Si & Yuan 2022). A pyramid of Gaussian filters models
+//! the gel around the contact, a table of polynomials the photometric response; shadows are
+//! ray-marched over the height map instead of Taxim's shadow table.
 
 mod fit;
 mod height;
@@ -9,9 +9,7 @@ mod shadow;
 mod table;
 
 pub use fit::BallPress;
-pub use height::TaximHeights;
 pub use on_presses::fit_to_presses;
-pub use shadow::{ShadowLamp, Shadows};
 pub use table::TaximTable;
 
 use image::{Rgb, RgbImage};
@@ -23,38 +21,32 @@ use super::scene::TactileScene;
 use super::scene_renderer::SceneRenderer;
 use gripcast_base::error::{Error, Result};
 
-/// Slope of a face up to which it counts as untouched.
+/// Slope up to which a face counts as flat.
 const FLAT_DEGREES: f64 = 0.1;
-/// Slope from which the table's change is shown whole. Larger ones cost likeness to real presses
-/// close around the contact.
+/// Slope from which the table applies fully. Larger values reduce the fidelity close to the
+/// contact.
 const SLOPED_DEGREES: f64 = 1.5;
 
-/// Taxim's renderer on the object's depth.
+/// Taxim's renderer applied to the object's depth.
 #[derive(Clone, Debug)]
 pub struct LookupRenderer {
     grid: SensorGeometry,
     background: RgbImage,
     table: TaximTable,
-    heights: TaximHeights,
-    shadows: Option<Shadows>,
+    has_shadows: bool,
     rasteriser: Rasteriser,
 }
 
 impl LookupRenderer {
-    /// A renderer over a no-contact image, without shadows.
+    /// Renderer on a no-contact image, without shadows.
     ///
     /// # Errors
-    /// `Input` where the image has another size than the grid.
-    pub fn new(
-        grid: SensorGeometry,
-        background: RgbImage,
-        table: TaximTable,
-        heights: TaximHeights,
-    ) -> Result<Self> {
+    /// `Input` if the image size differs from the grid.
+    pub fn new(grid: SensorGeometry, background: RgbImage, table: TaximTable) -> Result<Self> {
         let found = (background.width() as usize, background.height() as usize);
         if found != (grid.width, grid.height) {
             return Err(Error::input(format!(
-                "the no-contact image must be of {} × {} pixels, found {} × {}",
+                "the no-contact image must have {} × {} pixels, found {} × {}",
                 grid.width, grid.height, found.0, found.1
             )));
         }
@@ -62,27 +54,26 @@ impl LookupRenderer {
             grid,
             background,
             table,
-            heights,
-            shadows: None,
+            has_shadows: false,
             rasteriser: Rasteriser::new(),
         })
     }
 
-    /// The same with shadows.
+    /// Adds shadows.
     #[must_use]
-    pub fn with_shadows(mut self, shadows: Shadows) -> Self {
-        self.shadows = Some(shadows);
+    pub fn with_shadows(mut self) -> Self {
+        self.has_shadows = true;
         self
     }
 
-    /// What a press changes in the no-contact image, grey levels: red, green, blue, row by row,
-    /// not rounded and not clipped.
+    /// Returns the change of the no-contact image caused by a press, grey levels: red, green, blue
+    /// per pixel, row-major, neither rounded nor clipped.
     ///
-    /// A flat face changes nothing, and up to a slope of 1.5 degrees the change grows in from
-    /// there; Taxim's own renderer adds its bin of no slope everywhere.
+    /// A flat face does not change; the change is faded in up to a slope of 1.5 degrees. Taxim's
+    /// own renderer applies its flat bin everywhere.
     ///
     /// # Errors
-    /// `Input` where the press was taken on another grid.
+    /// `Input` if the press is on another grid.
     pub fn change(&self, press: &PressDepth) -> Result<Vec<[f32; 3]>> {
         if press.geometry != self.grid {
             return Err(Error::input(format!(
@@ -90,22 +81,27 @@ impl LookupRenderer {
                 self.grid, press.geometry
             )));
         }
-        let heights = self.heights.heights(press);
-        let light = self.shadows.as_ref().map(|s| s.light(&heights, &self.grid));
+        let heights = height::heights(press);
+        let light = self
+            .has_shadows
+            .then(|| shadow::transmitted_light(&heights, &self.grid));
         let SensorGeometry { width, height, .. } = self.grid;
-        // The polynomials count in pixels of the table's own image.
+        // The polynomials use pixels of the table's own image.
         let [columns, rows] = self.table.image_size();
         let zoom = [columns as f64 / width as f64, rows as f64 / height as f64];
         let untouched = self.background.pixels();
         let change = |(pixel, Rgb(untouched)): (usize, &Rgb<u8>)| {
-            let at = [pixel % width, pixel / width];
-            let slope = slope(&heights, &self.grid, at);
-            let place = [0, 1].map(|axis| (at[axis] as f64 + 0.5) * zoom[axis] - 0.5);
+            let position = [pixel % width, pixel / width];
+            let slope = gradient(&heights, &self.grid, position);
+            let table_position =
+                [0, 1].map(|axis| (position[axis] as f64 + 0.5) * zoom[axis] - 0.5);
             let fraction = fraction_of_change(slope);
             let change = if fraction == 0.0 {
                 [0.0; 3]
             } else {
-                self.table.change(slope, place).map(|c| c * fraction)
+                self.table
+                    .change(slope, table_position)
+                    .map(|c| c * fraction)
             };
             [0, 1, 2].map(|channel| {
                 let change = change[channel] as f32;
@@ -117,10 +113,10 @@ impl LookupRenderer {
         Ok(untouched.enumerate().map(change).collect())
     }
 
-    /// Image of a press.
+    /// Renders the image of a press.
     ///
     /// # Errors
-    /// `Input` where the press was taken on another grid.
+    /// `Input` if the press is on another grid.
     pub fn image(&self, press: &PressDepth) -> Result<RgbImage> {
         let mut image = self.background.clone();
         for (Rgb(pixel), change) in image.pixels_mut().zip(self.change(press)?) {
@@ -134,10 +130,6 @@ impl LookupRenderer {
 }
 
 impl SceneRenderer for LookupRenderer {
-    fn name(&self) -> &'static str {
-        "lookup"
-    }
-
     fn grid(&self) -> SensorGeometry {
         self.grid
     }
@@ -148,17 +140,17 @@ impl SceneRenderer for LookupRenderer {
     }
 }
 
-/// Fraction of the table's change that a slope shows. A table knows nothing of a face that is all
-/// but flat: of that a press of a ball holds a few pixels in its middle, deep in the gel. What is
-/// left of the filters far from a contact must not take their colour.
+/// Fade-in factor for a slope. The table is not determined for nearly flat faces: its samples are a
+/// few pixels in the centre of each ball press, deep in the gel. Filter residue far from the
+/// contact must not get their colour.
 fn fraction_of_change(slope: [f32; 2]) -> f64 {
     let angle = f64::from(slope[0].hypot(slope[1])).atan().to_degrees();
     ((angle - FLAT_DEGREES) / (SLOPED_DEGREES - FLAT_DEGREES)).clamp(0.0, 1.0)
 }
 
-/// Rise of a height map (m) along columns and rows, pixels per pixel, by central differences;
-/// border pixels take those of their neighbours further in.
-fn slope(heights_m: &[f32], grid: &SensorGeometry, [x, y]: [usize; 2]) -> [f32; 2] {
+/// Gradient of a height map (m), pixels per pixel along columns and rows, by central differences;
+/// border pixels copy their inner neighbours.
+fn gradient(heights_m: &[f32], grid: &SensorGeometry, [x, y]: [usize; 2]) -> [f32; 2] {
     let SensorGeometry { width, height, .. } = *grid;
     if width < 3 || height < 3 {
         return [0.0; 2];
@@ -185,7 +177,7 @@ mod tests {
 
     fn renderer(table: TaximTable) -> LookupRenderer {
         let untouched = RgbImage::from_pixel(64, 48, Rgb([100, 110, 120]));
-        LookupRenderer::new(GRID, untouched, table, TaximHeights::default()).unwrap()
+        LookupRenderer::new(GRID, untouched, table).unwrap()
     }
 
     fn block() -> PressDepth {
@@ -198,14 +190,14 @@ mod tests {
     }
 
     #[test]
-    fn slopes_take_the_tables_colours_and_saturate() {
+    fn table_change_is_applied_and_saturates() {
         let table = TaximTable::constant(9, [640, 480], [200.0, -20.0, 0.4]);
         let image = renderer(table).image(&block()).unwrap();
         assert_eq!(image.get_pixel(24, 24), &Rgb([255, 90, 120]));
     }
 
     #[test]
-    fn places_are_scaled_to_the_tables_image() {
+    fn positions_are_scaled_to_the_tables_image() {
         // Ten times as large: pixel (24, 24) lies at (244.5, 244.5).
         let table = TaximTable::linear_in_column(9, [640, 480]);
         let change = renderer(table).change(&block()).unwrap();
@@ -213,9 +205,9 @@ mod tests {
     }
 
     #[test]
-    fn what_is_far_from_a_small_contact_stays_as_it_is() {
+    fn pixels_far_from_contact_are_unchanged() {
         let table = TaximTable::constant(9, [640, 480], [200.0, -20.0, 5.0]);
-        let renderer = renderer(table).with_shadows(Shadows::default());
+        let renderer = renderer(table).with_shadows();
         let mut press = PressDepth::untouched(GRID);
         assert!(
             renderer
@@ -231,7 +223,7 @@ mod tests {
         let change = renderer.change(&press).unwrap();
         assert!(change[6 * 64 + 10][0] > 100.0, "{:?}", change[6 * 64 + 10]);
         // Filters as wide as 1 mm leave a slope everywhere within their reach.
-        let heights = renderer.heights.heights(&press);
+        let heights = height::heights(&press);
         let is_far = |i: &usize| distance(*i) > 34.0;
         let far: Vec<usize> = (0..64 * 48).filter(is_far).collect();
         assert!(far.iter().any(|i| heights[*i] > 0.0));
@@ -239,7 +231,7 @@ mod tests {
     }
 
     #[test]
-    fn the_change_grows_in_from_a_flat_face() {
+    fn change_fades_in_from_flat_face() {
         let fraction = |degrees: f64| fraction_of_change([0.0, -degrees.to_radians().tan() as f32]);
         assert_eq!([0.0, 0.09].map(fraction), [0.0; 2]);
         assert!((fraction(0.8) - 0.5).abs() < 1e-4);
@@ -250,17 +242,17 @@ mod tests {
     fn shadows_only_darken() {
         let table = TaximTable::constant(9, [640, 480], [0.0; 3]);
         let plain = renderer(table.clone()).image(&block()).unwrap();
-        let shaded = renderer(table).with_shadows(Shadows::default());
+        let shaded = renderer(table).with_shadows();
         let shaded = shaded.image(&block()).unwrap();
         assert!(shaded.iter().zip(plain.iter()).all(|(a, b)| a <= b));
         assert!(shaded != plain);
     }
 
     #[test]
-    fn images_and_presses_of_another_size_are_explained() {
+    fn image_or_press_of_another_size_is_refused() {
         let table = TaximTable::constant(9, [640, 480], [0.0; 3]);
         let small = RgbImage::new(32, 48);
-        let text = LookupRenderer::new(GRID, small, table.clone(), TaximHeights::default());
+        let text = LookupRenderer::new(GRID, small, table.clone());
         let text = text.unwrap_err().to_string();
         assert!(
             text.contains("64 × 48") && text.contains("32 × 48"),

@@ -1,21 +1,17 @@
-//! The table fitted to the presses that sensor profiles are calibrated with.
+//! Fits a lookup table to calibration presses.
 
-use super::{BallPress, LookupRenderer, TaximHeights, TaximTable};
+use super::{BallPress, LookupRenderer, TaximTable};
 use crate::calibrate::{PressSet, observe};
 use gripcast_base::error::Result;
 
-/// Bins of a table along each axis, as Taxim has them.
+/// Bins of a table along each axis, as in Taxim.
 const BINS: usize = 125;
 
-/// A renderer over the no-contact image of a set, its table fitted to some of the presses.
+/// Renderer on the no-contact image of a set, its table fitted to some of the presses.
 ///
 /// # Errors
-/// `Input` where no index is given, or a contact lies outside the image.
-pub fn fit_to_presses(
-    set: &PressSet,
-    indices: &[usize],
-    heights: TaximHeights,
-) -> Result<LookupRenderer> {
+/// `Input` if no index is given or a contact lies outside the image.
+pub fn fit_to_presses(set: &PressSet, indices: &[usize]) -> Result<LookupRenderer> {
     let changes: Vec<Vec<[f32; 3]>> = indices
         .iter()
         .map(|index| {
@@ -35,5 +31,5 @@ pub fn fit_to_presses(
         })
         .collect();
     let table = TaximTable::fit(&presses, [set.geometry.width, set.geometry.height], BINS)?;
-    LookupRenderer::new(set.geometry, set.no_contact.clone(), table, heights)
+    LookupRenderer::new(set.geometry, set.no_contact.clone(), table)
 }

@@ -1,105 +1,68 @@
-//! Shadows of the lamps beside the pad, marched over the height map.
+//! Shadows of the LEDs beside the pad, ray-marched over the height map.
 
 use crate::gaussian::{Gaussian, Region};
 use crate::press_depth::SensorGeometry;
 
-/// A lamp far enough for its light to come from one direction.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct ShadowLamp {
-    /// Channel that it lights: 0 red, 1 green, 2 blue.
-    pub channel: usize,
-    /// Direction to it in the image, from the columns' axis towards the rows', rad.
-    pub azimuth_rad: f64,
-    /// Rise of its light over the gel, m per m.
-    pub rise: f64,
-    /// Fraction of the channel's light that it gives.
-    pub fraction: f64,
-}
+/// Directions to the red, green and blue LED in the image, from the column axis towards the row
+/// axis: 120° apart, red at the top. These values are a guess, not a measurement.
+const AZIMUTHS_DEG: [f64; 3] = [-90.0, 30.0, 150.0];
+/// Slope of the light rays over the gel, m/m: a 1 mm edge casts a 2 mm shadow.
+const RISE: f64 = 0.5;
+/// Fraction of a channel's light that comes from its LED.
+const LED_FRACTION: f64 = 0.35;
+/// Maximum length of a shadow, m.
+const REACH_M: f64 = 3e-3;
+/// Standard deviation of the filter that softens shadows, m.
+const SOFTNESS_M: f64 = 6e-5;
 
-/// Lamps and the softness of their shadows.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Shadows {
-    /// The lamps.
-    pub lamps: Vec<ShadowLamp>,
-    /// Longest shadow, m.
-    pub reach_m: f64,
-    /// Standard deviation of the filter that softens them, m.
-    pub softness_m: f64,
-}
-
-impl Default for Shadows {
-    /// Red, green, blue a third of a turn apart, red from the top of the image, flat enough for
-    /// the edge of a press of 1 mm to throw a shadow of 2 mm. A guess, not a measurement.
-    fn default() -> Self {
-        let lamp = |channel, degrees: f64| ShadowLamp {
-            channel,
-            azimuth_rad: degrees.to_radians(),
-            rise: 0.5,
-            fraction: 0.35,
-        };
-        Self {
-            lamps: vec![lamp(0, -90.0), lamp(1, 30.0), lamp(2, 150.0)],
-            reach_m: 3e-3,
-            softness_m: 6e-5,
+/// Returns the transmitted fraction of each channel's light, row-major.
+pub(super) fn transmitted_light(heights_m: &[f32], grid: &SensorGeometry) -> [Vec<f32>; 3] {
+    AZIMUTHS_DEG.map(|azimuth| {
+        let mut shade = shade(f64::to_radians(azimuth), heights_m, grid);
+        if let Some(region) = Region::nonzero(&shade, grid.width) {
+            Gaussian::new(SOFTNESS_M / grid.pixel_m).apply(&mut shade, grid.width, region);
         }
-    }
-}
-
-impl Shadows {
-    /// Fraction of each channel's light that arrives, row by row.
-    pub(super) fn light(&self, heights_m: &[f32], grid: &SensorGeometry) -> [Vec<f32>; 3] {
-        let mut light = [0; 3].map(|_| vec![1.0; heights_m.len()]);
-        for lamp in &self.lamps {
-            let Some(plane) = light.get_mut(lamp.channel) else {
-                continue;
-            };
-            let mut shade = self.shade(lamp, heights_m, grid);
-            if let Some(region) = Region::of_nonzero(&shade, grid.width) {
-                let softness = self.softness_m / grid.pixel_m;
-                Gaussian::new(softness).apply(&mut shade, grid.width, region);
-            }
-            for (light, shade) in plane.iter_mut().zip(shade) {
-                *light *= 1.0 - lamp.fraction as f32 * shade;
-            }
-        }
-        light
-    }
-
-    /// 1 where something on the way to the lamp stands above its light.
-    fn shade(&self, lamp: &ShadowLamp, heights_m: &[f32], grid: &SensorGeometry) -> Vec<f32> {
-        let top = heights_m.iter().copied().fold(0.0, f32::max);
-        let (sin, cos) = lamp.azimuth_rad.sin_cos();
-        let rise = (lamp.rise * grid.pixel_m) as f32;
-        let longest = (self.reach_m / grid.pixel_m) as usize;
-        let place = |start: usize, steps: usize, along: f64, side: usize| {
-            let at = (start as f64 + steps as f64 * along).round();
-            (at >= 0.0 && at < side as f64).then_some(at as usize)
-        };
-        let is_shaded = |pixel: usize| {
-            let (column, row) = (pixel % grid.width, pixel / grid.width);
-            let own = heights_m[pixel];
-            for steps in 1..=longest {
-                let light = own + steps as f32 * rise;
-                if light >= top {
-                    return false;
-                }
-                let towards = (
-                    place(column, steps, cos, grid.width),
-                    place(row, steps, sin, grid.height),
-                );
-                let (Some(x), Some(y)) = towards else {
-                    return false;
-                };
-                if heights_m[y * grid.width + x] > light {
-                    return true;
-                }
-            }
-            false
-        };
-        (0..heights_m.len())
-            .map(|pixel| f32::from(u8::from(is_shaded(pixel))))
+        shade
+            .iter()
+            .map(|s| 1.0 - LED_FRACTION as f32 * s)
             .collect()
-    }
+    })
+}
+
+/// Returns 1 where something on the way to the LED occludes its light.
+fn shade(azimuth_rad: f64, heights_m: &[f32], grid: &SensorGeometry) -> Vec<f32> {
+    let top = heights_m.iter().copied().fold(0.0, f32::max);
+    let (sin, cos) = azimuth_rad.sin_cos();
+    let rise = (RISE * grid.pixel_m) as f32;
+    let longest = (REACH_M / grid.pixel_m) as usize;
+    let step_to = |start: usize, steps: usize, along: f64, side: usize| {
+        let target = (start as f64 + steps as f64 * along).round();
+        (target >= 0.0 && target < side as f64).then_some(target as usize)
+    };
+    let is_shaded = |pixel: usize| {
+        let (column, row) = (pixel % grid.width, pixel / grid.width);
+        let own = heights_m[pixel];
+        for steps in 1..=longest {
+            let light = own + steps as f32 * rise;
+            if light >= top {
+                return false;
+            }
+            let towards = (
+                step_to(column, steps, cos, grid.width),
+                step_to(row, steps, sin, grid.height),
+            );
+            let (Some(x), Some(y)) = towards else {
+                return false;
+            };
+            if heights_m[y * grid.width + x] > light {
+                return true;
+            }
+        }
+        false
+    };
+    (0..heights_m.len())
+        .map(|pixel| f32::from(u8::from(is_shaded(pixel))))
+        .collect()
 }
 
 #[cfg(test)]
@@ -107,7 +70,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_step_throws_its_shadow_away_from_the_lamp() {
+    fn step_casts_shadow_away_from_led() {
         let grid = SensorGeometry {
             width: 60,
             height: 20,
@@ -124,23 +87,12 @@ mod tests {
                 }
             })
             .collect();
-        let shadows = Shadows {
-            lamps: vec![ShadowLamp {
-                channel: 1,
-                azimuth_rad: std::f64::consts::PI,
-                rise: 0.5,
-                fraction: 0.4,
-            }],
-            reach_m: 5e-3,
-            softness_m: 0.0,
-        };
-        let [red, green, _] = shadows.light(&heights, &grid);
-        assert!(red.iter().all(|light| *light == 1.0));
-        let row = &green[600..660];
-        for (column, light) in row.iter().enumerate() {
+        let shade = shade(std::f64::consts::PI, &heights, &grid);
+        let row = &shade[600..660];
+        for (column, shade) in row.iter().enumerate() {
             // The light rises 0.05 mm a column: nine columns behind the plateau lie below it.
-            let expected = if (30..39).contains(&column) { 0.6 } else { 1.0 };
-            assert!((light - expected).abs() < 1e-6, "{column}: {light}");
+            let expected = if (30..39).contains(&column) { 1.0 } else { 0.0 };
+            assert_eq!(*shade, expected, "{column}");
         }
     }
 }

@@ -1,9 +1,9 @@
-//! How much of the light a rough surface sends back in all directions together, by the angle.
+//! Tabulated directional albedo of rough surfaces.
 
 use glam::Vec3;
 
 const ENTRIES: usize = 64;
-/// Steps of the quadrature along each of two numbers.
+/// Quadrature steps per dimension.
 const STEPS: usize = 24;
 
 /// Function of the cosine to the normal in [0, 1], interpolated linearly.
@@ -13,8 +13,8 @@ pub(super) struct AlbedoTable {
 }
 
 impl AlbedoTable {
-    /// Tabulates the mean of `weight` over the unit square of sampling numbers, for a direction v
-    /// at each angle to the normal.
+    /// Tabulates the mean of `weight` over the unit square of random numbers for directions v at
+    /// each angle to the normal.
     pub(super) fn new(weight: impl Fn(Vec3, [f32; 2]) -> f32) -> Self {
         let midpoint = |i: usize| (i as f32 + 0.5) / STEPS as f32;
         let albedo = |cos: f32| {
@@ -33,7 +33,7 @@ impl AlbedoTable {
         }
     }
 
-    /// Value at a cosine.
+    /// Returns the value at a cosine.
     #[inline(always)]
     pub(super) fn at(&self, cos: f32) -> f32 {
         let x = cos.clamp(0.0, 1.0) * (ENTRIES - 1) as f32;
@@ -42,7 +42,7 @@ impl AlbedoTable {
         a + (b - a) * (x - entry as f32)
     }
 
-    /// Mean over the hemisphere, weighted by the cosine, of the interpolated function.
+    /// Returns the cosine-weighted mean over the hemisphere.
     pub(super) fn mean(&self) -> f32 {
         let step = 1.0 / (ENTRIES - 1) as f64;
         let mut sum = 0.0;
@@ -61,7 +61,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn means_of_lines_are_exact() {
+    fn mean_of_linear_function_is_exact() {
         let constant = AlbedoTable::new(|_, _| 0.7);
         assert!((constant.mean() - 0.7).abs() < 1e-6 && (constant.at(0.3) - 0.7).abs() < 1e-6);
         let linear = AlbedoTable::new(|v, _| v.z);

@@ -1,6 +1,6 @@
 use std::f32::consts::PI;
 
-use super::super::sampler::Net;
+use super::super::sampler::SobolSampler;
 use super::*;
 
 fn white(roughness: f32, metallic: f32) -> Material {
@@ -12,7 +12,7 @@ fn white(roughness: f32, metallic: f32) -> Material {
     }
 }
 
-/// A perfect reflector: the index of refraction 0 + i·1 has reflectance 1 at all angles.
+/// A perfect reflector: index of refraction 0 + i·1 has reflectance 1 at all angles.
 fn perfect_metal(roughness: f32) -> Material {
     Material::Conductor {
         eta: [0.0; 3],
@@ -34,38 +34,37 @@ fn direction(cos: f32, azimuth: f32) -> Vec3 {
     Vec3::new(sin * azimuth.cos(), sin * azimuth.sin(), cos)
 }
 
-fn prepared(material: &Material) -> Prepared {
-    Prepared::new(material)
+fn prepared(material: &Material) -> PreparedMaterial {
+    PreparedMaterial::new(material)
 }
 
-fn at(material: &Prepared, outgoing: Vec3) -> Bsdf<'_> {
+fn at(material: &PreparedMaterial, outgoing: Vec3) -> Bsdf<'_> {
     material.at(&[], [0.0; 2], outgoing)
 }
 
-/// Fraction of the light from all directions that is scattered, by sampling.
-fn sampled_albedo(material: &Prepared, outgoing: Vec3) -> Vec3 {
-    let net = Net::new(4096, 3);
+/// Directional albedo estimated by sampling.
+fn sampled_albedo(material: &PreparedMaterial, outgoing: Vec3) -> Vec3 {
+    let net = SobolSampler::new(4096, 3);
     let bsdf = at(material, outgoing);
     let mut sum = Vec3::ZERO;
     for index in 0..4096 {
         let numbers = net.sample(0, index);
-        let choice = numbers.pair(0)[0];
-        if let Some(sample) = bsdf.sample(outgoing, choice, numbers.pair(1)) {
+        let choice = numbers.get_2d(0)[0];
+        if let Some(sample) = bsdf.sample(outgoing, choice, numbers.get_2d(1)) {
             sum += sample.weight;
         }
     }
     sum / 4096.0
 }
 
-/// Integrals of value and density over directions; the sphere is cut into cells that are fine
-/// around the mirror direction and the normal.
+/// Integrals of value and density over all directions.
 fn integrals(bsdf: &Bsdf<'_>, outgoing: Vec3, below: bool) -> (Vec3, f32) {
-    let (steps, turns) = (300, 120);
+    let (steps, azimuths) = (300, 120);
     let (mut value, mut pdf) = (glam::DVec3::ZERO, 0.0f64);
     for i in 0..steps {
         let cos = (i as f32 + 0.5) / steps as f32;
-        for j in 0..turns {
-            let azimuth = 2.0 * PI * (j as f32 + 0.5) / turns as f32;
+        for j in 0..azimuths {
+            let azimuth = 2.0 * PI * (j as f32 + 0.5) / azimuths as f32;
             for side in if below { &[1.0, -1.0][..] } else { &[1.0] } {
                 let mut incoming = direction(cos, azimuth);
                 incoming.z *= side;
@@ -75,12 +74,12 @@ fn integrals(bsdf: &Bsdf<'_>, outgoing: Vec3, below: bool) -> (Vec3, f32) {
             }
         }
     }
-    let cell = 2.0 * std::f64::consts::PI / f64::from(steps * turns);
+    let cell = 2.0 * std::f64::consts::PI / f64::from(steps * azimuths);
     ((value * cell).as_vec3(), (pdf * cell) as f32)
 }
 
 #[test]
-fn white_materials_return_all_light_at_every_roughness_and_angle() {
+fn white_materials_conserve_energy() {
     for roughness in [0.0, 0.1, 0.3, 0.5, 0.8, 1.0] {
         let cases = [
             Material::grey(1.0),
@@ -115,7 +114,7 @@ fn frosted_glass_conserves_energy_from_inside() {
 }
 
 #[test]
-fn no_material_returns_more_than_it_gets() {
+fn no_material_gains_energy() {
     let gold = |roughness| Material::Conductor {
         eta: [0.14, 0.37, 1.44],
         k: [3.98, 2.38, 1.6],
@@ -140,7 +139,7 @@ fn no_material_returns_more_than_it_gets() {
 }
 
 #[test]
-fn densities_integrate_to_the_fraction_of_samples_that_scatter() {
+fn pdf_integrates_to_fraction_of_valid_samples() {
     for case in [
         Material::grey(0.5),
         white(0.4, 0.0),
@@ -154,10 +153,10 @@ fn densities_integrate_to_the_fraction_of_samples_that_scatter() {
             let outgoing = direction(cos, 0.3);
             let bsdf = at(&material, outgoing);
             let (value, pdf) = integrals(&bsdf, outgoing, through);
-            let net = Net::new(4096, 8);
+            let net = SobolSampler::new(4096, 8);
             let kept = (0..4096).filter(|&index| {
                 let numbers = net.sample(0, index);
-                bsdf.sample(outgoing, numbers.pair(0)[0], numbers.pair(1))
+                bsdf.sample(outgoing, numbers.get_2d(0)[0], numbers.get_2d(1))
                     .is_some()
             });
             let kept = kept.count() as f32 / 4096.0;
@@ -172,8 +171,8 @@ fn densities_integrate_to_the_fraction_of_samples_that_scatter() {
 }
 
 #[test]
-fn samples_carry_the_value_and_density_of_their_direction() {
-    let net = Net::new(256, 1);
+fn samples_agree_with_value_and_pdf() {
+    let net = SobolSampler::new(256, 1);
     for case in [
         Material::grey(0.5),
         white(0.3, 0.3),
@@ -185,7 +184,7 @@ fn samples_carry_the_value_and_density_of_their_direction() {
             let bsdf = at(&material, outgoing);
             for index in 0..256 {
                 let numbers = net.sample(7, index);
-                let Some(sample) = bsdf.sample(outgoing, numbers.pair(0)[0], numbers.pair(1))
+                let Some(sample) = bsdf.sample(outgoing, numbers.get_2d(0)[0], numbers.get_2d(1))
                 else {
                     continue;
                 };
@@ -234,7 +233,7 @@ fn reflection_is_reciprocal() {
 }
 
 #[test]
-fn clear_glass_refracts_by_snell() {
+fn clear_glass_obeys_snells_law() {
     let material = prepared(&glass(0.0));
     let outgoing = direction(0.6, 0.0);
     let sample = at(&material, outgoing)
@@ -243,7 +242,7 @@ fn clear_glass_refracts_by_snell() {
     assert!(sample.delta && sample.direction.z < 0.0);
     let sines = [outgoing, sample.direction].map(|d| (d.x * d.x + d.y * d.y).sqrt());
     assert!((sines[0] / sines[1] - 1.5).abs() < 1e-5);
-    // And back again on the same way.
+    // The reverse direction.
     let back = at(&material, sample.direction)
         .sample(sample.direction, 0.99, [0.5; 2])
         .unwrap();

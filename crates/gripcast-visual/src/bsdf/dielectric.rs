@@ -1,51 +1,54 @@
-//! Solid glass, clear or frosted (Walter et al., *Microfacet models for refraction through rough
+//! Dielectric, smooth or rough (Walter et al., *Microfacet models for refraction through rough
 //! surfaces*, 2007).
 //!
-//! What is carried along a path is radiance over the square of the index of refraction, which
-//! refraction does not change. The share that facets lose by hiding one another is made up by a
-//! factor that depends on the outgoing direction alone, so frosted glass conserves energy but is
-//! reciprocal only up to that factor.
+//! Paths carry radiance divided by the squared index of refraction, which refraction preserves.
+//! Energy lost to shadowing and masking is restored by a factor that depends on the outgoing
+//! direction alone: rough glass conserves energy but is reciprocal only up to that factor.
 
 use glam::Vec3;
 
 use super::albedo_table::AlbedoTable;
-use super::fresnel::dielectric;
-use super::ggx::{Ggx, SMOOTH};
-use super::{Sample, Value};
+use super::fresnel::fresnel_dielectric;
+use super::ggx::{Ggx, MIN_ALPHA};
+use super::{BsdfSample, BsdfValue};
 
-/// Surface of glass. A direction with z > 0 is outside.
+/// Dielectric interface. Directions with z > 0 are outside.
 #[derive(Clone, Debug)]
 pub(in super::super) struct Dielectric {
     ior: f32,
     transmittance: Vec3,
-    facets: Option<Facets>,
+    facets: Option<Rough>,
 }
 
-/// Roughness of a surface that is not clear.
+/// Microfacets of a rough surface.
 #[derive(Clone, Debug)]
-struct Facets {
+struct Rough {
     ggx: Ggx,
-    /// Fraction of the light that single scattering keeps, seen from outside and from inside.
-    kept: [AlbedoTable; 2],
+    /// Directional single-scattering albedo seen from outside and from inside.
+    albedo: [AlbedoTable; 2],
 }
 
 impl Dielectric {
     pub(super) fn new(ior: f32, roughness: f32, transmittance: Vec3) -> Self {
-        let rough = roughness * roughness >= SMOOTH && ior != 1.0;
+        let rough = roughness * roughness >= MIN_ALPHA && ior != 1.0;
         let facets = rough.then(|| {
-            let ggx = Ggx::of_roughness(roughness);
-            let kept = [ior, 1.0 / ior].map(|ior| {
+            let ggx = Ggx::from_roughness(roughness);
+            let albedo = [ior, 1.0 / ior].map(|ior| {
                 AlbedoTable::new(|v, u| {
-                    let m = ggx.sample_visible(v, u);
-                    let (reflected, cos_t) = dielectric(v.dot(m), ior);
+                    let m = ggx.sample_vndf(v, u);
+                    let (reflected, cos_t) = fresnel_dielectric(v.dot(m), ior);
                     let up = 2.0 * v.dot(m) * m - v;
                     let down = refracted(v, m, cos_t, ior);
-                    let up = if up.z > 0.0 { ggx.visible(up) } else { 0.0 };
-                    let down = if down.z < 0.0 { ggx.visible(down) } else { 0.0 };
+                    let up = if up.z > 0.0 { ggx.smith_g1(up) } else { 0.0 };
+                    let down = if down.z < 0.0 {
+                        ggx.smith_g1(down)
+                    } else {
+                        0.0
+                    };
                     reflected * up + (1.0 - reflected) * down
                 })
             });
-            Facets { ggx, kept }
+            Rough { ggx, albedo }
         });
         Self {
             ior,
@@ -54,12 +57,12 @@ impl Dielectric {
         }
     }
 
-    pub(super) fn is_clear(&self) -> bool {
+    pub(super) fn is_smooth(&self) -> bool {
         self.facets.is_none()
     }
 
-    /// Index of refraction of the far side over the near side, and the factor that turns the near
-    /// side up.
+    /// Returns the index of refraction of the far side over the near side, and the sign that flips
+    /// the near side up.
     #[inline(always)]
     fn seen_from(&self, outgoing: Vec3) -> (f32, f32) {
         if outgoing.z > 0.0 {
@@ -70,9 +73,17 @@ impl Dielectric {
     }
 
     #[inline(always)]
-    pub(super) fn value(&self, outgoing: Vec3, incoming: Vec3) -> Value {
+    fn tint(&self, reflects: bool) -> Vec3 {
+        match reflects {
+            true => Vec3::ONE,
+            false => self.transmittance,
+        }
+    }
+
+    #[inline(always)]
+    pub(super) fn value(&self, outgoing: Vec3, incoming: Vec3) -> BsdfValue {
         let Some(rough) = &self.facets else {
-            return Value::NONE;
+            return BsdfValue::NONE;
         };
         let (ior, side) = self.seen_from(outgoing);
         let (o, i) = (outgoing * side, incoming * side);
@@ -82,33 +93,28 @@ impl Dielectric {
         let m = if m.z < 0.0 { -m } else { m };
         let (cos_o, cos_i) = (o.dot(m), i.dot(m));
         if cos_o <= 0.0 || (cos_i > 0.0) != reflects {
-            return Value::NONE;
+            return BsdfValue::NONE;
         }
-        let (fresnel, _) = dielectric(cos_o, ior);
-        let visible = rough.ggx.visible_density(o, m);
-        let (pdf, tint) = if reflects {
-            (fresnel * visible / (4.0 * cos_o), Vec3::ONE)
-        } else {
-            let stretch = cos_o + ior * cos_i;
-            let jacobian = ior * ior * -cos_i / (stretch * stretch).max(f32::MIN_POSITIVE);
-            ((1.0 - fresnel) * visible * jacobian, self.transmittance)
-        };
-        Value {
+        let (fresnel, _) = fresnel_dielectric(cos_o, ior);
+        let visible = rough.ggx.vndf_pdf(o, m);
+        let pdf = density(fresnel, visible, [cos_o, cos_i], ior);
+        let tint = self.tint(reflects);
+        BsdfValue {
             value: tint * (pdf * rough.weight(o, i, side)),
             pdf,
         }
     }
 
     #[inline(always)]
-    pub(super) fn sample(&self, outgoing: Vec3, choice: f32, u: [f32; 2]) -> Option<Sample> {
+    pub(super) fn sample(&self, outgoing: Vec3, choice: f32, u: [f32; 2]) -> Option<BsdfSample> {
         let (ior, side) = self.seen_from(outgoing);
         let o = outgoing * side;
         let m = match &self.facets {
-            Some(rough) => rough.ggx.sample_visible(o, u),
+            Some(rough) => rough.ggx.sample_vndf(o, u),
             None => Vec3::Z,
         };
         let cos_o = o.dot(m);
-        let (fresnel, cos_t) = dielectric(cos_o, ior);
+        let (fresnel, cos_t) = fresnel_dielectric(cos_o, ior);
         let reflects = choice < fresnel;
         let i = if reflects {
             2.0 * cos_o * m - o
@@ -118,30 +124,20 @@ impl Dielectric {
         if (i.z > 0.0) != reflects || i.z == 0.0 {
             return None;
         }
-        let tint = if reflects {
-            Vec3::ONE
-        } else {
-            self.transmittance
-        };
+        let tint = self.tint(reflects);
         let Some(rough) = &self.facets else {
-            return Some(Sample {
+            return Some(BsdfSample {
                 direction: i * side,
                 weight: tint,
                 pdf: 1.0,
                 delta: true,
             });
         };
-        let visible = rough.ggx.visible_density(o, m);
-        let pdf = if reflects {
-            fresnel * visible / (4.0 * cos_o)
-        } else {
-            let cos_i = -i.dot(m);
-            let stretch = cos_o - ior * cos_i;
-            let jacobian = ior * ior * cos_i / (stretch * stretch).max(f32::MIN_POSITIVE);
-            (1.0 - fresnel) * visible * jacobian
-        };
+        let visible = rough.ggx.vndf_pdf(o, m);
+        let cos_i = if reflects { cos_o } else { i.dot(m) };
+        let pdf = density(fresnel, visible, [cos_o, cos_i], ior);
         let weight = tint * rough.weight(o, i, side);
-        (pdf > 0.0 && pdf.is_finite()).then_some(Sample {
+        (pdf > 0.0 && pdf.is_finite()).then_some(BsdfSample {
             direction: i * side,
             weight,
             pdf,
@@ -150,16 +146,28 @@ impl Dielectric {
     }
 }
 
-impl Facets {
-    /// Value over density of the samples, without tint.
+impl Rough {
+    /// Returns value over density of a sample, without tint.
     #[inline(always)]
     fn weight(&self, o: Vec3, i: Vec3, side: f32) -> f32 {
-        let kept = &self.kept[usize::from(side < 0.0)];
-        self.ggx.visible(i) / kept.at(o.z).max(1e-3)
+        let albedo = &self.albedo[usize::from(side < 0.0)];
+        self.ggx.smith_g1(i) / albedo.at(o.z).max(1e-3)
     }
 }
 
-/// Direction of the light that is refracted at a facet towards `o`.
+/// Sampling density of the incoming direction, given the density of the visible normal; the
+/// direction is reflected if the cosines have the same sign, else refracted.
+#[inline(always)]
+fn density(fresnel: f32, visible: f32, [cos_o, cos_i]: [f32; 2], ior: f32) -> f32 {
+    if cos_i > 0.0 {
+        return fresnel * visible / (4.0 * cos_o);
+    }
+    let stretch = cos_o + ior * cos_i;
+    let jacobian = ior * ior * -cos_i / (stretch * stretch).max(f32::MIN_POSITIVE);
+    (1.0 - fresnel) * visible * jacobian
+}
+
+/// Returns the direction of light refracted at a microfacet towards `o`.
 #[inline(always)]
 fn refracted(o: Vec3, m: Vec3, cos_t: f32, ior: f32) -> Vec3 {
     let cos_o = o.dot(m);

@@ -1,13 +1,13 @@
-//! Ideal diffuse reflection.
+//! Lambertian reflection.
 
 use std::f32::consts::{FRAC_1_PI, PI};
 
 use glam::Vec3;
 
 use super::super::trigonometry::sin_cos_turns;
-use super::{Sample, Value};
+use super::{BsdfSample, BsdfValue};
 
-/// Direction above the surface with density cos/π.
+/// Samples a direction with density cos/π.
 #[inline(always)]
 pub(super) fn sample_cosine([u1, u2]: [f32; 2]) -> Vec3 {
     let (sin, cos) = sin_cos_turns(u2);
@@ -22,18 +22,18 @@ pub(super) fn cosine_density(direction: Vec3) -> f32 {
 }
 
 #[inline(always)]
-pub(super) fn value(reflectance: Vec3, incoming: Vec3) -> Value {
+pub(super) fn value(reflectance: Vec3, incoming: Vec3) -> BsdfValue {
     let pdf = cosine_density(incoming);
-    Value {
+    BsdfValue {
         value: reflectance * pdf,
         pdf,
     }
 }
 
 #[inline(always)]
-pub(super) fn sample(reflectance: Vec3, u: [f32; 2]) -> Sample {
+pub(super) fn sample(reflectance: Vec3, u: [f32; 2]) -> BsdfSample {
     let direction = sample_cosine(u);
-    Sample {
+    BsdfSample {
         direction,
         weight: reflectance,
         pdf: direction.z / PI,

@@ -1,8 +1,8 @@
-//! Fraction of the light that a smooth boundary reflects.
+//! Fresnel reflectance of smooth interfaces.
 
 use glam::Vec3;
 
-/// Schlick's weight of white at grazing angles, (1 - cos)⁵ (*An inexpensive BRDF model*, 1994).
+/// Schlick's weight (1 - cos)⁵ (*An inexpensive BRDF model*, 1994).
 #[inline(always)]
 pub(super) fn schlick_weight(cos: f32) -> f32 {
     let m = (1.0 - cos).clamp(0.0, 1.0);
@@ -10,15 +10,16 @@ pub(super) fn schlick_weight(cos: f32) -> f32 {
     m2 * m2 * m
 }
 
-/// Reflectance at normal incidence of a dielectric.
-pub(super) fn normal_reflectance(ior: f32) -> f32 {
+/// Reflectance of a dielectric at normal incidence.
+pub(super) fn f0_from_ior(ior: f32) -> f32 {
     ((ior - 1.0) / (ior + 1.0)).powi(2)
 }
 
-/// Reflectance of a dielectric, and the cosine of the refracted ray (0 under total reflection).
-/// `cos` > 0 on the side where the light is, `ior` of the other side over this one.
+/// Reflectance of a dielectric, and the cosine of the refracted ray (0 under total internal
+/// reflection). `cos` > 0 on the incident side; `ior` is that of the far side over the incident
+/// side.
 #[inline(always)]
-pub(super) fn dielectric(cos: f32, ior: f32) -> (f32, f32) {
+pub(super) fn fresnel_dielectric(cos: f32, ior: f32) -> (f32, f32) {
     let sin2 = (1.0 - cos * cos).max(0.0) / (ior * ior);
     if sin2 >= 1.0 {
         return (1.0, 0.0);
@@ -29,9 +30,9 @@ pub(super) fn dielectric(cos: f32, ior: f32) -> (f32, f32) {
     (0.5 * (s * s + p * p), cos_t)
 }
 
-/// Reflectance of a metal with index of refraction η + ik.
+/// Reflectance of a conductor with index of refraction η + ik.
 #[inline(always)]
-pub(super) fn conductor(cos: f32, eta: Vec3, k: Vec3) -> Vec3 {
+pub(super) fn fresnel_conductor(cos: f32, eta: Vec3, k: Vec3) -> Vec3 {
     let cos2 = cos * cos;
     let sin2 = (1.0 - cos2).max(0.0);
     let (eta2, k2) = (eta * eta, k * k);
@@ -57,21 +58,21 @@ mod tests {
     use super::*;
 
     #[test]
-    fn glass_reflects_four_percent_and_everything_at_grazing() {
-        assert!((dielectric(1.0, 1.5).0 - 0.04).abs() < 1e-6);
-        assert!((normal_reflectance(1.5) - 0.04).abs() < 1e-6);
-        assert!(dielectric(1e-4, 1.5).0 > 0.999);
+    fn dielectric_matches_known_reflectances() {
+        assert!((fresnel_dielectric(1.0, 1.5).0 - 0.04).abs() < 1e-6);
+        assert!((f0_from_ior(1.5) - 0.04).abs() < 1e-6);
+        assert!(fresnel_dielectric(1e-4, 1.5).0 > 0.999);
         // Total reflection inside glass beyond 41.8°.
-        assert_eq!(dielectric(0.74, 1.0 / 1.5).0, 1.0);
-        assert!(dielectric(0.76, 1.0 / 1.5).0 < 1.0);
+        assert_eq!(fresnel_dielectric(0.74, 1.0 / 1.5).0, 1.0);
+        assert!(fresnel_dielectric(0.76, 1.0 / 1.5).0 < 1.0);
         // Brewster's angle: half of the perpendicular part is left.
         let brewster = 1.5f32.atan().cos();
         let perpendicular = ((1.0 - 2.25f32) / (1.0 + 2.25)).powi(2);
-        assert!((dielectric(brewster, 1.5).0 - 0.5 * perpendicular).abs() < 1e-6);
+        assert!((fresnel_dielectric(brewster, 1.5).0 - 0.5 * perpendicular).abs() < 1e-6);
     }
 
     #[test]
-    fn metals_agree_with_complex_arithmetic() {
+    fn conductor_agrees_with_complex_arithmetic() {
         // r = (cos - n cos_t)/(cos + n cos_t) etc. with complex n, in double precision.
         let exact = |cos: f64, n: f64, k: f64| {
             type C = (f64, f64);
@@ -91,7 +92,7 @@ mod tests {
             0.5 * (s + p)
         };
         for cos in [1.0, 0.8, 0.5, 0.2, 0.05] {
-            let found = conductor(cos, Vec3::new(0.2, 1.1, 2.9), Vec3::new(3.9, 2.6, 3.1));
+            let found = fresnel_conductor(cos, Vec3::new(0.2, 1.1, 2.9), Vec3::new(3.9, 2.6, 3.1));
             let wanted =
                 [(0.2, 3.9), (1.1, 2.6), (2.9, 3.1)].map(|(n, k)| exact(f64::from(cos), n, k));
             for (f, w) in found.to_array().iter().zip(wanted) {

@@ -1,4 +1,4 @@
-//! GGX distribution of microfacets, sampled by what is visible.
+//! GGX microfacet distribution with visible-normal sampling.
 //!
 //! Sources: Walter et al., *Microfacet models for refraction through rough surfaces* (2007); Heitz,
 //! *Understanding the masking-shadowing function* (2014); Dupuy and Benyoub, *Sampling visible GGX
@@ -10,10 +10,10 @@ use glam::Vec3;
 
 use super::super::trigonometry::sin_cos_turns;
 
-/// Below this width a surface is taken as a perfect mirror where that is possible.
-pub(super) const SMOOTH: f32 = 1e-3;
+/// Minimum α of a rough surface; below it the surface is smooth.
+pub(super) const MIN_ALPHA: f32 = 1e-3;
 
-/// Isotropic distribution. Vectors are in the frame of the surface, z along the normal.
+/// Isotropic GGX distribution. Vectors are in the shading frame, z along the normal.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Ggx {
     /// Width α.
@@ -21,44 +21,44 @@ pub(super) struct Ggx {
 }
 
 impl Ggx {
-    /// Distribution of a roughness in [0, 1].
-    pub(super) fn of_roughness(roughness: f32) -> Self {
+    /// Distribution of a perceptual roughness in [0, 1].
+    pub(super) fn from_roughness(roughness: f32) -> Self {
         Self {
-            alpha: (roughness * roughness).max(SMOOTH),
+            alpha: (roughness * roughness).max(MIN_ALPHA),
         }
     }
 
-    /// Density of facets with normal `m`, m.z > 0.
+    /// Normal distribution D(m), m.z > 0.
     #[inline(always)]
-    pub(super) fn density(&self, m: Vec3) -> f32 {
+    pub(super) fn ndf(&self, m: Vec3) -> f32 {
         let a2 = self.alpha * self.alpha;
-        // 1 - m.z² from the other components, which keep their precision near the normal.
+        // 1 - m.z² from the other components keeps precision near the normal.
         let spread = m.x * m.x + m.y * m.y + a2 * m.z * m.z;
         a2 / (PI * spread * spread)
     }
 
-    /// Smith's Λ of a direction.
+    /// Smith's Λ(v).
     #[inline(always)]
     fn lambda(&self, v: Vec3) -> f32 {
         let tan2 = (v.x * v.x + v.y * v.y) / (v.z * v.z).max(f32::MIN_POSITIVE);
         0.5 * ((1.0 + self.alpha * self.alpha * tan2).sqrt() - 1.0)
     }
 
-    /// Fraction of the facets that are visible from `v`.
+    /// Smith masking G1(v).
     #[inline(always)]
-    pub(super) fn visible(&self, v: Vec3) -> f32 {
+    pub(super) fn smith_g1(&self, v: Vec3) -> f32 {
         1.0 / (1.0 + self.lambda(v))
     }
 
-    /// Fraction of the facets that are visible from both directions (height-correlated).
+    /// Height-correlated Smith masking-shadowing G2(a, b).
     #[inline(always)]
-    pub(super) fn visible_from_both(&self, a: Vec3, b: Vec3) -> f32 {
+    pub(super) fn smith_g2(&self, a: Vec3, b: Vec3) -> f32 {
         1.0 / (1.0 + self.lambda(a) + self.lambda(b))
     }
 
-    /// Normal of a facet that is visible from `v` (v.z > 0), from two numbers in [0, 1).
+    /// Samples a visible normal from `v` (v.z > 0) with two numbers in [0, 1).
     #[inline(always)]
-    pub(super) fn sample_visible(&self, v: Vec3, [u1, u2]: [f32; 2]) -> Vec3 {
+    pub(super) fn sample_vndf(&self, v: Vec3, [u1, u2]: [f32; 2]) -> Vec3 {
         let stretched = Vec3::new(self.alpha * v.x, self.alpha * v.y, v.z).normalize();
         let (sin, cos) = sin_cos_turns(u1);
         let z = (1.0 - u2) * (1.0 + stretched.z) - stretched.z;
@@ -67,9 +67,18 @@ impl Ggx {
         Vec3::new(self.alpha * half.x, self.alpha * half.y, half.z.max(1e-7)).normalize()
     }
 
-    /// Density with which [`Ggx::sample_visible`] takes `m`.
+    /// Density of [`Ggx::sample_vndf`] at `m`.
     #[inline(always)]
-    pub(super) fn visible_density(&self, v: Vec3, m: Vec3) -> f32 {
-        self.visible(v) * v.dot(m).max(0.0) * self.density(m) / v.z.max(f32::MIN_POSITIVE)
+    pub(super) fn vndf_pdf(&self, v: Vec3, m: Vec3) -> f32 {
+        self.smith_g1(v) * v.dot(m).max(0.0) * self.ndf(m) / v.z.max(f32::MIN_POSITIVE)
+    }
+
+    /// Weight of a sampled reflection of `v` for Fresnel reflectance 1, and the cosine between
+    /// `v` and the microfacet normal.
+    pub(super) fn reflected(&self, v: Vec3, u: [f32; 2]) -> (f32, f32) {
+        let m = self.sample_vndf(v, u);
+        let i = 2.0 * v.dot(m) * m - v;
+        let weight = self.smith_g2(v, i) / self.smith_g1(v);
+        (if i.z > 0.0 { weight } else { 0.0 }, v.dot(m))
     }
 }

@@ -1,8 +1,8 @@
-//! How surfaces scatter light: value, density and sampling of each material in one place.
+//! BSDFs: value, density and sampling of each material.
 //!
-//! Directions are unit vectors away from the surface in its local frame, z along the shading
-//! normal: `outgoing` towards the camera, `incoming` towards the light. Opaque materials are only
-//! asked with both above the surface.
+//! Directions are unit vectors away from the surface in the shading frame, z along the shading
+//! normal: `outgoing` towards the camera, `incoming` towards the light. Opaque materials are
+//! evaluated only with both above the surface.
 
 mod albedo_table;
 mod conductor;
@@ -16,42 +16,42 @@ use glam::Vec3;
 
 use self::conductor::Conductor;
 use self::dielectric::Dielectric;
-use self::principled::{Principled, PrincipledAt};
+use self::principled::{Principled, PrincipledBsdf};
 use super::material::{Colour, Material};
 use super::texture::Bitmap;
 
-/// What a pair of directions gives.
+/// BSDF value and density for a pair of directions.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Value {
-    /// Scattered fraction times |cos| of the incoming direction, 1/sr.
+pub(super) struct BsdfValue {
+    /// BSDF times |cos| of the incoming direction, 1/sr.
     pub(super) value: Vec3,
-    /// Density with which the incoming direction is sampled, 1/sr.
+    /// Sampling density of the incoming direction, 1/sr.
     pub(super) pdf: f32,
 }
 
-impl Value {
+impl BsdfValue {
     const NONE: Self = Self {
         value: Vec3::ZERO,
         pdf: 0.0,
     };
 }
 
-/// A sampled direction.
+/// A sampled incoming direction.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Sample {
+pub(super) struct BsdfSample {
     /// Incoming direction.
     pub(super) direction: Vec3,
     /// Value over density.
     pub(super) weight: Vec3,
-    /// Density, 1/sr; meaningless for `delta`.
+    /// Density, 1/sr; meaningless if `delta`.
     pub(super) pdf: f32,
-    /// Only this direction scatters: no other way of sampling finds it.
+    /// Whether the direction comes from a delta lobe.
     pub(super) delta: bool,
 }
 
-impl Sample {
+impl BsdfSample {
     #[inline(always)]
-    fn of(direction: Vec3, value: Vec3, pdf: f32) -> Option<Self> {
+    fn new(direction: Vec3, value: Vec3, pdf: f32) -> Option<Self> {
         (pdf > 0.0).then(|| Self {
             direction,
             weight: value / pdf,
@@ -61,9 +61,9 @@ impl Sample {
     }
 }
 
-/// Material with everything that does not depend on the place computed.
+/// Material with everything precomputed that does not depend on position and direction.
 #[derive(Clone, Debug)]
-pub(super) struct Prepared {
+pub(super) struct PreparedMaterial {
     kind: Kind,
     colour: Colour,
 }
@@ -76,16 +76,16 @@ enum Kind {
     Dielectric(Box<Dielectric>),
 }
 
-/// Material at a place, seen from a direction.
+/// BSDF at a surface point seen from a direction.
 #[derive(Clone, Copy, Debug)]
 pub(super) enum Bsdf<'a> {
     Diffuse(Vec3),
-    Principled(PrincipledAt<'a>),
+    Principled(PrincipledBsdf<'a>),
     Conductor(&'a Conductor),
     Dielectric(&'a Dielectric),
 }
 
-impl Prepared {
+impl PreparedMaterial {
     pub(super) fn new(material: &Material) -> Self {
         let kind = match *material {
             Material::Diffuse { .. } => Kind::Diffuse,
@@ -114,23 +114,23 @@ impl Prepared {
         }
     }
 
-    /// Whether light passes through, so that it matters which side is outside.
+    /// Whether the material transmits light.
     #[inline(always)]
     pub(super) fn transmits(&self) -> bool {
         matches!(self.kind, Kind::Dielectric(_))
     }
 
-    /// Whether only sampling finds the directions that scatter.
+    /// Whether the BSDF has only delta lobes.
     #[inline(always)]
     pub(super) fn is_delta(&self) -> bool {
         match &self.kind {
             Kind::Diffuse | Kind::Principled(_) => false,
-            Kind::Conductor(surface) => surface.is_mirror(),
-            Kind::Dielectric(surface) => surface.is_clear(),
+            Kind::Conductor(surface) => surface.is_smooth(),
+            Kind::Dielectric(surface) => surface.is_smooth(),
         }
     }
 
-    /// The material at texture coordinates, seen from `outgoing`.
+    /// Returns the BSDF at texture coordinates, seen from `outgoing`.
     #[inline(always)]
     pub(super) fn at(&self, textures: &[Bitmap], uv: [f32; 2], outgoing: Vec3) -> Bsdf<'_> {
         let colour = || match self.colour {
@@ -147,15 +147,15 @@ impl Prepared {
 }
 
 impl Bsdf<'_> {
-    /// Whether light passes through.
+    /// Whether the material transmits light.
     #[inline(always)]
     pub(super) fn transmits(&self) -> bool {
         matches!(self, Self::Dielectric(_))
     }
 
-    /// Value and density of a pair of directions.
+    /// Evaluates a pair of directions.
     #[inline(always)]
-    pub(super) fn value(&self, outgoing: Vec3, incoming: Vec3) -> Value {
+    pub(super) fn value(&self, outgoing: Vec3, incoming: Vec3) -> BsdfValue {
         match self {
             Self::Diffuse(reflectance) => diffuse::value(*reflectance, incoming),
             Self::Principled(surface) => surface.value(outgoing, incoming),
@@ -164,9 +164,9 @@ impl Bsdf<'_> {
         }
     }
 
-    /// Samples an incoming direction from three numbers in [0, 1); `None` where none scatters.
+    /// Samples an incoming direction from three numbers in [0, 1); `None` if nothing scatters.
     #[inline(always)]
-    pub(super) fn sample(&self, outgoing: Vec3, choice: f32, u: [f32; 2]) -> Option<Sample> {
+    pub(super) fn sample(&self, outgoing: Vec3, choice: f32, u: [f32; 2]) -> Option<BsdfSample> {
         match self {
             Self::Diffuse(reflectance) => Some(diffuse::sample(*reflectance, u)),
             Self::Principled(surface) => surface.sample(outgoing, choice, u),
@@ -175,7 +175,7 @@ impl Bsdf<'_> {
         }
     }
 
-    /// Colour that guides a denoiser.
+    /// Albedo for the denoiser.
     #[inline(always)]
     pub(super) fn albedo(&self) -> Vec3 {
         match self {

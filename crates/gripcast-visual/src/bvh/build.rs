@@ -1,5 +1,4 @@
-//! Binary hierarchy over boxes by binned surface area heuristic, collapsed to eight children a
-//! node.
+//! Binary BVH by binned surface area heuristic, collapsed to eight children per node.
 //!
 //! Sources: Wald, *On fast construction of SAH-based bounding volume hierarchies* (2007); Wald,
 //! Benthin, Boulos, *Getting rid of packets* (2008) for wide nodes.
@@ -9,10 +8,10 @@ use glam::Vec3;
 use super::WIDTH;
 
 const BINS: usize = 16;
-/// Below this depth halves are of equal count, which bounds the depth of the tree.
+/// Depth from which splits have equal count, to bound the depth of the tree.
 const MAX_SAH_DEPTH: u32 = 48;
 
-/// Axis-aligned box.
+/// Axis-aligned bounding box.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Bounds {
     pub(super) min: Vec3,
@@ -43,7 +42,7 @@ impl Bounds {
         }
     }
 
-    /// Half of the surface; 0 for an empty box.
+    /// Half the surface area; 0 for an empty box.
     fn half_area(&self) -> f32 {
         let d = (self.max - self.min).max(Vec3::ZERO);
         d.x * d.y + d.y * d.z + d.z * d.x
@@ -54,14 +53,14 @@ impl Bounds {
     }
 }
 
-/// Node of the binary tree.
-struct Binary {
+/// Node of the binary BVH.
+struct BinaryNode {
     bounds: Bounds,
     /// Inner node: index of the left child. Leaf: first of its boxes in the order.
     first: u32,
     /// Inner node: index of the right child.
     right: u32,
-    /// Boxes of a leaf, 0 for an inner node.
+    /// Number of boxes of a leaf; 0 for an inner node.
     count: u32,
 }
 
@@ -70,23 +69,23 @@ struct Binary {
 pub(super) enum Child {
     /// Index of a node.
     Node(u32),
-    /// First box in the order and how many, at most [`WIDTH`].
+    /// First box in the order and number of boxes, at most [`WIDTH`].
     Leaf { first: u32, count: u32 },
 }
 
 /// Node with up to eight children.
 #[derive(Clone, Debug)]
-pub(super) struct Wide {
+pub(super) struct WideNode {
     pub(super) children: Vec<(Bounds, Child)>,
 }
 
-/// Hierarchy over boxes. Node 0 is the root; a parent comes before its children.
+/// BVH over boxes. Node 0 is the root; parents precede their children.
 #[derive(Debug, Default)]
 pub(super) struct Tree {
-    pub(super) nodes: Vec<Wide>,
-    /// Index of each box in the order of the leaves.
+    pub(super) nodes: Vec<WideNode>,
+    /// Box indices in leaf order.
     pub(super) order: Vec<u32>,
-    /// Number of nodes on the longest way from the root.
+    /// Number of nodes on the longest path from the root.
     pub(super) depth: usize,
 }
 
@@ -112,12 +111,12 @@ impl Tree {
         tree
     }
 
-    /// Appends the wide node of a binary one with all below it.
-    fn collapse(&mut self, binary: &[Binary], root: u32, depth: usize) -> u32 {
+    /// Appends the wide node of a binary one and all its descendants.
+    fn collapse(&mut self, binary: &[BinaryNode], root: u32, depth: usize) -> u32 {
         self.depth = self.depth.max(depth);
         let mut chosen = vec![root];
         loop {
-            // The largest inner node is the one that a ray enters most likely.
+            // The inner node with the largest area is the most likely to be hit.
             let inner = |&(_, &node): &(usize, &u32)| binary[node as usize].count == 0;
             let area = |node: u32| binary[node as usize].bounds.half_area();
             let largest = chosen
@@ -134,11 +133,11 @@ impl Tree {
             chosen.push(node.right);
         }
         let index = self.nodes.len();
-        self.nodes.push(Wide {
+        self.nodes.push(WideNode {
             children: Vec::with_capacity(chosen.len()),
         });
         for node in chosen {
-            let Binary {
+            let BinaryNode {
                 bounds,
                 first,
                 count,
@@ -157,17 +156,18 @@ impl Tree {
 struct Builder<'a> {
     boxes: &'a [Bounds],
     centres: Vec<Vec3>,
-    nodes: &'a mut Vec<Binary>,
+    nodes: &'a mut Vec<BinaryNode>,
 }
 
 impl Builder<'_> {
-    /// Appends the node of `order`, whose first entry is number `first` of all, and those below.
+    /// Appends the node of `order`, which starts at index `first` of all boxes, and its
+    /// descendants.
     fn split(&mut self, order: &mut [u32], first: u32, depth: u32) -> u32 {
         let bounds = order
             .iter()
             .fold(Bounds::EMPTY, |all, &i| all.union(self.boxes[i as usize]));
         let index = self.nodes.len();
-        self.nodes.push(Binary {
+        self.nodes.push(BinaryNode {
             bounds,
             first,
             right: 0,
@@ -185,13 +185,13 @@ impl Builder<'_> {
         index as u32
     }
 
-    /// Reorders the boxes in two groups; returns the size of the first, which is neither 0 nor all.
+    /// Partitions the boxes; returns the size of the first group, neither 0 nor all.
     fn partition(&self, order: &mut [u32], depth: u32) -> usize {
         let centres = order
             .iter()
             .fold(Bounds::EMPTY, |all, &i| all.with(self.centres[i as usize]));
         let found = match depth < MAX_SAH_DEPTH {
-            true => self.best_plane(order, &centres),
+            true => self.best_split(order, &centres),
             false => None,
         };
         if let Some(plane) = found {
@@ -206,7 +206,7 @@ impl Builder<'_> {
                 return middle;
             }
         }
-        // All centres in one place, or too deep: halves of equal count along the longest axis.
+        // All centres coincide, or too deep: halves of equal count along the longest axis.
         let axis = (centres.max - centres.min).max_position();
         let middle = order.len() / 2;
         order.select_nth_unstable_by(middle, |&a, &b| {
@@ -216,12 +216,12 @@ impl Builder<'_> {
         middle
     }
 
-    /// The split of least expected cost, if the centres are apart.
-    fn best_plane(&self, order: &[u32], centres: &Bounds) -> Option<Plane> {
-        let mut best: Option<(f32, Plane)> = None;
+    /// Returns the split of minimum expected cost, unless all centres coincide.
+    fn best_split(&self, order: &[u32], centres: &Bounds) -> Option<SplitPlane> {
+        let mut best: Option<(f32, SplitPlane)> = None;
         for axis in 0..3 {
             let extent = centres.max[axis] - centres.min[axis];
-            let mut plane = Plane {
+            let mut plane = SplitPlane {
                 axis,
                 start: centres.min[axis],
                 scale: BINS as f32 / extent,
@@ -236,7 +236,7 @@ impl Builder<'_> {
                 *bounds = bounds.union(self.boxes[i as usize]);
                 *count += 1;
             }
-            let (split, cost) = cheapest(&bins);
+            let (split, cost) = cheapest_split(&bins);
             if cost < best.as_ref().map_or(f32::INFINITY, |b| b.0) {
                 plane.split = split;
                 best = Some((cost, plane));
@@ -246,8 +246,8 @@ impl Builder<'_> {
     }
 }
 
-/// Boundary between bins along an axis.
-struct Plane {
+/// Split plane between bins along an axis.
+struct SplitPlane {
     axis: usize,
     start: f32,
     scale: f32,
@@ -255,16 +255,16 @@ struct Plane {
     split: usize,
 }
 
-impl Plane {
+impl SplitPlane {
     #[inline]
     fn bin(&self, centre: Vec3) -> usize {
         (((centre[self.axis] - self.start) * self.scale) as usize).min(BINS - 1)
     }
 }
 
-/// First bin of the second group of the cheapest split, and its cost: areas times the number of
-/// leaves that the groups fill.
-fn cheapest(bins: &[(Bounds, u32); BINS]) -> (usize, f32) {
+/// Returns the first bin of the second group of the cheapest split, and its cost: areas times the
+/// number of leaves of the groups.
+fn cheapest_split(bins: &[(Bounds, u32); BINS]) -> (usize, f32) {
     let cost =
         |bounds: &Bounds, count: u32| bounds.half_area() * (count as usize).div_ceil(WIDTH) as f32;
     let mut right = [0.0; BINS];

@@ -4,7 +4,7 @@ use super::lanes::Portable;
 use super::*;
 use gripcast_geometry::builtin;
 
-/// Small generator of numbers in [0, 1).
+/// Small pseudorandom generator of numbers in [0, 1).
 struct Numbers(u64);
 
 impl Numbers {
@@ -29,8 +29,8 @@ impl WithLanes for Closest<'_> {
     #[inline(always)]
     fn with_lanes<L: Lanes>(self, lanes: L) -> Self::Output {
         let mut stack = self.0.stack();
-        let hit = self.0.closest(lanes, &self.1, f32::INFINITY, &mut stack);
-        (hit, self.0.any(lanes, &self.1, f32::INFINITY, &mut stack))
+        let hit = self.0.intersect(lanes, &self.1, &mut stack);
+        (hit, self.0.occluded(lanes, &self.1, &mut stack))
     }
 }
 
@@ -104,8 +104,8 @@ fn random_triangles_agree_with_brute_force() {
 }
 
 #[test]
-fn degenerate_meshes_are_no_trouble() {
-    // All in one place, flat along an axis, points and lines among them.
+fn degenerate_meshes_agree_with_brute_force() {
+    // Coincident, axis-aligned and degenerate triangles.
     let triangle = [Vec3::ZERO, Vec3::X, Vec3::Y];
     let same = vec![triangle; 100];
     compare(&same, rays(2000, 1));
@@ -117,7 +117,7 @@ fn degenerate_meshes_are_no_trouble() {
         .collect();
     grid.push([Vec3::ONE; 3]);
     grid.push([Vec3::ZERO, Vec3::Z, 2.0 * Vec3::Z]);
-    // The grid is met along its axes, too.
+    // Rays along the axes of the grid.
     let along = (0..500).map(|i| Ray {
         origin: Vec3::new(0.003 * i as f32 - 0.8, 0.11, 1.0),
         direction: -Vec3::Z,
@@ -135,11 +135,11 @@ fn no_ray_slips_through_a_closed_mesh() {
         let corners: Vec<_> = mesh.all_corners().map(|c| c.map(|p| p.as_vec3())).collect();
         let bvh = Bvh::build(&corners);
         let mut numbers = Numbers(11);
-        // Inside of the solid: a little below the surface.
+        // Slightly below the surface of the solid.
         let [a, b, c] = corners[100];
         let inside = (a + b + c) / 3.0 - 1e-4 * (b - a).cross(c - a).normalize();
         for i in 0..6000 {
-            // Half of the rays aim at corners and edges of triangles.
+            // Half of the rays aim at vertices and edges.
             let [a, b, _] = corners[i % corners.len()];
             let target = match i % 4 {
                 0 => a,
@@ -156,7 +156,7 @@ fn no_ray_slips_through_a_closed_mesh() {
 }
 
 #[test]
-fn weights_give_the_place_of_the_hit() {
+fn hit_has_barycentric_weights() {
     let corners = [[Vec3::ZERO, 2.0 * Vec3::X, Vec3::Y]];
     let ray = Ray {
         origin: Vec3::new(0.6, 0.25, 3.0),

@@ -1,34 +1,77 @@
-//! Eight floats at once: with AVX2 where the processor has it, as plain arrays elsewhere. Both give
-//! the same bits, as nothing is fused.
+//! Eight-lane f32 SIMD: AVX2 if available, plain arrays otherwise. Both give the same bits, since
+//! no multiply-add is fused.
 
-/// Number of boxes or triangles that are tested together.
+/// Number of boxes or triangles tested together.
 pub(in super::super) const WIDTH: usize = 8;
 
-/// Operations on eight floats.
+/// Operations on eight floats; the provided methods are the portable implementation.
 pub(in super::super) trait Lanes: Copy + Send + Sync {
     /// Eight floats.
     type F: Copy;
 
     fn load(self, values: &[f32; WIDTH]) -> Self::F;
     fn store(self, values: Self::F) -> [f32; WIDTH];
-    fn splat(self, value: f32) -> Self::F;
-    fn add(self, a: Self::F, b: Self::F) -> Self::F;
-    fn sub(self, a: Self::F, b: Self::F) -> Self::F;
-    fn mul(self, a: Self::F, b: Self::F) -> Self::F;
-    fn div(self, a: Self::F, b: Self::F) -> Self::F;
-    /// Smaller of each pair; `b` if one is no number.
-    fn min(self, a: Self::F, b: Self::F) -> Self::F;
-    /// Larger of each pair; `b` if one is no number.
-    fn max(self, a: Self::F, b: Self::F) -> Self::F;
+    #[inline(always)]
+    fn splat(self, value: f32) -> Self::F {
+        self.load(&[value; WIDTH])
+    }
+
+    #[inline(always)]
+    fn add(self, a: Self::F, b: Self::F) -> Self::F {
+        self.load(&zip(self.store(a), self.store(b), |a, b| a + b))
+    }
+
+    #[inline(always)]
+    fn sub(self, a: Self::F, b: Self::F) -> Self::F {
+        self.load(&zip(self.store(a), self.store(b), |a, b| a - b))
+    }
+
+    #[inline(always)]
+    fn mul(self, a: Self::F, b: Self::F) -> Self::F {
+        self.load(&zip(self.store(a), self.store(b), |a, b| a * b))
+    }
+
+    #[inline(always)]
+    fn div(self, a: Self::F, b: Self::F) -> Self::F {
+        self.load(&zip(self.store(a), self.store(b), |a, b| a / b))
+    }
+
+    /// Lane-wise minimum; `b` if one is NaN.
+    #[inline(always)]
+    fn min(self, a: Self::F, b: Self::F) -> Self::F {
+        self.load(&zip(self.store(a), self.store(b), |a, b| {
+            if a < b { a } else { b }
+        }))
+    }
+
+    /// Lane-wise maximum; `b` if one is NaN.
+    #[inline(always)]
+    fn max(self, a: Self::F, b: Self::F) -> Self::F {
+        self.load(&zip(self.store(a), self.store(b), |a, b| {
+            if a > b { a } else { b }
+        }))
+    }
+
     /// Bit i: a ≤ b in lane i.
-    fn le(self, a: Self::F, b: Self::F) -> u32;
+    #[inline(always)]
+    fn le(self, a: Self::F, b: Self::F) -> u32 {
+        bits(self.store(a), self.store(b), |a, b| a <= b)
+    }
+
     /// Bit i: a < b in lane i.
-    fn lt(self, a: Self::F, b: Self::F) -> u32;
+    #[inline(always)]
+    fn lt(self, a: Self::F, b: Self::F) -> u32 {
+        bits(self.store(a), self.store(b), |a, b| a < b)
+    }
+
     /// Bit i: a = b in lane i.
-    fn eq(self, a: Self::F, b: Self::F) -> u32;
+    #[inline(always)]
+    fn eq(self, a: Self::F, b: Self::F) -> u32 {
+        bits(self.store(a), self.store(b), |a, b| a == b)
+    }
 }
 
-/// Plain arrays.
+/// Portable implementation.
 #[derive(Clone, Copy, Debug)]
 pub(in super::super) struct Portable;
 
@@ -54,56 +97,6 @@ impl Lanes for Portable {
     fn store(self, values: Self::F) -> [f32; WIDTH] {
         values
     }
-
-    #[inline(always)]
-    fn splat(self, value: f32) -> Self::F {
-        [value; WIDTH]
-    }
-
-    #[inline(always)]
-    fn add(self, a: Self::F, b: Self::F) -> Self::F {
-        zip(a, b, |a, b| a + b)
-    }
-
-    #[inline(always)]
-    fn sub(self, a: Self::F, b: Self::F) -> Self::F {
-        zip(a, b, |a, b| a - b)
-    }
-
-    #[inline(always)]
-    fn mul(self, a: Self::F, b: Self::F) -> Self::F {
-        zip(a, b, |a, b| a * b)
-    }
-
-    #[inline(always)]
-    fn div(self, a: Self::F, b: Self::F) -> Self::F {
-        zip(a, b, |a, b| a / b)
-    }
-
-    #[inline(always)]
-    fn min(self, a: Self::F, b: Self::F) -> Self::F {
-        zip(a, b, |a, b| if a < b { a } else { b })
-    }
-
-    #[inline(always)]
-    fn max(self, a: Self::F, b: Self::F) -> Self::F {
-        zip(a, b, |a, b| if a > b { a } else { b })
-    }
-
-    #[inline(always)]
-    fn le(self, a: Self::F, b: Self::F) -> u32 {
-        bits(a, b, |a, b| a <= b)
-    }
-
-    #[inline(always)]
-    fn lt(self, a: Self::F, b: Self::F) -> u32 {
-        bits(a, b, |a, b| a < b)
-    }
-
-    #[inline(always)]
-    fn eq(self, a: Self::F, b: Self::F) -> u32 {
-        bits(a, b, |a, b| a == b)
-    }
 }
 
 #[cfg(target_arch = "x86_64")]
@@ -114,7 +107,7 @@ mod avx2 {
 
     use super::{Lanes, WIDTH, WithLanes};
 
-    /// Work with its lanes.
+    /// Adapter from [`WithLanes`] to `pulp`.
     pub(super) struct Wide<W> {
         pub(super) work: W,
         pub(super) simd: V3,
@@ -199,15 +192,15 @@ mod avx2 {
     }
 }
 
-/// Work that is compiled for the widest lanes of the processor.
+/// Work compiled for the widest available lanes.
 pub(in super::super) trait WithLanes {
     type Output;
 
-    /// Must be `#[inline(always)]`, as must be what it calls and should run wide.
+    /// Must be `#[inline(always)]`, like everything it calls that should be vectorised.
     fn with_lanes<L: Lanes>(self, lanes: L) -> Self::Output;
 }
 
-/// Runs the work with the widest lanes of the processor.
+/// Runs the work with the widest available lanes.
 #[inline]
 pub(in super::super) fn dispatch<W: WithLanes>(work: W) -> W::Output {
     #[cfg(target_arch = "x86_64")]

@@ -1,12 +1,12 @@
-//! Where a ray meets triangles first: a hierarchy of eight boxes a node and eight triangles a leaf,
-//! in single precision.
+//! Bounding volume hierarchy for ray intersection in single precision: eight boxes per node and
+//! eight triangles per leaf.
 //!
 //! The ray–triangle test is watertight: Woop, Benthin, Wald, *Watertight ray/triangle intersection*
-//! (2013). Boxes are hit conservatively, so no ray slips through an edge that two triangles fraction.
+//! (2013). Boxes are hit conservatively, so no ray slips through an edge shared by two triangles.
 //!
-//! Not `obvhs` (0.3): where two triangles share an edge, equal distances are decided by the order of
-//! traversal, and the winner's normal and material by the bits of the image. Another tree changes
-//! images, and its nodes leave the triangle test to the caller anyway.
+//! `obvhs` 0.3 is not used: for triangles that share an edge, the order of traversal decides
+//! between equal distances and thus the normal and material of the hit. Another tree would change
+//! images, and its nodes leave the triangle test to the caller.
 
 mod build;
 mod lanes;
@@ -20,41 +20,41 @@ pub(super) use self::lanes::{Lanes, WithLanes, dispatch};
 use self::triangles::{Shear, Triangles};
 use super::camera::Ray;
 
-/// Bit that tells leaves from nodes in a reference.
+/// Flag of leaf references.
 const LEAF: u32 = 1 << 31;
-/// Reference to nothing.
-const NOTHING: u32 = u32::MAX;
-/// Farther ends of boxes are moved by the largest error of their distance (3 roundings).
+/// Reference of an empty slot.
+const EMPTY: u32 = u32::MAX;
+/// Conservative factor on the far distances of boxes (3 ulps).
 const SAFETY: f32 = 1.000_000_6;
-/// Smallest component of a direction, so that its inverse is finite.
+/// Minimum component of a direction, so that its inverse is finite.
 const MIN_COMPONENT: f32 = 1e-18;
 
-/// Boxes of eight children and what is in them.
+/// Boxes and references of eight children.
 #[derive(Clone, Debug)]
 #[repr(C, align(64))]
 struct Node {
-    /// Lower x, y, z and upper x, y, z of the children; empty ones are never hit.
+    /// Minimum x, y, z and maximum x, y, z of the children; empty slots are never hit.
     planes: [[f32; WIDTH]; 6],
-    /// Index of a node, or of triangles with [`LEAF`].
+    /// Node indices, or leaf indices with [`LEAF`].
     children: [u32; WIDTH],
 }
 
-/// First hit of a ray.
+/// Closest hit of a ray.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Hit {
-    /// Distance in lengths of the ray's direction.
+    /// Distance in units of the ray direction.
     pub(super) t: f32,
-    /// Index of the triangle in the order of [`Bvh::order`].
+    /// Triangle index in [`Bvh::order`].
     pub(super) face: u32,
-    /// Weights of the second and third corner.
+    /// Barycentric weights of the second and third vertex.
     pub(super) weights: [f32; 2],
 }
 
-/// Scratch space of traversals.
+/// Traversal stack.
 #[derive(Clone, Debug)]
 pub(super) struct Stack(Vec<(u32, f32)>);
 
-/// Hierarchy over triangles.
+/// BVH over triangles.
 #[derive(Debug)]
 pub(super) struct Bvh {
     nodes: Vec<Node>,
@@ -63,20 +63,20 @@ pub(super) struct Bvh {
     depth: usize,
 }
 
-/// A ray as the tests want it.
-struct Prepared<L: Lanes> {
+/// A ray prepared for the intersection tests.
+struct PreparedRay<L: Lanes> {
     origin: [L::F; 3],
     inverse: [L::F; 3],
-    /// Which of the six planes of a box is nearer, for each axis.
+    /// Index of the near plane of a box for each axis.
     near: [usize; 3],
     far: [usize; 3],
     shear: Shear<L>,
 }
 
-impl<L: Lanes> Prepared<L> {
+impl<L: Lanes> PreparedRay<L> {
     #[inline(always)]
     fn new(lanes: L, ray: &Ray) -> Self {
-        // Written out: the compiler does not widen what runs inside closures.
+        // Unrolled: the compiler does not vectorise across closures.
         let [ix, iy, iz] = [
             inverse(ray.direction.x),
             inverse(ray.direction.y),
@@ -94,7 +94,7 @@ impl<L: Lanes> Prepared<L> {
     }
 }
 
-/// Inverse of a component of a direction, finite.
+/// Finite inverse of a direction component.
 #[inline(always)]
 fn inverse(component: f32) -> f32 {
     if component.abs() < MIN_COMPONENT {
@@ -104,15 +104,14 @@ fn inverse(component: f32) -> f32 {
     }
 }
 
-/// Offset of the upper planes of boxes where they are the nearer ones.
+/// Offset to the upper planes if they are the near ones.
 #[inline(always)]
 fn upper(inverse: f32) -> usize {
     if inverse < 0.0 { 3 } else { 0 }
 }
 
 impl Bvh {
-    /// Builds the hierarchy over triangles by their corners, which must be finite. Triangles
-    /// without area are never hit.
+    /// Builds the BVH of triangles with finite vertices. Triangles without area are never hit.
     pub(super) fn build(corners: &[[Vec3; 3]]) -> Self {
         let boxes: Vec<Bounds> = corners.iter().map(|&c| Bounds::of(c)).collect();
         let tree = Tree::build(&boxes);
@@ -125,7 +124,7 @@ impl Bvh {
         for wide in &tree.nodes {
             let mut node = Node {
                 planes: [[f32::INFINITY; WIDTH]; 6],
-                children: [NOTHING; WIDTH],
+                children: [EMPTY; WIDTH],
             };
             node.planes[3..].fill([f32::NEG_INFINITY; WIDTH]);
             for (slot, (bounds, child)) in wide.children.iter().enumerate() {
@@ -148,33 +147,32 @@ impl Bvh {
         bvh
     }
 
-    /// Index of each triangle in the order of the leaves.
+    /// Triangle indices in leaf order.
     pub(super) fn order(&self) -> &[u32] {
         &self.order
     }
 
-    /// Scratch space that is large enough for this hierarchy.
+    /// Returns a stack that is large enough for this BVH.
     pub(super) fn stack(&self) -> Stack {
-        Stack(vec![(NOTHING, 0.0); (WIDTH - 1) * self.depth + WIDTH])
+        Stack(vec![(EMPTY, 0.0); (WIDTH - 1) * self.depth + WIDTH])
     }
 
-    /// First triangle that the ray meets at a distance in (0, `reach`).
+    /// Returns the closest hit at a positive distance.
     #[inline(always)]
-    pub(super) fn closest<L: Lanes>(
+    pub(super) fn intersect<L: Lanes>(
         &self,
         lanes: L,
         ray: &Ray,
-        reach: f32,
         stack: &mut Stack,
     ) -> Option<Hit> {
         if self.nodes.is_empty() {
             return None;
         }
-        let prepared = Prepared::new(lanes, ray);
+        let prepared = PreparedRay::new(lanes, ray);
         let stack = stack.0.as_mut_slice();
         let mut best = Hit {
-            t: reach,
-            face: NOTHING,
+            t: f32::INFINITY,
+            face: EMPTY,
             weights: [0.0; 2],
         };
         let mut height = 0;
@@ -182,7 +180,7 @@ impl Bvh {
         loop {
             if current & LEAF == 0 {
                 let node = &self.nodes[current as usize];
-                let (mut mask, near) = node.enter(lanes, &prepared, best.t);
+                let (mut mask, near) = node.intersect_children(lanes, &prepared, best.t);
                 if mask != 0 {
                     let first = mask.trailing_zeros() as usize & (WIDTH - 1);
                     mask &= mask - 1;
@@ -201,25 +199,25 @@ impl Bvh {
                             (current, distance, entry) = (entry.0, entry.1, (current, distance));
                         }
                         // Nearest on top.
-                        let mut at = height;
-                        while at > floor && stack[at - 1].1 < entry.1 {
-                            stack[at] = stack[at - 1];
-                            at -= 1;
+                        let mut slot = height;
+                        while slot > floor && stack[slot - 1].1 < entry.1 {
+                            stack[slot] = stack[slot - 1];
+                            slot -= 1;
                         }
-                        stack[at] = entry;
+                        stack[slot] = entry;
                         height += 1;
                     }
                     continue;
                 }
             } else {
                 let leaf = &self.leaves[(current & !LEAF) as usize];
-                if let Some(hit) = leaf.closest(lanes, &prepared.shear, best.t) {
+                if let Some(hit) = leaf.intersect(lanes, &prepared.shear, best.t) {
                     best = hit;
                 }
             }
             loop {
                 if height == 0 {
-                    return (best.face != NOTHING).then_some(best);
+                    return (best.face != EMPTY).then_some(best);
                 }
                 height -= 1;
                 let (next, distance) = stack[height];
@@ -231,27 +229,27 @@ impl Bvh {
         }
     }
 
-    /// Whether the ray meets any triangle at a distance in (0, `reach`).
+    /// Whether any triangle is hit at a positive distance.
     #[inline(always)]
-    pub(super) fn any<L: Lanes>(&self, lanes: L, ray: &Ray, reach: f32, stack: &mut Stack) -> bool {
+    pub(super) fn occluded<L: Lanes>(&self, lanes: L, ray: &Ray, stack: &mut Stack) -> bool {
         if self.nodes.is_empty() {
             return false;
         }
-        let prepared = Prepared::new(lanes, ray);
+        let prepared = PreparedRay::new(lanes, ray);
         let stack = stack.0.as_mut_slice();
         let mut height = 0;
         let mut current = 0u32;
         loop {
             if current & LEAF == 0 {
                 let node = &self.nodes[current as usize];
-                let (mut mask, _) = node.enter(lanes, &prepared, reach);
+                let (mut mask, _) = node.intersect_children(lanes, &prepared, f32::INFINITY);
                 while mask != 0 {
                     let slot = mask.trailing_zeros() as usize & (WIDTH - 1);
                     mask &= mask - 1;
                     stack[height].0 = node.children[slot];
                     height += 1;
                 }
-            } else if self.leaves[(current & !LEAF) as usize].any(lanes, &prepared.shear, reach) {
+            } else if self.leaves[(current & !LEAF) as usize].occluded(lanes, &prepared.shear) {
                 return true;
             }
             if height == 0 {
@@ -264,9 +262,14 @@ impl Bvh {
 }
 
 impl Node {
-    /// Children that the ray enters before `reach`, and the distances at which it does.
+    /// Returns a mask of the children hit before `t_max`, and their entry distances.
     #[inline(always)]
-    fn enter<L: Lanes>(&self, lanes: L, ray: &Prepared<L>, reach: f32) -> (u32, L::F) {
+    fn intersect_children<L: Lanes>(
+        &self,
+        lanes: L,
+        ray: &PreparedRay<L>,
+        t_max: f32,
+    ) -> (u32, L::F) {
         let nx = self.distance(lanes, ray, ray.near[0], 0);
         let ny = self.distance(lanes, ray, ray.near[1], 1);
         let nz = self.distance(lanes, ray, ray.near[2], 2);
@@ -275,13 +278,19 @@ impl Node {
         let fz = self.distance(lanes, ray, ray.far[2], 2);
         let near = lanes.max(lanes.max(nx, ny), lanes.max(nz, lanes.splat(0.0)));
         let far = lanes.mul(lanes.min(fx, lanes.min(fy, fz)), lanes.splat(SAFETY));
-        let far = lanes.min(far, lanes.splat(reach));
+        let far = lanes.min(far, lanes.splat(t_max));
         (lanes.le(near, far), near)
     }
 
     /// Distances to one plane of each box.
     #[inline(always)]
-    fn distance<L: Lanes>(&self, lanes: L, ray: &Prepared<L>, plane: usize, axis: usize) -> L::F {
+    fn distance<L: Lanes>(
+        &self,
+        lanes: L,
+        ray: &PreparedRay<L>,
+        plane: usize,
+        axis: usize,
+    ) -> L::F {
         let from = lanes.sub(lanes.load(&self.planes[plane]), ray.origin[axis]);
         lanes.mul(from, ray.inverse[axis])
     }

@@ -1,30 +1,30 @@
-//! Eight triangles of a leaf against a ray.
+//! Intersection of a ray with the eight triangles of a leaf.
 
 use glam::Vec3;
 
 use super::lanes::{Lanes, WIDTH};
-use super::{Hit, NOTHING};
+use super::{EMPTY, Hit};
 use crate::camera::Ray;
 
-/// Corners of up to eight triangles, coordinate by coordinate; absent ones are no numbers and
-/// never hit.
+/// Vertices of up to eight triangles as a structure of arrays; absent triangles are NaN and never
+/// hit.
 #[derive(Clone, Debug)]
 #[repr(C, align(64))]
 pub(super) struct Triangles {
     /// `corners[c][axis][lane]`.
     corners: [[[f32; WIDTH]; 3]; 3],
-    /// Place of the first triangle in the order of the leaves.
+    /// Index of the first triangle in leaf order.
     first: u32,
 }
 
-/// A ray whose largest component of the direction was made the z axis by shearing.
+/// A ray sheared so that the largest component of its direction is the z axis.
 pub(super) struct Shear<L: Lanes> {
-    /// Axes of the world that become x, y, z.
+    /// World axes that become x, y, z.
     axes: [usize; 3],
     /// Origin along these axes.
     origin: [f32; 3],
     lanes_origin: [L::F; 3],
-    /// Shear of x, of y, and scale of z.
+    /// Shear of x and y, and scale of z.
     shear: [f32; 3],
     lanes_shear: [L::F; 3],
 }
@@ -62,18 +62,18 @@ fn splat<L: Lanes>(lanes: L, [x, y, z]: [f32; 3]) -> [L::F; 3] {
     [lanes.splat(x), lanes.splat(y), lanes.splat(z)]
 }
 
-/// What the test gives for eight triangles.
-struct Tested<L: Lanes> {
-    /// Lanes that are hit.
+/// Result of the test of eight triangles.
+struct TriangleTest<L: Lanes> {
+    /// Mask of the lanes hit.
     mask: u32,
     t: L::F,
-    /// Weights of the second and third corner, not yet divided by their sum.
+    /// Weights of the second and third vertex, not yet divided by their sum.
     weights: [L::F; 2],
     inverse_sum: L::F,
 }
 
 impl Triangles {
-    /// At most [`WIDTH`] triangles by their corners.
+    /// At most [`WIDTH`] triangles by their vertices.
     pub(super) fn new(first: u32, faces: impl Iterator<Item = [Vec3; 3]>) -> Self {
         let mut corners = [[[f32::NAN; WIDTH]; 3]; 3];
         for (lane, face) in faces.take(WIDTH).enumerate() {
@@ -87,8 +87,8 @@ impl Triangles {
     }
 
     #[inline(always)]
-    pub(super) fn closest<L: Lanes>(&self, lanes: L, ray: &Shear<L>, reach: f32) -> Option<Hit> {
-        let tested = self.test(lanes, ray, reach);
+    pub(super) fn intersect<L: Lanes>(&self, lanes: L, ray: &Shear<L>, t_max: f32) -> Option<Hit> {
+        let tested = self.test(lanes, ray, t_max);
         let mut mask = tested.mask;
         if mask == 0 {
             return None;
@@ -109,7 +109,7 @@ impl Triangles {
             lanes.store(v)[nearest] * inverse,
             lanes.store(w)[nearest] * inverse,
         ];
-        debug_assert!(self.first != NOTHING);
+        debug_assert!(self.first != EMPTY);
         Some(Hit {
             t: t[nearest],
             face: self.first + nearest as u32,
@@ -118,12 +118,12 @@ impl Triangles {
     }
 
     #[inline(always)]
-    pub(super) fn any<L: Lanes>(&self, lanes: L, ray: &Shear<L>, reach: f32) -> bool {
-        self.test(lanes, ray, reach).mask != 0
+    pub(super) fn occluded<L: Lanes>(&self, lanes: L, ray: &Shear<L>) -> bool {
+        self.test(lanes, ray, f32::INFINITY).mask != 0
     }
 
     #[inline(always)]
-    fn test<L: Lanes>(&self, lanes: L, ray: &Shear<L>, reach: f32) -> Tested<L> {
+    fn test<L: Lanes>(&self, lanes: L, ray: &Shear<L>, t_max: f32) -> TriangleTest<L> {
         let zero = lanes.splat(0.0);
         let a = self.sheared(lanes, ray, 0);
         let b = self.sheared(lanes, ray, 1);
@@ -145,13 +145,13 @@ impl Triangles {
             lanes.add(lanes.mul(v, b[2]), lanes.mul(w, c[2])),
         );
         let t = lanes.mul(lanes.mul(scaled, ray.lanes_shear[2]), inverse_sum);
-        let least = lanes.min(u, lanes.min(v, w));
-        let most = lanes.max(u, lanes.max(v, w));
-        // Lanes that hold no number fail every comparison, also that of the distance.
-        let inside = lanes.le(zero, least) | lanes.le(most, zero);
-        let ahead = lanes.lt(zero, t) & lanes.lt(t, lanes.splat(reach));
+        let min_edge = lanes.min(u, lanes.min(v, w));
+        let max_edge = lanes.max(u, lanes.max(v, w));
+        // NaN lanes fail every comparison, including that of the distance.
+        let inside = lanes.le(zero, min_edge) | lanes.le(max_edge, zero);
+        let ahead = lanes.lt(zero, t) & lanes.lt(t, lanes.splat(t_max));
         let flat = lanes.eq(sum, zero);
-        Tested {
+        TriangleTest {
             mask: inside & ahead & !flat,
             t,
             weights: [v, w],
@@ -159,7 +159,7 @@ impl Triangles {
         }
     }
 
-    /// A corner of each triangle relative to the origin, sheared.
+    /// Vertex of each triangle relative to the ray origin, sheared.
     #[inline(always)]
     fn sheared<L: Lanes>(&self, lanes: L, ray: &Shear<L>, corner: usize) -> [L::F; 3] {
         let corner = &self.corners[corner];
@@ -173,8 +173,8 @@ impl Triangles {
         ]
     }
 
-    /// Edge functions in double precision for rays that meet an edge exactly, as far as single
-    /// precision can tell: the sign must be the same for both triangles at the edge.
+    /// Edge functions in double precision for rays that hit an edge exactly in single precision:
+    /// both triangles at the edge must get the same sign.
     #[cold]
     #[inline(never)]
     fn exact_edges(
@@ -188,11 +188,11 @@ impl Triangles {
         while mask != 0 {
             let lane = mask.trailing_zeros() as usize & (WIDTH - 1);
             mask &= mask - 1;
-            // The same single-precision coordinates as in the wide test.
+            // The same single-precision coordinates as in the SIMD test.
             let [a, b, c] = [0, 1, 2].map(|corner| {
-                let place = |k: usize| self.corners[corner][axes[k]][lane] - origin[k];
-                let z = place(2);
-                [0, 1].map(|k| f64::from(place(k) - shear[k] * z))
+                let coordinate = |k: usize| self.corners[corner][axes[k]][lane] - origin[k];
+                let z = coordinate(2);
+                [0, 1].map(|k| f64::from(coordinate(k) - shear[k] * z))
             });
             let edge = |p: [f64; 2], q: [f64; 2]| (p[0] * q[1] - p[1] * q[0]) as f32;
             edges[0][lane] = edge(c, b);
@@ -203,7 +203,7 @@ impl Triangles {
     }
 }
 
-/// Edge function of two sheared corners: twice the signed area with the ray.
+/// Edge function of two sheared vertices: twice the signed area with the ray.
 #[inline(always)]
 fn edge<L: Lanes>(lanes: L, p: [L::F; 3], q: [L::F; 3]) -> L::F {
     lanes.sub(lanes.mul(p[0], q[1]), lanes.mul(p[1], q[0]))

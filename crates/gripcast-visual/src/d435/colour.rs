@@ -1,34 +1,35 @@
-//! Light on the colour sensor to 8-bit images.
+//! Model of the colour camera: linear light to 8-bit images.
 
 use image::RgbImage;
 use rayon::prelude::*;
 
 use crate::linear_image::{Image, luminance};
 use gripcast_base::random::gaussians;
+use gripcast_imaging::srgb_encode;
 
-/// What exposure, lens and sensor do to the light.
+/// Exposure, lens and sensor of the colour camera.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ColourSettings {
-    /// Mean that the automatic exposure aims at, 8-bit levels; 100 to 120 is usual.
+    /// Target mean of the automatic exposure, 8-bit levels; usually 100 to 120.
     pub target_mean: f64,
-    /// How far the automatic white balance goes towards a grey mean, 0 to 1.
+    /// Strength of the automatic white balance towards a grey mean, 0 to 1.
     pub white_balance: f32,
-    /// Light that is lost in the corners, as a fraction.
+    /// Vignetting: fraction of the light lost in the corners.
     pub vignette: f32,
-    /// Blur of the lens, standard deviation in pixels of the image.
+    /// Standard deviation of the lens blur, image pixels.
     pub blur_px: f32,
-    /// Electrons of a pixel that is just not clipped: the fewer, the more shot noise. A pixel of
-    /// the 1/6" sensor holds about 5000 at gain 1; indoor gains of 2 to 8 divide that, pixels
-    /// that are averages of n × n multiply it by n².
+    /// Full-well capacity of a pixel, electrons: smaller means more shot noise. A pixel of the 1/6"
+    /// sensor holds about 5000 at gain 1; indoor gains of 2 to 8 divide that, pixels averaged from
+    /// n × n multiply it by n².
     pub full_well_e: f32,
-    /// Noise of the read-out, electrons (standard deviation).
+    /// Standard deviation of the read noise, electrons.
     pub read_noise_e: f32,
-    /// Saturation of colours: 1 as measured, above 1 more.
+    /// Colour saturation factor; 1 leaves colours unchanged.
     pub saturation: f32,
 }
 
 impl Default for ColourSettings {
-    /// Indoors at moderate gain, 320 × 240 from 3 × 3 pixels each.
+    /// Indoors at moderate gain; 320 × 240 pixels averaged from 3 × 3 each.
     fn default() -> Self {
         Self {
             target_mean: 110.0,
@@ -42,15 +43,15 @@ impl Default for ColourSettings {
     }
 }
 
-/// Exposure gains that are tried, as powers of 2 around a mean of 18 %.
-const MAX_STOPS: f32 = 12.0;
-/// Halvings of that range: to 1/700 of a stop.
+/// Range of the exposure search, stops around a mean of 18 %.
+const EXPOSURE_RANGE_STOPS: f32 = 12.0;
+/// Bisection steps: to 1/700 of a stop.
 const EXPOSURE_STEPS: u32 = 14;
 
-/// The 8-bit sRGB image that the camera gives for linear light; the same seed gives the same
-/// bytes.
+/// Simulates the colour camera: returns its 8-bit sRGB image of linear light. The result depends on
+/// the arguments alone.
 pub fn develop(light: &Image, settings: &ColourSettings, seed: u64) -> RgbImage {
-    let mut image = cleaned(light);
+    let mut image = sanitised(light);
     vignette(&mut image, settings.vignette);
     blur(&mut image, settings.blur_px);
     let balance = white_balance(&image, settings.white_balance);
@@ -69,20 +70,20 @@ pub fn develop(light: &Image, settings: &ColourSettings, seed: u64) -> RgbImage 
             let [c, _] = gaussians(seed, item + 1);
             let noise = [a, b, c];
             let measured = std::array::from_fn(|k| {
-                // The white balance amplifies what was measured, noise and all.
+                // The white balance amplifies the measured signal including its noise.
                 let electrons = (light[k] * gain * full_well).min(full_well);
                 let deviation = (electrons + read * read).sqrt();
                 (electrons + deviation * noise[k]) / full_well * balance[k]
             });
-            finish(measured, settings.saturation).map(encode)
+            tone_mapped(measured, settings.saturation).map(srgb_encode)
         })
         .collect();
     let (width, height) = (image.width as u32, image.height as u32);
     RgbImage::from_raw(width, height, pixels.into_flattened()).unwrap_or_default()
 }
 
-/// Light without negative values and values that are no numbers.
-fn cleaned(light: &Image) -> Image {
+/// Replaces negative, infinite and NaN values by 0.
+fn sanitised(light: &Image) -> Image {
     let mut image = light.clone();
     for value in image.pixels.iter_mut().flatten() {
         *value = if value.is_finite() {
@@ -94,7 +95,7 @@ fn cleaned(light: &Image) -> Image {
     image
 }
 
-/// Darkens towards the corners with the square of the distance from the middle.
+/// Applies vignetting proportional to the squared distance from the centre.
 fn vignette(image: &mut Image, fraction: f32) {
     let (width, height) = (image.width as f32, image.height as f32);
     let corner = width * width + height * height;
@@ -108,7 +109,7 @@ fn vignette(image: &mut Image, fraction: f32) {
     }
 }
 
-/// Gaussian blur, first along rows, then along columns; the border is repeated.
+/// Separable Gaussian blur with replicated border.
 fn blur(image: &mut Image, sigma: f32) {
     if sigma.is_nan() || sigma < 0.05 {
         return;
@@ -142,8 +143,8 @@ fn blur(image: &mut Image, sigma: f32) {
     }
 }
 
-/// Gains of the channels that make the mean of the pixels that are neither very dark nor very
-/// bright grey, taken to the given fraction; their mean is 1 in G.
+/// Grey-world gains of the channels from pixels between the 5 % and 95 % luminance quantiles,
+/// raised to the power `fraction`; the gain of green is 1.
 fn white_balance(image: &Image, fraction: f32) -> [f32; 3] {
     let mut levels: Vec<f32> = image.pixels.iter().map(|p| luminance(*p)).collect();
     levels.sort_unstable_by(f32::total_cmp);
@@ -165,7 +166,7 @@ fn white_balance(image: &Image, fraction: f32) -> [f32; 3] {
     }
 }
 
-/// Gain at which the mean of the developed image, without noise, is the target.
+/// Returns the gain at which the mean of the noise-free developed image is the target.
 fn exposure(image: &Image, balance: [f32; 3], settings: &ColourSettings) -> f32 {
     let mean = image
         .pixels
@@ -177,20 +178,20 @@ fn exposure(image: &Image, balance: [f32; 3], settings: &ColourSettings) -> f32 
         return 1.0;
     }
     let middle = (0.18 / mean) as f32;
-    // Every fifth pixel is enough for a mean.
+    // Every fifth pixel is enough for the mean.
     let sample: Vec<[f32; 3]> = image.pixels.iter().step_by(5).copied().collect();
     let developed_mean = |gain: f32| {
         let sum: f64 = sample
             .iter()
             .map(|p| {
-                let seen = std::array::from_fn(|k| (p[k] * gain).min(1.0) * balance[k]);
-                let [r, g, b] = finish(seen, settings.saturation).map(encode);
+                let measured = std::array::from_fn(|k| (p[k] * gain).min(1.0) * balance[k]);
+                let [r, g, b] = tone_mapped(measured, settings.saturation).map(srgb_encode);
                 0.299 * f64::from(r) + 0.587 * f64::from(g) + 0.114 * f64::from(b)
             })
             .sum();
         sum / sample.len().max(1) as f64
     };
-    let (mut low, mut high) = (-MAX_STOPS, MAX_STOPS);
+    let (mut low, mut high) = (-EXPOSURE_RANGE_STOPS, EXPOSURE_RANGE_STOPS);
     for _ in 0..EXPOSURE_STEPS {
         let stops = 0.5 * (low + high);
         if developed_mean(middle * stops.exp2()) < settings.target_mean {
@@ -202,29 +203,18 @@ fn exposure(image: &Image, balance: [f32; 3], settings: &ColourSettings) -> f32 
     middle * (0.5 * (low + high)).exp2()
 }
 
-/// Saturation, and a shoulder that keeps highlights from clipping hard, on linear values.
-fn finish(light: [f32; 3], saturation: f32) -> [f32; 3] {
+/// Applies saturation and a soft highlight shoulder to linear values.
+fn tone_mapped(light: [f32; 3], saturation: f32) -> [f32; 3] {
     let grey = luminance(light);
     light.map(|v| {
         let v = (grey + saturation * (v - grey)).max(0.0);
-        // Straight up to 0.7, then towards 1.
+        // Linear up to 0.7, then approaching 1.
         if v < 0.7 {
             v
         } else {
             0.7 + 0.3 * (1.0 - (-(v - 0.7) / 0.3).exp())
         }
     })
-}
-
-/// Transfer function of sRGB (IEC 61966-2-1), rounded.
-fn encode(linear: f32) -> u8 {
-    let v = linear.clamp(0.0, 1.0);
-    let encoded = if v <= 0.003_130_8 {
-        12.92 * v
-    } else {
-        1.055 * v.powf(1.0 / 2.4) - 0.055
-    };
-    (255.0 * encoded).round() as u8
 }
 
 #[cfg(test)]
@@ -247,7 +237,7 @@ mod tests {
     }
 
     #[test]
-    fn exposure_reaches_its_mean_whatever_the_light() {
+    fn exposure_reaches_target_at_any_light_level() {
         for level in [1e-3, 1.0, 500.0] {
             let mut light = Image::filled(80, 60, [level, 0.8 * level, 0.6 * level]);
             for pixel in light.pixels.iter_mut().step_by(7) {
@@ -260,7 +250,7 @@ mod tests {
     }
 
     #[test]
-    fn noise_is_that_of_the_electrons() {
+    fn noise_matches_electron_count() {
         let light = Image::filled(200, 150, [0.5; 3]);
         let settings = ColourSettings {
             blur_px: 0.0,
@@ -285,7 +275,7 @@ mod tests {
     }
 
     #[test]
-    fn warm_light_is_balanced_in_part() {
+    fn white_balance_corrects_warm_light_partially() {
         let light = Image::filled(40, 30, [1.4, 1.0, 0.5]);
         let ratio = |fraction: f32| {
             let settings = ColourSettings {
@@ -300,7 +290,7 @@ mod tests {
     }
 
     #[test]
-    fn corners_are_darker_and_edges_soft() {
+    fn vignette_and_blur_are_applied() {
         let light = Image::filled(64, 48, [0.3; 3]);
         let image = develop(&light, &ColourSettings::default(), 5);
         let mean = |x: u32, y: u32| {
@@ -316,7 +306,7 @@ mod tests {
     }
 
     #[test]
-    fn a_seed_fixes_the_bytes_and_bad_light_is_survived() {
+    fn result_depends_on_seed_and_tolerates_nan() {
         let mut light = Image::filled(16, 16, [0.2, 0.3, 0.4]);
         light.pixels[3] = [f32::NAN, f32::INFINITY, -1.0];
         let once = develop(&light, &ColourSettings::default(), 9);

@@ -1,99 +1,75 @@
-//! Exact depth to what the stereo camera would measure.
+//! Model of the stereo depth camera: exact depth to measured depth.
 
 use rayon::prelude::*;
 
 use super::{BASELINE_M, LEFT_IMAGER_M};
 use crate::camera::Camera;
+use crate::material::ensure;
 use gripcast_base::error::{Error, Result};
 use gripcast_base::random::gaussians;
 use gripcast_imaging::DepthImage;
 
-/// What the stereo module does to depth.
+/// Focal length of the stereo images of 640 × 360 with 87°, px.
+const STEREO_FOCAL_PX: f64 = 337.0;
+/// Fraction of the noise variance that is correlated between neighbours within about 4 pixels.
+const CORRELATED_FRACTION: f64 = 0.7;
+/// Disparity steps per pixel.
+const DISPARITY_STEPS: f64 = 32.0;
+/// Maximum disparity, px; closer than `f · b / max_disparity`, 0.134 m, there is no depth.
+const MAX_DISPARITY_PX: f64 = 126.0;
+/// Maximum depth, m.
+const MAX_DEPTH_M: f64 = 10.0;
+/// Minimum angle between a surface and the viewing ray, rad; below it stereo matching fails.
+const GRAZING_RAD: f64 = 7.0 * std::f64::consts::PI / 180.0;
+
+/// Settings of the stereo depth module.
 ///
 /// The error of a triangulated depth is `z² · s / (f · b)` for an error `s` of the disparity
 /// (Intel, *Best-known-methods for tuning D400 series depth cameras*).
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct DepthSettings {
-    /// Focal length of the stereo images, px: 640 × 360 with 87° has 337.
-    pub stereo_focal_px: f64,
-    /// Error of the disparity, standard deviation, px.
-    pub subpixel: f64,
-    /// Fraction of that error that neighbours within about 4 pixels have in common, 0 to 1.
-    pub common_fraction: f64,
-    /// Steps of the disparity in a pixel.
-    pub disparity_steps: f64,
-    /// Largest disparity, px; what is nearer than `f · b / it` has no depth.
-    pub most_disparity_px: f64,
-    /// Farthest depth, m.
-    pub farthest_m: f64,
-    /// Angle between a surface and the line of sight below which nothing is matched, rad.
-    pub grazing_rad: f64,
-    /// Length of a depth unit, m.
+    /// Standard deviation of the disparity noise, px.
+    pub disparity_std_px: f64,
+    /// Depth unit, m.
     pub unit_m: f64,
 }
 
 impl Default for DepthSettings {
-    /// 640 × 360: from 0.134 m on, 1 mm units.
+    /// Noise of a textured scene, 1 mm units.
     fn default() -> Self {
         Self {
-            stereo_focal_px: 337.0,
-            subpixel: 0.08,
-            common_fraction: 0.7,
-            disparity_steps: 32.0,
-            most_disparity_px: 126.0,
-            farthest_m: 10.0,
-            grazing_rad: 7.0 * std::f64::consts::PI / 180.0,
+            disparity_std_px: 0.08,
             unit_m: 1e-3,
         }
     }
 }
 
 impl DepthSettings {
-    /// Smallest depth that is measured, m.
-    pub fn nearest_m(&self) -> f64 {
-        self.stereo_focal_px * BASELINE_M / self.most_disparity_px
-    }
-
     /// Standard deviation of a measured depth, m.
-    pub fn deviation_m(&self, depth_m: f64) -> f64 {
-        depth_m * depth_m * self.subpixel / (self.stereo_focal_px * BASELINE_M)
+    pub fn depth_std_m(&self, depth_m: f64) -> f64 {
+        depth_m * depth_m * self.disparity_std_px / (STEREO_FOCAL_PX * BASELINE_M)
     }
 
     fn validate(&self) -> Result<()> {
-        let positive = [
-            ("stereo focal length", self.stereo_focal_px),
-            ("number of disparity steps", self.disparity_steps),
-            ("largest disparity", self.most_disparity_px),
-            ("farthest depth", self.farthest_m),
-            ("depth unit", self.unit_m),
-        ];
-        for (name, value) in positive {
-            if !(value.is_finite() && value > 0.0) {
-                return Err(Error::input(format!(
-                    "the {name} must be positive, found {value}"
-                )));
-            }
-        }
-        if !(self.subpixel >= 0.0 && (0.0..=1.0).contains(&self.common_fraction)) {
-            return Err(Error::input(format!(
-                "the disparity's error must not be negative and its common fraction from 0 to \
-                     1, found {} and {}",
-                self.subpixel, self.common_fraction
-            )));
-        }
-        Ok(())
+        let (std_px, unit_m) = (self.disparity_std_px, self.unit_m);
+        ensure(std_px >= 0.0, || {
+            format!("the disparity noise must not be negative, found {std_px} px")
+        })?;
+        ensure(unit_m.is_finite() && unit_m > 0.0, || {
+            format!("the depth unit must be positive, found {unit_m} m")
+        })
     }
 }
 
-/// Depth codes in units of `unit_m`, aligned to the colour image, from exact depths along the
-/// optical axis (m, row by row; not finite or 0 where there is no surface).
+/// Simulates the depth camera: converts exact depths along the optical axis (m, row-major; 0 or not
+/// finite without a surface) to depth codes in units of `unit_m`, aligned to the colour image.
 ///
-/// 0 stands for no depth: too near or far, seen by only one of the imagers (the shadow beside
-/// near edges), or a surface that is seen at a grazing angle. Glass and mirrors get the depth of
-/// their surface; a real D435 often sees through them.
+/// Code 0 means no depth: too near or far, visible to only one imager (the shadow beside near
+/// edges), or a surface at a grazing angle. Glass and mirrors get the depth of their surface; a
+/// real D435 often sees through them.
 ///
 /// # Errors
-/// `Input` for another number of depths than the camera has pixels, or impossible settings.
+/// `Input` if the number of depths is not that of the camera's pixels, or settings are invalid.
 pub fn measure_depth(
     depth_m: &[f32],
     camera: &Camera,
@@ -102,23 +78,21 @@ pub fn measure_depth(
 ) -> Result<DepthImage> {
     settings.validate()?;
     let (width, height) = (camera.width, camera.height);
-    if depth_m.len() != width * height || depth_m.is_empty() {
-        let found = depth_m.len();
-        return Err(Error::input(format!(
-            "a depth image of {width}×{height} cannot hold {found} depths"
-        )));
-    }
+    let found = depth_m.len();
+    ensure(found > 0 && found == width * height, || {
+        format!("a depth image of {width}×{height} must have as many depths, found {found}")
+    })?;
     let mut codes = vec![0_u16; depth_m.len()];
     codes
         .par_chunks_mut(width)
         .enumerate()
         .for_each(|(row, codes)| {
             let line = &depth_m[row * width..(row + 1) * width];
-            let seen = seen_by_both(line, camera);
+            let visible = visible_to_both(line, camera);
             for (column, code) in codes.iter_mut().enumerate() {
-                let place = (column, row);
-                if seen[column] && !is_grazing(depth_m, place, camera, settings) {
-                    *code = measured(line[column], place, settings, seed);
+                let pixel = (column, row);
+                if visible[column] && !is_grazing(depth_m, pixel, camera) {
+                    *code = measured(line[column], pixel, settings, seed);
                 }
             }
         });
@@ -126,20 +100,20 @@ pub fn measure_depth(
         .ok_or_else(|| Error::internal("the depth image has the wrong size"))
 }
 
-/// One depth with its noise and quantisation.
-fn measured(depth: f32, place: (usize, usize), settings: &DepthSettings, seed: u64) -> u16 {
+/// Measures one depth with noise and quantisation.
+fn measured(depth: f32, pixel: (usize, usize), settings: &DepthSettings, seed: u64) -> u16 {
     let depth = f64::from(depth);
-    if !(settings.nearest_m()..=settings.farthest_m).contains(&depth) {
+    let scale = STEREO_FOCAL_PX * BASELINE_M;
+    if !(scale / MAX_DISPARITY_PX..=MAX_DEPTH_M).contains(&depth) {
         return 0;
     }
-    let scale = settings.stereo_focal_px * BASELINE_M;
-    let noise = settings.subpixel * disparity_noise(place, settings.common_fraction, seed);
-    let steps = ((scale / depth + noise) * settings.disparity_steps).round();
-    let disparity = steps / settings.disparity_steps;
-    if disparity <= 0.0 || disparity > settings.most_disparity_px {
+    let noise = settings.disparity_std_px * disparity_noise(pixel, seed);
+    let steps = ((scale / depth + noise) * DISPARITY_STEPS).round();
+    let disparity = steps / DISPARITY_STEPS;
+    if disparity <= 0.0 || disparity > MAX_DISPARITY_PX {
         return 0;
     }
-    // Depths beyond 16 bits have no code.
+    // Codes beyond 16 bits are invalid.
     let code = (scale / disparity / settings.unit_m).round();
     if code <= f64::from(u16::MAX) {
         code as u16
@@ -148,14 +122,14 @@ fn measured(depth: f32, place: (usize, usize), settings: &DepthSettings, seed: u
     }
 }
 
-/// Noise of unit variance: a part from a coarse lattice, which neighbours fraction, and one of the
-/// pixel's own.
-fn disparity_noise((column, row): (usize, usize), common_fraction: f64, seed: u64) -> f64 {
+/// Noise of unit variance: the sum of a coarse lattice, shared by neighbours, and independent
+/// noise.
+fn disparity_noise((column, row): (usize, usize), seed: u64) -> f64 {
     const SPACING: usize = 4;
     let own = f64::from(gaussians(seed, (row as u64) << 32 | column as u64)[0]);
     let (cx, cy) = (column / SPACING, row / SPACING);
-    let part = |at: usize| (at % SPACING) as f64 / SPACING as f64 + 0.5 / SPACING as f64;
-    let (fx, fy) = (part(column), part(row));
+    let offset = |c: usize| (c % SPACING) as f64 / SPACING as f64 + 0.5 / SPACING as f64;
+    let (fx, fy) = (offset(column), offset(row));
     let at = |i: usize, j: usize| {
         let item = ((cy + j) as u64) << 32 | (cx + i) as u64;
         f64::from(gaussians(seed ^ 0x5a5a_1234, item)[0])
@@ -169,17 +143,17 @@ fn disparity_noise((column, row): (usize, usize), common_fraction: f64, seed: u6
     let lattice = [at(0, 0), at(1, 0), at(0, 1), at(1, 1)];
     let sum: f64 = weights.iter().zip(lattice).map(|(w, g)| w * g).sum();
     let norm = weights.iter().map(|w| w * w).sum::<f64>().sqrt();
-    common_fraction.sqrt() * sum / norm + (1.0 - common_fraction).sqrt() * own
+    CORRELATED_FRACTION.sqrt() * sum / norm + (1.0 - CORRELATED_FRACTION).sqrt() * own
 }
 
-/// Which pixels of a row both imagers see: a surface is hidden from an imager where a nearer one
-/// lies on the same line of sight.
-fn seen_by_both(line: &[f32], camera: &Camera) -> Vec<bool> {
-    let mut seen: Vec<bool> = line.iter().map(|z| z.is_finite() && *z > 0.0).collect();
+/// Marks the pixels of a row visible to both imagers: a surface is occluded if a nearer one lies on
+/// the same line of sight.
+fn visible_to_both(line: &[f32], camera: &Camera) -> Vec<bool> {
+    let mut visible: Vec<bool> = line.iter().map(|z| z.is_finite() && *z > 0.0).collect();
     for imager_m in [LEFT_IMAGER_M, LEFT_IMAGER_M + BASELINE_M] {
         let shift = camera.focal_px[0] * imager_m;
         let column_of = |column: usize, depth: f32| column as f64 - shift / f64::from(depth);
-        // Seen from further right, near surfaces move left over far ones: a pixel is hidden if
+        // Seen from further right, near surfaces shift left over far ones: a pixel is occluded if
         // one to its right lands at or left of it.
         let mut leftmost = f64::INFINITY;
         for column in (0..line.len()).rev() {
@@ -188,24 +162,20 @@ fn seen_by_both(line: &[f32], camera: &Camera) -> Vec<bool> {
             }
             let there = column_of(column, line[column]);
             if there > leftmost {
-                seen[column] = false;
+                visible[column] = false;
             }
             leftmost = leftmost.min(there);
         }
     }
-    seen
+    visible
 }
 
-/// Whether the surface at a pixel is seen at too small an angle, or its edge lies there.
-fn is_grazing(
-    depth_m: &[f32],
-    (column, row): (usize, usize),
-    camera: &Camera,
-    settings: &DepthSettings,
-) -> bool {
+/// Whether the surface at a pixel is at a grazing angle or at a depth edge.
+fn is_grazing(depth_m: &[f32], (column, row): (usize, usize), camera: &Camera) -> bool {
     let at = |c: usize, r: usize| f64::from(depth_m[r * camera.width + c]);
     let here = at(column, row);
-    // Depth per pixel along an axis, the smaller of both sides: an edge spoils only one side.
+    // Depth change per pixel along an axis, the smaller one of both sides: an edge affects only one
+    // side.
     let slope = |low: Option<f64>, high: Option<f64>| {
         let steps = [low.map(|z| here - z), high.map(|z| z - here)];
         let found = steps.into_iter().flatten().filter(|s| s.is_finite());
@@ -218,8 +188,8 @@ fn is_grazing(
     let (Some(dx), Some(dy)) = (slope(left, right), slope(up, down)) else {
         return true;
     };
-    // Gradient of log depth per unit of the image plane: the surface z(u, v) has the normal
-    // (-gx, -gy, 1 + u gx + v gy) with g = f · dz / z.
+    // Gradient of the log depth over the image plane: the surface z(u, v) has the normal (-gx, -gy,
+    // 1 + u gx + v gy) with g = f · dz / z.
     let [fx, fy] = camera.focal_px;
     let (gx, gy) = (fx * dx / here, fy * dy / here);
     let u = (column as f64 - camera.principal_px[0]) / fx;
@@ -227,8 +197,8 @@ fn is_grazing(
     let along = 1.0 + u * gx + v * gy;
     let normal = (gx * gx + gy * gy + along * along).sqrt();
     let ray = (1.0 + u * u + v * v).sqrt();
-    // The ray (u, v, 1) times the normal is 1.
-    1.0 / (normal * ray) < settings.grazing_rad.sin()
+    // The dot product of the ray (u, v, 1) and the normal is 1.
+    1.0 / (normal * ray) < GRAZING_RAD.sin()
 }
 
 #[cfg(test)]
@@ -250,14 +220,14 @@ mod tests {
     }
 
     #[test]
-    fn noise_grows_with_the_square_of_the_depth() {
+    fn noise_grows_with_depth_squared() {
         for depth in [0.4_f32, 0.8, 1.6] {
             let codes = wall(depth);
             let values: Vec<f64> = codes.iter().map(|c| f64::from(*c) * 1e-4).collect();
             let n = values.len() as f64;
             let mean = values.iter().sum::<f64>() / n;
             let deviation = (values.iter().map(|z| (z - mean).powi(2)).sum::<f64>() / n).sqrt();
-            let expected = DepthSettings::default().deviation_m(f64::from(depth));
+            let expected = DepthSettings::default().depth_std_m(f64::from(depth));
             assert!(
                 (mean - f64::from(depth)).abs() < 0.1 * expected + 5e-5,
                 "{mean}"
@@ -270,14 +240,14 @@ mod tests {
     }
 
     #[test]
-    fn codes_are_millimetres_and_too_near_is_zero() {
+    fn codes_are_millimetres_and_0_out_of_range() {
         let settings = DepthSettings::default();
-        assert!((settings.nearest_m() - 0.1337).abs() < 1e-3);
         let code = |depth: f32| {
             let codes = measure_depth(&[depth; 320 * 240], &camera(), &settings, 0).unwrap();
             codes.get_pixel(160, 120).0[0]
         };
-        assert_eq!(code(0.12), 0);
+        assert_eq!(code(0.133), 0);
+        assert_ne!(code(0.136), 0);
         assert_eq!(code(12.0), 0);
         assert_eq!(code(f32::INFINITY), 0);
         assert_eq!(code(0.0), 0);
@@ -285,7 +255,7 @@ mod tests {
     }
 
     #[test]
-    fn near_edges_throw_a_shadow_on_one_side() {
+    fn near_edge_leaves_stereo_shadow_on_one_side() {
         let camera = camera();
         let depth: Vec<f32> = (0..320 * 240)
             .map(|i| {
@@ -298,7 +268,7 @@ mod tests {
             .collect();
         let codes = measure_depth(&depth, &camera, &DepthSettings::default(), 1).unwrap();
         let holes = |from: u32, to: u32| (from..to).filter(|&x| codes.get_pixel(x, 99)[0] == 0);
-        // Seen from the right, the near plate moves left over what lies left of it.
+        // Seen from the right, the near plate occludes pixels to its left.
         let shift = camera.focal_px[0] * (LEFT_IMAGER_M + BASELINE_M) * (1.0 / 0.3 - 1.0 / 0.6);
         let left = holes(0, 100).count() as f64;
         assert!((left - shift).abs() <= 2.0, "{left} {shift}");
@@ -307,7 +277,7 @@ mod tests {
     }
 
     #[test]
-    fn grazing_surfaces_have_no_depth() {
+    fn grazing_surface_has_no_depth() {
         let camera = camera();
         let plane = |angle: f64| {
             // A floor whose angle to the optical axis is `angle`, 0.5 m in front.
@@ -325,7 +295,7 @@ mod tests {
     }
 
     #[test]
-    fn wrong_sizes_and_settings_are_explained() {
+    fn wrong_size_or_settings_are_refused() {
         let settings = DepthSettings::default();
         let text = measure_depth(&[1.0; 10], &camera(), &settings, 0).unwrap_err();
         assert!(text.to_string().contains("320×240"), "{text}");

@@ -1,9 +1,8 @@
-//! The eye-in-hand RealSense D435: place, intrinsics, and what its sensors make of the light.
+//! Eye-in-hand RealSense D435: pose, intrinsics and sensor models.
 //!
-//! Place: the colour camera sits in the middle of the gripper, 78 mm above the plane of the
-//! fingers (towards −y) and 165 mm behind the middle of the gels, and looks along the approach,
-//! 22° down onto the gels. Image columns run along the gripper's +x (left finger at the left),
-//! rows along +y.
+//! The colour camera is centred on the gripper, 78 mm off the finger plane (towards −y) and 165 mm
+//! behind the centre of the gels; its optical axis is the approach direction pitched by 22° onto
+//! the gels. Image columns run along the gripper's +x (left finger on the left), rows along +y.
 
 mod colour;
 mod depth;
@@ -16,27 +15,27 @@ use glam::{DQuat, DVec3};
 use super::camera::Camera;
 use gripcast_geometry::Pose;
 
-/// Place of the colour camera in the gripper frame, m.
-const PLACE_M: [f64; 3] = [0.0, -0.078, -0.165];
-/// Turn of its axis from the approach towards the plane of the fingers, rad.
+/// Position of the colour camera in the gripper frame, m.
+const POSITION_M: [f64; 3] = [0.0, -0.078, -0.165];
+/// Rotation of the optical axis from the approach direction towards the finger plane, rad.
 const PITCH_RAD: f64 = 22.0 * std::f64::consts::PI / 180.0;
-/// Columns and rows of the colour stream.
+/// Width and height of the colour stream, px.
 pub const COLOUR_SIZE: [usize; 2] = [1280, 720];
-/// Focal length at that size, px: 69.4° × 42.5° (data sheet of the D400 series).
+/// Focal length of the colour stream, px: 69.4° × 42.5° (D400 series data sheet).
 pub const COLOUR_FOCAL_PX: f64 = 925.0;
-/// Distance between the infrared imagers, m.
+/// Stereo baseline, m.
 pub(super) const BASELINE_M: f64 = 0.050;
-/// Place of the left imager to the right of the colour camera, m.
+/// Offset of the left imager to the right of the colour camera, m.
 pub(super) const LEFT_IMAGER_M: f64 = 0.0147;
 
-/// The colour camera in the gripper frame.
+/// Pose of the colour camera in the gripper frame.
 pub fn t_gripper_camera() -> Pose {
-    let turn = DQuat::from_rotation_x(-PITCH_RAD);
-    Pose::new(turn, DVec3::from_array(PLACE_M))
+    let rotation = DQuat::from_rotation_x(-PITCH_RAD);
+    Pose::new(rotation, DVec3::from_array(POSITION_M))
 }
 
-/// The colour camera's image, cropped in its middle to the shape of `width` × `height` and
-/// scaled to that size.
+/// Returns the colour camera for a centre crop with the aspect ratio of `width` × `height`, scaled
+/// to that size.
 pub fn colour_camera(width: usize, height: usize, t_world_camera: Pose) -> Camera {
     let focal = COLOUR_FOCAL_PX / crop_scale(width, height);
     Camera {
@@ -48,7 +47,7 @@ pub fn colour_camera(width: usize, height: usize, t_world_camera: Pose) -> Camer
     }
 }
 
-/// Colour pixels along one pixel of the cropped and scaled image.
+/// Returns the number of colour pixels per pixel of the cropped and scaled image.
 pub fn crop_scale(width: usize, height: usize) -> f64 {
     let [full_width, full_height] = COLOUR_SIZE.map(|n| n as f64);
     (full_width / width.max(1) as f64).min(full_height / height.max(1) as f64)
@@ -59,7 +58,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_camera_looks_at_the_gels_and_left_is_left() {
+    fn camera_looks_at_gels_with_left_finger_on_left() {
         let camera = colour_camera(1280, 720, t_gripper_camera());
         let at = |p: [f64; 3]| camera.project(DVec3::from_array(p)).unwrap();
         let [column, row, depth] = at([0.0, 0.0, 0.0]);
@@ -73,7 +72,7 @@ mod tests {
     }
 
     #[test]
-    fn crops_keep_the_scale() {
+    fn crop_keeps_aspect_and_scale() {
         let full = colour_camera(1280, 720, Pose::IDENTITY);
         assert_eq!(full.focal_px, [925.0; 2]);
         let fov = 2.0 * (640.0 / full.focal_px[0]).atan().to_degrees();

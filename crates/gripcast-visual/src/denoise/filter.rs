@@ -1,55 +1,66 @@
-//! The weighted means.
+//! Joint non-local means filter.
 //!
-//! Everything lies in planes of one value for each pixel and is worked through row by row, so that
-//! loops become vectors. Nothing is fused: all processors give the same bits.
+//! All data lie in planes of one value per pixel and are processed row by row, so that loops
+//! vectorise. No multiply-add is fused: all processors give the same bits.
 
 use std::ops::Range;
 
 use super::noise::{noise, trust, variance_of_paths};
-use super::{DenoiseSettings, Light, add};
+use super::{Light, add};
 use crate::renderer::Rendering;
 
-/// Least weight of a pixel for itself, so that one unlike all others keeps its light.
+/// Radius of the patches, px.
+const PATCH_RADIUS: usize = 2;
+/// Tolerated patch difference, standard deviations of the noise.
+const NOISE_TOLERANCE: f32 = 0.6;
+/// Albedo difference at which a pixel's weight has fallen to 1/e.
+const ALBEDO_TOLERANCE: f32 = 0.2;
+/// The same for 1 − cosine between the normals.
+const NORMAL_TOLERANCE: f32 = 0.05;
+/// The same for the relative depth difference.
+const DEPTH_TOLERANCE: f32 = 0.02;
+/// Minimum weight of a pixel for itself, so that outliers keep their light.
 const MIN_OWN_TRUST: f32 = 1e-6;
-/// Difference between the sky and everything else; more than any weight bridges.
-const APART: f32 = 1e6;
+/// Distance between environment and surface; exceeds the reach of any weight.
+const SKY_DISTANCE: f32 = 1e6;
 
-/// One value for each pixel.
+/// One value per pixel.
 type Plane = Vec<f32>;
-/// A colour for each pixel, channel by channel.
+/// One plane per colour channel.
 type Planes = [Plane; 3];
 
-/// What weights are made of.
-pub(super) struct Guide<'a> {
-    settings: &'a DenoiseSettings,
-    /// Columns and rows.
+/// Features from which the weights are computed.
+pub(super) struct Guide {
+    /// Radius of the search window, px.
+    radius: usize,
+    /// Width and height, px.
     size: [usize; 2],
-    /// Light of both halves.
+    /// Light of both halves of the paths.
     halves: [Planes; 2],
     albedo: Planes,
     normal: Planes,
     depth_m: Plane,
-    /// 1 / depth; 0 for the sky.
+    /// 1 / depth; 0 for the environment.
     nearness: Plane,
-    /// 1 for the sky.
+    /// 1 for the environment, 0 for surfaces.
     sky: Plane,
     /// Variance of the light of one half.
     variance: Plane,
-    /// Fraction of its weight that a pixel keeps.
+    /// Weight factor of each pixel; below 1 for fireflies.
     trust: Plane,
-    /// The same for itself.
+    /// Weight factor of each pixel for itself.
     own_trust: Plane,
 }
 
-/// Space that is used again for every distance between pixels.
+/// Buffers reused for every displacement.
 struct Scratch {
-    /// Differences of single pixels for both halves, from the first column that is compared.
+    /// Pixel distances for both halves, from the first compared column.
     single: [Plane; 2],
-    /// Sums of them over the rows of a patch.
+    /// Sums of pixel distances over the rows of a patch.
     padded: Plane,
-    /// Differences of patches for both halves.
+    /// Patch distances for both halves.
     distance: [Plane; 2],
-    /// Weights by the first surfaces of a row.
+    /// Surface weights of a row.
     same: Plane,
 }
 
@@ -66,28 +77,28 @@ impl Scratch {
     }
 }
 
-/// Pixels that follow one another in a row and those that they are compared with.
-struct Pair {
+/// Run of pixels `p` in a row and the displaced pixels `q` they are compared with.
+struct PixelRun {
     p: usize,
     q: usize,
     len: usize,
 }
 
-impl<'a> Guide<'a> {
-    /// `halves` is the light of the halves of the paths, divided by `albedo`.
+impl Guide {
+    /// `halves` is the light of the halves of the paths, demodulated by `albedo`.
     pub(super) fn new(
         rendering: &Rendering,
-        settings: &'a DenoiseSettings,
+        radius: usize,
         halves: &[Light; 2],
         albedo: &[[f32; 3]],
     ) -> Self {
         let size = [rendering.image.width, rendering.image.height];
         let of_paths = variance_of_paths(rendering, albedo);
-        let trust = trust(halves, &of_paths, size, settings.radius);
+        let trust = trust(halves, &of_paths, size, radius);
         let depth_m = rendering.depth_m.clone();
         let is_surface = |z: &f32| *z > 0.0;
         Self {
-            settings,
+            radius,
             size,
             halves: halves.each_ref().map(|light| planes(light)),
             albedo: planes(&rendering.albedo.pixels),
@@ -107,7 +118,7 @@ impl<'a> Guide<'a> {
         }
     }
 
-    /// Filtered light of some rows.
+    /// Returns the filtered light of some rows.
     pub(super) fn filter(&self, rows: Range<usize>) -> Vec<[f32; 3]> {
         pulp::Arch::new().dispatch(|| self.filter_lanes(&rows))
     }
@@ -119,8 +130,8 @@ impl<'a> Guide<'a> {
         for plane in sums.as_flattened_mut() {
             plane.resize(rows.len() * width, 0.0);
         }
-        let mut scratch = Scratch::new(rows.len(), width, self.settings.patch_radius);
-        let radius = self.settings.radius as isize;
+        let mut scratch = Scratch::new(rows.len(), width, PATCH_RADIUS);
+        let radius = self.radius as isize;
         for dy in -radius..=radius {
             for dx in -radius..=radius {
                 self.add_moved(rows, [dx, dy], &mut sums, &mut scratch);
@@ -133,8 +144,7 @@ impl<'a> Guide<'a> {
             .collect()
     }
 
-    /// Adds to each pixel of some rows the one that lies so far away, with its weight, where there
-    /// is one.
+    /// Adds the displaced, weighted pixels to the sums of some rows.
     #[inline(always)]
     fn add_moved(
         &self,
@@ -162,7 +172,7 @@ impl<'a> Guide<'a> {
             let at = line * width + columns.start;
             let same = &scratch.same[..pair.len];
             for (half, sums) in sums.iter_mut().enumerate() {
-                // The other half decides.
+                // The weights of one half come from the other half.
                 let distance = &scratch.distance[1 - half][at..][..pair.len];
                 let [r, g, b] = three(&self.halves[half], pair.q, pair.len);
                 let [r_sum, g_sum, b_sum, weights] =
@@ -178,27 +188,27 @@ impl<'a> Guide<'a> {
         }
     }
 
-    /// Columns that stay in the image when moved.
+    /// Columns that stay in the image after a displacement.
     fn columns(&self, dx: isize) -> Range<usize> {
         let first = (-dx).max(0);
         let last = self.size[0] as isize - dx.max(0);
         first as usize..last.max(first) as usize
     }
 
-    /// Some pixels of a row and those so far away from them, if they lie in the image.
+    /// Pixels of a row with their displaced counterparts, if these lie in the image.
     #[inline(always)]
-    fn pair(&self, row: usize, columns: &Range<usize>, [dx, dy]: [isize; 2]) -> Option<Pair> {
+    fn pair(&self, row: usize, columns: &Range<usize>, [dx, dy]: [isize; 2]) -> Option<PixelRun> {
         let [width, height] = self.size;
         let other = row.checked_add_signed(dy).filter(|other| *other < height)?;
-        Some(Pair {
+        Some(PixelRun {
             p: row * width + columns.start,
             q: (other * width + columns.start).wrapping_add_signed(dx),
             len: columns.len(),
         })
     }
 
-    /// For each pixel of some rows: how far the patch around it differs from the moved one, beyond
-    /// what noise explains.
+    /// Computes for each pixel of some rows the distance between its patch and the displaced one,
+    /// beyond the expected noise.
     #[inline(always)]
     fn patch_distances(
         &self,
@@ -208,7 +218,7 @@ impl<'a> Guide<'a> {
         scratch: &mut Scratch,
     ) {
         let [width, height] = self.size;
-        let (patch, len) = (self.settings.patch_radius, columns.len());
+        let (patch, len) = (PATCH_RADIUS, columns.len());
         let above = rows.start.saturating_sub(patch);
         for row in above..height.min(rows.end + patch) {
             if let Some(pair) = self.pair(row, columns, by) {
@@ -218,13 +228,13 @@ impl<'a> Guide<'a> {
             }
         }
         let side = 2 * patch + 1;
-        let scale = 1.0 / (self.settings.noise * self.settings.noise);
+        let scale = 1.0 / (NOISE_TOLERANCE * NOISE_TOLERANCE);
         for (line, row) in rows.clone().enumerate() {
             let near = row.saturating_sub(patch)..height.min(row + patch + 1);
             let lines = near.filter(|row| self.pair(*row, columns, by).is_some());
             let whole = scale / (side * lines.clone().count().max(1)) as f32;
             for half in 0..2 {
-                // What lies beside the columns adds nothing.
+                // Pixels beside the columns contribute nothing.
                 scratch.padded[..len + 2 * patch].fill(0.0);
                 for row in lines.clone() {
                     let single = &scratch.single[half][(row - above) * width..][..len];
@@ -236,7 +246,7 @@ impl<'a> Guide<'a> {
                     add(out, &scratch.padded[k..][..len]);
                 }
                 out.iter_mut().for_each(|value| *value *= whole);
-                // Less of a patch lies in the image at its sides.
+                // Patches are truncated at the image sides.
                 for i in (0..len.min(patch)).chain(len.saturating_sub(patch).max(patch)..len) {
                     let found = (i + patch + 1).min(len) - i.saturating_sub(patch);
                     out[i] *= side as f32 / found as f32;
@@ -245,10 +255,10 @@ impl<'a> Guide<'a> {
         }
     }
 
-    /// Squared difference of pixels less the noise, in units of the noise, for both halves.
-    /// Fireflies tell nothing.
+    /// Squared difference of pixels less the expected noise, in units of the noise, for both
+    /// halves. Fireflies are ignored.
     #[inline(always)]
-    fn pixel_distances(&self, &Pair { p, q, len }: &Pair, [a, b]: [&mut [f32]; 2]) {
+    fn pixel_distances(&self, &PixelRun { p, q, len }: &PixelRun, [a, b]: [&mut [f32]; 2]) {
         let [vp, vq] = [p, q].map(|at| &self.variance[at..][..len]);
         let [tp, tq] = [p, q].map(|at| &self.trust[at..][..len]);
         let [[ap, aq], [bp, bq]] = self
@@ -256,17 +266,17 @@ impl<'a> Guide<'a> {
             .each_ref()
             .map(|light| [p, q].map(|at| three(light, at, len)));
         for i in 0..len {
-            let expected = vp[i] + least(vp[i], vq[i]);
-            let scale = least(tp[i], tq[i]) / (vp[i] + vq[i] + 1e-6);
+            let expected = vp[i] + min(vp[i], vq[i]);
+            let scale = min(tp[i], tq[i]) / (vp[i] + vq[i] + 1e-6);
             a[i] = scale * (square_distance(ap, aq, i) / 3.0 - expected);
             b[i] = scale * (square_distance(bp, bq, i) / 3.0 - expected);
         }
     }
 
-    /// Weight by the first surfaces, 1 for the same and 0 for different ones, times the trust in
-    /// the other pixel.
+    /// Surface weight (1 for the same first surface, 0 for different ones) times the weight factor
+    /// of the displaced pixel.
     #[inline(always)]
-    fn same_surface(&self, &Pair { p, q, len }: &Pair, trust: &[f32], out: &mut [f32]) {
+    fn same_surface(&self, &PixelRun { p, q, len }: &PixelRun, trust: &[f32], out: &mut [f32]) {
         let [zp, zq] = [p, q].map(|at| &self.depth_m[at..][..len]);
         let [sp, sq] = [p, q].map(|at| &self.sky[at..][..len]);
         let nearness = &self.nearness[p..][..len];
@@ -274,12 +284,12 @@ impl<'a> Guide<'a> {
         let out = &mut out[..len];
         let [ap, aq] = [p, q].map(|at| three(&self.albedo, at, len));
         let [np, nq] = [p, q].map(|at| three(&self.normal, at, len));
-        let by_albedo = 1.0 / (self.settings.albedo * self.settings.albedo);
-        let by_normal = 0.5 / self.settings.normal;
-        let by_depth = 1.0 / self.settings.depth;
+        let by_albedo = 1.0 / (ALBEDO_TOLERANCE * ALBEDO_TOLERANCE);
+        let by_normal = 0.5 / NORMAL_TOLERANCE;
+        let by_depth = 1.0 / DEPTH_TOLERANCE;
         for i in 0..len {
             let depth = (zp[i] - zq[i]) * nearness[i] * by_depth;
-            let sky = (sp[i] - sq[i]) * APART;
+            let sky = (sp[i] - sq[i]) * SKY_DISTANCE;
             let distance = square_distance(ap, aq, i) * by_albedo
                 + square_distance(np, nq, i) * by_normal
                 + depth * depth
@@ -293,7 +303,7 @@ fn planes(pixels: &[[f32; 3]]) -> Planes {
     std::array::from_fn(|k| pixels.iter().map(|pixel| pixel[k]).collect())
 }
 
-/// Some pixels of three planes.
+/// Returns a run of three planes.
 #[inline(always)]
 fn three(planes: &Planes, at: usize, len: usize) -> [&[f32]; 3] {
     planes.each_ref().map(|plane| &plane[at..][..len])
@@ -305,9 +315,9 @@ fn square_distance(a: [&[f32]; 3], b: [&[f32]; 3], i: usize) -> f32 {
     x * x + y * y + z * z
 }
 
-/// The smaller one; unlike `f32::min` a single instruction.
+/// Compiles to a single instruction, unlike `f32::min`.
 #[inline(always)]
-fn least(a: f32, b: f32) -> f32 {
+fn min(a: f32, b: f32) -> f32 {
     if a < b { a } else { b }
 }
 
@@ -316,7 +326,7 @@ fn positive(a: f32) -> f32 {
     if a > 0.0 { a } else { 0.0 }
 }
 
-/// Weight for a distance: close to exp(-x), 0 from x = 4 on.
+/// Weight of a distance: close to exp(-x), 0 from x = 4 on.
 #[inline(always)]
 fn falloff(distance: f32) -> f32 {
     let base = positive(1.0 - 0.25 * positive(distance));

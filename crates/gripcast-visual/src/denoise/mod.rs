@@ -1,16 +1,14 @@
-//! Denoiser guided by the first surfaces: non-local means over patches, joint with albedo, normal
-//! and depth.
+//! Denoiser: non-local means guided by albedo, normal and depth of the first surfaces.
 //!
-//! A pixel becomes the weighted mean of the pixels around it. Weights compare small patches of
-//! light, divided by the albedo so that textures stay sharp, against the noise that is expected
-//! there, and the first surfaces. The weights for one half of the paths come from the other half,
-//! so that noise does not choose itself.
+//! A pixel becomes the weighted mean of its neighbourhood. Weights compare small patches of light,
+//! demodulated by the albedo so that textures stay sharp, relative to the expected noise, and the
+//! first surfaces. The weights for one half of the paths come from the other half, so that noise
+//! does not select itself.
 //!
-//! A firefly, a pixel with one or a few paths that are far brighter than all around, would be
-//! spread evenly over its neighbourhood: a bright square. Its weight is cut, see [`noise::trust`]; the
-//! light that it stands for is lost, as with a clamp, and the image is so much too dark there.
-//! Pixels without such paths keep their weight. Sources: Buades, Coll, Morel, *A non-local algorithm for
-//! image denoising* (2005); Rousselle, Knaus, Zwicker, *Adaptive rendering with non-local means
+//! A firefly (a pixel dominated by one or a few very bright paths) would be spread over its
+//! neighbourhood as a bright square. Its weight is reduced (see [`noise::trust`]); its excess light
+//! is lost, as with a clamp. Sources: Buades, Coll, Morel, *A non-local algorithm for image
+//! denoising* (2005); Rousselle, Knaus, Zwicker, *Adaptive rendering with non-local means
 //! filtering* (2012); Rousselle, Manzi, Zwicker, *Robust denoising using feature and color
 //! information* (2013).
 
@@ -23,47 +21,19 @@ use self::filter::Guide;
 use super::linear_image::Image;
 use super::renderer::Rendering;
 
-/// Albedo below which light is not divided any further.
+/// Minimum albedo by which light is demodulated.
 const MIN_ALBEDO: f32 = 0.02;
-/// Rows that are filtered together.
+/// Rows filtered together.
 const BAND: usize = 16;
 
-/// How much is smoothed.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct DenoiseSettings {
-    /// Radius of the neighbourhood, px.
-    pub radius: usize,
-    /// Radius of the compared patches, px.
-    pub patch_radius: usize,
-    /// How far patches may differ, in standard deviations of their noise.
-    pub noise: f32,
-    /// Difference of albedo, of the cosine between normals and of relative depth at which the
-    /// weight of a pixel has fallen to 1/e.
-    pub albedo: f32,
-    /// See `albedo`.
-    pub normal: f32,
-    /// See `albedo`.
-    pub depth: f32,
-}
+/// Usual radius of the search window of [`denoise`], px.
+pub const DENOISE_RADIUS_PX: usize = 7;
 
-impl Default for DenoiseSettings {
-    fn default() -> Self {
-        Self {
-            radius: 7,
-            patch_radius: 2,
-            noise: 0.6,
-            albedo: 0.2,
-            normal: 0.05,
-            depth: 0.02,
-        }
-    }
-}
-
-/// Light of one half of the paths.
+/// Demodulated light of one half of the paths.
 type Light = Vec<[f32; 3]>;
 
-/// Image with less noise. The result depends on the rendering alone.
-pub fn denoise(rendering: &Rendering, settings: &DenoiseSettings) -> Image {
+/// Returns the denoised image; `radius_px` is the radius of the search window.
+pub fn denoise(rendering: &Rendering, radius_px: usize) -> Image {
     let (width, height) = (rendering.image.width, rendering.image.height);
     let albedo: Vec<[f32; 3]> = (0..width * height)
         .map(|at| match rendering.depth_m[at] > 0.0 {
@@ -77,7 +47,7 @@ pub fn denoise(rendering: &Rendering, settings: &DenoiseSettings) -> Image {
             .map(|(p, a)| std::array::from_fn(|k| p[k] / a[k]))
             .collect()
     });
-    let guide = Guide::new(rendering, settings, &halves, &albedo);
+    let guide = Guide::new(rendering, radius_px, &halves, &albedo);
     let bands: Vec<Vec<[f32; 3]>> = (0..height.div_ceil(BAND))
         .into_par_iter()
         .map(|band| guide.filter(band * BAND..height.min((band + 1) * BAND)))
@@ -142,10 +112,10 @@ mod tests {
     }
 
     #[test]
-    fn noise_shrinks_and_edges_stay() {
+    fn noise_shrinks_and_edges_stay_sharp() {
         let (rendering, truth) = noisy();
         let before = rendering.image.rmse(&truth).unwrap();
-        let image = denoise(&rendering, &DenoiseSettings::default());
+        let image = denoise(&rendering, DENOISE_RADIUS_PX);
         let after = image.rmse(&truth).unwrap();
         assert!(after < 0.35 * before, "{before} to {after}");
         // The stripes of the texture keep their contrast.
@@ -160,12 +130,12 @@ mod tests {
     }
 
     #[test]
-    fn a_clean_image_stays_as_it_is() {
+    fn noise_free_image_is_unchanged() {
         let (mut rendering, truth) = noisy();
         rendering.image = truth.clone();
         rendering.halves = [truth.clone(), truth.clone()];
         rendering.variance.pixels.fill([0.0; 3]);
-        let image = denoise(&rendering, &DenoiseSettings::default());
+        let image = denoise(&rendering, DENOISE_RADIUS_PX);
         assert!(image.rmse(&truth).unwrap() < 1e-4);
     }
 
@@ -187,27 +157,26 @@ mod tests {
     #[test]
     fn fireflies_leave_no_squares() {
         let (clean, truth) = noisy_by(0.1);
-        let settings = DenoiseSettings::default();
-        let wanted = denoise(&clean, &settings);
+        let wanted = denoise(&clean, DENOISE_RADIUS_PX);
         // In the middle, near another, and in a corner.
-        let places = [(20, 10), (25, 12), (47, 31)];
+        let fireflies = [(20, 10), (25, 12), (47, 31)];
         let mut rendering = clean;
-        for ((column, row), factor) in places.iter().zip([1000.0, 50.0, 1000.0]) {
+        for ((column, row), factor) in fireflies.iter().zip([1000.0, 50.0, 1000.0]) {
             add_firefly(&mut rendering, row * 48 + column, factor);
         }
-        let found = denoise(&rendering, &settings);
+        let found = denoise(&rendering, DENOISE_RADIUS_PX);
         for (at, (found, wanted)) in found.pixels.iter().zip(&wanted.pixels).enumerate() {
             let ratio = found[0] / wanted[0];
             // Spread evenly, 1000 means would be 4.4 means a pixel.
-            let place = (at % 48, at / 48);
-            assert!((ratio - 1.0).abs() < 0.04, "{place:?}: {ratio}");
+            let pixel = (at % 48, at / 48);
+            assert!((ratio - 1.0).abs() < 0.04, "{pixel:?}: {ratio}");
         }
         let [before, after] = [&wanted, &found].map(|p| p.rmse(&truth).unwrap());
         assert!(after < 1.05 * before, "{before} to {after}");
     }
 
     #[test]
-    fn what_many_paths_see_is_no_firefly() {
+    fn bright_pixel_of_many_paths_is_not_a_firefly() {
         let (mut rendering, _) = noisy();
         let of = |rendering: &Rendering| {
             let albedo = vec![[1.0; 3]; 48 * 32];

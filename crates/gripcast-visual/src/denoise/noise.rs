@@ -1,4 +1,4 @@
-//! Noise of the light and fireflies in it.
+//! Noise estimate and firefly detection.
 
 use std::ops::Range;
 
@@ -7,15 +7,15 @@ use crate::renderer::Rendering;
 
 /// Radius over which the noise is averaged, px.
 const NOISE_RADIUS: usize = 3;
-/// Variance of a firefly, in means of its neighbourhood.
+/// Variance of a clipped firefly relative to the mean of its neighbourhood.
 const FIREFLY_VARIANCE: f32 = 16.0;
-/// Rounds of looking for them.
+/// Rounds of firefly detection.
 const FIREFLY_ROUNDS: usize = 8;
-/// A pixel is no firefly from this number of equal paths on that would vary as its own do, and
-/// may be one entirely at half of it: what is really bright, many paths see.
+/// A pixel is not a firefly if at least this number of equally bright paths would explain its
+/// variance; with half as many it may be one entirely.
 const SOLID_PATHS: f32 = 8.0;
 
-/// Variance of the light of one half among its paths, as if they were independent.
+/// Variance of one half's light among its paths, assuming independent paths.
 pub(super) fn variance_of_paths(rendering: &Rendering, albedo: &[[f32; 3]]) -> Vec<f32> {
     let values = rendering.variance.pixels.iter().zip(albedo);
     values
@@ -23,11 +23,11 @@ pub(super) fn variance_of_paths(rendering: &Rendering, albedo: &[[f32; 3]]) -> V
         .collect()
 }
 
-/// Fraction of its weight that each pixel keeps: below 1 for fireflies.
+/// Returns the weight factor of each pixel: below 1 for fireflies.
 ///
-/// With v the variance of a pixel, m its mean over the other pixels of the square around: a
-/// firefly keeps c · m / v. Cut like that, the brightest adds √c standard deviations of its
-/// neighbours to the sum over the square.
+/// With the variance v of a pixel and the mean m of v over the other pixels of its window, a
+/// firefly gets the factor c · m / v. Clipped in this way, the brightest adds √c standard
+/// deviations of its neighbours to the sum over the window.
 pub(super) fn trust(
     halves: &[Light; 2],
     of_paths: &[f32],
@@ -40,12 +40,12 @@ pub(super) fn trust(
         .zip(halves[0].iter().zip(&halves[1]))
         .map(|(v, (a, b))| {
             let square = (0..3).map(|k| (0.5 * (a[k] + b[k])).powi(2)).sum::<f32>() / 3.0;
-            // The image has half of the variance of its halves.
+            // The image has half the variance of its halves.
             let paths = square / (0.5 * v).max(f32::MIN_POSITIVE);
             (2.0 - 2.0 * paths / SOLID_PATHS).clamp(0.0, 1.0)
         })
         .collect();
-    // Later rounds find what brighter ones beside it hid in the first.
+    // Later rounds find fireflies that brighter ones hid.
     for _ in 0..FIREFLY_ROUNDS {
         let cut: Vec<f32> = of_paths.iter().zip(&trust).map(|(v, t)| v * t).collect();
         let around = box_mean(&cut, size[0], size[1], radius);
@@ -62,9 +62,9 @@ pub(super) fn trust(
     trust
 }
 
-/// Variance of the light of one half, for each pixel: that among the paths, scaled by how far the
-/// halves really differ, because well spread paths differ less than independent ones. Fireflies
-/// count as far as they are trusted.
+/// Returns the variance of one half's light per pixel: the variance among the paths, scaled by the
+/// actual difference of the halves, because stratified paths differ less than independent ones.
+/// Fireflies count with their weight factor.
 pub(super) fn noise(
     halves: &[Light; 2],
     of_paths: &[f32],
@@ -85,19 +85,19 @@ pub(super) fn noise(
         .zip(&smooth)
         .zip(&of_halves)
         .map(|((own, paths), halves)| match *paths > 0.0 {
-            // Half of the pixel's own, half of its surroundings: single paths are seldom typical.
+            // Half own value, half neighbourhood: single paths are rarely representative.
             true => 0.5 * (own + paths) * (halves / paths).min(1.0),
             false => *halves,
         })
         .collect()
 }
 
-/// Places up to `radius` away along a side.
+/// Indices up to `radius` away along a side.
 fn near(side: usize, at: usize, radius: usize) -> Range<usize> {
     at.saturating_sub(radius)..(at + radius + 1).min(side)
 }
 
-/// Mean over squares of `2 radius + 1` pixels, fewer at the borders.
+/// Mean over windows of `2 radius + 1` pixels, truncated at the borders.
 fn box_mean(values: &[f32], width: usize, height: usize, radius: usize) -> Vec<f32> {
     let mut rows = vec![0.0; values.len()];
     let mut padded = vec![0.0; width + 2 * radius];

@@ -1,24 +1,25 @@
-//! Thin lines at random: scratches and fibres.
+//! Random thin lines: scratches and fibres.
 
 use std::f64::consts::TAU;
 
+use super::super::noise::mix_colour;
+use super::Layer;
 use gripcast_base::random::SeedStream;
 
-/// How lines are drawn; lengths in widths of the image, which they leave on one side and enter
-/// on the other.
+/// Line parameters; lengths in image widths. Lines wrap around the image.
 pub(super) struct Strokes {
     pub(super) count: usize,
-    /// Shortest and longest.
+    /// Minimum and maximum length.
     pub(super) length: [f64; 2],
-    /// Largest angle to the main direction, which is drawn as well, rad.
+    /// Maximum angle to the random main direction, rad.
     pub(super) spread_rad: f64,
-    /// Largest turn along a line, rad.
-    pub(super) turn_rad: f64,
-    /// Fraction of the lines that are darker than what is below.
+    /// Maximum change of direction along a line, rad.
+    pub(super) bend_rad: f64,
+    /// Fraction of the lines that are darker than the layer below.
     pub(super) dark: f64,
 }
 
-/// How much of a line covers each pixel: positive for light lines, negative for dark ones.
+/// Line coverage per pixel: positive for light lines, negative for dark ones.
 pub(super) struct Mask {
     size: usize,
     cover: Vec<f32>,
@@ -45,7 +46,7 @@ impl Mask {
         let steps = (2.0 * size * stream.between_log(shortest, longest)).max(1.0);
         let (mut x, mut y) = (stream.between(0.0, size), stream.between(0.0, size));
         let heading = main + stream.between(-strokes.spread_rad, strokes.spread_rad);
-        let turn = stream.between(-strokes.turn_rad, strokes.turn_rad);
+        let bend = stream.between(-strokes.bend_rad, strokes.bend_rad);
         let sign = if stream.uniform() < strokes.dark {
             -1.0
         } else {
@@ -58,13 +59,13 @@ impl Mask {
             let along = step / steps;
             let pressure = (4.0 * along.min(1.0 - along)).min(1.0);
             self.dot(x, y, (strength * pressure) as f32);
-            let (sin, cos) = (heading + turn * along).sin_cos();
+            let (sin, cos) = (heading + bend * along).sin_cos();
             (x, y) = (x + 0.5 * cos, y + 0.5 * sin);
             step += 1.0;
         }
     }
 
-    /// Marks the four pixels around a place by their fraction; the stronger mark stays.
+    /// Splats a mark onto the four nearest pixels; the stronger mark wins.
     fn dot(&mut self, x: f64, y: f64, strength: f32) {
         let (column, row) = ((x - 0.5).floor(), (y - 0.5).floor());
         let (fx, fy) = ((x - 0.5 - column) as f32, (y - 0.5 - row) as f32);
@@ -83,10 +84,15 @@ impl Mask {
         }
     }
 
-    /// The mark at a place of the unit square.
-    pub(super) fn at(&self, x: f32, y: f32) -> f32 {
-        let index = |c: f32| ((c * self.size as f32) as usize).min(self.size - 1);
-        self.cover[index(y) * self.size + index(x)]
+    /// Layer that draws the lines in a dark and a light colour.
+    pub(super) fn layer(self, dark: [f32; 3], light: [f32; 3]) -> Layer {
+        let index = move |c: f32| ((c * self.size as f32) as usize).min(self.size - 1);
+        Box::new(
+            move |x, y, below| match self.cover[index(y) * self.size + index(x)] {
+                mark if mark < 0.0 => mix_colour(below, dark, -0.9 * mark),
+                mark => mix_colour(below, light, 0.9 * mark),
+            },
+        )
     }
 }
 
@@ -95,12 +101,12 @@ mod tests {
     use super::*;
 
     #[test]
-    fn lines_cross_the_border_and_have_both_signs() {
+    fn lines_wrap_and_have_both_signs() {
         let strokes = Strokes {
             count: 20,
             length: [0.5, 0.9],
             spread_rad: 3.0,
-            turn_rad: 0.3,
+            bend_rad: 0.3,
             dark: 0.5,
         };
         let mut stream = SeedStream::named(1, "strokes");

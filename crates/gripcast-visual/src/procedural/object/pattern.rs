@@ -1,71 +1,72 @@
-//! What is drawn on a surface: stripes, dots, specks, clouds, print.
+//! Pattern layers: stripes, dots, specks, clouds, print.
 
 use std::f32::consts::TAU;
 
-use super::super::coating::{Specks, Streaks};
-use super::super::mineral::Veins;
-use super::super::noise::{Cells, Fractal, Value, mix, mix_color, smoothstep};
+use super::super::metal_glaze_plastic::{self, streaks};
+use super::super::mineral::veins;
+use super::super::noise::{FractalNoise, ValueNoise, WorleyNoise, mix, mix_colour, smoothstep};
 use super::super::print::{Inks, Label};
 use super::super::scaled;
-use super::ground::{clouds, knit, shaded, weave, wood};
-use super::palette::{accent, faded, hue_turned, legible, tinted, with_luminance};
+use super::base::{clouds, knit, shaded, weave, wood};
+use super::palette::{accent, faded, legible, rotate_hue, tinted, with_luminance};
 use super::strokes::{Mask, Strokes};
-use super::{Finish, Layer, Word};
+use super::{Finish, Layer, Pattern};
+use crate::appearance::Appearance;
 use crate::linear_image::luminance;
-use crate::look::Look;
 use gripcast_base::random::SeedStream;
 
-/// Luminance from which specks and bruises are darker than the ground.
+/// Luminance above which specks and bruises are darker than the base.
 const LIGHT: f32 = 0.06;
 
-/// The layer of a pattern; none where the ground shows it already or there is none.
-pub(super) fn layer(look: &Look, size_px: u32, stream: &mut SeedStream) -> Option<Layer> {
-    let base = look.base_colour;
-    let layer = match look.pattern {
-        Word::Grain if look.finish == Finish::Wood => return None,
-        Word::Grain => wood(0.6, stream),
-        Word::Brushed => {
-            let streaks = Streaks::random(stream);
-            shaded(move |x, y| streaks.shade(x, y))
-        }
-        Word::Woven | Word::Knitted if look.finish == Finish::Fabric => return None,
-        Word::Woven => weave(0.5, stream),
-        Word::Knitted => knit(0.5, stream),
-        Word::Striped => striped(look, stream),
-        Word::Dotted => dotted(base, stream),
-        Word::Speckled => return speckled(look, size_px, stream),
-        Word::Mottled => return mottled(look, stream),
-        Word::Marbled if look.finish == Finish::Stone => return None,
-        Word::Marbled => marbled(base, stream),
-        Word::Plain
-        | Word::Printed
-        | Word::Scratched
-        | Word::Worn
-        | Word::Rusty
-        | Word::Cracked => return None,
+/// Returns the layer of a pattern; `None` if the base layer already shows it or there is none.
+pub(super) fn layer(
+    appearance: &Appearance,
+    size_px: u32,
+    stream: &mut SeedStream,
+) -> Option<Layer> {
+    let base = appearance.base_colour;
+    let layer = match appearance.pattern {
+        Pattern::Grain if appearance.finish == Finish::Wood => return None,
+        Pattern::Grain => wood(0.6, stream),
+        Pattern::Brushed => shaded(streaks(stream)),
+        Pattern::Woven | Pattern::Knitted if appearance.finish == Finish::Fabric => return None,
+        Pattern::Woven => weave(0.5, stream),
+        Pattern::Knitted => knit(0.5, stream),
+        Pattern::Striped => striped(appearance, stream),
+        Pattern::Dotted => dotted(base, stream),
+        Pattern::Speckled => return speckled(appearance, size_px, stream),
+        Pattern::Mottled => return mottled(appearance, stream),
+        Pattern::Marbled if appearance.finish == Finish::Stone => return None,
+        Pattern::Marbled => marbled(base, stream),
+        Pattern::Plain
+        | Pattern::Printed
+        | Pattern::Scratched
+        | Pattern::Worn
+        | Pattern::Rusty
+        | Pattern::Cracked => return None,
     };
     Some(layer)
 }
 
-fn striped(look: &Look, stream: &mut SeedStream) -> Layer {
-    match look.finish {
+fn striped(appearance: &Appearance, stream: &mut SeedStream) -> Layer {
+    match appearance.finish {
         Finish::Paper => return corrugated(stream),
-        Finish::Wood => return bands(tinted(look.base_colour, [0.42, 0.34, 0.28]), stream),
-        Finish::Metal => return bands(scaled(look.base_colour, 0.55), stream),
+        Finish::Wood => return bands(tinted(appearance.base_colour, [0.42, 0.34, 0.28]), stream),
+        Finish::Metal => return bands(scaled(appearance.base_colour, 0.55), stream),
         _ => {}
     }
-    bands(accent(look.base_colour, stream), stream)
+    bands(accent(appearance.base_colour, stream), stream)
 }
 
-/// Bands along x, which are rings around an upright object.
-fn bands(color: [f32; 3], stream: &mut SeedStream) -> Layer {
+/// Bands along x: rings around an upright object.
+fn bands(colour: [f32; 3], stream: &mut SeedStream) -> Layer {
     let count = stream.pick([3.0_f32, 4.0, 5.0, 6.0, 8.0]);
     let width = stream.between(0.15, 0.42) as f32;
     let phase = stream.uniform() as f32;
-    // A thin line beside each band.
+    // Thin line beside each band.
     let line = stream.pick([0.0_f32, 0.0, 0.06]);
     let soft = 0.004 * count;
-    let hand = Fractal::new(stream.bits(), [5, 2], 2);
+    let hand = FractalNoise::new(stream.bits(), [5, 2], 2);
     Box::new(move |x, y, below| {
         let wander = 0.03 * (hand.at(x, y) - 0.5);
         let at = (count * y + phase + wander).rem_euclid(1.0);
@@ -77,25 +78,25 @@ fn bands(color: [f32; 3], stream: &mut SeedStream) -> Layer {
         if line > 0.0 {
             cover = cover.max(from(0.48 + 0.5 * width + line, 0.5 * line));
         }
-        mix_color(below, color, 0.95 * cover)
+        mix_colour(below, colour, 0.95 * cover)
     })
 }
 
-/// Upright flutes of corrugated cardboard.
+/// Vertical flutes of corrugated cardboard.
 fn corrugated(stream: &mut SeedStream) -> Layer {
     let flutes = stream.pick([14.0_f32, 18.0, 22.0]);
     let phase = stream.uniform() as f32;
     shaded(move |x, _| {
         let height = (TAU * (flutes * x + phase)).cos();
-        // One flank is turned to the light.
+        // One flank faces the light.
         let flank = (TAU * (flutes * x + phase + 0.2)).sin();
         1.0 + 0.10 * height + 0.08 * flank
     })
 }
 
-/// Dots in rows, each row shifted by half a dot.
+/// Dots in rows, offset by half a dot.
 fn dotted(base: [f32; 3], stream: &mut SeedStream) -> Layer {
-    let color = accent(base, stream);
+    let colour = accent(base, stream);
     let count = stream.pick([4.0_f32, 6.0, 8.0]);
     let radius = stream.between(0.16, 0.30) as f32;
     let phase = [(); 2].map(|()| stream.uniform() as f32);
@@ -105,14 +106,14 @@ fn dotted(base: [f32; 3], stream: &mut SeedStream) -> Layer {
         let column = count * x + phase[0] + 0.5 * (row.floor() % 2.0);
         let distance = (column.rem_euclid(1.0) - 0.5).hypot(row.rem_euclid(1.0) - 0.5);
         let cover = 1.0 - smoothstep(radius - soft, radius + soft, distance);
-        mix_color(below, color, 0.95 * cover)
+        mix_colour(below, colour, 0.95 * cover)
     })
 }
 
-fn speckled(look: &Look, size_px: u32, stream: &mut SeedStream) -> Option<Layer> {
-    let base = look.base_colour;
-    Some(match look.finish {
-        // Granite is a ground.
+fn speckled(appearance: &Appearance, size_px: u32, stream: &mut SeedStream) -> Option<Layer> {
+    let base = appearance.base_colour;
+    Some(match appearance.finish {
+        // Speckled stone is a base layer.
         Finish::Stone => return None,
         Finish::Ceramic => specks(fired_speck(base), 40, stream),
         Finish::Print => specks(accent(base, stream), 34, stream),
@@ -126,7 +127,7 @@ fn speckled(look: &Look, size_px: u32, stream: &mut SeedStream) -> Option<Layer>
     })
 }
 
-/// Iron in the glaze; light specks on a dark one.
+/// Iron specks in the glaze; light specks on a dark one.
 fn fired_speck(base: [f32; 3]) -> [f32; 3] {
     let own = luminance(base);
     if own > LIGHT {
@@ -136,20 +137,20 @@ fn fired_speck(base: [f32; 3]) -> [f32; 3] {
     }
 }
 
-fn specks(color: [f32; 3], count: u32, stream: &mut SeedStream) -> Layer {
-    let coarse = Specks::new(stream.bits(), count);
-    let fine = Specks::new(stream.bits(), 2 * count);
+fn specks(colour: [f32; 3], count: u32, stream: &mut SeedStream) -> Layer {
+    let coarse = metal_glaze_plastic::specks(stream.bits(), count);
+    let fine = metal_glaze_plastic::specks(stream.bits(), 2 * count);
     Box::new(move |x, y, below| {
-        let cover = coarse.cover(x, y).max(0.8 * fine.cover(x, y));
-        mix_color(below, color, 0.85 * cover)
+        let cover = coarse(x, y).max(0.8 * fine(x, y));
+        mix_colour(below, colour, 0.85 * cover)
     })
 }
 
 /// Fine bumps of powder coat, moulded leather grain or blasted metal.
 fn grained(range: [f32; 2], stream: &mut SeedStream) -> Layer {
     let seed = stream.bits();
-    let fine = Value::new(seed, [128, 128]);
-    let bumps = Cells::new(seed ^ 0x91, 80);
+    let fine = ValueNoise::new(seed, [128, 128]);
+    let bumps = WorleyNoise::new(seed ^ 0x91, 80);
     shaded(move |x, y| {
         let (near, _, _) = bumps.at(x, y);
         mix(range[0], range[1], fine.at(x, y)) * mix(1.05, 0.93, near.min(1.0))
@@ -158,7 +159,7 @@ fn grained(range: [f32; 2], stream: &mut SeedStream) -> Layer {
 
 /// Open cells of foam.
 fn pores(stream: &mut SeedStream) -> Layer {
-    let cells = Cells::new(stream.bits(), 56);
+    let cells = WorleyNoise::new(stream.bits(), 56);
     shaded(move |x, y| {
         let (near, _, id) = cells.at(x, y);
         let radius = mix(0.1, 0.42, id);
@@ -166,47 +167,44 @@ fn pores(stream: &mut SeedStream) -> Layer {
     })
 }
 
-/// Fibres of other colours in recycled paper.
+/// Coloured fibres of recycled paper.
 fn flecks(base: [f32; 3], size_px: u32, stream: &mut SeedStream) -> Layer {
     let fibres = Strokes {
         count: 420,
         length: [0.008, 0.035],
         spread_rad: 3.2,
-        turn_rad: 1.2,
+        bend_rad: 1.2,
         dark: 0.65,
     };
     let mask = Mask::drawn(size_px, &fibres, stream);
-    let dark = scaled(hue_turned(base, stream.between(-1.0, 1.0) as f32), 0.4);
+    let dark = scaled(rotate_hue(base, stream.between(-1.0, 1.0) as f32), 0.4);
     let light = faded(base, 1.0);
-    Box::new(move |x, y, below| match mask.at(x, y) {
-        mark if mark < 0.0 => mix_color(below, dark, -0.9 * mark),
-        mark => mix_color(below, light, 0.9 * mark),
-    })
+    mask.layer(dark, light)
 }
 
 /// Yarn of lighter and darker fibres.
 fn melange(stream: &mut SeedStream) -> Layer {
     let seed = stream.bits();
-    let lying = Value::new(seed, [24, 96]);
-    let upright = Value::new(seed ^ 0xa1, [96, 24]);
+    let lying = ValueNoise::new(seed, [24, 96]);
+    let upright = ValueNoise::new(seed ^ 0xa1, [96, 24]);
     shaded(move |x, y| {
         let fraction = 0.5 * (lying.at(x, y) + upright.at(x, y));
         mix(0.55, 1.4, smoothstep(0.3, 0.7, fraction))
     })
 }
 
-/// Short dark rays of beech, along the fibres.
+/// Short dark rays of beech along the grain.
 fn rays(stream: &mut SeedStream) -> Layer {
-    let rays = Value::new(stream.bits(), [90, 24]);
+    let rays = ValueNoise::new(stream.bits(), [90, 24]);
     shaded(move |x, y| 1.0 - 0.35 * smoothstep(0.72, 0.9, rays.at(x, y)))
 }
 
 /// Pebbles with creases between them: leather, cork.
 fn pebbled(stream: &mut SeedStream) -> Layer {
     let seed = stream.bits();
-    let bend = Fractal::new(seed, [12, 12], 2);
+    let bend = FractalNoise::new(seed, [12, 12], 2);
     let count = stream.pick([30, 38, 46]);
-    let cells = Cells::new(seed ^ 0xb1, count);
+    let cells = WorleyNoise::new(seed ^ 0xb1, count);
     shaded(move |x, y| {
         let shift = 0.02 * (bend.at(x, y) - 0.5);
         let (near, far, id) = cells.at(x + shift, y - shift);
@@ -214,9 +212,9 @@ fn pebbled(stream: &mut SeedStream) -> Layer {
     })
 }
 
-fn mottled(look: &Look, stream: &mut SeedStream) -> Option<Layer> {
-    let base = look.base_colour;
-    Some(match look.finish {
+fn mottled(appearance: &Appearance, stream: &mut SeedStream) -> Option<Layer> {
+    let base = appearance.base_colour;
+    Some(match appearance.finish {
         Finish::Metal => hammered(stream),
         Finish::Paper => crumpled(stream),
         Finish::Rubber => dusty(base, stream),
@@ -231,10 +229,10 @@ fn mottled(look: &Look, stream: &mut SeedStream) -> Option<Layer> {
     })
 }
 
-/// Dents of a round hammer: each reflects its own part of the room.
+/// Dents of a round hammer, each reflecting another part of the room.
 fn hammered(stream: &mut SeedStream) -> Layer {
     let count = stream.pick([9, 11, 14]);
-    let cells = Cells::new(stream.bits(), count);
+    let cells = WorleyNoise::new(stream.bits(), count);
     shaded(move |x, y| {
         let (near, far, id) = cells.at(x, y);
         let rim = 1.0 - smoothstep(0.0, 0.14, far - near);
@@ -242,40 +240,40 @@ fn hammered(stream: &mut SeedStream) -> Layer {
     })
 }
 
-/// Facets of crumpled paper, light along their folds.
+/// Facets of crumpled paper, bright along the folds.
 fn crumpled(stream: &mut SeedStream) -> Layer {
     let seed = stream.bits();
-    let bend = Fractal::new(seed, [6, 6], 3);
-    let large = Cells::new(seed ^ 0xc1, 5);
-    let small = Cells::new(seed ^ 0xc2, 11);
+    let bend = FractalNoise::new(seed, [6, 6], 3);
+    let large = WorleyNoise::new(seed ^ 0xc1, 5);
+    let small = WorleyNoise::new(seed ^ 0xc2, 11);
     shaded(move |x, y| {
         let shift = 0.05 * (bend.at(x, y) - 0.5);
-        let facet = |cells: &Cells, fold: f32| {
+        let facet = |cells: &WorleyNoise, fold: f32| {
             let (near, far, id) = cells.at(x + shift, y + shift);
             let edge = 1.0 - smoothstep(0.0, fold, far - near);
-            // Each facet leans its own way.
+            // Each facet has its own inclination.
             mix(0.84, 1.06, id) + 0.1 * (id - 0.5) * near + 0.08 * edge
         };
         facet(&large, 0.05) * facet(&small, 0.09)
     })
 }
 
-/// Pale dust in patches.
+/// Patches of pale dust.
 fn dusty(base: [f32; 3], stream: &mut SeedStream) -> Layer {
     let own = luminance(base);
-    let dust = mix_color(
+    let dust = mix_colour(
         with_luminance([0.5, 0.47, 0.42], (2.0 * own + 0.03).min(0.7)),
         base,
         0.3,
     );
-    let cloud = Fractal::new(stream.bits(), [4, 4], 5);
+    let cloud = FractalNoise::new(stream.bits(), [4, 4], 5);
     Box::new(move |x, y, below| {
         let fraction = smoothstep(0.4, 0.72, cloud.at(x, y));
-        mix_color(below, dust, 0.6 * fraction)
+        mix_colour(below, dust, 0.6 * fraction)
     })
 }
 
-/// Brown patches; pale ones on what is dark.
+/// Brown patches; pale ones on dark surfaces.
 fn bruised(base: [f32; 3], stream: &mut SeedStream) -> Layer {
     let own = luminance(base);
     let patch = if own > LIGHT {
@@ -283,33 +281,33 @@ fn bruised(base: [f32; 3], stream: &mut SeedStream) -> Layer {
     } else {
         faded(with_luminance(base, 3.0 * own + 0.01), 0.5)
     };
-    let cloud = Fractal::new(stream.bits(), [4, 5], 5);
+    let cloud = FractalNoise::new(stream.bits(), [4, 5], 5);
     Box::new(move |x, y, below| {
         let fraction = smoothstep(0.5, 0.68, cloud.at(x, y));
-        mix_color(below, patch, 0.8 * fraction)
+        mix_colour(below, patch, 0.8 * fraction)
     })
 }
 
-/// Two colours stirred into each other: wax, soap, clay.
+/// Two colours stirred together: wax, soap, clay.
 fn marbled(base: [f32; 3], stream: &mut SeedStream) -> Layer {
     let own = luminance(base);
-    let turned = hue_turned(base, stream.between(-0.5, 0.5) as f32);
+    let turned = rotate_hue(base, stream.between(-0.5, 0.5) as f32);
     let other = if own > 0.12 {
         with_luminance(turned, 0.4 * own)
     } else {
         with_luminance(turned, 4.0 * own + 0.02)
     };
-    let veins = Veins::new(stream.bits());
-    let stirred = Fractal::new(stream.bits(), [2, 3], 3);
+    let veins = veins(stream.bits());
+    let stirred = FractalNoise::new(stream.bits(), [2, 3], 3);
     Box::new(move |x, y, below| {
-        let (fraction, cloud) = veins.at(x, y);
+        let (fraction, cloud) = veins(x, y);
         let swirl = (TAU * 2.5 * stirred.at(x, y)).sin();
         let wide = 0.55 * smoothstep(0.55, 1.0, swirl);
-        scaled(mix_color(below, other, fraction.max(wide)), cloud)
+        scaled(mix_colour(below, other, fraction.max(wide)), cloud)
     })
 }
 
-/// A label whose colours go with that of its ground.
+/// A label with ink colours that match the base.
 pub(super) fn printed(base: [f32; 3], size_px: u32, stream: &mut SeedStream) -> Layer {
     let mut label = Label::random(stream);
     label.inks = Inks {
@@ -317,7 +315,7 @@ pub(super) fn printed(base: [f32; 3], size_px: u32, stream: &mut SeedStream) -> 
         field: accent(base, stream),
         badge: accent(base, stream),
     };
-    // Strokes of letters are narrower than a pixel: the mean of four places in it.
+    // Letter strokes are narrower than a pixel: average of four positions.
     let quarter = 0.25 / size_px.max(1) as f32;
     let within = [
         [-quarter, -quarter],

@@ -1,18 +1,18 @@
-//! Noise that repeats: every function has period 1 along x and y.
+//! Tileable noise: every function has period 1 along x and y.
 //!
-//! The random numbers of a lattice are drawn once, since an image asks for each of them often.
+//! Lattice values are computed once, since an image reads each of them often.
 
 use gripcast_base::random::lattice;
 
-/// Gradient-free value noise with quintic interpolation, 0 to 1.
-pub(super) struct Value {
+/// Value noise with quintic interpolation, 0 to 1.
+pub(super) struct ValueNoise {
     cells: [usize; 2],
-    /// At the corners of the cells, row by row.
+    /// Values at the lattice points, row-major.
     levels: Vec<f32>,
 }
 
-impl Value {
-    /// Over a lattice of `cells` × `cells` cells in the unit square.
+impl ValueNoise {
+    /// Noise on a lattice of `cells` × `cells` cells in the unit square.
     pub(super) fn new(seed: u64, cells: [u32; 2]) -> Self {
         let [nx, ny] = cells.map(|n| i64::from(n.max(1)));
         let layer = nx * 8191 + ny;
@@ -41,15 +41,16 @@ impl Value {
     }
 }
 
-/// Sum of octaves of value noise, each twice as fine and half as strong, 0 to 1.
-pub(super) struct Fractal {
-    octaves: Vec<Value>,
+/// Fractal noise: octaves of value noise, each twice as fine and half as strong, 0 to 1.
+pub(super) struct FractalNoise {
+    octaves: Vec<ValueNoise>,
 }
 
-impl Fractal {
-    /// The coarsest of the octaves has `cells` × `cells` cells in the unit square.
+impl FractalNoise {
+    /// The coarsest octave has `cells` × `cells` cells in the unit square.
     pub(super) fn new(seed: u64, cells: [u32; 2], octaves: u32) -> Self {
-        let octave = |o: u32| Value::new(seed.wrapping_add(u64::from(o)), cells.map(|n| n << o));
+        let octave =
+            |o: u32| ValueNoise::new(seed.wrapping_add(u64::from(o)), cells.map(|n| n << o));
         Self {
             octaves: (0..octaves).map(octave).collect(),
         }
@@ -66,15 +67,15 @@ impl Fractal {
     }
 }
 
-/// One random point in each cell of a lattice (Worley, 1996).
-pub(super) struct Cells {
+/// Cellular noise: one random point per cell (Worley, 1996).
+pub(super) struct WorleyNoise {
     count: i64,
-    /// Place in its cell and a number in 0..1 of each point, row by row.
+    /// Position in its cell and a random number in [0, 1) of each point, row-major.
     points: Vec<[f32; 3]>,
 }
 
-impl Cells {
-    /// In a lattice of `count` × `count` cells in the unit square.
+impl WorleyNoise {
+    /// Noise with `count` × `count` cells in the unit square.
     pub(super) fn new(seed: u64, count: u32) -> Self {
         let n = i64::from(count.max(1));
         let point = |x, y| [1, 2, 3].map(|z| lattice(seed, x, y, z));
@@ -86,8 +87,8 @@ impl Cells {
         }
     }
 
-    /// Distances to the nearest and the second nearest point, in cells, and the number of the
-    /// nearest.
+    /// Returns the distances to the nearest and second nearest point, in cells, and the random
+    /// number of the nearest.
     pub(super) fn at(&self, x: f32, y: f32) -> (f32, f32, f32) {
         let n = self.count;
         let (sx, sy) = (wrapped(x) * n as f32, wrapped(y) * n as f32);
@@ -114,7 +115,7 @@ impl Cells {
     }
 }
 
-/// A coordinate in the unit square.
+/// Wraps a coordinate to the unit square.
 fn wrapped(c: f32) -> f32 {
     if (0.0..1.0).contains(&c) {
         c
@@ -127,11 +128,11 @@ pub(super) fn mix(a: f32, b: f32, t: f32) -> f32 {
     a + (b - a) * t
 }
 
-pub(super) fn mix_color(a: [f32; 3], b: [f32; 3], t: f32) -> [f32; 3] {
+pub(super) fn mix_colour(a: [f32; 3], b: [f32; 3], t: f32) -> [f32; 3] {
     std::array::from_fn(|c| mix(a[c], b[c], t))
 }
 
-/// 0 below `low`, 1 above `high`, smooth between.
+/// Smoothstep from 0 at `low` to 1 at `high`.
 pub(super) fn smoothstep(low: f32, high: f32, x: f32) -> f32 {
     let t = ((x - low) / (high - low)).clamp(0.0, 1.0);
     t * t * (3.0 - 2.0 * t)
@@ -142,8 +143,8 @@ mod tests {
     use super::*;
 
     #[test]
-    fn noise_repeats_and_stays_in_range() {
-        let (fractal, cells) = (Fractal::new(5, [4, 6], 4), Cells::new(5, 7));
+    fn noise_is_periodic_and_in_range() {
+        let (fractal, cells) = (FractalNoise::new(5, [4, 6], 4), WorleyNoise::new(5, 7));
         for i in 0..200 {
             let (x, y) = (i as f32 * 0.0137, i as f32 * 0.0311);
             let a = fractal.at(x, y);
@@ -156,8 +157,8 @@ mod tests {
     }
 
     #[test]
-    fn noise_is_continuous_over_the_border() {
-        let noise = Value::new(9, [8, 8]);
+    fn noise_is_continuous_across_border() {
+        let noise = ValueNoise::new(9, [8, 8]);
         for i in 0..50 {
             let y = i as f32 / 50.0;
             let (left, right) = (noise.at(0.0, y), noise.at(0.999_999, y));
@@ -166,12 +167,12 @@ mod tests {
     }
 
     #[test]
-    fn places_that_wrap_to_the_far_end_have_a_value() {
+    fn coordinates_beyond_the_border_wrap() {
         for cells in [1, 2, 9] {
-            let noise = (Value::new(1, [cells; 2]), Cells::new(1, cells));
-            for place in [-1e-9, 1.0, -3.0, 1e9] {
-                assert!((0.0..=1.0).contains(&noise.0.at(place, place)));
-                assert!(noise.1.at(place, place).0.is_finite());
+            let noise = (ValueNoise::new(1, [cells; 2]), WorleyNoise::new(1, cells));
+            for c in [-1e-9, 1.0, -3.0, 1e9] {
+                assert!((0.0..=1.0).contains(&noise.0.at(c, c)));
+                assert!(noise.1.at(c, c).0.is_finite());
             }
         }
     }

@@ -1,4 +1,4 @@
-//! Printed sheets and tags in a scene, and the camera that looks at them.
+//! Printed ArUco board and gripper markers in a scene, and the camera that observes them.
 
 use glam::{DQuat, DVec3};
 use image::{Rgb, RgbImage};
@@ -14,67 +14,67 @@ use gripcast_base::random::SeedStream;
 use gripcast_geometry::Pose;
 use gripcast_imaging::{DistortionModel, FlatPrint, Intrinsics, srgb_encode};
 
-/// Reflectances of paper and ink.
+/// Albedo of paper and ink.
 const PAPER: f32 = 0.8;
 const INK: f32 = 0.02;
-/// The table lies this much below a sheet, m, so that the sheet is seen and not the table.
+/// Gap between the table and the board, m, so that the board is visible.
 pub(super) const PRINT_LIFT_M: f64 = 1e-4;
-/// The camera's place, seen from the gripper's front: turn, angle above the table, distance.
-const MAX_TURN_RAD: f64 = 0.3;
-const ABOVE_RAD: [f64; 2] = [0.42, 0.56];
+/// Camera pose relative to the gripper's front: azimuth, elevation, distance.
+const MAX_AZIMUTH_RAD: f64 = 0.3;
+const ELEVATION_RAD: [f64; 2] = [0.42, 0.56];
 const DISTANCE_M: [f64; 2] = [0.62, 0.70];
-/// Height of the middle of the image, as a fraction of that of the gripper's top.
+/// Height of the image centre as a fraction of the height of the gripper's top.
 const TARGET_FRACTION: f64 = 0.42;
-/// Thickness of a tag's card, m.
+/// Thickness of a marker card, m.
 const CARD_M: f64 = 5e-4;
 
-/// A flat printed image, with the colours of paper and ink.
+/// Printed plane with paper and ink colours.
 #[derive(Clone, Debug)]
-struct Print {
+struct PrintedPlane {
     image: Bitmap,
-    /// Top left, top right, bottom right, bottom left as seen from the front.
+    /// Top left, top right, bottom right, bottom left, seen from the front.
     corners_m: [DVec3; 4],
 }
 
-/// Sheet and tags of a grasp.
+/// ArUco board and gripper markers of a grasp.
 #[derive(Clone, Debug)]
-pub struct GraspPrints {
+pub struct AnnotationMarkers {
     /// In the world.
-    sheet: Print,
-    /// In the gripper's frame, for opening 0, with how far each moves along x per metre of opening.
-    tags: Vec<(f64, Print)>,
+    board: PrintedPlane,
+    /// In the gripper frame at opening 0, each with its displacement along x per metre of opening.
+    markers: Vec<(f64, PrintedPlane)>,
 }
 
-impl GraspPrints {
-    /// A sheet, whose frame is the world in which its object stands, and the tags of a gripper in
-    /// its frame at opening 0, each with how far it moves along x per metre of opening.
+impl AnnotationMarkers {
+    /// `board` is the board in the world; `markers` are the gripper's markers in its frame at opening
+    /// 0, each with its displacement along x per metre of opening.
     ///
     /// # Errors
-    /// `Input` for an image that is too large.
-    pub fn new(sheet: &FlatPrint, tags: &[(f64, FlatPrint)]) -> Result<Self> {
-        let tag = |(slide, print): &(f64, FlatPrint)| Ok((*slide, Print::new(print)?));
+    /// `Input` if an image is invalid.
+    pub fn new(board: &FlatPrint, markers: &[(f64, FlatPrint)]) -> Result<Self> {
+        let marker = |(slide, print): &(f64, FlatPrint)| Ok((*slide, PrintedPlane::new(print)?));
         Ok(Self {
-            sheet: Print::new(sheet)?,
-            tags: tags.iter().map(tag).collect::<Result<_>>()?,
+            board: PrintedPlane::new(board)?,
+            markers: markers.iter().map(marker).collect::<Result<_>>()?,
         })
     }
 
-    /// Adds them to a scene whose table is at z = 0: what is on the sheet stays where it is.
+    /// Adds the board and the markers to a scene whose table lies below z = 0.
     pub(super) fn add_to(&self, scene: &mut Scene, t_world_gripper: &Pose, opening_m: f64) {
-        self.sheet.model().add_to(scene, &Pose::IDENTITY);
-        for (slide, tag) in &self.tags {
+        self.board.model().add_to(scene, &Pose::IDENTITY);
+        for (slide, marker) in &self.markers {
             let slid = Pose::from_translation(DVec3::X * (slide * opening_m));
-            tag.card().add_to(scene, &(*t_world_gripper * slid));
+            marker.card().add_to(scene, &(*t_world_gripper * slid));
         }
     }
 }
 
-/// sRGB level of a place of which the fraction `white` is bare paper.
+/// sRGB level of a pixel with the given fraction of bare paper.
 fn printed(white: f32) -> u8 {
     srgb_encode(INK + white * (PAPER - INK))
 }
 
-impl Print {
+impl PrintedPlane {
     fn new(print: &FlatPrint) -> Result<Self> {
         let paper = &print.paper;
         let image = RgbImage::from_fn(paper.width(), paper.height(), |x, y| {
@@ -128,27 +128,27 @@ impl Print {
     }
 }
 
-/// A camera beside the table that sees the sheet and the tags of a gripper that points down: in
-/// front of the gripper (its −y side), moved by the seed.
+/// Returns a camera beside the table that observes the board and the markers of a downward-pointing
+/// gripper from its front (−y side), varied by the seed.
 ///
-/// Focal length and principal point are those of a D435's colour camera as one is calibrated: not
-/// quite in the middle.
+/// Focal length and principal point are those of a calibrated D435 colour camera, slightly
+/// off-centre.
 pub fn annotation_camera(state: &GraspState, [width, height]: [usize; 2], seed: u64) -> Camera {
     let mut draw = SeedStream::named(seed, "annotation camera");
     let gripper = &state.t_world_gripper;
     let approach = gripper.transform_vector(DVec3::Z);
     let flat = |v: DVec3| (v * DVec3::new(1.0, 1.0, 0.0)).normalize_or_zero();
     let front = flat(gripper.transform_vector(DVec3::NEG_Y)).normalize_or(DVec3::NEG_Y);
-    let turn = draw.between(-MAX_TURN_RAD, MAX_TURN_RAD);
-    let above = draw.between(ABOVE_RAD[0], ABOVE_RAD[1]);
+    let azimuth = draw.between(-MAX_AZIMUTH_RAD, MAX_AZIMUTH_RAD);
+    let elevation = draw.between(ELEVATION_RAD[0], ELEVATION_RAD[1]);
     let distance = draw.between(DISTANCE_M[0], DISTANCE_M[1]);
-    let side = DQuat::from_rotation_z(turn) * front;
-    let direction = above.cos() * side + above.sin() * DVec3::Z;
-    // Between the sheet and the tags on top of the gripper.
+    let side = DQuat::from_rotation_z(azimuth) * front;
+    let direction = elevation.cos() * side + elevation.sin() * DVec3::Z;
+    // Between the board and the markers on top of the gripper.
     let mut target = gripper.translation_m - 0.09 * approach + 0.02 * front;
     target.z = TARGET_FRACTION * (gripper.translation_m.z + 0.22);
     let eye = target + distance * direction;
-    let pose = Camera::looking_at(eye, target).unwrap_or(state.t_world_gripper);
+    let pose = Camera::look_at(eye, target).unwrap_or(state.t_world_gripper);
     let scale = width as f64 / 1280.0;
     Camera {
         width,
@@ -163,7 +163,7 @@ pub fn annotation_camera(state: &GraspState, [width, height]: [usize; 2], seed: 
 }
 
 impl Camera {
-    /// Its intrinsics; it has no distortion.
+    /// Returns the intrinsics; the model has no distortion.
     pub fn intrinsics(&self) -> Intrinsics {
         Intrinsics {
             width: self.width as u32,

@@ -1,16 +1,14 @@
-//! Surfaces painted from a seed: wood, stone, fabric, glaze, print and others, as images that
-//! tile.
+//! Procedural textures: tileable images of wood, stone, fabric, glaze, print and others.
 
-mod coat;
-mod coating;
 mod fabric;
+mod metal_glaze_plastic;
 mod mineral;
 mod noise;
+mod object;
 mod print;
 mod simple;
 mod wood;
 
-use std::fmt;
 use std::str::FromStr;
 
 use image::RgbImage;
@@ -21,11 +19,11 @@ use gripcast_base::error::{Error, Result, unknown_name};
 use gripcast_base::random::SeedStream;
 use gripcast_imaging::srgb_decode;
 
-pub(super) use coat::paint as paint_coat;
+pub(super) use object::object_texture;
 
-/// Kind of a painted surface.
+/// Kind of a procedural texture.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Pattern {
+pub enum ProceduralTexture {
     /// Boards or veneer of oak, beech, walnut and others.
     Wood,
     /// Metal brushed in one direction.
@@ -34,7 +32,7 @@ pub enum Pattern {
     Fabric,
     /// Glazed ceramic, plain or speckled.
     Ceramic,
-    /// Plastic of one colour, with a fine grain.
+    /// Plastic of one colour with a fine grain.
     Plastic,
     /// Printed carton: colour fields, lines of text, a bar code.
     Print,
@@ -42,7 +40,7 @@ pub enum Pattern {
     Stone,
     /// Concrete with pores.
     Concrete,
-    /// Tiles with joints.
+    /// Tiles with grout.
     Tiles,
     /// Squares of two colours.
     Checker,
@@ -50,8 +48,8 @@ pub enum Pattern {
     Noise,
 }
 
-impl Pattern {
-    /// All of them.
+impl ProceduralTexture {
+    /// All kinds.
     pub const ALL: [Self; 11] = [
         Self::Wood,
         Self::BrushedMetal,
@@ -66,7 +64,7 @@ impl Pattern {
         Self::Noise,
     ];
 
-    /// Those that table tops and floors have.
+    /// Kinds found on table tops and floors.
     pub const GROUNDS: [Self; 6] = [
         Self::Wood,
         Self::Plastic,
@@ -76,7 +74,7 @@ impl Pattern {
         Self::Tiles,
     ];
 
-    /// Name in commands and files.
+    /// Name on the command line and in files.
     pub fn name(self) -> &'static str {
         match self {
             Self::Wood => "wood",
@@ -93,16 +91,16 @@ impl Pattern {
         }
     }
 
-    /// Paints `size_px` × `size_px` pixels; the same arguments give the same bytes.
-    pub fn paint(self, size_px: u32, seed: u64) -> PaintedSurface {
+    /// Generates `size_px` × `size_px` pixels; the result depends on the arguments alone.
+    pub fn generate(self, size_px: u32, seed: u64) -> GeneratedTexture {
         let mut stream = SeedStream::named(seed, self.name());
         match self {
-            Self::Wood => wood::paint(size_px, &mut stream),
-            Self::BrushedMetal => coating::brushed_metal(size_px, &mut stream),
-            Self::Fabric => fabric::paint(size_px, &mut stream),
-            Self::Ceramic => coating::ceramic(size_px, &mut stream),
-            Self::Plastic => coating::plastic(size_px, &mut stream),
-            Self::Print => print::paint(size_px, &mut stream),
+            Self::Wood => wood::generate(size_px, &mut stream),
+            Self::BrushedMetal => metal_glaze_plastic::brushed_metal(size_px, &mut stream),
+            Self::Fabric => fabric::generate(size_px, &mut stream),
+            Self::Ceramic => metal_glaze_plastic::ceramic(size_px, &mut stream),
+            Self::Plastic => metal_glaze_plastic::plastic(size_px, &mut stream),
+            Self::Print => print::generate(size_px, &mut stream),
             Self::Stone => mineral::stone(size_px, &mut stream),
             Self::Concrete => mineral::concrete(size_px, &mut stream),
             Self::Tiles => mineral::tiles(size_px, &mut stream),
@@ -112,35 +110,29 @@ impl Pattern {
     }
 }
 
-impl fmt::Display for Pattern {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.pad(self.name())
-    }
-}
-
-impl FromStr for Pattern {
+impl FromStr for ProceduralTexture {
     type Err = Error;
 
     fn from_str(text: &str) -> Result<Self> {
-        let found = Self::ALL.into_iter().find(|known| known.name() == text);
-        found.ok_or_else(|| unknown_name("painted surface", text, &Self::ALL.map(Self::name)))
+        let found = Self::ALL.into_iter().find(|texture| texture.name() == text);
+        found.ok_or_else(|| unknown_name("texture", text, &Self::ALL.map(Self::name)))
     }
 }
 
-/// A painted surface: an image that tiles, and how it reflects.
+/// A tileable base-colour image with its reflection parameters.
 #[derive(Clone, Debug, PartialEq)]
-pub struct PaintedSurface {
+pub struct GeneratedTexture {
     /// Base colour, sRGB, square.
     pub image: RgbImage,
     /// Width of the image on the surface, m.
     pub tile_m: f64,
-    /// Perceptual roughness, 0 mirror to 1 matt.
+    /// Perceptual roughness, 0 (mirror) to 1 (matt).
     pub roughness: f32,
-    /// 0 dielectric, 1 metal.
+    /// 0 (dielectric) to 1 (metal).
     pub metallic: f32,
 }
 
-impl PaintedSurface {
+impl GeneratedTexture {
     fn new(image: RgbImage, tile_m: f64, roughness: f64, metallic: f32) -> Self {
         Self {
             image,
@@ -151,15 +143,15 @@ impl PaintedSurface {
     }
 }
 
-/// Square image of a linear colour of each place in the unit square.
-fn paint_by_place(size_px: u32, color: impl Fn(f32, f32) -> [f32; 3] + Sync) -> RgbImage {
-    light_by_place(size_px, color).to_srgb8(1.0)
+/// Square sRGB image of a function from the unit square to linear RGB.
+fn texture_from_fn(size_px: u32, colour: impl Fn(f32, f32) -> [f32; 3] + Sync) -> RgbImage {
+    linear_from_fn(size_px, colour).to_srgb8(1.0)
 }
 
-/// The same in linear light.
-fn light_by_place(size_px: u32, color: impl Fn(f32, f32) -> [f32; 3] + Sync) -> Image {
+/// Square linear image of a function from the unit square to linear RGB.
+fn linear_from_fn(size_px: u32, colour: impl Fn(f32, f32) -> [f32; 3] + Sync) -> Image {
     let size = size_px.max(1) as usize;
-    let place = |index: usize| (index as f32 + 0.5) / size as f32;
+    let position = |index: usize| (index as f32 + 0.5) / size as f32;
     let mut image = Image::filled(size, size, [0.0; 3]);
     image
         .pixels
@@ -167,7 +159,7 @@ fn light_by_place(size_px: u32, color: impl Fn(f32, f32) -> [f32; 3] + Sync) -> 
         .enumerate()
         .for_each(|(row, pixels)| {
             for (column, pixel) in pixels.iter_mut().enumerate() {
-                *pixel = color(place(column), place(row));
+                *pixel = colour(position(column), position(row));
             }
         });
     image
@@ -178,13 +170,13 @@ fn srgb(code: u32) -> [f32; 3] {
     [16, 8, 0].map(|shift| srgb_decode((code >> shift & 0xff) as u8))
 }
 
-/// A colour with each channel times a factor.
-fn scaled(color: [f32; 3], factor: f32) -> [f32; 3] {
-    color.map(|c| c * factor)
+/// Scales all channels of a colour.
+fn scaled(colour: [f32; 3], factor: f32) -> [f32; 3] {
+    colour.map(|c| c * factor)
 }
 
-/// A random colour by hue, saturation and value in the given ranges, linear.
-fn random_color(stream: &mut SeedStream, saturation: [f64; 2], value: [f64; 2]) -> [f32; 3] {
+/// Random linear colour with hue, saturation and value in the given ranges.
+fn random_colour(stream: &mut SeedStream, saturation: [f64; 2], value: [f64; 2]) -> [f32; 3] {
     let hue = stream.between(0.0, 6.0);
     let s = stream.between(saturation[0], saturation[1]);
     let v = stream.between(value[0], value[1]);
@@ -230,36 +222,39 @@ mod tests {
     }
 
     #[test]
-    fn images_are_fixed_by_their_seed_and_tile() {
-        for pattern in Pattern::ALL {
-            let painted = pattern.paint(128, 5);
-            assert_eq!(painted, pattern.paint(128, 5), "{pattern}");
-            let other = pattern.paint(128, 6);
-            assert_ne!(painted.image, other.image, "{pattern}");
-            assert!(painted.tile_m > 0.0 && (0.0..=1.0).contains(&painted.roughness));
-            closes(&painted.image, pattern.name());
+    fn textures_depend_on_seed_and_tile() {
+        for pattern in ProceduralTexture::ALL {
+            let texture = pattern.generate(128, 5);
+            assert_eq!(texture, pattern.generate(128, 5), "{pattern:?}");
+            let other = pattern.generate(128, 6);
+            assert_ne!(texture.image, other.image, "{pattern:?}");
+            assert!(texture.tile_m > 0.0 && (0.0..=1.0).contains(&texture.roughness));
+            closes(&texture.image, pattern.name());
         }
     }
 
     #[test]
-    fn images_are_no_single_value_and_plausible_reflectances() {
-        for pattern in Pattern::ALL {
+    fn textures_vary_and_have_plausible_albedo() {
+        for pattern in ProceduralTexture::ALL {
             for seed in 0..6 {
-                let image = pattern.paint(64, seed).image;
+                let image = pattern.generate(64, seed).image;
                 let mean = image.iter().map(|v| f64::from(*v)).sum::<f64>() / image.len() as f64;
-                assert!((8.0..=246.0).contains(&mean), "{pattern} {seed}: {mean}");
+                assert!((8.0..=246.0).contains(&mean), "{pattern:?} {seed}: {mean}");
                 let first = image.get_pixel(0, 0);
-                assert!(image.pixels().any(|p| p != first), "{pattern} {seed}");
+                assert!(image.pixels().any(|p| p != first), "{pattern:?} {seed}");
             }
         }
     }
 
     #[test]
-    fn names_are_read_back_and_misspelt_ones_explained() {
-        for pattern in Pattern::ALL {
-            assert_eq!(pattern.to_string().parse::<Pattern>().unwrap(), pattern);
+    fn names_round_trip_and_misspelt_gets_suggestion() {
+        for pattern in ProceduralTexture::ALL {
+            assert_eq!(
+                pattern.name().parse::<ProceduralTexture>().unwrap(),
+                pattern
+            );
         }
-        let text = "wod".parse::<Pattern>().unwrap_err().to_string();
+        let text = "wod".parse::<ProceduralTexture>().unwrap_err().to_string();
         assert!(
             text.contains("did you mean wood?") && text.contains("concrete"),
             "{text}"
@@ -267,11 +262,11 @@ mod tests {
     }
 
     #[test]
-    fn random_colors_stay_in_their_ranges() {
+    fn random_colours_stay_in_range() {
         let mut stream = SeedStream::named(1, "colors");
         for _ in 0..100 {
-            let color = random_color(&mut stream, [0.2, 0.8], [0.3, 0.9]);
-            assert!(color.iter().all(|c| (0.0..=0.9).contains(c)), "{color:?}");
+            let colour = random_colour(&mut stream, [0.2, 0.8], [0.3, 0.9]);
+            assert!(colour.iter().all(|c| (0.0..=0.9).contains(c)), "{colour:?}");
         }
     }
 }

@@ -1,12 +1,12 @@
-//! Wear: scratches, rubbed and chipped places, rust and tarnish, cracks.
+//! Wear layers: scratches, rubbed and chipped areas, rust and tarnish, cracks.
 
-use super::super::noise::{Cells, Fractal, Value, mix, mix_color, smoothstep};
+use super::super::noise::{FractalNoise, ValueNoise, WorleyNoise, mix, mix_colour, smoothstep};
 use super::super::{scaled, srgb};
 use super::palette::{faded, grey_of, tinted, with_luminance};
 use super::strokes::{Mask, Strokes};
-use super::{Finish, Layer, Word};
+use super::{Finish, Layer, Pattern};
+use crate::appearance::Appearance;
 use crate::linear_image::luminance;
-use crate::look::Look;
 use gripcast_base::random::SeedStream;
 
 /// Rust: dark crust, brown, orange rim.
@@ -16,60 +16,61 @@ const VERDIGRIS: u32 = 0x5f9686;
 /// Raw wood, primer and sheet metal under paint and enamel.
 const UNDER_PAINT: [u32; 3] = [0xbf9d6c, 0x8d8a84, 0x55524e];
 
-pub(super) fn layer(look: &Look, size_px: u32, stream: &mut SeedStream) -> Option<Layer> {
-    Some(match look.pattern {
-        Word::Scratched => scratched(look, size_px, stream),
-        Word::Worn => worn(look, stream),
-        Word::Rusty => rusty(look, stream),
-        Word::Cracked => cracked(look, stream),
+pub(super) fn layer(
+    appearance: &Appearance,
+    size_px: u32,
+    stream: &mut SeedStream,
+) -> Option<Layer> {
+    Some(match appearance.pattern {
+        Pattern::Scratched => scratched(appearance, size_px, stream),
+        Pattern::Worn => worn(appearance, stream),
+        Pattern::Rusty => rusty(appearance, stream),
+        Pattern::Cracked => cracked(appearance, stream),
         _ => return None,
     })
 }
 
-fn scratched(look: &Look, size_px: u32, stream: &mut SeedStream) -> Layer {
-    let base = look.base_colour;
+fn scratched(appearance: &Appearance, size_px: u32, stream: &mut SeedStream) -> Layer {
+    let base = appearance.base_colour;
     let own = luminance(base);
     let strokes = Strokes {
         count: 90,
         length: [0.03, 0.6],
         spread_rad: stream.pick([0.5, 1.2, 3.2]),
-        turn_rad: 0.35,
+        bend_rad: 0.35,
         dark: if own > 0.25 { 0.7 } else { 0.25 },
     };
     let mask = Mask::drawn(size_px, &strokes, stream);
-    let light = match look.finish {
+    let light = match appearance.finish {
         Finish::Metal => scaled(base, 1.5),
         _ => faded(with_luminance(base, (2.0 * own + 0.04).min(0.8)), 0.6),
     };
     let dark = scaled(base, 0.4);
-    Box::new(move |x, y, below| match mask.at(x, y) {
-        mark if mark < 0.0 => mix_color(below, dark, -0.9 * mark),
-        mark => mix_color(below, light, 0.9 * mark),
-    })
+    mask.layer(dark, light)
 }
 
-/// Patches where what lies below comes through.
-fn worn(look: &Look, stream: &mut SeedStream) -> Layer {
-    let base = look.base_colour;
-    let under = match look.finish {
+/// Patches where the layer below shows through.
+fn worn(appearance: &Appearance, stream: &mut SeedStream) -> Layer {
+    let base = appearance.base_colour;
+    let under = match appearance.finish {
         // Chips have sharp edges.
         Finish::Plastic | Finish::Ceramic | Finish::Glass => {
             return chipped(srgb(stream.pick(UNDER_PAINT)), base, stream);
         }
         Finish::Print => return chipped(srgb(0xe8e4da), base, stream),
         Finish::Metal => scaled(base, 0.55),
-        Finish::Wood => mix_color(faded(base, 0.6), grey_of(base), 0.6),
+        Finish::Wood => mix_colour(faded(base, 0.6), grey_of(base), 0.6),
         Finish::Organic => tinted(base, [0.6, 0.5, 0.42]),
         Finish::Fabric | Finish::Stone | Finish::Rubber | Finish::Paper => faded(base, 0.9),
     };
-    let cloud = Fractal::new(stream.bits(), [3, 3], 5);
-    let fine = Value::new(stream.bits(), [110, 110]);
+    let cloud = FractalNoise::new(stream.bits(), [3, 3], 5);
+    let fine = ValueNoise::new(stream.bits(), [110, 110]);
     Box::new(move |x, y, below| {
         let rubbed = cloud.at(x, y) + 0.12 * (fine.at(x, y) - 0.5);
         let fraction = smoothstep(0.46, 0.66, rubbed);
-        // Texture shows through on both.
+        // The relief of the texture remains visible on both.
         let relief = luminance(below) / luminance(base).max(1e-4);
-        mix_color(
+        mix_colour(
             below,
             scaled(under, mix(1.0, relief.min(1.5), 0.6)),
             0.7 * fraction,
@@ -80,22 +81,22 @@ fn worn(look: &Look, stream: &mut SeedStream) -> Layer {
 /// Chips of paint or glaze with a dark edge.
 fn chipped(under: [f32; 3], base: [f32; 3], stream: &mut SeedStream) -> Layer {
     let seed = stream.bits();
-    let large = Fractal::new(seed, [5, 5], 5);
-    let small = Fractal::new(seed ^ 0xd1, [18, 18], 3);
-    let tone = Fractal::new(seed ^ 0xd2, [20, 20], 3);
+    let large = FractalNoise::new(seed, [5, 5], 5);
+    let small = FractalNoise::new(seed ^ 0xd1, [18, 18], 3);
+    let tone = FractalNoise::new(seed ^ 0xd2, [20, 20], 3);
     let rim = scaled(base, 0.6);
     Box::new(move |x, y, below| {
         let depth = (large.at(x, y) - 0.63).max(0.75 * (small.at(x, y) - 0.76));
         let edge = smoothstep(-0.018, -0.004, depth);
         let bare = smoothstep(0.0, 0.008, depth);
         let bottom = scaled(under, mix(0.8, 1.15, tone.at(x, y)));
-        mix_color(mix_color(below, rim, 0.6 * edge), bottom, bare)
+        mix_colour(mix_colour(below, rim, 0.6 * edge), bottom, bare)
     })
 }
 
-fn rusty(look: &Look, stream: &mut SeedStream) -> Layer {
-    let base = look.base_colour;
-    let is_coppery = look.finish == Finish::Metal && base[0] > 1.4 * base[2];
+fn rusty(appearance: &Appearance, stream: &mut SeedStream) -> Layer {
+    let base = appearance.base_colour;
+    let is_coppery = appearance.finish == Finish::Metal && base[0] > 1.4 * base[2];
     if is_coppery {
         tarnished(base, stream)
     } else {
@@ -103,14 +104,14 @@ fn rusty(look: &Look, stream: &mut SeedStream) -> Layer {
     }
 }
 
-/// Spots that grow from pits, with an orange rim.
+/// Rust spots growing from pits, with an orange rim.
 fn rusted(stream: &mut SeedStream) -> Layer {
     let seed = stream.bits();
     let [crust, brown, rim] = RUST.map(srgb);
     let spread = stream.between(0.50, 0.58) as f32;
-    let large = Fractal::new(seed, [4, 4], 5);
-    let pits = Cells::new(seed ^ 0xe1, 16);
-    let fine = Fractal::new(seed ^ 0xe2, [32, 32], 3);
+    let large = FractalNoise::new(seed, [4, 4], 5);
+    let pits = WorleyNoise::new(seed ^ 0xe1, 16);
+    let fine = FractalNoise::new(seed ^ 0xe2, [32, 32], 3);
     Box::new(move |x, y, below| {
         let (near, _, id) = pits.at(x, y);
         let pit = 0.30 * id * (1.0 - smoothstep(0.0, 0.5, near));
@@ -118,40 +119,40 @@ fn rusted(stream: &mut SeedStream) -> Layer {
         let depth = large.at(x, y) + pit + 0.16 * (fine - 0.5) - spread;
         let cover = smoothstep(0.0, 0.035, depth);
         let inside = smoothstep(0.02, 0.12, depth);
-        let color = mix_color(
+        let colour = mix_colour(
             rim,
-            mix_color(brown, crust, smoothstep(0.4, 0.6, fine)),
+            mix_colour(brown, crust, smoothstep(0.4, 0.6, fine)),
             inside,
         );
-        // A stain around the spot.
+        // Stain around the spot.
         let stain = 0.35 * smoothstep(-0.08, 0.0, depth);
-        let stained = mix_color(below, tinted(below, [0.85, 0.6, 0.4]), stain);
-        mix_color(stained, color, 0.95 * cover)
+        let stained = mix_colour(below, tinted(below, [0.85, 0.6, 0.4]), stain);
+        mix_colour(stained, colour, 0.95 * cover)
     })
 }
 
-/// Brown tarnish and, in the deepest places, verdigris.
+/// Brown tarnish and, in the deepest areas, verdigris.
 fn tarnished(base: [f32; 3], stream: &mut SeedStream) -> Layer {
     let brown = tinted(base, [0.34, 0.26, 0.20]);
     let green = srgb(VERDIGRIS);
-    let large = Fractal::new(stream.bits(), [3, 4], 5);
-    let fine = Fractal::new(stream.bits(), [20, 20], 3);
+    let large = FractalNoise::new(stream.bits(), [3, 4], 5);
+    let fine = FractalNoise::new(stream.bits(), [20, 20], 3);
     let has_green = stream.uniform() < 0.6;
     Box::new(move |x, y, below| {
         let depth = large.at(x, y) + 0.12 * (fine.at(x, y) - 0.5);
-        let tarnish = mix_color(below, brown, 0.85 * smoothstep(0.36, 0.60, depth));
+        let tarnish = mix_colour(below, brown, 0.85 * smoothstep(0.36, 0.60, depth));
         if !has_green {
             return tarnish;
         }
-        mix_color(tarnish, green, 0.8 * smoothstep(0.62, 0.68, depth))
+        mix_colour(tarnish, green, 0.8 * smoothstep(0.62, 0.68, depth))
     })
 }
 
-fn cracked(look: &Look, stream: &mut SeedStream) -> Layer {
-    let base = look.base_colour;
+fn cracked(appearance: &Appearance, stream: &mut SeedStream) -> Layer {
+    let base = appearance.base_colour;
     let own = luminance(base);
-    // The crackle of a glaze is a fine net, other surfaces have few deep cracks.
-    let (count, width, depth) = match look.finish {
+    // Glaze crackles in a fine net; other surfaces have few deep cracks.
+    let (count, width, depth) = match appearance.finish {
         Finish::Ceramic | Finish::Glass => (stream.pick([11, 14, 17]), 0.13, 0.7),
         Finish::Organic => (stream.pick([8, 11, 14]), 0.12, 0.7),
         _ => (stream.pick([5, 6, 7]), 0.08, 0.85),
@@ -162,20 +163,20 @@ fn cracked(look: &Look, stream: &mut SeedStream) -> Layer {
         with_luminance(base, 5.0 * own + 0.02)
     };
     let seed = stream.bits();
-    let bend = [0, 1].map(|k| Fractal::new(seed ^ k, [9, 9], 4));
-    let open = Fractal::new(seed ^ 0xf1, [4, 4], 3);
-    let cells = Cells::new(seed ^ 0xf2, count);
-    let is_net = look.finish == Finish::Ceramic || look.finish == Finish::Glass;
+    let bend = [0, 1].map(|k| FractalNoise::new(seed ^ k, [9, 9], 4));
+    let open = FractalNoise::new(seed ^ 0xf1, [4, 4], 3);
+    let cells = WorleyNoise::new(seed ^ 0xf2, count);
+    let is_net = appearance.finish == Finish::Ceramic || appearance.finish == Finish::Glass;
     Box::new(move |x, y, below| {
         let [dx, dy] = [0, 1].map(|k: usize| 0.09 * (bend[k].at(x, y) - 0.5));
         let (near, far, _) = cells.at(x + dx, y + dy);
-        // Cracks run out where the surface holds together.
+        // Cracks end where the surface holds together.
         let open = if is_net {
             1.0
         } else {
             smoothstep(0.38, 0.55, open.at(x, y))
         };
         let cover = open * (1.0 - smoothstep(0.35 * width, width, far - near));
-        mix_color(below, crack, depth * cover)
+        mix_colour(below, crack, depth * cover)
     })
 }

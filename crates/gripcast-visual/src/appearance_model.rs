@@ -1,92 +1,93 @@
-//! Shapes with the appearance of a [`Look`] or with an image of the user's.
+//! Models of a shape with an [`Appearance`] or with a texture image.
 
-use super::look::{FinishClass, Look};
-use super::material::{Colour, Material};
+use super::appearance::{Appearance, FinishClass};
+use super::material::{Colour, IOR, Material};
 use super::model::{Model, is_closed};
-use super::pattern::paint_coat;
+use super::procedural::object_texture;
 use super::shading::{Projection, shaded_mesh};
 use super::texture::Bitmap;
 use gripcast_base::error::{Error, Result};
 use gripcast_geometry::{CREASE_RAD, TriangleMesh};
 
-/// Width and height of painted coats, px.
+/// Side of the generated textures, px.
 const TEXTURE_PX: u32 = 256;
-/// Index of refraction of glass, plastic, lacquer and glaze.
-const IOR: f32 = 1.5;
-/// Roughness of glass under scratches.
+/// Minimum roughness of worn glass.
 const WORN_GLASS: f32 = 0.12;
-/// Roughness under an image: silk-matt paint.
+/// Roughness of a surface with a user's texture: satin paint.
 const IMAGE_ROUGHNESS: f32 = 0.5;
 
 impl Model {
-    /// A shape (m) with an appearance; `seed` decides where grain, dots and wear lie. Painted
-    /// coats are projected from the six sides of the shape: prints fit it once, the others keep
-    /// the size that they have on things of some centimetres.
+    /// Builds a model of a shape (m) with a generated texture; `seed` places grain, dots and wear.
+    /// The texture is box-projected: a print covers the object once, other patterns keep their real
+    /// size.
     ///
-    /// Glass shows its tint and roughness, but no pattern. A shape that is not closed cannot be
-    /// of glass: it is drawn as glossy plastic.
+    /// Glass has a tint and roughness but no pattern. A mesh that is not closed cannot be glass and
+    /// is rendered as glossy plastic.
     ///
     /// # Errors
-    /// `Input` for a look that [`Look::validate`] refuses.
+    /// `Input` if [`Appearance::validate`] fails.
     ///
     /// ```
     /// use gripcast_geometry::builtin;
-    /// use gripcast_visual::{FinishClass, Look, Model, PatternWord};
+    /// use gripcast_visual::{FinishClass, Appearance, Model, SurfacePattern};
     ///
-    /// let look = Look {
+    /// let appearance = Appearance {
     ///     finish: FinishClass::Wood,
     ///     base_colour: [0.55, 0.36, 0.16],
     ///     roughness: 0.4,
-    ///     pattern: PatternWord::Grain,
+    ///     pattern: SurfacePattern::Grain,
     /// };
-    /// let oak_mug = Model::coated(&builtin("mug")?, &look, 7)?;
+    /// let oak_mug = Model::with_appearance(&builtin("mug")?, &appearance, 7)?;
     /// assert_eq!(oak_mug.textures.len(), 1);
     /// # Ok::<(), gripcast_base::error::Error>(())
     /// ```
-    pub fn coated(mesh: &TriangleMesh, look: &Look, seed: u64) -> Result<Self> {
-        look.validate()?;
-        if look.finish == FinishClass::Glass && is_closed(mesh) {
+    pub fn with_appearance(
+        mesh: &TriangleMesh,
+        appearance: &Appearance,
+        seed: u64,
+    ) -> Result<Self> {
+        appearance.validate()?;
+        if appearance.finish == FinishClass::Glass && is_closed(mesh) {
             return Ok(Self {
                 meshes: vec![shaded_mesh(mesh, CREASE_RAD, Projection::None, 0)],
-                materials: vec![glass(look)],
+                materials: vec![glass(appearance)],
                 textures: Vec::new(),
             });
         }
-        let coat = paint_coat(look, TEXTURE_PX, seed);
+        let texture = object_texture(appearance, TEXTURE_PX, seed);
         let bounds = mesh.bounds();
         let extent = bounds.extent().max_element();
         let projection = Projection::Box {
-            width_m: if look.is_print() && extent > 0.0 {
+            width_m: if appearance.is_print() && extent > 0.0 {
                 extent
             } else {
-                coat.tile_m
+                texture.tile_m
             },
             origin_m: bounds.min,
         };
         Ok(Self {
             meshes: vec![shaded_mesh(mesh, CREASE_RAD, projection, 0)],
-            materials: vec![Material::Principled {
-                base_colour: Colour::Texture(0),
-                metallic: coat.metallic,
-                roughness: coat.roughness,
-                ior: IOR,
-            }],
-            textures: vec![Bitmap::from_srgb8(&coat.image)?],
+            materials: vec![Material::glossy(
+                Colour::Texture(0),
+                texture.metallic,
+                texture.roughness,
+            )],
+            textures: vec![Bitmap::from_srgb8(&texture.image)?],
         })
     }
 
-    /// A shape (m) with an image as its base colour, `width_m` wide on the surface, repeated and
-    /// projected from the six sides; upright on the vertical ones. See
-    /// [`load_bitmap`](super::load_bitmap) for files.
+    /// Builds a model of a shape (m) with an image as its base colour, `width_m` wide on the
+    /// surface, tiled and box-projected, upright on the vertical sides.
+    /// [`load_bitmap`](super::load_bitmap) reads image files.
     ///
     /// # Errors
-    /// `Input` for a width that is not positive.
+    /// `Input` if the width is not positive.
     pub fn textured(mesh: &TriangleMesh, image: &Bitmap, width_m: f64) -> Result<Self> {
         if !width_m.is_finite() || width_m <= 0.0 {
             return Err(Error::input(format!(
                 "the width of a texture must be positive, found {width_m} m"
             ))
-            .remedy("give the width that the image has on the object, in metres"));
+            .remedy("give the width of the image on the object in metres"));
         }
         let projection = Projection::Box {
             width_m,
@@ -100,40 +101,35 @@ impl Model {
         }
         Ok(Self {
             meshes: vec![shaded],
-            materials: vec![Material::Principled {
-                base_colour: Colour::Texture(0),
-                metallic: 0.0,
-                roughness: IMAGE_ROUGHNESS,
-                ior: IOR,
-            }],
+            materials: vec![Material::glossy(Colour::Texture(0), 0.0, IMAGE_ROUGHNESS)],
             textures: vec![image.clone()],
         })
     }
 }
 
-/// The base colour is what a body lets through, so what each of its two surfaces lets through is
-/// the root of it.
-fn glass(look: &Look) -> Material {
-    let roughness = if look.is_worn() {
-        look.roughness.max(WORN_GLASS)
+/// The base colour is the transmittance of the whole body, so each of its two interfaces transmits
+/// the square root of it.
+fn glass(appearance: &Appearance) -> Material {
+    let roughness = if appearance.is_worn() {
+        appearance.roughness.max(WORN_GLASS)
     } else {
-        look.roughness
+        appearance.roughness
     };
     Material::Dielectric {
         ior: IOR,
         roughness,
-        transmittance: look.base_colour.map(f32::sqrt),
+        transmittance: appearance.base_colour.map(f32::sqrt),
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::{Camera, Environment, PatternWord, Scene};
+    use crate::{Camera, EnvMap, Scene, SurfacePattern};
     use gripcast_geometry::{Pose, builtin};
 
-    fn look(finish: FinishClass, pattern: PatternWord) -> Look {
-        Look {
+    fn appearance(finish: FinishClass, pattern: SurfacePattern) -> Appearance {
+        Appearance {
             finish,
             base_colour: [0.5, 0.3, 0.1],
             roughness: 0.3,
@@ -142,23 +138,20 @@ mod tests {
     }
 
     fn validate(model: &Model) {
-        let mut scene = Scene {
-            meshes: Vec::new(),
-            materials: Vec::new(),
-            textures: Vec::new(),
-            environment: Environment::uniform([1.0; 3]),
-            camera: Camera::centred(8, 8, 1.0, Pose::IDENTITY),
-        };
+        let mut scene = Scene::empty(
+            EnvMap::uniform([1.0; 3]),
+            Camera::centred(8, 8, 1.0, Pose::IDENTITY),
+        );
         model.add_to(&mut scene, &Pose::IDENTITY);
         scene.validate().unwrap();
     }
 
     #[test]
-    fn every_look_is_a_model_that_can_be_rendered() {
+    fn every_appearance_gives_a_valid_model() {
         let mesh = builtin("sphere").unwrap();
         for finish in FinishClass::ALL {
-            for pattern in PatternWord::ALL {
-                let model = Model::coated(&mesh, &look(finish, pattern), 1).unwrap();
+            for pattern in SurfacePattern::ALL {
+                let model = Model::with_appearance(&mesh, &appearance(finish, pattern), 1).unwrap();
                 validate(&model);
                 let is_glass = finish == FinishClass::Glass;
                 assert_eq!(model.textures.is_empty(), is_glass, "{finish:?}");
@@ -170,48 +163,52 @@ mod tests {
     }
 
     #[test]
-    fn glass_is_tinted_and_rougher_when_scratched() {
+    fn scratched_glass_is_rougher_and_keeps_its_tint() {
         let mesh = builtin("box").unwrap();
         let of = |mesh: &TriangleMesh, pattern| {
-            let look = Look {
+            let appearance = Appearance {
                 roughness: 0.0,
-                ..look(FinishClass::Glass, pattern)
+                ..appearance(FinishClass::Glass, pattern)
             };
-            Model::coated(mesh, &look, 1).unwrap().materials[0]
+            Model::with_appearance(mesh, &appearance, 1)
+                .unwrap()
+                .materials[0]
         };
         let Material::Dielectric {
             roughness,
             transmittance,
             ..
-        } = of(&mesh, PatternWord::Plain)
+        } = of(&mesh, SurfacePattern::Plain)
         else {
             panic!("no glass");
         };
         assert_eq!(roughness, 0.0);
         assert!((transmittance[0].powi(2) - 0.5).abs() < 1e-6);
-        let scratched = of(&mesh, PatternWord::Scratched);
+        let scratched = of(&mesh, SurfacePattern::Scratched);
         assert!(matches!(scratched, Material::Dielectric { roughness, .. } if roughness > 0.05));
         let mut open = mesh;
         open.triangles.pop();
         assert!(matches!(
-            of(&open, PatternWord::Plain),
+            of(&open, SurfacePattern::Plain),
             Material::Principled { .. }
         ));
     }
 
     #[test]
-    fn bad_looks_and_widths_are_explained() {
+    fn invalid_appearance_or_width_is_refused() {
         let mesh = builtin("box").unwrap();
-        let mut bad = look(FinishClass::Plastic, PatternWord::Plain);
+        let mut bad = appearance(FinishClass::Plastic, SurfacePattern::Plain);
         bad.base_colour[1] = f32::NAN;
-        let text = Model::coated(&mesh, &bad, 1).unwrap_err().to_string();
+        let text = Model::with_appearance(&mesh, &bad, 1)
+            .unwrap_err()
+            .to_string();
         assert!(
-            text.contains("look") && text.contains("base_colour"),
+            text.contains("appearance") && text.contains("base_colour"),
             "{text}"
         );
-        bad = look(FinishClass::Plastic, PatternWord::Plain);
+        bad = appearance(FinishClass::Plastic, SurfacePattern::Plain);
         bad.roughness = 1.5;
-        assert!(Model::coated(&mesh, &bad, 1).is_err());
+        assert!(Model::with_appearance(&mesh, &bad, 1).is_err());
         let image = Bitmap::from_srgb8(&image::RgbImage::new(4, 2)).unwrap();
         for width in [0.0, -1.0, f64::NAN, f64::INFINITY] {
             let text = Model::textured(&mesh, &image, width).unwrap_err();
@@ -220,7 +217,7 @@ mod tests {
     }
 
     #[test]
-    fn images_keep_their_proportions() {
+    fn texture_keeps_its_aspect_ratio() {
         let mesh = builtin("box").unwrap();
         let image = Bitmap::from_srgb8(&image::RgbImage::new(40, 20)).unwrap();
         let model = Model::textured(&mesh, &image, 0.06).unwrap();

@@ -1,11 +1,11 @@
 use std::f32::consts::PI;
 
 use super::super::linear_image::Image;
-use super::super::sampler::Net;
+use super::super::sampler::SobolSampler;
 use super::*;
 
-/// Dome with a gradient, a dark band and a small sun.
-fn varied() -> Environment {
+/// EnvMapSampler with a gradient, a dark band and a small sun.
+fn varied() -> EnvMap {
     let (width, height) = (64, 32);
     let mut map = Image::filled(width, height, [0.2, 0.3, 0.4]);
     for row in 0..height {
@@ -19,25 +19,25 @@ fn varied() -> Environment {
         }
     }
     map.pixels[9 * width + 40] = [4000.0, 3000.0, 2000.0];
-    Environment {
+    EnvMap {
         map,
         rotation_rad: 1.3,
         intensity: 0.5,
     }
 }
 
-fn samples(dome: &Dome, count: u32) -> Vec<Incident> {
-    let net = Net::new(count, 4);
+fn samples(sampler: &EnvMapSampler, count: u32) -> Vec<EnvSample> {
+    let net = SobolSampler::new(count, 4);
     (0..count)
-        .map(|i| dome.sample(net.sample(0, i).pair(0)))
+        .map(|i| sampler.sample(net.sample(0, i).get_2d(0)))
         .collect()
 }
 
 #[test]
-fn sampled_directions_have_the_density_and_radiance_that_evaluation_gives() {
-    let dome = Dome::new(&varied());
-    for sample in samples(&dome, 4096) {
-        let found = dome.light_from(sample.direction);
+fn samples_agree_with_evaluation() {
+    let sampler = EnvMapSampler::new(&varied());
+    for sample in samples(&sampler, 4096) {
+        let found = sampler.eval(sample.direction);
         assert!((sample.direction.length() - 1.0).abs() < 1e-5);
         let scale = sample.radiance.max_element();
         // Slopes beside the sun magnify the rounding of directions.
@@ -51,7 +51,7 @@ fn sampled_directions_have_the_density_and_radiance_that_evaluation_gives() {
 
 #[test]
 fn density_is_proportional_to_luminance_and_integrates_to_one() {
-    let dome = Dome::new(&varied());
+    let sampler = EnvMapSampler::new(&varied());
     let (rows, columns) = (1024, 2048);
     let mut sum = 0.0f64;
     let mut ratios: Vec<f32> = Vec::new();
@@ -64,7 +64,7 @@ fn density_is_proportional_to_luminance_and_integrates_to_one() {
                 polar.sin() * azimuth.sin(),
                 polar.cos(),
             );
-            let light = dome.light_from(direction);
+            let light = sampler.eval(direction);
             sum += f64::from(light.pdf * polar.sin());
             let value = luminance(light.radiance.to_array());
             // Not beside the sun: there the sine is that of its row.
@@ -82,17 +82,17 @@ fn density_is_proportional_to_luminance_and_integrates_to_one() {
 }
 
 #[test]
-fn irradiance_of_known_skies() {
+fn irradiance_matches_closed_forms() {
     // Uniform: π L. Radiance 1 + z: π + 2π/3, from above.
-    let horizontal = |environment: &Environment| {
-        let dome = Dome::new(environment);
-        let lights = samples(&dome, 4096);
+    let horizontal = |env_map: &EnvMap| {
+        let sampler = EnvMapSampler::new(env_map);
+        let lights = samples(&sampler, 4096);
         let terms = lights
             .iter()
             .map(|l| l.radiance.x * l.direction.z.max(0.0) / l.pdf);
         terms.sum::<f32>() / 4096.0
     };
-    let uniform = horizontal(&Environment::uniform([2.0; 3]));
+    let uniform = horizontal(&EnvMap::uniform([2.0; 3]));
     assert!((uniform - 2.0 * PI).abs() < 0.02, "{uniform}");
     let (width, height) = (8, 256);
     let mut map = Image::filled(width, height, [0.0; 3]);
@@ -100,12 +100,12 @@ fn irradiance_of_known_skies() {
         let z = (PI * (row as f32 + 0.5) / height as f32).cos();
         map.pixels[row * width..(row + 1) * width].fill([1.0 + z; 3]);
     }
-    let gradient = horizontal(&Environment::new(map));
+    let gradient = horizontal(&EnvMap::new(map));
     assert!((gradient - PI * 5.0 / 3.0).abs() < 0.02, "{gradient}");
 }
 
 #[test]
-fn directions_follow_the_documented_layout() {
+fn directions_follow_documented_layout() {
     let mut map = Image::filled(8, 4, [0.0; 3]);
     // Left of the middle, upper half: around azimuth +π/8, polar 3π/8.
     map.pixels[8 + 3] = [1.0; 3];
@@ -117,32 +117,32 @@ fn directions_follow_the_documented_layout() {
             polar.cos(),
         )
     };
-    let environment = Environment::new(map);
-    let dome = Dome::new(&environment);
-    assert!((dome.light_from(towards(PI / 8.0)).radiance.x - 1.0).abs() < 1e-5);
-    assert!(dome.light_from(towards(-PI / 8.0)).radiance.x < 1e-5);
-    let turned = Dome::new(&Environment {
+    let env_map = EnvMap::new(map);
+    let sampler = EnvMapSampler::new(&env_map);
+    assert!((sampler.eval(towards(PI / 8.0)).radiance.x - 1.0).abs() < 1e-5);
+    assert!(sampler.eval(towards(-PI / 8.0)).radiance.x < 1e-5);
+    let turned = EnvMapSampler::new(&EnvMap {
         rotation_rad: 1.0,
-        ..environment
+        ..env_map
     });
-    assert!((turned.light_from(towards(PI / 8.0 + 1.0)).radiance.x - 1.0).abs() < 1e-5);
+    assert!((turned.eval(towards(PI / 8.0 + 1.0)).radiance.x - 1.0).abs() < 1e-5);
     for pole in [Vec3::Z, -Vec3::Z] {
-        let light = dome.light_from(pole);
+        let light = sampler.eval(pole);
         assert!(light.radiance.is_finite() && light.pdf.is_finite());
     }
 }
 
 #[test]
-fn darkness_is_never_sampled() {
-    let dome = Dome::new(&Environment::uniform([0.0; 3]));
-    assert!(samples(&dome, 16).iter().all(|l| l.pdf == 0.0));
-    assert_eq!(dome.light_from(Vec3::X).pdf, 0.0);
-    let dome = Dome::new(&varied());
-    assert!(samples(&dome, 4096).iter().all(|l| l.pdf > 0.0));
+fn black_texels_are_never_sampled() {
+    let sampler = EnvMapSampler::new(&EnvMap::uniform([0.0; 3]));
+    assert!(samples(&sampler, 16).iter().all(|l| l.pdf == 0.0));
+    assert_eq!(sampler.eval(Vec3::X).pdf, 0.0);
+    let sampler = EnvMapSampler::new(&varied());
+    assert!(samples(&sampler, 4096).iter().all(|l| l.pdf > 0.0));
 }
 
 #[test]
-fn texels_keep_five_digits_of_the_brightest_channel() {
+fn texels_keep_five_digits_of_brightest_channel() {
     for rgb in [
         [0.0; 3],
         [1.0, 0.5, 0.25],
@@ -150,7 +150,7 @@ fn texels_keep_five_digits_of_the_brightest_channel() {
         [1e-6, 2e-7, 0.0],
         [1e30; 3],
     ] {
-        let light = Texel::new(rgb).light();
+        let light = Texel::new(rgb).decode();
         let largest = rgb.into_iter().fold(0.0, f32::max);
         for k in 0..3 {
             assert!(

@@ -1,11 +1,11 @@
-//! What the surface of a whole object looks like, in words and numbers.
+//! Appearance of a whole object: finish, colour, roughness, pattern.
 
 use serde::{Deserialize, Serialize};
 
 use super::material::in_range;
 use gripcast_base::error::Result;
 
-/// How a surface reflects light.
+/// Class of material that determines how a surface reflects light.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum FinishClass {
@@ -21,7 +21,7 @@ pub enum FinishClass {
     Plastic,
     /// Print on paper, carton or foil.
     Print,
-    /// Clear or tinted glass or plastic: light passes through.
+    /// Clear or tinted glass or plastic (transmissive).
     Glass,
     /// Stone or concrete.
     Stone,
@@ -33,9 +33,9 @@ pub enum FinishClass {
     Organic,
 }
 
+#[cfg(test)]
 impl FinishClass {
-    /// All of them.
-    pub const ALL: [Self; 11] = [
+    pub(super) const ALL: [Self; 11] = [
         Self::Wood,
         Self::Metal,
         Self::Fabric,
@@ -50,15 +50,15 @@ impl FinishClass {
     ];
 }
 
-/// What is drawn on the surface.
+/// Pattern on a surface.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
-pub enum PatternWord {
-    /// One colour.
+pub enum SurfacePattern {
+    /// Single colour.
     Plain,
-    /// Lines of wood.
+    /// Wood grain.
     Grain,
-    /// Fine parallel lines.
+    /// Fine parallel lines of brushed metal.
     Brushed,
     /// Crossing threads.
     Woven,
@@ -76,7 +76,7 @@ pub enum PatternWord {
     Marbled,
     /// Scratches.
     Scratched,
-    /// Edges and corners rubbed off.
+    /// Rubbed edges and corners.
     Worn,
     /// Spots of rust or tarnish.
     Rusty,
@@ -86,9 +86,9 @@ pub enum PatternWord {
     Printed,
 }
 
-impl PatternWord {
-    /// All of them.
-    pub const ALL: [Self; 15] = [
+#[cfg(test)]
+impl SurfacePattern {
+    pub(super) const ALL: [Self; 15] = [
         Self::Plain,
         Self::Grain,
         Self::Brushed,
@@ -107,39 +107,40 @@ impl PatternWord {
     ];
 }
 
-/// Surface of a whole object, as [`Model::coated`](super::Model::coated) draws it.
+/// Appearance of a whole object, textured by
+/// [`Model::with_appearance`](super::Model::with_appearance).
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct Look {
-    /// How it reflects light.
+pub struct Appearance {
+    /// Material class.
     pub finish: FinishClass,
-    /// Main colour, linear RGB in [0, 1]; of glass what passes through a body.
+    /// Base colour, linear RGB in [0, 1]; for glass the transmittance of the body.
     pub base_colour: [f32; 3],
-    /// 0 mirror to 1 dull.
+    /// Perceptual roughness from 0 (mirror) to 1 (matt).
     pub roughness: f32,
-    /// What is drawn on it.
-    pub pattern: PatternWord,
+    /// Pattern.
+    pub pattern: SurfacePattern,
 }
 
-impl Look {
-    /// Checks the ranges of the numbers.
+impl Appearance {
+    /// Checks the ranges of the values.
     ///
     /// # Errors
-    /// `Input` for a colour or a roughness outside [0, 1].
+    /// `Input` if the colour or the roughness is outside [0, 1].
     pub fn validate(&self) -> Result<()> {
         let checked = in_range("base_colour", &self.base_colour, 0.0..=1.0)
             .and_then(|()| in_range("roughness", &[self.roughness], 0.0..=1.0));
-        checked.map_err(|e| e.at("look"))
+        checked.map_err(|e| e.at("appearance"))
     }
 
-    /// Whether its surface is damaged all over.
+    /// Whether the pattern is damage over the whole surface.
     pub(super) fn is_worn(&self) -> bool {
-        use PatternWord::{Cracked, Rusty, Scratched, Worn};
+        use SurfacePattern::{Cracked, Rusty, Scratched, Worn};
         matches!(self.pattern, Scratched | Worn | Rusty | Cracked)
     }
 
-    /// Whether it is a print, with colours beside the base colour.
+    /// Whether it is a print, which has colours beside the base colour.
     pub(super) fn is_print(&self) -> bool {
-        self.finish == FinishClass::Print || self.pattern == PatternWord::Printed
+        self.finish == FinishClass::Print || self.pattern == SurfacePattern::Printed
     }
 }
