@@ -99,9 +99,9 @@ fn curves_of_many_samples_stay_small_and_true() {
 fn one_class_has_no_roc_curve() {
     assert!(Ranking::new(&[]).roc_curve().is_empty());
     assert!(Ranking::new(&[]).precision_recall_curve().is_empty());
-    let unstable = scored(&[(0.3, false), (0.4, false)]);
-    assert!(Ranking::new(&unstable).roc_curve().is_empty());
-    assert!(Ranking::new(&unstable).precision_recall_curve().is_empty());
+    let slip = scored(&[(0.3, false), (0.4, false)]);
+    assert!(Ranking::new(&slip).roc_curve().is_empty());
+    assert!(Ranking::new(&slip).precision_recall_curve().is_empty());
     let stable = scored(&[(0.3, true), (0.4, true)]);
     assert!(Ranking::new(&stable).roc_curve().is_empty());
     assert_eq!(Ranking::new(&stable).precision_recall_curve().len(), 2);

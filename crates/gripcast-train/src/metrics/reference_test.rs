@@ -66,7 +66,7 @@ struct Reference {
     brier: f64,
     log_loss: f64,
     ece: f64,
-    /// At the threshold 0.6: true stable, false stable, true unstable, false unstable.
+    /// At the threshold 0.6: true stable, false stable, true slip, false slip.
     confusion: [usize; 4],
     balanced_accuracy: f64,
     /// Largest difference of the rates of `roc_curve`.
@@ -131,8 +131,8 @@ fn figures_are_those_of_scikit_learn() {
         let counts = [
             matrix.true_stable,
             matrix.false_stable,
-            matrix.true_unstable,
-            matrix.false_unstable,
+            matrix.true_slip,
+            matrix.false_slip,
         ];
         assert_eq!(counts, reference.confusion);
     }

@@ -39,7 +39,7 @@ pub fn roc(curves: &[ModelCurve]) -> Chart {
         }
     });
     let panel = square(
-        "False positive rate (unstable predicted stable)",
+        "False positive rate (slip predicted stable)",
         "True positive rate (stable predicted stable)",
     );
     let chance = Chance {
