@@ -104,7 +104,7 @@ struct Failed {
     reason: String,
 }
 
-/// Runs the verb.
+/// Runs the command.
 pub(crate) fn run(context: &Context, args: Args) -> Result<()> {
     let json = args.json;
     let summary = interruptible(context, "annotating", move |progress| {

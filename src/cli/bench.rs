@@ -26,7 +26,7 @@ enum Bench {
     Predict(bench_predict::Args),
 }
 
-/// Runs the verb.
+/// Runs the command.
 pub(crate) fn run(context: &Context, args: Args) -> Result<()> {
     match args.bench {
         Bench::Live(args) => args.measure(context)?.print(args.json),

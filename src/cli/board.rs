@@ -54,7 +54,7 @@ enum Kind {
     Import(ImportArgs),
 }
 
-/// Runs the verb.
+/// Runs the command.
 pub(crate) fn run(context: &Context, args: Args) -> Result<()> {
     match args.kind {
         Kind::Make(args) => board_make::make(context, &args),

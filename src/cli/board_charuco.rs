@@ -31,7 +31,7 @@ pub(super) struct Args {
     sheet: SheetFlags,
 }
 
-/// Runs the verb.
+/// Runs the command.
 pub(super) fn run(args: &Args) -> Result<()> {
     let (name, dictionary) = args.sheet.board()?;
     let settings = CharucoSettings {

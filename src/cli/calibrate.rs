@@ -43,7 +43,7 @@ enum Kind {
     Show(calibrate_convert::ShowArgs),
 }
 
-/// Runs the verb.
+/// Runs the command.
 pub(crate) fn run(context: &Context, args: Args) -> Result<()> {
     match args.kind {
         Kind::Intrinsics(args) => calibrate_intrinsics::run(context, &args),

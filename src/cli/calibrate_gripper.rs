@@ -52,7 +52,7 @@ struct Skipped {
     reason: String,
 }
 
-/// Runs the verb.
+/// Runs the command.
 pub(super) fn run(context: &Context, args: Args) -> Result<()> {
     let nominal = BoardFile::load(&args.tags)?;
     let intrinsics = load_intrinsics(&args.intrinsics)?;

@@ -104,7 +104,7 @@ impl Views {
     }
 }
 
-/// Runs the verb.
+/// Runs the command.
 pub(super) fn run(context: &Context, args: &Args) -> Result<()> {
     let board = BoardFile::load(&args.board)?;
     check_output("--out", &args.out, &[])?;

@@ -88,7 +88,7 @@ impl Args {
     }
 }
 
-/// Runs the verb.
+/// Runs the command.
 pub(crate) fn run(context: &Context, args: Args) -> Result<()> {
     let Layered { config, .. } = args.config.load(&args.flags())?;
     if let Some(target) = &args.attach {

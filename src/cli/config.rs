@@ -26,7 +26,7 @@ enum Action {
     },
 }
 
-/// Runs the verb.
+/// Runs the command.
 pub(crate) fn run(args: Args) -> Result<()> {
     let Action::Show { file, json } = args.action;
     let layered = file.load(&[])?;

@@ -65,7 +65,7 @@ impl Args {
     }
 }
 
-/// Runs the verb.
+/// Runs the command.
 pub(crate) fn run(context: &Context, args: Args) -> Result<()> {
     let file = args.config.file();
     let flags = args.flags();

@@ -107,7 +107,7 @@ struct SplitArgs {
     json: bool,
 }
 
-/// Runs the verb.
+/// Runs the command.
 pub(crate) fn run(context: &Context, args: Args) -> Result<()> {
     match args.action {
         Action::Info(args) => run_info(&args),

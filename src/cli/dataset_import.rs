@@ -50,7 +50,7 @@ enum Origin {
     FeelingOfSuccess,
 }
 
-/// Runs the verb.
+/// Runs the command.
 pub(super) fn run(context: &Context, args: Args) -> Result<()> {
     let (out, json) = (args.out.clone(), args.json);
     let report = interruptible(context, "importing", move |progress| {

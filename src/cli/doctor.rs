@@ -48,7 +48,7 @@ pub(crate) struct Args {
     proc_root: PathBuf,
 }
 
-/// Runs the verb.
+/// Runs the command.
 pub(crate) fn run(context: &Context, args: Args) -> Result<()> {
     let dataset = path_text(args.dataset.as_ref());
     let flags = given([

@@ -35,7 +35,7 @@ pub(crate) struct Args {
     json: bool,
 }
 
-/// Runs the verb.
+/// Runs the command.
 pub(super) fn run(context: &Context, args: Args) -> Result<()> {
     let is_json = args.json;
     let out = args.out.clone();

@@ -61,7 +61,7 @@ struct Fig6Args {
     training: TrainingFlags,
 }
 
-/// Runs the verb.
+/// Runs the command.
 pub(super) fn run(context: &Context, args: Args) -> Result<()> {
     let Experiment::Fig6(args) = args.experiment;
     let test = |title: &str, name: &'static str, data: &PathBuf| TestSet {

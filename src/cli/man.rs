@@ -36,7 +36,7 @@ pub(crate) struct Args {
     out: PathBuf,
 }
 
-/// Runs the verb.
+/// Runs the command.
 pub(crate) fn run(context: &Context, args: &Args) -> Result<()> {
     let date = date(std::env::var("SOURCE_DATE_EPOCH").ok().as_deref())?;
     create_folder(&args.out)?;

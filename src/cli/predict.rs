@@ -91,7 +91,7 @@ struct BaselineArgs {
     out: PathBuf,
 }
 
-/// Runs the verb.
+/// Runs the command.
 pub(crate) fn run(context: &Context, args: Args) -> Result<()> {
     match args.action {
         Action::Check(args) => check(context, &args),

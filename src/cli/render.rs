@@ -24,7 +24,7 @@ enum Action {
     Figure(render_figure::Args),
 }
 
-/// Runs the verb.
+/// Runs the command.
 pub(crate) fn run(context: &Context, args: Args) -> Result<()> {
     match args.action {
         Action::Tactile(args) => render_tactile::run(context, *args),

@@ -137,7 +137,7 @@ struct Report<'a> {
     image: &'a Path,
 }
 
-/// Runs the verb.
+/// Runs the command.
 pub(crate) fn run(context: &Context, args: Args) -> Result<()> {
     check_output("--out", &args.out, &["toml"])?;
     let options = args.options();

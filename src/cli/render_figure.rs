@@ -74,7 +74,7 @@ pub(crate) struct Args {
 /// Caption and image.
 type Tile = (String, RgbImage);
 
-/// Runs the verb.
+/// Runs the command.
 pub(crate) fn run(context: &Context, args: Args) -> Result<()> {
     let out = args.out.clone();
     let image = interruptible(context, "drawing", move |progress| {

@@ -65,7 +65,7 @@ struct Written {
     wall_s: f64,
 }
 
-/// Runs the verb.
+/// Runs the command.
 pub(crate) fn run(context: &Context, args: Args) -> Result<()> {
     create_folder(&args.out)?;
     let json = args.json;

@@ -168,7 +168,7 @@ struct Written {
     difference: Option<PathBuf>,
 }
 
-/// Runs the verb.
+/// Runs the command.
 pub(crate) fn run(context: &Context, args: Args) -> Result<()> {
     let plan = args.plan();
     plan.prepare("one --side and one --moment")?;

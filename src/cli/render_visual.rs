@@ -174,7 +174,7 @@ struct Written {
     depth: Option<PathBuf>,
 }
 
-/// Runs the verb.
+/// Runs the command.
 pub(crate) fn run(context: &Context, args: Args) -> Result<()> {
     let plan = args.plan();
     plan.prepare("one --moment and --count 1")?;

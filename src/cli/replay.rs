@@ -152,7 +152,7 @@ enum Origin {
     Recorded(Source),
 }
 
-/// Runs the verb.
+/// Runs the command.
 pub(crate) fn run(context: &Context, args: Args) -> Result<()> {
     let command = command();
     let (sweep, origin) = match args.demo {

@@ -93,7 +93,7 @@ enum Action {
     },
 }
 
-/// Runs the verb.
+/// Runs the command.
 pub(crate) fn run(context: &Context, args: Args) -> Result<()> {
     let root = SystemRoot {
         sys: args.sysfs_root,

@@ -20,7 +20,7 @@ enum Action {
     Validate(sim_validate::Args),
 }
 
-/// Runs the verb.
+/// Runs the command.
 pub(crate) fn run(context: &Context, args: Args) -> Result<()> {
     match args.action {
         Action::Grasp(args) => sim_grasp::run(context, *args),

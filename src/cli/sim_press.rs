@@ -117,7 +117,7 @@ struct Report {
     points: Vec<PressPoint>,
 }
 
-/// Runs the verb.
+/// Runs the command.
 pub(crate) fn run(context: &Context, args: Args) -> Result<()> {
     let press = build(context, &args)?;
     let goals = goals(&args)?;

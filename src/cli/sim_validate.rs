@@ -28,7 +28,7 @@ pub(crate) struct Args {
     json: bool,
 }
 
-/// Runs the verb.
+/// Runs the command.
 pub(crate) fn run(context: &Context, args: Args) -> Result<()> {
     validate::check_names(&args.cases)?;
     let effort = if args.quick {

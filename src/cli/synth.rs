@@ -33,7 +33,7 @@ enum Action {
     Report(synth_report::Args),
 }
 
-/// Runs the verb.
+/// Runs the command.
 pub(crate) fn run(context: &Context, args: Args) -> Result<()> {
     match args.action {
         Action::Plan(args) => synth_plan::run(context, *args),

@@ -59,7 +59,7 @@ pub(super) struct SelectionFlags {
     seed: u64,
 }
 
-/// Runs the verb.
+/// Runs the command.
 pub(super) fn run(context: &Context, args: Args) -> Result<()> {
     let settings = MergeSettings {
         curation: args.selection.curation()?,

@@ -159,7 +159,7 @@ struct Llm {
     llm_cache: Option<PathBuf>,
 }
 
-/// Runs the verb.
+/// Runs the command.
 pub(super) fn run(context: &Context, args: Args) -> Result<()> {
     let (out, is_json) = (args.out.clone(), args.json);
     let made = interruptible(context, "planning", move |progress| {

@@ -39,7 +39,7 @@ pub(crate) struct Args {
     json: bool,
 }
 
-/// Runs the verb.
+/// Runs the command.
 pub(super) fn run(context: &Context, args: Args) -> Result<()> {
     let (out, is_json) = (args.out.clone(), args.json);
     let mut report = interruptible(context, "reading the results", move |progress| {

@@ -56,7 +56,7 @@ pub(crate) struct Args {
     training: TrainingFlags,
 }
 
-/// Runs the verb.
+/// Runs the command.
 pub(super) fn run(context: &Context, args: Args) -> Result<()> {
     let is_json = args.json;
     let report = if !args.headless && !context.quiet && has_screen() {

@@ -87,8 +87,8 @@ fn poses_of_the_virtual_rig_are_true() {
     let mut off_mm = Vec::new();
     let mut off_deg = Vec::new();
     for grasp in done["annotated"].as_array().unwrap() {
-        off_mm.push(grasp["off_truth_mm"].as_f64().unwrap());
-        off_deg.push(grasp["off_truth_deg"].as_f64().unwrap());
+        off_mm.push(grasp["error_mm"].as_f64().unwrap());
+        off_deg.push(grasp["error_deg"].as_f64().unwrap());
         let quality = &grasp["pose"]["quality"];
         assert_eq!(quality["ambiguous"], false, "{grasp}");
         assert_eq!(quality["notes"], json!([]), "{grasp}");
@@ -98,7 +98,7 @@ fn poses_of_the_virtual_rig_are_true() {
         }
         assert!(Path::new(grasp["overlay"].as_str().unwrap()).is_file());
     }
-    println!("off the truth: {off_mm:.3?} mm, {off_deg:.4?}°");
+    println!("error: {off_mm:.3?} mm, {off_deg:.4?}°");
     for off in [&mut off_mm, &mut off_deg] {
         off.sort_by(f64::total_cmp);
     }

@@ -81,7 +81,7 @@ fn wrong_intrinsics_are_explained() {
         (format!("show {}", at("missing.yaml")), 1, "missing.yaml"),
         (format!("show {}", at("no.yaml")), 1, "no camera file"),
         (format!("show {}", at("k.yml")), 1, "--size 1280x720"),
-        (format!("show {} --size 12,7", at("k.yml")), 2, "1280x720"),
+        (format!("show {} --size 12,7", at("k.yml")), 2, "640x480"),
         (
             format!("show {} --size 640x480", at("a.toml")),
             1,

@@ -95,7 +95,7 @@ fn write_dataset(data: &Path) {
 fn train(data: &Path, out: &Path) -> Command {
     let mut command = gripcast();
     command
-        .args(["train", "--json", "--modality", "t", "--batch", "4"])
+        .args(["train", "--json", "--modality", "t", "--batch-size", "4"])
         .args(["--epochs", EPOCHS, "--data"])
         .arg(data)
         .arg("--out")
@@ -206,7 +206,7 @@ fn the_comparison_of_the_paper_is_reported() {
     let mut command = gripcast();
     command
         .args(["experiment", "fig6", "--json", "--seeds", "1"])
-        .args(["--epochs", "1", "--batch", "4", "--fem"])
+        .args(["--epochs", "1", "--batch-size", "4", "--fem"])
         .arg(&data)
         .arg("--out")
         .arg(dir.path().join("fig6"));
@@ -222,7 +222,7 @@ fn on_terminal(
     q_after: Option<usize>,
 ) -> (String, Option<i32>) {
     let line = format!(
-        "stty rows 24 cols 80; exec {} train --modality t --batch 4 {flags} --data {} --out {}",
+        "stty rows 24 cols 80; exec {} train --modality t --batch-size 4 {flags} --data {} --out {}",
         env!("CARGO_BIN_EXE_gripcast"),
         data.display(),
         out.display()
@@ -309,7 +309,7 @@ fn datasets_that_teach_nothing_are_explained() {
     };
     refused("empty", Vec::new(), ["`train`", "no samples"]);
     let stable = (0..4).map(|n| row("train", n, true)).collect();
-    refused("one-sided", stable, ["4 stable and 0 lost", "both labels"]);
+    refused("one-sided", stable, ["4 stable and 0 slip", "both labels"]);
 
     let nothing = dir.path().join("nothing");
     let output = train(&nothing, &dir.path().join("run")).output().unwrap();

@@ -28,7 +28,7 @@ fn contact_prints_every_phase_and_the_promised_figure() {
     let report = report("-q contact --json --faces 1280 --runs 20");
     assert_eq!(report["name"], "contact");
     assert_eq!(report["params"]["threads"], 1);
-    assert!(report["peers"].as_object().unwrap().is_empty());
+    assert!(report["baselines"].as_object().unwrap().is_empty());
     let ours = report["figures"]["coarse_1280_ours_ms"].as_f64().unwrap();
     let phases = &report["meshes"][0]["phases"];
     for phase in ["find", "energy", "gradient", "hessian", "ccd"] {
@@ -57,7 +57,7 @@ fn invalid_flags_are_usage_errors() {
         "contact --runs 3",
         "grasp --gel extra",
         "grasp --only nothing",
-        "train --peer jax",
+        "train --baseline jax",
     ] {
         assert_eq!(bench(wrong).status.code(), Some(2), "{wrong}");
     }

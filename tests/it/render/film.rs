@@ -10,7 +10,7 @@ use crate::program::{collect_on, grasps, json, script, stderr, succeed};
 fn a_rig_plays_a_film_and_writes_its_truth() {
     let dir = tempfile::tempdir().unwrap();
     let films = dir.path().join("films");
-    let words = format!("--samples 1 --size 32x24 --out {} --json", films.display());
+    let words = format!("--spp 1 --size 32x24 --out {} --json", films.display());
     let report = json(&succeed(render("film", &words).arg("--trace").arg(trace())));
     assert_schema("render film", &[&report]);
     assert_eq!(report["images"][0]["name"], "mug");
@@ -64,7 +64,7 @@ fn wrong_traces_are_explained_and_the_rest_is_made() {
     let bad = dir.path().join("bad.bin");
     fs::write(&bad, b"not a trace").unwrap();
     let out = dir.path().join("films");
-    let words = format!("--samples 1 --size 16x12 --out {}", out.display());
+    let words = format!("--spp 1 --size 16x12 --out {}", out.display());
     let (code, said) = refused(render("film", &words).arg("--trace").arg(&bad));
     assert!(code == 1 && said.contains("bad.bin"), "{code}: {said}");
     assert_eq!(fs::read_dir(&out).unwrap().count(), 0);

@@ -6,7 +6,7 @@ use super::{depth_png, png, refused, render, trace};
 use crate::json_schema::assert_schema;
 use crate::program::{json, succeed};
 
-const SMALL: &str = "--size 48x36 --samples 4";
+const SMALL: &str = "--size 48x36 --spp 4";
 
 #[test]
 fn a_grasp_is_seen_with_its_depth_at_any_number_of_threads() {

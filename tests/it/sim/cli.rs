@@ -121,7 +121,7 @@ fn friction_decides_whether_a_box_is_held() {
 fn a_tilted_off_centre_grasp_is_lost_and_a_high_one_misses() {
     let lost = result(
         "builtin:sphere",
-        "--tilt-deg 10 --offset-y 0.018 --adjust-s 0.2",
+        "--roll-deg 10 --offset-y 0.018 --adjust-s 0.2",
     );
     let outcome = lost["outcome"].as_str().unwrap();
     assert!(["eject", "slip"].contains(&outcome), "{outcome}");
@@ -308,7 +308,7 @@ fn numbers_that_cannot_be_are_explained() {
         ("--width 3", "opening"),
         ("--width 0", "opening"),
         ("--yaw-deg inf", "--yaw-deg"),
-        ("--scale 0", "--scale"),
+        ("--scale 0", "scale"),
         ("--stable-pose 99", "stable pose 99"),
     ];
     for (flags, word) in cases {

@@ -122,8 +122,8 @@ impl Placement {
         let [along, across] = self.offset_m;
         let numbers = [
             ("--yaw-deg", self.yaw_rad),
-            ("--tilt-deg", self.tilt_rad),
-            ("--lean-deg", self.lean_rad),
+            ("--roll-deg", self.tilt_rad),
+            ("--pitch-deg", self.lean_rad),
             ("--offset-x", along),
             ("--offset-y", across),
             ("--height", self.height_m.unwrap_or(0.0)),
