@@ -90,30 +90,18 @@ fn measured(text: &str) -> Result<[f64; 2], String> {
     numbers(text, &[',']).ok_or_else(|| "expected two lengths in mm, as in 99.6,99.8".to_owned())
 }
 
-/// File format of a sheet.
-#[derive(Clone, Copy)]
-enum SheetFormat {
-    Pdf,
-    Svg,
-    Png,
-}
-
-impl SheetFormat {
-    fn of(path: &Path) -> Result<Self> {
-        match &*suffix(path) {
-            "pdf" => Ok(Self::Pdf),
-            "svg" => Ok(Self::Svg),
-            "png" => Ok(Self::Png),
-            other => {
-                let nearest = nearest_name(other, ["pdf", "svg", "png"]);
-                let hint = nearest.map_or(String::new(), |n| format!("did you mean .{n}? "));
-                let what = "`--out` must end in .pdf, .svg or .png";
-                Err(Error::usage(what)
-                    .at(path.display())
-                    .remedy(format!("{hint}the board file is named with --board")))
-            }
-        }
+/// Refuses a sheet that is not a .pdf, .svg or .png.
+fn check_format(path: &Path) -> Result<()> {
+    const FORMATS: [&str; 3] = ["pdf", "svg", "png"];
+    let suffix = suffix(path);
+    if FORMATS.contains(&&*suffix) {
+        return Ok(());
     }
+    let nearest = nearest_name(&suffix, FORMATS);
+    let hint = nearest.map_or(String::new(), |n| format!("did you mean .{n}? "));
+    Err(Error::usage("`--out` must end in .pdf, .svg or .png")
+        .at(path.display())
+        .remedy(format!("{hint}the board file is named with --board")))
 }
 
 impl SheetFlags {
@@ -129,7 +117,7 @@ impl SheetFlags {
     pub(super) fn board(&self) -> Result<(String, Dictionary)> {
         let path = self.board_path();
         for out in &self.out {
-            SheetFormat::of(out)?;
+            check_format(out)?;
         }
         if suffix(&path) != "toml" {
             let what = "`--board` must name a file that ends in .toml";
@@ -149,10 +137,10 @@ impl SheetFlags {
         file: &BoardFile,
     ) -> Result<()> {
         let encode = |out: &PathBuf| {
-            Ok(match SheetFormat::of(out)? {
-                SheetFormat::Pdf => pdf(drawing),
-                SheetFormat::Svg => svg(drawing).into_bytes(),
-                SheetFormat::Png => png(drawing, self.dpi)?,
+            Ok(match &*suffix(out) {
+                "pdf" => pdf(drawing),
+                "svg" => svg(drawing).into_bytes(),
+                _ => png(drawing, self.dpi)?,
             })
         };
         // All sheets are encoded before the first is written: an error leaves no files.

@@ -25,7 +25,7 @@ fn refused(command: &mut Command) -> (i32, String) {
 }
 
 #[test]
-fn a_sheet_is_written_in_three_formats_with_its_board() {
+fn sheet_is_written_in_three_formats_with_board() {
     let dir = tempfile::tempdir().unwrap();
     let at = |name: &str| dir.path().join(name).display().to_string();
     let words = format!(
@@ -239,7 +239,7 @@ fn gripper() -> BoardFile {
 }
 
 #[test]
-fn the_grippers_tags_are_printed_with_the_board_that_comes_along() {
+fn printed_gripper_tags_match_shipped_board() {
     let dir = tempfile::tempdir().unwrap();
     let out = dir.path().join("gripper-umi.pdf");
     succeed(&mut board(&format!("gripper --out {}", out.display())));
@@ -266,7 +266,7 @@ fn eye(azimuth_deg: f64, elevation_deg: f64, distance: f64) -> DVec3 {
 }
 
 #[test]
-fn the_grippers_tags_are_in_front_of_it_and_seen() {
+fn gripper_tags_face_the_camera() {
     let board = gripper().board;
     for opening in [0.0, 0.06, 0.14] {
         let parts = gripper_parts(opening).unwrap();

@@ -134,7 +134,7 @@ fn signalled(data: &Path, out: &Path, epochs: usize, signal: Signal) -> Option<i
 }
 
 #[test]
-fn a_run_that_was_killed_and_stopped_ends_with_the_same_files() {
+fn killed_and_stopped_run_ends_with_same_files() {
     let dir = tempfile::tempdir().unwrap();
     let data = dir.path().join("data");
     write_dataset(&data);
@@ -198,7 +198,7 @@ fn a_run_that_was_killed_and_stopped_ends_with_the_same_files() {
 }
 
 #[test]
-fn the_comparison_of_the_paper_is_reported() {
+fn fig6_experiment_reports_comparison() {
     let dir = tempfile::tempdir().unwrap();
     let data = dir.path().join("data");
     write_dataset(&data);
@@ -250,7 +250,7 @@ fn on_terminal(
 }
 
 #[test]
-fn the_dashboard_stops_at_q_and_leaves_the_terminal_as_it_was() {
+fn dashboard_quits_on_q_and_restores_terminal() {
     const ENTERED: &str = "\u{1b}[?1049h";
     const LEFT: &str = "\u{1b}[?1049l";
     let dir = tempfile::tempdir().unwrap();
@@ -288,7 +288,7 @@ fn the_dashboard_stops_at_q_and_leaves_the_terminal_as_it_was() {
 }
 
 #[test]
-fn datasets_that_teach_nothing_are_explained() {
+fn unusable_datasets_are_explained() {
     let dir = tempfile::tempdir().unwrap();
     let refused = |name: &str, rows: Vec<ShardRow>, words: [&str; 2]| {
         let data = dir.path().join(name);

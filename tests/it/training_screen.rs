@@ -130,7 +130,7 @@ fn what_is_done_besides_steps_is_said() {
 }
 
 #[test]
-fn the_next_seed_begins_anew_and_the_last_one_is_kept_as_a_line() {
+fn next_seed_resets_screen_and_keeps_last_as_line() {
     let mut status = fresh(2);
     let now = Duration::from_secs(9);
     status.take(TrainingNews::Seed(0), now);
@@ -144,7 +144,7 @@ fn the_next_seed_begins_anew_and_the_last_one_is_kept_as_a_line() {
 }
 
 #[test]
-fn colours_are_left_out_where_they_are_not_wanted() {
+fn colours_are_disabled_on_request() {
     let has_colour = |depth| {
         let screen = drawn(80, 24, &resumed(), depth);
         let cells = screen.buffer().content().iter();

@@ -30,6 +30,7 @@ use serde::Serialize;
 use serde_json::{Value, json};
 
 use crate::grasp_cases::{CaseClass, GraspCase, cases};
+use crate::timing::pool;
 
 /// Grasps per thread in the throughput measurement.
 const GRASPS_PER_THREAD: usize = 4;
@@ -279,13 +280,6 @@ fn grasps_per_second(scenes: &[Scene], settings: &GraspSettings, threads: usize)
         Ok::<(), Error>(())
     })?;
     Ok(all as f64 / started.elapsed().as_secs_f64())
-}
-
-fn pool(threads: usize) -> Result<ThreadPool> {
-    rayon::ThreadPoolBuilder::new()
-        .num_threads(threads)
-        .build()
-        .map_err(|e| Error::internal("cannot start threads").because(e))
 }
 
 /// Loads a mesh of the folder of shared data, m, if it exists.

@@ -1,8 +1,10 @@
-//! Wall times of repeated work.
+//! Wall times of repeated work, and thread pools.
 
 use std::time::Instant;
 
+use gripcast_base::error::{Error, Result};
 use gripcast_base::statistics::median;
+use rayon::ThreadPool;
 use serde::Serialize;
 
 /// Minimum and median wall time, ms.
@@ -28,4 +30,12 @@ pub(crate) fn timed<T>(runs: usize, mut work: impl FnMut() -> T) -> Timing {
 
 pub(crate) fn ms_since(start: Instant) -> f64 {
     start.elapsed().as_secs_f64() * 1e3
+}
+
+/// Starts a thread pool.
+pub(crate) fn pool(threads: usize) -> Result<ThreadPool> {
+    rayon::ThreadPoolBuilder::new()
+        .num_threads(threads)
+        .build()
+        .map_err(|e| Error::internal("cannot start threads").because(e))
 }

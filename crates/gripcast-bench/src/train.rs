@@ -7,7 +7,7 @@ use std::time::Instant;
 
 use gripcast::cli::Context;
 use gripcast::cli::bench::Report;
-use gripcast_base::error::{Error, ErrorKind, Result};
+use gripcast_base::error::{Error, Result};
 use gripcast_base::random::SeedStream;
 use gripcast_base::statistics::median;
 use gripcast_base::workers::process_cpu_s;
@@ -110,10 +110,7 @@ fn measure(architecture: &Architecture, args: &Args) -> Result<[f64; 2]> {
     let mut gradient = vec![0.0; network.parameters.len()];
     let mut adam = Adam::new(network.parameters.len());
     let layout = network.layout().clone();
-    let pool = rayon::ThreadPoolBuilder::new()
-        .num_threads(usize::from(args.threads))
-        .build()
-        .map_err(|e| Error::new(ErrorKind::Io, "cannot start threads").because(e))?;
+    let pool = crate::timing::pool(usize::from(args.threads))?;
     let (mut wall, mut cpu) = (Vec::new(), Vec::new());
     pool.install(|| {
         for number in 0..WARM_UP + args.runs {

@@ -24,7 +24,7 @@ fn report(arguments: &str) -> Value {
 }
 
 #[test]
-fn contact_prints_every_phase_and_the_promised_figure() {
+fn contact_reports_phases_and_total() {
     let report = report("-q contact --json --faces 1280 --runs 20");
     assert_eq!(report["name"], "contact");
     assert_eq!(report["params"]["threads"], 1);
@@ -44,7 +44,7 @@ fn contact_prints_every_phase_and_the_promised_figure() {
 }
 
 #[test]
-fn predict_is_that_of_the_program() {
+fn predict_reports_engine_time() {
     let report = report("predict --json --runs 30");
     assert_eq!(report["name"], "predict");
     assert!(report["figures"]["engine_ms_median"].as_f64().unwrap() > 0.0);

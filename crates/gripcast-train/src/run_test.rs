@@ -247,7 +247,7 @@ fn unusable_datasets_are_refused() {
 }
 
 #[test]
-fn an_image_of_another_size_is_named() {
+fn image_of_wrong_size_is_named() {
     let folder = tempfile::tempdir().unwrap();
     let mut rows: Vec<_> = (0..8).map(|n| row("train", n)).collect();
     let small = image::RgbImage::new(160, 120);
@@ -268,7 +268,7 @@ fn an_image_of_another_size_is_named() {
 }
 
 #[test]
-fn a_loss_that_is_no_number_ends_the_run_and_keeps_the_best_checkpoint() {
+fn nan_loss_ends_run_and_keeps_best_checkpoint() {
     let folder = tempfile::tempdir().unwrap();
     let data = folder.path().join("data");
     write_dataset(&data, 8);

@@ -110,7 +110,7 @@ const REFERENCES: [Reference; 3] = [
 ];
 
 #[test]
-fn figures_are_those_of_scikit_learn() {
+fn metrics_match_scikit_learn() {
     for reference in &REFERENCES {
         let (n, seed, levels) = reference.samples;
         let samples = stepped_samples(n, seed, levels);
@@ -139,7 +139,7 @@ fn figures_are_those_of_scikit_learn() {
 }
 
 #[test]
-fn the_threshold_reaches_the_largest_difference_of_rates() {
+fn threshold_matches_scikit_learn_youden() {
     for reference in &REFERENCES {
         let (n, seed, levels) = reference.samples;
         let samples = stepped_samples(n, seed, levels);
@@ -151,7 +151,7 @@ fn the_threshold_reaches_the_largest_difference_of_rates() {
 }
 
 #[test]
-fn the_temperature_is_that_of_scipy() {
+fn temperature_matches_scipy() {
     // Minimum of the log loss by scipy.optimize.minimize_scalar (SciPy's bounded method, which
     // knows it to half the digits).
     let references = [
