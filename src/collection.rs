@@ -1,5 +1,4 @@
-//! What `collect` and `daemon` fraction: the rig, the model and the dataset of a configuration, made
-//! ready for the engine, and the pedals.
+//! Set-up that `collect` and `daemon` share: rig, model, dataset and pedals of a configuration.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -26,34 +25,34 @@ use gripcast_pose::load_intrinsics;
 use gripcast_session::{CommandSource, Labels};
 use gripcast_virtual_rig::{VirtualHand, VirtualSource};
 
-/// Commands that wait for the engine; an operator cannot press faster than they are taken.
+/// Capacity of the command queue.
 pub(crate) const COMMAND_QUEUE: usize = 64;
 
 /// Name of the socket in the folder of runtime files.
 const SOCKET: &str = "gripcast.sock";
-/// Folder that the systemd unit makes.
+/// Runtime folder of the systemd unit.
 const SERVICE_FOLDER: &str = "/run/gripcast";
 
-/// What "stable" means in a new dataset.
+/// Label definition of a new dataset.
 const LABEL_DEFINITION: &str = "stable: the object stayed in the gripper while it was lifted; \
                                 slip: it moved in the gripper or fell";
 
-/// How a collection starts.
+/// Start options of a collection.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Start {
     /// Seed of the virtual rig.
     pub(crate) seed: u64,
-    /// Whether every camera must be there; else one that is absent is waited for.
+    /// Whether all cameras must be present; absent cameras are waited for otherwise.
     pub(crate) all_present: bool,
-    /// Whether notes on stderr are left out.
+    /// Whether notes on stderr are suppressed.
     pub(crate) quiet: bool,
 }
 
-/// Makes everything ready that a configuration names.
+/// Prepares the engine for a configuration.
 ///
 /// # Errors
-/// `Usage` where rig or dataset is not named, `Device` for an absent camera if all must be there,
-/// and whatever is wrong with the rig's files or the model.
+/// `Usage` if rig or dataset is missing, `Device` for an absent camera if all must be present;
+/// errors of the rig's files and the model.
 pub(crate) fn prepare(
     config: Config,
     rig: RigFile,
@@ -90,8 +89,8 @@ pub(crate) fn prepare(
     let is_calibrated = intrinsics.contains_key(&Role::External);
     if is_bound && boards.is_some() && !is_calibrated && !start.quiet {
         note!(
-            "external: no intrinsics, so that grasps get no pose; measure them with `gripcast \
-             calibrate intrinsics` and name the file in [cameras.external]"
+            "external: no intrinsics, so grasps get no pose; run `gripcast calibrate intrinsics` and \
+             name the file in [cameras.external]"
         );
     }
     Ok(EngineSetup {
@@ -120,7 +119,7 @@ pub(crate) fn prepare(
     })
 }
 
-/// Intrinsics from the files that the rig names, and those of the virtual camera beside the table.
+/// Loads the intrinsics named by the rig, and those of the external virtual camera.
 fn known_intrinsics(
     rig: &RigFile,
     hand: Option<&VirtualHand>,
@@ -140,28 +139,28 @@ fn known_intrinsics(
     Ok(found)
 }
 
-/// The rig that a configuration names.
+/// Finds the rig of a configuration.
 ///
 /// # Errors
-/// `Usage` where it names none; as [`RigFile::find`].
+/// `Usage` if none is named; as [`RigFile::find`].
 pub(crate) fn chosen_rig(settings: &CollectConfig) -> Result<RigFile> {
     if settings.rig.is_empty() {
-        return Err(Error::usage("which rig?").remedy(
-            "--rig virtual tries everything without cameras; `gripcast rig init` writes a rig \
-             file for the cameras that are plugged in",
+        return Err(Error::usage("no rig given").remedy(
+            "use --rig virtual without cameras; `gripcast rig init` writes a rig file for the \
+             connected cameras",
         ));
     }
     RigFile::find(&settings.rig)
 }
 
-/// Where a configuration wants the grasps.
+/// Returns the dataset folder of a configuration.
 ///
 /// # Errors
-/// `Usage` where it does not say.
+/// `Usage` if none is named.
 pub(crate) fn chosen_dataset(settings: &CollectConfig) -> Result<PathBuf> {
     if settings.dataset.is_empty() {
-        return Err(Error::usage("which dataset?")
-            .remedy("--dataset DIR; the directory is created when it is absent"));
+        return Err(Error::usage("no dataset given")
+            .remedy("use --dataset DIR; the folder is created if absent"));
     }
     Ok(PathBuf::from(&settings.dataset))
 }
@@ -173,7 +172,7 @@ fn dataset_name(path: &Path) -> String {
     )
 }
 
-/// Where local programs look for the daemon.
+/// Returns the default socket of the daemon.
 pub(crate) fn usual_socket() -> Option<PathBuf> {
     let service = Path::new(SERVICE_FOLDER);
     let folder = std::env::var_os("XDG_RUNTIME_DIR")
@@ -182,7 +181,7 @@ pub(crate) fn usual_socket() -> Option<PathBuf> {
     Some(folder.join(SOCKET))
 }
 
-/// Starts to listen to the pedals; the threads end once `ended` is true.
+/// Starts a thread per pedal; the threads end once `ended` is true.
 pub(crate) fn start_pedals(
     pedals: Vec<PedalConfig>,
     commands: &mpsc::Sender<Asked>,
@@ -201,7 +200,7 @@ fn listen_to_pedal(pedal: &PedalConfig, commands: &mpsc::Sender<Asked>, ended: &
     let result = run_pedal(pedal, &MonotonicClock, ended, &mut |event| match event {
         PedalEvent::Trigger(trigger) => {
             if let Ok(command) = trigger.text.parse() {
-                // When the queue is full the operator presses faster than anything can be saved.
+                // A full queue means commands arrive faster than grasps can be saved.
                 let _ = commands.try_send(Asked::new(command, CommandSource::Pedal));
             }
         }
@@ -214,10 +213,10 @@ fn listen_to_pedal(pedal: &PedalConfig, commands: &mpsc::Sender<Asked>, ended: &
     }
 }
 
-/// Resolves when the process is asked to end. `hangup_ends`: a closed terminal asks for it too.
+/// Resolves on SIGINT or SIGTERM, with `hangup_ends` also on SIGHUP (closed terminal).
 ///
 /// # Errors
-/// When the operating system does not let it listen.
+/// `Io`.
 pub(crate) fn stop_signals(hangup_ends: bool) -> Result<impl Future<Output = Ended>> {
     let listen = |kind| signal(kind).map_err(|e| Error::io("cannot listen for signals", e));
     let mut interrupt = listen(SignalKind::interrupt())?;

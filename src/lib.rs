@@ -1,4 +1,4 @@
-//! gripcast: collect grasps with touch, predict before the lift whether they hold.
+//! gripcast: collects visuo-tactile grasps and predicts their stability before the lift.
 //!
 //! This crate is the program: command line, engine, screens, page. The libraries are in `crates/`;
 //! ARCHITECTURE.md shows how they depend on each other.

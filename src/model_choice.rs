@@ -1,23 +1,21 @@
-//! Which model predicts on a rig.
+//! Choice of the prediction model for a rig.
 
 use crate::note;
 use gripcast_base::error::Result;
 use gripcast_capture::calibration::RigFile;
 use gripcast_nn::predict::{BASELINE, Model, ModelContract, SHIPPED};
 
-/// The model of a name; where none is named, the classifier that is built in if it suits the rig,
-/// else the heuristic with a line on stderr that says why. `none` is none.
+/// Loads the named model. Without a name, loads the built-in classifier if it suits the rig, else the
+/// heuristic with a note on stderr. `none` gives no model.
 ///
 /// # Errors
 /// As [`Model::named`].
 pub(crate) fn chosen_model(name: &str, rig: &RigFile, is_quiet: bool) -> Result<Option<Model>> {
     match name {
         "" => {
-            let (name, why) = usual_model(rig)?;
-            if let (Some(why), false) = (why, is_quiet) {
-                note!(
-                    "{why}: predictions come from `{BASELINE}`, a heuristic, instead of `{SHIPPED}`"
-                );
+            let (name, reason) = default_model(rig)?;
+            if let (Some(reason), false) = (reason, is_quiet) {
+                note!("{reason}: using the heuristic `{BASELINE}` instead of `{SHIPPED}`");
             }
             Model::named(name).map(Some)
         }
@@ -26,19 +24,19 @@ pub(crate) fn chosen_model(name: &str, rig: &RigFile, is_quiet: bool) -> Result<
     }
 }
 
-/// Name of the model that predicts where none is named, and why it is not the classifier.
+/// Returns the default model of a rig, and the reason if it is not the classifier.
 ///
 /// # Errors
 /// As [`Model::named`]; a defect of gripcast.
-pub(crate) fn usual_model(rig: &RigFile) -> Result<(&'static str, Option<String>)> {
+pub(crate) fn default_model(rig: &RigFile) -> Result<(&'static str, Option<String>)> {
     let shipped = Model::named(SHIPPED)?;
     Ok(match misfit(shipped.contract(), rig) {
         None => (SHIPPED, None),
-        why => (BASELINE, why),
+        reason => (BASELINE, reason),
     })
 }
 
-/// Why a model cannot judge what the cameras of a rig see; none if it can.
+/// Returns why a model does not suit the cameras of a rig; none if it does.
 pub(crate) fn misfit(model: &ModelContract, rig: &RigFile) -> Option<String> {
     for input in model.variant.inputs() {
         let role = input.role();
@@ -47,7 +45,7 @@ pub(crate) fn misfit(model: &ModelContract, rig: &RigFile) -> Option<String> {
         };
         let crop = camera.crop_profile.as_deref().unwrap_or_default();
         if role.is_tactile() && model.check_crop_profile(crop).is_err() {
-            return Some(format!("the camera `{role}` is cropped with `{crop}`"));
+            return Some(format!("the camera `{role}` has the crop profile `{crop}`"));
         }
     }
     None
@@ -59,7 +57,7 @@ mod tests {
     use gripcast_imaging::Role;
 
     #[test]
-    fn the_classifier_is_used_where_the_rig_has_what_it_was_trained_on() {
+    fn classifier_is_default_if_it_suits_rig() {
         let usual = |rig: &RigFile| chosen_model("", rig, true).unwrap().unwrap();
         let mut rig = RigFile::virtual_rig();
         assert_eq!(usual(&rig).contract().name, SHIPPED);

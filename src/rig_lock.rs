@@ -1,4 +1,4 @@
-//! One program at a time on a rig: two would fight for its cameras.
+//! Lock of a rig, so that only one program uses its cameras.
 
 use std::path::{Path, PathBuf};
 
@@ -6,7 +6,7 @@ use gripcast_base::error::{Error, ErrorKind, Result};
 use gripcast_base::files::{NotLocked, OwnerLock};
 use gripcast_capture::calibration::{RigFile, SourceKind};
 
-/// Where programs of all users leave their locks.
+/// Folder of locks of all users.
 const LOCKS: &str = "/run/lock";
 
 /// The lock of a rig.
@@ -16,11 +16,11 @@ pub(crate) struct RigLock {
 }
 
 impl RigLock {
-    /// Takes the lock of a rig with real cameras. Where there is no place for locks there is none:
-    /// a camera that another program has says so itself.
+    /// Locks a rig with real cameras. Returns none if no lock file can be created; a camera in use
+    /// is then reported when it is opened.
     ///
     /// # Errors
-    /// `Busy`, naming the process that has the rig.
+    /// `Busy`, naming the process that uses the rig.
     pub(crate) fn acquire(rig: &RigFile) -> Result<Option<Self>> {
         let mut cameras = rig.cameras.values();
         if !cameras.any(|camera| camera.source == SourceKind::V4l2) {
@@ -70,7 +70,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_second_program_on_a_rig_is_told_who_has_it() {
+    fn second_program_is_told_lock_owner() {
         let dir = tempfile::tempdir().unwrap();
         let first = RigLock::acquire_in(dir.path(), "bench/a").unwrap();
         assert!(first.is_some());
@@ -93,7 +93,7 @@ mod tests {
     }
 
     #[test]
-    fn a_rig_without_real_cameras_needs_no_lock() {
+    fn virtual_rig_needs_no_lock() {
         assert!(RigLock::acquire(&RigFile::virtual_rig()).unwrap().is_none());
     }
 }

@@ -1,4 +1,4 @@
-//! The engine as a service: API and page beside it, systemd told how it does, settings reloaded.
+//! The engine as a service with API and page, systemd notifications and reloadable settings.
 
 use std::net::SocketAddr;
 use std::path::PathBuf;
@@ -21,10 +21,10 @@ use gripcast_base::error::{Error, Result};
 use gripcast_capture::calibration::PedalConfig;
 use gripcast_session::{GuardLimits, StoreReply, StoreRequest};
 
-/// What open connections get of a farewell.
+/// Time for open connections to receive the end message.
 const FAREWELL: Duration = Duration::from_millis(100);
-/// How often systemd would hear of the daemon where it did not say how often it wants to.
-const USUAL_BEAT: Duration = Duration::from_secs(5);
+/// Watchdog interval if systemd does not set one.
+const DEFAULT_WATCHDOG_INTERVAL: Duration = Duration::from_secs(5);
 
 /// Where the service listens.
 pub(crate) struct ServiceSettings {
@@ -44,7 +44,7 @@ pub(crate) struct Reloaded {
     pub(crate) guards: GuardLimits,
     /// The token.
     pub(crate) token: Option<Token>,
-    /// Keys that have changed and need a restart.
+    /// Changed keys that need a restart.
     pub(crate) need_restart: Vec<String>,
 }
 
@@ -81,14 +81,14 @@ pub(crate) async fn run(
     let pedals = start_pedals(pedals, &command_sender, &ended);
     let (close, closed) = watch::channel(false);
 
-    let told = Arc::clone(&backend);
+    let store_backend = Arc::clone(&backend);
     let links = EngineLinks {
         commands,
         limits,
         tasks: tasks.clone(),
         status,
         tones: tone_sender,
-        stored: Box::new(move |stored| tell(&told, stored)),
+        stored: Box::new(move |stored| on_stored(&store_backend, stored)),
     };
     let engine = daemon::run(setup, links, stop);
     let beside = async {
@@ -100,7 +100,7 @@ pub(crate) async fn run(
         );
         let sounds = async {
             while let Some(tone) = tones.recv().await {
-                // Nobody listens where no page is open.
+                // Without an open page there is no receiver.
                 let _ = backend.news.send(News::Tone(tone));
             }
         };
@@ -109,25 +109,25 @@ pub(crate) async fn run(
                 tui::print_lines(newest.clone()).await;
             }
         };
-        let beats = tell_systemd(newest.clone(), &tasks);
+        let watchdog = notify_systemd(newest.clone(), &tasks);
         let reloads = reload_on_hangup(reload, &limit_sender, &access);
-        tokio::join!(serving, sounds, lines, beats, reloads);
+        tokio::join!(serving, sounds, lines, watchdog, reloads);
     };
     tokio::pin!(engine, beside);
     let report = tokio::select! {
         report = &mut engine => report,
-        // It ends with the engine's channels only.
+        // It only ends with the channels of the engine.
         () = &mut beside => engine.await,
     };
     let _ = sd_notify::notify(&[NotifyState::Stopping]);
     ended.store(true, Ordering::Relaxed);
-    // Where nobody listens there is nobody to take leave of.
+    // Without receivers there is no need to wait.
     if backend.news.send(News::Bye).is_ok() {
         tokio::time::sleep(FAREWELL).await;
     }
     let _ = close.send(true);
     for pedal in pedals {
-        // A pedal thread that panicked has printed why.
+        // A panicked pedal thread has printed its message.
         let _ = pedal.join();
     }
     report
@@ -145,8 +145,8 @@ fn announce(listeners: &Listeners, settings: &ServiceSettings) {
     }
 }
 
-/// Passes a change of the dataset on.
-fn tell(backend: &Backend, stored: &Stored) {
+/// Publishes a change of the dataset.
+fn on_stored(backend: &Backend, stored: &Stored) {
     if let StoreReply::Failed { message } = &stored.reply {
         note!("NOT SAVED: {message}");
     }
@@ -156,24 +156,24 @@ fn tell(backend: &Backend, stored: &Stored) {
     {
         backend.grasps.forget(id);
     }
-    // Nobody listens where no page is open.
+    // Without an open page there is no receiver.
     let _ = backend.news.send(News::Stored(Arc::new(stored.clone())));
 }
 
-/// Tells systemd that the service is ready, and as often as it wants that it works. Without
-/// systemd nothing is told.
-async fn tell_systemd(mut status: watch::Receiver<Arc<EngineStatus>>, tasks: &Tasks) {
-    // The first status comes from the engine that has started.
+/// Notifies systemd that the service is ready, then feeds its watchdog. Does nothing without systemd.
+async fn notify_systemd(mut status: watch::Receiver<Arc<EngineStatus>>, tasks: &Tasks) {
+    // The engine sends the first status when it has started.
     if status.changed().await.is_err() {
         return;
     }
     let _ = sd_notify::notify(&[NotifyState::Ready]);
-    let beat = sd_notify::watchdog_enabled().map_or(USUAL_BEAT, |limit| limit / 3);
+    let interval =
+        sd_notify::watchdog_enabled().map_or(DEFAULT_WATCHDOG_INTERVAL, |limit| limit / 3);
     loop {
-        tokio::time::sleep(beat).await;
+        tokio::time::sleep(interval).await;
         match status.has_changed() {
             Err(_) => return,
-            // The engine has not moved since the last time.
+            // The engine has made no progress.
             Ok(false) => continue,
             Ok(true) => drop(status.borrow_and_update()),
         }
@@ -183,7 +183,7 @@ async fn tell_systemd(mut status: watch::Receiver<Arc<EngineStatus>>, tasks: &Ta
     }
 }
 
-/// Reads the settings again whenever the process gets SIGHUP.
+/// Reloads the settings on SIGHUP.
 async fn reload_on_hangup(
     mut reload: impl FnMut() -> Result<Reloaded>,
     limits: &mpsc::Sender<GuardLimits>,
@@ -192,7 +192,10 @@ async fn reload_on_hangup(
     let mut hangup = match signal(SignalKind::hangup()) {
         Ok(hangup) => hangup,
         Err(e) => {
-            note!("{}", Error::io("settings cannot be reloaded", e));
+            note!(
+                "{}",
+                Error::io("cannot listen for SIGHUP, settings cannot be reloaded", e)
+            );
             return;
         }
     };
@@ -209,7 +212,7 @@ async fn reload_on_hangup(
                 note!("settings reloaded");
                 if !settings.need_restart.is_empty() {
                     let keys = settings.need_restart.join(", ");
-                    note!("these have changed and need a restart: {keys}");
+                    note!("changed settings that need a restart: {keys}");
                 }
             }
             Err(error) => note!("settings NOT reloaded: {error}"),

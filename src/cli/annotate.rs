@@ -1,18 +1,17 @@
-//! `gripcast annotate DATASET`: where the gripper was relative to the object, in every grasp.
+//! `gripcast annotate DATASET`: estimates the gripper pose relative to the object in every grasp.
 //!
 //! ```text
 //! gripcast annotate demo                          boards and intrinsics as collected
 //! gripcast annotate demo --sheet cup.toml --tags tags.toml --intrinsics external.yaml
-//! gripcast annotate demo --sheet sheets/          sheets/OBJECT.toml for each object's name
-//! gripcast annotate demo --again --json           also those that have a pose
+//! gripcast annotate demo --sheet sheets/          sheets/OBJECT.toml for each object
+//! gripcast annotate demo --again --json           also grasps that have a pose
 //! ```
 //!
-//! The last sharp images of the external camera before the fingers close give
-//! `t_object_gripper` with its covariance, which goes into `grasp.json`; `overlays/GRASP.jpg` shows
-//! what was found. A pose that a person has corrected is never overwritten.
+//! `t_object_gripper` and its covariance are estimated from the last sharp pre-grasp frames of the
+//! external camera and stored in `grasp.json`; `overlays/GRASP.jpg` shows the detections. A pose
+//! that was corrected by hand is never overwritten.
 //!
-//! Exit codes: 0 all have a pose · 1 nothing could be done · 2 usage · 3 some grasps have none,
-//! each with the reason · 130 interrupted; what is written by then is whole.
+//! Exit codes: 0 all grasps have a pose · 1 none has · 2 usage · 3 some have none · 130 interrupted.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -23,7 +22,6 @@ use image::imageops::grayscale;
 use image::{GrayImage, RgbImage};
 use serde::Serialize;
 
-use super::sim_object::SimObject;
 use super::working::{Progress, interruptible};
 use super::{Context, create_folder, print_report};
 use crate::daemon::{read_sheets, stored_intrinsics};
@@ -33,56 +31,55 @@ use gripcast_annotate::{
 use gripcast_base::error::{Error, ErrorKind, Result};
 use gripcast_base::files::{ContentKey, FileKind, ObjectName, Root};
 use gripcast_dataset::{Dataset, DatasetWriter, GraspId, GraspRecord, NewDataset, PoseRecord};
-use gripcast_geometry::{LengthUnit, Pose, TriangleMesh};
+use gripcast_geometry::{LengthUnit, Pose, TriangleMesh, load_object_mesh};
 use gripcast_imaging::{Decoder, Intrinsics, Role, encode_jpeg};
 use gripcast_pose::{BoardFile, PrintedSheet, load_intrinsics};
 
-/// JPEG quality of the overlays.
-const OVERLAY_QUALITY: u8 = 88;
+const OVERLAY_JPEG_QUALITY: u8 = 88;
 /// Folder of the overlays in a dataset.
 const OVERLAYS: &str = "overlays";
 
 /// Arguments.
 #[derive(Clone, Debug, clap::Args)]
 pub(crate) struct Args {
-    /// Directory of the dataset
+    /// Folder of the dataset
     dataset: PathBuf,
-    /// Board file of the sheet that the object stood on, or a folder with OBJECT.toml for each
+    /// Board file of the printed sheet below the object, or a folder with OBJECT.toml for each
     /// object [default: as collected]
     #[arg(long, value_name = "FILE|DIR")]
     sheet: Option<PathBuf>,
-    /// Board file of the gripper's tags [default: as collected]
+    /// Board file of the gripper tags [default: as collected]
     #[arg(long, value_name = "FILE")]
     tags: Option<PathBuf>,
     /// Intrinsics of the external camera [default: as collected]
     #[arg(long, value_name = "FILE")]
     intrinsics: Option<PathBuf>,
-    /// Annotate grasps that have a pose again, unless a person has corrected it
+    /// Also annotate grasps that have a pose, unless it was corrected by hand
     #[arg(long)]
     again: bool,
-    /// Folder of the overlay images [default: DATASET/overlays]
+    /// Output directory of the overlay images [default: DATASET/overlays]
     #[arg(long, value_name = "DIR")]
     overlays: Option<PathBuf>,
-    /// Draw no overlay images
+    /// Do not write overlay images
     #[arg(long, conflicts_with = "overlays")]
     no_overlays: bool,
-    /// Change nothing, only say what would be found
+    /// Estimate the poses without writing anything
     #[arg(long)]
     dry_run: bool,
-    /// Print one JSON object
+    /// Print the result as JSON
     #[arg(long)]
     json: bool,
 }
 
-/// What was done.
+/// Result of the command.
 #[derive(Debug, Default, Serialize)]
 struct Summary {
     dataset: PathBuf,
     grasps: usize,
     annotated: Vec<Annotated>,
-    /// They had a pose already.
+    /// Skipped: annotated before.
     already: Vec<GraspId>,
-    /// A person has corrected their pose.
+    /// Skipped: corrected by hand.
     by_hand: Vec<GraspId>,
     failed: Vec<Failed>,
     dry_run: bool,
@@ -94,11 +91,11 @@ struct Annotated {
     object: String,
     pose: PoseRecord,
     overlay: Option<PathBuf>,
-    /// Distance and angle from the truth, where the frames are those of a virtual rig.
+    /// Distance and angle to the ground truth of a virtual rig.
     #[serde(skip_serializing_if = "Option::is_none")]
-    off_truth_mm: Option<f64>,
+    error_mm: Option<f64>,
     #[serde(skip_serializing_if = "Option::is_none")]
-    off_truth_deg: Option<f64>,
+    error_deg: Option<f64>,
 }
 
 #[derive(Debug, Serialize)]
@@ -107,7 +104,7 @@ struct Failed {
     reason: String,
 }
 
-/// Runs the verb.
+/// Runs the command.
 pub(crate) fn run(context: &Context, args: Args) -> Result<()> {
     let json = args.json;
     let summary = interruptible(context, "annotating", move |progress| {
@@ -123,22 +120,22 @@ pub(crate) fn run(context: &Context, args: Args) -> Result<()> {
                 summary.grasps
             ),
         )
-        .remedy("their reasons are above"));
+        .remedy("see the reasons above"));
     }
     Ok(())
 }
 
 fn annotate(args: &Args, progress: &Progress) -> Result<Summary> {
-    let given = Given::read(args)?;
+    let given = GivenCalibration::read(args)?;
     let dataset = Dataset::open(&args.dataset)?;
     let mut writer = None;
     if !args.dry_run {
-        let described = dataset.descriptor();
+        let descriptor = dataset.descriptor();
         let same = NewDataset {
-            name: described.name.clone(),
-            rig: described.rig.clone(),
-            licence: described.licence.clone(),
-            label_definition: described.label_definition.clone(),
+            name: descriptor.name.clone(),
+            rig: descriptor.rig.clone(),
+            licence: descriptor.licence.clone(),
+            label_definition: descriptor.label_definition.clone(),
         };
         writer = Some(DatasetWriter::open_or_create(&args.dataset, &same)?.0);
     }
@@ -158,7 +155,7 @@ fn annotate(args: &Args, progress: &Progress) -> Result<Summary> {
         meshes: BTreeMap::new(),
     };
     for (done, id) in ids.iter().enumerate() {
-        progress.at(done as u64, ids.len() as u64);
+        progress.count(done, ids.len());
         let result = dataset.grasp(id).and_then(|record| {
             if let Some(pose) = &record.pose {
                 if pose.corrected_by_hand {
@@ -196,29 +193,25 @@ fn annotate(args: &Args, progress: &Progress) -> Result<Summary> {
         let text = if summary.grasps == 1 {
             first.to_owned()
         } else {
-            format!("no grasp could be annotated; the first: {first}")
+            format!("no grasp could be annotated; first error: {first}")
         };
         return Err(Error::input(text));
     }
     Ok(summary)
 }
 
-/// Boards and intrinsics of the command line.
-struct Given {
+/// Boards and intrinsics given on the command line.
+struct GivenCalibration {
     sheet: Option<BoardFile>,
     sheets: Option<BTreeMap<ObjectName, BoardFile>>,
     tags: Option<BoardFile>,
     intrinsics: Option<Intrinsics>,
 }
 
-impl Given {
+impl GivenCalibration {
     fn read(args: &Args) -> Result<Self> {
-        let is_folder = args.sheet.as_ref().is_some_and(|sheet| sheet.is_dir());
-        let (folder, file) = if is_folder {
-            (args.sheet.as_deref(), None)
-        } else {
-            (None, args.sheet.as_deref())
-        };
+        let sheet = args.sheet.as_deref();
+        let (file, folder) = (sheet.filter(|s| !s.is_dir()), sheet.filter(|s| s.is_dir()));
         let intrinsics = args.intrinsics.as_deref();
         Ok(Self {
             sheet: file.map(BoardFile::load).transpose()?,
@@ -231,12 +224,12 @@ impl Given {
 
 struct Work<'a> {
     args: &'a Args,
-    given: Given,
+    given: GivenCalibration,
     dataset: &'a Dataset,
     decoder: Decoder,
-    /// Of the last grasp; most have the same boards.
+    /// Annotator of the previous grasp, reused for the same boards.
     annotator: Option<Annotator>,
-    /// Meshes of sheets by their hash; none where they cannot be found.
+    /// Meshes of sheets by hash; none if the mesh is not found.
     meshes: BTreeMap<String, Option<Arc<TriangleMesh>>>,
 }
 
@@ -246,7 +239,7 @@ impl Work<'_> {
         if images.is_empty() {
             return Err(unreadable.unwrap_or_else(|| {
                 Error::not_found("the grasp has no image of an external camera")
-                    .remedy("bind [cameras.external] in the rig file when collecting")
+                    .remedy("collect with [cameras.external] in the rig file")
             }));
         }
         self.prepare(record)?;
@@ -269,14 +262,14 @@ impl Work<'_> {
             && !is_between_fingers(mesh, &placed(&pose.t_m, &pose.q_wxyz), opening_m)
         {
             quality.notes.push(
-                "nothing of the object would be between the fingers: was the sheet printed at \
-                 100 % (--measured-mm), and did the object stand on its line?"
+                "the object is not between the fingers: check that the sheet was printed at 100 % \
+                 (--measured-mm) and that the object stood on its outline"
                     .to_owned(),
             );
         }
-        let off = record.truth.as_ref().map(|truth| {
-            let (shift_m, turn_rad) = distance(&pose, &truth.t_object_gripper_initial);
-            (1e3 * shift_m, turn_rad.to_degrees())
+        let error = record.truth.as_ref().map(|truth| {
+            let (distance_m, angle_rad) = distance(&pose, &truth.t_object_gripper_initial);
+            (1e3 * distance_m, angle_rad.to_degrees())
         });
         let colour = images.into_iter().find(|p| p.name == shown_image);
         let overlay = match colour {
@@ -290,12 +283,12 @@ impl Work<'_> {
             object: record.object.to_string(),
             pose,
             overlay,
-            off_truth_mm: off.map(|(mm, _)| mm),
-            off_truth_deg: off.map(|(_, deg)| deg),
+            error_mm: error.map(|(mm, _)| mm),
+            error_deg: error.map(|(_, deg)| deg),
         })
     }
 
-    /// The images from before the fingers closed, by time; an error of one that cannot be read.
+    /// Reads the pre-grasp images in order of time; also returns the last read error.
     fn images(&mut self, record: &GraspRecord) -> (Vec<Image>, Option<Error>) {
         let mut failure = None;
         let mut images = Vec::new();
@@ -316,16 +309,16 @@ impl Work<'_> {
         (images, failure)
     }
 
-    /// Sees to an annotator for the boards and the camera of a grasp.
+    /// Prepares an annotator for the boards and the camera of a grasp.
     fn prepare(&mut self, record: &GraspRecord) -> Result<()> {
         let (sheet, tags) = (self.sheet(record)?, self.tags(record)?);
         let intrinsics = self.intrinsics(record)?;
-        let fits = self.annotator.as_ref().is_some_and(|annotator| {
+        let is_same = self.annotator.as_ref().is_some_and(|annotator| {
             annotator.sheet() == &sheet
                 && annotator.tags() == &tags
                 && annotator.intrinsics() == &intrinsics
         });
-        if !fits {
+        if !is_same {
             self.annotator = None;
             self.annotator = Some(Annotator::new(sheet, tags, intrinsics)?);
         }
@@ -338,18 +331,13 @@ impl Work<'_> {
         }
         if let Some(sheets) = &self.given.sheets {
             return sheets.get(&record.object).cloned().ok_or_else(|| {
-                Error::not_found(format!(
-                    "there is no sheet for the object `{}`",
-                    record.object
-                ))
-                .remedy(format!(
-                    "put its board file there as {}.toml",
-                    record.object
-                ))
+                let object = &record.object;
+                Error::not_found(format!("no sheet for the object `{object}`"))
+                    .remedy(format!("add its board file as {object}.toml"))
             });
         }
         let key = record.boards.as_ref().map(|boards| &boards.sheet);
-        self.stored(key, "which sheet the object stood on", "--sheet FILE")
+        self.stored(key, "sheet below the object", "--sheet FILE")
     }
 
     fn tags(&self, record: &GraspRecord) -> Result<BoardFile> {
@@ -357,14 +345,14 @@ impl Work<'_> {
             return Ok(tags.clone());
         }
         let key = record.boards.as_ref().map(|boards| &boards.tags);
-        self.stored(key, "which tags the gripper had", "--tags FILE")
+        self.stored(key, "gripper tags", "--tags FILE")
     }
 
-    /// A board that was stored with the grasp.
+    /// Returns a board stored with the grasp.
     fn stored(&self, key: Option<&ContentKey>, what: &str, flag: &str) -> Result<BoardFile> {
         let Some(key) = key else {
-            return Err(Error::not_found(format!("the dataset does not say {what}"))
-                .remedy(format!("give {flag}")));
+            let what = format!("the dataset does not record the {what}");
+            return Err(Error::not_found(what).remedy(format!("give {flag}")));
         };
         BoardFile::parse(&self.dataset.calibration(key)?, Path::new(""))
     }
@@ -380,17 +368,15 @@ impl Work<'_> {
             Error::not_found(
                 "the external camera is not calibrated: the dataset has no intrinsics of it",
             )
-            .remedy("measure them with `gripcast calibrate intrinsics` and give --intrinsics FILE")
+            .remedy("run `gripcast calibrate intrinsics` and give --intrinsics FILE")
         })
     }
 
-    /// The mesh of the object on the sheet, where it can be found.
+    /// Returns the mesh of the object on the sheet, if it is found.
     fn mesh(&mut self) -> Option<Arc<TriangleMesh>> {
         let sheet = self.annotator.as_ref()?.sheet().sheet.as_ref()?;
-        let known = self.meshes.entry(sheet.object_sha256.clone());
-        known
-            .or_insert_with(|| mesh_of(sheet).map(Arc::new))
-            .clone()
+        let mesh = self.meshes.entry(sheet.object_sha256.clone());
+        mesh.or_insert_with(|| mesh_of(sheet).map(Arc::new)).clone()
     }
 
     fn draw(
@@ -401,7 +387,7 @@ impl Work<'_> {
         pose: &PoseRecord,
         mesh: Option<&TriangleMesh>,
     ) -> Result<PathBuf> {
-        // Inside a dataset nothing is written through a link.
+        // Inside a dataset, links are not followed.
         let folder = match &self.args.overlays {
             Some(folder) => {
                 create_folder(folder)?;
@@ -417,11 +403,11 @@ impl Work<'_> {
             };
             overlay(&mut image, shown, annotator.intrinsics(), &content);
         }
-        let jpeg = encode_jpeg(&image, OVERLAY_QUALITY)?;
-        let place = folder.join_affixed("", &record.id, ".jpg");
-        let written = folder.create_dir_all().and_then(|()| place.replace(&jpeg));
+        let jpeg = encode_jpeg(&image, OVERLAY_JPEG_QUALITY)?;
+        let file = folder.join_affixed("", &record.id, ".jpg");
+        let written = folder.create_dir_all().and_then(|()| file.replace(&jpeg));
         written.map_err(unwritten)?;
-        Ok(place.shown())
+        Ok(file.shown())
     }
 }
 
@@ -431,11 +417,11 @@ struct Image {
     colour: RgbImage,
 }
 
-/// The mesh that a sheet was made for, in whichever unit has its hash.
+/// Loads the mesh of a sheet in the unit that gives its hash.
 fn mesh_of(sheet: &PrintedSheet) -> Option<TriangleMesh> {
     LengthUnit::ALL.into_iter().find_map(|unit| {
-        let object = SimObject::read(&sheet.object, unit, 1.0).ok()?;
-        (object.mesh.content_hash() == sheet.object_sha256).then_some(object.mesh)
+        let mesh = load_object_mesh(&sheet.object, unit, 1.0).ok()?.mesh;
+        (mesh.content_hash() == sheet.object_sha256).then_some(mesh)
     })
 }
 
@@ -480,7 +466,7 @@ fn placed(t_m: &[f64; 3], [w, x, y, z]: &[f64; 4]) -> Pose {
     Pose::new(DQuat::from_xyzw(*x, *y, *z, *w), DVec3::from_array(*t_m))
 }
 
-/// Distance, m, and angle, rad, of a pose from another.
+/// Returns distance (m) and angle (rad) between two poses.
 fn distance(pose: &PoseRecord, other: &Pose) -> (f64, f64) {
     let own = placed(&pose.t_m, &pose.q_wxyz);
     let shift = other.translation_m - own.translation_m;
@@ -495,38 +481,34 @@ impl Summary {
             .map(|done| {
                 let [x, y, z] = done.pose.t_m.map(|m| 1e3 * m);
                 let quality = done.pose.quality.as_ref();
-                let doubts = quality.map_or(0, |q| q.notes.len());
-                let off = done.off_truth_mm.zip(done.off_truth_deg);
+                let notes = quality.map_or(0, |q| q.notes.len());
+                let error = done.error_mm.zip(done.error_deg);
                 format!(
                     "{}  {:<12} {x:8.2} {y:8.2} {z:8.2} mm{}{}",
                     done.grasp,
                     done.object,
-                    off.map_or(String::new(), |(mm, deg)| format!(
-                        "  off the truth by {mm:.3} mm, {deg:.3}°"
+                    error.map_or(String::new(), |(mm, deg)| format!(
+                        "  error {mm:.3} mm, {deg:.3}°"
                     )),
-                    match doubts {
+                    match notes {
                         0 => String::new(),
                         count => format!("  {count} notes"),
                     }
                 )
             })
             .collect();
+        let dry_run = if self.dry_run { " (dry run)" } else { "" };
         for (count, what) in [
             (self.annotated.len(), "annotated"),
             (
                 self.already.len(),
-                "had a pose already (--again measures them anew)",
+                "annotated before (--again repeats them)",
             ),
             (self.by_hand.len(), "corrected by hand, kept"),
             (self.failed.len(), "without a pose"),
         ] {
             if count > 0 || what == "annotated" {
-                let dry = if self.dry_run {
-                    " (nothing was changed)"
-                } else {
-                    ""
-                };
-                lines.push(format!("{count:5}  {what}{dry}"));
+                lines.push(format!("{count:5}  {what}{dry_run}"));
             }
         }
         lines.join("\n")

@@ -1,12 +1,12 @@
-//! `gripcast bench`: measures gripcast on this machine.
+//! `gripcast bench`: benchmarks gripcast on this machine.
 //!
-//! Each bench prints a table, or with `--json` one object `{"figures", "name", "params", "peers"}`.
-//! Benches for developers are in `crates/gripcast-bench`.
+//! Each benchmark prints a table, or with `--json` one object `{"figures", "name", "params",
+//! "baselines"}`. Benchmarks for developers are in `crates/gripcast-bench`.
 
 use serde::Serialize;
-use serde_json::{Map, Value, json};
+use serde_json::{Map, Value};
 
-use super::{Context, bench_daemon, bench_live, bench_predict, print, print_json};
+use super::{Context, bench_daemon, bench_live, bench_predict, print_report};
 use gripcast_base::error::Result;
 
 /// Arguments.
@@ -18,15 +18,15 @@ pub(crate) struct Args {
 
 #[derive(Debug, clap::Subcommand)]
 enum Bench {
-    /// The complete live path: frames lost, latency, cores, memory
+    /// Benchmark the live path: dropped frames, latency, cores, memory
     Live(bench_live::Args),
-    /// A daemon that collects: calls of the API, saves, viewers, memory
+    /// Benchmark a collecting daemon: API latency, saves, viewers, memory
     Daemon(bench_daemon::Args),
-    /// One prediction: load, preprocess, engine
+    /// Benchmark one prediction: load, preprocess, engine
     Predict(bench_predict::Args),
 }
 
-/// Runs the verb.
+/// Runs the command.
 pub(crate) fn run(context: &Context, args: Args) -> Result<()> {
     match args.bench {
         Bench::Live(args) => args.measure(context)?.print(args.json),
@@ -35,33 +35,33 @@ pub(crate) fn run(context: &Context, args: Args) -> Result<()> {
     }
 }
 
-/// What a bench measured.
+/// Result of a benchmark.
 #[derive(Clone, Debug, Serialize)]
 pub struct Report {
-    /// Name of the bench.
+    /// Name of the benchmark.
     pub name: &'static str,
-    /// What was chosen.
+    /// Its parameters.
     pub params: Value,
-    /// What was measured.
+    /// Measured figures.
     pub figures: Value,
-    /// What other implementations took, by their names.
-    pub peers: Map<String, Value>,
-    /// More keys of the object.
+    /// Figures of other implementations, by name.
+    pub baselines: Map<String, Value>,
+    /// Further keys of the JSON object.
     #[serde(flatten)]
     pub more: Map<String, Value>,
-    /// The same for people.
+    /// The result as text.
     #[serde(skip)]
     pub text: String,
 }
 
 impl Report {
-    /// A report without peers.
+    /// Returns a report without baselines.
     pub fn new(name: &'static str, params: Value, figures: Value, text: String) -> Self {
         Self {
             name,
             params,
             figures,
-            peers: Map::new(),
+            baselines: Map::new(),
             more: Map::new(),
             text,
         }
@@ -70,12 +70,8 @@ impl Report {
     /// Prints the JSON object or the text on stdout.
     ///
     /// # Errors
-    /// That of the operating system.
+    /// `Io`.
     pub fn print(&self, is_json: bool) -> Result<()> {
-        if is_json {
-            print_json(&json!(self))
-        } else {
-            print(&self.text)
-        }
+        print_report(is_json, self, |report| report.text.clone())
     }
 }

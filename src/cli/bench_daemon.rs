@@ -1,11 +1,11 @@
-//! `gripcast bench daemon`: a daemon on the virtual rig, asked and watched while it collects.
+//! `gripcast bench daemon`: benchmarks a collecting daemon on the virtual rig under API load.
 //!
-//! The virtual rig paints its images itself, which takes most of the cores; what viewers cost is
-//! the difference between watched and not.
+//! Rendering the virtual rig takes most of the CPU time; the cost of viewers is the difference
+//! between the measurements with and without them.
 
 use std::fs;
 use std::io::{BufRead as _, BufReader, Read as _};
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
@@ -20,66 +20,68 @@ use super::bench::Report;
 use crate::note;
 use gripcast_base::error::{Error, Result};
 
-/// Ticks of CPU time a second in `/proc/PID/stat`: USER_HZ, the same on all machines.
+/// CPU time ticks per second in `/proc/PID/stat` (USER_HZ).
 const TICKS_PER_S: f64 = 100.0;
-/// Cameras of the virtual rig that a page shows.
-const SHOWN: [&str; 4] = ["left", "right", "rgb", "depth"];
-/// How long a guard may refuse.
-const PATIENCE: Duration = Duration::from_secs(30);
-/// Pause before a refused trigger is tried again.
-const RETRY: Duration = Duration::from_millis(20);
+/// Cameras shown by a page.
+const CAMERAS: [&str; 4] = ["left", "right", "rgb", "depth"];
+/// Maximum time that guards may refuse a trigger.
+const TRIGGER_TIMEOUT: Duration = Duration::from_secs(30);
+/// Interval of retries and of API calls.
+const CALL_INTERVAL: Duration = Duration::from_millis(20);
 
 /// Arguments.
 #[derive(Debug, clap::Args)]
 pub(crate) struct Args {
-    /// Length of each of the two measurements of the cores
-    #[arg(long, default_value_t = 10, value_parser = clap::value_parser!(u64).range(1..=600))]
+    /// Measuring time of the CPU load without and with viewers, s
+    #[arg(long, value_name = "S", default_value_t = 10,
+        value_parser = clap::value_parser!(u64).range(1..=600))]
     seconds: u64,
-    /// Grasps that are collected
-    #[arg(long, default_value_t = 20, value_parser = clap::value_parser!(u64).range(1..=1000))]
+    /// Number of grasps to collect
+    #[arg(long, value_name = "N", default_value_t = 20,
+        value_parser = clap::value_parser!(u64).range(1..=1000))]
     grasps: u64,
-    /// Pages that watch all cameras
-    #[arg(long, default_value_t = 2, value_parser = clap::value_parser!(u64).range(1..=8))]
+    /// Number of viewers of all cameras
+    #[arg(long, value_name = "N", default_value_t = 2,
+        value_parser = clap::value_parser!(u64).range(1..=8))]
     viewers: u64,
-    /// Folder for the dataset, on the disk that is to be measured [default: that of temporary files]
+    /// Folder on the disk to benchmark [default: temporary folder]
     #[arg(long, value_name = "DIR")]
-    disk: Option<std::path::PathBuf>,
-    /// Print one JSON object
+    disk: Option<PathBuf>,
+    /// Print the result as JSON
     #[arg(long)]
     pub(crate) json: bool,
 }
 
-/// What came out.
 #[derive(Debug, Serialize)]
 struct Figures {
-    /// `GET /api/state` while grasps are collected and pages watch, ms.
+    /// Latency of `GET /api/state` during collection with viewers, ms.
     api_p50_ms: f64,
     api_p99_ms: f64,
     api_calls: usize,
-    /// An accepted trigger until its frames are durable and it is answered, ms.
+    /// Latency from an accepted trigger to the response after its frames are durable, ms.
     durable_p50_ms: f64,
     durable_p99_ms: f64,
-    /// Cores of the daemon without viewers, with them, and the difference.
-    cores_alone: f64,
-    cores_watched: f64,
-    cores_of_viewers: f64,
-    /// Images that reached the viewers, 1/s.
+    /// CPU cores of the daemon without viewers, with viewers, and the difference.
+    cores_idle: f64,
+    cores_viewers: f64,
+    cores_added: f64,
+    /// Images received by the viewers, 1/s.
     images_per_s: f64,
-    rss_alone_mb: f64,
-    rss_watched_mb: f64,
-    /// Frames lost by the cameras' counters.
-    frames_lost: u64,
+    rss_idle_mb: f64,
+    rss_viewers_mb: f64,
+    /// Dropped frames by the sequence counters of the cameras.
+    frames_dropped: u64,
     stop_s: f64,
 }
 
 impl Args {
-    /// Runs the bench.
+    /// Runs the benchmark.
     pub(crate) fn measure(&self, context: &Context) -> Result<Report> {
         let dir = match &self.disk {
             Some(disk) => tempfile::tempdir_in(disk),
             None => tempfile::tempdir(),
         };
-        let dir = dir.map_err(|e| Error::io("cannot make a folder for the dataset", e))?;
+        let dir = dir.map_err(|e| Error::io("cannot create a folder for the dataset", e))?;
         let mut daemon = Daemon::start(&dir.path().join("d"))?;
         if !context.quiet {
             note!(
@@ -89,15 +91,15 @@ impl Args {
                 self.grasps
             );
         }
-        // The first frames come with the costs of the start.
+        // Warm-up.
         daemon.trigger()?;
         daemon.command("undo")?;
-        let (cores_alone, rss_alone_mb) = daemon.cores(self.seconds)?;
+        let (cores_idle, rss_idle_mb) = daemon.cores(self.seconds)?;
         let viewers = Viewers::start(&daemon.url, self.viewers);
         let before = viewers.images();
-        let (cores_watched, rss_watched_mb) = daemon.cores(self.seconds)?;
+        let (cores_viewers, rss_viewers_mb) = daemon.cores(self.seconds)?;
         let images_per_s = (viewers.images() - before) as f64 / self.seconds as f64;
-        let asked = Asker::start(&daemon.url);
+        let load = ApiLoad::start(&daemon.url);
         let mut durable_ms = Vec::new();
         for number in 0..self.grasps {
             for _ in 0..2 {
@@ -105,8 +107,8 @@ impl Args {
             }
             daemon.command(if number % 2 == 0 { "stable" } else { "slip" })?;
         }
-        let mut api_ms = asked.end()?;
-        let frames_lost = daemon.frames_lost()?;
+        let mut api_ms = load.end()?;
+        let frames_dropped = daemon.frames_dropped()?;
         let started = Instant::now();
         daemon.stop()?;
         let stop_s = started.elapsed().as_secs_f64();
@@ -117,13 +119,13 @@ impl Args {
             api_calls: api_ms.len(),
             durable_p50_ms: quantile(&mut durable_ms, 0.5),
             durable_p99_ms: quantile(&mut durable_ms, 0.99),
-            cores_alone,
-            cores_watched,
-            cores_of_viewers: cores_watched - cores_alone,
+            cores_idle,
+            cores_viewers,
+            cores_added: cores_viewers - cores_idle,
             images_per_s,
-            rss_alone_mb,
-            rss_watched_mb,
-            frames_lost,
+            rss_idle_mb,
+            rss_viewers_mb,
+            frames_dropped,
             stop_s,
         };
         let params = json!({
@@ -139,39 +141,39 @@ impl Args {
 impl Figures {
     fn text(&self, viewers: u64) -> String {
         format!(
-            "a call of the API {:.1} ms (median) {:.1} ms (p99)\n\
-         trigger until durable {:.0} ms (median) {:.0} ms (p99)\n\
-         {:.2} cores alone, {:.2} with {} viewers ({:.0} images/s)\n\
-         {:.0} MB alone, {:.0} MB watched; {} frames lost; stopped in {:.2} s",
+            "API call {:.1} ms (median) {:.1} ms (p99)\n\
+         trigger to durable {:.0} ms (median) {:.0} ms (p99)\n\
+         {:.2} cores, {:.2} with {} viewers ({:.0} images/s)\n\
+         {:.0} MB, {:.0} MB with viewers; {} frames dropped; stopped in {:.2} s",
             self.api_p50_ms,
             self.api_p99_ms,
             self.durable_p50_ms,
             self.durable_p99_ms,
-            self.cores_alone,
-            self.cores_watched,
+            self.cores_idle,
+            self.cores_viewers,
             viewers,
             self.images_per_s,
-            self.rss_alone_mb,
-            self.rss_watched_mb,
-            self.frames_lost,
+            self.rss_idle_mb,
+            self.rss_viewers_mb,
+            self.frames_dropped,
             self.stop_s,
         )
     }
 }
 
-/// A value below which this part of all lies.
-fn quantile(values: &mut [f64], part: f64) -> f64 {
+/// Returns a quantile that is one of the values.
+fn quantile(values: &mut [f64], q: f64) -> f64 {
     values.sort_by(f64::total_cmp);
-    let place = (part * values.len().saturating_sub(1) as f64).ceil() as usize;
-    values.get(place).copied().unwrap_or(f64::NAN)
+    let index = (q * values.len().saturating_sub(1) as f64).ceil() as usize;
+    values.get(index).copied().unwrap_or(f64::NAN)
 }
 
 fn unexpected(what: &str) -> Error {
     Error::internal(format!("the daemon {what}"))
-        .remedy("run `gripcast daemon --rig virtual` by itself to see what it says")
+        .remedy("run `gripcast daemon --rig virtual` to see its messages")
 }
 
-/// The daemon under measurement; it is killed when dropped.
+/// The measured daemon; killed when dropped.
 struct Daemon {
     child: Child,
     url: String,
@@ -179,13 +181,13 @@ struct Daemon {
 
 impl Daemon {
     fn start(dataset: &Path) -> Result<Self> {
-        let program =
-            std::env::current_exe().map_err(|e| Error::io("cannot find the program itself", e))?;
+        let program = std::env::current_exe()
+            .map_err(|e| Error::io("cannot find the gripcast executable", e))?;
         let mut child = Command::new(program)
             .args(["daemon", "--rig", "virtual", "--listen", "127.0.0.1:0"])
             .args(["--socket", "none", "--dataset"])
             .arg(dataset)
-            // A loaded machine paints late; refusals are no matter of this measurement.
+            // Guards must not refuse triggers on a loaded machine.
             .env("GRIPCAST__GUARDS__MAX_FRAME_AGE_MS", "2000")
             .env("GRIPCAST__GUARDS__MAX_SKEW_MS", "2000")
             .stdin(Stdio::null())
@@ -202,9 +204,9 @@ impl Daemon {
             let url = line.strip_prefix("page and API: ")?;
             Some(url.trim_end_matches('/').to_owned())
         });
-        // What it says from here on must not fill the pipe.
+        // Keeps the pipe empty.
         std::thread::spawn(move || lines.for_each(drop));
-        let url = url.ok_or_else(|| unexpected("ended at its start"))?;
+        let url = url.ok_or_else(|| unexpected("failed to start"))?;
         Ok(Self { child, url })
     }
 
@@ -214,28 +216,28 @@ impl Daemon {
             .post(format!("{}/api/commands", self.url))
             .header("content-type", "application/json")
             .send(body);
-        let mut answer = answer.map_err(|e| unexpected("did not answer").because(e))?;
+        let mut answer = answer.map_err(|e| unexpected("did not respond").because(e))?;
         let text = answer.body_mut().read_to_string();
-        let text = text.map_err(|e| unexpected("broke off an answer").because(e))?;
+        let text = text.map_err(|e| unexpected("closed a response early").because(e))?;
         let value = serde_json::from_str(&text).unwrap_or(Value::Null);
         Ok((answer.status().as_u16(), value))
     }
 
-    /// Triggers until the guards agree; the time of the call that was carried out, ms.
+    /// Triggers until the guards accept; returns the duration of the accepted call, ms.
     fn trigger(&self) -> Result<f64> {
-        let give_up = Instant::now() + PATIENCE;
+        let deadline = Instant::now() + TRIGGER_TIMEOUT;
         loop {
-            let asked = Instant::now();
+            let start = Instant::now();
             let (status, answer) = self.command("trigger")?;
             match status {
-                200 => return Ok(asked.elapsed().as_secs_f64() * 1e3),
-                409 if Instant::now() < give_up => std::thread::sleep(RETRY),
+                200 => return Ok(start.elapsed().as_secs_f64() * 1e3),
+                409 if Instant::now() < deadline => std::thread::sleep(CALL_INTERVAL),
                 _ => return Err(unexpected(&format!("refused a trigger: {answer}"))),
             }
         }
     }
 
-    /// Cores that it takes over some seconds, and its memory then, MB.
+    /// Measures CPU cores over some seconds, and then memory, MB.
     fn cores(&self, seconds: u64) -> Result<(f64, f64)> {
         let (started, before) = (Instant::now(), self.cpu_s()?);
         std::thread::sleep(Duration::from_secs(seconds));
@@ -245,12 +247,13 @@ impl Daemon {
 
     fn proc(&self, file: &str) -> Result<String> {
         let path = format!("/proc/{}/{file}", self.child.id());
-        fs::read_to_string(&path).map_err(|e| Error::io("cannot read what it takes", e).at(path))
+        fs::read_to_string(&path)
+            .map_err(|e| Error::io("cannot read the process statistics", e).at(path))
     }
 
     fn cpu_s(&self) -> Result<f64> {
         let stat = self.proc("stat")?;
-        // The name in brackets may hold blanks; utime and stime are 14th and 15th of all.
+        // The name in brackets may contain spaces; utime and stime are fields 14 and 15.
         let after = stat.rsplit(')').next().unwrap_or_default();
         let ticks = after.split_whitespace().skip(11).take(2);
         Ok(ticks.filter_map(|t| t.parse::<f64>().ok()).sum::<f64>() / TICKS_PER_S)
@@ -263,7 +266,7 @@ impl Daemon {
         Ok(kb.unwrap_or(f64::NAN) / 1024.0)
     }
 
-    fn frames_lost(&self) -> Result<u64> {
+    fn frames_dropped(&self) -> Result<u64> {
         let state = get(&agent(), &format!("{}/api/state", self.url))?;
         let state: Value = serde_json::from_str(&state).unwrap_or(Value::Null);
         let cameras = state["cameras"].as_array().into_iter().flatten();
@@ -276,20 +279,20 @@ impl Daemon {
         let pid = i32::try_from(self.child.id())
             .ok()
             .and_then(rustix::process::Pid::from_raw)
-            .ok_or_else(|| unexpected("has no process"))?;
+            .ok_or_else(|| unexpected("has no process id"))?;
         rustix::process::kill_process(pid, rustix::process::Signal::TERM)
             .map_err(|e| Error::io("cannot stop the daemon", e.into()))?;
         let status = self.child.wait();
         match status {
             Ok(status) if status.success() => Ok(()),
-            _ => Err(unexpected("did not end as it should")),
+            _ => Err(unexpected("did not stop cleanly")),
         }
     }
 }
 
 impl Drop for Daemon {
     fn drop(&mut self) {
-        // It has usually ended.
+        // Usually it has ended.
         let _ = self.child.kill();
         let _ = self.child.wait();
     }
@@ -304,29 +307,29 @@ fn agent() -> ureq::Agent {
 
 fn get(agent: &ureq::Agent, url: &str) -> Result<String> {
     let answer = agent.get(url).call();
-    let mut answer = answer.map_err(|e| unexpected("did not answer").because(e))?;
+    let mut answer = answer.map_err(|e| unexpected("did not respond").because(e))?;
     let text = answer.body_mut().read_to_string();
-    text.map_err(|e| unexpected("broke off an answer").because(e))
+    text.map_err(|e| unexpected("closed a response early").because(e))
 }
 
-/// Asks for the state all the time, from a thread of its own.
-struct Asker {
+/// Polls the state in its own thread.
+struct ApiLoad {
     stop: Arc<AtomicBool>,
     thread: JoinHandle<Result<Vec<f64>>>,
 }
 
-impl Asker {
+impl ApiLoad {
     fn start(url: &str) -> Self {
         let stop = Arc::new(AtomicBool::new(false));
         let (ended, url) = (Arc::clone(&stop), format!("{url}/api/state"));
         let thread = std::thread::spawn(move || {
             let (agent, mut times_ms) = (agent(), Vec::new());
             while !ended.load(Ordering::Relaxed) {
-                let asked = Instant::now();
+                let start = Instant::now();
                 get(&agent, &url)?;
-                times_ms.push(asked.elapsed().as_secs_f64() * 1e3);
-                // Fifty calls a second: more than pages and programs make.
-                std::thread::sleep(RETRY);
+                times_ms.push(start.elapsed().as_secs_f64() * 1e3);
+                // 50 calls per second: more than pages and programs make.
+                std::thread::sleep(CALL_INTERVAL);
             }
             Ok(times_ms)
         });
@@ -336,11 +339,11 @@ impl Asker {
     fn end(self) -> Result<Vec<f64>> {
         self.stop.store(true, Ordering::Relaxed);
         let times = self.thread.join();
-        times.unwrap_or_else(|_| Err(unexpected("made the measurement panic")))
+        times.unwrap_or_else(|_| Err(unexpected("load thread panicked")))
     }
 }
 
-/// Pages that watch all cameras.
+/// Viewers of all camera streams.
 struct Viewers {
     images: Arc<AtomicU64>,
     threads: Vec<JoinHandle<()>>,
@@ -349,7 +352,7 @@ struct Viewers {
 impl Viewers {
     fn start(url: &str, viewers: u64) -> Self {
         let images = Arc::new(AtomicU64::new(0));
-        let streams = (0..viewers).flat_map(|_| SHOWN);
+        let streams = (0..viewers).flat_map(|_| CAMERAS);
         let threads = streams
             .map(|role| {
                 let url = format!("{url}/api/cameras/{role}/preview.mjpg");
@@ -366,13 +369,13 @@ impl Viewers {
 
     fn end(self) {
         for thread in self.threads {
-            // The daemon has closed the streams; a viewer that panicked has shown nothing more.
+            // The daemon has closed the streams.
             let _ = thread.join();
         }
     }
 }
 
-/// Reads a stream to its end and counts the images.
+/// Reads a stream to its end and counts its images.
 fn watch(url: &str, images: &AtomicU64) {
     let Ok(answer) = agent().get(url).call() else {
         return;
@@ -405,7 +408,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn quantiles_are_values_that_were_measured() {
+    fn quantile_returns_measured_value() {
         let mut values: Vec<f64> = (1..=100).rev().map(f64::from).collect();
         assert!((quantile(&mut values, 0.5) - 51.0).abs() < 1e-12);
         assert!((quantile(&mut values, 0.99) - 100.0).abs() < 1e-12);

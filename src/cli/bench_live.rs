@@ -1,8 +1,8 @@
-//! `gripcast bench live`: the complete live path from memory.
+//! `gripcast bench live`: benchmarks the live path with frames from memory.
 //!
-//! Two 3280×2464 MJPG streams at 25/s, 1280×720 YUYV and Z16 at 30/s go through capture, decoding
-//! and a prediction at every tactile frame. The gel frames are synthesised: no original frame of
-//! full size could be had, and their size depends on `--quality`.
+//! Two 3280×2464 MJPG streams at 25 fps and 1280×720 YUYV and Z16 streams at 30 fps go through
+//! capture, decoding and a prediction per tactile frame. The tactile frames are synthetic; their
+//! size depends on `--quality`.
 
 use serde_json::json;
 
@@ -18,25 +18,27 @@ use gripcast_nn::predict::{Model, SHIPPED};
 #[derive(Clone, Debug, clap::Args)]
 #[group(skip)]
 pub struct Args {
-    /// Length of the measurement
-    #[arg(long, default_value_t = 20, value_parser = clap::value_parser!(u64).range(1..=3600))]
+    /// Measuring time, s
+    #[arg(long, value_name = "S", default_value_t = 20,
+        value_parser = clap::value_parser!(u64).range(1..=3600))]
     seconds: u64,
-    /// JPEG quality of the synthesised gel frames
-    #[arg(long, default_value_t = 75, value_parser = clap::value_parser!(u8).range(1..=100))]
+    /// JPEG quality of the synthetic tactile frames
+    #[arg(long, value_name = "PERCENT", default_value_t = 75,
+        value_parser = clap::value_parser!(u8).range(1..=100))]
     pub quality: u8,
-    /// ONNX file, `gripcast-vt`, the built-in classifier, or `baseline-contact`, a heuristic
+    /// ONNX file, gripcast-vt (built-in classifier) or baseline-contact (built-in heuristic)
     #[arg(long, value_name = "MODEL", default_value = SHIPPED)]
     model: String,
-    /// Print one JSON object
+    /// Print the result as JSON
     #[arg(long)]
     pub json: bool,
 }
 
 impl Args {
-    /// Runs the bench.
+    /// Runs the benchmark.
     ///
     /// # Errors
-    /// When the model, a thread or a decoder cannot be had.
+    /// If the model, a thread or a decoder fails.
     pub fn measure(&self, context: &Context) -> Result<Report> {
         let Self {
             seconds, quality, ..
@@ -44,11 +46,11 @@ impl Args {
         let model = Model::named(&self.model)?;
         let name = model.contract().name.clone();
         if !context.quiet {
-            note!("synthesising full-size frames, then measuring for {seconds} s");
+            note!("generating full-size frames, then measuring for {seconds} s");
         }
         let figures = drive(model, LoadParams { seconds, quality })?;
         let text = format!(
-            "frames {}  lost by us {}  tactile frames not decoded {}\n\
+            "frames {}  dropped {}  tactile frames not decoded {}\n\
              predictions {:.1}/s  frame to prediction {:.1} ms (median) {:.1} ms (p99)\n\
              {:.2} cores  {:.0} MB peak  gel frames of {:.0} kB",
             figures.received,

@@ -1,6 +1,6 @@
-//! `gripcast bench predict`: how long one prediction takes on this machine.
+//! `gripcast bench predict`: benchmarks one prediction.
 //!
-//! Loads the model, turns 320×240 images into tensors and predicts, on one thread; prints minimum
+//! Loads the model, converts 320×240 images to tensors and predicts on one thread; prints minimum
 //! and median in ms.
 
 use serde_json::json;
@@ -9,7 +9,7 @@ use super::bench::Report;
 use gripcast_base::error::{Error, Result};
 use gripcast_nn::predict::{Model, PredictFigures, SHIPPED, measure, model_bytes};
 
-/// Runs below this give no usable median.
+/// Minimum for a usable median.
 const MIN_RUNS: u64 = 30;
 
 /// Arguments.
@@ -17,22 +17,23 @@ const MIN_RUNS: u64 = 30;
 #[derive(Clone, Debug, clap::Args)]
 #[group(skip)]
 pub struct Args {
-    /// ONNX file, `gripcast-vt`, the built-in classifier, or `baseline-contact`, a heuristic
+    /// ONNX file, gripcast-vt (built-in classifier) or baseline-contact (built-in heuristic)
     #[arg(long, value_name = "MODEL", default_value = SHIPPED)]
     model: String,
-    /// Predictions to measure
-    #[arg(long, default_value_t = 100, value_parser = clap::value_parser!(u64).range(MIN_RUNS..))]
+    /// Number of predictions
+    #[arg(long, value_name = "N", default_value_t = 100,
+        value_parser = clap::value_parser!(u64).range(MIN_RUNS..))]
     pub runs: u64,
-    /// Print one JSON object
+    /// Print the result as JSON
     #[arg(long)]
     pub json: bool,
 }
 
 impl Args {
-    /// Runs the bench; also gives the bytes of the model.
+    /// Runs the benchmark; also returns the bytes of the model.
     ///
     /// # Errors
-    /// When the model cannot be read, loaded or run.
+    /// If the model cannot be read, loaded or run.
     pub fn measure(&self) -> Result<(Report, Vec<u8>)> {
         let bytes = model_bytes(&self.model)?;
         let at_model = |error: Error| error.at(&self.model);
@@ -50,20 +51,17 @@ impl Args {
 }
 
 fn table(figures: &PredictFigures) -> String {
-    let rows = [
-        ("engine", figures.engine_ms_min, figures.engine_ms_median),
-        (
-            "preprocess",
-            figures.preprocess_ms_min,
-            figures.preprocess_ms_median,
-        ),
-        ("load", figures.load_ms_min, figures.load_ms_median),
-    ];
-    let rows = rows.map(|(name, min, median)| row(name, min, median));
-    format!("ms                  min   median{}", rows.concat())
+    let f = figures;
+    [
+        "ms                  min   median".to_owned(),
+        row("engine", f.engine_ms_min, f.engine_ms_median),
+        row("preprocess", f.preprocess_ms_min, f.preprocess_ms_median),
+        row("load", f.load_ms_min, f.load_ms_median),
+    ]
+    .concat()
 }
 
-/// A further line of the table.
+/// Formats a line of the table.
 pub fn row(name: &str, min: f64, median: f64) -> String {
     format!("\n{name:<14} {min:>8.3} {median:>8.3}")
 }

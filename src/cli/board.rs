@@ -1,4 +1,4 @@
-//! `gripcast board`: boards of markers, to print and to look at.
+//! `gripcast board`: prints, inspects and imports marker boards.
 //!
 //! ```text
 //! gripcast board make --object builtin:mug --out board.pdf
@@ -12,29 +12,26 @@
 //! gripcast board import own_dictionary.yml
 //! ```
 //!
-//! `make` draws the sheet that an object stands on and writes the board file beside it: the
-//! markers' corners in the object's frame. `gripper` does the same for the gripper's tags, `charuco`
-//! for a chessboard with markers that cameras are calibrated with. After
-//! printing, the rulers of the sheet are measured and the command is run again with
-//! `--measured-mm`: the drawing stays the same, the board file is corrected. `show` checks a board
-//! file and says what is in it. `import` reads descriptions of ROS `aruco_opencv`, Kalibr and
-//! OpenCV. docs/boards.md has the format and how to print, measure and glue.
+//! `make` draws the sheet below an object and writes the board file beside it: the marker corners
+//! in the object's frame. `gripper` does the same for the gripper tags, `charuco` for a ChArUco
+//! board for camera calibration. After printing, measure the rulers of the sheet and rerun the
+//! command with `--measured-mm`: it corrects the board file and keeps the drawing. `show` checks
+//! and describes a board file. `import` reads boards of ROS `aruco_opencv` and Kalibr and
+//! dictionaries of OpenCV. Format, printing and gluing: docs/boards.md.
 //!
-//! Exit codes: 0 done · 1 the object, a board or a file is refused · 2 usage.
+//! Exit codes: 0 done · 1 invalid object, board or file · 2 usage.
 
-use std::fs;
 use std::path::{Path, PathBuf};
 
 use clap::Subcommand;
-use serde::Serialize;
+use serde_json::{Value, json};
 
-use super::{Context, print, print_json};
+use super::flags::read_text;
+use super::{Context, print_report};
 use super::{board_charuco, board_make};
-use gripcast_base::error::{Error, Result};
+use gripcast_base::error::{Error, Result, unknown_name};
 use gripcast_base::files::save;
-use gripcast_pose::{
-    BoardFile, BoardFormat, Body, Chessboard, Dictionary, import_kalibr, import_ros,
-};
+use gripcast_pose::{BoardFile, Dictionary, ForeignBoard, Part, import_kalibr, import_ros};
 
 /// Arguments.
 #[derive(Debug, clap::Args)]
@@ -45,19 +42,19 @@ pub(crate) struct Args {
 
 #[derive(Debug, Subcommand)]
 enum Kind {
-    /// Draw the sheet that an object stands on
+    /// Draw the marker sheet below an object
     Make(board_make::MakeArgs),
-    /// Draw the tags of the gripper
+    /// Draw the gripper tags
     Gripper(board_make::GripperArgs),
-    /// Draw a chessboard with markers, for calibrating cameras
+    /// Draw a ChArUco board for camera calibration
     Charuco(board_charuco::Args),
-    /// Check a board file and say what is in it
+    /// Check and describe a board file
     Show(ShowArgs),
-    /// Read a board of ROS or Kalibr, or a dictionary of OpenCV
+    /// Import a board of ROS or Kalibr, or a dictionary of OpenCV
     Import(ImportArgs),
 }
 
-/// Runs the verb.
+/// Runs the command.
 pub(crate) fn run(context: &Context, args: Args) -> Result<()> {
     match args.kind {
         Kind::Make(args) => board_make::make(context, &args),
@@ -68,7 +65,7 @@ pub(crate) fn run(context: &Context, args: Args) -> Result<()> {
     }
 }
 
-/// The folder that a file lies in.
+/// Returns the folder of a file.
 pub(super) fn folder(file: &Path) -> &Path {
     match file.parent() {
         Some(folder) if !folder.as_os_str().is_empty() => folder,
@@ -81,93 +78,55 @@ struct ShowArgs {
     /// Board file
     #[arg(value_name = "FILE.toml")]
     file: PathBuf,
-    /// Print one JSON object
+    /// Print the result as JSON
     #[arg(long)]
     json: bool,
 }
 
 fn show(args: &ShowArgs) -> Result<()> {
     let file = BoardFile::load(&args.file)?;
-    if args.json {
-        return print_json(&Summary::of(&file));
-    }
-    print(&describe(&file))
+    print_report(args.json, &summary(&file), |_| describe(&file))
 }
 
-/// What is said about a board.
-#[derive(Serialize)]
-struct Summary {
-    name: String,
-    hash: String,
-    dictionary: String,
-    ids: Vec<u32>,
-    parts: Vec<PartSummary>,
-    markers: Vec<MarkerSummary>,
-    sheet: Option<SheetSummary>,
-    chessboard: Option<Chessboard>,
+/// Describes a board as JSON.
+fn summary(file: &BoardFile) -> Value {
+    let board = &file.board;
+    let bodies = Part::ALL.into_iter().filter_map(|body| {
+        let markers = board.of_part(body).count();
+        let planar = board.is_planar(body);
+        (markers > 0).then(|| json!({"body": body.name(), "markers": markers, "planar": planar}))
+    });
+    let markers = board.markers.iter().map(|marker| {
+        json!({
+            "id": marker.id,
+            "body": marker.part.name(),
+            "side_m": marker.side_m(),
+            "center_m": marker.center_m().to_array(),
+            "front": marker.front().to_array(),
+        })
+    });
+    let sheet = file.sheet.as_ref().map(|sheet| {
+        json!({
+            "object": sheet.object,
+            "object_sha256": sheet.object_sha256,
+            "paper": sheet.paper,
+            "printed_hash": sheet.printed_hash,
+            "measured_mm": sheet.measured_mm,
+        })
+    });
+    json!({
+        "name": board.name,
+        "hash": board.hash(),
+        "dictionary": board.dictionary,
+        "ids": board.ids(),
+        "bodies": bodies.collect::<Vec<_>>(),
+        "markers": markers.collect::<Vec<_>>(),
+        "sheet": sheet,
+        "chessboard": file.chessboard,
+    })
 }
 
-#[derive(Serialize)]
-struct PartSummary {
-    part: &'static str,
-    markers: usize,
-    planar: bool,
-}
-
-#[derive(Serialize)]
-struct MarkerSummary {
-    id: u32,
-    part: &'static str,
-    side_m: f64,
-    center_m: [f64; 3],
-    front: [f64; 3],
-}
-
-#[derive(Serialize)]
-struct SheetSummary {
-    object: String,
-    object_sha256: String,
-    paper: String,
-    printed_hash: String,
-    measured_mm: [f64; 2],
-}
-
-impl Summary {
-    fn of(file: &BoardFile) -> Self {
-        let board = &file.board;
-        let part = |part: Body| PartSummary {
-            part: part.name(),
-            markers: board.markers_on(part).count(),
-            planar: board.is_planar(part),
-        };
-        let markers = board.markers.iter().map(|marker| MarkerSummary {
-            id: marker.id,
-            part: marker.body.name(),
-            side_m: marker.side_m(),
-            center_m: marker.center_m().to_array(),
-            front: marker.normal().to_array(),
-        });
-        let parts = Body::ALL.into_iter().map(part);
-        Self {
-            name: board.name.clone(),
-            hash: board.hash(),
-            dictionary: board.dictionary.clone(),
-            ids: board.ids(),
-            parts: parts.filter(|p| p.markers > 0).collect(),
-            markers: markers.collect(),
-            sheet: file.sheet.as_ref().map(|sheet| SheetSummary {
-                object: sheet.object.clone(),
-                object_sha256: sheet.object_sha256.clone(),
-                paper: sheet.paper.clone(),
-                printed_hash: sheet.printed_hash.clone(),
-                measured_mm: sheet.measured_mm,
-            }),
-            chessboard: file.chessboard.clone(),
-        }
-    }
-}
-
-/// The same for people.
+/// Describes a board as text.
 fn describe(file: &BoardFile) -> String {
     let board = &file.board;
     let mut lines = vec![
@@ -175,27 +134,27 @@ fn describe(file: &BoardFile) -> String {
         format!("hash        {}", board.hash()),
         format!("dictionary  {}", board.dictionary),
     ];
-    for part in Body::ALL {
-        let markers: Vec<_> = board.markers_on(part).collect();
+    for body in Part::ALL {
+        let markers: Vec<_> = board.of_part(body).collect();
         if markers.is_empty() {
             continue;
         }
         let sides = || markers.iter().map(|m| 1e3 * m.side_m());
-        let (least, most) = (
+        let (min, max) = (
             sides().fold(f64::INFINITY, f64::min),
             sides().fold(0.0, f64::max),
         );
-        let shape = if board.is_planar(part) {
-            "in one plane"
+        let shape = if board.is_planar(body) {
+            "planar"
         } else {
-            "not in one plane"
+            "not planar"
         };
         let ids: Vec<String> = markers.iter().map(|m| m.id.to_string()).collect();
         lines.push(format!(
             "{:<11} {} markers of {} mm, {shape}: {}",
-            part.name(),
+            body.name(),
             markers.len(),
-            span(least, most),
+            span(min, max),
             ids.join(" ")
         ));
     }
@@ -219,11 +178,11 @@ fn describe(file: &BoardFile) -> String {
     lines.join("\n")
 }
 
-fn span(least: f64, most: f64) -> String {
-    if most - least < 0.005 {
-        format!("{least:.2}")
+fn span(min: f64, max: f64) -> String {
+    if max - min < 0.005 {
+        format!("{min:.2}")
     } else {
-        format!("{least:.2} to {most:.2}")
+        format!("{min:.2} to {max:.2}")
     }
 }
 
@@ -233,43 +192,40 @@ struct ImportArgs {
     /// OpenCV
     #[arg(value_name = "FILE")]
     file: PathBuf,
-    /// Dictionary of the board's markers; Kalibr's is 36h11_border2 unless this is given
+    /// Marker dictionary; for Kalibr [default: 36h11_border2]
     #[arg(long, value_name = "NAME|FILE.yml")]
     dictionary: Option<String>,
-    /// Which board of several, or what a Kalibr target is to be called
+    /// Board to choose from several, or name for a Kalibr target
     #[arg(long)]
     name: Option<String>,
     /// Board file to write
     #[arg(long, value_name = "FILE.toml")]
     out: Option<PathBuf>,
-    /// Print one JSON object
+    /// Print the result as JSON
     #[arg(long)]
     json: bool,
 }
 
 fn import(args: &ImportArgs) -> Result<()> {
-    let text = fs::read_to_string(&args.file)
-        .map_err(|e| Error::io("cannot read the board", e).at(args.file.display()))?;
+    let text = read_text(&args.file, "board")?;
     let here = |e: Error| e.at(args.file.display());
-    let kind = BoardFormat::detect(&text).map_err(here)?;
+    let kind = ForeignBoard::recognise(&text).map_err(here)?;
     let board = match kind {
-        BoardFormat::OpencvDictionary => {
+        ForeignBoard::OpencvDictionary => {
             let name = args.file.to_string_lossy();
             let dictionary = Dictionary::from_opencv(&name, &text).map_err(here)?;
-            return say_dictionary(args, &dictionary);
+            return print_dictionary(args, &dictionary);
         }
-        BoardFormat::Kalibr => {
+        ForeignBoard::Kalibr => {
             let dictionary = args.dictionary()?;
             let stem = args.file.file_stem().unwrap_or_default().to_string_lossy();
             let name = args.name.clone().unwrap_or_else(|| stem.into_owned());
             import_kalibr(&text, &name, dictionary.as_ref()).map_err(here)?
         }
-        BoardFormat::Ros => {
+        ForeignBoard::Ros => {
             let dictionary = args.dictionary()?.ok_or_else(|| {
-                Error::usage(
-                    "the file of aruco_opencv does not say which dictionary its boards have",
-                )
-                .remedy("give --dictionary, the marker_dict of the ROS node, such as 4X4_50")
+                Error::usage("the aruco_opencv file does not name its marker dictionary")
+                    .remedy("give --dictionary, the marker_dict of the ROS node, such as 4X4_50")
             })?;
             let boards = import_ros(&text, &dictionary).map_err(here)?;
             chosen(boards, args.name.as_deref())?
@@ -278,17 +234,10 @@ fn import(args: &ImportArgs) -> Result<()> {
     if let Some(out) = &args.out {
         save(out, board.to_toml().as_bytes())?;
     }
-    if args.json {
-        return print_json(&Summary::of(&board));
-    }
-    match &args.out {
-        Some(out) => print(&format!(
-            "{}\nfile        {}",
-            describe(&board),
-            out.display()
-        )),
-        None => print(&board.to_toml()),
-    }
+    print_report(args.json, &summary(&board), |_| match &args.out {
+        Some(out) => format!("{}\nfile        {}", describe(&board), out.display()),
+        None => board.to_toml(),
+    })
 }
 
 impl ImportArgs {
@@ -299,47 +248,40 @@ impl ImportArgs {
     }
 }
 
-/// The only board, or that of a name.
+/// Returns the only board, or the board with the given name.
 fn chosen(mut boards: Vec<BoardFile>, name: Option<&str>) -> Result<BoardFile> {
     let names: Vec<String> = boards.iter().map(|b| b.board.name.clone()).collect();
-    let known: Vec<&str> = names.iter().map(|n| &**n).collect();
-    let place = match name {
-        Some(name) => known.iter().position(|n| *n == name),
-        None => Some(0).filter(|_| known.len() == 1),
+    let names: Vec<&str> = names.iter().map(|n| &**n).collect();
+    let index = match name {
+        Some(name) => names.iter().position(|n| *n == name),
+        None => Some(0).filter(|_| names.len() == 1),
     };
-    match (place, name) {
-        (Some(place), _) => Ok(boards.swap_remove(place)),
-        (None, Some(name)) => Err(gripcast_base::error::unknown_name("board", name, &known)),
-        (None, None) => Err(Error::usage(format!("the file has {} boards", known.len()))
-            .remedy(format!("choose one with --name: {}", known.join(", ")))),
+    match (index, name) {
+        (Some(index), _) => Ok(boards.swap_remove(index)),
+        (None, Some(name)) => Err(unknown_name("board", name, &names)),
+        (None, None) => Err(Error::usage(format!("the file has {} boards", names.len()))
+            .remedy(format!("choose one with --name: {}", names.join(", ")))),
     }
 }
 
-#[derive(Serialize)]
-struct DictionarySummary<'a> {
-    dictionary: &'a str,
-    markers: usize,
-    bits_per_side: usize,
-    min_distance: u32,
-}
-
-fn say_dictionary(args: &ImportArgs, dictionary: &Dictionary) -> Result<()> {
+fn print_dictionary(args: &ImportArgs, dictionary: &Dictionary) -> Result<()> {
     if args.out.is_some() {
-        let what = "a dictionary is no board: there is nothing to write";
-        return Err(Error::usage(what)
-            .remedy("boards name it by its file: --dictionary FILE.yml, beside the board file"));
+        return Err(Error::usage("`--out` is for boards, found a dictionary")
+            .remedy("name the dictionary by its file: --dictionary FILE.yml, beside the board"));
     }
-    let said = DictionarySummary {
-        dictionary: dictionary.name(),
-        markers: dictionary.len(),
-        bits_per_side: dictionary.bits_per_side(),
-        min_distance: dictionary.min_distance(),
-    };
-    if args.json {
-        return print_json(&said);
-    }
-    print(&format!(
-        "dictionary  {}\nmarkers     {} of {2} × {2} cells\ndistance    {3} cells between any two",
-        said.dictionary, said.markers, said.bits_per_side, said.min_distance
-    ))
+    let report = json!({
+        "dictionary": dictionary.name(),
+        "markers": dictionary.len(),
+        "bits_per_side": dictionary.bits_per_side(),
+        "min_distance": dictionary.min_distance(),
+    });
+    print_report(args.json, &report, |_| {
+        format!(
+            "dictionary  {}\nmarkers     {} of {2} × {2} cells\ndistance    at least {3} cells",
+            dictionary.name(),
+            dictionary.len(),
+            dictionary.bits_per_side(),
+            dictionary.min_distance()
+        )
+    })
 }

@@ -1,4 +1,4 @@
-//! `gripcast calibrate`: cameras and the gripper's tags.
+//! `gripcast calibrate`: calibrates cameras and gripper tags.
 //!
 //! ```text
 //! gripcast calibrate intrinsics --board charuco.toml --rig bench --out external.toml
@@ -11,12 +11,13 @@
 //!     --images photos --closed closed-1.png --out gripper.toml
 //! ```
 //!
-//! `intrinsics` takes views of a flat board, live or from files: docs/calibration.md. `show` and `convert` read intrinsics of gripcast (TOML), ROS (camera_info YAML), OpenCV
-//! (FileStorage YAML) and Kalibr (camchain.yaml); the content decides which it is. `gripper` finds
-//! out where the gripper's tags really are: docs/gripper-tags.md.
+//! `intrinsics` uses views of a planar board, live or from files (docs/calibration.md). `show` and
+//! `convert` read intrinsics of gripcast (TOML), ROS (camera_info YAML), OpenCV (FileStorage YAML)
+//! and Kalibr (camchain.yaml); the format is detected from the content. `gripper` measures the
+//! poses of the gripper tags (docs/gripper-tags.md).
 //!
-//! Exit codes: 0 done · 1 a file, an image or the set of images is refused · 2 usage · 3 done,
-//! but an image could not be read or a tag was loose.
+//! Exit codes: 0 done · 1 invalid file or unusable images · 2 usage · 3 done, but an image was
+//! unreadable or a tag was loose.
 
 use clap::Subcommand;
 
@@ -32,17 +33,17 @@ pub(crate) struct Args {
 
 #[derive(Debug, Subcommand)]
 enum Kind {
-    /// Intrinsics of a camera from views of a flat board
+    /// Calibrate camera intrinsics with a planar board
     Intrinsics(calibrate_intrinsics::Args),
-    /// Find out from images where the gripper's tags are
+    /// Calibrate the poses of the gripper tags
     Gripper(calibrate_gripper::Args),
-    /// Read intrinsics of any known format and write them in another
+    /// Convert an intrinsics file to another format
     Convert(calibrate_convert::ConvertArgs),
-    /// Check a file of intrinsics and say what is in it
+    /// Check and describe an intrinsics file
     Show(calibrate_convert::ShowArgs),
 }
 
-/// Runs the verb.
+/// Runs the command.
 pub(crate) fn run(context: &Context, args: Args) -> Result<()> {
     match args.kind {
         Kind::Intrinsics(args) => calibrate_intrinsics::run(context, &args),

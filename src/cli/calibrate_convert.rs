@@ -1,12 +1,12 @@
-//! `gripcast calibrate convert` and `gripcast calibrate show`: files of intrinsics.
+//! `gripcast calibrate convert` and `gripcast calibrate show`: intrinsics files.
 
 use std::path::PathBuf;
 
 use glam::DVec2;
 use serde::Serialize;
 
-use super::{Context, print, print_json};
-use crate::note;
+use super::flags::size;
+use super::{Context, print, print_report};
 use gripcast_base::error::{Error, Result};
 use gripcast_base::files::save;
 use gripcast_imaging::{DistortionModel, Intrinsics};
@@ -15,13 +15,14 @@ use gripcast_pose::{CameraFile, CameraReadOptions, to_opencv, to_ros};
 
 #[derive(Debug, clap::Args)]
 struct Source {
-    /// Intrinsics: gripcast's TOML, camera_info of ROS, YAML of OpenCV, camchain.yaml of Kalibr
+    /// Intrinsics file of gripcast (TOML), ROS (camera_info), OpenCV (YAML) or Kalibr
+    /// (camchain.yaml)
     #[arg(value_name = "FILE")]
     file: PathBuf,
-    /// Size of the images, for files that do not have it
-    #[arg(long, value_name = "WxH", value_parser = size)]
+    /// Image size, px, for files without it
+    #[arg(long, value_name = "WxH", value_parser = |text: &str| size(text, 1..=65_535))]
     size: Option<[u32; 2]>,
-    /// Which camera of a camchain; what a camera_info is to call it [default: external]
+    /// Camera to choose from a camchain; camera name in a camera_info [default: external]
     #[arg(long, value_name = "NAME")]
     camera_name: Option<String>,
 }
@@ -31,21 +32,21 @@ struct Source {
 pub(super) struct ConvertArgs {
     #[command(flatten)]
     source: Source,
-    /// Format to write
-    #[arg(long, value_enum)]
+    /// Output format
+    #[arg(long, value_enum, value_name = "FORMAT")]
     to: Target,
-    /// File to write
+    /// Output file
     #[arg(long, value_name = "FILE")]
     out: PathBuf,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
 enum Target {
-    /// gripcast's own
+    /// gripcast TOML
     Toml,
-    /// camera_info YAML
+    /// ROS camera_info YAML
     Ros,
-    /// YAML of FileStorage
+    /// OpenCV FileStorage YAML
     Opencv,
 }
 
@@ -54,16 +55,9 @@ enum Target {
 pub(super) struct ShowArgs {
     #[command(flatten)]
     source: Source,
-    /// Print one JSON object
+    /// Print the result as JSON
     #[arg(long)]
     json: bool,
-}
-
-fn size(text: &str) -> Result<[u32; 2], String> {
-    let both = text.split_once(['x', '×']);
-    let both = both.and_then(|(w, h)| Some([w.trim().parse().ok()?, h.trim().parse().ok()?]));
-    both.filter(|[w, h]| *w > 0 && *h > 0)
-        .ok_or_else(|| "must be a width and a height in pixels, as 1280x720".to_owned())
 }
 
 impl Source {
@@ -90,11 +84,8 @@ pub(super) fn convert(context: &Context, args: &ConvertArgs) -> Result<()> {
         Target::Opencv => to_opencv(&read.intrinsics, read.rms_px)?,
     };
     save(&args.out, text.as_bytes())?;
-    if !context.quiet {
-        for note in &read.notes {
-            note!("gripcast: {}: {note}", args.source.file.display());
-        }
-    }
+    let file = args.source.file.display();
+    context.warn(read.notes.iter().map(|note| format!("{file}: {note}")));
     print(&format!(
         "{}\nfile        {}",
         describe(&read),
@@ -116,21 +107,19 @@ struct Summary<'a> {
 /// Runs `show`.
 pub(super) fn show(args: &ShowArgs) -> Result<()> {
     let read = args.source.read()?;
-    if args.json {
-        return print_json(&Summary {
-            format: read.format.name(),
-            intrinsics: read.intrinsics,
-            field_of_view_deg: field_of_view_deg(&read.intrinsics),
-            camera_name: read.camera_name.as_deref(),
-            rms_px: read.rms_px,
-            notes: &read.notes,
-        });
-    }
-    print(&describe(&read))
+    let summary = Summary {
+        format: read.format.name(),
+        intrinsics: read.intrinsics,
+        field_of_view_deg: field_of_view_deg(&read.intrinsics),
+        camera_name: read.camera_name.as_deref(),
+        rms_px: read.rms_px,
+        notes: &read.notes,
+    };
+    print_report(args.json, &summary, |_| describe(&read))
 }
 
-/// Angles between the image's left and right, and its upper and lower edge, through the
-/// principal point; none where the lens model does not reach an edge.
+/// Returns the horizontal and vertical field of view through the principal point; none if the lens
+/// model does not reach an edge.
 fn field_of_view_deg(camera: &Intrinsics) -> Option<[f64; 2]> {
     let (right, below) = (
         f64::from(camera.width) - 0.5,
@@ -153,7 +142,7 @@ fn describe(read: &CameraFile) -> String {
     };
     let mut lines = vec![
         format!("format      {}", read.format.name()),
-        format!("images    {} × {}", camera.width, camera.height),
+        format!("size        {} × {}", camera.width, camera.height),
         format!("focal       {} {} px", camera.fx, camera.fy),
         format!("centre      {} {} px", camera.cx, camera.cy),
         format!("distortion  {model}"),

@@ -1,4 +1,4 @@
-//! `gripcast calibrate gripper`: where the gripper's tags are, from images.
+//! `gripcast calibrate gripper`: calibrates the poses of the gripper tags from images.
 
 use std::path::{Path, PathBuf};
 
@@ -7,42 +7,41 @@ use serde::Serialize;
 use super::image_folder::{file_name, images, read_grey};
 use super::working::{Progress, interruptible};
 use super::{Context, print_report};
-use crate::note;
 use gripcast_base::error::{Error, ErrorKind, Result, unknown_name};
 use gripcast_base::files::save;
 use gripcast_imaging::{Decoder, Intrinsics};
 use gripcast_pose::calibrate::{
     CalibratedMarker, FrameSource, GripperCalibration, GripperImage, MarkerState, calibrate_gripper,
 };
-use gripcast_pose::detect::{builtin_dictionaries, detectors, diagnose};
+use gripcast_pose::detect::{detectors, diagnose, known_dictionaries};
 use gripcast_pose::refine::refine_all;
 use gripcast_pose::{BoardFile, load_intrinsics, require_size};
 
 /// Arguments.
 #[derive(Debug, clap::Args)]
 pub(super) struct Args {
-    /// Board file of the gripper's tags as they were designed, with their measured sizes
+    /// Nominal board file of the gripper tags, with their measured sizes
     #[arg(long, value_name = "FILE.toml")]
     tags: PathBuf,
-    /// Intrinsics of the camera, of any format that `calibrate show` reads
+    /// Intrinsics of the camera, in any format of `calibrate show`
     #[arg(long, value_name = "FILE")]
     intrinsics: PathBuf,
-    /// Folder of images of the gripper (.png, .jpg), in the order of their names
-    #[arg(long, value_name = "FOLDER")]
+    /// Folder of images of the gripper (.png, .jpg)
+    #[arg(long, value_name = "DIR")]
     images: PathBuf,
-    /// Image in which the gel faces touch; may be given several times
+    /// Images in which the gel faces touch
     #[arg(long, value_name = "NAME", num_args = 1..)]
     closed: Vec<String>,
     /// Board file to write
     #[arg(long, value_name = "FILE.toml")]
     out: PathBuf,
-    /// Print one JSON object
+    /// Print the result as JSON
     #[arg(long)]
     json: bool,
 }
 
-/// Images with their markers, and those that could not be read.
-struct Seen {
+/// Images with their detected markers, and unreadable images.
+struct Detections {
     images: Vec<GripperImage>,
     unreadable: Vec<Skipped>,
 }
@@ -53,77 +52,68 @@ struct Skipped {
     reason: String,
 }
 
-/// Runs the verb.
+/// Runs the command.
 pub(super) fn run(context: &Context, args: Args) -> Result<()> {
     let nominal = BoardFile::load(&args.tags)?;
     let intrinsics = load_intrinsics(&args.intrinsics)?;
     let files = images(&args.images)?;
     let closed = closed(&args.closed, &files)?;
     let (folder, board) = (args.images.clone(), nominal.clone());
-    let (seen, found) = interruptible(context, "images", move |progress| {
-        let seen = look(&board, &intrinsics, &files, &closed, progress)
+    let (detections, result) = interruptible(context, "detecting tags", move |progress| {
+        let detections = detect(&board, &intrinsics, &files, &closed, progress)
             .map_err(|e| e.at(folder.display()))?;
-        let found = calibrate_gripper(&board, &intrinsics, &seen.images)
+        let result = calibrate_gripper(&board, &intrinsics, &detections.images)
             .map_err(|e| e.at(folder.display()))?;
-        Ok::<_, Error>((seen, found))
+        Ok::<_, Error>((detections, result))
     })??;
-    save(&args.out, found.board.to_toml().as_bytes())?;
-    let report = Report::new(&found, &seen, &args.out);
+    save(&args.out, result.board.to_toml().as_bytes())?;
+    let report = Report::new(&result, &detections, &args.out);
     print_report(args.json, &report, |report| report.text())?;
-    if !context.quiet {
-        for skipped in report.skipped.iter() {
-            note!(
-                "gripcast: {} is not used: {}",
-                skipped.image,
-                skipped.reason
-            );
-        }
-        for note in &found.notes {
-            note!("gripcast: {note}");
-        }
-    }
+    let skipped = report.skipped.iter();
+    context.warn(skipped.map(|s| format!("{} is not used: {}", s.image, s.reason)));
+    context.warn(&result.notes);
     let is_loose = |m: &CalibratedMarker| matches!(m.state, MarkerState::Loose { .. });
-    let loose = found.markers.iter().filter(|m| is_loose(m)).count();
-    match (seen.unreadable.len(), loose) {
+    let loose = result.markers.iter().filter(|m| is_loose(m)).count();
+    match (detections.unreadable.len(), loose) {
         (0, 0) => Ok(()),
         (unreadable, loose) => Err(Error::new(
             ErrorKind::Partial,
-            format!("{unreadable} images could not be read, {loose} tags were loose"),
+            format!("{unreadable} images were unreadable, {loose} tags were loose"),
         )),
     }
 }
 
-/// Whether each image was named as one with closed fingers, by its name with or without suffix.
+/// Returns for each image whether its name, with or without suffix, is in `wanted`.
 fn closed(wanted: &[String], files: &[PathBuf]) -> Result<Vec<bool>> {
     let names: Vec<String> = files.iter().map(|f| file_name(f)).collect();
-    let known: Vec<&str> = names.iter().map(|n| &**n).collect();
+    let names: Vec<&str> = names.iter().map(|n| &**n).collect();
     let mut closed = vec![false; files.len()];
     for wanted in wanted {
-        let is_it = |f: &PathBuf| {
+        let is_wanted = |f: &PathBuf| {
             file_name(f) == *wanted
                 || f.file_stem()
                     .is_some_and(|stem| stem.to_string_lossy() == *wanted)
         };
-        let place = files.iter().position(is_it);
-        let place = place.ok_or_else(|| unknown_name("image", wanted, &known))?;
-        closed[place] = true;
+        let index = files.iter().position(is_wanted);
+        let index = index.ok_or_else(|| unknown_name("image", wanted, &names))?;
+        closed[index] = true;
     }
     Ok(closed)
 }
 
-fn look(
+fn detect(
     board: &BoardFile,
     intrinsics: &Intrinsics,
     files: &[PathBuf],
     closed: &[bool],
     progress: &Progress,
-) -> Result<Seen> {
+) -> Result<Detections> {
     let mut all = detectors(&board.dictionary, &board.board.ids())?.into_iter();
     let Some(mut detector) = all.next() else {
         return Err(Error::internal("there is no detector"));
     };
     let mut decoder = Decoder::new()?;
-    let mut seen = Seen {
+    let mut detections = Detections {
         images: Vec::new(),
         unreadable: Vec::new(),
     };
@@ -131,34 +121,34 @@ fn look(
     for (i, (file, closed)) in files.iter().zip(closed).enumerate() {
         let name = file_name(file);
         match read_grey(&mut decoder, file) {
-            Err(error) => seen.unreadable.push(Skipped {
+            Err(error) => detections.unreadable.push(Skipped {
                 image: name,
                 reason: error.to_string(),
             }),
             Ok(image) => {
                 require_size(intrinsics, image.width(), image.height()).map_err(|e| e.at(&name))?;
-                let found = detector.detect(&image).map_err(|e| e.at(&name))?;
-                seen.images.push(GripperImage {
-                    detections: refine_all(&image, &found),
+                let markers = detector.detect(&image).map_err(|e| e.at(&name))?;
+                detections.images.push(GripperImage {
+                    detections: refine_all(&image, &markers),
                     closed: *closed,
                     name,
                 });
                 first.get_or_insert(image);
             }
         }
-        progress.at(i as u64 + 1, files.len() as u64);
+        progress.count(i + 1, files.len());
     }
     let Some(first) = first else {
-        let reason = seen.unreadable.first().map_or("", |s| &s.reason);
-        let what = format!("none of the images can be read: {reason}");
+        let reason = detections.unreadable.first().map_or("", |s| &s.reason);
+        let what = format!("no readable image: {reason}");
         return Err(Error::input(what));
     };
-    if seen.images.iter().all(|p| p.detections.is_empty()) {
-        let others = builtin_dictionaries();
-        let why = diagnose(&first, &board.dictionary, &board.board.ids(), &others)?;
-        return Err(why.to_error(&board.board.name));
+    if detections.images.iter().all(|p| p.detections.is_empty()) {
+        let others = known_dictionaries();
+        let diagnosis = diagnose(&first, &board.dictionary, &board.board.ids(), &others)?;
+        return Err(diagnosis.explain(&board.board.name));
     }
-    Ok(seen)
+    Ok(detections)
 }
 
 #[derive(Serialize)]
@@ -169,12 +159,12 @@ struct Report<'a> {
     images: usize,
     skipped: Vec<Skipped>,
     rms_px: f64,
-    described_rms_px: Option<f64>,
+    nominal_rms_px: Option<f64>,
     holdout_rms_px: Option<f64>,
     corner_sigma_px: f64,
     openings_m: Option<[f64; 2]>,
     x_from: &'static str,
-    x_off_deg: Option<f64>,
+    x_shift_deg: Option<f64>,
     x_sigma_deg: Option<f64>,
     opening_zero_from: &'static str,
     frame_sigma_mm: Option<f64>,
@@ -186,24 +176,24 @@ struct Report<'a> {
 #[derive(Serialize)]
 struct MarkerReport {
     id: u32,
-    part: &'static str,
+    body: &'static str,
     state: &'static str,
     reason: Option<String>,
     images: usize,
     outliers: usize,
     shift_mm: f64,
     shift_xyz_mm: [f64; 3],
-    turn_deg: f64,
+    rotation_deg: f64,
     sigma_mm: Option<f64>,
     sigma_deg: Option<f64>,
     rms_px: Option<f64>,
-    left_out_rms_px: Option<f64>,
+    holdout_rms_px: Option<f64>,
 }
 
 fn source(source: FrameSource) -> &'static str {
     match source {
         FrameSource::Fingers => "fingers",
-        FrameSource::Description => "description",
+        FrameSource::Description => "nominal",
         FrameSource::Nothing => "nothing",
     }
 }
@@ -212,7 +202,7 @@ impl MarkerReport {
     fn new(marker: &CalibratedMarker) -> Self {
         let (state, reason) = match &marker.state {
             MarkerState::Calibrated => ("calibrated", None),
-            MarkerState::Nominal(reason) => ("as described", Some((*reason).to_owned())),
+            MarkerState::AsDescribed(reason) => ("nominal", Some((*reason).to_owned())),
             MarkerState::Loose { moved: None } => ("loose", None),
             MarkerState::Loose {
                 moved: Some(([a, b], ..)),
@@ -221,18 +211,18 @@ impl MarkerReport {
         let sigma = marker.sigma();
         Self {
             id: marker.id,
-            part: marker.body.name(),
+            body: marker.part.name(),
             state,
             reason,
             images: marker.images,
             outliers: marker.outliers,
             shift_mm: 1e3 * marker.shift_m.length(),
             shift_xyz_mm: (1e3 * marker.shift_m).to_array(),
-            turn_deg: marker.rotation_rad.to_degrees(),
+            rotation_deg: marker.turn_rad.to_degrees(),
             sigma_mm: sigma.map(|s| 1e3 * s.0),
             sigma_deg: sigma.map(|s| s.1.to_degrees()),
             rms_px: marker.rms_px,
-            left_out_rms_px: marker.left_out_rms_px,
+            holdout_rms_px: marker.left_out_rms_px,
         }
     }
 
@@ -241,44 +231,49 @@ impl MarkerReport {
         format!(
             "{:>5}  {:<12} {:>8} {:>9.2} {:>7.2} {:>9} {:>8} {:>7} {:>9}  {}",
             self.id,
-            self.part,
+            self.body,
             self.images,
             self.shift_mm,
-            self.turn_deg,
+            self.rotation_deg,
             number(self.sigma_mm),
             number(self.sigma_deg),
             number(self.rms_px),
-            number(self.left_out_rms_px),
+            number(self.holdout_rms_px),
             self.state
         )
     }
 }
 
 impl<'a> Report<'a> {
-    fn new(found: &'a GripperCalibration, seen: &Seen, file: &'a Path) -> Self {
-        let without = found.left_out.iter().map(|(image, reason)| Skipped {
+    fn new(result: &'a GripperCalibration, detections: &Detections, file: &'a Path) -> Self {
+        let unused = result.left_out.iter().map(|(image, reason)| Skipped {
             image: image.clone(),
             reason: reason.clone(),
         });
         Self {
             file,
-            name: &found.board.board.name,
-            hash: found.board.board.hash(),
-            images: found.images,
-            skipped: seen.unreadable.iter().cloned().chain(without).collect(),
-            rms_px: found.rms_px,
-            described_rms_px: found.described_rms_px,
-            holdout_rms_px: found.holdout_rms_px,
-            corner_sigma_px: found.corner_sigma_px,
-            openings_m: found.openings_m,
-            x_from: source(found.x_from),
-            x_off_deg: found.line_off_rad.map(|l| l.0.to_degrees()),
-            x_sigma_deg: found.line_off_rad.map(|l| l.1.to_degrees()),
-            opening_zero_from: source(found.zero_from),
-            frame_sigma_mm: found.frame_sigma_m.map(|s| 1e3 * s),
-            frame_sigma_deg: found.frame_sigma_rad.map(f64::to_degrees),
-            markers: found.markers.iter().map(MarkerReport::new).collect(),
-            notes: &found.notes,
+            name: &result.board.board.name,
+            hash: result.board.board.hash(),
+            images: result.images,
+            skipped: detections
+                .unreadable
+                .iter()
+                .cloned()
+                .chain(unused)
+                .collect(),
+            rms_px: result.rms_px,
+            nominal_rms_px: result.described_rms_px,
+            holdout_rms_px: result.holdout_rms_px,
+            corner_sigma_px: result.corner_sigma_px,
+            openings_m: result.openings_m,
+            x_from: source(result.x_from),
+            x_shift_deg: result.line_off_rad.map(|l| l.0.to_degrees()),
+            x_sigma_deg: result.line_off_rad.map(|l| l.1.to_degrees()),
+            opening_zero_from: source(result.zero_from),
+            frame_sigma_mm: result.frame_sigma_m.map(|s| 1e3 * s),
+            frame_sigma_deg: result.frame_sigma_rad.map(f64::to_degrees),
+            markers: result.markers.iter().map(MarkerReport::new).collect(),
+            notes: &result.notes,
         }
     }
 
@@ -286,19 +281,23 @@ impl<'a> Report<'a> {
         let pixels = |value: Option<f64>| value.map_or("–".to_owned(), |v| format!("{v:.3} px"));
         let mut lines = vec![
             format!("board       {} ({})", self.name, self.hash),
-            format!("images    {}, {} not used", self.images, self.skipped.len()),
             format!(
-                "error       {:.3} px; held-out images {}; tags as described {}",
+                "images      {}, {} not used",
+                self.images,
+                self.skipped.len()
+            ),
+            format!(
+                "error       {:.3} px; held-out images {}; nominal tag poses {}",
                 self.rms_px,
                 pixels(self.holdout_rms_px),
-                pixels(self.described_rms_px)
+                pixels(self.nominal_rms_px)
             ),
         ];
-        if let Some([least, most]) = self.openings_m {
+        if let Some([min, max]) = self.openings_m {
             lines.push(format!(
                 "openings    {:.1} to {:.1} mm, zero from {}",
-                1e3 * least,
-                1e3 * most,
+                1e3 * min,
+                1e3 * max,
                 match self.opening_zero_from {
                     "fingers" => "closed images",
                     other => other,
@@ -308,13 +307,21 @@ impl<'a> Report<'a> {
         lines.push(format!("x axis      from {}", self.x_from));
         if let (Some(mm), Some(deg)) = (self.frame_sigma_mm, self.frame_sigma_deg) {
             lines.push(format!(
-                "frame       known to about {mm:.1} mm and {deg:.1}° by how the tags scatter"
+                "frame       ± {mm:.1} mm, ± {deg:.1}° by the scatter of the tags"
             ));
         }
-        lines.push(
-            "   id  part         images  off, mm  off, °  sigma, mm sigma, °  rms px  left out"
-                .into(),
-        );
+        lines.push(format!(
+            "{:>5}  {:<12} {:>8} {:>9} {:>7} {:>9} {:>8} {:>7} {:>9}",
+            "id",
+            "body",
+            "images",
+            "shift mm",
+            "rot °",
+            "sigma mm",
+            "sigma °",
+            "rms px",
+            "held out"
+        ));
         lines.extend(self.markers.iter().map(MarkerReport::row));
         lines.push(format!("file        {}", self.file.display()));
         lines.join("\n")

@@ -1,4 +1,4 @@
-//! `gripcast calibrate intrinsics`: intrinsics of a camera from views of a flat board.
+//! `gripcast calibrate intrinsics`: calibrates camera intrinsics with a planar board.
 //!
 //! ```text
 //! gripcast board charuco --out charuco.pdf
@@ -6,20 +6,20 @@
 //! gripcast calibrate intrinsics --board charuco.toml --images shots/ --out external.toml
 //! ```
 //!
-//! With `--images` the JPEG and PNG files of a folder are taken in the order of their names.
-//! With `--rig` a camera of the rig is opened, hints say which view is still missing, and it ends
-//! when there are enough. On a terminal Enter ends it with the views so far, and `q` or Ctrl-C
-//! leaves without writing. docs/calibration.md says what the numbers mean.
+//! `--images` uses the JPEG and PNG files of a folder, sorted by name. `--rig` opens a camera of the
+//! rig, shows which views are missing, and ends when there are enough. On a terminal, Enter ends
+//! with the current views and `q` or Ctrl-C quits without writing. The results are explained in
+//! docs/calibration.md.
 //!
-//! Exit codes: 0 done · 1 the views do not give a calibration, or a file is refused · 2 usage ·
-//! 3 done, but images could not be read or did not show the board · 69 no such camera ·
-//! 130 interrupted; nothing was written.
+//! Exit codes: 0 done · 1 calibration failed or invalid file · 2 usage · 3 done, but some images
+//! were unreadable or did not show the board · 69 no such camera · 130 interrupted, nothing written.
 
 use std::path::{Path, PathBuf};
 
 use image::GrayImage;
 use serde_json::{Value, json};
 
+use super::flags::check_output;
 use super::image_folder::{file_name, images, read_grey};
 use super::working::interruptible;
 use super::{Context, calibrate_live, print, print_json};
@@ -28,21 +28,21 @@ use gripcast_base::error::{Error, ErrorKind, Result};
 use gripcast_imaging::{Decoder, Role};
 use gripcast_pose::BoardFile;
 use gripcast_pose::calibrate::{
-    CalibrationReport, Collector, CollectorSettings, Hint, PARAMETERS, Rejection,
+    CalibrationReport, Collector, CollectorSettings, Hint, PARAMETERS, Refusal,
 };
-use gripcast_pose::detect::{Diagnosis, builtin_dictionaries, diagnose};
+use gripcast_pose::detect::{Diagnosis, diagnose, known_dictionaries};
 
-/// Errors above which a person should look for the cause, px.
-const LARGE_RMS_PX: f64 = 0.5;
-/// Ratio of the error of left out views to that of the others that shows overfitting.
-const LARGE_HOLDOUT: f64 = 1.5;
-/// Uncertainty of the image's corners that is told, px.
-const LARGE_CORNER_PX: f64 = 1.0;
+/// Reprojection error that causes a warning, px.
+const MAX_RMS_PX: f64 = 0.5;
+/// Ratio of held-out to training error that causes a warning of overfitting.
+const MAX_HOLDOUT_RATIO: f64 = 1.5;
+/// Uncertainty in the image corners that causes a warning, px.
+const MAX_CORNER_SIGMA_PX: f64 = 1.0;
 
 /// Arguments.
 #[derive(Debug, clap::Args)]
 pub(crate) struct Args {
-    /// Board file: a chessboard of `board charuco`, or any flat board of markers
+    /// Board file: a ChArUco board or any planar marker board
     #[arg(long, value_name = "FILE.toml")]
     board: PathBuf,
     /// Folder of JPEG and PNG images of one camera
@@ -53,22 +53,23 @@ pub(crate) struct Args {
         conflicts_with_all = ["rig", "keep"]
     )]
     images: Option<PathBuf>,
-    /// Rig whose camera is calibrated live: its name or file
+    /// Rig with the camera to calibrate live: its name or file
     #[arg(long, value_name = "NAME|FILE")]
     rig: Option<String>,
-    /// Role of the camera in the rig
-    #[arg(long, value_name = "ROLE", default_value = "external", value_parser = role)]
-    camera: Role,
-    /// Views that are enough if they cover everything
-    #[arg(long, value_name = "N", default_value_t = 12, value_parser = clap::value_parser!(u16).range(3..=60))]
-    views: u16,
-    /// Keep the images that were used, live
-    #[arg(long, value_name = "DIR")]
-    keep: Option<PathBuf>,
     /// Intrinsics file to write
     #[arg(long, value_name = "FILE.toml")]
     out: PathBuf,
-    /// Print one JSON object
+    /// Role of the camera in the rig
+    #[arg(long, value_name = "ROLE", default_value = "external", value_parser = role)]
+    camera: Role,
+    /// Number of views to collect, given full coverage
+    #[arg(long, value_name = "N", default_value_t = 12,
+        value_parser = clap::value_parser!(u16).range(3..=60))]
+    views: u16,
+    /// Save the images used in a live calibration
+    #[arg(long, value_name = "DIR")]
+    keep: Option<PathBuf>,
+    /// Print the result as JSON
     #[arg(long)]
     json: bool,
 }
@@ -76,38 +77,44 @@ pub(crate) struct Args {
 fn role(text: &str) -> Result<Role, String> {
     let role: Role = text.parse().map_err(|e: Error| e.to_string())?;
     if role == Role::Depth {
-        return Err("the depth camera gives no images of markers".to_owned());
+        return Err("the depth camera cannot see markers".to_owned());
     }
     Ok(role)
 }
 
-/// What a calibration is made of.
-pub(super) struct Taken {
+/// Collected views.
+pub(super) struct Views {
     pub(super) collector: Collector,
-    /// Names of the views, in their order.
+    /// Image names of the views.
     pub(super) names: Vec<String>,
-    /// Images that are not used, and why.
+    /// Unused images with the reason.
     pub(super) left_out: Vec<(String, String)>,
-    /// How many of these should have been usable.
-    pub(super) lost: usize,
+    /// Number of unreadable images and of images without the board.
+    pub(super) unusable: usize,
 }
 
-/// Runs the verb.
+impl Views {
+    pub(super) fn new(collector: Collector) -> Self {
+        Self {
+            collector,
+            names: Vec::new(),
+            left_out: Vec::new(),
+            unusable: 0,
+        }
+    }
+}
+
+/// Runs the command.
 pub(super) fn run(context: &Context, args: &Args) -> Result<()> {
     let board = BoardFile::load(&args.board)?;
-    if let Some(folder) = args.out.parent().filter(|f| !f.as_os_str().is_empty())
-        && !folder.is_dir()
-    {
-        let what = "there is no folder to write the intrinsics to";
-        return Err(Error::not_found(what).at(folder.display()));
-    }
+    check_output("--out", &args.out, &[])?;
     let settings = CollectorSettings {
         wanted: usize::from(args.views),
         still: args.images.is_none(),
         ..CollectorSettings::default()
     };
     let collector = Collector::new(&board, settings).map_err(|e| e.at(args.board.display()))?;
-    let taken = match (&args.images, &args.rig) {
+    let views = match (&args.images, &args.rig) {
         (Some(folder), _) => {
             let folder = folder.clone();
             interruptible(context, "calibrating", move |progress| {
@@ -119,163 +126,149 @@ pub(super) fn run(context: &Context, args: &Args) -> Result<()> {
         }
         (None, None) => return Err(Error::usage("give --images or --rig")),
     };
-    let report = taken
+    let report = views
         .collector
         .finish()
         .map_err(|e| e.at(board.board.name.clone()))?;
-    let warnings = warnings(&taken, &report);
+    let warnings = warnings(&views, &report);
     report.intrinsics.save(&args.out)?;
     if args.json {
-        print_json(&as_json(args, &taken, &report, &warnings))?;
+        print_json(&as_json(args, &views, &report, &warnings))?;
     } else {
-        print(&as_text(args, &taken, &report))?;
+        print(&as_text(args, &views, &report))?;
         for warning in &warnings {
             note!("warning: {warning}");
         }
     }
-    if taken.lost > 0 {
-        return Err(Error::new(
+    match views.unusable {
+        0 => Ok(()),
+        count => Err(Error::new(
             ErrorKind::Partial,
-            format!(
-                "{} image(s) could not be used; the calibration is of the others",
-                taken.lost
-            ),
-        ));
+            format!("{count} image(s) were unusable; the calibration uses the others"),
+        )),
     }
-    Ok(())
 }
 
-fn from_folder(collector: Collector, folder: &Path, say: &dyn Fn(String)) -> Result<Taken> {
+fn from_folder(collector: Collector, folder: &Path, on_progress: &dyn Fn(String)) -> Result<Views> {
     let mut decoder = Decoder::new()?;
-    let mut taken = Taken {
-        collector,
-        names: Vec::new(),
-        left_out: Vec::new(),
-        lost: 0,
-    };
+    let mut views = Views::new(collector);
     let mut sizes: Vec<String> = Vec::new();
     let mut without_board: Option<GrayImage> = None;
     for path in images(folder)? {
         let name = file_name(&path);
         let offered = read_grey(&mut decoder, &path)
-            .and_then(|image| Ok((taken.collector.add_image(&image)?, image)));
+            .and_then(|image| Ok((views.collector.offer(&image)?, image)));
         let reason = match offered {
             Err(error) => {
-                taken.lost += 1;
+                views.unusable += 1;
                 Some(error.to_string())
             }
             Ok((offer, image)) => {
-                match offer.rejection {
-                    Some(Rejection::Size([width, height], _)) => {
+                match offer.refused {
+                    Some(Refusal::Size([width, height], _)) => {
                         sizes.push(format!("{name} ({width}×{height})"));
                     }
-                    Some(Rejection::NoBoard) => {
-                        taken.lost += 1;
+                    Some(Refusal::NoBoard) => {
+                        views.unusable += 1;
                         without_board.get_or_insert(image);
                     }
                     _ => {}
                 }
-                offer.rejection.map(|r| r.to_string())
+                offer.refused.map(|r| r.to_string())
             }
         };
         match reason {
-            None => taken.names.push(name),
+            None => views.names.push(name),
             Some(reason) => {
-                say(format!("{name}: {reason}"));
-                taken.left_out.push((name, reason));
+                on_progress(format!("{name}: {reason}"));
+                views.left_out.push((name, reason));
             }
         }
     }
     if !sizes.is_empty() {
-        return Err(other_sizes(&taken, &sizes).at(folder.display()));
+        return Err(other_sizes(&views, &sizes).at(folder.display()));
     }
     if let Some(image) = without_board {
-        let diagnosis = diagnosed(&taken.collector, &image)?;
-        let explained = diagnosis.to_error(&taken.collector.file().board.name);
-        if taken.names.is_empty() {
+        let diagnosis = diagnosed(&views.collector, &image)?;
+        let explained = diagnosis.explain(&views.collector.file().board.name);
+        if views.names.is_empty() {
             return Err(explained.at(folder.display()));
         }
-        say(explained.to_string());
+        on_progress(explained.to_string());
     }
-    if taken.names.is_empty() {
-        return Err(none_usable(&taken).at(folder.display()));
+    if views.names.is_empty() {
+        return Err(none_usable(&views).at(folder.display()));
     }
-    Ok(taken)
+    Ok(views)
 }
 
-/// What is in an image in place of the board.
+/// Diagnoses an image without the board.
 pub(super) fn diagnosed(collector: &Collector, image: &GrayImage) -> Result<Diagnosis> {
     let file = collector.file();
-    let others = builtin_dictionaries();
+    let others = known_dictionaries();
     diagnose(image, &file.dictionary, &file.board.ids(), &others)
 }
 
-fn other_sizes(taken: &Taken, sizes: &[String]) -> Error {
+fn other_sizes(views: &Views, sizes: &[String]) -> Error {
     const MAX: usize = 8;
-    let [width, height] = taken.collector.size().unwrap_or_default();
-    let more = sizes.len().saturating_sub(MAX);
-    let more = if more > 0 {
-        format!(" and {more} more")
-    } else {
-        String::new()
+    let [width, height] = views.collector.size().unwrap_or_default();
+    let more = match sizes.len().saturating_sub(MAX) {
+        0 => String::new(),
+        count => format!(" and {count} more"),
     };
     Error::input(format!(
         "the images have different sizes: {width}×{height} first, then {}{more}",
         sizes[..sizes.len().min(MAX)].join(", ")
     ))
-    .remedy("intrinsics are those of one size: keep the images of one camera in one mode")
+    .remedy("intrinsics depend on the image size: use the images of one camera in one mode")
 }
 
-fn none_usable(taken: &Taken) -> Error {
-    let first = taken.left_out.first();
+fn none_usable(views: &Views) -> Error {
+    let first = views.left_out.first();
     let reason = first.map_or(String::new(), |(name, reason)| {
         format!(": {name}: {reason}")
     });
-    Error::input(format!("no image is usable{reason}"))
-        .remedy("docs/calibration.md says how to take them")
+    Error::input(format!("no usable image{reason}"))
+        .remedy("docs/calibration.md explains how to take them")
 }
 
-/// What a person should know.
-fn warnings(taken: &Taken, report: &CalibrationReport) -> Vec<String> {
-    let mut said = Vec::new();
-    if report.rms_px > LARGE_RMS_PX {
-        said.push(format!(
-            "the reprojection error of {:.2} px is large: is the board flat, were the images \
-             sharp, is the focus fixed?",
+fn warnings(views: &Views, report: &CalibrationReport) -> Vec<String> {
+    let mut warnings = Vec::new();
+    if report.rms_px > MAX_RMS_PX {
+        warnings.push(format!(
+            "the reprojection error of {:.2} px is large: check that the board is flat, the images \
+             are sharp and the focus is fixed",
             report.rms_px
         ));
     }
     if let Some(holdout) = &report.holdout
-        && holdout.rms_px > LARGE_HOLDOUT * report.rms_px
+        && holdout.rms_px > MAX_HOLDOUT_RATIO * report.rms_px
     {
-        said.push(format!(
-            "views that were left out fit much worse ({:.2} px) than the others ({:.2} px): take \
-             more views",
+        warnings.push(format!(
+            "held-out views fit much worse ({:.2} px) than the others ({:.2} px): add views",
             holdout.rms_px, report.rms_px
         ));
     }
-    if report.corner_sigma_px > LARGE_CORNER_PX {
-        said.push(format!(
-            "the lens is known to {:.1} px only in the corners of the image: hold the board \
-             there too",
+    if report.corner_sigma_px > MAX_CORNER_SIGMA_PX {
+        warnings.push(format!(
+            "the uncertainty in the image corners is {:.1} px: add views of the board there",
             report.corner_sigma_px
         ));
     }
     for view in report.views.iter().filter(|v| v.points == 0) {
-        said.push(format!(
-            "{} fits no other view ({:.1} px) and was left out",
-            taken.names[view.view], view.rms_px
+        warnings.push(format!(
+            "{} is inconsistent with the other views ({:.1} px) and was left out",
+            views.names[view.view], view.rms_px
         ));
     }
-    let coverage = taken.collector.coverage();
-    let hint = coverage.hint();
+    let hint = views.collector.coverage().hint();
     if hint != Hint::Enough {
-        said.push(format!("it could be better with more views: {hint}"));
+        warnings.push(format!("more views would improve the calibration: {hint}"));
     }
-    said
+    warnings
 }
 
-fn as_text(args: &Args, taken: &Taken, report: &CalibrationReport) -> String {
+fn as_text(args: &Args, views: &Views, report: &CalibrationReport) -> String {
     let lens = &report.intrinsics;
     let [k1, k2, p1, p2, k3] = lens.coefficients;
     let values = [lens.fx, lens.fy, lens.cx, lens.cy, k1, k2, p1, p2, k3];
@@ -284,7 +277,7 @@ fn as_text(args: &Args, taken: &Taken, report: &CalibrationReport) -> String {
         lens.width,
         lens.height,
         report.views.iter().filter(|v| v.points > 0).count(),
-        taken.left_out.len() + report.views.iter().filter(|v| v.points == 0).count()
+        views.left_out.len() + report.views.iter().filter(|v| v.points == 0).count()
     )];
     for (i, name) in PARAMETERS.iter().enumerate() {
         let digits = if i < 4 { 2 } else { 5 };
@@ -301,21 +294,18 @@ fn as_text(args: &Args, taken: &Taken, report: &CalibrationReport) -> String {
     if let Some(holdout) = &report.holdout {
         let [fx, fy, cx, cy] = holdout.spread_px;
         lines.push(format!(
-            "left out    {:.3} px rms of views that the calibration had not seen; without them \
-             fx, fy, cx, cy spread by {fx:.2}, {fy:.2}, {cx:.2}, {cy:.2} px",
+            "held out    {:.3} px rms; fx, fy, cx, cy vary by {fx:.2}, {fy:.2}, {cx:.2}, {cy:.2} \
+             px over the folds",
             holdout.rms_px
         ));
     }
-    lines.push(format!(
-        "corners     known to {:.2} px",
-        report.corner_sigma_px
-    ));
+    lines.push(format!("corners     ± {:.2} px", report.corner_sigma_px));
     lines.push(format!("intrinsics  {}", args.out.display()));
     lines.join("\n")
 }
 
-fn as_json(args: &Args, taken: &Taken, report: &CalibrationReport, warnings: &[String]) -> Value {
-    let file = taken.collector.file();
+fn as_json(args: &Args, views: &Views, report: &CalibrationReport, warnings: &[String]) -> Value {
+    let file = views.collector.file();
     let by_name = |values: &[f64]| -> Value {
         PARAMETERS
             .iter()
@@ -329,11 +319,11 @@ fn as_json(args: &Args, taken: &Taken, report: &CalibrationReport, warnings: &[S
         .zip(report.fitted)
         .filter_map(|(name, is_fitted)| is_fitted.then_some(*name))
         .collect();
-    let t_plane_board = taken.collector.t_plane_board();
+    let t_plane_board = views.collector.t_plane_board();
     let view = |view: &gripcast_pose::calibrate::ViewFit| {
         json!({
             "outliers": view.outliers,
-            "image": taken.names[view.view],
+            "image": views.names[view.view],
             "points": view.points,
             "rms_px": view.rms_px,
             "t_camera_board": view.t_camera_plane * t_plane_board,
@@ -350,7 +340,7 @@ fn as_json(args: &Args, taken: &Taken, report: &CalibrationReport, warnings: &[S
             "spread_px": by_name(&h.spread_px),
         })),
         "intrinsics": report.intrinsics,
-        "left_out": taken.left_out.iter().map(left_out).collect::<Vec<_>>(),
+        "left_out": views.left_out.iter().map(left_out).collect::<Vec<_>>(),
         "out": args.out,
         "point_sigma_px": report.point_sigma_px,
         "rms_px": report.rms_px,

@@ -1,4 +1,4 @@
-//! Views of a board from a camera of a rig, with hints in the terminal.
+//! Collects calibration views from a camera of a rig, with hints on the terminal.
 
 use std::io::{self, IsTerminal as _, Write as _};
 use std::path::{Path, PathBuf};
@@ -9,7 +9,7 @@ use crossterm::terminal::{disable_raw_mode, enable_raw_mode};
 use image::GrayImage;
 use image::imageops::grayscale;
 
-use super::calibrate_intrinsics::{Taken, diagnosed};
+use super::calibrate_intrinsics::{Views, diagnosed};
 use super::working::{Progress, interruptible};
 use super::{Context, create_folder};
 use crate::tui::Keyboard;
@@ -19,63 +19,54 @@ use gripcast_capture::calibration::RigFile;
 use gripcast_capture::camera::{CameraOpener, CaptureError, FrameSource, RigSources};
 use gripcast_capture::device::SystemRoot;
 use gripcast_imaging::{Decoder, Role, encode_png_grey8};
-use gripcast_pose::calibrate::{AddedImage, Collector, Coverage, Hint, Rejection, Tilt};
+use gripcast_pose::calibrate::{Collector, Coverage, Hint, Offer, Refusal, Tilt};
 use gripcast_virtual_rig::VirtualSource;
 
-/// Longest wait for a frame.
 const FRAME_TIMEOUT: Duration = Duration::from_secs(1);
-/// Waits without a frame after which the camera counts as silent.
-const TIMEOUTS_BORNE: u32 = 5;
-/// Images without the board after which it is looked for what is there instead.
-const WITHOUT_BOARD: u32 = 90;
-/// Between two drawings of the block.
-const DRAW_EVERY: Duration = Duration::from_millis(100);
+/// Timeouts tolerated before the camera is considered silent.
+const MAX_TIMEOUTS: u32 = 5;
+/// Consecutive images without the board that trigger a diagnosis.
+const DIAGNOSIS_IMAGES: u32 = 90;
+/// Minimum time between two drawings of the block.
+const DRAW_INTERVAL: Duration = Duration::from_millis(100);
 
 /// Collects views from the camera of a role until there are enough.
 ///
 /// # Errors
-/// Those of the camera; `Interrupted` where the user leaves; `Input` where a recording ends before
-/// there is a view.
+/// Errors of the camera; `Interrupted` if the user quits; `Input` if a recording ends without a
+/// view.
 pub(super) fn collect(
     context: &Context,
     collector: Collector,
     rig: &str,
     role: Role,
     keep: Option<&Path>,
-) -> Result<Taken> {
+) -> Result<Views> {
     let rig = RigFile::find(rig)?;
-    let sources = RigSources::new(&rig, &SystemRoot::default(), &mut VirtualSource::new(1))?;
-    let known: Vec<String> = rig.cameras.keys().map(|r| r.name().to_owned()).collect();
+    let sources = RigSources::of(&rig, &SystemRoot::default(), &mut VirtualSource::new(1))?;
+    let roles: Vec<&str> = rig.cameras.keys().map(|r| r.name()).collect();
     let opener = sources.openers.into_iter().find(|o| o.role() == role);
     let opener = opener.ok_or_else(|| {
-        Error::usage(format!(
-            "the rig {} has no camera with the role {role}",
-            rig.id
-        ))
-        .remedy(format!("choose one with --camera: {}", known.join(", ")))
+        let what = format!("the rig {} has no camera with the role {role}", rig.id);
+        Error::usage(what).remedy(format!("choose one with --camera: {}", roles.join(", ")))
     })?;
     if let Some(folder) = keep {
         create_folder(folder)?;
     }
     let is_terminal = !context.quiet && io::stdin().is_terminal() && io::stderr().is_terminal();
     let keep = keep.map(Path::to_owned);
-    // The block takes the place of the usual progress.
-    let shown = Context {
+    // The block replaces the progress bar.
+    let display = Context {
         quiet: context.quiet || is_terminal,
         ..context.clone()
     };
-    let taken = interruptible(&shown, "looking for the board", move |progress| {
+    let views = interruptible(&display, "looking for the board", move |progress| {
         let mut live = Live {
-            taken: Taken {
-                collector,
-                names: Vec::new(),
-                left_out: Vec::new(),
-                lost: 0,
-            },
+            views: Views::new(collector),
             keep,
             without_board: 0,
             message: String::new(),
-            said: None,
+            has_shown_hint: false,
         };
         if is_terminal {
             let block = Block::new()?;
@@ -83,36 +74,35 @@ pub(super) fn collect(
         } else {
             live.run(opener, &mut Screen::Lines(progress))?;
         }
-        Ok(live.taken)
+        Ok(live.views)
     });
     if is_terminal {
-        // The thread with the block may be left behind by a signal.
+        // A signal may have left the thread with the block behind.
         let _ = disable_raw_mode();
     }
-    taken?
+    views?
 }
 
-/// Where hints go.
+/// Output of the hints.
 enum Screen<'a> {
     Terminal(Block),
     Lines(&'a Progress),
 }
 
-/// What the user wants.
-enum Wish {
+/// Action of the user.
+enum Action {
     Finish,
-    Leave,
+    Quit,
 }
 
 struct Live {
-    taken: Taken,
+    views: Views,
     keep: Option<PathBuf>,
-    /// Images without the board in a row.
+    /// Consecutive images without the board.
     without_board: u32,
-    /// What was said last that is not of the newest image.
+    /// Last message that is not about the newest image.
     message: String,
-    /// The newest line, to say nothing twice.
-    said: Option<Hint>,
+    has_shown_hint: bool,
 }
 
 impl Live {
@@ -123,22 +113,22 @@ impl Live {
             let Some(image) = next(source.as_mut(), &mut decoder)? else {
                 return self.ended();
             };
-            let offer = self.taken.collector.add_image(&image)?;
-            if offer.rejection.is_none() {
+            let offer = self.views.collector.offer(&image)?;
+            if offer.refused.is_none() {
                 self.keep(&image)?;
             }
-            self.look_again(&offer, &image)?;
+            self.diagnose(&offer, &image)?;
             self.show(&offer, screen)?;
             if offer.hint == Hint::Enough {
                 return Ok(());
             }
-            match screen.wish()? {
+            match screen.action()? {
                 None => {}
-                Some(Wish::Leave) => {
-                    let what = "left; nothing was written";
+                Some(Action::Quit) => {
+                    let what = "quit; nothing was written";
                     return Err(Error::new(ErrorKind::Interrupted, what));
                 }
-                Some(Wish::Finish) => match self.taken.collector.finish() {
+                Some(Action::Finish) => match self.views.collector.finish() {
                     Ok(_) => return Ok(()),
                     Err(error) => self.message = error.what().to_owned(),
                 },
@@ -147,73 +137,70 @@ impl Live {
     }
 
     fn keep(&mut self, image: &GrayImage) -> Result<()> {
-        let name = format!("view_{:03}.png", self.taken.names.len());
+        let name = format!("view_{:03}.png", self.views.names.len());
         if let Some(folder) = &self.keep {
-            let path = folder.join(&name);
-            let bytes = encode_png_grey8(image)?;
-            save(&path, &bytes)?;
+            save(&folder.join(&name), &encode_png_grey8(image)?)?;
         }
-        self.taken.names.push(name);
+        self.views.names.push(name);
         Ok(())
     }
 
-    /// Says what is in the image if the board has not been there for long.
-    fn look_again(&mut self, offer: &AddedImage, image: &GrayImage) -> Result<()> {
-        if offer.rejection != Some(Rejection::NoBoard) {
+    /// Diagnoses the image if the board has been missing for long.
+    fn diagnose(&mut self, offer: &Offer, image: &GrayImage) -> Result<()> {
+        if offer.refused != Some(Refusal::NoBoard) {
             self.without_board = 0;
             return Ok(());
         }
         self.without_board += 1;
-        if self.without_board == WITHOUT_BOARD {
-            let diagnosis = diagnosed(&self.taken.collector, image)?;
-            self.message = diagnosis.to_string();
+        if self.without_board == DIAGNOSIS_IMAGES {
+            self.message = diagnosed(&self.views.collector, image)?.to_string();
         }
         Ok(())
     }
 
-    fn show(&mut self, offer: &AddedImage, screen: &mut Screen<'_>) -> Result<()> {
-        let coverage = self.taken.collector.coverage();
+    fn show(&mut self, offer: &Offer, screen: &mut Screen<'_>) -> Result<()> {
+        let coverage = self.views.collector.coverage();
         match screen {
             Screen::Terminal(block) => block.draw(&lines(&coverage, offer, &self.message)),
             Screen::Lines(progress) => {
-                if offer.rejection.is_none() || self.said.is_none() {
+                if offer.refused.is_none() || !self.has_shown_hint {
                     let (views, wanted) = (coverage.views, coverage.wanted);
                     progress.line(format!("{views} of {wanted} views; {}", offer.hint));
                 }
                 if !self.message.is_empty() {
                     progress.line(std::mem::take(&mut self.message));
                 }
-                self.said = Some(offer.hint);
+                self.has_shown_hint = true;
                 Ok(())
             }
         }
     }
 
-    /// A recording has ended.
+    /// Checks the views at the end of a recording.
     fn ended(&self) -> Result<()> {
-        if self.taken.names.is_empty() {
-            let what = "the recording has ended without a usable view of the board";
+        if self.views.names.is_empty() {
+            let what = "the recording has no usable view of the board";
             return Err(Error::input(what)
-                .remedy("check that the board file is that of the board in the images"));
+                .remedy("check that the board file matches the board in the images"));
         }
         Ok(())
     }
 }
 
-/// The next whole image; none at the end of a recording.
+/// Returns the next undamaged image; none at the end of a recording.
 fn next(source: &mut dyn FrameSource, decoder: &mut Decoder) -> Result<Option<GrayImage>> {
     let mut timeouts = 0;
     loop {
         match source.next_frame(FRAME_TIMEOUT) {
             Ok(frame) => {
-                // A damaged frame is one view less and no reason to stop.
+                // Damaged frames are skipped.
                 if let Ok(image) = decoder.decode_full(&frame) {
                     return Ok(Some(grayscale(&image)));
                 }
             }
             Err(CaptureError::Damaged { .. }) => {}
             Err(CaptureError::Ended) => return Ok(None),
-            Err(CaptureError::Timeout) if timeouts < TIMEOUTS_BORNE => timeouts += 1,
+            Err(CaptureError::Timeout) if timeouts < MAX_TIMEOUTS => timeouts += 1,
             Err(CaptureError::Failed(error)) => return Err(error),
             Err(error) => {
                 return Err(Error::new(ErrorKind::Device, error.to_string())
@@ -223,12 +210,12 @@ fn next(source: &mut dyn FrameSource, decoder: &mut Decoder) -> Result<Option<Gr
     }
 }
 
-/// The block of lines that is shown.
-fn lines(coverage: &Coverage, offer: &AddedImage, message: &str) -> Vec<String> {
+/// Formats the block.
+fn lines(coverage: &Coverage, offer: &Offer, message: &str) -> Vec<String> {
     let tilts: Vec<String> = Tilt::ALL
         .iter()
         .zip(coverage.tilts)
-        .map(|(tilt, count)| format!("{} {count}/{}", tilt.edge(), Coverage::VIEWS_PER_TILT))
+        .map(|(tilt, count)| format!("{} {count}/{}", tilt.edge(), Coverage::VIEWS_OF_TILT))
         .collect();
     let cells = |row: usize| -> String {
         let cell = |column| match coverage.is_covered(column, row) {
@@ -237,8 +224,8 @@ fn lines(coverage: &Coverage, offer: &AddedImage, message: &str) -> Vec<String> 
         };
         (0..coverage.cells[row].len()).map(cell).collect()
     };
-    let now = match &offer.rejection {
-        None => format!("taken: {} points", offer.points),
+    let now = match &offer.refused {
+        None => format!("accepted: {} points", offer.points),
         Some(refusal) => refusal.to_string(),
     };
     vec![
@@ -253,12 +240,12 @@ fn lines(coverage: &Coverage, offer: &AddedImage, message: &str) -> Vec<String> 
             "{}  distances 1 to {:.2} (of {})",
             cells(2),
             coverage.distance_ratio,
-            Coverage::MIN_DISTANCE_RATIO
+            Coverage::DISTANCES
         ),
         format!("now: {now}"),
         format!("→ {}", offer.hint),
         if message.is_empty() {
-            "Enter ends with these views, q leaves".to_owned()
+            "Enter: finish with these views, q: quit".to_owned()
         } else {
             message.to_owned()
         },
@@ -266,15 +253,15 @@ fn lines(coverage: &Coverage, offer: &AddedImage, message: &str) -> Vec<String> 
 }
 
 impl Screen<'_> {
-    /// What was typed since.
-    fn wish(&self) -> Result<Option<Wish>> {
+    /// Reads the pressed keys.
+    fn action(&self) -> Result<Option<Action>> {
         let Self::Terminal(block) = self else {
             return Ok(None);
         };
         let failed = |e| Error::io("cannot read the keyboard", e);
-        // On a terminal that has gone, crossterm reads for ever.
+        // On a closed terminal, crossterm would never return.
         if !block.keyboard.wait(Duration::ZERO).map_err(failed)? {
-            return Ok(Some(Wish::Leave));
+            return Ok(Some(Action::Quit));
         }
         while event::poll(Duration::ZERO).map_err(failed)? {
             let Event::Key(key) = event::read().map_err(failed)? else {
@@ -285,9 +272,9 @@ impl Screen<'_> {
             }
             let with_control = key.modifiers.contains(KeyModifiers::CONTROL);
             match key.code {
-                KeyCode::Enter => return Ok(Some(Wish::Finish)),
-                KeyCode::Char('q' | 'Q') | KeyCode::Esc => return Ok(Some(Wish::Leave)),
-                KeyCode::Char('c') if with_control => return Ok(Some(Wish::Leave)),
+                KeyCode::Enter => return Ok(Some(Action::Finish)),
+                KeyCode::Char('q' | 'Q') | KeyCode::Esc => return Ok(Some(Action::Quit)),
+                KeyCode::Char('c') if with_control => return Ok(Some(Action::Quit)),
                 _ => {}
             }
         }
@@ -295,11 +282,11 @@ impl Screen<'_> {
     }
 }
 
-/// Lines on the terminal that are drawn over; dropping it gives the terminal back.
+/// Lines on the terminal that are redrawn in place; dropping it restores the terminal.
 struct Block {
     keyboard: Keyboard,
-    drawn: usize,
-    at: Option<Instant>,
+    drawn_lines: usize,
+    drawn_at: Option<Instant>,
 }
 
 impl Block {
@@ -309,28 +296,28 @@ impl Block {
         enable_raw_mode().map_err(unreadable)?;
         Ok(Self {
             keyboard,
-            drawn: 0,
-            at: None,
+            drawn_lines: 0,
+            drawn_at: None,
         })
     }
 
     fn draw(&mut self, lines: &[String]) -> Result<()> {
-        if self.at.is_some_and(|at| at.elapsed() < DRAW_EVERY) {
+        if self.drawn_at.is_some_and(|at| at.elapsed() < DRAW_INTERVAL) {
             return Ok(());
         }
-        self.at = Some(Instant::now());
+        self.drawn_at = Some(Instant::now());
         let width = crossterm::terminal::size().map_or(80, |(columns, _)| usize::from(columns));
         let mut text = String::new();
-        if self.drawn > 0 {
-            text += &format!("\x1b[{}A", self.drawn);
+        if self.drawn_lines > 0 {
+            text += &format!("\x1b[{}A", self.drawn_lines);
         }
         for line in lines {
-            // A line that wraps would make the block grow.
+            // A wrapped line would make the block grow.
             let line = Printable(line).to_string();
             let cut: String = line.chars().take(width.saturating_sub(1)).collect();
             text += &format!("\r\x1b[2K{cut}\r\n");
         }
-        self.drawn = lines.len();
+        self.drawn_lines = lines.len();
         let mut out = io::stderr().lock();
         out.write_all(text.as_bytes())
             .and_then(|()| out.flush())
@@ -340,7 +327,7 @@ impl Block {
 
 impl Drop for Block {
     fn drop(&mut self) {
-        // Nothing can be done when a terminal has gone.
+        // On a closed terminal nothing can be restored.
         let _ = disable_raw_mode();
     }
 }

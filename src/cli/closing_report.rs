@@ -1,31 +1,26 @@
-//! How `collect` and `daemon` end: the closing report, and what it means for the exit code.
+//! The closing report of `collect` and `daemon`, and their exit code.
 
 use std::fmt::Write as _;
 
-use super::{print, print_json};
+use super::print_report;
 use crate::daemon::{BlackBoxReport, CollectReport, Ended};
 use gripcast_base::error::{Error, ErrorKind, Result};
 
-/// Prints the report of a collection that has ended. A service that was asked to end
-/// (`is_service`) has done what it should.
+/// Prints the report of a finished collection. For a service (`is_service`), SIGTERM is a normal
+/// end.
 ///
 /// # Errors
-/// `Interrupted` after Ctrl-C, `Stopped` after another request to end, `Partial` where a save
-/// failed.
+/// `Interrupted` after Ctrl-C, `Stopped` after SIGTERM, `Partial` if a save failed.
 pub(super) fn conclude(report: &CollectReport, as_json: bool, is_service: bool) -> Result<()> {
-    if as_json {
-        print_json(report)?;
-    } else {
-        print(summary(report).trim_end())?;
-    }
+    print_report(as_json, report, summary)?;
     match report.ended {
         Ended::Interrupted => Err(Error::new(
             ErrorKind::Interrupted,
-            "interrupted; everything that was acknowledged is on disk",
+            "interrupted; all acknowledged data is on disk",
         )),
         Ended::Terminated if !is_service => Err(Error::new(
             ErrorKind::Stopped,
-            "asked to end; everything that was acknowledged is on disk",
+            "stopped; all acknowledged data is on disk",
         )),
         Ended::Terminated | Ended::Quit | Ended::ScriptDone => match report.session.failed {
             0 => Ok(()),
@@ -37,7 +32,7 @@ pub(super) fn conclude(report: &CollectReport, as_json: bool, is_service: bool) 
     }
 }
 
-/// The closing lines.
+/// Formats the report.
 fn summary(report: &CollectReport) -> String {
     let mut text = String::new();
     for grasp in &report.grasps {
@@ -60,7 +55,7 @@ fn summary(report: &CollectReport) -> String {
         let counters = &camera.counters;
         let _ = writeln!(
             text,
-            "{role:<9} {:>5.1} fps, {} frames, {} lost, {} damaged, {} late, {} reconnects",
+            "{role:<9} {:>5.1} fps, {} frames, {} dropped, {} damaged, {} late, {} reconnects",
             camera.measured_fps,
             counters.received,
             counters.sequence_gaps,
@@ -104,7 +99,7 @@ fn black_box_summary(report: &BlackBoxReport) -> String {
     for (role, frames) in &report.frames {
         let _ = writeln!(
             text,
-            "          {role:<9} {} frames, {} left out",
+            "          {role:<9} {} frames, {} dropped",
             frames.written, frames.dropped
         );
     }

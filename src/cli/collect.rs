@@ -1,13 +1,12 @@
 //! `gripcast collect`: the collection program.
 //!
-//! Opens the cameras of a rig, shows them live with the predicted stability, and saves grasps:
-//! trigger once with the gripper open (initial), close it, trigger again (grasp), read the
-//! prediction, lift, label. Everything that was acknowledged by a sound or on the screen is on
-//! disk, whatever happens next.
+//! Shows the cameras of a rig live with the predicted stability and saves grasps: trigger with the
+//! gripper open (initial frame), close it, trigger again (grasp frame), read the prediction, lift,
+//! label. Everything acknowledged by a sound or on the screen is on disk.
 //!
-//! With a terminal it shows the operator's screen; with `--script` or `--headless` it prints lines
-//! on stderr. The closing report goes to stdout. Exit codes: 0 ok, 3 a save failed, 69 a camera is
-//! missing at the start, 75 ended by SIGTERM, 130 by Ctrl-C.
+//! On a terminal it shows the operator's screen; with `--script` or `--headless` it prints lines on
+//! stderr. The closing report goes to stdout. Exit codes: 0 ok · 3 a save failed · 69 a camera is
+//! missing at the start · 75 ended by SIGTERM · 130 interrupted.
 
 use std::io::IsTerminal as _;
 use std::path::{Path, PathBuf};
@@ -20,6 +19,7 @@ use tokio::sync::{mpsc, watch};
 
 use super::closing_report::conclude;
 use super::collection_flags::CollectionFlags;
+use super::flags::read_text;
 use super::{ConfigFlag, Context, print};
 use crate::collection::{
     COMMAND_QUEUE, Start, chosen_dataset, chosen_rig, prepare, start_pedals, stop_signals,
@@ -37,15 +37,15 @@ use gripcast_capture::calibration::PedalConfig;
 use gripcast_capture::trigger::Script;
 use gripcast_session::{Command, CommandSource, Labels, StoreReply};
 
-/// How long the screen may take to come to its end after the engine.
-const SCREEN_PATIENCE: Duration = Duration::from_secs(2);
+/// Maximum time for the screen to end after the engine.
+const SCREEN_TIMEOUT: Duration = Duration::from_secs(2);
 
 /// Arguments of `collect`.
 #[derive(Debug, clap::Args)]
 pub(crate) struct Args {
     #[command(flatten)]
     collection: CollectionFlags,
-    /// Be a screen for a running daemon: its address, or its socket [default: the usual socket]
+    /// Attach a screen to a running daemon: its address or socket [default: the default socket]
     #[arg(
         long,
         value_name = "http://HOST:PORT|SOCKET",
@@ -55,29 +55,29 @@ pub(crate) struct Args {
             "headless", "json", "events", "black_box"]
     )]
     attach: Option<String>,
-    /// Token of the daemon, for --attach
+    /// File with the daemon's token, for --attach
     #[arg(long, value_name = "FILE", requires = "attach")]
     token_file: Option<PathBuf>,
-    /// Timed commands instead of an operator
+    /// Run a script of timed commands
     #[arg(long, value_name = "FILE")]
     script: Option<PathBuf>,
-    /// No screen, even on a terminal; commands come from a pedal or a script
+    /// Disable the screen; commands come from a pedal or a script
     #[arg(long)]
     headless: bool,
     /// Sounds: auto, bell, off
-    #[arg(long)]
+    #[arg(long, value_name = "MODE")]
     sound: Option<String>,
-    /// Seed of the virtual rig
-    #[arg(long, default_value_t = 1)]
+    /// Random seed of the virtual rig
+    #[arg(long, value_name = "SEED", default_value_t = 1)]
     seed: u64,
-    /// Closing report as one JSON object on stdout
-    #[arg(long)]
-    json: bool,
-    /// Every change of the dataset as a line of JSON on stdout, when it is durable
-    #[arg(long)]
-    events: bool,
     #[command(flatten)]
     config: ConfigFlag,
+    /// Print every durable change of the dataset as a JSON line
+    #[arg(long)]
+    events: bool,
+    /// Print the closing report as JSON
+    #[arg(long)]
+    json: bool,
 }
 
 impl Args {
@@ -88,12 +88,12 @@ impl Args {
     }
 }
 
-/// Runs the verb.
+/// Runs the command.
 pub(crate) fn run(context: &Context, args: Args) -> Result<()> {
     let Layered { config, .. } = args.config.load(&args.flags())?;
-    if let Some(place) = &args.attach {
+    if let Some(target) = &args.attach {
         let token = args.token_file.as_deref().map(Token::read).transpose()?;
-        return attach(place, token.as_ref(), sound(&config.collect.sound)?);
+        return attach(target, token.as_ref(), sound(&config.collect.sound)?);
     }
     let rig = chosen_rig(&config.collect)?;
     chosen_dataset(&config.collect)?;
@@ -105,7 +105,7 @@ pub(crate) fn run(context: &Context, args: Args) -> Result<()> {
         && std::io::stdout().is_terminal();
     if !screen && script.is_none() && rig.pedals.is_empty() {
         return Err(Error::usage(
-            "there is no terminal, no --script and no pedal in the rig: nothing could trigger",
+            "no source of triggers: no terminal, no --script and no pedal in the rig",
         )
         .remedy("run it in a terminal, give --script FILE, or add a [[pedals]] entry to the rig"));
     }
@@ -118,11 +118,7 @@ pub(crate) fn run(context: &Context, args: Args) -> Result<()> {
         quiet: context.quiet,
     };
     let setup = prepare(config, rig, script, start)?;
-    let runtime = tokio::runtime::Builder::new_current_thread()
-        .enable_all()
-        .build()
-        .map_err(|e| Error::io("cannot start the event loop", e))?;
-    let report = runtime.block_on(collect(
+    let report = event_loop()?.block_on(collect(
         setup,
         pedals,
         screen.then_some(sound),
@@ -130,6 +126,12 @@ pub(crate) fn run(context: &Context, args: Args) -> Result<()> {
         context.quiet,
     ))?;
     conclude(&report, args.json, false)
+}
+
+fn event_loop() -> Result<tokio::runtime::Runtime> {
+    let mut runtime = tokio::runtime::Builder::new_current_thread();
+    let runtime = runtime.enable_all().build();
+    runtime.map_err(|e| Error::io("cannot start the event loop", e))
 }
 
 /// Runs the engine with its screen or lines and its pedals until it ends.
@@ -165,8 +167,8 @@ async fn collect(
     };
     drop(command_sender);
 
-    let told = screen.is_none();
-    // Nothing changes the guards of a collection at a terminal.
+    let prints_failures = screen.is_none();
+    // The guards of a collection at a terminal never change.
     let (_, limits) = mpsc::channel(1);
     let links = EngineLinks {
         commands,
@@ -175,47 +177,43 @@ async fn collect(
         status,
         tones: tone_sender,
         stored: Box::new(move |stored| {
-            if let (true, StoreReply::Failed { message }) = (told, &stored.reply) {
+            if let (true, StoreReply::Failed { message }) = (prints_failures, &stored.reply) {
                 note!("NOT SAVED: {message}");
             }
             if events {
-                // A reader that has gone does not stop the collection.
+                // A closed stdout does not stop the collection.
                 let _ = serde_json::to_string(stored).map(|line| print(&escaped_json(&line)));
             }
         }),
     };
     let (report, ()) = tokio::join!(daemon::run(setup, links, stop), lines);
     ended.store(true, Ordering::Relaxed);
-    // The engine's ends of all channels are gone: screen and pedals come to their ends.
+    // The engine has closed its channels, so screen and pedals end.
     let screen = screen.map_or(Ok(()), Screen::end);
     for pedal in pedals {
-        // A pedal thread that panicked has printed why.
+        // A panicked pedal thread has printed its message.
         let _ = pedal.join();
     }
     let report = report?;
     screen.map(|()| report)
 }
 
-/// Is a screen for a running daemon, which goes on when the operator leaves.
-fn attach(place: &str, token: Option<&Token>, sound: tui::Sound) -> Result<()> {
+/// Shows the screen of a running daemon; the daemon continues when the operator leaves.
+fn attach(target: &str, token: Option<&Token>, sound: tui::Sound) -> Result<()> {
     if !(std::io::stdin().is_terminal() && std::io::stdout().is_terminal()) {
-        return Err(Error::usage("a screen needs a terminal, and there is none")
+        return Err(Error::usage("`--attach` needs a terminal")
             .remedy("run it in a terminal; programs use the API (docs/api.md)"));
     }
-    let target = match (place, usual_socket()) {
+    let target = match (target, usual_socket()) {
         ("", Some(socket)) => Target::parse(&socket.display().to_string())?,
         ("", None) => {
             return Err(Error::usage(
-                "where is the daemon? There is no $XDG_RUNTIME_DIR and no /run/gripcast",
+                "no default socket: neither $XDG_RUNTIME_DIR nor /run/gripcast exists",
             )
-            .remedy("--attach http://127.0.0.1:7471, or --attach SOCKET"));
+            .remedy("give --attach http://127.0.0.1:7471 or --attach SOCKET"));
         }
-        (place, _) => Target::parse(place)?,
+        (target, _) => Target::parse(target)?,
     };
-    let runtime = tokio::runtime::Builder::new_current_thread()
-        .enable_all()
-        .build()
-        .map_err(|e| Error::io("cannot start the event loop", e))?;
     let (command_sender, commands) = mpsc::channel(COMMAND_QUEUE);
     let (tone_sender, tones) = mpsc::unbounded_channel();
     let (status, newest) =
@@ -231,40 +229,40 @@ fn attach(place: &str, token: Option<&Token>, sound: tui::Sound) -> Result<()> {
         tones: tone_sender,
         commands,
     };
-    let attached = runtime.block_on(web::attach(&target, token, wiring));
+    let attached = event_loop()?.block_on(web::attach(&target, token, wiring));
     screen.end()?;
     match attached? {
         Attached::Left => Ok(()),
         Attached::Ended => Err(Error::new(ErrorKind::Stopped, "the daemon has ended")
             .at(target)
-            .remedy("everything that was acknowledged is on disk")),
+            .remedy("all acknowledged data is on disk")),
     }
 }
 
-/// The screen's thread, and whether it is at its end.
+/// The thread of the screen.
 struct Screen {
     ended: std::sync::mpsc::Receiver<Result<()>>,
 }
 
 impl Screen {
-    /// Starts it; it asks the engine to quit when it ends.
+    /// Starts the screen; it makes the engine quit when it ends.
     fn start(wiring: tui::Wiring) -> Self {
         let (sender, ended) = std::sync::mpsc::channel();
         std::thread::spawn(move || {
             let commands = wiring.commands.clone();
             let result = tui::run(wiring);
-            // Without a screen nobody can operate; the engine may have ended before.
+            // The engine may have ended before.
             let _ = commands.blocking_send(Asked::new(Command::Quit, CommandSource::Keyboard));
-            // Nobody asks any more where the process ends without the screen.
+            // The process may end without waiting for the screen.
             let _ = sender.send(result);
         });
         Self { ended }
     }
 
-    /// Waits for its end. It does not come on a terminal that has gone: the end of the process
-    /// takes the thread with it.
+    /// Waits for the end of the thread. On a closed terminal it never ends; then the process ends
+    /// it.
     fn end(self) -> Result<()> {
-        match self.ended.recv_timeout(SCREEN_PATIENCE) {
+        match self.ended.recv_timeout(SCREEN_TIMEOUT) {
             Ok(result) => result,
             Err(RecvTimeoutError::Timeout) => Ok(()),
             Err(RecvTimeoutError::Disconnected) => Err(Error::internal("the screen panicked")),
@@ -279,8 +277,7 @@ fn sound(name: &str) -> Result<tui::Sound> {
 }
 
 fn read_script(path: &Path) -> Result<Script> {
-    let text = std::fs::read_to_string(path)
-        .map_err(|e| Error::io("cannot read the script", e).at(path.display()))?;
+    let text = read_text(path, "script")?;
     Script::parse(&text, path.display(), &|command| {
         command
             .parse::<Command>()

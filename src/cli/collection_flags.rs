@@ -1,67 +1,61 @@
-//! Flags that `collect` and `daemon` fraction: what is collected, and with what.
+//! Options of `collect` and `daemon`: rig, dataset, labels and model.
 
 use std::path::PathBuf;
 
+use super::flags::{given, path_text};
 use crate::config::FlagValue;
 use gripcast_base::files::{Label, ObjectName};
 
-/// The flags; each stands for a key of the configuration.
+/// The options; each overrides a key of the configuration.
 #[derive(Clone, Debug, clap::Args)]
 pub(super) struct CollectionFlags {
-    /// Rig: `virtual`, the name of a rig file, or its path
-    #[arg(long)]
+    /// Rig: virtual, the name of a rig file, or its path
+    #[arg(long, value_name = "NAME|FILE")]
     rig: Option<String>,
-    /// Dataset directory; created when absent
+    /// Folder of the dataset; created if absent
     #[arg(short = 'C', long, value_name = "DIR")]
     dataset: Option<PathBuf>,
-    /// Object at the start
-    #[arg(long)]
+    /// Initial object name
+    #[arg(long, value_name = "NAME")]
     object: Option<ObjectName>,
-    /// Scene at the start
-    #[arg(long)]
+    /// Initial scene name
+    #[arg(long, value_name = "NAME")]
     scene: Option<Label>,
-    /// Who holds the gripper
-    #[arg(long)]
+    /// Name of the operator
+    #[arg(long, value_name = "NAME")]
     operator: Option<Label>,
-    /// ONNX file, `gripcast-vt`, the built-in classifier, `baseline-contact`, a heuristic of touch
-    /// alone, or `none` for no prediction [default: gripcast-vt; baseline-contact where the rig's
-    /// cameras or crop profile are not those of the classifier]
+    /// ONNX file, gripcast-vt (built-in classifier), baseline-contact (built-in tactile heuristic)
+    /// or none [default: gripcast-vt if it suits the rig's cameras, else baseline-contact]
     #[arg(long, value_name = "MODEL")]
     model: Option<String>,
-    /// Log every frame, event and prediction as MCAP beside the grasps (`[black_box]` of the
-    /// configuration: place and limits)
+    /// Log every frame, event and prediction as MCAP (location and limits: `[black_box]` of the
+    /// configuration)
     #[arg(long)]
     black_box: bool,
 }
 
 impl CollectionFlags {
-    /// Those that were given.
+    /// Returns the configuration values of the given options.
     pub(super) fn given(&self) -> Vec<FlagValue> {
-        let dataset = self.dataset.as_ref().map(|path| path.display().to_string());
-        let black_box = self.black_box.then(|| "true".to_owned());
-        [
+        let object = self.object.clone().map(String::from);
+        let scene = self.scene.clone().map(String::from);
+        let operator = self.operator.clone().map(String::from);
+        given([
             ("--rig", "collect.rig", self.rig.clone()),
-            ("--dataset", "collect.dataset", dataset),
             (
-                "--object",
-                "collect.object",
-                self.object.clone().map(String::from),
+                "--dataset",
+                "collect.dataset",
+                path_text(self.dataset.as_ref()),
             ),
-            (
-                "--scene",
-                "collect.scene",
-                self.scene.clone().map(String::from),
-            ),
-            (
-                "--operator",
-                "collect.operator",
-                self.operator.clone().map(String::from),
-            ),
+            ("--object", "collect.object", object),
+            ("--scene", "collect.scene", scene),
+            ("--operator", "collect.operator", operator),
             ("--model", "collect.model", self.model.clone()),
-            ("--black-box", "black_box.enabled", black_box),
-        ]
-        .into_iter()
-        .filter_map(|(flag, key, value)| Some((flag, key, value?)))
-        .collect()
+            (
+                "--black-box",
+                "black_box.enabled",
+                self.black_box.then(|| "true".to_owned()),
+            ),
+        ])
     }
 }

@@ -1,6 +1,6 @@
 //! `gripcast completions SHELL`: prints a completion script.
 
-use super::{Context, command};
+use super::command;
 use gripcast_base::error::Result;
 
 /// Arguments of `completions`.
@@ -10,8 +10,8 @@ pub(crate) struct Args {
     shell: clap_complete::Shell,
 }
 
-/// Runs the verb.
-pub(crate) fn run(_context: &Context, args: &Args) -> Result<()> {
+/// Runs the command.
+pub(crate) fn run(args: &Args) -> Result<()> {
     let mut command = command();
     clap_complete::generate(args.shell, &mut command, "gripcast", &mut std::io::stdout());
     Ok(())

@@ -1,9 +1,9 @@
-//! `gripcast config show`: every setting, its value and where it comes from.
+//! `gripcast config show`: every setting with its value and origin.
 
 use serde_json::json;
 use toml::Value;
 
-use super::{ConfigFlag, Context, print_report};
+use super::{ConfigFlag, print_report};
 use crate::config::{Ignored, Layered, Origin};
 use gripcast_base::error::Result;
 
@@ -20,14 +20,14 @@ enum Action {
     Show {
         #[command(flatten)]
         file: ConfigFlag,
-        /// One JSON object on stdout
+        /// Print the result as JSON
         #[arg(long)]
         json: bool,
     },
 }
 
-/// Runs the verb.
-pub(crate) fn run(_context: &Context, args: Args) -> Result<()> {
+/// Runs the command.
+pub(crate) fn run(args: Args) -> Result<()> {
     let Action::Show { file, json } = args.action;
     let layered = file.load(&[])?;
     let entry = |(key, (value, origin)): (&String, &(Value, Origin))| {

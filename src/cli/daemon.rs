@@ -1,11 +1,11 @@
-//! `gripcast daemon`: the collection as a service, steered from pages, programs and pedals.
+//! `gripcast daemon`: the collection as a service, controlled by web pages, programs and pedals.
 //!
-//! The same engine as `collect`, without a screen of its own: it waits for cameras that are not
-//! there yet, serves the page and the API, tells systemd how it does and reloads guards and token
-//! on SIGHUP. `gripcast collect --attach` is a screen for it.
+//! It runs the engine of `collect` without a screen: it waits for missing cameras, serves the page
+//! and the API, notifies systemd and reloads guards and token on SIGHUP. `gripcast collect
+//! --attach` shows a screen for it.
 //!
-//! Exit codes: 0 ended by SIGTERM, 1 something listens already or uses the rig or the dataset, 2 a
-//! wrong configuration, 3 a save failed, 130 by Ctrl-C.
+//! Exit codes: 0 ended by SIGTERM · 1 address, rig or dataset in use · 2 invalid configuration ·
+//! 3 a save failed · 130 interrupted.
 
 use std::net::{IpAddr, SocketAddr};
 use std::path::{Path, PathBuf};
@@ -13,6 +13,7 @@ use std::time::Duration;
 
 use super::closing_report::conclude;
 use super::collection_flags::CollectionFlags;
+use super::flags::{given, path_text};
 use super::{ConfigFlag, Context, load_settings};
 use crate::collection::{Start, chosen_rig, prepare, usual_socket};
 use crate::config::{DaemonConfig, FlagValue, Layered};
@@ -21,56 +22,50 @@ use crate::service::{self, Reloaded, ServiceSettings};
 use crate::web::Token;
 use gripcast_base::error::{Error, Result};
 
-/// How long answers under way may take at the end.
-const LAST_ANSWERS: Duration = Duration::from_millis(500);
-/// Added to the niceness of the threads that answer the API.
-const SERVING_NICE: i32 = 10;
+/// Maximum time for open responses at the end.
+const SHUTDOWN_TIMEOUT: Duration = Duration::from_millis(500);
+/// Added to the niceness of the threads that serve the API.
+const SERVER_NICE: i32 = 10;
 
 /// Arguments of `daemon`.
 #[derive(Debug, clap::Args)]
 pub(crate) struct Args {
     #[command(flatten)]
     collection: CollectionFlags,
-    /// Address of page and API, or `none` [default: 127.0.0.1:7471]; beyond this machine only
-    /// with --token-file
+    /// Address of the page and the API, or none [default: 127.0.0.1:7471]; non-loopback addresses
+    /// need --token-file
     #[arg(long, value_name = "ADDRESS:PORT")]
     listen: Option<String>,
-    /// Unix socket for local programs, or `none` [default: gripcast.sock in $XDG_RUNTIME_DIR or
+    /// Unix socket for local programs, or none [default: gripcast.sock in $XDG_RUNTIME_DIR or
     /// /run/gripcast]
     #[arg(long, value_name = "FILE")]
     socket: Option<String>,
-    /// File with the token that clients over TCP must show; only its owner may read it
+    /// File with the token that TCP clients must present; readable by its owner only
     #[arg(long, value_name = "FILE")]
     token_file: Option<PathBuf>,
-    /// Seed of the virtual rig
-    #[arg(long, default_value_t = 1)]
+    /// Random seed of the virtual rig
+    #[arg(long, value_name = "SEED", default_value_t = 1)]
     seed: u64,
-    /// Closing report as one JSON object on stdout
-    #[arg(long)]
-    json: bool,
     #[command(flatten)]
     config: ConfigFlag,
+    /// Print the closing report as JSON
+    #[arg(long)]
+    json: bool,
 }
 
 impl Args {
     fn flags(&self) -> Vec<FlagValue> {
-        let token_file = self
-            .token_file
-            .as_ref()
-            .map(|path| path.display().to_string());
-        let own = [
+        let token_file = path_text(self.token_file.as_ref());
+        let own = given([
             ("--listen", "daemon.listen", self.listen.clone()),
             ("--socket", "daemon.socket", self.socket.clone()),
             ("--token-file", "daemon.token_file", token_file),
-        ];
-        let own = own
-            .into_iter()
-            .filter_map(|(flag, key, value)| Some((flag, key, value?)));
+        ]);
         self.collection.given().into_iter().chain(own).collect()
     }
 }
 
-/// Runs the verb.
+/// Runs the command.
 pub(crate) fn run(context: &Context, args: Args) -> Result<()> {
     let file = args.config.file();
     let flags = args.flags();
@@ -88,17 +83,16 @@ pub(crate) fn run(context: &Context, args: Args) -> Result<()> {
     let setup = prepare(started.config.clone(), rig, None, start)?;
     let runtime = tokio::runtime::Builder::new_multi_thread()
         .worker_threads(2)
-        // Who asks much must not hold up what cameras send. The engine's own threads stay as they
-        // are; where a system refuses, all are equal.
+        // API load must not delay camera frames; a failure is harmless.
         .on_thread_start(|| {
-            let _ = rustix::process::nice(SERVING_NICE);
+            let _ = rustix::process::nice(SERVER_NICE);
         })
         .enable_all()
         .build()
         .map_err(|e| Error::io("cannot start the event loop", e))?;
     let reload = || reloaded(&started, load()?);
     let report = runtime.block_on(service::run(setup, pedals, settings, reload));
-    runtime.shutdown_timeout(LAST_ANSWERS);
+    runtime.shutdown_timeout(SHUTDOWN_TIMEOUT);
     conclude(&report?, args.json, true)
 }
 
@@ -113,11 +107,11 @@ fn service_settings(config: &DaemonConfig, quiet: bool) -> Result<ServiceSetting
         && token.is_none()
     {
         return Err(Error::usage(format!(
-            "{address} can be reached from other machines, and there is no token"
+            "{address} is reachable from other machines, but there is no token"
         ))
         .remedy(
             "head -c 24 /dev/urandom | base64 > FILE; chmod 600 FILE; then --token-file FILE; or \
-             stay on 127.0.0.1 and use `ssh -L 7471:127.0.0.1:7471`",
+             keep 127.0.0.1 and use `ssh -L 7471:127.0.0.1:7471`",
         ));
     }
     let socket = match config.socket.as_str() {
@@ -126,10 +120,10 @@ fn service_settings(config: &DaemonConfig, quiet: bool) -> Result<ServiceSetting
         path => Some(PathBuf::from(path)),
     };
     if listen.is_none() && socket.is_none() {
-        return Err(Error::usage(
-            "there is neither an address nor a socket: nothing could trigger",
-        )
-        .remedy("give --listen 127.0.0.1:7471 or --socket FILE"));
+        return Err(
+            Error::usage("no source of triggers: neither an address nor a socket")
+                .remedy("give --listen 127.0.0.1:7471 or --socket FILE"),
+        );
     }
     Ok(ServiceSettings {
         listen,
@@ -144,9 +138,9 @@ fn address(text: &str) -> Result<SocketAddr> {
         let is_address = text.parse::<IpAddr>().is_ok();
         let remedy = match is_address {
             true => format!("add the port: {text}:7471"),
-            false => "give an address and a port, as 127.0.0.1:7471 or [::1]:7471".to_owned(),
+            false => "give an address and a port, as in 127.0.0.1:7471 or [::1]:7471".to_owned(),
         };
-        Error::usage(format!("`{text}` is no address to listen on")).remedy(remedy)
+        Error::usage(format!("invalid listen address `{text}`")).remedy(remedy)
     })
 }
 
@@ -155,20 +149,20 @@ fn token(config: &DaemonConfig) -> Result<Option<Token>> {
     file.map(|file| Token::read(Path::new(file))).transpose()
 }
 
-/// What changes without a restart, and what would need one.
+/// Returns the reloadable settings and the changed keys that need a restart.
 fn reloaded(started: &Layered, now: Layered) -> Result<Reloaded> {
-    let taken = |key: &str| key.starts_with("guards.") || key == "daemon.token_file";
+    let is_reloadable = |key: &str| key.starts_with("guards.") || key == "daemon.token_file";
     let need_restart = now
         .values
         .iter()
-        .filter(|(key, (value, _))| !taken(key) && started.values[*key].0 != *value)
+        .filter(|(key, (value, _))| !is_reloadable(key) && started.values[*key].0 != *value)
         .map(|(key, _)| key.clone())
         .collect();
     let token = token(&now.config.daemon)?;
-    let listens_beyond = address(&now.config.daemon.listen).is_ok_and(|a| !a.ip().is_loopback());
-    if token.is_none() && listens_beyond {
+    let is_reachable = address(&now.config.daemon.listen).is_ok_and(|a| !a.ip().is_loopback());
+    if token.is_none() && is_reachable {
         return Err(Error::config(
-            "the token must stay: other machines can reach the daemon",
+            "the token cannot be removed: the daemon is reachable from other machines",
         ));
     }
     Ok(Reloaded {
@@ -193,7 +187,7 @@ mod tests {
     }
 
     #[test]
-    fn beyond_this_machine_only_with_a_token() {
+    fn non_loopback_address_needs_token() {
         for listen in ["0.0.0.0:7471", "192.168.0.2:7471", "[::]:7471"] {
             let error = settings(listen, "none").err().unwrap();
             assert!(error.to_string().contains("no token"), "{error}");
@@ -205,15 +199,15 @@ mod tests {
     }
 
     #[test]
-    fn wrong_addresses_are_explained() {
+    fn invalid_listen_addresses_are_explained() {
         let text = |listen: &str| settings(listen, "none").err().unwrap().to_string();
         assert!(text("127.0.0.1").contains("127.0.0.1:7471"));
-        assert!(text("lab").contains("no address"));
-        assert!(text("none").contains("nothing could trigger"));
+        assert!(text("lab").contains("invalid listen address"));
+        assert!(text("none").contains("no source of triggers"));
     }
 
     #[test]
-    fn a_reload_takes_guards_and_names_what_it_cannot_take() {
+    fn reload_applies_guards_and_lists_keys_that_need_restart() {
         let load = |pairs: &[(&str, &str)]| {
             let env = pairs
                 .iter()

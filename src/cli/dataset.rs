@@ -1,28 +1,29 @@
-//! `gripcast dataset`: look at, verify, repair, index and split a dataset, export it for others, or
-//! import one of theirs.
+//! `gripcast dataset`: inspects, verifies, recovers, indexes, splits, exports and imports datasets.
 //!
 //! ```text
-//! gripcast dataset info DIR      what is in it: counts, balance, size, predictions against labels
-//! gripcast dataset verify DIR    read every file and report all that is wrong
-//! gripcast dataset recover DIR   rescue what is there; the rest moves to trash/, nothing is deleted
-//! gripcast dataset reindex DIR   write metadata.jsonl again from the records
-//! gripcast dataset split DIR     divide it into train, val and test without sharing an object
-//! gripcast dataset export DIR    write it as Parquet, WebDataset, LeRobot or Zarr
-//! gripcast dataset import FILE…  make Parquet shards of somebody else's files
+//! gripcast dataset info DIR      show counts, balance, size, predictions versus labels
+//! gripcast dataset verify DIR    read every file and report all problems
+//! gripcast dataset recover DIR   recover readable grasps; the rest moves to trash/
+//! gripcast dataset reindex DIR   rebuild metadata.jsonl from the records
+//! gripcast dataset split DIR     split into train, val and test sets with disjoint objects
+//! gripcast dataset export DIR    export to Parquet, WebDataset, LeRobot or Zarr
+//! gripcast dataset import FILE…  import a third-party dataset as Parquet shards
 //! ```
 //!
-//! Every one takes `--json`. Exit codes: 0 all is well · 1 could not be done · 2 the command line
-//! is wrong · 3 finished, but some grasps could not be rescued or read · 4 `verify` found problems.
+//! Exit codes: 0 done · 1 failed · 2 usage · 3 done, but some grasps were unreadable or lost ·
+//! 4 `verify` found problems · 130 interrupted.
 
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
 use std::path::PathBuf;
 
-use clap::{Subcommand, ValueEnum};
+use clap::Subcommand;
 use serde_json::json;
 
-use super::dataset_text::{counted, name_of, outcomes_text, progress_bar, size_text, to_value};
-use super::{Context, dataset_export, dataset_import, print, print_json};
+use super::dataset_text::{counted, name_of, outcomes_text, size_text};
+use super::flags::named;
+use super::working::interruptible;
+use super::{Context, dataset_export, dataset_import, print_json, print_report};
 use crate::note;
 use gripcast_base::error::{Error, ErrorKind, Result};
 use gripcast_dataset::{
@@ -39,105 +40,97 @@ pub(crate) struct Args {
 
 #[derive(Debug, Subcommand)]
 enum Action {
-    /// Show what is in a dataset
-    Info(Place),
-    /// Find everything that is torn, missing, altered, duplicated or leaking
-    Verify(Place),
-    /// Rescue what is there; move the rest to trash/
+    /// Show the contents of a dataset
+    Info(DatasetArgs),
+    /// Find damaged, missing, altered, duplicated and leaking data
+    Verify(DatasetArgs),
+    /// Recover readable grasps; move the rest to trash/
     Recover(RecoverArgs),
-    /// Write metadata.jsonl again from the records
-    Reindex(Place),
-    /// Divide the grasps into parts that share no object
+    /// Rebuild metadata.jsonl from the records
+    Reindex(DatasetArgs),
+    /// Split the grasps into sets with disjoint objects
     Split(SplitArgs),
-    /// Write the dataset in a format of others
+    /// Export to another format
     Export(dataset_export::Args),
-    /// Make Parquet shards, for train and eval, of somebody else's files
+    /// Import a third-party dataset as Parquet shards for train and eval
     Import(dataset_import::Args),
 }
 
 #[derive(Debug, clap::Args)]
-struct Place {
-    /// Directory of the dataset
+struct DatasetArgs {
+    /// Folder of the dataset
     dataset: PathBuf,
-    /// Print one JSON object
+    /// Print the result as JSON
     #[arg(long)]
     json: bool,
 }
 
 #[derive(Debug, clap::Args)]
 struct RecoverArgs {
-    #[command(flatten)]
-    place: Place,
-    /// Only say what would be done
+    /// Folder of the dataset
+    dataset: PathBuf,
+    /// Only print what would be done
     #[arg(long)]
     dry_run: bool,
+    /// Print the result as JSON
+    #[arg(long)]
+    json: bool,
 }
 
 #[derive(Debug, clap::Args)]
 struct SplitArgs {
-    #[command(flatten)]
-    place: Place,
-    /// Fraction of the grasps for training
-    #[arg(long, default_value_t = 0.7)]
+    /// Folder of the dataset
+    dataset: PathBuf,
+    /// Fraction of the training set
+    #[arg(long, value_name = "FRACTION", default_value_t = 0.7)]
     train: f64,
-    /// Fraction of the grasps for validation
-    #[arg(long, default_value_t = 0.15)]
+    /// Fraction of the validation set
+    #[arg(long, value_name = "FRACTION", default_value_t = 0.15)]
     val: f64,
-    /// Fraction of the grasps for testing
-    #[arg(long, default_value_t = 0.15)]
+    /// Fraction of the test set
+    #[arg(long, value_name = "FRACTION", default_value_t = 0.15)]
     test: f64,
-    /// Seed; the same seed and grasps give the same split
-    #[arg(long, default_value_t = 0)]
+    /// Grouping key of the split (no group in two sets)
+    #[arg(long, value_name = "KEY", default_value = "object", value_parser = named([
+        ("object", "No object in two sets", SplitBy::Object),
+        ("scene", "No scene in two sets", SplitBy::Scene),
+    ]))]
+    group_by: SplitBy,
+    /// Random seed
+    #[arg(long, value_name = "SEED", default_value_t = 0)]
     seed: u64,
-    /// What may not be in two parts
-    #[arg(long, value_enum, default_value_t = By::Object)]
-    by: By,
-    /// Name of the file in splits/; `<by>-<seed>` unless given
+    /// Name of the file in splits/ [default: KEY-SEED]
     #[arg(long)]
     name: Option<String>,
+    /// Print the result as JSON
+    #[arg(long)]
+    json: bool,
 }
 
-#[derive(Clone, Copy, Debug, ValueEnum)]
-enum By {
-    Object,
-    Scene,
-}
-
-/// Runs the verb.
+/// Runs the command.
 pub(crate) fn run(context: &Context, args: Args) -> Result<()> {
     match args.action {
-        Action::Info(place) => run_info(&place),
-        Action::Verify(place) => run_verify(context, &place),
+        Action::Info(args) => run_info(&args),
+        Action::Verify(args) => run_verify(context, args),
         Action::Recover(args) => run_recover(context, &args),
-        Action::Reindex(place) => run_reindex(context, &place),
+        Action::Reindex(args) => run_reindex(context, &args),
         Action::Split(args) => run_split(&args),
         Action::Export(args) => dataset_export::run(context, args),
-        Action::Import(args) => dataset_import::run(context, &args),
+        Action::Import(args) => dataset_import::run(context, args),
     }
 }
 
-fn run_info(place: &Place) -> Result<()> {
-    let summary = summary(&Dataset::open(&place.dataset)?)?;
-    if place.json {
-        print_json(&to_value(&summary)?)
-    } else {
-        print(&info_text(&summary))
-    }
+fn run_info(args: &DatasetArgs) -> Result<()> {
+    let summary = summary(&Dataset::open(&args.dataset)?)?;
+    print_report(args.json, &summary, info_text)
 }
 
-fn run_verify(context: &Context, place: &Place) -> Result<()> {
-    let bar = progress_bar(context, "verifying");
-    let report = verify(&place.dataset, &|done, all| {
-        bar.set_length(all as u64);
-        bar.set_position(done as u64);
-    });
-    bar.finish_and_clear();
-    let report = report?;
-    if place.json {
-        print_json(&to_value(&report)?)?;
-    } else {
-        print(&verify_text(&report))?;
-    }
+fn run_verify(context: &Context, args: DatasetArgs) -> Result<()> {
+    let dataset = args.dataset.clone();
+    let report = interruptible(context, "verifying", move |progress| {
+        verify(&dataset, &|done, all| progress.count(done, all))
+    })??;
+    print_report(args.json, &report, verify_text)?;
     if report.problems.is_empty() {
         return Ok(());
     }
@@ -145,45 +138,39 @@ fn run_verify(context: &Context, place: &Place) -> Result<()> {
         ErrorKind::Check,
         format!("{} found", counted(report.problems.len(), "problem")),
     )
-    .at(place.dataset.display())
-    .remedy("`gripcast dataset recover` fixes what can be fixed"))
+    .at(args.dataset.display())
+    .remedy("`gripcast dataset recover` fixes recoverable problems"))
 }
 
 fn run_recover(context: &Context, args: &RecoverArgs) -> Result<()> {
-    let place = &args.place;
-    let report = recover(&place.dataset, args.dry_run)?;
-    if place.json {
-        print_json(&to_value(&report)?)?;
-    } else {
-        print(&recover_text(&report))?;
-    }
+    let report = recover(&args.dataset, args.dry_run)?;
+    print_report(args.json, &report, recover_text)?;
     let lost = report.actions.iter().filter(|action| action.lost).count();
     if lost > 0 {
         return Err(Error::new(
             ErrorKind::Partial,
-            format!("{} could not be rescued", counted(lost, "item")),
+            format!("{} could not be recovered", counted(lost, "item")),
         )
-        .at(place.dataset.display())
-        .remedy("restore the files from a copy; what moved is in trash/, with the reason"));
+        .at(args.dataset.display())
+        .remedy("restore the files from a backup; moved files are in trash/, with the reason"));
     }
-    if report.actions.is_empty() && !place.json && !context.quiet {
+    if report.actions.is_empty() && !args.json && !context.quiet {
         note!("nothing to recover");
     }
     Ok(())
 }
 
-fn run_reindex(context: &Context, place: &Place) -> Result<()> {
-    let report = reindex(&place.dataset)?;
-    if place.json {
-        print_json(&to_value(&report)?)?;
+fn run_reindex(context: &Context, args: &DatasetArgs) -> Result<()> {
+    let report = reindex(&args.dataset)?;
+    if args.json {
+        print_json(&report)?;
     } else if !context.quiet {
+        let state = match report.changed {
+            true => "written",
+            false => "was up to date",
+        };
         note!(
-            "metadata.jsonl {}: {}",
-            if report.changed {
-                "written"
-            } else {
-                "was up to date"
-            },
+            "metadata.jsonl {state}: {}",
             counted(report.grasps, "grasp")
         );
     }
@@ -198,15 +185,12 @@ fn run_reindex(context: &Context, place: &Place) -> Result<()> {
             report.skipped.join(", ")
         ),
     )
-    .at(place.dataset.display())
+    .at(args.dataset.display())
     .remedy("run `gripcast dataset recover`"))
 }
 
 fn run_split(args: &SplitArgs) -> Result<()> {
-    let by = match args.by {
-        By::Object => SplitBy::Object,
-        By::Scene => SplitBy::Scene,
-    };
+    let by = args.group_by;
     let plan = SplitPlan {
         name: args
             .name
@@ -220,15 +204,9 @@ fn run_split(args: &SplitArgs) -> Result<()> {
             ("test".to_owned(), args.test),
         ]),
     };
-    let file = split(&Dataset::open(&args.place.dataset)?, &plan)?;
-    if args.place.json {
-        print_json(&json!({
-            "file": format!("splits/{}.json", plan.name),
-            "split": to_value(&file)?,
-        }))
-    } else {
-        print(&split_text(&plan.name, &file))
-    }
+    let file = split(&Dataset::open(&args.dataset)?, &plan)?;
+    let report = json!({ "file": format!("splits/{}.json", plan.name), "split": file });
+    print_report(args.json, &report, |_| split_text(&plan.name, &file))
 }
 
 fn info_text(summary: &Summary) -> String {
@@ -252,7 +230,10 @@ fn info_text(summary: &Summary) -> String {
     if let Some(fraction) = summary.stable_fraction {
         line(
             "balance",
-            &format!("{:.0} % of the labelled are stable", fraction * 100.0),
+            &format!(
+                "{:.0} % of the labelled grasps are stable",
+                fraction * 100.0
+            ),
         );
     }
     if let (Some(first), Some(last)) = (&summary.first_captured_at, &summary.last_captured_at) {
@@ -270,7 +251,7 @@ fn info_text(summary: &Summary) -> String {
         line(
             "prediction",
             &format!(
-                "{model}: {} of {} labelled grasps as predicted; {} slipped and {} held unexpectedly",
+                "{model}: {} of {} labelled grasps correct; {} false stable, {} false slip",
                 agreement.agreed(),
                 agreement.total(),
                 agreement.slipped_unexpectedly,
@@ -316,7 +297,7 @@ fn info_text(summary: &Summary) -> String {
 fn verify_text(report: &VerifyReport) -> String {
     let mut text = String::new();
     for problem in &report.problems {
-        let place = problem.file.clone().or_else(|| {
+        let file = problem.file.clone().or_else(|| {
             let grasp = problem.grasp.as_ref()?;
             Some(format!("grasps/{grasp}"))
         });
@@ -324,7 +305,7 @@ fn verify_text(report: &VerifyReport) -> String {
             text,
             "{}  {}: {}\n  → {}",
             name_of(&problem.kind),
-            place.unwrap_or_default(),
+            file.unwrap_or_default(),
             problem.detail,
             problem.remedy
         );
@@ -360,25 +341,25 @@ fn recover_text(report: &RecoverReport) -> String {
         "{}{}",
         counted(report.grasps, "grasp"),
         if report.dry_run {
-            " would be whole; nothing was changed"
+            " would be complete; nothing was changed"
         } else {
-            " whole"
+            " complete"
         }
     );
     text
 }
 
 fn split_text(name: &str, file: &SplitFile) -> String {
-    let all: usize = file.parts.values().map(|part| part.grasps.len()).sum();
+    let all: usize = file.parts.values().map(|set| set.grasps.len()).sum();
     let mut text = format!("splits/{name}.json, by {}, seed {}\n", file.by, file.seed);
-    for (name, part) in &file.parts {
-        let fraction = 100.0 * part.grasps.len() as f64 / all.max(1) as f64;
+    for (name, set) in &file.parts {
+        let percent = 100.0 * set.grasps.len() as f64 / all.max(1) as f64;
         let _ = writeln!(
             text,
-            "{name:<6} {:>6} ({fraction:.1} %)  {:>4}  {}",
-            counted(part.grasps.len(), "grasp"),
-            counted(part.items.len(), &file.by.to_string()),
-            outcomes_text(&part.outcomes)
+            "{name:<6} {:>6} ({percent:.1} %)  {:>4}  {}",
+            counted(set.grasps.len(), "grasp"),
+            counted(set.items.len(), &file.by.to_string()),
+            outcomes_text(&set.outcomes)
         );
     }
     text

@@ -1,4 +1,4 @@
-//! `gripcast dataset export`: a dataset in a format of others.
+//! `gripcast dataset export`: exports a dataset to another format.
 //!
 //! ```text
 //! gripcast dataset export D --to parquet --out D-parquet
@@ -8,19 +8,17 @@
 //! gripcast dataset export D --to training --out D-training --split object-0
 //! ```
 //!
-//! `train` and `eval` read the last. `docs/exports.md` says what each holds and how it is loaded. The export has its name when it is
-//! whole. A damaged grasp is left out and told.
+//! `training` is the format of `train` and `eval`. Contents and loading: `docs/exports.md`. The
+//! export gets its name once it is complete. Damaged grasps are reported and left out.
 //!
-//! Exit codes: 0 all is exported · 1 could not be done · 2 the command line is wrong · 3 finished, but
-//! some grasps were left out · 130 interrupted.
+//! Exit codes: 0 all exported · 1 failed · 2 usage · 3 done, but some grasps were left out · 130
+//! interrupted.
 
 use std::fmt::Write as _;
 use std::path::PathBuf;
 
-use clap::ValueEnum;
-
 use super::dataset_text::{counted, outcomes_text, size_text};
-use super::render_visual::size;
+use super::flags::{named, size};
 use super::working::interruptible;
 use super::{Context, print_report};
 use gripcast_base::error::{Error, ErrorKind, Result};
@@ -30,69 +28,50 @@ use gripcast_interop::export::{ExportFormat, ExportPlan, ExportReport, export};
 /// Arguments.
 #[derive(Debug, clap::Args)]
 pub(super) struct Args {
-    /// Directory of the dataset
+    /// Folder of the dataset
     dataset: PathBuf,
-    /// Format
-    #[arg(long, value_enum, value_name = "FORMAT")]
-    to: Format,
-    /// New folder for the export; with zarr also a file that ends in .zip
+    /// Export format
+    #[arg(long, value_name = "FORMAT", value_parser = named([
+        ("parquet", "Shards with embedded images, for Hugging Face datasets and pandas",
+            ExportFormat::Parquet),
+        ("webdataset", "Tar shards, for webdataset", ExportFormat::WebDataset),
+        ("lerobot", "LeRobot version 3: a grasp is an episode of two frames",
+            ExportFormat::LeRobot),
+        ("zarr", "Zarr version 2 in the layout of UMI's replay buffer", ExportFormat::Zarr),
+        ("training", "Shards of the labelled grasps for `train` and `eval`",
+            ExportFormat::Training),
+    ]))]
+    to: ExportFormat,
+    /// Output directory, which must not exist; for zarr also a file that ends in .zip
     #[arg(long, value_name = "PATH")]
     out: PathBuf,
-    /// Keep the parts of this split apart; leave out what is in none
+    /// Export the subsets of this split separately; leave out grasps in none
     #[arg(long, value_name = "NAME")]
     split: Option<String>,
-    /// Only this part, of --split or of the only split there is
-    #[arg(long)]
-    part: Option<String>,
-    /// Leave out grasps without a label; lerobot and training always do
+    /// Export only this subset (train, val, test) of --split, or of the only split of the dataset
+    #[arg(long, value_name = "NAME")]
+    subset: Option<String>,
+    /// Leave out unlabelled grasps; lerobot and training always do
     #[arg(long)]
     only_labelled: bool,
-    /// Size of the images in zarr, pixels [default: 320x240]
-    #[arg(long, value_name = "WxH", value_parser = size)]
-    size: Option<[usize; 2]>,
-    /// Print one JSON object
+    /// Image size in zarr, px [default: 320x240]
+    #[arg(long, value_name = "WxH", value_parser = |text: &str| size(text, 1..=8192))]
+    size: Option<[u32; 2]>,
+    /// Print the result as JSON
     #[arg(long)]
     json: bool,
 }
 
-#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
-enum Format {
-    /// Shards with embedded images, for Hugging Face datasets and pandas
-    Parquet,
-    /// Tar shards, for webdataset
-    #[value(name = "webdataset")]
-    WebDataset,
-    /// LeRobot version 3: a grasp is an episode of two frames
-    #[value(name = "lerobot")]
-    LeRobot,
-    /// Zarr version 2 in the layout of UMI's replay buffer
-    Zarr,
-    /// Shards of the labelled grasps for `train` and `eval`
-    Training,
-}
-
-impl From<Format> for ExportFormat {
-    fn from(format: Format) -> Self {
-        match format {
-            Format::Parquet => Self::Parquet,
-            Format::WebDataset => Self::WebDataset,
-            Format::LeRobot => Self::LeRobot,
-            Format::Zarr => Self::Zarr,
-            Format::Training => Self::Training,
-        }
-    }
-}
-
-/// Runs the verb.
+/// Runs the command.
 pub(super) fn run(context: &Context, args: Args) -> Result<()> {
     let plan = plan(&args)?;
     let Args {
         dataset, out, json, ..
     } = args;
-    let place = out.clone();
+    let folder = out.clone();
     let report = interruptible(context, "exporting", move |progress| {
         export(&Dataset::open(&dataset)?, &out, &plan, &|done, all| {
-            progress.at(done as u64, all as u64);
+            progress.count(done, all);
         })
     })??;
     print_report(json, &report, text)?;
@@ -101,24 +80,24 @@ pub(super) fn run(context: &Context, args: Args) -> Result<()> {
     }
     let what = format!("{} left out", counted(report.left_out.len(), "grasp"));
     Err(Error::new(ErrorKind::Partial, what)
-        .at(place.display())
-        .remedy("`gripcast dataset verify` says what is wrong with damaged grasps"))
+        .at(folder.display())
+        .remedy("`gripcast dataset verify` reports the damage"))
 }
 
 fn plan(args: &Args) -> Result<ExportPlan> {
-    let mut plan = ExportPlan::new(args.to.into());
+    let mut plan = ExportPlan::new(args.to);
     plan.split.clone_from(&args.split);
-    plan.part.clone_from(&args.part);
+    plan.part.clone_from(&args.subset);
     plan.only_labelled = args.only_labelled;
     if let Some([width, height]) = args.size {
-        if args.to != Format::Zarr {
+        if args.to != ExportFormat::Zarr {
             let what = match args.to {
-                Format::Training => "`--size` is for zarr; models know one size".to_owned(),
+                ExportFormat::Training => "`--size` is for zarr; models have a fixed size".into(),
                 _ => format!("`--size` is for zarr; {} keeps the images", plan.format),
             };
-            return Err(Error::usage(what).remedy("leave `--size` out"));
+            return Err(Error::usage(what).remedy("omit `--size`"));
         }
-        plan.size = (width as u32, height as u32);
+        plan.size = (width, height);
     }
     Ok(plan)
 }
@@ -141,7 +120,7 @@ fn text(report: &ExportReport) -> String {
     }
     for (count, why) in [
         (report.unlabelled, "not labelled"),
-        (report.not_in_split, "in no part of the split"),
+        (report.not_in_split, "not in the split"),
     ] {
         if count > 0 {
             let _ = writeln!(text, "left out     {}: {why}", counted(count, "grasp"));

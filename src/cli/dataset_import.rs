@@ -1,4 +1,4 @@
-//! `gripcast dataset import`: make a dataset of Parquet shards of somebody else's files.
+//! `gripcast dataset import`: imports a third-party dataset as Parquet shards.
 //!
 //! ```text
 //! gripcast dataset import --from feeling-of-success calandra_corl2017_*.h5 --out D
@@ -6,19 +6,20 @@
 //!     --split train=0.7,validation=0.15,test=0.15
 //! ```
 //!
-//! `eval` and `train` read what it writes. Objects are not shared between parts. A grasp that cannot
-//! be read is left out and told. A stopped import is begun again by the same command.
+//! The result is a dataset for `train` and `eval`; no object is in two splits. Unreadable grasps
+//! are reported and left out. An interrupted import starts again from the beginning.
 //!
-//! Exit codes: 0 all is imported · 1 could not be done · 2 the command line is wrong · 3 finished, but
-//! some grasps could not be read.
+//! Exit codes: 0 all imported · 1 failed · 2 usage · 3 done, but some grasps were unreadable · 130
+//! interrupted.
 
 use std::fmt::Write as _;
 use std::path::PathBuf;
 
 use clap::ValueEnum;
 
-use super::dataset_text::{counted, progress_bar, to_value};
-use super::{Context, print, print_json};
+use super::dataset_text::counted;
+use super::working::interruptible;
+use super::{Context, print_report};
 use gripcast_base::error::{Error, ErrorKind, Result};
 use gripcast_dataset::shard::Split;
 use gripcast_interop::import::{ImportReport, import_feeling_of_success};
@@ -26,19 +27,19 @@ use gripcast_interop::import::{ImportReport, import_feeling_of_success};
 /// Arguments.
 #[derive(Debug, clap::Args)]
 pub(super) struct Args {
-    /// Whose files they are
-    #[arg(long, value_enum)]
-    from: Origin,
-    /// The files
+    /// Files to import
     #[arg(required = true, value_name = "FILE")]
     files: Vec<PathBuf>,
-    /// New folder for the dataset
+    /// Source dataset
+    #[arg(long, value_enum, value_name = "DATASET")]
+    from: Origin,
+    /// Output directory of the dataset; must not exist
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
-    /// Parts and their fractions
-    #[arg(long, value_name = "PART=FRACTION,…", default_value = "test")]
+    /// Splits and their fractions
+    #[arg(long, value_name = "SPLIT=FRACTION,…", default_value = "test")]
     split: Split,
-    /// Print one JSON object
+    /// Print the result as JSON
     #[arg(long)]
     json: bool,
 }
@@ -49,43 +50,36 @@ enum Origin {
     FeelingOfSuccess,
 }
 
-/// Runs the verb.
-pub(super) fn run(context: &Context, args: &Args) -> Result<()> {
-    let bar = progress_bar(context, "importing");
-    let told = |done: usize, all: usize| {
-        bar.set_length(all as u64);
-        bar.set_position(done as u64);
-    };
-    let report = match args.from {
-        Origin::FeelingOfSuccess => {
-            import_feeling_of_success(&args.files, &args.out, &args.split, &told)
+/// Runs the command.
+pub(super) fn run(context: &Context, args: Args) -> Result<()> {
+    let (out, json) = (args.out.clone(), args.json);
+    let report = interruptible(context, "importing", move |progress| {
+        let on_progress = |done: usize, all: usize| progress.count(done, all);
+        match args.from {
+            Origin::FeelingOfSuccess => {
+                import_feeling_of_success(&args.files, &args.out, &args.split, &on_progress)
+            }
         }
-    };
-    bar.finish_and_clear();
-    let report = report?;
-    if args.json {
-        print_json(&to_value(&report)?)?;
-    } else {
-        print(&text(&report))?;
-    }
+    })??;
+    print_report(json, &report, text)?;
     if report.left_out.is_empty() {
         return Ok(());
     }
     let what = format!("{} left out", counted(report.left_out.len(), "grasp"));
     Err(Error::new(ErrorKind::Partial, what)
-        .at(args.out.display())
-        .remedy("import.json has the reasons; fetch damaged files again"))
+        .at(out.display())
+        .remedy("import.json has the reasons; download damaged files again"))
 }
 
 fn text(report: &ImportReport) -> String {
     let mut text = String::new();
-    for (name, part) in &report.parts {
+    for (name, split) in &report.parts {
         let _ = writeln!(
             text,
-            "{name:<12} {} held, {} lost, {}",
-            part.stable,
-            part.slip,
-            counted(part.objects, "object")
+            "{name:<12} {} stable, {} slip, {}",
+            split.stable,
+            split.slip,
+            counted(split.objects, "object")
         );
     }
     for one in &report.left_out {
@@ -106,7 +100,7 @@ mod tests {
     const DEEPDISH: &[u8] = include_bytes!("../../tests/data/import/deepdish.h5");
 
     #[test]
-    fn train_and_eval_open_what_was_imported() {
+    fn imported_dataset_is_readable_by_train_and_eval() {
         let folder = tempfile::tempdir().unwrap();
         let file = folder.path().join("calandra_corl2017_000.h5");
         fs::write(&file, DEEPDISH).unwrap();
@@ -116,7 +110,7 @@ mod tests {
         };
         let out = folder.path().join("all");
         let report = import(&out, "test").unwrap();
-        assert_eq!(text(&report), "test         4 held, 8 lost, 2 objects\n");
+        assert_eq!(text(&report), "test         4 stable, 8 slip, 2 objects\n");
         let samples = Samples::open(&out, "test").unwrap();
         assert_eq!(samples.by_label(), [8, 4]);
         let crop = CropProfile::by_name(samples.crop_profile()).unwrap();
@@ -127,11 +121,11 @@ mod tests {
                 .iter()
                 .all(|facts| facts.stop_force_n.is_none())
         );
-        let out = folder.path().join("divided");
+        let out = folder.path().join("split");
         import(&out, "train=0.5,validation=0.5").unwrap();
         let train = Samples::open(&out, "train").unwrap();
         train
-            .check_apart(&Samples::open(&out, "validation").unwrap())
+            .check_disjoint(&Samples::open(&out, "validation").unwrap())
             .unwrap();
     }
 }

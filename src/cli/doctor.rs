@@ -1,13 +1,13 @@
-//! `gripcast doctor`: why collecting would not work here, and what helps.
+//! `gripcast doctor`: diagnoses the rig, the machine and the dataset folder.
 //!
-//! Exit codes: 0 nothing stands in the way · 2 usage or a wrong rig file · 4 something failed ·
-//! 130 interrupted.
+//! Exit codes: 0 no failure · 2 usage or an invalid rig file · 4 a check failed · 130 interrupted.
 
 use std::path::PathBuf;
 use std::time::Duration;
 
 use serde_json::json;
 
+use super::flags::{given, path_text, seconds};
 use super::working::interruptible;
 use super::{ConfigFlag, Context, print_report};
 use crate::config::Layered;
@@ -19,21 +19,22 @@ use gripcast_capture::device::SystemRoot;
 /// Arguments.
 #[derive(Debug, clap::Args)]
 pub(crate) struct Args {
-    #[command(flatten)]
-    config: ConfigFlag,
     /// Name or file of the rig [default: collect.rig of the configuration]
     #[arg(long, value_name = "NAME|FILE")]
     rig: Option<String>,
-    /// Folder of the dataset, which need not exist [default: collect.dataset of the configuration]
+    /// Folder of the dataset, which may not exist yet [default: collect.dataset of the
+    /// configuration]
     #[arg(long, value_name = "DIR")]
     dataset: Option<PathBuf>,
-    /// Model as `collect` takes it
+    /// Model, as for `collect`
     #[arg(long, value_name = "MODEL")]
     model: Option<String>,
-    /// How long cameras are measured, s
-    #[arg(long, default_value_t = 2.0, value_parser = super::rig::seconds)]
+    /// Measuring time of the cameras, s
+    #[arg(long, value_name = "S", default_value_t = 2.0, value_parser = seconds)]
     seconds: f64,
-    /// Print JSON
+    #[command(flatten)]
+    config: ConfigFlag,
+    /// Print the result as JSON
     #[arg(long)]
     json: bool,
     /// Read device descriptions below DIR instead of /sys
@@ -47,17 +48,14 @@ pub(crate) struct Args {
     proc_root: PathBuf,
 }
 
-/// Runs the verb.
+/// Runs the command.
 pub(crate) fn run(context: &Context, args: Args) -> Result<()> {
-    let dataset = args.dataset.as_ref().map(|path| path.display().to_string());
-    let flags: Vec<_> = [
+    let dataset = path_text(args.dataset.as_ref());
+    let flags = given([
         ("--rig", "collect.rig", args.rig),
         ("--dataset", "collect.dataset", dataset),
         ("--model", "collect.model", args.model),
-    ]
-    .into_iter()
-    .filter_map(|(flag, key, value)| Some((flag, key, value?)))
-    .collect();
+    ]);
     let Layered { config, .. } = args.config.load(&flags)?;
     let settings = config.collect;
     let rig = (!settings.rig.is_empty())
@@ -76,7 +74,7 @@ pub(crate) fn run(context: &Context, args: Args) -> Result<()> {
             proc: args.proc_root,
         },
     };
-    let findings = interruptible(context, "looking", move |progress| {
+    let findings = interruptible(context, "examining", move |progress| {
         patient.examine(&|what| progress.stage(what))
     })??;
     let worst = findings.iter().map(|finding| finding.verdict).max();
@@ -90,9 +88,9 @@ pub(crate) fn run(context: &Context, args: Args) -> Result<()> {
     let names: Vec<String> = failed.map(|f| format!("{} {}", f.area, f.name)).collect();
     Err(Error::new(
         ErrorKind::Check,
-        format!("collecting will not work yet: {}", names.join(", ")),
+        format!("collecting will not work: {}", names.join(", ")),
     )
-    .remedy("see the arrows above"))
+    .remedy("apply the remedies above (→)"))
 }
 
 fn text(findings: &[Finding]) -> String {

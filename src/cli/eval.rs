@@ -1,13 +1,13 @@
-//! `gripcast eval`: how well model files predict the outcomes of a dataset.
+//! `gripcast eval`: evaluates models on a labelled dataset.
 //!
-//! Exit codes: 0 measured · 1 it could not be measured · 2 usage · 130 interrupted.
+//! Exit codes: 0 evaluated · 1 failed · 2 usage · 130 interrupted.
 
 use std::path::PathBuf;
 
 use serde_json::json;
 
-use super::working::interruptible;
-use super::{Context, create_folder, print, print_json};
+use super::working::{Progress, interruptible};
+use super::{Context, create_folder, print_report};
 use crate::note;
 use gripcast_base::error::{Error, Result};
 use gripcast_base::files;
@@ -18,79 +18,63 @@ use gripcast_train::{EvalReport, ModelEvaluation, Samples, dataset_sha256, evalu
 /// Arguments.
 #[derive(Clone, Debug, clap::Args)]
 pub(crate) struct Args {
-    /// Model file, or the name of a built-in model; several are compared with the first
+    /// ONNX file or built-in model; several are compared with the first
     #[arg(long, value_name = "MODEL", required = true, num_args = 1..)]
     model: Vec<String>,
-    /// Folder of the dataset, as `synth merge` makes it
+    /// Folder of the dataset (`synth merge`, `dataset import`, `dataset export --to training`)
     #[arg(long, value_name = "DIR")]
     data: PathBuf,
-    /// Part of the dataset
-    #[arg(long, default_value = "test")]
+    /// Split of the dataset
+    #[arg(long, value_name = "NAME", default_value = "test")]
     split: String,
-    /// Folder for eval.json and eval.html
+    /// Output directory of eval.json and eval.html
     #[arg(long, value_name = "DIR")]
     out: Option<PathBuf>,
-    /// Print the figures of the first model as JSON
+    /// Print the metrics of the first model as JSON
     #[arg(long)]
     json: bool,
 }
 
-/// Runs the verb.
+/// Runs the command.
 pub(super) fn run(context: &Context, args: Args) -> Result<()> {
     let is_json = args.json;
     let out = args.out.clone();
-    let report = interruptible(
-        context,
-        "evaluating",
-        move |progress| -> Result<EvalReport> {
-            let models = args
-                .model
-                .iter()
-                .map(|name| Ok((name.clone(), Model::named(name)?)))
-                .collect::<Result<Vec<_>>>()?;
-            let samples = Samples::open(&args.data, &args.split)?;
-            let training = Samples::open(&args.data, "train").ok();
-            let sha256 = dataset_sha256(&args.data)?;
-            let report = evaluate(
-                &models,
-                &samples,
-                training.as_ref(),
-                &sha256,
-                &|done, all| {
-                    progress.at(done as u64, all as u64);
-                },
-            )?;
-            if let Some(out) = &args.out {
-                create_folder(out)?;
-                let text = serde_json::to_vec_pretty(&report)
-                    .map_err(|e| Error::internal("cannot write the report").because(e))?;
-                files::save(&out.join("eval.json"), &text)?;
-                files::save(&out.join("eval.html"), page(&report, &samples)?.as_bytes())?;
-            }
-            Ok(report)
-        },
-    )??;
-    if !context.quiet {
-        for warning in &report.warnings {
-            note!("gripcast: {warning}");
-        }
-    }
-    if is_json {
-        print_json(&first(&report))?;
-    } else {
-        print(&text(&report))?;
-    }
+    let report = interruptible(context, "evaluating", move |progress| {
+        evaluated(&args, progress)
+    })??;
+    context.warn(&report.warnings);
+    print_report(is_json, &first(&report), |_| text(&report))?;
     if let (Some(out), false, false) = (&out, context.quiet, is_json) {
         note!("report: {}", out.join("eval.html").display());
     }
     Ok(())
 }
 
-/// The figures of the first model, and those over all.
+fn evaluated(args: &Args, progress: &Progress) -> Result<EvalReport> {
+    let models = args.model.iter();
+    let models = models
+        .map(|name| Ok((name.clone(), Model::named(name)?)))
+        .collect::<Result<Vec<_>>>()?;
+    let samples = Samples::open(&args.data, &args.split)?;
+    let training = Samples::open(&args.data, "train").ok();
+    let sha256 = dataset_sha256(&args.data)?;
+    let on_progress = |done: usize, total: usize| progress.count(done, total);
+    let report = evaluate(&models, &samples, training.as_ref(), &sha256, &on_progress)?;
+    if let Some(out) = &args.out {
+        create_folder(out)?;
+        let text = serde_json::to_vec_pretty(&report)
+            .map_err(|e| Error::internal("cannot write the report").because(e))?;
+        files::save(&out.join("eval.json"), &text)?;
+        files::save(&out.join("eval.html"), page(&report, &samples)?.as_bytes())?;
+    }
+    Ok(report)
+}
+
+/// Returns the metrics of the first model and those over all models.
 fn first(report: &EvalReport) -> serde_json::Value {
     let model = report.models.first();
-    let mut found = json!(model.map(|m| &m.summary));
-    if let (Some(fields), Some(model)) = (found.as_object_mut(), model) {
+    let mut metrics = json!(model.map(|m| &m.summary));
+    if let (Some(fields), Some(model)) = (metrics.as_object_mut(), model) {
         fields.insert("auroc_interval".into(), json!(model.auroc));
         fields.insert(
             "balanced_accuracy_interval".into(),
@@ -104,7 +88,7 @@ fn first(report: &EvalReport) -> serde_json::Value {
         fields.insert("objects".into(), json!(report.objects));
         fields.insert("warnings".into(), json!(report.warnings));
     }
-    found
+    metrics
 }
 
 fn text(report: &EvalReport) -> String {
@@ -157,18 +141,18 @@ fn row(model: &ModelEvaluation) -> String {
     )
 }
 
-/// What would come of a model that knew how often these grasps hold, where it is not every other one.
+/// Formats the calibration after a prior correction, unless the classes are balanced.
 fn at_base_rate(model: &ModelEvaluation) -> Option<String> {
-    let found = model.at_base_rate.filter(BaseRateCalibration::is_uneven)?;
+    let corrected = model.at_base_rate.filter(BaseRateCalibration::is_uneven)?;
     Some(format!(
-        "{}: {:.0} % of these hold; with that as base rate ECE {:.3}, Brier {:.3}",
+        "{}: {:.0} % are stable; corrected for this base rate: ECE {:.3}, Brier {:.3}",
         model.file,
-        100.0 * found.base_rate,
-        found.ece,
-        found.brier
+        100.0 * corrected.base_rate,
+        corrected.ece,
+        corrected.brier
     ))
 }
 
-fn interval(found: Option<Interval>) -> String {
-    found.map_or("–".to_owned(), |found| found.to_string())
+fn interval(interval: Option<Interval>) -> String {
+    interval.map_or("–".to_owned(), |interval| interval.to_string())
 }

@@ -1,7 +1,7 @@
-//! `gripcast experiment`: comparisons of the paper, repeated.
+//! `gripcast experiment`: reproduces experiments of the paper.
 //!
-//! Exit codes: 0 done · 1 it could not be done · 2 usage · 75 stopped by SIGTERM, run it again · 130
-//! interrupted. What is done is kept and not done again.
+//! Exit codes: 0 done · 1 failed · 2 usage · 75 stopped by SIGTERM, rerun to resume · 130
+//! interrupted. Finished runs are kept.
 
 use std::collections::BTreeMap;
 use std::path::PathBuf;
@@ -28,40 +28,40 @@ pub(crate) struct Args {
 
 #[derive(Clone, Debug, clap::Subcommand)]
 enum Experiment {
-    /// Vision, touch and both on data of the finite elements, both on data of rigid bodies (the
-    /// paper's Figure 6)
+    /// Compare vision, touch and both trained on FEM data, and both on rigid-body data (Figure 6)
     Fig6(Fig6Args),
 }
 
 /// Arguments of `fig6`.
 #[derive(Clone, Debug, clap::Args)]
 struct Fig6Args {
-    /// Dataset simulated with finite elements
+    /// Dataset simulated with the FEM engine
     #[arg(long, value_name = "DIR")]
     fem: PathBuf,
-    /// Dataset of the same plan with the rigid engine [default: that bar is left out]
+    /// Dataset of the same plan simulated with the rigid engine [default: omit this condition]
     #[arg(long, value_name = "DIR")]
     rigid: Option<PathBuf>,
-    /// Dataset of other objects under other conditions, whose part `test` stands for reality
+    /// Dataset of a shifted domain; its test split stands in for real data
     #[arg(long, value_name = "DIR")]
     shifted: Option<PathBuf>,
-    /// Folder of the runs and the figure
+    /// Output directory of the runs and the figure; an existing experiment is resumed
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
-    /// Seeds of each bar
-    #[arg(long, default_value_t = 5, value_parser = clap::value_parser!(u64).range(1..=100))]
+    /// Number of seeds per condition
+    #[arg(long, value_name = "N", default_value_t = 5,
+        value_parser = clap::value_parser!(u64).range(1..=100))]
     seeds: u64,
-    #[command(flatten)]
-    training: TrainingFlags,
-    /// Models that are trained at a time, of which each takes up to 1.5 GB [default: all cores]
-    #[arg(long, value_parser = clap::value_parser!(u16).range(1..=256))]
+    /// Number of parallel trainings (up to 1.5 GB each) [default: all cores]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=256))]
     jobs: Option<u16>,
-    /// Print what came out as JSON
+    /// Print the result as JSON
     #[arg(long)]
     json: bool,
+    #[command(flatten)]
+    training: TrainingFlags,
 }
 
-/// Runs the verb.
+/// Runs the command.
 pub(super) fn run(context: &Context, args: Args) -> Result<()> {
     let Experiment::Fig6(args) = args.experiment;
     let test = |title: &str, name: &'static str, data: &PathBuf| TestSet {
@@ -84,24 +84,19 @@ pub(super) fn run(context: &Context, args: Args) -> Result<()> {
     let out = args.out.clone();
     let jobs = args.jobs.map_or_else(cores, usize::from);
     let conditions = Condition::ALL.len() - usize::from(args.rigid.is_none());
-    let runs = conditions as u64 * args.seeds;
+    let runs = conditions * args.seeds as usize;
     let fractions: Mutex<BTreeMap<(Condition, u64), f64>> = Mutex::default();
     let report = resumable(context, "experiment", move |progress| {
         experiment(&settings, &out, jobs, &|event| match event {
             ExperimentEvent::Run(condition, seed) => {
                 progress.line(format!("{}, seed {seed}", condition.title()));
             }
-            ExperimentEvent::Train(
-                condition,
-                seed,
-                TrainEvent::Step {
-                    at: [done, all], ..
-                },
-            ) => {
+            ExperimentEvent::Train(condition, seed, TrainEvent::Step { steps, .. }) => {
+                let [done, total] = steps;
                 let mut fractions = fractions.lock().unwrap_or_else(PoisonError::into_inner);
-                fractions.insert((condition, seed), done as f64 / all.max(1) as f64);
+                fractions.insert((condition, seed), done as f64 / total.max(1) as f64);
                 let sum: f64 = fractions.values().sum();
-                progress.at((1000.0 * sum) as u64, 1000 * runs);
+                progress.count((1000.0 * sum) as usize, 1000 * runs);
             }
             ExperimentEvent::Train(..) => {}
         })
@@ -110,7 +105,8 @@ pub(super) fn run(context: &Context, args: Args) -> Result<()> {
 }
 
 fn text(report: &ExperimentReport) -> String {
-    let interval = |found: Option<Interval>| found.map_or("–".to_owned(), |i| i.to_string());
+    let interval =
+        |interval: Option<Interval>| interval.map_or("–".to_owned(), |i| i.to_string());
     let mut lines = vec![format!(
         "{:<12} {:<12} {:>6} {:>22} {:>22}",
         "test", "trained on", "n", "balanced accuracy", "AUROC"

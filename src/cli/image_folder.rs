@@ -1,4 +1,4 @@
-//! Folders of images that a camera is calibrated with.
+//! Folders of calibration images.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -13,10 +13,10 @@ use gripcast_imaging::Decoder;
 /// Suffixes of images.
 const SUFFIXES: [&str; 3] = ["png", "jpg", "jpeg"];
 
-/// The images in a folder, in the order of their names.
+/// Lists the images in a folder, sorted by name.
 ///
 /// # Errors
-/// That of the operating system; `Input` for a folder without images.
+/// `Io`; `Input` for a folder without images.
 pub(super) fn images(folder: &Path) -> Result<Vec<PathBuf>> {
     let cannot = |e| Error::io("cannot read the folder of images", e).at(folder.display());
     let mut files = Vec::new();
@@ -34,7 +34,7 @@ pub(super) fn images(folder: &Path) -> Result<Vec<PathBuf>> {
     Ok(files)
 }
 
-/// Name of a file, without its folder.
+/// Returns the name of a file without its folder.
 pub(super) fn file_name(path: &Path) -> String {
     path.file_name()
         .unwrap_or_default()
@@ -42,10 +42,10 @@ pub(super) fn file_name(path: &Path) -> String {
         .into_owned()
 }
 
-/// A stored image in grey, at its own size.
+/// Reads an image as grey, at its stored size.
 ///
 /// # Errors
-/// That of the operating system; `Input` for what is no image.
+/// `Io`; `Input` for an invalid image.
 pub(super) fn read_grey(decoder: &mut Decoder, path: &Path) -> Result<GrayImage> {
     let bytes =
         read_regular(path, FileKind::Image).map_err(|e| Error::io("cannot read the image", e))?;

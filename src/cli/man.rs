@@ -1,7 +1,6 @@
-//! `gripcast man --out DIR`: writes the manual pages, one a verb.
+//! `gripcast man --out DIR`: writes the manual pages, one per command.
 //!
-//! The date of the pages is today's, or that of `SOURCE_DATE_EPOCH`, so that a release built again
-//! has the same bytes.
+//! The date of the pages is today or `SOURCE_DATE_EPOCH`, for reproducible builds.
 
 use std::path::{Path, PathBuf};
 
@@ -14,20 +13,17 @@ use crate::note;
 use gripcast_base::error::{Error, Result};
 use gripcast_base::files::save;
 
-/// What the exit codes mean, for the page of the program.
+/// Exit codes and their meaning.
 const EXIT_CODES: [(&str, &str); 8] = [
-    ("0", "Done."),
-    ("1", "Failed; the message says what, where and what helps."),
-    (
-        "2",
-        "The command line, the configuration or a rig file is wrong.",
-    ),
-    ("3", "Done, but some of the data was lost or left out."),
-    ("4", "A check that was asked for did not hold."),
+    ("0", "Success."),
+    ("1", "Failure; the message states cause and remedy."),
+    ("2", "Invalid command line, configuration or rig file."),
+    ("3", "Done, but some data was lost or left out."),
+    ("4", "A check failed."),
     ("69", "A camera is missing."),
     (
         "75",
-        "Stopped at a safe point; the same command goes on from there.",
+        "Stopped at a safe point; rerun the command to resume.",
     ),
     ("130", "Interrupted by the user."),
 ];
@@ -35,12 +31,12 @@ const EXIT_CODES: [(&str, &str); 8] = [
 /// Arguments of `man`.
 #[derive(Debug, clap::Args)]
 pub(crate) struct Args {
-    /// Folder of the pages; created when absent
+    /// Output directory of the pages; created if absent
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
 }
 
-/// Runs the verb.
+/// Runs the command.
 pub(crate) fn run(context: &Context, args: &Args) -> Result<()> {
     let date = date(std::env::var("SOURCE_DATE_EPOCH").ok().as_deref())?;
     create_folder(&args.out)?;
@@ -53,7 +49,7 @@ pub(crate) fn run(context: &Context, args: &Args) -> Result<()> {
     Ok(())
 }
 
-/// The day of the pages; `epoch` in seconds since 1970.
+/// Returns the date of the pages; `epoch` in seconds since 1970.
 fn date(epoch: Option<&str>) -> Result<String> {
     let time = match epoch {
         None => Timestamp::now(),
@@ -70,7 +66,7 @@ fn date(epoch: Option<&str>) -> Result<String> {
     Ok(time.strftime("%Y-%m-%d").to_string())
 }
 
-/// Writes the page of a built command and of every command below it; how many there are.
+/// Writes the pages of a built command and its subcommands; returns their number.
 fn write_pages(command: &clap::Command, date: &str, folder: &Path) -> Result<usize> {
     let mut written = 1;
     for below in command.get_subcommands().filter(|c| !c.is_hide_set()) {
@@ -95,7 +91,7 @@ fn write_pages(command: &clap::Command, date: &str, folder: &Path) -> Result<usi
     Ok(written)
 }
 
-/// Empty lines as requests for space, and nothing at the ends of lines: mandoc warns of both.
+/// Replaces empty lines by space requests and trims lines; mandoc warns about both.
 fn without_empty_lines(page: &str) -> String {
     let page = page.replace(".br\n\n.br\n", ".sp\n");
     let lines = page.lines().map(str::trim_end);
@@ -122,7 +118,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn values_and_paragraphs_of_a_help_text_make_no_empty_lines() {
+    fn pages_have_no_empty_lines() {
         let shell = clap::Arg::new("shell").value_parser(["bash", "zsh"]);
         let flag = clap::Arg::new("long").long("long").help("One.\n\n.Two");
         let mut command = clap::Command::new("gripcast").args([shell.help("Shell"), flag]);
@@ -142,11 +138,11 @@ mod tests {
     }
 
     #[test]
-    fn the_date_is_that_of_the_epoch_and_a_wrong_one_is_refused() {
+    fn date_reads_epoch_and_refuses_invalid_one() {
         assert_eq!(date(Some("86400")).unwrap(), "1970-01-02");
-        for wrong in ["", "tomorrow", "1e9", "99999999999999"] {
-            let error = date(Some(wrong)).unwrap_err();
-            assert_eq!(error.kind(), ErrorKind::Usage, "{wrong}");
+        for invalid in ["", "tomorrow", "1e9", "99999999999999"] {
+            let error = date(Some(invalid)).unwrap_err();
+            assert_eq!(error.kind(), ErrorKind::Usage, "{invalid}");
             assert!(error.to_string().contains("SOURCE_DATE_EPOCH"), "{error}");
         }
     }

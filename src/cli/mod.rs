@@ -1,10 +1,11 @@
-//! The command line: one file a verb. stdout is data, stderr is for people.
+//! The command line, one file per command. stdout carries data, stderr carries text for people.
 
+use std::fmt::Display;
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
-use clap::{CommandFactory as _, Parser, Subcommand};
+use clap::{ArgAction, CommandFactory as _, Parser, Subcommand};
 
 use crate::config::{self as settings, ConfigFile, FlagValue, Layered};
 use crate::note;
@@ -38,6 +39,7 @@ mod dataset_text;
 mod doctor;
 mod eval;
 mod experiment;
+mod flags;
 mod image_folder;
 mod man;
 mod predict;
@@ -66,33 +68,56 @@ mod train;
 mod training_flags;
 pub mod working;
 
-/// Collect grasps with touch; predict before the lift whether they hold.
+/// Collect visuo-tactile grasps and predict their stability before the lift
 #[derive(Debug, Parser)]
 #[command(
     name = "gripcast",
     version,
     propagate_version = true,
+    disable_help_flag = true,
+    disable_version_flag = true,
     max_term_width = 100
 )]
 struct Cli {
     #[command(flatten)]
     context: Context,
+    /// Print help
+    #[arg(short, long, global = true, action = ArgAction::Help, help_heading = GLOBAL)]
+    help: Option<bool>,
+    /// Print version
+    #[arg(short = 'V', long, global = true, action = ArgAction::Version, help_heading = GLOBAL)]
+    version: Option<bool>,
     #[command(subcommand)]
-    verb: Verb,
+    command: Command,
 }
 
-/// Flags of every verb.
+/// Heading of the options that every command has.
+const GLOBAL: &str = "Global options";
+
+/// Options of every command.
 #[derive(Clone, Debug, clap::Args)]
 pub struct Context {
-    /// Say more (repeat for more)
-    #[arg(short, long, global = true, action = clap::ArgAction::Count, conflicts_with = "quiet")]
+    /// Increase verbosity (repeatable)
+    #[arg(short, long, global = true, action = ArgAction::Count, conflicts_with = "quiet",
+        help_heading = GLOBAL)]
     pub verbose: u8,
-    /// Say nothing but errors
-    #[arg(short, long, global = true)]
+    /// Only print errors
+    #[arg(short, long, global = true, help_heading = GLOBAL)]
     pub quiet: bool,
 }
 
-/// Which configuration file is read.
+impl Context {
+    /// Prints warnings on stderr, unless `--quiet`.
+    pub(crate) fn warn<T: Display>(&self, warnings: impl IntoIterator<Item = T>) {
+        if !self.quiet {
+            for warning in warnings {
+                note!("gripcast: {warning}");
+            }
+        }
+    }
+}
+
+/// The configuration file option.
 #[derive(Clone, Debug, clap::Args)]
 pub(crate) struct ConfigFlag {
     /// Configuration file [default: ./gripcast.toml or ~/.config/gripcast/config.toml]
@@ -101,19 +126,19 @@ pub(crate) struct ConfigFlag {
 }
 
 impl ConfigFlag {
-    /// The file, if there is one.
+    /// Returns the chosen or the default configuration file, if any.
     pub(crate) fn file(&self) -> Option<ConfigFile> {
-        let named = self.config.clone().map(ConfigFile::Chosen);
-        named.or_else(settings::default_file)
+        let chosen = self.config.clone().map(ConfigFile::Chosen);
+        chosen.or_else(settings::default_file)
     }
 
-    /// All settings, with flags over them.
+    /// Loads all settings; `flags` override the file and the environment.
     pub(crate) fn load(&self, flags: &[FlagValue]) -> Result<Layered> {
         load_settings(self.file().as_ref(), flags)
     }
 }
 
-/// All settings. What is ignored is said on stderr, even with `--quiet`.
+/// Loads all settings. Ignored values are reported on stderr, even with `--quiet`.
 pub(crate) fn load_settings(file: Option<&ConfigFile>, flags: &[FlagValue]) -> Result<Layered> {
     let layered = settings::load(file, std::env::vars(), flags)?;
     for (key, ignored) in &layered.ignored {
@@ -122,57 +147,57 @@ pub(crate) fn load_settings(file: Option<&ConfigFile>, flags: &[FlagValue]) -> R
     Ok(layered)
 }
 
-/// Creates a folder for what a command writes, and those above it.
+/// Creates an output folder and its parents.
 pub(crate) fn create_folder(path: &Path) -> Result<()> {
     fs::create_dir_all(path)
         .map_err(|e| Error::io("cannot create the folder", e).at(path.display()))
 }
 
 #[derive(Debug, Subcommand)]
-enum Verb {
+enum Command {
     /// Collect grasps: live cameras, triggers, prediction, crash-safe saving
     Collect(collect::Args),
-    /// Collect as a service with a page and an API for browsers, pedals and programs
+    /// Run the collection as a service with a web page and an API
     Daemon(daemon::Args),
     /// List cameras, write a rig file, check a rig
     Rig(rig::Args),
-    /// Find out why collecting would not work here, and what helps
+    /// Diagnose the rig, the machine and the dataset folder
     Doctor(doctor::Args),
-    /// Print boards and tags of markers, look at board files
+    /// Print marker boards and tags, inspect and import board files
     Board(board::Args),
-    /// Find out where the gripper was in collected grasps
+    /// Estimate the gripper pose of collected grasps
     Annotate(annotate::Args),
-    /// Calibrate cameras and the gripper's tags; convert and look at intrinsics
+    /// Calibrate cameras and gripper tags; convert and inspect intrinsics
     Calibrate(calibrate::Args),
     /// Predict the stability of recorded grasps, or check a model
     Predict(predict::Args),
-    /// Look at, verify, repair, index, split and export a dataset
+    /// Inspect, verify, recover, index, split, export and import datasets
     Dataset(dataset::Args),
     /// Simulate grasps
     Sim(sim::Args),
-    /// Render what the sensors would see of simulated grasps
+    /// Render the sensor images of simulated grasps
     Render(render::Args),
-    /// Replay annotated grasps in the simulators and compare with what happened
+    /// Replay annotated grasps in the simulators and compare the outcomes
     Replay(Box<replay::Args>),
     /// Generate labelled synthetic datasets, on one machine or many
     Synth(Box<synth::Args>),
     /// Train a stability classifier on a dataset
     Train(Box<train::Args>),
-    /// Measure models on a dataset whose outcomes are known
+    /// Evaluate models on a labelled dataset
     Eval(eval::Args),
-    /// Repeat comparisons of the paper
+    /// Reproduce experiments of the paper
     Experiment(experiment::Args),
-    /// Measure gripcast on this machine
+    /// Benchmark gripcast on this machine
     Bench(bench::Args),
-    /// Show the configuration and where each value comes from
+    /// Show the configuration and the origin of each value
     Config(config::Args),
-    /// Print a completion script for a shell
+    /// Print a shell completion script
     Completions(completions::Args),
     /// Write the manual pages
     Man(man::Args),
 }
 
-/// The command line with all its verbs, for manual pages, completions and tests.
+/// Returns the command line with all commands, for manual pages, completions and tests.
 #[must_use]
 pub fn command() -> clap::Command {
     Cli::command()
@@ -185,7 +210,7 @@ pub fn main() -> ExitCode {
     exit_code("gripcast", || run(cli))
 }
 
-/// Runs what a command line asks `program` for. An error goes to stderr and decides the exit code.
+/// Runs `program`. An error is printed on stderr and decides the exit code.
 pub fn exit_code(program: &str, run: impl FnOnce() -> Result<()>) -> ExitCode {
     allow_links_into(settings::linked_folders());
     match run() {
@@ -199,26 +224,26 @@ pub fn exit_code(program: &str, run: impl FnOnce() -> Result<()>) -> ExitCode {
 
 fn run(cli: Cli) -> Result<()> {
     let context = cli.context;
-    match cli.verb {
-        Verb::Collect(args) => collect::run(&context, args),
-        Verb::Rig(args) => rig::run(&context, args),
-        Verb::Daemon(args) => daemon::run(&context, args),
-        Verb::Doctor(args) => doctor::run(&context, args),
-        Verb::Board(args) => board::run(&context, args),
-        Verb::Annotate(args) => annotate::run(&context, args),
-        Verb::Calibrate(args) => calibrate::run(&context, args),
-        Verb::Predict(args) => predict::run(&context, args),
-        Verb::Dataset(args) => dataset::run(&context, args),
-        Verb::Sim(args) => sim::run(&context, args),
-        Verb::Render(args) => render::run(&context, args),
-        Verb::Replay(args) => replay::run(&context, *args),
-        Verb::Synth(args) => synth::run(&context, *args),
-        Verb::Train(args) => train::run(&context, *args),
-        Verb::Eval(args) => eval::run(&context, args),
-        Verb::Experiment(args) => experiment::run(&context, args),
-        Verb::Bench(args) => bench::run(&context, args),
-        Verb::Config(args) => config::run(&context, args),
-        Verb::Completions(args) => completions::run(&context, &args),
-        Verb::Man(args) => man::run(&context, &args),
+    match cli.command {
+        Command::Collect(args) => collect::run(&context, args),
+        Command::Rig(args) => rig::run(&context, args),
+        Command::Daemon(args) => daemon::run(&context, args),
+        Command::Doctor(args) => doctor::run(&context, args),
+        Command::Board(args) => board::run(&context, args),
+        Command::Annotate(args) => annotate::run(&context, args),
+        Command::Calibrate(args) => calibrate::run(&context, args),
+        Command::Predict(args) => predict::run(&context, args),
+        Command::Dataset(args) => dataset::run(&context, args),
+        Command::Sim(args) => sim::run(&context, args),
+        Command::Render(args) => render::run(&context, args),
+        Command::Replay(args) => replay::run(&context, *args),
+        Command::Synth(args) => synth::run(&context, *args),
+        Command::Train(args) => train::run(&context, *args),
+        Command::Eval(args) => eval::run(&context, args),
+        Command::Experiment(args) => experiment::run(&context, args),
+        Command::Bench(args) => bench::run(&context, args),
+        Command::Config(args) => config::run(args),
+        Command::Completions(args) => completions::run(&args),
+        Command::Man(args) => man::run(&context, &args),
     }
 }

@@ -1,20 +1,20 @@
 //! `gripcast predict`: check a model, or predict the stability of one grasp from images.
 //!
-//! `predict check MODEL` loads an ONNX file as `collect` would, runs it once and prints what it
-//! promises. `predict images` predicts one grasp from image files (PNG or JPEG): both tactile
-//! images of the open gripper, both of the closed one, and the colour image where the model
-//! uses it. Tactile images are cropped with the model's crop profile unless `--already-cropped`;
-//! all are resized to 320×240. `predict baseline` writes the built-in contact-strength heuristic
-//! as an ONNX file.
+//! `predict check MODEL` loads an ONNX file as `collect` does, runs it once and prints its
+//! contract. `predict images` predicts one grasp from image files (PNG or JPEG): both tactile
+//! images of the open and of the closed gripper, and the colour image if the model uses it.
+//! Tactile images are cropped with the model's crop profile unless `--already-cropped`; all are
+//! resized to 320×240. `predict baseline` writes the built-in contact-strength heuristic as an
+//! ONNX file.
 //!
-//! Exit codes: 0 predicted, 1 the model or an image is refused, 2 usage.
+//! Exit codes: 0 predicted · 1 invalid model or image · 2 usage.
 
 use std::path::{Path, PathBuf};
 
 use image::RgbImage;
 use serde_json::{Value, json};
 
-use super::{Context, print};
+use super::{Context, print_report};
 use crate::note;
 use gripcast_base::error::{Error, Result};
 use gripcast_base::files::{FileKind, read_regular, save};
@@ -34,7 +34,7 @@ pub(crate) struct Args {
 
 #[derive(Debug, clap::Subcommand)]
 enum Action {
-    /// Load a model, hold it against its contract and print what it promises
+    /// Check a model against its contract
     Check(CheckArgs),
     /// Predict one grasp from image files
     Images(ImagesArgs),
@@ -45,10 +45,10 @@ enum Action {
 
 #[derive(Debug, clap::Args)]
 struct CheckArgs {
-    /// ONNX file, `gripcast-vt`, the built-in classifier, or `baseline-contact`, a heuristic
+    /// ONNX file, gripcast-vt (built-in classifier) or baseline-contact (built-in heuristic)
     #[arg(value_name = "MODEL")]
     model: String,
-    /// Print one JSON object
+    /// Print the result as JSON
     #[arg(long)]
     json: bool,
 }
@@ -70,16 +70,16 @@ struct ImagesArgs {
     /// Colour image, gripper closed
     #[arg(long, value_name = "FILE")]
     rgb: Option<PathBuf>,
-    /// Crop profile to apply to the tactile images [default: the model's own]
+    /// Crop profile of the tactile images [default: the model's]
     #[arg(long, value_name = "PROFILE")]
     crop: Option<String>,
-    /// The tactile images are already cropped with the model's profile: take them whole
+    /// Do not crop the tactile images
     #[arg(long, conflicts_with = "crop")]
     already_cropped: bool,
-    /// ONNX file, `gripcast-vt`, the built-in classifier, or `baseline-contact`, a heuristic
+    /// ONNX file, gripcast-vt (built-in classifier) or baseline-contact (built-in heuristic)
     #[arg(long, value_name = "MODEL", default_value = SHIPPED)]
     model: String,
-    /// Print one JSON object
+    /// Print the result as JSON
     #[arg(long)]
     json: bool,
 }
@@ -91,7 +91,7 @@ struct BaselineArgs {
     out: PathBuf,
 }
 
-/// Runs the verb.
+/// Runs the command.
 pub(crate) fn run(context: &Context, args: Args) -> Result<()> {
     match args.action {
         Action::Check(args) => check(context, &args),
@@ -103,41 +103,40 @@ pub(crate) fn run(context: &Context, args: Args) -> Result<()> {
 fn check(context: &Context, args: &CheckArgs) -> Result<()> {
     let model = Model::named(&args.model)?;
     let contract = model.contract();
-    let (seed, manifest) = match &contract.origin {
+    let (seed, manifest, origin) = match &contract.origin {
         Origin::Trained {
             seed,
             manifest_sha256,
-        } => (json!(seed), json!(manifest_sha256)),
-        Origin::Heuristic => (Value::Null, Value::Null),
+        } => (
+            json!(seed),
+            json!(manifest_sha256),
+            format!("trained on {manifest_sha256}, seed {seed}"),
+        ),
+        Origin::Heuristic => (Value::Null, Value::Null, "heuristic, not trained".into()),
     };
-    if args.json {
-        return print(&format!(
-            "{:#}",
-            json!({
-                "card": contract.card,
-                "crop_profile": contract.crop_profile_name(),
-                "file": args.model,
-                "inputs": contract.inputs,
-                "kind": contract.origin.name(),
-                "load_ms": model.load_ms(),
-                "name": contract.name,
-                "other": contract.other,
-                "seed": seed,
-                "sha256": model.sha256(),
-                "temperature": contract.temperature,
-                "threshold": contract.threshold,
-                "train_manifest_sha256": manifest,
-                "variant": contract.variant,
-            })
-        ));
-    }
-    let origin = match &contract.origin {
-        Origin::Trained {
-            seed,
-            manifest_sha256,
-        } => format!("trained on {manifest_sha256}, seed {seed}"),
-        Origin::Heuristic => "heuristic, not trained".to_owned(),
-    };
+    let report = json!({
+        "card": contract.card,
+        "crop_profile": contract.crop_profile_name(),
+        "file": args.model,
+        "inputs": contract.inputs,
+        "kind": contract.origin.name(),
+        "load_ms": model.load_ms(),
+        "name": contract.name,
+        "other": contract.other,
+        "seed": seed,
+        "sha256": model.sha256(),
+        "temperature": contract.temperature,
+        "threshold": contract.threshold,
+        "train_manifest_sha256": manifest,
+        "variant": contract.variant,
+    });
+    print_report(args.json, &report, |_| {
+        contract_text(context, &model, &origin)
+    })
+}
+
+fn contract_text(context: &Context, model: &Model, origin: &str) -> String {
+    let contract = model.contract();
     let mut lines = vec![
         format!("model      {} ({origin})", contract.name),
         format!("sha256     {}", model.sha256()),
@@ -155,7 +154,7 @@ fn check(context: &Context, args: &CheckArgs) -> Result<()> {
     if context.verbose > 0 {
         lines.push(format!("\n{}", contract.card.trim_end()));
     }
-    print(&lines.join("\n"))
+    lines.join("\n")
 }
 
 fn predict_images(context: &Context, args: &ImagesArgs) -> Result<()> {
@@ -196,40 +195,38 @@ fn predict_images(context: &Context, args: &ImagesArgs) -> Result<()> {
         differences.push(difference);
     }
     let prediction = model.predict(&input)?;
-    let known = model.novelty();
-    let novelty = known.and_then(|known| known.of_touch(&differences));
-    let verdict = Verdict::of(prediction.p_stable, contract.threshold, novelty);
+    let ood_score = model
+        .novelty()
+        .and_then(|reference| reference.of_touch(&differences));
+    let verdict = Verdict::of(prediction.p_stable, contract.threshold, ood_score);
     let outcome = verdict.name();
-    if contract.is_heuristic() && !context.quiet {
-        note!(
-            "gripcast: `{}` is a contact-strength heuristic, not a trained model",
-            contract.name
-        );
+    if contract.is_heuristic() {
+        let name = &contract.name;
+        context.warn([format!(
+            "`{name}` is a contact-strength heuristic, not a trained model"
+        )]);
     }
-    if args.json {
-        return print(&format!(
-            "{:#}",
-            json!({
-                "crop_profile": crop.name(),
-                "engine_ms": prediction.engine_ms,
-                "kind": contract.origin.name(),
-                "model": contract.name,
-                "model_sha256": model.sha256(),
-                "novelty": novelty,
-                "p_stable": prediction.p_stable,
-                "predicted": outcome,
-                "threshold": contract.threshold,
-            })
-        ));
-    }
-    let why = match verdict {
-        Verdict::Unsure => "; the tactile images are unlike those of the training",
-        Verdict::Stable | Verdict::Slip => "",
-    };
-    print(&format!(
-        "{outcome}: p_stable {:.3}, threshold {}{why}",
-        prediction.p_stable, contract.threshold
-    ))
+    let report = json!({
+        "crop_profile": crop.name(),
+        "engine_ms": prediction.engine_ms,
+        "kind": contract.origin.name(),
+        "model": contract.name,
+        "model_sha256": model.sha256(),
+        "ood_score": ood_score,
+        "p_stable": prediction.p_stable,
+        "predicted": outcome,
+        "threshold": contract.threshold,
+    });
+    print_report(args.json, &report, |_| {
+        let reason = match verdict {
+            Verdict::Unsure => "; the tactile images are out of distribution",
+            Verdict::Stable | Verdict::Slip => "",
+        };
+        format!(
+            "{outcome}: p_stable {:.3}, threshold {}{reason}",
+            prediction.p_stable, contract.threshold
+        )
+    })
 }
 
 fn write_baseline(context: &Context, out: &Path) -> Result<()> {
@@ -247,14 +244,14 @@ fn needed<'a>(file: Option<&'a Path>, flag: &str, input: InputName) -> Result<&'
         let error = Error::usage(what);
         match input {
             InputName::Rgb => error.remedy(format!(
-                "give it, or use a model of touch alone, such as --model {BASELINE}"
+                "give it, or use a tactile model, such as --model {BASELINE}"
             )),
             InputName::TactileLeft | InputName::TactileRight => error,
         }
     })
 }
 
-/// An image file, cropped and resized as a live frame would be.
+/// Reads an image file, cropped and resized like a live frame.
 fn image(path: &Path, crop: &CropProfile) -> Result<RgbImage> {
     let read = || -> Result<RgbImage> {
         let bytes = read_regular(path, FileKind::Image)
@@ -265,7 +262,7 @@ fn image(path: &Path, crop: &CropProfile) -> Result<RgbImage> {
         }
         if !bytes.starts_with(&[0xff, 0xd8]) {
             return Err(Error::input(
-                "expected a PNG or JPEG image, found another kind of file",
+                "expected a PNG or JPEG image, found another format",
             ));
         }
         let header = jpeg::inspect(&bytes).map_err(FrameDamage::Jpeg)?;

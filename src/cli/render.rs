@@ -1,4 +1,4 @@
-//! `gripcast render`: what the sensors would see of simulated grasps.
+//! `gripcast render`: the sensor images of simulated grasps.
 
 use super::{Context, render_calibrate, render_figure, render_film, render_tactile, render_visual};
 use gripcast_base::error::Result;
@@ -12,19 +12,19 @@ pub(crate) struct Args {
 
 #[derive(Debug, clap::Subcommand)]
 enum Action {
-    /// Images of the GelSight Minis
+    /// Render tactile images (GelSight Mini)
     Tactile(Box<render_tactile::Args>),
-    /// Path-traced images of the camera between the fingers
+    /// Render path-traced images of the eye-in-hand camera
     Visual(Box<render_visual::Args>),
-    /// Fit a sensor's profile to presses of a ball
+    /// Fit a sensor profile to ball presses
     Calibrate(render_calibrate::Args),
-    /// Make simulated grasps playable by the virtual rig
+    /// Render clips of simulated grasps for the virtual rig
     Film(render_film::Args),
-    /// Draw the renderers side by side
+    /// Draw a comparison of the renderers
     Figure(render_figure::Args),
 }
 
-/// Runs the verb.
+/// Runs the command.
 pub(crate) fn run(context: &Context, args: Args) -> Result<()> {
     match args.action {
         Action::Tactile(args) => render_tactile::run(context, *args),

@@ -1,21 +1,22 @@
-//! `gripcast render figure`: the renderers side by side, as one image.
+//! `gripcast render figure`: one image that compares the renderers.
 //!
 //! ```text
 //! gripcast render figure --presses ball --ball-mm 4 --trace mug.bin --out renderers.png
 //! ```
 //!
-//! First row: a real press of a ball that was not used for fitting: the untouched gel, the press,
-//! and the same press by the calibrated renderer, by the mesh of a gel and by Taxim's table, all
-//! fitted to the other presses. Second row: one finger of a simulated grasp by the same three, and
-//! its depth. Third row: the same grasp path-traced under four lights and on four grounds.
+//! First row: a held-out ball press: no contact, the real press, and the same press by the
+//! calibrated renderer, the gel-surface renderer and Taxim's lookup table, all fitted to the
+//! training presses. Second row: one finger of a simulated grasp by the same three, and its depth.
+//! Third row: the same grasp path-traced in random scenes.
 //!
-//! Exit codes: 0 drawn · 1 presses or trace are refused · 2 usage · 130 interrupted.
+//! Exit codes: 0 drawn · 1 invalid presses or trace · 2 usage · 130 interrupted.
 
 use std::path::PathBuf;
 
 use image::imageops::{FilterType, resize};
 use image::{GrayImage, Rgb, RgbImage};
 
+use super::flags::{BallFlags, suffix};
 use super::render_source::{Moment, SimulatedGrasp};
 use super::render_tactile::scene;
 use super::working::interruptible;
@@ -27,93 +28,83 @@ use gripcast_imaging::{encode_jpeg, encode_png_rgb};
 use gripcast_sim::fem::{GelGrid, GelResolution};
 use gripcast_sim::grasp::Finger;
 use gripcast_tactile::calibrate::{self, CalibrateOptions, PressSet};
-use gripcast_tactile::lookup::fit_to_presses;
+use gripcast_tactile::lookup::{TaximHeights, fit_to_presses};
 use gripcast_tactile::{
-    FrameNoise, GelSurfaceRenderer, ObjectDepthRenderer, PressDepth, Rasteriser,
-    SceneRenderer as _, SensorMount, SensorProfile, Smoothing, TactileRenderer, TactileScene,
-    faceted, object_depth,
+    FrameLook, GelSurfaceRenderer, ObjectDepthRenderer, PressDepth, Rasteriser, SceneRenderer as _,
+    SensorPlace, SensorProfile, Smoothing, TactileRenderer, TactileScene, faceted, object_depth,
 };
 use gripcast_visual::{
-    ColourSettings, DENOISE_RADIUS_PX, GraspState, RenderControl, RenderSettings, Renderer, View,
-    VisualRandomisation, demo_model, denoise, develop, grasp_scene,
+    ColourSettings, DenoiseSettings, GraspState, RenderSettings, Renderer, View,
+    VisualRandomisation, Watch, demo_model, denoise, develop, grasp_scene,
 };
 
 /// Columns and rows of a tile.
 const TILE: (u32, u32) = (320, 240);
 /// Pixels between tiles.
 const GAP: u32 = 6;
-/// Quality of a figure that is a JPEG.
 const JPEG_QUALITY: u8 = 88;
-/// Rows of a caption.
+/// Height of a caption, px.
 const CAPTION: u32 = HEIGHT + 8;
-/// Tiles of a row.
+/// Tiles per row.
 const COLUMNS: usize = 5;
 
 /// Arguments.
 #[derive(Clone, Debug, clap::Args)]
 pub(crate) struct Args {
-    /// Folder of real presses of a ball, as `render calibrate` reads it
+    /// Folder of real ball presses, as for `render calibrate`
     #[arg(long, value_name = "DIR")]
     presses: PathBuf,
-    /// Diameter of the ball [default: that of presses.json]
-    #[arg(long, value_name = "MM")]
-    ball_mm: Option<f64>,
-    /// Find contacts in the images although presses.json has them
-    #[arg(long)]
-    find_contacts: bool,
+    #[command(flatten)]
+    ball: BallFlags,
     /// Trace of a simulated grasp of a built-in object
     #[arg(long, value_name = "FILE")]
     trace: PathBuf,
-    /// Paths for each pixel of the path-traced images
-    #[arg(long, value_name = "N", default_value_t = 256,
-        value_parser = clap::value_parser!(u32).range(1..=1 << 16))]
-    samples: u32,
-    /// Seed of the split, of noise, light and ground
-    #[arg(long, default_value_t = 0)]
-    seed: u64,
-    /// Image to write
+    /// Output image
     #[arg(long, value_name = "FILE.png|FILE.jpg")]
     out: PathBuf,
+    /// Samples per pixel of the path-traced images
+    #[arg(long, value_name = "N", default_value_t = 256,
+        value_parser = clap::value_parser!(u32).range(1..=1 << 16))]
+    spp: u32,
+    /// Random seed of split, noise, light and ground
+    #[arg(long, value_name = "SEED", default_value_t = 0)]
+    seed: u64,
 }
 
-/// An image with what stands above it.
+/// Caption and image.
 type Tile = (String, RgbImage);
 
-/// Runs the verb.
+/// Runs the command.
 pub(crate) fn run(context: &Context, args: Args) -> Result<()> {
     let out = args.out.clone();
     let image = interruptible(context, "drawing", move |progress| {
-        let step = |done: u64| progress.at(done, 3);
-        step(0);
+        progress.count(0, 3);
         let grasp = SimulatedGrasp::read(&args.trace, None)?;
         let (real, fitted) = real_row(&args)?;
-        step(1);
+        progress.count(1, 3);
         let simulated = simulated_row(&grasp, &fitted)?;
-        step(2);
+        progress.count(2, 3);
         let traced = traced_row(&grasp, &args)?;
         Ok::<_, Error>(compose(&[real, simulated, traced]))
     })??;
-    let is_jpeg = out.extension().is_some_and(|e| e == "jpg" || e == "jpeg");
-    let bytes = if is_jpeg {
-        encode_jpeg(&image, JPEG_QUALITY)?
-    } else {
-        encode_png_rgb(&image)?
+    let bytes = match &*suffix(&out) {
+        "jpg" | "jpeg" => encode_jpeg(&image, JPEG_QUALITY)?,
+        _ => encode_png_rgb(&image)?,
     };
     save(&out, &bytes)?;
-    print(&format!("{}", out.display()))
+    print(&out.display().to_string())
 }
 
-/// Renderers fitted to some of the presses.
+/// Renderers fitted to the training presses.
 struct Fitted {
     profile: SensorProfile,
     lookup: gripcast_tactile::lookup::LookupRenderer,
 }
 
 fn real_row(args: &Args) -> Result<(Vec<Tile>, Fitted)> {
-    let mut options = CalibrateOptions::from_folder(&args.presses);
+    let mut options = CalibrateOptions::of_folder(&args.presses);
+    options.read = args.ball.read_options(&args.presses);
     options.read.size = Some(TILE);
-    options.read.ball_diameter_m = args.ball_mm.map(|mm| 1e-3 * mm);
-    options.read.find_contacts = args.find_contacts;
     options.seed = args.seed;
     let profile = calibrate::run(&options)?.profile;
     let set = PressSet::read(&options.read)?;
@@ -123,13 +114,13 @@ fn real_row(args: &Args) -> Result<(Vec<Tile>, Fitted)> {
         radius(**a).total_cmp(&radius(**b))
     };
     let Some(&shown) = held_out.iter().max_by(widest) else {
-        return Err(Error::input("no press is left to show").at(args.presses.display()));
+        return Err(Error::input("no held-out press to show").at(args.presses.display()));
     };
-    let lookup = fit_to_presses(&set, &train)?;
+    let lookup = fit_to_presses(&set, &train, TaximHeights::default())?;
     let press = &set.presses[shown];
     let contact = set.contact(press);
     let depth = contact.press(profile.smoothing.sink_length_m);
-    let quiet = FrameNoise::default();
+    let quiet = FrameLook::default();
     let ours = TactileRenderer::new(&profile)?.render(&depth, &quiet)?;
     let gel = GelGrid::pad(GelResolution::Default)?;
     let flat = faceted(&depth, &gel, &mut Rasteriser::new());
@@ -141,7 +132,7 @@ fn real_row(args: &Args) -> Result<(Vec<Tile>, Fitted)> {
     let tiles = vec![
         ("real, no contact".to_owned(), set.no_contact.clone()),
         (format!("real press, {}", press.file), press.image.clone()),
-        ("gripcast, fitted to others".to_owned(), ours),
+        ("gripcast, held-out press".to_owned(), ours),
         ("gel-surface, 19 x 16 nodes".to_owned(), gel_surface),
         (
             "lookup (taxim), same fit".to_owned(),
@@ -152,8 +143,7 @@ fn real_row(args: &Args) -> Result<(Vec<Tile>, Fitted)> {
 }
 
 fn simulated_row(grasp: &SimulatedGrasp, fitted: &Fitted) -> Result<Vec<Tile>> {
-    let place = SensorMount::on(Finger::Left);
-    let touched = scene(grasp, Moment::Grasp, place)?;
+    let touched = scene(grasp, Moment::Grasp, SensorPlace::on(Finger::Left))?;
     let mut ours = ObjectDepthRenderer::new(&fitted.profile)?;
     let mut gel = GelSurfaceRenderer::new(&fitted.profile)?;
     let mut lookup = fitted.lookup.clone();
@@ -173,7 +163,7 @@ fn simulated_row(grasp: &SimulatedGrasp, fitted: &Fitted) -> Result<Vec<Tile>> {
     ])
 }
 
-/// Deeper is brighter.
+/// Draws the contact depth; deeper is brighter.
 fn depth_image(scene: &TactileScene<'_>, grid: gripcast_tactile::SensorGeometry) -> RgbImage {
     let press: PressDepth = object_depth(scene, &grid, &mut Rasteriser::new());
     let deepest = press.deepest_m().max(1e-9);
@@ -186,7 +176,7 @@ fn depth_image(scene: &TactileScene<'_>, grid: gripcast_tactile::SensorGeometry)
 
 fn traced_row(grasp: &SimulatedGrasp, args: &Args) -> Result<Vec<Tile>> {
     let state = match grasp.snapshot(Moment::Grasp)? {
-        Some(snapshot) => GraspState::from_snapshot(snapshot, Some(&grasp.gel.grid))?,
+        Some(snapshot) => GraspState::at(snapshot, Some(&grasp.gel.grid))?,
         None => return Ok(Vec::new()),
     };
     let size = [TILE.0 as usize, TILE.1 as usize];
@@ -202,13 +192,13 @@ fn traced_row(grasp: &SimulatedGrasp, args: &Args) -> Result<Vec<Tile>> {
         let model = demo_model(&grasp.object.name, seed)?;
         let scene = grasp_scene(&model, &state, &conditions, view)?;
         let settings = RenderSettings {
-            samples_per_pixel: args.samples,
+            samples: args.spp,
             seed,
             ..RenderSettings::default()
         };
         let rendering =
-            Renderer::new(&scene)?.render(&scene.camera, &settings, &RenderControl::default())?;
-        let light = denoise(&rendering, DENOISE_RADIUS_PX);
+            Renderer::new(&scene)?.render(&scene.camera, &settings, &Watch::default())?;
+        let light = denoise(&rendering, &DenoiseSettings::default());
         let image = develop(&light, &ColourSettings::default(), conditions.sensor_seed);
         tiles.push((format!("{name}, seed {seed}"), image));
     }

@@ -1,4 +1,4 @@
-//! `gripcast render film`: simulated grasps for the virtual rig.
+//! `gripcast render film`: clips of simulated grasps for the virtual rig.
 //!
 //! ```text
 //! gripcast sim grasp --object builtin:mug --width 0.08 --trace mug.bin
@@ -6,22 +6,23 @@
 //! ```
 //!
 //! Writes `NAME.trace.bin`, `NAME.colour.jpg`, `NAME.depth.png`, `NAME.outside.jpg` and
-//! `NAME.sheet.toml` for every trace; NAME is that of the trace file. A rig file whose virtual cameras have `path = "films"`
-//! plays them. Simulate with `--width` as wide as the hand opens: the film begins there.
+//! `NAME.sheet.toml` for every trace, where NAME is the name of the trace file. A rig file whose
+//! virtual cameras have `path = "films"` plays them. Simulate with `--width` equal to the opening
+//! of the hand, where the clip starts.
 //!
-//! Exit codes: 0 made · 1 nothing could be made · 2 usage · 3 some of several traces could not be
-//! made into films · 130 interrupted.
+//! Exit codes: 0 rendered · 1 nothing rendered · 2 usage · 3 some of several traces failed ·
+//! 130 interrupted.
 
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
 use serde::Serialize;
 
+use super::flags::image_size;
 use super::render_out::Report;
 use super::render_source::SimulatedGrasp;
-use super::render_visual::{finish, size};
 use super::working::{Progress, interruptible};
-use super::{Context, create_folder, print, print_json};
+use super::{Context, create_folder};
 use gripcast_base::error::Result;
 use gripcast_base::files::save;
 use gripcast_sim::grasp::TraceFile;
@@ -34,28 +35,28 @@ pub(crate) struct Args {
     /// Traces of simulated grasps
     #[arg(long, value_name = "FILE", num_args = 1.., required = true)]
     trace: Vec<PathBuf>,
-    /// Folder of the films
+    /// Output directory
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
-    /// Material of an object that has none of its own [default: drawn from the seed]
-    #[arg(long, value_name = "NAME", value_parser = finish)]
-    finish: Option<Finish>,
-    /// Seed of light, ground, camera and colours
-    #[arg(long, default_value_t = 0)]
-    seed: u64,
-    /// Paths for each pixel of a colour image
+    /// Size of the colour images, px
+    #[arg(long, value_name = "WxH", default_value = "480x360", value_parser = image_size)]
+    size: [usize; 2],
+    /// Samples per pixel of a colour image
     #[arg(long, value_name = "N", default_value_t = 64,
         value_parser = clap::value_parser!(u32).range(1..=1 << 20))]
-    samples: u32,
-    /// Columns and rows of the colour images
-    #[arg(long, value_name = "WxH", default_value = "480x360", value_parser = size)]
-    size: [usize; 2],
-    /// Print one JSON object
+    spp: u32,
+    /// Material of an object without its own [default: drawn from the seed]
+    #[arg(long, value_name = "NAME")]
+    finish: Option<Finish>,
+    /// Random seed of light, ground, camera and colours
+    #[arg(long, value_name = "SEED", default_value_t = 0)]
+    seed: u64,
+    /// Print the result as JSON
     #[arg(long)]
     json: bool,
 }
 
-/// A film that was written.
+/// A written clip.
 #[derive(Debug, Serialize)]
 struct Written {
     name: String,
@@ -64,29 +65,21 @@ struct Written {
     wall_s: f64,
 }
 
-/// Runs the verb.
+/// Runs the command.
 pub(crate) fn run(context: &Context, args: Args) -> Result<()> {
     create_folder(&args.out)?;
     let json = args.json;
-    let report = interruptible(context, "filming", move |progress| {
+    let report = interruptible(context, "rendering clips", move |progress| {
         Report::of_traces(&args.trace, progress, |trace| {
-            film(&args, trace, progress).map(|written| vec![written])
+            Ok(vec![render_clip(&args, trace, progress)?])
         })
     })??;
-    if json {
-        print_json(&report)?;
-    } else {
-        let line = |w: &Written| {
-            let kilobytes = w.bytes / 1000;
-            format!("{}: {kilobytes} kB in {:.1} s", w.name, w.wall_s)
-        };
-        let lines: Vec<_> = report.images.iter().map(line).collect();
-        print(&lines.join("\n"))?;
-    }
-    report.finish()
+    report.conclude(json, |w: &Written| {
+        format!("{}: {} kB in {:.1} s", w.name, w.bytes / 1000, w.wall_s)
+    })
 }
 
-fn film(args: &Args, trace: &Path, progress: &Progress) -> Result<Written> {
+fn render_clip(args: &Args, trace: &Path, progress: &Progress) -> Result<Written> {
     let began = Instant::now();
     let grasp = SimulatedGrasp::read(trace, None)?;
     let model = grasp.object.model(args.finish, args.seed, progress)?;
@@ -94,7 +87,7 @@ fn film(args: &Args, trace: &Path, progress: &Progress) -> Result<Written> {
     let settings = ShootSettings {
         colour: args.size,
         depth: [width * 2 / 3, height * 2 / 3].map(|side| side.max(1)),
-        samples: args.samples,
+        samples: args.spp,
         seed: args.seed,
         ..ShootSettings::default()
     };
@@ -115,7 +108,7 @@ fn film(args: &Args, trace: &Path, progress: &Progress) -> Result<Written> {
         bytes: 0,
         wall_s: 0.0,
     };
-    // The trace comes last: a folder has a film only once it is whole.
+    // The trace is written last: only complete clips have one.
     for (file, bytes) in files.named(&name).iter().rev() {
         let path = args.out.join(file);
         save(&path, bytes)?;

@@ -1,27 +1,25 @@
-//! Where rendered images go, and what is said about them.
+//! Output files of the renderers and their report.
 
-use std::fs;
 use std::path::{Path, PathBuf};
 
 use serde::Serialize;
 
+use super::flags::suffix;
 use super::working::Progress;
+use super::{create_folder, print_report};
 use gripcast_base::error::{Error, ErrorKind, Result};
 
-/// One image, or a folder of several.
+/// Output of a renderer: one image, or a folder of several.
 pub(super) struct OutPlan {
     pub(super) out: PathBuf,
     pub(super) is_single: bool,
 }
 
 impl OutPlan {
-    /// Checks the name and makes folders; `single` says how to ask for one image.
+    /// Checks the name and creates folders; `single` says how to request one image.
     pub(super) fn prepare(&self, single: &str) -> Result<()> {
         let out = &self.out;
-        let is_png = out
-            .extension()
-            .is_some_and(|e| e.eq_ignore_ascii_case("png"));
-        if is_png != self.is_single {
+        if (suffix(out) == "png") != self.is_single {
             let what = if self.is_single {
                 "`--out` must end in .png for one image"
             } else {
@@ -33,14 +31,11 @@ impl OutPlan {
         }
         let parent = out.parent().filter(|f| !f.as_os_str().is_empty());
         let folder = if self.is_single { parent } else { Some(&**out) };
-        folder.map_or(Ok(()), |folder| {
-            fs::create_dir_all(folder)
-                .map_err(|e| Error::io("cannot create the folder", e).at(folder.display()))
-        })
+        folder.map_or(Ok(()), create_folder)
     }
 
-    /// Where an image goes that is called `name` among several.
-    pub(super) fn place(&self, name: &str) -> PathBuf {
+    /// Returns the file of an image; `name` is its name among several.
+    pub(super) fn file(&self, name: &str) -> PathBuf {
         if self.is_single {
             self.out.clone()
         } else {
@@ -49,10 +44,10 @@ impl OutPlan {
     }
 }
 
-/// What was written and what was not.
+/// Written images and failed traces.
 #[derive(Debug, Serialize)]
 pub(super) struct Report<T> {
-    pub(super) images: Vec<T>,
+    images: Vec<T>,
     failed: Vec<Failed>,
 }
 
@@ -62,27 +57,27 @@ struct Failed {
     error: String,
 }
 
-impl<T> Report<T> {
-    /// All went well.
-    pub(super) fn of(images: Vec<T>) -> Self {
+impl<T: Serialize> Report<T> {
+    /// Returns a report without failures.
+    pub(super) fn new(images: Vec<T>) -> Self {
         Self {
             images,
             failed: Vec::new(),
         }
     }
 
-    /// Renders every trace. Of several, one that cannot be rendered is told of and left out.
+    /// Renders every trace. One of several that cannot be rendered is reported and omitted.
     ///
     /// # Errors
-    /// That of the only trace; `Input` where none of several can be rendered.
+    /// The error of the only trace; `Input` if none of several can be rendered.
     pub(super) fn of_traces(
         traces: &[PathBuf],
         progress: &Progress,
         mut render: impl FnMut(&Path) -> Result<Vec<T>>,
     ) -> Result<Self> {
-        let mut report = Self::of(Vec::new());
+        let mut report = Self::new(Vec::new());
         for (done, trace) in traces.iter().enumerate() {
-            progress.at(done as u64, traces.len() as u64);
+            progress.count(done, traces.len());
             match render(trace) {
                 Ok(written) => report.images.extend(written),
                 Err(error) if traces.len() == 1 => return Err(error),
@@ -101,15 +96,22 @@ impl<T> Report<T> {
         Ok(report)
     }
 
-    /// The end of the command: an error of kind `Partial` where a trace was left out.
-    pub(super) fn finish(&self) -> Result<()> {
+    /// Prints the report: as JSON, or as a line per image.
+    ///
+    /// # Errors
+    /// `Partial` if a trace failed.
+    pub(super) fn conclude(&self, json: bool, line: impl Fn(&T) -> String) -> Result<()> {
+        print_report(json, self, |_| {
+            let lines: Vec<String> = self.images.iter().map(line).collect();
+            lines.join("\n")
+        })?;
         match self.failed.len() {
             0 => Ok(()),
             count => Err(Error::new(
                 ErrorKind::Partial,
                 format!("{count} traces could not be rendered"),
             )
-            .remedy("their errors are above")),
+            .remedy("see the errors above")),
         }
     }
 }

@@ -1,33 +1,32 @@
-//! What is rendered: a trace of a simulated grasp with its object.
+//! Input of the renderers: the trace of a simulated grasp and its object.
 
 use std::path::Path;
 
 use serde_json::Value;
 
-use super::sim_object::SimObject;
 use super::working::Progress;
 use gripcast_base::error::{Error, Result};
 use gripcast_base::files::{FileKind, read_regular};
-use gripcast_geometry::{LengthUnit, TriangleMesh};
+use gripcast_geometry::{LengthUnit, TriangleMesh, load_object_mesh};
 use gripcast_sim::grasp::{Snapshot, StageName, Trace, TraceFile};
 use gripcast_tactile::{SimulatedGel, TraceHeader, TraceObject, TraceStart};
-use gripcast_visual::{Finish, Model, demo_model, random_finish};
+use gripcast_visual::{Finish, Model, demo_model, drawn_finish};
 
-/// The moment of a grasp that is rendered.
+/// Rendered moment of a grasp.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
 pub(super) enum Moment {
-    /// Before the fingers close: the initial frame
+    /// Before closing (initial frame)
     Initial,
-    /// The end of closing
+    /// End of the closure
     Closure,
-    /// The end of the force adjustment: the grasp frame
+    /// End of the force adjustment (grasp frame)
     Grasp,
-    /// The end of the lift
+    /// End of the lift
     Lift,
 }
 
 impl Moment {
-    /// Its name on the command line.
+    /// Returns its name on the command line.
     pub(super) fn name(self) -> &'static str {
         match self {
             Self::Initial => "initial",
@@ -47,43 +46,39 @@ impl Moment {
     }
 }
 
-/// Where the object's mesh comes from.
-#[derive(Clone, Debug, PartialEq)]
+/// Mesh of a rendered object.
+#[derive(Clone, Debug)]
 pub(super) struct ObjectSource {
     /// File, or `builtin:NAME`.
     pub(super) name: String,
     /// Unit of the file's coordinates.
     pub(super) unit: LengthUnit,
-    /// Factor on its size.
+    /// Scale factor.
     pub(super) scale: f64,
 }
 
 impl ObjectSource {
-    /// The file, where it is one.
-    pub(super) fn path(&self) -> Option<&Path> {
-        let is_file = !self.name.starts_with("builtin:");
-        is_file.then(|| Path::new(&self.name))
-    }
-
-    /// The mesh as it is simulated, m.
+    /// Loads the mesh as it is simulated, m.
     pub(super) fn load(&self) -> Result<TriangleMesh> {
-        SimObject::read(&self.name, self.unit, self.scale).map(|object| object.mesh)
+        Ok(load_object_mesh(&self.name, self.unit, self.scale)?.mesh)
     }
 
-    /// The mesh with its looks; `finish` for what has none of its own, else one is drawn.
+    /// Loads the mesh with its materials; `finish` replaces a missing material, else one is drawn
+    /// from the seed.
     pub(super) fn model(
         &self,
         finish: Option<Finish>,
         seed: u64,
         progress: &Progress,
     ) -> Result<Model> {
-        let Some(path) = self.path() else {
+        if self.name.starts_with("builtin:") {
             return match finish {
                 None => demo_model(&self.name, seed),
-                Some(finish) => Model::with_finish(&self.load()?, finish, seed),
+                Some(finish) => Model::plain(&self.load()?, finish, seed),
             };
-        };
-        let finish = finish.unwrap_or_else(|| random_finish(seed));
+        }
+        let path = Path::new(&self.name);
+        let finish = finish.unwrap_or_else(|| drawn_finish(seed));
         let loaded = Model::load(path, self.unit, finish, seed)?;
         for warning in &loaded.warnings {
             progress.line(format!("{}: {warning}", path.display()));
@@ -92,7 +87,7 @@ impl ObjectSource {
     }
 }
 
-/// A simulated grasp read back.
+/// A simulated grasp.
 pub(super) struct SimulatedGrasp {
     pub(super) object: ObjectSource,
     pub(super) mesh: TriangleMesh,
@@ -103,7 +98,7 @@ pub(super) struct SimulatedGrasp {
 }
 
 impl SimulatedGrasp {
-    /// Reads a trace and the mesh that it names; `object` replaces the name of the mesh.
+    /// Reads a trace and its mesh; `object` replaces the mesh named by the trace.
     pub(super) fn read(path: &Path, object: Option<&str>) -> Result<Self> {
         let bytes = read_regular(path, FileKind::Mesh)
             .map_err(|e| Error::io("cannot read the trace", e).at(path.display()))?;
@@ -134,21 +129,16 @@ impl SimulatedGrasp {
         })
     }
 
-    /// The state at a moment; `None` for the initial one, which has none.
+    /// Returns the state at a moment; `None` for the initial one.
     pub(super) fn snapshot(&self, moment: Moment) -> Result<Option<&Snapshot>> {
+        let find = |stage| self.trace.snapshots.iter().rfind(|s| s.stage == stage);
         let Some(stage) = moment.stage() else {
             return Ok(None);
         };
-        let found = self.trace.snapshots.iter().rfind(|s| s.stage == stage);
-        found.map(Some).ok_or_else(|| {
+        find(stage).map(Some).ok_or_else(|| {
             let reached: Vec<_> = [Moment::Closure, Moment::Grasp, Moment::Lift]
                 .into_iter()
-                .filter(|m| {
-                    self.trace
-                        .snapshots
-                        .iter()
-                        .any(|s| Some(s.stage) == m.stage())
-                })
+                .filter(|m| m.stage().and_then(find).is_some())
                 .map(Moment::name)
                 .collect();
             Error::input(format!("the grasp ended before its {}", moment.name()))

@@ -1,4 +1,4 @@
-//! `gripcast render tactile`: images of the GelSight Minis.
+//! `gripcast render tactile`: tactile images (GelSight Mini).
 //!
 //! ```text
 //! gripcast render tactile --trace grasp.bin --side left --out left.png
@@ -6,39 +6,38 @@
 //! gripcast render tactile --object part.stl --unit mm --pose press.json --out press.png
 //! ```
 //!
-//! `--out` is a `.png` for one image, else a folder, which then holds
-//! `TRACE.MOMENT.SIDE.png`. `--depth` writes the depths of the press beside each as
-//! `….depth.png`, 16 bits, one unit a micrometre; `--difference` writes the signed difference to
-//! the untouched image, grey 128 being none.
+//! `--out` is a `.png` for one image, else a folder of `TRACE.MOMENT.SIDE.png`. `--depth` writes
+//! the contact depth beside each as `….depth.png` (16 bits, µm), `--difference` the signed tactile
+//! difference (128: no change).
 //!
 //! Without a trace an object is pressed `--press-m` deep into one gel. `--pose` is a JSON file
-//! with `t_sensor_object`, the object in the frame of the sensor: x along the columns, y along the
-//! rows, z towards the object; the middle of the gel is x = y = 0, and z plays no part.
+//! with `t_sensor_object`, the object in the sensor frame: x along the columns, y along the rows, z
+//! towards the object, origin at the centre of the gel; z is ignored.
 //!
-//! Exit codes: 0 rendered · 1 nothing could be rendered · 2 usage · 3 some of several traces
-//! could not be rendered · 130 interrupted.
+//! Exit codes: 0 rendered · 1 nothing rendered · 2 usage · 3 some of several traces failed ·
+//! 130 interrupted.
 
-use std::fs;
 use std::path::{Path, PathBuf};
 
+use clap::builder::TypedValueParser;
 use image::Luma;
 use serde::{Deserialize, Serialize};
 
+use super::Context;
+use super::flags::{BallFlags, named, read_text};
 use super::render_out::{OutPlan, Report};
 use super::render_source::{Moment, ObjectSource, SimulatedGrasp};
-use super::sim_object::unit;
 use super::working::{Progress, interruptible};
-use super::{Context, print, print_json};
 use gripcast_base::error::{Error, Result};
 use gripcast_base::files::save;
 use gripcast_geometry::{LengthUnit, Pose};
 use gripcast_imaging::{DepthImage, TactileDifference, encode_png_grey16, encode_png_rgb};
 use gripcast_sim::grasp::Finger;
-use gripcast_tactile::calibrate::{PressSet, ReadOptions};
-use gripcast_tactile::lookup::{LookupRenderer, fit_to_presses};
+use gripcast_tactile::calibrate::PressSet;
+use gripcast_tactile::lookup::{LookupRenderer, Shadows, TaximHeights, fit_to_presses};
 use gripcast_tactile::{
-    GelSurfaceRenderer, MountingAngle, ObjectDepthRenderer, PressDepth, Rasteriser, SceneRenderer,
-    SensorMount, SensorProfile, TactileScene, object_depth,
+    GelSurfaceRenderer, Mounting, ObjectDepthRenderer, PressDepth, Rasteriser, SceneRenderer,
+    SensorPlace, SensorProfile, TactileScene, object_depth,
 };
 
 /// Arguments.
@@ -47,13 +46,40 @@ pub(crate) struct Args {
     /// Traces of simulated grasps
     #[arg(long, value_name = "FILE", num_args = 1.., required_unless_present = "object")]
     trace: Vec<PathBuf>,
-    /// Mesh that replaces the one named by the trace, or that is pressed into a gel
+    /// Output image, or folder for several
+    #[arg(long, value_name = "FILE.png|DIR")]
+    out: PathBuf,
+    /// Sensor
+    #[arg(long, value_name = "SIDE", default_value = "both", value_parser = side())]
+    side: &'static [Finger],
+    /// Moments of the grasp, comma-separated
+    #[arg(long, value_enum, value_delimiter = ',', default_value = "grasp")]
+    moment: Vec<Moment>,
+    /// Also write the contact depth
+    #[arg(long)]
+    depth: bool,
+    /// Also write the tactile difference
+    #[arg(long)]
+    difference: bool,
+    /// Print the result as JSON
+    #[arg(long)]
+    json: bool,
+    #[command(flatten)]
+    object: ObjectFlags,
+    #[command(flatten)]
+    sensor: SensorFlags,
+}
+
+#[derive(Clone, Debug, clap::Args)]
+#[command(next_help_heading = "Object")]
+struct ObjectFlags {
+    /// Mesh that replaces the one named by the trace, or is pressed into a gel without a trace
     #[arg(long, value_name = "MESH|builtin:NAME")]
     object: Option<String>,
-    /// Unit of the coordinates in --object without a trace: mm, cm, m, in
-    #[arg(long, default_value_t = LengthUnit::Metre, value_parser = unit)]
+    /// Unit of the mesh coordinates of --object without a trace: mm, cm, m, in
+    #[arg(long, default_value_t = LengthUnit::Metre)]
     unit: LengthUnit,
-    /// JSON with t_sensor_object, for an object without a trace [default: its own frame]
+    /// JSON file with t_sensor_object, for --object without a trace [default: identity]
     #[arg(
         long,
         value_name = "FILE",
@@ -61,89 +87,63 @@ pub(crate) struct Args {
         requires = "object"
     )]
     pose: Option<PathBuf>,
-    /// How deep an object without a trace is pressed in
+    /// Indentation depth of --object without a trace
     #[arg(long, value_name = "M", default_value_t = 5e-4)]
     press_m: f64,
-    /// Which sensor
-    #[arg(long, value_enum, default_value_t = Side::Both)]
-    side: Side,
-    /// When
-    #[arg(long, value_enum, value_delimiter = ',', default_value = "grasp")]
-    moment: Vec<Moment>,
-    /// How the image is made
-    #[arg(long, value_enum, default_value_t = Method::Object)]
-    method: Method,
-    /// Presses of a ball to fit the table of --method lookup to, as `render calibrate` reads them
-    #[arg(long, value_name = "DIR")]
-    presses: Option<PathBuf>,
-    /// Diameter of that ball [default: that of presses.json]
-    #[arg(long, value_name = "MM")]
-    ball_mm: Option<f64>,
-    /// Find contacts in those images although presses.json has them
-    #[arg(long)]
-    find_contacts: bool,
-    /// Profile of the left or only sensor [default: a generic GelSight Mini]
+}
+
+#[derive(Clone, Debug, clap::Args)]
+#[command(next_help_heading = "Sensor")]
+struct SensorFlags {
+    /// Sensor profile of the left or only sensor [default: a generic GelSight Mini]
     #[arg(long, value_name = "FILE.toml")]
     profile: Option<PathBuf>,
-    /// Profile of the right sensor [default: that of the left]
+    /// Sensor profile of the right sensor [default: as the left]
     #[arg(long, value_name = "FILE.toml")]
     right_profile: Option<PathBuf>,
-    /// Turn of the left sensor on its finger: 0, 90, 180, 270
+    /// Rotation of the left sensor on its finger: 0, 90, 180, 270
     #[arg(long, value_name = "DEG", default_value = "0", value_parser = mounting)]
-    mounting: MountingAngle,
-    /// Turn of the right sensor on its finger
+    mounting: Mounting,
+    /// Rotation of the right sensor on its finger: 0, 90, 180, 270
     #[arg(long, value_name = "DEG", default_value = "0", value_parser = mounting)]
-    right_mounting: MountingAngle,
-    /// Seed of the noise
-    #[arg(long, default_value_t = 0)]
+    right_mounting: Mounting,
+    /// Rendering method
+    #[arg(long, value_enum, default_value_t = Method::Object)]
+    method: Method,
+    /// Ball presses that --method lookup is fitted to, as for `render calibrate`
+    #[arg(long, value_name = "DIR")]
+    presses: Option<PathBuf>,
+    #[command(flatten)]
+    ball: BallFlags,
+    /// Random seed of the noise
+    #[arg(long, value_name = "SEED", default_value_t = 0)]
     seed: u64,
-    /// Leave the noise out
+    /// Disable sensor noise
     #[arg(long)]
     no_noise: bool,
-    /// Image, or folder for several
-    #[arg(long, value_name = "FILE.png|DIR")]
-    out: PathBuf,
-    /// Write the depths of the press as well
-    #[arg(long)]
-    depth: bool,
-    /// Write the difference to the untouched image as well
-    #[arg(long)]
-    difference: bool,
-    /// Print one JSON object
-    #[arg(long)]
-    json: bool,
 }
 
-#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
-enum Side {
-    Left,
-    Right,
-    Both,
-}
-
-impl Side {
-    fn fingers(self) -> &'static [Finger] {
-        match self {
-            Self::Left => &[Finger::Left],
-            Self::Right => &[Finger::Right],
-            Self::Both => &Finger::BOTH,
-        }
-    }
+fn side() -> impl TypedValueParser<Value = &'static [Finger]> {
+    named([
+        ("left", "Left finger", &[Finger::Left][..]),
+        ("right", "Right finger", &[Finger::Right]),
+        ("both", "Both fingers", &Finger::BOTH),
+    ])
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
 enum Method {
-    /// Depth of the object in the gel, smoothed, shaded
+    /// Shading of the smoothed indentation of the object
     Object,
-    /// Depth of the deformed gel's own mesh, as Taccel's built-in renderer takes it
+    /// Shading of the deformed gel mesh, as in Taccel's built-in renderer
     GelSurface,
-    /// Taxim's table of colours with shadows
+    /// Taxim's lookup table with shadows
     Lookup,
 }
 
-fn mounting(text: &str) -> Result<MountingAngle, String> {
+fn mounting(text: &str) -> Result<Mounting, String> {
     let degrees: u16 = text.parse().map_err(|_| "not a number".to_owned())?;
-    MountingAngle::from_degrees(degrees).map_err(|e| e.what().to_owned())
+    Mounting::from_degrees(degrees).map_err(|e| e.what().to_owned())
 }
 
 fn side_name(finger: Finger) -> &'static str {
@@ -153,14 +153,14 @@ fn side_name(finger: Finger) -> &'static str {
     }
 }
 
-/// An image that was written.
+/// A written image.
 #[derive(Debug, Serialize)]
 struct Written {
     file: PathBuf,
     side: &'static str,
     moment: &'static str,
     deepest_m: f64,
-    /// Fraction of the pixels under which the object touches.
+    /// Fraction of the pixels in contact.
     contact: f64,
     #[serde(skip_serializing_if = "Option::is_none")]
     depth: Option<PathBuf>,
@@ -168,50 +168,40 @@ struct Written {
     difference: Option<PathBuf>,
 }
 
-/// Runs the verb.
+/// Runs the command.
 pub(crate) fn run(context: &Context, args: Args) -> Result<()> {
     let plan = args.plan();
     plan.prepare("one --side and one --moment")?;
     let json = args.json;
     let report = interruptible(context, "rendering", move |progress| {
         if args.trace.is_empty() {
-            one_press(&args).map(|written| Report::of(vec![written]))
+            Ok(Report::new(vec![one_press(&args)?]))
         } else {
             all_traces(&args, &plan, progress)
         }
     })??;
-    if json {
-        print_json(&report)?;
-    } else {
-        let line = |w: &Written| {
-            let (mm, percent) = (1e3 * w.deepest_m, 100.0 * w.contact);
-            format!(
-                "{}: {mm:.2} mm deep, {percent:.0} % touched",
-                w.file.display()
-            )
-        };
-        print(
-            &report
-                .images
-                .iter()
-                .map(line)
-                .collect::<Vec<_>>()
-                .join("\n"),
-        )?;
-    }
-    report.finish()
+    report.conclude(json, |w: &Written| {
+        let (file, mm, percent) = (w.file.display(), 1e3 * w.deepest_m, 100.0 * w.contact);
+        format!("{file}: {mm:.2} mm deep, {percent:.0} % in contact")
+    })
 }
 
 impl Args {
     fn plan(&self) -> OutPlan {
         let one_press = self.trace.is_empty();
-        let one_image = self.trace.len() == 1 && self.side != Side::Both && self.moment.len() == 1;
+        let one_image = self.trace.len() == 1 && self.side.len() == 1 && self.moment.len() == 1;
         OutPlan {
             out: self.out.clone(),
             is_single: one_press || one_image,
         }
     }
 
+    fn noise(&self) -> Option<u64> {
+        (!self.sensor.no_noise).then_some(self.sensor.seed)
+    }
+}
+
+impl SensorFlags {
     fn profile(&self, finger: Finger) -> Result<SensorProfile> {
         let own = match finger {
             Finger::Left => None,
@@ -223,8 +213,8 @@ impl Args {
         }
     }
 
-    fn place(&self, finger: Finger) -> SensorMount {
-        SensorMount {
+    fn place(&self, finger: Finger) -> SensorPlace {
+        SensorPlace {
             finger,
             mounting: match finger {
                 Finger::Left => self.mounting,
@@ -233,44 +223,26 @@ impl Args {
         }
     }
 
-    fn eye(&self, finger: Finger) -> Result<Eye> {
+    fn renderer(&self, finger: Finger) -> Result<Box<dyn SceneRenderer>> {
         let profile = self.profile(finger)?;
-        let renderer: Box<dyn SceneRenderer> = match self.method {
+        Ok(match self.method {
             Method::Object => Box::new(ObjectDepthRenderer::new(&profile)?),
             Method::GelSurface => Box::new(GelSurfaceRenderer::new(&profile)?),
             Method::Lookup => Box::new(self.lookup()?),
-        };
-        Ok(Eye {
-            renderer,
-            rasteriser: Rasteriser::new(),
         })
     }
 
-    /// Taxim's renderer with a table fitted to all presses of `--presses`.
+    /// Fits Taxim's lookup table to all presses of `--presses`.
     fn lookup(&self) -> Result<LookupRenderer> {
         let Some(folder) = &self.presses else {
             let what = "`--method lookup` needs `--presses`, the presses to fit its table to";
             return Err(Error::usage(what));
         };
-        let set = PressSet::read(&ReadOptions {
-            ball_diameter_m: self.ball_mm.map(|mm| 1e-3 * mm),
-            find_contacts: self.find_contacts,
-            ..ReadOptions::from_folder(folder)
-        })?;
+        let set = PressSet::read(&self.ball.read_options(folder))?;
         let all: Vec<usize> = (0..set.presses.len()).collect();
-        let renderer = fit_to_presses(&set, &all)?;
-        Ok(renderer.with_shadows())
+        let renderer = fit_to_presses(&set, &all, TaximHeights::default())?;
+        Ok(renderer.with_shadows(Shadows::default()))
     }
-
-    fn noise(&self) -> Option<u64> {
-        (!self.no_noise).then_some(self.seed)
-    }
-}
-
-/// A renderer with what the depth beside its images needs.
-struct Eye {
-    renderer: Box<dyn SceneRenderer>,
-    rasteriser: Rasteriser,
 }
 
 fn one_press(args: &Args) -> Result<Written> {
@@ -279,16 +251,16 @@ fn one_press(args: &Args) -> Result<Written> {
     struct PressFile {
         t_sensor_object: Pose,
     }
-    let Some(name) = &args.object else {
+    let flags = &args.object;
+    let Some(name) = &flags.object else {
         return Err(Error::usage("`--trace` or `--object` is needed"));
     };
-    let t_sensor_object = match &args.pose {
+    let t_sensor_object = match &flags.pose {
         None => Pose::IDENTITY,
         Some(path) => {
-            let text = fs::read_to_string(path)
-                .map_err(|e| Error::io("cannot read the pose", e).at(path.display()))?;
+            let text = read_text(path, "pose")?;
             let pose: PressFile = serde_json::from_str(&text).map_err(|e| {
-                Error::input("the pose file cannot be read")
+                Error::input("invalid pose file")
                     .at(path.display())
                     .because(e)
                     .remedy(
@@ -300,24 +272,24 @@ fn one_press(args: &Args) -> Result<Written> {
     };
     let source = ObjectSource {
         name: name.clone(),
-        unit: args.unit,
+        unit: flags.unit,
         scale: 1.0,
     };
     let mesh = source.load()?;
-    let finger = args.side.fingers()[0];
-    let mut eye = args.eye(finger)?;
-    let grid = eye.renderer.grid();
-    let scene = TactileScene::pressed(&mesh, &t_sensor_object, args.press_m, &grid)?;
-    write(args, &mut eye, &scene, &args.out, finger, "press")
+    let finger = args.side[0];
+    let mut renderer = args.sensor.renderer(finger)?;
+    let scene = TactileScene::pressed(&mesh, &t_sensor_object, flags.press_m, &renderer.grid())?;
+    let out = args.out.clone();
+    write(args, renderer.as_mut(), &scene, out, finger, "press")
 }
 
 fn all_traces(args: &Args, plan: &OutPlan, progress: &Progress) -> Result<Report<Written>> {
-    let mut eyes = Vec::new();
-    for &finger in args.side.fingers() {
-        eyes.push((finger, args.eye(finger)?));
+    let mut renderers = Vec::new();
+    for &finger in args.side {
+        renderers.push((finger, args.sensor.renderer(finger)?));
     }
     Report::of_traces(&args.trace, progress, |trace| {
-        one_trace(args, plan, trace, &mut eyes)
+        one_trace(args, plan, trace, &mut renderers)
     })
 }
 
@@ -325,50 +297,50 @@ fn one_trace(
     args: &Args,
     plan: &OutPlan,
     trace: &Path,
-    eyes: &mut [(Finger, Eye)],
+    renderers: &mut [(Finger, Box<dyn SceneRenderer>)],
 ) -> Result<Vec<Written>> {
-    let grasp = SimulatedGrasp::read(trace, args.object.as_deref())?;
+    let grasp = SimulatedGrasp::read(trace, args.object.object.as_deref())?;
     let stem = trace.file_stem().unwrap_or_default().to_string_lossy();
     let mut written = Vec::new();
     for &moment in &args.moment {
-        for (finger, eye) in &mut *eyes {
-            let scene = scene(&grasp, moment, args.place(*finger))?;
-            let name = format!("{stem}.{}.{}.png", moment.name(), side_name(*finger));
-            let out = plan.place(&name);
-            written.push(write(args, eye, &scene, &out, *finger, moment.name())?);
+        for (finger, renderer) in &mut *renderers {
+            let scene = scene(&grasp, moment, args.sensor.place(*finger))?;
+            let moment = moment.name();
+            let out = plan.file(&format!("{stem}.{moment}.{}.png", side_name(*finger)));
+            let renderer = renderer.as_mut();
+            written.push(write(args, renderer, &scene, out, *finger, moment)?);
         }
     }
     Ok(written)
 }
 
-/// What a sensor meets at a moment.
+/// Returns the contact scene of a sensor at a moment.
 pub(super) fn scene(
     grasp: &SimulatedGrasp,
     moment: Moment,
-    place: SensorMount,
+    place: SensorPlace,
 ) -> Result<TactileScene<'_>> {
     match grasp.snapshot(moment)? {
-        Some(snapshot) => TactileScene::from_snapshot(&grasp.mesh, &grasp.gel, snapshot, place),
+        Some(snapshot) => TactileScene::of_snapshot(&grasp.mesh, &grasp.gel, snapshot, place),
         None => {
             let start = &grasp.start;
             let poses = [&start.t_world_object, &start.t_world_gripper()];
-            TactileScene::before_closing(&grasp.mesh, &grasp.gel, poses, start.opening_m, place)
+            TactileScene::at_start(&grasp.mesh, &grasp.gel, poses, start.opening_m, place)
         }
     }
 }
 
 fn write(
     args: &Args,
-    eye: &mut Eye,
+    renderer: &mut dyn SceneRenderer,
     scene: &TactileScene<'_>,
-    out: &Path,
+    out: PathBuf,
     finger: Finger,
     moment: &'static str,
 ) -> Result<Written> {
-    let image = eye.renderer.render(scene, args.noise())?;
-    save(out, &encode_png_rgb(&image)?)?;
-    let grid = eye.renderer.grid();
-    let press = object_depth(scene, &grid, &mut eye.rasteriser);
+    let image = renderer.render(scene, args.noise())?;
+    save(&out, &encode_png_rgb(&image)?)?;
+    let press = object_depth(scene, &renderer.grid(), &mut Rasteriser::new());
     let touched = press.depth_m.iter().filter(|&&d| d > 0.0).count();
     let depth = args.depth.then(|| out.with_extension("depth.png"));
     if let Some(path) = &depth {
@@ -378,12 +350,12 @@ fn write(
         .difference
         .then(|| out.with_extension("difference.png"));
     if let Some(path) = &difference {
-        let untouched = eye.renderer.render(&scene.untouched(), args.noise())?;
+        let untouched = renderer.render(&scene.untouched(), args.noise())?;
         let change = TactileDifference::between(&untouched, &image)?;
         save(path, &encode_png_rgb(&change.to_image(1.0))?)?;
     }
     Ok(Written {
-        file: out.to_owned(),
+        file: out,
         side: side_name(finger),
         moment,
         deepest_m: press.deepest_m(),
@@ -393,7 +365,7 @@ fn write(
     })
 }
 
-/// Depths in whole micrometres.
+/// Converts depths to whole micrometres.
 fn micrometres(press: &PressDepth) -> DepthImage {
     let (width, height) = (press.geometry.width as u32, press.geometry.height as u32);
     DepthImage::from_fn(width, height, |x, y| {

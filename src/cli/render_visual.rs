@@ -1,4 +1,4 @@
-//! `gripcast render visual`: path-traced images of the camera between the fingers.
+//! `gripcast render visual`: path-traced images of the eye-in-hand camera.
 //!
 //! ```text
 //! gripcast render visual --trace grasp.bin --out grasp.png
@@ -7,18 +7,15 @@
 //! ```
 //!
 //! Light, ground, colours, camera and noise are drawn from `--seed`; `--hdri` and `--ground` name
-//! the images to draw from, else they are painted. Paths are spread by a low-discrepancy
-//! sequence, so powers of two are best for `--samples`. Nothing is clamped unless `--clamp` is
-//! given, and `--denoise` is off.
+//! the images to draw from, else they are procedural. The sampler is a low-discrepancy sequence:
+//! powers of two are best for `--spp`.
 //!
-//! `--out` is a `.png` for one image, else a folder, which then holds `TRACE.MOMENT.NUMBER.png`.
-//! `--depth` writes what the D435 would measure beside each as `….depth.png`, 16 bits, one unit a
-//! millimetre, 0 where it measures nothing.
+//! `--out` is a `.png` for one image, else a folder of `TRACE.MOMENT.NUMBER.png`. `--depth` writes
+//! the depth image of a D435 beside each as `….depth.png`: 16 bits, mm, 0 without a measurement.
 //!
-//! Exit codes: 0 rendered · 1 nothing could be rendered · 2 usage · 3 some of several traces
-//! could not be rendered · 130 interrupted.
+//! Exit codes: 0 rendered · 1 nothing rendered · 2 usage · 3 some of several traces failed ·
+//! 130 interrupted.
 
-use std::fs;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::Instant;
@@ -26,21 +23,21 @@ use std::time::Instant;
 use image::RgbImage;
 use serde::Serialize;
 
+use super::Context;
+use super::flags::{ThreadsFlag, image_size};
 use super::render_out::{OutPlan, Report};
 use super::render_source::{Moment, ObjectSource, SimulatedGrasp};
-use super::sim_object::unit;
+use super::sim_object::{default_resting_pose, read_grasp_pose};
 use super::working::{Progress, interruptible};
-use super::{Context, print, print_json};
 use gripcast_base::error::{Error, Result};
 use gripcast_base::files::save;
-use gripcast_geometry::{LengthUnit, Pose};
+use gripcast_geometry::LengthUnit;
 use gripcast_imaging::{encode_png_grey16, encode_png_rgb};
-use gripcast_sim::grasp::{GraspPose, GripperState, Placement, resting_pose};
+use gripcast_sim::grasp::Placement;
 use gripcast_visual::{
-    Bitmap, ColourSettings, DENOISE_RADIUS_PX, DepthSettings, Finish, GraspState, Image, Model,
-    ProceduralTexture, RenderControl, RenderSettings, Renderer, Sky, View, VisualConditions,
-    VisualRandomisation, denoise, develop, grasp_scene, load_bitmap, load_hdr, measure_depth,
-    normalise_env_map,
+    Bitmap, ColourSettings, DenoiseSettings, DepthSettings, Finish, GraspState, Image, Model,
+    Pattern, RenderSettings, Renderer, Sky, View, VisualConditions, VisualRandomisation, Watch,
+    denoise, develop, grasp_scene, load_bitmap, load_hdr, measure_depth, normalise,
 };
 
 /// Arguments.
@@ -49,42 +46,42 @@ pub(crate) struct Args {
     /// Traces of simulated grasps
     #[arg(long, value_name = "FILE", num_args = 1.., required_unless_present = "object")]
     trace: Vec<PathBuf>,
-    #[command(flatten)]
-    object: ObjectFlags,
-    /// When
-    #[arg(long, value_enum, value_delimiter = ',', default_value = "grasp")]
-    moment: Vec<Moment>,
-    /// Which camera
-    #[arg(long, value_enum, default_value_t = ViewName::Hand)]
-    view: ViewName,
-    #[command(flatten)]
-    look: LookFlags,
-    #[command(flatten)]
-    quality: QualityFlags,
-    /// Image, or folder for several
+    /// Output image, or folder for several
     #[arg(long, value_name = "FILE.png|DIR")]
     out: PathBuf,
-    /// Write what the D435 would measure as depth as well
+    /// Moments of the grasp, comma-separated
+    #[arg(long, value_enum, value_delimiter = ',', default_value = "grasp")]
+    moment: Vec<Moment>,
+    /// Camera
+    #[arg(long, value_enum, default_value_t = ViewName::Hand)]
+    view: ViewName,
+    /// Also write the depth image of a D435
     #[arg(long)]
     depth: bool,
-    /// Print one JSON object
+    /// Print the result as JSON
     #[arg(long)]
     json: bool,
+    #[command(flatten)]
+    object: ObjectFlags,
+    #[command(flatten)]
+    scene: SceneFlags,
+    #[command(flatten)]
+    quality: QualityFlags,
 }
 
 #[derive(Clone, Debug, clap::Args)]
-#[command(next_help_heading = "What is seen")]
+#[command(next_help_heading = "Object")]
 struct ObjectFlags {
-    /// Mesh that replaces the one named by the trace, or that is shown without a trace
+    /// Mesh that replaces the one named by the trace, or is rendered without a trace
     #[arg(long, value_name = "MESH|builtin:NAME")]
     object: Option<String>,
-    /// Unit of the coordinates in --object without a trace: mm, cm, m, in
-    #[arg(long, default_value_t = LengthUnit::Metre, value_parser = unit)]
+    /// Unit of the mesh coordinates of --object without a trace: mm, cm, m, in
+    #[arg(long, default_value_t = LengthUnit::Metre)]
     unit: LengthUnit,
-    /// Factor on the size of --object without a trace
-    #[arg(long, default_value_t = 1.0)]
+    /// Scale factor of --object without a trace
+    #[arg(long, value_name = "FACTOR", default_value_t = 1.0)]
     scale: f64,
-    /// JSON with t_object_gripper, as `sim grasp` takes it, for an object without a trace
+    /// JSON file with t_object_gripper, for --object without a trace
     #[arg(
         long,
         value_name = "FILE",
@@ -92,96 +89,81 @@ struct ObjectFlags {
         requires = "object"
     )]
     pose: Option<PathBuf>,
-    /// Material of what has none of its own [default: drawn from the seed]
-    #[arg(long, value_name = "NAME", value_parser = finish)]
+    /// Material of an object without its own [default: drawn from the seed]
+    #[arg(long, value_name = "NAME")]
     finish: Option<Finish>,
 }
 
 #[derive(Clone, Debug, clap::Args)]
-#[command(next_help_heading = "Light, ground and seed")]
-struct LookFlags {
-    /// Radiance files to draw the light from [default: painted rooms and skies]
-    #[arg(long, value_name = "FILE.hdr", num_args = 1..)]
-    hdri: Vec<PathBuf>,
-    /// Kinds of painted light to draw from: studio, window-room, overcast, sunny [default: all]
-    #[arg(long, value_name = "NAME", value_delimiter = ',', value_parser = sky,
-        conflicts_with = "hdri")]
-    sky: Vec<Sky>,
-    /// Images to draw the ground from [default: painted]
-    #[arg(long, value_name = "FILE", num_args = 1..)]
-    ground: Vec<PathBuf>,
-    /// Kinds of painted ground to draw from: wood, stone, concrete, tiles, … [default: all that
-    /// tables are made of]
-    #[arg(long, value_name = "NAME", value_delimiter = ',', value_parser = pattern,
-        conflicts_with = "ground")]
-    pattern: Vec<ProceduralTexture>,
-    /// Width of such an image on the ground
-    #[arg(long, value_name = "M", default_value_t = 0.5)]
-    ground_width_m: f64,
-    /// Seed of everything that is drawn
-    #[arg(long, default_value_t = 0)]
+#[command(next_help_heading = "Scene randomisation")]
+struct SceneFlags {
+    /// Random seed
+    #[arg(long, value_name = "SEED", default_value_t = 0)]
     seed: u64,
-    /// Images of each moment, each under conditions of its own
+    /// Images per moment, each with its own random scene
     #[arg(long, value_name = "N", default_value_t = 1,
         value_parser = clap::value_parser!(u32).range(1..=1000))]
     count: u32,
+    /// Environment maps (Radiance HDR) to draw from [default: procedural rooms and skies]
+    #[arg(long, value_name = "FILE.hdr", num_args = 1..)]
+    hdri: Vec<PathBuf>,
+    /// Procedural lights to draw from: studio, window-room, overcast, sunny [default: all]
+    #[arg(
+        long,
+        value_name = "NAME",
+        value_delimiter = ',',
+        conflicts_with = "hdri"
+    )]
+    sky: Vec<Sky>,
+    /// Ground textures to draw from [default: procedural]
+    #[arg(long, value_name = "FILE", num_args = 1..)]
+    ground: Vec<PathBuf>,
+    /// Procedural grounds to draw from: wood, stone, concrete, tiles, … [default: all table
+    /// materials]
+    #[arg(
+        long,
+        value_name = "NAME",
+        value_delimiter = ',',
+        conflicts_with = "ground"
+    )]
+    pattern: Vec<Pattern>,
+    /// Width of a ground texture
+    #[arg(long, value_name = "M", default_value_t = 0.5)]
+    ground_width_m: f64,
 }
 
 #[derive(Clone, Debug, clap::Args)]
 #[command(next_help_heading = "Quality")]
 struct QualityFlags {
-    /// Paths for each pixel
+    /// Image size, px
+    #[arg(long, value_name = "WxH", default_value = "320x240", value_parser = image_size)]
+    size: [usize; 2],
+    /// Samples per pixel
     #[arg(long, value_name = "N", default_value_t = 64,
         value_parser = clap::value_parser!(u32).range(1..=1 << 20))]
-    samples: u32,
-    /// Columns and rows
-    #[arg(long, value_name = "WxH", default_value = "320x240", value_parser = size)]
-    size: [usize; 2],
-    /// Most reflections and refractions of a path
+    spp: u32,
+    /// Maximum path depth (bounces)
     #[arg(long, value_name = "N", default_value_t = 6)]
     bounces: u32,
-    /// Largest value one path may add to a pixel; loses light
+    /// Maximum radiance of one sample (biased) [default: unlimited]
     #[arg(long, value_name = "RADIANCE")]
     clamp: Option<f32>,
-    /// Smooth what few paths leave rough, guided by colour, normal and depth of the surfaces
+    /// Denoise, guided by albedo, normal and depth
     #[arg(long)]
     denoise: bool,
-    /// Threads; the images do not depend on them [default: all cores]
-    #[arg(long, value_parser = clap::value_parser!(u16).range(1..=256))]
-    threads: Option<u16>,
+    #[command(flatten)]
+    threads: ThreadsFlag,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
 enum ViewName {
-    /// The D435 between the fingers
+    /// Eye-in-hand D435
     Hand,
-    /// From beside the gripper, for people
+    /// External view beside the gripper, without sensor effects
     Outside,
 }
 
-fn sky(text: &str) -> Result<Sky, String> {
-    text.parse().map_err(|e: Error| e.to_string())
-}
-
-fn pattern(text: &str) -> Result<ProceduralTexture, String> {
-    text.parse().map_err(|e: Error| e.to_string())
-}
-
-/// A finish of the command line.
-pub(super) fn finish(text: &str) -> Result<Finish, String> {
-    text.parse().map_err(|e: Error| e.to_string())
-}
-
-/// Columns and rows of the command line.
-pub(super) fn size(text: &str) -> Result<[usize; 2], String> {
-    let sides = text.split_once('x').and_then(|(width, height)| {
-        let side = |s: &str| s.parse().ok().filter(|n| (1..=8192).contains(n));
-        Some([side(width)?, side(height)?])
-    });
-    sides.ok_or_else(|| "must be two numbers from 1 to 8192, as 320x240".to_owned())
-}
-
-/// An image that was written.
+/// A written image.
 #[derive(Debug, Serialize)]
 struct Written {
     file: PathBuf,
@@ -192,37 +174,23 @@ struct Written {
     depth: Option<PathBuf>,
 }
 
-/// Runs the verb.
+/// Runs the command.
 pub(crate) fn run(context: &Context, args: Args) -> Result<()> {
     let plan = args.plan();
     plan.prepare("one --moment and --count 1")?;
     let json = args.json;
-    let pool = rayon::ThreadPoolBuilder::new()
-        .num_threads(args.quality.threads.map_or(0, usize::from))
-        .build()
-        .map_err(|e| Error::internal("cannot start threads").because(e))?;
+    let pool = args.quality.threads.pool()?;
     let report = interruptible(context, "rendering", move |progress| {
         pool.install(|| Job::new(&args, &plan, progress)?.run())
     })??;
-    if json {
-        print_json(&report)?;
-    } else {
-        let line = |w: &Written| format!("{}: {:.1} s", w.file.display(), w.wall_s);
-        print(
-            &report
-                .images
-                .iter()
-                .map(line)
-                .collect::<Vec<_>>()
-                .join("\n"),
-        )?;
-    }
-    report.finish()
+    report.conclude(json, |w: &Written| {
+        format!("{}: {:.1} s", w.file.display(), w.wall_s)
+    })
 }
 
 impl Args {
     fn plan(&self) -> OutPlan {
-        let is_single = self.trace.len() <= 1 && self.moment.len() == 1 && self.look.count == 1;
+        let is_single = self.trace.len() <= 1 && self.moment.len() == 1 && self.scene.count == 1;
         OutPlan {
             out: self.out.clone(),
             is_single,
@@ -230,7 +198,7 @@ impl Args {
     }
 }
 
-/// What all images fraction.
+/// Rendering of all images.
 struct Job<'a> {
     args: &'a Args,
     plan: &'a OutPlan,
@@ -240,12 +208,12 @@ struct Job<'a> {
 
 impl<'a> Job<'a> {
     fn new(args: &'a Args, plan: &'a OutPlan, progress: &'a Progress) -> Result<Self> {
-        let dome = |path: &PathBuf| -> Result<Arc<Image>> {
-            let mut dome = load_hdr(path)?;
-            normalise_env_map(&mut dome);
-            Ok(Arc::new(dome))
+        let env_map = |path: &PathBuf| -> Result<Arc<Image>> {
+            let mut image = load_hdr(path)?;
+            normalise(&mut image);
+            Ok(Arc::new(image))
         };
-        let width = args.look.ground_width_m;
+        let width = args.scene.ground_width_m;
         if !(width.is_finite() && width > 0.0) {
             let what = format!("`--ground-width-m` must be above 0, found {width}");
             return Err(Error::usage(what));
@@ -258,10 +226,15 @@ impl<'a> Job<'a> {
             plan,
             progress,
             randomisation: VisualRandomisation {
-                env_maps: args.look.hdri.iter().map(dome).collect::<Result<_>>()?,
-                ground_images: args.look.ground.iter().map(ground).collect::<Result<_>>()?,
-                skies: args.look.sky.clone(),
-                ground_textures: args.look.pattern.clone(),
+                domes: args.scene.hdri.iter().map(env_map).collect::<Result<_>>()?,
+                grounds: args
+                    .scene
+                    .ground
+                    .iter()
+                    .map(ground)
+                    .collect::<Result<_>>()?,
+                skies: args.scene.sky.clone(),
+                patterns: args.scene.pattern.clone(),
                 ..VisualRandomisation::default()
             },
         })
@@ -270,8 +243,7 @@ impl<'a> Job<'a> {
     fn run(&self) -> Result<Report<Written>> {
         let traces = &self.args.trace;
         if traces.is_empty() {
-            let written = self.without_trace()?;
-            return Ok(Report::of(written));
+            return Ok(Report::new(self.without_trace()?));
         }
         Report::of_traces(traces, self.progress, |trace| self.of_trace(trace))
     }
@@ -282,7 +254,7 @@ impl<'a> Job<'a> {
         let mut written = Vec::new();
         for &moment in &self.args.moment {
             let state = match grasp.snapshot(moment)? {
-                Some(snapshot) => GraspState::from_snapshot(snapshot, Some(&grasp.gel.grid))?,
+                Some(snapshot) => GraspState::at(snapshot, Some(&grasp.gel.grid))?,
                 None => {
                     let start = &grasp.start;
                     GraspState {
@@ -309,19 +281,14 @@ impl<'a> Job<'a> {
             scale: flags.scale,
         };
         let mesh = source.load()?;
-        let resting = || -> Result<Pose> { Ok(resting_pose(&mesh, None)?.1.t_world_object) };
-        let (t_world_object, placed): (Pose, GripperState) = match &flags.pose {
-            None => {
-                let lying = resting()?;
-                (lying, Placement::default().place(&mesh, &lying)?)
-            }
-            Some(path) => {
-                let text = fs::read_to_string(path)
-                    .map_err(|e| Error::io("cannot read the pose", e).at(path.display()))?;
-                let pose = GraspPose::from_json(&text).map_err(|e| e.at(path.display()))?;
-                let lying = pose.t_world_object.map_or_else(resting, Ok)?;
-                (lying, pose.place(&mesh, &lying))
-            }
+        let pose = flags.pose.as_deref().map(read_grasp_pose).transpose()?;
+        let t_world_object = match pose.as_ref().and_then(|pose| pose.t_world_object) {
+            Some(t_world_object) => t_world_object,
+            None => default_resting_pose(&mesh)?,
+        };
+        let placed = match pose {
+            Some(pose) => pose.place(&mesh, &t_world_object),
+            None => Placement::default().place(&mesh, &t_world_object)?,
         };
         let state = GraspState {
             t_world_object,
@@ -334,7 +301,7 @@ impl<'a> Job<'a> {
         self.images(&source, &state, &stem, Moment::Initial.name())
     }
 
-    /// All images of a moment.
+    /// Renders all images of a moment.
     fn images(
         &self,
         object: &ObjectSource,
@@ -342,12 +309,12 @@ impl<'a> Job<'a> {
         stem: &str,
         moment: &'static str,
     ) -> Result<Vec<Written>> {
-        let look = &self.args.look;
+        let flags = &self.args.scene;
         let mut written = Vec::new();
-        for number in 0..look.count {
-            let seed = look.seed.wrapping_add(u64::from(number));
+        for number in 0..flags.count {
+            let seed = flags.seed.wrapping_add(u64::from(number));
             let model = object.model(self.args.object.finish, seed, self.progress)?;
-            let out = self.plan.place(&format!("{stem}.{moment}.{number}.png"));
+            let out = self.plan.file(&format!("{stem}.{moment}.{number}.png"));
             written.push(self.image(&model, state, seed, moment, out)?);
         }
         Ok(written)
@@ -370,35 +337,30 @@ impl<'a> Job<'a> {
         let conditions = self.randomisation.sample(seed);
         let scene = grasp_scene(model, state, &conditions, view)?;
         let settings = RenderSettings {
-            samples_per_pixel: quality.samples,
+            samples: quality.spp,
             max_bounces: quality.bounces,
             clamp: quality.clamp,
             seed,
             ..RenderSettings::default()
         };
-        let progress = |done: usize, all: usize| self.progress.at(done as u64, all as u64);
-        let watch = RenderControl {
-            on_progress: self.plan.is_single.then_some(&progress),
+        let progress = |done: usize, all: usize| self.progress.count(done, all);
+        let watch = Watch {
+            progress: self.plan.is_single.then_some(&progress),
             cancel: None,
         };
         let renderer = Renderer::new(&scene)?;
         let rendering = renderer.render(&scene.camera, &settings, &watch)?;
         let light = if quality.denoise {
-            denoise(&rendering, DENOISE_RADIUS_PX)
+            denoise(&rendering, &DenoiseSettings::default())
         } else {
             rendering.image
         };
         save(&out, &encode_png_rgb(&self.developed(&light, &conditions))?)?;
         let depth = self.args.depth.then(|| out.with_extension("depth.png"));
         if let Some(path) = &depth {
-            let noise = conditions.sensor_seed;
-            let codes = measure_depth(
-                &rendering.depth_m,
-                &scene.camera,
-                &DepthSettings::default(),
-                noise,
-            )?;
-            save(path, &encode_png_grey16(&codes)?)?;
+            let (settings, seed) = (DepthSettings::default(), conditions.sensor_seed);
+            let depth = measure_depth(&rendering.depth_m, &scene.camera, &settings, seed)?;
+            save(path, &encode_png_grey16(&depth)?)?;
         }
         Ok(Written {
             file: out,
@@ -412,7 +374,7 @@ impl<'a> Job<'a> {
     fn developed(&self, light: &Image, conditions: &VisualConditions) -> RgbImage {
         let mut settings = ColourSettings::default();
         if self.args.view == ViewName::Outside {
-            // An image for people, not of the sensor.
+            // No sensor takes this image.
             settings.full_well_e = 1e9;
             settings.read_noise_e = 0.0;
             settings.blur_px = 0.0;

@@ -1,45 +1,44 @@
-//! `gripcast replay`: do the simulators end as reality did, grasp by grasp?
+//! `gripcast replay`: compares simulated with real outcomes, grasp by grasp.
 //!
 //! ```text
-//! gripcast replay demo --quick --out R              built-in, reality simulated: a first look
+//! gripcast replay demo --quick --out R              built-in demo with simulated reality
 //! gripcast replay DATASET --objects OBJECTS --out R
 //! gripcast replay DATASET --objects OBJECTS --engine fem --friction 0.4 --stop-force-n 20,40
 //! gripcast replay DATASET --objects OBJECTS --pose-samples 10 --compare OLD/report.json
 //! ```
 //!
 //! Every annotated, labelled grasp is simulated with every engine, friction and force. `OUT` gets
-//! `report.json`, `report.html`, and a file for every finished case: a replay that was stopped
-//! goes on where it was. Object files, scores and the report: `docs/replay.md`.
+//! `report.json`, `report.html` and a file per finished case, so that an interrupted replay is
+//! resumed. Object files, scores and the report: `docs/replay.md`.
 //!
-//! Exit codes: 0 all grasps were replayed · 1 nothing could be replayed · 2 usage · 3 some grasps
-//! or cases were left out, each with its reason · 75 stopped by SIGTERM, run it again ·
-//! 130 interrupted; what is finished is kept.
+//! Exit codes: 0 all grasps replayed · 1 none replayed · 2 usage · 3 some grasps or cases were
+//! left out · 75 stopped by SIGTERM, rerun to resume · 130 interrupted; finished cases are kept.
 
-use std::collections::BTreeMap;
 use std::path::PathBuf;
 use std::sync::Arc;
 
 use jiff::Timestamp;
 
+use super::flags::{JobsFlag, above_zero, engine, gel_resolution, preset};
 use super::replay_report::{finish, text, write_report};
-use super::sim_grasp::{GelName, PresetName, above_zero};
 use super::working::{Progress, resumable};
 use super::{Context, create_folder, print, print_json};
 use gripcast_base::error::{Error, Result};
-use gripcast_base::files::{ObjectName, Root};
+use gripcast_base::files::Root;
 use gripcast_dataset::Dataset;
 use gripcast_replay::{
     CaseStore, DemoProgress, DemoSettings, DemoStage, DemoWatch, EngineSweep, Reality, Recording,
-    ReplayInput, ReplayObject, ReplayProgress, ReplaySettings, Report, build_demo, compare,
-    load_objects, page, read_report, replay,
+    ReplayInput, ReplayProgress, ReplaySettings, Report, build_demo, compare, load_objects, page,
+    read_report, replay,
 };
-use gripcast_sim::grasp::GraspSettings;
+use gripcast_sim::fem::GelResolution;
+use gripcast_sim::grasp::{GraspSettings, Preset};
 use gripcast_sim::rigid::{RigidEngine, RigidSettings};
 use gripcast_sim::{EngineKind, FemEngine};
 use gripcast_tactile::SensorProfile;
 
-/// Paths for each pixel of a view in the report.
-const VIEW_SAMPLES: u32 = 24;
+/// Samples per pixel of the images in the report.
+const VIEW_SPP: u32 = 24;
 
 /// Arguments.
 #[derive(Clone, Debug, clap::Args)]
@@ -47,9 +46,9 @@ const VIEW_SAMPLES: u32 = 24;
 pub(crate) struct Args {
     #[command(subcommand)]
     demo: Option<Sub>,
-    /// Directory of the dataset
+    /// Folder of the dataset
     dataset: Option<PathBuf>,
-    /// Folder of object files: OBJECT.toml for each object of the dataset
+    /// Folder with OBJECT.toml for each object of the dataset
     #[arg(long, value_name = "DIR")]
     objects: Option<PathBuf>,
     /// Replay only these objects
@@ -61,18 +60,18 @@ pub(crate) struct Args {
 
 #[derive(Clone, Debug, clap::Subcommand)]
 enum Sub {
-    /// Build a small dataset whose reality is simulated, and replay it
+    /// Build and replay a small dataset with simulated reality
     Demo(Box<DemoArgs>),
 }
 
 #[derive(Clone, Debug, clap::Args)]
 #[command(allow_negative_numbers = true)]
 struct DemoArgs {
-    /// 20 grasps instead of 100, on coarser meshes and with fewer settings
+    /// Use 20 grasps instead of 100, coarser meshes and fewer settings
     #[arg(long)]
     quick: bool,
-    /// Folder with data/egad_eval/{B1,B4,C2,C4}.obj, to grasp these and a built-in shape
-    /// [default: $GRIPCAST_SHARED, else built-in shapes]
+    /// Folder with data/egad_eval/{B1,B4,C2,C4}.obj, grasped beside a built-in shape [default:
+    /// $GRIPCAST_SHARED, else built-in shapes only]
     #[arg(long, value_name = "DIR", conflicts_with = "quick")]
     shared: Option<PathBuf>,
     #[command(flatten)]
@@ -80,30 +79,34 @@ struct DemoArgs {
 }
 
 #[derive(Clone, Debug, clap::Args)]
-#[command(next_help_heading = "How it is replayed")]
+#[command(next_help_heading = "Replay settings")]
 struct SweepFlags {
-    /// Engines
-    #[arg(long, value_enum, value_delimiter = ',', default_values = ["fem", "rigid"])]
-    engine: Vec<EngineName>,
-    /// Friction coefficients of the finite elements [default: 0.2,0.4,0.8]
+    /// Output directory of the report and the cases
+    #[arg(long, value_name = "DIR", default_value = "replay")]
+    out: PathBuf,
+    /// Simulation engines, comma-separated
+    #[arg(long, value_name = "ENGINE", value_delimiter = ',', default_values = ["fem", "rigid"],
+        value_parser = engine())]
+    engine: Vec<EngineKind>,
+    /// Friction coefficients of the FEM engine, comma-separated [default: 0.2,0.4,0.8]
     #[arg(long, value_name = "MU", value_delimiter = ',', value_parser = above_zero)]
     friction: Vec<f64>,
-    /// Stopping forces of the finite elements [default: 20,40,80]
-    #[arg(long, value_name = "N", value_delimiter = ',', value_parser = above_zero)]
+    /// Stopping forces of the FEM engine, comma-separated [default: 20,40,80]
+    #[arg(long, value_name = "NEWTON", value_delimiter = ',', value_parser = above_zero)]
     stop_force_n: Vec<f64>,
-    /// Friction coefficients of the rigid bodies [default: 0.1,0.25,0.4]
+    /// Friction coefficients of the rigid engine, comma-separated [default: 0.1,0.25,0.4]
     #[arg(long, value_name = "MU", value_delimiter = ',', value_parser = above_zero)]
     rigid_friction: Vec<f64>,
-    /// Closing forces of the rigid bodies [default: 5,10,20]
-    #[arg(long, value_name = "N", value_delimiter = ',', value_parser = above_zero)]
+    /// Closing forces of the rigid engine, comma-separated [default: 5,10,20]
+    #[arg(long, value_name = "NEWTON", value_delimiter = ',', value_parser = above_zero)]
     rigid_force_n: Vec<f64>,
-    /// Set of parameters of the finite elements
-    #[arg(long, value_enum, default_value_t = PresetName::Paper)]
-    preset: PresetName,
-    /// Mesh of the gels [default: default; coarse for demo --quick]
-    #[arg(long, value_enum)]
-    gel: Option<GelName>,
-    /// Iterations after which a case is given up
+    /// Gel parameters of the FEM engine
+    #[arg(long, value_name = "PRESET", default_value = "paper", value_parser = preset())]
+    preset: Preset,
+    /// Gel mesh [default: default; coarse for demo --quick]
+    #[arg(long, value_name = "MESH", value_parser = gel_resolution())]
+    gel: Option<GelResolution>,
+    /// Iteration limit per case
     #[arg(long, value_name = "N", default_value_t = 50_000,
         value_parser = clap::value_parser!(u64).range(1..))]
     max_iterations: u64,
@@ -111,28 +114,24 @@ struct SweepFlags {
     #[arg(long, value_name = "N", default_value_t = RigidSettings::default().decomposition.resolution,
         value_parser = clap::value_parser!(u32).range(8..=512))]
     resolution: u32,
-    /// Poses to draw from each grasp's covariance, at the chosen setting
-    #[arg(long, value_name = "K", default_value_t = 0)]
+    /// Poses to sample from each grasp's covariance at the best setting
+    #[arg(long, value_name = "N", default_value_t = 0)]
     pose_samples: usize,
-    /// Cases at a time; the results do not depend on it [default: all cores]
-    #[arg(long, value_parser = clap::value_parser!(u16).range(1..=256))]
-    jobs: Option<u16>,
-    /// Seed of drawn poses, images and the demo
-    #[arg(long, default_value_t = 0)]
-    seed: u64,
-    /// Sensor profile of the simulated tactile images [default: the GelSight Mini's]
+    /// Sensor profile of the simulated tactile images [default: GelSight Mini]
     #[arg(long, value_name = "FILE")]
     sensor: Option<PathBuf>,
-    /// Leave the images out of the report
+    /// Omit images from the report
     #[arg(long)]
     no_images: bool,
-    /// Folder of report and cases
-    #[arg(long, value_name = "DIR", default_value = "replay")]
-    out: PathBuf,
-    /// Earlier report.json: say what changed
+    /// Compare with an earlier report.json
     #[arg(long, value_name = "FILE")]
     compare: Option<PathBuf>,
-    /// Simulate nothing, only say what would be replayed
+    /// Random seed of pose samples, images and the demo
+    #[arg(long, value_name = "SEED", default_value_t = 0)]
+    seed: u64,
+    #[command(flatten)]
+    jobs: JobsFlag,
+    /// Only print what would be replayed
     #[arg(long)]
     dry_run: bool,
     /// Print the report as JSON, without images and curves
@@ -140,24 +139,7 @@ struct SweepFlags {
     json: bool,
 }
 
-#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
-enum EngineName {
-    /// Finite-element gels, incremental potential contact
-    Fem,
-    /// Rigid fingers and convex pieces
-    Rigid,
-}
-
-impl From<EngineName> for EngineKind {
-    fn from(name: EngineName) -> Self {
-        match name {
-            EngineName::Fem => Self::Fem,
-            EngineName::Rigid => Self::Rigid,
-        }
-    }
-}
-
-/// What is to be replayed, and what is said of it.
+/// Recorded grasps to replay.
 struct Source {
     dataset: PathBuf,
     objects: PathBuf,
@@ -165,13 +147,12 @@ struct Source {
     reality: Option<Reality>,
 }
 
-/// Where the grasps come from.
 enum Origin {
     Demo(Box<DemoArgs>),
     Recorded(Source),
 }
 
-/// Runs the verb.
+/// Runs the command.
 pub(crate) fn run(context: &Context, args: Args) -> Result<()> {
     let command = command();
     let (sweep, origin) = match args.demo {
@@ -205,19 +186,13 @@ pub(crate) fn run(context: &Context, args: Args) -> Result<()> {
 
 impl Args {
     fn source(self) -> Result<Source> {
-        let missing =
-            |what: &str, remedy: &str| Err(Error::usage(what.to_owned()).remedy(remedy.to_owned()));
         let Some(dataset) = self.dataset else {
-            return missing(
-                "name the dataset to replay",
-                "gripcast replay DATASET --objects DIR, or gripcast replay demo",
-            );
+            return Err(Error::usage("no dataset given")
+                .remedy("use gripcast replay DATASET --objects DIR, or gripcast replay demo"));
         };
         let Some(objects) = self.objects else {
-            return missing(
-                "`--objects` is missing: what was grasped?",
-                "name a folder with OBJECT.toml for each object (docs/replay.md)",
-            );
+            return Err(Error::usage("`--objects` is missing")
+                .remedy("name a folder with OBJECT.toml for each object (docs/replay.md)"));
         };
         Ok(Source {
             dataset,
@@ -237,7 +212,7 @@ impl DemoArgs {
                 .shared
                 .clone()
                 .or_else(|| std::env::var_os("GRIPCAST_SHARED").map(PathBuf::from)),
-            jobs: sweep.jobs(),
+            jobs: sweep.jobs.count(),
         };
         let watch = DemoWatch {
             progress: &|at: DemoProgress| {
@@ -246,7 +221,7 @@ impl DemoArgs {
                     DemoStage::Simulating => "simulating reality",
                     DemoStage::Recording => "recording reality",
                 });
-                progress.at(at.done as u64, at.of as u64);
+                progress.count(at.done, at.of);
             },
             cancel: None,
         };
@@ -261,63 +236,46 @@ impl DemoArgs {
 }
 
 impl SweepFlags {
-    fn jobs(&self) -> usize {
-        self.jobs
-            .map_or_else(gripcast_base::workers::cores, usize::from)
-    }
-
-    fn for_demo(self, quick: bool) -> Self {
-        let fewer = |given: Vec<f64>, quick_set: &[f64]| {
-            if given.is_empty() && quick {
-                quick_set.to_vec()
-            } else {
-                given
+    fn for_demo(mut self, quick: bool) -> Self {
+        if quick {
+            if self.friction.is_empty() {
+                self.friction = vec![0.4];
             }
-        };
-        Self {
-            friction: fewer(self.friction, &[0.4]),
-            gel: self.gel.or(quick.then_some(GelName::Coarse)),
-            ..self
+            self.gel = self.gel.or(Some(GelResolution::Coarse));
         }
+        self
     }
 
     fn settings(&self) -> Result<ReplaySettings> {
-        let given = |values: &[f64], default: [f64; 3]| {
-            let mut different: Vec<f64> = Vec::new();
+        let unique = |values: &[f64], default: [f64; 3]| {
+            let mut unique: Vec<f64> = Vec::new();
             for value in if values.is_empty() { &default } else { values } {
-                if !different.contains(value) {
-                    different.push(*value);
+                if !unique.contains(value) {
+                    unique.push(*value);
                 }
             }
-            different
+            unique
         };
-        let mut fem = GraspSettings::new(self.preset.into());
-        fem.resolution = self.gel.unwrap_or(GelName::Default).into();
+        let mut fem = GraspSettings::new(self.preset);
+        fem.resolution = self.gel.unwrap_or(GelResolution::Default);
         fem.solver.max_grasp_iterations = self.max_iterations;
         let mut rigid = RigidSettings::default();
         rigid.decomposition.resolution = self.resolution;
         create_folder(&self.out)?;
-        let pieces = Root::new(&self.out).top().join("convex-pieces");
         let mut engines = Vec::new();
-        for kind in EngineKind::ALL {
-            if !self
-                .engine
-                .iter()
-                .any(|name| EngineKind::from(*name) == kind)
-            {
-                continue;
-            }
-            engines.push(match kind {
-                EngineKind::Fem => EngineSweep {
-                    engine: Arc::new(FemEngine { settings: fem }),
-                    frictions: given(&self.friction, [0.2, 0.4, 0.8]),
-                    forces_n: given(&self.stop_force_n, [20.0, 40.0, 80.0]),
-                },
-                EngineKind::Rigid => EngineSweep {
-                    engine: Arc::new(RigidEngine::new(rigid).with_cache(pieces.clone())?),
-                    frictions: given(&self.rigid_friction, [0.1, 0.25, 0.4]),
-                    forces_n: given(&self.rigid_force_n, [5.0, 10.0, 20.0]),
-                },
+        if self.engine.contains(&EngineKind::Fem) {
+            engines.push(EngineSweep {
+                engine: Arc::new(FemEngine { settings: fem }),
+                frictions: unique(&self.friction, [0.2, 0.4, 0.8]),
+                forces_n: unique(&self.stop_force_n, [20.0, 40.0, 80.0]),
+            });
+        }
+        if self.engine.contains(&EngineKind::Rigid) {
+            let cache = Root::new(&self.out).top().join("convex-pieces");
+            engines.push(EngineSweep {
+                engine: Arc::new(RigidEngine::new(rigid).with_cache(cache)?),
+                frictions: unique(&self.rigid_friction, [0.1, 0.25, 0.4]),
+                forces_n: unique(&self.rigid_force_n, [5.0, 10.0, 20.0]),
             });
         }
         let sensor = match &self.sensor {
@@ -327,15 +285,15 @@ impl SweepFlags {
         Ok(ReplaySettings {
             engines,
             seed: self.seed,
-            jobs: self.jobs(),
+            jobs: self.jobs.count(),
             pose_samples: self.pose_samples,
             sensor,
-            view_samples: (!self.no_images).then_some(VIEW_SAMPLES),
+            view_samples: (!self.no_images).then_some(VIEW_SPP),
         })
     }
 }
 
-/// Replays and writes the report; none for a dry run.
+/// Replays and writes the report; returns none for a dry run.
 fn replayed(
     source: &Source,
     sweep: &SweepFlags,
@@ -346,8 +304,10 @@ fn replayed(
     let settings = sweep.settings()?;
     let dataset = Dataset::open(&source.dataset)?;
     let objects = load_objects(&source.objects)?;
-    for warning in warnings(&objects) {
-        progress.line(warning);
+    for object in objects.values().flatten() {
+        for warning in &object.warnings {
+            progress.line(format!("{}: {warning}", object.name));
+        }
     }
     let only = (!source.only.is_empty()).then_some(source.only.as_slice());
     let recording = Recording::read(&dataset, &objects, only)?;
@@ -379,7 +339,7 @@ fn replayed(
         command,
         written_at: Timestamp::now().to_string(),
     };
-    let mut report = replay(&input, &settings, &store, &|at| told(progress, at))?;
+    let mut report = replay(&input, &settings, &store, &|at| show(progress, at))?;
     if let (Some(old), Some(path)) = (&old, &sweep.compare) {
         report.changes = Some(compare(old, &report, path));
     }
@@ -387,17 +347,7 @@ fn replayed(
     Ok(Some((report, sweep.out.clone())))
 }
 
-fn warnings(objects: &BTreeMap<ObjectName, Result<ReplayObject>>) -> Vec<String> {
-    let usable = objects.values().filter_map(|object| object.as_ref().ok());
-    usable
-        .flat_map(|object| {
-            let named = |warning: &String| format!("{}: {warning}", object.name);
-            object.warnings.iter().map(named).collect::<Vec<_>>()
-        })
-        .collect()
-}
-
-/// Frames of a virtual rig are no reality.
+/// Returns the origin of the outcomes: grasps with a ground truth come from a virtual rig.
 fn reality(recording: &Recording) -> Reality {
     let simulated = recording.grasps.iter().any(|g| g.record.truth.is_some());
     if simulated {
@@ -409,18 +359,18 @@ fn reality(recording: &Recording) -> Reality {
     }
 }
 
-fn told(progress: &Progress, at: ReplayProgress) {
+fn show(progress: &Progress, at: ReplayProgress) {
     let (stage, done, all) = match at {
         ReplayProgress::Cases(at) => ("replaying", at.done, at.all),
-        ReplayProgress::Poses(at) => ("replaying drawn poses", at.done, at.all),
+        ReplayProgress::Poses(at) => ("replaying sampled poses", at.done, at.all),
         ReplayProgress::Images { done, all } => ("drawing images", done, all),
         ReplayProgress::Note(line) => return progress.line(line),
     };
     progress.stage(stage);
-    progress.at(done as u64, all as u64);
+    progress.count(done, all);
 }
 
-/// The command line of this process, quoted for a shell.
+/// Returns the command line of this process, quoted for a shell.
 fn command() -> String {
     let quoted = |argument: String| {
         let plain = |c: char| c.is_ascii_alphanumeric() || "-_./,:=+@%".contains(c);

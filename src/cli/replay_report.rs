@@ -1,4 +1,4 @@
-//! The report of a replay: its files, and what is said on the terminal.
+//! The report of a replay: files and terminal text.
 
 use std::fmt::Write as _;
 use std::path::Path;
@@ -8,10 +8,10 @@ use gripcast_base::files::{BeneathPath, Root};
 use gripcast_replay::{Proportion, Reality, Report};
 use serde::Serialize;
 
-/// Writes `report.json`, then `report.html` with its page.
+/// Writes `report.json`, then `report.html`.
 ///
 /// # Errors
-/// Those of the disk.
+/// `Io`.
 pub(super) fn write_report(report: &impl Serialize, page: &str, out: &Path) -> Result<()> {
     let json = serde_json::to_vec_pretty(report)
         .map_err(|e| Error::internal("cannot write JSON").because(e))?;
@@ -24,7 +24,7 @@ pub(super) fn write_report(report: &impl Serialize, page: &str, out: &Path) -> R
     save(top.join("report.html"), page.as_bytes())
 }
 
-/// The result for people.
+/// Formats the result.
 pub(super) fn text(report: &Report, out: &Path) -> String {
     let mut text = String::new();
     let _ = writeln!(
@@ -35,14 +35,14 @@ pub(super) fn text(report: &Report, out: &Path) -> String {
         report.dataset.grasps.saturating_sub(report.grasps.len())
     );
     if let Reality::Simulated { how } = &report.dataset.reality {
-        let _ = writeln!(text, "reality is simulated here: {how}");
+        let _ = writeln!(text, "reality is simulated: {how}");
     }
-    let _ = writeln!(text, "agreement with reality, 95 % interval:");
+    let _ = writeln!(text, "agreement with reality (95 % interval):");
     for engine in &report.engines {
         let scores = &engine.scores;
         let _ = writeln!(
             text,
-            "  {:5}  best settings {}, leave one out {}, one setting for all {}",
+            "  {:5}  best settings {}, leave-one-out {}, one setting for all {}",
             engine.name,
             fraction(&scores.paper.all),
             fraction(&scores.leave_one_out.all),
@@ -60,7 +60,7 @@ pub(super) fn text(report: &Report, out: &Path) -> String {
     if let Some(duel) = &report.duel {
         let _ = writeln!(
             text,
-            "only fem right {}, only rigid right {}: McNemar p = {}",
+            "only fem correct {}, only rigid correct {}: McNemar p = {}",
             duel.only_fem,
             duel.only_rigid,
             probability(duel.mcnemar_p)
@@ -69,7 +69,7 @@ pub(super) fn text(report: &Report, out: &Path) -> String {
     if let Some(changes) = &report.changes {
         let _ = writeln!(
             text,
-            "against {}: {} outcomes changed",
+            "compared with {}: {} outcomes changed",
             changes.path,
             changes.outcomes.len()
         );
@@ -97,10 +97,10 @@ fn probability(p: f64) -> String {
     }
 }
 
-/// The error of a replay that left something out.
+/// Checks that nothing was left out.
 ///
 /// # Errors
-/// `Partial` if so.
+/// `Partial` if grasps or cases were left out.
 pub(super) fn finish(report: &Report) -> Result<()> {
     if report.left_out.is_empty() {
         return Ok(());
@@ -108,9 +108,9 @@ pub(super) fn finish(report: &Report) -> Result<()> {
     Err(Error::new(
         ErrorKind::Partial,
         format!(
-            "{} grasps, or cases of them, were left out of the report",
+            "{} grasps or some of their cases were left out of the report",
             report.left_out.len()
         ),
     )
-    .remedy("the report lists them with their reasons"))
+    .remedy("the report lists the reasons"))
 }

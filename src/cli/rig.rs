@@ -1,20 +1,20 @@
 //! `gripcast rig list|init|check`: the cameras of a rig.
 //!
-//! `list` shows every camera that the kernel sees, with its serial number, USB bus and speed,
-//! whether it can be opened, and its modes. `init` writes a rig file from what is plugged in.
-//! `check` opens every camera of a rig, measures its frame rate and reads its controls back.
+//! `list` shows every connected camera with its serial number, USB bus and speed, access and modes.
+//! `init` writes a rig file from the connected cameras. `check` opens every camera of a rig,
+//! measures its frame rate and reads its controls back.
 //!
-//! Exit codes: 0 all is well · 4 a camera of the rig does not do what the file says · 69 a camera
-//! is missing, or none is there at all.
+//! Exit codes: 0 ok · 4 a camera does not match the rig file · 69 no camera, or one is missing.
 
 use std::fs;
 use std::io::{self, Write as _};
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use serde_json::{Value, json};
 
-use super::{Context, print, print_json};
+use super::flags::seconds;
+use super::{Context, print_report};
 use crate::camera_check::{CameraCheck, check_cameras, verdict};
 use crate::doctor::{access_text, crowding, plugged_cameras};
 use crate::note;
@@ -29,7 +29,7 @@ use gripcast_virtual_rig::VirtualSource;
 #[derive(Debug, clap::Args)]
 pub(crate) struct Args {
     #[command(subcommand)]
-    verb: Verb,
+    action: Action,
     /// Read device descriptions below DIR instead of /sys
     #[arg(
         long,
@@ -60,60 +60,50 @@ pub(crate) struct Args {
 }
 
 #[derive(Debug, clap::Subcommand)]
-enum Verb {
-    /// List the cameras that are plugged in
+enum Action {
+    /// List the connected cameras
     List {
-        /// Print JSON
+        /// Print the result as JSON
         #[arg(long)]
         json: bool,
     },
-    /// Write a rig file from what is plugged in
+    /// Write a rig file from the connected cameras
     Init {
-        /// File to write; it must not exist
+        /// Rig file to write; must not exist
         #[arg(long, value_name = "FILE")]
         out: PathBuf,
-        /// Name of the rig; by default that of the file
-        #[arg(long)]
+        /// Name of the rig [default: the file name]
+        #[arg(long, value_name = "NAME")]
         id: Option<String>,
     },
-    /// Open every camera of a rig, measure its frame rate, read its controls back
+    /// Check every camera of a rig: open it, measure its frame rate, read its controls back
     Check {
         /// Name or file of the rig
         #[arg(long, value_name = "NAME|FILE")]
         rig: String,
-        /// How long to measure, s
-        #[arg(long, default_value_t = 2.0, value_parser = seconds)]
+        /// Measuring time, s
+        #[arg(long, value_name = "S", default_value_t = 2.0, value_parser = seconds)]
         seconds: f64,
-        /// Keep the frames as a recording that a `replay` camera plays
+        /// Record the frames for a camera with the source `replay`
         #[arg(long, value_name = "DIR")]
         record: Option<PathBuf>,
-        /// Print JSON
+        /// Print the result as JSON
         #[arg(long)]
         json: bool,
     },
 }
 
-/// A duration to measure for, s.
-pub(super) fn seconds(text: &str) -> Result<f64, String> {
-    let value: f64 = text.parse().map_err(|_| "not a number".to_owned())?;
-    if (0.1..=3600.0).contains(&value) {
-        Ok(value)
-    } else {
-        Err("must be from 0.1 to 3600".to_owned())
-    }
-}
-
-/// Runs the verb.
+/// Runs the command.
 pub(crate) fn run(context: &Context, args: Args) -> Result<()> {
     let root = SystemRoot {
         sys: args.sysfs_root,
         dev: args.dev_root,
         proc: args.proc_root,
     };
-    match args.verb {
-        Verb::List { json } => list(context, &root, json),
-        Verb::Init { out, id } => init(context, &root, &out, id),
-        Verb::Check {
+    match args.action {
+        Action::List { json } => list(context, &root, json),
+        Action::Init { out, id } => init(context, &root, &out, id),
+        Action::Check {
             rig,
             seconds,
             record,
@@ -126,15 +116,11 @@ pub(crate) fn run(context: &Context, args: Args) -> Result<()> {
                 Duration::from_secs_f64(seconds),
                 record.as_deref(),
             );
-            if json {
-                print_json(
-                    &json!({ "rig": rig.id, "cameras": checks.iter().map(CameraCheck::json).collect::<Vec<_>>() }),
-                )?;
-            } else {
-                for check in &checks {
-                    print(&check.text())?;
-                }
-            }
+            let cameras: Vec<Value> = checks.iter().map(CameraCheck::json).collect();
+            let report = json!({ "rig": rig.id, "cameras": cameras });
+            print_report(json, &report, |_| {
+                checks.iter().map(CameraCheck::text).collect()
+            })?;
             verdict(&checks)
         }
     }
@@ -143,42 +129,37 @@ pub(crate) fn run(context: &Context, args: Args) -> Result<()> {
 fn list(context: &Context, root: &SystemRoot, json: bool) -> Result<()> {
     let devices = plugged_cameras(root)?;
     let warnings = crowding(&devices);
-    if json {
-        let cameras: Vec<Value> = devices.iter().map(device_json).collect();
-        print_json(&json!({ "cameras": cameras, "warnings": warnings }))?;
-    } else {
-        for device in &devices {
-            print(&device_text(device))?;
-        }
-        if !context.quiet {
-            for warning in &warnings {
-                note!("note: {warning}");
-            }
-        }
+    let cameras: Vec<Value> = devices.iter().map(device_json).collect();
+    let report = json!({ "cameras": cameras, "warnings": warnings });
+    if json || !devices.is_empty() {
+        print_report(json, &report, |_| devices.iter().map(device_text).collect())?;
+    }
+    if !json {
+        context.warn(&warnings);
     }
     explain_denied(&devices);
     if devices.is_empty() {
-        return Err(Error::new(ErrorKind::Device, "no camera is plugged in").remedy(
-            "plug one in; if it does not appear, `sudo dmesg` tells what the kernel makes of it. \
-             `--rig virtual` works without cameras",
+        return Err(Error::new(ErrorKind::Device, "no camera is connected").remedy(
+            "plug one in; if it does not appear, check `sudo dmesg`; `--rig virtual` works without \
+             cameras",
         ));
     }
     Ok(())
 }
 
-/// Says once for each product how to get permission.
+/// Explains once per product how to get access.
 fn explain_denied(devices: &[VideoDevice]) {
-    let mut told = Vec::new();
+    let mut explained = Vec::new();
     for device in devices.iter().filter(|d| d.access == Access::Denied) {
         let ids = (device.vendor_id, device.product_id);
-        if !told.contains(&ids) {
-            told.push(ids);
+        if !explained.contains(&ids) {
+            explained.push(ids);
             note!("{}", permission_error(device, "open"));
         }
     }
 }
 
-/// What a camera would be good for, as far as its product tells.
+/// Returns the likely role of a camera, by its product.
 fn role_hint(device: &VideoDevice) -> Option<&'static str> {
     let offers = |format| device.offers(format) == Some(true);
     if device.product.starts_with("GelSight Mini") {
@@ -257,36 +238,28 @@ fn device_text(device: &VideoDevice) -> String {
         device.node.display(),
         access_text(&device.access)
     );
-    let mut unread: Vec<String> = Vec::new();
+    let mut unsupported: Vec<String> = Vec::new();
     for mode in device.modes.iter().flatten() {
         if PixelFormat::from_fourcc(mode.fourcc).is_some() {
             text += &format!("    {mode}\n");
-        } else if !unread.contains(&mode.format_name()) {
-            unread.push(mode.format_name());
+        } else if !unsupported.contains(&mode.format_name()) {
+            unsupported.push(mode.format_name());
         }
     }
-    if !unread.is_empty() {
-        text += &format!("    not read by gripcast: {}\n", unread.join(" "));
+    if !unsupported.is_empty() {
+        text += &format!("    unsupported formats: {}\n", unsupported.join(" "));
     }
     text
 }
 
-fn init(
-    context: &Context,
-    root: &SystemRoot,
-    out: &std::path::Path,
-    id: Option<String>,
-) -> Result<()> {
-    let stem = out
-        .file_stem()
-        .map(|stem| stem.to_string_lossy().into_owned());
-    let id = id.or(stem).unwrap_or_default();
+fn init(context: &Context, root: &SystemRoot, out: &Path, id: Option<String>) -> Result<()> {
+    let stem = out.file_stem().unwrap_or_default();
+    let id = id.unwrap_or_else(|| stem.to_string_lossy().into_owned());
     let draft = draft(&id, &plugged_cameras(root)?)?;
     let mut file = fs::File::create_new(out).map_err(|error| {
         let exists = error.kind() == io::ErrorKind::AlreadyExists;
         let error = if exists {
-            Error::usage("the rig file exists already")
-                .remedy("give another --out, or remove the file")
+            Error::usage("the rig file exists").remedy("give another --out, or remove the file")
         } else {
             Error::io("cannot create the rig file", error)
         };

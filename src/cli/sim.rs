@@ -1,4 +1,4 @@
-//! `gripcast sim`: the grasp simulator.
+//! `gripcast sim`: grasp simulation.
 
 use super::{Context, sim_grasp, sim_press, sim_validate};
 use gripcast_base::error::Result;
@@ -14,13 +14,13 @@ pub(crate) struct Args {
 enum Action {
     /// Simulate one grasp: close, adjust the force, lift
     Grasp(Box<sim_grasp::Args>),
-    /// Press a gel against a rigid indenter: force against depth
+    /// Simulate an indentation test: force versus depth
     Press(Box<sim_press::Args>),
-    /// Hold the simulator against theory and converged finite elements
+    /// Validate the simulator against theory and converged finite elements
     Validate(sim_validate::Args),
 }
 
-/// Runs the verb.
+/// Runs the command.
 pub(crate) fn run(context: &Context, args: Args) -> Result<()> {
     match args.action {
         Action::Grasp(args) => sim_grasp::run(context, *args),

@@ -1,44 +1,51 @@
-//! The object of a simulation: a mesh file or a built-in shape, checked and at rest.
+//! The object of a command: a mesh file or a built-in shape.
+
+use std::path::Path;
 
 use serde::Serialize;
 
-use gripcast_base::error::{Error, Result};
-use gripcast_geometry::{LengthUnit, PreparedMesh, TriangleMesh, load_object_mesh};
+use super::flags::read_text;
+use gripcast_base::error::Result;
+use gripcast_geometry::{LengthUnit, Pose, Prepared, TriangleMesh, load_object_mesh};
+use gripcast_sim::grasp::{GraspPose, resting_pose};
 
-/// Flags that choose the object.
+/// Options that choose a mesh.
 #[derive(Clone, Debug, clap::Args)]
-#[command(next_help_heading = "What is grasped")]
-pub(super) struct ObjectFlags {
+pub(super) struct MeshFlags {
     /// Mesh file (obj, stl, ply, glb, gltf) or builtin:NAME (box, sphere, cylinder, mug, wedge,
     /// bar, spike, ball, bottle, jack, star, dented, ring, saddle, lump)
     #[arg(long, value_name = "MESH|builtin:NAME")]
     pub(super) object: String,
-    /// Unit of the coordinates in the mesh file: mm, cm, m, in
-    #[arg(long, default_value_t = LengthUnit::Metre, value_parser = unit)]
-    pub(super) unit: LengthUnit,
-    /// Factor on the size of the mesh
-    #[arg(long, default_value_t = 1.0)]
-    pub(super) scale: f64,
+    /// Unit of the mesh coordinates: mm, cm, m, in
+    #[arg(long, default_value_t = LengthUnit::Metre)]
+    unit: LengthUnit,
+    /// Scale factor of the mesh
+    #[arg(long, value_name = "FACTOR", default_value_t = 1.0)]
+    scale: f64,
+}
+
+impl MeshFlags {
+    /// Reads, scales and checks the mesh.
+    pub(super) fn load(&self) -> Result<Prepared> {
+        load_object_mesh(&self.object, self.unit, self.scale)
+    }
+}
+
+/// Options that choose a simulated object.
+#[derive(Clone, Debug, clap::Args)]
+#[command(next_help_heading = "Object")]
+pub(super) struct ObjectFlags {
+    #[command(flatten)]
+    pub(super) mesh: MeshFlags,
     /// Mass of the object
     #[arg(long, value_name = "KG", default_value_t = 0.06)]
     pub(super) mass_kg: f64,
-    /// Coulomb friction coefficient of gel and object, and of object and ground
+    /// Coulomb friction coefficient (gel–object and object–ground)
     #[arg(long, value_name = "MU", default_value_t = 0.4)]
     pub(super) friction: f64,
 }
 
-pub(super) fn unit(text: &str) -> Result<LengthUnit, String> {
-    text.parse()
-        .map_err(|_| "must be mm, cm, m or in".to_owned())
-}
-
-/// A mesh that can be simulated.
-pub(super) struct SimObject {
-    pub(super) mesh: TriangleMesh,
-    pub(super) warnings: Vec<String>,
-}
-
-/// What is said about the object in a result.
+/// The object in a result.
 #[derive(Debug, Serialize)]
 pub(super) struct ObjectRecord {
     source: String,
@@ -51,34 +58,27 @@ pub(super) struct ObjectRecord {
     friction: f64,
 }
 
-impl SimObject {
-    /// Reads, scales and checks the object.
-    pub(super) fn load(flags: &ObjectFlags) -> Result<Self> {
-        Self::read(&flags.object, flags.unit, flags.scale)
-    }
-
-    /// The same of a mesh file or `builtin:NAME`.
-    pub(super) fn read(name: &str, unit: LengthUnit, scale: f64) -> Result<Self> {
-        if !(scale.is_finite() && scale > 0.0) {
-            return Err(Error::input(format!(
-                "`--scale` must be a number above 0, found {scale}"
-            )));
-        }
-        let PreparedMesh { mesh, warnings } = load_object_mesh(name, unit, scale)?;
-        Ok(Self { mesh, warnings })
-    }
-
-    /// What is said about it in a result.
-    pub(super) fn record(&self, flags: &ObjectFlags) -> ObjectRecord {
-        ObjectRecord {
-            source: flags.object.clone(),
-            unit: flags.unit.to_string(),
-            scale: flags.scale,
-            sha256: self.mesh.content_hash(),
-            triangles: self.mesh.triangles.len(),
-            size_m: self.mesh.bounds().extent().to_array(),
+impl ObjectRecord {
+    pub(super) fn new(flags: &ObjectFlags, mesh: &TriangleMesh) -> Self {
+        Self {
+            source: flags.mesh.object.clone(),
+            unit: flags.mesh.unit.to_string(),
+            scale: flags.mesh.scale,
+            sha256: mesh.content_hash(),
+            triangles: mesh.triangles.len(),
+            size_m: mesh.bounds().extent().to_array(),
             mass_kg: flags.mass_kg,
             friction: flags.friction,
         }
     }
+}
+
+/// Reads a pose file with `t_object_gripper`.
+pub(super) fn read_grasp_pose(path: &Path) -> Result<GraspPose> {
+    GraspPose::from_json(&read_text(path, "pose")?).map_err(|e| e.at(path.display()))
+}
+
+/// Returns the default resting pose of a mesh, `t_world_object`.
+pub(super) fn default_resting_pose(mesh: &TriangleMesh) -> Result<Pose> {
+    Ok(resting_pose(mesh, None)?.1.t_world_object)
 }

@@ -1,4 +1,4 @@
-//! `gripcast sim press`: press a gel against a rigid indenter.
+//! `gripcast sim press`: simulates an indentation test of a gel.
 //!
 //! ```text
 //! gripcast sim press --indenter sphere --radius-m 0.01 --depth-m 2e-4,4e-4,6e-4
@@ -7,11 +7,11 @@
 //! gripcast sim press --indenter mesh --mesh part.stl --unit mm --depth-m 5e-4
 //! ```
 //!
-//! The gel's back moves slowly towards the fixed indenter; the depth counts from the first touch of
-//! the surface that carries the force. A mesh points down, in the gel's frame: x along 25 mm, y
-//! along 20 mm, its lowest point touches first.
+//! The back of the gel moves quasi-statically towards the fixed indenter; the depth counts from
+//! first contact. A mesh indenter points down in the gel's frame (x along 25 mm, y along 20 mm);
+//! its lowest point touches first.
 //!
-//! Exit codes: 0 pressed · 1 the indenter is refused · 2 usage · 4 a point did not converge · 130
+//! Exit codes: 0 simulated · 1 invalid indenter · 2 usage · 4 a point did not converge · 130
 //! interrupted.
 
 use std::path::{Path, PathBuf};
@@ -19,23 +19,21 @@ use std::time::Instant;
 
 use serde::Serialize;
 
-use super::sim_grasp::GelName;
 use super::working::interruptible;
 use super::{Context, print_report};
-use crate::note;
 use gripcast_base::error::{Error, ErrorKind, Result};
 use gripcast_geometry::{LengthUnit, PrepareOptions, TriangleMesh, load_mesh, prepare};
 use gripcast_sim::fem::{GelGrid, GelResolution, Grading, PAD_SIZE_M};
-use gripcast_sim::press::{Indenter, Press, PressPoint, PressTarget, half_pad, quarter_pad};
+use gripcast_sim::press::{Goal, Indenter, Press, PressPoint, half_pad, quarter_pad};
 use gripcast_sim::solver::GelMaterial;
 
 /// Arguments.
 #[derive(Clone, Debug, clap::Args)]
 pub(crate) struct Args {
-    /// What is pressed into the gel; long ones lie along the gel's 20 mm
-    #[arg(long, value_enum)]
+    /// Indenter shape; long indenters lie along the gel's 20 mm side
+    #[arg(long, value_enum, value_name = "SHAPE")]
     indenter: Shape,
-    /// Radius of sphere, cylinder or edge
+    /// Radius of the sphere, cylinder or edge
     #[arg(long, value_name = "M", required_if_eq_any = [
         ("indenter", "sphere"), ("indenter", "cylinder"), ("indenter", "edge"),
     ])]
@@ -43,26 +41,25 @@ pub(crate) struct Args {
     /// Mesh file (obj, stl, ply, glb, gltf)
     #[arg(long, value_name = "FILE", required_if_eq("indenter", "mesh"))]
     mesh: Option<PathBuf>,
-    /// Unit of the coordinates in the mesh file: mm, cm, m, in
-    #[arg(long, default_value_t = LengthUnit::Metre, value_parser = unit)]
+    /// Unit of the mesh coordinates: mm, cm, m, in
+    #[arg(long, default_value_t = LengthUnit::Metre)]
     unit: LengthUnit,
-    /// Depths, separated by commas
+    /// Indentation depths, comma-separated
     #[arg(long, value_name = "M", value_delimiter = ',',
         default_values_t = [1e-4, 2e-4, 4e-4, 6e-4, 8e-4, 1e-3])]
     depth_m: Vec<f64>,
-    /// Then shifts along the gel's x at the last depth, separated by commas
+    /// Shear displacements along the gel's x axis at the last depth, comma-separated
     #[arg(long, value_name = "M", value_delimiter = ',')]
     shift_m: Vec<f64>,
-    /// Mesh of the gel
+    /// Gel mesh
     #[arg(long, value_enum, default_value_t = Mesh::Default)]
     gel: Mesh,
-    /// How much closer the nodes of coarse, default and fine lie towards the middle of the face: 1
-    /// is equally spaced
+    /// Mesh grading towards the middle of the face (1: uniform); not for refined
     #[arg(long, value_name = "EXPONENT", default_value_t = 1.0)]
-    towards_middle: f64,
-    /// And towards the face
+    grade_middle: f64,
+    /// Mesh grading towards the face (1: uniform); not for refined
     #[arg(long, value_name = "EXPONENT", default_value_t = 1.0)]
-    towards_face: f64,
+    grade_face: f64,
     /// Coulomb friction coefficient
     #[arg(long, value_name = "MU", default_value_t = 0.0)]
     friction: f64,
@@ -72,31 +69,31 @@ pub(crate) struct Args {
     /// Poisson's ratio of the gel
     #[arg(long, value_name = "NU", default_value_t = 0.3)]
     poisson: f64,
-    /// Distance below which contact acts; a grasp's is 5e-4
+    /// Barrier activation distance d̂ (5e-4 in grasps)
     #[arg(long, value_name = "M", default_value_t = 2e-5)]
     d_hat_m: f64,
-    /// Stiffness of contact
+    /// Barrier stiffness κ
     #[arg(long, value_name = "PA", default_value_t = 3e6)]
     kappa_pa: f64,
-    /// Size of the indenter's faces
+    /// Face size of the indenter mesh
     #[arg(long, value_name = "M", default_value_t = 2e-4)]
     face_m: f64,
-    /// Print one JSON object
+    /// Print the result as JSON
     #[arg(long)]
     json: bool,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
 enum Shape {
-    /// A sphere
+    /// Sphere
     Sphere,
-    /// A lying cylinder, longer than the gel
+    /// Cylinder longer than the gel, axis parallel to the face
     Cylinder,
-    /// A plate larger than the gel
+    /// Flat plate larger than the gel
     Plate,
-    /// A straight edge of 90 degrees with a rounded tip
+    /// Straight 90° edge with a rounded tip
     Edge,
-    /// A mesh file
+    /// Mesh file
     Mesh,
 }
 
@@ -108,14 +105,9 @@ enum Mesh {
     Default,
     /// 26 × 21 × 5 nodes
     Fine,
-    /// A quarter (half with shifts) of the gel by symmetry, refined towards the middle; not for
-    /// meshes
+    /// A quarter (with shear: half) of the gel by symmetry, refined towards the middle; not for
+    /// mesh indenters
     Refined,
-}
-
-fn unit(text: &str) -> Result<LengthUnit, String> {
-    text.parse()
-        .map_err(|_| "must be mm, cm, m or in".to_owned())
 }
 
 #[derive(Debug, Serialize)]
@@ -125,7 +117,7 @@ struct Report {
     points: Vec<PressPoint>,
 }
 
-/// Runs the verb.
+/// Runs the command.
 pub(crate) fn run(context: &Context, args: Args) -> Result<()> {
     let press = build(context, &args)?;
     let goals = goals(&args)?;
@@ -141,33 +133,30 @@ pub(crate) fn run(context: &Context, args: Args) -> Result<()> {
         points: points?,
     };
     print_report(args.json, &report, |_| text(&report.points))?;
-    let lost = report.points.iter().filter(|p| !p.converged).count();
-    if lost == 0 {
+    let unconverged = report.points.iter().filter(|p| !p.converged).count();
+    if unconverged == 0 {
         return Ok(());
     }
-    let what = format!("{lost} of {} points did not converge", report.points.len());
+    let total = report.points.len();
+    let what = format!("{unconverged} of {total} points did not converge");
     Err(Error::new(ErrorKind::Check, what).remedy("pass a larger --d-hat-m or a coarser --gel"))
 }
 
-fn goals(args: &Args) -> Result<Vec<PressTarget>> {
-    let at = |depth_m: f64, shift_m: f64| PressTarget { depth_m, shift_m };
+fn goals(args: &Args) -> Result<Vec<Goal>> {
+    let goal = |depth_m: f64, shift_m: f64| Goal { depth_m, shift_m };
     let Some(&last) = args.depth_m.last() else {
         return Err(Error::usage("`--depth-m` needs a depth"));
     };
-    let down = args.depth_m.iter().map(|&depth| at(depth, 0.0));
-    Ok(down
-        .chain(args.shift_m.iter().map(|&shift| at(last, shift)))
-        .collect())
+    let normal = args.depth_m.iter().map(|&depth| goal(depth, 0.0));
+    let shear = args.shift_m.iter().map(|&shift| goal(last, shift));
+    Ok(normal.chain(shear).collect())
 }
 
 fn load(context: &Context, path: &Path, unit: LengthUnit) -> Result<TriangleMesh> {
     let prepared = prepare(&load_mesh(path, unit)?, &PrepareOptions::default())
         .map_err(|e| e.at(path.display()))?;
-    if !context.quiet {
-        for warning in &prepared.warnings {
-            note!("gripcast: {}: {warning}", path.display());
-        }
-    }
+    let file = path.display();
+    context.warn(prepared.warnings.iter().map(|w| format!("{file}: {w}")));
     Ok(prepared.mesh)
 }
 
@@ -181,13 +170,14 @@ fn build(context: &Context, args: &Args) -> Result<Press> {
         (Shape::Plate | Shape::Mesh, _) => Indenter::Plate,
     };
     if args.indenter == Shape::Mesh && args.gel == Mesh::Refined {
-        let what = "`--gel refined` needs an indenter that is symmetric, not a mesh";
-        return Err(Error::usage(what));
+        return Err(Error::usage(
+            "`--gel refined` needs a symmetric indenter, found a mesh",
+        ));
     }
     let (grid, symmetric) = match args.gel {
-        Mesh::Coarse => (pad(GelName::Coarse, args)?, [false; 2]),
-        Mesh::Default => (pad(GelName::Default, args)?, [false; 2]),
-        Mesh::Fine => (pad(GelName::Fine, args)?, [false; 2]),
+        Mesh::Coarse => (pad(GelResolution::Coarse, args)?, [false; 2]),
+        Mesh::Default => (pad(GelResolution::Default, args)?, [false; 2]),
+        Mesh::Fine => (pad(GelResolution::Fine, args)?, [false; 2]),
         Mesh::Refined if args.shift_m.is_empty() => {
             (quarter_pad([27, 25, 14], [1.1, 1.1, 1.13])?, [true; 2])
         }
@@ -210,13 +200,13 @@ fn build(context: &Context, args: &Args) -> Result<Press> {
     Ok(press)
 }
 
-fn pad(name: GelName, args: &Args) -> Result<GelGrid> {
+fn pad(resolution: GelResolution, args: &Args) -> Result<GelGrid> {
     let grading = Grading {
-        front: args.towards_face,
-        plane: args.towards_middle,
+        front: args.grade_face,
+        plane: args.grade_middle,
         ..Grading::default()
     };
-    GelGrid::graded(GelResolution::from(name).nodes(), PAD_SIZE_M, grading)
+    GelGrid::graded(resolution.nodes(), PAD_SIZE_M, grading)
 }
 
 fn text(points: &[PressPoint]) -> String {

@@ -1,13 +1,13 @@
-//! `gripcast sim validate`: hold the simulator against theory and converged finite elements.
+//! `gripcast sim validate`: validates the simulator against theory and converged finite elements.
 //!
 //! ```text
 //! gripcast sim validate --quick
 //! gripcast sim validate --cases press-plate,incline --json
 //! ```
 //!
-//! Every number has its expected value, the one that was found and a tolerance.
+//! Every check has an expected value, a measured value and a tolerance.
 //!
-//! Exit codes: 0 all hold · 2 there is no such case · 4 a number does not hold · 130 interrupted.
+//! Exit codes: 0 all passed · 2 unknown case · 4 a check failed · 130 interrupted.
 
 use super::working::interruptible;
 use super::{Context, print_report};
@@ -17,18 +17,18 @@ use gripcast_sim::validate::{self, CaseResult, Effort, Report, Tolerance};
 /// Arguments.
 #[derive(Clone, Debug, clap::Args)]
 pub(crate) struct Args {
-    /// Only these groups of cases, separated by commas [default: all]
+    /// Case groups, comma-separated [default: all]
     #[arg(long, value_name = "NAME", value_delimiter = ',')]
     cases: Vec<String>,
-    /// Coarser meshes, fewer grasps and wider tolerances
+    /// Use coarser meshes, fewer grasps and wider tolerances
     #[arg(long)]
     quick: bool,
-    /// Print one JSON object
+    /// Print the result as JSON
     #[arg(long)]
     json: bool,
 }
 
-/// Runs the verb.
+/// Runs the command.
 pub(crate) fn run(context: &Context, args: Args) -> Result<()> {
     validate::check_names(&args.cases)?;
     let effort = if args.quick {
@@ -45,7 +45,7 @@ pub(crate) fn run(context: &Context, args: Args) -> Result<()> {
             .collect();
         let mut report = Report::default();
         for (done, group) in groups.iter().enumerate() {
-            progress.at(done as u64, groups.len() as u64);
+            progress.count(done, groups.len());
             progress.line(*group);
             report.add(validate::run(&[(*group).to_owned()], effort)?.cases);
         }
@@ -58,7 +58,7 @@ pub(crate) fn run(context: &Context, args: Args) -> Result<()> {
     let all = report.cases.len();
     Err(Error::new(
         ErrorKind::Check,
-        format!("{} of {all} numbers do not hold", report.failed),
+        format!("{} of {all} checks failed", report.failed),
     ))
 }
 
@@ -66,7 +66,10 @@ fn text(report: &Report) -> String {
     let widest = report.cases.iter().map(|case| case.name.len()).max();
     let width = widest.unwrap_or(0);
     let mut lines: Vec<String> = report.cases.iter().map(|case| line(case, width)).collect();
-    lines.push(format!("{} hold, {} do not", report.passed, report.failed));
+    lines.push(format!(
+        "{} passed, {} failed",
+        report.passed, report.failed
+    ));
     lines.join("\n")
 }
 
@@ -87,7 +90,7 @@ fn line(case: &CaseResult, width: usize) -> String {
     )
 }
 
-/// A number in few digits whatever its size.
+/// Formats a number with few digits whatever its size.
 fn short(value: f64) -> String {
     if value == 0.0 || (1e-3..1e5).contains(&value.abs()) {
         format!("{value:.5}")

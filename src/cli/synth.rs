@@ -1,12 +1,12 @@
-//! `gripcast synth`: the synthetic dataset, from a laptop to a cluster.
+//! `gripcast synth`: synthetic datasets, on a laptop or a cluster.
 //!
 //! ```text
-//! gripcast synth plan --preset small --out P        what is to be simulated; nothing is yet
-//! gripcast synth run --plan P                       all of it, on all cores
-//! gripcast synth run --plan P --shard 3/8           part 3 of 8; /8 where a scheduler tells the index
-//! gripcast synth status --plan P                    how far it is, from its files
-//! gripcast synth merge --plan P --out D             the dataset: Parquet shards, split and balanced
-//! gripcast synth report --plan P --dataset D --out R   what is in it, what it looks like, what it cost
+//! gripcast synth plan --preset small --out P        plan the simulations
+//! gripcast synth run --plan P                       run all of them, on all cores
+//! gripcast synth run --plan P --shard 3/8           run shard 3 of 8; /8 with a scheduler's index
+//! gripcast synth status --plan P                    show the progress
+//! gripcast synth merge --plan P --out D             write the dataset: Parquet shards, split, balanced
+//! gripcast synth report --plan P --dataset D --out R   report counts, examples and costs
 //! ```
 
 use super::{Context, synth_merge, synth_plan, synth_report, synth_run};
@@ -21,19 +21,19 @@ pub(crate) struct Args {
 
 #[derive(Clone, Debug, clap::Subcommand)]
 enum Action {
-    /// Write a plan: objects, their properties, grasps, forces and seeds
+    /// Write a plan: objects, properties, grasps, forces and seeds
     Plan(Box<synth_plan::Args>),
-    /// Simulate and render a plan or a part of it; goes on where it stopped
+    /// Simulate and render a plan or a shard of it; an interrupted run is resumed
     Run(synth_run::Args),
-    /// How far the simulations of a plan are
+    /// Show the progress of a plan
     Status(synth_run::StatusArgs),
-    /// Choose from the results of a plan and write the dataset
+    /// Select results of a plan and write the dataset
     Merge(synth_merge::Args),
-    /// Counts, balance, examples and costs of a plan and its dataset, as a page and as JSON
+    /// Report counts, balance, examples and costs of a plan and its dataset (HTML and JSON)
     Report(synth_report::Args),
 }
 
-/// Runs the verb.
+/// Runs the command.
 pub(crate) fn run(context: &Context, args: Args) -> Result<()> {
     match args.action {
         Action::Plan(args) => synth_plan::run(context, *args),

@@ -1,10 +1,11 @@
-//! `gripcast synth merge`: the dataset of a plan.
+//! `gripcast synth merge`: writes the dataset of a plan.
 //!
-//! Exit codes: 0 the dataset is whole · 1 it could not be written · 2 usage · 3 it was written, but
-//! simulations of the plan are open or could not be done · 130 interrupted.
+//! Exit codes: 0 complete · 1 failed · 2 usage · 3 written, but simulations of the plan are open or
+//! failed · 130 interrupted.
 
 use std::path::PathBuf;
 
+use super::flags::named;
 use super::working::interruptible;
 use super::{Context, print_report};
 use gripcast_base::error::{Error, ErrorKind, Result};
@@ -19,62 +20,56 @@ pub(crate) struct Args {
     /// Folder of the plan with its results
     #[arg(long, value_name = "DIR")]
     plan: PathBuf,
-    /// Folder of the dataset
+    /// Output directory of the dataset
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
     #[command(flatten)]
-    choice: ChoiceArgs,
-    /// Merge what is there of a plan that is not finished
+    selection: SelectionFlags,
+    /// Merge the finished simulations of an incomplete plan
     #[arg(long)]
     partial: bool,
-    /// Print what is in the dataset as JSON
+    /// Print the result as JSON
     #[arg(long)]
     json: bool,
 }
 
-/// Which simulations are chosen.
+/// Selection of simulations.
 #[derive(Clone, Debug, clap::Args)]
-pub(super) struct ChoiceArgs {
-    /// Parts and their fractions
-    #[arg(long, value_name = "PART=FRACTION,…", default_value_t = Split::usual())]
+pub(super) struct SelectionFlags {
+    /// Splits and their fractions
+    #[arg(long, value_name = "SPLIT=FRACTION,…", default_value_t = Split::usual())]
     split: Split,
-    /// What may not be in two parts
-    #[arg(long, value_enum, default_value_t = ApartName::Object)]
-    apart: ApartName,
-    /// Most simulations of a category in a part, as a multiple of the mean; 0 for no cap
-    #[arg(long, value_name = "TIMES", default_value_t = 2.0)]
+    /// Grouping key of the split (no group in two splits)
+    #[arg(long, value_name = "KEY", default_value = "object", value_parser = named([
+        ("object", "No object in two splits", Apart::Object),
+        ("category", "No category in two splits (harder)", Apart::Category),
+    ]))]
+    group_by: Apart,
+    /// Maximum simulations of a category per split, as a multiple of the mean; 0 disables the cap
+    #[arg(long, value_name = "FACTOR", default_value_t = 2.0)]
     category_cap: f64,
-    /// Keep all of both labels instead of as many of one as of the other
+    /// Do not balance the labels
     #[arg(long)]
     unbalanced: bool,
-    /// Keep all of both labels in the part `train`; training weighs them, the other parts are
-    /// balanced
+    /// Balance all splits but `train`, where training weights the labels instead
     #[arg(long, conflicts_with = "unbalanced")]
     whole_train: bool,
-    /// Decides what is left out
-    #[arg(long, default_value_t = 0)]
+    /// Random seed of the selection
+    #[arg(long, value_name = "SEED", default_value_t = 0)]
     seed: u64,
 }
 
-#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
-enum ApartName {
-    /// Objects
-    Object,
-    /// Whole categories, which is harder
-    Category,
-}
-
-/// Runs the verb.
+/// Runs the command.
 pub(super) fn run(context: &Context, args: Args) -> Result<()> {
     let settings = MergeSettings {
-        curation: args.choice.curation()?,
+        curation: args.selection.curation()?,
         is_partial_allowed: args.partial,
     };
     let is_json = args.json;
     let report = interruptible(context, "merging", move |progress| {
         let plan = Plan::read(&args.plan)?;
         merge(&plan, &args.plan, &args.out, &settings, &|done, all| {
-            progress.at(done as u64, all as u64);
+            progress.count(done, all);
         })
     })??;
     print_report(is_json, &report, text)?;
@@ -84,13 +79,13 @@ pub(super) fn run(context: &Context, args: Args) -> Result<()> {
     Err(Error::new(
         ErrorKind::Partial,
         format!(
-            "{} simulations of the plan are open, {} could not be done",
+            "{} simulations of the plan are open, {} failed",
             report.open, report.failed
         ),
     ))
 }
 
-impl ChoiceArgs {
+impl SelectionFlags {
     pub(super) fn curation(&self) -> Result<CurationSettings> {
         if !(self.category_cap >= 0.0 && self.category_cap.is_finite()) {
             return Err(Error::usage(format!(
@@ -99,10 +94,7 @@ impl ChoiceArgs {
             )));
         }
         Ok(CurationSettings {
-            apart: match self.apart {
-                ApartName::Object => Apart::Object,
-                ApartName::Category => Apart::Category,
-            },
+            apart: self.group_by,
             parts: self.split.clone(),
             category_cap: (self.category_cap > 0.0).then_some(self.category_cap),
             is_balanced: !self.unbalanced,
@@ -114,22 +106,22 @@ impl ChoiceArgs {
 
 fn text(report: &MergeReport) -> String {
     let mut text = String::new();
-    for (name, part) in &report.parts {
+    for (name, split) in &report.parts {
         text.push_str(&format!(
-            "{name}: {} rows of {} grasps on {} objects; {} simulations held, {} were lost\n",
-            part.rows, part.grasps, part.objects, part.stable, part.slip
+            "{name}: {} rows of {} grasps of {} objects; {} stable, {} slip\n",
+            split.rows, split.grasps, split.objects, split.stable, split.slip
         ));
     }
-    let parts = report.curation.parts.names();
-    for name in parts.filter(|name| !report.parts.contains_key(*name)) {
+    let splits = report.curation.parts.names();
+    for name in splits.filter(|name| !report.parts.contains_key(*name)) {
         text.push_str(&format!(
-            "{name}: nothing; it has too few objects, or all of their simulations ended alike\n"
+            "{name}: empty; too few objects, or all their simulations have the same label\n"
         ));
     }
     let left_out: usize = report.left_out.values().sum();
     let without: usize = report.without_sample.values().sum();
     text.push_str(&format!(
-        "left out: {left_out} for balance and caps, {without} without an outcome to see"
+        "left out: {left_out} for balance and caps, {without} without a visible outcome"
     ));
     text
 }

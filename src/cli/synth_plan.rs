@@ -1,21 +1,20 @@
-//! `gripcast synth plan`: what is to be simulated.
+//! `gripcast synth plan`: plans the simulations of a dataset.
 //!
-//! The same flags give the same plan, byte for byte. Exit codes: 0 a plan was written · 1 it could
-//! not be · 2 usage · 3 objects were left out of it, each with its reason · 130 interrupted.
+//! The same options give the same plan, byte for byte. Exit codes: 0 plan written · 1 failed ·
+//! 2 usage · 3 written, but objects were left out · 130 interrupted.
 
 use std::path::{Path, PathBuf};
 
 use serde_json::json;
 
-use super::sim_grasp::{GelName, PresetName, above_zero};
+use super::flags::{JobsFlag, above_zero, engine, gel_resolution, named, preset};
 use super::working::{Progress, interruptible};
 use super::{Context, print, print_json};
 use gripcast_base::error::{Error, ErrorKind, Result};
-use gripcast_base::workers::cores;
 use gripcast_sim::fem::GelResolution;
-use gripcast_sim::grasp::GraspSettings;
+use gripcast_sim::grasp::{GraspSettings, Preset};
 use gripcast_sim::rigid::{RigidEngine, RigidSettings};
-use gripcast_sim::{Engine, FemEngine};
+use gripcast_sim::{Engine, EngineKind, FemEngine};
 use gripcast_synth::plan::{
     Drafts, MIN_FRICTION_FRACTION, MadePlan, PlanPreset, PlanSettings, RenderingPlan,
     acronym_drafts, family_drafts, make_plan, table_drafts, texture_folder,
@@ -28,165 +27,139 @@ use gripcast_synth::properties::{
 #[derive(Clone, Debug, clap::Args)]
 pub(crate) struct Args {
     /// Size of the plan
-    #[arg(long, value_enum, default_value_t = PresetSize::Small)]
-    preset: PresetSize,
-    /// Folder of the plan and later of its results
+    #[arg(long, value_name = "SIZE", default_value = "small", value_parser = named([
+        ("tiny", "10 objects, 2 grasps each: a smoke test", PlanPreset::Tiny),
+        ("small", "60 objects, 6 grasps each", PlanPreset::Small),
+        ("full", "453 objects, 24 grasps each, as in the paper", PlanPreset::Full),
+    ]))]
+    preset: PlanPreset,
+    /// Output directory of the plan and its results
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
-    /// Everything that is drawn follows from it
-    #[arg(long, default_value_t = 0)]
+    /// Random seed
+    #[arg(long, value_name = "SEED", default_value_t = 0)]
     seed: u64,
-    /// Objects of the built-in families [default: that of the preset, none beside --table or
-    /// --acronym]
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(0..=100_000))]
-    objects: Option<u32>,
     #[command(flatten)]
-    sources: Sources,
+    jobs: JobsFlag,
+    /// Print the result as JSON
+    #[arg(long)]
+    json: bool,
+    #[command(flatten)]
+    simulation: Simulation,
+    #[command(flatten)]
+    rendering: Rendering,
+    #[command(flatten)]
+    objects: Objects,
     #[command(flatten)]
     llm: Llm,
-    /// Grasps of each object [default: that of the preset]
+}
+
+/// Simulation settings.
+#[derive(Clone, Debug, clap::Args)]
+#[command(next_help_heading = "Simulation")]
+struct Simulation {
+    /// Grasps per object [default: from the preset]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=10_000))]
     grasps: Option<u32>,
-    /// Simulator
-    #[arg(long, value_enum, default_value_t = EngineName::Fem)]
-    engine: EngineName,
-    /// Stopping forces at which each grasp is simulated
-    #[arg(long, value_name = "N", value_delimiter = ',', default_values_t = [10.0, 40.0],
+    /// Simulation engine
+    #[arg(long, value_name = "ENGINE", default_value = "fem", value_parser = engine())]
+    engine: EngineKind,
+    /// Stopping forces at which each grasp is simulated, comma-separated
+    #[arg(long, value_name = "NEWTON", value_delimiter = ',', default_values_t = [10.0, 40.0],
         value_parser = above_zero)]
     stop_force_n: Vec<f64>,
-    /// Mesh of the gels [default: coarse for the preset tiny, else default]
-    #[arg(long, value_enum)]
-    gel: Option<GelName>,
-    /// Set of parameters of the finite elements
-    #[arg(long, value_enum, default_value_t = PresetName::Paper)]
-    gel_preset: PresetName,
-    /// Iterations after which a simulation is given up
+    /// Gel mesh [default: coarse for the preset tiny, else default]
+    #[arg(long, value_name = "MESH", value_parser = gel_resolution())]
+    gel: Option<GelResolution>,
+    /// Gel parameters
+    #[arg(long, value_name = "PRESET", default_value = "paper", value_parser = preset())]
+    gel_preset: Preset,
+    /// Newton iteration limit per simulation
     #[arg(long, value_name = "N", default_value_t = 50_000,
         value_parser = clap::value_parser!(u64).range(1..))]
     max_iterations: u64,
-    /// Renderings of each simulation [default: that of the preset]
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=100))]
-    renderings: Option<u32>,
-    /// Paths for each pixel of a colour image
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=4096))]
-    samples: Option<u32>,
-    /// Spread of the tactile sensors: 0 the shipped profile, 1 as real ones differ
-    #[arg(long, value_name = "S", default_value_t = 1.0)]
-    sensor_spread: f64,
-    /// Spread of the colour camera's place and lens and of the light: 0 the nominal ones, 1 as
-    /// usual
-    #[arg(long, value_name = "S", default_value_t = 1.0)]
-    visual_spread: f64,
-    /// How estimated masses become masses of 10 to 200 g; given ones stay
-    #[arg(long, value_enum, default_value_t = MassMapName::Log)]
-    mass_map: MassMapName,
-    /// Fraction of a clean, dry surface's friction that the dirtiest keeps; for friction of the table
-    #[arg(long, value_name = "S", default_value_t = MIN_FRICTION_FRACTION)]
-    least_friction_fraction: f64,
-    /// Objects at a time; the plan does not depend on it [default: all cores]
-    #[arg(long, value_parser = clap::value_parser!(u16).range(1..=256))]
-    jobs: Option<u16>,
-    /// Print what was planned as JSON
-    #[arg(long)]
-    json: bool,
 }
 
-/// Objects and images of the user's.
+/// Rendering settings.
 #[derive(Clone, Debug, clap::Args)]
-#[command(next_help_heading = "Objects of your own")]
-struct Sources {
+#[command(next_help_heading = "Rendering")]
+struct Rendering {
+    /// Renderings per simulation [default: from the preset]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=100))]
+    renderings: Option<u32>,
+    /// Samples per pixel of a colour image [default: from the preset]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=4096))]
+    spp: Option<u32>,
+    /// Randomisation of the tactile sensors: 0 = shipped profile, 1 = as real sensors vary
+    #[arg(long, value_name = "SCALE", default_value_t = 1.0)]
+    sensor_spread: f64,
+    /// Randomisation of camera pose, lens and light: 0 = nominal, 1 = full range
+    #[arg(long, value_name = "SCALE", default_value_t = 1.0)]
+    visual_spread: f64,
+}
+
+/// Objects and their properties.
+#[derive(Clone, Debug, clap::Args)]
+#[command(next_help_heading = "Objects")]
+struct Objects {
+    /// Number of procedural objects [default: from the preset; 0 with --table or --acronym]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(0..=100_000))]
+    objects: Option<u32>,
     /// Table of objects beside their meshes (docs/synth.md)
     #[arg(long, value_name = "FILE")]
     table: Option<PathBuf>,
-    /// Folder of ACRONYM's grasps, `.h5` files
+    /// Folder of ACRONYM grasps (.h5)
     #[arg(long, value_name = "DIR", requires = "meshes")]
     acronym: Option<PathBuf>,
-    /// Folder that ACRONYM's mesh paths begin in
+    /// Root folder of the ACRONYM meshes
     #[arg(long, value_name = "DIR", requires = "acronym")]
     meshes: Option<PathBuf>,
-    /// Objects drawn from those of ACRONYM [default: all]
+    /// Number of ACRONYM objects to draw [default: all]
     #[arg(long, value_name = "N", requires = "acronym",
         value_parser = clap::value_parser!(u32).range(1..))]
     acronym_objects: Option<u32>,
-    /// Folder of images that objects may wear besides their built-in appearances
+    /// Directory of texture images
     #[arg(long, value_name = "DIR")]
     textures: Option<PathBuf>,
-    /// Width of these images on an object, m
+    /// Width of a texture image on an object
     #[arg(long, value_name = "M", default_value_t = 0.1, value_parser = above_zero)]
     texture_width_m: f64,
+    /// Mapping of estimated masses to 10–200 g; given masses are kept
+    #[arg(long, value_name = "MAP", default_value = "log", value_parser = named([
+        ("linear", "Linear, as in the paper", MassMap::Linear),
+        ("log", "Logarithmic: spreads light objects over the range", MassMap::Logarithmic),
+        ("none", "Keep estimated masses", MassMap::None),
+    ]))]
+    mass_map: MassMap,
+    /// Minimum friction of a contaminated surface, as a fraction of the clean, dry one (material
+    /// table only)
+    #[arg(long, value_name = "FRACTION", default_value_t = MIN_FRICTION_FRACTION)]
+    min_friction_fraction: f64,
 }
 
-/// The language model that knows masses, friction and appearances.
+/// Language model that estimates masses, friction and appearances.
 #[derive(Clone, Debug, clap::Args)]
-#[command(next_help_heading = "Properties from a language model")]
+#[command(next_help_heading = "Language model")]
 struct Llm {
-    /// OpenAI-compatible endpoint, such as http://localhost:11434/v1 [default: none is asked; the
-    /// built-in table of materials is used]
+    /// OpenAI-compatible endpoint, such as http://localhost:11434/v1 [default: none, use the
+    /// built-in material table]
     #[arg(long, value_name = "URL", requires = "llm_model")]
     llm_url: Option<String>,
-    /// Model at the endpoint
+    /// Model name at the endpoint
     #[arg(long, value_name = "NAME", requires = "llm_url")]
     llm_model: Option<String>,
-    /// Environment variable with the endpoint's key
+    /// Environment variable with the API key
     #[arg(long, value_name = "NAME", default_value = DEFAULT_KEY_VARIABLE)]
     llm_key_variable: String,
-    /// Use the table of materials where the endpoint does not answer; the plan says where
+    /// Fall back to the material table if the endpoint fails; recorded in the plan
     #[arg(long, requires = "llm_url")]
     llm_fallback: bool,
-    /// Folder of answers that are not asked for again [default: ~/.cache/gripcast/llm]
+    /// Cache directory of the answers [default: ~/.cache/gripcast/llm]
     #[arg(long, value_name = "DIR", requires = "llm_url")]
     llm_cache: Option<PathBuf>,
 }
 
-#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
-enum PresetSize {
-    /// 10 objects, 2 grasps each: to see that it works
-    Tiny,
-    /// 60 objects, 6 grasps each
-    Small,
-    /// 453 objects, 24 grasps each, as in the paper
-    Full,
-}
-
-impl From<PresetSize> for PlanPreset {
-    fn from(size: PresetSize) -> Self {
-        match size {
-            PresetSize::Tiny => Self::Tiny,
-            PresetSize::Small => Self::Small,
-            PresetSize::Full => Self::Full,
-        }
-    }
-}
-
-#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
-enum EngineName {
-    /// Finite-element gels, incremental potential contact
-    Fem,
-    /// Rigid fingers and convex pieces
-    Rigid,
-}
-
-#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
-enum MassMapName {
-    /// As in the paper
-    Linear,
-    /// By their logarithm: light things are spread over the range
-    Log,
-    /// As estimated
-    None,
-}
-
-impl From<MassMapName> for MassMap {
-    fn from(name: MassMapName) -> Self {
-        match name {
-            MassMapName::Linear => Self::Linear,
-            MassMapName::Log => Self::Logarithmic,
-            MassMapName::None => Self::None,
-        }
-    }
-}
-
-/// Runs the verb.
+/// Runs the command.
 pub(super) fn run(context: &Context, args: Args) -> Result<()> {
     let (out, is_json) = (args.out.clone(), args.json);
     let made = interruptible(context, "planning", move |progress| {
@@ -219,7 +192,7 @@ pub(super) fn run(context: &Context, args: Args) -> Result<()> {
     if left_out.is_empty() {
         return Ok(());
     }
-    let mut text = format!("{} objects are not in the plan:", left_out.len());
+    let mut text = format!("{} objects were left out of the plan:", left_out.len());
     for one in left_out {
         text.push_str(&format!("\n  {}: {}", one.name, one.reason));
     }
@@ -228,10 +201,16 @@ pub(super) fn run(context: &Context, args: Args) -> Result<()> {
 
 impl Args {
     fn make(&self, progress: &Progress) -> Result<MadePlan> {
-        let preset = PlanPreset::from(self.preset);
+        let preset = self.preset;
+        let Self {
+            simulation,
+            rendering,
+            objects,
+            ..
+        } = self;
         for (flag, spread) in [
-            ("--sensor-spread", self.sensor_spread),
-            ("--visual-spread", self.visual_spread),
+            ("--sensor-spread", rendering.sensor_spread),
+            ("--visual-spread", rendering.visual_spread),
         ] {
             if !(0.0..=3.0).contains(&spread) {
                 return Err(Error::usage(format!(
@@ -239,83 +218,90 @@ impl Args {
                 )));
             }
         }
-        if !(self.least_friction_fraction > 0.0 && self.least_friction_fraction <= 1.0) {
+        let friction = objects.min_friction_fraction;
+        if !(friction > 0.0 && friction <= 1.0) {
             return Err(Error::usage(format!(
-                "`--least-friction-fraction` must be above 0 and at most 1, found {}",
-                self.least_friction_fraction
+                "`--min-friction-fraction` must be above 0 and at most 1, found {friction}"
             )));
         }
-        let of_preset = preset.rendering();
-        let jobs = self.jobs.map_or_else(cores, usize::from);
-        let textures = match &self.sources.textures {
+        let defaults = preset.rendering();
+        let jobs = self.jobs.count();
+        let textures = match &objects.textures {
             None => Vec::new(),
-            Some(folder) => texture_folder(folder, self.sources.texture_width_m)?,
+            Some(folder) => texture_folder(folder, objects.texture_width_m)?,
         };
         let settings = PlanSettings {
             preset: preset.name().to_owned(),
             seed: self.seed,
-            grasps: self.grasps.map_or(preset.grasps(), |n| n as usize),
-            stop_forces_n: self.stop_force_n.clone(),
+            grasps: simulation.grasps.map_or(preset.grasps(), |n| n as usize),
+            stop_forces_n: simulation.stop_force_n.clone(),
             rendering: RenderingPlan {
-                renderings: self.renderings.unwrap_or(of_preset.renderings),
-                samples: self.samples.unwrap_or(of_preset.samples),
-                sensor_spread: self.sensor_spread,
-                visual_spread: self.visual_spread,
+                renderings: rendering.renderings.unwrap_or(defaults.renderings),
+                samples: rendering.spp.unwrap_or(defaults.samples),
+                sensor_spread: rendering.sensor_spread,
+                visual_spread: rendering.visual_spread,
             },
             textures,
-            mass_map: self.mass_map.into(),
-            least_friction_fraction: self.least_friction_fraction,
+            mass_map: objects.mass_map,
+            least_friction_fraction: friction,
             jobs,
         };
-        let drafts = self.drafts(preset, jobs, progress)?;
-        let count = drafts.drafts.len() as u64;
+        let drafts = self.drafts(jobs, progress)?;
+        let count = drafts.drafts.len();
         progress.stage("drawing grasps");
-        let told = |done: usize| progress.at(done as u64, count);
+        let on_progress = |done: usize| progress.count(done, count);
         let mut asker = self.llm.asker(&self.out)?;
         let engine = self.engine();
-        make_plan(&settings, drafts, engine.as_ref(), asker.as_mut(), &told)
+        make_plan(
+            &settings,
+            drafts,
+            engine.as_ref(),
+            asker.as_mut(),
+            &on_progress,
+        )
     }
 
-    /// Objects of all sources.
-    fn drafts(&self, preset: PlanPreset, jobs: usize, progress: &Progress) -> Result<Drafts> {
-        let Sources {
+    /// Generates or reads the objects of all sources.
+    fn drafts(&self, jobs: usize, progress: &Progress) -> Result<Drafts> {
+        let Objects {
+            objects,
             table,
             acronym,
             meshes,
             acronym_objects,
             ..
-        } = &self.sources;
-        progress.stage("making objects");
+        } = &self.objects;
+        progress.stage("generating objects");
         let mut all = Drafts::default();
         if let Some(table) = table {
             all.extend(table_drafts(table, self.seed)?);
         }
         if let (Some(grasps), Some(meshes)) = (acronym, meshes) {
-            let most = acronym_objects.map(|n| n as usize);
-            all.extend(acronym_drafts(grasps, meshes, most, self.seed)?);
+            let limit = acronym_objects.map(|n| n as usize);
+            all.extend(acronym_drafts(grasps, meshes, limit, self.seed)?);
         }
-        let usual = if table.is_some() || acronym.is_some() {
+        let default = if table.is_some() || acronym.is_some() {
             0
         } else {
-            preset.objects()
+            self.preset.objects()
         };
-        let count = self.objects.map_or(usual, |n| n as usize);
-        let told = |done: usize| progress.at(done as u64, count as u64);
-        all.drafts
-            .extend(family_drafts(count, self.seed, jobs, &told)?);
+        let count = objects.map_or(default, |n| n as usize);
+        let on_progress = |done: usize| progress.count(done, count);
+        let drafts = family_drafts(count, self.seed, jobs, &on_progress)?;
+        all.drafts.extend(drafts);
         Ok(all)
     }
 
     fn engine(&self) -> Box<dyn Engine> {
-        match self.engine {
-            EngineName::Fem => {
-                let mut settings = GraspSettings::new(self.gel_preset.into());
-                let usual = PlanPreset::from(self.preset).gel();
-                settings.resolution = self.gel.map_or(usual, GelResolution::from);
-                settings.solver.max_grasp_iterations = self.max_iterations;
+        let flags = &self.simulation;
+        match flags.engine {
+            EngineKind::Fem => {
+                let mut settings = GraspSettings::new(flags.gel_preset);
+                settings.resolution = flags.gel.unwrap_or(self.preset.gel());
+                settings.solver.max_grasp_iterations = flags.max_iterations;
                 Box::new(FemEngine { settings })
             }
-            EngineName::Rigid => Box::new(RigidEngine::new(RigidSettings::default())),
+            EngineKind::Rigid => Box::new(RigidEngine::new(RigidSettings::default())),
         }
     }
 }
@@ -328,7 +314,7 @@ impl Llm {
         let cache = self
             .llm_cache
             .clone()
-            .or_else(usual_cache)
+            .or_else(default_cache)
             .unwrap_or_else(|| plan_folder.join("llm"));
         let mut options = LlmOptions::new(url, model, cache);
         options.key = EndpointKey::from_env(&self.llm_key_variable)?;
@@ -337,8 +323,8 @@ impl Llm {
     }
 }
 
-/// Where programs of the desktop keep what can be had again (XDG base directories).
-fn usual_cache() -> Option<PathBuf> {
+/// Returns the cache folder of the XDG base directories.
+fn default_cache() -> Option<PathBuf> {
     let set = |name| std::env::var_os(name).filter(|value| !value.is_empty());
     let cache = set("XDG_CACHE_HOME").map(PathBuf::from);
     let cache = cache.or_else(|| set("HOME").map(|home| PathBuf::from(home).join(".cache")));

@@ -1,15 +1,15 @@
-//! `gripcast synth report`: what became of a plan, as a page and as JSON.
+//! `gripcast synth report`: reports on a plan and its dataset, as HTML and JSON.
 //!
-//! Exit codes: 0 the report is there and the plan finished · 1 it could not be made · 2 usage · 3 it
-//! was written, but simulations of the plan are open or could not be done · 130 interrupted.
+//! Exit codes: 0 written, plan finished · 1 failed · 2 usage · 3 written, but simulations of the
+//! plan are open or failed · 130 interrupted.
 
 use std::path::{Path, PathBuf};
 
+use super::flags::JobsFlag;
 use super::replay_report::write_report;
 use super::working::interruptible;
 use super::{Context, create_folder, print, print_json};
 use gripcast_base::error::{Error, ErrorKind, Result};
-use gripcast_base::workers::cores;
 use gripcast_synth::plan::Plan;
 use gripcast_synth::report::{SynthReport, SynthReportSettings, page, report};
 
@@ -19,36 +19,34 @@ pub(crate) struct Args {
     /// Folder of the plan with its results
     #[arg(long, value_name = "DIR")]
     plan: PathBuf,
-    /// Folder of the dataset that was merged from it
+    /// Folder of the dataset merged from it
     #[arg(long, value_name = "DIR")]
     dataset: Option<PathBuf>,
-    /// Folder of the report: report.html and report.json
+    /// Output directory of report.html and report.json
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
-    /// Grasps of each label on the contact sheet
+    /// Example grasps per label
     #[arg(long, value_name = "N", default_value_t = 24,
         value_parser = clap::value_parser!(u16).range(0..=100))]
     examples: u16,
-    /// Decides which grasps and renderings are looked at
-    #[arg(long, default_value_t = 0)]
+    /// Random seed of the sampled grasps and renderings
+    #[arg(long, value_name = "SEED", default_value_t = 0)]
     seed: u64,
-    /// Simulations that are looked at at a time; the report does not depend on it [default: all
-    /// cores]
-    #[arg(long, value_parser = clap::value_parser!(u16).range(1..=256))]
-    jobs: Option<u16>,
-    /// Print the report without its images as JSON
+    #[command(flatten)]
+    jobs: JobsFlag,
+    /// Print the report as JSON, without images
     #[arg(long)]
     json: bool,
 }
 
-/// Runs the verb.
+/// Runs the command.
 pub(super) fn run(context: &Context, args: Args) -> Result<()> {
     let (out, is_json) = (args.out.clone(), args.json);
-    let mut report = interruptible(context, "looking at the results", move |progress| {
+    let mut report = interruptible(context, "reading the results", move |progress| {
         let plan = Plan::read(&args.plan)?;
         let settings = args.settings();
         report(&plan, &args.plan, &settings, &|done, all| {
-            progress.at(done as u64, all as u64);
+            progress.count(done, all);
         })
     })??;
     create_folder(&out)?;
@@ -68,19 +66,19 @@ impl Args {
             dataset: self.dataset.clone(),
             examples: usize::from(self.examples),
             seed: self.seed,
-            jobs: self.jobs.map_or_else(cores, usize::from),
+            jobs: self.jobs.count(),
         }
     }
 }
 
-/// The result for people.
+/// Formats the result.
 fn text(report: &SynthReport, out: &Path) -> String {
     let progress = &report.progress;
     let rate = report.costs.per_core_hour.map_or_else(String::new, |rate| {
-        format!("; {rate:.0} simulations an hour on a core")
+        format!("; {rate:.0} simulations per core hour")
     });
     let mut text = format!(
-        "{} of {} simulations done: {} held, {} lost, {} without a label{rate}\n",
+        "{} of {} simulations done: {} stable, {} slip, {} unlabelled{rate}\n",
         progress.done,
         report.plan.simulations,
         progress.labels.held,
@@ -88,10 +86,10 @@ fn text(report: &SynthReport, out: &Path) -> String {
         progress.done - progress.labels.all()
     );
     if let Some(dataset) = &report.dataset {
-        for (name, part) in &dataset.merge.parts {
+        for (name, split) in &dataset.merge.parts {
             text.push_str(&format!(
-                "{name}: {} rows, {} simulations held, {} were lost\n",
-                part.rows, part.stable, part.slip
+                "{name}: {} rows, {} stable, {} slip\n",
+                split.rows, split.stable, split.slip
             ));
         }
     }
@@ -99,19 +97,19 @@ fn text(report: &SynthReport, out: &Path) -> String {
     text
 }
 
-/// The error of a report on a plan that is not finished.
+/// Returns an error for an unfinished plan.
 fn finish(report: &SynthReport) -> Result<()> {
     let progress = &report.progress;
     if progress.open + progress.failed == 0 {
         return Ok(());
     }
     let mut what = format!(
-        "{} simulations of the plan are open, {} could not be done",
+        "{} simulations of the plan are open, {} failed",
         progress.open, progress.failed
     );
     if !progress.damaged.is_empty() {
         what.push_str(&format!(
-            "; of the open ones, {} with a damaged result, {} first",
+            "; {} of the open ones have a damaged result, the first is {}",
             progress.damaged.len(),
             progress.damaged[0]
         ));

@@ -1,24 +1,24 @@
 //! `gripcast synth run` and `gripcast synth status`: the simulations of a plan.
 //!
-//! Exit codes of `run`: 0 all simulations of the part have a result · 1 it could not run · 2 usage ·
-//! 3 some simulations could not be done, each with its reason · 75 stopped by SIGTERM, run it again ·
-//! 130 interrupted. Every finished simulation is kept; the one under way is done again.
+//! Exit codes of `run`: 0 all simulations of the shard have a result · 1 failed · 2 usage · 3 some
+//! simulations failed · 75 stopped by SIGTERM, rerun to resume · 130 interrupted. Finished
+//! simulations are kept; the running ones are repeated.
 
 use std::collections::BTreeMap;
 use std::path::PathBuf;
 
 use serde_json::json;
 
-use super::synth_merge::ChoiceArgs;
+use super::flags::JobsFlag;
+use super::synth_merge::SelectionFlags;
 use super::working::resumable;
 use super::{Context, print, print_json};
 use gripcast_base::error::{Error, ErrorKind, Result};
-use gripcast_base::workers::cores;
 use gripcast_synth::plan::{Plan, Shard};
 use gripcast_synth::{Images, MergeSettings, ResultStore, RunSettings, chosen, planned_engine};
 
-/// Reasons of failures that are shown.
-const SHOWN_FAILURES: usize = 10;
+/// Maximum number of failures in the error text.
+const MAX_SHOWN_FAILURES: usize = 10;
 
 /// Arguments of `run`.
 #[derive(Clone, Debug, clap::Args)]
@@ -26,41 +26,40 @@ pub(crate) struct Args {
     /// Folder of the plan
     #[arg(long, value_name = "DIR")]
     plan: PathBuf,
-    /// Part of the plan, from 0: INDEX/COUNT, or /COUNT with the index from SLURM_ARRAY_TASK_ID,
-    /// JOB_COMPLETION_INDEX, AWS_BATCH_JOB_ARRAY_INDEX or PBS_ARRAY_INDEX
+    /// Shard to run, from 0: INDEX/COUNT, or /COUNT with the index from SLURM_ARRAY_TASK_ID,
+    /// JOB_COMPLETION_INDEX, AWS_BATCH_JOB_ARRAY_INDEX or PBS_ARRAY_INDEX [default: whole plan]
     #[arg(long, value_name = "I/N")]
     shard: Option<String>,
-    /// Simulations at a time; the results do not depend on it [default: all cores]
-    #[arg(long, value_parser = clap::value_parser!(u16).range(1..=256))]
-    jobs: Option<u16>,
-    /// Which simulations get images; labels alone are there sooner, and a balanced dataset needs
-    /// the images of half of them
+    #[command(flatten)]
+    jobs: JobsFlag,
+    /// Simulations to render; labels alone are faster, and a balanced dataset needs about half of
+    /// the images
     #[arg(long, value_enum, default_value_t = ImagesName::All)]
     images: ImagesName,
-    /// With --images chosen: those that `synth merge --partial` takes of what has a label by now;
-    /// nothing is simulated
+    /// With --images chosen: render the current selection of `synth merge --partial`; nothing is
+    /// simulated
     #[arg(long)]
     partial: bool,
-    /// Try simulations again that could not be done, as after a damaged mesh was restored
+    /// Retry failed simulations, for instance after restoring a damaged mesh
     #[arg(long)]
     retry_failed: bool,
-    /// Print what was done as JSON
+    /// Print the result as JSON
     #[arg(long)]
     json: bool,
     #[command(
         flatten,
-        next_help_heading = "With --images chosen, as given to synth merge"
+        next_help_heading = "Selection for --images chosen, as for synth merge"
     )]
-    choice: ChoiceArgs,
+    selection: SelectionFlags,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
 enum ImagesName {
-    /// All with a label
+    /// All labelled simulations
     All,
-    /// None of them
+    /// None
     None,
-    /// Those that `synth merge` takes; all simulations have to have a label, or see --partial
+    /// The selection of `synth merge`; needs labels of all simulations, or --partial
     Chosen,
 }
 
@@ -70,7 +69,7 @@ pub(crate) struct StatusArgs {
     /// Folder of the plan
     #[arg(long, value_name = "DIR")]
     plan: PathBuf,
-    /// Print it as JSON
+    /// Print the result as JSON
     #[arg(long)]
     json: bool,
 }
@@ -82,18 +81,16 @@ pub(super) fn run(context: &Context, args: Args) -> Result<()> {
         None => Shard::WHOLE,
     };
     let folder = args.plan.clone();
-    let choice = args.choice.curation()?;
+    let curation = args.selection.curation()?;
     if args.partial && args.images != ImagesName::Chosen {
-        return Err(Error::usage(
-            "--partial is for the images that a dataset of an unfinished plan needs",
-        )
-        .remedy("give --images chosen with it, or leave it out"));
+        return Err(Error::usage("--partial needs --images chosen")
+            .remedy("add --images chosen, or omit --partial"));
     }
     let summary = resumable(context, "simulating", move |progress| {
         let plan = Plan::read(&folder)?;
         let settings = RunSettings {
             shard,
-            jobs: args.jobs.map_or_else(cores, usize::from),
+            jobs: args.jobs.count(),
             is_failed_retried: args.retry_failed,
             is_open_simulated: !args.partial,
             images: match args.images {
@@ -101,7 +98,7 @@ pub(super) fn run(context: &Context, args: Args) -> Result<()> {
                 ImagesName::None => Images::None,
                 ImagesName::Chosen => {
                     let settings = MergeSettings {
-                        curation: choice,
+                        curation,
                         is_partial_allowed: args.partial,
                     };
                     Images::Of(chosen(&plan, &folder, &settings)?)
@@ -110,7 +107,7 @@ pub(super) fn run(context: &Context, args: Args) -> Result<()> {
         };
         let engine = planned_engine(&plan, &folder)?;
         gripcast_synth::run(&plan, &folder, &settings, engine.as_ref(), &|at| {
-            progress.at(at.done as u64, at.all as u64);
+            progress.count(at.done, at.all);
         })
     })??;
     let failed = summary.failed.len();
@@ -123,23 +120,22 @@ pub(super) fn run(context: &Context, args: Args) -> Result<()> {
         }))?;
     } else {
         print(&format!(
-            "{} simulations of shard {shard}, {} of them now, {failed} could not be done",
+            "{} simulations in shard {shard}, {} run now, {failed} failed",
             summary.all, summary.simulated
         ))?;
     }
     if failed == 0 {
         return Ok(());
     }
-    let mut text = format!("{failed} simulations could not be done:");
-    for (id, why) in summary.failed.iter().take(SHOWN_FAILURES) {
-        text.push_str(&format!("\n  {id}: {why}"));
+    let mut text = format!("{failed} simulations failed:");
+    for (id, reason) in summary.failed.iter().take(MAX_SHOWN_FAILURES) {
+        text.push_str(&format!("\n  {id}: {reason}"));
     }
-    if failed > SHOWN_FAILURES {
+    if failed > MAX_SHOWN_FAILURES {
         text.push_str("\n  …");
     }
-    Err(Error::new(ErrorKind::Partial, text).remedy(
-        "they are results like others; once the cause is fixed, --retry-failed does them again",
-    ))
+    Err(Error::new(ErrorKind::Partial, text)
+        .remedy("fix the cause, then repeat them with --retry-failed"))
 }
 
 /// Runs `synth status`.
@@ -147,7 +143,7 @@ pub(super) fn status(args: &StatusArgs) -> Result<()> {
     let plan = Plan::read(&args.plan)?;
     let store = ResultStore::beside(&args.plan);
     let mut outcomes: BTreeMap<String, usize> = BTreeMap::new();
-    let [mut stable, mut slip, mut rows, mut lacking] = [0; 4];
+    let [mut stable, mut slip, mut rows, mut without_images] = [0; 4];
     let [mut open_s, mut cpu_s] = [0.0; 2];
     let mut done = 0;
     for simulation in &plan.simulations {
@@ -159,7 +155,7 @@ pub(super) fn status(args: &StatusArgs) -> Result<()> {
         stable += usize::from(result.stable == Some(true));
         slip += usize::from(result.stable == Some(false));
         rows += result.samples.as_ref().map_or(0, |file| file.rows);
-        lacking += usize::from(result.lacks_images());
+        without_images += usize::from(result.lacks_images());
         let cpu = result.cpu_s;
         cpu_s += cpu.prepare + cpu.simulate + cpu.tactile + cpu.visual;
         *outcomes.entry(result.outcome).or_default() += 1;
@@ -173,7 +169,7 @@ pub(super) fn status(args: &StatusArgs) -> Result<()> {
             "stable": stable,
             "slip": slip,
             "rows": rows,
-            "without_images": lacking,
+            "without_images": without_images,
             "outcomes": outcomes,
             "cpu_s": cpu_s,
             "estimated_open_cpu_s": open_s,
@@ -183,12 +179,12 @@ pub(super) fn status(args: &StatusArgs) -> Result<()> {
         .iter()
         .map(|(name, count)| format!("{count} {name}"))
         .collect();
-    let lacking = match lacking {
+    let missing = match without_images {
         0 => String::new(),
-        count => format!(", {count} with a label and without images"),
+        count => format!(", {count} labelled without images"),
     };
     print(&format!(
-        "{done} of {all} simulations done: {stable} held, {slip} lost, {rows} renderings{lacking}\n\
+        "{done} of {all} simulations done: {stable} stable, {slip} slip, {rows} renderings{missing}\n\
          outcomes: {}\n\
          {:.1} CPU hours used, about {:.1} to go",
         outcomes.join(", "),

@@ -1,11 +1,10 @@
-//! `gripcast train`: a classifier from a dataset of labelled grasps.
+//! `gripcast train`: trains a stability classifier on a dataset.
 //!
-//! Exit codes: 0 trained · 1 it could not be trained · 2 usage, or a run of other settings · 75
-//! stopped by SIGTERM, run it again · 130 interrupted. A run that was stopped in any way goes on
-//! where it was and ends with the same bytes.
+//! Exit codes: 0 trained · 1 failed · 2 usage, or a run with other settings · 75 stopped by
+//! SIGTERM, rerun to resume · 130 interrupted. A resumed run ends with the same bytes.
 //!
-//! On a terminal it shows a dashboard; elsewhere, and with `--headless`, lines on stderr. What came
-//! out goes to stdout.
+//! On a terminal it shows a dashboard; elsewhere, and with `--headless`, lines on stderr. The
+//! result goes to stdout.
 
 use std::io::{self, IsTerminal as _};
 use std::path::{Path, PathBuf};
@@ -14,6 +13,7 @@ use rustix::process::getpgrp;
 use rustix::termios::tcgetpgrp;
 use serde_json::{Value, json};
 
+use super::flags::modality;
 use super::training_flags::TrainingFlags;
 use super::working::{Progress, resumable, resumable_under_screen};
 use super::{Context, print_report};
@@ -27,68 +27,49 @@ use gripcast_train::{Finished, RunFolder, TrainEvent, TrainSettings, Trained, fi
 /// Arguments.
 #[derive(Clone, Debug, clap::Args)]
 pub(crate) struct Args {
-    /// Folder of the dataset, as `synth merge` makes it
+    /// Folder of the dataset (`synth merge`, `dataset import`, `dataset export --to training`)
     #[arg(long, value_name = "DIR")]
     data: PathBuf,
-    /// Folder of the run; one that was begun is gone on with
+    /// Output directory; an existing run is resumed
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
-    /// What the classifier sees
-    #[arg(long, value_enum, default_value_t = Modality::Vt)]
-    modality: Modality,
-    #[command(flatten)]
-    training: TrainingFlags,
-    /// First seed
-    #[arg(long, default_value_t = 0)]
-    seed: u64,
-    /// Runs with seeds one after the other; the model is that of the best on the validation part
-    #[arg(long, default_value_t = 1, value_parser = clap::value_parser!(u64).range(1..=100))]
-    seeds: u64,
-    /// Name of the model [default: trained- and its senses, as trained-vt]
+    /// Input modality of the classifier
+    #[arg(long, value_name = "MODALITY", default_value = "vt", value_parser = modality())]
+    modality: Variant,
+    /// Model name [default: trained-MODALITY]
     #[arg(long)]
     name: Option<String>,
-    /// No dashboard, even on a terminal
+    /// Random seed
+    #[arg(long, value_name = "SEED", default_value_t = 0)]
+    seed: u64,
+    /// Number of runs with consecutive seeds; the best on the validation split is kept
+    #[arg(long, value_name = "N", default_value_t = 1,
+        value_parser = clap::value_parser!(u64).range(1..=100))]
+    seeds: u64,
+    /// Disable the dashboard
     #[arg(long)]
     headless: bool,
-    /// Print what came out as JSON
+    /// Print the result as JSON
     #[arg(long)]
     json: bool,
+    #[command(flatten)]
+    training: TrainingFlags,
 }
 
-#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
-pub(super) enum Modality {
-    /// The colour image
-    V,
-    /// Both tactile differences
-    T,
-    /// All of them
-    Vt,
-}
-
-impl From<Modality> for Variant {
-    fn from(modality: Modality) -> Self {
-        match modality {
-            Modality::V => Self::V,
-            Modality::T => Self::T,
-            Modality::Vt => Self::Vt,
-        }
-    }
-}
-
-/// Runs the verb.
+/// Runs the command.
 pub(super) fn run(context: &Context, args: Args) -> Result<()> {
     let is_json = args.json;
-    let found = if !args.headless && !context.quiet && has_screen() {
+    let report = if !args.headless && !context.quiet && has_screen() {
         under_dashboard(args)?
     } else {
         resumable(context, "training", move |progress| {
-            all_seeds(&args, &|news| tell(progress, &news))
+            all_seeds(&args, &|news| show(progress, &news))
         })??
     };
-    print_report(is_json, &found, text)
+    print_report(is_json, &report, text)
 }
 
-/// Whether a dashboard can be shown, and keys can be read, without stopping a job in the background.
+/// Returns whether a dashboard can read keys; a background job would be stopped by it.
 fn has_screen() -> bool {
     let is_terminal =
         io::stdin().is_terminal() && io::stdout().is_terminal() && io::stderr().is_terminal();
@@ -103,14 +84,14 @@ fn under_dashboard(args: Args) -> Result<Value> {
         name.to_string_lossy().into_owned()
     };
     let status = TrainingStatus::new(&name(&args.data), &name(&args.out), settings, args.seeds);
-    let (screen, asked) = TrainingScreen::start(status)?;
-    let tell = screen.teller();
-    let found = resumable_under_screen(asked, move || all_seeds(&args, &tell));
+    let (screen, cancel) = TrainingScreen::start(status)?;
+    let on_progress = screen.teller();
+    let report = resumable_under_screen(cancel, move || all_seeds(&args, &on_progress));
     if let Err(error) = screen.end() {
-        // The training went on without it. A terminal that has gone takes no line either.
+        // The training does not depend on its screen.
         note!("gripcast: {error}");
     }
-    found?
+    report?
 }
 
 fn all_seeds(args: &Args, on_progress: &(dyn Fn(TrainingNews) + Sync)) -> Result<Value> {
@@ -132,12 +113,12 @@ fn all_seeds(args: &Args, on_progress: &(dyn Fn(TrainingNews) + Sync)) -> Result
             Error::internal("the run has no description").at(folder.run().display())
         })?;
         on_progress(TrainingNews::Stage("calibrating"));
-        let senses = file.settings.variant.name().to_lowercase();
-        let name = args.name.clone().unwrap_or(format!("trained-{senses}"));
+        let modality = file.settings.variant.name().to_lowercase();
+        let name = args.name.clone().unwrap_or(format!("trained-{modality}"));
         let finished = finish(&folder, &file, &args.data, &name, &|_| {})?;
-        runs.push(described(seed, &folder, &trained, &finished));
+        runs.push(run_report(seed, &folder, &trained, &finished));
         let accuracy = trained.best.validation_accuracy;
-        if best.as_ref().is_none_or(|(most, _)| accuracy > *most) {
+        if best.as_ref().is_none_or(|(max, _)| accuracy > *max) {
             best = Some((accuracy, finished));
         }
         on_progress(TrainingNews::Stage("training"));
@@ -149,19 +130,20 @@ fn all_seeds(args: &Args, on_progress: &(dyn Fn(TrainingNews) + Sync)) -> Result
     Ok(json!({ "model": model.display().to_string(), "runs": runs }))
 }
 
-fn tell(progress: &Progress, news: &TrainingNews) {
+fn show(progress: &Progress, news: &TrainingNews) {
     match news {
         TrainingNews::Stage(label) => progress.stage(label),
         TrainingNews::Train(TrainEvent::Step {
-            at: [done, all], ..
-        }) => progress.at(*done, *all),
+            steps: [done, total],
+            ..
+        }) => progress.count(*done as usize, *total as usize),
         TrainingNews::Train(TrainEvent::Epoch(figures)) => progress.line(epoch_line(figures)),
-        TrainingNews::Train(TrainEvent::Begun(_) | TrainEvent::Look(_)) | TrainingNews::Seed(_) => {
-        }
+        TrainingNews::Train(TrainEvent::Started(_) | TrainEvent::Validate(_))
+        | TrainingNews::Seed(_) => {}
     }
 }
 
-fn described(seed: u64, folder: &RunFolder, trained: &Trained, finished: &Finished) -> Value {
+fn run_report(seed: u64, folder: &RunFolder, trained: &Trained, finished: &Finished) -> Value {
     json!({
         "seed": seed,
         "model": folder.model().display().to_string(),
@@ -173,10 +155,10 @@ fn described(seed: u64, folder: &RunFolder, trained: &Trained, finished: &Finish
     })
 }
 
-fn text(found: &Value) -> String {
+fn text(report: &Value) -> String {
     let number = |value: &Value| value.as_f64().map_or("–".to_owned(), |x| format!("{x:.3}"));
     let mut lines: Vec<String> = Vec::new();
-    for run in found["runs"].as_array().into_iter().flatten() {
+    for run in report["runs"].as_array().into_iter().flatten() {
         let validation = &run["validation"];
         lines.push(format!(
             "seed {}: best epoch {} of {}, validation accuracy {}, AUROC {}, ECE {}",
@@ -188,15 +170,13 @@ fn text(found: &Value) -> String {
             number(&validation["ece"]),
         ));
     }
-    lines.push(format!(
-        "model: {}",
-        found["model"].as_str().unwrap_or_default()
-    ));
+    let model = report["model"].as_str().unwrap_or_default();
+    lines.push(format!("model: {model}"));
     lines.join("\n")
 }
 
 impl Args {
     fn settings(&self, seed: u64) -> Result<TrainSettings> {
-        self.training.settings(self.modality.into(), seed)
+        self.training.settings(self.modality, seed)
     }
 }

@@ -1,52 +1,52 @@
-//! How classifiers are trained: flags that `train` and `experiment` fraction.
+//! Training options of `train` and `experiment`.
 
 use gripcast_base::error::{Error, Result};
 use gripcast_nn::Architecture;
 use gripcast_nn::predict::contract::Variant;
 use gripcast_train::{Augmentation, TrainSettings};
 
-/// Flags.
+/// Training options.
 #[derive(Clone, Debug, clap::Args)]
+#[command(next_help_heading = "Training")]
 pub(super) struct TrainingFlags {
-    /// Network
-    #[arg(long, default_value = "gripcast", value_parser = Architecture::NAMES)]
+    /// Network architecture
+    #[arg(long, value_name = "NAME", default_value = "gripcast",
+        value_parser = Architecture::NAMES)]
     arch: String,
-    /// Times that every sample is seen
-    #[arg(long, default_value_t = 30)]
+    /// Number of training epochs
+    #[arg(long, value_name = "N", default_value_t = 30)]
     epochs: u32,
-    /// Samples of a step
-    #[arg(long, default_value_t = 16)]
-    batch: usize,
-    /// Learning rate at its highest; it falls linearly to zero
-    #[arg(long, default_value_t = 3e-4)]
+    /// Batch size
+    #[arg(long, value_name = "N", default_value_t = 16)]
+    batch_size: usize,
+    /// Peak learning rate (linear decay to 0)
+    #[arg(long, value_name = "RATE", default_value_t = 3e-4)]
     learning_rate: f64,
-    /// Fraction of themselves that weights lose in a step at a rate of 1
-    #[arg(long, default_value_t = 0.01)]
+    /// Weight decay (decoupled, AdamW)
+    #[arg(long, value_name = "DECAY", default_value_t = 0.01)]
     weight_decay: f64,
-    /// Fraction of the hidden floats that are left out at random
-    #[arg(long, default_value_t = 0.2)]
+    /// Dropout probability of the hidden layer
+    #[arg(long, value_name = "P", default_value_t = 0.2)]
     dropout: f64,
-    /// Epochs without a better validation accuracy after which training ends; 0 for never
-    #[arg(long, default_value_t = 0)]
+    /// Early-stopping patience (epochs); 0 disables early stopping
+    #[arg(long, value_name = "EPOCHS", default_value_t = 0)]
     patience: u32,
-    /// Leave images as they are
+    /// Disable data augmentation
     #[arg(long)]
     no_augmentation: bool,
 }
 
 impl TrainingFlags {
-    /// The settings of a training.
+    /// Returns the training settings.
     ///
     /// # Errors
-    /// `Usage`, with the flag.
+    /// `Usage`, naming the option.
     pub(super) fn settings(&self, variant: Variant, seed: u64) -> Result<TrainSettings> {
-        let architecture = Architecture::named(&self.arch).ok_or_else(|| {
-            let what = format!("there is no network `{}`", self.arch);
-            Error::usage(what)
-        })?;
+        let architecture = Architecture::named(&self.arch)
+            .ok_or_else(|| Error::usage(format!("unknown network architecture `{}`", self.arch)))?;
         let settings = TrainSettings {
             epochs: self.epochs,
-            batch: self.batch,
+            batch_size: self.batch_size,
             learning_rate: self.learning_rate,
             weight_decay: self.weight_decay,
             dropout: self.dropout,
@@ -54,9 +54,9 @@ impl TrainingFlags {
             augmentation: if self.no_augmentation {
                 Augmentation::NONE
             } else {
-                Augmentation::USUAL
+                Augmentation::DEFAULT
             },
-            ..TrainSettings::usual(variant, architecture, seed)
+            ..TrainSettings::new(variant, architecture, seed)
         };
         settings.check()?;
         Ok(settings)

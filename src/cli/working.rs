@@ -1,4 +1,4 @@
-//! Long computations: progress on stderr, and an end at Ctrl-C.
+//! Long computations with progress on stderr that end at Ctrl-C.
 
 use std::cell::Cell;
 use std::io::{self, IsTerminal as _};
@@ -15,42 +15,43 @@ use super::Context;
 use crate::note;
 use gripcast_base::error::{Error, ErrorKind, Result};
 
-/// Between lines that say that it still works, where there is no terminal.
-const LINE_EVERY: Duration = Duration::from_secs(10);
-/// What helps after a stop.
-const AGAIN: &str = "run the same command again: it goes on where it was";
+/// Interval of the status lines without a terminal.
+const LINE_INTERVAL: Duration = Duration::from_secs(10);
+/// Remedy after a stop.
+const RESUME: &str = "rerun the same command to resume";
 
-/// How a computation tells people where it is.
+/// Reports the progress of a computation.
 pub struct Progress(UnboundedSender<Event>);
 
 enum Event {
     Line(String),
     Stage(&'static str),
-    At { done: u64, all: u64 },
+    Count { done: u64, total: u64 },
 }
 
 impl Progress {
-    /// A line on stderr.
+    /// Prints a line on stderr.
     pub fn line(&self, text: impl Into<String>) {
-        // Nobody listens any more after Ctrl-C.
+        // After Ctrl-C nobody receives any more.
         let _ = self.0.send(Event::Line(text.into()));
     }
 
-    /// What is being done now.
+    /// Names the current stage.
     pub fn stage(&self, label: &'static str) {
         let _ = self.0.send(Event::Stage(label));
     }
 
-    /// How much is done.
-    pub fn at(&self, done: u64, all: u64) {
-        let _ = self.0.send(Event::At { done, all });
+    /// Reports how many items of the stage are done.
+    pub fn count(&self, done: usize, total: usize) {
+        let (done, total) = (done as u64, total as u64);
+        let _ = self.0.send(Event::Count { done, total });
     }
 }
 
-/// Runs `work` in a thread of its own while people see that it goes on.
+/// Runs `work` in its own thread and shows its progress.
 ///
 /// # Errors
-/// `Interrupted` at Ctrl-C: the thread is left behind for the process to end. `Internal` where
+/// `Interrupted` at Ctrl-C, when the thread is left behind for the process to end. `Internal` if
 /// the work panicked.
 pub fn interruptible<T: Send + 'static>(
     context: &Context,
@@ -60,8 +61,8 @@ pub fn interruptible<T: Send + 'static>(
     watched(context, label, false, std::future::pending(), work)
 }
 
-/// The same for work whose finished parts are on the disk: `SIGTERM` ends it with `Stopped`, and
-/// the same command goes on where it was.
+/// Runs work that keeps its finished items on disk and can be resumed: `SIGTERM` ends it with
+/// `Stopped`.
 ///
 /// # Errors
 /// As [`interruptible`], and `Stopped`.
@@ -73,33 +74,33 @@ pub(super) fn resumable<T: Send + 'static>(
     watched(context, label, true, std::future::pending(), work)
 }
 
-/// The same under a screen that shows the progress itself: nothing is printed, and what arrives at
-/// `asked` ends the work as Ctrl-C does.
+/// Runs resumable work under a screen that shows the progress itself: nothing is printed, and a
+/// message in `cancel` ends the work like Ctrl-C.
 ///
 /// # Errors
 /// As [`resumable`].
 pub(super) fn resumable_under_screen<T: Send + 'static>(
-    asked: oneshot::Receiver<()>,
+    cancel: oneshot::Receiver<()>,
     work: impl FnOnce() -> T + Send + 'static,
 ) -> Result<T> {
     let silent = Context {
         verbose: 0,
         quiet: true,
     };
-    let asked = async {
-        if asked.await.is_err() {
-            // The screen has gone and cannot ask any more.
+    let cancelled = async {
+        if cancel.await.is_err() {
+            // The screen has ended and can no longer cancel.
             std::future::pending().await
         }
     };
-    watched(&silent, "", true, asked, |_| work())
+    watched(&silent, "", true, cancelled, |_| work())
 }
 
 fn watched<T: Send + 'static>(
     context: &Context,
     label: &'static str,
     is_resumable: bool,
-    asked: impl Future<Output = ()>,
+    cancelled: impl Future<Output = ()>,
     work: impl FnOnce(&Progress) -> T + Send + 'static,
 ) -> Result<T> {
     let runtime = tokio::runtime::Builder::new_current_thread()
@@ -127,7 +128,7 @@ fn watched<T: Send + 'static>(
         worker
             .spawn(move || {
                 let progress = Progress(events);
-                // Nobody waits for the result any more after Ctrl-C.
+                // After Ctrl-C nobody waits for the result.
                 let _ = done.send(work(&progress));
             })
             .map_err(|e| Error::io("cannot start a thread", e))?;
@@ -135,9 +136,9 @@ fn watched<T: Send + 'static>(
         let outcome = tokio::select! {
             result = watch(&display, listening, result) => result,
             _ = interrupt.recv() => Err(interrupted(is_resumable)),
-            () = asked => Err(interrupted(is_resumable)),
-            _ = stopped => Err(Error::new(ErrorKind::Stopped, "stopped; what is finished is kept")
-                .remedy(AGAIN)),
+            () = cancelled => Err(interrupted(is_resumable)),
+            _ = stopped => Err(Error::new(ErrorKind::Stopped, "stopped; finished work is kept")
+                .remedy(RESUME)),
         };
         display.bar.finish_and_clear();
         outcome
@@ -147,7 +148,7 @@ fn watched<T: Send + 'static>(
 fn interrupted(is_resumable: bool) -> Error {
     let error = Error::new(ErrorKind::Interrupted, "interrupted");
     if is_resumable {
-        error.remedy(AGAIN)
+        error.remedy(RESUME)
     } else {
         error
     }
@@ -158,17 +159,17 @@ async fn watch<T>(
     mut listening: UnboundedReceiver<Event>,
     result: oneshot::Receiver<T>,
 ) -> Result<T> {
-    let mut still = interval(LINE_EVERY);
-    still.set_missed_tick_behavior(MissedTickBehavior::Delay);
-    still.tick().await;
+    let mut status = interval(LINE_INTERVAL);
+    status.set_missed_tick_behavior(MissedTickBehavior::Delay);
+    status.tick().await;
     loop {
         tokio::select! {
             event = listening.recv() => match event {
                 Some(event) => display.show(event),
-                // The worker has ended and told all.
+                // The worker has ended.
                 None => break,
             },
-            _ = still.tick() => display.still(),
+            _ = status.tick() => display.print_status(),
         }
     }
     result
@@ -176,39 +177,39 @@ async fn watch<T>(
         .map_err(|_| Error::internal("the computation ended early"))
 }
 
-/// How much is done, and how fast.
+/// Progress of a stage and its rate.
 #[derive(Clone, Copy)]
-struct Position {
-    /// Where it was when it was first told, and when: what an earlier run has done takes no time.
+struct StageProgress {
+    /// First reported count and its time: work of an earlier run takes no time.
     first: (u64, Instant),
     done: u64,
-    all: u64,
+    total: u64,
 }
 
-impl Position {
-    fn moved(before: Option<Self>, done: u64, all: u64) -> Self {
-        let same = before.filter(|before| before.all == all && before.done <= done);
+impl StageProgress {
+    fn new(before: Option<Self>, done: u64, total: u64) -> Self {
+        let same = before.filter(|before| before.total == total && before.done <= done);
         let first = same.map_or_else(|| (done, Instant::now()), |before| before.first);
-        Self { first, done, all }
+        Self { first, done, total }
     }
 
     fn text(&self) -> String {
-        let (from, when) = self.first;
-        let rest = (self.all - self.done) as f64 * when.elapsed().as_secs_f64();
-        let left = match self.done.saturating_sub(from) {
+        let (first, start) = self.first;
+        let rest = (self.total - self.done) as f64 * start.elapsed().as_secs_f64();
+        let left = match self.done.saturating_sub(first) {
             0 => String::new(),
-            moved => format!(", about {:.0} s left", rest / moved as f64),
+            done => format!(", about {:.0} s left", rest / done as f64),
         };
-        format!(", {} of {}{left}", self.done, self.all)
+        format!(", {} of {}{left}", self.done, self.total)
     }
 }
 
-/// A bar on a terminal, lines elsewhere, nothing with `--quiet`.
+/// A progress bar on a terminal, lines elsewhere, nothing with `--quiet`.
 struct Display {
     bar: ProgressBar,
     label: Cell<&'static str>,
     started: Instant,
-    at: Cell<Option<Position>>,
+    progress: Cell<Option<StageProgress>>,
     has_lines: bool,
 }
 
@@ -234,7 +235,7 @@ impl Display {
             bar,
             label: Cell::new(label),
             started: Instant::now(),
-            at: Cell::new(None),
+            progress: Cell::new(None),
             has_lines,
         }
     }
@@ -246,16 +247,17 @@ impl Display {
             Event::Stage(label) if self.label.get() == label => {}
             Event::Stage(label) => {
                 self.label.set(label);
-                self.at.set(None);
+                self.progress.set(None);
                 self.bar.set_message(label);
                 if self.has_lines {
                     note!("{label}");
                 }
             }
-            Event::At { done, all } => {
-                self.at.set(Some(Position::moved(self.at.get(), done, all)));
-                if self.bar.length() != Some(all) {
-                    self.bar.set_length(all);
+            Event::Count { done, total } => {
+                let progress = StageProgress::new(self.progress.get(), done, total);
+                self.progress.set(Some(progress));
+                if self.bar.length() != Some(total) {
+                    self.bar.set_length(total);
                     self.bar.set_position(done);
                     self.bar.reset_eta();
                     let template = "{msg} [{bar:30}] {pos}/{len} {elapsed}, {eta} left";
@@ -268,11 +270,11 @@ impl Display {
         }
     }
 
-    fn still(&self) {
+    fn print_status(&self) {
         if self.has_lines {
             let seconds = self.started.elapsed().as_secs();
-            let at = self.at.get().map_or(String::new(), |at| at.text());
-            note!("{} for {seconds} s{at}", self.label.get());
+            let progress = self.progress.get().map_or(String::new(), |p| p.text());
+            note!("{} for {seconds} s{progress}", self.label.get());
         }
     }
 }
@@ -287,19 +289,19 @@ mod tests {
     };
 
     #[test]
-    fn the_result_comes_back_with_its_progress() {
-        let found = interruptible(&QUIET, "adding", |progress| {
+    fn interruptible_returns_result() {
+        let result = interruptible(&QUIET, "adding", |progress| {
             progress.line("first");
-            progress.at(1, 2);
+            progress.count(1, 2);
             40 + 2
         });
-        assert_eq!(found.unwrap(), 42);
+        assert_eq!(result.unwrap(), 42);
     }
 
     #[test]
     #[allow(clippy::panic)]
-    fn a_panic_is_a_defect_and_no_hang() {
-        let found: Result<()> = interruptible(&QUIET, "failing", |_| panic!("on purpose"));
-        assert_eq!(found.unwrap_err().kind(), ErrorKind::Internal);
+    fn panic_becomes_internal_error() {
+        let result: Result<()> = interruptible(&QUIET, "failing", |_| panic!("on purpose"));
+        assert_eq!(result.unwrap_err().kind(), ErrorKind::Internal);
     }
 }

@@ -13,19 +13,18 @@ use gripcast_base::error::{Error, Result, nearest_name};
 /// Prefix of environment variables.
 const ENV_PREFIX: &str = "GRIPCAST__";
 
-/// Whether a key is ignored in a file that was only found in the current folder.
+/// Returns whether a key is ignored in the `gripcast.toml` of the current folder.
 ///
-/// Such a file may have come with somebody else's data. It may say what is collected and how. It
-/// may not decide who can reach this machine and what they must show, nor where files outside the
-/// dataset are written, removed or read through links. No key names a command that is executed; one that did would
-/// belong here.
+/// Such a file may come with third-party data. It may set what is collected and how, but not network
+/// access and credentials, nor where files outside the dataset are written, removed or read through
+/// links. No key names a command to execute; such a key would be protected as well.
 fn is_protected(key: &str) -> bool {
     key.starts_with("daemon.") || key.starts_with("files.") || key == "black_box.directory"
 }
-/// Where a value came from.
+/// Origin of a value.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Origin {
-    /// Built in.
+    /// Built-in default.
     Default,
     /// A configuration file.
     File(PathBuf),
@@ -49,14 +48,14 @@ impl fmt::Display for Origin {
 /// A configuration file.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum ConfigFile {
-    /// Named by the user, or the user's own.
+    /// A file named by the user, or the user's own file.
     Chosen(PathBuf),
-    /// `gripcast.toml` in the current folder, which nobody named.
+    /// `gripcast.toml` in the current folder, not named by the user.
     Found(PathBuf),
 }
 
 impl ConfigFile {
-    /// Where it is.
+    /// Returns its path.
     #[must_use]
     pub fn path(&self) -> &Path {
         match self {
@@ -65,7 +64,7 @@ impl ConfigFile {
     }
 }
 
-/// A value that was ignored: it is protected, and its file was only found.
+/// An ignored value: a protected key in the `gripcast.toml` of the current folder.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Ignored {
     /// The value.
@@ -75,7 +74,7 @@ pub struct Ignored {
 }
 
 impl Ignored {
-    /// What happened to `key`, why, and how to set it on purpose.
+    /// Explains why `key` was ignored and how to set it.
     #[must_use]
     pub fn warning(&self, key: &str) -> String {
         let (value, file) = (&self.value, self.file.display());
@@ -94,25 +93,25 @@ impl Ignored {
     }
 }
 
-/// The configuration together with the origin of every value, by dotted key.
+/// The configuration and the origin of every value, by dotted key.
 #[derive(Clone, Debug)]
 pub struct Layered {
     /// Merged values.
     pub config: Config,
     /// Dotted key → value and origin, sorted.
     pub values: BTreeMap<String, (Value, Origin)>,
-    /// Dotted key → what was ignored and nothing else sets.
+    /// Dotted key → ignored value that no other layer sets.
     pub ignored: BTreeMap<String, Ignored>,
 }
 
-/// A flag that was given: its name, dotted key and value.
+/// A given flag: name, dotted key and value.
 pub type FlagValue = (&'static str, &'static str, String);
 
 /// Merges all layers.
 ///
 /// # Errors
-/// `Config` for an unreadable or wrong file, an unknown key (with the nearest known one), a value
-/// of the wrong type; each names its origin.
+/// `Config` for an invalid file, an unknown key (with the nearest one) or a value of the wrong type;
+/// each names its origin.
 pub fn load(
     file: Option<&ConfigFile>,
     environment: impl IntoIterator<Item = (String, String)>,
@@ -127,7 +126,7 @@ pub fn load(
     merge(file.zip(text.as_deref()), environment, flags)
 }
 
-/// As [`load`], with the text of a file that was read already.
+/// Merges all layers like [`load`], with the text of the file.
 ///
 /// # Errors
 /// As [`load`].
@@ -190,7 +189,7 @@ pub fn merge(
     })
 }
 
-/// The file that is read when none is named: `./gripcast.toml`, then
+/// Returns the default configuration file: `./gripcast.toml`, else
 /// `$XDG_CONFIG_HOME/gripcast/config.toml`.
 #[must_use]
 pub fn default_file() -> Option<ConfigFile> {
@@ -201,7 +200,7 @@ pub fn default_file() -> Option<ConfigFile> {
     user_file().map(ConfigFile::Chosen)
 }
 
-/// `$XDG_CONFIG_HOME/gripcast/config.toml`, where it is there.
+/// Returns `$XDG_CONFIG_HOME/gripcast/config.toml`, if it exists.
 fn user_file() -> Option<PathBuf> {
     let home = std::env::var_os("XDG_CONFIG_HOME")
         .map(PathBuf::from)
@@ -210,9 +209,8 @@ fn user_file() -> Option<PathBuf> {
     own.is_file().then_some(own)
 }
 
-/// `files.linked_folders` of the environment, else of the user's own file: what every verb needs
-/// before it has read its configuration. A file that is not valid is reported by the verbs that
-/// read it.
+/// Returns `files.linked_folders` of the environment, else of the user's own file, before a command
+/// reads its configuration. An invalid file is reported by the commands that read it.
 #[must_use]
 pub fn linked_folders() -> Vec<PathBuf> {
     let linked_folders = std::env::var(format!("{ENV_PREFIX}FILES__LINKED_FOLDERS")).ok();
@@ -313,7 +311,7 @@ fn assemble(values: &BTreeMap<String, (Value, Origin)>) -> Result<Config> {
         }
     }
     root.try_into()
-        .map_err(|e| Error::config("the configuration is wrong").because(e))
+        .map_err(|e| Error::config("invalid configuration").because(e))
 }
 
 #[cfg(test)]
@@ -326,7 +324,7 @@ mod tests {
     }
 
     #[test]
-    fn later_layers_win_and_origins_are_kept() {
+    fn later_layers_override_and_keep_origin() {
         let dir = tempfile::tempdir().unwrap();
         let file = dir.path().join("c.toml");
         std::fs::write(
@@ -349,7 +347,7 @@ mod tests {
     }
 
     #[test]
-    fn a_file_that_was_only_found_cannot_open_the_network_or_choose_where_files_go() {
+    fn file_in_current_folder_cannot_set_protected_keys() {
         let path = PathBuf::from("gripcast.toml");
         let text = "[daemon]\nlisten = \"0.0.0.0:7471\"\nsocket = \"/tmp/s\"\ntoken_file = \"t\"\n\
                     [black_box]\ndirectory = \"/home/ada\"\nenabled = true\n[collect]\nscene = \"lab\"\n";
@@ -365,7 +363,7 @@ mod tests {
         assert_eq!(config.daemon.token_file, "");
         assert_eq!(config.black_box.directory, "");
         assert!(config.black_box.enabled && config.collect.scene == "lab");
-        // The socket is set by something else: nothing of the file is missing.
+        // The socket is set by another layer, so it is not listed.
         let keys: Vec<&str> = layered.ignored.keys().map(String::as_str).collect();
         assert_eq!(
             keys,
@@ -393,7 +391,7 @@ mod tests {
     }
 
     #[test]
-    fn unknown_keys_name_the_nearest_and_their_origin() {
+    fn unknown_key_names_nearest_and_origin() {
         let env = [("GRIPCAST__COLLECT__OPERATR".to_owned(), "x".to_owned())];
         let error = load(None, env, &[]).unwrap_err();
         assert_eq!(error.kind(), ErrorKind::Config);
@@ -412,12 +410,12 @@ mod tests {
     }
 
     #[test]
-    fn defaults_assemble_to_the_default_configuration() {
+    fn defaults_assemble_to_default_config() {
         assert_eq!(load(None, none(), &[]).unwrap().config, Config::default());
     }
 
     #[test]
-    fn a_file_that_is_not_toml_is_an_explained_error() {
+    fn invalid_toml_is_explained() {
         let dir = tempfile::tempdir().unwrap();
         let file = dir.path().join("c.toml");
         std::fs::write(&file, "[collect\n").unwrap();

@@ -1,8 +1,7 @@
 //! Configuration: defaults < TOML file < `GRIPCAST__SECTION__KEY` < flags.
 //!
-//! Every value remembers where it came from (`gripcast config show`); unknown keys are errors
-//! that name the nearest known one. A file that was only found in the current folder may not set
-//! all keys.
+//! Every value keeps its origin (`gripcast config show`); an unknown key is an error that names the
+//! nearest one. A `gripcast.toml` found in the current folder may not set protected keys.
 
 mod layers;
 
@@ -20,17 +19,17 @@ pub use layers::{
     ConfigFile, FlagValue, Ignored, Layered, Origin, default_file, linked_folders, load, merge,
 };
 
-/// All settings; empty text = not set.
+/// All settings; an empty string means not set.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct Config {
     /// Collection.
     pub collect: CollectConfig,
-    /// The service.
+    /// Daemon.
     pub daemon: DaemonConfig,
-    /// Limits of the guards at the trigger.
+    /// Limits of the trigger guards.
     pub guards: GuardLimits,
-    /// The continuous log of a collection.
+    /// Rolling log of a collection.
     pub black_box: BlackBoxConfig,
     /// Files of datasets, plans and meshes.
     pub files: FilesConfig,
@@ -40,13 +39,12 @@ pub struct Config {
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct FilesConfig {
-    /// Folders outside of a dataset into which its symbolic links may lead, with `:` between them
-    /// as in `PATH`.
+    /// Folders outside of a dataset that its symbolic links may point into, separated by `:`.
     pub linked_folders: String,
 }
 
 impl FilesConfig {
-    /// The folders.
+    /// Returns the folders.
     #[must_use]
     pub fn folders(&self) -> Vec<PathBuf> {
         std::env::split_paths(&self.linked_folders)
@@ -55,23 +53,22 @@ impl FilesConfig {
     }
 }
 
-/// Most that waits in memory to be written to the black box, bytes: a third of a second of two
-/// GelSight Minis and a D435.
+/// Size of the black box write queue, bytes: a third of a second of two GelSight Minis and a D435.
 const BLACK_BOX_QUEUE_BYTES: usize = 64 << 20;
 
 /// Section `[black_box]`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct BlackBoxConfig {
-    /// Whether there is one.
+    /// Whether it is enabled.
     pub enabled: bool,
-    /// Directory that gets one directory for each dataset; empty = `blackbox` in the dataset.
+    /// Parent folder of one folder per dataset; empty: `blackbox` in the dataset.
     pub directory: String,
-    /// Size from which a new file is begun, MiB.
+    /// Size at which a new file is started, MiB.
     pub file_mib: u64,
-    /// Most that a dataset's files may take, GiB; the oldest make room.
+    /// Maximum size of a dataset's log, GiB; the oldest files are removed.
     pub total_gib: f64,
-    /// Free space of the disk below which the log ends, GB.
+    /// Free disk space below which logging stops, GB.
     pub reserve_gb: f64,
 }
 
@@ -88,30 +85,30 @@ impl Default for BlackBoxConfig {
 }
 
 impl BlackBoxConfig {
-    /// What the engine gets for a dataset; none where it is not enabled.
+    /// Returns the black box settings of a dataset; none if disabled.
     ///
     /// # Errors
-    /// `Config` for limits that contradict each other or are out of range.
+    /// `Config` for limits that are out of range or contradict each other.
     pub fn settings(&self, dataset: &Path) -> Result<Option<BlackBoxSettings>> {
         if !self.enabled {
             return Ok(None);
         }
-        let wrong = |key: &str, expected: &str, found: &dyn fmt::Display| {
+        let invalid = |key: &str, expected: &str, found: &dyn fmt::Display| {
             let what = format!("`black_box.{key}` must be {expected}, found {found}");
             Error::config(what)
         };
         if !(1..=1 << 20).contains(&self.file_mib) {
-            return Err(wrong("file_mib", "between 1 and 1048576", &self.file_mib));
+            return Err(invalid("file_mib", "between 1 and 1048576", &self.file_mib));
         }
         let file_bytes = self.file_mib << 20;
         let total = self.total_gib * (1_u64 << 30) as f64;
         if !(total.is_finite() && total >= file_bytes as f64) {
             let expected = format!("at least one file of {} MiB", self.file_mib);
-            return Err(wrong("total_gib", &expected, &self.total_gib));
+            return Err(invalid("total_gib", &expected, &self.total_gib));
         }
         let reserve = self.reserve_gb * 1e9;
         if !(reserve.is_finite() && reserve >= 0.0) {
-            return Err(wrong("reserve_gb", "0 or more", &self.reserve_gb));
+            return Err(invalid("reserve_gb", "0 or more", &self.reserve_gb));
         }
         let directory = if self.directory.is_empty() {
             dataset.join("blackbox")
@@ -133,12 +130,12 @@ impl BlackBoxConfig {
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct DaemonConfig {
-    /// Address and port of page and API; `none` = not over TCP.
+    /// Address and port of the page and the API; `none` disables TCP.
     pub listen: String,
-    /// Unix socket for local programs; empty = in `$XDG_RUNTIME_DIR` or `/run/gripcast`, `none` =
-    /// no socket.
+    /// Unix socket for local programs; empty: in `$XDG_RUNTIME_DIR` or `/run/gripcast`; `none`
+    /// disables it.
     pub socket: String,
-    /// File with the token that clients over TCP must show.
+    /// File with the token that TCP clients must present.
     pub token_file: String,
 }
 
@@ -158,20 +155,20 @@ impl Default for DaemonConfig {
 pub struct CollectConfig {
     /// Rig name or file.
     pub rig: String,
-    /// Dataset directory.
+    /// Dataset folder.
     pub dataset: String,
-    /// Object at the start.
+    /// Initial object name.
     pub object: ObjectName,
-    /// Scene at the start.
+    /// Initial scene name.
     pub scene: Label,
-    /// Operator.
+    /// Name of the operator.
     pub operator: Label,
-    /// ONNX file, `gripcast-vt` or `baseline-contact`; empty = the first of these that suits the
-    /// rig, `none` = no prediction.
+    /// ONNX file, `gripcast-vt` or `baseline-contact`; empty: the first of the two that suits the
+    /// rig; `none` disables prediction.
     pub model: String,
     /// `auto`, `bell` or `off`.
     pub sound: String,
-    /// Licence that is written into a new dataset.
+    /// Licence of a new dataset.
     pub licence: String,
 }
 
@@ -196,7 +193,7 @@ mod tests {
     use gripcast_base::error::ErrorKind;
 
     #[test]
-    fn the_black_box_is_off_and_its_limits_are_checked() {
+    fn black_box_is_off_and_checks_limits() {
         let dataset = Path::new("/data/kitchen");
         assert_eq!(BlackBoxConfig::default().settings(dataset).unwrap(), None);
         let on = BlackBoxConfig {

@@ -1,7 +1,7 @@
 //! Whether the model loads, fits the rig and computes on this processor what it should.
 
 use super::{Finding, Verdict};
-use crate::model_choice::{misfit, usual_model};
+use crate::model_choice::{default_model, misfit};
 use gripcast_base::error::Result;
 use gripcast_capture::calibration::RigFile;
 use gripcast_nn::predict::{BASELINE, Model, SelfCheck, model_bytes, self_check};
@@ -25,7 +25,7 @@ pub(super) fn findings(name: &str, rig: Option<&RigFile>) -> Vec<Finding> {
 
 fn looked_at(name: &str, rig: Option<&RigFile>) -> Result<Vec<Finding>> {
     let (name, why) = match (name, rig) {
-        ("", Some(rig)) => usual_model(rig)?,
+        ("", Some(rig)) => default_model(rig)?,
         ("", None) => (gripcast_nn::predict::SHIPPED, None),
         (name, _) => (name, None),
     };

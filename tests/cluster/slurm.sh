@@ -165,7 +165,7 @@ idle() { [ "$(node_state)" = idle ]; }
 until_true "an idle node" idle
 say "the cluster is up"
 
-plan_flags=(--preset tiny --objects 4 --grasps 1 --samples 1)
+plan_flags=(--preset tiny --objects 4 --grasps 1 --spp 1)
 limited "$gripcast" --quiet synth plan "${plan_flags[@]}" --out "$dir/plan"
 limited "$gripcast" --quiet synth plan "${plan_flags[@]}" --out "$dir/alone"
 cmp "$dir/plan/plan.jsonl" "$dir/alone/plan.jsonl"
@@ -222,7 +222,7 @@ ask scancel --signal=TERM --batch "${array}_0" || fail "scancel"
 until_true "SIGTERM in task 0" has_sigterm "$first"
 kill -CONT "$first"
 until_true "task 0 in the queue again" shows "${array}_0" "Restarts=1"
-grep -q "what is finished is kept" "$dir/jobs/slurm-${array}_0.out" ||
+grep -q "finished work is kept" "$dir/jobs/slurm-${array}_0.out" ||
     fail "task 0 did not say that it was stopped"
 say "task 0 got SIGTERM and is in the queue again"
 

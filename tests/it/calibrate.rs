@@ -85,7 +85,7 @@ fn invalid_intrinsics_are_rejected() {
             "unknown camera file format",
         ),
         (format!("show {}", at("k.yml")), 1, "--size 1280x720"),
-        (format!("show {} --size 12,7", at("k.yml")), 2, "1280x720"),
+        (format!("show {} --size 12,7", at("k.yml")), 2, "640x480"),
         (
             format!("show {} --size 640x480", at("a.toml")),
             1,

@@ -24,7 +24,7 @@ fn help(command: &mut Command, text: &mut String) {
 }
 
 #[test]
-fn help_texts_are_as_reviewed() {
+fn help_texts_match_snapshots() {
     let mut program = cli::command().term_width(100).disable_help_subcommand(true);
     program.build();
     let mut settings = insta::Settings::clone_current();

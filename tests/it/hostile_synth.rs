@@ -48,7 +48,7 @@ impl Jail {
         let mut command = gripcast();
         command
             .args(["synth", "plan", "--preset", "tiny", "--engine", "rigid"])
-            .args(["--grasps", "4", "--samples", "1", "--stop-force-n", "10"])
+            .args(["--grasps", "4", "--spp", "1", "--stop-force-n", "10"])
             .arg("--table")
             .arg(self.at("table/objects.toml"))
             .arg("--out")

@@ -141,7 +141,7 @@ fn with_json(command: &Command, path: &str, found: &mut BTreeSet<String>) {
 }
 
 #[test]
-fn every_command_with_json_has_a_reviewed_schema() {
+fn every_json_command_has_schema_snapshot() {
     let mut commands = BTreeSet::new();
     with_json(&cli::command(), "", &mut commands);
     let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/it/snapshots/json");
@@ -155,7 +155,7 @@ fn every_command_with_json_has_a_reviewed_schema() {
 }
 
 #[test]
-fn optional_keys_items_and_types_are_told() {
+fn schema_shows_optional_keys_items_and_types() {
     let first = serde_json::json!({"a": [{"b": 1}, {"b": 1.5, "c": null}], "d": []});
     let second = serde_json::json!({"a": [], "d": ["x"], "g": [1], "e": {"f": true}});
     let expected = "a: array\na[]: object\na[].b: integer | number\na[].c?: null\n\
@@ -176,7 +176,7 @@ fn output(words: &str, path: &Path) -> Value {
 }
 
 #[test]
-fn schemas_of_datasets() {
+fn dataset_schemas() {
     let dir = tempfile::tempdir().unwrap();
     let dataset = dir.path().join("d");
     let ids = write_dataset(&dataset, &["mug", "bottle", "mug", "sponge"]);
@@ -208,7 +208,7 @@ fn schemas_of_datasets() {
 }
 
 #[test]
-fn schemas_of_printed_boards() {
+fn board_schemas() {
     let dir = tempfile::tempdir().unwrap();
     for (command, flags) in [
         ("board charuco", "--squares 8x6 --square-mm 28"),
@@ -223,7 +223,7 @@ fn schemas_of_printed_boards() {
 }
 
 #[test]
-fn schema_of_the_configuration() {
+fn config_schema() {
     let dir = tempfile::tempdir().unwrap();
     let file = dir.path().join("gripcast.toml");
     std::fs::write(&file, "[daemon]\nlisten = \"none\"\n").unwrap();
@@ -236,7 +236,7 @@ fn schema_of_the_configuration() {
 }
 
 #[test]
-fn schemas_of_live_benches() {
+fn live_bench_schemas() {
     for (command, flags) in [
         ("bench live", "--seconds 1 --model baseline-contact"),
         ("bench daemon", "--seconds 1 --grasps 1 --viewers 1"),
@@ -251,7 +251,7 @@ fn schemas_of_live_benches() {
 }
 
 #[test]
-fn schema_of_what_the_service_reports_at_its_end() {
+fn closing_report_schema() {
     let dir = tempfile::tempdir().unwrap();
     let mut child = gripcast()
         .args(["daemon", "--json", "--rig", "virtual", "--dataset", "d"])

@@ -221,7 +221,7 @@ fn the_bench_prints_the_promised_figures() {
     assert_schema("bench predict", &[&report]);
     assert_eq!(report["name"], "predict");
     assert_eq!(report["params"]["runs"], 30);
-    assert!(report["peers"].as_object().unwrap().is_empty());
+    assert!(report["baselines"].as_object().unwrap().is_empty());
     for key in ["engine_ms", "preprocess_ms", "load_ms"] {
         let figure = |kind: &str| report["figures"][format!("{key}_{kind}")].as_f64().unwrap();
         assert!(

@@ -107,7 +107,7 @@ fn init_does_not_overwrite() {
 
     let output = gripcast(&tree, &arguments);
     assert_eq!(output.status.code(), Some(2));
-    assert!(stderr(&output).contains("exists already"));
+    assert!(stderr(&output).contains("the rig file exists"));
     assert_eq!(fs::read_to_string(&out).unwrap(), written);
 
     let output = gripcast(&Tree::new(), &["init", "--out", "/proc/nonexistent/x.toml"]);

@@ -22,7 +22,7 @@ const FEW: [&str; 12] = [
     "4",
     "--grasps",
     "2",
-    "--samples",
+    "--spp",
     "1",
     "--seed",
     "3",
@@ -260,7 +260,7 @@ fn objects_come_from_a_table_and_wrong_ones_are_left_out() {
         let mut command = gripcast();
         command
             .args(["synth", "plan", "--preset", "tiny", "--engine", "rigid"])
-            .args(["--grasps", "1", "--samples", "1", "--table"])
+            .args(["--grasps", "1", "--spp", "1", "--table"])
             .arg(table)
             .arg("--out")
             .arg(out);

@@ -95,7 +95,7 @@ fn write_dataset(data: &Path) {
 fn train(data: &Path, out: &Path) -> Command {
     let mut command = gripcast();
     command
-        .args(["train", "--json", "--modality", "t", "--batch", "4"])
+        .args(["train", "--json", "--modality", "t", "--batch-size", "4"])
         .args(["--epochs", EPOCHS, "--data"])
         .arg(data)
         .arg("--out")
@@ -134,7 +134,7 @@ fn signalled(data: &Path, out: &Path, epochs: usize, signal: Signal) -> Option<i
 }
 
 #[test]
-fn a_run_that_was_killed_and_stopped_ends_with_the_same_files() {
+fn killed_and_stopped_run_ends_with_same_files() {
     let dir = tempfile::tempdir().unwrap();
     let data = dir.path().join("data");
     write_dataset(&data);
@@ -198,7 +198,7 @@ fn a_run_that_was_killed_and_stopped_ends_with_the_same_files() {
 }
 
 #[test]
-fn the_comparison_of_the_paper_is_reported() {
+fn fig6_experiment_reports_comparison() {
     let dir = tempfile::tempdir().unwrap();
     let data = dir.path().join("data");
     write_dataset(&data);
@@ -206,7 +206,7 @@ fn the_comparison_of_the_paper_is_reported() {
     let mut command = gripcast();
     command
         .args(["experiment", "fig6", "--json", "--seeds", "1"])
-        .args(["--epochs", "1", "--batch", "4", "--fem"])
+        .args(["--epochs", "1", "--batch-size", "4", "--fem"])
         .arg(&data)
         .arg("--out")
         .arg(dir.path().join("fig6"));
@@ -222,7 +222,7 @@ fn on_terminal(
     q_after: Option<usize>,
 ) -> (String, Option<i32>) {
     let line = format!(
-        "stty rows 24 cols 80; exec {} train --modality t --batch 4 {flags} --data {} --out {}",
+        "stty rows 24 cols 80; exec {} train --modality t --batch-size 4 {flags} --data {} --out {}",
         env!("CARGO_BIN_EXE_gripcast"),
         data.display(),
         out.display()
@@ -250,7 +250,7 @@ fn on_terminal(
 }
 
 #[test]
-fn the_dashboard_stops_at_q_and_leaves_the_terminal_as_it_was() {
+fn dashboard_quits_on_q_and_restores_terminal() {
     const ENTERED: &str = "\u{1b}[?1049h";
     const LEFT: &str = "\u{1b}[?1049l";
     let dir = tempfile::tempdir().unwrap();
@@ -288,7 +288,7 @@ fn the_dashboard_stops_at_q_and_leaves_the_terminal_as_it_was() {
 }
 
 #[test]
-fn datasets_that_teach_nothing_are_explained() {
+fn unusable_datasets_are_explained() {
     let dir = tempfile::tempdir().unwrap();
     let refused = |name: &str, rows: Vec<ShardRow>, words: [&str; 2]| {
         let data = dir.path().join(name);
@@ -309,7 +309,7 @@ fn datasets_that_teach_nothing_are_explained() {
     };
     refused("empty", Vec::new(), ["`train`", "no samples"]);
     let stable = (0..4).map(|n| row("train", n, true)).collect();
-    refused("one-sided", stable, ["4 stable and 0 lost", "both labels"]);
+    refused("one-sided", stable, ["4 stable and 0 slip", "both labels"]);
 
     let nothing = dir.path().join("nothing");
     let output = train(&nothing, &dir.path().join("run")).output().unwrap();

@@ -5,7 +5,7 @@ use std::time::Duration;
 use gripcast::tui::{ColourDepth, Palette, TrainingNews, TrainingStatus, draw_training};
 use gripcast_nn::Architecture;
 use gripcast_nn::predict::contract::Variant;
-use gripcast_train::{EpochFigures, PartCounts, RunStart, TrainEvent, TrainSettings};
+use gripcast_train::{EpochMetrics, RunStart, SplitCounts, TrainEvent, TrainSettings};
 use ratatui::Terminal;
 use ratatui::backend::TestBackend;
 use ratatui::style::Color;
@@ -16,16 +16,16 @@ const EPOCHS: u64 = 30;
 const STEP: Duration = Duration::from_millis(1200);
 
 fn settings() -> TrainSettings {
-    TrainSettings::usual(Variant::Vt, Architecture::named("gripcast").unwrap(), 0)
+    TrainSettings::new(Variant::Vt, Architecture::named("gripcast").unwrap(), 0)
 }
 
 fn fresh(seeds: u64) -> TrainingStatus {
     TrainingStatus::new("kitchen-fem", "vt", settings(), seeds)
 }
 
-fn figures(epoch: u32) -> EpochFigures {
+fn figures(epoch: u32) -> EpochMetrics {
     let since = f64::from(epoch);
-    EpochFigures {
+    EpochMetrics {
         epoch,
         train_loss: 0.7 * (-since / 5.0).exp(),
         validation_loss: 0.6 - 0.05 * since + 0.006 * since * since,
@@ -36,16 +36,16 @@ fn figures(epoch: u32) -> EpochFigures {
 }
 
 fn start(epochs: u32) -> RunStart {
-    let part = |samples, stable, objects| PartCounts {
+    let split = |samples, stable, objects| SplitCounts {
         samples,
         stable,
         objects,
     };
     RunStart {
-        train: part(640, 322, 38),
-        validation: part(96, 48, 9),
+        train: split(640, 322, 38),
+        validation: split(96, 48, 9),
         steps_per_epoch: STEPS,
-        at: [u64::from(epochs) * STEPS, EPOCHS * STEPS],
+        steps: [u64::from(epochs) * STEPS, EPOCHS * STEPS],
         epochs: (1..=epochs).map(figures).collect(),
     }
 }
@@ -55,7 +55,7 @@ fn steps(status: &mut TrainingStatus, steps: std::ops::Range<u64>) {
     let begun = steps.start;
     for step in steps {
         let event = TrainEvent::Step {
-            at: [step + 1, EPOCHS * STEPS],
+            steps: [step + 1, EPOCHS * STEPS],
             loss: 0.69 / (1.0 + step as f64 / 60.0),
             learning_rate: 3e-4 * (1.0 - step as f64 / (EPOCHS * STEPS) as f64),
         };
@@ -69,7 +69,7 @@ fn begun() -> TrainingStatus {
     let mut status = fresh(5);
     status.take(TrainingNews::Seed(0), Duration::ZERO);
     status.take(
-        TrainingNews::Train(TrainEvent::Begun(start(0))),
+        TrainingNews::Train(TrainEvent::Started(start(0))),
         Duration::ZERO,
     );
     steps(&mut status, 0..17);
@@ -80,7 +80,7 @@ fn begun() -> TrainingStatus {
 fn resumed() -> TrainingStatus {
     let mut status = fresh(1);
     status.take(
-        TrainingNews::Train(TrainEvent::Begun(start(6))),
+        TrainingNews::Train(TrainEvent::Started(start(6))),
         Duration::ZERO,
     );
     steps(&mut status, 6 * STEPS..7 * STEPS);
@@ -122,7 +122,7 @@ fn the_dashboard_at_other_sizes() {
 fn what_is_done_besides_steps_is_said() {
     let mut status = resumed();
     let now = Duration::from_secs(70);
-    let look = TrainEvent::Look([64, 96]);
+    let look = TrainEvent::Validate([64, 96]);
     status.take(TrainingNews::Train(look), now);
     assert!(image(80, 24, &status).contains("validation, 64 of 96 samples"));
     status.take(TrainingNews::Stage("calibrating"), now);
@@ -130,11 +130,11 @@ fn what_is_done_besides_steps_is_said() {
 }
 
 #[test]
-fn the_next_seed_begins_anew_and_the_last_one_is_kept_as_a_line() {
+fn next_seed_resets_screen_and_keeps_last_as_line() {
     let mut status = fresh(2);
     let now = Duration::from_secs(9);
     status.take(TrainingNews::Seed(0), now);
-    status.take(TrainingNews::Train(TrainEvent::Begun(start(7))), now);
+    status.take(TrainingNews::Train(TrainEvent::Started(start(7))), now);
     status.take(TrainingNews::Seed(1), now);
     let text = image(100, 24, &status);
     assert!(text.contains("seed 1, 2 of 2"), "{text}");
@@ -144,7 +144,7 @@ fn the_next_seed_begins_anew_and_the_last_one_is_kept_as_a_line() {
 }
 
 #[test]
-fn colours_are_left_out_where_they_are_not_wanted() {
+fn colours_are_disabled_on_request() {
     let has_colour = |depth| {
         let screen = drawn(80, 24, &resumed(), depth);
         let cells = screen.buffer().content().iter();
@@ -168,7 +168,7 @@ fn colours_are_left_out_where_they_are_not_wanted() {
 #[test]
 fn no_size_and_no_figures_break_it() {
     let mut odd = TrainingStatus::new("茶 ☕\n\u{7}", "", settings(), 100);
-    let broken = EpochFigures {
+    let broken = EpochMetrics {
         train_loss: f64::NAN,
         validation_loss: f64::INFINITY,
         validation_accuracy: -1e300,
@@ -177,16 +177,16 @@ fn no_size_and_no_figures_break_it() {
     };
     let nothing = RunStart {
         steps_per_epoch: 0,
-        at: [7, 0],
+        steps: [7, 0],
         epochs: vec![broken; 40],
         ..start(0)
     };
     odd.take(
-        TrainingNews::Train(TrainEvent::Begun(nothing)),
+        TrainingNews::Train(TrainEvent::Started(nothing)),
         Duration::MAX,
     );
     let step = TrainEvent::Step {
-        at: [8, 0],
+        steps: [8, 0],
         loss: f64::NAN,
         learning_rate: f64::INFINITY,
     };

@@ -1,9 +1,8 @@
-//! Contact of two pressed gels and a sphere, to time its phases apart from all else.
+//! Contact of two pressed gels and a sphere, to time its phases in isolation.
 //!
-//! The sphere is an icosphere of radius 20 mm. The gels' front faces are pushed 1.5 mm into it
-//! along x from both sides, and front nodes nearer than 0.25 mm are put at that distance, without
-//! solving for equilibrium. Both gels are about to move by 0.2 mm along z, over the sphere. There
-//! is no friction.
+//! The sphere is an icosphere of radius 20 mm. The front faces of the gels are pushed 1.5 mm into it
+//! along x from both sides; front nodes nearer than 0.25 mm are projected to that distance, without
+//! equilibrium. Both gels move by 0.2 mm along z over the sphere, without friction.
 
 use std::collections::BTreeMap;
 
@@ -12,16 +11,16 @@ use gripcast_base::error::Result;
 use gripcast_geometry::TriangleMesh;
 use gripcast_sim::affine::AffineState;
 use gripcast_sim::fem::{GelGrid, GelResolution, Side};
-use gripcast_sim::solver::{Collider, Drive, Gel, GelMaterial, GelPhases, SolverParameters};
+use gripcast_sim::solver::{Collider, GelPhases, SolverParameters};
 use serde::Serialize;
 
 use crate::timing::{Timing, timed};
 
 /// Radius of the sphere, m.
 const RADIUS: f64 = 0.020;
-/// Depth to which the rest plane of each face is pushed, m.
+/// Indentation of the rest plane of each face, m.
 const DEPTH: f64 = 1.5e-3;
-/// Least distance of the front nodes from the sphere around the mesh, m.
+/// Minimum distance of the front nodes to the circumscribed sphere, m.
 const GAP: f64 = 2.5e-4;
 /// Motion of both gels, m.
 const MOTION: DVec3 = DVec3::new(0.0, 0.0, 2e-4);
@@ -29,36 +28,36 @@ const MOTION: DVec3 = DVec3::new(0.0, 0.0, 2e-4);
 /// Times of the contact phases of both gels together, on one thread.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub(crate) struct ContactPhases {
-    /// Finding the active contacts among the candidates, with their derivatives.
+    /// Active contacts of the candidates, with their derivatives.
     pub(crate) find: Timing,
-    /// Energy, as a trial of the line search needs it: distances of all near candidates again.
+    /// Energy in a line search: recomputes the distances of all near candidates.
     pub(crate) energy: Timing,
     /// Gradient on the gels' nodes and on the object's 12 unknowns.
     pub(crate) gradient: Timing,
     /// Positive semidefinite stiffness, assembled into the gels' sparse matrices, the coupling
     /// rows and the object's block.
     pub(crate) hessian: Timing,
-    /// Largest fraction of the step that is free of contact.
+    /// Collision-free step size.
     pub(crate) ccd: Timing,
-    /// Gathering candidates from the bounding volume hierarchies.
-    pub(crate) gather: Timing,
-    /// The fraction of a gathering that falls on one iteration: candidates hold until a node has
-    /// moved by their margin, twice the motion of this scene.
-    pub(crate) gathers_per_iteration: f64,
+    /// Candidates from the bounding volume hierarchies.
+    pub(crate) build: Timing,
+    /// Candidate builds per iteration: candidates are kept until a node has moved by their margin,
+    /// twice the motion of this scene.
+    pub(crate) rebuilds_per_iteration: f64,
 }
 
 impl ContactPhases {
-    /// Shortest time of one iteration with the amortised gathering, ms.
+    /// Minimum time of an iteration with the amortised candidate build, ms.
     pub(crate) fn iteration_ms(&self) -> f64 {
-        self.without_gather_ms() + self.gathers_per_iteration * self.gather.min
+        self.without_build_ms() + self.rebuilds_per_iteration * self.build.min
     }
 
-    /// Shortest time of one iteration that gathers, ms.
-    pub(crate) fn gathering_iteration_ms(&self) -> f64 {
-        self.without_gather_ms() + self.gather.min
+    /// Minimum time of an iteration with a candidate build, ms.
+    pub(crate) fn rebuild_iteration_ms(&self) -> f64 {
+        self.without_build_ms() + self.build.min
     }
 
-    fn without_gather_ms(&self) -> f64 {
+    fn without_build_ms(&self) -> f64 {
         [
             self.find,
             self.energy,
@@ -72,7 +71,7 @@ impl ContactPhases {
     }
 }
 
-/// What the contacts are, to hold them against another implementation.
+/// State of the contacts, for comparison with a baseline.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub(crate) struct ContactState {
     /// Vertex-triangle pairs nearer than `d_hat`, of either side's vertices.
@@ -85,9 +84,9 @@ pub(crate) struct ContactState {
     pub(crate) min_distance_m: f64,
     /// Energy, J.
     pub(crate) energy_j: f64,
-    /// Length of the gradient over all gel nodes, N.
+    /// Norm of the gradient over all gel nodes, N.
     pub(crate) gradient_n: f64,
-    /// Largest fraction of the motion without contact.
+    /// Collision-free step size, as a fraction of the motion.
     pub(crate) free_fraction: f64,
 }
 
@@ -102,13 +101,13 @@ pub(crate) struct SceneMesh {
     pub(crate) moved: Vec<[f64; 3]>,
     /// Triangles.
     pub(crate) faces: Vec<[u32; 3]>,
-    /// The first vertex of the sphere.
+    /// Index of the first vertex of the sphere.
     pub(crate) first_of_sphere: usize,
-    /// Distance at which contact begins, m.
+    /// Barrier activation distance d̂, m.
     pub(crate) d_hat_m: f64,
-    /// Stiffness of the barrier, Pa.
+    /// Barrier stiffness, Pa.
     pub(crate) kappa_pa: f64,
-    /// Margin of candidates that are kept over iterations, m.
+    /// Margin of kept candidates, m.
     pub(crate) candidate_margin_m: f64,
 }
 
@@ -124,10 +123,9 @@ pub(crate) struct ContactScene {
 fn pressed(grid: &GelGrid, side: DVec3, parameters: &SolverParameters) -> Result<GelPhases> {
     let rotation = DMat3::from_cols(DVec3::Z, side.cross(DVec3::Z), side);
     let back = -(RADIUS - DEPTH + grid.thickness_m());
-    let (material, drive) = (GelMaterial::default(), Drive::default());
-    let to_world = |p: DVec3| rotation * p + side * back;
-    let gel = Gel::new(grid, &material, drive, parameters, to_world)?;
-    let mut x = gel.positions().to_vec();
+    let place = |p: &DVec3| rotation * *p + side * back;
+    let rest: Vec<DVec3> = grid.positions().iter().map(place).collect();
+    let mut x = rest.clone();
     for node in grid.triangles(Side::Front).iter().flatten() {
         let x = &mut x[*node as usize];
         if x.length() < RADIUS + GAP {
@@ -135,11 +133,11 @@ fn pressed(grid: &GelGrid, side: DVec3, parameters: &SolverParameters) -> Result
         }
     }
     let object = AffineState::rigid(DVec3::ZERO, DMat3::IDENTITY);
-    Ok(GelPhases::new(gel, x, MOTION, object, *parameters))
+    GelPhases::new(grid, (rest, x), MOTION, object, *parameters)
 }
 
 impl ContactScene {
-    /// The scene with a gel mesh and an icosphere of 20 · 4^`cuts` faces.
+    /// Creates the scene with a gel mesh and an icosphere of 20 · 4^`cuts` faces.
     pub(crate) fn new(resolution: GelResolution, cuts: u32) -> Result<Self> {
         let parameters = SolverParameters::default();
         let grid = GelGrid::pad(resolution)?;
@@ -148,7 +146,7 @@ impl ContactScene {
         let [left, right] = [DVec3::X, DVec3::NEG_X].map(|side| pressed(&grid, side, &parameters));
         let mut gels = [left?, right?];
         for gel in &mut gels {
-            gel.build_candidates(&collider);
+            gel.gather(&collider);
         }
         Ok(Self {
             gels,
@@ -158,7 +156,7 @@ impl ContactScene {
         })
     }
 
-    /// Number of the sphere's faces.
+    /// Returns the number of faces of the sphere.
     pub(crate) fn faces(&self) -> usize {
         self.sphere.triangles.len()
     }
@@ -167,11 +165,11 @@ impl ContactScene {
     pub(crate) fn measure(&mut self, runs: usize) -> ContactPhases {
         let Self { gels, collider, .. } = self;
         let mut phase = |work: fn(&mut GelPhases)| {
-            // Warms the caches up.
+            // Warm-up.
             gels.iter_mut().for_each(work);
             timed(runs, || gels.iter_mut().for_each(work))
         };
-        let find = phase(GelPhases::find_contacts);
+        let find = phase(GelPhases::find);
         let energy = phase(|gel| {
             std::hint::black_box(gel.energy());
         });
@@ -180,7 +178,7 @@ impl ContactScene {
         });
         let hessian = phase(GelPhases::hessian);
         let ccd = phase(|gel| {
-            std::hint::black_box(gel.collision_free_step());
+            std::hint::black_box(gel.free_fraction());
         });
         ContactPhases {
             find,
@@ -188,20 +186,19 @@ impl ContactScene {
             gradient,
             hessian,
             ccd,
-            gather: timed(runs, || {
-                gels.iter_mut()
-                    .for_each(|gel| gel.build_candidates(collider));
+            build: timed(runs, || {
+                gels.iter_mut().for_each(|gel| gel.gather(collider));
             }),
-            gathers_per_iteration: MOTION.length() / self.parameters.candidate_margin_m,
+            rebuilds_per_iteration: MOTION.length() / self.parameters.candidate_margin_m,
         }
     }
 
-    /// The contacts of the scene.
+    /// Returns the state of the contacts.
     pub(crate) fn state(&mut self) -> ContactState {
         let parts = self.gels.each_mut().map(|gel| {
-            gel.find_contacts();
+            gel.find();
             let squared: f64 = gel.gradient().iter().map(|g| g.length_squared()).sum();
-            (gel.energy(), squared, gel.collision_free_step())
+            (gel.energy(), squared, gel.free_fraction())
         });
         let contacts = || self.gels.iter().flat_map(GelPhases::contacts);
         let edge_edge_pairs = contacts().filter(|(is_edge_edge, _)| *is_edge_edge).count();
@@ -218,7 +215,7 @@ impl ContactScene {
         }
     }
 
-    /// All surfaces as one mesh, for another implementation.
+    /// Returns all surfaces as one mesh, for a baseline.
     pub(crate) fn mesh(&self) -> SceneMesh {
         let mut mesh = SceneMesh {
             rest: Vec::new(),
@@ -260,7 +257,7 @@ impl SceneMesh {
     }
 }
 
-/// A sphere from an icosahedron whose faces are cut in four `cuts` times.
+/// Returns an icosahedron subdivided `cuts` times.
 fn icosphere(radius: f64, cuts: u32) -> TriangleMesh {
     let golden = 0.5 * (1.0 + 5f64.sqrt());
     let mut mesh = TriangleMesh::default();
@@ -295,7 +292,7 @@ fn icosphere(radius: f64, cuts: u32) -> TriangleMesh {
     mesh
 }
 
-/// Cuts every face of a unit sphere in four.
+/// Subdivides every face of a unit sphere into four.
 fn cut(mesh: &mut TriangleMesh) {
     let mut middles = BTreeMap::new();
     let vertices = &mut mesh.vertices;
@@ -319,7 +316,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_icosphere_is_closed_and_round() {
+    fn icosphere_is_closed_and_round() {
         let mesh = icosphere(RADIUS, 3);
         assert_eq!((mesh.triangles.len(), mesh.vertices.len()), (1280, 642));
         assert!(mesh.edges().is_closed());
@@ -334,7 +331,7 @@ mod tests {
     }
 
     #[test]
-    fn the_scene_touches_everywhere_it_should_and_moves_freely_or_not_at_all() {
+    fn scene_has_contacts_and_free_motion() {
         let mut scene = ContactScene::new(GelResolution::Coarse, 3).unwrap();
         assert_eq!(scene.faces(), 1280);
         let state = scene.state();
@@ -347,11 +344,11 @@ mod tests {
             "{state:?}"
         );
         assert!(state.energy_j > 0.0 && state.gradient_n > 0.0);
-        // 0.2 mm along the sphere eat at most a part of a gap of 0.25 mm.
+        // A tangential motion of 0.2 mm uses only a fraction of the gap of 0.25 mm.
         assert!(state.free_fraction > 0.5, "{state:?}");
         let phases = scene.measure(3);
         assert!(phases.iteration_ms() > 0.0);
-        assert!(phases.gathering_iteration_ms() > phases.iteration_ms());
+        assert!(phases.rebuild_iteration_ms() > phases.iteration_ms());
         let mesh = scene.mesh();
         assert_eq!(mesh.rest.len(), mesh.first_of_sphere + 642);
         assert!(

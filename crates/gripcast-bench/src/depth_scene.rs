@@ -1,4 +1,4 @@
-//! Times of the tactile depth of a bumpy ball of 100k triangles, by z-buffer and by rays.
+//! Timing of the tactile depth of a bumpy ball of 100k triangles, by z-buffer and by ray casting.
 
 use std::time::Instant;
 
@@ -12,10 +12,10 @@ use gripcast_tactile::{
 
 use crate::timing::{Timing, ms_since, timed};
 
-/// Everything before the sensor, m.
+/// Everything in front of the sensor, m.
 const EVERYTHING_M: [f64; 2] = [-0.01, 1.0];
 
-/// What [`DepthScene::measure`] found, one thread.
+/// Timings of [`DepthScene::measure`], one thread.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct DepthTiming {
     /// Triangles of the object.
@@ -24,15 +24,15 @@ pub(crate) struct DepthTiming {
     pub(crate) depth_ms: Timing,
     /// The visible surface over 80 × 60 mm, which holds the whole object, by the z-buffer.
     pub(crate) whole_object_ms: Timing,
-    /// Depth of the press by rays, with the tree at hand.
+    /// Depth of the press by ray casting, without building the tree.
     pub(crate) rays_ms: Timing,
-    /// Building the tree that the rays need.
+    /// Building the tree for ray casting.
     pub(crate) tree_ms: f64,
     /// Largest difference between the press by z-buffer and by rays, m.
     pub(crate) largest_difference_m: f64,
 }
 
-/// A ball of 25 mm with bumps, pressed 1 mm into a Mini's gel.
+/// A bumpy ball of 25 mm, pressed 1 mm into the gel of a GelSight Mini.
 pub(crate) struct DepthScene {
     object: TriangleMesh,
     t_sensor_object: Pose,
@@ -40,7 +40,7 @@ pub(crate) struct DepthScene {
 }
 
 impl DepthScene {
-    /// 99 904 triangles on a sensor's grid.
+    /// Creates the scene with 99 904 triangles on the grid of a sensor.
     pub(crate) fn new(grid: SensorGeometry) -> Self {
         let turn = DQuat::from_rotation_x(1.1) * DQuat::from_rotation_y(0.4);
         Self {
@@ -54,13 +54,13 @@ impl DepthScene {
         TactileScene::pressed(&self.object, &self.t_sensor_object, 1e-3, &self.grid)
     }
 
-    /// Depth of the press by the z-buffer.
+    /// Computes the depth of the press by z-buffer.
     pub(crate) fn depth(&self) -> Result<PressDepth> {
         let mut rasteriser = Rasteriser::new();
         Ok(object_depth(&self.pressed()?, &self.grid, &mut rasteriser))
     }
 
-    /// Times whole images of a renderer on the scene's grid.
+    /// Times complete images of a renderer.
     pub(crate) fn measure_images(
         &self,
         renderer: &mut dyn SceneRenderer,
@@ -71,7 +71,7 @@ impl DepthScene {
         Ok(timed(runs, || renderer.render(&scene, Some(1)).is_ok()))
     }
 
-    /// Times each way of the depth.
+    /// Times each method.
     pub(crate) fn measure(&self, runs: usize) -> Result<DepthTiming> {
         let scene = self.pressed()?;
         let mut rasteriser = Rasteriser::new();
@@ -111,7 +111,7 @@ mod tests {
     use gripcast_tactile::{ObjectDepthRenderer, SensorProfile};
 
     #[test]
-    fn both_ways_agree() {
+    fn z_buffer_and_rays_agree() {
         let profile = SensorProfile::gelsight_mini().unwrap();
         let whole = DepthScene::new(profile.geometry);
         assert_eq!(whole.object.triangles.len(), 99_904);

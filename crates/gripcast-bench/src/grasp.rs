@@ -1,10 +1,10 @@
 //! `gripcast-bench grasp`: simulated grasps of the paper's protocol at 40 N.
 //!
-//! *Easy* grasps meet the object squarely; *hard* ones push, turn or tilt it, touch edges or lose
-//! it. Each case is simulated `--repeat` times and the shortest time counts; steps, iterations and
-//! outcomes do not vary. EGAD's B1 is read from the folder of shared data (`GRIPCAST_SHARED`, else
-//! `../shared`); its cases are skipped where it is absent. Last, the throughput of independent
-//! grasps on one thread and on two, one grasp a thread.
+//! *Easy* grasps meet the object squarely; *hard* ones push, rotate or tilt it, touch edges or slip.
+//! Each case is simulated `--repeat` times and the minimum time is reported; steps, iterations and
+//! outcomes are deterministic. EGAD's B1 is read from the folder of shared data (`GRIPCAST_SHARED`,
+//! else `../shared`); without it, its cases are skipped. Finally, the throughput of independent
+//! grasps on one and on two threads, one grasp per thread.
 //!
 //! Exit codes: 0 measured · 3 measured, but cases were skipped or did not converge.
 
@@ -20,48 +20,52 @@ use gripcast::cli::working::{Progress, interruptible};
 use gripcast_base::error::{Error, ErrorKind, Result};
 use gripcast_geometry::{LengthUnit, TriangleMesh, load_object_mesh};
 use gripcast_sim::fem::GelResolution;
-use gripcast_sim::grasp::{GraspOutcome, GraspSettings, GraspSummary, Scene, StageWork, simulate};
+use gripcast_sim::grasp::{
+    GraspOutcome, GraspSettings, GraspSummary, Scene, StageWork, resolution_by_name,
+    resolution_name, simulate,
+};
 use gripcast_sim::solver::PhaseTimes;
 use rayon::ThreadPool;
 use serde::Serialize;
 use serde_json::{Value, json};
 
 use crate::grasp_cases::{CaseClass, GraspCase, cases};
+use crate::timing::pool;
 
-/// Grasps of each thread in the measurement of throughput.
-const GRASPS_A_THREAD: usize = 4;
+/// Grasps per thread in the throughput measurement.
+const GRASPS_PER_THREAD: usize = 4;
 
 /// Arguments.
 #[derive(Clone, Debug, clap::Args)]
 pub(crate) struct Args {
-    /// Gel meshes, separated by commas
-    #[arg(long, value_parser = GelResolution::from_name, value_delimiter = ',', default_value = "coarse")]
+    /// Gel meshes, comma-separated
+    #[arg(long, value_parser = resolution_by_name, value_delimiter = ',', default_value = "coarse")]
     gel: Vec<GelResolution>,
-    /// Simulations of each case; the shortest time counts
+    /// Simulations per case; the minimum time is reported
     #[arg(long, value_name = "N", default_value_t = 1,
         value_parser = clap::value_parser!(u32).range(1..=100))]
     repeat: u32,
-    /// Which cases
+    /// Class of cases
     #[arg(long, value_parser = ["easy", "hard", "all"], default_value = "all")]
     class: String,
-    /// Only cases whose name contains this
+    /// Only run cases whose name contains this text
     #[arg(long, value_name = "TEXT", default_value = "")]
     only: String,
-    /// Threads of one grasp
-    #[arg(long, default_value_t = 2, value_parser = clap::value_parser!(u16).range(1..=256))]
+    /// Number of threads of a grasp
+    #[arg(long, value_name = "N", default_value_t = 2, value_parser = clap::value_parser!(u16).range(1..=256))]
     threads: u16,
-    /// Speed at which Newton's iteration ends, m/s
-    #[arg(long, value_name = "M_S")]
+    /// Newton convergence tolerance (max nodal speed, m/s)
+    #[arg(long, value_name = "M_PER_S")]
     tolerance: Option<f64>,
-    /// Leave out the throughput of independent grasps
+    /// Skip the throughput of independent grasps
     #[arg(long)]
     no_throughput: bool,
-    /// Print one JSON object
+    /// Print the result as JSON
     #[arg(long)]
     json: bool,
 }
 
-/// One case that was measured.
+/// Result of a case.
 #[derive(Serialize)]
 struct Measured {
     case: &'static str,
@@ -86,7 +90,7 @@ struct Outcome {
     throughput: Option<[f64; 2]>,
 }
 
-/// Runs the bench.
+/// Runs the benchmark.
 pub(crate) fn run(context: &Context, args: Args) -> Result<()> {
     let is_json = args.json;
     let params = params(&args);
@@ -113,7 +117,7 @@ pub(crate) fn run(context: &Context, args: Args) -> Result<()> {
         format!("{skipped} case(s) skipped, {unconverged} not converged"),
     );
     Err(if skipped > 0 {
-        error.remedy("set GRIPCAST_SHARED to the folder that has data/egad_eval/B1.obj")
+        error.remedy("set GRIPCAST_SHARED to the folder with data/egad_eval/B1.obj")
     } else {
         error
     })
@@ -121,7 +125,7 @@ pub(crate) fn run(context: &Context, args: Args) -> Result<()> {
 
 fn params(args: &Args) -> Value {
     let settings = args.settings(GelResolution::Default);
-    let gels = args.gel.iter().map(|&gel| gel.name());
+    let gels = args.gel.iter().map(|&gel| resolution_name(gel));
     json!({
         "class": args.class,
         "gel": gels.collect::<Vec<_>>(),
@@ -161,21 +165,21 @@ fn measure(args: &Args, progress: &Progress) -> Result<Outcome> {
         .collect();
     if chosen.is_empty() {
         return Err(Error::usage(format!(
-            "no case of this class has {:?} in its name",
+            "no case of this class has a name with {:?}",
             args.only
         ))
-        .remedy("leave --only out to see the names"));
+        .remedy("omit --only to see the names"));
     }
-    let all = (chosen.len() * args.gel.len()) as u64;
+    let total = chosen.len() * args.gel.len();
     let mut done = 0;
-    for (at, &gel) in args.gel.iter().enumerate() {
+    for (i, &gel) in args.gel.iter().enumerate() {
         let settings = args.settings(gel);
         for case in &chosen {
-            progress.at(done, all);
+            progress.count(done, total);
             done += 1;
             let Some(mesh) = case.object.load(&shared_mesh)? else {
-                if at == 0 {
-                    progress.line(format!("SKIPPED {}: its mesh is not there", case.name));
+                if i == 0 {
+                    progress.line(format!("SKIPPED {}: mesh not found", case.name));
                     outcome.skipped.push(case.name);
                 }
                 continue;
@@ -209,7 +213,7 @@ fn measure_case(
         if elapsed < wall_s {
             wall_s = elapsed;
             let dt_s = settings.solver.dt_s;
-            let summary = GraspSummary::new(&result, &settings.protocol, dt_s);
+            let summary = GraspSummary::of(&result, &settings.protocol, dt_s);
             best = Some((summary, result.times));
         }
     }
@@ -217,7 +221,7 @@ fn measure_case(
     Ok(Measured {
         case: case.name,
         class: case.class,
-        gel: settings.resolution.name(),
+        gel: resolution_name(settings.resolution),
         wall_s,
         steps: summary.steps,
         newton_per_step: summary.newton_per_step,
@@ -232,7 +236,7 @@ fn measure_case(
     })
 }
 
-/// Independent grasps a second on one thread and on two.
+/// Measures independent grasps per second on one and on two threads.
 fn throughput(args: &Args) -> Result<[f64; 2]> {
     let settings = args.settings(args.gel.first().copied().unwrap_or(GelResolution::Coarse));
     let scenes: Vec<Scene> = cases()
@@ -243,13 +247,13 @@ fn throughput(args: &Args) -> Result<[f64; 2]> {
             Some(mesh.and_then(|mesh| case.scene(mesh, &settings)))
         })
         .collect::<Result<_>>()?;
-    let one = grasps_a_second(&scenes, &settings, 1)?;
-    Ok([one, grasps_a_second(&scenes, &settings, 2)?])
+    let one = grasps_per_second(&scenes, &settings, 1)?;
+    Ok([one, grasps_per_second(&scenes, &settings, 2)?])
 }
 
-fn grasps_a_second(scenes: &[Scene], settings: &GraspSettings, threads: usize) -> Result<f64> {
+fn grasps_per_second(scenes: &[Scene], settings: &GraspSettings, threads: usize) -> Result<f64> {
     let pools = (0..threads).map(|_| pool(1)).collect::<Result<Vec<_>>>()?;
-    let all = GRASPS_A_THREAD * threads;
+    let all = GRASPS_PER_THREAD * threads;
     let next = AtomicUsize::new(0);
     let started = Instant::now();
     thread::scope(|scope| {
@@ -278,14 +282,7 @@ fn grasps_a_second(scenes: &[Scene], settings: &GraspSettings, threads: usize) -
     Ok(all as f64 / started.elapsed().as_secs_f64())
 }
 
-fn pool(threads: usize) -> Result<ThreadPool> {
-    rayon::ThreadPoolBuilder::new()
-        .num_threads(threads)
-        .build()
-        .map_err(|e| Error::internal("cannot start threads").because(e))
-}
-
-/// A mesh of the folder of shared data in metres, if it is there.
+/// Loads a mesh of the folder of shared data, m, if it exists.
 fn shared_mesh(item: &str, unit_m: f64) -> Result<Option<TriangleMesh>> {
     let root = std::env::var_os("GRIPCAST_SHARED").map_or("../shared".into(), PathBuf::from);
     let path = root.join(item);

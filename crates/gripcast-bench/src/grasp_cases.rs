@@ -7,18 +7,18 @@ use gripcast_sim::fem::GelResolution;
 use gripcast_sim::grasp::{GraspOutcome, GraspSettings, Placement, Scene};
 use serde::Serialize;
 
-/// How much a grasp asks of the solver.
+/// Difficulty of a grasp for the solver.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub(crate) enum CaseClass {
     /// Both gels meet the object squarely.
     Easy,
-    /// The object is pushed, turned, tilted, touched at edges, or slides out.
+    /// The object is pushed, rotated, tilted, touched at edges, or slides out.
     Hard,
 }
 
 impl CaseClass {
-    /// Its name in figures.
+    /// Returns its name in figures.
     pub(crate) fn name(self) -> &'static str {
         match self {
             Self::Easy => "easy",
@@ -27,12 +27,12 @@ impl CaseClass {
     }
 }
 
-/// What is grasped.
+/// The object of a case.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) enum CaseObject {
     /// A built-in mesh.
     Builtin(&'static str),
-    /// A mesh file of the folder of shared data, which is not part of the project.
+    /// A mesh file of the folder of shared data (not part of the project).
     File {
         /// Path within that folder.
         path: &'static str,
@@ -41,15 +41,15 @@ pub(crate) enum CaseObject {
     },
 }
 
-/// EGAD's B1 at 42 mm instead of its 70 mm, so that it fits between the fingers in most poses.
+/// EGAD's B1, scaled from 70 to 42 mm to fit between the fingers in most poses.
 const B1: CaseObject = CaseObject::File {
     path: "data/egad_eval/B1.obj",
     unit_m: 0.6e-3,
 };
 
 impl CaseObject {
-    /// The mesh in metres. `shared` reads a file of the shared data whose unit has the given
-    /// length in m, or finds nothing.
+    /// Loads the mesh, m. `shared` loads a file of the shared data with a unit in m, or returns
+    /// none.
     pub(crate) fn load(
         &self,
         shared: &dyn Fn(&str, f64) -> Result<Option<TriangleMesh>>,
@@ -61,18 +61,18 @@ impl CaseObject {
     }
 }
 
-/// A grasp to try.
+/// A test case.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct GraspCase {
     /// Unique name, fit for a JSON key.
     pub(crate) name: &'static str,
-    /// What it asks of the solver.
+    /// Difficulty.
     pub(crate) class: CaseClass,
-    /// What is grasped.
+    /// Object.
     pub(crate) object: CaseObject,
     /// Rotation of the object on the ground: w, x, y, z.
     pub(crate) q_wxyz: [f64; 4],
-    /// Where the gripper stands.
+    /// Gripper placement.
     pub(crate) placement: Placement,
     /// Outcome of the paper's protocol at 40 N on the coarse gel, solved to 1e-6 m/s.
     pub(crate) expected_coarse: GraspOutcome,
@@ -119,12 +119,12 @@ impl GraspCase {
         }
     }
 
-    /// A grasp so close to the limit that its outcome depends on the mesh.
+    /// For a grasp close to the limit, whose outcome depends on the gel mesh.
     fn expecting_on_finer_gels(self, expected: GraspOutcome) -> Self {
         Self { expected, ..self }
     }
 
-    /// Outcome that is expected on a mesh.
+    /// Returns the expected outcome on a gel mesh.
     pub(crate) fn expected_on(&self, resolution: GelResolution) -> GraspOutcome {
         match resolution {
             GelResolution::Coarse => self.expected_coarse,
@@ -132,18 +132,18 @@ impl GraspCase {
         }
     }
 
-    /// The object on the ground.
+    /// Returns the pose of the object on the ground.
     pub(crate) fn t_world_object(&self, mesh: &TriangleMesh) -> Pose {
         let [w, x, y, z] = self.q_wxyz;
-        let turn = Pose::from_rotation(DQuat::from_xyzw(x, y, z, w));
+        let rotated = Pose::from_rotation(DQuat::from_xyzw(x, y, z, w));
         let points = mesh.all_corners().flatten();
-        let lowest = Aabb::from_points(points.map(|v| turn.transform_point(v)))
+        let lowest = Aabb::from_points(points.map(|v| rotated.transform_point(v)))
             .min
             .z;
-        Pose::new(turn.rotation, DVec3::Z * -lowest)
+        Pose::new(rotated.rotation, DVec3::Z * -lowest)
     }
 
-    /// The grasp of `mesh`, the loaded object of the case.
+    /// Returns the scene with `mesh`, the loaded object of the case.
     pub(crate) fn scene(&self, mesh: TriangleMesh, settings: &GraspSettings) -> Result<Scene> {
         let t_world_object = self.t_world_object(&mesh);
         let placed = self.placement.place(&mesh, &t_world_object)?;
@@ -173,7 +173,7 @@ fn across(offset_m: f64) -> Placement {
     }
 }
 
-/// A gripper that is off along its closing direction: one finger arrives first and pushes.
+/// An offset along the closing direction: one finger arrives first and pushes.
 fn pushed(offset_m: f64, opening_m: f64) -> Placement {
     Placement {
         offset_m: [offset_m, 0.0],
@@ -182,7 +182,7 @@ fn pushed(offset_m: f64, opening_m: f64) -> Placement {
     }
 }
 
-/// All cases, easy ones first.
+/// Returns all cases, easy ones first.
 pub(crate) fn cases() -> Vec<GraspCase> {
     use CaseObject::Builtin;
     use GraspOutcome::{Eject, Slip};
@@ -233,7 +233,7 @@ mod tests {
     }
 
     #[test]
-    fn names_are_unique_and_both_classes_are_there() {
+    fn case_names_are_unique_in_both_classes() {
         let all = cases();
         let mut names: Vec<&str> = all.iter().map(|case| case.name).collect();
         names.sort_unstable();
@@ -248,7 +248,7 @@ mod tests {
     }
 
     #[test]
-    fn every_built_in_case_can_start() {
+    fn builtin_cases_start() {
         let mut settings = GraspSettings {
             resolution: GelResolution::Coarse,
             ..GraspSettings::default()
@@ -265,7 +265,7 @@ mod tests {
     }
 
     #[test]
-    fn a_sphere_gripped_far_off_its_middle_is_squeezed_out() {
+    fn sphere_gripped_off_centre_is_ejected() {
         let mut settings = GraspSettings {
             resolution: GelResolution::Coarse,
             ..GraspSettings::default()

@@ -1,21 +1,20 @@
-//! Benchmarks for developers of gripcast: scenes and other implementations that the program itself
-//! does not ship.
+//! Benchmarks for developers of gripcast, with scenes and baselines that the program does not ship.
 //!
 //! ```text
-//! cargo run --release -p gripcast-bench -- contact --peer ipctk --json
+//! cargo run --release -p gripcast-bench -- contact --baseline ipctk --json
 //! ```
 //!
-//! Each bench prints a table, or with `--json` one object `{"figures", "name", "params", "peers"}`.
-//! `--peer` runs another implementation through `python3` in the same run. What users measure on
-//! their machines is `gripcast bench`.
+//! Each benchmark prints a table, or with `--json` one object `{"figures", "name", "params",
+//! "baselines"}`. `--baseline` also runs another implementation through `python3`. The benchmarks for
+//! users are `gripcast bench`.
 
+mod baseline;
 mod contact;
 mod contact_scene;
 mod depth_scene;
 mod grasp;
 mod grasp_cases;
 mod live;
-mod peer;
 mod pose;
 mod pose_scenes;
 mod predict;
@@ -48,23 +47,23 @@ struct Cli {
 
 #[derive(Debug, Subcommand)]
 enum Bench {
-    /// The contact phases of one Newton iteration
+    /// Contact phases of a Newton iteration
     Contact(contact::Args),
-    /// Simulated grasps, easy and hard: time, steps, Newton iterations, outcomes
+    /// Simulated grasps: time, steps, Newton iterations, outcomes
     Grasp(grasp::Args),
-    /// `gripcast bench live` with other decoders
+    /// `gripcast bench live` with baseline decoders
     Live(live::Args),
-    /// Poses of synthetic images: accuracy, detection, time
+    /// Pose estimation on synthetic images: accuracy, detection, time
     Pose(pose::Args),
-    /// `gripcast bench predict` with other engines
+    /// `gripcast bench predict` with baseline engines
     Predict(predict::Args),
-    /// Tactile and path-traced images
+    /// Tactile and visual rendering
     Render(render::Args),
-    /// Grasps of the rigid-body baseline, beside PyBullet's
+    /// Rigid-body grasps, compared with PyBullet
     Rigid(rigid::Args),
     /// Simulated and rendered grasps per hour
     Synth(synth::Args),
-    /// Samples that the classifier learns from in a second
+    /// Training throughput
     Train(train::Args),
 }
 

@@ -1,14 +1,12 @@
-//! `gripcast-bench pose`: how exact the gripper's pose in the object's frame is, and how long it
-//! takes.
+//! `gripcast-bench pose`: accuracy and time of the gripper pose in the object's frame.
 //!
 //! ```text
 //! gripcast-bench pose --motion-px 3 --json
 //! ```
 //!
-//! Renders images of a board with 14 markers of 30 mm and a gripper with two, at 0.4–0.8 m, with
-//! the blur, shading and noise of a good camera; detects, refines, solves, and compares with the
-//! truth. `ms` is CPU time of one thread from grey levels to the pose. Every detector that is
-//! compiled in sees the same images.
+//! Renders a board with 14 markers of 30 mm and a gripper with two tags at 0.4–0.8 m, with realistic
+//! blur, shading and noise; detects, refines, solves, and compares with the ground truth. `ms` is
+//! CPU time of one thread from grey image to pose. All compiled-in detectors get the same images.
 //!
 //! Exit codes: 0 measured · 2 usage.
 
@@ -20,33 +18,33 @@ use serde_json::{Map, Value, json};
 
 use crate::pose_scenes::{PoseFigures, PoseScenes};
 
-/// Images below this give no usable 95th percentile.
+/// Minimum for a usable 95th percentile.
 const MIN_IMAGES: u64 = 20;
 
 /// Arguments.
 #[derive(Clone, Debug, clap::Args)]
 pub(crate) struct Args {
-    /// Images, each of another scene
+    /// Number of images, each of a random scene
     #[arg(long, value_name = "N", default_value_t = 40,
         value_parser = clap::value_parser!(u64).range(MIN_IMAGES..=100_000))]
     images: u64,
-    /// Width of the images; their height is 9/16 of it
+    /// Image width; the height is 9/16 of it
     #[arg(long, value_name = "PX", default_value_t = 1280,
         value_parser = clap::value_parser!(u32).range(320..=7680))]
     width: u32,
-    /// Path of the image during the exposure
+    /// Motion blur
     #[arg(long, value_name = "PX", default_value_t = 0.0, value_parser = pixels)]
     motion_px: f64,
-    /// Standard deviation of the lens's blur
+    /// Standard deviation of the lens blur
     #[arg(long, value_name = "PX", default_value_t = 0.7, value_parser = pixels)]
     blur_px: f64,
     /// Standard deviation of the noise, grey levels
     #[arg(long, value_name = "LEVELS", default_value_t = 3.0, value_parser = pixels)]
     noise: f64,
-    /// Seed of scenes and noise
-    #[arg(long, default_value_t = 1)]
+    /// Random seed of scenes and noise
+    #[arg(long, value_name = "SEED", default_value_t = 1)]
     seed: u64,
-    /// Print one JSON object
+    /// Print the result as JSON
     #[arg(long)]
     json: bool,
 }
@@ -58,7 +56,7 @@ fn pixels(text: &str) -> Result<f64, String> {
         .ok_or_else(|| "must be a number from 0 to 50".to_owned())
 }
 
-/// Runs the bench.
+/// Runs the benchmark.
 pub(crate) fn run(context: &Context, args: &Args) -> Result<()> {
     let scenes = PoseScenes {
         images: args.images,
@@ -68,8 +66,8 @@ pub(crate) fn run(context: &Context, args: &Args) -> Result<()> {
         psf_px: args.blur_px,
         noise: args.noise,
     };
-    let measured = interruptible(context, "images", move |progress| {
-        scenes.measure(|done| progress.at(done, scenes.images))
+    let measured = interruptible(context, "measuring poses", move |progress| {
+        scenes.measure(|done| progress.count(done as usize, scenes.images as usize))
     })??;
     let mut detectors = measured.iter();
     let default = detectors.next();
@@ -85,9 +83,9 @@ pub(crate) fn run(context: &Context, args: &Args) -> Result<()> {
     });
     let figures = json!(default.map(|(_, figures)| figures));
     let others = detectors.map(|(name, figures)| ((*name).to_owned(), json!(figures)));
-    let peers: Map<String, Value> = others.collect();
+    let baselines: Map<String, Value> = others.collect();
     Report {
-        peers,
+        baselines,
         ..Report::new("pose", params, figures, table(&measured))
     }
     .print(args.json)
@@ -97,7 +95,7 @@ fn table(measured: &[(&'static str, PoseFigures)]) -> String {
     let mut lines = Vec::new();
     for (name, figures) in measured {
         lines.push(format!(
-            "{name}: {:.1} % of markers found, {} false, {:.0} % of images solved",
+            "{name}: {:.1} % of markers detected, {} false, {:.0} % of images solved",
             100.0 * figures.detected,
             figures.false_ids,
             100.0 * figures.solved
@@ -110,7 +108,7 @@ fn table(measured: &[(&'static str, PoseFigures)]) -> String {
         row("pose, degrees", figures.median_deg, figures.p95_deg);
         row("corners, px", figures.corner_px, figures.corner_p95_px);
         lines.push(format!(
-            "  {:.1} ms an image, {:.1} of them detection; squared error over covariance {:.2}",
+            "  {:.1} ms per image, detection {:.1} ms; normalised squared error {:.2}",
             figures.ms, figures.detect_ms, figures.normalised_error
         ));
     }

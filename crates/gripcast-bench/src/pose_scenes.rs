@@ -1,4 +1,4 @@
-//! How exact poses are and how long they take, on synthetic images with known truth.
+//! Accuracy and time of pose estimation on synthetic images with ground truth.
 
 use glam::DVec2;
 use gripcast_base::error::Result;
@@ -13,60 +13,60 @@ use gripcast_pose::synthetic::{
 use gripcast_pose::{Body, Detection, Dictionary, MarkerDetector};
 use serde::Serialize;
 
-/// All of its 587 markers are searched for, so that wrong ones can appear.
+/// All of its 587 markers are searched for, to allow false detections.
 const DICTIONARY: &str = "36h11";
 
-/// What is measured.
+/// Settings of the benchmark.
 #[derive(Clone, Copy)]
 pub(crate) struct PoseScenes {
-    /// Images, each of another scene.
+    /// Number of images, each of a random scene.
     pub(crate) images: u64,
-    /// Seed of scenes and noise.
+    /// Random seed of scenes and noise.
     pub(crate) seed: u64,
     /// Width of the images, px; the height is 9/16 of it.
     pub(crate) width: u32,
-    /// Path of the image during the exposure, px, in a direction of its own for each image.
+    /// Motion blur, px, in a random direction per image.
     pub(crate) motion_px: f64,
-    /// Standard deviation of the lens's blur, px.
+    /// Standard deviation of the lens blur, px.
     pub(crate) psf_px: f64,
     /// Standard deviation of the noise, grey levels.
     pub(crate) noise: f64,
 }
 
-/// What came out; errors are those of the gripper's pose in the object's frame.
+/// Figures; errors are those of the gripper pose in the object's frame.
 #[derive(Debug, Serialize)]
 pub(crate) struct PoseFigures {
-    /// Median distance from the true place, mm.
+    /// Median position error, mm.
     pub(crate) median_mm: f64,
-    /// Median angle from the true direction, degrees.
+    /// Median rotation error, degrees.
     pub(crate) median_deg: f64,
-    /// The same at 95 %.
+    /// 95th percentile of the position error, mm.
     pub(crate) p95_mm: f64,
-    /// The same at 95 %.
+    /// 95th percentile of the rotation error, degrees.
     pub(crate) p95_deg: f64,
-    /// Median error of a corner, px.
+    /// Median corner error, px.
     pub(crate) corner_px: f64,
-    /// The same at 95 %.
+    /// 95th percentile of the corner error, px.
     pub(crate) corner_p95_px: f64,
     /// Largest component of the mean error of all corners, px.
     pub(crate) corner_bias_px: f64,
-    /// Part of the completely visible markers that was found.
+    /// Detected fraction of the completely visible markers.
     pub(crate) detected: f64,
-    /// Part of the images that gave a pose that is not ambiguous.
+    /// Fraction of the images with an unambiguous pose.
     pub(crate) solved: f64,
-    /// Detections that are not where a marker of that number is.
+    /// False detections.
     pub(crate) false_ids: u64,
-    /// Mean squared error of the pose by its covariance, over 6: 1 for an honest one.
+    /// Mean squared Mahalanobis error of the pose over 6: 1 for a consistent covariance.
     pub(crate) normalised_error: f64,
-    /// Median time for one image from grey levels to the pose, ms.
+    /// Median time from grey image to pose, ms.
     pub(crate) ms: f64,
-    /// The part of it that the detector takes, ms.
+    /// Median time of the detection, ms.
     pub(crate) detect_ms: f64,
 }
 
 impl PoseScenes {
-    /// Runs every detector that is compiled in on the same images; the default one comes first.
-    /// `progress` gets the number of images that are done.
+    /// Runs all compiled-in detectors on the same images, the default detector first. `progress`
+    /// gets the number of finished images.
     pub(crate) fn measure(
         &self,
         progress: impl Fn(u64),
@@ -135,7 +135,7 @@ struct Tally {
     detect_ms: Vec<f64>,
 }
 
-/// A detection farther from the truth than this is of something else, px.
+/// Maximum corner error of a true detection, px.
 const ELSEWHERE_PX: f64 = 10.0;
 
 impl Tally {
@@ -197,11 +197,11 @@ impl Tally {
     }
 }
 
-/// NaN without values.
-fn quantile(values: &mut [f64], part: f64) -> f64 {
+/// Returns a quantile; NaN without values.
+fn quantile(values: &mut [f64], q: f64) -> f64 {
     values.sort_by(f64::total_cmp);
-    let at = (values.len().saturating_sub(1) as f64 * part).round() as usize;
-    values.get(at).copied().unwrap_or(f64::NAN)
+    let index = (values.len().saturating_sub(1) as f64 * q).round() as usize;
+    values.get(index).copied().unwrap_or(f64::NAN)
 }
 
 #[cfg(test)]
@@ -209,7 +209,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_few_images_reach_the_numbers() {
+    fn few_images_reach_expected_accuracy() {
         let scenes = PoseScenes {
             images: 4,
             seed: 1,
@@ -225,7 +225,7 @@ mod tests {
         assert_eq!(done.get(), 4);
         assert_eq!((figures.false_ids, figures.solved), (0, 1.0));
         assert!(figures.detected > 0.98, "{figures:?}");
-        // Of four images the median is rougher than the goal for many.
+        // The median of four images is less accurate than the goal.
         assert!(
             figures.median_mm < 0.1 && figures.median_deg < 0.12,
             "{figures:?}"
@@ -245,7 +245,7 @@ mod tests {
     }
 
     #[test]
-    fn quantiles_are_those_of_the_sorted_values() {
+    fn quantile_sorts_values() {
         let mut values = [3.0, 1.0, 2.0, 5.0, 4.0];
         assert_eq!(quantile(&mut values, 0.5), 3.0);
         assert_eq!(quantile(&mut values, 0.95), 5.0);

@@ -1,14 +1,13 @@
-//! `gripcast-bench render`: how long the renderers take on this machine.
+//! `gripcast-bench render`: rendering times.
 //!
 //! ```text
-//! gripcast-bench render --peer taxim --json
+//! gripcast-bench render --baseline taxim --json
 //! ```
 //!
 //! Tactile: the depth of an object of 99,904 triangles pressed 1 mm into a Mini's gel, by z-buffer
-//! and by rays, and whole 320×240 images from mesh to 8 bits; one thread. Visual: the built-in
-//! mug in a grasp, 320×240, on all threads. `--peer taxim` runs PyPI's taxim in `python3` on the
-//! same depths in the same run; it starts from the height map, so finding the object is not part
-//! of its time, and its CPU time is taken.
+//! and by ray casting, and complete 320×240 images from mesh to 8 bits; one thread. Visual: the
+//! built-in mug in a grasp, 320×240, on all threads. `--baseline taxim` runs taxim on the same
+//! depths; it starts from the height map, and its CPU time is measured.
 //!
 //! Exit codes: 0 measured · 2 usage.
 
@@ -22,18 +21,17 @@ use gripcast_geometry::{Pose, builtin};
 use gripcast_sim::grasp::{Placement, resting_pose};
 use gripcast_tactile::{ObjectDepthRenderer, SensorProfile};
 use gripcast_visual::{
-    GraspState, RenderControl, RenderSettings, Renderer, View, VisualRandomisation, demo_model,
-    grasp_scene,
+    GraspState, RenderSettings, Renderer, View, VisualRandomisation, Watch, demo_model, grasp_scene,
 };
 use serde_json::{Value, json};
 
+use crate::baseline::Baseline;
 use crate::depth_scene::{DepthScene, DepthTiming};
-use crate::peer::Peer;
 use crate::timing::Timing;
 
-/// Runs below this give no usable median.
+/// Minimum for a usable median.
 const MIN_RUNS: u64 = 10;
-const TAXIM: Peer = Peer {
+const TAXIM: Baseline = Baseline {
     name: "taxim",
     packages: "taxim jax",
     script: include_str!("../peers/taxim_tactile.py"),
@@ -42,17 +40,17 @@ const TAXIM: Peer = Peer {
 /// Arguments.
 #[derive(Clone, Debug, clap::Args)]
 pub(crate) struct Args {
-    /// Images of each kind
-    #[arg(long, default_value_t = 40, value_parser = clap::value_parser!(u64).range(MIN_RUNS..))]
+    /// Number of images of each kind
+    #[arg(long, value_name = "N", default_value_t = 40, value_parser = clap::value_parser!(u64).range(MIN_RUNS..))]
     runs: u64,
-    /// Paths for each pixel of the visual image
+    /// Samples per pixel of the visual image
     #[arg(long, value_name = "N", default_value_t = 64,
         value_parser = clap::value_parser!(u32).range(1..=4096))]
-    samples: u32,
-    /// Measure PyPI's taxim as well
+    spp: u32,
+    /// Baseline to compare against (PyPI)
     #[arg(long, value_parser = [TAXIM.name])]
-    peer: Option<String>,
-    /// Print one JSON object
+    baseline: Option<String>,
+    /// Print the result as JSON
     #[arg(long)]
     json: bool,
 }
@@ -65,7 +63,7 @@ struct Measured {
     prepare_s: f64,
 }
 
-/// Runs the bench.
+/// Runs the benchmark.
 pub(crate) fn run(context: &Context, args: Args) -> Result<()> {
     let given = args.clone();
     let measured = interruptible(context, "rendering", move |_| measure(&given))??;
@@ -73,22 +71,22 @@ pub(crate) fn run(context: &Context, args: Args) -> Result<()> {
         "triangles": measured.depth.triangles,
         "pixels": measured.pixels,
         "runs": args.runs,
-        "samples": args.samples,
+        "spp": args.spp,
         "tactile_threads": 1,
         "visual_threads": rayon::current_num_threads(),
     });
-    let text = text(&measured, args.samples);
+    let text = text(&measured, args.spp);
     let mut report = Report::new("render", params, figures(&measured), text);
-    if args.peer.is_some() {
-        let press = press_for_peer()?.to_string();
-        if let Some(mut peer) = TAXIM.measure(context, args.runs, press.as_bytes())? {
-            let theirs = peer["tactile_ms"]["min"].as_f64().unwrap_or(f64::NAN);
+    if args.baseline.is_some() {
+        let press = press_for_baseline()?.to_string();
+        if let Some(mut baseline) = TAXIM.measure(context, args.runs, press.as_bytes())? {
+            let theirs = baseline["tactile_ms"]["min"].as_f64().unwrap_or(f64::NAN);
             let ratio = measured.tactile.min / theirs;
-            peer["ratio"] = json!(ratio);
+            baseline["ratio"] = json!(ratio);
             report.text += &format!(
-                "\ntaxim        {theirs:.1} ms from height map to image; ours takes {ratio:.2} of it"
+                "\ntaxim        {theirs:.1} ms from height map to image; ratio {ratio:.2}"
             );
-            report.peers.insert("taxim".to_owned(), peer);
+            report.baselines.insert("taxim".to_owned(), baseline);
         }
     }
     report.print(args.json)
@@ -110,28 +108,28 @@ fn measure(args: &Args) -> Result<Measured> {
         gels: None,
     };
     let conditions = VisualRandomisation::default().sample(0);
-    let began = Instant::now();
+    let start = Instant::now();
     let model = demo_model("mug", 0)?;
     let scene = grasp_scene(&model, &state, &conditions, View::EyeInHand([320, 240]))?;
     let renderer = Renderer::new(&scene)?;
-    let prepare_s = began.elapsed().as_secs_f64();
+    let prepare_s = start.elapsed().as_secs_f64();
     let settings = RenderSettings {
-        samples_per_pixel: args.samples,
+        samples: args.spp,
         ..RenderSettings::default()
     };
-    let began = Instant::now();
-    renderer.render(&scene.camera, &settings, &RenderControl::default())?;
+    let start = Instant::now();
+    renderer.render(&scene.camera, &settings, &Watch::default())?;
     Ok(Measured {
         pixels: [profile.geometry.width, profile.geometry.height],
         depth,
         tactile,
-        visual_s: began.elapsed().as_secs_f64(),
+        visual_s: start.elapsed().as_secs_f64(),
         prepare_s,
     })
 }
 
-/// The press as the peer reads it.
-fn press_for_peer() -> Result<Value> {
+/// Returns the input of the baseline.
+fn press_for_baseline() -> Result<Value> {
     let press = DepthScene::new(SensorProfile::gelsight_mini()?.geometry).depth()?;
     Ok(json!({
         "width": press.geometry.width,
@@ -155,12 +153,12 @@ fn figures(m: &Measured) -> Value {
     })
 }
 
-fn text(m: &Measured, samples: u32) -> String {
+fn text(m: &Measured, spp: u32) -> String {
     let depth = &m.depth;
     format!(
         "depth        {:.2} ms by z-buffer, {:.1} ms by rays and {:.0} ms for their tree\n\
-         tactile      {:.2} ms an image, from mesh to 8 bits\n\
-         visual       {:.2} s with {samples} paths a pixel, {:.2} s to prepare the scene",
+         tactile      {:.2} ms per image, from mesh to 8 bits\n\
+         visual       {:.2} s at {spp} spp, {:.2} s to prepare the scene",
         depth.depth_ms.min,
         depth.rays_ms.min,
         depth.tree_ms,

@@ -1,15 +1,15 @@
-//! `gripcast-bench rigid`: grasps of the rigid-body baseline, beside PyBullet's.
+//! `gripcast-bench rigid`: grasps of the rigid engine, compared with PyBullet.
 //!
 //! ```text
-//! gripcast-bench rigid --per-object 20 --peer pybullet --json
-//! gripcast-bench rigid --objects builtin:mug,parts/b1.obj --unit mm --peer pybullet
+//! gripcast-bench rigid --per-object 20 --baseline pybullet --json
+//! gripcast-bench rigid --objects builtin:mug,parts/b1.obj --unit mm --baseline pybullet
 //! ```
 //!
-//! Random grasps of each object, of which about four of ten fail: stable pose, turn, offsets, tilt,
-//! friction and force from the seed. One thread; the time of a grasp is that after its convex
-//! decomposition. `--peer pybullet` simulates the same pieces, poses and motors with PyPI's
-//! pybullet through `python3` in the same run, with time steps four times as fine as ours:
-//! at its usual 1/240 s it differs from its own finer run in one outcome of six (`--refine 1`).
+//! Random grasps of each object, of which about 40 % fail: stable pose, yaw, offsets, roll, pitch,
+//! friction and force are drawn from the seed. One thread; times exclude the convex decomposition.
+//! `--baseline pybullet` simulates the same pieces, poses and motors with PyBullet at a quarter of
+//! our time step: at its default 1/240 s, one outcome of six differs from its own finer run
+//! (`--refine 1`).
 //!
 //! Exit codes: 0 measured · 2 usage · 4 the outcomes agree on less than 90 % of the grasps.
 
@@ -27,12 +27,14 @@ use gripcast_sim::rigid::{RigidEngine, RigidSettings};
 use serde::Serialize;
 use serde_json::json;
 
-use crate::peer::Peer;
-use crate::rigid_grasps::{Agreement, PeerAnswer, PeerGrasp, compare, peer_cases, random_grasps};
+use crate::baseline::Baseline;
+use crate::rigid_grasps::{
+    Agreement, BaselineAnswer, BaselineGrasp, baseline_cases, compare, random_grasps,
+};
 
-/// Fraction of outcomes that have to agree.
+/// Minimum fraction of agreeing outcomes.
 const MIN_AGREEMENT: f64 = 0.9;
-const PYBULLET: Peer = Peer {
+const PYBULLET: Baseline = Baseline {
     name: "pybullet",
     packages: "pybullet",
     script: include_str!("../peers/pybullet_grasp.py"),
@@ -41,49 +43,49 @@ const PYBULLET: Peer = Peer {
 /// Arguments.
 #[derive(Debug, clap::Args)]
 pub(crate) struct Args {
-    /// Mesh files or builtin:NAME, separated by commas
+    /// Mesh files or builtin:NAME, comma-separated
     #[arg(long, value_name = "MESH", value_delimiter = ',', default_values = [
         "builtin:box", "builtin:cylinder", "builtin:mug", "builtin:wedge", "builtin:spike",
         "builtin:bottle",
     ])]
     objects: Vec<String>,
-    /// Unit of the coordinates in mesh files: mm, cm, m, in
+    /// Unit of the mesh coordinates: mm, cm, m, in
     #[arg(long, default_value_t = LengthUnit::Metre)]
     unit: LengthUnit,
-    /// Factor on the size of mesh files
-    #[arg(long, default_value_t = 1.0)]
+    /// Scale factor of mesh files
+    #[arg(long, value_name = "FACTOR", default_value_t = 1.0)]
     scale: f64,
-    /// Grasps of each object
+    /// Grasps per object
     #[arg(long, value_name = "N", default_value_t = 20)]
     per_object: usize,
-    /// Seed of the grasps
-    #[arg(long, default_value_t = 0)]
+    /// Random seed of the grasps
+    #[arg(long, value_name = "SEED", default_value_t = 0)]
     seed: u64,
-    /// Simulate the grasps with PyPI's pybullet as well
+    /// Baseline to compare against (PyPI)
     #[arg(long, value_parser = [PYBULLET.name])]
-    peer: Option<String>,
-    /// Time steps of the peer in one of ours
+    baseline: Option<String>,
+    /// Time steps of the baseline per step of ours
     #[arg(long, value_name = "N", default_value_t = 4,
         value_parser = clap::value_parser!(u32).range(1..=64))]
     refine: u32,
-    /// Print one JSON object
+    /// Print the result as JSON
     #[arg(long)]
     json: bool,
 }
 
-/// Runs the bench.
+/// Runs the benchmark.
 pub(crate) fn run(context: &Context, args: &Args) -> Result<()> {
     let engine = RigidEngine::new(RigidSettings::default());
     let meshes = meshes(args)?;
-    let began = Instant::now();
+    let start = Instant::now();
     for (_, mesh) in &meshes {
         engine.decomposition(mesh)?;
     }
-    let decomposition_s = began.elapsed().as_secs_f64();
+    let decomposition_s = start.elapsed().as_secs_f64();
     let grasps = random_grasps(&engine, &meshes, args.per_object, args.seed)?;
-    let (results, seconds) = simulated(&engine, &grasps)?;
-    let peer = match args.peer {
-        Some(_) => ask(context, &engine, &grasps, &results, args.refine)?,
+    let (results, seconds) = simulate_all(&engine, &grasps)?;
+    let baseline = match args.baseline {
+        Some(_) => run_baseline(context, &engine, &grasps, &results, args.refine)?,
         None => None,
     };
     let lifted = |r: &&GraspResult| r.outcome == GraspOutcome::Success;
@@ -93,14 +95,16 @@ pub(crate) fn run(context: &Context, args: &Args) -> Result<()> {
         decomposition_s,
         grasps: grasps.len(),
         lifted: results.iter().filter(lifted).count(),
-        outcome_ok: peer.as_ref().and_then(|peer| peer.agreement.fraction()),
+        outcome_ok: baseline
+            .as_ref()
+            .and_then(|baseline| baseline.agreement.fraction()),
     };
-    report(args, &figures, peer.as_ref()).print(args.json)?;
+    report(args, &figures, baseline.as_ref()).print(args.json)?;
     match figures.outcome_ok {
         Some(fraction) if fraction < MIN_AGREEMENT => Err(Error::new(
             ErrorKind::Check,
             format!(
-                "the outcomes agree on {:.1} % of the grasps only",
+                "the outcomes agree on only {:.1} % of the grasps",
                 1e2 * fraction
             ),
         )),
@@ -110,14 +114,14 @@ pub(crate) fn run(context: &Context, args: &Args) -> Result<()> {
 
 #[derive(Serialize)]
 struct Figures {
-    /// Of a grasp after its decomposition.
+    /// Time of a grasp without its decomposition.
     wall_s_median: f64,
     wall_s_max: f64,
-    /// Of all objects.
+    /// Time of all decompositions.
     decomposition_s: f64,
     grasps: usize,
     lifted: usize,
-    /// Fraction of the outcomes that agree with the peer's.
+    /// Fraction of the outcomes that agree with the baseline.
     #[serde(skip_serializing_if = "Option::is_none")]
     outcome_ok: Option<f64>,
 }
@@ -136,90 +140,93 @@ fn meshes(args: &Args) -> Result<Vec<(String, Arc<TriangleMesh>)>> {
 }
 
 /// Results and wall times, s.
-fn simulated(engine: &RigidEngine, grasps: &[PeerGrasp]) -> Result<(Vec<GraspResult>, Vec<f64>)> {
+fn simulate_all(
+    engine: &RigidEngine,
+    grasps: &[BaselineGrasp],
+) -> Result<(Vec<GraspResult>, Vec<f64>)> {
     let mut results = Vec::new();
     let mut seconds = Vec::new();
     for grasp in grasps {
-        let began = Instant::now();
+        let start = Instant::now();
         results.push(engine.simulate(&grasp.setup, grasp.friction, grasp.force_n)?);
-        seconds.push(began.elapsed().as_secs_f64());
+        seconds.push(start.elapsed().as_secs_f64());
     }
     Ok((results, seconds))
 }
 
-/// What PyBullet made of the same grasps.
-struct Theirs {
+/// Results of PyBullet.
+struct BaselineFigures {
     version: String,
     wall_s_median: f64,
     agreement: Agreement,
 }
 
-fn ask(
+fn run_baseline(
     context: &Context,
     engine: &RigidEngine,
-    grasps: &[PeerGrasp],
+    grasps: &[BaselineGrasp],
     results: &[GraspResult],
     refine: u32,
-) -> Result<Option<Theirs>> {
-    let cases = json!(peer_cases(engine, grasps, refine)?).to_string();
+) -> Result<Option<BaselineFigures>> {
+    let cases = json!(baseline_cases(engine, grasps, refine)?).to_string();
     let Some(answer) = PYBULLET.measure(context, 1, cases.as_bytes())? else {
         return Ok(None);
     };
-    let answer: PeerAnswer = serde_json::from_value(answer)
-        .map_err(|e| PYBULLET.failed("its answer lacks a figure").because(e))?;
+    let answer: BaselineAnswer = serde_json::from_value(answer)
+        .map_err(|e| PYBULLET.failed("missing figure in its output").because(e))?;
     let seconds = answer.grasps.iter().map(|grasp| grasp.seconds);
-    Ok(Some(Theirs {
+    Ok(Some(BaselineFigures {
         wall_s_median: median(seconds).unwrap_or(f64::NAN),
         agreement: compare(engine, grasps, results, &answer),
         version: answer.version,
     }))
 }
 
-fn report(args: &Args, figures: &Figures, peer: Option<&Theirs>) -> Report {
+fn report(args: &Args, figures: &Figures, baseline: Option<&BaselineFigures>) -> Report {
     let params = json!({
         "objects": args.objects,
         "per_object": args.per_object,
         "seed": args.seed,
         "refine": args.refine,
     });
-    let mut report = Report::new("rigid", params, json!(figures), text(figures, peer));
-    if let Some(peer) = peer {
-        let peer = json!({
-            "version": peer.version,
-            "wall_s_median": peer.wall_s_median,
-            "agreement": peer.agreement,
+    let mut report = Report::new("rigid", params, json!(figures), text(figures, baseline));
+    if let Some(baseline) = baseline {
+        let baseline = json!({
+            "version": baseline.version,
+            "wall_s_median": baseline.wall_s_median,
+            "agreement": baseline.agreement,
         });
-        report.peers.insert("pybullet".to_owned(), peer);
+        report.baselines.insert("pybullet".to_owned(), baseline);
     }
     report
 }
 
-fn text(figures: &Figures, peer: Option<&Theirs>) -> String {
+fn text(figures: &Figures, baseline: Option<&BaselineFigures>) -> String {
     let mut lines = vec![format!(
-        "{} grasps, {} lifted: {:.1} ms each, at most {:.1}; decompositions {:.1} s in all",
+        "{} grasps, {} lifted: {:.1} ms each, max {:.1} ms; decompositions {:.1} s in total",
         figures.grasps,
         figures.lifted,
         1e3 * figures.wall_s_median,
         1e3 * figures.wall_s_max,
         figures.decomposition_s
     )];
-    if let Some(peer) = peer {
-        let agreement = &peer.agreement;
+    if let Some(baseline) = baseline {
+        let agreement = &baseline.agreement;
         lines.push(format!(
             "pybullet {}: {:.1} ms each, lifts {}; {} of {} outcomes agree",
-            peer.version,
-            1e3 * peer.wall_s_median,
-            agreement.lifted_theirs,
+            baseline.version,
+            1e3 * baseline.wall_s_median,
+            agreement.lifted_baseline,
             agreement.agreeing,
             agreement.compared
         ));
         for one in &agreement.disagreements {
             lines.push(format!(
-                "  {}: {}, rose {:.1} mm; there {:.1} mm",
+                "  {}: {}, rise {:.1} mm; baseline {:.1} mm",
                 one.name,
                 one.outcome.name(),
                 1e3 * one.lifted_m,
-                1e3 * one.their_rise_m
+                1e3 * one.baseline_rise_m
             ));
         }
     }

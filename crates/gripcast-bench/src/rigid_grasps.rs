@@ -1,4 +1,4 @@
-//! The same rigid grasps for another simulator, and how far it agrees.
+//! Rigid grasps for a baseline simulator, and the agreement of the outcomes.
 
 use std::sync::Arc;
 
@@ -11,15 +11,15 @@ use rand::{RngExt as _, SeedableRng as _};
 use rand_pcg::Pcg64Mcg;
 use serde::{Deserialize, Serialize};
 
-/// Frictions and forces (N) that the grasps are drawn from: Taxim's sweep.
+/// Frictions and forces (N) to draw from: Taxim's sweep.
 const FRICTIONS: [f64; 3] = [0.1, 0.25, 0.4];
 const FORCES_N: [f64; 3] = [5.0, 10.0, 20.0];
-/// Stable poses are drawn from the most probable few.
+/// Number of most probable stable poses to draw from.
 const POSES: usize = 4;
 
-/// A grasp with its unknowns chosen.
+/// A grasp with friction and force.
 #[derive(Clone, Debug)]
-pub(crate) struct PeerGrasp {
+pub(crate) struct BaselineGrasp {
     /// Unique name.
     pub(crate) name: String,
     /// Name of the object; the same for the same mesh and mass.
@@ -32,23 +32,23 @@ pub(crate) struct PeerGrasp {
     pub(crate) force_n: f64,
 }
 
-/// What the other simulator reads.
+/// Input of the baseline.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub(crate) struct PeerCases {
-    /// Parameters of the set-up, those of the contact solver aside.
+pub(crate) struct BaselineCases {
+    /// Parameters without those of the contact solver.
     pub(crate) settings: RigidSettings,
-    /// Time steps of the other simulator in one of ours: what a solver without substeps needs to
-    /// be as exact.
+    /// Time steps of the baseline per step of ours; a solver without substeps needs several for the
+    /// same accuracy.
     pub(crate) refine: u32,
-    /// Objects, each named once.
-    pub(crate) objects: Vec<PeerObject>,
+    /// Objects, each listed once.
+    pub(crate) objects: Vec<BaselineObject>,
     /// Grasps.
-    pub(crate) grasps: Vec<PeerCase>,
+    pub(crate) grasps: Vec<BaselineCase>,
 }
 
 /// An object of the cases.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub(crate) struct PeerObject {
+pub(crate) struct BaselineObject {
     /// Its name.
     pub(crate) name: String,
     /// Mass, kg.
@@ -58,12 +58,12 @@ pub(crate) struct PeerObject {
     /// Inertia tensor about the centre of mass in the mesh's axes, kg m².
     pub(crate) inertia_kg_m2: [[f64; 3]; 3],
     /// Convex pieces.
-    pub(crate) pieces: Vec<PeerPiece>,
+    pub(crate) pieces: Vec<BaselinePiece>,
 }
 
 /// A convex piece in the mesh's frame.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub(crate) struct PeerPiece {
+pub(crate) struct BaselinePiece {
     /// Corners, m.
     pub(crate) vertices_m: Vec<[f64; 3]>,
     /// Faces, counter-clockwise seen from outside.
@@ -72,7 +72,7 @@ pub(crate) struct PeerPiece {
 
 /// A grasp of the cases.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub(crate) struct PeerCase {
+pub(crate) struct BaselineCase {
     /// Its name.
     pub(crate) name: String,
     /// Index of its object.
@@ -85,25 +85,25 @@ pub(crate) struct PeerCase {
     pub(crate) opening_m: f64,
     /// Coulomb friction coefficient of every contact.
     pub(crate) friction: f64,
-    /// Most force of each finger's motor, N.
+    /// Maximum motor force of each finger, N.
     pub(crate) force_n: f64,
 }
 
-/// What the other simulator answers.
+/// Output of the baseline.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub(crate) struct PeerAnswer {
+pub(crate) struct BaselineAnswer {
     /// Its version.
     pub(crate) version: String,
     /// One for each grasp, in the order of the cases.
-    pub(crate) grasps: Vec<PeerResult>,
+    pub(crate) grasps: Vec<BaselineResult>,
 }
 
-/// A grasp in the other simulator.
+/// Result of a grasp in the baseline.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub(crate) struct PeerResult {
+pub(crate) struct BaselineResult {
     /// Name of the grasp.
     pub(crate) name: String,
-    /// Whether a finger felt the object while closing.
+    /// Whether a finger touched the object while closing.
     pub(crate) touched: bool,
     /// Rise of the centre of mass in the lift, m.
     pub(crate) rise_m: f64,
@@ -113,50 +113,49 @@ pub(crate) struct PeerResult {
     pub(crate) seconds: f64,
 }
 
-/// How far two simulators agree on what was lifted.
+/// Agreement of two simulators on the outcomes.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub(crate) struct Agreement {
-    /// Grasps that both simulated.
+    /// Grasps simulated by both.
     pub(crate) compared: usize,
-    /// Lifted in both, or in neither.
+    /// Lifted in both or in neither.
     pub(crate) agreeing: usize,
-    /// Lifted here.
+    /// Lifted by ours.
     pub(crate) lifted_ours: usize,
-    /// Lifted there.
-    pub(crate) lifted_theirs: usize,
-    /// The others.
+    /// Lifted by the baseline.
+    pub(crate) lifted_baseline: usize,
+    /// Grasps with different outcomes.
     pub(crate) disagreements: Vec<Disagreement>,
 }
 
-/// A grasp that only one simulator lifted.
+/// A grasp lifted by only one simulator.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub(crate) struct Disagreement {
     /// Name of the grasp.
     pub(crate) name: String,
     /// Our outcome.
     pub(crate) outcome: GraspOutcome,
-    /// Rise of the centre of mass here since before the closing, m.
+    /// Rise of the centre of mass in ours since before closing, m.
     pub(crate) lifted_m: f64,
-    /// Rise of the centre of mass there in the lift, m.
-    pub(crate) their_rise_m: f64,
+    /// Rise of the centre of mass in the baseline during the lift, m.
+    pub(crate) baseline_rise_m: f64,
 }
 
 impl Agreement {
-    /// Fraction of the grasps that agree; none where none was compared.
+    /// Returns the fraction of agreeing grasps; none without grasps.
     pub(crate) fn fraction(&self) -> Option<f64> {
         (self.compared > 0).then(|| self.agreeing as f64 / self.compared as f64)
     }
 }
 
-/// Random grasps of each mesh (m): stable pose, turn, offsets, tilt, lean, height, mass, friction
-/// and force from a seed. About four of ten fail. Grasps that start inside something are drawn
-/// again.
+/// Draws random grasps of each mesh (m): stable pose, yaw, offsets, roll, pitch, height, friction and
+/// force. About 40 % fail. Grasps that start in collision are redrawn.
 pub(crate) fn random_grasps(
     engine: &RigidEngine,
     meshes: &[(String, Arc<TriangleMesh>)],
     per_mesh: usize,
     seed: u64,
-) -> Result<Vec<PeerGrasp>> {
+) -> Result<Vec<BaselineGrasp>> {
     let mut grasps = Vec::new();
     for (index, (name, mesh)) in meshes.iter().enumerate() {
         let pieces = engine.decomposition(mesh)?;
@@ -166,12 +165,14 @@ pub(crate) fn random_grasps(
             .map(|pose| pose.t_world_object)
             .collect();
         if poses.is_empty() {
-            return Err(Error::input(format!("{name} has no stable pose")).remedy("close its mesh"));
+            return Err(
+                Error::input(format!("{name} has no stable pose")).remedy("use a closed mesh")
+            );
         }
         let stream = seed ^ (index as u64 + 1).wrapping_mul(0x9e37_79b9_7f4a_7c15);
         let mut rng = Pcg64Mcg::seed_from_u64(stream);
         let mut found = 0;
-        // Bounded: a mesh may leave the fingers no room at all.
+        // Bounded: a mesh may leave no room for the fingers.
         for _ in 0..100 * per_mesh {
             if found == per_mesh {
                 break;
@@ -188,13 +189,13 @@ pub(crate) fn random_grasps(
     Ok(grasps)
 }
 
-fn draw(rng: &mut Pcg64Mcg, mesh: &Arc<TriangleMesh>, poses: &[Pose]) -> Result<PeerGrasp> {
+fn draw(rng: &mut Pcg64Mcg, mesh: &Arc<TriangleMesh>, poses: &[Pose]) -> Result<BaselineGrasp> {
     let t_world_object = poses[rng.random_range(0..poses.len())];
-    let mut spread = |most: f64| rng.random_range(-most..most);
+    let mut spread = |max: f64| rng.random_range(-max..max);
     let placement = Placement {
         yaw_rad: spread(std::f64::consts::PI),
-        roll_rad: spread(0.2),
-        pitch_rad: spread(0.3),
+        tilt_rad: spread(0.2),
+        lean_rad: spread(0.3),
         offset_m: [spread(0.01), spread(0.02)],
         height_m: None,
         opening_m: None,
@@ -202,7 +203,7 @@ fn draw(rng: &mut Pcg64Mcg, mesh: &Arc<TriangleMesh>, poses: &[Pose]) -> Result<
     let higher = spread(0.5).max(0.0);
     let mut placed = placement.place(mesh, &t_world_object)?;
     placed.t_world_gripper.translation_m.z *= 1.0 + higher;
-    Ok(PeerGrasp {
+    Ok(BaselineGrasp {
         name: String::new(),
         object: String::new(),
         setup: GraspSetup {
@@ -217,14 +218,14 @@ fn draw(rng: &mut Pcg64Mcg, mesh: &Arc<TriangleMesh>, poses: &[Pose]) -> Result<
     })
 }
 
-/// The grasps as another simulator can read them, with our convex pieces and `refine` of its
-/// time steps in one of ours. Those that start inside something are left out.
-pub(crate) fn peer_cases(
+/// Returns the input of the baseline, with our convex pieces and `refine` of its time steps per step
+/// of ours. Grasps that start in collision are omitted.
+pub(crate) fn baseline_cases(
     engine: &RigidEngine,
-    grasps: &[PeerGrasp],
+    grasps: &[BaselineGrasp],
     refine: u32,
-) -> Result<PeerCases> {
-    let mut cases = PeerCases {
+) -> Result<BaselineCases> {
+    let mut cases = BaselineCases {
         settings: engine.settings,
         refine: refine.max(1),
         objects: Vec::new(),
@@ -236,15 +237,15 @@ pub(crate) fn peer_cases(
         let Ok(opening_m) = engine.start_opening(setup, &pieces) else {
             continue;
         };
-        let known = cases.objects.iter().position(|o| o.name == grasp.object);
-        let object = match known {
+        let index = cases.objects.iter().position(|o| o.name == grasp.object);
+        let object = match index {
             Some(index) => index,
             None => {
                 cases.objects.push(object(grasp, pieces.pieces())?);
                 cases.objects.len() - 1
             }
         };
-        cases.grasps.push(PeerCase {
+        cases.grasps.push(BaselineCase {
             name: grasp.name.clone(),
             object,
             t_world_object: setup.t_world_object,
@@ -257,12 +258,12 @@ pub(crate) fn peer_cases(
     Ok(cases)
 }
 
-/// Compares our results, in the order of `grasps`, with another simulator's answer.
+/// Compares our results, in the order of `grasps`, with the output of the baseline.
 pub(crate) fn compare(
     engine: &RigidEngine,
-    grasps: &[PeerGrasp],
+    grasps: &[BaselineGrasp],
     results: &[GraspResult],
-    answer: &PeerAnswer,
+    answer: &BaselineAnswer,
 ) -> Agreement {
     let enough = engine.settings.success_rise_m();
     let mut agreement = Agreement::default();
@@ -271,32 +272,32 @@ pub(crate) fn compare(
             continue;
         };
         let lifted = ours.outcome == GraspOutcome::Success;
-        let lifted_there = theirs.touched && theirs.rise_m >= enough;
+        let lifted_in_baseline = theirs.touched && theirs.rise_m >= enough;
         agreement.compared += 1;
         agreement.lifted_ours += usize::from(lifted);
-        agreement.lifted_theirs += usize::from(lifted_there);
-        if lifted == lifted_there {
+        agreement.lifted_baseline += usize::from(lifted_in_baseline);
+        if lifted == lifted_in_baseline {
             agreement.agreeing += 1;
         } else {
             agreement.disagreements.push(Disagreement {
                 name: grasp.name.clone(),
                 outcome: ours.outcome,
                 lifted_m: ours.lifted_m,
-                their_rise_m: theirs.rise_m,
+                baseline_rise_m: theirs.rise_m,
             });
         }
     }
     agreement
 }
 
-fn object(grasp: &PeerGrasp, pieces: &[TriangleMesh]) -> Result<PeerObject> {
-    let properties = MassProperties::from_mesh(&grasp.setup.mesh)?;
+fn object(grasp: &BaselineGrasp, pieces: &[TriangleMesh]) -> Result<BaselineObject> {
+    let properties = MassProperties::of(&grasp.setup.mesh)?;
     let mass_kg = grasp.setup.mass_kg;
-    let piece = |mesh: &TriangleMesh| PeerPiece {
+    let piece = |mesh: &TriangleMesh| BaselinePiece {
         vertices_m: mesh.vertices.iter().map(|v| v.to_array()).collect(),
         triangles: mesh.triangles.clone(),
     };
-    Ok(PeerObject {
+    Ok(BaselineObject {
         name: grasp.object.clone(),
         mass_kg,
         center_of_mass_m: properties.center_of_mass_m.to_array(),
@@ -313,28 +314,28 @@ mod tests {
     use gripcast_geometry::builtin;
     use gripcast_sim::Engine as _;
 
-    fn grasps(engine: &RigidEngine) -> Vec<PeerGrasp> {
+    fn grasps(engine: &RigidEngine) -> Vec<BaselineGrasp> {
         let mesh = |name: &str| (name.to_owned(), Arc::new(builtin(name).unwrap()));
         random_grasps(engine, &[mesh("box"), mesh("spike")], 3, 7).unwrap()
     }
 
     #[test]
-    fn cases_hold_each_object_once_and_come_again_from_their_seed() {
+    fn cases_list_objects_once_and_are_deterministic() {
         let engine = RigidEngine::default();
-        let cases = peer_cases(&engine, &grasps(&engine), 4).unwrap();
+        let cases = baseline_cases(&engine, &grasps(&engine), 4).unwrap();
         assert_eq!(cases.objects.len(), 2);
         let objects: Vec<usize> = cases.grasps.iter().map(|g| g.object).collect();
         assert_eq!(objects, [0, 0, 0, 1, 1, 1]);
         let found = &cases.objects[0];
         let expected = 0.06 / 12.0 * (0.04 * 0.04 + 0.06 * 0.06);
         assert!((found.inertia_kg_m2[0][0] - expected).abs() < 1e-9 * expected);
-        assert_eq!(cases, peer_cases(&engine, &grasps(&engine), 4).unwrap());
+        assert_eq!(cases, baseline_cases(&engine, &grasps(&engine), 4).unwrap());
         let text = serde_json::to_string(&cases).unwrap();
-        assert_eq!(serde_json::from_str::<PeerCases>(&text).unwrap(), cases);
+        assert_eq!(serde_json::from_str::<BaselineCases>(&text).unwrap(), cases);
     }
 
     #[test]
-    fn only_what_is_lifted_is_compared() {
+    fn compare_counts_common_grasps() {
         let engine = RigidEngine::default();
         let grasps = grasps(&engine);
         let results: Vec<GraspResult> = grasps
@@ -345,19 +346,19 @@ mod tests {
             .iter()
             .filter(|r| r.outcome == GraspOutcome::Success);
         let lifted = lifted.count();
-        let theirs = |grasp: &PeerGrasp| PeerResult {
+        let theirs = |grasp: &BaselineGrasp| BaselineResult {
             name: grasp.name.clone(),
             touched: true,
             rise_m: 0.2,
             force_n: [1.0, 1.0],
             seconds: 0.01,
         };
-        let answer = PeerAnswer {
+        let answer = BaselineAnswer {
             version: "1".to_owned(),
             grasps: grasps.iter().skip(1).map(theirs).collect(),
         };
         let found = compare(&engine, &grasps[1..], &results[1..], &answer);
-        assert_eq!((found.compared, found.lifted_theirs), (5, 5));
+        assert_eq!((found.compared, found.lifted_baseline), (5, 5));
         assert_eq!(found.agreeing, found.lifted_ours);
         assert_eq!(found.disagreements.len(), 5 - found.lifted_ours);
         assert!(lifted >= found.lifted_ours);

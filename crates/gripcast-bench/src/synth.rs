@@ -2,12 +2,12 @@
 //!
 //! ```text
 //! gripcast-bench synth --json                        coarse and default gels
-//! gripcast-bench synth --gel coarse --against fine   how often their labels agree
+//! gripcast-bench synth --gel coarse --compare fine   agreement of the labels
 //! ```
 //!
-//! The same grasps of the built-in families with each mesh of the gels, simulated, rendered and kept
-//! as `gripcast synth run` does. Exit codes: 0 measured · 1 it could not be · 2 usage · 4 labels
-//! agree on less than 95 %, or more than 1 % of the simulations could not be done · 130 interrupted.
+//! The same procedural objects and grasps with each gel mesh, simulated, rendered and stored as by
+//! `gripcast synth run`. Exit codes: 0 measured · 1 failed · 2 usage · 4 labels agree on less than
+//! 95 %, or more than 1 % of the simulations failed · 130 interrupted.
 
 use std::path::Path;
 use std::time::Instant;
@@ -19,7 +19,7 @@ use gripcast::daemon::live_load::peak_rss_mb;
 use gripcast_base::error::{Error, ErrorKind, Result};
 use gripcast_base::workers::cores;
 use gripcast_sim::fem::GelResolution;
-use gripcast_sim::grasp::{GraspSettings, Preset};
+use gripcast_sim::grasp::{GraspSettings, Preset, resolution_by_name, resolution_name};
 use gripcast_sim::{Engine, FemEngine};
 use gripcast_synth::plan::{
     MIN_FRICTION_FRACTION, Plan, PlanPreset, PlanSettings, Shard, family_drafts, make_plan,
@@ -31,56 +31,56 @@ use gripcast_synth::{
 use serde::Serialize;
 use serde_json::{Map, Value, json};
 
-/// Fraction of labels that have to agree.
+/// Minimum fraction of agreeing labels.
 const MIN_AGREEMENT: f64 = 0.95;
-/// Fraction of simulations that may fail.
+/// Maximum fraction of failed simulations.
 const MAX_FAILURES: f64 = 0.01;
 
 /// Arguments.
 #[derive(Clone, Debug, clap::Args)]
 pub(crate) struct Args {
-    /// Objects
+    /// Number of objects
     #[arg(long, value_name = "N", default_value_t = 18)]
     objects: usize,
-    /// Grasps of each, at 10 and 40 N
+    /// Grasps per object, each at 10 and 40 N
     #[arg(long, value_name = "N", default_value_t = 1)]
     grasps: usize,
-    /// Meshes of the gels
-    #[arg(long, value_parser = GelResolution::from_name, value_delimiter = ',',
+    /// Gel meshes, comma-separated
+    #[arg(long, value_parser = resolution_by_name, value_delimiter = ',',
         default_values = ["coarse", "default"])]
     gel: Vec<GelResolution>,
-    /// Simulate the grasps with this mesh as well and compare the labels
-    #[arg(long, value_parser = GelResolution::from_name)]
-    against: Option<GelResolution>,
-    /// Seed of the plan
-    #[arg(long, default_value_t = 0)]
+    /// Gel mesh to compare the labels with
+    #[arg(long, value_parser = resolution_by_name)]
+    compare: Option<GelResolution>,
+    /// Random seed of the plan
+    #[arg(long, value_name = "SEED", default_value_t = 0)]
     seed: u64,
-    /// Simulations at a time [default: all cores]
-    #[arg(long, value_parser = clap::value_parser!(u16).range(1..=256))]
+    /// Number of parallel simulations [default: all cores]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=256))]
     jobs: Option<u16>,
-    /// Print one JSON object
+    /// Print the result as JSON
     #[arg(long)]
     json: bool,
 }
 
-/// What was found with one mesh of the gels.
+/// Figures of a gel mesh.
 #[derive(Clone, Debug, Serialize)]
 struct Figures {
-    /// Simulated and rendered, wall clock.
+    /// Simulated and rendered grasps per hour of wall time.
     grasps_per_hour: f64,
     simulations: usize,
-    held: usize,
-    lost: usize,
+    stable: usize,
+    slip: usize,
     failed: usize,
-    /// Mean CPU time of the parts of a simulation.
+    /// Mean CPU time of the stages of a simulation.
     cpu_s: CpuSeconds,
     rss_mb: f64,
-    /// Fraction of the simulations with a label whose label is the other mesh's.
+    /// Fraction of the labelled simulations with the label of the other mesh.
     #[serde(skip_serializing_if = "Option::is_none")]
     label_agreement: Option<f64>,
 }
 
-/// Runs the bench.
+/// Runs the benchmark.
 pub(crate) fn run(context: &Context, args: &Args) -> Result<()> {
     let own = args.clone();
     let found = interruptible(context, "simulating", move |progress| {
@@ -102,7 +102,7 @@ pub(crate) fn run(context: &Context, args: &Args) -> Result<()> {
 }
 
 fn measure(args: &Args, progress: &Progress) -> Result<Vec<(GelResolution, Figures)>> {
-    let folder = tempfile::tempdir().map_err(|e| Error::io("cannot make a folder", e))?;
+    let folder = tempfile::tempdir().map_err(|e| Error::io("cannot create a folder", e))?;
     let mut found = Vec::new();
     let mut reference = None;
     for gel in &args.gel {
@@ -110,21 +110,25 @@ fn measure(args: &Args, progress: &Progress) -> Result<Vec<(GelResolution, Figur
         let jobs = args.jobs();
         let drafts = family_drafts(args.objects, args.seed, jobs, &|_| ())?;
         let made = make_plan(&args.settings(), drafts.into(), &engine, None, &|_| ())?;
-        let at = folder.path().join(gel.name());
-        made.write(&at)?;
+        let plan_folder = folder.path().join(resolution_name(*gel));
+        made.write(&plan_folder)?;
         let plan = made.plan;
-        progress.line(format!("{} gels", gel.name()));
-        let mut figures = figures(&plan, &at, &engine, jobs, progress)?;
-        if let Some(other) = args.against {
+        progress.line(format!("{} gels", resolution_name(*gel)));
+        let mut figures = figures(&plan, &plan_folder, &engine, jobs, progress)?;
+        if let Some(other) = args.compare {
             if reference.is_none() {
-                progress.line(format!("{} gels, for their labels", other.name()));
-                let told = |done: usize| {
-                    progress.at(done as u64, plan.simulations.len() as u64);
-                };
+                progress.line(format!("{} gels, for their labels", resolution_name(other)));
+                let on_progress = |done: usize| progress.count(done, plan.simulations.len());
                 let other = self::engine(other);
-                reference = Some(simulate_labels(&plan, &at, &other, jobs, &told)?);
+                reference = Some(simulate_labels(
+                    &plan,
+                    &plan_folder,
+                    &other,
+                    jobs,
+                    &on_progress,
+                )?);
             }
-            figures.label_agreement = agreement(&plan, &at, reference.as_deref())?;
+            figures.label_agreement = agreement(&plan, &plan_folder, reference.as_deref())?;
         }
         found.push((*gel, figures));
     }
@@ -138,8 +142,8 @@ fn figures(
     jobs: usize,
     progress: &Progress,
 ) -> Result<Figures> {
-    let began = Instant::now();
-    let told = |at: gripcast_synth::RunProgress| progress.at(at.done as u64, at.all as u64);
+    let start = Instant::now();
+    let on_progress = |at: gripcast_synth::RunProgress| progress.count(at.done, at.all);
     let settings = RunSettings {
         shard: Shard::WHOLE,
         jobs,
@@ -147,14 +151,14 @@ fn figures(
         is_open_simulated: true,
         images: Images::All,
     };
-    let summary = run_plan(plan, folder, &settings, engine, &told)?;
-    let wall_h = began.elapsed().as_secs_f64() / 3600.0;
+    let summary = run_plan(plan, folder, &settings, engine, &on_progress)?;
+    let wall_h = start.elapsed().as_secs_f64() / 3600.0;
     let store = ResultStore::beside(folder);
     let mut figures = Figures {
         grasps_per_hour: summary.simulated as f64 / wall_h,
         simulations: summary.all,
-        held: 0,
-        lost: 0,
+        stable: 0,
+        slip: 0,
         failed: summary.failed.len(),
         cpu_s: CpuSeconds::default(),
         rss_mb: peak_rss_mb(),
@@ -164,8 +168,8 @@ fn figures(
         let Some(result) = store.find(plan, &simulation.id)? else {
             continue;
         };
-        figures.held += usize::from(result.stable == Some(true));
-        figures.lost += usize::from(result.stable == Some(false));
+        figures.stable += usize::from(result.stable == Some(true));
+        figures.slip += usize::from(result.stable == Some(false));
         let (sum, own) = (&mut figures.cpu_s, result.cpu_s);
         let fraction = 1.0 / summary.all as f64;
         sum.prepare += fraction * own.prepare;
@@ -176,7 +180,7 @@ fn figures(
     Ok(figures)
 }
 
-/// Fraction of the results with a label that have that of `reference`, simulation by simulation.
+/// Returns the fraction of the labelled results that agree with `reference`.
 fn agreement(
     plan: &Plan,
     folder: &Path,
@@ -223,7 +227,7 @@ impl Args {
 fn report(args: &Args, found: &[(GelResolution, Figures)]) -> Report {
     let gels: Map<String, Value> = found
         .iter()
-        .map(|(gel, figures)| (gel.name().to_owned(), json!(figures)))
+        .map(|(gel, figures)| (resolution_name(*gel).to_owned(), json!(figures)))
         .collect();
     let params = json!({
         "objects": args.objects,
@@ -231,7 +235,7 @@ fn report(args: &Args, found: &[(GelResolution, Figures)]) -> Report {
         "seed": args.seed,
         "jobs": args.jobs(),
         "renderings": PlanPreset::Small.rendering().renderings,
-        "against": args.against.map(GelResolution::name),
+        "compare": args.compare.map(resolution_name),
     });
     Report::new("synth", params, gels.into(), text(args, found))
 }
@@ -241,12 +245,12 @@ fn text(args: &Args, found: &[(GelResolution, Figures)]) -> String {
     for (gel, figures) in found {
         let cpu = figures.cpu_s;
         lines.push(format!(
-            "{:8} {:6.0} grasps an hour · {} held, {} lost, {} failed · CPU s: prepare {:.2}, \
+            "{:8} {:6.0} grasps/h · {} stable, {} slip, {} failed · CPU s: prepare {:.2}, \
              simulate {:.2}, tactile {:.2}, visual {:.2} · {:.0} MB",
-            gel.name(),
+            resolution_name(*gel),
             figures.grasps_per_hour,
-            figures.held,
-            figures.lost,
+            figures.stable,
+            figures.slip,
             figures.failed,
             cpu.prepare,
             cpu.simulate,
@@ -254,11 +258,11 @@ fn text(args: &Args, found: &[(GelResolution, Figures)]) -> String {
             cpu.visual,
             figures.rss_mb,
         ));
-        if let (Some(fraction), Some(other)) = (figures.label_agreement, args.against) {
+        if let (Some(fraction), Some(other)) = (figures.label_agreement, args.compare) {
             lines.push(format!(
                 "{:8} labels agree with {} gels on {:.1} %",
                 "",
-                other.name(),
+                resolution_name(other),
                 1e2 * fraction
             ));
         }

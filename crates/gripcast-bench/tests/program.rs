@@ -24,11 +24,11 @@ fn report(arguments: &str) -> Value {
 }
 
 #[test]
-fn contact_prints_every_phase_and_the_promised_figure() {
+fn contact_reports_phases_and_total() {
     let report = report("-q contact --json --faces 1280 --runs 20");
     assert_eq!(report["name"], "contact");
     assert_eq!(report["params"]["threads"], 1);
-    assert!(report["peers"].as_object().unwrap().is_empty());
+    assert!(report["baselines"].as_object().unwrap().is_empty());
     let ours = report["figures"]["coarse_1280_ours_ms"].as_f64().unwrap();
     let phases = &report["meshes"][0]["phases"];
     for phase in ["find", "energy", "gradient", "hessian", "ccd"] {
@@ -44,7 +44,7 @@ fn contact_prints_every_phase_and_the_promised_figure() {
 }
 
 #[test]
-fn predict_is_that_of_the_program() {
+fn predict_reports_engine_time() {
     let report = report("predict --json --runs 30");
     assert_eq!(report["name"], "predict");
     assert!(report["figures"]["engine_ms_median"].as_f64().unwrap() > 0.0);
@@ -57,7 +57,7 @@ fn invalid_flags_are_usage_errors() {
         "contact --runs 3",
         "grasp --gel extra",
         "grasp --only nothing",
-        "train --peer jax",
+        "train --baseline jax",
     ] {
         assert_eq!(bench(wrong).status.code(), Some(2), "{wrong}");
     }

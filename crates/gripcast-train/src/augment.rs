@@ -1,5 +1,4 @@
-//! From the images of a sample to the floats that the network sees, changed at random in
-//! training.
+//! Preprocessing and augmentation: from the images of a sample to the network's input tensors.
 
 use image::RgbImage;
 use serde::{Deserialize, Serialize};
@@ -13,84 +12,84 @@ use gripcast_nn::predict::contract::RgbNormalisation;
 
 const HEIGHT: usize = IMAGE[0];
 const WIDTH: usize = IMAGE[1];
-/// Floats of an image.
+/// Floats per image.
 pub(super) const FLOATS: usize = HEIGHT * WIDTH * IMAGE[2];
-/// Numbers that noise is taken from, at random places: drawing new ones would take longer than the
-/// network.
-const NOISE: usize = 1 << 20;
+/// Size of the table of normal numbers, read from random offsets: drawing new numbers would take
+/// longer than the network.
+const NOISE_TABLE: usize = 1 << 20;
 
-/// How far images are changed in training. Zeros and `false` leave them as they are.
+/// Ranges of the data augmentation; 0 and `false` disable it.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Augmentation {
-    /// Half of the samples are seen as if the gripper were turned by 180° about its approach: the
-    /// sensors swap, the colour image turns.
-    pub turned: bool,
-    /// Half of the samples are mirrored between the fingers: the sensors swap and their images
-    /// turn upside down, left and right of the colour image swap.
-    pub mirrored: bool,
-    /// Sensitivity of a tactile sensor, as a fraction: 0.25 is 0.75 to 1.25.
+    /// Rotates the gripper by 180° about its approach with probability 0.5: the sensors swap, the
+    /// colour image is rotated.
+    pub rotate_180: bool,
+    /// Mirrors the fingers with probability 0.5: the sensors swap, their images are flipped
+    /// vertically, the colour image horizontally.
+    pub mirror: bool,
+    /// Gain of a tactile sensor: 0.25 means 0.75 to 1.25.
     pub tactile_gain: f64,
-    /// The same for each of its colours.
-    pub tactile_colour: f64,
-    /// Drift of a colour between the initial and the grasp image, grey levels of 255.
+    /// Gain of each of its colour channels.
+    pub tactile_channel_gain: f64,
+    /// Drift of a channel between initial and grasp image, grey levels (0 to 255).
     pub tactile_offset: f64,
-    /// Largest deviation of a tactile difference's noise, grey levels of 255.
+    /// Maximum standard deviation of the noise of a tactile difference, grey levels (0 to 255).
     pub tactile_noise: f64,
-    /// Largest shift of a tactile sensor's image, pixels.
+    /// Maximum shift of a tactile image, px.
     pub tactile_shift: usize,
-    /// Largest part of the colour image's sides that is cut off.
+    /// Maximum fraction cropped from the sides of the colour image.
     pub crop: f64,
-    /// Brightness of the colour image, as a fraction.
+    /// Brightness of the colour image: 0.25 means 0.75 to 1.25.
     pub brightness: f64,
-    /// The same for each of its colours.
-    pub colour: f64,
-    /// Saturation, as a fraction.
+    /// Gain of each of its channels.
+    pub channel_gain: f64,
+    /// Saturation.
     pub saturation: f64,
 }
 
 impl Augmentation {
-    /// Images as they are.
+    /// No augmentation.
     pub const NONE: Self = Self {
-        turned: false,
-        mirrored: false,
+        rotate_180: false,
+        mirror: false,
         tactile_gain: 0.0,
-        tactile_colour: 0.0,
+        tactile_channel_gain: 0.0,
         tactile_offset: 0.0,
         tactile_noise: 0.0,
         tactile_shift: 0,
         crop: 0.0,
         brightness: 0.0,
-        colour: 0.0,
+        channel_gain: 0.0,
         saturation: 0.0,
     };
-    /// What training uses.
-    pub const USUAL: Self = Self {
-        turned: true,
-        mirrored: true,
+    /// Default augmentation.
+    pub const DEFAULT: Self = Self {
+        rotate_180: true,
+        mirror: true,
         tactile_gain: 0.3,
-        tactile_colour: 0.15,
+        tactile_channel_gain: 0.15,
         tactile_offset: 4.0,
         tactile_noise: 3.0,
         tactile_shift: 10,
         crop: 0.15,
         brightness: 0.3,
-        colour: 0.1,
+        channel_gain: 0.1,
         saturation: 0.4,
     };
 }
 
-/// The decoded images of a sample.
+/// Decoded images of a sample.
 #[derive(Clone, Debug)]
 pub(super) struct SampleImages {
-    /// Left and right sensor, initial and grasp.
+    /// Left and right sensor, initial and grasp frame.
     pub(super) tactile: [[RgbImage; 2]; 2],
-    /// Colour camera in the grasp.
+    /// Colour image of the grasp frame.
     pub(super) rgb: RgbImage,
 }
 
 impl SampleImages {
-    /// Decodes what a network with these senses sees; other images are empty.
+    /// Decodes the tactile images and the colour image, if they are used; others stay empty.
     ///
     /// # Errors
     /// `Input`: an image is damaged or not 320×240.
@@ -99,8 +98,8 @@ impl SampleImages {
         images: &ShardImages,
         [touch, vision]: [bool; 2],
     ) -> Result<Self> {
-        let mut image = |is_seen: bool, name: &str, bytes: &[u8]| {
-            if !is_seen {
+        let mut image = |is_used: bool, name: &str, bytes: &[u8]| {
+            if !is_used {
                 return Ok(RgbImage::default());
             }
             let image = decoder.stored_image(bytes)?;
@@ -111,7 +110,7 @@ impl SampleImages {
             Err(Error::input(format!(
                 "`{name}`: expected {WIDTH}×{HEIGHT} pixels, found {width}×{height}"
             ))
-            .remedy("make the dataset of images that are cropped and resized to 320×240"))
+            .remedy("build the dataset from images cropped and resized to 320×240"))
         };
         Ok(Self {
             tactile: [
@@ -129,7 +128,7 @@ impl SampleImages {
     }
 }
 
-/// Writes the floats of samples.
+/// Writes input tensors.
 #[derive(Debug)]
 pub(super) struct InputWriter {
     augmentation: Augmentation,
@@ -137,22 +136,21 @@ pub(super) struct InputWriter {
     noise: Vec<f32>,
 }
 
-/// How one sample is seen.
-struct Pose {
-    swap: bool,
-    upside_down: bool,
-    left_right: bool,
+/// Flips of the colour image.
+struct Flips {
+    vertical: bool,
+    horizontal: bool,
 }
 
 impl InputWriter {
-    /// A writer; images are changed by `augmentation` where a seed is given.
+    /// Creates a writer; `augmentation` applies to samples with a seed.
     pub(super) fn new(augmentation: Augmentation, normalisation: RgbNormalisation) -> Self {
         let mut noise = Vec::new();
         if augmentation.tactile_noise > 0.0 {
             let mut draw = SeedStream::named(0, "noise");
-            // The sum of four uniform numbers is nearly normal; this one has a deviation of 1.
+            // The sum of four uniform numbers is nearly normal; scaled to unit variance.
             let mut normal = || 3_f64.sqrt() * ((0..4).map(|_| draw.uniform()).sum::<f64>() - 2.0);
-            noise = (0..NOISE + FLOATS).map(|_| normal() as f32).collect();
+            noise = (0..NOISE_TABLE + FLOATS).map(|_| normal() as f32).collect();
         }
         Self {
             augmentation,
@@ -161,10 +159,9 @@ impl InputWriter {
         }
     }
 
-    /// Writes left and right tactile difference and the colour image, HWC; slices that are empty
-    /// stay empty. Unchanged images give the floats of
-    /// [`ModelInput`](gripcast_nn::predict::ModelInput) but for the last bits: here levels are
-    /// multiplied with gains, there divided by 255.
+    /// Writes left and right tactile difference and the colour image, HWC; empty slices stay
+    /// empty. Without augmentation, the floats are those of
+    /// [`ModelInput`](gripcast_nn::predict::ModelInput) up to rounding.
     pub(super) fn write(
         &self,
         images: &SampleImages,
@@ -178,27 +175,27 @@ impl InputWriter {
             Augmentation::NONE
         };
         let mut draw = SeedStream::named(seed.unwrap_or(0), "augment");
-        let turned = augmentation.turned && draw.bits() & 1 == 1;
-        let mirrored = augmentation.mirrored && draw.bits() & 1 == 1;
-        let pose = Pose {
-            // Both swap the sensors, so that together they do not.
-            swap: turned != mirrored,
-            upside_down: turned,
-            left_right: turned != mirrored,
-        };
-        let [of_left, of_right] = &images.tactile;
-        let pairs = if pose.swap {
-            [of_right, of_left]
+        let rotate = augmentation.rotate_180 && draw.bits() & 1 == 1;
+        let mirror = augmentation.mirror && draw.bits() & 1 == 1;
+        // Each swaps the sensors, both together do not.
+        let swap = rotate != mirror;
+        let [from_left, from_right] = &images.tactile;
+        let pairs = if swap {
+            [from_right, from_left]
         } else {
-            [of_left, of_right]
+            [from_left, from_right]
         };
         for (pair, to) in pairs.into_iter().zip([left, right]) {
             if !to.is_empty() {
-                self.write_difference(&augmentation, pair, mirrored, &mut draw, to);
+                self.write_difference(&augmentation, pair, mirror, &mut draw, to);
             }
         }
         if !rgb.is_empty() {
-            self.write_rgb(&augmentation, &images.rgb, &pose, &mut draw, rgb);
+            let flips = Flips {
+                vertical: rotate,
+                horizontal: swap,
+            };
+            self.write_rgb(&augmentation, &images.rgb, &flips, &mut draw, rgb);
         }
     }
 
@@ -206,36 +203,36 @@ impl InputWriter {
         &self,
         augmentation: &Augmentation,
         [initial, grasp]: &[RgbImage; 2],
-        upside_down: bool,
+        flip_vertical: bool,
         draw: &mut SeedStream,
         to: &mut [f32],
     ) {
         let mut about = |spread: f64| draw.between(-spread, spread);
         let gain = 1.0 + about(augmentation.tactile_gain);
         let gains: [f64; 3] =
-            std::array::from_fn(|_| gain * (1.0 + about(augmentation.tactile_colour)));
+            std::array::from_fn(|_| gain * (1.0 + about(augmentation.tactile_channel_gain)));
         let gains = gains.map(|gain| (gain / 255.0) as f32);
         let offsets: [f32; 3] =
             std::array::from_fn(|_| (about(augmentation.tactile_offset) / 255.0) as f32);
-        let most = augmentation.tactile_shift;
-        let (right, down) = (draw.index(2 * most + 1), draw.index(2 * most + 1));
+        let max = augmentation.tactile_shift;
+        let (right, down) = (draw.index(2 * max + 1), draw.index(2 * max + 1));
         let noise = (draw.uniform() * augmentation.tactile_noise / 255.0) as f32;
-        let noise_at = draw.index(NOISE);
+        let noise_offset = draw.index(NOISE_TABLE);
         for (y, row) in to.chunks_exact_mut(3 * WIDTH).enumerate() {
-            let y_seen = if upside_down { HEIGHT - 1 - y } else { y };
-            let from = (y_seen + down).saturating_sub(most).min(HEIGHT - 1) * 3 * WIDTH;
+            let source_y = if flip_vertical { HEIGHT - 1 - y } else { y };
+            let from = (source_y + down).saturating_sub(max).min(HEIGHT - 1) * 3 * WIDTH;
             let initial = &initial.as_raw()[from..from + 3 * WIDTH];
             let grasp = &grasp.as_raw()[from..from + 3 * WIDTH];
             for (x, to) in row.as_chunks_mut::<3>().0.iter_mut().enumerate() {
-                let from = 3 * (x + right).saturating_sub(most).min(WIDTH - 1);
+                let from = 3 * (x + right).saturating_sub(max).min(WIDTH - 1);
                 for c in 0..3 {
                     let change = f32::from(grasp[from + c]) - f32::from(initial[from + c]);
                     to[c] = change * gains[c] + offsets[c];
                 }
             }
             if noise > 0.0 {
-                let of_row = &self.noise[noise_at + y * 3 * WIDTH..][..3 * WIDTH];
-                for (to, normal) in row.iter_mut().zip(of_row) {
+                let normals = &self.noise[noise_offset + y * 3 * WIDTH..][..3 * WIDTH];
+                for (to, normal) in row.iter_mut().zip(normals) {
                     *to += noise * normal;
                 }
             }
@@ -246,7 +243,7 @@ impl InputWriter {
         &self,
         augmentation: &Augmentation,
         rgb: &RgbImage,
-        pose: &Pose,
+        flips: &Flips,
         draw: &mut SeedStream,
         to: &mut [f32],
     ) {
@@ -256,18 +253,18 @@ impl InputWriter {
         let mut about = |spread: f64| 1.0 + draw.between(-spread, spread);
         let brightness = about(augmentation.brightness) / 255.0;
         let gains: [f32; 3] =
-            std::array::from_fn(|_| (brightness * about(augmentation.colour)) as f32);
+            std::array::from_fn(|_| (brightness * about(augmentation.channel_gain)) as f32);
         let saturation = about(augmentation.saturation) as f32;
         let RgbNormalisation { mean, std } = self.normalisation;
-        let seen = |at: usize, side: usize, is_turned: bool, offset: f64| {
-            let at = if is_turned { side - 1 - at } else { at };
-            ((offset + at as f64 * scale) as usize).min(side - 1)
+        let source = |i: usize, side: usize, flip: bool, offset: f64| {
+            let i = if flip { side - 1 - i } else { i };
+            ((offset + i as f64 * scale) as usize).min(side - 1)
         };
         let columns: Vec<usize> = (0..WIDTH)
-            .map(|x| 3 * seen(x, WIDTH, pose.left_right, right))
+            .map(|x| 3 * source(x, WIDTH, flips.horizontal, right))
             .collect();
         for (y, row) in to.chunks_exact_mut(3 * WIDTH).enumerate() {
-            let y = seen(y, HEIGHT, pose.upside_down, down);
+            let y = source(y, HEIGHT, flips.vertical, down);
             let from = &rgb.as_raw()[y * 3 * WIDTH..][..3 * WIDTH];
             for (to, &x) in row.as_chunks_mut::<3>().0.iter_mut().zip(&columns) {
                 let pixel: [f32; 3] = std::array::from_fn(|c| f32::from(from[x + c]) * gains[c]);

@@ -1,4 +1,4 @@
-//! Batches of samples, decoded and changed on all cores.
+//! Batches of samples, decoded and augmented on all cores.
 
 use std::collections::BTreeMap;
 
@@ -11,22 +11,22 @@ use gripcast_imaging::Decoder;
 use gripcast_nn::Batch;
 use gripcast_nn::predict::contract::{RgbNormalisation, Variant};
 
-/// Samples from which mean and deviation of the colour image are taken.
+/// Samples used for the mean and standard deviation of the colour image.
 const NORMALISATION_SAMPLES: usize = 256;
 
-/// Makes batches of a part of a dataset.
+/// Loads batches of a split.
 #[derive(Debug)]
 pub(super) struct Batches<'a> {
     samples: &'a Samples,
     reader: SampleReader<'a>,
     variant: Variant,
     writer: InputWriter,
-    /// What each sample counts.
+    /// Loss weight of each sample.
     weights: Vec<f32>,
 }
 
 impl<'a> Batches<'a> {
-    /// Batches for a network with these senses; `memory` bytes of encoded images are kept.
+    /// Creates batches for a modality; about `memory` bytes of encoded images are cached.
     pub(super) fn new(
         samples: &'a Samples,
         variant: Variant,
@@ -42,44 +42,44 @@ impl<'a> Batches<'a> {
         }
     }
 
-    /// Lets both labels count the same in sum, at each stopping force if all have both: weak grasps
-    /// are lost more often, and the force can be read from the tactile images.
+    /// Balances the labels by loss weights, within each stopping force if all forces have both
+    /// labels: low forces slip more often, and the force is visible in the tactile images.
     #[must_use]
     pub(super) fn balanced(mut self) -> Self {
         let facts = self.samples.facts();
         let by_force = |facts: &SampleFacts| facts.stop_force_n.map(f64::to_bits);
-        let counted = |of: &dyn Fn(&SampleFacts) -> Option<u64>| {
+        let balance = |key: &dyn Fn(&SampleFacts) -> Option<u64>| {
             let mut counts: BTreeMap<Option<u64>, [usize; 2]> = BTreeMap::new();
             for facts in facts {
-                counts.entry(of(facts)).or_default()[usize::from(facts.is_stable)] += 1;
+                counts.entry(key(facts)).or_default()[usize::from(facts.is_stable)] += 1;
             }
             let weight = |facts: &SampleFacts| {
-                let counts = counts.get(&of(facts)).copied().unwrap_or_default();
-                let of_label = counts[usize::from(facts.is_stable)];
-                (counts[0] + counts[1]) as f32 / (2 * of_label.max(1)) as f32
+                let counts = counts.get(&key(facts)).copied().unwrap_or_default();
+                let same_label = counts[usize::from(facts.is_stable)];
+                (counts[0] + counts[1]) as f32 / (2 * same_label.max(1)) as f32
             };
             let has_both = counts
                 .values()
-                .all(|[lost, stable]| *lost > 0 && *stable > 0);
+                .all(|[slip, stable]| *slip > 0 && *stable > 0);
             has_both.then(|| facts.iter().map(weight).collect())
         };
-        if let Some(weights) = counted(&by_force).or_else(|| counted(&|_| None)) {
+        if let Some(weights) = balance(&by_force).or_else(|| balance(&|_| None)) {
             self.weights = weights;
         }
         self
     }
 
-    /// The batch of some samples, changed at random where seeds are given.
+    /// Loads a batch, augmented if seeds are given.
     ///
     /// # Errors
-    /// Those of reading and decoding, with the sample.
+    /// Errors of reading and decoding, with the sample.
     pub(super) fn batch(&mut self, samples: &[usize], seeds: Option<&[u64]>) -> Result<Batch> {
         let rows = self.reader.rows(samples)?;
         let count = samples.len();
-        let floats = |is_seen, images: usize| vec![0.0; usize::from(is_seen) * images * FLOATS];
-        let senses = [self.variant.has_touch(), self.variant.has_vision()];
-        let mut touch = floats(senses[0], 2 * count);
-        let mut vision = floats(senses[1], count);
+        let floats = |is_used, images: usize| vec![0.0; usize::from(is_used) * images * FLOATS];
+        let inputs = [self.variant.has_touch(), self.variant.has_vision()];
+        let mut touch = floats(inputs[0], 2 * count);
+        let mut vision = floats(inputs[1], count);
         let half = touch.len() / 2;
         let (left, right) = touch.split_at_mut(half);
         let mut slots: Vec<[&mut [f32]; 3]> = Vec::with_capacity(count);
@@ -101,15 +101,15 @@ impl<'a> Batches<'a> {
             .enumerate()
             .try_for_each_init(
                 || None,
-                |decoder, (at, ([left, right, rgb], (rows, row)))| {
+                |decoder, (i, ([left, right, rgb], (rows, row)))| {
                     let decoder = match decoder {
                         Some(decoder) => decoder,
                         none => none.insert(Decoder::new()?),
                     };
                     let row = &rows[row];
-                    let images = SampleImages::decode(decoder, &row.images, senses)
+                    let images = SampleImages::decode(decoder, &row.images, inputs)
                         .map_err(|e| e.at(&row.facts.id))?;
-                    let seed = seeds.and_then(|seeds| seeds.get(at)).copied();
+                    let seed = seeds.and_then(|seeds| seeds.get(i)).copied();
                     self.writer.write(&images, seed, [left, right], rgb);
                     Ok::<(), Error>(())
                 },
@@ -119,25 +119,24 @@ impl<'a> Batches<'a> {
             vision,
             targets: samples
                 .iter()
-                .map(|at| f32::from(u8::from(self.samples.facts()[*at].is_stable)))
+                .map(|i| f32::from(u8::from(self.samples.facts()[*i].is_stable)))
                 .collect(),
-            weights: samples.iter().map(|at| self.weights[*at]).collect(),
+            weights: samples.iter().map(|i| self.weights[*i]).collect(),
         })
     }
 }
 
-/// Mean and deviation of the colour images, from evenly spread samples.
+/// Computes mean and standard deviation of the colour images from evenly spaced samples.
 ///
 /// # Errors
-/// Those of reading and decoding.
+/// Errors of reading and decoding.
 pub fn colour_normalisation(samples: &Samples) -> Result<RgbNormalisation> {
     let step = samples.facts().len().div_ceil(NORMALISATION_SAMPLES).max(1);
-    let some: Vec<usize> = (0..samples.facts().len()).step_by(step).collect();
     let mut reader = SampleReader::new(samples, 0);
     let mut decoder = Decoder::new()?;
     let (mut sums, mut squares, mut count) = ([0_u64; 3], [0_u64; 3], 0_u64);
-    for at in some {
-        for (rows, row) in reader.rows(&[at])? {
+    for sample in (0..samples.facts().len()).step_by(step) {
+        for (rows, row) in reader.rows(&[sample])? {
             let row = &rows[row];
             let images = SampleImages::decode(&mut decoder, &row.images, [false, true])
                 .map_err(|e| e.at(&row.facts.id))?;
@@ -155,7 +154,7 @@ pub fn colour_normalisation(samples: &Samples) -> Result<RgbNormalisation> {
     let mean = sums.map(|sum| sum as f64 / count / 255.0);
     let std: [f64; 3] = std::array::from_fn(|c| {
         let square = squares[c] as f64 / count / (255.0 * 255.0);
-        // Images of one colour have no deviation.
+        // Avoids a zero for uniform images.
         (square - mean[c] * mean[c]).max(1e-4).sqrt()
     });
     Ok(RgbNormalisation {
@@ -168,24 +167,24 @@ pub fn colour_normalisation(samples: &Samples) -> Result<RgbNormalisation> {
 mod tests {
     use super::*;
     use crate::augment::Augmentation;
-    use crate::sample_dataset::{row, write_part};
+    use crate::sample_dataset::{row, write_split};
 
     #[test]
-    fn labels_count_the_same_at_each_force_that_has_both() {
+    fn labels_are_balanced_at_each_force() {
         let folder = tempfile::tempdir().unwrap();
-        let weights = |lost_force_n: f64| -> Vec<[f64; 3]> {
+        let weights = |slip_force_n: f64| -> Vec<[f64; 3]> {
             let rows = (0..12).map(|number| {
                 let mut row = row("train", number);
-                let is_lost = number % 2 == 0;
-                let force_n = if number < 3 || (is_lost && number < 6) {
-                    lost_force_n
+                let is_slip = number % 2 == 0;
+                let force_n = if number < 3 || (is_slip && number < 6) {
+                    slip_force_n
                 } else {
                     40.0
                 };
                 row.facts.stop_force_n = Some(force_n);
                 row
             });
-            write_part(folder.path(), "train", rows);
+            write_split(folder.path(), "train", rows);
             let samples = Samples::open(folder.path(), "train").unwrap();
             let writer = InputWriter::new(
                 Augmentation::NONE,
@@ -207,13 +206,12 @@ mod tests {
             let of = of.iter().filter(|x| x[0] == force_n && x[1] == label);
             of.map(|x| x[2]).sum()
         };
-        let found = weights(10.0);
+        let two_forces = weights(10.0);
         for force_n in [10.0, 40.0] {
-            let [lost, stable] = [0.0, 1.0].map(|label| sum(&found, force_n, label));
-            assert!(lost > 0.0 && (lost - stable).abs() < 1e-5, "{force_n} N");
+            let [slip, stable] = [0.0, 1.0].map(|label| sum(&two_forces, force_n, label));
+            assert!(slip > 0.0 && (slip - stable).abs() < 1e-5, "{force_n} N");
         }
-        // One force alone: by label.
-        let found = weights(40.0);
-        assert!((sum(&found, 40.0, 0.0) - sum(&found, 40.0, 1.0)).abs() < 1e-5);
+        let one_force = weights(40.0);
+        assert!((sum(&one_force, 40.0, 0.0) - sum(&one_force, 40.0, 1.0)).abs() < 1e-5);
     }
 }

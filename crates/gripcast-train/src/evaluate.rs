@@ -1,4 +1,4 @@
-//! Measuring model files on a part of a dataset whose outcomes are known.
+//! Evaluation of model files on a labelled split.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -17,133 +17,131 @@ use gripcast_imaging::{Decoder, TactileDifference};
 use gripcast_nn::predict::contract::{InputName, Origin, Variant};
 use gripcast_nn::predict::{Model, ModelInput};
 
-/// Samples that are read together.
+/// Samples read together.
 const CHUNK: usize = 64;
-/// Bytes of encoded images that are kept.
+/// Cached bytes of encoded images.
 const MEMORY: usize = 1 << 25;
-/// Change of a pixel's strongest colour that counts as touched, grey levels.
-const TOUCHED_LEVELS: i16 = 25;
-/// Fraction of touched pixels from which an image shows a contact.
-const TOUCHED_FRACTION: f64 = 0.004;
-/// Mistakes of each kind that a report shows.
-const MISTAKES: usize = 12;
-/// Of the bootstrap.
+/// Change of a pixel's strongest channel that counts as contact, grey levels.
+const CONTACT_LEVELS: i16 = 25;
+/// Minimum fraction of such pixels in an image in contact.
+const MIN_CONTACT_FRACTION: f64 = 0.004;
+/// Maximum number of reported mistakes per label.
+const MAX_MISTAKES: usize = 12;
+/// Seed of the bootstrap.
 const SEED: u64 = 0;
 
-/// What was measured.
+/// Evaluation of models on a split.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct EvalReport {
     /// `gripcast-eval`.
     pub format: String,
-    /// Of the format.
+    /// Version of the format.
     pub version: u32,
-    /// Of gripcast.
+    /// Version of gripcast.
     pub software: String,
     /// Folder of the dataset.
     pub dataset: String,
     /// SHA-256 of its files, see [`dataset_sha256`](super::dataset_sha256).
     pub dataset_sha256: String,
-    /// Part that was measured on.
+    /// Split.
     pub split: String,
-    /// Objects of it.
+    /// Number of objects.
     pub objects: usize,
-    /// The models, in the order that they were named.
+    /// The models, in the given order.
     pub models: Vec<ModelEvaluation>,
-    /// Mean and deviation over the models, where there are several.
+    /// Mean and standard deviation over several models.
     pub over_models: Option<SeedSummary>,
-    /// How much better the first model is than each other one, over objects.
+    /// Differences of the first model to the others.
     pub differences: Vec<Difference>,
-    /// What may make the figures better than they are.
+    /// Possible causes of biased metrics.
     pub warnings: Vec<String>,
 }
 
-/// One model's figures.
+/// Metrics of a model.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct ModelEvaluation {
-    /// Its name.
+    /// Model name.
     pub name: String,
-    /// Its file.
+    /// Model file.
     pub file: String,
     /// SHA-256 of the file.
     pub sha256: String,
-    /// Senses: `V`, `T` or `VT`.
+    /// Modality: `V`, `T` or `VT`.
     pub variant: Variant,
-    /// All samples, at the model's threshold.
+    /// Metrics of all samples at the model's threshold.
     pub summary: Summary,
     /// AUROC with its 95 % interval over objects.
     pub auroc: Option<Interval>,
     /// Balanced accuracy with its 95 % interval over objects.
     pub balanced_accuracy: Option<Interval>,
-    /// Only samples in which both sensors' images show a contact.
+    /// Metrics of the samples in which both tactile images show contact.
     pub in_contact: Summary,
-    /// Calibration, 15 bins.
+    /// Reliability diagram, 15 bins.
     pub reliability: ReliabilityTable,
-    /// The calibration error that so few lifts show by chance alone.
+    /// ECE that a perfectly calibrated model would show on so few grasps.
     pub ece_by_chance: Option<ChanceCalibration>,
-    /// Calibration for the fraction of these grasps that held.
+    /// Calibration after correction for the base rate of these grasps.
     #[serde(default)]
     pub at_base_rate: Option<BaseRateCalibration>,
-    /// By category.
+    /// Metrics by category.
     pub categories: Vec<GroupSummary>,
-    /// By object.
+    /// Metrics by object.
     pub per_object: Vec<GroupSummary>,
-    /// By stopping force, N.
+    /// Metrics by stopping force, N.
     pub forces: Vec<GroupSummary>,
-    /// The most confident mistakes: of stable grasps, then of lost ones.
+    /// The most confident mistakes: stable grasps, then slips.
     pub mistakes: Vec<Mistake>,
-    /// Every prediction.
+    /// All predictions.
     pub predictions: Vec<ScoredSample>,
 }
 
-/// One prediction.
+/// A prediction.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct ScoredSample {
-    /// Id of the sample.
+    /// Sample id.
     pub id: String,
-    /// Its object.
+    /// Object name.
     pub object: String,
-    /// What the model says.
+    /// Predicted probability of stable.
     pub p_stable: f64,
-    /// What happened.
+    /// Label.
     pub stable: bool,
-    /// Whether both sensors' images show a contact.
+    /// Whether both tactile images show contact.
     pub in_contact: bool,
 }
 
 /// A confident mistake.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Mistake {
-    /// Number of the sample in its part.
+    /// Index of the sample in its split.
     pub sample: usize,
-    /// Its id.
+    /// Sample id.
     pub id: String,
-    /// Its object.
+    /// Object name.
     pub object: String,
-    /// What the model says.
+    /// Predicted probability of stable.
     pub p_stable: f64,
-    /// What happened.
+    /// Label.
     pub stable: bool,
 }
 
-/// A paired comparison on the same samples.
+/// Paired difference of two models on the same samples, first minus second.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Difference {
-    /// The better one, if the differences are above zero.
+    /// First model.
     pub first: String,
-    /// The other one.
+    /// Second model.
     pub second: String,
-    /// Of the AUROC.
+    /// Difference in AUROC.
     pub auroc: Option<Interval>,
-    /// Of the balanced accuracy.
+    /// Difference in balanced accuracy.
     pub balanced_accuracy: Option<Interval>,
 }
 
-/// Measures models on a part of a dataset. `training` is the dataset's part that models of the same
-/// dataset were trained on, if there is one.
+/// Evaluates models on a split. `training` is the training split of the same dataset, if any.
 ///
 /// # Errors
-/// `Input`: a model for images that are cropped in another way, or damaged images. Those of
-/// reading the dataset.
+/// `Input`: a model with another crop profile, or damaged images. Errors of reading the dataset.
 pub fn evaluate(
     models: &[(String, Model)],
     samples: &Samples,
@@ -157,12 +155,12 @@ pub fn evaluate(
             .check_crop_profile(samples.crop_profile())
             .map_err(|e| e.at(file))?;
     }
-    let all = models.len() * samples.facts().len();
+    let total = models.len() * samples.facts().len();
     let mut evaluated = Vec::new();
-    for (at, (file, model)) in models.iter().enumerate() {
-        let before = at * samples.facts().len();
-        let found = predictions(model, samples, &|done| on_progress(before + done, all))?;
-        evaluated.push(ModelEvaluation::new(file, model, samples, found));
+    for (i, (file, model)) in models.iter().enumerate() {
+        let before = i * samples.facts().len();
+        let predictions = predict(model, samples, &|done| on_progress(before + done, total))?;
+        evaluated.push(ModelEvaluation::new(file, model, samples, predictions));
     }
     let summaries: Vec<Summary> = evaluated.iter().map(|e| e.summary.clone()).collect();
     let differences = evaluated.iter().skip(1);
@@ -184,16 +182,16 @@ pub fn evaluate(
     })
 }
 
-/// What may make figures better than they are.
+/// Lists possible causes of biased metrics.
 fn warnings(
     models: &[(String, Model)],
     samples: &Samples,
     training: Option<&Samples>,
     dataset_sha256: &str,
 ) -> Vec<String> {
-    let mut found = Vec::new();
+    let mut warnings = Vec::new();
     if samples.by_label().contains(&0) {
-        found.push("all samples have the same label: most figures are undefined".to_owned());
+        warnings.push("all samples have the same label: most metrics are undefined".to_owned());
     }
     for (file, model) in models {
         let Origin::Trained {
@@ -204,9 +202,9 @@ fn warnings(
         };
         let is_same = manifest_sha256 == dataset_sha256;
         if is_same && matches!(samples.split(), "train" | "validation") {
-            found.push(format!(
-                "{file} was made with the part `{}` of this dataset: its figures here say nothing \
-                 about other objects",
+            warnings.push(format!(
+                "{file} was trained or tuned on the split `{}` of this dataset: its metrics do not \
+                 hold for other objects",
                 samples.split()
             ));
         }
@@ -215,51 +213,46 @@ fn warnings(
             training.objects().intersection(&ours).count()
         });
         if is_same && shared > 0 && samples.split() != "train" {
-            found.push(format!(
-                "{file} was trained on {shared} objects of this part"
+            warnings.push(format!(
+                "{file} was trained on {shared} objects of this split"
             ));
         }
         if !is_same {
             let names = model.contract().other.get(OBJECTS);
-            let seen: BTreeSet<String> = names
+            let trained: BTreeSet<String> = names
                 .and_then(|names| serde_json::from_str(names).ok())
                 .unwrap_or_default();
             let ours = samples.objects().into_iter();
-            let shared = ours.filter(|object| seen.contains(*object)).count();
+            let shared = ours.filter(|object| trained.contains(*object)).count();
             if shared > 0 {
-                found.push(format!(
-                    "{file} was trained on another dataset, with {shared} objects of the same name; \
-                     if they are the same objects, its figures are too good"
+                warnings.push(format!(
+                    "{file} was trained on another dataset with {shared} objects of the same name; \
+                     if they are the same objects, its metrics are biased"
                 ));
             }
         }
     }
-    found
+    warnings
 }
 
-/// A prediction before it is counted.
-struct Found {
-    p_stable: f64,
-    in_contact: bool,
-}
-
-fn predictions(
+/// Predicts all samples; returns the probability of stable and whether the sample is in contact.
+fn predict(
     model: &Model,
     samples: &Samples,
     on_progress: &(dyn Fn(usize) + Sync),
-) -> Result<Vec<Found>> {
+) -> Result<Vec<(f64, bool)>> {
     let mut reader = SampleReader::new(samples, MEMORY);
     let all: Vec<usize> = (0..samples.facts().len()).collect();
-    let mut found = Vec::with_capacity(all.len());
-    for some in all.chunks(CHUNK) {
-        let rows = reader.rows(some)?;
-        let of_chunk: Vec<Found> = rows
+    let mut predictions = Vec::with_capacity(all.len());
+    for indices in all.chunks(CHUNK) {
+        let rows = reader.rows(indices)?;
+        let chunk: Vec<(f64, bool)> = rows
             .par_iter()
             .map_init(
                 || None,
-                |kept: &mut Option<(Decoder, ModelInput)>, (rows, row)| {
-                    let (decoder, input) = match kept {
-                        Some(kept) => kept,
+                |buffers: &mut Option<(Decoder, ModelInput)>, (rows, row)| {
+                    let (decoder, input) = match buffers {
+                        Some(buffers) => buffers,
                         none => {
                             none.insert((Decoder::new()?, ModelInput::zeros(model.contract())?))
                         }
@@ -267,31 +260,27 @@ fn predictions(
                     let row = &rows[*row];
                     let images = SampleImages::decode(decoder, &row.images, [true, true])
                         .map_err(|e| e.at(&row.facts.id))?;
-                    let in_contact = show(&images, input)?;
-                    let p_stable = model.predict(input)?.p_stable;
-                    Ok(Found {
-                        p_stable,
-                        in_contact,
-                    })
+                    let in_contact = set_input(&images, input)?;
+                    Ok((model.predict(input)?.p_stable, in_contact))
                 },
             )
             .collect::<Result<_>>()?;
-        found.extend(of_chunk);
-        on_progress(found.len());
+        predictions.extend(chunk);
+        on_progress(predictions.len());
     }
-    Ok(found)
+    Ok(predictions)
 }
 
-/// Shows the images to a model; whether both tactile ones show a contact.
-fn show(images: &SampleImages, input: &mut ModelInput) -> Result<bool> {
+/// Sets the inputs of a model; returns whether both tactile images show contact.
+fn set_input(images: &SampleImages, input: &mut ModelInput) -> Result<bool> {
     let mut in_contact = true;
     let names = [InputName::TactileLeft, InputName::TactileRight];
     for (name, [initial, grasp]) in names.into_iter().zip(&images.tactile) {
         let difference = TactileDifference::between(initial, grasp)?;
         let pixels = difference.levels().as_chunks::<3>().0;
-        let is_touched = |pixel: &&[i16; 3]| pixel.iter().any(|x| x.abs() > TOUCHED_LEVELS);
-        let touched = pixels.iter().filter(is_touched).count();
-        in_contact &= touched as f64 >= TOUCHED_FRACTION * pixels.len() as f64;
+        let is_contact = |pixel: &&[i16; 3]| pixel.iter().any(|x| x.abs() > CONTACT_LEVELS);
+        let contact = pixels.iter().filter(is_contact).count();
+        in_contact &= contact as f64 >= MIN_CONTACT_FRACTION * pixels.len() as f64;
         input.set_tactile(name, &difference)?;
     }
     input.set_rgb(&images.rgb)?;
@@ -299,29 +288,28 @@ fn show(images: &SampleImages, input: &mut ModelInput) -> Result<bool> {
 }
 
 impl ModelEvaluation {
-    fn new(file: &str, model: &Model, samples: &Samples, found: Vec<Found>) -> Self {
+    fn new(file: &str, model: &Model, samples: &Samples, predictions: Vec<(f64, bool)>) -> Self {
         let threshold = model.contract().threshold;
         let facts = samples.facts();
-        let scored: Vec<Scored> = found
-            .iter()
-            .zip(facts)
-            .map(|(found, facts)| Scored {
-                p_stable: found.p_stable,
+        let scored = predictions.iter().zip(facts);
+        let scored: Vec<Scored> = scored
+            .map(|(&(p_stable, _), facts)| Scored {
+                p_stable,
                 stable: facts.is_stable,
             })
             .collect();
-        let touched = scored.iter().zip(&found);
-        let touched: Vec<Scored> = touched
-            .filter(|(_, found)| found.in_contact)
+        let in_contact = scored.iter().zip(&predictions);
+        let in_contact: Vec<Scored> = in_contact
+            .filter(|(_, (_, in_contact))| *in_contact)
             .map(|(scored, _)| *scored)
             .collect();
         let by = |name: &dyn Fn(&SampleFacts) -> String| {
-            let (names, groups) = numbered(facts, name);
+            let (names, groups) = grouped(facts, name);
             summarise_groups(&scored, &groups, &names, threshold)
         };
-        let (_, objects) = numbered(facts, |facts| facts.object.clone());
-        let (_, lifts) = numbered(facts, |facts| facts.lift.clone());
-        let figures = Figures::new(&scored, threshold);
+        let (_, objects) = grouped(facts, |facts| facts.object.clone());
+        let (_, lifts) = grouped(facts, |facts| facts.lift.clone());
+        let metrics = ResampledMetrics::new(&scored, threshold);
         let bootstrap = Bootstrap::new(SEED);
         Self {
             name: model.contract().name.clone(),
@@ -329,10 +317,10 @@ impl ModelEvaluation {
             sha256: model.sha256().to_owned(),
             variant: model.contract().variant,
             summary: Summary::new(&scored, threshold),
-            auroc: bootstrap.interval(&objects, |times| figures.auroc(times)),
+            auroc: bootstrap.interval(&objects, |times| metrics.auroc(times)),
             balanced_accuracy: bootstrap
-                .interval(&objects, |times| figures.balanced_accuracy(times)),
-            in_contact: Summary::new(&touched, threshold),
+                .interval(&objects, |times| metrics.balanced_accuracy(times)),
+            in_contact: Summary::new(&in_contact, threshold),
             reliability: ReliabilityTable::new(&scored),
             ece_by_chance: ChanceCalibration::new(&scored, &lifts, SEED),
             at_base_rate: BaseRateCalibration::new(&scored),
@@ -343,21 +331,21 @@ impl ModelEvaluation {
                 None => "unknown".to_owned(),
             }),
             mistakes: mistakes(&scored, samples, threshold),
-            predictions: found
-                .iter()
+            predictions: predictions
+                .into_iter()
                 .zip(facts)
-                .map(|(found, facts)| ScoredSample {
+                .map(|((p_stable, in_contact), facts)| ScoredSample {
                     id: facts.id.clone(),
                     object: facts.object.clone(),
-                    p_stable: found.p_stable,
+                    p_stable,
                     stable: facts.is_stable,
-                    in_contact: found.in_contact,
+                    in_contact,
                 })
                 .collect(),
         }
     }
 
-    fn scored(&self) -> Vec<Scored> {
+    pub(super) fn scored(&self) -> Vec<Scored> {
         let scored = self.predictions.iter().map(|sample| Scored {
             p_stable: sample.p_stable,
             stable: sample.stable,
@@ -369,7 +357,7 @@ impl ModelEvaluation {
 impl Difference {
     fn between(first: &ModelEvaluation, second: &ModelEvaluation) -> Self {
         let [one, other] = [first, second].map(|e| Resampled::new(std::slice::from_ref(e)));
-        let [auroc, balanced_accuracy] = one.better_than(&other);
+        let [auroc, balanced_accuracy] = one.minus(&other);
         let names = |e: &ModelEvaluation| format!("{} ({})", e.name, e.file);
         Self {
             first: names(first),
@@ -380,10 +368,10 @@ impl Difference {
     }
 }
 
-/// Figures of models on resamples of the same samples, for intervals over objects.
+/// Metrics of models on resamples of the same samples, for intervals over objects.
 pub(super) struct Resampled {
     objects: Vec<usize>,
-    models: Vec<Figures>,
+    models: Vec<ResampledMetrics>,
 }
 
 impl Resampled {
@@ -398,26 +386,26 @@ impl Resampled {
             objects: objects.collect(),
             models: models
                 .iter()
-                .map(|e| Figures::new(&e.scored(), e.summary.threshold))
+                .map(|e| ResampledMetrics::new(&e.scored(), e.summary.threshold))
                 .collect(),
         }
     }
 
-    fn mean(&self, of: impl Fn(&Figures) -> Option<f64>) -> Option<f64> {
-        let values: Option<Vec<f64>> = self.models.iter().map(of).collect();
+    fn mean(&self, metric: impl Fn(&ResampledMetrics) -> Option<f64>) -> Option<f64> {
+        let values: Option<Vec<f64>> = self.models.iter().map(metric).collect();
         let values = values.filter(|values| !values.is_empty())?;
         Some(values.iter().sum::<f64>() / values.len() as f64)
     }
 
     fn auroc(&self, times: &[u32]) -> Option<f64> {
-        self.mean(|figures| figures.auroc(times))
+        self.mean(|metrics| metrics.auroc(times))
     }
 
     fn balanced_accuracy(&self, times: &[u32]) -> Option<f64> {
-        self.mean(|figures| figures.balanced_accuracy(times))
+        self.mean(|metrics| metrics.balanced_accuracy(times))
     }
 
-    /// Intervals of the models' mean AUROC and balanced accuracy.
+    /// Returns the intervals of mean AUROC and mean balanced accuracy.
     pub(super) fn intervals(&self) -> [Option<Interval>; 2] {
         let bootstrap = Bootstrap::new(SEED);
         [
@@ -426,8 +414,8 @@ impl Resampled {
         ]
     }
 
-    /// Intervals of how much better these models are than others, by AUROC and balanced accuracy.
-    pub(super) fn better_than(&self, other: &Self) -> [Option<Interval>; 2] {
+    /// Returns the intervals of the differences in mean AUROC and mean balanced accuracy.
+    pub(super) fn minus(&self, other: &Self) -> [Option<Interval>; 2] {
         let bootstrap = Bootstrap::new(SEED);
         [
             bootstrap.paired_interval(
@@ -444,29 +432,29 @@ impl Resampled {
     }
 }
 
-/// Figures of resamples.
-struct Figures {
+/// Metrics of resamples.
+struct ResampledMetrics {
     ranking: Ranking,
-    /// 1 for right, 0 for wrong, no number for the other label: of lost and of stable grasps.
-    right: [Vec<f64>; 2],
+    /// For slip and for stable: 1 if a sample is correct, 0 if not, NaN for the other label.
+    correct: [Vec<f64>; 2],
 }
 
-impl Figures {
+impl ResampledMetrics {
     fn new(scored: &[Scored], threshold: f64) -> Self {
-        let right = [false, true].map(|label| {
-            let of = scored.iter().map(|sample| {
-                let is_right = (sample.p_stable >= threshold) == sample.stable;
+        let correct = [false, true].map(|label| {
+            let correct = scored.iter().map(|sample| {
+                let is_correct = (sample.p_stable >= threshold) == sample.stable;
                 if sample.stable == label {
-                    f64::from(u8::from(is_right))
+                    f64::from(u8::from(is_correct))
                 } else {
                     f64::NAN
                 }
             });
-            of.collect()
+            correct.collect()
         });
         Self {
             ranking: Ranking::new(scored),
-            right,
+            correct,
         }
     }
 
@@ -475,65 +463,65 @@ impl Figures {
     }
 
     fn balanced_accuracy(&self, times: &[u32]) -> Option<f64> {
-        let [lost, stable] = &self.right;
-        Some(0.5 * (resampled_mean(lost, times)? + resampled_mean(stable, times)?))
+        let [slip, stable] = &self.correct;
+        Some(0.5 * (resampled_mean(slip, times)? + resampled_mean(stable, times)?))
     }
 }
 
-/// All names, sorted, and the number of each sample's.
-fn numbered(
+/// Returns the sorted group names and the group index of each sample.
+fn grouped(
     facts: &[SampleFacts],
     name: impl Fn(&SampleFacts) -> String,
 ) -> (Vec<String>, Vec<usize>) {
     let mut names: Vec<String> = facts.iter().map(&name).collect();
     names.sort_unstable();
     names.dedup();
-    let number = |facts| names.binary_search(&name(facts)).unwrap_or(0);
-    let numbers = facts.iter().map(number).collect();
-    (names, numbers)
+    let group = |facts| names.binary_search(&name(facts)).unwrap_or(0);
+    let groups = facts.iter().map(group).collect();
+    (names, groups)
 }
 
-/// The most confident mistakes of each label, the worst first; one of each object at most.
+/// Returns the most confident mistakes of each label, the worst first; at most one per object.
 fn mistakes(scored: &[Scored], samples: &Samples, threshold: f64) -> Vec<Mistake> {
-    let mut found = Vec::new();
+    let mut mistakes = Vec::new();
     for label in [true, false] {
-        let mut wrong: Vec<usize> = (0..scored.len())
-            .filter(|&at| scored[at].stable == label && (scored[at].p_stable >= threshold) != label)
+        let mut incorrect: Vec<usize> = (0..scored.len())
+            .filter(|&i| scored[i].stable == label && (scored[i].p_stable >= threshold) != label)
             .collect();
-        wrong.sort_by(|&a, &b| {
+        incorrect.sort_by(|&a, &b| {
             let order = scored[a].p_stable.total_cmp(&scored[b].p_stable);
             if label { order } else { order.reverse() }
         });
         let mut objects = BTreeSet::new();
-        wrong.retain(|&at| objects.insert(&samples.facts()[at].object));
-        found.extend(wrong.into_iter().take(MISTAKES).map(|at| Mistake {
-            sample: at,
-            id: samples.facts()[at].id.clone(),
-            object: samples.facts()[at].object.clone(),
-            p_stable: scored[at].p_stable,
+        incorrect.retain(|&i| objects.insert(&samples.facts()[i].object));
+        mistakes.extend(incorrect.into_iter().take(MAX_MISTAKES).map(|i| Mistake {
+            sample: i,
+            id: samples.facts()[i].id.clone(),
+            object: samples.facts()[i].object.clone(),
+            p_stable: scored[i].p_stable,
             stable: label,
         }));
     }
-    found
+    mistakes
 }
 
-/// The images of a sample for a report: left and right tactile change, brightened around grey,
-/// and the colour image.
+/// Returns the images of a sample for a report: left and right tactile difference, amplified
+/// around grey, and the colour image.
 ///
 /// # Errors
-/// Those of reading and decoding.
+/// Errors of reading and decoding.
 pub fn sample_images(samples: &Samples, sample: usize) -> Result<[image::RgbImage; 3]> {
     let rows = SampleReader::new(samples, 0).rows(&[sample])?;
     let Some((rows, row)) = rows.first() else {
-        return Err(Error::internal("there is no such sample"));
+        return Err(Error::internal("sample not found"));
     };
     let mut decoder = Decoder::new()?;
     let images = SampleImages::decode(&mut decoder, &rows[*row].images, [true, true])?;
     let [left, right] = &images.tactile;
-    let change = |[initial, grasp]: &[image::RgbImage; 2]| {
-        TactileDifference::between(initial, grasp).map(|change| change.to_image(2.0))
+    let difference = |[initial, grasp]: &[image::RgbImage; 2]| {
+        TactileDifference::between(initial, grasp).map(|difference| difference.to_image(2.0))
     };
-    Ok([change(left)?, change(right)?, images.rgb])
+    Ok([difference(left)?, difference(right)?, images.rgb])
 }
 
 #[cfg(test)]

@@ -1,5 +1,5 @@
 use super::*;
-use crate::sample_dataset::{graded_row, row, write_dataset, write_part};
+use crate::sample_dataset::{graded_row, row, write_dataset, write_split};
 use crate::{dataset_sha256, page};
 use gripcast_nn::predict::{Model, SHIPPED};
 
@@ -14,10 +14,10 @@ fn evaluated(root: &std::path::Path, models: usize) -> (EvalReport, Samples) {
 }
 
 #[test]
-fn the_heuristic_finds_the_contacts_of_the_sample_dataset() {
+fn heuristic_separates_sample_dataset() {
     let folder = tempfile::tempdir().unwrap();
     write_dataset(folder.path(), 8);
-    write_part(
+    write_split(
         folder.path(),
         "test",
         (0..12).map(|number| row("test", number)),
@@ -71,7 +71,7 @@ fn the_heuristic_finds_the_contacts_of_the_sample_dataset() {
     assert!(html.matches(escaped).count() >= 10, "{html}");
 }
 
-/// The report with names that want to break out.
+/// Returns the report with hostile names.
 fn hostile(mut report: EvalReport) -> EvalReport {
     let name = || "<script>alert(\"1\")</script>&\u{1}\u{202e}".to_owned();
     report.software = name();
@@ -88,11 +88,11 @@ fn hostile(mut report: EvalReport) -> EvalReport {
 }
 
 #[test]
-fn confident_mistakes_are_shown_with_their_images() {
+fn report_shows_images_of_mistakes() {
     let folder = tempfile::tempdir().unwrap();
     let wrong = (0..6).map(|number| {
         let mut row = row("test", number);
-        // Contact, but lost; no contact, but held.
+        // Labels flipped: contact slips, no contact is stable.
         row.facts.outcome = match row.facts.outcome {
             gripcast_dataset::shard::ShardOutcome::Stable => {
                 gripcast_dataset::shard::ShardOutcome::Slip
@@ -103,11 +103,11 @@ fn confident_mistakes_are_shown_with_their_images() {
         };
         row
     });
-    write_part(folder.path(), "test", wrong);
+    write_split(folder.path(), "test", wrong);
     let (report, samples) = evaluated(folder.path(), 1);
     let model = &report.models[0];
     assert_eq!(model.summary.auroc, Some(0.0));
-    // Of four objects two are always touched and two never; one mistake of each.
+    // One mistake of each of the four objects.
     let labels: Vec<bool> = model.mistakes.iter().map(|m| m.stable).collect();
     assert_eq!(labels, [true, true, false, false]);
     assert!(model.mistakes[0].p_stable <= model.mistakes[1].p_stable);
@@ -117,9 +117,9 @@ fn confident_mistakes_are_shown_with_their_images() {
 }
 
 #[test]
-fn one_label_and_images_of_another_crop_are_told() {
+fn single_label_gives_warning() {
     let folder = tempfile::tempdir().unwrap();
-    write_part(folder.path(), "test", (0..4).map(|n| row("test", 2 * n)));
+    write_split(folder.path(), "test", (0..4).map(|n| row("test", 2 * n)));
     let (report, _) = evaluated(folder.path(), 1);
     assert!(
         report.warnings[0].contains("the same label"),
@@ -129,20 +129,20 @@ fn one_label_and_images_of_another_crop_are_told() {
     assert_eq!(report.models[0].summary.auroc, None);
 }
 
-/// The set is drawn, not simulated: figures on it say nothing of the model's worth. They show that
-/// nothing between JPEG files, the shipped model and its figures has changed.
+/// A regression test of decoding, the shipped model and the metrics; the synthetic set says nothing
+/// about the quality of the model.
 #[test]
-fn the_shipped_model_has_the_figures_on_a_drawn_set_that_it_had() {
+fn shipped_model_keeps_its_metrics_on_synthetic_set() {
     let folder = tempfile::tempdir().unwrap();
     let rows = (0..24_u64).map(|number| {
         let contact = (number * 7 % 24) as f32 / 24.0;
-        // The clearer the contact, the more often it holds.
+        // Stronger contact is stable more often.
         let is_stable = (contact > 0.4) != (number % 5 == 0);
         let mut row = graded_row("test", number, is_stable, contact);
         row.facts.crop_profile = "gsmini-seventh-v1".to_owned();
         row
     });
-    write_part(folder.path(), "test", rows);
+    write_split(folder.path(), "test", rows);
     let samples = Samples::open(folder.path(), "test").unwrap();
     let model = Model::named(SHIPPED).unwrap();
     let models = [(SHIPPED.to_owned(), model)];
@@ -152,8 +152,8 @@ fn the_shipped_model_has_the_figures_on_a_drawn_set_that_it_had() {
     let counts = [
         matrix.true_stable,
         matrix.false_stable,
-        matrix.true_unstable,
-        matrix.false_unstable,
+        matrix.true_slip,
+        matrix.false_slip,
     ];
     let figures = [
         summary.auroc,

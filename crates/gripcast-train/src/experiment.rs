@@ -1,5 +1,5 @@
-//! The paper's comparison (§5.2, Figure 6): what each sense adds, and what the finite elements add
-//! to training data over a rigid-body simulator.
+//! The paper's comparison (§5.2, Figure 6) of input modalities and of FEM with rigid-body training
+//! data.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -21,25 +21,25 @@ use gripcast_base::workers::one_per_core;
 use gripcast_nn::predict::Model;
 use gripcast_nn::predict::contract::Variant;
 
-/// What is trained.
+/// Condition of the experiment.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Condition {
-    /// The colour image alone, finite elements.
+    /// Vision, FEM data.
     Vision,
-    /// Touch alone, finite elements.
+    /// Touch, FEM data.
     Touch,
-    /// Both, finite elements.
+    /// Both, FEM data.
     Both,
-    /// Both, rigid-body simulator.
+    /// Both, rigid-body data.
     BothRigid,
 }
 
 impl Condition {
-    /// All, in the order of the figure.
+    /// All conditions, in the order of the figure.
     pub const ALL: [Self; 4] = [Self::Vision, Self::Touch, Self::Both, Self::BothRigid];
 
-    /// What the figure calls it.
+    /// Returns its name in the figure.
     pub fn title(self) -> &'static str {
         match self {
             Self::Vision => "V",
@@ -49,7 +49,7 @@ impl Condition {
         }
     }
 
-    /// Its folder.
+    /// Returns the name of its folder.
     pub fn folder(self) -> &'static str {
         match self {
             Self::Vision => "v",
@@ -68,114 +68,114 @@ impl Condition {
     }
 }
 
-/// A part of a dataset that all are tested on.
+/// A test set of the experiment.
 #[derive(Clone, Debug)]
 pub struct TestSet {
-    /// What the figure calls it.
+    /// Name in the figure.
     pub title: String,
     /// Name in files.
     pub name: &'static str,
     /// Folder of the dataset.
     pub data: PathBuf,
-    /// Its part.
+    /// Split of the dataset.
     pub split: String,
 }
 
-/// What the experiment is made by.
+/// Settings of the experiment.
 #[derive(Clone, Debug)]
 pub struct ExperimentSettings {
-    /// Dataset of the finite elements.
+    /// Dataset of the FEM engine.
     pub fem: PathBuf,
-    /// The same plan with the rigid-body simulator; without it that condition is left out.
+    /// Dataset of the same plan by the rigid engine; without it, that condition is omitted.
     pub rigid: Option<PathBuf>,
-    /// What is tested on.
+    /// Test sets.
     pub tests: Vec<TestSet>,
-    /// Seeds of each condition, from 0.
+    /// Number of seeds per condition, from 0.
     pub seeds: u64,
-    /// How all are trained; variant and seed are those of the condition.
+    /// Training settings; the condition sets modality and seed.
     pub training: TrainSettings,
 }
 
-/// What came out.
+/// Results of the experiment.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct ExperimentReport {
     /// `gripcast-fig6`.
     pub format: String,
-    /// Of the format.
+    /// Version of the format.
     pub version: u32,
-    /// Of gripcast.
+    /// Version of gripcast.
     pub software: String,
-    /// SHA-256 of the datasets by their names.
+    /// SHA-256 of the datasets by name.
     pub datasets: BTreeMap<String, String>,
-    /// How all were trained.
+    /// Training settings.
     pub training: TrainSettings,
-    /// Figures of each condition on each test.
+    /// Metrics of each condition on each test set.
     pub results: Vec<ConditionResult>,
     /// Differences between conditions.
     pub differences: Vec<ConditionDifference>,
 }
 
-/// One condition on one test.
+/// Metrics of a condition on a test set.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct ConditionResult {
-    /// What was trained.
+    /// Condition.
     pub condition: Condition,
-    /// Name of the test.
+    /// Name of the test set.
     pub test: String,
-    /// Samples.
+    /// Number of samples.
     pub n: usize,
-    /// Stable ones.
+    /// Number of stable samples.
     pub stable: usize,
-    /// Of each seed.
+    /// Metrics per seed.
     pub seeds: Vec<Summary>,
-    /// Mean and deviation over seeds.
+    /// Mean and standard deviation over seeds.
     pub over_seeds: SeedSummary,
-    /// Mean over seeds, with its 95 % interval over objects.
+    /// Mean balanced accuracy over seeds with its 95 % interval over objects.
     pub balanced_accuracy: Option<Interval>,
-    /// The same of the AUROC.
+    /// Mean AUROC over seeds with its 95 % interval over objects.
     pub auroc: Option<Interval>,
 }
 
-/// How much better a condition is than another.
+/// Difference between two conditions, first minus second.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct ConditionDifference {
-    /// One.
+    /// First condition.
     pub first: Condition,
-    /// The other.
+    /// Second condition.
     pub second: Condition,
-    /// Name of the test.
+    /// Name of the test set.
     pub test: String,
-    /// Difference of the means over seeds, with its 95 % interval over objects.
+    /// Difference in mean balanced accuracy with its 95 % interval over objects.
     pub balanced_accuracy: Option<Interval>,
-    /// The same of the AUROC.
+    /// Difference in mean AUROC with its 95 % interval over objects.
     pub auroc: Option<Interval>,
 }
 
-/// Where the experiment is.
+/// Progress of the experiment.
 #[derive(Clone, Debug, PartialEq)]
 pub enum ExperimentEvent {
-    /// A condition and a seed are begun.
+    /// A run of a condition and a seed is started.
     Run(Condition, u64),
-    /// Their training goes on.
+    /// Progress of its training.
     Train(Condition, u64, TrainEvent),
 }
 
-/// Trains, tests and compares all conditions, `jobs` models at a time, which is quicker than all
-/// cores on one. What is done is kept in `out` and not done again.
+/// Trains, tests and compares all conditions, `jobs` models in parallel (faster than one model on
+/// all cores). Finished runs in `out` are reused.
 ///
 /// # Errors
-/// Those of [`train`] and [`evaluate`].
+/// Errors of [`train`] and [`evaluate`].
 pub fn experiment(
     settings: &ExperimentSettings,
     out: &Path,
     jobs: usize,
     on_progress: &(dyn Fn(ExperimentEvent) + Sync),
 ) -> Result<ExperimentReport> {
-    // Before hours of training, not after them.
-    for (data, split) in settings.parts() {
+    // Fails before hours of training.
+    for (data, split) in settings.splits() {
         Samples::open(data, split)?;
     }
-    // An experiment that is stopped has all conditions of some seeds.
+    // Ordered by seed: an interrupted experiment has all conditions of some seeds.
     let runs: Vec<(u64, Condition)> = (0..settings.seeds)
         .flat_map(|seed| {
             settings
@@ -189,20 +189,22 @@ pub fn experiment(
         &|&(seed, condition)| {
             on_progress(ExperimentEvent::Run(condition, seed));
             let folder = out.join(condition.folder()).join(format!("seed-{seed}"));
-            let model = trained(settings, condition, seed, &folder, on_progress)?;
+            let model = train_model(settings, condition, seed, &folder, on_progress)?;
             let tests = settings.tests.iter();
-            tests.map(|test| tested(&model, &folder, test)).collect()
+            tests
+                .map(|test| test_model(&model, &folder, test))
+                .collect()
         },
         &|_| {},
     )?;
-    let mut found: BTreeMap<(&str, Condition), Vec<ModelEvaluation>> = BTreeMap::new();
+    let mut by_test: BTreeMap<(&str, Condition), Vec<ModelEvaluation>> = BTreeMap::new();
     for ((_, condition), evaluations) in runs.iter().zip::<Vec<Vec<ModelEvaluation>>>(evaluations) {
         for (test, evaluation) in settings.tests.iter().zip(evaluations) {
             let key = (test.name, *condition);
-            found.entry(key).or_default().push(evaluation);
+            by_test.entry(key).or_default().push(evaluation);
         }
     }
-    let report = settings.report(&found)?;
+    let report = settings.report(&by_test)?;
     let text = serde_json::to_vec_pretty(&report)
         .map_err(|e| Error::internal("cannot write the report").because(e))?;
     let top = Root::new(out).top();
@@ -213,8 +215,8 @@ pub fn experiment(
     Ok(report)
 }
 
-/// The model of a condition and a seed.
-fn trained(
+/// Trains the model of a condition and a seed, unless it exists.
+fn train_model(
     settings: &ExperimentSettings,
     condition: Condition,
     seed: u64,
@@ -242,66 +244,65 @@ fn trained(
     Ok(run.model().shown())
 }
 
-/// The evaluation of a model on a test, read again if it is of the same files.
-fn tested(model: &Path, folder: &Path, test: &TestSet) -> Result<ModelEvaluation> {
-    let place = Root::new(folder)
+/// Evaluates a model on a test set, unless an evaluation of the same files is cached.
+fn test_model(model: &Path, folder: &Path, test: &TestSet) -> Result<ModelEvaluation> {
+    let cache = Root::new(folder)
         .top()
         .join_affixed("eval-", &test.name, ".json");
     let sha256 = dataset_sha256(&test.data)?;
     let model_file = model.display().to_string();
     let loaded = Model::load(model)?;
-    let kept = place.read(FileKind::List).ok();
-    let kept = kept.and_then(|text| serde_json::from_slice::<Tested>(&text).ok());
-    if let Some(kept) = kept
-        && kept.dataset_sha256 == sha256
-        && kept.split == test.split
-        && kept.evaluation.sha256 == loaded.sha256()
+    let cached = cache.read(FileKind::List).ok();
+    let cached = cached.and_then(|text| serde_json::from_slice::<CachedTest>(&text).ok());
+    if let Some(cached) = cached
+        && cached.dataset_sha256 == sha256
+        && cached.split == test.split
+        && cached.evaluation.sha256 == loaded.sha256()
     {
-        return Ok(kept.evaluation);
+        return Ok(cached.evaluation);
     }
     let samples = Samples::open(&test.data, &test.split)?;
     let mut report = evaluate(&[(model_file, loaded)], &samples, None, &sha256, &|_, _| {})?;
     let evaluation = report
         .models
         .pop()
-        .ok_or_else(|| Error::internal("the model was not measured").at(model.display()))?;
-    let tested = Tested {
+        .ok_or_else(|| Error::internal("the model was not evaluated").at(model.display()))?;
+    let test = CachedTest {
         dataset_sha256: sha256,
         split: test.split.clone(),
         evaluation,
     };
-    let text = serde_json::to_vec(&tested)
-        .map_err(|e| Error::internal("cannot write the figures").because(e))?;
-    write(&place, &text)?;
-    Ok(tested.evaluation)
+    let text = serde_json::to_vec(&test)
+        .map_err(|e| Error::internal("cannot write the evaluation").because(e))?;
+    write(&cache, &text)?;
+    Ok(test.evaluation)
 }
 
-/// What is kept of a test.
 #[derive(Serialize, Deserialize)]
-struct Tested {
+struct CachedTest {
     dataset_sha256: String,
     split: String,
     evaluation: ModelEvaluation,
 }
 
 impl ExperimentSettings {
-    /// The conditions for which there are data, in the order of the figure.
+    /// Returns the conditions with data, in the order of the figure.
     fn conditions(&self) -> impl Iterator<Item = Condition> + '_ {
         let has_data =
             |condition: &Condition| *condition != Condition::BothRigid || self.rigid.is_some();
         Condition::ALL.into_iter().filter(has_data)
     }
 
-    /// All parts of datasets that are read, with their folders.
-    fn parts(&self) -> impl Iterator<Item = (&Path, &str)> {
-        let trained_on = [Some(&self.fem), self.rigid.as_ref()].into_iter().flatten();
+    /// Returns all splits that are read, with their datasets.
+    fn splits(&self) -> impl Iterator<Item = (&Path, &str)> {
+        let training = [Some(&self.fem), self.rigid.as_ref()].into_iter().flatten();
         let tests = self.tests.iter();
-        trained_on
+        training
             .flat_map(|data| ["train", "validation"].map(|split| (data.as_path(), split)))
             .chain(tests.map(|test| (test.data.as_path(), test.split.as_str())))
     }
 
-    /// What a condition is trained on.
+    /// Returns the training dataset of a condition.
     fn data(&self, condition: Condition) -> Result<&Path> {
         match (condition, &self.rigid) {
             (Condition::BothRigid, None) => {
@@ -314,7 +315,7 @@ impl ExperimentSettings {
 
     fn report(
         &self,
-        found: &BTreeMap<(&str, Condition), Vec<ModelEvaluation>>,
+        by_test: &BTreeMap<(&str, Condition), Vec<ModelEvaluation>>,
     ) -> Result<ExperimentReport> {
         let mut results = Vec::new();
         let mut differences = Vec::new();
@@ -322,11 +323,11 @@ impl ExperimentSettings {
             let mut of_test: BTreeMap<Condition, Resampled> = BTreeMap::new();
             for condition in self.conditions() {
                 let key = (test.name, condition);
-                let Some(evaluations) = found.get(&key) else {
+                let Some(evaluations) = by_test.get(&key) else {
                     continue;
                 };
-                let over = Resampled::new(evaluations);
-                let [auroc, balanced_accuracy] = over.intervals();
+                let resampled = Resampled::new(evaluations);
+                let [auroc, balanced_accuracy] = resampled.intervals();
                 let summaries: Vec<Summary> =
                     evaluations.iter().map(|e| e.summary.clone()).collect();
                 results.push(ConditionResult {
@@ -339,7 +340,7 @@ impl ExperimentSettings {
                     balanced_accuracy,
                     auroc,
                 });
-                of_test.insert(condition, over);
+                of_test.insert(condition, resampled);
             }
             let pairs = [
                 (Condition::Both, Condition::Touch),
@@ -351,7 +352,7 @@ impl ExperimentSettings {
                 let (Some(one), Some(other)) = (of_test.get(&first), of_test.get(&second)) else {
                     continue;
                 };
-                let [auroc, balanced_accuracy] = one.better_than(other);
+                let [auroc, balanced_accuracy] = one.minus(other);
                 differences.push(ConditionDifference {
                     first,
                     second,
@@ -381,17 +382,17 @@ impl ExperimentSettings {
     }
 }
 
-/// A figure of a seed.
-type OfSeed = fn(&Summary) -> Option<f64>;
-/// What stands for it over seeds.
-type OverAll = fn(&ConditionResult) -> Option<Interval>;
+/// Metric of a seed.
+type SeedMetric = fn(&Summary) -> Option<f64>;
+/// Metric over all seeds.
+type MeanMetric = fn(&ConditionResult) -> Option<Interval>;
 
-/// The bar charts with their file names.
+/// Returns the bar charts with their file names.
 fn charts(
     report: &ExperimentReport,
     settings: &ExperimentSettings,
 ) -> Vec<(&'static str, BarChart)> {
-    let kinds: [(&str, &str, OfSeed, OverAll); 2] = [
+    let kinds: [(&str, &str, SeedMetric, MeanMetric); 2] = [
         (
             "fig6.svg",
             "Balanced accuracy",
@@ -401,20 +402,20 @@ fn charts(
         ("fig6-auroc.svg", "AUROC", |s| s.auroc, |r| r.auroc),
     ];
     let by = match settings.rigid {
-        Some(_) => "sense and simulator",
-        None => "sense",
+        Some(_) => "modality and simulator",
+        None => "modality",
     };
     kinds
         .into_iter()
-        .map(|(file, label, of_seed, over)| {
+        .map(|(file, label, seed_metric, mean_metric)| {
             let bar = |test: &TestSet, condition: Condition| {
-                let mut of = report.results.iter();
-                let found = of.find(|r| r.test == test.name && r.condition == condition)?;
-                let interval = over(found)?;
+                let mut results = report.results.iter();
+                let result = results.find(|r| r.test == test.name && r.condition == condition)?;
+                let interval = mean_metric(result)?;
                 Some(Bar {
                     mean: interval.estimate,
                     interval: Some([interval.low, interval.high]),
-                    seeds: found.seeds.iter().filter_map(of_seed).collect(),
+                    seeds: result.seeds.iter().filter_map(seed_metric).collect(),
                 })
             };
             let groups = settings.tests.iter().map(|test| BarGroup {

@@ -1,16 +1,16 @@
 use std::fs;
 
 use super::*;
-use crate::sample_dataset::{row, write_dataset, write_part};
+use crate::sample_dataset::{row, write_dataset, write_split};
 use gripcast_nn::{Architecture, ConvSpec};
 
 #[test]
-fn all_conditions_are_trained_tested_and_compared_once() {
+fn experiment_trains_tests_and_compares_conditions() {
     let folder = tempfile::tempdir().unwrap();
     let [fem, rigid, out] = ["fem", "rigid", "out"].map(|name| folder.path().join(name));
     for data in [&fem, &rigid] {
         write_dataset(data, 8);
-        write_part(data, "test", (0..8).map(|number| row("test", number)));
+        write_split(data, "test", (0..8).map(|number| row("test", number)));
     }
     let architecture = Architecture {
         name: "tiny".to_owned(),
@@ -36,12 +36,12 @@ fn all_conditions_are_trained_tested_and_compared_once() {
         seeds: 2,
         training: TrainSettings {
             epochs: 2,
-            batch: 4,
-            ..TrainSettings::usual(Variant::Vt, architecture, 0)
+            batch_size: 4,
+            ..TrainSettings::new(Variant::Vt, architecture, 0)
         },
     };
     let runs = std::sync::Mutex::new([0, 0]);
-    let told = |event| {
+    let on_progress = |event| {
         let mut runs = runs.lock().unwrap();
         match event {
             ExperimentEvent::Run(..) => runs[0] += 1,
@@ -49,7 +49,7 @@ fn all_conditions_are_trained_tested_and_compared_once() {
             ExperimentEvent::Train(..) => {}
         }
     };
-    let report = experiment(&settings, &out, 2, &told).unwrap();
+    let report = experiment(&settings, &out, 2, &on_progress).unwrap();
     assert_eq!(*runs.lock().unwrap(), [8, 16]);
     assert_eq!(report.results.len(), 4);
     assert_eq!(report.differences.len(), 4);
@@ -67,7 +67,10 @@ fn all_conditions_are_trained_tested_and_compared_once() {
     }
     let written = fs::read(out.join("fig6.json")).unwrap();
     // Again: nothing is trained, and the figures are the same.
-    assert_eq!(experiment(&settings, &out, 2, &told).unwrap(), report);
+    assert_eq!(
+        experiment(&settings, &out, 2, &on_progress).unwrap(),
+        report
+    );
     assert_eq!(*runs.lock().unwrap(), [16, 16]);
     assert_eq!(fs::read(out.join("fig6.json")).unwrap(), written);
     // Without the rigid-body simulator the rest is the same.
@@ -75,24 +78,24 @@ fn all_conditions_are_trained_tested_and_compared_once() {
         rigid: None,
         ..settings.clone()
     };
-    let found = experiment(&three, &out, 2, &told).unwrap();
+    let found = experiment(&three, &out, 2, &on_progress).unwrap();
     assert_eq!(found.results[..], report.results[..3]);
     assert_eq!(found.differences[..], report.differences[..3]);
     assert!(!found.datasets.contains_key("rigid"));
     let chart = fs::read_to_string(out.join("fig6.svg")).unwrap();
     assert!(chart.contains("V+T") && !chart.contains("rigid"));
     // Another test set is not mistaken for the old one.
-    write_part(
+    write_split(
         &settings.fem,
         "test",
         (0..6).map(|number| row("test", number)),
     );
-    let error = experiment(&settings, &out, 2, &told).unwrap_err();
+    let error = experiment(&settings, &out, 2, &on_progress).unwrap_err();
     assert!(error.to_string().contains("another dataset"), "{error}");
     // A test set that cannot be read is found before anything is trained.
     let begun = *runs.lock().unwrap();
     let mut absent = settings.clone();
     absent.tests[0].data = out.clone();
-    assert!(experiment(&absent, &folder.path().join("other"), 2, &told).is_err());
+    assert!(experiment(&absent, &folder.path().join("other"), 2, &on_progress).is_err());
     assert_eq!(*runs.lock().unwrap(), begun);
 }

@@ -1,44 +1,44 @@
-//! The model that comes out of a run.
+//! Calibration of a run and export of its model.
 
 use std::collections::BTreeMap;
 use std::path::Path;
 
-use super::known::known_touch;
-use super::look::{Logit, logits};
 use super::metrics::{Summary, fit_temperature, youden_threshold};
-use super::run_folder::{EpochFigures, RunFile, RunFolder};
+use super::ood::fit_tactile_reference;
+use super::run_folder::{EpochMetrics, RunFile, RunFolder};
 use super::samples::Samples;
 use super::state::write;
+use super::validate::{Logit, logits};
 use gripcast_base::error::Result;
 use gripcast_imaging::CropProfile;
 use gripcast_nn::predict::contract::{InputName, InputSpec, Origin};
 use gripcast_nn::predict::{ModelContract, novelty};
 use gripcast_nn::to_onnx;
 
-/// Metadata with the names of the objects that a model was trained on.
+/// Metadata key of the training objects.
 pub(super) const OBJECTS: &str = "gripcast.train.objects";
 
-/// Decimal places of the temperature and the threshold in the file.
-const PLACES: f64 = 1e4;
+/// Temperature and threshold are rounded to multiples of its inverse.
+const ROUNDING: f64 = 1e4;
 
-/// Calibration, and how the model does where it was fitted.
+/// A calibrated model.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Finished {
-    /// What logits are divided by.
+    /// Temperature of the logits.
     pub temperature: f64,
-    /// Probability from which a grasp counts as stable.
+    /// Decision threshold.
     pub threshold: f64,
-    /// Figures on the validation part, after both were fitted there.
+    /// Metrics on the validation split, on which both were fitted.
     pub validation: Summary,
-    /// SHA-256 of the model's file is that of these bytes.
+    /// Bytes of the model file.
     pub onnx: Vec<u8>,
 }
 
-/// Fits temperature and threshold on the validation part, describes the tactile images of the
-/// training part of the dataset `data`, and writes the run's `model.onnx`.
+/// Fits temperature and threshold on the validation split and the OOD reference on the training
+/// split of the dataset `data`, and writes the run's `model.onnx`.
 ///
 /// # Errors
-/// Those of reading the dataset and the checkpoint and of writing the file.
+/// Errors of reading dataset and checkpoint and of writing the file.
 pub fn finish(
     folder: &RunFolder,
     file: &RunFile,
@@ -48,20 +48,22 @@ pub fn finish(
 ) -> Result<Finished> {
     let validation = Samples::open(data, "validation")?;
     let (network, best) = folder.best_network(&file.settings)?;
-    let found = logits(
+    let logits = logits(
         &network,
         &validation,
         &file.settings,
         file.normalisation(),
         on_progress,
     )?;
-    let (temperature, threshold) = calibrate(&found);
-    let scored: Vec<_> = found.iter().map(|x| x.scored(temperature)).collect();
+    let (temperature, threshold) = calibrate(&logits);
+    let scored: Vec<_> = logits.iter().map(|x| x.scored(temperature)).collect();
     let summary = Summary::new(&scored, threshold);
     let mut contract = contract(file, name, &best, [temperature, threshold], &summary)?;
-    if let Some(novelty) = known_touch(&Samples::open(data, "train")?, file)? {
-        let known = (novelty::METADATA.to_owned(), novelty.to_metadata());
-        contract.other.extend([known]);
+    if let Some(reference) = fit_tactile_reference(&Samples::open(data, "train")?, file)? {
+        let metadata = reference.to_metadata();
+        contract
+            .other
+            .insert(novelty::METADATA.to_owned(), metadata);
     }
     let onnx = to_onnx(&network, &contract)?;
     write(&folder.model(), &onnx)?;
@@ -73,25 +75,23 @@ pub fn finish(
     })
 }
 
-/// Temperature and threshold for a run's logits, rounded as they are written.
-fn calibrate(found: &[Logit]) -> (f64, f64) {
-    let rounded = |x: f64| (x * PLACES).round() / PLACES;
-    let (logits, stable): (Vec<f64>, Vec<bool>) =
-        found.iter().map(|x| (x.logit, x.is_stable)).unzip();
-    let temperature = fit_temperature(&logits, &stable).map_or(1.0, |fit| fit.temperature);
+/// Fits temperature and threshold, rounded as they are written.
+fn calibrate(logits: &[Logit]) -> (f64, f64) {
+    let rounded = |x: f64| (x * ROUNDING).round() / ROUNDING;
+    let (values, stable): (Vec<f64>, Vec<bool>) =
+        logits.iter().map(|x| (x.logit, x.is_stable)).unzip();
+    let temperature = fit_temperature(&values, &stable).map_or(1.0, |fit| fit.temperature);
     let temperature = rounded(temperature);
-    let scored: Vec<_> = found.iter().map(|x| x.scored(temperature)).collect();
-    let threshold = youden_threshold(&scored).unwrap_or(0.5);
-    (
-        temperature,
-        rounded(threshold).clamp(1.0 / PLACES, 1.0 - 1.0 / PLACES),
-    )
+    let scored: Vec<_> = logits.iter().map(|x| x.scored(temperature)).collect();
+    let threshold = rounded(youden_threshold(&scored).unwrap_or(0.5));
+    let threshold = threshold.clamp(1.0 / ROUNDING, 1.0 - 1.0 / ROUNDING);
+    (temperature, threshold)
 }
 
 fn contract(
     file: &RunFile,
     name: &str,
-    best: &EpochFigures,
+    best: &EpochMetrics,
     [temperature, threshold]: [f64; 2],
     validation: &Summary,
 ) -> Result<ModelContract> {
@@ -138,7 +138,7 @@ fn contract(
     })
 }
 
-fn card(file: &RunFile, best: &EpochFigures, validation: &Summary) -> String {
+fn card(file: &RunFile, best: &EpochMetrics, validation: &Summary) -> String {
     let figure = |value: Option<f64>| value.map_or("–".to_owned(), |x| format!("{x:.3}"));
     format!(
         "# Grasp stability, {variant}\n\n\

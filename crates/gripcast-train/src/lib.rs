@@ -1,17 +1,16 @@
-//! Training the stability classifier on datasets of labelled grasps, and measuring it.
+//! Training and evaluation of the stability classifier.
 //!
-//! [`train`] makes a run: a folder with settings, figures of each epoch, checkpoints, from which it
-//! goes on at any time and ends with the same bytes. [`finish`] calibrates the best checkpoint and
-//! writes the model file.
+//! [`train`] writes a run: a folder with settings, metrics per epoch and checkpoints. A run can be
+//! resumed at any time and ends with the same bytes. [`finish`] calibrates the best checkpoint and
+//! writes the model file. [`evaluate`] computes metrics of model files on a labelled dataset.
 
 mod augment;
 mod batches;
 mod evaluate;
 mod experiment;
 mod finish;
-mod known;
-mod look;
 pub mod metrics;
+mod ood;
 mod page;
 mod run;
 mod run_folder;
@@ -20,6 +19,7 @@ mod sample_dataset;
 mod samples;
 mod settings;
 mod state;
+mod validate;
 
 pub use augment::Augmentation;
 pub use batches::colour_normalisation;
@@ -31,9 +31,9 @@ pub use experiment::{
     ExperimentSettings, TestSet, experiment,
 };
 pub use finish::{Finished, finish};
-pub use look::{Logit, logits};
 pub use page::page;
-pub use run::{PartCounts, RunStart, TrainEvent, Trained, train};
-pub use run_folder::{EpochFigures, RunFile, RunFolder};
+pub use run::{RunStart, SplitCounts, TrainEvent, Trained, train};
+pub use run_folder::{EpochMetrics, RunFile, RunFolder};
 pub use samples::{SampleFacts, Samples, dataset_sha256};
 pub use settings::TrainSettings;
+pub use validate::{Logit, logits};

@@ -1,4 +1,4 @@
-//! A training run: a folder that can be left and gone on with at any time.
+//! A training run: a folder from which training can be resumed at any time.
 
 use std::fs;
 use std::io::Write as _;
@@ -7,11 +7,11 @@ use std::time::Instant;
 
 use super::augment::InputWriter;
 use super::batches::{Batches, colour_normalisation};
-use super::look::{Scores, logits};
-use super::run_folder::{EpochFigures, RunFile, RunFolder, foreign_checkpoint, untrained};
+use super::run_folder::{EpochMetrics, RunFile, RunFolder, VERSION, foreign_checkpoint, untrained};
 use super::samples::{Samples, dataset_sha256};
 use super::settings::TrainSettings;
 use super::state::{self, Position};
+use super::validate::{Scores, logits};
 use gripcast_base::error::{Error, Result};
 use gripcast_base::files::{BeneathPath, FileKind};
 use gripcast_base::random::SeedStream;
@@ -19,86 +19,86 @@ use gripcast_imaging::CropProfile;
 use gripcast_nn::predict::contract::RgbNormalisation;
 use gripcast_nn::{Adam, Batch, Network, Step, linear_schedule};
 
-/// Parts of a dataset that a run reads.
+/// Splits used by a run.
 const TRAIN: &str = "train";
 const VALIDATION: &str = "validation";
 /// Steps between checkpoints.
 const CHECKPOINT_STEPS: u64 = 100;
 
-/// How much there is of a part of a dataset.
+/// Size of a split.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct PartCounts {
-    /// Samples.
+pub struct SplitCounts {
+    /// Number of samples.
     pub samples: usize,
-    /// Those whose lift held.
+    /// Number of stable samples.
     pub stable: usize,
-    /// Objects.
+    /// Number of objects.
     pub objects: usize,
 }
 
-impl PartCounts {
-    fn of(samples: &Samples) -> Self {
-        let [lost, stable] = samples.by_label();
+impl SplitCounts {
+    fn new(samples: &Samples) -> Self {
+        let [slip, stable] = samples.by_label();
         Self {
-            samples: lost + stable,
+            samples: slip + stable,
             stable,
             objects: samples.objects().len(),
         }
     }
 }
 
-/// What a run begins with, or goes on from.
+/// State of a run when it is started or resumed.
 #[derive(Clone, Debug, PartialEq)]
 pub struct RunStart {
-    /// What is trained on.
-    pub train: PartCounts,
-    /// What epochs are compared on.
-    pub validation: PartCounts,
-    /// Steps of an epoch.
+    /// Training split.
+    pub train: SplitCounts,
+    /// Validation split.
+    pub validation: SplitCounts,
+    /// Steps per epoch.
     pub steps_per_epoch: u64,
-    /// Steps done earlier and all.
-    pub at: [u64; 2],
-    /// Epochs that were done earlier.
-    pub epochs: Vec<EpochFigures>,
+    /// Steps done and total.
+    pub steps: [u64; 2],
+    /// Metrics of the finished epochs.
+    pub epochs: Vec<EpochMetrics>,
 }
 
-/// What a run tells while it goes on.
+/// Progress of a run.
 #[derive(Clone, Debug, PartialEq)]
 pub enum TrainEvent {
-    /// The run begins or goes on.
-    Begun(RunStart),
+    /// The run is started or resumed.
+    Started(RunStart),
     /// A step is done.
     Step {
-        /// Steps done and all.
-        at: [u64; 2],
+        /// Steps done and total.
+        steps: [u64; 2],
         /// Loss of the step.
         loss: f64,
         /// Learning rate of the step.
         learning_rate: f64,
     },
-    /// The validation part is being looked at: samples done and all.
-    Look([usize; 2]),
+    /// Validation is running: samples done and total.
+    Validate([usize; 2]),
     /// An epoch is done.
-    Epoch(EpochFigures),
+    Epoch(EpochMetrics),
 }
 
-/// Where a run ended.
+/// Result of a run.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Trained {
-    /// Epochs that were done.
+    /// Number of epochs.
     pub epochs: u32,
-    /// Epoch of the best validation accuracy, from 1.
+    /// Epoch with the best validation accuracy, from 1.
     pub best_epoch: u32,
-    /// What was measured there.
-    pub best: EpochFigures,
+    /// Metrics of that epoch.
+    pub best: EpochMetrics,
 }
 
-/// Trains a classifier, or goes on with it where it was stopped.
+/// Trains a classifier, or resumes an interrupted run.
 ///
 /// # Errors
-/// `Usage`: settings that cannot be, or that are not those of the run in the folder. `Input`: a
-/// dataset without both labels, with objects in two parts, or with images of another size; a loss
-/// that is no number (the best checkpoint stays). Those of reading and writing.
+/// `Usage`: settings out of range or other than those of the run in the folder. `Input`: a dataset
+/// without both labels, with an object in two splits, or with images of another size; a loss that
+/// is NaN or infinite (the best checkpoint is kept). Errors of reading and writing.
 pub fn train(
     data: &Path,
     out: &Path,
@@ -108,41 +108,41 @@ pub fn train(
     settings.check()?;
     let train = Samples::open(data, TRAIN)?;
     let validation = Samples::open(data, VALIDATION)?;
-    // Else the model could not be written after hours of training.
+    // An invalid profile would fail the export after hours of training.
     CropProfile::by_name(train.crop_profile()).map_err(|e| e.at(data.display()))?;
-    train.check_apart(&validation)?;
+    train.check_disjoint(&validation)?;
     for samples in [&train, &validation] {
         check_labels(samples)?;
     }
-    if train.facts().len() < settings.batch {
+    if train.facts().len() < settings.batch_size {
         let what = format!(
-            "the dataset has {} samples to train on, a batch {}",
-            train.facts().len(),
-            settings.batch
+            "expected at least {} training samples (batch size), found {}",
+            settings.batch_size,
+            train.facts().len()
         );
-        return Err(Error::usage(what).remedy("choose a smaller `--batch`"));
+        return Err(Error::usage(what).remedy("choose a smaller `--batch-size`"));
     }
     let folder = RunFolder::at(out);
-    let file = begun(&folder, out, data, settings, &train)?;
-    Training::new(&folder, &file, &train, &validation)?.go_on(on_progress)
+    let file = open_or_create(&folder, out, data, settings, &train)?;
+    Training::new(&folder, &file, &train, &validation)?.run(on_progress)
 }
 
 fn check_labels(samples: &Samples) -> Result<()> {
-    let [lost, stable] = samples.by_label();
-    if lost > 0 && stable > 0 {
+    let [slip, stable] = samples.by_label();
+    if slip > 0 && stable > 0 {
         return Ok(());
     }
     let what = format!(
-        "the part `{}` has {stable} stable and {lost} lost samples; both labels are needed",
+        "expected both labels in the split `{}`, found {stable} stable and {slip} slip samples",
         samples.split()
     );
     Err(Error::input(what)
         .at(samples.root().display())
-        .remedy("make a larger dataset, or split it in another way"))
+        .remedy("use a larger dataset or another split"))
 }
 
-/// The run's file: the one that is there, if it is of the same settings, or a new one.
-fn begun(
+/// Opens the run in the folder, which must have the same settings, or creates one.
+fn open_or_create(
     folder: &RunFolder,
     out: &Path,
     data: &Path,
@@ -150,25 +150,23 @@ fn begun(
     train: &Samples,
 ) -> Result<RunFile> {
     let dataset_sha256 = dataset_sha256(data)?;
-    if let Some(found) = folder.read()? {
-        let other = |what: &str| {
-            Error::usage(format!("the run was begun with {what}"))
+    if let Some(file) = folder.read()? {
+        let mismatch = |what: &str| {
+            Error::usage(format!("the run was started with {what}"))
                 .at(folder.run().display())
-                .remedy("go on with the same command, or name another folder for a new run")
+                .remedy("rerun the same command, or name another folder for a new run")
         };
-        if found.dataset_sha256 != dataset_sha256 {
-            return Err(other("another dataset"));
+        if file.dataset_sha256 != dataset_sha256 {
+            return Err(mismatch("another dataset"));
         }
-        if found.settings != *settings {
-            return Err(other(&format!(
-                "other settings: {}",
-                differing(&found.settings, settings)
-            )));
+        if file.settings != *settings {
+            let differing = differing(&file.settings, settings);
+            return Err(mismatch(&format!("other settings: {differing}")));
         }
-        return Ok(found);
+        return Ok(file);
     }
     fs::create_dir_all(out)
-        .map_err(|e| Error::io("cannot make the folder of the run", e).at(out.display()))?;
+        .map_err(|e| Error::io("cannot create the folder of the run", e).at(out.display()))?;
     let normalisation = if settings.variant.has_vision() {
         colour_normalisation(train)?
     } else {
@@ -178,7 +176,7 @@ fn begun(
         }
     };
     let file = RunFile {
-        version: 1,
+        version: VERSION,
         software: concat!("gripcast ", env!("CARGO_PKG_VERSION")).to_owned(),
         settings: settings.clone(),
         dataset_sha256,
@@ -193,22 +191,18 @@ fn begun(
     Ok(file)
 }
 
-/// The settings that differ, with both values.
-fn differing(found: &TrainSettings, wanted: &TrainSettings) -> String {
-    let [found, wanted] = [found, wanted].map(|s| serde_json::to_value(s).unwrap_or_default());
-    let Some(fields) = found.as_object() else {
-        return String::new();
-    };
-    let differing = fields
-        .iter()
-        .filter(|(name, value)| wanted[name.as_str()] != **value);
+/// Lists the settings that differ, with both values.
+fn differing(run: &TrainSettings, given: &TrainSettings) -> String {
+    let [run, given] = [run, given].map(|s| serde_json::to_value(s).unwrap_or_default());
+    let fields = run.as_object().into_iter().flatten();
+    let differing = fields.filter(|(name, value)| given[name.as_str()] != **value);
     let texts: Vec<String> = differing
-        .map(|(name, value)| format!("{name} {value}, not {}", wanted[name.as_str()]))
+        .map(|(name, value)| format!("{name} {value}, not {}", given[name.as_str()]))
         .collect();
     texts.join("; ")
 }
 
-/// A run under way.
+/// A running training.
 struct Training<'a> {
     folder: &'a RunFolder,
     settings: &'a TrainSettings,
@@ -241,40 +235,40 @@ impl<'a> Training<'a> {
             position: Position {
                 epoch: 0,
                 step: 0,
-                loss: 0.0,
-                steps: 0,
+                loss_sum: 0.0,
+                optimizer_steps: 0,
                 best_epoch: None,
                 best: None,
             },
         };
-        let place = folder.state();
-        if place.is_taken() {
-            training.restore(&place)?;
+        let path = folder.state();
+        if path.is_taken() {
+            training.restore(&path)?;
         }
-        training.cut_metrics()?;
+        training.truncate_metrics()?;
         Ok(training)
     }
 
-    fn restore(&mut self, place: &BeneathPath) -> Result<()> {
-        let (position, arrays): (Position, _) = state::load(place)?;
+    fn restore(&mut self, path: &BeneathPath) -> Result<()> {
+        let (position, arrays): (Position, _) = state::load(path)?;
         let network = &self.network;
         let [all, moments] = [network.parameters.len(), network.moments.len()];
         let [parameters, moments, first, second] =
-            state::of_sizes(arrays, [all, moments, all, all])
-                .ok_or_else(|| foreign_checkpoint(place))?;
+            state::with_sizes(arrays, [all, moments, all, all])
+                .ok_or_else(|| foreign_checkpoint(path))?;
         self.network.parameters = parameters;
         self.network.moments = moments;
         self.position = position;
         self.adam = Adam {
             first,
             second,
-            steps: self.position.steps,
+            steps: self.position.optimizer_steps,
         };
         Ok(())
     }
 
     fn save(&mut self) -> Result<()> {
-        self.position.steps = self.adam.steps;
+        self.position.optimizer_steps = self.adam.steps;
         let arrays: [&[f32]; 4] = [
             &self.network.parameters,
             &self.network.moments,
@@ -284,70 +278,68 @@ impl<'a> Training<'a> {
         state::save(&self.folder.state(), &self.position, &arrays)
     }
 
-    /// Takes away what was written of epochs after the checkpoint.
-    fn cut_metrics(&self) -> Result<()> {
-        let place = self.folder.metrics();
-        let text = place.read_to_string(FileKind::List).unwrap_or_default();
-        let whole = text.lines().filter(|line| {
-            serde_json::from_str::<EpochFigures>(line)
-                .is_ok_and(|figures| figures.epoch <= self.position.epoch)
+    /// Removes metrics of epochs after the checkpoint.
+    fn truncate_metrics(&self) -> Result<()> {
+        let path = self.folder.metrics();
+        let text = path.read_to_string(FileKind::List).unwrap_or_default();
+        let valid = text.lines().filter(|line| {
+            serde_json::from_str::<EpochMetrics>(line)
+                .is_ok_and(|metrics| metrics.epoch <= self.position.epoch)
         });
-        let kept: String = whole.flat_map(|line| [line, "\n"]).collect();
+        let kept: String = valid.flat_map(|line| [line, "\n"]).collect();
         if kept == text {
             return Ok(());
         }
-        state::write(&place, kept.as_bytes())
+        state::write(&path, kept.as_bytes())
     }
 
-    /// What there is before the first step.
+    /// Returns the state before the first step.
     fn start(&self) -> RunStart {
         let metrics = self.folder.metrics();
         let text = metrics.read_to_string(FileKind::List).unwrap_or_default();
-        let figures = text.lines().map(serde_json::from_str);
+        let metrics = text.lines().map(serde_json::from_str);
         let steps = self.steps_per_epoch();
         let epochs = u64::from(self.settings.epochs);
         let done = u64::from(self.position.epoch) * steps + self.position.step;
         RunStart {
-            train: PartCounts::of(self.train),
-            validation: PartCounts::of(self.validation),
+            train: SplitCounts::new(self.train),
+            validation: SplitCounts::new(self.validation),
             steps_per_epoch: steps,
-            at: [done, epochs * steps],
-            epochs: figures.filter_map(serde_json::Result::ok).collect(),
+            steps: [done, epochs * steps],
+            epochs: metrics.filter_map(serde_json::Result::ok).collect(),
         }
     }
 
-    fn note(&self, figures: &EpochFigures) -> Result<()> {
-        let place = self.folder.metrics();
-        let line = serde_json::to_string(figures)
-            .map_err(|e| Error::internal("cannot write the figures").because(e))?;
-        place
-            .append()
+    fn append_metrics(&self, metrics: &EpochMetrics) -> Result<()> {
+        let path = self.folder.metrics();
+        let line = serde_json::to_string(metrics)
+            .map_err(|e| Error::internal("cannot write the metrics").because(e))?;
+        path.append()
             .and_then(|mut file| writeln!(file, "{line}"))
-            .map_err(|e| Error::io("cannot write the figures", e).at(place.display()))
+            .map_err(|e| Error::io("cannot write the metrics", e).at(path.display()))
     }
 
     fn steps_per_epoch(&self) -> u64 {
-        (self.train.facts().len() / self.settings.batch) as u64
+        (self.train.facts().len() / self.settings.batch_size) as u64
     }
 
-    fn go_on(mut self, on_progress: &(dyn Fn(TrainEvent) + Sync)) -> Result<Trained> {
-        on_progress(TrainEvent::Begun(self.start()));
-        while self.position.epoch < self.settings.epochs && !self.is_out_of_patience() {
-            let figures = self.epoch(on_progress)?;
-            let accuracy = [figures.validation_accuracy, figures.validation_loss];
-            if self.position.best.is_none_or(|best| figures.beats(best)) {
+    fn run(mut self, on_progress: &(dyn Fn(TrainEvent) + Sync)) -> Result<Trained> {
+        on_progress(TrainEvent::Started(self.start()));
+        while self.position.epoch < self.settings.epochs && !self.stops_early() {
+            let metrics = self.epoch(on_progress)?;
+            if self.position.best.is_none_or(|best| metrics.beats(best)) {
                 let arrays: [&[f32]; 2] = [&self.network.parameters, &self.network.moments];
-                state::save(&self.folder.best(), &figures, &arrays)?;
-                self.position.best = Some(accuracy);
-                self.position.best_epoch = Some(figures.epoch);
+                state::save(&self.folder.best(), &metrics, &arrays)?;
+                self.position.best = Some([metrics.validation_accuracy, metrics.validation_loss]);
+                self.position.best_epoch = Some(metrics.epoch);
             }
-            self.position.epoch = figures.epoch;
+            self.position.epoch = metrics.epoch;
             self.position.step = 0;
-            self.position.loss = 0.0;
-            // The line first: after a kill between the two it is cut again.
-            self.note(&figures)?;
+            self.position.loss_sum = 0.0;
+            // Metrics first: if the run is killed before the checkpoint, the line is removed.
+            self.append_metrics(&metrics)?;
             self.save()?;
-            on_progress(TrainEvent::Epoch(figures));
+            on_progress(TrainEvent::Epoch(metrics));
         }
         let (_, best) = self.folder.best_network(self.settings)?;
         Ok(Trained {
@@ -357,39 +349,36 @@ impl<'a> Training<'a> {
         })
     }
 
-    fn is_out_of_patience(&self) -> bool {
+    fn stops_early(&self) -> bool {
         let since = self.position.epoch - self.position.best_epoch.unwrap_or(self.position.epoch);
         self.settings.patience > 0 && since >= self.settings.patience
     }
 
-    fn epoch(&mut self, on_progress: &(dyn Fn(TrainEvent) + Sync)) -> Result<EpochFigures> {
+    fn epoch(&mut self, on_progress: &(dyn Fn(TrainEvent) + Sync)) -> Result<EpochMetrics> {
         let settings = self.settings;
+        let (batch_size, buffer) = (settings.batch_size, settings.shuffle_buffer);
         let epoch = self.position.epoch;
-        let (train, variant) = (self.train, settings.variant);
-        let of_epoch = SeedStream::named(settings.seed, &format!("epoch {epoch}")).bits();
-        let order = train.shuffled(of_epoch, settings.memory);
+        let train = self.train;
+        let epoch_seed = SeedStream::named(settings.seed, &format!("epoch {epoch}")).bits();
+        let order = train.shuffled(epoch_seed, buffer);
         let writer = InputWriter::new(settings.augmentation, self.normalisation);
-        let mut batches = Batches::new(train, variant, writer, settings.memory).balanced();
+        let mut batches = Batches::new(train, settings.variant, writer, buffer).balanced();
         let mut read = |step: u64| -> Result<Batch> {
-            let first = step as usize * settings.batch;
-            let samples = &order[first..first + settings.batch];
-            let seed = |at: &usize| SeedStream::named(of_epoch, &train.facts()[*at].id).bits();
+            let first = step as usize * batch_size;
+            let samples = &order[first..first + batch_size];
+            let seed = |i: &usize| SeedStream::named(epoch_seed, &train.facts()[*i].id).bits();
             let seeds: Vec<u64> = samples.iter().map(seed).collect();
             batches.batch(samples, Some(&seeds))
         };
         let steps = self.steps_per_epoch();
-        let all = steps * u64::from(settings.epochs);
-        let begun = Instant::now();
+        let total = steps * u64::from(settings.epochs);
+        let start = Instant::now();
         let first = self.position.step;
         let mut gradient = vec![0.0; self.network.parameters.len()];
-        let mut next = if first < steps {
-            Some(read(first)?)
-        } else {
-            None
-        };
+        let mut next = (first < steps).then(|| read(first)).transpose()?;
         while let Some(batch) = next.take() {
             let step = self.position.step;
-            let drop = self.dropped(of_epoch, step);
+            let drop = self.dropout(epoch_seed, step);
             gradient.fill(0.0);
             let network = &mut self.network;
             let (loss, read) = rayon::join(
@@ -398,7 +387,7 @@ impl<'a> Training<'a> {
             );
             next = read?;
             self.check_loss(loss, &gradient, epoch, step)?;
-            let fraction = linear_schedule(self.adam.steps, settings.warm_up, all);
+            let fraction = linear_schedule(self.adam.steps, settings.warm_up_steps, total);
             let learning_rate = fraction * settings.learning_rate as f32;
             let layout = self.network.layout().clone();
             self.adam.step(
@@ -408,10 +397,10 @@ impl<'a> Training<'a> {
                 learning_rate,
                 settings.weight_decay as f32,
             );
-            self.position.loss += loss;
+            self.position.loss_sum += loss;
             self.position.step += 1;
             on_progress(TrainEvent::Step {
-                at: [u64::from(epoch) * steps + step + 1, all],
+                steps: [u64::from(epoch) * steps + step + 1, total],
                 loss,
                 learning_rate: f64::from(learning_rate),
             });
@@ -419,12 +408,12 @@ impl<'a> Training<'a> {
                 self.save()?;
             }
         }
-        let seconds = begun.elapsed().as_secs_f64();
-        let done = (steps - first) * settings.batch as u64;
-        let scores = self.look(on_progress)?;
-        Ok(EpochFigures {
+        let seconds = start.elapsed().as_secs_f64();
+        let done = (steps - first) * batch_size as u64;
+        let scores = self.validate(on_progress)?;
+        Ok(EpochMetrics {
             epoch: epoch + 1,
-            train_loss: self.position.loss / steps.max(1) as f64,
+            train_loss: self.position.loss_sum / steps.max(1) as f64,
             validation_loss: scores.loss,
             validation_accuracy: scores.accuracy,
             validation_auroc: scores.auroc,
@@ -432,14 +421,14 @@ impl<'a> Training<'a> {
         })
     }
 
-    /// Which hidden floats are left out in a step.
-    fn dropped(&self, of_epoch: u64, step: u64) -> Step {
-        let fraction = self.settings.dropout;
-        let mut draw = SeedStream::named(of_epoch, &format!("dropout {step}"));
-        let kept = (1.0 / (1.0 - fraction)) as f32;
-        let count = self.settings.batch * self.settings.architecture.hidden;
-        let count = if fraction > 0.0 { count } else { 0 };
-        let hidden = (0..count).map(|_| if draw.uniform() < fraction { 0.0 } else { kept });
+    /// Draws the dropout mask of a step.
+    fn dropout(&self, epoch_seed: u64, step: u64) -> Step {
+        let p = self.settings.dropout;
+        let mut draw = SeedStream::named(epoch_seed, &format!("dropout {step}"));
+        let scale = (1.0 / (1.0 - p)) as f32;
+        let count = self.settings.batch_size * self.settings.architecture.hidden;
+        let count = if p > 0.0 { count } else { 0 };
+        let hidden = (0..count).map(|_| if draw.uniform() < p { 0.0 } else { scale });
         Step {
             number: self.adam.steps,
             dropout: hidden.collect(),
@@ -447,7 +436,7 @@ impl<'a> Training<'a> {
     }
 
     fn check_loss(&self, loss: f64, gradient: &[f32], epoch: u32, step: u64) -> Result<()> {
-        // A ReLU hides what is no number from the loss, but not from the gradient.
+        // A ReLU can hide NaN from the loss, but not from the gradient.
         if loss.is_finite() && gradient.iter().all(|slope| slope.is_finite()) {
             return Ok(());
         }
@@ -456,23 +445,23 @@ impl<'a> Training<'a> {
             None => "no epoch was finished".to_owned(),
         };
         Err(Error::input(format!(
-            "loss {loss} or its gradient is no number in epoch {}, step {step}; {kept}",
+            "loss {loss} or its gradient is NaN or infinite in epoch {}, step {step}; {kept}",
             epoch + 1
         ))
-        .remedy("train anew with a lower `--learning-rate`"))
+        .remedy("start a new run with a lower `--learning-rate`"))
     }
 
-    /// How the network does on the validation part.
-    fn look(&self, on_progress: &(dyn Fn(TrainEvent) + Sync)) -> Result<Scores> {
-        let all = self.validation.facts().len();
-        let scored = logits(
+    /// Evaluates the network on the validation split.
+    fn validate(&self, on_progress: &(dyn Fn(TrainEvent) + Sync)) -> Result<Scores> {
+        let total = self.validation.facts().len();
+        let logits = logits(
             &self.network,
             self.validation,
             self.settings,
             self.normalisation,
-            &|done| on_progress(TrainEvent::Look([done, all])),
+            &|done| on_progress(TrainEvent::Validate([done, total])),
         )?;
-        Ok(Scores::of(&scored))
+        Ok(Scores::new(&logits))
     }
 }
 

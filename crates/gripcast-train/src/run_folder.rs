@@ -1,4 +1,4 @@
-//! The files of a training run.
+//! Files of a training run.
 
 use std::path::PathBuf;
 
@@ -12,33 +12,33 @@ use gripcast_base::files::{BeneathPath, FileKind, Root};
 use gripcast_nn::Network;
 use gripcast_nn::predict::contract::RgbNormalisation;
 
-/// Settings of earlier versions, which did nothing at zero.
-pub(super) const RETIRED: [&str; 3] = ["mix", "quantity_weight", "average"];
+/// Version of `run.json` and of the checkpoints.
+pub(super) const VERSION: u64 = 2;
 
-/// What `run.json` says.
+/// Contents of `run.json`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct RunFile {
-    /// Of this file.
-    pub version: u32,
-    /// Of gripcast.
+    /// Version of this file.
+    pub version: u64,
+    /// Version of gripcast.
     pub software: String,
-    /// What the run is made by.
+    /// Settings.
     pub settings: TrainSettings,
-    /// [`dataset_sha256`] of the dataset.
+    /// [`dataset_sha256`](super::dataset_sha256) of the dataset.
     pub dataset_sha256: String,
-    /// Mean and deviation of the colour images.
+    /// Mean of the colour images.
     pub rgb_mean: [f32; 3],
-    /// Deviation.
+    /// Standard deviation of the colour images.
     pub rgb_std: [f32; 3],
     /// Crop profile of the tactile images.
     pub crop_profile: String,
-    /// Objects that are trained on.
+    /// Objects of the training split.
     pub objects: Vec<String>,
 }
 
 impl RunFile {
-    /// Mean and deviation of the colour images.
+    /// Returns mean and standard deviation of the colour images.
     pub fn normalisation(&self) -> RgbNormalisation {
         RgbNormalisation {
             mean: self.rgb_mean,
@@ -47,25 +47,25 @@ impl RunFile {
     }
 }
 
-/// One line of `metrics.jsonl`.
+/// Metrics of an epoch, a line of `metrics.jsonl`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub struct EpochFigures {
-    /// From 1.
+pub struct EpochMetrics {
+    /// Epoch, from 1.
     pub epoch: u32,
-    /// Mean loss over its steps, nats.
+    /// Mean training loss, nats.
     pub train_loss: f64,
-    /// On the validation part: mean loss of balanced labels, nats.
+    /// Class-balanced mean loss on the validation split, nats.
     pub validation_loss: f64,
-    /// Balanced accuracy there at a probability of one half.
+    /// Balanced accuracy on the validation split at a probability of 0.5.
     pub validation_accuracy: f64,
-    /// Area under the ROC curve there.
+    /// AUROC on the validation split.
     pub validation_auroc: Option<f64>,
-    /// Samples learned from in a second of wall time.
+    /// Training throughput, samples/s.
     pub samples_per_s: f64,
 }
 
-impl EpochFigures {
-    /// Whether it is a better checkpoint than one of this accuracy and loss on the validation part.
+impl EpochMetrics {
+    /// Returns whether it is better than an epoch with this validation accuracy and loss.
     pub fn beats(&self, [accuracy, loss]: [f64; 2]) -> bool {
         self.validation_accuracy > accuracy
             || (self.validation_accuracy == accuracy && self.validation_loss < loss)
@@ -77,82 +77,76 @@ impl EpochFigures {
 pub struct RunFolder(BeneathPath);
 
 impl RunFolder {
-    /// The run in a folder.
+    /// Returns the run in a folder.
     pub fn at(folder: impl Into<PathBuf>) -> Self {
         Self(Root::new(folder).top())
     }
 
-    /// Its settings and origin.
+    /// Path of `run.json`: settings and dataset.
     pub fn run(&self) -> BeneathPath {
         self.0.join("run.json")
     }
 
-    /// Figures of its epochs.
+    /// Path of `metrics.jsonl`: metrics of its epochs.
     pub fn metrics(&self) -> BeneathPath {
         self.0.join("metrics.jsonl")
     }
 
-    /// The last checkpoint.
+    /// Path of the last checkpoint.
     pub fn state(&self) -> BeneathPath {
         self.0.join("state.bin")
     }
 
-    /// The best one.
+    /// Path of the best checkpoint.
     pub fn best(&self) -> BeneathPath {
         self.0.join("best.bin")
     }
 
-    /// The model that came out.
+    /// Path of the exported model.
     pub fn model(&self) -> BeneathPath {
         self.0.join("model.onnx")
     }
 
-    /// Reads `run.json`; none where there is no run.
+    /// Reads `run.json`; none if there is no run.
     ///
     /// # Errors
-    /// `Input`: the file is damaged. Those of reading it.
+    /// `Input`: the file is damaged. `Usage`: it has another version. Errors of reading it.
     pub fn read(&self) -> Result<Option<RunFile>> {
-        let place = self.run();
-        let text = match place.read(FileKind::List) {
+        let path = self.run();
+        let text = match path.read(FileKind::List) {
             Ok(text) => text,
             Err(e) if e.kind() == std::io::ErrorKind::NotFound => return Ok(None),
-            Err(e) => return Err(Error::io("cannot read the run", e).at(place.display())),
+            Err(e) => return Err(Error::io("cannot read the run", e).at(path.display())),
         };
-        let unreadable = |e| {
-            Error::input("the run's description cannot be read")
+        let invalid = |e| {
+            Error::input("invalid run description")
                 .because(e)
-                .at(place.display())
+                .at(path.display())
         };
-        let mut found: Value = serde_json::from_slice(&text).map_err(unreadable)?;
-        for name in RETIRED {
-            let settings = found["settings"].as_object_mut();
-            let value = settings.and_then(|settings| settings.remove(name));
-            if let Some(value) = value.filter(|value| value.as_f64() != Some(0.0)) {
-                let what =
-                    format!("the run was begun with `{name}` {value}, which is no longer there");
-                let error = Error::usage(what).at(place.display());
-                return Err(error.remedy(
-                    "go on with the gripcast that began it (`software`), or name another folder",
-                ));
-            }
+        let value: Value = serde_json::from_slice(&text).map_err(invalid)?;
+        if let Some(version) = value["version"].as_u64().filter(|v| *v != VERSION) {
+            let what = format!("expected a run of version {VERSION}, found version {version}");
+            return Err(Error::usage(what).at(path.display()).remedy(
+                "resume it with the gripcast that started it (`software`), or name another folder",
+            ));
         }
-        serde_json::from_value(found).map(Some).map_err(unreadable)
+        serde_json::from_value(value).map(Some).map_err(invalid)
     }
 
-    /// The network of the best checkpoint, and what was measured there.
+    /// Loads the network and the metrics of the best checkpoint.
     ///
     /// # Errors
-    /// `Input`: it is damaged, or of other settings. Those of reading it.
-    pub fn best_network(&self, settings: &TrainSettings) -> Result<(Network, EpochFigures)> {
-        let place = self.best();
-        let (figures, arrays): (EpochFigures, _) = state::load(&place)?;
+    /// `Input`: it is damaged, or of other settings. Errors of reading it.
+    pub fn best_network(&self, settings: &TrainSettings) -> Result<(Network, EpochMetrics)> {
+        let path = self.best();
+        let (metrics, arrays): (EpochMetrics, _) = state::load(&path)?;
         let mut network = untrained(settings, || 0.5);
         let sizes = [network.parameters.len(), network.moments.len()];
         let [parameters, moments] =
-            state::of_sizes(arrays, sizes).ok_or_else(|| foreign_checkpoint(&place))?;
+            state::with_sizes(arrays, sizes).ok_or_else(|| foreign_checkpoint(&path))?;
         network.parameters = parameters;
         network.moments = moments;
-        Ok((network, figures))
+        Ok((network, metrics))
     }
 }
 
@@ -160,8 +154,8 @@ pub(super) fn untrained(settings: &TrainSettings, uniform: impl FnMut() -> f64) 
     Network::new(&settings.architecture, settings.variant, uniform)
 }
 
-pub(super) fn foreign_checkpoint(place: &BeneathPath) -> Error {
-    let what = "the checkpoint is of a network with other sizes";
-    let error = Error::input(what).at(place.display());
-    error.remedy("name another folder for the run")
+pub(super) fn foreign_checkpoint(path: &BeneathPath) -> Error {
+    Error::input("the checkpoint has other array sizes than the network")
+        .at(path.display())
+        .remedy("name another folder for the run")
 }

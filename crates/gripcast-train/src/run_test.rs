@@ -3,8 +3,7 @@ use std::panic::AssertUnwindSafe;
 
 use super::*;
 use crate::augment::{Augmentation, SampleImages};
-use crate::run_folder::RETIRED;
-use crate::sample_dataset::{row, write_dataset, write_part};
+use crate::sample_dataset::{row, write_dataset, write_split};
 use crate::samples::SampleReader;
 use crate::{finish, logits};
 use gripcast_base::quiet_panic;
@@ -28,26 +27,26 @@ fn settings(variant: Variant) -> TrainSettings {
     };
     TrainSettings {
         epochs: 3,
-        batch: 4,
-        warm_up: 1,
+        batch_size: 4,
+        warm_up_steps: 1,
         learning_rate: 3e-3,
-        ..TrainSettings::usual(variant, architecture, 5)
+        ..TrainSettings::new(variant, architecture, 5)
     }
 }
 
-fn without_times(folder: &RunFolder) -> Vec<EpochFigures> {
+fn without_times(folder: &RunFolder) -> Vec<EpochMetrics> {
     let text = fs::read_to_string(folder.metrics().shown()).unwrap();
     let lines = text.lines().map(|line| serde_json::from_str(line).unwrap());
     lines
-        .map(|figures: EpochFigures| EpochFigures {
+        .map(|metrics: EpochMetrics| EpochMetrics {
             samples_per_s: 0.0,
-            ..figures
+            ..metrics
         })
         .collect()
 }
 
 #[test]
-fn a_run_learns_and_its_file_predicts_what_the_network_does() {
+fn exported_model_matches_network() {
     let folder = tempfile::tempdir().unwrap();
     let data = folder.path().join("data");
     write_dataset(&data, 24);
@@ -82,8 +81,8 @@ fn a_run_learns_and_its_file_predicts_what_the_network_does() {
         .unwrap();
         let mut reader = SampleReader::new(&validation, 0);
         let mut decoder = gripcast_imaging::Decoder::new().unwrap();
-        for (at, logit) in found.iter().enumerate() {
-            let (rows, row) = reader.rows(&[at]).unwrap().remove(0);
+        for (i, logit) in found.iter().enumerate() {
+            let (rows, row) = reader.rows(&[i]).unwrap().remove(0);
             let images =
                 SampleImages::decode(&mut decoder, &rows[row].images, [true, true]).unwrap();
             let mut input = ModelInput::zeros(model.contract()).unwrap();
@@ -108,7 +107,7 @@ fn a_run_learns_and_its_file_predicts_what_the_network_does() {
 }
 
 #[test]
-fn a_run_that_was_killed_ends_with_the_same_bytes() {
+fn killed_run_resumes_to_same_bytes() {
     let settings = &settings(Variant::T);
     let folder = tempfile::tempdir().unwrap();
     let data = folder.path().join("data");
@@ -118,7 +117,7 @@ fn a_run_that_was_killed_ends_with_the_same_bytes() {
     for last in [1_u64, 8, 14] {
         let killed = quiet_panic::catch(AssertUnwindSafe(|| {
             train(&data, &broken, settings, &|event| {
-                let is_last = matches!(event, TrainEvent::Step { at, .. } if at[0] == last);
+                let is_last = matches!(event, TrainEvent::Step { steps, .. } if steps[0] == last);
                 assert!(!is_last, "killed");
             })
         }));
@@ -134,7 +133,7 @@ fn a_run_that_was_killed_ends_with_the_same_bytes() {
 }
 
 #[test]
-fn checkpoints_within_an_epoch_are_gone_on_with() {
+fn run_resumes_within_epoch() {
     let folder = tempfile::tempdir().unwrap();
     let data = folder.path().join("data");
     write_dataset(&data, 24);
@@ -142,9 +141,9 @@ fn checkpoints_within_an_epoch_are_gone_on_with() {
     let file = {
         let train = Samples::open(&data, TRAIN).unwrap();
         let out = folder.path().join("run");
-        begun(&RunFolder::at(&out), &out, &data, &settings, &train).unwrap()
+        open_or_create(&RunFolder::at(&out), &out, &data, &settings, &train).unwrap()
     };
-    let [train, validation] = [TRAIN, VALIDATION].map(|part| Samples::open(&data, part).unwrap());
+    let [train, validation] = [TRAIN, VALIDATION].map(|split| Samples::open(&data, split).unwrap());
     let run = RunFolder::at(folder.path().join("run"));
     let mut whole = Training::new(&run, &file, &train, &validation).unwrap();
     whole.epoch(&|_| {}).unwrap();
@@ -153,7 +152,7 @@ fn checkpoints_within_an_epoch_are_gone_on_with() {
     let killed = quiet_panic::catch(AssertUnwindSafe(|| {
         let mut training = broken.borrow_mut();
         training.epoch(&|event| {
-            let is_third = matches!(event, TrainEvent::Step { at, .. } if at[0] == 3);
+            let is_third = matches!(event, TrainEvent::Step { steps, .. } if steps[0] == 3);
             assert!(!is_third, "killed");
         })
     }));
@@ -163,11 +162,11 @@ fn checkpoints_within_an_epoch_are_gone_on_with() {
     assert_eq!(again.position.step, 3);
     again.epoch(&|_| {}).unwrap();
     assert!(again.network.parameters == whole.network.parameters);
-    assert_eq!(again.position.loss, whole.position.loss);
+    assert_eq!(again.position.loss_sum, whole.position.loss_sum);
 }
 
 #[test]
-fn other_settings_and_another_dataset_are_refused() {
+fn resuming_with_other_settings_or_dataset_is_refused() {
     let folder = tempfile::tempdir().unwrap();
     let data = folder.path().join("data");
     write_dataset(&data, 8);
@@ -193,7 +192,7 @@ fn other_settings_and_another_dataset_are_refused() {
 }
 
 #[test]
-fn runs_of_earlier_versions_go_on_unless_they_used_what_is_gone() {
+fn runs_of_other_versions_are_refused() {
     let folder = tempfile::tempdir().unwrap();
     let data = folder.path().join("data");
     write_dataset(&data, 8);
@@ -204,29 +203,22 @@ fn runs_of_earlier_versions_go_on_unless_they_used_what_is_gone() {
     };
     train(&data, &out, &settings, &|_| {}).unwrap();
     let run = RunFolder::at(&out);
-    let file = run.read().unwrap().unwrap();
-    let mut older = serde_json::to_value(&file).unwrap();
-    for name in RETIRED {
-        older["settings"][name] = 0.0.into();
-    }
-    fs::write(run.run().shown(), older.to_string()).unwrap();
-    assert_eq!(run.read().unwrap().unwrap(), file);
-    train(&data, &out, &settings, &|_| {}).unwrap();
-    older["settings"]["average"] = 0.99.into();
+    let mut older = serde_json::to_value(run.read().unwrap().unwrap()).unwrap();
+    older["version"] = 1.into();
     fs::write(run.run().shown(), older.to_string()).unwrap();
     let error = train(&data, &out, &settings, &|_| {}).unwrap_err();
     assert_eq!(error.kind(), ErrorKind::Usage);
-    assert!(error.to_string().contains("`average` 0.99"), "{error}");
+    assert!(error.to_string().contains("found version 1"), "{error}");
 }
 
 #[test]
-fn datasets_that_teach_nothing_are_refused() {
+fn unusable_datasets_are_refused() {
     let folder = tempfile::tempdir().unwrap();
     let settings = settings(Variant::T);
     let refused = |name: &str, rows: Vec<gripcast_dataset::shard::ShardRow>, validation: &str| {
         let data = folder.path().join(name);
-        write_part(&data, "train", rows);
-        write_part(&data, "validation", (0..4).map(|n| row(validation, n)));
+        write_split(&data, "train", rows);
+        write_split(&data, "validation", (0..4).map(|n| row(validation, n)));
         let out = folder.path().join(format!("{name}-run"));
         let error = train(&data, &out, &settings, &|_| {}).unwrap_err();
         assert!(!out.exists(), "{name}");
@@ -234,20 +226,20 @@ fn datasets_that_teach_nothing_are_refused() {
     };
     let stable = (0..8).map(|n| row("train", 2 * n + 1)).collect();
     let text = refused("one", stable, "validation");
-    assert!(text.contains("8 stable and 0 lost"), "{text}");
+    assert!(text.contains("8 stable and 0 slip"), "{text}");
     let text = refused("leak", (0..8).map(|n| row("train", n)).collect(), "train");
-    assert!(text.contains("objects are in"), "{text}");
+    assert!(text.contains("objects are in both"), "{text}");
     let text = refused(
         "few",
         (0..2).map(|n| row("train", n)).collect(),
         "validation",
     );
-    assert!(text.contains("--batch"), "{text}");
+    assert!(text.contains("--batch-size"), "{text}");
     let mut cropped: Vec<_> = (0..8).map(|n| row("train", n)).collect();
     cropped[3].facts.crop_profile = "paper".to_owned();
     let text = refused("crops", cropped, "validation");
     assert!(
-        text.contains("cropped in several ways: full-v1, paper"),
+        text.contains("different crop profiles: full-v1, paper"),
         "{text}"
     );
     let text = refused("none", Vec::new(), "validation");
@@ -255,13 +247,13 @@ fn datasets_that_teach_nothing_are_refused() {
 }
 
 #[test]
-fn an_image_of_another_size_is_named() {
+fn image_of_wrong_size_is_named() {
     let folder = tempfile::tempdir().unwrap();
     let mut rows: Vec<_> = (0..8).map(|n| row("train", n)).collect();
     let small = image::RgbImage::new(160, 120);
     rows[5].images.grasp_left = gripcast_imaging::encode_jpeg(&small, 90).unwrap();
-    write_part(folder.path(), "train", rows);
-    write_part(
+    write_split(folder.path(), "train", rows);
+    write_split(
         folder.path(),
         "validation",
         (0..4).map(|n| row("validation", n)),
@@ -276,7 +268,7 @@ fn an_image_of_another_size_is_named() {
 }
 
 #[test]
-fn a_loss_that_is_no_number_ends_the_run_and_keeps_the_best_checkpoint() {
+fn nan_loss_ends_run_and_keeps_best_checkpoint() {
     let folder = tempfile::tempdir().unwrap();
     let data = folder.path().join("data");
     write_dataset(&data, 8);
@@ -301,7 +293,7 @@ fn a_loss_that_is_no_number_ends_the_run_and_keeps_the_best_checkpoint() {
     let best = fs::read(run.best().shown()).unwrap();
     let error = train(&data, &out, &settings, &|_| {}).unwrap_err();
     let text = error.to_string();
-    assert!(text.contains("no number in epoch 2"), "{text}");
+    assert!(text.contains("NaN or infinite in epoch 2"), "{text}");
     assert!(text.contains("of epoch 1, is kept"), "{text}");
     assert_eq!(fs::read(run.best().shown()).unwrap(), best);
 }

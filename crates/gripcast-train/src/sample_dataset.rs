@@ -1,4 +1,4 @@
-//! A small dataset for tests: grasps hold where both gels are in clear contact.
+//! A small dataset for tests: grasps with clear contact of both gels are stable.
 
 use std::path::Path;
 
@@ -12,18 +12,18 @@ use gripcast_dataset::shard::{
 use gripcast_geometry::Pose;
 use gripcast_imaging::{encode_jpeg, synthetic_gel};
 
-/// Rows of two objects; `part` keeps those of one part of a dataset apart from the others'.
-pub(super) fn row(part: &str, number: u64) -> ShardRow {
+/// Returns row `number` of a split; each split has its own objects.
+pub(super) fn row(split: &str, number: u64) -> ShardRow {
     let is_stable = number % 2 == 1;
-    graded_row(part, number, is_stable, if is_stable { 0.9 } else { 0.05 })
+    graded_row(split, number, is_stable, if is_stable { 0.9 } else { 0.05 })
 }
 
-/// A row of another label and contact, 0 for none and 1 for a full one.
-pub(super) fn graded_row(part: &str, number: u64, is_stable: bool, contact: f32) -> ShardRow {
+/// Returns a row with a label and a contact from 0 (none) to 1 (full).
+pub(super) fn graded_row(split: &str, number: u64, is_stable: bool, contact: f32) -> ShardRow {
     let facts = ShardFacts {
-        id: format!("{part}-{number:04}"),
-        simulation: format!("{part}-{number:04}"),
-        object: format!("{part}-object-{}", number % 4),
+        id: format!("{split}-{number:04}"),
+        simulation: format!("{split}-{number:04}"),
+        object: format!("{split}-object-{}", number % 4),
         category: "mug".to_owned(),
         engine: ShardEngine::Fem,
         outcome: if is_stable {
@@ -47,7 +47,7 @@ pub(super) fn graded_row(part: &str, number: u64, is_stable: bool, contact: f32)
         crop_profile: "full-v1".to_owned(),
     };
     let gel = |side: u64, contact: f32| {
-        let salt = part.bytes().map(u64::from).sum::<u64>();
+        let salt = split.bytes().map(u64::from).sum::<u64>();
         encode_jpeg(
             &synthetic_gel(320, 240, 1000 * salt + 2 * number + side, contact),
             85,
@@ -69,10 +69,10 @@ pub(super) fn graded_row(part: &str, number: u64, is_stable: bool, contact: f32)
     ShardRow { facts, images }
 }
 
-/// Writes one part in one shard.
-pub(super) fn write_part(root: &Path, part: &str, rows: impl IntoIterator<Item = ShardRow>) {
+/// Writes a split as one shard.
+pub(super) fn write_split(root: &Path, split: &str, rows: impl IntoIterator<Item = ShardRow>) {
     std::fs::create_dir_all(root).unwrap();
-    let place = shard_place(&Root::new(root), part, 0, 1).unwrap();
+    let place = shard_place(&Root::new(root), split, 0, 1).unwrap();
     place.parent().create_dir_all().unwrap();
     let mut writer = ShardWriter::create(&place, "{}").unwrap();
     for row in rows {
@@ -81,11 +81,11 @@ pub(super) fn write_part(root: &Path, part: &str, rows: impl IntoIterator<Item =
     writer.finish().unwrap();
 }
 
-/// A dataset of so many training rows and a third of them for validation.
+/// Writes a dataset with this many training rows and a third of them for validation.
 pub(super) fn write_dataset(root: &Path, rows: u64) {
-    write_part(root, "train", (0..rows).map(|number| row("train", number)));
+    write_split(root, "train", (0..rows).map(|number| row("train", number)));
     let few = (rows / 3).max(4);
-    write_part(
+    write_split(
         root,
         "validation",
         (0..few).map(|number| row("validation", number)),

@@ -1,4 +1,4 @@
-//! The samples of a dataset's part, read as they are needed.
+//! The samples of a split, read on demand.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::io::{self, BufRead as _, BufReader};
@@ -12,20 +12,20 @@ use gripcast_base::files::{BeneathPath, FileKind, hex};
 use gripcast_base::random::SeedStream;
 use gripcast_dataset::shard::{ShardFacts, ShardReader, ShardRow, ShardSet};
 
-/// What is known of a sample besides its images.
+/// Metadata of a sample.
 #[derive(Clone, Debug)]
 pub struct SampleFacts {
-    /// Its id.
+    /// Sample id.
     pub id: String,
-    /// The simulation or real grasp that it shows; several renderings share it.
+    /// Id of the simulation or the real grasp; shared by its renderings.
     pub lift: String,
-    /// What is grasped.
+    /// Object name.
     pub object: String,
-    /// Its category.
+    /// Object category.
     pub category: String,
-    /// Whether the lift held.
+    /// Whether the outcome is stable.
     pub is_stable: bool,
-    /// Mean normal force at which the fingers stopped closing, N, where it is known.
+    /// Stopping force (mean normal force per finger), N, if known.
     pub stop_force_n: Option<f64>,
 }
 
@@ -42,18 +42,18 @@ impl From<ShardFacts> for SampleFacts {
     }
 }
 
-/// A run of rows in a file that are read together.
+/// A row group of a shard.
 #[derive(Clone, Debug)]
 struct Group {
     shard: usize,
     group: usize,
-    /// Number of its first sample.
+    /// Index of its first sample.
     first: usize,
-    /// Bytes of its images.
+    /// Size of its images.
     bytes: usize,
 }
 
-/// The samples of one part of a dataset. The images stay in their files.
+/// The samples of one split of a dataset. Images are read on demand.
 #[derive(Clone, Debug)]
 pub struct Samples {
     root: PathBuf,
@@ -65,10 +65,10 @@ pub struct Samples {
 }
 
 impl Samples {
-    /// Opens a part of a dataset and reads everything but the images.
+    /// Opens a split of a dataset and reads everything but the images.
     ///
     /// # Errors
-    /// `Input`: there are no samples, or tactile images cropped in several ways. Those of
+    /// `Input`: no samples, or tactile images with different crop profiles. Those of
     /// [`ShardSet::open`] and [`ShardReader::open`].
     pub fn open(root: &Path, split: &str) -> Result<Self> {
         let set = ShardSet::open(root)?;
@@ -81,17 +81,16 @@ impl Samples {
             crop_profile: String::new(),
         };
         let mut crops = BTreeSet::new();
-        for place in set.shards(split)? {
-            let reader = ShardReader::open_beneath(place)?;
-            let size = place.metadata().map_or(0, |found| found.bytes) as usize;
+        for file in set.shards(split)? {
+            let reader = ShardReader::open_beneath(file)?;
+            let size = file.metadata().map_or(0, |metadata| metadata.bytes) as usize;
             let shard = samples.shards.len();
-            let begun = samples.facts.len();
+            let mut first = samples.facts.len();
             for facts in reader.facts() {
                 let facts = facts?;
                 crops.insert(facts.crop_profile.clone());
                 samples.facts.push(facts.into());
             }
-            let mut first = begun;
             for group in 0..reader.num_row_groups() {
                 let rows = reader.group_rows(group);
                 samples.groups.push(Group {
@@ -110,18 +109,18 @@ impl Samples {
     }
 
     fn check(&self, crops: &BTreeSet<String>) -> Result<()> {
-        let input = |what: String| Error::input(what);
         if self.facts.is_empty() {
-            return Err(input(format!("the part `{}` has no samples", self.split)));
+            let what = format!("the split `{}` has no samples", self.split);
+            return Err(Error::input(what));
         }
         if crops.len() > 1 {
             let names: Vec<&str> = crops.iter().map(String::as_str).collect();
-            return Err(input(format!(
-                "the tactile images of `{}` are cropped in several ways: {}",
+            return Err(Error::input(format!(
+                "the tactile images of `{}` have different crop profiles: {}",
                 self.split,
                 names.join(", ")
             ))
-            .remedy("make the dataset of images that are cropped in one way"));
+            .remedy("build the dataset from images with one crop profile"));
         }
         Ok(())
     }
@@ -131,12 +130,12 @@ impl Samples {
         &self.root
     }
 
-    /// Name of the part.
+    /// Name of the split.
     pub fn split(&self) -> &str {
         &self.split
     }
 
-    /// All samples, in the order of the files.
+    /// Metadata of all samples, in the order of the files.
     pub fn facts(&self) -> &[SampleFacts] {
         &self.facts
     }
@@ -146,85 +145,79 @@ impl Samples {
         &self.crop_profile
     }
 
-    /// Samples by label: lost, stable.
+    /// Returns the number of samples per label: slip, stable.
     pub fn by_label(&self) -> [usize; 2] {
         let stable = self.facts.iter().filter(|facts| facts.is_stable).count();
         [self.facts.len() - stable, stable]
     }
 
-    /// Names of the objects.
+    /// Returns the names of the objects.
     pub fn objects(&self) -> BTreeSet<&str> {
         self.facts.iter().map(|facts| &*facts.object).collect()
     }
 
-    /// Refuses a part that shares objects with this one: what was learned of them would be
-    /// measured again.
+    /// Checks that another split shares no object with this one (no leakage).
     ///
     /// # Errors
-    /// `Input`, with some of the objects.
-    pub fn check_apart(&self, other: &Self) -> Result<()> {
+    /// `Input`, with some of the shared objects.
+    pub fn check_disjoint(&self, other: &Self) -> Result<()> {
         let ours = self.objects();
         let shared: Vec<&str> = other.objects().intersection(&ours).copied().collect();
         if shared.is_empty() {
             return Ok(());
         }
-        let some = shared.iter().take(3).copied().collect::<Vec<_>>();
+        let more = if shared.len() > 3 { ", …" } else { "" };
         Err(Error::input(format!(
-            "{} objects are in `{}` as well as in `{}`: {}{}",
+            "{} objects are in both `{}` and `{}`: {}{more}",
             shared.len(),
             self.split,
             other.split,
-            some.join(", "),
-            if shared.len() > some.len() {
-                ", …"
-            } else {
-                ""
-            }
+            shared[..shared.len().min(3)].join(", "),
         ))
         .at(self.root.display())
         .remedy("split the dataset by object, as `synth merge` does"))
     }
 
-    /// All images of a sample's group.
+    /// Reads all rows of a group.
     fn read(&self, group: usize) -> Result<Vec<ShardRow>> {
         let group = &self.groups[group];
         self.shards[group.shard].row_group(group.group)
     }
 
-    /// Group of a sample and its place there.
-    fn place(&self, sample: usize) -> (usize, usize) {
+    /// Returns the group of a sample and its index there.
+    fn locate(&self, sample: usize) -> (usize, usize) {
         let group = self.groups.partition_point(|group| group.first <= sample) - 1;
         (group, sample - self.groups[group].first)
     }
 
-    /// Samples in random order, for a seed. Only as many groups are mixed at a time as fit into
-    /// `memory` bytes.
-    pub fn shuffled(&self, seed: u64, memory: usize) -> Vec<usize> {
+    /// Returns the samples in random order. Groups are shuffled within buffers of `buffer_bytes`.
+    pub fn shuffled(&self, seed: u64, buffer_bytes: usize) -> Vec<usize> {
         let mut draw = SeedStream::named(seed, "order");
         let mut groups: Vec<usize> = (0..self.groups.len()).collect();
         shuffle(&mut groups, &mut draw);
         let mut order = Vec::with_capacity(self.facts.len());
-        let (mut begun, mut bytes) = (0, 0);
-        for (at, &group) in groups.iter().enumerate() {
+        let (mut first, mut bytes) = (0, 0);
+        for (i, &group) in groups.iter().enumerate() {
             let size = self.groups[group].bytes;
-            if bytes + size > memory && at > begun {
-                self.mix(&groups[begun..at], &mut draw, &mut order);
-                (begun, bytes) = (at, 0);
+            if bytes + size > buffer_bytes && i > first {
+                self.shuffle_groups(&groups[first..i], &mut draw, &mut order);
+                (first, bytes) = (i, 0);
             }
             bytes += size;
         }
-        self.mix(&groups[begun..], &mut draw, &mut order);
+        self.shuffle_groups(&groups[first..], &mut draw, &mut order);
         order
     }
 
-    fn mix(&self, groups: &[usize], draw: &mut SeedStream, order: &mut Vec<usize>) {
-        let begun = order.len();
+    /// Appends the samples of some groups in random order.
+    fn shuffle_groups(&self, groups: &[usize], draw: &mut SeedStream, order: &mut Vec<usize>) {
+        let start = order.len();
         for &group in groups {
             let first = self.groups[group].first;
             let next = self.groups.get(group + 1);
             order.extend(first..next.map_or(self.facts.len(), |next| next.first));
         }
-        shuffle(&mut order[begun..], draw);
+        shuffle(&mut order[start..], draw);
     }
 }
 
@@ -234,83 +227,83 @@ fn shuffle<T>(items: &mut [T], draw: &mut SeedStream) {
     }
 }
 
-/// Reads samples; keeps the groups that were read last.
+/// Reads samples and caches the groups that were read last.
 #[derive(Debug)]
 pub(super) struct SampleReader<'a> {
     samples: &'a Samples,
     memory: usize,
-    kept: BTreeMap<usize, (u64, Arc<Vec<ShardRow>>)>,
+    /// Last use and rows by group.
+    cache: BTreeMap<usize, (u64, Arc<Vec<ShardRow>>)>,
     clock: u64,
 }
 
 impl<'a> SampleReader<'a> {
-    /// A reader that keeps about `memory` bytes of images.
+    /// Creates a reader with a cache of about `memory` bytes of images.
     pub(super) fn new(samples: &'a Samples, memory: usize) -> Self {
         Self {
             samples,
             memory,
-            kept: BTreeMap::new(),
+            cache: BTreeMap::new(),
             clock: 0,
         }
     }
 
-    /// The rows of some samples, each as the group that holds it and its place there.
+    /// Reads some samples, each as its group of rows and its index there.
     ///
     /// # Errors
-    /// Those of reading the files.
+    /// Errors of reading the files.
     pub(crate) fn rows(&mut self, samples: &[usize]) -> Result<Vec<(Arc<Vec<ShardRow>>, usize)>> {
         self.clock += 1;
-        let places: Vec<_> = samples.iter().map(|at| self.samples.place(*at)).collect();
-        let rows = places.iter().map(|(group, at)| {
-            let rows = match self.kept.get(group) {
+        let rows = samples.iter().map(|sample| {
+            let (group, index) = self.samples.locate(*sample);
+            let rows = match self.cache.get(&group) {
                 Some((_, rows)) => Arc::clone(rows),
-                None => Arc::new(self.samples.read(*group)?),
+                None => Arc::new(self.samples.read(group)?),
             };
-            self.kept.insert(*group, (self.clock, Arc::clone(&rows)));
-            Ok((rows, *at))
+            self.cache.insert(group, (self.clock, Arc::clone(&rows)));
+            Ok((rows, index))
         });
         let rows = rows.collect::<Result<_>>()?;
-        self.forget();
+        self.evict();
         Ok(rows)
     }
 
-    /// Lets go of the groups that were not asked for the longest.
-    fn forget(&mut self) {
+    /// Evicts the least recently used groups.
+    fn evict(&mut self) {
         let bytes = |group: &usize| self.samples.groups[*group].bytes;
-        // The groups of one mix, and of the next one while a batch has samples of both.
-        while self.kept.keys().map(bytes).sum::<usize>() > 2 * self.memory {
-            let oldest = self.kept.iter().min_by_key(|(_, (used, _))| *used);
+        // A batch may have samples of two shuffle buffers.
+        while self.cache.keys().map(bytes).sum::<usize>() > 2 * self.memory {
+            let oldest = self.cache.iter().min_by_key(|(_, (used, _))| *used);
             let Some((&group, (used, _))) = oldest else {
                 return;
             };
             if *used == self.clock {
                 return;
             }
-            self.kept.remove(&group);
+            self.cache.remove(&group);
         }
     }
 }
 
-/// SHA-256 over the names and contents of a dataset's files, lower-case hex.
+/// Computes the SHA-256 over names and contents of a dataset's files, lower-case hex.
 ///
 /// # Errors
-/// Those of reading the files.
+/// Errors of reading the files.
 pub fn dataset_sha256(root: &Path) -> Result<String> {
     let set = ShardSet::open(root)?;
     let mut all = Sha256::new();
     for split in set.splits() {
-        for place in set.shards(split)? {
-            let hash = file_sha256(place)
-                .map_err(|e| Error::io("cannot read the shard", e).at(place.display()))?;
-            all.update(format!("{hash}  {}\n", place.name()));
+        for file in set.shards(split)? {
+            let hash = file_sha256(file)
+                .map_err(|e| Error::io("cannot read the shard", e).at(file.display()))?;
+            all.update(format!("{hash}  {}\n", file.name()));
         }
     }
     Ok(hex(&all.finalize()))
 }
 
-fn file_sha256(place: &BeneathPath) -> io::Result<String> {
-    let file = place.open_file(FileKind::Bulk)?;
-    let mut reader = BufReader::with_capacity(1 << 20, file);
+fn file_sha256(file: &BeneathPath) -> io::Result<String> {
+    let mut reader = BufReader::with_capacity(1 << 20, file.open_file(FileKind::Bulk)?);
     let mut hash = Sha256::new();
     loop {
         let bytes = reader.fill_buf()?;

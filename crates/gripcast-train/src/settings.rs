@@ -1,4 +1,4 @@
-//! What a training run is made by.
+//! Settings of a training run.
 
 use serde::{Deserialize, Serialize};
 
@@ -7,72 +7,72 @@ use gripcast_base::error::{Error, Result};
 use gripcast_nn::Architecture;
 use gripcast_nn::predict::contract::Variant;
 
-/// Everything that decides what a run learns. A run goes on only under the same settings.
+/// All settings that affect the result. A run is only resumed with the same settings.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct TrainSettings {
-    /// Senses of the classifier.
+    /// Input modality of the classifier.
     pub variant: Variant,
-    /// Its sizes.
+    /// Network architecture.
     pub architecture: Architecture,
-    /// Parameters at the start, order of the samples and their changes follow from it.
+    /// Random seed of initialisation, sample order and augmentation.
     pub seed: u64,
-    /// Times that every sample is seen.
+    /// Number of training epochs.
     pub epochs: u32,
-    /// Samples of a step.
-    pub batch: usize,
-    /// Learning rate at its highest; it falls linearly to zero.
+    /// Batch size.
+    pub batch_size: usize,
+    /// Peak learning rate (linear decay to 0).
     pub learning_rate: f64,
-    /// Steps over which the rate rises.
-    pub warm_up: u64,
-    /// Fraction of themselves that weights lose in a step at a rate of 1.
+    /// Steps of linear warm-up.
+    pub warm_up_steps: u64,
+    /// Weight decay (decoupled, AdamW).
     pub weight_decay: f64,
-    /// Fraction of the hidden floats that are left out at random.
+    /// Dropout probability of the hidden layer.
     pub dropout: f64,
-    /// Epochs without a better validation accuracy after which training ends; 0 for never.
+    /// Early-stopping patience, epochs; 0 disables early stopping.
     pub patience: u32,
-    /// How images are changed.
+    /// Data augmentation.
     pub augmentation: Augmentation,
-    /// Bytes of images that are mixed at a time.
-    pub memory: usize,
+    /// Size of the shuffle buffer, bytes of encoded images.
+    pub shuffle_buffer: usize,
 }
 
 impl TrainSettings {
-    /// The usual settings of an architecture.
-    pub fn usual(variant: Variant, architecture: Architecture, seed: u64) -> Self {
+    /// Returns the default settings of an architecture.
+    pub fn new(variant: Variant, architecture: Architecture, seed: u64) -> Self {
         Self {
             variant,
             architecture,
             seed,
             epochs: 30,
-            batch: 16,
+            batch_size: 16,
             learning_rate: 3e-4,
-            warm_up: 100,
+            warm_up_steps: 100,
             weight_decay: 0.01,
             dropout: 0.2,
             patience: 0,
-            augmentation: Augmentation::USUAL,
-            memory: 1 << 30,
+            augmentation: Augmentation::DEFAULT,
+            shuffle_buffer: 1 << 30,
         }
     }
 
-    /// Refuses settings that cannot train anything.
+    /// Checks the ranges of the settings.
     ///
     /// # Errors
-    /// `Usage`, with the setting.
+    /// `Usage`, naming the setting.
     pub fn check(&self) -> Result<()> {
-        let wrong = |what: String| Err(Error::usage(what));
         let within = |name: &str, value: f64, low: f64, high: f64| {
             if value >= low && value <= high {
                 return Ok(());
             }
-            wrong(format!("`{name}`: expected {low} to {high}, found {value}"))
+            let what = format!("`{name}`: expected {low} to {high}, found {value}");
+            Err(Error::usage(what))
         };
-        if self.epochs == 0 || self.batch < 2 {
-            return wrong(format!(
-                "expected at least one epoch and two samples in a batch, found {} and {}",
-                self.epochs, self.batch
-            ));
+        if self.epochs == 0 || self.batch_size < 2 {
+            return Err(Error::usage(format!(
+                "expected at least one epoch and a batch size of 2, found {} and {}",
+                self.epochs, self.batch_size
+            )));
         }
         within("learning-rate", self.learning_rate, 1e-9, 1.0)?;
         within("weight-decay", self.weight_decay, 0.0, 1.0)?;

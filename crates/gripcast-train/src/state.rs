@@ -1,4 +1,4 @@
-//! Checkpoints: all that a run needs to go on as if it had never been stopped.
+//! Checkpoints: the complete state of a run, for bit-identical resumption.
 
 use serde::{Deserialize, Serialize, de::DeserializeOwned};
 use sha2::{Digest as _, Sha256};
@@ -6,32 +6,31 @@ use sha2::{Digest as _, Sha256};
 use gripcast_base::error::{Error, Result};
 use gripcast_base::files::{BeneathPath, FileKind};
 
-/// What every checkpoint begins with.
-const MAGIC: &[u8; 8] = b"gcstate1";
-/// Bytes of the hash at the end.
+const MAGIC: &[u8; 8] = b"gcstate2";
+/// Size of the SHA-256 at the end, bytes.
 const HASH: usize = 32;
 
-/// Where a run is.
+/// Progress of a run.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub(super) struct Position {
-    /// Epochs that are finished.
+    /// Finished epochs.
     pub(super) epoch: u32,
-    /// Steps of the next epoch that are done.
+    /// Finished steps of the current epoch.
     pub(super) step: u64,
-    /// Sum of those steps' losses.
-    pub(super) loss: f64,
-    /// Steps of the optimiser.
-    pub(super) steps: u64,
+    /// Sum of the losses of these steps.
+    pub(super) loss_sum: f64,
+    /// Optimiser steps.
+    pub(super) optimizer_steps: u64,
     /// Epoch with the best validation accuracy, from 1.
     pub(super) best_epoch: Option<u32>,
-    /// That accuracy, and the loss there.
+    /// Validation accuracy and loss of that epoch.
     pub(super) best: Option<[f64; 2]>,
 }
 
-/// Saves a header and numbers: whole or not at all.
+/// Saves a header and arrays atomically.
 ///
 /// # Errors
-/// Those of writing the file; an older one is then as it was.
+/// Errors of writing the file; an existing file is then unchanged.
 pub(super) fn save<H: Serialize>(place: &BeneathPath, header: &H, arrays: &[&[f32]]) -> Result<()> {
     let header = serde_json::to_vec(header)
         .map_err(|e| Error::internal("cannot write the checkpoint").because(e))?;
@@ -49,20 +48,20 @@ pub(super) fn save<H: Serialize>(place: &BeneathPath, header: &H, arrays: &[&[f3
     write(place, &bytes)
 }
 
-/// Writes a file of a run whole, in the place of what had its name.
+/// Writes or replaces a file of a run atomically.
 ///
 /// # Errors
-/// Those of the operating system.
+/// `Io`.
 pub(super) fn write(place: &BeneathPath, bytes: &[u8]) -> Result<()> {
     place
         .replace(bytes)
         .map_err(|e| Error::io("cannot write the file", e).at(place.display()))
 }
 
-/// Reads what [`save`] wrote.
+/// Loads a file of [`save`].
 ///
 /// # Errors
-/// `Input`: damaged, or no checkpoint of this version. Those of reading the file.
+/// `Input`: damaged, or not a checkpoint of this version. Errors of reading the file.
 pub(super) fn load<H: DeserializeOwned>(place: &BeneathPath) -> Result<(H, Vec<Vec<f32>>)> {
     let bytes = place
         .read(FileKind::Bulk)
@@ -70,18 +69,18 @@ pub(super) fn load<H: DeserializeOwned>(place: &BeneathPath) -> Result<(H, Vec<V
     parse(&bytes).ok_or_else(|| {
         Error::input("the checkpoint is damaged or of another version")
             .at(place.display())
-            .remedy("delete the file: the run then starts from the beginning")
+            .remedy("delete the file to restart the run from the beginning")
     })
 }
 
-/// Arrays of these sizes; none where there are others.
-pub(super) fn of_sizes<const N: usize>(
+/// Returns the arrays if they have these sizes.
+pub(super) fn with_sizes<const N: usize>(
     arrays: Vec<Vec<f32>>,
     sizes: [usize; N],
 ) -> Option<[Vec<f32>; N]> {
     let arrays = <[Vec<f32>; N]>::try_from(arrays).ok()?;
-    let is_whole = arrays.iter().map(Vec::len).eq(sizes);
-    is_whole.then_some(arrays)
+    let has_sizes = arrays.iter().map(Vec::len).eq(sizes);
+    has_sizes.then_some(arrays)
 }
 
 fn parse<H: DeserializeOwned>(bytes: &[u8]) -> Option<(H, Vec<Vec<f32>>)> {
@@ -102,7 +101,7 @@ fn parse<H: DeserializeOwned>(bytes: &[u8]) -> Option<(H, Vec<Vec<f32>>)> {
     Some((header, arrays))
 }
 
-/// A run of items of `size` bytes behind their number.
+/// Splits off a count and as many items of `size` bytes.
 fn sized(bytes: &[u8], size: usize) -> Option<(&[u8], &[u8])> {
     let (count, rest) = bytes.split_first_chunk::<8>()?;
     let count = usize::try_from(u64::from_le_bytes(*count)).ok()?;
@@ -115,14 +114,14 @@ mod tests {
     use gripcast_base::files::Root;
 
     #[test]
-    fn a_checkpoint_comes_back_and_a_damaged_one_is_refused() {
+    fn checkpoint_roundtrips_and_damage_is_refused() {
         let folder = tempfile::tempdir().unwrap();
         let place = Root::new(folder.path()).top().join("state.bin");
         let position = Position {
             epoch: 3,
             step: 7,
-            loss: 0.1 + 0.2,
-            steps: 99,
+            loss_sum: 0.1 + 0.2,
+            optimizer_steps: 99,
             best_epoch: Some(2),
             best: Some([0.75, 0.5]),
         };
@@ -132,8 +131,8 @@ mod tests {
             &[&[1.5, -0.0], &[], &[f32::MIN_POSITIVE]],
         )
         .unwrap();
-        let (found, arrays): (Position, _) = load(&place).unwrap();
-        assert_eq!(found, position);
+        let (loaded, arrays): (Position, _) = load(&place).unwrap();
+        assert_eq!(loaded, position);
         assert_eq!(arrays, [vec![1.5, -0.0], vec![], vec![f32::MIN_POSITIVE]]);
         let whole = std::fs::read(place.shown()).unwrap();
         for cut in [0, 7, 8, 20, whole.len() - 1] {

@@ -182,7 +182,7 @@ fn settings(status: &TrainingStatus, palette: Palette) -> Line<'static> {
     };
     let mut text = format!(
         "{senses} · network {} · batch {} · seed {}",
-        settings.architecture.name, settings.batch, settings.seed
+        settings.architecture.name, settings.batch_size, settings.seed
     );
     if status.seeds > 1 {
         text += &format!(", {} of {}", status.seed_number, status.seeds);

@@ -9,7 +9,7 @@ use ratatui::widgets::{Axis, Chart, Dataset, GraphType, Widget as _};
 use super::super::palette::Palette;
 use super::super::text::{row, write};
 use super::status::{TrainingStatus, figure};
-use gripcast_train::EpochFigures;
+use gripcast_train::EpochMetrics;
 
 /// Epochs at the right edge at first.
 const FIRST_EPOCHS: u64 = 4;
@@ -77,7 +77,7 @@ pub(super) fn accuracies(
 /// A figure over epochs.
 fn curve(
     status: &TrainingStatus,
-    figure: impl Fn(&EpochFigures) -> Option<f64>,
+    figure: impl Fn(&EpochMetrics) -> Option<f64>,
 ) -> Vec<(f64, f64)> {
     let points = status.epochs.iter();
     points

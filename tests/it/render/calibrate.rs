@@ -139,7 +139,7 @@ fn real_presses_reach_measured_fve() {
     // Measured 0.949.
     assert!(half["fve"].as_f64().unwrap() >= 0.93, "{}", half["fve"]);
     assert!(half["patch_psnr_db"].as_f64().unwrap() >= 26.0);
-    let five = calibrate(&folder, &format!("--most-fitted 5 --out {out}"));
+    let five = calibrate(&folder, &format!("--max-fitted 5 --out {out}"));
     assert_eq!(five["fitted"], 5);
     assert!(five["fve"].as_f64().unwrap() >= 0.70, "{}", five["fve"]);
 }

@@ -10,7 +10,7 @@ fn figure_has_three_rows_of_five_images() {
     let presses = rendered_presses(dir.path());
     let out = dir.path().join("figure.png");
     let words = format!(
-        "--presses {} --trace {} --samples 1 --out {}",
+        "--presses {} --trace {} --spp 1 --out {}",
         presses.display(),
         trace().display(),
         out.display()

@@ -6,7 +6,7 @@ use super::{depth_png, png, refused, render, trace};
 use crate::json_schema::assert_schema;
 use crate::program::{json, succeed};
 
-const SMALL: &str = "--size 48x36 --samples 4";
+const SMALL: &str = "--size 48x36 --spp 4";
 
 #[test]
 fn image_and_depth_do_not_depend_on_threads() {

@@ -308,7 +308,7 @@ fn invalid_numbers_are_rejected() {
         ("--width 3", "opening"),
         ("--width 0", "opening"),
         ("--yaw-deg inf", "--yaw-deg"),
-        ("--scale 0", "--scale"),
+        ("--scale 0", "scale"),
         ("--stable-pose 99", "stable pose 99"),
     ];
     for (flags, word) in cases {

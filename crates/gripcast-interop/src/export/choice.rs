@@ -137,7 +137,7 @@ fn split_of(dataset: &Dataset, plan: &ExportPlan) -> Result<Option<SplitFile>> {
         [only] => dataset.split(only).map(Some),
         [] => Err(
             Error::usage("a part was asked for, but the dataset has no split")
-                .remedy("make one with `gripcast dataset split`, or leave `--part` out"),
+                .remedy("make one with `gripcast dataset split`, or leave `--subset` out"),
         ),
         _ => Err(
             Error::usage("a part was asked for, but the dataset has several splits")

@@ -1,5 +1,5 @@
-//! Confidence intervals over objects: grasps of one object resemble each other, so objects are
-//! drawn, not grasps (cluster bootstrap; Davison & Hinkley 1997, §3.8).
+//! Confidence intervals over objects by cluster bootstrap: grasps of one object are correlated, so
+//! objects are resampled (Davison & Hinkley 1997, §3.8).
 
 use std::fmt;
 
@@ -8,32 +8,31 @@ use serde::{Deserialize, Serialize};
 use gripcast_base::random;
 use gripcast_base::statistics::quantile;
 
-/// Resamples unless told otherwise.
+/// Default number of resamples.
 const RESAMPLES: usize = 2000;
 
-/// Quantiles that bound a 95 % interval.
+/// Quantiles of the 95 % interval.
 const QUANTILES: [f64; 2] = [0.025, 0.975];
 
-/// A bootstrap: how many resamples, of which random numbers. Equal settings and samples give equal
-/// intervals.
+/// Settings of a bootstrap; equal settings and samples give equal intervals.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Bootstrap {
     /// Number of resamples.
     pub resamples: usize,
-    /// Seed of the random numbers.
+    /// Random seed.
     pub seed: u64,
 }
 
-/// A figure with its 95 % percentile interval.
+/// A metric with its 95 % percentile interval.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Interval {
-    /// The figure of the samples themselves.
+    /// Metric of the samples.
     pub estimate: f64,
     /// 2.5 % quantile over the resamples.
     pub low: f64,
     /// 97.5 % quantile over the resamples.
     pub high: f64,
-    /// Resamples in which the figure is defined; the others are left out.
+    /// Number of resamples in which the metric is defined.
     pub resamples: usize,
 }
 
@@ -45,7 +44,7 @@ impl fmt::Display for Interval {
 }
 
 impl Bootstrap {
-    /// With 2,000 resamples.
+    /// Returns a bootstrap with 2,000 resamples.
     pub fn new(seed: u64) -> Self {
         Self {
             resamples: RESAMPLES,
@@ -53,18 +52,18 @@ impl Bootstrap {
         }
     }
 
-    /// Interval of a figure. `objects` names the object of each sample; `figure` computes the
-    /// figure from how often each sample is in the resample, see
+    /// Computes the interval of a metric. `objects` holds the object of each sample; `metric` gets
+    /// the multiplicity of each sample in a resample, see
     /// [`Ranking::resampled_auroc`](super::Ranking::resampled_auroc) and [`resampled_mean`].
     ///
-    /// None with fewer than two objects, and where the figure of the samples themselves or of all
-    /// resamples is undefined.
+    /// None with fewer than two objects, or if the metric of the samples or of all resamples is
+    /// undefined.
     pub fn interval(
         &self,
         objects: &[usize],
-        figure: impl Fn(&[u32]) -> Option<f64>,
+        metric: impl Fn(&[u32]) -> Option<f64>,
     ) -> Option<Interval> {
-        let defined = |multiplicities: &[u32]| figure(multiplicities).filter(|f| f.is_finite());
+        let defined = |multiplicities: &[u32]| metric(multiplicities).filter(|f| f.is_finite());
         let (clusters, count) = numbered(objects);
         if count < 2 {
             return None;
@@ -72,26 +71,26 @@ impl Bootstrap {
         let estimate = defined(&vec![1; objects.len()])?;
         let mut drawn = vec![0; count];
         let mut multiplicities = vec![0; objects.len()];
-        let mut figures = Vec::new();
+        let mut metrics = Vec::new();
         for resample in 0..self.resamples {
             self.draw(resample, &mut drawn);
             for (times, &cluster) in multiplicities.iter_mut().zip(&clusters) {
                 *times = drawn.get(cluster).copied().unwrap_or(0);
             }
-            figures.extend(defined(&multiplicities));
+            metrics.extend(defined(&multiplicities));
         }
-        figures.sort_by(f64::total_cmp);
-        let [low, high] = QUANTILES.map(|fraction| quantile(&figures, fraction));
+        metrics.sort_by(f64::total_cmp);
+        let [low, high] = QUANTILES.map(|fraction| quantile(&metrics, fraction));
         Some(Interval {
             estimate,
             low: low?,
             high: high?,
-            resamples: figures.len(),
+            resamples: metrics.len(),
         })
     }
 
-    /// Interval of the first figure minus the second, both of the same resamples: two models on
-    /// the same samples. As [`Bootstrap::interval`].
+    /// Computes the interval of the first metric minus the second on the same resamples (two
+    /// models on the same samples), as [`Bootstrap::interval`].
     pub fn paired_interval(
         &self,
         objects: &[usize],
@@ -103,7 +102,7 @@ impl Bootstrap {
         })
     }
 
-    /// Draws as many objects as there are, with replacement.
+    /// Draws as many objects as there are, with replacement; counts each.
     fn draw(&self, resample: usize, drawn: &mut [u32]) {
         drawn.fill(0);
         let count = drawn.len() as u64;
@@ -118,8 +117,8 @@ impl Bootstrap {
     }
 }
 
-/// Mean of the values of a resample: value `i` counts `multiplicities[i]` times. Values that are
-/// no finite numbers are left out; none where nothing is left.
+/// Mean of a resample: value `i` counts `multiplicities[i]` times. NaN and infinite values are
+/// ignored; none without values.
 pub fn resampled_mean(values: &[f64], multiplicities: &[u32]) -> Option<f64> {
     let present = values.iter().zip(multiplicities);
     let (sum, n) = present
@@ -130,7 +129,7 @@ pub fn resampled_mean(values: &[f64], multiplicities: &[u32]) -> Option<f64> {
     (n > 0).then(|| sum / n as f64)
 }
 
-/// The objects numbered from 0 without gaps, and how many there are.
+/// Renumbers the objects from 0 without gaps; also returns their number.
 fn numbered(objects: &[usize]) -> (Vec<usize>, usize) {
     let mut names = objects.to_vec();
     names.sort_unstable();
@@ -139,7 +138,7 @@ fn numbered(objects: &[usize]) -> (Vec<usize>, usize) {
     (objects.iter().map(number).collect(), names.len())
 }
 
-/// Number `counter` of a seed, uniform in 0..1.
+/// Random number `counter` of a seed, uniform in [0, 1).
 pub(super) fn unit(seed: u64, counter: u64) -> f64 {
     random::unit(random::numbered(seed, counter))
 }

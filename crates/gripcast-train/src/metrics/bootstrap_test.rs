@@ -7,7 +7,7 @@ fn objects_of(n: usize, per_object: usize) -> Vec<usize> {
 }
 
 #[test]
-fn as_many_objects_are_drawn_as_there_are_each_alike_often() {
+fn resample_draws_objects_uniformly() {
     let bootstrap = Bootstrap::new(3);
     let mut total = [0_u32; 10];
     for resample in 0..2000 {
@@ -26,7 +26,7 @@ fn as_many_objects_are_drawn_as_there_are_each_alike_often() {
 }
 
 #[test]
-fn an_interval_is_as_wide_as_theory_says() {
+fn interval_width_matches_theory() {
     // 100 objects of 5 samples with the same value: the mean of 100 uniform numbers has the
     // deviation 0.2887 / 10, whatever the number of samples of each.
     let objects = objects_of(500, 5);
@@ -47,7 +47,7 @@ fn an_interval_is_as_wide_as_theory_says() {
 }
 
 #[test]
-fn the_interval_of_an_auroc_contains_it() {
+fn auroc_interval_contains_estimate() {
     let samples = dyadic_samples(400, 31);
     let ranking = Ranking::new(&samples);
     let objects = objects_of(400, 8);
@@ -61,7 +61,7 @@ fn the_interval_of_an_auroc_contains_it() {
 }
 
 #[test]
-fn the_interval_is_that_of_scikit_learn_and_numpy() {
+fn interval_matches_scikit_learn_and_numpy() {
     // roc_auc_score of scikit-learn 1.9.1 over the samples of the drawn objects, one by one, and
     // numpy.quantile of NumPy 2.4.6.
     let samples = dyadic_samples(60, 51);
@@ -80,7 +80,7 @@ fn the_interval_is_that_of_scikit_learn_and_numpy() {
 }
 
 #[test]
-fn intervals_depend_on_the_seed_alone() {
+fn equal_seeds_give_equal_intervals() {
     let samples = dyadic_samples(100, 32);
     let ranking = Ranking::new(&samples);
     let objects = objects_of(100, 4);
@@ -94,7 +94,7 @@ fn intervals_depend_on_the_seed_alone() {
 }
 
 #[test]
-fn pairing_cancels_what_two_models_share() {
+fn pairing_cancels_shared_variance() {
     let samples = dyadic_samples(300, 33);
     // Nearly the same model.
     let other: Vec<Scored> = mapped(&samples, |p| if p > 0.9 { 0.85 } else { p });
@@ -115,7 +115,7 @@ fn pairing_cancels_what_two_models_share() {
 }
 
 #[test]
-fn undefined_resamples_are_left_out_and_counted() {
+fn undefined_resamples_are_ignored_and_counted() {
     // Two objects of one class each: half of the resamples have both.
     let samples = dyadic_samples(20, 34);
     let samples: Vec<Scored> = samples
@@ -135,7 +135,7 @@ fn undefined_resamples_are_left_out_and_counted() {
 }
 
 #[test]
-fn without_two_objects_or_a_figure_there_is_no_interval() {
+fn interval_needs_two_objects_and_a_metric() {
     let bootstrap = Bootstrap::new(1);
     let one = |_: &[u32]| Some(1.0);
     assert_eq!(bootstrap.interval(&[], one), None);
@@ -150,7 +150,7 @@ fn without_two_objects_or_a_figure_there_is_no_interval() {
 }
 
 #[test]
-fn means_count_multiplicities_and_skip_what_is_no_number() {
+fn resampled_mean_uses_multiplicities_and_ignores_nan() {
     let values = [1.0, f64::NAN, 4.0];
     assert_eq!(resampled_mean(&values, &[3, 9, 1]), Some(7.0 / 4.0));
     assert_eq!(resampled_mean(&values, &[0, 9, 0]), None);

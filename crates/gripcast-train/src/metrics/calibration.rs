@@ -1,4 +1,4 @@
-//! Whether predicted probabilities mean what they say.
+//! Calibration of predicted probabilities.
 
 use serde::{Deserialize, Serialize};
 
@@ -6,8 +6,7 @@ use super::bootstrap::unit;
 use super::{Scored, mean_of, present};
 use gripcast_base::statistics::quantile;
 
-/// Probabilities are kept this far from 0 and 1 in the log loss, so that one wrong sample cannot
-/// make it infinite.
+/// Minimum distance of probabilities from 0 and 1 in the log loss, to keep it finite.
 const LOG_LOSS_CLAMP: f64 = 1e-7;
 
 /// Bins of a reliability table, as in Guo et al. (2017).
@@ -16,7 +15,7 @@ const BINS: usize = 15;
 /// Draws of outcomes for [`ChanceCalibration`].
 const DRAWS: u64 = 1000;
 
-/// Distance from one half at which a base rate is worth telling.
+/// Minimum distance of an uneven base rate from 0.5.
 const UNEVEN: f64 = 0.02;
 
 /// Mean squared difference of probability and outcome, 0..1 (Brier 1950). None without samples.
@@ -39,29 +38,28 @@ pub fn log_loss(samples: &[Scored]) -> Option<f64> {
     })
 }
 
-/// Expected calibration error over 15 bins of equal width (Naeini et al. 2015): the mean, over the
-/// samples, of the difference between a bin's mean probability of stable and its fraction of stable
-/// grasps. 0..1; none without samples.
+/// Expected calibration error over 15 bins of equal width (Naeini et al. 2015): the sample-weighted
+/// mean difference between a bin's mean probability and its fraction of stable samples, 0..1. None
+/// without samples.
 pub fn expected_calibration_error(samples: &[Scored]) -> Option<f64> {
     ReliabilityTable::new(samples).expected_calibration_error()
 }
 
-/// The expected calibration error that the same probabilities would show if they were exactly right:
-/// bins of few grasps are never even, so the error is above zero for any number of samples (Bröcker &
-/// Smith 2007, *Increasing the reliability of reliability diagrams*).
+/// Expected calibration error of perfectly calibrated probabilities: it is above 0 for a finite
+/// number of samples (Bröcker & Smith 2007, *Increasing the reliability of reliability diagrams*).
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct ChanceCalibration {
     /// Mean over the draws.
     pub mean: f64,
-    /// 95 % quantile: an error above it is not chance.
+    /// 95 % quantile: a higher error is significant.
     pub high: f64,
-    /// Times that outcomes were drawn.
+    /// Number of draws.
     pub draws: u64,
 }
 
 impl ChanceCalibration {
-    /// Draws outcomes with the probabilities that were predicted. `lifts` names the lift of each
-    /// sample: several images of one lift share its outcome. None without samples.
+    /// Draws outcomes from the predicted probabilities. `lifts` holds the lift of each sample:
+    /// several images of one lift share its outcome. None without samples.
     pub fn new(samples: &[Scored], lifts: &[usize], seed: u64) -> Option<Self> {
         let count = lifts.iter().max().map_or(0, |last| last + 1) as u64;
         let mut drawn = samples.to_vec();
@@ -81,14 +79,13 @@ impl ChanceCalibration {
     }
 }
 
-/// Calibration for the fraction of grasps that held among the samples. A model that was fitted to as many
-/// stable as lost grasps cannot know how often grasps hold elsewhere; its odds are multiplied by the
-/// samples' own (Saerens, Latinne & Decaestecker 2002, *Adjusting the outputs of a classifier to new a
-/// priori probabilities*). The fraction is one number taken from the outcomes themselves, so this is what
-/// a user who knows how often their grasps hold could reach, not what the model says by itself.
+/// Calibration after prior correction. A model trained on balanced labels assumes a base rate of
+/// 0.5; its odds are multiplied by the odds of the samples' base rate (Saerens, Latinne &
+/// Decaestecker 2002, *Adjusting the outputs of a classifier to new a priori probabilities*). The
+/// base rate is taken from the outcomes, so this is what a user who knows it could reach.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct BaseRateCalibration {
-    /// Fraction of the samples that is stable, in (0, 1).
+    /// Fraction of stable samples, in (0, 1).
     pub base_rate: f64,
     /// Expected calibration error of the adjusted probabilities, 15 bins.
     pub ece: f64,
@@ -97,7 +94,7 @@ pub struct BaseRateCalibration {
 }
 
 impl BaseRateCalibration {
-    /// Adjusts probabilities that are for a base rate of one half. None without both outcomes.
+    /// Corrects probabilities for a base rate of 0.5. None without both outcomes.
     pub fn new(samples: &[Scored]) -> Option<Self> {
         let base_rate = mean_over(samples, Scored::outcome)?;
         if base_rate == 0.0 || base_rate == 1.0 {
@@ -117,14 +114,13 @@ impl BaseRateCalibration {
         })
     }
 
-    /// Whether the base rate differs from one half so much that it is worth telling.
+    /// Returns whether the base rate differs noticeably from 0.5.
     pub fn is_uneven(&self) -> bool {
         (self.base_rate - 0.5).abs() >= UNEVEN
     }
 }
 
-/// The probability whose odds are those of `p`, for even odds beforehand, times those of the base
-/// rate.
+/// Returns the probability whose odds are those of `p` times those of the base rate.
 fn at_base_rate(p: f64, base_rate: f64) -> f64 {
     let stable = p * base_rate;
     stable / (stable + (1.0 - p) * (1.0 - base_rate))
@@ -135,25 +131,25 @@ fn mean_over(samples: &[Scored], value: impl Fn(&Scored) -> f64) -> Option<f64> 
     mean_of(sum, n)
 }
 
-/// Samples by predicted probability: 15 bins of equal width.
+/// Reliability diagram: 15 bins of equal width.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct ReliabilityTable {
-    /// The lowest probabilities first; empty bins are there too.
+    /// All bins, empty ones included, in ascending order.
     pub bins: Vec<ReliabilityBin>,
 }
 
-/// Samples whose probability is above `low` and at most `high`; the first bin has 0 too.
+/// Samples with a probability in (low, high]; the first bin includes 0.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct ReliabilityBin {
     /// Lower edge.
     pub low: f64,
     /// Upper edge.
     pub high: f64,
-    /// Samples in the bin.
+    /// Number of samples.
     pub n: usize,
-    /// Their mean probability of stable.
+    /// Mean predicted probability of stable.
     pub mean_p: Option<f64>,
-    /// Fraction of them that is stable.
+    /// Fraction of stable samples.
     pub stable_fraction: Option<f64>,
 }
 
@@ -165,7 +161,7 @@ struct Sums {
 }
 
 impl ReliabilityTable {
-    /// Sorts the samples into bins.
+    /// Bins the samples.
     pub fn new(samples: &[Scored]) -> Self {
         let mut sums = [Sums::default(); BINS];
         for sample in present(samples) {
@@ -188,7 +184,7 @@ impl ReliabilityTable {
         }
     }
 
-    /// Samples in all bins.
+    /// Number of samples in all bins.
     pub fn n(&self) -> usize {
         self.bins.iter().map(|bin| bin.n).sum()
     }
@@ -214,7 +210,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_sure_mistake_costs_the_clamped_loss() {
+    fn log_loss_of_certain_mistake_is_clamped() {
         let worst = -(1e-7_f64).ln();
         assert!((log_loss(&scored(&[(0.0, true)])).unwrap() - worst).abs() < 1e-9);
         assert!((log_loss(&scored(&[(1.0, false)])).unwrap() - worst).abs() < 1e-7);
@@ -224,13 +220,13 @@ mod tests {
     }
 
     #[test]
-    fn the_brier_score_is_a_mean_square() {
+    fn brier_score_is_mean_square() {
         let samples = scored(&[(0.75, true), (0.5, false)]);
         assert_eq!(brier_score(&samples), Some(0.5 * (0.0625 + 0.25)));
     }
 
     #[test]
-    fn bins_own_their_upper_edge() {
+    fn bins_include_upper_edge() {
         let table = ReliabilityTable::new(&scored(&[
             (0.0, false),
             (0.2, true),
@@ -244,7 +240,7 @@ mod tests {
     }
 
     #[test]
-    fn the_calibration_error_weighs_bins_by_their_samples() {
+    fn ece_weights_bins_by_samples() {
         // Bin of 0.9: three samples, mean 0.9, fraction 2/3. Bin of 0.1: one sample, fraction 0.
         let samples = scored(&[(0.9, true), (0.9, true), (0.9, false), (0.1, false)]);
         let expected = 0.75 * (0.9 - 2.0 / 3.0) + 0.25 * 0.1;
@@ -253,11 +249,11 @@ mod tests {
     }
 
     #[test]
-    fn calibrated_predictions_have_a_small_error() {
+    fn calibrated_predictions_have_small_ece() {
         // These samples are stable with the probability that is predicted.
         let samples = smooth_samples(50_000, 9);
-        let honest = expected_calibration_error(&samples).unwrap();
-        assert!(honest < 0.01, "{honest}");
+        let calibrated = expected_calibration_error(&samples).unwrap();
+        assert!(calibrated < 0.01, "{calibrated}");
         let shifted: Vec<Scored> = samples
             .iter()
             .map(|s| Scored {
@@ -265,19 +261,19 @@ mod tests {
                 ..*s
             })
             .collect();
-        let dishonest = expected_calibration_error(&shifted).unwrap();
-        assert!(dishonest > 0.15, "{dishonest}");
+        let miscalibrated = expected_calibration_error(&shifted).unwrap();
+        assert!(miscalibrated > 0.15, "{miscalibrated}");
         assert!(brier_score(&shifted) > brier_score(&samples));
     }
 
     #[test]
-    fn few_right_predictions_show_an_error_and_many_hardly_any() {
+    fn chance_ece_falls_with_samples() {
         let own = |n: usize| (0..n).collect::<Vec<_>>();
         let few = ChanceCalibration::new(&smooth_samples(100, 9), &own(100), 1).unwrap();
         let many = ChanceCalibration::new(&smooth_samples(20_000, 9), &own(20_000), 1).unwrap();
         assert!(few.mean > 0.08 && few.high > few.mean, "{few:?}");
         assert!(many.mean < 0.012, "{many:?}");
-        // What is right stays below it, what is wrong does not.
+        // Calibrated samples stay below it, others do not.
         let right = smooth_samples(2000, 9);
         let chance = ChanceCalibration::new(&right, &own(2000), 1).unwrap();
         assert!(expected_calibration_error(&right).unwrap() < chance.high);
@@ -291,7 +287,7 @@ mod tests {
     }
 
     #[test]
-    fn images_of_one_lift_are_one_chance() {
+    fn images_of_one_lift_share_outcome() {
         let once = smooth_samples(200, 4);
         let thrice: Vec<Scored> = once.iter().flat_map(|s| [*s; 3]).collect();
         let lifts: Vec<usize> = (0..600).map(|i| i / 3).collect();
@@ -305,7 +301,7 @@ mod tests {
     }
 
     #[test]
-    fn odds_are_multiplied_by_those_of_the_base_rate() {
+    fn base_rate_multiplies_odds() {
         assert_eq!(
             [0.0, 0.5, 1.0].map(|p| at_base_rate(p, 0.75)),
             [0.0, 0.75, 1.0]
@@ -319,15 +315,15 @@ mod tests {
     }
 
     #[test]
-    fn what_is_right_for_even_odds_is_right_again_at_the_base_rate() {
-        // Right for as many of both; then two of three lost grasps are left out.
+    fn prior_correction_restores_calibration() {
+        // Calibrated for balanced labels; then two of three slip samples are removed.
         let even = smooth_samples(60_000, 9);
-        let mut lost = 0;
+        let mut slip = 0;
         let uneven: Vec<Scored> = even
             .iter()
             .filter(|sample| {
-                lost += usize::from(!sample.stable);
-                sample.stable || lost % 3 == 0
+                slip += usize::from(!sample.stable);
+                sample.stable || slip % 3 == 0
             })
             .copied()
             .collect();
@@ -341,7 +337,7 @@ mod tests {
     }
 
     #[test]
-    fn nothing_has_no_calibration() {
+    fn no_samples_have_no_calibration() {
         let absent = scored(&[(f64::NAN, true)]);
         for samples in [&[][..], &absent] {
             assert_eq!(brier_score(samples), None);
@@ -356,7 +352,7 @@ mod tests {
     }
 
     #[test]
-    fn probabilities_out_of_range_fall_into_the_end_bins() {
+    fn out_of_range_probabilities_use_end_bins() {
         let table = ReliabilityTable::new(&scored(&[(-3.0, true), (7.0, true)]));
         assert_eq!((table.bins[0].n, table.bins[14].n), (1, 1));
     }

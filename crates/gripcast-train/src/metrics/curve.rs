@@ -1,13 +1,13 @@
-//! ROC and precision–recall curves with few points, however many samples.
+//! ROC and precision–recall curves with a bounded number of points.
 
 use serde::{Deserialize, Serialize};
 
 use gripcast_report::polyline;
 
-/// Most points of a curve.
+/// Maximum number of points of a curve.
 pub(super) const MAX_POINTS: usize = 512;
 
-/// Points closer than this to the line through those that stay are not needed.
+/// Points closer than this to the simplified curve are removed.
 const TOLERANCE: f64 = 1e-9;
 
 /// Samples that share one prediction.
@@ -15,20 +15,20 @@ const TOLERANCE: f64 = 1e-9;
 pub(super) struct Tie {
     /// The prediction.
     pub(super) p_stable: f64,
-    /// How many of them are stable.
+    /// Number of stable samples.
     pub(super) stable: u64,
-    /// How many are unstable.
-    pub(super) unstable: u64,
+    /// Number of slip samples.
+    pub(super) slip: u64,
 }
 
 /// A point of a receiver operating characteristic (ROC) curve; stable is positive.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct RocPoint {
-    /// Fraction of the unstable grasps that are predicted stable: the false positive rate.
+    /// Fraction of the slip samples that are predicted stable: the false positive rate.
     pub false_stable_rate: f64,
     /// Fraction of the stable grasps that are predicted stable: the true positive rate.
     pub true_stable_rate: f64,
-    /// Lowest prediction that counts as stable; none where no grasp does.
+    /// Decision threshold; none if no sample is predicted stable.
     pub threshold: Option<f64>,
 }
 
@@ -39,13 +39,13 @@ pub struct PrecisionRecallPoint {
     pub recall: f64,
     /// Fraction of the grasps predicted stable that are stable.
     pub precision: f64,
-    /// Lowest prediction that counts as stable at the end of the step on which the point lies.
+    /// Decision threshold at the end of the step of the point.
     pub threshold: f64,
 }
 
 pub(super) fn roc_points(ties: &[Tie]) -> Vec<RocPoint> {
-    let (all_stable, all_unstable) = totals(ties);
-    if all_stable == 0 || all_unstable == 0 {
+    let (all_stable, all_slip) = totals(ties);
+    if all_stable == 0 || all_slip == 0 {
         return Vec::new();
     }
     let mut points = vec![RocPoint {
@@ -53,12 +53,12 @@ pub(super) fn roc_points(ties: &[Tie]) -> Vec<RocPoint> {
         true_stable_rate: 0.0,
         threshold: None,
     }];
-    let (mut stable, mut unstable) = (0, 0);
+    let (mut stable, mut slip) = (0, 0);
     for tie in ties {
         stable += tie.stable;
-        unstable += tie.unstable;
+        slip += tie.slip;
         points.push(RocPoint {
-            false_stable_rate: unstable as f64 / all_unstable as f64,
+            false_stable_rate: slip as f64 / all_slip as f64,
             true_stable_rate: stable as f64 / all_stable as f64,
             threshold: Some(tie.p_stable),
         });
@@ -78,7 +78,7 @@ pub(super) fn precision_recall_points(ties: &[Tie]) -> Vec<PrecisionRecallPoint>
     for tie in ties {
         let recall_before = stable as f64 / all_stable as f64;
         stable += tie.stable;
-        predicted += tie.stable + tie.unstable;
+        predicted += tie.stable + tie.slip;
         // A step has one precision over its whole gain in recall.
         for recall in [recall_before, stable as f64 / all_stable as f64] {
             points.push(PrecisionRecallPoint {
@@ -91,17 +91,17 @@ pub(super) fn precision_recall_points(ties: &[Tie]) -> Vec<PrecisionRecallPoint>
     thinned(points, |point| [point.recall, point.precision])
 }
 
-/// The points that matter most to the shape of a curve.
-fn thinned<T: Copy>(points: Vec<T>, place: impl Fn(&T) -> [f64; 2]) -> Vec<T> {
-    let places: Vec<[f64; 2]> = points.iter().map(place).collect();
-    let kept = polyline::thinned(&places, TOLERANCE, MAX_POINTS);
-    kept.into_iter().map(|at| points[at]).collect()
+/// Simplifies a curve.
+fn thinned<T: Copy>(points: Vec<T>, position: impl Fn(&T) -> [f64; 2]) -> Vec<T> {
+    let positions: Vec<[f64; 2]> = points.iter().map(position).collect();
+    let kept = polyline::thinned(&positions, TOLERANCE, MAX_POINTS);
+    kept.into_iter().map(|i| points[i]).collect()
 }
 
-/// Stable and unstable samples of all groups.
+/// Returns the total numbers of stable and slip samples.
 fn totals(ties: &[Tie]) -> (u64, u64) {
-    ties.iter().fold((0, 0), |(stable, unstable), tie| {
-        (stable + tie.stable, unstable + tie.unstable)
+    ties.iter().fold((0, 0), |(stable, slip), tie| {
+        (stable + tie.stable, slip + tie.slip)
     })
 }
 

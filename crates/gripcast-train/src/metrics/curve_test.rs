@@ -25,7 +25,7 @@ fn precision_recall_area(samples: &[Scored]) -> f64 {
 }
 
 #[test]
-fn a_roc_curve_counts_what_its_thresholds_let_through() {
+fn roc_curve_counts_positives_by_threshold() {
     let samples = scored(&[(0.9, true), (0.4, true), (0.4, false), (0.2, false)]);
     let points: Vec<_> = Ranking::new(&samples)
         .roc_curve()
@@ -44,7 +44,7 @@ fn a_roc_curve_counts_what_its_thresholds_let_through() {
 }
 
 #[test]
-fn a_precision_recall_curve_keeps_the_corners_of_its_steps() {
+fn precision_recall_curve_keeps_step_corners() {
     let samples = scored(&[(0.9, true), (0.6, false), (0.4, true)]);
     let points: Vec<_> = Ranking::new(&samples)
         .precision_recall_curve()
@@ -64,7 +64,7 @@ fn a_precision_recall_curve_keeps_the_corners_of_its_steps() {
 }
 
 #[test]
-fn the_areas_under_the_curves_are_the_figures() {
+fn areas_under_curves_equal_metrics() {
     let samples = dyadic_samples(200, 21);
     let ranking = Ranking::new(&samples);
     assert!((roc_area(&samples) - ranking.auroc().unwrap()).abs() < 1e-9);
@@ -73,7 +73,7 @@ fn the_areas_under_the_curves_are_the_figures() {
 }
 
 #[test]
-fn curves_of_many_samples_stay_small_and_true() {
+fn curves_of_many_samples_stay_small_and_accurate() {
     let samples = smooth_samples(100_000, 22);
     let ranking = Ranking::new(&samples);
     let (roc, pr) = (ranking.roc_curve(), ranking.precision_recall_curve());
@@ -96,12 +96,12 @@ fn curves_of_many_samples_stay_small_and_true() {
 }
 
 #[test]
-fn one_class_has_no_roc_curve() {
+fn single_class_has_no_roc_curve() {
     assert!(Ranking::new(&[]).roc_curve().is_empty());
     assert!(Ranking::new(&[]).precision_recall_curve().is_empty());
-    let unstable = scored(&[(0.3, false), (0.4, false)]);
-    assert!(Ranking::new(&unstable).roc_curve().is_empty());
-    assert!(Ranking::new(&unstable).precision_recall_curve().is_empty());
+    let slip = scored(&[(0.3, false), (0.4, false)]);
+    assert!(Ranking::new(&slip).roc_curve().is_empty());
+    assert!(Ranking::new(&slip).precision_recall_curve().is_empty());
     let stable = scored(&[(0.3, true), (0.4, true)]);
     assert!(Ranking::new(&stable).roc_curve().is_empty());
     assert_eq!(Ranking::new(&stable).precision_recall_curve().len(), 2);

@@ -1,16 +1,15 @@
-//! How well a classifier predicts, before the lift, whether a grasp is stable.
+//! Metrics of the stability prediction.
 //!
-//! The label `true`, stable, is the positive class; a sample counts as predicted stable where its
-//! probability is at least the threshold. Every function is total: a figure that is undefined for
-//! its samples (none at all, one class only) is `None`, and a probability that is no finite number
-//! makes its sample absent.
+//! Stable (`true`) is the positive class; a sample is predicted stable if its probability is at
+//! least the threshold. A metric that is undefined for its samples (none, one class only) is `None`;
+//! samples whose probability is NaN or infinite are ignored.
 //!
-//! | part | what it gives |
+//! | item | purpose |
 //! | --- | --- |
-//! | [`Ranking`] | AUROC, average precision and their curves, also of resampled samples |
-//! | [`ConfusionMatrix`], [`youden_threshold`] | decisions at a threshold and its choice |
+//! | [`Ranking`] | AUROC, average precision and curves, also of resamples |
+//! | [`ConfusionMatrix`], [`youden_threshold`] | decisions at a threshold, choice of the threshold |
 //! | [`brier_score`], [`log_loss`], [`ReliabilityTable`], [`ChanceCalibration`], [`BaseRateCalibration`], [`fit_temperature`] | calibration |
-//! | [`Summary`], [`summarise_groups`], [`SeedSummary`] | all figures of a model, by object or category, over seeds |
+//! | [`Summary`], [`summarise_groups`], [`SeedSummary`] | all metrics of a model, by object or category, over seeds |
 //! | [`Bootstrap`] | 95 % intervals over objects |
 //! | [`plot`] | figures as SVG |
 
@@ -32,7 +31,7 @@ pub use calibration::{
     BaseRateCalibration, ChanceCalibration, ReliabilityBin, ReliabilityTable, brier_score,
     expected_calibration_error, log_loss,
 };
-pub use confusion::{ClassFigures, ConfusionMatrix};
+pub use confusion::{ClassMetrics, ConfusionMatrix};
 pub use curve::{PrecisionRecallPoint, RocPoint};
 pub use ranking::{Ranking, auroc, average_precision};
 pub use seeds::{SeedSummary, Spread};
@@ -40,28 +39,28 @@ pub use summary::{GroupSummary, Summary, summarise_groups};
 pub use temperature::{TemperatureFit, fit_temperature, probability_of_logit};
 pub use threshold::youden_threshold;
 
-/// A grasp's prediction and outcome.
+/// Prediction and label of a sample.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Scored {
     /// Predicted probability that the grasp is stable, 0..1.
     pub p_stable: f64,
-    /// Whether the grasp was stable.
+    /// Whether the outcome is stable.
     pub stable: bool,
 }
 
 impl Scored {
-    /// 1 for stable, 0 for unstable.
+    /// 1 for stable, 0 for slip.
     fn outcome(&self) -> f64 {
         f64::from(u8::from(self.stable))
     }
 }
 
-/// The samples whose probability is a finite number.
+/// Returns the samples with a finite probability.
 fn present(samples: &[Scored]) -> impl Iterator<Item = &Scored> {
     samples.iter().filter(|sample| sample.p_stable.is_finite())
 }
 
-/// `sum / n`; none of nothing.
+/// Returns `sum / n`, none for n = 0.
 fn mean_of(sum: f64, n: usize) -> Option<f64> {
     (n > 0).then(|| sum / n as f64)
 }

@@ -1,22 +1,22 @@
-//! Figures that depend only on the order of the predictions: AUROC and average precision.
+//! Metrics that depend only on the order of the predictions: AUROC and average precision.
 
 use super::Scored;
 use super::curve::{PrecisionRecallPoint, RocPoint, Tie, precision_recall_points, roc_points};
 
-/// Area under the ROC curve: the probability that a stable grasp gets a higher prediction than an
-/// unstable one, ties count half (Hanley & McNeil 1982). None with one class only.
+/// Area under the ROC curve: the probability that a stable sample gets a higher prediction than a
+/// slip sample, ties counting half (Hanley & McNeil 1982). None with one class only.
 pub fn auroc(samples: &[Scored]) -> Option<f64> {
     Ranking::new(samples).auroc()
 }
 
 /// Average precision of the stable class: the sum over thresholds of precision times the gain in
-/// recall, equal predictions sharing one threshold, without interpolation (as scikit-learn).
+/// recall, equal predictions sharing one threshold, without interpolation (as in scikit-learn).
 /// None without a stable sample.
 pub fn average_precision(samples: &[Scored]) -> Option<f64> {
     Ranking::new(samples).average_precision()
 }
 
-/// Samples sorted once by prediction, for figures of them and of many resamples of them.
+/// Samples sorted by prediction, for metrics of the samples and of many resamples.
 #[derive(Clone, Debug)]
 pub struct Ranking {
     /// Highest prediction first.
@@ -25,7 +25,7 @@ pub struct Ranking {
 
 #[derive(Clone, Copy, Debug)]
 struct Entry {
-    /// Index in the samples that the ranking was made of.
+    /// Index of the sample.
     sample: usize,
     scored: Scored,
     /// Whether the next prediction is lower.
@@ -33,7 +33,7 @@ struct Entry {
 }
 
 impl Ranking {
-    /// Sorts the samples; those without a finite prediction are left out.
+    /// Sorts the samples; those with a NaN or infinite prediction are ignored.
     pub fn new(samples: &[Scored]) -> Self {
         let mut entries: Vec<Entry> = samples
             .iter()
@@ -45,7 +45,7 @@ impl Ranking {
                 ends_tie: true,
             })
             .collect();
-        // Stable, so that the order of ties is that of the samples.
+        // A stable sort keeps the order of ties.
         entries.sort_by(|a, b| b.scored.p_stable.total_cmp(&a.scored.p_stable));
         let mut next_prediction = None;
         for entry in entries.iter_mut().rev() {
@@ -68,7 +68,7 @@ impl Ranking {
             |_| 1,
             |tie| {
                 stable += tie.stable;
-                predicted += tie.stable + tie.unstable;
+                predicted += tie.stable + tie.slip;
                 if tie.stable > 0 {
                     sum += tie.stable as f64 * stable as f64 / predicted as f64;
                 }
@@ -77,8 +77,7 @@ impl Ranking {
         (stable > 0).then(|| sum / stable as f64)
     }
 
-    /// AUROC of a resample: sample `i` counts `multiplicities[i]` times, not at all if that is
-    /// missing.
+    /// AUROC of a resample: sample `i` counts `multiplicities[i]` times (0 if missing).
     pub fn resampled_auroc(&self, multiplicities: &[u32]) -> Option<f64> {
         self.weighted_auroc(|sample| multiplicity(multiplicities, sample))
     }
@@ -110,7 +109,7 @@ impl Ranking {
             if entry.scored.stable {
                 tie.stable += weight;
             } else {
-                tie.unstable += weight;
+                tie.slip += weight;
             }
             if entry.ends_tie {
                 tie.p_stable = entry.scored.p_stable;
@@ -121,15 +120,15 @@ impl Ranking {
     }
 
     fn weighted_auroc(&self, weight: impl Fn(usize) -> u64) -> Option<f64> {
-        let (mut stable, mut unstable) = (0_u64, 0_u64);
+        let (mut stable, mut slip) = (0_u64, 0_u64);
         let mut doubled_wins = 0_u128;
         self.for_each_tie(weight, |tie| {
             let beaten_by = 2 * u128::from(stable) + u128::from(tie.stable);
-            doubled_wins += u128::from(tie.unstable) * beaten_by;
+            doubled_wins += u128::from(tie.slip) * beaten_by;
             stable += tie.stable;
-            unstable += tie.unstable;
+            slip += tie.slip;
         });
-        let pairs = u128::from(stable) * u128::from(unstable);
+        let pairs = u128::from(stable) * u128::from(slip);
         (pairs > 0).then(|| 0.5 * doubled_wins as f64 / pairs as f64)
     }
 }
@@ -153,7 +152,7 @@ mod tests {
     }
 
     #[test]
-    fn average_precision_takes_a_tie_as_one_threshold() {
+    fn average_precision_has_one_threshold_per_tie() {
         // Whatever the order within the tie: recall 1 is reached with precision 1/2.
         for samples in [[(0.5, true), (0.5, false)], [(0.5, false), (0.5, true)]] {
             assert_eq!(average_precision(&scored(&samples)), Some(0.5));
@@ -175,7 +174,7 @@ mod tests {
     }
 
     #[test]
-    fn only_the_order_counts() {
+    fn monotone_map_keeps_metrics() {
         let samples = dyadic_samples(300, 5);
         let curved = mapped(&samples, |p| (9.0 * p - 4.0).exp());
         assert_eq!(auroc(&samples), auroc(&curved));
@@ -186,7 +185,7 @@ mod tests {
     }
 
     #[test]
-    fn other_labels_mirror_the_auroc() {
+    fn flipped_labels_mirror_auroc() {
         let samples = dyadic_samples(300, 6);
         let area = auroc(&samples).unwrap();
         assert!((area - 0.5).abs() > 0.1);
@@ -196,7 +195,7 @@ mod tests {
     }
 
     #[test]
-    fn multiplicities_are_copies() {
+    fn multiplicities_act_like_copies() {
         let samples = dyadic_samples(60, 8);
         let multiplicities: Vec<u32> = (0..60).map(|i| i * 7 % 4).collect();
         let mut copies = Vec::new();
@@ -210,7 +209,7 @@ mod tests {
     }
 
     #[test]
-    fn a_prediction_that_is_no_number_is_absent() {
+    fn nan_predictions_are_ignored() {
         let samples = scored(&[(0.9, true), (0.4, false)]);
         let more = scored(&[
             (f64::NAN, false),
@@ -229,7 +228,7 @@ mod tests {
     }
 
     #[test]
-    fn zeros_of_both_signs_tie() {
+    fn positive_and_negative_zero_tie() {
         let samples = scored(&[(0.0, true), (-0.0, false)]);
         assert_eq!(auroc(&samples), Some(0.5));
     }

@@ -66,7 +66,7 @@ struct Reference {
     brier: f64,
     log_loss: f64,
     ece: f64,
-    /// At the threshold 0.6: true stable, false stable, true unstable, false unstable.
+    /// At the threshold 0.6: true stable, false stable, true slip, false slip.
     confusion: [usize; 4],
     balanced_accuracy: f64,
     /// Largest difference of the rates of `roc_curve`.
@@ -110,7 +110,7 @@ const REFERENCES: [Reference; 3] = [
 ];
 
 #[test]
-fn figures_are_those_of_scikit_learn() {
+fn metrics_match_scikit_learn() {
     for reference in &REFERENCES {
         let (n, seed, levels) = reference.samples;
         let samples = stepped_samples(n, seed, levels);
@@ -131,15 +131,15 @@ fn figures_are_those_of_scikit_learn() {
         let counts = [
             matrix.true_stable,
             matrix.false_stable,
-            matrix.true_unstable,
-            matrix.false_unstable,
+            matrix.true_slip,
+            matrix.false_slip,
         ];
         assert_eq!(counts, reference.confusion);
     }
 }
 
 #[test]
-fn the_threshold_reaches_the_largest_difference_of_rates() {
+fn threshold_matches_scikit_learn_youden() {
     for reference in &REFERENCES {
         let (n, seed, levels) = reference.samples;
         let samples = stepped_samples(n, seed, levels);
@@ -151,7 +151,7 @@ fn the_threshold_reaches_the_largest_difference_of_rates() {
 }
 
 #[test]
-fn the_temperature_is_that_of_scipy() {
+fn temperature_matches_scipy() {
     // Minimum of the log loss by scipy.optimize.minimize_scalar (SciPy's bounded method, which
     // knows it to half the digits).
     let references = [

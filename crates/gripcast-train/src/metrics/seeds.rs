@@ -1,23 +1,23 @@
-//! Figures of one model trained with several seeds.
+//! Metrics of a model over several training seeds.
 
 use serde::{Deserialize, Serialize};
 
 use super::Summary;
 
-/// Mean and standard deviation of a figure over seeds.
+/// Mean and standard deviation of a metric over seeds.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Spread {
     /// Mean.
     pub mean: f64,
-    /// Sample standard deviation (n − 1); none of a single value.
+    /// Sample standard deviation (n − 1); none for a single value.
     pub standard_deviation: Option<f64>,
-    /// Values, one of each seed for which the figure is defined.
+    /// Number of seeds for which the metric is defined.
     pub n: usize,
 }
 
 impl Spread {
-    /// Of the values that are finite numbers; none without any.
-    pub fn of(values: impl IntoIterator<Item = f64>) -> Option<Self> {
+    /// Computes the spread of the finite values; none without any.
+    pub fn new(values: impl IntoIterator<Item = f64>) -> Option<Self> {
         let values: Vec<f64> = values.into_iter().filter(|v| v.is_finite()).collect();
         let n = values.len();
         let mean = super::mean_of(values.iter().sum(), n)?;
@@ -30,16 +30,16 @@ impl Spread {
     }
 }
 
-/// Spread of each figure of [`Summary`]; none where it is undefined for every seed.
+/// Spread of each metric of [`Summary`]; none if undefined for every seed.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct SeedSummary {
-    /// Seeds that were summarised.
+    /// Number of seeds.
     pub seeds: usize,
-    /// Thresholds, chosen for each seed.
+    /// Decision threshold.
     pub threshold: Option<Spread>,
-    /// Fraction of right decisions at the threshold.
+    /// Accuracy at the threshold.
     pub accuracy: Option<Spread>,
-    /// Mean recall of the two classes at the threshold.
+    /// Balanced accuracy at the threshold.
     pub balanced_accuracy: Option<Spread>,
     /// Area under the ROC curve.
     pub auroc: Option<Spread>,
@@ -54,10 +54,10 @@ pub struct SeedSummary {
 }
 
 impl SeedSummary {
-    /// Of the summaries of all seeds, each of the same samples.
+    /// Summarises the metrics of all seeds on the same samples.
     pub fn new(summaries: &[Summary]) -> Self {
         let spread =
-            |figure: fn(&Summary) -> Option<f64>| Spread::of(summaries.iter().filter_map(figure));
+            |metric: fn(&Summary) -> Option<f64>| Spread::new(summaries.iter().filter_map(metric));
         Self {
             seeds: summaries.len(),
             threshold: spread(|s| Some(s.threshold)),
@@ -78,17 +78,17 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_deviation_is_that_of_a_sample() {
-        let spread = Spread::of([1.0, 2.0, f64::NAN, 6.0]).unwrap();
+    fn spread_uses_sample_standard_deviation() {
+        let spread = Spread::new([1.0, 2.0, f64::NAN, 6.0]).unwrap();
         assert_eq!((spread.mean, spread.n), (3.0, 3));
         assert_eq!(spread.standard_deviation, Some(7.0_f64.sqrt()));
-        let single = Spread::of([4.0]).unwrap();
+        let single = Spread::new([4.0]).unwrap();
         assert_eq!((single.mean, single.standard_deviation), (4.0, None));
-        assert_eq!(Spread::of([]), None);
+        assert_eq!(Spread::new([]), None);
     }
 
     #[test]
-    fn each_figure_has_its_spread() {
+    fn each_metric_has_a_spread() {
         let summaries: Vec<Summary> = (0..3)
             .map(|seed| Summary::new(&dyadic_samples(80, seed), 0.4 + 0.1 * seed as f64))
             .collect();
@@ -106,7 +106,7 @@ mod tests {
             seeds.log_loss,
             seeds.ece,
         ];
-        // Seven figures, all different.
+        // Seven metrics, all different.
         for (i, a) in all.iter().enumerate() {
             assert!(a.unwrap().standard_deviation > Some(0.0));
             assert!(all.iter().skip(i + 1).all(|b| a != b));
@@ -116,7 +116,7 @@ mod tests {
     }
 
     #[test]
-    fn undefined_figures_are_left_out() {
+    fn undefined_metrics_are_ignored() {
         let one_class = Summary::new(&scored(&[(0.7, true)]), 0.5);
         let both = Summary::new(&scored(&[(0.7, true), (0.2, false)]), 0.5);
         let seeds = SeedSummary::new(&[one_class.clone(), both]);

@@ -1,4 +1,4 @@
-//! All figures of one model on one set of samples, and by object or category.
+//! All metrics of a model on a set of samples, and by object or category.
 
 use std::collections::BTreeMap;
 
@@ -9,22 +9,22 @@ use super::{
     present,
 };
 
-/// Figures of a model; none where they are undefined for its samples.
+/// Metrics of a model; none where undefined.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Summary {
-    /// Samples that were scored.
+    /// Number of samples.
     pub n: usize,
-    /// Stable ones among them.
+    /// Number of stable samples.
     pub stable: usize,
-    /// Samples left out, as their prediction is no finite number.
+    /// Number of ignored samples (NaN or infinite prediction).
     pub absent: usize,
-    /// Prediction from which a grasp counts as stable.
+    /// Decision threshold.
     pub threshold: f64,
-    /// Decisions at the threshold.
+    /// Confusion matrix at the threshold.
     pub confusion: ConfusionMatrix,
-    /// Fraction of right decisions at the threshold.
+    /// Accuracy at the threshold.
     pub accuracy: Option<f64>,
-    /// Mean recall of the two classes at the threshold.
+    /// Balanced accuracy at the threshold.
     pub balanced_accuracy: Option<f64>,
     /// Area under the ROC curve.
     pub auroc: Option<f64>,
@@ -39,8 +39,7 @@ pub struct Summary {
 }
 
 impl Summary {
-    /// Computes all figures. Decisions at a threshold that was chosen on the same samples look
-    /// better than they are.
+    /// Computes all metrics. With a threshold chosen on the same samples, decisions are biased.
     pub fn new(samples: &[Scored], threshold: f64) -> Self {
         let confusion = ConfusionMatrix::at(samples, threshold);
         let ranking = Ranking::new(samples);
@@ -61,24 +60,24 @@ impl Summary {
     }
 }
 
-/// Figures of the samples of one object or category.
+/// Metrics of an object or category.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct GroupSummary {
     /// Name of the object or category.
     pub name: String,
-    /// Samples that were scored.
+    /// Number of samples.
     pub n: usize,
-    /// Stable ones among them.
+    /// Number of stable samples.
     pub stable: usize,
-    /// Fraction of right decisions.
+    /// Accuracy.
     pub accuracy: Option<f64>,
     /// Area under the ROC curve.
     pub auroc: Option<f64>,
 }
 
-/// Figures by group, in the order of `names`. `groups` has the index of each sample's name; an
-/// index without a name is called by its number. Groups without samples are left out, as are
-/// samples without a group.
+/// Computes metrics by group, in the order of `names`. `groups` holds the name index of each
+/// sample; an index without a name is named by its number. Empty groups and samples without a
+/// group are omitted.
 pub fn summarise_groups(
     samples: &[Scored],
     groups: &[usize],
@@ -109,7 +108,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_summary_collects_the_figures() {
+    fn summary_collects_metrics() {
         let mut samples = dyadic_samples(100, 40);
         samples.push(Scored {
             p_stable: f64::NAN,
@@ -128,7 +127,7 @@ mod tests {
     }
 
     #[test]
-    fn a_summary_survives_json() {
+    fn summary_roundtrips_json() {
         for samples in [dyadic_samples(100, 41), Vec::new()] {
             let summary = Summary::new(&samples, 0.3);
             let json = serde_json::to_string(&summary).unwrap();
@@ -137,7 +136,7 @@ mod tests {
     }
 
     #[test]
-    fn a_summary_of_nothing_is_empty() {
+    fn summary_without_samples_is_empty() {
         let summary = Summary::new(&[], 0.5);
         assert_eq!((summary.n, summary.stable, summary.absent), (0, 0, 0));
         assert_eq!(summary.accuracy, None);
@@ -146,7 +145,7 @@ mod tests {
     }
 
     #[test]
-    fn groups_have_their_own_figures() {
+    fn groups_have_own_metrics() {
         let samples = scored(&[
             (0.9, true),
             (0.8, false),

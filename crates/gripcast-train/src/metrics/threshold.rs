@@ -1,5 +1,5 @@
-//! Choice of the threshold from which a prediction counts as stable. Choose it on validation data;
-//! figures of the data that it was chosen on are too good.
+//! Choice of the decision threshold. Choose it on validation data: metrics on the data it was chosen
+//! on are biased.
 
 use super::Scored;
 use super::curve::Tie;
@@ -8,15 +8,14 @@ use super::ranking::Ranking;
 /// Threshold that maximises Youden's J, the true minus the false positive rate (Youden 1950). None
 /// with one class only.
 ///
-/// Of several equally good gaps between predictions the widest is taken, of equally wide ones the
-/// highest, and of a gap its middle. Predicting all grasps alike wins only where every threshold
-/// between predictions is worse.
+/// Returns the middle of the best gap between predictions; among equally good gaps the widest, then
+/// the highest. A constant decision is only chosen if every gap is worse.
 pub fn youden_threshold(samples: &[Scored]) -> Option<f64> {
     let cuts = cuts(&Ranking::new(samples).ties());
-    let all = cuts.last().filter(|all| all.stable * all.unstable > 0)?;
+    let all = cuts.last().filter(|all| all.stable * all.slip > 0)?;
     let score = |cut: &Cut| {
-        i128::from(cut.stable) * i128::from(all.unstable)
-            - i128::from(cut.unstable) * i128::from(all.stable)
+        i128::from(cut.stable) * i128::from(all.slip)
+            - i128::from(cut.slip) * i128::from(all.stable)
     };
     let better = |a: &Cut, b: &Cut| {
         let by_score = score(a).cmp(&score(b));
@@ -31,18 +30,18 @@ pub fn youden_threshold(samples: &[Scored]) -> Option<f64> {
     best.map(|cut| cut.threshold)
 }
 
-/// A way to divide the samples: those of the highest predictions are stable.
+/// A decision threshold with its counts.
 struct Cut {
     threshold: f64,
-    /// Width of the gap in which the threshold lies; 0 at the ends.
+    /// Width of the gap around the threshold; 0 at the ends.
     width: f64,
     /// Stable samples predicted stable.
     stable: u64,
     /// Unstable samples predicted stable.
-    unstable: u64,
+    slip: u64,
 }
 
-/// All ways to divide the samples, from none to all predicted stable. `ties` fall.
+/// Returns all thresholds, from none to all predicted stable; `ties` are in descending order.
 fn cuts(ties: &[Tie]) -> Vec<Cut> {
     let Some(highest) = ties.first() else {
         return Vec::new();
@@ -51,12 +50,12 @@ fn cuts(ties: &[Tie]) -> Vec<Cut> {
         threshold: highest.p_stable.next_up(),
         width: 0.0,
         stable: 0,
-        unstable: 0,
+        slip: 0,
     }];
-    let (mut stable, mut unstable) = (0, 0);
+    let (mut stable, mut slip) = (0, 0);
     for (i, tie) in ties.iter().enumerate() {
         stable += tie.stable;
-        unstable += tie.unstable;
+        slip += tie.slip;
         let (threshold, width) = match ties.get(i + 1) {
             Some(next) => (
                 middle(next.p_stable, tie.p_stable),
@@ -68,13 +67,13 @@ fn cuts(ties: &[Tie]) -> Vec<Cut> {
             threshold,
             width,
             stable,
-            unstable,
+            slip,
         });
     }
     cuts
 }
 
-/// Above `low` also where no number lies between the two.
+/// Returns the middle; above `low` even for adjacent numbers.
 fn middle(low: f64, high: f64) -> f64 {
     let middle = 0.5 * low + 0.5 * high;
     if middle > low { middle } else { high }
@@ -92,13 +91,13 @@ mod tests {
     }
 
     #[test]
-    fn the_middle_of_the_only_best_gap_is_taken() {
+    fn single_best_gap_gives_its_middle() {
         let samples = scored(&[(0.9, true), (0.8, true), (0.3, false), (0.1, false)]);
         assert_eq!(youden_threshold(&samples), Some(0.5 * (0.3 + 0.8)));
     }
 
     #[test]
-    fn of_equally_good_gaps_the_widest_is_taken() {
+    fn equally_good_gaps_give_the_widest() {
         // J is 1/2 in the gaps 0.8..0.9 and 0.2..0.7.
         let samples = scored(&[(0.9, true), (0.8, false), (0.7, true), (0.2, false)]);
         assert_eq!(youden_threshold(&samples), Some(0.5 * (0.2 + 0.7)));
@@ -108,13 +107,13 @@ mod tests {
     }
 
     #[test]
-    fn of_equally_wide_gaps_the_highest_is_taken() {
+    fn equally_wide_gaps_give_the_highest() {
         let samples = scored(&[(1.0, true), (0.75, false), (0.5, true), (0.25, false)]);
         assert_eq!(youden_threshold(&samples), Some(0.875));
     }
 
     #[test]
-    fn no_threshold_beats_the_chosen_one() {
+    fn chosen_threshold_maximises_youden() {
         for seed in 0..20 {
             let samples = dyadic_samples(50, seed);
             let best = youden(&samples, youden_threshold(&samples).unwrap());
@@ -125,7 +124,7 @@ mod tests {
     }
 
     #[test]
-    fn predictions_that_mislead_are_all_called_unstable() {
+    fn misleading_predictions_are_all_slip() {
         let samples = scored(&[(0.9, false), (0.1, true)]);
         let threshold = youden_threshold(&samples).unwrap();
         assert!(threshold > 0.9 && youden(&samples, threshold) == 0.0);
@@ -134,7 +133,7 @@ mod tests {
     }
 
     #[test]
-    fn neighbouring_numbers_can_be_divided() {
+    fn adjacent_numbers_are_separated() {
         // The middle of the first pair is rounded down, that of the second up.
         for low in [0.5_f64, 0.5_f64.next_up()] {
             let samples = scored(&[(low.next_up(), true), (low, false)]);
@@ -143,7 +142,7 @@ mod tests {
     }
 
     #[test]
-    fn one_class_has_no_threshold() {
+    fn single_class_has_no_threshold() {
         let stable = scored(&[(0.9, true), (f64::NAN, false)]);
         assert_eq!(youden_threshold(&stable), None);
         assert_eq!(youden_threshold(&[]), None);

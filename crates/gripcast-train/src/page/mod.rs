@@ -1,9 +1,8 @@
-//! An evaluation as one page: no network, no script, light and dark.
+//! The report of an evaluation: one HTML page without scripts or external resources.
 
 mod tables;
 
 use super::evaluate::{EvalReport, ModelEvaluation, sample_images};
-use super::metrics::Scored;
 use super::metrics::plot::{ModelCurve, precision_recall, reliability, roc};
 use super::samples::Samples;
 use gripcast_base::error::Result;
@@ -14,7 +13,7 @@ use maud::{Markup, Render, html};
 
 const STYLE: &str = include_str!("style.css");
 
-/// Sections with their names in the bar.
+/// Sections with their names in the navigation bar.
 const SECTIONS: [(&str, &str); 6] = [
     ("summary", "Summary"),
     ("curves", "Curves"),
@@ -24,10 +23,10 @@ const SECTIONS: [(&str, &str); 6] = [
     ("notes", "Notes"),
 ];
 
-/// The page of an evaluation; `samples` gives the images of the mistakes.
+/// Renders the page of an evaluation with the images of mistakes from `samples`.
 ///
 /// # Errors
-/// Those of reading the samples.
+/// Errors of reading the samples.
 pub fn page(report: &EvalReport, samples: &Samples) -> Result<String> {
     let first = report.models.first();
     let mistakes = first.map(|model| mistakes(model, samples)).transpose()?;
@@ -70,16 +69,8 @@ fn summary(report: &EvalReport) -> Markup {
     }
 }
 
-fn scored(model: &ModelEvaluation) -> Vec<Scored> {
-    let scored = model.predictions.iter().map(|sample| Scored {
-        p_stable: sample.p_stable,
-        stable: sample.stable,
-    });
-    scored.collect()
-}
-
-/// What a model is called beside others.
-fn called(model: &ModelEvaluation) -> String {
+/// Returns the name of a model among others.
+fn display_name(model: &ModelEvaluation) -> String {
     let file = std::path::Path::new(&model.file);
     let folder = file.parent().and_then(|folder| folder.file_name());
     let folder = folder.map(|name| name.to_string_lossy().into_owned());
@@ -92,7 +83,7 @@ fn called(model: &ModelEvaluation) -> String {
 fn curves(report: &EvalReport) -> Markup {
     let models = report.models.iter();
     let curves: Vec<ModelCurve> = models
-        .map(|model| ModelCurve::new(&called(model), &scored(model), model.auroc))
+        .map(|model| ModelCurve::new(&display_name(model), &model.scored(), model.auroc))
         .collect();
     let stable = report.models.first().map(|model| &model.summary);
     let stable = stable.map(|s| s.stable as f64 / s.n.max(1) as f64);
@@ -108,14 +99,14 @@ fn curves(report: &EvalReport) -> Markup {
 fn calibration(report: &EvalReport) -> Markup {
     let body = html! {
         p {
-            "How often grasps held that were given a probability. A calibrated model lies on the \
+            "Fraction of stable grasps by predicted probability. A calibrated model lies on the \
              diagonal."
         }
         div.figures {
             @for model in report.models.iter().take(4) {
                 figure {
-                    h3 { (called(model)) }
-                    (reliability(&called(model), &model.reliability).inline())
+                    h3 { (display_name(model)) }
+                    (reliability(&display_name(model), &model.reliability).inline())
                 }
             }
         }
@@ -123,12 +114,12 @@ fn calibration(report: &EvalReport) -> Markup {
     section("calibration", "Calibration", body)
 }
 
-/// Confident mistakes with what the model saw.
+/// Renders confident mistakes with the model's input images.
 fn mistakes(model: &ModelEvaluation, samples: &Samples) -> Result<Markup> {
     let mut halves = Vec::new();
     for (label, title) in [
-        (true, "Held, but predicted lost"),
-        (false, "Lost, but predicted stable"),
+        (true, "Stable, predicted slip"),
+        (false, "Slip, predicted stable"),
     ] {
         let mut cards = Vec::new();
         for mistake in model.mistakes.iter().filter(|m| m.stable == label) {
@@ -154,8 +145,8 @@ fn mistakes(model: &ModelEvaluation, samples: &Samples) -> Result<Markup> {
     }
     Ok(html! {
         p {
-            "One of each object at most. The small images are the tactile changes, grasp minus \
-             initial, around grey: left above right."
+            "At most one per object. The small images are the tactile differences (grasp minus \
+             initial) around grey, left above right."
         }
         @for (title, cards) in halves {
             h3 { (title) }
@@ -172,24 +163,24 @@ fn notes(report: &EvalReport) -> Markup {
     let notes: [(&str, &dyn Render); 4] = [
         (
             "Positive class",
-            &"Stable. A grasp counts as predicted stable from the model's own threshold on, which \
-              was chosen on validation data.",
+            &"Stable. A grasp is predicted stable if its probability reaches the model's threshold, \
+              which was chosen on validation data.",
         ),
         (
             "Intervals",
-            &"95 %, of 2,000 resamples of objects with replacement: samples of one object are not \
-              independent.",
+            &"95 %, cluster bootstrap over objects with 2,000 resamples: samples of one object are \
+              not independent.",
         ),
         (
             "In contact",
             &"Samples in which at least 0.4 % of both tactile images changed by more than 25 \
-              grey levels. Grasps without visible contact are easy: they are lost.",
+              grey levels. Grasps without visible contact are easy: they slip.",
         ),
         (
             "ECE",
-            &"Mean distance of predicted probability and share of stable grasps over 15 bins of \
-              equal width. Small bins are never even: by chance alone, were every probability \
-              right, it would be below the figure named there in 95 % of such tests.",
+            &"Expected calibration error over 15 bins of equal width. It is above 0 for a finite \
+              number of grasps: for a perfectly calibrated model it is below the value given as \
+              “by chance” in 95 % of such tests.",
         ),
     ];
     let body = html! {

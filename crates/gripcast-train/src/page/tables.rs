@@ -1,13 +1,13 @@
-//! Figures in tables.
+//! Tables of the evaluation report.
 
-use super::called;
+use super::display_name;
 use crate::evaluate::{EvalReport, ModelEvaluation};
 use crate::metrics::{BaseRateCalibration, GroupSummary, Interval, Spread, Summary};
 use gripcast_report::page::{Table, number, text};
 use gripcast_report::{MISSING, fixed, optional};
 use maud::{Markup, Render, html};
 
-/// Objects that a page names.
+/// Maximum number of objects in a page.
 const MAX_OBJECTS: usize = 60;
 
 pub(super) fn summary(report: &EvalReport) -> Markup {
@@ -30,23 +30,18 @@ fn models(report: &EvalReport) -> Table {
         "Threshold",
     ];
     let columns = std::iter::once(text("Model")).chain(numbers.map(number));
-    let mut table = Table::new("Figures of the models", columns);
+    let mut table = Table::new("Metrics of the models", columns);
     for model in &report.models {
         let intervals = [model.balanced_accuracy, model.auroc];
-        let name = called(model);
-        model_row(
-            &mut table,
-            &name,
-            &model.summary,
-            intervals,
-            &calibration(model),
-        );
+        let (name, calibration) = (display_name(model), calibration(model));
+        model_row(&mut table, &name, &model.summary, intervals, &calibration);
+        let none = html! {};
         model_row(
             &mut table,
             "in contact",
             &model.in_contact,
             [None; 2],
-            &html! {},
+            &none,
         );
     }
     if let Some(over) = &report.over_models {
@@ -86,35 +81,35 @@ fn model_row(
     ]);
 }
 
-/// What the calibration error is to be compared with.
+/// Renders reference values of the calibration error.
 fn calibration(model: &ModelEvaluation) -> Markup {
     html! {
         @if let Some(chance) = model.ece_by_chance {
             small { "by chance < " (fixed(chance.high, 3)) }
         }
-        @if let Some(found) = model.at_base_rate.filter(BaseRateCalibration::is_uneven) {
-            small { "at base rate " (fixed(found.base_rate, 2)) ": " (fixed(found.ece, 3)) }
+        @if let Some(corrected) = model.at_base_rate.filter(BaseRateCalibration::is_uneven) {
+            small { "at base rate " (fixed(corrected.base_rate, 2)) ": " (fixed(corrected.ece, 3)) }
         }
     }
 }
 
 fn confusion(model: &ModelEvaluation) -> Table {
-    let found = &model.summary.confusion;
-    let caption = format!("Confusion of {} at its threshold", called(model));
-    let numbers = ["predicted stable", "predicted lost", "right"];
+    let matrix = &model.summary.confusion;
+    let caption = format!("Confusion of {} at its threshold", display_name(model));
+    let numbers = ["predicted stable", "predicted slip", "recall"];
     let columns = std::iter::once(text("")).chain(numbers.map(number));
-    let mut table = Table::new("Confusion", columns).caption(caption);
+    let mut table = Table::new("Confusion matrix", columns).caption(caption);
     table.row([
-        &"held" as &dyn Render,
-        &found.true_stable,
-        &found.false_unstable,
-        &percent(found.true_stable, found.n_stable()),
+        &"stable" as &dyn Render,
+        &matrix.true_stable,
+        &matrix.false_slip,
+        &percent(matrix.true_stable, matrix.n_stable()),
     ]);
     table.row([
-        &"lost" as &dyn Render,
-        &found.false_stable,
-        &found.true_unstable,
-        &percent(found.true_unstable, found.n_unstable()),
+        &"slip" as &dyn Render,
+        &matrix.false_stable,
+        &matrix.true_slip,
+        &percent(matrix.true_slip, matrix.n_slip()),
     ]);
     table
 }
@@ -128,7 +123,7 @@ fn differences(report: &EvalReport) -> Table {
     ];
     let mut table = Table::new("Differences", columns).caption("Differences on the same samples");
     for difference in &report.differences {
-        let interval = |found: Option<Interval>| with_interval(found.map(|i| i.estimate), found);
+        let interval = |i: Option<Interval>| with_interval(i.map(|i| i.estimate), i);
         table.row([
             &difference.first as &dyn Render,
             &difference.second,
@@ -139,15 +134,15 @@ fn differences(report: &EvalReport) -> Table {
     table
 }
 
-fn percent(part: usize, all: usize) -> String {
-    if all == 0 {
+fn percent(count: usize, total: usize) -> String {
+    if total == 0 {
         return MISSING.to_owned();
     }
-    format!("{}\u{a0}%", fixed(100.0 * part as f64 / all as f64, 1))
+    format!("{}\u{a0}%", fixed(100.0 * count as f64 / total as f64, 1))
 }
 
-fn spread(found: Option<Spread>) -> String {
-    found.map_or_else(
+fn spread(spread: Option<Spread>) -> String {
+    spread.map_or_else(
         || MISSING.to_owned(),
         |s| {
             let deviation = s.standard_deviation.unwrap_or(0.0);
@@ -166,7 +161,7 @@ fn with_interval(value: Option<f64>, interval: Option<Interval>) -> Markup {
 }
 
 pub(super) fn groups(model: &ModelEvaluation) -> Markup {
-    // The worst ones first.
+    // Sorted by accuracy, worst first.
     let mut objects = model.per_object.clone();
     objects.sort_by(|a, b| {
         let accuracy = |group: &GroupSummary| group.accuracy.unwrap_or(1.0);
@@ -178,7 +173,7 @@ pub(super) fn groups(model: &ModelEvaluation) -> Markup {
         div.tables {
             (table("Category", &model.categories))
             (table("Stopping force", &model.forces))
-            (table("Object, the worst first", &objects[..objects.len().min(MAX_OBJECTS)]))
+            (table("Object, worst first", &objects[..objects.len().min(MAX_OBJECTS)]))
             @if objects.len() > MAX_OBJECTS {
                 p { (objects.len() - MAX_OBJECTS) " more are in eval.json." }
             }
@@ -187,7 +182,7 @@ pub(super) fn groups(model: &ModelEvaluation) -> Markup {
 }
 
 fn table(name: &str, groups: &[GroupSummary]) -> Table {
-    let numbers = ["n", "held", "Accuracy", "AUROC"];
+    let numbers = ["n", "stable", "Accuracy", "AUROC"];
     let columns = std::iter::once(text(name)).chain(numbers.map(number));
     let mut table = Table::new(name, columns);
     for group in groups {

@@ -85,7 +85,8 @@ impl Features {
         let depth = size(Role::Depth, &[Stage::Grasp]);
         if colour.is_empty() {
             let what = "there is no camera that every grasp has in one size";
-            let remedy = "choose grasps of one rig with `--split` and `--part`, or another format";
+            let remedy =
+                "choose grasps of one rig with `--split` and `--subset`, or another format";
             return Err(Error::input(what).remedy(remedy));
         }
         let features = Self {

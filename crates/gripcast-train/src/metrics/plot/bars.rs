@@ -1,4 +1,4 @@
-//! Bar charts that compare models: groups of bars with error bars and the results of each seed.
+//! Bar charts that compare models, with error bars and the results of single seeds.
 
 use super::with_legend;
 use gripcast_report::chart::{
@@ -13,15 +13,15 @@ const HEIGHT: f64 = 260.0;
 const HEADROOM: f64 = 20.0;
 /// Room between groups, px.
 const GAP: f64 = 22.0;
-/// Least width of a group and of all groups, px.
-const NARROWEST: [f64; 2] = [64.0, 260.0];
-/// Fraction of its room that a bar takes.
+/// Minimum width of a group and of all groups, px.
+const MIN_WIDTHS: [f64; 2] = [64.0, 260.0];
+/// Width of a bar as a fraction of its slot.
 const BAR: f64 = 0.84;
-/// Fraction of a bar over which the dots of seeds are spread.
+/// Width of the seed dots as a fraction of the bar.
 const SEEDS: f64 = 0.8;
 /// Radius of a dot, px.
 const RADIUS: f64 = 2.4;
-/// Most lines of a group's name, and their distance, px.
+/// Maximum number of lines of a group name, and line height, px.
 const NAME_LINES: usize = 3;
 const LINE: f64 = 15.0;
 
@@ -44,36 +44,36 @@ pub struct BarChart {
     pub reference: Option<Reference>,
 }
 
-/// Bars beside each other under one name.
+/// Group of bars.
 #[derive(Clone, Debug, PartialEq)]
 pub struct BarGroup {
     /// Name below the bars.
     pub name: String,
-    /// A bar for each series; none leaves its place empty.
+    /// A bar per series; none for a missing value.
     pub bars: Vec<Option<Bar>>,
 }
 
 /// A bar.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Bar {
-    /// Its end; it starts at 0 or the end of the axis nearest to 0.
+    /// Value; the bar starts at 0 or at the end of the axis nearest to 0.
     pub mean: f64,
     /// Lower and upper end of its error bar.
     pub interval: Option<[f64; 2]>,
-    /// Results of the single seeds, a dot each.
+    /// Results of single seeds, drawn as dots.
     pub seeds: Vec<f64>,
 }
 
-/// A value to compare bars with, a dashed line.
+/// A reference value, drawn as a dashed line.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Reference {
-    /// What the legend calls it, for example "Majority class".
+    /// Name in the legend, for example "Majority class".
     pub name: String,
     /// The value.
     pub value: f64,
 }
 
-/// Draws a bar chart. Six series are told apart by colour, more by their order.
+/// Draws a bar chart; six series have different colours.
 pub fn bars(chart: &BarChart) -> Chart {
     let layout = Layout::new(chart);
     let panel = &layout.panel;
@@ -127,7 +127,7 @@ pub fn bars(chart: &BarChart) -> Chart {
     )
 }
 
-/// Where bars stand.
+/// Layout of the bars.
 struct Layout {
     /// Its abscissa is in px.
     panel: Panel,
@@ -135,9 +135,9 @@ struct Layout {
     series: usize,
     /// Decimals of values.
     decimals: usize,
-    /// Room of a bar, px.
-    place: f64,
-    /// Room of a group without the gap, px.
+    /// Slot width of a bar, px.
+    slot: f64,
+    /// Width of a group without the gap, px.
     group: f64,
 }
 
@@ -148,12 +148,12 @@ impl Layout {
         let decimals = (3.0 - (high - low).log10().round()).clamp(0.0, 3.0) as usize;
         let all_bars = chart.groups.iter().flat_map(|group| &group.bars).flatten();
         let widths = all_bars.map(|bar| width(&fixed(bar.mean, decimals), SMALL));
-        let place = widths.fold(30.0, f64::max) + 6.0;
+        let slot = widths.fold(30.0, f64::max) + 6.0;
         let in_groups = chart.groups.iter().map(|group| group.bars.len()).max();
         let series = in_groups.unwrap_or(0).max(chart.series.len()).max(1);
-        let group = (place * series as f64).max(NARROWEST[0]);
+        let group = (slot * series as f64).max(MIN_WIDTHS[0]);
         let left = y.room();
-        let inner = ((GAP + group) * chart.groups.len() as f64 + GAP).max(NARROWEST[1]);
+        let inner = ((GAP + group) * chart.groups.len() as f64 + GAP).max(MIN_WIDTHS[1]);
         Self {
             panel: Panel {
                 left,
@@ -165,7 +165,7 @@ impl Layout {
             },
             series,
             decimals,
-            place,
+            slot,
             group,
         }
     }
@@ -178,7 +178,7 @@ impl Layout {
     /// Middle of a bar, px from the left edge of the panel.
     fn x(&self, [group, series]: [usize; 2]) -> f64 {
         let from_middle = series as f64 + 0.5 - 0.5 * self.series as f64;
-        self.middle(group) + from_middle * self.place
+        self.middle(group) + from_middle * self.slot
     }
 
     /// Lines of the name of a group.
@@ -186,9 +186,9 @@ impl Layout {
         wrapped(name, NORMAL, self.group + 0.5 * GAP, NAME_LINES)
     }
 
-    /// A bar with its error bar and a dot of each seed, at the same place of every bar.
+    /// Draws a bar with its error bar and seed dots.
     fn bar(&self, place: [usize; 2], bar: &Bar) -> Markup {
-        let (x, half) = (self.x(place), 0.5 * BAR * self.place);
+        let (x, half) = (self.x(place), 0.5 * BAR * self.slot);
         let class = format!("bar {}", colour(place[1]));
         let across = |i: usize| (i as f64 + 0.5) / bar.seeds.len() as f64 - 0.5;
         html! {
@@ -207,7 +207,7 @@ impl Layout {
         seeds.filter(|(_, seed)| self.panel.y.shows(**seed))
     }
 
-    /// The value of a bar above all that belongs to it, or a dash where there is none.
+    /// Draws the value above a bar, or a dash if it is missing.
     fn value(&self, place: [usize; 2], bar: Option<&Bar>) -> Markup {
         let x = self.panel.left + self.x(place);
         let Some(bar) = bar else {
@@ -243,7 +243,7 @@ fn entries(chart: &BarChart, decimals: usize) -> Vec<Entry> {
     entries
 }
 
-/// The chart in words.
+/// Describes the chart in words.
 fn described(chart: &BarChart, decimals: usize) -> String {
     let mut words = format!("Bar chart: {}.", chart.y_label);
     for group in &chart.groups {

@@ -1,13 +1,13 @@
 //! ROC and precision–recall curves.
 
 use super::super::{Interval, Ranking, Scored};
-use super::{figure_text, square, with_legend};
+use super::{metric_text, square, with_legend};
 use gripcast_report::chart::{Chart, Entry, Key, Panel, line};
 use maud::html;
 
-/// The samples of a model as its curves need them.
+/// Curves of a model.
 pub struct ModelCurve {
-    /// What the legend calls it.
+    /// Name in the legend.
     name: String,
     ranking: Ranking,
     /// 95 % interval of its AUROC.
@@ -15,7 +15,7 @@ pub struct ModelCurve {
 }
 
 impl ModelCurve {
-    /// The curves of a model's samples; `auroc` gives the interval of its AUROC, where it is known.
+    /// Creates the curves of a model; `auroc` is the interval of its AUROC, if known.
     pub fn new(name: &str, samples: &[Scored], auroc: Option<Interval>) -> Self {
         Self {
             name: name.to_owned(),
@@ -25,7 +25,7 @@ impl ModelCurve {
     }
 }
 
-/// Receiver operating characteristics of one or more models, with the areas in the legend.
+/// Draws the ROC curves of one or more models, with AUROCs in the legend.
 pub fn roc(curves: &[ModelCurve]) -> Chart {
     let series = curves.iter().map(|curve| {
         let points = curve.ranking.roc_curve().into_iter();
@@ -35,16 +35,16 @@ pub fn roc(curves: &[ModelCurve]) -> Chart {
             points: points
                 .map(|p| [p.false_stable_rate, p.true_stable_rate])
                 .collect(),
-            figures: figure_text("AUROC", curve.ranking.auroc(), interval),
+            figures: metric_text("AUROC", curve.ranking.auroc(), interval),
         }
     });
     let panel = square(
-        "False positive rate (unstable predicted stable)",
+        "False positive rate (slip predicted stable)",
         "True positive rate (stable predicted stable)",
     );
     let chance = Chance {
         ends: [[0.0, 0.0], [1.0, 1.0]],
-        figures: figure_text("AUROC", Some(0.5), None),
+        figures: metric_text("AUROC", Some(0.5), None),
     };
     let title = "Receiver operating characteristic";
     let what = "ROC curves of the stability prediction.";
@@ -57,15 +57,15 @@ pub fn roc(curves: &[ModelCurve]) -> Chart {
     )
 }
 
-/// Precision–recall curves of one or more models on the same samples, with average precisions (AP)
-/// in the legend. `stable` is the fraction of stable samples, the precision of chance.
+/// Draws the precision–recall curves of one or more models on the same samples, with average
+/// precisions (AP) in the legend. `stable` is the fraction of stable samples (chance level).
 pub fn precision_recall(curves: &[ModelCurve], stable: Option<f64>) -> Chart {
     let series = curves.iter().map(|curve| {
         let points = curve.ranking.precision_recall_curve().into_iter();
         Series {
             name: &curve.name,
             points: points.map(|p| [p.recall, p.precision]).collect(),
-            figures: figure_text("AP", curve.ranking.average_precision(), None),
+            figures: metric_text("AP", curve.ranking.average_precision(), None),
         }
     });
     let panel = square(
@@ -75,14 +75,14 @@ pub fn precision_recall(curves: &[ModelCurve], stable: Option<f64>) -> Chart {
     let stable = stable.filter(|fraction| fraction.is_finite());
     let chance = stable.map(|fraction| Chance {
         ends: [[0.0, fraction], [1.0, fraction]],
-        figures: figure_text("AP", stable, None),
+        figures: metric_text("AP", stable, None),
     });
     let what = "Precision–recall curves of the stability prediction.";
     let series: Vec<Series<'_>> = series.collect();
     chart("Precision and recall", what, &panel, &series, chance)
 }
 
-/// A curve and what the legend says of it.
+/// A curve and its legend text.
 struct Series<'a> {
     name: &'a str,
     points: Vec<[f64; 2]>,

@@ -20,7 +20,7 @@ fn curves(n: usize) -> Vec<(String, Vec<Scored>)> {
 }
 
 #[test]
-fn roc_figures_are_laid_out_well() {
+fn roc_layout_has_no_overlaps() {
     for n in [0, 1, 3, 14] {
         let curves: Vec<ModelCurve> = curves(n)
             .iter()
@@ -43,7 +43,7 @@ fn roc_figures_are_laid_out_well() {
 }
 
 #[test]
-fn the_legend_of_a_roc_figure_has_the_areas() {
+fn roc_legend_shows_areas() {
     let samples = scored(&[(0.9, true), (0.4, true), (0.4, false), (0.2, false)]);
     let one_class = scored(&[(0.9, true)]);
     let curves = [("V", &samples), ("T", &one_class)];
@@ -68,7 +68,7 @@ fn path(points: &[[f64; 2]]) -> String {
 }
 
 #[test]
-fn a_precision_recall_figure_shows_steps_and_chance() {
+fn precision_recall_plot_shows_steps_and_chance() {
     let samples = scored(&[(0.9, true), (0.6, false), (0.4, true)]);
     let curve = ModelCurve::new("V", &samples, None);
     let svg = precision_recall(&[curve], Some(0.25)).to_svg();
@@ -88,7 +88,7 @@ fn a_precision_recall_figure_shows_steps_and_chance() {
 }
 
 #[test]
-fn a_reliability_figure_shows_fractions_at_mean_probabilities() {
+fn reliability_plot_shows_fractions_at_mean_probabilities() {
     let samples = scored(&[(0.9, true), (0.9, true), (0.9, true), (0.9, false)]);
     let svg = reliability("Reliability", &ReliabilityTable::new(&samples)).to_svg();
     let tags = tags(&svg);
@@ -105,7 +105,7 @@ fn a_reliability_figure_shows_fractions_at_mean_probabilities() {
 }
 
 #[test]
-fn precision_recall_figures_are_laid_out_well() {
+fn precision_recall_layout_has_no_overlaps() {
     for (n, fraction) in [
         (0, None),
         (1, Some(0.6)),
@@ -125,7 +125,7 @@ fn precision_recall_figures_are_laid_out_well() {
 }
 
 #[test]
-fn reliability_figures_are_laid_out_well() {
+fn reliability_layout_has_no_overlaps() {
     let many = smooth_samples(120_000, 1);
     let few = dyadic_samples(30, 2);
     let wrong = flipped(&scored(&[(0.0, false), (1.0, true)]));
@@ -178,7 +178,7 @@ fn chart(y_range: [f64; 2], series: usize, groups: usize) -> BarChart {
 }
 
 #[test]
-fn bar_charts_are_laid_out_well() {
+fn bar_chart_layout_has_no_overlaps() {
     for range in [
         [0.0, 1.0],
         [0.5, 1.0],
@@ -218,7 +218,7 @@ fn bars_end_at_their_values() {
 }
 
 #[test]
-fn negative_bars_hang_from_zero() {
+fn negative_bars_start_at_zero() {
     let mut chart = chart([-0.5, 0.5], 2, 1);
     chart.groups[0].bars = vec![bar(-0.25, 0.01), bar(0.25, 0.01)];
     let svg = bars(&chart).to_svg();
@@ -241,7 +241,7 @@ fn negative_bars_hang_from_zero() {
 }
 
 #[test]
-fn what_is_out_of_range_or_missing_is_not_drawn() {
+fn missing_and_out_of_range_values_are_not_drawn() {
     let mut chart = chart([0.5, 1.0], 3, 1);
     chart.groups[0].bars = vec![bar(0.98, 0.05), None, bar(f64::NAN, 0.1)];
     chart.reference = Some(Reference {

@@ -1,6 +1,6 @@
 //! Figures as SVG: ROC, precision–recall and reliability diagrams, bar charts.
 //!
-//! Names are shortened where the room ends, and complete in tooltips.
+//! Long names are shortened; tooltips show the full names.
 
 mod bars;
 mod curves;
@@ -16,12 +16,12 @@ use gripcast_report::chart::{Axis, Chart, Entry, Legend, Panel};
 use gripcast_report::fixed;
 use maud::{Markup, html};
 
-/// Side of the panel in which curves are drawn, px.
+/// Side of the curve panel, px.
 const SIDE: f64 = 330.0;
-/// Room above and beside a panel for halves of numbers, px.
+/// Margin for overhanging axis numbers, px.
 const MARGIN: f64 = 14.0;
 
-/// A square panel of fractions.
+/// Returns a square panel of fractions.
 fn square(abscissa: &str, ordinate: &str) -> Panel {
     let y = Axis::of_fractions(ordinate);
     let left = y.room();
@@ -35,7 +35,7 @@ fn square(abscissa: &str, ordinate: &str) -> Panel {
     }
 }
 
-/// The chart of a drawing with its legend below it, which begins at `top`.
+/// Returns a chart with a legend below the drawing, starting at `top`.
 fn with_legend(
     title: &str,
     description: String,
@@ -53,8 +53,8 @@ fn with_legend(
     }
 }
 
-/// `AUROC 0.912`, with its interval if there is one, or that it is undefined.
-fn figure_text(name: &str, value: Option<f64>, interval: Option<[f64; 2]>) -> String {
+/// Formats `AUROC 0.912` with its interval, if any.
+fn metric_text(name: &str, value: Option<f64>, interval: Option<[f64; 2]>) -> String {
     match (value, interval) {
         (None, _) => format!("{name} undefined"),
         (Some(value), None) => format!("{name} {}", fixed(value, 3)),

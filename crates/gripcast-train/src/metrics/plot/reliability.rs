@@ -1,7 +1,7 @@
 //! Reliability diagrams (Niculescu-Mizil & Caruana 2005).
 
 use super::super::{ReliabilityBin, ReliabilityTable};
-use super::{figure_text, square, with_legend};
+use super::{metric_text, square, with_legend};
 use gripcast_report::chart::{Axis, Chart, Entry, Key, Panel, count};
 use gripcast_report::{fixed, optional};
 use maud::{Markup, html};
@@ -40,7 +40,7 @@ pub fn reliability(title: &str, table: &ReliabilityTable) -> Chart {
     let verdict = match table.n() {
         0 => "No grasps".to_owned(),
         n => {
-            let ece = figure_text("ECE", table.expected_calibration_error(), None);
+            let ece = metric_text("ECE", table.expected_calibration_error(), None);
             format!("{ece} over {} grasps", count(n))
         }
     };
