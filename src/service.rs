@@ -12,7 +12,7 @@ use tokio::sync::{mpsc, watch};
 
 use super::collection::{COMMAND_QUEUE, start_pedals, stop_signals};
 use super::daemon::{
-    self, CollectReport, EngineLinks, EngineSetup, EngineStatus, ModelFacts, Stored, Tasks,
+    self, CollectReport, EngineLinks, EngineSetup, EngineStatus, ModelInfo, StoreEvent, Tasks,
 };
 use super::tui;
 use super::web::{self, Access, Backend, Listeners, News, Token};
@@ -74,7 +74,7 @@ pub(crate) async fn run(
         command_sender.clone(),
         tasks.clone(),
         Arc::clone(&access),
-        setup.model.as_ref().map(ModelFacts::of),
+        setup.model.as_ref().map(ModelInfo::new),
         setup.dataset.clone(),
     ));
     let ended = Arc::new(AtomicBool::new(false));
@@ -88,7 +88,7 @@ pub(crate) async fn run(
         tasks: tasks.clone(),
         status,
         tones: tone_sender,
-        stored: Box::new(move |stored| tell(&told, stored)),
+        on_stored: Box::new(move |stored| tell(&told, stored)),
     };
     let engine = daemon::run(setup, links, stop);
     let beside = async {
@@ -146,7 +146,7 @@ fn announce(listeners: &Listeners, settings: &ServiceSettings) {
 }
 
 /// Passes a change of the dataset on.
-fn tell(backend: &Backend, stored: &Stored) {
+fn tell(backend: &Backend, stored: &StoreEvent) {
     if let StoreReply::Failed { message } = &stored.reply {
         note!("NOT SAVED: {message}");
     }

@@ -3,7 +3,7 @@
 use std::fmt::Write as _;
 
 use super::{print, print_json};
-use crate::daemon::{BlackBoxReport, CollectReport, Ended};
+use crate::daemon::{BlackBoxReport, CollectReport, EndReason};
 use gripcast_base::error::{Error, ErrorKind, Result};
 
 /// Prints the report of a collection that has ended. A service that was asked to end
@@ -19,21 +19,23 @@ pub(super) fn conclude(report: &CollectReport, as_json: bool, is_service: bool) 
         print(summary(report).trim_end())?;
     }
     match report.ended {
-        Ended::Interrupted => Err(Error::new(
+        EndReason::Interrupted => Err(Error::new(
             ErrorKind::Interrupted,
             "interrupted; everything that was acknowledged is on disk",
         )),
-        Ended::Terminated if !is_service => Err(Error::new(
+        EndReason::Terminated if !is_service => Err(Error::new(
             ErrorKind::Stopped,
             "asked to end; everything that was acknowledged is on disk",
         )),
-        Ended::Terminated | Ended::Quit | Ended::ScriptDone => match report.session.failed {
-            0 => Ok(()),
-            failed => Err(Error::new(
-                ErrorKind::Partial,
-                format!("{failed} save(s) failed; see the messages above"),
-            )),
-        },
+        EndReason::Terminated | EndReason::Quit | EndReason::ScriptDone => {
+            match report.session.failed {
+                0 => Ok(()),
+                failed => Err(Error::new(
+                    ErrorKind::Partial,
+                    format!("{failed} save(s) failed; see the messages above"),
+                )),
+            }
+        }
     }
 }
 

@@ -1,10 +1,10 @@
-//! Threads with names.
+//! Named threads.
 
 use std::thread::JoinHandle;
 
 use gripcast_base::error::{Error, ErrorKind, Result};
 
-/// A named thread.
+/// Starts a named thread.
 pub(super) fn spawn<T: Send + 'static>(
     name: String,
     body: impl FnOnce() -> T + Send + 'static,

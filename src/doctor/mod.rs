@@ -162,7 +162,7 @@ impl Patient {
         let sources = RigSources::of(rig, &self.root, &mut virtual_cameras)?;
         let boards = match (&rig.boards, virtual_cameras.hand()) {
             (Some(boards), _) => Some(Boards::read(boards)),
-            (None, Some(hand)) => Some(Boards::of_virtual_rig(hand)),
+            (None, Some(hand)) => Some(Boards::from_virtual_hand(hand)),
             (None, None) => None,
         };
         let clocks = machine::Clocks::now();

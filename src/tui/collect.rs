@@ -138,7 +138,7 @@ fn draw_tiny(buffer: &mut Buffer, area: Rect, status: &EngineStatus, palette: Pa
     let mut spans = Vec::new();
     if let Some(prediction) = &status.prediction {
         let claim = gauge::claim(prediction);
-        let text = format!("{:.2} {claim} ", prediction.said.p_stable);
+        let text = format!("{:.2} {claim} ", prediction.record.p_stable);
         spans.push(Span::styled(text, gauge::verdict_style(claim, palette)));
     }
     let mut line = Line::from(spans);

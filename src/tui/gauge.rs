@@ -39,7 +39,7 @@ pub(super) fn word(verdict: Verdict) -> &'static str {
 /// What may be claimed in one word: the verdict, that it is too old to be one, or that the model
 /// knows nothing of such images.
 pub(super) fn claim(prediction: &PredictionStatus) -> &'static str {
-    if is_stale(prediction) || !prediction.said.p_stable.is_finite() {
+    if is_stale(prediction) || !prediction.record.p_stable.is_finite() {
         "OLD"
     } else {
         word(prediction.verdict)
@@ -60,7 +60,7 @@ pub(super) fn verdict_style(verdict: &str, palette: Palette) -> Style {
 }
 
 fn reading(prediction: Option<&PredictionStatus>, palette: Palette) -> Reading {
-    let Some(prediction) = prediction.filter(|p| p.said.p_stable.is_finite()) else {
+    let Some(prediction) = prediction.filter(|p| p.record.p_stable.is_finite()) else {
         return Reading {
             number: "-.--".to_owned(),
             verdict: "",
@@ -68,14 +68,14 @@ fn reading(prediction: Option<&PredictionStatus>, palette: Palette) -> Reading {
             bar: None,
         };
     };
-    let p = prediction.said.p_stable;
+    let p = prediction.record.p_stable;
     let verdict = claim(prediction);
     let style = verdict_style(verdict, palette);
     Reading {
         number: format!("{:.2}", p.clamp(0.0, 1.0)),
         verdict,
         style,
-        bar: Some((p, prediction.said.threshold)),
+        bar: Some((p, prediction.record.threshold)),
     }
 }
 
@@ -167,7 +167,7 @@ fn draw_line(
 
 fn write_absence(buffer: &mut Buffer, area: Rect, status: &EngineStatus, palette: Palette) {
     let reason = status
-        .prediction_absent
+        .no_prediction_reason
         .as_deref()
         .unwrap_or("waiting for the first prediction");
     let mut rest = reason;
@@ -219,12 +219,12 @@ fn write_title(
             Span::styled(words, palette.faint()),
         ])
     };
-    let latency = duration_ms(prediction.said.latency_ms);
+    let latency = duration_ms(prediction.record.latency_ms);
     let long = timing(format!(
         " · result in {latency} · model {:.1} ms ",
-        prediction.said.engine_ms
+        prediction.record.engine_ms
     ));
-    let name = clipped(&prediction.said.model, 28);
+    let name = clipped(&prediction.record.model, 28);
     let heuristic = u16::from(prediction.heuristic) * columns(" HEURISTIC ");
     let needed = columns(" STABILITY ") + columns(&name) + heuristic + 2;
     let taken = match area.width.checked_sub(needed) {

@@ -164,7 +164,7 @@ impl LinePrinter {
                 .is_news(verdict, now)
                 .then(|| live(prediction, verdict));
         }
-        let absence = status.prediction_absent.clone();
+        let absence = status.no_prediction_reason.clone();
         let news = absence != self.absence;
         self.absence.clone_from(&absence);
         absence
@@ -215,7 +215,7 @@ fn live(prediction: &PredictionStatus, verdict: &str) -> String {
     };
     format!(
         "predicting {:.2} {verdict} ({}{kind})",
-        prediction.said.p_stable, prediction.said.model
+        prediction.record.p_stable, prediction.record.model
     )
 }
 

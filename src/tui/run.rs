@@ -12,7 +12,7 @@ use super::palette::{ColourDepth, Palette};
 use super::state::{Reaction, ScreenState};
 use super::terminal::ScreenTerminal;
 use super::tone::{Sound, Speaker};
-use crate::daemon::{Asked, EngineStatus};
+use crate::daemon::{CommandRequest, EngineStatus};
 use gripcast_base::error::{Error, Result};
 use gripcast_session::{Command, CommandSource, Tone};
 
@@ -26,7 +26,7 @@ pub struct Wiring {
     /// The newest status. When its sender is dropped the engine has ended and the screen leaves.
     pub status: watch::Receiver<Arc<EngineStatus>>,
     /// What the operator asks for. When full, the key is dropped and the screen says so.
-    pub commands: mpsc::Sender<Asked>,
+    pub commands: mpsc::Sender<CommandRequest>,
     /// Sounds to give, in order. A dropped sender means that there are no more.
     pub tones: mpsc::UnboundedReceiver<Tone>,
     /// How sounds are given.
@@ -131,7 +131,7 @@ impl Screen {
         let sent = self
             .wiring
             .commands
-            .try_send(Asked::new(command, CommandSource::Keyboard));
+            .try_send(CommandRequest::new(command, CommandSource::Keyboard));
         if sent.is_err() {
             self.state.notice = Some(format!("`{name}` was not taken: the engine is busy"));
         }

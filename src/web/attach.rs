@@ -17,7 +17,7 @@ use tokio_tungstenite::tungstenite::http::HeaderValue;
 use tokio_tungstenite::tungstenite::{Error as WsError, Message};
 
 use super::access::Token;
-use crate::daemon::{Asked, EngineStatus, Preview};
+use crate::daemon::{CommandRequest, EngineStatus, Preview};
 use crate::note;
 use gripcast_base::error::{Error, ErrorKind, Result};
 use gripcast_imaging::{Decoder, Role};
@@ -72,7 +72,7 @@ pub(crate) enum Attached {
 /// What the daemon sends, as far as a screen needs it.
 #[derive(Deserialize)]
 #[serde(tag = "type", rename_all = "snake_case")]
-enum Heard {
+enum DaemonEvent {
     State {
         state: Box<EngineStatus>,
     },
@@ -94,7 +94,7 @@ pub(crate) struct Screen {
     /// Sounds to give.
     pub(crate) tones: mpsc::UnboundedSender<Tone>,
     /// What the operator asks for; `quit` leaves.
-    pub(crate) commands: mpsc::Receiver<Asked>,
+    pub(crate) commands: mpsc::Receiver<CommandRequest>,
 }
 
 /// Shows a daemon on a screen until the operator leaves or the daemon ends.
@@ -143,12 +143,12 @@ async fn show<S: AsyncRead + AsyncWrite + Unpin>(
         tokio::select! {
             message = socket.next() => match message {
                 Some(Ok(Message::Text(text))) => match serde_json::from_str(&text) {
-                    Ok(Heard::State { state }) => shown.state = Some(*state),
+                    Ok(DaemonEvent::State { state }) => shown.state = Some(*state),
                     // A screen that has gone asks to leave next.
-                    Ok(Heard::Tone { tone }) => drop(screen.tones.send(tone)),
-                    Ok(Heard::Answer { error: Some(error) }) => note!("{error}"),
-                    Ok(Heard::Bye) => return Ok(Attached::Ended),
-                    Ok(Heard::Answer { error: None } | Heard::Other) => continue,
+                    Ok(DaemonEvent::Tone { tone }) => drop(screen.tones.send(tone)),
+                    Ok(DaemonEvent::Answer { error: Some(error) }) => note!("{error}"),
+                    Ok(DaemonEvent::Bye) => return Ok(Attached::Ended),
+                    Ok(DaemonEvent::Answer { error: None } | DaemonEvent::Other) => continue,
                     Err(e) => return Err(of_another_version(e, target)),
                 },
                 Some(Ok(Message::Binary(bytes))) => shown.take_image(&bytes),
@@ -158,7 +158,7 @@ async fn show<S: AsyncRead + AsyncWrite + Unpin>(
                 None => return Ok(Attached::Ended),
             },
             asked = screen.commands.recv() => match asked {
-                None | Some(Asked { command: Command::Quit, .. }) => return Ok(Attached::Left),
+                None | Some(CommandRequest { command: Command::Quit, .. }) => return Ok(Attached::Left),
                 Some(asked) => {
                     let text = serde_json::json!({"command": asked.command.to_string(), "id": 1});
                     let message = Message::Text(text.to_string().into());

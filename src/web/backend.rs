@@ -10,21 +10,21 @@ use tokio::sync::{Semaphore, broadcast, mpsc, watch};
 use super::access::Access;
 use super::failure::Failure;
 use super::grasp_list::GraspList;
-use super::places::Places;
 use super::previews::Previews;
-use crate::daemon::{Asked, EngineStatus, ModelFacts, Stored, Tasks};
+use super::slots::Slots;
+use crate::daemon::{CommandRequest, EngineStatus, ModelInfo, StoreEvent, Tasks};
 use gripcast_session::{Command, CommandResult, CommandSource, Tone};
 
 /// News that wait for a reader that is slow; it misses the oldest.
-const NEWS_QUEUE: usize = 64;
+const NEWS_CAPACITY: usize = 64;
 /// Those who listen to events at a time, over TCP and over the socket: pages, screens, programs.
 const MAX_LISTENERS: usize = 32;
 /// How long a client may take for the body of a request; the largest has 16 KiB.
-const BODY_PATIENCE: Duration = Duration::from_secs(10);
+const BODY_TIMEOUT: Duration = Duration::from_secs(10);
 /// How long a small image may wait until others have been decoded.
-const DECODE_PATIENCE: Duration = Duration::from_secs(5);
+const DECODE_TIMEOUT: Duration = Duration::from_secs(5);
 /// How long an answer may take; a save on an ordinary disk takes a tenth of a second.
-const PATIENCE: Duration = Duration::from_secs(20);
+const RESPONSE_TIMEOUT: Duration = Duration::from_secs(20);
 
 /// What happened, for all who listen.
 #[derive(Clone, Debug)]
@@ -32,7 +32,7 @@ pub(crate) enum News {
     /// A sound of the session.
     Tone(Tone),
     /// A change of the dataset is durable, or failed.
-    Stored(Arc<Stored>),
+    Stored(Arc<StoreEvent>),
     /// The daemon ends.
     Bye,
 }
@@ -40,30 +40,30 @@ pub(crate) enum News {
 /// What all handlers fraction.
 pub(crate) struct Backend {
     pub(crate) status: watch::Receiver<Arc<EngineStatus>>,
-    pub(crate) commands: mpsc::Sender<Asked>,
+    pub(crate) commands: mpsc::Sender<CommandRequest>,
     pub(crate) news: broadcast::Sender<News>,
     pub(crate) tasks: Tasks,
     pub(crate) access: Arc<Access>,
-    pub(crate) model: Option<ModelFacts>,
+    pub(crate) model: Option<ModelInfo>,
     pub(crate) grasps: GraspList,
     pub(crate) previews: Previews,
     pub(crate) started: Instant,
-    /// Places for those who listen to events.
-    pub(crate) listeners: Places,
-    /// Places for images that are decoded, one for each core.
+    /// Slots for those who listen to events.
+    pub(crate) listeners: Slots,
+    /// Slots for images that are decoded, one for each core.
     pub(crate) decodes: Arc<Semaphore>,
-    pub(crate) body_patience: Duration,
-    pub(crate) decode_patience: Duration,
+    pub(crate) body_timeout: Duration,
+    pub(crate) decode_timeout: Duration,
 }
 
 impl Backend {
     /// A backend on the engine's channels and the dataset that it writes.
     pub(crate) fn new(
         status: watch::Receiver<Arc<EngineStatus>>,
-        commands: mpsc::Sender<Asked>,
+        commands: mpsc::Sender<CommandRequest>,
         tasks: Tasks,
         access: Arc<Access>,
-        model: Option<ModelFacts>,
+        model: Option<ModelInfo>,
         dataset: PathBuf,
     ) -> Self {
         let cores = std::thread::available_parallelism().map_or(1, usize::from);
@@ -71,16 +71,16 @@ impl Backend {
             previews: Previews::new(status.clone()),
             status,
             commands,
-            news: broadcast::channel(NEWS_QUEUE).0,
+            news: broadcast::channel(NEWS_CAPACITY).0,
             tasks,
             access,
             model,
             grasps: GraspList::new(dataset),
             started: Instant::now(),
-            listeners: Places::new(MAX_LISTENERS, MAX_LISTENERS),
+            listeners: Slots::new(MAX_LISTENERS, MAX_LISTENERS),
             decodes: Arc::new(Semaphore::new(cores)),
-            body_patience: BODY_PATIENCE,
-            decode_patience: DECODE_PATIENCE,
+            body_timeout: BODY_TIMEOUT,
+            decode_timeout: DECODE_TIMEOUT,
         }
     }
 
@@ -94,12 +94,12 @@ impl Backend {
     /// # Errors
     /// 503 while too many commands wait or the engine ends, 504 when it does not answer.
     pub(crate) async fn ask(&self, command: Command) -> Result<CommandResult, Failure> {
-        let (asked, answer) = Asked::with_answer(command, CommandSource::Remote);
+        let (asked, answer) = CommandRequest::with_response(command, CommandSource::Remote);
         self.commands.try_send(asked).map_err(|e| match e {
             mpsc::error::TrySendError::Full(_) => Failure::busy("too many commands wait already"),
             mpsc::error::TrySendError::Closed(_) => Failure::busy("the daemon is ending"),
         })?;
-        match tokio::time::timeout(PATIENCE, answer).await {
+        match tokio::time::timeout(RESPONSE_TIMEOUT, answer).await {
             Ok(Ok(result)) => Ok(result),
             Ok(Err(_)) => Err(Failure::busy("the daemon is ending")),
             Err(_) => Err(Failure::new(

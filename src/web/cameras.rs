@@ -12,7 +12,7 @@ use axum::response::{IntoResponse, Response};
 
 use super::access::{Pass, Peer};
 use super::backend::Backend;
-use super::failure::{Complaint, Failure};
+use super::failure::{ErrorResponse, Failure};
 use super::previews::MAX_STREAMS;
 use gripcast_imaging::Role;
 
@@ -36,8 +36,8 @@ fn known(backend: &Backend, role: Role) -> Result<Role, Failure> {
 /// At most 320×240; a gel shows the difference to the initial frame once there is one.
 #[utoipa::path(get, path = "/api/cameras/{role}/preview.jpg", tag = "cameras",
     params(("role" = Role, Path)),
-    responses((status = 200, content_type = "image/jpeg", body = [u8]), (status = 400, body = Complaint),
-        (status = 404, body = Complaint), (status = 503, body = Complaint)))]
+    responses((status = 200, content_type = "image/jpeg", body = [u8]), (status = 400, body = ErrorResponse),
+        (status = 404, body = ErrorResponse), (status = 503, body = ErrorResponse)))]
 pub(crate) async fn still(
     Shared(backend): Shared<Arc<Backend>>,
     Segment(role): Segment<Role>,
@@ -57,7 +57,7 @@ pub(crate) async fn still(
 #[utoipa::path(get, path = "/api/cameras/{role}/preview.mjpg", tag = "cameras",
     params(("role" = Role, Path)),
     responses((status = 200, content_type = "multipart/x-mixed-replace", body = [u8]),
-        (status = 400, body = Complaint), (status = 404, body = Complaint), (status = 503, body = Complaint)))]
+        (status = 400, body = ErrorResponse), (status = 404, body = ErrorResponse), (status = 503, body = ErrorResponse)))]
 pub(crate) async fn stream(
     Shared(backend): Shared<Arc<Backend>>,
     Extension(peer): Extension<Peer>,

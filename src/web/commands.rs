@@ -11,7 +11,7 @@ use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
 use super::backend::Backend;
-use super::failure::{Complaint, Failure};
+use super::failure::{ErrorResponse, Failure};
 use crate::daemon::EngineStatus;
 use gripcast_base::error::Error;
 use gripcast_session::{Command, CommandResult};
@@ -19,7 +19,7 @@ use gripcast_session::{Command, CommandResult};
 /// A command as in scripts and on pedals.
 #[derive(Debug, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
-pub(crate) struct CommandRequest {
+pub(crate) struct CommandBody {
     /// `trigger`, `initial`, `grasp`, `override`, `stable`, `slip`, `unlabel`, `undo`, `redo`,
     /// `object NAME`, `scene NAME`, `operator NAME`, `relabel ID OUTCOME`, `trash ID`, `restore ID`.
     #[schema(example = "trigger")]
@@ -29,14 +29,14 @@ pub(crate) struct CommandRequest {
 /// A name for what comes from now on.
 #[derive(Debug, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
-pub(crate) struct NameRequest {
+pub(crate) struct NameBody {
     #[schema(min_length = 1, max_length = 120, example = "mug-blue")]
     name: String,
 }
 
 /// What became of a command.
 #[derive(Serialize, ToSchema)]
-pub(crate) struct CommandAnswer {
+pub(crate) struct CommandResponse {
     #[serde(flatten)]
     result: CommandResult,
     /// The engine after it.
@@ -44,7 +44,7 @@ pub(crate) struct CommandAnswer {
 }
 
 /// Status and body of an answered command.
-pub(crate) type Reply = Result<(StatusCode, Json<CommandAnswer>), Failure>;
+pub(crate) type Reply = Result<(StatusCode, Json<CommandResponse>), Failure>;
 
 /// Carries out a command and tells what became of it.
 pub(crate) async fn carry_out(backend: &Backend, command: Command) -> Reply {
@@ -55,7 +55,7 @@ pub(crate) async fn carry_out(backend: &Backend, command: Command) -> Reply {
         CommandResult::Failed { .. } => StatusCode::INTERNAL_SERVER_ERROR,
     };
     let state = backend.state();
-    Ok((status, Json(CommandAnswer { result, state })))
+    Ok((status, Json(CommandResponse { result, state })))
 }
 
 /// The command that a text from outside means.
@@ -79,55 +79,55 @@ pub(crate) fn parse(text: &str) -> Result<Command, Failure> {
 /// Carry out a command
 ///
 /// Waits until what it changed is durable.
-#[utoipa::path(post, path = "/api/commands", tag = "session", request_body = CommandRequest,
-    responses((status = 200, body = CommandAnswer), (status = 409, body = CommandAnswer, description = "refused"),
-        (status = 500, body = CommandAnswer, description = "failed on disk; nothing changed"),
-        (status = 400, body = Complaint), (status = 403, body = Complaint), (status = 408, body = Complaint), (status = 413, body = Complaint),
-        (status = 415, body = Complaint), (status = 422, body = Complaint), (status = 503, body = Complaint)))]
+#[utoipa::path(post, path = "/api/commands", tag = "session", request_body = CommandBody,
+    responses((status = 200, body = CommandResponse), (status = 409, body = CommandResponse, description = "refused"),
+        (status = 500, body = CommandResponse, description = "failed on disk; nothing changed"),
+        (status = 400, body = ErrorResponse), (status = 403, body = ErrorResponse), (status = 408, body = ErrorResponse), (status = 413, body = ErrorResponse),
+        (status = 415, body = ErrorResponse), (status = 422, body = ErrorResponse), (status = 503, body = ErrorResponse)))]
 pub(crate) async fn command(
     Shared(backend): Shared<Arc<Backend>>,
-    Body(request): Body<CommandRequest>,
+    Body(request): Body<CommandBody>,
 ) -> Reply {
     carry_out(&backend, parse(&request.command)?).await
 }
 
 /// Name the object
-#[utoipa::path(put, path = "/api/object", tag = "session", request_body = NameRequest,
-    responses((status = 200, body = CommandAnswer), (status = 400, body = Complaint), (status = 403, body = Complaint),
-        (status = 408, body = Complaint), (status = 413, body = Complaint), (status = 415, body = Complaint), (status = 422, body = Complaint),
-        (status = 503, body = Complaint)))]
+#[utoipa::path(put, path = "/api/object", tag = "session", request_body = NameBody,
+    responses((status = 200, body = CommandResponse), (status = 400, body = ErrorResponse), (status = 403, body = ErrorResponse),
+        (status = 408, body = ErrorResponse), (status = 413, body = ErrorResponse), (status = 415, body = ErrorResponse), (status = 422, body = ErrorResponse),
+        (status = 503, body = ErrorResponse)))]
 pub(crate) async fn object(
     Shared(backend): Shared<Arc<Backend>>,
-    Body(request): Body<NameRequest>,
+    Body(request): Body<NameBody>,
 ) -> Reply {
     named(&backend, request, Command::Object).await
 }
 
 /// Name the scene
-#[utoipa::path(put, path = "/api/scene", tag = "session", request_body = NameRequest,
-    responses((status = 200, body = CommandAnswer), (status = 400, body = Complaint), (status = 403, body = Complaint),
-        (status = 408, body = Complaint), (status = 413, body = Complaint), (status = 415, body = Complaint), (status = 422, body = Complaint),
-        (status = 503, body = Complaint)))]
+#[utoipa::path(put, path = "/api/scene", tag = "session", request_body = NameBody,
+    responses((status = 200, body = CommandResponse), (status = 400, body = ErrorResponse), (status = 403, body = ErrorResponse),
+        (status = 408, body = ErrorResponse), (status = 413, body = ErrorResponse), (status = 415, body = ErrorResponse), (status = 422, body = ErrorResponse),
+        (status = 503, body = ErrorResponse)))]
 pub(crate) async fn scene(
     Shared(backend): Shared<Arc<Backend>>,
-    Body(request): Body<NameRequest>,
+    Body(request): Body<NameBody>,
 ) -> Reply {
     named(&backend, request, Command::Scene).await
 }
 
 /// Name the operator
-#[utoipa::path(put, path = "/api/operator", tag = "session", request_body = NameRequest,
-    responses((status = 200, body = CommandAnswer), (status = 400, body = Complaint), (status = 403, body = Complaint),
-        (status = 408, body = Complaint), (status = 413, body = Complaint), (status = 415, body = Complaint), (status = 422, body = Complaint),
-        (status = 503, body = Complaint)))]
+#[utoipa::path(put, path = "/api/operator", tag = "session", request_body = NameBody,
+    responses((status = 200, body = CommandResponse), (status = 400, body = ErrorResponse), (status = 403, body = ErrorResponse),
+        (status = 408, body = ErrorResponse), (status = 413, body = ErrorResponse), (status = 415, body = ErrorResponse), (status = 422, body = ErrorResponse),
+        (status = 503, body = ErrorResponse)))]
 pub(crate) async fn operator(
     Shared(backend): Shared<Arc<Backend>>,
-    Body(request): Body<NameRequest>,
+    Body(request): Body<NameBody>,
 ) -> Reply {
     named(&backend, request, Command::Operator).await
 }
 
-async fn named<T>(backend: &Backend, request: NameRequest, make: fn(T) -> Command) -> Reply
+async fn named<T>(backend: &Backend, request: NameBody, make: fn(T) -> Command) -> Reply
 where
     T: FromStr<Err = Error> + Deref<Target = str>,
 {
@@ -151,15 +151,15 @@ where
         request: axum::extract::Request,
         backend: &Arc<Backend>,
     ) -> Result<Self, Failure> {
-        let patience = backend.body_patience;
-        match tokio::time::timeout(patience, Json::<T>::from_request(request, backend)).await {
+        let timeout = backend.body_timeout;
+        match tokio::time::timeout(timeout, Json::<T>::from_request(request, backend)).await {
             Ok(Ok(Json(body))) => Ok(Self(body)),
             Ok(Err(rejection)) => Err(Failure::new(rejection.status(), rejection.body_text())),
             Err(_) => Err(Failure::new(
                 StatusCode::REQUEST_TIMEOUT,
                 format!(
                     "the body of the request did not come within {} s",
-                    patience.as_secs_f64()
+                    timeout.as_secs_f64()
                 ),
             )
             .remedy("send it in one piece")),

@@ -20,9 +20,9 @@ use utoipa::{IntoParams, ToSchema};
 
 use super::access::{Pass, Peer};
 use super::backend::{Backend, News};
-use super::commands::{CommandAnswer, carry_out, parse};
+use super::commands::{CommandResponse, carry_out, parse};
 use super::failure::Failure;
-use crate::daemon::{EngineStatus, Stored};
+use crate::daemon::{EngineStatus, StoreEvent};
 use gripcast_imaging::Role;
 use gripcast_session::Tone;
 
@@ -35,7 +35,7 @@ const MAX_MESSAGE: usize = 4096;
 #[derive(Clone, Copy, Debug, Default, Deserialize, IntoParams)]
 #[serde(deny_unknown_fields)]
 #[into_params(parameter_in = Query)]
-pub(crate) struct Wishes {
+pub(crate) struct EventQuery {
     /// Small images as binary messages too.
     #[serde(default)]
     #[param(default = false)]
@@ -53,12 +53,12 @@ pub(crate) enum Event {
     /// A change of the dataset was answered.
     Stored {
         #[schema(value_type = serde_json::Value)]
-        stored: Box<Stored>,
+        stored: Box<StoreEvent>,
     },
     /// What became of a command of this client.
     Answer {
         id: u64,
-        answer: Option<Box<CommandAnswer>>,
+        answer: Option<Box<CommandResponse>>,
         /// Why there is no answer.
         error: Option<String>,
     },
@@ -77,18 +77,18 @@ struct Request {
 /// State and news as they come (WebSocket)
 ///
 /// Messages are described in docs/api.md.
-#[utoipa::path(get, path = "/api/events", tag = "session", params(Wishes),
+#[utoipa::path(get, path = "/api/events", tag = "session", params(EventQuery),
     responses((status = 101, description = "switched to the WebSocket protocol"),
-        (status = 400, body = super::failure::Complaint),
-        (status = 503, body = super::failure::Complaint)))]
+        (status = 400, body = super::failure::ErrorResponse),
+        (status = 503, body = super::failure::ErrorResponse)))]
 pub(crate) async fn events(
     Shared(backend): Shared<Arc<Backend>>,
     Extension(peer): Extension<Peer>,
     Extension(pass): Extension<Pass>,
-    wishes: Result<Query<Wishes>, axum::extract::rejection::QueryRejection>,
+    query: Result<Query<EventQuery>, axum::extract::rejection::QueryRejection>,
     upgrade: Result<WebSocketUpgrade, axum::extract::ws::rejection::WebSocketUpgradeRejection>,
 ) -> Result<Response, Failure> {
-    let Query(wishes) = wishes.map_err(|e| Failure::new(e.status(), e.body_text()))?;
+    let Query(query) = query.map_err(|e| Failure::new(e.status(), e.body_text()))?;
     let upgrade = upgrade.map_err(|e| {
         Failure::new(axum::http::StatusCode::BAD_REQUEST, e.body_text())
             .remedy("open it as a WebSocket")
@@ -103,34 +103,34 @@ pub(crate) async fn events(
         .read_buffer_size(MAX_MESSAGE);
     Ok(upgrade.on_upgrade(move |socket| async move {
         // A client that goes, or takes nothing, ends its own connection only.
-        let _ = Listener::new(backend, pass, socket, wishes).run().await;
+        let _ = Listener::new(backend, pass, socket, query).run().await;
         drop(place);
     }))
 }
 
-struct Gone;
+struct Disconnected;
 
 struct Listener {
     backend: Arc<Backend>,
     pass: Pass,
     socket: WebSocket,
-    wishes: Wishes,
+    query: EventQuery,
     /// The newest image sent of each role.
     sent: BTreeMap<Role, Bytes>,
 }
 
 impl Listener {
-    fn new(backend: Arc<Backend>, pass: Pass, socket: WebSocket, wishes: Wishes) -> Self {
+    fn new(backend: Arc<Backend>, pass: Pass, socket: WebSocket, query: EventQuery) -> Self {
         Self {
             backend,
             pass,
             socket,
-            wishes,
+            query,
             sent: BTreeMap::new(),
         }
     }
 
-    async fn run(mut self) -> Result<(), Gone> {
+    async fn run(mut self) -> Result<(), Disconnected> {
         let mut news = self.backend.news.subscribe();
         let mut ticks = tokio::time::interval(PAUSE);
         ticks.set_missed_tick_behavior(tokio::time::MissedTickBehavior::Delay);
@@ -150,16 +150,16 @@ impl Listener {
                     Some(Ok(Message::Text(text))) => self.take(&text).await?,
                     // Pings are answered by the library.
                     Some(Ok(Message::Ping(_) | Message::Pong(_) | Message::Binary(_))) => {}
-                    Some(Ok(Message::Close(_)) | Err(_)) | None => return Err(Gone),
+                    Some(Ok(Message::Close(_)) | Err(_)) | None => return Err(Disconnected),
                 },
                 _ = ticks.tick() => {
                     // Its session has ended.
                     if !self.pass.holds() {
-                        return Err(Gone);
+                        return Err(Disconnected);
                     }
                     let state = Box::new(self.backend.state());
                     self.say(&Event::State { state }).await?;
-                    if self.wishes.previews {
+                    if self.query.previews {
                         self.show().await?;
                     }
                 }
@@ -167,7 +167,7 @@ impl Listener {
         }
     }
 
-    async fn take(&mut self, text: &str) -> Result<(), Gone> {
+    async fn take(&mut self, text: &str) -> Result<(), Disconnected> {
         let Ok(Request { command, id }) = serde_json::from_str(text) else {
             let error = Some("expected {\"command\": \"…\", \"id\": 1}".to_owned());
             return self
@@ -179,7 +179,7 @@ impl Listener {
                 .await;
         };
         if !self.pass.holds() {
-            return Err(Gone);
+            return Err(Disconnected);
         }
         let carried_out = match parse(&command) {
             Ok(command) => carry_out(&self.backend, command).await,
@@ -192,7 +192,7 @@ impl Listener {
         self.say(&Event::Answer { id, answer, error }).await
     }
 
-    async fn show(&mut self) -> Result<(), Gone> {
+    async fn show(&mut self) -> Result<(), Disconnected> {
         for (place, role) in Role::ALL.into_iter().enumerate() {
             let Some(jpeg) = self.backend.previews.jpeg(role) else {
                 continue;
@@ -208,12 +208,12 @@ impl Listener {
         Ok(())
     }
 
-    async fn say(&mut self, event: &Event) -> Result<(), Gone> {
-        let text = serde_json::to_string(event).map_err(|_| Gone)?;
+    async fn say(&mut self, event: &Event) -> Result<(), Disconnected> {
+        let text = serde_json::to_string(event).map_err(|_| Disconnected)?;
         self.send(Message::Text(text.into())).await
     }
 
-    async fn send(&mut self, message: Message) -> Result<(), Gone> {
-        self.socket.send(message).await.map_err(|_| Gone)
+    async fn send(&mut self, message: Message) -> Result<(), Disconnected> {
+        self.socket.send(message).await.map_err(|_| Disconnected)
     }
 }

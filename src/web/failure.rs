@@ -12,12 +12,12 @@ use gripcast_base::error::{Error, ErrorKind};
 
 /// What went wrong, as every answer from 400 on tells it.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, ToSchema)]
-pub(crate) struct Complaint {
-    error: ComplaintText,
+pub(crate) struct ErrorResponse {
+    error: ErrorDetail,
 }
 
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, ToSchema)]
-struct ComplaintText {
+struct ErrorDetail {
     /// `input`, `not_found`, `busy`, `unauthorised`, `forbidden`, `failed`.
     kind: &'static str,
     what: String,
@@ -30,7 +30,7 @@ struct ComplaintText {
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) struct Failure {
     status: StatusCode,
-    complaint: Complaint,
+    complaint: ErrorResponse,
     retry_after: Option<Duration>,
 }
 
@@ -53,8 +53,8 @@ impl Failure {
         };
         Self {
             status,
-            complaint: Complaint {
-                error: ComplaintText {
+            complaint: ErrorResponse {
+                error: ErrorDetail {
                     kind,
                     what: what.into(),
                     place: None,

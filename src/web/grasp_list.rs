@@ -69,7 +69,7 @@ impl GraspSummary {
 #[derive(Clone, Debug, Default, Deserialize, IntoParams)]
 #[serde(deny_unknown_fields)]
 #[into_params(parameter_in = Query)]
-pub(crate) struct Wanted {
+pub(crate) struct GraspQuery {
     /// How many at most.
     #[param(minimum = 1, maximum = 500, default = 24)]
     limit: Option<usize>,
@@ -83,7 +83,7 @@ pub(crate) struct Wanted {
     disagree: Option<bool>,
 }
 
-impl Wanted {
+impl GraspQuery {
     fn takes(&self, grasp: &GraspSummary) -> bool {
         let is_before = self.before.as_ref().is_none_or(|before| grasp.id < *before);
         is_before
@@ -144,7 +144,7 @@ impl GraspList {
     ///
     /// # Errors
     /// When the dataset cannot be read; `Input` for an impossible limit.
-    pub(crate) fn page(&self, wanted: &Wanted) -> Result<GraspPage> {
+    pub(crate) fn page(&self, wanted: &GraspQuery) -> Result<GraspPage> {
         let dataset = self.dataset()?;
         let ids = dataset.ids()?;
         let mut known = self.lock();
@@ -204,24 +204,24 @@ mod tests {
         }
         saved.sort();
         let list = GraspList::new(dir.path().to_owned());
-        let page = |wanted: Wanted| list.page(&wanted).unwrap();
+        let page = |wanted: GraspQuery| list.page(&wanted).unwrap();
 
-        let first = page(Wanted {
+        let first = page(GraspQuery {
             limit: Some(2),
-            ..Wanted::default()
+            ..GraspQuery::default()
         });
         assert_eq!(ids(&first), [saved[2].as_str(), saved[1].as_str()]);
-        let rest = page(Wanted {
+        let rest = page(GraspQuery {
             before: first.next.clone(),
-            ..Wanted::default()
+            ..GraspQuery::default()
         });
         assert_eq!(
             (ids(&rest), rest.next.clone()),
             (vec![saved[0].as_str()], None)
         );
-        let mugs = page(Wanted {
+        let mugs = page(GraspQuery {
             object: Some("mug".into()),
-            ..Wanted::default()
+            ..GraspQuery::default()
         });
         assert_eq!(mugs.grasps.len(), 2);
 
@@ -229,15 +229,15 @@ mod tests {
         writer.set_outcome(&saved[0], Outcome::Slip, at).unwrap();
         list.forget(&saved[0]);
         writer.trash_grasp(&saved[1]).unwrap();
-        let slips = page(Wanted {
+        let slips = page(GraspQuery {
             outcome: Some(Outcome::Slip),
-            ..Wanted::default()
+            ..GraspQuery::default()
         });
         assert_eq!(ids(&slips), [saved[0].as_str()]);
-        assert_eq!(page(Wanted::default()).grasps.len(), 2);
-        let wrong = page(Wanted {
+        assert_eq!(page(GraspQuery::default()).grasps.len(), 2);
+        let wrong = page(GraspQuery {
             disagree: Some(true),
-            ..Wanted::default()
+            ..GraspQuery::default()
         });
         let claims = slips.grasps[0].prediction.as_ref();
         let expected = usize::from(claims.is_some_and(|said| said.p_stable >= 0.5));

@@ -13,8 +13,8 @@ use utoipa::ToSchema;
 use super::backend::Backend;
 use super::cameras::Segment;
 use super::commands::{Body, Reply, carry_out};
-use super::failure::{Complaint, Failure};
-use super::grasp_list::{GraspPage, Wanted};
+use super::failure::{ErrorResponse, Failure};
+use super::grasp_list::{GraspPage, GraspQuery};
 use gripcast_base::error::{Error, ErrorKind, Result as CrateResult};
 use gripcast_base::files::FileKind;
 use gripcast_dataset::{Dataset, GraspId, GraspRecord, Outcome, Stage};
@@ -37,7 +37,7 @@ const DIFFERENCE_GAIN: f32 = 1.5;
 /// An outcome for a grasp.
 #[derive(Debug, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
-pub(crate) struct LabelRequest {
+pub(crate) struct LabelBody {
     outcome: Outcome,
 }
 
@@ -47,10 +47,10 @@ async fn decode<T: Send + 'static>(
     work: impl FnOnce() -> Result<T, Failure> + Send + 'static,
 ) -> Result<T, Failure> {
     let place = Arc::clone(&backend.decodes).acquire_owned();
-    let Ok(Ok(place)) = tokio::time::timeout(backend.decode_patience, place).await else {
+    let Ok(Ok(place)) = tokio::time::timeout(backend.decode_timeout, place).await else {
         return Err(Failure::busy(format!(
             "the image was not decoded within {} s: too many others are",
-            backend.decode_patience.as_secs_f64()
+            backend.decode_timeout.as_secs_f64()
         ))
         .remedy("ask again")
         .retry_after(DECODE_RETRY));
@@ -87,12 +87,12 @@ fn record_of(dataset: &Dataset, id: &GraspId) -> Result<GraspRecord, Failure> {
 }
 
 /// Saved grasps, newest first
-#[utoipa::path(get, path = "/api/grasps", tag = "grasps", params(Wanted),
-    responses((status = 200, body = GraspPage), (status = 400, body = Complaint), (status = 404, body = Complaint),
-        (status = 422, body = Complaint)))]
+#[utoipa::path(get, path = "/api/grasps", tag = "grasps", params(GraspQuery),
+    responses((status = 200, body = GraspPage), (status = 400, body = ErrorResponse), (status = 404, body = ErrorResponse),
+        (status = 422, body = ErrorResponse)))]
 pub(crate) async fn list(
     Shared(backend): Shared<Arc<Backend>>,
-    query: Result<Query<Wanted>, axum::extract::rejection::QueryRejection>,
+    query: Result<Query<GraspQuery>, axum::extract::rejection::QueryRejection>,
 ) -> Result<Json<GraspPage>, Failure> {
     let Query(wanted) = query.map_err(|e| Failure::new(e.status(), e.body_text()))?;
     off_thread(move || Ok(Json(backend.grasps.page(&wanted)?))).await
@@ -100,7 +100,7 @@ pub(crate) async fn list(
 
 /// The record of a grasp: its grasp.json
 #[utoipa::path(get, path = "/api/grasps/{id}", tag = "grasps", params(("id" = String, Path)),
-    responses((status = 200, body = serde_json::Value), (status = 404, body = Complaint), (status = 422, body = Complaint)))]
+    responses((status = 200, body = serde_json::Value), (status = 404, body = ErrorResponse), (status = 422, body = ErrorResponse)))]
 pub(crate) async fn record(
     Shared(backend): Shared<Arc<Backend>>,
     Segment(id): Segment<String>,
@@ -119,7 +119,7 @@ pub(crate) async fn record(
 #[utoipa::path(get, path = "/api/grasps/{id}/files/{name}", tag = "grasps",
     params(("id" = String, Path), ("name" = String, Path)),
     responses((status = 200, body = [u8], content_type = "application/octet-stream"),
-        (status = 404, body = Complaint), (status = 422, body = Complaint)))]
+        (status = 404, body = ErrorResponse), (status = 422, body = ErrorResponse)))]
 pub(crate) async fn file(
     Shared(backend): Shared<Arc<Backend>>,
     Segment((id, name)): Segment<(String, String)>,
@@ -163,9 +163,9 @@ pub(crate) enum PreviewKind {
 #[utoipa::path(get, path = "/api/grasps/{id}/preview/{kind}/{file}", tag = "grasps",
     params(("id" = String, Path), ("kind" = PreviewKind, Path),
         ("file" = String, Path, description = "`ROLE.jpg`", pattern = "^(left|right|rgb|depth|external)\\.jpg$")),
-    responses((status = 200, body = [u8], content_type = "image/jpeg"), (status = 400, body = Complaint),
-        (status = 404, body = Complaint), (status = 422, body = Complaint),
-        (status = 503, body = Complaint, description = "too many images are decoded; `Retry-After` says when")))]
+    responses((status = 200, body = [u8], content_type = "image/jpeg"), (status = 400, body = ErrorResponse),
+        (status = 404, body = ErrorResponse), (status = 422, body = ErrorResponse),
+        (status = 503, body = ErrorResponse, description = "too many images are decoded; `Retry-After` says when")))]
 pub(crate) async fn preview(
     Shared(backend): Shared<Arc<Backend>>,
     Segment((id, kind, file)): Segment<(String, PreviewKind, String)>,
@@ -266,14 +266,14 @@ fn depth_frame(depth: &DepthImage) -> Frame {
 
 /// Label a grasp, whichever it is
 #[utoipa::path(post, path = "/api/grasps/{id}/label", tag = "grasps", params(("id" = String, Path)),
-    request_body = LabelRequest,
-    responses((status = 200, body = super::commands::CommandAnswer), (status = 400, body = Complaint),
-        (status = 404, body = Complaint), (status = 408, body = Complaint), (status = 413, body = Complaint), (status = 415, body = Complaint),
-        (status = 422, body = Complaint), (status = 500, body = super::commands::CommandAnswer), (status = 503, body = Complaint)))]
+    request_body = LabelBody,
+    responses((status = 200, body = super::commands::CommandResponse), (status = 400, body = ErrorResponse),
+        (status = 404, body = ErrorResponse), (status = 408, body = ErrorResponse), (status = 413, body = ErrorResponse), (status = 415, body = ErrorResponse),
+        (status = 422, body = ErrorResponse), (status = 500, body = super::commands::CommandResponse), (status = 503, body = ErrorResponse)))]
 pub(crate) async fn label(
     Shared(backend): Shared<Arc<Backend>>,
     Segment(id): Segment<String>,
-    Body(request): Body<LabelRequest>,
+    Body(request): Body<LabelBody>,
 ) -> Reply {
     let id = existing(&backend, &id).await?;
     carry_out(&backend, Command::Relabel(id, request.outcome)).await
@@ -281,8 +281,8 @@ pub(crate) async fn label(
 
 /// Move a grasp to the trash
 #[utoipa::path(post, path = "/api/grasps/{id}/trash", tag = "grasps", params(("id" = String, Path)),
-    responses((status = 200, body = super::commands::CommandAnswer), (status = 404, body = Complaint),
-        (status = 422, body = Complaint), (status = 500, body = super::commands::CommandAnswer), (status = 503, body = Complaint)))]
+    responses((status = 200, body = super::commands::CommandResponse), (status = 404, body = ErrorResponse),
+        (status = 422, body = ErrorResponse), (status = 500, body = super::commands::CommandResponse), (status = 503, body = ErrorResponse)))]
 pub(crate) async fn trash(
     Shared(backend): Shared<Arc<Backend>>,
     Segment(id): Segment<String>,
@@ -293,10 +293,10 @@ pub(crate) async fn trash(
 
 /// Take a grasp back from the trash
 #[utoipa::path(post, path = "/api/grasps/{id}/restore", tag = "grasps", params(("id" = String, Path)),
-    responses((status = 200, body = super::commands::CommandAnswer),
-        (status = 404, body = Complaint, description = "it is not in the trash"), (status = 422, body = Complaint),
-        (status = 500, body = super::commands::CommandAnswer, description = "it is damaged, or redo has to bring it back"),
-        (status = 503, body = Complaint)))]
+    responses((status = 200, body = super::commands::CommandResponse),
+        (status = 404, body = ErrorResponse, description = "it is not in the trash"), (status = 422, body = ErrorResponse),
+        (status = 500, body = super::commands::CommandResponse, description = "it is damaged, or redo has to bring it back"),
+        (status = 503, body = ErrorResponse)))]
 pub(crate) async fn restore(
     Shared(backend): Shared<Arc<Backend>>,
     Segment(id): Segment<String>,

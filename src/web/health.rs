@@ -11,9 +11,9 @@ use serde::Serialize;
 use utoipa::ToSchema;
 
 use super::backend::Backend;
-use super::failure::{Complaint, Failure};
+use super::failure::{ErrorResponse, Failure};
 use crate::daemon::{
-    CameraStatus, EngineStatus, ModelFacts, PredictionStatus, TaskReport, TaskState,
+    CameraStatus, EngineStatus, ModelInfo, PredictionStatus, TaskReport, TaskState,
 };
 
 /// Health of the daemon.
@@ -61,10 +61,10 @@ pub(crate) async fn health(Shared(backend): Shared<Arc<Backend>>) -> (StatusCode
 
 /// The model that predicts
 #[utoipa::path(get, path = "/api/model", tag = "daemon",
-    responses((status = 200, body = ModelFacts), (status = 404, body = Complaint)))]
+    responses((status = 200, body = ModelInfo), (status = 404, body = ErrorResponse)))]
 pub(crate) async fn model(
     Shared(backend): Shared<Arc<Backend>>,
-) -> Result<Json<ModelFacts>, Failure> {
+) -> Result<Json<ModelInfo>, Failure> {
     let model = backend.model.clone();
     model
         .map(Json)
@@ -167,18 +167,18 @@ impl Metrics {
     }
 
     fn predictions(&mut self, prediction: Option<&PredictionStatus>) {
-        let Some(PredictionStatus { said, .. }) = prediction else {
+        let Some(PredictionStatus { record, .. }) = prediction else {
             return;
         };
         self.family(
             "gripcast_p_stable",
             "Live probability that the grasp holds.",
-            [(None, said.p_stable)],
+            [(None, record.p_stable)],
         );
         self.family(
             "gripcast_prediction_latency_seconds",
             "Frame to prediction.",
-            [(None, said.latency_ms * 1e-3)],
+            [(None, record.latency_ms * 1e-3)],
         );
     }
 

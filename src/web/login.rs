@@ -11,7 +11,7 @@ use utoipa::ToSchema;
 use super::access::{Pass, Peer};
 use super::backend::Backend;
 use super::commands::Body;
-use super::failure::{Complaint, Failure};
+use super::failure::{ErrorResponse, Failure};
 
 /// A token that is shown.
 #[derive(Deserialize, ToSchema)]
@@ -45,10 +45,10 @@ pub(crate) async fn login_state(
 ///
 /// Opens a session and sets its cookie. A daemon without a token sets none.
 #[utoipa::path(post, path = "/api/login", tag = "daemon", request_body = Login,
-    responses((status = 204), (status = 400, body = Complaint), (status = 401, body = Complaint),
-        (status = 408, body = Complaint), (status = 413, body = Complaint), (status = 415, body = Complaint),
-        (status = 422, body = Complaint),
-        (status = 429, body = Complaint, description = "too many wrong tokens from this address")))]
+    responses((status = 204), (status = 400, body = ErrorResponse), (status = 401, body = ErrorResponse),
+        (status = 408, body = ErrorResponse), (status = 413, body = ErrorResponse), (status = 415, body = ErrorResponse),
+        (status = 422, body = ErrorResponse),
+        (status = 429, body = ErrorResponse, description = "too many wrong tokens from this address")))]
 pub(crate) async fn login(
     Shared(backend): Shared<Arc<Backend>>,
     Extension(peer): Extension<Peer>,

@@ -2,7 +2,7 @@
 //!
 //! ```text
 //!  engine ── status, 20 a second ──► EngineStatus ──► GET /api/state, /api/events
-//!         ◄── Asked ── answer ────── POST /api/commands, labels, names, trash
+//!         ◄── CommandRequest ── answer ────── POST /api/commands, labels, names, trash
 //!  previews ──► encoder, one a camera, while somebody looks ──► MJPEG
 //!  dataset ──► list of grasps, files, small images
 //! ```
@@ -23,15 +23,15 @@ mod health;
 mod login;
 mod origin;
 mod page;
-mod places;
 mod previews;
 mod router;
 mod serve;
 mod sessions;
+mod slots;
 mod stall;
 
 #[cfg(test)]
-mod attack_test;
+mod security_test;
 
 pub(crate) use access::{Access, Token};
 pub(crate) use attach::{Attached, Screen, Target, attach};

@@ -77,17 +77,20 @@ fn parse_port(text: &str) -> Option<u16> {
 }
 
 /// The one value of a header.
-fn only(headers: &HeaderMap, name: impl header::AsHeaderName) -> Result<Option<&str>, Unclear> {
+fn only(
+    headers: &HeaderMap,
+    name: impl header::AsHeaderName,
+) -> Result<Option<&str>, InvalidHeader> {
     let mut values = headers.get_all(name).iter();
     match (values.next(), values.next()) {
         (None, _) => Ok(None),
-        (Some(value), None) => value.to_str().map(Some).map_err(|_| Unclear),
-        (Some(_), Some(_)) => Err(Unclear),
+        (Some(value), None) => value.to_str().map(Some).map_err(|_| InvalidHeader),
+        (Some(_), Some(_)) => Err(InvalidHeader),
     }
 }
 
 /// A header that is given twice or is not ASCII.
-struct Unclear;
+struct InvalidHeader;
 
 /// Checks what a request says of itself and returns the host that it asks.
 ///
@@ -134,7 +137,7 @@ fn check_origin(headers: &HeaderMap, host: &Authority) -> Result<(), Failure> {
     let origin = match only(headers, header::ORIGIN) {
         Ok(None) => return Ok(()),
         Ok(Some(origin)) => origin,
-        Err(Unclear) => return Err(foreign("the `Origin` of this page is unclear".into())),
+        Err(InvalidHeader) => return Err(foreign("the `Origin` of this page is unclear".into())),
     };
     let authority = ["http://", "https://"]
         .iter()
@@ -152,7 +155,7 @@ fn check_site(request: &Request) -> Result<(), Failure> {
     match of("sec-fetch-site") {
         Ok(None | Some("same-origin" | "none")) => return Ok(()),
         Ok(Some("same-site" | "cross-site")) => {}
-        Ok(Some(_)) | Err(Unclear) => {
+        Ok(Some(_)) | Err(InvalidHeader) => {
             return Err(foreign(
                 "`Sec-Fetch-Site` of this request is unclear".into(),
             ));

@@ -7,7 +7,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 use axum::body::Bytes;
 use tokio::sync::watch;
 
-use super::places::Places;
+use super::slots::Slots;
 use crate::daemon::EngineStatus;
 use gripcast_imaging::{Role, encode_jpeg};
 
@@ -20,8 +20,8 @@ pub(super) const MAX_STREAMS: usize = 32;
 pub(crate) struct Previews {
     status: watch::Receiver<Arc<EngineStatus>>,
     encoded: Mutex<BTreeMap<Role, Encoded>>,
-    /// Places for streams.
-    pub(crate) streams: Places,
+    /// Slots for streams.
+    pub(crate) streams: Slots,
 }
 
 struct Encoded {
@@ -36,7 +36,7 @@ impl Previews {
         Self {
             status,
             encoded: Mutex::new(BTreeMap::new()),
-            streams: Places::new(MAX_STREAMS, MAX_STREAMS),
+            streams: Slots::new(MAX_STREAMS, MAX_STREAMS),
         }
     }
 

@@ -22,8 +22,8 @@ use tokio::net::{TcpListener, TcpSocket, UnixListener};
 use tokio::sync::{Semaphore, watch};
 
 use super::access::Peer;
-use super::places::Places;
-use super::stall::Impatient;
+use super::slots::Slots;
+use super::stall::StallTimeout;
 use crate::daemon::{TaskState, Tasks};
 use gripcast_base::error::{Error, ErrorKind, Result};
 
@@ -33,17 +33,17 @@ pub(super) struct Limits {
     /// Connections of one address. A browser needs six, and two for each window's events.
     pub(super) per_address: usize,
     /// How long a client may take for the head of a request, or say nothing after an answer.
-    pub(super) head_patience: Duration,
+    pub(super) head_timeout: Duration,
     /// How long a client may take nothing of an answer that waits for it.
-    pub(super) write_patience: Duration,
+    pub(super) write_timeout: Duration,
 }
 
 impl Default for Limits {
     fn default() -> Self {
         Self {
             per_address: 48,
-            head_patience: Duration::from_secs(10),
-            write_patience: Duration::from_secs(5),
+            head_timeout: Duration::from_secs(10),
+            write_timeout: Duration::from_secs(5),
         }
     }
 }
@@ -53,7 +53,7 @@ const MAX_OVER_TCP: usize = 128;
 /// Connections at a time over the Unix socket.
 const MAX_OVER_SOCKET: usize = 64;
 /// What the kernel holds for a client that does not read, bytes. Linux doubles it. Small, since the
-/// patience with a client begins when it is full.
+/// timeout with a client begins when it is full.
 const SEND_BUFFER: u32 = 64 * 1024;
 /// Connections that wait to be accepted.
 const BACKLOG: u32 = 1024;
@@ -66,7 +66,7 @@ pub(crate) struct Listeners {
     tcp: Option<TcpListener>,
     unix: Option<(UnixListener, SocketFile)>,
     pub(super) limits: Limits,
-    pub(super) places: Places,
+    pub(super) places: Slots,
 }
 
 /// The file of a socket; it goes with its listener.
@@ -90,7 +90,7 @@ impl Listeners {
             tcp: None,
             unix: None,
             limits: Limits::default(),
-            places: Places::new(MAX_OVER_TCP, MAX_OVER_SOCKET),
+            places: Slots::new(MAX_OVER_TCP, MAX_OVER_SOCKET),
         };
         if let Some(address) = listen {
             let listener = tcp(address).map_err(|e| taken(address, e))?;
@@ -171,7 +171,7 @@ pub(crate) async fn serve(
         limits,
         places,
     } = listeners;
-    let door = Door {
+    let server = Server {
         router,
         tasks,
         limits,
@@ -186,35 +186,35 @@ pub(crate) async fn serve(
                 let _ = stream.set_nodelay(true);
                 Ok((stream, Peer::Network(from.ip().to_canonical())))
             };
-            door.admit("serve-tcp", accept).await;
+            server.admit("serve-tcp", accept).await;
         }
     };
     let local = async {
         if let Some((listener, _file)) = unix {
             let accept = async || Ok((listener.accept().await?.0, Peer::Local));
-            door.admit("serve-unix", accept).await;
+            server.admit("serve-unix", accept).await;
         }
     };
     tokio::join!(network, local);
 }
 
 /// Where connections come in.
-struct Door {
+struct Server {
     router: Router,
     tasks: Tasks,
     limits: Limits,
-    places: Places,
+    places: Slots,
     stop: watch::Receiver<bool>,
 }
 
-impl Door {
+impl Server {
     /// Serves what comes in until it stops.
     async fn admit<S>(&self, task: &str, accept: impl AsyncFn() -> io::Result<(S, Peer)>)
     where
         S: AsyncRead + AsyncWrite + Unpin + Send + 'static,
     {
-        self.tasks.enter(task);
-        // Places of each address that is connected.
+        self.tasks.register(task);
+        // Slots of each address that is connected.
         let mut crowd: HashMap<IpAddr, Arc<Semaphore>> = HashMap::new();
         let mut stop = self.stop.clone();
         loop {
@@ -232,7 +232,7 @@ impl Door {
                     continue;
                 }
             };
-            // Places are held by those who have one.
+            // Slots are held by those who have one.
             crowd.retain(|_, places| Arc::strong_count(places) > 1);
             let own = match peer {
                 Peer::Network(from) => {
@@ -257,7 +257,7 @@ impl Door {
         S: AsyncRead + AsyncWrite + Unpin + Send + 'static,
         P: Unpin + Send + 'static,
     {
-        let stream = Impatient::new(stream, self.limits.write_patience, place);
+        let stream = StallTimeout::new(stream, self.limits.write_timeout, place);
         let router = TowerToHyperService::new(self.router.clone());
         let service = service_fn(move |mut request: Request<Incoming>| {
             request.extensions_mut().insert(peer);
@@ -265,7 +265,7 @@ impl Door {
         });
         let connection = http1::Builder::new()
             .timer(TokioTimer::new())
-            .header_read_timeout(self.limits.head_patience)
+            .header_read_timeout(self.limits.head_timeout)
             .serve_connection(TokioIo::new(stream), service)
             .with_upgrades();
         let mut stop = self.stop.clone();

@@ -9,24 +9,24 @@ use std::time::Duration;
 use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
 use tokio::time::Sleep;
 
-/// A stream whose writes fail when none of them gets anywhere for `patience`. `P` is kept as long
+/// A stream whose writes fail when none of them gets anywhere for `timeout`. `P` is kept as long
 /// as the stream.
-pub(super) struct Impatient<S, P> {
+pub(super) struct StallTimeout<S, P> {
     // Dropped before the stream: a client that sees its end can come back at once.
     _place: P,
     stream: S,
-    patience: Duration,
+    timeout: Duration,
     /// Runs while a write waits.
     stalled: Option<Pin<Box<Sleep>>>,
 }
 
-impl<S, P> Impatient<S, P> {
+impl<S, P> StallTimeout<S, P> {
     /// Watches over `stream`.
-    pub(super) fn new(stream: S, patience: Duration, place: P) -> Self {
+    pub(super) fn new(stream: S, timeout: Duration, place: P) -> Self {
         Self {
             _place: place,
             stream,
-            patience,
+            timeout,
             stalled: None,
         }
     }
@@ -41,16 +41,16 @@ impl<S, P> Impatient<S, P> {
             self.stalled = None;
             return progress;
         }
-        let patience = self.patience;
+        let timeout = self.timeout;
         let sleep = self
             .stalled
-            .get_or_insert_with(|| Box::pin(tokio::time::sleep(patience)));
+            .get_or_insert_with(|| Box::pin(tokio::time::sleep(timeout)));
         ready!(sleep.as_mut().poll(context));
         Poll::Ready(Err(io::ErrorKind::TimedOut.into()))
     }
 }
 
-impl<S: AsyncRead + Unpin, P: Unpin> AsyncRead for Impatient<S, P> {
+impl<S: AsyncRead + Unpin, P: Unpin> AsyncRead for StallTimeout<S, P> {
     fn poll_read(
         mut self: Pin<&mut Self>,
         context: &mut Context<'_>,
@@ -60,7 +60,7 @@ impl<S: AsyncRead + Unpin, P: Unpin> AsyncRead for Impatient<S, P> {
     }
 }
 
-impl<S: AsyncWrite + Unpin, P: Unpin> AsyncWrite for Impatient<S, P> {
+impl<S: AsyncWrite + Unpin, P: Unpin> AsyncWrite for StallTimeout<S, P> {
     fn poll_write(
         mut self: Pin<&mut Self>,
         context: &mut Context<'_>,

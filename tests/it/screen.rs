@@ -128,7 +128,7 @@ fn waiting_for_grasp() -> EngineStatus {
             frame_age_ms: 18.0,
             ..PredictionStatus::new(predicted(0.81, None), true)
         }),
-        prediction_absent: None,
+        no_prediction_reason: None,
         contact: BTreeMap::from([(Role::Left, 8.4), (Role::Right, 8.4)]),
         previews: BTreeMap::from([
             (Role::Left, preview(true)),
@@ -144,7 +144,7 @@ fn waiting_for_initial() -> EngineStatus {
     status.session.initial_at = None;
     status.session.initial_age_s = None;
     status.prediction = None;
-    status.prediction_absent = Some("take the initial frame first".to_owned());
+    status.no_prediction_reason = Some("take the initial frame first".to_owned());
     status.contact.clear();
     for (role, preview) in &mut status.previews {
         if role.is_tactile() {
@@ -233,7 +233,7 @@ fn the_overlays_at_80_by_24() {
 fn the_screen_without_a_model() {
     let mut status = waiting_for_grasp();
     status.prediction = None;
-    status.prediction_absent = Some("no model is loaded (--model FILE)".to_owned());
+    status.no_prediction_reason = Some("no model is loaded (--model FILE)".to_owned());
     insta::assert_snapshot!("no_model", image(80, 24, &status, &state()));
 }
 
@@ -532,14 +532,14 @@ prop_compose! {
             image: Arc::new(RgbImage::new(image.0, image.1)),
             is_difference: image.2,
         };
-        let contact = prediction.as_ref().map(|p| (Role::Left, p.said.p_stable));
+        let contact = prediction.as_ref().map(|p| (Role::Left, p.record.p_stable));
         EngineStatus {
             black_box: None,
             dataset: text.clone(), rig: text.clone(), clock: text,
             disk_free_bytes: disk,
             contact: contact.into_iter().collect(),
             session, cameras, prediction,
-            prediction_absent: absent,
+            no_prediction_reason: absent,
             previews: BTreeMap::from([(Role::Left, preview.clone()), (Role::External, preview)]),
         }
     }

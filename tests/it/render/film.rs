@@ -7,7 +7,7 @@ use crate::json_schema::assert_schema;
 use crate::program::{collect_on, grasps, json, script, stderr, succeed};
 
 #[test]
-fn a_rig_plays_a_film_and_writes_its_truth() {
+fn rig_plays_clip_and_records_ground_truth() {
     let dir = tempfile::tempdir().unwrap();
     let films = dir.path().join("films");
     let words = format!("--samples 1 --size 32x24 --out {} --json", films.display());
@@ -55,7 +55,7 @@ fn a_rig_plays_a_film_and_writes_its_truth() {
     );
     fs::write(&rig, text.replacen("path = \"films\"\n", "", 1)).unwrap();
     let said = stderr(&collect("f").output().unwrap());
-    assert!(said.contains("the same films"), "{said}");
+    assert!(said.contains("the same clips"), "{said}");
 }
 
 #[test]

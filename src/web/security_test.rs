@@ -14,11 +14,11 @@ use tokio::sync::{Semaphore, mpsc, watch};
 
 use super::access::{Access, Token};
 use super::backend::Backend;
-use super::places::Places;
 use super::router::router;
 use super::serve::{Listeners, serve};
 use super::sessions::MAX_FAILURES;
-use crate::daemon::{Asked, CameraState, CameraStatus, EngineStatus, Preview, Tasks};
+use super::slots::Slots;
+use crate::daemon::{CameraState, CameraStatus, CommandRequest, EngineStatus, Preview, Tasks};
 use gripcast_imaging::Role;
 use gripcast_session::Labels;
 
@@ -26,7 +26,7 @@ const SECRET: &str = "correct-horse-battery";
 /// Limits that tests wait for.
 const SHORT: Duration = Duration::from_millis(100);
 /// A test that waits this long has failed; without it, it would hang.
-const PATIENCE: Duration = Duration::from_secs(60);
+const RESPONSE_TIMEOUT: Duration = Duration::from_secs(60);
 /// Side of an image that no buffer of a socket holds.
 const LARGE_SIDE: u32 = 1600;
 
@@ -36,11 +36,14 @@ struct Site {
     address: SocketAddr,
     socket: PathBuf,
     backend: Arc<Backend>,
-    /// Places of connections.
-    places: Places,
+    /// Slots of connections.
+    places: Slots,
     stop: watch::Sender<bool>,
     server: Option<std::thread::JoinHandle<()>>,
-    _engine: (watch::Sender<Arc<EngineStatus>>, mpsc::Receiver<Asked>),
+    _engine: (
+        watch::Sender<Arc<EngineStatus>>,
+        mpsc::Receiver<CommandRequest>,
+    ),
     _dir: tempfile::TempDir,
 }
 
@@ -104,13 +107,13 @@ impl Site {
         };
         let stream = self.runtime.block_on(connecting).into_std().unwrap();
         stream.set_nonblocking(false).unwrap();
-        stream.set_read_timeout(Some(PATIENCE)).unwrap();
+        stream.set_read_timeout(Some(RESPONSE_TIMEOUT)).unwrap();
         stream
     }
 
     fn unix(&self) -> UnixStream {
         let stream = UnixStream::connect(&self.socket).unwrap();
-        stream.set_read_timeout(Some(PATIENCE)).unwrap();
+        stream.set_read_timeout(Some(RESPONSE_TIMEOUT)).unwrap();
         stream
     }
 
@@ -129,7 +132,8 @@ impl Site {
 
     /// Waits until all of these places are free.
     fn wait_until_free(&self, places: &Semaphore, count: u32) {
-        let all = async { tokio::time::timeout(PATIENCE, places.acquire_many(count)).await };
+        let all =
+            async { tokio::time::timeout(RESPONSE_TIMEOUT, places.acquire_many(count)).await };
         let all = self.runtime.block_on(all);
         drop(all.expect("a place is not given back").unwrap());
     }
@@ -286,8 +290,8 @@ fn is_answered(stream: &mut impl Read) {
 #[test]
 fn a_body_that_does_not_come_loses_its_place() {
     let site = Site::open(Some(SECRET), |listeners, backend| {
-        listeners.places = Places::new(1, 1);
-        backend.body_patience = SHORT;
+        listeners.places = Slots::new(1, 1);
+        backend.body_timeout = SHORT;
     });
     let mut slow = site.tcp();
     let headers = "Host: lab\r\nContent-Type: application/json\r\nContent-Length: 100\r\n";
@@ -301,8 +305,8 @@ fn a_body_that_does_not_come_loses_its_place() {
 #[test]
 fn a_head_that_does_not_come_loses_its_place() {
     let site = Site::open(None, |listeners, _| {
-        listeners.places = Places::new(1, 1);
-        listeners.limits.head_patience = SHORT;
+        listeners.places = Slots::new(1, 1);
+        listeners.limits.head_timeout = SHORT;
     });
     let mut slow = site.tcp();
     slow.write_all(b"GET /api/state HTTP/1.1\r\nHost: ")
@@ -315,9 +319,9 @@ fn a_head_that_does_not_come_loses_its_place() {
 fn a_flood_over_tcp_does_not_lock_out_the_socket() {
     const MAX: usize = 4;
     let site = Site::open(None, |listeners, backend| {
-        listeners.places = Places::new(MAX, MAX);
-        backend.listeners = Places::new(1, 1);
-        backend.previews.streams = Places::new(1, 1);
+        listeners.places = Slots::new(MAX, MAX);
+        backend.listeners = Slots::new(1, 1);
+        backend.previews.streams = Slots::new(1, 1);
     });
     let over_socket = |line| {
         let headers = "Host: localhost\r\n";
@@ -377,7 +381,7 @@ fn one_address_does_not_take_all_places() {
 
 #[test]
 fn events_hold_the_place_of_their_connection() {
-    let site = Site::open(None, |listeners, _| listeners.places = Places::new(1, 1));
+    let site = Site::open(None, |listeners, _| listeners.places = Slots::new(1, 1));
     let _listener = site.listen(site.tcp(), None);
     assert!(ask(site.tcp(), "GET /", "Host: localhost\r\n", "").is_none());
 }
@@ -396,7 +400,7 @@ fn a_large_frame_is_refused_before_it_comes() {
 
 #[test]
 fn who_takes_nothing_is_dropped() {
-    let site = Site::open(None, |listeners, _| listeners.limits.write_patience = SHORT);
+    let site = Site::open(None, |listeners, _| listeners.limits.write_timeout = SHORT);
     let headers = "Host: localhost\r\n";
     let mut deaf = site.tcp();
     start(&mut deaf, "GET /api/cameras/left/preview.mjpg", headers);
@@ -607,7 +611,7 @@ fn images_wait_for_a_core_and_not_for_ever() {
     const PATH: &str = "GET /api/grasps/2026-11-20T10-15-03Z-7f3a/preview/grasp/left.jpg";
     let site = Site::open(None, |_, backend| {
         backend.decodes = Arc::new(Semaphore::new(1));
-        backend.decode_patience = SHORT;
+        backend.decode_timeout = SHORT;
     });
     let get = || ask(site.tcp(), PATH, "Host: localhost\r\n", "").unwrap();
     let place = Arc::clone(&site.backend.decodes)

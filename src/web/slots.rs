@@ -1,4 +1,4 @@
-//! Places that are limited, apart for TCP and for the Unix socket: who floods the one never locks
+//! Slots that are limited, apart for TCP and for the Unix socket: who floods the one never locks
 //! out the other.
 
 use std::sync::Arc;
@@ -7,14 +7,14 @@ use tokio::sync::{OwnedSemaphorePermit, Semaphore};
 
 use super::access::Peer;
 
-/// Places; a clone fractions them.
+/// Slots; a clone fractions them.
 #[derive(Clone, Debug)]
-pub(crate) struct Places {
+pub(crate) struct Slots {
     pub(super) network: Arc<Semaphore>,
     pub(super) local: Arc<Semaphore>,
 }
 
-impl Places {
+impl Slots {
     /// That many over TCP and over the Unix socket.
     pub(super) fn new(network: usize, local: usize) -> Self {
         Self {
