@@ -122,7 +122,7 @@ pub(crate) async fn run(
     let _ = sd_notify::notify(&[NotifyState::Stopping]);
     ended.store(true, Ordering::Relaxed);
     // Where nobody listens there is nobody to take leave of.
-    if backend.news.send(News::Bye).is_ok() {
+    if backend.news.send(News::Shutdown).is_ok() {
         tokio::time::sleep(FAREWELL).await;
     }
     let _ = close.send(true);

@@ -16,7 +16,7 @@ use serde_json::{Value, json};
 
 use super::{Context, print, print_json};
 use crate::camera_check::{CameraCheck, check_cameras, verdict};
-use crate::doctor::{access_text, crowding, plugged_cameras};
+use crate::doctor::{access_text, connected_cameras, shared_buses};
 use crate::note;
 use gripcast_base::error::{Error, ErrorKind, Result};
 use gripcast_capture::calibration::{RigFile, draft};
@@ -141,8 +141,8 @@ pub(crate) fn run(context: &Context, args: Args) -> Result<()> {
 }
 
 fn list(context: &Context, root: &SystemRoot, json: bool) -> Result<()> {
-    let devices = plugged_cameras(root)?;
-    let warnings = crowding(&devices);
+    let devices = connected_cameras(root)?;
+    let warnings = shared_buses(&devices);
     if json {
         let cameras: Vec<Value> = devices.iter().map(device_json).collect();
         print_json(&json!({ "cameras": cameras, "warnings": warnings }))?;
@@ -281,7 +281,7 @@ fn init(
         .file_stem()
         .map(|stem| stem.to_string_lossy().into_owned());
     let id = id.or(stem).unwrap_or_default();
-    let draft = draft(&id, &plugged_cameras(root)?)?;
+    let draft = draft(&id, &connected_cameras(root)?)?;
     let mut file = fs::File::create_new(out).map_err(|error| {
         let exists = error.kind() == io::ErrorKind::AlreadyExists;
         let error = if exists {

@@ -104,7 +104,7 @@ fn under_dashboard(args: Args) -> Result<Value> {
     };
     let status = TrainingStatus::new(&name(&args.data), &name(&args.out), settings, args.seeds);
     let (screen, asked) = TrainingScreen::start(status)?;
-    let tell = screen.teller();
+    let tell = screen.sender();
     let found = resumable_under_screen(asked, move || all_seeds(&args, &tell));
     if let Err(error) = screen.end() {
         // The training went on without it. A terminal that has gone takes no line either.

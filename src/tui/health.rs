@@ -1,4 +1,4 @@
-//! The sensors in detail: identity, state and all counters of every camera.
+//! Sensor details: identity, state and counters of every camera.
 
 use ratatui::buffer::Buffer;
 use ratatui::layout::Rect;

@@ -1,4 +1,4 @@
-//! Keys of the terminal: what each asks for.
+//! Actions of the terminal keys.
 
 use crossterm::event::{KeyCode, KeyEvent, KeyEventKind, KeyModifiers};
 
@@ -6,40 +6,40 @@ use super::prompt::Field;
 use gripcast_dataset::Outcome;
 use gripcast_session::Command;
 
-/// What a key asks for.
+/// Action of a key.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum UiAction {
-    /// The session shall do this.
+    /// Send a session command.
     Command(Command),
-    /// The screen shall show something else.
+    /// Change the screen.
     Ui(UiChange),
-    /// Leave, after a question if something is unfinished.
+    /// Quit, with confirmation if work is unfinished.
     Quit,
-    /// Leave at once.
+    /// Quit at once.
     QuitNow,
 }
 
-/// A change of the screen alone.
+/// A change of the screen.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum UiChange {
     /// Show or hide the keys.
     Help,
-    /// Show or hide the sensors in detail.
+    /// Show or hide the sensor details.
     Sensors,
-    /// Ask for a name.
+    /// Prompt for a name.
     Ask(Field),
-    /// Close what lies on top.
+    /// Close the overlay, or dismiss a fault.
     Close,
 }
 
-/// Whether the key asks to leave at once, whatever is open.
+/// Returns whether the key is Ctrl-C.
 pub(super) fn is_interrupt(key: &KeyEvent) -> bool {
     key.kind == KeyEventKind::Press
         && key.modifiers.contains(KeyModifiers::CONTROL)
         && matches!(key.code, KeyCode::Char('c' | 'C'))
 }
 
-/// What a key asks for while no prompt is open; only presses count, and capitals count as small.
+/// Returns the action of a key press without an open prompt, ignoring case.
 pub fn action(key: &KeyEvent) -> Option<UiAction> {
     if key.kind != KeyEventKind::Press {
         return None;
@@ -84,7 +84,7 @@ mod tests {
     }
 
     #[test]
-    fn every_key_of_the_help_does_its_work() {
+    fn all_documented_keys_have_an_action() {
         for (c, command) in [
             (' ', Command::Trigger),
             ('i', Command::Initial),
@@ -112,14 +112,14 @@ mod tests {
     }
 
     #[test]
-    fn caps_lock_does_not_disarm_the_keys() {
+    fn keys_work_with_caps_lock() {
         let key = KeyEvent::new(KeyCode::Char('S'), KeyModifiers::SHIFT);
         let stable = UiAction::Command(Command::Label(Outcome::Stable));
         assert_eq!(action(&key), Some(stable));
     }
 
     #[test]
-    fn releases_repeats_and_unknown_keys_do_nothing() {
+    fn releases_repeats_and_unknown_keys_are_ignored() {
         for kind in [KeyEventKind::Release, KeyEventKind::Repeat] {
             let mut key = key(' ');
             key.kind = kind;
@@ -134,7 +134,7 @@ mod tests {
     }
 
     #[test]
-    fn control_c_leaves_and_other_chords_do_not_label() {
+    fn control_c_quits_and_other_chords_are_ignored() {
         let chord = |c, modifiers| KeyEvent::new(KeyCode::Char(c), modifiers);
         let interrupt = chord('c', KeyModifiers::CONTROL);
         assert_eq!(action(&interrupt), Some(UiAction::QuitNow));

@@ -1,4 +1,4 @@
-//! What all handlers fraction.
+//! State shared by all handlers.
 
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -15,29 +15,29 @@ use super::slots::Slots;
 use crate::daemon::{CommandRequest, EngineStatus, ModelInfo, StoreEvent, Tasks};
 use gripcast_session::{Command, CommandResult, CommandSource, Tone};
 
-/// News that wait for a reader that is slow; it misses the oldest.
+/// Queued news for a slow reader; the oldest are dropped.
 const NEWS_CAPACITY: usize = 64;
-/// Those who listen to events at a time, over TCP and over the socket: pages, screens, programs.
+/// Maximum event connections over TCP and over the socket.
 const MAX_LISTENERS: usize = 32;
-/// How long a client may take for the body of a request; the largest has 16 KiB.
+/// Timeout for the body of a request, at most 16 KiB.
 const BODY_TIMEOUT: Duration = Duration::from_secs(10);
-/// How long a small image may wait until others have been decoded.
+/// Maximum wait of a preview image for a decoder.
 const DECODE_TIMEOUT: Duration = Duration::from_secs(5);
-/// How long an answer may take; a save on an ordinary disk takes a tenth of a second.
+/// Timeout of a command; a save on an ordinary disk takes 0.1 s.
 const RESPONSE_TIMEOUT: Duration = Duration::from_secs(20);
 
-/// What happened, for all who listen.
+/// News for all event connections.
 #[derive(Clone, Debug)]
 pub(crate) enum News {
     /// A sound of the session.
     Tone(Tone),
-    /// A change of the dataset is durable, or failed.
+    /// A store request was executed or failed.
     Stored(Arc<StoreEvent>),
-    /// The daemon ends.
-    Bye,
+    /// The daemon is shutting down.
+    Shutdown,
 }
 
-/// What all handlers fraction.
+/// State shared by all handlers.
 pub(crate) struct Backend {
     pub(crate) status: watch::Receiver<Arc<EngineStatus>>,
     pub(crate) commands: mpsc::Sender<CommandRequest>,
@@ -48,16 +48,16 @@ pub(crate) struct Backend {
     pub(crate) grasps: GraspList,
     pub(crate) previews: Previews,
     pub(crate) started: Instant,
-    /// Slots for those who listen to events.
+    /// Slots of event connections.
     pub(crate) listeners: Slots,
-    /// Slots for images that are decoded, one for each core.
+    /// Slots of image decoding, one per core.
     pub(crate) decodes: Arc<Semaphore>,
     pub(crate) body_timeout: Duration,
     pub(crate) decode_timeout: Duration,
 }
 
 impl Backend {
-    /// A backend on the engine's channels and the dataset that it writes.
+    /// Creates a backend for the engine's channels and dataset.
     pub(crate) fn new(
         status: watch::Receiver<Arc<EngineStatus>>,
         commands: mpsc::Sender<CommandRequest>,
@@ -84,27 +84,27 @@ impl Backend {
         }
     }
 
-    /// The engine now.
+    /// Returns the engine's current status.
     pub(crate) fn state(&self) -> EngineStatus {
         EngineStatus::clone(&self.status.borrow())
     }
 
-    /// Asks the engine and waits until what was asked for is durable.
+    /// Sends a command to the engine and waits until its changes are durable.
     ///
     /// # Errors
-    /// 503 while too many commands wait or the engine ends, 504 when it does not answer.
-    pub(crate) async fn ask(&self, command: Command) -> Result<CommandResult, Failure> {
-        let (asked, answer) = CommandRequest::with_response(command, CommandSource::Remote);
-        self.commands.try_send(asked).map_err(|e| match e {
-            mpsc::error::TrySendError::Full(_) => Failure::busy("too many commands wait already"),
-            mpsc::error::TrySendError::Closed(_) => Failure::busy("the daemon is ending"),
+    /// 503 if too many commands are queued or the engine is ending, 504 on timeout.
+    pub(crate) async fn execute(&self, command: Command) -> Result<CommandResult, Failure> {
+        let (request, response) = CommandRequest::with_response(command, CommandSource::Remote);
+        self.commands.try_send(request).map_err(|e| match e {
+            mpsc::error::TrySendError::Full(_) => Failure::busy("too many commands are queued"),
+            mpsc::error::TrySendError::Closed(_) => Failure::busy("the daemon is shutting down"),
         })?;
-        match tokio::time::timeout(RESPONSE_TIMEOUT, answer).await {
+        match tokio::time::timeout(RESPONSE_TIMEOUT, response).await {
             Ok(Ok(result)) => Ok(result),
-            Ok(Err(_)) => Err(Failure::busy("the daemon is ending")),
+            Ok(Err(_)) => Err(Failure::busy("the daemon is shutting down")),
             Err(_) => Err(Failure::new(
                 StatusCode::GATEWAY_TIMEOUT,
-                "the engine has not answered; the command may still be carried out",
+                "the engine did not respond in time; the command may still be executed",
             )),
         }
     }

@@ -1,4 +1,4 @@
-//! How the daemon does: health, model, figures for Prometheus.
+//! Health, model and Prometheus metrics of the daemon.
 
 use std::fmt::Write as _;
 use std::sync::Arc;
@@ -18,31 +18,33 @@ use crate::daemon::{
 
 /// Health of the daemon.
 #[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
-pub(crate) struct Health {
-    /// Whether every task works.
+pub(crate) struct HealthReport {
+    /// Whether every task is running.
     ok: bool,
     version: &'static str,
     uptime_s: f64,
     tasks: Vec<TaskReport>,
 }
 
-/// Whether all tasks work: what the watchdog is told.
+/// Returns whether all tasks are running, for the watchdog.
 pub(crate) fn is_healthy(tasks: &[TaskReport]) -> bool {
     tasks
         .iter()
         .all(|task| matches!(task.state, TaskState::Running | TaskState::Restarting))
 }
 
-/// The engine at this moment
+/// State of the engine
 #[utoipa::path(get, path = "/api/state", tag = "session", responses((status = 200, body = EngineStatus)))]
 pub(crate) async fn state(Shared(backend): Shared<Arc<Backend>>) -> Json<EngineStatus> {
     Json(backend.state())
 }
 
-/// Whether every task works
+/// Health of the daemon
 #[utoipa::path(get, path = "/api/health", tag = "daemon",
-    responses((status = 200, body = Health), (status = 503, body = Health)))]
-pub(crate) async fn health(Shared(backend): Shared<Arc<Backend>>) -> (StatusCode, Json<Health>) {
+    responses((status = 200, body = HealthReport), (status = 503, body = HealthReport)))]
+pub(crate) async fn health(
+    Shared(backend): Shared<Arc<Backend>>,
+) -> (StatusCode, Json<HealthReport>) {
     let tasks = backend.tasks.report();
     let ok = is_healthy(&tasks);
     let status = if ok {
@@ -50,7 +52,7 @@ pub(crate) async fn health(Shared(backend): Shared<Arc<Backend>>) -> (StatusCode
     } else {
         StatusCode::SERVICE_UNAVAILABLE
     };
-    let health = Health {
+    let health = HealthReport {
         ok,
         version: env!("CARGO_PKG_VERSION"),
         uptime_s: backend.started.elapsed().as_secs_f64(),
@@ -59,7 +61,7 @@ pub(crate) async fn health(Shared(backend): Shared<Arc<Backend>>) -> (StatusCode
     (status, Json(health))
 }
 
-/// The model that predicts
+/// The model used for predictions
 #[utoipa::path(get, path = "/api/model", tag = "daemon",
     responses((status = 200, body = ModelInfo), (status = 404, body = ErrorResponse)))]
 pub(crate) async fn model(
@@ -68,10 +70,10 @@ pub(crate) async fn model(
     let model = backend.model.clone();
     model
         .map(Json)
-        .ok_or_else(|| Failure::not_found("nothing predicts: it was started with --model none"))
+        .ok_or_else(|| Failure::not_found("no model: the daemon was started with --model none"))
 }
 
-/// Figures for Prometheus
+/// Prometheus metrics
 #[utoipa::path(get, path = "/metrics", tag = "daemon",
     responses((status = 200, body = String, content_type = "text/plain")))]
 pub(crate) async fn metrics(Shared(backend): Shared<Arc<Backend>>) -> impl IntoResponse {
@@ -85,21 +87,16 @@ pub(crate) async fn metrics(Shared(backend): Shared<Arc<Backend>>) -> impl IntoR
     ([(header::CONTENT_TYPE, format)], text.0)
 }
 
-/// A label of a value, and the value.
-type Labelled<'a> = (Option<(&'static str, &'a str)>, f64);
+/// Optional label and value of a sample.
+type Sample<'a> = (Option<(&'static str, &'a str)>, f64);
 
 /// Prometheus text, exposition format 0.0.4.
 #[derive(Default)]
 struct Metrics(String);
 
 impl Metrics {
-    /// A family of values that may go up and down, or only up where its name ends in `_total`.
-    fn family<'a>(
-        &mut self,
-        name: &str,
-        help: &str,
-        values: impl IntoIterator<Item = Labelled<'a>>,
-    ) {
+    /// Writes a metric family: a counter if the name ends in `_total`, else a gauge.
+    fn family<'a>(&mut self, name: &str, help: &str, values: impl IntoIterator<Item = Sample<'a>>) {
         let kind = match name.ends_with("_total") {
             true => "counter",
             false => "gauge",
@@ -107,7 +104,8 @@ impl Metrics {
         // Writing to a string cannot fail.
         let _ = writeln!(self.0, "# HELP {name} {help}\n# TYPE {name} {kind}");
         for (label, value) in values {
-            let label = label.map_or_else(String::new, |(key, of)| format!("{{{key}=\"{of}\"}}"));
+            let label =
+                label.map_or_else(String::new, |(key, value)| format!("{{{key}=\"{value}\"}}"));
             let _ = writeln!(self.0, "{name}{label} {value}");
         }
     }
@@ -154,7 +152,7 @@ impl Metrics {
             ("frames_damaged_total", "Damaged frames.", |c| {
                 Some(c.counters.damaged as f64)
             }),
-            ("reconnects_total", "Times it was opened again.", |c| {
+            ("reconnects_total", "Times the camera was reopened.", |c| {
                 Some(c.counters.reconnects as f64)
             }),
         ];
@@ -172,12 +170,12 @@ impl Metrics {
         };
         self.family(
             "gripcast_p_stable",
-            "Live probability that the grasp holds.",
+            "Live probability that the grasp is stable.",
             [(None, record.p_stable)],
         );
         self.family(
             "gripcast_prediction_latency_seconds",
-            "Frame to prediction.",
+            "Time from frame to prediction.",
             [(None, record.latency_ms * 1e-3)],
         );
     }
@@ -193,7 +191,7 @@ impl Metrics {
         );
         self.family(
             "gripcast_healthy",
-            "1 while every task works.",
+            "1 while every task is running.",
             [(None, f64::from(u8::from(is_healthy(tasks))))],
         );
     }
@@ -204,7 +202,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_stuck_or_ended_task_is_unhealthy_and_a_restart_is_not() {
+    fn stuck_or_ended_task_is_unhealthy_and_restart_is_not() {
         let task = |state| TaskReport {
             name: "decode-left".into(),
             state,
@@ -221,7 +219,7 @@ mod tests {
     }
 
     #[test]
-    fn metrics_are_one_line_a_value() {
+    fn metrics_have_one_line_per_sample() {
         let mut metrics = Metrics::default();
         metrics.family("a", "Help.", [(None, 1.5), (Some(("role", "left")), 2.0)]);
         metrics.family("b_total", "Help.", []);

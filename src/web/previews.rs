@@ -1,5 +1,4 @@
-//! The newest small image of each camera: encoded once, however many look, and only while
-//! somebody does.
+//! Newest preview of each camera, encoded once for all clients and only on demand.
 
 use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex, PoisonError};
@@ -11,27 +10,27 @@ use super::slots::Slots;
 use crate::daemon::EngineStatus;
 use gripcast_imaging::{Role, encode_jpeg};
 
-/// Quality of the images.
+/// JPEG quality.
 const QUALITY: u8 = 75;
-/// Streams at a time, over TCP and over the socket; a browser has one a camera.
+/// Maximum image streams over TCP and over the socket; a browser opens one per camera.
 pub(super) const MAX_STREAMS: usize = 32;
 
-/// The newest image of each camera as JPEG, made when it is asked for.
+/// Cache of the newest preview of each camera as JPEG.
 pub(crate) struct Previews {
     status: watch::Receiver<Arc<EngineStatus>>,
     encoded: Mutex<BTreeMap<Role, Encoded>>,
-    /// Slots for streams.
+    /// Slots of image streams.
     pub(crate) streams: Slots,
 }
 
 struct Encoded {
-    /// The image that it was made from; holding it keeps its address its own.
-    of: Arc<image::RgbImage>,
+    /// Source image, kept so that its address stays unique.
+    source: Arc<image::RgbImage>,
     jpeg: Bytes,
 }
 
 impl Previews {
-    /// Images of the status.
+    /// Creates previews of the engine's status.
     pub(crate) fn new(status: watch::Receiver<Arc<EngineStatus>>) -> Self {
         Self {
             status,
@@ -40,20 +39,23 @@ impl Previews {
         }
     }
 
-    /// The newest image; `None` before the first.
+    /// Returns the newest image; `None` before the first.
     pub(crate) fn jpeg(&self, role: Role) -> Option<Bytes> {
         let status = Arc::clone(&self.status.borrow());
         let image = Arc::clone(&status.previews.get(&role)?.image);
         let mut encoded = self.encoded.lock().unwrap_or_else(PoisonError::into_inner);
-        if let Some(known) = encoded.get(&role).filter(|e| Arc::ptr_eq(&e.of, &image)) {
-            return Some(known.jpeg.clone());
+        if let Some(cached) = encoded
+            .get(&role)
+            .filter(|e| Arc::ptr_eq(&e.source, &image))
+        {
+            return Some(cached.jpeg.clone());
         }
         let jpeg = Bytes::from(encode_jpeg(&image, QUALITY).ok()?);
-        let made = Encoded {
-            of: image,
+        let entry = Encoded {
+            source: image,
             jpeg: jpeg.clone(),
         };
-        encoded.insert(role, made);
+        encoded.insert(role, entry);
         Some(jpeg)
     }
 }

@@ -1,4 +1,4 @@
-//! A connection that fails once its peer takes nothing for too long.
+//! Write timeout of connections whose peer does not read.
 
 use std::future::Future as _;
 use std::io;
@@ -9,29 +9,28 @@ use std::time::Duration;
 use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
 use tokio::time::Sleep;
 
-/// A stream whose writes fail when none of them gets anywhere for `timeout`. `P` is kept as long
-/// as the stream.
+/// Stream whose writes fail without progress for `timeout`. `P` is kept as long as the stream.
 pub(super) struct StallTimeout<S, P> {
-    // Dropped before the stream: a client that sees its end can come back at once.
-    _place: P,
+    // Dropped before the stream, so that the client can reconnect at once.
+    _permit: P,
     stream: S,
     timeout: Duration,
-    /// Runs while a write waits.
+    /// Runs while a write is pending.
     stalled: Option<Pin<Box<Sleep>>>,
 }
 
 impl<S, P> StallTimeout<S, P> {
-    /// Watches over `stream`.
-    pub(super) fn new(stream: S, timeout: Duration, place: P) -> Self {
+    /// Wraps `stream`.
+    pub(super) fn new(stream: S, timeout: Duration, permit: P) -> Self {
         Self {
-            _place: place,
+            _permit: permit,
             stream,
             timeout,
             stalled: None,
         }
     }
 
-    /// Passes progress on; fails where there has been none for too long.
+    /// Passes progress on; fails after `timeout` without progress.
     fn watch<T>(
         &mut self,
         context: &mut Context<'_>,

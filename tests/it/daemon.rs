@@ -219,7 +219,7 @@ fn sha256(bytes: &[u8]) -> String {
 }
 
 #[test]
-fn grasps_are_collected_looked_at_and_changed_over_the_api() {
+fn api_collects_reads_and_changes_grasps() {
     let place = Place::new();
     let daemon = place.daemon();
     let (status, named) = {
@@ -328,7 +328,7 @@ fn grasps_are_collected_looked_at_and_changed_over_the_api() {
 }
 
 #[test]
-fn what_must_not_come_in_does_not() {
+fn invalid_requests_are_rejected() {
     let place = Place::new();
     let daemon = place.daemon();
     let own = format!("Host: {}\r\n", daemon.address);
@@ -400,7 +400,7 @@ fn what_must_not_come_in_does_not() {
 }
 
 #[test]
-fn a_token_is_needed_where_there_is_one_but_not_on_the_socket() {
+fn token_is_required_over_tcp_but_not_on_the_socket() {
     const SECRET: &str = "correct-horse-battery";
     let place = Place::new();
     let file = place.0.path().join("token");
@@ -458,7 +458,7 @@ fn a_token_is_needed_where_there_is_one_but_not_on_the_socket() {
 }
 
 #[test]
-fn the_second_daemon_is_told_what_is_taken() {
+fn second_daemon_reports_what_is_in_use() {
     let place = Place::new();
     let daemon = place.daemon();
     let refused = |command: &mut Command| {
@@ -468,7 +468,7 @@ fn the_second_daemon_is_told_what_is_taken() {
     };
     let other = Place::new();
     let text = refused(other.command().arg("--listen").arg(&daemon.address));
-    assert!(text.contains("another program"), "{text}");
+    assert!(text.contains("in use"), "{text}");
     let text = refused(other.command().arg("--socket").arg(place.socket()));
     assert!(text.contains("another daemon"), "{text}");
     let text = refused(other.command().arg("--dataset").arg(place.dataset()));
@@ -519,7 +519,7 @@ fn step(event: &Value, name: &str) -> bool {
 }
 
 #[test]
-fn all_who_listen_hear_the_same_and_one_that_reads_nothing_holds_up_nobody() {
+fn slow_event_client_does_not_delay_the_others() {
     let place = Place::new();
     let daemon = place.daemon();
     let (mut one, mut two) = (listen(&daemon), listen(&daemon));
@@ -552,9 +552,9 @@ fn all_who_listen_hear_the_same_and_one_that_reads_nothing_holds_up_nobody() {
     }
     let message = json!({"command": "undo", "id": 7}).to_string();
     one.send(tungstenite::Message::text(message)).unwrap();
-    let [answer] = hear_all(&mut one, [&|event| event["type"] == "answer"]);
+    let [answer] = hear_all(&mut one, [&|event| event["type"] == "response"]);
     assert_eq!(
-        (&answer["id"], &answer["answer"]["result"]),
+        (&answer["id"], &answer["response"]["result"]),
         (&json!(7), &json!("accepted"))
     );
     hear_all(
@@ -564,12 +564,12 @@ fn all_who_listen_hear_the_same_and_one_that_reads_nothing_holds_up_nobody() {
         }],
     );
     daemon.signal(Signal::TERM);
-    hear_all(&mut two, [&|event| event["type"] == "bye"]);
+    hear_all(&mut two, [&|event| event["type"] == "shutdown"]);
     assert_eq!(daemon.stop(), Some(0));
 }
 
 #[test]
-fn a_dataset_that_goes_away_is_told_and_nothing_is_lost() {
+fn removed_dataset_is_reported_and_no_grasp_is_lost() {
     let place = Place::new();
     let daemon = place.daemon();
     let id = daemon.grasp("stable");
@@ -598,7 +598,7 @@ fn a_dataset_that_goes_away_is_told_and_nothing_is_lost() {
 }
 
 #[test]
-fn a_killed_daemon_goes_on_with_the_initial_frame() {
+fn killed_daemon_resumes_with_the_initial_frame() {
     let place = Place::new();
     let daemon = place.daemon();
     let id = daemon.grasp("stable");
@@ -613,7 +613,7 @@ fn a_killed_daemon_goes_on_with_the_initial_frame() {
 }
 
 #[test]
-fn guards_are_reloaded_and_the_rest_is_named() {
+fn reload_applies_guards_and_names_other_changes() {
     let place = Place::new();
     let config = place.0.path().join("c.toml");
     fs::write(&config, "").unwrap();
@@ -643,7 +643,7 @@ fn guards_are_reloaded_and_the_rest_is_named() {
 }
 
 #[test]
-fn attaching_needs_a_terminal_and_a_daemon() {
+fn attach_requires_a_terminal_and_a_daemon() {
     let output = gripcast()
         .args(["collect", "--attach", "/proc/nonexistent/socket"])
         .output()
@@ -659,7 +659,7 @@ fn attaching_needs_a_terminal_and_a_daemon() {
 
 /// A screen for a daemon in a terminal that `script` makes.
 #[test]
-fn a_screen_is_attached_to_a_daemon_and_leaves_it_running() {
+fn detached_screen_leaves_the_daemon_running() {
     let place = Place::new();
     let daemon = place.daemon();
     let line = format!(
@@ -695,7 +695,7 @@ fn a_screen_is_attached_to_a_daemon_and_leaves_it_running() {
 
 /// A file that came with somebody's data cannot move the socket or set a token that its author knows.
 #[test]
-fn a_configuration_that_was_only_found_opens_nothing() {
+fn discovered_configuration_cannot_open_sockets() {
     let place = Place::new();
     let dir = place.0.path();
     let (token, socket) = (dir.join("token"), dir.join("chosen.sock"));
@@ -750,7 +750,7 @@ fn a_configuration_that_was_only_found_opens_nothing() {
 
 /// A file of a hundred bytes that stands for an image of 160 MB.
 #[test]
-fn an_image_that_would_take_all_memory_is_not_decoded() {
+fn oversized_image_is_not_decoded() {
     let place = Place::new();
     let daemon = place.daemon();
     let id = daemon.grasp("stable");
@@ -779,7 +779,7 @@ fn an_image_that_would_take_all_memory_is_not_decoded() {
 }
 
 #[test]
-fn nothing_of_a_token_is_told() {
+fn token_is_never_printed() {
     let dir = tempfile::tempdir().unwrap();
     let file = dir.path().join("token");
     fs::write(&file, "a-very-secret-word").unwrap();

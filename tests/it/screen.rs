@@ -252,7 +252,7 @@ fn other_sizes() {
 }
 
 #[test]
-fn an_old_prediction_says_so_instead_of_a_verdict() {
+fn old_prediction_has_no_verdict() {
     let mut status = waiting_for_grasp();
     if let Some(prediction) = &mut status.prediction {
         prediction.frame_age_ms = 1_400.0;
@@ -264,7 +264,7 @@ fn an_old_prediction_says_so_instead_of_a_verdict() {
 }
 
 #[test]
-fn a_fault_put_aside_stays_one_line_until_another_camera_fails() {
+fn dismissed_fault_stays_one_line_until_another_camera_fails() {
     let mut status = faulty();
     let mut state = state();
     press(&mut state, KeyCode::Esc, &status);
@@ -280,16 +280,16 @@ fn a_fault_put_aside_stays_one_line_until_another_camera_fails() {
 }
 
 #[test]
-fn a_camera_that_is_back_may_fail_loudly_again() {
+fn recovered_camera_shows_its_next_fault() {
     let mut state = state();
     press(&mut state, KeyCode::Esc, &faulty());
-    state.settle(&waiting_for_grasp());
+    state.update(&waiting_for_grasp());
     let again = image(80, 24, &faulty(), &state);
     assert!(!again.contains("CLOSE THE GRIPPER"), "{again}");
 }
 
 #[test]
-fn what_the_external_camera_sees_of_the_markers_is_told() {
+fn marker_detection_of_external_camera_is_shown() {
     let with = |markers: Result<&str, &str>| {
         let mut status = waiting_for_initial();
         status.cameras.push(CameraStatus {
@@ -318,7 +318,7 @@ fn what_the_external_camera_sees_of_the_markers_is_told() {
 }
 
 #[test]
-fn q_asks_while_something_is_unfinished() {
+fn q_asks_for_confirmation_if_work_is_unfinished() {
     let quit = |status: &EngineStatus, keys: &[char]| {
         let mut state = state();
         let reactions = keys
@@ -341,7 +341,7 @@ fn q_asks_while_something_is_unfinished() {
 }
 
 #[test]
-fn letters_typed_into_a_prompt_are_no_commands() {
+fn keys_in_a_prompt_are_not_commands() {
     let status = waiting_for_grasp();
     let mut state = state();
     press(&mut state, KeyCode::Char('n'), &status);
@@ -359,7 +359,7 @@ fn letters_typed_into_a_prompt_are_no_commands() {
 }
 
 #[test]
-fn plain_lines_tell_each_change_once() {
+fn plain_lines_report_each_change_once() {
     let mut printer = LinePrinter::default();
     let start = Instant::now();
     let mut at_s = 0;
@@ -370,7 +370,7 @@ fn plain_lines_tell_each_change_once() {
     insta::assert_snapshot!("lines_start", lines(&waiting_for_initial()).join("\n"));
     assert_eq!(lines(&waiting_for_initial()), [""; 0]);
 
-    let predicting = ["predicting 0.81 STABLE (baseline-contact, a heuristic)"];
+    let predicting = ["predicting 0.81 STABLE (baseline-contact, heuristic)"];
     assert_eq!(lines(&waiting_for_grasp()), predicting);
     assert_eq!(lines(&waiting_for_grasp()), [""; 0]);
 
@@ -408,7 +408,7 @@ fn plain_lines_tell_each_change_once() {
 }
 
 #[test]
-fn plain_lines_on_a_flapping_camera_are_limited() {
+fn plain_lines_of_flapping_camera_are_rate_limited() {
     let mut printer = LinePrinter::default();
     let start = Instant::now();
     printer.lines(&waiting_for_grasp(), start);

@@ -60,15 +60,15 @@ fn steps(status: &mut TrainingStatus, steps: std::ops::Range<u64>) {
             learning_rate: 3e-4 * (1.0 - step as f64 / (EPOCHS * STEPS) as f64),
         };
         let after = STEP * u32::try_from(step + 1 - begun).unwrap();
-        status.take(TrainingNews::Train(event), after);
+        status.apply(TrainingNews::Train(event), after);
     }
 }
 
 /// In the first epoch of the first of five seeds.
 fn begun() -> TrainingStatus {
     let mut status = fresh(5);
-    status.take(TrainingNews::Seed(0), Duration::ZERO);
-    status.take(
+    status.apply(TrainingNews::Seed(0), Duration::ZERO);
+    status.apply(
         TrainingNews::Train(TrainEvent::Begun(start(0))),
         Duration::ZERO,
     );
@@ -79,15 +79,15 @@ fn begun() -> TrainingStatus {
 /// Gone on with after six epochs.
 fn resumed() -> TrainingStatus {
     let mut status = fresh(1);
-    status.take(
+    status.apply(
         TrainingNews::Train(TrainEvent::Begun(start(6))),
         Duration::ZERO,
     );
     steps(&mut status, 6 * STEPS..7 * STEPS);
     let event = TrainEvent::Epoch(figures(7));
-    status.take(TrainingNews::Train(event), 41 * STEP);
+    status.apply(TrainingNews::Train(event), 41 * STEP);
     steps(&mut status, 7 * STEPS..7 * STEPS + 12);
-    status.wait(Duration::from_secs(3725));
+    status.set_elapsed(Duration::from_secs(3725));
     status
 }
 
@@ -119,23 +119,23 @@ fn the_dashboard_at_other_sizes() {
 }
 
 #[test]
-fn what_is_done_besides_steps_is_said() {
+fn other_stages_are_shown() {
     let mut status = resumed();
     let now = Duration::from_secs(70);
     let look = TrainEvent::Look([64, 96]);
-    status.take(TrainingNews::Train(look), now);
+    status.apply(TrainingNews::Train(look), now);
     assert!(image(80, 24, &status).contains("validation, 64 of 96 samples"));
-    status.take(TrainingNews::Stage("calibrating"), now);
+    status.apply(TrainingNews::Stage("calibrating"), now);
     assert!(image(80, 24, &status).contains("calibrating"));
 }
 
 #[test]
-fn the_next_seed_begins_anew_and_the_last_one_is_kept_as_a_line() {
+fn next_seed_starts_over_and_last_result_is_kept() {
     let mut status = fresh(2);
     let now = Duration::from_secs(9);
-    status.take(TrainingNews::Seed(0), now);
-    status.take(TrainingNews::Train(TrainEvent::Begun(start(7))), now);
-    status.take(TrainingNews::Seed(1), now);
+    status.apply(TrainingNews::Seed(0), now);
+    status.apply(TrainingNews::Train(TrainEvent::Begun(start(7))), now);
+    status.apply(TrainingNews::Seed(1), now);
     let text = image(100, 24, &status);
     assert!(text.contains("seed 1, 2 of 2"), "{text}");
     let line = "seed 0: best epoch 5 of 7, validation accuracy 0.900, AUROC 0.942";
@@ -144,7 +144,7 @@ fn the_next_seed_begins_anew_and_the_last_one_is_kept_as_a_line() {
 }
 
 #[test]
-fn colours_are_left_out_where_they_are_not_wanted() {
+fn no_colours_on_monochrome_terminals() {
     let has_colour = |depth| {
         let screen = drawn(80, 24, &resumed(), depth);
         let cells = screen.buffer().content().iter();
@@ -166,7 +166,7 @@ fn colours_are_left_out_where_they_are_not_wanted() {
 }
 
 #[test]
-fn no_size_and_no_figures_break_it() {
+fn any_size_and_values_can_be_drawn() {
     let mut odd = TrainingStatus::new("茶 ☕\n\u{7}", "", settings(), 100);
     let broken = EpochFigures {
         train_loss: f64::NAN,
@@ -181,7 +181,7 @@ fn no_size_and_no_figures_break_it() {
         epochs: vec![broken; 40],
         ..start(0)
     };
-    odd.take(
+    odd.apply(
         TrainingNews::Train(TrainEvent::Begun(nothing)),
         Duration::MAX,
     );
@@ -190,7 +190,7 @@ fn no_size_and_no_figures_break_it() {
         loss: f64::NAN,
         learning_rate: f64::INFINITY,
     };
-    odd.take(TrainingNews::Train(step), Duration::ZERO);
+    odd.apply(TrainingNews::Train(step), Duration::ZERO);
     for status in [fresh(1), begun(), resumed(), odd] {
         for width in 1..=100 {
             for height in [1, 2, 5, 6, 7, 8, 9, 12, 14, 15, 16, 19, 24, 40, 60] {

@@ -205,12 +205,12 @@ async fn engine_saves_and_predicts_with_yuyv_cameras() {
     let (report, last) = tokio::join!(run(setup, links, stop), operator);
     let report = report.unwrap();
     assert_eq!(report.ended, EndReason::Quit);
-    let record = last.predicted.expect("a prediction");
-    assert_eq!(report.grasps[0].p_stable, Some(record.p_stable));
+    let prediction = last.predicted.expect("a prediction");
+    assert_eq!(report.grasps[0].p_stable, Some(prediction.p_stable));
 
     let dataset = Dataset::open(dir.path().join("d")).unwrap();
     let record = dataset.grasp(&last.id).unwrap();
-    assert_eq!(record.prediction, Some(record));
+    assert_eq!(record.prediction, Some(prediction));
     for stage in [Stage::Initial, Stage::Grasp] {
         let cameras = &record.stage(stage).cameras;
         assert_eq!(cameras.len(), 2);

@@ -1,4 +1,4 @@
-//! The dashboard: where everything goes at every size.
+//! Layout of the dashboard at all sizes.
 
 use std::time::Duration;
 
@@ -13,19 +13,19 @@ use super::plot;
 use super::status::{TrainingStatus, figure};
 use gripcast_nn::predict::contract::Variant;
 
-/// Below this only one line is shown.
+/// Minimum size of the dashboard; smaller ones show one line only.
 const MIN_COLUMNS: u16 = 40;
 const MIN_ROWS: u16 = 6;
-/// Columns from which both plots are side by side.
+/// Minimum width for plots side by side.
 const WIDE_COLUMNS: u16 = 64;
-/// Rows that a plot needs with its title.
+/// Minimum height of a plot with its title.
 const PLOT_ROWS: u16 = 7;
-/// Columns below which dataset and run are not named.
-const MIN_NAMES: u16 = 8;
-/// Columns of the words before what they name.
-const NAMES: usize = 10;
+/// Minimum width for the names of dataset and run.
+const MIN_NAME_COLUMNS: u16 = 8;
+/// Width of the name column.
+const NAME_COLUMNS: usize = 10;
 
-/// Draws the whole dashboard. Pure: the same status gives the same image.
+/// Draws the whole dashboard, a pure function of the status.
 pub fn draw(frame: &mut Frame<'_>, status: &TrainingStatus, palette: Palette) {
     let area = frame.area();
     let buffer = frame.buffer_mut();
@@ -50,7 +50,7 @@ pub fn draw(frame: &mut Frame<'_>, status: &TrainingStatus, palette: Palette) {
     draw_rest(buffer, rest, status, palette);
 }
 
-/// Plots above where they have room, the last lines below.
+/// Draws the plots, if they fit, above the last lines.
 fn draw_rest(buffer: &mut Buffer, area: Rect, status: &TrainingStatus, palette: Palette) {
     let lines = match area.height {
         0..=PLOT_ROWS => area.height,
@@ -99,7 +99,7 @@ fn header(buffer: &mut Buffer, area: Rect, status: &TrainingStatus, palette: Pal
     let seconds = status.elapsed.as_secs();
     let (hours, minutes) = (seconds / 3600, seconds / 60 % 60);
     let mut right = format!("{hours}:{minutes:02}:{:02}", seconds % 60);
-    if let Some(left) = status.left() {
+    if let Some(left) = status.remaining() {
         let bound = if status.settings.patience > 0 {
             "at most"
         } else {
@@ -111,7 +111,7 @@ fn header(buffer: &mut Buffer, area: Rect, status: &TrainingStatus, palette: Pal
     let title = " gripcast train";
     let mut line = Line::from(Span::styled(title, palette.strong()));
     let room = area.width.saturating_sub(taken + columns(title) + 6);
-    if room >= MIN_NAMES {
+    if room >= MIN_NAME_COLUMNS {
         let data = clipped(&status.data, usize::from(room / 2));
         let out = clipped(&status.out, usize::from(room - columns(&data)));
         line.push_span(Span::raw(format!("  {data}")));
@@ -129,7 +129,7 @@ fn time(left: Duration) -> String {
     duration_ms(left.as_secs_f64().ceil() * 1e3)
 }
 
-/// What is known in words; the upper lines are left out where it is low.
+/// Returns the lines of facts; low screens omit the upper ones.
 fn facts(status: &TrainingStatus, area: Rect, palette: Palette) -> Vec<Line<'static>> {
     let (epoch, steps) = status.epoch();
     let epochs = u64::from(status.settings.epochs);
@@ -151,7 +151,7 @@ fn facts(status: &TrainingStatus, area: Rect, palette: Palette) -> Vec<Line<'sta
 
 fn named(name: &str, text: String, palette: Palette) -> Line<'static> {
     Line::from(vec![
-        Span::styled(format!(" {name:<NAMES$}"), palette.faint()),
+        Span::styled(format!(" {name:<NAME_COLUMNS$}"), palette.faint()),
         Span::raw(text),
     ])
 }
@@ -227,7 +227,7 @@ fn best(status: &TrainingStatus, palette: Palette) -> Line<'static> {
     line
 }
 
-/// A number and how much of the whole it is.
+/// Returns a progress bar with a number and percentage.
 fn bar(
     name: &str,
     number: &str,
@@ -238,7 +238,7 @@ fn bar(
     let fraction = done.min(all) as f64 / all.max(1) as f64;
     let percent = format!(" {:>3.0} %", (100.0 * fraction).floor());
     let number = format!("{number:<16} ");
-    let room = width.saturating_sub(NAMES + 2 + number.len() + percent.len());
+    let room = width.saturating_sub(NAME_COLUMNS + 2 + number.len() + percent.len());
     let full = (fraction * room as f64).floor() as usize;
     let mut line = named(name, number, palette);
     line.push_span(Span::styled("━".repeat(full), palette.first_curve()));
@@ -250,11 +250,11 @@ fn bar(
 fn keys(palette: Palette) -> Line<'static> {
     Line::from(vec![
         Span::styled(" q", palette.strong()),
-        Span::raw(" stop; the same command goes on from the last checkpoint"),
+        Span::raw(" stop; the same command resumes from the last checkpoint"),
     ])
 }
 
-/// All that fits into one line.
+/// Returns a one-line summary.
 fn tiny(status: &TrainingStatus, palette: Palette) -> Line<'static> {
     let (epoch, [step, steps]) = status.epoch();
     let best = figure(status.best().map(|best| best.validation_accuracy));

@@ -1,4 +1,4 @@
-//! Curves over epochs.
+//! Plots of training metrics over epochs.
 
 use ratatui::buffer::Buffer;
 use ratatui::layout::Rect;
@@ -11,46 +11,46 @@ use super::super::text::{row, write};
 use super::status::{TrainingStatus, figure};
 use gripcast_train::EpochFigures;
 
-/// Epochs at the right edge at first.
-const FIRST_EPOCHS: u64 = 4;
+/// Minimum number of epochs on the axis.
+const MIN_EPOCHS: u64 = 4;
 
-/// Two curves with their names and newest values.
+/// A plot of two curves with their names and newest values.
 struct Plot {
     title: &'static str,
     /// Drawn as a line.
     first: (&'static str, Vec<(f64, f64)>),
     /// Drawn as dots.
     second: (&'static str, Vec<(f64, f64)>),
-    /// A point of the first curve that stands out.
+    /// Highlighted point of the first curve.
     marked: Vec<(f64, f64)>,
-    /// The first curve between its points.
+    /// The first curve within the current epoch.
     trace: Vec<(f64, f64)>,
     y: [f64; 2],
 }
 
-/// Draws the losses.
+/// Draws training and validation loss.
 pub(super) fn losses(buffer: &mut Buffer, area: Rect, status: &TrainingStatus, palette: Palette) {
     let first = curve(status, |e| Some(e.train_loss));
     let second = curve(status, |e| Some(e.validation_loss));
     let last = first.last().into_iter();
     let trace = last.chain(&status.trace).copied();
     let trace: Vec<_> = trace.filter(|(_, y)| y.is_finite()).collect();
-    // A first step may lie far above all that comes after it.
+    // The first step may be far above all others.
     let bounding = if first.is_empty() { &trace } else { &first };
     let values = bounding.iter().chain(&second).map(|(_, y)| *y);
-    let most = values.fold(0.0, f64::max);
+    let max = values.fold(0.0, f64::max);
     let plot = Plot {
         title: "LOSS",
         trace,
         first: ("train", first),
         second: ("validation", second),
         marked: Vec::new(),
-        y: [0.0, if most > 0.0 { 1.1 * most } else { 1.0 }],
+        y: [0.0, if max > 0.0 { 1.1 * max } else { 1.0 }],
     };
     plot.draw(buffer, area, right_edge(status), palette);
 }
 
-/// Draws accuracy and AUROC on the validation part.
+/// Draws accuracy and AUROC on the validation split.
 pub(super) fn accuracies(
     buffer: &mut Buffer,
     area: Rect,
@@ -60,7 +60,7 @@ pub(super) fn accuracies(
     let first = curve(status, |e| Some(e.validation_accuracy));
     let second = curve(status, |e| e.validation_auroc);
     let values = first.iter().chain(&second).map(|(_, y)| *y);
-    let least = values.fold(0.5, f64::min).max(0.0);
+    let min = values.fold(0.5, f64::min).max(0.0);
     let best = status.best();
     let marked = best.map(|e| (f64::from(e.epoch), e.validation_accuracy));
     let plot = Plot {
@@ -69,12 +69,12 @@ pub(super) fn accuracies(
         first: ("accuracy", first),
         second: ("AUROC", second),
         trace: Vec::new(),
-        y: [(10.0 * least).floor() / 10.0, 1.0],
+        y: [(10.0 * min).floor() / 10.0, 1.0],
     };
     plot.draw(buffer, area, right_edge(status), palette);
 }
 
-/// A figure over epochs.
+/// Returns a metric over epochs.
 fn curve(
     status: &TrainingStatus,
     figure: impl Fn(&EpochFigures) -> Option<f64>,
@@ -86,10 +86,10 @@ fn curve(
         .collect()
 }
 
-/// The last epoch of the axis: at least half of the width is used.
+/// Returns the last epoch of the axis, so that at least half of the width is used.
 fn right_edge(status: &TrainingStatus) -> u64 {
-    let begun = status.epochs.len() as u64 + 1;
-    let room = begun.next_power_of_two().max(FIRST_EPOCHS);
+    let current = status.epochs.len() as u64 + 1;
+    let room = current.next_power_of_two().max(MIN_EPOCHS);
     room.min(u64::from(status.settings.epochs)).max(1)
 }
 
@@ -140,7 +140,7 @@ impl Plot {
         chart.legend_position(None).render(below, buffer);
     }
 
-    /// Names of the curves with their newest values, without them where it is narrow.
+    /// Returns the names of the curves with their newest values, without values if narrow.
     fn title(&self, width: u16, palette: Palette) -> Line<'static> {
         let line = |has_values: bool| {
             let named = |(name, curve): &(&str, Vec<(f64, f64)>)| {

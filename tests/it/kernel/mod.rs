@@ -129,7 +129,7 @@ fn assert_others_undisturbed(outcome: &Outcome, but: &[&str]) {
 }
 
 #[test]
-fn every_emulated_camera_delivers_what_it_was_fed() {
+fn emulated_cameras_deliver_their_input() {
     let Some(kernel) = kernel() else { return };
     let report = guest::probe(&kernel, images::drawn());
     for (role, name, serial, interface, fps) in [
@@ -175,7 +175,7 @@ fn every_emulated_camera_delivers_what_it_was_fed() {
 }
 
 #[test]
-fn a_clean_run_saves_two_grasps_as_sent() {
+fn clean_run_saves_two_grasps_as_sent() {
     let Some(kernel) = kernel() else { return };
     let images = images::drawn();
     let outcome = run(&kernel, "clean", "clean", images);
@@ -208,7 +208,7 @@ fn images_of_a_real_sensor_arrive_as_sent() {
 }
 
 #[test]
-fn lost_frames_are_counted_and_do_no_harm() {
+fn lost_frames_are_counted() {
     let Some(kernel) = kernel() else { return };
     let outcome = run(&kernel, "frames-lost", "frames-lost", images::drawn());
     assert_one_good_grasp(&outcome, images::drawn());
@@ -244,7 +244,7 @@ fn corrupted_images_are_never_saved() {
 }
 
 #[test]
-fn a_frozen_image_is_noticed_and_the_grasp_comes_after_it() {
+fn frozen_image_is_detected_and_grasp_is_saved_later() {
     let Some(kernel) = kernel() else { return };
     let outcome = run(&kernel, "frozen", "frozen", images::drawn());
     assert_one_good_grasp(&outcome, images::drawn());
@@ -254,7 +254,7 @@ fn a_frozen_image_is_noticed_and_the_grasp_comes_after_it() {
 }
 
 #[test]
-fn a_silent_camera_comes_back() {
+fn silent_camera_recovers() {
     let Some(kernel) = kernel() else { return };
     let outcome = run(&kernel, "silent", "silent", images::drawn());
     assert_one_good_grasp(&outcome, images::drawn());
@@ -264,7 +264,7 @@ fn a_silent_camera_comes_back() {
 }
 
 #[test]
-fn a_sensor_pulled_out_while_idle_is_found_again() {
+fn sensor_unplugged_while_idle_reconnects() {
     let Some(kernel) = kernel() else { return };
     let outcome = run(&kernel, "replug-idle", "replug-idle", images::drawn());
     assert_one_good_grasp(&outcome, images::drawn());
@@ -273,7 +273,7 @@ fn a_sensor_pulled_out_while_idle_is_found_again() {
 }
 
 #[test]
-fn a_sensor_pulled_out_between_initial_and_grasp_keeps_the_initial() {
+fn sensor_unplugged_after_initial_keeps_the_initial_frame() {
     let Some(kernel) = kernel() else { return };
     let outcome = run(&kernel, "replug-between", "replug-between", images::drawn());
     assert_one_good_grasp(&outcome, images::drawn());
@@ -282,7 +282,7 @@ fn a_sensor_pulled_out_between_initial_and_grasp_keeps_the_initial() {
 }
 
 #[test]
-fn a_sensor_pulled_out_during_a_save_leaves_a_whole_grasp() {
+fn sensor_unplugged_during_save_leaves_complete_grasp() {
     let Some(kernel) = kernel() else { return };
     let outcome = run(
         &kernel,
@@ -297,7 +297,7 @@ fn a_sensor_pulled_out_during_a_save_leaves_a_whole_grasp() {
 }
 
 #[test]
-fn roles_follow_serials_and_not_ports() {
+fn roles_follow_serials_rather_than_ports() {
     let Some(kernel) = kernel() else { return };
     let outcome = run(&kernel, "swapped-ports", "swapped-ports", images::drawn());
     assert_one_good_grasp(&outcome, images::drawn());
@@ -305,7 +305,7 @@ fn roles_follow_serials_and_not_ports() {
 }
 
 #[test]
-fn a_full_disk_keeps_what_was_saved_and_says_so() {
+fn full_disk_is_reported_and_keeps_saved_grasps() {
     let Some(kernel) = kernel() else { return };
     let outcome = run(&kernel, "disk-full", "disk-full", images::drawn());
     assert_eq!(outcome.exit_code, Some(3), "{outcome}");
@@ -322,7 +322,7 @@ fn a_full_disk_keeps_what_was_saved_and_says_so() {
 }
 
 #[test]
-fn a_disk_that_becomes_read_only_keeps_what_was_saved_and_says_so() {
+fn read_only_disk_is_reported_and_keeps_saved_grasps() {
     let Some(kernel) = kernel() else { return };
     let outcome = run(&kernel, "read-only", "read-only", images::drawn());
     assert_eq!(outcome.exit_code, Some(3), "{outcome}");
@@ -339,7 +339,7 @@ fn a_disk_that_becomes_read_only_keeps_what_was_saved_and_says_so() {
 }
 
 #[test]
-fn a_bouncing_pedal_triggers_once_a_press() {
+fn bouncing_pedal_triggers_once_per_press() {
     let Some(kernel) = kernel() else { return };
     let outcome = run(&kernel, "pedal-bounce", "pedal-bounce", images::drawn());
     assert_one_good_grasp(&outcome, images::drawn());
@@ -361,7 +361,7 @@ fn median_kib(memory: &[(f64, f64)]) -> f64 {
 
 /// `GRIPCAST_SOAK_S` makes it longer: an hour of the guest's clock is about as long on the host's.
 #[test]
-fn what_goes_wrong_at_random_costs_no_saved_grasp() {
+fn random_faults_lose_no_saved_grasp() {
     const SECONDS: u64 = 60;
     const SEED: u64 = 9;
     let Some(kernel) = kernel() else { return };
