@@ -17,7 +17,6 @@ pub struct CommandRequest {
 
 impl CommandRequest {
     /// Creates a request without a response; the sender reads the outcome from the status.
-    #[must_use]
     pub fn new(command: Command, source: CommandSource) -> Self {
         Self {
             command,
@@ -27,7 +26,6 @@ impl CommandRequest {
     }
 
     /// Creates a request and the receiver of its result, which arrives once all changes are durable.
-    #[must_use]
     pub fn with_response(
         command: Command,
         source: CommandSource,

@@ -6,26 +6,17 @@ const BIN_MS: f64 = 0.25;
 const BINS: usize = 4000;
 
 /// Histogram of latencies from 0 to 1 s with a resolution of 0.25 ms.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Default)]
 pub(super) struct LatencyHistogram {
     bins: Vec<u32>,
     count: u64,
     max_ms: f64,
 }
 
-impl Default for LatencyHistogram {
-    fn default() -> Self {
-        Self {
-            bins: vec![0; BINS],
-            count: 0,
-            max_ms: 0.0,
-        }
-    }
-}
-
 impl LatencyHistogram {
     /// Adds a latency, ms.
     pub(super) fn add(&mut self, ms: f64) {
+        self.bins.resize(BINS, 0);
         let bin = ((ms / BIN_MS).max(0.0) as usize).min(BINS - 1);
         self.bins[bin] = self.bins[bin].saturating_add(1);
         self.count += 1;
@@ -33,7 +24,6 @@ impl LatencyHistogram {
     }
 
     /// Returns the quantile (0..1) of the latencies, ms, rounded up to the bin; `None` if empty.
-    #[must_use]
     pub(super) fn quantile_ms(&self, quantile: f64) -> Option<f64> {
         let rank = (quantile * self.count as f64).ceil().max(1.0) as u64;
         let mut below = 0;

@@ -3,12 +3,13 @@
 //! Writers never wait for readers: a slow reader misses previews, never frames of a trigger.
 
 use std::collections::{BTreeMap, VecDeque};
-use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Condvar, Mutex};
 use std::time::Duration;
 
 use image::RgbImage;
 
 use super::black_box::Tap;
+use super::thread::{lock, wait_while};
 use gripcast_capture::camera::{CameraCounters, ControlValues, Health, StreamInfo};
 use gripcast_imaging::{Frame, PixelFormat, Role};
 
@@ -106,20 +107,14 @@ impl CameraSlot {
         }
     }
 
-    fn lock(&self) -> MutexGuard<'_, SlotState> {
-        // Plain data stays valid after a panic of its holder.
-        self.state.lock().unwrap_or_else(PoisonError::into_inner)
-    }
-
     /// Returns the role of the camera.
-    #[must_use]
     pub(super) fn role(&self) -> Role {
         self.role
     }
 
     /// Reads or updates the camera's health, counters and stream.
     pub(super) fn with_info<T>(&self, f: impl FnOnce(&mut CameraInfo) -> T) -> T {
-        f(&mut self.lock().info)
+        f(&mut lock(&self.state).info)
     }
 
     /// Starts a new stream and drops the frames of the previous one.
@@ -129,7 +124,7 @@ impl CameraSlot {
         controls: ControlValues,
         warnings: Vec<String>,
     ) {
-        let mut state = self.lock();
+        let mut state = lock(&self.state);
         state.ring.clear();
         state.last_taken = None;
         state.info.stream = Some(stream);
@@ -139,7 +134,7 @@ impl CameraSlot {
 
     /// Drops all frames, so that no stale frame of a disconnected camera is saved.
     pub(super) fn clear_frames(&self) {
-        let mut state = self.lock();
+        let mut state = lock(&self.state);
         state.ring.clear();
         state.last_taken = None;
         state.decoded = None;
@@ -148,7 +143,7 @@ impl CameraSlot {
     /// Adds a captured frame.
     pub(super) fn push(&self, frame: Frame) {
         self.tap.frame(self.role, &frame);
-        let mut state = self.lock();
+        let mut state = lock(&self.state);
         make_room(&mut state.ring);
         let validity = match frame.format {
             PixelFormat::Mjpg => Validity::Unknown,
@@ -161,18 +156,13 @@ impl CameraSlot {
 
     /// Waits for a frame newer than the last one taken; `None` after `timeout` or when closed.
     /// Skipped frames are counted.
-    #[must_use]
     pub(super) fn take_newest(&self, timeout: Duration) -> Option<Frame> {
         let fresh = |state: &SlotState| {
             let newest = key(&state.ring.back()?.frame);
             (state.last_taken != Some(newest)).then_some(newest)
         };
-        let (mut state, _) = self
-            .arrived
-            .wait_timeout_while(self.lock(), timeout, |state| {
-                !state.closed && fresh(state).is_none()
-            })
-            .unwrap_or_else(PoisonError::into_inner);
+        let is_waiting = |state: &mut SlotState| !state.closed && fresh(state).is_none();
+        let mut state = wait_while(&self.arrived, lock(&self.state), timeout, is_waiting);
         if state.closed {
             return None;
         }
@@ -191,7 +181,7 @@ impl CameraSlot {
 
     /// Stores a decoded image and marks its frame as valid.
     pub(super) fn on_decoded(&self, frame: &Frame, image: RgbImage) {
-        let mut state = self.lock();
+        let mut state = lock(&self.state);
         let serial = state.decoded.as_ref().map_or(0, |d| d.serial) + 1;
         state.decoded = Some(Decoded {
             image: Arc::new(image),
@@ -203,21 +193,20 @@ impl CameraSlot {
 
     /// Counts a damaged frame and removes it from the ring.
     pub(super) fn on_damaged(&self, frame: &Frame) {
-        let mut state = self.lock();
+        let mut state = lock(&self.state);
         state.info.damaged_when_decoded += 1;
         state.ring.retain(|entry| key(&entry.frame) != key(frame));
     }
 
     /// Returns the newest decoded image.
-    #[must_use]
     pub(super) fn latest(&self) -> Option<Decoded> {
-        self.lock().decoded.clone()
+        lock(&self.state).decoded.clone()
     }
 
     /// Returns the frames in the ring, oldest first.
     #[cfg(test)]
     fn frames(&self) -> Vec<(Frame, Validity)> {
-        self.lock()
+        lock(&self.state)
             .ring
             .iter()
             .map(|entry| (entry.frame.clone(), entry.validity))
@@ -225,38 +214,37 @@ impl CameraSlot {
     }
 
     /// Returns the frames that can be saved, oldest first.
-    #[must_use]
     pub(super) fn valid_frames(&self) -> Vec<Frame> {
-        let state = self.lock();
+        let state = lock(&self.state);
         let sound = state.ring.iter().filter(|h| h.validity == Validity::Valid);
         sound.map(|entry| entry.frame.clone()).collect()
     }
 
     /// Returns the driver time of the newest frame, ns.
-    #[must_use]
     pub(super) fn newest_time_ns(&self) -> Option<u64> {
-        self.lock()
+        lock(&self.state)
             .ring
             .back()
             .map(|entry| entry.frame.driver_time_ns)
     }
 
     /// Returns whether the hub is closed.
-    #[must_use]
     pub(super) fn is_closed(&self) -> bool {
-        self.lock().closed
+        lock(&self.state).closed
     }
 
     /// Waits for `pause`, or until the hub is closed.
     pub(super) fn wait_closed(&self, pause: Duration) {
-        // The caller checks `is_closed`.
-        let _ = self
-            .arrived
-            .wait_timeout_while(self.lock(), pause, |state| !state.closed);
+        drop(wait_while(
+            &self.arrived,
+            lock(&self.state),
+            pause,
+            |state| !state.closed,
+        ));
     }
 
     fn close(&self) {
-        self.lock().closed = true;
+        lock(&self.state).closed = true;
         self.arrived.notify_all();
     }
 }
@@ -310,7 +298,6 @@ pub(super) struct Hub {
 
 impl Hub {
     /// Creates a hub for these cameras; their frames also go to `tap`.
-    #[must_use]
     pub(super) fn new(roles: impl IntoIterator<Item = Role>, tap: Tap) -> Self {
         let slots = roles
             .into_iter()
@@ -323,13 +310,11 @@ impl Hub {
     }
 
     /// Returns the input of the black box.
-    #[must_use]
     pub(super) fn tap(&self) -> &Tap {
         &self.tap
     }
 
     /// Returns the slot of a camera.
-    #[must_use]
     pub(super) fn slot(&self, role: Role) -> Option<&Arc<CameraSlot>> {
         self.slots.get(&role)
     }

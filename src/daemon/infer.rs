@@ -3,7 +3,7 @@
 use std::collections::{BTreeMap, VecDeque};
 use std::ops::ControlFlow;
 use std::sync::mpsc::{Receiver, Sender};
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard};
 use std::thread::JoinHandle;
 
 use image::RgbImage;
@@ -17,6 +17,7 @@ use super::histogram::LatencyHistogram;
 use super::hub::Hub;
 use super::status::{PredictionStatus, Preview};
 use super::tasks::{Heartbeat, Tasks};
+use super::thread::lock;
 use gripcast_base::error::Result;
 use gripcast_capture::camera::monotonic_ns;
 use gripcast_dataset::PredictionRecord;
@@ -72,7 +73,6 @@ pub struct ModelInfo {
 
 impl ModelInfo {
     /// Reads the description of a model.
-    #[must_use]
     pub fn new(model: &Model) -> Self {
         Self {
             name: model.contract().name.clone(),
@@ -214,10 +214,6 @@ impl Inference {
         let _ = self.thread.join();
         self.state
     }
-}
-
-fn lock(state: &Mutex<InferenceState>) -> MutexGuard<'_, InferenceState> {
-    state.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
 struct Worker {

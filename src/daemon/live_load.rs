@@ -13,6 +13,7 @@ use super::decode;
 use super::hub::Hub;
 use super::infer::{InferRequest, Inference};
 use super::tasks::Tasks;
+use super::thread::lock;
 use gripcast_base::error::{Error, Result};
 use gripcast_base::statistics::median;
 use gripcast_base::workers::process_cpu_s;
@@ -145,9 +146,7 @@ pub fn run_load(model: Model, params: LoadParams) -> Result<LoadFigures> {
         let _ = decoder.join();
     }
     let state = inference.stop();
-    let state = state
-        .lock()
-        .unwrap_or_else(std::sync::PoisonError::into_inner);
+    let state = lock(&state);
     let quantile = |q| state.latency.quantile_ms(q).unwrap_or(f64::NAN);
     Ok(LoadFigures {
         lost: after.lost - before.lost,

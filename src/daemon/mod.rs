@@ -34,7 +34,9 @@ pub use command_request::CommandRequest;
 pub use engine::{EngineLinks, EngineSetup, StoreEvent, run};
 pub use infer::ModelInfo;
 pub use report::{CameraReport, CollectReport, EndReason, GraspReport, PredictionReport};
+pub(crate) use status::disk_free_bytes;
 pub use status::{
     CameraState, CameraStatus, EngineStatus, MarkerStatus, PredictionStatus, Preview, verdict_of,
 };
 pub use tasks::{Heartbeat, TaskReport, TaskState, Tasks};
+pub(crate) use thread::lock;

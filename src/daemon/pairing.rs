@@ -21,7 +21,6 @@ const MAX_LAG_NS: u64 = 150_000_000;
 ///
 /// The camera whose newest frame is oldest sets the common time: all others have a frame near it in
 /// their ring. Cameras that lag too far behind are ignored for this.
-#[must_use]
 pub(super) fn pair(valid: &BTreeMap<Role, Vec<Frame>>, now_ns: u64) -> FrameSet {
     let newest: Vec<u64> = valid
         .values()

@@ -2,7 +2,7 @@
 //! boards detected in them.
 
 use std::collections::VecDeque;
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
@@ -11,7 +11,7 @@ use image::imageops::grayscale;
 use super::boards::Boards;
 use super::hub::{CameraSlot, Hub};
 use super::status::MarkerStatus;
-use super::thread::spawn;
+use super::thread::{lock, spawn};
 use gripcast_annotate::{Annotation, Annotator, BoardHashes, Observation, annotation};
 use gripcast_base::error::{Error, Result};
 use gripcast_base::files::FileName;
@@ -220,11 +220,6 @@ impl Shared {
             no_pose_reason: None,
         }
     }
-}
-
-fn lock(shared: &Mutex<Shared>) -> MutexGuard<'_, Shared> {
-    // Entries are complete when they are added.
-    shared.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
 fn run(

@@ -2,6 +2,7 @@
 //! `collect --attach`.
 
 use std::collections::BTreeMap;
+use std::path::Path;
 use std::sync::Arc;
 
 use image::RgbImage;
@@ -46,7 +47,6 @@ pub struct EngineStatus {
 
 impl EngineStatus {
     /// Returns the status before the engine's first update.
-    #[must_use]
     pub fn starting(dataset: &str, rig: &str, labels: Labels) -> Self {
         let session = Session::new(GuardLimits::default(), labels, OutcomeCounts::new(), None);
         Self {
@@ -95,7 +95,6 @@ pub struct PredictionStatus {
 
 impl PredictionStatus {
     /// Creates the status of a prediction on current frames.
-    #[must_use]
     pub fn new(record: PredictionRecord, heuristic: bool) -> Self {
         Self {
             verdict: verdict_of(&record),
@@ -108,7 +107,6 @@ impl PredictionStatus {
 }
 
 /// Returns the verdict of a prediction.
-#[must_use]
 pub fn verdict_of(record: &PredictionRecord) -> Verdict {
     Verdict::of(record.p_stable, record.threshold, record.novelty)
 }
@@ -142,7 +140,6 @@ pub enum CameraState {
 
 impl CameraState {
     /// Returns the state as one word.
-    #[must_use]
     pub fn word(&self) -> &'static str {
         match self {
             Self::Opening => "opening",
@@ -155,7 +152,6 @@ impl CameraState {
     }
 
     /// Returns how long the camera has been silent or frozen, s.
-    #[must_use]
     pub fn since_s(&self) -> Option<f64> {
         match self {
             Self::Silent { for_s } | Self::Frozen { for_s } => Some(*for_s),
@@ -164,7 +160,6 @@ impl CameraState {
     }
 
     /// Returns whether frames of the camera can be used.
-    #[must_use]
     pub fn is_live(&self) -> bool {
         matches!(self, Self::Live)
     }
@@ -204,6 +199,12 @@ pub struct CameraStatus {
     pub counters: CameraCounters,
     /// Marker detection in the newest frame; `None` for cameras without detection.
     pub markers: Option<MarkerStatus>,
+}
+
+/// Returns the free space of the disk of `path`, bytes.
+pub(crate) fn disk_free_bytes(path: &Path) -> Option<u64> {
+    let disk = rustix::fs::statvfs(path).ok()?;
+    Some(disk.f_bavail.saturating_mul(disk.f_frsize))
 }
 
 #[cfg(test)]

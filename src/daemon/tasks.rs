@@ -6,14 +6,14 @@
 use std::collections::BTreeMap;
 use std::panic::AssertUnwindSafe;
 use std::sync::atomic::{AtomicU64, Ordering};
-use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Condvar, Mutex};
 use std::thread::JoinHandle;
 use std::time::Duration;
 
 use serde::Serialize;
 use utoipa::ToSchema;
 
-use super::thread::spawn;
+use super::thread::{lock, spawn, wait_while};
 use gripcast_base::error::Result;
 use gripcast_base::quiet_panic;
 use gripcast_capture::camera::monotonic_ns;
@@ -95,14 +95,6 @@ impl Heartbeat {
 }
 
 impl Tasks {
-    fn lock(&self) -> MutexGuard<'_, (BTreeMap<String, Task>, bool)> {
-        // Plain data stays valid after a panic of its holder.
-        self.0
-            .entries
-            .lock()
-            .unwrap_or_else(PoisonError::into_inner)
-    }
-
     /// Registers a task.
     pub(crate) fn register(&self, name: &str) -> Heartbeat {
         let busy_since_ns = Arc::new(AtomicU64::new(0));
@@ -112,13 +104,13 @@ impl Tasks {
             last_error: None,
             busy_since_ns: Arc::clone(&busy_since_ns),
         };
-        self.lock().0.insert(name.to_owned(), entry);
+        lock(&self.0.entries).0.insert(name.to_owned(), entry);
         Heartbeat { busy_since_ns }
     }
 
     /// Sets the state of a task.
     pub(crate) fn set(&self, name: &str, state: TaskState, error: Option<String>) {
-        if let Some(entry) = self.lock().0.get_mut(name) {
+        if let Some(entry) = lock(&self.0.entries).0.get_mut(name) {
             entry.state = state;
             entry.restarts += u64::from(state == TaskState::Restarting);
             entry.last_error = error.or_else(|| entry.last_error.take());
@@ -162,28 +154,23 @@ impl Tasks {
 
     /// Ends all restart delays and prevents further restarts.
     pub(super) fn close(&self) {
-        self.lock().1 = true;
+        lock(&self.0.entries).1 = true;
         self.0.closing.notify_all();
     }
 
     fn wait_for_close(&self, pause: Duration) -> bool {
-        let (entries, _) = self
-            .0
-            .closing
-            .wait_timeout_while(self.lock(), pause, |(_, closing)| !*closing)
-            .unwrap_or_else(PoisonError::into_inner);
-        entries.1
+        let guard = lock(&self.0.entries);
+        wait_while(&self.0.closing, guard, pause, |(_, closing)| !*closing).1
     }
 
     /// Returns the reports of all tasks, sorted by name.
-    #[must_use]
     pub fn report(&self) -> Vec<TaskReport> {
         self.report_at(monotonic_ns())
     }
 
     fn report_at(&self, now_ns: u64) -> Vec<TaskReport> {
         let stuck_ns = STUCK_AFTER.as_nanos() as u64;
-        let registry = self.lock();
+        let registry = lock(&self.0.entries);
         let report = |(name, entry): (&String, &Task)| {
             let since_ns = entry.busy_since_ns.load(Ordering::Relaxed);
             let is_stuck = since_ns != 0 && now_ns.saturating_sub(since_ns) > stuck_ns;

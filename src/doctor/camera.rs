@@ -149,11 +149,9 @@ mod tests {
             notes: Vec::new(),
         };
         let problems = problems.iter().map(|p| (*p).to_owned()).collect();
-        CameraCheck {
-            measurement: Some(measurement),
-            problems,
-            ..CameraCheck::new(Role::Left, String::new())
-        }
+        let mut check = CameraCheck::new(Role::Left, String::new());
+        (check.measurement, check.problems) = (Some(measurement), problems);
+        check
     }
 
     fn statuses(check: &CameraCheck, gain: Option<i64>) -> Vec<CheckStatus> {

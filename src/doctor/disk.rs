@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 use std::time::Instant;
 
 use super::{CheckStatus, Finding};
+use crate::daemon::disk_free_bytes;
 use gripcast_base::error::{Error, Result};
 use gripcast_base::files;
 use gripcast_dataset::Dataset;
@@ -65,10 +66,9 @@ fn existing(path: &Path) -> Option<PathBuf> {
 }
 
 fn space(folder: &Path, guards: &GuardLimits) -> Vec<Finding> {
-    let Ok(disk) = rustix::fs::statvfs(folder) else {
+    let Some(free) = disk_free_bytes(folder) else {
         return Vec::new();
     };
-    let free = disk.f_bavail.saturating_mul(disk.f_frsize);
     let gigabytes = free as f64 / 1e9;
     let found = format!("{gigabytes:.1} GB free");
     let remedy = "free disk space, or choose a dataset on another disk";

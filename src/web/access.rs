@@ -13,7 +13,7 @@ use std::io::Read as _;
 use std::net::IpAddr;
 use std::os::unix::fs::MetadataExt as _;
 use std::path::Path;
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex};
 use std::time::Instant;
 
 use axum::extract::{Request, State};
@@ -25,6 +25,7 @@ use subtle::ConstantTimeEq as _;
 use super::failure::Failure;
 use super::origin;
 use super::sessions::{Failures, SessionKey, Sessions};
+use crate::daemon::lock;
 use gripcast_base::error::{Error, Result};
 use gripcast_base::files::sha256_hex;
 
@@ -198,7 +199,7 @@ impl Authorisation {
     /// Returns whether the credential is still valid: not after a logout or a change of the token.
     /// Long responses check this repeatedly.
     pub(crate) fn is_valid(&self) -> bool {
-        let mut inner = self.access.lock();
+        let mut inner = lock(&self.access.0);
         match &self.credential {
             Credential::Local => true,
             Credential::None => inner.token.is_none(),
@@ -218,7 +219,7 @@ impl Authorisation {
     /// Closes the session, if any, and returns an expired cookie.
     pub(crate) fn log_out(&self) -> HeaderValue {
         if let Credential::Session(key) = &self.credential {
-            self.access.lock().sessions.close(key);
+            lock(&self.access.0).sessions.close(key);
         }
         HeaderValue::from_static("gripcast=; Path=/; HttpOnly; SameSite=Strict; Max-Age=0")
     }
@@ -235,7 +236,7 @@ impl Access {
 
     /// Replaces the token; sessions opened with another token are closed.
     pub(crate) fn replace(&self, token: Option<Token>) {
-        let mut inner = self.lock();
+        let mut inner = lock(&self.0);
         let is_same = match (&inner.token, &token) {
             (Some(before), Some(now)) => before.matches(&now.0),
             (None, None) => true,
@@ -249,11 +250,7 @@ impl Access {
 
     /// Returns whether a token is required.
     pub(crate) fn needs_token(&self) -> bool {
-        self.lock().token.is_some()
-    }
-
-    fn lock(&self) -> MutexGuard<'_, Inner> {
-        self.0.lock().unwrap_or_else(PoisonError::into_inner)
+        lock(&self.0).token.is_some()
     }
 
     /// Opens a session for a valid token and returns its cookie; `None` if no token is required.
@@ -261,7 +258,7 @@ impl Access {
     /// # Errors
     /// 401 for an invalid token, 429 after too many of them.
     pub(crate) fn log_in(&self, from: Peer, shown: &str) -> Result<Option<HeaderValue>, Failure> {
-        let (mut inner, now) = (self.lock(), Instant::now());
+        let (mut inner, now) = (lock(&self.0), Instant::now());
         if inner.token.is_none() {
             return Ok(None);
         }
@@ -275,7 +272,7 @@ impl Access {
     /// Checks a request and returns its credential.
     fn check(&self, peer: Peer, request: &Request) -> Result<Credential, Failure> {
         let host = origin::check(request)?;
-        let (mut inner, now) = (self.lock(), Instant::now());
+        let (mut inner, now) = (lock(&self.0), Instant::now());
         let is_open = peer == Peer::Local || inner.token.is_none();
         if is_open && !host.is_this_machine() {
             return Err(Failure::new(

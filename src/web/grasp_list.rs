@@ -3,12 +3,12 @@
 use std::collections::BTreeMap;
 use std::collections::btree_map::Entry;
 use std::path::PathBuf;
-use std::sync::{Mutex, MutexGuard, PoisonError};
+use std::sync::Mutex;
 
 use serde::{Deserialize, Serialize};
 use utoipa::{IntoParams, ToSchema};
 
-use crate::daemon::verdict_of;
+use crate::daemon::{lock, verdict_of};
 use gripcast_base::error::{Error, Result};
 use gripcast_dataset::{Dataset, GraspId, GraspRecord, Outcome, PredictionRecord};
 use gripcast_imaging::Role;
@@ -126,14 +126,9 @@ impl GraspList {
         Dataset::open(&self.path)
     }
 
-    fn lock(&self) -> MutexGuard<'_, BTreeMap<GraspId, GraspSummary>> {
-        // Plain data stays valid after a panic of its holder.
-        self.cached.lock().unwrap_or_else(PoisonError::into_inner)
-    }
-
     /// Drops the cached summary of a changed grasp.
     pub(crate) fn forget(&self, id: &GraspId) {
-        self.lock().remove(id);
+        lock(&self.cached).remove(id);
     }
 
     /// Returns a page of the list, without unreadable grasps (see `dataset verify`).
@@ -143,7 +138,7 @@ impl GraspList {
     pub(crate) fn page(&self, query: &GraspQuery) -> Result<GraspPage> {
         let dataset = self.dataset()?;
         let ids = dataset.ids()?;
-        let mut cached = self.lock();
+        let mut cached = lock(&self.cached);
         cached.retain(|id, _| ids.binary_search(id).is_ok());
         for id in ids {
             if let Entry::Vacant(entry) = cached.entry(id)

@@ -1,13 +1,13 @@
 //! Newest preview of each camera, encoded once for all clients and only on demand.
 
 use std::collections::BTreeMap;
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex};
 
 use axum::body::Bytes;
 use tokio::sync::watch;
 
 use super::slots::Slots;
-use crate::daemon::EngineStatus;
+use crate::daemon::{EngineStatus, lock};
 use gripcast_imaging::{Role, encode_jpeg};
 
 /// JPEG quality.
@@ -43,7 +43,7 @@ impl Previews {
     pub(crate) fn jpeg(&self, role: Role) -> Option<Bytes> {
         let status = Arc::clone(&self.status.borrow());
         let image = Arc::clone(&status.previews.get(&role)?.image);
-        let mut encoded = self.encoded.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut encoded = lock(&self.encoded);
         if let Some(cached) = encoded
             .get(&role)
             .filter(|e| Arc::ptr_eq(&e.source, &image))

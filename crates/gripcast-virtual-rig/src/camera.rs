@@ -51,7 +51,6 @@ impl VirtualRig {
     }
 
     /// Unplugs the cameras whose roles `file` lists, for as long as it lists them.
-    #[must_use]
     pub fn with_unplugged(self, file: PathBuf) -> Self {
         Self {
             unplugged: Some(file),

@@ -23,13 +23,11 @@ pub struct VirtualSource {
 
 impl VirtualSource {
     /// Creates a source whose clip order and noise follow from `seed`.
-    #[must_use]
     pub fn new(seed: u64) -> Self {
         Self { seed, rig: None }
     }
 
     /// Returns the hand, if the rig has virtual cameras.
-    #[must_use]
     pub fn hand(&self) -> Option<Arc<VirtualHand>> {
         self.rig.as_ref().map(|(rig, _)| rig.hand())
     }

@@ -6,6 +6,8 @@ use std::path::{Path, PathBuf};
 
 use jiff::Timestamp;
 
+use crate::daemon::status::disk_free_bytes;
+
 use gripcast_base::files::{self, BeneathPath, Root};
 
 /// Suffix of closed files.
@@ -81,12 +83,8 @@ impl LogDir for DiskLogDir {
     }
 
     fn free_bytes(&mut self) -> Option<u64> {
-        let free = |path: &Path| {
-            let disk = rustix::fs::statvfs(path).ok()?;
-            Some(disk.f_bavail.saturating_mul(disk.f_frsize))
-        };
-        let (log, dataset) = (free(&self.directory.shown()), free(&self.dataset));
-        log.into_iter().chain(dataset).min()
+        let log = disk_free_bytes(&self.directory.shown());
+        log.into_iter().chain(disk_free_bytes(&self.dataset)).min()
     }
 }
 

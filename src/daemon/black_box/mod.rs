@@ -22,7 +22,7 @@ mod writer;
 use std::collections::BTreeMap;
 use std::path::PathBuf;
 use std::sync::mpsc::Receiver;
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
 use serde::{Deserialize, Serialize};
@@ -33,7 +33,7 @@ use self::log_dir::DiskLogDir;
 use self::queue::Queue;
 pub(super) use self::queue::{Tap, Topic};
 use self::writer::Writer;
-use super::thread::spawn;
+use super::thread::{lock, spawn};
 use gripcast_base::error::Result;
 use gripcast_imaging::Role;
 
@@ -179,8 +179,4 @@ impl BlackBox {
         }
         report
     }
-}
-
-fn lock(report: &Mutex<BlackBoxReport>) -> MutexGuard<'_, BlackBoxReport> {
-    report.lock().unwrap_or_else(PoisonError::into_inner)
 }

@@ -1,12 +1,13 @@
 //! Queue of log entries: bounded by bytes, never blocks a sender.
 
 use std::collections::{BTreeMap, VecDeque};
-use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Condvar, Mutex};
 use std::time::Duration;
 
 use serde::Serialize;
 
 use super::clock::WallClock;
+use crate::daemon::thread::{lock, wait_while};
 use gripcast_capture::camera::monotonic_ns;
 use gripcast_imaging::{Frame, Role};
 
@@ -112,13 +113,8 @@ impl Queue {
         }
     }
 
-    fn lock(&self) -> MutexGuard<'_, State> {
-        // Plain data stays valid after a panic of its holder.
-        self.state.lock().unwrap_or_else(PoisonError::into_inner)
-    }
-
     fn push_frame(&self, role: Role, frame: &Frame) {
-        let mut state = self.lock();
+        let mut state = lock(&self.state);
         if state.closed {
             return;
         }
@@ -146,7 +142,7 @@ impl Queue {
     }
 
     fn push_json(&self, topic: Topic, text: Vec<u8>) {
-        let mut state = self.lock();
+        let mut state = lock(&self.state);
         if state.closed {
             return;
         }
@@ -161,12 +157,8 @@ impl Queue {
 
     /// Waits for the oldest entry and removes it.
     pub(super) fn next(&self, timeout: Duration) -> Next {
-        let (mut state, _) = self
-            .arrived
-            .wait_timeout_while(self.lock(), timeout, |state| {
-                state.entries.is_empty() && !state.closed
-            })
-            .unwrap_or_else(PoisonError::into_inner);
+        let is_waiting = |state: &mut State| state.entries.is_empty() && !state.closed;
+        let mut state = wait_while(&self.arrived, lock(&self.state), timeout, is_waiting);
         match state.entries.pop_front() {
             Some(entry) => {
                 state.bytes -= entry.content.len();
@@ -179,7 +171,7 @@ impl Queue {
 
     /// Accepts no further entries. Queued entries and open gaps can still be taken.
     pub(super) fn close(&self) {
-        let mut state = self.lock();
+        let mut state = lock(&self.state);
         if !std::mem::replace(&mut state.closed, true) {
             let at_ns = monotonic_ns();
             for (role, gap) in std::mem::take(&mut state.gaps) {
@@ -193,19 +185,19 @@ impl Queue {
     /// Accepts no further entries and drops the queued ones.
     pub(super) fn abandon(&self) {
         self.close();
-        let mut state = self.lock();
+        let mut state = lock(&self.state);
         state.entries = VecDeque::new();
         state.bytes = 0;
     }
 
     /// Returns the number of dropped frames by camera.
     pub(super) fn dropped(&self) -> BTreeMap<Role, u64> {
-        self.lock().dropped.clone()
+        lock(&self.state).dropped.clone()
     }
 
     /// Returns the number of dropped JSON messages.
     pub(super) fn dropped_messages(&self) -> u64 {
-        self.lock().dropped_messages
+        lock(&self.state).dropped_messages
     }
 
     fn gap_event(&self, role: Role, gap: &Gap, at_ns: u64) -> Content {

@@ -4,10 +4,11 @@ use std::collections::BTreeMap;
 
 use jiff::Timestamp;
 
-use super::{Engine, disk_free_bytes};
+use super::Engine;
 use crate::daemon::pairing::{FrameSet, pair};
 use crate::daemon::pre_grasp::PreGraspFrames;
 use crate::daemon::report::fault_text;
+use crate::daemon::status::disk_free_bytes;
 use gripcast_capture::calibration::SourceKind;
 use gripcast_capture::camera::{Health, monotonic_ns};
 use gripcast_dataset::{CapturedCamera, StageCapture};

@@ -10,7 +10,7 @@ mod start;
 
 use std::collections::{BTreeMap, VecDeque};
 use std::future::Future;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -30,9 +30,10 @@ use super::pre_grasp::PreGraspRecorder;
 use super::report::{
     CollectReport, EndReason, GraspReport, PredictionReport, camera_report, cameras_json,
 };
-use super::status::EngineStatus;
+use super::status::{EngineStatus, disk_free_bytes};
 use super::store::{Store, StoreMessage};
 use super::tasks::Tasks;
+use super::thread::lock;
 use gripcast_base::error::Result;
 use gripcast_capture::calibration::RigFile;
 use gripcast_capture::camera::{CameraOpener, SupervisionPolicy, monotonic_ns};
@@ -268,9 +269,7 @@ impl Engine {
         let state = self.inference.stop();
         // Last: the grasps are durable and all writers to the black box have ended.
         let black_box = self.black_box.map(BlackBox::stop);
-        let state = state
-            .lock()
-            .unwrap_or_else(std::sync::PoisonError::into_inner);
+        let state = lock(&state);
         let ended = ended?;
         stored?;
         Ok(CollectReport {
@@ -303,9 +302,4 @@ impl Engine {
             }
         }
     }
-}
-
-fn disk_free_bytes(path: &Path) -> Option<u64> {
-    let disk = rustix::fs::statvfs(path).ok()?;
-    Some(disk.f_bavail.saturating_mul(disk.f_frsize))
 }
