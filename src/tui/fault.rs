@@ -41,19 +41,12 @@ pub(super) fn state_and_duration(state: &CameraState) -> (String, String) {
     (state.word().to_uppercase(), since.unwrap_or_default())
 }
 
-/// Returns the remedy in one word, shown in large letters.
-fn remedy_word(state: &CameraState) -> &'static str {
+/// Returns the remedy in one word, shown in large letters, and as a sentence.
+fn remedy(state: &CameraState) -> (&'static str, &'static str) {
     match state {
-        CameraState::Lost { .. } => "PLUG IN",
-        _ => "REPLUG",
-    }
-}
-
-fn remedy(state: &CameraState) -> &'static str {
-    match state {
-        CameraState::Frozen { .. } => "REPLUG IT: the image does not change",
-        CameraState::Lost { .. } => "PLUG IT IN: it reopens by itself",
-        _ => "REPLUG IT: no frames arrive",
+        CameraState::Frozen { .. } => ("REPLUG", "REPLUG IT: the image does not change"),
+        CameraState::Lost { .. } => ("PLUG IN", "PLUG IT IN: it reopens by itself"),
+        _ => ("REPLUG", "REPLUG IT: no frames arrive"),
     }
 }
 
@@ -85,7 +78,7 @@ pub(super) fn summary(camera: &CameraStatus, status: &EngineStatus) -> String {
         "{} {word} {since}{}— {} ({}; {})",
         camera_name(camera.role),
         if since.is_empty() { "" } else { " " },
-        remedy(&camera.state),
+        remedy(&camera.state).1,
         identity(camera),
         live_count(status)
     )
@@ -106,6 +99,7 @@ pub(super) fn draw(buffer: &mut Buffer, area: Rect, status: &EngineStatus, palet
     fill(buffer, area, ratatui::style::Style::new());
     fill(buffer, block, style);
     let inner = margin(block);
+    let (word, remedy) = remedy(&first.state);
     let used = draw_heading(buffer, inner, first, palette);
     let mut lines = vec![
         identity(first),
@@ -113,7 +107,7 @@ pub(super) fn draw(buffer: &mut Buffer, area: Rect, status: &EngineStatus, palet
             CameraState::Lost { reason } => reason.clone(),
             _ => String::new(),
         },
-        format!("→ {}", remedy(&first.state)),
+        format!("→ {remedy}"),
         format!(
             "{} · capture is blocked until the camera recovers",
             live_count(status)
@@ -134,7 +128,6 @@ pub(super) fn draw(buffer: &mut Buffer, area: Rect, status: &EngineStatus, palet
     write_all(buffer, inset(inner, 0, used), &shown);
     let written = used + u16::try_from(lines.len()).unwrap_or(u16::MAX);
     let free = inner.height.saturating_sub(written.saturating_add(1));
-    let word = remedy_word(&first.state);
     let size = Size::DESCENDING
         .into_iter()
         .find(|size| size.rows() <= free && size.columns(word) <= inner.width);

@@ -6,7 +6,10 @@ use std::io::{self, IsTerminal as _};
 use std::os::fd::{AsFd, BorrowedFd};
 use std::time::Duration;
 
+use crossterm::event::{self, Event};
 use rustix::event::{PollFd, PollFlags, Timespec, poll};
+
+use gripcast_base::error::{Error, Result};
 
 /// Terminal for key input: standard input if it is a terminal, else the controlling terminal.
 pub(crate) enum Keyboard {
@@ -26,6 +29,21 @@ impl Keyboard {
         File::open("/dev/tty").map(Self::Controlling)
     }
 
+    /// Waits at most `timeout` and returns all pending events; `None` once the terminal is closed.
+    ///
+    /// # Errors
+    /// Errors of the operating system.
+    pub(super) fn events(&self, timeout: Duration) -> Result<Option<Vec<Event>>> {
+        if !self.wait(timeout).map_err(unreadable)? {
+            return Ok(None);
+        }
+        let mut events = Vec::new();
+        while event::poll(Duration::ZERO).map_err(unreadable)? {
+            events.push(event::read().map_err(unreadable)?);
+        }
+        Ok(Some(events))
+    }
+
     /// Waits for input, at most `timeout`; returns false once the terminal is closed.
     ///
     /// # Errors
@@ -36,6 +54,12 @@ impl Keyboard {
             Self::Controlling(tty) => wait_for_input(tty.as_fd(), timeout),
         }
     }
+}
+
+/// Returns the error of a terminal whose keys cannot be read.
+pub(super) fn unreadable(source: io::Error) -> Error {
+    Error::io("cannot read keys from this terminal", source)
+        .remedy("run in a terminal, or without a screen (--headless)")
 }
 
 fn wait_for_input(terminal: BorrowedFd<'_>, timeout: Duration) -> io::Result<bool> {

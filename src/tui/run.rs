@@ -3,17 +3,17 @@
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-use crossterm::event::{self, Event};
+use crossterm::event::Event;
 use tokio::sync::{mpsc, watch};
 
 use super::collect;
-use super::keyboard::Keyboard;
+use super::keyboard::{Keyboard, unreadable};
 use super::palette::{ColourDepth, Palette};
 use super::state::{Reaction, ScreenState};
 use super::terminal::ScreenTerminal;
 use super::tone::{Sound, Speaker};
 use crate::daemon::{CommandRequest, EngineStatus};
-use gripcast_base::error::{Error, Result};
+use gripcast_base::error::Result;
 use gripcast_session::{Command, CommandSource, Tone};
 
 /// Maximum wait for a key; bounds the delay of tones, status updates and the end of the engine.
@@ -76,16 +76,8 @@ impl Screen {
         if self.changed && self.drawn.is_none_or(|at| at.elapsed() >= MIN_INTERVAL) {
             self.draw(terminal)?;
         }
-        // All pending keys are read before the next drawing.
-        if !keyboard.wait(POLL).map_err(unreadable)? {
-            return Ok(false);
-        }
-        while event::poll(Duration::ZERO).map_err(unreadable)? {
-            if !self.handle(&event::read().map_err(unreadable)?) {
-                return Ok(false);
-            }
-        }
-        Ok(true)
+        let events = keyboard.events(POLL)?;
+        Ok(events.is_some_and(|events| events.iter().all(|event| self.handle(event))))
     }
 
     fn sound(&mut self, terminal: &mut ScreenTerminal) -> Result<()> {
@@ -136,9 +128,4 @@ impl Screen {
             self.state.notice = Some(format!("`{name}` not sent: the engine is busy"));
         }
     }
-}
-
-fn unreadable(source: std::io::Error) -> Error {
-    Error::io("cannot read keys from this terminal", source)
-        .remedy("run in a terminal, or without a screen (--headless)")
 }

@@ -140,15 +140,18 @@ struct ClipObject {
 /// One simulated grasp, ready for playback.
 #[derive(Debug)]
 pub struct Clip {
-    name: String,
+    /// Common stem of the file names.
+    pub(super) name: String,
     folder: PathBuf,
-    files: ClipFiles,
+    pub(super) files: ClipFiles,
     header: ClipHeader,
     object: TraceObject,
     mesh: OnceLock<TriangleMesh>,
-    gel: SimulatedGel,
-    start: TraceStart,
-    steps: Vec<TraceStep>,
+    pub(super) gel: SimulatedGel,
+    /// Poses at the start of the grasp.
+    pub(super) start: TraceStart,
+    /// The shown steps.
+    pub(super) steps: Vec<TraceStep>,
     /// Index of the last step before the lift.
     closed: usize,
 }
@@ -196,16 +199,6 @@ impl Clip {
         self.depth_mm().map(|_| ())
     }
 
-    /// Returns the name of the clip, the common stem of its files.
-    pub fn name(&self) -> &str {
-        &self.name
-    }
-
-    /// Returns the files of the clip.
-    pub fn files(&self) -> &ClipFiles {
-        &self.files
-    }
-
     /// Returns the simulation outcome of the grasp.
     pub fn outcome(&self) -> GraspOutcome {
         self.header.outcome
@@ -233,21 +226,6 @@ impl Clip {
         };
         // Rounding to the nearest step would show contact before the hand moves.
         (index + 1e-9) as usize
-    }
-
-    /// Returns the shown steps.
-    pub fn steps(&self) -> &[TraceStep] {
-        &self.steps
-    }
-
-    /// Returns the poses at the start of the grasp.
-    pub fn start(&self) -> &TraceStart {
-        &self.start
-    }
-
-    /// Returns the simulated gel.
-    pub fn gel(&self) -> &SimulatedGel {
-        &self.gel
     }
 
     /// Returns the mesh of the object, in its own frame, m.

@@ -99,14 +99,14 @@ impl GelRenderer {
 
     /// Renders the sensor image, or `None` without contact.
     fn render(&mut self, clip: &Clip, step: usize) -> Result<Option<RgbImage>> {
-        let step = &clip.steps()[step];
+        let step = &clip.steps[step];
         if step.min_gap_m[self.finger as usize].is_none() {
             return Ok(None);
         }
         let place = SensorPlace::on(self.finger);
-        let t_world_gripper = clip.start().t_world_gripper();
+        let t_world_gripper = clip.start.t_world_gripper();
         let mesh = clip.mesh()?;
-        let scene = TactileScene::of_step(mesh, clip.gel(), &t_world_gripper, step, place)?;
+        let scene = TactileScene::of_step(mesh, &clip.gel, &t_world_gripper, step, place)?;
         let press = object_depth(&scene, &self.renderer.geometry(), &mut self.rasteriser);
         self.renderer.render(&press, &self.look).map(Some)
     }
@@ -127,7 +127,7 @@ mod tests {
 
     fn clip(name: &str) -> Arc<Clip> {
         let library = ClipLibrary::built_in().unwrap();
-        let found = library.clips().iter().find(|clip| clip.name() == name);
+        let found = library.clips().iter().find(|clip| clip.name == name);
         found.unwrap().clone()
     }
 
@@ -155,12 +155,12 @@ mod tests {
             renderer.look = FrameLook::default();
             let shown = scene_at(&clip, 1.0);
             let cut = cropped(renderer.render_frame(&shown, 1).unwrap());
-            let step = &clip.steps()[shown.step];
-            let t_world_gripper = clip.start().t_world_gripper();
+            let step = &clip.steps[shown.step];
+            let t_world_gripper = clip.start.t_world_gripper();
             let place = SensorPlace::on(finger);
             let mesh = clip.mesh().unwrap();
             let scene =
-                TactileScene::of_step(mesh, clip.gel(), &t_world_gripper, step, place).unwrap();
+                TactileScene::of_step(mesh, &clip.gel, &t_world_gripper, step, place).unwrap();
             let expected = reference.render(&scene, None).unwrap();
             let bare = reference.render(&scene.untouched(), None).unwrap();
             assert!(mean_difference(&expected, &bare) > 1.0, "no contact");

@@ -107,11 +107,6 @@ impl VirtualHand {
         });
     }
 
-    /// Returns the target of the current or last motion.
-    pub fn target(&self) -> HandTarget {
-        self.change(|motion| motion.target)
-    }
-
     /// Returns the start time of the last motion or object change, ns of the hand's clock.
     pub fn since_ns(&self) -> u64 {
         self.change(|motion| motion.since_ns)
@@ -180,9 +175,9 @@ mod tests {
             closing.windows(2).all(|w| w[0] <= w[1] && w[1] - w[0] <= 3),
             "{closing:?}"
         );
-        let closed = &clip.steps()[closing[30]];
+        let closed = &clip.steps[closing[30]];
         assert_eq!(closed.stage, StageName::Adjustment);
-        assert_eq!(clip.steps()[closing[30] + 1].stage, StageName::Lift);
+        assert_eq!(clip.steps[closing[30] + 1].stage, StageName::Lift);
 
         clock.advance(600 * MS);
         hand.move_to(HandTarget::Open);
@@ -206,12 +201,12 @@ mod tests {
         hand.move_to(HandTarget::Lifted);
         clock.advance(1_500 * MS);
         let clip = hand.clip();
-        assert_eq!(hand.scene_at(clock.now_ns()).step, clip.steps().len() - 1);
+        assert_eq!(hand.scene_at(clock.now_ns()).step, clip.steps.len() - 1);
         let truth = hand.truth(clock.now_ns());
-        assert!(truth.held && truth.film == clip.name());
+        assert!(truth.held && truth.film == clip.name);
         hand.move_to(HandTarget::Closed);
         clock.advance(900 * MS);
-        let step = &clip.steps()[hand.scene_at(clock.now_ns()).step];
+        let step = &clip.steps[hand.scene_at(clock.now_ns()).step];
         assert_eq!(step.stage, StageName::Adjustment);
         assert!(hand.truth(clock.now_ns()).force_n.iter().all(|f| *f > 1.0));
     }
@@ -222,7 +217,6 @@ mod tests {
         hand.move_to(HandTarget::Closed);
         clock.advance(1_000 * MS);
         hand.next_object();
-        assert_eq!(hand.target(), HandTarget::Open);
         let scene = hand.scene_at(clock.now_ns());
         assert_eq!((scene.grasp, scene.step), (1, 0));
         assert!(!hand.truth(clock.now_ns()).held, "the second grasp slips");

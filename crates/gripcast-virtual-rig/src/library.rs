@@ -135,16 +135,16 @@ mod tests {
         assert_eq!(library.clips().len(), 8);
         for clip in library.clips() {
             clip.check().unwrap();
-            let last = clip.steps().last().unwrap();
+            let last = clip.steps.last().unwrap();
             let first_m = clip.truth_at(0).opening_m;
             assert!(
-                (first_m - clip.start().opening_m).abs() < 1e-3,
+                (first_m - clip.start.opening_m).abs() < 1e-3,
                 "{}",
-                clip.name()
+                clip.name
             );
-            let rest = clip.start().t_world_object.translation_m.z;
+            let rest = clip.start.t_world_object.translation_m.z;
             let rise = last.t_world_object.translation_m.z - rest;
-            assert_eq!(is_stable(clip), rise > 0.045, "{}: {rise}", clip.name());
+            assert_eq!(is_stable(clip), rise > 0.045, "{}: {rise}", clip.name);
         }
         let stable = library
             .clips()
@@ -163,7 +163,7 @@ mod tests {
             assert_eq!(first, [true, false, true]);
             for round in 0..3 {
                 let mut names: Vec<_> = (0..count)
-                    .map(|n| library.clip(seed, round * count + n).name().to_owned())
+                    .map(|n| library.clip(seed, round * count + n).name.clone())
                     .collect();
                 names.sort();
                 names.dedup();
@@ -173,7 +173,7 @@ mod tests {
         let session = |seed| (0..24).map(move |n| (seed, n));
         let names = |seed| -> Vec<_> {
             session(seed)
-                .map(|(s, n)| library.clip(s, n).name().to_owned())
+                .map(|(s, n)| library.clip(s, n).name.clone())
                 .collect()
         };
         assert_eq!(names(1), names(1));
@@ -203,21 +203,16 @@ mod tests {
         let built_in = ClipLibrary::built_in().unwrap();
         let clip = &built_in.clips()[0];
         let write = |end: usize, bytes: &[u8]| {
-            let files = clip.files().named("grip");
+            let files = clip.files.named("grip");
             fs::write(folder.path().join(&files[end].0), bytes).unwrap();
         };
-        let whole: Vec<Vec<u8>> = clip
-            .files()
-            .named("")
-            .iter()
-            .map(|f| f.1.to_vec())
-            .collect();
+        let whole: Vec<Vec<u8>> = clip.files.named("").iter().map(|f| f.1.to_vec()).collect();
         for (end, bytes) in whole.iter().enumerate() {
             write(end, bytes);
         }
         let read = ClipLibrary::read(folder.path()).unwrap();
-        assert_eq!(read.clips()[0].name(), "grip");
-        assert_eq!(read.clips()[0].steps(), clip.steps());
+        assert_eq!(read.clips()[0].name, "grip");
+        assert_eq!(read.clips()[0].steps, clip.steps);
         for (end, bytes) in whole.iter().enumerate() {
             write(end, &bytes[..bytes.len() / 3]);
             let text = ClipLibrary::read(folder.path()).unwrap_err().to_string();

@@ -218,10 +218,7 @@ fn shown_steps(steps: &[TraceStep]) -> Result<Vec<usize>> {
         return Err(Error::input("the trace has no steps")
             .remedy("use the trace of a grasp whose simulation converged"));
     }
-    let count = |is: &dyn Fn(&TraceStep) -> bool| steps.iter().take_while(|s| is(s)).count();
-    let free = count(&|s| s.min_gap_m == [None, None] && s.stage == StageName::Closure);
-    let closure = count(&|s| s.stage == StageName::Closure);
-    let before_lift = count(&|s| s.stage != StageName::Lift);
+    let [free, closure, before_lift] = phase_ends(steps.iter());
     let mut shown = vec![0];
     for (from, to, max) in [
         (0, free, FREE_STEPS),
@@ -235,6 +232,16 @@ fn shown_steps(steps: &[TraceStep]) -> Result<Vec<usize>> {
     Ok(shown)
 }
 
+/// Returns the number of steps before first contact, before the end of closure, and before the lift.
+fn phase_ends<'a>(steps: impl Iterator<Item = &'a TraceStep> + Clone) -> [usize; 3] {
+    let count = |is: fn(&TraceStep) -> bool| steps.clone().take_while(|step| is(step)).count();
+    [
+        count(|s| s.min_gap_m == [None, None] && s.stage == StageName::Closure),
+        count(|s| s.stage == StageName::Closure),
+        count(|s| s.stage != StageName::Lift),
+    ]
+}
+
 /// Returns at most `max` evenly spaced indices of `from..to`, always with the last.
 fn spread(from: usize, to: usize, max: usize) -> impl Iterator<Item = usize> {
     let length = to - from;
@@ -244,10 +251,7 @@ fn spread(from: usize, to: usize, max: usize) -> impl Iterator<Item = usize> {
 
 /// Selects keyframes among the shown steps.
 fn keyframes(trace: &Trace, shown: &[usize], external_camera: Intrinsics) -> Keyframes {
-    let steps: Vec<&TraceStep> = shown.iter().map(|step| &trace.steps[*step]).collect();
-    let count = |is: &dyn Fn(&TraceStep) -> bool| steps.iter().take_while(|s| is(s)).count();
-    let free = count(&|s| s.min_gap_m == [None, None] && s.stage == StageName::Closure);
-    let before_lift = count(&|s| s.stage != StageName::Lift);
+    let [free, _, before_lift] = phase_ends(shown.iter().map(|step| &trace.steps[*step]));
     let mut keys = vec![0];
     keys.extend(spread(0, free, FREE_KEYS));
     // The fingers hardly move in contact: first contact and end of closure are enough.
@@ -255,9 +259,9 @@ fn keyframes(trace: &Trace, shown: &[usize], external_camera: Intrinsics) -> Key
         free.min(before_lift.saturating_sub(1)),
         before_lift.saturating_sub(1),
     ]);
-    keys.extend(spread(before_lift, steps.len(), LIFTING_KEYS));
+    keys.extend(spread(before_lift, shown.len(), LIFTING_KEYS));
     keys.dedup();
-    let mut external_keys = vec![0, before_lift.saturating_sub(1), steps.len() - 1];
+    let mut external_keys = vec![0, before_lift.saturating_sub(1), shown.len() - 1];
     external_keys.dedup();
     Keyframes {
         keys,
@@ -453,9 +457,9 @@ mod tests {
         let clip = Clip::parse("box", files, Path::new("")).unwrap();
         clip.check().unwrap();
         let shown = shown_steps(&file.trace.steps).unwrap();
-        assert_eq!(clip.steps().len(), shown.len());
-        assert_eq!(clip.steps()[clip.step_at(1.0)], file.trace.steps[169]);
-        assert_eq!(clip.steps()[clip.step_at(2.0)], file.trace.steps[219]);
+        assert_eq!(clip.steps.len(), shown.len());
+        assert_eq!(clip.steps[clip.step_at(1.0)], file.trace.steps[169]);
+        assert_eq!(clip.steps[clip.step_at(2.0)], file.trace.steps[219]);
         let truth = clip.truth_at(clip.step_at(2.0));
         assert!(truth.held && truth.object == "builtin:box");
         // The gripper rises with the object, so their relative pose is constant.

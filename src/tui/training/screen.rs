@@ -4,11 +4,11 @@ use std::sync::mpsc::{self, Receiver, RecvTimeoutError, Sender, TryRecvError};
 use std::thread;
 use std::time::{Duration, Instant};
 
-use crossterm::event::{self, Event, KeyCode, KeyEvent, KeyEventKind, KeyModifiers};
+use crossterm::event::{KeyCode, KeyEvent, KeyEventKind, KeyModifiers};
 use tokio::sync::oneshot;
 
 use super::super::input::is_interrupt;
-use super::super::keyboard::Keyboard;
+use super::super::keyboard::{Keyboard, unreadable};
 use super::super::palette::{ColourDepth, Palette};
 use super::super::terminal::ScreenTerminal;
 use super::dashboard;
@@ -112,18 +112,17 @@ impl Dashboard {
             }
             self.draw(&mut terminal)?;
             // A closed terminal does not stop the training.
-            if !keyboard.wait(POLL).map_err(unreadable)? {
+            let Some(events) = keyboard.events(POLL)? else {
                 return Ok(());
-            }
-            while event::poll(Duration::ZERO).map_err(unreadable)? {
-                self.changed = true;
-                if let Event::Key(key) = event::read().map_err(unreadable)?
-                    && is_stop(&key)
-                {
-                    drop(terminal);
-                    let _ = stop.send(());
-                    return Ok(());
-                }
+            };
+            self.changed |= !events.is_empty();
+            if events
+                .iter()
+                .any(|e| e.as_key_event().is_some_and(|key| is_stop(&key)))
+            {
+                drop(terminal);
+                let _ = stop.send(());
+                return Ok(());
             }
         }
     }
@@ -165,11 +164,6 @@ fn is_stop(key: &KeyEvent) -> bool {
         && matches!(key.code, KeyCode::Char('q' | 'Q'))
         && (key.modifiers - KeyModifiers::SHIFT).is_empty();
     is_q || is_interrupt(key)
-}
-
-fn unreadable(source: std::io::Error) -> Error {
-    Error::io("cannot read keys from this terminal", source)
-        .remedy("run without a screen (--headless)")
 }
 
 #[cfg(test)]
