@@ -40,9 +40,9 @@ pub(super) fn start(
     hub.slots()
         .map(|slot| {
             let (slot, infer) = (Arc::clone(slot), infer.clone());
-            let crop = crop_of(slot.role());
+            let crop = crop_of(slot.role);
             let mut decoder = Decoder::new()?;
-            let name = format!("decode-{}", slot.role());
+            let name = format!("decode-{}", slot.role);
             tasks.spawn(&name, move |heartbeat| {
                 run(&slot, crop.as_ref(), &mut decoder, &infer, heartbeat);
             })
@@ -66,7 +66,7 @@ fn run(
         match model_image(decoder, &frame, crop) {
             Ok(image) => {
                 slot.on_decoded(&frame, image);
-                if infer.send(InferRequest::NewImage(slot.role())).is_err() {
+                if infer.send(InferRequest::NewImage(slot.role)).is_err() {
                     return;
                 }
             }

@@ -76,7 +76,8 @@ struct SlotState {
 /// Frames and state of one camera in the hub.
 #[derive(Debug)]
 pub(super) struct CameraSlot {
-    role: Role,
+    /// Role of the camera.
+    pub(super) role: Role,
     tap: Tap,
     state: Mutex<SlotState>,
     arrived: Condvar,
@@ -105,11 +106,6 @@ impl CameraSlot {
             }),
             arrived: Condvar::new(),
         }
-    }
-
-    /// Returns the role of the camera.
-    pub(super) fn role(&self) -> Role {
-        self.role
     }
 
     /// Reads or updates the camera's health, counters and stream.
@@ -293,7 +289,8 @@ fn mark_valid(state: &mut SlotState, frame: &Frame) {
 #[derive(Clone, Debug)]
 pub(super) struct Hub {
     slots: Arc<BTreeMap<Role, Arc<CameraSlot>>>,
-    tap: Tap,
+    /// Input of the black box.
+    pub(super) tap: Tap,
 }
 
 impl Hub {
@@ -307,11 +304,6 @@ impl Hub {
             slots: Arc::new(slots),
             tap,
         }
-    }
-
-    /// Returns the input of the black box.
-    pub(super) fn tap(&self) -> &Tap {
-        &self.tap
     }
 
     /// Returns the slot of a camera.

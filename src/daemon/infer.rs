@@ -155,9 +155,11 @@ impl InferenceState {
 #[derive(Debug)]
 pub(super) struct Inference {
     state: Arc<Mutex<InferenceState>>,
-    requests: Sender<InferRequest>,
+    /// Request channel.
+    pub(super) requests: Sender<InferRequest>,
     thread: JoinHandle<()>,
-    model: Option<String>,
+    /// Name of the model.
+    pub(super) model: Option<String>,
 }
 
 impl Inference {
@@ -190,16 +192,6 @@ impl Inference {
             thread,
             model: name,
         })
-    }
-
-    /// Returns the name of the model.
-    pub(super) fn model(&self) -> Option<&str> {
-        self.model.as_deref()
-    }
-
-    /// Returns the request channel.
-    pub(super) fn requests(&self) -> &Sender<InferRequest> {
-        &self.requests
     }
 
     /// Returns the newest results.
@@ -395,7 +387,7 @@ impl Worker {
                     ..PredictionStatus::new(record, model.heuristic)
                 });
                 drop(state);
-                self.hub.tap().json(Topic::Prediction, || message);
+                self.hub.tap.json(Topic::Prediction, || message);
             }
         }
     }

@@ -122,13 +122,13 @@ pub fn run_load(model: Model, params: LoadParams) -> Result<LoadFigures> {
         right: initial(Role::Right)?,
     };
     inference
-        .requests()
+        .requests
         .send(request)
         .map_err(|_| Error::internal("the inference thread has ended"))?;
     std::thread::sleep(WARM_UP / 2);
 
     // Reports arrive twice a second; the counters before and after are equally old.
-    let before = Counts::read(&hub);
+    let before = frame_counts(&hub);
     let predictions_before = {
         let mut state = inference.state();
         state.latency = super::histogram::LatencyHistogram::default();
@@ -138,7 +138,7 @@ pub fn run_load(model: Model, params: LoadParams) -> Result<LoadFigures> {
     std::thread::sleep(Duration::from_secs(params.seconds));
     let wall_s = monotonic_ns().saturating_sub(started) as f64 * 1e-9;
     let cores = (process_cpu_s() - cpu) / wall_s;
-    let after = Counts::read(&hub);
+    let after = frame_counts(&hub);
     capture.stop();
     hub.close();
     for decoder in decoders {
@@ -149,9 +149,9 @@ pub fn run_load(model: Model, params: LoadParams) -> Result<LoadFigures> {
     let state = lock(&state);
     let quantile = |q| state.latency.quantile_ms(q).unwrap_or(f64::NAN);
     Ok(LoadFigures {
-        lost: after.lost - before.lost,
-        not_decoded: after.not_decoded - before.not_decoded,
-        received: after.received - before.received,
+        lost: after[0] - before[0],
+        not_decoded: after[1] - before[1],
+        received: after[2] - before[2],
         predictions_per_s: (state.predictions - predictions_before) as f64 / wall_s,
         latency_p50_ms: quantile(0.5),
         latency_p99_ms: quantile(0.99),
@@ -161,29 +161,19 @@ pub fn run_load(model: Model, params: LoadParams) -> Result<LoadFigures> {
     })
 }
 
-/// Frame counts of all cameras.
-#[derive(Default)]
-struct Counts {
-    lost: u64,
-    /// Tactile cameras only.
-    not_decoded: u64,
-    received: u64,
-}
-
-impl Counts {
-    fn read(hub: &Hub) -> Self {
-        let mut counts = Self::default();
-        for slot in hub.slots() {
-            slot.with_info(|info| {
-                counts.lost += info.counters.sequence_gaps;
-                counts.received += info.counters.received;
-                if slot.role().is_tactile() {
-                    counts.not_decoded += info.not_decoded;
-                }
-            });
-        }
-        counts
-    }
+/// Sums lost, not decoded (tactile only) and received frames over all cameras.
+fn frame_counts(hub: &Hub) -> [u64; 3] {
+    hub.slots().fold([0; 3], |[lost, skipped, received], slot| {
+        let is_tactile = u64::from(slot.role.is_tactile());
+        slot.with_info(|info| {
+            let counters = &info.counters;
+            [
+                lost + counters.sequence_gaps,
+                skipped + is_tactile * info.not_decoded,
+                received + counters.received,
+            ]
+        })
+    })
 }
 
 /// Returns one tactile frame of the load, without contact.

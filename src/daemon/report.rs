@@ -126,7 +126,7 @@ fn camera_state(health: &Health, now_ns: u64) -> CameraState {
 }
 
 pub(super) fn camera_status(slot: &CameraSlot, rig: &RigFile, now_ns: u64) -> CameraStatus {
-    let role = slot.role();
+    let role = slot.role;
     let newest_ns = slot.newest_time_ns();
     let report = camera_report(slot, rig);
     slot.with_info(|info| CameraStatus {
@@ -160,13 +160,13 @@ pub(super) fn cameras_json(hub: &Hub, rig: &RigFile, now_ns: u64) -> serde_json:
         })
     };
     hub.slots()
-        .map(|slot| (slot.role().name().to_owned(), camera(slot)))
+        .map(|slot| (slot.role.name().to_owned(), camera(slot)))
         .collect::<serde_json::Map<_, _>>()
         .into()
 }
 
 pub(super) fn camera_report(slot: &CameraSlot, rig: &RigFile) -> CameraReport {
-    let config = rig.cameras.get(&slot.role());
+    let config = rig.cameras.get(&slot.role);
     slot.with_info(|info| {
         let identity = info.stream.as_ref().map(|stream| &stream.identity);
         CameraReport {

@@ -88,22 +88,20 @@ fn access(device: &VideoDevice) -> Finding {
     if let Some(speed) = speed {
         finding = finding.measurement("speed_mbps", f64::from(speed));
     }
-    match &device.access {
-        Access::Open => finding,
+    let denied;
+    let remedy = match &device.access {
+        Access::Open => return finding,
         Access::Denied => {
-            let error = permission_error(device, "open");
-            finding.status = CheckStatus::Fail;
-            finding.remedy(error.remedy_text().unwrap_or_default())
+            denied = permission_error(device, "open");
+            denied.remedy_text().unwrap_or_default()
         }
-        Access::Busy(_) => {
-            finding.status = CheckStatus::Fail;
-            finding.remedy("stop the program that uses it")
-        }
+        Access::Busy(_) => "stop the program that uses it",
         Access::Unknown | Access::Missing | Access::Failed(_) => {
-            finding.status = CheckStatus::Fail;
-            finding.remedy("replug it; see `sudo dmesg` for kernel messages")
+            "replug it; see `sudo dmesg` for kernel messages"
         }
-    }
+    };
+    finding.status = CheckStatus::Fail;
+    finding.remedy(remedy)
 }
 
 /// Returns the bit rate of a camera's raw images, Mbit/s; `None` for compressed ones.

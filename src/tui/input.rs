@@ -3,6 +3,7 @@
 use crossterm::event::{KeyCode, KeyEvent, KeyEventKind, KeyModifiers};
 
 use super::prompt::Field;
+use super::state::Overlay;
 use gripcast_dataset::Outcome;
 use gripcast_session::Command;
 
@@ -11,25 +12,16 @@ use gripcast_session::Command;
 pub enum UiAction {
     /// Send a session command.
     Command(Command),
-    /// Change the screen.
-    Ui(UiChange),
+    /// Show or hide an overlay.
+    Toggle(Overlay),
+    /// Prompt for a name.
+    Prompt(Field),
+    /// Close the overlay, or dismiss a fault.
+    Close,
     /// Quit, with confirmation if work is unfinished.
     Quit,
     /// Quit at once.
     QuitNow,
-}
-
-/// A change of the screen.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum UiChange {
-    /// Show or hide the keys.
-    Help,
-    /// Show or hide the sensor details.
-    Sensors,
-    /// Prompt for a name.
-    Ask(Field),
-    /// Close the overlay, or dismiss a fault.
-    Close,
 }
 
 /// Returns whether the key is Ctrl-C.
@@ -52,7 +44,7 @@ pub fn action(key: &KeyEvent) -> Option<UiAction> {
         return None;
     }
     let command = match key.code {
-        KeyCode::Esc => return Some(UiAction::Ui(UiChange::Close)),
+        KeyCode::Esc => return Some(UiAction::Close),
         KeyCode::Char(c) => match c.to_ascii_lowercase() {
             ' ' => Command::Trigger,
             'i' => Command::Initial,
@@ -62,11 +54,11 @@ pub fn action(key: &KeyEvent) -> Option<UiAction> {
             'u' => Command::Undo,
             'r' => Command::Redo,
             '!' => Command::Override,
-            'o' => return Some(UiAction::Ui(UiChange::Ask(Field::Object))),
-            'n' => return Some(UiAction::Ui(UiChange::Ask(Field::Scene))),
-            'p' => return Some(UiAction::Ui(UiChange::Ask(Field::Operator))),
-            'h' => return Some(UiAction::Ui(UiChange::Sensors)),
-            '?' => return Some(UiAction::Ui(UiChange::Help)),
+            'o' => return Some(UiAction::Prompt(Field::Object)),
+            'n' => return Some(UiAction::Prompt(Field::Scene)),
+            'p' => return Some(UiAction::Prompt(Field::Operator)),
+            'h' => return Some(UiAction::Toggle(Overlay::Sensors)),
+            '?' => return Some(UiAction::Toggle(Overlay::Help)),
             'q' => return Some(UiAction::Quit),
             _ => return None,
         },
@@ -97,18 +89,18 @@ mod tests {
         ] {
             assert_eq!(action(&key(c)), Some(UiAction::Command(command)), "{c:?}");
         }
-        for (c, change) in [
-            ('o', UiChange::Ask(Field::Object)),
-            ('n', UiChange::Ask(Field::Scene)),
-            ('p', UiChange::Ask(Field::Operator)),
-            ('h', UiChange::Sensors),
-            ('?', UiChange::Help),
+        for (c, expected) in [
+            ('o', UiAction::Prompt(Field::Object)),
+            ('n', UiAction::Prompt(Field::Scene)),
+            ('p', UiAction::Prompt(Field::Operator)),
+            ('h', UiAction::Toggle(Overlay::Sensors)),
+            ('?', UiAction::Toggle(Overlay::Help)),
+            ('q', UiAction::Quit),
         ] {
-            assert_eq!(action(&key(c)), Some(UiAction::Ui(change)), "{c:?}");
+            assert_eq!(action(&key(c)), Some(expected), "{c:?}");
         }
-        assert_eq!(action(&key('q')), Some(UiAction::Quit));
         let escape = KeyEvent::new(KeyCode::Esc, KeyModifiers::NONE);
-        assert_eq!(action(&escape), Some(UiAction::Ui(UiChange::Close)));
+        assert_eq!(action(&escape), Some(UiAction::Close));
     }
 
     #[test]

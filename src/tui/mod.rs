@@ -31,7 +31,7 @@ mod tone;
 mod training;
 
 pub use collect::draw;
-pub use input::{UiAction, UiChange, action};
+pub use input::{UiAction, action};
 pub(crate) use keyboard::Keyboard;
 pub use lines::{LinePrinter, print_lines};
 pub use palette::{ColourDepth, Palette};

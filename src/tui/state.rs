@@ -3,7 +3,7 @@
 use crossterm::event::KeyEvent;
 
 use super::fault::faults;
-use super::input::{self, UiAction, UiChange};
+use super::input::{self, UiAction};
 use super::palette::Palette;
 use super::prompt::{Prompt, Reply};
 use crate::daemon::EngineStatus;
@@ -88,7 +88,13 @@ impl ScreenState {
             UiAction::Command(command) => return Reaction::Send(command),
             UiAction::QuitNow => return Reaction::Leave,
             UiAction::Quit => return self.quit(confirmed, status),
-            UiAction::Ui(change) => self.change(change, status),
+            UiAction::Toggle(overlay) if self.overlay == overlay => self.overlay = Overlay::None,
+            UiAction::Toggle(overlay) => self.overlay = overlay,
+            UiAction::Prompt(field) => self.prompt = Some(Prompt::new(field, &status.session)),
+            UiAction::Close if self.overlay != Overlay::None => self.overlay = Overlay::None,
+            UiAction::Close => {
+                self.dismissed_faults = faults(status).map(|camera| camera.role).collect();
+            }
         }
         Reaction::None
     }
@@ -106,22 +112,6 @@ impl ScreenState {
         self.leaving = true;
         self.notice = Some(format!("{unfinished}: q again quits, any other key stays"));
         Reaction::None
-    }
-
-    fn change(&mut self, change: UiChange, status: &EngineStatus) {
-        let toggled = |overlay| match self.overlay == overlay {
-            true => Overlay::None,
-            false => overlay,
-        };
-        match change {
-            UiChange::Help => self.overlay = toggled(Overlay::Help),
-            UiChange::Sensors => self.overlay = toggled(Overlay::Sensors),
-            UiChange::Ask(field) => self.prompt = Some(Prompt::new(field, &status.session)),
-            UiChange::Close if self.overlay != Overlay::None => self.overlay = Overlay::None,
-            UiChange::Close => {
-                self.dismissed_faults = faults(status).map(|camera| camera.role).collect();
-            }
-        }
     }
 
     /// Forgets dismissed faults of recovered cameras.

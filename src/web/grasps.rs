@@ -302,8 +302,8 @@ pub(crate) async fn restore(
     Segment(id): Segment<String>,
 ) -> Reply {
     let id = parse_id(&id)?;
-    let (wanted, list) = (id.clone(), Arc::clone(&backend));
-    let is_in_trash = off_thread(move || Ok(list.grasps.dataset()?.is_in_trash(&wanted))).await?;
+    let (trashed, list) = (id.clone(), Arc::clone(&backend));
+    let is_in_trash = off_thread(move || Ok(list.grasps.dataset()?.is_in_trash(&trashed))).await?;
     if !is_in_trash {
         return Err(Failure::not_found(format!("{id} is not in the trash")));
     }

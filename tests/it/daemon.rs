@@ -14,14 +14,14 @@ use serde_json::{Value, json};
 
 use crate::program::{grasps, gripcast, json as json_of, stderr, succeed, verify};
 
-/// A running daemon; it is killed when dropped.
+/// A running daemon, killed on drop.
 pub(crate) struct Daemon {
     child: Child,
     address: String,
     said: Receiver<String>,
 }
 
-/// A folder with a place for a dataset and a socket.
+/// Temporary directory with paths for a dataset and a socket.
 pub(crate) struct Place(tempfile::TempDir, Option<PathBuf>);
 
 impl Place {
@@ -168,7 +168,7 @@ impl Daemon {
     /// Waits for a line.
     fn hear(&self, text: &str) {
         loop {
-            let line = self.said.recv().expect("the daemon ended");
+            let line = self.said.recv().expect("the daemon must not end");
             if line.contains(text) {
                 return;
             }
@@ -189,7 +189,7 @@ impl Drop for Daemon {
     }
 }
 
-/// Sends a request as it stands; returns status, head and body.
+/// Sends a raw request; returns status, head and body.
 fn exchange(
     mut stream: impl Read + Write,
     method: &str,
@@ -442,7 +442,7 @@ fn token_is_required_over_tcp_but_not_on_the_socket() {
     daemon.signal(Signal::HUP);
     daemon.hear("settings reloaded");
     let with_cookie = format!("Host: lab.example\r\nCookie: {cookie}\r\n");
-    assert_eq!(status(&with_cookie), 200, "the token is the same");
+    assert_eq!(status(&with_cookie), 200, "the token is unchanged");
     fs::write(&file, "another-token-altogether").unwrap();
     daemon.signal(Signal::HUP);
     daemon.hear("settings reloaded");
@@ -479,14 +479,14 @@ fn second_daemon_reports_what_is_in_use() {
     place.daemon().get("/api/health");
 }
 
-/// A WebSocket on the daemon's events.
+/// Opens an event WebSocket.
 fn listen(daemon: &Daemon) -> tungstenite::WebSocket<TcpStream> {
     let url = format!("ws://{}/api/events", daemon.address);
     tungstenite::client(url, daemon.connect()).unwrap().0
 }
 
-/// Listens until each of these was heard, in whatever order; they are returned in that of `wanted`.
-fn hear_all<const N: usize>(
+/// Waits for one event per predicate, in any order; returns them in the order of the predicates.
+fn wait_for_events<const N: usize>(
     socket: &mut tungstenite::WebSocket<TcpStream>,
     wanted: [&dyn Fn(&Value) -> bool; N],
 ) -> [Value; N] {
@@ -523,7 +523,7 @@ fn slow_event_client_does_not_delay_the_others() {
     let place = Place::new();
     let daemon = place.daemon();
     let (mut one, mut two) = (listen(&daemon), listen(&daemon));
-    hear_all(&mut one, [&|event| step(event, "initial")]);
+    wait_for_events(&mut one, [&|event| step(event, "initial")]);
     let mut deaf = Vec::new();
     for role in ["left", "right", "rgb", "depth"] {
         let mut stream = daemon.connect();
@@ -544,7 +544,8 @@ fn slow_event_client_does_not_delay_the_others() {
     daemon.trigger();
     for socket in [&mut one, &mut two] {
         let is_stored = |event: &Value| event["type"] == "stored";
-        let [_, stored] = hear_all(socket, [&|event| tone(event, "initial_saved"), &is_stored]);
+        let [_, stored] =
+            wait_for_events(socket, [&|event| tone(event, "initial_saved"), &is_stored]);
         assert!(
             stored["stored"]["request"]["save_initial"].is_object(),
             "{stored}"
@@ -552,19 +553,19 @@ fn slow_event_client_does_not_delay_the_others() {
     }
     let message = json!({"command": "undo", "id": 7}).to_string();
     one.send(tungstenite::Message::text(message)).unwrap();
-    let [answer] = hear_all(&mut one, [&|event| event["type"] == "response"]);
+    let [answer] = wait_for_events(&mut one, [&|event| event["type"] == "response"]);
     assert_eq!(
         (&answer["id"], &answer["response"]["result"]),
         (&json!(7), &json!("accepted"))
     );
-    hear_all(
+    wait_for_events(
         &mut two,
         [&|event| tone(event, "undone"), &|event| {
             step(event, "initial")
         }],
     );
     daemon.signal(Signal::TERM);
-    hear_all(&mut two, [&|event| event["type"] == "shutdown"]);
+    wait_for_events(&mut two, [&|event| event["type"] == "shutdown"]);
     assert_eq!(daemon.stop(), Some(0));
 }
 
@@ -657,7 +658,7 @@ fn attach_requires_a_terminal_and_a_daemon() {
     assert_eq!(both.status.code(), Some(2));
 }
 
-/// A screen for a daemon in a terminal that `script` makes.
+/// Attaches a screen to a daemon in a pseudo-terminal of `script`.
 #[test]
 fn detached_screen_leaves_the_daemon_running() {
     let place = Place::new();
@@ -693,7 +694,7 @@ fn detached_screen_leaves_the_daemon_running() {
     assert_eq!(daemon.stop(), Some(0));
 }
 
-/// A file that came with somebody's data cannot move the socket or set a token that its author knows.
+/// A configuration file found next to data must not move the socket or set a token.
 #[test]
 fn discovered_configuration_cannot_open_sockets() {
     let place = Place::new();
@@ -748,7 +749,7 @@ fn discovered_configuration_cannot_open_sockets() {
     assert!(!socket.exists() && dir.join("gripcast.sock").exists());
 }
 
-/// A file of a hundred bytes that stands for an image of 160 MB.
+/// A file of a hundred bytes that declares an image of 160 MB.
 #[test]
 fn oversized_image_is_not_decoded() {
     let place = Place::new();

@@ -10,7 +10,7 @@ use crate::json_schema::assert_schema;
 use crate::program::{gripcast, json, stderr};
 use gripcast_testing::sysfs_tree::{Tree, mini};
 
-/// A command that sees the devices of a tree only.
+/// Runs a command with the devices of a tree.
 fn over(tree: &Tree, arguments: &[&str]) -> Output {
     gripcast()
         .args(arguments)

@@ -27,7 +27,7 @@ fn stderr(output: &Output) -> String {
     String::from_utf8(output.stderr.clone()).unwrap()
 }
 
-/// Two sensors and a D435. The nodes are plain files: they can be opened and answer nothing.
+/// Two tactile sensors and a D435. The device nodes are plain files without driver.
 fn bench() -> Tree {
     let mut tree = Tree::new();
     tree.plug(
@@ -43,7 +43,7 @@ fn bench() -> Tree {
 }
 
 #[test]
-fn list_without_cameras_says_so_and_exits_69() {
+fn list_without_cameras_exits_69() {
     let output = gripcast(&Tree::new(), &["list"]);
     assert_eq!(output.status.code(), Some(69));
     assert!(output.stdout.is_empty());
@@ -57,7 +57,7 @@ fn list_without_cameras_says_so_and_exits_69() {
 }
 
 #[test]
-fn list_shows_cameras_and_leaves_metadata_nodes_out() {
+fn list_shows_cameras_without_metadata_nodes() {
     let tree = bench();
     let output = gripcast(&tree, &["list", "--json"]);
     assert_eq!(output.status.code(), Some(0), "{}", stderr(&output));
@@ -94,7 +94,7 @@ fn list_shows_cameras_and_leaves_metadata_nodes_out() {
 }
 
 #[test]
-fn init_writes_a_rig_once_and_never_over_a_file() {
+fn init_never_overwrites_a_file() {
     let tree = bench();
     let out = tree.path("bench-1.toml");
     let arguments = ["init", "--out", out.to_str().unwrap()];
@@ -115,7 +115,7 @@ fn init_writes_a_rig_once_and_never_over_a_file() {
 }
 
 #[test]
-fn check_tells_missing_cameras_from_failing_ones() {
+fn check_distinguishes_missing_and_failing_cameras() {
     let tree = bench();
     let file = tree.path("bench-1.toml");
     let rig = file.to_str().unwrap();
@@ -163,7 +163,7 @@ fn check_tells_missing_cameras_from_failing_ones() {
 }
 
 #[test]
-fn wrong_rigs_are_refused_with_the_reason() {
+fn invalid_rigs_are_rejected_with_the_reason() {
     let tree = Tree::new();
     let output = gripcast(&tree, &["check", "--rig", "virtuell"]);
     assert_eq!(output.status.code(), Some(1));

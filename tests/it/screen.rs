@@ -56,7 +56,7 @@ fn camera(role: Role, serial: &str, port: &str, nominal_fps: f64) -> CameraStatu
     }
 }
 
-/// A bright spot: at the top left as an image, in the middle as a difference.
+/// Preview with a bright spot: top left for an image, centre for a difference.
 fn preview(is_difference: bool) -> Preview {
     let image = RgbImage::from_fn(64, 48, |x, y| {
         let (cx, cy) = if is_difference {

@@ -12,7 +12,7 @@ use ratatui::style::Color;
 
 const STEPS: u64 = 40;
 const EPOCHS: u64 = 30;
-/// Time of a step.
+/// Duration of a step.
 const STEP: Duration = Duration::from_millis(1200);
 
 fn settings() -> TrainSettings {
@@ -50,7 +50,7 @@ fn start(epochs: u32) -> RunStart {
     }
 }
 
-/// Takes the news of some steps, one after the other.
+/// Applies a range of steps.
 fn steps(status: &mut TrainingStatus, steps: std::ops::Range<u64>) {
     let begun = steps.start;
     for step in steps {
@@ -64,8 +64,8 @@ fn steps(status: &mut TrainingStatus, steps: std::ops::Range<u64>) {
     }
 }
 
-/// In the first epoch of the first of five seeds.
-fn begun() -> TrainingStatus {
+/// Status in the first epoch of the first of five seeds.
+fn started() -> TrainingStatus {
     let mut status = fresh(5);
     status.apply(TrainingNews::Seed(0), Duration::ZERO);
     status.apply(
@@ -76,7 +76,7 @@ fn begun() -> TrainingStatus {
     status
 }
 
-/// Gone on with after six epochs.
+/// Status of a run resumed after six epochs.
 fn resumed() -> TrainingStatus {
     let mut status = fresh(1);
     status.apply(
@@ -106,7 +106,7 @@ fn drawn(width: u16, height: u16, status: &TrainingStatus, depth: ColourDepth) -
 #[test]
 fn the_dashboard_at_80_by_24() {
     insta::assert_snapshot!("waiting", image(80, 24, &fresh(1)));
-    insta::assert_snapshot!("first_epoch", image(80, 24, &begun()));
+    insta::assert_snapshot!("first_epoch", image(80, 24, &started()));
     insta::assert_snapshot!("resumed", image(80, 24, &resumed()));
 }
 
@@ -191,7 +191,7 @@ fn any_size_and_values_can_be_drawn() {
         learning_rate: f64::INFINITY,
     };
     odd.apply(TrainingNews::Train(step), Duration::ZERO);
-    for status in [fresh(1), begun(), resumed(), odd] {
+    for status in [fresh(1), started(), resumed(), odd] {
         for width in 1..=100 {
             for height in [1, 2, 5, 6, 7, 8, 9, 12, 14, 15, 16, 19, 24, 40, 60] {
                 drawn(width, height, &status, ColourDepth::Indexed);

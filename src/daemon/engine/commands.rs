@@ -96,7 +96,7 @@ impl Engine {
             reply: reply.clone(),
         };
         (self.links.on_stored)(&event);
-        self.hub.tap().json(Topic::Stored, || &event);
+        self.hub.tap.json(Topic::Stored, || &event);
         self.log("stored", &event);
     }
 

@@ -36,7 +36,7 @@ impl Engine {
         let since_ns = self.session.captured_ns().max(motion_ns);
         let frames = self.pair(monotonic_ns()).frames;
         self.hub.slots().all(|slot| {
-            let frame = frames.get(&slot.role());
+            let frame = frames.get(&slot.role);
             frame.is_some_and(|frame| frame.driver_time_ns > since_ns)
         })
     }
@@ -52,9 +52,9 @@ impl Engine {
             (Some(_), _) => Some(self.initial_revision),
         };
         let since_ns = self.session.captured_ns();
-        let gels = self.hub.slots().filter(|slot| slot.role().is_tactile());
+        let gels = self.hub.slots().filter(|slot| slot.role.is_tactile());
         let contacts = gels
-            .map(|slot| state.changed_fraction(slot.role(), revision, since_ns))
+            .map(|slot| state.changed_fraction(slot.role, revision, since_ns))
             .collect::<Option<Vec<f64>>>()?;
         let limit = self.guards.min_contact_fraction;
         Some(contacts.iter().any(|changed| *changed >= limit))
@@ -80,7 +80,7 @@ impl Engine {
                 let (new, old): (Vec<_>, Vec<_>) =
                     slot.valid_frames().into_iter().partition(is_new);
                 // A guard reports cameras without a frame since the last capture.
-                (slot.role(), if new.is_empty() { old } else { new })
+                (slot.role, if new.is_empty() { old } else { new })
             })
             .filter(|(_, frames)| !frames.is_empty())
             .collect();
@@ -98,7 +98,7 @@ impl Engine {
             .hub
             .slots()
             .map(|slot| {
-                let role = slot.role();
+                let role = slot.role;
                 let frame = frame_set.frames.get(&role);
                 let (fault, controls) = slot
                     .with_info(|info| (fault_text(&info.health, now_ns), info.controls.clone()));

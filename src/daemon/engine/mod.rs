@@ -208,7 +208,7 @@ impl Engine {
     fn tick(&mut self) -> Result<Option<EndReason>> {
         if self.ticks.is_multiple_of(DISK_TICKS) {
             self.disk_free_bytes = disk_free_bytes(&self.dataset);
-            self.hub.tap().json(Topic::Cameras, || {
+            self.hub.tap.json(Topic::Cameras, || {
                 cameras_json(&self.hub, &self.rig, monotonic_ns())
             });
         }
@@ -236,7 +236,7 @@ impl Engine {
             "event": event,
             "what": what,
         });
-        self.hub.tap().json(Topic::Events, || &line);
+        self.hub.tap.json(Topic::Events, || &line);
         let _ = self.store.send(StoreMessage::Log(line));
     }
 
@@ -251,7 +251,7 @@ impl Engine {
         let cameras = self
             .hub
             .slots()
-            .map(|slot| (slot.role(), camera_report(slot, &self.rig)))
+            .map(|slot| (slot.role, camera_report(slot, &self.rig)))
             .collect::<BTreeMap<_, _>>();
         self.log(
             "end",
@@ -265,7 +265,7 @@ impl Engine {
         if let Some(recorder) = self.pre_grasp {
             recorder.join();
         }
-        let model = self.inference.model().map(str::to_owned);
+        let model = self.inference.model.clone();
         let state = self.inference.stop();
         // Last: the grasps are durable and all writers to the black box have ended.
         let black_box = self.black_box.map(BlackBox::stop);

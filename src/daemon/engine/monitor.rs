@@ -34,14 +34,14 @@ impl Engine {
                 let live = info.health == Health::Live;
                 (live, format!("{:?}", info.health))
             });
-            let before = self.was_live.insert(slot.role(), live);
+            let before = self.was_live.insert(slot.role, live);
             if before == Some(true) && !live {
                 // The receiver is gone without a screen; the log has the fault.
                 let _ = self.links.tones.send(Tone::Fault);
             }
             if before.is_some_and(|before| before != live) {
                 let event = if live { "camera_live" } else { "camera_fault" };
-                let role = slot.role();
+                let role = slot.role;
                 let warnings = slot.with_info(|info| info.warnings.clone());
                 let what = serde_json::json!({
                     "role": role,
@@ -73,7 +73,7 @@ impl Engine {
                 .slots()
                 .map(|slot| {
                     let recorder = self.pre_grasp.as_ref();
-                    let recorder = recorder.filter(|_| slot.role() == Role::External);
+                    let recorder = recorder.filter(|_| slot.role == Role::External);
                     CameraStatus {
                         markers: recorder.and_then(PreGraspRecorder::newest),
                         ..camera_status(slot, &self.rig, now_ns)

@@ -13,8 +13,8 @@ use gripcast_imaging::Role;
 use self::guest::{Outcome, SavedGrasp, kernel, run};
 use self::images::Images;
 
-/// The image that a sensor sent: the fed file of its number's turn, with the number in a comment
-/// segment after the first marker.
+/// Returns the image that a sensor sent: its input file with the number in a comment segment after the
+/// first marker.
 fn sent_image(number: u64, dir: &Path, kind: &str) -> Vec<u8> {
     let mut files: Vec<_> = fs::read_dir(dir.join(kind))
         .unwrap()
@@ -31,7 +31,7 @@ fn camera_file(stage: &StageRecord, role: Role, dir: &Path) -> Vec<u8> {
     fs::read(dir.join(record.file.as_str())).unwrap()
 }
 
-/// The tactile images of a grasp are, byte for byte, what the sensor of that role sent.
+/// Asserts that the tactile images of a grasp are the bytes sent by the sensor of that role.
 fn assert_as_sent(grasp: &SavedGrasp, images: &Images) {
     for (role, serial, dir) in [
         (Role::Left, "2BNN4ZE7", &images.left),
@@ -51,8 +51,8 @@ fn assert_as_sent(grasp: &SavedGrasp, images: &Images) {
     }
 }
 
-/// The tactile images of a grasp are, byte for byte, images that the sensor of that role sent,
-/// whatever it felt.
+/// Asserts that the tactile images of a grasp are bytes sent by the sensor of that role, with or
+/// without contact.
 fn assert_complete_as_sent(grasp: &SavedGrasp, images: &Images) {
     for (role, dir) in [(Role::Left, &images.left), (Role::Right, &images.right)] {
         for stage in [&grasp.record.initial, &grasp.record.grasp] {
@@ -68,7 +68,7 @@ fn assert_complete_as_sent(grasp: &SavedGrasp, images: &Images) {
     assert_depth_as_sent(grasp);
 }
 
-/// The depth image is one whole image of the emulator: pixel (x, y) of image n holds
+/// Asserts that the depth image is one complete image of the emulator: pixel (x, y) of image n holds
 /// 400 + (x + y + n) mod 256, the first four n in digits to the base of 256.
 fn assert_depth_as_sent(grasp: &SavedGrasp) {
     let record = &grasp.record.grasp.cameras[&Role::Depth];
@@ -85,7 +85,7 @@ fn assert_depth_as_sent(grasp: &SavedGrasp) {
     }
 }
 
-/// Every file that the record names is there with its digest, and nothing half-written is.
+/// Asserts that all files of the records exist with their digests and no partial files exist.
 fn assert_dataset_is_clean(outcome: &Outcome) {
     let dataset = outcome.out.join("dataset");
     let verified = std::process::Command::new(env!("CARGO_BIN_EXE_gripcast"))
@@ -101,7 +101,7 @@ fn assert_dataset_is_clean(outcome: &Outcome) {
     );
 }
 
-/// One labelled grasp was saved, byte for byte as sent, and the program ended well.
+/// Asserts that one labelled grasp was saved as sent and the program succeeded.
 fn assert_one_good_grasp(outcome: &Outcome, images: &Images) {
     assert_eq!(outcome.exit_code, Some(0), "{outcome}");
     assert_eq!(outcome.grasps.len(), 1, "{outcome}");
@@ -113,7 +113,7 @@ fn assert_one_good_grasp(outcome: &Outcome, images: &Images) {
     assert_dataset_is_clean(outcome);
 }
 
-/// Sequence gaps, damaged frames and reconnects of all cameras but `but` are 0.
+/// Asserts that all cameras except `but` have no sequence gaps, damaged frames or reconnects.
 fn assert_others_undisturbed(outcome: &Outcome, but: &[&str]) {
     for role in ["left", "right", "rgb", "depth"] {
         if !but.contains(&role) {
@@ -352,14 +352,14 @@ fn bouncing_pedal_triggers_once_per_press() {
     assert_eq!(outcome.session("saved"), 1, "{outcome}");
 }
 
-/// Median of the memory in a part of the run.
+/// Returns the median memory in a section of the run.
 fn median_kib(memory: &[(f64, f64)]) -> f64 {
     let mut kib: Vec<f64> = memory.iter().map(|(_, kib)| *kib).collect();
     kib.sort_by(f64::total_cmp);
     kib[kib.len() / 2]
 }
 
-/// `GRIPCAST_SOAK_S` makes it longer: an hour of the guest's clock is about as long on the host's.
+/// `GRIPCAST_SOAK_S` sets the duration: guest and host clocks run at about the same speed.
 #[test]
 fn random_faults_lose_no_saved_grasp() {
     const SECONDS: u64 = 60;
