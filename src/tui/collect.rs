@@ -94,11 +94,8 @@ fn draw_body(buffer: &mut Buffer, area: Rect, status: &EngineStatus, palette: Pa
         130.. => 32,
         _ => 24,
     };
-    let side = Rect {
-        x: area.x + 1,
-        width: side_columns,
-        ..area
-    };
+    let mut side = inset(area, 1, 0);
+    side.width = side_columns;
     let rest = inset(area, side_columns + 3, 0);
     draw_side(buffer, side, status, palette);
     match &status.session.refusal {

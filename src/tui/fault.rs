@@ -98,7 +98,9 @@ pub(super) fn draw(buffer: &mut Buffer, area: Rect, status: &EngineStatus, palet
     let style = palette.fault();
     fill(buffer, area, ratatui::style::Style::new());
     fill(buffer, block, style);
-    let inner = margin(block);
+    let margin = u16::from(block.height >= 6);
+    let mut inner = inset(block, 2, margin);
+    inner.height -= margin;
     let (word, remedy) = remedy(&first.state);
     let used = draw_heading(buffer, inner, first, palette);
     let mut lines = vec![
@@ -158,14 +160,6 @@ fn draw_heading(buffer: &mut Buffer, area: Rect, camera: &CameraStatus, palette:
             write(buffer, area, &line);
             1
         }
-    }
-}
-
-fn margin(area: Rect) -> Rect {
-    let inner = inset(area, 2, u16::from(area.height >= 6));
-    Rect {
-        height: inner.height - u16::from(area.height >= 6),
-        ..inner
     }
 }
 

@@ -7,7 +7,7 @@ use ratatui::style::Style;
 use ratatui::text::{Line, Span};
 
 use super::palette::{ColourDepth, Palette};
-use super::text::{clipped, row, write};
+use super::text::{clipped, inset, row, write};
 use crate::daemon::{EngineStatus, Preview};
 use gripcast_imaging::Role;
 
@@ -23,12 +23,9 @@ const NO_CHANGE: u8 = 128;
 /// Draws the images of as many cameras as fit, each with its caption.
 pub(super) fn draw(buffer: &mut Buffer, area: Rect, status: &EngineStatus, palette: Palette) {
     let mut roles: Vec<Role> = status.cameras.iter().map(|camera| camera.role).collect();
-    for role in status.previews.keys() {
-        if !roles.contains(role) {
-            roles.push(*role);
-        }
-    }
+    roles.extend(status.previews.keys());
     roles.sort_unstable();
+    roles.dedup();
     while roles.len() > 1 && grid(area, roles.len()).1.width < MIN_COLUMNS {
         roles.pop();
     }
@@ -37,20 +34,12 @@ pub(super) fn draw(buffer: &mut Buffer, area: Rect, status: &EngineStatus, palet
     }
     let (across, cell) = grid(area, roles.len());
     for (index, role) in (0..).zip(&roles) {
-        let tile = Rect::new(
-            area.x + index % across * (cell.width + 1),
-            area.y + index / across * cell.height,
-            cell.width,
-            cell.height,
-        );
-        let contact = status.contact.get(role).copied();
-        draw_tile(
-            buffer,
-            tile,
-            *role,
-            (status.previews.get(role), contact),
-            palette,
-        );
+        let tile = Rect {
+            x: area.x + index % across * (cell.width + 1),
+            y: area.y + index / across * cell.height,
+            ..cell
+        };
+        draw_tile(buffer, tile, *role, status, palette);
     }
 }
 
@@ -58,13 +47,8 @@ pub(super) fn draw(buffer: &mut Buffer, area: Rect, status: &EngineStatus, palet
 fn grid(area: Rect, count: usize) -> (u16, Rect) {
     let count = u16::try_from(count).unwrap_or(u16::MAX).max(1);
     let tile = |across: u16| {
-        let down = count.div_ceil(across);
-        Rect::new(
-            0,
-            0,
-            (area.width + 1) / across - u16::from(across <= area.width),
-            area.height / down,
-        )
+        let width = (area.width + 1) / across - u16::from(across <= area.width);
+        Rect::new(0, 0, width, area.height / count.div_ceil(across))
     };
     let across = (1..=count)
         .max_by_key(|&across| {
@@ -75,35 +59,22 @@ fn grid(area: Rect, count: usize) -> (u16, Rect) {
     (across, tile(across))
 }
 
-fn draw_tile(
-    buffer: &mut Buffer,
-    tile: Rect,
-    role: Role,
-    (preview, contact): (Option<&Preview>, Option<f64>),
-    palette: Palette,
-) {
+fn draw_tile(buffer: &mut Buffer, tile: Rect, role: Role, status: &EngineStatus, palette: Palette) {
     if tile.height < 2 || tile.width < 3 {
         return;
     }
-    write(
-        buffer,
-        row(tile, 0),
-        &caption(role, (preview, contact), tile.width, palette),
-    );
-    let below = Rect {
-        y: tile.y + 1,
-        height: tile.height - 1,
-        ..tile
-    };
+    let preview = status.previews.get(&role);
+    let contact = status.contact.get(&role).copied();
+    let caption = caption(role, (preview, contact), tile.width, palette);
+    write(buffer, row(tile, 0), &caption);
+    let below = inset(tile, 0, 1);
     match preview {
         Some(preview) if preview.image.width() > 0 && preview.image.height() > 0 => {
             draw_image(buffer, below, preview, palette.depth);
         }
         _ => {
-            let line = Line::styled(
-                clipped("no image yet", usize::from(below.width)),
-                palette.faint(),
-            );
+            let text = clipped("no image yet", usize::from(below.width));
+            let line = Line::styled(text, palette.faint());
             write(buffer, row(below, below.height / 2), &line);
         }
     }

@@ -1,14 +1,14 @@
 //! Layout of the dashboard at all sizes.
 
-use std::time::Duration;
-
 use ratatui::Frame;
 use ratatui::buffer::Buffer;
 use ratatui::layout::Rect;
 use ratatui::text::{Line, Span};
 
 use super::super::palette::Palette;
-use super::super::text::{clipped, columns, duration_ms, row, write, write_right};
+use super::super::text::{
+    clipped, columns, duration_ms, inset, row, without_last, write, write_all, write_right,
+};
 use super::plot;
 use super::status::{TrainingStatus, figure};
 use gripcast_nn::predict::contract::Variant;
@@ -38,15 +38,8 @@ pub fn draw(frame: &mut Frame<'_>, status: &TrainingStatus, palette: Palette) {
     write(buffer, row(area, last), &keys(palette));
     let body = Rect::new(area.x, area.y + 1, area.width, area.height - 2);
     let lines = facts(status, body, palette);
-    for (index, line) in (0..).zip(&lines) {
-        write(buffer, row(body, index), line);
-    }
-    let used = lines.len() as u16;
-    let rest = Rect {
-        y: body.y + used,
-        height: body.height - used,
-        ..body
-    };
+    write_all(buffer, body, &lines);
+    let rest = inset(body, 0, lines.len() as u16);
     draw_rest(buffer, rest, status, palette);
 }
 
@@ -63,36 +56,28 @@ fn draw_rest(buffer: &mut Buffer, area: Rect, status: &TrainingStatus, palette: 
         draw_plots(buffer, plots, status, palette);
     }
     let first = status.lines.len().saturating_sub(usize::from(lines));
-    for (index, text) in (plots..).zip(status.lines.iter().skip(first)) {
-        let text = clipped(text, usize::from(area.width.saturating_sub(1)));
-        let line = Line::styled(format!(" {text}"), palette.faint());
-        write(buffer, row(area, index), &line);
-    }
+    let width = usize::from(area.width.saturating_sub(1));
+    let line = |text| Line::styled(format!(" {}", clipped(text, width)), palette.faint());
+    let lines: Vec<_> = status
+        .lines
+        .iter()
+        .skip(first)
+        .map(|text| line(text))
+        .collect();
+    write_all(buffer, inset(area, 0, plots), &lines);
 }
 
 fn draw_plots(buffer: &mut Buffer, area: Rect, status: &TrainingStatus, palette: Palette) {
-    if area.width >= WIDE_COLUMNS {
-        let width = (area.width - 2) / 2;
-        let left = Rect { width, ..area };
-        let right = Rect {
-            x: area.right() - width,
-            width,
-            ..area
-        };
-        plot::losses(buffer, left, status, palette);
-        plot::accuracies(buffer, right, status, palette);
-        return;
-    }
-    let both = area.height >= 2 * PLOT_ROWS;
-    let height = if both { area.height / 2 } else { area.height };
-    let upper = Rect { height, ..area };
-    let lower = Rect {
-        y: area.y + height,
-        height: area.height - height,
-        ..area
+    let (width, height) = ((area.width - 2) / 2, area.height / 2);
+    let [first, second] = if area.width >= WIDE_COLUMNS {
+        [Rect { width, ..area }, inset(area, area.width - width, 0)]
+    } else if area.height >= 2 * PLOT_ROWS {
+        [Rect { height, ..area }, inset(area, 0, height)]
+    } else {
+        [area, Rect::ZERO]
     };
-    plot::losses(buffer, upper, status, palette);
-    plot::accuracies(buffer, lower, status, palette);
+    plot::losses(buffer, first, status, palette);
+    plot::accuracies(buffer, second, status, palette);
 }
 
 fn header(buffer: &mut Buffer, area: Rect, status: &TrainingStatus, palette: Palette) {
@@ -100,12 +85,12 @@ fn header(buffer: &mut Buffer, area: Rect, status: &TrainingStatus, palette: Pal
     let (hours, minutes) = (seconds / 3600, seconds / 60 % 60);
     let mut right = format!("{hours}:{minutes:02}:{:02}", seconds % 60);
     if let Some(left) = status.remaining() {
-        let bound = if status.settings.patience > 0 {
-            "at most"
-        } else {
-            "about"
+        let bound = match status.settings.patience {
+            0 => "about",
+            _ => "at most",
         };
-        right = format!("{right}, {bound} {} left", time(left));
+        let left = duration_ms(left.as_secs_f64().ceil() * 1e3);
+        right = format!("{right}, {bound} {left} left");
     }
     let taken = write_right(buffer, area, &Line::from(format!("{right} ")));
     let title = " gripcast train";
@@ -118,15 +103,7 @@ fn header(buffer: &mut Buffer, area: Rect, status: &TrainingStatus, palette: Pal
         line.push_span(Span::styled(" → ", palette.faint()));
         line.push_span(Span::raw(out));
     }
-    let left = Rect {
-        width: area.width - taken,
-        ..area
-    };
-    write(buffer, left, &line);
-}
-
-fn time(left: Duration) -> String {
-    duration_ms(left.as_secs_f64().ceil() * 1e3)
+    write(buffer, without_last(area, taken), &line);
 }
 
 /// Returns the lines of facts; low screens omit the upper ones.

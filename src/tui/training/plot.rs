@@ -7,7 +7,7 @@ use ratatui::text::{Line, Span};
 use ratatui::widgets::{Axis, Chart, Dataset, GraphType, Widget as _};
 
 use super::super::palette::Palette;
-use super::super::text::{row, write};
+use super::super::text::{inset, row, write};
 use super::status::{TrainingStatus, figure};
 use gripcast_train::EpochFigures;
 
@@ -96,33 +96,24 @@ fn right_edge(status: &TrainingStatus) -> u64 {
 impl Plot {
     fn draw(&self, buffer: &mut Buffer, area: Rect, epochs: u64, palette: Palette) {
         write(buffer, row(area, 0), &self.title(area.width, palette));
-        let below = Rect {
-            y: area.y + area.height.min(1),
-            height: area.height.saturating_sub(1),
-            ..area
-        };
+        let below = inset(area, 0, 1);
         if below.is_empty() {
             return;
         }
-        let set = |points, marker, line, style| {
-            let kind = if line {
-                GraphType::Line
-            } else {
-                GraphType::Scatter
-            };
-            let set = Dataset::default().data(points).marker(marker);
-            set.graph_type(kind).style(style)
+        let line = |points, style| {
+            let line = Dataset::default().data(points).marker(Marker::Braille);
+            line.graph_type(GraphType::Line).style(style)
         };
+        let points = |points, marker, style| {
+            let scatter = Dataset::default().data(points).marker(marker);
+            scatter.graph_type(GraphType::Scatter).style(style)
+        };
+        let (first, second) = (palette.first_curve(), palette.second_curve());
         let curves = vec![
-            set(&self.trace, Marker::Braille, true, palette.faint()),
-            set(&self.first.1, Marker::Braille, true, palette.first_curve()),
-            set(&self.second.1, Marker::Dot, false, palette.second_curve()),
-            set(
-                &self.marked,
-                Marker::Custom('◆'),
-                false,
-                palette.first_curve(),
-            ),
+            line(&self.trace, palette.faint()),
+            line(&self.first.1, first),
+            points(&self.second.1, Marker::Dot, second),
+            points(&self.marked, Marker::Custom('◆'), first),
         ];
         let [low, high] = self.y;
         let places = if high < 0.2 { 3 } else { 2 };
