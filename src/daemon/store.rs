@@ -38,16 +38,7 @@ const PREDICTION_TIMEOUT: Duration = Duration::from_secs(5);
 #[derive(Debug)]
 pub(super) enum StoreMessage {
     /// Execute a request and send its reply.
-    Execute {
-        /// The request.
-        request: StoreRequest,
-        /// Frames of a save request.
-        capture: Option<Box<StageCapture>>,
-        /// Texts of the board files used for the pre-grasp frames: sheet, tags.
-        boards: Option<[String; 2]>,
-        /// Latency of the live prediction at the trigger, ms.
-        latency_ms: f64,
-    },
+    Execute(StoreJob),
     /// Use a pending initial frame for inference.
     UseInitial {
         /// Id of the frame; `None` for no initial frame.
@@ -59,6 +50,19 @@ pub(super) enum StoreMessage {
     Log(serde_json::Value),
     /// End the thread.
     Stop,
+}
+
+/// A store request with the data to save.
+#[derive(Debug)]
+pub(super) struct StoreJob {
+    /// The request.
+    pub(super) request: StoreRequest,
+    /// Frames of a save request.
+    pub(super) capture: Option<Box<StageCapture>>,
+    /// Texts of the board files used for the pre-grasp frames: sheet, tags.
+    pub(super) boards: Option<[String; 2]>,
+    /// Latency of the live prediction at the trigger, ms.
+    pub(super) latency_ms: f64,
 }
 
 /// Data common to all grasps of a session.
@@ -149,16 +153,9 @@ impl Worker {
     fn run(&mut self, inbox: &Receiver<StoreMessage>) -> Result<()> {
         loop {
             match inbox.recv_timeout(INDEX_DELAY) {
-                Ok(StoreMessage::Execute {
-                    request,
-                    capture,
-                    boards,
-                    latency_ms,
-                }) => {
+                Ok(StoreMessage::Execute(job)) => {
                     self.heartbeat.busy();
-                    let work = AssertUnwindSafe(|| {
-                        self.execute(request, capture.as_deref(), boards, latency_ms)
-                    });
+                    let work = AssertUnwindSafe(|| self.execute(job));
                     // After a panic the session still gets a reply; the order of the writer's
                     // steps keeps the dataset consistent.
                     let reply = quiet_panic::catch(work)
@@ -185,14 +182,9 @@ impl Worker {
         }
     }
 
-    fn execute(
-        &mut self,
-        request: StoreRequest,
-        capture: Option<&StageCapture>,
-        boards: Option<[String; 2]>,
-        latency_ms: f64,
-    ) -> Result<StoreReply> {
-        match request {
+    fn execute(&mut self, job: StoreJob) -> Result<StoreReply> {
+        let capture = job.capture.as_deref();
+        match job.request {
             StoreRequest::SaveInitial { overridden } => {
                 let pending = self
                     .writer
@@ -206,7 +198,7 @@ impl Worker {
             } => {
                 let capture = required_capture(capture)?;
                 let pending = self.pending(&initial)?;
-                let meta = self.grasp_meta(capture, labels, boards, latency_ms)?;
+                let meta = self.grasp_meta(capture, labels, job.boards, job.latency_ms)?;
                 let meta = GraspMeta {
                     overridden_guards: overridden,
                     ..meta

@@ -221,24 +221,19 @@ async fn open<S: AsyncRead + AsyncWrite + Unpin>(
 }
 
 fn refused(error: WsError, target: &Target) -> Error {
-    match &error {
+    let error = match error {
         WsError::Http(response) if response.status().as_u16() == 401 => {
             Error::new(ErrorKind::Permission, "the daemon requires its token")
-                .at(target)
                 .remedy("pass --token-file FILE with the token file of the daemon")
         }
-        WsError::Http(response) => Error::new(
-            ErrorKind::Io,
-            format!(
-                "expected a gripcast daemon, found HTTP status {}",
-                response.status()
-            ),
-        )
-        .at(target),
-        _ => Error::new(ErrorKind::Io, "cannot connect to the daemon")
-            .because(error)
-            .at(target),
-    }
+        WsError::Http(response) => {
+            let status = response.status();
+            let what = format!("expected a gripcast daemon, found HTTP status {status}");
+            Error::new(ErrorKind::Io, what)
+        }
+        error => Error::new(ErrorKind::Io, "cannot connect to the daemon").because(error),
+    };
+    error.at(target)
 }
 
 fn broken(error: WsError, target: &Target) -> Error {

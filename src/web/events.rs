@@ -103,9 +103,14 @@ pub(crate) async fn events(
         .read_buffer_size(MAX_MESSAGE_BYTES);
     Ok(upgrade.on_upgrade(move |socket| async move {
         // A client error ends its own connection only.
-        let _ = Listener::new(backend, authorisation, socket, query)
-            .run()
-            .await;
+        let listener = Listener {
+            backend,
+            authorisation,
+            socket,
+            query,
+            sent: BTreeMap::new(),
+        };
+        let _ = listener.run().await;
         drop(permit);
     }))
 }
@@ -123,21 +128,6 @@ struct Listener {
 }
 
 impl Listener {
-    fn new(
-        backend: Arc<Backend>,
-        authorisation: Authorisation,
-        socket: WebSocket,
-        query: EventQuery,
-    ) -> Self {
-        Self {
-            backend,
-            authorisation,
-            socket,
-            query,
-            sent: BTreeMap::new(),
-        }
-    }
-
     async fn run(mut self) -> Result<(), Disconnected> {
         let mut news = self.backend.news.subscribe();
         let mut ticks = tokio::time::interval(INTERVAL);

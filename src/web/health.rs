@@ -132,35 +132,32 @@ impl Metrics {
     }
 
     fn cameras(&mut self, cameras: &[CameraStatus]) {
-        type Reading = fn(&CameraStatus) -> Option<f64>;
-        let families: [(&str, &str, Reading); 7] = [
-            ("live", "1 while frames arrive.", |c| {
-                Some(f64::from(u8::from(c.state.is_live())))
-            }),
-            ("fps", "Measured frame rate.", |c| Some(c.measured_fps)),
-            ("frame_age_seconds", "Age of the newest frame.", |c| {
-                c.frame_age_ms.map(|age_ms| age_ms * 1e-3)
-            }),
-            ("frames_total", "Frames received.", |c| {
-                Some(c.counters.received as f64)
-            }),
-            (
-                "frames_lost_total",
-                "Frames lost before they arrived.",
-                |c| Some(c.counters.sequence_gaps as f64),
-            ),
-            ("frames_damaged_total", "Damaged frames.", |c| {
-                Some(c.counters.damaged as f64)
-            }),
-            ("reconnects_total", "Times the camera was reopened.", |c| {
-                Some(c.counters.reconnects as f64)
-            }),
+        const FAMILIES: [(&str, &str); 7] = [
+            ("live", "1 while frames arrive."),
+            ("fps", "Measured frame rate."),
+            ("frame_age_seconds", "Age of the newest frame."),
+            ("frames_total", "Frames received."),
+            ("frames_lost_total", "Frames lost before they arrived."),
+            ("frames_damaged_total", "Damaged frames."),
+            ("reconnects_total", "Times the camera was reopened."),
         ];
-        for (name, help, reading) in families {
-            let values = cameras
+        let values = |camera: &CameraStatus| {
+            let counters = camera.counters;
+            [
+                Some(f64::from(u8::from(camera.state.is_live()))),
+                Some(camera.measured_fps),
+                camera.frame_age_ms.map(|age_ms| age_ms * 1e-3),
+                Some(counters.received as f64),
+                Some(counters.sequence_gaps as f64),
+                Some(counters.damaged as f64),
+                Some(counters.reconnects as f64),
+            ]
+        };
+        for (index, (name, help)) in FAMILIES.into_iter().enumerate() {
+            let samples = cameras
                 .iter()
-                .filter_map(|c| Some((Some(("role", c.role.name())), reading(c)?)));
-            self.family(&format!("gripcast_camera_{name}"), help, values);
+                .filter_map(|c| Some((Some(("role", c.role.name())), values(c)[index]?)));
+            self.family(&format!("gripcast_camera_{name}"), help, samples);
         }
     }
 

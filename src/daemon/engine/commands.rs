@@ -8,7 +8,7 @@ use super::{Engine, StoreEvent};
 use crate::daemon::black_box::Topic;
 use crate::daemon::command_request::CommandRequest;
 use crate::daemon::report::{EndReason, GraspReport};
-use crate::daemon::store::StoreMessage;
+use crate::daemon::store::{StoreJob, StoreMessage};
 use gripcast_base::error::Result;
 use gripcast_session::{
     Command, CommandResult, CommandSource, Effect, LastGrasp, Request, Step, StoreReply,
@@ -173,12 +173,12 @@ impl Engine {
         if let Some(pending) = &mut self.pending {
             pending.request = Some(request.clone());
         }
-        self.store.send(StoreMessage::Execute {
+        self.store.send(StoreMessage::Execute(StoreJob {
             request,
             capture,
             boards,
             latency_ms: live.map_or(0.0, |live| live.record.latency_ms),
-        })
+        }))
     }
 
     /// Sends the result of a command to its requester.
