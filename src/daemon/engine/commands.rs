@@ -32,7 +32,7 @@ pub(super) struct Pending {
 }
 
 impl Engine {
-    pub(super) fn handle(&mut self, request: CommandRequest) -> Result<Option<EndReason>> {
+    pub(super) fn handle(&mut self, request: CommandRequest) -> Result<()> {
         let CommandRequest {
             command,
             source,
@@ -139,8 +139,7 @@ impl Engine {
         }
     }
 
-    pub(super) fn apply(&mut self, effects: Vec<Effect>) -> Result<Option<EndReason>> {
-        let mut ended = None;
+    pub(super) fn apply(&mut self, effects: Vec<Effect>) -> Result<()> {
         for effect in effects {
             match effect {
                 Effect::Store(request) => self.store(request)?,
@@ -154,10 +153,10 @@ impl Engine {
                     self.store.send(StoreMessage::UseInitial { id, revision })?;
                 }
                 Effect::Result { id, result } => self.respond(id, result),
-                Effect::Quit => ended = Some(EndReason::Quit),
+                Effect::Quit => self.ended = Some(EndReason::Quit),
             }
         }
-        Ok(ended)
+        Ok(())
     }
 
     fn store(&mut self, request: StoreRequest) -> Result<()> {

@@ -139,6 +139,8 @@ struct Engine {
     links: EngineLinks,
     session: Session,
     queued: VecDeque<CommandRequest>,
+    /// Set by `quit` and by the end of the script.
+    ended: Option<EndReason>,
     /// Number of the newest command.
     last_command: u64,
     pending: Option<Pending>,
@@ -167,11 +169,9 @@ impl Engine {
                 biased;
                 Some(reply) = self.replies.recv() => {
                     let effects = self.handle_reply(reply);
-                    if let Some(ended) = self.apply(effects)? {
-                        return Ok(ended);
-                    }
-                    if let Some(ended) = self.advance_script()? {
-                        return Ok(ended);
+                    self.apply(effects)?;
+                    if self.ended.is_none() {
+                        self.advance_script()?;
                     }
                 }
                 ended = &mut stop => return Ok(ended),
@@ -183,18 +183,16 @@ impl Engine {
                     Some(limits) => self.set_limits(limits),
                     None => limits_open = false,
                 },
-                _ = ticks.tick() => {
-                    if let Some(ended) = self.tick()? {
-                        return Ok(ended);
-                    }
-                }
+                _ = ticks.tick() => self.tick()?,
             }
-            while !self.session.is_storing()
+            while self.ended.is_none()
+                && !self.session.is_storing()
                 && let Some(request) = self.queued.pop_front()
             {
-                if let Some(ended) = self.handle(request)? {
-                    return Ok(ended);
-                }
+                self.handle(request)?;
+            }
+            if let Some(ended) = self.ended {
+                return Ok(ended);
             }
         }
     }
@@ -205,7 +203,7 @@ impl Engine {
         self.session.set_limits(limits);
     }
 
-    fn tick(&mut self) -> Result<Option<EndReason>> {
+    fn tick(&mut self) -> Result<()> {
         if self.ticks.is_multiple_of(DISK_TICKS) {
             self.disk_free_bytes = disk_free_bytes(&self.dataset);
             self.hub.tap.json(Topic::Cameras, || {

@@ -34,7 +34,7 @@ impl ScriptCommand {
 }
 
 impl Engine {
-    pub(super) fn advance_script(&mut self) -> Result<Option<EndReason>> {
+    pub(super) fn advance_script(&mut self) -> Result<()> {
         let conditions = trigger::Conditions {
             all_live: self.all_live(),
             contact: self.is_in_contact(),
@@ -43,12 +43,12 @@ impl Engine {
             last_answer: self.script_command.answer(),
         };
         let Some(script) = &mut self.script else {
-            return Ok(None);
+            return Ok(());
         };
         match script.next(monotonic_ns(), &conditions) {
-            ScriptAction::Wait => Ok(None),
-            ScriptAction::Done => Ok(Some(EndReason::ScriptDone)),
-            ScriptAction::Failed(error) => Err(error),
+            ScriptAction::Wait => {}
+            ScriptAction::Done => self.ended = Some(EndReason::ScriptDone),
+            ScriptAction::Failed(error) => return Err(error),
             ScriptAction::Command(text) => {
                 let command: Command = text
                     .parse()
@@ -60,8 +60,8 @@ impl Engine {
                     answer: None,
                 };
                 self.queued.push_back(request);
-                Ok(None)
             }
         }
+        Ok(())
     }
 }

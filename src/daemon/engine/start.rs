@@ -98,6 +98,7 @@ impl Engine {
             links,
             session,
             queued: VecDeque::new(),
+            ended: None,
             last_command: 0,
             pending: None,
             script: setup.script.map(ScriptRunner::new),
