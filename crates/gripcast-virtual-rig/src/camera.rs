@@ -1,6 +1,5 @@
 //! Cameras of the virtual rig: paced like real ones, with sequence gaps for late readers.
 
-use std::collections::BTreeMap;
 use std::fs;
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -151,19 +150,14 @@ fn control_values(role: Role, configured: &ControlValues) -> ControlValues {
             ("gain", 16),
         ],
     };
-    let mut values: BTreeMap<String, i64> = typical
+    let typical = typical
         .iter()
-        .map(|(name, value)| ((*name).to_owned(), *value))
-        .collect();
-    values.extend(
-        configured
-            .iter()
-            .map(|(name, value)| (name.clone(), *value)),
-    );
-    values
+        .map(|(name, value)| ((*name).to_owned(), *value));
+    typical.chain(configured.clone()).collect()
 }
 
 /// Opener of one virtual camera.
+#[derive(Clone)]
 pub struct VirtualOpener {
     rig: VirtualRig,
     role: Role,
@@ -187,28 +181,26 @@ impl CameraOpener for VirtualOpener {
         }
         let renderer = FrameRenderer::new(&self.rig, self.role, &self.info)?;
         Ok(Box::new(VirtualCamera {
-            schedule: Schedule {
-                start_ns: self.rig.clock.now_ns(),
-                interval_ns: 1e9 / self.info.nominal_fps,
-                next: 0,
-            },
-            rig: self.rig.clone(),
-            role: self.role,
-            info: self.info.clone(),
-            controls: self.controls.clone(),
+            camera: self.clone(),
             renderer,
+            start_ns: self.rig.clock.now_ns(),
+            interval_ns: 1e9 / self.info.nominal_fps,
+            next: 0,
         }))
     }
 }
 
-/// Frame times of a camera that does not wait for its reader.
-struct Schedule {
+/// An open virtual camera. It does not wait for its reader.
+struct VirtualCamera {
+    camera: VirtualOpener,
+    renderer: FrameRenderer,
     start_ns: u64,
     interval_ns: f64,
+    /// Number of the next frame of a timely reader.
     next: u64,
 }
 
-impl Schedule {
+impl VirtualCamera {
     fn time_ns(&self, frame: u64) -> u64 {
         // The first frame is complete one interval after the start.
         self.start_ns + ((frame + 1) as f64 * self.interval_ns) as u64
@@ -216,54 +208,44 @@ impl Schedule {
 
     /// Returns the number of the next frame; a late reader gets the newest buffers only.
     fn upcoming(&self, now_ns: u64) -> u64 {
-        let made = (now_ns.saturating_sub(self.start_ns) as f64 / self.interval_ns) as u64;
-        self.next.max(made.saturating_sub(BUFFERS))
+        let complete = (now_ns.saturating_sub(self.start_ns) as f64 / self.interval_ns) as u64;
+        self.next.max(complete.saturating_sub(BUFFERS))
     }
-}
-
-struct VirtualCamera {
-    schedule: Schedule,
-    rig: VirtualRig,
-    role: Role,
-    info: StreamInfo,
-    controls: ControlValues,
-    renderer: FrameRenderer,
 }
 
 impl FrameSource for VirtualCamera {
     fn info(&self) -> &StreamInfo {
-        &self.info
+        &self.camera.info
     }
 
     fn next_frame(&mut self, timeout: Duration) -> Result<Frame, CaptureError> {
-        if self.rig.is_unplugged(self.role) {
+        let VirtualOpener {
+            rig, role, info, ..
+        } = &self.camera;
+        if rig.is_unplugged(*role) {
             return Err(CaptureError::Gone);
         }
-        let now_ns = self.rig.clock.now_ns();
-        let number = self.schedule.upcoming(now_ns);
-        let due_ns = self.schedule.time_ns(number);
-        if !self.rig.clock.wait_for(due_ns, timeout) {
+        let number = self.upcoming(rig.clock.now_ns());
+        let due_ns = self.time_ns(number);
+        if !rig.clock.wait_for(due_ns, timeout) {
             return Err(CaptureError::Timeout);
         }
-        self.schedule.next = number + 1;
-        let scene = self.rig.hand.scene_at(due_ns);
-        let data = self
-            .renderer
-            .render_frame(&scene, number)
-            .map_err(CaptureError::Failed)?;
+        self.next = number + 1;
+        let scene = rig.hand.scene_at(due_ns);
+        let data = self.renderer.render_frame(&scene, number);
         Ok(Frame {
-            format: self.info.format,
-            width: self.info.width,
-            height: self.info.height,
-            data: data.into(),
+            format: info.format,
+            width: info.width,
+            height: info.height,
+            data: data.map_err(CaptureError::Failed)?.into(),
             sequence: number as u32,
             driver_time_ns: due_ns,
-            received_ns: self.rig.clock.now_ns(),
+            received_ns: rig.clock.now_ns(),
         })
     }
 
     fn controls(&mut self) -> Result<ControlValues> {
-        Ok(self.controls.clone())
+        Ok(self.camera.controls.clone())
     }
 }
 
