@@ -78,7 +78,7 @@ const link = new Link({
     linkBanner(
       isShutdown
         ? "gripcast has stopped. All saved grasps are safe. This page reconnects when gripcast is restarted."
-        : "Connection lost. Saved grasps are safe. Reconnecting …",
+        : "Connection lost; all saved grasps are safe. Reconnecting …",
     );
     images.stop();
     draw();
