@@ -170,6 +170,7 @@ fn report_has_stable_keys() {
         [
             "controls",
             "damaged",
+            "expected",
             "factory_intrinsics",
             "format",
             "fps",
@@ -186,7 +187,6 @@ fn report_has_stable_keys() {
             "received",
             "role",
             "serial",
-            "expected",
             "width"
         ]
     );

@@ -238,26 +238,19 @@ fn run(
             let measured = measurer
                 .as_mut()
                 .map(|measurer| measurer.measure(&mut decoder, &frame, &object));
+            let (observation, sheet) = measured.unzip();
             let mut shared = lock(shared);
-            let entry = match measured {
-                None => MeasuredFrame {
-                    frame,
-                    observation: None,
-                    sheet: String::new(),
-                },
-                Some((observation, sheet)) => {
-                    shared.newest = Some(MarkerStatus {
-                        ok: observation.is_ok(),
-                        text: observation.as_ref().map_or_else(Clone::clone, summary),
-                    });
-                    MeasuredFrame {
-                        frame,
-                        observation: Some(observation),
-                        sheet,
-                    }
-                }
-            };
-            shared.ring.push_back(entry);
+            if let Some(observation) = &observation {
+                shared.newest = Some(MarkerStatus {
+                    ok: observation.is_ok(),
+                    text: observation.as_ref().map_or_else(Clone::clone, summary),
+                });
+            }
+            shared.ring.push_back(MeasuredFrame {
+                frame,
+                observation,
+                sheet: sheet.unwrap_or_default(),
+            });
             thin(&mut shared.ring);
         }
         slot.wait_closed(INTERVAL.saturating_sub(started.elapsed()));
