@@ -1,4 +1,4 @@
-//! Security tests of the daemon over real sockets.
+//! Security tests of the daemon over real sockets. One file, because all tests share the fixture.
 
 use std::io::{Read, Write};
 use std::net::{Ipv4Addr, SocketAddr, TcpStream};

@@ -1,4 +1,4 @@
-//! `gripcast daemon` on the virtual rig: its API, its access rules and its end.
+//! `gripcast daemon` on the virtual rig: API, access rules and shutdown. One file for the shared fixture.
 
 use std::fs;
 use std::io::{BufRead as _, BufReader, Read, Write};
