@@ -1,4 +1,4 @@
-//! What the cameras of a rig deliver: rates, losses, timestamps, controls.
+//! Measurement of the cameras of a rig: frame rates, losses, timestamps, controls.
 
 use std::path::Path;
 use std::thread;
@@ -14,32 +14,31 @@ use gripcast_capture::camera::{
 use gripcast_capture::device::SystemRoot;
 use gripcast_imaging::{Frame, Intrinsics, Role};
 
-/// Fraction of the nominal frame rate that a camera has to reach; GelSight Minis are known to
-/// deliver three quarters of theirs.
-const RATE_NEEDED: f64 = 0.7;
-/// Fraction of damaged frames that is borne.
-const DAMAGE_BORNE: f64 = 0.1;
-/// Longest wait for one frame.
+/// Minimum fraction of the nominal frame rate; GelSight Minis are known to deliver three quarters.
+const MIN_RATE_FRACTION: f64 = 0.7;
+/// Maximum fraction of damaged frames.
+const MAX_DAMAGED_FRACTION: f64 = 0.1;
+/// Timeout of one frame.
 const FRAME_TIMEOUT: Duration = Duration::from_secs(1);
-/// Waits without a frame after which a camera counts as silent.
-const TIMEOUTS_BORNE: u32 = 5;
+/// Consecutive timeouts after which a camera counts as silent.
+const MAX_TIMEOUTS: u32 = 5;
 
-/// What the check of one camera found.
+/// Result of the check of one camera.
 #[derive(Debug)]
 pub(crate) struct CameraCheck {
     pub(crate) role: Role,
-    wanted: String,
-    pub(crate) opened: Option<Opened>,
+    expected: String,
+    pub(crate) measurement: Option<CameraMeasurement>,
     pub(crate) problems: Vec<String>,
-    /// The camera is not there.
+    /// Whether the camera is missing.
     missing: bool,
 }
 
-/// What a camera delivered.
+/// Measurement of an opened camera.
 #[derive(Debug)]
-pub(crate) struct Opened {
+pub(crate) struct CameraMeasurement {
     pub(crate) info: StreamInfo,
-    pub(crate) frames: Frames,
+    pub(crate) frames: FrameStats,
     pub(crate) controls: ControlValues,
     /// The last frame.
     pub(crate) last: Option<Frame>,
@@ -47,21 +46,21 @@ pub(crate) struct Opened {
     pub(crate) notes: Vec<String>,
 }
 
-/// Counts over the time of the measurement.
+/// Frame statistics of a measurement.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub(crate) struct Frames {
+pub(crate) struct FrameStats {
     pub(crate) received: u64,
     pub(crate) lost: u64,
     pub(crate) damaged: u64,
     pub(crate) fps: Option<f64>,
-    /// Shortest and longest time from the driver's timestamp to us, ms.
+    /// Minimum and maximum time from the driver's timestamp to the arrival, ms.
     pub(crate) delay_ms: Option<[f64; 2]>,
-    /// Frames whose timestamp is not after that of the frame with the number before.
+    /// Consecutive frames whose timestamps do not increase.
     pub(crate) backwards: u64,
 }
 
-/// Opens cameras all at once, because they compete for the bus, and measures each for `duration`
-/// from its first frame on. `record` is a folder that gets the frames.
+/// Opens all cameras at once, because they compete for the bus, and measures each for `duration`
+/// from its first frame. Frames are recorded to the folder `record`.
 pub(crate) fn check_cameras(
     openers: Vec<Box<dyn CameraOpener>>,
     root: &SystemRoot,
@@ -72,22 +71,18 @@ pub(crate) fn check_cameras(
         let running: Vec<_> = openers
             .into_iter()
             .map(|mut opener| {
-                let role = opener.role();
-                let wanted = opener.describe();
-                let worker =
-                    scope.spawn(move || check_one(opener.as_mut(), root, duration, record));
-                (role, wanted, worker)
+                let check = CameraCheck::new(opener.role(), opener.describe());
+                let role_and_name = (check.role, check.expected.clone());
+                let run = move || check_one(check, opener.as_mut(), root, duration, record);
+                (role_and_name, scope.spawn(run))
             })
             .collect();
         running
             .into_iter()
-            .map(|(role, wanted, worker)| {
+            .map(|((role, expected), worker)| {
                 worker.join().unwrap_or_else(|_| CameraCheck {
-                    role,
-                    wanted,
-                    opened: None,
-                    problems: vec!["the check itself failed".to_owned()],
-                    missing: false,
+                    problems: vec!["the check panicked".to_owned()],
+                    ..CameraCheck::new(role, expected)
                 })
             })
             .collect()
@@ -95,18 +90,12 @@ pub(crate) fn check_cameras(
 }
 
 fn check_one(
+    mut check: CameraCheck,
     opener: &mut dyn CameraOpener,
     root: &SystemRoot,
     duration: Duration,
     record: Option<&Path>,
 ) -> CameraCheck {
-    let mut check = CameraCheck {
-        role: opener.role(),
-        wanted: opener.describe(),
-        opened: None,
-        problems: Vec::new(),
-        missing: false,
-    };
     let mut source = match opener.open() {
         Ok(source) => source,
         Err(error) => {
@@ -129,25 +118,15 @@ fn check_one(
     let (frames, last) = measure(source.as_mut(), duration, recorder, &mut check.problems);
     let info = source.info().clone();
     let mut notes = source.warnings().to_vec();
-    let asked =
-        (check.role == Role::Rgb && info.identity.product.contains("RealSense")).then(|| {
-            colour_intrinsics(
-                root,
-                &KernelNodes,
-                &info.identity.port,
-                info.width,
-                info.height,
-            )
-        });
-    let intrinsics = match asked {
-        Some(Ok(intrinsics)) => Some(intrinsics),
-        Some(Err(error)) => {
-            notes.push(format!("factory intrinsics: {error}"));
-            None
+    let mut intrinsics = None;
+    if check.role == Role::Rgb && info.identity.product.contains("RealSense") {
+        let (port, width, height) = (&info.identity.port, info.width, info.height);
+        match colour_intrinsics(root, &KernelNodes, port, width, height) {
+            Ok(found) => intrinsics = Some(found),
+            Err(error) => notes.push(format!("factory intrinsics: {error}")),
         }
-        None => None,
-    };
-    check.opened = Some(Opened {
+    }
+    check.measurement = Some(CameraMeasurement {
         info,
         frames,
         controls,
@@ -158,37 +137,37 @@ fn check_one(
     check
 }
 
-/// Counts the numbers that are missing. uvcvideo can deliver two frames in the wrong order, so a
-/// number below the highest one is one that was taken for lost too early.
+/// Counts missing sequence numbers. uvcvideo can deliver two frames out of order, so a number below
+/// the maximum was counted as lost too early.
 #[derive(Debug, Default)]
 struct Sequences {
-    highest: Option<u32>,
+    max: Option<u32>,
     lost: u64,
 }
 
 impl Sequences {
     fn count(&mut self, sequence: u32) {
-        let highest = *self.highest.get_or_insert(sequence);
-        let step = sequence.wrapping_sub(highest).cast_signed();
+        let max = *self.max.get_or_insert(sequence);
+        let step = sequence.wrapping_sub(max).cast_signed();
         if step > 0 {
             self.lost += u64::from(step.unsigned_abs() - 1);
-            self.highest = Some(sequence);
+            self.max = Some(sequence);
         } else if step < 0 {
             self.lost = self.lost.saturating_sub(1);
         }
     }
 }
 
-/// Counts frames for `duration` from the first one, by the clock of the frames.
+/// Measures frames for `duration` from the first one, by their time stamps.
 fn measure(
     source: &mut dyn FrameSource,
     duration: Duration,
     mut recorder: Option<Recorder>,
     problems: &mut Vec<String>,
-) -> (Frames, Option<Frame>) {
+) -> (FrameStats, Option<Frame>) {
     let nominal = source.info().nominal_fps;
     let damage_limit = 50 + (2.0 * nominal * duration.as_secs_f64()) as u64;
-    let mut frames = Frames::default();
+    let mut frames = FrameStats::default();
     let mut first: Option<(u64, u64)> = None;
     let mut last_time_ns = 0;
     let mut sequences = Sequences::default();
@@ -206,7 +185,7 @@ fn measure(
                     recorder = None;
                 }
                 sequences.count(frame.sequence);
-                frames.time(&frame, last.as_ref());
+                frames.add_times(&frame, last.as_ref());
                 last_time_ns = last_time_ns.max(frame.driver_time_ns);
                 let (_, began) = *first.get_or_insert((frame.driver_time_ns, frame.received_ns));
                 let elapsed_ns = frame.received_ns.saturating_sub(began);
@@ -225,8 +204,8 @@ fn measure(
             }
             Err(CaptureError::Timeout) => {
                 timeouts += 1;
-                if timeouts >= TIMEOUTS_BORNE {
-                    problems.push(format!("no frame came for {TIMEOUTS_BORNE} s"));
+                if timeouts >= MAX_TIMEOUTS {
+                    problems.push(format!("no frame for {MAX_TIMEOUTS} s"));
                     break;
                 }
             }
@@ -246,93 +225,92 @@ fn measure(
         (elapsed_s > 0.0).then(|| (frames.received - 1) as f64 / elapsed_s)
     });
     match frames.fps {
-        Some(fps) if fps < RATE_NEEDED * nominal => {
-            problems.push(format!("only {fps:.2} of {nominal} frames/s arrive"));
+        Some(fps) if fps < MIN_RATE_FRACTION * nominal => {
+            problems.push(format!("expected {nominal} frames/s, measured {fps:.2}"));
         }
-        None if problems.is_empty() => problems.push("too few frames to measure a rate".to_owned()),
+        None if problems.is_empty() => {
+            problems.push("too few frames to measure the frame rate".to_owned())
+        }
         _ => {}
     }
     let all = frames.received + frames.damaged;
-    if frames.damaged as f64 > DAMAGE_BORNE * all as f64 {
+    if frames.damaged as f64 > MAX_DAMAGED_FRACTION * all as f64 {
         problems.push(format!("{} of {all} frames are damaged", frames.damaged));
     }
     (frames, last)
 }
 
-impl Frames {
-    /// Counts the timestamps of a frame and the one before.
-    fn time(&mut self, frame: &Frame, before: Option<&Frame>) {
+impl FrameStats {
+    /// Adds the timestamps of a frame and its predecessor.
+    fn add_times(&mut self, frame: &Frame, before: Option<&Frame>) {
         let delay_ms =
             (i128::from(frame.received_ns) - i128::from(frame.driver_time_ns)) as f64 * 1e-6;
-        let [least, most] = self.delay_ms.unwrap_or([f64::INFINITY, f64::NEG_INFINITY]);
-        self.delay_ms = Some([least.min(delay_ms), most.max(delay_ms)]);
-        let is_next = before.is_some_and(|before| {
+        let [min, max] = self.delay_ms.unwrap_or([f64::INFINITY, f64::NEG_INFINITY]);
+        self.delay_ms = Some([min.min(delay_ms), max.max(delay_ms)]);
+        let is_backwards = before.is_some_and(|before| {
             frame.sequence == before.sequence.wrapping_add(1)
                 && frame.driver_time_ns <= before.driver_time_ns
         });
-        self.backwards += u64::from(is_next);
+        self.backwards += u64::from(is_backwards);
     }
 }
 
 impl CameraCheck {
-    /// What a check found, for tests of those that read it.
-    #[cfg(test)]
-    pub(crate) fn new(role: Role, opened: Option<Opened>, problems: Vec<String>) -> Self {
+    /// Creates the result of a camera that has not been opened.
+    pub(crate) fn new(role: Role, expected: String) -> Self {
         Self {
             role,
-            wanted: String::new(),
-            opened,
-            problems,
+            expected,
+            measurement: None,
+            problems: Vec::new(),
             missing: false,
         }
     }
 
-    /// The report as JSON.
+    /// Returns the result as JSON.
     pub(crate) fn json(&self) -> Value {
         let mut value = json!({
+            "expected": self.expected,
             "missing": self.missing,
             "ok": self.problems.is_empty(),
             "problems": self.problems,
             "role": self.role,
-            "wanted": self.wanted,
         });
-        if let (Some(opened), Value::Object(object)) = (&self.opened, &mut value) {
-            let info = &opened.info;
-            let more = json!({
-                "controls": opened.controls,
-                "damaged": opened.frames.damaged,
-                "factory_intrinsics": opened.intrinsics,
-                "format": info.format,
-                "fps": opened.frames.fps,
-                "height": info.height,
-                "lost": opened.frames.lost,
-                "node": info.identity.node,
-                "nominal_fps": info.nominal_fps,
-                "notes": opened.notes,
-                "port": info.identity.port,
-                "product": info.identity.product,
-                "received": opened.frames.received,
-                "serial": info.identity.serial,
-                "width": info.width,
-            });
-            if let Value::Object(more) = more {
-                object.extend(more);
+        if let Some(measurement) = &self.measurement {
+            let (info, frames) = (&measurement.info, &measurement.frames);
+            for (key, field) in [
+                ("controls", json!(measurement.controls)),
+                ("damaged", json!(frames.damaged)),
+                ("factory_intrinsics", json!(measurement.intrinsics)),
+                ("format", json!(info.format)),
+                ("fps", json!(frames.fps)),
+                ("height", json!(info.height)),
+                ("lost", json!(frames.lost)),
+                ("node", json!(info.identity.node)),
+                ("nominal_fps", json!(info.nominal_fps)),
+                ("notes", json!(measurement.notes)),
+                ("port", json!(info.identity.port)),
+                ("product", json!(info.identity.product)),
+                ("received", json!(frames.received)),
+                ("serial", json!(info.identity.serial)),
+                ("width", json!(info.width)),
+            ] {
+                value[key] = field;
             }
         }
         value
     }
 
-    /// The report for people.
+    /// Returns the result as text.
     pub(crate) fn text(&self) -> String {
-        let verdict = if self.problems.is_empty() {
-            "ok"
-        } else {
-            "FAILED"
+        let verdict = match self.problems.is_empty() {
+            true => "ok",
+            false => "FAILED",
         };
         let mut text = format!("{:<9}{verdict:<8}", self.role.name());
-        match &self.opened {
-            None => text += &format!("{}\n", self.wanted),
-            Some(Opened {
+        match &self.measurement {
+            None => text += &format!("{}\n", self.expected),
+            Some(CameraMeasurement {
                 info,
                 frames,
                 controls,
@@ -377,31 +355,25 @@ impl CameraCheck {
     }
 }
 
-/// The error that the exit code follows from.
+/// Returns an error for missing or failing cameras.
 pub(crate) fn verdict(checks: &[CameraCheck]) -> Result<()> {
-    let roles = |test: fn(&CameraCheck) -> bool| -> Vec<&str> {
-        checks
-            .iter()
-            .filter(|check| test(check))
-            .map(|check| check.role.name())
-            .collect()
+    let roles = |is_affected: fn(&CameraCheck) -> bool| -> Option<String> {
+        let affected = checks.iter().filter(|check| is_affected(check));
+        let names: Vec<&str> = affected.map(|check| check.role.name()).collect();
+        (!names.is_empty()).then(|| names.join(", "))
     };
-    let missing = roles(|check| check.missing);
-    let failed = roles(|check| !check.problems.is_empty());
-    if !missing.is_empty() {
-        return Err(Error::new(
-            ErrorKind::Device,
-            format!("missing cameras: {}", missing.join(", ")),
-        )
-        .remedy("see the problems above; `gripcast rig list` shows what is plugged in"));
+    if let Some(missing) = roles(|check| check.missing) {
+        let what = format!("missing cameras: {missing}");
+        return Err(Error::new(ErrorKind::Device, what)
+            .remedy("see the problems above; `gripcast rig list` shows the connected cameras"));
     }
-    if !failed.is_empty() {
-        return Err(Error::new(
-            ErrorKind::Check,
-            format!("cameras with problems: {}", failed.join(", ")),
-        ));
+    match roles(|check| !check.problems.is_empty()) {
+        Some(failed) => {
+            let what = format!("cameras with problems: {failed}");
+            Err(Error::new(ErrorKind::Check, what))
+        }
+        None => Ok(()),
     }
-    Ok(())
 }
 
 #[cfg(test)]

@@ -1,5 +1,5 @@
-//! Text for terminals. What came from data, devices or other programs cannot command one: control
-//! and bidirectional characters are escaped on the way out, in one place for each stream.
+//! Output to terminals. Control and bidirectional characters are escaped, so that text from data,
+//! devices or other programs cannot control the terminal.
 
 use std::fmt;
 use std::io::{self, Write as _};
@@ -7,13 +7,13 @@ use std::io::{self, Write as _};
 use gripcast_base::error::{Error, Result};
 use gripcast_base::files::{Printable, is_unsafe_char};
 
-/// Writes a line to stderr, for people. Use [`note!`](crate::note) to format one.
+/// Writes a line to stderr; used by [`note!`](crate::note).
 pub(crate) fn write_note(text: fmt::Arguments<'_>) {
-    // There is nobody left to be told when stderr is closed.
+    // A closed stderr is ignored.
     let _ = writeln!(io::stderr().lock(), "{}", Printable(&text.to_string()));
 }
 
-/// Like `note!`, with everything unsafe escaped.
+/// Prints a line to stderr with unsafe characters escaped.
 macro_rules! note {
     ($($text:tt)*) => {
         $crate::terminal_text::write_note(format_args!($($text)*))
@@ -21,26 +21,26 @@ macro_rules! note {
 }
 pub(crate) use note;
 
-/// Writes a line or more to stdout; a reader that has seen enough (`| head`) is no failure.
+/// Writes lines to stdout; a closed pipe (`| head`) is not an error.
 ///
 /// # Errors
-/// That of the operating system.
+/// Errors of the operating system.
 pub(crate) fn print(text: &str) -> Result<()> {
     let text = text.strip_suffix('\n').unwrap_or(text);
     write_stdout(format_args!("{}", Printable(text)))
 }
 
-/// Prints one JSON object on stdout; unsafe characters are JSON escapes.
+/// Prints a value as JSON on stdout with unsafe characters escaped.
 ///
 /// # Errors
-/// `Internal` for values that JSON cannot hold; that of the operating system.
+/// `Internal` for values that cannot be serialised; errors of the operating system.
 pub(crate) fn print_json(value: &impl serde::Serialize) -> Result<()> {
     let text = serde_json::to_string_pretty(value)
-        .map_err(|e| Error::internal("cannot write JSON").because(e))?;
+        .map_err(|e| Error::internal("cannot serialise to JSON").because(e))?;
     write_stdout(format_args!("{}", escaped_json(&text)))
 }
 
-/// Prints what a command found: as JSON with `--json`, else as text for people.
+/// Prints a report: as JSON with `--json`, else as text.
 ///
 /// # Errors
 /// As [`print`] and [`print_json`].
@@ -56,7 +56,7 @@ pub(crate) fn print_report<T: serde::Serialize>(
     }
 }
 
-/// One line of JSON for stdout or a file, without unsafe characters.
+/// Escapes unsafe characters in JSON text.
 pub(crate) fn escaped_json(text: &str) -> String {
     let mut escaped = String::with_capacity(text.len());
     for c in text.chars() {
@@ -85,7 +85,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn json_stays_the_same_value_without_unsafe_characters() {
+    fn escaped_json_keeps_its_value() {
         let value = serde_json::json!({"name": "a\u{9b}31m\u{202e}b\u{e0041}c\n", "n": [1]});
         let text = escaped_json(&serde_json::to_string_pretty(&value).unwrap());
         assert!(!text.chars().any(|c| is_unsafe_char(c) && c != '\n'));

@@ -24,7 +24,7 @@ use serde::Serialize;
 
 use super::working::{Progress, interruptible};
 use super::{Context, create_folder, print_report};
-use crate::daemon::{read_sheets, stored_intrinsics};
+use crate::daemon::{read_object_boards, stored_intrinsics};
 use gripcast_annotate::{
     Annotation, Annotator, Observation, OverlayContent, is_between_fingers, overlay,
 };
@@ -215,7 +215,7 @@ impl GivenCalibration {
         let intrinsics = args.intrinsics.as_deref();
         Ok(Self {
             sheet: file.map(BoardFile::load).transpose()?,
-            sheets: folder.map(read_sheets).transpose()?,
+            sheets: folder.map(read_object_boards).transpose()?,
             tags: args.tags.as_deref().map(BoardFile::load).transpose()?,
             intrinsics: intrinsics.map(load_intrinsics).transpose()?,
         })

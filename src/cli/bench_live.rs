@@ -8,7 +8,7 @@ use serde_json::json;
 
 use super::Context;
 use super::bench::Report;
-use crate::daemon::live_load::{LoadParams, drive};
+use crate::daemon::live_load::{LoadParams, run_load};
 use crate::note;
 use gripcast_base::error::Result;
 use gripcast_nn::predict::{Model, SHIPPED};
@@ -48,7 +48,7 @@ impl Args {
         if !context.quiet {
             note!("generating full-size frames, then measuring for {seconds} s");
         }
-        let figures = drive(model, LoadParams { seconds, quality })?;
+        let figures = run_load(model, LoadParams { seconds, quality })?;
         let text = format!(
             "frames {}  dropped {}  tactile frames not decoded {}\n\
              predictions {:.1}/s  frame to prediction {:.1} ms (median) {:.1} ms (p99)\n\

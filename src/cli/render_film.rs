@@ -26,7 +26,7 @@ use super::{Context, create_folder};
 use gripcast_base::error::Result;
 use gripcast_base::files::save;
 use gripcast_sim::grasp::TraceFile;
-use gripcast_virtual_rig::{ShootSettings, shoot};
+use gripcast_virtual_rig::{ClipSettings, record_clip};
 use gripcast_visual::Finish;
 
 /// Arguments.
@@ -84,12 +84,12 @@ fn render_clip(args: &Args, trace: &Path, progress: &Progress) -> Result<Written
     let grasp = SimulatedGrasp::read(trace, None)?;
     let model = grasp.object.model(args.finish, args.seed, progress)?;
     let [width, height] = args.size;
-    let settings = ShootSettings {
+    let settings = ClipSettings {
         colour: args.size,
         depth: [width * 2 / 3, height * 2 / 3].map(|side| side.max(1)),
         samples: args.spp,
         seed: args.seed,
-        ..ShootSettings::default()
+        ..ClipSettings::default()
     };
     let stem = trace.file_stem().unwrap_or_default();
     let name = stem.to_string_lossy().replace(".trace", "");
@@ -99,7 +99,7 @@ fn render_clip(args: &Args, trace: &Path, progress: &Progress) -> Result<Written
     };
     let label = name.clone();
     let mesh = &grasp.mesh;
-    let files = shoot(&file, mesh, &model, &settings, &|done, all| {
+    let files = record_clip(&file, mesh, &model, &settings, &|done, all| {
         progress.line(format!("{label}: image {} of {all}", done + 1));
     })?;
     let mut written = Written {

@@ -1,4 +1,4 @@
-//! What a dataset keeps of each camera's calibration.
+//! Calibration of the cameras as stored in a dataset.
 
 use std::collections::BTreeMap;
 
@@ -10,14 +10,14 @@ use gripcast_capture::calibration::{CameraConfig, RigFile};
 use gripcast_dataset::DatasetWriter;
 use gripcast_imaging::{Intrinsics, Role};
 
-/// A file of `calibration/`.
+/// Contents of a file in `calibration/`.
 #[derive(Serialize)]
 struct Calibration<'a> {
     camera: &'a CameraConfig,
     intrinsics: Option<&'a Intrinsics>,
 }
 
-/// Stores the calibration of every camera of a rig; returns the keys.
+/// Stores the calibration of every camera of a rig and returns the content keys.
 ///
 /// # Errors
 /// `DiskFull`, `Io`, ….
@@ -34,24 +34,24 @@ pub(super) fn store_calibration(
                 intrinsics: intrinsics.get(role),
             };
             let text = toml::to_string_pretty(&calibration)
-                .map_err(|e| Error::internal("cannot write the calibration").because(e))?;
+                .map_err(|e| Error::internal("cannot serialise the calibration").because(e))?;
             Ok((*role, writer.put_calibration(&text)?))
         })
         .collect()
 }
 
-/// The intrinsics in a file that `store_calibration` wrote, if there are any.
+/// Reads the intrinsics, if any, from a file that `store_calibration` wrote.
 ///
 /// # Errors
-/// `Input` for another file; `Config` for implausible intrinsics.
+/// `Input` for an invalid file; `Config` for implausible intrinsics.
 pub fn stored_intrinsics(text: &str) -> Result<Option<Intrinsics>> {
     #[derive(Deserialize)]
     struct Stored {
         intrinsics: Option<Intrinsics>,
     }
     let stored: Stored = toml::from_str(text).map_err(|e| {
-        let what = format!("the stored calibration cannot be read: {}", e.message());
-        Error::input(what).remedy("give --intrinsics FILE")
+        let what = format!("cannot read the stored calibration: {}", e.message());
+        Error::input(what).remedy("pass --intrinsics FILE")
     })?;
     stored.intrinsics.map(Intrinsics::validate).transpose()
 }

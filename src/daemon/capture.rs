@@ -1,18 +1,17 @@
-//! One thread a camera: supervised frames go into the hub.
+//! Capture threads, one per camera: supervised frames go to the hub.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread::JoinHandle;
 
 use super::hub::{CameraSlot, Hub};
-use super::tasks::{Beat, Tasks};
+use super::tasks::{Heartbeat, Tasks};
 use gripcast_base::error::Result;
 use gripcast_capture::camera::{
     CameraEvent, CameraOpener, Health, MonotonicClock, SupervisionPolicy, run_camera,
 };
 
-/// The running capture threads; dropping them without [`CaptureThreads::stop`] leaves them to the
-/// end of the process.
+/// The running capture threads; without [`CaptureThreads::stop`] they run until the process ends.
 #[derive(Debug)]
 pub(super) struct CaptureThreads {
     stop: Arc<AtomicBool>,
@@ -20,10 +19,10 @@ pub(super) struct CaptureThreads {
 }
 
 impl CaptureThreads {
-    /// Starts a thread for every opener whose role the hub knows.
+    /// Starts a thread for every opener with a slot in the hub.
     ///
     /// # Errors
-    /// When the operating system gives no thread.
+    /// `Io` if a thread cannot be started.
     pub(super) fn start(
         openers: Vec<Box<dyn CameraOpener>>,
         hub: &Hub,
@@ -40,17 +39,17 @@ impl CaptureThreads {
                 continue;
             };
             let (stop, policy) = (Arc::clone(&capture.stop), policy.clone());
-            let body = move |beat: &Beat| {
-                beat.busy();
+            let body = move |heartbeat: &Heartbeat| {
+                heartbeat.busy();
                 run_camera(
                     opener.as_mut(),
                     &policy,
                     &MonotonicClock,
                     &stop,
                     &mut |event| {
-                        take_in(&slot, event);
-                        // It tells something every second at least, unless the driver holds it.
-                        beat.busy();
+                        handle_event(&slot, event);
+                        // Events arrive at least once per second, unless the driver blocks.
+                        heartbeat.busy();
                     },
                 );
             };
@@ -64,32 +63,32 @@ impl CaptureThreads {
     pub(super) fn stop(&mut self) {
         self.stop.store(true, Ordering::Relaxed);
         for thread in self.threads.drain(..) {
-            // A panicked capture thread has nothing left to give back.
+            // A panic has been reported already.
             let _ = thread.join();
         }
     }
 }
 
-fn take_in(slot: &CameraSlot, event: CameraEvent) {
+fn handle_event(slot: &CameraSlot, event: CameraEvent) {
     match event {
         CameraEvent::Opened {
             info,
             controls,
             warnings,
-        } => slot.opened(info, controls, warnings),
+        } => slot.on_opened(info, controls, warnings),
         CameraEvent::Frame(frame) => slot.push(frame),
-        CameraEvent::Controls(controls) => slot.facts(|facts| facts.controls = controls),
+        CameraEvent::Controls(controls) => slot.with_info(|info| info.controls = controls),
         CameraEvent::Report(report) => {
             if matches!(report.health, Health::Lost { .. }) {
-                slot.forget_frames();
+                slot.clear_frames();
             }
-            slot.facts(|facts| {
-                facts.health = report.health;
-                facts.counters = report.counters;
-                facts.measured_fps = report.measured_fps;
+            slot.with_info(|info| {
+                info.health = report.health;
+                info.counters = report.counters;
+                info.measured_fps = report.measured_fps;
             });
         }
-        // The report that comes with it carries the counter.
+        // The accompanying report carries the counter.
         CameraEvent::Damaged { .. } | CameraEvent::Ended => {}
     }
 }

@@ -1,4 +1,4 @@
-//! Decoding off the capture path: one thread a camera, always the newest frame.
+//! Decoding off the capture path: one thread per camera, always the newest frame.
 
 use std::sync::Arc;
 use std::sync::mpsc::Sender;
@@ -7,19 +7,18 @@ use std::time::{Duration, Instant};
 
 use super::hub::{CameraSlot, Hub};
 use super::infer::InferRequest;
-use super::tasks::{Beat, Tasks};
+use super::tasks::{Heartbeat, Tasks};
 use gripcast_base::error::Result;
 use gripcast_imaging::{CropProfile, Decoder, Frame, PixelFormat, Role};
 use gripcast_nn::predict::contract::{IMAGE_HEIGHT, IMAGE_WIDTH};
 
-/// How long a decoder waits for a frame before it looks whether it has to end.
-const PATIENCE: Duration = Duration::from_millis(200);
+/// Wait for a frame before the decoder checks whether the hub is closed.
+const FRAME_TIMEOUT: Duration = Duration::from_millis(200);
 
-/// Pause between previews of cameras whose every frame need not be decoded.
+/// Interval between previews of cameras with raw frames.
 const PREVIEW_PAUSE: Duration = Duration::from_millis(100);
 
-/// The image of a frame that models and screens use: the tactile crop profile, or all of a
-/// colour camera, at the model's size.
+/// Decodes a frame to the model's input size, with the crop profile of a tactile camera.
 pub(super) fn model_image(
     decoder: &mut Decoder,
     frame: &Frame,
@@ -28,10 +27,10 @@ pub(super) fn model_image(
     decoder.decode(frame, crop, IMAGE_WIDTH, IMAGE_HEIGHT)
 }
 
-/// Starts a decoding thread for each camera; they end when the hub is closed.
+/// Starts a decoding thread per camera; they end when the hub is closed.
 ///
 /// # Errors
-/// When a decoder or a thread cannot be had.
+/// Errors of creating a decoder or starting a thread.
 pub(super) fn start(
     hub: &Hub,
     crop_of: impl Fn(Role) -> Option<CropProfile>,
@@ -41,11 +40,11 @@ pub(super) fn start(
     hub.slots()
         .map(|slot| {
             let (slot, infer) = (Arc::clone(slot), infer.clone());
-            let crop = crop_of(slot.role());
+            let crop = crop_of(slot.role);
             let mut decoder = Decoder::new()?;
-            let name = format!("decode-{}", slot.role());
-            tasks.spawn(&name, move |beat| {
-                run(&slot, crop.as_ref(), &mut decoder, &infer, beat);
+            let name = format!("decode-{}", slot.role);
+            tasks.spawn(&name, move |heartbeat| {
+                run(&slot, crop.as_ref(), &mut decoder, &infer, heartbeat);
             })
         })
         .collect()
@@ -56,26 +55,25 @@ fn run(
     crop: Option<&CropProfile>,
     decoder: &mut Decoder,
     infer: &Sender<InferRequest>,
-    beat: &Beat,
+    heartbeat: &Heartbeat,
 ) {
     while !slot.is_closed() {
-        let Some(frame) = slot.take_newest(PATIENCE) else {
+        let Some(frame) = slot.take_newest(FRAME_TIMEOUT) else {
             continue;
         };
         let started = Instant::now();
-        beat.busy();
+        heartbeat.busy();
         match model_image(decoder, &frame, crop) {
             Ok(image) => {
-                slot.decoded(&frame, image);
-                if infer.send(InferRequest::Fresh(slot.role())).is_err() {
+                slot.on_decoded(&frame, image);
+                if infer.send(InferRequest::NewImage(slot.role)).is_err() {
                     return;
                 }
             }
-            Err(_) => slot.damaged(&frame),
+            Err(_) => slot.on_damaged(&frame),
         }
-        beat.idle();
-        // A compressed frame must be decoded to be known as sound; of raw ones a few a second
-        // are enough for the screen.
+        heartbeat.idle();
+        // Compressed frames are decoded to validate them; raw ones only for previews.
         if frame.format != PixelFormat::Mjpg {
             slot.wait_closed(PREVIEW_PAUSE.saturating_sub(started.elapsed()));
         }

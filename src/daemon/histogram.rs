@@ -1,40 +1,29 @@
-//! Latencies in bounded memory.
+//! Latency quantiles in bounded memory.
 
 /// Width of a bin, ms.
 const BIN_MS: f64 = 0.25;
-/// Bins; the last one takes all that is longer (1 s).
+/// Number of bins; the last one holds all latencies above 1 s.
 const BINS: usize = 4000;
 
-/// A histogram of times from 0 to 1 s, exact to 0.25 ms.
-#[derive(Clone, Debug)]
-pub(super) struct Histogram {
+/// Histogram of latencies from 0 to 1 s with a resolution of 0.25 ms.
+#[derive(Clone, Debug, Default)]
+pub(super) struct LatencyHistogram {
     bins: Vec<u32>,
     count: u64,
-    longest_ms: f64,
+    max_ms: f64,
 }
 
-impl Default for Histogram {
-    fn default() -> Self {
-        Self {
-            bins: vec![0; BINS],
-            count: 0,
-            longest_ms: 0.0,
-        }
-    }
-}
-
-impl Histogram {
-    /// Counts a time.
+impl LatencyHistogram {
+    /// Adds a latency, ms.
     pub(super) fn add(&mut self, ms: f64) {
+        self.bins.resize(BINS, 0);
         let bin = ((ms / BIN_MS).max(0.0) as usize).min(BINS - 1);
         self.bins[bin] = self.bins[bin].saturating_add(1);
         self.count += 1;
-        self.longest_ms = self.longest_ms.max(ms);
+        self.max_ms = self.max_ms.max(ms);
     }
 
-    /// The time that a fraction `quantile` (0..1) of the counted ones do not exceed, ms, rounded
-    /// up to the bin; `None` when nothing was counted.
-    #[must_use]
+    /// Returns the quantile (0..1) of the latencies, ms, rounded up to the bin; `None` if empty.
     pub(super) fn quantile_ms(&self, quantile: f64) -> Option<f64> {
         let rank = (quantile * self.count as f64).ceil().max(1.0) as u64;
         let mut below = 0;
@@ -42,7 +31,7 @@ impl Histogram {
             below += u64::from(*n);
             if below >= rank {
                 let upper = (bin + 1) as f64 * BIN_MS;
-                return Some(upper.min(self.longest_ms));
+                return Some(upper.min(self.max_ms));
             }
         }
         None
@@ -54,8 +43,8 @@ mod tests {
     use super::*;
 
     #[test]
-    fn quantiles_of_a_known_set() {
-        let mut histogram = Histogram::default();
+    fn quantiles_match_known_latencies() {
+        let mut histogram = LatencyHistogram::default();
         assert_eq!(histogram.quantile_ms(0.5), None);
         for i in 1..=100 {
             histogram.add(f64::from(i));
@@ -70,8 +59,8 @@ mod tests {
     }
 
     #[test]
-    fn absurd_times_are_kept_in_the_last_bin() {
-        let mut histogram = Histogram::default();
+    fn out_of_range_latencies_are_clamped() {
+        let mut histogram = LatencyHistogram::default();
         histogram.add(1e9);
         histogram.add(-1.0);
         assert!(histogram.quantile_ms(1.0).unwrap() <= 1e9);

@@ -1,33 +1,34 @@
-//! The newest frames of every camera, shared by capture, decoding, inference and saving.
+//! The newest frames of every camera, shared by capture, decoding, inference and storage.
 //!
-//! Writers never wait for readers: a slow reader loses previews, never the frames of a trigger.
+//! Writers never wait for readers: a slow reader misses previews, never frames of a trigger.
 
 use std::collections::{BTreeMap, VecDeque};
-use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Condvar, Mutex};
 use std::time::Duration;
 
 use image::RgbImage;
 
 use super::black_box::Tap;
+use super::thread::{lock, wait_while};
 use gripcast_capture::camera::{CameraCounters, ControlValues, Health, StreamInfo};
 use gripcast_imaging::{Frame, PixelFormat, Role};
 
-/// Frames kept per camera: 0.3 s at 25/s, enough to pair cameras of different rates.
-const RING: usize = 8;
+/// Frames kept per camera: 0.3 s at 25/s, enough to pair cameras of different frame rates.
+const RING_FRAMES: usize = 8;
 
-/// Whether a frame can be shown and saved.
+/// Whether a frame can be displayed and saved.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Soundness {
+pub(super) enum Validity {
     /// Compressed and not decoded yet.
     Unknown,
-    /// Complete: raw of the right size, or decoded without complaint.
-    Sound,
+    /// Complete: raw of the expected size, or decoded without error.
+    Valid,
 }
 
 #[derive(Debug)]
-struct Held {
+struct RingFrame {
     frame: Frame,
-    soundness: Soundness,
+    validity: Validity,
 }
 
 /// A frame that was decoded for inference and preview.
@@ -37,45 +38,46 @@ pub(super) struct Decoded {
     pub image: Arc<RgbImage>,
     /// Driver time of its frame, ns.
     pub driver_time_ns: u64,
-    /// Counts up with every decoded frame of this camera.
+    /// Number of this decoded frame, counted per camera.
     pub serial: u64,
 }
 
-/// What is known of one camera.
+/// Health, counters and stream of one camera.
 #[derive(Debug)]
-pub(super) struct CameraFacts {
-    /// Health as the supervision sees it.
+pub(super) struct CameraInfo {
+    /// Health determined by the supervisor.
     pub health: Health,
-    /// Counters of the supervision.
+    /// Counters of the supervisor.
     pub counters: CameraCounters,
-    /// Frames whose entropy data turned out to be damaged when decoded.
+    /// Frames whose entropy-coded data failed to decode.
     pub damaged_when_decoded: u64,
-    /// Frames that arrived while the decoder was busy and were therefore not decoded.
+    /// Frames skipped because the decoder was busy.
     pub not_decoded: u64,
     /// Measured frame rate, 1/s.
     pub measured_fps: f64,
-    /// Stream, once opened.
-    pub info: Option<StreamInfo>,
-    /// Control values read back at the last opening.
+    /// The stream, once opened.
+    pub stream: Option<StreamInfo>,
+    /// Control values read back when the camera was last opened.
     pub controls: ControlValues,
-    /// Differences between what the rig file asks for and what the camera did.
+    /// Settings of the rig file that the camera did not apply.
     pub warnings: Vec<String>,
 }
 
 #[derive(Debug)]
 struct SlotState {
-    ring: VecDeque<Held>,
-    facts: CameraFacts,
+    ring: VecDeque<RingFrame>,
+    info: CameraInfo,
     decoded: Option<Decoded>,
     /// Driver time and sequence of the newest frame handed to the decoder.
-    taken: Option<(u64, u32)>,
+    last_taken: Option<(u64, u32)>,
     closed: bool,
 }
 
-/// One camera's place in the hub.
+/// Frames and state of one camera in the hub.
 #[derive(Debug)]
 pub(super) struct CameraSlot {
-    role: Role,
+    /// Role of the camera.
+    pub(super) role: Role,
     tap: Tap,
     state: Mutex<SlotState>,
     arrived: Condvar,
@@ -87,215 +89,199 @@ impl CameraSlot {
             role,
             tap,
             state: Mutex::new(SlotState {
-                ring: VecDeque::with_capacity(RING),
-                facts: CameraFacts {
+                ring: VecDeque::with_capacity(RING_FRAMES),
+                info: CameraInfo {
                     health: Health::Opening,
                     counters: CameraCounters::default(),
                     damaged_when_decoded: 0,
                     not_decoded: 0,
                     measured_fps: 0.0,
-                    info: None,
+                    stream: None,
                     controls: ControlValues::new(),
                     warnings: Vec::new(),
                 },
                 decoded: None,
-                taken: None,
+                last_taken: None,
                 closed: false,
             }),
             arrived: Condvar::new(),
         }
     }
 
-    fn lock(&self) -> MutexGuard<'_, SlotState> {
-        // A panicking holder leaves plain data behind, which is still the newest there is.
-        self.state.lock().unwrap_or_else(PoisonError::into_inner)
+    /// Reads or updates the camera's health, counters and stream.
+    pub(super) fn with_info<T>(&self, f: impl FnOnce(&mut CameraInfo) -> T) -> T {
+        f(&mut lock(&self.state).info)
     }
 
-    /// Role of the camera.
-    #[must_use]
-    pub(super) fn role(&self) -> Role {
-        self.role
-    }
-
-    /// Reads or changes what is known of the camera.
-    pub(super) fn facts<T>(&self, f: impl FnOnce(&mut CameraFacts) -> T) -> T {
-        f(&mut self.lock().facts)
-    }
-
-    /// A camera was opened: frames from before belong to another stream.
-    pub(super) fn opened(&self, info: StreamInfo, controls: ControlValues, warnings: Vec<String>) {
-        let mut state = self.lock();
+    /// Starts a new stream and drops the frames of the previous one.
+    pub(super) fn on_opened(
+        &self,
+        stream: StreamInfo,
+        controls: ControlValues,
+        warnings: Vec<String>,
+    ) {
+        let mut state = lock(&self.state);
         state.ring.clear();
-        state.taken = None;
-        state.facts.info = Some(info);
-        state.facts.controls = controls;
-        state.facts.warnings = warnings;
+        state.last_taken = None;
+        state.info.stream = Some(stream);
+        state.info.controls = controls;
+        state.info.warnings = warnings;
     }
 
-    /// Forgets all frames: what an absent camera saw last must not be saved.
-    pub(super) fn forget_frames(&self) {
-        let mut state = self.lock();
+    /// Drops all frames, so that no stale frame of a disconnected camera is saved.
+    pub(super) fn clear_frames(&self) {
+        let mut state = lock(&self.state);
         state.ring.clear();
-        state.taken = None;
+        state.last_taken = None;
         state.decoded = None;
     }
 
-    /// Takes in a frame.
+    /// Adds a captured frame.
     pub(super) fn push(&self, frame: Frame) {
         self.tap.frame(self.role, &frame);
-        let mut state = self.lock();
+        let mut state = lock(&self.state);
         make_room(&mut state.ring);
-        let soundness = match frame.format {
-            PixelFormat::Mjpg => Soundness::Unknown,
-            _ => Soundness::Sound,
+        let validity = match frame.format {
+            PixelFormat::Mjpg => Validity::Unknown,
+            _ => Validity::Valid,
         };
-        insert(&mut state.ring, Held { frame, soundness });
+        insert(&mut state.ring, RingFrame { frame, validity });
         drop(state);
         self.arrived.notify_all();
     }
 
     /// Waits for a frame newer than the last one taken; `None` after `timeout` or when closed.
-    /// Frames in between are skipped and counted.
-    #[must_use]
+    /// Skipped frames are counted.
     pub(super) fn take_newest(&self, timeout: Duration) -> Option<Frame> {
         let fresh = |state: &SlotState| {
             let newest = key(&state.ring.back()?.frame);
-            (state.taken != Some(newest)).then_some(newest)
+            (state.last_taken != Some(newest)).then_some(newest)
         };
-        let (mut state, _) = self
-            .arrived
-            .wait_timeout_while(self.lock(), timeout, |state| {
-                !state.closed && fresh(state).is_none()
-            })
-            .unwrap_or_else(PoisonError::into_inner);
+        let is_waiting = |state: &mut SlotState| !state.closed && fresh(state).is_none();
+        let mut state = wait_while(&self.arrived, lock(&self.state), timeout, is_waiting);
         if state.closed {
             return None;
         }
         let newest = fresh(&state)?;
-        if let Some((before, _)) = state.taken {
+        if let Some((before, _)) = state.last_taken {
             let between = state
                 .ring
                 .iter()
-                .filter(|held| held.frame.driver_time_ns > before)
+                .filter(|entry| entry.frame.driver_time_ns > before)
                 .count();
-            state.facts.not_decoded += between.saturating_sub(1) as u64;
+            state.info.not_decoded += between.saturating_sub(1) as u64;
         }
-        state.taken = Some(newest);
-        state.ring.back().map(|held| held.frame.clone())
+        state.last_taken = Some(newest);
+        state.ring.back().map(|entry| entry.frame.clone())
     }
 
-    /// A frame was decoded without complaint.
-    pub(super) fn decoded(&self, frame: &Frame, image: RgbImage) {
-        let mut state = self.lock();
+    /// Stores a decoded image and marks its frame as valid.
+    pub(super) fn on_decoded(&self, frame: &Frame, image: RgbImage) {
+        let mut state = lock(&self.state);
         let serial = state.decoded.as_ref().map_or(0, |d| d.serial) + 1;
         state.decoded = Some(Decoded {
             image: Arc::new(image),
             driver_time_ns: frame.driver_time_ns,
             serial,
         });
-        mark_sound(&mut state, frame);
+        mark_valid(&mut state, frame);
     }
 
-    /// A frame is damaged: it leaves the ring.
-    pub(super) fn damaged(&self, frame: &Frame) {
-        let mut state = self.lock();
-        state.facts.damaged_when_decoded += 1;
-        state.ring.retain(|held| !same(&held.frame, frame));
+    /// Counts a damaged frame and removes it from the ring.
+    pub(super) fn on_damaged(&self, frame: &Frame) {
+        let mut state = lock(&self.state);
+        state.info.damaged_when_decoded += 1;
+        state.ring.retain(|entry| key(&entry.frame) != key(frame));
     }
 
-    /// The newest decoded image.
-    #[must_use]
+    /// Returns the newest decoded image.
     pub(super) fn latest(&self) -> Option<Decoded> {
-        self.lock().decoded.clone()
+        lock(&self.state).decoded.clone()
     }
 
-    /// Frames in the ring, oldest first.
+    /// Returns the frames in the ring, oldest first.
     #[cfg(test)]
-    fn frames(&self) -> Vec<(Frame, Soundness)> {
-        self.lock()
+    fn frames(&self) -> Vec<(Frame, Validity)> {
+        lock(&self.state)
             .ring
             .iter()
-            .map(|held| (held.frame.clone(), held.soundness))
+            .map(|entry| (entry.frame.clone(), entry.validity))
             .collect()
     }
 
-    /// Frames that can be saved, oldest first.
-    #[must_use]
-    pub(super) fn sound_frames(&self) -> Vec<Frame> {
-        let state = self.lock();
-        let sound = state
-            .ring
-            .iter()
-            .filter(|h| h.soundness == Soundness::Sound);
-        sound.map(|held| held.frame.clone()).collect()
+    /// Returns the frames that can be saved, oldest first.
+    pub(super) fn valid_frames(&self) -> Vec<Frame> {
+        let state = lock(&self.state);
+        let sound = state.ring.iter().filter(|h| h.validity == Validity::Valid);
+        sound.map(|entry| entry.frame.clone()).collect()
     }
 
-    /// Driver time of the newest frame, ns.
-    #[must_use]
+    /// Returns the driver time of the newest frame, ns.
     pub(super) fn newest_time_ns(&self) -> Option<u64> {
-        self.lock()
+        lock(&self.state)
             .ring
             .back()
-            .map(|held| held.frame.driver_time_ns)
+            .map(|entry| entry.frame.driver_time_ns)
     }
 
-    /// Whether everything is ending.
-    #[must_use]
+    /// Returns whether the hub is closed.
     pub(super) fn is_closed(&self) -> bool {
-        self.lock().closed
+        lock(&self.state).closed
     }
 
-    /// Waits, unless everything is ending.
+    /// Waits for `pause`, or until the hub is closed.
     pub(super) fn wait_closed(&self, pause: Duration) {
-        // Only whether it ended matters, and the caller asks for that anyway.
-        let _ = self
-            .arrived
-            .wait_timeout_while(self.lock(), pause, |state| !state.closed);
+        drop(wait_while(
+            &self.arrived,
+            lock(&self.state),
+            pause,
+            |state| !state.closed,
+        ));
     }
 
     fn close(&self) {
-        self.lock().closed = true;
+        lock(&self.state).closed = true;
         self.arrived.notify_all();
     }
-}
-
-fn same(a: &Frame, b: &Frame) -> bool {
-    a.sequence == b.sequence && a.driver_time_ns == b.driver_time_ns
 }
 
 fn key(frame: &Frame) -> (u64, u32) {
     (frame.driver_time_ns, frame.sequence)
 }
 
-/// Puts a frame where its driver time belongs: a driver may deliver one after a later one.
-fn insert(ring: &mut VecDeque<Held>, new: Held) {
-    let place = ring
+/// Inserts a frame in order of driver time: drivers may deliver frames out of order.
+fn insert(ring: &mut VecDeque<RingFrame>, new: RingFrame) {
+    let index = ring
         .iter()
-        .rposition(|held| held.frame.driver_time_ns <= new.frame.driver_time_ns)
+        .rposition(|entry| entry.frame.driver_time_ns <= new.frame.driver_time_ns)
         .map_or(0, |i| i + 1);
-    ring.insert(place, new);
+    ring.insert(index, new);
 }
 
-/// Drops the oldest frame of a full ring, but never the newest sound one: a decoder that is slow
-/// for a moment must not leave a live camera without a frame that can be saved.
-fn make_room(ring: &mut VecDeque<Held>) {
-    if ring.len() < RING {
+/// Drops the oldest frame of a full ring, but never the newest valid one, so that a slow decoder
+/// does not leave a live camera without a frame to save.
+fn make_room(ring: &mut VecDeque<RingFrame>) {
+    if ring.len() < RING_FRAMES {
         return;
     }
     let keep = ring
         .iter()
-        .rposition(|held| held.soundness == Soundness::Sound);
+        .rposition(|entry| entry.validity == Validity::Valid);
     ring.remove(usize::from(keep == Some(0)));
 }
 
-fn mark_sound(state: &mut SlotState, frame: &Frame) {
-    if let Some(held) = state.ring.iter_mut().find(|held| same(&held.frame, frame)) {
-        held.soundness = Soundness::Sound;
-    } else if state.taken == Some(key(frame)) {
-        // Newer frames pushed it out while it was decoded; the stream is still the same one.
+fn mark_valid(state: &mut SlotState, frame: &Frame) {
+    if let Some(entry) = state
+        .ring
+        .iter_mut()
+        .find(|entry| key(&entry.frame) == key(frame))
+    {
+        entry.validity = Validity::Valid;
+    } else if state.last_taken == Some(key(frame)) {
+        // Newer frames of the same stream displaced it during decoding.
         make_room(&mut state.ring);
-        let (frame, soundness) = (frame.clone(), Soundness::Sound);
-        insert(&mut state.ring, Held { frame, soundness });
+        let (frame, validity) = (frame.clone(), Validity::Valid);
+        insert(&mut state.ring, RingFrame { frame, validity });
     }
 }
 
@@ -303,19 +289,13 @@ fn mark_sound(state: &mut SlotState, frame: &Frame) {
 #[derive(Clone, Debug)]
 pub(super) struct Hub {
     slots: Arc<BTreeMap<Role, Arc<CameraSlot>>>,
-    tap: Tap,
+    /// Input of the black box.
+    pub(super) tap: Tap,
 }
 
 impl Hub {
-    /// A hub for these cameras.
-    #[must_use]
-    pub(super) fn new(roles: impl IntoIterator<Item = Role>) -> Self {
-        Self::tapped(roles, Tap::default())
-    }
-
-    /// A hub for these cameras; their frames go to the black box as well.
-    #[must_use]
-    pub(super) fn tapped(roles: impl IntoIterator<Item = Role>, tap: Tap) -> Self {
+    /// Creates a hub for these cameras; their frames also go to `tap`.
+    pub(super) fn new(roles: impl IntoIterator<Item = Role>, tap: Tap) -> Self {
         let slots = roles
             .into_iter()
             .map(|role| (role, Arc::new(CameraSlot::new(role, tap.clone()))))
@@ -326,24 +306,17 @@ impl Hub {
         }
     }
 
-    /// Where the black box takes notes.
-    #[must_use]
-    pub(super) fn tap(&self) -> &Tap {
-        &self.tap
-    }
-
-    /// One camera.
-    #[must_use]
+    /// Returns the slot of a camera.
     pub(super) fn slot(&self, role: Role) -> Option<&Arc<CameraSlot>> {
         self.slots.get(&role)
     }
 
-    /// All cameras, in the order of [`Role::ALL`].
+    /// Iterates over all cameras in the order of [`Role::ALL`].
     pub(super) fn slots(&self) -> impl Iterator<Item = &Arc<CameraSlot>> {
         self.slots.values()
     }
 
-    /// Wakes every reader for the last time.
+    /// Closes all slots and wakes their readers.
     pub(super) fn close(&self) {
         for slot in self.slots() {
             slot.close();
@@ -368,11 +341,15 @@ mod tests {
     }
 
     fn slot() -> Arc<CameraSlot> {
-        Arc::clone(Hub::new([Role::Left]).slot(Role::Left).unwrap())
+        Arc::clone(
+            Hub::new([Role::Left], Tap::default())
+                .slot(Role::Left)
+                .unwrap(),
+        )
     }
 
     #[test]
-    fn the_ring_keeps_the_newest_frames() {
+    fn ring_keeps_newest_frames() {
         let slot = slot();
         for sequence in 0..20 {
             slot.push(frame(sequence, PixelFormat::Yuyv));
@@ -382,7 +359,7 @@ mod tests {
     }
 
     #[test]
-    fn a_late_reader_gets_the_newest_and_the_skipped_are_counted() {
+    fn late_reader_gets_newest_frame_and_skips_are_counted() {
         let slot = slot();
         slot.push(frame(1, PixelFormat::Mjpg));
         assert_eq!(slot.take_newest(Duration::ZERO).unwrap().sequence, 1);
@@ -391,26 +368,26 @@ mod tests {
             slot.push(frame(sequence, PixelFormat::Mjpg));
         }
         assert_eq!(slot.take_newest(Duration::ZERO).unwrap().sequence, 5);
-        assert_eq!(slot.facts(|f| f.not_decoded), 3);
+        assert_eq!(slot.with_info(|info| info.not_decoded), 3);
     }
 
     #[test]
-    fn damaged_frames_leave_the_ring_and_decoded_ones_are_sound() {
+    fn damaged_frame_is_removed_and_decoded_frame_is_valid() {
         let slot = slot();
         let (good, bad) = (frame(1, PixelFormat::Mjpg), frame(2, PixelFormat::Mjpg));
         slot.push(good.clone());
         slot.push(bad.clone());
-        assert!(slot.frames().iter().all(|(_, s)| *s == Soundness::Unknown));
-        slot.decoded(&good, RgbImage::new(1, 1));
-        slot.damaged(&bad);
+        assert!(slot.frames().iter().all(|(_, s)| *s == Validity::Unknown));
+        slot.on_decoded(&good, RgbImage::new(1, 1));
+        slot.on_damaged(&bad);
         let frames = slot.frames();
         assert_eq!(frames.len(), 1);
-        assert_eq!(frames[0].1, Soundness::Sound);
-        assert_eq!(slot.facts(|f| f.damaged_when_decoded), 1);
+        assert_eq!(frames[0].1, Validity::Valid);
+        assert_eq!(slot.with_info(|info| info.damaged_when_decoded), 1);
     }
 
     #[test]
-    fn a_frame_that_comes_late_does_not_pass_for_the_newest() {
+    fn out_of_order_frames_are_sorted_by_time() {
         let slot = slot();
         slot.push(frame(5, PixelFormat::Mjpg));
         slot.push(frame(7, PixelFormat::Mjpg));
@@ -420,48 +397,48 @@ mod tests {
         assert_eq!(slot.take_newest(Duration::ZERO).unwrap().sequence, 7);
     }
 
-    fn sound(slot: &CameraSlot) -> Vec<u32> {
+    fn valid(slot: &CameraSlot) -> Vec<u32> {
         let frames = slot.frames();
-        let sound = frames.iter().filter(|(_, s)| *s == Soundness::Sound);
-        sound.map(|(frame, _)| frame.sequence).collect()
+        let valid = frames.iter().filter(|(_, s)| *s == Validity::Valid);
+        valid.map(|(frame, _)| frame.sequence).collect()
     }
 
     #[test]
-    fn a_slow_decoder_leaves_the_newest_sound_frame() {
+    fn slow_decoder_keeps_newest_valid_frame() {
         let slot = slot();
         for round in 0..5 {
             let first = round * 20;
             slot.push(frame(first, PixelFormat::Mjpg));
             let taken = slot.take_newest(Duration::ZERO).unwrap();
-            // All of the ring is newer when the decoder has finished.
+            // The whole ring is newer when decoding ends.
             for sequence in first + 1..first + 20 {
                 slot.push(frame(sequence, PixelFormat::Mjpg));
                 assert_eq!(
-                    sound(&slot),
+                    valid(&slot),
                     if round > 0 { vec![first - 20] } else { vec![] }
                 );
             }
-            slot.decoded(&taken, RgbImage::new(1, 1));
-            assert_eq!(sound(&slot).last(), Some(&first));
-            assert_eq!(slot.frames().len(), RING);
+            slot.on_decoded(&taken, RgbImage::new(1, 1));
+            assert_eq!(valid(&slot).last(), Some(&first));
+            assert_eq!(slot.frames().len(), RING_FRAMES);
         }
     }
 
     #[test]
-    fn reopening_forgets_the_frames_of_the_stream_before() {
+    fn clear_frames_removes_all_frames() {
         let slot = slot();
         slot.push(frame(1, PixelFormat::Yuyv));
-        slot.forget_frames();
+        slot.clear_frames();
         assert!(slot.frames().is_empty() && slot.latest().is_none());
     }
 
     #[test]
-    fn what_was_being_decoded_when_the_camera_went_does_not_come_back() {
+    fn frame_decoded_after_disconnect_is_not_restored() {
         let slot = slot();
         slot.push(frame(1, PixelFormat::Mjpg));
         let taken = slot.take_newest(Duration::ZERO).unwrap();
-        slot.forget_frames();
-        slot.decoded(&taken, RgbImage::new(1, 1));
+        slot.clear_frames();
+        slot.on_decoded(&taken, RgbImage::new(1, 1));
         assert!(slot.frames().is_empty());
     }
 }

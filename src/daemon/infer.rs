@@ -1,78 +1,79 @@
-//! Inference at every new tactile image, on a thread of its own.
+//! Inference on every new tactile image, on its own thread.
 
 use std::collections::{BTreeMap, VecDeque};
 use std::ops::ControlFlow;
 use std::sync::mpsc::{Receiver, Sender};
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard};
 use std::thread::JoinHandle;
 
 use image::RgbImage;
 use serde::Serialize;
 use utoipa::ToSchema;
 
+#[cfg(test)]
+use super::black_box::Tap;
 use super::black_box::Topic;
-use super::histogram::Histogram;
+use super::histogram::LatencyHistogram;
 use super::hub::Hub;
 use super::status::{PredictionStatus, Preview};
-use super::tasks::{Beat, Tasks};
+use super::tasks::{Heartbeat, Tasks};
+use super::thread::lock;
 use gripcast_base::error::Result;
 use gripcast_capture::camera::monotonic_ns;
 use gripcast_dataset::PredictionRecord;
 use gripcast_imaging::{Role, TactileDifference};
 use gripcast_nn::predict::{LivePrediction, LivePredictor, Model, Smoothing};
 
-/// Difference from which a pixel counts as touched, grey levels: far above the sensor's noise
-/// (1–2 levels), far below a contact's (up to 120).
-const TOUCHED_LEVELS: u16 = 10;
+/// Minimum difference of a pixel in contact, grey levels: far above sensor noise (1–2 levels), far
+/// below contact (up to 120).
+const CONTACT_LEVELS: u16 = 10;
 
-/// Gain of the difference on the screen.
+/// Gain of the displayed difference.
 const PREVIEW_GAIN: f32 = 1.5;
 
-/// What the inference thread is asked.
+/// Requests to the inference thread.
 #[derive(Debug)]
 pub(super) enum InferRequest {
     /// A camera has a new decoded image.
-    Fresh(Role),
-    /// Subtract these from now on.
+    NewImage(Role),
+    /// Use these images as the initial frame.
     SetInitial {
-        /// Number of the change.
-        change: u64,
+        /// Revision of the initial frame.
+        revision: u64,
         /// Left gel, open gripper.
         left: Arc<RgbImage>,
         /// Right gel, open gripper.
         right: Arc<RgbImage>,
     },
-    /// There is no initial frame any more, or none that can be subtracted, for this reason. Contact
-    /// is still told against the last one.
+    /// Stop predicting, for this reason. Contact is still measured against the last initial frame.
     ClearInitial(String),
-    /// Predict on exactly these images, against the present initial frame.
-    Judge {
+    /// Predict on exactly these images and the current initial frame.
+    PredictFrames {
         /// Images by role.
         images: BTreeMap<Role, RgbImage>,
-        /// Where the answer goes; `None` when there is no prediction.
+        /// Receives the prediction, or `None`.
         reply: Sender<Option<PredictionRecord>>,
     },
-    /// End.
+    /// End the thread.
     Stop,
 }
 
-/// The model that predicts.
+/// The model used for predictions.
 #[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
-pub struct ModelFacts {
+pub struct ModelInfo {
     /// Name.
     pub name: String,
-    /// Of the ONNX file.
+    /// SHA-256 of the ONNX file.
     pub sha256: String,
-    /// From this probability on a grasp counts as stable.
+    /// Minimum probability of a stable grasp.
     pub threshold: f64,
-    /// Whether it is a heuristic and not trained.
+    /// Whether the model is a heuristic rather than trained.
     pub heuristic: bool,
 }
 
-impl ModelFacts {
-    /// What a model says of itself.
-    #[must_use]
-    pub fn of(model: &Model) -> Self {
+impl ModelInfo {
+    /// Reads the description of a model.
+    pub fn new(model: &Model) -> Self {
         Self {
             name: model.contract().name.clone(),
             sha256: model.sha256().to_owned(),
@@ -81,66 +82,69 @@ impl ModelFacts {
         }
     }
 
-    fn record(&self, said: &LivePrediction, latency_ms: f64) -> PredictionRecord {
+    fn record(&self, prediction: &LivePrediction, latency_ms: f64) -> PredictionRecord {
         PredictionRecord {
-            p_stable: said.p_stable,
-            novelty: said.novelty,
+            p_stable: prediction.p_stable,
+            novelty: prediction.novelty,
             threshold: self.threshold,
             model_sha256: self.sha256.clone(),
             model: self.name.clone(),
             latency_ms,
-            engine_ms: said.engine_ms,
+            engine_ms: prediction.engine_ms,
         }
     }
 }
 
-/// Contact of one gel against the initial frame.
+/// Contact of one gel relative to the initial frame.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Contact {
     /// Mean absolute difference, grey levels.
     pub(super) mean_abs: f64,
-    /// Driver time of the frame that was held against it, ns.
+    /// Driver time of the compared frame, ns.
     pub(super) frame_time_ns: u64,
-    /// Part of the gel that changed, 0..1.
+    /// Changed fraction of the gel.
     pub(super) changed_fraction: f64,
 }
 
-/// What inference has found so far.
+/// Newest results of inference.
 #[derive(Debug, Default)]
-pub(super) struct Findings {
+pub(super) struct InferenceState {
     /// Newest prediction; `None` without an initial frame.
     pub(super) live: Option<PredictionStatus>,
-    /// Why there is none.
-    pub(super) absent: Option<String>,
-    /// Contact by gel, against the initial frame that came with `change`.
+    /// Reason why there is no prediction.
+    pub(super) unavailable: Option<String>,
+    /// Contact by gel, relative to the initial frame of `revision`.
     pub(super) contact: BTreeMap<Role, Contact>,
-    /// The newest change of the initial frame that brought one. A number and no key: after an undo
-    /// the same frame comes back, and what was found against it before is stale.
-    pub(super) change: Option<u64>,
-    /// Small images.
+    /// Revision of the initial frame in use. Not its id: after an undo the same frame returns, and
+    /// earlier comparisons with it are stale.
+    pub(super) revision: Option<u64>,
+    /// Preview images.
     pub(super) previews: BTreeMap<Role, Preview>,
-    /// Predictions made.
+    /// Number of predictions.
     pub(super) predictions: u64,
-    /// Predictions that failed.
+    /// Number of failed predictions.
     pub(super) failures: u64,
-    /// Frame to prediction, ms.
-    pub(super) latency: Histogram,
+    /// Latency from frame to prediction, ms.
+    pub(super) latency: LatencyHistogram,
 }
 
-impl Findings {
-    /// Part of a gel that changed against the initial frame of a change, in a frame newer than
-    /// `since_ns`; none while that is not known.
+impl InferenceState {
+    /// Returns the changed fraction of a gel relative to the initial frame of `revision`, in a frame
+    /// newer than `since_ns`, or `None` before the first such frame.
     pub(super) fn changed_fraction(
         &self,
         role: Role,
-        change: Option<u64>,
+        revision: Option<u64>,
         since_ns: u64,
     ) -> Option<f64> {
-        let contact = self.contact.get(&role).filter(|_| self.change == change)?;
+        let contact = self
+            .contact
+            .get(&role)
+            .filter(|_| self.revision == revision)?;
         (contact.frame_time_ns > since_ns).then_some(contact.changed_fraction)
     }
 
-    /// Mean absolute difference of each gel, grey levels.
+    /// Returns the mean absolute difference of each gel, grey levels.
     pub(super) fn contact_levels(&self) -> BTreeMap<Role, f64> {
         let contacts = self.contact.iter();
         contacts.map(|(role, c)| (*role, c.mean_abs)).collect()
@@ -150,88 +154,76 @@ impl Findings {
 /// The inference thread.
 #[derive(Debug)]
 pub(super) struct Inference {
-    findings: Arc<Mutex<Findings>>,
-    requests: Sender<InferRequest>,
+    state: Arc<Mutex<InferenceState>>,
+    /// Request channel.
+    pub(super) requests: Sender<InferRequest>,
     thread: JoinHandle<()>,
-    model: Option<String>,
+    /// Name of the model.
+    pub(super) model: Option<String>,
 }
 
 impl Inference {
-    /// Starts the thread. Without a model it still tells contact and makes previews.
+    /// Starts the thread. Without a model it measures contact and makes previews.
     ///
     /// # Errors
-    /// When the model's tensors or the thread cannot be had.
+    /// Errors of loading the model or starting the thread.
     pub(super) fn start(
         hub: &Hub,
         model: Option<Model>,
         (requests, inbox): (Sender<InferRequest>, Receiver<InferRequest>),
         tasks: &Tasks,
     ) -> Result<Self> {
-        let facts = model.as_ref().map(ModelFacts::of);
-        let findings = Arc::new(Mutex::new(Findings {
-            absent: Some(if model.is_some() {
+        let info = model.as_ref().map(ModelInfo::new);
+        let state = Arc::new(Mutex::new(InferenceState {
+            unavailable: Some(if model.is_some() {
                 "no initial frame".into()
             } else {
                 "no model".into()
             }),
-            ..Findings::default()
+            ..InferenceState::default()
         }));
-        let name = facts.as_ref().map(|facts| facts.name.clone());
+        let name = info.as_ref().map(|info| info.name.clone());
         let predictor = model.map(LivePredictor::new).transpose()?;
-        let mut worker = Worker::new(hub, predictor.zip(facts), &findings);
-        let thread = tasks.spawn("inference", move |beat| worker.run(&inbox, beat))?;
+        let mut worker = Worker::new(hub, predictor.zip(info), &state);
+        let thread = tasks.spawn("inference", move |heartbeat| worker.run(&inbox, heartbeat))?;
         Ok(Self {
-            findings,
+            state,
             requests,
             thread,
             model: name,
         })
     }
 
-    /// Name of the model, if there is one.
-    pub(super) fn model(&self) -> Option<&str> {
-        self.model.as_deref()
+    /// Returns the newest results.
+    pub(super) fn state(&self) -> MutexGuard<'_, InferenceState> {
+        lock(&self.state)
     }
 
-    /// Where to send requests.
-    pub(super) fn requests(&self) -> &Sender<InferRequest> {
-        &self.requests
-    }
-
-    /// What has been found so far.
-    pub(super) fn findings(&self) -> MutexGuard<'_, Findings> {
-        lock(&self.findings)
-    }
-
-    /// Ends the thread and gives back what it found.
-    pub(super) fn stop(self) -> Arc<Mutex<Findings>> {
-        // Both fail only when the thread has ended already.
+    /// Ends the thread and returns its last results.
+    pub(super) fn stop(self) -> Arc<Mutex<InferenceState>> {
+        // Both fail only if the thread has already ended.
         let _ = self.requests.send(InferRequest::Stop);
         let _ = self.thread.join();
-        self.findings
+        self.state
     }
-}
-
-fn lock(findings: &Mutex<Findings>) -> MutexGuard<'_, Findings> {
-    findings.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
 struct Worker {
     hub: Hub,
-    predictor: Option<(LivePredictor, ModelFacts)>,
+    predictor: Option<(LivePredictor, ModelInfo)>,
     initial: BTreeMap<Role, Arc<RgbImage>>,
     predicting: bool,
     smoothing: Smoothing,
     /// Serial of the newest image used, by role.
     seen: BTreeMap<Role, u64>,
-    findings: Arc<Mutex<Findings>>,
+    state: Arc<Mutex<InferenceState>>,
 }
 
 impl Worker {
     fn new(
         hub: &Hub,
-        predictor: Option<(LivePredictor, ModelFacts)>,
-        findings: &Arc<Mutex<Findings>>,
+        predictor: Option<(LivePredictor, ModelInfo)>,
+        state: &Arc<Mutex<InferenceState>>,
     ) -> Self {
         Self {
             hub: hub.clone(),
@@ -240,78 +232,82 @@ impl Worker {
             predicting: false,
             smoothing: Smoothing::default(),
             seen: BTreeMap::new(),
-            findings: Arc::clone(findings),
+            state: Arc::clone(state),
         }
     }
 
-    /// What waits for an answer comes first; of each camera only the newest image is looked at.
-    fn run(&mut self, inbox: &Receiver<InferRequest>, beat: &Beat) {
-        let mut fresh = VecDeque::new();
+    /// Handles requests before new images; of each camera only the newest image is used.
+    fn run(&mut self, inbox: &Receiver<InferRequest>, heartbeat: &Heartbeat) {
+        let mut new_images = VecDeque::new();
         loop {
-            if fresh.is_empty() {
-                beat.idle();
+            if new_images.is_empty() {
+                heartbeat.idle();
                 let Ok(request) = inbox.recv() else { return };
-                beat.busy();
-                if self.take(request, &mut fresh).is_break() {
+                heartbeat.busy();
+                if self.handle(request, &mut new_images).is_break() {
                     return;
                 }
             }
             for request in inbox.try_iter() {
-                if self.take(request, &mut fresh).is_break() {
+                if self.handle(request, &mut new_images).is_break() {
                     return;
                 }
             }
-            beat.busy();
-            if let Some(role) = fresh.pop_front() {
-                self.fresh(role);
+            heartbeat.busy();
+            if let Some(role) = new_images.pop_front() {
+                self.on_new_image(role);
             }
         }
     }
 
-    /// Carries out a request, or notes that a camera has a new image.
-    fn take(&mut self, request: InferRequest, fresh: &mut VecDeque<Role>) -> ControlFlow<()> {
+    /// Handles a request; new images are queued.
+    fn handle(
+        &mut self,
+        request: InferRequest,
+        new_images: &mut VecDeque<Role>,
+    ) -> ControlFlow<()> {
         match request {
-            InferRequest::Fresh(role) if fresh.contains(&role) => {}
-            InferRequest::Fresh(role) => fresh.push_back(role),
+            InferRequest::NewImage(role) if new_images.contains(&role) => {}
+            InferRequest::NewImage(role) => new_images.push_back(role),
             InferRequest::SetInitial {
-                change,
+                revision,
                 left,
                 right,
-            } => self.set_initial(change, left, right),
+            } => self.set_initial(revision, left, right),
             InferRequest::ClearInitial(reason) => self.clear_initial(reason),
-            InferRequest::Judge { images, reply } => {
-                // The asker has given up when nobody receives.
-                let _ = reply.send(self.judge(images));
+            InferRequest::PredictFrames { images, reply } => {
+                // The requester may have timed out.
+                let _ = reply.send(self.predict_saved(images));
             }
             InferRequest::Stop => return ControlFlow::Break(()),
         }
         ControlFlow::Continue(())
     }
 
-    fn set_initial(&mut self, change: u64, left: Arc<RgbImage>, right: Arc<RgbImage>) {
+    fn set_initial(&mut self, revision: u64, left: Arc<RgbImage>, right: Arc<RgbImage>) {
         if let Some((predictor, _)) = &mut self.predictor {
             predictor.set_initial((*left).clone(), (*right).clone());
         }
         self.initial = BTreeMap::from([(Role::Left, left), (Role::Right, right)]);
         self.predicting = true;
         self.smoothing.clear();
-        let mut findings = lock(&self.findings);
-        findings.live = None;
-        findings.contact.clear();
-        findings.change = Some(change);
+        let mut state = lock(&self.state);
+        state.live = None;
+        state.contact.clear();
+        state.revision = Some(revision);
     }
 
     fn clear_initial(&mut self, reason: String) {
         self.predicting = false;
-        let mut findings = lock(&self.findings);
-        findings.live = None;
+        let mut state = lock(&self.state);
+        state.live = None;
         if let Some((predictor, _)) = &mut self.predictor {
             predictor.clear_initial();
-            findings.absent = Some(reason);
+            state.unavailable = Some(reason);
         }
     }
 
-    fn fresh(&mut self, role: Role) {
+    fn on_new_image(&mut self, role: Role) {
         let Some(decoded) = self.hub.slot(role).and_then(|slot| slot.latest()) else {
             return;
         };
@@ -325,7 +321,7 @@ impl Worker {
         let contact = difference.as_ref().map(|difference| Contact {
             mean_abs: f64::from(difference.mean_abs()),
             frame_time_ns: decoded.driver_time_ns,
-            changed_fraction: f64::from(difference.changed_fraction(TOUCHED_LEVELS)),
+            changed_fraction: f64::from(difference.changed_fraction(CONTACT_LEVELS)),
         });
         let shown = difference.filter(|_| self.predicting);
         let preview = Preview {
@@ -336,11 +332,11 @@ impl Worker {
             ),
         };
         {
-            let mut findings = lock(&self.findings);
+            let mut state = lock(&self.state);
             if let Some(contact) = contact {
-                findings.contact.insert(role, contact);
+                state.contact.insert(role, contact);
             }
-            findings.previews.insert(role, preview);
+            state.previews.insert(role, preview);
         }
         if let Some((predictor, _)) = &mut self.predictor {
             predictor.update(role, (*decoded.image).clone(), decoded.driver_time_ns);
@@ -355,49 +351,49 @@ impl Worker {
             return;
         };
         let result = predictor.predict();
-        let waiting = predictor.waiting_for();
+        let missing = predictor.waiting_for();
         let now_ns = monotonic_ns();
-        let mut findings = lock(&self.findings);
+        let mut state = lock(&self.state);
         match result {
             None => {
-                findings.live = None;
-                findings.absent = waiting.map(str::to_owned);
+                state.live = None;
+                state.unavailable = missing.map(str::to_owned);
             }
             Some(Err(error)) => {
-                findings.live = None;
-                findings.failures += 1;
-                findings.absent = Some(error.what().to_owned());
+                state.live = None;
+                state.failures += 1;
+                state.unavailable = Some(error.what().to_owned());
             }
             Some(Ok(prediction)) => {
                 let frame_time_ns = prediction.newest_frame_ns;
                 let latency_ms = now_ns.saturating_sub(frame_time_ns) as f64 * 1e-6;
-                findings.latency.add(latency_ms);
-                findings.predictions += 1;
-                findings.absent = None;
-                let said = PredictionRecord {
+                state.latency.add(latency_ms);
+                state.predictions += 1;
+                state.unavailable = None;
+                let record = PredictionRecord {
                     p_stable: self.smoothing.add(prediction.p_stable, frame_time_ns),
                     ..model.record(&prediction, latency_ms)
                 };
-                let note = serde_json::json!({
-                    "p_stable": said.p_stable,
+                let message = serde_json::json!({
+                    "p_stable": record.p_stable,
                     "p_stable_frame": prediction.p_stable,
-                    "novelty": said.novelty,
+                    "ood_score": record.novelty,
                     "frame_time_ns": frame_time_ns,
                     "latency_ms": latency_ms,
-                    "engine_ms": said.engine_ms,
+                    "engine_ms": record.engine_ms,
                 });
-                findings.live = Some(PredictionStatus {
+                state.live = Some(PredictionStatus {
                     frame_time_ns,
-                    ..PredictionStatus::new(said, model.heuristic)
+                    ..PredictionStatus::new(record, model.heuristic)
                 });
-                drop(findings);
-                self.hub.tap().note(Topic::Prediction, || note);
+                drop(state);
+                self.hub.tap.json(Topic::Prediction, || message);
             }
         }
     }
 
-    /// Predicts on saved images, then puts the live ones back.
-    fn judge(&mut self, images: BTreeMap<Role, RgbImage>) -> Option<PredictionRecord> {
+    /// Predicts on saved images, then restores the live ones.
+    fn predict_saved(&mut self, images: BTreeMap<Role, RgbImage>) -> Option<PredictionRecord> {
         let (predictor, model) = self.predictor.as_mut().filter(|_| self.predicting)?;
         for (role, image) in images {
             predictor.update(role, image, 0);
@@ -409,7 +405,7 @@ impl Worker {
                 None => predictor.forget(role),
             }
         }
-        // Its latency is that of the live prediction at the trigger, which the store knows.
+        // The store sets the latency to that of the live prediction at the trigger.
         Some(model.record(&result?.ok()?, 0.0))
     }
 }
@@ -419,39 +415,43 @@ mod tests {
     use super::*;
     use gripcast_imaging::{Frame, PixelFormat};
 
-    const CHANGED: u64 = 100;
+    const CAPTURED_NS: u64 = 100;
 
     fn grey(level: u8) -> RgbImage {
         RgbImage::from_pixel(32, 24, image::Rgb([level; 3]))
     }
 
     #[test]
-    fn of_many_images_that_wait_one_a_camera_is_looked_at_after_all_that_is_asked() {
-        let hub = Hub::new([Role::Left]);
-        let findings = Arc::default();
-        let mut worker = Worker::new(&hub, None, &findings);
-        let mut fresh = VecDeque::new();
+    fn newest_image_per_camera_is_used_after_pending_requests() {
+        let hub = Hub::new([Role::Left], Tap::default());
+        let state = Arc::default();
+        let mut worker = Worker::new(&hub, None, &state);
+        let mut new_images = VecDeque::new();
         let (reply, answer) = std::sync::mpsc::channel();
         let images = BTreeMap::new();
         for request in [
-            InferRequest::Fresh(Role::Left),
-            InferRequest::Fresh(Role::Right),
-            InferRequest::Fresh(Role::Left),
-            InferRequest::Judge { images, reply },
+            InferRequest::NewImage(Role::Left),
+            InferRequest::NewImage(Role::Right),
+            InferRequest::NewImage(Role::Left),
+            InferRequest::PredictFrames { images, reply },
         ] {
-            assert!(worker.take(request, &mut fresh).is_continue());
+            assert!(worker.handle(request, &mut new_images).is_continue());
         }
-        assert_eq!(answer.try_recv(), Ok(None), "answered before the images");
-        assert_eq!(fresh, [Role::Left, Role::Right]);
-        assert!(worker.take(InferRequest::Stop, &mut fresh).is_break());
+        assert_eq!(answer.try_recv(), Ok(None), "must be answered first");
+        assert_eq!(new_images, [Role::Left, Role::Right]);
+        assert!(
+            worker
+                .handle(InferRequest::Stop, &mut new_images)
+                .is_break()
+        );
     }
 
     #[test]
-    fn contact_is_known_only_against_the_frame_of_the_last_change() {
-        let hub = Hub::new([Role::Left]);
-        let findings = Arc::default();
-        let mut worker = Worker::new(&hub, None, &findings);
-        let see = |worker: &mut Worker, level: u8, at_ns: u64| {
+    fn contact_refers_to_the_newest_initial_frame_only() {
+        let hub = Hub::new([Role::Left], Tap::default());
+        let state = Arc::default();
+        let mut worker = Worker::new(&hub, None, &state);
+        let show = |worker: &mut Worker, level: u8, at_ns: u64| {
             let frame = Frame {
                 format: PixelFormat::Grey,
                 width: 32,
@@ -461,32 +461,34 @@ mod tests {
                 driver_time_ns: at_ns,
                 received_ns: at_ns,
             };
-            hub.slot(Role::Left).unwrap().decoded(&frame, grey(level));
-            worker.fresh(Role::Left);
+            hub.slot(Role::Left)
+                .unwrap()
+                .on_decoded(&frame, grey(level));
+            worker.on_new_image(Role::Left);
         };
-        let known = |change: u64, since_ns: u64| {
-            lock(&findings).changed_fraction(Role::Left, Some(change), since_ns)
+        let contact = |revision: u64, since_ns: u64| {
+            lock(&state).changed_fraction(Role::Left, Some(revision), since_ns)
         };
         let initial = Arc::new(grey(10));
-        let set = |worker: &mut Worker, change: u64| {
-            worker.set_initial(change, Arc::clone(&initial), Arc::clone(&initial));
+        let set = |worker: &mut Worker, revision: u64| {
+            worker.set_initial(revision, Arc::clone(&initial), Arc::clone(&initial));
         };
 
         set(&mut worker, 1);
-        assert_eq!(known(1, 0), None, "nothing was seen yet");
-        see(&mut worker, 90, CHANGED);
-        assert_eq!(known(1, 0), Some(1.0));
+        assert_eq!(contact(1, 0), None, "no frame yet");
+        show(&mut worker, 90, CAPTURED_NS);
+        assert_eq!(contact(1, 0), Some(1.0));
         assert_eq!(
-            known(1, CHANGED),
+            contact(1, CAPTURED_NS),
             None,
             "the frame is older than the capture"
         );
-        assert_eq!(known(2, 0), None, "the next change has not come");
-        // An undo: the same image is the initial frame again.
+        assert_eq!(contact(2, 0), None, "the revision is not set yet");
+        // An undo restores the same initial frame.
         set(&mut worker, 2);
-        assert_eq!(known(2, 0), None, "found before the change");
-        assert_eq!(known(1, 0), None);
-        see(&mut worker, 10, CHANGED + 1);
-        assert_eq!(known(2, 0), Some(0.0));
+        assert_eq!(contact(2, 0), None, "the frame is older than the revision");
+        assert_eq!(contact(1, 0), None);
+        show(&mut worker, 10, CAPTURED_NS + 1);
+        assert_eq!(contact(2, 0), Some(0.0));
     }
 }

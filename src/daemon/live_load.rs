@@ -1,17 +1,19 @@
-//! The complete live path under load, from memory: what `gripcast bench live` measures.
+//! Load test of the complete live path for `gripcast bench live`.
 //!
-//! Cameras, hub, decoding and inference are those of `collect`; only the frames come from memory
-//! instead of a driver, at the rate of the real cameras.
+//! Capture, hub, decoding and inference are those of `collect`; only the frames come from memory
+//! instead of a driver, at the frame rate of the real cameras.
 
 use std::sync::Arc;
 use std::sync::mpsc::channel;
 use std::time::Duration;
 
+use super::black_box::Tap;
 use super::capture::CaptureThreads;
 use super::decode;
 use super::hub::Hub;
 use super::infer::{InferRequest, Inference};
 use super::tasks::Tasks;
+use super::thread::lock;
 use gripcast_base::error::{Error, Result};
 use gripcast_base::statistics::median;
 use gripcast_base::workers::process_cpu_s;
@@ -25,43 +27,43 @@ use gripcast_imaging::{
 };
 use gripcast_nn::predict::Model;
 
-/// Frames that a V4L2 queue holds for a late reader; later ones are lost, as with a driver.
-const QUEUE: u64 = 4;
+/// Frames that a V4L2 queue holds for a late reader; further ones are lost, as with a driver.
+const QUEUE_FRAMES: u64 = 4;
 
 /// Size of a GelSight Mini's frame, pixels.
 const GEL_SIZE: (u32, u32) = (3280, 2464);
 
-/// Different frames that each camera repeats.
-const DISTINCT: u64 = 6;
+/// Number of different frames that each camera repeats.
+const DISTINCT_FRAMES: u64 = 6;
 
-/// Time before the measurement, for threads, caches and the first predictions.
+/// Warm-up time before the measurement.
 const WARM_UP: Duration = Duration::from_secs(2);
 
-/// Quality of the synthesised gel images.
+/// Parameters of the load test.
 #[derive(Clone, Copy, Debug)]
 pub struct LoadParams {
-    /// Length of the measurement, s.
+    /// Duration of the measurement, s.
     pub seconds: u64,
     /// JPEG quality of the gel frames, 1..100.
     pub quality: u8,
 }
 
-/// What was measured.
+/// Results of the load test.
 #[derive(Clone, Copy, Debug, serde::Serialize)]
 pub struct LoadFigures {
-    /// Frames lost by us: gaps of the source's counter, all cameras.
+    /// Lost frames of all cameras: gaps in the sequence numbers.
     pub lost: u64,
-    /// Tactile frames that no decoder took because the next one had come.
+    /// Tactile frames skipped because the decoder was busy.
     pub not_decoded: u64,
-    /// Frames received, all cameras.
+    /// Received frames of all cameras.
     pub received: u64,
     /// Predictions per second.
     pub predictions_per_s: f64,
-    /// Camera frame to prediction, median, ms.
+    /// Median latency from camera frame to prediction, ms.
     pub latency_p50_ms: f64,
-    /// Camera frame to prediction, 99th percentile, ms.
+    /// 99th percentile of the latency, ms.
     pub latency_p99_ms: f64,
-    /// CPU cores used.
+    /// Mean number of busy CPU cores.
     pub cores: f64,
     /// Peak resident memory of the process, MB.
     pub rss_mb: f64,
@@ -69,11 +71,11 @@ pub struct LoadFigures {
     pub gel_frame_kb: f64,
 }
 
-/// Drives two 3280×2464 MJPG streams at 25/s, 1280×720 YUYV and Z16 at 30/s through the live path.
+/// Runs two 3280×2464 MJPG streams at 25/s and 1280×720 YUYV and Z16 at 30/s through the live path.
 ///
 /// # Errors
-/// When a thread, a decoder or the model's tensors cannot be had.
-pub fn drive(model: Model, params: LoadParams) -> Result<LoadFigures> {
+/// Errors of starting a thread, creating a decoder or loading the model.
+pub fn run_load(model: Model, params: LoadParams) -> Result<LoadFigures> {
     let cameras = [
         (Role::Left, gel_frames(1, params.quality)?),
         (Role::Right, gel_frames(2, params.quality)?),
@@ -91,13 +93,16 @@ pub fn drive(model: Model, params: LoadParams) -> Result<LoadFigures> {
         })
         .collect();
 
-    let hub = Hub::new([Role::Left, Role::Right, Role::Rgb, Role::Depth]);
+    let hub = Hub::new(
+        [Role::Left, Role::Right, Role::Rgb, Role::Depth],
+        Tap::default(),
+    );
     let (requests, inbox) = channel();
     let crop = |role: Role| role.is_tactile().then_some(CropProfile::GSMINI_SEVENTH);
     let tasks = Tasks::default();
     let decoders = decode::start(&hub, crop, &requests, &tasks)?;
     let inference = Inference::start(&hub, Some(model), (requests, inbox), &tasks)?;
-    // Repeated frames are the nature of this source and no fault.
+    // This source repeats its frames by design.
     let policy = SupervisionPolicy {
         freeze_after_ns: None,
         ..SupervisionPolicy::default()
@@ -112,81 +117,69 @@ pub fn drive(model: Model, params: LoadParams) -> Result<LoadFigures> {
             .ok_or_else(|| Error::internal(format!("{role}: nothing decoded in 1 s")))
     };
     let request = InferRequest::SetInitial {
-        change: 1,
+        revision: 1,
         left: initial(Role::Left)?,
         right: initial(Role::Right)?,
     };
     inference
-        .requests()
+        .requests
         .send(request)
         .map_err(|_| Error::internal("the inference thread has ended"))?;
     std::thread::sleep(WARM_UP / 2);
 
-    // Reports come twice a second; the counters before and after are equally old.
-    let before = Counts::of(&hub);
-    let made = {
-        let mut findings = inference.findings();
-        findings.latency = super::histogram::Histogram::default();
-        findings.predictions
+    // Reports arrive twice a second; the counters before and after are equally old.
+    let before = frame_counts(&hub);
+    let predictions_before = {
+        let mut state = inference.state();
+        state.latency = super::histogram::LatencyHistogram::default();
+        state.predictions
     };
     let (cpu, started) = (process_cpu_s(), monotonic_ns());
     std::thread::sleep(Duration::from_secs(params.seconds));
     let wall_s = monotonic_ns().saturating_sub(started) as f64 * 1e-9;
     let cores = (process_cpu_s() - cpu) / wall_s;
-    let after = Counts::of(&hub);
+    let after = frame_counts(&hub);
     capture.stop();
     hub.close();
     for decoder in decoders {
-        // A decoder that panicked has printed why; its camera then shows as not decoded.
+        // A panic has been printed; the frames count as not decoded.
         let _ = decoder.join();
     }
-    let findings = inference.stop();
-    let findings = findings
-        .lock()
-        .unwrap_or_else(std::sync::PoisonError::into_inner);
-    let quantile = |q| findings.latency.quantile_ms(q).unwrap_or(f64::NAN);
+    let state = inference.stop();
+    let state = lock(&state);
+    let quantile = |q| state.latency.quantile_ms(q).unwrap_or(f64::NAN);
     Ok(LoadFigures {
-        lost: after.lost - before.lost,
-        not_decoded: after.not_decoded - before.not_decoded,
-        received: after.received - before.received,
-        predictions_per_s: (findings.predictions - made) as f64 / wall_s,
+        lost: after[0] - before[0],
+        not_decoded: after[1] - before[1],
+        received: after[2] - before[2],
+        predictions_per_s: (state.predictions - predictions_before) as f64 / wall_s,
         latency_p50_ms: quantile(0.5),
         latency_p99_ms: quantile(0.99),
         cores,
         rss_mb: peak_rss_mb(),
-        gel_frame_kb: gel_bytes as f64 / (2 * DISTINCT) as f64 * 1e-3,
+        gel_frame_kb: gel_bytes as f64 / (2 * DISTINCT_FRAMES) as f64 * 1e-3,
     })
 }
 
-/// Frames so far, all cameras.
-#[derive(Default)]
-struct Counts {
-    lost: u64,
-    /// Only of the gels.
-    not_decoded: u64,
-    received: u64,
+/// Sums lost, not decoded (tactile only) and received frames over all cameras.
+fn frame_counts(hub: &Hub) -> [u64; 3] {
+    hub.slots().fold([0; 3], |[lost, skipped, received], slot| {
+        let is_tactile = u64::from(slot.role.is_tactile());
+        slot.with_info(|info| {
+            let counters = &info.counters;
+            [
+                lost + counters.sequence_gaps,
+                skipped + is_tactile * info.not_decoded,
+                received + counters.received,
+            ]
+        })
+    })
 }
 
-impl Counts {
-    fn of(hub: &Hub) -> Self {
-        let mut counts = Self::default();
-        for slot in hub.slots() {
-            slot.facts(|facts| {
-                counts.lost += facts.counters.sequence_gaps;
-                counts.received += facts.counters.received;
-                if slot.role().is_tactile() {
-                    counts.not_decoded += facts.not_decoded;
-                }
-            });
-        }
-        counts
-    }
-}
-
-/// One frame of the load, without contact.
+/// Returns one tactile frame of the load, without contact.
 ///
 /// # Errors
-/// When it cannot be encoded.
+/// If it cannot be encoded.
 pub fn gel_frame(quality: u8) -> Result<Frame> {
     let (width, height) = GEL_SIZE;
     let image = synthetic_gel(width, height, 100, 0.0);
@@ -201,10 +194,10 @@ pub fn gel_frame(quality: u8) -> Result<Frame> {
     })
 }
 
-/// CPU time of the live path's decoding of `frame` to the model's image, median, ms.
+/// Returns the median CPU time to decode `frame` to the model's input, ms.
 ///
 /// # Errors
-/// When the frame is damaged.
+/// `Input` for a damaged frame.
 pub fn decode_ms(frame: &Frame, runs: u64) -> Result<f64> {
     let mut decoder = Decoder::new()?;
     let crop = Some(&CropProfile::GSMINI_SEVENTH);
@@ -218,7 +211,7 @@ pub fn decode_ms(frame: &Frame, runs: u64) -> Result<f64> {
     Ok(median(times_ms).unwrap_or(f64::NAN))
 }
 
-/// The frames of one camera.
+/// Frames of one camera.
 #[derive(Clone)]
 struct Recording {
     info: StreamInfo,
@@ -249,12 +242,12 @@ fn recording(
     }
 }
 
-/// Gel frames as a GelSight Mini sends them, with a contact that grows and shrinks.
+/// Generates frames of a GelSight Mini with a growing and shrinking contact.
 fn gel_frames(seed: u64, quality: u8) -> Result<Recording> {
     let size = GEL_SIZE;
-    let frames = (0..DISTINCT)
+    let frames = (0..DISTINCT_FRAMES)
         .map(|i| {
-            let contact = (i as f32 / DISTINCT as f32 * std::f32::consts::PI).sin();
+            let contact = (i as f32 / DISTINCT_FRAMES as f32 * std::f32::consts::PI).sin();
             let image = synthetic_gel(size.0, size.1, seed * 100 + i, contact);
             Ok(encode_jpeg(&image, quality)?.into())
         })
@@ -304,7 +297,7 @@ impl CameraOpener for MemoryOpener {
     }
 }
 
-/// Hands out frames at the nominal rate, copying each as from a driver's buffer.
+/// Source of frames at the nominal rate; each is copied as from a driver's buffer.
 struct MemorySource {
     recording: Recording,
     pool: FramePool,
@@ -322,8 +315,8 @@ impl FrameSource for MemorySource {
         let interval_ns = (1e9 / info.nominal_fps) as u64;
         let now_ns = monotonic_ns();
         let complete = now_ns.saturating_sub(self.started_ns) / interval_ns;
-        if complete > self.next + QUEUE {
-            self.next = complete - QUEUE;
+        if complete > self.next + QUEUE_FRAMES {
+            self.next = complete - QUEUE_FRAMES;
         }
         let due_ns = self.started_ns + self.next * interval_ns;
         let wait = Duration::from_nanos(due_ns.saturating_sub(now_ns));
@@ -354,7 +347,7 @@ impl FrameSource for MemorySource {
     }
 }
 
-/// Peak resident memory of this process, MB; not a number where /proc does not tell.
+/// Returns the peak resident memory of this process, MB; NaN if /proc is not available.
 pub fn peak_rss_mb() -> f64 {
     let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
     status

@@ -1,18 +1,18 @@
-//! The engine behind `collect`: capture, inference, writing, and the session that joins them.
+//! The engine behind `collect`: capture, inference, storage, and the session that connects them.
 //!
 //! ```text
 //!  camera ─► capture thread ─► hub (newest frames) ─► decode thread ─► inference thread
-//!                               │                                        │ findings
+//!                               │                                        │ prediction
 //!  key, pedal, script ─► engine ┴─ session ─► store thread ─► dataset    ▼
 //!                               └──────────── status ───────────────► screen
 //!  frames, events, predictions ─► black box (optional, nothing waits for it)
 //! ```
 
-mod approach;
-mod asked;
 mod black_box;
+mod boards;
 mod calibration;
 mod capture;
+mod command_request;
 mod decode;
 mod engine;
 mod histogram;
@@ -20,21 +20,23 @@ mod hub;
 mod infer;
 pub mod live_load;
 mod pairing;
+mod pre_grasp;
 mod report;
-mod sheets;
 mod status;
 mod store;
 mod tasks;
 mod thread;
 
-pub use asked::Asked;
 pub use black_box::{BlackBoxReport, BlackBoxSettings, BlackBoxStatus, FrameCounts};
+pub use boards::{Boards, read_object_boards};
 pub use calibration::stored_intrinsics;
-pub use engine::{EngineLinks, EngineSetup, Stored, run};
-pub use infer::ModelFacts;
-pub use report::{CameraReport, CollectReport, Ended, GraspReport, PredictionReport};
-pub use sheets::{Boards, read_sheets};
+pub use command_request::CommandRequest;
+pub use engine::{EngineLinks, EngineSetup, StoreEvent, run};
+pub use infer::ModelInfo;
+pub use report::{CameraReport, CollectReport, EndReason, GraspReport, PredictionReport};
+pub(crate) use status::disk_free_bytes;
 pub use status::{
     CameraState, CameraStatus, EngineStatus, MarkerStatus, PredictionStatus, Preview, verdict_of,
 };
-pub use tasks::{Beat, TaskReport, TaskState, Tasks};
+pub use tasks::{Heartbeat, TaskReport, TaskState, Tasks};
+pub(crate) use thread::lock;

@@ -1,40 +1,39 @@
-//! Which frames of free-running cameras belong together.
+//! Pairing of frames from free-running cameras.
 
 use std::collections::BTreeMap;
 
 use gripcast_imaging::{Frame, Role};
 
-/// The frames that a trigger would save.
+/// The frames that a trigger saves.
 #[derive(Clone, Debug, Default)]
-pub(super) struct Paired {
-    /// One frame a camera; cameras without a good frame are absent.
+pub(super) struct FrameSet {
+    /// One frame per camera; cameras without a valid frame are missing.
     pub frames: BTreeMap<Role, Frame>,
-    /// Spread of their driver times, ms.
+    /// Skew: largest difference of the driver times, ms.
     pub skew_ms: f64,
 }
 
-/// A camera whose newest frame is older does not set the time for the others, ns: half of what a
-/// ring of 8 frames spans at 25/s.
-const FALLEN_BEHIND_NS: u64 = 150_000_000;
+/// Maximum age of a camera's newest frame for the camera to set the common time, ns: half the span
+/// of a ring of 8 frames at 25/s.
+const MAX_LAG_NS: u64 = 150_000_000;
 
-/// Picks one good frame a camera, as new as possible and as close together as possible.
+/// Selects one valid frame per camera, as new and as close together in time as possible.
 ///
-/// The camera whose newest frame is oldest sets the time: all others have a frame near it in
-/// their ring. A camera that has fallen behind does not drag the others back.
-#[must_use]
-pub(super) fn pair(good: &BTreeMap<Role, Vec<Frame>>, now_ns: u64) -> Paired {
-    let newest: Vec<u64> = good
+/// The camera whose newest frame is oldest sets the common time: all others have a frame near it in
+/// their ring. Cameras that lag too far behind are ignored for this.
+pub(super) fn pair(valid: &BTreeMap<Role, Vec<Frame>>, now_ns: u64) -> FrameSet {
+    let newest: Vec<u64> = valid
         .values()
         .filter_map(|frames| frames.iter().map(|f| f.driver_time_ns).max())
         .collect();
     let fresh = newest
         .iter()
         .copied()
-        .filter(|t| now_ns.saturating_sub(*t) <= FALLEN_BEHIND_NS);
+        .filter(|t| now_ns.saturating_sub(*t) <= MAX_LAG_NS);
     let Some(target) = fresh.min().or_else(|| newest.iter().copied().max()) else {
-        return Paired::default();
+        return FrameSet::default();
     };
-    let frames: BTreeMap<Role, Frame> = good
+    let frames: BTreeMap<Role, Frame> = valid
         .iter()
         .filter_map(|(role, frames)| {
             let nearest = frames
@@ -48,7 +47,7 @@ pub(super) fn pair(good: &BTreeMap<Role, Vec<Frame>>, now_ns: u64) -> Paired {
         (Some(max), Some(min)) => max - min,
         _ => 0,
     };
-    Paired {
+    FrameSet {
         frames,
         skew_ms: spread as f64 * 1e-6,
     }
@@ -75,11 +74,14 @@ mod tests {
             .collect()
     }
 
-    fn paired_ms(good: &[(Role, &[u64])], now_ms: u64) -> (Vec<u64>, f64) {
-        let good = good.iter().map(|(r, t)| (*r, frames(t))).collect();
-        let paired = pair(&good, now_ms * 1_000_000);
-        let times = paired.frames.values().map(|f| f.driver_time_ns / 1_000_000);
-        (times.collect(), paired.skew_ms)
+    fn paired_ms(valid: &[(Role, &[u64])], now_ms: u64) -> (Vec<u64>, f64) {
+        let valid = valid.iter().map(|(r, t)| (*r, frames(t))).collect();
+        let frame_set = pair(&valid, now_ms * 1_000_000);
+        let times = frame_set
+            .frames
+            .values()
+            .map(|f| f.driver_time_ns / 1_000_000);
+        (times.collect(), frame_set.skew_ms)
     }
 
     #[test]
@@ -96,17 +98,17 @@ mod tests {
     }
 
     #[test]
-    fn a_silent_camera_does_not_drag_the_others_back() {
+    fn silent_camera_does_not_delay_the_others() {
         let (times, skew) = paired_ms(
             &[(Role::Left, &[900, 940, 980]), (Role::Right, &[100, 140])],
             1000,
         );
         assert_eq!(times, [980, 140]);
-        assert!(skew > 800.0, "the skew guard has to see it: {skew}");
+        assert!(skew > 800.0, "the skew guard must trigger: {skew}");
     }
 
     #[test]
-    fn no_frames_pair_to_nothing() {
+    fn no_frames_give_empty_set() {
         assert_eq!(paired_ms(&[], 10), (vec![], 0.0));
         assert_eq!(paired_ms(&[(Role::Left, &[])], 10), (vec![], 0.0));
     }

@@ -1,4 +1,4 @@
-//! What the engine tells of its cameras, while it runs and when it ends.
+//! Reports of the engine: cameras while it runs, and the closing report.
 
 use std::collections::BTreeMap;
 
@@ -13,57 +13,57 @@ use gripcast_dataset::Outcome;
 use gripcast_imaging::Role;
 use gripcast_session::Summary;
 
-/// Why the engine ended.
+/// Reason why the engine ended.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
-pub enum Ended {
+pub enum EndReason {
     /// The operator quit.
     Quit,
-    /// The script ran to its end.
+    /// The script finished.
     ScriptDone,
     /// Ctrl-C.
     Interrupted,
-    /// Asked to end by the system (SIGTERM, closed terminal).
+    /// CommandRequest to end by the system (SIGTERM, closed terminal).
     Terminated,
 }
 
-/// What a camera delivered.
+/// Identity and counters of a camera.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct CameraReport {
     /// USB product string.
     pub product: String,
     /// USB serial.
     pub serial: String,
-    /// What was counted.
+    /// Counters.
     #[serde(flatten)]
     pub counters: CameraCounters,
-    /// Frames that arrived while the decoder was busy with the one before.
+    /// Frames skipped because the decoder was busy.
     pub not_decoded: u64,
     /// Measured frame rate at the end, 1/s.
     pub measured_fps: f64,
-    /// Wishes of the rig file that the camera did not follow.
+    /// Settings of the rig file that the camera did not apply.
     pub warnings: Vec<String>,
 }
 
-/// What inference did.
+/// Counts and latency of predictions.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct PredictionReport {
     /// Model name.
     pub model: Option<String>,
-    /// Predictions made.
+    /// Number of predictions.
     pub predictions: u64,
-    /// Predictions that failed.
+    /// Number of failed predictions.
     pub failures: u64,
-    /// Camera frame to prediction, median, ms.
+    /// Median latency from camera frame to prediction, ms.
     pub latency_p50_ms: Option<f64>,
-    /// Camera frame to prediction, 99th percentile, ms.
+    /// 99th percentile of the latency, ms.
     pub latency_p99_ms: Option<f64>,
 }
 
 /// A grasp of this session.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct GraspReport {
-    /// Its key.
+    /// Grasp id.
     pub id: String,
     /// Object.
     pub object: String,
@@ -80,31 +80,30 @@ pub struct CollectReport {
     pub dataset: String,
     /// Rig id.
     pub rig: String,
-    /// Why it ended.
-    pub ended: Ended,
-    /// What the session did.
+    /// Reason of the end.
+    pub ended: EndReason,
+    /// Summary of the session.
     pub session: Summary,
-    /// Grasps of this session that are in the dataset.
+    /// Grasps saved in this session.
     pub grasps: Vec<GraspReport>,
     /// Cameras by role.
     pub cameras: BTreeMap<Role, CameraReport>,
     /// Inference.
     pub prediction: PredictionReport,
-    /// The black box, where there was one.
+    /// The black box, if enabled.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub black_box: Option<BlackBoxReport>,
 }
 
-/// Why a camera's frames cannot be used, for the operator; `None` when they can.
+/// Describes why the frames of a camera cannot be used; `None` for a live camera.
 pub(super) fn fault_text(health: &Health, now_ns: u64) -> Option<String> {
-    let since_s = |since_ns: &u64| now_ns.saturating_sub(*since_ns) as f64 * 1e-9;
-    match health {
-        Health::Live => None,
-        Health::Opening => Some("not open yet".into()),
-        Health::Silent { since_ns } => Some(format!("silent for {:.1} s", since_s(since_ns))),
-        Health::Frozen { since_ns } => Some(format!("image frozen for {:.1} s", since_s(since_ns))),
-        Health::Lost { reason } => Some(format!("lost: {reason}")),
-        Health::Ended => Some("the recording has ended".into()),
+    match camera_state(health, now_ns) {
+        CameraState::Live => None,
+        CameraState::Opening => Some("not open yet".into()),
+        CameraState::Silent { for_s } => Some(format!("silent for {for_s:.1} s")),
+        CameraState::Frozen { for_s } => Some(format!("image frozen for {for_s:.1} s")),
+        CameraState::Lost { reason } => Some(format!("lost: {reason}")),
+        CameraState::Ended => Some("the recording has ended".into()),
     }
 }
 
@@ -127,19 +126,19 @@ fn camera_state(health: &Health, now_ns: u64) -> CameraState {
 }
 
 pub(super) fn camera_status(slot: &CameraSlot, rig: &RigFile, now_ns: u64) -> CameraStatus {
-    let role = slot.role();
+    let role = slot.role;
     let newest_ns = slot.newest_time_ns();
     let report = camera_report(slot, rig);
-    slot.facts(|facts| CameraStatus {
+    slot.with_info(|info| CameraStatus {
         role,
         product: report.product,
         serial: report.serial,
-        port: facts
-            .info
+        port: info
+            .stream
             .as_ref()
-            .map(|info| info.identity.port.clone())
+            .map(|stream| stream.identity.port.clone())
             .unwrap_or_default(),
-        state: camera_state(&facts.health, now_ns),
+        state: camera_state(&info.health, now_ns),
         measured_fps: report.measured_fps,
         nominal_fps: rig.cameras.get(&role).map_or(0.0, |camera| camera.fps),
         frame_age_ms: newest_ns.map(|t| now_ns.saturating_sub(t) as f64 * 1e-6),
@@ -148,10 +147,10 @@ pub(super) fn camera_status(slot: &CameraSlot, rig: &RigFile, now_ns: u64) -> Ca
     })
 }
 
-/// Health and counters of all cameras by role, for the black box.
-pub(super) fn cameras_note(hub: &Hub, rig: &RigFile, now_ns: u64) -> serde_json::Value {
-    let note = |slot: &CameraSlot| {
-        let fault = slot.facts(|facts| fault_text(&facts.health, now_ns));
+/// Returns health and counters of all cameras by role, for the black box.
+pub(super) fn cameras_json(hub: &Hub, rig: &RigFile, now_ns: u64) -> serde_json::Value {
+    let camera = |slot: &CameraSlot| {
+        let fault = slot.with_info(|info| fault_text(&info.health, now_ns));
         let newest_ns = slot.newest_time_ns();
         serde_json::json!({
             "state": if fault.is_none() { "live" } else { "fault" },
@@ -161,15 +160,15 @@ pub(super) fn cameras_note(hub: &Hub, rig: &RigFile, now_ns: u64) -> serde_json:
         })
     };
     hub.slots()
-        .map(|slot| (slot.role().name().to_owned(), note(slot)))
+        .map(|slot| (slot.role.name().to_owned(), camera(slot)))
         .collect::<serde_json::Map<_, _>>()
         .into()
 }
 
 pub(super) fn camera_report(slot: &CameraSlot, rig: &RigFile) -> CameraReport {
-    let config = rig.cameras.get(&slot.role());
-    slot.facts(|facts| {
-        let identity = facts.info.as_ref().map(|info| &info.identity);
+    let config = rig.cameras.get(&slot.role);
+    slot.with_info(|info| {
+        let identity = info.stream.as_ref().map(|stream| &stream.identity);
         CameraReport {
             product: identity.map_or_else(
                 || config.map_or_else(String::new, |c| c.product.clone()),
@@ -180,12 +179,12 @@ pub(super) fn camera_report(slot: &CameraSlot, rig: &RigFile) -> CameraReport {
                 |i| i.serial.clone(),
             ),
             counters: CameraCounters {
-                damaged: facts.counters.damaged + facts.damaged_when_decoded,
-                ..facts.counters
+                damaged: info.counters.damaged + info.damaged_when_decoded,
+                ..info.counters
             },
-            not_decoded: facts.not_decoded,
-            measured_fps: facts.measured_fps,
-            warnings: facts.warnings.clone(),
+            not_decoded: info.not_decoded,
+            measured_fps: info.measured_fps,
+            warnings: info.warnings.clone(),
         }
     })
 }

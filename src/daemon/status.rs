@@ -1,7 +1,8 @@
-//! A snapshot of the running engine, cheap to clone: what the screens draw, the API answers and
-//! `collect --attach` reads back.
+//! Snapshot of the running engine, shown by the screens, served by the API and read back by
+//! `collect --attach`.
 
 use std::collections::BTreeMap;
+use std::path::Path;
 use std::sync::Arc;
 
 use image::RgbImage;
@@ -26,27 +27,26 @@ pub struct EngineStatus {
     pub clock: String,
     /// Free space on the dataset's disk, bytes.
     pub disk_free_bytes: Option<u64>,
-    /// The black box, where there is one.
+    /// The black box, if enabled.
     pub black_box: Option<BlackBoxStatus>,
-    /// Session.
+    /// State of the session.
     pub session: SessionView,
     /// Cameras, in the order of [`Role::ALL`].
     pub cameras: Vec<CameraStatus>,
-    /// The newest prediction; `None` before the initial frame or without a model.
+    /// Newest prediction; `None` before the initial frame or without a model.
     pub prediction: Option<PredictionStatus>,
-    /// Why there is no prediction, in a few words.
-    pub prediction_absent: Option<String>,
-    /// Mean absolute difference of each gel to the initial frame, grey levels of 255.
+    /// Reason why there is no prediction.
+    pub no_prediction_reason: Option<String>,
+    /// Mean absolute difference of each gel to the initial frame, grey levels (0 to 255).
     pub contact: BTreeMap<Role, f64>,
-    /// Small images, which the API sends apart: tactile cameras show the difference to the initial frame (grey = no
-    /// change) once there is one, the others what they see.
+    /// Preview images, which the API sends separately. Tactile cameras show the difference to the
+    /// initial frame (grey = no change) once there is one.
     #[serde(skip)]
     pub previews: BTreeMap<Role, Preview>,
 }
 
 impl EngineStatus {
-    /// The status before the engine has told anything.
-    #[must_use]
+    /// Returns the status before the engine's first update.
     pub fn starting(dataset: &str, rig: &str, labels: Labels) -> Self {
         let session = Session::new(GuardLimits::default(), labels, OutcomeCounts::new(), None);
         Self {
@@ -58,14 +58,14 @@ impl EngineStatus {
             session: session.view(0),
             cameras: Vec::new(),
             prediction: None,
-            prediction_absent: None,
+            no_prediction_reason: None,
             contact: BTreeMap::new(),
             previews: BTreeMap::new(),
         }
     }
 }
 
-/// A small image for the screen.
+/// A preview image.
 #[derive(Clone, Debug)]
 pub struct Preview {
     /// RGB image, at most 320×240.
@@ -77,30 +77,28 @@ pub struct Preview {
 /// The newest live prediction.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct PredictionStatus {
-    /// The prediction, with the keys of `PredictionRecord`; its probability is steadied over the
-    /// frames.
-    // The schema of the record allows no other keys beside its own.
+    /// The prediction, with the keys of `PredictionRecord`; its probability is smoothed over time.
+    // The schema of the record does not allow further keys.
     #[serde(flatten)]
     #[schema(value_type = Object)]
-    pub said: PredictionRecord,
-    /// What it claims, were it not too old.
+    pub record: PredictionRecord,
+    /// Verdict, regardless of the frame's age.
     pub verdict: Verdict,
-    /// Whether the model is a heuristic and not trained.
+    /// Whether the model is a heuristic rather than trained.
     pub heuristic: bool,
-    /// Age of the tactile frame that it was made from, ms, now.
+    /// Current age of the tactile frame, ms.
     pub frame_age_ms: f64,
-    /// Driver time of that frame, ns; stays in the process.
+    /// Driver time of the tactile frame, ns; not serialised.
     #[serde(skip)]
     pub frame_time_ns: u64,
 }
 
 impl PredictionStatus {
-    /// The status of a prediction on frames of this moment.
-    #[must_use]
-    pub fn new(said: PredictionRecord, heuristic: bool) -> Self {
+    /// Creates the status of a prediction on current frames.
+    pub fn new(record: PredictionRecord, heuristic: bool) -> Self {
         Self {
-            verdict: verdict_of(&said),
-            said,
+            verdict: verdict_of(&record),
+            record,
             heuristic,
             frame_age_ms: 0.0,
             frame_time_ns: 0,
@@ -108,13 +106,12 @@ impl PredictionStatus {
     }
 }
 
-/// What a prediction claims.
-#[must_use]
-pub fn verdict_of(said: &PredictionRecord) -> Verdict {
-    Verdict::of(said.p_stable, said.threshold, said.novelty)
+/// Returns the verdict of a prediction.
+pub fn verdict_of(record: &PredictionRecord) -> Verdict {
+    Verdict::of(record.p_stable, record.threshold, record.novelty)
 }
 
-/// How a camera does.
+/// State of a camera.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
 #[serde(tag = "state", rename_all = "snake_case")]
 pub enum CameraState {
@@ -122,19 +119,19 @@ pub enum CameraState {
     Opening,
     /// Frames arrive.
     Live,
-    /// No frame for this long, s; the device is still there.
+    /// No frames arrive, but the device is still present.
     Silent {
         /// Seconds since the last frame.
         for_s: f64,
     },
-    /// The image does not change although frames arrive.
+    /// Frames arrive but the image does not change.
     Frozen {
         /// Seconds since the last change.
         for_s: f64,
     },
-    /// Unplugged or refused; tried again.
+    /// Unplugged or not accessible; reopened automatically.
     Lost {
-        /// What the last attempt said.
+        /// Error of the last attempt to open it.
         reason: String,
     },
     /// A recorded stream has ended.
@@ -142,8 +139,7 @@ pub enum CameraState {
 }
 
 impl CameraState {
-    /// The state in a word.
-    #[must_use]
+    /// Returns the state as one word.
     pub fn word(&self) -> &'static str {
         match self {
             Self::Opening => "opening",
@@ -155,8 +151,7 @@ impl CameraState {
         }
     }
 
-    /// How long it is silent or frozen, s.
-    #[must_use]
+    /// Returns how long the camera has been silent or frozen, s.
     pub fn since_s(&self) -> Option<f64> {
         match self {
             Self::Silent { for_s } | Self::Frozen { for_s } => Some(*for_s),
@@ -164,19 +159,18 @@ impl CameraState {
         }
     }
 
-    /// Whether frames of this camera can be used.
-    #[must_use]
+    /// Returns whether frames of the camera can be used.
     pub fn is_live(&self) -> bool {
         matches!(self, Self::Live)
     }
 }
 
-/// Whether sheet and tags can be measured in a frame.
+/// Whether sheet and tags are detected in a frame.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
 pub struct MarkerStatus {
-    /// Whether they can.
+    /// Whether both are detected.
     pub ok: bool,
-    /// What it shows of them, or why they cannot.
+    /// Number of markers and error, or the reason for the failure.
     pub text: String,
 }
 
@@ -187,7 +181,7 @@ pub struct CameraStatus {
     pub role: Role,
     /// Product string.
     pub product: String,
-    /// Serial, or empty.
+    /// Serial number, or empty.
     pub serial: String,
     /// Port path.
     pub port: String,
@@ -200,21 +194,27 @@ pub struct CameraStatus {
     pub nominal_fps: f64,
     /// Age of the newest frame, ms.
     pub frame_age_ms: Option<f64>,
-    /// What was counted.
+    /// Counters.
     #[serde(flatten)]
     pub counters: CameraCounters,
-    /// What the newest frame shows of sheet and tags; none where they are not looked for.
+    /// Marker detection in the newest frame; `None` for cameras without detection.
     pub markers: Option<MarkerStatus>,
+}
+
+/// Returns the free space of the disk of `path`, bytes.
+pub(crate) fn disk_free_bytes(path: &Path) -> Option<u64> {
+    let disk = rustix::fs::statvfs(path).ok()?;
+    Some(disk.f_bavail.saturating_mul(disk.f_frsize))
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
 
-    /// What the API says is the status itself: `collect --attach` gets back all but the images.
+    /// `collect --attach` reads back everything but the images.
     #[test]
-    fn a_status_comes_back_from_json() {
-        let said = PredictionRecord {
+    fn status_survives_json_round_trip() {
+        let record = PredictionRecord {
             p_stable: 0.81,
             novelty: Some(0.5),
             threshold: 0.5,
@@ -243,7 +243,7 @@ mod tests {
                 camera(Role::Left, CameraState::Silent { for_s: 1.5 }),
                 camera(Role::Right, CameraState::Live),
             ],
-            prediction: Some(PredictionStatus::new(said, true)),
+            prediction: Some(PredictionStatus::new(record, true)),
             contact: BTreeMap::from([(Role::Left, 8.5)]),
             ..EngineStatus::starting("d", "bench", Labels::default())
         };

@@ -1,4 +1,4 @@
-//! The writing thread: carries out store requests one after the other and answers each.
+//! The store thread: executes and answers store requests in order.
 
 use std::collections::BTreeMap;
 use std::panic::AssertUnwindSafe;
@@ -13,7 +13,7 @@ use tokio::sync::mpsc::UnboundedSender;
 
 use super::decode::model_image;
 use super::infer::InferRequest;
-use super::tasks::{Beat, TaskState, Tasks};
+use super::tasks::{Heartbeat, TaskState, Tasks};
 use super::thread::spawn;
 use gripcast_base::error::{Error, ErrorKind, Result};
 use gripcast_base::files::ContentKey;
@@ -27,54 +27,58 @@ use gripcast_session::{Labels, PendingFrame, StoreReply, StoreRequest};
 /// Name of the thread.
 const TASK: &str = "store";
 
-/// Quiet time after which the index is brought up to date.
-const INDEX_PAUSE: Duration = Duration::from_millis(150);
+/// Idle time after which the index is written.
+const INDEX_DELAY: Duration = Duration::from_millis(150);
 
-/// How long a save waits for the model; the grasp is saved without a prediction after that.
-/// Only a model that hangs takes this long; a loaded machine has needed more than half a second.
-const JUDGE_PATIENCE: Duration = Duration::from_secs(5);
+/// Wait for the model during a save; afterwards the grasp is saved without a prediction. Only a
+/// hanging model takes this long; loaded machines have needed more than half a second.
+const PREDICTION_TIMEOUT: Duration = Duration::from_secs(5);
 
-/// What the writing thread is asked.
+/// Messages to the store thread.
 #[derive(Debug)]
 pub(super) enum StoreMessage {
-    /// Carry out a request and answer it.
-    Carry {
-        /// The request.
-        request: StoreRequest,
-        /// Frames, for requests that save some.
-        capture: Option<Box<StageCapture>>,
-        /// Board files that the external camera's frames were measured with: sheet, tags.
-        boards: Option<[String; 2]>,
-        /// Latency of the live prediction at the trigger, ms.
-        latency_ms: f64,
-    },
-    /// A pending frame is subtracted from now on.
+    /// Execute a request and send its reply.
+    Execute(StoreJob),
+    /// Use a pending initial frame for inference.
     UseInitial {
-        /// Its key; `None` = there is none.
+        /// Id of the frame; `None` for no initial frame.
         id: Option<GraspId>,
-        /// Number of the change.
-        change: u64,
+        /// Revision of the initial frame.
+        revision: u64,
     },
-    /// A line for the log.
+    /// Write a line to the log.
     Log(serde_json::Value),
-    /// End.
+    /// End the thread.
     Stop,
 }
 
-/// What every grasp of a session fractions.
+/// A store request with the data to save.
+#[derive(Debug)]
+pub(super) struct StoreJob {
+    /// The request.
+    pub(super) request: StoreRequest,
+    /// Frames of a save request.
+    pub(super) capture: Option<Box<StageCapture>>,
+    /// Texts of the board files used for the pre-grasp frames: sheet, tags.
+    pub(super) boards: Option<[String; 2]>,
+    /// Latency of the live prediction at the trigger, ms.
+    pub(super) latency_ms: f64,
+}
+
+/// Data common to all grasps of a session.
 #[derive(Debug)]
 pub(super) struct StoreContext {
     /// Rig id.
     pub(super) rig: String,
-    /// Calibration by role.
+    /// Content key of the calibration, by role.
     pub(super) calibration: BTreeMap<Role, ContentKey>,
     /// Whether there is a model.
     pub(super) has_model: bool,
-    /// Crop of each tactile camera.
+    /// Crop profile of each tactile camera.
     pub(super) crops: BTreeMap<Role, CropProfile>,
 }
 
-/// The writing thread.
+/// Handle of the store thread.
 #[derive(Debug)]
 pub(super) struct Store {
     messages: Sender<StoreMessage>,
@@ -82,10 +86,10 @@ pub(super) struct Store {
 }
 
 impl Store {
-    /// Starts the thread. `pending` is the initial frame that the session resumes.
+    /// Starts the thread. `pending` is the initial frame of a resumed session.
     ///
     /// # Errors
-    /// When a decoder or the thread cannot be had.
+    /// Errors of creating the decoder or starting the thread.
     pub(super) fn start(
         writer: DatasetWriter,
         pending: Option<PendingInitial>,
@@ -95,10 +99,10 @@ impl Store {
         tasks: &Tasks,
     ) -> Result<Self> {
         let (messages, inbox) = channel();
-        let beat = tasks.enter(TASK);
+        let heartbeat = tasks.register(TASK);
         let tasks = tasks.clone();
         let mut worker = Worker {
-            beat,
+            heartbeat,
             writer,
             context,
             decoder: Decoder::new()?,
@@ -114,29 +118,29 @@ impl Store {
         Ok(Self { messages, thread })
     }
 
-    /// Asks the thread; an error means that it has ended.
+    /// Sends a message; fails if the thread has ended.
     pub(super) fn send(&self, message: StoreMessage) -> Result<()> {
         self.messages.send(message).map_err(|_| {
-            Error::internal("the writing thread has ended")
+            Error::internal("the store thread has ended")
                 .remedy("what was acknowledged is on disk; restart gripcast")
         })
     }
 
-    /// Finishes what is queued, writes the index and ends.
+    /// Finishes queued messages, writes the index and ends the thread.
     ///
     /// # Errors
-    /// When the index could not be written; the grasps are safe nevertheless.
+    /// If the index cannot be written; saved grasps are not affected.
     pub(super) fn stop(self) -> Result<()> {
-        // Fails only when the thread has ended, which join tells.
+        // Fails only if the thread has ended; `join` reports it.
         let _ = self.messages.send(StoreMessage::Stop);
         self.thread
             .join()
-            .unwrap_or_else(|_| Err(Error::internal("the writing thread panicked")))
+            .unwrap_or_else(|_| Err(Error::internal("the store thread panicked")))
     }
 }
 
 struct Worker {
-    beat: Beat,
+    heartbeat: Heartbeat,
     writer: DatasetWriter,
     context: StoreContext,
     decoder: Decoder,
@@ -148,34 +152,27 @@ struct Worker {
 impl Worker {
     fn run(&mut self, inbox: &Receiver<StoreMessage>) -> Result<()> {
         loop {
-            match inbox.recv_timeout(INDEX_PAUSE) {
-                Ok(StoreMessage::Carry {
-                    request,
-                    capture,
-                    boards,
-                    latency_ms,
-                }) => {
-                    self.beat.busy();
-                    let work = AssertUnwindSafe(|| {
-                        self.carry_out(request, capture.as_deref(), boards, latency_ms)
-                    });
-                    // A panic must not leave the session waiting for its answer for ever; the
-                    // order of the writer's steps keeps what is on disk whole.
+            match inbox.recv_timeout(INDEX_DELAY) {
+                Ok(StoreMessage::Execute(job)) => {
+                    self.heartbeat.busy();
+                    let work = AssertUnwindSafe(|| self.execute(job));
+                    // After a panic the session still gets a reply; the order of the writer's
+                    // steps keeps the dataset consistent.
                     let reply = quiet_panic::catch(work)
                         .unwrap_or_else(|panic| Err(panicked(&panic)))
                         .unwrap_or_else(|error| StoreReply::Failed {
                             message: error.to_string().replace("\n  → ", " → "),
                         });
-                    self.beat.idle();
-                    // The engine has gone: everything asked for before is on disk.
+                    self.heartbeat.idle();
+                    // The engine has ended; all earlier requests are on disk.
                     if self.replies.send(reply).is_err() {
                         return self.writer.flush_index();
                     }
                 }
-                Ok(StoreMessage::UseInitial { id, change }) => {
-                    self.use_initial(id.as_ref(), change)
+                Ok(StoreMessage::UseInitial { id, revision }) => {
+                    self.use_initial(id.as_ref(), revision)
                 }
-                // A log line that cannot be written must not stop the collection.
+                // A failed log line must not stop the collection.
                 Ok(StoreMessage::Log(event)) => drop(self.writer.log_event(&event)),
                 Err(RecvTimeoutError::Timeout) => drop(self.writer.flush_index()),
                 Ok(StoreMessage::Stop) | Err(RecvTimeoutError::Disconnected) => {
@@ -185,26 +182,23 @@ impl Worker {
         }
     }
 
-    fn carry_out(
-        &mut self,
-        request: StoreRequest,
-        capture: Option<&StageCapture>,
-        boards: Option<[String; 2]>,
-        latency_ms: f64,
-    ) -> Result<StoreReply> {
-        match request {
+    fn execute(&mut self, job: StoreJob) -> Result<StoreReply> {
+        let capture = job.capture.as_deref();
+        match job.request {
             StoreRequest::SaveInitial { overridden } => {
-                let pending = self.writer.save_initial(needed(capture)?, overridden)?;
-                Ok(self.now_pending(pending))
+                let pending = self
+                    .writer
+                    .save_initial(required_capture(capture)?, overridden)?;
+                Ok(self.add_pending(pending))
             }
             StoreRequest::SaveGrasp {
                 initial,
                 labels,
                 overridden,
             } => {
-                let capture = needed(capture)?;
+                let capture = required_capture(capture)?;
                 let pending = self.pending(&initial)?;
-                let meta = self.grasp_meta(capture, labels, boards, latency_ms)?;
+                let meta = self.grasp_meta(capture, labels, job.boards, job.latency_ms)?;
                 let meta = GraspMeta {
                     overridden_guards: overridden,
                     ..meta
@@ -237,11 +231,11 @@ impl Worker {
             }
             StoreRequest::RestoreInitial { id } => {
                 let pending = self.writer.restore_initial(&id)?;
-                Ok(self.now_pending(pending))
+                Ok(self.add_pending(pending))
             }
             StoreRequest::UndoGrasp { id } => {
                 let pending = self.writer.undo_grasp(&id)?;
-                Ok(self.now_pending(pending))
+                Ok(self.add_pending(pending))
             }
             StoreRequest::RedoGrasp { id, reopened } => {
                 let reopened = reopened.map(|id| self.pending(&id)).transpose()?;
@@ -254,7 +248,7 @@ impl Worker {
         }
     }
 
-    /// What a grasp record holds besides its frames and the guards that were overridden.
+    /// Returns the metadata of a grasp, except the overridden guards.
     fn grasp_meta(
         &mut self,
         capture: &StageCapture,
@@ -274,14 +268,14 @@ impl Worker {
         })
     }
 
-    /// A grasp whose initial frame is pending again comes back by redo alone.
+    /// Fails for a grasp whose initial frame is pending again: only redo restores it.
     fn check_not_reopened(&self, id: &GraspId) -> Result<()> {
         let is_from = |pending: &PendingInitial| pending.reopened_from.as_ref() == Some(id);
         if !self.pending.values().any(is_from) {
             return Ok(());
         }
-        let what = format!("{id} was undone and its initial frame waits for a grasp again");
-        Err(Error::new(ErrorKind::Busy, what).remedy("redo brings it back"))
+        let what = format!("{id} was undone and its initial frame is pending again");
+        Err(Error::new(ErrorKind::Busy, what).remedy("restore it with redo"))
     }
 
     fn board_keys(&mut self, [sheet, tags]: &[String; 2]) -> Result<BoardKeys> {
@@ -298,32 +292,31 @@ impl Worker {
             .ok_or_else(|| Error::internal(format!("no initial frame {id} is pending")))
     }
 
-    fn now_pending(&mut self, pending: PendingInitial) -> StoreReply {
+    fn add_pending(&mut self, pending: PendingInitial) -> StoreReply {
         let frame = pending_frame(&pending);
         self.pending.insert(pending.id.clone(), pending);
         StoreReply::Initial(frame)
     }
 
-    /// Hands the images of a pending initial frame to inference. Where that fails there is no
-    /// prediction, and the reason stands in its place.
-    fn use_initial(&mut self, id: Option<&GraspId>, change: u64) {
+    /// Sends the images of a pending initial frame, or the reason for their absence, to inference.
+    fn use_initial(&mut self, id: Option<&GraspId>, revision: u64) {
         let images = match id {
             Some(id) => self.initial_images(id),
             None => Err(Error::not_found("no initial frame")),
         };
         let request = match images {
             Ok([left, right]) => InferRequest::SetInitial {
-                change,
+                revision,
                 left: Arc::new(left),
                 right: Arc::new(right),
             },
             Err(error) => InferRequest::ClearInitial(error.what().to_owned()),
         };
-        // Inference ends after this thread; its absence means the process is ending.
+        // Fails only while the process is ending.
         let _ = self.infer.send(request);
     }
 
-    /// The images of both gels of a pending initial frame.
+    /// Decodes the images of both gels of a pending initial frame.
     fn initial_images(&mut self, id: &GraspId) -> Result<[RgbImage; 2]> {
         let frames = self.writer.pending_frames(&self.pending(id)?)?;
         let mut image = |role| -> Result<RgbImage> {
@@ -341,8 +334,7 @@ impl Worker {
         model_image(&mut self.decoder, frame, crop.as_ref())
     }
 
-    /// The prediction on exactly the frames that are being saved, so that it can be repeated from
-    /// the files.
+    /// Predicts on exactly the saved frames, so that the prediction can be reproduced from the files.
     fn predict(&mut self, capture: &StageCapture, latency_ms: f64) -> Option<PredictionRecord> {
         if !self.context.has_model {
             return None;
@@ -356,23 +348,26 @@ impl Worker {
             .collect();
         let (reply, answer) = channel();
         self.infer
-            .send(InferRequest::Judge { images, reply })
+            .send(InferRequest::PredictFrames { images, reply })
             .ok()?;
-        let said = answer.recv_timeout(JUDGE_PATIENCE).ok()??;
-        Some(PredictionRecord { latency_ms, ..said })
+        let record = answer.recv_timeout(PREDICTION_TIMEOUT).ok()??;
+        Some(PredictionRecord {
+            latency_ms,
+            ..record
+        })
     }
 }
 
 fn panicked(panic: &str) -> Error {
-    Error::internal(format!("the writing thread panicked: {panic}"))
-        .remedy("what was acknowledged is on disk; restart gripcast if it happens again")
+    Error::internal(format!("the store thread panicked: {panic}"))
+        .remedy("what was acknowledged is on disk; restart gripcast if this happens again")
 }
 
-fn needed(capture: Option<&StageCapture>) -> Result<&StageCapture> {
-    capture.ok_or_else(|| Error::internal("a save was asked for without frames"))
+fn required_capture(capture: Option<&StageCapture>) -> Result<&StageCapture> {
+    capture.ok_or_else(|| Error::internal("a save request has no frames"))
 }
 
-/// A pending initial frame as the session sees it.
+/// Converts a pending initial frame for the session.
 pub(super) fn pending_frame(pending: &PendingInitial) -> PendingFrame {
     let controls = pending
         .stage

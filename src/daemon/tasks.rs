@@ -1,190 +1,177 @@
-//! Threads that come back after a panic, and a board that tells how each of them does.
+//! Threads that restart after a panic, and a registry of their states.
 //!
 //! A thread cannot be killed from outside: one that is stuck, for instance in a driver, is reported
-//! and makes the process unhealthy, so that its supervisor (systemd's watchdog) replaces the whole.
+//! and makes the process unhealthy, so that the systemd watchdog restarts it.
 
 use std::collections::BTreeMap;
 use std::panic::AssertUnwindSafe;
 use std::sync::atomic::{AtomicU64, Ordering};
-use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Condvar, Mutex};
 use std::thread::JoinHandle;
 use std::time::Duration;
 
 use serde::Serialize;
 use utoipa::ToSchema;
 
-use super::thread::spawn;
+use super::thread::{lock, spawn, wait_while};
 use gripcast_base::error::Result;
 use gripcast_base::quiet_panic;
 use gripcast_capture::camera::monotonic_ns;
 
-/// Pause before the first restart; it doubles with each one that follows soon.
-const FIRST_PAUSE: Duration = Duration::from_millis(100);
-/// Longest pause before a restart.
-const MAX_PAUSE: Duration = Duration::from_secs(5);
-/// A task that worked this long starts with the first pause again.
-const STEADY: Duration = Duration::from_secs(60);
-/// A task that is busy with one piece of work for this long is stuck.
-const STUCK: Duration = Duration::from_secs(10);
+/// Delay before the first restart; doubles with each further restart.
+const MIN_BACKOFF: Duration = Duration::from_millis(100);
+/// Maximum delay before a restart.
+const MAX_BACKOFF: Duration = Duration::from_secs(5);
+/// Run time after which the restart delay is reset.
+const BACKOFF_RESET: Duration = Duration::from_secs(60);
+/// Time in one piece of work after which a task counts as stuck.
+const STUCK_AFTER: Duration = Duration::from_secs(10);
 
-/// How a task does.
+/// State of a task.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, ToSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum TaskState {
     /// Working or waiting for work.
     Running,
-    /// It panicked and starts again soon.
+    /// Panicked; restarts after a delay.
     Restarting,
     /// Busy with one piece of work for too long.
     Stuck,
-    /// It has ended before its time.
+    /// Ended unexpectedly.
     Failed,
-    /// It has ended as it should.
+    /// Ended as expected.
     Ended,
 }
 
-/// A task as the board tells it.
+/// State and restarts of a task.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, ToSchema)]
 pub struct TaskReport {
     /// Name: `capture-left`, `inference`, ….
     pub name: String,
-    /// How it does.
+    /// State.
     pub state: TaskState,
-    /// How often it was started again.
+    /// Number of restarts.
     pub restarts: u64,
-    /// Why it was started again last.
+    /// Reason of the last restart.
     pub last_error: Option<String>,
 }
 
 #[derive(Debug)]
-struct Entry {
+struct Task {
     state: TaskState,
     restarts: u64,
     last_error: Option<String>,
-    /// `CLOCK_MONOTONIC` since when it is busy, ns; 0 while it waits for work.
+    /// `CLOCK_MONOTONIC` at which the current work started, ns; 0 while idle.
     busy_since_ns: Arc<AtomicU64>,
 }
 
 #[derive(Debug, Default)]
-struct Board {
-    entries: Mutex<(BTreeMap<String, Entry>, bool)>,
+struct Registry {
+    entries: Mutex<(BTreeMap<String, Task>, bool)>,
     closing: Condvar,
 }
 
-/// The board of all tasks; clones show the same board.
+/// Registry of all tasks; clones refer to the same registry.
 #[derive(Clone, Debug, Default)]
-pub struct Tasks(Arc<Board>);
+pub struct Tasks(Arc<Registry>);
 
-/// With this a task says that it works, so that being stuck can be told from waiting.
+/// Time stamp by which a task shows that it runs, to distinguish stuck tasks from waiting ones.
 #[derive(Clone, Debug)]
-pub struct Beat {
+pub struct Heartbeat {
     busy_since_ns: Arc<AtomicU64>,
 }
 
-impl Beat {
-    /// A piece of work begins.
+impl Heartbeat {
+    /// Marks the start of a piece of work.
     pub(super) fn busy(&self) {
         self.busy_since_ns
             .store(monotonic_ns().max(1), Ordering::Relaxed);
     }
 
-    /// It is done; what follows is waiting.
+    /// Marks the end of the work.
     pub(super) fn idle(&self) {
         self.busy_since_ns.store(0, Ordering::Relaxed);
     }
 }
 
 impl Tasks {
-    fn lock(&self) -> MutexGuard<'_, (BTreeMap<String, Entry>, bool)> {
-        // A panicking holder leaves plain data behind, which is still true.
-        self.0
-            .entries
-            .lock()
-            .unwrap_or_else(PoisonError::into_inner)
-    }
-
-    /// Puts a task on the board.
-    pub(crate) fn enter(&self, name: &str) -> Beat {
+    /// Registers a task.
+    pub(crate) fn register(&self, name: &str) -> Heartbeat {
         let busy_since_ns = Arc::new(AtomicU64::new(0));
-        let entry = Entry {
+        let entry = Task {
             state: TaskState::Running,
             restarts: 0,
             last_error: None,
             busy_since_ns: Arc::clone(&busy_since_ns),
         };
-        self.lock().0.insert(name.to_owned(), entry);
-        Beat { busy_since_ns }
+        lock(&self.0.entries).0.insert(name.to_owned(), entry);
+        Heartbeat { busy_since_ns }
     }
 
-    /// Says how a task does.
+    /// Sets the state of a task.
     pub(crate) fn set(&self, name: &str, state: TaskState, error: Option<String>) {
-        if let Some(entry) = self.lock().0.get_mut(name) {
+        if let Some(entry) = lock(&self.0.entries).0.get_mut(name) {
             entry.state = state;
             entry.restarts += u64::from(state == TaskState::Restarting);
             entry.last_error = error.or_else(|| entry.last_error.take());
         }
     }
 
-    /// Starts a thread whose `body` is called again after a panic, until it returns or everything
-    /// is closing. What the body keeps outlives its panics and must bear it.
+    /// Starts a thread that calls `body` again after a panic, until it returns or [`Tasks::close`].
+    /// The state of `body` survives panics and must stay valid.
     ///
     /// # Errors
-    /// When the operating system gives no thread.
+    /// `Io` if the thread cannot be started.
     pub(super) fn spawn(
         &self,
         name: &str,
-        mut body: impl FnMut(&Beat) + Send + 'static,
+        mut body: impl FnMut(&Heartbeat) + Send + 'static,
     ) -> Result<JoinHandle<()>> {
-        let (tasks, beat, task) = (self.clone(), self.enter(name), name.to_owned());
+        let (tasks, heartbeat, task) = (self.clone(), self.register(name), name.to_owned());
         spawn(name.to_owned(), move || {
-            let mut pause = FIRST_PAUSE;
+            let mut pause = MIN_BACKOFF;
             loop {
                 let started_ns = monotonic_ns();
-                let result = quiet_panic::catch(AssertUnwindSafe(|| body(&beat)));
-                beat.idle();
+                let result = quiet_panic::catch(AssertUnwindSafe(|| body(&heartbeat)));
+                heartbeat.idle();
                 let Err(panic) = result else {
                     tasks.set(&task, TaskState::Ended, None);
                     return;
                 };
                 let worked = Duration::from_nanos(monotonic_ns().saturating_sub(started_ns));
-                if worked >= STEADY {
-                    pause = FIRST_PAUSE;
+                if worked >= BACKOFF_RESET {
+                    pause = MIN_BACKOFF;
                 }
                 tasks.set(&task, TaskState::Restarting, Some(panic));
-                if tasks.closes_within(pause) {
+                if tasks.wait_for_close(pause) {
                     return;
                 }
-                pause = (pause * 2).min(MAX_PAUSE);
+                pause = (pause * 2).min(MAX_BACKOFF);
                 tasks.set(&task, TaskState::Running, None);
             }
         })
     }
 
-    /// Ends the pauses of all tasks for good.
+    /// Ends all restart delays and prevents further restarts.
     pub(super) fn close(&self) {
-        self.lock().1 = true;
+        lock(&self.0.entries).1 = true;
         self.0.closing.notify_all();
     }
 
-    fn closes_within(&self, pause: Duration) -> bool {
-        let (entries, _) = self
-            .0
-            .closing
-            .wait_timeout_while(self.lock(), pause, |(_, closing)| !*closing)
-            .unwrap_or_else(PoisonError::into_inner);
-        entries.1
+    fn wait_for_close(&self, pause: Duration) -> bool {
+        let guard = lock(&self.0.entries);
+        wait_while(&self.0.closing, guard, pause, |(_, closing)| !*closing).1
     }
 
-    /// All tasks by name, now.
-    #[must_use]
+    /// Returns the reports of all tasks, sorted by name.
     pub fn report(&self) -> Vec<TaskReport> {
         self.report_at(monotonic_ns())
     }
 
     fn report_at(&self, now_ns: u64) -> Vec<TaskReport> {
-        let stuck_ns = STUCK.as_nanos() as u64;
-        let board = self.lock();
-        let report = |(name, entry): (&String, &Entry)| {
+        let stuck_ns = STUCK_AFTER.as_nanos() as u64;
+        let registry = lock(&self.0.entries);
+        let report = |(name, entry): (&String, &Task)| {
             let since_ns = entry.busy_since_ns.load(Ordering::Relaxed);
             let is_stuck = since_ns != 0 && now_ns.saturating_sub(since_ns) > stuck_ns;
             let state = match entry.state {
@@ -198,7 +185,7 @@ impl Tasks {
                 last_error: entry.last_error.clone(),
             }
         };
-        board.0.iter().map(report).collect()
+        registry.0.iter().map(report).collect()
     }
 }
 
@@ -207,7 +194,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_task_that_panics_comes_back_and_the_board_says_why() {
+    fn panicked_task_restarts_and_reports_the_reason() {
         let tasks = Tasks::default();
         let mut calls = 0;
         let (sender, receiver) = std::sync::mpsc::channel();
@@ -222,7 +209,7 @@ mod tests {
         assert_eq!(
             receiver.recv(),
             Ok(3),
-            "what the body keeps outlives panics"
+            "state of the body must survive panics"
         );
         let [report] = &tasks.report()[..] else {
             panic!("one task");
@@ -238,7 +225,7 @@ mod tests {
     }
 
     #[test]
-    fn closing_ends_a_pause() {
+    fn close_ends_restart_delay() {
         let tasks = Tasks::default();
         tasks.close();
         let thread = tasks.spawn("inference", |_| panic!("always")).unwrap();
@@ -247,9 +234,9 @@ mod tests {
     }
 
     #[test]
-    fn a_task_that_is_busy_for_too_long_is_stuck_and_one_that_waits_is_not() {
+    fn busy_task_becomes_stuck_and_idle_task_does_not() {
         let tasks = Tasks::default();
-        let (working, _waiting) = (tasks.enter("store"), tasks.enter("serve"));
+        let (working, _waiting) = (tasks.register("store"), tasks.register("serve"));
         working.busy();
         let later_ns = monotonic_ns() + 11_000_000_000;
         let states = |now_ns| {

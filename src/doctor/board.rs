@@ -1,6 +1,6 @@
-//! Whether the external camera sees the printed markers.
+//! Detection of the printed markers by the external camera.
 
-use super::{Finding, Verdict};
+use super::{CheckStatus, Finding};
 use crate::camera_check::CameraCheck;
 use crate::daemon::Boards;
 use gripcast_base::error::{Error, Result};
@@ -8,8 +8,8 @@ use gripcast_imaging::{Decoder, Role};
 use gripcast_pose::BoardFile;
 use gripcast_pose::detect::detectors;
 
-/// The gripper's tags and, on the virtual rig or where one sheet serves all objects, the sheet in
-/// the last frame of the external camera.
+/// Detects the gripper's tags and, for a virtual rig or a single sheet, the sheet in the last frame of
+/// the external camera.
 pub(super) fn findings(checks: &[CameraCheck], boards: Option<Result<Boards>>) -> Vec<Finding> {
     let external = checks.iter().find(|check| check.role == Role::External);
     let Some(external) = external else {
@@ -19,40 +19,47 @@ pub(super) fn findings(checks: &[CameraCheck], boards: Option<Result<Boards>>) -
         Some(Ok(boards)) => boards,
         Some(Err(error)) => return vec![Finding::failed("board", "files", &error)],
         None => {
-            let found = "the rig file names no boards, so grasps are not annotated live";
-            return vec![Finding::new("board", "files", Verdict::Skipped, found)];
+            let found = "the rig file has no boards, so grasps get no live pose";
+            return vec![Finding::new("board", "files", CheckStatus::Skipped, found)];
         }
     };
     let frame = external
-        .opened
+        .measurement
         .as_ref()
-        .and_then(|opened| opened.last.as_ref());
+        .and_then(|measurement| measurement.last.as_ref());
     let Some(frame) = frame else {
         let found = "the external camera sent no frame";
-        return vec![Finding::new("board", "markers", Verdict::Skipped, found)];
+        return vec![Finding::new(
+            "board",
+            "markers",
+            CheckStatus::Skipped,
+            found,
+        )];
     };
     let image = Decoder::new().and_then(|mut decoder| {
         decoder
             .decode_full(frame)
-            .map_err(|damage| Error::input(damage.to_string()).remedy("measure again"))
+            .map_err(|damage| Error::input(damage.to_string()).remedy("run the check again"))
     });
     let grey = match image {
         Ok(image) => image::imageops::grayscale(&image),
         Err(error) => return vec![Finding::failed("board", "markers", &error)],
     };
-    let mut wanted = vec![("the gripper's tags", Some(boards.tags.clone()))];
-    wanted.push(("the sheet", boards.sheet("").ok().flatten()));
-    let seen = wanted
+    let expected = [
+        ("the gripper's tags", Some(boards.tags.clone())),
+        ("the sheet", boards.sheet("").ok().flatten()),
+    ];
+    let detected = expected
         .into_iter()
         .filter_map(|(name, board)| Some((name, board?)))
         .map(|(name, board)| match markers(&board, &grey) {
-            Ok(seen) => visibility(name, seen, board.board.markers.len()),
+            Ok(count) => visibility(name, count, board.board.markers.len()),
             Err(error) => Finding::failed("board", name, &error),
         });
-    seen.collect()
+    detected.collect()
 }
 
-/// How many markers of a board an image shows.
+/// Counts the markers of a board in an image.
 fn markers(board: &BoardFile, image: &image::GrayImage) -> Result<usize> {
     let mut detectors = detectors(&board.dictionary, &board.board.ids())?;
     match detectors.first_mut() {
@@ -61,15 +68,13 @@ fn markers(board: &BoardFile, image: &image::GrayImage) -> Result<usize> {
     }
 }
 
-fn visibility(name: &str, seen: usize, all: usize) -> Finding {
-    let found = format!("{seen} of {all} markers seen");
-    let finding = Finding::new("board", name, Verdict::Ok, found).figure("markers", seen as f64);
-    if seen > 0 {
+fn visibility(name: &str, count: usize, all: usize) -> Finding {
+    let message = format!("{count} of {all} markers detected");
+    let finding = Finding::new("board", name, CheckStatus::Ok, message);
+    let finding = finding.measurement("markers", count as f64);
+    if count > 0 {
         return finding;
     }
-    Finding {
-        verdict: Verdict::Warn,
-        ..finding
-    }
-    .remedy("turn the camera or the gripper until they are seen, sharp and evenly lit")
+    finding
+        .warn("move the camera or the gripper until the markers are in view, sharp and evenly lit")
 }

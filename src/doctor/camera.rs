@@ -1,17 +1,17 @@
-//! What a camera of the rig delivered while it was measured.
+//! Findings of the camera measurement.
 
-use super::{Finding, Verdict};
-use crate::camera_check::{CameraCheck, Opened};
+use super::{CheckStatus, Finding};
+use crate::camera_check::{CameraCheck, CameraMeasurement};
 use gripcast_capture::calibration::CameraConfig;
 use gripcast_session::GuardLimits;
 
-/// Most that a timestamp may lie after the frame's arrival, ms: two clocks are read.
-const AHEAD_MS: f64 = 1.0;
+/// Maximum time of a timestamp after the frame's arrival, ms: two clock readings differ.
+const MAX_AHEAD_MS: f64 = 1.0;
 
-/// Rate and losses, timestamps and controls of a camera.
+/// Checks frame rate, losses, timestamps and controls of a camera.
 pub(super) fn findings(
     check: &CameraCheck,
-    wanted: Option<&CameraConfig>,
+    config: Option<&CameraConfig>,
     guards: &GuardLimits,
 ) -> Vec<Finding> {
     let role = check.role.name();
@@ -19,29 +19,26 @@ pub(super) fn findings(
         .problems
         .iter()
         .map(|problem| {
-            let (found, remedy) = match problem.split_once("\n  → ") {
-                Some((found, remedy)) => (found, remedy),
-                None => (
-                    &**problem,
-                    "see docs/kernel-tests.md for what cameras are known to do",
-                ),
-            };
-            Finding::new("camera", role, Verdict::Fail, found).remedy(remedy)
+            let (message, remedy) = problem.split_once("\n  → ").unwrap_or((
+                problem,
+                "see docs/kernel-tests.md for known camera problems",
+            ));
+            Finding::new("camera", role, CheckStatus::Fail, message).remedy(remedy)
         })
         .collect();
-    let Some(opened) = &check.opened else {
+    let Some(measurement) = &check.measurement else {
         return findings;
     };
     if findings.is_empty() {
-        findings.push(rate(role, opened));
+        findings.push(rate(role, measurement));
     }
-    findings.extend(timestamps(role, opened, guards));
-    findings.push(controls(role, opened, wanted));
+    findings.extend(timestamps(role, measurement, guards));
+    findings.push(controls(role, measurement, config));
     findings
 }
 
-fn rate(role: &str, opened: &Opened) -> Finding {
-    let (info, frames) = (&opened.info, &opened.frames);
+fn rate(role: &str, measurement: &CameraMeasurement) -> Finding {
+    let (info, frames) = (&measurement.info, &measurement.frames);
     let fps = frames.fps.unwrap_or_default();
     let found = format!(
         "{}: {} {}×{}, {fps:.2} of {} frames/s, {} lost, {} damaged",
@@ -53,93 +50,87 @@ fn rate(role: &str, opened: &Opened) -> Finding {
         frames.lost,
         frames.damaged
     );
-    let is_whole = frames.lost == 0 && frames.damaged == 0;
-    let verdict = if is_whole { Verdict::Ok } else { Verdict::Warn };
-    let finding = Finding::new("camera", role, verdict, found)
-        .figure("fps", fps)
-        .figure("lost", frames.lost as f64)
-        .figure("damaged", frames.damaged as f64);
-    if is_whole {
+    let finding = Finding::new("camera", role, CheckStatus::Ok, found)
+        .measurement("fps", fps)
+        .measurement("lost", frames.lost as f64)
+        .measurement("damaged", frames.damaged as f64);
+    if frames.lost == 0 && frames.damaged == 0 {
         return finding;
     }
-    finding
-        .remedy("another cable or port; cameras on one USB controller take frames from each other")
+    finding.warn("use another cable or port; cameras on one USB controller compete for bandwidth")
 }
 
-fn timestamps(role: &str, opened: &Opened, guards: &GuardLimits) -> Option<Finding> {
-    let [least, most] = opened.frames.delay_ms?;
+fn timestamps(
+    role: &str,
+    measurement: &CameraMeasurement,
+    guards: &GuardLimits,
+) -> Option<Finding> {
+    let [min, max] = measurement.frames.delay_ms?;
     let name = format!("{role}, timestamps");
-    let found = format!("frames arrive {least:.1} to {most:.1} ms after their timestamp");
-    let finding = Finding::new("camera", name, Verdict::Ok, found)
-        .figure("delay_ms_min", least)
-        .figure("delay_ms_max", most);
-    let warned = |found: String| Finding {
-        verdict: Verdict::Warn,
-        found,
-        ..finding.clone()
-    };
-    Some(if opened.frames.backwards > 0 {
-        warned(format!(
-            "timestamps ran backwards {} times",
-            opened.frames.backwards
-        ))
-        .remedy("`dmesg` for the camera's clock; uvcvideo's parameter clock=CLOCK_MONOTONIC")
-    } else if least < -AHEAD_MS {
-        warned(format!(
-            "timestamps lie up to {:.1} ms in the future",
-            -least
-        ))
-        .remedy("load uvcvideo with clock=CLOCK_MONOTONIC, as it is by default")
-    } else if most > guards.max_frame_age_ms {
-        warned(format!(
-            "{found}; triggers take frames of up to {} ms",
-            guards.max_frame_age_ms,
-            found = finding.found
-        ))
-        .remedy("a faster computer, smaller frames, or a larger guards.max_frame_age_ms")
+    let delay = format!("frames arrive {min:.1} to {max:.1} ms after their timestamp");
+    let backwards = measurement.frames.backwards;
+    let limit_ms = guards.max_frame_age_ms;
+    let (message, remedy) = if backwards > 0 {
+        (
+            format!("timestamps ran backwards {backwards} times"),
+            "check the camera's clock in `dmesg`; load uvcvideo with clock=CLOCK_MONOTONIC",
+        )
+    } else if min < -MAX_AHEAD_MS {
+        (
+            format!("timestamps are up to {:.1} ms in the future", -min),
+            "load uvcvideo with clock=CLOCK_MONOTONIC, the default",
+        )
+    } else if max > limit_ms {
+        (
+            format!("{delay}; triggers accept frames of up to {limit_ms} ms"),
+            "use a faster computer, smaller frames, or a larger guards.max_frame_age_ms",
+        )
     } else {
-        finding
+        (delay, "")
+    };
+    let finding = Finding::new("camera", name, CheckStatus::Ok, message)
+        .measurement("delay_ms_min", min)
+        .measurement("delay_ms_max", max);
+    Some(match remedy {
+        "" => finding,
+        remedy => finding.warn(remedy),
     })
 }
 
-/// Whether controls came to hold as the rig file has them.
-fn controls(role: &str, opened: &Opened, wanted: Option<&CameraConfig>) -> Finding {
+/// Compares the controls with the rig file.
+fn controls(role: &str, measurement: &CameraMeasurement, config: Option<&CameraConfig>) -> Finding {
     let name = format!("{role}, controls");
-    let mut differing: Vec<String> = Vec::new();
-    let wanted = wanted.into_iter().flat_map(|camera| &camera.controls);
-    let mut asked = 0;
-    for (control, value) in wanted {
-        asked += 1;
-        match opened.controls.get(control) {
+    let mut problems = measurement.notes.clone();
+    let configured = config.map_or(0, |config| config.controls.len());
+    for (control, value) in config.into_iter().flat_map(|config| &config.controls) {
+        match measurement.controls.get(control) {
             Some(found) if found == value => {}
-            Some(found) => differing.push(format!("{control} is {found}, not {value}")),
-            None => differing.push(format!("{control} is not read back")),
+            Some(found) => problems.push(format!("expected {control} {value}, found {found}")),
+            None => problems.push(format!("{control} cannot be read back")),
         }
     }
-    let mut notes = opened.notes.clone();
-    notes.extend(differing);
-    if notes.is_empty() {
-        let found = match asked {
-            0 => "the rig file sets none".to_owned(),
-            asked => format!("{asked} as the rig file has them"),
-        };
-        return Finding::new("camera", name, Verdict::Ok, found);
+    if !problems.is_empty() {
+        return Finding::new("camera", name, CheckStatus::Ok, problems.join("; ")).warn(
+            "correct [cameras.ROLE.controls] in the rig file; `gripcast rig check` prints the values",
+        );
     }
-    Finding::new("camera", name, Verdict::Warn, notes.join("; ")).remedy(
-        "correct [cameras.ROLE.controls] of the rig file; `gripcast rig check` prints what holds",
-    )
+    let message = match configured {
+        0 => "none set in the rig file".to_owned(),
+        count => format!("{count} as set in the rig file"),
+    };
+    Finding::new("camera", name, CheckStatus::Ok, message)
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::camera_check::Frames;
+    use crate::camera_check::FrameStats;
     use gripcast_capture::calibration::SourceKind;
     use gripcast_capture::camera::{CameraIdentity, StreamInfo};
     use gripcast_imaging::{PixelFormat, Role};
 
-    fn check(frames: Frames, controls: &[(&str, i64)], problems: &[&str]) -> CameraCheck {
-        let opened = Opened {
+    fn check(frames: FrameStats, controls: &[(&str, i64)], problems: &[&str]) -> CameraCheck {
+        let measurement = CameraMeasurement {
             info: StreamInfo {
                 identity: CameraIdentity::default(),
                 format: PixelFormat::Mjpg,
@@ -158,55 +149,57 @@ mod tests {
             notes: Vec::new(),
         };
         let problems = problems.iter().map(|p| (*p).to_owned()).collect();
-        CameraCheck::new(Role::Left, Some(opened), problems)
+        let mut check = CameraCheck::new(Role::Left, String::new());
+        (check.measurement, check.problems) = (Some(measurement), problems);
+        check
     }
 
-    fn verdicts(check: &CameraCheck, gain: Option<i64>) -> Vec<Verdict> {
-        let mut wanted = CameraConfig::new(SourceKind::V4l2, PixelFormat::Mjpg, 640, 480, 25.0);
-        wanted
+    fn statuses(check: &CameraCheck, gain: Option<i64>) -> Vec<CheckStatus> {
+        let mut config = CameraConfig::new(SourceKind::V4l2, PixelFormat::Mjpg, 640, 480, 25.0);
+        config
             .controls
             .extend(gain.map(|gain| ("gain".to_owned(), gain)));
-        let found = findings(check, Some(&wanted), &GuardLimits::default());
+        let found = findings(check, Some(&config), &GuardLimits::default());
         for finding in &found {
-            let needs_fixing = finding.verdict > Verdict::Ok;
+            let needs_fixing = finding.status > CheckStatus::Ok;
             assert_eq!(needs_fixing, finding.remedy.is_some(), "{finding:?}");
         }
-        found.iter().map(|finding| finding.verdict).collect()
+        found.iter().map(|finding| finding.status).collect()
     }
 
     #[test]
-    fn losses_clocks_and_controls_are_told_apart() {
-        use Verdict::{Fail, Ok, Warn};
-        let sound = Frames {
+    fn losses_clocks_and_controls_are_distinguished() {
+        use CheckStatus::{Fail, Ok, Warn};
+        let valid = FrameStats {
             received: 50,
             fps: Some(25.0),
             delay_ms: Some([2.0, 9.0]),
-            ..Frames::default()
+            ..FrameStats::default()
         };
         let of = |frames| check(frames, &[("gain", 7)], &[]);
-        assert_eq!(verdicts(&of(sound), Some(7)), [Ok, Ok, Ok]);
-        assert_eq!(verdicts(&of(sound), None), [Ok, Ok, Ok]);
-        assert_eq!(verdicts(&of(sound), Some(8)), [Ok, Ok, Warn]);
-        let lossy = Frames { lost: 1, ..sound };
-        assert_eq!(verdicts(&of(lossy), None), [Warn, Ok, Ok]);
+        assert_eq!(statuses(&of(valid), Some(7)), [Ok, Ok, Ok]);
+        assert_eq!(statuses(&of(valid), None), [Ok, Ok, Ok]);
+        assert_eq!(statuses(&of(valid), Some(8)), [Ok, Ok, Warn]);
+        let lossy = FrameStats { lost: 1, ..valid };
+        assert_eq!(statuses(&of(lossy), None), [Warn, Ok, Ok]);
         for frames in [
-            Frames {
+            FrameStats {
                 delay_ms: Some([-80.0, 3.0]),
-                ..sound
+                ..valid
             },
-            Frames {
+            FrameStats {
                 delay_ms: Some([2.0, 900.0]),
-                ..sound
+                ..valid
             },
-            Frames {
+            FrameStats {
                 backwards: 2,
-                ..sound
+                ..valid
             },
         ] {
-            assert_eq!(verdicts(&of(frames), None), [Ok, Warn, Ok]);
+            assert_eq!(statuses(&of(frames), None), [Ok, Warn, Ok]);
         }
-        let broken = check(sound, &[], &["no frame came\n  → plug it in"]);
-        assert_eq!(verdicts(&broken, None), [Fail, Ok, Ok]);
+        let broken = check(valid, &[], &["no frame came\n  → plug it in"]);
+        assert_eq!(statuses(&broken, None), [Fail, Ok, Ok]);
         let found = findings(&broken, None, &GuardLimits::default());
         assert_eq!(found[0].remedy.as_deref(), Some("plug it in"));
     }

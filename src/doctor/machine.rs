@@ -1,19 +1,19 @@
-//! The computer: processor and clock.
+//! Processor and clock of the computer.
 
 use std::thread;
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
-use super::{Finding, Verdict};
+use super::{CheckStatus, Finding};
 use gripcast_nn::vector_bits;
 
-/// No clock that is right shows an earlier time: 2026-11-01, s since 1970.
+/// Earliest plausible clock time: 2026-11-01, s since 1970.
 const RELEASED_S: u64 = 1_793_491_200;
-/// Difference of the two clocks over a measurement that counts as a step.
-const STEP: Duration = Duration::from_millis(50);
-/// Cores that the live path and its screen need.
-const CORES: usize = 2;
+/// Maximum difference of the two clocks over a measurement.
+const MAX_CLOCK_STEP: Duration = Duration::from_millis(50);
+/// Minimum number of cores for the live path and the screen.
+const MIN_CORES: usize = 2;
 
-/// What is known before any device is touched.
+/// Checks processor and clock.
 pub(super) fn findings() -> Vec<Finding> {
     vec![processor(), date(SystemTime::now())]
 }
@@ -23,23 +23,15 @@ fn processor() -> Finding {
     let bits = vector_bits();
     let found = match bits {
         0 => format!("{cores} cores, no AVX2"),
-        bits => format!("{cores} cores, vectors of {bits} bits"),
+        bits => format!("{cores} cores, {bits}-bit vectors"),
     };
-    let finding = Finding::new("machine", "processor", Verdict::Ok, found)
-        .figure("cores", cores as f64)
-        .figure("vector_bits", f64::from(bits));
+    let finding = Finding::new("machine", "processor", CheckStatus::Ok, found)
+        .measurement("cores", cores as f64)
+        .measurement("vector_bits", f64::from(bits));
     if bits == 0 {
-        Finding {
-            verdict: Verdict::Warn,
-            ..finding
-        }
-        .remedy("predictions take several times longer; use a processor with AVX2 and FMA")
-    } else if cores < CORES {
-        Finding {
-            verdict: Verdict::Warn,
-            ..finding
-        }
-        .remedy("frames may be shown late, though none that is saved is lost; give it two cores")
+        finding.warn("predictions take several times longer; use a processor with AVX2 and FMA")
+    } else if cores < MIN_CORES {
+        finding.warn("previews may be delayed, but no saved frame is lost; provide two cores")
     } else {
         finding
     }
@@ -49,14 +41,14 @@ fn date(now: SystemTime) -> Finding {
     let since = now.duration_since(UNIX_EPOCH).unwrap_or_default();
     let text = jiff::Timestamp::try_from(now).map_or("no date".to_owned(), |t| format!("{t:.0}"));
     if since.as_secs() < RELEASED_S {
-        let found = format!("the clock says {text}, before this program was made");
-        return Finding::new("machine", "clock", Verdict::Fail, found)
-            .remedy("set it (`timedatectl set-ntp true`): grasps are named by their time");
+        let found = format!("the clock shows {text}, before the release of this program");
+        return Finding::new("machine", "clock", CheckStatus::Fail, found)
+            .remedy("set the clock (`timedatectl set-ntp true`): grasp ids contain the time");
     }
-    Finding::new("machine", "clock", Verdict::Ok, text)
+    Finding::new("machine", "clock", CheckStatus::Ok, text)
 }
 
-/// Both clocks at a moment.
+/// Readings of the monotonic and the system clock.
 pub(super) struct Clocks {
     monotonic: Instant,
     system: SystemTime,
@@ -70,29 +62,28 @@ impl Clocks {
         }
     }
 
-    /// Whether the system's clock was set since then.
+    /// Checks whether the system clock was set since these readings.
     pub(super) fn finding_since(&self) -> Finding {
         let system = match SystemTime::now().duration_since(self.system) {
             Ok(forward) => forward.as_secs_f64(),
             Err(back) => -back.duration().as_secs_f64(),
         };
-        steadiness(self.monotonic.elapsed().as_secs_f64(), system)
+        clock_step(self.monotonic.elapsed().as_secs_f64(), system)
     }
 }
 
-fn steadiness(monotonic_s: f64, system_s: f64) -> Finding {
+fn clock_step(monotonic_s: f64, system_s: f64) -> Finding {
     let step_s = system_s - monotonic_s;
-    let finding = Finding::new("machine", "clock's pace", Verdict::Ok, "steady")
-        .figure("step_ms", 1e3 * step_s);
-    if step_s.abs() <= STEP.as_secs_f64() {
+    let finding = Finding::new("machine", "clock step", CheckStatus::Ok, "steady")
+        .measurement("step_ms", 1e3 * step_s);
+    if step_s.abs() <= MAX_CLOCK_STEP.as_secs_f64() {
         return finding;
     }
     Finding {
-        verdict: Verdict::Warn,
-        found: format!("the clock was set by {step_s:.3} s while cameras were measured"),
+        message: format!("the clock was set by {step_s:.3} s during the camera measurement"),
         ..finding
     }
-    .remedy("wait until the time service has settled (`timedatectl`)")
+    .warn("wait until the time service has settled (`timedatectl`)")
 }
 
 #[cfg(test)]
@@ -100,21 +91,21 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_clock_that_was_never_set_is_a_failure() {
+    fn unset_clock_fails() {
         let early = date(UNIX_EPOCH + Duration::from_secs(1000));
-        assert_eq!(early.verdict, Verdict::Fail);
-        assert!(early.found.contains("1970-01-01"), "{}", early.found);
+        assert_eq!(early.status, CheckStatus::Fail);
+        assert!(early.message.contains("1970-01-01"), "{}", early.message);
         let later = UNIX_EPOCH + Duration::from_secs(RELEASED_S + 1);
-        assert_eq!(date(later).verdict, Verdict::Ok);
+        assert_eq!(date(later).status, CheckStatus::Ok);
     }
 
     #[test]
-    fn a_step_of_the_clock_is_seen_in_both_directions() {
-        assert_eq!(steadiness(2.0, 2.01).verdict, Verdict::Ok);
+    fn clock_steps_are_detected_in_both_directions() {
+        assert_eq!(clock_step(2.0, 2.01).status, CheckStatus::Ok);
         for system_s in [2.2, 1.7, -3000.0] {
-            let finding = steadiness(2.0, system_s);
-            assert_eq!(finding.verdict, Verdict::Warn, "{system_s}");
-            assert!((finding.figures["step_ms"] - 1e3 * (system_s - 2.0)).abs() < 1e-6);
+            let finding = clock_step(2.0, system_s);
+            assert_eq!(finding.status, CheckStatus::Warn, "{system_s}");
+            assert!((finding.measurements["step_ms"] - 1e3 * (system_s - 2.0)).abs() < 1e-6);
         }
     }
 }

@@ -1,4 +1,4 @@
-//! What keeps a rig from collecting: every part looked at, each with a verdict and how to fix it.
+//! Checks of everything a collection needs, each with a status and a remedy.
 
 mod board;
 mod camera;
@@ -23,24 +23,24 @@ use gripcast_capture::trigger::find_pedal;
 use gripcast_session::GuardLimits;
 use gripcast_virtual_rig::VirtualSource;
 
-pub(crate) use usb::{access_text, crowding, plugged_cameras};
+pub(crate) use usb::{access_text, connected_cameras, shared_buses};
 
-/// How good a thing is; the worst one last.
+/// Status of a check, in ascending order of severity.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize)]
 #[serde(rename_all = "snake_case")]
-pub(crate) enum Verdict {
-    /// Could not be looked at, with the reason; says nothing about it.
+pub(crate) enum CheckStatus {
+    /// Not checked, for the stated reason.
     Skipped,
-    /// As it should be.
+    /// Passed.
     Ok,
-    /// It can be worked with.
+    /// Usable with limitations.
     Warn,
-    /// Collecting will not work, or data are in danger.
+    /// Collecting will fail, or data are at risk.
     Fail,
 }
 
-impl Verdict {
-    /// The word for people.
+impl CheckStatus {
+    /// Returns the displayed name.
     pub(crate) fn name(self) -> &'static str {
         match self {
             Self::Skipped => "skip",
@@ -51,46 +51,46 @@ impl Verdict {
     }
 }
 
-/// One thing that was looked at.
+/// Result of one check.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub(crate) struct Finding {
     /// `machine`, `usb`, `camera`, `pedal`, `board`, `disk` or `model`.
     pub(crate) area: &'static str,
-    /// What of it.
+    /// Name of the checked item.
     pub(crate) name: String,
-    pub(crate) verdict: Verdict,
-    /// What was found, with what was expected where it differs.
-    pub(crate) found: String,
-    /// What helps.
+    pub(crate) status: CheckStatus,
+    /// Result, with the expected value if it differs.
+    pub(crate) message: String,
+    /// Remedy of a problem.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub(crate) remedy: Option<String>,
-    /// Numbers that were measured, the unit in the name.
+    /// Measured values, with units in their names.
     #[serde(skip_serializing_if = "BTreeMap::is_empty")]
-    pub(crate) figures: BTreeMap<&'static str, f64>,
+    pub(crate) measurements: BTreeMap<&'static str, f64>,
 }
 
 impl Finding {
     fn new(
         area: &'static str,
         name: impl Into<String>,
-        verdict: Verdict,
-        found: impl Into<String>,
+        status: CheckStatus,
+        message: impl Into<String>,
     ) -> Self {
         Self {
             area,
             name: name.into(),
-            verdict,
-            found: found.into(),
+            status,
+            message: message.into(),
             remedy: None,
-            figures: BTreeMap::new(),
+            measurements: BTreeMap::new(),
         }
     }
 
-    /// Something that cannot be used, with the error's own remedy.
+    /// Creates the finding of an error, with its remedy.
     fn failed(area: &'static str, name: impl Into<String>, error: &Error) -> Self {
         let text = error.to_string();
-        let found = text.split("\n  → ").next().unwrap_or_default();
-        let mut finding = Self::new(area, name, Verdict::Fail, found);
+        let message = text.split("\n  → ").next().unwrap_or_default();
+        let mut finding = Self::new(area, name, CheckStatus::Fail, message);
         finding.remedy = error.remedy_text().map(str::to_owned);
         finding
     }
@@ -100,35 +100,40 @@ impl Finding {
         self
     }
 
-    fn figure(mut self, name: &'static str, value: f64) -> Self {
-        self.figures.insert(name, value);
+    fn measurement(mut self, name: &'static str, value: f64) -> Self {
+        self.measurements.insert(name, value);
         self
+    }
+
+    /// Turns a passed check into a warning.
+    fn warn(mut self, remedy: impl Into<String>) -> Self {
+        self.status = CheckStatus::Warn;
+        self.remedy(remedy)
     }
 }
 
-/// What is looked at.
+/// Inputs of the checks.
 #[derive(Debug)]
-pub(crate) struct Patient {
-    /// The rig; without one only what is plugged in is listed.
+pub(crate) struct DoctorTarget {
+    /// The rig; without one, only connected cameras are listed.
     pub(crate) rig: Option<RigFile>,
-    /// Folder of the dataset, which need not exist.
+    /// Dataset directory, which need not exist.
     pub(crate) dataset: Option<PathBuf>,
-    /// Name of the model as `collect` takes it; empty for the usual one.
+    /// Model as in `collect`; empty for the default.
     pub(crate) model: String,
-    /// How long cameras are measured.
+    /// Duration of the camera measurement.
     pub(crate) duration: Duration,
-    /// What triggers are guarded by.
+    /// Guard limits.
     pub(crate) guards: GuardLimits,
-    /// Where devices are found.
+    /// Root of the device files.
     pub(crate) root: SystemRoot,
 }
 
-impl Patient {
-    /// Looks at everything; `told` hears what is being looked at.
+impl DoctorTarget {
+    /// Runs all checks and reports each area to `on_progress`.
     ///
     /// # Errors
-    /// When the rig file asks for what a source cannot do. What is wrong with devices, disk and
-    /// model is a finding.
+    /// For a rig file with unsupported settings. Problems of devices, disk and model are findings.
     pub(crate) fn examine(&self, on_progress: &dyn Fn(&'static str)) -> Result<Vec<Finding>> {
         on_progress("machine");
         let mut findings = machine::findings();
@@ -136,11 +141,11 @@ impl Patient {
         findings.extend(usb::findings(&self.root, self.rig.as_ref()));
         if let Some(rig) = &self.rig {
             on_progress("cameras");
-            findings.extend(self.of_rig(rig)?);
+            findings.extend(self.rig_findings(rig)?);
         } else {
-            let skipped = "no rig was named, so no camera was measured";
+            let skipped = "no rig specified, so no camera was measured";
             findings.push(
-                Finding::new("camera", "all", Verdict::Skipped, skipped)
+                Finding::new("camera", "all", CheckStatus::Skipped, skipped)
                     .remedy("--rig NAME; `gripcast rig init` writes a rig file"),
             );
         }
@@ -148,7 +153,7 @@ impl Patient {
         match &self.dataset {
             Some(dataset) => findings.extend(disk::findings(dataset, &self.guards)),
             None => findings.push(
-                Finding::new("disk", "all", Verdict::Skipped, "no dataset was named")
+                Finding::new("disk", "all", CheckStatus::Skipped, "no dataset specified")
                     .remedy("--dataset DIR"),
             ),
         }
@@ -157,12 +162,12 @@ impl Patient {
         Ok(findings)
     }
 
-    fn of_rig(&self, rig: &RigFile) -> Result<Vec<Finding>> {
+    fn rig_findings(&self, rig: &RigFile) -> Result<Vec<Finding>> {
         let mut virtual_cameras = VirtualSource::new(1);
         let sources = RigSources::new(rig, &self.root, &mut virtual_cameras)?;
         let boards = match (&rig.boards, virtual_cameras.hand()) {
             (Some(boards), _) => Some(Boards::read(boards)),
-            (None, Some(hand)) => Some(Boards::of_virtual_rig(hand)),
+            (None, Some(hand)) => Some(Boards::from_virtual_hand(hand)),
             (None, None) => None,
         };
         let clocks = machine::Clocks::now();
@@ -175,10 +180,10 @@ impl Patient {
         for pedal in &rig.pedals {
             let name = format!("{:04x}:{:04x}", pedal.vendor, pedal.product);
             findings.push(match find_pedal(pedal) {
-                Ok(product) => Finding::new("pedal", name, Verdict::Ok, product),
-                // The keyboard does as well.
+                Ok(product) => Finding::new("pedal", name, CheckStatus::Ok, product),
+                // The keyboard works as well.
                 Err(error) => Finding {
-                    verdict: Verdict::Warn,
+                    status: CheckStatus::Warn,
                     ..Finding::failed("pedal", name, &error)
                 },
             });

@@ -1,8 +1,8 @@
-//! What is plugged in, at which speed, and whether it may be opened.
+//! Connected cameras, their link speeds and permissions.
 
 use std::collections::BTreeMap;
 
-use super::{Finding, Verdict};
+use super::{CheckStatus, Finding};
 use gripcast_base::error::Result;
 use gripcast_capture::calibration::{CameraConfig, RigFile, SourceKind};
 use gripcast_capture::camera::KernelNodes;
@@ -11,14 +11,14 @@ use gripcast_capture::device::{
 };
 use gripcast_imaging::PixelFormat;
 
-/// Fraction of a link that isochronous transfers may reserve (USB 2.0, 5.6.4).
-const RESERVABLE: f64 = 0.8;
+/// Fraction of a link available to isochronous transfers (USB 2.0, 5.6.4).
+const ISOCHRONOUS_FRACTION: f64 = 0.8;
 
-/// The cameras that are plugged in, each asked for its modes.
+/// Lists the connected cameras with their modes.
 ///
 /// # Errors
-/// When the kernel's descriptions cannot be read.
-pub(crate) fn plugged_cameras(root: &SystemRoot) -> Result<Vec<VideoDevice>> {
+/// If the device descriptions of the kernel cannot be read.
+pub(crate) fn connected_cameras(root: &SystemRoot) -> Result<Vec<VideoDevice>> {
     let mut devices = scan(root)?;
     for device in &mut devices {
         probe(device, &KernelNodes, root);
@@ -27,14 +27,14 @@ pub(crate) fn plugged_cameras(root: &SystemRoot) -> Result<Vec<VideoDevice>> {
     Ok(devices)
 }
 
-/// One sentence for each USB-2 bus that several cameras share.
-pub(crate) fn crowding(devices: &[VideoDevice]) -> Vec<String> {
+/// Describes each USB 2 bus shared by several cameras.
+pub(crate) fn shared_buses(devices: &[VideoDevice]) -> Vec<String> {
     crowded_buses(devices)
         .iter()
         .map(|(bus, on_bus)| {
             let names: Vec<String> = on_bus.iter().map(ToString::to_string).collect();
             format!(
-                "{} cameras share USB bus {bus}, which may be too little for all: {}",
+                "{} cameras share USB bus {bus}, whose bandwidth may be insufficient: {}",
                 on_bus.len(),
                 names.join("; ")
             )
@@ -42,10 +42,10 @@ pub(crate) fn crowding(devices: &[VideoDevice]) -> Vec<String> {
         .collect()
 }
 
-/// Whether a camera can be opened, in words.
+/// Describes whether a camera can be opened.
 pub(crate) fn access_text(access: &Access) -> String {
     match access {
-        Access::Unknown => "not tried".to_owned(),
+        Access::Unknown => "not checked".to_owned(),
         Access::Open => "ready".to_owned(),
         Access::Denied => "no permission".to_owned(),
         Access::Missing => "no device node".to_owned(),
@@ -55,22 +55,23 @@ pub(crate) fn access_text(access: &Access) -> String {
     }
 }
 
-/// All cameras, and what the cameras of the rig ask of their links.
+/// Checks access to all cameras and the bandwidth required by the rig.
 pub(super) fn findings(root: &SystemRoot, rig: Option<&RigFile>) -> Vec<Finding> {
-    let devices = match plugged_cameras(root) {
+    let devices = match connected_cameras(root) {
         Ok(devices) => devices,
         Err(error) => return vec![Finding::failed("usb", "cameras", &error)],
     };
     if devices.is_empty() {
-        let found = "no camera is plugged in";
-        // The check of a rig with real cameras fails on its own.
-        return vec![Finding::new("usb", "cameras", Verdict::Ok, found)];
+        let found = "no camera is connected";
+        // A rig with real cameras fails in its own check.
+        return vec![Finding::new("usb", "cameras", CheckStatus::Ok, found)];
     }
     let mut findings: Vec<Finding> = devices.iter().map(access).collect();
-    for sentence in crowding(&devices) {
-        findings.push(Finding::new("usb", "bandwidth", Verdict::Warn, sentence).remedy(
-            "plug one of them into a port of another USB controller; a second hub does not help",
-        ));
+    for sentence in shared_buses(&devices) {
+        findings.push(
+            Finding::new("usb", "bandwidth", CheckStatus::Warn, sentence)
+                .remedy("connect one of them to another USB controller; another hub does not help"),
+        );
     }
     if let Some(rig) = rig {
         findings.extend(overload(rig, &devices));
@@ -83,30 +84,27 @@ fn access(device: &VideoDevice) -> Finding {
     let link = speed.map_or(String::new(), |speed| format!(", {speed} Mbit/s"));
     let found = format!("{device}{link}: {}", access_text(&device.access));
     let name = device.node.display().to_string();
-    let mut finding = Finding::new("usb", name, Verdict::Ok, found);
+    let mut finding = Finding::new("usb", name, CheckStatus::Ok, found);
     if let Some(speed) = speed {
-        finding = finding.figure("speed_mbps", f64::from(speed));
+        finding = finding.measurement("speed_mbps", f64::from(speed));
     }
-    match &device.access {
-        Access::Open => finding,
+    let denied;
+    let remedy = match &device.access {
+        Access::Open => return finding,
         Access::Denied => {
-            let error = permission_error(device, "open");
-            finding.verdict = Verdict::Fail;
-            finding.remedy(error.remedy_text().unwrap_or_default())
+            denied = permission_error(device, "open");
+            denied.remedy_text().unwrap_or_default()
         }
-        Access::Busy(_) => {
-            finding.verdict = Verdict::Fail;
-            finding.remedy("end the program that uses it")
-        }
+        Access::Busy(_) => "stop the program that uses it",
         Access::Unknown | Access::Missing | Access::Failed(_) => {
-            finding.verdict = Verdict::Fail;
-            finding
-                .remedy("unplug it and plug it in again; `sudo dmesg` tells what the kernel says")
+            "replug it; see `sudo dmesg` for kernel messages"
         }
-    }
+    };
+    finding.status = CheckStatus::Fail;
+    finding.remedy(remedy)
 }
 
-/// Bits a second of a camera's images; none where it compresses them.
+/// Returns the bit rate of a camera's raw images, Mbit/s; `None` for compressed ones.
 fn raw_mbps(camera: &CameraConfig) -> Option<f64> {
     let bytes = match camera.format {
         PixelFormat::Yuyv | PixelFormat::Z16 => 2.0,
@@ -118,7 +116,7 @@ fn raw_mbps(camera: &CameraConfig) -> Option<f64> {
     Some(8e-6 * bytes * pixels * camera.fps)
 }
 
-/// Links that cannot carry the raw images that the rig asks of the cameras behind them.
+/// Finds links with less bandwidth than the raw images of their cameras.
 fn overload(rig: &RigFile, devices: &[VideoDevice]) -> Vec<Finding> {
     let mut links: BTreeMap<&str, (f64, u32, Vec<String>)> = BTreeMap::new();
     for (role, camera) in &rig.cameras {
@@ -135,23 +133,23 @@ fn overload(rig: &RigFile, devices: &[VideoDevice]) -> Vec<Finding> {
         link.0 += mbps;
         link.2.push(role.name().to_owned());
     }
-    let too_much = |(mbps, speed, roles): (f64, u32, Vec<String>)| {
-        let carried = RESERVABLE * f64::from(speed);
-        (mbps > carried).then(|| {
+    let finding = |(mbps, speed, roles): (f64, u32, Vec<String>)| {
+        let available = ISOCHRONOUS_FRACTION * f64::from(speed);
+        (mbps > available).then(|| {
             let found = format!(
-                "{} send {mbps:.0} Mbit/s over a link that carries {carried:.0}",
+                "{} need {mbps:.0} Mbit/s, the link provides {available:.0}",
                 roles.join(" and ")
             );
-            Finding::new("usb", "link", Verdict::Fail, found)
-                .figure("asked_mbps", mbps)
-                .figure("carried_mbps", carried)
+            Finding::new("usb", "link", CheckStatus::Fail, found)
+                .measurement("required_mbps", mbps)
+                .measurement("available_mbps", available)
                 .remedy(
-                    "use a USB 3 cable and port (blue, or marked SS), or ask for fewer or smaller \
+                    "use a USB 3 cable and port (blue, or marked SS), or set fewer or smaller \
                      frames in the rig file",
                 )
         })
     };
-    links.into_values().filter_map(too_much).collect()
+    links.into_values().filter_map(finding).collect()
 }
 
 #[cfg(test)]
@@ -160,7 +158,7 @@ mod tests {
     use gripcast_imaging::Role;
     use gripcast_testing::sysfs_tree::{Tree, Usb, d435};
 
-    /// A D435 on a link of this speed, and the rig that asks for both of its images.
+    /// Checks a D435 on a link of this speed with a rig that uses both of its images.
     fn verdicts(speed_mbps: &str, [width, height]: [u32; 2]) -> Vec<Finding> {
         let mut tree = Tree::new();
         let d435 = Usb {
@@ -188,13 +186,13 @@ mod tests {
     }
 
     #[test]
-    fn a_d435_behind_a_usb_2_cable_is_told() {
+    fn d435_on_usb_2_cable_is_reported() {
         let found = verdicts("480", [1280, 720]);
         assert_eq!(found.len(), 1, "{found:?}");
-        assert_eq!(found[0].verdict, Verdict::Fail);
-        let text = &found[0].found;
-        assert!(text.contains("rgb and depth send 885 Mbit/s"), "{text}");
-        assert!(text.contains("carries 384"), "{text}");
+        assert_eq!(found[0].status, CheckStatus::Fail);
+        let text = &found[0].message;
+        assert!(text.contains("rgb and depth need 885 Mbit/s"), "{text}");
+        assert!(text.contains("provides 384"), "{text}");
         assert!(verdicts("5000", [1280, 720]).is_empty());
         assert!(verdicts("480", [424, 240]).is_empty());
     }

@@ -1,10 +1,10 @@
-//! Digits and capitals that can be read from across the room: a 5-pixel-high font of blocks.
+//! Large digits and capitals, readable from a distance: a block font 5 pixels high.
 
 use ratatui::buffer::Buffer;
 use ratatui::layout::{Position, Rect};
 use ratatui::style::Style;
 
-/// Size of the blocks.
+/// Font size.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Size {
     /// 3 rows; a pixel is half a cell.
@@ -19,10 +19,10 @@ pub(super) enum Size {
 const GLYPH_ROWS: u16 = 5;
 
 impl Size {
-    /// Largest first.
+    /// All sizes, largest first.
     pub(super) const DESCENDING: [Self; 3] = [Self::Large, Self::Medium, Self::Small];
 
-    /// Rows of a text.
+    /// Returns the height of a text, rows.
     pub(super) fn rows(self) -> u16 {
         match self {
             Self::Small => 3,
@@ -31,7 +31,7 @@ impl Size {
         }
     }
 
-    /// Columns of `text`.
+    /// Returns the width of `text`, columns.
     pub(super) fn columns(self, text: &str) -> u16 {
         let pixels: u16 = text.chars().map(|c| glyph(c).width + 1).sum();
         pixels.saturating_sub(1) * self.pixel_columns()
@@ -46,7 +46,7 @@ impl Size {
     }
 }
 
-/// One character: pixel rows from the top, the leftmost pixel in the highest of `width` bits.
+/// A character: pixel rows from the top, leftmost pixel in the most significant of `width` bits.
 #[derive(Clone, Copy)]
 struct Glyph {
     width: u16,
@@ -104,7 +104,7 @@ fn glyph(character: char) -> Glyph {
     Glyph { width, rows }
 }
 
-/// Draws `text` with its top-left corner at that of `area`, cut at the edges of `area`.
+/// Draws `text` at the top left of `area`, clipped to `area`.
 pub(super) fn draw(buffer: &mut Buffer, area: Rect, text: &str, size: Size, style: Style) {
     let area = area.intersection(buffer.area);
     let mut left = area.x;
@@ -126,18 +126,12 @@ pub(super) fn draw(buffer: &mut Buffer, area: Rect, text: &str, size: Size, styl
     }
 }
 
-/// What cell (`x`, `y`) of a drawn glyph shows.
+/// Returns the symbol of cell (`x`, `y`) of a glyph.
 fn symbol(glyph: Glyph, x: u16, y: u16, size: Size) -> &'static str {
     let (above, below) = match size {
         Size::Small => (glyph.is_set(x, 2 * y), glyph.is_set(x, 2 * y + 1)),
-        Size::Medium => {
-            let set = glyph.is_set(x / 2, y);
-            (set, set)
-        }
-        Size::Large => {
-            let set = glyph.is_set(x / 4, y / 2);
-            (set, set)
-        }
+        Size::Medium => [glyph.is_set(x / 2, y); 2].into(),
+        Size::Large => [glyph.is_set(x / 4, y / 2); 2].into(),
     };
     match (above, below) {
         (true, true) => "█",
@@ -183,7 +177,7 @@ mod tests {
     }
 
     #[test]
-    fn every_glyph_fits_its_width_and_most_are_distinct() {
+    fn glyphs_fit_their_width_and_are_distinct() {
         let all = "0123456789.-ABCDEFGHIJKLMNPQRTUVWXYZ";
         let mut seen = std::collections::BTreeMap::new();
         for character in all.chars() {
@@ -198,7 +192,7 @@ mod tests {
     }
 
     #[test]
-    fn drawing_stops_at_the_edges() {
+    fn drawing_is_clipped_to_the_area() {
         let mut buffer = Buffer::empty(Rect::new(0, 0, 5, 2));
         draw(
             &mut buffer,

@@ -1,4 +1,4 @@
-//! The collect screen: where everything goes at every size.
+//! Layout of the collect screen at all sizes.
 
 use ratatui::Frame;
 use ratatui::buffer::Buffer;
@@ -13,14 +13,14 @@ use super::{
 };
 use crate::daemon::EngineStatus;
 
-/// Below this only one line is shown.
+/// Minimum size of the screen; smaller ones show one line only.
 const MIN_COLUMNS: u16 = 40;
 const MIN_ROWS: u16 = 10;
-/// Below this there are neither images nor sensors.
+/// Minimum size for images and sensors.
 const FULL_COLUMNS: u16 = 60;
 const FULL_ROWS: u16 = 18;
 
-/// Draws the whole screen. Pure: the same status and state give the same image.
+/// Draws the whole screen, a pure function of status and state.
 pub fn draw(frame: &mut Frame<'_>, status: &EngineStatus, state: &ScreenState) {
     let area = frame.area();
     let buffer = frame.buffer_mut();
@@ -52,7 +52,7 @@ fn draw_screen(buffer: &mut Buffer, area: Rect, status: &EngineStatus, state: &S
         fault::draw(buffer, middle, status, palette);
     } else {
         draw_work(buffer, middle, status, palette);
-        // The put-aside fault takes the line of the message: it matters more.
+        // A dismissed fault replaces the message line.
         fault::draw_line(buffer, row(bottom, 1), status, palette);
     }
     match state.overlay {
@@ -62,7 +62,7 @@ fn draw_screen(buffer: &mut Buffer, area: Rect, status: &EngineStatus, state: &S
     }
 }
 
-/// Step, gauge, and below them counts and sensors beside the images.
+/// Draws step, gauge, counts, sensors and images.
 fn draw_work(buffer: &mut Buffer, area: Rect, status: &EngineStatus, palette: Palette) {
     let full = area.width >= FULL_COLUMNS && area.height + 4 >= FULL_ROWS;
     let banner_rows = match area.height {
@@ -94,11 +94,8 @@ fn draw_body(buffer: &mut Buffer, area: Rect, status: &EngineStatus, palette: Pa
         130.. => 32,
         _ => 24,
     };
-    let side = Rect {
-        x: area.x + 1,
-        width: side_columns,
-        ..area
-    };
+    let mut side = inset(area, 1, 0);
+    side.width = side_columns;
     let rest = inset(area, side_columns + 3, 0);
     draw_side(buffer, side, status, palette);
     match &status.session.refusal {
@@ -107,7 +104,7 @@ fn draw_body(buffer: &mut Buffer, area: Rect, status: &EngineStatus, palette: Pa
     }
 }
 
-/// Counts above, sensors below; on a low screen the sensors win.
+/// Draws counts above sensors; on low screens sensors take precedence.
 fn draw_side(buffer: &mut Buffer, area: Rect, status: &EngineStatus, palette: Palette) {
     let cameras = u16::try_from(status.cameras.len()).unwrap_or(u16::MAX);
     let spare = area.height.saturating_sub(counts::ROWS + cameras);
@@ -127,19 +124,19 @@ fn draw_side(buffer: &mut Buffer, area: Rect, status: &EngineStatus, palette: Pa
     sensors::draw(buffer, lower, &status.cameras, palette);
 }
 
-/// One clear line: a fault, else what to do and the verdict.
+/// Draws one line: a fault, else verdict and instruction.
 fn draw_tiny(buffer: &mut Buffer, area: Rect, status: &EngineStatus, palette: Palette) {
     let middle = row(area, area.height / 2);
     if let Some(camera) = fault::faults(status).next() {
-        let sentence = fault::sentence(camera, status);
-        write(buffer, middle, &Line::styled(sentence, palette.fault()));
+        let summary = fault::summary(camera, status);
+        write(buffer, middle, &Line::styled(summary, palette.fault()));
         return;
     }
     let mut spans = Vec::new();
     if let Some(prediction) = &status.prediction {
-        let claim = gauge::claim(prediction);
-        let text = format!("{:.2} {claim} ", prediction.said.p_stable);
-        spans.push(Span::styled(text, gauge::verdict_style(claim, palette)));
+        let verdict = gauge::shown_verdict(prediction);
+        let text = format!("{:.2} {verdict} ", prediction.record.p_stable);
+        spans.push(Span::styled(text, gauge::verdict_style(verdict, palette)));
     }
     let mut line = Line::from(spans);
     let room = usize::from(area.width).saturating_sub(line.width());
@@ -147,15 +144,15 @@ fn draw_tiny(buffer: &mut Buffer, area: Rect, status: &EngineStatus, palette: Pa
     write(buffer, middle, &line);
 }
 
-/// Rows from the top, what is left, and rows from the bottom.
+/// Splits `area` into `top` rows, the rest, and `bottom` rows.
 fn split(area: Rect, top: u16, bottom: u16) -> [Rect; 3] {
     let top = top.min(area.height);
     let bottom = bottom.min(area.height - top);
     let middle = area.height - top - bottom;
-    let part = |y, height| Rect {
+    let rows = |y, height| Rect {
         y: area.y + y,
         height,
         ..area
     };
-    [part(0, top), part(top, middle), part(top + middle, bottom)]
+    [rows(0, top), rows(top, middle), rows(top + middle, bottom)]
 }

@@ -1,4 +1,4 @@
-//! Labels so far: bars, which label is short, and the present object.
+//! Label counts: bars, balance hint and current object.
 
 use ratatui::buffer::Buffer;
 use ratatui::layout::Rect;
@@ -10,13 +10,13 @@ use super::text::{clipped, write_all};
 use gripcast_dataset::Outcome;
 use gripcast_session::{Counts, SessionView};
 
-/// Difference between the labels from which a hint is given: a tenth of all, at least this.
-const HINT_AT_LEAST: usize = 5;
+/// Minimum difference of the label counts for a hint; otherwise a tenth of all labels.
+const MIN_IMBALANCE: usize = 5;
 
-/// Puts the counts of the object under its name.
+/// Indentation of the object's counts.
 const OBJECT_INDENT: &str = "       ";
 
-/// Rows with everything in them.
+/// Rows needed for all lines.
 pub(super) const ROWS: u16 = 5;
 
 pub(super) fn draw(buffer: &mut Buffer, area: Rect, session: &SessionView, palette: Palette) {
@@ -29,14 +29,14 @@ pub(super) fn draw(buffer: &mut Buffer, area: Rect, session: &SessionView, palet
         Span::styled(clipped(&session.object, room), palette.strong())
     };
     let object = Line::from(vec![Span::styled("object ", palette.faint()), object]);
-    let most = counts.stable.max(counts.slip);
-    let bar = |name, count, style| count_bar(name, count, most, width, style);
+    let max = counts.stable.max(counts.slip);
+    let bar = |name, count, style| count_bar(name, count, max, width, style);
     let hint = balance(counts, width, palette);
     let lines = if area.height < ROWS {
-        let all = both("", counts.stable, counts.slip, palette);
+        let all = label_counts("", counts.stable, counts.slip, palette);
         vec![object, all, hint]
     } else {
-        let this = both(
+        let this = label_counts(
             OBJECT_INDENT,
             counts.object_stable,
             counts.object_slip,
@@ -50,7 +50,12 @@ pub(super) fn draw(buffer: &mut Buffer, area: Rect, session: &SessionView, palet
 }
 
 /// `88 stable  71 slip`.
-fn both(heading: &'static str, stable: usize, slip: usize, palette: Palette) -> Line<'static> {
+fn label_counts(
+    heading: &'static str,
+    stable: usize,
+    slip: usize,
+    palette: Palette,
+) -> Line<'static> {
     Line::from(vec![
         Span::styled(heading, palette.faint()),
         Span::styled(format!("{stable} stable"), palette.stable()),
@@ -58,10 +63,10 @@ fn both(heading: &'static str, stable: usize, slip: usize, palette: Palette) -> 
     ])
 }
 
-fn count_bar(name: &str, count: usize, most: usize, width: usize, style: Style) -> Line<'static> {
+fn count_bar(name: &str, count: usize, max: usize, width: usize, style: Style) -> Line<'static> {
     let text = format!("{name:<6} {count:>4} ");
     let room = width.saturating_sub(text.len());
-    let length = (count * room).checked_div(most).unwrap_or(0);
+    let length = (count * room).checked_div(max).unwrap_or(0);
     let length = length.max(usize::from(count > 0 && room > 0));
     Line::from(vec![
         Span::styled(text, style),
@@ -72,12 +77,12 @@ fn count_bar(name: &str, count: usize, most: usize, width: usize, style: Style) 
 fn balance(counts: &Counts, width: usize, palette: Palette) -> Line<'static> {
     let total = counts.stable + counts.slip;
     let difference = counts.stable.abs_diff(counts.slip);
-    let hint = if difference >= HINT_AT_LEAST.max(total / 10) {
+    let hint = if difference >= MIN_IMBALANCE.max(total / 10) {
         let wanted = match counts.stable > counts.slip {
             true => Outcome::Slip,
             false => Outcome::Stable,
         };
-        Span::styled(format!("{difference} {wanted} short "), palette.warning())
+        Span::styled(format!("need {difference} {wanted} "), palette.warning())
     } else {
         Span::styled("balanced ", palette.faint())
     };
@@ -110,18 +115,18 @@ mod tests {
     }
 
     #[test]
-    fn the_hint_names_the_label_that_is_short() {
-        assert_eq!(hint(88, 71), "17 slip short ");
-        assert_eq!(hint(10, 30), "20 stable short ");
+    fn hint_names_the_missing_label() {
+        assert_eq!(hint(88, 71), "need 17 slip ");
+        assert_eq!(hint(10, 30), "need 20 stable ");
         assert_eq!(hint(4, 0), "balanced ");
         assert_eq!(hint(88, 80), "balanced ");
         assert_eq!(hint(0, 0), "balanced ");
     }
 
     #[test]
-    fn bars_are_in_proportion_and_never_vanish() {
-        let length = |count, most| {
-            count_bar("slip", count, most, 32, Style::new())
+    fn bars_are_proportional_and_never_empty() {
+        let length = |count, max| {
+            count_bar("slip", count, max, 32, Style::new())
                 .to_string()
                 .matches('█')
                 .count()

@@ -1,4 +1,4 @@
-//! The fault screen: which camera, where it is plugged in, since when, what to do.
+//! The fault screen: camera, port, duration and remedy.
 
 use ratatui::buffer::Buffer;
 use ratatui::layout::Rect;
@@ -12,7 +12,7 @@ use crate::daemon::{CameraState, CameraStatus, EngineStatus};
 use gripcast_imaging::Role;
 use gripcast_session::Step;
 
-/// Whether the camera has failed; opening it for the first time or a recording's end is no fault.
+/// Returns whether the camera has failed; opening and the end of a recording are not faults.
 pub(super) fn is_fault(camera: &CameraStatus) -> bool {
     matches!(
         camera.state,
@@ -20,12 +20,12 @@ pub(super) fn is_fault(camera: &CameraStatus) -> bool {
     )
 }
 
-/// Cameras that have failed, in the order of roles.
+/// Iterates over failed cameras in the order of roles.
 pub(super) fn faults(status: &EngineStatus) -> impl Iterator<Item = &CameraStatus> {
     status.cameras.iter().filter(|camera| is_fault(camera))
 }
 
-fn part(role: Role) -> &'static str {
+fn camera_name(role: Role) -> &'static str {
     match role {
         Role::Left => "LEFT GELSIGHT",
         Role::Right => "RIGHT GELSIGHT",
@@ -35,37 +35,30 @@ fn part(role: Role) -> &'static str {
     }
 }
 
-/// State in capitals, and for how long where that is known.
-pub(super) fn trouble(state: &CameraState) -> (String, String) {
+/// Returns the state in capitals, and its duration if known.
+pub(super) fn state_and_duration(state: &CameraState) -> (String, String) {
     let since = state.since_s().map(|for_s| duration_ms(for_s * 1e3));
     (state.word().to_uppercase(), since.unwrap_or_default())
 }
 
-/// The remedy in a word, for across the room.
-fn remedy_word(state: &CameraState) -> &'static str {
+/// Returns the remedy in one word, shown in large letters, and as a sentence.
+fn remedy(state: &CameraState) -> (&'static str, &'static str) {
     match state {
-        CameraState::Lost { .. } => "PLUG IN",
-        _ => "REPLUG",
+        CameraState::Frozen { .. } => ("REPLUG", "REPLUG IT: the image does not change"),
+        CameraState::Lost { .. } => ("PLUG IN", "PLUG IT IN: it reopens by itself"),
+        _ => ("REPLUG", "REPLUG IT: no frames arrive"),
     }
 }
 
-fn remedy(state: &CameraState) -> &'static str {
-    match state {
-        CameraState::Frozen { .. } => "REPLUG IT: the image does not change",
-        CameraState::Lost { .. } => "PLUG IT IN: it is opened again by itself",
-        _ => "REPLUG IT: no frames arrive",
-    }
-}
-
-/// `2/3 cameras alive`.
-fn alive(status: &EngineStatus) -> String {
+/// Formats `2/3 cameras live`.
+fn live_count(status: &EngineStatus) -> String {
     let live = status.cameras.iter().filter(|c| c.state.is_live()).count();
-    format!("{live}/{} cameras alive", status.cameras.len())
+    format!("{live}/{} cameras live", status.cameras.len())
 }
 
-/// What and where the camera is: `GelSight Mini R0B 2BNN-4ZE7   usb 3-2.1`; the serial is added
-/// where the product string does not hold it.
-pub(super) fn place(camera: &CameraStatus) -> String {
+/// Formats product and port: `GelSight Mini R0B 2BNN-4ZE7   usb 3-2.1`, with the serial number if the
+/// product string does not contain it.
+pub(super) fn identity(camera: &CameraStatus) -> String {
     let port = match camera.port.as_str() {
         "" => "port unknown".to_owned(),
         port => format!("usb {port}"),
@@ -78,20 +71,20 @@ pub(super) fn place(camera: &CameraStatus) -> String {
     }
 }
 
-/// The fault in one line: `LEFT GELSIGHT (2BNN4ZE7, usb 3-2.1) SILENT 1.4 s — replug …`.
-pub(super) fn sentence(camera: &CameraStatus, status: &EngineStatus) -> String {
-    let (word, since) = trouble(&camera.state);
+/// Formats the fault in one line: `LEFT GELSIGHT (2BNN4ZE7, usb 3-2.1) SILENT 1.4 s — replug …`.
+pub(super) fn summary(camera: &CameraStatus, status: &EngineStatus) -> String {
+    let (word, since) = state_and_duration(&camera.state);
     format!(
         "{} {word} {since}{}— {} ({}; {})",
-        part(camera.role),
+        camera_name(camera.role),
         if since.is_empty() { "" } else { " " },
-        remedy(&camera.state),
-        place(camera),
-        alive(status)
+        remedy(&camera.state).1,
+        identity(camera),
+        live_count(status)
     )
 }
 
-/// The full-width fault screen, over everything between header and footer.
+/// Draws the fault screen between header and footer.
 pub(super) fn draw(buffer: &mut Buffer, area: Rect, status: &EngineStatus, palette: Palette) {
     let failed: Vec<_> = faults(status).collect();
     let Some(first) = failed.first() else {
@@ -105,25 +98,31 @@ pub(super) fn draw(buffer: &mut Buffer, area: Rect, status: &EngineStatus, palet
     let style = palette.fault();
     fill(buffer, area, ratatui::style::Style::new());
     fill(buffer, block, style);
-    let inner = margin(block);
+    let margin = u16::from(block.height >= 6);
+    let mut inner = inset(block, 2, margin);
+    inner.height -= margin;
+    let (word, remedy) = remedy(&first.state);
     let used = draw_heading(buffer, inner, first, palette);
     let mut lines = vec![
-        place(first),
+        identity(first),
         match &first.state {
             CameraState::Lost { reason } => reason.clone(),
             _ => String::new(),
         },
-        format!("→ {}", remedy(&first.state)),
-        format!("{} · capture is blocked until it is back", alive(status)),
+        format!("→ {remedy}"),
+        format!(
+            "{} · capture is blocked until the camera recovers",
+            live_count(status)
+        ),
     ];
     for other in failed.iter().skip(1) {
-        let (word, since) = trouble(&other.state);
-        let (part, place) = (part(other.role), place(other));
-        lines.push(format!("also: {part} {word} {since}   {place}"));
+        let (word, since) = state_and_duration(&other.state);
+        let (name, identity) = (camera_name(other.role), identity(other));
+        lines.push(format!("also: {name} {word} {since}   {identity}"));
     }
     lines.push(match status.session.step {
         Step::Label => "the last grasp is saved; label it: s stable, f slip".to_owned(),
-        _ => "all saved grasps are safe; this closes by itself (Esc makes it one line)".to_owned(),
+        _ => "all saved grasps are safe; this closes by itself (Esc minimises it)".to_owned(),
     });
     lines.retain(|line| !line.is_empty());
     let clipped = |line: &String| Line::styled(clipped(line, usize::from(inner.width)), style);
@@ -131,7 +130,6 @@ pub(super) fn draw(buffer: &mut Buffer, area: Rect, status: &EngineStatus, palet
     write_all(buffer, inset(inner, 0, used), &shown);
     let written = used + u16::try_from(lines.len()).unwrap_or(u16::MAX);
     let free = inner.height.saturating_sub(written.saturating_add(1));
-    let word = remedy_word(&first.state);
     let size = Size::DESCENDING
         .into_iter()
         .find(|size| size.rows() <= free && size.columns(word) <= inner.width);
@@ -143,14 +141,14 @@ pub(super) fn draw(buffer: &mut Buffer, area: Rect, status: &EngineStatus, palet
     sensors::draw(buffer, rest, &status.cameras, palette);
 }
 
-/// Part and state in blocks, or in text on small screens; returns the rows used.
+/// Draws camera and state in large letters, or as text on small screens; returns the rows used.
 fn draw_heading(buffer: &mut Buffer, area: Rect, camera: &CameraStatus, palette: Palette) -> u16 {
-    let (word, since) = trouble(&camera.state);
+    let (word, since) = state_and_duration(&camera.state);
     let text = format!("{} {word}", camera.role.name());
     let size = Size::DESCENDING
         .into_iter()
         .find(|size| size.columns(&text) <= area.width && size.rows() + 7 <= area.height);
-    let heading = format!("{}   {word} {since}", part(camera.role));
+    let heading = format!("{}   {word} {since}", camera_name(camera.role));
     let line = Line::styled(clipped(&heading, usize::from(area.width)), palette.fault());
     match size {
         Some(size) => {
@@ -165,19 +163,11 @@ fn draw_heading(buffer: &mut Buffer, area: Rect, camera: &CameraStatus, palette:
     }
 }
 
-fn margin(area: Rect) -> Rect {
-    let inner = inset(area, 2, u16::from(area.height >= 6));
-    Rect {
-        height: inner.height - u16::from(area.height >= 6),
-        ..inner
-    }
-}
-
-/// The fault as one loud line.
+/// Draws the fault in one highlighted line.
 pub(super) fn draw_line(buffer: &mut Buffer, area: Rect, status: &EngineStatus, palette: Palette) {
     if let Some(first) = faults(status).next() {
         fill(buffer, row(area, 0), palette.fault());
-        let text = format!(" {}", sentence(first, status));
+        let text = format!(" {}", summary(first, status));
         let text = clipped(&text, usize::from(area.width));
         write(buffer, area, &Line::styled(text, palette.fault()));
     }

@@ -1,4 +1,4 @@
-//! The last three lines: the newest grasp with undo, the message, the keys of the moment.
+//! The last three lines: newest grasp with undo, message, current keys.
 
 use ratatui::buffer::Buffer;
 use ratatui::layout::Rect;
@@ -12,7 +12,7 @@ use gripcast_dataset::Outcome;
 use gripcast_nn::predict::Verdict;
 use gripcast_session::{LastGrasp, MessageLevel, SessionView, Step};
 
-/// Draws from the bottom up: keys, message, newest grasp; the upper ones go first when it is low.
+/// Draws newest grasp, message and keys; low screens omit the upper lines.
 pub(super) fn draw(
     buffer: &mut Buffer,
     area: Rect,
@@ -29,7 +29,7 @@ pub(super) fn draw(
     write_all(buffer, area, &lines[skipped..]);
 }
 
-/// The newest grasp: its label beside what was predicted, and what undo takes back.
+/// Returns the line of the newest grasp: label, prediction, undo and redo.
 fn last(session: &SessionView, width: u16, palette: Palette) -> Line<'static> {
     let Some(last) = &session.last else {
         return Line::styled(" no grasp yet", palette.faint());
@@ -64,14 +64,14 @@ fn outcome(outcome: Outcome, palette: Palette) -> Span<'static> {
     }
 }
 
-/// `predicted 0.74 ✓`: a tick when the label agrees, a cross when it does not, a question mark where
-/// the model did not know such images.
+/// Formats `predicted 0.74 ✓`: a tick if the label agrees, a cross if not, a question mark for
+/// out-of-distribution images.
 fn predicted(last: &LastGrasp, palette: Palette) -> Vec<Span<'static>> {
-    let Some(said) = &last.predicted else {
+    let Some(prediction) = &last.predicted else {
         return Vec::new();
     };
-    let p = said.p_stable;
-    let (mark, style) = match (verdict_of(said), last.outcome) {
+    let p = prediction.p_stable;
+    let (mark, style) = match (verdict_of(prediction), last.outcome) {
         (Verdict::Unsure, _) => (" ?", palette.warning()),
         (_, Outcome::Unlabelled) => ("", Style::new()),
         (Verdict::Stable, Outcome::Stable) | (Verdict::Slip, Outcome::Slip) => {
@@ -106,11 +106,11 @@ fn message(
     Line::styled(fitted(format!(" {mark}{}", message.text)), style)
 }
 
-/// The keys that matter now, the most important first; those that do not fit are left out.
+/// Returns the current keys, most important first, as many as fit.
 fn keys(session: &SessionView, width: u16, palette: Palette) -> Line<'static> {
     let now: &[(&str, &str)] = match (&session.refusal, session.step) {
         (Some(refusal), _) if refusal.can_override => &[
-            ("!", "take anyway"),
+            ("!", "override"),
             ("space/pedal", "again"),
             ("i", "initial"),
         ],

@@ -1,4 +1,4 @@
-//! The stability gauge: a number, a verdict and a bar that can be read from two metres.
+//! The stability gauge: probability, verdict and bar, readable from two metres.
 
 use ratatui::buffer::Buffer;
 use ratatui::layout::Rect;
@@ -13,21 +13,21 @@ use super::text::{
 use crate::daemon::{EngineStatus, PredictionStatus};
 use gripcast_nn::predict::Verdict;
 
-/// A prediction from a frame older than this is shown dim and named old, ms.
+/// Frame age above which a prediction is shown as old, ms.
 const STALE_MS: f64 = 500.0;
-/// Least columns between the number at the left and the verdict at the right.
+/// Minimum columns between probability and verdict.
 const GAP: u16 = 4;
 
-/// What the gauge says, reduced to words and styles.
+/// Displayed texts and style of the gauge.
 struct Reading {
     number: String,
     verdict: &'static str,
     style: Style,
-    /// Probability and threshold; `None` leaves the bar empty.
+    /// Probability and threshold; `None` for an empty bar.
     bar: Option<(f64, f64)>,
 }
 
-/// What a verdict is called on the screen.
+/// Returns the displayed name of a verdict.
 pub(super) fn word(verdict: Verdict) -> &'static str {
     match verdict {
         Verdict::Stable => "STABLE",
@@ -36,10 +36,9 @@ pub(super) fn word(verdict: Verdict) -> &'static str {
     }
 }
 
-/// What may be claimed in one word: the verdict, that it is too old to be one, or that the model
-/// knows nothing of such images.
-pub(super) fn claim(prediction: &PredictionStatus) -> &'static str {
-    if is_stale(prediction) || !prediction.said.p_stable.is_finite() {
+/// Returns the displayed verdict: that of the prediction, or `OLD`.
+pub(super) fn shown_verdict(prediction: &PredictionStatus) -> &'static str {
+    if is_stale(prediction) || !prediction.record.p_stable.is_finite() {
         "OLD"
     } else {
         word(prediction.verdict)
@@ -60,7 +59,7 @@ pub(super) fn verdict_style(verdict: &str, palette: Palette) -> Style {
 }
 
 fn reading(prediction: Option<&PredictionStatus>, palette: Palette) -> Reading {
-    let Some(prediction) = prediction.filter(|p| p.said.p_stable.is_finite()) else {
+    let Some(prediction) = prediction.filter(|p| p.record.p_stable.is_finite()) else {
         return Reading {
             number: "-.--".to_owned(),
             verdict: "",
@@ -68,19 +67,19 @@ fn reading(prediction: Option<&PredictionStatus>, palette: Palette) -> Reading {
             bar: None,
         };
     };
-    let p = prediction.said.p_stable;
-    let verdict = claim(prediction);
+    let p = prediction.record.p_stable;
+    let verdict = shown_verdict(prediction);
     let style = verdict_style(verdict, palette);
     Reading {
         number: format!("{:.2}", p.clamp(0.0, 1.0)),
         verdict,
         style,
-        bar: Some((p, prediction.said.threshold)),
+        bar: Some((p, prediction.record.threshold)),
     }
 }
 
-/// Rows that the gauge takes best when `available` are there: title, number, bar, scale, and a
-/// thicker bar under large numbers.
+/// Returns the rows to use of `available`: title, number, bar, scale, and a thicker bar under large
+/// numbers.
 pub(super) fn rows(width: u16, available: u16) -> u16 {
     match size(width, available.saturating_sub(3)) {
         Some(Size::Large) => (Size::Large.rows() + 4).min(available),
@@ -89,13 +88,14 @@ pub(super) fn rows(width: u16, available: u16) -> u16 {
     }
 }
 
-/// The largest size whose number and, at the next smaller size, verdict fit.
+/// Returns the largest font size that fits.
 fn size(width: u16, height: u16) -> Option<Size> {
     Size::DESCENDING.into_iter().find(|size| {
-        let words = match size {
-            Size::Large => Size::Large.columns(word(Verdict::Unsure)),
-            Size::Medium | Size::Small => Size::Small.columns(word(Verdict::Unsure)),
+        let word_size = match size {
+            Size::Large => Size::Large,
+            Size::Medium | Size::Small => Size::Small,
         };
+        let words = word_size.columns(word(Verdict::Unsure));
         size.rows() <= height && size.columns("0.00") + GAP + words + 2 <= width
     })
 }
@@ -120,7 +120,7 @@ pub(super) fn draw(buffer: &mut Buffer, area: Rect, status: &EngineStatus, palet
     draw_scale(buffer, row(below, 1 + thick), &reading, palette);
 }
 
-/// Number and verdict as blocks; returns the rows used.
+/// Draws probability and verdict in large letters; returns the rows used.
 fn draw_big(
     buffer: &mut Buffer,
     area: Rect,
@@ -134,7 +134,7 @@ fn draw_big(
     let x = 1 + size.columns("0.00") + GAP;
     if reading.verdict.is_empty() {
         let reason = inset(area, x, size.rows() / 2);
-        write_absence(buffer, reason, status, palette);
+        write_no_prediction(buffer, reason, status, palette);
         return size.rows();
     }
     let room = area.width.saturating_sub(x + 1);
@@ -148,7 +148,7 @@ fn draw_big(
     size.rows()
 }
 
-/// Number and verdict as one line of text; returns the rows used.
+/// Draws probability and verdict as one line of text; returns the rows used.
 fn draw_line(
     buffer: &mut Buffer,
     area: Rect,
@@ -160,19 +160,19 @@ fn draw_line(
     let after = columns(&text).min(area.width);
     write(buffer, area, &Line::styled(text, reading.style));
     if reading.verdict.is_empty() {
-        write_absence(buffer, inset(area, after, 0), status, palette);
+        write_no_prediction(buffer, inset(area, after, 0), status, palette);
     }
     1
 }
 
-fn write_absence(buffer: &mut Buffer, area: Rect, status: &EngineStatus, palette: Palette) {
+fn write_no_prediction(buffer: &mut Buffer, area: Rect, status: &EngineStatus, palette: Palette) {
     let reason = status
-        .prediction_absent
+        .no_prediction_reason
         .as_deref()
         .unwrap_or("waiting for the first prediction");
     let mut rest = reason;
     for index in 0..area.height.min(2) {
-        let (now, later) = broken(rest, usize::from(area.width));
+        let (now, later) = wrap_line(rest, usize::from(area.width));
         let now = match index {
             0 => format!("no prediction: {now}"),
             _ => now.to_owned(),
@@ -183,8 +183,8 @@ fn write_absence(buffer: &mut Buffer, area: Rect, status: &EngineStatus, palette
     }
 }
 
-/// `text` up to the last blank within the first line, and what follows.
-fn broken(text: &str, columns_wide: usize) -> (&str, &str) {
+/// Splits `text` at the last space that fits into the first line.
+fn wrap_line(text: &str, columns_wide: usize) -> (&str, &str) {
     let room = columns_wide.saturating_sub("no prediction: ".len());
     if usize::from(columns(text)) <= room {
         return (text, "");
@@ -195,7 +195,7 @@ fn broken(text: &str, columns_wide: usize) -> (&str, &str) {
         .filter(|(_, c)| *c == ' ')
         .last();
     match cut {
-        Some((at, _)) => text.split_at(at + 1),
+        Some((index, _)) => text.split_at(index + 1),
         None => (text, ""),
     }
 }
@@ -219,12 +219,12 @@ fn write_title(
             Span::styled(words, palette.faint()),
         ])
     };
-    let latency = duration_ms(prediction.said.latency_ms);
+    let latency = duration_ms(prediction.record.latency_ms);
     let long = timing(format!(
         " · result in {latency} · model {:.1} ms ",
-        prediction.said.engine_ms
+        prediction.record.engine_ms
     ));
-    let name = clipped(&prediction.said.model, 28);
+    let name = clipped(&prediction.record.model, 28);
     let heuristic = u16::from(prediction.heuristic) * columns(" HEURISTIC ");
     let needed = columns(" STABILITY ") + columns(&name) + heuristic + 2;
     let taken = match area.width.checked_sub(needed) {
@@ -244,7 +244,7 @@ fn write_title(
     write(buffer, rest, &Line::from(left));
 }
 
-/// Bar from 0 to 1 of a `whole` and a `half` symbol, with the threshold as a vertical mark.
+/// Draws a bar from 0 to 1 with a `whole` and a `half` symbol and a mark at the threshold.
 fn draw_bar(
     buffer: &mut Buffer,
     area: Rect,
@@ -274,7 +274,7 @@ fn mark_column(area: Rect, threshold: f64) -> Option<u16> {
     ((0.0..=1.0).contains(&threshold)).then(|| (threshold * f64::from(last)).round() as u16)
 }
 
-/// `◄ slip   ▲ 0.50   stable ►` under the bar.
+/// Draws `◄ slip   ▲ 0.50   stable ►` under the bar.
 fn draw_scale(buffer: &mut Buffer, area: Rect, reading: &Reading, palette: Palette) {
     let area = trimmed(area);
     write(buffer, area, &Line::styled("◄ slip", palette.faint()));
@@ -303,7 +303,7 @@ mod tests {
     };
 
     fn prediction_on(p_stable: f64, novelty: Option<f64>, frame_age_ms: f64) -> PredictionStatus {
-        let said = PredictionRecord {
+        let record = PredictionRecord {
             p_stable,
             novelty,
             threshold: 0.5,
@@ -314,7 +314,7 @@ mod tests {
         };
         PredictionStatus {
             frame_age_ms,
-            ..PredictionStatus::new(said, false)
+            ..PredictionStatus::new(record, false)
         }
     }
 
@@ -323,7 +323,7 @@ mod tests {
     }
 
     #[test]
-    fn colour_and_word_follow_the_threshold() {
+    fn style_and_verdict_follow_the_threshold() {
         let stable = reading(Some(&prediction(0.5, 18.0)), PALETTE);
         assert_eq!((stable.number.as_str(), stable.verdict), ("0.50", "STABLE"));
         assert_eq!(stable.style, PALETTE.stable());
@@ -333,7 +333,7 @@ mod tests {
     }
 
     #[test]
-    fn an_old_frame_gives_no_verdict() {
+    fn old_frame_gives_no_verdict() {
         for age in [501.0, f64::NAN, f64::INFINITY] {
             let old = reading(Some(&prediction(0.9, age)), PALETTE);
             assert_eq!(old.verdict, "OLD");
@@ -342,17 +342,20 @@ mod tests {
     }
 
     #[test]
-    fn nothing_is_claimed_of_images_that_the_model_does_not_know() {
+    fn out_of_distribution_images_are_unsure() {
         let read =
             |novelty, age_ms| reading(Some(&prediction_on(0.97, Some(novelty), age_ms)), PALETTE);
-        let odd = read(1.01, 18.0);
-        assert_eq!((odd.verdict, odd.style), ("UNSURE", PALETTE.warning()));
+        let unsure = read(1.01, 18.0);
+        assert_eq!(
+            (unsure.verdict, unsure.style),
+            ("UNSURE", PALETTE.warning())
+        );
         assert_eq!(read(0.99, 18.0).verdict, "STABLE");
         assert_eq!(read(7.0, 900.0).verdict, "OLD");
     }
 
     #[test]
-    fn nothing_is_claimed_without_a_number() {
+    fn missing_probability_gives_no_verdict() {
         for absent in [None, Some(prediction(f64::NAN, 1.0))] {
             let reading = reading(absent.as_ref(), PALETTE);
             assert_eq!((reading.number.as_str(), reading.verdict), ("-.--", ""));
@@ -361,7 +364,7 @@ mod tests {
     }
 
     #[test]
-    fn the_bar_is_filled_in_proportion() {
+    fn bar_length_is_proportional() {
         let area = Rect::new(0, 0, 12, 1);
         for (p, full) in [(0.0, 0), (0.3, 3), (1.0, 10), (7.0, 10), (-1.0, 0)] {
             let mut buffer = Buffer::empty(area);
@@ -377,7 +380,7 @@ mod tests {
     }
 
     #[test]
-    fn the_threshold_is_marked_where_it_is() {
+    fn threshold_is_marked() {
         let area = Rect::new(0, 0, 13, 1);
         let mut buffer = Buffer::empty(area);
         let reading = reading(Some(&prediction(0.9, 1.0)), PALETTE);

@@ -59,20 +59,20 @@ fn right(status: &EngineStatus, palette: Palette) -> Line<'_> {
     Line::from(spans)
 }
 
-/// `REC 1.2 GB` while the black box logs everything.
+/// Returns the state of the black box: `REC 1.2 GB` while it logs everything.
 fn recording(black_box: &BlackBoxStatus, palette: Palette) -> (String, Style) {
     if black_box.stopped.is_some() {
         return ("REC off   ".into(), palette.warning());
     }
     let size = bytes(black_box.bytes);
     if black_box.dropped > 0 {
-        let text = format!("REC {size}, {} left out   ", black_box.dropped);
+        let text = format!("REC {size}, {} dropped   ", black_box.dropped);
         return (text, palette.warning());
     }
     (format!("REC {size}   "), palette.faint())
 }
 
-/// Decimal units, as disks are sold.
+/// Formats a byte count in decimal units.
 fn bytes(bytes: u64) -> String {
     let gb = bytes as f64 / 1e9;
     match gb {
@@ -88,7 +88,7 @@ mod tests {
     use super::bytes;
 
     #[test]
-    fn sizes_read_well() {
+    fn byte_counts_use_decimal_units() {
         assert_eq!(bytes(212_000_000_000), "212 GB");
         assert_eq!(bytes(4_230_000_000), "4.2 GB");
         assert_eq!(bytes(640_000_000), "640 MB");

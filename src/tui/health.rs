@@ -1,4 +1,4 @@
-//! The sensors in detail: identity, state and all counters of every camera.
+//! Sensor details: identity, state and counters of every camera.
 
 use ratatui::buffer::Buffer;
 use ratatui::layout::Rect;
@@ -28,11 +28,14 @@ fn lines(camera: &CameraStatus, width: usize, palette: Palette) -> [Line<'static
         _ => String::new(),
     };
     let identity = [
-        camera.product.clone(),
-        named("serial", &camera.serial),
-        named("usb", &camera.port),
+        ("", &camera.product),
+        ("serial ", &camera.serial),
+        ("usb ", &camera.port),
     ];
-    let identity: Vec<_> = identity.into_iter().filter(|s| !s.is_empty()).collect();
+    let identity = identity.into_iter().filter(|(_, value)| !value.is_empty());
+    let identity: Vec<_> = identity
+        .map(|(name, value)| format!("{name}{value}"))
+        .collect();
     let age = camera
         .frame_age_ms
         .map_or_else(|| "–".to_owned(), duration_ms);
@@ -59,13 +62,6 @@ fn lines(camera: &CameraStatus, width: usize, palette: Palette) -> [Line<'static
             counter(camera.counters.reconnects, "reopened", palette),
         ]),
     ]
-}
-
-fn named(name: &str, value: &str) -> String {
-    match value {
-        "" => String::new(),
-        value => format!("{name} {value}"),
-    }
 }
 
 fn counter(count: u64, word: &str, palette: Palette) -> Span<'static> {

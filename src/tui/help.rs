@@ -11,24 +11,24 @@ const KEYS: [(&str, &str); 15] = [
     ("space, pedal", "next step: initial frame, then grasp frame"),
     ("i", "take the initial frame (again)"),
     ("g", "take the grasp frame"),
-    ("s", "it held: label the last grasp stable"),
-    ("f", "it slipped or fell: label it slip"),
+    ("s", "label the last grasp stable"),
+    ("f", "label the last grasp slip (slipped or fell)"),
     ("u", "undo the last step (again for more)"),
     ("r", "redo what was undone"),
-    ("!", "take it anyway after a refusal; recorded"),
-    ("o", "name of the object"),
-    ("n", "name of the scene"),
-    ("p", "name of the operator"),
+    ("!", "override a refusal; recorded with the grasp"),
+    ("o", "set the object name"),
+    ("n", "set the scene name"),
+    ("p", "set the operator name"),
     ("h", "sensors in detail"),
-    ("Esc", "close a panel, shrink the fault screen"),
-    ("q", "quit; asks if something is not finished"),
+    ("Esc", "close a panel, minimise the fault screen"),
+    ("q", "quit; asks if work is unfinished"),
     ("Ctrl-C", "quit at once; all saved grasps are safe"),
 ];
 
 const WIDTH: u16 = 62;
-const TITLE: &str = " Keys — any of them works while this is open; ? closes ";
+const TITLE: &str = " Keys — all of them work while this is open; ? closes ";
 
-/// Draws the overview in the middle of `area`.
+/// Draws the overview centred in `area`.
 pub(super) fn draw(buffer: &mut Buffer, area: Rect, palette: Palette) {
     let width = WIDTH.min(area.width);
     let height = (KEYS.len() as u16 + 3).min(area.height);
@@ -40,7 +40,7 @@ pub(super) fn draw(buffer: &mut Buffer, area: Rect, palette: Palette) {
     );
     fill(buffer, panel, palette.panel());
     write(buffer, panel, &Line::styled(TITLE, palette.entry()));
-    // The blank lines go first when the screen is low.
+    // Low screens omit the blank lines.
     let top = u16::from(usize::from(height) > KEYS.len() + 1) + 1;
     for (index, (key, meaning)) in (top..).zip(KEYS) {
         let line = Line::from(vec![

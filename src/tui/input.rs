@@ -1,45 +1,37 @@
-//! Keys of the terminal: what each asks for.
+//! Actions of the terminal keys.
 
 use crossterm::event::{KeyCode, KeyEvent, KeyEventKind, KeyModifiers};
 
 use super::prompt::Field;
+use super::state::Overlay;
 use gripcast_dataset::Outcome;
 use gripcast_session::Command;
 
-/// What a key asks for.
+/// Action of a key.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum UiAction {
-    /// The session shall do this.
+    /// Send a session command.
     Command(Command),
-    /// The screen shall show something else.
-    Ui(UiChange),
-    /// Leave, after a question if something is unfinished.
+    /// Show or hide an overlay.
+    Toggle(Overlay),
+    /// Prompt for a name.
+    Prompt(Field),
+    /// Close the overlay, or dismiss a fault.
+    Close,
+    /// Quit, with confirmation if work is unfinished.
     Quit,
-    /// Leave at once.
+    /// Quit at once.
     QuitNow,
 }
 
-/// A change of the screen alone.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum UiChange {
-    /// Show or hide the keys.
-    Help,
-    /// Show or hide the sensors in detail.
-    Sensors,
-    /// Ask for a name.
-    Ask(Field),
-    /// Close what lies on top.
-    Close,
-}
-
-/// Whether the key asks to leave at once, whatever is open.
+/// Returns whether the key is Ctrl-C.
 pub(super) fn is_interrupt(key: &KeyEvent) -> bool {
     key.kind == KeyEventKind::Press
         && key.modifiers.contains(KeyModifiers::CONTROL)
         && matches!(key.code, KeyCode::Char('c' | 'C'))
 }
 
-/// What a key asks for while no prompt is open; only presses count, and capitals count as small.
+/// Returns the action of a key press without an open prompt, ignoring case.
 pub fn action(key: &KeyEvent) -> Option<UiAction> {
     if key.kind != KeyEventKind::Press {
         return None;
@@ -52,7 +44,7 @@ pub fn action(key: &KeyEvent) -> Option<UiAction> {
         return None;
     }
     let command = match key.code {
-        KeyCode::Esc => return Some(UiAction::Ui(UiChange::Close)),
+        KeyCode::Esc => return Some(UiAction::Close),
         KeyCode::Char(c) => match c.to_ascii_lowercase() {
             ' ' => Command::Trigger,
             'i' => Command::Initial,
@@ -62,11 +54,11 @@ pub fn action(key: &KeyEvent) -> Option<UiAction> {
             'u' => Command::Undo,
             'r' => Command::Redo,
             '!' => Command::Override,
-            'o' => return Some(UiAction::Ui(UiChange::Ask(Field::Object))),
-            'n' => return Some(UiAction::Ui(UiChange::Ask(Field::Scene))),
-            'p' => return Some(UiAction::Ui(UiChange::Ask(Field::Operator))),
-            'h' => return Some(UiAction::Ui(UiChange::Sensors)),
-            '?' => return Some(UiAction::Ui(UiChange::Help)),
+            'o' => return Some(UiAction::Prompt(Field::Object)),
+            'n' => return Some(UiAction::Prompt(Field::Scene)),
+            'p' => return Some(UiAction::Prompt(Field::Operator)),
+            'h' => return Some(UiAction::Toggle(Overlay::Sensors)),
+            '?' => return Some(UiAction::Toggle(Overlay::Help)),
             'q' => return Some(UiAction::Quit),
             _ => return None,
         },
@@ -84,7 +76,7 @@ mod tests {
     }
 
     #[test]
-    fn every_key_of_the_help_does_its_work() {
+    fn all_documented_keys_have_an_action() {
         for (c, command) in [
             (' ', Command::Trigger),
             ('i', Command::Initial),
@@ -97,29 +89,29 @@ mod tests {
         ] {
             assert_eq!(action(&key(c)), Some(UiAction::Command(command)), "{c:?}");
         }
-        for (c, change) in [
-            ('o', UiChange::Ask(Field::Object)),
-            ('n', UiChange::Ask(Field::Scene)),
-            ('p', UiChange::Ask(Field::Operator)),
-            ('h', UiChange::Sensors),
-            ('?', UiChange::Help),
+        for (c, expected) in [
+            ('o', UiAction::Prompt(Field::Object)),
+            ('n', UiAction::Prompt(Field::Scene)),
+            ('p', UiAction::Prompt(Field::Operator)),
+            ('h', UiAction::Toggle(Overlay::Sensors)),
+            ('?', UiAction::Toggle(Overlay::Help)),
+            ('q', UiAction::Quit),
         ] {
-            assert_eq!(action(&key(c)), Some(UiAction::Ui(change)), "{c:?}");
+            assert_eq!(action(&key(c)), Some(expected), "{c:?}");
         }
-        assert_eq!(action(&key('q')), Some(UiAction::Quit));
         let escape = KeyEvent::new(KeyCode::Esc, KeyModifiers::NONE);
-        assert_eq!(action(&escape), Some(UiAction::Ui(UiChange::Close)));
+        assert_eq!(action(&escape), Some(UiAction::Close));
     }
 
     #[test]
-    fn caps_lock_does_not_disarm_the_keys() {
+    fn keys_work_with_caps_lock() {
         let key = KeyEvent::new(KeyCode::Char('S'), KeyModifiers::SHIFT);
         let stable = UiAction::Command(Command::Label(Outcome::Stable));
         assert_eq!(action(&key), Some(stable));
     }
 
     #[test]
-    fn releases_repeats_and_unknown_keys_do_nothing() {
+    fn releases_repeats_and_unknown_keys_are_ignored() {
         for kind in [KeyEventKind::Release, KeyEventKind::Repeat] {
             let mut key = key(' ');
             key.kind = kind;
@@ -134,7 +126,7 @@ mod tests {
     }
 
     #[test]
-    fn control_c_leaves_and_other_chords_do_not_label() {
+    fn control_c_quits_and_other_chords_are_ignored() {
         let chord = |c, modifiers| KeyEvent::new(KeyCode::Char(c), modifiers);
         let interrupt = chord('c', KeyModifiers::CONTROL);
         assert_eq!(action(&interrupt), Some(UiAction::QuitNow));

@@ -1,25 +1,27 @@
-//! Waits for keys and sees when the terminal has gone: the event source of `crossterm` reads an
-//! abandoned terminal for ever without returning.
+//! Waits for keys and detects a closed terminal, on which the event source of `crossterm` never
+//! returns.
 
 use std::fs::File;
 use std::io::{self, IsTerminal as _};
 use std::os::fd::{AsFd, BorrowedFd};
 use std::time::Duration;
 
+use crossterm::event::{self, Event};
 use rustix::event::{PollFd, PollFlags, Timespec, poll};
 
-/// The terminal that keys come from: standard input, or the controlling terminal where that is
-/// something else.
+use gripcast_base::error::{Error, Result};
+
+/// Terminal for key input: standard input if it is a terminal, else the controlling terminal.
 pub(crate) enum Keyboard {
     Standard,
     Controlling(File),
 }
 
 impl Keyboard {
-    /// The same terminal that `crossterm` reads.
+    /// Opens the terminal that `crossterm` reads.
     ///
     /// # Errors
-    /// Where there is no terminal.
+    /// If there is no terminal.
     pub(crate) fn open() -> io::Result<Self> {
         if io::stdin().is_terminal() {
             return Ok(Self::Standard);
@@ -27,32 +29,53 @@ impl Keyboard {
         File::open("/dev/tty").map(Self::Controlling)
     }
 
-    /// Waits until something was typed, at most `longest`. False once the terminal has gone.
+    /// Waits at most `timeout` and returns all pending events; `None` once the terminal is closed.
     ///
     /// # Errors
-    /// Those of the operating system.
-    pub(crate) fn wait(&self, longest: Duration) -> io::Result<bool> {
+    /// Errors of the operating system.
+    pub(super) fn events(&self, timeout: Duration) -> Result<Option<Vec<Event>>> {
+        if !self.wait(timeout).map_err(unreadable)? {
+            return Ok(None);
+        }
+        let mut events = Vec::new();
+        while event::poll(Duration::ZERO).map_err(unreadable)? {
+            events.push(event::read().map_err(unreadable)?);
+        }
+        Ok(Some(events))
+    }
+
+    /// Waits for input, at most `timeout`; returns false once the terminal is closed.
+    ///
+    /// # Errors
+    /// Errors of the operating system.
+    pub(crate) fn wait(&self, timeout: Duration) -> io::Result<bool> {
         match self {
-            Self::Standard => is_there(io::stdin().as_fd(), longest),
-            Self::Controlling(tty) => is_there(tty.as_fd(), longest),
+            Self::Standard => wait_for_input(io::stdin().as_fd(), timeout),
+            Self::Controlling(tty) => wait_for_input(tty.as_fd(), timeout),
         }
     }
 }
 
-fn is_there(terminal: BorrowedFd<'_>, longest: Duration) -> io::Result<bool> {
+/// Returns the error of a terminal whose keys cannot be read.
+pub(super) fn unreadable(source: io::Error) -> Error {
+    Error::io("cannot read keys from this terminal", source)
+        .remedy("run in a terminal, or without a screen (--headless)")
+}
+
+fn wait_for_input(terminal: BorrowedFd<'_>, timeout: Duration) -> io::Result<bool> {
     let mut watched = [PollFd::from_borrowed_fd(terminal, PollFlags::IN)];
-    let longest = Timespec {
-        tv_sec: longest.as_secs() as i64,
-        tv_nsec: i64::from(longest.subsec_nanos()),
+    let timeout = Timespec {
+        tv_sec: timeout.as_secs() as i64,
+        tv_nsec: i64::from(timeout.subsec_nanos()),
     };
-    match poll(&mut watched, Some(&longest)) {
+    match poll(&mut watched, Some(&timeout)) {
         Ok(_) => {}
-        // A signal, such as that of a changed size: there may be an event.
+        // A signal, for example of a resize, may be an event.
         Err(rustix::io::Errno::INTR) => return Ok(true),
         Err(error) => return Err(error.into()),
     }
-    let gone = PollFlags::HUP | PollFlags::ERR | PollFlags::NVAL;
-    Ok(!watched[0].revents().intersects(gone))
+    let closed = PollFlags::HUP | PollFlags::ERR | PollFlags::NVAL;
+    Ok(!watched[0].revents().intersects(closed))
 }
 
 #[cfg(test)]
@@ -63,12 +86,12 @@ mod tests {
     use super::*;
 
     #[test]
-    fn typing_ends_the_wait_and_a_hangup_is_seen() {
+    fn input_ends_the_wait_and_hangup_is_detected() {
         let (ours, mut theirs) = UnixStream::pair().unwrap();
-        assert!(is_there(ours.as_fd(), Duration::ZERO).unwrap());
+        assert!(wait_for_input(ours.as_fd(), Duration::ZERO).unwrap());
         theirs.write_all(b"q").unwrap();
-        assert!(is_there(ours.as_fd(), Duration::from_secs(60)).unwrap());
+        assert!(wait_for_input(ours.as_fd(), Duration::from_secs(60)).unwrap());
         drop(theirs);
-        assert!(!is_there(ours.as_fd(), Duration::from_secs(60)).unwrap());
+        assert!(!wait_for_input(ours.as_fd(), Duration::from_secs(60)).unwrap());
     }
 }

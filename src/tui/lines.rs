@@ -1,4 +1,4 @@
-//! Plain lines for logs and terminals without a screen: one a change of the engine's state.
+//! Plain text lines without a screen: one per change of the engine's state.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -6,7 +6,7 @@ use std::time::{Duration, Instant};
 
 use tokio::sync::watch;
 
-use super::fault::{place, sentence};
+use super::fault::{identity, summary};
 use super::gauge::word;
 use crate::daemon::{
     BlackBoxStatus, CameraState, CameraStatus, EngineStatus, MarkerStatus, PredictionStatus,
@@ -18,71 +18,61 @@ use gripcast_imaging::Role;
 use gripcast_nn::predict::Verdict;
 use gripcast_session::{LastGrasp, Message, MessageLevel};
 
-/// Shortest time between two lines on the same camera, or on the live prediction.
+/// Minimum interval between two lines on the same subject.
 const MIN_INTERVAL: Duration = Duration::from_secs(2);
 
-/// Turns statuses into lines; knows what it has said.
+/// Converts statuses to lines and remembers what was printed.
 #[derive(Debug, Default)]
 pub struct LinePrinter {
-    cameras: BTreeMap<Role, Said<&'static str>>,
-    markers: Said<&'static str>,
-    prediction: Said<&'static str>,
-    absence: Option<String>,
-    black_box: Said<BlackBoxNews>,
+    cameras: BTreeMap<Role, Printed<&'static str>>,
+    markers: Printed<&'static str>,
+    prediction: Printed<&'static str>,
+    no_prediction_reason: Option<String>,
+    black_box: Printed<BlackBoxNews>,
     black_box_ended: bool,
     last: Option<LastGrasp>,
     message: Option<Message>,
     started: bool,
 }
 
-/// What can be said of the black box.
+/// News about the black box.
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum BlackBoxNews {
     Logging,
-    LeftOut(u64),
+    Dropped(u64),
 }
 
-/// What was said on a subject, and when.
+/// Value and time of the last line on a subject.
 #[derive(Clone, Copy, Debug)]
-struct Said<T> {
-    what: Option<T>,
-    at: Option<Instant>,
-}
+struct Printed<T>(Option<(T, Instant)>);
 
-impl<T> Default for Said<T> {
+impl<T> Default for Printed<T> {
     fn default() -> Self {
-        Self {
-            what: None,
-            at: None,
-        }
+        Self(None)
     }
 }
 
-impl<T: PartialEq + Copy> Said<T> {
-    /// Whether `what` is news and enough time has passed; if so it counts as said.
-    fn is_news(&mut self, what: T, now: Instant) -> bool {
-        let quiet = self
-            .at
-            .is_none_or(|at| now.saturating_duration_since(at) >= MIN_INTERVAL);
-        let news = quiet && self.what != Some(what);
+impl<T: PartialEq + Copy> Printed<T> {
+    /// Returns whether `value` is to be printed now: it has changed and the interval has passed.
+    fn is_news(&mut self, value: T, now: Instant) -> bool {
+        let news = self.0.is_none_or(|(last, at)| {
+            last != value && now.saturating_duration_since(at) >= MIN_INTERVAL
+        });
         if news {
-            *self = Self {
-                what: Some(what),
-                at: Some(now),
-            };
+            self.0 = Some((value, now));
         }
         news
     }
 }
 
 impl LinePrinter {
-    /// The lines that `status` gives rise to at `now`.
+    /// Returns the lines for a new status.
     pub fn lines(&mut self, status: &EngineStatus, now: Instant) -> Vec<String> {
         let mut lines = Vec::new();
         if !std::mem::replace(&mut self.started, true) {
             let (dataset, rig) = (&status.dataset, &status.rig);
             lines.push(format!("collecting into {dataset} with rig {rig}"));
-            // What the dataset held before is no news.
+            // Earlier grasps of the dataset are not news.
             self.last = status.session.last.clone();
         }
         for camera in &status.cameras {
@@ -104,38 +94,38 @@ impl LinePrinter {
     ) -> Option<String> {
         let words = match &camera.state {
             CameraState::Opening => return None,
-            CameraState::Live => format!("{}: live ({})", camera.role, place(camera)),
+            CameraState::Live => format!("{}: live ({})", camera.role, identity(camera)),
             CameraState::Ended => format!("{}: the recording has ended", camera.role),
             CameraState::Lost { reason } => {
-                format!("FAULT {}: {reason}", sentence(camera, status))
+                format!("FAULT {}: {reason}", summary(camera, status))
             }
-            _ => format!("FAULT {}", sentence(camera, status)),
+            _ => format!("FAULT {}", summary(camera, status)),
         };
-        let said = self.cameras.entry(camera.role).or_default();
-        said.is_news(camera.state.word(), now).then_some(words)
+        let printed = self.cameras.entry(camera.role).or_default();
+        printed.is_news(camera.state.word(), now).then_some(words)
     }
 
-    /// Whether sheet and tags can be measured, when that changes.
+    /// Reports changes of the marker detection.
     fn markers(&mut self, camera: &CameraStatus, now: Instant) -> Option<String> {
         let MarkerStatus { ok, text } = camera.markers.as_ref()?;
         let (state, words) = match ok {
             true => (
-                "seen",
+                "detected",
                 format!("{}: pose can be measured ({text})", camera.role),
             ),
-            false => ("not seen", format!("{}: no pose: {text}", camera.role)),
+            false => ("not detected", format!("{}: no pose: {text}", camera.role)),
         };
         self.markers.is_news(state, now).then_some(words)
     }
 
-    /// That everything is logged, that some of it is not, or why nothing is any more.
+    /// Reports start, dropped frames and end of the black box.
     fn black_box(&mut self, status: Option<&BlackBoxStatus>, now: Instant) -> Option<String> {
         let status = status?;
         if let Some(reason) = &status.stopped {
-            // Comes once and must not wait: the collection may end before.
-            let told = std::mem::replace(&mut self.black_box_ended, true);
-            return (!told).then(|| {
-                format!("warning: the black box has ended, the collection goes on: {reason}")
+            // Not rate-limited, because the collection may end soon.
+            let was_reported = std::mem::replace(&mut self.black_box_ended, true);
+            return (!was_reported).then(|| {
+                format!("warning: the black box has stopped, the collection continues: {reason}")
             });
         }
         let (news, words) = match status.dropped {
@@ -144,57 +134,56 @@ impl LinePrinter {
                 format!("black box: logging to {}", status.directory),
             ),
             dropped => (
-                BlackBoxNews::LeftOut(dropped),
-                format!("warning: the disk is slow: {dropped} frame(s) are not in the black box"),
+                BlackBoxNews::Dropped(dropped),
+                format!("warning: slow disk: the black box dropped {dropped} frame(s)"),
             ),
         };
         self.black_box.is_news(news, now).then_some(words)
     }
 
-    /// The live prediction when it appears or changes sides.
+    /// Reports the live prediction when its verdict changes.
     fn prediction(&mut self, status: &EngineStatus, now: Instant) -> Option<String> {
         if let Some(prediction) = &status.prediction {
-            self.absence = None;
+            self.no_prediction_reason = None;
             let verdict = match prediction.verdict {
                 Verdict::Unsure => "UNSURE, unlike the training images",
-                known => word(known),
+                verdict => word(verdict),
             };
             return self
                 .prediction
                 .is_news(verdict, now)
                 .then(|| live(prediction, verdict));
         }
-        let absence = status.prediction_absent.clone();
-        let news = absence != self.absence;
-        self.absence.clone_from(&absence);
-        absence
-            .filter(|_| news)
-            .map(|reason| format!("no prediction: {reason}"))
+        let reason = status.no_prediction_reason.clone();
+        let news = reason != self.no_prediction_reason;
+        self.no_prediction_reason.clone_from(&reason);
+        let reason = reason.filter(|_| news)?;
+        Some(format!("no prediction: {reason}"))
     }
 
-    /// A new grasp with what was predicted, or a new label of the newest one.
+    /// Reports a new grasp with its prediction, or a new label of the newest one.
     fn grasp(&mut self, last: Option<&LastGrasp>) -> Vec<String> {
         let before = std::mem::replace(&mut self.last, last.cloned());
         let Some(last) = last else {
             return Vec::new();
         };
         let mut lines = Vec::new();
-        let known = before.as_ref().filter(|before| before.id == last.id);
-        if known.is_none() {
+        let same = before.as_ref().filter(|before| before.id == last.id);
+        if same.is_none() {
             let predicted = last.predicted.as_ref().map_or_else(
                 || "no prediction".to_owned(),
-                |said| format!("predicted {:.2} {}", said.p_stable, word(verdict_of(said))),
+                |p| format!("predicted {:.2} {}", p.p_stable, word(verdict_of(p))),
             );
             lines.push(format!("saved {} {}: {predicted}", last.id, last.object));
         }
-        let label_before = known.map_or(Outcome::Unlabelled, |known| known.outcome);
+        let label_before = same.map_or(Outcome::Unlabelled, |grasp| grasp.outcome);
         if last.outcome != label_before {
             lines.push(format!("labelled {} {}", last.id, last.outcome));
         }
         lines
     }
 
-    /// Warnings and errors; what went well is said by the other lines.
+    /// Reports warnings and errors.
     fn message(&mut self, message: Option<&Message>) -> Option<String> {
         let news = message != self.message.as_ref();
         self.message = message.cloned();
@@ -208,18 +197,17 @@ impl LinePrinter {
 }
 
 fn live(prediction: &PredictionStatus, verdict: &str) -> String {
-    let kind = if prediction.heuristic {
-        ", a heuristic"
-    } else {
-        ""
+    let kind = match prediction.heuristic {
+        true => ", heuristic",
+        false => "",
     };
     format!(
         "predicting {:.2} {verdict} ({}{kind})",
-        prediction.said.p_stable, prediction.said.model
+        prediction.record.p_stable, prediction.record.model
     )
 }
 
-/// Prints lines on standard error until the sender of `status` is dropped.
+/// Prints lines to standard error until the sender of `status` is dropped.
 pub async fn print_lines(mut status: watch::Receiver<Arc<EngineStatus>>) {
     let mut printer = LinePrinter::default();
     loop {

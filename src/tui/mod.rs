@@ -1,9 +1,7 @@
-//! The operator's screen, its sounds, and the plain lines where there is no terminal; the dashboard
-//! of a training.
+//! Operator screen, tones, plain text output without a terminal, and the training dashboard.
 //!
-//! [`run()`] owns the terminal on its own thread: it draws the newest [`EngineStatus`] and turns keys
-//! into session commands. It knows nothing else of the engine, so a slow or stuck terminal never
-//! holds up the capture.
+//! [`run()`] owns the terminal on its own thread: it draws the newest [`EngineStatus`] and converts
+//! keys to session commands. A slow or stuck terminal never delays the capture.
 //!
 //! [`EngineStatus`]: crate::daemon::EngineStatus
 
@@ -33,7 +31,7 @@ mod tone;
 mod training;
 
 pub use collect::draw;
-pub use input::{UiAction, UiChange, action};
+pub use input::{UiAction, action};
 pub(crate) use keyboard::Keyboard;
 pub use lines::{LinePrinter, print_lines};
 pub use palette::{ColourDepth, Palette};

@@ -1,15 +1,15 @@
-//! Colours of the screen and what remains of them on a poorer terminal.
+//! Colours of the screen, adapted to the terminal.
 
 use ratatui::style::{Color, Modifier, Style};
 
-/// What the terminal can show.
+/// Colour depth of the terminal.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ColourDepth {
     /// 24-bit colour.
     True,
     /// The 256 colours of xterm.
     Indexed,
-    /// No colour; images become shades of characters.
+    /// No colour; images are drawn with characters.
     Mono,
 }
 
@@ -35,7 +35,7 @@ impl ColourDepth {
         }
     }
 
-    /// The nearest colour that the terminal has; `None` without colours.
+    /// Returns the nearest available colour; `None` without colours.
     pub(super) fn colour(self, [r, g, b]: [u8; 3]) -> Option<Color> {
         match self {
             Self::True => Some(Color::Rgb(r, g, b)),
@@ -45,7 +45,7 @@ impl ColourDepth {
     }
 }
 
-/// Index of the nearest entry of xterm's 6×6×6 cube or its grey ramp.
+/// Returns the index of the nearest colour in xterm's 6×6×6 cube or grey ramp.
 fn xterm_index(rgb: [u8; 3]) -> u8 {
     const LEVELS: [u8; 6] = [0, 95, 135, 175, 215, 255];
     let distance = |other: [u8; 3]| -> u32 {
@@ -71,10 +71,10 @@ fn xterm_index(rgb: [u8; 3]) -> u8 {
     }
 }
 
-/// Styles by meaning. Meaning is never in the colour alone: words say the same.
+/// Styles by meaning. Colour is never the only carrier of meaning.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Palette {
-    /// What the terminal can show.
+    /// Colour depth of the terminal.
     pub depth: ColourDepth,
 }
 
@@ -117,12 +117,12 @@ impl Palette {
         self.text(AMBER).add_modifier(Modifier::BOLD)
     }
 
-    /// A warning where `is_odd`, else `style`.
-    pub(super) fn warning_if(self, is_odd: bool, style: Style) -> Style {
-        if is_odd { self.warning() } else { style }
+    /// Returns the warning style if `is_warning`, else `style`.
+    pub(super) fn warning_if(self, is_warning: bool, style: Style) -> Style {
+        if is_warning { self.warning() } else { style }
     }
 
-    /// Text that explains; still readable on dark and light backgrounds.
+    /// Secondary text, readable on dark and light backgrounds.
     pub(super) fn faint(self) -> Style {
         match self.depth {
             ColourDepth::Mono => Style::new().add_modifier(Modifier::DIM),
@@ -135,7 +135,7 @@ impl Palette {
         self.text(DARK)
     }
 
-    /// Symbol of the empty part of a bar of `full`; without colours only the symbol tells.
+    /// Returns the symbol of the empty part of a bar; without colours it differs from `full`.
     pub(super) fn empty(self, full: &'static str) -> &'static str {
         match self.depth {
             ColourDepth::Mono => "·",
@@ -151,12 +151,12 @@ impl Palette {
         self.text(CYAN).add_modifier(Modifier::BOLD)
     }
 
-    /// First curve of a chart; its colour is legible on black and on white.
+    /// First curve of a chart, legible on black and on white.
     pub(super) fn first_curve(self) -> Style {
         self.text(SKY)
     }
 
-    /// Second curve of a chart; likewise.
+    /// Second curve of a chart, legible on black and on white.
     pub(super) fn second_curve(self) -> Style {
         self.text(ORANGE)
     }
@@ -213,7 +213,7 @@ mod tests {
     }
 
     #[test]
-    fn the_environment_decides() {
+    fn colour_depth_follows_the_environment() {
         let xterm = ("TERM", "xterm-256color");
         assert_eq!(depth(&[xterm]), ColourDepth::Indexed);
         assert_eq!(
@@ -230,7 +230,7 @@ mod tests {
     }
 
     #[test]
-    fn xterm_colours_are_the_nearest() {
+    fn nearest_xterm_colour_is_chosen() {
         assert_eq!(xterm_index([0, 0, 0]), 16);
         assert_eq!(xterm_index([255, 255, 255]), 231);
         assert_eq!(xterm_index([255, 0, 0]), 196);

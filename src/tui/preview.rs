@@ -1,4 +1,4 @@
-//! Camera images as half blocks: two pixels a cell, the aspect kept.
+//! Camera images as half blocks: two pixels per cell, aspect ratio kept.
 
 use image::RgbImage;
 use ratatui::buffer::Buffer;
@@ -7,28 +7,25 @@ use ratatui::style::Style;
 use ratatui::text::{Line, Span};
 
 use super::palette::{ColourDepth, Palette};
-use super::text::{clipped, row, write};
+use super::text::{clipped, inset, row, write};
 use crate::daemon::{EngineStatus, Preview};
 use gripcast_imaging::Role;
 
-/// Narrower images show nothing that helps; the last roles are left out instead.
+/// Minimum width of an image; otherwise the last cameras are omitted.
 const MIN_COLUMNS: u16 = 16;
-/// Shape of an image that has not arrived yet, width to height.
-const USUAL_ASPECT: (u32, u32) = (4, 3);
+/// Aspect ratio assumed for the layout.
+const DEFAULT_ASPECT: (u32, u32) = (4, 3);
 /// Characters from empty to full, for terminals without colours.
 const SHADES: &[u8] = b" .:-=+*#%@";
-/// Grey of "no change" in a difference image.
+/// Grey level of no change in a tactile difference.
 const NO_CHANGE: u8 = 128;
 
-/// Draws the images of all cameras that fit side by side or in rows, each with its caption.
+/// Draws the images of as many cameras as fit, each with its caption.
 pub(super) fn draw(buffer: &mut Buffer, area: Rect, status: &EngineStatus, palette: Palette) {
     let mut roles: Vec<Role> = status.cameras.iter().map(|camera| camera.role).collect();
-    for role in status.previews.keys() {
-        if !roles.contains(role) {
-            roles.push(*role);
-        }
-    }
+    roles.extend(status.previews.keys());
     roles.sort_unstable();
+    roles.dedup();
     while roles.len() > 1 && grid(area, roles.len()).1.width < MIN_COLUMNS {
         roles.pop();
     }
@@ -37,73 +34,47 @@ pub(super) fn draw(buffer: &mut Buffer, area: Rect, status: &EngineStatus, palet
     }
     let (across, cell) = grid(area, roles.len());
     for (index, role) in (0..).zip(&roles) {
-        let tile = Rect::new(
-            area.x + index % across * (cell.width + 1),
-            area.y + index / across * cell.height,
-            cell.width,
-            cell.height,
-        );
-        let contact = status.contact.get(role).copied();
-        draw_tile(
-            buffer,
-            tile,
-            *role,
-            (status.previews.get(role), contact),
-            palette,
-        );
+        let tile = Rect {
+            x: area.x + index % across * (cell.width + 1),
+            y: area.y + index / across * cell.height,
+            ..cell
+        };
+        draw_tile(buffer, tile, *role, status, palette);
     }
 }
 
-/// Tiles across, and the size of one, for the arrangement with the largest images.
+/// Returns the number of columns and the tile size with the largest images.
 fn grid(area: Rect, count: usize) -> (u16, Rect) {
     let count = u16::try_from(count).unwrap_or(u16::MAX).max(1);
     let tile = |across: u16| {
-        let down = count.div_ceil(across);
-        Rect::new(
-            0,
-            0,
-            (area.width + 1) / across - u16::from(across <= area.width),
-            area.height / down,
-        )
+        let width = (area.width + 1) / across - u16::from(across <= area.width);
+        Rect::new(0, 0, width, area.height / count.div_ceil(across))
     };
     let across = (1..=count)
         .max_by_key(|&across| {
             let tile = tile(across);
-            fitted(USUAL_ASPECT, tile.width, tile.height.saturating_sub(1)).area()
+            fitted(DEFAULT_ASPECT, tile.width, tile.height.saturating_sub(1)).area()
         })
         .unwrap_or(1);
     (across, tile(across))
 }
 
-fn draw_tile(
-    buffer: &mut Buffer,
-    tile: Rect,
-    role: Role,
-    (preview, contact): (Option<&Preview>, Option<f64>),
-    palette: Palette,
-) {
+fn draw_tile(buffer: &mut Buffer, tile: Rect, role: Role, status: &EngineStatus, palette: Palette) {
     if tile.height < 2 || tile.width < 3 {
         return;
     }
-    write(
-        buffer,
-        row(tile, 0),
-        &caption(role, (preview, contact), tile.width, palette),
-    );
-    let below = Rect {
-        y: tile.y + 1,
-        height: tile.height - 1,
-        ..tile
-    };
+    let preview = status.previews.get(&role);
+    let contact = status.contact.get(&role).copied();
+    let caption = caption(role, (preview, contact), tile.width, palette);
+    write(buffer, row(tile, 0), &caption);
+    let below = inset(tile, 0, 1);
     match preview {
         Some(preview) if preview.image.width() > 0 && preview.image.height() > 0 => {
             draw_image(buffer, below, preview, palette.depth);
         }
         _ => {
-            let line = Line::styled(
-                clipped("no image yet", usize::from(below.width)),
-                palette.faint(),
-            );
+            let text = clipped("no image yet", usize::from(below.width));
+            let line = Line::styled(text, palette.faint());
             write(buffer, row(below, below.height / 2), &line);
         }
     }
@@ -130,7 +101,7 @@ fn caption(
     ])
 }
 
-/// Cells of an image of `aspect` within `columns` × `rows`; a cell is two square pixels high.
+/// Fits an image into `columns` × `rows` cells; a cell is two square pixels high.
 fn fitted((width, height): (u32, u32), columns: u16, rows: u16) -> Rect {
     let (width, height) = (f64::from(width.max(1)), f64::from(height.max(1)));
     let scale = (f64::from(columns) / width).min(2.0 * f64::from(rows) / height);
@@ -170,11 +141,11 @@ fn draw_image(buffer: &mut Buffer, area: Rect, preview: &Preview, depth: ColourD
     }
 }
 
-/// Source pixels that fall into part `index` of `parts`; never empty.
+/// Returns the source pixels of segment `index` of `parts`, at least one.
 fn span(index: u16, parts: u16, pixels: u32) -> std::ops::Range<u32> {
-    let at = |i: u32| i * pixels / u32::from(parts.max(1));
-    let start = at(u32::from(index)).min(pixels - 1);
-    start..at(u32::from(index) + 1).clamp(start + 1, pixels)
+    let edge = |i: u32| i * pixels / u32::from(parts.max(1));
+    let start = edge(u32::from(index)).min(pixels - 1);
+    start..edge(u32::from(index) + 1).clamp(start + 1, pixels)
 }
 
 fn mean(image: &RgbImage, columns: std::ops::Range<u32>, rows: std::ops::Range<u32>) -> [u8; 3] {
@@ -190,7 +161,7 @@ fn mean(image: &RgbImage, columns: std::ops::Range<u32>, rows: std::ops::Range<u
     sum.map(|total| (total / count) as u8)
 }
 
-/// Brightness, or in a difference image the strength of the change, as a character.
+/// Returns a character for the brightness, or for the strength of change in a difference image.
 fn shade(upper: [u8; 3], lower: [u8; 3], is_difference: bool) -> char {
     let strength = |pixel: [u8; 3]| -> usize {
         if is_difference {
@@ -221,7 +192,7 @@ mod tests {
     }
 
     #[test]
-    fn the_aspect_is_kept() {
+    fn aspect_ratio_is_kept() {
         assert_eq!(fitted((320, 240), 40, 100), Rect::new(0, 0, 40, 15));
         assert_eq!(fitted((320, 240), 400, 15), Rect::new(0, 0, 40, 15));
         assert_eq!(fitted((1, 10_000), 40, 15), Rect::new(0, 0, 1, 15));
@@ -229,7 +200,7 @@ mod tests {
     }
 
     #[test]
-    fn a_cell_shows_the_upper_and_the_lower_half() {
+    fn cell_shows_upper_and_lower_pixel() {
         let image = RgbImage::from_fn(4, 4, |_, y| {
             Rgb(if y < 2 { [200, 10, 20] } else { [0, 90, 250] })
         });
@@ -245,7 +216,7 @@ mod tests {
     }
 
     #[test]
-    fn without_colours_no_change_is_blank_and_change_is_not() {
+    fn monochrome_difference_shows_changes_only() {
         let image = RgbImage::from_fn(2, 1, |x, _| Rgb([128 + 127 * x as u8; 3]));
         let area = Rect::new(0, 0, 2, 1);
         let mut buffer = Buffer::empty(area);
@@ -255,14 +226,14 @@ mod tests {
     }
 
     #[test]
-    fn the_grid_takes_the_larger_images() {
+    fn grid_maximises_image_size() {
         assert_eq!(grid(Rect::new(0, 0, 60, 9), 3).0, 3);
         assert_eq!(grid(Rect::new(0, 0, 100, 40), 4).0, 2);
         assert_eq!(grid(Rect::new(0, 0, 30, 60), 3).0, 1);
     }
 
     #[test]
-    fn spans_cover_every_source_pixel_once() {
+    fn spans_cover_each_source_pixel_once() {
         let covered: Vec<u32> = (0..7).flat_map(|i| span(i, 7, 320)).collect();
         assert_eq!(covered, (0..320).collect::<Vec<_>>());
         assert_eq!(span(5, 100, 3), 0..1);

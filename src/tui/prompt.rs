@@ -1,4 +1,4 @@
-//! One line of text to type: the name of the object, the scene or the operator.
+//! One-line prompt for the name of the object, scene or operator.
 
 use crossterm::event::{KeyCode, KeyEvent, KeyModifiers};
 use ratatui::buffer::Buffer;
@@ -10,17 +10,14 @@ use super::text::{clipped, columns, fill, write};
 use gripcast_base::files::{Label, MAX_LABEL_CHARS, ObjectName, is_unsafe_char};
 use gripcast_session::{Command, SessionView};
 
-/// Longest name, in characters.
-const MAX_CHARACTERS: usize = MAX_LABEL_CHARS;
-
-/// What a prompt asks for.
+/// Field edited by a prompt.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Field {
-    /// The object that is grasped.
+    /// Object name.
     Object,
-    /// The scene.
+    /// Scene name.
     Scene,
-    /// The operator.
+    /// Operator name.
     Operator,
 }
 
@@ -33,7 +30,7 @@ impl Field {
         }
     }
 
-    fn present(self, session: &SessionView) -> &str {
+    fn current(self, session: &SessionView) -> &str {
         match self {
             Self::Object => &session.object,
             Self::Scene => &session.scene,
@@ -50,46 +47,46 @@ impl Field {
     }
 }
 
-/// What a key did to a prompt.
+/// Result of a key press in a prompt.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Reply {
-    /// Still typing.
+    /// The prompt stays open.
     Editing,
-    /// Closed; nothing changes.
+    /// Closed without a change.
     Cancelled,
-    /// Closed; this is asked for.
+    /// Closed with this command.
     Accepted(Command),
 }
 
-/// A prompt and what has been typed.
+/// An open prompt.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Prompt {
     field: Field,
-    /// The value before, taken over by Tab or ↑.
-    present: String,
+    /// Current value, inserted by Tab or ↑.
+    current: String,
     text: String,
     /// Byte position in `text`, always between characters.
     cursor: usize,
 }
 
 impl Prompt {
-    /// An empty prompt that knows the present value.
+    /// Opens an empty prompt.
     pub fn new(field: Field, session: &SessionView) -> Self {
         Self {
             field,
-            present: field.present(session).to_owned(),
+            current: field.current(session).to_owned(),
             text: String::new(),
             cursor: 0,
         }
     }
 
-    /// What has been typed.
+    /// Returns the typed text.
     pub fn text(&self) -> &str {
         &self.text
     }
 
-    /// Takes a key: letters insert; arrows, Home, End, Backspace, Delete, Ctrl-U and Ctrl-W edit;
-    /// Tab and ↑ take the present value; Enter accepts; Esc cancels.
+    /// Handles a key: characters, arrows, Home, End, Backspace, Delete, Ctrl-U and Ctrl-W edit; Tab and ↑
+    /// insert the current value; Enter accepts; Esc cancels.
     pub fn press(&mut self, key: &KeyEvent) -> Reply {
         let control = key.modifiers.contains(KeyModifiers::CONTROL);
         match key.code {
@@ -115,7 +112,7 @@ impl Prompt {
             KeyCode::Home => self.cursor = 0,
             KeyCode::End => self.cursor = self.text.len(),
             KeyCode::Tab | KeyCode::Up => {
-                self.text = self.present.chars().take(MAX_CHARACTERS).collect();
+                self.text = self.current.chars().take(MAX_LABEL_CHARS).collect();
                 self.cursor = self.text.len();
             }
             _ => {}
@@ -131,7 +128,7 @@ impl Prompt {
     }
 
     fn insert(&mut self, character: char) {
-        if !is_unsafe_char(character) && self.text.chars().count() < MAX_CHARACTERS {
+        if !is_unsafe_char(character) && self.text.chars().count() < MAX_LABEL_CHARS {
             self.text.insert(self.cursor, character);
             self.cursor += character.len_utf8();
         }
@@ -162,7 +159,7 @@ impl Prompt {
     }
 }
 
-/// Draws the prompt into the first row of `area`; returns where the cursor belongs.
+/// Draws the prompt into the first row of `area`; returns the cursor position.
 pub(super) fn draw(
     buffer: &mut Buffer,
     area: Rect,
@@ -178,9 +175,9 @@ pub(super) fn draw(
     let room = usize::from(area.width.saturating_sub(columns(&label) + 1));
     let head = tail(&prompt.text[..prompt.cursor], room);
     let line = if prompt.text.is_empty() {
-        let hint = match prompt.present.as_str() {
-            "" => "Enter takes it, Esc cancels".to_owned(),
-            present => format!("now {} (Tab edits it); Enter, Esc", clipped(present, 24)),
+        let hint = match prompt.current.as_str() {
+            "" => "Enter accepts, Esc cancels".to_owned(),
+            current => format!("now {} (Tab edits it); Enter, Esc", clipped(current, 24)),
         };
         vec![
             Span::styled(label.clone(), style),
@@ -198,19 +195,11 @@ pub(super) fn draw(
     Some(Position::new(x, area.y))
 }
 
-/// The end of `text` in at most `room` columns.
+/// Returns the end of `text` that fits into `room` columns.
 fn tail(text: &str, room: usize) -> String {
-    let mut start = 0;
-    for (at, _) in text.char_indices() {
-        start = at;
-        if usize::from(columns(&text[at..])) <= room {
-            return text[at..].to_owned();
-        }
-    }
-    match usize::from(columns(&text[start..])) <= room {
-        true => text[start..].to_owned(),
-        false => String::new(),
-    }
+    let mut starts = text.char_indices().map(|(start, _)| &text[start..]);
+    let fitting = starts.find(|tail| usize::from(columns(tail)) <= room);
+    fitting.unwrap_or_default().to_owned()
 }
 
 #[cfg(test)]
@@ -220,7 +209,7 @@ mod tests {
     fn prompt() -> Prompt {
         Prompt {
             field: Field::Object,
-            present: "mug-blue".to_owned(),
+            current: "mug-blue".to_owned(),
             text: String::new(),
             cursor: 0,
         }
@@ -241,7 +230,7 @@ mod tests {
     }
 
     #[test]
-    fn letters_of_any_width_are_edited_whole() {
+    fn wide_characters_are_edited_as_a_whole() {
         let mut prompt = prompt();
         type_text(&mut prompt, "Tasse für 茶 ☕");
         press(&mut prompt, KeyCode::Backspace);
@@ -276,7 +265,7 @@ mod tests {
     }
 
     #[test]
-    fn nothing_typed_or_escape_changes_nothing() {
+    fn empty_input_or_escape_cancels() {
         let mut prompt = prompt();
         type_text(&mut prompt, "  ");
         assert_eq!(press(&mut prompt, KeyCode::Enter), Reply::Cancelled);
@@ -284,7 +273,7 @@ mod tests {
     }
 
     #[test]
-    fn tab_takes_the_present_name() {
+    fn tab_inserts_the_current_name() {
         let mut prompt = prompt();
         press(&mut prompt, KeyCode::Tab);
         type_text(&mut prompt, "-2");
@@ -292,17 +281,17 @@ mod tests {
     }
 
     #[test]
-    fn control_characters_and_endless_names_are_kept_out() {
+    fn control_characters_and_long_names_are_rejected() {
         let mut prompt = prompt();
         type_text(&mut prompt, "a\u{7}\u{1b}b");
         control(&mut prompt, 'x');
         assert_eq!(prompt.text(), "ab");
         type_text(&mut prompt, &"ß".repeat(200));
-        assert_eq!(prompt.text().chars().count(), MAX_CHARACTERS);
+        assert_eq!(prompt.text().chars().count(), MAX_LABEL_CHARS);
     }
 
     #[test]
-    fn the_end_of_a_long_text_stays_in_sight() {
+    fn end_of_long_text_stays_visible() {
         assert_eq!(tail("abcdef", 3), "def");
         assert_eq!(tail("茶茶茶", 3), "茶");
         assert_eq!(tail("茶", 1), "");

@@ -1,4 +1,4 @@
-//! Why a trigger was refused, and whether `!` helps.
+//! Reasons of a refused trigger, and whether it can be overridden.
 
 use ratatui::buffer::Buffer;
 use ratatui::layout::Rect;
@@ -26,13 +26,10 @@ pub(super) fn draw(buffer: &mut Buffer, area: Rect, refusal: &Refusal, palette: 
     lines.push(if refusal.can_override {
         Line::from(vec![
             Span::styled("!", panel.patch(palette.key())),
-            Span::styled(" take it anyway; the grasp records that you did", panel),
+            Span::styled(" override (recorded with the grasp)", panel),
         ])
     } else {
-        Line::styled(
-            "this cannot be overridden: fix it, then trigger again",
-            panel,
-        )
+        Line::styled("cannot be overridden: fix this and trigger again", panel)
     });
     Paragraph::new(lines)
         .style(panel)

@@ -1,45 +1,45 @@
-//! The loop of the screen: newest status in, image out; keys in, commands out.
+//! Event loop of the screen: draws the newest status and sends commands.
 
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-use crossterm::event::{self, Event};
+use crossterm::event::Event;
 use tokio::sync::{mpsc, watch};
 
 use super::collect;
-use super::keyboard::Keyboard;
+use super::keyboard::{Keyboard, unreadable};
 use super::palette::{ColourDepth, Palette};
 use super::state::{Reaction, ScreenState};
 use super::terminal::ScreenTerminal;
 use super::tone::{Sound, Speaker};
-use crate::daemon::{Asked, EngineStatus};
-use gripcast_base::error::{Error, Result};
+use crate::daemon::{CommandRequest, EngineStatus};
+use gripcast_base::error::Result;
 use gripcast_session::{Command, CommandSource, Tone};
 
-/// Longest wait for a key; bounds how late a tone, a status or the engine's end is noticed.
+/// Maximum wait for a key; bounds the delay of tones, status updates and the end of the engine.
 const POLL: Duration = Duration::from_millis(50);
-/// Shortest time between two images: 10 per second are plenty and cost little over SSH.
+/// Minimum interval between two images, to save bandwidth over SSH.
 const MIN_INTERVAL: Duration = Duration::from_millis(100);
 
-/// All that joins the screen to the engine.
+/// Channels between screen and engine.
 pub struct Wiring {
-    /// The newest status. When its sender is dropped the engine has ended and the screen leaves.
+    /// Incoming status. A dropped sender means the engine has ended and closes the screen.
     pub status: watch::Receiver<Arc<EngineStatus>>,
-    /// What the operator asks for. When full, the key is dropped and the screen says so.
-    pub commands: mpsc::Sender<Asked>,
-    /// Sounds to give, in order. A dropped sender means that there are no more.
+    /// Outgoing commands. If the channel is full, the key is dropped with a notice.
+    pub commands: mpsc::Sender<CommandRequest>,
+    /// Incoming tones.
     pub tones: mpsc::UnboundedReceiver<Tone>,
-    /// How sounds are given.
+    /// Output of tones.
     pub sound: Sound,
 }
 
-/// Shows the screen until the operator quits or the engine ends; blocks its thread.
+/// Runs the screen until the operator quits or the engine ends; blocks the thread.
 ///
 /// On quit it sends [`Command::Quit`], restores the terminal and returns within 100 ms; the engine
-/// finishes what it is saving on its own.
+/// finishes pending saves on its own.
 ///
 /// # Errors
-/// When the terminal cannot be used; the engine is not affected and can go on without a screen.
+/// If the terminal cannot be used; the engine is not affected.
 pub fn run(wiring: Wiring) -> Result<()> {
     let depth = ColourDepth::from_environment(|name| std::env::var(name).ok());
     let keyboard = Keyboard::open().map_err(unreadable)?;
@@ -51,7 +51,7 @@ pub fn run(wiring: Wiring) -> Result<()> {
         drawn: None,
         changed: true,
     };
-    while screen.turn(&mut terminal, &keyboard)? {}
+    while screen.update(&mut terminal, &keyboard)? {}
     Ok(())
 }
 
@@ -59,15 +59,15 @@ struct Screen {
     wiring: Wiring,
     state: ScreenState,
     speaker: Speaker,
-    /// When the last image was drawn.
+    /// Time of the last drawing.
     drawn: Option<Instant>,
-    /// Whether it is out of date.
+    /// Whether the screen is out of date.
     changed: bool,
 }
 
 impl Screen {
-    /// One turn of the loop; false ends it.
-    fn turn(&mut self, terminal: &mut ScreenTerminal, keyboard: &Keyboard) -> Result<bool> {
+    /// Runs one iteration of the loop; false ends it.
+    fn update(&mut self, terminal: &mut ScreenTerminal, keyboard: &Keyboard) -> Result<bool> {
         match self.wiring.status.has_changed() {
             Ok(changed) => self.changed |= changed,
             Err(_) => return Ok(false),
@@ -76,16 +76,8 @@ impl Screen {
         if self.changed && self.drawn.is_none_or(|at| at.elapsed() >= MIN_INTERVAL) {
             self.draw(terminal)?;
         }
-        // Keys are read until none waits, so that a burst costs one image.
-        if !keyboard.wait(POLL).map_err(unreadable)? {
-            return Ok(false);
-        }
-        while event::poll(Duration::ZERO).map_err(unreadable)? {
-            if !self.take(&event::read().map_err(unreadable)?) {
-                return Ok(false);
-            }
-        }
-        Ok(true)
+        let events = keyboard.events(POLL)?;
+        Ok(events.is_some_and(|events| events.iter().all(|event| self.handle(event))))
     }
 
     fn sound(&mut self, terminal: &mut ScreenTerminal) -> Result<()> {
@@ -101,15 +93,15 @@ impl Screen {
 
     fn draw(&mut self, terminal: &mut ScreenTerminal) -> Result<()> {
         let status = Arc::clone(&self.wiring.status.borrow_and_update());
-        self.state.settle(&status);
+        self.state.update(&status);
         terminal.draw(|frame| collect::draw(frame, &status, &self.state))?;
         self.drawn = Some(Instant::now());
         self.changed = false;
         Ok(())
     }
 
-    /// Takes an event; false leaves the screen.
-    fn take(&mut self, event: &Event) -> bool {
+    /// Handles an event; false closes the screen.
+    fn handle(&mut self, event: &Event) -> bool {
         self.changed = true;
         let Event::Key(key) = event else {
             return true;
@@ -131,14 +123,9 @@ impl Screen {
         let sent = self
             .wiring
             .commands
-            .try_send(Asked::new(command, CommandSource::Keyboard));
+            .try_send(CommandRequest::new(command, CommandSource::Keyboard));
         if sent.is_err() {
-            self.state.notice = Some(format!("`{name}` was not taken: the engine is busy"));
+            self.state.notice = Some(format!("`{name}` not sent: the engine is busy"));
         }
     }
-}
-
-fn unreadable(source: std::io::Error) -> Error {
-    Error::io("cannot read keys from this terminal", source)
-        .remedy("run it in a terminal, or without the screen (--headless)")
 }

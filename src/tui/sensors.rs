@@ -1,44 +1,46 @@
-//! One line a camera: role, measured and nominal rate, age of the newest frame, what went wrong.
+//! One line per camera: role, frame rates, age of the newest frame, problems.
 
 use ratatui::buffer::Buffer;
 use ratatui::layout::Rect;
 use ratatui::style::Style;
 use ratatui::text::{Line, Span};
 
-use super::fault::trouble;
+use super::fault::state_and_duration;
 use super::palette::Palette;
 use super::text::{clipped, duration_ms, row, write};
 use crate::daemon::{CameraState, CameraStatus};
 
-/// Fraction of the nominal rate below which the rate is shown as a warning.
+/// Fraction of the nominal frame rate below which the rate is a warning.
 const SLOW_FRACTION: f64 = 0.9;
-/// Age of the newest frame from which it is shown as a warning, in nominal intervals.
+/// Frame age above which it is a warning, nominal intervals.
 const OLD_INTERVALS: f64 = 3.0;
 
 pub(super) fn draw(buffer: &mut Buffer, area: Rect, cameras: &[CameraStatus], palette: Palette) {
     let spare = usize::from(area.height).saturating_sub(cameras.len());
-    let mut troubled = spare;
+    let mut spare_rows = spare;
     let mut index = 0;
     for camera in cameras {
-        let trouble = counted(camera);
+        let problems = problems(camera);
         let (note, style) = match &camera.markers {
-            Some(seen) if seen.ok && trouble.is_empty() => (seen.text.clone(), palette.stable()),
-            _ => (trouble.clone(), palette.warning()),
+            Some(markers) if markers.ok && problems.is_empty() => {
+                (markers.text.clone(), palette.stable())
+            }
+            _ => (problems.clone(), palette.warning()),
         };
-        let own_line = !note.is_empty() && troubled > 0;
-        let flagged = !trouble.is_empty() && !own_line;
+        let own_line = !note.is_empty() && spare_rows > 0;
+        let flagged = !problems.is_empty() && !own_line;
         write(buffer, row(area, index), &line(camera, flagged, palette));
         index += 1;
         if own_line {
             let text = clipped(&format!("  {note}"), usize::from(area.width));
             write(buffer, row(area, index), &Line::styled(text, style));
             index += 1;
-            troubled -= 1;
+            spare_rows -= 1;
         }
     }
 }
 
-/// `left   25.0/25 fps 18 ms`; `!` at the role when counters are not clean.
+/// Formats `left   25.0/25 fps 18 ms`, with `!` after the role if there are problems.
 fn line(camera: &CameraStatus, flagged: bool, palette: Palette) -> Line<'static> {
     let flag = if flagged { "!" } else { " " };
     let role = Span::raw(format!("{:<5.5}", camera.role));
@@ -55,7 +57,7 @@ fn line(camera: &CameraStatus, flagged: bool, palette: Palette) -> Line<'static>
     let age = camera
         .frame_age_ms
         .map_or_else(|| "–".to_owned(), duration_ms);
-    let marked = |is_odd| palette.warning_if(is_odd, Style::new());
+    let marked = |is_warning| palette.warning_if(is_warning, Style::new());
     Line::from(vec![
         role,
         flag,
@@ -64,14 +66,14 @@ fn line(camera: &CameraStatus, flagged: bool, palette: Palette) -> Line<'static>
     ])
 }
 
-/// A state in one or two words.
+/// Describes a state in one or two words.
 pub(super) fn state(state: &CameraState, palette: Palette) -> (String, Style) {
     let style = match state {
         CameraState::Opening | CameraState::Ended => palette.faint(),
         CameraState::Live => palette.stable(),
         _ => palette.slip(),
     };
-    let (word, since) = trouble(state);
+    let (word, since) = state_and_duration(state);
     let words = match state {
         CameraState::Opening => "opening …".to_owned(),
         CameraState::Live => "live".to_owned(),
@@ -82,8 +84,8 @@ pub(super) fn state(state: &CameraState, palette: Palette) -> (String, Style) {
     (words, style)
 }
 
-/// Counters that are not zero, in words; late frames are left to the detail screen.
-fn counted(camera: &CameraStatus) -> String {
+/// Describes non-zero error counters and a missing pose; late frames are in the details only.
+fn problems(camera: &CameraStatus) -> String {
     [
         (camera.counters.sequence_gaps, "lost"),
         (camera.counters.damaged, "damaged"),
@@ -92,13 +94,13 @@ fn counted(camera: &CameraStatus) -> String {
     .into_iter()
     .filter(|(count, _)| *count > 0)
     .map(|(count, word)| format!("{count} {word}"))
-    .chain(markers(camera))
+    .chain(
+        camera
+            .markers
+            .iter()
+            .filter(|markers| !markers.ok)
+            .map(|markers| format!("no pose: {}", markers.text)),
+    )
     .collect::<Vec<_>>()
     .join(" ")
-}
-
-/// That there would be no pose, and why.
-fn markers(camera: &CameraStatus) -> Option<String> {
-    let markers = camera.markers.as_ref().filter(|markers| !markers.ok)?;
-    Some(format!("no pose: {}", markers.text))
 }

@@ -1,33 +1,33 @@
-//! What the screen remembers between two images, and how keys change it.
+//! State of the screen and its changes by keys.
 
 use crossterm::event::KeyEvent;
 
 use super::fault::faults;
-use super::input::{self, UiAction, UiChange};
+use super::input::{self, UiAction};
 use super::palette::Palette;
 use super::prompt::{Prompt, Reply};
 use crate::daemon::EngineStatus;
 use gripcast_imaging::Role;
 use gripcast_session::{Command, Step};
 
-/// What lies over the collect screen.
+/// Overlay of the collect screen.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Overlay {
-    /// Nothing.
+    /// No overlay.
     #[default]
     None,
-    /// The keys.
+    /// Key overview.
     Help,
-    /// The sensors in detail.
+    /// Sensor details.
     Sensors,
 }
 
-/// What a key leads to outside the screen.
+/// Effect of a key outside the screen.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Reaction {
-    /// Nothing.
+    /// No effect.
     None,
-    /// Send this to the session.
+    /// Send a command to the session.
     Send(Command),
     /// End the session and leave.
     Leave,
@@ -38,18 +38,18 @@ pub enum Reaction {
 pub struct ScreenState {
     /// Colours.
     pub palette: Palette,
-    /// What lies on top.
+    /// Current overlay.
     pub overlay: Overlay,
-    /// The name that is being typed.
+    /// Open prompt.
     pub prompt: Option<Prompt>,
-    /// A line of the screen itself, shown instead of the session's message.
+    /// Notice of the screen, shown instead of the session's message.
     pub notice: Option<String>,
     leaving: bool,
-    shrunk_faults: Vec<Role>,
+    dismissed_faults: Vec<Role>,
 }
 
 impl ScreenState {
-    /// Nothing open.
+    /// Creates the state without overlay and prompt.
     pub fn new(palette: Palette) -> Self {
         Self {
             palette,
@@ -57,11 +57,11 @@ impl ScreenState {
             prompt: None,
             notice: None,
             leaving: false,
-            shrunk_faults: Vec::new(),
+            dismissed_faults: Vec::new(),
         }
     }
 
-    /// Takes a key, as seen by an operator who looks at `status`.
+    /// Handles a key while `status` is shown.
     pub fn press(&mut self, key: &KeyEvent, status: &EngineStatus) -> Reaction {
         if input::is_interrupt(key) {
             return Reaction::Leave;
@@ -88,15 +88,21 @@ impl ScreenState {
             UiAction::Command(command) => return Reaction::Send(command),
             UiAction::QuitNow => return Reaction::Leave,
             UiAction::Quit => return self.quit(confirmed, status),
-            UiAction::Ui(change) => self.change(change, status),
+            UiAction::Toggle(overlay) if self.overlay == overlay => self.overlay = Overlay::None,
+            UiAction::Toggle(overlay) => self.overlay = overlay,
+            UiAction::Prompt(field) => self.prompt = Some(Prompt::new(field, &status.session)),
+            UiAction::Close if self.overlay != Overlay::None => self.overlay = Overlay::None,
+            UiAction::Close => {
+                self.dismissed_faults = faults(status).map(|camera| camera.role).collect();
+            }
         }
         Reaction::None
     }
 
-    /// Asks first when a save runs or the last grasp has no label.
+    /// Asks for confirmation if a save is running or the last grasp has no label.
     fn quit(&mut self, confirmed: bool, status: &EngineStatus) -> Reaction {
         let unfinished = match &status.session {
-            session if session.saving => "a save is running",
+            session if session.saving => "a save is in progress",
             session if session.step == Step::Label => "the last grasp is not labelled",
             _ => return Reaction::Leave,
         };
@@ -108,33 +114,14 @@ impl ScreenState {
         Reaction::None
     }
 
-    fn change(&mut self, change: UiChange, status: &EngineStatus) {
-        let toggled = |overlay, wanted| {
-            if overlay == wanted {
-                Overlay::None
-            } else {
-                wanted
-            }
-        };
-        match change {
-            UiChange::Help => self.overlay = toggled(self.overlay, Overlay::Help),
-            UiChange::Sensors => self.overlay = toggled(self.overlay, Overlay::Sensors),
-            UiChange::Ask(field) => self.prompt = Some(Prompt::new(field, &status.session)),
-            UiChange::Close if self.overlay != Overlay::None => self.overlay = Overlay::None,
-            UiChange::Close => {
-                self.shrunk_faults = faults(status).map(|camera| camera.role).collect();
-            }
-        }
-    }
-
-    /// Forgets what the new status has settled: a camera that is back may fail loudly again.
-    pub fn settle(&mut self, status: &EngineStatus) {
-        self.shrunk_faults
+    /// Forgets dismissed faults of recovered cameras.
+    pub fn update(&mut self, status: &EngineStatus) {
+        self.dismissed_faults
             .retain(|role| faults(status).any(|camera| camera.role == *role));
     }
 
-    /// Whether a camera has failed that the operator has not yet put aside.
+    /// Returns whether there is a fault that the operator has not dismissed.
     pub(super) fn shows_fault(&self, status: &EngineStatus) -> bool {
-        faults(status).any(|camera| !self.shrunk_faults.contains(&camera.role))
+        faults(status).any(|camera| !self.dismissed_faults.contains(&camera.role))
     }
 }

@@ -1,4 +1,4 @@
-//! The banner: which step comes next and what to do now, in words.
+//! The banner: current step and instruction.
 
 use ratatui::buffer::Buffer;
 use ratatui::layout::Rect;
@@ -10,18 +10,18 @@ use super::palette::Palette;
 use super::text::{duration_ms, fill, inset, row, write, write_all};
 use gripcast_session::{SessionView, Step};
 
-/// What the banner says.
+/// Texts and style of the banner.
 struct Banner {
     number: u8,
     verb: &'static str,
     instruction: &'static str,
-    /// For narrow screens.
+    /// Instruction for narrow screens.
     brief: &'static str,
     style: Style,
 }
 
 impl Banner {
-    /// The longest instruction of at most `columns`.
+    /// Returns the longest instruction of at most `columns`.
     fn fitting(&self, columns: usize) -> &'static str {
         match self.instruction.chars().count() <= columns {
             true => self.instruction,
@@ -46,7 +46,7 @@ fn banner(session: &SessionView, palette: Palette) -> Banner {
         ),
         _ if is_refused => (
             "REFUSED",
-            "NOT TAKEN — fix it and trigger again",
+            "NOT TAKEN — fix this and trigger again",
             "NOT TAKEN — see reasons",
             palette.refusal(),
         ),
@@ -64,8 +64,8 @@ fn banner(session: &SessionView, palette: Palette) -> Banner {
         ),
         Step::Label => (
             "LIFT",
-            "LIFT IT — held: S (stable)   lost: F (slip)",
-            "LIFT — held: S   lost: F",
+            "LIFT, then label: S stable   F slip",
+            "LIFT — S stable   F slip",
             palette.label_step(),
         ),
     };
@@ -78,7 +78,7 @@ fn banner(session: &SessionView, palette: Palette) -> Banner {
     }
 }
 
-/// Rows of the banner: one line, or three with a big verb, or five with a bigger one.
+/// Draws the banner: one line, or a large verb on three or five rows.
 pub(super) fn draw(buffer: &mut Buffer, area: Rect, session: &SessionView, palette: Palette) {
     let banner = banner(session, palette);
     fill(buffer, area, banner.style);
@@ -94,7 +94,7 @@ pub(super) fn draw(buffer: &mut Buffer, area: Rect, session: &SessionView, palet
     };
     let at = inset(area, 1, (area.height - size.rows()) / 2);
     big_digits::draw(buffer, at, banner.verb, size, banner.style);
-    // The widest verb that stays for long; `REFUSED` and `SAVING` push the words to the right.
+    // The widest verb of a step; `REFUSED` and `SAVING` are short-lived and shift the words.
     let verb = size.columns(banner.verb).max(size.columns("CLOSE"));
     let words = inset(area, verb + 4, (area.height - 3) / 2);
     let heading = format!("STEP {}/3", banner.number);
@@ -112,7 +112,7 @@ fn line(banner: &Banner, width: u16) -> Line<'static> {
     Line::styled(format!(" STEP {}/3  {words}", banner.number), banner.style)
 }
 
-/// What to do in `room` columns: a sentence, or one verb.
+/// Returns the instruction in `room` columns: a sentence or one verb.
 pub(super) fn brief(session: &SessionView, room: usize, palette: Palette) -> Span<'static> {
     let banner = banner(session, palette);
     let words = if banner.brief.chars().count() <= room {
@@ -123,7 +123,7 @@ pub(super) fn brief(session: &SessionView, room: usize, palette: Palette) -> Spa
     Span::styled(words, banner.style)
 }
 
-/// `initial ✓ 12 s ago → grasp ▶ → label`, with the present step marked.
+/// Formats `initial ✓ 12 s ago → grasp ▶ → label`.
 fn progress(session: &SessionView, style: Style) -> Line<'static> {
     let mark = |step: Step, done: bool| match (session.step == step, done) {
         (true, _) => " ▶",

@@ -1,4 +1,4 @@
-//! The terminal in raw mode on its alternate screen, and its way back whatever happens.
+//! Terminal in raw mode on the alternate screen, restored in every case.
 
 use std::io::{self, BufWriter, Stdout, Write};
 use std::sync::Once;
@@ -16,25 +16,24 @@ use ratatui::{Frame, Terminal};
 
 use gripcast_base::error::{Error, Result};
 
-/// Bytes of one image that are collected before they are written; holds a 200×60 screen of
-/// half blocks in 24-bit colour.
+/// Write buffer: holds a 200×60 screen of half blocks in 24-bit colour, bytes.
 const WRITE_BUFFER_BYTES: usize = 512 * 1024;
 
-/// Whether the terminal is ours; decides in [`restore`] who puts it back.
+/// Whether the screen owns the terminal; see [`restore`].
 static ENTERED: AtomicBool = AtomicBool::new(false);
 static PANIC_HOOK: Once = Once::new();
 
-/// The terminal while the screen is shown. Dropping it restores the terminal; a panic anywhere
-/// in the process does so before its message is printed.
+/// The terminal while the screen is shown. It is restored on drop, and on a panic before the message
+/// is printed.
 pub(super) struct ScreenTerminal {
     terminal: Terminal<CrosstermBackend<BufWriter<Stdout>>>,
 }
 
 impl ScreenTerminal {
-    /// Takes the terminal.
+    /// Enters the alternate screen.
     ///
     /// # Errors
-    /// When standard output is no terminal or refuses.
+    /// If standard output is not a usable terminal.
     pub(super) fn enter() -> Result<Self> {
         PANIC_HOOK.call_once(|| {
             let earlier = std::panic::take_hook();
@@ -55,21 +54,21 @@ impl ScreenTerminal {
         ENTERED.store(true, Ordering::SeqCst);
         enable_raw_mode().map_err(failed)?;
         execute!(self.terminal.backend_mut(), EnterAlternateScreen, Hide).map_err(failed)?;
-        // Clears like `Terminal::clear`, but asks the terminal nothing: an answer about the cursor
-        // may take seconds, or never come.
+        // Clears like `Terminal::clear`, but without querying the cursor, which may take seconds or
+        // fail.
         let size = self.terminal.size().map_err(failed)?;
         self.terminal
             .resize(Rect::from((Position::ORIGIN, size)))
             .map_err(failed)
     }
 
-    /// Draws one image, whole or not at all on terminals with synchronized output.
+    /// Draws one image, atomically on terminals with synchronized output.
     ///
     /// # Errors
-    /// When the terminal is gone.
+    /// If the terminal is closed.
     pub(super) fn draw(&mut self, draw: impl FnOnce(&mut Frame<'_>)) -> Result<()> {
         if !ENTERED.load(Ordering::SeqCst) {
-            // A panic of another thread has put the terminal back, and the program goes on.
+            // A panic of another thread has restored the terminal.
             self.take()?;
         }
         queue!(self.terminal.backend_mut(), BeginSynchronizedUpdate).map_err(failed)?;
@@ -77,7 +76,7 @@ impl ScreenTerminal {
         execute!(self.terminal.backend_mut(), EndSynchronizedUpdate).map_err(failed)
     }
 
-    /// Rings the bell; between images, so that it never lands inside an escape sequence.
+    /// Rings the bell, between images only, so that it never splits an escape sequence.
     pub(super) fn ring(&mut self) -> Result<()> {
         let backend = self.terminal.backend_mut();
         backend.write_all(b"\x07").map_err(failed)?;
@@ -91,12 +90,12 @@ impl Drop for ScreenTerminal {
     }
 }
 
-/// Puts the terminal back if the screen has it; any number of times, from any thread.
+/// Restores the terminal if the screen owns it. Can be called repeatedly and from any thread.
 ///
-/// Call it before the process ends by another way than returning from [`super::run()`].
+/// Call it before the process ends without returning from [`super::run()`].
 pub fn restore() {
     if ENTERED.swap(false, Ordering::SeqCst) {
-        // Nothing can be done, and nobody told, when a dying terminal refuses.
+        // Errors of a closing terminal are ignored.
         let _ = execute!(
             io::stdout(),
             EndSynchronizedUpdate,
@@ -109,5 +108,5 @@ pub fn restore() {
 
 fn failed(source: io::Error) -> Error {
     Error::io("cannot show the screen in this terminal", source)
-        .remedy("run it in a terminal, or without the screen (--headless)")
+        .remedy("run in a terminal, or without a screen (--headless)")
 }

@@ -1,11 +1,11 @@
-//! Text that fits: clipping by columns, and times in words.
+//! Clipping and drawing of text, and formatting of durations.
 
 use ratatui::buffer::Buffer;
 use ratatui::layout::Rect;
 use ratatui::style::Style;
 use ratatui::text::{Line, Span};
 
-/// `text` in at most `columns` columns; what is cut off is shown by `…`.
+/// Clips `text` to `columns` columns, with `…` at the end if clipped.
 pub(super) fn clipped(text: &str, columns: usize) -> String {
     let span = Span::raw(text);
     if span.width() <= columns {
@@ -26,12 +26,12 @@ pub(super) fn clipped(text: &str, columns: usize) -> String {
     kept
 }
 
-/// Columns that `text` takes.
+/// Returns the width of `text`, columns.
 pub(super) fn columns(text: &str) -> u16 {
     Span::raw(text).width().try_into().unwrap_or(u16::MAX)
 }
 
-/// A time in the unit that reads best: `18 ms`, `1.4 s`, `6 min`, `3 h`.
+/// Formats a duration in a readable unit: `18 ms`, `1.4 s`, `6 min`, `3 h`.
 pub(super) fn duration_ms(ms: f64) -> String {
     match ms {
         _ if !ms.is_finite() => "? ms".to_owned(),
@@ -43,7 +43,7 @@ pub(super) fn duration_ms(ms: f64) -> String {
     }
 }
 
-/// Row `index` of `area`; empty where there is none.
+/// Returns row `index` of `area`, or an empty area.
 pub(super) fn row(area: Rect, index: u16) -> Rect {
     if index >= area.height {
         return Rect::new(area.x, area.bottom(), 0, 0);
@@ -51,14 +51,14 @@ pub(super) fn row(area: Rect, index: u16) -> Rect {
     Rect::new(area.x, area.y + index, area.width, 1)
 }
 
-/// `area` without its first columns and rows.
+/// Returns `area` without its first columns and rows.
 pub(super) fn inset(area: Rect, left: u16, top: u16) -> Rect {
     let (left, top) = (left.min(area.width), top.min(area.height));
     let (width, height) = (area.width - left, area.height - top);
     Rect::new(area.x + left, area.y + top, width, height)
 }
 
-/// `area` without a column at each side.
+/// Returns `area` without one column at each side.
 pub(super) fn trimmed(area: Rect) -> Rect {
     Rect {
         width: area.width.saturating_sub(2),
@@ -66,7 +66,7 @@ pub(super) fn trimmed(area: Rect) -> Rect {
     }
 }
 
-/// `area` without its last columns.
+/// Returns `area` without its last columns.
 pub(super) fn without_last(area: Rect, columns: u16) -> Rect {
     Rect {
         width: area.width.saturating_sub(columns),
@@ -74,21 +74,21 @@ pub(super) fn without_last(area: Rect, columns: u16) -> Rect {
     }
 }
 
-/// Writes lines one below the other, as many as there are rows.
+/// Writes lines below each other, as many as fit.
 pub(super) fn write_all(buffer: &mut Buffer, area: Rect, lines: &[Line<'_>]) {
     for (line, at) in lines.iter().zip(area.rows()) {
         write(buffer, at, line);
     }
 }
 
-/// Writes `line` into the first row of `area`, cut at its right edge.
+/// Writes `line` into the first row of `area`, clipped.
 pub(super) fn write(buffer: &mut Buffer, area: Rect, line: &Line<'_>) {
     if !area.is_empty() {
         buffer.set_line(area.x, area.y, line, area.width);
     }
 }
 
-/// Writes `line` flush right into the first row of `area`; nothing if it does not fit.
+/// Writes `line` right-aligned into the first row of `area` if it fits; returns its width.
 pub(super) fn write_right(buffer: &mut Buffer, area: Rect, line: &Line<'_>) -> u16 {
     let width = line.width().try_into().unwrap_or(u16::MAX);
     if area.is_empty() || width > area.width {
@@ -98,7 +98,7 @@ pub(super) fn write_right(buffer: &mut Buffer, area: Rect, line: &Line<'_>) -> u
     width
 }
 
-/// Clears `area` and gives it `style`.
+/// Clears `area` and sets its style.
 pub(super) fn fill(buffer: &mut Buffer, area: Rect, style: Style) {
     for position in area.intersection(buffer.area).positions() {
         if let Some(cell) = buffer.cell_mut(position) {
@@ -113,7 +113,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn clipping_counts_columns_and_keeps_graphemes_whole() {
+    fn clipping_counts_columns_and_keeps_graphemes() {
         assert_eq!(clipped("mug-blue", 8), "mug-blue");
         assert_eq!(clipped("mug-blue", 5), "mug-…");
         assert_eq!(clipped("杯子蓝", 4), "杯…");
@@ -124,7 +124,7 @@ mod tests {
     }
 
     #[test]
-    fn durations_take_the_unit_that_reads_best() {
+    fn durations_use_a_readable_unit() {
         for (ms, text) in [
             (17.6, "18 ms"),
             (999.4, "999 ms"),

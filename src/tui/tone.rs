@@ -1,51 +1,48 @@
-//! Sounds for eyes that are on the object: short tones through the system's player, or bells.
+//! Tones for operators who look at the object: through the system's sound player, or bells.
 //!
-//! Tones are synthesised here and played by the first of `pw-play`, `paplay` and `aplay`. When
-//! none is installed, or one fails (no sound server over SSH), the terminal bell rings a pattern.
+//! Tones are synthesised here and played by the first of `pw-play`, `paplay` and `aplay`. If none is
+//! installed, or one fails (no sound server over SSH), the terminal bell rings a pattern.
 
 use std::collections::VecDeque;
 use std::f64::consts::TAU;
 use std::ffi::OsStr;
-use std::io::Write;
+use std::fs::File;
+use std::io::{self, Write};
 use std::os::fd::AsRawFd;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
-use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::mpsc::{Receiver, Sender, SyncSender, channel, sync_channel};
-use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
 use gripcast_session::Tone;
 
-/// Samples per second of the synthesised tones.
+/// Sample rate of the tones.
 const SAMPLE_RATE_HZ: u32 = 16_000;
-/// Peak of the tones, of 1.
+/// Peak amplitude of the tones, of 1.
 const LOUDNESS: f64 = 0.55;
-/// A player that takes longer hangs and is killed.
-const PLAYER_LIMIT: Duration = Duration::from_secs(2);
-const PLAYER_POLL: Duration = Duration::from_millis(10);
-/// Tones that may wait for the one that sounds; more are dropped, old news is noise.
-const QUEUED_TONES: usize = 2;
+/// Time after which a hanging player is killed.
+const PLAYER_TIMEOUT: Duration = Duration::from_secs(2);
+/// Maximum queued tones; further ones would sound too late and are dropped.
+const MAX_QUEUED_TONES: usize = 2;
 const PLAYERS: [&str; 3] = ["pw-play", "paplay", "aplay"];
 
-/// How tones are given.
+/// Output of tones.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, clap::ValueEnum)]
 pub enum Sound {
-    /// Through a sound player when one works, else by the terminal bell
+    /// Sound player if one works, else terminal bell
     #[default]
     Auto,
-    /// By the terminal bell
+    /// Terminal bell
     Bell,
-    /// Not at all
+    /// No sound
     Off,
 }
 
-/// One piece of a tone: frequency, Hz, 0 for a rest; and duration, ms.
+/// Frequency, Hz (0 for a rest), and duration, ms.
 type Note = (f64, u32);
 
-/// The melody of a tone: up is good, down is bad, long and alternating is trouble.
+/// Returns the melody of a tone: rising is good, falling is bad, long and alternating is a fault.
 fn melody(tone: Tone) -> &'static [Note] {
+    const ALARM: [Note; 2] = [(988.0, 150), (622.0, 150)];
     match tone {
         Tone::InitialSaved => &[(660.0, 130)],
         Tone::GraspSaved => &[(660.0, 90), (0.0, 30), (880.0, 150)],
@@ -53,18 +50,11 @@ fn melody(tone: Tone) -> &'static [Note] {
         Tone::Slip => &[(440.0, 130), (294.0, 230)],
         Tone::Undone => &[(784.0, 60), (0.0, 40), (784.0, 60), (0.0, 40), (587.0, 110)],
         Tone::Refused => &[(196.0, 140), (0.0, 60), (196.0, 140)],
-        Tone::Fault => &[
-            (988.0, 150),
-            (622.0, 150),
-            (988.0, 150),
-            (622.0, 150),
-            (988.0, 150),
-            (622.0, 150),
-        ],
+        Tone::Fault => &[ALARM[0], ALARM[1], ALARM[0], ALARM[1], ALARM[0], ALARM[1]],
     }
 }
 
-/// When the bell rings for a tone, ms after it was asked for.
+/// Returns the times of the bells of a tone, ms after its start.
 fn bells(tone: Tone) -> &'static [u64] {
     match tone {
         Tone::InitialSaved => &[0],
@@ -77,7 +67,7 @@ fn bells(tone: Tone) -> &'static [u64] {
     }
 }
 
-/// Samples of a tone, with 8 ms ramps so that notes do not click.
+/// Synthesises a tone, with 8 ms ramps to avoid clicks.
 fn samples(notes: &[Note]) -> Vec<i16> {
     let rate = f64::from(SAMPLE_RATE_HZ);
     let ramp = 0.008 * rate;
@@ -88,7 +78,7 @@ fn samples(notes: &[Note]) -> Vec<i16> {
             let from_edge = f64::from(index.min(count - 1 - index));
             let envelope = (from_edge / ramp).min(1.0);
             let phase = TAU * frequency_hz * f64::from(index) / rate;
-            // The overtones carry low notes through small loudspeakers.
+            // Overtones make low notes audible on small loudspeakers.
             let wave = 0.7 * phase.sin() + 0.2 * (2.0 * phase).sin() + 0.1 * (3.0 * phase).sin();
             samples.push((wave * envelope * LOUDNESS * f64::from(i16::MAX)) as i16);
         }
@@ -96,7 +86,7 @@ fn samples(notes: &[Note]) -> Vec<i16> {
     samples
 }
 
-/// A WAV file of the tone: 16 kHz, mono, 16 bit.
+/// Encodes a tone as a WAV file: 16 kHz, mono, 16 bits.
 fn wav(tone: Tone) -> Vec<u8> {
     const BYTES_PER_SAMPLE: u32 = 2;
     let samples = samples(melody(tone));
@@ -118,8 +108,8 @@ fn wav(tone: Tone) -> Vec<u8> {
     file
 }
 
-/// The first sound player in the directories of `path` (the variable `PATH`).
-fn player(path: Option<&OsStr>) -> Option<PathBuf> {
+/// Finds the first sound player in the directories of `path` (the variable `PATH`).
+fn find_player(path: Option<&OsStr>) -> Option<PathBuf> {
     let directories: Vec<_> = std::env::split_paths(path?).collect();
     PLAYERS.iter().find_map(|name| {
         directories
@@ -129,156 +119,144 @@ fn player(path: Option<&OsStr>) -> Option<PathBuf> {
     })
 }
 
-/// Gives tones without ever waiting for them.
+/// Gives tones without waiting for them.
 pub struct Speaker {
-    voice: Voice,
-    /// Moments at which the bell is due, in order.
+    output: Output,
+    /// Due times of the bells, ascending.
     bells: VecDeque<Instant>,
 }
 
-enum Voice {
+enum Output {
     Off,
     Bell,
-    Player(PlayerThread),
+    Player(Player),
 }
 
 impl Speaker {
-    /// A speaker that looks for a player in this process's `PATH`.
+    /// Creates a speaker that searches for a player in `PATH`.
     pub fn new(sound: Sound) -> Self {
-        let found = || player(std::env::var_os("PATH").as_deref());
-        let voice = match sound {
-            Sound::Off => Voice::Off,
-            Sound::Bell => Voice::Bell,
-            Sound::Auto => found()
-                .and_then(|program| PlayerThread::start(program).ok())
-                .map_or(Voice::Bell, Voice::Player),
+        let output = match sound {
+            Sound::Off => Output::Off,
+            Sound::Bell => Output::Bell,
+            Sound::Auto => find_player(std::env::var_os("PATH").as_deref())
+                .map_or(Output::Bell, |program| Output::Player(Player::new(program))),
         };
         Self {
-            voice,
+            output,
             bells: VecDeque::new(),
         }
     }
 
-    /// Gives `tone`; returns at once.
+    /// Starts or queues `tone`; returns at once.
     pub fn give(&mut self, tone: Tone, now: Instant) {
-        match &self.voice {
-            Voice::Off => {}
-            Voice::Bell => self.ring(tone, now),
-            Voice::Player(player) => player.play(tone),
+        match &mut self.output {
+            Output::Off => {}
+            Output::Bell => self.ring(tone, now),
+            Output::Player(player) => player.enqueue(tone),
         }
+        self.update(now);
     }
 
-    /// How many bells are due; the caller writes them to its terminal between other output.
+    /// Returns the number of due bells, which the caller writes to its terminal. Call it regularly:
+    /// it also plays queued tones.
     pub fn bells_due(&mut self, now: Instant) -> usize {
-        if let Voice::Player(player) = &self.voice {
-            let unplayed: Vec<_> = player.unplayed.try_iter().collect();
-            if !unplayed.is_empty() {
-                self.voice = Voice::Bell;
-            }
-            for tone in unplayed {
-                self.ring(tone, now);
-            }
-        }
+        self.update(now);
         let due = self.bells.iter().take_while(|at| **at <= now).count();
         self.bells.drain(..due);
         due
     }
 
-    /// A new tone replaces the rest of the one before: patterns must not mix.
+    /// Plays queued tones; after a failure of the player, the bell rings instead.
+    fn update(&mut self, now: Instant) {
+        if let Output::Player(player) = &mut self.output
+            && let Err(tone) = player.update(now)
+        {
+            self.output = Output::Bell;
+            self.ring(tone, now);
+        }
+    }
+
+    /// A new pattern replaces the rest of the previous one.
     fn ring(&mut self, tone: Tone, now: Instant) {
         let at = |&ms: &u64| now + Duration::from_millis(ms);
         self.bells = bells(tone).iter().map(at).collect();
     }
 }
 
-/// A thread that runs the player, one tone after the other.
-struct PlayerThread {
-    /// `None` only while it is dropped.
-    tones: Option<SyncSender<Tone>>,
-    /// Tones that the player failed to play.
-    unplayed: Receiver<Tone>,
-    stop: Arc<AtomicBool>,
-    thread: Option<JoinHandle<()>>,
+/// Runs the player program, one tone after the other.
+struct Player {
+    program: PathBuf,
+    queue: VecDeque<Tone>,
+    playing: Option<Playing>,
 }
 
-impl PlayerThread {
-    fn start(program: PathBuf) -> std::io::Result<Self> {
-        let (tones, queue) = sync_channel(QUEUED_TONES);
-        let (failures, unplayed) = channel();
-        let stop = Arc::new(AtomicBool::new(false));
-        let stopped = Arc::clone(&stop);
-        let thread = std::thread::Builder::new()
-            .name("tones".to_owned())
-            .spawn(move || play_all(&program, &queue, &failures, &stopped))?;
+/// A tone that is being played. Dropping it kills and reaps the program.
+struct Playing {
+    tone: Tone,
+    child: Child,
+    deadline: Instant,
+    /// The tone's WAV file, which the program opens by our path.
+    _file: File,
+}
+
+impl Player {
+    fn new(program: PathBuf) -> Self {
+        Self {
+            program,
+            queue: VecDeque::new(),
+            playing: None,
+        }
+    }
+
+    fn enqueue(&mut self, tone: Tone) {
+        if self.queue.len() < MAX_QUEUED_TONES {
+            self.queue.push_back(tone);
+        }
+    }
+
+    /// Starts the next tone once the previous one has ended; returns a tone that failed.
+    fn update(&mut self, now: Instant) -> Result<(), Tone> {
+        if let Some(playing) = &mut self.playing {
+            match playing.child.try_wait() {
+                Ok(Some(status)) if status.success() => self.playing = None,
+                Ok(None) if now < playing.deadline => return Ok(()),
+                _ => return Err(playing.tone),
+            }
+        }
+        if let Some(tone) = self.queue.pop_front() {
+            self.playing = Some(Playing::start(&self.program, tone, now).map_err(|_| tone)?);
+        }
+        Ok(())
+    }
+}
+
+impl Playing {
+    fn start(program: &Path, tone: Tone, now: Instant) -> io::Result<Self> {
+        // A memory file needs neither a name nor cleaning up.
+        let memory = rustix::fs::memfd_create("gripcast-tone", rustix::fs::MemfdFlags::CLOEXEC)?;
+        let mut file = File::from(memory);
+        file.write_all(&wav(tone))?;
+        let path = format!("/proc/{}/fd/{}", std::process::id(), file.as_raw_fd());
+        let child = Command::new(program)
+            .arg(path)
+            .stdin(Stdio::null())
+            .stdout(Stdio::null())
+            .stderr(Stdio::null())
+            .spawn()?;
         Ok(Self {
-            tones: Some(tones),
-            unplayed,
-            stop,
-            thread: Some(thread),
+            tone,
+            child,
+            deadline: now + PLAYER_TIMEOUT,
+            _file: file,
         })
     }
-
-    fn play(&self, tone: Tone) {
-        if let Some(tones) = &self.tones {
-            // A full queue drops the tone: it would sound too late to mean anything.
-            let _ = tones.try_send(tone);
-        }
-    }
 }
 
-impl Drop for PlayerThread {
+impl Drop for Playing {
     fn drop(&mut self) {
-        self.stop.store(true, Ordering::Relaxed);
-        self.tones = None;
-        if let Some(thread) = self.thread.take() {
-            let _ = thread.join();
-        }
-    }
-}
-
-fn play_all(program: &Path, queue: &Receiver<Tone>, failures: &Sender<Tone>, stop: &AtomicBool) {
-    for tone in queue {
-        if stop.load(Ordering::Relaxed) {
-            return;
-        }
-        if play(program, tone, stop).is_err() && failures.send(tone).is_err() {
-            return;
-        }
-    }
-}
-
-/// Plays one tone from memory to its end, or until `stop`.
-fn play(program: &Path, tone: Tone, stop: &AtomicBool) -> std::io::Result<()> {
-    // The player opens the memory file by our path, so it needs neither a name nor cleaning up.
-    let memory = rustix::fs::memfd_create("gripcast-tone", rustix::fs::MemfdFlags::CLOEXEC)?;
-    let mut file = std::fs::File::from(memory);
-    file.write_all(&wav(tone))?;
-    let path = format!("/proc/{}/fd/{}", std::process::id(), file.as_raw_fd());
-    let child = Command::new(program)
-        .arg(path)
-        .stdin(Stdio::null())
-        .stdout(Stdio::null())
-        .stderr(Stdio::null())
-        .spawn()?;
-    wait(child, stop)
-}
-
-/// Waits for `child`; kills it when it hangs or when `stop` is set. The child is always reaped.
-fn wait(mut child: Child, stop: &AtomicBool) -> std::io::Result<()> {
-    let deadline = Instant::now() + PLAYER_LIMIT;
-    loop {
-        if let Some(status) = child.try_wait()? {
-            let failed = || std::io::Error::other(format!("the player ended with {status}"));
-            return status.success().then_some(()).ok_or_else(failed);
-        }
-        let stopped = stop.load(Ordering::Relaxed);
-        if stopped || Instant::now() >= deadline {
-            child.kill()?;
-            child.wait()?;
-            let hung = std::io::ErrorKind::TimedOut.into();
-            return stopped.then_some(()).ok_or(hung);
-        }
-        std::thread::sleep(PLAYER_POLL);
+        // Both fail only if the program has already been reaped.
+        let _ = self.child.kill();
+        let _ = self.child.wait();
     }
 }
 
@@ -297,7 +275,7 @@ mod tests {
     ];
 
     #[test]
-    fn wav_files_have_a_right_header_and_length() {
+    fn wav_files_have_valid_header_and_length() {
         for tone in TONES {
             let file = wav(tone);
             let word = |at: usize| u32::from_le_bytes(file[at..at + 4].try_into().unwrap());
@@ -321,7 +299,7 @@ mod tests {
     }
 
     #[test]
-    fn tones_are_loud_do_not_clip_and_start_and_end_quietly() {
+    fn tones_are_loud_without_clipping_and_ramped() {
         for tone in TONES {
             let samples = samples(melody(tone));
             let peak = samples.iter().map(|s| s.unsigned_abs()).max().unwrap();
@@ -332,7 +310,7 @@ mod tests {
     }
 
     #[test]
-    fn every_tone_differs_in_melody_and_in_bells() {
+    fn tones_differ_in_melody_and_bells() {
         for (index, one) in TONES.into_iter().enumerate() {
             for other in TONES.into_iter().skip(index + 1) {
                 assert_ne!(wav(one), wav(other), "{one:?} {other:?}");
@@ -342,7 +320,7 @@ mod tests {
     }
 
     #[test]
-    fn bells_are_due_in_time_and_a_new_tone_replaces_the_old() {
+    fn bells_are_timed_and_new_tone_replaces_old() {
         let mut speaker = Speaker::new(Sound::Bell);
         let start = Instant::now();
         let after = |ms| start + Duration::from_millis(ms);
@@ -364,39 +342,54 @@ mod tests {
     }
 
     #[test]
-    fn the_first_player_in_the_path_is_taken() {
+    fn first_player_in_path_is_used() {
         let directory = tempfile::tempdir().unwrap();
         let path = Some(directory.path().as_os_str());
-        assert_eq!(player(path), None);
+        assert_eq!(find_player(path), None);
         for name in ["aplay", "paplay"] {
             std::fs::write(directory.path().join(name), "").unwrap();
         }
-        assert_eq!(player(path), Some(directory.path().join("paplay")));
-        assert_eq!(player(None), None);
+        assert_eq!(find_player(path), Some(directory.path().join("paplay")));
+        assert_eq!(find_player(None), None);
     }
 
     #[test]
-    fn a_failing_player_hands_its_tone_to_the_bell() {
+    fn failing_player_falls_back_to_the_bell() {
         let mut speaker = Speaker {
-            voice: Voice::Player(PlayerThread::start(PathBuf::from("/bin/false")).unwrap()),
+            output: Output::Player(Player::new(PathBuf::from("/bin/false"))),
             bells: VecDeque::new(),
         };
-        let now = Instant::now();
-        speaker.give(Tone::Slip, now);
-        let Voice::Player(thread) = &speaker.voice else {
-            panic!("the player was given up before it failed");
-        };
-        let tone = thread.unplayed.recv().unwrap();
-        assert_eq!(tone, Tone::Slip);
-        speaker.ring(tone, now);
-        assert_eq!(speaker.bells_due(now), 1);
+        let start = Instant::now();
+        speaker.give(Tone::Slip, start);
+        assert!(matches!(speaker.output, Output::Player(_)));
+        while speaker.bells_due(Instant::now()) == 0 {
+            assert!(start.elapsed() < PLAYER_TIMEOUT, "the player must fail");
+            std::thread::sleep(Duration::from_millis(1));
+        }
+        assert!(matches!(speaker.output, Output::Bell));
     }
 
     #[test]
-    fn a_stopped_player_is_killed_and_reaped() {
-        let child = Command::new("sleep").arg("60").spawn().unwrap();
-        let id = child.id();
-        wait(child, &AtomicBool::new(true)).unwrap();
+    fn queued_tones_are_played_in_order_and_limited() {
+        let mut player = Player::new(PathBuf::from("/bin/true"));
+        for tone in TONES {
+            player.enqueue(tone);
+        }
+        assert_eq!(player.queue.make_contiguous(), &TONES[..MAX_QUEUED_TONES]);
+        player.update(Instant::now()).unwrap();
+        assert_eq!(player.playing.as_ref().unwrap().tone, TONES[0]);
+    }
+
+    #[test]
+    fn stopped_player_is_killed_and_reaped() {
+        let directory = tempfile::tempdir().unwrap();
+        let program = directory.path().join("player");
+        std::fs::write(&program, "#!/bin/sh\nexec sleep 60\n").unwrap();
+        let permissions = std::os::unix::fs::PermissionsExt::from_mode(0o700);
+        std::fs::set_permissions(&program, permissions).unwrap();
+        let playing = Playing::start(&program, Tone::Stable, Instant::now()).unwrap();
+        let id = playing.child.id();
+        drop(playing);
         assert!(!Path::new(&format!("/proc/{id}")).exists());
     }
 }

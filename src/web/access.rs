@@ -1,12 +1,11 @@
-//! Who may talk to the daemon.
+//! Access control of the daemon.
 //!
-//! * Every request: a `Host` that can be read, and no page of another site ([`super::origin`]).
-//! * A Unix socket: whoever may open it. The `Host` must name this machine, since `ssh -L` brings
-//!   browsers to the socket too.
-//! * TCP without a token (loopback only): programs of this machine; the `Host` must name it, a
-//!   foreign name that was made to point here does not.
-//! * TCP with a token: whoever shows it as `Authorization: Bearer`, or the cookie of a session that
-//!   a login has opened.
+//! * Every request: a valid `Host`, and no cross-site request ([`super::origin`]).
+//! * Unix socket: everyone who may open it. The `Host` must name this machine, because `ssh -L`
+//!   connects browsers to the socket.
+//! * TCP without a token (loopback only): programs on this machine. The `Host` must name it, against
+//!   DNS rebinding.
+//! * TCP with a token: `Authorization: Bearer`, or the cookie of a login session.
 
 use std::fmt;
 use std::fs::File;
@@ -14,7 +13,7 @@ use std::io::Read as _;
 use std::net::IpAddr;
 use std::os::unix::fs::MetadataExt as _;
 use std::path::Path;
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex};
 use std::time::Instant;
 
 use axum::extract::{Request, State};
@@ -26,27 +25,28 @@ use subtle::ConstantTimeEq as _;
 use super::failure::Failure;
 use super::origin;
 use super::sessions::{Failures, SessionKey, Sessions};
+use crate::daemon::lock;
 use gripcast_base::error::{Error, Result};
 use gripcast_base::files::sha256_hex;
 
-/// Shortest token that is taken, characters.
+/// Minimum length of a token, characters.
 const MIN_TOKEN_CHARS: usize = 16;
-/// Longest one; a larger file is no token.
+/// Maximum size of a token file, bytes.
 const MAX_TOKEN_BYTES: u64 = 1024;
-/// Cookie of a browser that has logged in.
+/// Name of the session cookie.
 const COOKIE: &str = "gripcast";
-/// Cookies of that name that are looked at; a browser has one.
+/// Maximum cookies of that name to check; a browser sends one.
 const MAX_COOKIES: usize = 4;
-/// How it is kept: no script reads it, no other site sends it.
-const COOKIE_RULES: &str = "Path=/; HttpOnly; SameSite=Strict";
+/// Attributes of the cookie: not readable by scripts, not sent by other sites.
+const COOKIE_ATTRIBUTES: &str = "Path=/; HttpOnly; SameSite=Strict";
 
-/// Nothing but our own files, no frames around us.
+/// Allows own files only, and no embedding.
 const CONTENT_SECURITY_POLICY: &str = "default-src 'none'; script-src 'self'; style-src 'self'; \
      img-src 'self' blob: data:; connect-src 'self'; manifest-src 'self'; base-uri 'none'; \
      form-action 'none'; frame-ancestors 'none'";
 
-/// On every answer: other sites neither embed it nor hold on to its window.
-const MARKS: [(HeaderName, &str); 6] = [
+/// Headers of every response: no embedding and no window access by other sites.
+const SECURITY_HEADERS: [(HeaderName, &str); 6] = [
     (header::CONTENT_SECURITY_POLICY, CONTENT_SECURITY_POLICY),
     (header::X_CONTENT_TYPE_OPTIONS, "nosniff"),
     (header::REFERRER_POLICY, "no-referrer"),
@@ -61,14 +61,14 @@ const MARKS: [(HeaderName, &str); 6] = [
     ),
 ];
 
-/// Whether a file's rights let others read or change it. Root chooses who is in a group, so that
-/// a group may read what belongs to root: the package gives its token to the service's.
+/// Returns whether others can read or change a file. Files of root may be readable by their group:
+/// the package gives the token to the service's group.
 fn is_open(owner: u32, mode: u32) -> bool {
     let allowed = if owner == 0 { 0o040 } else { 0 };
     mode & 0o077 & !allowed != 0
 }
 
-/// A secret; it is never printed.
+/// A secret token, never printed.
 #[derive(Clone)]
 pub(crate) struct Token(String);
 
@@ -79,11 +79,11 @@ impl fmt::Debug for Token {
 }
 
 impl Token {
-    /// The token in a file that only its owner can read, or that root gave to a group.
+    /// Reads a token from a file that only its owner, or the group of a root-owned file, can read.
     ///
     /// # Errors
-    /// `Config` for a file that others may read or that holds no token of at least 16 printable
-    /// characters; `Io`, `NotFound`, … when it cannot be read.
+    /// `Config` for a file that others can read or without a token of at least 16 printable
+    /// characters; `Io`, `NotFound`, … if it cannot be read.
     pub(crate) fn read(path: &Path) -> Result<Self> {
         let unreadable = |e| Error::io("cannot read the token", e).at(path.display());
         let file = File::open(path).map_err(unreadable)?;
@@ -91,7 +91,7 @@ impl Token {
         let mode = metadata.mode();
         if is_open(metadata.uid(), mode) {
             return Err(Error::config(format!(
-                "others may read the token (mode {:o})",
+                "the token file is readable by others (mode {:o})",
                 mode & 0o777
             ))
             .at(path.display())
@@ -110,36 +110,36 @@ impl Token {
         if token.len() < MIN_TOKEN_CHARS || !printable {
             return Err(Error::config(format!(
                 "expected a token of at least {MIN_TOKEN_CHARS} printable ASCII characters \
-                     without blanks, found {} characters",
+                     without spaces, found {} characters",
                 token.chars().count()
             ))
-            .remedy("make one: head -c 24 /dev/urandom | base64 > FILE; chmod 600 FILE"));
+            .remedy("create one: head -c 24 /dev/urandom | base64 > FILE; chmod 600 FILE"));
         }
         Ok(Self(token.to_owned()))
     }
 
-    fn is(&self, shown: &str) -> bool {
-        // Digests have one length, so that not even the token's is told by the time.
+    fn matches(&self, shown: &str) -> bool {
+        // Digests have equal lengths, so timing does not reveal the length of the token.
         let (ours, theirs) = (sha256_hex(&self.0), sha256_hex(shown));
         bool::from(ours.as_bytes().ct_eq(theirs.as_bytes()))
     }
 
-    /// The header with which a program shows it.
+    /// Returns the value of the `Authorization` header.
     pub(super) fn bearer(&self) -> String {
         format!("Bearer {}", self.0)
     }
 }
 
-/// How a connection came in.
+/// Origin of a connection.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Peer {
-    /// Over TCP, from this address.
+    /// TCP, from this address.
     Network(IpAddr),
-    /// Over the Unix socket.
+    /// Unix socket.
     Local,
 }
 
-/// The rule, and who has logged in.
+/// Token and login sessions.
 #[derive(Debug, Default)]
 pub(crate) struct Access(Mutex<Inner>);
 
@@ -151,19 +151,18 @@ struct Inner {
 }
 
 impl Inner {
-    /// Whether this is the token. An address that guesses is not heard for a while, not even with
-    /// the right one.
-    fn try_token(&mut self, from: Peer, shown: &str, now: Instant) -> Result<bool, Failure> {
+    /// Checks a token. An address with too many invalid tokens is blocked for a while.
+    fn check_token(&mut self, from: Peer, shown: &str, now: Instant) -> Result<bool, Failure> {
         let Some(token) = &self.token else {
             return Ok(false);
         };
         let Peer::Network(from) = from else {
-            return Ok(token.is(shown));
+            return Ok(token.matches(shown));
         };
         if let Some(wait) = self.failures.wait(from, now) {
             return Err(Failure::new(
                 StatusCode::TOO_MANY_REQUESTS,
-                format!("too many wrong tokens from {from}"),
+                format!("too many invalid tokens from {from}"),
             )
             .remedy(format!(
                 "wait {} s, or use the Unix socket",
@@ -171,7 +170,7 @@ impl Inner {
             ))
             .retry_after(wait));
         }
-        let is_token = token.is(shown);
+        let is_token = token.matches(shown);
         if !is_token {
             self.failures.note(from, now);
         }
@@ -179,52 +178,55 @@ impl Inner {
     }
 }
 
-/// What a request was let in with.
+/// Credential with which a request was accepted.
 #[derive(Clone, Debug)]
-pub(crate) struct Pass {
+pub(crate) struct Authorisation {
     access: Arc<Access>,
-    shown: Shown,
+    credential: Credential,
 }
 
 #[derive(Clone, Debug)]
-enum Shown {
-    /// It came over the Unix socket.
+enum Credential {
+    /// Unix socket.
     Local,
-    /// Nothing: there is no token, or what it asks for is open to all.
-    Nothing,
+    /// None: no token is set, or the path is public.
+    None,
     Token(Token),
     Session(SessionKey),
 }
 
-impl Pass {
-    /// Whether it would still be let in: not after a logout, nor once there is another token. Long
-    /// answers ask again and again.
-    pub(crate) fn holds(&self) -> bool {
-        let mut inner = self.access.lock();
-        match &self.shown {
-            Shown::Local => true,
-            Shown::Nothing => inner.token.is_none(),
-            Shown::Token(shown) => inner.token.as_ref().is_some_and(|token| token.is(&shown.0)),
-            Shown::Session(key) => inner.sessions.is_open(key, Instant::now(), false),
+impl Authorisation {
+    /// Returns whether the credential is still valid: not after a logout or a change of the token.
+    /// Long responses check this repeatedly.
+    pub(crate) fn is_valid(&self) -> bool {
+        let mut inner = lock(&self.access.0);
+        match &self.credential {
+            Credential::Local => true,
+            Credential::None => inner.token.is_none(),
+            Credential::Token(shown) => inner
+                .token
+                .as_ref()
+                .is_some_and(|token| token.matches(&shown.0)),
+            Credential::Session(key) => inner.sessions.is_open(key, Instant::now(), false),
         }
     }
 
-    /// Whether it is a browser that has logged in.
+    /// Returns whether the request belongs to a login session.
     pub(crate) fn is_session(&self) -> bool {
-        matches!(self.shown, Shown::Session(_))
+        matches!(self.credential, Credential::Session(_))
     }
 
-    /// Ends the session, if there is one; returns the cookie that takes its place.
+    /// Closes the session, if any, and returns an expired cookie.
     pub(crate) fn log_out(&self) -> HeaderValue {
-        if let Shown::Session(key) = &self.shown {
-            self.access.lock().sessions.close(key);
+        if let Credential::Session(key) = &self.credential {
+            lock(&self.access.0).sessions.close(key);
         }
         HeaderValue::from_static("gripcast=; Path=/; HttpOnly; SameSite=Strict; Max-Age=0")
     }
 }
 
 impl Access {
-    /// With a token, or without on loopback.
+    /// Creates access control with an optional token.
     pub(crate) fn new(token: Option<Token>) -> Self {
         Self(Mutex::new(Inner {
             token,
@@ -232,11 +234,11 @@ impl Access {
         }))
     }
 
-    /// Takes another token from now on; logins with the one before no longer count.
+    /// Replaces the token; sessions opened with another token are closed.
     pub(crate) fn replace(&self, token: Option<Token>) {
-        let mut inner = self.lock();
+        let mut inner = lock(&self.0);
         let is_same = match (&inner.token, &token) {
-            (Some(before), Some(now)) => before.is(&now.0),
+            (Some(before), Some(now)) => before.matches(&now.0),
             (None, None) => true,
             _ => false,
         };
@@ -246,69 +248,61 @@ impl Access {
         }
     }
 
-    /// Whether there is a token.
+    /// Returns whether a token is required.
     pub(crate) fn needs_token(&self) -> bool {
-        self.lock().token.is_some()
+        lock(&self.0).token.is_some()
     }
 
-    fn lock(&self) -> MutexGuard<'_, Inner> {
-        self.0.lock().unwrap_or_else(PoisonError::into_inner)
-    }
-
-    /// Opens a session for who shows the token and returns its cookie; none without a token.
+    /// Opens a session for a valid token and returns its cookie; `None` if no token is required.
     ///
     /// # Errors
-    /// 401 for another token, 429 after too many of them.
+    /// 401 for an invalid token, 429 after too many of them.
     pub(crate) fn log_in(&self, from: Peer, shown: &str) -> Result<Option<HeaderValue>, Failure> {
-        let (mut inner, now) = (self.lock(), Instant::now());
+        let (mut inner, now) = (lock(&self.0), Instant::now());
         if inner.token.is_none() {
             return Ok(None);
         }
-        if !inner.try_token(from, shown, now)? {
-            return Err(Failure::new(
-                StatusCode::UNAUTHORIZED,
-                "this is not the token",
-            ));
+        if !inner.check_token(from, shown, now)? {
+            return Err(Failure::new(StatusCode::UNAUTHORIZED, "invalid token"));
         }
         let id = inner.sessions.open(now)?;
-        Ok(HeaderValue::from_str(&format!("{COOKIE}={id}; {COOKIE_RULES}")).ok())
+        Ok(HeaderValue::from_str(&format!("{COOKIE}={id}; {COOKIE_ATTRIBUTES}")).ok())
     }
 
-    /// Whether a request may pass, and with what.
-    fn check(&self, peer: Peer, request: &Request) -> Result<Shown, Failure> {
+    /// Checks a request and returns its credential.
+    fn check(&self, peer: Peer, request: &Request) -> Result<Credential, Failure> {
         let host = origin::check(request)?;
-        let (mut inner, now) = (self.lock(), Instant::now());
+        let (mut inner, now) = (lock(&self.0), Instant::now());
         let is_open = peer == Peer::Local || inner.token.is_none();
         if is_open && !host.is_this_machine() {
             return Err(Failure::new(
                 StatusCode::FORBIDDEN,
-                "expected a `Host` that names this machine, as localhost",
+                "expected a `Host` that names this machine, for example localhost",
             )
-            .remedy("open the page under the address that the daemon printed"));
+            .remedy("open the page at the address printed by the daemon"));
         }
         if peer == Peer::Local {
-            return Ok(Shown::Local);
+            return Ok(Credential::Local);
         }
         let keys = session_keys(request.headers());
         for key in keys {
             if inner.sessions.is_open(&key, now, true) {
-                return Ok(Shown::Session(key));
+                return Ok(Credential::Session(key));
             }
         }
         if let Some(token) = bearer(request.headers())
-            && inner.try_token(peer, token, now)?
+            && inner.check_token(peer, token, now)?
         {
-            return Ok(Shown::Token(Token(token.to_owned())));
+            return Ok(Credential::Token(Token(token.to_owned())));
         }
         let path = request.uri().path();
         if is_open || !is_api(path) || path == "/api/login" {
-            return Ok(Shown::Nothing);
+            return Ok(Credential::None);
         }
-        Err(Failure::new(
-            StatusCode::UNAUTHORIZED,
-            "this needs the token of the daemon",
+        Err(
+            Failure::new(StatusCode::UNAUTHORIZED, "the daemon requires its token")
+                .remedy("send `Authorization: Bearer TOKEN`, or log in on the page"),
         )
-        .remedy("send `Authorization: Bearer TOKEN`, or log in on the page"))
     }
 }
 
@@ -328,11 +322,11 @@ fn session_keys(headers: &HeaderMap) -> impl Iterator<Item = SessionKey> {
         .flat_map(|line| line.split(';'))
         .filter_map(|pair| pair.trim().split_once('='))
         .filter(|(name, _)| *name == COOKIE)
-        .map(|(_, id)| SessionKey::of(id))
+        .map(|(_, id)| SessionKey::new(id))
         .take(MAX_COOKIES)
 }
 
-/// Lets a request pass or not, and marks every answer.
+/// Middleware that checks every request and adds the security headers.
 pub(crate) async fn guard(
     State(access): State<Arc<Access>>,
     peer: axum::Extension<Peer>,
@@ -341,15 +335,17 @@ pub(crate) async fn guard(
 ) -> Response {
     let is_api = is_api(request.uri().path());
     let mut response = match access.check(peer.0, &request) {
-        Ok(shown) => {
-            request.extensions_mut().insert(Pass { access, shown });
+        Ok(credential) => {
+            request
+                .extensions_mut()
+                .insert(Authorisation { access, credential });
             next.run(request).await
         }
         Err(failure) => failure.into_response(),
     };
     let headers = response.headers_mut();
-    headers.reserve(MARKS.len() + 1);
-    for (name, value) in MARKS {
+    headers.reserve(SECURITY_HEADERS.len() + 1);
+    for (name, value) in SECURITY_HEADERS {
         headers.insert(name, HeaderValue::from_static(value));
     }
     if is_api {
@@ -383,7 +379,7 @@ mod tests {
     const LAB: (&str, &str) = ("host", "lab.example");
 
     #[test]
-    fn the_token_opens_the_api_and_nothing_else_does() {
+    fn api_requires_token_or_session_cookie() {
         let access = Access::new(Some(Token::parse(SECRET).unwrap()));
         let bearer = format!("Bearer {SECRET}");
         let cookie = access.log_in(FROM, SECRET).unwrap().unwrap();
@@ -403,11 +399,7 @@ mod tests {
             assert_eq!(status(&access, "/api/state", &[LAB, shown]), 401);
             assert_eq!(status(&access, "/metrics", &[LAB, shown]), 401);
         }
-        assert_eq!(
-            status(&access, "/", &[LAB]),
-            200,
-            "the page shows the login"
-        );
+        assert_eq!(status(&access, "/", &[LAB]), 200, "the page must be public");
         assert_eq!(status(&access, "/api/login", &[LAB]), 200);
         assert_eq!(status(&access, "/api/logout", &[LAB]), 401);
         assert!(access.log_in(FROM, "something-else-entirely").is_err());
@@ -420,7 +412,7 @@ mod tests {
     }
 
     #[test]
-    fn a_group_reads_only_what_root_gave_to_it() {
+    fn group_may_read_token_of_root_only() {
         for (owner, mode, open) in [
             (1000, 0o600, false),
             (1000, 0o640, true),
@@ -433,7 +425,7 @@ mod tests {
     }
 
     #[test]
-    fn tokens_that_others_can_read_or_that_are_short_are_refused() {
+    fn readable_or_short_tokens_are_rejected() {
         let dir = tempfile::tempdir().unwrap();
         let path = dir.path().join("token");
         let write = |text: &str, mode: u32| {
@@ -442,7 +434,7 @@ mod tests {
         };
         write("correct-horse-battery\n", 0o600);
         let token = Token::read(&path).unwrap();
-        assert!(token.is(SECRET));
+        assert!(token.matches(SECRET));
         assert_eq!(format!("{token:?}"), "Token(…)");
         write(SECRET, 0o644);
         let error = Token::read(&path).unwrap_err();

@@ -1,5 +1,4 @@
-//! A screen on a daemon that runs already: its state and images come over the API, commands go
-//! back.
+//! Screen attached to a running daemon: state and images arrive over the API, commands go back.
 
 use std::collections::BTreeMap;
 use std::fmt;
@@ -17,13 +16,13 @@ use tokio_tungstenite::tungstenite::http::HeaderValue;
 use tokio_tungstenite::tungstenite::{Error as WsError, Message};
 
 use super::access::Token;
-use crate::daemon::{Asked, EngineStatus, Preview};
+use crate::daemon::{CommandRequest, EngineStatus, Preview};
 use crate::note;
 use gripcast_base::error::{Error, ErrorKind, Result};
 use gripcast_imaging::{Decoder, Role};
 use gripcast_session::{Command, Tone};
 
-/// Where a daemon listens.
+/// Address of a daemon.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) enum Target {
     /// A Unix socket.
@@ -33,10 +32,10 @@ pub(crate) enum Target {
 }
 
 impl Target {
-    /// `http://HOST:PORT`, or the path of a socket.
+    /// Parses `http://HOST:PORT` or the path of a socket.
     ///
     /// # Errors
-    /// `Usage` for another kind of address.
+    /// `Usage` for an invalid address.
     pub(crate) fn parse(text: &str) -> Result<Self> {
         if let Some(rest) = text.strip_prefix("http://") {
             let address = rest.trim_end_matches('/');
@@ -46,8 +45,8 @@ impl Target {
         } else if !text.contains("://") && !text.is_empty() {
             return Ok(Self::Socket(PathBuf::from(text)));
         }
-        Err(Error::usage(format!("`{text}` is no place of a daemon"))
-            .remedy("give http://127.0.0.1:7471, or the path of the daemon's socket"))
+        Err(Error::usage(format!("invalid daemon address `{text}`"))
+            .remedy("use http://127.0.0.1:7471, or the path of the daemon's socket"))
     }
 }
 
@@ -60,55 +59,55 @@ impl fmt::Display for Target {
     }
 }
 
-/// How being attached ended.
+/// How the attachment ended.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Attached {
-    /// The operator left; the daemon goes on.
+    /// The operator left; the daemon continues.
     Left,
     /// The daemon ended.
     Ended,
 }
 
-/// What the daemon sends, as far as a screen needs it.
+/// Events of the daemon that a screen uses.
 #[derive(Deserialize)]
 #[serde(tag = "type", rename_all = "snake_case")]
-enum Heard {
+enum DaemonEvent {
     State {
         state: Box<EngineStatus>,
     },
     Tone {
         tone: Tone,
     },
-    Answer {
+    Response {
         error: Option<String>,
     },
-    Bye,
+    Shutdown,
     #[serde(other)]
     Other,
 }
 
-/// The screen's channels.
+/// Channels of the screen.
 pub(crate) struct Screen {
-    /// The newest status.
+    /// Outgoing status.
     pub(crate) status: watch::Sender<Arc<EngineStatus>>,
-    /// Sounds to give.
+    /// Outgoing tones.
     pub(crate) tones: mpsc::UnboundedSender<Tone>,
-    /// What the operator asks for; `quit` leaves.
-    pub(crate) commands: mpsc::Receiver<Asked>,
+    /// Commands of the operator; `quit` detaches.
+    pub(crate) commands: mpsc::Receiver<CommandRequest>,
 }
 
 /// Shows a daemon on a screen until the operator leaves or the daemon ends.
 ///
 /// # Errors
-/// `NotFound` or `Io` when no daemon answers, `Permission` without its token, `Io` when the
-/// connection breaks.
+/// `NotFound` or `Io` if no daemon responds, `Permission` without its token, `Io` on connection
+/// loss.
 pub(crate) async fn attach(
     target: &Target,
     token: Option<&Token>,
     screen: Screen,
 ) -> Result<Attached> {
     let unreachable = |e| {
-        Error::io("no daemon answers", e)
+        Error::io("no daemon responds", e)
             .at(target)
             .remedy("start one with `gripcast daemon`, or `systemctl start gripcast`")
     };
@@ -134,7 +133,7 @@ async fn show<S: AsyncRead + AsyncWrite + Unpin>(
     let mut socket = open(stream, host, token)
         .await
         .map_err(|e| refused(e, target))?;
-    let mut shown = Shown {
+    let mut received = Received {
         decoder: Decoder::new()?,
         previews: BTreeMap::new(),
         state: None,
@@ -143,49 +142,49 @@ async fn show<S: AsyncRead + AsyncWrite + Unpin>(
         tokio::select! {
             message = socket.next() => match message {
                 Some(Ok(Message::Text(text))) => match serde_json::from_str(&text) {
-                    Ok(Heard::State { state }) => shown.state = Some(*state),
-                    // A screen that has gone asks to leave next.
-                    Ok(Heard::Tone { tone }) => drop(screen.tones.send(tone)),
-                    Ok(Heard::Answer { error: Some(error) }) => note!("{error}"),
-                    Ok(Heard::Bye) => return Ok(Attached::Ended),
-                    Ok(Heard::Answer { error: None } | Heard::Other) => continue,
-                    Err(e) => return Err(of_another_version(e, target)),
+                    Ok(DaemonEvent::State { state }) => received.state = Some(*state),
+                    // A closed screen detaches next.
+                    Ok(DaemonEvent::Tone { tone }) => drop(screen.tones.send(tone)),
+                    Ok(DaemonEvent::Response { error: Some(error) }) => note!("{error}"),
+                    Ok(DaemonEvent::Shutdown) => return Ok(Attached::Ended),
+                    Ok(DaemonEvent::Response { error: None } | DaemonEvent::Other) => continue,
+                    Err(e) => return Err(version_mismatch(e, target)),
                 },
-                Some(Ok(Message::Binary(bytes))) => shown.take_image(&bytes),
+                Some(Ok(Message::Binary(bytes))) => received.take_image(&bytes),
                 Some(Ok(Message::Close(_))) => return Ok(Attached::Ended),
                 Some(Ok(_)) => continue,
                 Some(Err(e)) => return Err(broken(e, target)),
                 None => return Ok(Attached::Ended),
             },
-            asked = screen.commands.recv() => match asked {
-                None | Some(Asked { command: Command::Quit, .. }) => return Ok(Attached::Left),
-                Some(asked) => {
-                    let text = serde_json::json!({"command": asked.command.to_string(), "id": 1});
+            request = screen.commands.recv() => match request {
+                None | Some(CommandRequest { command: Command::Quit, .. }) => return Ok(Attached::Left),
+                Some(request) => {
+                    let text = serde_json::json!({"command": request.command.to_string(), "id": 1});
                     let message = Message::Text(text.to_string().into());
                     socket.send(message).await.map_err(|e| broken(e, target))?;
                 }
             },
         }
-        if let Some(status) = shown.status() {
+        if let Some(status) = received.status() {
             let _ = screen.status.send(Arc::new(status));
         }
     }
 }
 
-/// What has come so far.
-struct Shown {
+/// Newest state and images received.
+struct Received {
     decoder: Decoder,
     previews: BTreeMap<Role, Preview>,
     state: Option<EngineStatus>,
 }
 
-impl Shown {
-    /// An image: the place of its role, then a JPEG. One that cannot be read is left out.
+impl Received {
+    /// Takes an image: the index of its role, then a JPEG. Invalid images are ignored.
     fn take_image(&mut self, bytes: &[u8]) {
-        let Some((place, jpeg)) = bytes.split_first() else {
+        let Some((index, jpeg)) = bytes.split_first() else {
             return;
         };
-        let role = Role::ALL.get(usize::from(*place)).copied();
+        let role = Role::ALL.get(usize::from(*index)).copied();
         let Some((role, image)) = role.zip(self.decoder.stored_image(jpeg).ok()) else {
             return;
         };
@@ -222,38 +221,33 @@ async fn open<S: AsyncRead + AsyncWrite + Unpin>(
 }
 
 fn refused(error: WsError, target: &Target) -> Error {
-    match &error {
+    let error = match error {
         WsError::Http(response) if response.status().as_u16() == 401 => {
-            Error::new(ErrorKind::Permission, "the daemon wants its token")
-                .at(target)
-                .remedy("--token-file FILE, the file that the daemon was given")
+            Error::new(ErrorKind::Permission, "the daemon requires its token")
+                .remedy("pass --token-file FILE with the token file of the daemon")
         }
-        WsError::Http(response) => Error::new(
-            ErrorKind::Io,
-            format!(
-                "expected a gripcast daemon, found HTTP status {}",
-                response.status()
-            ),
-        )
-        .at(target),
-        _ => Error::new(ErrorKind::Io, "cannot talk to the daemon")
-            .because(error)
-            .at(target),
-    }
+        WsError::Http(response) => {
+            let status = response.status();
+            let what = format!("expected a gripcast daemon, found HTTP status {status}");
+            Error::new(ErrorKind::Io, what)
+        }
+        error => Error::new(ErrorKind::Io, "cannot connect to the daemon").because(error),
+    };
+    error.at(target)
 }
 
 fn broken(error: WsError, target: &Target) -> Error {
-    Error::new(ErrorKind::Io, "the connection to the daemon broke")
+    Error::new(ErrorKind::Io, "the connection to the daemon was lost")
         .because(error)
         .at(target)
-        .remedy("what was acknowledged is on disk; run the same command again")
+        .remedy("acknowledged changes are on disk; rerun the same command")
 }
 
-fn of_another_version(error: serde_json::Error, target: &Target) -> Error {
-    Error::input("the daemon says what this gripcast does not know")
+fn version_mismatch(error: serde_json::Error, target: &Target) -> Error {
+    Error::input("unknown message from the daemon")
         .because(error)
         .at(target)
-        .remedy("use the same version for both")
+        .remedy("use the same gripcast version for both")
 }
 
 #[cfg(test)]
@@ -261,7 +255,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn places_of_daemons() {
+    fn daemon_addresses_are_parsed() {
         let parse = |text| Target::parse(text).map_err(|e| e.kind());
         assert_eq!(
             parse("http://127.0.0.1:7471/"),
@@ -271,8 +265,8 @@ mod tests {
             parse("/run/gripcast/gripcast.sock"),
             Ok(Target::Socket("/run/gripcast/gripcast.sock".into()))
         );
-        for wrong in ["https://lab:1", "http://lab", "http://lab:1/page", ""] {
-            assert_eq!(parse(wrong), Err(ErrorKind::Usage), "{wrong}");
+        for invalid in ["https://lab:1", "http://lab", "http://lab:1/page", ""] {
+            assert_eq!(parse(invalid), Err(ErrorKind::Usage), "{invalid}");
         }
     }
 }

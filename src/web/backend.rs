@@ -1,4 +1,4 @@
-//! What all handlers fraction.
+//! State shared by all handlers.
 
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -10,60 +10,60 @@ use tokio::sync::{Semaphore, broadcast, mpsc, watch};
 use super::access::Access;
 use super::failure::Failure;
 use super::grasp_list::GraspList;
-use super::places::Places;
 use super::previews::Previews;
-use crate::daemon::{Asked, EngineStatus, ModelFacts, Stored, Tasks};
+use super::slots::Slots;
+use crate::daemon::{CommandRequest, EngineStatus, ModelInfo, StoreEvent, Tasks};
 use gripcast_session::{Command, CommandResult, CommandSource, Tone};
 
-/// News that wait for a reader that is slow; it misses the oldest.
-const NEWS_QUEUE: usize = 64;
-/// Those who listen to events at a time, over TCP and over the socket: pages, screens, programs.
+/// Queued news for a slow reader; the oldest are dropped.
+const NEWS_CAPACITY: usize = 64;
+/// Maximum event connections over TCP and over the socket.
 const MAX_LISTENERS: usize = 32;
-/// How long a client may take for the body of a request; the largest has 16 KiB.
-const BODY_PATIENCE: Duration = Duration::from_secs(10);
-/// How long a small image may wait until others have been decoded.
-const DECODE_PATIENCE: Duration = Duration::from_secs(5);
-/// How long an answer may take; a save on an ordinary disk takes a tenth of a second.
-const PATIENCE: Duration = Duration::from_secs(20);
+/// Timeout for the body of a request, at most 16 KiB.
+const BODY_TIMEOUT: Duration = Duration::from_secs(10);
+/// Maximum wait of a preview image for a decoder.
+const DECODE_TIMEOUT: Duration = Duration::from_secs(5);
+/// Timeout of a command; a save on an ordinary disk takes 0.1 s.
+const RESPONSE_TIMEOUT: Duration = Duration::from_secs(20);
 
-/// What happened, for all who listen.
+/// News for all event connections.
 #[derive(Clone, Debug)]
 pub(crate) enum News {
     /// A sound of the session.
     Tone(Tone),
-    /// A change of the dataset is durable, or failed.
-    Stored(Arc<Stored>),
-    /// The daemon ends.
-    Bye,
+    /// A store request was executed or failed.
+    Stored(Arc<StoreEvent>),
+    /// The daemon is shutting down.
+    Shutdown,
 }
 
-/// What all handlers fraction.
+/// State shared by all handlers.
 pub(crate) struct Backend {
     pub(crate) status: watch::Receiver<Arc<EngineStatus>>,
-    pub(crate) commands: mpsc::Sender<Asked>,
+    pub(crate) commands: mpsc::Sender<CommandRequest>,
     pub(crate) news: broadcast::Sender<News>,
     pub(crate) tasks: Tasks,
     pub(crate) access: Arc<Access>,
-    pub(crate) model: Option<ModelFacts>,
+    pub(crate) model: Option<ModelInfo>,
     pub(crate) grasps: GraspList,
     pub(crate) previews: Previews,
     pub(crate) started: Instant,
-    /// Places for those who listen to events.
-    pub(crate) listeners: Places,
-    /// Places for images that are decoded, one for each core.
+    /// Slots of event connections.
+    pub(crate) listeners: Slots,
+    /// Slots of image decoding, one per core.
     pub(crate) decodes: Arc<Semaphore>,
-    pub(crate) body_patience: Duration,
-    pub(crate) decode_patience: Duration,
+    pub(crate) body_timeout: Duration,
+    pub(crate) decode_timeout: Duration,
 }
 
 impl Backend {
-    /// A backend on the engine's channels and the dataset that it writes.
+    /// Creates a backend for the engine's channels and dataset.
     pub(crate) fn new(
         status: watch::Receiver<Arc<EngineStatus>>,
-        commands: mpsc::Sender<Asked>,
+        commands: mpsc::Sender<CommandRequest>,
         tasks: Tasks,
         access: Arc<Access>,
-        model: Option<ModelFacts>,
+        model: Option<ModelInfo>,
         dataset: PathBuf,
     ) -> Self {
         let cores = std::thread::available_parallelism().map_or(1, usize::from);
@@ -71,40 +71,40 @@ impl Backend {
             previews: Previews::new(status.clone()),
             status,
             commands,
-            news: broadcast::channel(NEWS_QUEUE).0,
+            news: broadcast::channel(NEWS_CAPACITY).0,
             tasks,
             access,
             model,
             grasps: GraspList::new(dataset),
             started: Instant::now(),
-            listeners: Places::new(MAX_LISTENERS, MAX_LISTENERS),
+            listeners: Slots::new(MAX_LISTENERS, MAX_LISTENERS),
             decodes: Arc::new(Semaphore::new(cores)),
-            body_patience: BODY_PATIENCE,
-            decode_patience: DECODE_PATIENCE,
+            body_timeout: BODY_TIMEOUT,
+            decode_timeout: DECODE_TIMEOUT,
         }
     }
 
-    /// The engine now.
+    /// Returns the engine's current status.
     pub(crate) fn state(&self) -> EngineStatus {
         EngineStatus::clone(&self.status.borrow())
     }
 
-    /// Asks the engine and waits until what was asked for is durable.
+    /// Sends a command to the engine and waits until its changes are durable.
     ///
     /// # Errors
-    /// 503 while too many commands wait or the engine ends, 504 when it does not answer.
-    pub(crate) async fn ask(&self, command: Command) -> Result<CommandResult, Failure> {
-        let (asked, answer) = Asked::with_answer(command, CommandSource::Remote);
-        self.commands.try_send(asked).map_err(|e| match e {
-            mpsc::error::TrySendError::Full(_) => Failure::busy("too many commands wait already"),
-            mpsc::error::TrySendError::Closed(_) => Failure::busy("the daemon is ending"),
+    /// 503 if too many commands are queued or the engine is ending, 504 on timeout.
+    pub(crate) async fn execute(&self, command: Command) -> Result<CommandResult, Failure> {
+        let (request, response) = CommandRequest::with_response(command, CommandSource::Remote);
+        self.commands.try_send(request).map_err(|e| match e {
+            mpsc::error::TrySendError::Full(_) => Failure::busy("too many commands are queued"),
+            mpsc::error::TrySendError::Closed(_) => Failure::busy("the daemon is shutting down"),
         })?;
-        match tokio::time::timeout(PATIENCE, answer).await {
+        match tokio::time::timeout(RESPONSE_TIMEOUT, response).await {
             Ok(Ok(result)) => Ok(result),
-            Ok(Err(_)) => Err(Failure::busy("the daemon is ending")),
+            Ok(Err(_)) => Err(Failure::busy("the daemon is shutting down")),
             Err(_) => Err(Failure::new(
                 StatusCode::GATEWAY_TIMEOUT,
-                "the engine has not answered; the command may still be carried out",
+                "the engine did not respond in time; the command may still be executed",
             )),
         }
     }

@@ -11,57 +11,57 @@ use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
 use super::backend::Backend;
-use super::failure::{Complaint, Failure};
+use super::failure::{ErrorResponse, Failure};
 use crate::daemon::EngineStatus;
 use gripcast_base::error::Error;
 use gripcast_session::{Command, CommandResult};
 
-/// A command as in scripts and on pedals.
+/// A command in the syntax of scripts and pedals.
 #[derive(Debug, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
-pub(crate) struct CommandRequest {
+pub(crate) struct CommandBody {
     /// `trigger`, `initial`, `grasp`, `override`, `stable`, `slip`, `unlabel`, `undo`, `redo`,
     /// `object NAME`, `scene NAME`, `operator NAME`, `relabel ID OUTCOME`, `trash ID`, `restore ID`.
     #[schema(example = "trigger")]
     command: String,
 }
 
-/// A name for what comes from now on.
+/// A name for the following grasps.
 #[derive(Debug, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
-pub(crate) struct NameRequest {
+pub(crate) struct NameBody {
     #[schema(min_length = 1, max_length = 120, example = "mug-blue")]
     name: String,
 }
 
-/// What became of a command.
+/// Result of a command.
 #[derive(Serialize, ToSchema)]
-pub(crate) struct CommandAnswer {
+pub(crate) struct CommandResponse {
     #[serde(flatten)]
     result: CommandResult,
-    /// The engine after it.
+    /// State of the engine after the command.
     state: EngineStatus,
 }
 
-/// Status and body of an answered command.
-pub(crate) type Reply = Result<(StatusCode, Json<CommandAnswer>), Failure>;
+/// Response of a command handler.
+pub(crate) type Reply = Result<(StatusCode, Json<CommandResponse>), Failure>;
 
-/// Carries out a command and tells what became of it.
-pub(crate) async fn carry_out(backend: &Backend, command: Command) -> Reply {
-    let result = backend.ask(command).await?;
+/// Executes a command and returns its result.
+pub(crate) async fn execute(backend: &Backend, command: Command) -> Reply {
+    let result = backend.execute(command).await?;
     let status = match &result {
         CommandResult::Accepted => StatusCode::OK,
         CommandResult::Refused { .. } => StatusCode::CONFLICT,
         CommandResult::Failed { .. } => StatusCode::INTERNAL_SERVER_ERROR,
     };
     let state = backend.state();
-    Ok((status, Json(CommandAnswer { result, state })))
+    Ok((status, Json(CommandResponse { result, state })))
 }
 
-/// The command that a text from outside means.
+/// Parses a command from a client.
 ///
 /// # Errors
-/// 422 for a text that is none, 403 for one that ends the daemon.
+/// 422 for an invalid command, 403 for `quit`.
 pub(crate) fn parse(text: &str) -> Result<Command, Failure> {
     let command: Command = text
         .parse()
@@ -69,76 +69,76 @@ pub(crate) fn parse(text: &str) -> Result<Command, Failure> {
     match &command {
         Command::Quit => Err(Failure::new(
             StatusCode::FORBIDDEN,
-            "the daemon is not ended from here",
+            "`quit` is not allowed over the API",
         )
-        .remedy("systemctl stop gripcast, or Ctrl-C where it runs")),
+        .remedy("stop the daemon with `systemctl stop gripcast`, or Ctrl-C in its terminal")),
         _ => Ok(command),
     }
 }
 
-/// Carry out a command
+/// Execute a command
 ///
-/// Waits until what it changed is durable.
-#[utoipa::path(post, path = "/api/commands", tag = "session", request_body = CommandRequest,
-    responses((status = 200, body = CommandAnswer), (status = 409, body = CommandAnswer, description = "refused"),
-        (status = 500, body = CommandAnswer, description = "failed on disk; nothing changed"),
-        (status = 400, body = Complaint), (status = 403, body = Complaint), (status = 408, body = Complaint), (status = 413, body = Complaint),
-        (status = 415, body = Complaint), (status = 422, body = Complaint), (status = 503, body = Complaint)))]
+/// Responds once all changes are durable.
+#[utoipa::path(post, path = "/api/commands", tag = "session", request_body = CommandBody,
+    responses((status = 200, body = CommandResponse), (status = 409, body = CommandResponse, description = "refused"),
+        (status = 500, body = CommandResponse, description = "write error; nothing changed"),
+        (status = 400, body = ErrorResponse), (status = 403, body = ErrorResponse), (status = 408, body = ErrorResponse), (status = 413, body = ErrorResponse),
+        (status = 415, body = ErrorResponse), (status = 422, body = ErrorResponse), (status = 503, body = ErrorResponse)))]
 pub(crate) async fn command(
     Shared(backend): Shared<Arc<Backend>>,
-    Body(request): Body<CommandRequest>,
+    Body(request): Body<CommandBody>,
 ) -> Reply {
-    carry_out(&backend, parse(&request.command)?).await
+    execute(&backend, parse(&request.command)?).await
 }
 
-/// Name the object
-#[utoipa::path(put, path = "/api/object", tag = "session", request_body = NameRequest,
-    responses((status = 200, body = CommandAnswer), (status = 400, body = Complaint), (status = 403, body = Complaint),
-        (status = 408, body = Complaint), (status = 413, body = Complaint), (status = 415, body = Complaint), (status = 422, body = Complaint),
-        (status = 503, body = Complaint)))]
+/// Set the object name
+#[utoipa::path(put, path = "/api/object", tag = "session", request_body = NameBody,
+    responses((status = 200, body = CommandResponse), (status = 400, body = ErrorResponse), (status = 403, body = ErrorResponse),
+        (status = 408, body = ErrorResponse), (status = 413, body = ErrorResponse), (status = 415, body = ErrorResponse), (status = 422, body = ErrorResponse),
+        (status = 503, body = ErrorResponse)))]
 pub(crate) async fn object(
     Shared(backend): Shared<Arc<Backend>>,
-    Body(request): Body<NameRequest>,
+    Body(request): Body<NameBody>,
 ) -> Reply {
-    named(&backend, request, Command::Object).await
+    set_name(&backend, request, Command::Object).await
 }
 
-/// Name the scene
-#[utoipa::path(put, path = "/api/scene", tag = "session", request_body = NameRequest,
-    responses((status = 200, body = CommandAnswer), (status = 400, body = Complaint), (status = 403, body = Complaint),
-        (status = 408, body = Complaint), (status = 413, body = Complaint), (status = 415, body = Complaint), (status = 422, body = Complaint),
-        (status = 503, body = Complaint)))]
+/// Set the scene name
+#[utoipa::path(put, path = "/api/scene", tag = "session", request_body = NameBody,
+    responses((status = 200, body = CommandResponse), (status = 400, body = ErrorResponse), (status = 403, body = ErrorResponse),
+        (status = 408, body = ErrorResponse), (status = 413, body = ErrorResponse), (status = 415, body = ErrorResponse), (status = 422, body = ErrorResponse),
+        (status = 503, body = ErrorResponse)))]
 pub(crate) async fn scene(
     Shared(backend): Shared<Arc<Backend>>,
-    Body(request): Body<NameRequest>,
+    Body(request): Body<NameBody>,
 ) -> Reply {
-    named(&backend, request, Command::Scene).await
+    set_name(&backend, request, Command::Scene).await
 }
 
-/// Name the operator
-#[utoipa::path(put, path = "/api/operator", tag = "session", request_body = NameRequest,
-    responses((status = 200, body = CommandAnswer), (status = 400, body = Complaint), (status = 403, body = Complaint),
-        (status = 408, body = Complaint), (status = 413, body = Complaint), (status = 415, body = Complaint), (status = 422, body = Complaint),
-        (status = 503, body = Complaint)))]
+/// Set the operator name
+#[utoipa::path(put, path = "/api/operator", tag = "session", request_body = NameBody,
+    responses((status = 200, body = CommandResponse), (status = 400, body = ErrorResponse), (status = 403, body = ErrorResponse),
+        (status = 408, body = ErrorResponse), (status = 413, body = ErrorResponse), (status = 415, body = ErrorResponse), (status = 422, body = ErrorResponse),
+        (status = 503, body = ErrorResponse)))]
 pub(crate) async fn operator(
     Shared(backend): Shared<Arc<Backend>>,
-    Body(request): Body<NameRequest>,
+    Body(request): Body<NameBody>,
 ) -> Reply {
-    named(&backend, request, Command::Operator).await
+    set_name(&backend, request, Command::Operator).await
 }
 
-async fn named<T>(backend: &Backend, request: NameRequest, make: fn(T) -> Command) -> Reply
+async fn set_name<T>(backend: &Backend, request: NameBody, make: fn(T) -> Command) -> Reply
 where
     T: FromStr<Err = Error> + Deref<Target = str>,
 {
     let name: T = request.name.trim().parse()?;
     if name.is_empty() {
-        return Err(Failure::input("expected a name, found an empty text"));
+        return Err(Failure::input("expected a name, found an empty string"));
     }
-    carry_out(backend, make(name)).await
+    execute(backend, make(name)).await
 }
 
-/// A JSON body whose refusal is told like every other failure.
+/// JSON body whose rejection is a [`Failure`].
 pub(crate) struct Body<T>(pub(crate) T);
 
 impl<T> axum::extract::FromRequest<Arc<Backend>> for Body<T>
@@ -151,18 +151,18 @@ where
         request: axum::extract::Request,
         backend: &Arc<Backend>,
     ) -> Result<Self, Failure> {
-        let patience = backend.body_patience;
-        match tokio::time::timeout(patience, Json::<T>::from_request(request, backend)).await {
+        let timeout = backend.body_timeout;
+        match tokio::time::timeout(timeout, Json::<T>::from_request(request, backend)).await {
             Ok(Ok(Json(body))) => Ok(Self(body)),
             Ok(Err(rejection)) => Err(Failure::new(rejection.status(), rejection.body_text())),
             Err(_) => Err(Failure::new(
                 StatusCode::REQUEST_TIMEOUT,
                 format!(
-                    "the body of the request did not come within {} s",
-                    patience.as_secs_f64()
+                    "the request body did not arrive within {} s",
+                    timeout.as_secs_f64()
                 ),
             )
-            .remedy("send it in one piece")),
+            .remedy("send the body at once")),
         }
     }
 }
@@ -172,24 +172,27 @@ mod tests {
     use super::*;
     use axum::response::IntoResponse as _;
 
-    fn refused(text: &str) -> u16 {
+    fn rejection_status(text: &str) -> u16 {
         match parse(text) {
-            Ok(command) => panic!("`{text}` was taken as {command:?}"),
+            Ok(command) => panic!("`{text}` was parsed as {command:?}"),
             Err(failure) => failure.into_response().status().as_u16(),
         }
     }
 
     #[test]
-    fn commands_from_outside_are_checked() {
+    fn invalid_and_forbidden_commands_are_rejected() {
         assert_eq!(parse("trigger").unwrap(), Command::Trigger);
         assert_eq!(
             parse("object blue mug").unwrap(),
             Command::Object("blue mug".parse().unwrap())
         );
-        assert_eq!(refused("quit"), 403);
-        assert_eq!(refused("jump"), 422);
-        assert_eq!(refused("object a\u{7}b"), 422);
-        assert_eq!(refused(&format!("object {}", "x".repeat(121))), 422);
-        assert_eq!(refused("trash ../../etc"), 422);
+        assert_eq!(rejection_status("quit"), 403);
+        assert_eq!(rejection_status("jump"), 422);
+        assert_eq!(rejection_status("object a\u{7}b"), 422);
+        assert_eq!(
+            rejection_status(&format!("object {}", "x".repeat(121))),
+            422
+        );
+        assert_eq!(rejection_status("trash ../../etc"), 422);
     }
 }

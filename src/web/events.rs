@@ -1,8 +1,8 @@
-//! The engine's state and news over a WebSocket, and commands the other way.
+//! WebSocket with the engine's state and events, and commands from the client.
 //!
-//! Text to the client: `{"type": "state" | "tone" | "stored" | "answer" | "bye", …}`. Text from
-//! the client: `{"command": "trigger", "id": 7}`, answered with the same id. With `?previews=true`
-//! the small images come too, as binary messages: one byte, the place of the role in
+//! Text to the client: `{"type": "state" | "tone" | "stored" | "response" | "shutdown", …}`. Text from
+//! the client: `{"command": "trigger", "id": 7}`; the response has the same id. With `?previews=true`
+//! preview images are sent as binary messages: one byte, the index of the role in
 //! left, right, rgb, depth, external, then a JPEG.
 
 use std::collections::BTreeMap;
@@ -18,25 +18,25 @@ use serde::{Deserialize, Serialize};
 use tokio::sync::broadcast::error::RecvError;
 use utoipa::{IntoParams, ToSchema};
 
-use super::access::{Pass, Peer};
+use super::access::{Authorisation, Peer};
 use super::backend::{Backend, News};
-use super::commands::{CommandAnswer, carry_out, parse};
+use super::commands::{CommandResponse, execute, parse};
 use super::failure::Failure;
-use crate::daemon::{EngineStatus, Stored};
+use crate::daemon::{EngineStatus, StoreEvent};
 use gripcast_imaging::Role;
 use gripcast_session::Tone;
 
-/// Shortest time between two states.
-const PAUSE: Duration = Duration::from_millis(100);
-/// Longest message of a client, bytes.
-const MAX_MESSAGE: usize = 4096;
+/// Minimum interval between two state messages.
+const INTERVAL: Duration = Duration::from_millis(100);
+/// Maximum size of a client message, bytes.
+const MAX_MESSAGE_BYTES: usize = 4096;
 
-/// What a client wants to hear.
+/// Query of an event connection.
 #[derive(Clone, Copy, Debug, Default, Deserialize, IntoParams)]
 #[serde(deny_unknown_fields)]
 #[into_params(parameter_in = Query)]
-pub(crate) struct Wishes {
-    /// Small images as binary messages too.
+pub(crate) struct EventQuery {
+    /// Also send preview images as binary messages.
     #[serde(default)]
     #[param(default = false)]
     previews: bool,
@@ -46,24 +46,24 @@ pub(crate) struct Wishes {
 #[derive(Serialize, ToSchema)]
 #[serde(tag = "type", rename_all = "snake_case")]
 pub(crate) enum Event {
-    /// The engine now, ten times a second at most.
+    /// State of the engine, at most ten times per second.
     State { state: Box<EngineStatus> },
     /// A sound.
     Tone { tone: Tone },
-    /// A change of the dataset was answered.
+    /// A store request was executed or failed.
     Stored {
         #[schema(value_type = serde_json::Value)]
-        stored: Box<Stored>,
+        stored: Box<StoreEvent>,
     },
-    /// What became of a command of this client.
-    Answer {
+    /// Response to a command of this client.
+    Response {
         id: u64,
-        answer: Option<Box<CommandAnswer>>,
-        /// Why there is no answer.
+        response: Option<Box<CommandResponse>>,
+        /// Error if the command was not executed.
         error: Option<String>,
     },
-    /// The daemon ends.
-    Bye,
+    /// The daemon is shutting down.
+    Shutdown,
 }
 
 /// A message from the client.
@@ -74,146 +74,149 @@ struct Request {
     id: u64,
 }
 
-/// State and news as they come (WebSocket)
+/// State and events (WebSocket)
 ///
 /// Messages are described in docs/api.md.
-#[utoipa::path(get, path = "/api/events", tag = "session", params(Wishes),
+#[utoipa::path(get, path = "/api/events", tag = "session", params(EventQuery),
     responses((status = 101, description = "switched to the WebSocket protocol"),
-        (status = 400, body = super::failure::Complaint),
-        (status = 503, body = super::failure::Complaint)))]
+        (status = 400, body = super::failure::ErrorResponse),
+        (status = 503, body = super::failure::ErrorResponse)))]
 pub(crate) async fn events(
     Shared(backend): Shared<Arc<Backend>>,
     Extension(peer): Extension<Peer>,
-    Extension(pass): Extension<Pass>,
-    wishes: Result<Query<Wishes>, axum::extract::rejection::QueryRejection>,
+    Extension(authorisation): Extension<Authorisation>,
+    query: Result<Query<EventQuery>, axum::extract::rejection::QueryRejection>,
     upgrade: Result<WebSocketUpgrade, axum::extract::ws::rejection::WebSocketUpgradeRejection>,
 ) -> Result<Response, Failure> {
-    let Query(wishes) = wishes.map_err(|e| Failure::new(e.status(), e.body_text()))?;
+    let Query(query) = query.map_err(|e| Failure::new(e.status(), e.body_text()))?;
     let upgrade = upgrade.map_err(|e| {
         Failure::new(axum::http::StatusCode::BAD_REQUEST, e.body_text())
             .remedy("open it as a WebSocket")
     })?;
-    let place = backend.listeners.take(peer).ok_or_else(|| {
-        Failure::busy("too many listen to events already").remedy("close another page")
+    let permit = backend.listeners.take(peer).ok_or_else(|| {
+        Failure::busy("too many event connections are open").remedy("close another page")
     })?;
-    // A frame is refused by its length, before any of it is kept.
+    // Large frames are rejected by their length before they are read.
     let upgrade = upgrade
-        .max_frame_size(MAX_MESSAGE)
-        .max_message_size(MAX_MESSAGE)
-        .read_buffer_size(MAX_MESSAGE);
+        .max_frame_size(MAX_MESSAGE_BYTES)
+        .max_message_size(MAX_MESSAGE_BYTES)
+        .read_buffer_size(MAX_MESSAGE_BYTES);
     Ok(upgrade.on_upgrade(move |socket| async move {
-        // A client that goes, or takes nothing, ends its own connection only.
-        let _ = Listener::new(backend, pass, socket, wishes).run().await;
-        drop(place);
+        // A client error ends its own connection only.
+        let listener = Listener {
+            backend,
+            authorisation,
+            socket,
+            query,
+            sent: BTreeMap::new(),
+        };
+        let _ = listener.run().await;
+        drop(permit);
     }))
 }
 
-struct Gone;
+/// The client has disconnected, or its session has ended.
+struct Disconnected;
 
 struct Listener {
     backend: Arc<Backend>,
-    pass: Pass,
+    authorisation: Authorisation,
     socket: WebSocket,
-    wishes: Wishes,
-    /// The newest image sent of each role.
+    query: EventQuery,
+    /// Newest image sent, by role.
     sent: BTreeMap<Role, Bytes>,
 }
 
 impl Listener {
-    fn new(backend: Arc<Backend>, pass: Pass, socket: WebSocket, wishes: Wishes) -> Self {
-        Self {
-            backend,
-            pass,
-            socket,
-            wishes,
-            sent: BTreeMap::new(),
-        }
-    }
-
-    async fn run(mut self) -> Result<(), Gone> {
+    async fn run(mut self) -> Result<(), Disconnected> {
         let mut news = self.backend.news.subscribe();
-        let mut ticks = tokio::time::interval(PAUSE);
+        let mut ticks = tokio::time::interval(INTERVAL);
         ticks.set_missed_tick_behavior(tokio::time::MissedTickBehavior::Delay);
         loop {
             tokio::select! {
-                heard = news.recv() => match heard {
-                    Ok(News::Tone(tone)) => self.say(&Event::Tone { tone }).await?,
+                received = news.recv() => match received {
+                    Ok(News::Tone(tone)) => self.send_event(&Event::Tone { tone }).await?,
                     Ok(News::Stored(stored)) => {
                         let stored = Box::new((*stored).clone());
-                        self.say(&Event::Stored { stored }).await?;
+                        self.send_event(&Event::Stored { stored }).await?;
                     }
-                    Ok(News::Bye) | Err(RecvError::Closed) => return self.say(&Event::Bye).await,
-                    // What was missed is in the next state.
+                    Ok(News::Shutdown) | Err(RecvError::Closed) => return self.send_event(&Event::Shutdown).await,
+                    // Missed news are reflected in the next state.
                     Err(RecvError::Lagged(_)) => {}
                 },
                 message = self.socket.recv() => match message {
-                    Some(Ok(Message::Text(text))) => self.take(&text).await?,
+                    Some(Ok(Message::Text(text))) => self.handle(&text).await?,
                     // Pings are answered by the library.
                     Some(Ok(Message::Ping(_) | Message::Pong(_) | Message::Binary(_))) => {}
-                    Some(Ok(Message::Close(_)) | Err(_)) | None => return Err(Gone),
+                    Some(Ok(Message::Close(_)) | Err(_)) | None => return Err(Disconnected),
                 },
                 _ = ticks.tick() => {
-                    // Its session has ended.
-                    if !self.pass.holds() {
-                        return Err(Gone);
+                    // The session has ended.
+                    if !self.authorisation.is_valid() {
+                        return Err(Disconnected);
                     }
                     let state = Box::new(self.backend.state());
-                    self.say(&Event::State { state }).await?;
-                    if self.wishes.previews {
-                        self.show().await?;
+                    self.send_event(&Event::State { state }).await?;
+                    if self.query.previews {
+                        self.send_previews().await?;
                     }
                 }
             }
         }
     }
 
-    async fn take(&mut self, text: &str) -> Result<(), Gone> {
+    async fn handle(&mut self, text: &str) -> Result<(), Disconnected> {
         let Ok(Request { command, id }) = serde_json::from_str(text) else {
             let error = Some("expected {\"command\": \"…\", \"id\": 1}".to_owned());
             return self
-                .say(&Event::Answer {
+                .send_event(&Event::Response {
                     id: 0,
-                    answer: None,
+                    response: None,
                     error,
                 })
                 .await;
         };
-        if !self.pass.holds() {
-            return Err(Gone);
+        if !self.authorisation.is_valid() {
+            return Err(Disconnected);
         }
-        let carried_out = match parse(&command) {
-            Ok(command) => carry_out(&self.backend, command).await,
+        let result = match parse(&command) {
+            Ok(command) => execute(&self.backend, command).await,
             Err(failure) => Err(failure),
         };
-        let (answer, error) = match carried_out {
-            Ok((_, axum::Json(answer))) => (Some(Box::new(answer)), None),
+        let (response, error) = match result {
+            Ok((_, axum::Json(response))) => (Some(Box::new(response)), None),
             Err(failure) => (None, Some(failure.what().to_owned())),
         };
-        self.say(&Event::Answer { id, answer, error }).await
+        self.send_event(&Event::Response {
+            id,
+            response,
+            error,
+        })
+        .await
     }
 
-    async fn show(&mut self) -> Result<(), Gone> {
-        for (place, role) in Role::ALL.into_iter().enumerate() {
+    async fn send_previews(&mut self) -> Result<(), Disconnected> {
+        for (index, role) in Role::ALL.into_iter().enumerate() {
             let Some(jpeg) = self.backend.previews.jpeg(role) else {
                 continue;
             };
-            let known = self.sent.get(&role);
-            if known.is_some_and(|known| known.as_ptr() == jpeg.as_ptr()) {
+            let sent = self.sent.get(&role);
+            if sent.is_some_and(|sent| sent.as_ptr() == jpeg.as_ptr()) {
                 continue;
             }
-            let message = [&[place as u8][..], &jpeg].concat();
+            let message = [&[index as u8][..], &jpeg].concat();
             self.sent.insert(role, jpeg);
             self.send(Message::Binary(message.into())).await?;
         }
         Ok(())
     }
 
-    async fn say(&mut self, event: &Event) -> Result<(), Gone> {
-        let text = serde_json::to_string(event).map_err(|_| Gone)?;
+    async fn send_event(&mut self, event: &Event) -> Result<(), Disconnected> {
+        let text = serde_json::to_string(event).map_err(|_| Disconnected)?;
         self.send(Message::Text(text.into())).await
     }
 
-    async fn send(&mut self, message: Message) -> Result<(), Gone> {
-        self.socket.send(message).await.map_err(|_| Gone)
+    async fn send(&mut self, message: Message) -> Result<(), Disconnected> {
+        self.socket.send(message).await.map_err(|_| Disconnected)
     }
 }

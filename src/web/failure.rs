@@ -1,4 +1,4 @@
-//! Errors as answers of the API.
+//! Error responses of the API.
 
 use std::time::Duration;
 
@@ -10,32 +10,32 @@ use utoipa::ToSchema;
 
 use gripcast_base::error::{Error, ErrorKind};
 
-/// What went wrong, as every answer from 400 on tells it.
+/// Body of every response with a status of 400 or above.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, ToSchema)]
-pub(crate) struct Complaint {
-    error: ComplaintText,
+pub(crate) struct ErrorResponse {
+    error: ErrorDetail,
 }
 
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, ToSchema)]
-struct ComplaintText {
+struct ErrorDetail {
     /// `input`, `not_found`, `busy`, `unauthorised`, `forbidden`, `failed`.
     kind: &'static str,
     what: String,
     #[serde(rename = "where")]
-    place: Option<String>,
+    location: Option<String>,
     remedy: Option<String>,
 }
 
-/// An answer that says no.
+/// A failed request.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) struct Failure {
     status: StatusCode,
-    complaint: Complaint,
+    body: ErrorResponse,
     retry_after: Option<Duration>,
 }
 
 impl Failure {
-    /// A failure with what went wrong.
+    /// Creates a failure with a description.
     pub(crate) fn new(status: StatusCode, what: impl Into<String>) -> Self {
         let kind = match status {
             StatusCode::BAD_REQUEST
@@ -53,11 +53,11 @@ impl Failure {
         };
         Self {
             status,
-            complaint: Complaint {
-                error: ComplaintText {
+            body: ErrorResponse {
+                error: ErrorDetail {
                     kind,
                     what: what.into(),
-                    place: None,
+                    location: None,
                     remedy: None,
                 },
             },
@@ -65,34 +65,34 @@ impl Failure {
         }
     }
 
-    /// Says when to ask again.
+    /// Sets the delay after which to retry.
     pub(crate) fn retry_after(mut self, wait: Duration) -> Self {
         self.retry_after = Some(wait);
         self
     }
 
-    /// Adds what helps.
+    /// Sets the remedy.
     pub(crate) fn remedy(mut self, remedy: impl Into<String>) -> Self {
-        self.complaint.error.remedy = Some(remedy.into());
+        self.body.error.remedy = Some(remedy.into());
         self
     }
 
-    /// What went wrong.
+    /// Returns the description.
     pub(crate) fn what(&self) -> &str {
-        &self.complaint.error.what
+        &self.body.error.what
     }
 
-    /// There is nothing of that name.
+    /// Creates a "not found" failure.
     pub(crate) fn not_found(what: impl Into<String>) -> Self {
         Self::new(StatusCode::NOT_FOUND, what)
     }
 
-    /// Not now.
+    /// Creates a "busy" failure.
     pub(crate) fn busy(what: impl Into<String>) -> Self {
         Self::new(StatusCode::SERVICE_UNAVAILABLE, what)
     }
 
-    /// What the client sent cannot be used.
+    /// Creates an "invalid input" failure.
     pub(crate) fn input(what: impl Into<String>) -> Self {
         Self::new(StatusCode::UNPROCESSABLE_ENTITY, what)
     }
@@ -109,19 +109,19 @@ impl From<Error> for Failure {
             _ => StatusCode::INTERNAL_SERVER_ERROR,
         };
         let mut failure = Self::new(status, error.what());
-        failure.complaint.error.place = error.place().map(str::to_owned);
-        failure.complaint.error.remedy = error.remedy_text().map(str::to_owned);
+        failure.body.error.location = error.place().map(str::to_owned);
+        failure.body.error.remedy = error.remedy_text().map(str::to_owned);
         failure
     }
 }
 
 impl IntoResponse for Failure {
     fn into_response(self) -> Response {
-        let wait = self.retry_after.map(|wait| {
+        let retry_after = self.retry_after.map(|wait| {
             // Whole seconds, rounded up.
             let seconds = wait.as_secs() + u64::from(wait.subsec_nanos() > 0);
             [(header::RETRY_AFTER, seconds.to_string())]
         });
-        (self.status, wait, Json(self.complaint)).into_response()
+        (self.status, retry_after, Json(self.body)).into_response()
     }
 }

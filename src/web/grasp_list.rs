@@ -1,23 +1,23 @@
-//! The grasps of a dataset as a list that is kept: a page of it costs no reading of what is known.
+//! Cached list of the grasps in a dataset.
 
 use std::collections::BTreeMap;
 use std::collections::btree_map::Entry;
 use std::path::PathBuf;
-use std::sync::{Mutex, MutexGuard, PoisonError};
+use std::sync::Mutex;
 
 use serde::{Deserialize, Serialize};
 use utoipa::{IntoParams, ToSchema};
 
-use crate::daemon::verdict_of;
+use crate::daemon::{lock, verdict_of};
 use gripcast_base::error::{Error, Result};
 use gripcast_dataset::{Dataset, GraspId, GraspRecord, Outcome, PredictionRecord};
 use gripcast_imaging::Role;
 use gripcast_nn::predict::Verdict;
 
-/// Grasps in an answer where no number is asked for.
-const USUAL_LIMIT: usize = 24;
-/// Most of them.
-const MAX: usize = 500;
+/// Default number of grasps per page.
+const DEFAULT_LIMIT: usize = 24;
+/// Maximum number of grasps per page.
+const MAX_LIMIT: usize = 500;
 
 /// A grasp in a list.
 #[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
@@ -29,19 +29,18 @@ pub(crate) struct GraspSummary {
     outcome: Outcome,
     labelled_at: Option<String>,
     captured_at: String,
-    /// What was predicted before the lift.
+    /// Prediction before the lift.
     prediction: Option<PredictionRecord>,
-    /// Whether the prediction says what the label says; null without one of them, or where the
-    /// model was not sure.
+    /// Whether prediction and label agree; null without one of them or if the model was unsure.
     agrees: Option<bool>,
-    /// Cameras that saw it.
+    /// Cameras with an image of the grasp.
     roles: Vec<Role>,
 }
 
 impl GraspSummary {
-    fn of(record: &GraspRecord) -> Self {
-        let claimed = record.prediction.as_ref().map(verdict_of);
-        let agrees = match (claimed, record.outcome) {
+    fn new(record: &GraspRecord) -> Self {
+        let predicted = record.prediction.as_ref().map(verdict_of);
+        let agrees = match (predicted, record.outcome) {
             (Some(Verdict::Stable), Outcome::Stable) | (Some(Verdict::Slip), Outcome::Slip) => {
                 Some(true)
             }
@@ -65,32 +64,29 @@ impl GraspSummary {
     }
 }
 
-/// Which grasps are asked for.
+/// Query of the grasp list.
 #[derive(Clone, Debug, Default, Deserialize, IntoParams)]
 #[serde(deny_unknown_fields)]
 #[into_params(parameter_in = Query)]
-pub(crate) struct Wanted {
-    /// How many at most.
+pub(crate) struct GraspQuery {
+    /// Maximum number of grasps.
     #[param(minimum = 1, maximum = 500, default = 24)]
     limit: Option<usize>,
-    /// Only those older than this id: `next` of the page before.
+    /// Only grasps older than this id: `next` of the previous page.
     before: Option<String>,
-    /// Only those of this object.
+    /// Only grasps of this object.
     object: Option<String>,
-    /// Only those of this outcome.
+    /// Only grasps with this outcome.
     outcome: Option<Outcome>,
-    /// Only those whose label is not what was predicted (true) or is (false).
+    /// Only grasps whose label and prediction disagree (true) or agree (false).
     disagree: Option<bool>,
 }
 
-impl Wanted {
-    fn takes(&self, grasp: &GraspSummary) -> bool {
-        let is_before = self.before.as_ref().is_none_or(|before| grasp.id < *before);
-        is_before
-            && self
-                .object
-                .as_ref()
-                .is_none_or(|object| grasp.object == *object)
+impl GraspQuery {
+    fn matches(&self, grasp: &GraspSummary) -> bool {
+        let Self { before, object, .. } = self;
+        before.as_ref().is_none_or(|before| grasp.id < *before)
+            && object.as_ref().is_none_or(|object| grasp.object == *object)
             && self.outcome.is_none_or(|outcome| grasp.outcome == outcome)
             && self
                 .disagree
@@ -103,26 +99,26 @@ impl Wanted {
 pub(crate) struct GraspPage {
     /// Newest first.
     grasps: Vec<GraspSummary>,
-    /// Where the next page begins; null at the end.
+    /// `before` of the next page; null on the last page.
     next: Option<String>,
 }
 
-/// The list; it follows the dataset on disk, whoever changes it.
+/// The list; it follows all changes of the dataset on disk.
 pub(crate) struct GraspList {
     path: PathBuf,
-    known: Mutex<BTreeMap<GraspId, GraspSummary>>,
+    cached: Mutex<BTreeMap<GraspId, GraspSummary>>,
 }
 
 impl GraspList {
-    /// The list of a dataset, which may not be there yet.
+    /// Creates the list of a dataset, which need not exist yet.
     pub(crate) fn new(path: PathBuf) -> Self {
         Self {
             path,
-            known: Mutex::new(BTreeMap::new()),
+            cached: Mutex::new(BTreeMap::new()),
         }
     }
 
-    /// The dataset itself.
+    /// Opens the dataset.
     ///
     /// # Errors
     /// As [`Dataset::open`].
@@ -130,42 +126,37 @@ impl GraspList {
         Dataset::open(&self.path)
     }
 
-    fn lock(&self) -> MutexGuard<'_, BTreeMap<GraspId, GraspSummary>> {
-        // A panicking holder leaves plain data behind; the directory corrects it.
-        self.known.lock().unwrap_or_else(PoisonError::into_inner)
-    }
-
-    /// What is known of a grasp is out of date.
+    /// Drops the cached summary of a changed grasp.
     pub(crate) fn forget(&self, id: &GraspId) {
-        self.lock().remove(id);
+        lock(&self.cached).remove(id);
     }
 
-    /// A page of the list. Grasps that cannot be read are left out: `dataset verify` tells them.
+    /// Returns a page of the list, without unreadable grasps (see `dataset verify`).
     ///
     /// # Errors
-    /// When the dataset cannot be read; `Input` for an impossible limit.
-    pub(crate) fn page(&self, wanted: &Wanted) -> Result<GraspPage> {
+    /// Errors of reading the dataset; `Input` for an invalid limit.
+    pub(crate) fn page(&self, query: &GraspQuery) -> Result<GraspPage> {
         let dataset = self.dataset()?;
         let ids = dataset.ids()?;
-        let mut known = self.lock();
-        known.retain(|id, _| ids.binary_search(id).is_ok());
+        let mut cached = lock(&self.cached);
+        cached.retain(|id, _| ids.binary_search(id).is_ok());
         for id in ids {
-            if let Entry::Vacant(place) = known.entry(id)
-                && let Ok(record) = dataset.grasp(place.key())
+            if let Entry::Vacant(entry) = cached.entry(id)
+                && let Ok(record) = dataset.grasp(entry.key())
             {
-                place.insert(GraspSummary::of(&record));
+                entry.insert(GraspSummary::new(&record));
             }
         }
-        let limit = wanted.limit.unwrap_or(USUAL_LIMIT);
-        if !(1..=MAX).contains(&limit) {
+        let limit = query.limit.unwrap_or(DEFAULT_LIMIT);
+        if !(1..=MAX_LIMIT).contains(&limit) {
             return Err(Error::input(format!(
-                "expected a limit of 1 to {MAX}, found {limit}"
+                "expected a limit of 1 to {MAX_LIMIT}, found {limit}"
             )));
         }
-        let mut grasps: Vec<GraspSummary> = known
+        let mut grasps: Vec<GraspSummary> = cached
             .values()
             .rev()
-            .filter(|grasp| wanted.takes(grasp))
+            .filter(|grasp| query.matches(grasp))
             .take(limit + 1)
             .cloned()
             .collect();
@@ -191,7 +182,7 @@ mod tests {
     }
 
     #[test]
-    fn pages_follow_the_dataset_and_the_filters() {
+    fn pages_follow_dataset_and_filters() {
         let dir = tempfile::tempdir().unwrap();
         let (mut writer, _) = DatasetWriter::open_or_create(dir.path(), &new_dataset()).unwrap();
         let mut saved = Vec::new();
@@ -204,24 +195,24 @@ mod tests {
         }
         saved.sort();
         let list = GraspList::new(dir.path().to_owned());
-        let page = |wanted: Wanted| list.page(&wanted).unwrap();
+        let page = |query: GraspQuery| list.page(&query).unwrap();
 
-        let first = page(Wanted {
+        let first = page(GraspQuery {
             limit: Some(2),
-            ..Wanted::default()
+            ..GraspQuery::default()
         });
         assert_eq!(ids(&first), [saved[2].as_str(), saved[1].as_str()]);
-        let rest = page(Wanted {
+        let rest = page(GraspQuery {
             before: first.next.clone(),
-            ..Wanted::default()
+            ..GraspQuery::default()
         });
         assert_eq!(
             (ids(&rest), rest.next.clone()),
             (vec![saved[0].as_str()], None)
         );
-        let mugs = page(Wanted {
+        let mugs = page(GraspQuery {
             object: Some("mug".into()),
-            ..Wanted::default()
+            ..GraspQuery::default()
         });
         assert_eq!(mugs.grasps.len(), 2);
 
@@ -229,18 +220,18 @@ mod tests {
         writer.set_outcome(&saved[0], Outcome::Slip, at).unwrap();
         list.forget(&saved[0]);
         writer.trash_grasp(&saved[1]).unwrap();
-        let slips = page(Wanted {
+        let slips = page(GraspQuery {
             outcome: Some(Outcome::Slip),
-            ..Wanted::default()
+            ..GraspQuery::default()
         });
         assert_eq!(ids(&slips), [saved[0].as_str()]);
-        assert_eq!(page(Wanted::default()).grasps.len(), 2);
-        let wrong = page(Wanted {
+        assert_eq!(page(GraspQuery::default()).grasps.len(), 2);
+        let disagreeing = page(GraspQuery {
             disagree: Some(true),
-            ..Wanted::default()
+            ..GraspQuery::default()
         });
-        let claims = slips.grasps[0].prediction.as_ref();
-        let expected = usize::from(claims.is_some_and(|said| said.p_stable >= 0.5));
-        assert_eq!(wrong.grasps.len(), expected);
+        let prediction = slips.grasps[0].prediction.as_ref();
+        let expected = usize::from(prediction.is_some_and(|p| p.p_stable >= 0.5));
+        assert_eq!(disagreeing.grasps.len(), expected);
     }
 }

@@ -1,4 +1,4 @@
-//! Saved grasps over HTTP: list, records, files, small images, relabelling and trash.
+//! Saved grasps over HTTP: list, records, files, previews, labels and trash.
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -12,9 +12,9 @@ use utoipa::ToSchema;
 
 use super::backend::Backend;
 use super::cameras::Segment;
-use super::commands::{Body, Reply, carry_out};
-use super::failure::{Complaint, Failure};
-use super::grasp_list::{GraspPage, Wanted};
+use super::commands::{Body, Reply, execute};
+use super::failure::{ErrorResponse, Failure};
+use super::grasp_list::{GraspPage, GraspQuery};
 use gripcast_base::error::{Error, ErrorKind, Result as CrateResult};
 use gripcast_base::files::FileKind;
 use gripcast_dataset::{Dataset, GraspId, GraspRecord, Outcome, Stage};
@@ -24,88 +24,88 @@ use gripcast_imaging::{
 };
 use gripcast_session::Command;
 
-/// Size of the small images.
+/// Size of the previews, px.
 const PREVIEW_WIDTH: u32 = 320;
 const PREVIEW_HEIGHT: u32 = 240;
-/// Quality of the small images.
+/// JPEG quality of the previews.
 const QUALITY: u8 = 80;
-/// When an image that could not be decoded yet may be asked for again.
+/// Retry delay if all decoders are busy.
 const DECODE_RETRY: Duration = Duration::from_secs(1);
-/// Gain of a difference, as on the operator's screen.
+/// Gain of the tactile difference, as on the operator's screen.
 const DIFFERENCE_GAIN: f32 = 1.5;
 
 /// An outcome for a grasp.
 #[derive(Debug, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
-pub(crate) struct LabelRequest {
+pub(crate) struct LabelBody {
     outcome: Outcome,
 }
 
-/// Decodes images off the threads that serve; not more at a time than there are cores.
+/// Decodes images on blocking threads, at most one per core at a time.
 async fn decode<T: Send + 'static>(
     backend: &Backend,
     work: impl FnOnce() -> Result<T, Failure> + Send + 'static,
 ) -> Result<T, Failure> {
-    let place = Arc::clone(&backend.decodes).acquire_owned();
-    let Ok(Ok(place)) = tokio::time::timeout(backend.decode_patience, place).await else {
+    let permit = Arc::clone(&backend.decodes).acquire_owned();
+    let Ok(Ok(permit)) = tokio::time::timeout(backend.decode_timeout, permit).await else {
         return Err(Failure::busy(format!(
-            "the image was not decoded within {} s: too many others are",
-            backend.decode_patience.as_secs_f64()
+            "no image decoder was free within {} s",
+            backend.decode_timeout.as_secs_f64()
         ))
-        .remedy("ask again")
+        .remedy("try again")
         .retry_after(DECODE_RETRY));
     };
     off_thread(move || {
-        // Held until the work has ended, even where nobody waits for it any more.
-        let _place = place;
+        // Held until the work ends, even if the client has disconnected.
+        let _permit = permit;
         work()
     })
     .await
 }
 
-/// Work on files, off the threads that serve.
+/// Runs file operations on a blocking thread.
 async fn off_thread<T: Send + 'static>(
     work: impl FnOnce() -> Result<T, Failure> + Send + 'static,
 ) -> Result<T, Failure> {
     tokio::task::spawn_blocking(work).await.unwrap_or_else(|_| {
         Err(Failure::new(
             StatusCode::INTERNAL_SERVER_ERROR,
-            "the answer could not be made",
+            "the request handler panicked",
         ))
     })
 }
 
-fn id_of(text: &str) -> Result<GraspId, Failure> {
+fn parse_id(text: &str) -> Result<GraspId, Failure> {
     Ok(GraspId::parse(text)?)
 }
 
 fn record_of(dataset: &Dataset, id: &GraspId) -> Result<GraspRecord, Failure> {
     dataset.grasp(id).map_err(|error| match error.kind() {
-        ErrorKind::NotFound => Failure::not_found(format!("there is no grasp {id}")),
+        ErrorKind::NotFound => Failure::not_found(format!("grasp {id} not found")),
         _ => error.into(),
     })
 }
 
 /// Saved grasps, newest first
-#[utoipa::path(get, path = "/api/grasps", tag = "grasps", params(Wanted),
-    responses((status = 200, body = GraspPage), (status = 400, body = Complaint), (status = 404, body = Complaint),
-        (status = 422, body = Complaint)))]
+#[utoipa::path(get, path = "/api/grasps", tag = "grasps", params(GraspQuery),
+    responses((status = 200, body = GraspPage), (status = 400, body = ErrorResponse), (status = 404, body = ErrorResponse),
+        (status = 422, body = ErrorResponse)))]
 pub(crate) async fn list(
     Shared(backend): Shared<Arc<Backend>>,
-    query: Result<Query<Wanted>, axum::extract::rejection::QueryRejection>,
+    query: Result<Query<GraspQuery>, axum::extract::rejection::QueryRejection>,
 ) -> Result<Json<GraspPage>, Failure> {
-    let Query(wanted) = query.map_err(|e| Failure::new(e.status(), e.body_text()))?;
-    off_thread(move || Ok(Json(backend.grasps.page(&wanted)?))).await
+    let Query(query) = query.map_err(|e| Failure::new(e.status(), e.body_text()))?;
+    off_thread(move || Ok(Json(backend.grasps.page(&query)?))).await
 }
 
 /// The record of a grasp: its grasp.json
 #[utoipa::path(get, path = "/api/grasps/{id}", tag = "grasps", params(("id" = String, Path)),
-    responses((status = 200, body = serde_json::Value), (status = 404, body = Complaint), (status = 422, body = Complaint)))]
+    responses((status = 200, body = serde_json::Value), (status = 404, body = ErrorResponse), (status = 422, body = ErrorResponse)))]
 pub(crate) async fn record(
     Shared(backend): Shared<Arc<Backend>>,
     Segment(id): Segment<String>,
 ) -> Result<Json<serde_json::Value>, Failure> {
-    let id = id_of(&id)?;
+    let id = parse_id(&id)?;
     off_thread(move || {
         let record = record_of(&backend.grasps.dataset()?, &id)?;
         let json = serde_json::to_value(record)
@@ -115,22 +115,22 @@ pub(crate) async fn record(
     .await
 }
 
-/// A file of a grasp, as on disk
+/// A file of a grasp as stored on disk
 #[utoipa::path(get, path = "/api/grasps/{id}/files/{name}", tag = "grasps",
     params(("id" = String, Path), ("name" = String, Path)),
     responses((status = 200, body = [u8], content_type = "application/octet-stream"),
-        (status = 404, body = Complaint), (status = 422, body = Complaint)))]
+        (status = 404, body = ErrorResponse), (status = 422, body = ErrorResponse)))]
 pub(crate) async fn file(
     Shared(backend): Shared<Arc<Backend>>,
     Segment((id, name)): Segment<(String, String)>,
 ) -> Result<Response, Failure> {
-    let id = id_of(&id)?;
+    let id = parse_id(&id)?;
     off_thread(move || {
         let dataset = backend.grasps.dataset()?;
         let record = record_of(&dataset, &id)?;
         let path = dataset.file(&record, &name).ok_or_else(|| {
-            Failure::not_found(format!("{id} has no file of that name"))
-                .remedy("`files` in its record lists them")
+            Failure::not_found(format!("{id} has no file `{name}`"))
+                .remedy("the record of the grasp lists its files")
         })?;
         let bytes = path
             .read(FileKind::Image)
@@ -145,7 +145,7 @@ pub(crate) async fn file(
     .await
 }
 
-/// What a small image shows.
+/// Contents of a preview.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, ToSchema)]
 #[serde(rename_all = "snake_case")]
 pub(crate) enum PreviewKind {
@@ -153,24 +153,24 @@ pub(crate) enum PreviewKind {
     Initial,
     /// After it closed.
     Grasp,
-    /// A gel's change between the two, grey where there is none.
+    /// Tactile difference, grey for no change.
     Difference,
 }
 
-/// A small image of a grasp
+/// Preview of a grasp
 ///
-/// 320×240, gels cropped as the model sees them, depth in false colour.
+/// 320×240; tactile images cropped as for the model, depth in false colour.
 #[utoipa::path(get, path = "/api/grasps/{id}/preview/{kind}/{file}", tag = "grasps",
     params(("id" = String, Path), ("kind" = PreviewKind, Path),
         ("file" = String, Path, description = "`ROLE.jpg`", pattern = "^(left|right|rgb|depth|external)\\.jpg$")),
-    responses((status = 200, body = [u8], content_type = "image/jpeg"), (status = 400, body = Complaint),
-        (status = 404, body = Complaint), (status = 422, body = Complaint),
-        (status = 503, body = Complaint, description = "too many images are decoded; `Retry-After` says when")))]
+    responses((status = 200, body = [u8], content_type = "image/jpeg"), (status = 400, body = ErrorResponse),
+        (status = 404, body = ErrorResponse), (status = 422, body = ErrorResponse),
+        (status = 503, body = ErrorResponse, description = "all decoders are busy; see `Retry-After`")))]
 pub(crate) async fn preview(
     Shared(backend): Shared<Arc<Backend>>,
     Segment((id, kind, file)): Segment<(String, PreviewKind, String)>,
 ) -> Result<Response, Failure> {
-    let id = id_of(&id)?;
+    let id = parse_id(&id)?;
     let role = file
         .strip_suffix(".jpg")
         .and_then(|name| Role::ALL.into_iter().find(|role| role.name() == name))
@@ -181,8 +181,8 @@ pub(crate) async fn preview(
     decode(&backend, move || {
         let dataset = list.grasps.dataset()?;
         let record = record_of(&dataset, &id)?;
-        let jpeg = small_image(&dataset, &record, kind, role)?;
-        // A grasp's images never change.
+        let jpeg = preview_jpeg(&dataset, &record, kind, role)?;
+        // Images of a grasp never change.
         let headers = [
             (header::CONTENT_TYPE, "image/jpeg"),
             (header::CACHE_CONTROL, "private, max-age=86400, immutable"),
@@ -192,14 +192,14 @@ pub(crate) async fn preview(
     .await
 }
 
-fn small_image(
+fn preview_jpeg(
     dataset: &Dataset,
     record: &GraspRecord,
     kind: PreviewKind,
     role: Role,
 ) -> CrateResult<Vec<u8>> {
     let mut decoder = Decoder::new()?;
-    let mut image = |stage| stored(&mut decoder, dataset, record, stage, role);
+    let mut image = |stage| stored_image(&mut decoder, dataset, record, stage, role);
     let shown = match kind {
         PreviewKind::Initial => image(Stage::Initial)?,
         PreviewKind::Grasp => image(Stage::Grasp)?,
@@ -209,14 +209,14 @@ fn small_image(
         }
         PreviewKind::Difference => {
             return Err(Error::input(format!(
-                "only gels have a difference, and `{role}` is none"
+                "only tactile cameras have a difference, found `{role}`"
             )));
         }
     };
     encode_jpeg(&shown, QUALITY)
 }
 
-fn stored(
+fn stored_image(
     decoder: &mut Decoder,
     dataset: &Dataset,
     record: &GraspRecord,
@@ -250,7 +250,7 @@ fn stored(
     image.map_err(|e| e.at(path.display()))
 }
 
-/// Depth as its camera sends it, for the image in false colour.
+/// Converts a depth image to a Z16 frame for false-colour decoding.
 fn depth_frame(depth: &DepthImage) -> Frame {
     let data: Vec<u8> = depth.iter().flat_map(|v| v.to_le_bytes()).collect();
     Frame {
@@ -264,54 +264,54 @@ fn depth_frame(depth: &DepthImage) -> Frame {
     }
 }
 
-/// Label a grasp, whichever it is
+/// Label a grasp
 #[utoipa::path(post, path = "/api/grasps/{id}/label", tag = "grasps", params(("id" = String, Path)),
-    request_body = LabelRequest,
-    responses((status = 200, body = super::commands::CommandAnswer), (status = 400, body = Complaint),
-        (status = 404, body = Complaint), (status = 408, body = Complaint), (status = 413, body = Complaint), (status = 415, body = Complaint),
-        (status = 422, body = Complaint), (status = 500, body = super::commands::CommandAnswer), (status = 503, body = Complaint)))]
+    request_body = LabelBody,
+    responses((status = 200, body = super::commands::CommandResponse), (status = 400, body = ErrorResponse),
+        (status = 404, body = ErrorResponse), (status = 408, body = ErrorResponse), (status = 413, body = ErrorResponse), (status = 415, body = ErrorResponse),
+        (status = 422, body = ErrorResponse), (status = 500, body = super::commands::CommandResponse), (status = 503, body = ErrorResponse)))]
 pub(crate) async fn label(
     Shared(backend): Shared<Arc<Backend>>,
     Segment(id): Segment<String>,
-    Body(request): Body<LabelRequest>,
+    Body(request): Body<LabelBody>,
 ) -> Reply {
     let id = existing(&backend, &id).await?;
-    carry_out(&backend, Command::Relabel(id, request.outcome)).await
+    execute(&backend, Command::Relabel(id, request.outcome)).await
 }
 
 /// Move a grasp to the trash
 #[utoipa::path(post, path = "/api/grasps/{id}/trash", tag = "grasps", params(("id" = String, Path)),
-    responses((status = 200, body = super::commands::CommandAnswer), (status = 404, body = Complaint),
-        (status = 422, body = Complaint), (status = 500, body = super::commands::CommandAnswer), (status = 503, body = Complaint)))]
+    responses((status = 200, body = super::commands::CommandResponse), (status = 404, body = ErrorResponse),
+        (status = 422, body = ErrorResponse), (status = 500, body = super::commands::CommandResponse), (status = 503, body = ErrorResponse)))]
 pub(crate) async fn trash(
     Shared(backend): Shared<Arc<Backend>>,
     Segment(id): Segment<String>,
 ) -> Reply {
     let id = existing(&backend, &id).await?;
-    carry_out(&backend, Command::Trash(id)).await
+    execute(&backend, Command::Trash(id)).await
 }
 
-/// Take a grasp back from the trash
+/// Restore a grasp from the trash
 #[utoipa::path(post, path = "/api/grasps/{id}/restore", tag = "grasps", params(("id" = String, Path)),
-    responses((status = 200, body = super::commands::CommandAnswer),
-        (status = 404, body = Complaint, description = "it is not in the trash"), (status = 422, body = Complaint),
-        (status = 500, body = super::commands::CommandAnswer, description = "it is damaged, or redo has to bring it back"),
-        (status = 503, body = Complaint)))]
+    responses((status = 200, body = super::commands::CommandResponse),
+        (status = 404, body = ErrorResponse, description = "not in the trash"), (status = 422, body = ErrorResponse),
+        (status = 500, body = super::commands::CommandResponse, description = "damaged, or to be restored with redo"),
+        (status = 503, body = ErrorResponse)))]
 pub(crate) async fn restore(
     Shared(backend): Shared<Arc<Backend>>,
     Segment(id): Segment<String>,
 ) -> Reply {
-    let id = id_of(&id)?;
-    let (asked, list) = (id.clone(), Arc::clone(&backend));
-    let is_there = off_thread(move || Ok(list.grasps.dataset()?.is_in_trash(&asked))).await?;
-    if !is_there {
+    let id = parse_id(&id)?;
+    let (trashed, list) = (id.clone(), Arc::clone(&backend));
+    let is_in_trash = off_thread(move || Ok(list.grasps.dataset()?.is_in_trash(&trashed))).await?;
+    if !is_in_trash {
         return Err(Failure::not_found(format!("{id} is not in the trash")));
     }
-    carry_out(&backend, Command::Restore(id)).await
+    execute(&backend, Command::Restore(id)).await
 }
 
 async fn existing(backend: &Arc<Backend>, id: &str) -> Result<GraspId, Failure> {
-    let (backend, id) = (Arc::clone(backend), id_of(id)?);
+    let (backend, id) = (Arc::clone(backend), parse_id(id)?);
     off_thread(move || {
         record_of(&backend.grasps.dataset()?, &id)?;
         Ok(id)

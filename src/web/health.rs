@@ -1,4 +1,4 @@
-//! How the daemon does: health, model, figures for Prometheus.
+//! Health, model and Prometheus metrics of the daemon.
 
 use std::fmt::Write as _;
 use std::sync::Arc;
@@ -11,38 +11,40 @@ use serde::Serialize;
 use utoipa::ToSchema;
 
 use super::backend::Backend;
-use super::failure::{Complaint, Failure};
+use super::failure::{ErrorResponse, Failure};
 use crate::daemon::{
-    CameraStatus, EngineStatus, ModelFacts, PredictionStatus, TaskReport, TaskState,
+    CameraStatus, EngineStatus, ModelInfo, PredictionStatus, TaskReport, TaskState,
 };
 
 /// Health of the daemon.
 #[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
-pub(crate) struct Health {
-    /// Whether every task works.
+pub(crate) struct HealthReport {
+    /// Whether every task is running.
     ok: bool,
     version: &'static str,
     uptime_s: f64,
     tasks: Vec<TaskReport>,
 }
 
-/// Whether all tasks work: what the watchdog is told.
+/// Returns whether all tasks are running, for the watchdog.
 pub(crate) fn is_healthy(tasks: &[TaskReport]) -> bool {
     tasks
         .iter()
         .all(|task| matches!(task.state, TaskState::Running | TaskState::Restarting))
 }
 
-/// The engine at this moment
+/// State of the engine
 #[utoipa::path(get, path = "/api/state", tag = "session", responses((status = 200, body = EngineStatus)))]
 pub(crate) async fn state(Shared(backend): Shared<Arc<Backend>>) -> Json<EngineStatus> {
     Json(backend.state())
 }
 
-/// Whether every task works
+/// Health of the daemon
 #[utoipa::path(get, path = "/api/health", tag = "daemon",
-    responses((status = 200, body = Health), (status = 503, body = Health)))]
-pub(crate) async fn health(Shared(backend): Shared<Arc<Backend>>) -> (StatusCode, Json<Health>) {
+    responses((status = 200, body = HealthReport), (status = 503, body = HealthReport)))]
+pub(crate) async fn health(
+    Shared(backend): Shared<Arc<Backend>>,
+) -> (StatusCode, Json<HealthReport>) {
     let tasks = backend.tasks.report();
     let ok = is_healthy(&tasks);
     let status = if ok {
@@ -50,7 +52,7 @@ pub(crate) async fn health(Shared(backend): Shared<Arc<Backend>>) -> (StatusCode
     } else {
         StatusCode::SERVICE_UNAVAILABLE
     };
-    let health = Health {
+    let health = HealthReport {
         ok,
         version: env!("CARGO_PKG_VERSION"),
         uptime_s: backend.started.elapsed().as_secs_f64(),
@@ -59,19 +61,19 @@ pub(crate) async fn health(Shared(backend): Shared<Arc<Backend>>) -> (StatusCode
     (status, Json(health))
 }
 
-/// The model that predicts
+/// The model used for predictions
 #[utoipa::path(get, path = "/api/model", tag = "daemon",
-    responses((status = 200, body = ModelFacts), (status = 404, body = Complaint)))]
+    responses((status = 200, body = ModelInfo), (status = 404, body = ErrorResponse)))]
 pub(crate) async fn model(
     Shared(backend): Shared<Arc<Backend>>,
-) -> Result<Json<ModelFacts>, Failure> {
+) -> Result<Json<ModelInfo>, Failure> {
     let model = backend.model.clone();
     model
         .map(Json)
-        .ok_or_else(|| Failure::not_found("nothing predicts: it was started with --model none"))
+        .ok_or_else(|| Failure::not_found("no model: the daemon was started with --model none"))
 }
 
-/// Figures for Prometheus
+/// Prometheus metrics
 #[utoipa::path(get, path = "/metrics", tag = "daemon",
     responses((status = 200, body = String, content_type = "text/plain")))]
 pub(crate) async fn metrics(Shared(backend): Shared<Arc<Backend>>) -> impl IntoResponse {
@@ -85,21 +87,16 @@ pub(crate) async fn metrics(Shared(backend): Shared<Arc<Backend>>) -> impl IntoR
     ([(header::CONTENT_TYPE, format)], text.0)
 }
 
-/// A label of a value, and the value.
-type Labelled<'a> = (Option<(&'static str, &'a str)>, f64);
+/// Optional label and value of a sample.
+type Sample<'a> = (Option<(&'static str, &'a str)>, f64);
 
 /// Prometheus text, exposition format 0.0.4.
 #[derive(Default)]
 struct Metrics(String);
 
 impl Metrics {
-    /// A family of values that may go up and down, or only up where its name ends in `_total`.
-    fn family<'a>(
-        &mut self,
-        name: &str,
-        help: &str,
-        values: impl IntoIterator<Item = Labelled<'a>>,
-    ) {
+    /// Writes a metric family: a counter if the name ends in `_total`, else a gauge.
+    fn family<'a>(&mut self, name: &str, help: &str, values: impl IntoIterator<Item = Sample<'a>>) {
         let kind = match name.ends_with("_total") {
             true => "counter",
             false => "gauge",
@@ -107,7 +104,8 @@ impl Metrics {
         // Writing to a string cannot fail.
         let _ = writeln!(self.0, "# HELP {name} {help}\n# TYPE {name} {kind}");
         for (label, value) in values {
-            let label = label.map_or_else(String::new, |(key, of)| format!("{{{key}=\"{of}\"}}"));
+            let label =
+                label.map_or_else(String::new, |(key, value)| format!("{{{key}=\"{value}\"}}"));
             let _ = writeln!(self.0, "{name}{label} {value}");
         }
     }
@@ -134,51 +132,48 @@ impl Metrics {
     }
 
     fn cameras(&mut self, cameras: &[CameraStatus]) {
-        type Reading = fn(&CameraStatus) -> Option<f64>;
-        let families: [(&str, &str, Reading); 7] = [
-            ("live", "1 while frames arrive.", |c| {
-                Some(f64::from(u8::from(c.state.is_live())))
-            }),
-            ("fps", "Measured frame rate.", |c| Some(c.measured_fps)),
-            ("frame_age_seconds", "Age of the newest frame.", |c| {
-                c.frame_age_ms.map(|age_ms| age_ms * 1e-3)
-            }),
-            ("frames_total", "Frames received.", |c| {
-                Some(c.counters.received as f64)
-            }),
-            (
-                "frames_lost_total",
-                "Frames lost before they arrived.",
-                |c| Some(c.counters.sequence_gaps as f64),
-            ),
-            ("frames_damaged_total", "Damaged frames.", |c| {
-                Some(c.counters.damaged as f64)
-            }),
-            ("reconnects_total", "Times it was opened again.", |c| {
-                Some(c.counters.reconnects as f64)
-            }),
+        const FAMILIES: [(&str, &str); 7] = [
+            ("live", "1 while frames arrive."),
+            ("fps", "Measured frame rate."),
+            ("frame_age_seconds", "Age of the newest frame."),
+            ("frames_total", "Frames received."),
+            ("frames_lost_total", "Frames lost before they arrived."),
+            ("frames_damaged_total", "Damaged frames."),
+            ("reconnects_total", "Times the camera was reopened."),
         ];
-        for (name, help, reading) in families {
-            let values = cameras
+        let values = |camera: &CameraStatus| {
+            let counters = camera.counters;
+            [
+                Some(f64::from(u8::from(camera.state.is_live()))),
+                Some(camera.measured_fps),
+                camera.frame_age_ms.map(|age_ms| age_ms * 1e-3),
+                Some(counters.received as f64),
+                Some(counters.sequence_gaps as f64),
+                Some(counters.damaged as f64),
+                Some(counters.reconnects as f64),
+            ]
+        };
+        for (index, (name, help)) in FAMILIES.into_iter().enumerate() {
+            let samples = cameras
                 .iter()
-                .filter_map(|c| Some((Some(("role", c.role.name())), reading(c)?)));
-            self.family(&format!("gripcast_camera_{name}"), help, values);
+                .filter_map(|c| Some((Some(("role", c.role.name())), values(c)[index]?)));
+            self.family(&format!("gripcast_camera_{name}"), help, samples);
         }
     }
 
     fn predictions(&mut self, prediction: Option<&PredictionStatus>) {
-        let Some(PredictionStatus { said, .. }) = prediction else {
+        let Some(PredictionStatus { record, .. }) = prediction else {
             return;
         };
         self.family(
             "gripcast_p_stable",
-            "Live probability that the grasp holds.",
-            [(None, said.p_stable)],
+            "Live probability that the grasp is stable.",
+            [(None, record.p_stable)],
         );
         self.family(
             "gripcast_prediction_latency_seconds",
-            "Frame to prediction.",
-            [(None, said.latency_ms * 1e-3)],
+            "Time from frame to prediction.",
+            [(None, record.latency_ms * 1e-3)],
         );
     }
 
@@ -193,7 +188,7 @@ impl Metrics {
         );
         self.family(
             "gripcast_healthy",
-            "1 while every task works.",
+            "1 while every task is running.",
             [(None, f64::from(u8::from(is_healthy(tasks))))],
         );
     }
@@ -204,7 +199,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_stuck_or_ended_task_is_unhealthy_and_a_restart_is_not() {
+    fn stuck_or_ended_task_is_unhealthy_and_restart_is_not() {
         let task = |state| TaskReport {
             name: "decode-left".into(),
             state,
@@ -221,7 +216,7 @@ mod tests {
     }
 
     #[test]
-    fn metrics_are_one_line_a_value() {
+    fn metrics_have_one_line_per_sample() {
         let mut metrics = Metrics::default();
         metrics.family("a", "Help.", [(None, 1.5), (Some(("role", "left")), 2.0)]);
         metrics.family("b_total", "Help.", []);

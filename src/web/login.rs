@@ -1,4 +1,4 @@
-//! Logging a browser in and out.
+//! Login and logout of browsers.
 
 use std::sync::Arc;
 
@@ -8,47 +8,47 @@ use axum::{Extension, Json};
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
-use super::access::{Pass, Peer};
+use super::access::{Authorisation, Peer};
 use super::backend::Backend;
 use super::commands::Body;
-use super::failure::{Complaint, Failure};
+use super::failure::{ErrorResponse, Failure};
 
-/// A token that is shown.
+/// Login with a token.
 #[derive(Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
 pub(crate) struct Login {
     token: String,
 }
 
-/// Whether a login is needed, and whether there was one.
+/// Whether a login is required and present.
 #[derive(Serialize, ToSchema)]
 pub(crate) struct LoginState {
     /// Whether the daemon has a token.
     needs_token: bool,
-    /// Whether this request came with the cookie of an open session.
+    /// Whether the request has the cookie of an open session.
     logged_in: bool,
 }
 
-/// Whether this browser is logged in
+/// Login state of this browser
 #[utoipa::path(get, path = "/api/login", tag = "daemon", responses((status = 200, body = LoginState)))]
 pub(crate) async fn login_state(
     Shared(backend): Shared<Arc<Backend>>,
-    Extension(pass): Extension<Pass>,
+    Extension(authorisation): Extension<Authorisation>,
 ) -> Json<LoginState> {
     Json(LoginState {
         needs_token: backend.access.needs_token(),
-        logged_in: pass.is_session(),
+        logged_in: authorisation.is_session(),
     })
 }
 
 /// Log a browser in
 ///
-/// Opens a session and sets its cookie. A daemon without a token sets none.
+/// Opens a session and sets its cookie; no cookie without a token.
 #[utoipa::path(post, path = "/api/login", tag = "daemon", request_body = Login,
-    responses((status = 204), (status = 400, body = Complaint), (status = 401, body = Complaint),
-        (status = 408, body = Complaint), (status = 413, body = Complaint), (status = 415, body = Complaint),
-        (status = 422, body = Complaint),
-        (status = 429, body = Complaint, description = "too many wrong tokens from this address")))]
+    responses((status = 204), (status = 400, body = ErrorResponse), (status = 401, body = ErrorResponse),
+        (status = 408, body = ErrorResponse), (status = 413, body = ErrorResponse), (status = 415, body = ErrorResponse),
+        (status = 422, body = ErrorResponse),
+        (status = 429, body = ErrorResponse, description = "too many wrong tokens from this address")))]
 pub(crate) async fn login(
     Shared(backend): Shared<Arc<Backend>>,
     Extension(peer): Extension<Peer>,
@@ -63,7 +63,9 @@ pub(crate) async fn login(
 ///
 /// Ends the session and its open connections.
 #[utoipa::path(post, path = "/api/logout", tag = "daemon", responses((status = 204)))]
-pub(crate) async fn logout(Extension(pass): Extension<Pass>) -> (StatusCode, HeaderMap) {
-    let headers = [(header::SET_COOKIE, pass.log_out())];
+pub(crate) async fn logout(
+    Extension(authorisation): Extension<Authorisation>,
+) -> (StatusCode, HeaderMap) {
+    let headers = [(header::SET_COOKIE, authorisation.log_out())];
     (StatusCode::NO_CONTENT, headers.into_iter().collect())
 }

@@ -1,14 +1,14 @@
-//! The daemon's API and page: the running engine for browsers and programs, over HTTP.
+//! HTTP API and web page of the running engine.
 //!
 //! ```text
 //!  engine ── status, 20 a second ──► EngineStatus ──► GET /api/state, /api/events
-//!         ◄── Asked ── answer ────── POST /api/commands, labels, names, trash
-//!  previews ──► encoder, one a camera, while somebody looks ──► MJPEG
-//!  dataset ──► list of grasps, files, small images
+//!         ◄── CommandRequest ── result ── POST /api/commands, labels, names, trash
+//!  previews ──► encoder, one per camera, on demand ──► MJPEG
+//!  dataset ──► list of grasps, files, previews
 //! ```
 //!
-//! Handlers never wait for the engine longer than a save takes, and the engine never waits for
-//! them. `docs/api.md` is the contract; `/api/openapi.json` is made from these functions.
+//! Handlers wait for the engine with a timeout; the engine never waits for them. `docs/api.md` is the
+//! contract; `/api/openapi.json` is generated from these functions.
 
 mod access;
 mod attach;
@@ -23,15 +23,15 @@ mod health;
 mod login;
 mod origin;
 mod page;
-mod places;
 mod previews;
 mod router;
 mod serve;
 mod sessions;
+mod slots;
 mod stall;
 
 #[cfg(test)]
-mod attack_test;
+mod security_test;
 
 pub(crate) use access::{Access, Token};
 pub(crate) use attach::{Attached, Screen, Target, attach};

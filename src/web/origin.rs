@@ -1,5 +1,5 @@
-//! Where a request goes to and where it comes from, by its own words: `Host`, `Origin` and
-//! `Sec-Fetch-*`. What is given twice or cannot be read is refused, never ignored.
+//! Checks of `Host`, `Origin` and `Sec-Fetch-*`. Repeated or malformed headers are rejected, never
+//! ignored.
 
 use std::net::{IpAddr, Ipv4Addr, Ipv6Addr};
 
@@ -8,10 +8,10 @@ use axum::http::{HeaderMap, Method, StatusCode, header};
 
 use super::failure::Failure;
 
-/// Longest host name, characters (RFC 1035).
+/// Maximum length of a host name, characters (RFC 1035).
 const MAX_NAME_CHARS: usize = 253;
 
-/// `NAME`, `1.2.3.4` or `[::1]`, each with `:PORT` or without.
+/// `NAME`, `1.2.3.4` or `[::1]` with an optional `:PORT`.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) struct Authority {
     name: Name,
@@ -20,13 +20,13 @@ pub(super) struct Authority {
 
 #[derive(Clone, Debug, PartialEq, Eq)]
 enum Name {
-    /// In lower case.
+    /// Domain name in lower case.
     Domain(String),
     Address(IpAddr),
 }
 
 impl Authority {
-    /// `None` for anything but exactly that: user names, trailing dots, ports that are no port.
+    /// Parses an authority strictly: no user names, trailing dots or invalid ports.
     fn parse(text: &str) -> Option<Self> {
         let (name, port) = match text.strip_prefix('[') {
             Some(rest) => {
@@ -46,7 +46,7 @@ impl Authority {
         Some(Self { name, port })
     }
 
-    /// Whether it names this machine's loopback.
+    /// Returns whether the authority names the loopback interface.
     pub(super) fn is_this_machine(&self) -> bool {
         match &self.name {
             Name::Domain(name) => name == "localhost",
@@ -71,28 +71,31 @@ impl Name {
 }
 
 fn parse_port(text: &str) -> Option<u16> {
-    // `parse` alone would take a sign.
+    // `parse` alone would accept a sign.
     let digits = text.chars().all(|c| c.is_ascii_digit());
     text.parse().ok().filter(|port| digits && *port != 0)
 }
 
-/// The one value of a header.
-fn only(headers: &HeaderMap, name: impl header::AsHeaderName) -> Result<Option<&str>, Unclear> {
+/// Returns the single value of a header, or `None` if it is missing.
+fn single_value(
+    headers: &HeaderMap,
+    name: impl header::AsHeaderName,
+) -> Result<Option<&str>, InvalidHeader> {
     let mut values = headers.get_all(name).iter();
     match (values.next(), values.next()) {
         (None, _) => Ok(None),
-        (Some(value), None) => value.to_str().map(Some).map_err(|_| Unclear),
-        (Some(_), Some(_)) => Err(Unclear),
+        (Some(value), None) => value.to_str().map(Some).map_err(|_| InvalidHeader),
+        (Some(_), Some(_)) => Err(InvalidHeader),
     }
 }
 
-/// A header that is given twice or is not ASCII.
-struct Unclear;
+/// A header that is repeated or not ASCII.
+struct InvalidHeader;
 
-/// Checks what a request says of itself and returns the host that it asks.
+/// Checks host and origin of a request and returns the host.
 ///
 /// # Errors
-/// 400 for a `Host` that is absent, doubled or malformed; 403 for a page of another site.
+/// 400 for a missing, repeated or malformed `Host`; 403 for a cross-site request.
 pub(super) fn check(request: &Request) -> Result<Authority, Failure> {
     let host = host(request)?;
     check_origin(request.headers(), &host)?;
@@ -101,40 +104,40 @@ pub(super) fn check(request: &Request) -> Result<Authority, Failure> {
 }
 
 fn host(request: &Request) -> Result<Authority, Failure> {
-    let wrong = |found: &str| {
+    let invalid = |found: &str| {
         Failure::new(
             StatusCode::BAD_REQUEST,
             format!("expected one `Host: NAME:PORT`, found {found}"),
         )
     };
-    let text = only(request.headers(), header::HOST)
-        .map_err(|_| wrong("several, or one that is not ASCII"))?
-        .ok_or_else(|| wrong("none"))?;
-    let host = Authority::parse(text).ok_or_else(|| wrong(&format!("`{text:.100}`")))?;
-    // A proxy's form of the request line names the host again.
+    let text = single_value(request.headers(), header::HOST)
+        .map_err(|_| invalid("several, or one that is not ASCII"))?
+        .ok_or_else(|| invalid("none"))?;
+    let host = Authority::parse(text).ok_or_else(|| invalid(&format!("`{text:.100}`")))?;
+    // The absolute form of the request line repeats the host.
     let line = request
         .uri()
         .authority()
         .map(|authority| authority.as_str());
     match line {
-        Some(line) if Authority::parse(line).as_ref() != Some(&host) => Err(wrong(&format!(
+        Some(line) if Authority::parse(line).as_ref() != Some(&host) => Err(invalid(&format!(
             "`{text:.100}` for a request to `{line:.100}`"
         ))),
         _ => Ok(host),
     }
 }
 
-fn foreign(what: String) -> Failure {
+fn cross_site(what: String) -> Failure {
     Failure::new(StatusCode::FORBIDDEN, what)
-        .remedy("open the page under the address that the daemon printed")
+        .remedy("open the page at the address printed by the daemon")
 }
 
-/// Refuses scripts and forms of other sites: browsers name the site.
+/// Rejects scripts and forms of other sites by `Origin`.
 fn check_origin(headers: &HeaderMap, host: &Authority) -> Result<(), Failure> {
-    let origin = match only(headers, header::ORIGIN) {
+    let origin = match single_value(headers, header::ORIGIN) {
         Ok(None) => return Ok(()),
         Ok(Some(origin)) => origin,
-        Err(Unclear) => return Err(foreign("the `Origin` of this page is unclear".into())),
+        Err(InvalidHeader) => return Err(cross_site("invalid `Origin` header".into())),
     };
     let authority = ["http://", "https://"]
         .iter()
@@ -142,28 +145,28 @@ fn check_origin(headers: &HeaderMap, host: &Authority) -> Result<(), Failure> {
     if authority.and_then(Authority::parse).as_ref() == Some(host) {
         return Ok(());
     }
-    Err(foreign(format!("a page of {origin:.100} may not ask here")))
+    Err(cross_site(format!(
+        "requests from {origin:.100} are not allowed"
+    )))
 }
 
-/// Refuses images and frames in pages of other sites: those come without an `Origin`. A link to
-/// the page itself may be followed.
+/// Rejects images and frames embedded by other sites, which have no `Origin`. Links to the page
+/// itself are allowed.
 fn check_site(request: &Request) -> Result<(), Failure> {
-    let of = |name: &'static str| only(request.headers(), name);
-    match of("sec-fetch-site") {
+    let header = |name: &'static str| single_value(request.headers(), name);
+    match header("sec-fetch-site") {
         Ok(None | Some("same-origin" | "none")) => return Ok(()),
         Ok(Some("same-site" | "cross-site")) => {}
-        Ok(Some(_)) | Err(Unclear) => {
-            return Err(foreign(
-                "`Sec-Fetch-Site` of this request is unclear".into(),
-            ));
+        Ok(Some(_)) | Err(InvalidHeader) => {
+            return Err(cross_site("invalid `Sec-Fetch-Site` header".into()));
         }
     }
-    let is_link = matches!(of("sec-fetch-mode"), Ok(Some("navigate")))
-        && matches!(of("sec-fetch-dest"), Ok(Some("document")));
+    let is_link = matches!(header("sec-fetch-mode"), Ok(Some("navigate")))
+        && matches!(header("sec-fetch-dest"), Ok(Some("document")));
     if is_link && request.method() == Method::GET && request.uri().path() == "/" {
         return Ok(());
     }
-    Err(foreign("a page of another site may not embed this".into()))
+    Err(cross_site("embedding by other sites is not allowed".into()))
 }
 
 #[cfg(test)]
@@ -171,7 +174,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn hosts_are_exactly_a_name_and_a_port() {
+    fn hosts_are_parsed_strictly() {
         for text in [
             "localhost",
             "LOCALHOST:7471",
@@ -222,7 +225,7 @@ mod tests {
     }
 
     #[test]
-    fn names_are_compared_without_case_and_ports_exactly() {
+    fn host_names_compare_case_insensitively() {
         let parse = |text| Authority::parse(text).unwrap();
         assert_eq!(parse("Lab:80"), parse("lab:80"));
         assert_ne!(parse("lab:80"), parse("lab"));

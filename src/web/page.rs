@@ -1,4 +1,4 @@
-//! The page, embedded in the binary.
+//! Files of the web page, embedded in the binary.
 
 use axum::extract::Path;
 use axum::http::{StatusCode, header};
@@ -6,7 +6,7 @@ use axum::response::{IntoResponse, Response};
 
 use super::failure::Failure;
 
-/// A file of the page: its name, media type and text.
+/// Name, media type and text of a file.
 type File = (&'static str, &'static str, &'static str);
 
 const HTML: &str = "text/html; charset=utf-8";
@@ -14,14 +14,14 @@ const CSS: &str = "text/css; charset=utf-8";
 const JAVASCRIPT: &str = "text/javascript; charset=utf-8";
 const SVG: &str = "image/svg+xml";
 
-/// Names of files under `page/` with their types, read in when gripcast is built.
+/// Embeds files of `page/` at build time.
 macro_rules! files {
     ($($name:literal => $kind:expr),+ $(,)?) => {
         &[$(($name, $kind, include_str!(concat!("page/", $name)))),+]
     };
 }
 
-/// All files.
+/// All files of the page.
 const FILES: &[File] = files! {
     "index.html" => HTML,
     "style.css" => CSS,
@@ -45,8 +45,8 @@ const FILES: &[File] = files! {
     "words.js" => JAVASCRIPT,
 };
 
-fn answer((_, kind, text): File) -> Response {
-    // The page and the API belong to one build.
+fn response((_, kind, text): File) -> Response {
+    // Page and API must be of the same build.
     let headers = [
         (header::CONTENT_TYPE, kind),
         (header::CACHE_CONTROL, "no-cache"),
@@ -54,20 +54,20 @@ fn answer((_, kind, text): File) -> Response {
     (headers, text).into_response()
 }
 
-fn named(name: &str) -> Result<Response, Failure> {
+fn find(name: &str) -> Result<Response, Failure> {
     let file = FILES.iter().find(|file| file.0 == name);
-    file.map(|file| answer(*file))
-        .ok_or_else(|| Failure::new(StatusCode::NOT_FOUND, "there is nothing of that name"))
+    file.map(|file| response(*file))
+        .ok_or_else(|| Failure::new(StatusCode::NOT_FOUND, "not found"))
 }
 
 /// `/`
 pub(crate) async fn index() -> Result<Response, Failure> {
-    named("index.html")
+    find("index.html")
 }
 
 /// `/NAME`
 pub(crate) async fn file(Path(name): Path<String>) -> Result<Response, Failure> {
-    named(&name)
+    find(&name)
 }
 
 #[cfg(test)]
@@ -76,20 +76,20 @@ mod tests {
     use std::collections::BTreeSet;
     use std::path::Path;
 
-    /// Every file of the folder is served, and what one of them asks for is there.
+    /// Every file of the folder is served, and all referenced files exist.
     #[test]
-    fn the_page_is_whole() {
+    fn page_files_are_complete() {
         let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("src/web/page");
-        let there: BTreeSet<String> = std::fs::read_dir(folder)
+        let existing: BTreeSet<String> = std::fs::read_dir(folder)
             .unwrap()
             .map(|entry| entry.unwrap().file_name().into_string().unwrap())
             .collect();
         let served: BTreeSet<String> = FILES.iter().map(|file| file.0.to_owned()).collect();
-        assert_eq!(there, served);
+        assert_eq!(existing, served);
         for (name, _, text) in FILES {
             let quoted = text.split(['"', '\'']);
-            for asked in quoted.filter_map(|part| part.strip_prefix("./")) {
-                assert!(served.contains(asked), "{name} asks for {asked}");
+            for referenced in quoted.filter_map(|part| part.strip_prefix("./")) {
+                assert!(served.contains(referenced), "{name} refers to {referenced}");
             }
         }
     }

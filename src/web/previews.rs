@@ -1,59 +1,61 @@
-//! The newest small image of each camera: encoded once, however many look, and only while
-//! somebody does.
+//! Newest preview of each camera, encoded once for all clients and only on demand.
 
 use std::collections::BTreeMap;
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex};
 
 use axum::body::Bytes;
 use tokio::sync::watch;
 
-use super::places::Places;
-use crate::daemon::EngineStatus;
+use super::slots::Slots;
+use crate::daemon::{EngineStatus, lock};
 use gripcast_imaging::{Role, encode_jpeg};
 
-/// Quality of the images.
+/// JPEG quality.
 const QUALITY: u8 = 75;
-/// Streams at a time, over TCP and over the socket; a browser has one a camera.
+/// Maximum image streams over TCP and over the socket; a browser opens one per camera.
 pub(super) const MAX_STREAMS: usize = 32;
 
-/// The newest image of each camera as JPEG, made when it is asked for.
+/// Cache of the newest preview of each camera as JPEG.
 pub(crate) struct Previews {
     status: watch::Receiver<Arc<EngineStatus>>,
     encoded: Mutex<BTreeMap<Role, Encoded>>,
-    /// Places for streams.
-    pub(crate) streams: Places,
+    /// Slots of image streams.
+    pub(crate) streams: Slots,
 }
 
 struct Encoded {
-    /// The image that it was made from; holding it keeps its address its own.
-    of: Arc<image::RgbImage>,
+    /// Source image, kept so that its address stays unique.
+    source: Arc<image::RgbImage>,
     jpeg: Bytes,
 }
 
 impl Previews {
-    /// Images of the status.
+    /// Creates previews of the engine's status.
     pub(crate) fn new(status: watch::Receiver<Arc<EngineStatus>>) -> Self {
         Self {
             status,
             encoded: Mutex::new(BTreeMap::new()),
-            streams: Places::new(MAX_STREAMS, MAX_STREAMS),
+            streams: Slots::new(MAX_STREAMS, MAX_STREAMS),
         }
     }
 
-    /// The newest image; `None` before the first.
+    /// Returns the newest image; `None` before the first.
     pub(crate) fn jpeg(&self, role: Role) -> Option<Bytes> {
         let status = Arc::clone(&self.status.borrow());
         let image = Arc::clone(&status.previews.get(&role)?.image);
-        let mut encoded = self.encoded.lock().unwrap_or_else(PoisonError::into_inner);
-        if let Some(known) = encoded.get(&role).filter(|e| Arc::ptr_eq(&e.of, &image)) {
-            return Some(known.jpeg.clone());
+        let mut encoded = lock(&self.encoded);
+        if let Some(cached) = encoded
+            .get(&role)
+            .filter(|e| Arc::ptr_eq(&e.source, &image))
+        {
+            return Some(cached.jpeg.clone());
         }
         let jpeg = Bytes::from(encode_jpeg(&image, QUALITY).ok()?);
-        let made = Encoded {
-            of: image,
+        let entry = Encoded {
+            source: image,
             jpeg: jpeg.clone(),
         };
-        encoded.insert(role, made);
+        encoded.insert(role, entry);
         Some(jpeg)
     }
 }

@@ -1,4 +1,4 @@
-//! All routes; the description of the API is made from the same list.
+//! Routes of the API, with its OpenAPI description.
 
 use std::sync::Arc;
 
@@ -14,8 +14,8 @@ use super::failure::Failure;
 use super::{access, cameras, commands, events, grasps, health, login, page};
 use gripcast_imaging::Role;
 
-/// Largest body that is taken, bytes.
-const MAX_BODY: usize = 16 * 1024;
+/// Maximum size of a request body, bytes.
+const MAX_BODY_BYTES: usize = 16 * 1024;
 
 #[derive(utoipa::OpenApi)]
 #[openapi(
@@ -26,14 +26,14 @@ const MAX_BODY: usize = 16 * 1024;
     components(schemas(events::Event, grasps::PreviewKind, Role)),
     tags(
         (name = "session", description = "Step, prediction and commands"),
-        (name = "grasps", description = "What was saved"),
+        (name = "grasps", description = "Saved grasps"),
         (name = "cameras", description = "Live images"),
         (name = "daemon", description = "The daemon itself")
     )
 )]
 struct Description;
 
-fn routes_of_the_api() -> OpenApiRouter<Arc<Backend>> {
+fn api_routes() -> OpenApiRouter<Arc<Backend>> {
     OpenApiRouter::with_openapi(Description::openapi())
         .routes(routes!(health::state))
         .routes(routes!(events::events))
@@ -57,11 +57,10 @@ fn routes_of_the_api() -> OpenApiRouter<Arc<Backend>> {
         .routes(routes!(health::metrics))
 }
 
-/// Everything that the daemon answers. Each connection adds where it comes from
-/// ([`access::Peer`]).
+/// Returns the router of all requests. Each connection adds its [`access::Peer`].
 pub(crate) fn router(backend: Arc<Backend>) -> Router {
     let access = Arc::clone(&backend.access);
-    let (api, description) = routes_of_the_api().split_for_parts();
+    let (api, description) = api_routes().split_for_parts();
     let description = Arc::new(description);
     api.route(
         "/api/openapi.json",
@@ -72,14 +71,14 @@ pub(crate) fn router(backend: Arc<Backend>) -> Router {
     )
     .route("/", axum::routing::get(page::index))
     .route("/{name}", axum::routing::get(page::file))
-    .fallback(|| async { Failure::new(StatusCode::NOT_FOUND, "there is nothing of that name") })
+    .fallback(|| async { Failure::new(StatusCode::NOT_FOUND, "not found") })
     .method_not_allowed_fallback(|| async {
         Failure::new(
             StatusCode::METHOD_NOT_ALLOWED,
-            "that cannot be done with this; /api/openapi.json tells what can",
+            "method not allowed; see /api/openapi.json",
         )
     })
-    .layer(DefaultBodyLimit::max(MAX_BODY))
+    .layer(DefaultBodyLimit::max(MAX_BODY_BYTES))
     .layer(middleware::from_fn_with_state(access, access::guard))
     .with_state(backend)
 }
@@ -88,10 +87,10 @@ pub(crate) fn router(backend: Arc<Backend>) -> Router {
 mod tests {
     use super::*;
 
-    /// Every route of the contract that people read is in the description, and the other way.
+    /// docs/api.md and the OpenAPI description have the same routes.
     #[test]
-    fn the_description_and_the_document_name_the_same_routes() {
-        let (_, description) = routes_of_the_api().split_for_parts();
+    fn openapi_and_docs_have_the_same_routes() {
+        let (_, description) = api_routes().split_for_parts();
         let described: Vec<String> = description.paths.paths.keys().cloned().collect();
         let document = include_str!("../../docs/api.md");
         for path in &described {

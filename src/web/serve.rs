@@ -1,5 +1,4 @@
-//! Connections: TCP and a Unix socket, each bounded in number, and in how long a client may neither
-//! send nor take.
+//! TCP and Unix socket connections with limits on their number and on idle clients.
 
 use std::collections::HashMap;
 use std::fs;
@@ -22,78 +21,78 @@ use tokio::net::{TcpListener, TcpSocket, UnixListener};
 use tokio::sync::{Semaphore, watch};
 
 use super::access::Peer;
-use super::places::Places;
-use super::stall::Impatient;
+use super::slots::Slots;
+use super::stall::StallTimeout;
 use crate::daemon::{TaskState, Tasks};
 use gripcast_base::error::{Error, ErrorKind, Result};
 
-/// What connections may take.
+/// Limits of connections.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Limits {
-    /// Connections of one address. A browser needs six, and two for each window's events.
+    /// Maximum connections per address. A browser needs six, and two per window for events.
     pub(super) per_address: usize,
-    /// How long a client may take for the head of a request, or say nothing after an answer.
-    pub(super) head_patience: Duration,
-    /// How long a client may take nothing of an answer that waits for it.
-    pub(super) write_patience: Duration,
+    /// Timeout for the head of a request, and between requests.
+    pub(super) head_timeout: Duration,
+    /// Timeout of a write to a client that does not read.
+    pub(super) write_timeout: Duration,
 }
 
 impl Default for Limits {
     fn default() -> Self {
         Self {
             per_address: 48,
-            head_patience: Duration::from_secs(10),
-            write_patience: Duration::from_secs(5),
+            head_timeout: Duration::from_secs(10),
+            write_timeout: Duration::from_secs(5),
         }
     }
 }
 
-/// Connections at a time over TCP.
-const MAX_OVER_TCP: usize = 128;
-/// Connections at a time over the Unix socket.
-const MAX_OVER_SOCKET: usize = 64;
-/// What the kernel holds for a client that does not read, bytes. Linux doubles it. Small, since the
-/// patience with a client begins when it is full.
+/// Maximum connections over TCP.
+const MAX_TCP: usize = 128;
+/// Maximum connections over the Unix socket.
+const MAX_UNIX: usize = 64;
+/// Send buffer of the kernel, bytes (doubled by Linux). Small, because the write timeout starts when it
+/// is full.
 const SEND_BUFFER: u32 = 64 * 1024;
-/// Connections that wait to be accepted.
+/// Maximum pending connections.
 const BACKLOG: u32 = 1024;
-/// Pause after a connection that could not be accepted, for instance for want of file descriptors.
+/// Pause after a failed accept, for example without free file descriptors.
 const ACCEPT_PAUSE: Duration = Duration::from_millis(200);
 
-/// The places where the daemon listens.
+/// Listening sockets of the daemon.
 #[derive(Debug)]
 pub(crate) struct Listeners {
     tcp: Option<TcpListener>,
     unix: Option<(UnixListener, SocketFile)>,
     pub(super) limits: Limits,
-    pub(super) places: Places,
+    pub(super) slots: Slots,
 }
 
-/// The file of a socket; it goes with its listener.
+/// Socket file, removed with its listener.
 #[derive(Debug)]
 struct SocketFile(PathBuf);
 
 impl Drop for SocketFile {
     fn drop(&mut self) {
-        // Left behind, it is replaced by the next start.
+        // A remaining file is replaced at the next start.
         let _ = fs::remove_file(&self.0);
     }
 }
 
 impl Listeners {
-    /// Opens what is asked for.
+    /// Opens the requested sockets.
     ///
     /// # Errors
-    /// `Busy` when another program listens there, `Permission`, `Io`, ….
+    /// `Busy` if another program is listening there, `Permission`, `Io`, ….
     pub(crate) async fn open(listen: Option<SocketAddr>, socket: Option<&Path>) -> Result<Self> {
         let mut listeners = Self {
             tcp: None,
             unix: None,
             limits: Limits::default(),
-            places: Places::new(MAX_OVER_TCP, MAX_OVER_SOCKET),
+            slots: Slots::new(MAX_TCP, MAX_UNIX),
         };
         if let Some(address) = listen {
-            let listener = tcp(address).map_err(|e| taken(address, e))?;
+            let listener = tcp(address).map_err(|e| tcp_error(address, e))?;
             listeners.tcp = Some(listener);
         }
         if let Some(path) = socket {
@@ -103,13 +102,13 @@ impl Listeners {
         Ok(listeners)
     }
 
-    /// The address that was bound: the port is a free one where 0 was asked for.
+    /// Returns the bound TCP address, with the assigned port if 0 was requested.
     pub(crate) fn address(&self) -> Option<SocketAddr> {
         self.tcp.as_ref()?.local_addr().ok()
     }
 }
 
-/// A listener whose connections have small send buffers.
+/// Opens a TCP listener with small send buffers.
 fn tcp(address: SocketAddr) -> io::Result<TcpListener> {
     let socket = match address {
         SocketAddr::V4(_) => TcpSocket::new_v4()?,
@@ -121,34 +120,31 @@ fn tcp(address: SocketAddr) -> io::Result<TcpListener> {
     socket.listen(BACKLOG)
 }
 
-fn taken(address: SocketAddr, error: io::Error) -> Error {
-    let in_use = error.kind() == io::ErrorKind::AddrInUse;
+fn tcp_error(address: SocketAddr, error: io::Error) -> Error {
     let what = format!("cannot listen on {address}");
-    if in_use {
-        Error::new(ErrorKind::Busy, format!("{what}: another program does"))
-            .remedy("end it (`ss -tlnp` tells which it is), or give another --listen")
+    if error.kind() == io::ErrorKind::AddrInUse {
+        Error::new(ErrorKind::Busy, format!("{what}: the port is in use"))
+            .remedy("stop the program using it (`ss -tlnp` lists it), or set another --listen")
     } else {
         Error::io(what, error)
-            .remedy("--listen takes an address of this machine, as 127.0.0.1:7471")
+            .remedy("set --listen to an address of this machine, for example 127.0.0.1:7471")
     }
 }
 
-/// A listener on a Unix socket for its owner and group; a socket that nobody listens on is replaced.
+/// Opens a Unix socket for its owner and group; a stale socket file is replaced.
 async fn unix(path: &Path) -> Result<UnixListener> {
     let failed = |e| Error::io("cannot listen on the socket", e).at(path.display());
     if let Ok(found) = fs::symlink_metadata(path) {
         if !found.file_type().is_socket() {
-            return Err(
-                Error::config("there is something else in the socket's place")
-                    .at(path.display())
-                    .remedy("give another --socket, or move it away"),
-            );
+            return Err(Error::config("expected a socket, found another file")
+                .at(path.display())
+                .remedy("set another --socket, or move the file"));
         }
         if tokio::net::UnixStream::connect(path).await.is_ok() {
             return Err(
-                Error::new(ErrorKind::Busy, "another daemon listens on the socket")
+                Error::new(ErrorKind::Busy, "another daemon is listening on the socket")
                     .at(path.display())
-                    .remedy("end it, or give another --socket"),
+                    .remedy("stop it, or set another --socket"),
             );
         }
         fs::remove_file(path).map_err(failed)?;
@@ -158,7 +154,7 @@ async fn unix(path: &Path) -> Result<UnixListener> {
     Ok(listener)
 }
 
-/// Serves until `stop` is true; connections that are open then are closed.
+/// Serves until `stop` is true, then closes all connections.
 pub(crate) async fn serve(
     listeners: Listeners,
     router: Router,
@@ -169,53 +165,53 @@ pub(crate) async fn serve(
         tcp,
         unix,
         limits,
-        places,
+        slots,
     } = listeners;
-    let door = Door {
+    let server = Server {
         router,
         tasks,
         limits,
-        places,
+        slots,
         stop,
     };
     let network = async {
         if let Some(listener) = tcp {
             let accept = async || {
                 let (stream, from) = listener.accept().await?;
-                // Small answers must not wait for more.
+                // Small responses are sent without delay.
                 let _ = stream.set_nodelay(true);
                 Ok((stream, Peer::Network(from.ip().to_canonical())))
             };
-            door.admit("serve-tcp", accept).await;
+            server.accept_all("serve-tcp", accept).await;
         }
     };
     let local = async {
         if let Some((listener, _file)) = unix {
             let accept = async || Ok((listener.accept().await?.0, Peer::Local));
-            door.admit("serve-unix", accept).await;
+            server.accept_all("serve-unix", accept).await;
         }
     };
     tokio::join!(network, local);
 }
 
-/// Where connections come in.
-struct Door {
+/// Accepts and serves connections.
+struct Server {
     router: Router,
     tasks: Tasks,
     limits: Limits,
-    places: Places,
+    slots: Slots,
     stop: watch::Receiver<bool>,
 }
 
-impl Door {
-    /// Serves what comes in until it stops.
-    async fn admit<S>(&self, task: &str, accept: impl AsyncFn() -> io::Result<(S, Peer)>)
+impl Server {
+    /// Accepts connections until `stop` is true.
+    async fn accept_all<S>(&self, task: &str, accept: impl AsyncFn() -> io::Result<(S, Peer)>)
     where
         S: AsyncRead + AsyncWrite + Unpin + Send + 'static,
     {
-        self.tasks.enter(task);
-        // Places of each address that is connected.
-        let mut crowd: HashMap<IpAddr, Arc<Semaphore>> = HashMap::new();
+        self.tasks.register(task);
+        // Slots by address.
+        let mut by_address: HashMap<IpAddr, Arc<Semaphore>> = HashMap::new();
         let mut stop = self.stop.clone();
         loop {
             let accepted = tokio::select! {
@@ -232,32 +228,32 @@ impl Door {
                     continue;
                 }
             };
-            // Places are held by those who have one.
-            crowd.retain(|_, places| Arc::strong_count(places) > 1);
-            let own = match peer {
+            // Forget addresses without connections.
+            by_address.retain(|_, slots| Arc::strong_count(slots) > 1);
+            let address_permit = match peer {
                 Peer::Network(from) => {
-                    let places = crowd
+                    let slots = by_address
                         .entry(from)
                         .or_insert_with(|| Arc::new(Semaphore::new(self.limits.per_address)));
-                    Arc::clone(places).try_acquire_owned().map(Some)
+                    Arc::clone(slots).try_acquire_owned().map(Some)
                 }
                 Peer::Local => Ok(None),
             };
-            // Without a place the connection is closed at once.
-            if let (Ok(own), Some(place)) = (own, self.places.take(peer)) {
-                self.welcome(stream, peer, (own, place));
+            // Without a free slot the connection is closed at once.
+            if let (Ok(own), Some(permit)) = (address_permit, self.slots.take(peer)) {
+                self.serve_connection(stream, peer, (own, permit));
             }
         }
         self.tasks.set(task, TaskState::Ended, None);
     }
 
-    /// Serves a connection, which keeps its place as long as its socket is open.
-    fn welcome<S, P>(&self, stream: S, peer: Peer, place: P)
+    /// Serves a connection, which keeps its permit while the socket is open.
+    fn serve_connection<S, P>(&self, stream: S, peer: Peer, permit: P)
     where
         S: AsyncRead + AsyncWrite + Unpin + Send + 'static,
         P: Unpin + Send + 'static,
     {
-        let stream = Impatient::new(stream, self.limits.write_patience, place);
+        let stream = StallTimeout::new(stream, self.limits.write_timeout, permit);
         let router = TowerToHyperService::new(self.router.clone());
         let service = service_fn(move |mut request: Request<Incoming>| {
             request.extensions_mut().insert(peer);
@@ -265,13 +261,13 @@ impl Door {
         });
         let connection = http1::Builder::new()
             .timer(TokioTimer::new())
-            .header_read_timeout(self.limits.head_patience)
+            .header_read_timeout(self.limits.head_timeout)
             .serve_connection(TokioIo::new(stream), service)
             .with_upgrades();
         let mut stop = self.stop.clone();
         tokio::spawn(async move {
             tokio::select! {
-                // A client that breaks off is no news.
+                // Client errors are not reported.
                 _ = connection => {}
                 _ = stop.wait_for(|stop| *stop) => {}
             }

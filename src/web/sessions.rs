@@ -1,4 +1,4 @@
-//! Browsers that have logged in, and addresses that have shown a wrong token.
+//! Login sessions, and addresses with invalid tokens.
 
 use std::collections::HashMap;
 use std::net::IpAddr;
@@ -9,27 +9,27 @@ use subtle::ConstantTimeEq as _;
 use gripcast_base::error::{Error, Result};
 use gripcast_base::files::sha256_hex;
 
-/// Sessions at a time; one more ends the one that was used least lately.
+/// Maximum sessions; a further login ends the least recently used one.
 const MAX_SESSIONS: usize = 64;
-/// A session ends after this time without a request …
-const IDLE: Duration = Duration::from_secs(12 * 3600);
-/// … and this long after the login in any case.
-const MAX: Duration = Duration::from_secs(7 * 24 * 3600);
+/// Time without a request after which a session ends.
+const IDLE_TIMEOUT: Duration = Duration::from_secs(12 * 3600);
+/// Maximum duration of a session.
+const MAX_DURATION: Duration = Duration::from_secs(7 * 24 * 3600);
 
-/// Wrong tokens of an address within [`FAILURE_WINDOW`] after which it is not heard.
+/// Invalid tokens from an address within [`FAILURE_WINDOW`] after which it is blocked.
 pub(super) const MAX_FAILURES: u32 = 10;
-/// How long wrong tokens are remembered.
+/// Time for which invalid tokens are counted.
 const FAILURE_WINDOW: Duration = Duration::from_secs(60);
-/// Addresses that are remembered.
+/// Maximum number of counted addresses.
 const MAX_ADDRESSES: usize = 1024;
 
-/// Digest of a session's id. The id itself is known to the browser alone.
+/// Digest of a session id; only the browser has the id itself.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) struct SessionKey(String);
 
 impl SessionKey {
-    /// The key of an id that a browser shows.
-    pub(super) fn of(id: &str) -> Self {
+    /// Computes the key of a session id.
+    pub(super) fn new(id: &str) -> Self {
         Self(sha256_hex(id))
     }
 }
@@ -41,7 +41,7 @@ struct Session {
     used: Instant,
 }
 
-/// All sessions.
+/// All open sessions.
 #[derive(Debug, Default)]
 pub(super) struct Sessions(Vec<Session>);
 
@@ -49,32 +49,31 @@ impl Sessions {
     /// Opens a session and returns its id.
     ///
     /// # Errors
-    /// `Internal` when the operating system gives no random numbers.
+    /// `Internal` if the operating system provides no random numbers.
     pub(super) fn open(&mut self, now: Instant) -> Result<String> {
         let mut random = [0; 32];
-        getrandom::fill(&mut random).map_err(|e| {
-            Error::internal("the operating system gives no random numbers for a session").because(e)
-        })?;
+        getrandom::fill(&mut random)
+            .map_err(|e| Error::internal("cannot get random numbers for a session").because(e))?;
         let id: String = random.iter().map(|byte| format!("{byte:02x}")).collect();
         self.end_old(now);
         if self.0.len() >= MAX_SESSIONS {
-            let oldest = (0..self.0.len()).min_by_key(|&place| self.0[place].used);
-            oldest.map(|place| self.0.swap_remove(place));
+            let oldest = (0..self.0.len()).min_by_key(|&index| self.0[index].used);
+            oldest.map(|index| self.0.swap_remove(index));
         }
         self.0.push(Session {
-            key: SessionKey::of(&id),
+            key: SessionKey::new(&id),
             opened: now,
             used: now,
         });
         Ok(id)
     }
 
-    /// Whether a session is open; a request (`is_use`) keeps it from being idle.
+    /// Returns whether a session is open; a request (`is_use`) resets its idle time.
     pub(super) fn is_open(&mut self, key: &SessionKey, now: Instant, is_use: bool) -> bool {
         self.end_old(now);
         let mut found = false;
         for session in &mut self.0 {
-            // All are compared, each in constant time: the time tells nothing of them.
+            // All keys are compared in constant time.
             if bool::from(session.key.0.as_bytes().ct_eq(key.0.as_bytes())) {
                 found = true;
                 if is_use {
@@ -85,25 +84,25 @@ impl Sessions {
         found
     }
 
-    /// Ends one.
+    /// Closes a session.
     pub(super) fn close(&mut self, key: &SessionKey) {
         self.0.retain(|session| session.key != *key);
     }
 
-    /// Ends all.
+    /// Closes all sessions.
     pub(super) fn clear(&mut self) {
         self.0.clear();
     }
 
     fn end_old(&mut self, now: Instant) {
         self.0.retain(|session| {
-            now.saturating_duration_since(session.used) < IDLE
-                && now.saturating_duration_since(session.opened) < MAX
+            now.saturating_duration_since(session.used) < IDLE_TIMEOUT
+                && now.saturating_duration_since(session.opened) < MAX_DURATION
         });
     }
 }
 
-/// Wrong tokens by address.
+/// Invalid tokens by address.
 #[derive(Debug, Default)]
 pub(super) struct Failures(HashMap<IpAddr, Failed>);
 
@@ -114,23 +113,23 @@ struct Failed {
 }
 
 impl Failed {
-    /// How long it is remembered from now on.
-    fn left(self, now: Instant) -> Duration {
+    /// Returns the remaining time in the window.
+    fn remaining(self, now: Instant) -> Duration {
         FAILURE_WINDOW.saturating_sub(now.saturating_duration_since(self.since))
     }
 }
 
 impl Failures {
-    /// How long no token of this address is looked at; `None`: now it is.
+    /// Returns how long an address is blocked; `None` if it is not.
     pub(super) fn wait(&self, from: IpAddr, now: Instant) -> Option<Duration> {
         let failed = self.0.get(&from)?;
-        let left = failed.left(now);
-        (failed.count >= MAX_FAILURES && !left.is_zero()).then_some(left)
+        let wait = failed.remaining(now);
+        (failed.count >= MAX_FAILURES && !wait.is_zero()).then_some(wait)
     }
 
-    /// Remembers a wrong token.
+    /// Counts an invalid token.
     pub(super) fn note(&mut self, from: IpAddr, now: Instant) {
-        self.0.retain(|_, failed| !failed.left(now).is_zero());
+        self.0.retain(|_, failed| !failed.remaining(now).is_zero());
         if self.0.len() >= MAX_ADDRESSES && !self.0.contains_key(&from) {
             let oldest = self.0.iter().min_by_key(|(_, failed)| failed.since);
             let oldest = oldest.map(|(address, _)| *address);
@@ -153,25 +152,25 @@ mod tests {
     const MINUTE: Duration = Duration::from_secs(60);
 
     #[test]
-    fn sessions_end_when_they_are_idle_and_when_they_are_old() {
+    fn sessions_end_when_idle_or_old() {
         let (start, mut sessions) = (Instant::now(), Sessions::default());
-        let key = SessionKey::of(&sessions.open(start).unwrap());
-        let nearly = start + IDLE - MINUTE;
-        // A look that is no use does not keep it open.
+        let key = SessionKey::new(&sessions.open(start).unwrap());
+        let nearly = start + IDLE_TIMEOUT - MINUTE;
+        // A check that is not a request does not reset the idle time.
         assert!(sessions.is_open(&key, nearly, false));
-        assert!(!sessions.is_open(&key, start + IDLE, true));
+        assert!(!sessions.is_open(&key, start + IDLE_TIMEOUT, true));
 
-        let key = SessionKey::of(&sessions.open(start).unwrap());
+        let key = SessionKey::new(&sessions.open(start).unwrap());
         let mut now = start;
-        while now + IDLE / 2 < start + MAX {
-            now += IDLE / 2;
+        while now + IDLE_TIMEOUT / 2 < start + MAX_DURATION {
+            now += IDLE_TIMEOUT / 2;
             assert!(sessions.is_open(&key, now, true));
         }
-        assert!(!sessions.is_open(&key, start + MAX, true));
+        assert!(!sessions.is_open(&key, start + MAX_DURATION, true));
     }
 
     #[test]
-    fn sessions_are_random_bounded_and_can_be_closed() {
+    fn sessions_are_random_bounded_and_closable() {
         let (start, mut sessions) = (Instant::now(), Sessions::default());
         let mut ids = Vec::new();
         for second in 0..=MAX_SESSIONS as u64 {
@@ -183,10 +182,10 @@ mod tests {
         assert!(ids.iter().all(|id| id.len() == 64));
         assert_eq!(sessions.0.len(), MAX_SESSIONS);
         let now = start + MINUTE * 2;
-        let keys: Vec<SessionKey> = ids.iter().map(|id| SessionKey::of(id)).collect();
+        let keys: Vec<SessionKey> = ids.iter().map(|id| SessionKey::new(id)).collect();
         assert!(
             !sessions.is_open(&keys[0], now, true),
-            "the oldest made room"
+            "the oldest session must be closed"
         );
         assert!(sessions.is_open(&keys[1], now, true));
         sessions.close(&keys[1]);
@@ -197,7 +196,7 @@ mod tests {
     }
 
     #[test]
-    fn wrong_tokens_are_counted_by_address_and_forgotten() {
+    fn invalid_tokens_are_counted_by_address_and_expire() {
         let (start, mut failures) = (Instant::now(), Failures::default());
         let (one, other) = (
             Ipv4Addr::LOCALHOST.into(),
@@ -216,7 +215,7 @@ mod tests {
     }
 
     #[test]
-    fn addresses_are_bounded_and_the_oldest_is_forgotten() {
+    fn addresses_are_bounded_and_oldest_is_dropped() {
         let (start, mut failures) = (Instant::now(), Failures::default());
         for number in 0..=MAX_ADDRESSES as u32 {
             let at = start + Duration::from_millis(number.into());

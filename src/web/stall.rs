@@ -1,4 +1,4 @@
-//! A connection that fails once its peer takes nothing for too long.
+//! Write timeout of connections whose peer does not read.
 
 use std::future::Future as _;
 use std::io;
@@ -9,29 +9,28 @@ use std::time::Duration;
 use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
 use tokio::time::Sleep;
 
-/// A stream whose writes fail when none of them gets anywhere for `patience`. `P` is kept as long
-/// as the stream.
-pub(super) struct Impatient<S, P> {
-    // Dropped before the stream: a client that sees its end can come back at once.
-    _place: P,
+/// Stream whose writes fail without progress for `timeout`. `P` is kept as long as the stream.
+pub(super) struct StallTimeout<S, P> {
+    // Dropped before the stream, so that the client can reconnect at once.
+    _permit: P,
     stream: S,
-    patience: Duration,
-    /// Runs while a write waits.
+    timeout: Duration,
+    /// Runs while a write is pending.
     stalled: Option<Pin<Box<Sleep>>>,
 }
 
-impl<S, P> Impatient<S, P> {
-    /// Watches over `stream`.
-    pub(super) fn new(stream: S, patience: Duration, place: P) -> Self {
+impl<S, P> StallTimeout<S, P> {
+    /// Wraps `stream`.
+    pub(super) fn new(stream: S, timeout: Duration, permit: P) -> Self {
         Self {
-            _place: place,
+            _permit: permit,
             stream,
-            patience,
+            timeout,
             stalled: None,
         }
     }
 
-    /// Passes progress on; fails where there has been none for too long.
+    /// Passes progress on; fails after `timeout` without progress.
     fn watch<T>(
         &mut self,
         context: &mut Context<'_>,
@@ -41,16 +40,16 @@ impl<S, P> Impatient<S, P> {
             self.stalled = None;
             return progress;
         }
-        let patience = self.patience;
+        let timeout = self.timeout;
         let sleep = self
             .stalled
-            .get_or_insert_with(|| Box::pin(tokio::time::sleep(patience)));
+            .get_or_insert_with(|| Box::pin(tokio::time::sleep(timeout)));
         ready!(sleep.as_mut().poll(context));
         Poll::Ready(Err(io::ErrorKind::TimedOut.into()))
     }
 }
 
-impl<S: AsyncRead + Unpin, P: Unpin> AsyncRead for Impatient<S, P> {
+impl<S: AsyncRead + Unpin, P: Unpin> AsyncRead for StallTimeout<S, P> {
     fn poll_read(
         mut self: Pin<&mut Self>,
         context: &mut Context<'_>,
@@ -60,7 +59,7 @@ impl<S: AsyncRead + Unpin, P: Unpin> AsyncRead for Impatient<S, P> {
     }
 }
 
-impl<S: AsyncWrite + Unpin, P: Unpin> AsyncWrite for Impatient<S, P> {
+impl<S: AsyncWrite + Unpin, P: Unpin> AsyncWrite for StallTimeout<S, P> {
     fn poll_write(
         mut self: Pin<&mut Self>,
         context: &mut Context<'_>,

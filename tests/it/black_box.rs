@@ -10,18 +10,18 @@ use sha2::{Digest as _, Sha256};
 
 use crate::program::{collect, grasps, json, script, stderr, succeed, verify};
 
-/// The bytes of a `foxglove.CompressedImage`.
+/// Data of a `foxglove.CompressedImage`.
 #[derive(Clone, PartialEq, prost::Message)]
 struct Compressed {
     #[prost(bytes = "vec", tag = "2")]
     data: Vec<u8>,
 }
 
-/// What a log has: frames by role, and notes by topic.
+/// Contents of a log: frames by role and JSON messages by topic.
 #[derive(Default)]
 struct Log {
     frames: BTreeMap<String, Vec<Logged>>,
-    notes: BTreeMap<String, Vec<Value>>,
+    messages: BTreeMap<String, Vec<Value>>,
 }
 
 struct Logged {
@@ -56,7 +56,7 @@ fn read(directory: &Path) -> Log {
                 });
             } else {
                 let note = serde_json::from_slice(&message.data).unwrap();
-                log.notes.entry(topic.clone()).or_default().push(note);
+                log.messages.entry(topic.clone()).or_default().push(note);
             }
         }
     }
@@ -68,34 +68,34 @@ fn hex(bytes: &[u8]) -> String {
 }
 
 #[test]
-fn every_frame_is_logged_and_the_saved_ones_are_the_same() {
+fn black_box_has_every_frame_including_the_saved_ones() {
     let dir = tempfile::tempdir().unwrap();
     let dataset = dir.path().join("d");
     let three = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/data/three-grasps.txt");
     let mut command = collect(&three, &dataset);
-    // A busy disk must not decide the test: the reserve is for people.
+    // The free space of the test machine must not matter.
     command
         .arg("--black-box")
         .env("GRIPCAST__BLACK_BOX__RESERVE_GB", "0")
         .env("GRIPCAST__BLACK_BOX__FILE_MIB", "8");
     let report = json(&succeed(&mut command));
-    let told = &report["black_box"];
-    assert_eq!(told["stopped"], Value::Null, "{told}");
+    let black_box = &report["black_box"];
+    assert_eq!(black_box["stopped"], Value::Null, "{black_box}");
     let log = read(&dataset.join("blackbox"));
-    assert_eq!(told["files"], files(&dataset.join("blackbox")).len());
+    assert_eq!(black_box["files"], files(&dataset.join("blackbox")).len());
 
     for (role, frames) in &log.frames {
-        let counts = &told["frames"][role];
+        let counts = &black_box["frames"][role];
         let dropped = counts["dropped"].as_u64().unwrap();
         assert_eq!(counts["written"], frames.len(), "{role}");
         let lost = &report["cameras"][role]["sequence_gaps"];
         let first = frames.iter().map(|frame| frame.sequence).min().unwrap();
         let last = frames.iter().map(|frame| frame.sequence).max().unwrap();
         let missing = u64::from(last - first + 1) - frames.len() as u64;
-        // All that the camera delivered in between is there, or was counted as left out.
+        // Every delivered frame is logged or counted as dropped.
         assert!(
             missing <= dropped + lost.as_u64().unwrap(),
-            "{role}: {missing} of {first} to {last} are missing, {dropped} left out, {lost} lost"
+            "{role}: {missing} of {first} to {last} are missing, {dropped} dropped, {lost} lost"
         );
     }
 
@@ -109,9 +109,9 @@ fn every_frame_is_logged_and_the_saved_ones_are_the_same() {
                     && camera["driver_time_ns"].as_u64().map(i128::from)
                         == Some(frame.driver_time_ns)
             });
-            let dropped = told["frames"][role]["dropped"].as_u64().unwrap();
+            let dropped = black_box["frames"][role]["dropped"].as_u64().unwrap();
             let Some(found) = found else {
-                // What the disk could not take in time is left out, counted and told.
+                // Frames may be dropped on a slow disk.
                 assert!(dropped > 0, "{id} {stage} {role} is not in the log");
                 continue;
             };
@@ -122,19 +122,22 @@ fn every_frame_is_logged_and_the_saved_ones_are_the_same() {
         }
     }
 
-    let stored = &log.notes["/session/stored"];
-    let said = |key: &str| {
+    let stored = &log.messages["/session/stored"];
+    let requests = |key: &str| {
         stored
             .iter()
             .filter(|s| s["request"].get(key).is_some())
             .count()
     };
-    assert_eq!((said("save_initial"), said("save_grasp")), (3, 3));
-    let events = &log.notes["/session/events"];
+    assert_eq!((requests("save_initial"), requests("save_grasp")), (3, 3));
+    let events = &log.messages["/session/events"];
     let ends = events.iter().filter(|event| event["event"] == "end");
     assert_eq!(ends.count(), 1);
-    assert!(!log.notes["/prediction"].is_empty());
-    assert_eq!(log.notes["/cameras"][0]["left"]["report"]["reconnects"], 0);
+    assert!(!log.messages["/prediction"].is_empty());
+    assert_eq!(
+        log.messages["/cameras"][0]["left"]["report"]["reconnects"],
+        0
+    );
     let verified = verify(&dataset);
     assert_eq!(
         verified["problems"].as_array().unwrap().len(),
@@ -144,7 +147,7 @@ fn every_frame_is_logged_and_the_saved_ones_are_the_same() {
 }
 
 #[test]
-fn a_log_that_cannot_be_written_costs_no_grasp() {
+fn black_box_write_error_loses_no_grasp() {
     let dir = tempfile::tempdir().unwrap();
     let dataset = dir.path().join("d");
     let occupied = dir.path().join("occupied");
@@ -161,11 +164,15 @@ fn a_log_that_cannot_be_written_costs_no_grasp() {
     let stopped = report["black_box"]["stopped"].as_str().unwrap();
     assert!(stopped.contains("occupied"), "{stopped}");
     let said = stderr(&output);
-    assert_eq!(said.matches("the black box has ended").count(), 1, "{said}");
+    assert_eq!(
+        said.matches("the black box has stopped").count(),
+        1,
+        "{said}"
+    );
 }
 
 #[test]
-fn limits_that_contradict_each_other_are_refused_at_the_start() {
+fn contradictory_limits_are_rejected_at_start() {
     let dir = tempfile::tempdir().unwrap();
     let mut command = collect(&script(dir.path(), "quit\n"), &dir.path().join("d"));
     command

@@ -12,13 +12,13 @@ use serde_json::Value;
 
 use crate::program::{collect_on, grasps, script, verify};
 
-/// Moments at which the process is killed.
+/// Number of kills.
 const KILLS: u64 = 200;
 
-/// Kills that share a dataset, so that each run also starts on what the one before left behind.
+/// Kills per dataset, so that runs also start from the state left by the previous kill.
 const KILLS_PER_DATASET: u64 = 20;
 
-/// Small fast cameras: the test is about the dataset.
+/// Small fast cameras, because the test is about the dataset.
 const RIG: &str = r#"
 schema = 1
 id = "crash"
@@ -38,7 +38,7 @@ fps = 100.0
 crop_profile = "gsmini-seventh-v1"
 "#;
 
-/// What every acknowledged line of `--events` says about the dataset.
+/// State of the dataset according to the acknowledged lines of `--events`.
 #[derive(Clone, Debug, Default)]
 struct Acknowledged {
     /// Outcome by grasp.
@@ -88,7 +88,7 @@ fn on_disk(dataset: &Path) -> BTreeMap<String, String> {
         .collect()
 }
 
-/// Entries that are in one map and not, or not the same, in the other.
+/// Counts entries that differ between two maps.
 fn differences(a: &BTreeMap<String, String>, b: &BTreeMap<String, String>) -> usize {
     let changed = a
         .iter()
@@ -98,7 +98,7 @@ fn differences(a: &BTreeMap<String, String>, b: &BTreeMap<String, String>) -> us
 }
 
 #[test]
-fn nothing_acknowledged_is_lost_at_200_random_moments() {
+fn acknowledged_changes_survive_200_random_kills() {
     let dir = tempfile::tempdir().unwrap();
     let rig = dir.path().join("crash.toml");
     std::fs::write(&rig, RIG).unwrap();

@@ -1,4 +1,4 @@
-//! `gripcast daemon` on the virtual rig: its API, its access rules and its end.
+//! `gripcast daemon` on the virtual rig: API, access rules and shutdown. One file for the shared fixture.
 
 use std::fs;
 use std::io::{BufRead as _, BufReader, Read, Write};
@@ -14,14 +14,14 @@ use serde_json::{Value, json};
 
 use crate::program::{grasps, gripcast, json as json_of, stderr, succeed, verify};
 
-/// A running daemon; it is killed when dropped.
+/// A running daemon, killed on drop.
 pub(crate) struct Daemon {
     child: Child,
     address: String,
     said: Receiver<String>,
 }
 
-/// A folder with a place for a dataset and a socket.
+/// Temporary directory with paths for a dataset and a socket.
 pub(crate) struct Place(tempfile::TempDir, Option<PathBuf>);
 
 impl Place {
@@ -168,7 +168,7 @@ impl Daemon {
     /// Waits for a line.
     fn hear(&self, text: &str) {
         loop {
-            let line = self.said.recv().expect("the daemon ended");
+            let line = self.said.recv().expect("the daemon must not end");
             if line.contains(text) {
                 return;
             }
@@ -189,7 +189,7 @@ impl Drop for Daemon {
     }
 }
 
-/// Sends a request as it stands; returns status, head and body.
+/// Sends a raw request; returns status, head and body.
 fn exchange(
     mut stream: impl Read + Write,
     method: &str,
@@ -219,7 +219,7 @@ fn sha256(bytes: &[u8]) -> String {
 }
 
 #[test]
-fn grasps_are_collected_looked_at_and_changed_over_the_api() {
+fn api_collects_reads_and_changes_grasps() {
     let place = Place::new();
     let daemon = place.daemon();
     let (status, named) = {
@@ -328,7 +328,7 @@ fn grasps_are_collected_looked_at_and_changed_over_the_api() {
 }
 
 #[test]
-fn what_must_not_come_in_does_not() {
+fn invalid_requests_are_rejected() {
     let place = Place::new();
     let daemon = place.daemon();
     let own = format!("Host: {}\r\n", daemon.address);
@@ -400,7 +400,7 @@ fn what_must_not_come_in_does_not() {
 }
 
 #[test]
-fn a_token_is_needed_where_there_is_one_but_not_on_the_socket() {
+fn token_is_required_over_tcp_but_not_on_the_socket() {
     const SECRET: &str = "correct-horse-battery";
     let place = Place::new();
     let file = place.0.path().join("token");
@@ -442,7 +442,7 @@ fn a_token_is_needed_where_there_is_one_but_not_on_the_socket() {
     daemon.signal(Signal::HUP);
     daemon.hear("settings reloaded");
     let with_cookie = format!("Host: lab.example\r\nCookie: {cookie}\r\n");
-    assert_eq!(status(&with_cookie), 200, "the token is the same");
+    assert_eq!(status(&with_cookie), 200, "the token is unchanged");
     fs::write(&file, "another-token-altogether").unwrap();
     daemon.signal(Signal::HUP);
     daemon.hear("settings reloaded");
@@ -458,7 +458,7 @@ fn a_token_is_needed_where_there_is_one_but_not_on_the_socket() {
 }
 
 #[test]
-fn the_second_daemon_is_told_what_is_taken() {
+fn second_daemon_reports_what_is_in_use() {
     let place = Place::new();
     let daemon = place.daemon();
     let refused = |command: &mut Command| {
@@ -468,7 +468,7 @@ fn the_second_daemon_is_told_what_is_taken() {
     };
     let other = Place::new();
     let text = refused(other.command().arg("--listen").arg(&daemon.address));
-    assert!(text.contains("another program"), "{text}");
+    assert!(text.contains("in use"), "{text}");
     let text = refused(other.command().arg("--socket").arg(place.socket()));
     assert!(text.contains("another daemon"), "{text}");
     let text = refused(other.command().arg("--dataset").arg(place.dataset()));
@@ -479,14 +479,14 @@ fn the_second_daemon_is_told_what_is_taken() {
     place.daemon().get("/api/health");
 }
 
-/// A WebSocket on the daemon's events.
+/// Opens an event WebSocket.
 fn listen(daemon: &Daemon) -> tungstenite::WebSocket<TcpStream> {
     let url = format!("ws://{}/api/events", daemon.address);
     tungstenite::client(url, daemon.connect()).unwrap().0
 }
 
-/// Listens until each of these was heard, in whatever order; they are returned in that of `wanted`.
-fn hear_all<const N: usize>(
+/// Waits for one event per predicate, in any order; returns them in the order of the predicates.
+fn wait_for_events<const N: usize>(
     socket: &mut tungstenite::WebSocket<TcpStream>,
     wanted: [&dyn Fn(&Value) -> bool; N],
 ) -> [Value; N] {
@@ -519,11 +519,11 @@ fn step(event: &Value, name: &str) -> bool {
 }
 
 #[test]
-fn all_who_listen_hear_the_same_and_one_that_reads_nothing_holds_up_nobody() {
+fn slow_event_client_does_not_delay_the_others() {
     let place = Place::new();
     let daemon = place.daemon();
     let (mut one, mut two) = (listen(&daemon), listen(&daemon));
-    hear_all(&mut one, [&|event| step(event, "initial")]);
+    wait_for_events(&mut one, [&|event| step(event, "initial")]);
     let mut deaf = Vec::new();
     for role in ["left", "right", "rgb", "depth"] {
         let mut stream = daemon.connect();
@@ -544,7 +544,8 @@ fn all_who_listen_hear_the_same_and_one_that_reads_nothing_holds_up_nobody() {
     daemon.trigger();
     for socket in [&mut one, &mut two] {
         let is_stored = |event: &Value| event["type"] == "stored";
-        let [_, stored] = hear_all(socket, [&|event| tone(event, "initial_saved"), &is_stored]);
+        let [_, stored] =
+            wait_for_events(socket, [&|event| tone(event, "initial_saved"), &is_stored]);
         assert!(
             stored["stored"]["request"]["save_initial"].is_object(),
             "{stored}"
@@ -552,24 +553,24 @@ fn all_who_listen_hear_the_same_and_one_that_reads_nothing_holds_up_nobody() {
     }
     let message = json!({"command": "undo", "id": 7}).to_string();
     one.send(tungstenite::Message::text(message)).unwrap();
-    let [answer] = hear_all(&mut one, [&|event| event["type"] == "answer"]);
+    let [answer] = wait_for_events(&mut one, [&|event| event["type"] == "response"]);
     assert_eq!(
-        (&answer["id"], &answer["answer"]["result"]),
+        (&answer["id"], &answer["response"]["result"]),
         (&json!(7), &json!("accepted"))
     );
-    hear_all(
+    wait_for_events(
         &mut two,
         [&|event| tone(event, "undone"), &|event| {
             step(event, "initial")
         }],
     );
     daemon.signal(Signal::TERM);
-    hear_all(&mut two, [&|event| event["type"] == "bye"]);
+    wait_for_events(&mut two, [&|event| event["type"] == "shutdown"]);
     assert_eq!(daemon.stop(), Some(0));
 }
 
 #[test]
-fn a_dataset_that_goes_away_is_told_and_nothing_is_lost() {
+fn removed_dataset_is_reported_and_no_grasp_is_lost() {
     let place = Place::new();
     let daemon = place.daemon();
     let id = daemon.grasp("stable");
@@ -598,7 +599,7 @@ fn a_dataset_that_goes_away_is_told_and_nothing_is_lost() {
 }
 
 #[test]
-fn a_killed_daemon_goes_on_with_the_initial_frame() {
+fn killed_daemon_resumes_with_the_initial_frame() {
     let place = Place::new();
     let daemon = place.daemon();
     let id = daemon.grasp("stable");
@@ -613,7 +614,7 @@ fn a_killed_daemon_goes_on_with_the_initial_frame() {
 }
 
 #[test]
-fn guards_are_reloaded_and_the_rest_is_named() {
+fn reload_applies_guards_and_names_other_changes() {
     let place = Place::new();
     let config = place.0.path().join("c.toml");
     fs::write(&config, "").unwrap();
@@ -643,7 +644,7 @@ fn guards_are_reloaded_and_the_rest_is_named() {
 }
 
 #[test]
-fn attaching_needs_a_terminal_and_a_daemon() {
+fn attach_requires_a_terminal_and_a_daemon() {
     let output = gripcast()
         .args(["collect", "--attach", "/proc/nonexistent/socket"])
         .output()
@@ -657,9 +658,9 @@ fn attaching_needs_a_terminal_and_a_daemon() {
     assert_eq!(both.status.code(), Some(2));
 }
 
-/// A screen for a daemon in a terminal that `script` makes.
+/// Attaches a screen to a daemon in a pseudo-terminal of `script`.
 #[test]
-fn a_screen_is_attached_to_a_daemon_and_leaves_it_running() {
+fn detached_screen_leaves_the_daemon_running() {
     let place = Place::new();
     let daemon = place.daemon();
     let line = format!(
@@ -693,9 +694,9 @@ fn a_screen_is_attached_to_a_daemon_and_leaves_it_running() {
     assert_eq!(daemon.stop(), Some(0));
 }
 
-/// A file that came with somebody's data cannot move the socket or set a token that its author knows.
+/// A configuration file found next to data must not move the socket or set a token.
 #[test]
-fn a_configuration_that_was_only_found_opens_nothing() {
+fn discovered_configuration_cannot_open_sockets() {
     let place = Place::new();
     let dir = place.0.path();
     let (token, socket) = (dir.join("token"), dir.join("chosen.sock"));
@@ -748,9 +749,9 @@ fn a_configuration_that_was_only_found_opens_nothing() {
     assert!(!socket.exists() && dir.join("gripcast.sock").exists());
 }
 
-/// A file of a hundred bytes that stands for an image of 160 MB.
+/// A file of a hundred bytes that declares an image of 160 MB.
 #[test]
-fn an_image_that_would_take_all_memory_is_not_decoded() {
+fn oversized_image_is_not_decoded() {
     let place = Place::new();
     let daemon = place.daemon();
     let id = daemon.grasp("stable");
@@ -779,7 +780,7 @@ fn an_image_that_would_take_all_memory_is_not_decoded() {
 }
 
 #[test]
-fn nothing_of_a_token_is_told() {
+fn token_is_never_printed() {
     let dir = tempfile::tempdir().unwrap();
     let file = dir.path().join("token");
     fs::write(&file, "a-very-secret-word").unwrap();

@@ -56,7 +56,7 @@ fn camera(role: Role, serial: &str, port: &str, nominal_fps: f64) -> CameraStatu
     }
 }
 
-/// A bright spot: at the top left as an image, in the middle as a difference.
+/// Preview with a bright spot: top left for an image, centre for a difference.
 fn preview(is_difference: bool) -> Preview {
     let image = RgbImage::from_fn(64, 48, |x, y| {
         let (cx, cy) = if is_difference {
@@ -128,7 +128,7 @@ fn waiting_for_grasp() -> EngineStatus {
             frame_age_ms: 18.0,
             ..PredictionStatus::new(predicted(0.81, None), true)
         }),
-        prediction_absent: None,
+        no_prediction_reason: None,
         contact: BTreeMap::from([(Role::Left, 8.4), (Role::Right, 8.4)]),
         previews: BTreeMap::from([
             (Role::Left, preview(true)),
@@ -144,7 +144,7 @@ fn waiting_for_initial() -> EngineStatus {
     status.session.initial_at = None;
     status.session.initial_age_s = None;
     status.prediction = None;
-    status.prediction_absent = Some("take the initial frame first".to_owned());
+    status.no_prediction_reason = Some("take the initial frame first".to_owned());
     status.contact.clear();
     for (role, preview) in &mut status.previews {
         if role.is_tactile() {
@@ -233,7 +233,7 @@ fn the_overlays_at_80_by_24() {
 fn the_screen_without_a_model() {
     let mut status = waiting_for_grasp();
     status.prediction = None;
-    status.prediction_absent = Some("no model is loaded (--model FILE)".to_owned());
+    status.no_prediction_reason = Some("no model is loaded (--model FILE)".to_owned());
     insta::assert_snapshot!("no_model", image(80, 24, &status, &state()));
 }
 
@@ -252,7 +252,7 @@ fn other_sizes() {
 }
 
 #[test]
-fn an_old_prediction_says_so_instead_of_a_verdict() {
+fn old_prediction_has_no_verdict() {
     let mut status = waiting_for_grasp();
     if let Some(prediction) = &mut status.prediction {
         prediction.frame_age_ms = 1_400.0;
@@ -264,7 +264,7 @@ fn an_old_prediction_says_so_instead_of_a_verdict() {
 }
 
 #[test]
-fn a_fault_put_aside_stays_one_line_until_another_camera_fails() {
+fn dismissed_fault_stays_one_line_until_another_camera_fails() {
     let mut status = faulty();
     let mut state = state();
     press(&mut state, KeyCode::Esc, &status);
@@ -280,16 +280,16 @@ fn a_fault_put_aside_stays_one_line_until_another_camera_fails() {
 }
 
 #[test]
-fn a_camera_that_is_back_may_fail_loudly_again() {
+fn recovered_camera_shows_its_next_fault() {
     let mut state = state();
     press(&mut state, KeyCode::Esc, &faulty());
-    state.settle(&waiting_for_grasp());
+    state.update(&waiting_for_grasp());
     let again = image(80, 24, &faulty(), &state);
     assert!(!again.contains("CLOSE THE GRIPPER"), "{again}");
 }
 
 #[test]
-fn what_the_external_camera_sees_of_the_markers_is_told() {
+fn marker_detection_of_external_camera_is_shown() {
     let with = |markers: Result<&str, &str>| {
         let mut status = waiting_for_initial();
         status.cameras.push(CameraStatus {
@@ -318,7 +318,7 @@ fn what_the_external_camera_sees_of_the_markers_is_told() {
 }
 
 #[test]
-fn q_asks_while_something_is_unfinished() {
+fn q_asks_for_confirmation_if_work_is_unfinished() {
     let quit = |status: &EngineStatus, keys: &[char]| {
         let mut state = state();
         let reactions = keys
@@ -341,7 +341,7 @@ fn q_asks_while_something_is_unfinished() {
 }
 
 #[test]
-fn letters_typed_into_a_prompt_are_no_commands() {
+fn keys_in_a_prompt_are_not_commands() {
     let status = waiting_for_grasp();
     let mut state = state();
     press(&mut state, KeyCode::Char('n'), &status);
@@ -359,7 +359,7 @@ fn letters_typed_into_a_prompt_are_no_commands() {
 }
 
 #[test]
-fn plain_lines_tell_each_change_once() {
+fn plain_lines_report_each_change_once() {
     let mut printer = LinePrinter::default();
     let start = Instant::now();
     let mut at_s = 0;
@@ -370,7 +370,7 @@ fn plain_lines_tell_each_change_once() {
     insta::assert_snapshot!("lines_start", lines(&waiting_for_initial()).join("\n"));
     assert_eq!(lines(&waiting_for_initial()), [""; 0]);
 
-    let predicting = ["predicting 0.81 STABLE (baseline-contact, a heuristic)"];
+    let predicting = ["predicting 0.81 STABLE (baseline-contact, heuristic)"];
     assert_eq!(lines(&waiting_for_grasp()), predicting);
     assert_eq!(lines(&waiting_for_grasp()), [""; 0]);
 
@@ -408,7 +408,7 @@ fn plain_lines_tell_each_change_once() {
 }
 
 #[test]
-fn plain_lines_on_a_flapping_camera_are_limited() {
+fn plain_lines_of_flapping_camera_are_rate_limited() {
     let mut printer = LinePrinter::default();
     let start = Instant::now();
     printer.lines(&waiting_for_grasp(), start);
@@ -532,14 +532,14 @@ prop_compose! {
             image: Arc::new(RgbImage::new(image.0, image.1)),
             is_difference: image.2,
         };
-        let contact = prediction.as_ref().map(|p| (Role::Left, p.said.p_stable));
+        let contact = prediction.as_ref().map(|p| (Role::Left, p.record.p_stable));
         EngineStatus {
             black_box: None,
             dataset: text.clone(), rig: text.clone(), clock: text,
             disk_free_bytes: disk,
             contact: contact.into_iter().collect(),
             session, cameras, prediction,
-            prediction_absent: absent,
+            no_prediction_reason: absent,
             previews: BTreeMap::from([(Role::Left, preview.clone()), (Role::External, preview)]),
         }
     }

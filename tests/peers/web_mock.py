@@ -196,7 +196,7 @@ class Mock:
                 "message": self.message, "refusal": self.refusal, "saving": self.saving,
             },
             "cameras": [self.camera(role) for role in self.roles],
-            "prediction": prediction, "prediction_absent": absent, "contact": {"left": 26.8, "right": 26.8} if self.pending else {},
+            "prediction": prediction, "no_prediction_reason": absent, "contact": {"left": 26.8, "right": 26.8} if self.pending else {},
         }  # fmt: skip
 
     def say(self, text, level="info"):
@@ -536,7 +536,7 @@ async def begin(app):
 
 async def end(app):
     app["tick"].cancel()
-    await app["mock"].send({"type": "bye"})
+    await app["mock"].send({"type": "shutdown"})
     for socket in list(app["mock"].sockets):
         await socket.close()
 

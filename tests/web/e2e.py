@@ -1,4 +1,4 @@
-"""Drives the web page in a headless Chromium as a person would, and takes images of it.
+"""Tests the web page in a headless Chromium, with screenshots.
 
     apt-get install chromium; python3 -m venv venv
     venv/bin/pip install playwright aiohttp numpy pillow
@@ -6,9 +6,10 @@
     venv/bin/python tests/web/e2e.py --url http://127.0.0.1:8765 [--token T] [--shots DIR]
     venv/bin/python tests/web/e2e.py --serve 'gripcast daemon … --listen 127.0.0.1:{port}' [--token T]
 
-With --url a server that runs is used and changed: take a dataset that may be thrown away. With
---serve the command is started here, stopped and started again. Checks that need faults to order run
-against the mock alone; what is skipped is said. Prints one line a check; ends with 1 if one failed.
+With --url a running server is used and its dataset is changed: use a disposable dataset. With
+--serve the command is started, stopped and restarted by the test. Checks that need simulated faults
+run against the mock only; skipped checks are listed. Prints one line per check; exit code 1 if any
+check failed.
 """
 
 import argparse
@@ -41,7 +42,7 @@ window.alert = () => { window.seen.alerts += 1; };
 const start = OscillatorNode.prototype.start;
 OscillatorNode.prototype.start = function (at) { window.seen.tones.push(this.frequency.value); return start.call(this, at); };
 """
-# Pairs of colours of all texts that are on the page, with the least ratio of WCAG AA.
+# Checks the contrast of all visible texts against WCAG AA.
 CONTRAST = """() => {
   const channels = (text) => (text.match(/[\\d.]+/g) ?? []).map(Number);
   const linear = (v) => { v /= 255; return v <= 0.04045 ? v / 12.92 : ((v + 0.055) / 1.055) ** 2.4; };
@@ -73,7 +74,7 @@ CONTRAST = """() => {
 
 
 class Server:
-    """What is tested: the mock, a command of the user, or a server that runs already."""
+    """Server under test: the mock, a command, or a running server."""
 
     def __init__(self, options, token=None):
         self.token = token or options.token
@@ -104,7 +105,7 @@ class Server:
                 with urllib.request.urlopen(f"{self.url}/", timeout=2):
                     return
             await asyncio.sleep(0.1)
-        sys.exit(f"nothing answers at {self.url}")
+        sys.exit(f"no server responds at {self.url}")
 
     def stop(self, how=signal.SIGTERM):
         if self.process:
@@ -170,11 +171,11 @@ class Driver:
         await page.goto(f"{self.server.url}{path}", wait_until="domcontentloaded")
         if self.server.token is None or "token=" in path:
             await page.locator("#steps .here").wait_for(state="attached")
-            await page.locator("body:not(.cut)").wait_for()
+            await page.locator("body:not(.offline)").wait_for()
         return page
 
     def listen(self, message):
-        # The browser itself reports every answer of 400 and above, and a server that is away.
+        # The browser reports all responses of 400 and above, and a stopped server.
         own = "Failed to load resource" in message.text or "WebSocket connection" in message.text
         if message.type in ("error", "warning") and not own:
             self.noise.append(f"{message.type}: {message.text}")
@@ -265,7 +266,7 @@ async def cycle(d, context):
         await each.locator("#last >> text=STABLE").wait_for()
     d.check("both pages show the same counts", await agree(page, other, "#counts"))
     await page.locator("#undo").click()
-    await d.until("undo takes the label back", lambda: d.server.state()["session"]["counts"]["stable"] == before["stable"])
+    await d.until("undo removes the label", lambda: d.server.state()["session"]["counts"]["stable"] == before["stable"])
     await other.locator("#trigger.label").wait_for()
     d.check("the other page follows", await agree(page, other, "#last"))
     await other.locator("#redo:not([aria-disabled])").click()
@@ -360,7 +361,7 @@ async def keyboard(d, context):
 
 
 async def gallery(d, context):
-    """List, filters, paging, detail, relabel, trash and back, seen from two pages."""
+    """List, filters, paging, detail, relabelling, trash and restore, seen from two pages."""
     page = await d.page(context)
     other = await d.page(context, "/#grasps")
     await page.goto(f"{d.server.url}/#grasps")
@@ -394,7 +395,7 @@ async def gallery(d, context):
     await page.locator(".detail-buttons .danger").click()
     await other.locator(f"#gallery > li[data-id='{newest['id']}']").wait_for(state="detached")
     d.check("trashed, on both pages", True)
-    await page.locator("#detail >> text=Take it back").wait_for()
+    await page.locator("#detail >> text=Restore").wait_for()
     await d.shot(page, "trashed")
     await page.keyboard.press("Escape")
     await page.locator("#detail-dialog").wait_for(state="hidden")
@@ -509,7 +510,7 @@ async def troubles(d):
     await page.locator("#fault.large").wait_for()
     text = await page.locator("#fault").inner_text()
     wanted = ["LEFT GELSIGHT", "SILENT", "GelSight Mini", "2BNN4ZE7", "3-2.1", "REPLUG"]
-    d.check("a fault names part, product, serial, port and what to do", all(w in text for w in wanted), text)
+    d.check("a fault names camera, product, serial, port and remedy", all(w in text for w in wanted), text)
     await d.quality(page, "fault")
     await d.shot(page, "fault")
     await d.shot(small, "phone-fault")
@@ -518,7 +519,7 @@ async def troubles(d):
     await page.locator("#fault:not(.large)").wait_for()
     await d.shot(page, "fault-small")
     await d.legible(page, "small fault")
-    d.check("Esc makes it small here only", await small.locator("#fault.large").count() == 1)
+    d.check("Esc minimises the fault on this page only", await small.locator("#fault.large").count() == 1)
     d.server.order(fault={"role": "rgb", "state": "lost"})
     await page.locator("#fault.large >> text=PLUG IT IN").wait_for()
     d.check("another fault is large again", True)
@@ -531,7 +532,7 @@ async def troubles(d):
     await page.locator("#trigger").click()
     await page.locator("#refusal >> text=no contact").wait_for()
     await small.locator("#refusal >> text=no contact").wait_for()
-    d.check("both pages say why", True)
+    d.check("both pages show the reason", True)
     await d.shot(page, "refusal")
     await d.shot(small, "phone-refusal")
     await d.quality(page, "refusal")
@@ -554,7 +555,7 @@ async def troubles(d):
     d.server.order(saving_s=0.1, fail=True)
     await page.locator("#trigger").click()
     await page.locator("#message.error").wait_for()
-    d.check("a save that fails is said", "NOT saved" in await page.locator("#message").inner_text())
+    d.check("a failed save is reported", "NOT saved" in await page.locator("#message").inner_text())
     await d.shot(page, "failed-save")
     d.server.order(fail=False, stale=True)
     await page.locator("#gauge.old #verdict:text-is('OLD')").wait_for()
@@ -574,22 +575,22 @@ async def troubles(d):
     await d.shot(page, "slip-heuristic")
     d.server.order(heuristic=False, absent="the model needs a colour camera, and the rig has none")
     await page.locator("#verdict >> text=no prediction: the model needs").wait_for()
-    d.check("an absent prediction says why", True)
+    d.check("a missing prediction has a reason", True)
     await d.shot(page, "absent")
     await d.shot(small, "phone-absent")
     d.server.order(absent=None, mute=True)
-    await page.locator("#verdict >> text=no news").wait_for()
+    await page.locator("#verdict >> text=no data").wait_for()
     d.check("silence of the server is not a prediction", True)
     await page.locator("#link:visible").wait_for(timeout=15000)
-    d.check("a dead line is noticed", "saved grasps are safe" in await page.locator("#link").inner_text())
+    d.check("a lost connection is detected", "saved grasps are safe" in await page.locator("#link").inner_text())
     d.server.order(mute=False, p=None)
-    await page.locator("body:not(.cut)").wait_for(timeout=20000)
+    await page.locator("body:not(.offline)").wait_for(timeout=20000)
     await page.context.close()
     await small.context.close()
 
 
 async def cable(d, context):
-    """A camera of the virtual rig is pulled out and put back, seen on two pages."""
+    """A virtual camera is unplugged and replugged, seen on two pages."""
     page = await d.page(context)
     other = await d.page(await d.context(PHONE, "light"))
     await d.go_to(page, "initial")
@@ -597,11 +598,11 @@ async def cable(d, context):
     for each in (page, other):
         await each.locator("#fault.large").wait_for(timeout=20000)
     text = await page.locator("#fault").inner_text()
-    d.check("a pulled cable is told by part and serial", "LEFT GELSIGHT" in text and "VIRT-LEFT" in text, text)
+    d.check("an unplugged camera is named with its serial", "LEFT GELSIGHT" in text and "VIRT-LEFT" in text, text)
     await d.shot(page, "cable")
     answer = d.server.call("/api/commands", "POST", {"command": "trigger"})
     reasons = json.dumps(answer.get("reasons"))
-    d.check("nothing is taken without the camera", answer["result"] == "refused" and "left" in reasons, answer)
+    d.check("capture is refused without the camera", answer["result"] == "refused" and "left" in reasons, answer)
     back = time.monotonic()
     d.server.unplug()
     for each in (page, other):
@@ -629,9 +630,9 @@ async def grasps(d, context):
 
 
 async def restart(d, context):
-    """The server goes, with and without a goodbye, and comes back."""
+    """The server stops, with and without a shutdown event, and restarts."""
     page = await d.page(context)
-    for how, words in ((signal.SIGTERM, "was stopped"), (signal.SIGKILL, "saved grasps are safe")):
+    for how, words in ((signal.SIGTERM, "has stopped"), (signal.SIGKILL, "saved grasps are safe")):
         d.server.stop(how)
         await page.locator("#link:visible").wait_for(timeout=20000)
         text = await page.locator("#link").inner_text()

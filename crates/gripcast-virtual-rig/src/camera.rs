@@ -1,7 +1,5 @@
-//! Cameras of the virtual rig: paced like real ones, with sequence numbers that jump when the
-//! reader is late.
+//! Cameras of the virtual rig: paced like real ones, with sequence gaps for late readers.
 
-use std::collections::BTreeMap;
 use std::fs;
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -9,10 +7,10 @@ use std::time::Duration;
 
 use image::RgbImage;
 
-use super::gel::GelPainter;
-use super::hand::{SceneMoment, VirtualHand};
-use super::library::FilmLibrary;
-use super::view::{ColourPainter, DepthPainter, Place};
+use super::gel::GelRenderer;
+use super::hand::{SceneState, VirtualHand};
+use super::library::ClipLibrary;
+use super::view::{ColourRenderer, DepthRenderer, Viewpoint};
 use gripcast_base::error::{Error, ErrorKind, Result};
 use gripcast_capture::calibration::CameraConfig;
 use gripcast_capture::camera::{
@@ -20,18 +18,18 @@ use gripcast_capture::camera::{
 };
 use gripcast_imaging::{Frame, PixelFormat, RgbScaler, Role, encode_jpeg};
 
-/// Images are painted at most this wide and enlarged.
-const PAINTED_WIDTH: u32 = 640;
-/// Tactile images keep finer detail.
-const PAINTED_GEL_WIDTH: u32 = 820;
-/// Markers are measured in the images from beside the table.
-const PAINTED_OUTSIDE_WIDTH: u32 = 1280;
-/// Frames that wait for a late reader, like the buffers of a driver.
+/// Maximum rendered width; wider images are upscaled.
+const RENDER_WIDTH: u32 = 640;
+/// Maximum rendered width of tactile images, which keep finer detail.
+const GEL_RENDER_WIDTH: u32 = 820;
+/// Maximum rendered width of external images, in which markers are detected.
+const EXTERNAL_RENDER_WIDTH: u32 = 1280;
+/// Frames buffered for a late reader, as in a driver.
 const BUFFERS: u64 = 4;
 const DEPTH_UNIT_M: f64 = 0.001;
 const JPEG_QUALITY: u8 = 92;
 
-/// The virtual rig: one hand and the cameras that see it.
+/// A virtual rig: one hand and its cameras.
 #[derive(Clone)]
 pub struct VirtualRig {
     hand: Arc<VirtualHand>,
@@ -41,18 +39,17 @@ pub struct VirtualRig {
 }
 
 impl VirtualRig {
-    /// A rig that plays `films`; their order and the noise follow from `seed`.
-    pub fn new(films: FilmLibrary, seed: u64, clock: Arc<dyn Clock>) -> Self {
+    /// Creates a rig that plays `clips`; their order and the noise follow from `seed`.
+    pub fn new(clips: ClipLibrary, seed: u64, clock: Arc<dyn Clock>) -> Self {
         Self {
-            hand: Arc::new(VirtualHand::new(films, seed, clock.clone())),
+            hand: Arc::new(VirtualHand::new(clips, seed, clock.clone())),
             clock,
             seed,
             unplugged: None,
         }
     }
 
-    /// Cameras whose roles stand in `file` are unplugged for as long as they stand there.
-    #[must_use]
+    /// Unplugs the cameras whose roles `file` lists, for as long as it lists them.
     pub fn with_unplugged(self, file: PathBuf) -> Self {
         Self {
             unplugged: Some(file),
@@ -65,41 +62,40 @@ impl VirtualRig {
         text.is_some_and(|text| text.is_ok_and(|t| t.split_whitespace().any(|w| w == role.name())))
     }
 
-    /// The hand, to close it, lift and open it.
+    /// Returns the hand.
     pub fn hand(&self) -> Arc<VirtualHand> {
         self.hand.clone()
     }
 
-    /// The camera of `role` in the format and size of `config`.
+    /// Returns the camera of `role` in the format and size of `config`.
     ///
     /// # Errors
-    /// [`ErrorKind::Config`] when the role cannot deliver that format, or size or rate are out of
-    /// range.
+    /// [`ErrorKind::Config`] for a format that the role does not support, or a size or rate out
+    /// of range.
     pub fn camera(&self, role: Role, config: &CameraConfig) -> Result<VirtualOpener> {
-        let wrong = |what: String| Error::config(what).at(role);
+        let unsupported = |what: String| Error::config(what).at(role);
         let depth = role == Role::Depth;
         if depth != (config.format == PixelFormat::Z16) {
-            let found = config.format;
-            let wanted = if depth {
-                "Z16"
-            } else {
-                "MJPG, YUYV, GREY or RGB"
+            let expected = match depth {
+                true => "Z16",
+                false => "MJPG, YUYV, GREY or RGB",
             };
-            return Err(wrong(format!(
-                "the virtual camera cannot deliver {found}, expected {wanted}"
+            return Err(unsupported(format!(
+                "the virtual camera expected {expected}, found {}",
+                config.format
             )));
         }
         let (width, height) = (config.width, config.height);
         if !(16..=4096).contains(&width) || !(16..=4096).contains(&height) || width % 2 != 0 {
-            return Err(wrong(format!(
-                "the virtual camera cannot deliver {width}×{height}, expected 16 to 4096 pixels \
-                 with an even width"
+            return Err(unsupported(format!(
+                "the virtual camera expected 16 to 4096 pixels with an even width, found \
+                 {width}×{height}"
             )));
         }
         if !(config.fps > 0.0 && config.fps <= 240.0) {
             let fps = config.fps;
-            return Err(wrong(format!(
-                "frame rate {fps}, expected above 0, up to 240"
+            return Err(unsupported(format!(
+                "expected a frame rate above 0 and up to 240, found {fps}"
             )));
         }
         let (product, serial) = match role {
@@ -126,14 +122,14 @@ impl VirtualRig {
                 nominal_fps: config.fps,
                 depth_unit_m: depth.then(|| config.depth_unit_m.unwrap_or(DEPTH_UNIT_M)),
             },
-            controls: controls_of(role, &config.controls),
+            controls: control_values(role, &config.controls),
         })
     }
 }
 
-/// What a rig file sets, over the values that such a camera would have.
-fn controls_of(role: Role, wanted: &ControlValues) -> ControlValues {
-    let usual: &[(&str, i64)] = match role {
+/// Returns typical control values of such a camera, overridden by those of the rig file.
+fn control_values(role: Role, configured: &ControlValues) -> ControlValues {
+    let typical: &[(&str, i64)] = match role {
         Role::Left | Role::Right => &[
             ("auto_exposure", 1),
             ("exposure_time_absolute", 180),
@@ -154,15 +150,14 @@ fn controls_of(role: Role, wanted: &ControlValues) -> ControlValues {
             ("gain", 16),
         ],
     };
-    let mut values: BTreeMap<String, i64> = usual
+    let typical = typical
         .iter()
-        .map(|(name, value)| ((*name).to_owned(), *value))
-        .collect();
-    values.extend(wanted.iter().map(|(name, value)| (name.clone(), *value)));
-    values
+        .map(|(name, value)| ((*name).to_owned(), *value));
+    typical.chain(configured.clone()).collect()
 }
 
-/// Opens one virtual camera.
+/// Opener of one virtual camera.
+#[derive(Clone)]
 pub struct VirtualOpener {
     rig: VirtualRig,
     role: Role,
@@ -184,147 +179,142 @@ impl CameraOpener for VirtualOpener {
             let what = format!("{} is not plugged in", self.info.identity);
             return Err(Error::new(ErrorKind::Device, what));
         }
-        let painter = Painter::new(&self.rig, self.role, &self.info)?;
+        let renderer = FrameRenderer::new(&self.rig, self.role, &self.info)?;
         Ok(Box::new(VirtualCamera {
-            schedule: Schedule {
-                start_ns: self.rig.clock.now_ns(),
-                interval_ns: 1e9 / self.info.nominal_fps,
-                next: 0,
-            },
-            rig: self.rig.clone(),
-            role: self.role,
-            info: self.info.clone(),
-            controls: self.controls.clone(),
-            painter,
+            camera: self.clone(),
+            renderer,
+            start_ns: self.rig.clock.now_ns(),
+            interval_ns: 1e9 / self.info.nominal_fps,
+            next: 0,
         }))
     }
 }
 
-/// Which frame is next and when, for a camera that never waits for its reader.
-struct Schedule {
+/// An open virtual camera. It does not wait for its reader.
+struct VirtualCamera {
+    camera: VirtualOpener,
+    renderer: FrameRenderer,
     start_ns: u64,
     interval_ns: f64,
+    /// Number of the next frame of a timely reader.
     next: u64,
 }
 
-impl Schedule {
+impl VirtualCamera {
     fn time_ns(&self, frame: u64) -> u64 {
         // The first frame is complete one interval after the start.
         self.start_ns + ((frame + 1) as f64 * self.interval_ns) as u64
     }
 
-    /// Number of the next frame; a late reader finds the newest buffers only.
+    /// Returns the number of the next frame; a late reader gets the newest buffers only.
     fn upcoming(&self, now_ns: u64) -> u64 {
-        let made = (now_ns.saturating_sub(self.start_ns) as f64 / self.interval_ns) as u64;
-        self.next.max(made.saturating_sub(BUFFERS))
+        let complete = (now_ns.saturating_sub(self.start_ns) as f64 / self.interval_ns) as u64;
+        self.next.max(complete.saturating_sub(BUFFERS))
     }
-}
-
-struct VirtualCamera {
-    schedule: Schedule,
-    rig: VirtualRig,
-    role: Role,
-    info: StreamInfo,
-    controls: ControlValues,
-    painter: Painter,
 }
 
 impl FrameSource for VirtualCamera {
     fn info(&self) -> &StreamInfo {
-        &self.info
+        &self.camera.info
     }
 
     fn next_frame(&mut self, timeout: Duration) -> Result<Frame, CaptureError> {
-        if self.rig.is_unplugged(self.role) {
+        let VirtualOpener {
+            rig, role, info, ..
+        } = &self.camera;
+        if rig.is_unplugged(*role) {
             return Err(CaptureError::Gone);
         }
-        let now_ns = self.rig.clock.now_ns();
-        let number = self.schedule.upcoming(now_ns);
-        let due_ns = self.schedule.time_ns(number);
-        if !self.rig.clock.wait_for(due_ns, timeout) {
+        let number = self.upcoming(rig.clock.now_ns());
+        let due_ns = self.time_ns(number);
+        if !rig.clock.wait_for(due_ns, timeout) {
             return Err(CaptureError::Timeout);
         }
-        self.schedule.next = number + 1;
-        let moment = self.rig.hand.moment(due_ns);
-        let data = self
-            .painter
-            .paint(&moment, number)
-            .map_err(CaptureError::Failed)?;
+        self.next = number + 1;
+        let scene = rig.hand.scene_at(due_ns);
+        let data = self.renderer.render_frame(&scene, number);
         Ok(Frame {
-            format: self.info.format,
-            width: self.info.width,
-            height: self.info.height,
-            data: data.into(),
+            format: info.format,
+            width: info.width,
+            height: info.height,
+            data: data.map_err(CaptureError::Failed)?.into(),
             sequence: number as u32,
             driver_time_ns: due_ns,
-            received_ns: self.rig.clock.now_ns(),
+            received_ns: rig.clock.now_ns(),
         })
     }
 
     fn controls(&mut self) -> Result<ControlValues> {
-        Ok(self.controls.clone())
+        Ok(self.camera.controls.clone())
     }
 }
 
 enum Scene {
-    Gel(Box<GelPainter>),
-    Colour(ColourPainter),
-    Depth(DepthPainter),
+    Gel(Box<GelRenderer>),
+    Colour(ColourRenderer),
+    Depth(DepthRenderer),
 }
 
-/// Paints a scene and packs it into a camera's format.
-struct Painter {
+/// Renders a scene in the pixel format of a camera.
+struct FrameRenderer {
     scene: Scene,
-    painted: (u32, u32),
+    render_size: (u32, u32),
     info: StreamInfo,
     scaler: RgbScaler,
 }
 
-impl Painter {
+impl FrameRenderer {
     fn new(rig: &VirtualRig, role: Role, info: &StreamInfo) -> Result<Self> {
         let limit = match role {
-            Role::Left | Role::Right => PAINTED_GEL_WIDTH,
-            Role::Rgb | Role::Depth => PAINTED_WIDTH,
-            Role::External => PAINTED_OUTSIDE_WIDTH,
+            Role::Left | Role::Right => GEL_RENDER_WIDTH,
+            Role::Rgb | Role::Depth => RENDER_WIDTH,
+            Role::External => EXTERNAL_RENDER_WIDTH,
         };
-        let painted = if info.width <= limit {
+        let render_size = if info.width <= limit {
             (info.width, info.height)
         } else {
             (limit, (info.height * limit / info.width).max(1))
         };
         let full = (info.width, info.height);
         let scene = match role {
-            Role::Left | Role::Right => {
-                Scene::Gel(Box::new(GelPainter::new(role, rig.seed, painted, full)?))
-            }
-            Role::Rgb => Scene::Colour(ColourPainter::new(Place::Hand, rig.seed, painted)),
-            Role::Depth => Scene::Depth(DepthPainter::new(rig.seed, painted)),
-            Role::External => Scene::Colour(ColourPainter::new(Place::Outside, rig.seed, painted)),
+            Role::Left | Role::Right => Scene::Gel(Box::new(GelRenderer::new(
+                role,
+                rig.seed,
+                render_size,
+                full,
+            )?)),
+            Role::Rgb => Scene::Colour(ColourRenderer::new(Viewpoint::Hand, rig.seed, render_size)),
+            Role::Depth => Scene::Depth(DepthRenderer::new(rig.seed, render_size)),
+            Role::External => Scene::Colour(ColourRenderer::new(
+                Viewpoint::External,
+                rig.seed,
+                render_size,
+            )),
         };
         Ok(Self {
             scene,
-            painted,
+            render_size,
             info: info.clone(),
             scaler: RgbScaler::default(),
         })
     }
 
-    fn paint(&mut self, moment: &SceneMoment, frame: u64) -> Result<Vec<u8>> {
-        let painted = match &mut self.scene {
-            Scene::Depth(painter) => {
-                let depth_m = painter.paint_m(moment, frame)?;
+    fn render_frame(&mut self, scene: &SceneState, frame: u64) -> Result<Vec<u8>> {
+        let render_size = match &mut self.scene {
+            Scene::Depth(renderer) => {
+                let depth_m = renderer.render_frame_m(scene, frame)?;
                 return Ok(self.depth_bytes(&depth_m));
             }
-            Scene::Gel(painter) => painter.paint(moment, frame)?,
-            Scene::Colour(painter) => painter.paint(moment, frame)?,
+            Scene::Gel(renderer) => renderer.render_frame(scene, frame)?,
+            Scene::Colour(renderer) => renderer.render_frame(scene, frame)?,
         };
         let size = (self.info.width, self.info.height);
-        let image = if self.painted == size {
-            RgbImage::from_raw(size.0, size.1, painted)
+        let image = if self.render_size == size {
+            RgbImage::from_raw(size.0, size.1, render_size)
         } else {
-            Some(self.scaler.enlarge(&painted, self.painted, size)?)
+            Some(self.scaler.enlarge(&render_size, self.render_size, size)?)
         };
-        let image = image.ok_or_else(|| Error::internal("a painted image has another size"))?;
+        let image = image.ok_or_else(|| Error::internal("the rendered image has another size"))?;
         Ok(match self.info.format {
             PixelFormat::Mjpg => encode_jpeg(&image, JPEG_QUALITY)?,
             PixelFormat::Grey => image.chunks_exact(3).map(luminance).collect(),
@@ -333,10 +323,11 @@ impl Painter {
         })
     }
 
-    /// Counts of the depth unit, little endian; enlarged without mixing near and far.
+    /// Encodes depth in counts of the depth unit, little endian, upscaled by nearest neighbour.
     fn depth_bytes(&self, depth_m: &[f32]) -> Vec<u8> {
         let unit_m = self.info.depth_unit_m.unwrap_or(DEPTH_UNIT_M) as f32;
-        let (painted_width, painted_height) = (self.painted.0 as usize, self.painted.1 as usize);
+        let (painted_width, painted_height) =
+            (self.render_size.0 as usize, self.render_size.1 as usize);
         let (width, height) = (self.info.width as usize, self.info.height as usize);
         let mut bytes = Vec::with_capacity(2 * width * height);
         for row in 0..height {
@@ -350,13 +341,13 @@ impl Painter {
     }
 }
 
-/// BT.601 luminance of an RGB pixel, full range.
+/// Returns the BT.601 luminance of an RGB pixel, full range.
 fn luminance(rgb: &[u8]) -> u8 {
     let [r, g, b] = [0, 1, 2].map(|n| u32::from(rgb[n]));
     ((299 * r + 587 * g + 114 * b + 500) / 1000) as u8
 }
 
-/// BT.601 limited range; the two pixels of a pair share their mean chroma.
+/// Encodes RGB as YUYV: BT.601, limited range; a pixel pair shares its mean chroma.
 pub(super) fn yuyv_bytes(rgb: &[u8]) -> Vec<u8> {
     let mut bytes = Vec::with_capacity(rgb.len() / 3 * 2);
     for pair in rgb.chunks_exact(6) {

@@ -4,7 +4,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use super::camera::{VirtualRig, yuyv_bytes};
-use super::{FilmLibrary, HandGoal};
+use super::{ClipLibrary, HandTarget};
 use gripcast_base::error::ErrorKind;
 use gripcast_capture::calibration::{CameraConfig, SourceKind};
 use gripcast_capture::camera::{CameraOpener as _, CaptureError, Clock as _, ManualClock};
@@ -21,9 +21,9 @@ fn config(format: PixelFormat, width: u32, height: u32, fps: f64) -> CameraConfi
 }
 
 fn rig() -> (VirtualRig, Arc<ManualClock>) {
-    let clock = Arc::new(ManualClock::new(1_000 * MS));
-    let films = FilmLibrary::built_in().unwrap();
-    (VirtualRig::new(films, 1, clock.clone()), clock)
+    let clock = Arc::new(ManualClock::at(1_000 * MS));
+    let clips = ClipLibrary::built_in().unwrap();
+    (VirtualRig::new(clips, 1, clock.clone()), clock)
 }
 
 #[test]
@@ -57,7 +57,7 @@ fn every_role_delivers_its_format() {
 }
 
 #[test]
-fn a_camera_is_gone_while_its_role_stands_in_the_file() {
+fn camera_is_disconnected_while_the_file_lists_its_role() {
     let (rig, _) = rig();
     let file = tempfile::NamedTempFile::new().unwrap();
     let rig = rig.with_unplugged(file.path().to_owned());
@@ -75,7 +75,7 @@ fn a_camera_is_gone_while_its_role_stands_in_the_file() {
 }
 
 #[test]
-fn frames_are_paced_and_a_late_reader_sees_a_gap() {
+fn frames_are_paced_and_late_reader_sees_a_gap() {
     let (rig, clock) = rig();
     let config = config(PixelFormat::Mjpg, 160, 120, 25.0);
     let mut camera = rig.camera(Role::Left, &config).unwrap().open().unwrap();
@@ -97,7 +97,7 @@ fn frames_are_paced_and_a_late_reader_sees_a_gap() {
 }
 
 #[test]
-fn a_slow_camera_times_out_without_losing_its_frame() {
+fn slow_camera_times_out_without_losing_its_frame() {
     let (rig, clock) = rig();
     let config = config(PixelFormat::Grey, 160, 120, 5.0);
     let mut camera = rig.camera(Role::Rgb, &config).unwrap().open().unwrap();
@@ -109,10 +109,10 @@ fn a_slow_camera_times_out_without_losing_its_frame() {
 }
 
 #[test]
-fn the_same_moment_is_the_same_image() {
+fn images_are_reproducible() {
     let image = || {
         let (rig, _) = rig();
-        rig.hand().go(HandGoal::Closed);
+        rig.hand().move_to(HandTarget::Closed);
         let config = config(PixelFormat::Mjpg, 320, 240, 1.0);
         let mut camera = rig.camera(Role::Left, &config).unwrap().open().unwrap();
         camera.next_frame(Duration::from_secs(2)).unwrap().data
@@ -135,9 +135,9 @@ fn identity_and_controls_are_readable() {
 }
 
 #[test]
-fn impossible_modes_are_explained() {
+fn unsupported_modes_are_config_errors() {
     let (rig, _) = rig();
-    for (role, config, part) in [
+    for (role, config, expected) in [
         (
             Role::Left,
             config(PixelFormat::Z16, 640, 480, 25.0),
@@ -157,22 +157,22 @@ fn impossible_modes_are_explained() {
         (
             Role::Rgb,
             config(PixelFormat::Yuyv, 640, 480, 0.0),
-            "frame rate 0",
+            "found 0",
         ),
         (
             Role::Rgb,
             config(PixelFormat::Yuyv, 640, 480, f64::NAN),
-            "frame rate NaN",
+            "found NaN",
         ),
     ] {
         let error = rig.camera(role, &config).err().unwrap();
         assert_eq!(error.kind(), ErrorKind::Config);
-        assert!(error.to_string().contains(part), "{error}");
+        assert!(error.to_string().contains(expected), "{error}");
     }
 }
 
 #[test]
-fn yuyv_keeps_grey_grey_and_red_red() {
+fn yuyv_preserves_grey_and_red() {
     assert_eq!(yuyv_bytes(&[128; 6]), [126, 128, 126, 128]);
     let red = yuyv_bytes(&[255, 0, 0, 255, 0, 0]);
     assert!(red[0] > 70 && red[0] < 90, "{red:?}");

@@ -1,44 +1,44 @@
-//! What a GelSight Mini on the virtual gripper sees: the tactile renderer's image of the step
-//! that is shown, in the frame of the whole sensor.
+//! Frames of a GelSight Mini on the virtual gripper: the rendered tactile image of the shown step,
+//! placed in the frame of the whole sensor.
 
 use image::RgbImage;
 
-use super::film::Film;
-use super::hand::SceneMoment;
+use super::clip::Clip;
+use super::hand::SceneState;
 use super::random::{NoiseTable, mixed, signed_unit};
 use gripcast_base::error::Result;
 use gripcast_imaging::{CropWindow, Role};
 use gripcast_sim::grasp::Finger;
 use gripcast_tactile::{
-    FrameNoise, PressDepth, Rasteriser, SensorMount, SensorProfile, TactileRenderer, TactileScene,
+    FrameLook, PressDepth, Rasteriser, SensorPlace, SensorProfile, TactileRenderer, TactileScene,
     WholeFrame, object_depth,
 };
 
-/// Largest difference of two sensors of a kind, grey levels.
-const OWN_COLOUR: f64 = 4.0;
+/// Maximum colour offset between two sensors of the same model, grey levels.
+const MAX_COLOUR_OFFSET: f64 = 4.0;
 
-/// Paints one sensor's images at a fixed size.
-pub(super) struct GelPainter {
+/// Renders the frames of one sensor at a fixed size.
+pub(super) struct GelRenderer {
     finger: Finger,
     seed: u64,
-    look: FrameNoise,
+    look: FrameLook,
     rasteriser: Rasteriser,
     renderer: TactileRenderer,
     frame: WholeFrame,
     untouched: RgbImage,
     noise: NoiseTable,
-    /// The image without noise, and of which grasp and step it is.
-    still: RgbImage,
-    shown: Option<(u64, usize)>,
+    /// Image without noise, and its grasp and step.
+    noiseless: RgbImage,
+    cached: Option<(u64, usize)>,
 }
 
-impl GelPainter {
-    /// A painter of `painted` images of the gel on `side` for a camera with frames of `full`
-    /// pixels.
+impl GelRenderer {
+    /// Creates a renderer of images of `render_size` for the gel on `side`, whose camera has frames
+    /// of `full` pixels.
     pub(super) fn new(
         side: Role,
         seed: u64,
-        painted: (u32, u32),
+        render_size: (u32, u32),
         full: (u32, u32),
     ) -> Result<Self> {
         let profile = SensorProfile::gelsight_mini()?;
@@ -50,13 +50,13 @@ impl GelPainter {
             width: full.0,
             height: full.1,
         });
-        let frame = WholeFrame::new(&profile, window, full, painted);
-        let look = FrameNoise {
-            offset: [0, 1, 2].map(|n| (OWN_COLOUR * signed_unit(seed, 1, n)) as f32),
-            ..FrameNoise::default()
+        let frame = WholeFrame::new(&profile, window, full, render_size);
+        let look = FrameLook {
+            offset: [0, 1, 2].map(|n| (MAX_COLOUR_OFFSET * signed_unit(seed, 1, n)) as f32),
+            ..FrameLook::default()
         };
-        // The crop is shrunk to the sensor's image, which averages noise.
-        let shrunk = f64::from(painted.0) / f64::from(full.0) * f64::from(window.width)
+        // Downscaling the crop to the model's image averages noise.
+        let shrunk = f64::from(render_size.0) / f64::from(full.0) * f64::from(window.width)
             / profile.geometry.width as f64;
         let noise_std = profile.noise_std.iter().sum::<f64>() / 3.0 * shrunk.max(1.0);
         let mut renderer = TactileRenderer::new(&profile)?;
@@ -74,39 +74,39 @@ impl GelPainter {
             frame,
             untouched,
             noise: NoiseTable::new(seed, noise_std),
-            still: RgbImage::new(0, 0),
-            shown: None,
+            noiseless: RgbImage::new(0, 0),
+            cached: None,
         })
     }
 
-    /// The image at `moment` as RGB rows; `frame` picks the noise.
+    /// Returns the frame of `scene` as RGB bytes with the noise of `frame`.
     ///
     /// # Errors
-    /// Where the object's mesh cannot be read.
-    pub(super) fn paint(&mut self, moment: &SceneMoment, frame: u64) -> Result<Vec<u8>> {
-        let wanted = (moment.grasp, moment.step);
-        if self.shown != Some(wanted) {
-            let image = self.render(&moment.film, moment.step)?;
+    /// Errors of reading the object's mesh.
+    pub(super) fn render_frame(&mut self, scene: &SceneState, frame: u64) -> Result<Vec<u8>> {
+        let key = (scene.grasp, scene.step);
+        if self.cached != Some(key) {
+            let image = self.render(&scene.clip, scene.step)?;
             let image = image.as_ref().unwrap_or(&self.untouched);
-            self.still = self.frame.compose(image, &self.untouched)?;
-            self.shown = Some(wanted);
+            self.noiseless = self.frame.place(image, &self.untouched)?;
+            self.cached = Some(key);
         }
-        let mut image = self.still.as_raw().clone();
-        let row_bytes = 3 * self.still.width() as usize;
+        let mut image = self.noiseless.as_raw().clone();
+        let row_bytes = 3 * self.noiseless.width() as usize;
         self.noise.add_to(&mut image, row_bytes, self.seed, frame);
         Ok(image)
     }
 
-    /// The sensor's own image, none where nothing touches.
-    fn render(&mut self, film: &Film, step: usize) -> Result<Option<RgbImage>> {
-        let step = &film.steps()[step];
+    /// Renders the sensor image, or `None` without contact.
+    fn render(&mut self, clip: &Clip, step: usize) -> Result<Option<RgbImage>> {
+        let step = &clip.steps[step];
         if step.min_gap_m[self.finger as usize].is_none() {
             return Ok(None);
         }
-        let place = SensorMount::on(self.finger);
-        let t_world_gripper = film.start().t_world_gripper();
-        let mesh = film.mesh()?;
-        let scene = TactileScene::from_step(mesh, film.gel(), &t_world_gripper, step, place)?;
+        let place = SensorPlace::on(self.finger);
+        let t_world_gripper = clip.start.t_world_gripper();
+        let mesh = clip.mesh()?;
+        let scene = TactileScene::of_step(mesh, &clip.gel, &t_world_gripper, step, place)?;
         let press = object_depth(&scene, &self.renderer.geometry(), &mut self.rasteriser);
         self.renderer.render(&press, &self.look).map(Some)
     }
@@ -117,7 +117,7 @@ mod tests {
     use std::sync::Arc;
 
     use super::*;
-    use crate::FilmLibrary;
+    use crate::ClipLibrary;
     use gripcast_imaging::{CropProfile, crop_and_resize};
     use gripcast_tactile::ObjectDepthRenderer;
     use gripcast_tactile::SceneRenderer as _;
@@ -125,46 +125,46 @@ mod tests {
 
     const SIZE: (u32, u32) = (640, 480);
 
-    fn film(name: &str) -> Arc<Film> {
-        let library = FilmLibrary::built_in().unwrap();
-        let found = library.films().iter().find(|film| film.name() == name);
+    fn clip(name: &str) -> Arc<Clip> {
+        let library = ClipLibrary::built_in().unwrap();
+        let found = library.clips().iter().find(|clip| clip.name == name);
         found.unwrap().clone()
     }
 
-    fn moment(film: &Arc<Film>, progress: f64) -> SceneMoment {
-        SceneMoment {
+    fn scene_at(clip: &Arc<Clip>, progress: f64) -> SceneState {
+        SceneState {
             grasp: 0,
-            film: film.clone(),
-            step: film.step_at(progress),
+            clip: clip.clone(),
+            step: clip.step_at(progress),
         }
     }
 
-    /// The sensor's image as a program crops it out of the frame.
+    /// Crops the sensor image out of a frame as `collect` does.
     fn cropped(frame: Vec<u8>) -> RgbImage {
         let frame = RgbImage::from_raw(SIZE.0, SIZE.1, frame).unwrap();
         crop_and_resize(&frame, &CropProfile::GSMINI_SEVENTH, 320, 240).unwrap()
     }
 
     #[test]
-    fn the_crop_gives_back_what_the_renderer_made() {
-        let film = film("mug");
+    fn crop_of_the_frame_matches_the_rendered_image() {
+        let clip = clip("mug");
         let profile = SensorProfile::gelsight_mini().unwrap();
-        let mut renderer = ObjectDepthRenderer::new(&profile).unwrap();
+        let mut reference = ObjectDepthRenderer::new(&profile).unwrap();
         for (side, finger) in [(Role::Left, Finger::Left), (Role::Right, Finger::Right)] {
-            let mut painter = GelPainter::new(side, 1, SIZE, SIZE).unwrap();
-            painter.look = FrameNoise::default();
-            let shown = moment(&film, 1.0);
-            let cut = cropped(painter.paint(&shown, 1).unwrap());
-            let step = &film.steps()[shown.step];
-            let t_world_gripper = film.start().t_world_gripper();
-            let place = SensorMount::on(finger);
-            let mesh = film.mesh().unwrap();
+            let mut renderer = GelRenderer::new(side, 1, SIZE, SIZE).unwrap();
+            renderer.look = FrameLook::default();
+            let shown = scene_at(&clip, 1.0);
+            let cut = cropped(renderer.render_frame(&shown, 1).unwrap());
+            let step = &clip.steps[shown.step];
+            let t_world_gripper = clip.start.t_world_gripper();
+            let place = SensorPlace::on(finger);
+            let mesh = clip.mesh().unwrap();
             let scene =
-                TactileScene::from_step(mesh, film.gel(), &t_world_gripper, step, place).unwrap();
-            let made = renderer.render(&scene, None).unwrap();
-            let bare = renderer.render(&scene.untouched(), None).unwrap();
-            assert!(mean_difference(&made, &bare) > 1.0, "nothing is pressed in");
-            let off = mean_difference(&cut, &made);
+                TactileScene::of_step(mesh, &clip.gel, &t_world_gripper, step, place).unwrap();
+            let expected = reference.render(&scene, None).unwrap();
+            let bare = reference.render(&scene.untouched(), None).unwrap();
+            assert!(mean_difference(&expected, &bare) > 1.0, "no contact");
+            let off = mean_difference(&cut, &expected);
             assert!(
                 off < 1.2,
                 "{side}: {off} grey levels between frame and renderer"
@@ -173,24 +173,28 @@ mod tests {
     }
 
     #[test]
-    fn untouched_gels_differ_by_the_sensors_noise_only() {
-        let film = film("ball");
-        let mut painter = GelPainter::new(Role::Left, 1, SIZE, SIZE).unwrap();
-        let a = cropped(painter.paint(&moment(&film, 0.0), 1).unwrap());
-        let b = cropped(painter.paint(&moment(&film, 0.2), 2).unwrap());
-        assert!(a != b, "every frame has its own noise");
+    fn frames_without_contact_differ_by_noise_only() {
+        let clip = clip("ball");
+        let mut renderer = GelRenderer::new(Role::Left, 1, SIZE, SIZE).unwrap();
+        let a = cropped(renderer.render_frame(&scene_at(&clip, 0.0), 1).unwrap());
+        let b = cropped(renderer.render_frame(&scene_at(&clip, 0.2), 2).unwrap());
+        assert!(a != b, "every frame must have its own noise");
         // Two of 0.84 grey levels, as calibrated; mean |N(0, σ√2)| is 0.8 σ√2.
         let mean = mean_difference(&a, &b);
         assert!((0.5..1.3).contains(&mean), "{mean}");
-        let again = cropped(painter.paint(&moment(&film, 0.0), 1).unwrap());
+        let again = cropped(renderer.render_frame(&scene_at(&clip, 0.0), 1).unwrap());
         assert!(a == again);
     }
 
     #[test]
-    fn contact_grows_while_the_hand_closes_and_the_rim_is_dark() {
-        let film = film("ball");
-        let mut painter = GelPainter::new(Role::Right, 1, SIZE, SIZE).unwrap();
-        let mut at = |progress: f64| painter.paint(&moment(&film, progress), 1).unwrap();
+    fn contact_grows_during_closure_and_the_rim_is_dark() {
+        let clip = clip("ball");
+        let mut renderer = GelRenderer::new(Role::Right, 1, SIZE, SIZE).unwrap();
+        let mut at = |progress: f64| {
+            renderer
+                .render_frame(&scene_at(&clip, progress), 1)
+                .unwrap()
+        };
         let open = at(0.0);
         let corner: u32 = open[..30].iter().map(|v| u32::from(*v)).sum();
         let middle: u32 = open[3 * (240 * 640 + 320)..][..30]
@@ -207,11 +211,11 @@ mod tests {
     }
 
     #[test]
-    fn odd_frames_are_filled() {
-        let film = film("ball");
+    fn unusual_frame_sizes_are_filled() {
+        let clip = clip("ball");
         for size in [(16, 16), (18, 400), (820, 616)] {
-            let mut painter = GelPainter::new(Role::Left, 1, size, size).unwrap();
-            let image = painter.paint(&moment(&film, 1.0), 0).unwrap();
+            let mut renderer = GelRenderer::new(Role::Left, 1, size, size).unwrap();
+            let image = renderer.render_frame(&scene_at(&clip, 1.0), 0).unwrap();
             assert_eq!(image.len(), 3 * (size.0 * size.1) as usize);
         }
     }

@@ -1,29 +1,29 @@
-//! The virtual hand: opens, closes, lifts and moves on to the next object when it is told to.
+//! The virtual hand: opens, closes, lifts and moves on to the next object on command.
 
 use std::sync::{Arc, Mutex, PoisonError};
 
-use super::film::Film;
-use super::library::FilmLibrary;
+use super::clip::Clip;
+use super::library::ClipLibrary;
 use gripcast_capture::camera::Clock;
 use gripcast_dataset::SimulatedTruth;
 
-/// Time from open to closed, s.
+/// Duration from open to closed, s.
 const CLOSING_S: f64 = 0.6;
-/// Time from closed to lifted, s.
+/// Duration from closed to lifted, s.
 const LIFTING_S: f64 = 0.9;
 
-/// Where a hand goes.
+/// Target state of the hand.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum HandGoal {
-    /// Around the object without touching it.
+pub enum HandTarget {
+    /// Fingers around the object without contact.
     Open,
-    /// The object is gripped, the force adjusted.
+    /// Object grasped, force adjusted.
     Closed,
-    /// The gripper is lifted.
+    /// Gripper lifted.
     Lifted,
 }
 
-impl HandGoal {
+impl HandTarget {
     fn progress(self) -> f64 {
         match self {
             Self::Open => 0.0,
@@ -33,27 +33,27 @@ impl HandGoal {
     }
 }
 
-/// A hand that everything virtual fractions; commands take effect at the clock's present time.
+/// The hand of a virtual rig, shared by its cameras. Commands take effect at the current clock time.
 pub struct VirtualHand {
     clock: Arc<dyn Clock>,
-    films: FilmLibrary,
+    clips: ClipLibrary,
     seed: u64,
     motion: Mutex<Motion>,
 }
 
 #[derive(Clone)]
 struct Motion {
-    goal: HandGoal,
+    target: HandTarget,
     from: f64,
     since_ns: u64,
     grasp: u64,
-    film: Arc<Film>,
+    clip: Arc<Clip>,
 }
 
 impl Motion {
     fn progress(&self, now_ns: u64) -> f64 {
-        let to = self.goal.progress();
-        // Closing and lifting take their own times; a way through both takes both.
+        let to = self.target.progress();
+        // A motion through closing and lifting takes the sum of both durations.
         let time_at =
             |progress: f64| CLOSING_S * progress.min(1.0) + LIFTING_S * (progress - 1.0).max(0.0);
         let duration_s = (time_at(to) - time_at(self.from)).abs();
@@ -66,90 +66,85 @@ impl Motion {
     }
 }
 
-/// State of the scene at one moment; what the painters paint.
+/// State of the scene at one time; input of the renderers.
 #[derive(Clone, Debug)]
-pub struct SceneMoment {
-    /// Number of the grasp, from 0.
+pub struct SceneState {
+    /// Index of the grasp, from 0.
     pub grasp: u64,
-    /// The grasp under way.
-    pub film: Arc<Film>,
-    /// The step of it that is shown.
+    /// The current clip.
+    pub clip: Arc<Clip>,
+    /// Index of the shown step of the clip.
     pub step: usize,
 }
 
 impl VirtualHand {
-    /// An open hand over the first object.
-    pub fn new(films: FilmLibrary, seed: u64, clock: Arc<dyn Clock>) -> Self {
+    /// Creates an open hand around the first object.
+    pub fn new(clips: ClipLibrary, seed: u64, clock: Arc<dyn Clock>) -> Self {
         let motion = Motion {
-            goal: HandGoal::Open,
+            target: HandTarget::Open,
             from: 0.0,
             since_ns: clock.now_ns(),
             grasp: 0,
-            film: films.film(seed, 0),
+            clip: clips.clip(seed, 0),
         };
         Self {
             clock,
-            films,
+            clips,
             seed,
             motion: Mutex::new(motion),
         }
     }
 
-    /// Begins to move, from wherever the hand is.
-    pub fn go(&self, goal: HandGoal) {
+    /// Starts a motion from the current state to `target`.
+    pub fn move_to(&self, target: HandTarget) {
         let now_ns = self.clock.now_ns();
         self.change(|motion| {
-            if motion.goal != goal {
+            if motion.target != target {
                 motion.from = motion.progress(now_ns);
-                motion.goal = goal;
+                motion.target = target;
                 motion.since_ns = now_ns;
             }
         });
     }
 
-    /// Where the hand is or goes.
-    pub fn goal(&self) -> HandGoal {
-        self.change(|motion| motion.goal)
-    }
-
-    /// When it last began to move or got another object, ns of its clock.
+    /// Returns the start time of the last motion or object change, ns of the hand's clock.
     pub fn since_ns(&self) -> u64 {
         self.change(|motion| motion.since_ns)
     }
 
-    /// Puts the next object on the table, between open fingers.
+    /// Places the next object between the open fingers.
     pub fn next_object(&self) {
         let now_ns = self.clock.now_ns();
         self.change(|motion| {
             motion.grasp += 1;
-            motion.film = self.films.film(self.seed, motion.grasp);
-            (motion.goal, motion.from, motion.since_ns) = (HandGoal::Open, 0.0, now_ns);
+            motion.clip = self.clips.clip(self.seed, motion.grasp);
+            (motion.target, motion.from, motion.since_ns) = (HandTarget::Open, 0.0, now_ns);
         });
     }
 
-    /// The grasp under way.
-    pub fn film(&self) -> Arc<Film> {
-        self.change(|motion| motion.film.clone())
+    /// Returns the current clip.
+    pub fn clip(&self) -> Arc<Clip> {
+        self.change(|motion| motion.clip.clone())
     }
 
-    /// The scene at `now_ns`.
-    pub fn moment(&self, now_ns: u64) -> SceneMoment {
+    /// Returns the scene at `now_ns`.
+    pub fn scene_at(&self, now_ns: u64) -> SceneState {
         let motion = self.change(|motion| motion.clone());
-        SceneMoment {
-            step: motion.film.step_at(motion.progress(now_ns)),
+        SceneState {
+            step: motion.clip.step_at(motion.progress(now_ns)),
             grasp: motion.grasp,
-            film: motion.film,
+            clip: motion.clip,
         }
     }
 
-    /// What is true at `now_ns`.
+    /// Returns the ground truth at `now_ns`.
     pub fn truth(&self, now_ns: u64) -> SimulatedTruth {
-        let SceneMoment { film, step, .. } = self.moment(now_ns);
-        film.truth_at(step)
+        let SceneState { clip, step, .. } = self.scene_at(now_ns);
+        clip.truth_at(step)
     }
 
     fn change<T>(&self, act: impl FnOnce(&mut Motion) -> T) -> T {
-        // A motion is always whole, so that a panic elsewhere leaves nothing half done.
+        // A motion is always consistent, even after a panic of another holder.
         act(&mut self.motion.lock().unwrap_or_else(PoisonError::into_inner))
     }
 }
@@ -163,71 +158,67 @@ mod tests {
     const MS: u64 = 1_000_000;
 
     fn hand() -> (VirtualHand, Arc<ManualClock>) {
-        let clock = Arc::new(ManualClock::new(1_000 * MS));
-        let films = FilmLibrary::built_in().unwrap();
-        (VirtualHand::new(films, 1, clock.clone()), clock)
+        let clock = Arc::new(ManualClock::at(1_000 * MS));
+        let clips = ClipLibrary::built_in().unwrap();
+        (VirtualHand::new(clips, 1, clock.clone()), clock)
     }
 
     #[test]
-    fn the_hand_closes_smoothly_and_turns_back_where_it_is() {
+    fn hand_closes_smoothly_and_reverses_from_its_current_state() {
         let (hand, clock) = hand();
-        let film = hand.film();
-        let at = |ms: u64| hand.moment((1_000 + ms) * MS).step;
+        let clip = hand.clip();
+        let at = |ms: u64| hand.scene_at((1_000 + ms) * MS).step;
         assert_eq!(at(0), 0);
-        hand.go(HandGoal::Closed);
+        hand.move_to(HandTarget::Closed);
         let closing: Vec<usize> = (0..=30).map(|step| at(step * 20)).collect();
         assert!(
             closing.windows(2).all(|w| w[0] <= w[1] && w[1] - w[0] <= 3),
             "{closing:?}"
         );
-        let closed = &film.steps()[closing[30]];
+        let closed = &clip.steps[closing[30]];
         assert_eq!(closed.stage, StageName::Adjustment);
-        assert_eq!(film.steps()[closing[30] + 1].stage, StageName::Lift);
+        assert_eq!(clip.steps[closing[30] + 1].stage, StageName::Lift);
 
         clock.advance(600 * MS);
-        hand.go(HandGoal::Open);
+        hand.move_to(HandTarget::Open);
         clock.advance(300 * MS);
-        let half = hand.moment(clock.now_ns()).step;
+        let half = hand.scene_at(clock.now_ns()).step;
         assert!(
             half.abs_diff(closing[30] / 2) <= 1,
             "{half} of {}",
             closing[30]
         );
-        hand.go(HandGoal::Closed);
-        assert_eq!(hand.moment(clock.now_ns()).step, half);
-        hand.go(HandGoal::Closed);
+        hand.move_to(HandTarget::Closed);
+        assert_eq!(hand.scene_at(clock.now_ns()).step, half);
+        hand.move_to(HandTarget::Closed);
         clock.advance(600 * MS);
-        assert_eq!(hand.moment(clock.now_ns()).step, closing[30]);
+        assert_eq!(hand.scene_at(clock.now_ns()).step, closing[30]);
     }
 
     #[test]
-    fn the_lift_shows_whether_it_holds_and_can_be_taken_back() {
+    fn lift_shows_the_outcome_and_can_be_undone() {
         let (hand, clock) = hand();
-        hand.go(HandGoal::Lifted);
+        hand.move_to(HandTarget::Lifted);
         clock.advance(1_500 * MS);
-        let film = hand.film();
-        assert_eq!(hand.moment(clock.now_ns()).step, film.steps().len() - 1);
+        let clip = hand.clip();
+        assert_eq!(hand.scene_at(clock.now_ns()).step, clip.steps.len() - 1);
         let truth = hand.truth(clock.now_ns());
-        assert!(truth.held && truth.film == film.name());
-        hand.go(HandGoal::Closed);
+        assert!(truth.held && truth.film == clip.name);
+        hand.move_to(HandTarget::Closed);
         clock.advance(900 * MS);
-        let step = &film.steps()[hand.moment(clock.now_ns()).step];
+        let step = &clip.steps[hand.scene_at(clock.now_ns()).step];
         assert_eq!(step.stage, StageName::Adjustment);
         assert!(hand.truth(clock.now_ns()).force_n.iter().all(|f| *f > 1.0));
     }
 
     #[test]
-    fn the_next_object_stands_between_open_fingers() {
+    fn next_object_starts_with_an_open_hand() {
         let (hand, clock) = hand();
-        hand.go(HandGoal::Closed);
+        hand.move_to(HandTarget::Closed);
         clock.advance(1_000 * MS);
         hand.next_object();
-        assert_eq!(hand.goal(), HandGoal::Open);
-        let moment = hand.moment(clock.now_ns());
-        assert_eq!((moment.grasp, moment.step), (1, 0));
-        assert!(
-            !hand.truth(clock.now_ns()).held,
-            "the second grasp is one that is lost"
-        );
+        let scene = hand.scene_at(clock.now_ns());
+        assert_eq!((scene.grasp, scene.step), (1, 0));
+        assert!(!hand.truth(clock.now_ns()).held, "the second grasp slips");
     }
 }

@@ -1,11 +1,11 @@
-//! A virtual rig: a hand that grasps object after object, and the cameras that see it.
+//! Virtual rig: a hand that grasps one object after another, and its cameras.
 //!
-//! Every grasp is a simulated one. Tactile images are rendered from its trace, step by step, by
-//! the renderer that the synthetic datasets use; a colour image takes the path tracer seconds,
-//! so those are rendered ahead for some key steps ([`shoot`]). Images are pure functions of the
-//! hand's state, the frame's number and a seed.
+//! The hand plays back recorded simulations. Tactile images are rendered at each step of the
+//! trace with the renderer of the synthetic datasets; colour images take the path tracer seconds,
+//! so they are rendered ahead of time at keyframes ([`record_clip`]). Images are pure functions
+//! of the hand's state, the frame number and a seed.
 //!
-//! [`VirtualSource`] gives the cameras to whoever opens a rig file.
+//! [`VirtualSource`] opens the virtual cameras of a rig file.
 //!
 //! ```
 //! use std::sync::Arc;
@@ -14,12 +14,12 @@
 //! use gripcast_capture::calibration::RigFile;
 //! use gripcast_capture::camera::{CameraOpener as _, ManualClock};
 //! use gripcast_imaging::Role;
-//! use gripcast_virtual_rig::{FilmLibrary, HandGoal, VirtualRig};
+//! use gripcast_virtual_rig::{ClipLibrary, HandTarget, VirtualRig};
 //!
-//! let rig = VirtualRig::new(FilmLibrary::built_in()?, 1, Arc::new(ManualClock::new(0)));
+//! let rig = VirtualRig::new(ClipLibrary::built_in()?, 1, Arc::new(ManualClock::at(0)));
 //! let file = RigFile::virtual_rig();
 //! let mut camera = rig.camera(Role::Left, &file.cameras[&Role::Left])?.open()?;
-//! rig.hand().go(HandGoal::Closed);
+//! rig.hand().move_to(HandTarget::Closed);
 //! let frame = camera.next_frame(Duration::from_secs(1)).unwrap();
 //! assert_eq!((frame.width, frame.height), (640, 480));
 //! # Ok::<(), gripcast_base::error::Error>(())
@@ -28,18 +28,18 @@
 mod camera;
 #[cfg(test)]
 mod camera_test;
-mod film;
+mod clip;
 mod gel;
 mod hand;
 mod library;
 mod random;
-mod shoot;
+mod record_clip;
 mod source;
 mod view;
 
 pub use camera::{VirtualOpener, VirtualRig};
-pub use film::{Film, FilmFiles, FilmKeys};
-pub use hand::{HandGoal, SceneMoment, VirtualHand};
-pub use library::FilmLibrary;
-pub use shoot::{ShootSettings, shoot};
+pub use clip::{Clip, ClipFiles, Keyframes};
+pub use hand::{HandTarget, SceneState, VirtualHand};
+pub use library::ClipLibrary;
+pub use record_clip::{ClipSettings, record_clip};
 pub use source::VirtualSource;

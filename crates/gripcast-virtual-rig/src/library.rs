@@ -1,19 +1,19 @@
-//! The films of a virtual rig.
+//! Clips of a virtual rig.
 
 use std::borrow::Cow;
 use std::path::Path;
 use std::sync::Arc;
 
-use super::film::{Film, FilmFiles, TRACE};
+use super::clip::{Clip, ClipFiles, TRACE};
 use super::random::mixed;
 use gripcast_base::error::{Error, Result};
 use gripcast_base::files::Root;
 
-macro_rules! films {
+macro_rules! built_in_clips {
     ($($name:literal),* $(,)?) => {
         [$((
             $name,
-            FilmFiles {
+            ClipFiles {
                 trace: Cow::Borrowed(include_bytes!(concat!(
                     "../../../calib/virtual-rig/", $name, ".trace.bin"
                 ))),
@@ -23,7 +23,7 @@ macro_rules! films {
                 depth: Cow::Borrowed(include_bytes!(concat!(
                     "../../../calib/virtual-rig/", $name, ".depth.png"
                 ))),
-                outside: Cow::Borrowed(include_bytes!(concat!(
+                external: Cow::Borrowed(include_bytes!(concat!(
                     "../../../calib/virtual-rig/", $name, ".outside.jpg"
                 ))),
                 sheet: Cow::Borrowed(include_bytes!(concat!(
@@ -34,19 +34,19 @@ macro_rules! films {
     };
 }
 
-/// The grasps that a virtual hand goes through.
+/// The clips that a virtual hand plays, at least one.
 #[derive(Clone, Debug)]
-pub struct FilmLibrary {
-    films: Vec<Arc<Film>>,
+pub struct ClipLibrary {
+    clips: Vec<Arc<Clip>>,
 }
 
-impl FilmLibrary {
-    /// The films that come with the program.
+impl ClipLibrary {
+    /// Returns the built-in clips.
     ///
     /// # Errors
-    /// None; a test reads them all.
+    /// None; a test reads all of them.
     pub fn built_in() -> Result<Self> {
-        let films = films!(
+        let clips = built_in_clips!(
             "mug",
             "bottle-low",
             "ball",
@@ -56,64 +56,64 @@ impl FilmLibrary {
             "box",
             "box-end",
         );
-        let parsed = films
+        let parsed = clips
             .into_iter()
-            .map(|(name, files)| Film::parse(name, files, Path::new("")).map(Arc::new));
+            .map(|(name, files)| Clip::parse(name, files, Path::new("")).map(Arc::new));
         Ok(Self {
-            films: parsed.collect::<Result<_>>()?,
+            clips: parsed.collect::<Result<_>>()?,
         })
     }
 
-    /// All films of a folder, in the order of their names; every file of them is read.
+    /// Reads and checks all clips in a folder, sorted by name.
     ///
     /// # Errors
-    /// `NotFound`, `Io` for a folder or file that cannot be read, or a folder without films;
-    /// `Input` for a film that is none.
+    /// `NotFound`, `Io` for an unreadable folder or file, or a folder without clips; `Input` for
+    /// an invalid clip.
     pub fn read(folder: &Path) -> Result<Self> {
-        let at = |e| Error::io("cannot read the films", e).at(folder.display());
+        let at = |e| Error::io("cannot read the clips", e).at(folder.display());
         let mut names = Vec::new();
         for entry in Root::new(folder).top().entries().map_err(at)? {
             names.extend(entry.name().strip_suffix(TRACE).map(str::to_owned));
         }
         names.sort();
         if names.is_empty() {
-            return Err(Error::not_found("there are no films")
+            return Err(Error::not_found("the folder has no clips")
                 .at(folder.display())
                 .remedy(
-                    "simulate grasps with `gripcast sim grasp … --trace FILE.bin` and make films \
-                     of them with `gripcast render film`",
+                    "simulate grasps with `gripcast sim grasp … --trace FILE.bin`, then record \
+                     clips with `gripcast render film`",
                 ));
         }
-        let films = names.iter().map(|name| {
-            let read = || -> Result<Film> {
-                let film = Film::parse(name, FilmFiles::read(folder, name)?, folder)?;
-                film.check()?;
-                Ok(film)
+        let clips = names.iter().map(|name| {
+            let read = || -> Result<Clip> {
+                let clip = Clip::parse(name, ClipFiles::read(folder, name)?, folder)?;
+                clip.check()?;
+                Ok(clip)
             };
             read()
                 .map(Arc::new)
                 .map_err(|e| e.at(folder.join(name).display()))
         });
         Ok(Self {
-            films: films.collect::<Result<_>>()?,
+            clips: clips.collect::<Result<_>>()?,
         })
     }
 
-    /// Film of the `number`th grasp of a session with `seed`: every round shows each film once,
-    /// the first round in the library's order, so that a demonstration is always the same.
-    pub fn film(&self, seed: u64, number: u64) -> Arc<Film> {
-        let count = self.films.len() as u64;
+    /// Returns the clip of grasp `number` in a session with `seed`. Every round plays each clip
+    /// once, the first round in library order, so that demonstrations are reproducible.
+    pub fn clip(&self, seed: u64, number: u64) -> Arc<Clip> {
+        let count = self.clips.len() as u64;
         let round = number / count;
-        let mut order: Vec<usize> = (0..self.films.len()).collect();
+        let mut order: Vec<usize> = (0..self.clips.len()).collect();
         if round > 0 {
-            order.sort_by_key(|film| mixed(seed, round, *film as u64));
+            order.sort_by_key(|clip| mixed(seed, round, *clip as u64));
         }
-        self.films[order[(number % count) as usize]].clone()
+        self.clips[order[(number % count) as usize]].clone()
     }
 
-    /// All films, at least one.
-    pub fn films(&self) -> &[Arc<Film>] {
-        &self.films
+    /// Returns all clips.
+    pub fn clips(&self) -> &[Arc<Clip>] {
+        &self.clips
     }
 }
 
@@ -125,41 +125,45 @@ mod tests {
     use super::*;
     use gripcast_sim::grasp::GraspOutcome;
 
-    fn holds(film: &Film) -> bool {
-        film.outcome() == GraspOutcome::Success
+    fn is_stable(clip: &Clip) -> bool {
+        clip.outcome() == GraspOutcome::Success
     }
 
     #[test]
-    fn every_built_in_film_can_be_read_whole() {
-        let library = FilmLibrary::built_in().unwrap();
-        assert_eq!(library.films().len(), 8);
-        for film in library.films() {
-            film.check().unwrap();
-            let last = film.steps().last().unwrap();
-            let first_m = film.truth_at(0).opening_m;
+    fn all_built_in_clips_are_valid() {
+        let library = ClipLibrary::built_in().unwrap();
+        assert_eq!(library.clips().len(), 8);
+        for clip in library.clips() {
+            clip.check().unwrap();
+            let last = clip.steps.last().unwrap();
+            let first_m = clip.truth_at(0).opening_m;
             assert!(
-                (first_m - film.start().opening_m).abs() < 1e-3,
+                (first_m - clip.start.opening_m).abs() < 1e-3,
                 "{}",
-                film.name()
+                clip.name
             );
-            let rest = film.start().t_world_object.translation_m.z;
+            let rest = clip.start.t_world_object.translation_m.z;
             let rise = last.t_world_object.translation_m.z - rest;
-            assert_eq!(holds(film), rise > 0.045, "{}: {rise}", film.name());
+            assert_eq!(is_stable(clip), rise > 0.045, "{}: {rise}", clip.name);
         }
-        let held = library.films().iter().filter(|film| holds(film)).count();
-        assert!((3..=5).contains(&held), "{held} hold");
+        let stable = library
+            .clips()
+            .iter()
+            .filter(|clip| is_stable(clip))
+            .count();
+        assert!((3..=5).contains(&stable), "{stable} stable");
     }
 
     #[test]
-    fn a_demonstration_begins_held_lost_held_and_rounds_show_all() {
-        let library = FilmLibrary::built_in().unwrap();
-        let count = library.films().len() as u64;
+    fn first_round_is_fixed_and_rounds_play_every_clip() {
+        let library = ClipLibrary::built_in().unwrap();
+        let count = library.clips().len() as u64;
         for seed in 0..20 {
-            let began = [0, 1, 2].map(|number| holds(&library.film(seed, number)));
-            assert_eq!(began, [true, false, true]);
+            let first = [0, 1, 2].map(|number| is_stable(&library.clip(seed, number)));
+            assert_eq!(first, [true, false, true]);
             for round in 0..3 {
                 let mut names: Vec<_> = (0..count)
-                    .map(|n| library.film(seed, round * count + n).name().to_owned())
+                    .map(|n| library.clip(seed, round * count + n).name.clone())
                     .collect();
                 names.sort();
                 names.dedup();
@@ -169,7 +173,7 @@ mod tests {
         let session = |seed| (0..24).map(move |n| (seed, n));
         let names = |seed| -> Vec<_> {
             session(seed)
-                .map(|(s, n)| library.film(s, n).name().to_owned())
+                .map(|(s, n)| library.clip(s, n).name.clone())
                 .collect()
         };
         assert_eq!(names(1), names(1));
@@ -177,46 +181,41 @@ mod tests {
     }
 
     #[test]
-    fn folders_without_films_are_explained() {
+    fn folder_without_clips_is_not_found() {
         let folder = tempfile::tempdir().unwrap();
-        let text = FilmLibrary::read(folder.path()).unwrap_err().to_string();
+        let text = ClipLibrary::read(folder.path()).unwrap_err().to_string();
         assert!(text.contains("render film"), "{text}");
         let lost = folder.path().join("lost");
         assert_eq!(
-            FilmLibrary::read(&lost).unwrap_err().kind(),
+            ClipLibrary::read(&lost).unwrap_err().kind(),
             ErrorKind::NotFound
         );
         fs::write(folder.path().join("a.trace.bin"), b"no").unwrap();
         assert_eq!(
-            FilmLibrary::read(folder.path()).unwrap_err().kind(),
+            ClipLibrary::read(folder.path()).unwrap_err().kind(),
             ErrorKind::NotFound
         );
     }
 
     #[test]
-    fn damaged_films_are_refused_and_whole_ones_read_back() {
+    fn damaged_clip_is_rejected_and_valid_one_is_read() {
         let folder = tempfile::tempdir().unwrap();
-        let built_in = FilmLibrary::built_in().unwrap();
-        let film = &built_in.films()[0];
+        let built_in = ClipLibrary::built_in().unwrap();
+        let clip = &built_in.clips()[0];
         let write = |end: usize, bytes: &[u8]| {
-            let files = film.files().named("grip");
+            let files = clip.files.named("grip");
             fs::write(folder.path().join(&files[end].0), bytes).unwrap();
         };
-        let whole: Vec<Vec<u8>> = film
-            .files()
-            .named("")
-            .iter()
-            .map(|f| f.1.to_vec())
-            .collect();
+        let whole: Vec<Vec<u8>> = clip.files.named("").iter().map(|f| f.1.to_vec()).collect();
         for (end, bytes) in whole.iter().enumerate() {
             write(end, bytes);
         }
-        let read = FilmLibrary::read(folder.path()).unwrap();
-        assert_eq!(read.films()[0].name(), "grip");
-        assert_eq!(read.films()[0].steps(), film.steps());
+        let read = ClipLibrary::read(folder.path()).unwrap();
+        assert_eq!(read.clips()[0].name, "grip");
+        assert_eq!(read.clips()[0].steps, clip.steps);
         for (end, bytes) in whole.iter().enumerate() {
             write(end, &bytes[..bytes.len() / 3]);
-            let text = FilmLibrary::read(folder.path()).unwrap_err().to_string();
+            let text = ClipLibrary::read(folder.path()).unwrap_err().to_string();
             assert!(text.contains("grip"), "{text}");
             write(end, bytes);
         }

@@ -1,26 +1,26 @@
-//! Seeded numbers without state: the same question always gets the same answer.
+//! Stateless random numbers: the same seed and indices always give the same value.
 
 use gripcast_base::random;
 
-/// A well mixed 64-bit number of a seed and two indices (SplitMix64).
+/// Hashes a seed and two indices to 64 bits (SplitMix64).
 pub(super) fn mixed(seed: u64, stream: u64, index: u64) -> u64 {
     let seed = seed.wrapping_add(stream.wrapping_mul(0xD1B5_4A32_D192_ED03));
     random::numbered(seed, index)
 }
 
-/// Uniform in −1 ≤ x < 1.
+/// Returns a uniform number in −1 ≤ x < 1.
 pub(super) fn signed_unit(seed: u64, stream: u64, index: u64) -> f64 {
     2.0 * random::unit(mixed(seed, stream, index)) - 1.0
 }
 
-/// Sensor noise, made once and read from another place for every row of every frame.
+/// Precomputed sensor noise, read from another offset for every row of every frame.
 #[derive(Debug)]
 pub(super) struct NoiseTable(Vec<i8>);
 
 impl NoiseTable {
     const LENGTH: usize = 1 << 19;
 
-    /// Normal noise of standard deviation `std` grey levels.
+    /// Generates normal noise of standard deviation `std`, grey levels.
     pub(super) fn new(seed: u64, std: f64) -> Self {
         // The sum of the eight bytes of a random word is close to normal.
         const SUM_STD: f64 = 209.0;
@@ -35,7 +35,7 @@ impl NoiseTable {
         Self(values)
     }
 
-    /// Adds the noise of a frame to its rows of RGB.
+    /// Adds the noise of a frame to an RGB image.
     pub(super) fn add_to(&self, image: &mut [u8], row_bytes: usize, seed: u64, frame: u64) {
         for (row, line) in image.chunks_exact_mut(row_bytes).enumerate() {
             for (level, noise) in line.iter_mut().zip(self.row(seed, frame, row, row_bytes)) {
@@ -44,7 +44,7 @@ impl NoiseTable {
         }
     }
 
-    /// `length` values for one row of one frame; at most the table's length.
+    /// Returns `length` values for one row of a frame, at most the table's length.
     pub(super) fn row(&self, seed: u64, frame: u64, row: usize, length: usize) -> &[i8] {
         let length = length.min(self.0.len());
         let start = mixed(seed, frame, row as u64) as usize % (self.0.len() - length + 1);
@@ -57,7 +57,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn noise_has_the_asked_deviation_and_no_bias() {
+    fn noise_has_the_requested_deviation_and_no_bias() {
         let table = NoiseTable::new(1, 1.5);
         let count = table.0.len() as f64;
         let mean = table.0.iter().map(|v| f64::from(*v)).sum::<f64>() / count;
@@ -67,7 +67,7 @@ mod tests {
     }
 
     #[test]
-    fn numbers_depend_on_each_index() {
+    fn values_depend_on_each_index() {
         assert_ne!(mixed(1, 2, 3), mixed(1, 3, 2));
         assert_ne!(mixed(1, 2, 3), mixed(2, 2, 3));
         assert_eq!(signed_unit(7, 8, 9), signed_unit(7, 8, 9));

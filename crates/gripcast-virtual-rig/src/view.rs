@@ -1,8 +1,8 @@
-//! What the D435 on the virtual gripper and a camera beside the table see: the path-traced
-//! image of the last key step, with the noise of a frame.
+//! Images of the D435 on the virtual gripper and of the external camera: the path-traced image
+//! of the last keyframe with the noise of a frame.
 
-use super::film::Film;
-use super::hand::SceneMoment;
+use super::clip::Clip;
+use super::hand::SceneState;
 use super::random::{NoiseTable, mixed};
 use gripcast_base::error::Result;
 use gripcast_imaging::{DepthImage, RgbScaler};
@@ -13,29 +13,29 @@ const COLOUR_NOISE: f64 = 1.5;
 /// Steps of the depth noise table in a standard deviation.
 const DEPTH_NOISE_STEPS: f64 = 16.0;
 
-/// Which camera of a film.
+/// Camera of a clip.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Place {
-    /// Between the fingers.
+pub(super) enum Viewpoint {
+    /// On the gripper.
     Hand,
     /// Beside the table.
-    Outside,
+    External,
 }
 
-/// Paints colour images at a fixed size.
-pub(super) struct ColourPainter {
-    place: Place,
+/// Renders colour images of a fixed size.
+pub(super) struct ColourRenderer {
+    place: Viewpoint,
     seed: u64,
     size: (u32, u32),
     scaler: RgbScaler,
     noise: NoiseTable,
-    /// Images of the keys, and of which grasp they are.
-    shown: Option<(u64, Vec<Vec<u8>>)>,
+    /// Index of the current grasp and its keyframe images.
+    cached: Option<(u64, Vec<Vec<u8>>)>,
 }
 
-impl ColourPainter {
-    /// A painter of images of `size`.
-    pub(super) fn new(place: Place, seed: u64, size: (u32, u32)) -> Self {
+impl ColourRenderer {
+    /// Creates a renderer of images of `size`.
+    pub(super) fn new(place: Viewpoint, seed: u64, size: (u32, u32)) -> Self {
         let seed = mixed(seed, 0x7669_6577, place as u64);
         Self {
             place,
@@ -43,34 +43,34 @@ impl ColourPainter {
             size,
             scaler: RgbScaler::default(),
             noise: NoiseTable::new(seed, COLOUR_NOISE),
-            shown: None,
+            cached: None,
         }
     }
 
-    /// The image at `moment` as RGB rows; `frame` picks the noise.
+    /// Returns the image of `scene` as RGB bytes with the noise of `frame`.
     ///
     /// # Errors
-    /// `Input` where the film's strip is damaged.
-    pub(super) fn paint(&mut self, moment: &SceneMoment, frame: u64) -> Result<Vec<u8>> {
-        let images = match self.shown.take() {
-            Some((grasp, images)) if grasp == moment.grasp => images,
-            _ => self.images(&moment.film)?,
+    /// `Input` for a damaged image strip of the clip.
+    pub(super) fn render_frame(&mut self, scene: &SceneState, frame: u64) -> Result<Vec<u8>> {
+        let images = match self.cached.take() {
+            Some((grasp, images)) if grasp == scene.grasp => images,
+            _ => self.images(&scene.clip)?,
         };
         let key = match self.place {
-            Place::Hand => moment.film.key_at(moment.step),
-            Place::Outside => moment.film.outside_key_at(moment.step),
+            Viewpoint::Hand => scene.clip.key_at(scene.step),
+            Viewpoint::External => scene.clip.external_key_at(scene.step),
         };
         let mut image = images[key].clone();
-        self.shown = Some((moment.grasp, images));
+        self.cached = Some((scene.grasp, images));
         let row_bytes = 3 * self.size.0 as usize;
         self.noise.add_to(&mut image, row_bytes, self.seed, frame);
         Ok(image)
     }
 
-    fn images(&mut self, film: &Film) -> Result<Vec<Vec<u8>>> {
+    fn images(&mut self, clip: &Clip) -> Result<Vec<Vec<u8>>> {
         let strip = match self.place {
-            Place::Hand => film.colour(),
-            Place::Outside => film.outside(),
+            Viewpoint::Hand => clip.colour(),
+            Viewpoint::External => clip.external(),
         }?;
         strip
             .iter()
@@ -79,17 +79,17 @@ impl ColourPainter {
     }
 }
 
-/// Paints depth images at a fixed size.
-pub(super) struct DepthPainter {
+/// Renders depth images of a fixed size.
+pub(super) struct DepthRenderer {
     seed: u64,
     size: (u32, u32),
     settings: DepthSettings,
     noise: NoiseTable,
-    shown: Option<(u64, Vec<DepthImage>)>,
+    cached: Option<(u64, Vec<DepthImage>)>,
 }
 
-impl DepthPainter {
-    /// A painter of images of `size`.
+impl DepthRenderer {
+    /// Creates a renderer of images of `size`.
     pub(super) fn new(seed: u64, size: (u32, u32)) -> Self {
         let seed = mixed(seed, 0x6465_7074, 0);
         Self {
@@ -97,20 +97,20 @@ impl DepthPainter {
             size,
             settings: DepthSettings::default(),
             noise: NoiseTable::new(seed, DEPTH_NOISE_STEPS),
-            shown: None,
+            cached: None,
         }
     }
 
-    /// The image at `moment`, m; 0 where stereo is blind. `frame` picks the noise.
+    /// Returns the depth image of `scene`, m, with the noise of `frame`; 0 where stereo has no match.
     ///
     /// # Errors
-    /// `Input` where the film's strip is damaged.
-    pub(super) fn paint_m(&mut self, moment: &SceneMoment, frame: u64) -> Result<Vec<f32>> {
-        let images = match self.shown.take() {
-            Some((grasp, images)) if grasp == moment.grasp => images,
-            _ => moment.film.depth_mm()?,
+    /// `Input` for a damaged image strip of the clip.
+    pub(super) fn render_frame_m(&mut self, scene: &SceneState, frame: u64) -> Result<Vec<f32>> {
+        let images = match self.cached.take() {
+            Some((grasp, images)) if grasp == scene.grasp => images,
+            _ => scene.clip.depth_mm()?,
         };
-        let image = &images[moment.film.key_at(moment.step)];
+        let image = &images[scene.clip.key_at(scene.step)];
         let (width, height) = self.size;
         let [across, down] = centred(image.dimensions(), self.size);
         let mut depth_m = Vec::with_capacity(width as usize * height as usize);
@@ -125,12 +125,12 @@ impl DepthPainter {
                 depth_m.push((true_m + deviation * f64::from(*noise)) as f32);
             }
         }
-        self.shown = Some((moment.grasp, images));
+        self.cached = Some((scene.grasp, images));
         Ok(depth_m)
     }
 }
 
-/// One axis of an image of which the middle is shown.
+/// Mapping of one image axis to the centre crop of a source image.
 #[derive(Clone, Copy, Debug)]
 struct Axis {
     first: f64,
@@ -139,13 +139,13 @@ struct Axis {
 }
 
 impl Axis {
-    /// Nearest line of the source.
+    /// Returns the nearest row or column of the source.
     fn source(self, line: u32) -> u32 {
         ((self.first + (f64::from(line) + 0.5) * self.step) as u32).min(self.last)
     }
 }
 
-/// Columns and rows that fill `to` with the middle of an image of size `from`.
+/// Maps columns and rows of an image of size `to` to the centre crop of one of size `from`.
 fn centred(from: (u32, u32), to: (u32, u32)) -> [Axis; 2] {
     let scale = |from: u32, to: u32| f64::from(from) / f64::from(to);
     let step = scale(from.0, to.0).min(scale(from.1, to.1));
@@ -160,22 +160,22 @@ fn centred(from: (u32, u32), to: (u32, u32)) -> [Axis; 2] {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::FilmLibrary;
+    use crate::ClipLibrary;
 
-    fn moment(number: usize, progress: f64) -> SceneMoment {
-        let film = FilmLibrary::built_in().unwrap().films()[number].clone();
-        SceneMoment {
+    fn scene_at(number: usize, progress: f64) -> SceneState {
+        let clip = ClipLibrary::built_in().unwrap().clips()[number].clone();
+        SceneState {
             grasp: number as u64,
-            step: film.step_at(progress),
-            film,
+            step: clip.step_at(progress),
+            clip,
         }
     }
 
     #[test]
-    fn images_follow_the_keys_and_noise_the_frame() {
-        let mut painter = ColourPainter::new(Place::Hand, 1, (160, 120));
-        let open = painter.paint(&moment(0, 0.0), 1).unwrap();
-        assert!(open == painter.paint(&moment(0, 0.0), 1).unwrap());
+    fn image_follows_the_keyframe_and_noise_the_frame() {
+        let mut renderer = ColourRenderer::new(Viewpoint::Hand, 1, (160, 120));
+        let open = renderer.render_frame(&scene_at(0, 0.0), 1).unwrap();
+        assert!(open == renderer.render_frame(&scene_at(0, 0.0), 1).unwrap());
         let difference = |a: &[u8], b: &[u8]| {
             let sum: u64 = a
                 .iter()
@@ -184,32 +184,34 @@ mod tests {
                 .sum();
             sum as f64 / a.len() as f64
         };
-        let noise = difference(&open, &painter.paint(&moment(0, 0.0), 2).unwrap());
+        let noise = difference(&open, &renderer.render_frame(&scene_at(0, 0.0), 2).unwrap());
         assert!((1.0..2.5).contains(&noise), "{noise}");
-        let closed = painter.paint(&moment(0, 1.0), 1).unwrap();
+        let closed = renderer.render_frame(&scene_at(0, 1.0), 1).unwrap();
         assert!(
             difference(&open, &closed) > 2.0 * noise,
-            "the fingers are not seen closing"
+            "the fingers must move"
         );
-        let other = painter.paint(&moment(1, 0.0), 1).unwrap();
+        let other = renderer.render_frame(&scene_at(1, 0.0), 1).unwrap();
         assert!(
             difference(&open, &other) > 2.0 * noise,
-            "another object looks the same"
+            "the object must differ"
         );
-        let mut outside = ColourPainter::new(Place::Outside, 1, (160, 120));
-        assert!(difference(&open, &outside.paint(&moment(0, 0.0), 1).unwrap()) > 2.0 * noise);
+        let mut external = ColourRenderer::new(Viewpoint::External, 1, (160, 120));
+        assert!(
+            difference(&open, &external.render_frame(&scene_at(0, 0.0), 1).unwrap()) > 2.0 * noise
+        );
     }
 
     #[test]
-    fn depth_is_that_of_the_table_and_noisy_as_stereo_is() {
-        let mut painter = DepthPainter::new(1, (160, 120));
+    fn depth_noise_matches_the_stereo_model() {
+        let mut renderer = DepthRenderer::new(1, (160, 120));
         let mut frames: Vec<Vec<f32>> = Vec::new();
         for frame in 0..40 {
-            frames.push(painter.paint_m(&moment(0, 0.0), frame).unwrap());
+            frames.push(renderer.render_frame_m(&scene_at(0, 0.0), frame).unwrap());
         }
-        let seen = frames[0].iter().filter(|z| **z > 0.0);
-        assert!(seen.clone().count() > 160 * 120 / 2);
-        assert!(seen.clone().all(|z| (0.1..1.5).contains(z)));
+        let measured = frames[0].iter().filter(|z| **z > 0.0);
+        assert!(measured.clone().count() > 160 * 120 / 2);
+        assert!(measured.clone().all(|z| (0.1..1.5).contains(z)));
         // A pixel of the table, far from everything: its spread over the frames is z² s / (f b).
         let column: Vec<f64> = frames.iter().map(|f| f64::from(f[160 * 12 + 80])).collect();
         let mean = column.iter().sum::<f64>() / 40.0;
@@ -222,7 +224,7 @@ mod tests {
     }
 
     #[test]
-    fn other_shapes_show_the_middle() {
+    fn other_aspect_ratios_show_the_centre_crop() {
         let [across, down] = centred((320, 240), (160, 90));
         assert_eq!((across.source(0), across.source(159)), (1, 319));
         // 240 rows shrink to 120, of which 90 are shown.

@@ -1,4 +1,4 @@
-//! The black box on directories in memory that can be full, and read back with the crate's reader.
+//! Tests of the black box with in-memory directories of limited size.
 
 use std::collections::BTreeMap;
 use std::io::{self, Cursor, Seek, SeekFrom, Write};
@@ -11,11 +11,11 @@ use prost::Message as _;
 use serde_json::Value;
 
 use super::clock::WallClock;
+use super::log_dir::{DiskLogDir, LogDir, LogFile, LogName};
 use super::messages::{CompressedImage, RawImage, camera_channel};
-use super::queue::{Content, Queue, Taken, Tap, Topic};
-use super::shelf::{DirectoryShelf, FileName, Output, Shelf};
+use super::queue::{Content, Next, Queue, Tap, Topic};
 use super::writer::Writer;
-use super::{BlackBox, BlackBoxSettings, Origin, Progress};
+use super::{BlackBox, BlackBoxReport, BlackBoxSettings, Provenance};
 use gripcast_imaging::{Frame, PixelFormat, Role};
 
 const CLOCK: WallClock = WallClock {
@@ -50,15 +50,15 @@ fn settings() -> BlackBoxSettings {
     }
 }
 
-/// Files in memory: what a killed program leaves is what they hold.
+/// In-memory directory; its contents are what a killed program leaves.
 #[derive(Clone, Default)]
-struct Memory {
+struct MemoryDir {
     files: Arc<Mutex<BTreeMap<String, Vec<u8>>>>,
-    /// Bytes that still fit on the disk.
+    /// Free space, bytes.
     room: Arc<Mutex<Option<u64>>>,
 }
 
-impl Memory {
+impl MemoryDir {
     fn names(&self) -> Vec<String> {
         self.files.lock().unwrap().keys().cloned().collect()
     }
@@ -69,7 +69,7 @@ impl Memory {
 }
 
 struct MemoryFile {
-    disk: Memory,
+    disk: MemoryDir,
     name: String,
     at: u64,
 }
@@ -109,10 +109,10 @@ impl Seek for MemoryFile {
     }
 }
 
-impl Shelf for Memory {
-    fn create(&mut self, name: &str) -> io::Result<Box<dyn Output>> {
+impl LogDir for MemoryDir {
+    fn create(&mut self, name: &str) -> io::Result<Box<dyn LogFile>> {
         let before = self.files.lock().unwrap().insert(name.into(), Vec::new());
-        assert!(before.is_none(), "{name} was there");
+        assert!(before.is_none(), "{name} exists");
         Ok(Box::new(MemoryFile {
             disk: self.clone(),
             name: name.into(),
@@ -145,31 +145,31 @@ impl Shelf for Memory {
     }
 }
 
-/// Writes what `fill` puts in, without a thread.
+/// Writes the entries added by `fill` without a thread.
 fn written(
-    shelf: Box<dyn Shelf>,
+    log_dir: Box<dyn LogDir>,
     settings: BlackBoxSettings,
     fill: impl FnOnce(&Tap),
-) -> (Progress, Arc<Queue>) {
+) -> (BlackBoxReport, Arc<Queue>) {
     let queue = Arc::new(Queue::new(settings.queue_bytes, CLOCK));
-    let progress = Arc::new(Mutex::new(Progress::default()));
-    let origin = Origin::from([("dataset".to_owned(), "kitchen".to_owned())]);
+    let report = Arc::new(Mutex::new(BlackBoxReport::default()));
+    let origin = Provenance::from([("dataset".to_owned(), "kitchen".to_owned())]);
     fill(&Tap::new(&queue));
     queue.close();
-    let ends = (Arc::clone(&queue), Arc::clone(&progress));
-    Writer::new(shelf, settings, origin, ends.0, ends.1).run();
-    let progress = Arc::into_inner(progress).unwrap().into_inner().unwrap();
-    (progress, queue)
+    let ends = (Arc::clone(&queue), Arc::clone(&report));
+    Writer::new(log_dir, settings, origin, ends.0, ends.1).run();
+    let report = Arc::into_inner(report).unwrap().into_inner().unwrap();
+    (report, queue)
 }
 
-/// All messages up to the end or the first damage.
+/// Reads all messages up to the end or the first damage.
 fn messages(file: &[u8]) -> Vec<Message<'static>> {
     let options = mcap::read::Options::IgnoreEndMagic.into();
     let stream = MessageStream::new_with_options(file, options).unwrap();
     stream.map_while(Result::ok).collect()
 }
 
-fn note(message: &Message<'_>) -> Value {
+fn json(message: &Message<'_>) -> Value {
     serde_json::from_slice(&message.data).unwrap()
 }
 
@@ -177,27 +177,27 @@ fn events(found: &[Message<'_>], event: &str) -> Vec<Value> {
     let events = found
         .iter()
         .filter(|m| m.channel.topic == "/session/events");
-    let events = events.map(note).filter(|line| line["event"] == event);
+    let events = events.map(json).filter(|line| line["event"] == event);
     events.collect()
 }
 
 fn taken(queue: &Queue) -> Vec<Content> {
     let mut taken = Vec::new();
-    while let Taken::Entry(entry) = queue.take(Duration::ZERO) {
+    while let Next::Entry(entry) = queue.next(Duration::ZERO) {
         taken.push(entry.content);
     }
     taken
 }
 
 #[test]
-fn a_full_queue_leaves_out_the_newest_and_tells_the_gap_where_it_was() {
+fn full_queue_drops_newest_frames_and_logs_the_gap() {
     let queue = Arc::new(Queue::new(250, CLOCK));
     let tap = Tap::new(&queue);
     for sequence in 0..6 {
         tap.frame(Role::Left, &jpeg(sequence, 100));
     }
     tap.frame(Role::Right, &jpeg(70, 10));
-    assert!(matches!(queue.take(Duration::ZERO), Taken::Entry(_)));
+    assert!(matches!(queue.next(Duration::ZERO), Next::Entry(_)));
     tap.frame(Role::Left, &jpeg(6, 100));
     assert_eq!(queue.dropped(), BTreeMap::from([(Role::Left, 4)]));
 
@@ -205,12 +205,12 @@ fn a_full_queue_leaves_out_the_newest_and_tells_the_gap_where_it_was() {
         .into_iter()
         .map(|content| match content {
             Content::Frame { role, frame } => format!("{role} {}", frame.sequence),
-            Content::Note { text, .. } => {
+            Content::Json { text, .. } => {
                 let line: Value = serde_json::from_slice(&text).unwrap();
                 let what = &line["what"];
                 assert_eq!(line["event"], "black_box_gap");
                 format!(
-                    "{} lost {}, {} to {}",
+                    "{} dropped {}, {} to {}",
                     what["role"].as_str().unwrap(),
                     what["frames"],
                     what["first_sequence"],
@@ -219,12 +219,12 @@ fn a_full_queue_leaves_out_the_newest_and_tells_the_gap_where_it_was() {
             }
         })
         .collect();
-    let expected = ["left 1", "right 70", "left lost 4, 2 to 5", "left 6"];
+    let expected = ["left 1", "right 70", "left dropped 4, 2 to 5", "left 6"];
     assert_eq!(order, expected);
 }
 
 #[test]
-fn a_gap_that_no_frame_ends_is_told_when_the_log_is_closed() {
+fn open_gap_is_logged_at_close() {
     let queue = Arc::new(Queue::new(50, CLOCK));
     let tap = Tap::new(&queue);
     tap.frame(Role::Depth, &frame(PixelFormat::Z16, 1, 16));
@@ -233,55 +233,55 @@ fn a_gap_that_no_frame_ends_is_told_when_the_log_is_closed() {
     tap.frame(Role::Depth, &frame(PixelFormat::Z16, 3, 16));
     let taken = taken(&queue);
     assert_eq!(taken.len(), 2);
-    let Content::Note { text, .. } = &taken[1] else {
+    let Content::Json { text, .. } = &taken[1] else {
         panic!("{:?}", taken[1]);
     };
     let line: Value = serde_json::from_slice(text).unwrap();
     assert_eq!(line["what"]["frames"], 1);
-    assert!(matches!(queue.take(Duration::ZERO), Taken::Closed));
+    assert!(matches!(queue.next(Duration::ZERO), Next::Closed));
 }
 
 #[test]
-fn notes_find_room_in_a_queue_full_of_frames_but_not_without_end() {
+fn messages_have_a_bounded_reserve_in_a_full_queue() {
     let queue = Arc::new(Queue::new(100, CLOCK));
     let tap = Tap::new(&queue);
     tap.frame(Role::Left, &jpeg(0, 100));
     let long = "x".repeat(600_000);
     for _ in 0..3 {
-        tap.note(Topic::Events, || serde_json::json!({ "event": long }));
+        tap.json(Topic::Events, || serde_json::json!({ "event": long }));
     }
     assert_eq!(taken(&queue).len(), 2);
-    assert_eq!(queue.dropped_notes(), 2);
+    assert_eq!(queue.dropped_messages(), 2);
 }
 
 #[test]
-fn without_a_black_box_nothing_is_even_put_together() {
+fn default_tap_does_not_build_messages() {
     let called = std::cell::Cell::new(false);
-    Tap::default().note(Topic::Events, || called.set(true));
+    Tap::default().json(Topic::Events, || called.set(true));
     assert!(!called.get());
 }
 
 #[test]
-fn everything_comes_back_in_order_with_its_bytes_and_times() {
-    let disk = Memory::default();
-    let (progress, _) = written(Box::new(disk.clone()), settings(), |tap| {
+fn log_preserves_order_bytes_and_times() {
+    let disk = MemoryDir::default();
+    let (report, _) = written(Box::new(disk.clone()), settings(), |tap| {
         tap.frame(Role::Left, &jpeg(3, 1000));
-        tap.note(Topic::Events, || serde_json::json!({"event": "command"}));
+        tap.json(Topic::Events, || serde_json::json!({"event": "command"}));
         tap.frame(Role::Depth, &frame(PixelFormat::Z16, 9, 16));
         tap.frame(Role::Rgb, &frame(PixelFormat::Yuyv, 8, 16));
         tap.frame(Role::External, &frame(PixelFormat::Grey, 7, 8));
         tap.frame(Role::Left, &jpeg(4, 1000));
-        tap.note(Topic::Cameras, || serde_json::json!({"left": {}}));
-        tap.note(Topic::Prediction, || serde_json::json!({"p_stable": 0.5}));
-        tap.note(Topic::Stored, || serde_json::json!({"reply": "done"}));
+        tap.json(Topic::Cameras, || serde_json::json!({"left": {}}));
+        tap.json(Topic::Prediction, || serde_json::json!({"p_stable": 0.5}));
+        tap.json(Topic::Stored, || serde_json::json!({"reply": "done"}));
     });
-    assert_eq!(progress.stopped, None);
+    assert_eq!(report.stopped, None);
     let [name] = &disk.names()[..] else {
         panic!("{:?}", disk.names());
     };
-    assert!(FileName::parse(name).is_some() && !name.contains("partial"));
+    assert!(LogName::parse(name).is_some() && !name.contains("partial"));
     let file = disk.file(name);
-    assert_eq!(progress.bytes, file.len() as u64);
+    assert_eq!(report.bytes, file.len() as u64);
 
     let found = messages(&file);
     let topics: Vec<_> = found.iter().map(|m| m.channel.topic.as_str()).collect();
@@ -324,20 +324,20 @@ fn everything_comes_back_in_order_with_its_bytes_and_times() {
 }
 
 #[test]
-fn full_files_are_followed_by_others_that_stand_alone() {
-    let disk = Memory::default();
+fn rotated_files_are_complete() {
+    let disk = MemoryDir::default();
     let small = BlackBoxSettings {
         file_bytes: 10_000,
         ..settings()
     };
-    let (progress, _) = written(Box::new(disk.clone()), small, |tap| {
+    let (report, _) = written(Box::new(disk.clone()), small, |tap| {
         for sequence in 0..50 {
             tap.frame(Role::Left, &jpeg(sequence, 1000));
             tap.frame(Role::Depth, &frame(PixelFormat::Z16, sequence, 1000));
         }
     });
     let names = disk.names();
-    assert_eq!(progress.files, names.len() as u64);
+    assert_eq!(report.files, names.len() as u64);
     assert!(names.len() >= 8, "{names:?}");
     let mut sequences = BTreeMap::<String, Vec<u32>>::new();
     for name in &names {
@@ -352,19 +352,19 @@ fn full_files_are_followed_by_others_that_stand_alone() {
     let all: Vec<u32> = (0..50).collect();
     assert_eq!(sequences["/camera/left"], all);
     assert_eq!(sequences["/camera/depth"], all);
-    assert_eq!(progress.written[&Role::Left], 50);
+    assert_eq!(report.frames[&Role::Left].written, 50);
     let bytes: usize = names.iter().map(|name| disk.file(name).len()).sum();
-    assert_eq!(progress.bytes, bytes as u64);
+    assert_eq!(report.bytes, bytes as u64);
 }
 
 #[test]
-fn the_oldest_files_make_room_and_those_of_others_stay() {
-    let disk = Memory::default();
+fn oldest_logs_are_removed_and_other_files_stay() {
+    let disk = MemoryDir::default();
     for (name, bytes) in [
         ("2026-01-02T00-00-00Z-00001.mcap", 9_000),
         ("2026-01-01T00-00-00Z-00002.partial.mcap", 9_000),
         ("2026-01-01T00-00-00Z-00001.mcap", 9_000),
-        ("my-favourite.mcap", 50_000),
+        ("unrelated.mcap", 50_000),
     ] {
         disk.files
             .lock()
@@ -376,31 +376,31 @@ fn the_oldest_files_make_room_and_those_of_others_stay() {
         total_bytes: 30_000,
         ..settings()
     };
-    let (progress, _) = written(Box::new(disk.clone()), small, |tap| {
+    let (report, _) = written(Box::new(disk.clone()), small, |tap| {
         tap.frame(Role::Left, &jpeg(1, 1000));
     });
     let names = disk.names();
-    assert_eq!(progress.removed_files, 1);
+    assert_eq!(report.removed_files, 1);
     assert_eq!(names.len(), 4, "{names:?}");
     assert!(!names.contains(&"2026-01-01T00-00-00Z-00001.mcap".to_owned()));
-    assert!(names.contains(&"my-favourite.mcap".to_owned()));
-    let newest = names.iter().rfind(|name| FileName::parse(name).is_some());
-    let told = events(&messages(&disk.file(newest.unwrap())), "black_box_removed");
+    assert!(names.contains(&"unrelated.mcap".to_owned()));
+    let newest = names.iter().rfind(|name| LogName::parse(name).is_some());
+    let removals = events(&messages(&disk.file(newest.unwrap())), "black_box_removed");
     let expected = serde_json::json!(["2026-01-01T00-00-00Z-00001.mcap"]);
-    assert_eq!(told[0]["what"]["files"], expected);
+    assert_eq!(removals[0]["what"]["files"], expected);
 }
 
 #[test]
-fn a_full_disk_ends_the_log_with_one_message_and_nothing_else() {
-    let disk = Memory::default();
+fn full_disk_ends_the_log_with_one_message() {
+    let disk = MemoryDir::default();
     *disk.room.lock().unwrap() = Some(10_000_000);
-    let shelf = Box::new(disk.clone());
-    let (progress, queue) = written(shelf, settings(), |tap| {
+    let log_dir = Box::new(disk.clone());
+    let (report, queue) = written(log_dir, settings(), |tap| {
         for sequence in 0..20 {
             tap.frame(Role::Left, &jpeg(sequence, 1_500_000));
         }
     });
-    let stopped = progress.stopped.unwrap();
+    let stopped = report.stopped.unwrap();
     assert!(stopped.contains("cannot write the black box"), "{stopped}");
     assert!(stopped.contains("-00001.partial.mcap"), "{stopped}");
     Tap::new(&queue).frame(Role::Left, &jpeg(99, 100));
@@ -408,45 +408,45 @@ fn a_full_disk_ends_the_log_with_one_message_and_nothing_else() {
 
     let names = disk.names();
     assert!(names.len() == 1 && names[0].ends_with(".partial.mcap"));
-    // Only what is in whole chunks counts as written.
+    // Only complete chunks count as written.
     let file = disk.file(&names[0]);
     let (_, whole) = *chunk_ends(&file).last().unwrap();
-    assert_eq!(progress.written[&Role::Left], whole as u64);
+    assert_eq!(report.frames[&Role::Left].written, whole as u64);
     assert!((1..7).contains(&whole), "{whole}");
     assert!(messages(&file).len() >= whole);
 }
 
 #[test]
-fn the_reserve_of_the_disk_is_left_alone() {
-    let disk = Memory::default();
+fn log_stops_at_the_disk_reserve() {
+    let disk = MemoryDir::default();
     *disk.room.lock().unwrap() = Some(12_000_000);
-    let careful = BlackBoxSettings {
+    let reserving = BlackBoxSettings {
         reserve_bytes: 5_000_000,
         ..settings()
     };
-    let (progress, _) = written(Box::new(disk.clone()), careful, |tap| {
+    let (report, _) = written(Box::new(disk.clone()), reserving, |tap| {
         for sequence in 0..20 {
             tap.frame(Role::Left, &jpeg(sequence, 1_500_000));
         }
     });
-    let stopped = progress.stopped.unwrap();
-    assert!(stopped.contains("MB free, and 5 MB"), "{stopped}");
+    let stopped = report.stopped.unwrap();
+    assert!(stopped.contains("MB free, 5 MB"), "{stopped}");
     let names = disk.names();
     assert!(!names[0].contains("partial"), "{names:?}");
     let summary = Summary::read(&disk.file(&names[0])).unwrap().unwrap();
     let frames = summary.stats.unwrap().message_count;
-    assert_eq!(progress.written[&Role::Left], frames);
-    // It notices at the end of a chunk of at most three frames.
+    assert_eq!(report.frames[&Role::Left].written, frames);
+    // The reserve is checked after each chunk of at most three frames.
     assert!((5..=7).contains(&frames), "{frames}");
 }
 
 #[test]
-fn a_file_cut_anywhere_still_gives_all_its_whole_chunks() {
-    let disk = Memory::default();
+fn truncated_file_keeps_all_complete_chunks() {
+    let disk = MemoryDir::default();
     written(Box::new(disk.clone()), settings(), |tap| {
         for sequence in 0..14 {
             tap.frame(Role::Left, &jpeg(sequence, 1_500_000));
-            tap.note(Topic::Events, || serde_json::json!({"event": "command"}));
+            tap.json(Topic::Events, || serde_json::json!({"event": "command"}));
         }
     });
     let file = disk.file(&disk.names()[0]);
@@ -474,7 +474,7 @@ fn a_file_cut_anywhere_still_gives_all_its_whole_chunks() {
     }
 }
 
-/// Where each whole chunk ends, and the messages up to there.
+/// Returns the end of each complete chunk and the number of messages up to it.
 fn chunk_ends(file: &[u8]) -> Vec<(usize, usize)> {
     let options = mcap::read::Options::IgnoreEndMagic.into();
     let records = mcap::read::LinearReader::new_with_options(file, options).unwrap();
@@ -494,7 +494,7 @@ fn chunk_ends(file: &[u8]) -> Vec<(usize, usize)> {
 }
 
 #[test]
-fn a_directory_that_cannot_be_made_ends_the_log_only() {
+fn unusable_directory_ends_the_log_only() {
     let dir = tempfile::tempdir().unwrap();
     let occupied = dir.path().join("file");
     std::fs::write(&occupied, "").unwrap();
@@ -502,7 +502,7 @@ fn a_directory_that_cannot_be_made_ends_the_log_only() {
         directory: occupied.join("box"),
         ..settings()
     };
-    let black_box = BlackBox::start(settings, dir.path().into(), Origin::new()).unwrap();
+    let black_box = BlackBox::start(settings, dir.path().into(), Provenance::new()).unwrap();
     black_box.tap().frame(Role::Left, &jpeg(0, 10));
     let report = black_box.stop();
     let stopped = report.stopped.unwrap();
@@ -514,22 +514,22 @@ fn a_directory_that_cannot_be_made_ends_the_log_only() {
 }
 
 #[test]
-fn the_thread_writes_to_a_directory_and_reports() {
+fn thread_writes_to_disk_and_reports() {
     let dir = tempfile::tempdir().unwrap();
     let settings = BlackBoxSettings {
         directory: dir.path().join("a/blackbox"),
         ..settings()
     };
     let directory = settings.directory.clone();
-    let black_box = BlackBox::start(settings, dir.path().into(), Origin::new()).unwrap();
+    let black_box = BlackBox::start(settings, dir.path().into(), Provenance::new()).unwrap();
     for sequence in 0..5 {
         black_box.tap().frame(Role::Right, &jpeg(sequence, 10));
     }
     let report = black_box.stop();
     assert_eq!(report.stopped, None);
     assert_eq!(report.frames[&Role::Right].written, 5);
-    let mut shelf = DirectoryShelf::new(directory.clone(), dir.path().into());
-    let [(name, bytes)] = &shelf.list().unwrap()[..] else {
+    let mut log_dir = DiskLogDir::new(directory.clone(), dir.path().into());
+    let [(name, bytes)] = &log_dir.list().unwrap()[..] else {
         panic!("more than one file");
     };
     assert_eq!((report.files, report.bytes), (1, *bytes));
@@ -537,17 +537,17 @@ fn the_thread_writes_to_a_directory_and_reports() {
         messages(&std::fs::read(directory.join(name)).unwrap()).len(),
         5
     );
-    assert!(shelf.free_bytes().unwrap() > 0);
+    assert!(log_dir.free_bytes().unwrap() > 0);
 }
 
 #[test]
-fn images_describe_themselves() {
-    let form = camera_channel(Role::Depth, PixelFormat::Z16);
+fn image_channels_have_protobuf_descriptors() {
+    let channel = camera_channel(Role::Depth, PixelFormat::Z16);
     assert_eq!(
-        (&*form.topic, form.schema),
+        (&*channel.topic, channel.schema),
         ("/camera/depth", "foxglove.RawImage")
     );
-    let set = prost_types::FileDescriptorSet::decode(&*form.schema_data).unwrap();
+    let set = prost_types::FileDescriptorSet::decode(&*channel.schema_data).unwrap();
     let image = &set.file[1].message_type[0];
     let fields: Vec<_> = image.field.iter().map(|f| (f.number(), f.name())).collect();
     let expected = [

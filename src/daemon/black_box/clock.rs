@@ -1,21 +1,21 @@
-//! From the clock of the drivers to the wall clock.
+//! Conversion of driver times to wall clock time.
 
 use jiff::Timestamp;
 
 use gripcast_capture::camera::monotonic_ns;
 
-/// `CLOCK_MONOTONIC` as wall clock: a constant that is measured once a collection.
+/// Constant offset of the wall clock from `CLOCK_MONOTONIC`, measured once per collection.
 ///
-/// All times of a log are thereby as far apart as the drivers said, and driver times can be had
-/// back exactly. A wall clock that is set during the collection is not followed.
+/// Time differences in a log are those of the drivers, and driver times can be recovered exactly.
+/// Changes of the wall clock during the collection are ignored.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct WallClock {
-    /// Wall clock less monotonic clock, ns.
+    /// Wall clock minus monotonic clock, ns.
     pub(super) offset_ns: i128,
 }
 
 impl WallClock {
-    /// Measures it. The wall clock is read between two readings of the other.
+    /// Measures the offset with one wall clock reading between two monotonic ones.
     pub(super) fn now() -> Self {
         let before_ns = monotonic_ns();
         let wall_ns = Timestamp::now().as_nanosecond();
@@ -26,13 +26,13 @@ impl WallClock {
         }
     }
 
-    /// Nanoseconds since 1970 of a monotonic time.
+    /// Converts a monotonic time to nanoseconds since 1970.
     pub(super) fn wall_ns(self, monotonic_ns: u64) -> u64 {
         let wall_ns = i128::from(monotonic_ns) + self.offset_ns;
         u64::try_from(wall_ns.max(0)).unwrap_or(u64::MAX)
     }
 
-    /// RFC 3339, UTC.
+    /// Formats a monotonic time as RFC 3339, UTC.
     pub(super) fn text(self, monotonic_ns: u64) -> String {
         Timestamp::from_nanosecond(i128::from(self.wall_ns(monotonic_ns)))
             .map_or_else(|_| String::new(), |at| at.to_string())
@@ -44,7 +44,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn driver_times_come_back_exactly() {
+    fn driver_time_is_recovered_exactly() {
         let clock = WallClock {
             offset_ns: 1_795_000_000_123_456_789,
         };
@@ -54,7 +54,7 @@ mod tests {
     }
 
     #[test]
-    fn a_time_before_1970_is_its_beginning() {
+    fn times_before_1970_are_clamped() {
         let clock = WallClock { offset_ns: -5 };
         assert_eq!((clock.wall_ns(3), clock.wall_ns(7)), (0, 2));
     }

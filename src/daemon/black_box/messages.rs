@@ -1,4 +1,4 @@
-//! The messages of the channels: Foxglove's well-known images as protobuf, the rest as JSON.
+//! Messages of the channels: images as Foxglove protobuf, everything else as JSON.
 
 use bytes::Bytes;
 use prost::Message as _;
@@ -10,13 +10,18 @@ use prost_types::{
 use super::queue::Topic;
 use gripcast_imaging::{Frame, FrameBytes, PixelFormat, Role};
 
+const EVENT_SCHEMA: &str = include_str!("schemas/event.json");
+const STORED_SCHEMA: &str = include_str!("schemas/stored.json");
+const PREDICTION_SCHEMA: &str = include_str!("schemas/prediction.json");
+const CAMERAS_SCHEMA: &str = include_str!("schemas/cameras.json");
+
 /// `foxglove.CompressedImage`.
 #[derive(Clone, PartialEq, prost::Message)]
 pub(super) struct CompressedImage {
-    /// Driver's capture time.
+    /// Capture time of the driver.
     #[prost(message, optional, tag = "1")]
     pub(super) timestamp: Option<Timestamp>,
-    /// Exactly what the camera sent.
+    /// Data as sent by the camera.
     #[prost(bytes = "bytes", tag = "2")]
     pub(super) data: Bytes,
     /// `jpeg`.
@@ -30,22 +35,22 @@ pub(super) struct CompressedImage {
 /// `foxglove.RawImage`.
 #[derive(Clone, PartialEq, prost::Message)]
 pub(super) struct RawImage {
-    /// Driver's capture time.
+    /// Capture time of the driver.
     #[prost(message, optional, tag = "1")]
     pub(super) timestamp: Option<Timestamp>,
-    /// Pixels.
+    /// Width, px.
     #[prost(fixed32, tag = "2")]
     pub(super) width: u32,
-    /// Pixels.
+    /// Height, px.
     #[prost(fixed32, tag = "3")]
     pub(super) height: u32,
     /// `yuyv`, `16UC1` or `mono8`.
     #[prost(string, tag = "4")]
     pub(super) encoding: String,
-    /// Bytes of a row.
+    /// Bytes per row.
     #[prost(fixed32, tag = "5")]
     pub(super) step: u32,
-    /// Exactly what the camera sent.
+    /// Data as sent by the camera.
     #[prost(bytes = "bytes", tag = "6")]
     pub(super) data: Bytes,
     /// Role of the camera.
@@ -53,9 +58,9 @@ pub(super) struct RawImage {
     pub(super) frame_id: String,
 }
 
-/// What a reader has to know of a channel.
+/// Topic, schema and encoding of a channel.
 #[derive(Debug, PartialEq, Eq)]
-pub(super) struct ChannelForm {
+pub(super) struct ChannelSchema {
     pub(super) topic: String,
     pub(super) schema: &'static str,
     pub(super) schema_encoding: &'static str,
@@ -63,13 +68,13 @@ pub(super) struct ChannelForm {
     pub(super) message_encoding: &'static str,
 }
 
-/// The channel of a camera's frames of one format.
-pub(super) fn camera_channel(role: Role, format: PixelFormat) -> ChannelForm {
+/// Returns the channel of a camera with this pixel format.
+pub(super) fn camera_channel(role: Role, format: PixelFormat) -> ChannelSchema {
     let schema = match raw_encoding(format) {
         None => "foxglove.CompressedImage",
         Some(_) => "foxglove.RawImage",
     };
-    ChannelForm {
+    ChannelSchema {
         topic: format!("/camera/{role}"),
         schema,
         schema_encoding: "protobuf",
@@ -78,15 +83,15 @@ pub(super) fn camera_channel(role: Role, format: PixelFormat) -> ChannelForm {
     }
 }
 
-/// The channel of notes on a topic.
-pub(super) fn note_channel(topic: Topic) -> ChannelForm {
+/// Returns the channel of JSON messages on a topic.
+pub(super) fn json_channel(topic: Topic) -> ChannelSchema {
     let (name, schema, data) = match topic {
         Topic::Events => ("/session/events", "gripcast.Event", EVENT_SCHEMA),
         Topic::Stored => ("/session/stored", "gripcast.Stored", STORED_SCHEMA),
         Topic::Prediction => ("/prediction", "gripcast.Prediction", PREDICTION_SCHEMA),
         Topic::Cameras => ("/cameras", "gripcast.Cameras", CAMERAS_SCHEMA),
     };
-    ChannelForm {
+    ChannelSchema {
         topic: name.into(),
         schema,
         schema_encoding: "jsonschema",
@@ -95,7 +100,7 @@ pub(super) fn note_channel(topic: Topic) -> ChannelForm {
     }
 }
 
-/// Writes a frame's message into `buffer`. `capture_ns`: driver's capture time as wall clock.
+/// Encodes a frame into `buffer`; `capture_ns` is the driver's capture time as wall clock time.
 pub(super) fn encode_frame(role: Role, frame: Frame, capture_ns: u64, buffer: &mut Vec<u8>) {
     let timestamp = Some(Timestamp {
         seconds: i64::try_from(capture_ns / 1_000_000_000).unwrap_or(i64::MAX),
@@ -125,10 +130,10 @@ pub(super) fn encode_frame(role: Role, frame: Frame, capture_ns: u64, buffer: &m
         }
         .encode(buffer),
     };
-    debug_assert!(result.is_ok(), "a vector grows");
+    debug_assert!(result.is_ok(), "a vector has no size limit");
 }
 
-/// Foxglove's name of a raw format and its bytes a pixel.
+/// Returns Foxglove's name of a raw format and its bytes per pixel; `None` for compressed images.
 fn raw_encoding(format: PixelFormat) -> Option<(&'static str, u32)> {
     match format {
         PixelFormat::Mjpg => None,
@@ -139,7 +144,7 @@ fn raw_encoding(format: PixelFormat) -> Option<(&'static str, u32)> {
     }
 }
 
-/// A frame's bytes, lent to a message.
+/// Frame data shared with a message.
 struct Shared(FrameBytes);
 
 impl AsRef<[u8]> for Shared {
@@ -148,7 +153,7 @@ impl AsRef<[u8]> for Shared {
     }
 }
 
-/// The description of a message for readers that do not know it.
+/// Returns the protobuf descriptors of a message.
 fn descriptors(schema: &str) -> FileDescriptorSet {
     let (name, fields): (&str, &[(&str, i32, Type)]) = match schema {
         "foxglove.RawImage" => (
@@ -215,51 +220,3 @@ fn message(name: &str, fields: &[(&str, i32, Type)]) -> DescriptorProto {
         ..DescriptorProto::default()
     }
 }
-
-const EVENT_SCHEMA: &str = r#"{
-  "title": "gripcast.Event",
-  "type": "object",
-  "properties": {
-    "at": {"type": "string", "format": "date-time", "description": "wall clock, UTC"},
-    "event": {"type": "string"},
-    "what": {"type": "object", "description": "depends on the event"}
-  }
-}"#;
-
-const STORED_SCHEMA: &str = r#"{
-  "title": "gripcast.Stored",
-  "type": "object",
-  "properties": {
-    "at": {"type": "string", "format": "date-time", "description": "wall clock of the answer, UTC"},
-    "request": {"type": "object", "description": "what was asked for, by its name"},
-    "reply": {"description": "the answer: unless it is `failed`, the change is durable"}
-  }
-}"#;
-
-const PREDICTION_SCHEMA: &str = r#"{
-  "title": "gripcast.Prediction",
-  "type": "object",
-  "properties": {
-    "p_stable": {"type": "number", "description": "probability that the grasp is stable, steadied over the frames"},
-    "p_stable_frame": {"type": "number", "description": "the same of the newest frame alone"},
-    "novelty": {"type": ["number", "null"], "description": "distance from the training images over what counts as known"},
-    "frame_time_ns": {"type": "integer", "description": "CLOCK_MONOTONIC of the newest frame, ns"},
-    "latency_ms": {"type": "number", "description": "that frame to the result"},
-    "engine_ms": {"type": "number", "description": "the model alone"}
-  }
-}"#;
-
-const CAMERAS_SCHEMA: &str = r#"{
-  "title": "gripcast.Cameras",
-  "type": "object",
-  "description": "health and counters by role",
-  "additionalProperties": {
-    "type": "object",
-    "properties": {
-      "state": {"type": "string"},
-      "fault": {"type": ["string", "null"], "description": "why its frames cannot be used"},
-      "frame_age_ms": {"type": ["number", "null"], "description": "age of the newest frame"},
-      "report": {"type": "object", "description": "counters since the start"}
-    }
-  }
-}"#;

@@ -1,19 +1,20 @@
-//! What waits to be written: bounded by bytes, and nobody waits to put something in.
+//! Queue of log entries: bounded by bytes, never blocks a sender.
 
 use std::collections::{BTreeMap, VecDeque};
-use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Condvar, Mutex};
 use std::time::Duration;
 
 use serde::Serialize;
 
 use super::clock::WallClock;
+use crate::daemon::thread::{lock, wait_while};
 use gripcast_capture::camera::monotonic_ns;
 use gripcast_imaging::{Frame, Role};
 
-/// Notes still find room when frames have filled the queue, bytes.
-const NOTE_ROOM: usize = 1 << 20;
+/// Extra space for JSON messages when frames have filled the queue, bytes.
+const JSON_RESERVE: usize = 1 << 20;
 
-/// Channels of what is no image.
+/// Channel of JSON messages.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub(in crate::daemon) enum Topic {
     /// Commands, faults, gaps of the log itself.
@@ -26,21 +27,21 @@ pub(in crate::daemon) enum Topic {
     Cameras,
 }
 
-/// Something to write.
+/// Contents of a log entry.
 #[derive(Debug)]
 pub(super) enum Content {
-    /// A frame of a camera.
+    /// A camera frame.
     Frame {
-        /// Its camera.
+        /// Role of the camera.
         role: Role,
-        /// The frame; its bytes are shared.
+        /// The frame; its data are shared.
         frame: Frame,
     },
-    /// JSON.
-    Note {
-        /// Its channel.
+    /// A JSON message.
+    Json {
+        /// Channel of the message.
         topic: Topic,
-        /// UTF-8 text of an object.
+        /// JSON object as UTF-8.
         text: Vec<u8>,
     },
 }
@@ -49,30 +50,30 @@ impl Content {
     fn len(&self) -> usize {
         match self {
             Self::Frame { frame, .. } => frame.data.len(),
-            Self::Note { text, .. } => text.len(),
+            Self::Json { text, .. } => text.len(),
         }
     }
 }
 
-/// Something to write and when it came, `CLOCK_MONOTONIC`, ns. Times never go back.
+/// A log entry with its arrival time, `CLOCK_MONOTONIC`, ns. Times never decrease.
 #[derive(Debug)]
 pub(super) struct Entry {
     pub(super) at_ns: u64,
     pub(super) content: Content,
 }
 
-/// What the queue has.
+/// Result of waiting for an entry.
 #[derive(Debug)]
-pub(super) enum Taken {
+pub(super) enum Next {
     /// The oldest entry.
     Entry(Entry),
-    /// Nothing came in time.
-    Nothing,
-    /// Nothing more will come.
+    /// No entry arrived in time.
+    Timeout,
+    /// The queue is closed and empty.
     Closed,
 }
 
-/// Frames that were left out one after the other.
+/// Consecutive dropped frames of a camera.
 #[derive(Clone, Copy, Debug)]
 struct Gap {
     frames: u64,
@@ -87,22 +88,22 @@ struct State {
     bytes: usize,
     gaps: BTreeMap<Role, Gap>,
     dropped: BTreeMap<Role, u64>,
-    dropped_notes: u64,
+    dropped_messages: u64,
     closed: bool,
 }
 
-/// The queue between all threads and the writer.
+/// Queue from all threads to the writer.
 #[derive(Debug)]
 pub(super) struct Queue {
     limit_bytes: usize,
-    /// The clock of the log.
+    /// Clock of the log.
     pub(super) clock: WallClock,
     state: Mutex<State>,
     arrived: Condvar,
 }
 
 impl Queue {
-    /// An empty queue that holds at most this much.
+    /// Creates an empty queue of at most `limit_bytes`.
     pub(super) fn new(limit_bytes: usize, clock: WallClock) -> Self {
         Self {
             limit_bytes,
@@ -112,17 +113,12 @@ impl Queue {
         }
     }
 
-    fn lock(&self) -> MutexGuard<'_, State> {
-        // A panicking holder leaves plain data behind, which is still the newest there is.
-        self.state.lock().unwrap_or_else(PoisonError::into_inner)
-    }
-
     fn push_frame(&self, role: Role, frame: &Frame) {
-        let mut state = self.lock();
+        let mut state = lock(&self.state);
         if state.closed {
             return;
         }
-        // Read under the lock, so that the order of the entries is that of their times.
+        // Read under the lock, so that entries are in order of time.
         let at_ns = monotonic_ns();
         if state.bytes + frame.data.len() > self.limit_bytes {
             *state.dropped.entry(role).or_default() += 1;
@@ -137,7 +133,7 @@ impl Queue {
             return;
         }
         if let Some(gap) = state.gaps.remove(&role) {
-            state.add(at_ns, self.gap_note(role, &gap, at_ns));
+            state.add(at_ns, self.gap_event(role, &gap, at_ns));
         }
         let frame = frame.clone();
         state.add(at_ns, Content::Frame { role, frame });
@@ -145,70 +141,66 @@ impl Queue {
         self.arrived.notify_one();
     }
 
-    fn push_note(&self, topic: Topic, text: Vec<u8>) {
-        let mut state = self.lock();
+    fn push_json(&self, topic: Topic, text: Vec<u8>) {
+        let mut state = lock(&self.state);
         if state.closed {
             return;
         }
-        if state.bytes + text.len() > self.limit_bytes + NOTE_ROOM {
-            state.dropped_notes += 1;
+        if state.bytes + text.len() > self.limit_bytes + JSON_RESERVE {
+            state.dropped_messages += 1;
             return;
         }
-        state.add(monotonic_ns(), Content::Note { topic, text });
+        state.add(monotonic_ns(), Content::Json { topic, text });
         drop(state);
         self.arrived.notify_one();
     }
 
-    /// Waits for the oldest entry.
-    pub(super) fn take(&self, timeout: Duration) -> Taken {
-        let (mut state, _) = self
-            .arrived
-            .wait_timeout_while(self.lock(), timeout, |state| {
-                state.entries.is_empty() && !state.closed
-            })
-            .unwrap_or_else(PoisonError::into_inner);
+    /// Waits for the oldest entry and removes it.
+    pub(super) fn next(&self, timeout: Duration) -> Next {
+        let is_waiting = |state: &mut State| state.entries.is_empty() && !state.closed;
+        let mut state = wait_while(&self.arrived, lock(&self.state), timeout, is_waiting);
         match state.entries.pop_front() {
             Some(entry) => {
                 state.bytes -= entry.content.len();
-                Taken::Entry(entry)
+                Next::Entry(entry)
             }
-            None if state.closed => Taken::Closed,
-            None => Taken::Nothing,
+            None if state.closed => Next::Closed,
+            None => Next::Timeout,
         }
     }
 
-    /// Takes nothing more in. What is in it, and the gaps that no frame has ended, can be taken.
+    /// Accepts no further entries. Queued entries and open gaps can still be taken.
     pub(super) fn close(&self) {
-        let mut state = self.lock();
+        let mut state = lock(&self.state);
         if !std::mem::replace(&mut state.closed, true) {
             let at_ns = monotonic_ns();
             for (role, gap) in std::mem::take(&mut state.gaps) {
-                state.add(at_ns, self.gap_note(role, &gap, at_ns));
+                state.add(at_ns, self.gap_event(role, &gap, at_ns));
             }
         }
         drop(state);
         self.arrived.notify_one();
     }
 
-    /// Takes nothing more in and forgets what is in it.
+    /// Accepts no further entries and drops the queued ones.
     pub(super) fn abandon(&self) {
         self.close();
-        let mut state = self.lock();
+        let mut state = lock(&self.state);
         state.entries = VecDeque::new();
         state.bytes = 0;
     }
 
-    /// Frames that were left out, by camera.
+    /// Returns the number of dropped frames by camera.
     pub(super) fn dropped(&self) -> BTreeMap<Role, u64> {
-        self.lock().dropped.clone()
+        lock(&self.state).dropped.clone()
     }
 
-    /// Notes that were left out.
-    pub(super) fn dropped_notes(&self) -> u64 {
-        self.lock().dropped_notes
+    /// Returns the number of dropped JSON messages.
+    pub(super) fn dropped_messages(&self) -> u64 {
+        lock(&self.state).dropped_messages
     }
 
-    fn gap_note(&self, role: Role, gap: &Gap, at_ns: u64) -> Content {
+    fn gap_event(&self, role: Role, gap: &Gap, at_ns: u64) -> Content {
         let what = serde_json::json!({
             "role": role,
             "frames": gap.frames,
@@ -227,16 +219,16 @@ impl State {
     }
 }
 
-/// A line of the channel of events, in the form of the dataset's own log.
+/// Returns an event message in the format of the dataset's log.
 pub(super) fn event(at: &str, event: &str, what: &serde_json::Value) -> Content {
     let line = serde_json::json!({"at": at, "event": event, "what": what});
-    Content::Note {
+    Content::Json {
         topic: Topic::Events,
         text: line.to_string().into_bytes(),
     }
 }
 
-/// Where frames and notes go into the black box; without one they go nowhere.
+/// Input of the black box for frames and messages; a default tap discards them.
 #[derive(Clone, Debug, Default)]
 pub(in crate::daemon) struct Tap(Option<Arc<Queue>>);
 
@@ -245,19 +237,19 @@ impl Tap {
         Self(Some(Arc::clone(queue)))
     }
 
-    /// A frame as the camera sent it; shares its bytes.
+    /// Logs a frame as sent by the camera.
     pub(in crate::daemon) fn frame(&self, role: Role, frame: &Frame) {
         if let Some(queue) = &self.0 {
             queue.push_frame(role, frame);
         }
     }
 
-    /// Something that is an object in JSON; `note` is not called without a black box.
-    pub(in crate::daemon) fn note<T: Serialize>(&self, topic: Topic, note: impl FnOnce() -> T) {
+    /// Logs a JSON object; `message` is not called without a black box.
+    pub(in crate::daemon) fn json<T: Serialize>(&self, topic: Topic, message: impl FnOnce() -> T) {
         if let Some(queue) = &self.0
-            && let Ok(text) = serde_json::to_vec(&note())
+            && let Ok(text) = serde_json::to_vec(&message())
         {
-            queue.push_note(topic, text);
+            queue.push_json(topic, text);
         }
     }
 }

@@ -1,86 +1,87 @@
-//! The writing thread: rotation, the total limit, the reserve, and the end at the first error.
+//! The writer thread: rotation, total limit, disk reserve, and the end at the first error.
 
 use std::collections::BTreeMap;
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard};
 use std::time::Duration;
 
-use super::log_file::{CHUNK_NS, LogFile};
-use super::queue::{Content, Entry, Queue, Taken, event};
-use super::shelf::{FileName, Shelf};
-use super::{BlackBoxSettings, Origin, Progress};
+use super::log_dir::{LogDir, LogName};
+use super::mcap_log::{CHUNK_NS, McapLog};
+use super::queue::{Content, Entry, Next, Queue, event};
+use super::{BlackBoxReport, BlackBoxSettings, Provenance};
+use crate::daemon::thread::lock;
 use gripcast_base::error::{Error, ErrorKind, Result};
 use gripcast_capture::camera::monotonic_ns;
 use gripcast_imaging::Role;
 
-/// The writer, before its thread runs it.
+/// State of the writer thread.
 pub(super) struct Writer {
-    shelf: Box<dyn Shelf>,
+    log_dir: Box<dyn LogDir>,
     settings: BlackBoxSettings,
-    origin: Origin,
+    provenance: Provenance,
     queue: Arc<Queue>,
-    progress: Arc<Mutex<Progress>>,
-    name: FileName,
-    file: Option<LogFile>,
-    /// Bytes of this collection's files that are closed.
+    report: Arc<Mutex<BlackBoxReport>>,
+    name: LogName,
+    file: Option<McapLog>,
+    /// Bytes of the closed files of this collection.
     closed_bytes: u64,
-    /// Frames in the present chunk.
+    /// Frames in the current chunk.
     unwritten: BTreeMap<Role, u64>,
 }
 
 impl Writer {
-    /// A writer of a collection that begins now.
+    /// Creates the writer of a new collection.
     pub(super) fn new(
-        shelf: Box<dyn Shelf>,
+        log_dir: Box<dyn LogDir>,
         settings: BlackBoxSettings,
-        origin: Origin,
+        provenance: Provenance,
         queue: Arc<Queue>,
-        progress: Arc<Mutex<Progress>>,
+        report: Arc<Mutex<BlackBoxReport>>,
     ) -> Self {
         Self {
-            shelf,
+            log_dir,
             settings,
-            origin,
+            provenance,
             queue,
-            progress,
-            name: FileName::first(),
+            report,
+            name: LogName::first(),
             file: None,
             closed_bytes: 0,
             unwritten: BTreeMap::new(),
         }
     }
 
-    /// Writes until the queue is closed or something fails; the reason is then in the progress.
+    /// Writes until the queue is closed or an error occurs, which goes to the report.
     pub(super) fn run(mut self) {
-        let result = self.record();
-        // After an error the file stays as it is: whole up to its last chunk.
+        let result = self.write_queue();
+        // After an error the file is valid up to its last chunk.
         self.file = None;
         if let Err(error) = result {
             self.queue.abandon();
-            self.progress().stopped = Some(error.to_string().replace("\n  → ", " → "));
+            self.report().stopped = Some(error.to_string().replace("\n  → ", " → "));
         }
     }
 
-    fn record(&mut self) -> Result<()> {
-        self.begin_file()?;
+    fn write_queue(&mut self) -> Result<()> {
+        self.start_file()?;
         loop {
-            match self.queue.take(Duration::from_nanos(CHUNK_NS)) {
-                Taken::Entry(entry) => self.write(entry)?,
-                Taken::Nothing => self.write_chunk()?,
-                Taken::Closed => return self.close_file(),
+            match self.queue.next(Duration::from_nanos(CHUNK_NS)) {
+                Next::Entry(entry) => self.write(entry)?,
+                Next::Timeout => self.write_chunk()?,
+                Next::Closed => return self.close_file(),
             }
         }
     }
 
     fn write(&mut self, entry: Entry) -> Result<()> {
-        let is_full = |file: &LogFile| file.bytes() >= self.settings.file_bytes;
+        let is_full = |file: &McapLog| file.bytes() >= self.settings.file_bytes;
         if self.file.as_ref().is_some_and(is_full) {
             self.close_file()?;
             self.name.number += 1;
-            self.begin_file()?;
+            self.start_file()?;
         }
         let role = match &entry.content {
             Content::Frame { role, .. } => Some(*role),
-            Content::Note { .. } => None,
+            Content::Json { .. } => None,
         };
         let Some(file) = &mut self.file else {
             return Ok(());
@@ -91,8 +92,8 @@ impl Writer {
             *self.unwritten.entry(role).or_default() += 1;
         }
         if is_written {
-            self.tell_written();
-            self.keep_reserve()?;
+            self.update_report();
+            self.check_reserve()?;
         }
         Ok(())
     }
@@ -102,42 +103,39 @@ impl Writer {
             let result = file.write_chunk();
             result.map_err(|e| self.failed("cannot write the black box", e))?;
         }
-        self.tell_written();
-        self.keep_reserve()
+        self.update_report();
+        self.check_reserve()
     }
 
-    /// Ends the log in good order while the disk still has room for what matters.
-    fn keep_reserve(&mut self) -> Result<()> {
-        let Some(free) = self.shelf.free_bytes() else {
+    /// Ends the log with a valid file while the disk still has room for the dataset.
+    fn check_reserve(&mut self) -> Result<()> {
+        let reserve = self.settings.reserve_bytes;
+        let Some(free) = self.log_dir.free_bytes().filter(|free| *free < reserve) else {
             return Ok(());
         };
-        if free >= self.settings.reserve_bytes {
-            return Ok(());
-        }
         self.close_file()?;
-        let (free_mb, reserve_mb) = (free / 1_000_000, self.settings.reserve_bytes / 1_000_000);
+        let (free_mb, reserve_mb) = (free / 1_000_000, reserve / 1_000_000);
         let what =
-            format!("the disk has {free_mb} MB free, and {reserve_mb} MB are kept for the dataset");
+            format!("the disk has {free_mb} MB free, {reserve_mb} MB are reserved for the dataset");
         Err(Error::new(ErrorKind::DiskFull, what)
             .at(self.settings.directory.display())
-            .remedy("make room, or move the log by `black_box.directory`"))
+            .remedy("free disk space, or set `black_box.directory` to another disk"))
     }
 
-    fn begin_file(&mut self) -> Result<()> {
-        self.keep_reserve()?;
-        let removed = self.make_room()?;
-        let output = self
-            .shelf
+    fn start_file(&mut self) -> Result<()> {
+        self.check_reserve()?;
+        let removed = self.remove_old_files()?;
+        let mut metadata = self.provenance.clone();
+        metadata.insert("part".into(), self.name.number.to_string());
+        let file = self
+            .log_dir
             .create(&self.name.open())
-            .map_err(|e| self.failed("cannot begin a file of the black box", e))?;
-        let mut origin = self.origin.clone();
-        origin.insert("part".into(), self.name.number.to_string());
-        let file = LogFile::begin(output, self.queue.clock, &origin)
-            .map_err(|e| self.failed("cannot begin a file of the black box", e))?;
+            .and_then(|file| McapLog::start(file, self.queue.clock, metadata))
+            .map_err(|e| self.failed("cannot create a file of the black box", e))?;
         self.file = Some(file);
-        self.progress().files += 1;
+        self.report().files += 1;
         if !removed.is_empty() {
-            self.progress().removed_files += removed.len() as u64;
+            self.report().removed_files += removed.len() as u64;
             let at_ns = monotonic_ns();
             let at = self.queue.clock.text(at_ns);
             let what = serde_json::json!({ "files": removed });
@@ -147,28 +145,29 @@ impl Writer {
         Ok(())
     }
 
-    /// Removes the oldest files until another one fits; returns their names.
-    fn make_room(&mut self) -> Result<Vec<String>> {
+    /// Removes the oldest files until another one fits, and returns their names.
+    fn remove_old_files(&mut self) -> Result<Vec<String>> {
         let listed = self
-            .shelf
+            .log_dir
             .list()
             .map_err(|e| self.failed("cannot use the directory of the black box", e))?;
         let mut files: Vec<_> = listed
             .into_iter()
-            .filter_map(|(name, bytes)| Some((FileName::parse(&name)?, name, bytes)))
+            .filter_map(|(name, bytes)| Some((LogName::parse(&name)?, name, bytes)))
             .collect();
         files.sort();
         let mut total: u64 = files.iter().map(|(_, _, bytes)| bytes).sum();
-        let room = self
-            .settings
-            .total_bytes
-            .saturating_sub(self.settings.file_bytes);
+        let BlackBoxSettings {
+            total_bytes,
+            file_bytes,
+            ..
+        } = self.settings;
         let mut removed = Vec::new();
         for (_, name, bytes) in files {
-            if total <= room {
+            if total <= total_bytes.saturating_sub(file_bytes) {
                 break;
             }
-            self.shelf
+            self.log_dir
                 .remove(&name)
                 .map_err(|e| self.failed("cannot remove an old file of the black box", e))?;
             total -= bytes;
@@ -185,26 +184,25 @@ impl Writer {
             .close()
             .map_err(|e| self.failed("cannot close a file of the black box", e))?;
         self.closed_bytes += bytes;
-        self.tell_written();
-        self.shelf
+        self.update_report();
+        self.log_dir
             .rename(&self.name.open(), &self.name.closed())
-            .map_err(|e| self.failed("cannot name a file of the black box", e))?;
-        Ok(())
+            .map_err(|e| self.failed("cannot rename a file of the black box", e))
     }
 
-    /// All that was added is in the hands of the operating system.
-    fn tell_written(&mut self) {
+    /// Counts everything added so far as written.
+    fn update_report(&mut self) {
         let unwritten = std::mem::take(&mut self.unwritten);
-        let open_bytes = self.file.as_ref().map_or(0, LogFile::bytes_on_disk);
-        let mut progress = self.progress();
-        progress.bytes = self.closed_bytes + open_bytes;
+        let open_bytes = self.file.as_ref().map_or(0, McapLog::bytes_on_disk);
+        let mut report = self.report();
+        report.bytes = self.closed_bytes + open_bytes;
         for (role, frames) in unwritten {
-            *progress.written.entry(role).or_default() += frames;
+            report.frames.entry(role).or_default().written += frames;
         }
     }
 
-    fn progress(&self) -> MutexGuard<'_, Progress> {
-        self.progress.lock().unwrap_or_else(PoisonError::into_inner)
+    fn report(&self) -> MutexGuard<'_, BlackBoxReport> {
+        lock(&self.report)
     }
 
     fn failed(&self, what: &str, error: std::io::Error) -> Error {

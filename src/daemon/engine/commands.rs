@@ -1,55 +1,58 @@
-//! Commands: from whoever asks through the session to the store, and their results back.
+//! Commands: from a request through the session to the store, and the result back.
 
 use jiff::Timestamp;
 use tokio::sync::oneshot;
 
 use super::frames::Trigger;
-use super::{Engine, Stored};
-use crate::daemon::asked::Asked;
+use super::{Engine, StoreEvent};
 use crate::daemon::black_box::Topic;
-use crate::daemon::report::{Ended, GraspReport};
-use crate::daemon::store::StoreMessage;
+use crate::daemon::command_request::CommandRequest;
+use crate::daemon::report::{EndReason, GraspReport};
+use crate::daemon::store::{StoreJob, StoreMessage};
 use gripcast_base::error::Result;
 use gripcast_session::{
     Command, CommandResult, CommandSource, Effect, LastGrasp, Request, Step, StoreReply,
     StoreRequest,
 };
 
-/// The command that is being carried out.
+/// The command in progress.
 pub(super) struct Pending {
-    /// Its number.
+    /// Number of the command.
     id: u64,
-    /// Where it came from.
+    /// Source of the command.
     source: CommandSource,
-    /// Who waits for the result.
-    answer: Option<oneshot::Sender<CommandResult>>,
+    /// Where the result goes.
+    response: Option<oneshot::Sender<CommandResult>>,
     /// Whether it labels the newest grasp.
     is_label: bool,
-    /// What a trigger has found, until it is saved.
+    /// Frames of a trigger, until they are saved.
     trigger: Option<Trigger>,
-    /// What the store does for it.
+    /// The store request in progress.
     request: Option<StoreRequest>,
 }
 
 impl Engine {
-    pub(super) fn handle(&mut self, asked: Asked) -> Result<Option<Ended>> {
-        let Asked {
+    pub(super) fn handle(&mut self, request: CommandRequest) -> Result<()> {
+        let CommandRequest {
             command,
             source,
-            answer,
-        } = asked;
+            response,
+        } = request;
         self.last_command += 1;
         let id = self.last_command;
         self.log(
             "command",
             &serde_json::json!({"id": id, "command": command.to_string(), "source": source.name()}),
         );
-        let trigger = self.session.is_trigger(&command).then(|| self.look());
+        let trigger = self
+            .session
+            .is_trigger(&command)
+            .then(|| self.pair_newest());
         let now = trigger.as_ref().map(|trigger| self.conditions(trigger));
         self.pending = Some(Pending {
             id,
             source,
-            answer,
+            response,
             is_label: matches!(command, Command::Label(_)),
             trigger,
             request: None,
@@ -60,14 +63,14 @@ impl Engine {
             source,
         };
         let effects = self.session.handle(request, now.as_ref());
-        self.carry_out(effects)
+        self.apply(effects)
     }
 
-    pub(super) fn take_reply(&mut self, reply: StoreReply) -> Vec<Effect> {
-        self.tell_stored(&reply);
+    pub(super) fn handle_reply(&mut self, reply: StoreReply) -> Vec<Effect> {
+        self.publish_stored(&reply);
         let labelled_before = self.session.step() == Step::Label;
         let effects = self.session.completed(reply);
-        // Undo and redo of a label stay with the object that is on the virtual table.
+        // Undo and redo of a label keep the current virtual object.
         if self
             .pending
             .as_ref()
@@ -81,24 +84,24 @@ impl Engine {
         effects
     }
 
-    fn tell_stored(&mut self, reply: &StoreReply) {
+    fn publish_stored(&mut self, reply: &StoreReply) {
         let pending = self.pending.as_mut();
         let Some(request) = pending.and_then(|pending| pending.request.take()) else {
             return;
         };
-        self.note_grasp(&request, reply);
-        let stored = Stored {
+        self.update_grasps(&request, reply);
+        let event = StoreEvent {
             at: Timestamp::now().to_string(),
             request,
             reply: reply.clone(),
         };
-        (self.links.stored)(&stored);
-        self.hub.tap().note(Topic::Stored, || &stored);
-        self.log("stored", &stored);
+        (self.links.on_stored)(&event);
+        self.hub.tap.json(Topic::Stored, || &event);
+        self.log("stored", &event);
     }
 
-    /// Keeps the list of this session's grasps in line with the dataset.
-    fn note_grasp(&mut self, request: &StoreRequest, reply: &StoreReply) {
+    /// Updates the list of this session's grasps after a change of the dataset.
+    fn update_grasps(&mut self, request: &StoreRequest, reply: &StoreReply) {
         match (request, reply) {
             (_, StoreReply::Failed { .. }) => {}
             (
@@ -113,7 +116,7 @@ impl Engine {
                 id: id.to_string(),
                 object: object.to_string(),
                 outcome: *outcome,
-                p_stable: predicted.as_ref().map(|said| said.p_stable),
+                p_stable: predicted.as_ref().map(|prediction| prediction.p_stable),
             }),
             (StoreRequest::SetOutcome { id, outcome }, _) => {
                 if let Some(grasp) = self.grasps.iter_mut().find(|g| g.id == **id) {
@@ -121,40 +124,39 @@ impl Engine {
                 }
             }
             (StoreRequest::UndoGrasp { id } | StoreRequest::TrashGrasp { id }, _) => {
-                if let Some(place) = self.grasps.iter().position(|g| g.id == **id) {
-                    self.taken_back
-                        .insert(id.to_string(), self.grasps.remove(place));
+                if let Some(index) = self.grasps.iter().position(|g| g.id == **id) {
+                    self.undone
+                        .insert(id.to_string(), self.grasps.remove(index));
                 }
             }
             (StoreRequest::RedoGrasp { id, .. } | StoreRequest::RestoreGrasp { id }, _) => {
-                if let Some(grasp) = self.taken_back.remove(id.as_str()) {
-                    let place = self.grasps.partition_point(|g| g.id < grasp.id);
-                    self.grasps.insert(place, grasp);
+                if let Some(grasp) = self.undone.remove(id.as_str()) {
+                    let index = self.grasps.partition_point(|g| g.id < grasp.id);
+                    self.grasps.insert(index, grasp);
                 }
             }
             _ => {}
         }
     }
 
-    pub(super) fn carry_out(&mut self, effects: Vec<Effect>) -> Result<Option<Ended>> {
-        let mut ended = None;
+    pub(super) fn apply(&mut self, effects: Vec<Effect>) -> Result<()> {
         for effect in effects {
             match effect {
                 Effect::Store(request) => self.store(request)?,
                 Effect::Tone(tone) => {
-                    // Without a screen nobody listens.
+                    // The receiver is gone without a screen.
                     let _ = self.links.tones.send(tone);
                 }
                 Effect::UseInitial(id) => {
-                    self.initial_change += 1;
-                    let change = self.initial_change;
-                    self.store.send(StoreMessage::UseInitial { id, change })?;
+                    self.initial_revision += 1;
+                    let revision = self.initial_revision;
+                    self.store.send(StoreMessage::UseInitial { id, revision })?;
                 }
-                Effect::Result { id, result } => self.answer(id, result),
-                Effect::Quit => ended = Some(Ended::Quit),
+                Effect::Result { id, result } => self.respond(id, result),
+                Effect::Quit => self.ended = Some(EndReason::Quit),
             }
         }
-        Ok(ended)
+        Ok(())
     }
 
     fn store(&mut self, request: StoreRequest) -> Result<()> {
@@ -166,27 +168,27 @@ impl Engine {
             let (capture, boards) = self.stage_capture(trigger, source, saves_grasp);
             (Some(Box::new(capture)), boards)
         });
-        let live = self.inference.findings().live.clone();
+        let live = self.inference.state().live.clone();
         if let Some(pending) = &mut self.pending {
             pending.request = Some(request.clone());
         }
-        self.store.send(StoreMessage::Carry {
+        self.store.send(StoreMessage::Execute(StoreJob {
             request,
             capture,
             boards,
-            latency_ms: live.map_or(0.0, |live| live.said.latency_ms),
-        })
+            latency_ms: live.map_or(0.0, |live| live.record.latency_ms),
+        }))
     }
 
-    /// Tells who asked what became of a command.
-    fn answer(&mut self, id: u64, result: CommandResult) {
+    /// Sends the result of a command to its requester.
+    fn respond(&mut self, id: u64, result: CommandResult) {
         let pending = self.pending.take_if(|pending| pending.id == id);
-        let Some(answer) = pending.and_then(|pending| pending.answer) else {
+        let Some(response) = pending.and_then(|pending| pending.response) else {
             return;
         };
-        // The status that follows from the command is there before its answer.
+        // The new status is sent before the response.
         self.send_status();
-        // Who asked may have gone.
-        let _ = answer.send(result);
+        // The requester may have disconnected.
+        let _ = response.send(result);
     }
 }

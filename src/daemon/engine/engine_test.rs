@@ -1,4 +1,4 @@
-//! The whole engine on cameras in memory.
+//! Test of the complete engine with cameras in memory.
 
 use std::collections::BTreeMap;
 use std::sync::mpsc::Receiver;
@@ -20,11 +20,10 @@ use gripcast_session::{Command, CommandResult, CommandSource};
 const WIDTH: u32 = 640;
 const HEIGHT: u32 = 480;
 
-/// Sends whether the gel is pressed, once a frame.
+/// Requests one frame, with or without contact.
 type Shutter = std::sync::mpsc::Sender<bool>;
 
-/// A tactile camera that sends YUYV: even grey, stripes while its gel is pressed. It takes a frame
-/// when the test says so.
+/// Tactile YUYV camera: uniform grey, stripes in contact. It captures a frame on request.
 #[derive(Clone)]
 struct YuyvGel {
     role: Role,
@@ -76,7 +75,7 @@ impl FrameSource for YuyvGel {
         let is_pressed = self.shutter.lock().unwrap().recv_timeout(timeout);
         let is_pressed = is_pressed.map_err(|_| CaptureError::Timeout)?;
         let rise = 60 * u8::from(is_pressed);
-        // Luma and chroma of a pixel in turn; a stripe is 40 pixels wide.
+        // Luma and chroma bytes alternate; a stripe is 40 pixels wide.
         let pixel = |n: u32| [100 + rise * u8::from((n / 40).is_multiple_of(2)), 128];
         let data: Vec<u8> = (0..WIDTH * HEIGHT).flat_map(pixel).collect();
         self.sequence += 1;
@@ -116,7 +115,7 @@ fn setup(dataset: PathBuf, gels: [YuyvGel; 2]) -> EngineSetup {
             ..Labels::default()
         },
         guards: GuardLimits {
-            // A loaded machine is slow.
+            // Tolerates a loaded machine.
             max_frame_age_ms: 5_000.0,
             max_skew_ms: 5_000.0,
             min_free_bytes: 0,
@@ -130,15 +129,15 @@ fn setup(dataset: PathBuf, gels: [YuyvGel; 2]) -> EngineSetup {
     }
 }
 
-/// What the operator of the test has in hand.
+/// Test fixture: commands, cameras and status.
 struct Bench {
-    commands: mpsc::Sender<Asked>,
+    commands: mpsc::Sender<CommandRequest>,
     shutters: [Shutter; 2],
     status: watch::Receiver<Arc<EngineStatus>>,
 }
 
 impl Bench {
-    /// Takes a frame with both gels and waits until the engine's status shows it.
+    /// Captures a frame of both gels and waits until the status shows it.
     async fn take_frames(&mut self, is_pressed: bool, is_shown: impl Fn(&EngineStatus) -> bool) {
         for shutter in &self.shutters {
             shutter.send(is_pressed).unwrap();
@@ -148,14 +147,14 @@ impl Bench {
     }
 
     async fn accepted(&self, command: Command) {
-        let (asked, answer) = Asked::with_answer(command, CommandSource::Script);
-        self.commands.send(asked).await.unwrap();
-        assert_eq!(answer.await.unwrap(), CommandResult::Accepted);
+        let (request, response) = CommandRequest::with_response(command, CommandSource::Script);
+        self.commands.send(request).await.unwrap();
+        assert_eq!(response.await.unwrap(), CommandResult::Accepted);
     }
 }
 
 #[tokio::test]
-async fn a_rig_whose_gels_send_yuyv_saves_and_predicts() {
+async fn engine_saves_and_predicts_with_yuyv_cameras() {
     let dir = tempfile::tempdir().unwrap();
     let (left, left_shutter) = YuyvGel::new(Role::Left);
     let (right, right_shutter) = YuyvGel::new(Role::Right);
@@ -164,17 +163,17 @@ async fn a_rig_whose_gels_send_yuyv_saves_and_predicts() {
     let (commands, command_queue) = mpsc::channel(8);
     let (_limits, limits) = mpsc::channel(1);
     let (status, newest) = watch::channel(Arc::new(starting));
-    let (tones, _heard) = mpsc::unbounded_channel();
+    let (tones, _tone_receiver) = mpsc::unbounded_channel();
     let links = EngineLinks {
         commands: command_queue,
         limits,
         tasks: Tasks::default(),
         status,
         tones,
-        stored: Box::new(|_| {}),
+        on_stored: Box::new(|_| {}),
     };
-    let (_stop, stopped) = oneshot::channel::<Ended>();
-    let stop = async { stopped.await.unwrap_or(Ended::Interrupted) };
+    let (_stop, stopped) = oneshot::channel::<EndReason>();
+    let stop = async { stopped.await.unwrap_or(EndReason::Interrupted) };
     let mut bench = Bench {
         commands,
         shutters: [left_shutter, right_shutter],
@@ -187,31 +186,31 @@ async fn a_rig_whose_gels_send_yuyv_saves_and_predicts() {
         };
         bench.take_frames(false, are_live).await;
         bench.accepted(Command::Initial).await;
-        let is_felt = |status: &EngineStatus| {
+        let is_in_contact = |status: &EngineStatus| {
             status.contact.len() == 2 && status.contact.values().all(|levels| *levels > 10.0)
         };
-        bench.take_frames(true, is_felt).await;
+        bench.take_frames(true, is_in_contact).await;
         bench.accepted(Command::Grasp).await;
-        let seen = bench
+        let saved = bench
             .status
             .wait_for(|status| status.session.last.is_some());
-        let last = seen.await.unwrap().session.last.clone().unwrap();
+        let last = saved.await.unwrap().session.last.clone().unwrap();
         bench
             .commands
-            .send(Asked::new(Command::Quit, CommandSource::Script))
+            .send(CommandRequest::new(Command::Quit, CommandSource::Script))
             .await
             .unwrap();
         last
     };
     let (report, last) = tokio::join!(run(setup, links, stop), operator);
     let report = report.unwrap();
-    assert_eq!(report.ended, Ended::Quit);
-    let said = last.predicted.expect("a prediction");
-    assert_eq!(report.grasps[0].p_stable, Some(said.p_stable));
+    assert_eq!(report.ended, EndReason::Quit);
+    let prediction = last.predicted.expect("a prediction");
+    assert_eq!(report.grasps[0].p_stable, Some(prediction.p_stable));
 
     let dataset = Dataset::open(dir.path().join("d")).unwrap();
     let record = dataset.grasp(&last.id).unwrap();
-    assert_eq!(record.prediction, Some(said));
+    assert_eq!(record.prediction, Some(prediction));
     for stage in [Stage::Initial, Stage::Grasp] {
         let cameras = &record.stage(stage).cameras;
         assert_eq!(cameras.len(), 2);

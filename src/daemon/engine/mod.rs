@@ -1,16 +1,16 @@
-//! The engine: joins cameras, inference, session and dataset; everything slow has its own thread.
+//! The engine: connects cameras, inference, session and dataset. All slow work has its own thread.
 
 mod commands;
 #[cfg(test)]
 mod engine_test;
 mod frames;
+mod monitor;
 mod script;
 mod start;
-mod watching;
 
 use std::collections::{BTreeMap, VecDeque};
 use std::future::Future;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -20,19 +20,20 @@ use tokio::sync::{mpsc, watch};
 
 use self::commands::Pending;
 use self::script::ScriptCommand;
-use super::approach::ApproachWatch;
-use super::asked::Asked;
 use super::black_box::{BlackBox, BlackBoxSettings, Topic};
+use super::boards::Boards;
 use super::capture::CaptureThreads;
+use super::command_request::CommandRequest;
 use super::hub::Hub;
 use super::infer::Inference;
+use super::pre_grasp::PreGraspRecorder;
 use super::report::{
-    CollectReport, Ended, GraspReport, PredictionReport, camera_report, cameras_note,
+    CollectReport, EndReason, GraspReport, PredictionReport, camera_report, cameras_json,
 };
-use super::sheets::Boards;
-use super::status::EngineStatus;
+use super::status::{EngineStatus, disk_free_bytes};
 use super::store::{Store, StoreMessage};
 use super::tasks::Tasks;
+use super::thread::lock;
 use gripcast_base::error::Result;
 use gripcast_capture::calibration::RigFile;
 use gripcast_capture::camera::{CameraOpener, SupervisionPolicy, monotonic_ns};
@@ -41,83 +42,83 @@ use gripcast_dataset::NewDataset;
 use gripcast_imaging::{Intrinsics, Role};
 use gripcast_nn::predict::Model;
 use gripcast_session::{GuardLimits, Labels, Session, Step, StoreReply, StoreRequest, Tone};
-use gripcast_virtual_rig::{HandGoal, VirtualHand};
+use gripcast_virtual_rig::{HandTarget, VirtualHand};
 
-/// How often the status is renewed and the script asked.
+/// Interval of status updates and script steps.
 const TICK: Duration = Duration::from_millis(50);
 
-/// How often the disk is asked for its free space, in ticks.
+/// Interval of free-space checks, ticks.
 const DISK_TICKS: u64 = 20;
 
-/// All that the engine works with.
+/// Inputs of the engine.
 pub struct EngineSetup {
-    /// The rig.
+    /// Rig file.
     pub rig: RigFile,
-    /// Intrinsics of its colour cameras, where known.
+    /// Known intrinsics of the colour cameras.
     pub intrinsics: BTreeMap<Role, Intrinsics>,
-    /// Its cameras.
+    /// Camera openers.
     pub openers: Vec<Box<dyn CameraOpener>>,
-    /// How cameras are supervised.
+    /// Camera supervision.
     pub supervision: SupervisionPolicy,
     /// Dataset directory.
     pub dataset: PathBuf,
-    /// What a new dataset is told about itself.
+    /// Metadata of a new dataset.
     pub new_dataset: NewDataset,
-    /// Names at the start.
+    /// Initial labels.
     pub labels: Labels,
-    /// Limits of the guards.
+    /// Guard limits.
     pub guards: GuardLimits,
-    /// Model; without one there is no prediction.
+    /// Model; `None` disables predictions.
     pub model: Option<Model>,
-    /// Timed commands.
+    /// Scripted commands.
     pub script: Option<Script>,
-    /// The printed markers that the external camera sees, where they are known.
+    /// Printed boards in view of the external camera.
     pub boards: Option<Boards>,
-    /// The hand of the virtual rig, which follows the session's steps like an operator.
+    /// Hand of the virtual rig, which follows the session's steps.
     pub hand: Option<Arc<VirtualHand>>,
-    /// The continuous log, where one is wanted.
+    /// Settings of the black box, if enabled.
     pub black_box: Option<BlackBoxSettings>,
 }
 
-/// The engine's ends of the channels to screens and triggers.
+/// Channels between the engine and screens, triggers and API.
 pub struct EngineLinks {
-    /// What operators ask for.
-    pub commands: mpsc::Receiver<Asked>,
-    /// Limits of the guards from then on.
+    /// Incoming commands.
+    pub commands: mpsc::Receiver<CommandRequest>,
+    /// Updated guard limits.
     pub limits: mpsc::Receiver<GuardLimits>,
-    /// The board of its threads.
+    /// Registry of the engine's threads.
     pub tasks: Tasks,
-    /// The newest status.
+    /// Outgoing status.
     pub status: watch::Sender<Arc<EngineStatus>>,
-    /// Sounds to give.
+    /// Outgoing tones.
     pub tones: mpsc::UnboundedSender<Tone>,
-    /// Is told every answered change of the dataset, when it is answered.
-    pub stored: Box<dyn FnMut(&Stored) + Send>,
+    /// Called after every store request.
+    pub on_stored: Box<dyn FnMut(&StoreEvent) + Send>,
 }
 
-/// A change of the dataset that was asked for and its answer; unless it failed, it is durable.
+/// A store request and its reply; unless it failed, the change is durable.
 #[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct Stored {
-    /// Wall clock of the answer, RFC 3339 UTC.
+pub struct StoreEvent {
+    /// Wall clock time of the reply, RFC 3339 UTC.
     pub at: String,
-    /// What was asked for.
+    /// The request.
     pub request: StoreRequest,
-    /// The answer.
+    /// The reply.
     pub reply: StoreReply,
 }
 
-/// Runs until the operator quits, the script ends, or `stop` resolves.
+/// Runs the engine until the operator quits, the script ends, or `stop` resolves.
 ///
 /// # Errors
-/// When the dataset cannot be opened, a thread cannot be had, or a script step does not hold. What
-/// was acknowledged is on disk in every case.
+/// If the dataset cannot be opened, a thread cannot be started, or a script step fails. Acknowledged
+/// changes are on disk in every case.
 pub async fn run(
     setup: EngineSetup,
     links: EngineLinks,
-    stop: impl Future<Output = Ended>,
+    stop: impl Future<Output = EndReason>,
 ) -> Result<CollectReport> {
     let mut engine = Engine::start(setup, links)?;
-    let ended = engine.turn(stop).await;
+    let ended = engine.run_until_end(stop).await;
     engine.finish(ended).await
 }
 
@@ -131,32 +132,34 @@ struct Engine {
     capture: CaptureThreads,
     decoders: Vec<std::thread::JoinHandle<()>>,
     inference: Inference,
-    approach: Option<ApproachWatch>,
+    pre_grasp: Option<PreGraspRecorder>,
     black_box: Option<BlackBox>,
     store: Store,
     replies: mpsc::UnboundedReceiver<StoreReply>,
     links: EngineLinks,
     session: Session,
-    waiting: VecDeque<Asked>,
+    queued: VecDeque<CommandRequest>,
+    /// Set by `quit` and by the end of the script.
+    ended: Option<EndReason>,
     /// Number of the newest command.
     last_command: u64,
     pending: Option<Pending>,
     script: Option<ScriptRunner>,
     script_command: ScriptCommand,
-    /// How often the initial frame that is subtracted has changed.
-    initial_change: u64,
+    /// Revision of the initial frame used for inference.
+    initial_revision: u64,
     grasps: Vec<GraspReport>,
-    /// Those of this session that are in the trash.
-    taken_back: BTreeMap<String, GraspReport>,
+    /// Grasps of this session that are in the trash.
+    undone: BTreeMap<String, GraspReport>,
     disk_free_bytes: Option<u64>,
     was_live: BTreeMap<Role, bool>,
-    /// Whether each thread was stuck, and how often it was started again.
-    tasks_were: BTreeMap<String, (bool, u64)>,
+    /// Whether each thread was stuck, and its restarts.
+    last_task_states: BTreeMap<String, (bool, u64)>,
     ticks: u64,
 }
 
 impl Engine {
-    async fn turn(&mut self, stop: impl Future<Output = Ended>) -> Result<Ended> {
+    async fn run_until_end(&mut self, stop: impl Future<Output = EndReason>) -> Result<EndReason> {
         tokio::pin!(stop);
         let mut ticks = tokio::time::interval(TICK);
         ticks.set_missed_tick_behavior(tokio::time::MissedTickBehavior::Delay);
@@ -165,92 +168,88 @@ impl Engine {
             tokio::select! {
                 biased;
                 Some(reply) = self.replies.recv() => {
-                    let effects = self.take_reply(reply);
-                    if let Some(ended) = self.carry_out(effects)? {
-                        return Ok(ended);
-                    }
-                    if let Some(ended) = self.advance_script()? {
-                        return Ok(ended);
+                    let effects = self.handle_reply(reply);
+                    self.apply(effects)?;
+                    if self.ended.is_none() {
+                        self.advance_script()?;
                     }
                 }
                 ended = &mut stop => return Ok(ended),
                 command = self.links.commands.recv(), if commands_open => match command {
-                    Some(command) => self.waiting.push_back(command),
+                    Some(request) => self.queued.push_back(request),
                     None => commands_open = false,
                 },
                 limits = self.links.limits.recv(), if limits_open => match limits {
-                    Some(limits) => self.take_limits(limits),
+                    Some(limits) => self.set_limits(limits),
                     None => limits_open = false,
                 },
-                _ = ticks.tick() => {
-                    if let Some(ended) = self.tick()? {
-                        return Ok(ended);
-                    }
-                }
+                _ = ticks.tick() => self.tick()?,
             }
-            while !self.session.is_storing()
-                && let Some(asked) = self.waiting.pop_front()
+            while self.ended.is_none()
+                && !self.session.is_storing()
+                && let Some(request) = self.queued.pop_front()
             {
-                if let Some(ended) = self.handle(asked)? {
-                    return Ok(ended);
-                }
+                self.handle(request)?;
+            }
+            if let Some(ended) = self.ended {
+                return Ok(ended);
             }
         }
     }
 
-    fn take_limits(&mut self, limits: GuardLimits) {
+    fn set_limits(&mut self, limits: GuardLimits) {
         self.log("guards", &limits);
         self.guards = limits.clone();
         self.session.set_limits(limits);
     }
 
-    fn tick(&mut self) -> Result<Option<Ended>> {
+    fn tick(&mut self) -> Result<()> {
         if self.ticks.is_multiple_of(DISK_TICKS) {
             self.disk_free_bytes = disk_free_bytes(&self.dataset);
-            self.hub.tap().note(Topic::Cameras, || {
-                cameras_note(&self.hub, &self.rig, monotonic_ns())
+            self.hub.tap.json(Topic::Cameras, || {
+                cameras_json(&self.hub, &self.rig, monotonic_ns())
             });
         }
         self.ticks += 1;
-        self.watch_cameras();
-        self.watch_tasks();
+        self.check_cameras();
+        self.check_tasks();
         if let Some(hand) = &self.hand {
-            hand.go(match self.session.step() {
-                Step::Initial => HandGoal::Open,
-                Step::Grasp => HandGoal::Closed,
-                Step::Label => HandGoal::Lifted,
+            hand.move_to(match self.session.step() {
+                Step::Initial => HandTarget::Open,
+                Step::Grasp => HandTarget::Closed,
+                Step::Label => HandTarget::Lifted,
             });
         }
-        if let Some(approach) = &self.approach {
-            approach.set_object(&self.session.view(monotonic_ns()).object);
+        if let Some(recorder) = &self.pre_grasp {
+            recorder.set_object(&self.session.view(monotonic_ns()).object);
         }
         self.send_status();
         self.advance_script()
     }
 
-    /// A line of the log; it explains and must not stop the collection.
+    /// Writes a log line; failures must not stop the collection.
     fn log(&self, event: &str, what: &impl Serialize) {
         let line = serde_json::json!({
             "at": Timestamp::now().to_string(),
             "event": event,
             "what": what,
         });
-        self.hub.tap().note(Topic::Events, || &line);
+        self.hub.tap.json(Topic::Events, || &line);
         let _ = self.store.send(StoreMessage::Log(line));
     }
 
-    /// Ends all threads in the order of the data flow; what was asked for is carried out first.
-    async fn finish(mut self, ended: Result<Ended>) -> Result<CollectReport> {
+    /// Finishes pending requests, then ends all threads in the order of the data flow.
+    async fn finish(mut self, ended: Result<EndReason>) -> Result<CollectReport> {
         self.drain_replies().await;
         let session = self.session.summary();
         self.links.tasks.close();
         self.hub.close();
         self.capture.stop();
-        // The capture threads have told their last counts.
+        // The counts of the capture threads are final.
         let cameras = self
             .hub
             .slots()
-            .map(|slot| (slot.role(), camera_report(slot, &self.rig)))
+            .map(|slot| (slot.role, camera_report(slot, &self.rig)))
             .collect::<BTreeMap<_, _>>();
         self.log(
             "end",
@@ -258,19 +257,17 @@ impl Engine {
         );
         let stored = self.store.stop();
         for decoder in self.decoders {
-            // A decoder that panicked has nothing left to give back.
+            // A panic has been reported already.
             let _ = decoder.join();
         }
-        if let Some(approach) = self.approach {
-            approach.join();
+        if let Some(recorder) = self.pre_grasp {
+            recorder.join();
         }
-        let model = self.inference.model().map(str::to_owned);
-        let findings = self.inference.stop();
-        // Last: the grasps are durable, and nobody puts anything in any more.
+        let model = self.inference.model.clone();
+        let state = self.inference.stop();
+        // Last: the grasps are durable and all writers to the black box have ended.
         let black_box = self.black_box.map(BlackBox::stop);
-        let findings = findings
-            .lock()
-            .unwrap_or_else(std::sync::PoisonError::into_inner);
+        let state = lock(&state);
         let ended = ended?;
         stored?;
         Ok(CollectReport {
@@ -282,30 +279,25 @@ impl Engine {
             cameras,
             prediction: PredictionReport {
                 model,
-                predictions: findings.predictions,
-                failures: findings.failures,
-                latency_p50_ms: findings.latency.quantile_ms(0.5),
-                latency_p99_ms: findings.latency.quantile_ms(0.99),
+                predictions: state.predictions,
+                failures: state.failures,
+                latency_p50_ms: state.latency.quantile_ms(0.5),
+                latency_p99_ms: state.latency.quantile_ms(0.99),
             },
             black_box,
         })
     }
 
-    /// Waits for the request under way, so that the report is true.
+    /// Waits for the pending store request, so that the report is complete.
     async fn drain_replies(&mut self) {
         while self.session.is_storing() {
             let Some(reply) = self.replies.recv().await else {
                 return;
             };
-            let effects = self.take_reply(reply);
-            if self.carry_out(effects).is_err() {
+            let effects = self.handle_reply(reply);
+            if self.apply(effects).is_err() {
                 return;
             }
         }
     }
-}
-
-fn disk_free_bytes(path: &Path) -> Option<u64> {
-    let disk = rustix::fs::statvfs(path).ok()?;
-    Some(disk.f_bavail.saturating_mul(disk.f_frsize))
 }

@@ -1,29 +1,29 @@
-//! Timed commands and their answers.
+//! Scripted commands and their results.
 
 use tokio::sync::oneshot;
 
 use super::Engine;
-use crate::daemon::asked::Asked;
-use crate::daemon::report::Ended;
+use crate::daemon::command_request::CommandRequest;
+use crate::daemon::report::EndReason;
 use gripcast_base::error::{Error, Result};
 use gripcast_capture::camera::monotonic_ns;
 use gripcast_capture::trigger::{self, Answer, ScriptAction};
 use gripcast_session::{Command, CommandResult, CommandSource};
 
-/// The script's newest command and its answer.
+/// The script's newest command and its result.
 #[derive(Debug, Default)]
 pub(super) struct ScriptCommand {
-    /// Given and not answered yet.
-    open: Option<oneshot::Receiver<CommandResult>>,
+    /// Receiver of a result that has not arrived yet.
+    pending: Option<oneshot::Receiver<CommandResult>>,
     answer: Option<Answer>,
 }
 
 impl ScriptCommand {
-    /// The answer, once it has come.
+    /// Returns the result once it has arrived.
     fn answer(&mut self) -> Option<Answer> {
-        let result = self.open.as_mut().and_then(|open| open.try_recv().ok());
-        if let Some(result) = result {
-            self.open = None;
+        let pending = self.pending.as_mut();
+        if let Some(result) = pending.and_then(|pending| pending.try_recv().ok()) {
+            self.pending = None;
             self.answer = Some(match result.complaint() {
                 Some(complaint) => Answer::Refused(complaint),
                 None => Answer::Saved,
@@ -34,33 +34,34 @@ impl ScriptCommand {
 }
 
 impl Engine {
-    pub(super) fn advance_script(&mut self) -> Result<Option<Ended>> {
+    pub(super) fn advance_script(&mut self) -> Result<()> {
         let conditions = trigger::Conditions {
             all_live: self.all_live(),
-            contact: self.touched(),
-            fresh: self.fresh(),
+            contact: self.is_in_contact(),
+            fresh: self.has_fresh_frames(),
             saving: self.session.is_storing(),
             last_answer: self.script_command.answer(),
         };
         let Some(script) = &mut self.script else {
-            return Ok(None);
+            return Ok(());
         };
         match script.next(monotonic_ns(), &conditions) {
-            ScriptAction::Wait => Ok(None),
-            ScriptAction::Done => Ok(Some(Ended::ScriptDone)),
-            ScriptAction::Failed(error) => Err(error),
+            ScriptAction::Wait => {}
+            ScriptAction::Done => self.ended = Some(EndReason::ScriptDone),
+            ScriptAction::Failed(error) => return Err(error),
             ScriptAction::Command(text) => {
                 let command: Command = text
                     .parse()
-                    .map_err(|e| Error::internal("the script was not checked").because(e))?;
-                let (asked, answer) = Asked::with_answer(command, CommandSource::Script);
+                    .map_err(|e| Error::internal("the script has an invalid command").because(e))?;
+                let (request, response) =
+                    CommandRequest::with_response(command, CommandSource::Script);
                 self.script_command = ScriptCommand {
-                    open: Some(answer),
+                    pending: Some(response),
                     answer: None,
                 };
-                self.waiting.push_back(asked);
-                Ok(None)
+                self.queued.push_back(request);
             }
         }
+        Ok(())
     }
 }

@@ -1,4 +1,4 @@
-//! How everything that the engine joins is started.
+//! Start of the engine and its threads.
 
 use std::collections::{BTreeMap, VecDeque};
 use std::sync::mpsc::channel;
@@ -7,13 +7,13 @@ use tokio::sync::mpsc;
 
 use super::script::ScriptCommand;
 use super::{Engine, EngineLinks, EngineSetup};
-use crate::daemon::approach::ApproachWatch;
 use crate::daemon::black_box::{BlackBox, Tap};
 use crate::daemon::calibration::store_calibration;
 use crate::daemon::capture::CaptureThreads;
 use crate::daemon::decode;
 use crate::daemon::hub::Hub;
-use crate::daemon::infer::{Inference, ModelFacts};
+use crate::daemon::infer::{Inference, ModelInfo};
+use crate::daemon::pre_grasp::PreGraspRecorder;
 use crate::daemon::store::{Store, StoreContext, StoreMessage, pending_frame};
 use gripcast_base::error::{Error, Result};
 use gripcast_capture::calibration::RigFile;
@@ -29,7 +29,7 @@ impl Engine {
         let (mut writer, opened) =
             DatasetWriter::open_or_create(&setup.dataset, &setup.new_dataset)?;
         let calibration = store_calibration(&mut writer, &setup.rig, &setup.intrinsics)?;
-        let model = setup.model.as_ref().map(ModelFacts::of);
+        let model = setup.model.as_ref().map(ModelInfo::new);
         if let Some(model) = &model {
             writer.put_model(&model_card(model)?)?;
         }
@@ -41,12 +41,12 @@ impl Engine {
         let black_box = setup
             .black_box
             .map(|settings| {
-                let origin = origin(&dataset_name, &setup.rig, model.as_ref());
-                BlackBox::start(settings, setup.dataset.clone(), origin)
+                let provenance = provenance(&dataset_name, &setup.rig, model.as_ref());
+                BlackBox::start(settings, setup.dataset.clone(), provenance)
             })
             .transpose()?;
         let tap = black_box.as_ref().map_or_else(Tap::default, BlackBox::tap);
-        let hub = Hub::tapped(setup.rig.cameras.keys().copied(), tap);
+        let hub = Hub::new(setup.rig.cameras.keys().copied(), tap);
         let (infer_requests, infer_inbox) = channel();
         let decoders = decode::start(
             &hub,
@@ -57,27 +57,27 @@ impl Engine {
         let infer_channel = (infer_requests.clone(), infer_inbox);
         let inference = Inference::start(&hub, setup.model, infer_channel, &links.tasks)?;
         let external = setup.intrinsics.get(&Role::External).copied();
-        let approach = ApproachWatch::start(&hub, setup.boards, external)?;
+        let pre_grasp = PreGraspRecorder::start(&hub, setup.boards, external)?;
         let context = StoreContext {
             rig: setup.rig.id.clone(),
             calibration,
             has_model: model.is_some(),
             crops,
         };
-        let (answers, replies) = mpsc::unbounded_channel();
+        let (reply_sender, replies) = mpsc::unbounded_channel();
         let store = Store::start(
             writer,
             opened.pending,
             context,
             infer_requests,
-            answers,
+            reply_sender,
             &links.tasks,
         )?;
-        let initial_change = 0;
+        let initial_revision = 0;
         if let Some(frame) = session.pending() {
             store.send(StoreMessage::UseInitial {
                 id: Some(frame.id.clone()),
-                change: initial_change,
+                revision: initial_revision,
             })?;
         }
         let capture = CaptureThreads::start(setup.openers, &hub, &setup.supervision, &links.tasks)?;
@@ -91,38 +91,39 @@ impl Engine {
             capture,
             decoders,
             inference,
-            approach,
+            pre_grasp,
             black_box,
             store,
             replies,
             links,
             session,
-            waiting: VecDeque::new(),
+            queued: VecDeque::new(),
+            ended: None,
             last_command: 0,
             pending: None,
             script: setup.script.map(ScriptRunner::new),
             script_command: ScriptCommand::default(),
-            initial_change,
+            initial_revision,
             grasps: Vec::new(),
-            taken_back: BTreeMap::new(),
+            undone: BTreeMap::new(),
             disk_free_bytes: None,
             was_live: BTreeMap::new(),
-            tasks_were: BTreeMap::new(),
+            last_task_states: BTreeMap::new(),
             ticks: 0,
         })
     }
 }
 
-/// An initial frame of an earlier run.
+/// Converts a pending initial frame of an earlier run.
 fn resumed(pending: &PendingInitial) -> PendingFrame {
     PendingFrame {
-        // The monotonic clock may have been another boot's.
+        // The monotonic clock may be of an earlier boot.
         trigger_time_ns: 0,
         ..pending_frame(pending)
     }
 }
 
-/// Crop profile of every tactile camera, which has to be the model's.
+/// Returns the crop profile of every tactile camera after checking it against the model.
 fn crop_profiles(rig: &RigFile, model: Option<&Model>) -> Result<BTreeMap<Role, CropProfile>> {
     rig.cameras
         .iter()
@@ -141,15 +142,15 @@ fn crop_profiles(rig: &RigFile, model: Option<&Model>) -> Result<BTreeMap<Role, 
         .collect()
 }
 
-/// What the dataset keeps of a model, keys in alphabetical order.
-fn model_card(model: &ModelFacts) -> Result<String> {
+/// Returns the model description stored in the dataset, with sorted keys.
+fn model_card(model: &ModelInfo) -> Result<String> {
     serde_json::to_value(model)
         .and_then(|card| serde_json::to_string_pretty(&card))
-        .map_err(|e| Error::internal("cannot write the model card").because(e))
+        .map_err(|e| Error::internal("cannot serialise the model description").because(e))
 }
 
-/// What the files of the black box say about themselves.
-fn origin(dataset: &str, rig: &RigFile, model: Option<&ModelFacts>) -> BTreeMap<String, String> {
+/// Returns the metadata of the black box files.
+fn provenance(dataset: &str, rig: &RigFile, model: Option<&ModelInfo>) -> BTreeMap<String, String> {
     let model = model.map(|model| {
         [
             ("model", model.name.clone()),

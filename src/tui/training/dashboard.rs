@@ -1,6 +1,4 @@
-//! The dashboard: where everything goes at every size.
-
-use std::time::Duration;
+//! Layout of the dashboard at all sizes.
 
 use ratatui::Frame;
 use ratatui::buffer::Buffer;
@@ -8,24 +6,26 @@ use ratatui::layout::Rect;
 use ratatui::text::{Line, Span};
 
 use super::super::palette::Palette;
-use super::super::text::{clipped, columns, duration_ms, row, write, write_right};
+use super::super::text::{
+    clipped, columns, duration_ms, inset, row, without_last, write, write_all, write_right,
+};
 use super::plot;
 use super::status::{TrainingStatus, figure};
 use gripcast_nn::predict::contract::Variant;
 
-/// Below this only one line is shown.
+/// Minimum size of the dashboard; smaller ones show one line only.
 const MIN_COLUMNS: u16 = 40;
 const MIN_ROWS: u16 = 6;
-/// Columns from which both plots are side by side.
+/// Minimum width for plots side by side.
 const WIDE_COLUMNS: u16 = 64;
-/// Rows that a plot needs with its title.
+/// Minimum height of a plot with its title.
 const PLOT_ROWS: u16 = 7;
-/// Columns below which dataset and run are not named.
-const MIN_NAMES: u16 = 8;
-/// Columns of the words before what they name.
-const NAMES: usize = 10;
+/// Minimum width for the names of dataset and run.
+const MIN_NAME_COLUMNS: u16 = 8;
+/// Width of the name column.
+const NAME_COLUMNS: usize = 10;
 
-/// Draws the whole dashboard. Pure: the same status gives the same image.
+/// Draws the whole dashboard, a pure function of the status.
 pub fn draw(frame: &mut Frame<'_>, status: &TrainingStatus, palette: Palette) {
     let area = frame.area();
     let buffer = frame.buffer_mut();
@@ -38,19 +38,12 @@ pub fn draw(frame: &mut Frame<'_>, status: &TrainingStatus, palette: Palette) {
     write(buffer, row(area, last), &keys(palette));
     let body = Rect::new(area.x, area.y + 1, area.width, area.height - 2);
     let lines = facts(status, body, palette);
-    for (index, line) in (0..).zip(&lines) {
-        write(buffer, row(body, index), line);
-    }
-    let used = lines.len() as u16;
-    let rest = Rect {
-        y: body.y + used,
-        height: body.height - used,
-        ..body
-    };
+    write_all(buffer, body, &lines);
+    let rest = inset(body, 0, lines.len() as u16);
     draw_rest(buffer, rest, status, palette);
 }
 
-/// Plots above where they have room, the last lines below.
+/// Draws the plots, if they fit, above the last lines.
 fn draw_rest(buffer: &mut Buffer, area: Rect, status: &TrainingStatus, palette: Palette) {
     let lines = match area.height {
         0..=PLOT_ROWS => area.height,
@@ -63,73 +56,57 @@ fn draw_rest(buffer: &mut Buffer, area: Rect, status: &TrainingStatus, palette: 
         draw_plots(buffer, plots, status, palette);
     }
     let first = status.lines.len().saturating_sub(usize::from(lines));
-    for (index, text) in (plots..).zip(status.lines.iter().skip(first)) {
-        let text = clipped(text, usize::from(area.width.saturating_sub(1)));
-        let line = Line::styled(format!(" {text}"), palette.faint());
-        write(buffer, row(area, index), &line);
-    }
+    let width = usize::from(area.width.saturating_sub(1));
+    let line = |text| Line::styled(format!(" {}", clipped(text, width)), palette.faint());
+    let lines: Vec<_> = status
+        .lines
+        .iter()
+        .skip(first)
+        .map(|text| line(text))
+        .collect();
+    write_all(buffer, inset(area, 0, plots), &lines);
 }
 
 fn draw_plots(buffer: &mut Buffer, area: Rect, status: &TrainingStatus, palette: Palette) {
-    if area.width >= WIDE_COLUMNS {
-        let width = (area.width - 2) / 2;
-        let left = Rect { width, ..area };
-        let right = Rect {
-            x: area.right() - width,
-            width,
-            ..area
-        };
-        plot::losses(buffer, left, status, palette);
-        plot::accuracies(buffer, right, status, palette);
-        return;
-    }
-    let both = area.height >= 2 * PLOT_ROWS;
-    let height = if both { area.height / 2 } else { area.height };
-    let upper = Rect { height, ..area };
-    let lower = Rect {
-        y: area.y + height,
-        height: area.height - height,
-        ..area
+    let (width, height) = ((area.width - 2) / 2, area.height / 2);
+    let [first, second] = if area.width >= WIDE_COLUMNS {
+        [Rect { width, ..area }, inset(area, area.width - width, 0)]
+    } else if area.height >= 2 * PLOT_ROWS {
+        [Rect { height, ..area }, inset(area, 0, height)]
+    } else {
+        [area, Rect::ZERO]
     };
-    plot::losses(buffer, upper, status, palette);
-    plot::accuracies(buffer, lower, status, palette);
+    plot::losses(buffer, first, status, palette);
+    plot::accuracies(buffer, second, status, palette);
 }
 
 fn header(buffer: &mut Buffer, area: Rect, status: &TrainingStatus, palette: Palette) {
     let seconds = status.elapsed.as_secs();
     let (hours, minutes) = (seconds / 3600, seconds / 60 % 60);
     let mut right = format!("{hours}:{minutes:02}:{:02}", seconds % 60);
-    if let Some(left) = status.left() {
-        let bound = if status.settings.patience > 0 {
-            "at most"
-        } else {
-            "about"
+    if let Some(left) = status.remaining() {
+        let bound = match status.settings.patience {
+            0 => "about",
+            _ => "at most",
         };
-        right = format!("{right}, {bound} {} left", time(left));
+        let left = duration_ms(left.as_secs_f64().ceil() * 1e3);
+        right = format!("{right}, {bound} {left} left");
     }
     let taken = write_right(buffer, area, &Line::from(format!("{right} ")));
     let title = " gripcast train";
     let mut line = Line::from(Span::styled(title, palette.strong()));
     let room = area.width.saturating_sub(taken + columns(title) + 6);
-    if room >= MIN_NAMES {
+    if room >= MIN_NAME_COLUMNS {
         let data = clipped(&status.data, usize::from(room / 2));
         let out = clipped(&status.out, usize::from(room - columns(&data)));
         line.push_span(Span::raw(format!("  {data}")));
         line.push_span(Span::styled(" → ", palette.faint()));
         line.push_span(Span::raw(out));
     }
-    let left = Rect {
-        width: area.width - taken,
-        ..area
-    };
-    write(buffer, left, &line);
+    write(buffer, without_last(area, taken), &line);
 }
 
-fn time(left: Duration) -> String {
-    duration_ms(left.as_secs_f64().ceil() * 1e3)
-}
-
-/// What is known in words; the upper lines are left out where it is low.
+/// Returns the lines of facts; low screens omit the upper ones.
 fn facts(status: &TrainingStatus, area: Rect, palette: Palette) -> Vec<Line<'static>> {
     let (epoch, steps) = status.epoch();
     let epochs = u64::from(status.settings.epochs);
@@ -151,7 +128,7 @@ fn facts(status: &TrainingStatus, area: Rect, palette: Palette) -> Vec<Line<'sta
 
 fn named(name: &str, text: String, palette: Palette) -> Line<'static> {
     Line::from(vec![
-        Span::styled(format!(" {name:<NAMES$}"), palette.faint()),
+        Span::styled(format!(" {name:<NAME_COLUMNS$}"), palette.faint()),
         Span::raw(text),
     ])
 }
@@ -227,7 +204,7 @@ fn best(status: &TrainingStatus, palette: Palette) -> Line<'static> {
     line
 }
 
-/// A number and how much of the whole it is.
+/// Returns a progress bar with a number and percentage.
 fn bar(
     name: &str,
     number: &str,
@@ -238,7 +215,7 @@ fn bar(
     let fraction = done.min(all) as f64 / all.max(1) as f64;
     let percent = format!(" {:>3.0} %", (100.0 * fraction).floor());
     let number = format!("{number:<16} ");
-    let room = width.saturating_sub(NAMES + 2 + number.len() + percent.len());
+    let room = width.saturating_sub(NAME_COLUMNS + 2 + number.len() + percent.len());
     let full = (fraction * room as f64).floor() as usize;
     let mut line = named(name, number, palette);
     line.push_span(Span::styled("━".repeat(full), palette.first_curve()));
@@ -250,11 +227,11 @@ fn bar(
 fn keys(palette: Palette) -> Line<'static> {
     Line::from(vec![
         Span::styled(" q", palette.strong()),
-        Span::raw(" stop; the same command goes on from the last checkpoint"),
+        Span::raw(" stop; the same command resumes from the last checkpoint"),
     ])
 }
 
-/// All that fits into one line.
+/// Returns a one-line summary.
 fn tiny(status: &TrainingStatus, palette: Palette) -> Line<'static> {
     let (epoch, [step, steps]) = status.epoch();
     let best = figure(status.best().map(|best| best.validation_accuracy));

@@ -1,7 +1,7 @@
-//! The dashboard of a training: progress, curves and the best epoch while it goes on.
+//! Training dashboard: progress, curves and best epoch.
 //!
-//! The training tells [`TrainingNews`]; [`TrainingStatus`] gathers them; [`draw`] shows it. The
-//! terminal has a thread of its own, which the training never waits for.
+//! The training sends [`TrainingNews`], [`TrainingStatus`] collects them, [`draw`] shows it. The
+//! terminal has its own thread, which the training never waits for.
 
 mod dashboard;
 mod plot;

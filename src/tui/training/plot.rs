@@ -1,4 +1,4 @@
-//! Curves over epochs.
+//! Plots of training metrics over epochs.
 
 use ratatui::buffer::Buffer;
 use ratatui::layout::Rect;
@@ -7,50 +7,50 @@ use ratatui::text::{Line, Span};
 use ratatui::widgets::{Axis, Chart, Dataset, GraphType, Widget as _};
 
 use super::super::palette::Palette;
-use super::super::text::{row, write};
+use super::super::text::{inset, row, write};
 use super::status::{TrainingStatus, figure};
 use gripcast_train::EpochMetrics;
 
-/// Epochs at the right edge at first.
-const FIRST_EPOCHS: u64 = 4;
+/// Minimum number of epochs on the axis.
+const MIN_EPOCHS: u64 = 4;
 
-/// Two curves with their names and newest values.
+/// A plot of two curves with their names and newest values.
 struct Plot {
     title: &'static str,
     /// Drawn as a line.
     first: (&'static str, Vec<(f64, f64)>),
     /// Drawn as dots.
     second: (&'static str, Vec<(f64, f64)>),
-    /// A point of the first curve that stands out.
+    /// Highlighted point of the first curve.
     marked: Vec<(f64, f64)>,
-    /// The first curve between its points.
+    /// The first curve within the current epoch.
     trace: Vec<(f64, f64)>,
     y: [f64; 2],
 }
 
-/// Draws the losses.
+/// Draws training and validation loss.
 pub(super) fn losses(buffer: &mut Buffer, area: Rect, status: &TrainingStatus, palette: Palette) {
     let first = curve(status, |e| Some(e.train_loss));
     let second = curve(status, |e| Some(e.validation_loss));
     let last = first.last().into_iter();
     let trace = last.chain(&status.trace).copied();
     let trace: Vec<_> = trace.filter(|(_, y)| y.is_finite()).collect();
-    // A first step may lie far above all that comes after it.
+    // The first step may be far above all others.
     let bounding = if first.is_empty() { &trace } else { &first };
     let values = bounding.iter().chain(&second).map(|(_, y)| *y);
-    let most = values.fold(0.0, f64::max);
+    let max = values.fold(0.0, f64::max);
     let plot = Plot {
         title: "LOSS",
         trace,
         first: ("train", first),
         second: ("validation", second),
         marked: Vec::new(),
-        y: [0.0, if most > 0.0 { 1.1 * most } else { 1.0 }],
+        y: [0.0, if max > 0.0 { 1.1 * max } else { 1.0 }],
     };
     plot.draw(buffer, area, right_edge(status), palette);
 }
 
-/// Draws accuracy and AUROC on the validation part.
+/// Draws accuracy and AUROC on the validation split.
 pub(super) fn accuracies(
     buffer: &mut Buffer,
     area: Rect,
@@ -60,7 +60,7 @@ pub(super) fn accuracies(
     let first = curve(status, |e| Some(e.validation_accuracy));
     let second = curve(status, |e| e.validation_auroc);
     let values = first.iter().chain(&second).map(|(_, y)| *y);
-    let least = values.fold(0.5, f64::min).max(0.0);
+    let min = values.fold(0.5, f64::min).max(0.0);
     let best = status.best();
     let marked = best.map(|e| (f64::from(e.epoch), e.validation_accuracy));
     let plot = Plot {
@@ -69,12 +69,12 @@ pub(super) fn accuracies(
         first: ("accuracy", first),
         second: ("AUROC", second),
         trace: Vec::new(),
-        y: [(10.0 * least).floor() / 10.0, 1.0],
+        y: [(10.0 * min).floor() / 10.0, 1.0],
     };
     plot.draw(buffer, area, right_edge(status), palette);
 }
 
-/// A figure over epochs.
+/// Returns a metric over epochs.
 fn curve(
     status: &TrainingStatus,
     figure: impl Fn(&EpochMetrics) -> Option<f64>,
@@ -86,43 +86,34 @@ fn curve(
         .collect()
 }
 
-/// The last epoch of the axis: at least half of the width is used.
+/// Returns the last epoch of the axis, so that at least half of the width is used.
 fn right_edge(status: &TrainingStatus) -> u64 {
-    let begun = status.epochs.len() as u64 + 1;
-    let room = begun.next_power_of_two().max(FIRST_EPOCHS);
+    let current = status.epochs.len() as u64 + 1;
+    let room = current.next_power_of_two().max(MIN_EPOCHS);
     room.min(u64::from(status.settings.epochs)).max(1)
 }
 
 impl Plot {
     fn draw(&self, buffer: &mut Buffer, area: Rect, epochs: u64, palette: Palette) {
         write(buffer, row(area, 0), &self.title(area.width, palette));
-        let below = Rect {
-            y: area.y + area.height.min(1),
-            height: area.height.saturating_sub(1),
-            ..area
-        };
+        let below = inset(area, 0, 1);
         if below.is_empty() {
             return;
         }
-        let set = |points, marker, line, style| {
-            let kind = if line {
-                GraphType::Line
-            } else {
-                GraphType::Scatter
-            };
-            let set = Dataset::default().data(points).marker(marker);
-            set.graph_type(kind).style(style)
+        let line = |points, style| {
+            let line = Dataset::default().data(points).marker(Marker::Braille);
+            line.graph_type(GraphType::Line).style(style)
         };
+        let points = |points, marker, style| {
+            let scatter = Dataset::default().data(points).marker(marker);
+            scatter.graph_type(GraphType::Scatter).style(style)
+        };
+        let (first, second) = (palette.first_curve(), palette.second_curve());
         let curves = vec![
-            set(&self.trace, Marker::Braille, true, palette.faint()),
-            set(&self.first.1, Marker::Braille, true, palette.first_curve()),
-            set(&self.second.1, Marker::Dot, false, palette.second_curve()),
-            set(
-                &self.marked,
-                Marker::Custom('◆'),
-                false,
-                palette.first_curve(),
-            ),
+            line(&self.trace, palette.faint()),
+            line(&self.first.1, first),
+            points(&self.second.1, Marker::Dot, second),
+            points(&self.marked, Marker::Custom('◆'), first),
         ];
         let [low, high] = self.y;
         let places = if high < 0.2 { 3 } else { 2 };
@@ -140,7 +131,7 @@ impl Plot {
         chart.legend_position(None).render(below, buffer);
     }
 
-    /// Names of the curves with their newest values, without them where it is narrow.
+    /// Returns the names of the curves with their newest values, without values if narrow.
     fn title(&self, width: u16, palette: Palette) -> Line<'static> {
         let line = |has_values: bool| {
             let named = |(name, curve): &(&str, Vec<(f64, f64)>)| {

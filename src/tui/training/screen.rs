@@ -1,30 +1,30 @@
-//! The dashboard on the terminal: news in, images out; a key asks for the end.
+//! The dashboard on a terminal.
 
 use std::sync::mpsc::{self, Receiver, RecvTimeoutError, Sender, TryRecvError};
 use std::thread;
 use std::time::{Duration, Instant};
 
-use crossterm::event::{self, Event, KeyCode, KeyEvent, KeyEventKind, KeyModifiers};
+use crossterm::event::{KeyCode, KeyEvent, KeyEventKind, KeyModifiers};
 use tokio::sync::oneshot;
 
 use super::super::input::is_interrupt;
-use super::super::keyboard::Keyboard;
+use super::super::keyboard::{Keyboard, unreadable};
 use super::super::palette::{ColourDepth, Palette};
 use super::super::terminal::ScreenTerminal;
 use super::dashboard;
 use super::status::{TrainingNews, TrainingStatus};
 use gripcast_base::error::{Error, Result};
 
-/// Longest wait for a key; bounds how late news are noticed.
+/// Maximum wait for a key; bounds the delay of news.
 const POLL: Duration = Duration::from_millis(50);
-/// Shortest time between two images.
+/// Minimum interval between two images.
 const MIN_INTERVAL: Duration = Duration::from_millis(100);
-/// Longest one: the clock goes on.
+/// Maximum interval between two images, for the clock.
 const MAX_INTERVAL: Duration = Duration::from_secs(1);
-/// How long the screen may take to come to its end.
-const PATIENCE: Duration = Duration::from_secs(2);
+/// Timeout of closing the screen.
+const CLOSE_TIMEOUT: Duration = Duration::from_secs(2);
 
-/// The dashboard's thread.
+/// Handle of the dashboard thread.
 pub(crate) struct TrainingScreen {
     messages: Sender<Message>,
     ended: Receiver<Result<()>>,
@@ -36,53 +36,53 @@ enum Message {
 }
 
 impl TrainingScreen {
-    /// Takes the terminal. The receiver is told when a key asks to stop; nobody asks any more
-    /// where its sender is dropped.
+    /// Starts the dashboard. The receiver resolves when a key requests a stop; it fails once the
+    /// dashboard has closed.
     ///
     /// # Errors
-    /// When the terminal cannot be used.
+    /// If the terminal cannot be used.
     pub(crate) fn start(status: TrainingStatus) -> Result<(Self, oneshot::Receiver<()>)> {
         let keyboard = Keyboard::open().map_err(unreadable)?;
         let depth = ColourDepth::from_environment(|name| std::env::var(name).ok());
         let terminal = ScreenTerminal::enter()?;
         let (messages, news) = mpsc::channel();
-        let (stop, asked) = oneshot::channel();
+        let (stop, stop_requested) = oneshot::channel();
         let (sender, ended) = mpsc::channel();
-        let shown = Shown {
+        let dashboard = Dashboard {
             news,
             status,
             palette: Palette { depth },
-            begun: Instant::now(),
+            start: Instant::now(),
             drawn: None,
             changed: true,
         };
         thread::Builder::new()
             .name("screen".into())
             .spawn(move || {
-                // Nobody asks any more where the process ends without the screen.
-                let _ = sender.send(shown.run(terminal, &keyboard, stop));
+                // The receiver is gone if the process ends without the screen.
+                let _ = sender.send(dashboard.run(terminal, &keyboard, stop));
             })
             .map_err(|e| Error::io("cannot start a thread", e))?;
-        Ok((Self { messages, ended }, asked))
+        Ok((Self { messages, ended }, stop_requested))
     }
 
-    /// Tells the dashboard; never waits.
-    pub(crate) fn teller(&self) -> impl Fn(TrainingNews) + Send + Sync + use<> {
+    /// Returns a function that sends news to the dashboard without waiting.
+    pub(crate) fn sender(&self) -> impl Fn(TrainingNews) + Send + Sync + use<> {
         let messages = self.messages.clone();
         move |news| {
-            // The screen has gone with its terminal, and the training goes on.
+            // The training continues if the terminal was closed.
             let _ = messages.send(Message::News(news));
         }
     }
 
-    /// Closes it and waits until the terminal is as it was. That does not come on a terminal that
-    /// takes nothing any more: the end of the process takes the thread with it.
+    /// Closes the dashboard and waits until the terminal is restored, with a timeout for blocked
+    /// terminals.
     ///
     /// # Errors
-    /// Why the screen ended on its own.
+    /// The error that ended the dashboard.
     pub(crate) fn end(self) -> Result<()> {
         let _ = self.messages.send(Message::Close);
-        match self.ended.recv_timeout(PATIENCE) {
+        match self.ended.recv_timeout(CLOSE_TIMEOUT) {
             Ok(result) => result,
             Err(RecvTimeoutError::Timeout) => Ok(()),
             Err(RecvTimeoutError::Disconnected) => Err(Error::internal("the dashboard panicked")),
@@ -90,16 +90,16 @@ impl TrainingScreen {
     }
 }
 
-struct Shown {
+struct Dashboard {
     news: Receiver<Message>,
     status: TrainingStatus,
     palette: Palette,
-    begun: Instant,
+    start: Instant,
     drawn: Option<Instant>,
     changed: bool,
 }
 
-impl Shown {
+impl Dashboard {
     fn run(
         mut self,
         mut terminal: ScreenTerminal,
@@ -107,33 +107,32 @@ impl Shown {
         stop: oneshot::Sender<()>,
     ) -> Result<()> {
         loop {
-            if !self.listen() {
+            if !self.receive() {
                 return Ok(());
             }
             self.draw(&mut terminal)?;
-            // A terminal that has gone is nobody's wish to stop.
-            if !keyboard.wait(POLL).map_err(unreadable)? {
+            // A closed terminal does not stop the training.
+            let Some(events) = keyboard.events(POLL)? else {
                 return Ok(());
-            }
-            while event::poll(Duration::ZERO).map_err(unreadable)? {
-                self.changed = true;
-                if let Event::Key(key) = event::read().map_err(unreadable)?
-                    && stops(&key)
-                {
-                    drop(terminal);
-                    let _ = stop.send(());
-                    return Ok(());
-                }
+            };
+            self.changed |= !events.is_empty();
+            if events
+                .iter()
+                .any(|e| e.as_key_event().is_some_and(|key| is_stop(&key)))
+            {
+                drop(terminal);
+                let _ = stop.send(());
+                return Ok(());
             }
         }
     }
 
-    /// Takes what was told; false closes.
-    fn listen(&mut self) -> bool {
+    /// Handles pending messages; false closes the dashboard.
+    fn receive(&mut self) -> bool {
         loop {
             match self.news.try_recv() {
                 Ok(Message::News(news)) => {
-                    self.status.take(news, self.begun.elapsed());
+                    self.status.apply(news, self.start.elapsed());
                     self.changed = true;
                 }
                 Ok(Message::Close) | Err(TryRecvError::Disconnected) => return false,
@@ -143,16 +142,14 @@ impl Shown {
     }
 
     fn draw(&mut self, terminal: &mut ScreenTerminal) -> Result<()> {
-        let since = self.drawn.map(|at| at.elapsed());
-        let least = if self.changed {
-            MIN_INTERVAL
-        } else {
-            MAX_INTERVAL
+        let interval = match self.changed {
+            true => MIN_INTERVAL,
+            false => MAX_INTERVAL,
         };
-        if since.is_some_and(|since| since < least) {
+        if self.drawn.is_some_and(|at| at.elapsed() < interval) {
             return Ok(());
         }
-        self.status.wait(self.begun.elapsed());
+        self.status.set_elapsed(self.start.elapsed());
         let (status, palette) = (&self.status, self.palette);
         terminal.draw(|frame| dashboard::draw(frame, status, palette))?;
         self.drawn = Some(Instant::now());
@@ -161,17 +158,12 @@ impl Shown {
     }
 }
 
-/// Whether the key asks for the end.
-fn stops(key: &KeyEvent) -> bool {
+/// Returns whether the key stops the training.
+fn is_stop(key: &KeyEvent) -> bool {
     let is_q = key.kind == KeyEventKind::Press
         && matches!(key.code, KeyCode::Char('q' | 'Q'))
         && (key.modifiers - KeyModifiers::SHIFT).is_empty();
     is_q || is_interrupt(key)
-}
-
-fn unreadable(source: std::io::Error) -> Error {
-    Error::io("cannot read keys from this terminal", source)
-        .remedy("run it without the screen (--headless)")
 }
 
 #[cfg(test)]
@@ -179,15 +171,15 @@ mod tests {
     use super::*;
 
     #[test]
-    fn q_and_control_c_ask_for_the_end() {
+    fn q_and_control_c_stop_the_training() {
         let key = |c, modifiers| KeyEvent::new(KeyCode::Char(c), modifiers);
-        assert!(stops(&key('q', KeyModifiers::NONE)));
-        assert!(stops(&key('Q', KeyModifiers::SHIFT)));
-        assert!(stops(&key('c', KeyModifiers::CONTROL)));
-        assert!(!stops(&key('c', KeyModifiers::NONE)));
-        assert!(!stops(&key('q', KeyModifiers::CONTROL)));
+        assert!(is_stop(&key('q', KeyModifiers::NONE)));
+        assert!(is_stop(&key('Q', KeyModifiers::SHIFT)));
+        assert!(is_stop(&key('c', KeyModifiers::CONTROL)));
+        assert!(!is_stop(&key('c', KeyModifiers::NONE)));
+        assert!(!is_stop(&key('q', KeyModifiers::CONTROL)));
         let mut released = key('q', KeyModifiers::NONE);
         released.kind = KeyEventKind::Release;
-        assert!(!stops(&released));
+        assert!(!is_stop(&released));
     }
 }

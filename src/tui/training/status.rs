@@ -1,29 +1,29 @@
-//! What the dashboard knows of a training.
+//! State of a training for the dashboard.
 
 use std::collections::VecDeque;
 use std::time::Duration;
 
-use gripcast_train::{EpochMetrics, RunStart, TrainEvent, TrainSettings};
+use gripcast_train::{EpochFigures, RunStart, TrainEvent, TrainSettings};
 
-/// Lines that are kept.
+/// Maximum kept lines.
 const LINES: usize = 100;
-/// Steps over which the speed is taken.
-const PACE_STEPS: usize = 20;
-/// Points of the training loss within an epoch.
+/// Steps over which the speed is averaged.
+const SPEED_STEPS: usize = 20;
+/// Maximum points of the training loss within an epoch.
 const TRACE_POINTS: u64 = 32;
 
-/// What happened.
+/// News of a training.
 #[derive(Clone, Debug, PartialEq)]
 pub enum TrainingNews {
-    /// The run of a seed begins.
+    /// The run of a seed has started.
     Seed(u64),
-    /// It goes on.
+    /// Event of the training.
     Train(TrainEvent),
-    /// What is done besides.
+    /// Other stage of work.
     Stage(&'static str),
 }
 
-/// What the dashboard shows.
+/// State shown by the dashboard.
 #[derive(Clone, Debug, PartialEq)]
 pub struct TrainingStatus {
     /// Name of the dataset.
@@ -31,38 +31,38 @@ pub struct TrainingStatus {
     /// Name of the run.
     pub(super) out: String,
     pub(super) settings: TrainSettings,
-    /// How many runs there are, and the number of the one under way from 1.
+    /// Number of runs, and the current one from 1.
     pub(super) seeds: u64,
     pub(super) seed_number: u64,
-    /// What is done besides steps.
+    /// Current stage other than steps.
     pub(super) stage: Option<&'static str>,
     pub(super) start: Option<RunStart>,
-    /// Steps done and all.
+    /// Finished and total steps.
     pub(super) at: [u64; 2],
-    /// Samples of the validation part that were looked at, and all, while that goes on.
+    /// Finished and total samples of a running validation.
     pub(super) look: Option<[usize; 2]>,
-    pub(super) epochs: Vec<EpochMetrics>,
+    pub(super) epochs: Vec<EpochFigures>,
     pub(super) learning_rate: Option<f64>,
-    /// Mean training loss since the epoch or this process began.
+    /// Mean training loss since the start of the epoch or process.
     pub(super) loss: Option<f64>,
-    /// That loss within the epoch under way, over epochs.
+    /// Mean training loss within the current epoch, over epochs.
     pub(super) trace: Vec<(f64, f64)>,
-    /// The newest last.
+    /// Lines, newest last.
     pub(super) lines: VecDeque<String>,
-    /// Since the dashboard began.
+    /// Time since the start of the dashboard.
     pub(super) elapsed: Duration,
-    /// When the run began or was gone on with, and at which step.
+    /// Time and step at the start or resumption of the run.
     begun: (Duration, u64),
-    /// When the last step was done.
+    /// Time of the last step.
     last: Option<Duration>,
-    /// The last steps of the epoch and when they were done.
+    /// Times and numbers of the last steps of the epoch.
     steps: VecDeque<(Duration, u64)>,
-    /// Sum and number of the losses that the mean is taken over.
+    /// Sum and number of the losses of the mean.
     losses: (f64, u64),
 }
 
 impl TrainingStatus {
-    /// Before anything has happened.
+    /// Creates the state before the first event.
     pub fn new(data: &str, out: &str, settings: TrainSettings, seeds: u64) -> Self {
         Self {
             data: data.to_owned(),
@@ -87,24 +87,24 @@ impl TrainingStatus {
         }
     }
 
-    /// Takes news that came `elapsed` after the dashboard began.
-    pub fn take(&mut self, news: TrainingNews, elapsed: Duration) {
+    /// Applies news that arrived `elapsed` after the start of the dashboard.
+    pub fn apply(&mut self, news: TrainingNews, elapsed: Duration) {
         self.elapsed = elapsed;
         match news {
             TrainingNews::Seed(seed) => self.next(seed),
             TrainingNews::Stage(stage) => self.stage = Some(stage),
-            TrainingNews::Train(TrainEvent::Started(start)) => self.begin(start),
+            TrainingNews::Train(TrainEvent::Begun(start)) => self.begin(start),
             TrainingNews::Train(TrainEvent::Step {
-                steps,
+                at,
                 loss,
                 learning_rate,
-            }) => self.step(steps, loss, learning_rate),
-            TrainingNews::Train(TrainEvent::Validate(at)) => self.look = Some(at),
+            }) => self.step(at, loss, learning_rate),
+            TrainingNews::Train(TrainEvent::Look(at)) => self.look = Some(at),
             TrainingNews::Train(TrainEvent::Epoch(figures)) => self.end_epoch(figures),
         }
     }
 
-    /// Adds a line for people.
+    /// Adds a line of text.
     pub fn line(&mut self, text: impl Into<String>) {
         if self.lines.len() == LINES {
             self.lines.pop_front();
@@ -112,12 +112,12 @@ impl TrainingStatus {
         self.lines.push_back(text.into());
     }
 
-    /// Lets time pass without news.
-    pub fn wait(&mut self, elapsed: Duration) {
+    /// Sets the elapsed time.
+    pub fn set_elapsed(&mut self, elapsed: Duration) {
         self.elapsed = elapsed;
     }
 
-    /// The run of another seed; what was shown of the last one becomes a line.
+    /// Starts the run of another seed and keeps the last result as a line.
     fn next(&mut self, seed: u64) {
         if self.start.is_some() {
             let best = self.best().map(|best| {
@@ -142,14 +142,14 @@ impl TrainingStatus {
 
     fn begin(&mut self, start: RunStart) {
         self.stage = None;
-        self.at = start.steps;
-        self.begun = (self.elapsed, start.steps[0]);
+        self.at = start.at;
+        self.begun = (self.elapsed, start.at[0]);
         self.epochs.clone_from(&start.epochs);
-        if start.steps[0] > 0 {
+        if start.at[0] > 0 {
             let epochs = start.epochs.len();
             self.line(format!(
-                "goes on after {epochs} epochs, {} steps",
-                start.steps[0]
+                "resumed after {epochs} epochs, {} steps",
+                start.at[0]
             ));
         }
         self.start = Some(start);
@@ -160,7 +160,7 @@ impl TrainingStatus {
         self.at = at;
         self.last = Some(self.elapsed);
         self.learning_rate = Some(learning_rate);
-        if self.steps.len() > PACE_STEPS {
+        if self.steps.len() > SPEED_STEPS {
             self.steps.pop_front();
         }
         self.steps.push_back((self.elapsed, at[0]));
@@ -174,24 +174,24 @@ impl TrainingStatus {
         }
     }
 
-    fn end_epoch(&mut self, figures: EpochMetrics) {
+    fn end_epoch(&mut self, figures: EpochFigures) {
         (self.look, self.losses) = (None, (0.0, 0));
         self.trace.clear();
-        // Looking at the validation part is no part of the speed.
+        // Validation does not count for the speed.
         self.steps.clear();
         self.line(epoch_line(&figures));
         self.epochs.push(figures);
     }
 
-    /// The epoch of the best checkpoint.
-    pub(super) fn best(&self) -> Option<&EpochMetrics> {
+    /// Returns the epoch of the best checkpoint.
+    pub(super) fn best(&self) -> Option<&EpochFigures> {
         self.epochs.iter().reduce(|best, next| {
             let is_better = next.beats([best.validation_accuracy, best.validation_loss]);
             if is_better { next } else { best }
         })
     }
 
-    /// The epoch under way, from 1, and its steps done and all.
+    /// Returns the current epoch, from 1, with its finished and total steps.
     pub(super) fn epoch(&self) -> (u64, [u64; 2]) {
         let steps = self.start.as_ref().map_or(0, |start| start.steps_per_epoch);
         let done = self.epochs.len() as u64;
@@ -200,20 +200,20 @@ impl TrainingStatus {
         (number, [step, steps])
     }
 
-    /// Samples learned from in a second, lately.
+    /// Returns the current training speed, samples/s.
     pub(super) fn samples_per_s(&self) -> Option<f64> {
-        let lately = || {
+        let current = || {
             let ((first, from), (last, to)) = (self.steps.front()?, self.steps.back()?);
             let seconds = last.checked_sub(*first)?.as_secs_f64();
-            let samples = (to - from) as f64 * self.settings.batch_size as f64;
+            let samples = (to - from) as f64 * self.settings.batch as f64;
             (seconds > 0.0).then(|| samples / seconds)
         };
         let before = || Some(self.epochs.last()?.samples_per_s);
-        lately().or_else(before)
+        current().or_else(before)
     }
 
-    /// Time that all runs still take, if each does all its epochs.
-    pub(super) fn left(&self) -> Option<Duration> {
+    /// Returns the remaining time of all runs without early stopping.
+    pub(super) fn remaining(&self) -> Option<Duration> {
         let (begun, from) = self.begun;
         let [done, all] = self.at;
         let moved = done.checked_sub(from).filter(|moved| *moved > 0)?;
@@ -223,13 +223,13 @@ impl TrainingStatus {
     }
 }
 
-/// A figure, or a dash where there is none.
+/// Formats a metric, or a dash for a missing one.
 pub(super) fn figure(value: Option<f64>) -> String {
     value.map_or("–".to_owned(), |x| format!("{x:.3}"))
 }
 
-/// A finished epoch in a line.
-pub(crate) fn epoch_line(figures: &EpochMetrics) -> String {
+/// Formats a finished epoch in one line.
+pub(crate) fn epoch_line(figures: &EpochFigures) -> String {
     format!(
         "epoch {:>3}  loss {:.4}  validation: loss {:.4}, accuracy {:.3}, AUROC {}  {:.0} samples/s",
         figures.epoch,

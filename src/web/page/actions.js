@@ -1,19 +1,19 @@
 /**
- * The command buttons. They show the server's state and nothing that is guessed here.
+ * Command buttons; they show the server's state only.
  *
  * @import {Session} from "./types.js"
  */
-import { ApiError, change, whyNot } from "./api.js";
+import { ApiError, change, failureReason } from "./api.js";
 import { attribute, byId, say, style, toast } from "./dom.js";
 import { STEPS } from "./words.js";
 
-/** Whether a command waits for its answer. */
+/** Whether a command is pending. */
 let waiting = false;
 let linked = false;
 /** @type {Session|null} */
 let session = null;
 
-/** @param {Session|null} now @param {boolean} up whether the server can be reached */
+/** @param {Session|null} now @param {boolean} up whether the server is connected */
 export function drawActions(now, up) {
   session = now;
   linked = up;
@@ -28,13 +28,13 @@ export function drawActions(now, up) {
   say(byId("redo").querySelector("small"), now.redo ?? "");
   byId("override").hidden = !now.refusal?.can_override;
   for (const name of ["trigger", "stable", "slip", "undo", "redo", "initial", "override"]) {
-    // `disabled` would take the focus away from who works by keyboard.
-    attribute(byId(name), "aria-disabled", possible(name) ? null : "true");
+    // `disabled` would drop the keyboard focus.
+    attribute(byId(name), "aria-disabled", isPossible(name) ? null : "true");
   }
 }
 
 /** Whether a button can lead to anything; the server decides. @param {string} name */
-function possible(name) {
+function isPossible(name) {
   if (!session || !linked || waiting || session.saving) return false;
   switch (name) {
     case "trigger":
@@ -54,12 +54,12 @@ function possible(name) {
 }
 
 /**
- * Sends a command; one at a time, so that a double tap is not two steps.
+ * Sends a command, one at a time, so that a double tap is not two steps.
  * @param {string} text
  */
 export async function command(text) {
   if (!linked) {
-    toast("not sent: the connection to gripcast is lost", "error");
+    toast("not sent: no connection to gripcast", "error");
     return;
   }
   if (waiting || session?.saving) return;
@@ -68,11 +68,11 @@ export async function command(text) {
   try {
     const answer = await change("POST", "api/commands", { command: text });
     const shown = answer.state?.session;
-    // What the state says is on the page already, on every page.
-    if (answer.result !== "accepted" && !shown?.refusal && !shown?.message) toast(whyNot(answer), "error");
+    // Refusals and messages of the state are on every page already.
+    if (answer.result !== "accepted" && !shown?.refusal && !shown?.message) toast(failureReason(answer), "error");
   } catch (error) {
     const lost = error instanceof ApiError && error.status === 0;
-    toast(lost ? `no answer to “${text}”: look at the step before you press again` : `${text}: ${/** @type {Error} */ (error).message}`, "error");
+    toast(lost ? `no response to “${text}”: check the step before you press again` : `${text}: ${/** @type {Error} */ (error).message}`, "error");
   } finally {
     waiting = false;
     drawActions(session, linked);
@@ -81,7 +81,7 @@ export async function command(text) {
 
 export function startActions() {
   const bar = byId("actions");
-  // A click leaves the focus where it was, or the next space would press this button again.
+  // A click must not move the focus, or the next space would press this button again.
   bar.addEventListener("mousedown", (/** @type {MouseEvent} */ event) => event.preventDefault());
   bar.addEventListener("click", (/** @type {MouseEvent} */ event) => {
     const button = /** @type {HTMLElement} */ (event.target).closest("button");

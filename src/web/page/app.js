@@ -1,5 +1,5 @@
 /**
- * The page: state comes from the server, goes to the parts, and nothing is kept between.
+ * The page: draws the server's state and keeps none of its own.
  *
  * @import {State} from "./types.js"
  */
@@ -17,33 +17,33 @@ import { askToken, drawLogout, loginFromAddress, startLogin, startLogout } from 
 import { Images } from "./images.js";
 import { play, startSound } from "./sound.js";
 
-/** After this long without news a prediction is no longer one, ms. */
-const NEWS_MS = 1500;
+/** Age of the state after which its prediction is hidden, ms. */
+const STATE_TIMEOUT_MS = 1500;
 
 /** @type {State|null} */
 let state = null;
-let heard = 0;
-/** Why the server cannot be reached; null while it can. @type {string|null} */
-let cut = "connecting …";
-/** @type {string|null} */
-let known = null;
+let receivedAt = 0;
+/** Reason why the server is not connected; null while it is. @type {string|null} */
+let offline = "connecting …";
+/** Version of the server that this page belongs to. @type {string|null} */
+let loadedVersion = null;
 const images = new Images();
 const reader = new Reader();
 
 function draw() {
-  drawActions(state?.session ?? null, cut === null);
+  drawActions(state?.session ?? null, offline === null);
   if (!state) return;
   drawSteps(state.session);
-  reader.note(state.session, drawGauge(state, silence()));
+  reader.note(state.session, drawGauge(state, staleReason()));
   drawLabels(state, openDetail);
   drawCameras(state);
   images.draw(state);
 }
 
-/** Why the newest state says nothing about this moment. */
-function silence() {
-  if (cut) return cut;
-  return performance.now() - heard > NEWS_MS ? "no news from gripcast" : null;
+/** Reason why the newest state is out of date. */
+function staleReason() {
+  if (offline) return offline;
+  return performance.now() - receivedAt > STATE_TIMEOUT_MS ? "no data from gripcast" : null;
 }
 
 /** @param {string} text empty to close it */
@@ -56,14 +56,14 @@ function linkBanner(text) {
 const link = new Link({
   state(now) {
     state = now;
-    heard = performance.now();
+    receivedAt = performance.now();
     draw();
   },
   tone: play,
   stored: galleryChanged,
   linked() {
-    cut = null;
-    document.body.classList.remove("cut", "locked");
+    offline = null;
+    document.body.classList.remove("offline", "locked");
     byId("login").hidden = true;
     linkBanner("");
     draw();
@@ -72,39 +72,39 @@ const link = new Link({
     reloadAfterUpdate();
     drawLogout();
   },
-  lost(bye) {
-    cut = bye ? "gripcast has stopped" : "connection lost";
-    document.body.classList.add("cut");
+  lost(isShutdown) {
+    offline = isShutdown ? "gripcast has stopped" : "connection lost";
+    document.body.classList.add("offline");
     linkBanner(
-      bye
-        ? "gripcast was stopped. All saved grasps are safe. This page goes on when it is started again."
-        : "Connection lost, saved grasps are safe. Trying again …",
+      isShutdown
+        ? "gripcast has stopped. All saved grasps are safe. This page reconnects when gripcast is restarted."
+        : "Connection lost; all saved grasps are safe. Reconnecting …",
     );
     images.stop();
     draw();
   },
   locked() {
     images.stop();
-    cut = "log in first";
+    offline = "log in first";
     linkBanner("");
     document.body.classList.add("locked");
     askToken();
   },
 });
 
-/** A newer gripcast brings a newer page. */
+/** Reloads the page after an update of gripcast. */
 async function reloadAfterUpdate() {
   try {
     const now = await version();
-    if (known && now && now !== known) location.reload();
-    known = now ?? known;
-    say(byId("version"), known ? `gripcast ${known}` : "");
+    if (loadedVersion && now && now !== loadedVersion) location.reload();
+    loadedVersion = now ?? loadedVersion;
+    say(byId("version"), loadedVersion ? `gripcast ${loadedVersion}` : "");
   } catch {
-    // The next link tells.
+    // Checked again at the next connection.
   }
 }
 
-/** Shows the view that the address names; images run only where they are seen. */
+/** Shows the view of the address; images load only while visible. */
 function view() {
   const grasps = location.hash === "#grasps";
   byId("collect").hidden = grasps;
@@ -115,18 +115,18 @@ function view() {
     else anchor.removeAttribute("aria-current");
   }
   showGallery(grasps);
-  const seen = !grasps && !document.hidden && cut === null;
-  if (seen && !images.running) images.start();
-  else if (!seen) images.stop();
+  const visible = !grasps && !document.hidden && offline === null;
+  if (visible && !images.running) images.start();
+  else if (!visible) images.stop();
 }
 
-/** A screen that is propped on the table shall not go dark. Browsers allow it on secure pages. */
+/** Keeps the screen on; browsers allow this on secure pages. */
 async function stayAwake() {
   if (document.hidden) return;
   try {
     await navigator.wakeLock?.request("screen");
   } catch {
-    // The screen's own setting holds.
+    // The screen keeps its own setting.
   }
 }
 
@@ -149,7 +149,7 @@ document.addEventListener("visibilitychange", () => {
   view();
   stayAwake();
 });
-setInterval(() => state && drawGauge(state, silence()), 1000);
+setInterval(() => state && drawGauge(state, staleReason()), 1000);
 stayAwake();
 await loginFromAddress();
 view();

@@ -1,13 +1,13 @@
 /**
- * Health of the cameras in detail, and a failed one in red.
+ * Health of the cameras in detail, and the fault panel.
  *
  * @import {Camera, Role, State} from "./types.js"
  */
 import { button, byId, make, refill, style } from "./dom.js";
-import { alive, fault, isFault, place, rates, stateWords } from "./words.js";
+import { fault, identity, isFault, liveCount, rates, stateWords } from "./words.js";
 
-/** Faults that were made small by hand; a camera that is back may fail loudly again. @type {Set<Role>} */
-const shrunk = new Set();
+/** Minimised faults; a camera that recovers is removed. @type {Set<Role>} */
+const minimised = new Set();
 /** @type {State|null} */
 let latest = null;
 
@@ -18,9 +18,9 @@ export function drawCameras(state) {
   drawFault();
 }
 
-/** Makes the present faults one line. */
-export function shrinkFaults() {
-  for (const camera of latest?.cameras.filter(isFault) ?? []) shrunk.add(camera.role);
+/** Minimises the current faults to one line. */
+export function minimiseFaults() {
+  for (const camera of latest?.cameras.filter(isFault) ?? []) minimised.add(camera.role);
   drawFault();
 }
 
@@ -28,21 +28,21 @@ function drawFault() {
   if (!latest) return;
   const { cameras, session } = latest;
   const failed = cameras.filter(isFault);
-  for (const role of [...shrunk]) {
-    if (!failed.some((camera) => camera.role === role)) shrunk.delete(role);
+  for (const role of [...minimised]) {
+    if (!failed.some((camera) => camera.role === role)) minimised.delete(role);
   }
-  const large = failed.some(({ role }) => !shrunk.has(role));
+  const large = failed.some(({ role }) => !minimised.has(role));
   const box = byId("fault");
   box.hidden = failed.length === 0;
   byId("work").classList.toggle("behind", large);
   style(box, large ? "large" : "");
-  const calm =
+  const reassurance =
     session.step === "label"
       ? "the last grasp is saved; label it: s stable, f slip"
-      : "all saved grasps are safe; this closes by itself";
-  // Seconds that count up must not be read out again and again.
-  const key = [large, calm, failed.map(({ role, state, reason, port, serial }) => [role, state, reason, port, serial])];
-  refill(box, key, () => (large ? largeFault(failed, cameras, calm) : failed.map(smallFault)));
+      : "all saved grasps are safe; this panel closes by itself";
+  // Screen readers must not read out the counting seconds.
+  const key = [large, reassurance, failed.map(({ role, state, reason, port, serial }) => [role, state, reason, port, serial])];
+  refill(box, key, () => (large ? largeFault(failed, cameras, reassurance) : failed.map(smallFault)));
   for (const camera of failed) {
     const since = box.querySelector(`[data-role="${camera.role}"]`);
     if (since) since.textContent = fault(camera).words;
@@ -57,29 +57,29 @@ function since(camera) {
   return node;
 }
 
-/** @param {Camera[]} failed @param {Camera[]} all @param {string} calm */
-function largeFault(failed, all, calm) {
+/** @param {Camera[]} failed @param {Camera[]} all @param {string} reassurance */
+function largeFault(failed, all, reassurance) {
   const [first, ...others] = failed;
   if (!first) return [];
   const { part, remedy } = fault(first);
   const nodes = [
     make("h2", "", `${part} `, since(first)),
-    make("p", "where", place(first)),
+    make("p", "where", identity(first)),
     make("p", "remedy", `→ ${remedy}`),
   ];
   if (first.reason) nodes.push(make("p", "reason", first.reason));
   for (const other of others) {
-    nodes.push(make("p", "also", `also: ${fault(other).part} `, since(other), ` — ${fault(other).remedy} (${place(other)})`));
+    nodes.push(make("p", "also", `also: ${fault(other).part} `, since(other), ` — ${fault(other).remedy} (${identity(other)})`));
   }
-  nodes.push(make("p", "", `${alive(all)} · capture is blocked until it is back`), make("p", "", calm));
-  nodes.push(button("make it small (Esc)", shrinkFaults));
+  nodes.push(make("p", "", `${liveCount(all)} · capture is blocked until the camera recovers`), make("p", "", reassurance));
+  nodes.push(button("minimise (Esc)", minimiseFaults));
   return nodes;
 }
 
 /** @param {Camera} camera */
 function smallFault(camera) {
   const { part, remedy } = fault(camera);
-  return make("p", "", make("b", "", `${part} `, since(camera)), ` — ${remedy} (${place(camera)})`);
+  return make("p", "", make("b", "", `${part} `, since(camera)), ` — ${remedy} (${identity(camera)})`);
 }
 
 /** @param {Camera[]} cameras */
@@ -100,7 +100,7 @@ function drawDetail(cameras) {
         "section",
         "",
         make("h3", "", `${camera.role} `, make("span", camera.state === "live" ? "stable" : "slip", words)),
-        make("p", "", place(camera)),
+        make("p", "", identity(camera)),
         make("p", "", `${rate} · newest frame ${age} old`),
         make("p", "faint", counters.join(" · ")),
         ...(camera.markers ? [make("p", camera.markers.ok ? "stable" : "warning", camera.markers.text)] : []),

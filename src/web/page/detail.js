@@ -1,9 +1,9 @@
 /**
- * One grasp: all its images, what was said and predicted, relabel and trash.
+ * One grasp: images, label, prediction, relabelling and trash.
  *
  * @import {Outcome, Role} from "./types.js"
  */
-import { address, ApiError, change, get, whyNot } from "./api.js";
+import { address, ApiError, change, get, failureReason } from "./api.js";
 import { button, byId, make, refill, say, toast } from "./dom.js";
 import { neighbours, noteTrashed, restore } from "./gallery.js";
 import { markNode, outcomeNode } from "./labels.js";
@@ -13,7 +13,7 @@ import { agreement, moment, short } from "./words.js";
 const ROLES = ["left", "right", "rgb", "depth", "external"];
 /** @type {string|null} */
 let open = null;
-/** Whether an answer is awaited: one change at a time. */
+/** Whether a change is pending; one at a time. */
 let busy = false;
 
 /** @param {string} id */
@@ -28,7 +28,7 @@ export async function openDetail(id) {
   await refreshDetail();
 }
 
-/** Draws the open grasp from what is on disk now. */
+/** Reloads and draws the open grasp. */
 export async function refreshDetail() {
   const id = open;
   if (!id || !byId("detail-dialog").open) return;
@@ -36,16 +36,16 @@ export async function refreshDetail() {
     const record = await get(`api/grasps/${encodeURIComponent(id)}`);
     if (id === open) draw(record);
   } catch (error) {
-    if (id === open) drawGone(id, /** @type {Error} */ (error));
+    if (id === open) drawMissing(id, /** @type {Error} */ (error));
   }
 }
 
 /** @param {string} id @param {Error} error */
-function drawGone(id, error) {
+function drawMissing(id, error) {
   const trashed = error instanceof ApiError && error.status === 404;
   refill(byId("detail"), [id, error.message], () => [
-    make("p", "", trashed ? "This grasp is not in the dataset now; it may be in the trash." : error.message),
-    ...(trashed ? [button("Take it back from the trash", () => restore(id), "primary")] : []),
+    make("p", "", trashed ? "This grasp is not in the dataset; it may be in the trash." : error.message),
+    ...(trashed ? [button("Restore from trash", () => restore(id), "primary")] : []),
   ]);
 }
 
@@ -84,7 +84,7 @@ function verdict({ outcome, prediction }) {
   return line;
 }
 
-/** A row a camera; initial, grasp, and for gels the difference. @param {any} record */
+/** One row per camera: initial, grasp and tactile difference. @param {any} record */
 function images({ id, initial, grasp }) {
   const roles = ROLES.filter((role) => initial?.cameras?.[role] || grasp?.cameras?.[role]);
   const box = make("div", "detail-images");
@@ -116,7 +116,7 @@ function image(id, role, stage, file, first) {
   link.href = address(`${base}/files/${encodeURIComponent(file)}`);
   link.target = "_blank";
   link.rel = "noopener";
-  link.title = "as on disk";
+  link.title = "original file";
   return make("figure", "", caption, link);
 }
 
@@ -124,14 +124,14 @@ function image(id, role, stage, file, first) {
 function facts(record) {
   const guards = (record.overridden_guards ?? []).map((/** @type {any} */ each) => `${each.stage}: ${each.reason}`);
   const pairs = [
-    ["key", record.id],
+    ["id", record.id],
     ["object", record.object],
     ["scene", record.scene],
     ["operator", record.operator],
     ["labelled", record.labelled_at && moment(record.labelled_at)],
     ["model", record.prediction?.model],
-    ["frames apart", record.grasp?.skew_ms !== undefined && `${Number(record.grasp.skew_ms).toFixed(0)} ms`],
-    ["taken anyway", guards.join("; ")],
+    ["skew", record.grasp?.skew_ms !== undefined && `${Number(record.grasp.skew_ms).toFixed(0)} ms`],
+    ["overridden guards", guards.join("; ")],
     ["note", record.note],
   ];
   const list = make("dl", "facts");
@@ -155,7 +155,7 @@ function sideButton(text, id) {
 
 /** @param {string} id @param {string} object */
 async function trash(id, object) {
-  if (await alter(`api/grasps/${encodeURIComponent(id)}/trash`, undefined, "not moved")) noteTrashed(id, object);
+  if (await alter(`api/grasps/${encodeURIComponent(id)}/trash`, undefined, "not moved to trash")) noteTrashed(id, object);
 }
 
 /** @param {string} path @param {object|undefined} body @param {string} failure */
@@ -164,7 +164,7 @@ async function alter(path, body, failure) {
   busy = true;
   try {
     const answer = await change("POST", path, body);
-    if (answer.result !== "accepted") toast(`${failure}: ${whyNot(answer)}`, "error");
+    if (answer.result !== "accepted") toast(`${failure}: ${failureReason(answer)}`, "error");
     await refreshDetail();
     return answer.result === "accepted";
   } catch (error) {

@@ -1,6 +1,6 @@
-/** Small hands for the page. Texts go through `textContent` alone: names are not to be trusted. */
+/** DOM helpers. Texts are set as `textContent` only, because names are not trusted. */
 
-/** The element of that id, which the page has. @param {string} id @returns {any} */
+/** Returns the element with this id. @param {string} id @returns {any} */
 export function byId(id) {
   const node = document.getElementById(id);
   if (!node) throw new Error(`the page has no #${id}`);
@@ -8,7 +8,7 @@ export function byId(id) {
 }
 
 /**
- * A new element.
+ * Creates an element.
  * @param {string} tag
  * @param {string} [className]
  * @param {...(Node|string)} children
@@ -29,17 +29,17 @@ export function button(text, act, className = "") {
   return node;
 }
 
-/** Sets a text only where it differs: ten states a second must not disturb a selection. */
+/** Sets a text only if it differs, so that updates do not disturb a selection. */
 export function say(/** @type {Element} */ node, /** @type {string} */ text) {
   if (node.textContent !== text) node.textContent = text;
 }
 
-/** Sets a class only where it differs. */
+/** Sets a class only if it differs. */
 export function style(/** @type {Element} */ node, /** @type {string} */ className) {
   if (node.className !== className) node.className = className;
 }
 
-/** Sets or removes an attribute only where it differs. */
+/** Sets or removes an attribute only if it differs. */
 export function attribute(/** @type {Element} */ node, /** @type {string} */ name, /** @type {string|null} */ value) {
   if (value === null) node.removeAttribute(name);
   else if (node.getAttribute(name) !== value) node.setAttribute(name, value);
@@ -49,7 +49,7 @@ export function attribute(/** @type {Element} */ node, /** @type {string} */ nam
 const drawn = new WeakMap();
 
 /**
- * Fills `node` anew, but only when `key` differs from the last time.
+ * Replaces the children of `node` if `key` has changed.
  * @param {Element} node
  * @param {unknown} key
  * @param {() => (Node|string)[]} children
@@ -62,7 +62,7 @@ export function refill(node, key, children) {
 }
 
 /**
- * A line at the foot of the page for a while, with something to press where that helps.
+ * Shows a temporary message at the bottom of the page.
  * @param {string} text
  * @param {"info"|"error"} [level]
  */
@@ -76,7 +76,7 @@ export function toast(text, level = "info") {
   setTimeout(() => line.remove(), level === "error" ? 15000 : 6000);
 }
 
-/** Opens a dialog, or closes it when it is open. @param {HTMLDialogElement} dialog */
+/** Opens or closes a dialog. @param {HTMLDialogElement} dialog */
 export function toggle(dialog) {
   if (dialog.open) dialog.close();
   else dialog.showModal();

@@ -1,16 +1,16 @@
 /**
- * The grasps of the dataset, newest first.
+ * List of the saved grasps, newest first.
  *
  * @import {GraspSummary, Outcome} from "./types.js"
  */
-import { address, change, get, whyNot } from "./api.js";
+import { address, change, get, failureReason } from "./api.js";
 import { openDetail, refreshDetail } from "./detail.js";
 import { button, byId, make, refill, say, toast } from "./dom.js";
 import { markNode, outcomeNode } from "./labels.js";
 import { moment, OUTCOMES, short } from "./words.js";
 
 const PAGE = 24;
-/** Changes of the dataset come in bursts; one look at the list serves them all, ms. */
+/** Delay that merges a burst of changes into one reload, ms. */
 const BURST_MS = 250;
 /** @type {[string, string, string][]} */
 const FILTERS = [
@@ -29,12 +29,12 @@ let next = null;
 let wanted = PAGE;
 let shown = false;
 let timer = 0;
-/** Counts loads; an answer that was overtaken is dropped. */
+/** Number of the newest load; responses of earlier loads are dropped. */
 let round = 0;
-/** What was moved to the trash from here. @type {Map<string, string>} */
+/** Grasps moved to the trash on this page: id and object. @type {Map<string, string>} */
 const trashed = new Map();
 
-/** Loads what is shown anew. */
+/** Reloads the list. */
 async function load() {
   const mine = (round += 1);
   try {
@@ -51,14 +51,14 @@ async function load() {
     next = before;
     draw();
   } catch (error) {
-    if (mine === round) say(byId("gallery-note"), `the list could not be loaded: ${/** @type {Error} */ (error).message}`);
+    if (mine === round) say(byId("gallery-note"), `cannot load the list: ${/** @type {Error} */ (error).message}`);
   }
 }
 
 function draw() {
   for (const { id } of grasps) trashed.delete(id);
   drawTrashed();
-  const none = filter[0] === "all" ? "no grasp yet" : "no grasp of this kind";
+  const none = filter[0] === "all" ? "no grasp yet" : "no matching grasp";
   say(byId("gallery-note"), grasps.length ? "" : none);
   byId("more").hidden = !next;
   const list = byId("gallery");
@@ -70,7 +70,7 @@ function draw() {
     refill(card, grasp, () => [cardButton(grasp)]);
     return card;
   });
-  // Only what differs moves: images stay loaded and the focus stays where it is.
+  // Unchanged cards stay in place, so that images stay loaded and the focus is kept.
   const kept = new Set(wantedCards);
   for (const card of [...list.children]) if (!kept.has(card)) card.remove();
   wantedCards.forEach((card, index) => {
@@ -97,7 +97,7 @@ function cardButton(grasp) {
   return node;
 }
 
-/** Both gels as they changed, and the colour image. @param {GraspSummary} grasp */
+/** Thumbnails: both tactile differences and the colour image. @param {GraspSummary} grasp */
 function thumbs({ id, roles }) {
   const wantedThumbs = [
     ["left", "difference"],
@@ -118,7 +118,7 @@ function thumbs({ id, roles }) {
 function drawTrashed() {
   refill(byId("trashed"), [...trashed], () =>
     [...trashed].map(([id, object]) =>
-      make("li", "", `grasp ${short(id)} ${object} is in the trash `, button("Take it back", () => restore(id))),
+      make("li", "", `grasp ${short(id)} ${object} is in the trash `, button("Restore", () => restore(id))),
     ),
   );
 }
@@ -134,17 +134,17 @@ export function noteTrashed(id, object) {
 export async function restore(id) {
   try {
     const answer = await change("POST", `api/grasps/${encodeURIComponent(id)}/restore`);
-    if (answer.result !== "accepted") return toast(whyNot(answer), "error");
+    if (answer.result !== "accepted") return toast(failureReason(answer), "error");
     trashed.delete(id);
     drawTrashed();
-    toast(`grasp ${short(id)} is back`);
+    toast(`grasp ${short(id)} restored`);
     galleryChanged();
   } catch (error) {
-    toast(`grasp ${short(id)} not taken back: ${/** @type {Error} */ (error).message}`, "error");
+    toast(`grasp ${short(id)} not restored: ${/** @type {Error} */ (error).message}`, "error");
   }
 }
 
-/** The dataset has changed, or may have. */
+/** Reloads after a possible change of the dataset. */
 export function galleryChanged() {
   clearTimeout(timer);
   timer = setTimeout(() => {
@@ -178,7 +178,7 @@ export function startGallery() {
   });
 }
 
-/** The grasps beside one in the list. @param {string} id */
+/** Neighbours of a grasp in the list. @param {string} id */
 export function neighbours(id) {
   const at = grasps.findIndex((grasp) => grasp.id === id);
   return { newer: at > 0 ? grasps[at - 1].id : null, older: at >= 0 ? (grasps[at + 1]?.id ?? null) : null };

@@ -1,19 +1,19 @@
 /**
- * The steps and the stability gauge, for eyes two metres away.
+ * Steps and stability gauge, readable from two metres.
  *
  * @import {Prediction, Session, State} from "./types.js"
  */
 import { attribute, byId, make, refill, say, style } from "./dom.js";
-import { banner, claim, duration, levelled, STEPS } from "./words.js";
+import { banner, duration, messageText, shownVerdict, STEPS } from "./words.js";
 
-/** A verdict is read out once it has lasted this long, ms. */
+/** Time after which a verdict is read out by screen readers, ms. */
 const SETTLED_MS = 1200;
 
 /** @param {Session} session */
 export function drawSteps(session) {
   const now = banner(session);
   const age = session.step === "grasp" && session.initial_age_s !== null ? ` ${duration(session.initial_age_s * 1e3)} ago` : "";
-  const note = session.message && session.message.level !== "error" ? levelled(session.message) : "";
+  const note = session.message && session.message.level !== "error" ? messageText(session.message) : "";
   refill(byId("steps"), [now, age, note], () =>
     Object.entries(STEPS).map(([name, { number }]) => {
       const here = number === now.number;
@@ -31,7 +31,7 @@ export function drawSteps(session) {
   );
 }
 
-/** What to read out when the step changes. @param {Session} session */
+/** Text for screen readers when the step changes. @param {Session} session */
 export function stepSentence(session) {
   const now = banner(session);
   return `Step ${now.number} of 3: ${now.verb}. ${now.instruction}`;
@@ -39,18 +39,18 @@ export function stepSentence(session) {
 
 /**
  * @param {State} state
- * @param {string|null} cut why nothing that the gauge says counts at the moment
+ * @param {string|null} staleReason why the state is out of date
  */
-export function drawGauge(state, cut) {
-  const prediction = cut ? null : finite(state.prediction);
-  const said = prediction ? claim(prediction) : "none";
-  style(byId("gauge"), said);
+export function drawGauge(state, staleReason) {
+  const prediction = staleReason ? null : finite(state.prediction);
+  const verdict = prediction ? shownVerdict(prediction) : "none";
+  style(byId("gauge"), verdict);
   say(byId("number"), prediction ? Math.min(Math.max(prediction.p_stable, 0), 1).toFixed(2) : "-.--");
-  const reason = cut ?? state.prediction_absent ?? "waiting for the first prediction";
-  say(byId("verdict"), prediction ? said.toUpperCase() : `no prediction: ${reason}`);
+  const reason = staleReason ?? state.no_prediction_reason ?? "waiting for the first prediction";
+  say(byId("verdict"), prediction ? verdict.toUpperCase() : `no prediction: ${reason}`);
   drawBar(prediction);
-  drawTitle(prediction, said);
-  return said;
+  drawTitle(prediction, verdict);
+  return verdict;
 }
 
 /** @param {Prediction|null} prediction */
@@ -64,7 +64,7 @@ function drawBar(prediction) {
   byId("fill").style.width = `${(100 * p).toFixed(1)}%`;
   const trough = byId("trough");
   attribute(trough, "aria-valuenow", p.toFixed(2));
-  attribute(trough, "aria-valuetext", prediction ? `${p.toFixed(2)}, ${claim(prediction)}` : "no prediction");
+  attribute(trough, "aria-valuetext", prediction ? `${p.toFixed(2)}, ${shownVerdict(prediction)}` : "no prediction");
   const threshold = prediction?.threshold ?? NaN;
   const mark = byId("threshold");
   mark.hidden = !(threshold >= 0 && threshold <= 1);
@@ -72,18 +72,18 @@ function drawBar(prediction) {
   say(byId("threshold-value"), mark.hidden ? "" : `▲ ${threshold.toFixed(2)}`);
 }
 
-/** @param {Prediction|null} prediction @param {string} said */
-function drawTitle(prediction, said) {
+/** @param {Prediction|null} prediction @param {string} verdict */
+function drawTitle(prediction, verdict) {
   byId("heuristic").hidden = !prediction?.heuristic;
   byId("unknown").hidden = prediction?.verdict !== "unsure";
   say(byId("model"), prediction?.model ?? "");
-  style(byId("age"), said === "old" ? "warning" : "faint");
+  style(byId("age"), verdict === "old" ? "warning" : "faint");
   say(byId("age"), prediction ? `frame ${duration(prediction.frame_age_ms)} old` : "");
   const timing = prediction && `result in ${duration(prediction.latency_ms)} · model ${prediction.engine_ms.toFixed(1)} ms`;
   say(byId("timing"), timing ?? "");
 }
 
-/** Reads out steps at once and verdicts once they last, to those who do not see the page. */
+/** Screen reader output: steps at once, verdicts once they are stable. */
 export class Reader {
   constructor() {
     this.step = "";

@@ -1,17 +1,17 @@
 /**
- * Live images, each with the health of its camera. A browser keeps six connections to a server, over all its windows: five endless
- * streams in each of two windows would leave none for the commands. So one window streams, every
- * other fetches still after still over at most two connections.
+ * Live images with the health of each camera. Browsers open at most six connections to a server
+ * over all windows, and streams in two windows would leave none for commands. So one window
+ * streams; all others fetch single images over at most two connections.
  *
  * @import {Camera, Role, State} from "./types.js"
  */
 import { address } from "./api.js";
 import { openSensors } from "./cameras.js";
 import { button, byId, make, refill, say, style } from "./dom.js";
-import { isFault, rates, stateWords, trouble } from "./words.js";
+import { isFault, rates, stateWords, problems } from "./words.js";
 
 const STILL_FETCHERS = 2;
-/** Shortest time between two stills of a camera, ms; the server makes ten a second. */
+/** Minimum interval between two images of a camera; the server makes ten per second, ms. */
 const STILL_INTERVAL_MS = 100;
 const RETRY_MS = 2000;
 const LOCK = "gripcast-streams";
@@ -24,7 +24,7 @@ const LOCK = "gripcast-streams";
  * @property {HTMLElement} health
  * @property {HTMLElement} cover
  * @property {string} state
- * @property {number} due when the next still may be asked for, ms
+ * @property {number} due earliest time of the next request, ms
  * @property {boolean} busy
  */
 
@@ -34,7 +34,7 @@ export class Images {
     this.tiles = new Map();
     this.running = false;
     this.streaming = false;
-    /** Counts starts, so that what was begun before a stop ends by itself. */
+    /** Number of starts and stops; work of an earlier round ends by itself. */
     this.round = 0;
     /** @type {(() => void)|null} */
     this.release = null;
@@ -43,12 +43,12 @@ export class Images {
   /** @param {State} state */
   draw(state) {
     const roles = state.cameras.map(({ role }) => role);
-    if (roles.join() !== [...this.tiles.keys()].join()) this.lay(roles);
+    if (roles.join() !== [...this.tiles.keys()].join()) this.createTiles(roles);
     for (const camera of state.cameras) this.caption(camera, state.contact);
   }
 
   /** @param {Role[]} roles */
-  lay(roles) {
+  createTiles(roles) {
     const box = byId("images");
     this.tiles = new Map(roles.map((role) => [role, tile(role)]));
     box.replaceChildren(...[...this.tiles.values()].map(({ figure }) => figure));
@@ -70,13 +70,13 @@ export class Images {
     if (back && this.streaming) this.stream(tile);
   }
 
-  /** Begins anew; also after the server was away. */
+  /** Starts or restarts loading. */
   start() {
     this.stop();
     this.running = true;
     const round = this.round;
     for (let i = 0; i < STILL_FETCHERS; i += 1) this.fetchStills(round);
-    // Without a secure context there are no locks, and the line is long: stills never lag behind.
+    // Locks need a secure context; without them single images are fetched.
     navigator.locks?.request(LOCK, () => this.holdStreams(round));
   }
 
@@ -91,7 +91,7 @@ export class Images {
     this.streaming = false;
   }
 
-  /** Streams until this round ends. @param {number} round @returns {Promise<void>|undefined} */
+  /** Streams while this round lasts. @param {number} round @returns {Promise<void>|undefined} */
   holdStreams(round) {
     if (round !== this.round) return undefined;
     this.streaming = true;
@@ -129,7 +129,7 @@ export class Images {
     }
   }
 
-  /** One still; false where there was none. @param {Tile} tile @param {number} round */
+  /** Fetches one image; false on failure. @param {Tile} tile @param {number} round */
   async still(tile, round) {
     try {
       const response = await fetch(address(`api/cameras/${tile.role}/preview.jpg`), {
@@ -163,7 +163,7 @@ function tile(role) {
   return { role, figure, image, health: words, cover, state: "", due: 0, busy: false };
 }
 
-/** Rate and age, contact, and what went wrong. @param {Camera} camera @param {string} contact */
+/** Frame rate, age, contact and problems. @param {Camera} camera @param {string} contact */
 function health(camera, contact) {
   const nodes = [];
   if (camera.state === "live") {
@@ -173,8 +173,8 @@ function health(camera, contact) {
     nodes.push(make("span", isFault(camera) ? "slip" : "faint", stateWords(camera)));
   }
   if (contact) nodes.push(make("span", "faint", contact));
-  const wrong = trouble(camera);
-  if (wrong) nodes.push(make("span", "warning", wrong));
+  const warning = problems(camera);
+  if (warning) nodes.push(make("span", "warning", warning));
   else if (camera.markers) nodes.push(make("span", "stable", camera.markers.text));
   if (camera.reason) nodes.push(make("span", "slip", camera.reason));
   return nodes;

@@ -1,6 +1,6 @@
-/** Keys: the letters of the terminal. */
+/** Keyboard shortcuts, the same as in the terminal. */
 import { command } from "./actions.js";
-import { openSensors, shrinkFaults } from "./cameras.js";
+import { openSensors, minimiseFaults } from "./cameras.js";
 import { byId, make, toggle } from "./dom.js";
 import { ask } from "./labels.js";
 
@@ -9,18 +9,18 @@ const HELP = [
   ["space, pedal", "next step: initial frame, then grasp frame"],
   ["i", "take the initial frame (again)"],
   ["g", "take the grasp frame"],
-  ["s", "it held: label the last grasp stable"],
-  ["f", "it slipped or fell: label it slip"],
+  ["s", "label the last grasp stable"],
+  ["f", "label the last grasp slip (slipped or fell)"],
   ["u", "undo the last step (again for more)"],
   ["r", "redo what was undone"],
-  ["!", "take it anyway after a refusal; recorded"],
-  ["o", "name of the object"],
-  ["n", "name of the scene"],
-  ["p", "name of the operator"],
+  ["!", "override a refusal; recorded with the grasp"],
+  ["o", "set the object name"],
+  ["n", "set the scene name"],
+  ["p", "set the operator name"],
   ["h", "sensors in detail"],
-  ["l", "list of grasps, and back"],
-  ["Esc", "close a panel, shrink the fault"],
-  ["Tab, Enter", "go from button to button, press it"],
+  ["l", "show or leave the list of grasps"],
+  ["Esc", "close a panel, minimise a fault"],
+  ["Tab, Enter", "select a button, press it"],
 ];
 
 /** @type {Record<string, string>} */
@@ -36,7 +36,7 @@ const PANELS = {
     location.hash = location.hash === "#grasps" ? "#collect" : "#grasps";
   },
   "?": () => toggle(byId("help-dialog")),
-  escape: shrinkFaults,
+  escape: minimiseFaults,
 };
 
 /** @param {KeyboardEvent} event */
@@ -45,7 +45,7 @@ function press(event) {
   const target = /** @type {HTMLElement} */ (event.target);
   if (target.matches("input, select, textarea")) return;
   const key = event.key.toLowerCase();
-  // Space and Enter belong to the button that was reached with Tab.
+  // Space and Enter press the focused button.
   if ((key === " " || key === "enter") && target.closest("button, a, summary")) return;
   const dialog = document.querySelector("dialog[open]");
   if (dialog && !permitted(dialog, key, event)) return;
@@ -53,13 +53,13 @@ function press(event) {
   const panel = PANELS[key];
   if (!text && !panel) return;
   if (key !== "escape") event.preventDefault();
-  // A key that is held down is one command.
+  // A key that is held down sends one command.
   if (event.repeat) return;
   if (text) command(text);
   else panel();
 }
 
-/** Over an open panel only its own key counts; over the keys, every command does.
+/** An open panel accepts its own key only; the help panel accepts every command.
  * @param {Element} dialog @param {string} key @param {Event} event */
 function permitted(dialog, key, event) {
   if (dialog.id === "sensors-dialog" && key === "h") {
@@ -76,7 +76,7 @@ export function startKeys() {
   byId("show-keys").addEventListener("click", () => byId("help-dialog").showModal());
   for (const dialog of document.querySelectorAll("dialog")) {
     for (const close of dialog.querySelectorAll("button.close")) close.addEventListener("click", () => dialog.close());
-    // A tap beside a panel closes it.
+    // A click outside a panel closes it.
     dialog.addEventListener("click", (event) => event.target === dialog && dialog.close());
   }
 }

@@ -1,11 +1,11 @@
 /**
- * Names, counts, the newest grasp and the message.
+ * Names, counts, newest grasp and message.
  *
  * @import {LastGrasp, Outcome, Session, State} from "./types.js"
  */
-import { change, whyNot } from "./api.js";
+import { change, failureReason } from "./api.js";
 import { button, byId, make, refill, say, style, toast } from "./dom.js";
-import { agreement, agreementWords, balance, bytes, levelled, OUTCOMES, short } from "./words.js";
+import { agreement, agreementWords, balance, bytes, messageText, OUTCOMES, short } from "./words.js";
 
 const LOW_DISK_BYTES = 5e9;
 const FULL_DISK_BYTES = 1e9;
@@ -21,7 +21,7 @@ const FIELDS = [
 /** @type {Session|null} */
 let session = null;
 /** @type {Field} */
-let asked = "object";
+let edited = "object";
 
 /** @param {State} state @param {(id: string) => void} show opens a grasp */
 export function drawLabels(state, show) {
@@ -52,7 +52,7 @@ function drawHead({ dataset, rig, clock, cameras, disk_free_bytes: free, session
 function drawNames(session) {
   refill(byId("names"), FIELDS.map(([field]) => session[field]), () =>
     FIELDS.map(([field, key]) => {
-      const empty = field === "object" ? "no object: give it a name" : "–";
+      const empty = field === "object" ? "no object: set its name" : "–";
       const value = make("span", session[field] ? "value" : field === "object" ? "warning" : "faint", session[field] || empty);
       const node = button("", () => ask(field), "name");
       node.dataset.field = field;
@@ -65,10 +65,10 @@ function drawNames(session) {
 /** @param {Session} session */
 function drawCounts({ counts, object }) {
   refill(byId("counts"), [counts, object], () => {
-    const most = Math.max(counts.stable, counts.slip, 1);
+    const max = Math.max(counts.stable, counts.slip, 1);
     const bar = (/** @type {"stable"|"slip"} */ name) => {
       const fill = make("i", `fill ${name}`);
-      fill.style.width = `${(100 * counts[name]) / most}%`;
+      fill.style.width = `${(100 * counts[name]) / max}%`;
       return make("p", "count", make("span", name, name), make("b", "", String(counts[name])), make("span", "track", fill));
     };
     const hint = balance(counts);
@@ -84,7 +84,7 @@ function drawCounts({ counts, object }) {
   });
 }
 
-/** A label in its colour. @param {Outcome} outcome */
+/** Outcome in its colour. @param {Outcome} outcome */
 export function outcomeNode(outcome) {
   const colour = { stable: "stable", slip: "slip", unlabelled: "warning" }[outcome] ?? "";
   return make("b", colour, OUTCOMES[outcome] ?? outcome);
@@ -117,7 +117,7 @@ function drawMessage({ message }) {
   node.hidden = !message;
   if (!message) return;
   style(node, message.level);
-  say(node, levelled(message));
+  say(node, messageText(message));
 }
 
 /** @param {Session} session */
@@ -130,16 +130,16 @@ function drawRefusal({ refusal }) {
       "p",
       "",
       refusal.can_override
-        ? "“Take it anyway” (!) overrides this; the grasp records that you did"
-        : "this cannot be overridden: fix it, then trigger again",
+        ? "Override with ! (recorded with the grasp)"
+        : "Cannot be overridden: fix this and trigger again",
     ),
   ]);
 }
 
-/** Asks for a name. @param {Field} field */
+/** Opens the dialog for a name. @param {Field} field */
 export function ask(field) {
   if (!session) return;
-  asked = field;
+  edited = field;
   const dialog = byId("name-dialog");
   const input = byId("name");
   say(byId("name-label"), `Name of the ${field}`);
@@ -154,12 +154,12 @@ export function startNames() {
   const dialog = byId("name-dialog");
   dialog.addEventListener("close", async () => {
     const name = byId("name").value.trim();
-    if (dialog.returnValue !== "ok" || !name || name === session?.[asked]) return;
+    if (dialog.returnValue !== "ok" || !name || name === session?.[edited]) return;
     try {
-      const answer = await change("PUT", `api/${asked}`, { name });
-      if (answer.result !== "accepted") toast(whyNot(answer), "error");
+      const answer = await change("PUT", `api/${edited}`, { name });
+      if (answer.result !== "accepted") toast(failureReason(answer), "error");
     } catch (error) {
-      toast(`${asked} not changed: ${/** @type {Error} */ (error).message}`, "error");
+      toast(`${edited} not changed: ${/** @type {Error} */ (error).message}`, "error");
     }
   });
 }

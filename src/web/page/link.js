@@ -1,23 +1,23 @@
 /**
- * The link to the server: the state once, then its events; again and again when it is lost.
+ * Connection to the server: the state, then events; reconnects when the connection is lost.
  *
  * @import {Event, State, Tone} from "./types.js"
  */
 import { address, ApiError, get } from "./api.js";
 
-/** The clock in the state changes every second: a longer silence is a dead line. */
+/** Time without a message after which the connection counts as lost; the state changes every second, ms. */
 const SILENCE_MS = 6000;
 const FIRST_DELAY_MS = 400;
-const LONGEST_DELAY_MS = 8000;
+const MAX_DELAY_MS = 8000;
 
 /**
  * @typedef {object} Listener
  * @property {(state: State) => void} state
  * @property {(tone: Tone) => void} tone
  * @property {() => void} stored
- * @property {() => void} linked the state has arrived and events follow
- * @property {(bye: boolean) => void} lost `bye`: the daemon said that it stops
- * @property {() => void} locked a token is asked for; `start` again after the login
+ * @property {() => void} linked called once the state has arrived and events are open
+ * @property {(isShutdown: boolean) => void} lost `isShutdown`: the daemon announced its shutdown
+ * @property {() => void} locked called if a token is required; call `start` again after the login
  */
 
 export class Link {
@@ -27,7 +27,7 @@ export class Link {
     /** @type {WebSocket|null} */
     this.socket = null;
     this.failures = 0;
-    this.bye = false;
+    this.isShutdown = false;
     this.timer = 0;
     this.silence = 0;
     this.trying = false;
@@ -35,7 +35,7 @@ export class Link {
     document.addEventListener("visibilitychange", () => this.hurry());
   }
 
-  /** Whether events arrive. */
+  /** Whether the event connection is open. */
   get up() {
     return this.socket?.readyState === WebSocket.OPEN;
   }
@@ -48,7 +48,7 @@ export class Link {
       this.listener.state(await get("api/state", 5000));
       await this.open();
       this.failures = 0;
-      this.bye = false;
+      this.isShutdown = false;
       this.listener.linked();
     } catch (error) {
       if (error instanceof ApiError && error.status === 401) this.listener.locked();
@@ -82,14 +82,14 @@ export class Link {
       if (event.type === "state") this.listener.state(event.state);
       else if (event.type === "tone") this.listener.tone(event.tone);
       else if (event.type === "stored") this.listener.stored();
-      else if (event.type === "bye") {
-        this.bye = true;
+      else if (event.type === "shutdown") {
+        this.isShutdown = true;
         this.end(socket);
       }
     });
   }
 
-  /** Gives up a line on which nothing comes; closing it may take minutes, so that is not awaited. */
+  /** Closes a silent connection without waiting for the close, which may take minutes. */
   expect(/** @type {WebSocket} */ socket) {
     clearTimeout(this.silence);
     this.silence = setTimeout(() => this.end(socket), SILENCE_MS);
@@ -106,15 +106,15 @@ export class Link {
 
   retry() {
     this.socket = null;
-    this.listener.lost(this.bye);
-    const delay = Math.min(FIRST_DELAY_MS * 2 ** this.failures, LONGEST_DELAY_MS);
+    this.listener.lost(this.isShutdown);
+    const delay = Math.min(FIRST_DELAY_MS * 2 ** this.failures, MAX_DELAY_MS);
     this.failures += 1;
     clearTimeout(this.timer);
-    // Spread out, or all pages of a lab would ask at once.
+    // Random delays spread the load of several pages.
     this.timer = setTimeout(() => this.start(), delay * (0.8 + 0.4 * Math.random()));
   }
 
-  /** Someone looks again, or the network is back: no reason to wait any longer. */
+  /** Reconnects at once when the page becomes visible or the network returns. */
   hurry() {
     if (!document.hidden && this.failures > 0 && !this.trying && !this.up) this.start();
   }

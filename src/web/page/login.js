@@ -1,8 +1,8 @@
-/** The token: asked for where the server wants one, or taken from `/#token=…`; and logging out. */
+/** Login with a token, typed or from `/#token=…`, and logout. */
 import { loggedIn, login, logout } from "./api.js";
 import { byId, say, toast } from "./dom.js";
 
-/** Logs in with a token from the address, which is taken out of it. */
+/** Logs in with a token from the address and removes it from the address. */
 export async function loginFromAddress() {
   const token = new URLSearchParams(location.hash.slice(1)).get("token");
   if (!token) return;
@@ -19,12 +19,12 @@ export function askToken() {
   byId("token").focus();
 }
 
-/** Shows the button only to who can log out. */
+/** Shows the logout button if logged in. */
 export async function drawLogout() {
   byId("logout").hidden = !(await loggedIn().catch(() => false));
 }
 
-/** After a logout the page starts anew and asks for the token. */
+/** Reloads the page after a logout, which then asks for the token. */
 export function startLogout() {
   byId("logout").addEventListener("click", async () => {
     try {
@@ -37,7 +37,7 @@ export function startLogout() {
   });
 }
 
-/** @param {() => void} done called after a login; the form closes once the server answers */
+/** @param {() => void} done called after a login */
 export function startLogin(done) {
   byId("login").querySelector("form").addEventListener("submit", async (/** @type {SubmitEvent} */ event) => {
     event.preventDefault();

@@ -1,8 +1,8 @@
-/** The tones of the terminal. @import {Tone} from "./types.js" */
+/** Tones, the same as in the terminal. @import {Tone} from "./types.js" */
 import { attribute, byId, say } from "./dom.js";
 
-/** Notes as frequency in Hz (0 is a rest) and length in ms: up is good, down is bad, long and
- * alternating is trouble. @type {Record<Tone, [number, number][]>} */
+/** Notes as frequency in Hz (0 is a rest) and duration in ms: rising is good, falling is bad, long
+ * and alternating is a fault. @type {Record<Tone, [number, number][]>} */
 const MELODIES = {
   initial_saved: [[660, 130]],
   grasp_saved: [[660, 90], [0, 30], [880, 150]],
@@ -23,12 +23,12 @@ let context = null;
 let wave = null;
 let on = false;
 
-/** Browsers let a page sound only after someone has touched it. */
+/** Browsers allow sound only after a user gesture. */
 function wake() {
   if (!on) return;
   if (!context) {
     context = new AudioContext();
-    // The overtones carry low notes through small loudspeakers.
+    // Overtones make low notes audible on small loudspeakers.
     wave = context.createPeriodicWave(new Float32Array(4), new Float32Array([0, 0.7, 0.2, 0.1]), {
       disableNormalization: true,
     });
@@ -78,7 +78,7 @@ function remember(wanted) {
   try {
     localStorage.setItem(STORED_AS, wanted ? "on" : "off");
   } catch {
-    // Without storage the choice lasts as long as the page.
+    // Without storage the choice is kept until the page closes.
   }
 }
 

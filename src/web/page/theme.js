@@ -1,4 +1,4 @@
-// Runs before the first paint, so that a dark page never flashes white.
+// Runs before the first paint to avoid a white flash in dark mode.
 (() => {
   const choices = ["auto", "light", "dark"];
   const dark = matchMedia("(prefers-color-scheme: dark)");
@@ -29,7 +29,7 @@
       try {
         localStorage.setItem("gripcast-theme", choice);
       } catch {
-        // Without storage the choice lasts as long as the page.
+        // Without storage the choice is kept until the page closes.
       }
       apply();
     });

@@ -1,15 +1,15 @@
 /**
- * Messages of the server; names and units as in the API. This file holds types alone.
+ * Types of the server's messages, with the names and units of the API.
  *
  * @typedef {"left"|"right"|"rgb"|"depth"|"external"} Role
  * @typedef {"stable"|"slip"|"unlabelled"} Outcome
  * @typedef {"initial"|"grasp"|"label"} Step
  * @typedef {"initial_saved"|"grasp_saved"|"stable"|"slip"|"undone"|"refused"|"fault"} Tone
  *
- * @typedef {object} Predicted what the model said of a grasp before the lift
+ * @typedef {object} Predicted prediction of a grasp before the lift
  * @property {number} p_stable
  * @property {number} threshold
- * @property {number} [novelty] above 1: unlike the training images
+ * @property {number} [novelty] OOD score; above 1: unlike the training images
  * @property {string} model
  * @property {number} latency_ms
  * @property {number} engine_ms
@@ -53,7 +53,7 @@
  * @property {string} serial
  * @property {string} port
  * @property {"opening"|"live"|"silent"|"frozen"|"lost"|"ended"} state
- * @property {number} [for_s] since when it is silent or frozen
+ * @property {number} [for_s] seconds since it is silent or frozen
  * @property {string} [reason] why it is lost
  * @property {number} measured_fps
  * @property {number} nominal_fps
@@ -75,10 +75,10 @@
  * @property {Session} session
  * @property {Camera[]} cameras
  * @property {Prediction|null} prediction
- * @property {string|null} prediction_absent
+ * @property {string|null} no_prediction_reason
  * @property {{left?: number, right?: number}} contact
  *
- * @typedef {object} CommandAnswer
+ * @typedef {object} CommandResponse
  * @property {"accepted"|"refused"|"failed"} result
  * @property {string[]} [reasons] of a refusal
  * @property {boolean} [can_override]
@@ -98,6 +98,6 @@
  * @property {Role[]} roles
  *
  * @typedef {{type: "state", state: State} | {type: "tone", tone: Tone}
- *   | {type: "stored", stored: object} | {type: "bye"}} Event
+ *   | {type: "stored", stored: object} | {type: "shutdown"}} Event
  */
 export {};

@@ -1,19 +1,19 @@
 /**
- * What the page says, in the words of the terminal's screen. Nothing here touches the page.
+ * Texts of the page, the same as on the terminal screen. No DOM access.
  *
  * @import {Camera, Counts, Outcome, Predicted, Prediction, Session} from "./types.js"
  */
 
-/** A prediction from a frame older than this is named old, ms. */
+/** Frame age above which a prediction is shown as old, ms. */
 const STALE_MS = 500;
-/** Difference between the labels from which a hint is given: a tenth of all, at least this. */
-const HINT_AT_LEAST = 5;
-/** Fraction of the nominal rate below which the rate is a warning. */
+/** Minimum difference of the label counts for a hint; otherwise a tenth of all labels. */
+const MIN_IMBALANCE = 5;
+/** Fraction of the nominal frame rate below which the rate is a warning. */
 const SLOW_FRACTION = 0.9;
-/** Age of the newest frame from which it is a warning, in nominal intervals. */
+/** Frame age above which it is a warning, nominal intervals. */
 const OLD_INTERVALS = 3;
 
-/** The steps in their order. */
+/** The steps in order. */
 export const STEPS = {
   initial: {
     number: 1,
@@ -32,7 +32,7 @@ export const STEPS = {
   label: {
     number: 3,
     verb: "LIFT",
-    instruction: "LIFT IT — held: STABLE · lost: SLIP",
+    instruction: "LIFT, then label: STABLE or SLIP",
     trigger: "Label",
     hint: "stable or slip?",
   },
@@ -67,12 +67,12 @@ export function bytes(count) {
   return `${(gb * 1e3).toFixed(0)} MB`;
 }
 
-/** The last part of a key: `7f3a`. @param {string} id */
+/** Last part of a grasp id: `7f3a`. @param {string} id */
 export function short(id) {
   return id.slice(id.lastIndexOf("-") + 1);
 }
 
-/** Date and time of day here. @param {string} rfc3339 */
+/** Local date and time. @param {string} rfc3339 */
 export function moment(rfc3339) {
   const time = new Date(rfc3339);
   if (Number.isNaN(time.getTime())) return rfc3339;
@@ -81,59 +81,58 @@ export function moment(rfc3339) {
   return `${day} ${two(time.getHours())}:${two(time.getMinutes())}`;
 }
 
-/** What is to be done now, and the kind of banner it is. @param {Session} session */
+/** Banner of the current step. @param {Session} session */
 export function banner(session) {
   const step = STEPS[session.step];
   if (session.saving) return { ...step, kind: "saving", verb: "SAVING", instruction: "hold still" };
   if (session.refusal) {
-    return { ...step, kind: "refused", verb: "REFUSED", instruction: `${session.refusal.stage.toUpperCase()} NOT TAKEN — fix it and trigger again` };
+    return { ...step, kind: "refused", verb: "REFUSED", instruction: `${session.refusal.stage.toUpperCase()} NOT TAKEN — fix this and trigger again` };
   }
   return { ...step, kind: session.step };
 }
 
-/** A message with its weight. @param {NonNullable<Session["message"]>} message */
-export function levelled({ level, text }) {
+/** Text of a message with its level. @param {NonNullable<Session["message"]>} message */
+export function messageText({ level, text }) {
   return { info: "", warning: "warning: ", error: "ERROR: " }[level] + text;
 }
 
 /**
- * What may be claimed: the verdict, that it is too old to be one, or that the model knows nothing
- * of such images.
+ * The displayed verdict: that of the prediction, or "old".
  * @param {Prediction} prediction
  */
-export function claim(prediction) {
+export function shownVerdict(prediction) {
   const fresh = prediction.frame_age_ms <= STALE_MS;
   return fresh && Number.isFinite(prediction.p_stable) ? prediction.verdict : "old";
 }
 
-/** `✓` where label and prediction agree, `✗` where not, `?` where the model did not know such
- * images. @param {Predicted|null} said @param {Outcome} outcome */
-export function agreement(said, outcome) {
-  if (!said) return "";
-  if ((said.novelty ?? 0) > 1) return "?";
+/** `✓` if label and prediction agree, `✗` if not, `?` for out-of-distribution images.
+ * @param {Predicted|null} prediction @param {Outcome} outcome */
+export function agreement(prediction, outcome) {
+  if (!prediction) return "";
+  if ((prediction.novelty ?? 0) > 1) return "?";
   if (outcome === "unlabelled") return "";
-  return said.p_stable >= said.threshold === (outcome === "stable") ? "✓" : "✗";
+  return prediction.p_stable >= prediction.threshold === (outcome === "stable") ? "✓" : "✗";
 }
 
-/** What a mark of agreement says. @param {string} mark */
+/** Meaning of an agreement mark. @param {string} mark */
 export function agreementWords(mark) {
   return { "✓": "prediction and label agree", "✗": "prediction and label disagree", "?": "unlike the training images" }[mark] ?? "";
 }
 
-/** Which label is short. @param {Counts} counts */
+/** Hint which label has fewer grasps. @param {Counts} counts */
 export function balance({ stable, slip, unlabelled }) {
   const difference = Math.abs(stable - slip);
-  const short = difference >= Math.max(HINT_AT_LEAST, Math.floor((stable + slip) / 10));
-  const hint = short ? `${difference} ${stable > slip ? "slip" : "stable"} short` : "balanced";
+  const short = difference >= Math.max(MIN_IMBALANCE, Math.floor((stable + slip) / 10));
+  const hint = short ? `need ${difference} ${stable > slip ? "slip" : "stable"}` : "balanced";
   return { short, text: unlabelled ? `${hint} · ${unlabelled} unlabelled` : hint };
 }
 
-/** Whether the camera has failed; opening or a recording's end is no fault. @param {Camera} camera */
+/** Whether the camera has failed; opening and the end of a recording are not faults. @param {Camera} camera */
 export function isFault({ state }) {
   return state === "silent" || state === "frozen" || state === "lost";
 }
 
-/** A camera's state in a word or two. @param {Camera} camera */
+/** State of a camera in one or two words. @param {Camera} camera */
 export function stateWords({ state, for_s }) {
   if (state === "opening") return "opening …";
   if (state === "ended") return "recording ended";
@@ -141,11 +140,11 @@ export function stateWords({ state, for_s }) {
   return for_s === undefined ? state.toUpperCase() : `${state.toUpperCase()} ${duration(for_s * 1e3)}`;
 }
 
-/** Which part has failed, and what helps. @param {Camera} camera */
+/** Name of the failed camera, its state and the remedy. @param {Camera} camera */
 export function fault(camera) {
   const remedies = {
     frozen: "REPLUG IT: the image does not change",
-    lost: "PLUG IT IN: it is opened again by itself",
+    lost: "PLUG IT IN: it reopens by itself",
     silent: "REPLUG IT: no frames arrive",
   };
   return {
@@ -155,19 +154,19 @@ export function fault(camera) {
   };
 }
 
-/** What and where a camera is. @param {Camera} camera */
-export function place({ product, serial, port }) {
+/** Product, serial number and port of a camera. @param {Camera} camera */
+export function identity({ product, serial, port }) {
   const parts = [product, serial && `serial ${serial}`, port ? `usb ${port}` : "port unknown"];
   return parts.filter(Boolean).join(" · ");
 }
 
 /** @param {Camera[]} cameras */
-export function alive(cameras) {
+export function liveCount(cameras) {
   const live = cameras.filter((camera) => camera.state === "live").length;
-  return `${live}/${cameras.length} cameras alive`;
+  return `${live}/${cameras.length} cameras live`;
 }
 
-/** Rate and age of a live camera, each with whether it deserves a look. @param {Camera} camera */
+/** Frame rate and age of a live camera, each with whether it is a warning. @param {Camera} camera */
 export function rates({ measured_fps, nominal_fps, frame_age_ms }) {
   return {
     rate: `${measured_fps.toFixed(1)}/${nominal_fps.toFixed(0)} fps`,
@@ -177,8 +176,8 @@ export function rates({ measured_fps, nominal_fps, frame_age_ms }) {
   };
 }
 
-/** Counters that are not zero, and why there would be no pose. @param {Camera} camera */
-export function trouble(camera) {
+/** Non-zero error counters, and why no pose can be measured. @param {Camera} camera */
+export function problems(camera) {
   const counters = [
     [camera.sequence_gaps, "lost"],
     [camera.damaged, "damaged"],

@@ -16,12 +16,12 @@ use sha2::{Digest as _, Sha256};
 use super::images::Images;
 use gripcast_testing::{Needs, skip};
 
-/// A guest that is not done by then hangs. Wall clock of the host.
+/// Timeout of a guest, wall clock of the host.
 const WATCHDOG: Duration = Duration::from_secs(420);
-/// Memory of the guest besides its disk.
+/// Memory of the guest without its disk.
 const MEMORY_MIB: u64 = 1024;
 
-/// The kernel built by `tests/kernel/build-kernel.sh`, or the reason why there is none.
+/// Finds the kernel built by `tests/kernel/build-kernel.sh`, or returns the reason for its absence.
 fn find_kernel() -> Result<PathBuf, String> {
     if std::env::var_os("GRIPCAST_SKIP_KERNEL").is_some() {
         return Err("GRIPCAST_SKIP_KERNEL is set".into());
@@ -52,7 +52,7 @@ fn find_kernel() -> Result<PathBuf, String> {
     })
 }
 
-/// The test kernel; without one the calling test is skipped.
+/// Returns the test kernel; without one the calling test is skipped.
 pub(super) fn kernel() -> Option<PathBuf> {
     match find_kernel() {
         Ok(kernel) => Some(kernel),
@@ -63,7 +63,7 @@ pub(super) fn kernel() -> Option<PathBuf> {
     }
 }
 
-/// The emulator, built from the sources of this moment.
+/// Builds the emulator from the current sources.
 fn emulator() -> &'static Path {
     static EMULATOR: OnceLock<PathBuf> = OnceLock::new();
     EMULATOR.get_or_init(|| {
@@ -101,8 +101,8 @@ fn quoted(path: &Path) -> String {
     format!("'{}'", path.to_str().unwrap().replace('\'', r"'\''"))
 }
 
-/// Where guests keep their memory in a file: in memory where there is room for some of them
-/// (containers often have 64 MiB), else on the disk.
+/// Returns the directory of the guests' memory files: in memory if there is enough space (containers
+/// often have 64 MiB), else on disk.
 fn memory_dir() -> PathBuf {
     const ROOM: u64 = 4 << 30;
     let shared = Path::new("/dev/shm");
@@ -181,7 +181,7 @@ fn boot_with(
     out
 }
 
-/// Streams all emulated cameras without the program under test; the report of the emulator.
+/// Streams all emulated cameras without the program under test; returns the emulator's report.
 pub(super) fn probe(kernel: &Path, images: &Images) -> Value {
     let command = format!(
         "{} probe {} {} \"$OUT\"\n",
@@ -198,14 +198,14 @@ fn read_json(path: &Path) -> Value {
     serde_json::from_str(&text).unwrap_or_else(|e| panic!("{}: {e}: {text}", path.display()))
 }
 
-/// A grasp of the dataset.
+/// A saved grasp.
 #[derive(Debug)]
 pub(super) struct SavedGrasp {
     pub(super) dir: PathBuf,
     pub(super) record: GraspRecord,
 }
 
-/// What a scenario came to.
+/// Result of a scenario.
 #[derive(Debug)]
 pub(super) struct Outcome {
     /// Directory with all that the guest left behind.
@@ -300,7 +300,7 @@ pub(super) fn run(kernel: &Path, name: &str, run: &str, images: &Images) -> Outc
     outcome(boot(kernel, run, disk.trim(), &command))
 }
 
-/// A collection of `seconds` on the guest's clock, during which things go wrong at random.
+/// Runs a collection of `seconds` on the guest's clock with random faults.
 pub(super) fn soak(kernel: &Path, seconds: u64, seed: u64, images: &Images) -> Outcome {
     let emulator = emulator();
     let disk = Command::new(emulator)
@@ -328,7 +328,7 @@ pub(super) fn soak(kernel: &Path, seconds: u64, seed: u64, images: &Images) -> O
     ))
 }
 
-/// The program under test; another than that of this build where `GRIPCAST_PROGRAM` names one.
+/// Returns the program under test: `GRIPCAST_PROGRAM`, or that of this build.
 fn program() -> PathBuf {
     std::env::var_os("GRIPCAST_PROGRAM")
         .map_or_else(|| env!("CARGO_BIN_EXE_gripcast").into(), PathBuf::from)

@@ -12,7 +12,7 @@ use gripcast_testing::shared;
 
 const WIDTH: u32 = 3280;
 const HEIGHT: u32 = 2464;
-/// Different images of each kind, so that a camera that moves is not taken for frozen.
+/// Number of different images of each kind, so that cameras do not count as frozen.
 const IMAGES: u32 = 3;
 
 /// Directories of images for the two sensors, each with `free/` and `pressed/`.
@@ -22,13 +22,13 @@ pub(super) struct Images {
     pub(super) right: PathBuf,
 }
 
-/// Images drawn by the test itself.
+/// Generates images.
 pub(super) fn drawn() -> &'static Images {
     static DRAWN: OnceLock<Images> = OnceLock::new();
     DRAWN.get_or_init(|| write("drawn", &draw))
 }
 
-/// Images of a real GelSight Mini, 640×480 each, enlarged; `None` where they are not there.
+/// Reads images of a real GelSight Mini, 640×480, upscaled; `None` if they are missing.
 pub(super) fn real() -> Option<Images> {
     let folder = shared("data/gsmini_taxim_ball")?;
     Some(write("real", &|side, is_pressed, number| {
@@ -43,7 +43,7 @@ pub(super) fn real() -> Option<Images> {
     }))
 }
 
-/// Makes an image unlike every other by a small square in its corner, outside every crop.
+/// Makes an image unique by a small square in its corner, outside the crop.
 fn stamp(image: &mut RgbImage, side: &str, number: u32) {
     let tone = 40 + 20 * number as u8 + if side == "left" { 0 } else { 100 };
     for (x, y) in (0..8).flat_map(|x| (0..8).map(move |y| (x, y))) {
@@ -51,7 +51,7 @@ fn stamp(image: &mut RgbImage, side: &str, number: u32) {
     }
 }
 
-/// A lit gel, with a round dent where it is pressed.
+/// Draws an illuminated gel, with a round contact if pressed.
 fn draw(side: &str, is_pressed: bool, number: u32) -> RgbImage {
     let mut image = RgbImage::from_fn(640, 480, |x, y| {
         let (x, y) = (x as f32, y as f32);

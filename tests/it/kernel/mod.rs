@@ -13,8 +13,8 @@ use gripcast_imaging::Role;
 use self::guest::{Outcome, SavedGrasp, kernel, run};
 use self::images::Images;
 
-/// The image that a sensor sent: the fed file of its number's turn, with the number in a comment
-/// segment after the first marker.
+/// Returns the image that a sensor sent: its input file with the number in a comment segment after the
+/// first marker.
 fn sent_image(number: u64, dir: &Path, kind: &str) -> Vec<u8> {
     let mut files: Vec<_> = fs::read_dir(dir.join(kind))
         .unwrap()
@@ -31,7 +31,7 @@ fn camera_file(stage: &StageRecord, role: Role, dir: &Path) -> Vec<u8> {
     fs::read(dir.join(record.file.as_str())).unwrap()
 }
 
-/// The tactile images of a grasp are, byte for byte, what the sensor of that role sent.
+/// Asserts that the tactile images of a grasp are the bytes sent by the sensor of that role.
 fn assert_as_sent(grasp: &SavedGrasp, images: &Images) {
     for (role, serial, dir) in [
         (Role::Left, "2BNN4ZE7", &images.left),
@@ -51,8 +51,8 @@ fn assert_as_sent(grasp: &SavedGrasp, images: &Images) {
     }
 }
 
-/// The tactile images of a grasp are, byte for byte, images that the sensor of that role sent,
-/// whatever it felt.
+/// Asserts that the tactile images of a grasp are bytes sent by the sensor of that role, with or
+/// without contact.
 fn assert_complete_as_sent(grasp: &SavedGrasp, images: &Images) {
     for (role, dir) in [(Role::Left, &images.left), (Role::Right, &images.right)] {
         for stage in [&grasp.record.initial, &grasp.record.grasp] {
@@ -68,7 +68,7 @@ fn assert_complete_as_sent(grasp: &SavedGrasp, images: &Images) {
     assert_depth_as_sent(grasp);
 }
 
-/// The depth image is one whole image of the emulator: pixel (x, y) of image n holds
+/// Asserts that the depth image is one complete image of the emulator: pixel (x, y) of image n holds
 /// 400 + (x + y + n) mod 256, the first four n in digits to the base of 256.
 fn assert_depth_as_sent(grasp: &SavedGrasp) {
     let record = &grasp.record.grasp.cameras[&Role::Depth];
@@ -85,7 +85,7 @@ fn assert_depth_as_sent(grasp: &SavedGrasp) {
     }
 }
 
-/// Every file that the record names is there with its digest, and nothing half-written is.
+/// Asserts that all files of the records exist with their digests and no partial files exist.
 fn assert_dataset_is_clean(outcome: &Outcome) {
     let dataset = outcome.out.join("dataset");
     let verified = std::process::Command::new(env!("CARGO_BIN_EXE_gripcast"))
@@ -101,7 +101,7 @@ fn assert_dataset_is_clean(outcome: &Outcome) {
     );
 }
 
-/// One labelled grasp was saved, byte for byte as sent, and the program ended well.
+/// Asserts that one labelled grasp was saved as sent and the program succeeded.
 fn assert_one_good_grasp(outcome: &Outcome, images: &Images) {
     assert_eq!(outcome.exit_code, Some(0), "{outcome}");
     assert_eq!(outcome.grasps.len(), 1, "{outcome}");
@@ -113,7 +113,7 @@ fn assert_one_good_grasp(outcome: &Outcome, images: &Images) {
     assert_dataset_is_clean(outcome);
 }
 
-/// Sequence gaps, damaged frames and reconnects of all cameras but `but` are 0.
+/// Asserts that all cameras except `but` have no sequence gaps, damaged frames or reconnects.
 fn assert_others_undisturbed(outcome: &Outcome, but: &[&str]) {
     for role in ["left", "right", "rgb", "depth"] {
         if !but.contains(&role) {
@@ -129,7 +129,7 @@ fn assert_others_undisturbed(outcome: &Outcome, but: &[&str]) {
 }
 
 #[test]
-fn every_emulated_camera_delivers_what_it_was_fed() {
+fn emulated_cameras_deliver_their_input() {
     let Some(kernel) = kernel() else { return };
     let report = guest::probe(&kernel, images::drawn());
     for (role, name, serial, interface, fps) in [
@@ -175,7 +175,7 @@ fn every_emulated_camera_delivers_what_it_was_fed() {
 }
 
 #[test]
-fn a_clean_run_saves_two_grasps_as_sent() {
+fn clean_run_saves_two_grasps_as_sent() {
     let Some(kernel) = kernel() else { return };
     let images = images::drawn();
     let outcome = run(&kernel, "clean", "clean", images);
@@ -208,7 +208,7 @@ fn images_of_a_real_sensor_arrive_as_sent() {
 }
 
 #[test]
-fn lost_frames_are_counted_and_do_no_harm() {
+fn lost_frames_are_counted() {
     let Some(kernel) = kernel() else { return };
     let outcome = run(&kernel, "frames-lost", "frames-lost", images::drawn());
     assert_one_good_grasp(&outcome, images::drawn());
@@ -244,7 +244,7 @@ fn corrupted_images_are_never_saved() {
 }
 
 #[test]
-fn a_frozen_image_is_noticed_and_the_grasp_comes_after_it() {
+fn frozen_image_is_detected_and_grasp_is_saved_later() {
     let Some(kernel) = kernel() else { return };
     let outcome = run(&kernel, "frozen", "frozen", images::drawn());
     assert_one_good_grasp(&outcome, images::drawn());
@@ -254,7 +254,7 @@ fn a_frozen_image_is_noticed_and_the_grasp_comes_after_it() {
 }
 
 #[test]
-fn a_silent_camera_comes_back() {
+fn silent_camera_recovers() {
     let Some(kernel) = kernel() else { return };
     let outcome = run(&kernel, "silent", "silent", images::drawn());
     assert_one_good_grasp(&outcome, images::drawn());
@@ -264,7 +264,7 @@ fn a_silent_camera_comes_back() {
 }
 
 #[test]
-fn a_sensor_pulled_out_while_idle_is_found_again() {
+fn sensor_unplugged_while_idle_reconnects() {
     let Some(kernel) = kernel() else { return };
     let outcome = run(&kernel, "replug-idle", "replug-idle", images::drawn());
     assert_one_good_grasp(&outcome, images::drawn());
@@ -273,7 +273,7 @@ fn a_sensor_pulled_out_while_idle_is_found_again() {
 }
 
 #[test]
-fn a_sensor_pulled_out_between_initial_and_grasp_keeps_the_initial() {
+fn sensor_unplugged_after_initial_keeps_the_initial_frame() {
     let Some(kernel) = kernel() else { return };
     let outcome = run(&kernel, "replug-between", "replug-between", images::drawn());
     assert_one_good_grasp(&outcome, images::drawn());
@@ -282,7 +282,7 @@ fn a_sensor_pulled_out_between_initial_and_grasp_keeps_the_initial() {
 }
 
 #[test]
-fn a_sensor_pulled_out_during_a_save_leaves_a_whole_grasp() {
+fn sensor_unplugged_during_save_leaves_complete_grasp() {
     let Some(kernel) = kernel() else { return };
     let outcome = run(
         &kernel,
@@ -297,7 +297,7 @@ fn a_sensor_pulled_out_during_a_save_leaves_a_whole_grasp() {
 }
 
 #[test]
-fn roles_follow_serials_and_not_ports() {
+fn roles_follow_serials_rather_than_ports() {
     let Some(kernel) = kernel() else { return };
     let outcome = run(&kernel, "swapped-ports", "swapped-ports", images::drawn());
     assert_one_good_grasp(&outcome, images::drawn());
@@ -305,7 +305,7 @@ fn roles_follow_serials_and_not_ports() {
 }
 
 #[test]
-fn a_full_disk_keeps_what_was_saved_and_says_so() {
+fn full_disk_is_reported_and_keeps_saved_grasps() {
     let Some(kernel) = kernel() else { return };
     let outcome = run(&kernel, "disk-full", "disk-full", images::drawn());
     assert_eq!(outcome.exit_code, Some(3), "{outcome}");
@@ -322,7 +322,7 @@ fn a_full_disk_keeps_what_was_saved_and_says_so() {
 }
 
 #[test]
-fn a_disk_that_becomes_read_only_keeps_what_was_saved_and_says_so() {
+fn read_only_disk_is_reported_and_keeps_saved_grasps() {
     let Some(kernel) = kernel() else { return };
     let outcome = run(&kernel, "read-only", "read-only", images::drawn());
     assert_eq!(outcome.exit_code, Some(3), "{outcome}");
@@ -339,7 +339,7 @@ fn a_disk_that_becomes_read_only_keeps_what_was_saved_and_says_so() {
 }
 
 #[test]
-fn a_bouncing_pedal_triggers_once_a_press() {
+fn bouncing_pedal_triggers_once_per_press() {
     let Some(kernel) = kernel() else { return };
     let outcome = run(&kernel, "pedal-bounce", "pedal-bounce", images::drawn());
     assert_one_good_grasp(&outcome, images::drawn());
@@ -352,16 +352,16 @@ fn a_bouncing_pedal_triggers_once_a_press() {
     assert_eq!(outcome.session("saved"), 1, "{outcome}");
 }
 
-/// Median of the memory in a part of the run.
+/// Returns the median memory in a section of the run.
 fn median_kib(memory: &[(f64, f64)]) -> f64 {
     let mut kib: Vec<f64> = memory.iter().map(|(_, kib)| *kib).collect();
     kib.sort_by(f64::total_cmp);
     kib[kib.len() / 2]
 }
 
-/// `GRIPCAST_SOAK_S` makes it longer: an hour of the guest's clock is about as long on the host's.
+/// `GRIPCAST_SOAK_S` sets the duration: guest and host clocks run at about the same speed.
 #[test]
-fn what_goes_wrong_at_random_costs_no_saved_grasp() {
+fn random_faults_lose_no_saved_grasp() {
     const SECONDS: u64 = 60;
     const SEED: u64 = 9;
     let Some(kernel) = kernel() else { return };

@@ -1,84 +1,84 @@
-//! The external camera's last frames, each measured as it comes: where the gripper is before it
-//! closes.
+//! Pre-grasp frames: the last frames of the external camera before the gripper closes, with the
+//! boards detected in them.
 
 use std::collections::VecDeque;
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
 use image::imageops::grayscale;
 
+use super::boards::Boards;
 use super::hub::{CameraSlot, Hub};
-use super::sheets::Boards;
 use super::status::MarkerStatus;
-use super::thread::spawn;
+use super::thread::{lock, spawn};
 use gripcast_annotate::{Annotation, Annotator, BoardHashes, Observation, annotation};
 use gripcast_base::error::{Error, Result};
 use gripcast_base::files::FileName;
 use gripcast_dataset::{PoseRecord, approach_name};
 use gripcast_imaging::{Decoder, Frame, Intrinsics, Role};
 
-/// Time between two frames that are kept.
-const PAUSE: Duration = Duration::from_millis(120);
-/// Most frames that are kept. The newest half is kept whole; of the older ones those go that leave
-/// the smallest hole for their age, so that any time since the initial frame stays covered.
-const MAX: usize = 48;
-/// Frames from this long before the initial trigger count: the operator holds still to press.
+/// Interval between two kept frames.
+const INTERVAL: Duration = Duration::from_millis(120);
+/// Maximum kept frames. The newest half is kept completely; older frames are thinned where the gap
+/// is smallest for their age, so that the whole time since the initial frame stays covered.
+const MAX_FRAMES: usize = 48;
+/// Time before the initial trigger from which frames count: the operator holds still to press, ns.
 const BEFORE_TRIGGER_NS: u64 = 700_000_000;
-/// Frames that are stored where no board tells which are the right ones.
-const STORED_UNSEEN: usize = 5;
+/// Frames stored if no board is detected.
+const FRAMES_WITHOUT_POSE: usize = 5;
 
-/// A frame, and what it shows.
+/// A frame and the boards detected in it.
 #[derive(Clone)]
-struct Seen {
+struct MeasuredFrame {
     frame: Frame,
     observation: Option<Result<Observation, String>>,
-    /// Hash of the sheet that was looked for.
+    /// Hash of the expected sheet.
     sheet: String,
 }
 
-/// What the engine tells the thread, and what it is told.
+/// State shared by the engine and the thread.
 #[derive(Default)]
 struct Shared {
     object: String,
-    ring: VecDeque<Seen>,
-    /// What the newest frame shows.
+    ring: VecDeque<MeasuredFrame>,
+    /// Detection result of the newest frame.
     newest: Option<MarkerStatus>,
 }
 
-/// The boards of the object that is labelled.
+/// Boards of the current object.
 struct CurrentBoards {
     hashes: BoardHashes,
-    /// Text of the board files: sheet, tags.
+    /// Texts of the board files: sheet, tags.
     texts: [String; 2],
 }
 
-/// Frames to be stored with a grasp, and its pose.
+/// Frames stored with a grasp, and its pose.
 #[derive(Default)]
-pub(super) struct Approach {
-    /// Frames by time, none of which is that of the initial stage.
+pub(super) struct PreGraspFrames {
+    /// Frames in order of time, without that of the initial stage.
     pub(super) frames: Vec<Frame>,
-    /// The pose; it names the files that the frames will have.
+    /// The pose; it refers to the file names of the frames.
     pub(super) pose: Option<PoseRecord>,
-    /// Text of the board files: sheet, tags.
+    /// Texts of the board files: sheet, tags.
     pub(super) boards: Option<[String; 2]>,
-    /// Why there is no pose.
-    pub(super) absence: Option<String>,
+    /// Reason why there is no pose.
+    pub(super) no_pose_reason: Option<String>,
 }
 
-/// Watches the external camera.
-pub(super) struct ApproachWatch {
+/// Recorder of the external camera's frames.
+pub(super) struct PreGraspRecorder {
     shared: Arc<Mutex<Shared>>,
     boards: Option<Arc<Boards>>,
     thread: JoinHandle<()>,
 }
 
-impl ApproachWatch {
-    /// Starts the thread; none without an external camera. Without boards or intrinsics frames are
-    /// only kept.
+impl PreGraspRecorder {
+    /// Starts the thread if there is an external camera. Without boards or intrinsics, frames are
+    /// kept without detection.
     ///
     /// # Errors
-    /// When the thread cannot be had.
+    /// `Io` if the thread cannot be started.
     pub(super) fn start(
         hub: &Hub,
         boards: Option<Boards>,
@@ -97,10 +97,10 @@ impl ApproachWatch {
                 intrinsics,
                 annotator: None,
             });
-        let (slot, theirs) = (Arc::clone(slot), Arc::clone(&shared));
+        let (slot, thread_state) = (Arc::clone(slot), Arc::clone(&shared));
         let decoder = Decoder::new()?;
-        let thread = spawn("approach".into(), move || {
-            run(&slot, &theirs, measurer, decoder);
+        let thread = spawn("pre-grasp".into(), move || {
+            run(&slot, &thread_state, measurer, decoder);
         })?;
         Ok(Some(Self {
             shared,
@@ -109,25 +109,24 @@ impl ApproachWatch {
         }))
     }
 
-    /// The object that is labelled.
+    /// Sets the current object.
     pub(super) fn set_object(&self, object: &str) {
         object.clone_into(&mut lock(&self.shared).object);
     }
 
-    /// What the newest frame shows.
+    /// Returns the detection result of the newest frame.
     pub(super) fn newest(&self) -> Option<MarkerStatus> {
         lock(&self.shared).newest.clone()
     }
 
-    /// What is stored with a grasp whose initial frame was triggered at `initial_ns`, until
-    /// `until_ns`; `initial` is the external camera's frame of the initial stage: driver time and
-    /// file.
+    /// Returns the frames for a grasp between the initial trigger at `initial_ns` and `until_ns`.
+    /// `initial` is the external camera's frame of the initial stage: driver time and file.
     pub(super) fn take(
         &self,
         initial_ns: u64,
         until_ns: u64,
         initial: Option<&(u64, FileName)>,
-    ) -> Approach {
+    ) -> PreGraspFrames {
         let shared = lock(&self.shared);
         let current = self.current(&shared.object);
         shared.take(initial_ns, until_ns, initial, current)
@@ -135,7 +134,7 @@ impl ApproachWatch {
 
     fn current(&self, object: &str) -> Option<CurrentBoards> {
         let boards = self.boards.as_ref()?;
-        // A sheet that cannot be read was told of when it was looked for.
+        // An unreadable sheet has already been reported by the detection.
         let sheet = boards.sheet(object).ok()??;
         Some(CurrentBoards {
             hashes: BoardHashes {
@@ -146,9 +145,9 @@ impl ApproachWatch {
         })
     }
 
-    /// Ends with the hub.
+    /// Waits for the thread, which ends with the hub.
     pub(super) fn join(self) {
-        // A thread that panicked has nothing left to give back.
+        // A panic has been reported already.
         let _ = self.thread.join();
     }
 }
@@ -160,38 +159,43 @@ impl Shared {
         until_ns: u64,
         initial: Option<&(u64, FileName)>,
         boards: Option<CurrentBoards>,
-    ) -> Approach {
+    ) -> PreGraspFrames {
         let from_ns = initial_ns.saturating_sub(BEFORE_TRIGGER_NS);
-        let file_of_initial = |frame: &Frame| {
+        let initial_file = |frame: &Frame| {
             let (time_ns, file) = initial?;
             (*time_ns == frame.driver_time_ns).then_some(file)
         };
-        let within: Vec<&Seen> = self
+        let within: Vec<&MeasuredFrame> = self
             .ring
             .iter()
-            .filter(|seen| (from_ns..until_ns).contains(&seen.frame.driver_time_ns))
+            .filter(|measured| (from_ns..until_ns).contains(&measured.frame.driver_time_ns))
             .collect();
         let numbers: Vec<String> = (0..within.len()).map(|n| n.to_string()).collect();
-        let found = boards.as_ref().and_then(|boards| {
-            // Before the object was changed another sheet was looked for.
-            let seen = within.iter().zip(&numbers).filter_map(|(seen, number)| {
-                let observation = seen.observation.as_ref()?.as_ref().ok()?;
-                (seen.sheet == boards.hashes.sheet).then_some((number.as_str(), observation))
-            });
-            annotation(seen, boards.hashes.clone())
+        let annotated = boards.as_ref().and_then(|boards| {
+            // Earlier frames may have been measured with the sheet of another object.
+            let observations = within
+                .iter()
+                .zip(&numbers)
+                .filter_map(|(measured, number)| {
+                    let observation = measured.observation.as_ref()?.as_ref().ok()?;
+                    (measured.sheet == boards.hashes.sheet)
+                        .then_some((number.as_str(), observation))
+                });
+            annotation(observations, boards.hashes.clone())
         });
         let boards = boards.map(|boards| boards.texts);
-        let Some(Annotation { mut record, .. }) = found else {
+        let Some(Annotation { mut record, .. }) = annotated else {
             let before: Vec<&Frame> = within
                 .iter()
-                .map(|seen| &seen.frame)
-                .filter(|f| f.driver_time_ns <= initial_ns && file_of_initial(f).is_none())
+                .map(|measured| &measured.frame)
+                .filter(|f| f.driver_time_ns <= initial_ns && initial_file(f).is_none())
                 .collect();
-            let skipped = before.len().saturating_sub(STORED_UNSEEN);
-            let why = |seen: &&Seen| seen.observation.as_ref()?.as_ref().err().cloned();
-            return Approach {
+            let skipped = before.len().saturating_sub(FRAMES_WITHOUT_POSE);
+            let reason =
+                |measured: &&MeasuredFrame| measured.observation.as_ref()?.as_ref().err().cloned();
+            return PreGraspFrames {
                 frames: before[skipped..].iter().map(|f| (*f).clone()).collect(),
-                absence: within.iter().rev().find_map(why),
+                no_pose_reason: within.iter().rev().find_map(reason),
                 boards,
                 pose: None,
             };
@@ -201,7 +205,7 @@ impl Shared {
             for name in &mut quality.frames {
                 let number: usize = name.parse().unwrap_or_default();
                 let frame = &within[number].frame;
-                if let Some(file) = file_of_initial(frame) {
+                if let Some(file) = initial_file(frame) {
                     *name = file.to_string();
                 } else {
                     *name = approach_name(frames.len(), frame.format).into();
@@ -209,18 +213,13 @@ impl Shared {
                 }
             }
         }
-        Approach {
+        PreGraspFrames {
             frames,
             pose: Some(record),
             boards,
-            absence: None,
+            no_pose_reason: None,
         }
     }
-}
-
-fn lock(shared: &Mutex<Shared>) -> MutexGuard<'_, Shared> {
-    // Entries are whole before they are put there.
-    shared.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
 fn run(
@@ -232,60 +231,56 @@ fn run(
     let mut last_ns = 0;
     while !slot.is_closed() {
         let started = Instant::now();
-        let newest = slot.sound_frames().pop();
+        let newest = slot.valid_frames().pop();
         if let Some(frame) = newest.filter(|frame| frame.driver_time_ns > last_ns) {
             last_ns = frame.driver_time_ns;
             let object = lock(shared).object.clone();
             let measured = measurer
                 .as_mut()
                 .map(|measurer| measurer.measure(&mut decoder, &frame, &object));
+            let (observation, sheet) = measured.unzip();
             let mut shared = lock(shared);
-            let seen = match measured {
-                None => Seen {
-                    frame,
-                    observation: None,
-                    sheet: String::new(),
-                },
-                Some((observation, sheet)) => {
-                    shared.newest = Some(MarkerStatus {
-                        ok: observation.is_ok(),
-                        text: observation.as_ref().map_or_else(Clone::clone, told),
-                    });
-                    Seen {
-                        frame,
-                        observation: Some(observation),
-                        sheet,
-                    }
-                }
-            };
-            shared.ring.push_back(seen);
+            if let Some(observation) = &observation {
+                shared.newest = Some(MarkerStatus {
+                    ok: observation.is_ok(),
+                    text: observation.as_ref().map_or_else(Clone::clone, summary),
+                });
+            }
+            shared.ring.push_back(MeasuredFrame {
+                frame,
+                observation,
+                sheet: sheet.unwrap_or_default(),
+            });
             thin(&mut shared.ring);
         }
-        slot.wait_closed(PAUSE.saturating_sub(started.elapsed()));
+        slot.wait_closed(INTERVAL.saturating_sub(started.elapsed()));
     }
 }
 
-/// Takes one frame out if there are too many; see [`MAX`].
-fn thin(ring: &mut VecDeque<Seen>) {
-    if ring.len() <= MAX {
+/// Removes one frame if there are too many; see [`MAX_FRAMES`].
+fn thin(ring: &mut VecDeque<MeasuredFrame>) {
+    if ring.len() <= MAX_FRAMES {
         return;
     }
     let time = |i: usize| ring[i].frame.driver_time_ns as f64;
     let newest = time(ring.len() - 1);
-    let hole = |i: &usize| (time(i + 1) - time(i - 1)) / (newest - time(*i));
-    let dispensable = (1..ring.len() - MAX / 2).min_by(|a, b| hole(a).total_cmp(&hole(b)));
+    let gap = |i: &usize| (time(i + 1) - time(i - 1)) / (newest - time(*i));
+    let dispensable = (1..ring.len() - MAX_FRAMES / 2).min_by(|a, b| gap(a).total_cmp(&gap(b)));
     if let Some(frame) = dispensable {
         ring.remove(frame);
     }
 }
 
-fn told(seen: &Observation) -> String {
+fn summary(observation: &Observation) -> String {
     format!(
         "sheet {}, tags {}, {:.2} px{}",
-        seen.object.used_markers(),
-        seen.gripper.body.used_markers(),
-        seen.object.rms_px.max(seen.gripper.body.rms_px),
-        if seen.is_ambiguous() {
+        observation.object.used_markers(),
+        observation.gripper.body.used_markers(),
+        observation
+            .object
+            .rms_px
+            .max(observation.gripper.body.rms_px),
+        if observation.is_ambiguous() {
             ", ambiguous"
         } else {
             ""
@@ -293,7 +288,7 @@ fn told(seen: &Observation) -> String {
     )
 }
 
-/// Measures frames with the boards of the object that is labelled.
+/// Detects the boards of the current object in frames.
 struct Measurer {
     boards: Arc<Boards>,
     intrinsics: Intrinsics,
@@ -301,7 +296,7 @@ struct Measurer {
 }
 
 impl Measurer {
-    /// What a frame shows, or why it cannot be measured; and the hash of the sheet.
+    /// Returns the observation or the reason for its absence, and the hash of the expected sheet.
     fn measure(
         &mut self,
         decoder: &mut Decoder,
@@ -318,15 +313,15 @@ impl Measurer {
         (observation, sheet.unwrap_or_default())
     }
 
-    /// The annotator for the sheet of an object.
+    /// Returns the annotator for the sheet of an object.
     fn annotator(&mut self, object: &str) -> Result<&mut Annotator> {
         let sheet = self.boards.sheet(object)?;
-        let kept = self.annotator.take();
+        let previous = self.annotator.take();
         let sheet = sheet.ok_or_else(|| {
-            let what = format!("there is no sheet for `{object}`");
+            let what = format!("no sheet found for `{object}`");
             Error::not_found(what)
         })?;
-        let annotator = match kept {
+        let annotator = match previous {
             Some(annotator) if annotator.sheet() == &sheet => annotator,
             _ => Annotator::new(sheet, self.boards.tags.clone(), self.intrinsics)?,
         };
@@ -341,8 +336,8 @@ mod tests {
 
     const MS: u64 = 1_000_000;
 
-    fn seen(time_ns: u64) -> Seen {
-        Seen {
+    fn measured(time_ns: u64) -> MeasuredFrame {
+        MeasuredFrame {
             frame: Frame {
                 format: PixelFormat::Grey,
                 width: 1,
@@ -358,36 +353,36 @@ mod tests {
     }
 
     #[test]
-    fn a_long_wait_stays_covered() {
+    fn long_wait_stays_covered_by_frames() {
         let mut ring = VecDeque::new();
         for n in 1..=1000 {
-            ring.push_back(seen(n * 120 * MS));
+            ring.push_back(measured(n * 120 * MS));
             thin(&mut ring);
         }
-        assert_eq!(ring.len(), MAX);
+        assert_eq!(ring.len(), MAX_FRAMES);
         let times: Vec<u64> = ring.iter().map(|s| s.frame.driver_time_ns / MS).collect();
-        let (old, new) = times.split_at(MAX / 2);
+        let (old, new) = times.split_at(MAX_FRAMES / 2);
         assert!(
             new.windows(2).all(|pair| pair[1] - pair[0] == 120),
             "{new:?}"
         );
-        // Of two minutes, whatever happened is seen within a third of its age.
+        // Over two minutes, no gap is longer than a third of its age.
         let newest = 1000 * 120;
         assert_eq!((old[0], new.last()), (120, Some(&newest)));
-        let holes = old
+        let are_small = old
             .windows(2)
             .map(|pair| (pair[1] - pair[0]) * 3 <= newest - pair[0]);
-        assert!(holes.into_iter().all(|is_small| is_small), "{old:?}");
+        assert!(are_small.into_iter().all(|is_small| is_small), "{old:?}");
     }
 
     #[test]
-    fn without_boards_the_last_frames_before_the_trigger_are_stored() {
+    fn last_frames_before_trigger_are_stored_without_boards() {
         let shared = Shared {
-            ring: (1..=40).map(|n| seen(n * 100 * MS)).collect(),
+            ring: (1..=40).map(|n| measured(n * 100 * MS)).collect(),
             ..Shared::default()
         };
-        let times = |approach: &Approach| -> Vec<u64> {
-            let frames = approach.frames.iter();
+        let times = |taken: &PreGraspFrames| -> Vec<u64> {
+            let frames = taken.frames.iter();
             frames.map(|f| f.driver_time_ns / MS).collect()
         };
         let initial = (2000 * MS, "initial.external.png".parse().unwrap());

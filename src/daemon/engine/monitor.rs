@@ -1,10 +1,10 @@
-//! What the engine tells while it runs: faults of cameras and threads, and its status.
+//! Monitoring: faults of cameras and threads, and the engine's status.
 
 use std::sync::Arc;
 
 use super::Engine;
-use crate::daemon::approach::ApproachWatch;
 use crate::daemon::black_box::BlackBox;
+use crate::daemon::pre_grasp::PreGraspRecorder;
 use crate::daemon::report::camera_status;
 use crate::daemon::status::{CameraStatus, EngineStatus, PredictionStatus};
 use crate::daemon::tasks::TaskState;
@@ -13,36 +13,36 @@ use gripcast_imaging::Role;
 use gripcast_session::Tone;
 
 impl Engine {
-    /// A fault tone and a line of the log for every thread that had to be started again or is stuck.
-    pub(super) fn watch_tasks(&mut self) {
+    /// Gives a fault tone and a log line for every thread that restarted or is stuck.
+    pub(super) fn check_tasks(&mut self) {
         for task in self.links.tasks.report() {
             let now = (task.state == TaskState::Stuck, task.restarts);
-            let before = self.tasks_were.insert(task.name.clone(), now);
+            let before = self.last_task_states.insert(task.name.clone(), now);
             if before.unwrap_or_default() != now {
-                // Without a screen nobody hears it; the log has it.
+                // The receiver is gone without a screen; the log has the fault.
                 let _ = self.links.tones.send(Tone::Fault);
                 self.log("task", &task);
             }
         }
     }
 
-    /// A fault tone for every camera that falls out.
-    pub(super) fn watch_cameras(&mut self) {
+    /// Gives a fault tone and a log line for every camera that fails, and a log line when it recovers.
+    pub(super) fn check_cameras(&mut self) {
         let hub = self.hub.clone();
         for slot in hub.slots() {
-            let (live, reason) = slot.facts(|facts| {
-                let live = facts.health == Health::Live;
-                (live, format!("{:?}", facts.health))
+            let (live, reason) = slot.with_info(|info| {
+                let live = info.health == Health::Live;
+                (live, format!("{:?}", info.health))
             });
-            let before = self.was_live.insert(slot.role(), live);
+            let before = self.was_live.insert(slot.role, live);
             if before == Some(true) && !live {
-                // Without a screen nobody hears it; the log has it.
+                // The receiver is gone without a screen; the log has the fault.
                 let _ = self.links.tones.send(Tone::Fault);
             }
             if before.is_some_and(|before| before != live) {
                 let event = if live { "camera_live" } else { "camera_fault" };
-                let role = slot.role();
-                let warnings = slot.facts(|facts| facts.warnings.clone());
+                let role = slot.role;
+                let warnings = slot.with_info(|info| info.warnings.clone());
                 let what = serde_json::json!({
                     "role": role,
                     "health": reason,
@@ -54,13 +54,13 @@ impl Engine {
     }
 
     pub(super) fn send_status(&self) {
-        // Nobody looks when the screen has left; the report tells the rest.
+        // All receivers may be gone; the closing report is complete.
         let _ = self.links.status.send(Arc::new(self.status()));
     }
 
     fn status(&self) -> EngineStatus {
         let now_ns = monotonic_ns();
-        let findings = self.inference.findings();
+        let state = self.inference.state();
         EngineStatus {
             dataset: self.dataset_name.clone(),
             rig: self.rig.id.clone(),
@@ -72,21 +72,21 @@ impl Engine {
                 .hub
                 .slots()
                 .map(|slot| {
-                    let approach = self.approach.as_ref();
-                    let approach = approach.filter(|_| slot.role() == Role::External);
+                    let recorder = self.pre_grasp.as_ref();
+                    let recorder = recorder.filter(|_| slot.role == Role::External);
                     CameraStatus {
-                        markers: approach.and_then(ApproachWatch::newest),
+                        markers: recorder.and_then(PreGraspRecorder::newest),
                         ..camera_status(slot, &self.rig, now_ns)
                     }
                 })
                 .collect(),
-            prediction: findings.live.clone().map(|live| PredictionStatus {
+            prediction: state.live.clone().map(|live| PredictionStatus {
                 frame_age_ms: now_ns.saturating_sub(live.frame_time_ns) as f64 * 1e-6,
                 ..live
             }),
-            prediction_absent: findings.absent.clone(),
-            contact: findings.contact_levels(),
-            previews: findings.previews.clone(),
+            no_prediction_reason: state.unavailable.clone(),
+            contact: state.contact_levels(),
+            previews: state.previews.clone(),
         }
     }
 }

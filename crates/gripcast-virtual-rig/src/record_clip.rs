@@ -1,4 +1,4 @@
-//! Makes a film of a trace.
+//! Records clips of simulated grasps.
 
 use std::borrow::Cow;
 use std::path::Path;
@@ -7,55 +7,55 @@ use glam::DVec3;
 use image::{RgbImage, imageops};
 use serde_json::Value;
 
-use super::film::{FilmFiles, FilmKeys, film_header};
+use super::clip::{ClipFiles, Keyframes, clip_header};
 use gripcast_base::error::{Error, Result};
 use gripcast_geometry::{Pose, TriangleMesh};
 use gripcast_imaging::{DepthImage, Intrinsics, encode_png_grey16};
 use gripcast_pose::BoardFile;
-use gripcast_pose::print::{ObjectSheet, SheetObject, default_object_sheet};
+use gripcast_pose::print::{ObjectOnSheet, ObjectSheet, usual_object_sheet};
 use gripcast_sim::fem::GelGrid;
 use gripcast_sim::grasp::{StageName, Trace, TraceFile, TraceStep};
 use gripcast_tactile::{TraceHeader, TraceStart};
 use gripcast_visual::{
-    AnnotationMarkers, Camera, ColourSettings, DENOISE_RADIUS_PX, DepthSettings, GraspState, Model,
-    RenderControl, RenderSettings, Renderer, View, VisualConditions, VisualRandomisation,
+    Camera, ColourSettings, DenoiseSettings, DepthSettings, GraspPrints, GraspState, Model,
+    RenderSettings, Renderer, View, VisualConditions, VisualRandomisation, Watch,
     annotation_camera, annotation_scene, denoise, develop, grasp_scene, measure_depth,
 };
 
-/// Steps that are shown: of the way to the object, in contact until closed, adjusting, lifting.
+/// Maximum shown steps of each phase: approach, contact, force adjustment, lift.
 const FREE_STEPS: usize = 6;
 const CONTACT_STEPS: usize = 24;
 const ADJUSTING_STEPS: usize = 4;
 const LIFTING_STEPS: usize = 10;
-/// Key steps of the way to the object and of the lift.
+/// Maximum keyframes of the approach and of the lift.
 const FREE_KEYS: usize = 3;
 const LIFTING_KEYS: usize = 3;
-/// JPEG quality of the images in which markers are measured.
-const OUTSIDE_QUALITY: u8 = 88;
+/// JPEG quality of the external images, in which markers are detected.
+const EXTERNAL_QUALITY: u8 = 88;
 
-/// How a film is made.
+/// Settings of [`record_clip`].
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct ShootSettings {
+pub struct ClipSettings {
     /// Columns and rows of the colour images.
     pub colour: [usize; 2],
     /// Columns and rows of the depth images.
     pub depth: [usize; 2],
-    /// Columns and rows of the images from beside the table, in which markers are found.
-    pub outside: [usize; 2],
-    /// Paths for each pixel of a colour image, denoised afterwards.
+    /// Columns and rows of the external camera's images.
+    pub external: [usize; 2],
+    /// Samples per pixel (spp) of the colour images before denoising.
     pub samples: u32,
     /// JPEG quality, 1 to 100.
     pub quality: u8,
-    /// Light, ground, camera and colours are drawn from it.
+    /// Random seed of light, ground, camera and colours.
     pub seed: u64,
 }
 
-impl Default for ShootSettings {
+impl Default for ClipSettings {
     fn default() -> Self {
         Self {
             colour: [480, 360],
             depth: [320, 240],
-            outside: [1280, 720],
+            external: [1280, 720],
             samples: 64,
             quality: 82,
             seed: 0,
@@ -63,97 +63,105 @@ impl Default for ShootSettings {
     }
 }
 
-/// A film of a simulated grasp of `model`, whose shape is `mesh` (m, its own frame). `progress` is
-/// told how many images are done, of how many.
+/// Records a clip of a simulated grasp of `model` with the shape `mesh` (m, object frame), and
+/// reports rendered and total images to `on_progress`.
 ///
-/// Seen from beside the table, the object stands on its printed sheet and the gripper has the tags
-/// of [`BoardFile::gripper_umi`].
+/// The external camera sees the object on its printed sheet and the gripper with the tags of
+/// [`BoardFile::gripper_umi`].
 ///
 /// # Errors
-/// `Input` where the trace has no steps or no start, or the scene cannot be rendered.
-pub fn shoot(
+/// `Input` for a trace without steps or start, or a scene that cannot be rendered.
+pub fn record_clip(
     file: &TraceFile,
     mesh: &TriangleMesh,
     model: &Model,
-    settings: &ShootSettings,
-    progress: &dyn Fn(usize, usize),
-) -> Result<FilmFiles> {
+    settings: &ClipSettings,
+    on_progress: &dyn Fn(usize, usize),
+) -> Result<ClipFiles> {
     let trace = &file.trace;
     let shown = shown_steps(&trace.steps)?;
     let TraceHeader { gel, object } = TraceHeader::read(&file.header)?;
-    let set = Set {
+    let clip_scene = ClipScene {
         trace,
         grid: gel.grid,
         start: TraceStart::read(&file.header)?,
         conditions: VisualRandomisation::default().sample(settings.seed),
         settings,
     };
-    let sheet = sheet_of(mesh, &object.source, set.start.t_world_object)?;
+    let sheet = sheet_of(mesh, &object.source, clip_scene.start.t_world_object)?;
     let tags = BoardFile::gripper_umi()?;
-    let prints = AnnotationMarkers::new(&sheet.flat_print()?, &tags.flat_prints())?;
-    let beside = annotation_camera(&set.state(0)?, settings.outside, settings.seed);
-    let keys = keys_of(trace, &shown, beside.intrinsics());
-    let all = keys.keys.len() + keys.outside_keys.len();
+    let prints = GraspPrints::new(&sheet.flat_print()?, &tags.flat_prints())?;
+    let beside = annotation_camera(&clip_scene.state(0)?, settings.external, settings.seed);
+    let keys = keyframes(trace, &shown, beside.intrinsics());
+    let all = keys.keys.len() + keys.external_keys.len();
     let steps = |keys: &[usize]| -> Vec<usize> { keys.iter().map(|key| shown[*key]).collect() };
 
     let mut colour = Vec::new();
     let mut depth = Vec::new();
     let view = View::EyeInHand(settings.colour);
-    // One place of the cameras for the whole film.
-    let before = set.state(0)?;
-    let hand = view.camera(&before, &set.conditions);
-    let stereo = View::EyeInHand(settings.depth).camera(&before, &set.conditions);
+    // The camera poses do not change during the clip.
+    let before = clip_scene.state(0)?;
+    let hand = view.camera(&before, &clip_scene.conditions);
+    let stereo = View::EyeInHand(settings.depth).camera(&before, &clip_scene.conditions);
     for step in steps(&keys.keys) {
-        progress(colour.len(), all);
-        let scene = grasp_scene(model, &set.state(step)?, &set.conditions, view)?;
+        on_progress(colour.len(), all);
+        let scene = grasp_scene(
+            model,
+            &clip_scene.state(step)?,
+            &clip_scene.conditions,
+            view,
+        )?;
         let renderer = Renderer::new(&scene)?;
-        colour.push(set.image(
+        colour.push(clip_scene.image(
             &renderer,
-            &set.riding(&hand, step),
+            &clip_scene.lifted_camera(&hand, step),
             ColourSettings::default().blur_px,
         )?);
-        depth.push(depth_image(&renderer, &set.riding(&stereo, step))?);
+        depth.push(depth_image(
+            &renderer,
+            &clip_scene.lifted_camera(&stereo, step),
+        )?);
     }
-    let mut outside = Vec::new();
-    for step in steps(&keys.outside_keys) {
-        progress(colour.len() + outside.len(), all);
-        let state = set.state(step)?;
-        let scene = annotation_scene(model, &state, &set.conditions, beside, &prints)?;
-        outside.push(set.image(&Renderer::new(&scene)?, &beside, 0.0)?);
+    let mut external = Vec::new();
+    for step in steps(&keys.external_keys) {
+        on_progress(colour.len() + external.len(), all);
+        let state = clip_scene.state(step)?;
+        let scene = annotation_scene(model, &state, &clip_scene.conditions, beside, &prints)?;
+        external.push(clip_scene.image(&Renderer::new(&scene)?, &beside, 0.0)?);
     }
-    Ok(FilmFiles {
+    Ok(ClipFiles {
         trace: Cow::Owned(thinned(&file.header, trace, &shown, &keys)?),
         colour: Cow::Owned(jpeg_strip(&colour, settings.quality)?),
         depth: Cow::Owned(png_strip(&depth)?),
-        outside: Cow::Owned(jpeg_strip(&outside, OUTSIDE_QUALITY)?),
+        external: Cow::Owned(jpeg_strip(&external, EXTERNAL_QUALITY)?),
         sheet: Cow::Owned(sheet.file.to_toml().into_bytes()),
     })
 }
 
-/// The sheet of an object as it stands, named after its mesh.
+/// Returns the sheet for an object in its initial pose, named after its mesh.
 fn sheet_of(mesh: &TriangleMesh, source: &str, t_world_object: Pose) -> Result<ObjectSheet> {
-    let object = SheetObject {
+    let object = ObjectOnSheet {
         mesh,
         source,
         t_world_object,
     };
     let named = source.strip_prefix("builtin:").unwrap_or(source);
     let name = Path::new(named).file_stem().unwrap_or_default();
-    default_object_sheet(&name.to_string_lossy(), &object)
+    usual_object_sheet(&name.to_string_lossy(), &object)
 }
 
-/// Everything that the images of a film fraction.
-struct Set<'a> {
+/// Trace and render settings common to all images of a clip.
+struct ClipScene<'a> {
     trace: &'a Trace,
     grid: GelGrid,
     start: TraceStart,
     conditions: VisualConditions,
-    settings: &'a ShootSettings,
+    settings: &'a ClipSettings,
 }
 
-impl Set<'_> {
-    /// A camera on the gripper, lifted with it.
-    fn riding(&self, camera: &Camera, step: usize) -> Camera {
+impl ClipScene<'_> {
+    /// Returns a gripper-mounted camera at a step.
+    fn lifted_camera(&self, camera: &Camera, step: usize) -> Camera {
         let lift = Pose::from_translation(DVec3::Z * self.trace.steps[step].lifted_m);
         Camera {
             t_world_camera: lift * camera.t_world_camera,
@@ -161,31 +169,31 @@ impl Set<'_> {
         }
     }
 
-    /// Deformed gels are known at the ends of the stages only.
+    /// Returns the state at a step; deformed gels are stored at the ends of the stages only.
     fn state(&self, step: usize) -> Result<GraspState> {
-        let at = &self.trace.steps[step];
-        let is_now = |t_s: f64| (t_s - at.t_s).abs() < 1e-9;
+        let current = &self.trace.steps[step];
+        let is_now = |t_s: f64| (t_s - current.t_s).abs() < 1e-9;
         if let Some(snapshot) = self.trace.snapshots.iter().find(|s| is_now(s.t_s)) {
-            return GraspState::from_snapshot(snapshot, Some(&self.grid));
+            return GraspState::at(snapshot, Some(&self.grid));
         }
-        let lift = Pose::from_translation(DVec3::Z * at.lifted_m);
+        let lift = Pose::from_translation(DVec3::Z * current.lifted_m);
         Ok(GraspState {
-            t_world_object: at.t_world_object,
+            t_world_object: current.t_world_object,
             t_world_gripper: lift * self.start.t_world_gripper(),
-            opening_m: at.opening_m,
+            opening_m: current.opening_m,
             gels: None,
         })
     }
 
     fn image(&self, renderer: &Renderer, camera: &Camera, blur_px: f32) -> Result<RgbImage> {
         let settings = RenderSettings {
-            samples_per_pixel: self.settings.samples,
+            samples: self.settings.samples,
             seed: self.settings.seed,
             ..RenderSettings::default()
         };
-        let rendering = renderer.render(camera, &settings, &RenderControl::default())?;
-        let light = denoise(&rendering, DENOISE_RADIUS_PX);
-        // The noise is that of each frame.
+        let rendering = renderer.render(camera, &settings, &Watch::default())?;
+        let light = denoise(&rendering, &DenoiseSettings::default());
+        // Noise is added per frame at playback.
         let colour = ColourSettings {
             full_well_e: 1e9,
             read_noise_e: 0.0,
@@ -198,72 +206,73 @@ impl Set<'_> {
 
 fn depth_image(renderer: &Renderer, camera: &Camera) -> Result<DepthImage> {
     let noiseless = DepthSettings {
-        disparity_std_px: 0.0,
+        subpixel: 0.0,
         ..DepthSettings::default()
     };
     measure_depth(&renderer.depth(camera)?, camera, &noiseless, 0)
 }
 
-/// Indices of the steps that are shown: few where nothing touches, most while the gels are
-/// pressed in.
+/// Returns the indices of the shown steps: few in the approach, most while the gels deform.
 fn shown_steps(steps: &[TraceStep]) -> Result<Vec<usize>> {
     if steps.is_empty() {
-        return Err(
-            Error::input("the trace has no steps, so there is nothing to show")
-                .remedy("take a grasp that was simulated; its outcome says whether it was"),
-        );
+        return Err(Error::input("the trace has no steps")
+            .remedy("use the trace of a grasp whose simulation converged"));
     }
-    let count = |is: &dyn Fn(&TraceStep) -> bool| steps.iter().take_while(|s| is(s)).count();
-    let free = count(&|s| s.min_gap_m == [None, None] && s.stage == StageName::Closure);
-    let closure = count(&|s| s.stage == StageName::Closure);
-    let before_lift = count(&|s| s.stage != StageName::Lift);
+    let [free, closure, before_lift] = phase_ends(steps.iter());
     let mut shown = vec![0];
-    for (from, to, most) in [
+    for (from, to, max) in [
         (0, free, FREE_STEPS),
         (free, closure, CONTACT_STEPS),
         (closure, before_lift, ADJUSTING_STEPS),
         (before_lift, steps.len(), LIFTING_STEPS),
     ] {
-        shown.extend(spread(from, to, most));
+        shown.extend(spread(from, to, max));
     }
     shown.dedup();
     Ok(shown)
 }
 
-/// At most `most` of `from..to`, evenly, the last always.
-fn spread(from: usize, to: usize, most: usize) -> impl Iterator<Item = usize> {
+/// Returns the number of steps before first contact, before the end of closure, and before the lift.
+fn phase_ends<'a>(steps: impl Iterator<Item = &'a TraceStep> + Clone) -> [usize; 3] {
+    let count = |is: fn(&TraceStep) -> bool| steps.clone().take_while(|step| is(step)).count();
+    [
+        count(|s| s.min_gap_m == [None, None] && s.stage == StageName::Closure),
+        count(|s| s.stage == StageName::Closure),
+        count(|s| s.stage != StageName::Lift),
+    ]
+}
+
+/// Returns at most `max` evenly spaced indices of `from..to`, always with the last.
+fn spread(from: usize, to: usize, max: usize) -> impl Iterator<Item = usize> {
     let length = to - from;
-    let count = length.min(most);
+    let count = length.min(max);
     (1..=count).map(move |n| from + (n * length).div_ceil(count) - 1)
 }
 
-/// Keys are numbers of shown steps.
-fn keys_of(trace: &Trace, shown: &[usize], outside_camera: Intrinsics) -> FilmKeys {
-    let steps: Vec<&TraceStep> = shown.iter().map(|step| &trace.steps[*step]).collect();
-    let count = |is: &dyn Fn(&TraceStep) -> bool| steps.iter().take_while(|s| is(s)).count();
-    let free = count(&|s| s.min_gap_m == [None, None] && s.stage == StageName::Closure);
-    let before_lift = count(&|s| s.stage != StageName::Lift);
+/// Selects keyframes among the shown steps.
+fn keyframes(trace: &Trace, shown: &[usize], external_camera: Intrinsics) -> Keyframes {
+    let [free, _, before_lift] = phase_ends(shown.iter().map(|step| &trace.steps[*step]));
     let mut keys = vec![0];
     keys.extend(spread(0, free, FREE_KEYS));
-    // The fingers hardly move once they touch: the first touch and the end.
+    // The fingers hardly move in contact: first contact and end of closure are enough.
     keys.extend([
         free.min(before_lift.saturating_sub(1)),
         before_lift.saturating_sub(1),
     ]);
-    keys.extend(spread(before_lift, steps.len(), LIFTING_KEYS));
+    keys.extend(spread(before_lift, shown.len(), LIFTING_KEYS));
     keys.dedup();
-    let mut outside_keys = vec![0, before_lift.saturating_sub(1), steps.len() - 1];
-    outside_keys.dedup();
-    FilmKeys {
+    let mut external_keys = vec![0, before_lift.saturating_sub(1), shown.len() - 1];
+    external_keys.dedup();
+    Keyframes {
         keys,
-        outside_keys,
-        outside_camera,
+        external_keys,
+        external_camera,
     }
 }
 
-fn thinned(header: &Value, trace: &Trace, shown: &[usize], keys: &FilmKeys) -> Result<Vec<u8>> {
+fn thinned(header: &Value, trace: &Trace, shown: &[usize], keys: &Keyframes) -> Result<Vec<u8>> {
     let thin = TraceFile {
-        header: film_header(header, keys)?,
+        header: clip_header(header, keys)?,
         trace: Trace {
             steps: shown
                 .iter()
@@ -290,7 +299,7 @@ fn jpeg_strip(images: &[RgbImage], quality: u8) -> Result<Vec<u8>> {
     };
     turbojpeg::compress(image, i32::from(quality), turbojpeg::Subsamp::Sub2x2)
         .map(|jpeg| jpeg.to_vec())
-        .map_err(|e| Error::internal("cannot encode the film").because(e))
+        .map_err(|e| Error::internal("cannot encode the images").because(e))
 }
 
 fn png_strip(images: &[DepthImage]) -> Result<Vec<u8>> {
@@ -308,7 +317,7 @@ mod tests {
     use serde_json::json;
 
     use super::*;
-    use crate::film::Film;
+    use crate::clip::Clip;
     use gripcast_geometry::{PrepareOptions, builtin, prepare};
     use gripcast_sim::fem::GelResolution;
     use gripcast_sim::grasp::GelForce;
@@ -331,7 +340,7 @@ mod tests {
         Camera::centred(64, 36, 1.0, Pose::IDENTITY).intrinsics()
     }
 
-    /// 30 steps to the object, 40 in contact, 100 of adjustment, 50 of lifting.
+    /// 30 steps of approach, 40 in contact, 100 of adjustment, 50 of lift.
     fn trace() -> Trace {
         let free = (0..30).map(|n| step(StageName::Closure, 0.07 - 1e-3 * f64::from(n), None, 0.0));
         let touching = (0..40).map(|n| {
@@ -342,10 +351,10 @@ mod tests {
                 0.0,
             )
         });
-        let held = (0..100).map(|_| step(StageName::Adjustment, 0.039, Some(3e-4), 0.0));
+        let adjusting = (0..100).map(|_| step(StageName::Adjustment, 0.039, Some(3e-4), 0.0));
         let lifted =
             (1..=50).map(|n| step(StageName::Lift, 0.039, Some(3e-4), 1e-3 * f64::from(n)));
-        let steps = free.chain(touching).chain(held).chain(lifted);
+        let steps = free.chain(touching).chain(adjusting).chain(lifted);
         Trace {
             steps: steps.collect(),
             snapshots: Vec::new(),
@@ -375,7 +384,7 @@ mod tests {
     }
 
     #[test]
-    fn few_steps_of_the_way_and_most_of_the_contact_are_shown() {
+    fn shown_steps_favour_contact_over_approach() {
         let trace = trace();
         let shown = shown_steps(&trace.steps).unwrap();
         assert!(shown.windows(2).all(|pair| pair[0] < pair[1]), "{shown:?}");
@@ -391,9 +400,9 @@ mod tests {
             ],
             [FREE_STEPS, CONTACT_STEPS, ADJUSTING_STEPS, LIFTING_STEPS]
         );
-        // The states before the lift and at the ends are those that people look at.
+        // The ends of closure and adjustment are shown.
         assert!(shown.contains(&69) && shown.contains(&169));
-        let keys = keys_of(&trace, &shown, intrinsics());
+        let keys = keyframes(&trace, &shown, intrinsics());
         let stages: Vec<_> = keys
             .keys
             .iter()
@@ -403,22 +412,22 @@ mod tests {
             stages.iter().filter(|s| **s == StageName::Lift).count(),
             LIFTING_KEYS
         );
-        assert_eq!(keys.outside_keys.len(), 3);
+        assert_eq!(keys.external_keys.len(), 3);
         assert_eq!(
-            trace.steps[shown[keys.outside_keys[1]]].stage,
+            trace.steps[shown[keys.external_keys[1]]].stage,
             StageName::Adjustment
         );
     }
 
     #[test]
-    fn short_traces_keep_all_their_steps() {
+    fn short_trace_keeps_all_steps() {
         for length in [1, 2, 31, 75] {
             let mut trace = trace();
             trace.steps.truncate(length);
             let shown = shown_steps(&trace.steps).unwrap();
             assert_eq!(*shown.last().unwrap(), length - 1);
-            let keys = keys_of(&trace, &shown, intrinsics());
-            for keys in [keys.keys, keys.outside_keys] {
+            let keys = keyframes(&trace, &shown, intrinsics());
+            for keys in [keys.keys, keys.external_keys] {
                 assert!(keys.windows(2).all(|pair| pair[0] < pair[1]), "{keys:?}");
                 assert!(keys[0] == 0 && *keys.last().unwrap() < shown.len());
             }
@@ -432,36 +441,36 @@ mod tests {
     }
 
     #[test]
-    fn a_film_plays_back_what_was_simulated() {
+    fn clip_plays_back_the_simulated_grasp() {
         let file = file();
         let model = demo_model("box", 1).unwrap();
-        let settings = ShootSettings {
+        let settings = ClipSettings {
             colour: [24, 18],
             depth: [16, 12],
-            outside: [64, 36],
+            external: [64, 36],
             samples: 1,
             seed: 4,
-            ..ShootSettings::default()
+            ..ClipSettings::default()
         };
         let mesh = builtin("box").unwrap();
-        let files = shoot(&file, &mesh, &model, &settings, &|_, _| {}).unwrap();
-        let film = Film::parse("box", files, Path::new("")).unwrap();
-        film.check().unwrap();
+        let files = record_clip(&file, &mesh, &model, &settings, &|_, _| {}).unwrap();
+        let clip = Clip::parse("box", files, Path::new("")).unwrap();
+        clip.check().unwrap();
         let shown = shown_steps(&file.trace.steps).unwrap();
-        assert_eq!(film.steps().len(), shown.len());
-        assert_eq!(film.steps()[film.step_at(1.0)], file.trace.steps[169]);
-        assert_eq!(film.steps()[film.step_at(2.0)], file.trace.steps[219]);
-        let truth = film.truth_at(film.step_at(2.0));
+        assert_eq!(clip.steps.len(), shown.len());
+        assert_eq!(clip.steps[clip.step_at(1.0)], file.trace.steps[169]);
+        assert_eq!(clip.steps[clip.step_at(2.0)], file.trace.steps[219]);
+        let truth = clip.truth_at(clip.step_at(2.0));
         assert!(truth.held && truth.object == "builtin:box");
-        // The gripper rises with the object: their relation stays.
-        let apart =
+        // The gripper rises with the object, so their relative pose is constant.
+        let drift =
             truth.t_object_gripper.translation_m - truth.t_object_gripper_initial.translation_m;
-        assert!(apart.length() < 1e-12);
-        let depth = film.depth_mm().unwrap();
+        assert!(drift.length() < 1e-12);
+        let depth = clip.depth_mm().unwrap();
         let farthest = |key: usize| depth[key].iter().copied().max().unwrap();
         assert!(
             farthest(depth.len() - 1) > farthest(0) + 30,
-            "the table falls back in the lift"
+            "the table must recede during the lift"
         );
     }
 }

@@ -1,4 +1,4 @@
-//! Which printed boards the external camera sees.
+//! Printed boards in view of the external camera.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -10,67 +10,67 @@ use gripcast_capture::calibration::BoardsConfig;
 use gripcast_pose::BoardFile;
 use gripcast_virtual_rig::VirtualHand;
 
-/// The gripper's tags and the sheets of objects.
+/// Tags of the gripper and sheets of the objects.
 pub struct Boards {
-    /// The tags.
+    /// Tags of the gripper.
     pub tags: BoardFile,
     sheets: Sheets,
 }
 
 enum Sheets {
-    /// One for all objects.
+    /// One sheet for all objects.
     One(Box<BoardFile>),
-    /// By name of the object.
+    /// Sheets by object name.
     ByObject(BTreeMap<ObjectName, BoardFile>),
-    /// That of the object on the virtual table.
+    /// The sheet of the virtual rig's current object.
     Virtual(Arc<VirtualHand>),
 }
 
 impl Boards {
-    /// Reads the files of a rig.
+    /// Reads the board files of a rig.
     ///
     /// # Errors
-    /// `NotFound`, `Io`, or `Config`, `Input` for a file that is no board.
+    /// `NotFound`, `Io`; `Config`, `Input` for an invalid board file.
     pub fn read(config: &BoardsConfig) -> Result<Self> {
         Ok(Self {
             tags: BoardFile::load(&config.tags)?,
             sheets: if config.sheets.is_dir() {
-                Sheets::ByObject(read_sheets(&config.sheets)?)
+                Sheets::ByObject(read_object_boards(&config.sheets)?)
             } else {
                 Sheets::One(Box::new(BoardFile::load(&config.sheets)?))
             },
         })
     }
 
-    /// Those of the virtual rig.
+    /// Returns the boards of a virtual rig.
     ///
     /// # Errors
-    /// None; a test reads the file.
-    pub fn of_virtual_rig(hand: Arc<VirtualHand>) -> Result<Self> {
+    /// None; a test reads the built-in file.
+    pub fn from_virtual_hand(hand: Arc<VirtualHand>) -> Result<Self> {
         Ok(Self {
             tags: BoardFile::gripper_umi()?,
             sheets: Sheets::Virtual(hand),
         })
     }
 
-    /// The sheet that an object of this name stands on.
+    /// Returns the sheet of an object.
     ///
     /// # Errors
-    /// `Input` for a damaged film.
+    /// `Input` for a damaged clip.
     pub fn sheet(&self, object: &str) -> Result<Option<BoardFile>> {
         match &self.sheets {
             Sheets::One(sheet) => Ok(Some((**sheet).clone())),
             Sheets::ByObject(sheets) => Ok(sheets.get(object).cloned()),
-            Sheets::Virtual(hand) => hand.film().sheet().map(Some),
+            Sheets::Virtual(hand) => hand.clip().sheet().map(Some),
         }
     }
 }
 
-/// Board files of a folder by the names of the files, which are those of the objects.
+/// Reads the board files `OBJECT.toml` in a folder.
 ///
 /// # Errors
-/// `NotFound`, `Io`, or those of a file that is no board.
-pub fn read_sheets(folder: &Path) -> Result<BTreeMap<ObjectName, BoardFile>> {
+/// `NotFound`, `Io`; errors of an invalid board file.
+pub fn read_object_boards(folder: &Path) -> Result<BTreeMap<ObjectName, BoardFile>> {
     let unreadable = |e| Error::io("cannot read the sheets", e).at(folder.display());
     let mut sheets = BTreeMap::new();
     for entry in Root::new(folder).top().entries().map_err(unreadable)? {

@@ -1,5 +1,5 @@
-//! Places that are limited, apart for TCP and for the Unix socket: who floods the one never locks
-//! out the other.
+//! Limited connection slots, separate for TCP and the Unix socket, so that a flood of one does not
+//! block the other.
 
 use std::sync::Arc;
 
@@ -7,15 +7,15 @@ use tokio::sync::{OwnedSemaphorePermit, Semaphore};
 
 use super::access::Peer;
 
-/// Places; a clone fractions them.
+/// Limited slots; clones share them.
 #[derive(Clone, Debug)]
-pub(crate) struct Places {
+pub(crate) struct Slots {
     pub(super) network: Arc<Semaphore>,
     pub(super) local: Arc<Semaphore>,
 }
 
-impl Places {
-    /// That many over TCP and over the Unix socket.
+impl Slots {
+    /// Creates slots for TCP and for the Unix socket.
     pub(super) fn new(network: usize, local: usize) -> Self {
         Self {
             network: Arc::new(Semaphore::new(network)),
@@ -23,12 +23,12 @@ impl Places {
         }
     }
 
-    /// A place until it is dropped, if one is free.
+    /// Takes a slot until the permit is dropped; `None` if all are in use.
     pub(super) fn take(&self, peer: Peer) -> Option<OwnedSemaphorePermit> {
-        let places = match peer {
+        let slots = match peer {
             Peer::Network(_) => &self.network,
             Peer::Local => &self.local,
         };
-        Arc::clone(places).try_acquire_owned().ok()
+        Arc::clone(slots).try_acquire_owned().ok()
     }
 }

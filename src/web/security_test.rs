@@ -1,4 +1,4 @@
-//! Attacks on the daemon's sockets, carried out over real ones.
+//! Security tests of the daemon over real sockets. One file, because all tests share the fixture.
 
 use std::io::{Read, Write};
 use std::net::{Ipv4Addr, SocketAddr, TcpStream};
@@ -14,20 +14,20 @@ use tokio::sync::{Semaphore, mpsc, watch};
 
 use super::access::{Access, Token};
 use super::backend::Backend;
-use super::places::Places;
 use super::router::router;
 use super::serve::{Listeners, serve};
 use super::sessions::MAX_FAILURES;
-use crate::daemon::{Asked, CameraState, CameraStatus, EngineStatus, Preview, Tasks};
+use super::slots::Slots;
+use crate::daemon::{CameraState, CameraStatus, CommandRequest, EngineStatus, Preview, Tasks};
 use gripcast_imaging::Role;
 use gripcast_session::Labels;
 
 const SECRET: &str = "correct-horse-battery";
-/// Limits that tests wait for.
+/// Timeout that tests wait for.
 const SHORT: Duration = Duration::from_millis(100);
-/// A test that waits this long has failed; without it, it would hang.
-const PATIENCE: Duration = Duration::from_secs(60);
-/// Side of an image that no buffer of a socket holds.
+/// Maximum wait of a test.
+const RESPONSE_TIMEOUT: Duration = Duration::from_secs(60);
+/// Side of an image larger than all socket buffers, px.
 const LARGE_SIDE: u32 = 1600;
 
 /// A daemon without an engine.
@@ -36,11 +36,14 @@ struct Site {
     address: SocketAddr,
     socket: PathBuf,
     backend: Arc<Backend>,
-    /// Places of connections.
-    places: Places,
+    /// Connection slots.
+    slots: Slots,
     stop: watch::Sender<bool>,
     server: Option<std::thread::JoinHandle<()>>,
-    _engine: (watch::Sender<Arc<EngineStatus>>, mpsc::Receiver<Asked>),
+    _engine: (
+        watch::Sender<Arc<EngineStatus>>,
+        mpsc::Receiver<CommandRequest>,
+    ),
     _dir: tempfile::TempDir,
 }
 
@@ -54,7 +57,7 @@ impl Site {
             .build()
             .unwrap();
         let (status, newest) = watch::channel(Arc::new(status()));
-        let (commands, asked) = mpsc::channel(1);
+        let (commands, requests) = mpsc::channel(1);
         let (stop, stopped) = watch::channel(false);
         let token = token.map(|token| Token::parse(token).unwrap());
         let mut backend = Backend::new(
@@ -70,7 +73,7 @@ impl Site {
             .block_on(Listeners::open(listen, Some(&socket)))
             .unwrap();
         change(&mut listeners, &mut backend);
-        let (address, places) = (listeners.address().unwrap(), listeners.places.clone());
+        let (address, slots) = (listeners.address().unwrap(), listeners.slots.clone());
         let backend = Arc::new(backend);
         let router = router(Arc::clone(&backend));
         let handle = runtime.handle().clone();
@@ -82,10 +85,10 @@ impl Site {
             address,
             socket,
             backend,
-            places,
+            slots,
             stop,
             server: Some(server),
-            _engine: (status, asked),
+            _engine: (status, requests),
             _dir: dir,
         }
     }
@@ -94,7 +97,7 @@ impl Site {
         self.tcp_from(Ipv4Addr::LOCALHOST)
     }
 
-    /// A connection from one of loopback's addresses, with a small receive buffer.
+    /// Connects from a loopback address with a small receive buffer.
     fn tcp_from(&self, from: Ipv4Addr) -> TcpStream {
         let connecting = async {
             let socket = TcpSocket::new_v4().unwrap();
@@ -104,18 +107,18 @@ impl Site {
         };
         let stream = self.runtime.block_on(connecting).into_std().unwrap();
         stream.set_nonblocking(false).unwrap();
-        stream.set_read_timeout(Some(PATIENCE)).unwrap();
+        stream.set_read_timeout(Some(RESPONSE_TIMEOUT)).unwrap();
         stream
     }
 
     fn unix(&self) -> UnixStream {
         let stream = UnixStream::connect(&self.socket).unwrap();
-        stream.set_read_timeout(Some(PATIENCE)).unwrap();
+        stream.set_read_timeout(Some(RESPONSE_TIMEOUT)).unwrap();
         stream
     }
 
-    /// A connection that is served and stays open.
-    fn held(&self) -> TcpStream {
+    /// Opens a connection that has been served and stays open.
+    fn open_connection(&self) -> TcpStream {
         let mut stream = self.tcp();
         start(&mut stream, "HEAD /api/state", "Host: localhost\r\n");
         let mut head = Vec::new();
@@ -127,11 +130,11 @@ impl Site {
         stream
     }
 
-    /// Waits until all of these places are free.
-    fn wait_until_free(&self, places: &Semaphore, count: u32) {
-        let all = async { tokio::time::timeout(PATIENCE, places.acquire_many(count)).await };
+    /// Waits until all `count` slots are free.
+    fn wait_until_free(&self, slots: &Semaphore, count: u32) {
+        let all = async { tokio::time::timeout(RESPONSE_TIMEOUT, slots.acquire_many(count)).await };
         let all = self.runtime.block_on(all);
-        drop(all.expect("a place is not given back").unwrap());
+        drop(all.expect("a slot must be released").unwrap());
     }
 
     /// Logs in and returns the cookie.
@@ -143,12 +146,12 @@ impl Site {
 
     fn status_with(&self, cookie: &str) -> u16 {
         let headers = format!("Host: lab\r\nCookie: {cookie}\r\n");
-        ask(self.tcp(), "GET /api/state", &headers, "")
+        request(self.tcp(), "GET /api/state", &headers, "")
             .unwrap()
             .status
     }
 
-    /// A WebSocket on the events.
+    /// Opens an event WebSocket.
     fn listen<S: Read + Write>(
         &self,
         stream: S,
@@ -171,13 +174,13 @@ impl Site {
 
 impl Drop for Site {
     fn drop(&mut self) {
-        // It must not outlive the runtime. A failed server fails its test by itself.
+        // The server must not outlive the runtime. Its failures fail the test on their own.
         let _ = self.stop.send(true);
         let _ = self.server.take().map(std::thread::JoinHandle::join);
     }
 }
 
-/// A camera with an image that is large once it is a JPEG.
+/// Returns a status with a preview that is large as a JPEG.
 fn status() -> EngineStatus {
     let mut status = EngineStatus::starting("d", "r", Labels::default());
     status.cameras.push(CameraStatus {
@@ -206,13 +209,13 @@ fn status() -> EngineStatus {
     status
 }
 
-struct Answer {
+struct HttpResponse {
     status: u16,
     /// Head and body.
     text: String,
 }
 
-impl Answer {
+impl HttpResponse {
     fn header(&self, name: &str) -> Option<&str> {
         self.text.lines().find_map(|line| {
             let (found, value) = line.split_once(": ")?;
@@ -230,41 +233,46 @@ fn start(stream: &mut impl Write, line: &str, headers: &str) {
     write!(stream, "{line} HTTP/1.1\r\n{headers}\r\n").unwrap();
 }
 
-/// Sends a request and reads to the end; `None` where the connection is closed without an answer.
-fn ask<S: Read + Write>(stream: S, line: &str, headers: &str, body: &str) -> Option<Answer> {
+/// Sends a request and reads the response; `None` if the connection is closed without one.
+fn request<S: Read + Write>(
+    stream: S,
+    line: &str,
+    headers: &str,
+    body: &str,
+) -> Option<HttpResponse> {
     let length = body.len();
     let headers = format!("{headers}Content-Length: {length}\r\nConnection: close\r\n");
-    let request = format!("{line} HTTP/1.1\r\n{headers}\r\n{body}");
-    ask_bytes(stream, request.as_bytes())
+    let text = format!("{line} HTTP/1.1\r\n{headers}\r\n{body}");
+    request_bytes(stream, text.as_bytes())
 }
 
-fn ask_bytes<S: Read + Write>(mut stream: S, request: &[u8]) -> Option<Answer> {
-    // A server that refuses closes before it has read all.
+fn request_bytes<S: Read + Write>(mut stream: S, request: &[u8]) -> Option<HttpResponse> {
+    // A rejecting server may close before it has read the request.
     let _ = stream.write_all(request);
-    answer_of(stream)
+    read_response(stream)
 }
 
-fn answer_of(mut stream: impl Read) -> Option<Answer> {
+fn read_response(mut stream: impl Read) -> Option<HttpResponse> {
     let mut bytes = Vec::new();
     match stream.read_to_end(&mut bytes) {
         Ok(_) => {}
         Err(e) if e.kind() == std::io::ErrorKind::ConnectionReset => {}
-        Err(e) => panic!("no answer: {e}"),
+        Err(e) => panic!("no response: {e}"),
     }
     let text = String::from_utf8_lossy(&bytes).into_owned();
     let status = text.split(' ').nth(1)?.parse().unwrap();
-    Some(Answer { status, text })
+    Some(HttpResponse { status, text })
 }
 
-fn log_in<S: Read + Write>(stream: S, token: &str) -> Option<Answer> {
+fn log_in<S: Read + Write>(stream: S, token: &str) -> Option<HttpResponse> {
     let headers = "Host: localhost\r\nContent-Type: application/json\r\n";
     let body = format!("{{\"token\": \"{token}\"}}");
-    ask(stream, "POST /api/login", headers, &body)
+    request(stream, "POST /api/login", headers, &body)
 }
 
-/// Reads a WebSocket to its end, which must come.
+/// Reads a WebSocket until it is closed.
 fn read_to_end<S: Read + Write>(mut socket: tungstenite::WebSocket<S>) {
-    // States come ten times a second.
+    // States arrive ten times per second.
     const MAX_MESSAGES: usize = 600;
     for _ in 0..MAX_MESSAGES {
         match socket.read() {
@@ -276,54 +284,54 @@ fn read_to_end<S: Read + Write>(mut socket: tungstenite::WebSocket<S>) {
     panic!("the connection is not closed");
 }
 
-/// Reads no more than the beginning of an answer.
-fn is_answered(stream: &mut impl Read) {
+/// Reads the start of a successful response.
+fn expect_ok(stream: &mut impl Read) {
     let mut head = [0; 12];
     stream.read_exact(&mut head).unwrap();
     assert_eq!(&head, b"HTTP/1.1 200");
 }
 
 #[test]
-fn a_body_that_does_not_come_loses_its_place() {
+fn missing_body_times_out_and_frees_its_slot() {
     let site = Site::open(Some(SECRET), |listeners, backend| {
-        listeners.places = Places::new(1, 1);
-        backend.body_patience = SHORT;
+        listeners.slots = Slots::new(1, 1);
+        backend.body_timeout = SHORT;
     });
     let mut slow = site.tcp();
     let headers = "Host: lab\r\nContent-Type: application/json\r\nContent-Length: 100\r\n";
     start(&mut slow, "POST /api/login", headers);
     slow.write_all(b"{").unwrap();
-    let answer = answer_of(slow).unwrap();
+    let answer = read_response(slow).unwrap();
     assert_eq!(answer.status, 408, "{}", answer.text);
     assert_eq!(log_in(site.tcp(), SECRET).unwrap().status, 204);
 }
 
 #[test]
-fn a_head_that_does_not_come_loses_its_place() {
+fn missing_head_times_out_and_frees_its_slot() {
     let site = Site::open(None, |listeners, _| {
-        listeners.places = Places::new(1, 1);
-        listeners.limits.head_patience = SHORT;
+        listeners.slots = Slots::new(1, 1);
+        listeners.limits.head_timeout = SHORT;
     });
     let mut slow = site.tcp();
     slow.write_all(b"GET /api/state HTTP/1.1\r\nHost: ")
         .unwrap();
-    assert!(answer_of(slow).is_none_or(|answer| answer.status == 408));
-    site.wait_until_free(&site.places.network, 1);
+    assert!(read_response(slow).is_none_or(|answer| answer.status == 408));
+    site.wait_until_free(&site.slots.network, 1);
 }
 
 #[test]
-fn a_flood_over_tcp_does_not_lock_out_the_socket() {
+fn tcp_flood_does_not_block_the_unix_socket() {
     const MAX: usize = 4;
     let site = Site::open(None, |listeners, backend| {
-        listeners.places = Places::new(MAX, MAX);
-        backend.listeners = Places::new(1, 1);
-        backend.previews.streams = Places::new(1, 1);
+        listeners.slots = Slots::new(MAX, MAX);
+        backend.listeners = Slots::new(1, 1);
+        backend.previews.streams = Slots::new(1, 1);
     });
     let over_socket = |line| {
         let headers = "Host: localhost\r\n";
-        ask(site.unix(), line, headers, "").unwrap().status
+        request(site.unix(), line, headers, "").unwrap().status
     };
-    // All that listen, all streams, then all connections.
+    // Uses up event slots, stream slots, then connections.
     let _listener = site.listen(site.tcp(), None);
     let mut stream = site.tcp();
     start(
@@ -331,17 +339,17 @@ fn a_flood_over_tcp_does_not_lock_out_the_socket() {
         "GET /api/cameras/left/preview.mjpg",
         "Host: localhost\r\n",
     );
-    is_answered(&mut stream);
+    expect_ok(&mut stream);
     let busy = |line, headers: &str| {
         let headers = format!("Host: localhost\r\n{headers}");
-        ask(site.tcp(), line, &headers, "").unwrap().status
+        request(site.tcp(), line, &headers, "").unwrap().status
     };
     assert_eq!(busy("GET /api/cameras/left/preview.mjpg", ""), 503);
     let upgrade = "Upgrade: websocket\r\nConnection: upgrade\r\nSec-WebSocket-Version: 13\r\n\
                    Sec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==\r\n";
     assert_eq!(busy("GET /api/events", upgrade), 503);
-    let _held: Vec<TcpStream> = (2..MAX).map(|_| site.held()).collect();
-    assert!(ask(site.tcp(), "GET /", "Host: localhost\r\n", "").is_none());
+    let _connections: Vec<TcpStream> = (2..MAX).map(|_| site.open_connection()).collect();
+    assert!(request(site.tcp(), "GET /", "Host: localhost\r\n", "").is_none());
 
     assert_eq!(over_socket("GET /api/state"), 200);
     let _other = site.listen(site.unix(), None);
@@ -351,15 +359,15 @@ fn a_flood_over_tcp_does_not_lock_out_the_socket() {
         "GET /api/cameras/left/preview.mjpg",
         "Host: localhost\r\n",
     );
-    is_answered(&mut stream);
+    expect_ok(&mut stream);
 }
 
 #[test]
-fn one_address_does_not_take_all_places() {
+fn connections_per_address_are_limited() {
     let site = Site::open(None, |listeners, _| listeners.limits.per_address = 2);
-    let held = [site.held(), site.held()];
-    let refused = |from: [u8; 4]| {
-        ask(
+    let connections = [site.open_connection(), site.open_connection()];
+    let is_refused = |from: [u8; 4]| {
+        request(
             site.tcp_from(from.into()),
             "GET /",
             "Host: localhost\r\n",
@@ -367,27 +375,27 @@ fn one_address_does_not_take_all_places() {
         )
         .is_none()
     };
-    assert!(refused([127, 0, 0, 1]));
-    assert!(!refused([127, 0, 0, 2]));
-    drop(held);
-    // Given back, its places can be taken again.
-    site.wait_until_free(&site.places.network, 128);
-    assert!(!refused([127, 0, 0, 1]));
+    assert!(is_refused([127, 0, 0, 1]));
+    assert!(!is_refused([127, 0, 0, 2]));
+    drop(connections);
+    // Released slots can be taken again.
+    site.wait_until_free(&site.slots.network, 128);
+    assert!(!is_refused([127, 0, 0, 1]));
 }
 
 #[test]
-fn events_hold_the_place_of_their_connection() {
-    let site = Site::open(None, |listeners, _| listeners.places = Places::new(1, 1));
+fn event_connection_keeps_its_slot() {
+    let site = Site::open(None, |listeners, _| listeners.slots = Slots::new(1, 1));
     let _listener = site.listen(site.tcp(), None);
-    assert!(ask(site.tcp(), "GET /", "Host: localhost\r\n", "").is_none());
+    assert!(request(site.tcp(), "GET /", "Host: localhost\r\n", "").is_none());
 }
 
 #[test]
-fn a_large_frame_is_refused_before_it_comes() {
+fn large_websocket_frame_is_rejected_before_its_payload() {
     let site = Site::open(None, |_, _| {});
     for length in [4097_u64, 15 << 20] {
         let mut socket = site.listen(site.tcp(), None);
-        // Binary, masked, 64-bit length: the head of a frame whose payload never comes.
+        // Binary, masked, 64-bit length: the header of a frame without its payload.
         let head = [&[0x82, 0xff][..], &length.to_be_bytes(), &[0; 4]].concat();
         socket.get_mut().write_all(&head).unwrap();
         read_to_end(socket);
@@ -395,12 +403,12 @@ fn a_large_frame_is_refused_before_it_comes() {
 }
 
 #[test]
-fn who_takes_nothing_is_dropped() {
-    let site = Site::open(None, |listeners, _| listeners.limits.write_patience = SHORT);
+fn clients_that_do_not_read_are_dropped() {
+    let site = Site::open(None, |listeners, _| listeners.limits.write_timeout = SHORT);
     let headers = "Host: localhost\r\n";
-    let mut deaf = site.tcp();
-    start(&mut deaf, "GET /api/cameras/left/preview.mjpg", headers);
-    is_answered(&mut deaf);
+    let mut unread = site.tcp();
+    start(&mut unread, "GET /api/cameras/left/preview.mjpg", headers);
+    expect_ok(&mut unread);
     site.wait_until_free(&site.backend.previews.streams.network, 32);
 
     let _listener = site.listen(site.tcp(), None);
@@ -408,20 +416,20 @@ fn who_takes_nothing_is_dropped() {
     let _listener = site.listen(site.unix(), None);
     site.wait_until_free(&site.backend.listeners.local, 32);
 
-    let mut deaf = [site.tcp(), site.tcp()];
-    for stream in &mut deaf {
+    let mut unread = [site.tcp(), site.tcp()];
+    for stream in &mut unread {
         start(stream, "GET /api/cameras/left/preview.jpg", headers);
-        is_answered(stream);
+        expect_ok(stream);
     }
-    site.wait_until_free(&site.places.network, 128);
-    let mut deaf = site.unix();
-    start(&mut deaf, "GET /api/cameras/left/preview.jpg", headers);
-    is_answered(&mut deaf);
-    site.wait_until_free(&site.places.local, 64);
+    site.wait_until_free(&site.slots.network, 128);
+    let mut unread = site.unix();
+    start(&mut unread, "GET /api/cameras/left/preview.jpg", headers);
+    expect_ok(&mut unread);
+    site.wait_until_free(&site.slots.local, 64);
 }
 
-/// Headers, and what a GET of the state gets, without a token.
-fn refusals() -> Vec<(&'static str, u16)> {
+/// Request headers and the expected status without a token.
+fn header_cases() -> Vec<(&'static str, u16)> {
     let own = [
         ("Host: localhost\r\n", 200),
         (
@@ -487,16 +495,16 @@ fn refusals() -> Vec<(&'static str, u16)> {
 }
 
 #[test]
-fn pages_of_other_sites_and_odd_hosts_are_refused() {
+fn cross_site_requests_and_invalid_hosts_are_rejected() {
     let site = Site::open(None, |_, _| {});
-    for (headers, expected) in refusals() {
+    for (headers, expected) in header_cases() {
         let paths = ["/api/state", "/api/cameras/left/preview.jpg"];
         for path in paths {
             let line = format!("GET {path}");
             for answer in [
-                ask(site.tcp(), &line, headers, ""),
-                // `ssh -L` brings browsers to the socket too.
-                ask(site.unix(), &line, headers, ""),
+                request(site.tcp(), &line, headers, ""),
+                // `ssh -L` connects browsers to the socket.
+                request(site.unix(), &line, headers, ""),
             ] {
                 let answer = answer.unwrap();
                 assert_eq!(answer.status, expected, "{headers}{}", answer.text);
@@ -514,7 +522,7 @@ fn pages_of_other_sites_and_odd_hosts_are_refused() {
             }
         }
     }
-    let elsewhere = ask(
+    let elsewhere = request(
         site.tcp(),
         "GET http://evil.example/api/state",
         "Host: localhost\r\n",
@@ -524,14 +532,14 @@ fn pages_of_other_sites_and_odd_hosts_are_refused() {
 }
 
 #[test]
-fn a_link_of_another_site_opens_the_page_and_nothing_else() {
+fn cross_site_link_opens_the_page_only() {
     let site = Site::open(None, |_, _| {});
     let status = |line, mode, dest| {
         let headers = format!(
             "Host: localhost\r\nSec-Fetch-Site: cross-site\r\nSec-Fetch-Mode: {mode}\r\n\
              Sec-Fetch-Dest: {dest}\r\n"
         );
-        ask(site.tcp(), line, &headers, "").unwrap().status
+        request(site.tcp(), line, &headers, "").unwrap().status
     };
     assert_eq!(status("GET /", "navigate", "document"), 200);
     assert_eq!(status("GET /", "navigate", "iframe"), 403);
@@ -542,14 +550,14 @@ fn a_link_of_another_site_opens_the_page_and_nothing_else() {
 }
 
 #[test]
-fn a_logout_ends_a_session_and_what_it_has_open() {
+fn logout_ends_the_session_and_its_connections() {
     let site = Site::open(Some(SECRET), |_, _| {});
     let (one, two) = (site.log_in(), site.log_in());
     assert!(one != two && !one.contains(SECRET));
     assert_eq!((site.status_with(&one), site.status_with(&two)), (200, 200));
     let login_state = |cookie: &str| {
         let headers = format!("Host: lab\r\nCookie: {cookie}\r\n");
-        ask(site.tcp(), "GET /api/login", &headers, "")
+        request(site.tcp(), "GET /api/login", &headers, "")
             .unwrap()
             .text
     };
@@ -561,8 +569,8 @@ fn a_logout_ends_a_session_and_what_it_has_open() {
     let headers = format!("Host: lab\r\nCookie: {one}\r\n");
     let closing = format!("{headers}Connection: close\r\n");
     start(&mut stream, "GET /api/cameras/left/preview.mjpg", &closing);
-    is_answered(&mut stream);
-    let answer = ask(site.tcp(), "POST /api/logout", &headers, "").unwrap();
+    expect_ok(&mut stream);
+    let answer = request(site.tcp(), "POST /api/logout", &headers, "").unwrap();
     assert_eq!(answer.status, 204, "{}", answer.text);
     assert!(answer.header("set-cookie").unwrap().ends_with("Max-Age=0"));
     read_to_end(events);
@@ -577,12 +585,12 @@ fn a_logout_ends_a_session_and_what_it_has_open() {
 }
 
 #[test]
-fn who_guesses_tokens_is_not_heard_for_a_while_and_others_are() {
+fn guessing_address_is_blocked_and_others_are_not() {
     let site = Site::open(Some(SECRET), |_, _| {});
     let cookie = site.log_in();
     let bearer = |token: &str| {
         let headers = format!("Host: lab\r\nAuthorization: Bearer {token}\r\n");
-        ask(site.tcp(), "GET /api/state", &headers, "").unwrap()
+        request(site.tcp(), "GET /api/state", &headers, "").unwrap()
     };
     for number in 0..MAX_FAILURES {
         let answer = match number % 2 {
@@ -603,19 +611,19 @@ fn who_guesses_tokens_is_not_heard_for_a_while_and_others_are() {
 }
 
 #[test]
-fn images_wait_for_a_core_and_not_for_ever() {
+fn previews_wait_for_a_decoder_with_timeout() {
     const PATH: &str = "GET /api/grasps/2026-11-20T10-15-03Z-7f3a/preview/grasp/left.jpg";
     let site = Site::open(None, |_, backend| {
         backend.decodes = Arc::new(Semaphore::new(1));
-        backend.decode_patience = SHORT;
+        backend.decode_timeout = SHORT;
     });
-    let get = || ask(site.tcp(), PATH, "Host: localhost\r\n", "").unwrap();
-    let place = Arc::clone(&site.backend.decodes)
+    let get = || request(site.tcp(), PATH, "Host: localhost\r\n", "").unwrap();
+    let permit = Arc::clone(&site.backend.decodes)
         .try_acquire_owned()
         .unwrap();
     let answer = get();
     assert_eq!(answer.status, 503, "{}", answer.text);
     assert_eq!(answer.header("retry-after"), Some("1"));
-    drop(place);
-    assert_eq!(get().status, 404, "there is no dataset");
+    drop(permit);
+    assert_eq!(get().status, 404, "the dataset does not exist");
 }

@@ -1,4 +1,4 @@
-//! One MCAP file while it is being written.
+//! An MCAP file during writing.
 
 use std::collections::BTreeMap;
 use std::io::{self, Seek, SeekFrom, Write};
@@ -8,38 +8,38 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use mcap::records::{MessageHeader, Metadata};
 use mcap::{McapError, WriteOptions};
 
-use super::Origin;
+use super::Provenance;
 use super::clock::WallClock;
-use super::messages::{ChannelForm, camera_channel, encode_frame, note_channel};
+use super::log_dir::LogFile;
+use super::messages::{camera_channel, encode_frame, json_channel};
 use super::queue::{Content, Entry, Topic};
-use super::shelf::Output;
 use gripcast_imaging::{PixelFormat, Role};
 
-/// Size from which a chunk is written, bytes. Smaller ones make a longer index, larger ones more
-/// to read for one image.
+/// Size at which a chunk is written, bytes. Smaller chunks make a longer index, larger ones cost more
+/// reading per image.
 const CHUNK_BYTES: u64 = 4 << 20;
 
-/// Age from which a chunk is written, ns: what is in it is lost when the program is killed.
+/// Age at which a chunk is written, ns: a killed program loses the current chunk.
 pub(super) const CHUNK_NS: u64 = 100_000_000;
 
-/// Name of the record that says where a file comes from.
-const ORIGIN_RECORD: &str = "gripcast.black_box";
+/// Name of the metadata record.
+const METADATA_RECORD: &str = "gripcast.black_box";
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 enum ChannelKey {
     Camera(Role, PixelFormat),
-    Note(Topic),
+    Json(Topic),
 }
 
-/// A file that takes entries. A chunk is put together in memory and written whole, so that a file
-/// that was never closed ends behind a chunk, or inside the last one.
-pub(super) struct LogFile {
-    writer: mcap::Writer<Counting>,
+/// An open MCAP file. Chunks are assembled in memory and written in one piece, so that a file that was
+/// not closed is damaged in its last chunk only.
+pub(super) struct McapLog {
+    writer: mcap::Writer<CountingWriter>,
     written: Arc<AtomicU64>,
     clock: WallClock,
     channels: BTreeMap<ChannelKey, u16>,
-    /// Notes written, by topic: their sequence.
-    notes: BTreeMap<Topic, u32>,
+    /// Sequence number of the next JSON message, by topic.
+    sequences: BTreeMap<Topic, u32>,
     chunk: Option<Chunk>,
     message: Vec<u8>,
 }
@@ -50,19 +50,19 @@ struct Chunk {
     since_ns: u64,
 }
 
-impl LogFile {
-    /// Begins a file with where it comes from.
-    pub(super) fn begin(
-        output: Box<dyn Output>,
+impl McapLog {
+    /// Starts a file with a metadata record.
+    pub(super) fn start(
+        file: Box<dyn LogFile>,
         clock: WallClock,
-        origin: &Origin,
+        mut metadata: Provenance,
     ) -> io::Result<Self> {
         let written = Arc::new(AtomicU64::new(0));
-        let counting = Counting {
-            output,
+        let counting = CountingWriter {
+            file,
             written: Arc::clone(&written),
         };
-        // Camera frames are compressed or noise; the rest is small.
+        // Camera frames do not compress well and the rest is small.
         let mut writer = WriteOptions::new()
             .compression(None)
             .chunk_size(None)
@@ -70,11 +70,10 @@ impl LogFile {
             .library(concat!("gripcast ", env!("CARGO_PKG_VERSION")))
             .create(counting)
             .map_err(as_io)?;
-        let mut metadata = origin.clone();
         let offset = clock.offset_ns.to_string();
         metadata.insert("wall_minus_monotonic_ns".into(), offset);
         let record = Metadata {
-            name: ORIGIN_RECORD.into(),
+            name: METADATA_RECORD.into(),
             metadata,
         };
         writer.write_metadata(&record).map_err(as_io)?;
@@ -83,23 +82,23 @@ impl LogFile {
             written,
             clock,
             channels: BTreeMap::new(),
-            notes: BTreeMap::new(),
+            sequences: BTreeMap::new(),
             chunk: None,
             message: Vec::new(),
         })
     }
 
-    /// Bytes of the file so far, with the chunk that is not written yet.
+    /// Returns the size of the file including the current chunk, bytes.
     pub(super) fn bytes(&self) -> u64 {
         self.bytes_on_disk() + self.chunk.map_or(0, |chunk| chunk.bytes)
     }
 
-    /// Bytes that the operating system has.
+    /// Returns the number of bytes passed to the operating system.
     pub(super) fn bytes_on_disk(&self) -> u64 {
         self.written.load(Ordering::Relaxed)
     }
 
-    /// Adds an entry to the present chunk; true where that chunk was written then.
+    /// Adds an entry to the current chunk; returns whether the chunk was then written.
     pub(super) fn add(&mut self, entry: Entry) -> io::Result<bool> {
         let log_ns = self.clock.wall_ns(entry.at_ns);
         let (key, sequence, publish_ns) = match entry.content {
@@ -110,12 +109,12 @@ impl LogFile {
                 encode_frame(role, frame, capture_ns, &mut self.message);
                 (key, sequence, capture_ns)
             }
-            Content::Note { topic, text } => {
+            Content::Json { topic, text } => {
                 self.message = text;
-                let count = self.notes.entry(topic).or_default();
-                let sequence = *count;
-                *count = count.wrapping_add(1);
-                (ChannelKey::Note(topic), sequence, log_ns)
+                let next = self.sequences.entry(topic).or_default();
+                let sequence = *next;
+                *next = next.wrapping_add(1);
+                (ChannelKey::Json(topic), sequence, log_ns)
             }
         };
         let header = MessageHeader {
@@ -140,7 +139,7 @@ impl LogFile {
         Ok(is_due)
     }
 
-    /// Hands the present chunk to the operating system: a killed program does not lose it.
+    /// Passes the current chunk to the operating system.
     pub(super) fn write_chunk(&mut self) -> io::Result<()> {
         if self.chunk.take().is_some() {
             self.writer.flush().map_err(as_io)?;
@@ -148,7 +147,7 @@ impl LogFile {
         Ok(())
     }
 
-    /// Writes the index; the file is whole then. Returns its bytes.
+    /// Writes the index and returns the final size of the file, bytes.
     pub(super) fn close(mut self) -> io::Result<u64> {
         self.writer.finish().map_err(as_io)?;
         Ok(self.bytes_on_disk())
@@ -158,27 +157,23 @@ impl LogFile {
         if let Some(id) = self.channels.get(&key) {
             return Ok(*id);
         }
-        let (form, about) = match key {
+        let (channel, metadata) = match key {
             ChannelKey::Camera(role, format) => (
                 camera_channel(role, format),
                 BTreeMap::from([("format".to_owned(), format.to_string())]),
             ),
-            ChannelKey::Note(topic) => (note_channel(topic), BTreeMap::new()),
+            ChannelKey::Json(topic) => (json_channel(topic), BTreeMap::new()),
         };
-        let ChannelForm {
-            topic,
-            schema,
-            schema_encoding,
-            schema_data,
-            message_encoding,
-        } = form;
-        let schema = self
-            .writer
-            .add_schema(schema, schema_encoding, &schema_data)
-            .map_err(as_io)?;
-        let id = self
-            .writer
-            .add_channel(schema, &topic, message_encoding, &about)
+        let writer = &mut self.writer;
+        let id = writer
+            .add_schema(
+                channel.schema,
+                channel.schema_encoding,
+                &channel.schema_data,
+            )
+            .and_then(|schema| {
+                writer.add_channel(schema, &channel.topic, channel.message_encoding, &metadata)
+            })
             .map_err(as_io)?;
         self.channels.insert(key, id);
         Ok(id)
@@ -192,26 +187,26 @@ fn as_io(error: McapError) -> io::Error {
     }
 }
 
-/// Counts what is written.
-struct Counting {
-    output: Box<dyn Output>,
+/// Writer that counts the written bytes.
+struct CountingWriter {
+    file: Box<dyn LogFile>,
     written: Arc<AtomicU64>,
 }
 
-impl Write for Counting {
+impl Write for CountingWriter {
     fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
-        let count = self.output.write(bytes)?;
+        let count = self.file.write(bytes)?;
         self.written.fetch_add(count as u64, Ordering::Relaxed);
         Ok(count)
     }
 
     fn flush(&mut self) -> io::Result<()> {
-        self.output.flush()
+        self.file.flush()
     }
 }
 
-impl Seek for Counting {
+impl Seek for CountingWriter {
     fn seek(&mut self, to: SeekFrom) -> io::Result<u64> {
-        self.output.seek(to)
+        self.file.seek(to)
     }
 }
