@@ -196,7 +196,7 @@ pub(crate) fn run(context: &Context, args: Args) -> Result<()> {
         return Ok(());
     };
     if json {
-        print_json(&report.thinned())?;
+        print_json(&report.without_media())?;
     } else {
         print(&text(&report, &out))?;
     }

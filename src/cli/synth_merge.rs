@@ -9,7 +9,7 @@ use super::working::interruptible;
 use super::{Context, print_report};
 use gripcast_base::error::{Error, ErrorKind, Result};
 use gripcast_dataset::shard::Split;
-use gripcast_synth::curate::{Apart, CurationSettings};
+use gripcast_synth::curate::{GroupKey, CurationSettings};
 use gripcast_synth::plan::Plan;
 use gripcast_synth::{MergeReport, MergeSettings, merge};
 
@@ -68,7 +68,7 @@ enum ApartName {
 pub(super) fn run(context: &Context, args: Args) -> Result<()> {
     let settings = MergeSettings {
         curation: args.choice.curation()?,
-        is_partial_allowed: args.partial,
+        allow_partial: args.partial,
     };
     let is_json = args.json;
     let report = interruptible(context, "merging", move |progress| {
@@ -99,14 +99,14 @@ impl ChoiceArgs {
             )));
         }
         Ok(CurationSettings {
-            apart: match self.apart {
-                ApartName::Object => Apart::Object,
-                ApartName::Category => Apart::Category,
+            group_by: match self.apart {
+                ApartName::Object => GroupKey::Object,
+                ApartName::Category => GroupKey::Category,
             },
-            parts: self.split.clone(),
+            splits: self.split.clone(),
             category_cap: (self.category_cap > 0.0).then_some(self.category_cap),
             is_balanced: !self.unbalanced,
-            is_training_whole: self.whole_train,
+            keep_all_training: self.whole_train,
             seed: self.seed,
         })
     }
@@ -114,14 +114,14 @@ impl ChoiceArgs {
 
 fn text(report: &MergeReport) -> String {
     let mut text = String::new();
-    for (name, part) in &report.parts {
+    for (name, part) in &report.splits {
         text.push_str(&format!(
             "{name}: {} rows of {} grasps on {} objects; {} simulations held, {} were lost\n",
             part.rows, part.grasps, part.objects, part.stable, part.slip
         ));
     }
-    let parts = report.curation.parts.names();
-    for name in parts.filter(|name| !report.parts.contains_key(*name)) {
+    let parts = report.curation.splits.names();
+    for name in parts.filter(|name| !report.splits.contains_key(*name)) {
         text.push_str(&format!(
             "{name}: nothing; it has too few objects, or all of their simulations ended alike\n"
         ));

@@ -17,11 +17,11 @@ use gripcast_sim::grasp::GraspSettings;
 use gripcast_sim::rigid::{RigidEngine, RigidSettings};
 use gripcast_sim::{Engine, FemEngine};
 use gripcast_synth::plan::{
-    Drafts, MIN_FRICTION_FRACTION, MadePlan, PlanPreset, PlanSettings, RenderingPlan,
-    acronym_drafts, family_drafts, make_plan, table_drafts, texture_folder,
+    Drafts, MIN_FRICTION_FRACTION, PlanBundle, PlanPreset, PlanSettings, RenderingPlan,
+    acronym_drafts, family_drafts, make_plan, table_drafts, load_textures,
 };
 use gripcast_synth::properties::{
-    DEFAULT_KEY_VARIABLE, EndpointKey, LlmClient, LlmOptions, MassMap, PropertyAsker,
+    DEFAULT_KEY_VARIABLE, EndpointKey, LlmClient, LlmOptions, MassMap, PropertyEstimator,
 };
 
 /// Arguments.
@@ -151,9 +151,9 @@ enum PresetSize {
 impl From<PresetSize> for PlanPreset {
     fn from(size: PresetSize) -> Self {
         match size {
-            PresetSize::Tiny => Self::Tiny,
-            PresetSize::Small => Self::Small,
-            PresetSize::Full => Self::Full,
+            PresetSize::Tiny => Self::TINY,
+            PresetSize::Small => Self::SMALL,
+            PresetSize::Full => Self::FULL,
         }
     }
 }
@@ -192,7 +192,7 @@ pub(super) fn run(context: &Context, args: Args) -> Result<()> {
     let made = interruptible(context, "planning", move |progress| {
         let made = args.make(progress)?;
         made.write(&args.out)?;
-        Ok::<MadePlan, Error>(made)
+        Ok::<PlanBundle, Error>(made)
     })??;
     let (plan, left_out) = (&made.plan, &made.left_out);
     let cost_h = plan.simulations.iter().map(|s| s.cost_s).sum::<f64>() / 3600.0;
@@ -227,7 +227,7 @@ pub(super) fn run(context: &Context, args: Args) -> Result<()> {
 }
 
 impl Args {
-    fn make(&self, progress: &Progress) -> Result<MadePlan> {
+    fn make(&self, progress: &Progress) -> Result<PlanBundle> {
         let preset = PlanPreset::from(self.preset);
         for (flag, spread) in [
             ("--sensor-spread", self.sensor_spread),
@@ -245,26 +245,26 @@ impl Args {
                 self.least_friction_fraction
             )));
         }
-        let of_preset = preset.rendering();
+        let of_preset = preset.rendering;
         let jobs = self.jobs.map_or_else(cores, usize::from);
         let textures = match &self.sources.textures {
             None => Vec::new(),
-            Some(folder) => texture_folder(folder, self.sources.texture_width_m)?,
+            Some(folder) => load_textures(folder, self.sources.texture_width_m)?,
         };
         let settings = PlanSettings {
-            preset: preset.name().to_owned(),
+            preset: preset.name.to_owned(),
             seed: self.seed,
-            grasps: self.grasps.map_or(preset.grasps(), |n| n as usize),
+            grasps: self.grasps.map_or(preset.grasps, |n| n as usize),
             stop_forces_n: self.stop_force_n.clone(),
             rendering: RenderingPlan {
                 renderings: self.renderings.unwrap_or(of_preset.renderings),
-                samples: self.samples.unwrap_or(of_preset.samples),
+                samples_per_pixel: self.samples.unwrap_or(of_preset.samples_per_pixel),
                 sensor_spread: self.sensor_spread,
                 visual_spread: self.visual_spread,
             },
             textures,
             mass_map: self.mass_map.into(),
-            least_friction_fraction: self.least_friction_fraction,
+            min_friction_fraction: self.least_friction_fraction,
             jobs,
         };
         let drafts = self.drafts(preset, jobs, progress)?;
@@ -297,7 +297,7 @@ impl Args {
         let usual = if table.is_some() || acronym.is_some() {
             0
         } else {
-            preset.objects()
+            preset.objects
         };
         let count = self.objects.map_or(usual, |n| n as usize);
         let told = |done: usize| progress.at(done as u64, count as u64);
@@ -310,7 +310,7 @@ impl Args {
         match self.engine {
             EngineName::Fem => {
                 let mut settings = GraspSettings::new(self.gel_preset.into());
-                let usual = PlanPreset::from(self.preset).gel();
+                let usual = PlanPreset::from(self.preset).gel;
                 settings.resolution = self.gel.map_or(usual, GelResolution::from);
                 settings.solver.max_grasp_iterations = self.max_iterations;
                 Box::new(FemEngine { settings })
@@ -321,7 +321,7 @@ impl Args {
 }
 
 impl Llm {
-    fn asker(&self, plan_folder: &Path) -> Result<Option<PropertyAsker>> {
+    fn asker(&self, plan_folder: &Path) -> Result<Option<PropertyEstimator>> {
         let (Some(url), Some(model)) = (&self.llm_url, &self.llm_model) else {
             return Ok(None);
         };
@@ -333,7 +333,7 @@ impl Llm {
         let mut options = LlmOptions::new(url, model, cache);
         options.key = EndpointKey::from_env(&self.llm_key_variable)?;
         let client = LlmClient::new(options)?;
-        Ok(Some(PropertyAsker::new(client, self.llm_fallback)))
+        Ok(Some(PropertyEstimator::new(client, self.llm_fallback)))
     }
 }
 

@@ -83,12 +83,12 @@ fn text(report: &SynthReport, out: &Path) -> String {
         "{} of {} simulations done: {} held, {} lost, {} without a label{rate}\n",
         progress.done,
         report.plan.simulations,
-        progress.labels.held,
-        progress.labels.lost,
-        progress.done - progress.labels.all()
+        progress.labels.stable,
+        progress.labels.slip,
+        progress.done - progress.labels.total()
     );
     if let Some(dataset) = &report.dataset {
-        for (name, part) in &dataset.merge.parts {
+        for (name, part) in &dataset.merge.splits {
             text.push_str(&format!(
                 "{name}: {} rows, {} simulations held, {} were lost\n",
                 part.rows, part.stable, part.slip

@@ -15,7 +15,7 @@ use super::{Context, print, print_json};
 use gripcast_base::error::{Error, ErrorKind, Result};
 use gripcast_base::workers::cores;
 use gripcast_synth::plan::{Plan, Shard};
-use gripcast_synth::{Images, MergeSettings, ResultStore, RunSettings, chosen, planned_engine};
+use gripcast_synth::{ImageSelection, MergeSettings, ResultStore, RunSettings, select_simulations, planned_engine};
 
 /// Reasons of failures that are shown.
 const SHOWN_FAILURES: usize = 10;
@@ -94,37 +94,37 @@ pub(super) fn run(context: &Context, args: Args) -> Result<()> {
         let settings = RunSettings {
             shard,
             jobs: args.jobs.map_or_else(cores, usize::from),
-            is_failed_retried: args.retry_failed,
-            is_open_simulated: !args.partial,
+            retry_failed: args.retry_failed,
+            simulate_open: !args.partial,
             images: match args.images {
-                ImagesName::All => Images::All,
-                ImagesName::None => Images::None,
+                ImagesName::All => ImageSelection::All,
+                ImagesName::None => ImageSelection::None,
                 ImagesName::Chosen => {
                     let settings = MergeSettings {
                         curation: choice,
-                        is_partial_allowed: args.partial,
+                        allow_partial: args.partial,
                     };
-                    Images::Of(chosen(&plan, &folder, &settings)?)
+                    ImageSelection::Only(select_simulations(&plan, &folder, &settings)?)
                 }
             },
         };
         let engine = planned_engine(&plan, &folder)?;
         gripcast_synth::run(&plan, &folder, &settings, engine.as_ref(), &|at| {
-            progress.at(at.done as u64, at.all as u64);
+            progress.at(at.done as u64, at.total as u64);
         })
     })??;
     let failed = summary.failed.len();
     if args.json {
         print_json(&json!({
             "shard": shard.to_string(),
-            "simulations": summary.all,
+            "simulations": summary.total,
             "simulated_now": summary.simulated,
             "failed": summary.failed.iter().cloned().collect::<BTreeMap<_, _>>(),
         }))?;
     } else {
         print(&format!(
             "{} simulations of shard {shard}, {} of them now, {failed} could not be done",
-            summary.all, summary.simulated
+            summary.total, summary.simulated
         ))?;
     }
     if failed == 0 {
@@ -145,13 +145,13 @@ pub(super) fn run(context: &Context, args: Args) -> Result<()> {
 /// Runs `synth status`.
 pub(super) fn status(args: &StatusArgs) -> Result<()> {
     let plan = Plan::read(&args.plan)?;
-    let store = ResultStore::beside(&args.plan);
+    let store = ResultStore::new(&args.plan);
     let mut outcomes: BTreeMap<String, usize> = BTreeMap::new();
     let [mut stable, mut slip, mut rows, mut lacking] = [0; 4];
     let [mut open_s, mut cpu_s] = [0.0; 2];
     let mut done = 0;
     for simulation in &plan.simulations {
-        let Some(result) = store.find(&plan, &simulation.id)? else {
+        let Some(result) = store.load(&plan, &simulation.id)? else {
             open_s += simulation.cost_s;
             continue;
         };

@@ -26,7 +26,7 @@ use gripcast_synth::plan::{
 };
 use gripcast_synth::properties::MassMap;
 use gripcast_synth::{
-    CpuSeconds, Images, ResultStore, RunSettings, run as run_plan, simulate_labels,
+    CpuSeconds, ImageSelection, ResultStore, RunSettings, run as run_plan, simulate_labels,
 };
 use serde::Serialize;
 use serde_json::{Map, Value, json};
@@ -139,20 +139,20 @@ fn figures(
     progress: &Progress,
 ) -> Result<Figures> {
     let began = Instant::now();
-    let told = |at: gripcast_synth::RunProgress| progress.at(at.done as u64, at.all as u64);
+    let told = |at: gripcast_synth::RunProgress| progress.at(at.done as u64, at.total as u64);
     let settings = RunSettings {
         shard: Shard::WHOLE,
         jobs,
-        is_failed_retried: false,
-        is_open_simulated: true,
-        images: Images::All,
+        retry_failed: false,
+        simulate_open: true,
+        images: ImageSelection::All,
     };
     let summary = run_plan(plan, folder, &settings, engine, &told)?;
     let wall_h = began.elapsed().as_secs_f64() / 3600.0;
-    let store = ResultStore::beside(folder);
+    let store = ResultStore::new(folder);
     let mut figures = Figures {
         grasps_per_hour: summary.simulated as f64 / wall_h,
-        simulations: summary.all,
+        simulations: summary.total,
         held: 0,
         lost: 0,
         failed: summary.failed.len(),
@@ -161,13 +161,13 @@ fn figures(
         label_agreement: None,
     };
     for simulation in &plan.simulations {
-        let Some(result) = store.find(plan, &simulation.id)? else {
+        let Some(result) = store.load(plan, &simulation.id)? else {
             continue;
         };
         figures.held += usize::from(result.stable == Some(true));
         figures.lost += usize::from(result.stable == Some(false));
         let (sum, own) = (&mut figures.cpu_s, result.cpu_s);
-        let fraction = 1.0 / summary.all as f64;
+        let fraction = 1.0 / summary.total as f64;
         sum.prepare += fraction * own.prepare;
         sum.simulate += fraction * own.simulate;
         sum.tactile += fraction * own.tactile;
@@ -182,10 +182,10 @@ fn agreement(
     folder: &Path,
     reference: Option<&[Option<bool>]>,
 ) -> Result<Option<f64>> {
-    let store = ResultStore::beside(folder);
+    let store = ResultStore::new(folder);
     let [mut same, mut all] = [0; 2];
     for (simulation, other) in plan.simulations.iter().zip(reference.unwrap_or_default()) {
-        let found = store.find(plan, &simulation.id)?;
+        let found = store.load(plan, &simulation.id)?;
         if let Some(stable) = found.and_then(|result| result.stable) {
             all += 1;
             same += usize::from(*other == Some(stable));
@@ -211,10 +211,10 @@ impl Args {
             seed: self.seed,
             grasps: self.grasps,
             stop_forces_n: vec![10.0, 40.0],
-            rendering: PlanPreset::Small.rendering(),
+            rendering: PlanPreset::SMALL.rendering,
             textures: Vec::new(),
             mass_map: MassMap::Logarithmic,
-            least_friction_fraction: MIN_FRICTION_FRACTION,
+            min_friction_fraction: MIN_FRICTION_FRACTION,
             jobs: self.jobs(),
         }
     }
@@ -230,7 +230,7 @@ fn report(args: &Args, found: &[(GelResolution, Figures)]) -> Report {
         "grasps": args.grasps,
         "seed": args.seed,
         "jobs": args.jobs(),
-        "renderings": PlanPreset::Small.rendering().renderings,
+        "renderings": PlanPreset::SMALL.rendering.renderings,
         "against": args.against.map(resolution_name),
     });
     Report::new("synth", params, gels.into(), text(args, found))

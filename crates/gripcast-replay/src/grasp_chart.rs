@@ -147,7 +147,7 @@ impl GraspChart {
             ..force
         };
         let force = Panel {
-            x: force.x.without_text(),
+            x: force.x.without_labels(),
             ..force
         };
         let success = format!("success above {} mm", trimmed(self.success_mm, 1));
@@ -209,7 +209,7 @@ impl GraspChart {
     fn stage_names(&self, panel: &Panel) -> Markup {
         html! {
             @for ((name, _), [from, to]) in self.stages.iter().zip(self.stage_ranges()) {
-                @let [from, to] = [from, to].map(|t| panel.place([t, 0.0])[0]);
+                @let [from, to] = [from, to].map(|t| panel.to_px([t, 0.0])[0]);
                 @let middle = 0.5 * (from + to);
                 @if to - from > width(name, SMALL) {
                     (text("small halo", [middle, panel.top + 13.0], Anchor::Middle, name))

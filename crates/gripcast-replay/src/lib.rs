@@ -34,7 +34,7 @@ pub use html::page;
 pub use object_file::{ObjectFile, ReplayObject, load_objects};
 pub use recording::{RecordedGrasp, Recording};
 pub use report::{
-    CaseFacts, CellScore, ChangedOutcome, Changes, Confusion, Cost, Curves, DatasetFacts, Duel,
+    CaseFacts, CellScore, ChangedOutcome, Changes, Confusion, Cost, Curves, DatasetFacts, EngineComparison,
     EngineFacts, GraspCell, GraspFacts, GraspReplay, ImagePair, LeftOut, ObjectFacts, PoseSamples,
     Proportion, REPORT_FORMAT, REPORT_VERSION, Reality, Report, Score, Scores, Setting,
     TactilePair,
@@ -42,4 +42,4 @@ pub use report::{
 pub use run::{EngineSweep, ReplayInput, ReplayProgress, ReplaySettings, replay};
 pub use schema::report_schema;
 pub use score::{Outcomes, Scored};
-pub use sweep::{SweepProgress, Swept, sweep};
+pub use sweep::{SweepProgress, SweepResult, sweep};

@@ -348,13 +348,13 @@ fn two_engines_meet_in_a_duel() {
     let mut weak = engine(&rigid, &[0.2]);
     weak.forces_n = vec![10.0];
     let report = bench().replay(&settings(vec![engine(&fem, &[0.2]), weak]));
-    let duel = report.duel.unwrap();
+    let comparison = report.comparison.unwrap();
     // The weak one loses everything, which is right for the two that slipped.
     assert_eq!(
-        (duel.both, duel.only_fem, duel.only_rigid, duel.neither),
+        (comparison.both, comparison.only_fem, comparison.only_rigid, comparison.neither),
         (2, 2, 0, 0)
     );
-    assert_eq!(duel.mcnemar_p, 0.5);
+    assert_eq!(comparison.mcnemar_p, 0.5);
 }
 
 #[test]

@@ -40,7 +40,7 @@ pub struct Report {
     /// Engines in the order of the tables.
     pub engines: Vec<EngineFacts>,
     /// The finite-element engine against the rigid one, where both ran.
-    pub duel: Option<Duel>,
+    pub comparison: Option<EngineComparison>,
     /// Every grasp that was replayed, by object and id.
     pub grasps: Vec<GraspFacts>,
     /// What was left out, with the reason.
@@ -257,7 +257,7 @@ pub struct CellScore {
 /// Two engines on the same grasps, each at its paper's choice.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
-pub struct Duel {
+pub struct EngineComparison {
     /// Grasps where both agree with reality.
     pub both: usize,
     /// Only the finite elements do.

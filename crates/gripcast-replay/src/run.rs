@@ -10,7 +10,7 @@ use super::case::{Case, CaseRecord, CaseStore};
 use super::object_file::ReplayObject;
 use super::recording::{RecordedGrasp, Recording};
 use super::report::{
-    Cost, DatasetFacts, Duel, EngineFacts, GraspCell, GraspFacts, GraspReplay, ImagePair, LeftOut,
+    Cost, DatasetFacts, EngineComparison, EngineFacts, GraspCell, GraspFacts, GraspReplay, ImagePair, LeftOut,
     ObjectFacts, PoseSamples, REPORT_FORMAT, REPORT_VERSION, Reality, Report, Setting, TactilePair,
 };
 use super::score::{Outcomes, Scored};
@@ -133,7 +133,7 @@ pub fn replay(
         },
         objects,
         engines: replayed.engine_facts()?,
-        duel: replayed.duel(),
+        comparison: replayed.comparison(),
         cost: Cost {
             cases: replayed.cases.len() + drawn.cases,
             simulated_now: swept.simulated + drawn.simulated,
@@ -402,7 +402,7 @@ impl<'a> Replayed<'a> {
             .collect()
     }
 
-    fn duel(&self) -> Option<Duel> {
+    fn comparison(&self) -> Option<EngineComparison> {
         let find = |kind| (0..self.settings.engines.len()).find(|e| self.kind(*e) == kind);
         let fem = &self.scored[find(EngineKind::Fem)?];
         let rigid = &self.scored[find(EngineKind::Rigid)?];
@@ -417,7 +417,7 @@ impl<'a> Replayed<'a> {
         };
         let [[neither, only_rigid], [only_fem, both]] = counts(&fem.agrees, &rigid.agrees);
         let [[_, rigid_out], [fem_out, _]] = counts(&fem.agrees_left_out, &rigid.agrees_left_out);
-        Some(Duel {
+        Some(EngineComparison {
             both,
             only_fem,
             only_rigid,

@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use serde_json::json;
 
 use super::report::{
-    CaseFacts, CellScore, ChangedOutcome, Changes, Confusion, Cost, Curves, DatasetFacts, Duel,
+    CaseFacts, CellScore, ChangedOutcome, Changes, Confusion, Cost, Curves, DatasetFacts, EngineComparison,
     EngineFacts, GraspCell, GraspFacts, GraspReplay, ImagePair, LeftOut, ObjectFacts, PoseSamples,
     Proportion, REPORT_FORMAT, REPORT_VERSION, Reality, Report, Score, Scores, Setting,
     TactilePair,
@@ -51,7 +51,7 @@ pub(super) fn sample_report() -> Report {
         },
         objects: objects.iter().map(|name| object(name)).collect(),
         engines: ENGINES.map(|name| engine(name, &objects)).to_vec(),
-        duel: Some(Duel {
+        comparison: Some(EngineComparison {
             both: 3,
             only_fem: 2,
             only_rigid: 0,

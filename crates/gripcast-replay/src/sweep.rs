@@ -17,7 +17,7 @@ pub struct SweepProgress {
 
 /// Results of a sweep in the order of its cases.
 #[derive(Clone, Debug)]
-pub struct Swept {
+pub struct SweepResult {
     /// A result for each case.
     pub records: Vec<CaseRecord>,
     /// Cases that were simulated and not found finished.
@@ -35,7 +35,7 @@ pub fn sweep(
     store: &CaseStore,
     jobs: usize,
     progress: &(dyn Fn(SweepProgress) + Sync),
-) -> Result<Swept> {
+) -> Result<SweepResult> {
     let mut records = cases
         .iter()
         .map(|case| store.find(case))
@@ -62,5 +62,5 @@ pub fn sweep(
     }
     let all: Option<Vec<CaseRecord>> = records.into_iter().collect();
     let records = all.ok_or_else(|| Error::internal("a simulation ended early"))?;
-    Ok(Swept { records, simulated })
+    Ok(SweepResult { records, simulated })
 }

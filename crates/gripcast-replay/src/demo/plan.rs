@@ -22,13 +22,13 @@ pub struct DemoSettings {
 
 impl DemoSettings {
     /// Grasps of each outcome and object.
-    pub(super) fn wanted_of_class(&self) -> usize {
+    pub(super) fn wanted_per_label(&self) -> usize {
         if self.quick { 2 } else { 10 }
     }
 
     /// Candidates of an object that are drawn at most: ten for each grasp that is wanted.
-    pub(super) fn most_candidates(&self) -> usize {
-        20 * self.wanted_of_class()
+    pub(super) fn max_candidates(&self) -> usize {
+        20 * self.wanted_per_label()
     }
 }
 

@@ -98,7 +98,7 @@ pub(super) fn choose(
     folder: &BeneathPath,
     watch: &DemoWatch<'_>,
 ) -> Result<Vec<Chosen>> {
-    let wanted = settings.wanted_of_class();
+    let wanted = settings.wanted_per_label();
     let mut known = objects
         .iter()
         .map(|object| Known::begin(object, settings))
@@ -163,7 +163,7 @@ fn to_screen(
     settings: &DemoSettings,
     known: &mut [Known],
 ) -> Result<Vec<(usize, Candidate)>> {
-    let wanted = settings.wanted_of_class();
+    let wanted = settings.wanted_per_label();
     let mut batch = Vec::new();
     for (at, (object, known)) in objects.iter().zip(known).enumerate() {
         let is_short = |class: &Class| known.expected(*class) < known.missing(*class, wanted);
@@ -171,7 +171,7 @@ fn to_screen(
             continue;
         }
         let sampler = Sampler::new(object, settings.seed);
-        let end = settings.most_candidates().min(known.drawn + 2 * wanted);
+        let end = settings.max_candidates().min(known.drawn + 2 * wanted);
         for number in known.drawn..end {
             batch.extend(sampler.candidate(number)?.map(|candidate| (at, candidate)));
         }

@@ -1,10 +1,10 @@
-//! Confusion of each engine with reality, and the duel of both.
+//! Confusion of each engine with reality, and the comparison of both.
 
 use super::Page;
 use super::text::p_value;
-use crate::report::{Duel, EngineFacts};
+use crate::report::{EngineComparison, EngineFacts};
 use gripcast_report::engine_name;
-use gripcast_report::page::nothing;
+use gripcast_report::page::placeholder;
 use maud::{Markup, html};
 
 pub(super) fn section(page: &Page<'_>) -> Markup {
@@ -15,13 +15,13 @@ pub(super) fn section(page: &Page<'_>) -> Markup {
         }
         div.row {
             @for engine in &page.report.engines { (confusion(page, engine)) }
-            @match &page.report.duel {
-                Some(duel) => (duel_table(duel)),
-                None => (nothing("Only one engine ran: no duel.")),
+            @match &page.report.comparison {
+                Some(comparison) => (duel_table(comparison)),
+                None => (placeholder("Only one engine ran: no comparison.")),
             }
         }
     };
-    page.section("confusion", "Confusion and duel", body)
+    page.section("confusion", "Confusion and comparison", body)
 }
 
 /// Four counts: the outer two are where both sides agree.
@@ -76,17 +76,17 @@ fn confusion(page: &Page<'_>, engine: &EngineFacts) -> Markup {
     square.draw()
 }
 
-fn duel_table(duel: &Duel) -> Markup {
-    let [only_fem, only_rigid] = duel.leave_one_out;
+fn duel_table(comparison: &EngineComparison) -> Markup {
+    let [only_fem, only_rigid] = comparison.leave_one_out;
     let square = Square {
-        caption: "Duel (McNemar)",
+        caption: "EngineComparison (McNemar)",
         columns: ["rigid right", "rigid wrong"],
         rows: ["right", "wrong"].map(|verdict| format!("finite elements {verdict}")),
-        counts: [[duel.both, duel.only_fem], [duel.only_rigid, duel.neither]],
+        counts: [[comparison.both, comparison.only_fem], [comparison.only_rigid, comparison.neither]],
         foot: html! {
-            "exact, two-sided: " (p_value(duel.mcnemar_p)) br;
+            "exact, two-sided: " (p_value(comparison.mcnemar_p)) br;
             "leave one grasp out: " (only_fem) " against " (only_rigid) ", "
-            (p_value(duel.leave_one_out_p))
+            (p_value(comparison.leave_one_out_p))
         },
     };
     square.draw()

@@ -101,7 +101,7 @@ pub(super) fn notes(page: &Page<'_>) -> Markup {
             ("Choice of the setting", &choice),
             (
                 "Intervals",
-                &"Wilson’s score interval at 95\u{a0}% for a fraction of independent grasps. The duel \
+                &"Wilson’s score interval at 95\u{a0}% for a fraction of independent grasps. The comparison \
                   is McNemar’s test with exact binomial probabilities, two-sided, on the grasps \
                   where just one engine is right.",
             ),

@@ -4,8 +4,8 @@ use super::Page;
 use super::grasp_index::disagreeing;
 use super::text::Agreement;
 use crate::report::{GraspFacts, GraspReplay};
-use gripcast_report::image::again;
-use gripcast_report::{engine_name, fixed, label_name};
+use gripcast_report::image::repeat_image;
+use gripcast_report::{engine_name, fixed, outcome_label};
 use maud::{Markup, html};
 
 pub(super) fn section(page: &Page<'_>) -> Markup {
@@ -55,17 +55,17 @@ fn card(page: &Page<'_>, i: usize, grasp: &GraspFacts) -> Markup {
             }
             div.thumbs {
                 @if let Some(view) = &grasp.view {
-                    (again(&view.real, &format!("g{i}v"), &alt("camera")))
+                    (repeat_image(&view.real, &format!("g{i}v"), &alt("camera")))
                 }
                 @for (k, pair) in grasp.tactile.iter().take(2).enumerate() {
                     @let alt = alt(&format!("{} sensor", pair.sensor));
-                    (again(&pair.images.real, &format!("g{i}r{k}"), &alt))
+                    (repeat_image(&pair.images.real, &format!("g{i}r{k}"), &alt))
                 }
             }
             dl {
                 div {
                     dt { (page.real()) }
-                    dd { (label_name(grasp.stable)) }
+                    dd { (outcome_label(grasp.stable)) }
                 }
                 @for replay in &grasp.replays { (outcome(replay)) }
             }

@@ -7,9 +7,9 @@ use super::text::{Agreement, setting};
 use crate::grasp_chart::inline;
 use crate::report::{GraspFacts, GraspReplay, PoseSamples, Setting, TactilePair};
 use gripcast_report::image::image;
-use gripcast_report::page::{definitions, nothing};
+use gripcast_report::page::{definitions, placeholder};
 use gripcast_report::{
-    MISSING, duration, engine_name, fixed, label_name, optional, outcome_name, trimmed,
+    MISSING, duration, engine_name, fixed, outcome_label, optional, outcome_name, trimmed,
 };
 use maud::{Markup, Render, html};
 
@@ -36,7 +36,7 @@ fn article(page: &Page<'_>, i: usize, grasp: &GraspFacts) -> Markup {
         article id={ "g" (i) } data-object=[marks.object] data-marks=(marks.engines) {
             h3 { (grasp.id) " " span { (grasp.object) } }
             p.outcomes {
-                span { (page.real()) ": " b { (label_name(grasp.stable)) } }
+                span { (page.real()) ": " b { (outcome_label(grasp.stable)) } }
                 @for replay in &grasp.replays {
                     @let agreement = Agreement(replay.agrees);
                     span class=(agreement.class()) {
@@ -114,7 +114,7 @@ fn engine(grasp: &GraspFacts, replay: &GraspReplay) -> Markup {
             }
             @match inline(replay, &grasp.id) {
                 Some(chart) => (chart),
-                None => (nothing("No forces recorded.")),
+                None => (placeholder("No forces recorded.")),
             }
             @if let Some(detail) = &replay.case.detail {
                 p.detail { (detail) }

@@ -3,7 +3,7 @@
 use super::Page;
 use super::text::Agreement;
 use crate::report::{GraspFacts, GraspReplay};
-use gripcast_report::{MISSING, engine_name, fixed, label_name};
+use gripcast_report::{MISSING, engine_name, fixed, outcome_label};
 use maud::{Markup, html};
 
 pub(super) fn section(page: &Page<'_>) -> Markup {
@@ -109,7 +109,7 @@ fn row(page: &Page<'_>, i: usize, grasp: &GraspFacts) -> Markup {
         tr data-object=[marks.object] data-marks=(marks.engines) {
             th scope="row" { a href={ "#g" (i) } { (grasp.id) } }
             td { (grasp.object) }
-            td { (label_name(grasp.stable)) }
+            td { (outcome_label(grasp.stable)) }
             @for engine in &page.report.engines {
                 @if let Some(replay) = replay_of(grasp, &engine.name) {
                     td { (Agreement(replay.agrees).outcome(&replay.case.outcome)) }

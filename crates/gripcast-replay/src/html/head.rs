@@ -72,10 +72,10 @@ fn sentence(page: &Page<'_>) -> Markup {
                 " agree with " (page.reality()) " on " b { (all.agree) " of " (all.n) }
                 " grasps (" (fraction(all)) ", 95\u{a0}% interval " (interval(all)) ")"
             }
-            @if let Some(duel) = &page.report.duel {
-                "; of the grasps where only one is right, " (duel.only_fem)
-                " go to finite elements and " (duel.only_rigid)
-                " to rigid bodies (exact McNemar " (p_value(duel.mcnemar_p)) ")"
+            @if let Some(comparison) = &page.report.comparison {
+                "; of the grasps where only one is right, " (comparison.only_fem)
+                " go to finite elements and " (comparison.only_rigid)
+                " to rigid bodies (exact McNemar " (p_value(comparison.mcnemar_p)) ")"
             }
             "."
         }
@@ -93,7 +93,7 @@ fn without_bias(page: &Page<'_>) -> Markup {
                 (engine_name(&engine.name).to_lowercase()) " " (all.agree) " of " (all.n)
                 " (" (fraction(all)) ", " (interval(all)) ")"
             }
-            @if let Some(duel) = &page.report.duel { "; " (p_value(duel.leave_one_out_p)) }
+            @if let Some(comparison) = &page.report.comparison { "; " (p_value(comparison.leave_one_out_p)) }
             "."
             @if without > 0 {
                 " " (without) " "
@@ -119,7 +119,7 @@ fn forest(engines: &[EngineFacts]) -> Chart {
         bottom: TOP + height,
         x: Axis::new("fraction of grasps that agree", [0.0, 1.0], 5.0),
         // Downwards, in px.
-        y: Axis::of_px(height),
+        y: Axis::pixels(height),
     };
     let row = |way: usize, engine: usize| {
         height - group * way as f64 - 0.5 * GAP - ROW * (engine as f64 + 0.5)

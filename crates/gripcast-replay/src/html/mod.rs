@@ -86,7 +86,7 @@ impl Page<'_> {
     fn simulated(&self) -> Option<&str> {
         match &self.report.dataset.reality {
             Reality::Real => None,
-            Reality::Simulated { how } => Some(how),
+            Reality::Simulated { description } => Some(how),
         }
     }
 

@@ -178,7 +178,7 @@ fn a_report_without_anything_is_a_page() {
     report.objects.clear();
     report.grasps.clear();
     report.left_out.clear();
-    report.duel = None;
+    report.comparison = None;
     report.changes = None;
     let page = drawn(&report);
     assert!(page.contains("No engine was run.") && !page.contains("NaN"));

@@ -5,7 +5,7 @@ use glam::{DVec2, DVec3};
 use super::draw::Draw;
 use super::lathe::{Lathe, Section};
 use super::outline::{even, open_line, rounded, sharp};
-use super::shape::sized;
+use super::shape::with_edge;
 use gripcast_base::error::Result;
 use gripcast_geometry::TriangleMesh;
 
@@ -31,7 +31,7 @@ pub(super) fn draw(draw: &mut Draw) -> Result<TriangleMesh> {
     };
     // Wide sections would make the longest side too long.
     let scale = if form == "dish" { 0.9 } else { 1.0 };
-    sized(|edge| {
+    with_edge(|edge| {
         let inner =
             curve(radius - wall, height - wall, power).map(|p| p + DVec2::Y * (foot_height + wall));
         let outer = curve(radius, height, power).map(|p| p + DVec2::Y * foot_height);

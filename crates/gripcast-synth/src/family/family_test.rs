@@ -1,7 +1,7 @@
 use std::collections::BTreeSet;
 use std::sync::LazyLock;
 
-use super::shape::{MAX_SIDE_M, MAX_TRIANGLES, SIZE_M, slenderness};
+use super::shape::{MAX_SIDE_M, MAX_TRIANGLES, SIZE_M, relative_height};
 use super::*;
 use gripcast_base::files::sha256_hex;
 use gripcast_geometry::{MassProperties, PrepareOptions, prepare};
@@ -73,7 +73,7 @@ fn sizes_and_faces_are_within_their_limits() {
         let least = shape
             .mesh
             .all_corners()
-            .map(slenderness)
+            .map(relative_height)
             .fold(1.0, f64::min);
         assert!(least > 0.02, "{}: {least}", name(shape));
     }

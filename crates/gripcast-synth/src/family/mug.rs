@@ -8,7 +8,7 @@ use glam::{DVec2, DVec3};
 use super::draw::Draw;
 use super::lathe::{Lathe, Section};
 use super::outline::{Knot, even, open_line, rounded, sharp};
-use super::shape::sized;
+use super::shape::with_edge;
 use gripcast_base::error::{Error, Result};
 use gripcast_geometry::TriangleMesh;
 
@@ -64,7 +64,7 @@ pub(super) fn draw(draw: &mut Draw) -> Result<TriangleMesh> {
         },
         drop: if form == "tea cup" { 0.15 * span } else { 0.0 },
     };
-    sized(|edge| {
+    with_edge(|edge| {
         let profile = open_line(&knots, edge);
         let columns = 4 * (0.25 * TAU * 0.93 * radius / edge).round().max(4.0) as usize;
         let lathe = Lathe {

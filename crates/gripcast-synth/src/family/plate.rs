@@ -3,7 +3,7 @@
 use glam::{DVec2, DVec3};
 use spade::{ConstrainedDelaunayTriangulation, Point2, Triangulation as _};
 
-use super::shape::{rounded_to_grid, slenderness};
+use super::shape::{relative_height, snapped_to_grid};
 use gripcast_base::error::{Error, Result};
 use gripcast_geometry::TriangleMesh;
 
@@ -37,7 +37,7 @@ impl Plate<'_> {
             let first = points.len();
             points.extend(
                 rim.iter()
-                    .map(|p| rounded_to_grid(p.extend(0.0)).truncate()),
+                    .map(|p| snapped_to_grid(p.extend(0.0)).truncate()),
             );
             // All rims run with the body on their left.
             if (signed_area(rim) > 0.0) != (k == 0) {
@@ -74,7 +74,7 @@ impl Plate<'_> {
                 let shift = 0.5 * (row % 2) as f64;
                 let p = low + step * DVec2::new(column as f64 + shift, row as f64 + 0.37);
                 if inside(p, &rim, sides) && to_rim(p, &rim, sides) > CLEARANCE * self.edge {
-                    points.push(rounded_to_grid(p.extend(0.0)).truncate());
+                    points.push(snapped_to_grid(p.extend(0.0)).truncate());
                 }
             }
         }
@@ -160,7 +160,7 @@ fn triangulated(points: &[DVec2], sides: &[[usize; 2]]) -> Result<Vec<[usize; 3]
     // Three points of a straight side can span a triangle without area, beside the body.
     let on_side = |face: &[usize; 3]| {
         let corners = face.map(|v| points[v].extend(0.0));
-        face.iter().all(|&v| v < rim.len()) && slenderness(corners) < FLAT
+        face.iter().all(|&v| v < rim.len()) && relative_height(corners) < FLAT
     };
     Ok(net
         .inner_faces()

@@ -345,7 +345,7 @@ fn of_one(function: &str, x: f64) -> f64 {
         "asin" => x.asin(),
         "sqrt" => x.sqrt(),
         "ceil" => x.ceil(),
-        "eased" => super::shape::eased(x),
+        "smoothstep" => super::shape::smoothstep(x),
         _ => f64::NAN,
     }
 }

@@ -20,8 +20,8 @@ use super::outline::{Knot, circle, closed_line, even, open_line, rounded, smooth
 use super::plate::{Plate, bent};
 use super::rounded_box::rounded_box;
 use super::script::{Formula, Step, Values, parse};
-use super::shape::{EDGE_M, sized_within};
-use super::solid::{Form, Role, Solid};
+use super::shape::{EDGE_M, with_max_edge};
+use super::solid::{Operation, Primitive, Solid};
 use gripcast_base::error::{Error, Result};
 use gripcast_geometry::TriangleMesh;
 
@@ -81,7 +81,7 @@ fn body(step: &Step, section: &Section, values: &mut Values<'_>) -> Result<Trian
         "box" => EDGE_M.1,
         _ => numbers.first().copied().unwrap_or(EDGE_M.1),
     };
-    sized_within(most, |edge| {
+    with_max_edge(most, |edge| {
         let mut values = values.with([("edge", edge)]);
         let mut lines = Lines::default();
         let mut act = |values: &mut Values<'_>, step| {
@@ -261,8 +261,8 @@ fn solid(step: &Step, values: &mut Values<'_>) -> TriangleMesh {
         let numbers = values.of(step);
         let lengths: Vec<f64> = numbers.iter().map(|n| n * unit).collect();
         let role = |width| match is_cut {
-            true => Role::Cut(width),
-            false => Role::Add(width),
+            true => Operation::Difference(width),
+            false => Operation::Union(width),
         };
         match (step.command, &lengths[..]) {
             ("units", _) => (unit, least) = (numbers[0], numbers[1]),
@@ -275,25 +275,25 @@ fn solid(step: &Step, values: &mut Values<'_>) -> TriangleMesh {
                 return None;
             }
             ("ball", &[x, y, z, a, b, c, width]) => {
-                let form = Form::Ellipsoid(DVec3::new(a, b, c));
-                solid.put(form, DVec3::new(x, y, z), turn, role(width));
+                let form = Primitive::Ellipsoid(DVec3::new(a, b, c));
+                solid.add(form, DVec3::new(x, y, z), turn, role(width));
             }
             ("block", &[x, y, z, a, b, c, round, width]) => {
-                let form = Form::Block(DVec3::new(a, b, c), round);
-                solid.put(form, DVec3::new(x, y, z), turn, role(width));
+                let form = Primitive::Box(DVec3::new(a, b, c), round);
+                solid.add(form, DVec3::new(x, y, z), turn, role(width));
             }
             ("drum", &[x, y, z, bottom, top, half, round, width]) => {
-                let form = Form::Drum([bottom, top], half, round);
-                solid.put(form, DVec3::new(x, y, z), turn, role(width));
+                let form = Primitive::Frustum([bottom, top], half, round);
+                solid.add(form, DVec3::new(x, y, z), turn, role(width));
             }
             ("limb" | "limbs", &[a, b, c, x, y, z, from, to, width]) => {
                 let radii = [from, to].map(|r| r.max(least));
                 let ends = [DVec3::new(a, b, c), DVec3::new(x, y, z)];
-                solid.limb(ends, radii, width);
+                solid.capsule(ends, radii, width);
                 // A limb on the left has a mirror image on the right.
                 if step.command == "limbs" && y != 0.0 {
                     let mirror = DVec3::new(1.0, -1.0, 1.0);
-                    solid.limb(ends.map(|p| p * mirror), radii, width);
+                    solid.capsule(ends.map(|p| p * mirror), radii, width);
                 }
             }
             _ => {}

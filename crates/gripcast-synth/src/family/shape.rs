@@ -22,12 +22,12 @@ const MIN_SLENDERNESS: f64 = 0.02;
 const GRID_M: f64 = 1e-7;
 
 /// The mesh that `make` gives for a width of faces (m) that suits the surface.
-pub(super) fn sized(make: impl Fn(f64) -> Result<TriangleMesh>) -> Result<TriangleMesh> {
-    sized_within(EDGE_M.1, make)
+pub(super) fn with_edge(make: impl Fn(f64) -> Result<TriangleMesh>) -> Result<TriangleMesh> {
+    with_max_edge(EDGE_M.1, make)
 }
 
-/// As [`sized`], for a shape with details that need faces of at most `most` (m).
-pub(super) fn sized_within(
+/// As [`with_edge`], for a shape with details that need faces of at most `most` (m).
+pub(super) fn with_max_edge(
     most: f64,
     make: impl Fn(f64) -> Result<TriangleMesh>,
 ) -> Result<TriangleMesh> {
@@ -40,13 +40,13 @@ pub(super) fn sized_within(
 }
 
 /// From 0 to 1 without a kink while `fraction` goes from 0 to 1.
-pub(super) fn eased(fraction: f64) -> f64 {
+pub(super) fn smoothstep(fraction: f64) -> f64 {
     let fraction = fraction.clamp(0.0, 1.0);
     fraction * fraction * (3.0 - 2.0 * fraction)
 }
 
 /// The point rounded to the grid of all coordinates.
-pub(super) fn rounded_to_grid(p: DVec3) -> DVec3 {
+pub(super) fn snapped_to_grid(p: DVec3) -> DVec3 {
     // Adding zero turns −0 into 0.
     (p / GRID_M).round() * GRID_M + DVec3::ZERO
 }
@@ -77,7 +77,7 @@ fn split_long_sides(mesh: &mut TriangleMesh) {
             let ends = [a, b].map(|v| mesh.vertices[v as usize]);
             let middle = mesh.vertices.len() as u32;
             mesh.vertices
-                .push(rounded_to_grid(ends[0].midpoint(ends[1])));
+                .push(snapped_to_grid(ends[0].midpoint(ends[1])));
             for &t in beside {
                 touched[t as usize] = true;
                 let whole = mesh.triangles[t as usize];
@@ -97,7 +97,7 @@ fn split_long_sides(mesh: &mut TriangleMesh) {
 pub(super) fn finished(mut mesh: TriangleMesh) -> Result<TriangleMesh> {
     let center = mesh.bounds().center();
     for v in &mut mesh.vertices {
-        *v = rounded_to_grid(*v - center);
+        *v = snapped_to_grid(*v - center);
     }
     split_long_sides(&mut mesh);
     check(&mesh)?;
@@ -114,7 +114,7 @@ fn check(mesh: &TriangleMesh) -> Result<()> {
         return fail(format!("it has {} triangles", mesh.triangles.len()));
     }
     // Open meshes are refused by `prepare`; before, the quick tests.
-    let least = mesh.all_corners().map(slenderness).fold(1.0, f64::min);
+    let least = mesh.all_corners().map(relative_height).fold(1.0, f64::min);
     if least < MIN_SLENDERNESS {
         return fail(format!("a triangle is a sliver: {least}"));
     }
@@ -130,7 +130,7 @@ fn check(mesh: &TriangleMesh) -> Result<()> {
 }
 
 /// Height of a triangle over its longest side, as a part of that side.
-pub(super) fn slenderness([a, b, c]: [DVec3; 3]) -> f64 {
+pub(super) fn relative_height([a, b, c]: [DVec3; 3]) -> f64 {
     let longest = a.distance(b).max(b.distance(c)).max(c.distance(a));
     (b - a).cross(c - a).length() / (longest * longest).max(f64::MIN_POSITIVE)
 }
@@ -200,7 +200,7 @@ mod tests {
 
     #[test]
     fn coordinates_lie_on_the_grid() {
-        let p = rounded_to_grid(DVec3::new(0.012_345_678_9, -1e-9, 0.0));
+        let p = snapped_to_grid(DVec3::new(0.012_345_678_9, -1e-9, 0.0));
         assert_eq!(p.x, (123_457_f64) * 1e-7);
         assert!(p.y == 0.0 && p.y.is_sign_positive());
     }

@@ -2,7 +2,7 @@
 
 use glam::{DMat3, DQuat, DVec2, DVec3};
 
-use super::shape::{rounded_to_grid, slenderness};
+use super::shape::{relative_height, snapped_to_grid};
 use gripcast_geometry::implicit::{Field, QuadMesh, even_out, gradient, neighbours, net_of_sheets};
 use gripcast_geometry::{Aabb, TriangleMesh};
 
@@ -19,28 +19,28 @@ const CELL_M: (f64, f64) = (2.4e-3, 4.0e-3);
 /// Normals around a vertex that differ by more (cosine) belong to an edge of the body.
 const EDGE_COSINE: f64 = 0.8;
 /// Height over the longest side of a triangle that is wide enough.
-const SOUND: f64 = 0.15;
+const MIN_QUALITY: f64 = 0.15;
 
 /// Signed distance and bounds of a part in its own frame.
 #[derive(Clone, Copy, Debug)]
-pub(super) enum Form {
+pub(super) enum Primitive {
     /// Half axes, m.
     Ellipsoid(DVec3),
     /// Half sizes and radius of the edges, m.
-    Block(DVec3, f64),
+    Box(DVec3, f64),
     /// About z: radii at the bottom and the top, half height, radius of the edges, m.
-    Drum([f64; 2], f64, f64),
+    Frustum([f64; 2], f64, f64),
     /// About z: radius of the middle line and of the tube, m.
-    Hoop(f64, f64),
+    Torus(f64, f64),
     /// From the origin along z: length, radii at both round ends, m.
-    Limb(f64, [f64; 2]),
+    Capsule(f64, [f64; 2]),
 }
 
 /// What a part does to the parts before it; edges between them are rounded over a width, m.
 #[derive(Clone, Copy, Debug)]
-pub(super) enum Role {
-    Add(f64),
-    Cut(f64),
+pub(super) enum Operation {
+    Union(f64),
+    Difference(f64),
 }
 
 /// A body, part by part.
@@ -48,51 +48,57 @@ pub(super) enum Role {
 pub(super) struct Solid {
     parts: Vec<Part>,
     /// Thinnest wall or limb, m.
-    thinnest: f64,
+    min_thickness_m: f64,
 }
 
 struct Part {
-    form: Form,
-    role: Role,
+    primitive: Primitive,
+    role: Operation,
     center: DVec3,
     /// Turns from the body's axes to those of the part.
-    turn: DMat3,
+    rotation: DMat3,
 }
 
 impl Solid {
     /// An empty body whose walls and limbs are at least so thick (m).
-    pub(super) fn new(thinnest: f64) -> Self {
+    pub(super) fn new(min_thickness_m: f64) -> Self {
         Self {
             parts: Vec::new(),
-            thinnest,
+            min_thickness_m,
         }
     }
 
     /// Adds a part at a place (m), turned.
-    pub(super) fn put(&mut self, form: Form, center: DVec3, turn: DQuat, role: Role) {
+    pub(super) fn add(
+        &mut self,
+        primitive: Primitive,
+        center: DVec3,
+        rotation: DQuat,
+        role: Operation,
+    ) {
         self.parts.push(Part {
-            form,
+            primitive,
             role,
             center,
-            turn: DMat3::from_quat(turn).transpose(),
+            rotation: DMat3::from_quat(rotation).transpose(),
         });
     }
 
     /// Adds a limb from one place to another (m) with a radius (m) at each.
-    pub(super) fn limb(&mut self, [from, to]: [DVec3; 2], radii: [f64; 2], width: f64) {
+    pub(super) fn capsule(&mut self, [from, to]: [DVec3; 2], radii: [f64; 2], width: f64) {
         let along = to - from;
-        let turn = DQuat::from_rotation_arc(DVec3::Z, along.normalize_or(DVec3::Z));
-        let form = Form::Limb(along.length(), radii);
-        self.put(form, from, turn, Role::Add(width));
+        let rotation = DQuat::from_rotation_arc(DVec3::Z, along.normalize_or(DVec3::Z));
+        let primitive = Primitive::Capsule(along.length(), radii);
+        self.add(primitive, from, rotation, Operation::Union(width));
     }
 
     /// Signed distance (m), negative inside; a lower bound off the surface.
     pub(super) fn distance(&self, p: DVec3) -> f64 {
         self.parts.iter().fold(1.0, |body, part| {
-            let own = part.form.distance(part.turn * (p - part.center));
+            let own = part.primitive.distance(part.rotation * (p - part.center));
             match part.role {
-                Role::Add(width) => smooth_union(body, own, width),
-                Role::Cut(width) => -smooth_union(-body, own, width),
+                Operation::Union(width) => smooth_union(body, own, width),
+                Operation::Difference(width) => -smooth_union(-body, own, width),
             }
         })
     }
@@ -102,10 +108,10 @@ impl Solid {
         Aabb::from_points(
             self.parts
                 .iter()
-                .filter(|part| matches!(part.role, Role::Add(_)))
+                .filter(|part| matches!(part.role, Operation::Union(_)))
                 .flat_map(|part| {
-                    let (center, half) = part.form.bounds();
-                    let back = part.turn.transpose();
+                    let (center, half) = part.primitive.bounds();
+                    let back = part.rotation.transpose();
                     let abs =
                         DMat3::from_cols(back.x_axis.abs(), back.y_axis.abs(), back.z_axis.abs());
                     let (center, half) = (part.center + back * center, abs * half);
@@ -119,11 +125,11 @@ impl Solid {
         let bounds = self.bounds();
         let center = bounds.center();
         let half = 0.5 * bounds.extent() + 1e-3;
-        mesh_of(&|p| self.distance(p + center), half, self.thinnest)
+        mesh_of(&|p| self.distance(p + center), half, self.min_thickness_m)
     }
 }
 
-impl Form {
+impl Primitive {
     fn distance(&self, p: DVec3) -> f64 {
         match *self {
             Self::Ellipsoid(half) => {
@@ -135,11 +141,11 @@ impl Form {
                     -half.min_element()
                 }
             }
-            Self::Block(half, round) => {
+            Self::Box(half, round) => {
                 let off = p.abs() - half + round;
                 off.max(DVec3::ZERO).length() + off.max_element().min(0.0) - round
             }
-            Self::Drum([bottom, top], half, round) => {
+            Self::Frustum([bottom, top], half, round) => {
                 let fraction = (0.5 + 0.5 * p.z / half).clamp(0.0, 1.0);
                 let slope = (0.5 * (top - bottom) / half).hypot(1.0);
                 let radius = bottom + (top - bottom) * fraction;
@@ -147,10 +153,10 @@ impl Form {
                 let off = DVec2::new(side, p.z.abs() - half) + round;
                 off.max(DVec2::ZERO).length() + off.max_element().min(0.0) - round
             }
-            Self::Hoop(radius, tube) => {
+            Self::Torus(radius, tube) => {
                 DVec2::new(p.truncate().length() - radius, p.z).length() - tube
             }
-            Self::Limb(length, [from, to]) => {
+            Self::Capsule(length, [from, to]) => {
                 let fraction = (p.z / length.max(1e-9)).clamp(0.0, 1.0);
                 p.distance(DVec3::Z * (length * fraction)) - (from + (to - from) * fraction)
             }
@@ -160,16 +166,16 @@ impl Form {
     /// Centre and half sizes of a box around it.
     fn bounds(&self) -> (DVec3, DVec3) {
         match *self {
-            Self::Ellipsoid(half) | Self::Block(half, _) => (DVec3::ZERO, half),
-            Self::Drum([bottom, top], half, _) => {
+            Self::Ellipsoid(half) | Self::Box(half, _) => (DVec3::ZERO, half),
+            Self::Frustum([bottom, top], half, _) => {
                 let radius = bottom.max(top);
                 (DVec3::ZERO, DVec3::new(radius, radius, half))
             }
-            Self::Hoop(radius, tube) => {
+            Self::Torus(radius, tube) => {
                 let wide = radius + tube;
                 (DVec3::ZERO, DVec3::new(wide, wide, tube))
             }
-            Self::Limb(length, [from, to]) => {
+            Self::Capsule(length, [from, to]) => {
                 let wide = from.max(to);
                 let half = DVec3::new(wide, wide, 0.5 * length + wide);
                 (DVec3::Z * (0.5 * length), half)
@@ -187,10 +193,10 @@ pub(super) fn smooth_union(a: f64, b: f64, width: f64) -> f64 {
     a.min(b) - 0.25 * width * overlap * overlap
 }
 
-/// Mesh of the zero surface of a field within ±`half` (m); walls are at least `thinnest` (m).
-pub(super) fn mesh_of(field: Field<'_>, half: DVec3, thinnest: f64) -> TriangleMesh {
+/// Mesh of the zero surface of a field within ±`half` (m); walls are at least `min_thickness_m` (m).
+pub(super) fn mesh_of(field: Field<'_>, half: DVec3, min_thickness_m: f64) -> TriangleMesh {
     let cell = (DENSITY * area(field, half) / QUADS).sqrt();
-    let cell = cell.clamp(CELL_M.0, CELL_M.1).min(thinnest / 1.1);
+    let cell = cell.clamp(CELL_M.0, CELL_M.1).min(min_thickness_m / 1.1);
     let mut mesh = TriangleMesh::default();
     for lattice in 0..LATTICES {
         let shift = f64::from(lattice) / f64::from(LATTICES);
@@ -236,7 +242,7 @@ fn triangles(field: Field<'_>, mut net: QuadMesh, cell: f64) -> TriangleMesh {
     even_out(field, &mut net, ROUNDS);
     sharpen(field, &mut net, cell);
     for v in &mut net.vertices {
-        *v = rounded_to_grid(*v);
+        *v = snapped_to_grid(*v);
     }
     let mut mesh = TriangleMesh {
         vertices: net.vertices,
@@ -282,7 +288,7 @@ fn sharpen(field: Field<'_>, net: &mut QuadMesh, cell: f64) {
         let sound = |&face: &usize| {
             let quad = net.quads[face];
             let turned = [quad[1], quad[2], quad[3], quad[0]];
-            quality(quad, &net.vertices).max(quality(turned, &net.vertices)) > SOUND
+            quality(quad, &net.vertices).max(quality(turned, &net.vertices)) > MIN_QUALITY
         };
         if !faces[v].iter().all(sound) {
             net.vertices[v] = kept;
@@ -307,7 +313,7 @@ fn towards_planes(at: DVec3, planes: impl Iterator<Item = (DVec3, DVec3)>) -> DV
 /// of the narrower over its longest side, negative if they are folded onto one another.
 fn quality([a, b, c, d]: [u32; 4], vertices: &[DVec3]) -> f64 {
     let [a, b, c, d] = [a, b, c, d].map(|v| vertices[v as usize]);
-    let narrower = slenderness([a, b, c]).min(slenderness([a, c, d]));
+    let narrower = relative_height([a, b, c]).min(relative_height([a, c, d]));
     let folded = (b - a).cross(c - a).dot((c - a).cross(d - a)) < 0.0;
     if folded { narrower - 1.0 } else { narrower }
 }
@@ -320,19 +326,19 @@ fn along_surface(field: Field<'_>, quad: [u32; 4], vertices: &[DVec3]) -> [u32; 
     let [a, b, c, d] = quad;
     let turned = [b, c, d, a];
     let [straight, across] = [quad, turned].map(|q| quality(q, vertices));
-    if straight.min(across) < SOUND && (straight - across).abs() > 1e-3 {
+    if straight.min(across) < MIN_QUALITY && (straight - across).abs() > 1e-3 {
         return if straight > across { quad } else { turned };
     }
     let at = |i: u32| vertices[i as usize];
     let off = |i, j| field(at(i).midpoint(at(j))).abs();
     let longer = at(a).distance(at(c)) - at(b).distance(at(d));
     let further = off(a, c) - off(b, d);
-    let turn = if further.abs() > TIE_M {
+    let rotation = if further.abs() > TIE_M {
         further > 0.0
     } else {
         longer > TIE_M
     };
-    if turn { turned } else { quad }
+    if rotation { turned } else { quad }
 }
 
 #[cfg(test)]
@@ -345,12 +351,12 @@ mod tests {
     fn a_block_keeps_its_edges() {
         let mut solid = Solid::new(0.02);
         let half = DVec3::new(0.02, 0.015, 0.01);
-        let turn = DQuat::from_rotation_z(0.3) * DQuat::from_rotation_x(0.2);
-        solid.put(
-            Form::Block(half, 0.0),
+        let rotation = DQuat::from_rotation_z(0.3) * DQuat::from_rotation_x(0.2);
+        solid.add(
+            Primitive::Box(half, 0.0),
             DVec3::ONE * 0.01,
-            turn,
-            Role::Add(0.0),
+            rotation,
+            Operation::Union(0.0),
         );
         let mesh = solid.mesh();
         assert!(mesh.edges().is_closed());
@@ -365,10 +371,15 @@ mod tests {
     #[test]
     fn a_cut_ball_is_a_shell() {
         let mut solid = Solid::new(0.004);
-        let ball = Form::Ellipsoid(DVec3::splat(0.02));
-        solid.put(ball, DVec3::ZERO, DQuat::IDENTITY, Role::Add(0.0));
-        let hollow = Form::Ellipsoid(DVec3::splat(0.016));
-        solid.put(hollow, DVec3::ZERO, DQuat::IDENTITY, Role::Cut(0.0));
+        let ball = Primitive::Ellipsoid(DVec3::splat(0.02));
+        solid.add(ball, DVec3::ZERO, DQuat::IDENTITY, Operation::Union(0.0));
+        let hollow = Primitive::Ellipsoid(DVec3::splat(0.016));
+        solid.add(
+            hollow,
+            DVec3::ZERO,
+            DQuat::IDENTITY,
+            Operation::Difference(0.0),
+        );
         let volume = MassProperties::of(&solid.mesh()).unwrap().volume_m3;
         let expected = 4.0 / 3.0 * PI * (8e-6 - 4.096e-6);
         assert!(

@@ -94,7 +94,7 @@ pub(super) fn precision_recall_points(ties: &[Tie]) -> Vec<PrecisionRecallPoint>
 /// The points that matter most to the shape of a curve.
 fn thinned<T: Copy>(points: Vec<T>, place: impl Fn(&T) -> [f64; 2]) -> Vec<T> {
     let places: Vec<[f64; 2]> = points.iter().map(place).collect();
-    let kept = polyline::thinned(&places, TOLERANCE, MAX_POINTS);
+    let kept = polyline::simplify(&places, TOLERANCE, MAX_POINTS);
     kept.into_iter().map(|at| points[at]).collect()
 }
 
