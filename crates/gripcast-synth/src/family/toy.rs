@@ -8,7 +8,7 @@ use super::solid::{Operation, Primitive, Solid};
 use gripcast_base::error::Result;
 use gripcast_geometry::TriangleMesh;
 
-/// Thinnest capsule that is drawn, m.
+/// Minimum thickness of capsules, m.
 const MIN_THICKNESS_M: f64 = 0.005;
 
 pub(super) fn draw(draw: &mut Draw) -> Result<TriangleMesh> {
@@ -23,17 +23,17 @@ pub(super) fn draw(draw: &mut Draw) -> Result<TriangleMesh> {
     solid.add(core, DVec3::ZERO, rotation(draw), Operation::Union(0.0));
     let mut ends = vec![DVec3::ZERO];
     for _ in 0..complexity {
-        // Each part hangs on an earlier one, held by a capsule between both.
+        // A capsule connects each primitive to an earlier one.
         let from = ends[(draw.between(0.0, 0.999) * ends.len() as f64) as usize];
         let out = (from.normalize_or_zero() * 0.6 + direction(draw)).normalize_or(DVec3::X);
         let end = from + out * (spread * size * draw.between(0.7, 1.15));
         let end = end.clamp_length_max(1.2 * size);
         let half = size * draw.between(0.22, 0.42);
-        let part = form(draw, half);
+        let primitive = form(draw, half);
         let capsule = size * draw.between(0.13, 0.24);
         let radius = capsule.max(0.5 * MIN_THICKNESS_M);
         solid.capsule([from, end], [radius; 2], blend);
-        solid.add(part, end, rotation(draw), Operation::Union(blend));
+        solid.add(primitive, end, rotation(draw), Operation::Union(blend));
         ends.push(end);
     }
     for _ in 0..cuts {
@@ -50,7 +50,7 @@ pub(super) fn draw(draw: &mut Draw) -> Result<TriangleMesh> {
     Ok(solid.mesh())
 }
 
-/// A part of about the given half size (m).
+/// Draws a primitive of about the given half size (m).
 fn form(draw: &mut Draw, size: f64) -> Primitive {
     let [a, b, c] = [0.7, 0.7, 0.7].map(|low| size * draw.between(low, 1.15));
     match (draw.between(0.0, 4.999)) as usize {
