@@ -240,13 +240,13 @@ impl DemoArgs {
             jobs: sweep.jobs(),
         };
         let watch = DemoWatch {
-            progress: &|at: DemoProgress| {
+            on_progress: &|at: DemoProgress| {
                 progress.stage(match at.stage {
                     DemoStage::Screening => "drawing grasps",
                     DemoStage::Simulating => "simulating reality",
                     DemoStage::Recording => "recording reality",
                 });
-                progress.at(at.done as u64, at.of as u64);
+                progress.at(at.done as u64, at.total as u64);
             },
             cancel: None,
         };
@@ -255,7 +255,9 @@ impl DemoArgs {
             dataset: data.dataset,
             objects: data.objects,
             only: Vec::new(),
-            reality: Some(Reality::Simulated { how: data.how }),
+            reality: Some(Reality::Simulated {
+                description: data.description,
+            }),
         })
     }
 }
@@ -330,7 +332,7 @@ impl SweepFlags {
             jobs: self.jobs(),
             pose_samples: self.pose_samples,
             sensor,
-            view_samples: (!self.no_images).then_some(VIEW_SAMPLES),
+            view_spp: (!self.no_images).then_some(VIEW_SAMPLES),
         })
     }
 }
@@ -363,7 +365,7 @@ fn replayed(
         print(&format!(
             "{} of {} grasps can be replayed: {cases} cases",
             recording.grasps.len(),
-            recording.all
+            recording.total
         ))?;
         return Ok(None);
     }
@@ -402,7 +404,7 @@ fn reality(recording: &Recording) -> Reality {
     let simulated = recording.grasps.iter().any(|g| g.record.truth.is_some());
     if simulated {
         Reality::Simulated {
-            how: "the grasps were recorded on a virtual rig".to_owned(),
+            description: "the grasps were recorded on a virtual rig".to_owned(),
         }
     } else {
         Reality::Real
@@ -411,9 +413,9 @@ fn reality(recording: &Recording) -> Reality {
 
 fn told(progress: &Progress, at: ReplayProgress) {
     let (stage, done, all) = match at {
-        ReplayProgress::Cases(at) => ("replaying", at.done, at.all),
-        ReplayProgress::Poses(at) => ("replaying drawn poses", at.done, at.all),
-        ReplayProgress::Images { done, all } => ("drawing images", done, all),
+        ReplayProgress::Cases(at) => ("replaying", at.done, at.total),
+        ReplayProgress::Poses(at) => ("replaying drawn poses", at.done, at.total),
+        ReplayProgress::Images { done, total } => ("drawing images", done, total),
         ReplayProgress::Note(line) => return progress.line(line),
     };
     progress.stage(stage);

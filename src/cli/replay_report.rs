@@ -35,7 +35,7 @@ pub(super) fn text(report: &Report, out: &Path) -> String {
         report.dataset.grasps.saturating_sub(report.grasps.len())
     );
     if let Reality::Simulated { description } = &report.dataset.reality {
-        let _ = writeln!(text, "reality is simulated here: {how}");
+        let _ = writeln!(text, "reality is simulated here: {description}");
     }
     let _ = writeln!(text, "agreement with reality, 95 % interval:");
     for engine in &report.engines {

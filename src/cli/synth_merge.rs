@@ -9,7 +9,7 @@ use super::working::interruptible;
 use super::{Context, print_report};
 use gripcast_base::error::{Error, ErrorKind, Result};
 use gripcast_dataset::shard::Split;
-use gripcast_synth::curate::{GroupKey, CurationSettings};
+use gripcast_synth::curate::{CurationSettings, GroupKey};
 use gripcast_synth::plan::Plan;
 use gripcast_synth::{MergeReport, MergeSettings, merge};
 

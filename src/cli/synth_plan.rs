@@ -18,7 +18,7 @@ use gripcast_sim::rigid::{RigidEngine, RigidSettings};
 use gripcast_sim::{Engine, FemEngine};
 use gripcast_synth::plan::{
     Drafts, MIN_FRICTION_FRACTION, PlanBundle, PlanPreset, PlanSettings, RenderingPlan,
-    acronym_drafts, family_drafts, make_plan, table_drafts, load_textures,
+    acronym_drafts, family_drafts, load_textures, make_plan, table_drafts,
 };
 use gripcast_synth::properties::{
     DEFAULT_KEY_VARIABLE, EndpointKey, LlmClient, LlmOptions, MassMap, PropertyEstimator,

@@ -15,7 +15,9 @@ use super::{Context, print, print_json};
 use gripcast_base::error::{Error, ErrorKind, Result};
 use gripcast_base::workers::cores;
 use gripcast_synth::plan::{Plan, Shard};
-use gripcast_synth::{ImageSelection, MergeSettings, ResultStore, RunSettings, select_simulations, planned_engine};
+use gripcast_synth::{
+    ImageSelection, MergeSettings, ResultStore, RunSettings, planned_engine, select_simulations,
+};
 
 /// Reasons of failures that are shown.
 const SHOWN_FAILURES: usize = 10;

@@ -1,4 +1,4 @@
-//! Images of a report: the camera's view beside the path tracer's.
+//! Camera images of a report, recorded and rendered.
 
 use image::{RgbImage, imageops};
 
@@ -17,26 +17,25 @@ use gripcast_visual::{
     View, VisualConditions, VisualRandomisation, Watch, denoise, develop, grasp_scene,
 };
 
-/// Columns and rows of a view.
+/// Width and height of a camera view, px.
 const VIEW: [usize; 2] = [240, 180];
-/// Columns and rows of an object's image.
+/// Width and height of an object's image, px.
 const OBJECT: [usize; 2] = [240, 180];
 
-/// How the path tracer draws.
+/// Settings of the path tracer.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct ViewSettings {
-    /// Paths for each pixel.
-    pub(super) samples: u32,
+    /// Samples per pixel.
+    pub(super) spp: u32,
     /// Seed of light and ground.
     pub(super) seed: u64,
 }
 
-/// The camera's image before the lift, and the simulation's from the nominal place of the
-/// camera. Light, ground and the object's surface are not known; the simulated ones are drawn
-/// from the seed.
+/// Returns the camera image before the lift, and the simulated one from the nominal camera pose. Light,
+/// ground and surface of the object are unknown; the simulated ones are drawn from the seed.
 ///
 /// # Errors
-/// `NotFound` or `Input` where the stored frame is missing or damaged; those of rendering.
+/// `NotFound` or `Input` if the stored frame is missing or damaged; errors of rendering.
 pub(super) fn view_pair(
     dataset: &Dataset,
     grasp: &RecordedGrasp,
@@ -54,15 +53,15 @@ pub(super) fn view_pair(
     let whole = Decoder::new()?.decode_file(&bytes, None, size[0], size[1])?;
     let state = GraspState::at(snapshot, None)?;
     Ok(ImagePair {
-        real: data_uri(&middle(&whole))?,
+        real: data_uri(&center_crop(&whole))?,
         sim: data_uri(&rendered(object, &state, View::EyeInHand(VIEW), settings)?)?,
     })
 }
 
-/// The object on the table with the gripper open above it, from outside.
+/// Renders the object on the table below the open gripper, from outside.
 ///
 /// # Errors
-/// Those of rendering.
+/// Errors of rendering.
 pub(super) fn object_image(
     object: &ReplayObject,
     grasp: &RecordedGrasp,
@@ -77,17 +76,18 @@ pub(super) fn object_image(
     data_uri(&rendered(object, &state, View::External(OBJECT), settings)?)
 }
 
-/// The middle of an image in the shape of a view.
-fn middle(image: &RgbImage) -> RgbImage {
+/// Crops and resizes an image to the size of a view.
+fn center_crop(image: &RgbImage) -> RgbImage {
     let [width, height] = VIEW.map(|side| side as u32);
     let (w, h) = image.dimensions();
     let scale = f64::max(
         f64::from(width) / f64::from(w),
         f64::from(height) / f64::from(h),
     );
-    let cut = |side: u32, whole: u32| ((f64::from(side) / scale).round() as u32).clamp(1, whole);
-    let (cut_w, cut_h) = (cut(width, w), cut(height, h));
-    let cropped = imageops::crop_imm(image, (w - cut_w) / 2, (h - cut_h) / 2, cut_w, cut_h);
+    let cropped_side =
+        |side: u32, whole: u32| ((f64::from(side) / scale).round() as u32).clamp(1, whole);
+    let (crop_w, crop_h) = (cropped_side(width, w), cropped_side(height, h));
+    let cropped = imageops::crop_imm(image, (w - crop_w) / 2, (h - crop_h) / 2, crop_w, crop_h);
     imageops::resize(
         &cropped.to_image(),
         width,
@@ -116,7 +116,7 @@ fn rendered(
     let rendering = Renderer::new(&scene)?.render(
         &scene.camera,
         &RenderSettings {
-            samples: settings.samples,
+            samples: settings.spp,
             seed: settings.seed,
             ..RenderSettings::default()
         },
