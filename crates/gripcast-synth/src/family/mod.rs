@@ -58,3 +58,7 @@ pub fn family_shape(category: Category, seed: u64) -> Result<TriangleMesh> {
         }
     }
 }
+
+#[cfg(test)]
+#[path = "family_test.rs"]
+mod tests;
