@@ -92,7 +92,11 @@ fn mass_properties_are_plausible() {
         let solid = MassProperties::of(&shape.mesh).unwrap();
         let bounds = shape.mesh.bounds();
         let fraction = solid.volume_m3 / bounds.extent().element_product();
-        assert!((0.02..=1.0).contains(&fraction), "{}: {fraction}", name(shape));
+        assert!(
+            (0.02..=1.0).contains(&fraction),
+            "{}: {fraction}",
+            name(shape)
+        );
         let inside = (solid.center_of_mass_m.abs() - 0.5 * bounds.extent()).max_element();
         assert!(inside < 0.0, "{}", name(shape));
         let inertia = solid.inertia_m5();
