@@ -261,13 +261,13 @@ fn plan(place: &Place, choices: &mut Choices<'_>) {
     let _ = fs::remove_file(root.join("plan.sha256"));
     fs::write(root.join("plan.sha256"), hash).expect("its hash");
     if let Ok(plan) = Plan::read(&root) {
-        let store = ResultStore::beside(&root);
+        let store = ResultStore::new(&root);
         for object in plan.objects.values() {
             let _ = planned_mesh(object, &Root::new(&root));
         }
         for simulation in &plan.simulations {
-            let _ = store.is_begun(&simulation.id);
-            let _ = store.find(&plan, &simulation.id);
+            let _ = store.has_file(&simulation.id);
+            let _ = store.load(&plan, &simulation.id);
         }
     }
     place.check("a plan");

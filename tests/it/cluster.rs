@@ -1,5 +1,5 @@
-//! The example scripts for clusters: Slurm by running them on a cluster of this machine alone,
-//! Kubernetes by what the manifest says.
+//! Example scripts for clusters: Slurm on a local one-node cluster, Kubernetes by checks of the
+//! manifest.
 
 use std::fs;
 use std::os::unix::fs::PermissionsExt as _;
@@ -13,7 +13,7 @@ use serde_json::{Value, json};
 use crate::program::wait_until;
 use gripcast_testing::{Needs, skip};
 
-/// Exit code of the script where Slurm cannot run.
+/// Exit code of the script if Slurm cannot run.
 const NO_SLURM: i32 = 77;
 
 fn in_repository(path: &str) -> std::path::PathBuf {
@@ -21,7 +21,7 @@ fn in_repository(path: &str) -> std::path::PathBuf {
 }
 
 #[test]
-fn a_slurm_cluster_makes_the_dataset_of_a_single_process() {
+fn slurm_gives_the_dataset_of_a_single_process() {
     if std::env::var_os("GRIPCAST_SKIP_SLURM").is_some() {
         return skip(Needs::Slurm, "GRIPCAST_SKIP_SLURM is set");
     }
@@ -30,17 +30,17 @@ fn a_slurm_cluster_makes_the_dataset_of_a_single_process() {
         .stdin(Stdio::null())
         .output()
         .unwrap();
-    let said = String::from_utf8_lossy(&output.stdout);
+    let log = String::from_utf8_lossy(&output.stdout);
     let errors = String::from_utf8_lossy(&output.stderr);
     if output.status.code() == Some(NO_SLURM) {
         return skip(Needs::Slurm, errors.trim());
     }
     assert!(
         output.status.success(),
-        "{}\n{said}\n{errors}",
+        "{}\n{log}\n{errors}",
         output.status
     );
-    eprintln!("{said}");
+    eprintln!("{log}");
 }
 
 fn manifest() -> Value {
@@ -52,7 +52,7 @@ fn container(manifest: &Value) -> &Value {
     &manifest["spec"]["template"]["spec"]["containers"][0]
 }
 
-/// What the pod gives to its shell.
+/// Script that the pod runs.
 fn pod_script(manifest: &Value) -> &str {
     let container = container(manifest);
     assert_eq!(container["command"], json!(["/bin/sh", "-c"]));
@@ -60,12 +60,12 @@ fn pod_script(manifest: &Value) -> &str {
 }
 
 #[test]
-fn a_kubernetes_job_has_a_pod_for_each_shard() {
+fn kubernetes_job_has_one_pod_per_shard() {
     let manifest = manifest();
     let spec = &manifest["spec"];
     assert_eq!(manifest["kind"], "Job");
     assert_eq!(spec["completionMode"], "Indexed");
-    // Needed for a limit of each index and for a policy of failures.
+    // Required by `backoffLimitPerIndex` and `podFailurePolicy`.
     assert_eq!(spec["template"]["spec"]["restartPolicy"], "Never");
     let shards = spec["completions"].as_u64().unwrap();
     let script = pod_script(&manifest);
@@ -80,7 +80,7 @@ fn a_kubernetes_job_has_a_pod_for_each_shard() {
 }
 
 #[test]
-fn a_kubernetes_job_tries_again_what_can_succeed() {
+fn kubernetes_job_retries_temporary_failures() {
     let manifest = manifest();
     let rules = manifest["spec"]["podFailurePolicy"]["rules"]
         .as_array()
@@ -114,7 +114,7 @@ fn a_kubernetes_job_tries_again_what_can_succeed() {
     }
 }
 
-/// The shell of a pod, with a shell script in place of the program.
+/// Starts the script of the pod with a shell script in place of gripcast.
 fn pod(folder: &Path, program: &str) -> Child {
     let path = folder.join("gripcast");
     fs::write(&path, format!("#!/bin/sh\n{program}\n")).unwrap();
@@ -129,13 +129,13 @@ fn pod(folder: &Path, program: &str) -> Child {
 }
 
 #[test]
-fn a_pod_ends_as_its_shard_does() {
+fn pod_exits_with_the_code_of_its_shard() {
     let folder = tempfile::tempdir().unwrap();
-    for (code, ends) in [(0, 0), (1, 1), (2, 2), (75, 75), (137, 137)] {
+    for (code, expected) in [(0, 0), (1, 1), (2, 2), (75, 75), (137, 137)] {
         let status = pod(folder.path(), &format!("exit {code}")).wait().unwrap();
-        assert_eq!(status.code(), Some(ends), "{code}");
+        assert_eq!(status.code(), Some(expected), "{code}");
     }
-    // Simulations that could not be done are results.
+    // Failed simulations are results.
     let partial = ErrorKind::Partial.exit_code();
     let status = pod(folder.path(), &format!("exit {partial}"))
         .wait()
@@ -144,15 +144,15 @@ fn a_pod_ends_as_its_shard_does() {
 }
 
 #[test]
-fn a_pod_that_is_evicted_stops_its_shard() {
+fn evicted_pod_stops_its_shard() {
     let folder = tempfile::tempdir().unwrap();
     let stopped = ErrorKind::Stopped.exit_code();
-    // Ends by itself where nobody stops it.
+    // Ends on its own if it is not stopped.
     let program =
         format!("trap 'exit {stopped}' TERM\n: > runs\nfor i in $(seq 600); do sleep 0.1; done");
     let mut pod = pod(folder.path(), &program);
     wait_until(&mut pod, || folder.path().join("runs").exists());
-    // The shell only, as Kubernetes signals the first process.
+    // Only the shell: Kubernetes signals the first process.
     let shell = rustix::process::Pid::from_child(&pod);
     rustix::process::kill_process(shell, rustix::process::Signal::TERM).unwrap();
     assert_eq!(pod.wait().unwrap().code(), Some(i32::from(stopped)));

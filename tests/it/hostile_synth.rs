@@ -1,4 +1,4 @@
-//! Plans, results and tables that try to read or change what lies outside of their folder.
+//! Plans, results and tables that try to access files outside of their folder.
 
 use std::fs;
 use std::os::unix::fs::symlink;
@@ -13,7 +13,7 @@ use crate::program::{gripcast, stderr, succeed};
 const MESH: &str = "v 0 0 0\nv 40 0 0\nv 40 30 0\nv 0 30 0\nv 0 0 60\nv 40 0 60\n\
     v 40 30 60\nv 0 30 60\nf 4 3 2 1\nf 5 6 7 8\nf 1 2 6 5\nf 2 3 7 6\nf 3 4 8 7\nf 4 1 5 8\n";
 
-/// A folder with a secret beside what is exchanged.
+/// A folder with a secret file next to the plan and the table.
 struct Jail(tempfile::TempDir);
 
 impl Jail {
@@ -27,18 +27,18 @@ impl Jail {
         self.0.path().join(name)
     }
 
-    /// A plan of one object of a table, with an image.
+    /// Creates a plan of one textured object.
     fn plan(&self) -> PathBuf {
         fs::create_dir_all(self.at("table")).unwrap();
         let image = image::RgbImage::from_pixel(8, 4, image::Rgb([200, 30, 30]));
         image.save(self.at("table/label.png")).unwrap();
         fs::write(self.at("table/part.obj"), MESH).unwrap();
         let row = "mesh = \"part.obj\"\nunit = \"mm\"\ntextures = [\"label.png\"]";
-        succeed(&mut self.plan_of(row));
+        succeed(&mut self.plan_command(row));
         self.at("plan")
     }
 
-    fn plan_of(&self, row: &str) -> Command {
+    fn plan_command(&self, row: &str) -> Command {
         fs::create_dir_all(self.at("table")).unwrap();
         let table = format!(
             "schema = 1\n[[object]]\nname = \"part\"\ncategory = \"block\"\n\
@@ -56,13 +56,13 @@ impl Jail {
         command
     }
 
-    /// Nothing outside of the plan and the table was made or changed.
-    fn is_intact(&self) {
+    /// Checks that nothing outside of the plan and the table was created or changed.
+    fn assert_intact(&self) {
         assert_eq!(fs::read(self.at("secret")).unwrap(), b"secret");
         for entry in fs::read_dir(self.0.path()).unwrap() {
             let name = entry.unwrap().file_name().into_string().unwrap();
             let known = ["secret", "table", "plan", "dataset", "report", "moved"];
-            assert!(known.contains(&name.as_str()), "{name} was made");
+            assert!(known.contains(&name.as_str()), "unexpected {name}");
         }
     }
 }
@@ -73,7 +73,7 @@ fn synth(verb: &str, plan: &Path) -> Command {
     command
 }
 
-/// Changes a plan and gives it the hash that belongs to it.
+/// Changes a plan and updates its hash.
 fn forge(plan: &Path, from: &str, to: &str) {
     let path = plan.join("plan.jsonl");
     let text = fs::read_to_string(&path).unwrap();
@@ -86,7 +86,7 @@ fn forge(plan: &Path, from: &str, to: &str) {
 }
 
 /// `<2 hex>/<id>` of the first simulation.
-fn result(plan: &Path) -> PathBuf {
+fn first_result(plan: &Path) -> PathBuf {
     let id = "part-000-10n";
     let digest = Sha256::digest(id);
     plan.join("results")
@@ -95,14 +95,14 @@ fn result(plan: &Path) -> PathBuf {
 }
 
 #[track_caller]
-fn refused(output: &Output, words: &str) {
+fn assert_refused(output: &Output, message: &str) {
     let text = stderr(output);
     assert_eq!(output.status.code(), Some(1), "{text}");
-    assert!(text.contains(words), "{text}");
+    assert!(text.contains(message), "{text}");
 }
 
 #[test]
-fn a_plan_with_paths_for_names_does_nothing() {
+fn paths_as_names_in_a_plan_are_refused() {
     let jail = Jail::new();
     let plan = jail.plan();
     let text = fs::read(plan.join("plan.jsonl")).unwrap();
@@ -111,38 +111,38 @@ fn a_plan_with_paths_for_names_does_nothing() {
         forge(&plan, "\"part-000-10n\"", &format!("{id:?}"));
         for verb in ["run", "status"] {
             let output = synth(verb, &plan).output().unwrap();
-            refused(&output, "invalid simulation id");
+            assert_refused(&output, "invalid simulation id");
         }
         for verb in ["merge", "report"] {
             let mut command = synth(verb, &plan);
             let output = command.arg("--out").arg(jail.at("dataset")).output();
-            refused(&output.unwrap(), "invalid simulation id");
+            assert_refused(&output.unwrap(), "invalid simulation id");
         }
         fs::write(plan.join("plan.jsonl"), &text).unwrap();
     }
     forge(&plan, "part.ply", "../../secret");
-    refused(&synth("run", &plan).output().unwrap(), "invalid file name");
+    assert_refused(&synth("run", &plan).output().unwrap(), "invalid file name");
     assert!(!plan.join("results").exists());
-    jail.is_intact();
+    jail.assert_intact();
 }
 
 #[test]
-fn links_in_a_plan_lead_nowhere() {
+fn symlinks_out_of_a_plan_are_not_followed() {
     let jail = Jail::new();
     let plan = jail.plan();
     let secret = jail.at("secret");
-    // The facts of a result.
-    let facts = result(&plan).with_extension("json");
+    // Result.
+    let facts = first_result(&plan).with_extension("json");
     fs::create_dir_all(facts.parent().unwrap()).unwrap();
     symlink(&secret, &facts).unwrap();
-    refused(&synth("run", &plan).output().unwrap(), "leads out of");
+    assert_refused(&synth("run", &plan).output().unwrap(), "leads out of");
     fs::remove_file(&facts).unwrap();
-    // Its images and its state, and what the rigid engine keeps.
+    // Images, state and cached convex pieces.
     for ending in ["parquet", "state"] {
         symlink(&secret, facts.with_extension(ending)).unwrap();
     }
     succeed(&mut synth("run", &plan));
-    jail.is_intact();
+    jail.assert_intact();
     let pieces: Vec<_> = fs::read_dir(plan.join("convex-pieces"))
         .unwrap()
         .map(|entry| entry.unwrap().path())
@@ -152,7 +152,7 @@ fn links_in_a_plan_lead_nowhere() {
         fs::remove_file(path).unwrap();
         symlink(&secret, path).unwrap();
     }
-    // Mesh and image.
+    // Mesh and texture.
     for folder in ["meshes", "textures"] {
         fs::remove_dir_all(plan.join("results")).unwrap();
         let entry = fs::read_dir(plan.join(folder)).unwrap().next().unwrap();
@@ -170,15 +170,15 @@ fn links_in_a_plan_lead_nowhere() {
         fs::remove_file(&path).unwrap();
         fs::write(&path, kept).unwrap();
     }
-    // The folder of results.
+    // Folder of results.
     fs::remove_dir_all(plan.join("results")).unwrap();
     symlink(jail.0.path(), plan.join("results")).unwrap();
-    refused(&synth("run", &plan).output().unwrap(), "leads out of");
-    jail.is_intact();
+    assert_refused(&synth("run", &plan).output().unwrap(), "leads out of");
+    jail.assert_intact();
 }
 
 #[test]
-fn a_plan_runs_wherever_its_folder_is() {
+fn moved_plan_can_be_run() {
     let jail = Jail::new();
     let plan = jail.plan();
     fs::remove_dir_all(jail.at("table")).unwrap();
@@ -187,22 +187,22 @@ fn a_plan_runs_wherever_its_folder_is() {
 }
 
 #[test]
-fn a_table_names_files_below_its_folder_and_below_allowed_ones() {
+fn tables_refer_to_their_folder_and_linked_folders_only() {
     let jail = Jail::new();
     fs::create_dir(jail.at("meshes")).unwrap();
     fs::write(jail.at("meshes/part.obj"), MESH).unwrap();
     let absolute = jail.at("meshes/part.obj");
     let row = |mesh: &str| format!("mesh = {mesh:?}\nunit = \"mm\"");
     for mesh in [absolute.to_str().unwrap(), "../meshes/part.obj"] {
-        refused(
-            &jail.plan_of(&row(mesh)).output().unwrap(),
+        assert_refused(
+            &jail.plan_command(&row(mesh)).output().unwrap(),
             "LINKED_FOLDERS",
         );
     }
-    let mut plan = jail.plan_of(&row(absolute.to_str().unwrap()));
+    let mut plan = jail.plan_command(&row(absolute.to_str().unwrap()));
     succeed(plan.env("GRIPCAST__FILES__LINKED_FOLDERS", jail.at("meshes")));
     let outside = jail.at("meshes/../secret");
-    let mut plan = jail.plan_of(&row(outside.to_str().unwrap()));
+    let mut plan = jail.plan_command(&row(outside.to_str().unwrap()));
     plan.env("GRIPCAST__FILES__LINKED_FOLDERS", jail.at("meshes"));
-    refused(&plan.output().unwrap(), "not below the folder");
+    assert_refused(&plan.output().unwrap(), "not below the folder");
 }

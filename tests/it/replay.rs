@@ -1,5 +1,4 @@
-//! The command `replay`: a small dataset through both engines, stopped and continued, and wrong
-//! input.
+//! `gripcast replay`: a small dataset with both engines, resumed runs, invalid input.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -10,12 +9,12 @@ use serde_json::{Value, json};
 use crate::json_schema::assert_schema;
 use crate::program::{collect, grasps, gripcast, json, script, stderr, succeed, wait_until};
 
-/// Heights of the gripper over the middle of the box, m, and whether it held. The gel reaches
-/// 12.5 mm down, so at 40 mm it closes above the box, which is 60 mm high.
+/// Heights of the gripper above the center of the box, m, and outcomes. The gel reaches 12.5 mm
+/// down and the box is 60 mm high, so at 45 mm the gripper closes above the box.
 const GRASPS: [(f64, &str); 3] = [(0.0, "stable"), (0.01, "stable"), (0.045, "slip")];
 
-/// Grasps of the virtual rig whose records say that a box was grasped from above.
-fn annotated(dir: &Path) -> PathBuf {
+/// Records grasps on the virtual rig and sets poses of top grasps of a box.
+fn annotated_dataset(dir: &Path) -> PathBuf {
     let dataset = dir.join("d");
     let cycle = "wait no-contact\nwait fresh\ntrigger\nwait saved\nwait contact\nwait fresh\n\
                  trigger\nwait saved\nstable\nwait saved\n";
@@ -86,7 +85,7 @@ fn report(out: &Path) -> Value {
     serde_json::from_slice(&fs::read(out.join("report.json")).unwrap()).unwrap()
 }
 
-/// Whether a case is finished.
+/// Tells whether a case is finished.
 fn has_case(cases: &Path) -> bool {
     let folders = fs::read_dir(cases).into_iter().flatten().flatten();
     let mut files = folders.flat_map(|folder| fs::read_dir(folder.path()).into_iter().flatten());
@@ -98,7 +97,7 @@ fn has_case(cases: &Path) -> bool {
     })
 }
 
-/// Outcomes by grasp, engine and setting.
+/// Outcomes by grasp, engine and setting, with curves.
 fn outcomes(report: &Value) -> Vec<Value> {
     let grasps = report["grasps"].as_array().unwrap();
     grasps
@@ -117,27 +116,27 @@ fn outcomes(report: &Value) -> Vec<Value> {
 }
 
 #[test]
-fn grasps_are_replayed_stopped_continued_and_reported() {
+fn resumed_replay_gives_the_same_outcomes() {
     let dir = tempfile::tempdir().unwrap();
-    let (dataset, objects) = (annotated(dir.path()), objects(dir.path()));
+    let (dataset, objects) = (annotated_dataset(dir.path()), objects(dir.path()));
     let whole = dir.path().join("whole");
     let output = replay(&dataset, &objects, &whole, &["--json"])
         .output()
         .unwrap();
     assert!(output.status.success(), "{}", stderr(&output));
-    let told = json(&output);
-    assert_schema("replay", &[&told]);
-    assert_eq!(told["grasps"].as_array().unwrap().len(), GRASPS.len());
-    assert_eq!(told["dataset"]["reality"]["kind"], "simulated");
-    let made = report(&whole);
-    assert_eq!(made["engines"][0]["name"], "fem");
+    let summary = json(&output);
+    assert_schema("replay", &[&summary]);
+    assert_eq!(summary["grasps"].as_array().unwrap().len(), GRASPS.len());
+    assert_eq!(summary["dataset"]["reality"]["kind"], "simulated");
+    let complete = report(&whole);
+    assert_eq!(complete["engines"][0]["name"], "fem");
     assert_eq!(
-        made["engines"][0]["scores"]["paper"]["all"]["agree"],
+        complete["engines"][0]["scores"]["paper"]["all"]["agree"],
         GRASPS.len(),
-        "{told}"
+        "{summary}"
     );
-    assert_eq!(made["engines"][1]["name"], "rigid");
-    for grasp in made["grasps"].as_array().unwrap() {
+    assert_eq!(complete["engines"][1]["name"], "rigid");
+    for grasp in complete["grasps"].as_array().unwrap() {
         let image = |value: &Value| {
             value
                 .as_str()
@@ -152,39 +151,39 @@ fn grasps_are_replayed_stopped_continued_and_reported() {
     let page = fs::read_to_string(whole.join("report.html")).unwrap();
     assert!(page.contains("simulated") && page.len() > 20_000);
 
-    // Stopped after the first case, then continued: the same as in one go.
-    let parts = dir.path().join("parts");
+    // Stopped after the first case and resumed.
+    let stopped = dir.path().join("stopped");
     let more = ["--jobs", "1", "--no-images"];
-    let mut child = replay(&dataset, &objects, &parts, &more)
+    let mut child = replay(&dataset, &objects, &stopped, &more)
         .stdout(Stdio::null())
         .stderr(Stdio::null())
         .spawn()
         .unwrap();
-    wait_until(&mut child, || has_case(&parts.join("cases")));
+    wait_until(&mut child, || has_case(&stopped.join("cases")));
     Command::new("kill")
         .arg(child.id().to_string())
         .status()
         .unwrap();
     assert_eq!(child.wait().unwrap().code(), Some(75));
-    assert!(!parts.join("report.json").exists());
-    succeed(&mut replay(&dataset, &objects, &parts, &more));
-    let continued = report(&parts);
-    let all = continued["cost"]["cases"].as_u64().unwrap();
-    assert!(continued["cost"]["simulated_now"].as_u64().unwrap() < all);
-    assert_eq!(outcomes(&continued), outcomes(&made));
+    assert!(!stopped.join("report.json").exists());
+    succeed(&mut replay(&dataset, &objects, &stopped, &more));
+    let resumed = report(&stopped);
+    let cases = resumed["cost"]["cases"].as_u64().unwrap();
+    assert!(resumed["cost"]["simulated_now"].as_u64().unwrap() < cases);
+    assert_eq!(outcomes(&resumed), outcomes(&complete));
 
     let old = whole.join("report.json");
     let more = ["--no-images", "--compare", old.to_str().unwrap()];
-    succeed(&mut replay(&dataset, &objects, &parts, &more));
-    let compared = report(&parts);
+    succeed(&mut replay(&dataset, &objects, &stopped, &more));
+    let compared = report(&stopped);
     assert_eq!(compared["cost"]["simulated_now"], 0);
     assert_eq!(compared["changes"]["outcomes"], json!([]));
 }
 
 #[test]
-fn what_is_left_out_is_told_with_exit_code_3() {
+fn excluded_grasps_give_exit_code_3() {
     let dir = tempfile::tempdir().unwrap();
-    let (dataset, objects) = (annotated(dir.path()), objects(dir.path()));
+    let (dataset, objects) = (annotated_dataset(dir.path()), objects(dir.path()));
     let ids: Vec<String> = grasps(&dataset).into_keys().collect();
     change(&dataset, &ids[0], |record| record["object"] = json!("bax"));
     change(&dataset, &ids[1], |record| record["pose"] = json!(null));
@@ -217,14 +216,14 @@ fn what_is_left_out_is_told_with_exit_code_3() {
 }
 
 #[test]
-fn wrong_calls_are_explained() {
+fn invalid_arguments_are_explained() {
     let dir = tempfile::tempdir().unwrap();
     let path = |name: &str| dir.path().join(name).to_str().unwrap().to_owned();
-    let check = |arguments: &[&str], code: i32, words: &str| {
+    let check = |arguments: &[&str], code: i32, message: &str| {
         let output: Output = gripcast().arg("replay").args(arguments).output().unwrap();
         let text = stderr(&output);
         assert_eq!(output.status.code(), Some(code), "{text}");
-        assert!(text.contains(words), "{text}");
+        assert!(text.contains(message), "{text}");
     };
     check(&[], 2, "replay demo");
     check(&[&path("nothing")], 2, "--objects");

@@ -1,5 +1,4 @@
-//! The commands `synth`: a dataset in shards and in one go, stopped, killed and continued, and wrong
-//! input.
+//! `gripcast synth`: datasets of one run and of resumed shards, image selection, invalid input.
 
 use std::collections::BTreeMap;
 use std::fs;
@@ -12,8 +11,8 @@ use serde_json::Value;
 use crate::json_schema::assert_schema;
 use crate::program::{gripcast, json, stderr, succeed, wait_until};
 
-/// A plan of a few rigid grasps.
-const FEW: [&str; 12] = [
+/// Flags of a small plan for the rigid engine.
+const SMALL_PLAN: [&str; 12] = [
     "--preset",
     "tiny",
     "--engine",
@@ -43,7 +42,7 @@ fn plan(folder: &Path, flags: &[&str]) -> Output {
         .arg(folder)
         .output()
         .unwrap();
-    // 3: an object without grasps is left out.
+    // 3: an object without grasps is skipped.
     let code = output.status.code();
     assert!(matches!(code, Some(0 | 3)), "{}", stderr(&output));
     output
@@ -57,15 +56,15 @@ fn merge(plan: &Path, out: &Path) -> Command {
     command
 }
 
-/// Paths of all files below a folder.
+/// Lists all files below a folder.
 fn paths(folder: &Path) -> Vec<PathBuf> {
     let mut found = Vec::new();
-    let mut open = vec![folder.to_owned()];
-    while let Some(next) = open.pop() {
+    let mut folders = vec![folder.to_owned()];
+    while let Some(next) = folders.pop() {
         for entry in fs::read_dir(next).unwrap() {
             let path = entry.unwrap().path();
             if path.is_dir() {
-                open.push(path);
+                folders.push(path);
             } else {
                 found.push(path);
             }
@@ -74,7 +73,7 @@ fn paths(folder: &Path) -> Vec<PathBuf> {
     found
 }
 
-/// All files below a folder, by their paths in it.
+/// Contents of all files below a folder, by relative path.
 fn files(folder: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
     let file = |path: PathBuf| {
         let name = path.strip_prefix(folder).unwrap().to_owned();
@@ -83,8 +82,8 @@ fn files(folder: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
     paths(folder).into_iter().map(file).collect()
 }
 
-/// Results that are there; they may be of a run that is going on, whose other files come and go.
-fn results(plan: &Path) -> usize {
+/// Counts results; a run may be in progress.
+fn count_results(plan: &Path) -> usize {
     if !plan.join("results").exists() {
         return 0;
     }
@@ -94,7 +93,7 @@ fn results(plan: &Path) -> usize {
         .count()
 }
 
-fn started(plan: &Path) -> Child {
+fn start(plan: &Path) -> Child {
     synth("run", plan)
         .args(["--jobs", "1"])
         .stdout(Stdio::null())
@@ -103,44 +102,47 @@ fn started(plan: &Path) -> Child {
         .unwrap()
 }
 
-/// Waits for a first result, sends a signal, and tells how the run ended.
-fn interrupted(plan: &Path, signal: Signal) -> Option<i32> {
-    let before = results(plan);
-    let mut child = started(plan);
-    wait_until(&mut child, || results(plan) > before);
-    // It may have come to its end meanwhile, which is no error either.
+/// Waits for a new result, sends a signal and returns the exit code.
+fn interrupt(plan: &Path, signal: Signal) -> Option<i32> {
+    let before = count_results(plan);
+    let mut child = start(plan);
+    wait_until(&mut child, || count_results(plan) > before);
+    // Ignored: the run may have ended meanwhile.
     let _ = kill_process(Pid::from_child(&child), signal);
     child.wait().unwrap().code()
 }
 
 #[test]
-fn a_dataset_is_the_same_in_one_go_and_in_shards_that_were_killed() {
+fn resumed_shards_give_the_dataset_of_one_run() {
     let dir = tempfile::tempdir().unwrap();
     let [whole, shards] = ["whole", "shards"].map(|name| dir.path().join(name));
-    let told = json(&plan(&whole, &FEW));
-    assert_eq!(json(&plan(&shards, &FEW))["sha256"], told["sha256"]);
-    assert_schema("synth plan", &[&told]);
-    let simulations = told["simulations"].as_u64().unwrap() as usize;
-    assert!(simulations >= 12, "{told}");
+    let planned = json(&plan(&whole, &SMALL_PLAN));
+    assert_eq!(
+        json(&plan(&shards, &SMALL_PLAN))["sha256"],
+        planned["sha256"]
+    );
+    assert_schema("synth plan", &[&planned]);
+    let simulations = planned["simulations"].as_u64().unwrap() as usize;
+    assert!(simulations >= 12, "{planned}");
     succeed(synth("run", &whole).args(["--jobs", "2"]));
 
-    assert_eq!(interrupted(&shards, Signal::KILL), None);
-    let code = interrupted(&shards, Signal::TERM);
+    assert_eq!(interrupt(&shards, Signal::KILL), None);
+    let code = interrupt(&shards, Signal::TERM);
     assert!(matches!(code, Some(75 | 0)), "{code:?}");
     let open = merge(&shards, &dir.path().join("early")).output().unwrap();
-    assert!(results(&shards) < simulations, "all was done already");
+    assert!(count_results(&shards) < simulations, "the run had ended");
     assert_eq!(open.status.code(), Some(1));
     assert!(stderr(&open).contains("--partial"), "{}", stderr(&open));
 
     for index in ["2", "0", "1"] {
         let mut run = synth("run", &shards);
         run.args(["--shard", "/3", "--jobs", "1", "--json"]);
-        let told = json(&succeed(run.env("SLURM_ARRAY_TASK_ID", index)));
-        assert_eq!(told["shard"], format!("{index}/3"));
+        let summary = json(&succeed(run.env("SLURM_ARRAY_TASK_ID", index)));
+        assert_eq!(summary["shard"], format!("{index}/3"));
     }
     let again = json(&succeed(synth("run", &shards).arg("--json")));
     assert_schema("synth run", &[&again]);
-    assert_eq!(again["simulated_now"], 0, "nothing is done twice");
+    assert_eq!(again["simulated_now"], 0, "no simulation is repeated");
     let status = json(&succeed(synth("status", &shards).arg("--json")));
     assert_schema("synth status", &[&status]);
     assert_eq!(status["done"], simulations);
@@ -159,18 +161,18 @@ fn a_dataset_is_the_same_in_one_go_and_in_shards_that_were_killed() {
 }
 
 #[test]
-fn finite_elements_end_in_rows_that_say_what_was_simulated() {
+fn fem_rows_contain_the_simulated_properties() {
     let dir = tempfile::tempdir().unwrap();
     let folder = dir.path().join("p");
-    let mut flags = FEW;
+    let mut flags = SMALL_PLAN;
     flags[3] = "fem";
     flags[5] = "1";
     plan(&folder, &flags);
     succeed(&mut synth("run", &folder));
     let out = dir.path().join("d");
     let report = json(&succeed(&mut merge(&folder, &out)));
-    let part = &report["parts"]["train"];
-    assert!(part["rows"].as_u64().unwrap() > 0, "{report}");
+    let split = &report["parts"]["train"];
+    assert!(split["rows"].as_u64().unwrap() > 0, "{report}");
     let shard = out.join("data/train-00000-of-00001.parquet");
     let rows = gripcast_dataset::shard::ShardReader::open(&shard).unwrap();
     for row in rows.rows() {
@@ -182,19 +184,19 @@ fn finite_elements_end_in_rows_that_say_what_was_simulated() {
 }
 
 #[test]
-fn what_does_not_belong_together_is_refused() {
+fn mixed_or_altered_plans_and_results_are_refused() {
     let dir = tempfile::tempdir().unwrap();
     let [one, other] = ["one", "other"].map(|name| dir.path().join(name));
-    let mut flags = FEW;
+    let mut flags = SMALL_PLAN;
     flags[5] = "1";
     plan(&one, &flags);
     flags[11] = "4";
     plan(&other, &flags);
     succeed(&mut synth("run", &one));
-    let fails = |command: &mut Command, words: &str| {
+    let fails = |command: &mut Command, message: &str| {
         let output = command.output().unwrap();
         assert_eq!(output.status.code(), Some(1), "{}", stderr(&output));
-        assert!(stderr(&output).contains(words), "{}", stderr(&output));
+        assert!(stderr(&output).contains(message), "{}", stderr(&output));
     };
     // Another plan into the same folder.
     let mut again = gripcast();
@@ -204,7 +206,7 @@ fn what_does_not_belong_together_is_refused() {
         .arg("--out")
         .arg(&one);
     fails(&mut again, "plan");
-    // An image that was changed, then one that was cut off: that one is open again.
+    // Altered images are refused; truncated ones are simulated again.
     let dataset = dir.path().join("d");
     let result = files(&one.join("results"));
     let (name, bytes) = result
@@ -215,19 +217,19 @@ fn what_does_not_belong_together_is_refused() {
     let mut changed = bytes.clone();
     changed[bytes.len() / 2] ^= 1;
     fs::write(&image, &changed).unwrap();
-    fails(&mut merge(&one, &dataset), "not those of the result");
+    fails(&mut merge(&one, &dataset), "do not belong to the result");
     fs::write(&image, &bytes[..bytes.len() / 2]).unwrap();
     fails(&mut merge(&one, &dataset), "no result yet");
     succeed(&mut synth("run", &one));
     assert_eq!(&fs::read(&image).unwrap(), bytes);
     succeed(&mut merge(&one, &dataset));
-    // Results of another plan, and a dataset of another one.
+    // Results and a dataset of another plan.
     fs::rename(one.join("results"), other.join("results")).unwrap();
     fails(&mut synth("run", &other), "another plan");
     fs::remove_dir_all(other.join("results")).unwrap();
     succeed(&mut synth("run", &other));
     fails(&mut merge(&other, &dataset), "another dataset");
-    // A plan that was altered.
+    // An altered plan.
     let path = other.join("plan.jsonl");
     let text = fs::read_to_string(&path).unwrap();
     fs::write(
@@ -242,7 +244,7 @@ fn what_does_not_belong_together_is_refused() {
 }
 
 #[test]
-fn objects_come_from_a_table_and_wrong_ones_are_left_out() {
+fn invalid_objects_of_a_table_are_skipped() {
     let dir = tempfile::tempdir().unwrap();
     let table = dir.path().join("objects.toml");
     let image = image::RgbImage::from_pixel(8, 4, image::Rgb([200, 30, 30]));
@@ -278,7 +280,7 @@ fn objects_come_from_a_table_and_wrong_ones_are_left_out() {
         (&0.12.into(), &0.8.into())
     );
     succeed(&mut synth("run", &folder));
-    // The image is part of the plan, not of the table.
+    // The plan has its own copy of the image.
     fs::remove_file(dir.path().join("red.png")).unwrap();
     let stored = paths(&folder.join("textures")).remove(0);
     let kept = fs::read(&stored).unwrap();
@@ -292,7 +294,7 @@ fn objects_come_from_a_table_and_wrong_ones_are_left_out() {
         "{}",
         stderr(&changed)
     );
-    // Fixed: a failure is a result until it is asked for again.
+    // A failure remains a result until `--retry-failed`.
     fs::write(&stored, kept).unwrap();
     let same = synth("run", &folder).output().unwrap();
     assert_eq!(same.status.code(), Some(3), "{}", stderr(&same));
@@ -303,17 +305,17 @@ fn objects_come_from_a_table_and_wrong_ones_are_left_out() {
 }
 
 #[test]
-fn images_of_an_unfinished_plan_are_of_what_has_a_label() {
+fn partial_run_renders_labelled_simulations_only() {
     let dir = tempfile::tempdir().unwrap();
     let folder = dir.path().join("part");
-    plan(&folder, &FEW);
+    plan(&folder, &SMALL_PLAN);
     succeed(synth("run", &folder).args(["--shard", "0/2", "--images", "none"]));
     let status = || json(&succeed(synth("status", &folder).arg("--json")));
     let before = status();
-    let all = before["simulations"].as_u64().unwrap();
+    let total = before["simulations"].as_u64().unwrap();
     let done = before["done"].as_u64().unwrap();
     let labelled = before["without_images"].as_u64().unwrap();
-    assert!(labelled > 0 && done < all, "{done} of {all}");
+    assert!(labelled > 0 && done < total, "{done} of {total}");
 
     let alone = synth("run", &folder).arg("--partial").output().unwrap();
     assert_eq!(alone.status.code(), Some(2));
@@ -321,23 +323,23 @@ fn images_of_an_unfinished_plan_are_of_what_has_a_label() {
     let mut run = synth("run", &folder);
     run.args(["--images", "chosen", "--partial", "--json"]);
     run.args(["--unbalanced", "--split", "train=1"]);
-    let told = json(&succeed(&mut run));
-    assert_eq!(told["simulated_now"], labelled);
-    assert_eq!(told["simulations"], done);
+    let summary = json(&succeed(&mut run));
+    assert_eq!(summary["simulated_now"], labelled);
+    assert_eq!(summary["simulations"], done);
     let after = status();
-    assert_eq!(after["done"], done, "nothing new is simulated");
+    assert_eq!(after["done"], done, "no open simulation is run");
     assert_eq!(after["without_images"], 0);
 
     let out = dir.path().join("dataset");
     let merged = merge(&folder, &out).arg("--partial").output().unwrap();
     assert_eq!(merged.status.code(), Some(3), "{}", stderr(&merged));
-    let part = &json(&merged)["parts"]["train"];
-    let simulations = part["stable"].as_u64().unwrap() + part["slip"].as_u64().unwrap();
+    let split = &json(&merged)["parts"]["train"];
+    let simulations = split["stable"].as_u64().unwrap() + split["slip"].as_u64().unwrap();
     assert_eq!(simulations, labelled);
 }
 
 #[test]
-fn images_can_wait_until_labels_tell_which_are_needed() {
+fn images_rendered_after_curation_are_identical() {
     let dir = tempfile::tempdir().unwrap();
     let [whole, late] = ["whole", "late"].map(|name| dir.path().join(name));
     let merge = |folder: &Path| {
@@ -347,7 +349,7 @@ fn images_can_wait_until_labels_tell_which_are_needed() {
         command
     };
     for folder in [&whole, &late] {
-        plan(folder, &FEW);
+        plan(folder, &SMALL_PLAN);
     }
     succeed(&mut synth("run", &whole));
     succeed(synth("run", &late).args(["--images", "none"]));
@@ -363,7 +365,7 @@ fn images_can_wait_until_labels_tell_which_are_needed() {
         stderr(&early)
     );
 
-    // What a state that is lost, cut off or altered was of is simulated again.
+    // Simulations with a missing, truncated or altered state are run again.
     let states = |folder: &Path| -> Vec<PathBuf> {
         let all = files(&folder.join("results"));
         let is_state = |path: &PathBuf| path.extension().is_some_and(|end| end == "state");
@@ -389,9 +391,11 @@ fn images_can_wait_until_labels_tell_which_are_needed() {
 
     let mut run = synth("run", &late);
     run.args(["--images", "chosen", "--split", "train=1", "--json"]);
-    let told = json(&succeed(&mut run));
-    let taken = told["simulated_now"].as_u64().unwrap();
-    assert!(taken > 0 && taken < labelled, "{taken} of {labelled}");
+    let rendered = json(&succeed(&mut run))["simulated_now"].as_u64().unwrap();
+    assert!(
+        rendered > 0 && rendered < labelled,
+        "{rendered} of {labelled}"
+    );
     assert_eq!(json(&succeed(&mut run))["simulated_now"], 0);
     for folder in [&whole, &late] {
         succeed(&mut merge(folder));

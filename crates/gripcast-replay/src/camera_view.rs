@@ -1,4 +1,4 @@
-//! Images of a report: the camera's view beside the path tracer's.
+//! Camera images of a report, recorded and rendered.
 
 use image::{RgbImage, imageops};
 
@@ -13,31 +13,29 @@ use gripcast_imaging::{Decoder, Role};
 use gripcast_report::image::data_uri;
 use gripcast_sim::grasp::Snapshot;
 use gripcast_visual::{
-    ColourSettings, DENOISE_RADIUS_PX, Finish, GraspState, Model, ProceduralTexture, RenderControl,
-    RenderSettings, Renderer, View, VisualConditions, VisualRandomisation, denoise, develop,
-    grasp_scene,
+    ColourSettings, DenoiseSettings, Finish, GraspState, Model, Pattern, RenderSettings, Renderer,
+    View, VisualConditions, VisualRandomisation, Watch, denoise, develop, grasp_scene,
 };
 
-/// Columns and rows of a view.
+/// Width and height of a camera view, px.
 const VIEW: [usize; 2] = [240, 180];
-/// Columns and rows of an object's image.
+/// Width and height of an object's image, px.
 const OBJECT: [usize; 2] = [240, 180];
 
-/// How the path tracer draws.
+/// Settings of the path tracer.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct ViewSettings {
-    /// Paths for each pixel.
-    pub(super) samples: u32,
+    /// Samples per pixel.
+    pub(super) spp: u32,
     /// Seed of light and ground.
     pub(super) seed: u64,
 }
 
-/// The camera's image before the lift, and the simulation's from the nominal place of the
-/// camera. Light, ground and the object's surface are not known; the simulated ones are drawn
-/// from the seed.
+/// Returns the camera image before the lift, and the simulated one from the nominal camera pose. Light,
+/// ground and surface of the object are unknown; the simulated ones are drawn from the seed.
 ///
 /// # Errors
-/// `NotFound` or `Input` where the stored frame is missing or damaged; those of rendering.
+/// `NotFound` or `Input` if the stored frame is missing or damaged; errors of rendering.
 pub(super) fn view_pair(
     dataset: &Dataset,
     grasp: &RecordedGrasp,
@@ -53,17 +51,17 @@ pub(super) fn view_pair(
         .read(FileKind::Image)
         .map_err(|e| Error::io("cannot read the colour image", e).at(path.display()))?;
     let whole = Decoder::new()?.decode_file(&bytes, None, size[0], size[1])?;
-    let state = GraspState::from_snapshot(snapshot, None)?;
+    let state = GraspState::at(snapshot, None)?;
     Ok(ImagePair {
-        real: data_uri(&middle(&whole))?,
+        real: data_uri(&center_crop(&whole))?,
         sim: data_uri(&rendered(object, &state, View::EyeInHand(VIEW), settings)?)?,
     })
 }
 
-/// The object on the table with the gripper open above it, from outside.
+/// Renders the object on the table below the open gripper, from outside.
 ///
 /// # Errors
-/// Those of rendering.
+/// Errors of rendering.
 pub(super) fn object_image(
     object: &ReplayObject,
     grasp: &RecordedGrasp,
@@ -78,17 +76,18 @@ pub(super) fn object_image(
     data_uri(&rendered(object, &state, View::External(OBJECT), settings)?)
 }
 
-/// The middle of an image in the shape of a view.
-fn middle(image: &RgbImage) -> RgbImage {
+/// Crops and resizes an image to the size of a view.
+fn center_crop(image: &RgbImage) -> RgbImage {
     let [width, height] = VIEW.map(|side| side as u32);
     let (w, h) = image.dimensions();
     let scale = f64::max(
         f64::from(width) / f64::from(w),
         f64::from(height) / f64::from(h),
     );
-    let cut = |side: u32, whole: u32| ((f64::from(side) / scale).round() as u32).clamp(1, whole);
-    let (cut_w, cut_h) = (cut(width, w), cut(height, h));
-    let cropped = imageops::crop_imm(image, (w - cut_w) / 2, (h - cut_h) / 2, cut_w, cut_h);
+    let cropped_side =
+        |side: u32, whole: u32| ((f64::from(side) / scale).round() as u32).clamp(1, whole);
+    let (crop_w, crop_h) = (cropped_side(width, w), cropped_side(height, h));
+    let cropped = imageops::crop_imm(image, (w - crop_w) / 2, (h - crop_h) / 2, crop_w, crop_h);
     imageops::resize(
         &cropped.to_image(),
         width,
@@ -104,25 +103,25 @@ fn rendered(
     settings: &ViewSettings,
 ) -> Result<RgbImage> {
     let conditions = VisualConditions {
-        t_nominal_camera: Pose::IDENTITY,
+        camera_move: Pose::IDENTITY,
         focal_factor: 1.0,
         ..VisualRandomisation::default().sample(settings.seed)
     };
-    let model = Model::with_finish(
+    let model = Model::plain(
         &object.mesh,
-        Finish::Textured(ProceduralTexture::Plastic),
+        Finish::Painted(Pattern::Plastic),
         settings.seed,
     )?;
     let scene = grasp_scene(&model, state, &conditions, view)?;
     let rendering = Renderer::new(&scene)?.render(
         &scene.camera,
         &RenderSettings {
-            samples_per_pixel: settings.samples,
+            samples: settings.spp,
             seed: settings.seed,
             ..RenderSettings::default()
         },
-        &RenderControl::default(),
+        &Watch::default(),
     )?;
-    let light = denoise(&rendering, DENOISE_RADIUS_PX);
+    let light = denoise(&rendering, &DenoiseSettings::default());
     Ok(develop(&light, &ColourSettings::default(), settings.seed))
 }

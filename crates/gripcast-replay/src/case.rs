@@ -1,4 +1,4 @@
-//! One simulation of a replay, and the file that holds its result.
+//! One simulation of a replay, and the file with its result.
 
 use std::fs;
 
@@ -17,21 +17,20 @@ use gripcast_sim::grasp::{
 };
 use gripcast_sim::{Engine, GraspSetup};
 
-/// Name of the format in the file.
 const FORMAT: &str = "gripcast-replay-case";
-/// Raised whenever a simulator gives another result for the same input within a release.
+/// Incremented whenever a simulator changes its results within a release.
 const VERSION: u32 = 1;
-/// Suffix of traces.
+/// Suffix of trace files.
 const TRACE: &str = "trace.bin";
-/// Outcome of a case that an engine refuses.
+/// Outcome of a case that the engine refuses.
 pub(super) const REFUSED: &str = "refused";
 
-/// A grasp in one engine with one friction and force.
+/// One grasp in one engine with one setting.
 #[derive(Clone)]
 pub struct Case<'a> {
     /// The engine.
     pub engine: &'a dyn Engine,
-    /// Where everything is.
+    /// Initial poses, mesh and mass.
     pub setup: GraspSetup,
     /// The object.
     pub object: &'a ReplayObject,
@@ -39,22 +38,22 @@ pub struct Case<'a> {
     pub setting: Setting,
 }
 
-/// Result of a case as it is stored.
+/// Stored result of a case.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct CaseRecord {
     format: String,
     version: u32,
-    /// Everything that the result depends on.
+    /// All inputs that the result depends on.
     identity: Value,
-    /// Outcome and cost.
+    /// Outcome and CPU time.
     pub facts: CaseFacts,
-    /// Forces and heights.
+    /// Forces and heights over time.
     pub curves: Curves,
 }
 
 impl CaseFacts {
-    /// Whether the object was held; none where the simulation has no outcome.
+    /// Label: stable or slip; none if the simulation has no outcome.
     pub fn stable(&self) -> Option<bool> {
         let without = [
             GraspOutcome::NotConverged.name(),
@@ -67,10 +66,10 @@ impl CaseFacts {
 }
 
 impl Case<'_> {
-    /// Everything that the result depends on.
+    /// All inputs that the result depends on.
     ///
     /// # Errors
-    /// `Internal` where a number has no JSON form.
+    /// `Internal` if a number has no JSON representation.
     pub fn identity(&self) -> Result<Value> {
         let GraspSetup {
             mesh: _,
@@ -81,7 +80,7 @@ impl Case<'_> {
         } = &self.setup;
         Ok(json!({
             "version": VERSION,
-            // Another release may have other simulators.
+            // Simulators may change between releases.
             "software": env!("CARGO_PKG_VERSION"),
             "engine": self.engine.kind().name(),
             "parameters": self.engine.parameters()?,
@@ -95,17 +94,15 @@ impl Case<'_> {
         }))
     }
 
-    /// Simulates it.
-    ///
-    /// An engine that refuses the input has no outcome but `refused`, with its reason.
+    /// Simulates the case. An input that the engine refuses has the outcome `refused`.
     ///
     /// # Errors
-    /// `Internal` where a number has no JSON form.
+    /// `Internal` if a number has no JSON representation.
     pub fn simulate(&self) -> Result<(CaseRecord, Trace)> {
         let Setting { friction, force_n } = self.setting;
-        let began = thread_cpu_s();
+        let start = thread_cpu_s();
         let result = self.engine.simulate(&self.setup, friction, force_n);
-        let cpu_s = thread_cpu_s() - began;
+        let cpu_s = thread_cpu_s() - start;
         let (facts, curves, trace) = match result {
             Ok(result) => {
                 let facts = self.facts(&result, cpu_s);
@@ -113,7 +110,15 @@ impl Case<'_> {
                 curves.success_height_m = self.engine.success_height_m();
                 (facts, curves, result.trace)
             }
-            Err(error) => (refused(&error, cpu_s), Curves::default(), Trace::default()),
+            Err(error) => {
+                let facts = CaseFacts {
+                    outcome: REFUSED.to_owned(),
+                    detail: Some(error.to_string()),
+                    cpu_s,
+                    ..CaseFacts::default()
+                };
+                (facts, Curves::default(), Trace::default())
+            }
         };
         let record = CaseRecord {
             format: FORMAT.to_owned(),
@@ -145,7 +150,7 @@ impl Case<'_> {
         }
     }
 
-    /// The trace as a file that `gripcast render` reads.
+    /// Creates the trace file for `gripcast render`.
     fn trace_file(&self, record: &CaseRecord, trace: Trace) -> Result<TraceFile> {
         let GraspSetup {
             t_world_object,
@@ -178,45 +183,31 @@ impl Case<'_> {
     }
 }
 
-fn refused(error: &Error, cpu_s: f64) -> CaseFacts {
-    CaseFacts {
-        outcome: REFUSED.to_owned(),
-        detail: Some(error.to_string()),
-        min_height_m: 0.0,
-        lifted_m: 0.0,
-        force_n: None,
-        steps: 0,
-        newton_iterations: 0,
-        unconverged_steps: 0,
-        cpu_s,
-    }
-}
-
 fn absolute(source: &str) -> String {
     let path = fs::canonicalize(source).ok();
     path.and_then(|path| path.to_str().map(str::to_owned))
         .unwrap_or_else(|| source.to_owned())
 }
 
-/// The folder of finished cases. A file is there whole or not at all.
+/// A folder of finished cases; files are written atomically.
 #[derive(Clone, Debug)]
 pub struct CaseStore {
     folder: BeneathPath,
 }
 
 impl CaseStore {
-    /// A store in a folder, which is made with the first case.
+    /// Creates a store in a folder, which is created with the first case.
     pub fn new(folder: BeneathPath) -> Self {
         Self { folder }
     }
 
-    /// A finished case; none if it is not there, or what is there is damaged or another case.
+    /// Loads a finished case; none if it is missing, damaged or another case.
     ///
     /// # Errors
-    /// `Internal` where a number has no JSON form.
-    pub fn find(&self, case: &Case<'_>) -> Result<Option<CaseRecord>> {
+    /// `Internal` if a number has no JSON representation.
+    pub fn load(&self, case: &Case<'_>) -> Result<Option<CaseRecord>> {
         let identity = case.identity()?;
-        let Ok(bytes) = self.place(&identity, "json")?.read(FileKind::List) else {
+        let Ok(bytes) = self.path(&identity, "json")?.read(FileKind::List) else {
             return Ok(None);
         };
         let record: Option<CaseRecord> = serde_json::from_slice(&bytes).ok();
@@ -225,34 +216,33 @@ impl CaseStore {
         }))
     }
 
-    /// Stores a finished case with its trace, where it has one that renderers need.
+    /// Saves a finished case, and its trace if it contains gels.
     ///
     /// # Errors
     /// `DiskFull`, `Io`, …
-    pub fn keep(&self, case: &Case<'_>, record: &CaseRecord, trace: Trace) -> Result<()> {
-        let save = |place: BeneathPath, bytes: &[u8]| {
-            place
-                .parent()
+    pub fn save(&self, case: &Case<'_>, record: &CaseRecord, trace: Trace) -> Result<()> {
+        let save = |path: BeneathPath, bytes: &[u8]| {
+            path.parent()
                 .create_dir_all()
-                .and_then(|()| place.replace(bytes))
-                .map_err(|e| Error::io("cannot write the case", e).at(place.display()))
+                .and_then(|()| path.replace(bytes))
+                .map_err(|e| Error::io("cannot write the case", e).at(path.display()))
         };
         if has_gels(&trace) {
             let bytes = case.trace_file(record, trace)?.to_bytes()?;
-            save(self.place(&record.identity, TRACE)?, &bytes)?;
+            save(self.path(&record.identity, TRACE)?, &bytes)?;
         }
         let text = serde_json::to_vec(record)
             .map_err(|e| Error::internal("cannot write JSON").because(e))?;
-        save(self.place(&record.identity, "json")?, &text)
+        save(self.path(&record.identity, "json")?, &text)
     }
 
-    /// The state of a finished case at the end of a stage; none if its trace has none.
+    /// Loads the state of a finished case at the end of a stage, if its trace contains it.
     ///
     /// # Errors
-    /// `Internal` where a number has no JSON form.
+    /// `Internal` if a number has no JSON representation.
     pub fn snapshot(&self, case: &Case<'_>, stage: StageName) -> Result<Option<Snapshot>> {
         let file = self
-            .place(&case.identity()?, TRACE)?
+            .path(&case.identity()?, TRACE)?
             .read(FileKind::Mesh)
             .ok();
         let file = file.and_then(|bytes| TraceFile::read(&bytes).ok());
@@ -260,8 +250,8 @@ impl CaseStore {
         Ok(snapshots.find(|snapshot| snapshot.stage == stage))
     }
 
-    /// `<2 hex>/<30 hex>.<suffix>` of the hash of the identity.
-    fn place(&self, identity: &Value, suffix: &str) -> Result<BeneathPath> {
+    /// Returns `<2 hex>/<30 hex>.<suffix>` of the hash of the identity.
+    fn path(&self, identity: &Value, suffix: &str) -> Result<BeneathPath> {
         let text = serde_json::to_vec(identity)
             .map_err(|e| Error::internal("cannot write JSON").because(e))?;
         let digest = Sha256::digest(text);

@@ -1,6 +1,6 @@
-//! Finished cases are found again by [`VERSION`] and their input; the simulators themselves are in
-//! neither. These results fail where an engine gives others than it did: then raise [`VERSION`], or
-//! stored cases of the old simulator would stand beside those of the new one.
+//! Finished cases are identified by [`VERSION`] and their input, not by the code of the simulators.
+//! If these tests fail because an engine changed its results, increment [`VERSION`]; otherwise stored
+//! cases of the old and the new simulator would be mixed.
 
 use std::fs;
 
@@ -11,7 +11,7 @@ use gripcast_sim::fem::GelResolution;
 use gripcast_sim::grasp::{GraspSettings, Placement, resting_pose};
 use gripcast_sim::rigid::{RigidEngine, RigidSettings};
 
-/// A box gripped above its middle, in an engine.
+/// Simulates a box that is gripped above its centre.
 fn result(engine: &dyn Engine, force_n: f64) -> (u32, String) {
     let folder = tempfile::tempdir().unwrap();
     let text = "schema = 1\nmesh = \"builtin:box\"\nmass_kg = 0.06\n";
@@ -41,7 +41,7 @@ fn result(engine: &dyn Engine, force_n: f64) -> (u32, String) {
     };
     let (record, _) = case.simulate().unwrap();
     let facts = record.facts;
-    // Decimals that differ between processors are left out.
+    // Without the decimals that differ between processors.
     let text = format!(
         "{}, {} steps, lowest point {:.4} mm, rose {:.4} mm, {:.3} N",
         facts.outcome,
@@ -54,7 +54,7 @@ fn result(engine: &dyn Engine, force_n: f64) -> (u32, String) {
 }
 
 #[test]
-fn finite_elements_give_the_results_of_this_version() {
+fn finite_element_result_matches_version() {
     let mut settings = GraspSettings {
         resolution: GelResolution::Coarse,
         ..GraspSettings::default()
@@ -66,7 +66,7 @@ fn finite_elements_give_the_results_of_this_version() {
 }
 
 #[test]
-fn rigid_bodies_give_the_results_of_this_version() {
+fn rigid_body_result_matches_version() {
     let mut settings = RigidSettings::default();
     settings.decomposition.resolution = 32;
     let found = result(&RigidEngine::new(settings), 10.0);

@@ -1,4 +1,4 @@
-//! What changed against an earlier report.
+//! Compares a report with an earlier one.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
@@ -15,33 +15,33 @@ use gripcast_base::files::{FileKind, read_regular};
 /// Reads a report.
 ///
 /// # Errors
-/// That of the operating system; `Input` for another file or version.
+/// I/O errors; `Input` for an invalid file or another version.
 pub fn read_report(path: &Path) -> Result<Report> {
     #[derive(Deserialize)]
     struct Head {
         format: String,
         version: u32,
     }
-    let wrong = |what: String| {
+    let invalid = |what: String| {
         Error::input(what)
             .at(path.display())
-            .remedy("give the report.json of an earlier `gripcast replay`")
+            .remedy("name the report.json of an earlier `gripcast replay`")
     };
     let bytes = read_regular(path, FileKind::Mesh)
         .map_err(|e| Error::io("cannot read the report", e).at(path.display()))?;
     let head: Head = serde_json::from_slice(&bytes)
-        .map_err(|e| wrong("this is no report of a replay".to_owned()).because(e))?;
+        .map_err(|e| invalid("not a replay report".to_owned()).because(e))?;
     if head.format != REPORT_FORMAT || head.version != REPORT_VERSION {
-        return Err(wrong(format!(
-            "expected {REPORT_FORMAT} of version {REPORT_VERSION}, found {} of version {}",
+        return Err(invalid(format!(
+            "expected {REPORT_FORMAT} version {REPORT_VERSION}, found {} version {}",
             head.format, head.version
         )));
     }
     serde_json::from_slice(&bytes)
-        .map_err(|e| wrong("the report does not have its own form".to_owned()).because(e))
+        .map_err(|e| invalid("invalid replay report".to_owned()).because(e))
 }
 
-/// What is different in `new`; `path` is where the old one is.
+/// Lists the changes in `new`; `path` is the file of the old report.
 pub fn compare(old: &Report, new: &Report, path: &Path) -> Changes {
     let ids = |report: &Report| -> BTreeSet<String> {
         report.grasps.iter().map(|g| g.id.clone()).collect()
@@ -75,20 +75,20 @@ fn outcomes(old: &Report, new: &Report) -> Vec<ChangedOutcome> {
         old.grasps.iter().map(|g| (g.id.as_str(), g)).collect();
     let mut changed = Vec::new();
     for grasp in &new.grasps {
-        let Some(was) = before.get(grasp.id.as_str()) else {
+        let Some(old) = before.get(grasp.id.as_str()) else {
             continue;
         };
         for now in &grasp.replays {
             let same_engine = |r: &&GraspReplay| r.engine == now.engine;
-            let Some(was) = was.replays.iter().find(same_engine) else {
+            let Some(old) = old.replays.iter().find(same_engine) else {
                 continue;
             };
-            if was.case.outcome != now.case.outcome {
+            if old.case.outcome != now.case.outcome {
                 changed.push(ChangedOutcome {
                     grasp: grasp.id.clone(),
                     object: grasp.object.clone(),
                     engine: now.engine.clone(),
-                    before: was.case.outcome.clone(),
+                    before: old.case.outcome.clone(),
                     after: now.case.outcome.clone(),
                     agrees: now.agrees,
                 });
@@ -98,15 +98,15 @@ fn outcomes(old: &Report, new: &Report) -> Vec<ChangedOutcome> {
     changed
 }
 
-/// Sentences about what makes the reports differ besides the software.
+/// Describes differences of the conditions other than the software.
 fn conditions(old: &Report, new: &Report) -> Vec<String> {
     let mut found = Vec::new();
     if old.seed != new.seed {
-        found.push(format!("seed {} became {}", old.seed, new.seed));
+        found.push(format!("seed changed from {} to {}", old.seed, new.seed));
     }
     if old.dataset.sha256 != new.dataset.sha256 {
         found.push(format!(
-            "records {} became {}",
+            "records changed from {} to {}",
             old.dataset.sha256, new.dataset.sha256
         ));
     }
@@ -125,7 +125,7 @@ fn conditions(old: &Report, new: &Report) -> Vec<String> {
     }
     for was in &old.engines {
         if engine(new, &was.name).is_none() {
-            found.push(format!("engine {} is gone", was.name));
+            found.push(format!("engine {} was removed", was.name));
         }
     }
     for now in &new.objects {
@@ -135,7 +135,7 @@ fn conditions(old: &Report, new: &Report) -> Vec<String> {
         }
         if let Some(was) = was.filter(|was| was.mass_kg != now.mass_kg) {
             found.push(format!(
-                "{} weighed {} kg, now {} kg",
+                "mass of {} changed from {} kg to {} kg",
                 now.name, was.mass_kg, now.mass_kg
             ));
         }

@@ -1,18 +1,18 @@
-//! Forces and heights of a grasp over time, thinned for a page.
+//! Forces and heights of a grasp over time, subsampled for a page.
 
 use super::report::Curves;
 use gripcast_geometry::{Pose, TriangleMesh};
 use gripcast_sim::GraspSetup;
 use gripcast_sim::grasp::{StageName, Trace, TraceStep};
 
-/// Points of a curve.
+/// Maximum points of a curve.
 const MAX_POINTS: usize = 160;
-/// The curve begins this long before the first contact, s.
+/// Start of the curve before the first contact, s.
 const LEAD_S: f64 = 0.1;
-/// Forces below this are no contact, N.
-const NO_FORCE: f64 = 1e-3;
+/// Minimum contact force, N.
+const MIN_FORCE: f64 = 1e-3;
 
-/// Height of the object's lowest point, m.
+/// Returns the height of the object's lowest point, m.
 pub(super) fn min_height_m(mesh: &TriangleMesh, t_world_object: &Pose) -> f64 {
     let points = mesh.all_corners().flatten();
     points
@@ -20,26 +20,26 @@ pub(super) fn min_height_m(mesh: &TriangleMesh, t_world_object: &Pose) -> f64 {
         .fold(f64::INFINITY, f64::min)
 }
 
-/// The curves of a trace. Heights of every kept step are those of all vertices, so they are exact.
+/// Extracts the curves of a trace.
 pub(super) fn curves(trace: &Trace, setup: &GraspSetup) -> Curves {
     let steps = &trace.steps;
-    let touches = |step: &TraceStep| step.force.iter().any(|force| force.normal_n > NO_FORCE);
+    let touches = |step: &TraceStep| step.force.iter().any(|force| force.normal_n > MIN_FORCE);
     let contact = steps.iter().position(touches).unwrap_or(0);
-    let begin = steps.get(contact).map_or(0.0, |step| step.t_s - LEAD_S);
-    let shown: Vec<&TraceStep> = steps.iter().filter(|step| step.t_s >= begin).collect();
+    let start = steps.get(contact).map_or(0.0, |step| step.t_s - LEAD_S);
+    let shown: Vec<&TraceStep> = steps.iter().filter(|step| step.t_s >= start).collect();
     let stride = shown.len().div_ceil(MAX_POINTS).max(1);
     let last = shown.len().saturating_sub(1);
     let kept = shown.iter().enumerate();
     let kept = kept.filter(|(i, _)| i % stride == 0 || *i == last);
     let zero = shown.first().map_or(0.0, |step| step.t_s);
-    let starts = |stage: StageName| {
+    let start_of = |stage: StageName| {
         let first = trace.stage(stage).next();
         first.map(|step| rounded(step.t_s - zero, 3))
     };
     let end = shown.last().map_or(0.0, |step| rounded(step.t_s - zero, 3));
-    let lift = starts(StageName::Lift).unwrap_or(end);
+    let lift = start_of(StageName::Lift).unwrap_or(end);
     let mut out = Curves {
-        stages_s: [starts(StageName::Adjustment).unwrap_or(lift), lift],
+        stages_s: [start_of(StageName::Adjustment).unwrap_or(lift), lift],
         ..Curves::default()
     };
     for (_, step) in kept {
@@ -53,9 +53,9 @@ pub(super) fn curves(trace: &Trace, setup: &GraspSetup) -> Curves {
     out
 }
 
-/// So many decimals are enough for a page.
+/// Rounds to the given decimals.
 fn rounded(value: f64, decimals: i32) -> f64 {
     let factor = 10f64.powi(decimals);
-    // Adding 0 makes -0 to 0.
+    // Adding 0 turns -0 into 0.
     (value * factor).round() / factor + 0.0
 }

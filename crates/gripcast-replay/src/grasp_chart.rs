@@ -1,4 +1,4 @@
-//! The forces and heights of a grasp over time, like the paper's Figure 1.
+//! Charts of forces and heights over time, as in the paper's Figure 1.
 
 use gripcast_report::chart::{
     Anchor, Axis, Chart, Entry, Key, Legend, Panel, SMALL, extent, text, upright, width,
@@ -9,16 +9,16 @@ use maud::{Markup, html};
 
 use super::report::GraspReplay;
 
-/// Room for the legend above a panel, px.
+/// Height of the legend above a panel, px.
 const LEGEND: f64 = 20.0;
-/// Room of the title, px.
+/// Height of the title, px.
 const TITLE: f64 = 28.0;
 const LEFT: &str = "curve series-0";
 const RIGHT: &str = "curve series-1 dash-1";
 const OBJECT: &str = "curve series-2";
 const GRIPPER: &str = "curve series-5 dash-1";
 
-/// The chart of a replayed grasp in a page; none where no forces were recorded.
+/// Renders the chart of a replayed grasp; none if no forces were recorded.
 pub(super) fn inline(replay: &GraspReplay, id: &str) -> Option<Markup> {
     let curves = replay.curves.as_ref()?;
     let time = extent(curves.t_s.iter().copied())?;
@@ -38,7 +38,7 @@ pub(super) fn inline(replay: &GraspReplay, id: &str) -> Option<Markup> {
         forces_n: [curves.left_n.clone(), curves.right_n.clone()],
         names: ["left", "right"],
         stop: (format!("{name} {} N", trimmed(stop, 2)), stop),
-        height: "height, mm",
+        height_label: "height, mm",
         object_mm: mm(&curves.min_height_m),
         object_name: "lowest point",
         gripper_mm: mm(&curves.lifted_m),
@@ -52,8 +52,8 @@ pub(super) fn inline(replay: &GraspReplay, id: &str) -> Option<Markup> {
     Some(chart.draw().inline())
 }
 
-/// The chart of a simulated grasp as a file (SVG): the force of each gel over time with F_stop and
-/// the stages, and below it the rise of the object and the gripper. `title` is what was grasped.
+/// Renders the chart of a simulated grasp as an SVG file: the force of each gel over time with F_stop
+/// and the stages, and below it the rise of object and gripper. `title` names the object.
 pub fn plot(trace: &Trace, summary: &GraspSummary, success_height_m: f64, title: &str) -> String {
     let steps = || trace.steps.iter();
     let height = |step: &TraceStep| step.t_world_object.translation_m.z;
@@ -68,7 +68,7 @@ pub fn plot(trace: &Trace, summary: &GraspSummary, success_height_m: f64, title:
         Some((name, last.t_s))
     });
     let chart = GraspChart {
-        title: format!("{title}: {}", verdict(summary)),
+        title: format!("{title}: {}", result_text(summary)),
         has_title: true,
         size: [880.0, 278.0, 122.0],
         time_range: [0.0, trace.steps.last().map_or(1.0, |step| step.t_s)],
@@ -79,7 +79,7 @@ pub fn plot(trace: &Trace, summary: &GraspSummary, success_height_m: f64, title:
             format!("F_stop {} N", summary.stop_force_n),
             summary.stop_force_n,
         ),
-        height: "rise, mm",
+        height_label: "rise, mm",
         object_mm: steps().map(|step| 1e3 * (height(step) - start)).collect(),
         object_name: "object",
         gripper_mm: steps().map(|step| 1e3 * step.lifted_m).collect(),
@@ -89,7 +89,7 @@ pub fn plot(trace: &Trace, summary: &GraspSummary, success_height_m: f64, title:
     chart.draw().to_svg()
 }
 
-fn verdict(summary: &GraspSummary) -> String {
+fn result_text(summary: &GraspSummary) -> String {
     let outcome = outcome_name(summary.outcome.name());
     match (summary.mean_force_n, summary.std_force_n) {
         (Some(mean), Some(std)) => format!(
@@ -100,27 +100,27 @@ fn verdict(summary: &GraspSummary) -> String {
     }
 }
 
-/// What is drawn.
+/// Contents of a chart.
 struct GraspChart {
     title: String,
     has_title: bool,
-    /// Width of the chart, heights of the panel of forces and of that of heights, px.
+    /// Width of the chart, and heights of the force panel and the height panel, px.
     size: [f64; 3],
     time_range: [f64; 2],
     time_s: Vec<f64>,
     forces_n: [Vec<f64>; 2],
-    /// What the forces are called.
+    /// Names of the forces.
     names: [&'static str; 2],
-    /// The force at which the fingers stop, with its name.
+    /// Name and value of the stopping force.
     stop: (String, f64),
-    /// What the ordinate of the heights is called.
-    height: &'static str,
+    /// Label of the height ordinate.
+    height_label: &'static str,
     object_mm: Vec<f64>,
     object_name: &'static str,
     gripper_mm: Vec<f64>,
-    /// Height from which the grasp counts as held.
+    /// Minimum height of a stable grasp.
     success_mm: f64,
-    /// Names and ends of the stages.
+    /// Name and end of each stage.
     stages: Vec<(&'static str, f64)>,
 }
 
@@ -129,7 +129,7 @@ impl GraspChart {
         let [width, force_height, rise_height] = self.size;
         let top = if self.has_title { TITLE } else { 0.0 };
         let forces = self.forces_n.iter().flatten().copied();
-        let highest = range(forces.chain([self.stop.1]), 1.2);
+        let force_range = range(forces.chain([self.stop.1]), 1.2);
         let mm = || self.object_mm.iter().chain(&self.gripper_mm).copied();
         let force = Panel {
             left: 56.0,
@@ -137,17 +137,21 @@ impl GraspChart {
             top: top + LEGEND,
             bottom: top + LEGEND + force_height,
             x: Axis::new("time, s", self.time_range, 8.0),
-            y: Axis::new("force, N", highest, 5.0),
+            y: Axis::new("force, N", force_range, 5.0),
         };
         let rise = Panel {
             top: force.bottom + LEGEND + 6.0,
             bottom: force.bottom + LEGEND + 6.0 + rise_height,
             x: force.x.clone(),
-            y: Axis::new(self.height, range(mm().chain([self.success_mm]), 1.1), 3.0),
+            y: Axis::new(
+                self.height_label,
+                range(mm().chain([self.success_mm]), 1.1),
+                3.0,
+            ),
             ..force
         };
         let force = Panel {
-            x: force.x.without_text(),
+            x: force.x.without_labels(),
             ..force
         };
         let success = format!("success above {} mm", trimmed(self.success_mm, 1));
@@ -177,7 +181,7 @@ impl GraspChart {
         }
     }
 
-    /// A panel with the stages behind its curves.
+    /// Draws a panel with the stages behind its curves.
     fn panel(&self, panel: &Panel, threshold: f64, curves: [(&str, &[f64]); 2]) -> Markup {
         let [begin, end] = self.time_range;
         let [low, high] = panel.y.range();
@@ -195,7 +199,7 @@ impl GraspChart {
         }
     }
 
-    /// Begin and end of each stage; one that never came has none.
+    /// Start and end of each stage; missing stages are empty.
     fn stage_ranges(&self) -> impl Iterator<Item = [f64; 2]> {
         let [begin, end] = self.time_range;
         self.stages.iter().scan(begin, move |from, (_, to)| {
@@ -205,11 +209,11 @@ impl GraspChart {
         })
     }
 
-    /// Names of the stages at the top of a panel; upright where they are narrow.
+    /// Draws the stage names at the top of a panel; vertically in narrow stages.
     fn stage_names(&self, panel: &Panel) -> Markup {
         html! {
             @for ((name, _), [from, to]) in self.stages.iter().zip(self.stage_ranges()) {
-                @let [from, to] = [from, to].map(|t| panel.place([t, 0.0])[0]);
+                @let [from, to] = [from, to].map(|t| panel.to_px([t, 0.0])[0]);
                 @let middle = 0.5 * (from + to);
                 @if to - from > width(name, SMALL) {
                     (text("small halo", [middle, panel.top + 13.0], Anchor::Middle, name))
@@ -221,13 +225,13 @@ impl GraspChart {
     }
 }
 
-/// From the lowest value or 0 to a little above the highest.
+/// Range from the minimum (or 0) to slightly above the maximum.
 fn range(values: impl Iterator<Item = f64>, headroom: f64) -> [f64; 2] {
     let [low, high] = extent(values.chain([0.0])).unwrap_or([0.0, 1.0]);
     [low, low + headroom * (high - low)]
 }
 
-/// A legend above a panel.
+/// Draws a legend above a panel.
 fn legend(panel: &Panel, entries: [(&str, &str); 3]) -> Markup {
     let entries = entries.map(|(class, name)| Entry::new(Key::Line(class.to_owned()), name));
     let at = [panel.left, panel.top - LEGEND];
@@ -254,11 +258,11 @@ mod tests {
     }
 
     #[test]
-    fn the_chart_has_curves_stages_axes_and_legend() {
+    fn chart_has_curves_stages_axes_and_legend() {
         let trace = sample_trace();
         let svg = plot(&trace, &summary(trace.clone()), 0.02, "builtin:box");
         layout::check(&svg);
-        // One more of each in the legend.
+        // Each curve also has a legend entry.
         assert_eq!(svg.matches("class=\"curve ").count(), 2 * 4);
         assert_eq!(svg.matches("class=\"band-").count(), 2 * 3);
         for word in [
@@ -273,13 +277,13 @@ mod tests {
             assert!(svg.contains(word), "{word}");
         }
         assert!(
-            svg.contains("builtin:box: held, lifted 50.0 mm, 40.0 ± 0.5 N"),
+            svg.contains("builtin:box: stable, lifted 50.0 mm, 40.0 ± 0.5 N"),
             "{svg}"
         );
     }
 
     #[test]
-    fn nothing_but_numbers_and_escaped_text_gets_in() {
+    fn chart_escapes_text_and_omits_missing_data() {
         let empty = Trace::default();
         let svg = plot(&empty, &summary(empty.clone()), 0.02, "a<b>&\u{1}.obj");
         layout::check(&svg);

@@ -1,10 +1,10 @@
-//! Replays annotated grasps in the simulators and says where simulation and reality agree (the
+//! Replays annotated grasps in the simulators and measures how often simulation and reality agree (the
 //! paper's §5.1, Tables 1 and 2).
 //!
-//! An [`ObjectFile`] says what was grasped; a [`Recording`] has the grasps of a dataset that can be
-//! replayed; [`replay`] simulates each as many [`Case`]s, keeps them in a [`CaseStore`], scores
-//! them ([`Outcomes`]) and makes the [`Report`]. It is written as JSON; the [`page`] is drawn from
-//! it. [`build_demo`] makes a dataset whose reality is simulated.
+//! An [`ObjectFile`] describes a grasped object; a [`Recording`] contains the grasps of a dataset that
+//! can be replayed; [`replay`] simulates each as several [`Case`]s, stores them in a [`CaseStore`],
+//! scores them ([`OutcomeTable`]) and creates the [`Report`]. The report is written as JSON; the
+//! [`page`] is rendered from it. [`build_demo`] creates a dataset whose reality is simulated.
 
 mod camera_view;
 mod case;
@@ -21,7 +21,6 @@ mod report;
 mod run;
 #[cfg(test)]
 mod sample_report;
-mod schema;
 mod score;
 mod sweep;
 mod tactile_pair;
@@ -34,12 +33,11 @@ pub use html::page;
 pub use object_file::{ObjectFile, ReplayObject, load_objects};
 pub use recording::{RecordedGrasp, Recording};
 pub use report::{
-    CaseFacts, CellScore, ChangedOutcome, Changes, Confusion, Cost, Curves, DatasetFacts, Duel,
-    EngineFacts, GraspCell, GraspFacts, GraspReplay, ImagePair, LeftOut, ObjectFacts, PoseSamples,
-    Proportion, REPORT_FORMAT, REPORT_VERSION, Reality, Report, Score, Scores, Setting,
-    TactilePair,
+    CaseFacts, CellScore, ChangedOutcome, Changes, Confusion, Cost, Curves, DatasetFacts,
+    EngineComparison, EngineFacts, ExcludedGrasp, GraspCell, GraspFacts, GraspReplay, ImagePair,
+    ObjectFacts, PoseSamples, Proportion, REPORT_FORMAT, REPORT_VERSION, Reality, Report, Score,
+    Scores, Setting, TactilePair, report_schema,
 };
 pub use run::{EngineSweep, ReplayInput, ReplayProgress, ReplaySettings, replay};
-pub use schema::report_schema;
-pub use score::{Outcomes, Scored};
-pub use sweep::{SweepProgress, Swept, sweep};
+pub use score::{OutcomeTable, Scoring};
+pub use sweep::{SweepProgress, SweepResult, sweep};

@@ -1,4 +1,4 @@
-//! Replays of a small dataset by an engine whose outcomes are known.
+//! Replays of a small dataset by a fake engine.
 
 use std::collections::BTreeMap;
 use std::fs;
@@ -23,14 +23,14 @@ use gripcast_sim::solver::PhaseTimes;
 use gripcast_sim::{Engine, EngineKind, GraspSetup};
 use gripcast_tactile::SensorProfile;
 
-/// Holds what is gripped above a force that grows with the gripper's height over the object.
+/// An engine with predictable outcomes: stable above a force that grows with the gripper's height.
 #[derive(Debug)]
-struct Known {
+struct FakeEngine {
     kind: EngineKind,
     runs: AtomicUsize,
 }
 
-impl Known {
+impl FakeEngine {
     fn new(kind: EngineKind) -> Arc<Self> {
         Arc::new(Self {
             kind,
@@ -39,13 +39,13 @@ impl Known {
     }
 }
 
-impl Engine for Known {
+impl Engine for FakeEngine {
     fn kind(&self) -> EngineKind {
         self.kind
     }
 
     fn parameters(&self) -> Result<Value> {
-        Ok(json!({"known": true}))
+        Ok(json!({"fake": true}))
     }
 
     fn success_height_m(&self) -> f64 {
@@ -60,8 +60,8 @@ impl Engine for Known {
         if friction > 0.7 {
             return Err(Error::input("too sticky to compute"));
         }
-        let held = friction * force_n > 1e3 * height;
-        let outcome = match (friction < 0.15, held) {
+        let is_stable = friction * force_n > 1e3 * height;
+        let outcome = match (friction < 0.15, is_stable) {
             (true, _) => GraspOutcome::NotConverged,
             (_, true) => GraspOutcome::Success,
             (_, false) => GraspOutcome::Slip,
@@ -190,13 +190,13 @@ fn settings(engines: Vec<EngineSweep>) -> ReplaySettings {
         jobs: 2,
         pose_samples: 0,
         sensor: SensorProfile::gelsight_mini().unwrap(),
-        view_samples: None,
+        view_spp: None,
     }
 }
 
-fn engine(known: &Arc<Known>, frictions: &[f64]) -> EngineSweep {
+fn engine(fake: &Arc<FakeEngine>, frictions: &[f64]) -> EngineSweep {
     EngineSweep {
-        engine: known.clone(),
+        engine: fake.clone(),
         frictions: frictions.to_vec(),
         forces_n: vec![10.0, 20.0, 40.0],
     }
@@ -218,11 +218,11 @@ impl Bench {
 }
 
 #[test]
-fn the_best_setting_is_found_and_told() {
-    let known = Known::new(EngineKind::Fem);
-    let report = bench().replay(&settings(vec![engine(&known, &[0.2, 0.4])]));
+fn best_setting_is_chosen() {
+    let fake = FakeEngine::new(EngineKind::Fem);
+    let report = bench().replay(&settings(vec![engine(&fake, &[0.2, 0.4])]));
     let facts = &report.engines[0];
-    // 0.2 holds 4 mm with 40 N (8), not with 20 N (4); never 12 mm.
+    // At friction 0.2, 4 mm is stable at 40 N (8) but not at 20 N (4); 12 mm never is.
     assert_eq!(facts.scores.friction, 0.2);
     assert_eq!(facts.scores.force_n["box"], 40.0);
     assert_eq!(
@@ -243,23 +243,20 @@ fn the_best_setting_is_found_and_told() {
 #[test]
 fn finished_cases_are_not_simulated_again() {
     let bench = bench();
-    let known = Known::new(EngineKind::Fem);
-    let settings = settings(vec![engine(&known, &[0.2])]);
+    let fake = FakeEngine::new(EngineKind::Fem);
+    let settings = settings(vec![engine(&fake, &[0.2])]);
     let first = bench.replay(&settings);
     assert_eq!(
-        (known.runs.load(Ordering::Relaxed), first.cost.simulated_now),
+        (fake.runs.load(Ordering::Relaxed), first.cost.simulated_now),
         (12, 12)
     );
     let second = bench.replay(&settings);
     assert_eq!(
-        (
-            known.runs.load(Ordering::Relaxed),
-            second.cost.simulated_now
-        ),
+        (fake.runs.load(Ordering::Relaxed), second.cost.simulated_now),
         (12, 0)
     );
     assert_eq!(first.grasps, second.grasps);
-    // A case that is cut off, and one that is another case, are simulated again.
+    // Truncated and exchanged cases are simulated again.
     let mut files = Vec::new();
     for folder in fs::read_dir(bench.folder.path().join("cases")).unwrap() {
         for file in fs::read_dir(folder.unwrap().path()).unwrap() {
@@ -276,18 +273,18 @@ fn finished_cases_are_not_simulated_again() {
 }
 
 #[test]
-fn results_do_not_depend_on_the_number_of_jobs() {
+fn results_are_independent_of_jobs() {
     let bench = bench();
-    let known = Known::new(EngineKind::Fem);
+    let fake = FakeEngine::new(EngineKind::Fem);
     let cases: Vec<Case<'_>> = bench
         .recording
         .grasps
         .iter()
         .flat_map(|grasp| {
             let object = bench.objects["box"].as_ref().unwrap();
-            let known = known.as_ref();
+            let fake = fake.as_ref();
             [0.2, 0.3, 0.4].map(move |friction| Case {
-                engine: known,
+                engine: fake,
                 setup: grasp.setup.clone(),
                 object,
                 setting: Setting {
@@ -314,9 +311,9 @@ fn results_do_not_depend_on_the_number_of_jobs() {
 }
 
 #[test]
-fn cases_without_outcome_are_counted_apart() {
-    let known = Known::new(EngineKind::Rigid);
-    let report = bench().replay(&settings(vec![engine(&known, &[0.1, 0.2, 0.8])]));
+fn cases_without_outcome_are_counted_separately() {
+    let fake = FakeEngine::new(EngineKind::Rigid);
+    let report = bench().replay(&settings(vec![engine(&fake, &[0.1, 0.2, 0.8])]));
     assert_eq!(report.engines[0].scores.friction, 0.2);
     assert_eq!(report.engines[0].without_outcome, 0);
     // At 0.1 nothing converges, 0.8 is refused: six of nine settings.
@@ -343,25 +340,33 @@ fn cases_without_outcome_are_counted_apart() {
 }
 
 #[test]
-fn two_engines_meet_in_a_duel() {
-    let (fem, rigid) = (Known::new(EngineKind::Fem), Known::new(EngineKind::Rigid));
+fn engines_are_compared_in_pairs() {
+    let (fem, rigid) = (
+        FakeEngine::new(EngineKind::Fem),
+        FakeEngine::new(EngineKind::Rigid),
+    );
     let mut weak = engine(&rigid, &[0.2]);
     weak.forces_n = vec![10.0];
     let report = bench().replay(&settings(vec![engine(&fem, &[0.2]), weak]));
-    let duel = report.duel.unwrap();
-    // The weak one loses everything, which is right for the two that slipped.
+    let comparison = report.comparison.unwrap();
+    // The weak engine always slips, which agrees with the two real slips.
     assert_eq!(
-        (duel.both, duel.only_fem, duel.only_rigid, duel.neither),
+        (
+            comparison.both,
+            comparison.only_fem,
+            comparison.only_rigid,
+            comparison.neither
+        ),
         (2, 2, 0, 0)
     );
-    assert_eq!(duel.mcnemar_p, 0.5);
+    assert_eq!(comparison.mcnemar_p, 0.5);
 }
 
 #[test]
-fn drawn_poses_stay_near_and_are_the_same_again() {
+fn drawn_poses_have_the_covariance_and_are_reproducible() {
     let bench = bench();
-    let known = Known::new(EngineKind::Fem);
-    let mut settings = settings(vec![engine(&known, &[0.2])]);
+    let fake = FakeEngine::new(EngineKind::Fem);
+    let mut settings = settings(vec![engine(&fake, &[0.2])]);
     settings.pose_samples = 5;
     let report = bench.replay(&settings);
     let samples = report.grasps[0].replays[0].pose_samples.unwrap();
@@ -369,8 +374,10 @@ fn drawn_poses_stay_near_and_are_the_same_again() {
     assert_eq!((samples.n, samples.stable), (5, 5));
     assert_eq!(report.cost.cases, 12 + 20);
     let grasp = &bench.recording.grasps[0];
-    let drawn: Vec<GraspSetup> = (0..200).map(|i| grasp.drawn(1, i).unwrap()).collect();
-    let again = grasp.drawn(1, 3).unwrap();
+    let drawn: Vec<GraspSetup> = (0..200)
+        .map(|i| grasp.with_drawn_pose(1, i).unwrap())
+        .collect();
+    let again = grasp.with_drawn_pose(1, 3).unwrap();
     assert_eq!(again.t_world_gripper, drawn[3].t_world_gripper);
     let off = |setup: &GraspSetup| {
         setup.t_world_gripper.translation_m - grasp.setup.t_world_gripper.translation_m
@@ -381,7 +388,7 @@ fn drawn_poses_stay_near_and_are_the_same_again() {
 }
 
 #[test]
-fn what_cannot_be_replayed_is_told_with_the_reason() {
+fn excluded_grasps_have_a_reason() {
     use Outcome::{Slip, Stable, Unlabelled};
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("data");
@@ -437,11 +444,11 @@ fn what_cannot_be_replayed_is_told_with_the_reason() {
         command: String::new(),
         written_at: String::new(),
     };
-    let known = Known::new(EngineKind::Fem);
+    let fake = FakeEngine::new(EngineKind::Fem);
     let store = CaseStore::new(Root::new(folder.path()).top().join("cases"));
     let error = replay(
         &input,
-        &settings(vec![engine(&known, &[0.2])]),
+        &settings(vec![engine(&fake, &[0.2])]),
         &store,
         &|_| {},
     );
@@ -459,7 +466,7 @@ fn loaded(path: &Path) -> Result<ReplayObject> {
 }
 
 #[test]
-fn a_mesh_outside_of_the_objects_folder_is_refused() {
+fn mesh_outside_of_the_folder_is_refused() {
     let dir = tempfile::tempdir().unwrap();
     let at = |name: &str| dir.path().join(name);
     fs::create_dir_all(at("objects/sub")).unwrap();
@@ -505,12 +512,12 @@ fn a_mesh_outside_of_the_objects_folder_is_refused() {
 }
 
 #[test]
-fn links_among_the_cases_are_neither_followed_out_nor_overwritten() {
+fn links_out_of_the_cases_are_not_followed_or_written() {
     let bench = bench();
     let cases = bench.folder.path().join("cases");
     let replay = || {
-        let known = Known::new(EngineKind::Fem);
-        bench.replay(&settings(vec![engine(&known, &[0.2])]))
+        let fake = FakeEngine::new(EngineKind::Fem);
+        bench.replay(&settings(vec![engine(&fake, &[0.2])]))
     };
     let first = replay();
     let secret = bench.folder.path().join("secret");
@@ -532,7 +539,7 @@ fn links_among_the_cases_are_neither_followed_out_nor_overwritten() {
 }
 
 #[test]
-fn a_mesh_that_changed_is_refused() {
+fn changed_mesh_is_refused() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("box.toml");
     let text = "schema = 1\nmesh = \"builtin:box\"\nmass_kg = 0.06\nmesh_sha256 = \"0123\"\n";
@@ -546,7 +553,7 @@ fn a_mesh_that_changed_is_refused() {
 }
 
 #[test]
-fn objects_lie_on_the_ground_and_their_sheet_is_of_their_mesh() {
+fn object_pose_and_sheet_are_checked() {
     use gripcast_pose::PrintedSheet;
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("box.toml");
@@ -580,18 +587,18 @@ fn objects_lie_on_the_ground_and_their_sheet_is_of_their_mesh() {
 }
 
 #[test]
-fn a_report_reads_back_and_tells_what_changed() {
+fn report_reads_back_and_is_compared() {
     let bench = bench();
-    let known = Known::new(EngineKind::Fem);
-    let old = bench.replay(&settings(vec![engine(&known, &[0.2])]));
+    let fake = FakeEngine::new(EngineKind::Fem);
+    let old = bench.replay(&settings(vec![engine(&fake, &[0.2])]));
     let path = bench.folder.path().join("report.json");
     fs::write(&path, serde_json::to_vec(&old).unwrap()).unwrap();
     let old = read_report(&path).unwrap();
-    let mut weak = engine(&known, &[0.2]);
+    let mut weak = engine(&fake, &[0.2]);
     weak.forces_n = vec![10.0];
     let new = bench.replay(&settings(vec![weak]));
     let changes = compare(&old, &new, &path);
-    // Both stable grasps are lost now.
+    // Both stable grasps slip now.
     assert_eq!(changes.outcomes.len(), 2);
     assert_eq!(changes.outcomes[0].before, "success");
     assert_eq!(changes.outcomes[0].agrees, Some(false));
@@ -602,7 +609,7 @@ fn a_report_reads_back_and_tells_what_changed() {
     let other = bench.folder.path().join("other.json");
     fs::write(&other, "{\"format\": \"x\", \"version\": 1}").unwrap();
     let error = read_report(&other).unwrap_err().to_string();
-    assert!(error.contains("found x of version 1"), "{error}");
+    assert!(error.contains("found x version 1"), "{error}");
     fs::write(&other, "[]").unwrap();
     assert!(read_report(&other).is_err());
 }

@@ -1,12 +1,12 @@
-//! What a replay found: `report.json`. The page is drawn from it and from nothing else.
+//! Contents of `report.json`, the only source of the page.
 //!
-//! Names ending in `_m`, `_n`, `_s`, `_kg` are in SI units; poses map gripper coordinates into the
-//! frame of the object's mesh (`t_object_gripper`) or object coordinates into the world
-//! (`t_world_object`: z up, ground z = 0).
+//! Keys ending in `_m`, `_n`, `_s`, `_kg` are in SI units; poses map gripper coordinates into the frame
+//! of the object's mesh (`t_object_gripper`) or object coordinates into the world (`t_world_object`:
+//! z up, ground z = 0).
 
 use std::collections::BTreeMap;
 
-use schemars::JsonSchema;
+use schemars::{JsonSchema, schema_for};
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
@@ -15,9 +15,9 @@ use gripcast_base::statistics::wilson_interval;
 /// Name of the format in the file.
 pub const REPORT_FORMAT: &str = "gripcast-replay-report";
 /// Version of the format.
-pub const REPORT_VERSION: u32 = 1;
+pub const REPORT_VERSION: u32 = 2;
 
-/// A whole report.
+/// Report of a replay.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Report {
@@ -27,39 +27,39 @@ pub struct Report {
     pub version: u32,
     /// `gripcast <version>`.
     pub software: String,
-    /// When it was written, RFC 3339 UTC.
+    /// Creation time, RFC 3339 UTC.
     pub written_at: String,
-    /// The command that repeats it.
+    /// Command that repeats the replay.
     pub command: String,
-    /// Seed of everything that is drawn.
+    /// Random seed.
     pub seed: u64,
-    /// What was replayed.
+    /// The replayed dataset.
     pub dataset: DatasetFacts,
     /// Objects by name.
     pub objects: Vec<ObjectFacts>,
     /// Engines in the order of the tables.
     pub engines: Vec<EngineFacts>,
-    /// The finite-element engine against the rigid one, where both ran.
-    pub duel: Option<Duel>,
-    /// Every grasp that was replayed, by object and id.
+    /// Paired comparison of the finite-element and the rigid engine, if both ran.
+    pub comparison: Option<EngineComparison>,
+    /// Replayed grasps, sorted by object and id.
     pub grasps: Vec<GraspFacts>,
-    /// What was left out, with the reason.
-    pub left_out: Vec<LeftOut>,
-    /// What it cost.
+    /// Grasps and cases that are not in the scores.
+    pub left_out: Vec<ExcludedGrasp>,
+    /// Computing time.
     pub cost: Cost,
-    /// Against an earlier report.
+    /// Changes since an earlier report.
     pub changes: Option<Changes>,
 }
 
 impl Report {
-    /// The same without images and curves.
+    /// Returns a copy without images and curves.
     #[must_use]
-    pub fn thinned(&self) -> Self {
-        let mut thin = self.clone();
-        for object in &mut thin.objects {
+    pub fn without_media(&self) -> Self {
+        let mut copy = self.clone();
+        for object in &mut copy.objects {
             object.image = None;
         }
-        for grasp in &mut thin.grasps {
+        for grasp in &mut copy.grasps {
             grasp.view = None;
             for replay in &mut grasp.replays {
                 replay.curves = None;
@@ -70,108 +70,113 @@ impl Report {
                 pair.images.sim.clear();
             }
         }
-        thin
+        copy
     }
 }
 
-/// Where the outcomes come from.
+/// Returns the JSON Schema (draft 2020-12) of [`Report`].
+pub fn report_schema() -> Value {
+    schema_for!(Report).to_value()
+}
+
+/// Source of the real outcomes.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case", tag = "kind")]
 pub enum Reality {
-    /// People grasped real objects.
+    /// Real grasps.
     Real,
     /// A simulation that stands in for reality; every page says so.
     Simulated {
-        /// How it differs from the engines that replay it.
-        how: String,
+        /// How it differs from the engines of the replay.
+        description: String,
     },
 }
 
-/// The dataset.
+/// A replayed dataset.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct DatasetFacts {
-    /// Its name.
+    /// Name.
     pub name: String,
-    /// Where it was.
+    /// Path.
     pub path: String,
-    /// Hash of all records that were replayed, 12 hexadecimal digits.
+    /// Hash of the replayed records, 12 hexadecimal digits.
     pub sha256: String,
-    /// Grasps in it, of the objects that were asked for.
+    /// Number of grasps of the selected objects.
     pub grasps: usize,
-    /// Where its outcomes come from.
+    /// Source of its outcomes.
     pub reality: Reality,
 }
 
-/// An object.
+/// A grasped object.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct ObjectFacts {
-    /// Its name in the dataset.
+    /// Name in the dataset.
     pub name: String,
     /// Mesh file or `builtin:NAME`.
     pub mesh: String,
-    /// Hash of the mesh as simulated, in metres.
+    /// Hash of the simulated mesh in metres.
     pub mesh_sha256: String,
-    /// Triangles.
+    /// Number of triangles.
     pub triangles: usize,
     /// Extent of the mesh along its axes, m.
     pub size_m: [f64; 3],
     /// Mass, kg.
     pub mass_kg: f64,
-    /// Replayed grasps.
+    /// Number of replayed grasps.
     pub grasps: usize,
-    /// Of those, stable in reality.
+    /// Number of those that are stable in reality.
     pub stable: usize,
     /// Image of the object, `data:image/jpeg;base64,…`.
     pub image: Option<String>,
 }
 
-/// An engine, what it was asked, and how it did.
+/// An engine with its settings and scores.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct EngineFacts {
     /// `fem` or `rigid`.
     pub name: String,
-    /// Friction coefficients that were tried.
+    /// Simulated friction coefficients.
     pub frictions: Vec<f64>,
-    /// Forces that were tried, N: F_stop of the paper, or the closing force of the rigid fingers.
+    /// Simulated forces, N: F_stop, or the closing force of the rigid fingers.
     pub forces_n: Vec<f64>,
     /// All other parameters.
     pub parameters: Value,
     /// Scores.
     pub scores: Scores,
-    /// Grasps whose case at the chosen setting has no outcome.
+    /// Number of grasps without an outcome at the chosen setting.
     pub without_outcome: usize,
 }
 
-/// How often an engine ends as reality did. See `docs/replay.md` for the definitions.
+/// How often an engine agrees with reality; `docs/replay.md` has the definitions.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Scores {
-    /// The paper's way: the best friction for all objects, then the best force for each object;
-    /// chosen on the grasps that are scored.
+    /// The paper's choice: the best friction for all objects, then the best force for each object;
+    /// chosen on the scored grasps.
     pub paper: Score,
-    /// The same choice without the grasp that is scored.
+    /// The same choice without the scored grasp.
     pub leave_one_out: Score,
-    /// The best friction and force for all objects together, chosen on the grasps that are scored.
+    /// The best friction and force for all objects together, chosen on the scored grasps.
     pub one_setting: Score,
-    /// The same choice without the object that is scored.
+    /// The same choice without the scored object.
     pub leave_object_out: Score,
     /// Friction of [`Self::paper`].
     pub friction: f64,
     /// Force of [`Self::paper`] by object, N.
     pub force_n: BTreeMap<String, f64>,
     /// Friction and force of [`Self::one_setting`].
-    pub one: Setting,
-    /// Stable is positive; of [`Self::paper`].
+    pub best_setting: Setting,
+    /// Confusion matrix of [`Self::paper`]; stable is positive.
     pub confusion: Confusion,
-    /// Every setting.
+    /// Agreement by object and setting.
     pub cells: Vec<CellScore>,
 }
 
 /// Friction and force.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Setting {
     /// Friction coefficient.
@@ -192,25 +197,25 @@ pub struct Score {
     pub by_object: BTreeMap<String, Proportion>,
 }
 
-/// A fraction of grasps with its 95 % Wilson interval; cases without outcome are not counted.
+/// Fraction of agreeing grasps with its 95 % Wilson interval; cases without outcome are not counted.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Proportion {
-    /// Grasps that agree.
+    /// Number of agreeing grasps.
     pub agree: usize,
-    /// Grasps with an outcome.
+    /// Number of grasps with an outcome.
     pub n: usize,
-    /// `agree / n`; 0 where n is 0.
+    /// `agree / n`; 0 if n is 0.
     pub fraction: f64,
-    /// Lower end of the interval.
+    /// Lower bound of the interval.
     pub low: f64,
-    /// Upper end.
+    /// Upper bound of the interval.
     pub high: f64,
 }
 
 impl Proportion {
-    /// Of some grasps that agree among those with an outcome.
-    pub(crate) fn of(agree: usize, n: usize) -> Self {
+    /// Computes the fraction and its interval.
+    pub(crate) fn new(agree: usize, n: usize) -> Self {
         let [low, high] = wilson_interval(agree, n);
         let fraction = if n == 0 { 0.0 } else { agree as f64 / n as f64 };
         Self {
@@ -223,48 +228,48 @@ impl Proportion {
     }
 }
 
-/// Counts by outcome in simulation and reality; stable is positive.
+/// Confusion matrix of simulation and reality; stable is positive.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Confusion {
     /// Stable in both.
     pub true_stable: usize,
-    /// Stable in simulation, slipped in reality.
+    /// Stable in simulation, slip in reality.
     pub false_stable: usize,
-    /// Lost in both.
+    /// Slip in both.
     pub true_slip: usize,
-    /// Lost in simulation, stable in reality.
+    /// Slip in simulation, stable in reality.
     pub false_slip: usize,
 }
 
-/// Agreement of one object at one setting.
+/// Agreement for one object at one setting.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct CellScore {
-    /// Object.
+    /// Name of the object.
     pub object: String,
     /// Friction and force.
     #[serde(flatten)]
     pub setting: Setting,
-    /// Grasps that agree.
+    /// Number of agreeing grasps.
     pub agree: usize,
-    /// Grasps with an outcome.
+    /// Number of grasps with an outcome.
     pub n: usize,
-    /// Grasps without.
+    /// Number of grasps without an outcome.
     pub without_outcome: usize,
 }
 
-/// Two engines on the same grasps, each at its paper's choice.
+/// Paired comparison of two engines on the same grasps, each at the paper's choice.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
-pub struct Duel {
-    /// Grasps where both agree with reality.
+pub struct EngineComparison {
+    /// Grasps on which both agree with reality.
     pub both: usize,
-    /// Only the finite elements do.
+    /// Only the finite elements agree.
     pub only_fem: usize,
-    /// Only the rigid engine does.
+    /// Only the rigid engine agrees.
     pub only_rigid: usize,
-    /// Neither.
+    /// Neither agrees.
     pub neither: usize,
     /// Two-sided p of the exact McNemar test.
     pub mcnemar_p: f64,
@@ -274,59 +279,59 @@ pub struct Duel {
     pub leave_one_out_p: f64,
 }
 
-/// A grasp.
+/// A replayed grasp.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct GraspFacts {
-    /// Its id in the dataset.
+    /// Id in the dataset.
     pub id: String,
-    /// Object.
+    /// Name of the object.
     pub object: String,
-    /// Stable in reality.
+    /// Label in reality: stable or slip.
     pub stable: bool,
-    /// The gripper in the object's frame: x, y, z in m, then the quaternion w, x, y, z.
+    /// Pose of the gripper in the object's frame: x, y, z in m, then the quaternion w, x, y, z.
     pub t_object_gripper: [f64; 7],
-    /// Standard deviation of the position along the gripper's axes, m; none where not known.
+    /// Standard deviation of the position along the gripper's axes, m; none if unknown.
     pub pose_sd_m: Option<[f64; 3]>,
-    /// The same of the rotation, rad.
+    /// Standard deviation of the rotation about the gripper's axes, rad.
     pub pose_sd_rad: Option<[f64; 3]>,
-    /// What each engine made of it, in the order of the report's engines.
+    /// Result of each engine, in the order of the report's engines.
     pub replays: Vec<GraspReplay>,
-    /// Camera's image before the lift, and the simulation's, `data:image/jpeg;base64,…`.
+    /// Camera images before the lift.
     pub view: Option<ImagePair>,
-    /// Left and right sensor.
+    /// Tactile images of the left and the right sensor.
     pub tactile: Vec<TactilePair>,
 }
 
-/// A grasp in one engine.
+/// Result of one grasp in one engine.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct GraspReplay {
-    /// Engine.
+    /// Name of the engine.
     pub engine: String,
-    /// Friction and force of the paper's choice for its object.
+    /// The paper's choice of the setting for its object.
     pub chosen: Setting,
-    /// The case at that setting.
+    /// Case at that setting.
     pub case: CaseFacts,
-    /// Whether that agrees with reality; none without outcome.
+    /// Whether it agrees with reality; none without an outcome.
     pub agrees: Option<bool>,
-    /// All settings.
+    /// Outcomes at all settings.
     pub cells: Vec<GraspCell>,
-    /// Of all settings with an outcome, the share that disagrees with reality.
+    /// Fraction of the settings with an outcome that disagree with reality.
     pub disagreement: f64,
-    /// With poses drawn from the covariance, at the chosen setting.
+    /// Results with poses drawn from the covariance, at the chosen setting.
     pub pose_samples: Option<PoseSamples>,
     /// Forces and heights at the chosen setting.
     pub curves: Option<Curves>,
 }
 
-/// Outcome of a case and what it took.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+/// Outcome and computing time of a case.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct CaseFacts {
-    /// `success`, `slip`, `eject`, `miss`, `gels_met`, `penetrating_start` or `not_converged`.
+    /// `success`, `slip`, `eject`, `miss`, `closed`, `penetrating_start` `not_converged` or `refused`.
     pub outcome: String,
-    /// Why, where there is more to say.
+    /// Details of the outcome, if any.
     pub detail: Option<String>,
     /// Height of the object's lowest point at the end, m.
     pub min_height_m: f64,
@@ -334,17 +339,17 @@ pub struct CaseFacts {
     pub lifted_m: f64,
     /// Mean force of both fingers before the lift, N.
     pub force_n: Option<f64>,
-    /// Time steps.
+    /// Number of time steps.
     pub steps: usize,
-    /// Newton iterations in all; 0 for the rigid engine.
+    /// Number of Newton iterations; 0 for the rigid engine.
     pub newton_iterations: u64,
-    /// Steps that did not converge.
+    /// Number of steps that did not converge.
     pub unconverged_steps: usize,
     /// CPU time of the case, s.
     pub cpu_s: f64,
 }
 
-/// A grasp at one setting.
+/// Outcome of a grasp at one setting.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct GraspCell {
@@ -353,47 +358,47 @@ pub struct GraspCell {
     pub setting: Setting,
     /// As in [`CaseFacts::outcome`].
     pub outcome: String,
-    /// Whether that agrees with reality; none without outcome.
+    /// Whether it agrees with reality; none without an outcome.
     pub agrees: Option<bool>,
 }
 
-/// Replays of one grasp with poses drawn from the covariance of its annotation.
+/// Results of one grasp with poses drawn from the covariance of its annotation.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct PoseSamples {
-    /// Poses with an outcome.
+    /// Number of poses with an outcome.
     pub n: usize,
-    /// Of those, stable.
+    /// Number of stable poses.
     pub stable: usize,
 }
 
-/// Forces and heights over time, thinned for the page.
+/// Forces and heights over time, subsampled for the page.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Curves {
-    /// Time since contact or since the start, s.
+    /// Time, s.
     pub t_s: Vec<f64>,
     /// Normal force on the left finger, N.
     pub left_n: Vec<f64>,
-    /// The same of the right one, N.
+    /// Normal force on the right finger, N.
     pub right_n: Vec<f64>,
     /// Rise of the gripper, m.
     pub lifted_m: Vec<f64>,
     /// Height of the object's lowest point, m.
     pub min_height_m: Vec<f64>,
-    /// When the adjustment and the lift begin, s.
+    /// Start of the adjustment and of the lift, s.
     pub stages_s: [f64; 2],
-    /// Height that the lowest point must be above at the end, m.
+    /// Minimum height of the lowest point of a stable grasp at the end, m.
     pub success_height_m: f64,
 }
 
-/// Two images of the same, `data:image/jpeg;base64,…`.
+/// A recorded and a simulated image, `data:image/jpeg;base64,…`.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct ImagePair {
-    /// As recorded.
+    /// Recorded.
     pub real: String,
-    /// As simulated.
+    /// Simulated.
     pub sim: String,
 }
 
@@ -403,13 +408,13 @@ pub struct ImagePair {
 pub struct TactilePair {
     /// `left` or `right`.
     pub sensor: String,
-    /// Real and simulated.
+    /// Recorded and simulated image.
     pub images: ImagePair,
     /// Real minus simulated.
     pub difference: String,
-    /// Overlap of both contact masks by their union; none where neither touches.
+    /// Intersection over union of both contact masks; none without contact.
     pub contact_iou: Option<f64>,
-    /// Fraction of the real difference's variance that the simulated one explains.
+    /// Fraction of the variance of the real image that the simulated one explains (FVE).
     pub fve: Option<f64>,
     /// Peak signal-to-noise ratio of the difference image, dB.
     pub psnr_db: Option<f64>,
@@ -417,70 +422,74 @@ pub struct TactilePair {
     pub l1: Option<f64>,
 }
 
-/// A grasp, or a case of it, that is not in the scores.
+/// A grasp, or cases of it, that are not in the scores.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
-pub struct LeftOut {
-    /// Its id in the dataset.
+pub struct ExcludedGrasp {
+    /// Id in the dataset.
     pub grasp: String,
-    /// Its object.
+    /// Name of the object.
     pub object: String,
-    /// What is missing, and how to fix it.
+    /// Reason and remedy.
     pub reason: String,
 }
 
-/// What the replay took.
+/// Computing time of the replay.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Cost {
-    /// Cases in all.
+    /// Number of cases.
     pub cases: usize,
-    /// Of those, simulated by this run and not found finished.
+    /// Number of cases that this run simulated.
     pub simulated_now: usize,
     /// Wall time of this run, s.
     pub wall_s: f64,
-    /// Cases at a time.
+    /// Cases in parallel.
     pub jobs: usize,
-    /// CPU time of all cases by engine, s.
+    /// Total CPU time by engine, s.
     pub cpu_s: BTreeMap<String, f64>,
-    /// Processor.
+    /// Processor name and number of cores.
     pub processor: String,
 }
 
-/// Differences to an earlier report.
+/// Changes since an earlier report.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Changes {
-    /// Where that is.
+    /// Path of the earlier report.
     pub path: String,
-    /// Its software.
+    /// Software of the earlier report.
     pub software: String,
-    /// Score of the paper's way by engine, then and now.
+    /// Score of the paper's choice by engine: earlier and current.
     pub scores: BTreeMap<String, [Option<f64>; 2]>,
-    /// Outcomes that changed.
+    /// Changed outcomes.
     pub outcomes: Vec<ChangedOutcome>,
-    /// Grasps that only the new report has.
+    /// Grasps only in the current report.
     pub added: Vec<String>,
-    /// Grasps that only the old one has.
+    /// Grasps only in the earlier report.
     pub removed: Vec<String>,
-    /// Parameters, objects or settings that differ, one sentence each.
+    /// Differences of parameters, objects and settings.
     pub conditions: Vec<String>,
 }
 
-/// An outcome that is another one now.
+/// A changed outcome.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct ChangedOutcome {
-    /// Its id in the dataset.
+    /// Id in the dataset.
     pub grasp: String,
-    /// Its object.
+    /// Name of the object.
     pub object: String,
-    /// Engine.
+    /// Name of the engine.
     pub engine: String,
-    /// At the choice of then.
+    /// Earlier outcome at the chosen setting.
     pub before: String,
-    /// At the choice of now.
+    /// Current outcome at the chosen setting.
     pub after: String,
-    /// Whether it agrees with reality now.
+    /// Whether the current outcome agrees with reality; none without an outcome.
     pub agrees: Option<bool>,
 }
+
+#[cfg(test)]
+#[path = "report_test.rs"]
+mod tests;

@@ -1,6 +1,7 @@
-//! The whole replay: cases, scores, drawn poses, images, report.
+//! The complete replay: cases, scores, drawn poses, images and report.
 
 use std::collections::BTreeMap;
+use std::ops::Range;
 use std::path::Path;
 use std::sync::Arc;
 use std::time::Instant;
@@ -10,10 +11,11 @@ use super::case::{Case, CaseRecord, CaseStore};
 use super::object_file::ReplayObject;
 use super::recording::{RecordedGrasp, Recording};
 use super::report::{
-    Cost, DatasetFacts, Duel, EngineFacts, GraspCell, GraspFacts, GraspReplay, ImagePair, LeftOut,
-    ObjectFacts, PoseSamples, REPORT_FORMAT, REPORT_VERSION, Reality, Report, Setting, TactilePair,
+    Cost, DatasetFacts, EngineComparison, EngineFacts, ExcludedGrasp, GraspCell, GraspFacts,
+    GraspReplay, ImagePair, ObjectFacts, PoseSamples, REPORT_FORMAT, REPORT_VERSION, Reality,
+    Report, Setting, TactilePair,
 };
-use super::score::{Outcomes, Scored};
+use super::score::{OutcomeTable, Scoring};
 use super::sweep::{SweepProgress, sweep};
 use super::tactile_pair::tactile_pairs;
 use gripcast_base::error::{Error, Result};
@@ -25,96 +27,95 @@ use gripcast_sim::grasp::StageName;
 use gripcast_sim::{Engine, EngineKind};
 use gripcast_tactile::{ObjectDepthRenderer, SensorProfile, SimulatedGel};
 
-/// An engine and what it is asked.
+/// An engine and its settings.
 #[derive(Clone)]
 pub struct EngineSweep {
     /// The engine.
     pub engine: Arc<dyn Engine>,
-    /// Friction coefficients to try.
+    /// Friction coefficients.
     pub frictions: Vec<f64>,
-    /// Forces to try, N.
+    /// Forces, N.
     pub forces_n: Vec<f64>,
 }
 
-/// How a dataset is replayed.
+/// Settings of a replay.
 #[derive(Clone)]
 pub struct ReplaySettings {
     /// Engines in the order of the tables.
     pub engines: Vec<EngineSweep>,
     /// Seed of drawn poses and of images.
     pub seed: u64,
-    /// Cases at a time.
+    /// Cases in parallel.
     pub jobs: usize,
-    /// Poses to draw from each covariance, at the chosen setting.
+    /// Number of poses drawn from each covariance, at the chosen setting.
     pub pose_samples: usize,
     /// Profile of the simulated sensors.
     pub sensor: SensorProfile,
-    /// Paths for each pixel of the views; none for a report without images.
-    pub view_samples: Option<u32>,
+    /// Samples per pixel of the camera views; none for a report without images.
+    pub view_spp: Option<u32>,
 }
 
-/// What is replayed.
+/// Input of a replay.
 pub struct ReplayInput<'a> {
     /// The dataset.
     pub dataset: &'a Dataset,
-    /// Its grasps that can be replayed.
+    /// Replayable grasps of the dataset.
     pub recording: &'a Recording,
-    /// Its objects.
+    /// Objects of the dataset.
     pub objects: &'a BTreeMap<ObjectName, Result<ReplayObject>>,
-    /// Where its outcomes come from.
+    /// Source of its outcomes.
     pub reality: Reality,
-    /// The command that repeats it.
+    /// Command that repeats the replay.
     pub command: String,
-    /// RFC 3339 UTC.
+    /// Creation time, RFC 3339 UTC.
     pub written_at: String,
 }
 
-/// What a replay is at.
+/// Progress of a replay.
 #[derive(Clone, Debug, PartialEq)]
 pub enum ReplayProgress {
-    /// It simulates.
+    /// Simulating cases.
     Cases(SweepProgress),
-    /// It simulates drawn poses.
+    /// Simulating drawn poses.
     Poses(SweepProgress),
-    /// It draws the images of so many of so many grasps.
+    /// Rendering images.
     Images {
-        /// Grasps with images.
+        /// Number of grasps with images.
         done: usize,
-        /// All grasps.
-        all: usize,
+        /// Number of grasps.
+        total: usize,
     },
-    /// Something to tell.
+    /// A message.
     Note(String),
 }
 
-type Told<'a> = dyn Fn(ReplayProgress) + Sync + 'a;
+type OnProgress<'a> = dyn Fn(ReplayProgress) + Sync + 'a;
 
-/// Replays a dataset. Finished cases are found in `store` again, so a replay that was cut off
-/// goes on where it was.
+/// Replays a dataset. Finished cases are loaded from `store`, so an interrupted replay can be resumed.
 ///
 /// # Errors
-/// `Input` if no grasp can be replayed; those of storing cases.
+/// `Input` if no grasp can be replayed; errors of storing cases.
 pub fn replay(
     input: &ReplayInput<'_>,
     settings: &ReplaySettings,
     store: &CaseStore,
-    progress: &Told<'_>,
+    on_progress: &OnProgress<'_>,
 ) -> Result<Report> {
-    let began = Instant::now();
+    let start = Instant::now();
     let grasps = &input.recording.grasps;
     if grasps.is_empty() || settings.engines.is_empty() {
         let reason = input.recording.left_out.first();
         let reason = reason.map_or(String::new(), |l| format!("; {}: {}", l.grasp, l.reason));
-        return Err(Error::input(format!("there is no grasp to replay{reason}")));
+        return Err(Error::input(format!("no grasp to replay{reason}")));
     }
     let cases = all_cases(input, settings)?;
     let swept = sweep(&cases, store, settings.jobs, &|at| {
-        progress(ReplayProgress::Cases(at));
+        on_progress(ReplayProgress::Cases(at));
     })?;
-    let replayed = Replayed::new(input, settings, cases, swept.records);
-    let drawn = replayed.drawn_poses(store, progress)?;
-    let images = replayed.images(store, progress)?;
-    let objects = replayed.objects(progress)?;
+    let replayed = CompletedReplay::new(input, settings, cases, swept.records);
+    let drawn = replayed.drawn_poses(store, on_progress)?;
+    let images = replayed.images(store, on_progress)?;
+    let objects = replayed.objects(on_progress)?;
     let mut left_out = input.recording.left_out.clone();
     left_out.extend(replayed.without_outcome());
     Ok(Report {
@@ -128,16 +129,16 @@ pub fn replay(
             name: input.dataset.descriptor().name.clone(),
             path: input.dataset.path().display().to_string(),
             sha256: input.recording.sha256.clone(),
-            grasps: input.recording.all,
+            grasps: input.recording.total,
             reality: input.reality.clone(),
         },
         objects,
         engines: replayed.engine_facts()?,
-        duel: replayed.duel(),
+        comparison: replayed.comparison(),
         cost: Cost {
             cases: replayed.cases.len() + drawn.cases,
             simulated_now: swept.simulated + drawn.simulated,
-            wall_s: began.elapsed().as_secs_f64(),
+            wall_s: start.elapsed().as_secs_f64(),
             jobs: settings.jobs,
             cpu_s: replayed.cpu_s(),
             processor: processor(),
@@ -155,7 +156,7 @@ fn object<'a>(input: &ReplayInput<'a>, grasp: &RecordedGrasp) -> Result<&'a Repl
         .ok_or_else(|| Error::internal(format!("{} has no object", grasp.record.id)))
 }
 
-/// Engine by engine, grasp by grasp, setting by setting.
+/// Returns all cases, by engine, grasp and setting.
 fn all_cases<'a>(input: &ReplayInput<'a>, settings: &'a ReplaySettings) -> Result<Vec<Case<'a>>> {
     let mut cases = Vec::new();
     for sweep in &settings.engines {
@@ -179,8 +180,8 @@ fn all_cases<'a>(input: &ReplayInput<'a>, settings: &'a ReplaySettings) -> Resul
     Ok(cases)
 }
 
-/// The drawn poses of all engines and grasps.
-struct Drawn {
+/// Results of the drawn poses.
+struct DrawnPoses {
     /// By engine, then grasp.
     samples: Vec<Vec<Option<PoseSamples>>>,
     cases: usize,
@@ -189,21 +190,21 @@ struct Drawn {
 
 /// Images of a grasp.
 #[derive(Default)]
-struct Images {
+struct GraspImages {
     view: Option<ImagePair>,
     tactile: Vec<TactilePair>,
 }
 
-/// A replay whose cases are there.
-struct Replayed<'a> {
+/// A replay whose cases are finished.
+struct CompletedReplay<'a> {
     input: &'a ReplayInput<'a>,
     settings: &'a ReplaySettings,
     cases: Vec<Case<'a>>,
     records: Vec<CaseRecord>,
-    scored: Vec<Scored>,
+    scored: Vec<Scoring>,
 }
 
-impl<'a> Replayed<'a> {
+impl<'a> CompletedReplay<'a> {
     fn new(
         input: &'a ReplayInput<'a>,
         settings: &'a ReplaySettings,
@@ -226,28 +227,24 @@ impl<'a> Replayed<'a> {
         &self.input.recording.grasps
     }
 
-    fn settings_of(&self, engine: usize) -> usize {
-        let sweep = &self.settings.engines[engine];
-        sweep.frictions.len() * sweep.forces_n.len()
+    /// Returns the indices of the cases of a grasp, by setting.
+    fn case_range(&self, engine: usize, grasp: usize) -> Range<usize> {
+        let count = |sweep: &EngineSweep| sweep.frictions.len() * sweep.forces_n.len();
+        let engines = &self.settings.engines;
+        let before: usize = engines[..engine].iter().map(count).sum();
+        let count = count(&engines[engine]);
+        let start = before * self.grasps().len() + grasp * count;
+        start..start + count
     }
 
-    /// Index of a case.
-    fn at(&self, engine: usize, grasp: usize, setting: usize) -> usize {
-        let before: usize = (0..engine)
-            .map(|e| self.settings_of(e) * self.grasps().len())
-            .sum();
-        before + grasp * self.settings_of(engine) + setting
-    }
-
-    fn outcomes(&self, engine: usize) -> Outcomes<'a> {
+    fn outcomes(&self, engine: usize) -> OutcomeTable<'a> {
         let sweep = &self.settings.engines[engine];
         let grasps = self.grasps();
         let simulated = (0..grasps.len()).map(|grasp| {
-            (0..self.settings_of(engine))
-                .map(|setting| self.records[self.at(engine, grasp, setting)].facts.stable())
-                .collect()
+            let records = self.records[self.case_range(engine, grasp)].iter();
+            records.map(|record| record.facts.stable()).collect()
         });
-        Outcomes {
+        OutcomeTable {
             frictions: &sweep.frictions,
             forces_n: &sweep.forces_n,
             objects: grasps.iter().map(|g| g.record.object.as_str()).collect(),
@@ -261,61 +258,64 @@ impl<'a> Replayed<'a> {
     }
 
     fn chosen(&self, engine: usize, grasp: usize) -> usize {
-        self.at(engine, grasp, self.scored[engine].chosen[grasp])
+        self.case_range(engine, grasp).start + self.scored[engine].chosen[grasp]
     }
 
     /// Simulates drawn poses at the chosen settings.
-    fn drawn_poses(&self, store: &CaseStore, progress: &Told<'_>) -> Result<Drawn> {
+    fn drawn_poses(&self, store: &CaseStore, on_progress: &OnProgress<'_>) -> Result<DrawnPoses> {
         let count = self.settings.pose_samples;
         let mut cases = Vec::new();
-        let mut places = Vec::new();
+        let mut indices = Vec::new();
         for engine in 0..self.settings.engines.len() {
             for (index, grasp) in self.grasps().iter().enumerate() {
                 let chosen = &self.cases[self.chosen(engine, index)];
                 for number in 0..count {
-                    let Some(setup) = grasp.drawn(self.settings.seed, number) else {
+                    let Some(setup) = grasp.with_drawn_pose(self.settings.seed, number) else {
                         continue;
                     };
                     cases.push(Case {
                         setup,
                         ..chosen.clone()
                     });
-                    places.push((engine, index));
+                    indices.push((engine, index));
                 }
             }
         }
-        let mut samples = vec![vec![None; self.grasps().len()]; self.settings.engines.len()];
+        let mut drawn = DrawnPoses {
+            samples: vec![vec![None; self.grasps().len()]; self.settings.engines.len()],
+            cases: cases.len(),
+            simulated: 0,
+        };
         if cases.is_empty() {
-            return Ok(Drawn {
-                samples,
-                cases: 0,
-                simulated: 0,
-            });
+            return Ok(drawn);
         }
         let swept = sweep(&cases, store, self.settings.jobs, &|at| {
-            progress(ReplayProgress::Poses(at));
+            on_progress(ReplayProgress::Poses(at));
         })?;
-        for ((engine, grasp), record) in places.into_iter().zip(&swept.records) {
-            let found: &mut PoseSamples =
-                samples[engine][grasp].get_or_insert(PoseSamples { n: 0, stable: 0 });
+        for ((engine, grasp), record) in indices.into_iter().zip(&swept.records) {
+            let sample =
+                drawn.samples[engine][grasp].get_or_insert(PoseSamples { n: 0, stable: 0 });
             if let Some(stable) = record.facts.stable() {
-                found.n += 1;
-                found.stable += usize::from(stable);
+                sample.n += 1;
+                sample.stable += usize::from(stable);
             }
         }
-        Ok(Drawn {
-            samples,
-            cases: cases.len(),
-            simulated: swept.simulated,
-        })
+        drawn.simulated = swept.simulated;
+        Ok(drawn)
     }
 
-    /// Images of the finite-element replay; without it there are none.
-    fn images(&self, store: &CaseStore, progress: &Told<'_>) -> Result<Vec<Images>> {
+    fn view(&self) -> Option<ViewSettings> {
+        let seed = self.settings.seed;
+        let spp = self.settings.view_spp;
+        spp.map(|spp| ViewSettings { spp, seed })
+    }
+
+    /// Renders the images of the finite-element replay; without it there are none.
+    fn images(&self, store: &CaseStore, on_progress: &OnProgress<'_>) -> Result<Vec<GraspImages>> {
         let grasps = self.grasps();
-        let none = || grasps.iter().map(|_| Images::default()).collect();
+        let none = || grasps.iter().map(|_| GraspImages::default()).collect();
         let fem = (0..self.settings.engines.len()).find(|e| self.kind(*e) == EngineKind::Fem);
-        let (Some(fem), Some(samples)) = (fem, self.settings.view_samples) else {
+        let (Some(fem), Some(view)) = (fem, self.view()) else {
             return Ok(none());
         };
         let Some((grid, d_hat_m)) = self.settings.engines[fem].engine.gel()? else {
@@ -323,48 +323,41 @@ impl<'a> Replayed<'a> {
         };
         let gel = SimulatedGel { grid, d_hat_m };
         let renderer = ObjectDepthRenderer::new(&self.settings.sensor)?;
-        let view = ViewSettings {
-            samples,
-            seed: self.settings.seed,
-        };
-        let of_grasp = |(index, grasp): &(usize, &RecordedGrasp)| -> Result<Images> {
+        let of_grasp = |(index, grasp): &(usize, &RecordedGrasp)| -> Result<GraspImages> {
             let case = &self.cases[self.chosen(fem, *index)];
             let Some(snapshot) = store.snapshot(case, StageName::Adjustment)? else {
-                return Ok(Images::default());
+                return Ok(GraspImages::default());
             };
             let (dataset, object) = (self.input.dataset, case.object);
             let mut renderer = renderer.clone();
             let tactile = tactile_pairs(dataset, grasp, object, &gel, &snapshot, &mut renderer);
             let view = view_pair(dataset, grasp, object, &snapshot, &view);
-            // What cannot be drawn is told and left out.
-            let told = |e: &Error| {
-                progress(ReplayProgress::Note(format!("{}: {e}", grasp.record.id)));
+            // Images that cannot be rendered are reported and omitted.
+            let report = |e: &Error| {
+                on_progress(ReplayProgress::Note(format!("{}: {e}", grasp.record.id)));
             };
-            Ok(Images {
-                view: view.inspect_err(told).ok(),
-                tactile: tactile.inspect_err(told).unwrap_or_default(),
+            Ok(GraspImages {
+                view: view.inspect_err(report).ok(),
+                tactile: tactile.inspect_err(report).unwrap_or_default(),
             })
         };
-        let all = grasps.len();
-        let told = |done| progress(ReplayProgress::Images { done, all });
+        let total = grasps.len();
+        let report = |done| on_progress(ReplayProgress::Images { done, total });
         let items: Vec<(usize, &RecordedGrasp)> = grasps.iter().enumerate().collect();
-        one_per_core(self.settings.jobs, &items, &of_grasp, &told)
+        one_per_core(self.settings.jobs, &items, &of_grasp, &report)
     }
 
-    fn objects(&self, progress: &Told<'_>) -> Result<Vec<ObjectFacts>> {
+    fn objects(&self, on_progress: &OnProgress<'_>) -> Result<Vec<ObjectFacts>> {
         let mut found: Vec<ObjectFacts> = Vec::new();
         for grasp in self.grasps() {
             let name = &grasp.record.object;
             if found.last().is_none_or(|last| last.name != **name) {
                 let object = object(self.input, grasp)?;
-                let view = self.settings.view_samples.map(|samples| ViewSettings {
-                    samples,
-                    seed: self.settings.seed,
-                });
-                let image = view.and_then(|view| {
+                let image = self.view().and_then(|view| {
                     let image = object_image(object, grasp, &view);
-                    let told = |e: &Error| progress(ReplayProgress::Note(format!("{name}: {e}")));
-                    image.inspect_err(told).ok()
+                    let report =
+                        |e: &Error| on_progress(ReplayProgress::Note(format!("{name}: {e}")));
+                    image.inspect_err(report).ok()
                 });
                 found.push(ObjectFacts {
                     name: name.to_string(),
@@ -402,7 +395,7 @@ impl<'a> Replayed<'a> {
             .collect()
     }
 
-    fn duel(&self) -> Option<Duel> {
+    fn comparison(&self) -> Option<EngineComparison> {
         let find = |kind| (0..self.settings.engines.len()).find(|e| self.kind(*e) == kind);
         let fem = &self.scored[find(EngineKind::Fem)?];
         let rigid = &self.scored[find(EngineKind::Rigid)?];
@@ -416,15 +409,16 @@ impl<'a> Replayed<'a> {
             counts
         };
         let [[neither, only_rigid], [only_fem, both]] = counts(&fem.agrees, &rigid.agrees);
-        let [[_, rigid_out], [fem_out, _]] = counts(&fem.agrees_left_out, &rigid.agrees_left_out);
-        Some(Duel {
+        let [[_, left_out_rigid], [left_out_fem, _]] =
+            counts(&fem.agrees_left_out, &rigid.agrees_left_out);
+        Some(EngineComparison {
             both,
             only_fem,
             only_rigid,
             neither,
             mcnemar_p: mcnemar_p(only_fem, only_rigid),
-            leave_one_out: [fem_out, rigid_out],
-            leave_one_out_p: mcnemar_p(fem_out, rigid_out),
+            leave_one_out: [left_out_fem, left_out_rigid],
+            leave_one_out_p: mcnemar_p(left_out_fem, left_out_rigid),
         })
     }
 
@@ -437,24 +431,24 @@ impl<'a> Replayed<'a> {
         sums
     }
 
-    /// Cases without outcome, an entry for each grasp and engine.
-    fn without_outcome(&self) -> Vec<LeftOut> {
+    /// Lists the cases without an outcome, one entry per grasp and engine.
+    fn without_outcome(&self) -> Vec<ExcludedGrasp> {
         let mut found = Vec::new();
         for engine in 0..self.settings.engines.len() {
             for (index, grasp) in self.grasps().iter().enumerate() {
-                let all = self.settings_of(engine);
-                let cases = (0..all).map(|setting| self.at(engine, index, setting));
+                let cases = self.case_range(engine, index);
+                let total = cases.len();
                 let open: Vec<usize> = cases
                     .filter(|case| self.records[*case].facts.stable().is_none())
                     .collect();
                 let Some(first) = open.first() else { continue };
                 let facts = &self.records[*first].facts;
                 let setting = self.cases[*first].setting;
-                found.push(LeftOut {
+                found.push(ExcludedGrasp {
                     grasp: grasp.record.id.to_string(),
                     object: grasp.record.object.to_string(),
                     reason: format!(
-                        "{} has no outcome at {} of {all} settings; at friction {}, {} N: {}{}",
+                        "{} has no outcome at {} of {total} settings; at friction {}, {} N: {}{}",
                         self.kind(engine).name(),
                         open.len(),
                         setting.friction,
@@ -471,7 +465,7 @@ impl<'a> Replayed<'a> {
         found
     }
 
-    fn grasp_facts(&self, drawn: Drawn, images: Vec<Images>) -> Vec<GraspFacts> {
+    fn grasp_facts(&self, drawn: DrawnPoses, images: Vec<GraspImages>) -> Vec<GraspFacts> {
         let grasps = self.grasps().iter().enumerate().zip(images);
         grasps
             .map(|((index, grasp), images)| {
@@ -505,9 +499,9 @@ impl<'a> Replayed<'a> {
         let real = self.grasps()[grasp].stable;
         let chosen = self.chosen(engine, grasp);
         let record = &self.records[chosen];
-        let cells: Vec<GraspCell> = (0..self.settings_of(engine))
-            .map(|setting| {
-                let case = self.at(engine, grasp, setting);
+        let cells: Vec<GraspCell> = self
+            .case_range(engine, grasp)
+            .map(|case| {
                 let facts = &self.records[case].facts;
                 GraspCell {
                     setting: self.cases[case].setting,
@@ -516,14 +510,14 @@ impl<'a> Replayed<'a> {
                 }
             })
             .collect();
-        let judged: Vec<bool> = cells.iter().filter_map(|cell| cell.agrees).collect();
-        let disagree = judged.iter().filter(|agrees| !**agrees).count();
+        let agreements: Vec<bool> = cells.iter().filter_map(|cell| cell.agrees).collect();
+        let disagreeing = agreements.iter().filter(|agrees| !**agrees).count();
         GraspReplay {
             engine: self.kind(engine).name().to_owned(),
             chosen: self.cases[chosen].setting,
             case: record.facts.clone(),
             agrees: self.scored[engine].agrees[grasp],
-            disagreement: disagree as f64 / judged.len().max(1) as f64,
+            disagreement: disagreeing as f64 / agreements.len().max(1) as f64,
             cells,
             pose_samples,
             curves: (!record.curves.t_s.is_empty()).then(|| record.curves.clone()),
@@ -531,7 +525,7 @@ impl<'a> Replayed<'a> {
     }
 }
 
-/// Name of the processor and how many of it there are.
+/// Returns the number of cores and the processor name.
 fn processor() -> String {
     let cores = cores();
     let info = read_text(Path::new("/proc/cpuinfo"), FileKind::Record).unwrap_or_default();

@@ -1,20 +1,20 @@
-//! A small report with everything in it that can be there, and names that want to break out.
+//! A small report with all optional contents and hostile names.
 
 use std::collections::BTreeMap;
 
 use serde_json::json;
 
 use super::report::{
-    CaseFacts, CellScore, ChangedOutcome, Changes, Confusion, Cost, Curves, DatasetFacts, Duel,
-    EngineFacts, GraspCell, GraspFacts, GraspReplay, ImagePair, LeftOut, ObjectFacts, PoseSamples,
-    Proportion, REPORT_FORMAT, REPORT_VERSION, Reality, Report, Score, Scores, Setting,
-    TactilePair,
+    CaseFacts, CellScore, ChangedOutcome, Changes, Confusion, Cost, Curves, DatasetFacts,
+    EngineComparison, EngineFacts, ExcludedGrasp, GraspCell, GraspFacts, GraspReplay, ImagePair,
+    ObjectFacts, PoseSamples, Proportion, REPORT_FORMAT, REPORT_VERSION, Reality, Report, Score,
+    Scores, Setting, TactilePair,
 };
 
-/// What every free string of the sample carries.
+/// Part of every free string of the sample.
 pub(super) const HOSTILE: &str = "<script>alert(\"1\")</script>&'\u{202e}";
 
-/// A JPEG header of 8 × 6 px; enough for whoever only asks for the size.
+/// A JPEG header of 8 × 6 px, enough to read the size.
 pub(super) const IMAGE: &str = "data:image/jpeg;base64,/9j/wAALCAAGAAgBAREA";
 
 const ENGINES: [&str; 2] = ["fem", "rigid"];
@@ -29,7 +29,7 @@ fn hostile(word: &str) -> String {
     format!("{word} {HOSTILE}")
 }
 
-/// Two objects, two engines, six grasps of which one has no outcome, and one left out.
+/// Two objects, two engines, six grasps (one without an outcome), and an excluded one.
 pub(super) fn sample_report() -> Report {
     let objects = [hostile("box"), "ring".to_owned()];
     let grasp = |i: usize| grasp(i, &objects[i % 2]);
@@ -46,12 +46,12 @@ pub(super) fn sample_report() -> Report {
             sha256: hostile("0123456789ab"),
             grasps: 7,
             reality: Reality::Simulated {
-                how: hostile("finer gel mesh"),
+                description: hostile("finer gel mesh"),
             },
         },
         objects: objects.iter().map(|name| object(name)).collect(),
         engines: ENGINES.map(|name| engine(name, &objects)).to_vec(),
-        duel: Some(Duel {
+        comparison: Some(EngineComparison {
             both: 3,
             only_fem: 2,
             only_rigid: 0,
@@ -61,7 +61,7 @@ pub(super) fn sample_report() -> Report {
             leave_one_out_p: 1.0,
         }),
         grasps: (0..6).map(grasp).collect(),
-        left_out: vec![LeftOut {
+        left_out: vec![ExcludedGrasp {
             grasp: hostile("g6"),
             object: hostile("box"),
             reason: hostile("no pose: annotate it"),
@@ -122,7 +122,7 @@ fn engine(name: &str, objects: &[String]) -> EngineFacts {
             leave_object_out: score(0),
             friction: CHOSEN.friction,
             force_n: by_object(objects, CHOSEN.force_n),
-            one: Setting {
+            best_setting: Setting {
                 friction: 0.8,
                 force_n: 20.0,
             },
@@ -196,7 +196,7 @@ fn tactile(sensor: &str) -> TactilePair {
     }
 }
 
-/// Grasp 2 disagrees in the rigid engine, grasp 3 in both; grasp 4 has no outcome with gels.
+/// Grasp 2 disagrees in the rigid engine, grasp 3 in both; grasp 4 has no outcome with finite elements.
 fn replay(i: usize, engine: &str) -> GraspReplay {
     let agrees = match (i, engine) {
         (2, "rigid") | (3, _) => Some(false),
@@ -240,7 +240,7 @@ fn replay(i: usize, engine: &str) -> GraspReplay {
     }
 }
 
-/// Grasp 0 has no point, grasp 1 a single one.
+/// Grasp 0 has no points, grasp 1 a single one.
 fn curves(i: usize) -> Curves {
     let points = [0, 1].get(i).copied().unwrap_or(50);
     let times: Vec<f64> = (0..points).map(|k| 0.1 * f64::from(k)).collect();

@@ -1,46 +1,46 @@
-//! How often an engine ends as reality did, with settings chosen in several ways.
+//! Scores of an engine: how often it agrees with reality, for several choices of the setting.
 
 use std::collections::BTreeMap;
 
 use super::report::{CellScore, Confusion, Proportion, Score, Scores, Setting};
 
-/// What an engine made of all grasps at all settings.
+/// Labels of all grasps at all settings of one engine.
 #[derive(Clone, Debug)]
-pub struct Outcomes<'a> {
-    /// Friction coefficients that were tried.
+pub struct OutcomeTable<'a> {
+    /// Friction coefficients.
     pub frictions: &'a [f64],
-    /// Forces that were tried, N.
+    /// Forces, N.
     pub forces_n: &'a [f64],
     /// Object of each grasp.
     pub objects: Vec<&'a str>,
-    /// Whether each grasp was stable in reality.
+    /// Label of each grasp in reality: stable or slip.
     pub real: Vec<bool>,
-    /// Whether each was stable in simulation, by friction, then force; none without outcome.
+    /// Label of each grasp in simulation, by friction, then force; none without an outcome.
     pub simulated: Vec<Vec<Option<bool>>>,
 }
 
-/// Scores with what was chosen for each grasp.
+/// Scores, and the chosen setting of each grasp.
 #[derive(Clone, Debug)]
-pub struct Scored {
+pub struct Scoring {
     /// The scores.
     pub scores: Scores,
-    /// Setting of each grasp by the paper's way: an index into the settings.
+    /// Index of each grasp's setting by the paper's choice.
     pub chosen: Vec<usize>,
-    /// Whether each grasp agrees at that setting; none without outcome.
+    /// Whether each grasp agrees at that setting; none without an outcome.
     pub agrees: Vec<Option<bool>>,
-    /// The same with the setting that was chosen without that grasp.
+    /// The same at the setting that is chosen without that grasp.
     pub agrees_left_out: Vec<Option<bool>>,
 }
 
 /// A friction for all objects and a force for each.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
 struct Choice {
     friction: usize,
     force: BTreeMap<String, usize>,
 }
 
-impl<'a> Outcomes<'a> {
-    /// All settings, friction by friction.
+impl<'a> OutcomeTable<'a> {
+    /// Returns all settings, friction by friction.
     pub fn settings(&self) -> Vec<Setting> {
         let forces = |friction: f64| {
             let setting = move |force_n: &f64| Setting {
@@ -59,40 +59,36 @@ impl<'a> Outcomes<'a> {
 
     /// Scores the engine.
     ///
-    /// The paper's way (A.2, A.4): the friction with most agreeing grasps when each object has its
-    /// best force, then that force for each object. Leaving one out chooses again without the
-    /// grasp. Ties go to what comes first, so the order of the settings counts.
-    pub fn score(&self) -> Scored {
+    /// The paper's choice (A.2, A.4) is the friction with the most agreeing grasps if each object has
+    /// its best force, then that force for each object. Leaving one out repeats the choice without the
+    /// grasp. Ties go to the first setting.
+    pub fn score(&self) -> Scoring {
         let all: Vec<usize> = (0..self.real.len()).collect();
         let best = self.choose(&all);
-        let at = |choice: &Choice, grasp: usize| {
+        let setting_of = |choice: &Choice, grasp: usize| {
             let force = choice.force.get(self.objects[grasp]).copied().unwrap_or(0);
             choice.friction * self.forces_n.len() + force
         };
-        let chosen: Vec<usize> = all.iter().map(|g| at(&best, *g)).collect();
-        let agrees: Vec<Option<bool>> = all.iter().map(|g| self.agrees(*g, chosen[*g])).collect();
-        let agrees_left_out: Vec<Option<bool>> = all
-            .iter()
-            .map(|&grasp| {
-                let others: Vec<usize> = all.iter().copied().filter(|g| *g != grasp).collect();
-                self.agrees(grasp, at(&self.choose(&others), grasp))
-            })
-            .collect();
-        let one = self.best_setting(&all);
-        let with_one: Vec<Option<bool>> = all.iter().map(|g| self.agrees(*g, one)).collect();
-        let without_object: Vec<Option<bool>> = all
-            .iter()
-            .map(|&grasp| {
-                let others = all.iter().copied();
-                let others = others.filter(|g| self.objects[*g] != self.objects[grasp]);
-                self.agrees(grasp, self.best_setting(&others.collect::<Vec<_>>()))
-            })
-            .collect();
+        let chosen: Vec<usize> = all.iter().map(|g| setting_of(&best, *g)).collect();
+        let agreement = |setting: &dyn Fn(usize) -> usize| -> Vec<Option<bool>> {
+            all.iter().map(|g| self.agrees(*g, setting(*g))).collect()
+        };
+        let others = |is_other: &dyn Fn(usize) -> bool| -> Vec<usize> {
+            all.iter().copied().filter(|g| is_other(*g)).collect()
+        };
+        let agrees = agreement(&|grasp| chosen[grasp]);
+        let agrees_left_out =
+            agreement(&|grasp| setting_of(&self.choose(&others(&|other| other != grasp)), grasp));
+        let best_setting = self.best_setting(&all);
+        let without_object = agreement(&|grasp| {
+            let object = self.objects[grasp];
+            self.best_setting(&others(&|other| self.objects[other] != object))
+        });
         let settings = self.settings();
         let scores = Scores {
             paper: self.proportions(&agrees),
             leave_one_out: self.proportions(&agrees_left_out),
-            one_setting: self.proportions(&with_one),
+            one_setting: self.proportions(&agreement(&|_| best_setting)),
             leave_object_out: self.proportions(&without_object),
             friction: self.frictions.get(best.friction).copied().unwrap_or(0.0),
             force_n: best
@@ -100,14 +96,11 @@ impl<'a> Outcomes<'a> {
                 .iter()
                 .map(|(object, force)| (object.clone(), self.forces_n[*force]))
                 .collect(),
-            one: settings.get(one).copied().unwrap_or(Setting {
-                friction: 0.0,
-                force_n: 0.0,
-            }),
+            best_setting: settings.get(best_setting).copied().unwrap_or_default(),
             confusion: self.confusion(&chosen),
             cells: self.cells(&settings),
         };
-        Scored {
+        Scoring {
             scores,
             chosen,
             agrees,
@@ -122,7 +115,7 @@ impl<'a> Outcomes<'a> {
         names
     }
 
-    /// Grasps of `among` that agree at a setting.
+    /// Counts the grasps of `among` that agree at a setting.
     fn agreeing(&self, among: &[usize], setting: usize) -> usize {
         let agree = |g: &&usize| self.agrees(**g, setting) == Some(true);
         among.iter().filter(agree).count()
@@ -131,42 +124,37 @@ impl<'a> Outcomes<'a> {
     fn choose(&self, among: &[usize]) -> Choice {
         let names = self.object_names();
         let choices = (0..self.frictions.len()).map(|friction| {
-            let mut right = 0;
+            let mut agreeing = 0;
             let mut force = BTreeMap::new();
             for name in &names {
                 let of_object = among.iter().copied().filter(|g| self.objects[*g] == *name);
                 let of_object: Vec<usize> = of_object.collect();
                 let counts = (0..self.forces_n.len())
                     .map(|i| self.agreeing(&of_object, friction * self.forces_n.len() + i));
-                let (index, count) = first_most(counts);
-                right += count;
+                let (index, count) = first_max(counts);
+                agreeing += count;
                 force.insert((*name).to_owned(), index);
             }
-            (right, Choice { friction, force })
+            (agreeing, Choice { friction, force })
         });
         let choices: Vec<(usize, Choice)> = choices.collect();
-        let (index, _) = first_most(choices.iter().map(|(right, _)| *right));
-        choices.into_iter().nth(index).map_or(
-            Choice {
-                friction: 0,
-                force: BTreeMap::new(),
-            },
-            |(_, choice)| choice,
-        )
+        let (index, _) = first_max(choices.iter().map(|(agreeing, _)| *agreeing));
+        let chosen = choices.into_iter().nth(index);
+        chosen.map(|(_, choice)| choice).unwrap_or_default()
     }
 
     fn best_setting(&self, among: &[usize]) -> usize {
         let settings = self.frictions.len() * self.forces_n.len();
-        first_most((0..settings).map(|setting| self.agreeing(among, setting))).0
+        first_max((0..settings).map(|setting| self.agreeing(among, setting))).0
     }
 
     fn proportions(&self, agrees: &[Option<bool>]) -> Score {
         let count = |object: Option<&str>| {
-            let mine = self.objects.iter().zip(agrees);
-            let mine = mine.filter(|(name, _)| object.is_none_or(|object| object == **name));
-            let with_outcome: Vec<bool> = mine.filter_map(|(_, agrees)| *agrees).collect();
+            let grasps = self.objects.iter().zip(agrees);
+            let grasps = grasps.filter(|(name, _)| object.is_none_or(|object| object == **name));
+            let with_outcome: Vec<bool> = grasps.filter_map(|(_, agrees)| *agrees).collect();
             let agree = with_outcome.iter().filter(|agrees| **agrees).count();
-            Proportion::of(agree, with_outcome.len())
+            Proportion::new(agree, with_outcome.len())
         };
         let by_object: BTreeMap<String, Proportion> = self
             .object_names()
@@ -221,8 +209,8 @@ impl<'a> Outcomes<'a> {
     }
 }
 
-/// Place and value of the first of the largest counts; zeros if there is none.
-fn first_most(counts: impl Iterator<Item = usize>) -> (usize, usize) {
+/// Index and value of the first maximum; zeros without counts.
+fn first_max(counts: impl Iterator<Item = usize>) -> (usize, usize) {
     let mut best = (0, 0);
     for (index, count) in counts.enumerate() {
         if count > best.1 {
@@ -240,7 +228,7 @@ mod tests {
     const FORCES: [f64; 2] = [20.0, 40.0];
 
     /// Two objects of three grasps; settings (0.2, 20), (0.2, 40), (0.4, 20), (0.4, 40).
-    fn sample() -> Outcomes<'static> {
+    fn sample() -> OutcomeTable<'static> {
         let row = |text: &str| {
             text.chars()
                 .map(|c| match c {
@@ -250,7 +238,7 @@ mod tests {
                 })
                 .collect::<Vec<Option<bool>>>()
         };
-        Outcomes {
+        OutcomeTable {
             frictions: &FRICTIONS,
             forces_n: &FORCES,
             objects: vec!["a", "a", "a", "b", "b", "b"],
@@ -263,7 +251,7 @@ mod tests {
 
     /// Friction 0.2: a agrees with 1, 2 grasps; b with 3, 0. Friction 0.4: a 3, 1; b 2, 1.
     #[test]
-    fn the_paper_chooses_one_friction_and_a_force_for_each_object() {
+    fn paper_choice_is_one_friction_and_a_force_per_object() {
         let found = sample().score();
         let scores = &found.scores;
         assert_eq!(scores.friction, 0.2);
@@ -276,9 +264,9 @@ mod tests {
     }
 
     #[test]
-    fn a_grasp_has_no_say_in_its_own_setting() {
+    fn leave_one_out_ignores_the_scored_grasp() {
         let mut outcomes = sample();
-        // Without the grasp of a, both frictions are as good, and the first is the wrong one for it.
+        // Without the grasp of a, both frictions tie, and the first one disagrees with it.
         outcomes.objects = vec!["a", "b", "b"];
         outcomes.real = vec![true, false, false];
         let keep = [0, 4, 5];
@@ -289,7 +277,7 @@ mod tests {
     }
 
     #[test]
-    fn cases_without_outcome_are_not_counted_but_told() {
+    fn cases_without_outcome_are_counted_separately() {
         let found = sample().score();
         let cell = found.scores.cells.last().unwrap();
         assert_eq!(cell.object, "b");
@@ -307,11 +295,11 @@ mod tests {
     }
 
     #[test]
-    fn one_setting_is_shared_and_chosen_without_the_object() {
+    fn leave_object_out_ignores_the_scored_object() {
         let found = sample().score();
         // (0.4, 20) agrees with 3 of a and 2 of b.
         assert_eq!(
-            found.scores.one,
+            found.scores.best_setting,
             Setting {
                 friction: 0.4,
                 force_n: 20.0

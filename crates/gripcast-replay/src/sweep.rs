@@ -1,66 +1,65 @@
-//! Runs cases, one on each core, and keeps what is finished.
+//! Runs cases in parallel and stores their results.
 
 use super::case::{Case, CaseRecord, CaseStore};
 use gripcast_base::error::{Error, Result};
 use gripcast_base::workers::one_per_core;
 
-/// How far a sweep is.
+/// Progress of a sweep.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct SweepProgress {
-    /// Cases with a result.
+    /// Number of cases with a result.
     pub done: usize,
-    /// Of those, simulated by this sweep.
+    /// Number of cases that this sweep simulated.
     pub simulated: usize,
-    /// All cases.
-    pub all: usize,
+    /// Number of cases.
+    pub total: usize,
 }
 
 /// Results of a sweep in the order of its cases.
 #[derive(Clone, Debug)]
-pub struct Swept {
-    /// A result for each case.
+pub struct SweepResult {
+    /// Result of each case.
     pub records: Vec<CaseRecord>,
-    /// Cases that were simulated and not found finished.
+    /// Number of cases that were simulated.
     pub simulated: usize,
 }
 
-/// Runs all cases that are not finished yet, `jobs` at a time, each in one thread.
-///
-/// Every finished case is a file at once: a sweep that is cut off goes on where it was.
+/// Runs all unfinished cases, `jobs` in parallel, each in one thread. Every result is stored as soon as
+/// it is finished, so an interrupted sweep can be resumed.
 ///
 /// # Errors
-/// Those of storing a result. A case without outcome is no error.
+/// Errors of storing a result. A case without an outcome is not an error.
 pub fn sweep(
     cases: &[Case<'_>],
     store: &CaseStore,
     jobs: usize,
-    progress: &(dyn Fn(SweepProgress) + Sync),
-) -> Result<Swept> {
+    on_progress: &(dyn Fn(SweepProgress) + Sync),
+) -> Result<SweepResult> {
     let mut records = cases
         .iter()
-        .map(|case| store.find(case))
+        .map(|case| store.load(case))
         .collect::<Result<Vec<Option<CaseRecord>>>>()?;
     let open: Vec<usize> = (0..cases.len()).filter(|i| records[*i].is_none()).collect();
-    let found = cases.len() - open.len();
-    let told = |simulated| {
-        progress(SweepProgress {
-            done: found + simulated,
+    let finished = cases.len() - open.len();
+    let report = |simulated| {
+        on_progress(SweepProgress {
+            done: finished + simulated,
             simulated,
-            all: cases.len(),
+            total: cases.len(),
         });
     };
-    told(0);
+    report(0);
     let run = |index: &usize| {
         let case = &cases[*index];
         let (record, trace) = case.simulate()?;
-        store.keep(case, &record, trace).map(|()| record)
+        store.save(case, &record, trace).map(|()| record)
     };
-    let new = one_per_core(jobs, &open, &run, &told)?;
+    let new = one_per_core(jobs, &open, &run, &report)?;
     let simulated = new.len();
     for (index, record) in open.into_iter().zip(new) {
         records[index] = Some(record);
     }
     let all: Option<Vec<CaseRecord>> = records.into_iter().collect();
     let records = all.ok_or_else(|| Error::internal("a simulation ended early"))?;
-    Ok(Swept { records, simulated })
+    Ok(SweepResult { records, simulated })
 }

@@ -1,4 +1,4 @@
-//! Real and simulated tactile images of the same grasp, side by side.
+//! Compares real and simulated tactile images of a grasp.
 
 use image::{Rgb, RgbImage, imageops};
 
@@ -11,25 +11,25 @@ use gripcast_dataset::{Dataset, Stage};
 use gripcast_imaging::{CropProfile, Decoder, Role, TactileDifference};
 use gripcast_report::image::data_uri;
 use gripcast_sim::grasp::{Finger, Snapshot};
-use gripcast_tactile::{SceneRenderer, SensorMount, SimulatedGel, TactileScene};
+use gripcast_tactile::{SceneRenderer, SensorPlace, SimulatedGel, TactileScene};
 
-/// Columns and rows of the images that are compared.
+/// Width and height of the compared images, px.
 const COMPARED: [u32; 2] = [320, 240];
-/// Columns and rows of the images that are shown.
+/// Width and height of the shown images, px.
 const SHOWN: [u32; 2] = [160, 120];
-/// Grey levels shown for each level of difference.
+/// Amplification of the shown difference.
 const GAIN: f32 = 1.5;
-/// Changes below this, smoothed, are no contact: noise of a sensor stays below, grey levels.
+/// Minimum smoothed change in contact, grey levels; sensor noise is below.
 const CONTACT_LEVELS: f32 = 8.0;
-/// Half width of the smoothing before the contact mask, pixels.
+/// Half width of the smoothing filter of the contact mask, px.
 const SMOOTH_PX: usize = 3;
-/// The patch reaches this far beyond both masks, pixels.
+/// Margin of the evaluated patch around both masks, px.
 const PATCH_PX: usize = 10;
 
-/// The pairs of both sensors. `snapshot` is the end of the simulated adjustment.
+/// Compares the images of both sensors. `snapshot` is the end of the simulated adjustment.
 ///
 /// # Errors
-/// `NotFound` or `Input` where a stored frame is missing or damaged; those of rendering.
+/// `NotFound` or `Input` if a stored frame is missing or damaged; errors of rendering.
 pub(super) fn tactile_pairs(
     dataset: &Dataset,
     grasp: &RecordedGrasp,
@@ -44,17 +44,17 @@ pub(super) fn tactile_pairs(
         .into_iter()
         .map(|(role, finger)| {
             let real = recorded(dataset, grasp, role, &mut decoder)?;
-            let place = SensorMount::on(finger);
-            let scene = TactileScene::from_snapshot(&object.mesh, gel, snapshot, place)?;
+            let sensor = SensorPlace::on(finger);
+            let scene = TactileScene::of_snapshot(&object.mesh, gel, snapshot, sensor)?;
             let untouched = renderer.render(&scene.untouched(), None)?;
             let touched = renderer.render(&scene, None)?;
-            let sim = Change::between(&compared(&untouched), &compared(&touched))?;
+            let sim = Change::between(&resized(&untouched), &resized(&touched))?;
             pair(role, &real, &sim)
         })
         .collect()
 }
 
-/// The difference of the stored frames of a sensor.
+/// Reads the change between the stored frames of a sensor.
 fn recorded(
     dataset: &Dataset,
     grasp: &RecordedGrasp,
@@ -75,7 +75,7 @@ fn recorded(
     Change::between(&initial, &read(Stage::Grasp)?)
 }
 
-fn compared(image: &RgbImage) -> RgbImage {
+fn resized(image: &RgbImage) -> RgbImage {
     let [width, height] = COMPARED;
     if image.dimensions() == (width, height) {
         return image.clone();
@@ -83,14 +83,14 @@ fn compared(image: &RgbImage) -> RgbImage {
     imageops::resize(image, width, height, imageops::FilterType::Triangle)
 }
 
-/// Change of an image from before to after the contact, grey levels, R, G, B of each pixel.
+/// Change of an image by the contact: grey levels, RGB per pixel.
 struct Change {
     levels: Vec<f32>,
 }
 
 impl Change {
-    /// The difference less its median in each channel: exposure and white balance drift between
-    /// frames, and most of a sensor touches nothing.
+    /// Difference of two images, minus the median of each channel: exposure and white balance drift
+    /// between frames, and most pixels are not in contact.
     fn between(initial: &RgbImage, grasp: &RgbImage) -> Result<Self> {
         let difference = TactileDifference::between(initial, grasp)?;
         let mut levels: Vec<f32> = difference.levels().iter().map(|l| f32::from(*l)).collect();
@@ -103,7 +103,7 @@ impl Change {
         Ok(Self { levels })
     }
 
-    /// Where the sensor is touched.
+    /// Contact mask.
     fn mask(&self) -> Vec<bool> {
         let strength: Vec<f32> = self
             .levels
@@ -111,14 +111,14 @@ impl Change {
             .map(|pixel| {
                 pixel
                     .iter()
-                    .fold(0.0, |most: f32, level| most.max(level.abs()))
+                    .fold(0.0, |max: f32, level| max.max(level.abs()))
             })
             .collect();
         let smooth = box_mean(&strength, SMOOTH_PX);
         smooth.iter().map(|level| *level > CONTACT_LEVELS).collect()
     }
 
-    /// 128 is no change.
+    /// Renders the change; 128 is no change.
     fn image(&self) -> RgbImage {
         let [width, height] = COMPARED;
         let mut image = RgbImage::new(width, height);
@@ -131,7 +131,7 @@ impl Change {
 }
 
 fn pair(role: Role, real: &Change, sim: &Change) -> Result<TactilePair> {
-    let apart = Change {
+    let difference = Change {
         levels: real
             .levels
             .iter()
@@ -144,15 +144,15 @@ fn pair(role: Role, real: &Change, sim: &Change) -> Result<TactilePair> {
         let image = imageops::thumbnail(&change.image(), width, height);
         data_uri(&image)
     };
-    let (touched, simulated) = (real.mask(), sim.mask());
-    let both = touched
+    let (real_mask, sim_mask) = (real.mask(), sim.mask());
+    let both = real_mask
         .iter()
-        .zip(&simulated)
+        .zip(&sim_mask)
         .filter(|(r, s)| **r && **s)
         .count();
-    let either: Vec<f32> = touched
+    let either: Vec<f32> = real_mask
         .iter()
-        .zip(&simulated)
+        .zip(&sim_mask)
         .map(|(r, s)| f32::from(u8::from(*r || *s)))
         .collect();
     let union = either.iter().filter(|either| **either > 0.0).count();
@@ -166,31 +166,31 @@ fn pair(role: Role, real: &Change, sim: &Change) -> Result<TactilePair> {
             .collect()
     };
     let square = |levels: &[f64]| levels.iter().map(|level| level * level).sum::<f64>();
-    let (error, signal) = (in_patch(&apart.levels), in_patch(&real.levels));
+    let (error, signal) = (in_patch(&difference.levels), in_patch(&real.levels));
     let count = error.len() as f64;
-    let any = union > 0;
+    let has_contact = union > 0;
     Ok(TactilePair {
         sensor: role.name().to_owned(),
         images: ImagePair {
             real: shown(real)?,
             sim: shown(sim)?,
         },
-        difference: shown(&apart)?,
-        contact_iou: any.then(|| both as f64 / union as f64),
-        // Without contact in reality there is nothing to explain.
-        fve: touched
+        difference: shown(&difference)?,
+        contact_iou: has_contact.then(|| both as f64 / union as f64),
+        // Without real contact there is no variance to explain.
+        fve: real_mask
             .contains(&true)
             .then(|| 1.0 - square(&error) / square(&signal)),
         psnr_db: (square(&error) > 0.0)
             .then(|| 10.0 * (255.0 * 255.0 * count / square(&error)).log10()),
-        l1: any.then(|| error.iter().map(|level| level.abs()).sum::<f64>() / count),
+        l1: has_contact.then(|| error.iter().map(|level| level.abs()).sum::<f64>() / count),
     })
 }
 
-/// Means over squares of `2 half + 1` pixels, cut at the border.
+/// Box filter over squares of `2 half + 1` px, clipped at the border.
 fn box_mean(values: &[f32], half: usize) -> Vec<f32> {
     let [width, height] = COMPARED.map(|side| side as usize);
-    // Sums over everything above and to the left.
+    // Summed-area table.
     let mut sums = vec![0.0f64; (width + 1) * (height + 1)];
     for y in 0..height {
         let mut row = 0.0;
@@ -206,7 +206,7 @@ fn box_mean(values: &[f32], half: usize) -> Vec<f32> {
         for x in 0..width {
             let (left, right) = (x.saturating_sub(half), (x + half + 1).min(width));
             let sum = at(right, bottom) - at(left, bottom) - at(right, top) + at(left, top);
-            // Differences of sums leave rounding behind where all is zero.
+            // Differences of sums leave rounding errors where all values are zero.
             let mean = sum / ((right - left) * (bottom - top)) as f64;
             out.push(if mean < 1e-9 { 0.0 } else { mean as f32 });
         }
@@ -235,7 +235,7 @@ mod tests {
     }
 
     #[test]
-    fn the_same_contact_agrees_wholly() {
+    fn identical_contacts_agree() {
         let touched = disc([160.0, 120.0], 40.0, 150);
         let found = scored(&touched, &touched);
         assert_eq!(found.contact_iou, Some(1.0));
@@ -247,7 +247,7 @@ mod tests {
     }
 
     #[test]
-    fn a_shifted_contact_overlaps_in_part() {
+    fn shifted_contact_overlaps_partially() {
         let real = disc([150.0, 120.0], 40.0, 150);
         let sim = disc([190.0, 120.0], 40.0, 150);
         let found = scored(&real, &sim);
@@ -258,14 +258,14 @@ mod tests {
     }
 
     #[test]
-    fn without_contact_there_is_nothing_to_score() {
+    fn images_without_contact_have_no_scores() {
         let brighter = disc([0.0; 2], 0.0, 100);
         let found = scored(&brighter, &brighter);
         assert_eq!((found.contact_iou, found.fve, found.l1), (None, None, None));
     }
 
     #[test]
-    fn drift_of_the_exposure_is_no_contact() {
+    fn exposure_drift_is_not_contact() {
         let mut drifted = disc([160.0, 120.0], 40.0, 150);
         drifted.iter_mut().for_each(|level| *level += 9);
         let found = scored(&drifted, &disc([160.0, 120.0], 40.0, 150));

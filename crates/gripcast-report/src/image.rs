@@ -1,4 +1,4 @@
-//! Images of a page: data URIs, checked before they get into it.
+//! Images in pages: validated data URIs.
 
 use base64::Engine as _;
 use base64::engine::general_purpose::STANDARD;
@@ -11,7 +11,7 @@ use gripcast_imaging::encode_jpeg;
 /// JPEG quality of the images in a page.
 const QUALITY: u8 = 80;
 
-/// An image as `data:image/jpeg;base64,…`.
+/// Encodes an image as `data:image/jpeg;base64,…`.
 ///
 /// # Errors
 /// `Input` for an empty image.
@@ -20,15 +20,15 @@ pub fn data_uri(image: &RgbImage) -> Result<String> {
     Ok(format!("data:image/jpeg;base64,{}", STANDARD.encode(bytes)))
 }
 
-/// The image, with an id for [`again`]; a placeholder where it is none.
+/// Renders an image with an id for [`repeat_image`]; a placeholder if the URI is invalid.
 pub fn image(uri: &str, id: &str, alt: &str) -> Markup {
     frame(uri, alt, |[width, height]| {
         html! { image id=(id) width=(width) height=(height) href=(uri) {} }
     })
 }
 
-/// An image of another place of the page a second time, without its bytes.
-pub fn again(uri: &str, id: &str, alt: &str) -> Markup {
+/// Renders an image of the same page a second time, without its bytes.
+pub fn repeat_image(uri: &str, id: &str, alt: &str) -> Markup {
     frame(uri, alt, |_| html! { use href={ "#" (id) } {} })
 }
 
@@ -44,7 +44,7 @@ fn frame(uri: &str, alt: &str, content: impl Fn([u32; 2]) -> Markup) -> Markup {
     }
 }
 
-/// Width and height, px, of a JPEG or PNG data URI; none where it is something else.
+/// Width and height, px, of a JPEG or PNG data URI; none for anything else.
 fn size(uri: &str) -> Option<[u32; 2]> {
     let (kind, body) = uri.strip_prefix("data:image/")?.split_once(";base64,")?;
     let bytes = STANDARD.decode(body).ok()?;
@@ -64,7 +64,7 @@ fn png_size(bytes: &[u8]) -> Option<[u32; 2]> {
     Some([number(8)?, number(12)?])
 }
 
-/// From the start-of-frame segment (ITU T.81, B.2.2).
+/// Reads the start-of-frame segment (ITU T.81, B.2.2).
 fn jpeg_size(bytes: &[u8]) -> Option<[u32; 2]> {
     let mut at = bytes.strip_prefix(b"\xff\xd8").map(|_| 2)?;
     let number = |at: usize| -> Option<usize> {
@@ -95,7 +95,7 @@ mod tests {
     }
 
     #[test]
-    fn the_size_is_read_from_the_frame() {
+    fn size_is_read_from_the_header() {
         let head = [
             0xff, 0xd8, 0xff, 0xe0, 0, 4, 9, 9, 0xff, 0xff, 0xc0, 0, 11, 8, 0, 120, 0, 160, 1,
         ];
@@ -108,7 +108,7 @@ mod tests {
     }
 
     #[test]
-    fn anything_else_is_no_image() {
+    fn invalid_uris_render_a_placeholder() {
         for uri in [
             "",
             "https://example.org/a.jpg",

@@ -1,8 +1,8 @@
-//! What reports and figures fraction: the page with its parts ([`page`]), charts ([`chart`]), images
-//! and the text of numbers.
+//! Shared parts of reports and figures: pages ([`page`]), charts ([`chart`]), images ([`image`]) and
+//! number formatting.
 //!
-//! A page is one file: no network, inline CSS and SVG, readable without a script. Every string is
-//! escaped by the [`maud`] templates; images are data URIs that [`image`] has checked.
+//! A page is a single file: no network access, inline CSS and SVG, readable without a script. Strings
+//! are escaped by the [`maud`] templates; images are validated data URIs.
 
 pub mod chart;
 pub mod image;
@@ -11,5 +11,5 @@ pub mod polyline;
 mod text;
 
 pub use text::{
-    MISSING, duration, engine_name, fixed, label_name, optional, outcome_name, trimmed,
+    MISSING, duration, engine_name, fixed, optional, outcome_label, outcome_name, trimmed,
 };

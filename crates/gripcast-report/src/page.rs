@@ -10,26 +10,26 @@ use crate::text::printable;
 
 const STYLE: &str = include_str!("page.css");
 
-/// A page before it is written.
+/// Contents of a page.
 pub struct Page<'a> {
-    /// Program and version that made it.
+    /// Program and version that created it.
     pub software: &'a str,
-    /// Title of the window.
+    /// Document title.
     pub title: &'a str,
-    /// Rules besides those of every page.
+    /// CSS rules in addition to those of every page.
     pub style: &'a str,
     /// The only script that the page may run.
     pub script: Option<&'a str>,
-    /// Ids and names of the sections.
+    /// Ids and names of the sections, for the navigation bar.
     pub sections: &'a [(&'a str, &'a str)],
-    /// A warning in the bar and on every printed sheet.
+    /// A warning in the navigation bar and on every printed page.
     pub flag: Option<&'a str>,
     /// The sections.
     pub main: Markup,
 }
 
 impl Page<'_> {
-    /// The file: the same page gives the same bytes.
+    /// Renders the page as a file: equal pages give identical bytes.
     pub fn to_html(&self) -> String {
         let script_source = self.script.map_or(String::new(), |script| {
             let hash = STANDARD.encode(Sha256::digest(script));
@@ -64,7 +64,7 @@ impl Page<'_> {
         printable(page.into_string())
     }
 
-    /// Links to the sections and the colour scheme, which needs no script.
+    /// Links to the sections, and the colour scheme switch, which works without a script.
     fn bar(&self) -> Markup {
         html! {
             header.bar {
@@ -91,7 +91,7 @@ impl Page<'_> {
     }
 }
 
-/// A section with its heading.
+/// Renders a section with its heading.
 pub fn section(id: &str, title: &str, body: impl Render) -> Markup {
     html! {
         section id=(id) {
@@ -101,17 +101,17 @@ pub fn section(id: &str, title: &str, body: impl Render) -> Markup {
     }
 }
 
-/// What a reader must know before the rest.
+/// Renders a warning.
 pub fn warning(text: impl Render) -> Markup {
     html! { p.warning { (text) } }
 }
 
-/// In place of a part that has no content.
-pub fn nothing(text: impl Render) -> Markup {
+/// Renders a placeholder for missing content.
+pub fn placeholder(text: impl Render) -> Markup {
     html! { p.nothing { (text) } }
 }
 
-/// Terms and what is said of them.
+/// Renders a list of terms and their definitions.
 pub fn definitions(class: &str, items: &[(&str, &dyn Render)]) -> Markup {
     html! {
         dl class=(class) {
@@ -125,11 +125,11 @@ pub fn definitions(class: &str, items: &[(&str, &dyn Render)]) -> Markup {
     }
 }
 
-/// A bar of several parts, each with its class and its fraction of the width.
-pub fn stack<'a>(parts: impl IntoIterator<Item = (&'a str, f64)>) -> Markup {
+/// Renders a bar of several segments, each with its CSS class and its fraction of the width.
+pub fn stacked_bar<'a>(segments: impl IntoIterator<Item = (&'a str, f64)>) -> Markup {
     html! {
         div.stack aria-hidden="true" {
-            @for (class, fraction) in parts {
+            @for (class, fraction) in segments {
                 @if fraction > 0.0 {
                     i class=(class) style={ "width:" (format!("{:.2}", 100.0 * fraction)) "%" } {}
                 }
@@ -138,10 +138,10 @@ pub fn stack<'a>(parts: impl IntoIterator<Item = (&'a str, f64)>) -> Markup {
     }
 }
 
-/// A card of a grasp: its images, the largest first, and what is said of it.
-pub fn grasp_card(held: bool, images: impl Render, text: impl Render) -> Markup {
+/// Renders a card of a grasp: its images, the largest first, and a text.
+pub fn grasp_card(stable: bool, images: impl Render, text: impl Render) -> Markup {
     html! {
-        li class=(if held { "of-held" } else { "of-lost" }) {
+        li class=(if stable { "of-stable" } else { "of-slip" }) {
             div.views { (images) }
             (text)
         }
@@ -160,7 +160,7 @@ impl Column {
     }
 }
 
-/// A column of words.
+/// Returns a column of text.
 pub fn text(title: impl Render) -> Column {
     Column {
         title: title.render(),
@@ -168,7 +168,7 @@ pub fn text(title: impl Render) -> Column {
     }
 }
 
-/// A column of numbers, aligned to the right.
+/// Returns a column of numbers, aligned to the right.
 pub fn number(title: impl Render) -> Column {
     Column {
         title: title.render(),
@@ -176,7 +176,7 @@ pub fn number(title: impl Render) -> Column {
     }
 }
 
-/// A table in a frame that scrolls where it is too wide; the frame can be reached by keyboard.
+/// A table in a frame that scrolls if it is too wide and can be focused by keyboard.
 pub struct Table {
     label: String,
     class: &'static str,
@@ -192,7 +192,7 @@ struct Group {
 }
 
 impl Table {
-    /// A table without rows; `label` names it to screen readers.
+    /// Creates a table without rows; `label` is its name for screen readers.
     pub fn new(label: &str, columns: impl IntoIterator<Item = Column>) -> Self {
         Self {
             label: label.to_owned(),
@@ -204,21 +204,21 @@ impl Table {
         }
     }
 
-    /// With other classes than `data`.
+    /// Replaces the CSS class `data`.
     #[must_use]
     pub fn class(mut self, class: &'static str) -> Self {
         self.class = class;
         self
     }
 
-    /// With a visible caption.
+    /// Adds a visible caption.
     #[must_use]
     pub fn caption(mut self, caption: impl Render) -> Self {
         self.caption = Some(caption.render());
         self
     }
 
-    /// Begins rows under a title of their own.
+    /// Starts a group of rows with a title.
     pub fn group(&mut self, title: impl Render) {
         self.groups.push(Group {
             title: Some(title.render()),
@@ -226,8 +226,8 @@ impl Table {
         });
     }
 
-    /// Appends a row; its first cell is its heading.
-    pub fn row<'a>(&mut self, cells: impl IntoIterator<Item = &'a dyn Render>) {
+    /// Appends a row; its first cell is the row heading.
+    pub fn row<R: Render>(&mut self, cells: impl IntoIterator<Item = R>) {
         let row = self.cells(cells);
         match self.groups.last_mut() {
             Some(group) => group.rows.push(row),
@@ -238,12 +238,12 @@ impl Table {
         }
     }
 
-    /// Sets the last row, which sums up the others.
-    pub fn total<'a>(&mut self, cells: impl IntoIterator<Item = &'a dyn Render>) {
+    /// Sets the footer row, which sums up the others.
+    pub fn total<R: Render>(&mut self, cells: impl IntoIterator<Item = R>) {
         self.foot = Some(self.cells(cells));
     }
 
-    fn cells<'a>(&self, cells: impl IntoIterator<Item = &'a dyn Render>) -> Markup {
+    fn cells<R: Render>(&self, cells: impl IntoIterator<Item = R>) -> Markup {
         html! {
             tr {
                 @for (i, (cell, column)) in cells.into_iter().zip(&self.columns).enumerate() {
@@ -313,7 +313,7 @@ mod tests {
     }
 
     #[test]
-    fn no_string_breaks_out() {
+    fn strings_are_escaped_everywhere() {
         let mut table = Table::new(HOSTILE, [text(HOSTILE), number(HOSTILE)]).caption(HOSTILE);
         table.group(HOSTILE);
         table.row([&HOSTILE as &dyn Render, &HOSTILE]);
@@ -322,7 +322,7 @@ mod tests {
             (section(HOSTILE, HOSTILE, &table))
             (definitions("facts", &[(HOSTILE, &HOSTILE)]))
             (warning(HOSTILE))
-            (nothing(HOSTILE))
+            (placeholder(HOSTILE))
         };
         let page = page(main, None);
         assert_eq!(page.matches(SAFE).count(), 5 + 2 + 9 + 4);
@@ -330,7 +330,7 @@ mod tests {
     }
 
     #[test]
-    fn the_policy_allows_the_one_script_by_its_hash() {
+    fn content_policy_allows_only_the_hashed_script() {
         let with = page(html! {}, Some("alert(1 < 2)"));
         let hash = STANDARD.encode(Sha256::digest("alert(1 < 2)"));
         assert!(
@@ -343,7 +343,7 @@ mod tests {
     }
 
     #[test]
-    fn tables_have_groups_totals_and_aligned_numbers() {
+    fn table_has_total_and_aligned_numbers() {
         let mut table = Table::new("T", [text("name"), number("n")]);
         table.row([&"a" as &dyn Render, &1]);
         table.total([&"all" as &dyn Render, &3]);
@@ -359,11 +359,12 @@ mod tests {
     }
 
     #[test]
-    fn stacks_leave_out_what_is_empty() {
-        let drawn = stack([("held", 1.0 / 3.0), ("lost", 0.0), ("part", f64::NAN)]).into_string();
+    fn stacked_bar_omits_empty_segments() {
+        let drawn =
+            stacked_bar([("stable", 1.0 / 3.0), ("slip", 0.0), ("other", f64::NAN)]).into_string();
         assert_eq!(drawn.matches("<i ").count(), 1);
         assert!(
-            drawn.contains("class=\"held\" style=\"width:33.33%\""),
+            drawn.contains("class=\"stable\" style=\"width:33.33%\""),
             "{drawn}"
         );
     }

@@ -1,9 +1,9 @@
-//! Lines of a diagram with as few points as can be seen.
+//! Line simplification.
 
 use std::cmp::Ordering;
 use std::collections::BinaryHeap;
 
-/// Part of a curve between two points that stay, and its point farthest from their line.
+/// Part of a curve between two kept points, with the point farthest from their line.
 struct Span {
     first: usize,
     last: usize,
@@ -32,32 +32,32 @@ impl PartialEq for Span {
 
 impl Eq for Span {}
 
-/// Numbers of the points that matter most to the shape of a line, at most `limit`: Douglas & Peucker
-/// (1973), always splitting where the deviation is greatest. Points within `tolerance` of the line
-/// through those that stay are left out; both ends stay.
-pub fn thinned(places: &[[f64; 2]], tolerance: f64, limit: usize) -> Vec<usize> {
-    if places.len() < 3 {
-        return (0..places.len()).collect();
+/// Simplifies a line to at most `limit` points and returns their indices (Douglas & Peucker 1973,
+/// always splitting at the largest deviation). Points within `tolerance` of the simplified line are
+/// dropped; both ends stay.
+pub fn simplify(points: &[[f64; 2]], tolerance: f64, limit: usize) -> Vec<usize> {
+    if points.len() < 3 {
+        return (0..points.len()).collect();
     }
-    let mut kept = vec![0, places.len() - 1];
-    let mut spans = BinaryHeap::from_iter(span(places, tolerance, 0, places.len() - 1));
+    let mut kept = vec![0, points.len() - 1];
+    let mut spans = BinaryHeap::from_iter(span(points, tolerance, 0, points.len() - 1));
     while kept.len() < limit
         && let Some(widest) = spans.pop()
     {
         kept.push(widest.farthest);
-        spans.extend(span(places, tolerance, widest.first, widest.farthest));
-        spans.extend(span(places, tolerance, widest.farthest, widest.last));
+        spans.extend(span(points, tolerance, widest.first, widest.farthest));
+        spans.extend(span(points, tolerance, widest.farthest, widest.last));
     }
     kept.sort_unstable();
     kept
 }
 
-/// None where the straight line is good enough.
-fn span(places: &[[f64; 2]], tolerance: f64, first: usize, last: usize) -> Option<Span> {
-    let (&from, &to) = (places.get(first)?, places.get(last)?);
-    let inner = places.get(first + 1..last)?.iter().enumerate();
+/// Returns none if the straight line is good enough.
+fn span(points: &[[f64; 2]], tolerance: f64, first: usize, last: usize) -> Option<Span> {
+    let (&from, &to) = (points.get(first)?, points.get(last)?);
+    let inner = points.get(first + 1..last)?.iter().enumerate();
     let (offset, deviation) = inner
-        .map(|(offset, &place)| (offset, distance(place, from, to)))
+        .map(|(offset, &point)| (offset, distance(point, from, to)))
         .max_by(|a, b| a.1.total_cmp(&b.1))?;
     (deviation > tolerance).then_some(Span {
         first,
@@ -85,18 +85,18 @@ mod tests {
     use super::*;
 
     #[test]
-    fn points_on_a_line_are_left_out_and_corners_stay() {
+    fn collinear_points_are_dropped_and_corners_stay() {
         let corner: Vec<[f64; 2]> = (0..=10)
             .map(|i| [f64::from(i), f64::from(i.min(5))])
             .collect();
-        assert_eq!(thinned(&corner, 1e-9, 512), [0, 5, 10]);
+        assert_eq!(simplify(&corner, 1e-9, 512), [0, 5, 10]);
         for few in [&corner[..0], &corner[..1], &corner[..2]] {
-            assert_eq!(thinned(few, 1e-9, 512).len(), few.len());
+            assert_eq!(simplify(few, 1e-9, 512).len(), few.len());
         }
     }
 
     #[test]
-    fn the_greatest_deviations_survive_a_small_limit() {
+    fn largest_deviations_survive_a_small_limit() {
         let points = [
             [0.0, 0.0],
             [1.0, 0.1],
@@ -106,7 +106,7 @@ mod tests {
             [5.0, 0.3],
             [6.0, 0.0],
         ];
-        assert_eq!(thinned(&points, 1e-9, 4), [0, 2, 3, 6]);
-        assert_eq!(thinned(&points, 0.5, usize::MAX), [0, 2, 3, 4, 6]);
+        assert_eq!(simplify(&points, 1e-9, 4), [0, 2, 3, 6]);
+        assert_eq!(simplify(&points, 0.5, usize::MAX), [0, 2, 3, 4, 6]);
     }
 }

@@ -1,10 +1,10 @@
-//! Words and numbers of pages.
+//! Formatting of numbers and names.
 
-/// What stands where a number is missing.
+/// Placeholder for a missing number.
 pub const MISSING: &str = "–";
 
-/// The text with a space in place of every character that no reader sees: control characters, and
-/// those that reorder the text around them.
+/// Replaces invisible characters by spaces: control characters, and bidirectional controls that
+/// reorder the text around them.
 pub(crate) fn printable(text: String) -> String {
     let is_hidden = |c: char| (c.is_control() && c != '\n') || is_bidi_control(c);
     if text.contains(is_hidden) {
@@ -18,7 +18,7 @@ fn is_bidi_control(c: char) -> bool {
     matches!(c, '\u{200e}' | '\u{200f}' | '\u{202a}'..='\u{202e}' | '\u{2066}'..='\u{2069}')
 }
 
-/// `value` with `digits` decimals and a true minus sign; [`MISSING`] where it is no number.
+/// Formats `value` with `digits` decimals and a minus sign (U+2212); [`MISSING`] if it is not finite.
 pub fn fixed(value: f64, digits: usize) -> String {
     if !value.is_finite() {
         return MISSING.to_owned();
@@ -32,12 +32,12 @@ pub fn fixed(value: f64, digits: usize) -> String {
     }
 }
 
-/// [`fixed`], or [`MISSING`].
+/// Formats as [`fixed`], or as [`MISSING`].
 pub fn optional(value: Option<f64>, digits: usize) -> String {
     value.map_or_else(|| MISSING.to_owned(), |value| fixed(value, digits))
 }
 
-/// At most `digits` decimals, without zeros at the end.
+/// Formats with at most `digits` decimals, without trailing zeros.
 pub fn trimmed(value: f64, digits: usize) -> String {
     let text = fixed(value, digits);
     if text.contains('.') {
@@ -47,7 +47,7 @@ pub fn trimmed(value: f64, digits: usize) -> String {
     }
 }
 
-/// A time span in the units that people use.
+/// Formats a duration in suitable units.
 pub fn duration(seconds: f64) -> String {
     if !seconds.is_finite() || seconds < 0.0 {
         return MISSING.to_owned();
@@ -67,7 +67,7 @@ pub fn duration(seconds: f64) -> String {
     }
 }
 
-/// What an engine is called.
+/// Returns the display name of an engine.
 pub fn engine_name(engine: &str) -> &str {
     match engine {
         "fem" => "Finite elements",
@@ -76,24 +76,23 @@ pub fn engine_name(engine: &str) -> &str {
     }
 }
 
-/// What an outcome is called.
+/// Returns the display name of a simulation outcome.
 pub fn outcome_name(outcome: &str) -> &str {
     match outcome {
-        "success" => "held",
-        "slip" => "slipped",
-        "eject" => "squeezed out",
-        "miss" => "missed",
-        // `closed` in older data.
-        "gels_met" | "closed" => "fingers met",
+        "success" => "stable",
+        "slip" => "slip",
+        "eject" => "ejected",
+        "miss" => "miss",
+        "closed" => "gels met",
         "penetrating_start" => "collision at start",
         "not_converged" => "not converged",
         other => other,
     }
 }
 
-/// What the outcome in the dataset is called.
-pub fn label_name(stable: bool) -> &'static str {
-    if stable { "held" } else { "lost" }
+/// Returns the display name of a label.
+pub fn outcome_label(stable: bool) -> &'static str {
+    if stable { "stable" } else { "slip" }
 }
 
 #[cfg(test)]
@@ -107,7 +106,7 @@ mod tests {
     }
 
     #[test]
-    fn numbers_have_their_digits() {
+    fn numbers_have_fixed_digits() {
         assert_eq!(fixed(-1.25, 1), "−1.2");
         assert_eq!(fixed(-0.001, 2), "0.00");
         assert_eq!(fixed(f64::NAN, 2), MISSING);
@@ -118,7 +117,7 @@ mod tests {
     }
 
     #[test]
-    fn times_are_short() {
+    fn durations_have_suitable_units() {
         let times = [0.02, 4.2, 59.6, 61.0, 4500.0, f64::NAN].map(duration);
         assert_eq!(
             times,

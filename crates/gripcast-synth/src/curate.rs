@@ -1,9 +1,9 @@
-//! Which simulations become the dataset, and in which part of it.
+//! Curation: which simulations become the dataset, and in which split.
 //!
-//! Objects (or whole categories) are dealt to the parts first, so that no part sees another's: by
-//! what is planned of them, so that two engines' datasets of the same grasps have the same objects
-//! in each part, whatever their labels. Within each part, categories are capped and the two labels
-//! balanced, as the paper does (§3.2).
+//! Objects (or whole categories) are assigned to splits first, so that no split contains another's
+//! objects. The assignment depends on the plan alone: datasets of the same grasps from two engines
+//! have the same objects in each split, whatever the labels. Within each split, categories are capped
+//! and the two labels balanced, as in the paper (§3.2).
 
 use std::collections::BTreeMap;
 
@@ -13,150 +13,152 @@ use gripcast_base::error::{Error, Result};
 use gripcast_base::random::SeedStream;
 use gripcast_dataset::shard::{Split, SplitGroup};
 
-/// What may not be in two parts.
+/// Grouping key of the split: no group is in two splits.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
-pub enum Apart {
+pub enum GroupKey {
     /// All grasps of an object stay together.
     Object,
-    /// All grasps of a category stay together: harder.
+    /// All grasps of a category stay together, which is harder.
     Category,
 }
 
-/// How a dataset is chosen from results.
+/// How a dataset is selected from results.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct CurationSettings {
-    /// What may not be in two parts.
-    pub apart: Apart,
-    /// Parts and their fractions of the simulations.
-    pub parts: Split,
-    /// Most simulations of a category, as a multiple of the mean; none for no cap.
+    /// Grouping key of the split.
+    #[serde(rename = "apart")]
+    pub group_by: GroupKey,
+    /// Splits and their fractions of the simulations.
+    #[serde(rename = "parts")]
+    pub splits: Split,
+    /// Maximum simulations of a category, as a multiple of the mean; none for no cap.
     pub category_cap: Option<f64>,
-    /// Whether each part gets as many stable simulations as lost ones at each force, so that the
-    /// force says nothing about the label.
+    /// Whether each split gets as many stable simulations as slips at each force, so that the force
+    /// does not predict the label.
     pub is_balanced: bool,
-    /// Whether the part `train` keeps all of both labels nevertheless: training can weigh them,
-    /// figures of the other parts are of balanced ones.
-    #[serde(default)]
-    pub is_training_whole: bool,
-    /// Decides what is left out.
+    /// Whether the split `train` keeps all of both labels nevertheless, since training can weight
+    /// them; the other splits are still balanced.
+    #[serde(default, rename = "is_training_whole")]
+    pub keep_all_training: bool,
+    /// Seed that decides which simulations are left out.
     pub seed: u64,
 }
 
-/// Part that [`CurationSettings::is_training_whole`] is about.
+/// The split of [`CurationSettings::keep_all_training`].
 const TRAIN: &str = "train";
 
 impl Default for CurationSettings {
-    /// 80 % to train, 10 % each to validate and test, no object in two; no category with more
-    /// than twice the mean.
+    /// 80 % train, 10 % validation, 10 % test; grouped by object; at most twice the mean of
+    /// simulations per category.
     fn default() -> Self {
         Self {
-            apart: Apart::Object,
-            parts: Split::usual(),
+            group_by: GroupKey::Object,
+            splits: Split::usual(),
             category_cap: Some(2.0),
             is_balanced: true,
-            is_training_whole: false,
+            keep_all_training: false,
             seed: 0,
         }
     }
 }
 
-/// An object of a plan.
+/// Category and size of one object of a plan.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct PlannedObject {
-    /// Its category.
+pub struct ObjectSummary {
+    /// Category.
     pub category: String,
-    /// Its simulations, with a label or without.
+    /// Number of planned simulations, with a label or without.
     pub simulations: usize,
 }
 
-/// A simulation that could be in the dataset.
+/// A simulation that may be in the dataset.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Labelled {
-    /// Its id.
+pub struct LabelledSimulation {
+    /// Id.
     pub id: String,
-    /// Its object.
+    /// Name of the object.
     pub object: String,
-    /// The object's category.
+    /// Category of the object.
     pub category: String,
     /// Stopping force, N.
     pub stop_force_n: f64,
-    /// Whether it held.
+    /// Label: stable or slip.
     pub stable: bool,
 }
 
-/// Why a simulation is not in the dataset.
+/// Why a labelled simulation is not in the dataset.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum LeftOut {
-    /// Its category has enough.
+    /// Its category reached the cap.
     CategoryCap,
-    /// Its label has enough.
+    /// Its label is the more frequent one.
     Balance,
 }
 
-/// What becomes of the simulations.
+/// Result of a curation.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Curation {
-    /// The part of each simulation that is in the dataset, by id.
-    pub part: BTreeMap<String, String>,
-    /// The others.
+    /// Split of each simulation that is in the dataset, by id.
+    pub split_of: BTreeMap<String, String>,
+    /// Reason for each of the others, by id.
     pub left_out: BTreeMap<String, LeftOut>,
 }
 
-/// Chooses the dataset from the labelled simulations of the `planned` objects, by their names. The
-/// result does not depend on the order of the simulations.
+/// Selects a dataset from the labelled simulations of the `planned` objects. The result does not
+/// depend on the order of the simulations.
 ///
 /// # Errors
-/// `Input` where no simulation is left.
+/// `Input` if no simulation is left.
 pub fn curate(
-    planned: &BTreeMap<String, PlannedObject>,
-    labelled: &[Labelled],
+    planned: &BTreeMap<String, ObjectSummary>,
+    labelled: &[LabelledSimulation],
     settings: &CurationSettings,
 ) -> Result<Curation> {
     let mut groups: BTreeMap<String, SplitGroup> = BTreeMap::new();
     for (name, object) in planned {
-        let (group, stratum) = match settings.apart {
-            Apart::Object => (name.clone(), object.category.clone()),
-            Apart::Category => (object.category.clone(), String::new()),
+        let (group, stratum) = match settings.group_by {
+            GroupKey::Object => (name.clone(), object.category.clone()),
+            GroupKey::Category => (object.category.clone(), String::new()),
         };
         let new = SplitGroup { stratum, size: 0 };
         groups.entry(group).or_insert(new).size += object.simulations;
     }
-    let dealt = settings.parts.deal(&groups, settings.seed);
-    let mut by_part: BTreeMap<&String, Vec<&Labelled>> = BTreeMap::new();
+    let assigned = settings.splits.deal(&groups, settings.seed);
+    let mut by_split: BTreeMap<&String, Vec<&LabelledSimulation>> = BTreeMap::new();
     for one in labelled {
-        let group = match settings.apart {
-            Apart::Object => &one.object,
-            Apart::Category => &one.category,
+        let group = match settings.group_by {
+            GroupKey::Object => &one.object,
+            GroupKey::Category => &one.category,
         };
-        if let Some(part) = dealt.get(group) {
-            by_part.entry(part).or_default().push(one);
+        if let Some(split) = assigned.get(group) {
+            by_split.entry(split).or_default().push(one);
         }
     }
     let mut curation = Curation::default();
-    for (part, mut all) in by_part {
-        // By chance, but the same for any order and for any other simulations beside them.
-        all.sort_by_key(|one| (chance(settings.seed, &one.id), &one.id));
+    for (split, mut all) in by_split {
+        // A shuffle that does not depend on the order or on the other simulations.
+        all.sort_by_key(|one| (shuffle_key(settings.seed, &one.id), &one.id));
         cap(&mut all, settings.category_cap, &mut curation.left_out);
-        if settings.is_balanced && !(settings.is_training_whole && part == TRAIN) {
+        if settings.is_balanced && !(settings.keep_all_training && split == TRAIN) {
             let mut forces: Vec<f64> = all.iter().map(|one| one.stop_force_n).collect();
             forces.sort_by(f64::total_cmp);
             forces.dedup();
             for force_n in forces {
-                let at_force = |one: &&&Labelled| one.stop_force_n == force_n;
-                let of_force = all.iter().filter(at_force).copied().collect();
-                balance(of_force, &mut curation.left_out);
+                let at_force = |one: &&&LabelledSimulation| one.stop_force_n == force_n;
+                let group = all.iter().filter(at_force).copied().collect();
+                balance(group, &mut curation.left_out);
             }
             all.retain(|one| !curation.left_out.contains_key(&one.id));
         }
-        let kept = all.iter().map(|one| (one.id.clone(), part.clone()));
-        curation.part.extend(kept);
+        let kept = all.iter().map(|one| (one.id.clone(), split.clone()));
+        curation.split_of.extend(kept);
     }
-    if curation.part.is_empty() {
+    if curation.split_of.is_empty() {
         return Err(Error::input(format!(
-            "no simulation is left of {}: {} of them held",
+            "curation leaves none of {} simulations; {} of them are stable",
             labelled.len(),
             labelled.iter().filter(|one| one.stable).count()
         ))
@@ -165,35 +167,39 @@ pub fn curate(
     Ok(curation)
 }
 
-fn chance(seed: u64, id: &str) -> u64 {
+fn shuffle_key(seed: u64, id: &str) -> u64 {
     SeedStream::named(seed, &format!("curation {id}")).bits()
 }
 
-/// Leaves out what a category has beyond `most` times the mean over categories.
-fn cap(all: &mut Vec<&Labelled>, most: Option<f64>, left_out: &mut BTreeMap<String, LeftOut>) {
-    let Some(most) = most else { return };
+/// Limits each category to `factor` times the mean over categories.
+fn cap(
+    all: &mut Vec<&LabelledSimulation>,
+    factor: Option<f64>,
+    left_out: &mut BTreeMap<String, LeftOut>,
+) {
+    let Some(factor) = factor else { return };
     let mut counts: BTreeMap<&String, usize> = BTreeMap::new();
     for one in all.iter() {
         *counts.entry(&one.category).or_default() += 1;
     }
     let mean = all.len() as f64 / counts.len().max(1) as f64;
-    let most = (most * mean).ceil() as usize;
+    let max = (factor * mean).ceil() as usize;
     let mut taken: BTreeMap<&String, usize> = BTreeMap::new();
     all.retain(|one| {
         let taken = taken.entry(&one.category).or_default();
         *taken += 1;
-        if *taken > most {
+        if *taken > max {
             left_out.insert(one.id.clone(), LeftOut::CategoryCap);
         }
-        *taken <= most
+        *taken <= max
     });
 }
 
-/// Leaves out what one label has more, first where that label is most frequent in its category.
-fn balance(all: Vec<&Labelled>, left_out: &mut BTreeMap<String, LeftOut>) {
+/// Drops the surplus of the more frequent label, first from the category with the largest surplus.
+fn balance(all: Vec<&LabelledSimulation>, left_out: &mut BTreeMap<String, LeftOut>) {
     let stable = all.iter().filter(|one| one.stable).count();
     let frequent = 2 * stable > all.len();
-    // By category: how many more of the frequent label there are, and these.
+    // By category: surplus of the frequent label, and the ids with it.
     let mut categories: BTreeMap<&String, (i64, Vec<&String>)> = BTreeMap::new();
     for one in all.iter() {
         let (excess, members) = categories.entry(&one.category).or_default();
@@ -205,12 +211,14 @@ fn balance(all: Vec<&Labelled>, left_out: &mut BTreeMap<String, LeftOut>) {
         }
     }
     for _ in 0..(2 * stable).abs_diff(all.len()) {
-        let most = categories
+        let largest = categories
             .values_mut()
             .filter(|(_, members)| !members.is_empty())
             .rev()
             .max_by_key(|(excess, _)| *excess);
-        let Some((excess, members)) = most else { break };
+        let Some((excess, members)) = largest else {
+            break;
+        };
         *excess -= 1;
         if let Some(id) = members.pop() {
             left_out.insert(id.clone(), LeftOut::Balance);
@@ -222,28 +230,28 @@ fn balance(all: Vec<&Labelled>, left_out: &mut BTreeMap<String, LeftOut>) {
 mod tests {
     use super::*;
 
-    fn labelled(count: usize) -> Vec<Labelled> {
+    fn labelled(count: usize) -> Vec<LabelledSimulation> {
         let mut draw = SeedStream::named(1, "test");
         (0..count)
             .map(|number| {
-                // Mugs are four times as frequent, and held more often.
+                // Mugs are four times as frequent, and stable more often.
                 let category = draw.pick(["mug", "mug", "mug", "mug", "box", "ring", "tool"]);
-                let held = if category == "mug" { 0.8 } else { 0.5 };
-                Labelled {
+                let probability = if category == "mug" { 0.8 } else { 0.5 };
+                LabelledSimulation {
                     id: format!("s{number:04}"),
                     object: format!("{category}-{}", draw.index(12)),
                     category: category.to_owned(),
                     stop_force_n: if number % 3 == 0 { 10.0 } else { 40.0 },
-                    stable: draw.uniform() < held,
+                    stable: draw.uniform() < probability,
                 }
             })
             .collect()
     }
 
-    fn planned(all: &[Labelled]) -> BTreeMap<String, PlannedObject> {
+    fn planned(all: &[LabelledSimulation]) -> BTreeMap<String, ObjectSummary> {
         let mut planned = BTreeMap::new();
         for one in all {
-            let new = PlannedObject {
+            let new = ObjectSummary {
                 category: one.category.clone(),
                 simulations: 0,
             };
@@ -254,26 +262,30 @@ mod tests {
     }
 
     #[test]
-    fn parts_share_no_object_have_their_size_and_as_many_of_both_labels() {
+    fn splits_are_disjoint_sized_and_balanced() {
         let all = labelled(1200);
         let curation = curate(&planned(&all), &all, &CurationSettings::default()).unwrap();
-        let mut part_of_object: BTreeMap<&str, &str> = BTreeMap::new();
+        let mut split_of_object: BTreeMap<&str, &str> = BTreeMap::new();
         let mut counts: BTreeMap<(&str, bool), usize> = BTreeMap::new();
         let mut by_force: BTreeMap<(u32, bool), usize> = BTreeMap::new();
         for one in &all {
-            let Some(part) = curation.part.get(&one.id) else {
+            let Some(split) = curation.split_of.get(&one.id) else {
                 assert!(curation.left_out.contains_key(&one.id));
                 continue;
             };
-            let known = part_of_object.insert(&one.object, part);
-            assert!(known.is_none_or(|known| known == part), "{}", one.object);
-            *counts.entry((part, one.stable)).or_default() += 1;
+            let previous = split_of_object.insert(&one.object, split);
+            assert!(
+                previous.is_none_or(|previous| previous == split),
+                "{}",
+                one.object
+            );
+            *counts.entry((split, one.stable)).or_default() += 1;
             let force = one.stop_force_n as u32;
             *by_force.entry((force, one.stable)).or_default() += 1;
         }
         assert_eq!(counts.len(), 6);
-        for part in ["train", "validation", "test"] {
-            assert_eq!(counts[&(part, true)], counts[&(part, false)], "{part}");
+        for split in ["train", "validation", "test"] {
+            assert_eq!(counts[&(split, true)], counts[&(split, false)], "{split}");
         }
         for force in [10, 40] {
             assert_eq!(
@@ -289,31 +301,31 @@ mod tests {
     }
 
     #[test]
-    fn training_keeps_all_where_that_is_wanted_and_the_other_parts_stay_as_they_are() {
+    fn whole_training_split_keeps_other_splits_unchanged() {
         let all = labelled(1200);
         let balanced = CurationSettings {
             category_cap: None,
             ..CurationSettings::default()
         };
         let whole = CurationSettings {
-            is_training_whole: true,
+            keep_all_training: true,
             ..balanced.clone()
         };
         let [balanced, whole] =
             [balanced, whole].map(|settings| curate(&planned(&all), &all, &settings).unwrap());
         let of = |curation: &Curation, is_train: bool| -> Vec<String> {
-            let parts = curation.part.iter();
-            let of = parts.filter(|(_, part)| (*part == TRAIN) == is_train);
+            let splits = curation.split_of.iter();
+            let of = splits.filter(|(_, split)| (*split == TRAIN) == is_train);
             of.map(|(id, _)| id.clone()).collect()
         };
         assert_eq!(of(&balanced, false), of(&whole, false));
         assert!(of(&whole, true).len() > of(&balanced, true).len() + 100);
-        let left_out = whole.left_out.len() + whole.part.len();
+        let left_out = whole.left_out.len() + whole.split_of.len();
         assert_eq!(left_out, all.len());
     }
 
     #[test]
-    fn a_frequent_category_is_capped() {
+    fn frequent_category_is_capped() {
         let all = labelled(1200);
         let settings = CurationSettings {
             is_balanced: false,
@@ -321,7 +333,7 @@ mod tests {
             ..CurationSettings::default()
         };
         let curation = curate(&planned(&all), &all, &settings).unwrap();
-        let capped: Vec<&Labelled> = all
+        let capped: Vec<&LabelledSimulation> = all
             .iter()
             .filter(|one| curation.left_out.get(&one.id) == Some(&LeftOut::CategoryCap))
             .collect();
@@ -330,30 +342,30 @@ mod tests {
     }
 
     #[test]
-    fn whole_categories_stay_together_where_that_is_wanted() {
+    fn category_grouping_keeps_categories_together() {
         let all = labelled(600);
         let settings = CurationSettings {
-            apart: Apart::Category,
-            parts: "train=0.6,test=0.4".parse().unwrap(),
+            group_by: GroupKey::Category,
+            splits: "train=0.6,test=0.4".parse().unwrap(),
             is_balanced: false,
             category_cap: None,
             ..CurationSettings::default()
         };
         let curation = curate(&planned(&all), &all, &settings).unwrap();
-        let mut parts: BTreeMap<&str, &str> = BTreeMap::new();
+        let mut splits: BTreeMap<&str, &str> = BTreeMap::new();
         for one in &all {
-            let part = &curation.part[&one.id];
+            let split = &curation.split_of[&one.id];
             assert!(
-                parts
-                    .insert(&one.category, part)
-                    .is_none_or(|known| known == part)
+                splits
+                    .insert(&one.category, split)
+                    .is_none_or(|previous| previous == split)
             );
         }
-        assert!(parts.values().any(|p| *p == "train") && parts.values().any(|p| *p == "test"));
+        assert!(splits.values().any(|p| *p == "train") && splits.values().any(|p| *p == "test"));
     }
 
     #[test]
-    fn neither_order_nor_repetition_changes_the_choice() {
+    fn selection_is_deterministic_and_order_independent() {
         let mut all = labelled(300);
         let first = curate(&planned(&all), &all, &CurationSettings::default()).unwrap();
         all.reverse();
@@ -369,10 +381,10 @@ mod tests {
     }
 
     #[test]
-    fn labels_do_not_decide_the_part_of_an_object() {
+    fn split_of_an_object_is_independent_of_labels() {
         let all = labelled(600);
         let planned = planned(&all);
-        let parts = |labelled: &[Labelled]| {
+        let splits = |labelled: &[LabelledSimulation]| {
             let settings = CurationSettings {
                 is_balanced: false,
                 category_cap: None,
@@ -381,13 +393,13 @@ mod tests {
             let curation = curate(&planned, labelled, &settings).unwrap();
             labelled
                 .iter()
-                .map(|one| (one.object.clone(), curation.part[&one.id].clone()))
+                .map(|one| (one.object.clone(), curation.split_of[&one.id].clone()))
                 .collect::<BTreeMap<_, _>>()
         };
-        let whole = parts(&all);
-        // Most of one object's have no label, and none of another's.
+        let whole = splits(&all);
+        // Most simulations of one object have no label, and none of another.
         let mut seen = BTreeMap::new();
-        let fewer: Vec<Labelled> = all
+        let fewer: Vec<LabelledSimulation> = all
             .iter()
             .filter(|one| {
                 let nth = seen.entry(&one.object).or_insert(0_usize);
@@ -397,18 +409,21 @@ mod tests {
             .cloned()
             .collect();
         assert!(fewer.len() < all.len() / 2 + all.len() / 4);
-        let lesser = parts(&fewer);
+        let lesser = splits(&fewer);
         assert!(!lesser.contains_key("mug-3"));
-        for (object, part) in &lesser {
-            assert_eq!(part, &whole[object], "{object}");
+        for (object, split) in &lesser {
+            assert_eq!(split, &whole[object], "{object}");
         }
     }
 
     #[test]
-    fn one_label_alone_leaves_nothing() {
+    fn single_label_leaves_nothing() {
         let mut all = labelled(50);
         all.iter_mut().for_each(|one| one.stable = true);
         let error = curate(&planned(&all), &all, &CurationSettings::default()).unwrap_err();
-        assert!(error.to_string().contains("50 of them held"), "{error}");
+        assert!(
+            error.to_string().contains("50 of them are stable"),
+            "{error}"
+        );
     }
 }

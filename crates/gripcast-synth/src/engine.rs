@@ -1,4 +1,4 @@
-//! The simulator that a plan was made with.
+//! Restores the simulator that a plan was made with.
 
 use std::path::Path;
 
@@ -7,23 +7,22 @@ use serde_json::Value;
 use super::plan::{Plan, check_parameters};
 use gripcast_base::error::{Error, Result};
 use gripcast_base::files::Root;
-use gripcast_sim::fem::GelResolution;
-use gripcast_sim::grasp::{GraspSettings, Preset};
+use gripcast_sim::grasp::{GraspSettings, Preset, resolution_by_name};
 use gripcast_sim::rigid::{RigidEngine, RigidSettings};
 use gripcast_sim::{Engine, EngineKind, FemEngine};
 
-/// Folder of convex pieces beside the results.
+/// Folder of cached convex pieces beside the results.
 const PIECES: &str = "convex-pieces";
 
-/// The engine of a plan; convex pieces are kept in `folder`.
+/// Returns the engine of a plan; convex pieces are cached in `folder`.
 ///
 /// # Errors
-/// `Input` where this build has other parameters than the plan; those of the folder.
+/// `Input` if this build has other parameters than the plan; errors of the folder.
 pub fn planned_engine(plan: &Plan, folder: &Path) -> Result<Box<dyn Engine>> {
     let parameters = &plan.header.parameters;
     let engine: Box<dyn Engine> = match plan.header.engine {
         EngineKind::Fem => Box::new(FemEngine {
-            settings: fem(parameters)?,
+            settings: fem_settings(parameters)?,
         }),
         EngineKind::Rigid => {
             let settings: RigidSettings = serde_json::from_value(parameters.clone())
@@ -36,17 +35,12 @@ pub fn planned_engine(plan: &Plan, folder: &Path) -> Result<Box<dyn Engine>> {
     Ok(engine)
 }
 
-fn fem(parameters: &Value) -> Result<GraspSettings> {
-    let text = |name: &'static str, value: &'_ Value| -> Result<String> {
-        value
-            .as_str()
-            .map(str::to_owned)
-            .ok_or_else(|| unreadable(name))
-    };
-    let preset = text("preset", &parameters["preset"])?;
-    let preset = Preset::ALL.into_iter().find(|p| p.name() == preset);
+fn fem_settings(parameters: &Value) -> Result<GraspSettings> {
+    let preset = parameters["preset"].as_str();
+    let preset = Preset::ALL.into_iter().find(|p| Some(p.name()) == preset);
     let mut settings = GraspSettings::new(preset.ok_or_else(|| unreadable("preset"))?);
-    settings.resolution = GelResolution::from_name(&text("gel.mesh", &parameters["gel"]["mesh"])?)?;
+    let mesh = parameters["gel"]["mesh"].as_str();
+    settings.resolution = resolution_by_name(mesh.ok_or_else(|| unreadable("gel.mesh"))?)?;
     settings.solver.max_grasp_iterations = parameters["solver"]["max_grasp_iterations"]
         .as_u64()
         .ok_or_else(|| unreadable("solver.max_grasp_iterations"))?;
@@ -54,6 +48,6 @@ fn fem(parameters: &Value) -> Result<GraspSettings> {
 }
 
 fn unreadable(name: &str) -> Error {
-    Error::input(format!("the plan's {name} cannot be read"))
-        .remedy("make a new plan with this release")
+    Error::input(format!("cannot read `{name}` of the plan"))
+        .remedy("make a new plan with this version of gripcast")
 }

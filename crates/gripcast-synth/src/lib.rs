@@ -1,5 +1,5 @@
-//! The synthetic dataset: objects, their properties and grasps; a plan of simulations that any
-//! number of processes work on; images; and the choice of what becomes the dataset.
+//! Synthetic datasets: objects with properties and grasps; a plan of simulations that any number of
+//! processes run; images; and curation of the dataset.
 //!
 //! ```text
 //! family, acronym ─► drafts ─► plan ─► run (shards) ─► results ─┬─► merge ─► Parquet
@@ -7,7 +7,7 @@
 //!                                                               └───► report ◄──┘
 //! ```
 //!
-//! The paper's §3.2 and A.1. Every result depends on the plan alone.
+//! See the paper's §3.2 and A.1. Every result depends on the plan alone.
 
 pub mod acronym;
 pub mod curate;
@@ -24,7 +24,7 @@ mod sample_images;
 mod store;
 
 pub use engine::planned_engine;
-pub use merge::{MergeReport, MergeSettings, chosen, merge};
+pub use merge::{MergeReport, MergeSettings, merge, select_simulations};
 pub use object_mesh::planned_mesh;
-pub use run::{Images, RunProgress, RunSettings, RunSummary, run, simulate_labels};
+pub use run::{ImageSelection, RunProgress, RunSettings, RunSummary, run, simulate_labels};
 pub use store::{CpuSeconds, FAILED, RESULTS, ResultStore, SampleFile, SimulationResult};

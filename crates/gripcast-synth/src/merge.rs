@@ -1,4 +1,4 @@
-//! The dataset of a plan: closed Parquet shards of what was chosen.
+//! Merges the selected results of a plan into a dataset of Parquet shards.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
@@ -7,35 +7,36 @@ use std::path::Path;
 use serde::{Deserialize, Serialize};
 use sha2::{Digest as _, Sha256};
 
-use super::curate::{Curation, CurationSettings, Labelled, LeftOut, PlannedObject, curate};
+use super::curate::{
+    Curation, CurationSettings, LabelledSimulation, LeftOut, ObjectSummary, curate,
+};
 use super::plan::{Plan, PlannedSimulation, replace};
 use super::store::{ResultStore, SimulationResult};
 use gripcast_base::error::{Error, Result};
 use gripcast_base::files::{FileKind, Root, SimulationId, sha256_hex};
 use gripcast_dataset::shard::{ShardRow, ShardWriter, shard_name, shard_place};
 
-/// Facts of the dataset, beside `data/`.
+/// Description of the dataset, beside `data/`.
 const DATASET_FILE: &str = "synth.json";
-/// The text that people and the Hugging Face hub show.
+/// Dataset card, as the Hugging Face hub shows it.
 const CARD_FILE: &str = "README.md";
 /// Folder of the shards.
 const DATA: &str = "data";
-/// Rows of a shard: about 150 MB.
+/// Maximum rows of a shard, about 150 MB.
 const ROWS_PER_SHARD: usize = 2000;
-/// Name of the format.
 const FORMAT: &str = "gripcast-synth-dataset";
 const VERSION: u32 = 1;
 
 /// How a dataset is merged.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct MergeSettings {
-    /// What is chosen.
+    /// What is selected.
     pub curation: CurationSettings,
-    /// Whether a plan with open simulations is merged as far as it is.
-    pub is_partial_allowed: bool,
+    /// Whether a plan with open simulations may be merged.
+    pub allow_partial: bool,
 }
 
-/// What is in a dataset, and what is not.
+/// Contents of a dataset, and what was left out.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct MergeReport {
@@ -43,48 +44,49 @@ pub struct MergeReport {
     version: u32,
     /// Hash of the plan.
     pub plan_sha256: String,
-    /// How it was chosen.
+    /// How it was selected.
     pub curation: CurationSettings,
     /// Simulations of the plan.
     pub planned: usize,
     /// Simulations without a result yet.
     pub open: usize,
-    /// Simulations that could not be done.
+    /// Simulations that failed.
     pub failed: usize,
-    /// Simulations without an outcome or with nothing to see before the lift, by outcome.
+    /// Simulations without a label, by outcome.
     pub without_sample: BTreeMap<String, usize>,
-    /// Simulations that were left out, by reason.
+    /// Labelled simulations that were left out, by reason.
     pub left_out: BTreeMap<LeftOut, usize>,
-    /// Images that stand in more than one simulation, which no camera would take.
+    /// Tactile image pairs that occur in more than one simulation; real cameras never repeat an image.
     pub duplicates: usize,
-    /// What is in each part.
-    pub parts: BTreeMap<String, PartFacts>,
-    /// Files of the dataset with their hashes.
+    /// Contents of each split.
+    #[serde(rename = "parts")]
+    pub splits: BTreeMap<String, SplitFacts>,
+    /// SHA-256 of the dataset's files, by name.
     pub files: BTreeMap<String, String>,
 }
 
 impl MergeReport {
-    /// The facts of a dataset.
+    /// Reads the description of a dataset.
     ///
     /// # Errors
-    /// `NotFound` for a folder without a dataset of `synth merge`; `Input` for damaged facts or
-    /// those of another version.
+    /// `NotFound` for a folder without a dataset of `synth merge`; `Input` for a damaged description
+    /// or another version.
     pub fn read(folder: &Path) -> Result<Self> {
-        let place = Root::new(folder).top().join(DATASET_FILE);
-        let bytes = place.read(FileKind::List).map_err(|e| {
-            Error::io("cannot read the facts of the dataset", e)
-                .at(place.display())
+        let path = Root::new(folder).top().join(DATASET_FILE);
+        let bytes = path.read(FileKind::List).map_err(|e| {
+            Error::io("cannot read the description of the dataset", e)
+                .at(path.display())
                 .remedy("give the folder that `gripcast synth merge --out` wrote")
         })?;
-        let wrong = |what: String| {
+        let invalid = |what: String| {
             Error::input(what)
-                .at(place.display())
+                .at(path.display())
                 .remedy("merge again: gripcast synth merge --plan P --out D")
         };
         let found: Self = serde_json::from_slice(&bytes)
-            .map_err(|e| wrong(format!("these are no facts of a dataset: {e}")))?;
+            .map_err(|e| invalid(format!("not a description of a dataset: {e}")))?;
         if found.format != FORMAT || found.version != VERSION {
-            return Err(wrong(format!(
+            return Err(invalid(format!(
                 "expected {FORMAT} version {VERSION}, found {:?} version {}",
                 found.format, found.version
             )));
@@ -93,34 +95,32 @@ impl MergeReport {
     }
 }
 
-/// What is in a part of a dataset.
+/// Contents of a split.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct PartFacts {
-    /// Rows.
+pub struct SplitFacts {
+    /// Number of rows.
     pub rows: usize,
-    /// Simulations that held.
+    /// Stable simulations.
     pub stable: usize,
-    /// Simulations that were lost.
+    /// Simulations that slipped.
     pub slip: usize,
-    /// Grasps: poses, at any force.
+    /// Number of grasps: poses, at any force.
     pub grasps: usize,
-    /// Objects.
+    /// Number of objects.
     pub objects: usize,
-    /// Simulations that held and were lost, by category.
+    /// Stable simulations and slips, by category.
     pub categories: BTreeMap<String, [usize; 2]>,
 }
 
-/// Chosen simulations of a part.
-type Part<'a> = Vec<(&'a PlannedSimulation, SimulationResult)>;
+/// Selected simulations of a split.
+type SplitSimulations<'a> = Vec<(&'a PlannedSimulation, SimulationResult)>;
 
-/// Writes the dataset of a plan into `out`. The same results make the same bytes, however they
-/// were made.
+/// Writes the dataset of a plan into `out`. Equal results give identical bytes.
 ///
 /// # Errors
-/// `Input` where simulations are open and that is not allowed, or nothing is left to choose, or
-/// `out` holds another dataset; for images that are not those of the result; those of the
-/// operating system.
+/// `Input` if simulations are open and that is not allowed, if no simulation can be selected, if
+/// `out` contains another dataset, or if images do not belong to their result; I/O errors.
 pub fn merge(
     plan: &Plan,
     plan_folder: &Path,
@@ -128,26 +128,26 @@ pub fn merge(
     settings: &MergeSettings,
     on_progress: &(dyn Fn(usize, usize) + Sync),
 ) -> Result<MergeReport> {
-    let store = ResultStore::beside(plan_folder);
-    let Chosen {
+    let store = ResultStore::new(plan_folder);
+    let Selection {
         counts,
         usable,
         curation,
-    } = Chosen::of(plan, &store, settings)?;
+    } = Selection::new(plan, &store, settings)?;
     let root = Root::new(out);
-    check_free(&root, plan)?;
-    let parts = parts(plan, &curation, usable);
-    let chosen = parts.values().flatten();
-    let lacking = chosen.filter(|(_, result)| result.lacks_images()).count();
+    check_output(&root, plan)?;
+    let splits = simulations_by_split(plan, &curation, usable);
+    let selected = splits.values().flatten();
+    let lacking = selected.filter(|(_, result)| result.lacks_images()).count();
     if lacking > 0 {
         return Err(without_images(lacking));
     }
-    let mut writing = Writing::new(plan, &store, &root, on_progress)?;
+    let mut writer = DatasetWriter::new(plan, &store, &root, on_progress)?;
     let mut facts = BTreeMap::new();
-    writing.all = parts.values().map(Vec::len).sum();
-    for (name, part) in &parts {
-        writing.part(name, part)?;
-        facts.insert(name.clone(), part_facts(plan, part)?);
+    writer.total = splits.values().map(Vec::len).sum();
+    for (name, split) in &splits {
+        writer.write_split(name, split)?;
+        facts.insert(name.clone(), split_facts(plan, split)?);
     }
     let mut left_out = BTreeMap::new();
     for reason in curation.left_out.values() {
@@ -163,14 +163,14 @@ pub fn merge(
         failed: counts.failed,
         without_sample: counts.without_sample,
         left_out,
-        duplicates: writing.duplicates,
-        parts: facts,
-        files: writing.files,
+        duplicates: writer.duplicates,
+        splits: facts,
+        files: writer.files,
     };
     replace(&root.top().join(CARD_FILE), card(plan, &report).as_bytes())?;
     let text = serde_json::to_string_pretty(&report)
         .map_err(|e| Error::internal("cannot write JSON").because(e))?;
-    // Last: with this file the dataset is whole.
+    // Last: this file marks the dataset as complete.
     replace(
         &root.top().join(DATASET_FILE),
         format!("{text}\n").as_bytes(),
@@ -178,37 +178,36 @@ pub fn merge(
     Ok(report)
 }
 
-/// Simulations that a dataset of a plan takes, once all of them have a label, or of those that have
-/// one where that is allowed.
+/// Selects the simulations that [`merge`] would put into the dataset.
 ///
 /// # Errors
-/// As [`merge`], but for those of writing.
-pub fn chosen(
+/// As [`merge`], except for errors of writing.
+pub fn select_simulations(
     plan: &Plan,
     plan_folder: &Path,
     settings: &MergeSettings,
 ) -> Result<BTreeSet<SimulationId>> {
-    let store = ResultStore::beside(plan_folder);
-    let Chosen { curation, .. } = Chosen::of(plan, &store, settings)?;
+    let store = ResultStore::new(plan_folder);
+    let Selection { curation, .. } = Selection::new(plan, &store, settings)?;
     let ids = plan.simulations.iter().map(|simulation| &simulation.id);
-    let chosen = ids.filter(|id| curation.part.contains_key(id.as_str()));
-    Ok(chosen.cloned().collect())
+    let selected = ids.filter(|id| curation.split_of.contains_key(id.as_str()));
+    Ok(selected.cloned().collect())
 }
 
-/// What is chosen of the results.
-struct Chosen<'a> {
+/// The selected results of a plan.
+struct Selection<'a> {
     counts: Counts,
     /// Results with a label.
     usable: BTreeMap<&'a SimulationId, (&'a PlannedSimulation, SimulationResult)>,
     curation: Curation,
 }
 
-impl<'a> Chosen<'a> {
-    fn of(plan: &'a Plan, store: &ResultStore, settings: &MergeSettings) -> Result<Self> {
+impl<'a> Selection<'a> {
+    fn new(plan: &'a Plan, store: &ResultStore, settings: &MergeSettings) -> Result<Self> {
         let mut counts = Counts::default();
         let mut usable = BTreeMap::new();
         for simulation in &plan.simulations {
-            match store.find(plan, &simulation.id)? {
+            match store.load(plan, &simulation.id)? {
                 None => counts.open += 1,
                 Some(result) if result.is_failed() => counts.failed += 1,
                 Some(result) if result.stable.is_none() => {
@@ -219,11 +218,11 @@ impl<'a> Chosen<'a> {
                 }
             }
         }
-        if counts.open > 0 && !settings.is_partial_allowed {
+        if counts.open > 0 && !settings.allow_partial {
             return Err(unfinished(plan, counts.open));
         }
         let labelled = usable.values().map(|(simulation, result)| {
-            Ok(Labelled {
+            Ok(LabelledSimulation {
                 id: simulation.id.to_string(),
                 object: simulation.object.to_string(),
                 category: plan.object(simulation)?.category.clone(),
@@ -233,18 +232,18 @@ impl<'a> Chosen<'a> {
         });
         let labelled = labelled.collect::<Result<Vec<_>>>()?;
         Ok(Self {
-            curation: curate(&planned_objects(plan)?, &labelled, &settings.curation)?,
+            curation: curate(&object_summaries(plan)?, &labelled, &settings.curation)?,
             counts,
             usable,
         })
     }
 }
 
-/// Objects of a plan with the count of their simulations.
-fn planned_objects(plan: &Plan) -> Result<BTreeMap<String, PlannedObject>> {
-    let mut objects: BTreeMap<String, PlannedObject> = BTreeMap::new();
+/// Counts the simulations of each object.
+fn object_summaries(plan: &Plan) -> Result<BTreeMap<String, ObjectSummary>> {
+    let mut objects: BTreeMap<String, ObjectSummary> = BTreeMap::new();
     for simulation in &plan.simulations {
-        let new = PlannedObject {
+        let new = ObjectSummary {
             category: plan.object(simulation)?.category.clone(),
             simulations: 0,
         };
@@ -256,15 +255,15 @@ fn planned_objects(plan: &Plan) -> Result<BTreeMap<String, PlannedObject>> {
 
 fn without_images(lacking: usize) -> Error {
     Error::input(format!(
-        "{lacking} of the chosen simulations have no images yet"
+        "{lacking} of the selected simulations have no images yet"
     ))
     .remedy(
-        "take them with `gripcast synth run --images chosen` and the same choice, or those of all \
-         with `gripcast synth run`",
+        "render them with `gripcast synth run --images chosen` and the same selection flags, or all \
+         images with `gripcast synth run`",
     )
 }
 
-/// What the results are, before any is chosen.
+/// Results of a plan that cannot be selected.
 #[derive(Default)]
 struct Counts {
     open: usize,
@@ -277,81 +276,77 @@ fn unfinished(plan: &Plan, open: usize) -> Error {
         "{open} of {} simulations have no result yet",
         plan.simulations.len()
     ))
-    .remedy("finish them with `gripcast synth run`, or merge what is there with --partial")
+    .remedy("finish them with `gripcast synth run`, or merge the finished ones with --partial")
 }
 
 /// Refuses a folder with the dataset of another plan.
-fn check_free(root: &Root, plan: &Plan) -> Result<()> {
-    let place = root.top().join(DATASET_FILE);
-    if !place.is_taken() {
+fn check_output(root: &Root, plan: &Plan) -> Result<()> {
+    let path = root.top().join(DATASET_FILE);
+    if !path.is_taken() {
         return Ok(());
     }
-    let there = place.read(FileKind::List).ok();
-    let there = there.and_then(|text| serde_json::from_slice::<MergeReport>(&text).ok());
-    if there.is_some_and(|there| there.plan_sha256 == plan.sha256) {
+    let existing = path.read(FileKind::List).ok();
+    let existing = existing.and_then(|text| serde_json::from_slice::<MergeReport>(&text).ok());
+    if existing.is_some_and(|existing| existing.plan_sha256 == plan.sha256) {
         return Ok(());
     }
-    Err(Error::input("the folder holds another dataset")
-        .at(place.display())
-        .remedy("give a new folder"))
+    Err(Error::input("the folder contains another dataset")
+        .at(path.display())
+        .remedy("name a new folder"))
 }
 
-/// Chosen simulations by part, in the order of the plan.
-fn parts<'a>(
+/// Selected simulations by split, in the order of the plan.
+fn simulations_by_split<'a>(
     plan: &'a Plan,
     curation: &Curation,
     mut usable: BTreeMap<&SimulationId, (&'a PlannedSimulation, SimulationResult)>,
-) -> BTreeMap<String, Part<'a>> {
-    let mut parts: BTreeMap<String, Part<'a>> = BTreeMap::new();
+) -> BTreeMap<String, SplitSimulations<'a>> {
+    let mut splits: BTreeMap<String, SplitSimulations<'a>> = BTreeMap::new();
     for simulation in &plan.simulations {
-        if let Some(part) = curation.part.get(simulation.id.as_str())
+        if let Some(split) = curation.split_of.get(simulation.id.as_str())
             && let Some(one) = usable.remove(&simulation.id)
         {
-            parts.entry(part.clone()).or_default().push(one);
+            splits.entry(split.clone()).or_default().push(one);
         }
     }
-    parts
+    splits
 }
 
-fn part_facts(plan: &Plan, part: &Part<'_>) -> Result<PartFacts> {
-    let mut facts = PartFacts::default();
-    let mut objects: Vec<&SimulationId> = Vec::new();
-    let mut grasps: Vec<(&SimulationId, u32)> = Vec::new();
-    for (simulation, result) in part {
-        let held = result.stable == Some(true);
+fn split_facts(plan: &Plan, split: &SplitSimulations<'_>) -> Result<SplitFacts> {
+    let mut facts = SplitFacts::default();
+    let mut objects = BTreeSet::new();
+    let mut grasps = BTreeSet::new();
+    for (simulation, result) in split {
+        let stable = result.stable == Some(true);
         facts.rows += result.samples.as_ref().map_or(0, |file| file.rows);
-        facts.stable += usize::from(held);
-        facts.slip += usize::from(!held);
+        facts.stable += usize::from(stable);
+        facts.slip += usize::from(!stable);
         let category = &plan.object(simulation)?.category;
         let counts = facts.categories.entry(category.clone()).or_default();
-        counts[usize::from(!held)] += 1;
-        objects.push(&simulation.object);
-        grasps.push((&simulation.object, simulation.grasp));
+        counts[usize::from(!stable)] += 1;
+        objects.insert(&simulation.object);
+        grasps.insert((&simulation.object, simulation.grasp));
     }
-    objects.sort();
-    objects.dedup();
-    grasps.sort();
-    grasps.dedup();
     facts.objects = objects.len();
     facts.grasps = grasps.len();
     Ok(facts)
 }
 
-/// A dataset being written.
-struct Writing<'a> {
+/// Writes the shards of a dataset.
+struct DatasetWriter<'a> {
     plan: &'a Plan,
     store: &'a ResultStore,
     root: Root,
     on_progress: &'a (dyn Fn(usize, usize) + Sync),
     done: usize,
-    all: usize,
+    total: usize,
     /// Simulation by hash of its tactile images.
-    seen: BTreeMap<[u8; 16], String>,
+    simulation_of_image: BTreeMap<[u8; 16], String>,
     duplicates: usize,
     files: BTreeMap<String, String>,
 }
 
-impl<'a> Writing<'a> {
+impl<'a> DatasetWriter<'a> {
     fn new(
         plan: &'a Plan,
         store: &'a ResultStore,
@@ -361,46 +356,46 @@ impl<'a> Writing<'a> {
         let folder = root.top().join(DATA);
         fs::create_dir_all(root.path())
             .and_then(|()| folder.create_dir_all())
-            .map_err(|e| Error::io("cannot make the folder", e).at(folder.display()))?;
+            .map_err(|e| Error::io("cannot create the folder", e).at(folder.display()))?;
         Ok(Self {
             plan,
             store,
             root: root.clone(),
             on_progress,
             done: 0,
-            all: 0,
-            seen: BTreeMap::new(),
+            total: 0,
+            simulation_of_image: BTreeMap::new(),
             duplicates: 0,
             files: BTreeMap::new(),
         })
     }
 
-    fn part(&mut self, name: &str, part: &Part<'_>) -> Result<()> {
-        let shards = shards(part);
+    fn write_split(&mut self, name: &str, split: &SplitSimulations<'_>) -> Result<()> {
+        let shards = shards(split);
         let count = shards.len();
         for (number, shard) in shards.into_iter().enumerate() {
-            let place = shard_place(&self.root, name, number, count)?;
+            let path = shard_place(&self.root, name, number, count)?;
             let info = format!("{{\"plan_sha256\":\"{}\"}}", self.plan.sha256);
-            let mut writer = ShardWriter::create(&place, &info)?;
+            let mut writer = ShardWriter::create(&path, &info)?;
             for (_, result) in shard {
                 for row in self.store.rows(result)? {
-                    self.note(&row);
+                    self.count_duplicate(&row);
                     writer.push(row)?;
                 }
                 self.done += 1;
-                (self.on_progress)(self.done, self.all);
+                (self.on_progress)(self.done, self.total);
             }
             writer.finish()?;
-            let bytes = place
+            let bytes = path
                 .read(FileKind::Bulk)
-                .map_err(|e| Error::io("cannot read the shard again", e).at(place.display()))?;
+                .map_err(|e| Error::io("cannot read back the shard", e).at(path.display()))?;
             let file = shard_name(name, number, count)?;
             self.files.insert(file, sha256_hex(bytes));
         }
         Ok(())
     }
 
-    fn note(&mut self, row: &ShardRow) {
+    fn count_duplicate(&mut self, row: &ShardRow) {
         let mut hasher = Sha256::new();
         for image in [&row.images.grasp_left, &row.images.grasp_right] {
             hasher.update(image);
@@ -408,16 +403,18 @@ impl<'a> Writing<'a> {
         let mut key = [0; 16];
         key.copy_from_slice(&hasher.finalize()[..16]);
         let simulation = &row.facts.simulation;
-        let other = self.seen.insert(key, simulation.clone());
+        let other = self.simulation_of_image.insert(key, simulation.clone());
         self.duplicates += usize::from(other.is_some_and(|other| other != *simulation));
     }
 }
 
-/// Simulations of a part, a shard at a time.
-fn shards<'p, 'a>(part: &'p Part<'a>) -> Vec<Vec<&'p (&'a PlannedSimulation, SimulationResult)>> {
+/// Groups the simulations of a split into shards.
+fn shards<'p, 'a>(
+    split: &'p SplitSimulations<'a>,
+) -> Vec<Vec<&'p (&'a PlannedSimulation, SimulationResult)>> {
     let mut shards = vec![Vec::new()];
     let mut rows = 0;
-    for one in part {
+    for one in split {
         let more = one.1.samples.as_ref().map_or(0, |file| file.rows);
         if rows > 0 && rows + more > ROWS_PER_SHARD {
             shards.push(Vec::new());
@@ -431,17 +428,17 @@ fn shards<'p, 'a>(part: &'p Part<'a>) -> Vec<Vec<&'p (&'a PlannedSimulation, Sim
     shards
 }
 
-/// The dataset's card.
+/// Text of the dataset card.
 fn card(plan: &Plan, report: &MergeReport) -> String {
     let mut splits = String::new();
     let mut table = String::new();
-    for (name, part) in &report.parts {
+    for (name, split) in &report.splits {
         splits.push_str(&format!(
             "  - split: {name}\n    path: data/{name}-*.parquet\n"
         ));
         table.push_str(&format!(
             "| {name} | {} | {} | {} | {} | {} |\n",
-            part.rows, part.grasps, part.objects, part.stable, part.slip
+            split.rows, split.grasps, split.objects, split.stable, split.slip
         ));
     }
     format!(

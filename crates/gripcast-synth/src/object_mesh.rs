@@ -1,4 +1,4 @@
-//! The mesh of a planned object, made or read again.
+//! Meshes of planned objects.
 
 use super::family::{Category, family_shape};
 use super::plan::{MESHES, MeshSource, PlannedObject};
@@ -6,10 +6,10 @@ use gripcast_base::error::{Error, Result};
 use gripcast_base::files::{FileKind, FileName, Root};
 use gripcast_geometry::{MeshFormat, TriangleMesh, read_textured_mesh};
 
-/// The mesh of an object, m; `root` is the folder of the plan.
+/// Generates or reads the mesh of a planned object, m; `root` is the plan's folder.
 ///
 /// # Errors
-/// Those of reading the file; `Input` for a mesh that is not the planned one.
+/// Errors of reading the file; `Input` if the mesh is not the planned one.
 pub fn planned_mesh(object: &PlannedObject, root: &Root) -> Result<TriangleMesh> {
     let mesh = match &object.mesh {
         MeshSource::Family { category, seed } => family_shape(Category::parse(category)?, *seed)?,
@@ -23,22 +23,22 @@ pub fn planned_mesh(object: &PlannedObject, root: &Root) -> Result<TriangleMesh>
         "the mesh of {} changed: expected {}, found {found}",
         object.name, object.mesh_sha256
     ))
-    .remedy("restore the mesh file, or make the plan again in another folder"))
+    .remedy("restore the mesh file, or create the plan again in another folder"))
 }
 
-/// The mesh in a file of the plan, bit for bit.
+/// Reads a mesh file of the plan without changing a vertex.
 fn stored_mesh(root: &Root, file: &FileName) -> Result<TriangleMesh> {
-    let place = root.top().join(MESHES).join(file);
+    let path = root.top().join(MESHES).join(file);
     let read = || {
-        let bytes = place
+        let bytes = path
             .read(FileKind::Mesh)
             .map_err(|e| Error::io("cannot read the mesh", e))?;
-        // `read_mesh` would merge vertices that were parted to make the surface manifold.
+        // `read_mesh` would merge vertices that were split to make the surface manifold.
         read_textured_mesh(&bytes, MeshFormat::Ply, &|_| {
             Err(std::io::ErrorKind::NotFound.into())
         })
     };
-    let mesh = read().map_err(|e: Error| e.at(place.display()))?;
+    let mesh = read().map_err(|e: Error| e.at(path.display()))?;
     Ok(mesh
         .parts
         .into_iter()
@@ -67,16 +67,16 @@ mod tests {
     }
 
     #[test]
-    fn a_stored_mesh_reads_back_bit_for_bit() {
+    fn stored_mesh_reads_back_bit_identical() {
         let folder = tempfile::tempdir().unwrap();
         fs::create_dir(folder.path().join(MESHES)).unwrap();
-        // Two bodies that touch in a vertex, which each has of its own; one vertex at -0.
+        // Two bodies that touch at a duplicated vertex; one coordinate is -0.
         let one = builtin("box").unwrap();
-        let apart = one.bounds().max - one.bounds().min;
+        let offset = one.bounds().max - one.bounds().min;
         let mut both = one.clone();
         let first = both.vertices.len() as u32;
         both.vertices
-            .extend(one.vertices.iter().map(|v| *v + apart));
+            .extend(one.vertices.iter().map(|v| *v + offset));
         both.triangles
             .extend(one.triangles.iter().map(|t| t.map(|v| v + first)));
         both.vertices[0].x = -0.0;
@@ -89,7 +89,7 @@ mod tests {
     }
 
     #[test]
-    fn a_mesh_outside_of_the_plan_is_not_read() {
+    fn mesh_outside_of_the_plan_is_not_read() {
         let dir = tempfile::tempdir().unwrap();
         let mesh = builtin("box").unwrap();
         fs::write(dir.path().join("secret.ply"), ply_bytes(&mesh)).unwrap();

@@ -1,4 +1,4 @@
-//! Simulates a part of a plan and takes the images.
+//! Simulates one shard of a plan and renders its images.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::panic::AssertUnwindSafe;
@@ -7,7 +7,9 @@ use std::sync::Arc;
 
 use super::object_mesh::planned_mesh;
 use super::plan::{Plan, PlannedObject, PlannedSimulation, Shard, check_parameters};
-use super::sample_images::{Grasped, Photographer, before_lift, rendering_seed, seen_surface};
+use super::sample_images::{
+    PreLiftGrasp, SampleRenderer, pre_lift_snapshot, rendering_seed, smooth_surface,
+};
 use super::store::{ResultStore, SimulationResult};
 use gripcast_base::error::{Error, ErrorKind, Result};
 use gripcast_base::files::{Root, SimulationId};
@@ -23,49 +25,49 @@ use gripcast_sim::{Engine, EngineKind, GraspSetup};
 use gripcast_tactile::SimulatedGel;
 use gripcast_visual::Model;
 
-/// Normal force on each finger before the lift under which nobody would lift, N: the object was
-/// squeezed out, or lies beside the gels.
+/// Minimum normal force on each finger before the lift, N. Below it the object was squeezed out or
+/// lies beside the gels, and nobody would lift.
 const MIN_FORCE_N: f64 = 0.5;
 
-/// How far a run is.
+/// Progress of a run.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct RunProgress {
-    /// Simulations of the part with a result.
+    /// Simulations with a result.
     pub done: usize,
     /// Of those, simulated by this run.
     pub simulated: usize,
-    /// Simulations of the part.
-    pub all: usize,
+    /// Simulations of the shard.
+    pub total: usize,
 }
 
-/// What a run did.
+/// Summary of a run.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct RunSummary {
-    /// Simulations of the part.
-    pub all: usize,
+    /// Simulations of the shard.
+    pub total: usize,
     /// Of those, simulated by this run.
     pub simulated: usize,
-    /// Simulations without a usable result, with the reason.
+    /// Simulations without a usable result: id and reason.
     pub failed: Vec<(String, String)>,
 }
 
-/// Which simulations get images.
+/// Which labelled simulations get images.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub enum Images {
-    /// Those with a label.
+pub enum ImageSelection {
+    /// All.
     All,
-    /// None: labels are there sooner, and tell which images a dataset needs.
+    /// None: labels are available sooner and decide which images a dataset needs.
     None,
-    /// Those with a label that are named.
-    Of(BTreeSet<SimulationId>),
+    /// Those with one of these ids.
+    Only(BTreeSet<SimulationId>),
 }
 
-impl Images {
-    fn are_taken(&self, id: &SimulationId) -> bool {
+impl ImageSelection {
+    fn includes(&self, id: &SimulationId) -> bool {
         match self {
             Self::All => true,
             Self::None => false,
-            Self::Of(ids) => ids.contains(id),
+            Self::Only(ids) => ids.contains(id),
         }
     }
 }
@@ -73,26 +75,25 @@ impl Images {
 /// Which simulations of a plan are run, and how.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct RunSettings {
-    /// Part of the plan.
+    /// Shard of the plan.
     pub shard: Shard,
-    /// Simulations at a time; the results do not depend on it.
+    /// Simulations that run in parallel; the results do not depend on it.
     pub jobs: usize,
-    /// Whether simulations that could not be done are tried again, as after a missing file came
-    /// back.
-    pub is_failed_retried: bool,
-    /// Whether simulations without a result are done; else only images are taken.
-    pub is_open_simulated: bool,
-    /// Which of them get images. Results do not depend on when they got them.
-    pub images: Images,
+    /// Whether failed simulations are retried, for instance after a missing file was restored.
+    pub retry_failed: bool,
+    /// Whether simulations without a result are run; otherwise only images are rendered.
+    pub simulate_open: bool,
+    /// Which simulations get images. Images do not depend on when they are rendered.
+    pub images: ImageSelection,
 }
 
-/// Simulates what of a part has no result yet, each simulation in one thread. Every result is kept
-/// at once: a run that is cut off goes on where it was. A simulation that cannot be done is a result
-/// as well.
+/// Runs the simulations of a shard that have no result yet, each in one thread. Every result is
+/// stored as soon as it is finished, so an interrupted run can be resumed. A simulation that fails
+/// also gets a result.
 ///
 /// # Errors
-/// `Input` where the plan was made with other parameters than the engine has, or a result is of
-/// another plan; those of keeping results.
+/// `Input` if the plan was made with other engine parameters, or a stored result belongs to another
+/// plan; errors of storing results.
 pub fn run(
     plan: &Plan,
     folder: &Path,
@@ -101,76 +102,72 @@ pub fn run(
     on_progress: &(dyn Fn(RunProgress) + Sync),
 ) -> Result<RunSummary> {
     check_parameters(plan, engine)?;
-    let store = ResultStore::beside(folder);
-    let mut part = settings.shard.of(plan);
-    if !settings.is_open_simulated {
-        let found: Vec<bool> = part
-            .iter()
-            .map(|simulation| Ok(store.find(plan, &simulation.id)?.is_some()))
-            .collect::<Result<_>>()?;
-        let mut found = found.into_iter();
-        part.retain(|_| found.next() == Some(true));
-    }
+    let store = ResultStore::new(folder);
+    let mut total = 0;
     let mut open = Vec::new();
     let mut failed = BTreeMap::new();
-    for simulation in &part {
-        match store.find(plan, &simulation.id)? {
-            None => open.push((*simulation, None)),
-            Some(result) if settings.is_failed_retried && result.is_failed() => {
-                open.push((*simulation, None));
+    for simulation in settings.shard.select(plan) {
+        let stored = store.load(plan, &simulation.id)?;
+        if stored.is_none() && !settings.simulate_open {
+            continue;
+        }
+        total += 1;
+        match stored {
+            None => open.push((simulation, None)),
+            Some(result) if settings.retry_failed && result.is_failed() => {
+                open.push((simulation, None));
             }
-            Some(result) if result.lacks_images() && settings.images.are_taken(&simulation.id) => {
-                open.push((*simulation, Some(result)));
+            Some(result) if result.lacks_images() && settings.images.includes(&simulation.id) => {
+                open.push((simulation, Some(result)));
             }
-            Some(result) => note_failure(&result, &mut failed),
+            Some(result) => record_failure(&result, &mut failed),
         }
     }
-    let found = part.len() - open.len();
-    let tell = |simulated| {
+    let finished = total - open.len();
+    let report = |simulated| {
         on_progress(RunProgress {
-            done: found + simulated,
+            done: finished + simulated,
             simulated,
-            all: part.len(),
+            total,
         });
     };
-    tell(0);
-    let workshop = Workshop::new(plan, folder, engine)?;
-    let work = |(simulation, earlier): &(&PlannedSimulation, Option<SimulationResult>)| {
+    report(0);
+    let runner = SimulationRunner::new(plan, folder, engine)?;
+    let work = |(simulation, labelled): &(&PlannedSimulation, Option<SimulationResult>)| {
         let id = &simulation.id;
-        let labelled = earlier.clone();
-        let earlier = labelled.and_then(|result| Some((result, store.state(plan, id)?)));
-        let is_taken = settings.images.are_taken(id);
-        let (result, beside) = workshop.make(simulation, earlier, is_taken)?;
-        // A result that is there has what belongs to it.
-        match beside {
-            Beside::State(snapshot) => {
-                store.keep_state(plan, id, &snapshot)?;
-                store.keep(result.clone(), None)?;
+        let labelled = labelled.clone();
+        let labelled = labelled.and_then(|result| Some((result, store.load_state(plan, id)?)));
+        let (result, artifacts) = runner.run(simulation, labelled, settings.images.includes(id))?;
+        // The result is written last: one that exists is complete.
+        match artifacts {
+            Artifacts::State(snapshot) => {
+                store.save_state(plan, id, &snapshot)?;
+                store.save(result.clone(), None)?;
             }
-            Beside::Images(rows, bytes) => {
-                store.keep(result.clone(), Some((rows, &bytes)))?;
-                store.drop_state(id);
+            Artifacts::Images(rows, bytes) => {
+                store.save(result.clone(), Some((rows, &bytes)))?;
+                store.remove_state(id);
             }
-            Beside::Nothing => store.keep(result.clone(), None)?,
+            Artifacts::None => store.save(result.clone(), None)?,
         }
         Ok(result)
     };
-    let made = one_per_core(settings.jobs, &open, &work, &tell)?;
-    for result in &made {
-        note_failure(result, &mut failed);
+    let results = one_per_core(settings.jobs, &open, &work, &report)?;
+    for result in &results {
+        record_failure(result, &mut failed);
     }
     Ok(RunSummary {
-        all: part.len(),
-        simulated: made.len(),
+        total,
+        simulated: results.len(),
         failed: failed.into_iter().collect(),
     })
 }
 
-/// Whether each simulation of a plan holds with another engine, without images; none where it has
-/// no outcome.
+/// Labels all simulations of a plan with another engine, without images. `Some(true)` is stable,
+/// `None` has no label.
 ///
 /// # Errors
-/// Those of the meshes and of the engine.
+/// Errors of the meshes and of the engine.
 pub fn simulate_labels(
     plan: &Plan,
     folder: &Path,
@@ -181,15 +178,14 @@ pub fn simulate_labels(
     let root = Root::new(folder);
     let label = |simulation: &PlannedSimulation| -> Result<Option<bool>> {
         let object = plan.object(simulation)?;
-        let setup = setup(simulation, object, &root)?;
-        let force_n = simulation.stop_force_n;
-        let grasp = engine.simulate(&setup, object.friction, force_n)?;
+        let setup = grasp_setup(simulation, object, &root)?;
+        let grasp = engine.simulate(&setup, object.friction, simulation.stop_force_n)?;
         Ok(stable(grasp.outcome))
     };
     one_per_core(jobs, &plan.simulations, &label, on_progress)
 }
 
-fn setup(
+fn grasp_setup(
     simulation: &PlannedSimulation,
     object: &PlannedObject,
     root: &Root,
@@ -203,36 +199,33 @@ fn setup(
     })
 }
 
-fn note_failure(result: &SimulationResult, failed: &mut BTreeMap<String, String>) {
+fn record_failure(result: &SimulationResult, failed: &mut BTreeMap<String, String>) {
     if result.is_failed() {
-        let why = result.detail.clone().unwrap_or_default();
-        failed.insert(result.id.to_string(), why);
+        let reason = result.detail.clone().unwrap_or_default();
+        failed.insert(result.id.to_string(), reason);
     }
 }
 
-/// What is kept beside a result.
-enum Beside {
-    /// Nothing is to be seen.
-    Nothing,
-    /// Rows and the file of them.
+/// What is stored beside a result.
+enum Artifacts {
+    /// Nothing: the simulation has no label.
+    None,
+    /// Number of rows, and the Parquet file with them.
     Images(usize, Vec<u8>),
-    /// What images can be taken of later.
+    /// The state that images can be rendered from later.
     State(Snapshot),
 }
 
-/// A label without images and what they are to be taken of.
-type Earlier = Option<(SimulationResult, Snapshot)>;
-
-/// Everything that all simulations fraction.
-struct Workshop<'a> {
+/// Runs simulations of one plan and renders their images.
+struct SimulationRunner<'a> {
     plan: &'a Plan,
     root: Root,
     engine: &'a dyn Engine,
     gel: Option<SimulatedGel>,
-    photographer: Photographer,
+    renderer: SampleRenderer,
 }
 
-impl<'a> Workshop<'a> {
+impl<'a> SimulationRunner<'a> {
     fn new(plan: &'a Plan, folder: &Path, engine: &'a dyn Engine) -> Result<Self> {
         let gel = engine.gel()?;
         Ok(Self {
@@ -240,95 +233,95 @@ impl<'a> Workshop<'a> {
             root: Root::new(folder),
             engine,
             gel: gel.map(|(grid, d_hat_m)| SimulatedGel { grid, d_hat_m }),
-            photographer: Photographer::new(plan.header.rendering)?,
+            renderer: SampleRenderer::new(plan.header.rendering)?,
         })
     }
 
-    /// The result of a simulation. What goes wrong in it is in the result: one bad object does not
-    /// end a night's work.
-    fn make(
+    /// Runs a simulation, or only renders one that is already `labelled`. Errors and panics become
+    /// part of the result, so that one bad object does not end a long run.
+    fn run(
         &self,
         simulation: &PlannedSimulation,
-        earlier: Earlier,
-        is_taken: bool,
-    ) -> Result<(SimulationResult, Beside)> {
+        labelled: Option<(SimulationResult, Snapshot)>,
+        with_images: bool,
+    ) -> Result<(SimulationResult, Artifacts)> {
         let object = self.plan.object(simulation)?;
-        let mut result = SimulationResult::of(self.plan, simulation);
-        let tried = quiet_panic::catch(AssertUnwindSafe(|| {
-            self.tried(simulation, object, earlier, is_taken)
+        let outcome = quiet_panic::catch(AssertUnwindSafe(|| {
+            self.try_run(simulation, object, labelled, with_images)
         }));
-        let why = match tried {
-            Ok(Ok(made)) => return Ok(made),
+        let reason = match outcome {
+            Ok(Ok(output)) => return Ok(output),
             Ok(Err(error)) if error.kind() == ErrorKind::DiskFull => return Err(error),
             Ok(Err(error)) => error.to_string(),
-            Err(message) => format!("a defect of gripcast ended it: {message}"),
+            Err(message) => format!("internal error of gripcast: {message}"),
         };
-        result.detail = Some(why);
-        Ok((result, Beside::Nothing))
+        let mut result = SimulationResult::new(self.plan, simulation);
+        result.detail = Some(reason);
+        Ok((result, Artifacts::None))
     }
 
-    fn tried(
+    fn try_run(
         &self,
         simulation: &PlannedSimulation,
         object: &PlannedObject,
-        earlier: Earlier,
-        is_taken: bool,
-    ) -> Result<(SimulationResult, Beside)> {
+        labelled: Option<(SimulationResult, Snapshot)>,
+        with_images: bool,
+    ) -> Result<(SimulationResult, Artifacts)> {
         let mut clock = Clock::new();
-        let setup = setup(simulation, object, &self.root)?;
+        let setup = grasp_setup(simulation, object, &self.root)?;
         let prepare = clock.lap();
-        let (mut result, snapshot) = match earlier {
-            Some(earlier) => earlier,
+        let (mut result, snapshot) = match labelled {
+            Some(labelled) => labelled,
             None => {
                 let force_n = simulation.stop_force_n;
                 let grasp = self.engine.simulate(&setup, object.friction, force_n)?;
-                let mut result = facts(SimulationResult::of(self.plan, simulation), &grasp);
+                let mut result = SimulationResult::new(self.plan, simulation);
+                record_grasp(&mut result, &grasp);
                 result.cpu_s.simulate = clock.lap();
-                let Some(snapshot) = seen_before_lift(&grasp) else {
+                let Some(snapshot) = liftable_snapshot(&grasp) else {
                     result.stable = None;
                     result.cpu_s.prepare = prepare;
-                    return Ok((result, Beside::Nothing));
+                    return Ok((result, Artifacts::None));
                 };
                 (result, snapshot.clone())
             }
         };
         result.cpu_s.prepare += prepare;
-        if !is_taken {
-            return Ok((result, Beside::State(snapshot)));
+        if !with_images {
+            return Ok((result, Artifacts::State(snapshot)));
         }
-        let seen = seen_surface(&setup.mesh);
-        let grasped = Grasped {
+        let surface = smooth_surface(&setup.mesh);
+        let grasp = PreLiftGrasp {
             setup: &setup,
-            seen: &seen,
+            surface: &surface,
             snapshot: &snapshot,
             gel: self.gel.as_ref(),
             force_n: result.force_n.unwrap_or_default(),
         };
-        let rows = self.rows(simulation, object, &grasped, &mut result, &mut clock)?;
+        let rows = self.rows(simulation, object, &grasp, &mut result, &mut clock)?;
         let info = format!("{{\"plan_sha256\":\"{}\"}}", self.plan.sha256);
         let count = rows.len();
-        Ok((result, Beside::Images(count, to_bytes(rows, &info)?)))
+        Ok((result, Artifacts::Images(count, to_bytes(rows, &info)?)))
     }
 
-    /// The renderings of a grasp that has an outcome and held something before the lift.
+    /// Renders a labelled grasp: one row per rendering.
     fn rows(
         &self,
         simulation: &PlannedSimulation,
         object: &PlannedObject,
-        grasped: &Grasped<'_>,
+        grasp: &PreLiftGrasp<'_>,
         result: &mut SimulationResult,
         clock: &mut Clock,
     ) -> Result<Vec<ShardRow>> {
-        let (setup, snapshot, force_n) = (grasped.setup, grasped.snapshot, grasped.force_n);
-        let stable = result.stable == Some(true);
+        let (setup, snapshot, force_n) = (grasp.setup, grasp.snapshot, grasp.force_n);
         let count = self.plan.header.rendering.renderings;
         let mut rows = Vec::with_capacity(count as usize);
         for rendering in 0..count {
             let seed = rendering_seed(simulation.seed, rendering);
-            let [initial, pressed] = self.photographer.tactile(grasped, seed)?;
+            let [initial, pressed] = self.renderer.tactile(grasp, seed)?;
             result.cpu_s.tactile += clock.lap();
-            let (words, model) = appearance(object, &self.root, &setup.mesh, seed)?;
-            let rgb = self.photographer.rgb(grasped, &model, seed)?;
+            let (appearance, model) = draw_appearance(object, &self.root, &setup.mesh, seed)?;
+            let grasp_rgb = self.renderer.rgb(grasp, &model, seed)?;
             result.cpu_s.visual += clock.lap();
             let [initial_left, initial_right] = initial;
             let [grasp_left, grasp_right] = pressed;
@@ -342,10 +335,9 @@ impl<'a> Workshop<'a> {
                         EngineKind::Fem => ShardEngine::Fem,
                         EngineKind::Rigid => ShardEngine::Rigid,
                     },
-                    outcome: if stable {
-                        ShardOutcome::Stable
-                    } else {
-                        ShardOutcome::Slip
+                    outcome: match result.stable {
+                        Some(true) => ShardOutcome::Stable,
+                        _ => ShardOutcome::Slip,
                     },
                     outcome_detail: result.outcome.clone(),
                     stop_force_n: Some(simulation.stop_force_n),
@@ -359,17 +351,17 @@ impl<'a> Workshop<'a> {
                         snapshot.t_world_object.inverse() * snapshot.t_world_gripper,
                     ),
                     fault: simulation.fault.map(|fault| fault.name().to_owned()),
-                    appearance: words,
+                    appearance,
                     rendering,
                     seed: seed >> 1,
-                    crop_profile: self.photographer.crop_profile().to_owned(),
+                    crop_profile: self.renderer.crop_profile().to_owned(),
                 },
                 images: ShardImages {
                     initial_left,
                     initial_right,
                     grasp_left,
                     grasp_right,
-                    grasp_rgb: rgb,
+                    grasp_rgb,
                     initial_rgb: None,
                     grasp_depth: None,
                 },
@@ -379,70 +371,67 @@ impl<'a> Workshop<'a> {
     }
 }
 
-/// What an object looks like in a rendering, in words and as a model.
-fn appearance(
+/// Draws the appearance of an object in one rendering: its description and the model.
+fn draw_appearance(
     object: &PlannedObject,
     root: &Root,
     mesh: &TriangleMesh,
     seed: u64,
 ) -> Result<(String, Model)> {
     let mut draw = SeedStream::named(seed, "appearance");
-    let (looks, textures) = (&object.looks, &object.textures);
-    let which = draw.index(looks.len() + textures.len());
-    if let Some(look) = looks.get(which) {
-        let model = Model::with_appearance(mesh, &look.look, draw.bits())?;
-        return Ok((look.words.clone(), model));
+    let (appearances, textures) = (&object.appearances, &object.textures);
+    let index = draw.index(appearances.len() + textures.len());
+    if let Some(drawn) = appearances.get(index) {
+        let model = Model::coated(mesh, &drawn.appearance, draw.bits())?;
+        return Ok((drawn.description.clone(), model));
     }
-    let texture = textures.get(which - looks.len()).ok_or_else(|| {
-        let what = format!("{} has no appearance", object.name);
-        Error::input(what)
-    })?;
+    let texture = textures
+        .get(index - appearances.len())
+        .ok_or_else(|| Error::input(format!("{} has no appearance", object.name)))?;
     let model = Model::textured(mesh, &texture.load(root)?, texture.width_m)?;
-    Ok((texture.words.to_string(), model))
+    Ok((texture.name.to_string(), model))
 }
 
-/// Whether the object was held; none where there is no outcome, or no contact.
+/// Label of an outcome: stable or slip; none without an outcome or without contact.
 fn stable(outcome: GraspOutcome) -> Option<bool> {
     match outcome {
         GraspOutcome::Success => Some(true),
         GraspOutcome::Slip | GraspOutcome::Eject => Some(false),
-        GraspOutcome::GelsMet
+        GraspOutcome::Closed
         | GraspOutcome::Miss
         | GraspOutcome::PenetratingStart
         | GraspOutcome::NotConverged => None,
     }
 }
 
-/// The state before the lift of a grasp that has an outcome and held something by then.
-fn seen_before_lift(grasp: &GraspResult) -> Option<&Snapshot> {
+/// State before the lift of a labelled grasp whose fingers both press with [`MIN_FORCE_N`].
+fn liftable_snapshot(grasp: &GraspResult) -> Option<&Snapshot> {
     stable(grasp.outcome)?;
-    let is_held = |force_n: [f64; 2]| force_n.iter().all(|force| *force >= MIN_FORCE_N);
-    forces(grasp)
-        .filter(|force_n| is_held(*force_n))
-        .and_then(|_| before_lift(&grasp.trace.snapshots))
+    let presses = |force_n: &[f64; 2]| force_n.iter().all(|force| *force >= MIN_FORCE_N);
+    pre_lift_force_n(grasp).filter(presses)?;
+    pre_lift_snapshot(&grasp.trace.snapshots)
 }
 
 /// Normal force on each finger before the lift, N.
-fn forces(grasp: &GraspResult) -> Option<[f64; 2]> {
+fn pre_lift_force_n(grasp: &GraspResult) -> Option<[f64; 2]> {
     let last = grasp.trace.stage(StageName::Adjustment).next_back()?;
-    // A gel that swings back is below zero by less than a millinewton.
+    // An oscillating gel can be below zero by less than a millinewton.
     Some(last.force.map(|force| force.normal_n.max(0.0)))
 }
 
-fn facts(mut result: SimulationResult, grasp: &GraspResult) -> SimulationResult {
+fn record_grasp(result: &mut SimulationResult, grasp: &GraspResult) {
     let iterations = grasp.trace.steps.iter().filter_map(|step| step.solver);
     result.outcome = grasp.outcome.name().to_owned();
     result.detail = grasp.detail.clone();
     result.stable = stable(grasp.outcome);
     result.lifted_m = grasp.lifted_m;
-    result.force_n = forces(grasp);
+    result.force_n = pre_lift_force_n(grasp);
     result.steps = grasp.trace.steps.len();
     result.newton_iterations = iterations.map(|step| u64::from(step.iterations)).sum();
     result.unconverged_steps = grasp.unconverged_steps;
-    result
 }
 
-/// CPU time of this thread between laps.
+/// CPU time of this thread between laps, s.
 struct Clock(f64);
 
 impl Clock {
@@ -451,7 +440,7 @@ impl Clock {
     }
 
     fn lap(&mut self) -> f64 {
-        let began = std::mem::replace(&mut self.0, thread_cpu_s());
-        self.0 - began
+        let start = std::mem::replace(&mut self.0, thread_cpu_s());
+        self.0 - start
     }
 }

@@ -1,4 +1,4 @@
-//! Results of simulations: two files each, there whole or not at all.
+//! Results of simulations: two files each, written atomically.
 
 use std::path::Path;
 
@@ -11,51 +11,55 @@ use gripcast_base::files::{BeneathPath, FileKind, Printable, Root, SimulationId,
 use gripcast_dataset::shard::{ShardReader, ShardRow};
 use gripcast_sim::grasp::Snapshot;
 
-/// Folder of the results in that of the plan.
+/// Folder of the results inside the plan's folder.
 pub const RESULTS: &str = "results";
-/// Name of the format in the file.
 const FORMAT: &str = "gripcast-synth-result";
-/// Raised whenever the same plan may give other results.
+/// Incremented whenever the same plan may give other results.
 const VERSION: u32 = 4;
+/// Outcome of a simulation that failed.
+pub const FAILED: &str = "failed";
+/// Suffix of result files.
+const RESULT: &str = ".json";
+/// Suffix of state files.
+const STATE: &str = ".state";
 
-/// What became of a simulation.
+/// Result of one simulation.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct SimulationResult {
     format: String,
     version: u32,
-    /// Hash of the plan.
+    /// SHA-256 of the plan.
     pub plan_sha256: String,
-    /// The simulation.
+    /// Id of the simulation.
     pub id: SimulationId,
-    /// `success`, `slip`, `eject`, …, or `failed` for a simulation that could not be done.
+    /// `success`, `slip`, `eject`, …, or `failed`.
     pub outcome: String,
-    /// More about it, where there is more to say.
+    /// Details of the outcome, or the reason of a failure.
     pub detail: Option<String>,
-    /// Whether the object was held; none where there is no outcome, or nothing to see before the
-    /// lift.
+    /// Label: stable or slip; none without an outcome or without contact before the lift.
     pub stable: Option<bool>,
     /// Rise of the object's centre of mass, m.
     pub lifted_m: f64,
     /// Normal force on the left and the right finger before the lift, N.
     pub force_n: Option<[f64; 2]>,
-    /// Steps.
+    /// Time steps.
     pub steps: usize,
     /// Newton iterations.
     pub newton_iterations: u64,
     /// Steps that did not converge.
     pub unconverged_steps: usize,
-    /// The file of images; none where there is nothing to see, or they are still to be taken.
+    /// The file with the images; none without a label, or if they are not rendered yet.
     pub samples: Option<SampleFile>,
     /// CPU time, s.
     pub cpu_s: CpuSeconds,
 }
 
-/// The file of a simulation's images.
+/// The file with a simulation's images.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct SampleFile {
-    /// Rows.
+    /// Number of rows.
     pub rows: usize,
     /// Length, bytes.
     pub bytes: u64,
@@ -63,23 +67,30 @@ pub struct SampleFile {
     pub sha256: String,
 }
 
-/// CPU time of the parts of a result, s.
+/// CPU time by stage, s.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct CpuSeconds {
-    /// Mesh, convex pieces.
+    /// Preparing the mesh and its convex pieces.
     pub prepare: f64,
-    /// The simulator.
+    /// Simulation.
     pub simulate: f64,
-    /// Tactile images.
+    /// Rendering tactile images.
     pub tactile: f64,
-    /// Colour images.
+    /// Rendering colour images.
     pub visual: f64,
 }
 
+impl CpuSeconds {
+    /// Sum of all stages, s.
+    pub fn total(&self) -> f64 {
+        self.prepare + self.simulate + self.tactile + self.visual
+    }
+}
+
 impl SimulationResult {
-    /// A result without anything yet.
-    pub(super) fn of(plan: &Plan, simulation: &PlannedSimulation) -> Self {
+    /// Creates the result of a failed simulation, to be filled in.
+    pub(super) fn new(plan: &Plan, simulation: &PlannedSimulation) -> Self {
         Self {
             format: FORMAT.to_owned(),
             version: VERSION,
@@ -98,7 +109,7 @@ impl SimulationResult {
         }
     }
 
-    /// Whether nothing came of it.
+    /// Whether the simulation failed.
     pub fn is_failed(&self) -> bool {
         self.outcome == FAILED
     }
@@ -109,9 +120,6 @@ impl SimulationResult {
     }
 }
 
-/// Outcome of a simulation that could not be done.
-pub const FAILED: &str = "failed";
-
 /// The results of a plan.
 #[derive(Clone, Debug)]
 pub struct ResultStore {
@@ -119,50 +127,50 @@ pub struct ResultStore {
 }
 
 impl ResultStore {
-    /// The results beside the plan of a folder.
-    pub fn beside(plan_folder: &Path) -> Self {
+    /// Opens the results in a plan's folder.
+    pub fn new(plan_folder: &Path) -> Self {
         Self {
             folder: Root::new(plan_folder).top().join(RESULTS),
         }
     }
 
-    /// A finished result; none if it is not there or damaged.
+    /// Loads a result; none if it is missing or damaged.
     ///
     /// # Errors
-    /// `Input` for the result of another plan, and a file that leads out of the plan's folder.
-    pub fn find(&self, plan: &Plan, id: &SimulationId) -> Result<Option<SimulationResult>> {
-        let place = self.place(id, FACTS);
-        let Some(found) = read(&place)? else {
+    /// `Input` for the result of another plan, or a file that leads out of the plan's folder.
+    pub fn load(&self, plan: &Plan, id: &SimulationId) -> Result<Option<SimulationResult>> {
+        let path = self.path(id, RESULT);
+        let Some(found) = read(&path)? else {
             return Ok(None);
         };
         if found.plan_sha256 != plan.sha256 {
             return Err(Error::input(format!(
-                "the result is of another plan: expected {}, found {}",
+                "the result belongs to another plan: expected {}, found {}",
                 short(&plan.sha256),
                 Printable(short(&found.plan_sha256))
             ))
-            .at(place.display())
-            .remedy("keep each plan with its results in a folder of its own"));
+            .at(path.display())
+            .remedy("use a separate folder for each plan and its results"));
         }
-        let is_whole = found.format == FORMAT && found.version == VERSION && found.id == *id;
+        let is_valid = found.format == FORMAT && found.version == VERSION && found.id == *id;
         let has_samples = |file: &SampleFile| {
-            let there = self.samples(id).metadata();
-            there.is_ok_and(|there| there.is_file && there.bytes == file.bytes)
+            let stored = self.samples(id).metadata();
+            stored.is_ok_and(|stored| stored.is_file && stored.bytes == file.bytes)
         };
-        let is_whole = is_whole && found.samples.as_ref().is_none_or(has_samples);
-        Ok(is_whole.then_some(found))
+        let is_valid = is_valid && found.samples.as_ref().is_none_or(has_samples);
+        Ok(is_valid.then_some(found))
     }
 
-    /// Keeps a result with its images, a file of rows.
+    /// Saves a result with its images: the number of rows and the Parquet file.
     ///
     /// # Errors
-    /// `DiskFull`, `Io`, …; what was finished before stays.
-    pub fn keep(
+    /// `DiskFull`, `Io`, …; existing results stay intact.
+    pub fn save(
         &self,
         mut result: SimulationResult,
         samples: Option<(usize, &[u8])>,
     ) -> Result<()> {
-        // The images first: a result that is there is whole.
+        // The images first: a result that exists is complete.
         if let Some((rows, bytes)) = samples {
             write(&self.samples(&result.id), bytes)?;
             result.samples = Some(SampleFile {
@@ -171,16 +179,14 @@ impl ResultStore {
                 sha256: sha256_hex(bytes),
             });
         }
-        let text = serde_json::to_vec(&result)
-            .map_err(|e| Error::internal("cannot write JSON").because(e))?;
-        write(&self.place(&result.id, FACTS), &text)
+        write(&self.path(&result.id, RESULT), &to_json(&result)?)
     }
 
-    /// Keeps what images of a labelled simulation are to be taken of later.
+    /// Saves the state before the lift of a labelled simulation, to render its images later.
     ///
     /// # Errors
     /// `DiskFull`, `Io`, ….
-    pub(super) fn keep_state(
+    pub(super) fn save_state(
         &self,
         plan: &Plan,
         id: &SimulationId,
@@ -192,65 +198,64 @@ impl ResultStore {
             id: id.clone(),
             snapshot: snapshot.clone(),
         };
-        let text = serde_json::to_string(&state)
-            .map_err(|e| Error::internal("cannot write JSON").because(e))?;
-        let file = format!("{}\n{text}", sha256_hex(&text));
-        write(&self.place(id, STATE), file.as_bytes())
+        let json = to_json(&state)?;
+        let file = [sha256_hex(&json).as_bytes(), b"\n", &json].concat();
+        write(&self.path(id, STATE), &file)
     }
 
-    /// The state before the lift that was kept; none where there is none, or a damaged one: then
-    /// the simulation is done again.
-    pub(super) fn state(&self, plan: &Plan, id: &SimulationId) -> Option<Snapshot> {
-        let file = self.place(id, STATE).read_to_string(FileKind::Mesh).ok()?;
+    /// Loads the saved state before the lift; none if it is missing or damaged, which means that the
+    /// simulation has to be run again.
+    pub(super) fn load_state(&self, plan: &Plan, id: &SimulationId) -> Option<Snapshot> {
+        let file = self.path(id, STATE).read_to_string(FileKind::Mesh).ok()?;
         let (hash, text) = file.split_once('\n')?;
         let state: State = serde_json::from_str(text).ok()?;
-        let is_ours = hash == sha256_hex(text)
+        let is_valid = hash == sha256_hex(text)
             && state.version == VERSION
             && state.plan_sha256 == plan.sha256
             && state.id == *id;
-        is_ours.then_some(state.snapshot)
+        is_valid.then_some(state.snapshot)
     }
 
-    /// Removes a state that is not needed any more.
-    pub(super) fn drop_state(&self, id: &SimulationId) {
-        // One that stays is only in the way.
-        let _ = self.place(id, STATE).remove_file();
+    /// Removes a state that is no longer needed.
+    pub(super) fn remove_state(&self, id: &SimulationId) {
+        // A leftover file does no harm.
+        let _ = self.path(id, STATE).remove_file();
     }
 
-    /// Whether there is a file of a result, sound or not.
-    pub fn is_begun(&self, id: &SimulationId) -> bool {
-        self.place(id, FACTS).is_taken()
+    /// Whether a result file exists, valid or not.
+    pub fn has_file(&self, id: &SimulationId) -> bool {
+        self.path(id, RESULT).is_taken()
     }
 
-    /// The renderings of a result, whose file must be the one that was kept.
+    /// Reads the rows of a result and checks the hash of their file.
     ///
     /// # Errors
-    /// `Input` for images that are damaged or of another result; those of the operating system.
+    /// `Input` for images that are damaged or belong to another result; I/O errors.
     pub fn rows(&self, result: &SimulationResult) -> Result<Vec<ShardRow>> {
-        let place = self.samples(&result.id);
-        let wrong = || {
-            Error::input("the images are not those of the result")
-                .at(place.display())
-                .remedy("remove the file and run its shard again: it comes out the same")
+        let path = self.samples(&result.id);
+        let mismatch = || {
+            Error::input("the images do not belong to the result")
+                .at(path.display())
+                .remedy("remove the file and run its shard again: the result will be identical")
         };
-        let expected = result.samples.as_ref().ok_or_else(wrong)?;
-        let bytes = place
+        let expected = result.samples.as_ref().ok_or_else(mismatch)?;
+        let bytes = path
             .read(FileKind::Bulk)
-            .map_err(|e| Error::io("cannot read the images", e).at(place.display()))?;
+            .map_err(|e| Error::io("cannot read the images", e).at(path.display()))?;
         if sha256_hex(&bytes) != expected.sha256 {
-            return Err(wrong());
+            return Err(mismatch());
         }
-        let reader = ShardReader::from_bytes(place.display().to_string(), bytes)?;
+        let reader = ShardReader::from_bytes(path.display().to_string(), bytes)?;
         reader.rows().collect()
     }
 
-    /// The file of a simulation's images.
+    /// Path of the file with a simulation's images.
     pub fn samples(&self, id: &SimulationId) -> BeneathPath {
-        self.place(id, ".parquet")
+        self.path(id, ".parquet")
     }
 
-    /// `<2 hex>/<id><suffix>`, so that no folder gets too many files.
-    fn place(&self, id: &SimulationId, suffix: &'static str) -> BeneathPath {
+    /// Returns `<2 hex>/<id><suffix>`: no folder gets too many files.
+    fn path(&self, id: &SimulationId, suffix: &'static str) -> BeneathPath {
         let digest = Sha256::digest(id.as_str());
         self.folder
             .join_number("", digest[0])
@@ -258,12 +263,7 @@ impl ResultStore {
     }
 }
 
-/// Suffix of the files of results.
-const FACTS: &str = ".json";
-/// Suffix of the files of states.
-const STATE: &str = ".state";
-
-/// What a simulation was kept in before its images. In its file it comes after a line with its
+/// State before the lift of a simulation without images. In its file it follows a line with its
 /// SHA-256.
 #[derive(Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -274,23 +274,26 @@ struct State {
     snapshot: Snapshot,
 }
 
-/// Writes a file whole, in the place of what had its name.
-fn write(place: &BeneathPath, bytes: &[u8]) -> Result<()> {
-    let folder = place.parent();
-    folder
-        .create_dir_all()
-        .map_err(|e| Error::io("cannot make the folder of the results", e).at(folder.display()))?;
-    place
-        .replace(bytes)
-        .map_err(|e| Error::io("cannot write the file", e).at(place.display()))
+fn to_json(value: &impl Serialize) -> Result<Vec<u8>> {
+    serde_json::to_vec(value).map_err(|e| Error::internal("cannot write JSON").because(e))
 }
 
-/// A file of a result; none where there is none, or a damaged one.
-fn read(place: &BeneathPath) -> Result<Option<SimulationResult>> {
-    match place.read(FileKind::Record) {
+/// Replaces a file atomically.
+fn write(path: &BeneathPath, bytes: &[u8]) -> Result<()> {
+    let folder = path.parent();
+    folder
+        .create_dir_all()
+        .map_err(|e| Error::io("cannot create the folder of results", e).at(folder.display()))?;
+    path.replace(bytes)
+        .map_err(|e| Error::io("cannot write the file", e).at(path.display()))
+}
+
+/// Reads a result file; none if it is missing or damaged.
+fn read(path: &BeneathPath) -> Result<Option<SimulationResult>> {
+    match path.read(FileKind::Record) {
         Ok(bytes) => Ok(serde_json::from_slice(&bytes).ok()),
         Err(e) if e.get_ref().is_some_and(|e| e.is::<Refused>()) => {
-            Err(Error::io("cannot read the result", e).at(place.display()))
+            Err(Error::io("cannot read the result", e).at(path.display()))
         }
         Err(_) => Ok(None),
     }
@@ -316,29 +319,29 @@ mod tests {
         SimulationResult {
             outcome: "slip".to_owned(),
             stable: Some(false),
-            ..SimulationResult::of(plan, &plan.simulations[0])
+            ..SimulationResult::new(plan, &plan.simulations[0])
         }
     }
 
     #[test]
-    fn a_result_is_found_again_only_whole_and_of_its_plan() {
+    fn load_requires_complete_files_and_the_same_plan() {
         let folder = tempfile::tempdir().unwrap();
-        let store = ResultStore::beside(folder.path());
+        let store = ResultStore::new(folder.path());
         let plan = sample_plan(3);
         let id = &plan.simulations[0].id;
-        assert_eq!(store.find(&plan, id).unwrap(), None);
-        store.keep(result(&plan), Some((3, b"rows"))).unwrap();
-        let found = store.find(&plan, id).unwrap().unwrap();
+        assert_eq!(store.load(&plan, id).unwrap(), None);
+        store.save(result(&plan), Some((3, b"rows"))).unwrap();
+        let found = store.load(&plan, id).unwrap().unwrap();
         assert_eq!(found.stable, Some(false));
         assert_eq!(found.samples.as_ref().unwrap().rows, 3);
-        let error = store.find(&sample_plan(4), id).unwrap_err().to_string();
+        let error = store.load(&sample_plan(4), id).unwrap_err().to_string();
         assert!(error.contains("another plan"), "{error}");
         fs::write(store.samples(id).shown(), b"row").unwrap();
-        assert_eq!(store.find(&plan, id).unwrap(), None, "images cut off");
-        store.keep(result(&plan), None).unwrap();
-        assert!(store.find(&plan, id).unwrap().is_some());
-        fs::write(store.place(id, FACTS).shown(), b"{").unwrap();
-        assert_eq!(store.find(&plan, id).unwrap(), None, "a damaged result");
+        assert_eq!(store.load(&plan, id).unwrap(), None, "truncated images");
+        store.save(result(&plan), None).unwrap();
+        assert!(store.load(&plan, id).unwrap().is_some());
+        fs::write(store.path(id, RESULT).shown(), b"{").unwrap();
+        assert_eq!(store.load(&plan, id).unwrap(), None, "a damaged result");
     }
 
     fn snapshot() -> Snapshot {
@@ -352,46 +355,46 @@ mod tests {
         }
     }
 
-    /// Where the files of a result are, and a file outside of the plan's folder.
+    /// A result store, and a file outside of the plan's folder.
     fn jail(dir: &Path) -> (ResultStore, PathBuf) {
         let secret = dir.join("secret");
         fs::write(&secret, "secret").unwrap();
         fs::create_dir(dir.join("plan")).unwrap();
-        (ResultStore::beside(&dir.join("plan")), secret)
+        (ResultStore::new(&dir.join("plan")), secret)
     }
 
     #[test]
-    fn links_among_the_results_are_neither_followed_out_nor_overwritten() {
+    fn links_out_of_the_results_are_not_followed_or_written() {
         let dir = tempfile::tempdir().unwrap();
         let (store, secret) = jail(dir.path());
         let plan = sample_plan(1);
         let id = &plan.simulations[0].id;
-        let places = [FACTS, ".parquet", STATE].map(|suffix| store.place(id, suffix));
-        places[0].parent().create_dir_all().unwrap();
-        for place in &places {
-            symlink(&secret, place.shown()).unwrap();
+        let paths = [RESULT, ".parquet", STATE].map(|suffix| store.path(id, suffix));
+        paths[0].parent().create_dir_all().unwrap();
+        for path in &paths {
+            symlink(&secret, path.shown()).unwrap();
         }
-        let error = store.find(&plan, id).unwrap_err();
+        let error = store.load(&plan, id).unwrap_err();
         assert_eq!(error.kind(), ErrorKind::Input, "{error}");
-        assert_eq!(store.state(&plan, id), None);
-        store.keep_state(&plan, id, &snapshot()).unwrap();
-        store.keep(result(&plan), Some((1, b"rows"))).unwrap();
+        assert_eq!(store.load_state(&plan, id), None);
+        store.save_state(&plan, id, &snapshot()).unwrap();
+        store.save(result(&plan), Some((1, b"rows"))).unwrap();
         assert_eq!(fs::read(&secret).unwrap(), b"secret");
-        assert!(store.find(&plan, id).unwrap().is_some());
-        assert!(places.iter().all(|place| !place.is_link()));
+        assert!(store.load(&plan, id).unwrap().is_some());
+        assert!(paths.iter().all(|path| !path.is_link()));
     }
 
     #[test]
-    fn a_folder_of_results_that_leads_out_is_refused() {
+    fn results_folder_that_leads_out_is_refused() {
         let dir = tempfile::tempdir().unwrap();
         let (store, _) = jail(dir.path());
         let elsewhere = dir.path().join("elsewhere");
         fs::create_dir(&elsewhere).unwrap();
         symlink(&elsewhere, dir.path().join("plan").join(RESULTS)).unwrap();
         let plan = sample_plan(1);
-        let error = store.find(&plan, &plan.simulations[0].id).unwrap_err();
+        let error = store.load(&plan, &plan.simulations[0].id).unwrap_err();
         assert_eq!(error.kind(), ErrorKind::Input, "{error}");
-        assert!(store.keep(result(&plan), Some((1, b"rows"))).is_err());
+        assert!(store.save(result(&plan), Some((1, b"rows"))).is_err());
         assert_eq!(fs::read_dir(&elsewhere).unwrap().count(), 0);
     }
 }

@@ -4,16 +4,16 @@ use std::collections::BTreeSet;
 use std::fs;
 use std::path::{Path, PathBuf};
 
-use super::images::Stand;
+use super::images::DemoScene;
 use super::object::{DemoObject, objects};
 use super::plan::{DemoSettings, DemoStage, DemoWatch};
-use super::recording::{Recorder, film};
-use super::selection::{Chosen, choose};
+use super::recording::{Recorder, grasp_name};
+use super::selection::{SelectedGrasp, select};
 use gripcast_base::error::{Error, Result};
 use gripcast_base::files::Root;
 
-/// How this reality differs from its replay.
-fn how(is_quick: bool) -> String {
+/// Describes how this reality differs from its replay.
+fn description(is_quick: bool) -> String {
     let meshes = if is_quick {
         "19 × 16 × 4 nodes (the replay's are 1 MPa, 0.3 and 13 × 11 × 3)"
     } else {
@@ -21,51 +21,51 @@ fn how(is_quick: bool) -> String {
     };
     format!(
         "gels of 0.435 MPa and Poisson's ratio 0.45 on a mesh of {meshes}, friction within 10 % of \
-         0.4 and a squeeze between 25 and 50 N that the replay is not told, a shorter hold and a \
-         faster lift, other tactile sensors, and poses that were measured in rendered images"
+         0.4 and squeezing forces of 25 to 50 N, both unknown to the replay, a shorter hold and a \
+         faster lift, other tactile sensors, and poses measured in rendered images"
     )
 }
 
-/// Demo data that was built.
+/// Paths of the demo data.
 #[derive(Clone, Debug, PartialEq)]
 pub struct DemoData {
     /// The dataset.
     pub dataset: PathBuf,
     /// The folder of object files.
     pub objects: PathBuf,
-    /// One sentence: how its reality differs from the default replay.
-    pub how: String,
+    /// How its reality differs from the default replay.
+    pub description: String,
 }
 
-/// Builds the dataset `OUT/dataset` and the object files `OUT/objects`; simulations are kept in
-/// `OUT/simulated`, so that a build that was stopped goes on. The same settings give the same
-/// bytes, on any number of threads.
+/// Builds the dataset `OUT/dataset` and the object files `OUT/objects`. Simulations are stored in
+/// `OUT/simulated`, so an interrupted build can be resumed. Equal settings give identical bytes on any
+/// number of threads.
 ///
 /// # Errors
-/// `Input` where the folder holds grasps of another plan; `Stopped` once the watch is cancelled;
-/// `Io`, `DiskFull`, ….
+/// `Input` if the folder contains other grasps; `Stopped` once the watch is cancelled; `Io`,
+/// `DiskFull`, ….
 pub fn build_demo(settings: &DemoSettings, out: &Path, watch: &DemoWatch<'_>) -> Result<DemoData> {
     let all = objects(settings)?;
     fs::create_dir_all(out)
-        .map_err(|e| Error::io("cannot make the folder", e).at(out.display()))?;
+        .map_err(|e| Error::io("cannot create the folder", e).at(out.display()))?;
     let top = Root::new(out).top();
     let [dataset, object_files, simulated] =
         ["dataset", "objects", "simulated"].map(|name| top.join(name));
     for folder in [&object_files, &simulated] {
         folder
             .create_dir_all()
-            .map_err(|e| Error::io("cannot make the folder", e).at(folder.display()))?;
+            .map_err(|e| Error::io("cannot create the folder", e).at(folder.display()))?;
     }
     let dataset = dataset.shown();
     for object in &all {
         object.save(&object_files)?;
     }
-    let grasps = choose(&all, settings, &simulated, watch)?;
+    let grasps = select(&all, settings, &simulated, watch)?;
     record(settings, &all, &grasps, &dataset, watch)?;
     Ok(DemoData {
         dataset,
         objects: object_files.shown(),
-        how: how(settings.quick),
+        description: description(settings.quick),
     })
 }
 
@@ -73,25 +73,28 @@ pub fn build_demo(settings: &DemoSettings, out: &Path, watch: &DemoWatch<'_>) ->
 fn record(
     settings: &DemoSettings,
     all: &[DemoObject],
-    grasps: &[Chosen],
+    grasps: &[SelectedGrasp],
     dataset: &Path,
     watch: &DemoWatch<'_>,
 ) -> Result<()> {
     let recorder = Recorder::open(dataset, settings.seed, settings.quick)?;
-    let names: BTreeSet<String> = grasps.iter().map(|g| film(&all[g.object], g)).collect();
-    if let Some(foreign) = recorder.foreign(&names) {
-        let what = format!("the dataset holds `{foreign}`, which is no grasp of this demo");
+    let names: BTreeSet<String> = grasps
+        .iter()
+        .map(|g| grasp_name(&all[g.object], g))
+        .collect();
+    if let Some(unexpected) = recorder.unexpected_grasp(&names) {
+        let what = format!("the dataset contains `{unexpected}`, which is not part of this demo");
         return Err(Error::input(what)
             .at(dataset.display())
-            .remedy("give an empty folder, or the seed and size that the data was begun with"));
+            .remedy("name an empty folder, or use the seed and size of the existing data"));
     }
-    let stands: Vec<Stand> = all
+    let scenes: Vec<DemoScene> = all
         .iter()
-        .map(|object| Stand::new(object, settings.seed))
+        .map(|object| DemoScene::new(object, settings.seed))
         .collect::<Result<_>>()?;
-    let work = |chosen: &Chosen| {
-        let at = chosen.object;
-        recorder.record(&all[at], &stands[at], chosen, watch)
+    let work = |grasp: &SelectedGrasp| {
+        let index = grasp.object;
+        recorder.record(&all[index], &scenes[index], grasp, watch)
     };
     watch.for_each(settings.jobs, DemoStage::Recording, grasps, &work)?;
     recorder.finish()

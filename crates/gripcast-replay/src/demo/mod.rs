@@ -1,10 +1,9 @@
-//! Demo data: a small dataset of grasps that were never made. "Reality" is a simulation that differs
-//! from the one that replays it, and the dataset says so.
+//! Demo data: a small dataset without real grasps. Its "reality" is a simulation that differs from the
+//! one that replays it, and the dataset states that.
 //!
-//! [`build_demo`] goes through the whole chain: grasps are drawn ([`sampler`]), simulated with the
-//! fine mesh and softer gels ([`reality`]), chosen so that half of them fail ([`selection`]),
-//! photographed by rendered cameras ([`images`], [`tactile`]), annotated by the project's own
-//! pose code and recorded ([`recording`]).
+//! [`build_demo`] covers the whole chain: grasps are sampled and simulated with the fine mesh and
+//! softer gels ([`reality`]), selected so that half of them slip ([`selection`]), rendered
+//! ([`images`], [`tactile`]), annotated by gripcast's pose estimation and recorded ([`recording`]).
 
 mod build;
 mod images;
@@ -12,7 +11,6 @@ mod object;
 mod plan;
 mod reality;
 mod recording;
-mod sampler;
 mod selection;
 mod tactile;
 

@@ -1,4 +1,4 @@
-//! The objects of the demo data.
+//! Objects of the demo data.
 
 use std::path::Path;
 
@@ -12,57 +12,54 @@ use gripcast_geometry::{
     read_mesh,
 };
 
-/// Shapes of the project.
+/// Built-in shapes.
 const SHAPES: [&str; 5] = ["jack", "star", "dented", "saddle", "lump"];
-/// Shapes of EGAD's evaluation set (Morrison et al., RA-L 2020), and their place in the folder
-/// of shared data.
+/// Shapes of EGAD's evaluation set (Morrison et al., RA-L 2020), and their folder below the shared data.
 const EGAD: [&str; 4] = ["B1", "B4", "C2", "C4"];
 const EGAD_FOLDER: &str = "data/egad_eval";
-/// EGAD's meshes are 70 mm long, in mm; this size fits between the fingers in most poses.
+/// Scale of EGAD's meshes, which are 70 mm long: fits between the fingers in most poses.
 const EGAD_SCALE: f64 = 0.6;
-/// Shape beside those of EGAD.
-const BESIDE_EGAD: &str = "ring";
-/// Friction coefficient that a laboratory would take from a table, and how far the real one is
-/// from it at most, as a fraction.
+/// Built-in shape in addition to those of EGAD.
+const EXTRA_SHAPE: &str = "ring";
+/// Friction coefficient from a handbook, and the maximum relative deviation of the real one.
 const NOMINAL_FRICTION: f64 = 0.4;
 const FRICTION_SPREAD: f64 = 0.1;
-/// Masses, kg.
+/// Range of masses, kg.
 const MASS_KG: [f64; 2] = [0.040, 0.080];
-/// An object is put into a pose that it stays in when nudged by this, rad, and that it falls into
-/// with this probability.
+/// Minimum rotation that a pose withstands, rad, and its minimum probability.
 const MIN_TIP_RAD: f64 = 0.05;
 const MIN_PROBABILITY: f64 = 0.04;
 
-/// An object as it really is.
+/// An object with its true properties.
 #[derive(Clone, Debug)]
 pub(super) struct DemoObject {
-    /// Its name in the dataset.
+    /// Name in the dataset.
     pub(super) name: String,
     /// `builtin:NAME` or a file name.
     pub(super) source: String,
-    /// The file's bytes, where it is one.
+    /// Contents of the mesh file; none for a built-in shape.
     pub(super) file: Option<Vec<u8>>,
-    /// Factor on its size.
+    /// Scale factor.
     pub(super) scale: f64,
-    /// Its surface, m.
+    /// Mesh, m.
     pub(super) mesh: TriangleMesh,
     /// Mass, kg.
     pub(super) mass_kg: f64,
-    /// Friction coefficient of gel and object, which nobody measures.
+    /// True friction coefficient between gel and object.
     pub(super) friction: f64,
-    /// How it lies.
+    /// Pose on the ground.
     pub(super) t_world_object: Pose,
 }
 
-/// The five objects of a plan.
+/// Creates the five objects.
 ///
 /// # Errors
-/// `Input` or `Io` for a file of EGAD that is there and cannot be used.
+/// `Input` or `Io` for an invalid file of EGAD.
 pub(super) fn objects(settings: &DemoSettings) -> Result<Vec<DemoObject>> {
     let folder = settings.shared.as_ref().map(|root| root.join(EGAD_FOLDER));
     let egad = folder.filter(|folder| {
-        let is_there = |name: &str| folder.join(format!("{name}.obj")).is_file();
-        !settings.quick && EGAD.iter().all(|name| is_there(name))
+        let exists = |name: &str| folder.join(format!("{name}.obj")).is_file();
+        !settings.quick && EGAD.iter().all(|name| exists(name))
     });
     let shape =
         |name: &str| DemoObject::new(name, format!("builtin:{name}"), None, 1.0, settings.seed);
@@ -71,7 +68,7 @@ pub(super) fn objects(settings: &DemoSettings) -> Result<Vec<DemoObject>> {
         Some(folder) => {
             let of_file = |name: &str| from_file(&folder, name, settings.seed);
             let files = EGAD.into_iter().map(of_file);
-            files.chain([shape(BESIDE_EGAD)]).collect()
+            files.chain([shape(EXTRA_SHAPE)]).collect()
         }
     }
 }
@@ -80,19 +77,13 @@ fn from_file(folder: &Path, name: &str, seed: u64) -> Result<DemoObject> {
     let path = folder.join(format!("{name}.obj"));
     let bytes = read_regular(&path, FileKind::Mesh)
         .map_err(|e| Error::io("cannot read the mesh", e).at(path.display()))?;
-    let called = name.to_lowercase();
-    DemoObject::new(
-        &called,
-        format!("{called}.obj"),
-        Some(bytes),
-        EGAD_SCALE,
-        seed,
-    )
-    .map_err(|e| e.at(path.display()))
+    let name = name.to_lowercase();
+    DemoObject::new(&name, format!("{name}.obj"), Some(bytes), EGAD_SCALE, seed)
+        .map_err(|e| e.at(path.display()))
 }
 
-/// EGAD's meshes have no materials.
-fn no_other_file(_: &str) -> std::io::Result<Vec<u8>> {
+/// EGAD's meshes have no companion files.
+fn no_companion(_: &str) -> std::io::Result<Vec<u8>> {
     Err(std::io::ErrorKind::NotFound.into())
 }
 
@@ -106,7 +97,7 @@ impl DemoObject {
     ) -> Result<Self> {
         let raw = match &file {
             None => builtin(&source)?,
-            Some(bytes) => read_mesh(bytes, MeshFormat::Obj, &no_other_file)?
+            Some(bytes) => read_mesh(bytes, MeshFormat::Obj, &no_companion)?
                 .scaled(LengthUnit::Millimetre.in_metres()),
         };
         let mesh = prepare(&raw.scaled(scale), &PrepareOptions::default())?.mesh;
@@ -127,16 +118,15 @@ impl DemoObject {
         })
     }
 
-    /// Writes what a laboratory would know of it: `NAME.toml`, with the mesh beside it.
+    /// Writes the object file `NAME.toml` with the known properties, and the mesh file.
     ///
     /// # Errors
-    /// Those of the operating system.
+    /// I/O errors.
     pub(super) fn save(&self, folder: &BeneathPath) -> Result<()> {
         if let Some(bytes) = &self.file {
-            let place = folder.join(&FileName::parse(&self.source)?);
-            place
-                .replace(bytes)
-                .map_err(|e| Error::io("cannot write the mesh", e).at(place.display()))?;
+            let path = folder.join(&FileName::parse(&self.source)?);
+            path.replace(bytes)
+                .map_err(|e| Error::io("cannot write the mesh", e).at(path.display()))?;
         }
         let unit = self
             .file
@@ -174,19 +164,19 @@ mod tests {
     }
 
     #[test]
-    fn five_objects_lie_on_the_ground_within_their_ranges() {
+    fn objects_are_on_the_ground_and_within_ranges() {
         let all = objects(&settings(0)).unwrap();
         assert_eq!(all.len(), 5);
         for object in &all {
             assert!((0.04..=0.08).contains(&object.mass_kg), "{}", object.name);
             assert!((0.36..=0.44).contains(&object.friction), "{}", object.name);
-            let low = object
+            let min_z = object
                 .mesh
                 .transformed(&object.t_world_object)
                 .bounds()
                 .min
                 .z;
-            assert!(low.abs() < 1e-9, "{}: {low}", object.name);
+            assert!(min_z.abs() < 1e-9, "{}: {min_z}", object.name);
         }
         let again = objects(&settings(0)).unwrap();
         assert!(
@@ -203,7 +193,7 @@ mod tests {
     }
 
     #[test]
-    fn an_object_file_tells_what_a_laboratory_knows() {
+    fn object_file_omits_the_friction() {
         let folder = tempfile::tempdir().unwrap();
         let object = &objects(&settings(3)).unwrap()[0];
         object.save(&Root::new(folder.path()).top()).unwrap();
@@ -216,7 +206,7 @@ mod tests {
     }
 
     #[test]
-    fn egad_shapes_are_taken_where_they_are() {
+    fn egad_shapes_are_used_if_present() {
         let Some(folder) = gripcast_testing::shared("data/egad_eval") else {
             return;
         };

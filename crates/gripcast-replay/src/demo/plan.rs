@@ -1,4 +1,4 @@
-//! What is built, and how its progress is told.
+//! Settings and progress of the demo data.
 
 use std::path::PathBuf;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -6,68 +6,68 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use gripcast_base::error::{Error, ErrorKind, Result};
 use gripcast_base::workers::one_per_core;
 
-/// What a demo dataset is made of.
+/// Settings of a demo dataset.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct DemoSettings {
-    /// Everything that is drawn follows from it.
+    /// Random seed.
     pub seed: u64,
     /// 4 grasps of each object instead of 20, on the default mesh instead of the fine one.
     pub quick: bool,
-    /// Folder with EGAD's B1, B4, C2 and C4 in `data/egad_eval/`, for the full dataset; the
-    /// project's own shapes where there are none.
+    /// Folder with EGAD's B1, B4, C2 and C4 in `data/egad_eval/`, for the full dataset; built-in shapes
+    /// are used otherwise.
     pub shared: Option<PathBuf>,
-    /// Grasps that are worked on at a time, each on one core; at least 1.
+    /// Grasps that are processed in parallel, at least 1.
     pub jobs: usize,
 }
 
 impl DemoSettings {
-    /// Grasps of each outcome and object.
-    pub(super) fn wanted_of_class(&self) -> usize {
+    /// Number of grasps per label and object.
+    pub(super) fn wanted_per_label(&self) -> usize {
         if self.quick { 2 } else { 10 }
     }
 
-    /// Candidates of an object that are drawn at most: ten for each grasp that is wanted.
-    pub(super) fn most_candidates(&self) -> usize {
-        20 * self.wanted_of_class()
+    /// Maximum number of candidates of an object: ten per requested grasp.
+    pub(super) fn max_candidates(&self) -> usize {
+        20 * self.wanted_per_label()
     }
 }
 
-/// What is being done.
+/// Stage of the build.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum DemoStage {
-    /// Candidates are simulated with a coarse mesh, to find some of each outcome.
+    /// Simulating candidates with a coarse mesh, to predict their labels.
     Screening,
-    /// Grasps are simulated as reality.
+    /// Simulating reality.
     Simulating,
-    /// Images are rendered and stored.
+    /// Rendering and storing images.
     Recording,
 }
 
-/// How far a stage is; the first two stages may come by turns.
+/// Progress of a stage; the first two stages may alternate.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct DemoProgress {
-    /// What is being done.
+    /// Stage.
     pub stage: DemoStage,
-    /// Grasps done.
+    /// Number of finished grasps.
     pub done: usize,
-    /// Grasps of this round.
-    pub of: usize,
+    /// Number of grasps of this round.
+    pub total: usize,
 }
 
-/// Ways to follow and to stop the building.
+/// Progress callback and cancellation of a build.
 #[derive(Clone, Copy)]
 pub struct DemoWatch<'a> {
     /// Called from any thread after each grasp.
-    pub progress: &'a (dyn Fn(DemoProgress) + Sync),
-    /// Once true, no further grasp is begun and building ends with an error of kind `Stopped`.
+    pub on_progress: &'a (dyn Fn(DemoProgress) + Sync),
+    /// Once true, no further grasp is started and the build ends with an error of kind `Stopped`.
     pub cancel: Option<&'a AtomicBool>,
 }
 
 impl DemoWatch<'_> {
-    /// Does `work` for every item, `jobs` at a time; results in the order of the items.
+    /// Does `work` for every item, `jobs` in parallel; returns the results in the order of the items.
     ///
     /// # Errors
-    /// The error of the first item that failed, after which none is begun; `Stopped`.
+    /// The error of the first failed item, after which no item is started; `Stopped`.
     pub(super) fn for_each<T: Sync, R: Send>(
         &self,
         jobs: usize,
@@ -75,22 +75,23 @@ impl DemoWatch<'_> {
         items: &[T],
         work: &(dyn Fn(&T) -> Result<R> + Sync),
     ) -> Result<Vec<R>> {
-        let of = items.len();
-        let told = |done| (self.progress)(DemoProgress { stage, done, of });
+        let total = items.len();
+        let report = |done| (self.on_progress)(DemoProgress { stage, done, total });
         one_per_core(
             jobs,
             items,
             &|item| self.check().and_then(|()| work(item)),
-            &told,
+            &report,
         )
     }
 
     pub(super) fn check(&self) -> Result<()> {
         if self.cancel.is_some_and(|flag| flag.load(Ordering::Relaxed)) {
-            return Err(
-                Error::new(ErrorKind::Stopped, "stopped before the demo data was whole")
-                    .remedy("run the same command again: it goes on where it stopped"),
-            );
+            return Err(Error::new(
+                ErrorKind::Stopped,
+                "stopped before the demo data was complete",
+            )
+            .remedy("rerun the same command to resume"));
         }
         Ok(())
     }
@@ -101,14 +102,14 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_stopped_watch_begins_nothing() {
+    fn cancelled_watch_starts_nothing() {
         let stop = AtomicBool::new(true);
         let watch = DemoWatch {
-            progress: &|_| (),
+            on_progress: &|_| (),
             cancel: Some(&stop),
         };
         let nothing = watch.for_each(2, DemoStage::Recording, &[1, 2, 3], &|_| {
-            Err::<(), _>(Error::internal("begun"))
+            Err::<(), _>(Error::internal("started"))
         });
         assert_eq!(nothing.unwrap_err().kind(), ErrorKind::Stopped);
     }

@@ -1,59 +1,63 @@
-//! What happens to a grasp: the simulation that stands for reality, and the coarse one that looks
-//! for candidates. Each result is a file, so that a build that was stopped goes on.
+//! The simulation that stands in for reality, and the coarse one that screens candidates. Each result
+//! is a file, so an interrupted build can be resumed.
 
 use std::sync::Arc;
 
 use serde::{Deserialize, Serialize};
 use serde_json::json;
-use sha2::{Digest as _, Sha256};
 
 use super::object::DemoObject;
-use super::sampler::Candidate;
+use super::selection::Candidate;
 use gripcast_base::error::{Error, Result};
-use gripcast_base::files::{BeneathPath, FileKind, FileName};
+use gripcast_base::files::{BeneathPath, FileKind, FileName, sha256_hex};
 use gripcast_base::workers::thread_cpu_s;
 use gripcast_sim::fem::GelResolution;
 use gripcast_sim::grasp::GraspResult;
-use gripcast_sim::grasp::{GraspOutcome, GraspSettings, Preset, Snapshot, StageName};
+use gripcast_sim::grasp::{
+    GraspOutcome, GraspSettings, Preset, Snapshot, StageName, resolution_name,
+};
 use gripcast_sim::{Engine as _, FemEngine, GraspSetup};
 
-/// A simulated candidate, as it is kept in a file.
+/// Stored result of a candidate.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub(super) struct Simulated {
-    /// Hash of everything that it depends on.
+pub(super) struct SimulatedCandidate {
+    /// Hash of all inputs.
     pub(super) key: String,
-    /// How it ended.
+    /// Simulation outcome.
     pub(super) outcome: GraspOutcome,
     /// Rise of the object's centre of mass, m.
     pub(super) lifted_m: f64,
     /// Normal force on the left and the right gel before the lift, N.
     pub(super) force_n: [f64; 2],
-    /// Before the lift; not of screening.
-    pub(super) grasped: Option<Snapshot>,
-    /// CPU time it took, s.
+    /// State before the lift; not stored by screening.
+    #[serde(rename = "grasped")]
+    pub(super) pre_lift: Option<Snapshot>,
+    /// CPU time, s.
     pub(super) cpu_s: f64,
 }
 
-/// What a grasp counts as.
+/// Label of a grasp.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
-pub(super) enum Class {
-    /// The object follows the lift.
+pub(super) enum GraspLabel {
+    /// The object followed the lift.
     Stable,
-    /// It was touched, and is lost.
-    Lost,
+    /// It was touched but not lifted.
+    Slip,
 }
 
-impl Class {
-    pub(super) const ALL: [Self; 2] = [Self::Stable, Self::Lost];
+impl GraspLabel {
+    pub(super) const ALL: [Self; 2] = [Self::Stable, Self::Slip];
 }
 
-impl Simulated {
-    /// None for a candidate that is no grasp: it missed, could not start, or has no outcome.
-    pub(super) fn class(&self) -> Option<Class> {
+impl SimulatedCandidate {
+    /// Returns the label; none if the gripper missed, the start was in collision, or there is no outcome.
+    pub(super) fn label(&self) -> Option<GraspLabel> {
         match self.outcome {
-            GraspOutcome::Success => Some(Class::Stable),
-            GraspOutcome::Slip | GraspOutcome::Eject | GraspOutcome::GelsMet => Some(Class::Lost),
+            GraspOutcome::Success => Some(GraspLabel::Stable),
+            GraspOutcome::Slip | GraspOutcome::Eject | GraspOutcome::Closed => {
+                Some(GraspLabel::Slip)
+            }
             GraspOutcome::Miss | GraspOutcome::PenetratingStart | GraspOutcome::NotConverged => {
                 None
             }
@@ -61,13 +65,13 @@ impl Simulated {
     }
 }
 
-/// A person holds a grasp this long before the lift, s, and lifts this fast, m/s: sooner and
-/// faster than the protocol of the paper.
+/// Hold time before the lift, s, and lifting speed, m/s, of a person: shorter and faster than in the
+/// paper's protocol.
 const HOLD_S: f64 = 0.5;
 const LIFT_SPEED_M_S: f64 = 0.04;
 
-/// The simulation that stands for reality: the fine mesh, or the default one for the quick dataset,
-/// which is replayed on the coarse one.
+/// Returns the engine that stands in for reality: with the fine mesh, or the default mesh for the quick
+/// dataset, which is replayed with the coarse mesh.
 pub(super) fn reality(is_quick: bool) -> FemEngine {
     let mut settings = GraspSettings::new(Preset::Feats);
     settings.resolution = if is_quick {
@@ -80,7 +84,7 @@ pub(super) fn reality(is_quick: bool) -> FemEngine {
     FemEngine { settings }
 }
 
-/// The same with the coarse mesh, which is fast and nearly as good.
+/// Returns the same engine with the coarse mesh, which is fast and similar.
 pub(super) fn screening() -> FemEngine {
     FemEngine {
         settings: GraspSettings {
@@ -90,8 +94,8 @@ pub(super) fn screening() -> FemEngine {
     }
 }
 
-/// Simulations of one object's candidates, in a folder.
-pub(super) struct Reality<'a> {
+/// Simulates the candidates of one object and stores the results in a folder.
+pub(super) struct CandidateSimulator<'a> {
     object: &'a DemoObject,
     engine: FemEngine,
     folder: &'a BeneathPath,
@@ -99,7 +103,7 @@ pub(super) struct Reality<'a> {
     mesh_sha256: String,
 }
 
-impl<'a> Reality<'a> {
+impl<'a> CandidateSimulator<'a> {
     pub(super) fn new(object: &'a DemoObject, engine: FemEngine, folder: &'a BeneathPath) -> Self {
         Self {
             object,
@@ -110,28 +114,27 @@ impl<'a> Reality<'a> {
         }
     }
 
-    /// The result of a candidate: from its file, or simulated and kept there.
+    /// Returns the result of a candidate, from its file or from a simulation.
     ///
     /// # Errors
-    /// `Io`, `DiskFull`; `Internal` for a candidate that the engine refuses.
-    pub(super) fn simulate(&self, candidate: &Candidate) -> Result<Simulated> {
+    /// `Io`, `DiskFull`; errors of the engine.
+    pub(super) fn simulate(&self, candidate: &Candidate) -> Result<SimulatedCandidate> {
         let key = self.key(candidate)?;
-        let place = self.place(candidate)?;
-        if let Some(known) = read(&place, &key) {
-            return Ok(known);
+        let path = self.path(candidate)?;
+        if let Some(stored) = read(&path, &key) {
+            return Ok(stored);
         }
-        let began = thread_cpu_s();
+        let start = thread_cpu_s();
         let result = self.engine.simulate(
             &self.setup(candidate),
             self.object.friction,
             candidate.stop_force_n,
         )?;
-        let done = self.kept(&result, key, thread_cpu_s() - began);
+        let done = self.summary(&result, key, thread_cpu_s() - start);
         let text = serde_json::to_vec(&done)
             .map_err(|e| Error::internal("cannot write a result").because(e))?;
-        place
-            .replace(&text)
-            .map_err(|e| Error::io("cannot write a result", e).at(place.display()))?;
+        path.replace(&text)
+            .map_err(|e| Error::io("cannot write a result", e).at(path.display()))?;
         Ok(done)
     }
 
@@ -145,7 +148,7 @@ impl<'a> Reality<'a> {
         }
     }
 
-    fn kept(&self, result: &GraspResult, key: String, cpu_s: f64) -> Simulated {
+    fn summary(&self, result: &GraspResult, key: String, cpu_s: f64) -> SimulatedCandidate {
         let trace = &result.trace;
         let last = trace.stage(StageName::Adjustment).next_back();
         let snapshot = trace
@@ -153,18 +156,18 @@ impl<'a> Reality<'a> {
             .iter()
             .find(|s| s.stage == StageName::Adjustment);
         let is_reality = self.engine.settings.resolution != GelResolution::Coarse;
-        Simulated {
+        SimulatedCandidate {
             key,
             outcome: result.outcome,
             lifted_m: result.lifted_m,
             force_n: last.map_or([0.0; 2], |step| step.force.map(|f| f.normal_n)),
-            grasped: snapshot.filter(|_| is_reality).cloned(),
+            pre_lift: snapshot.filter(|_| is_reality).cloned(),
             cpu_s,
         }
     }
 
-    fn place(&self, candidate: &Candidate) -> Result<BeneathPath> {
-        let mesh = self.engine.settings.resolution.name();
+    fn path(&self, candidate: &Candidate) -> Result<BeneathPath> {
+        let mesh = resolution_name(self.engine.settings.resolution);
         let name = format!("{}-{:03}.{mesh}.json", self.object.name, candidate.number);
         Ok(self.folder.join(&FileName::parse(&name)?))
     }
@@ -180,14 +183,13 @@ impl<'a> Reality<'a> {
             "stop_force_n": candidate.stop_force_n,
             "software": env!("CARGO_PKG_VERSION"),
         });
-        let digest = Sha256::digest(all.to_string());
-        Ok(digest.iter().map(|b| format!("{b:02x}")).collect())
+        Ok(sha256_hex(all.to_string()))
     }
 }
 
-/// A result that was kept and still is the one asked for; anything else is simulated again.
-fn read(place: &BeneathPath, key: &str) -> Option<Simulated> {
-    let text = place.read(FileKind::Mesh).ok()?;
-    let found: Simulated = serde_json::from_slice(&text).ok()?;
+/// Reads a stored result with the same inputs.
+fn read(path: &BeneathPath, key: &str) -> Option<SimulatedCandidate> {
+    let text = path.read(FileKind::Mesh).ok()?;
+    let found: SimulatedCandidate = serde_json::from_slice(&text).ok()?;
     (found.key == key).then_some(found)
 }

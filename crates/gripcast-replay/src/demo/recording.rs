@@ -1,4 +1,4 @@
-//! Writes the grasps as a dataset, in the form in which a laboratory would have collected them.
+//! Writes the grasps as a dataset, as if they had been collected on a rig.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
@@ -8,12 +8,12 @@ use image::imageops::grayscale;
 use jiff::{SignedDuration, Timestamp};
 use serde::Serialize;
 
-use super::images::{BESIDE, Images, Stand};
+use super::images::{DemoScene, Images, TABLE_CAMERA};
 use super::object::DemoObject;
 use super::plan::DemoWatch;
-use super::reality::{Class, reality};
-use super::selection::Chosen;
-use super::tactile::{Contact, FRAME, Sensors};
+use super::reality::{GraspLabel, reality};
+use super::selection::SelectedGrasp;
+use super::tactile::{Contact, FRAME, sensor, tactile_frames};
 use gripcast_annotate::Annotator;
 use gripcast_base::error::{Error, Result};
 use gripcast_base::files::{ContentKey, Label, ObjectName};
@@ -23,29 +23,27 @@ use gripcast_dataset::{
     PendingInitial, PoseRecord, SimulatedTruth, Stage, StageCapture, image_name,
 };
 use gripcast_imaging::{Decoder, Frame, Intrinsics, PixelFormat, Role};
-use gripcast_sim::fem::GelGrid;
 use gripcast_sim::grasp::Finger;
-use gripcast_tactile::SimulatedGel;
+use gripcast_tactile::{SensorProfile, SimulatedGel};
 
 /// Name of the dataset, its rig and its operator.
 const NAME: &str = "gripcast-demo-simulated";
 const RIG: &str = "simulated-demo";
 const OPERATOR: &str = "simulation";
-/// What each grasp's note says.
+/// Note of each grasp.
 const NOTE: &str = "Simulated, not real: images are rendered, the outcome is that of a simulation.";
-/// Clock of the first candidate of the first object; candidates are a minute apart. A date on
-/// which nobody had such a sensor.
-const BEGIN: &str = "2000-01-01T00:00:00Z";
-const BETWEEN_S: i64 = 60;
-/// Candidates of an object have their own span of time.
+/// Time stamp of the first candidate, before such sensors existed; candidates are a minute apart.
+const START: &str = "2000-01-01T00:00:00Z";
+const INTERVAL_S: i64 = 60;
+/// Each object has time stamps for this many candidates.
 const MAX_CANDIDATES: i64 = 1000;
-/// From the initial frame to the grasp frame and from there to the label, s.
+/// Time from the initial frame to the grasp frame, and from there to the label, s.
 const CLOSING_S: i64 = 5;
 const LIFTING_S: i64 = 4;
-/// Largest difference of the cameras' times at a trigger, ms.
-const SKEW_MS: f64 = 15.0;
+/// Maximum skew of the cameras at a trigger, ms.
+const MAX_SKEW_MS: f64 = 15.0;
 
-/// A file of `calibration/` of the demo's cameras.
+/// Calibration file of a demo camera.
 #[derive(Serialize)]
 struct Calibration<'a> {
     camera: Camera<'a>,
@@ -60,23 +58,23 @@ struct Camera<'a> {
     note: &'a str,
 }
 
-/// Writes grasps; shared by the threads that make them.
+/// Renders and writes grasps; shared between threads.
 pub(super) struct Recorder {
     writer: Mutex<DatasetWriter>,
-    /// Names of the grasps that were recorded before.
+    /// Names of the grasps that are already recorded.
     recorded: BTreeSet<String>,
-    /// An initial frame whose grasp was not saved before the building stopped.
-    left: Mutex<Option<PendingInitial>>,
-    sensors: Sensors,
+    /// Initial frames whose grasp was not saved before the build stopped.
+    pending: Mutex<Option<PendingInitial>>,
+    sensors: [SensorProfile; 2],
     gel: SimulatedGel,
     seed: u64,
 }
 
 impl Recorder {
-    /// Opens the dataset, or begins it; the quick one has other gels.
+    /// Opens or creates the dataset; the quick one has other gels.
     ///
     /// # Errors
-    /// Those of [`DatasetWriter::open_or_create`].
+    /// As [`DatasetWriter::open_or_create`].
     pub(super) fn open(folder: &Path, seed: u64, is_quick: bool) -> Result<Self> {
         let new = NewDataset {
             name: NAME.to_owned(),
@@ -96,7 +94,7 @@ impl Recorder {
             };
             if record.outcome == Outcome::Unlabelled {
                 let at = time(&record.grasp.captured_at)?;
-                label(&mut writer, &record.id, truth.held, at)?;
+                set_label(&mut writer, &record.id, truth.held, at)?;
             }
             recorded.insert(truth.film.clone());
         }
@@ -104,8 +102,8 @@ impl Recorder {
         Ok(Self {
             writer: Mutex::new(writer),
             recorded,
-            left: Mutex::new(report.pending),
-            sensors: Sensors::new()?,
+            pending: Mutex::new(report.pending),
+            sensors: [sensor(Finger::Left)?, sensor(Finger::Right)?],
             gel: SimulatedGel {
                 grid: engine.gel()?.grid,
                 d_hat_m: engine.solver.d_hat_m,
@@ -114,78 +112,78 @@ impl Recorder {
         })
     }
 
-    /// Grasps that are not of the plan, from an earlier one of another seed or size.
-    pub(super) fn foreign(&self, names: &BTreeSet<String>) -> Option<&String> {
+    /// Finds a recorded grasp that is not among the given names.
+    pub(super) fn unexpected_grasp(&self, names: &BTreeSet<String>) -> Option<&String> {
         self.recorded.iter().find(|name| !names.contains(*name))
     }
 
-    /// Photographs a grasp, annotates and stores it.
+    /// Renders, annotates and stores a grasp.
     ///
     /// # Errors
-    /// Those of the renderers and of the writer.
+    /// Errors of rendering and writing.
     pub(super) fn record(
         &self,
         object: &DemoObject,
-        stand: &Stand,
-        chosen: &Chosen,
+        scene: &DemoScene,
+        chosen: &SelectedGrasp,
         watch: &DemoWatch<'_>,
     ) -> Result<()> {
-        if self.recorded.contains(&film(object, chosen)) {
+        if self.recorded.contains(&grasp_name(object, chosen)) {
             return Ok(());
         }
-        let shot = self.shoot(object, stand, chosen, watch)?;
-        let pose = annotate(stand, &shot.images).ok();
-        let [initial, grasp] = self.captures(object, chosen, shot, pose)?;
-        self.store(object, stand, chosen, &initial, &grasp)
+        let frames = self.render(object, scene, chosen, watch)?;
+        let pose = annotate(scene, &frames.images).ok();
+        let [initial, grasp] = self.captures(object, chosen, frames, pose)?;
+        self.store(object, scene, chosen, &initial, &grasp)
     }
 
     fn writer(&self) -> MutexGuard<'_, DatasetWriter> {
         self.writer.lock().unwrap_or_else(|e| e.into_inner())
     }
 
-    fn shoot(
+    fn render(
         &self,
         object: &DemoObject,
-        stand: &Stand,
-        chosen: &Chosen,
+        scene: &DemoScene,
+        chosen: &SelectedGrasp,
         watch: &DemoWatch<'_>,
-    ) -> Result<Shot> {
-        let grasped = chosen
+    ) -> Result<GraspFrames> {
+        let pre_lift = chosen
             .simulated
-            .grasped
+            .pre_lift
             .as_ref()
-            .ok_or_else(|| Error::internal("a grasp without its state was chosen"))?;
-        let mut draw = SeedStream::named(self.seed, &format!("images {}", film(object, chosen)));
+            .ok_or_else(|| Error::internal("a selected grasp has no state before the lift"))?;
+        let mut draw =
+            SeedStream::named(self.seed, &format!("images {}", grasp_name(object, chosen)));
         let placed = &chosen.candidate.placed;
         let contact = Contact {
             mesh: &object.mesh,
             gel: &self.gel,
             t_world_object: object.t_world_object,
             placed,
-            grasped,
+            pre_lift,
         };
-        let mut frames = |finger| {
-            self.sensors
-                .frames(&contact, finger, [draw.bits(), draw.bits()])
+        let mut frames = |finger: Finger| {
+            let seeds = [draw.bits(), draw.bits()];
+            tactile_frames(&self.sensors[finger as usize], &contact, finger, seeds)
         };
         let tactile = [frames(Finger::Left)?, frames(Finger::Right)?];
-        let grid: &GelGrid = &self.gel.grid;
-        let images = stand.photograph(placed, grasped, grid, draw.bits(), watch)?;
-        Ok(Shot { tactile, images })
+        let images = scene.render(placed, pre_lift, &self.gel.grid, draw.bits(), watch)?;
+        Ok(GraspFrames { tactile, images })
     }
 
     fn captures(
         &self,
         object: &DemoObject,
-        chosen: &Chosen,
-        shot: Shot,
+        chosen: &SelectedGrasp,
+        frames: GraspFrames,
         pose: Option<PoseRecord>,
     ) -> Result<[StageCapture; 2]> {
-        let begin = captured_at(chosen)?;
-        let Shot {
+        let start = captured_at(chosen)?;
+        let GraspFrames {
             tactile: [[left_before, left_after], [right_before, right_after]],
             images,
-        } = shot;
+        } = frames;
         let [hand_before, hand_after] = images.hand;
         let stage = |at: Timestamp, trigger_time_ns: u64, cameras: Vec<(Role, Vec<u8>)>| {
             let camera = |(role, jpeg)| (role, self.camera(role, jpeg, trigger_time_ns));
@@ -199,19 +197,19 @@ impl Recorder {
                 truth: None,
             }
         };
-        let since_boot = 1_000_000_000 * (begin.as_second() - first()?.as_second() + 60) as u64;
+        let since_boot = 1_000_000_000 * (start.as_second() - time(START)?.as_second() + 60) as u64;
         let initial = stage(
-            begin,
+            start,
             since_boot,
             vec![
                 (Role::Left, left_before),
                 (Role::Right, right_before),
                 (Role::Rgb, hand_before),
-                (Role::External, images.beside),
+                (Role::External, images.table),
             ],
         );
         let mut grasp = stage(
-            begin + SignedDuration::from_secs(CLOSING_S),
+            start + SignedDuration::from_secs(CLOSING_S),
             since_boot + 1_000_000_000 * CLOSING_S as u64,
             vec![
                 (Role::Left, left_after),
@@ -224,15 +222,15 @@ impl Recorder {
         Ok([initial, grasp])
     }
 
-    /// A frame with what a driver would tell of it.
+    /// Returns a frame with the metadata of a driver.
     fn camera(&self, role: Role, jpeg: Vec<u8>, trigger_ns: u64) -> CapturedCamera {
         let [width, height] = match role {
             Role::Left | Role::Right => FRAME,
-            Role::External => BESIDE.map(|n| n as u32),
-            Role::Rgb | Role::Depth => super::images::HAND.map(|n| n as u32),
+            Role::External => TABLE_CAMERA.map(|n| n as u32),
+            Role::Rgb | Role::Depth => super::images::HAND_CAMERA.map(|n| n as u32),
         };
         let mut draw = SeedStream::named(self.seed ^ trigger_ns, role.name());
-        let age_ms = draw.between(1.0, SKEW_MS);
+        let age_ms = draw.between(1.0, MAX_SKEW_MS);
         let driver_time_ns = trigger_ns - (1e6 * age_ms) as u64;
         CapturedCamera {
             frame: Frame {
@@ -261,55 +259,53 @@ impl Recorder {
             Role::Right => Finger::Right,
             _ => return None,
         };
-        Some(self.sensors.profile(finger).crop_profile.name())
+        Some(self.sensors[finger as usize].crop_profile.name())
     }
 
     fn store(
         &self,
         object: &DemoObject,
-        stand: &Stand,
-        chosen: &Chosen,
+        scene: &DemoScene,
+        chosen: &SelectedGrasp,
         initial: &StageCapture,
         grasp: &StageCapture,
     ) -> Result<()> {
         let mut writer = self.writer();
-        let camera = stand.intrinsics();
+        let camera = scene.intrinsics();
         let meta = GraspMeta {
             object: ObjectName::parse(&object.name)?,
             scene: Label::nearest("simulated table"),
             operator: Label::nearest(OPERATOR),
             rig: RIG.to_owned(),
             boards: Some(BoardKeys {
-                sheet: writer.put_calibration(&stand.sheet.file.to_toml())?,
-                tags: writer.put_calibration(&stand.tags.to_toml())?,
+                sheet: writer.put_calibration(&scene.sheet.file.to_toml())?,
+                tags: writer.put_calibration(&scene.tags.to_toml())?,
             }),
             calibration: self.calibration(&mut writer, camera)?,
             note: NOTE.to_owned(),
             ..GraspMeta::default()
         };
-        let pending = match self.taken_up(initial) {
+        let pending = match self.take_pending(initial) {
             Some(pending) => pending,
             None => writer.save_initial(initial, Vec::new())?,
         };
         let record = writer.save_grasp(&pending, grasp, meta)?;
-        let held = chosen.simulated.class() == Some(Class::Stable);
-        label(&mut writer, &record.id, held, grasp.captured_at)
+        let stable = chosen.simulated.label() == Some(GraspLabel::Stable);
+        set_label(&mut writer, &record.id, stable, grasp.captured_at)
     }
 
-    /// The initial frame of this very grasp that an earlier run saved. Frames do not depend on the
+    /// Takes the initial frames of this grasp if an earlier run saved them; frames do not depend on the
     /// run.
-    fn taken_up(&self, initial: &StageCapture) -> Option<PendingInitial> {
-        let mut left = self.left.lock().unwrap_or_else(|e| e.into_inner());
-        let is_this = |pending: &mut PendingInitial| {
-            pending.stage.captured_at == initial.captured_at.to_string()
-        };
-        left.take_if(is_this)
+    fn take_pending(&self, initial: &StageCapture) -> Option<PendingInitial> {
+        let mut pending = self.pending.lock().unwrap_or_else(|e| e.into_inner());
+        let captured_at = initial.captured_at.to_string();
+        pending.take_if(|pending| pending.stage.captured_at == captured_at)
     }
 
     fn calibration(
         &self,
         writer: &mut DatasetWriter,
-        beside: Intrinsics,
+        external: Intrinsics,
     ) -> Result<BTreeMap<Role, ContentKey>> {
         [Role::Left, Role::Right, Role::Rgb, Role::External]
             .into_iter()
@@ -321,7 +317,7 @@ impl Recorder {
                         crop_profile: self.crop(role),
                         note: NOTE,
                     },
-                    intrinsics: (role == Role::External).then_some(beside),
+                    intrinsics: (role == Role::External).then_some(external),
                 };
                 let text = toml::to_string_pretty(&calibration)
                     .map_err(|e| Error::internal("cannot write the calibration").because(e))?;
@@ -330,14 +326,18 @@ impl Recorder {
             .collect()
     }
 
-    /// Brings the index up to date.
+    /// Discards pending initial frames and writes the index.
     ///
     /// # Errors
     /// `DiskFull`, `Io`, ….
     pub(super) fn finish(&self) -> Result<()> {
-        let left = self.left.lock().unwrap_or_else(|e| e.into_inner()).take();
+        let pending = self
+            .pending
+            .lock()
+            .unwrap_or_else(|e| e.into_inner())
+            .take();
         let mut writer = self.writer();
-        if let Some(pending) = left {
+        if let Some(pending) = pending {
             writer.discard_initial(&pending)?;
         }
         writer.flush_index()
@@ -345,43 +345,43 @@ impl Recorder {
 }
 
 /// All frames of a grasp.
-struct Shot {
-    /// Left and right sensor, before closing and before the lift.
+struct GraspFrames {
+    /// Left and right sensor, each before closing and before the lift.
     tactile: [[Vec<u8>; 2]; 2],
     images: Images,
 }
 
-/// Name of a simulated grasp.
-pub(super) fn film(object: &DemoObject, chosen: &Chosen) -> String {
+/// Returns the name of a simulated grasp.
+pub(super) fn grasp_name(object: &DemoObject, chosen: &SelectedGrasp) -> String {
     format!("{}-{:03}", object.name, chosen.candidate.number)
 }
 
-/// The gripper in the object's frame, as the images tell it.
-fn annotate(stand: &Stand, images: &Images) -> Result<PoseRecord> {
-    let image = grayscale(&Decoder::new()?.stored_image(&images.beside)?);
-    let (sheet, tags) = (stand.sheet.file.clone(), stand.tags.clone());
+/// Estimates the gripper pose in the object's frame from the images.
+fn annotate(scene: &DemoScene, images: &Images) -> Result<PoseRecord> {
+    let image = grayscale(&Decoder::new()?.stored_image(&images.table)?);
+    let (sheet, tags) = (scene.sheet.file.clone(), scene.tags.clone());
     let mut annotator = Annotator::new(sheet, tags, images.intrinsics)?;
     let name = image_name(Stage::Initial, Role::External, PixelFormat::Mjpg);
     Ok(annotator.annotate([(name.into(), &image)])?.record)
 }
 
-fn truth(object: &DemoObject, chosen: &Chosen) -> Option<SimulatedTruth> {
+fn truth(object: &DemoObject, chosen: &SelectedGrasp) -> Option<SimulatedTruth> {
     let simulated = &chosen.simulated;
-    let grasped = simulated.grasped.as_ref()?;
+    let pre_lift = simulated.pre_lift.as_ref()?;
     let t_object_world = object.t_world_object.inverse();
     let initial = t_object_world * chosen.candidate.placed.t_world_gripper;
     Some(SimulatedTruth {
-        film: film(object, chosen),
+        film: grasp_name(object, chosen),
         object: object.source.clone(),
         object_sha256: object.mesh.content_hash(),
         mass_kg: object.mass_kg,
         friction: object.friction,
         outcome: simulated.outcome.name().to_owned(),
-        held: simulated.class() == Some(Class::Stable),
+        held: simulated.label() == Some(GraspLabel::Stable),
         lifted_m: simulated.lifted_m,
         t_object_gripper_initial: initial,
-        t_object_gripper: grasped.t_world_object.inverse() * grasped.t_world_gripper,
-        opening_m: grasped.opening_m,
+        t_object_gripper: pre_lift.t_world_object.inverse() * pre_lift.t_world_gripper,
+        opening_m: pre_lift.opening_m,
         force_n: simulated.force_n,
     })
 }
@@ -394,27 +394,27 @@ fn product(role: Role) -> &'static str {
     }
 }
 
-fn first() -> Result<Timestamp> {
-    time(BEGIN)
-}
-
-fn captured_at(chosen: &Chosen) -> Result<Timestamp> {
+fn captured_at(chosen: &SelectedGrasp) -> Result<Timestamp> {
     let number = MAX_CANDIDATES * chosen.object as i64 + chosen.candidate.number as i64;
-    Ok(first()? + SignedDuration::from_secs(BETWEEN_S * number))
+    Ok(time(START)? + SignedDuration::from_secs(INTERVAL_S * number))
 }
 
 fn time(text: &str) -> Result<Timestamp> {
     text.parse()
-        .map_err(|e: jiff::Error| Error::input(format!("`{text}` is no time")).because(e))
+        .map_err(|e: jiff::Error| Error::input(format!("invalid time stamp `{text}`")).because(e))
 }
 
-fn label(
+fn set_label(
     writer: &mut DatasetWriter,
     id: &gripcast_dataset::GraspId,
-    held: bool,
+    stable: bool,
     captured_at: Timestamp,
 ) -> Result<()> {
-    let outcome = if held { Outcome::Stable } else { Outcome::Slip };
+    let outcome = if stable {
+        Outcome::Stable
+    } else {
+        Outcome::Slip
+    };
     let at = captured_at + SignedDuration::from_secs(LIFTING_S);
     writer.set_outcome(id, outcome, at).map(|_| ())
 }

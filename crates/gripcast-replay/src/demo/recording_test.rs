@@ -1,12 +1,12 @@
-//! Recording with frames that cost nothing to make.
+//! Tests with generated frames.
 
 use image::RgbImage;
 
 use super::*;
 use crate::demo::object::objects;
 use crate::demo::plan::DemoSettings;
-use crate::demo::reality::Simulated;
-use crate::demo::sampler::Candidate;
+use crate::demo::reality::SimulatedCandidate;
+use crate::demo::selection::Candidate;
 use gripcast_dataset::verify;
 use gripcast_geometry::Pose;
 use gripcast_imaging::encode_jpeg;
@@ -23,9 +23,9 @@ fn object() -> DemoObject {
     objects(&settings).unwrap().remove(0)
 }
 
-fn chosen(number: usize, outcome: GraspOutcome) -> Chosen {
+fn chosen(number: usize, outcome: GraspOutcome) -> SelectedGrasp {
     let above = Pose::from_translation(glam::DVec3::Z * 0.03);
-    Chosen {
+    SelectedGrasp {
         object: 0,
         candidate: Candidate {
             number,
@@ -35,12 +35,12 @@ fn chosen(number: usize, outcome: GraspOutcome) -> Chosen {
             },
             stop_force_n: 30.0,
         },
-        simulated: Simulated {
+        simulated: SimulatedCandidate {
             key: String::new(),
             outcome,
             lifted_m: 0.05,
             force_n: [30.0, 31.0],
-            grasped: Some(Snapshot {
+            pre_lift: Some(Snapshot {
                 stage: StageName::Adjustment,
                 t_s: 1.0,
                 t_world_object: Pose::IDENTITY,
@@ -53,8 +53,8 @@ fn chosen(number: usize, outcome: GraspOutcome) -> Chosen {
     }
 }
 
-/// Frames that differ from each other and from those of another grasp.
-fn shot(number: usize) -> Shot {
+/// Frames that differ from each other and from those of other grasps.
+fn frames(number: usize) -> GraspFrames {
     let jpeg = |[width, height]: [u32; 2], shade: usize| {
         let image = RgbImage::from_fn(width, height, |x, y| {
             image::Rgb([x as u8, y as u8, (shade + 16 * number) as u8])
@@ -62,54 +62,56 @@ fn shot(number: usize) -> Shot {
         encode_jpeg(&image, 50).unwrap()
     };
     let gel = |shade| jpeg(FRAME, shade);
-    let hand = super::super::images::HAND.map(|n| n as u32);
-    Shot {
+    let hand = super::super::images::HAND_CAMERA.map(|n| n as u32);
+    GraspFrames {
         tactile: [[gel(0), gel(1)], [gel(2), gel(3)]],
         images: Images {
             hand: [jpeg(hand, 4), jpeg(hand, 5)],
-            beside: jpeg(BESIDE.map(|n| n as u32), 6),
+            table: jpeg(TABLE_CAMERA.map(|n| n as u32), 6),
             intrinsics: test_camera(1280, 720),
         },
     }
 }
 
-fn record(folder: &Path, object: &DemoObject, stand: &Stand, all: &[Chosen]) {
+fn record(folder: &Path, object: &DemoObject, scene: &DemoScene, all: &[SelectedGrasp]) {
     let recorder = Recorder::open(folder, 1, false).unwrap();
     for one in all {
-        if recorder.recorded.contains(&film(object, one)) {
+        if recorder.recorded.contains(&grasp_name(object, one)) {
             continue;
         }
-        let shot = shot(one.candidate.number);
-        let [initial, grasp] = recorder.captures(object, one, shot, None).unwrap();
+        let frames = frames(one.candidate.number);
+        let [initial, grasp] = recorder.captures(object, one, frames, None).unwrap();
         recorder
-            .store(object, stand, one, &initial, &grasp)
+            .store(object, scene, one, &initial, &grasp)
             .unwrap();
     }
     recorder.finish().unwrap();
 }
 
 #[test]
-fn what_is_recorded_is_whole_labelled_and_the_same_after_a_stop() {
+fn interrupted_recording_resumes_to_the_same_dataset() {
     let object = object();
-    let stand = Stand::new(&object, 1).unwrap();
+    let scene = DemoScene::new(&object, 1).unwrap();
     let all = [
         chosen(3, GraspOutcome::Success),
         chosen(5, GraspOutcome::Eject),
     ];
     let folders = [tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap()];
     let [once, twice] = folders.each_ref().map(|f| f.path().join("dataset"));
-    record(&once, &object, &stand, &all);
-    record(&twice, &object, &stand, &all[..1]);
-    // Stopped between the two frames of the second grasp.
+    record(&once, &object, &scene, &all);
+    record(&twice, &object, &scene, &all[..1]);
+    // Interrupted between the two frames of the second grasp.
     {
         let recorder = Recorder::open(&twice, 1, false).unwrap();
-        let captures = recorder.captures(&object, &all[1], shot(5), None).unwrap();
+        let captures = recorder
+            .captures(&object, &all[1], frames(5), None)
+            .unwrap();
         recorder
             .writer()
             .save_initial(&captures[0], Vec::new())
             .unwrap();
     }
-    record(&twice, &object, &stand, &all);
+    record(&twice, &object, &scene, &all);
     for folder in [&once, &twice] {
         let report = verify(folder, &|_, _| {}).unwrap();
         assert_eq!((report.grasps, report.unlabelled), (2, 0));
@@ -136,17 +138,17 @@ fn what_is_recorded_is_whole_labelled_and_the_same_after_a_stop() {
 }
 
 #[test]
-fn grasps_of_another_plan_are_noticed() {
+fn grasps_of_other_settings_are_detected() {
     let object = object();
-    let stand = Stand::new(&object, 1).unwrap();
+    let scene = DemoScene::new(&object, 1).unwrap();
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("dataset");
-    record(&path, &object, &stand, &[chosen(3, GraspOutcome::Success)]);
+    record(&path, &object, &scene, &[chosen(3, GraspOutcome::Success)]);
     let recorder = Recorder::open(&path, 1, false).unwrap();
     let names = |text: &str| BTreeSet::from([text.to_owned()]);
-    assert_eq!(recorder.foreign(&names("jack-003")), None);
+    assert_eq!(recorder.unexpected_grasp(&names("jack-003")), None);
     assert_eq!(
-        recorder.foreign(&names("jack-004")),
+        recorder.unexpected_grasp(&names("jack-004")),
         Some(&"jack-003".to_owned())
     );
 }

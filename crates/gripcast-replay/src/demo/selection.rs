@@ -1,74 +1,113 @@
-//! Which candidates become grasps of the dataset: as many that hold as are lost.
+//! Selects the grasps of the dataset: as many stable ones as slips.
 //!
-//! Every grasp's outcome is that of reality's mesh. The coarse mesh, with the same real friction and
-//! force, only says which candidate to look at next. No engine that will replay the dataset is asked.
+//! Every outcome is that of reality's mesh. The coarse mesh, with the same true friction and force, only
+//! decides which candidate to simulate next. No engine of the replay is involved.
 
 use std::collections::BTreeMap;
 
 use super::object::DemoObject;
 use super::plan::{DemoSettings, DemoStage, DemoWatch};
-use super::reality::{Class, Reality, Simulated, reality, screening};
-use super::sampler::{Candidate, Sampler};
+use super::reality::{CandidateSimulator, GraspLabel, SimulatedCandidate, reality, screening};
 use gripcast_base::error::Result;
 use gripcast_base::files::BeneathPath;
+use gripcast_sim::FemEngine;
+use gripcast_sim::grasp::Placed;
+use gripcast_synth::grasp::{FaultRanges, GraspSampler};
+
+/// Range of a person's squeezing force, N.
+const FORCE_N: [f64; 2] = [25.0, 50.0];
+
+/// A sampled grasp.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Candidate {
+    /// Number of the sample.
+    pub(super) number: usize,
+    /// Pose and opening of the gripper.
+    pub(super) placed: Placed,
+    /// Squeezing force of the person, N.
+    pub(super) stop_force_n: f64,
+}
+
+fn sampler(object: &DemoObject, seed: u64) -> GraspSampler<'_> {
+    let (mesh, pose) = (&object.mesh, object.t_world_object);
+    GraspSampler::new(&object.name, mesh, pose, FaultRanges::COLLECTED, seed)
+}
+
+fn candidate(sampler: &GraspSampler<'_>, number: usize) -> Result<Option<Candidate>> {
+    let drawn = sampler.candidate(number)?;
+    Ok(drawn.map(|drawn| Candidate {
+        number,
+        placed: drawn.placed,
+        stop_force_n: FORCE_N[0] + (FORCE_N[1] - FORCE_N[0]) * drawn.squeeze,
+    }))
+}
 
 /// A grasp of the dataset.
 #[derive(Clone, Debug)]
-pub(super) struct Chosen {
-    /// Index of its object.
+pub(super) struct SelectedGrasp {
+    /// Index of the object.
     pub(super) object: usize,
-    /// Where the gripper was.
+    /// Gripper pose and force.
     pub(super) candidate: Candidate,
-    /// What happened.
-    pub(super) simulated: Simulated,
+    /// Simulated result.
+    pub(super) simulated: SimulatedCandidate,
 }
 
-/// What is known of an object's candidates.
+/// Candidates of one object.
 #[derive(Default)]
-struct Known {
-    /// Candidates that were drawn.
+struct CandidatePool {
+    /// Number of sampled candidates.
     drawn: usize,
-    /// Those that are expected to be of a class, in order, not simulated yet.
-    expected: BTreeMap<Class, Vec<Candidate>>,
-    /// Those that were taken.
-    taken: BTreeMap<Class, Vec<Chosen>>,
+    /// Candidates by expected label, not simulated yet.
+    expected: BTreeMap<GraspLabel, Vec<Candidate>>,
+    /// Selected grasps by label.
+    selected: BTreeMap<GraspLabel, Vec<SelectedGrasp>>,
 }
 
-impl Known {
-    /// Nothing, or what the project knows of a plan.
-    fn begin(object: &DemoObject, settings: &DemoSettings) -> Result<Self> {
-        let mut known = Self::default();
+impl CandidatePool {
+    /// Creates a pool, with the known candidates of the quick dataset.
+    fn new(object: &DemoObject, settings: &DemoSettings) -> Result<Self> {
+        let mut pool = Self::default();
         let Some((_, numbers)) = known_candidates(settings)
             .iter()
             .find(|(name, _)| *name == object.name)
         else {
-            return Ok(known);
+            return Ok(pool);
         };
-        let sampler = Sampler::new(object, settings.seed);
-        for (class, numbers) in Class::ALL.into_iter().zip(numbers) {
+        let sampler = sampler(object, settings.seed);
+        for (label, numbers) in GraspLabel::ALL.into_iter().zip(numbers) {
             for &number in *numbers {
-                let candidate = sampler.candidate(number)?;
-                known.expected.entry(class).or_default().extend(candidate);
-                known.drawn = known.drawn.max(number + 1);
+                let candidate = candidate(&sampler, number)?;
+                pool.expected.entry(label).or_default().extend(candidate);
+                pool.drawn = pool.drawn.max(number + 1);
             }
         }
-        Ok(known)
+        Ok(pool)
     }
 
-    fn missing(&self, class: Class, wanted: usize) -> usize {
-        wanted.saturating_sub(self.taken.get(&class).map_or(0, Vec::len))
+    fn missing(&self, label: GraspLabel, wanted: usize) -> usize {
+        wanted.saturating_sub(self.selected.get(&label).map_or(0, Vec::len))
     }
 
-    fn expected(&self, class: Class) -> usize {
-        self.expected.get(&class).map_or(0, Vec::len)
+    /// Adds a grasp if more grasps with its label are wanted.
+    fn add(&mut self, grasp: SelectedGrasp, wanted: usize) {
+        if let Some(label) = grasp.simulated.label()
+            && grasp.simulated.pre_lift.is_some()
+            && self.missing(label, wanted) > 0
+        {
+            self.selected.entry(label).or_default().push(grasp);
+        }
+    }
+
+    fn expected(&self, label: GraspLabel) -> usize {
+        self.expected.get(&label).map_or(0, Vec::len)
     }
 }
 
-/// Candidates of an object that are expected to hold, and to be lost.
+/// Object name, and its candidates that are expected to be stable and to slip.
 type Expected = (&'static str, [&'static [usize]; 2]);
 
-/// What screening finds for the quick dataset of seed 0, so that it need not be done again. The
-/// outcome is still simulated.
+/// Results of screening for the quick dataset with seed 0. The outcomes are still simulated.
 const QUICK: [Expected; 5] = [
     ("jack", [&[0, 1], &[2, 7]]),
     ("star", [&[0, 1], &[11, 13]]),
@@ -78,129 +117,112 @@ const QUICK: [Expected; 5] = [
 ];
 
 fn known_candidates(settings: &DemoSettings) -> &'static [Expected] {
-    match settings {
-        DemoSettings {
-            seed: 0,
-            quick: true,
-            ..
-        } => &QUICK,
-        _ => &[],
-    }
+    let has_known = settings.quick && settings.seed == 0;
+    if has_known { &QUICK } else { &[] }
 }
 
-/// Chooses the grasps of all objects, by object and number of the candidate. Rounds are the same for any number of threads.
+/// Selects the grasps of all objects, sorted by object and candidate. The result does not depend on
+/// the number of threads.
 ///
 /// # Errors
 /// `Io`, `DiskFull`; `Stopped`.
-pub(super) fn choose(
+pub(super) fn select(
     objects: &[DemoObject],
     settings: &DemoSettings,
     folder: &BeneathPath,
     watch: &DemoWatch<'_>,
-) -> Result<Vec<Chosen>> {
-    let wanted = settings.wanted_of_class();
-    let mut known = objects
+) -> Result<Vec<SelectedGrasp>> {
+    let wanted = settings.wanted_per_label();
+    let mut pools = objects
         .iter()
-        .map(|object| Known::begin(object, settings))
-        .collect::<Result<Vec<Known>>>()?;
-    let coarse: Vec<Reality<'_>> = objects
-        .iter()
-        .map(|object| Reality::new(object, screening(), folder))
-        .collect();
-    let fine: Vec<Reality<'_>> = objects
-        .iter()
-        .map(|object| Reality::new(object, reality(settings.quick), folder))
-        .collect();
+        .map(|object| CandidatePool::new(object, settings))
+        .collect::<Result<Vec<CandidatePool>>>()?;
+    let simulators = |engine: &dyn Fn() -> FemEngine| -> Vec<CandidateSimulator<'_>> {
+        let simulator = |object| CandidateSimulator::new(object, engine(), folder);
+        objects.iter().map(simulator).collect()
+    };
+    let (coarse, fine) = (
+        simulators(&screening),
+        simulators(&|| reality(settings.quick)),
+    );
+    let simulate = |simulators: &[CandidateSimulator<'_>], stage, batch: &[(usize, Candidate)]| {
+        watch.for_each(settings.jobs, stage, batch, &|(object, candidate)| {
+            simulators[*object].simulate(candidate)
+        })
+    };
     loop {
-        let batch = to_screen(objects, settings, &mut known)?;
+        let batch = to_screen(objects, settings, &mut pools)?;
         if !batch.is_empty() {
-            let look = |(at, candidate): &(usize, Candidate)| coarse[*at].simulate(candidate);
-            let stage = DemoStage::Screening;
-            let found = watch.for_each(settings.jobs, stage, &batch, &look)?;
-            for ((at, candidate), result) in batch.into_iter().zip(found) {
-                if let Some(class) = result.class() {
-                    known[at].expected.entry(class).or_default().push(candidate);
+            let results = simulate(&coarse, DemoStage::Screening, &batch)?;
+            for ((object, candidate), result) in batch.into_iter().zip(results) {
+                if let Some(label) = result.label() {
+                    let expected = pools[object].expected.entry(label);
+                    expected.or_default().push(candidate);
                 }
             }
             continue;
         }
-        let batch = to_simulate(&mut known, wanted);
+        let batch = to_simulate(&mut pools, wanted);
         if batch.is_empty() {
-            break;
+            return Ok(selection(pools));
         }
-        let look = |(at, candidate): &(usize, Candidate)| fine[*at].simulate(candidate);
-        let found = watch.for_each(settings.jobs, DemoStage::Simulating, &batch, &look)?;
-        for ((at, candidate), simulated) in batch.into_iter().zip(found) {
-            take(&mut known[at], wanted, at, candidate, simulated);
+        let results = simulate(&fine, DemoStage::Simulating, &batch)?;
+        for ((object, candidate), simulated) in batch.into_iter().zip(results) {
+            let grasp = SelectedGrasp {
+                object,
+                candidate,
+                simulated,
+            };
+            pools[object].add(grasp, wanted);
         }
-    }
-    Ok(selection(known))
-}
-
-/// Takes a grasp whose class has room.
-fn take(
-    known: &mut Known,
-    wanted: usize,
-    object: usize,
-    candidate: Candidate,
-    simulated: Simulated,
-) {
-    if let Some(class) = simulated.class()
-        && simulated.grasped.is_some()
-        && known.missing(class, wanted) > 0
-    {
-        known.taken.entry(class).or_default().push(Chosen {
-            object,
-            candidate,
-            simulated,
-        });
     }
 }
 
-/// The next candidates of the objects for which too few are expected to be of a class.
+/// Samples the next candidates of objects with too few expected grasps of a label.
 fn to_screen(
     objects: &[DemoObject],
     settings: &DemoSettings,
-    known: &mut [Known],
+    pools: &mut [CandidatePool],
 ) -> Result<Vec<(usize, Candidate)>> {
-    let wanted = settings.wanted_of_class();
+    let wanted = settings.wanted_per_label();
     let mut batch = Vec::new();
-    for (at, (object, known)) in objects.iter().zip(known).enumerate() {
-        let is_short = |class: &Class| known.expected(*class) < known.missing(*class, wanted);
-        if !Class::ALL.iter().any(is_short) {
+    for (index, (object, pool)) in objects.iter().zip(pools).enumerate() {
+        let is_short = |label: &GraspLabel| pool.expected(*label) < pool.missing(*label, wanted);
+        if !GraspLabel::ALL.iter().any(is_short) {
             continue;
         }
-        let sampler = Sampler::new(object, settings.seed);
-        let end = settings.most_candidates().min(known.drawn + 2 * wanted);
-        for number in known.drawn..end {
-            batch.extend(sampler.candidate(number)?.map(|candidate| (at, candidate)));
+        let sampler = sampler(object, settings.seed);
+        let end = settings.max_candidates().min(pool.drawn + 2 * wanted);
+        for number in pool.drawn..end {
+            let candidate = candidate(&sampler, number)?;
+            batch.extend(candidate.map(|candidate| (index, candidate)));
         }
-        known.drawn = end;
+        pool.drawn = end;
     }
     Ok(batch)
 }
 
-/// Of each class as many of the expected candidates as are missing.
-fn to_simulate(known: &mut [Known], wanted: usize) -> Vec<(usize, Candidate)> {
+/// Takes as many expected candidates of each label as are missing.
+fn to_simulate(pools: &mut [CandidatePool], wanted: usize) -> Vec<(usize, Candidate)> {
     let mut batch = Vec::new();
-    for (at, known) in known.iter_mut().enumerate() {
-        for class in Class::ALL {
-            let missing = known.missing(class, wanted);
-            let expected = known.expected.entry(class).or_default();
+    for (index, pool) in pools.iter_mut().enumerate() {
+        for label in GraspLabel::ALL {
+            let missing = pool.missing(label, wanted);
+            let expected = pool.expected.entry(label).or_default();
             let count = missing.min(expected.len());
-            batch.extend(expected.drain(..count).map(|candidate| (at, candidate)));
+            batch.extend(expected.drain(..count).map(|candidate| (index, candidate)));
         }
     }
-    batch.sort_by_key(|(at, candidate)| (*at, candidate.number));
+    batch.sort_by_key(|(index, candidate)| (*index, candidate.number));
     batch
 }
 
-fn selection(known: Vec<Known>) -> Vec<Chosen> {
-    let taken = known
+fn selection(pools: Vec<CandidatePool>) -> Vec<SelectedGrasp> {
+    let by_label = pools
         .into_iter()
-        .flat_map(|known| known.taken.into_values());
-    let mut grasps: Vec<Chosen> = taken.flatten().collect();
-    grasps.sort_by_key(|chosen| (chosen.object, chosen.candidate.number));
+        .flat_map(|pool| pool.selected.into_values());
+    let mut grasps: Vec<SelectedGrasp> = by_label.flatten().collect();
+    grasps.sort_by_key(|grasp| (grasp.object, grasp.candidate.number));
     grasps
 }
 
@@ -208,12 +230,12 @@ fn selection(known: Vec<Known>) -> Vec<Chosen> {
 mod tests {
     use super::*;
     use gripcast_geometry::Pose;
-    use gripcast_sim::grasp::{GraspOutcome, GripperState, Snapshot, StageName};
+    use gripcast_sim::grasp::{GraspOutcome, Snapshot, StageName};
 
     fn candidate(number: usize) -> Candidate {
         Candidate {
             number,
-            placed: GripperState {
+            placed: Placed {
                 t_world_gripper: Pose::IDENTITY,
                 opening_m: 0.05,
             },
@@ -221,13 +243,13 @@ mod tests {
         }
     }
 
-    fn simulated(outcome: GraspOutcome) -> Simulated {
-        Simulated {
+    fn simulated(outcome: GraspOutcome) -> SimulatedCandidate {
+        SimulatedCandidate {
             key: String::new(),
             outcome,
             lifted_m: 0.0,
             force_n: [30.0; 2],
-            grasped: Some(Snapshot {
+            pre_lift: Some(Snapshot {
                 stage: StageName::Adjustment,
                 t_s: 0.0,
                 t_world_object: Pose::IDENTITY,
@@ -240,17 +262,30 @@ mod tests {
     }
 
     #[test]
-    fn the_fine_outcome_counts_and_a_full_class_takes_no_more() {
+    fn squeezing_forces_are_25_to_50_n() {
+        let settings = DemoSettings {
+            seed: 4,
+            quick: true,
+            shared: None,
+            jobs: 1,
+        };
+        for object in crate::demo::object::objects(&settings).unwrap() {
+            let drawn = super::candidate(&sampler(&object, 4), 1).unwrap().unwrap();
+            assert!((25.0..=50.0).contains(&drawn.stop_force_n));
+        }
+    }
+
+    #[test]
+    fn fine_outcome_decides_and_complete_labels_are_closed() {
         use GraspOutcome::{Eject, Miss, NotConverged, Slip, Success};
-        let mut known = Known::default();
+        let mut pool = CandidatePool::default();
         for number in 0..6 {
-            known
-                .expected
-                .entry(Class::Stable)
+            pool.expected
+                .entry(GraspLabel::Stable)
                 .or_default()
                 .push(candidate(number));
         }
-        let mut all = [known];
+        let mut all = [pool];
         let first = to_simulate(&mut all, 2);
         assert_eq!(
             first.iter().map(|(_, c)| c.number).collect::<Vec<_>>(),
@@ -260,11 +295,16 @@ mod tests {
             .into_iter()
             .enumerate()
         {
-            take(&mut all[0], 2, 0, candidate(number), simulated(outcome));
+            let grasp = SelectedGrasp {
+                object: 0,
+                candidate: candidate(number),
+                simulated: simulated(outcome),
+            };
+            all[0].add(grasp, 2);
         }
         assert!(to_simulate(&mut all, 2).is_empty());
-        let chosen = selection(all.into());
-        let numbers: Vec<usize> = chosen.iter().map(|g| g.candidate.number).collect();
+        let selected = selection(all.into());
+        let numbers: Vec<usize> = selected.iter().map(|g| g.candidate.number).collect();
         assert_eq!(numbers, [0, 1, 4, 6]);
     }
 }

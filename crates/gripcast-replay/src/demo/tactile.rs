@@ -1,16 +1,15 @@
-//! Frames of the demo data's tactile sensors: GelSight Minis that are not the one the project was
-//! calibrated on.
+//! Frames of the demo data's tactile sensors: GelSight Minis that differ from the shipped profile.
 
 use gripcast_base::error::{Error, Result};
 use gripcast_geometry::TriangleMesh;
 use gripcast_imaging::encode_jpeg;
-use gripcast_sim::grasp::{Finger, GripperState, Snapshot};
+use gripcast_sim::grasp::{Finger, Placed, Snapshot};
 use gripcast_tactile::{
-    ObjectDepthRenderer, SceneRenderer as _, SensorMount, SensorProfile, SensorVariation,
+    ObjectDepthRenderer, SceneRenderer as _, SensorPlace, SensorProfile, SensorVariation,
     SimulatedGel, TactileScene, WholeFrame,
 };
 
-/// Size of the cameras' frames, px: a stream of the Mini.
+/// Size of the frames, px: a stream of the Mini.
 pub(super) const FRAME: [u32; 2] = [640, 480];
 /// JPEG quality of the frames.
 const QUALITY: u8 = 92;
@@ -35,15 +34,15 @@ const VARIATIONS: [SensorVariation; 2] = [
     },
 ];
 
-/// The sensor of a finger: the untouched gel is the shipped one's, mirrored left to right and of
-/// another brightness for each colour; slopes change the light by another amount; noise and
-/// smoothing are larger. By how much is a choice, not a measurement.
+/// Returns the sensor profile of a finger: the shipped profile with its background mirrored and rescaled
+/// per colour, another response to slopes, and more noise and smoothing. The amounts are chosen, not
+/// measured.
 ///
 /// # Errors
-/// None; a test makes them.
+/// None; a test checks that.
 pub(super) fn sensor(finger: Finger) -> Result<SensorProfile> {
     let variation = &VARIATIONS[finger as usize];
-    let mut profile = variation.apply(&SensorProfile::gelsight_mini()?);
+    let mut profile = variation.of(&SensorProfile::gelsight_mini()?);
     profile.name = format!("demo-{}", ["left", "right"][finger as usize]);
     profile.provenance = format!(
         "Not a real sensor: the shipped gelsight-mini profile with its background mirrored and \
@@ -54,68 +53,46 @@ pub(super) fn sensor(finger: Finger) -> Result<SensorProfile> {
     Ok(profile)
 }
 
-/// The cameras of both sensors.
-pub(super) struct Sensors {
-    profiles: [SensorProfile; 2],
-}
-
-/// What both sensors meet in a grasp.
+/// Contact of both sensors in a grasp.
 pub(super) struct Contact<'a> {
     /// The object in its own frame, m.
     pub(super) mesh: &'a TriangleMesh,
-    /// The gels that were simulated.
+    /// The simulated gels.
     pub(super) gel: &'a SimulatedGel,
-    /// The object and the gripper before the fingers close.
+    /// Pose of the object before the fingers close.
     pub(super) t_world_object: gripcast_geometry::Pose,
-    /// See `t_world_object`.
-    pub(super) placed: &'a GripperState,
-    /// Before the lift.
-    pub(super) grasped: &'a Snapshot,
+    /// Pose and opening of the gripper before the fingers close.
+    pub(super) placed: &'a Placed,
+    /// State before the lift.
+    pub(super) pre_lift: &'a Snapshot,
 }
 
-impl Sensors {
-    pub(super) fn new() -> Result<Self> {
-        Ok(Self {
-            profiles: [sensor(Finger::Left)?, sensor(Finger::Right)?],
-        })
-    }
-
-    /// The profile of a finger's sensor.
-    pub(super) fn profile(&self, finger: Finger) -> &SensorProfile {
-        &self.profiles[finger as usize]
-    }
-
-    /// JPEGs of a finger's camera before closing and before the lift; the seeds draw their noise.
-    ///
-    /// # Errors
-    /// `Input` where the snapshot is not of the gel.
-    pub(super) fn frames(
-        &self,
-        contact: &Contact<'_>,
-        finger: Finger,
-        seeds: [u64; 2],
-    ) -> Result<[Vec<u8>; 2]> {
-        let profile = self.profile(finger);
-        let mut renderer = ObjectDepthRenderer::new(profile)?;
-        let place = SensorMount::on(finger);
-        let poses = [&contact.t_world_object, &contact.placed.t_world_gripper];
-        let opening = contact.placed.opening_m;
-        let before =
-            TactileScene::before_closing(contact.mesh, contact.gel, poses, opening, place)?;
-        let after = TactileScene::from_snapshot(contact.mesh, contact.gel, contact.grasped, place)?;
-        let full = (FRAME[0], FRAME[1]);
-        let window = profile
-            .crop_profile
-            .window(full.0, full.1)
-            .ok_or_else(|| Error::internal("the crop leaves nothing of the frame"))?;
-        let whole = WholeFrame::new(profile, window, full, full);
-        let untouched = renderer.render(&before.untouched(), None)?;
-        let mut frame = |scene: &TactileScene<'_>, seed| -> Result<Vec<u8>> {
-            let image = renderer.render(scene, Some(seed))?;
-            encode_jpeg(&whole.compose(&image, &untouched)?, QUALITY)
-        };
-        Ok([frame(&before, seeds[0])?, frame(&after, seeds[1])?])
-    }
+/// Renders the JPEG frames of a sensor before closing and before the lift; the seeds draw the noise.
+///
+/// # Errors
+/// `Input` if the snapshot does not belong to the gel.
+pub(super) fn tactile_frames(
+    profile: &SensorProfile,
+    contact: &Contact<'_>,
+    finger: Finger,
+    seeds: [u64; 2],
+) -> Result<[Vec<u8>; 2]> {
+    let mut renderer = ObjectDepthRenderer::new(profile)?;
+    let sensor = SensorPlace::on(finger);
+    let poses = [&contact.t_world_object, &contact.placed.t_world_gripper];
+    let opening_m = contact.placed.opening_m;
+    let before = TactileScene::at_start(contact.mesh, contact.gel, poses, opening_m, sensor)?;
+    let after = TactileScene::of_snapshot(contact.mesh, contact.gel, contact.pre_lift, sensor)?;
+    let full = (FRAME[0], FRAME[1]);
+    let window = profile.crop_profile.window(full.0, full.1);
+    let window = window.ok_or_else(|| Error::internal("the crop leaves nothing of the frame"))?;
+    let whole = WholeFrame::new(profile, window, full, full);
+    let untouched = renderer.render(&before.untouched(), None)?;
+    let mut frame = |scene: &TactileScene<'_>, seed| -> Result<Vec<u8>> {
+        let image = renderer.render(scene, Some(seed))?;
+        encode_jpeg(&whole.place(&image, &untouched)?, QUALITY)
+    };
+    Ok([frame(&before, seeds[0])?, frame(&after, seeds[1])?])
 }
 
 #[cfg(test)]
@@ -124,7 +101,7 @@ mod tests {
     use gripcast_testing::mean_difference;
 
     #[test]
-    fn sensors_differ_from_the_shipped_one_and_from_each_other() {
+    fn sensors_differ_from_shipped_profile_and_each_other() {
         let shipped = SensorProfile::gelsight_mini().unwrap();
         let [left, right] = Finger::BOTH.map(|finger| sensor(finger).unwrap());
         let image = |p: &SensorProfile| p.background.image.clone().unwrap();

@@ -1,30 +1,30 @@
-//! Confusion of each engine with reality, and the duel of both.
+//! Confusion matrix of each engine, and the paired comparison of both.
 
 use super::Page;
 use super::text::p_value;
-use crate::report::{Duel, EngineFacts};
+use crate::report::{EngineComparison, EngineFacts};
 use gripcast_report::engine_name;
-use gripcast_report::page::nothing;
+use gripcast_report::page::placeholder;
 use maud::{Markup, html};
 
 pub(super) fn section(page: &Page<'_>) -> Markup {
     let body = html! {
         p {
-            "Counts of grasps at the paper’s choice. Outlined cells disagree with "
+            "Numbers of grasps at the paper’s choice. Outlined cells disagree with "
             (page.reality()) "."
         }
         div.row {
             @for engine in &page.report.engines { (confusion(page, engine)) }
-            @match &page.report.duel {
-                Some(duel) => (duel_table(duel)),
-                None => (nothing("Only one engine ran: no duel.")),
+            @match &page.report.comparison {
+                Some(comparison) => (comparison_table(comparison)),
+                None => (placeholder("Only one engine ran.")),
             }
         }
     };
-    page.section("confusion", "Confusion and duel", body)
+    page.section("confusion", "Confusion and comparison", body)
 }
 
-/// Four counts: the outer two are where both sides agree.
+/// A table of four counts; both sides agree on the diagonal.
 struct Square<'a> {
     caption: &'a str,
     columns: [&'a str; 2],
@@ -68,25 +68,28 @@ fn confusion(page: &Page<'_>, engine: &EngineFacts) -> Markup {
     let c = &engine.scores.confusion;
     let square = Square {
         caption: engine_name(&engine.name),
-        columns: ["engine: held", "engine: lost"],
-        rows: ["held", "lost"].map(|label| format!("{}: {label}", page.reality())),
+        columns: ["engine: stable", "engine: slip"],
+        rows: ["stable", "slip"].map(|label| format!("{}: {label}", page.reality())),
         counts: [[c.true_stable, c.false_slip], [c.false_stable, c.true_slip]],
         foot: html! { "without outcome: " (engine.without_outcome) },
     };
     square.draw()
 }
 
-fn duel_table(duel: &Duel) -> Markup {
-    let [only_fem, only_rigid] = duel.leave_one_out;
+fn comparison_table(comparison: &EngineComparison) -> Markup {
+    let [only_fem, only_rigid] = comparison.leave_one_out;
     let square = Square {
-        caption: "Duel (McNemar)",
-        columns: ["rigid right", "rigid wrong"],
-        rows: ["right", "wrong"].map(|verdict| format!("finite elements {verdict}")),
-        counts: [[duel.both, duel.only_fem], [duel.only_rigid, duel.neither]],
+        caption: "Comparison (McNemar)",
+        columns: ["rigid bodies agree", "rigid bodies disagree"],
+        rows: ["agree", "disagree"].map(|verb| format!("finite elements {verb}")),
+        counts: [
+            [comparison.both, comparison.only_fem],
+            [comparison.only_rigid, comparison.neither],
+        ],
         foot: html! {
-            "exact, two-sided: " (p_value(duel.mcnemar_p)) br;
-            "leave one grasp out: " (only_fem) " against " (only_rigid) ", "
-            (p_value(duel.leave_one_out_p))
+            "exact, two-sided: " (p_value(comparison.mcnemar_p)) br;
+            "leave one grasp out: " (only_fem) " vs. " (only_rigid) ", "
+            (p_value(comparison.leave_one_out_p))
         },
     };
     square.draw()

@@ -1,4 +1,4 @@
-//! What was left out, what it cost, how the numbers are defined and how to repeat them.
+//! Excluded grasps, cost, and definitions.
 
 use super::Page;
 use super::text::force_name;
@@ -14,9 +14,9 @@ pub(super) fn left_out(page: &Page<'_>) -> Markup {
     }
     let body = html! {
         @if page.report.left_out.is_empty() {
-            p { "Nothing: every grasp of the dataset was replayed." }
+            p { "None: every grasp of the dataset was replayed." }
         } @else {
-            p { "Not in the scores, and why." }
+            p { "Grasps and cases that are not in the scores." }
             (table)
         }
     };
@@ -27,8 +27,8 @@ pub(super) fn cost(page: &Page<'_>) -> Markup {
     let cost = &page.report.cost;
     let columns = [
         "Engine",
-        "CPU time, all cases",
-        "a grasp, all settings",
+        "total CPU time",
+        "CPU time per grasp, all settings",
         "frictions",
         "forces, N",
     ];
@@ -50,9 +50,9 @@ pub(super) fn cost(page: &Page<'_>) -> Markup {
     }
     let body = html! {
         p {
-            (cost.cases) " cases, " (cost.simulated_now) " of them simulated in this run ("
-            (cost.jobs) " at a time, " (duration(cost.wall_s)) " by the clock) and "
-            (cost.cases.saturating_sub(cost.simulated_now)) " found finished. Processor: "
+            (cost.cases) " cases: " (cost.simulated_now) " simulated in this run ("
+            (cost.jobs) " in parallel, wall time " (duration(cost.wall_s)) "), "
+            (cost.cases.saturating_sub(cost.simulated_now)) " already finished. Processor: "
             (cost.processor) "."
         }
         (table)
@@ -69,28 +69,28 @@ pub(super) fn cost(page: &Page<'_>) -> Markup {
 
 pub(super) fn notes(page: &Page<'_>) -> Markup {
     let reality = match page.simulated() {
-        Some(how) => format!("Simulated, not measured: {}", with_stop(how)),
-        None => "The outcome that was recorded with the grasp.".to_owned(),
+        Some(text) => format!("Simulated, not measured: {}", with_full_stop(text)),
+        None => "The recorded outcome of the grasp.".to_owned(),
     };
     let forces = html! {
         @for engine in &page.report.engines {
             (engine_name(&engine.name)) ": " (force_name(&engine.name)) ", "
             @if engine.name == "fem" {
-                "the normal force on the gels at which the fingers stop closing. "
+                "the normal force per finger at which closure ends. "
             } @else {
-                "the force with which the fingers are driven. "
+                "the closing force of the fingers. "
             }
         }
     };
     let agreement = html! {
-        "A simulated grasp counts as held if its outcome is " i { "held" } ", and as lost if the \
-         object slipped, was squeezed out or missed, or the fingers met. A case without outcome \
-         (it did not converge or could not begin) is not counted, and said apart."
+        "A simulated grasp is stable if its outcome is " i { "stable" } ", and a slip if the object \
+         slipped, was ejected or missed, or the gels met. Cases without an outcome (not converged, \
+         or in collision at the start) are not counted and are listed separately."
     };
     let choice = html! {
-        "Friction and force are unknown, so all are tried. " i { "The paper’s way" } " takes the \
-         friction with most agreement when each object has its best force, and then that force. It \
-         is chosen on the same grasps that it is scored on, and so too favourable; "
+        "Friction and force are unknown, so all settings are simulated. " i { "The paper’s choice" }
+        " is the friction with the highest agreement if each object has its best force, and then \
+         that force. It is chosen on the scored grasps and therefore biased; "
         i { "leave one grasp out" } " and " i { "leave one object out" } " are not."
     };
     let notes = definitions(
@@ -101,34 +101,33 @@ pub(super) fn notes(page: &Page<'_>) -> Markup {
             ("Choice of the setting", &choice),
             (
                 "Intervals",
-                &"Wilson’s score interval at 95\u{a0}% for a fraction of independent grasps. The duel \
+                &"Wilson’s score interval at 95\u{a0}% for a fraction of independent grasps. The comparison \
                   is McNemar’s test with exact binomial probabilities, two-sided, on the grasps \
                   where just one engine is right.",
             ),
             ("Force", &forces),
             (
                 "Disagreement",
-                &"Of all settings with an outcome, the fraction whose outcome is not that of the \
-                  dataset. One that disagrees everywhere points at geometry, pose or model rather \
-                  than at friction or force.",
+                &"Fraction of the settings with an outcome that disagree with the dataset. If all \
+                  disagree, the cause is geometry, pose or model rather than friction or force.",
             ),
             (
                 "Drawn poses",
-                &"The grasp replayed at the chosen setting with poses drawn from the covariance of \
-                  its annotation. Where half of them end as the dataset says, the pose error \
+                &"The grasp is replayed at the chosen setting with poses drawn from the covariance of \
+                  its annotation. If at least half of them agree with the dataset, the pose error \
                   explains a disagreement.",
             ),
         ],
     );
     let body = html! {
-        p { "The command that repeats it:" }
+        p { "Command that repeats the replay:" }
         pre.command { (page.report.command) }
         (notes)
     };
-    page.section("notes", "How to repeat it, and what the numbers mean", body)
+    page.section("notes", "Command and definitions", body)
 }
 
-fn with_stop(text: &str) -> String {
+fn with_full_stop(text: &str) -> String {
     let text = text.trim_end();
     if text.ends_with(['.', '!', '?']) {
         text.to_owned()

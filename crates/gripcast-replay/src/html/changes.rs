@@ -1,4 +1,4 @@
-//! What changed against an earlier report.
+//! Changes since an earlier report.
 
 use super::Page;
 use super::text::Agreement;
@@ -12,7 +12,7 @@ pub(super) fn section(page: &Page<'_>, changes: &Changes) -> Markup {
         p {
             "Compared with " code { (changes.path) } ", written by " (changes.software) "."
         }
-        (list("Conditions that differ", &changes.conditions))
+        (list("Changed conditions", &changes.conditions))
         @if !changes.scores.is_empty() { (scores(changes)) }
         @if changes.outcomes.is_empty() {
             p { "No outcome changed." }
@@ -22,7 +22,7 @@ pub(super) fn section(page: &Page<'_>, changes: &Changes) -> Markup {
         (list("Grasps only in this report", &changes.added))
         (list("Grasps only in the earlier report", &changes.removed))
     };
-    page.section("changes", "Changes against an earlier report", body)
+    page.section("changes", "Changes since an earlier report", body)
 }
 
 fn list(title: &str, items: &[String]) -> Markup {
@@ -37,18 +37,24 @@ fn list(title: &str, items: &[String]) -> Markup {
 }
 
 fn scores(changes: &Changes) -> Table {
-    let columns = ["Engine, the paper’s way", "then", "now", "difference"].map(text);
-    let mut table = Table::new("Scores then and now", columns);
-    for (engine, [then, now]) in &changes.scores {
-        let difference = match (then, now) {
-            (Some(then), Some(now)) if now > then => format!("+{}", fixed(now - then, 2)),
-            (Some(then), Some(now)) => fixed(now - then, 2),
+    let columns = [
+        "Engine, the paper’s choice",
+        "earlier",
+        "current",
+        "difference",
+    ]
+    .map(text);
+    let mut table = Table::new("Earlier and current scores", columns);
+    for (engine, [earlier, current]) in &changes.scores {
+        let difference = match (earlier, current) {
+            (Some(a), Some(b)) if b > a => format!("+{}", fixed(b - a, 2)),
+            (Some(a), Some(b)) => fixed(b - a, 2),
             _ => MISSING.to_owned(),
         };
         table.row([
             &engine_name(engine) as &dyn Render,
-            &optional(*then, 2),
-            &optional(*now, 2),
+            &optional(*earlier, 2),
+            &optional(*current, 2),
             &difference,
         ]);
     }
@@ -56,10 +62,18 @@ fn scores(changes: &Changes) -> Table {
 }
 
 fn outcomes(page: &Page<'_>, outcomes: &[ChangedOutcome]) -> Table {
-    let columns = ["Grasp", "Object", "Engine", "then", "now", page.reality()].map(text);
-    let mut table = Table::new("Outcomes that changed", columns)
+    let columns = [
+        "Grasp",
+        "Object",
+        "Engine",
+        "earlier",
+        "current",
+        page.reality(),
+    ]
+    .map(text);
+    let mut table = Table::new("Changed outcomes", columns)
         .class("data text")
-        .caption(format!("Outcomes that changed: {}", outcomes.len()));
+        .caption(format!("Changed outcomes: {}", outcomes.len()));
     for changed in outcomes {
         let agreement = Agreement(changed.agrees);
         table.row([

@@ -1,11 +1,11 @@
-//! Grasps where an engine disagrees with reality, the most certain first.
+//! Grasps on which an engine disagrees with reality, the most certain first.
 
 use super::Page;
 use super::grasp_index::disagreeing;
 use super::text::Agreement;
 use crate::report::{GraspFacts, GraspReplay};
-use gripcast_report::image::again;
-use gripcast_report::{engine_name, fixed, label_name};
+use gripcast_report::image::repeat_image;
+use gripcast_report::{engine_name, fixed, outcome_label};
 use maud::{Markup, html};
 
 pub(super) fn section(page: &Page<'_>) -> Markup {
@@ -15,9 +15,9 @@ pub(super) fn section(page: &Page<'_>) -> Markup {
             p { "No engine disagrees with " (page.reality()) " at the paper’s choice." }
         } @else {
             p {
-                (failures.len()) " of " (page.report.grasps.len()) " grasps where an engine \
-                 disagrees with " (page.reality()) " at the paper’s choice; ordered by the fraction \
-                 of settings that disagree. Where all do, no choice of friction and force fixes it."
+                (failures.len()) " of " (page.report.grasps.len()) " grasps on which an engine \
+                 disagrees with " (page.reality()) " at the paper’s choice, sorted by the fraction \
+                 of disagreeing settings. If all disagree, no friction and force is right."
             }
             ol.cards {
                 @for &i in &failures { (card(page, i, &page.report.grasps[i])) }
@@ -27,18 +27,18 @@ pub(super) fn section(page: &Page<'_>) -> Markup {
     page.section("failures", "Failures", body)
 }
 
-/// Numbers of the grasps, by the greatest fraction of settings that disagree, then by the engines
-/// that do.
+/// Indices of the grasps, sorted by the maximum fraction of disagreeing settings, then by the number of
+/// disagreeing engines.
 fn failures(page: &Page<'_>) -> Vec<usize> {
-    let wrong = |grasp: &GraspFacts| -> (f64, usize) {
+    let disagreement = |grasp: &GraspFacts| -> (f64, usize) {
         let replays = grasp.replays.iter().filter(|r| r.agrees == Some(false));
-        replays.fold((f64::NEG_INFINITY, 0), |(most, n), r| {
-            (most.max(r.disagreement), n + 1)
+        replays.fold((f64::NEG_INFINITY, 0), |(max, n), r| {
+            (max.max(r.disagreement), n + 1)
         })
     };
     let grasps = page.report.grasps.iter().enumerate();
     let mut found: Vec<(usize, (f64, usize))> = grasps
-        .map(|(i, grasp)| (i, wrong(grasp)))
+        .map(|(i, grasp)| (i, disagreement(grasp)))
         .filter(|(_, (_, engines))| *engines > 0)
         .collect();
     found.sort_by(|(_, a), (_, b)| b.0.total_cmp(&a.0).then(b.1.cmp(&a.1)));
@@ -55,17 +55,17 @@ fn card(page: &Page<'_>, i: usize, grasp: &GraspFacts) -> Markup {
             }
             div.thumbs {
                 @if let Some(view) = &grasp.view {
-                    (again(&view.real, &format!("g{i}v"), &alt("camera")))
+                    (repeat_image(&view.real, &format!("g{i}v"), &alt("camera")))
                 }
                 @for (k, pair) in grasp.tactile.iter().take(2).enumerate() {
                     @let alt = alt(&format!("{} sensor", pair.sensor));
-                    (again(&pair.images.real, &format!("g{i}r{k}"), &alt))
+                    (repeat_image(&pair.images.real, &format!("g{i}r{k}"), &alt))
                 }
             }
             dl {
                 div {
                     dt { (page.real()) }
-                    dd { (label_name(grasp.stable)) }
+                    dd { (outcome_label(grasp.stable)) }
                 }
                 @for replay in &grasp.replays { (outcome(replay)) }
             }
@@ -82,7 +82,7 @@ fn outcome(replay: &GraspReplay) -> Markup {
                 small {
                     (disagreeing(replay)) " settings disagree"
                     @if let (Some(samples), Some(false)) = (&replay.pose_samples, replay.agrees) {
-                        "; " (samples.stable) " of " (samples.n) " poses held"
+                        "; " (samples.stable) " of " (samples.n) " poses stable"
                     }
                     "; height " (fixed(1e3 * replay.case.min_height_m, 1)) " mm"
                 }

@@ -1,4 +1,4 @@
-//! Every grasp: what was recorded and what each engine made of it.
+//! Details of every grasp: recorded data and the result of each engine.
 
 use super::Page;
 use super::grasp_index::{Marks, disagreeing};
@@ -7,9 +7,9 @@ use super::text::{Agreement, setting};
 use crate::grasp_chart::inline;
 use crate::report::{GraspFacts, GraspReplay, PoseSamples, Setting, TactilePair};
 use gripcast_report::image::image;
-use gripcast_report::page::{definitions, nothing};
+use gripcast_report::page::{definitions, placeholder};
 use gripcast_report::{
-    MISSING, duration, engine_name, fixed, label_name, optional, outcome_name, trimmed,
+    MISSING, duration, engine_name, fixed, optional, outcome_label, outcome_name, trimmed,
 };
 use maud::{Markup, Render, html};
 
@@ -17,11 +17,11 @@ pub(super) fn section(page: &Page<'_>) -> Markup {
     let real = page.real();
     let body = html! {
         p {
-            "Images: " (real) " beside simulated. Tactile images are grasp minus initial, \
-             mid-grey is no change; the third is " (real) " minus simulated. IoU: overlap of both \
-             contact masks by their union; FVE: fraction of the variance that the simulation explains; \
-             PSNR and L1: of the difference image. Curves are those of the paper’s choice; the \
-             bands behind them are closure, adjustment and lift."
+            "Images: " (real) " and simulated. Tactile images are grasp minus initial, mid-grey is \
+             no change; the third is " (real) " minus simulated. IoU: intersection over union of \
+             both contact masks; FVE: fraction of variance explained by the simulation; PSNR and \
+             L1: of the difference image. Curves are those of the paper’s choice; the bands behind \
+             them are closure, adjustment and lift."
         }
         @for (i, grasp) in page.report.grasps.iter().enumerate() {
             (article(page, i, grasp))
@@ -36,7 +36,7 @@ fn article(page: &Page<'_>, i: usize, grasp: &GraspFacts) -> Markup {
         article id={ "g" (i) } data-object=[marks.object] data-marks=(marks.engines) {
             h3 { (grasp.id) " " span { (grasp.object) } }
             p.outcomes {
-                span { (page.real()) ": " b { (label_name(grasp.stable)) } }
+                span { (page.real()) ": " b { (outcome_label(grasp.stable)) } }
                 @for replay in &grasp.replays {
                     @let agreement = Agreement(replay.agrees);
                     span class=(agreement.class()) {
@@ -114,7 +114,7 @@ fn engine(grasp: &GraspFacts, replay: &GraspReplay) -> Markup {
             }
             @match inline(replay, &grasp.id) {
                 Some(chart) => (chart),
-                None => (nothing("No forces recorded.")),
+                None => (placeholder("No forces recorded.")),
             }
             @if let Some(detail) = &replay.case.detail {
                 p.detail { (detail) }
@@ -130,27 +130,34 @@ fn engine(grasp: &GraspFacts, replay: &GraspReplay) -> Markup {
     }
 }
 
-/// What poses drawn from the covariance say about a disagreement.
+/// Explains a disagreement by the poses drawn from the covariance.
 fn pose_error(samples: &PoseSamples, stable: bool, replay: &GraspReplay) -> String {
-    let PoseSamples { n, stable: held } = *samples;
+    let PoseSamples {
+        n,
+        stable: stable_poses,
+    } = *samples;
     if n == 0 {
         return "None of the drawn poses has an outcome.".to_owned();
     }
-    let as_reality = if stable { held } else { n.saturating_sub(held) };
+    let agreeing = if stable {
+        stable_poses
+    } else {
+        n.saturating_sub(stable_poses)
+    };
     let meaning = match replay.agrees {
-        Some(false) if 2 * as_reality >= n => "the pose error explains the disagreement",
-        Some(false) if as_reality > 0 => "the pose error can explain the disagreement",
+        Some(false) if 2 * agreeing >= n => "the pose error explains the disagreement",
+        Some(false) if agreeing > 0 => "the pose error can explain the disagreement",
         Some(false) => "the pose error does not explain the disagreement",
-        Some(true) if as_reality == n => "the agreement does not hang on the pose error",
-        Some(true) => "the outcome hangs on the pose error",
+        Some(true) if agreeing == n => "the agreement does not depend on the pose error",
+        Some(true) => "the outcome depends on the pose error",
         None => "the annotated pose itself has no outcome",
     };
-    format!("{held} of {n} drawn poses held: {meaning}.")
+    format!("{stable_poses} of {n} drawn poses stable: {meaning}.")
 }
 
-/// Outcome at every setting.
+/// Table of outcomes by setting.
 fn settings(replay: &GraspReplay) -> Markup {
-    let grid = Grid::of(replay.cells.iter().map(|cell| cell.setting));
+    let grid = Grid::new(replay.cells.iter().map(|cell| cell.setting));
     html! {
         @if !grid.forces_n.is_empty() {
             table.cells {
@@ -202,7 +209,7 @@ fn solver(replay: &GraspReplay) -> Markup {
         ("steps", &case.steps),
     ];
     let each = case.newton_iterations as f64 / case.steps.max(1) as f64;
-    let newton = format!("{} ({} a step)", case.newton_iterations, fixed(each, 1));
+    let newton = format!("{} ({} per step)", case.newton_iterations, fixed(each, 1));
     if case.newton_iterations > 0 {
         facts.push(("Newton iterations", &newton));
         facts.push(("steps not converged", &case.unconverged_steps));

@@ -1,9 +1,9 @@
-//! All grasps as a table that the script can sort and filter.
+//! Table of all grasps, which the script can sort and filter.
 
 use super::Page;
 use super::text::Agreement;
 use crate::report::{GraspFacts, GraspReplay};
-use gripcast_report::{MISSING, engine_name, fixed, label_name};
+use gripcast_report::{MISSING, engine_name, fixed, outcome_label};
 use maud::{Markup, html};
 
 pub(super) fn section(page: &Page<'_>) -> Markup {
@@ -13,8 +13,8 @@ pub(super) fn section(page: &Page<'_>) -> Markup {
     };
     let body = html! {
         p {
-            "Outcome at the paper’s choice, whether it agrees with " (page.reality()) ", the fraction \
-             of settings that disagree, and the height of the object’s lowest point at the end."
+            "Outcome at the paper’s choice, whether it agrees with " (page.reality()) ", the number \
+             of disagreeing settings, and the height of the object’s lowest point at the end."
         }
         (filters(page))
         div.wide role="region" tabindex="0" aria-label="All grasps" {
@@ -26,7 +26,7 @@ pub(super) fn section(page: &Page<'_>) -> Markup {
                         }
                         @for engine in &page.report.engines {
                             th scope="col" { (engine_name(&engine.name)) }
-                            th.n scope="col" { "settings that disagree" }
+                            th.n scope="col" { "disagreeing settings" }
                             th.n scope="col" { "height, mm" }
                         }
                     }
@@ -42,11 +42,11 @@ pub(super) fn section(page: &Page<'_>) -> Markup {
     page.section("index", "All grasps", body)
 }
 
-/// What the script finds a grasp by; on its row and its article.
+/// Data attributes by which the script filters rows and articles.
 pub(super) struct Marks {
-    /// Number of its object.
+    /// Index of its object.
     pub(super) object: Option<usize>,
-    /// By engine, whether it agrees.
+    /// Agreement by engine.
     pub(super) engines: String,
 }
 
@@ -65,12 +65,12 @@ impl Marks {
     }
 }
 
-/// What an engine made of a grasp.
+/// Result of an engine.
 fn replay_of<'a>(grasp: &'a GraspFacts, engine: &str) -> Option<&'a GraspReplay> {
     grasp.replays.iter().find(|replay| replay.engine == engine)
 }
 
-/// Shown by the script alone: without it there is nothing to filter with.
+/// Filter form; hidden without the script.
 fn filters(page: &Page<'_>) -> Markup {
     let grasps = page.report.grasps.len();
     html! {
@@ -109,7 +109,7 @@ fn row(page: &Page<'_>, i: usize, grasp: &GraspFacts) -> Markup {
         tr data-object=[marks.object] data-marks=(marks.engines) {
             th scope="row" { a href={ "#g" (i) } { (grasp.id) } }
             td { (grasp.object) }
-            td { (label_name(grasp.stable)) }
+            td { (outcome_label(grasp.stable)) }
             @for engine in &page.report.engines {
                 @if let Some(replay) = replay_of(grasp, &engine.name) {
                     td { (Agreement(replay.agrees).outcome(&replay.case.outcome)) }
@@ -125,15 +125,15 @@ fn row(page: &Page<'_>, i: usize, grasp: &GraspFacts) -> Markup {
     }
 }
 
-/// `3 of 9`: settings that disagree with reality, of those with an outcome.
+/// Formats `3 of 9`: disagreeing settings, of those with an outcome.
 pub(super) fn disagreeing(replay: &GraspReplay) -> String {
-    let known = replay.cells.iter().filter_map(|cell| cell.agrees);
-    let (n, wrong) = known.fold((0, 0), |(n, wrong), agrees| {
-        (n + 1, wrong + usize::from(!agrees))
+    let agreements = replay.cells.iter().filter_map(|cell| cell.agrees);
+    let (n, disagreeing) = agreements.fold((0, 0), |(n, disagreeing), agrees| {
+        (n + 1, disagreeing + usize::from(!agrees))
     });
     if n == 0 {
         MISSING.to_owned()
     } else {
-        format!("{wrong} of {n}")
+        format!("{disagreeing} of {n}")
     }
 }

@@ -1,4 +1,4 @@
-//! The verdict: one sentence with numbers, the intervals as a chart, and what was replayed.
+//! Summary: agreement in one sentence, intervals as a chart, and facts about the replay.
 
 use super::Page;
 use super::text::{fraction, interval, p_value};
@@ -8,35 +8,33 @@ use gripcast_report::page::definitions;
 use gripcast_report::{MISSING, duration, engine_name};
 use maud::{Markup, html};
 
-/// A way to choose the setting.
-pub(super) struct Way {
+/// A method to choose the setting.
+pub(super) struct Method {
     pub(super) name: &'static str,
-    pub(super) how: &'static str,
+    pub(super) description: &'static str,
     pub(super) score: fn(&Scores) -> &crate::report::Score,
 }
 
-/// All ways, the paper's first.
-pub(super) const WAYS: [Way; 4] = [
-    Way {
-        name: "The paper’s way",
-        how: "best shared friction, best force for each object, chosen on the grasps that are \
-              scored",
+/// All methods, the paper's first.
+pub(super) const METHODS: [Method; 4] = [
+    Method {
+        name: "The paper’s choice",
+        description: "best shared friction, best force for each object, chosen on the scored grasps",
         score: |scores| &scores.paper,
     },
-    Way {
+    Method {
         name: "Leave one grasp out",
-        how: "the same choice without the grasp that is scored",
+        description: "the same choice without the scored grasp",
         score: |scores| &scores.leave_one_out,
     },
-    Way {
+    Method {
         name: "One setting",
-        how: "best friction and force for all objects together, chosen on the grasps that are \
-              scored",
+        description: "best friction and force for all objects together, chosen on the scored grasps",
         score: |scores| &scores.one_setting,
     },
-    Way {
+    Method {
         name: "Leave one object out",
-        how: "one setting, chosen without the object that is scored",
+        description: "one setting, chosen without the scored object",
         score: |scores| &scores.leave_object_out,
     },
 ];
@@ -72,10 +70,10 @@ fn sentence(page: &Page<'_>) -> Markup {
                 " agree with " (page.reality()) " on " b { (all.agree) " of " (all.n) }
                 " grasps (" (fraction(all)) ", 95\u{a0}% interval " (interval(all)) ")"
             }
-            @if let Some(duel) = &page.report.duel {
-                "; of the grasps where only one is right, " (duel.only_fem)
-                " go to finite elements and " (duel.only_rigid)
-                " to rigid bodies (exact McNemar " (p_value(duel.mcnemar_p)) ")"
+            @if let Some(comparison) = &page.report.comparison {
+                "; only finite elements agree on " (comparison.only_fem)
+                " grasps, only rigid bodies on " (comparison.only_rigid)
+                " (exact McNemar " (p_value(comparison.mcnemar_p)) ")"
             }
             "."
         }
@@ -86,55 +84,55 @@ fn without_bias(page: &Page<'_>) -> Markup {
     let without: usize = page.report.engines.iter().map(|e| e.without_outcome).sum();
     html! {
         p {
-            "With the setting chosen without the grasp that is scored: "
+            "With the setting chosen without the scored grasp: "
             @for (i, engine) in page.report.engines.iter().enumerate() {
                 @let all = &engine.scores.leave_one_out.all;
                 @if i > 0 { ", " }
                 (engine_name(&engine.name).to_lowercase()) " " (all.agree) " of " (all.n)
                 " (" (fraction(all)) ", " (interval(all)) ")"
             }
-            @if let Some(duel) = &page.report.duel { "; " (p_value(duel.leave_one_out_p)) }
+            @if let Some(comparison) = &page.report.comparison { "; " (p_value(comparison.leave_one_out_p)) }
             "."
             @if without > 0 {
                 " " (without) " "
                 @if without == 1 { "case at a chosen setting is" }
                 @else { "cases at a chosen setting are" }
-                " without outcome and not counted."
+                " without an outcome and not counted."
             }
         }
     }
 }
 
-/// Every way's fraction with its interval, by engine.
+/// Chart of the fraction and interval of each method, by engine.
 fn forest(engines: &[EngineFacts]) -> Chart {
     const ROW: f64 = 16.0;
     const GAP: f64 = 8.0;
     const TOP: f64 = 4.0;
     let group = ROW * engines.len() as f64 + GAP;
-    let height = group * WAYS.len() as f64;
+    let height = group * METHODS.len() as f64;
     let panel = Panel {
         left: 250.0,
         right: 620.0,
         top: TOP,
         bottom: TOP + height,
         x: Axis::new("fraction of grasps that agree", [0.0, 1.0], 5.0),
-        // Downwards, in px.
-        y: Axis::of_px(height),
+        // In px, downwards.
+        y: Axis::pixels(height),
     };
-    let row = |way: usize, engine: usize| {
-        height - group * way as f64 - 0.5 * GAP - ROW * (engine as f64 + 0.5)
+    let row = |method: usize, engine: usize| {
+        height - group * method as f64 - 0.5 * GAP - ROW * (engine as f64 + 0.5)
     };
     let label = |x: f64, y: f64, anchor: Anchor, words: &str| {
         text("small", [x, panel.bottom - y + 4.0], anchor, words)
     };
     let body = html! {
         (panel.grid())
-        @for (k, way) in WAYS.iter().enumerate() {
-            (label(0.0, row(k, 0), Anchor::Start, way.name))
+        @for (k, method) in METHODS.iter().enumerate() {
+            (label(0.0, row(k, 0), Anchor::Start, method.name))
             @for (i, engine) in engines.iter().enumerate() {
-                @let (y, p) = (row(k, i), &(way.score)(&engine.scores).all);
+                @let (y, p) = (row(k, i), &(method.score)(&engine.scores).all);
                 (label(panel.left - 10.0, y, Anchor::End, engine_name(&engine.name)))
-                @if is_known(p) {
+                @if is_defined(p) {
                     @let class = format!("interval {}", colour(i));
                     (panel.whisker(&class, [[p.low, y], [p.high, y]]))
                     (panel.marker(i, [p.fraction, y]))
@@ -155,7 +153,7 @@ fn forest(engines: &[EngineFacts]) -> Chart {
     }
 }
 
-fn is_known(p: &Proportion) -> bool {
+fn is_defined(p: &Proportion) -> bool {
     p.n > 0 && [p.low, p.high, p.fraction].iter().all(|v| v.is_finite())
 }
 
@@ -166,7 +164,7 @@ fn facts(page: &Page<'_>) -> Markup {
         "facts",
         &[
             ("Dataset", &dataset.name),
-            ("at", &html! { code { (dataset.path) } }),
+            ("Path", &html! { code { (dataset.path) } }),
             (
                 "SHA-256 of the records",
                 &html! { code { (dataset.sha256) } },
@@ -177,7 +175,7 @@ fn facts(page: &Page<'_>) -> Markup {
                     "{} in the dataset, {} replayed, {} left out",
                     dataset.grasps,
                     report.grasps.len(),
-                    // Those that were not replayed at all.
+                    // Grasps that were not replayed at all.
                     dataset.grasps.saturating_sub(report.grasps.len())
                 ),
             ),

@@ -1,5 +1,5 @@
-//! The report as one page: no network, nothing but inline CSS, SVG and a little script without
-//! which everything can still be read. The page's policy allows no other source.
+//! The report as a single page without network access: inline CSS, SVG and a small optional script. The
+//! page's content security policy allows no other source.
 
 mod agreement;
 mod appendix;
@@ -22,18 +22,18 @@ use maud::{Markup, Render, html};
 const STYLE: &str = include_str!("style.css");
 const SCRIPT: &str = include_str!("script.js");
 
-/// The page of a report: the same report gives the same bytes.
+/// Renders the page of a report: equal reports give identical bytes.
 ///
 /// # Errors
-/// `Input` where the report is of another format or version.
+/// `Input` for a report of another format or version.
 pub fn page(report: &Report) -> Result<String> {
     if report.format != REPORT_FORMAT || report.version != REPORT_VERSION {
         return Err(Error::input(format!(
-            "cannot draw the page: expected {REPORT_FORMAT} version {REPORT_VERSION}, found \
+            "cannot render the page: expected {REPORT_FORMAT} version {REPORT_VERSION}, found \
                  {:?} version {}",
             report.format, report.version
         ))
-        .remedy("replay again with this version of gripcast"));
+        .remedy("repeat the replay with this version of gripcast"));
     }
     let page = Page { report };
     let mut sections = vec![
@@ -49,7 +49,7 @@ pub fn page(report: &Report) -> Result<String> {
     ];
     sections.extend(report.changes.as_ref().map(|_| ("changes", "Changes")));
     sections.push(("notes", "Notes"));
-    let whole = page::Page {
+    let html_page = page::Page {
         software: &report.software,
         title: &format!("Replay of {}", report.dataset.name),
         style: STYLE,
@@ -73,24 +73,24 @@ pub fn page(report: &Report) -> Result<String> {
             (appendix::notes(&page))
         },
     };
-    Ok(whole.to_html())
+    Ok(html_page.to_html())
 }
 
-/// What all sections need.
+/// Context of all sections.
 struct Page<'a> {
     report: &'a Report,
 }
 
 impl Page<'_> {
-    /// How reality was made, where it was.
+    /// Description of a simulated reality.
     fn simulated(&self) -> Option<&str> {
         match &self.report.dataset.reality {
             Reality::Real => None,
-            Reality::Simulated { how } => Some(how),
+            Reality::Simulated { description } => Some(description),
         }
     }
 
-    /// What the outcomes of the dataset are called.
+    /// Name of the dataset's outcomes.
     fn reality(&self) -> &'static str {
         match self.simulated() {
             Some(_) => "simulated reality",
@@ -98,7 +98,7 @@ impl Page<'_> {
         }
     }
 
-    /// What the images of the dataset are called.
+    /// Name of the dataset's images.
     fn real(&self) -> &'static str {
         match self.simulated() {
             Some(_) => "as if real",
@@ -106,11 +106,11 @@ impl Page<'_> {
         }
     }
 
-    /// The statement under every heading that reality is simulated.
+    /// Notice below every heading that reality is simulated.
     fn banner(&self) -> Markup {
         html! {
-            @if let Some(how) = self.simulated() {
-                p.simulated role="note" { b { "Reality is simulated here:" } " " (how) }
+            @if let Some(description) = self.simulated() {
+                p.simulated role="note" { b { "Reality is simulated here:" } " " (description) }
             }
         }
     }

@@ -6,7 +6,7 @@ use crate::sample_report::{HOSTILE, IMAGE, sample_report};
 
 const STATEMENT: &str = "Reality is simulated here";
 
-fn drawn(report: &Report) -> String {
+fn rendered(report: &Report) -> String {
     page(report).unwrap()
 }
 
@@ -16,7 +16,7 @@ fn count(page: &str, text: &str) -> usize {
 
 #[test]
 fn every_string_is_escaped() {
-    let page = drawn(&sample_report());
+    let page = rendered(&sample_report());
     assert!(!page.contains("<script>alert"));
     assert!(!page.contains("alert(\""));
     let escaped = "&lt;script&gt;alert(&quot;1&quot;)&lt;/script&gt;&amp;' ";
@@ -27,7 +27,7 @@ fn every_string_is_escaped() {
 
 #[test]
 fn every_tag_is_closed() {
-    let page = drawn(&sample_report());
+    let page = rendered(&sample_report());
     for tag in [
         "section", "article", "table", "thead", "tbody", "tr", "td", "th", "div", "svg", "g", "dl",
         "dt", "dd", "p", "figure", "text", "ol", "ul", "li", "small", "span", "h3", "details",
@@ -38,14 +38,14 @@ fn every_tag_is_closed() {
 }
 
 #[test]
-fn simulated_reality_is_said_in_every_section_and_only_then() {
+fn simulated_reality_is_stated_in_every_section() {
     let mut report = sample_report();
-    let page = drawn(&report);
+    let page = rendered(&report);
     assert_eq!(count(&page, STATEMENT), count(&page, "<section "));
     assert!(page.contains("class=\"spine\"") && page.contains("class=\"flag\""));
     assert!(!page.contains(">real: <b>"));
     report.dataset.reality = Reality::Real;
-    let page = drawn(&report);
+    let page = rendered(&report);
     assert_eq!(count(&page, STATEMENT), 0);
     for word in [
         "class=\"spine\"",
@@ -58,23 +58,26 @@ fn simulated_reality_is_said_in_every_section_and_only_then() {
 }
 
 #[test]
-fn the_heat_map_has_one_cell_for_each_setting() {
+fn heat_map_has_one_cell_per_setting() {
     let mut report = sample_report();
-    let page = drawn(&report);
+    let page = rendered(&report);
     assert_eq!(count(&page, "<g class=\"cell\""), 2 * 2 * 9);
     assert_eq!(count(&page, "class=\"chosen\" x="), 4);
     assert_eq!(count(&page, "class=\"one\" x="), 4);
-    // A setting that only the scores know gets its row and column.
+    // A setting that only the scores contain gets a row and a column.
     let scores = &mut report.engines[0].scores;
     scores.cells[0].setting = Setting {
         friction: 1.6,
         force_n: 20.0,
     };
-    assert_eq!(count(&drawn(&report), "<g class=\"cell\""), 2 * 12 + 2 * 9);
+    assert_eq!(
+        count(&rendered(&report), "<g class=\"cell\""),
+        2 * 12 + 2 * 9
+    );
 }
 
 #[test]
-fn curves_without_points_or_numbers_draw_no_nonsense() {
+fn empty_or_non_finite_curves_are_not_drawn() {
     let mut report = sample_report();
     for (i, grasp) in report.grasps.iter_mut().enumerate() {
         for replay in &mut grasp.replays {
@@ -102,17 +105,17 @@ fn curves_without_points_or_numbers_draw_no_nonsense() {
     }
     report.engines[0].scores.paper.mean = f64::NAN;
     report.engines[0].scores.paper.all.low = f64::NAN;
-    let page = drawn(&report);
+    let page = rendered(&report);
     assert!(!page.contains("NaN"));
     assert!(!page.contains(">inf") && !page.contains("\"inf") && !page.contains("-inf"));
     assert!(page.contains("No forces recorded."));
 }
 
 #[test]
-fn nothing_is_fetched() {
+fn page_loads_no_external_resource() {
     let mut report = sample_report();
     report.objects[0].image = Some("https://example.org/a.jpg".to_owned());
-    let page = drawn(&report);
+    let page = rendered(&report);
     for word in [
         "http://", "https://", "@import", "url(\"", "<link", "<iframe", "src=",
     ] {
@@ -126,8 +129,8 @@ fn nothing_is_fetched() {
 }
 
 #[test]
-fn every_link_and_image_that_is_named_exists() {
-    let page = drawn(&sample_report());
+fn ids_are_unique_and_link_targets_exist() {
+    let page = rendered(&sample_report());
     let after = |mark: &str| -> Vec<String> {
         page.match_indices(mark)
             .filter_map(|(at, _)| page[at + mark.len()..].split('"').next())
@@ -136,22 +139,22 @@ fn every_link_and_image_that_is_named_exists() {
     };
     let ids = after(" id=\"");
     let unique: BTreeSet<&String> = ids.iter().collect();
-    assert_eq!(ids.len(), unique.len(), "an id twice");
+    assert_eq!(ids.len(), unique.len(), "duplicate id");
     for target in after("href=\"#") {
         assert!(unique.contains(&target), "{target}");
     }
 }
 
 #[test]
-fn images_are_there_once() {
-    let page = drawn(&sample_report());
-    // Two objects; of five grasps two views and two sensors of three.
+fn images_are_embedded_once() {
+    let page = rendered(&sample_report());
+    // Two objects; two views and two sensors with three images for five grasps.
     assert_eq!(count(&page, IMAGE), 2 + 5 * 8);
 }
 
 #[test]
-fn the_gallery_begins_with_the_most_certain_failure() {
-    let page = drawn(&sample_report());
+fn gallery_starts_with_the_clearest_disagreement() {
+    let page = rendered(&sample_report());
     let gallery = page.split("<section id=\"failures\">").nth(1).unwrap();
     let gallery = gallery.split("</section>").next().unwrap();
     let links: Vec<&str> = gallery
@@ -160,63 +163,63 @@ fn the_gallery_begins_with_the_most_certain_failure() {
         .filter(|id| id.ends_with('"'))
         .collect();
     assert_eq!(links, ["3\"", "2\""]);
-    assert!(page.contains("7 of 10 drawn poses held: the pose error explains the disagreement"));
+    assert!(page.contains("7 of 10 drawn poses stable: the pose error explains the disagreement"));
 }
 
 #[test]
-fn the_verdict_has_its_numbers() {
-    let page = drawn(&sample_report());
+fn summary_states_agreement_and_p_value() {
+    let page = rendered(&sample_report());
     assert!(page.contains("<b>6 of 6</b> grasps (1.00"), "fem");
     assert!(page.contains("<b>4 of 6</b> grasps (0.67"), "rigid");
     assert!(page.contains("exact McNemar p = 0.50"));
 }
 
 #[test]
-fn a_report_without_anything_is_a_page() {
+fn empty_report_is_rendered() {
     let mut report = sample_report();
     report.engines.clear();
     report.objects.clear();
     report.grasps.clear();
     report.left_out.clear();
-    report.duel = None;
+    report.comparison = None;
     report.changes = None;
-    let page = drawn(&report);
+    let page = rendered(&report);
     assert!(page.contains("No engine was run.") && !page.contains("NaN"));
     assert!(!page.contains("id=\"changes\""));
 }
 
 #[test]
-fn same_report_same_bytes_other_version_refused() {
+fn page_is_deterministic_and_checks_the_version() {
     let mut report = sample_report();
-    assert_eq!(drawn(&report), drawn(&report));
+    assert_eq!(rendered(&report), rendered(&report));
     report.version += 1;
     let error = page(&report).unwrap_err().to_string();
     assert!(
-        error.contains("expected gripcast-replay-report version 1"),
+        error.contains("expected gripcast-replay-report version 2"),
         "{error}"
     );
 }
 
 #[test]
-fn a_hundred_grasps_take_less_than_four_megabytes_besides_images() {
+fn page_of_100_grasps_is_below_4_mb_without_images() {
     let mut report = sample_report();
-    let wavy = |k: usize| 40.0 + 3.0 * (0.7 * k as f64).sin() * (0.11 * k as f64).cos();
+    let wave = |k: usize| 40.0 + 3.0 * (0.7 * k as f64).sin() * (0.11 * k as f64).cos();
     let mut grasp = report.grasps[2].clone();
     for replay in &mut grasp.replays {
         let n = 250;
         replay.curves = Some(Curves {
             t_s: (0..n).map(|k| 0.01 * k as f64).collect(),
-            left_n: (0..n).map(wavy).collect(),
-            right_n: (0..n).map(|k| wavy(k + 9)).collect(),
+            left_n: (0..n).map(wave).collect(),
+            right_n: (0..n).map(|k| wave(k + 9)).collect(),
             lifted_m: (0..n).map(|k| 2e-4 * k as f64).collect(),
-            min_height_m: (0..n).map(|k| 1e-3 * wavy(k)).collect(),
+            min_height_m: (0..n).map(|k| 1e-3 * wave(k)).collect(),
             stages_s: [0.5, 1.0],
             success_height_m: 0.02,
         });
     }
     report.grasps = vec![grasp; 100];
-    let page = drawn(&report);
+    let page = rendered(&report);
     let images = count(&page, IMAGE) * IMAGE.len();
-    let own = page.len() - images;
-    assert!(own < 4_000_000, "{own} bytes");
+    let size = page.len() - images;
+    assert!(size < 4_000_000, "{size} bytes");
 }

@@ -1,4 +1,4 @@
-//! Agreement over friction and force, one map per object and engine.
+//! Agreement by friction and force: one heat map per object and engine.
 
 use super::Page;
 use super::text::force_name;
@@ -6,16 +6,16 @@ use crate::report::{CellScore, EngineFacts, ObjectFacts, Setting};
 use gripcast_report::chart::{Chart, HeatCell, HeatMap, heat_scale};
 use gripcast_report::page::{Table, text};
 use gripcast_report::{engine_name, trimmed};
-use maud::{Markup, Render, html};
+use maud::{Markup, html};
 
-/// Frictions and forces of a set of settings, each ascending and once.
+/// Distinct frictions and forces of a set of settings, in ascending order.
 pub(super) struct Grid {
     pub(super) frictions: Vec<f64>,
     pub(super) forces_n: Vec<f64>,
 }
 
 impl Grid {
-    pub(super) fn of(settings: impl Iterator<Item = Setting>) -> Self {
+    pub(super) fn new(settings: impl Iterator<Item = Setting>) -> Self {
         let (frictions, forces_n) = settings.map(|s| (s.friction, s.force_n)).unzip();
         Self {
             frictions: ascending(frictions),
@@ -35,7 +35,7 @@ pub(super) fn section(page: &Page<'_>) -> Markup {
     let objects = page.report.objects.iter();
     let columns = objects.map(|object| text(&object.name));
     let mut table = Table::new(
-        "Agreement over friction and force",
+        "Agreement by friction and force",
         std::iter::once(text("")).chain(columns),
     )
     .class("maps");
@@ -44,26 +44,25 @@ pub(super) fn section(page: &Page<'_>) -> Markup {
             (engine_name(&engine.name))
             small { "friction up," br; (force_name(&engine.name)) " in N to the right" }
         };
-        let tried = engine.frictions.iter().flat_map(|&friction| {
+        let simulated = engine.frictions.iter().flat_map(|&friction| {
             let forces = engine.forces_n.iter();
             forces.map(move |&force_n| Setting { friction, force_n })
         });
-        let grid = Grid::of(tried.chain(engine.scores.cells.iter().map(|cell| cell.setting)));
+        let grid = Grid::new(simulated.chain(engine.scores.cells.iter().map(|cell| cell.setting)));
         let maps = page.report.objects.iter();
         let maps = maps.map(|object| map(engine, object, &grid).inline());
-        let cells: Vec<Markup> = std::iter::once(title).chain(maps).collect();
-        table.row(cells.iter().map(|cell| cell as &dyn Render));
+        table.row(std::iter::once(title).chain(maps));
     }
     let body = html! {
         p {
-            "Fraction of grasps that agree with " (page.reality()) ", and their number, at every \
-             setting. Solid frame: the paper’s choice for the object. Dashed frame: the one \
-             setting for all objects. Crossed out: not tried, or no case with an outcome."
+            "Fraction and number of grasps that agree with " (page.reality()) " at every setting. Solid \
+             frame: the paper’s choice for the object. Dashed frame: the one setting for all \
+             objects. Crossed out: not simulated, or without outcome."
         }
         (heat_scale())
         (table)
     };
-    page.section("settings", "Agreement over friction and force", body)
+    page.section("settings", "Agreement by friction and force", body)
 }
 
 fn map(engine: &EngineFacts, object: &ObjectFacts, grid: &Grid) -> Chart {
@@ -74,7 +73,7 @@ fn map(engine: &EngineFacts, object: &ObjectFacts, grid: &Grid) -> Chart {
     let rows: Vec<f64> = grid.frictions.iter().rev().copied().collect();
     let map = HeatMap {
         title: format!("{}, {}", object.name, engine_name(&engine.name)),
-        description: in_words(grid, find),
+        description: description(grid, find),
         rows: &rows.iter().map(|v| trimmed(*v, 3)).collect::<Vec<_>>(),
         columns: &grid
             .forces_n
@@ -94,7 +93,7 @@ fn map(engine: &EngineFacts, object: &ObjectFacts, grid: &Grid) -> Chart {
         HeatCell {
             fraction: score.map(|score| score.agree as f64 / score.n as f64),
             note: score.map_or_else(String::new, |s| format!("{} of {}", s.agree, s.n)),
-            frame: match (is_paper, setting == scores.one) {
+            frame: match (is_paper, setting == scores.best_setting) {
                 (true, _) => Some("chosen"),
                 (false, true) => Some("one"),
                 (false, false) => None,
@@ -103,12 +102,12 @@ fn map(engine: &EngineFacts, object: &ObjectFacts, grid: &Grid) -> Chart {
     })
 }
 
-fn in_words<'a>(grid: &Grid, find: impl Fn(Setting) -> Option<&'a CellScore>) -> String {
-    let mut words = "Grasps that agree:".to_owned();
+fn description<'a>(grid: &Grid, find: impl Fn(Setting) -> Option<&'a CellScore>) -> String {
+    let mut text = "Grasps that agree:".to_owned();
     for &friction in &grid.frictions {
         for &force_n in &grid.forces_n {
             let counts = match find(Setting { friction, force_n }) {
-                None => "not tried".to_owned(),
+                None => "not simulated".to_owned(),
                 Some(s) if s.without_outcome > 0 => format!(
                     "{} of {} and {} without outcome",
                     s.agree, s.n, s.without_outcome
@@ -116,10 +115,10 @@ fn in_words<'a>(grid: &Grid, find: impl Fn(Setting) -> Option<&'a CellScore>) ->
                 Some(s) => format!("{} of {}", s.agree, s.n),
             };
             let [friction, force] = [trimmed(friction, 3), trimmed(force_n, 2)];
-            words.push_str(&format!(" friction {friction}, {force} N: {counts};"));
+            text.push_str(&format!(" friction {friction}, {force} N: {counts};"));
         }
     }
-    words
+    text
 }
 
 #[cfg(test)]
@@ -129,7 +128,7 @@ mod tests {
     #[test]
     fn each_value_once_in_order() {
         let settings = [(0.4, 20.0), (0.2, 20.0), (0.4, 5.0), (f64::NAN, 5.0)];
-        let grid = Grid::of(
+        let grid = Grid::new(
             settings
                 .into_iter()
                 .map(|(friction, force_n)| Setting { friction, force_n }),

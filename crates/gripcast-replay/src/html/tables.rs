@@ -1,7 +1,7 @@
 //! Tables 1 and 2 of the paper.
 
 use super::Page;
-use super::head::WAYS;
+use super::head::METHODS;
 use super::text::{force_name, fraction, interval, setting};
 use crate::report::{ObjectFacts, Score};
 use gripcast_report::image::image;
@@ -9,29 +9,25 @@ use gripcast_report::page::{Table, text};
 use gripcast_report::{MISSING, engine_name, fixed, trimmed};
 use maud::{Markup, Render, html};
 
-/// Table 1: agreement by object, engine and way to choose the setting.
+/// Table 1: agreement by object, engine and method of choosing the setting.
 pub(super) fn accuracy(page: &Page<'_>) -> Markup {
     let objects = page.report.objects.iter().map(|object| text(&object.name));
     let columns = std::iter::once(text("Engine")).chain(objects);
     let columns = columns.chain([text("Avg"), text("All grasps")]);
     let mut table = Table::new("Table 1", columns);
-    for way in &WAYS {
-        table.group(html! { (way.name) " " span { (way.how) } });
+    for method in &METHODS {
+        table.group(html! { (method.name) " " span { (method.description) } });
         let engines = || page.report.engines.iter();
-        let scores: Vec<&Score> = engines().map(|e| (way.score)(&e.scores)).collect();
+        let scores: Vec<&Score> = engines().map(|e| (method.score)(&e.scores)).collect();
         for (engine, score) in engines().zip(&scores) {
             let name = engine_name(&engine.name).render();
-            let cells: Vec<Markup> = std::iter::once(name)
-                .chain(row(page, &scores, score))
-                .collect();
-            table.row(cells.iter().map(|cell| cell as &dyn Render));
+            table.row(std::iter::once(name).chain(row(page, &scores, score)));
         }
     }
     let body = html! {
         p {
-            "Fraction of grasps whose simulated outcome is that of " (page.reality()) ", below it the \
-             95\u{a0}% Wilson interval. Avg is the mean over objects. Bold is the best engine of a \
-             column."
+            "Fraction of grasps whose simulated outcome agrees with " (page.reality()) ", with the 95\u{a0}% \
+             Wilson interval below. Avg: mean over objects. Bold: best engine of the column."
         }
         (table)
     };
@@ -75,7 +71,7 @@ fn strong(text: &str, is_best: bool) -> Markup {
     }
 }
 
-/// Table 2: what each object is and which setting was chosen for it.
+/// Table 2: the objects and the settings chosen for them.
 pub(super) fn parameters(page: &Page<'_>) -> Markup {
     let objects = page.report.objects.iter().enumerate();
     let objects = objects.map(|(i, object)| {
@@ -88,9 +84,7 @@ pub(super) fn parameters(page: &Page<'_>) -> Markup {
     });
     let mut table = Table::new("Table 2", std::iter::once(text("")).chain(objects));
     let mut row = |title: Markup, cell: &dyn Fn(&ObjectFacts) -> Markup| {
-        let cells = std::iter::once(title).chain(page.report.objects.iter().map(cell));
-        let cells: Vec<Markup> = cells.collect();
-        table.row(cells.iter().map(|cell| cell as &dyn Render));
+        table.row(std::iter::once(title).chain(page.report.objects.iter().map(cell)));
     };
     row("Mass, g".render(), &|o| fixed(1e3 * o.mass_kg, 0).render());
     for engine in &page.report.engines {
@@ -105,9 +99,9 @@ pub(super) fn parameters(page: &Page<'_>) -> Markup {
                 .render()
         });
     }
-    row("Grasps replayed (held, lost)".render(), &|o| {
-        let lost = o.grasps.saturating_sub(o.stable);
-        format!("{} ({}, {lost})", o.grasps, o.stable).render()
+    row("Grasps replayed (stable, slip)".render(), &|o| {
+        let slip = o.grasps.saturating_sub(o.stable);
+        format!("{} ({}, {slip})", o.grasps, o.stable).render()
     });
     row("Size, mm".render(), &|o| {
         let sides = o.size_m.map(|side| fixed(1e3 * side, 0));
@@ -126,7 +120,7 @@ pub(super) fn parameters(page: &Page<'_>) -> Markup {
             @for (i, engine) in page.report.engines.iter().enumerate() {
                 @if i > 0 { "; " }
                 (engine_name(&engine.name).to_lowercase()) " "
-                (setting(&engine.name, engine.scores.one))
+                (setting(&engine.name, engine.scores.best_setting))
             }
             "."
         }

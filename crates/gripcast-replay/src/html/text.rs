@@ -1,4 +1,4 @@
-//! Words and numbers of the page.
+//! Formatting of numbers, settings and outcomes.
 
 use crate::report::{Proportion, Setting};
 use gripcast_report::{MISSING, fixed, outcome_name, trimmed};
@@ -17,25 +17,23 @@ pub(super) fn p_value(p: f64) -> String {
     format!("p = {}", fixed(p, digits))
 }
 
-/// The fraction of a proportion; [`MISSING`] where nothing was counted.
-pub(super) fn fraction(of: &Proportion) -> String {
-    if of.n == 0 {
-        MISSING.to_owned()
-    } else {
-        fixed(of.fraction, 2)
+/// Formats the fraction; [`MISSING`] for no grasps.
+pub(super) fn fraction(p: &Proportion) -> String {
+    if p.n == 0 {
+        return MISSING.to_owned();
     }
+    fixed(p.fraction, 2)
 }
 
-/// The 95 % interval of a proportion.
-pub(super) fn interval(of: &Proportion) -> String {
-    if of.n == 0 {
-        MISSING.to_owned()
-    } else {
-        format!("{}–{}", fixed(of.low, 2), fixed(of.high, 2))
+/// Formats the 95 % interval; [`MISSING`] for no grasps.
+pub(super) fn interval(p: &Proportion) -> String {
+    if p.n == 0 {
+        return MISSING.to_owned();
     }
+    format!("{}–{}", fixed(p.low, 2), fixed(p.high, 2))
 }
 
-/// What the force of an engine is called.
+/// Returns the name of the force that the engine varies.
 pub(super) fn force_name(engine: &str) -> Markup {
     html! {
         @if engine == "fem" { i { "F" } sub { "stop" } } @else { "closing force" }
@@ -50,7 +48,7 @@ pub(super) fn setting(engine: &str, setting: Setting) -> Markup {
     }
 }
 
-/// Whether an outcome agrees with reality: a sign and a word, so that colour is never alone.
+/// Whether an outcome agrees with reality, shown as sign and word besides the color.
 pub(super) struct Agreement(pub(super) Option<bool>);
 
 impl Agreement {
@@ -78,7 +76,7 @@ impl Agreement {
         }
     }
 
-    /// `✓ held`.
+    /// Shows `✓ stable`.
     pub(super) fn outcome(&self, outcome: &str) -> Markup {
         html! { span class=(self.class()) { (self.sign()) " " (outcome_name(outcome)) } }
     }
@@ -102,7 +100,7 @@ mod tests {
     }
 
     #[test]
-    fn a_fraction_of_nothing_is_missing() {
+    fn proportion_of_no_grasps_is_missing() {
         let none = Proportion {
             agree: 0,
             n: 0,

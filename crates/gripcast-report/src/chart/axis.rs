@@ -1,12 +1,12 @@
-//! Axes: ranges and round numbers.
+//! Axes with round tick values.
 
 use super::text::{SMALL, count, width};
 use crate::fixed;
 
-/// Nothing that is drawn comes near; numbers beyond it would overflow an axis.
+/// Larger values are ignored; they would overflow an axis.
 const MAX: f64 = 1e12;
 
-/// Lowest and highest finite number.
+/// Returns the minimum and maximum of the finite values.
 pub fn extent(values: impl Iterator<Item = f64>) -> Option<[f64; 2]> {
     values
         .filter(|value| value.abs() <= MAX)
@@ -16,11 +16,11 @@ pub fn extent(values: impl Iterator<Item = f64>) -> Option<[f64; 2]> {
         })
 }
 
-/// A number at an axis.
+/// A tick with its label.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct Tick {
     pub(super) value: f64,
-    /// Empty where the axis has marks alone.
+    /// Empty if the axis has no labels.
     pub(super) text: String,
 }
 
@@ -33,8 +33,8 @@ pub struct Axis {
 }
 
 impl Axis {
-    /// With about `count` round numbers. A range without extent is widened; one that is no range
-    /// becomes 0 to 1.
+    /// Creates an axis with about `count` round tick values. An empty range is widened; one that is not
+    /// finite becomes 0 to 1.
     pub fn new(label: &str, range: [f64; 2], count: f64) -> Self {
         let range = match range {
             [low, high] if !(low.is_finite() && high.is_finite()) => [0.0, 1.0],
@@ -48,16 +48,16 @@ impl Axis {
         }
     }
 
-    /// From 0 to 1.
-    pub fn of_fractions(label: &str) -> Self {
+    /// Creates an axis from 0 to 1.
+    pub fn fractions(label: &str) -> Self {
         Self::new(label, [0.0, 1.0], 5.0)
     }
 
-    /// Of counts from 0 up to at least `highest`, with about three whole numbers.
-    pub fn of_counts(label: &str, highest: usize) -> Self {
-        let highest = highest.max(1) as f64;
-        let step = step(highest / 2.0).max(1.0);
-        let range = [0.0, (highest / step).ceil() * step];
+    /// Creates an axis of counts from 0 to at least `max`, with about three integer ticks.
+    pub fn counts(label: &str, max: usize) -> Self {
+        let max = max.max(1) as f64;
+        let step = step(max / 2.0).max(1.0);
+        let range = [0.0, (max / step).ceil() * step];
         let mut ticks = ticks(range, step);
         for tick in &mut ticks {
             tick.text = count(tick.value as usize);
@@ -69,8 +69,8 @@ impl Axis {
         }
     }
 
-    /// Of places in px from the left or lower edge, without numbers.
-    pub fn of_px(length: f64) -> Self {
+    /// Creates an axis in px from the left or lower edge, without ticks.
+    pub fn pixels(length: f64) -> Self {
         Self {
             label: String::new(),
             range: [0.0, length],
@@ -78,9 +78,9 @@ impl Axis {
         }
     }
 
-    /// With its marks, but no numbers and no label: those of the panel below hold for it.
+    /// Removes all texts but keeps the ticks: for a panel that shares the axis of the panel below.
     #[must_use]
-    pub fn without_text(mut self) -> Self {
+    pub fn without_labels(mut self) -> Self {
         self.label.clear();
         for tick in &mut self.ticks {
             tick.text.clear();
@@ -88,34 +88,34 @@ impl Axis {
         self
     }
 
-    /// Lowest and highest value.
+    /// Minimum and maximum.
     pub fn range(&self) -> [f64; 2] {
         self.range
     }
 
-    /// Whether a value is in its range.
-    pub fn shows(&self, value: f64) -> bool {
+    /// Whether a value is in the range.
+    pub fn contains(&self, value: f64) -> bool {
         (self.range[0]..=self.range[1]).contains(&value)
     }
 
-    /// Room that numbers and label take at the left of a panel, px.
-    pub fn room(&self) -> f64 {
+    /// Width of tick labels and axis label at the left of a panel, px.
+    pub fn width_px(&self) -> f64 {
         let widths = self.ticks.iter().map(|tick| width(&tick.text, SMALL));
         super::panel::UPRIGHT + super::panel::GAP + widths.fold(0.0, f64::max)
     }
 
-    /// Where a value lies in the range, 0 to 1.
+    /// Position of a value in the range, 0 to 1.
     pub(super) fn fraction(&self, value: f64) -> f64 {
         let [low, high] = self.range;
         ((value - low) / (high - low)).clamp(0.0, 1.0)
     }
 }
 
-/// The smallest of 1, 2 and 5 times a power of ten that is at least `rough`.
+/// The smallest of 1, 2 and 5 times a power of ten that is not below `rough`.
 fn step(rough: f64) -> f64 {
     let power = 10_f64.powf(rough.log10().floor());
     let factors = [1.0, 2.0, 5.0].into_iter();
-    // Slack for quotients that are not exact.
+    // Tolerance for inexact quotients.
     let factor = factors.into_iter().find(|f| f * power >= 0.999 * rough);
     power * factor.unwrap_or(10.0)
 }
@@ -145,8 +145,8 @@ mod tests {
     }
 
     #[test]
-    fn numbers_are_round_and_reach_the_ends() {
-        let axis = Axis::of_fractions("");
+    fn tick_values_are_round_and_reach_the_ends() {
+        let axis = Axis::fractions("");
         assert_eq!(texts(&axis), ["0.0", "0.2", "0.4", "0.6", "0.8", "1.0"]);
         // 0.7 / 0.05 is less than 14.
         let axis = Axis::new("", [0.5, 0.7], 5.0);
@@ -158,21 +158,21 @@ mod tests {
     }
 
     #[test]
-    fn counts_are_whole() {
-        assert_eq!(texts(&Axis::of_counts("", 0)), ["0", "1"]);
-        assert_eq!(texts(&Axis::of_counts("", 3)), ["0", "2", "4"]);
-        assert_eq!(texts(&Axis::of_counts("", 230)), ["0", "200", "400"]);
-        let axis = Axis::of_counts("", 17_000);
+    fn count_ticks_are_integers() {
+        assert_eq!(texts(&Axis::counts("", 0)), ["0", "1"]);
+        assert_eq!(texts(&Axis::counts("", 3)), ["0", "2", "4"]);
+        assert_eq!(texts(&Axis::counts("", 230)), ["0", "200", "400"]);
+        let axis = Axis::counts("", 17_000);
         assert_eq!(texts(&axis), ["0", "10,000", "20,000"]);
         for highest in 1..500 {
-            let axis = Axis::of_counts("", highest);
+            let axis = Axis::counts("", highest);
             assert!(axis.range[1] >= highest as f64);
             assert!((2..=4).contains(&axis.ticks.len()), "{highest}");
         }
     }
 
     #[test]
-    fn a_range_without_extent_is_widened() {
+    fn empty_range_is_widened() {
         assert_eq!(Axis::new("", [3.0, 3.0], 5.0).range, [3.0, 4.0]);
         assert_eq!(Axis::new("", [2.0, 1.0], 5.0).range, [2.0, 3.0]);
         for range in [[f64::NAN, 1.0], [0.0, f64::INFINITY]] {
@@ -183,7 +183,7 @@ mod tests {
     }
 
     #[test]
-    fn the_extent_skips_what_is_no_number() {
+    fn extent_skips_non_finite_values() {
         let values = [f64::NAN, 2.0, f64::INFINITY, -1.0, -1e300];
         assert_eq!(extent(values.into_iter()), Some([-1.0, 2.0]));
         assert_eq!(extent(std::iter::empty()), None);

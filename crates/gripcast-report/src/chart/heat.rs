@@ -1,4 +1,4 @@
-//! Heat maps: a fraction in every cell of a grid, as a shade and as a number.
+//! Heat maps: a fraction per cell, as a shade and as a number.
 
 use maud::{Markup, html};
 
@@ -8,59 +8,59 @@ use crate::{MISSING, fixed};
 
 /// Width and height of a cell, px.
 const CELL: [f64; 2] = [46.0, 32.0];
-/// Room for the names of the rows, px.
+/// Width of the row names, px.
 const LEFT: f64 = 40.0;
 const LIGHT: [f64; 3] = [240.0, 243.0, 246.0];
 const DARK: [f64; 3] = [8.0, 64.0, 116.0];
 
-/// What a cell shows.
+/// Content of a cell.
 #[derive(Clone, Debug, Default)]
 pub struct HeatCell {
-    /// Its fraction; without one it is hatched.
+    /// Fraction; a cell without one is crossed out.
     pub fraction: Option<f64>,
-    /// What stands below the number.
+    /// Text below the number.
     pub note: String,
-    /// Class of a frame around it.
+    /// CSS class of a frame around it.
     pub frame: Option<&'static str>,
 }
 
 /// A heat map.
 pub struct HeatMap<'a> {
-    /// Its accessible name.
+    /// Accessible name.
     pub title: String,
-    /// What it shows, in words.
+    /// Accessible description.
     pub description: String,
-    /// Names of the rows, from above.
+    /// Row names, from the top.
     pub rows: &'a [String],
-    /// Names of the columns.
+    /// Column names.
     pub columns: &'a [String],
 }
 
 impl HeatMap<'_> {
-    /// Draws it; `cell` gives the cell of a row and a column.
+    /// Draws the map; `cell` returns the cell of a row and a column.
     pub fn chart(self, cell: impl Fn(usize, usize) -> HeatCell) -> Chart {
         let [columns, rows] = [self.columns.len() as f64, self.rows.len() as f64];
         let size = [LEFT + CELL[0] * columns + 4.0, CELL[1] * rows + 20.0];
-        let place = |row: usize, column: usize| {
+        let corner = |row: usize, column: usize| {
             [LEFT + CELL[0] * column as f64, 2.0 + CELL[1] * row as f64]
         };
         let body = html! {
             @for (row, name) in self.rows.iter().enumerate() {
-                @let [x, y] = place(row, 0);
+                @let [x, y] = corner(row, 0);
                 (text("small", [x - 5.0, y + 0.5 * CELL[1] + 4.0], Anchor::End, name))
                 @for column in 0..self.columns.len() {
-                    (draw(place(row, column), &cell(row, column)))
+                    (draw(corner(row, column), &cell(row, column)))
                 }
             }
             @for (column, name) in self.columns.iter().enumerate() {
-                @let [x, _] = place(0, column);
+                @let [x, _] = corner(0, column);
                 (text("small", [x + 0.5 * CELL[0], size[1] - 4.0], Anchor::Middle, name))
             }
-            // Frames come after all cells, which would cover them.
+            // Frames come last, or cells would cover them.
             @for row in 0..self.rows.len() {
                 @for column in 0..self.columns.len() {
                     @if let Some(class) = cell(row, column).frame {
-                        (rectangle(class, place(row, column).map(|v| v - 1.0), CELL, None))
+                        (rectangle(class, corner(row, column).map(|v| v - 1.0), CELL, None))
                     }
                 }
             }
@@ -86,7 +86,7 @@ fn draw([x, y]: [f64; 2], cell: &HeatCell) -> Markup {
             }
         };
     };
-    let shade = Shade::of(fraction);
+    let shade = Shade::new(fraction);
     html! {
         g.cell fill=(shade.text) {
             (rectangle("", [x, y], size, Some(&shade.fill)))
@@ -104,12 +104,12 @@ fn rectangle(class: &str, at: [f64; 2], size: [f64; 2], fill: Option<&str>) -> M
     }
 }
 
-/// The shades of some fractions.
+/// Draws a colour scale.
 pub fn heat_scale() -> Markup {
     html! {
         p.scale aria-hidden="true" {
             @for fraction in [0.0, 0.25, 0.5, 0.75, 1.0] {
-                @let shade = Shade::of(fraction);
+                @let shade = Shade::new(fraction);
                 span style={ "background:" (shade.fill) ";color:" (shade.text) } {
                     (fixed(fraction, 2))
                 }
@@ -118,15 +118,15 @@ pub fn heat_scale() -> Markup {
     }
 }
 
-/// Colour of a cell and of the text on it; the same in light and dark.
+/// Colour of a cell and of its text; the same in the light and the dark scheme.
 struct Shade {
     fill: String,
     text: &'static str,
 }
 
 impl Shade {
-    fn of(fraction: f64) -> Self {
-        // Most fractions are above a half: the square spreads them.
+    fn new(fraction: f64) -> Self {
+        // Most fractions are above one half: the square spreads them.
         let t = fraction.clamp(0.0, 1.0).powi(2);
         let mix = |i: usize| (LIGHT[i] + t * (DARK[i] - LIGHT[i])).round() as u8;
         let [r, g, b] = [mix(0), mix(1), mix(2)];
@@ -155,9 +155,9 @@ mod tests {
     }
 
     #[test]
-    fn numbers_can_be_read_on_every_shade() {
+    fn numbers_are_legible_on_every_shade() {
         for i in 0..=20 {
-            let shade = Shade::of(f64::from(i) / 20.0);
+            let shade = Shade::new(f64::from(i) / 20.0);
             let of = |hex: &str| {
                 let byte = |at: usize| u8::from_str_radix(&hex[at..at + 2], 16).unwrap();
                 luminance([byte(1), byte(3), byte(5)]) + 0.05
@@ -168,7 +168,7 @@ mod tests {
     }
 
     #[test]
-    fn cells_without_a_fraction_are_crossed_out_and_frames_come_last() {
+    fn empty_cells_are_crossed_out_and_frames_come_last() {
         let map = HeatMap {
             title: "<map>".to_owned(),
             description: "words".to_owned(),

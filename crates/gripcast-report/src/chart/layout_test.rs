@@ -1,19 +1,19 @@
-//! What holds for every chart: well-formed, inside its size, no text on another; for tests.
+//! Layout checks for tests: charts are well-formed, within their size, and texts do not overlap.
 
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
 use super::text::{NORMAL, SMALL, width};
 
-/// Start tags in order, each checked to be closed.
+/// Returns the start tags in order and checks that each is closed.
 ///
 /// # Panics
-/// Where one is not.
+/// If one is not.
 pub fn tags(svg: &str) -> Vec<&str> {
     let (mut open, mut all) = (Vec::new(), Vec::new());
     for part in svg.split('<').skip(1) {
-        let (tag, _) = part.split_once('>').expect("a tag ends");
+        let (tag, _) = part.split_once('>').expect("a tag bounds");
         if let Some(name) = tag.strip_prefix('/') {
-            assert_eq!(open.pop(), Some(name), "closes another tag");
+            assert_eq!(open.pop(), Some(name), "unexpected end tag");
             continue;
         }
         assert_eq!(tag.matches('"').count() % 2, 0, "{tag}");
@@ -31,21 +31,21 @@ fn attribute<'a>(tag: &'a str, name: &str) -> Option<&'a str> {
     rest.split('"').next()
 }
 
-/// The value of an attribute that is a number.
+/// Returns a numeric attribute.
 ///
 /// # Panics
-/// Where it is none.
+/// If it is missing or not a number.
 pub fn number(tag: &str, name: &str) -> f64 {
     attribute(tag, name).unwrap().parse().unwrap()
 }
 
-/// Left, top, right and bottom of a text's room, with its content.
-struct Room {
-    ends: [f64; 4],
+/// Left, top, right and bottom of a text, and its content.
+struct TextBox {
+    bounds: [f64; 4],
     text: String,
 }
 
-fn rooms(svg: &str) -> Vec<Room> {
+fn text_boxes(svg: &str) -> Vec<TextBox> {
     let parts = svg.split("<text").skip(1);
     let texts = parts.map(|part| {
         let (tag, rest) = part.split_once('>').unwrap();
@@ -53,14 +53,14 @@ fn rooms(svg: &str) -> Vec<Room> {
     });
     texts
         .filter(|(_, text)| !text.is_empty())
-        .map(|(tag, text)| Room {
-            ends: room(tag, text),
+        .map(|(tag, text)| TextBox {
+            bounds: text_bounds(tag, text),
             text: text.to_owned(),
         })
         .collect()
 }
 
-fn room(tag: &str, text: &str) -> [f64; 4] {
+fn text_bounds(tag: &str, text: &str) -> [f64; 4] {
     let is_small = attribute(tag, "class").is_some_and(|class| class.contains("small"));
     let size = if is_small { SMALL } else { NORMAL };
     let text = text.replace("&lt;", "<").replace("&gt;", ">");
@@ -73,8 +73,8 @@ fn room(tag: &str, text: &str) -> [f64; 4] {
     let (above, below) = (0.75 * size, 0.22 * size);
     if let Some(transform) = attribute(tag, "transform") {
         let inner = transform.strip_prefix("translate(").unwrap();
-        let (place, _) = inner.split_once(')').unwrap();
-        let (x, y) = place.split_once(' ').unwrap();
+        let (position, _) = inner.split_once(')').unwrap();
+        let (x, y) = position.split_once(' ').unwrap();
         let [x, y] = [x, y].map(|v| v.parse::<f64>().unwrap());
         return [x - above, y + before - along, x + below, y + before];
     }
@@ -82,42 +82,45 @@ fn room(tag: &str, text: &str) -> [f64; 4] {
     [x - before, y - above, x - before + along, y + below]
 }
 
-/// Contents of all texts.
+/// Returns the contents of all texts.
 pub fn texts(svg: &str) -> Vec<String> {
-    rooms(svg).into_iter().map(|room| room.text).collect()
+    text_boxes(svg)
+        .into_iter()
+        .map(|text_box| text_box.text)
+        .collect()
 }
 
-/// Checks that a chart is well-formed, inside its size, and that no text lies on another.
+/// Checks that a chart is well-formed, within its size, and that no texts overlap.
 ///
 /// # Panics
-/// Where it is not so.
+/// If not.
 pub fn check(svg: &str) {
     let tags = tags(svg);
     let [page, title, desc, ..] = tags[..] else {
         panic!("too few tags");
     };
     assert!(page.starts_with("svg ") && [title, desc] == ["title", "desc"]);
-    for wrong in ["NaN", "inf", "<b>"] {
-        assert!(!svg.contains(wrong), "{wrong}");
+    for invalid in ["NaN", "inf", "<b>"] {
+        assert!(!svg.contains(invalid), "{invalid}");
     }
     assert!(!svg.contains("=\"\""), "an attribute without a value");
     let [right, bottom] = ["width", "height"].map(|name| number(page, name));
-    let rooms = rooms(svg);
-    for (i, room) in rooms.iter().enumerate() {
-        let [x1, y1, x2, y2] = room.ends;
+    let text_boxes = text_boxes(svg);
+    for (i, text_box) in text_boxes.iter().enumerate() {
+        let [x1, y1, x2, y2] = text_box.bounds;
         let inside = x1 >= 0.0 && y1 >= 0.0 && x2 <= right && y2 <= bottom;
         assert!(
             inside,
             "{} {:?} leaves {right}×{bottom}",
-            room.text, room.ends
+            text_box.text, text_box.bounds
         );
-        for other in rooms.iter().skip(i + 1) {
-            let [ox1, oy1, ox2, oy2] = other.ends;
+        for other in text_boxes.iter().skip(i + 1) {
+            let [ox1, oy1, ox2, oy2] = other.bounds;
             let apart = x2 <= ox1 || ox2 <= x1 || y2 <= oy1 || oy2 <= y1;
             assert!(
                 apart,
                 "{} {:?} on {} {:?}",
-                room.text, room.ends, other.text, other.ends
+                text_box.text, text_box.bounds, other.text, other.bounds
             );
         }
     }
@@ -125,7 +128,7 @@ pub fn check(svg: &str) {
 
 #[cfg(test)]
 #[test]
-fn an_overlap_would_be_noticed() {
+fn overlapping_texts_are_detected() {
     let svg = |y: f64| {
         format!(
             "<svg width=\"99\" height=\"99\"><title></title><desc></desc>\

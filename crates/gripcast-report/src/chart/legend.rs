@@ -3,39 +3,39 @@
 use maud::{Markup, html};
 
 use super::px;
-use super::text::{Anchor, NORMAL, fitted, text, width};
+use super::text::{Anchor, NORMAL, text, truncated, width};
 
-/// Room that the key of an entry takes, px.
+/// Width of the key of an entry, px.
 const KEY: f64 = 30.0;
-/// Room between name and figures, and between entries, px.
+/// Gap between name and figures, and between entries, px.
 const GAP: f64 = 14.0;
 /// Height of a row, px.
 const ROW: f64 = 18.0;
 
-/// What stands before a name.
+/// Symbol of a legend entry.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Key {
-    /// A line of a class.
+    /// A line of a CSS class.
     Line(String),
-    /// A bar of a class.
+    /// A bar of a CSS class.
     Bar(String),
     /// A pale bar of a colour with a point on it.
     PointedBar(String),
-    /// A dot of a class.
+    /// A dot of a CSS class.
     Dot(String),
-    /// An upright interval.
+    /// A vertical interval.
     Whisker,
-    /// Nothing.
-    Nothing,
+    /// No symbol.
+    None,
 }
 
 impl Key {
-    /// Room that it takes before the name, px.
-    fn room(&self) -> f64 {
-        if *self == Self::Nothing { 0.0 } else { KEY }
+    /// Width in front of the name, px.
+    fn width(&self) -> f64 {
+        if *self == Self::None { 0.0 } else { KEY }
     }
 
-    /// The key with the middle of its left edge at the origin.
+    /// Draws the key with the centre of its left edge at the origin.
     fn draw(&self) -> Markup {
         let bar = |class: &str| html! { rect class=(class) y="-5" width="23" height="10" {} };
         let dot = |class: &str| html! { circle class=(class) cx="11.5" r="3" {} };
@@ -48,23 +48,23 @@ impl Key {
             },
             Self::Dot(class) => dot(class),
             Self::Whisker => html! { path.whisker d="M11.5-6v12m-4 0h8m-8-12h8" {} },
-            Self::Nothing => html! {},
+            Self::None => html! {},
         }
     }
 }
 
-/// A line of the legend.
+/// An entry of a legend.
 pub struct Entry {
-    /// What stands before the name.
+    /// Symbol before the name.
     pub key: Key,
-    /// The name.
+    /// Name.
     pub name: String,
-    /// Figures; empty if there are none.
+    /// Figures after the name; may be empty.
     pub figures: String,
 }
 
 impl Entry {
-    /// A name without figures.
+    /// Creates an entry without figures.
     pub fn new(key: Key, name: impl Into<String>) -> Self {
         Self {
             key,
@@ -74,32 +74,31 @@ impl Entry {
     }
 }
 
-/// A legend that is drawn.
+/// A rendered legend.
 pub struct Legend {
-    /// The drawing.
+    /// SVG content.
     pub body: Markup,
-    /// Its height, px.
+    /// Height, px.
     pub height: f64,
 }
 
 impl Legend {
-    /// Places entries from a point downwards within a width. Entries with figures are the rows of a
-    /// table, others follow each other like words. Names are shortened where the room ends, and
-    /// complete in tooltips.
-    pub fn new([left, top]: [f64; 2], room: f64, entries: &[Entry]) -> Self {
+    /// Lays out entries from a point downwards within a width. Entries with figures are the rows of a
+    /// table, others flow like words. Names that do not fit are truncated and complete in tooltips.
+    pub fn new([left, top]: [f64; 2], max_width: f64, entries: &[Entry]) -> Self {
         let has_figures = entries.iter().any(|entry| !entry.figures.is_empty());
-        let places = if has_figures {
-            table(entries, room)
+        let layout = if has_figures {
+            table(entries, max_width)
         } else {
-            flow(entries, room)
+            flow(entries, max_width)
         };
         let body = html! {
-            @for (entry, place) in entries.iter().zip(&places) {
-                @let y = top + (place.row as f64 + 0.5) * ROW;
-                (draw(entry, [left + place.x, y], place.name_room))
+            @for (entry, position) in entries.iter().zip(&layout) {
+                @let y = top + (position.row as f64 + 0.5) * ROW;
+                (draw(entry, [left + position.x, y], position.name_width))
             }
         };
-        let rows = places.last().map_or(0, |last| last.row + 1);
+        let rows = layout.last().map_or(0, |last| last.row + 1);
         Self {
             body,
             height: rows as f64 * ROW,
@@ -107,54 +106,54 @@ impl Legend {
     }
 }
 
-/// Where an entry stands.
-struct Place {
+/// Position of an entry.
+struct EntryPosition {
     x: f64,
     row: usize,
-    name_room: f64,
+    name_width: f64,
 }
 
-fn table(entries: &[Entry], room: f64) -> Vec<Place> {
+fn table(entries: &[Entry], max_width: f64) -> Vec<EntryPosition> {
     let widest = |text: fn(&Entry) -> &str| {
         let widths = entries.iter().map(|entry| width(text(entry), NORMAL));
         widths.fold(0.0, f64::max)
     };
     let beside = KEY + GAP + widest(|entry| &entry.figures);
-    let name_room = widest(|entry| &entry.name).min(room - beside);
-    let place = |row| Place {
+    let name_width = widest(|entry| &entry.name).min(max_width - beside);
+    let position = |row| EntryPosition {
         x: 0.0,
         row,
-        name_room,
+        name_width,
     };
-    (0..entries.len()).map(place).collect()
+    (0..entries.len()).map(position).collect()
 }
 
-fn flow(entries: &[Entry], room: f64) -> Vec<Place> {
+fn flow(entries: &[Entry], max_width: f64) -> Vec<EntryPosition> {
     let (mut x, mut row) = (0.0, 0);
-    let place = |entry: &Entry| {
-        let name_room = width(&entry.name, NORMAL).min(room - entry.key.room());
-        let taken = entry.key.room() + name_room;
-        if x > 0.0 && x + taken > room {
+    let position = |entry: &Entry| {
+        let name_width = width(&entry.name, NORMAL).min(max_width - entry.key.width());
+        let taken = entry.key.width() + name_width;
+        if x > 0.0 && x + taken > max_width {
             (x, row) = (0.0, row + 1);
         }
-        let place = Place { x, row, name_room };
+        let position = EntryPosition { x, row, name_width };
         x += taken + GAP;
-        place
+        position
     };
-    entries.iter().map(place).collect()
+    entries.iter().map(position).collect()
 }
 
-/// An entry with the middle of its left edge at a point.
-fn draw(entry: &Entry, [x, y]: [f64; 2], name_room: f64) -> Markup {
-    let short = fitted(&entry.name, NORMAL, name_room);
-    let (start, baseline) = (x + entry.key.room(), y + 0.36 * NORMAL);
-    let figures = [start + name_room + GAP, baseline];
+/// Draws an entry with the centre of its left edge at a point.
+fn draw(entry: &Entry, [x, y]: [f64; 2], name_width: f64) -> Markup {
+    let short = truncated(&entry.name, NORMAL, name_width);
+    let (start, baseline) = (x + entry.key.width(), y + 0.36 * NORMAL);
+    let figures = [start + name_width + GAP, baseline];
     html! {
         g {
             @if short != entry.name {
                 title { (entry.name) }
             }
-            @if entry.key != Key::Nothing {
+            @if entry.key != Key::None {
                 g transform={ "translate(" (px(x)) " " (px(y)) ")" } { (entry.key.draw()) }
             }
             (text("", [start, baseline], Anchor::Start, &short))

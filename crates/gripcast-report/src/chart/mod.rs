@@ -1,8 +1,8 @@
 //! Charts as SVG: panels with axes, marks in them, legends.
 //!
-//! A chart stands in a page, which has its style, or in a file of its own. Colours are the page's
-//! variables `--ink`, `--line`, `--paper` and `--series-0` to `--series-5`; without them a chart
-//! follows the `color-scheme` of its reader.
+//! A chart is part of a page, which has its style, or a separate file. Colours are the page's variables
+//! `--ink`, `--line`, `--paper` and `--series-0` to `--series-5`; without them a chart follows the
+//! `color-scheme` of its reader.
 
 mod axis;
 mod heat;
@@ -19,35 +19,35 @@ pub use axis::{Axis, extent};
 pub use heat::{HeatCell, HeatMap, heat_scale};
 pub use legend::{Entry, Key, Legend};
 pub use panel::Panel;
-pub use text::{Anchor, NORMAL, SMALL, count, fitted, text, upright, width, wrapped};
+pub use text::{Anchor, NORMAL, SMALL, count, text, truncated, upright, width, wrapped};
 
-/// Style of every chart.
+/// CSS of every chart.
 pub(crate) const STYLE: &str = include_str!("style.css");
 
-/// Colours that tell series apart.
+/// Number of series colours.
 const COLOURS: usize = 6;
-/// Dashes that tell lines apart where colours do not.
+/// Number of dash patterns.
 const DASHES: usize = 4;
 
-/// A chart that is drawn.
+/// A rendered chart.
 pub struct Chart {
     /// Width and height, px.
     pub size: [f64; 2],
-    /// Its accessible name.
+    /// Accessible name.
     pub title: String,
-    /// What it shows, in words.
+    /// Accessible description.
     pub description: String,
-    /// The drawing.
+    /// SVG content.
     pub body: Markup,
 }
 
 impl Chart {
-    /// The chart as a part of a page.
+    /// Renders the chart for a page.
     pub fn inline(&self) -> Markup {
         self.svg(None, html! {})
     }
 
-    /// The chart as a file of its own.
+    /// Renders the chart as a separate SVG file.
     pub fn to_svg(&self) -> String {
         let background = html! {
             style { (PreEscaped(STYLE.replace('\n', ""))) }
@@ -71,21 +71,21 @@ impl Chart {
     }
 }
 
-/// Class of the colour of a series.
+/// CSS class of the colour of a series.
 pub fn colour(series: usize) -> String {
     format!("series-{}", series % COLOURS)
 }
 
-/// Classes of the line of a series.
+/// CSS classes of the line of a series.
 pub fn line(series: usize) -> String {
-    // Colours that come again get another dash.
+    // Repeated colours get another dash pattern.
     let dash = (series + series / COLOURS) % DASHES;
     format!("curve {} dash-{dash}", colour(series))
 }
 
-/// A length or place in px, short.
+/// Formats a length or coordinate in px.
 fn px(value: f64) -> String {
-    // Adding 0 makes -0 to 0.
+    // Adding 0 turns -0 into 0.
     format!("{}", (10.0 * value).round() / 10.0 + 0.0)
 }
 
@@ -94,7 +94,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn names_cannot_break_out_of_a_file() {
+    fn names_are_escaped_in_files() {
         let chart = Chart {
             size: [10.0, 20.0],
             title: "<a & b>\u{1}\u{202e}".to_owned(),
@@ -109,11 +109,11 @@ mod tests {
     }
 
     #[test]
-    fn many_lines_differ() {
-        let mut looks: Vec<String> = (0..COLOURS * DASHES).map(line).collect();
-        looks.sort();
-        looks.dedup();
-        assert_eq!(looks.len(), COLOURS * DASHES);
+    fn line_styles_are_distinct() {
+        let mut styles: Vec<String> = (0..COLOURS * DASHES).map(line).collect();
+        styles.sort();
+        styles.dedup();
+        assert_eq!(styles.len(), COLOURS * DASHES);
         assert!((0..COLOURS).all(|i| STYLE.contains(&format!(".{}{{", colour(i)))));
         // The first is solid.
         assert!((1..DASHES).all(|i| STYLE.contains(&format!(".dash-{i}{{"))));

@@ -1,21 +1,21 @@
-//! The area of a chart in which data are drawn.
+//! The plotting area of a chart.
 
 use std::fmt::Write as _;
 
 use maud::{Markup, html};
 
-use super::text::{Anchor, NORMAL, SMALL, fitted, text, upright};
+use super::text::{Anchor, NORMAL, SMALL, text, truncated, upright};
 use super::{Axis, colour, px};
 use crate::polyline;
 
-/// Room between the numbers of the ordinate and the panel, px.
+/// Gap between the tick labels of the ordinate and the panel, px.
 pub(super) const GAP: f64 = 7.0;
-/// Room at the left edge of the chart that the label of the ordinate takes, px.
+/// Width of the label of the ordinate at the left edge of the chart, px.
 pub(super) const UPRIGHT: f64 = 22.0;
-/// Deviation that a left-out point of a line may have, px.
+/// Maximum deviation of a simplified line, px.
 const TOLERANCE: f64 = 0.12;
 
-/// A rectangle, px, with its axes. What is outside of it is drawn at its edge.
+/// A rectangle, px, with its axes. Data outside of it are drawn at its edge.
 pub struct Panel {
     /// Left edge.
     pub left: f64,
@@ -32,71 +32,71 @@ pub struct Panel {
 }
 
 impl Panel {
-    /// Room below a panel that numbers and label of the abscissa take, px.
+    /// Height of tick labels and label of the abscissa below a panel, px.
     pub const ABSCISSA: f64 = 42.0;
 
-    /// Place of a point, px.
-    pub fn place(&self, [x, y]: [f64; 2]) -> [f64; 2] {
+    /// Converts data coordinates to px.
+    pub fn to_px(&self, [x, y]: [f64; 2]) -> [f64; 2] {
         [
             self.left + (self.right - self.left) * self.x.fraction(x),
             self.bottom - (self.bottom - self.top) * self.y.fraction(y),
         ]
     }
 
-    /// Grid lines and the numbers and label of the ordinate; below the data.
+    /// Draws grid lines, tick labels and label of the ordinate; goes below the data.
     pub fn grid(&self) -> Markup {
         let mut lines = String::new();
         let [left, right, top, bottom] = [self.left, self.right, self.top, self.bottom].map(px);
         for tick in &self.y.ticks {
-            let [_, y] = self.place([0.0, tick.value]);
+            let [_, y] = self.to_px([0.0, tick.value]);
             lines.push_str(&format!("M{left} {}H{right}", px(y)));
         }
         for tick in &self.x.ticks {
-            let [x, _] = self.place([tick.value, 0.0]);
+            let [x, _] = self.to_px([tick.value, 0.0]);
             lines.push_str(&format!("M{} {top}V{bottom}", px(x)));
         }
         let middle = 0.5 * (self.top + self.bottom);
-        let label = fitted(&self.y.label, NORMAL, self.bottom - self.top);
+        let label = truncated(&self.y.label, NORMAL, self.bottom - self.top);
         html! {
             path.grid d=(lines) {}
             @for tick in &self.y.ticks {
-                @let [_, y] = self.place([0.0, tick.value]);
+                @let [_, y] = self.to_px([0.0, tick.value]);
                 (text("small", [self.left - GAP, y + 0.36 * SMALL], Anchor::End, &tick.text))
             }
             (upright("", [UPRIGHT - 8.0, middle], Anchor::Middle, &label))
         }
     }
 
-    /// Left and lower edge with marks, and the numbers and label of the abscissa; above the data.
+    /// Draws both axes with ticks, tick labels and label of the abscissa; goes above the data.
     pub fn edges(&self) -> Markup {
         let [left, right, top, bottom] = [self.left, self.right, self.top, self.bottom].map(px);
         let mut lines = format!("M{left} {top}V{bottom}H{right}");
         for tick in &self.x.ticks {
-            let [x, _] = self.place([tick.value, 0.0]);
+            let [x, _] = self.to_px([tick.value, 0.0]);
             lines.push_str(&format!("M{} {bottom}v4", px(x)));
         }
         for tick in &self.y.ticks {
-            let [_, y] = self.place([0.0, tick.value]);
+            let [_, y] = self.to_px([0.0, tick.value]);
             lines.push_str(&format!("M{left} {}h-4", px(y)));
         }
         let middle = 0.5 * (self.left + self.right);
-        let label = fitted(&self.x.label, NORMAL, self.right - self.left);
+        let label = truncated(&self.x.label, NORMAL, self.right - self.left);
         html! {
             path.axis d=(lines) {}
             @for tick in &self.x.ticks {
-                @let [x, _] = self.place([tick.value, 0.0]);
+                @let [x, _] = self.to_px([tick.value, 0.0]);
                 (text("small", [x, self.bottom + 17.0], Anchor::Middle, &tick.text))
             }
             (text("", [middle, self.bottom + 36.0], Anchor::Middle, &label))
         }
     }
 
-    /// A line with as few points as can be seen. Where a number is missing it is interrupted.
+    /// Draws a simplified line, interrupted at values that are not finite.
     pub fn line(&self, class: &str, points: impl Iterator<Item = [f64; 2]>) -> Markup {
         let (mut data, mut run) = (String::new(), Vec::new());
         for point in points {
             if are_finite(&[point]) {
-                run.push(self.place(point));
+                run.push(self.to_px(point));
             } else {
                 append_run(&mut data, &mut run);
             }
@@ -109,10 +109,10 @@ impl Panel {
         }
     }
 
-    /// The rectangle between two abscissas and two ordinates; nothing where it has no width or a
-    /// number is missing.
+    /// Draws the rectangle between two abscissas and two ordinates; nothing if it has no width or a
+    /// value is not finite.
     pub fn area(&self, class: &str, [x1, x2]: [f64; 2], [y1, y2]: [f64; 2]) -> Markup {
-        let ([left, bottom], [right, top]) = (self.place([x1, y1]), self.place([x2, y2]));
+        let ([left, bottom], [right, top]) = (self.to_px([x1, y1]), self.to_px([x2, y2]));
         html! {
             @if right > left && bottom.is_finite() && top.is_finite() {
                 rect class=(class) x=(px(left)) y=(px(top.min(bottom))) width=(px(right - left))
@@ -121,9 +121,9 @@ impl Panel {
         }
     }
 
-    /// A straight line between two points.
+    /// Draws a straight line between two points.
     pub fn segment(&self, class: &str, from: [f64; 2], to: [f64; 2]) -> Markup {
-        let ([x1, y1], [x2, y2]) = (self.place(from).map(px), self.place(to).map(px));
+        let ([x1, y1], [x2, y2]) = (self.to_px(from).map(px), self.to_px(to).map(px));
         html! {
             @if are_finite(&[from, to]) {
                 path class=(class) d={ "M" (x1) " " (y1) "L" (x2) " " (y2) } {}
@@ -131,14 +131,14 @@ impl Panel {
         }
     }
 
-    /// A dashed line to compare with.
+    /// Draws a dashed reference line.
     pub fn guide(&self, from: [f64; 2], to: [f64; 2]) -> Markup {
         self.segment("guide", from, to)
     }
 
-    /// A dot.
+    /// Draws a dot.
     pub fn dot(&self, class: &str, at: [f64; 2], radius: f64) -> Markup {
-        let [x, y] = self.place(at).map(px);
+        let [x, y] = self.to_px(at).map(px);
         html! {
             @if are_finite(&[at]) {
                 circle class=(class) cx=(x) cy=(y) r=(radius) {}
@@ -146,13 +146,13 @@ impl Panel {
         }
     }
 
-    /// The mark of a series: shapes tell series apart where colours do not.
+    /// Draws the marker of a series; shapes distinguish series without colours.
     pub fn marker(&self, series: usize, at: [f64; 2]) -> Markup {
         let class = format!("marker {}", colour(series));
         if series.is_multiple_of(2) {
             return self.dot(&class, at, 4.0);
         }
-        let [x, y] = self.place(at).map(|v| px(v - 3.5));
+        let [x, y] = self.to_px(at).map(|v| px(v - 3.5));
         html! {
             @if are_finite(&[at]) {
                 rect class=(class) x=(x) y=(y) width="7" height="7" {}
@@ -160,15 +160,15 @@ impl Panel {
         }
     }
 
-    /// An interval along an axis, with a cap at each end that is inside the panel.
+    /// Draws an interval along an axis, with a cap at each end inside the panel.
     pub fn whisker(&self, class: &str, ends: [[f64; 2]; 2]) -> Markup {
-        let [[x1, y1], [x2, y2]] = ends.map(|end| self.place(end).map(px));
+        let [[x1, y1], [x2, y2]] = ends.map(|end| self.to_px(end).map(px));
         let is_upright = ends[0][0] == ends[1][0];
         let mut data = format!("M{x1} {y1}L{x2} {y2}");
         for end in ends {
             let ([x, y], inside) = (
-                self.place(end),
-                self.x.shows(end[0]) && self.y.shows(end[1]),
+                self.to_px(end),
+                self.x.contains(end[0]) && self.y.contains(end[1]),
             );
             match (inside, is_upright) {
                 (false, _) => {}
@@ -188,16 +188,16 @@ fn are_finite(points: &[[f64; 2]]) -> bool {
     points.iter().flatten().all(|v| v.is_finite())
 }
 
-/// Appends a run of places to the data of a path.
+/// Appends a run of points, px, to the data of a path.
 fn append_run(data: &mut String, run: &mut Vec<[f64; 2]>) {
-    let kept = polyline::thinned(run, TOLERANCE, usize::MAX);
-    for (i, &at) in kept.iter().enumerate() {
+    let kept = polyline::simplify(run, TOLERANCE, usize::MAX);
+    for (i, &index) in kept.iter().enumerate() {
         let separator = match i {
             0 => "M",
             1 => "L",
             _ => " ",
         };
-        let [x, y] = run[at].map(px);
+        let [x, y] = run[index].map(px);
         // Writing to a string cannot fail.
         let _ = write!(data, "{separator}{x} {y}");
     }
@@ -217,8 +217,8 @@ mod tests {
             right: 110.0,
             top: 20.0,
             bottom: 70.0,
-            x: Axis::of_fractions("x"),
-            y: Axis::of_fractions("y"),
+            x: Axis::fractions("x"),
+            y: Axis::fractions("y"),
         }
     }
 
@@ -227,7 +227,7 @@ mod tests {
     }
 
     #[test]
-    fn numbers_stand_beside_their_marks() {
+    fn tick_labels_align_with_ticks() {
         let (grid, edges) = (panel().grid().into_string(), panel().edges().into_string());
         assert!(
             grid.contains("M10 60H110") && grid.contains("M30 20V70"),
@@ -246,7 +246,7 @@ mod tests {
             "{edges}"
         );
         let mut panel = panel();
-        panel.x = panel.x.without_text();
+        panel.x = panel.x.without_labels();
         let edges = panel.edges().into_string();
         assert!(
             edges.contains("M30 70v4") && !edges.contains("<text"),
@@ -255,13 +255,13 @@ mod tests {
     }
 
     #[test]
-    fn data_stay_inside_the_panel() {
-        assert_eq!(panel().place([0.5, 0.5]), [60.0, 45.0]);
-        assert_eq!(panel().place([-3.0, 9.0]), [10.0, 20.0]);
+    fn data_are_clamped_to_the_panel() {
+        assert_eq!(panel().to_px([0.5, 0.5]), [60.0, 45.0]);
+        assert_eq!(panel().to_px([-3.0, 9.0]), [10.0, 20.0]);
     }
 
     #[test]
-    fn a_line_keeps_its_corners_alone() {
+    fn line_keeps_only_its_corners() {
         let corner: Vec<[f64; 2]> = (0..=10)
             .map(|i| [0.1 * f64::from(i), 0.2 * f64::from(i.min(5))])
             .collect();
@@ -287,7 +287,7 @@ mod tests {
     }
 
     #[test]
-    fn whiskers_have_caps_inside_the_panel_alone() {
+    fn whiskers_have_caps_only_inside_the_panel() {
         let upright = panel().whisker("w", [[0.5, 0.5], [0.5, 2.0]]).into_string();
         assert!(upright.contains("d=\"M60 45L60 20M56 45h8\""), "{upright}");
         let across = panel().whisker("w", [[0.0, 0.0], [1.0, 0.0]]).into_string();
@@ -295,7 +295,7 @@ mod tests {
     }
 
     #[test]
-    fn areas_without_width_are_left_out() {
+    fn areas_without_width_are_omitted() {
         assert_eq!(panel().area("a", [0.5, 0.5], [0.0, 1.0]).into_string(), "");
         assert_eq!(
             panel().area("a", [0.0, 0.5], [f64::NAN, 1.0]).into_string(),
@@ -309,7 +309,7 @@ mod tests {
     }
 
     #[test]
-    fn marks_of_what_is_no_number_are_left_out() {
+    fn non_finite_marks_are_omitted() {
         let (panel, nowhere) = (panel(), [0.5, f64::NAN]);
         let marks = [
             panel.dot("d", nowhere, 2.0),

@@ -1,4 +1,4 @@
-//! Text of charts: how much room it takes, and shortening it to what there is.
+//! Text in charts: estimated widths, truncation and line breaks.
 
 use maud::{Markup, html};
 
@@ -6,17 +6,17 @@ use super::px;
 
 /// Font size of names and labels, px; as in `style.css`.
 pub const NORMAL: f64 = 12.0;
-/// Font size of text of the class `small`, px; as in `style.css`.
+/// Font size of the class `small`, px; as in `style.css`.
 pub const SMALL: f64 = 11.0;
 
-/// Which point of a text is placed.
+/// Anchor point of a text.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Anchor {
-    /// Its beginning.
+    /// Start of the text.
     Start,
-    /// Its middle.
+    /// Middle of the text.
     Middle,
-    /// Its end.
+    /// End of the text.
     End,
 }
 
@@ -30,8 +30,8 @@ impl Anchor {
     }
 }
 
-/// A line of text with its baseline at a point; nothing where it is empty. `small` and `halo` are
-/// classes that it may have.
+/// Draws a line of text with its baseline at a point; nothing for an empty text. Classes: `small`,
+/// `halo`.
 pub fn text(class: &str, [x, y]: [f64; 2], anchor: Anchor, text: &str) -> Markup {
     html! {
         @if !text.is_empty() {
@@ -41,7 +41,7 @@ pub fn text(class: &str, [x, y]: [f64; 2], anchor: Anchor, text: &str) -> Markup
     }
 }
 
-/// A line of text that runs upwards.
+/// Draws a vertical line of text.
 pub fn upright(class: &str, [x, y]: [f64; 2], anchor: Anchor, text: &str) -> Markup {
     html! {
         @if !text.is_empty() {
@@ -52,7 +52,7 @@ pub fn upright(class: &str, [x, y]: [f64; 2], anchor: Anchor, text: &str) -> Mar
     }
 }
 
-/// A count with its thousands set apart: `12,000`.
+/// Formats a count with thousands separators: `12,000`.
 pub fn count(n: usize) -> String {
     let digits = n.to_string();
     let mut text = String::new();
@@ -65,8 +65,8 @@ pub fn count(n: usize) -> String {
     text
 }
 
-/// Room that a text takes at a font size, px. The font is the reader's, so this is the width in
-/// DejaVu Sans, one of the widest, rounded up.
+/// Estimates the width of a text at a font size, px: an upper bound for DejaVu Sans, one of the widest
+/// fonts that a reader may have.
 pub fn width(text: &str, size: f64) -> f64 {
     size * text.chars().map(em).sum::<f64>()
 }
@@ -81,21 +81,21 @@ fn em(c: char) -> f64 {
         'm' | 'M' | 'w' | 'W' | '@' | '%' | '…' => 1.02,
         'A'..='Z' => 0.79,
         '!'..='~' => 0.84,
-        // Also CJK, which are as wide as high, and symbols.
+        // Also CJK, which are square, and symbols.
         _ => 1.05,
     }
 }
 
-/// The text, or as much of its beginning as fits into a width, with an ellipsis.
-pub fn fitted(text: &str, size: f64, room: f64) -> String {
-    if width(text, size) <= room {
+/// Truncates a text to a width, with an ellipsis.
+pub fn truncated(text: &str, size: f64, max_width: f64) -> String {
+    if width(text, size) <= max_width {
         return text.to_owned();
     }
     let mut short = String::new();
     let mut taken = width("…", size);
     for c in text.chars() {
         taken += size * em(c);
-        if taken > room {
+        if taken > max_width {
             break;
         }
         short.push(c);
@@ -103,8 +103,8 @@ pub fn fitted(text: &str, size: f64, room: f64) -> String {
     format!("{}…", short.trim_end())
 }
 
-/// At most `limit` lines that fit into a width, broken between words; the last one is shortened.
-pub fn wrapped(text: &str, size: f64, room: f64, limit: usize) -> Vec<String> {
+/// Breaks a text between words into at most `limit` lines of a width; the last line is truncated.
+pub fn wrapped(text: &str, size: f64, max_width: f64, limit: usize) -> Vec<String> {
     let mut lines = Vec::new();
     let mut line = String::new();
     for word in text.split_whitespace() {
@@ -113,14 +113,17 @@ pub fn wrapped(text: &str, size: f64, room: f64, limit: usize) -> Vec<String> {
         } else {
             format!("{line} {word}")
         };
-        if line.is_empty() || lines.len() + 1 >= limit || width(&longer, size) <= room {
+        if line.is_empty() || lines.len() + 1 >= limit || width(&longer, size) <= max_width {
             line = longer;
         } else {
             lines.push(std::mem::replace(&mut line, word.to_owned()));
         }
     }
     lines.push(line);
-    lines.iter().map(|line| fitted(line, size, room)).collect()
+    lines
+        .iter()
+        .map(|line| truncated(line, size, max_width))
+        .collect()
 }
 
 #[cfg(test)]
@@ -128,21 +131,21 @@ mod tests {
     use super::*;
 
     #[test]
-    fn long_names_are_shortened_to_fit() {
-        assert_eq!(fitted("V+T", NORMAL, 100.0), "V+T");
-        let short = fitted("a very long name of a model", NORMAL, 80.0);
+    fn long_names_are_truncated() {
+        assert_eq!(truncated("V+T", NORMAL, 100.0), "V+T");
+        let short = truncated("a very long name of a model", NORMAL, 80.0);
         assert!(
             short.starts_with("a very") && short.ends_with('…'),
             "{short}"
         );
         assert!(width(&short, NORMAL) <= 80.0);
-        // It uses the room that there is.
+        // It uses the available width.
         assert!(width(&short, NORMAL) > 60.0);
-        assert_eq!(fitted("名前", NORMAL, 0.0), "…");
+        assert_eq!(truncated("名前", NORMAL, 0.0), "…");
     }
 
     #[test]
-    fn thousands_are_set_apart() {
+    fn counts_have_thousands_separators() {
         let counts = [0, 999, 1000, 12_345, 100_000, 1_234_567].map(count);
         let expected = ["0", "999", "1,000", "12,345", "100,000", "1,234,567"];
         assert_eq!(counts, expected);

@@ -1,4 +1,4 @@
-//! Files made up in the form of ACRONYM's.
+//! Generated files in ACRONYM's format.
 
 use std::fs;
 use std::path::Path;
@@ -12,14 +12,12 @@ use gripcast_base::error::{Error, ErrorKind};
 use gripcast_base::files::Root;
 use gripcast_geometry::{builtin, save_mesh};
 
-/// What is to be in a file; none leaves the key out.
-struct Sketch {
+/// Contents of a file; none omits the key.
+struct FileContents {
     transforms: Option<(Vec<f64>, Vec<u64>)>,
-    held: Option<Vec<i64>>,
+    results: Option<Vec<i64>>,
     mesh_file: Option<&'static str>,
     scale: Option<f64>,
-    mass: f64,
-    com: Vec<f64>,
     gripper: &'static str,
 }
 
@@ -35,16 +33,14 @@ fn matrix(x: f64) -> [f64; 16] {
     rows
 }
 
-impl Sketch {
+impl FileContents {
     fn new() -> Self {
         let transforms = [matrix(0.0), matrix(0.01), matrix(0.02)].concat();
         Self {
             transforms: Some((transforms, vec![3, 4, 4])),
-            held: Some(vec![1, 0, 1]),
+            results: Some(vec![1, 0, 1]),
             mesh_file: Some("meshes/Mug/10f6.obj"),
             scale: Some(0.5),
-            mass: 0.0131,
-            com: vec![0.0, 0.001, 0.03],
             gripper: "panda",
         }
     }
@@ -67,16 +63,6 @@ impl Sketch {
         if let Some(scale) = self.scale {
             number(&mut object, "scale", scale);
         }
-        number(&mut object, "mass", self.mass);
-        number(&mut object, "volume", 8.7e-5);
-        number(&mut object, "density", 150.0);
-        number(&mut object, "friction", 1.0);
-        object.create_dataset("com").with_f64_data(&self.com);
-        let inertia: Vec<f64> = (1..=9).map(f64::from).collect();
-        object
-            .create_dataset("inertia")
-            .with_f64_data(&inertia)
-            .with_shape(&[3, 3]);
         file.add_group(object.finish());
         let mut gripper = file.create_group("gripper");
         gripper
@@ -93,10 +79,11 @@ impl Sketch {
                 .with_f64_data(values)
                 .with_shape(shape);
         }
-        if let Some(held) = &self.held {
+        if let Some(results) = &self.results {
             let mut qualities = grasps.create_group("qualities");
             let mut flex = qualities.create_group("flex");
-            flex.create_dataset("object_in_gripper").with_i64_data(held);
+            flex.create_dataset("object_in_gripper")
+                .with_i64_data(results);
             qualities.add_group(flex.finish());
             grasps.add_group(qualities.finish());
         }
@@ -117,82 +104,72 @@ fn read_bytes(bytes: &[u8]) -> gripcast_base::error::Result<AcronymSet> {
 }
 
 #[track_caller]
-fn refused(sketch: &Sketch, on_progress: &str) -> Error {
-    let error = sketch.read().unwrap_err();
+fn refused(contents: &FileContents, expected: &str) -> Error {
+    let error = contents.read().unwrap_err();
     assert_eq!(error.kind(), ErrorKind::Input, "{error}");
     let text = error.to_string();
     assert!(
-        text.contains(on_progress) && text.contains("Mug_10f6_0.5.h5"),
+        text.contains(expected) && text.contains("Mug_10f6_0.5.h5"),
         "{text}"
     );
     error
 }
 
 #[test]
-fn an_object_and_its_grasps_are_read() {
-    let set = Sketch::new().read().unwrap();
+fn object_and_grasps_are_read() {
+    let set = FileContents::new().read().unwrap();
     assert_eq!(set.name, "Mug_10f6_0.5");
     let object = &set.object;
     assert_eq!(object.mesh_file, "meshes/Mug/10f6.obj");
     assert_eq!(object.category.as_deref(), Some("Mug"));
-    assert_eq!((object.scale, object.mass_kg), (0.5, Some(0.0131)));
-    assert_eq!(object.com_m, Some(DVec3::new(0.0, 0.001, 0.03)));
-    assert_eq!(
-        (object.volume_m3, object.density_kg_m3),
-        (Some(8.7e-5), Some(150.0))
-    );
-    assert_eq!(object.friction, Some(1.0));
-    // Row by row.
-    let inertia = object.inertia_kg_m2.unwrap();
-    assert_eq!(inertia.row(1), DVec3::new(4.0, 5.0, 6.0));
-    assert_eq!(set.finger_opening_m, Some(0.04));
-    let held: Vec<_> = set.grasps.iter().map(|g| (g.number, g.held)).collect();
-    assert_eq!(held, [(0, true), (1, false), (2, true)]);
+    assert_eq!(object.scale, 0.5);
+    let results: Vec<_> = set.grasps.iter().map(|g| (g.number, g.stable)).collect();
+    assert_eq!(results, [(0, true), (1, false), (2, true)]);
     assert!(set.skipped.is_empty());
     let pose = set.grasps[1].t_object_gripper;
-    let expected = DVec3::new(0.01, 0.0, 0.2 - PANDA_GEL_MIDDLE_M);
+    let expected = DVec3::new(0.01, 0.0, 0.2 - PANDA_GEL_CENTER_M);
     assert!(pose.translation_m.distance(expected) < 1e-12, "{pose:?}");
     assert!(pose.transform_vector(DVec3::Z).distance(-DVec3::Z) < 1e-12);
     assert!(pose.transform_vector(DVec3::X).distance(DVec3::X) < 1e-12);
 }
 
 #[test]
-fn single_bad_grasps_are_skipped_and_told() {
-    let mut sketch = Sketch::new();
+fn invalid_grasps_are_skipped_and_listed() {
+    let mut contents = FileContents::new();
     let mut bad = matrix(0.0);
     bad[5] = f64::NAN;
     let mut skewed = matrix(0.0);
     skewed[1] = 0.5;
     let transforms = [bad, matrix(0.01), skewed].concat();
-    sketch.transforms = Some((transforms, vec![3, 4, 4]));
-    let set = sketch.read().unwrap();
+    contents.transforms = Some((transforms, vec![3, 4, 4]));
+    let set = contents.read().unwrap();
     assert_eq!(set.grasps.len(), 1);
     assert_eq!(set.grasps[0].number, 1);
     let skipped: Vec<_> = set.skipped.iter().map(|s| s.number).collect();
     assert_eq!(skipped, [0, 2]);
     assert!(
-        set.skipped[1].why.contains("orthonormal"),
+        set.skipped[1].reason.contains("orthonormal"),
         "{:?}",
         set.skipped
     );
-    sketch.held = Some(vec![1, 7, 1]);
+    contents.results = Some(vec![1, 7, 1]);
     refused(
-        &sketch,
+        &contents,
         "none of the 3 grasps can be used; grasp 0: its matrix has NaN",
     );
 }
 
 #[test]
 fn missing_keys_are_named() {
-    let without = |change: fn(&mut Sketch), on_progress: &str| {
-        let mut sketch = Sketch::new();
-        change(&mut sketch);
-        let error = refused(&sketch, on_progress);
+    let without = |change: fn(&mut FileContents), expected: &str| {
+        let mut contents = FileContents::new();
+        change(&mut contents);
+        let error = refused(&contents, expected);
         assert!(error.remedy_text().is_some());
     };
     without(|s| s.transforms = None, "there is no `grasps/transforms`");
     without(
-        |s| s.held = None,
+        |s| s.results = None,
         "no `grasps/qualities/flex/object_in_gripper`",
     );
     without(|s| s.mesh_file = None, "there is no `object/file`");
@@ -200,11 +177,11 @@ fn missing_keys_are_named() {
 }
 
 #[test]
-fn wrong_shapes_and_numbers_are_told() {
-    let with = |change: fn(&mut Sketch), on_progress: &str| {
-        let mut sketch = Sketch::new();
-        change(&mut sketch);
-        refused(&sketch, on_progress);
+fn invalid_shapes_and_numbers_are_refused() {
+    let with = |change: fn(&mut FileContents), expected: &str| {
+        let mut contents = FileContents::new();
+        change(&mut contents);
+        refused(&contents, expected);
     };
     with(
         |s| s.transforms = Some((vec![0.0; 36], vec![3, 3, 4])),
@@ -215,26 +192,19 @@ fn wrong_shapes_and_numbers_are_told() {
         "found the shape [48]",
     );
     with(
-        |s| s.held = Some(vec![1, 0]),
+        |s| s.results = Some(vec![1, 0]),
         "must be [3] as the transforms, found the shape [2]",
     );
-    with(|s| s.com = vec![0.0; 2], "`object/com` must be 3 numbers");
-    with(
-        |s| s.com = vec![0.0, f64::NAN, 0.0],
-        "`object/com` must be finite",
-    );
-    with(|s| s.mass = -1.0, "`object/mass` must be above 0");
-    with(|s| s.mass = f64::INFINITY, "`object/mass` must be finite");
-    with(|s| s.gripper = "robotiq", "the gripper \"robotiq\"");
+    with(|s| s.gripper = "robotiq", "found \"robotiq\"");
     for scale in [0.0, -1.0, f64::NAN, 1e-9, 1e4] {
-        let mut sketch = Sketch::new();
-        sketch.scale = Some(scale);
-        refused(&sketch, "`object/scale` must be");
+        let mut contents = FileContents::new();
+        contents.scale = Some(scale);
+        refused(&contents, "`object/scale` must be");
     }
 }
 
 #[test]
-fn what_is_no_hdf5_is_told() {
+fn invalid_hdf5_is_refused() {
     let error = read_bytes(b"{\"object\": \"meshes/Mug/10f6.obj\"}").unwrap_err();
     assert!(error.to_string().contains("no HDF5 file"), "{error}");
     assert!(
@@ -249,8 +219,8 @@ fn what_is_no_hdf5_is_told() {
 }
 
 #[test]
-fn damaged_files_end_in_errors() {
-    let whole = Sketch::new().write();
+fn damaged_files_do_not_panic() {
+    let whole = FileContents::new().write();
     for fraction in 1..16 {
         let cut = &whole[..whole.len() * fraction / 16];
         assert!(read_bytes(cut).is_err(), "{fraction}/16");
@@ -268,8 +238,8 @@ fn damaged_files_end_in_errors() {
 }
 
 #[test]
-fn meshes_lie_below_their_root() {
-    let mut object = Sketch::new().read().unwrap().object;
+fn meshes_are_confined_to_their_root() {
+    let mut object = FileContents::new().read().unwrap().object;
     let dir = TempDir::new().unwrap();
     let root = Root::new(dir.path().join("meshes-root"));
     let error = object.load_mesh(&root).unwrap_err();

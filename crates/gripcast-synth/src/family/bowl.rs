@@ -5,7 +5,7 @@ use glam::{DVec2, DVec3};
 use super::draw::Draw;
 use super::lathe::{Lathe, Section};
 use super::outline::{even, open_line, rounded, sharp};
-use super::shape::sized;
+use super::shape::with_edge;
 use gripcast_base::error::Result;
 use gripcast_geometry::TriangleMesh;
 
@@ -22,20 +22,20 @@ pub(super) fn draw(draw: &mut Draw) -> Result<TriangleMesh> {
     let wall = draw.between(0.0028, 0.0045);
     let foot = radius * draw.between(0.35, 0.55);
     let foot_height = draw.between(0.0015, 0.004);
-    // 2 is a quarter of an ellipse, more is steeper.
+    // 2 is a quarter ellipse, more is steeper.
     let power = draw.between(1.6, 3.0);
     let section = match form {
         "lobed bowl" => Section::lobes(draw.count(5, 9), draw.between(0.02, 0.05)),
         "dish" => Section::oblong(draw.between(1.0, 1.25), 4.0),
         _ => Section::circle(),
     };
-    // Wide sections would make the longest side too long.
+    // Otherwise wide sections exceed the maximum edge length.
     let scale = if form == "dish" { 0.9 } else { 1.0 };
-    sized(|edge| {
+    with_edge(|edge| {
         let inner =
             curve(radius - wall, height - wall, power).map(|p| p + DVec2::Y * (foot_height + wall));
         let outer = curve(radius, height, power).map(|p| p + DVec2::Y * foot_height);
-        let side = even(&beyond(&outer, foot), edge);
+        let side = even(&outside(&outer, foot), edge);
         let standing = [
             sharp(0.0, 0.0),
             rounded(foot, 0.0, 0.001),
@@ -56,7 +56,7 @@ pub(super) fn draw(draw: &mut Draw) -> Result<TriangleMesh> {
             profile: &profile,
             closed: false,
             section: &section,
-            fraction: &|at| (at.x / radius - 0.3).clamp(0.0, 0.5) * 2.0,
+            fraction: &|point| (point.x / radius - 0.3).clamp(0.0, 0.5) * 2.0,
             edge,
         };
         let mut mesh = lathe.mesh();
@@ -67,7 +67,7 @@ pub(super) fn draw(draw: &mut Draw) -> Result<TriangleMesh> {
     })
 }
 
-/// A quarter of a superellipse from the axis up to the rim.
+/// A quarter superellipse from the axis to the rim.
 fn curve(radius: f64, height: f64, power: f64) -> [DVec2; 65] {
     std::array::from_fn(|k| {
         let (sin, cos) = (std::f64::consts::FRAC_PI_2 * k as f64 / 64.0).sin_cos();
@@ -76,8 +76,8 @@ fn curve(radius: f64, height: f64, power: f64) -> [DVec2; 65] {
     })
 }
 
-/// What of a curve lies further from the axis than `radius`.
-fn beyond(curve: &[DVec2], radius: f64) -> Vec<DVec2> {
+/// The points of a curve outside of a radius.
+fn outside(curve: &[DVec2], radius: f64) -> Vec<DVec2> {
     let far = curve.iter().copied().filter(|p| p.x > 1.02 * radius);
     far.collect()
 }

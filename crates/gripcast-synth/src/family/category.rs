@@ -1,104 +1,71 @@
-//! The families, what they are made of and how full they are.
-
-use serde::{Deserialize, Serialize};
+//! The families: names, materials and fills.
 
 use super::draw::Draw;
 use super::script::{self, Formula};
 use gripcast_base::error::{Result, unknown_name};
 use gripcast_geometry::TriangleMesh;
 
-/// A family of shapes.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum Category {
-    /// Cartons, books, bars of soap, tapered boxes.
-    Box,
-    /// Toy blocks: wedges, arches, prisms, crosses, twisted columns.
-    Block,
-    /// Closed bottles: round, square, waisted, flat, with a dropper.
-    Bottle,
-    /// Cans, jars, tins and open cups.
-    Can,
-    /// Bowls, dishes and saucers.
-    Bowl,
-    /// Mugs, tea cups and tankards with a handle.
-    Mug,
-    /// Pipes, caps, elbows, tees, squeeze tubes, rolls.
-    Tube,
-    /// Rings, bands, chain links, gaskets.
-    Ring,
-    /// Screwdrivers, hammers, wrenches, scrapers, clamps, hexagon keys.
-    Tool,
-    /// Spoons, forks, knives, spatulas.
-    Cutlery,
-    /// Pencils, markers, brushes, candles.
-    Pen,
-    /// Bolts, nuts, gears, spacers.
-    Fastener,
-    /// Bent and flat brackets with holes, flanges.
-    Bracket,
-    /// Knobs, star handles, door knobs.
-    Knob,
-    /// Random bodies of graded complexity.
-    Toy,
-    /// Cards, trays, coasters, bent and wavy sheets.
-    Sheet,
-    /// Fruit and vegetables.
-    Fruit,
-    /// Animals and people.
-    Figure,
-}
-
-/// Names in the order of the categories.
-const NAMES: [&str; 18] = [
-    "box", "block", "bottle", "can", "bowl", "mug", "tube", "ring", "tool", "cutlery", "pen",
-    "fastener", "bracket", "knob", "toy", "sheet", "fruit", "figure",
+/// Name and file of each family. The order is that of the objects of a plan.
+const FAMILIES: [(&str, &str); 18] = [
+    ("box", include_str!("shapes/box.shape")),
+    ("block", include_str!("shapes/block.shape")),
+    ("bottle", include_str!("shapes/bottle.shape")),
+    ("can", include_str!("shapes/can.shape")),
+    ("bowl", include_str!("shapes/bowl.shape")),
+    ("mug", include_str!("shapes/mug.shape")),
+    ("tube", include_str!("shapes/tube.shape")),
+    ("ring", include_str!("shapes/ring.shape")),
+    ("tool", include_str!("shapes/tool.shape")),
+    ("cutlery", include_str!("shapes/cutlery.shape")),
+    ("pen", include_str!("shapes/pen.shape")),
+    ("fastener", include_str!("shapes/fastener.shape")),
+    ("bracket", include_str!("shapes/bracket.shape")),
+    ("knob", include_str!("shapes/knob.shape")),
+    ("toy", include_str!("shapes/toy.shape")),
+    ("sheet", include_str!("shapes/sheet.shape")),
+    ("fruit", include_str!("shapes/fruit.shape")),
+    ("figure", include_str!("shapes/figure.shape")),
 ];
 
-impl Category {
-    /// All categories.
-    pub const ALL: [Self; 18] = [
-        Self::Box,
-        Self::Block,
-        Self::Bottle,
-        Self::Can,
-        Self::Bowl,
-        Self::Mug,
-        Self::Tube,
-        Self::Ring,
-        Self::Tool,
-        Self::Cutlery,
-        Self::Pen,
-        Self::Fastener,
-        Self::Bracket,
-        Self::Knob,
-        Self::Toy,
-        Self::Sheet,
-        Self::Fruit,
-        Self::Figure,
-    ];
+/// A family of shapes, for instance `mug`; the files in `shapes` describe them.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub struct Category(usize);
 
-    /// Its name, in lower case.
-    pub fn name(self) -> &'static str {
-        NAMES[self as usize]
+impl Category {
+    /// Number of categories.
+    pub const COUNT: usize = FAMILIES.len();
+
+    /// Returns all categories.
+    pub fn all() -> impl Iterator<Item = Self> {
+        (0..Self::COUNT).map(Self)
     }
 
-    /// The category of a name.
+    /// Returns the category of an object's number; numbers cycle through the categories.
+    pub fn cycled(number: usize) -> Self {
+        Self(number % Self::COUNT)
+    }
+
+    /// Name in lower case.
+    pub fn name(self) -> &'static str {
+        FAMILIES[self.0].0
+    }
+
+    /// Finds a category by name.
     ///
     /// # Errors
-    /// `Usage` for another name; the remedy has the nearest and lists all.
+    /// `Usage` for an unknown name; the remedy suggests the nearest and lists all.
     ///
     /// ```
     /// use gripcast_synth::family::Category;
-    /// assert_eq!(Category::parse("ring")?, Category::Ring);
+    /// assert_eq!(Category::parse("ring")?.name(), "ring");
     /// # Ok::<(), gripcast_base::error::Error>(())
     /// ```
     pub fn parse(name: &str) -> Result<Self> {
-        let found = Self::ALL.into_iter().find(|c| c.name() == name);
-        found.ok_or_else(|| unknown_name("category", name, &NAMES))
+        let found = Self::all().find(|category| category.name() == name);
+        found.ok_or_else(|| unknown_name("category", name, &FAMILIES.map(|(name, _)| name)))
     }
 
-    /// Names of materials that such objects are made of, the commonest first.
+    /// Names of typical materials, the most common first.
     pub fn materials(self) -> Vec<&'static str> {
         let materials = script::header(self.text(), "materials");
         let names = materials.iter().filter_map(|material| match material {
@@ -108,8 +75,8 @@ impl Category {
         names.collect()
     }
 
-    /// Part of the enclosed volume that is material: from, to. Closed vessels and cartons are
-    /// modelled by their outer surface, so their walls and contents are a part of it.
+    /// Minimum and maximum fraction of the enclosed volume that is material. Closed vessels and cartons
+    /// are modelled by their outer surface, so their fill is that of walls and contents.
     pub fn fill(self) -> (f64, f64) {
         match script::header(self.text(), "fill")[..] {
             [Formula::Number(low), Formula::Number(high)] => (low, high),
@@ -117,36 +84,17 @@ impl Category {
         }
     }
 
-    /// Its file: materials, fill and for most the shape.
+    /// Its file: materials, fill and usually the shape.
     fn text(self) -> &'static str {
-        match self {
-            Self::Box => include_str!("shapes/box.shape"),
-            Self::Block => include_str!("shapes/block.shape"),
-            Self::Bottle => include_str!("shapes/bottle.shape"),
-            Self::Can => include_str!("shapes/can.shape"),
-            Self::Bowl => include_str!("shapes/bowl.shape"),
-            Self::Mug => include_str!("shapes/mug.shape"),
-            Self::Tube => include_str!("shapes/tube.shape"),
-            Self::Ring => include_str!("shapes/ring.shape"),
-            Self::Tool => include_str!("shapes/tool.shape"),
-            Self::Cutlery => include_str!("shapes/cutlery.shape"),
-            Self::Pen => include_str!("shapes/pen.shape"),
-            Self::Fastener => include_str!("shapes/fastener.shape"),
-            Self::Bracket => include_str!("shapes/bracket.shape"),
-            Self::Knob => include_str!("shapes/knob.shape"),
-            Self::Toy => include_str!("shapes/toy.shape"),
-            Self::Sheet => include_str!("shapes/sheet.shape"),
-            Self::Fruit => include_str!("shapes/fruit.shape"),
-            Self::Figure => include_str!("shapes/figure.shape"),
-        }
+        FAMILIES[self.0].1
     }
 
     /// Draws a shape of the family.
     pub(super) fn draw(self, draw: &mut Draw) -> Result<TriangleMesh> {
-        match self {
-            Self::Bowl => super::bowl::draw(draw),
-            Self::Mug => super::mug::draw(draw),
-            Self::Toy => super::toy::draw(draw),
+        match self.name() {
+            "bowl" => super::bowl::draw(draw),
+            "mug" => super::mug::draw(draw),
+            "toy" => super::toy::draw(draw),
             _ => super::scripted::draw(self.text(), draw),
         }
     }

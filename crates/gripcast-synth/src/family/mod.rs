@@ -1,7 +1,7 @@
-//! Built-in families of objects that people pick up from a table: hundreds of distinct closed
-//! meshes for each category from a seed, so that a synthetic dataset can be made offline.
+//! Built-in families of tabletop objects: any number of distinct closed meshes per category, generated
+//! from seeds without downloads.
 //!
-//! Bodies are turned, cut out of plates, or blended from parts given by their signed distance; none
+//! Bodies are turned on a lathe, cut from plates, or blended from signed distance primitives; none
 //! needs boolean operations on meshes. Most families are files in `shapes`.
 
 mod bowl;
@@ -25,22 +25,22 @@ use gripcast_base::error::Result;
 use gripcast_base::random::SeedStream;
 use gripcast_geometry::TriangleMesh;
 
-/// Draws of a shape that are tried until one passes its checks.
+/// Maximum draws until a shape passes its checks.
 const ATTEMPTS: u32 = 12;
 
-/// The shape of a category for a seed: 2 to 15 cm long, with at most 8000 triangles, most of whose
-/// sides are 2 to 4 mm. Equal on all machines.
+/// Generates the shape of a category for a seed: 2 to 15 cm long, with at most 8000 triangles, most
+/// edges 2 to 4 mm long. Identical on all machines.
 ///
-/// The mesh is closed, connected, free of self-intersections, counter-clockwise seen from outside;
-/// its bounding box is centred in the origin, z up in the natural pose, m. A draw that does not pass
-/// the checks is replaced by the next one of the same seed.
+/// The mesh (m) is closed, connected, free of self-intersections and counter-clockwise seen from
+/// outside; its bounding box is centred at the origin, with z up in the natural pose. A draw that
+/// does not pass the checks is replaced by the next one of the same seed.
 ///
 /// # Errors
 /// `Internal`, with the reason of the last draw, if none of a dozen passes.
 ///
 /// ```
 /// use gripcast_synth::family::{Category, family_shape};
-/// let mug = family_shape(Category::Mug, 7)?;
+/// let mug = family_shape(Category::parse("mug")?, 7)?;
 /// assert!(mug.edges().is_closed());
 /// # Ok::<(), gripcast_base::error::Error>(())
 /// ```
@@ -49,7 +49,7 @@ pub fn family_shape(category: Category, seed: u64) -> Result<TriangleMesh> {
     loop {
         let name = format!("family/{}/{rejected}", category.name());
         let mut draw = Draw(SeedStream::named(seed, &name));
-        match category.draw(&mut draw).and_then(shape::finished) {
+        match category.draw(&mut draw).and_then(shape::finish) {
             Ok(mesh) => return Ok(mesh),
             Err(e) if rejected + 1 == ATTEMPTS => {
                 return Err(e.at(format!("shape {seed} of the family {}", category.name())));
@@ -58,3 +58,7 @@ pub fn family_shape(category: Category, seed: u64) -> Result<TriangleMesh> {
         }
     }
 }
+
+#[cfg(test)]
+#[path = "family_test.rs"]
+mod tests;

@@ -1,4 +1,4 @@
-//! Mugs, tea cups, tankards: a turned cup and a handle in one closed surface.
+//! Mugs, tea cups, tankards: a turned cup with a handle as one closed surface.
 
 use std::f64::consts::{FRAC_PI_2, FRAC_PI_4, TAU};
 use std::ops::Range;
@@ -8,7 +8,7 @@ use glam::{DVec2, DVec3};
 use super::draw::Draw;
 use super::lathe::{Lathe, Section};
 use super::outline::{Knot, even, open_line, rounded, sharp};
-use super::shape::sized;
+use super::shape::with_edge;
 use gripcast_base::error::{Error, Result};
 use gripcast_geometry::TriangleMesh;
 
@@ -28,13 +28,13 @@ const AROUND: [(i64, i64); 8] = [
 struct Handle {
     /// Half width across the mug and half thickness, m.
     half: DVec2,
-    /// How far it stands off the wall, m.
+    /// Distance from the wall, m.
     reach: f64,
     /// Heights of its ends, m.
     ends: [f64; 2],
-    /// 2 is half an ellipse, more is nearly a rectangle.
+    /// Exponent of the superellipse: 2 is half an ellipse, more is closer to a rectangle.
     power: f64,
-    /// How much lower its middle hangs, m.
+    /// How much the middle is lowered, m.
     drop: f64,
 }
 
@@ -64,7 +64,7 @@ pub(super) fn draw(draw: &mut Draw) -> Result<TriangleMesh> {
         },
         drop: if form == "tea cup" { 0.15 * span } else { 0.0 },
     };
-    sized(|edge| {
+    with_edge(|edge| {
         let profile = open_line(&knots, edge);
         let columns = 4 * (0.25 * TAU * 0.93 * radius / edge).round().max(4.0) as usize;
         let lathe = Lathe {
@@ -75,7 +75,7 @@ pub(super) fn draw(draw: &mut Draw) -> Result<TriangleMesh> {
             edge,
         };
         let (mut mesh, rings) = lathe.mesh_and_rings();
-        // Up to the rim the profile runs on the outside.
+        // The profile is on the outside up to the rim.
         let rim = profile.iter().position(|p| p.y > height - 0.004);
         let outside = &rings[..rim.unwrap_or(0)];
         handle.add_to(&mut mesh, &profile, outside, columns, edge)?;
@@ -113,7 +113,7 @@ fn cup(draw: &mut Draw, form: &str, radius: f64, height: f64) -> Vec<Knot> {
 }
 
 impl Handle {
-    /// Replaces two blocks of faces of the wall by the handle, towards +x.
+    /// Replaces two blocks of wall faces by the handle, towards +x.
     fn add_to(
         &self,
         mesh: &mut TriangleMesh,
@@ -124,30 +124,30 @@ impl Handle {
     ) -> Result<()> {
         let rows = self.ends.map(|z| nearest_row(profile, rings, columns, z));
         let [Some(upper), Some(lower)] = rows else {
-            return Err(Error::internal("no place for a handle"));
+            return Err(Error::internal("no space for a handle"));
         };
         if upper < lower + 4 {
             return Err(Error::internal("the handle is too short"));
         }
-        let at = |row: usize, (column, step): (i64, i64)| {
+        let vertex = |row: usize, (column, step): (i64, i64)| {
             let ring = &rings[(row as i64 + step) as usize];
             ring.start + column.rem_euclid(columns as i64) as u32
         };
-        let mut loops = vec![AROUND.map(|step| at(upper, step))];
+        let mut loops = vec![AROUND.map(|step| vertex(upper, step))];
         let blocks = [upper, lower].map(|row| {
-            let mut block = AROUND.map(|step| at(row, step)).to_vec();
-            block.push(at(row, (0, 0)));
+            let mut block = AROUND.map(|step| vertex(row, step)).to_vec();
+            block.push(vertex(row, (0, 0)));
             block
         });
         let within = |t: &[u32; 3]| blocks.iter().any(|b| t.iter().all(|v| b.contains(v)));
         mesh.triangles.retain(|t| !within(t));
-        let places = self.path(profile[upper], profile[lower], edge);
-        for k in 1..places.len() - 1 {
-            let along = (places[k + 1] - places[k - 1]).normalize_or_zero();
-            loops.push(self.ring(mesh, places[k], along));
+        let path = self.path(profile[upper], profile[lower], edge);
+        for k in 1..path.len() - 1 {
+            let along = (path[k + 1] - path[k - 1]).normalize_or_zero();
+            loops.push(self.ring(mesh, path[k], along));
         }
-        // Seen along the handle, the lower block is upside down.
-        loops.push(AROUND.map(|(column, step)| at(lower, (column, -step))));
+        // Along the handle, the lower block is upside down.
+        loops.push(AROUND.map(|(column, step)| vertex(lower, (column, -step))));
         for pair in loops.windows(2) {
             for k in 0..8 {
                 let n = (k + 1) % 8;
@@ -158,7 +158,7 @@ impl Handle {
         Ok(())
     }
 
-    /// Middle line from the upper to the lower end in x and z, m.
+    /// Centre line from the upper to the lower end in x and z, m.
     fn path(&self, upper: DVec2, lower: DVec2, edge: f64) -> Vec<DVec2> {
         let dense: Vec<DVec2> = (0..=200)
             .map(|k| {
@@ -172,12 +172,12 @@ impl Handle {
         even(&dense, edge)
     }
 
-    /// Eight vertices around a place, across a direction.
-    fn ring(&self, mesh: &mut TriangleMesh, at: DVec2, along: DVec2) -> [u32; 8] {
+    /// Adds eight vertices around a point, normal to a direction.
+    fn ring(&self, mesh: &mut TriangleMesh, center: DVec2, along: DVec2) -> [u32; 8] {
         let out = along.perp();
         std::array::from_fn(|k| {
             let (sin, cos) = (FRAC_PI_4 * (k as f64 - 3.0)).sin_cos();
-            let p = at + out * (sin * self.half.y);
+            let p = center + out * (sin * self.half.y);
             let v = DVec3::new(p.x, cos * self.half.x, p.y);
             mesh.vertices.push(v);
             mesh.vertices.len() as u32 - 1
@@ -185,18 +185,18 @@ impl Handle {
     }
 }
 
-/// The row next to a height whose neighbours have as many vertices.
+/// Finds the row nearest to a height whose neighbours have the same number of vertices.
 fn nearest_row(
     profile: &[DVec2],
     rings: &[Range<u32>],
     columns: usize,
     height: f64,
 ) -> Option<usize> {
-    let whole = |row: usize| rings[row].len() == columns && profile[row].y > 0.004;
+    let is_complete = |row: usize| rings[row].len() == columns && profile[row].y > 0.004;
     (1..rings.len().saturating_sub(1))
-        .filter(|&row| whole(row - 1) && whole(row) && whole(row + 1))
+        .filter(|&row| is_complete(row - 1) && is_complete(row) && is_complete(row + 1))
         .min_by(|&a, &b| {
-            let off = |row: usize| (profile[row].y - height).abs();
-            off(a).total_cmp(&off(b))
+            let distance = |row: usize| (profile[row].y - height).abs();
+            distance(a).total_cmp(&distance(b))
         })
 }

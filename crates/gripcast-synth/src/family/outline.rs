@@ -1,22 +1,22 @@
-//! Lines in a plane with rounded corners: profiles to turn, outlines to cut out.
+//! Planar lines with rounded corners: profiles of lathes, outlines of plates.
 
 use std::f64::consts::{FRAC_PI_2, TAU};
 
 use glam::DVec2;
 
-/// A corner of a line and the radius that rounds it, m.
+/// A corner of a line and its fillet radius, m.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Knot {
     pub(super) at: DVec2,
     pub(super) fillet: f64,
 }
 
-/// A corner (m) that is not rounded.
+/// Returns a sharp corner (m).
 pub(super) fn sharp(x: f64, y: f64) -> Knot {
     rounded(x, y, 0.0)
 }
 
-/// A corner (m) that is rounded.
+/// Returns a rounded corner (m).
 pub(super) fn rounded(x: f64, y: f64, fillet: f64) -> Knot {
     Knot {
         at: DVec2::new(x, y),
@@ -24,7 +24,7 @@ pub(super) fn rounded(x: f64, y: f64, fillet: f64) -> Knot {
     }
 }
 
-/// Points along an open line through the knots, at most about `edge` (m) apart.
+/// Returns points along an open line through the knots, at most about `edge` (m) apart.
 pub(super) fn open_line(knots: &[Knot], edge: f64) -> Vec<DVec2> {
     let last = knots.len() - 1;
     let mut corners = vec![knots[0].at];
@@ -32,10 +32,10 @@ pub(super) fn open_line(knots: &[Knot], edge: f64) -> Vec<DVec2> {
         corners.extend(corner(w[0].at, w[1], w[2].at, edge));
     }
     corners.push(knots[last].at);
-    divided(&corners, edge)
+    subdivided(&corners, edge)
 }
 
-/// Points along a closed line through the knots, at most about `edge` (m) apart.
+/// Returns points along a closed line through the knots, at most about `edge` (m) apart.
 pub(super) fn closed_line(knots: &[Knot], edge: f64) -> Vec<DVec2> {
     let n = knots.len();
     let mut corners: Vec<DVec2> = (0..n)
@@ -49,12 +49,12 @@ pub(super) fn closed_line(knots: &[Knot], edge: f64) -> Vec<DVec2> {
         })
         .collect();
     corners.push(corners[0]);
-    let mut points = divided(&corners, edge);
+    let mut points = subdivided(&corners, edge);
     points.pop();
     points
 }
 
-/// A circle (m), counter-clockwise, of at least 8 points.
+/// Returns a counter-clockwise circle (m) of at least 8 points.
 pub(super) fn circle(center: DVec2, radius: f64, edge: f64) -> Vec<DVec2> {
     let count = ((TAU * radius / edge).round() as usize).max(8);
     (0..count)
@@ -62,33 +62,41 @@ pub(super) fn circle(center: DVec2, radius: f64, edge: f64) -> Vec<DVec2> {
         .collect()
 }
 
-/// Points at equal distances, about `edge` (m), along a dense smooth line, its ends included.
+/// Resamples a dense line at equal distances of about `edge` (m), including its ends.
 pub(super) fn even(dense: &[DVec2], edge: f64) -> Vec<DVec2> {
-    let mut along = vec![0.0];
-    for w in dense.windows(2) {
-        along.push(along[along.len() - 1] + w[0].distance(w[1]));
-    }
-    let length = along[along.len() - 1];
-    let count = (length / edge).round().max(2.0) as usize;
+    let lengths = arc_lengths(dense);
+    let total = lengths[lengths.len() - 1];
+    let count = (total / edge).round().max(2.0) as usize;
     (0..=count)
-        .map(|k| {
-            let at = length * k as f64 / count as f64;
-            let j = along
-                .partition_point(|a| *a <= at)
-                .clamp(1, dense.len() - 1);
-            let step = (along[j] - along[j - 1]).max(1e-12);
-            dense[j - 1].lerp(dense[j], ((at - along[j - 1]) / step).clamp(0.0, 1.0))
-        })
+        .map(|k| point_at(dense, &lengths, total * k as f64 / count as f64))
         .collect()
 }
 
-/// A dense smooth line through the points of a profile (Catmull and Rom, 1974), off the axis only
-/// at its ends.
+/// Returns the arc length of a line at each of its points.
+pub(super) fn arc_lengths(line: &[DVec2]) -> Vec<f64> {
+    let mut lengths = vec![0.0];
+    for w in line.windows(2) {
+        lengths.push(lengths[lengths.len() - 1] + w[0].distance(w[1]));
+    }
+    lengths
+}
+
+/// Returns the point of a line at an arc length.
+pub(super) fn point_at(line: &[DVec2], lengths: &[f64], length: f64) -> DVec2 {
+    let next = lengths.partition_point(|l| *l <= length);
+    let next = next.clamp(1, line.len() - 1);
+    let step = (lengths[next] - lengths[next - 1]).max(1e-12);
+    let fraction = ((length - lengths[next - 1]) / step).clamp(0.0, 1.0);
+    line[next - 1].lerp(line[next], fraction)
+}
+
+/// Returns a dense spline through the points of a profile (Catmull and Rom, 1974), on the axis only at
+/// its ends.
 pub(super) fn smooth(profile: &[Knot]) -> impl Iterator<Item = DVec2> {
     const PIECES: usize = 16;
     let at = |k: isize| {
         let last = profile.len() as isize - 1;
-        // Beyond the ends the line goes on as its mirror image.
+        // Beyond the ends the line continues as its mirror image.
         if k < 0 || k > last {
             let inner = profile[if k < 0 { 1 } else { profile.len() - 2 }].at;
             DVec2::new(-inner.x, inner.y)
@@ -108,30 +116,30 @@ pub(super) fn smooth(profile: &[Knot]) -> impl Iterator<Item = DVec2> {
     })
 }
 
-/// Points of a rounded corner from where the arc starts to where it ends.
+/// Returns the points of a rounded corner.
 fn corner(before: DVec2, knot: Knot, after: DVec2, edge: f64) -> Vec<DVec2> {
     let (to_before, to_after) = (before - knot.at, after - knot.at);
     let (from, to) = (to_before.normalize_or_zero(), to_after.normalize_or_zero());
-    let turn = (-from).angle_to(to);
-    let half = (0.5 * turn.abs()).tan();
-    let room = 0.48 * to_before.length().min(to_after.length());
-    let reach = (knot.fillet * half).min(room);
-    if knot.fillet <= 0.0 || turn.abs() < 0.05 || reach < 2e-4 {
+    let angle = (-from).angle_to(to);
+    let half = (0.5 * angle.abs()).tan();
+    let max_reach = 0.48 * to_before.length().min(to_after.length());
+    let reach = (knot.fillet * half).min(max_reach);
+    if knot.fillet <= 0.0 || angle.abs() < 0.05 || reach < 2e-4 {
         return vec![knot.at];
     }
     let radius = reach / half;
-    let count = (turn.abs() * radius / edge)
+    let count = (angle.abs() * radius / edge)
         .round()
-        .max((turn.abs() / FRAC_PI_2).ceil().min(3.0));
+        .max((angle.abs() / FRAC_PI_2).ceil().min(3.0));
     let start = knot.at + reach * from;
-    let center = start + radius * turn.signum() * (-from).perp();
+    let center = start + radius * angle.signum() * (-from).perp();
     (0..=count as usize)
-        .map(|k| center + DVec2::from_angle(turn * k as f64 / count).rotate(start - center))
+        .map(|k| center + DVec2::from_angle(angle * k as f64 / count).rotate(start - center))
         .collect()
 }
 
-/// The line with its sides cut into equal pieces of at most about `edge`.
-fn divided(corners: &[DVec2], edge: f64) -> Vec<DVec2> {
+/// Subdivides the sides of a line into equal pieces of at most about `edge`.
+fn subdivided(corners: &[DVec2], edge: f64) -> Vec<DVec2> {
     let mut points = vec![corners[0]];
     for w in corners.windows(2) {
         let pieces = (w[0].distance(w[1]) / edge - 0.05).ceil().max(1.0);
@@ -145,7 +153,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_rounded_square_keeps_its_sides_and_loses_its_corners() {
+    fn rounded_square_keeps_its_sides() {
         let knots = [(0.0, 0.0), (0.02, 0.0), (0.02, 0.02), (0.0, 0.02)];
         let line = closed_line(&knots.map(|(x, y)| rounded(x, y, 0.004)), 0.002);
         let area: f64 = (0..line.len())
@@ -160,7 +168,7 @@ mod tests {
     }
 
     #[test]
-    fn a_dense_line_is_cut_into_equal_pieces() {
+    fn dense_line_is_resampled_evenly() {
         let dense: Vec<DVec2> = (0..=90)
             .map(|k| 0.03 * DVec2::from_angle(f64::from(k).to_radians()))
             .collect();

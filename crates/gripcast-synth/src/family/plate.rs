@@ -1,26 +1,26 @@
-//! Bodies between a lower and an upper surface over an outline with holes.
+//! Plates: bodies between a lower and an upper surface over an outline with holes.
 
 use glam::{DVec2, DVec3};
 use spade::{ConstrainedDelaunayTriangulation, Point2, Triangulation as _};
 
-use super::shape::{rounded_to_grid, slenderness};
+use super::shape::{relative_height, snapped_to_grid};
 use gripcast_base::error::{Error, Result};
 use gripcast_geometry::TriangleMesh;
 
-/// Points of the lattice stay this many edges away from the rim.
+/// Minimum distance of lattice points from the rim, in edge lengths.
 const CLEARANCE: f64 = 0.65;
-/// Height over the longest side below which a triangle is flat.
-const FLAT: f64 = 1e-3;
+/// Maximum relative height of a degenerate triangle.
+const DEGENERATE: f64 = 1e-3;
 
-/// A body over an area.
+/// A plate.
 pub(super) struct Plate<'a> {
     /// Points along the rim, m.
     pub(super) outline: Vec<DVec2>,
     /// Points along the rims of holes, m.
     pub(super) holes: Vec<Vec<DVec2>>,
-    /// Heights of the lower and the upper surface (m) at a place that is as far (m) from the rim.
+    /// Heights of the lower and the upper surface (m) at a point and its distance (m) from the rim.
     pub(super) heights: &'a dyn Fn(DVec2, f64) -> [f64; 2],
-    /// Width of the faces, m.
+    /// Edge length, m.
     pub(super) edge: f64,
 }
 
@@ -37,9 +37,9 @@ impl Plate<'_> {
             let first = points.len();
             points.extend(
                 rim.iter()
-                    .map(|p| rounded_to_grid(p.extend(0.0)).truncate()),
+                    .map(|p| snapped_to_grid(p.extend(0.0)).truncate()),
             );
-            // All rims run with the body on their left.
+            // All rims have the body on their left.
             if (signed_area(rim) > 0.0) != (k == 0) {
                 points[first..].reverse();
             }
@@ -60,7 +60,7 @@ impl Plate<'_> {
         Ok(self.solid(&points, &sides, on_rim, &faces))
     }
 
-    /// Adds points of a triangular lattice inside.
+    /// Adds the points of a triangular lattice inside.
     fn add_lattice(&self, points: &mut Vec<DVec2>, sides: &[[usize; 2]]) {
         let rim = points.clone();
         let (mut low, mut high) = (DVec2::INFINITY, DVec2::NEG_INFINITY);
@@ -73,8 +73,9 @@ impl Plate<'_> {
             for column in 0..=counts.x as usize {
                 let shift = 0.5 * (row % 2) as f64;
                 let p = low + step * DVec2::new(column as f64 + shift, row as f64 + 0.37);
-                if inside(p, &rim, sides) && to_rim(p, &rim, sides) > CLEARANCE * self.edge {
-                    points.push(rounded_to_grid(p.extend(0.0)).truncate());
+                if inside(p, &rim, sides) && rim_distance_m(p, &rim, sides) > CLEARANCE * self.edge
+                {
+                    points.push(snapped_to_grid(p.extend(0.0)).truncate());
                 }
             }
         }
@@ -95,7 +96,7 @@ impl Plate<'_> {
                 let depth = if k < on_rim {
                     0.0
                 } else {
-                    to_rim(p, rim, sides)
+                    rim_distance_m(p, rim, sides)
                 };
                 (self.heights)(p, depth)
             })
@@ -111,23 +112,25 @@ impl Plate<'_> {
             mesh.triangles.push([c, b, a]);
             mesh.triangles.push([a + count, b + count, c + count]);
         }
-        let thickest = (0..on_rim).fold(0.0, |t, k| f64::max(t, heights[k][1] - heights[k][0]));
-        let rows = (thickest / self.edge - 0.3).ceil().max(1.0) as u32;
+        let max_thickness =
+            (0..on_rim).fold(0.0, |t, k| f64::max(t, heights[k][1] - heights[k][0]));
+        let rows = (max_thickness / self.edge - 0.3).ceil().max(1.0) as u32;
         let between = 2 * count;
         for row in 1..rows {
-            let part = f64::from(row) / f64::from(rows);
+            let fraction = f64::from(row) / f64::from(rows);
             let level = rim.iter().zip(&heights);
             mesh.vertices
-                .extend(level.map(|(p, h)| p.extend(h[0] + part * (h[1] - h[0]))));
+                .extend(level.map(|(p, h)| p.extend(h[0] + fraction * (h[1] - h[0]))));
         }
-        let at = |k: usize, row: u32| match row {
+        let vertex = |k: usize, row: u32| match row {
             0 => k as u32,
             r if r == rows => k as u32 + count,
             r => between + (r - 1) * on_rim as u32 + k as u32,
         };
         for &[a, b] in sides {
             for row in 0..rows {
-                let [p, q, r, s] = [at(a, row), at(b, row), at(b, row + 1), at(a, row + 1)];
+                let [p, q, r, s] =
+                    [(a, row), (b, row), (b, row + 1), (a, row + 1)].map(|(k, row)| vertex(k, row));
                 mesh.triangles.push([p, q, r]);
                 mesh.triangles.push([p, r, s]);
             }
@@ -136,7 +139,7 @@ impl Plate<'_> {
     }
 }
 
-/// Triangles, counter-clockwise, of the area inside an odd number of rims.
+/// Triangulates the area inside an odd number of rims, counter-clockwise.
 fn triangulated(points: &[DVec2], sides: &[[usize; 2]]) -> Result<Vec<[usize; 3]>> {
     let crossing = || Error::internal("the rims of a plate cross or touch");
     let mut net = ConstrainedDelaunayTriangulation::<Point2<f64>>::new();
@@ -157,10 +160,10 @@ fn triangulated(points: &[DVec2], sides: &[[usize; 2]]) -> Result<Vec<[usize; 3]
         net.add_constraint(handles[a], handles[b]);
     }
     let rim = &points[..sides.len()];
-    // Three points of a straight side can span a triangle without area, beside the body.
+    // Three points of a straight side can form a triangle without area outside of the body.
     let on_side = |face: &[usize; 3]| {
         let corners = face.map(|v| points[v].extend(0.0));
-        face.iter().all(|&v| v < rim.len()) && slenderness(corners) < FLAT
+        face.iter().all(|&v| v < rim.len()) && relative_height(corners) < DEGENERATE
     };
     Ok(net
         .inner_faces()
@@ -194,28 +197,28 @@ fn inside(p: DVec2, points: &[DVec2], sides: &[[usize; 2]]) -> bool {
 }
 
 /// Distance to the nearest rim, m.
-fn to_rim(p: DVec2, points: &[DVec2], sides: &[[usize; 2]]) -> f64 {
-    let squared = sides.iter().fold(f64::INFINITY, |least, &[a, b]| {
+fn rim_distance_m(p: DVec2, points: &[DVec2], sides: &[[usize; 2]]) -> f64 {
+    let squared = sides.iter().fold(f64::INFINITY, |min, &[a, b]| {
         let (a, along) = (points[a], points[b] - points[a]);
         let fraction = ((p - a).dot(along) / along.length_squared()).clamp(0.0, 1.0);
-        least.min(p.distance_squared(a + fraction * along))
+        min.min(p.distance_squared(a + fraction * along))
     });
     squared.sqrt()
 }
 
-/// The point bent upwards, towards +z, about a line along y: what lies beyond `start` (m) in x
-/// follows an arc of the given angle (rad, negative: downwards) and radius (m) of the middle,
-/// then goes straight on.
+/// Bends a point upwards, towards +z, about a line along y: beyond `start` (m) in x, the centre line
+/// follows an arc of the given radius (m) and angle (rad, negative is downwards) and then continues
+/// straight.
 pub(super) fn bent(p: DVec3, start: f64, radius: f64, angle: f64) -> DVec3 {
     let beyond = p.x - start;
     if beyond <= 0.0 {
         return p;
     }
     let side = angle.signum();
-    let turn = (beyond / radius).min(angle.abs());
-    let (sin, cos) = turn.sin_cos();
+    let bend = (beyond / radius).min(angle.abs());
+    let (sin, cos) = bend.sin_cos();
     let arm = radius - side * p.z;
-    let rest = beyond - turn * radius;
+    let rest = beyond - bend * radius;
     DVec3::new(
         start + arm * sin + rest * cos,
         p.y,
@@ -246,7 +249,7 @@ mod tests {
     }
 
     #[test]
-    fn a_plate_with_a_hole_has_its_volume() {
+    fn plate_with_a_hole_has_its_volume() {
         let knots = [(-0.02, -0.01), (0.02, -0.01), (0.02, 0.01), (-0.02, 0.01)];
         let outline = closed_line(&knots.map(|(x, y)| sharp(x, y)), 0.0025);
         let hole = circle(DVec2::new(0.008, 0.0), 0.005, 0.0025);
@@ -258,14 +261,14 @@ mod tests {
     }
 
     #[test]
-    fn rims_that_cross_are_refused() {
+    fn crossing_rims_are_refused() {
         let outline = circle(DVec2::ZERO, 0.01, 0.002);
         let hole = circle(DVec2::new(0.008, 0.0), 0.005, 0.002);
         assert!(flat(outline, vec![hole], 0.003, 0.002).is_err());
     }
 
     #[test]
-    fn bending_keeps_the_length_of_the_middle() {
+    fn bending_keeps_the_length_of_the_centre_line() {
         let end = bent(DVec3::new(0.03, 0.0, 0.0), 0.01, 0.005, 0.5 * PI);
         let arc = 0.005 * 0.5 * PI;
         let expected = DVec3::new(0.015, 0.0, 0.005 + 0.02 - arc);

@@ -1,4 +1,4 @@
-//! Boxes with bevelled or rounded edges.
+//! Boxes with rounded edges.
 
 use std::collections::BTreeMap;
 use std::f64::consts::FRAC_PI_4;
@@ -7,7 +7,7 @@ use glam::DVec3;
 
 use gripcast_geometry::TriangleMesh;
 
-/// A box of the given size (m) with rounded edges.
+/// Returns a box of the given size (m) with rounded edges.
 pub(super) fn rounded_box(size: DVec3, fillet: f64, edge: f64) -> TriangleMesh {
     let fillet = fillet.min(0.49 * size.min_element());
     let steps = size.to_array().map(|length| steps(length, fillet, edge));
@@ -21,8 +21,8 @@ pub(super) fn rounded_box(size: DVec3, fillet: f64, edge: f64) -> TriangleMesh {
     mesh
 }
 
-/// Coordinates of the grid along an axis: close in the fillets, where they grow like a tangent,
-/// so that rounding leaves equal steps.
+/// Grid coordinates along an axis, spaced like a tangent in the fillets so that rounding gives equal
+/// steps.
 fn steps(length: f64, fillet: f64, edge: f64) -> Vec<f64> {
     let core = 0.5 * length - fillet;
     let bends = (FRAC_PI_4 * fillet / edge).round().max(1.0);
@@ -38,7 +38,7 @@ fn steps(length: f64, fillet: f64, edge: f64) -> Vec<f64> {
 /// Surface of a box with vertices at the given coordinates.
 fn grid(steps: &[Vec<f64>; 3]) -> TriangleMesh {
     let mut mesh = TriangleMesh::default();
-    let mut known = BTreeMap::new();
+    let mut vertices = BTreeMap::new();
     for axis in 0..3 {
         let (u, v) = ((axis + 1) % 3, (axis + 2) % 3);
         let last = [axis, u, v].map(|k| steps[k].len() - 1);
@@ -48,9 +48,9 @@ fn grid(steps: &[Vec<f64>; 3]) -> TriangleMesh {
                     let corner = |(di, dj): (usize, usize)| {
                         let mut at = [0; 3];
                         (at[axis], at[u], at[v]) = (end, i + di, j + dj);
-                        *known.entry(at).or_insert_with(|| {
-                            let part = |k: usize| steps[k][at[k]];
-                            mesh.vertices.push(DVec3::new(part(0), part(1), part(2)));
+                        *vertices.entry(at).or_insert_with(|| {
+                            let vertex = [0, 1, 2].map(|k| steps[k][at[k]]);
+                            mesh.vertices.push(DVec3::from_array(vertex));
                             mesh.vertices.len() as u32 - 1
                         })
                     };
@@ -58,7 +58,7 @@ fn grid(steps: &[Vec<f64>; 3]) -> TriangleMesh {
                     if end == 0 {
                         quad.reverse();
                     }
-                    // Diagonals run towards the corners of the box, or its rounding is lopsided.
+                    // Diagonals towards the corners of the box keep the rounding symmetric.
                     if (2 * i + 1 < last[1]) == (2 * j + 1 < last[2]) {
                         quad.rotate_left(1);
                     }

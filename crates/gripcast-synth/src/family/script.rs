@@ -1,10 +1,9 @@
-//! The notation of the files in `shapes`: drawn numbers, formulas, and the commands that make a
-//! body.
+//! The language of the files in `shapes`: drawn numbers, formulas and commands that build a body.
 //!
-//! A line sets a name (`top = 0.4 * height`) or gives a command with its arguments and perhaps a
-//! block (`repeat k, 4 { … }`). A text in quotation marks is 1 if it is the form that was drawn,
-//! else 0. `draw(0.01, 0.03)`, `count(3, 6)` and `chance(0.4)` draw numbers in the order in which
-//! they stand. Lengths are in metres, angles in radians.
+//! A line assigns a name (`top = 0.4 * height`) or is a command with arguments and an optional block
+//! (`repeat k, 4 { … }`). A text in quotation marks is 1 if it is the drawn form, else 0.
+//! `draw(0.01, 0.03)`, `count(3, 6)` and `chance(0.4)` draw numbers in order of appearance. Lengths
+//! are in metres, angles in radians.
 
 use std::collections::HashMap;
 use std::f64::consts::{PI, TAU};
@@ -17,22 +16,22 @@ use gripcast_base::error::{Error, Result};
 pub(super) enum Formula {
     Number(f64),
     Name(&'static str),
-    /// The name of a form.
+    /// A form: a text in quotation marks.
     Form(&'static str),
     Call(&'static str, Vec<Formula>),
 }
 
-/// A line with its block.
+/// A statement with its block.
 #[derive(Debug, Default)]
 pub(super) struct Step {
-    /// `=` for a name that is set.
+    /// Command; `=` for an assignment.
     pub(super) command: &'static str,
     pub(super) arguments: Vec<Formula>,
     pub(super) block: Vec<Step>,
     otherwise: Vec<Step>,
 }
 
-/// Binary operators, those that bind least first.
+/// Binary operators, lowest precedence first.
 const OPERATORS: [&[&str]; 5] = [
     &["or"],
     &["and"],
@@ -41,10 +40,10 @@ const OPERATORS: [&[&str]; 5] = [
     &["*", "/"],
 ];
 
-/// The steps of a text.
+/// Parses a text into steps.
 ///
 /// # Errors
-/// `Internal` with the line that cannot be read.
+/// `Internal` with the line of a syntax error.
 pub(super) fn parse(text: &'static str) -> Result<Vec<Step>> {
     let mut parser = Parser {
         tokens: tokens(text),
@@ -55,22 +54,22 @@ pub(super) fn parse(text: &'static str) -> Result<Vec<Step>> {
     if parser.peek().is_none() && !parser.is_open {
         return Ok(steps);
     }
-    let read = &parser.tokens[..parser.at];
-    let line = 1 + read.iter().filter(|t| **t == "\n").count();
+    let parsed = &parser.tokens[..parser.at];
+    let line = 1 + parsed.iter().filter(|t| **t == "\n").count();
     let found = parser.peek().unwrap_or("the end");
     Err(Error::internal(format!(
-        "line {line} of a shape cannot be read at {found:?}"
+        "syntax error in line {line} of a shape at {found:?}"
     )))
 }
 
-/// The arguments of a command at the top of a text.
+/// Returns the arguments of a top-level command.
 pub(super) fn header(text: &'static str, command: &str) -> Vec<Formula> {
     let steps = parse(text).unwrap_or_default();
     let found = steps.into_iter().find(|step| step.command == command);
     found.map(|step| step.arguments).unwrap_or_default()
 }
 
-/// Words, numbers, texts with their first quotation mark, operators, and the ends of lines.
+/// Splits a text into words, numbers, texts with their opening quotation mark, operators and line ends.
 fn tokens(text: &'static str) -> Vec<&'static str> {
     let mut tokens = Vec::new();
     for line in text.lines() {
@@ -98,7 +97,7 @@ fn tokens(text: &'static str) -> Vec<&'static str> {
 struct Parser {
     tokens: Vec<&'static str>,
     at: usize,
-    /// Whether a block has no end.
+    /// Whether a block is not closed.
     is_open: bool,
 }
 
@@ -113,14 +112,14 @@ impl Parser {
         found
     }
 
-    /// A word, or none where something else stands.
+    /// Consumes a word, if there is one.
     fn word(&mut self) -> Option<&'static str> {
         let word = self.peek().filter(|t| t.starts_with(char::is_alphabetic))?;
         self.at += 1;
         Some(word)
     }
 
-    /// Steps up to what is none.
+    /// Parses steps up to the first other token.
     fn steps(&mut self) -> Vec<Step> {
         let mut steps = Vec::new();
         loop {
@@ -210,14 +209,14 @@ impl Parser {
     }
 }
 
-/// Values of names while the steps are run.
-pub(super) struct Values<'a> {
+/// Variables while steps are executed.
+pub(super) struct Scope<'a> {
     names: HashMap<&'static str, f64>,
     form: &'static str,
     draw: Option<&'a mut Draw>,
 }
 
-impl<'a> Values<'a> {
+impl<'a> Scope<'a> {
     pub(super) fn new(draw: &'a mut Draw) -> Self {
         Self {
             names: HashMap::from([("pi", PI), ("tau", TAU)]),
@@ -226,7 +225,7 @@ impl<'a> Values<'a> {
         }
     }
 
-    /// Draws the form.
+    /// Draws one of the forms.
     pub(super) fn draw_form(&mut self, forms: &[Formula]) {
         let names = forms.iter().filter_map(|form| match form {
             Formula::Form(name) => Some(*name),
@@ -237,20 +236,15 @@ impl<'a> Values<'a> {
         }
     }
 
-    /// The same values, for formulas that draw nothing.
-    pub(super) fn fixed(&self) -> Values<'static> {
-        Values {
-            names: self.names.clone(),
+    /// Returns a copy with more variables, which cannot draw numbers.
+    pub(super) fn with<const N: usize>(&self, more: [(&'static str, f64); N]) -> Scope<'static> {
+        let mut names = self.names.clone();
+        names.extend(more);
+        Scope {
+            names,
             form: self.form,
             draw: None,
         }
-    }
-
-    /// The same values and others beside them.
-    pub(super) fn with<const N: usize>(&self, more: [(&'static str, f64); N]) -> Values<'static> {
-        let mut values = self.fixed();
-        values.names.extend(more);
-        values
     }
 
     pub(super) fn get(&self, name: &str) -> f64 {
@@ -261,20 +255,20 @@ impl<'a> Values<'a> {
         self.names.insert(name, value);
     }
 
-    /// Values of the arguments of a step.
-    pub(super) fn of(&mut self, step: &Step) -> Vec<f64> {
-        step.arguments.iter().map(|f| self.value(f)).collect()
+    /// Evaluates the arguments of a step.
+    pub(super) fn arguments(&mut self, step: &Step) -> Vec<f64> {
+        step.arguments.iter().map(|f| self.evaluate(f)).collect()
     }
 
-    /// Value of a formula; no number where a name or a function is unknown.
-    pub(super) fn value(&mut self, formula: &Formula) -> f64 {
+    /// Evaluates a formula; NaN for an unknown name or function.
+    pub(super) fn evaluate(&mut self, formula: &Formula) -> f64 {
         let (function, arguments) = match formula {
             Formula::Number(value) => return *value,
             Formula::Name(name) => return self.get(name),
             Formula::Form(form) => return truth(*form == self.form),
             Formula::Call(function, arguments) => (*function, arguments),
         };
-        let values: Vec<f64> = arguments.iter().map(|f| self.value(f)).collect();
+        let values: Vec<f64> = arguments.iter().map(|f| self.evaluate(f)).collect();
         if let Some(draw) = &mut self.draw {
             match (function, &values[..]) {
                 ("draw", [low, high]) => return draw.between(*low, *high),
@@ -286,8 +280,8 @@ impl<'a> Values<'a> {
             }
         }
         match values[..] {
-            [x] => of_one(function, x),
-            [x, y] => of_two(function, x, y),
+            [x] => unary(function, x),
+            [x, y] => binary(function, x, y),
             [x, low, high] if function == "clamp" => x.max(low).min(high),
             [condition, yes, no] if function == "if" => {
                 if condition > 0.0 {
@@ -300,8 +294,7 @@ impl<'a> Values<'a> {
         }
     }
 
-    /// Runs steps; commands that are no part of the notation go to `act`, whose first result
-    /// ends them.
+    /// Executes steps; other commands are passed to `act`, whose first result ends the execution.
     pub(super) fn run<'s, T>(
         &mut self,
         steps: &'s [Step],
@@ -311,16 +304,16 @@ impl<'a> Values<'a> {
             .iter()
             .find_map(|step| match (step.command, &step.arguments[..]) {
                 ("=", [Formula::Name(name), formula]) => {
-                    let value = self.value(formula);
+                    let value = self.evaluate(formula);
                     self.set(name, value);
                     None
                 }
                 ("if", [condition]) => {
-                    let holds = self.value(condition) > 0.0;
+                    let holds = self.evaluate(condition) > 0.0;
                     self.run(if holds { &step.block } else { &step.otherwise }, act)
                 }
                 ("repeat", [Formula::Name(name), times]) => {
-                    let times = self.value(times) as usize;
+                    let times = self.evaluate(times) as usize;
                     (0..times).find_map(|k| {
                         self.set(name, k as f64);
                         self.run(&step.block, act)
@@ -335,7 +328,7 @@ fn truth(holds: bool) -> f64 {
     f64::from(u8::from(holds))
 }
 
-fn of_one(function: &str, x: f64) -> f64 {
+fn unary(function: &str, x: f64) -> f64 {
     match function {
         "negative" => -x,
         "not" => truth(x <= 0.0),
@@ -345,12 +338,12 @@ fn of_one(function: &str, x: f64) -> f64 {
         "asin" => x.asin(),
         "sqrt" => x.sqrt(),
         "ceil" => x.ceil(),
-        "eased" => super::shape::eased(x),
+        "smoothstep" => super::shape::smoothstep(x),
         _ => f64::NAN,
     }
 }
 
-fn of_two(function: &str, x: f64, y: f64) -> f64 {
+fn binary(function: &str, x: f64, y: f64) -> f64 {
     match function {
         "+" => x + y,
         "-" => x - y,
@@ -376,25 +369,25 @@ mod tests {
     use gripcast_base::random::SeedStream;
 
     #[test]
-    fn steps_are_run_and_formulas_keep_their_order() {
+    fn steps_are_executed_and_formulas_evaluated() {
         let text = "a = 7 - 2 - 1 # comment\nb = -a * (1 + 2) / 4\nrepeat k, 3 { c = k }\n\
                     if a > 3 and not(\"ring\") { d = if(b < 0, 1, 2) } else { d = 3 }\nstop d, 5";
         let steps = parse(text).unwrap();
         let mut draw = Draw(SeedStream::named(1, "script"));
-        let mut values = Values::new(&mut draw);
-        let found = values.run(&steps, &mut |values, step| {
-            (step.command == "stop").then(|| values.of(step))
+        let mut scope = Scope::new(&mut draw);
+        let found = scope.run(&steps, &mut |scope, step| {
+            (step.command == "stop").then(|| scope.arguments(step))
         });
         assert_eq!(found.unwrap(), [1.0, 5.0]);
         assert_eq!(
-            [values.get("a"), values.get("b"), values.get("c")],
+            [scope.get("a"), scope.get("b"), scope.get("c")],
             [4.0, -3.0, 2.0]
         );
-        assert!(values.get("e").is_nan());
+        assert!(scope.get("e").is_nan());
     }
 
     #[test]
-    fn what_cannot_be_read_is_told_with_its_line() {
+    fn syntax_errors_name_the_line() {
         for text in [
             "a = 1\nb = ",
             "a = 1\nlathe {",

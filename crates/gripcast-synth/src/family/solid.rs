@@ -1,113 +1,117 @@
-//! Bodies of blended parts, given by their signed distance, and their meshes.
+//! Bodies of blended signed distance primitives, and their meshes.
 
 use glam::{DMat3, DQuat, DVec2, DVec3};
 
-use super::shape::{rounded_to_grid, slenderness};
-use gripcast_geometry::implicit::{
-    Field, QuadMesh, gradient, neighbours, smooth_on_surface, surface_net_by_sheet,
-};
+use super::shape::{relative_height, snapped_to_grid};
+use gripcast_geometry::implicit::{Field, QuadMesh, even_out, gradient, neighbours, net_of_sheets};
 use gripcast_geometry::{Aabb, TriangleMesh};
 
-/// Rounds that even the mesh out.
+/// Smoothing iterations of the mesh.
 const ROUNDS: usize = 6;
-/// Lattices that are tried.
+/// Maximum lattices that are tried.
 const LATTICES: u32 = 8;
-/// Quadrilaterals that a body is meant to have.
+/// Target number of quadrilaterals.
 const QUADS: f64 = 1900.0;
-/// Quadrilaterals in the square of a cell, on average over directions.
+/// Quadrilaterals per squared cell width, averaged over directions.
 const DENSITY: f64 = 1.4;
-/// Widths of cells, m.
+/// Range of cell widths, m.
 const CELL_M: (f64, f64) = (2.4e-3, 4.0e-3);
-/// Normals around a vertex that differ by more (cosine) belong to an edge of the body.
+/// Cosine between normals around a vertex below which it is on an edge of the body.
 const EDGE_COSINE: f64 = 0.8;
-/// Height over the longest side of a triangle that is wide enough.
-const SOUND: f64 = 0.15;
+/// Minimum relative height of a good triangle.
+const MIN_QUALITY: f64 = 0.15;
 
-/// Signed distance and bounds of a part in its own frame.
+/// A primitive in its own frame.
 #[derive(Clone, Copy, Debug)]
-pub(super) enum Form {
+pub(super) enum Primitive {
     /// Half axes, m.
     Ellipsoid(DVec3),
     /// Half sizes and radius of the edges, m.
-    Block(DVec3, f64),
+    Box(DVec3, f64),
     /// About z: radii at the bottom and the top, half height, radius of the edges, m.
-    Drum([f64; 2], f64, f64),
-    /// About z: radius of the middle line and of the tube, m.
-    Hoop(f64, f64),
-    /// From the origin along z: length, radii at both round ends, m.
-    Limb(f64, [f64; 2]),
+    Frustum([f64; 2], f64, f64),
+    /// About z: radii of the centre line and of the tube, m.
+    Torus(f64, f64),
+    /// From the origin along z: length, radii at both ends, m.
+    Capsule(f64, [f64; 2]),
 }
 
-/// What a part does to the parts before it; edges between them are rounded over a width, m.
+/// How a primitive is combined with the previous ones; the value is the blending width, m.
 #[derive(Clone, Copy, Debug)]
-pub(super) enum Role {
-    Add(f64),
-    Cut(f64),
+pub(super) enum Operation {
+    Union(f64),
+    Difference(f64),
 }
 
-/// A body, part by part.
+/// A body of primitives.
 #[derive(Default)]
 pub(super) struct Solid {
     parts: Vec<Part>,
-    /// Thinnest wall or limb, m.
-    thinnest: f64,
+    /// Minimum thickness of walls and capsules, m.
+    min_thickness_m: f64,
 }
 
 struct Part {
-    form: Form,
-    role: Role,
+    primitive: Primitive,
+    operation: Operation,
     center: DVec3,
-    /// Turns from the body's axes to those of the part.
-    turn: DMat3,
+    /// Rotation from the body's axes to those of the primitive.
+    rotation: DMat3,
 }
 
 impl Solid {
-    /// An empty body whose walls and limbs are at least so thick (m).
-    pub(super) fn new(thinnest: f64) -> Self {
+    /// Creates an empty body with a minimum thickness of walls and capsules (m).
+    pub(super) fn new(min_thickness_m: f64) -> Self {
         Self {
             parts: Vec::new(),
-            thinnest,
+            min_thickness_m,
         }
     }
 
-    /// Adds a part at a place (m), turned.
-    pub(super) fn put(&mut self, form: Form, center: DVec3, turn: DQuat, role: Role) {
+    /// Adds a rotated primitive at a position (m).
+    pub(super) fn add(
+        &mut self,
+        primitive: Primitive,
+        center: DVec3,
+        rotation: DQuat,
+        operation: Operation,
+    ) {
         self.parts.push(Part {
-            form,
-            role,
+            primitive,
+            operation,
             center,
-            turn: DMat3::from_quat(turn).transpose(),
+            rotation: DMat3::from_quat(rotation).transpose(),
         });
     }
 
-    /// Adds a limb from one place to another (m) with a radius (m) at each.
-    pub(super) fn limb(&mut self, [from, to]: [DVec3; 2], radii: [f64; 2], width: f64) {
+    /// Adds a capsule between two points (m) with a radius (m) at each.
+    pub(super) fn capsule(&mut self, [from, to]: [DVec3; 2], radii: [f64; 2], width: f64) {
         let along = to - from;
-        let turn = DQuat::from_rotation_arc(DVec3::Z, along.normalize_or(DVec3::Z));
-        let form = Form::Limb(along.length(), radii);
-        self.put(form, from, turn, Role::Add(width));
+        let rotation = DQuat::from_rotation_arc(DVec3::Z, along.normalize_or(DVec3::Z));
+        let primitive = Primitive::Capsule(along.length(), radii);
+        self.add(primitive, from, rotation, Operation::Union(width));
     }
 
     /// Signed distance (m), negative inside; a lower bound off the surface.
     pub(super) fn distance(&self, p: DVec3) -> f64 {
         self.parts.iter().fold(1.0, |body, part| {
-            let own = part.form.distance(part.turn * (p - part.center));
-            match part.role {
-                Role::Add(width) => smooth_union(body, own, width),
-                Role::Cut(width) => -smooth_union(-body, own, width),
+            let own = part.primitive.distance(part.rotation * (p - part.center));
+            match part.operation {
+                Operation::Union(width) => smooth_union(body, own, width),
+                Operation::Difference(width) => -smooth_union(-body, own, width),
             }
         })
     }
 
-    /// Box around the parts that add.
+    /// Bounding box of the united primitives.
     fn bounds(&self) -> Aabb {
         Aabb::from_points(
             self.parts
                 .iter()
-                .filter(|part| matches!(part.role, Role::Add(_)))
+                .filter(|part| matches!(part.operation, Operation::Union(_)))
                 .flat_map(|part| {
-                    let (center, half) = part.form.bounds();
-                    let back = part.turn.transpose();
+                    let (center, half) = part.primitive.bounds();
+                    let back = part.rotation.transpose();
                     let abs =
                         DMat3::from_cols(back.x_axis.abs(), back.y_axis.abs(), back.z_axis.abs());
                     let (center, half) = (part.center + back * center, abs * half);
@@ -116,16 +120,16 @@ impl Solid {
         )
     }
 
-    /// Mesh of the surface; edges of the body stay sharp.
+    /// Meshes the surface; edges of the body stay sharp.
     pub(super) fn mesh(&self) -> TriangleMesh {
         let bounds = self.bounds();
         let center = bounds.center();
         let half = 0.5 * bounds.extent() + 1e-3;
-        mesh_of(&|p| self.distance(p + center), half, self.thinnest)
+        mesh_of(&|p| self.distance(p + center), half, self.min_thickness_m)
     }
 }
 
-impl Form {
+impl Primitive {
     fn distance(&self, p: DVec3) -> f64 {
         match *self {
             Self::Ellipsoid(half) => {
@@ -137,11 +141,11 @@ impl Form {
                     -half.min_element()
                 }
             }
-            Self::Block(half, round) => {
+            Self::Box(half, round) => {
                 let off = p.abs() - half + round;
                 off.max(DVec3::ZERO).length() + off.max_element().min(0.0) - round
             }
-            Self::Drum([bottom, top], half, round) => {
+            Self::Frustum([bottom, top], half, round) => {
                 let fraction = (0.5 + 0.5 * p.z / half).clamp(0.0, 1.0);
                 let slope = (0.5 * (top - bottom) / half).hypot(1.0);
                 let radius = bottom + (top - bottom) * fraction;
@@ -149,29 +153,29 @@ impl Form {
                 let off = DVec2::new(side, p.z.abs() - half) + round;
                 off.max(DVec2::ZERO).length() + off.max_element().min(0.0) - round
             }
-            Self::Hoop(radius, tube) => {
+            Self::Torus(radius, tube) => {
                 DVec2::new(p.truncate().length() - radius, p.z).length() - tube
             }
-            Self::Limb(length, [from, to]) => {
+            Self::Capsule(length, [from, to]) => {
                 let fraction = (p.z / length.max(1e-9)).clamp(0.0, 1.0);
                 p.distance(DVec3::Z * (length * fraction)) - (from + (to - from) * fraction)
             }
         }
     }
 
-    /// Centre and half sizes of a box around it.
+    /// Centre and half sizes of the bounding box.
     fn bounds(&self) -> (DVec3, DVec3) {
         match *self {
-            Self::Ellipsoid(half) | Self::Block(half, _) => (DVec3::ZERO, half),
-            Self::Drum([bottom, top], half, _) => {
+            Self::Ellipsoid(half) | Self::Box(half, _) => (DVec3::ZERO, half),
+            Self::Frustum([bottom, top], half, _) => {
                 let radius = bottom.max(top);
                 (DVec3::ZERO, DVec3::new(radius, radius, half))
             }
-            Self::Hoop(radius, tube) => {
+            Self::Torus(radius, tube) => {
                 let wide = radius + tube;
                 (DVec3::ZERO, DVec3::new(wide, wide, tube))
             }
-            Self::Limb(length, [from, to]) => {
+            Self::Capsule(length, [from, to]) => {
                 let wide = from.max(to);
                 let half = DVec3::new(wide, wide, 0.5 * length + wide);
                 (DVec3::Z * (0.5 * length), half)
@@ -180,7 +184,7 @@ impl Form {
     }
 }
 
-/// Smooth minimum (the quadratic one of Quilez, *Smooth minimum*).
+/// Quadratic smooth minimum (Quilez, *Smooth minimum*).
 pub(super) fn smooth_union(a: f64, b: f64, width: f64) -> f64 {
     if width <= 0.0 {
         return a.min(b);
@@ -189,14 +193,14 @@ pub(super) fn smooth_union(a: f64, b: f64, width: f64) -> f64 {
     a.min(b) - 0.25 * width * overlap * overlap
 }
 
-/// Mesh of the zero surface of a field within ±`half` (m); walls are at least `thinnest` (m).
-pub(super) fn mesh_of(field: Field<'_>, half: DVec3, thinnest: f64) -> TriangleMesh {
+/// Meshes the zero level set of a field within ±`half` (m); walls are at least `min_thickness_m` thick.
+pub(super) fn mesh_of(field: Field<'_>, half: DVec3, min_thickness_m: f64) -> TriangleMesh {
     let cell = (DENSITY * area(field, half) / QUADS).sqrt();
-    let cell = cell.clamp(CELL_M.0, CELL_M.1).min(thinnest / 1.1);
+    let cell = cell.clamp(CELL_M.0, CELL_M.1).min(min_thickness_m / 1.1);
     let mut mesh = TriangleMesh::default();
     for lattice in 0..LATTICES {
         let shift = f64::from(lattice) / f64::from(LATTICES);
-        let net = surface_net_by_sheet(field, half, cell, shift);
+        let net = net_of_sheets(field, half, cell, shift);
         if is_closed(&net) {
             return triangles(field, net, cell);
         }
@@ -205,7 +209,7 @@ pub(super) fn mesh_of(field: Field<'_>, half: DVec3, thinnest: f64) -> TriangleM
     mesh
 }
 
-/// Area of the zero surface, m²: of the layer about it, by counting the cells of a coarse lattice.
+/// Estimates the area of the zero level set, m², by counting the cells of a coarse lattice around it.
 fn area(field: Field<'_>, half: DVec3) -> f64 {
     const STEP_M: f64 = 5e-3;
     let counts = (half / STEP_M).ceil() + 1.0;
@@ -222,7 +226,7 @@ fn area(field: Field<'_>, half: DVec3) -> f64 {
     f64::from(near) * STEP_M * STEP_M
 }
 
-/// Whether each side belongs to two quadrilaterals.
+/// Whether each side is shared by two quadrilaterals.
 fn is_closed(net: &QuadMesh) -> bool {
     let mut sides: Vec<[u32; 2]> = net
         .quads
@@ -235,10 +239,10 @@ fn is_closed(net: &QuadMesh) -> bool {
 }
 
 fn triangles(field: Field<'_>, mut net: QuadMesh, cell: f64) -> TriangleMesh {
-    smooth_on_surface(field, &mut net, ROUNDS);
+    even_out(field, &mut net, ROUNDS);
     sharpen(field, &mut net, cell);
     for v in &mut net.vertices {
-        *v = rounded_to_grid(*v);
+        *v = snapped_to_grid(*v);
     }
     let mut mesh = TriangleMesh {
         vertices: net.vertices,
@@ -252,8 +256,8 @@ fn triangles(field: Field<'_>, mut net: QuadMesh, cell: f64) -> TriangleMesh {
     mesh
 }
 
-/// Moves vertices near an edge of the body onto it: to the place that is least off the tangent
-/// planes around (the error function of Ju et al., *Dual contouring of Hermite data*, 2002).
+/// Moves vertices near an edge of the body onto it, by minimising the distances from the surrounding
+/// tangent planes (quadratic error function of Ju et al., *Dual contouring of Hermite data*, 2002).
 fn sharpen(field: Field<'_>, net: &mut QuadMesh, cell: f64) {
     let normals: Vec<DVec3> = net
         .vertices
@@ -270,71 +274,71 @@ fn sharpen(field: Field<'_>, net: &mut QuadMesh, cell: f64) {
         let spread = planes
             .iter()
             .flat_map(|&m| planes.iter().map(move |&n| (m, n)));
-        let least = spread.fold(1.0, |c, (m, n)| f64::min(c, normals[m].dot(normals[n])));
-        if least > EDGE_COSINE {
+        let min = spread.fold(1.0, |c, (m, n)| f64::min(c, normals[m].dot(normals[n])));
+        if min > EDGE_COSINE {
             continue;
         }
         let step = towards_planes(before[v], planes.iter().map(|&n| (before[n], normals[n])));
-        let place = before[v] + step.clamp_length_max(0.45 * cell);
-        // Where parts blend smoothly, planes far around say little about the place.
-        if field(place).abs() > field(before[v]).abs() + 0.12 * cell {
+        let moved = before[v] + step.clamp_length_max(0.45 * cell);
+        // In smooth blends, distant tangent planes are not representative.
+        if field(moved).abs() > field(before[v]).abs() + 0.12 * cell {
             continue;
         }
-        let kept = std::mem::replace(&mut net.vertices[v], place);
-        let sound = |&face: &usize| {
+        let previous = std::mem::replace(&mut net.vertices[v], moved);
+        let is_good = |&face: &usize| {
             let quad = net.quads[face];
-            let turned = [quad[1], quad[2], quad[3], quad[0]];
-            quality(quad, &net.vertices).max(quality(turned, &net.vertices)) > SOUND
+            let rotated = [quad[1], quad[2], quad[3], quad[0]];
+            quality(quad, &net.vertices).max(quality(rotated, &net.vertices)) > MIN_QUALITY
         };
-        if !faces[v].iter().all(sound) {
-            net.vertices[v] = kept;
+        if !faces[v].iter().all(is_good) {
+            net.vertices[v] = previous;
         }
     }
 }
 
-/// Step from a place to the least sum of squared distances from planes (point, normal).
-fn towards_planes(at: DVec3, planes: impl Iterator<Item = (DVec3, DVec3)>) -> DVec3 {
-    /// Weight of staying in place.
+/// Step from a position to the minimum of the squared distances from planes (point, normal).
+fn towards_planes(position: DVec3, planes: impl Iterator<Item = (DVec3, DVec3)>) -> DVec3 {
+    /// Regularisation weight.
     const STAY: f64 = 0.05;
     let mut matrix = DMat3::from_diagonal(DVec3::splat(STAY));
     let mut right = DVec3::ZERO;
     for (point, normal) in planes {
         matrix += DMat3::from_cols(normal * normal.x, normal * normal.y, normal * normal.z);
-        right += normal * normal.dot(point - at);
+        right += normal * normal.dot(point - position);
     }
     matrix.inverse() * right
 }
 
-/// How good the two triangles are into which the first diagonal cuts a quadrilateral: the height
-/// of the narrower over its longest side, negative if they are folded onto one another.
+/// Quality of the two triangles of a quadrilateral that is split along its first diagonal: the smaller
+/// relative height, negative if they are folded.
 fn quality([a, b, c, d]: [u32; 4], vertices: &[DVec3]) -> f64 {
     let [a, b, c, d] = [a, b, c, d].map(|v| vertices[v as usize]);
-    let narrower = slenderness([a, b, c]).min(slenderness([a, c, d]));
+    let min = relative_height([a, b, c]).min(relative_height([a, c, d]));
     let folded = (b - a).cross(c - a).dot((c - a).cross(d - a)) < 0.0;
-    if folded { narrower - 1.0 } else { narrower }
+    if folded { min - 1.0 } else { min }
 }
 
-/// The quadrilateral, turned so that it is cut along the diagonal that is nearer to the surface,
-/// unless the triangles are bad.
+/// Rotates a quadrilateral so that its first diagonal is the one closer to the surface, unless the
+/// triangles are bad.
 fn along_surface(field: Field<'_>, quad: [u32; 4], vertices: &[DVec3]) -> [u32; 4] {
-    /// Differences that could be rounding, m.
+    /// Differences within rounding, m.
     const TIE_M: f64 = 2e-5;
     let [a, b, c, d] = quad;
-    let turned = [b, c, d, a];
-    let [straight, across] = [quad, turned].map(|q| quality(q, vertices));
-    if straight.min(across) < SOUND && (straight - across).abs() > 1e-3 {
-        return if straight > across { quad } else { turned };
+    let rotated = [b, c, d, a];
+    let [first, second] = [quad, rotated].map(|q| quality(q, vertices));
+    if first.min(second) < MIN_QUALITY && (first - second).abs() > 1e-3 {
+        return if first > second { quad } else { rotated };
     }
-    let at = |i: u32| vertices[i as usize];
-    let off = |i, j| field(at(i).midpoint(at(j))).abs();
-    let longer = at(a).distance(at(c)) - at(b).distance(at(d));
-    let further = off(a, c) - off(b, d);
-    let turn = if further.abs() > TIE_M {
-        further > 0.0
+    let vertex = |i: u32| vertices[i as usize];
+    let off = |i, j| field(vertex(i).midpoint(vertex(j))).abs();
+    let longer = vertex(a).distance(vertex(c)) - vertex(b).distance(vertex(d));
+    let farther = off(a, c) - off(b, d);
+    let is_rotated = if farther.abs() > TIE_M {
+        farther > 0.0
     } else {
         longer > TIE_M
     };
-    if turn { turned } else { quad }
+    if is_rotated { rotated } else { quad }
 }
 
 #[cfg(test)]
@@ -344,19 +348,19 @@ mod tests {
     use std::f64::consts::PI;
 
     #[test]
-    fn a_block_keeps_its_edges() {
+    fn box_keeps_its_edges() {
         let mut solid = Solid::new(0.02);
         let half = DVec3::new(0.02, 0.015, 0.01);
-        let turn = DQuat::from_rotation_z(0.3) * DQuat::from_rotation_x(0.2);
-        solid.put(
-            Form::Block(half, 0.0),
+        let rotation = DQuat::from_rotation_z(0.3) * DQuat::from_rotation_x(0.2);
+        solid.add(
+            Primitive::Box(half, 0.0),
             DVec3::ONE * 0.01,
-            turn,
-            Role::Add(0.0),
+            rotation,
+            Operation::Union(0.0),
         );
         let mesh = solid.mesh();
         assert!(mesh.edges().is_closed());
-        let volume = MassProperties::from_mesh(&mesh).unwrap().volume_m3;
+        let volume = MassProperties::of(&mesh).unwrap().volume_m3;
         let expected = 8.0 * half.element_product();
         assert!(
             (volume / expected - 1.0).abs() < 0.02,
@@ -365,13 +369,18 @@ mod tests {
     }
 
     #[test]
-    fn a_cut_ball_is_a_shell() {
+    fn difference_of_balls_is_a_shell() {
         let mut solid = Solid::new(0.004);
-        let ball = Form::Ellipsoid(DVec3::splat(0.02));
-        solid.put(ball, DVec3::ZERO, DQuat::IDENTITY, Role::Add(0.0));
-        let hollow = Form::Ellipsoid(DVec3::splat(0.016));
-        solid.put(hollow, DVec3::ZERO, DQuat::IDENTITY, Role::Cut(0.0));
-        let volume = MassProperties::from_mesh(&solid.mesh()).unwrap().volume_m3;
+        let ball = Primitive::Ellipsoid(DVec3::splat(0.02));
+        solid.add(ball, DVec3::ZERO, DQuat::IDENTITY, Operation::Union(0.0));
+        let hollow = Primitive::Ellipsoid(DVec3::splat(0.016));
+        solid.add(
+            hollow,
+            DVec3::ZERO,
+            DQuat::IDENTITY,
+            Operation::Difference(0.0),
+        );
+        let volume = MassProperties::of(&solid.mesh()).unwrap().volume_m3;
         let expected = 4.0 / 3.0 * PI * (8e-6 - 4.096e-6);
         assert!(
             (volume / expected - 1.0).abs() < 0.03,

@@ -4,12 +4,12 @@
 use glam::{DQuat, DVec3};
 
 use super::draw::Draw;
-use super::solid::{Form, Role, Solid};
+use super::solid::{Operation, Primitive, Solid};
 use gripcast_base::error::Result;
 use gripcast_geometry::TriangleMesh;
 
-/// Thinnest limb that is drawn, m.
-const THINNEST_M: f64 = 0.005;
+/// Minimum thickness of capsules, m.
+const MIN_THICKNESS_M: f64 = 0.005;
 
 pub(super) fn draw(draw: &mut Draw) -> Result<TriangleMesh> {
     draw.form(&["random body"]);
@@ -18,42 +18,47 @@ pub(super) fn draw(draw: &mut Draw) -> Result<TriangleMesh> {
     let blend = draw.between(0.08, 0.3) * size;
     let cuts = draw.count(0, complexity.div_ceil(2));
     let spread = draw.between(0.5, 0.85);
-    let mut solid = Solid::new(THINNEST_M);
+    let mut solid = Solid::new(MIN_THICKNESS_M);
     let core = form(draw, 0.55 * size);
-    solid.put(core, DVec3::ZERO, turn(draw), Role::Add(0.0));
+    solid.add(core, DVec3::ZERO, rotation(draw), Operation::Union(0.0));
     let mut ends = vec![DVec3::ZERO];
     for _ in 0..complexity {
-        // Each part hangs on an earlier one, held by a limb between both.
+        // A capsule connects each primitive to an earlier one.
         let from = ends[(draw.between(0.0, 0.999) * ends.len() as f64) as usize];
         let out = (from.normalize_or_zero() * 0.6 + direction(draw)).normalize_or(DVec3::X);
         let end = from + out * (spread * size * draw.between(0.7, 1.15));
         let end = end.clamp_length_max(1.2 * size);
         let half = size * draw.between(0.22, 0.42);
-        let part = form(draw, half);
-        let limb = size * draw.between(0.13, 0.24);
-        let radius = limb.max(0.5 * THINNEST_M);
-        solid.limb([from, end], [radius; 2], blend);
-        solid.put(part, end, turn(draw), Role::Add(blend));
+        let primitive = form(draw, half);
+        let capsule = size * draw.between(0.13, 0.24);
+        let radius = capsule.max(0.5 * MIN_THICKNESS_M);
+        solid.capsule([from, end], [radius; 2], blend);
+        solid.add(primitive, end, rotation(draw), Operation::Union(blend));
         ends.push(end);
     }
     for _ in 0..cuts {
         let at = direction(draw) * (size * draw.between(0.55, 0.75));
         let half = size * draw.between(0.2, 0.35);
         let dent = form(draw, half);
-        solid.put(dent, at, turn(draw), Role::Cut(blend.max(0.004)));
+        solid.add(
+            dent,
+            at,
+            rotation(draw),
+            Operation::Difference(blend.max(0.004)),
+        );
     }
     Ok(solid.mesh())
 }
 
-/// A part of about the given half size (m).
-fn form(draw: &mut Draw, size: f64) -> Form {
+/// Draws a primitive of about the given half size (m).
+fn form(draw: &mut Draw, size: f64) -> Primitive {
     let [a, b, c] = [0.7, 0.7, 0.7].map(|low| size * draw.between(low, 1.15));
     match (draw.between(0.0, 4.999)) as usize {
-        0 => Form::Ellipsoid(DVec3::new(a, b, c)),
-        1 => Form::Block(DVec3::new(a, b, c) * 0.85, 0.1 * size),
-        2 => Form::Drum([a, 0.8 * b], c, 0.08 * size),
-        3 => Form::Hoop(a.max(0.5 * size), (0.4 * size).max(0.5 * THINNEST_M)),
-        _ => Form::Ellipsoid(DVec3::splat(a)),
+        0 => Primitive::Ellipsoid(DVec3::new(a, b, c)),
+        1 => Primitive::Box(DVec3::new(a, b, c) * 0.85, 0.1 * size),
+        2 => Primitive::Frustum([a, 0.8 * b], c, 0.08 * size),
+        3 => Primitive::Torus(a.max(0.5 * size), (0.4 * size).max(0.5 * MIN_THICKNESS_M)),
+        _ => Primitive::Ellipsoid(DVec3::splat(a)),
     }
 }
 
@@ -65,7 +70,7 @@ fn direction(draw: &mut Draw) -> DVec3 {
     DVec3::new(flat * cos, flat * sin, z)
 }
 
-fn turn(draw: &mut Draw) -> DQuat {
+fn rotation(draw: &mut Draw) -> DQuat {
     let axis = direction(draw);
     DQuat::from_axis_angle(axis.normalize_or(DVec3::X), draw.between(0.0, 3.0))
 }

@@ -1,126 +1,124 @@
-//! Grasps of an object that the gripper can begin.
+//! Selects grasps of an object whose open gripper is free of collisions.
 
 use std::collections::BTreeMap;
 
-use super::{FaultRanges, GraspFault, GraspSampler, Obstacle, collides};
+use super::sampler::MAX_OPENING_M;
+use super::{FaultRanges, GraspFault, GraspSampler, Obstacle, find_collision};
 use gripcast_base::error::Result;
 use gripcast_base::random::SeedStream;
 use gripcast_geometry::{Pose, StablePose, TriangleMesh, likely_poses};
-use gripcast_sim::grasp::{GraspPose, GripperState};
+use gripcast_sim::grasp::{GraspPose, Placed};
 
-/// An object does not tip over when it is turned by this, rad.
+/// Rotation that an object in a stable pose withstands without tipping over, rad.
 const MIN_TIP_RAD: f64 = 0.05;
-/// Poses that an object falls into less often are left out.
+/// Stable poses with a lower probability are left out.
 const MIN_PROBABILITY: f64 = 0.03;
-/// Candidates for each grasp that is wanted.
+/// Maximum candidates per requested grasp.
 const CANDIDATES: usize = 12;
 
-/// Widest opening of the gripper at a grasp that was given, m.
-const WIDEST_M: f64 = 0.085;
-
-/// A grasp that can begin: nothing of the open gripper is in the object or in the ground.
+/// A grasp whose open gripper touches neither the object nor the ground.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ChosenGrasp {
-    /// How the object lies.
+    /// Pose of the object on the ground.
     pub t_world_object: Pose,
-    /// Where the gripper is.
-    pub placed: GripperState,
-    /// How it departs from opposite places; none for one that was given.
+    /// Pose and opening of the gripper.
+    pub placed: Placed,
+    /// Deviation from an antipodal grasp; none for a given grasp.
     pub fault: Option<GraspFault>,
 }
 
-/// What was drawn for an object.
+/// Selected grasps of an object, with counts of the rejected candidates.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub struct GraspChoice {
-    /// The grasps, at most as many as were wanted.
+pub struct GraspSelection {
+    /// Selected grasps, at most as many as requested.
     pub grasps: Vec<ChosenGrasp>,
-    /// Candidates without two opposite places.
-    pub without_places: usize,
-    /// Candidates that would hit something, by the part of the gripper.
+    /// Candidates without antipodal contacts.
+    pub without_antipodal_pair: usize,
+    /// Candidates in collision, by the part of the gripper.
     pub collisions: BTreeMap<String, usize>,
 }
 
-/// Draws up to `wanted` grasps of an object (m, its own frame) in stable poses, as often as it
-/// falls into them.
+/// Samples up to `count` grasps of an object (m, its own frame). Stable poses are drawn by their
+/// probability.
 ///
 /// # Errors
-/// `Input` for an object that encloses no volume or tips over in each pose.
-pub fn choose_grasps(
+/// `Input` for an object that encloses no volume or has no stable pose.
+pub fn sample_grasps(
     name: &str,
     object: &TriangleMesh,
-    wanted: usize,
+    count: usize,
     seed: u64,
-) -> Result<GraspChoice> {
+) -> Result<GraspSelection> {
     let poses = likely_poses(object, MIN_TIP_RAD, MIN_PROBABILITY)?;
     let mut draw = SeedStream::named(seed, &format!("poses {name}"));
     let mut stages = BTreeMap::new();
-    let mut choice = GraspChoice::default();
-    for number in 0..CANDIDATES * wanted {
-        if choice.grasps.len() == wanted {
+    let mut selection = GraspSelection::default();
+    for number in 0..CANDIDATES * count {
+        if selection.grasps.len() == count {
             break;
         }
-        let at = pick(&poses, draw.uniform());
-        let t_world_object = poses[at].t_world_object;
-        let (sampler, obstacle) = match stages.entry(at) {
-            std::collections::btree_map::Entry::Occupied(known) => known.into_mut(),
-            std::collections::btree_map::Entry::Vacant(new) => new.insert((
+        let index = pick(&poses, draw.uniform());
+        let t_world_object = poses[index].t_world_object;
+        let (sampler, obstacle) = match stages.entry(index) {
+            std::collections::btree_map::Entry::Occupied(entry) => entry.into_mut(),
+            std::collections::btree_map::Entry::Vacant(entry) => entry.insert((
                 GraspSampler::new(name, object, t_world_object, FaultRanges::WIDE, seed),
                 Obstacle::new(object, t_world_object)?,
             )),
         };
         let Some(candidate) = sampler.candidate(number)? else {
-            choice.without_places += 1;
+            selection.without_antipodal_pair += 1;
             continue;
         };
-        match collides(&candidate.placed, obstacle)? {
-            Some(part) => *choice.collisions.entry(part).or_default() += 1,
-            None => choice.grasps.push(ChosenGrasp {
+        match find_collision(&candidate.placed, obstacle)? {
+            Some(part) => *selection.collisions.entry(part).or_default() += 1,
+            None => selection.grasps.push(ChosenGrasp {
                 t_world_object,
                 placed: candidate.placed,
                 fault: Some(candidate.fault),
             }),
         }
     }
-    Ok(choice)
+    Ok(selection)
 }
 
-/// Up to `wanted` of the grasps `given` of an object (m, its own frame; `t_object_gripper`), each in
-/// the most likely stable pose in which it can begin.
+/// Selects up to `count` of the `given` grasps of an object (m, its own frame; `t_object_gripper`),
+/// each in the most likely stable pose without collisions.
 ///
 /// # Errors
-/// As [`choose_grasps`].
-pub fn choose_given_grasps(
+/// As [`sample_grasps`].
+pub fn select_given_grasps(
     name: &str,
     object: &TriangleMesh,
     given: &[Pose],
-    wanted: usize,
+    count: usize,
     seed: u64,
-) -> Result<GraspChoice> {
+) -> Result<GraspSelection> {
     let poses = likely_poses(object, MIN_TIP_RAD, MIN_PROBABILITY)?;
     let obstacles = poses
         .iter()
         .map(|pose| Obstacle::new(object, pose.t_world_object))
         .collect::<Result<Vec<_>>>()?;
     let mut order: Vec<usize> = (0..given.len()).collect();
-    order.sort_by_key(|at| SeedStream::named(seed, &format!("given {name} {at}")).bits());
-    let mut choice = GraspChoice::default();
-    for at in order {
-        if choice.grasps.len() == wanted {
+    order.sort_by_key(|index| SeedStream::named(seed, &format!("given {name} {index}")).bits());
+    let mut selection = GraspSelection::default();
+    for index in order {
+        if selection.grasps.len() == count {
             break;
         }
         let grasp = GraspPose {
-            t_object_gripper: given[at],
+            t_object_gripper: given[index],
             t_world_object: None,
             opening_m: None,
         };
-        let mut hit = None;
+        let mut collision = None;
         for (pose, obstacle) in poses.iter().zip(&obstacles) {
             let t_world_object = pose.t_world_object;
             let mut placed = grasp.place(object, &t_world_object);
-            placed.opening_m = placed.opening_m.min(WIDEST_M);
-            hit = collides(&placed, obstacle)?;
-            if hit.is_none() {
-                choice.grasps.push(ChosenGrasp {
+            placed.opening_m = placed.opening_m.min(MAX_OPENING_M);
+            collision = find_collision(&placed, obstacle)?;
+            if collision.is_none() {
+                selection.grasps.push(ChosenGrasp {
                     t_world_object,
                     placed,
                     fault: None,
@@ -128,14 +126,14 @@ pub fn choose_given_grasps(
                 break;
             }
         }
-        if let Some(part) = hit {
-            *choice.collisions.entry(part).or_default() += 1;
+        if let Some(part) = collision {
+            *selection.collisions.entry(part).or_default() += 1;
         }
     }
-    Ok(choice)
+    Ok(selection)
 }
 
-/// Index of a pose by where `fraction` of 0..1 falls among the probabilities.
+/// Index of the pose at `fraction` (0 to 1) of the cumulative probability.
 fn pick(poses: &[StablePose], fraction: f64) -> usize {
     let total: f64 = poses.iter().map(|pose| pose.probability).sum();
     let mut left = fraction * total;
@@ -154,40 +152,42 @@ mod tests {
     use gripcast_geometry::builtin;
 
     #[test]
-    fn grasps_can_begin_and_come_again() {
+    fn sampled_grasps_are_collision_free_and_reproducible() {
         let mesh = builtin("mug").unwrap();
-        let choice = choose_grasps("mug", &mesh, 6, 3).unwrap();
-        assert_eq!(choice.grasps.len(), 6, "{choice:?}");
-        assert_eq!(choose_grasps("mug", &mesh, 6, 3).unwrap(), choice);
-        assert_ne!(choose_grasps("mug", &mesh, 6, 4).unwrap(), choice);
-        for grasp in &choice.grasps {
+        let selection = sample_grasps("mug", &mesh, 6, 3).unwrap();
+        assert_eq!(selection.grasps.len(), 6, "{selection:?}");
+        assert_eq!(sample_grasps("mug", &mesh, 6, 3).unwrap(), selection);
+        assert_ne!(sample_grasps("mug", &mesh, 6, 4).unwrap(), selection);
+        for grasp in &selection.grasps {
             let obstacle = Obstacle::new(&mesh, grasp.t_world_object).unwrap();
-            assert_eq!(collides(&grasp.placed, &obstacle).unwrap(), None);
+            assert_eq!(find_collision(&grasp.placed, &obstacle).unwrap(), None);
         }
-        // A shorter list is the beginning of a longer one.
-        let fewer = choose_grasps("mug", &mesh, 3, 3).unwrap();
-        assert_eq!(fewer.grasps, choice.grasps[..3]);
+        // A shorter list is a prefix of a longer one.
+        let fewer = sample_grasps("mug", &mesh, 3, 3).unwrap();
+        assert_eq!(fewer.grasps, selection.grasps[..3]);
     }
 
     #[test]
-    fn given_grasps_get_a_pose_in_which_they_can_begin() {
+    fn given_grasps_get_a_collision_free_pose() {
         let mesh = builtin("box").unwrap();
         let down = Pose::from_rotation(glam::DQuat::from_rotation_x(std::f64::consts::PI));
         let up = Pose::IDENTITY;
         let inside_out = Pose::from_translation(glam::DVec3::X * 0.03);
         let given = [down, up, inside_out];
-        let choice = choose_given_grasps("box", &mesh, &given, 5, 1).unwrap();
-        // From below it can begin once the box lies upside down.
-        assert_eq!(choice.grasps.len(), 2, "{choice:?}");
-        assert!(choice.grasps.iter().all(|grasp| grasp.fault.is_none()));
-        assert_eq!(choice.collisions.values().sum::<usize>(), 1);
+        let selection = select_given_grasps("box", &mesh, &given, 5, 1).unwrap();
+        // The grasp from below is free once the box lies upside down.
+        assert_eq!(selection.grasps.len(), 2, "{selection:?}");
+        assert!(selection.grasps.iter().all(|grasp| grasp.fault.is_none()));
+        assert_eq!(selection.collisions.values().sum::<usize>(), 1);
     }
 
     #[test]
-    fn an_object_too_wide_for_the_gripper_has_no_grasps() {
+    fn object_wider_than_the_gripper_has_no_grasps() {
         let mesh = builtin("sphere").unwrap().scaled(4.0);
-        let choice = choose_grasps("sphere", &mesh, 2, 1).unwrap();
-        assert!(choice.grasps.is_empty());
-        assert!(choice.without_places + choice.collisions.values().sum::<usize>() >= 24);
+        let selection = sample_grasps("sphere", &mesh, 2, 1).unwrap();
+        assert!(selection.grasps.is_empty());
+        assert!(
+            selection.without_antipodal_pair + selection.collisions.values().sum::<usize>() >= 24
+        );
     }
 }

@@ -1,4 +1,4 @@
-//! Whether the open gripper would hit the object or the ground.
+//! Collisions of the open gripper with the object or the ground.
 
 use std::sync::OnceLock;
 
@@ -6,18 +6,18 @@ use glam::DVec3;
 
 use gripcast_base::error::Result;
 use gripcast_geometry::{Pose, TriangleMesh, convex_hull};
-use gripcast_sim::grasp::GripperState;
+use gripcast_sim::grasp::Placed;
 use gripcast_sim::rigid::CollisionShape;
 use gripcast_visual::{GripperPart, gripper_parts};
 
-/// An object that a gripper could hit.
+/// An object as an obstacle for the gripper.
 pub struct Obstacle {
     surface: CollisionShape,
     t_world_object: Pose,
 }
 
 impl Obstacle {
-    /// The object (m, its own frame) lying at `t_world_object` on the ground z = 0.
+    /// Creates an obstacle: the object (m, its own frame) at `t_world_object` on the ground z = 0.
     ///
     /// # Errors
     /// `Input` for a mesh without triangles.
@@ -29,15 +29,15 @@ impl Obstacle {
     }
 }
 
-/// The part of the gripper that would be inside the object or below the ground, if any. Parts are
-/// taken as their convex hulls.
+/// Finds a part of the gripper that is inside the object or below the ground. Parts are replaced by
+/// their convex hulls.
 ///
 /// # Errors
-/// `Input` for an opening that the gripper has not.
-pub fn collides(placed: &GripperState, obstacle: &Obstacle) -> Result<Option<String>> {
+/// `Input` for an opening out of the gripper's range.
+pub fn find_collision(placed: &Placed, obstacle: &Obstacle) -> Result<Option<String>> {
     let t_world_gripper = placed.t_world_gripper;
     for (part, solid) in gripper_parts(placed.opening_m)?.iter().zip(solids()?) {
-        // Parts move with the opening, but keep their shape.
+        // Parts move with the opening but keep their shape.
         let moved_m = part.shape.vertices[0] - solid.reference_m;
         let t_world_solid = t_world_gripper * Pose::from_translation(moved_m);
         let height = |v: &DVec3| t_world_solid.transform_point(*v).z;
@@ -64,18 +64,18 @@ struct Solid {
     shape: Option<CollisionShape>,
 }
 
-/// Opening at which hulls are made, m.
+/// Opening at which the hulls are computed, m.
 const REFERENCE_M: f64 = 0.08;
 
-/// The hulls of all parts, in the order of [`gripper_parts`].
+/// Returns the hulls of all parts, in the order of [`gripper_parts`].
 fn solids() -> Result<&'static [Solid]> {
     static SOLIDS: OnceLock<Vec<Solid>> = OnceLock::new();
     if let Some(solids) = SOLIDS.get() {
         return Ok(solids);
     }
     let parts = gripper_parts(REFERENCE_M)?;
-    let made: Vec<Solid> = parts.iter().map(solid).collect::<Result<_>>()?;
-    Ok(SOLIDS.get_or_init(|| made))
+    let solids: Vec<Solid> = parts.iter().map(solid).collect::<Result<_>>()?;
+    Ok(SOLIDS.get_or_init(|| solids))
 }
 
 fn solid(part: &GripperPart) -> Result<Solid> {
@@ -93,8 +93,8 @@ mod tests {
     use gripcast_geometry::builtin;
     use gripcast_sim::grasp::Placement;
 
-    fn placed(height_m: f64, opening_m: f64) -> GripperState {
-        GripperState {
+    fn placed(height_m: f64, opening_m: f64) -> Placed {
+        Placed {
             t_world_gripper: Pose::new(
                 glam::DQuat::from_rotation_x(std::f64::consts::PI),
                 DVec3::Z * height_m,
@@ -104,27 +104,30 @@ mod tests {
     }
 
     #[test]
-    fn a_usual_grasp_is_free_and_others_hit_what_they_hit() {
+    fn default_grasp_is_free_and_bad_ones_collide() {
         let mesh = builtin("box").unwrap();
         let on_ground = Pose::from_translation(DVec3::Z * 0.03);
         let obstacle = Obstacle::new(&mesh, on_ground).unwrap();
         let usual = Placement::default().place(&mesh, &on_ground).unwrap();
-        assert_eq!(collides(&usual, &obstacle).unwrap(), None);
-        let narrow = collides(&placed(0.04, 0.03), &obstacle).unwrap();
+        assert_eq!(find_collision(&usual, &obstacle).unwrap(), None);
+        let narrow = find_collision(&placed(0.04, 0.03), &obstacle).unwrap();
         assert!(narrow.is_some(), "a gel is inside the box");
-        let low = collides(&placed(0.004, 0.06), &obstacle).unwrap();
+        let low = find_collision(&placed(0.004, 0.06), &obstacle).unwrap();
         assert!(low.is_some(), "a finger is below the ground");
-        assert!(collides(&placed(0.04, 0.3), &obstacle).is_err());
+        assert!(find_collision(&placed(0.04, 0.3), &obstacle).is_err());
     }
 
     #[test]
-    fn the_rail_hits_a_tall_object() {
+    fn rail_collides_with_a_tall_object() {
         let mesh = builtin("bar").unwrap();
         let upright = Pose::from_translation(DVec3::Z * 0.06);
         let obstacle = Obstacle::new(&mesh, upright).unwrap();
-        assert_eq!(collides(&placed(0.11, 0.05), &obstacle).unwrap(), None);
-        // The rail is 101 mm above the gels' middle, the bar 120 mm high.
-        let low = collides(&placed(0.014, 0.05), &obstacle).unwrap();
+        assert_eq!(
+            find_collision(&placed(0.11, 0.05), &obstacle).unwrap(),
+            None
+        );
+        // The rail is 101 mm above the gel centres, the bar 120 mm high.
+        let low = find_collision(&placed(0.014, 0.05), &obstacle).unwrap();
         assert_eq!(low.as_deref(), Some("rail"));
     }
 }

@@ -1,9 +1,9 @@
-//! Grasps to simulate: drawn places, what goes wrong in practice, what the gripper would hit.
+//! Grasps to simulate: antipodal candidates, typical faults of a person, collision checks.
 
 mod choice;
 mod collision;
 mod sampler;
 
-pub use choice::{ChosenGrasp, GraspChoice, choose_given_grasps, choose_grasps};
-pub use collision::{Obstacle, collides};
+pub use choice::{ChosenGrasp, GraspSelection, sample_grasps, select_given_grasps};
+pub use collision::{Obstacle, find_collision};
 pub use sampler::{Candidate, FaultRanges, GraspFault, GraspSampler};

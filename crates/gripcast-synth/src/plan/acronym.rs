@@ -1,4 +1,4 @@
-//! Objects and grasps of ACRONYM.
+//! Drafts from ACRONYM's objects and grasps.
 
 use std::path::Path;
 
@@ -10,57 +10,57 @@ use gripcast_base::error::{Error, Result};
 use gripcast_base::files::{BeneathPath, FileKind, Root, SimulationId};
 use gripcast_base::random::SeedStream;
 
-/// Ending of the files.
-const ENDING: &str = ".h5";
-/// What things are of whose category says nothing about it.
+/// Suffix of ACRONYM's files.
+const SUFFIX: &str = ".h5";
+/// Materials of objects whose category is not a built-in one.
 const MATERIALS: [&str; 6] = ["abs", "wood", "polypropylene", "steel", "ceramic", "rubber"];
 
-/// The objects of a folder of ACRONYM's `.h5` files, with their grasps; `most` of them, drawn by
-/// the seed. Meshes are below `mesh_root`. What cannot be read is left out.
+/// Reads a folder of ACRONYM's `.h5` files: objects with their grasps, at most `max` of them drawn
+/// by the seed. Meshes are below `mesh_root`. Files that cannot be read are left out.
 ///
 /// # Errors
-/// Those of reading the folder; `Input` for one without `.h5` files.
+/// Errors of reading the folder; `Input` for one without `.h5` files.
 pub fn acronym_drafts(
     folder: &Path,
     mesh_root: &Path,
-    most: Option<usize>,
+    max: Option<usize>,
     seed: u64,
 ) -> Result<Drafts> {
     let mut files = h5_files(folder)?;
-    if let Some(most) = most {
+    if let Some(max) = max {
         files.sort_by_key(|file| SeedStream::named(seed, &stem(file)).bits());
-        files.truncate(most);
+        files.truncate(max);
         files.sort_by_key(BeneathPath::name);
     }
     let meshes = Root::new(mesh_root);
     let mut drafts = Drafts::default();
     for file in files {
-        drafts.note(&stem(&file), draft(&file, &meshes, seed))?;
+        drafts.push(&stem(&file), draft(&file, &meshes, seed))?;
     }
     Ok(drafts)
 }
 
 fn stem(file: &BeneathPath) -> String {
     let name = file.name();
-    name.strip_suffix(ENDING).unwrap_or(&name).to_owned()
+    name.strip_suffix(SUFFIX).unwrap_or(&name).to_owned()
 }
 
 fn h5_files(folder: &Path) -> Result<Vec<BeneathPath>> {
     let mut files = Root::new(folder)
         .top()
         .entries()
-        .map_err(|e| Error::io("cannot read the folder of grasps", e).at(folder.display()))?;
-    files.retain(|file| file.name().ends_with(ENDING));
+        .map_err(|e| Error::io("cannot read the folder with grasps", e).at(folder.display()))?;
+    files.retain(|file| file.name().ends_with(SUFFIX));
     if files.is_empty() {
         return Err(Error::input("the folder has no .h5 files")
             .at(folder.display())
-            .remedy("give the folder `grasps` of ACRONYM"));
+            .remedy("name ACRONYM's folder `grasps`"));
     }
     Ok(files)
 }
 
 fn draft(file: &BeneathPath, meshes: &Root, seed: u64) -> Result<ObjectDraft> {
-    // Refuses what leads out of the folder and what is no file.
+    // Refuses links that lead out of the folder, and directories.
     file.open_file(FileKind::Bulk)
         .map_err(|e| Error::io("cannot read the file", e).at(file.display()))?;
     let set = read_acronym(&file.shown())?;
@@ -71,8 +71,8 @@ fn draft(file: &BeneathPath, meshes: &Root, seed: u64) -> Result<ObjectDraft> {
         None => "thing".to_owned(),
     };
     let mut draw = SeedStream::named(seed, &format!("material {}", set.name));
-    let known = Category::parse(&category).map(Category::materials);
-    let materials = known.unwrap_or(MATERIALS.to_vec());
+    let materials = Category::parse(&category).map(Category::materials);
+    let materials = materials.unwrap_or(MATERIALS.to_vec());
     let material = materials[draw.index(materials.len())];
     Ok(ObjectDraft {
         source: MeshSource::stored(&name)?,
@@ -80,11 +80,11 @@ fn draft(file: &BeneathPath, meshes: &Root, seed: u64) -> Result<ObjectDraft> {
         category,
         mesh,
         material: Material::named(material)?,
-        // ACRONYM states masses for one density, and friction of its own simulator.
+        // ACRONYM gives masses for one density, and the friction of its own simulator.
         fill: None,
         mass_kg: None,
         friction: None,
-        looks: Vec::new(),
+        appearances: Vec::new(),
         textures: Vec::new(),
         grasps: Some(set.grasps.iter().map(|g| g.t_object_gripper).collect()),
     })
@@ -99,7 +99,7 @@ mod tests {
     use super::*;
     use gripcast_geometry::{builtin, save_mesh};
 
-    /// Two grasps of a mesh, from above and 10 mm aside.
+    /// A file with two grasps of a mesh: from above, and offset by 10 mm.
     fn h5(mesh: &str) -> Vec<u8> {
         #[rustfmt::skip]
         let matrix = |x: f64| [
@@ -139,7 +139,7 @@ mod tests {
     }
 
     #[test]
-    fn objects_have_their_scale_category_and_grasps() {
+    fn objects_have_scale_category_and_grasps() {
         let folder = tempfile::tempdir().unwrap();
         let at = |name: &str| folder.path().join(name);
         fs::create_dir_all(at("meshes/Box")).unwrap();

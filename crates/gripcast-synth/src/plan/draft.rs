@@ -1,7 +1,7 @@
-//! Objects on their way into a plan.
+//! Drafts: objects before they are part of a plan.
 
 use super::{MeshSource, TextureDraft};
-use crate::properties::{Material, Modifier};
+use crate::properties::{DescribedAppearance, Material};
 use gripcast_base::error::{ErrorKind, Result};
 use gripcast_base::files::SimulationId;
 use gripcast_geometry::{Pose, TriangleMesh};
@@ -9,51 +9,51 @@ use gripcast_geometry::{Pose, TriangleMesh};
 /// An object before it has properties and grasps.
 #[derive(Clone, Debug)]
 pub struct ObjectDraft {
-    /// Name; a key, and begin of file names.
+    /// Name: a key and the start of file names.
     pub name: SimulationId,
-    /// Kind of thing.
+    /// Category, for instance `mug`.
     pub category: String,
-    /// Where the plan has the mesh from.
+    /// Source of the mesh in the plan.
     pub source: MeshSource,
-    /// The mesh, m: closed.
+    /// Closed mesh, m.
     pub mesh: TriangleMesh,
-    /// What it is made of.
+    /// Material.
     pub material: &'static Material,
-    /// Fraction of the mesh's volume that is material; none for what is usual in the category.
+    /// Fraction of the mesh's volume that is material; none for the default of the category.
     pub fill: Option<f64>,
-    /// Mass, kg, where it is known.
+    /// Mass, kg, if known.
     pub mass_kg: Option<f64>,
-    /// Friction coefficient, where it is known.
+    /// Friction coefficient, if known.
     pub friction: Option<f64>,
-    /// What it may look like, where that is known.
-    pub looks: Vec<Modifier>,
-    /// Images of its own.
+    /// Appearances, if known.
+    pub appearances: Vec<DescribedAppearance>,
+    /// Its own textures.
     pub textures: Vec<TextureDraft>,
-    /// Its grasps as `t_object_gripper`; none to draw them.
+    /// Given grasps as `t_object_gripper`; none to sample them.
     pub grasps: Option<Vec<Pose>>,
 }
 
 /// An object that is not in the plan.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct LeftOutObject {
-    /// Its name.
+    /// Name.
     pub name: String,
-    /// Why.
+    /// Why it was left out.
     pub reason: String,
 }
 
-/// Objects of a source, and those that could not be read.
+/// Objects of one source, and those that cannot be used.
 #[derive(Clone, Debug, Default)]
 pub struct Drafts {
-    /// The objects.
+    /// Usable objects.
     pub drafts: Vec<ObjectDraft>,
-    /// The others.
+    /// Objects that were left out.
     pub left_out: Vec<LeftOutObject>,
 }
 
 impl Drafts {
-    /// Adds an object or why it is none. What concerns the whole machine ends the reading.
-    pub(super) fn note(&mut self, name: &str, read: Result<ObjectDraft>) -> Result<()> {
+    /// Adds an object, or why it was left out. Internal errors are passed on.
+    pub(super) fn push(&mut self, name: &str, read: Result<ObjectDraft>) -> Result<()> {
         match read {
             Ok(draft) => self.drafts.push(draft),
             Err(error) if error.kind() == ErrorKind::Internal => return Err(error),
@@ -65,7 +65,7 @@ impl Drafts {
         Ok(())
     }
 
-    /// Adds those of another source.
+    /// Adds the objects of another source.
     pub fn extend(&mut self, others: Self) {
         self.drafts.extend(others.drafts);
         self.left_out.extend(others.left_out);

@@ -1,4 +1,4 @@
-//! The plan as a file, and the hash that says that it is the one that was made.
+//! The plan file and its hash.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -9,16 +9,16 @@ use super::{PlanHeader, PlannedObject, PlannedSimulation};
 use gripcast_base::error::{Error, Result};
 use gripcast_base::files::{BeneathPath, FileKind, Printable, Root, SimulationId, sha256_hex};
 
-/// Name of the plan in its folder.
+/// Name of the plan file.
 pub const PLAN_FILE: &str = "plan.jsonl";
-/// Name of its hash, as `sha256sum --check` reads it.
+/// Name of the hash file, as `sha256sum --check` reads it.
 pub const HASH_FILE: &str = "plan.sha256";
 /// Name of the format in the header.
 pub const PLAN_FORMAT: &str = "gripcast-synth-plan";
-/// Its version.
+/// Version of the format.
 pub const PLAN_VERSION: u32 = 1;
 
-/// A line of the file.
+/// One line of the file.
 #[derive(Serialize, Deserialize)]
 #[serde(tag = "kind", rename_all = "snake_case")]
 enum Line {
@@ -27,10 +27,10 @@ enum Line {
     Simulation(PlannedSimulation),
 }
 
-/// What is to be simulated. A plan never changes: what is made of it is known by its hash.
+/// A plan. It never changes: results and datasets refer to it by its hash.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Plan {
-    /// What all simulations fraction.
+    /// Header.
     pub header: PlanHeader,
     /// Objects by name.
     pub objects: BTreeMap<SimulationId, PlannedObject>,
@@ -41,11 +41,11 @@ pub struct Plan {
 }
 
 impl Plan {
-    /// A plan of its parts.
+    /// Creates a plan and computes its hash.
     ///
     /// # Errors
-    /// `Input` for a simulation of an unknown object, or two of a name; `Internal` where a number
-    /// has no JSON form.
+    /// `Input` for a simulation of an unknown object or a duplicate id; `Internal` if a number has no
+    /// JSON representation.
     pub fn new(
         header: PlanHeader,
         objects: Vec<PlannedObject>,
@@ -66,28 +66,28 @@ impl Plan {
     /// Reads the plan of a folder.
     ///
     /// # Errors
-    /// `NotFound` for a folder without plan; `Input` for one that was altered, or is of another
-    /// version, or is no plan.
+    /// `NotFound` for a folder without a plan; `Input` for an invalid or altered plan, or one of
+    /// another version.
     pub fn read(folder: &Path) -> Result<Self> {
         let root = Root::new(folder);
         let place = root.top().join(PLAN_FILE);
         let bytes = place.read(FileKind::List).map_err(|e| {
             Error::io("cannot read the plan", e)
                 .at(place.display())
-                .remedy("make one: gripcast synth plan --preset small --out DIR")
+                .remedy("create one: gripcast synth plan --preset small --out DIR")
         })?;
-        let sha256 = checked_hash(&root, &bytes).map_err(|e| e.at(place.display()))?;
+        let sha256 = verified_hash(&root, &bytes).map_err(|e| e.at(place.display()))?;
         let plan = Self::from_bytes(&bytes).map_err(|e| e.at(place.display()))?;
-        // That of the file, whoever wrote its numbers.
+        // The hash of the file, not of how this build would format its numbers.
         Ok(Self { sha256, ..plan })
     }
 
-    /// Writes the plan and its hash into a folder that exists.
+    /// Writes the plan and its hash into an existing folder.
     ///
     /// # Errors
-    /// `Input` where another plan is there; those of the operating system.
+    /// `Input` if the folder contains another plan; I/O errors.
     pub(super) fn write(&self, root: &Root) -> Result<()> {
-        self.check_free(root)?;
+        self.check_output(root)?;
         let place = root.top().join(PLAN_FILE);
         if !place.is_taken() {
             replace(&place, self.text()?.as_bytes())?;
@@ -99,32 +99,31 @@ impl Plan {
     /// Refuses a folder with another plan.
     ///
     /// # Errors
-    /// `Input` where there is one; those of the operating system.
-    pub(super) fn check_free(&self, root: &Root) -> Result<()> {
+    /// `Input` if there is one; I/O errors.
+    pub(super) fn check_output(&self, root: &Root) -> Result<()> {
         let place = root.top().join(PLAN_FILE);
         if !place.is_taken() {
             return Ok(());
         }
-        let there = place
+        let existing = place
             .read(FileKind::List)
             .map_err(|e| Error::io("cannot read the plan", e).at(place.display()))?;
-        if there == self.text()?.as_bytes() {
+        if existing == self.text()?.as_bytes() {
             return Ok(());
         }
-        Err(Error::input("another plan is in the folder already")
+        Err(Error::input("the folder contains another plan")
             .at(place.display())
-            .remedy("give a new folder: results belong to the plan they were made of"))
+            .remedy("name a new folder: results belong to one plan"))
     }
 
     /// The object of a simulation.
     ///
     /// # Errors
-    /// `Internal` for a simulation that is not of this plan.
+    /// `Internal` for a simulation of another plan.
     pub fn object(&self, simulation: &PlannedSimulation) -> Result<&PlannedObject> {
-        self.objects.get(&simulation.object).ok_or_else(|| {
-            let what = format!("{} is not of this plan", simulation.id);
-            Error::internal(what)
-        })
+        self.objects
+            .get(&simulation.object)
+            .ok_or_else(|| Error::internal(format!("{} is not part of this plan", simulation.id)))
     }
 
     fn text(&self) -> Result<String> {
@@ -146,14 +145,14 @@ impl Plan {
         Ok(text)
     }
 
-    /// Reads the bytes of a plan's file, without its hash.
+    /// Parses the bytes of a plan file, without checking its hash.
     ///
     /// # Errors
-    /// `Input` with the line that is none of a plan, and for what [`Plan::new`] refuses.
+    /// `Input` with the number of an invalid line, and for what [`Plan::new`] refuses.
     pub fn from_bytes(bytes: &[u8]) -> Result<Self> {
-        let wrong = |number: usize, what: String| {
+        let invalid = |number: usize, what: String| {
             Error::input(format!("line {number}: {what}"))
-                .remedy("make the plan again with the same flags: it comes out the same")
+                .remedy("create the plan again with the same flags: it will be identical")
         };
         let mut header = None;
         let mut objects = Vec::new();
@@ -163,36 +162,36 @@ impl Plan {
             if line.is_empty() {
                 continue;
             }
-            let line = serde_json::from_slice(line).map_err(|e| wrong(number, e.to_string()))?;
+            let line = serde_json::from_slice(line).map_err(|e| invalid(number, e.to_string()))?;
             match line {
-                Line::Plan(found) if header.is_none() => header = Some(checked(found)?),
-                Line::Plan(_) => return Err(wrong(number, "a second header".to_owned())),
+                Line::Plan(found) if header.is_none() => header = Some(check_version(found)?),
+                Line::Plan(_) => return Err(invalid(number, "duplicate header".to_owned())),
                 Line::Object(object) => objects.push(object),
                 Line::Simulation(simulation) => simulations.push(simulation),
             }
         }
-        let header = header.ok_or_else(|| wrong(1, "the header is missing".to_owned()))?;
+        let header = header.ok_or_else(|| invalid(1, "the header is missing".to_owned()))?;
         Self::new(header, objects, simulations)
     }
 
     fn check(&self) -> Result<()> {
         let mut ids: Vec<&str> = self.simulations.iter().map(|s| s.id.as_str()).collect();
         ids.sort_unstable();
-        if let Some(twice) = ids.windows(2).find(|pair| pair[0] == pair[1]) {
-            let what = format!("two simulations are named {}", twice[0]);
+        if let Some(pair) = ids.windows(2).find(|pair| pair[0] == pair[1]) {
+            let what = format!("two simulations are named {}", pair[0]);
             return Err(Error::input(what));
         }
         let unknown = |s: &&PlannedSimulation| !self.objects.contains_key(&s.object);
         if let Some(unknown) = self.simulations.iter().find(unknown) {
-            let what = format!("{} is of the unknown object {}", unknown.id, unknown.object);
+            let what = format!("{} has the unknown object {}", unknown.id, unknown.object);
             return Err(Error::input(what));
         }
         Ok(())
     }
 }
 
-/// A header of this version.
-fn checked(header: PlanHeader) -> Result<PlanHeader> {
+/// Refuses a header of another format or version.
+fn check_version(header: PlanHeader) -> Result<PlanHeader> {
     if header.format == PLAN_FORMAT && header.version == PLAN_VERSION {
         return Ok(header);
     }
@@ -200,20 +199,20 @@ fn checked(header: PlanHeader) -> Result<PlanHeader> {
     let what =
         format!("expected {PLAN_FORMAT} version {PLAN_VERSION}, found {format} version {version}");
     Err(Error::input(what).remedy(
-        "make the plan again with the same flags, in a new folder; or read it with the release of \
-         gripcast that made it",
+        "create the plan again with the same flags in a new folder, or use the version of gripcast \
+         that created it",
     ))
 }
 
-/// Replaces a file of the plan.
+/// Replaces a file atomically.
 pub(crate) fn replace(place: &BeneathPath, bytes: &[u8]) -> Result<()> {
     place
         .replace(bytes)
         .map_err(|e| Error::io("cannot write the file", e).at(place.display()))
 }
 
-/// Hash of a plan's file, which is as it was written.
-fn checked_hash(root: &Root, plan: &[u8]) -> Result<String> {
+/// Checks the plan file against its hash and returns the hash.
+fn verified_hash(root: &Root, plan: &[u8]) -> Result<String> {
     let place = root.top().join(HASH_FILE);
     let text = place
         .read_to_string(FileKind::Record)
@@ -224,8 +223,8 @@ fn checked_hash(root: &Root, plan: &[u8]) -> Result<String> {
         return Ok(found);
     }
     Err(Error::input(format!(
-        "the plan was altered: expected the hash {}, found {found}",
+        "the plan was altered: expected SHA-256 {}, found {found}",
         Printable(expected)
     ))
-    .remedy("restore it, or make a new plan in another folder; results belong to one plan"))
+    .remedy("restore it, or create a new plan in another folder; results belong to one plan"))
 }

@@ -1,4 +1,4 @@
-//! Makes a plan: objects get properties and grasps, grasps get forces and seeds.
+//! Creates a plan: objects get properties and grasps, grasps get forces and seeds.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
@@ -11,10 +11,11 @@ use super::{
     Drafts, LeftOutObject, MESHES, MeshSource, ObjectDraft, PLAN_FORMAT, PLAN_VERSION, Plan,
     PlanHeader, PlannedObject, PlannedSimulation, RenderingPlan, TEXTURES, TextureDraft,
 };
-use crate::grasp::{GraspChoice, choose_given_grasps, choose_grasps};
+use crate::grasp::{GraspSelection, sample_grasps, select_given_grasps};
 use crate::properties::{
-    APPEARANCES, Appearances, FRICTION_RANGE, MassMap, Modifier, PhysicalProperties, PropertyAsker,
-    PropertyQuery, PropertySource, builtin_appearances, estimate, map_masses, oriented_size_m,
+    APPEARANCES, DescribedAppearance, FRICTION_RANGE, MassMap, PhysicalProperties,
+    PropertyEstimator, PropertyQuery, PropertySource, builtin_appearances, estimate, map_masses,
+    oriented_size_m,
 };
 use gripcast_base::error::{Error, Result};
 use gripcast_base::files::{BeneathPath, FileName, Root, SimulationId};
@@ -23,119 +24,118 @@ use gripcast_base::workers::one_per_core;
 use gripcast_geometry::{MassProperties, TriangleMesh, ply_bytes};
 use gripcast_sim::{Engine, EngineKind};
 
-/// Seeds in files are below 2⁵³, so that every JSON reader keeps them.
+/// Seeds in files are below 2⁵³ so that every JSON reader preserves them.
 const SEED_BITS: u32 = 53;
-/// Largest side of objects that are believed, m: others are mostly in another unit.
+/// Plausible longest side of an object, m; other sizes usually mean a wrong unit.
 const SIZE_M: [f64; 2] = [0.005, 0.5];
-/// Estimated CPU time of finite elements, s: a base and for each node of a gel; of the size that
-/// grasps of the built-in families cost with coarse gels.
+/// Estimated CPU time of a finite-element grasp, s: a constant and the cost per gel node, as measured
+/// for grasps of the built-in families with coarse gels.
 const FEM_BASE_S: f64 = 0.2;
 const FEM_S_PER_NODE: f64 = 1.7e-3;
-/// The same of a colour image without a path and for each path of a pixel, of a pair of tactile
-/// images and of a rigid grasp.
+/// The same for a colour image (a constant and the cost per sample per pixel), a pair of tactile
+/// images, and a rigid-body grasp.
 const VISUAL_S: f64 = 0.25;
 const VISUAL_S_PER_SAMPLE: f64 = 0.06;
 const TACTILE_S: f64 = 0.06;
 const RIGID_S: f64 = 0.1;
 
-/// Usual [`PlanSettings::least_friction_fraction`]: dusty, greasy and worn surfaces.
+/// Default of [`PlanSettings::min_friction_fraction`]: dusty, greasy and worn surfaces.
 pub const MIN_FRICTION_FRACTION: f64 = 0.25;
 
-/// What a plan is made by.
+/// Settings of a new plan.
 #[derive(Clone, Debug)]
 pub struct PlanSettings {
     /// Name of the preset.
     pub preset: String,
-    /// Everything that is drawn follows from it.
+    /// Random seed.
     pub seed: u64,
     /// Grasps of each object.
     pub grasps: usize,
     /// Forces at which each grasp is simulated, N.
     pub stop_forces_n: Vec<f64>,
-    /// How simulations become images.
+    /// How images are rendered.
     pub rendering: RenderingPlan,
-    /// Images of the user's: objects without appearances of their own may wear them.
+    /// User textures for objects without appearances of their own.
     pub textures: Vec<TextureDraft>,
-    /// How masses that were not given are mapped to those of the paper's objects (A.1).
+    /// How estimated masses are mapped to the range of the paper's objects (A.1).
     pub mass_map: MassMap,
-    /// Fraction of a clean surface's friction that the dirtiest keeps: friction of the table is that
-    /// of clean and dry things.
-    pub least_friction_fraction: f64,
-    /// Objects that are worked on at a time.
+    /// Minimum fraction of a clean surface's friction: the table of materials lists clean and dry
+    /// surfaces.
+    pub min_friction_fraction: f64,
+    /// Objects that are processed in parallel; the plan does not depend on it.
     pub jobs: usize,
 }
 
-/// A plan and what did not get into it.
+/// A new plan with its files, not written yet.
 #[derive(Clone, Debug, PartialEq)]
-pub struct MadePlan {
+pub struct PlanBundle {
     /// The plan.
     pub plan: Plan,
-    /// Objects without grasps.
+    /// Objects that were left out.
     pub left_out: Vec<LeftOutObject>,
-    /// Meshes that the plan names.
+    /// Mesh files of the plan.
     meshes: BTreeMap<FileName, TriangleMesh>,
-    /// Images that the plan names.
+    /// Texture files of the plan.
     textures: BTreeMap<FileName, TextureDraft>,
 }
 
-impl MadePlan {
-    /// Writes the plan with all that it names into a folder, which is made if need be. The same
-    /// plan may be there already.
+impl PlanBundle {
+    /// Writes the plan and its files into a folder, which is created if necessary. The folder may
+    /// already contain the same plan.
     ///
     /// # Errors
-    /// `Input` where another plan is there, or an image changed meanwhile; those of the operating
-    /// system.
+    /// `Input` if the folder contains another plan, or an image changed meanwhile; I/O errors.
     pub fn write(&self, folder: &Path) -> Result<()> {
         fs::create_dir_all(folder)
-            .map_err(|e| Error::io("cannot make the folder", e).at(folder.display()))?;
+            .map_err(|e| Error::io("cannot create the folder", e).at(folder.display()))?;
         let root = Root::new(folder);
-        self.plan.check_free(&root)?;
+        self.plan.check_output(&root)?;
         if !self.meshes.is_empty() {
-            let meshes = folder_at(root.top().join(MESHES))?;
+            let meshes = created(root.top().join(MESHES))?;
             for (name, mesh) in &self.meshes {
                 replace(&meshes.join(name), &ply_bytes(mesh))?;
             }
         }
         if !self.textures.is_empty() {
-            let textures = folder_at(root.top().join(TEXTURES))?;
+            let textures = created(root.top().join(TEXTURES))?;
             for (name, texture) in &self.textures {
                 replace(&textures.join(name), &texture.read()?)?;
             }
         }
-        // Last: a plan that is there is whole.
+        // Last: a plan that exists is complete.
         self.plan.write(&root)
     }
 }
 
-fn folder_at(folder: BeneathPath) -> Result<BeneathPath> {
+fn created(folder: BeneathPath) -> Result<BeneathPath> {
     match folder.create_dir_all() {
         Ok(()) => Ok(folder),
-        Err(e) => Err(Error::io("cannot make the folder", e).at(folder.display())),
+        Err(e) => Err(Error::io("cannot create the folder", e).at(folder.display())),
     }
 }
 
-/// Makes a plan of objects. The same input gives the same plan on any number of threads.
+/// Creates a plan. The same input gives the same plan on any number of threads.
 ///
 /// # Errors
-/// `Input` where no object can be grasped or two have one name; those of the asker.
+/// `Input` if no object can be grasped or two have the same name; errors of the estimator.
 pub fn make_plan(
     settings: &PlanSettings,
     drafts: Drafts,
     engine: &dyn Engine,
-    asker: Option<&mut PropertyAsker>,
+    estimator: Option<&mut PropertyEstimator>,
     on_progress: &(dyn Fn(usize) + Sync),
-) -> Result<MadePlan> {
+) -> Result<PlanBundle> {
     let Drafts {
         drafts,
         mut left_out,
     } = drafts;
     check_names(&drafts)?;
-    let look = |draft: &ObjectDraft| Ok(looked_at(draft, settings));
-    let seen = one_per_core(settings.jobs, &drafts, &look, on_progress)?;
+    let analyse = |draft: &ObjectDraft| Ok(analysed(draft, settings));
+    let analyses = one_per_core(settings.jobs, &drafts, &analyse, on_progress)?;
     let mut kept = Vec::new();
-    for (draft, seen) in drafts.into_iter().zip(seen) {
-        match seen {
-            Ok(seen) => kept.push((draft, seen)),
+    for (draft, analysis) in drafts.into_iter().zip(analyses) {
+        match analysis {
+            Ok(analysis) => kept.push((draft, analysis)),
             Err(error) => left_out.push(LeftOutObject {
                 name: draft.name.into(),
                 reason: error.to_string(),
@@ -148,7 +148,7 @@ pub fn make_plan(
             .map_or("no object was given", |l| &l.reason);
         return Err(Error::input(format!("no object can be used: {reason}")));
     }
-    let objects = described(&kept, settings, asker)?;
+    let objects = planned_objects(&kept, settings, estimator)?;
     let simulations = simulations(&kept, settings, engine)?;
     let header = PlanHeader {
         format: PLAN_FORMAT.to_owned(),
@@ -162,7 +162,7 @@ pub fn make_plan(
     };
     let plan = Plan::new(header, objects, simulations)?;
     let (meshes, textures) = files(kept, settings, &plan);
-    Ok(MadePlan {
+    Ok(PlanBundle {
         plan,
         left_out,
         meshes,
@@ -170,16 +170,16 @@ pub fn make_plan(
     })
 }
 
-/// The meshes and images that a plan names.
+/// Returns the mesh and texture files of a plan.
 fn files(
-    kept: Vec<(ObjectDraft, Seen)>,
+    kept: Vec<(ObjectDraft, Analysis)>,
     settings: &PlanSettings,
     plan: &Plan,
 ) -> (
     BTreeMap<FileName, TriangleMesh>,
     BTreeMap<FileName, TextureDraft>,
 ) {
-    let worn: BTreeSet<&FileName> = plan
+    let used: BTreeSet<&FileName> = plan
         .objects
         .values()
         .flat_map(|object| &object.textures)
@@ -188,25 +188,25 @@ fn files(
     let own = kept.iter().flat_map(|(draft, _)| &draft.textures);
     let textures = own
         .chain(&settings.textures)
-        .filter(|texture| worn.contains(&texture.planned.file))
+        .filter(|texture| used.contains(&texture.planned.file))
         .map(|texture| (texture.planned.file.clone(), texture.clone()))
         .collect();
-    let mesh = |(draft, _): (ObjectDraft, Seen)| match draft.source {
+    let mesh = |(draft, _): (ObjectDraft, Analysis)| match draft.source {
         MeshSource::File { file } => Some((file, draft.mesh)),
         MeshSource::Family { .. } => None,
     };
     (kept.into_iter().filter_map(mesh).collect(), textures)
 }
 
-/// What is found by looking at an object alone.
-struct Seen {
-    choice: GraspChoice,
+/// Geometry and grasps of one object.
+struct Analysis {
+    selection: GraspSelection,
     volume_m3: f64,
     size_m: f64,
 }
 
-fn looked_at(draft: &ObjectDraft, settings: &PlanSettings) -> Result<Seen> {
-    let volume_m3 = MassProperties::from_mesh(&draft.mesh)?.volume_m3;
+fn analysed(draft: &ObjectDraft, settings: &PlanSettings) -> Result<Analysis> {
+    let volume_m3 = MassProperties::of(&draft.mesh)?.volume_m3;
     let [size_m, ..] = oriented_size_m(&draft.mesh)?;
     if !(SIZE_M[0]..=SIZE_M[1]).contains(&size_m) {
         let what = format!(
@@ -215,57 +215,64 @@ fn looked_at(draft: &ObjectDraft, settings: &PlanSettings) -> Result<Seen> {
         );
         return Err(Error::input(what).remedy("check its unit and scale"));
     }
-    let (name, wanted, seed) = (&draft.name, settings.grasps, settings.seed);
+    let (name, count, seed) = (&draft.name, settings.grasps, settings.seed);
     for force_n in &settings.stop_forces_n {
-        simulation_id(name, wanted, *force_n)?;
+        simulation_id(name, count, *force_n)?;
     }
-    let choice = match &draft.grasps {
-        Some(given) => choose_given_grasps(name, &draft.mesh, given, wanted, seed)?,
-        None => choose_grasps(name, &draft.mesh, wanted, seed)?,
+    let selection = match &draft.grasps {
+        Some(given) => select_given_grasps(name, &draft.mesh, given, count, seed)?,
+        None => sample_grasps(name, &draft.mesh, count, seed)?,
     };
-    if choice.grasps.is_empty() {
-        return Err(Error::input(without_grasps(&choice)));
+    if selection.grasps.is_empty() {
+        return Err(Error::input(no_grasp(&selection)));
     }
-    Ok(Seen {
-        choice,
+    Ok(Analysis {
+        selection,
         volume_m3,
         size_m,
     })
 }
 
-fn without_grasps(choice: &GraspChoice) -> String {
-    let worst = choice.collisions.iter().max_by_key(|(_, count)| **count);
-    let hits = worst.map_or(String::new(), |(part, count)| {
-        format!(", {count} would hit it with the {part}")
+fn no_grasp(selection: &GraspSelection) -> String {
+    let collisions = selection.collisions.iter();
+    let most_frequent = collisions.max_by_key(|(_, count)| **count);
+    let collisions = most_frequent.map_or(String::new(), |(part, count)| {
+        format!(", {count} collide with the {part}")
     });
     format!(
-        "the gripper finds no grasp: {} candidates without two opposite places{hits}",
-        choice.without_places
+        "no grasp found: {} candidates without antipodal contacts{collisions}",
+        selection.without_antipodal_pair
     )
 }
 
 fn check_names(drafts: &[ObjectDraft]) -> Result<()> {
     let mut names = BTreeSet::new();
     match drafts.iter().find(|draft| !names.insert(&draft.name)) {
-        Some(twice) => Err(Error::input(format!(
+        Some(duplicate) => Err(Error::input(format!(
             "two objects are named {}",
-            twice.name
+            duplicate.name
         ))),
         None => Ok(()),
     }
 }
 
-/// Objects with mass, friction and looks.
-fn described(
-    kept: &[(ObjectDraft, Seen)],
+/// Returns the objects with mass, friction and appearances.
+fn planned_objects(
+    kept: &[(ObjectDraft, Analysis)],
     settings: &PlanSettings,
-    mut asker: Option<&mut PropertyAsker>,
+    mut estimator: Option<&mut PropertyEstimator>,
 ) -> Result<Vec<PlannedObject>> {
     let mut objects = Vec::with_capacity(kept.len());
-    for (draft, seen) in kept {
+    for (draft, analysis) in kept {
         let seed = SeedStream::named(settings.seed, &format!("object {}", draft.name)).bits();
-        let looks = looks(draft, seed, asker.as_deref_mut())?;
-        let physical = physical(draft, seen, &looks, seed, asker.as_deref_mut())?;
+        let appearances = appearances(draft, seed, estimator.as_deref_mut())?;
+        let physical = physical(
+            draft,
+            analysis,
+            &appearances,
+            seed,
+            estimator.as_deref_mut(),
+        )?;
         objects.push(PlannedObject {
             name: draft.name.clone(),
             category: draft.category.clone(),
@@ -273,15 +280,15 @@ fn described(
             mesh_sha256: draft.mesh.content_hash(),
             material: draft.material.name.clone(),
             mass_kg: physical.mass_kg,
-            friction: draft
-                .friction
-                .unwrap_or_else(|| soiled(&physical, settings.least_friction_fraction, seed)),
+            friction: draft.friction.unwrap_or_else(|| {
+                contaminated_friction(&physical, settings.min_friction_fraction, seed)
+            }),
             properties: physical.source,
             textures: textures(draft, seed, settings)
                 .into_iter()
                 .map(|texture| texture.planned.clone())
                 .collect(),
-            looks,
+            appearances,
         });
     }
     let drafts = kept.iter().map(|(draft, _)| draft);
@@ -295,7 +302,7 @@ fn described(
     for (object, mass_kg) in estimated.iter_mut().zip(mapped) {
         object.mass_kg = mass_kg;
     }
-    // What JSON readers show, and no last bit of a logarithm.
+    // Short decimals, without the last bits of a logarithm.
     for object in &mut objects {
         object.mass_kg = rounded(object.mass_kg, 1e6);
         object.friction = rounded(object.friction, 1e4);
@@ -303,12 +310,12 @@ fn described(
     Ok(objects)
 }
 
-/// Friction after dust, grease and wear, where it is not known for the object itself.
-fn soiled(physical: &PhysicalProperties, least_fraction: f64, seed: u64) -> f64 {
+/// Reduces the friction of a clean surface by dust, grease and wear.
+fn contaminated_friction(physical: &PhysicalProperties, min_fraction: f64, seed: u64) -> f64 {
     if matches!(physical.source, PropertySource::Llm { .. }) {
         return physical.friction;
     }
-    let fraction = SeedStream::named(seed, "surface").between(least_fraction, 1.0);
+    let fraction = SeedStream::named(seed, "surface").between(min_fraction, 1.0);
     let [low, high] = FRICTION_RANGE;
     (fraction * physical.friction).clamp(low, high)
 }
@@ -317,29 +324,27 @@ fn rounded(value: f64, per_unit: f64) -> f64 {
     (value * per_unit).round() / per_unit
 }
 
-fn looks(
+fn appearances(
     draft: &ObjectDraft,
     seed: u64,
-    asker: Option<&mut PropertyAsker>,
-) -> Result<Vec<Modifier>> {
-    if !draft.looks.is_empty() || !draft.textures.is_empty() {
-        return Ok(draft.looks.clone());
+    estimator: Option<&mut PropertyEstimator>,
+) -> Result<Vec<DescribedAppearance>> {
+    if !draft.appearances.is_empty() || !draft.textures.is_empty() {
+        return Ok(draft.appearances.clone());
     }
-    let Some(asker) = asker else {
-        return Ok(builtin_appearances(&draft.name, draft.material, seed));
-    };
-    let query = query(draft, "", seed);
-    let Appearances { modifiers, .. } = asker.appearances(&query)?;
-    Ok(modifiers)
+    match estimator {
+        Some(estimator) => estimator.appearances(&query(draft, "", seed)),
+        None => Ok(builtin_appearances(&draft.name, draft.material, seed)),
+    }
 }
 
-/// Images on an object: its own, else as many as it has other appearances.
+/// Textures of an object: its own, or as many drawn from the user's as it has appearances.
 fn textures<'a>(
     draft: &'a ObjectDraft,
     seed: u64,
     settings: &'a PlanSettings,
 ) -> Vec<&'a TextureDraft> {
-    if !draft.looks.is_empty() || !draft.textures.is_empty() {
+    if !draft.appearances.is_empty() || !draft.textures.is_empty() {
         return draft.textures.iter().collect();
     }
     let mut drawn: Vec<&TextureDraft> = settings.textures.iter().collect();
@@ -352,10 +357,10 @@ fn textures<'a>(
 
 fn physical(
     draft: &ObjectDraft,
-    seen: &Seen,
-    looks: &[Modifier],
+    analysis: &Analysis,
+    appearances: &[DescribedAppearance],
     seed: u64,
-    asker: Option<&mut PropertyAsker>,
+    estimator: Option<&mut PropertyEstimator>,
 ) -> Result<PhysicalProperties> {
     if let (Some(mass_kg), Some(friction)) = (draft.mass_kg, draft.friction) {
         return Ok(PhysicalProperties {
@@ -364,19 +369,19 @@ fn physical(
             source: PropertySource::Given,
         });
     }
-    let mut found = match asker {
-        Some(asker) => {
-            let texture = looks.first().map_or("", |look| &look.words);
-            asker.physical(&PropertyQuery {
-                size_m: seen.size_m,
-                volume_m3: seen.volume_m3,
+    let mut found = match estimator {
+        Some(estimator) => {
+            let texture = appearances.first().map_or("", |first| &first.description);
+            estimator.physical(&PropertyQuery {
+                size_m: analysis.size_m,
+                volume_m3: analysis.volume_m3,
                 ..query(draft, texture, seed)
             })?
         }
         None => estimate(
             &draft.category,
             draft.material,
-            seen.volume_m3,
+            analysis.volume_m3,
             draft.fill,
             seed,
         )?,
@@ -399,17 +404,17 @@ fn query<'a>(draft: &'a ObjectDraft, texture: &'a str, seed: u64) -> PropertyQue
 }
 
 fn simulations(
-    kept: &[(ObjectDraft, Seen)],
+    kept: &[(ObjectDraft, Analysis)],
     settings: &PlanSettings,
     engine: &dyn Engine,
 ) -> Result<Vec<PlannedSimulation>> {
     let cost_s = cost_s(settings, engine)?;
     let mut all = Vec::new();
-    for (draft, seen) in kept {
-        for (number, grasp) in seen.choice.grasps.iter().enumerate() {
+    for (draft, analysis) in kept {
+        for (number, grasp) in analysis.selection.grasps.iter().enumerate() {
             for force_n in &settings.stop_forces_n {
                 let id = simulation_id(&draft.name, number, *force_n)?;
-                // The engine is no part of it: both make images under the same conditions.
+                // Independent of the engine: both engines get images under the same conditions.
                 let seed = SeedStream::named(settings.seed, &format!("images {id}")).bits();
                 all.push(PlannedSimulation {
                     id,
@@ -436,7 +441,7 @@ fn simulation_id(object: &SimulationId, grasp: usize, force_n: f64) -> Result<Si
         .map_err(|e| e.remedy("give the object a shorter name"))
 }
 
-/// Estimated CPU time of a simulation with its images, s.
+/// Estimates the CPU time of a simulation with its images, s.
 fn cost_s(settings: &PlanSettings, engine: &dyn Engine) -> Result<f64> {
     let simulate = match engine.kind() {
         EngineKind::Rigid => RIGID_S,
@@ -447,14 +452,14 @@ fn cost_s(settings: &PlanSettings, engine: &dyn Engine) -> Result<f64> {
     };
     let RenderingPlan {
         renderings,
-        samples,
+        samples_per_pixel,
         ..
     } = settings.rendering;
-    let image = TACTILE_S + VISUAL_S + VISUAL_S_PER_SAMPLE * f64::from(samples);
+    let image = TACTILE_S + VISUAL_S + VISUAL_S_PER_SAMPLE * f64::from(samples_per_pixel);
     Ok(simulate + f64::from(renderings) * image)
 }
 
-/// Whether an engine has the parameters that a plan was made with.
+/// Checks that an engine has the parameters that a plan was created with.
 ///
 /// # Errors
 /// `Input` with the first parameter that differs.
@@ -463,16 +468,16 @@ pub fn check_parameters(plan: &Plan, engine: &dyn Engine) -> Result<()> {
     match difference("", &plan.header.parameters, &now) {
         None => Ok(()),
         Some((name, planned, now)) => Err(Error::input(format!(
-            "the plan was made with {name} = {planned}, this build has {now}"
+            "the plan was created with {name} = {planned}, this build has {now}"
         ))
         .remedy(format!(
-            "run it with {}, or make a new plan",
+            "run it with {}, or create a new plan",
             plan.header.software
         ))),
     }
 }
 
-/// The first place where two values differ.
+/// Finds the first difference of two JSON values: its path and both values.
 fn difference(name: &str, a: &Value, b: &Value) -> Option<(String, Value, Value)> {
     match (a, b) {
         (Value::Object(a), Value::Object(b)) => {

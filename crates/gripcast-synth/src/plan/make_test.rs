@@ -12,13 +12,13 @@ fn settings(jobs: usize) -> PlanSettings {
         stop_forces_n: vec![10.0, 40.0],
         rendering: RenderingPlan {
             renderings: 1,
-            samples: 1,
+            samples_per_pixel: 1,
             sensor_spread: 1.0,
             visual_spread: 1.0,
         },
         textures: Vec::new(),
         mass_map: MassMap::None,
-        least_friction_fraction: MIN_FRICTION_FRACTION,
+        min_friction_fraction: MIN_FRICTION_FRACTION,
         jobs,
     }
 }
@@ -33,19 +33,19 @@ fn draft(name: &str, size: f64) -> ObjectDraft {
         fill: Some(1.0),
         mass_kg: None,
         friction: None,
-        looks: Vec::new(),
+        appearances: Vec::new(),
         textures: Vec::new(),
         grasps: None,
     }
 }
 
-fn made(drafts: Vec<ObjectDraft>, settings: &PlanSettings) -> Result<MadePlan> {
+fn made(drafts: Vec<ObjectDraft>, settings: &PlanSettings) -> Result<PlanBundle> {
     let engine = RigidEngine::new(RigidSettings::default());
     make_plan(settings, drafts.into(), &engine, None, &|_| ())
 }
 
 #[test]
-fn the_plan_is_the_same_on_any_number_of_threads_and_leaves_out_what_does_not_fit() {
+fn plan_is_independent_of_threads_and_drops_unusable_objects() {
     let drafts = || vec![draft("a", 1.0), draft("b", 0.8), draft("huge", 9.0)];
     let one = made(drafts(), &settings(1)).unwrap();
     assert_eq!(one, made(drafts(), &settings(3)).unwrap());
@@ -67,7 +67,7 @@ fn the_plan_is_the_same_on_any_number_of_threads_and_leaves_out_what_does_not_fi
 }
 
 #[test]
-fn a_plan_has_what_its_objects_need_beside_it() {
+fn plan_folder_is_self_contained() {
     use crate::planned_mesh;
     use gripcast_base::files::Root;
     let dir = tempfile::tempdir().unwrap();
@@ -75,7 +75,7 @@ fn a_plan_has_what_its_objects_need_beside_it() {
     image::RgbImage::from_pixel(8, 4, image::Rgb([200, 30, 30]))
         .save(&image)
         .unwrap();
-    let texture = TextureDraft::of_file(BeneathPath::given(&image), 0.05).unwrap();
+    let texture = TextureDraft::from_file(BeneathPath::given(&image), 0.05).unwrap();
     let mut labelled = draft("a", 1.0);
     labelled.textures = vec![texture];
     let made = made(vec![labelled, draft("b", 0.8)], &settings(1)).unwrap();
@@ -83,7 +83,7 @@ fn a_plan_has_what_its_objects_need_beside_it() {
     made.write(&first).unwrap();
     made.write(&first).unwrap();
     std::fs::remove_file(&image).unwrap();
-    // Another folder, as on a cluster.
+    // Move the folder, as to a cluster.
     std::fs::rename(&first, &second).unwrap();
     let root = Root::new(&second);
     let plan = Plan::read(&second).unwrap();
@@ -91,9 +91,9 @@ fn a_plan_has_what_its_objects_need_beside_it() {
         planned_mesh(object, &root).unwrap();
     }
     let texture = &plan.objects["a"].textures[0];
-    assert_eq!(texture.words, "red label");
+    assert_eq!(texture.name, "red label");
     assert_eq!(texture.load(&root).unwrap().size(), [8, 4]);
-    // A folder in it that leads elsewhere.
+    // A linked folder inside.
     let elsewhere = dir.path().join("elsewhere");
     std::fs::create_dir_all(&elsewhere).unwrap();
     std::fs::create_dir(dir.path().join("third")).unwrap();
@@ -103,7 +103,7 @@ fn a_plan_has_what_its_objects_need_beside_it() {
 }
 
 #[test]
-fn given_properties_stay_and_estimated_friction_is_that_of_a_soiled_surface() {
+fn given_properties_stay_and_estimated_friction_is_reduced() {
     let mut given = draft("given", 1.0);
     (given.mass_kg, given.friction) = (Some(0.42), Some(1.4));
     let mut drafts = vec![given];
@@ -131,7 +131,7 @@ fn given_properties_stay_and_estimated_friction_is_that_of_a_soiled_surface() {
 }
 
 #[test]
-fn names_that_cannot_be_and_nothing_to_grasp_are_explained() {
+fn invalid_names_and_objects_are_explained() {
     let text = |drafts| made(drafts, &settings(1)).unwrap_err().to_string();
     assert!(text(vec![draft("a", 1.0), draft("a", 0.8)]).contains("two objects"));
     assert!(text(vec![draft(&"n".repeat(75), 1.0)]).contains("shorter name"));
@@ -140,7 +140,7 @@ fn names_that_cannot_be_and_nothing_to_grasp_are_explained() {
 }
 
 #[test]
-fn other_parameters_than_those_of_the_plan_are_named() {
+fn changed_parameter_is_named() {
     let plan = made(vec![draft("a", 1.0)], &settings(1)).unwrap().plan;
     let same = RigidEngine::new(RigidSettings::default());
     check_parameters(&plan, &same).unwrap();

@@ -1,8 +1,8 @@
-//! What is to be simulated, fixed before anything is: objects, grasps, forces and seeds.
+//! Plans: objects, grasps, forces and seeds, fixed before any simulation runs.
 //!
-//! A plan is a folder with `plan.jsonl`: a header, then objects, then simulations, a JSON object
-//! each, and `plan.sha256`. What the objects need is stored beside it, in `meshes/` and `textures/`,
-//! so that the folder can be moved to another machine; results are kept in `results/`.
+//! A plan is a folder with `plan.jsonl` (one JSON object per line: the header, the objects, the
+//! simulations) and `plan.sha256`. Meshes and textures are stored beside it, in `meshes/` and
+//! `textures/`, so that the folder can be moved to another machine; results go to `results/`.
 
 mod acronym;
 mod draft;
@@ -21,25 +21,25 @@ pub(super) use file::replace;
 pub use acronym::acronym_drafts;
 pub use draft::{Drafts, LeftOutObject, ObjectDraft};
 pub use file::{HASH_FILE, PLAN_FILE, PLAN_FORMAT, PLAN_VERSION, Plan};
-pub use make::{MIN_FRICTION_FRACTION, MadePlan, PlanSettings, check_parameters, make_plan};
+pub use make::{MIN_FRICTION_FRACTION, PlanBundle, PlanSettings, check_parameters, make_plan};
 pub use preset::{PlanPreset, family_drafts};
 pub use shard::{INDEX_VARIABLES, Shard};
 pub use table::table_drafts;
-pub use texture::{ImageTexture, TextureDraft, texture_folder};
+pub use texture::{ImageTexture, TextureDraft, load_textures};
 
 use super::grasp::GraspFault;
-use super::properties::{Modifier, PropertySource};
+use super::properties::{DescribedAppearance, PropertySource};
 use gripcast_base::error::Result;
 use gripcast_base::files::{FileName, SimulationId};
 use gripcast_geometry::Pose;
 use gripcast_sim::EngineKind;
 
-/// Folder of the meshes in that of the plan.
+/// Folder of the meshes inside the plan's folder.
 pub(super) const MESHES: &str = "meshes";
-/// Folder of the images in that of the plan.
+/// Folder of the textures inside the plan's folder.
 pub(super) const TEXTURES: &str = "textures";
 
-/// What all simulations of a plan fraction.
+/// Header of a plan: what all its simulations share.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct PlanHeader {
@@ -47,67 +47,68 @@ pub struct PlanHeader {
     pub format: String,
     /// [`PLAN_VERSION`].
     pub version: u32,
-    /// `gripcast <version>` that made it.
+    /// `gripcast <version>` that created it.
     pub software: String,
-    /// Name of the preset it began with.
+    /// Name of the preset it is based on.
     pub preset: String,
-    /// Everything that is drawn follows from it.
+    /// Random seed.
     pub seed: u64,
     /// Simulator.
     pub engine: EngineKind,
-    /// All its parameters besides friction and force.
+    /// All its parameters except friction and force.
     pub parameters: Value,
-    /// How a simulation becomes images.
+    /// How images are rendered from a simulation.
     pub rendering: RenderingPlan,
 }
 
-/// How a simulation becomes images.
+/// How images are rendered from a simulation.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct RenderingPlan {
-    /// Renderings of each simulation with other light, ground, camera, texture and sensors.
+    /// Renderings of each simulation, each with other light, ground, camera, appearance and sensors.
     pub renderings: u32,
-    /// Paths for each pixel of a colour image.
-    pub samples: u32,
-    /// Spread of the sensors: 0 for the shipped profile, 1 for what is found between real ones.
+    /// Samples per pixel (spp) of the colour images.
+    #[serde(rename = "samples")]
+    pub samples_per_pixel: u32,
+    /// Spread of the tactile sensors: 0 is the shipped profile, 1 the spread between real sensors.
     pub sensor_spread: f64,
-    /// Spread of the colour camera's place and lens and of the light's brightness: 0 for the nominal
-    /// ones, 1 for the usual one.
-    #[serde(default = "usual_spread", skip_serializing_if = "is_usual_spread")]
+    /// Spread of the colour camera's pose and lens and of the light's brightness: 0 is nominal, 1 the
+    /// default.
+    #[serde(default = "default_spread", skip_serializing_if = "is_default_spread")]
     pub visual_spread: f64,
 }
 
-fn usual_spread() -> f64 {
+fn default_spread() -> f64 {
     1.0
 }
 
-fn is_usual_spread(spread: &f64) -> bool {
-    *spread == usual_spread()
+fn is_default_spread(spread: &f64) -> bool {
+    *spread == default_spread()
 }
 
-/// Where an object's mesh comes from.
+/// Source of an object's mesh.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(tag = "from", rename_all = "snake_case", deny_unknown_fields)]
 pub enum MeshSource {
     /// A built-in family.
     Family {
-        /// Its category.
+        /// Category of the family.
         category: String,
-        /// Which of its shapes.
+        /// Seed of the shape.
         seed: u64,
     },
-    /// A file in the plan's folder `MESHES`: binary PLY, metres, fit for simulation.
+    /// A file in the plan's folder `meshes`: binary PLY, metres, ready for simulation.
     File {
-        /// Its name.
+        /// File name.
         file: FileName,
     },
 }
 
 impl MeshSource {
-    /// The file of an object's mesh.
+    /// Source of a mesh that is stored under its object's name.
     ///
     /// # Errors
-    /// None for an object's name.
+    /// None for a valid object name.
     pub(super) fn stored(object: &SimulationId) -> Result<Self> {
         let file = FileName::parse(&format!("{object}.ply"))?;
         Ok(Self::File { file })
@@ -118,25 +119,26 @@ impl MeshSource {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct PlannedObject {
-    /// Name; a key, and begin of file names.
+    /// Name: a key and the start of file names.
     pub name: SimulationId,
-    /// Kind of thing.
+    /// Category, for instance `mug`.
     pub category: String,
-    /// Where its mesh comes from.
+    /// Source of the mesh.
     pub mesh: MeshSource,
-    /// Hash of the mesh in metres, as [`gripcast_geometry::TriangleMesh::content_hash`] gives it.
+    /// [`gripcast_geometry::TriangleMesh::content_hash`] of the mesh in metres.
     pub mesh_sha256: String,
-    /// What it is made of.
+    /// Material name.
     pub material: String,
     /// Mass, kg.
     pub mass_kg: f64,
-    /// Coulomb friction coefficient of gel and object.
+    /// Coulomb friction coefficient between gel and object.
     pub friction: f64,
-    /// Where mass and friction come from.
+    /// Source of mass and friction.
     pub properties: PropertySource,
-    /// What it may look like.
-    pub looks: Vec<Modifier>,
-    /// Images that may be on it.
+    /// Appearances it may have.
+    #[serde(rename = "looks")]
+    pub appearances: Vec<DescribedAppearance>,
+    /// Textures it may have.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub textures: Vec<ImageTexture>,
 }
@@ -145,31 +147,31 @@ pub struct PlannedObject {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct PlannedSimulation {
-    /// `<object>-<grasp>-<force>n`; a key and a file name.
+    /// `<object>-<grasp>-<force>n`: a key and a file name.
     pub id: SimulationId,
     /// Name of the object.
     pub object: SimulationId,
-    /// Number of the grasp among those of the object.
+    /// Number of the grasp on its object.
     pub grasp: u32,
-    /// How it departs from a pair of opposite places; none for one that was given.
+    /// Deviation from an antipodal grasp; none for a given grasp.
     pub fault: Option<GraspFault>,
     /// Simulator.
     pub engine: EngineKind,
     /// Stopping force of finite elements, closing force of rigid bodies, N.
     pub stop_force_n: f64,
-    /// How the object lies on the ground z = 0.
+    /// Pose of the object on the ground z = 0.
     pub t_world_object: Pose,
-    /// The gripper before the fingers close.
+    /// Pose of the gripper before the fingers close.
     pub t_world_gripper: Pose,
     /// Distance between the gels' faces at the start, m.
     pub opening_m: f64,
-    /// Seed of its images; below 2⁵³, so that every JSON reader keeps it.
+    /// Seed of its images, below 2⁵³ so that every JSON reader preserves it.
     pub seed: u64,
     /// Estimated CPU time, s.
     pub cost_s: f64,
 }
 
-/// A plan of `count` simulations of two objects with uneven costs.
+/// Returns a plan of `count` simulations of two objects with different costs.
 #[cfg(test)]
 pub(crate) fn sample_plan(count: usize) -> Plan {
     tests::plan(count)
@@ -198,7 +200,7 @@ mod tests {
             mass_kg: 0.05,
             friction: 0.4,
             properties: PropertySource::Table,
-            looks: Vec::new(),
+            appearances: Vec::new(),
             textures: Vec::new(),
         }
     }
@@ -209,7 +211,7 @@ mod tests {
             id: SimulationId::parse(&format!("{object}-{number:02}-10n")).unwrap(),
             object: SimulationId::parse(object).unwrap(),
             grasp: number as u32,
-            fault: Some(GraspFault::Tilted),
+            fault: Some(GraspFault::Roll),
             engine: EngineKind::Fem,
             stop_force_n: 10.0,
             t_world_object: Pose::IDENTITY,
@@ -231,7 +233,7 @@ mod tests {
             parameters: serde_json::json!({"preset": "paper"}),
             rendering: RenderingPlan {
                 renderings: 3,
-                samples: 8,
+                samples_per_pixel: 8,
                 sensor_spread: 1.0,
                 visual_spread: 1.0,
             },
@@ -241,7 +243,7 @@ mod tests {
     }
 
     #[test]
-    fn a_plan_is_read_back_as_it_was_written_and_stays_the_only_one() {
+    fn plan_reads_back_and_is_never_replaced() {
         let folder = tempfile::tempdir().unwrap();
         plan(5).write(&Root::new(folder.path())).unwrap();
         assert_eq!(Plan::read(folder.path()).unwrap(), plan(5));
@@ -253,7 +255,7 @@ mod tests {
     }
 
     #[test]
-    fn the_usual_spread_of_the_colour_images_is_not_in_the_file() {
+    fn default_visual_spread_is_not_serialised() {
         let mut rendering = plan(0).header.rendering;
         let text = serde_json::to_string(&rendering).unwrap();
         assert!(!text.contains("visual_spread"), "{text}");
@@ -270,7 +272,7 @@ mod tests {
     }
 
     #[test]
-    fn what_was_altered_is_refused() {
+    fn altered_plan_is_refused() {
         let folder = tempfile::tempdir().unwrap();
         plan(5).write(&Root::new(folder.path())).unwrap();
         let path = folder.path().join(PLAN_FILE);
@@ -299,7 +301,7 @@ mod tests {
             object.mesh = MeshSource::stored(&object.name).unwrap();
             object.textures = vec![ImageTexture {
                 file: FileName::parse("0123456789ab.png").unwrap(),
-                words: Label::nearest("label"),
+                name: Label::nearest("label"),
                 sha256: String::new(),
                 width_m: 0.1,
             }];
@@ -312,10 +314,10 @@ mod tests {
     }
 
     #[test]
-    fn a_plan_whose_names_are_paths_cannot_be_read() {
+    fn plan_with_paths_as_names_is_refused() {
         let text = stored_plan();
         assert!(Plan::from_bytes(text.as_bytes()).is_ok());
-        for (key, sound) in [
+        for (key, valid) in [
             ("id", "box-0001-01-10n"),
             ("object", "box-0001"),
             ("name", "box-0001"),
@@ -323,7 +325,7 @@ mod tests {
             ("file", "0123456789ab.png"),
         ] {
             for hostile in ["../../x", "/tmp/x", "a/b", "..", ".x", "", "a\u{1b}[2J"] {
-                let from = format!("\"{key}\":\"{sound}\"");
+                let from = format!("\"{key}\":\"{valid}\"");
                 let to = format!("\"{key}\":{}", serde_json::to_string(hostile).unwrap());
                 assert!(text.contains(&from), "{from}");
                 let error = Plan::from_bytes(text.replace(&from, &to).as_bytes()).unwrap_err();
@@ -333,7 +335,7 @@ mod tests {
     }
 
     #[test]
-    fn a_plan_that_names_meshes_by_paths_is_told_to_be_made_again() {
+    fn plan_with_mesh_paths_has_a_remedy() {
         let text = stored_plan().replace("\"file\":\"box-0000.ply\"", "\"path\":\"/x.obj\"");
         let error = Plan::from_bytes(text.as_bytes()).unwrap_err();
         assert_eq!(error.kind(), ErrorKind::Input, "{error}");
@@ -342,7 +344,7 @@ mod tests {
     }
 
     #[test]
-    fn a_plan_of_families_keeps_its_hash() {
+    fn plan_of_families_keeps_its_hash() {
         let folder = concat!(env!("CARGO_MANIFEST_DIR"), "/../../models/plans/train-fem");
         let plan = Plan::read(std::path::Path::new(folder)).unwrap();
         assert_eq!(
@@ -358,7 +360,7 @@ mod tests {
     }
 
     #[test]
-    fn links_out_of_a_folder_are_neither_read_nor_overwritten() {
+    fn links_out_of_the_folder_are_not_read_or_written() {
         use std::os::unix::fs::symlink;
         let dir = tempfile::tempdir().unwrap();
         let [folder, secret] = ["plan", "secret"].map(|name| dir.path().join(name));
@@ -380,7 +382,7 @@ mod tests {
     }
 
     #[test]
-    fn contradictions_are_refused() {
+    fn contradictory_plans_are_refused() {
         let mut twice = plan(2).simulations;
         twice.push(twice[0].clone());
         let objects = || plan(0).objects.into_values().collect::<Vec<_>>();

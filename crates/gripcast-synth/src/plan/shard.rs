@@ -1,4 +1,4 @@
-//! Parts of a plan for processes that run at the same time.
+//! Shards: disjoint subsets of a plan for parallel processes.
 
 use std::fmt;
 use std::str::FromStr;
@@ -6,7 +6,7 @@ use std::str::FromStr;
 use super::{Plan, PlannedSimulation};
 use gripcast_base::error::{Error, Result};
 
-/// Environment variables in which schedulers tell the index of a task, from 0.
+/// Environment variables in which schedulers pass the index of a task, from 0.
 pub const INDEX_VARIABLES: [&str; 4] = [
     "SLURM_ARRAY_TASK_ID",
     "JOB_COMPLETION_INDEX",
@@ -14,7 +14,7 @@ pub const INDEX_VARIABLES: [&str; 4] = [
     "PBS_ARRAY_INDEX",
 ];
 
-/// Part `index` (from 0) of `count`.
+/// Shard `index` (from 0) of `count`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Shard {
     index: usize,
@@ -25,7 +25,7 @@ impl Shard {
     /// The whole plan.
     pub const WHOLE: Self = Self { index: 0, count: 1 };
 
-    /// Part `index` of `count`.
+    /// Shard `index` of `count`.
     ///
     /// # Errors
     /// `Usage` unless `index` is below `count`.
@@ -35,34 +35,34 @@ impl Shard {
         }
         Err(
             Error::usage(format!("shard {index}/{count} does not exist")).remedy(format!(
-                "shards are 0/{count} to {}/{count}",
+                "valid shards are 0/{count} to {}/{count}",
                 count.max(1) - 1
             )),
         )
     }
 
-    /// `INDEX/COUNT`, or `COUNT` alone (as `/COUNT`) with the index from `variable`, which reads
-    /// the environment.
+    /// Parses `INDEX/COUNT`, or `/COUNT` with the index from `variable`, which reads the
+    /// environment.
     ///
     /// # Errors
-    /// `Usage` for other text, an index outside of the count, or an index that is nowhere.
+    /// `Usage` for other text, an index out of range, or a missing index.
     pub fn parse(text: &str, variable: impl Fn(&str) -> Option<String>) -> Result<Self> {
-        let wrong = || {
-            Error::usage(format!("`{text}` is no shard"))
-                .remedy("write INDEX/COUNT such as 0/8, or /8 where a scheduler tells the index")
+        let invalid = || {
+            Error::usage(format!("invalid shard `{text}`"))
+                .remedy("write INDEX/COUNT such as 0/8, or /8 if a scheduler passes the index")
         };
-        let (index, count) = text.split_once('/').ok_or_else(wrong)?;
-        let count = usize::from_str(count).map_err(|_| wrong())?;
+        let (index, count) = text.split_once('/').ok_or_else(invalid)?;
+        let count = usize::from_str(count).map_err(|_| invalid())?;
         if !index.is_empty() {
-            return Self::new(usize::from_str(index).map_err(|_| wrong())?, count);
+            return Self::new(usize::from_str(index).map_err(|_| invalid())?, count);
         }
         let from_environment = INDEX_VARIABLES
             .iter()
             .find_map(|name| Some((name, variable(name)?)));
         let Some((name, value)) = from_environment else {
             return Err(
-                Error::usage(format!("shard {text} lacks its index")).remedy(format!(
-                    "write INDEX{text}, or run it where one of {} is set",
+                Error::usage(format!("shard {text} has no index")).remedy(format!(
+                    "write INDEX{text}, or set one of {}",
                     INDEX_VARIABLES.join(", ")
                 )),
             );
@@ -74,9 +74,10 @@ impl Shard {
         Self::new(index, count)
     }
 
-    /// The simulations of the part, in the order of the plan. Parts have equal estimated costs:
-    /// the costliest simulation goes to the part with least so far, and so on.
-    pub fn of(self, plan: &Plan) -> Vec<&PlannedSimulation> {
+    /// Selects the simulations of the shard, in the order of the plan. Shards have equal estimated
+    /// costs: each simulation, the most expensive first, goes to the shard with the lowest cost so
+    /// far.
+    pub fn select(self, plan: &Plan) -> Vec<&PlannedSimulation> {
         if self.count == 1 {
             return plan.simulations.iter().collect();
         }
@@ -85,16 +86,16 @@ impl Shard {
         order.sort_by(|a, b| all[*b].cost_s.total_cmp(&all[*a].cost_s).then(a.cmp(b)));
         let mut load = vec![0.0_f64; self.count];
         let mut mine = Vec::new();
-        for at in order {
-            let least = (0..self.count).min_by(|a, b| load[*a].total_cmp(&load[*b]));
-            let Some(least) = least else { break };
-            load[least] += all[at].cost_s;
-            if least == self.index {
-                mine.push(at);
+        for index in order {
+            let lightest = (0..self.count).min_by(|a, b| load[*a].total_cmp(&load[*b]));
+            let Some(lightest) = lightest else { break };
+            load[lightest] += all[index].cost_s;
+            if lightest == self.index {
+                mine.push(index);
             }
         }
         mine.sort_unstable();
-        mine.into_iter().map(|at| &all[at]).collect()
+        mine.into_iter().map(|index| &all[index]).collect()
     }
 }
 
@@ -114,48 +115,49 @@ mod tests {
     }
 
     #[test]
-    fn the_index_is_written_or_told_by_the_scheduler() {
+    fn index_comes_from_text_or_scheduler() {
         assert_eq!(Shard::parse("2/8", nothing).unwrap().to_string(), "2/8");
         let slurm = |name: &str| (name == "SLURM_ARRAY_TASK_ID").then(|| "3".to_owned());
         assert_eq!(Shard::parse("/8", slurm).unwrap().to_string(), "3/8");
-        let text = |shard: &str, on_progress: &str| {
-            let on_progress = on_progress.to_owned();
-            let variable =
-                |name: &str| (name == "JOB_COMPLETION_INDEX").then(|| on_progress.clone());
+        let text = |shard: &str, index: &str| {
+            let index = index.to_owned();
+            let variable = |name: &str| (name == "JOB_COMPLETION_INDEX").then(|| index.clone());
             Shard::parse(shard, variable).unwrap_err().to_string()
         };
-        assert!(text("/8", "eight").contains("JOB_COMPLETION_INDEX is `eight`"));
+        assert!(
+            text("/8", "eight").contains("invalid array index `eight` in JOB_COMPLETION_INDEX")
+        );
         assert!(text("/8", "8").contains("8/8 does not exist"));
         assert!(text("8/8", "0").contains("does not exist"));
         assert!(text("0/0", "0").contains("does not exist"));
-        assert!(text("half", "0").contains("no shard"));
+        assert!(text("half", "0").contains("invalid shard `half`"));
         let error = Shard::parse("/8", nothing).unwrap_err().to_string();
-        assert!(error.contains("lacks its index"), "{error}");
+        assert!(error.contains("has no index"), "{error}");
     }
 
     #[test]
-    fn parts_are_disjoint_whole_and_of_equal_cost() {
+    fn shards_are_disjoint_complete_and_balanced() {
         let plan = sample_plan(40);
         for count in [1, 3, 7, 64] {
             let mut seen = Vec::new();
             let mut costs = Vec::new();
             for index in 0..count {
-                let part = Shard::new(index, count).unwrap().of(&plan);
-                costs.push(part.iter().map(|s| s.cost_s).sum::<f64>());
-                seen.extend(part.iter().map(|s| &s.id));
+                let shard = Shard::new(index, count).unwrap().select(&plan);
+                costs.push(shard.iter().map(|s| s.cost_s).sum::<f64>());
+                seen.extend(shard.iter().map(|s| &s.id));
             }
             seen.sort();
             let mut all: Vec<_> = plan.simulations.iter().map(|s| &s.id).collect();
             all.sort();
             assert_eq!(seen, all, "{count}");
-            let [least, most] =
+            let [min, max] =
                 [f64::min, f64::max].map(|pick| costs.iter().copied().reduce(pick).unwrap());
             let largest = plan
                 .simulations
                 .iter()
                 .map(|s| s.cost_s)
                 .fold(0.0, f64::max);
-            assert!(most - least <= largest, "{count}: {costs:?}");
+            assert!(max - min <= largest, "{count}: {costs:?}");
         }
     }
 }

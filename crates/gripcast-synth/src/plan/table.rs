@@ -1,11 +1,11 @@
-//! Objects of the user's: a table beside their meshes.
+//! Drafts from a user's table of objects.
 
 use std::path::Path;
 
 use serde::Deserialize;
 
 use super::{Drafts, MeshSource, ObjectDraft, TextureDraft};
-use crate::properties::{FRICTION_RANGE, Material, Modifier};
+use crate::properties::{DescribedAppearance, FRICTION_RANGE, Material};
 use gripcast_base::error::{Error, Result};
 use gripcast_base::files::{FileKind, Root, SimulationId, read_text};
 use gripcast_base::random::SeedStream;
@@ -13,9 +13,9 @@ use gripcast_geometry::load_object_mesh_below;
 
 /// Version of the format.
 const SCHEMA: u32 = 1;
-/// Heaviest object that is believed, kg; more is mostly grams taken for kilograms.
+/// Maximum plausible mass, kg; more usually means grams instead of kilograms.
 const MAX_MASS_KG: f64 = 10.0;
-/// Width of textures on objects where the table does not give it, m.
+/// Default width of textures on objects, m.
 const TEXTURE_WIDTH_M: f64 = 0.1;
 
 /// `objects.toml`.
@@ -27,7 +27,7 @@ struct Table {
     object: Vec<toml::Table>,
 }
 
-/// A row of it.
+/// One object of the table.
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct Row {
@@ -47,7 +47,7 @@ struct Row {
     texture_width_m: Option<f64>,
 }
 
-/// Reads a table of objects; an object that cannot be read is left out.
+/// Reads a table of objects; objects that cannot be used are left out.
 ///
 /// ```toml
 /// schema = 1
@@ -55,9 +55,9 @@ struct Row {
 /// [[object]]
 /// name = "blue-mug"              # letters, digits, - _ .
 /// mesh = "mug.obj"               # below the table's folder, or builtin:NAME
-/// unit = "mm"                    # of the mesh's coordinates; not for builtin:NAME
+/// unit = "mm"                    # of the mesh's coordinates; not needed for builtin:NAME
 /// category = "mug"
-/// material = "ceramic"           # density, friction and appearances where they are not given
+/// material = "ceramic"           # default density, friction and appearances
 /// # optional:
 /// scale = 1.0
 /// fill = 1.0                     # fraction of the mesh's volume that is material
@@ -69,19 +69,22 @@ struct Row {
 /// ```
 ///
 /// # Errors
-/// Those of reading the table; `Input` for what is no table or has no objects.
+/// Errors of reading the table; `Input` for an invalid table or one without objects.
 pub fn table_drafts(table: &Path, seed: u64) -> Result<Drafts> {
     let at = |e: Error| e.at(table.display());
     let text = read_text(table, FileKind::Record)
         .map_err(|e| at(Error::io("cannot read the table of objects", e)))?;
-    let found: Table = toml::from_str(&text).map_err(|e| at(no_table().because(e)))?;
+    let found: Table = toml::from_str(&text).map_err(|e| at(invalid_table().because(e)))?;
     if found.schema != SCHEMA {
-        let what = format!("the table has schema {}, known is {SCHEMA}", found.schema);
-        let remedy = "read it with the release of gripcast that it was written for";
+        let what = format!(
+            "expected a table of schema {SCHEMA}, found schema {}",
+            found.schema
+        );
+        let remedy = "use the version of gripcast that it was written for";
         return Err(at(Error::input(what).remedy(remedy)));
     }
     if found.object.is_empty() {
-        return Err(at(no_table()));
+        return Err(at(invalid_table()));
     }
     let folder = Root::new(table.parent().unwrap_or(Path::new(".")));
     let mut drafts = Drafts::default();
@@ -90,16 +93,16 @@ pub fn table_drafts(table: &Path, seed: u64) -> Result<Drafts> {
         let name = name.map_or_else(|| format!("object {}", number + 1), str::to_owned);
         let read = row
             .try_into()
-            .map_err(|e: toml::de::Error| no_table().because(e))
+            .map_err(|e: toml::de::Error| invalid_table().because(e))
             .and_then(|row: Row| draft(row, &folder, seed));
-        drafts.note(&name, read)?;
+        drafts.push(&name, read)?;
     }
     Ok(drafts)
 }
 
-fn no_table() -> Error {
-    Error::input("this is no table of objects").remedy(
-        "write schema = 1 and, for each object, [[object]] with name, mesh, unit, category and \
+fn invalid_table() -> Error {
+    Error::input("not a table of objects").remedy(
+        "write schema = 1 and for each object [[object]] with name, mesh, unit, category and \
          material (docs/synth.md)",
     )
 }
@@ -117,25 +120,25 @@ fn draft(row: Row, folder: &Root, seed: u64) -> Result<ObjectDraft> {
         (Some(unit), _) => unit.as_str(),
         (None, true) => "m",
         (None, false) => {
-            return Err(Error::input(
-                "`unit` is missing: mesh files do not tell what their numbers mean",
-            )
-            .remedy("write unit = \"mm\", \"cm\", \"m\" or \"in\""));
+            return Err(
+                Error::input("`unit` is missing: mesh files do not define their unit")
+                    .remedy("write unit = \"mm\", \"cm\", \"m\" or \"in\""),
+            );
         }
     };
     let scale = row.scale.unwrap_or(1.0);
     let mesh = load_object_mesh_below(folder, &row.mesh, unit.parse()?, scale)?.mesh;
-    let own = SeedStream::named(seed, &format!("object {}", row.name)).bits();
+    let seed = SeedStream::named(seed, &format!("object {}", row.name)).bits();
     let width_m = row.texture_width_m.unwrap_or(TEXTURE_WIDTH_M);
     let texture = |file: &String| {
-        let place = folder.resolve_allowed(file).map_err(|_| {
+        let path = folder.resolve_allowed(file).map_err(|_| {
             let what = format!("the texture {file:?} is not below the folder of the table");
             Error::input(what).remedy(
                 "copy the image beside the table, or allow its folder with \
                  GRIPCAST__FILES__LINKED_FOLDERS",
             )
         })?;
-        TextureDraft::of_file(place, width_m)
+        TextureDraft::from_file(path, width_m)
     };
     Ok(ObjectDraft {
         category: row.category.trim().to_owned(),
@@ -145,10 +148,10 @@ fn draft(row: Row, folder: &Root, seed: u64) -> Result<ObjectDraft> {
         fill: row.fill,
         mass_kg: row.mass_kg,
         friction: row.friction,
-        looks: row
+        appearances: row
             .appearances
             .iter()
-            .map(|words| Modifier::of_words(words, material, own))
+            .map(|words| DescribedAppearance::from_words(words, material, seed))
             .collect(),
         textures: row.textures.iter().map(texture).collect::<Result<_>>()?,
         grasps: None,
@@ -159,7 +162,7 @@ fn draft(row: Row, folder: &Root, seed: u64) -> Result<ObjectDraft> {
 fn in_range(name: &str, value: Option<f64>, [low, high]: [f64; 2]) -> Result<()> {
     match value {
         Some(value) if !(value > 0.0 && value >= low && value <= high) => Err(Error::input(
-            format!("`{name}` must be above 0, from {low} to {high}, found {value}"),
+            format!("`{name}` must be above 0 and from {low} to {high}, found {value}"),
         )),
         _ => Ok(()),
     }
@@ -193,7 +196,7 @@ mod tests {
                           category = \"block\"\nmaterial = \"pine\"\n";
 
     #[test]
-    fn objects_have_what_the_table_says() {
+    fn objects_match_their_table() {
         let more = "mass_kg = 0.05\nfriction = 0.7\nfill = 0.5\ntextures = [\"label.png\"]\n\
                     appearances = [\"glossy blue paint\"]\nscale = 2.0\n";
         let read = read(&format!("{MUG}{CORNER}{more}")).unwrap();
@@ -202,12 +205,12 @@ mod tests {
             panic!("two objects");
         };
         assert_eq!(
-            (mug.mass_kg, mug.friction, mug.looks.len()),
+            (mug.mass_kg, mug.friction, mug.appearances.len()),
             (None, None, 0)
         );
         assert_eq!((corner.mass_kg, corner.friction), (Some(0.05), Some(0.7)));
-        assert_eq!(corner.looks[0].words, "glossy blue paint");
-        assert_eq!(corner.textures[0].planned.words, "label");
+        assert_eq!(corner.appearances[0].description, "glossy blue paint");
+        assert_eq!(corner.textures[0].planned.name, "label");
         assert!((corner.mesh.bounds().extent().max_element() - 0.08).abs() < 1e-12);
         let MeshSource::File { file } = &corner.source else {
             panic!("a file");
@@ -216,7 +219,7 @@ mod tests {
     }
 
     #[test]
-    fn wrong_rows_are_left_out_with_their_reason() {
+    fn invalid_rows_are_left_out_with_reasons() {
         let wrong = [
             ("mass_kg = 210", "from 0 to 10"),
             ("friction = 0.01", "from 0.1 to 1.5"),
@@ -258,7 +261,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_no_table_is_explained() {
+    fn invalid_tables_have_a_remedy() {
         for text in ["", "[[objects]]\n", "object = 3"] {
             let error = read(text).unwrap_err();
             assert_eq!(error.kind(), ErrorKind::Input, "{text}");

@@ -1,4 +1,4 @@
-//! Images of the user's as textures.
+//! User images as textures.
 
 use std::path::Path;
 
@@ -9,36 +9,37 @@ use gripcast_base::error::{Error, Result};
 use gripcast_base::files::{BeneathPath, ContentKey, FileKind, FileName, Label, Root, sha256_hex};
 use gripcast_visual::{Bitmap, read_bitmap};
 
-/// Endings of files that are taken for images.
-const ENDINGS: [&str; 3] = [".png", ".jpg", ".jpeg"];
+/// Suffixes of image files.
+const SUFFIXES: [&str; 3] = [".png", ".jpg", ".jpeg"];
 
-/// An image that may be on an object.
+/// A texture that an object may have.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct ImageTexture {
     /// A PNG or JPEG file in the plan's folder `textures`.
     pub file: FileName,
-    /// What it is called: the name of the original file without its ending.
-    pub words: Label,
+    /// Name of the original file without its suffix.
+    #[serde(rename = "words")]
+    pub name: Label,
     /// SHA-256 of the file, 64 hex digits.
     pub sha256: String,
     /// Width of the image on the object, m.
     pub width_m: f64,
 }
 
-/// An image before it is in a plan's folder.
+/// A texture before it is stored in a plan's folder.
 #[derive(Clone, Debug, PartialEq)]
 pub struct TextureDraft {
-    /// As the plan names it.
+    /// Entry in the plan.
     pub planned: ImageTexture,
     source: BeneathPath,
 }
 
 impl ImageTexture {
-    /// The image; `root` is the folder of the plan.
+    /// Loads the image; `root` is the plan's folder.
     ///
     /// # Errors
-    /// Those of reading it; `Input` where it is not the planned one.
+    /// Errors of reading it; `Input` if it is not the planned one.
     pub fn load(&self, root: &Root) -> Result<Bitmap> {
         let place = root.top().join(TEXTURES).join(&self.file);
         let bytes = read(&place)?;
@@ -56,34 +57,35 @@ impl ImageTexture {
             "the texture changed: expected {}, found {found}",
             self.sha256
         ))
-        .remedy("restore the image, or make the plan again in another folder"))
+        .remedy("restore the image, or create the plan again in another folder"))
     }
 }
 
 impl TextureDraft {
-    /// An image by its file, `width_m` wide on the object.
+    /// Reads an image file that is `width_m` wide on the object.
     ///
     /// # Errors
-    /// Those of reading the image; `Input` for a width that is not above 0.
-    pub fn of_file(source: BeneathPath, width_m: f64) -> Result<Self> {
+    /// Errors of reading the image; `Input` for a width that is not above 0.
+    pub fn from_file(source: BeneathPath, width_m: f64) -> Result<Self> {
         if !(width_m > 0.0 && width_m.is_finite()) {
             return Err(Error::input(format!(
                 "the width of a texture must be above 0, found {width_m} m"
             ))
-            .remedy("give the width that the image has on the object, in metres"));
+            .remedy("give the width of the image on the object in metres"));
         }
         let bytes = read(&source)?;
         read_bitmap(&bytes).map_err(|e| e.at(source.display()))?;
-        let ending = match bytes.starts_with(b"\x89PNG") {
-            true => ".png",
-            false => ".jpg",
+        let suffix = if bytes.starts_with(b"\x89PNG") {
+            ".png"
+        } else {
+            ".jpg"
         };
-        let name = source.name();
-        let stem = Path::new(&name).file_stem().unwrap_or_default();
+        let file_name = source.name();
+        let stem = Path::new(&file_name).file_stem().unwrap_or_default();
         Ok(Self {
             planned: ImageTexture {
-                file: ContentKey::of(&bytes).with_suffix(ending),
-                words: Label::nearest(&stem.to_string_lossy()),
+                file: ContentKey::of(&bytes).with_suffix(suffix),
+                name: Label::nearest(&stem.to_string_lossy()),
                 sha256: sha256_hex(&bytes),
                 width_m,
             },
@@ -91,10 +93,10 @@ impl TextureDraft {
         })
     }
 
-    /// The bytes of the image.
+    /// Reads the bytes of the image.
     ///
     /// # Errors
-    /// Those of reading it; `Input` where it changed since it was first read.
+    /// Errors of reading it; `Input` if it changed since it was first read.
     pub(super) fn read(&self) -> Result<Vec<u8>> {
         let bytes = read(&self.source)?;
         self.planned
@@ -104,26 +106,28 @@ impl TextureDraft {
     }
 }
 
-/// The images of a folder, by name; each `width_m` wide on objects.
+/// Loads the images of a folder, sorted by name, each `width_m` wide on objects.
 ///
 /// # Errors
-/// `Input` for a folder without images; those of reading them.
-pub fn texture_folder(folder: &Path, width_m: f64) -> Result<Vec<TextureDraft>> {
+/// `Input` for a folder without images; errors of reading them.
+pub fn load_textures(folder: &Path, width_m: f64) -> Result<Vec<TextureDraft>> {
     let mut files = Root::new(folder)
         .top()
         .entries()
-        .map_err(|e| Error::io("cannot read the folder of textures", e).at(folder.display()))?;
+        .map_err(|e| Error::io("cannot read the folder with textures", e).at(folder.display()))?;
     files.retain(|file| {
         let name = file.name().to_lowercase();
-        ENDINGS.iter().any(|ending| name.ends_with(ending))
+        SUFFIXES.iter().any(|suffix| name.ends_with(suffix))
     });
     if files.is_empty() {
         return Err(Error::input("the folder has no images")
             .at(folder.display())
             .remedy("put PNG or JPEG files into it"));
     }
-    let of_file = |file| TextureDraft::of_file(file, width_m);
-    files.into_iter().map(of_file).collect()
+    let files = files.into_iter();
+    files
+        .map(|file| TextureDraft::from_file(file, width_m))
+        .collect()
 }
 
 fn read(place: &BeneathPath) -> Result<Vec<u8>> {
@@ -142,7 +146,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_folder_of_images_is_read_and_a_changed_image_noticed() {
+    fn folder_of_images_loads_and_changes_are_detected() {
         let folder = tempfile::tempdir().unwrap();
         let file = |name: &str| folder.path().join(name);
         for (name, level) in [("b.png", 9), ("a.PNG", 200)] {
@@ -152,8 +156,8 @@ mod tests {
                 .unwrap();
         }
         fs::write(file("notes.txt"), "").unwrap();
-        let textures = texture_folder(folder.path(), 0.05).unwrap();
-        let names: Vec<&str> = textures.iter().map(|t| &*t.planned.words).collect();
+        let textures = load_textures(folder.path(), 0.05).unwrap();
+        let names: Vec<&str> = textures.iter().map(|t| &*t.planned.name).collect();
         assert_eq!(names, ["a", "b"]);
         let plan = tempfile::tempdir().unwrap();
         let planned = &textures[0].planned;
@@ -168,26 +172,26 @@ mod tests {
         fs::copy(file("b.png"), file("a.PNG")).unwrap();
         assert!(textures[0].read().is_err());
         fs::write(file("b.png"), "no image").unwrap();
-        assert!(texture_folder(folder.path(), 0.05).is_err());
+        assert!(load_textures(folder.path(), 0.05).is_err());
         let place = Root::new(folder.path()).top().join("a.PNG");
-        assert!(TextureDraft::of_file(place, f64::NAN).is_err());
+        assert!(TextureDraft::from_file(place, f64::NAN).is_err());
         let empty = tempfile::tempdir().unwrap();
-        let error = texture_folder(empty.path(), 0.05).unwrap_err();
+        let error = load_textures(empty.path(), 0.05).unwrap_err();
         assert!(error.to_string().contains("no images"));
     }
 
     #[test]
-    fn an_image_outside_of_the_folder_is_not_read() {
+    fn image_outside_of_the_folder_is_not_read() {
         let dir = tempfile::tempdir().unwrap();
         let at = |name: &str| dir.path().join(name);
         fs::create_dir_all(at("plan/textures")).unwrap();
         image::RgbImage::new(4, 2).save(at("secret.png")).unwrap();
         std::os::unix::fs::symlink("../../secret.png", at("plan/textures/a.png")).unwrap();
-        let error = texture_folder(&at("plan/textures"), 0.05).unwrap_err();
+        let error = load_textures(&at("plan/textures"), 0.05).unwrap_err();
         assert_eq!(error.kind(), ErrorKind::Input, "{error}");
         let planned = ImageTexture {
             file: FileName::parse("a.png").unwrap(),
-            words: Label::default(),
+            name: Label::default(),
             sha256: sha256_hex(fs::read(at("secret.png")).unwrap()),
             width_m: 0.1,
         };

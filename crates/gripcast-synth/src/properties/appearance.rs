@@ -1,81 +1,115 @@
-//! Appearances of an object without a language model.
+//! Appearances of objects, and those from the table of materials.
 
-use super::look::{Appearance, Modifier, linear_rgb};
+use serde::{Deserialize, Serialize};
+
 use super::material::Material;
-use super::surface::{Coat, Shade, State};
+use super::surface::{Shade, State, Surface};
 use gripcast_base::random::SeedStream;
+use gripcast_imaging::srgb_decode;
+use gripcast_visual::Look;
 
 /// Appearances per object, as in the paper (A.1, Texture).
 pub const APPEARANCES: usize = 5;
 
-/// Draws that may fail before any combination that is left is taken.
+/// Random draws before the remaining combinations are tried in order.
 const DRAWS: usize = 64;
-/// Largest relative change of a shade from object to object.
+/// Maximum relative variation of a shade between objects.
 const SHADE_CHANGE: f64 = 0.08;
-/// Largest change of the roughness from object to object.
+/// Maximum variation of the roughness between objects.
 const ROUGHNESS_CHANGE: f64 = 0.04;
 
-/// Five different appearances of a material, composed of a state (wear, pattern), a shade and the
-/// coat: `scratched blue enamel`, `raw light oak`. Shades come twice only when there are too few.
+/// An appearance with its description.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct DescribedAppearance {
+    /// Words before the category, for instance `scratched blue enamel`.
+    #[serde(rename = "words")]
+    pub description: String,
+    /// Appearance for the renderer.
+    #[serde(rename = "look")]
+    pub appearance: Look,
+}
+
+/// Converts an sRGB colour 0xRRGGBB to linear RGB.
+pub(super) fn linear_rgb(hex: u32) -> [f32; 3] {
+    let [_, r, g, b] = hex.to_be_bytes();
+    [r, g, b].map(srgb_decode)
+}
+
+/// Draws five different appearances of a material: combinations of a state (wear, pattern), a shade
+/// and a surface, for instance `scratched blue enamel` or `raw light oak`. A shade repeats only if
+/// there are too few.
 ///
-/// The words and looks depend on `seed`, `object` (its name) and the material alone.
-pub fn builtin_appearances(object: &str, material: &Material, seed: u64) -> Vec<Modifier> {
+/// The result depends only on `seed`, `object` (its name) and the material.
+pub fn builtin_appearances(
+    object: &str,
+    material: &Material,
+    seed: u64,
+) -> Vec<DescribedAppearance> {
     let name = format!("appearance/{}/{object}", material.name);
     let mut stream = SeedStream::named(seed, &name);
-    let mut chosen: Vec<Modifier> = Vec::with_capacity(APPEARANCES);
+    let mut chosen: Vec<DescribedAppearance> = Vec::with_capacity(APPEARANCES);
     let mut shades: Vec<&String> = Vec::new();
     let mut draw = 0;
     while chosen.len() < APPEARANCES {
-        let Some((coat, state, shade)) = drawn(material, &mut stream, draw) else {
+        let Some((surface, state, shade)) = drawn(material, &mut stream, draw) else {
             break;
         };
         draw += 1;
-        let words = phrase(coat, state, shade);
-        let known = chosen.iter().any(|m| m.words == words);
+        let description = description(surface, state, shade);
+        let is_duplicate = chosen.iter().any(|other| other.description == description);
         let same_shade = draw <= DRAWS && shades.contains(&&shade.0);
-        if !known && !same_shade {
+        if !is_duplicate && !same_shade {
             shades.push(&shade.0);
-            chosen.push(Modifier {
-                words,
-                look: look(coat, state, shade, &mut stream),
+            chosen.push(DescribedAppearance {
+                description,
+                appearance: appearance(surface, state, shade, &mut stream),
             });
         }
     }
     chosen
 }
 
-/// A combination by chance; after the first draws all of them in their order.
+/// Draws a random combination; after [`DRAWS`] draws, returns all of them in order.
 fn drawn<'a>(
     material: &'a Material,
     stream: &mut SeedStream,
     draw: usize,
-) -> Option<(&'a Coat, &'a State, &'a Shade)> {
+) -> Option<(&'a Surface, &'a State, &'a Shade)> {
     if draw < DRAWS {
-        let coat = material.coats.get(stream.index(material.coats.len()))?;
-        let state = coat.states.get(stream.index(coat.states.len()))?;
-        let shade = coat.shades.get(stream.index(coat.shades.len()))?;
-        return Some((coat, state, shade));
+        let surface = material
+            .surfaces
+            .get(stream.index(material.surfaces.len()))?;
+        let state = surface.states.get(stream.index(surface.states.len()))?;
+        let shades = surface.shades();
+        let shade = shades.get(stream.index(shades.len()))?;
+        return Some((surface, state, shade));
     }
-    let mut all = material.coats.iter().flat_map(|coat| {
-        let pairs = coat.shades.iter();
-        pairs.flat_map(move |shade| coat.states.iter().map(move |state| (coat, state, shade)))
+    let mut all = material.surfaces.iter().flat_map(|surface| {
+        let pairs = surface.shades().iter();
+        pairs.flat_map(move |shade| {
+            surface
+                .states
+                .iter()
+                .map(move |state| (surface, state, shade))
+        })
     });
     all.nth(draw - DRAWS)
 }
 
-fn phrase(coat: &Coat, state: &State, shade: &Shade) -> String {
-    let words = [&state.0, &shade.0, &coat.noun].map(String::as_str);
-    let said = words.into_iter().filter(|w| !w.is_empty());
-    said.collect::<Vec<_>>().join(" ")
+fn description(surface: &Surface, state: &State, shade: &Shade) -> String {
+    let words = [&state.0, &shade.0, &surface.noun].map(String::as_str);
+    let words = words.into_iter().filter(|word| !word.is_empty());
+    words.collect::<Vec<_>>().join(" ")
 }
 
-fn look(coat: &Coat, state: &State, shade: &Shade, stream: &mut SeedStream) -> Appearance {
+fn appearance(surface: &Surface, state: &State, shade: &Shade, stream: &mut SeedStream) -> Look {
     let brightness = stream.between(1.0 - SHADE_CHANGE, 1.0 + SHADE_CHANGE) as f32;
-    let rougher = stream.between(-ROUGHNESS_CHANGE, ROUGHNESS_CHANGE) as f32;
-    // What is clear stays clear.
-    let change = if state.2 < 0.05 { 0.0 } else { rougher };
-    Appearance {
-        finish: coat.finish,
+    let variation = stream.between(-ROUGHNESS_CHANGE, ROUGHNESS_CHANGE) as f32;
+    // Clear surfaces stay clear.
+    let change = if state.2 < 0.05 { 0.0 } else { variation };
+    Look {
+        finish: surface.finish,
         base_colour: linear_rgb(shade.1).map(|c| (c * brightness).clamp(0.0, 1.0)),
         roughness: (state.2 + change).clamp(0.0, 1.0),
         pattern: state.1,
@@ -89,27 +123,28 @@ mod tests {
     use super::*;
 
     #[test]
-    fn every_material_has_five_different_appearances() {
+    fn every_material_has_five_distinct_appearances() {
         for material in Material::all() {
             for seed in 0..20 {
                 let five = builtin_appearances("thing", material, seed);
-                let words: BTreeSet<_> = five.iter().map(|m| &m.words).collect();
+                let words: BTreeSet<_> = five.iter().map(|m| &m.description).collect();
                 assert_eq!(words.len(), APPEARANCES, "{}: {words:?}", material.name);
-                for Modifier { words, look } in &five {
-                    assert!(!words.contains("  ") && words.trim() == words, "{words:?}");
-                    assert!((0.0..=1.0).contains(&look.roughness), "{words}: {look:?}");
-                    let rgb = look.base_colour;
-                    assert!(
-                        rgb.iter().all(|c| (0.0..=1.0).contains(c)),
-                        "{words}: {look:?}"
-                    );
+                for DescribedAppearance {
+                    description,
+                    appearance,
+                } in &five
+                {
+                    assert!(!description.contains("  ") && description.trim() == description);
+                    assert!((0.0..=1.0).contains(&appearance.roughness), "{description}");
+                    let rgb = appearance.base_colour;
+                    assert!(rgb.iter().all(|c| (0.0..=1.0).contains(c)), "{description}");
                 }
             }
         }
     }
 
     #[test]
-    fn appearances_depend_on_seed_and_object_alone() {
+    fn appearances_depend_only_on_seed_and_object() {
         let steel = Material::named("steel").unwrap();
         let first = builtin_appearances("spoon", steel, 7);
         assert_eq!(first, builtin_appearances("spoon", steel, 7));
@@ -118,12 +153,17 @@ mod tests {
     }
 
     #[test]
-    fn words_and_look_say_the_same() {
+    fn description_matches_appearance() {
         let steel = Material::named("steel").unwrap();
         let all: Vec<_> = (0..200)
             .flat_map(|s| builtin_appearances("box", steel, s))
             .collect();
-        let find = |words: &str| &all.iter().find(|m| m.words == words).unwrap().look;
+        let find = |words: &str| {
+            &all.iter()
+                .find(|m| m.description == words)
+                .unwrap()
+                .appearance
+        };
         let enamel = find("scratched blue enamel");
         assert_eq!(
             serde_json::to_string(&[enamel.finish]).unwrap() + &format!("{:?}", enamel.pattern),
@@ -135,7 +175,7 @@ mod tests {
             let five = builtin_appearances("box", steel, s);
             let all: BTreeSet<_> = five
                 .iter()
-                .map(|m| m.look.base_colour[0].to_bits())
+                .map(|m| m.appearance.base_colour[0].to_bits())
                 .collect();
             all.len()
         };
@@ -143,11 +183,14 @@ mod tests {
     }
 
     #[test]
-    fn a_modifier_survives_its_file() {
+    fn appearance_survives_serialisation() {
         let glass = Material::named("glass").unwrap();
-        for modifier in builtin_appearances("jar", glass, 3) {
-            let text = serde_json::to_string(&modifier).unwrap();
-            assert_eq!(serde_json::from_str::<Modifier>(&text).unwrap(), modifier);
+        for drawn in builtin_appearances("jar", glass, 3) {
+            let text = serde_json::to_string(&drawn).unwrap();
+            assert_eq!(
+                serde_json::from_str::<DescribedAppearance>(&text).unwrap(),
+                drawn
+            );
         }
     }
 }

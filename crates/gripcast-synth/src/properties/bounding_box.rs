@@ -1,18 +1,19 @@
-//! The size of an object as the paper's prompt states it.
+//! Object size as in the paper's prompt.
 
 use glam::{DVec2, DVec3};
 
 use gripcast_base::error::Result;
 use gripcast_geometry::{TriangleMesh, convex_hull};
 
-/// Most faces of the hull that a box is laid on; round objects have thousands alike.
+/// Maximum hull faces that are tried; round objects have thousands of similar ones.
 const MAX_FACES: usize = 256;
 
-/// Sides of the oriented bounding box, m, longest first: the box of least volume among those that
-/// lie on one of the 256 largest faces of the convex hull and along one side of its shadow there.
+/// Returns the sides of the oriented bounding box, m, longest first: the box of minimum volume among
+/// those that lie on one of the 256 largest faces of the convex hull and along one side of the hull's
+/// projection onto that face.
 ///
 /// # Errors
-/// `Input` for a mesh that spans no volume.
+/// `Input` for a mesh that encloses no volume.
 pub fn oriented_size_m(mesh: &TriangleMesh) -> Result<[f64; 3]> {
     let hull = convex_hull(&mesh.vertices)?;
     let areas = hull.triangle_areas();
@@ -24,31 +25,31 @@ pub fn oriented_size_m(mesh: &TriangleMesh) -> Result<[f64; 3]> {
         Some(box_on_face(&hull.vertices, normal))
     });
     let volume = |sides: &[f64; 3]| sides.iter().product::<f64>();
-    let least = boxes.min_by(|a, b| volume(a).total_cmp(&volume(b)));
-    let mut sides = least.unwrap_or_else(|| mesh.bounds().extent().to_array());
+    let smallest = boxes.min_by(|a, b| volume(a).total_cmp(&volume(b)));
+    let mut sides = smallest.unwrap_or_else(|| mesh.bounds().extent().to_array());
     sides.sort_by(|a, b| b.total_cmp(a));
     Ok(sides)
 }
 
-/// Sides of the box of least volume with one side along `normal`, m.
+/// Sides of the smallest box with one side along `normal`, m.
 fn box_on_face(points: &[DVec3], normal: DVec3) -> [f64; 3] {
     let (u, v) = normal.any_orthonormal_pair();
-    let shadow = outline(
+    let projection = outline(
         points
             .iter()
             .map(|p| DVec2::new(p.dot(u), p.dot(v)))
             .collect(),
     );
-    let next = shadow.iter().cycle().skip(1);
-    let sizes = shadow.iter().zip(next).filter_map(|(a, b)| {
+    let next = projection.iter().cycle().skip(1);
+    let sizes = projection.iter().zip(next).filter_map(|(a, b)| {
         let along = (*b - *a).try_normalize()?;
         Some([
-            extent(&shadow, |p| p.dot(along)),
-            extent(&shadow, |p| p.perp_dot(along)),
+            extent(&projection, |p| p.dot(along)),
+            extent(&projection, |p| p.perp_dot(along)),
         ])
     });
-    let least = sizes.min_by(|a, b| (a[0] * a[1]).total_cmp(&(b[0] * b[1])));
-    let [width, depth] = least.unwrap_or_default();
+    let smallest = sizes.min_by(|a, b| (a[0] * a[1]).total_cmp(&(b[0] * b[1])));
+    let [width, depth] = smallest.unwrap_or_default();
     [width, depth, extent(points, |p| p.dot(normal))]
 }
 
@@ -61,7 +62,7 @@ fn extent<T: Copy>(points: &[T], along: impl Fn(T) -> f64) -> f64 {
     (high - low).max(0.0)
 }
 
-/// Corners of the convex hull in the plane, counter-clockwise (monotone chain of Andrew).
+/// Corners of the planar convex hull, counter-clockwise (Andrew's monotone chain).
 fn outline(mut points: Vec<DVec2>) -> Vec<DVec2> {
     points.sort_by(|a, b| a.x.total_cmp(&b.x).then(a.y.total_cmp(&b.y)));
     points.dedup();
@@ -93,15 +94,15 @@ mod tests {
     use gripcast_geometry::{Pose, builtin};
 
     #[test]
-    fn a_turned_box_keeps_its_size() {
+    fn rotated_box_keeps_its_size() {
         let mesh = builtin("box").unwrap();
-        for turn in [
+        for rotation in [
             DVec3::ZERO,
             DVec3::new(0.3, -0.7, 1.1),
             DVec3::new(0.0, 0.0, 0.785),
         ] {
-            let turned = mesh.transformed(&Pose::from_rotation(DQuat::from_scaled_axis(turn)));
-            let size = oriented_size_m(&turned).unwrap();
+            let rotated = mesh.transformed(&Pose::from_rotation(DQuat::from_scaled_axis(rotation)));
+            let size = oriented_size_m(&rotated).unwrap();
             for (found, wanted) in size.iter().zip([0.06, 0.04, 0.04]) {
                 assert!((found - wanted).abs() < 1e-9, "{size:?}");
             }
@@ -109,7 +110,7 @@ mod tests {
     }
 
     #[test]
-    fn round_things_have_their_diameter() {
+    fn round_objects_have_their_diameter() {
         let size = oriented_size_m(&builtin("cylinder").unwrap()).unwrap();
         assert!(
             (size[0] - 0.08).abs() < 1e-9 && (size[2] - 0.05).abs() < 1e-3,

@@ -1,10 +1,10 @@
-//! What objects are made of.
+//! Materials.
 
-use super::look::FinishClass;
-use super::surface::{Coat, SURFACES};
+use super::surface::{SURFACES, Surface};
 use gripcast_base::error::{Result, unknown_name};
+use gripcast_visual::FinishClass;
 
-/// A material by its usual name.
+/// A material.
 ///
 /// Densities are round values within the ranges of the *CRC Handbook of Chemistry and Physics*
 /// (Density of Various Solids), the *Wood Handbook* of the USDA (woods at 12 % moisture),
@@ -12,18 +12,18 @@ use gripcast_base::error::{Result, unknown_name};
 ///
 /// Friction is that of a dry, clean surface against soft silicone. Published values against
 /// rubber are few and wide: steel 0.64–0.86, concrete 0.6–1.0, glass above 2 (Engineering
-/// ToolBox, *Friction coefficients*). Ranges are judged between these: smooth stiff surfaces
-/// stick, waxy, powdery and fibrous ones slide.
+/// ToolBox, *Friction coefficients*). Ranges are estimated from these: smooth stiff
+/// surfaces have high friction; waxy, powdery and fibrous ones have low friction.
 #[derive(Debug, PartialEq)]
 pub struct Material {
     /// Name in tables and commands.
     pub name: String,
     /// Density of the solid, kg/m³.
     pub density_kg_m3: f64,
-    /// Lowest and highest coefficient of friction against dry soft silicone.
+    /// Minimum and maximum coefficient of friction against dry soft silicone.
     pub friction: [f64; 2],
-    /// What its surface can look like; the first is the bare material.
-    pub(super) coats: Vec<Coat>,
+    /// Possible surfaces; the first is the bare material.
+    pub(super) surfaces: Vec<Surface>,
 }
 
 impl Material {
@@ -32,24 +32,21 @@ impl Material {
         &SURFACES.materials
     }
 
-    /// Material by name. Case does not matter; spaces and hyphens are underscores.
+    /// Finds a material by name. Case is ignored; spaces and hyphens count as underscores.
     ///
     /// # Errors
-    /// `Usage` for an unknown name; the remedy has the nearest name and all of them.
+    /// `Usage` for an unknown name; the remedy lists the nearest name and all names.
     pub fn named(name: &str) -> Result<&'static Self> {
-        let wanted = name.trim().to_lowercase().replace([' ', '-'], "_");
-        Self::all()
-            .iter()
-            .find(|m| m.name == wanted)
-            .ok_or_else(|| {
-                let known: Vec<&str> = Self::all().iter().map(|m| &*m.name).collect();
-                unknown_name("material", &wanted, &known)
-            })
+        let name = name.trim().to_lowercase().replace([' ', '-'], "_");
+        Self::all().iter().find(|m| m.name == name).ok_or_else(|| {
+            let names: Vec<&str> = Self::all().iter().map(|m| &*m.name).collect();
+            unknown_name("material", &name, &names)
+        })
     }
 
-    /// What the bare surface is rendered as.
+    /// Finish of the bare material.
     pub fn finish(&self) -> FinishClass {
-        self.coats
+        self.surfaces
             .first()
             .map_or(FinishClass::Plastic, |c| c.finish)
     }
@@ -61,7 +58,7 @@ mod tests {
     use gripcast_base::error::ErrorKind;
 
     #[test]
-    fn every_row_can_be_used() {
+    fn every_row_is_valid() {
         assert_eq!(Material::all().len(), 40);
         for material in Material::all() {
             let name = &material.name;
@@ -69,14 +66,15 @@ mod tests {
             assert!((20.0..9000.0).contains(&material.density_kg_m3), "{name}");
             let [low, high] = material.friction;
             assert!(0.1 <= low && low < high && high <= 1.5, "{name}");
-            assert!(!material.coats.is_empty(), "{name}");
-            let usable = |coat: &Coat| !coat.states.is_empty() && !coat.shades.is_empty();
-            assert!(material.coats.iter().all(usable), "{name}");
+            assert!(!material.surfaces.is_empty(), "{name}");
+            let usable =
+                |surface: &Surface| !surface.states.is_empty() && !surface.shades().is_empty();
+            assert!(material.surfaces.iter().all(usable), "{name}");
         }
     }
 
     #[test]
-    fn names_are_forgiving_and_errors_name_the_nearest() {
+    fn names_are_normalised_and_errors_suggest_the_nearest() {
         assert_eq!(
             Material::named(" Stainless-Steel").unwrap().name,
             "stainless_steel"

@@ -1,4 +1,4 @@
-//! Mass and friction of an object and where they come from.
+//! Mass and friction of an object, with their source.
 
 use serde::{Deserialize, Serialize};
 
@@ -7,17 +7,17 @@ use super::surface::SURFACES;
 use gripcast_base::error::{Error, Result};
 use gripcast_base::random::SeedStream;
 
-/// Coefficients of friction that the paper's prompt asks for (A.1).
+/// Range of friction coefficients in the paper's prompt (A.1).
 pub const FRICTION_RANGE: [f64; 2] = [0.1, 1.5];
-/// Heaviest object of the paper's dataset before its masses are mapped (A.1), kg.
+/// Maximum mass in the paper's dataset before mapping (A.1), kg.
 pub const MAX_MASS_KG: f64 = 1.0;
-/// Masses of the paper's real objects, which those of the dataset are mapped to (A.1), kg.
+/// Mass range of the paper's real objects, the target of the mapping (A.1), kg.
 pub const MASS_RANGE_KG: [f64; 2] = [0.01, 0.2];
 
-/// Largest relative difference of walls and contents between objects of a category.
+/// Maximum relative variation of the fill between objects of a category.
 const FILL_CHANGE: f64 = 0.15;
 
-/// Where a property comes from.
+/// Source of a property.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case", tag = "from", deny_unknown_fields)]
 pub enum PropertySource {
@@ -25,13 +25,14 @@ pub enum PropertySource {
     Table,
     /// A language model.
     Llm {
-        /// Its name at the endpoint.
+        /// Name of the model at the endpoint.
         model: String,
     },
-    /// The table of materials, because the language model gave nothing.
+    /// The table of materials, because the language model failed.
     Fallback {
-        /// What happened.
-        why: String,
+        /// Why it failed.
+        #[serde(rename = "why")]
+        reason: String,
     },
     /// The user.
     Given,
@@ -41,26 +42,26 @@ pub enum PropertySource {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct PhysicalProperties {
-    /// Mass, kg; before [`map_masses`] that of the real thing.
+    /// Mass, kg; before [`map_masses`], that of a real object.
     pub mass_kg: f64,
     /// Coefficient of friction against the dry gel, in [`FRICTION_RANGE`].
     pub friction: f64,
-    /// Where both come from.
+    /// Source of both.
     pub source: PropertySource,
 }
 
-/// Fill of a category that the table does not list: massive.
-const OTHER_FILL: f64 = 1.0;
+/// Fill of categories that are not in the table: solid.
+const DEFAULT_FILL: f64 = 1.0;
 
-/// Mass and friction without a language model: density × volume × fill, friction uniform in the
-/// material's range.
+/// Estimates mass and friction from the table of materials: density × volume × fill, and friction
+/// uniform in the material's range.
 ///
-/// `fill` in (0, 1] is the fraction of `volume_m3` that is material; without it that of the category,
-/// changed by up to 15 % with the seed. Meshes with walls of their own (a mug with its cavity)
-/// have fill 1. The result depends on the arguments alone.
+/// `fill` in (0, 1] is the fraction of `volume_m3` that is material; the default is that of the
+/// category, varied by up to 15 % with the seed. Meshes with modelled walls (a mug with its cavity)
+/// have fill 1.
 ///
 /// # Errors
-/// `Input` for a volume that is not positive and finite, a fill outside (0, 1].
+/// `Input` for a volume that is not positive and finite, or a fill outside (0, 1].
 pub fn estimate(
     category: &str,
     material: &Material,
@@ -72,7 +73,7 @@ pub fn estimate(
         return Err(Error::input(format!(
             "the volume must be positive and finite, found {volume_m3} m³"
         ))
-        .remedy("give a closed mesh whose triangles run counter-clockwise seen from outside"));
+        .remedy("use a closed mesh whose triangles are counter-clockwise seen from outside"));
     }
     if let Some(fill) = fill
         && !(fill > 0.0 && fill <= 1.0)
@@ -80,12 +81,12 @@ pub fn estimate(
         return Err(Error::input(format!(
             "the fill must be above 0 and at most 1, found {fill}"
         ))
-        .remedy("give the fraction of the volume that is material: 1 for a massive object"));
+        .remedy("set the fraction of the volume that is material: 1 for a solid object"));
     }
     let name = format!("physical/{category}/{}", material.name);
     let mut stream = SeedStream::named(seed, &name);
     let change = stream.between(1.0 - FILL_CHANGE, 1.0 + FILL_CHANGE);
-    let fill = fill.unwrap_or_else(|| (usual_fill(category) * change).min(1.0));
+    let fill = fill.unwrap_or_else(|| (default_fill(category) * change).min(1.0));
     let [low, high] = material.friction;
     Ok(PhysicalProperties {
         mass_kg: material.density_kg_m3 * volume_m3 * fill,
@@ -94,7 +95,7 @@ pub fn estimate(
     })
 }
 
-fn usual_fill(category: &str) -> f64 {
+fn default_fill(category: &str) -> f64 {
     let lower = category.to_lowercase();
     let noun = lower
         .split(|c: char| !c.is_alphanumeric())
@@ -103,15 +104,15 @@ fn usual_fill(category: &str) -> f64 {
     let fills = &SURFACES.fills;
     let singular = || noun.strip_suffix('s').and_then(|noun| fills.get(noun));
     let fill = fills.get(noun).or_else(singular);
-    fill.copied().unwrap_or(OTHER_FILL)
+    fill.copied().unwrap_or(DEFAULT_FILL)
 }
 
-/// How masses of things become masses of a dataset's objects.
+/// How masses of real objects are mapped to masses of a dataset.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum MassMap {
     /// As in the paper (A.1): linearly to [`MASS_RANGE_KG`].
     Linear,
-    /// Linearly in the logarithm of the mass: where most things are light, [`Linear`](Self::Linear)
+    /// Linearly in the logarithm of the mass. Most objects are light, and [`Linear`](Self::Linear)
     /// leaves nearly all of them at the lower end.
     #[default]
     Logarithmic,
@@ -119,14 +120,14 @@ pub enum MassMap {
     None,
 }
 
-/// Masses of a whole set of objects: above 1 kg they become 1 kg, then all are mapped, the lightest
-/// to 0.01 kg and the heaviest to 0.2 kg. Linearly (A.1):
+/// Maps the masses of a set of objects: they are clamped to 1 kg, then the lightest is mapped to
+/// 0.01 kg and the heaviest to 0.2 kg. Linear mapping (A.1):
 ///
-/// m → 0.01 + 0.19 (min(m, 1) − low) / (high − low), with low and high the smallest and largest
-/// min(m, 1) of the list.
+/// m → 0.01 + 0.19 (min(m, 1) − low) / (high − low), with low and high the minimum and maximum
+/// of min(m, 1).
 ///
-/// Masses that are all equal (or a single one) have no such line; they are only kept within
-/// [0.01, 0.2] kg. The map depends on the whole list: with another object all masses change.
+/// Equal masses (or a single one) are only clamped to [0.01, 0.2] kg. The mapping depends on the whole
+/// list: another object changes all masses.
 ///
 /// # Errors
 /// `Input` for a mass that is not positive and finite.
@@ -136,26 +137,26 @@ pub fn map_masses(masses_kg: &[f64], map: MassMap) -> Result<Vec<f64>> {
             "mass {i} must be positive and finite, found {mass} kg"
         )));
     }
-    let forth = match map {
+    let transform = match map {
         MassMap::None => return Ok(masses_kg.to_vec()),
         MassMap::Linear => |m: f64| m,
         MassMap::Logarithmic => f64::ln,
     };
     let scale: Vec<f64> = masses_kg
         .iter()
-        .map(|m| forth(m.min(MAX_MASS_KG)))
+        .map(|m| transform(m.min(MAX_MASS_KG)))
         .collect();
     let low = scale.iter().copied().fold(f64::INFINITY, f64::min);
     let high = scale.iter().copied().fold(f64::NEG_INFINITY, f64::max);
     let [to_low, to_high] = MASS_RANGE_KG;
-    let mapped = |(at, mass): (&f64, &f64)| {
+    let mapped = |(value, mass): (&f64, &f64)| {
         if high <= low {
             return mass.clamp(to_low, to_high);
         }
-        let fraction = (at - low) / (high - low);
+        let fraction = (value - low) / (high - low);
         match map {
             MassMap::Logarithmic => to_low.powf(1.0 - fraction) * to_high.powf(fraction),
-            // The ends exactly, whatever rounding does.
+            // Exact at both ends despite rounding.
             _ => to_low * (1.0 - fraction) + to_high * fraction,
         }
     };
@@ -171,7 +172,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_massive_object_weighs_its_volume() {
+    fn solid_object_weighs_its_volume() {
         for material in Material::all() {
             let found = estimate("block", material, 1e-4, Some(1.0), 3).unwrap();
             let expected = material.density_kg_m3 * 1e-4;
@@ -187,7 +188,7 @@ mod tests {
     }
 
     #[test]
-    fn hollow_categories_are_lighter_and_seeds_differ() {
+    fn hollow_categories_are_lighter_and_vary_by_seed() {
         let pet = Material::named("pet").unwrap();
         let mass =
             |category: &str, seed| estimate(category, pet, 5e-4, None, seed).unwrap().mass_kg;
@@ -206,7 +207,7 @@ mod tests {
     }
 
     #[test]
-    fn absurd_volumes_and_fills_are_refused() {
+    fn invalid_volumes_and_fills_are_refused() {
         let abs = Material::named("abs").unwrap();
         for volume in [0.0, -1e-4, f64::NAN, f64::INFINITY] {
             let error = estimate("toy", abs, volume, None, 0).unwrap_err();
@@ -230,7 +231,7 @@ mod tests {
     }
 
     #[test]
-    fn logarithms_spread_the_light_ones() {
+    fn logarithmic_map_spreads_light_masses() {
         let masses = [0.001, 0.01, 0.1, 1.0];
         let mapped = map_masses(&masses, MassMap::Logarithmic).unwrap();
         let steps: Vec<f64> = mapped.windows(2).map(|w| w[1] / w[0]).collect();
@@ -240,7 +241,7 @@ mod tests {
     }
 
     #[test]
-    fn masses_without_a_spread_stay_in_the_range() {
+    fn equal_masses_are_clamped() {
         let map = |masses: &[f64]| map_masses(masses, MassMap::Linear);
         assert_eq!(map(&[]).unwrap(), Vec::<f64>::new());
         assert_eq!(map(&[0.1]).unwrap(), [0.1]);
@@ -254,7 +255,7 @@ mod tests {
     }
 
     #[test]
-    fn sources_are_tagged_in_files() {
+    fn property_sources_are_tagged() {
         let source = PropertySource::Llm {
             model: "gpt-4o".to_owned(),
         };

@@ -1,39 +1,62 @@
-//! The table of materials, their surfaces, and words for surfaces: `surfaces.toml`.
+//! The embedded table `surfaces.toml`: materials, their surfaces, and words that describe surfaces.
 
 use std::collections::HashMap;
 use std::sync::LazyLock;
 
 use serde::Deserialize;
 
-use super::look::{FinishClass, SurfacePattern};
 use super::material::Material;
+use gripcast_visual::{FinishClass, PatternWord};
 
 /// A colour word and its colour, sRGB 0xRRGGBB.
 pub(super) type Shade = (String, u32);
 /// A word for a state, its pattern and roughness.
-pub(super) type State = (String, SurfacePattern, f32);
+pub(super) type State = (String, PatternWord, f32);
 
-/// A kind of surface; each of its states goes with each of its shades.
-#[derive(Clone, Debug, PartialEq)]
-pub(super) struct Coat {
+/// A kind of surface; each of its states combines with each of its shades.
+#[derive(Clone, Debug, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct Surface {
     /// How it reflects light.
     pub(super) finish: FinishClass,
-    /// Word after state and shade; empty where the shade names the material.
+    /// Word after state and shade; empty if the shade names the material.
     pub(super) noun: String,
     pub(super) states: Vec<State>,
-    pub(super) shades: Vec<Shade>,
+    shades: ShadeList,
 }
 
-/// Stems of words and what they say.
+/// A list of [`Shades`] by name, or the shades themselves.
+#[derive(Clone, Debug, PartialEq, Deserialize)]
+#[serde(untagged)]
+enum ShadeList {
+    Named(String),
+    Own(Vec<Shade>),
+}
+
+impl Surface {
+    pub(super) fn shades(&self) -> &[Shade] {
+        match &self.shades {
+            ShadeList::Own(shades) => shades,
+            ShadeList::Named(name) => match &name[..] {
+                "paint" => &SURFACES.shades.paint,
+                "wood" => &SURFACES.shades.wood,
+                "clear" => &SURFACES.shades.clear,
+                _ => &[],
+            },
+        }
+    }
+}
+
+/// Word stems and their meaning.
 #[derive(Debug, Default, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct Words {
     pub(super) finishes: Vec<(String, FinishClass)>,
-    pub(super) patterns: Vec<(String, SurfacePattern)>,
+    pub(super) patterns: Vec<(String, PatternWord)>,
     pub(super) roughness: Vec<(String, f32)>,
 }
 
-/// Shades by what has them.
+/// Shared lists of shades.
 #[derive(Debug, Default, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct Shades {
@@ -51,64 +74,33 @@ pub(super) struct Surfaces {
     pub(super) fills: HashMap<String, f64>,
 }
 
-/// What the file says; a test reads it.
+/// The parsed table; tests check that it is valid.
 pub(super) static SURFACES: LazyLock<Surfaces> = LazyLock::new(|| {
     toml::from_str::<File>(include_str!("surfaces.toml"))
-        .map_or_else(|_| Surfaces::default(), Surfaces::of)
+        .map_or_else(|_| Surfaces::default(), Surfaces::from)
 });
 
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 struct File {
     materials: Vec<(String, f64, [f64; 2], Vec<String>)>,
-    coats: HashMap<String, CoatEntry>,
+    surfaces: HashMap<String, Surface>,
     shades: Shades,
     words: Words,
     fills: HashMap<String, f64>,
 }
 
-#[derive(Deserialize)]
-#[serde(deny_unknown_fields)]
-struct CoatEntry {
-    finish: FinishClass,
-    noun: String,
-    states: Vec<State>,
-    shades: ShadeEntry,
-}
-
-/// Shades by the name of their list, or the shades.
-#[derive(Deserialize)]
-#[serde(untagged)]
-enum ShadeEntry {
-    Named(String),
-    Own(Vec<Shade>),
-}
-
-impl Surfaces {
-    fn of(file: File) -> Self {
-        let shades = |entry: &ShadeEntry| match entry {
-            ShadeEntry::Own(shades) => shades.clone(),
-            ShadeEntry::Named(name) => match &name[..] {
-                "paint" => file.shades.paint.clone(),
-                "wood" => file.shades.wood.clone(),
-                "clear" => file.shades.clear.clone(),
-                _ => Vec::new(),
-            },
-        };
-        let coat = |name: &String| {
-            file.coats.get(name).map(|coat| Coat {
-                finish: coat.finish,
-                noun: coat.noun.clone(),
-                states: coat.states.clone(),
-                shades: shades(&coat.shades),
-            })
-        };
-        let rows = file.materials.iter();
-        let materials = rows.map(|(name, density_kg_m3, friction, coats)| Material {
-            name: name.clone(),
-            density_kg_m3: *density_kg_m3,
-            friction: *friction,
-            coats: coats.iter().filter_map(coat).collect(),
+impl From<File> for Surfaces {
+    fn from(file: File) -> Self {
+        let rows = file.materials.into_iter();
+        let materials = rows.map(|(name, density_kg_m3, friction, surfaces)| Material {
+            name,
+            density_kg_m3,
+            friction,
+            surfaces: surfaces
+                .iter()
+                .filter_map(|surface| file.surfaces.get(surface).cloned())
+                .collect(),
         });
         Self {
             materials: materials.collect(),

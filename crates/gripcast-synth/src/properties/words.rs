@@ -1,40 +1,39 @@
-//! The look that words of a language model stand for.
+//! Appearances from English descriptions, as a language model writes them.
 
-use super::look::FinishClass::{
-    self, Ceramic, Fabric, Glass, Metal, Organic, Paper, Plastic, Print, Rubber, Stone, Wood,
-};
-use super::look::SurfacePattern::{self, Grain, Plain, Printed, Speckled, Woven};
-use super::look::{Appearance, Modifier, linear_rgb};
+use super::appearance::{DescribedAppearance, linear_rgb};
 use super::material::Material;
 use super::surface::{SURFACES, Shade};
 use gripcast_base::random::SeedStream;
+use gripcast_visual::FinishClass::{
+    self, Ceramic, Fabric, Glass, Metal, Organic, Paper, Plastic, Print, Rubber, Stone, Wood,
+};
+use gripcast_visual::Look;
+use gripcast_visual::PatternWord::{self, Grain, Plain, Printed, Speckled, Woven};
 
-impl Modifier {
-    /// An appearance of a thing of `material` in English words; what they leave open is that of
-    /// the bare material, the colour one by chance.
-    pub fn of_words(words: &str, material: &Material, seed: u64) -> Self {
+impl DescribedAppearance {
+    /// Interprets a description. Unspecified properties are those of the bare `material`, with a
+    /// random colour.
+    pub fn from_words(description: &str, material: &Material, seed: u64) -> Self {
         Self {
-            words: words.to_owned(),
-            look: look_of_words(words, material, seed),
+            description: description.to_owned(),
+            appearance: interpret(description, material, seed),
         }
     }
 }
 
-/// The look of an appearance in English words. What the words leave open is that of the bare
-/// material, the colour one by chance.
-fn look_of_words(words: &str, material: &Material, seed: u64) -> Appearance {
-    let text = words.to_lowercase();
-    let spoken: Vec<&str> = text
+fn interpret(description: &str, material: &Material, seed: u64) -> Look {
+    let text = description.to_lowercase();
+    let words: Vec<&str> = text
         .split(|c: char| !c.is_alphabetic())
         .filter(|w| !w.is_empty())
         .collect();
-    let known = &SURFACES.words;
-    let finish = last(&spoken, &known.finishes).unwrap_or_else(|| material.finish());
-    let pattern = last(&spoken, &known.patterns).unwrap_or(usual_pattern(finish));
-    let roughness = last(&spoken, &known.roughness).unwrap_or(usual_roughness(finish));
+    let stems = &SURFACES.words;
+    let finish = last_match(&words, &stems.finishes).unwrap_or_else(|| material.finish());
+    let pattern = last_match(&words, &stems.patterns).unwrap_or(default_pattern(finish));
+    let roughness = last_match(&words, &stems.roughness).unwrap_or(default_roughness(finish));
     let mut stream = SeedStream::named(seed, &format!("look/{text}"));
-    let hex = colour(&spoken).unwrap_or_else(|| any_colour(finish, material, &mut stream));
-    Appearance {
+    let hex = named_colour(&words).unwrap_or_else(|| random_colour(finish, material, &mut stream));
+    Look {
         finish,
         base_colour: linear_rgb(hex),
         roughness,
@@ -42,58 +41,55 @@ fn look_of_words(words: &str, material: &Material, seed: u64) -> Appearance {
     }
 }
 
-/// What the last word stands for that begins with a known stem.
-fn last<T: Copy>(spoken: &[&str], known: &[(String, T)]) -> Option<T> {
-    let meaning = |word: &&str| known.iter().find(|(stem, _)| word.starts_with(&**stem));
-    spoken
-        .iter()
-        .rev()
-        .find_map(meaning)
-        .map(|(_, value)| *value)
+/// Returns the meaning of the last word that starts with one of the stems.
+fn last_match<T: Copy>(words: &[&str], stems: &[(String, T)]) -> Option<T> {
+    let meaning = |word: &&str| stems.iter().find(|(stem, _)| word.starts_with(&**stem));
+    let found = words.iter().rev().find_map(meaning);
+    found.map(|(_, value)| *value)
 }
 
-/// The colour that is named: paint before kinds of wood before bare materials, longest first, so
+/// Finds a named colour: paint before kinds of wood before bare materials, the longest name first, so
 /// that `light blue` is not `blue`.
-fn colour(spoken: &[&str]) -> Option<u32> {
-    let spoken_text = format!(" {} ", spoken.join(" "));
+fn named_colour(words: &[&str]) -> Option<u32> {
+    let text = format!(" {} ", words.join(" "));
     let longest = |shades: &[Shade]| {
         let named = shades
             .iter()
-            .filter(|(name, _)| spoken_text.contains(&format!(" {name} ")));
+            .filter(|(name, _)| text.contains(&format!(" {name} ")));
         named
             .max_by_key(|(name, _)| name.len())
             .map(|(_, hex)| *hex)
     };
-    let gray = spoken.contains(&"gray").then_some(0x8A_8C8E);
-    let wood = spoken.contains(&"oak").then_some(0xC4_A26E);
+    let gray = words.contains(&"gray").then_some(0x8A_8C8E);
+    let wood = words.contains(&"oak").then_some(0xC4_A26E);
     let shades = &SURFACES.shades;
-    // The other colours of clear things are those of paint, or none.
+    // The first three clear shades are those of paint, or none.
     let clear = shades.clear.get(3..).unwrap_or_default();
     longest(&shades.paint)
         .or(gray)
         .or_else(|| longest(&shades.wood))
         .or(wood)
         .or_else(|| longest(clear))
-        .or_else(|| last(spoken, &shades.bare))
+        .or_else(|| last_match(words, &shades.bare))
 }
 
-fn any_colour(finish: FinishClass, material: &Material, stream: &mut SeedStream) -> u32 {
-    let bare = material.coats.iter().find(|c| c.finish == finish);
-    let known = &SURFACES.shades;
-    let shades = match (bare, finish) {
-        (Some(coat), _) => &coat.shades,
-        (None, Wood) => &known.wood,
-        (None, Glass) => &known.clear,
+fn random_colour(finish: FinishClass, material: &Material, stream: &mut SeedStream) -> u32 {
+    let surface = material.surfaces.iter().find(|s| s.finish == finish);
+    let shared = &SURFACES.shades;
+    let shades = match (surface, finish) {
+        (Some(surface), _) => surface.shades(),
+        (None, Wood) => &shared.wood,
+        (None, Glass) => &shared.clear,
         // Silver to aluminium.
-        (None, Metal) => known.bare.get(4..8).unwrap_or_default(),
-        (None, _) => &known.paint,
+        (None, Metal) => shared.bare.get(4..8).unwrap_or_default(),
+        (None, _) => &shared.paint,
     };
     shades
         .get(stream.index(shades.len()))
         .map_or(0x80_8080, |(_, hex)| *hex)
 }
 
-fn usual_pattern(finish: FinishClass) -> SurfacePattern {
+fn default_pattern(finish: FinishClass) -> PatternWord {
     match finish {
         Wood => Grain,
         Fabric => Woven,
@@ -103,7 +99,7 @@ fn usual_pattern(finish: FinishClass) -> SurfacePattern {
     }
 }
 
-fn usual_roughness(finish: FinishClass) -> f32 {
+fn default_roughness(finish: FinishClass) -> f32 {
     match finish {
         Glass => 0.0,
         Ceramic => 0.15,
@@ -118,15 +114,15 @@ fn usual_roughness(finish: FinishClass) -> f32 {
 
 #[cfg(test)]
 mod tests {
-    use super::super::look::SurfacePattern::{Brushed, Scratched, Worn};
     use super::*;
+    use gripcast_visual::PatternWord::{Brushed, Scratched, Worn};
 
-    fn look(words: &str) -> Appearance {
-        look_of_words(words, Material::named("abs").unwrap(), 1)
+    fn look(words: &str) -> Look {
+        interpret(words, Material::named("abs").unwrap(), 1)
     }
 
     #[test]
-    fn words_name_finish_colour_pattern_and_roughness() {
+    fn words_define_finish_colour_pattern_and_roughness() {
         let enamel = look("Scratched light blue enamel");
         assert_eq!((enamel.finish, enamel.pattern), (Ceramic, Scratched));
         assert_eq!(enamel.base_colour, linear_rgb(0x86_B4D6));
@@ -146,15 +142,15 @@ mod tests {
     }
 
     #[test]
-    fn open_words_take_the_material() {
+    fn unspecified_properties_come_from_the_material() {
         let pale = look("mysterious");
         assert_eq!((pale.finish, pale.pattern), (Plastic, Plain));
         assert_eq!(pale, look("mysterious"));
-        let glass = look_of_words("old", Material::named("glass").unwrap(), 1);
+        let glass = interpret("old", Material::named("glass").unwrap(), 1);
         assert_eq!((glass.finish, glass.roughness), (Glass, 0.0));
         assert_eq!(look("").finish, Plastic);
         let seeds: Vec<_> = (0..20)
-            .map(|s| look_of_words("smooth", Material::named("abs").unwrap(), s).base_colour)
+            .map(|s| interpret("smooth", Material::named("abs").unwrap(), s).base_colour)
             .collect();
         assert!(seeds.iter().any(|c| *c != seeds[0]));
     }

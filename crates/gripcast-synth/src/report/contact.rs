@@ -1,48 +1,50 @@
-//! What the tactile images show, by force and label.
+//! Visible contact in the tactile images, by force and label.
 //!
-//! A dataset whose lost grasps show no contact would give its labels away.
+//! If slips showed no contact, a model could predict the label from that alone.
 
 use super::facts::{ContactFacts, ContactGroup, Quantiles, Separation};
-use super::gather::{Done, different};
-use super::look::{CHANGED_LEVELS, Look, MIN_CHANGED};
+use super::inspect::{CHANGED_LEVELS, MIN_CHANGED, TactileChange};
 use super::numbers::auroc;
+use super::results::{FinishedSimulation, distinct};
 
-/// A simulation with a label that was looked at.
-pub(super) struct Seen<'a> {
-    pub(super) done: &'a Done<'a>,
-    pub(super) held: bool,
-    pub(super) look: Look,
+/// A labelled simulation whose images were inspected.
+pub(super) struct InspectedSimulation<'a> {
+    pub(super) done: &'a FinishedSimulation<'a>,
+    pub(super) stable: bool,
+    pub(super) change: TactileChange,
 }
 
-impl Seen<'_> {
-    fn without(&self) -> usize {
-        let changed = self.look.changed.iter();
+impl InspectedSimulation<'_> {
+    fn without_contact(&self) -> usize {
+        let changed = self.change.changed.iter();
         changed.filter(|fraction| **fraction < MIN_CHANGED).count()
     }
 
     fn strength(&self) -> f64 {
-        self.look.mean_change.iter().sum()
+        self.change.mean_change.iter().sum()
     }
 }
 
-/// The facts of what was looked at.
-pub(super) fn contact(seen: &[Seen<'_>]) -> ContactFacts {
-    let forces = different(seen.iter().map(|one| one.done.simulation.stop_force_n));
+/// Summarises the inspected simulations.
+pub(super) fn contact(inspected: &[InspectedSimulation<'_>]) -> ContactFacts {
+    let forces = distinct(inspected.iter().map(|one| one.done.simulation.stop_force_n));
     let mut facts = ContactFacts {
         changed_levels: CHANGED_LEVELS,
-        least_changed: MIN_CHANGED,
+        min_changed: MIN_CHANGED,
         ..ContactFacts::default()
     };
     for stop_force_n in forces {
         let mut strengths = [Vec::new(), Vec::new()];
-        for held in [true, false] {
-            let of_group = |one: &&Seen<'_>| {
-                one.held == held && one.done.simulation.stop_force_n == stop_force_n
+        for stable in [true, false] {
+            let of_group = |one: &&InspectedSimulation<'_>| {
+                one.stable == stable && one.done.simulation.stop_force_n == stop_force_n
             };
-            let group: Vec<&Seen<'_>> = seen.iter().filter(of_group).collect();
-            strengths[usize::from(held)] = group.iter().map(|one| one.strength()).collect();
+            let group: Vec<&InspectedSimulation<'_>> = inspected.iter().filter(of_group).collect();
+            strengths[usize::from(stable)] = group.iter().map(|one| one.strength()).collect();
             if !group.is_empty() {
-                facts.groups.push(of(stop_force_n, held, &group));
+                facts
+                    .groups
+                    .push(contact_group(stop_force_n, stable, &group));
             }
         }
         facts.separation.push(Separation {
@@ -53,15 +55,19 @@ pub(super) fn contact(seen: &[Seen<'_>]) -> ContactFacts {
     facts
 }
 
-fn of(stop_force_n: f64, held: bool, group: &[&Seen<'_>]) -> ContactGroup {
-    let without = group.iter().map(|one| one.without());
+fn contact_group(
+    stop_force_n: f64,
+    stable: bool,
+    group: &[&InspectedSimulation<'_>],
+) -> ContactGroup {
+    let without = group.iter().map(|one| one.without_contact());
     ContactGroup {
         stop_force_n,
-        held,
+        stable,
         pairs: 2 * group.len(),
         without: without.clone().sum(),
         both_without: without.filter(|without| *without == 2).count(),
-        mean_change: Quantiles::of(group.iter().flat_map(|one| one.look.mean_change)),
+        mean_change: Quantiles::of(group.iter().flat_map(|one| one.change.mean_change)),
     }
 }
 
@@ -71,33 +77,36 @@ mod tests {
     use super::*;
 
     #[test]
-    fn pairs_without_contact_and_what_strength_tells_are_counted() {
+    fn pairs_without_contact_and_separation_are_counted() {
         let sample = Sample::new(8);
-        // At 10 N the held ones are stronger, at 40 N all are alike.
-        let held = [true, true, true, false, false, true, false, false];
-        let gathered = labelled(&sample, &held);
-        let seen = gathered.labelled().enumerate().map(|(k, (done, held))| {
-            let is_weak = k % 2 == 0 && !held;
-            Seen {
-                done,
-                held,
-                look: Look {
-                    rendering: 0,
-                    appearance: String::new(),
-                    mean_change: if is_weak { [0.1, 0.2] } else { [3.0, 4.0] },
-                    changed: [
-                        if is_weak { 0.0 } else { 0.2 },
-                        if k == 4 { 0.0 } else { 0.1 },
-                    ],
-                    images: None,
-                },
-            }
-        });
+        // At 10 N stable grasps have stronger contact, at 40 N all are alike.
+        let stable = [true, true, true, false, false, true, false, false];
+        let plan_results = labelled(&sample, &stable);
+        let seen = plan_results
+            .labelled()
+            .enumerate()
+            .map(|(k, (done, stable))| {
+                let is_weak = k % 2 == 0 && !stable;
+                InspectedSimulation {
+                    done,
+                    stable,
+                    change: TactileChange {
+                        rendering: 0,
+                        appearance: String::new(),
+                        mean_change: if is_weak { [0.1, 0.2] } else { [3.0, 4.0] },
+                        changed: [
+                            if is_weak { 0.0 } else { 0.2 },
+                            if k == 4 { 0.0 } else { 0.1 },
+                        ],
+                        images: None,
+                    },
+                }
+            });
         let facts = contact(&seen.collect::<Vec<_>>());
         let counts: Vec<_> = facts
             .groups
             .iter()
-            .map(|g| (g.stop_force_n, g.held, g.pairs, g.without, g.both_without))
+            .map(|g| (g.stop_force_n, g.stable, g.pairs, g.without, g.both_without))
             .collect();
         let expected = [
             (10.0, true, 4, 0, 0),
@@ -107,7 +116,7 @@ mod tests {
         ];
         assert_eq!(counts, expected);
         assert_eq!(facts.groups[1].mean_change.max, 0.2);
-        let told: Vec<_> = facts.separation.iter().map(|s| s.auroc).collect();
-        assert_eq!(told, [Some(1.0), Some(0.5)]);
+        let auroc: Vec<_> = facts.separation.iter().map(|s| s.auroc).collect();
+        assert_eq!(auroc, [Some(1.0), Some(0.5)]);
     }
 }

@@ -1,4 +1,4 @@
-//! The dataset of a plan: what `synth merge` wrote.
+//! The dataset of a plan, as `synth merge` wrote it.
 
 use std::collections::BTreeSet;
 use std::path::Path;
@@ -10,20 +10,19 @@ use gripcast_base::error::{Error, Result};
 use gripcast_base::files::{BeneathPath, FileKind, Printable, Root, sha256_hex};
 use gripcast_dataset::shard::ShardReader;
 
-/// A dataset whose files are those that were written.
+/// A dataset whose files are verified.
 #[derive(Clone, Debug)]
-pub(super) struct FoundDataset {
+pub(super) struct VerifiedDataset {
     merge: MergeReport,
-    /// Its simulations.
+    /// Ids of its simulations.
     pub(super) chosen: BTreeSet<String>,
 }
 
-impl FoundDataset {
-    /// Reads the dataset of a plan and checks its files.
+impl VerifiedDataset {
+    /// Reads the dataset of a plan and verifies its files.
     ///
     /// # Errors
-    /// `NotFound` where there is none or a file is missing; `Input` for a dataset of another plan,
-    /// or a damaged one.
+    /// `NotFound` if a file is missing; `Input` for a dataset of another plan, or a damaged one.
     pub(super) fn read(folder: &Path, plan: &Plan) -> Result<Self> {
         let merge = MergeReport::read(folder)?;
         if merge.plan_sha256 != plan.sha256 {
@@ -35,30 +34,30 @@ impl FoundDataset {
                     .collect::<String>()
             });
             let what =
-                format!("the dataset is of another plan: expected {expected}, found {found}");
+                format!("the dataset belongs to another plan: expected {expected}, found {found}");
             return Err(Error::input(what)
                 .at(folder.display())
-                .remedy("give the plan that it was merged from, or merge this one"));
+                .remedy("name the plan that it was merged from, or merge this one"));
         }
         let root = Root::new(folder);
         let mut chosen = BTreeSet::new();
         for (name, sha256) in &merge.files {
-            let wrong = |e: Error| {
+            let located = |e: Error| {
                 e.at(Printable(name))
                     .at(folder.display())
-                    .remedy("merge again into a new folder: it comes out the same")
+                    .remedy("merge again into a new folder: the dataset will be identical")
             };
-            let cannot = |e| wrong(Error::io("cannot read a file of the dataset", e));
-            let place = root.resolve(name).map_err(cannot)?;
-            check(&place, sha256).map_err(wrong)?;
-            for facts in ShardReader::open_beneath(&place)?.facts() {
+            let unreadable = |e| located(Error::io("cannot read a file of the dataset", e));
+            let path = root.resolve(name).map_err(unreadable)?;
+            check(&path, sha256).map_err(located)?;
+            for facts in ShardReader::open_beneath(&path)?.facts() {
                 chosen.insert(facts?.simulation);
             }
         }
         Ok(Self { merge, chosen })
     }
 
-    /// Its facts; results may have come after it.
+    /// Returns its facts; later results may exist.
     pub(super) fn facts(&self, progress: &ProgressFacts) -> DatasetFacts {
         DatasetFacts {
             later_results: self.merge.open.saturating_sub(progress.open),
@@ -67,13 +66,12 @@ impl FoundDataset {
     }
 }
 
-fn check(place: &BeneathPath, sha256: &str) -> Result<()> {
-    let bytes = place
+fn check(path: &BeneathPath, sha256: &str) -> Result<()> {
+    let bytes = path
         .read(FileKind::Bulk)
         .map_err(|e| Error::io("cannot read a file of the dataset", e))?;
     if sha256_hex(bytes) == sha256 {
         return Ok(());
     }
-    let what = "the file is not the one that was merged";
-    Err(Error::input(what))
+    Err(Error::input("the file is not the one that was merged"))
 }

@@ -1,4 +1,4 @@
-//! What a report has: `report.json`. The page is drawn from it and from nothing else.
+//! Contents of `report.json`, the only source of the page.
 
 use std::collections::BTreeMap;
 
@@ -10,9 +10,9 @@ use crate::store::CpuSeconds;
 /// Name of the format in the file.
 pub const SYNTH_REPORT_FORMAT: &str = "gripcast-synth-report";
 /// Version of the format.
-pub const SYNTH_REPORT_VERSION: u32 = 1;
+pub const SYNTH_REPORT_VERSION: u32 = 2;
 
-/// A report of a plan, its results and, where given, the dataset of them.
+/// A report on a plan, its results and, if given, its dataset.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct SynthReport {
@@ -20,65 +20,65 @@ pub struct SynthReport {
     pub format: String,
     /// [`SYNTH_REPORT_VERSION`].
     pub version: u32,
-    /// `gripcast <version>` that reported.
+    /// `gripcast <version>` that created the report.
     pub software: String,
-    /// Decides which grasps and renderings are looked at.
+    /// Seed that selects the inspected grasps and renderings.
     pub seed: u64,
-    /// What was planned.
+    /// The plan.
     pub plan: PlanFacts,
-    /// How far it is.
+    /// Progress of the plan.
     pub progress: ProgressFacts,
     /// All results by category.
     pub categories: BTreeMap<String, CategoryFacts>,
-    /// The dataset, where one was given.
+    /// The dataset, if given.
     pub dataset: Option<DatasetFacts>,
-    /// Labels by what may decide them.
+    /// Label counts by attributes that may predict the label.
     pub balance: Vec<BalanceTable>,
-    /// What the tactile images show.
+    /// Visible contact in the tactile images.
     pub contact: ContactFacts,
-    /// What it cost.
+    /// CPU time.
     pub costs: CostFacts,
-    /// Simulations without a label, by outcome and reason, the most frequent first.
+    /// Simulations without a label by outcome and reason, the most frequent first.
     pub unlabelled: Vec<UnlabelledGroup>,
-    /// The contact sheet: held grasps first.
+    /// The contact sheet, stable grasps first.
     pub examples: Vec<Example>,
 }
 
-/// What was planned.
+/// Summary of a plan.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct PlanFacts {
-    /// Hash of the plan.
+    /// SHA-256 of the plan.
     pub sha256: String,
-    /// Preset that it began with.
+    /// Preset it is based on.
     pub preset: String,
-    /// Its seed.
+    /// Seed of the plan.
     pub seed: u64,
     /// Simulator.
     pub engine: String,
-    /// `gripcast <version>` that planned.
+    /// `gripcast <version>` that created the plan.
     pub software: String,
-    /// Objects.
+    /// Number of objects.
     pub objects: usize,
-    /// Their categories.
+    /// Number of categories.
     pub categories: usize,
-    /// Grasps: poses, at any force.
+    /// Number of grasps: poses, at any force.
     pub grasps: usize,
-    /// Simulations.
+    /// Number of simulations.
     pub simulations: usize,
-    /// Forces, N.
+    /// Stopping forces, N.
     pub stop_forces_n: Vec<f64>,
     /// Renderings of each simulation.
     pub renderings: u32,
-    /// Paths for each pixel of a colour image.
-    pub samples: u32,
+    /// Samples per pixel (spp) of the colour images.
+    pub samples_per_pixel: u32,
     /// Spread of the tactile sensors.
     pub sensor_spread: f64,
     /// Spread of the colour camera and the light.
     pub visual_spread: f64,
 }
 
-/// How far a plan is.
+/// Progress of a plan.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct ProgressFacts {
@@ -86,43 +86,43 @@ pub struct ProgressFacts {
     pub done: usize,
     /// Simulations without one.
     pub open: usize,
-    /// Of the open ones, those whose result is damaged, by id.
+    /// Ids of open simulations with a damaged result.
     pub damaged: Vec<String>,
-    /// Of those done, the ones that could not be simulated.
+    /// Of those done, the failed ones.
     pub failed: usize,
-    /// Labels of the others, where they have one.
-    pub labels: Labels,
-    /// Renderings.
+    /// Labels of the others.
+    pub labels: LabelCounts,
+    /// Number of renderings.
     pub rows: usize,
     /// Results by outcome.
     pub outcomes: BTreeMap<String, usize>,
 }
 
-/// How many simulations of a kind held, and how many were lost.
+/// Numbers of stable grasps and slips.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct Labels {
-    /// The object was held.
-    pub held: usize,
-    /// It was lost.
-    pub lost: usize,
+pub struct LabelCounts {
+    /// Stable grasps.
+    pub stable: usize,
+    /// Slips.
+    pub slip: usize,
 }
 
-impl Labels {
-    /// One more.
-    pub fn note(&mut self, held: bool) {
-        self.held += usize::from(held);
-        self.lost += usize::from(!held);
+impl LabelCounts {
+    /// Counts one label.
+    pub fn add(&mut self, stable: bool) {
+        self.stable += usize::from(stable);
+        self.slip += usize::from(!stable);
     }
 
-    /// Both.
-    pub fn all(self) -> usize {
-        self.held + self.lost
+    /// Total.
+    pub fn total(self) -> usize {
+        self.stable + self.slip
     }
 
-    /// Fraction of those that held; none of none.
-    pub fn fraction(self) -> Option<f64> {
-        (self.all() > 0).then(|| self.held as f64 / self.all() as f64)
+    /// Fraction of stable grasps; none without grasps.
+    pub fn stable_fraction(self) -> Option<f64> {
+        (self.total() > 0).then(|| self.stable as f64 / self.total() as f64)
     }
 }
 
@@ -130,31 +130,31 @@ impl Labels {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct CategoryFacts {
-    /// Planned objects.
+    /// Number of planned objects.
     pub objects: usize,
-    /// Grasps with a label at some force.
+    /// Number of grasps with a label at some force.
     pub grasps: usize,
-    /// Simulations with a label.
-    pub labels: Labels,
+    /// Labels of the simulations.
+    pub labels: LabelCounts,
 }
 
 /// A dataset.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct DatasetFacts {
-    /// What `synth merge` said of it.
+    /// Description by `synth merge`.
     pub merge: MergeReport,
-    /// Results that came after it was merged.
+    /// Number of results that are newer than the dataset.
     pub later_results: usize,
 }
 
-/// Labels by one thing that may decide them.
+/// Label counts by one attribute.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct BalanceTable {
-    /// What the groups are made by, with its unit.
+    /// The attribute with its unit.
     pub by: String,
-    /// The groups in their order; those without a label are not there.
+    /// Groups in order, without empty ones.
     pub groups: Vec<BalanceGroup>,
 }
 
@@ -162,25 +162,25 @@ pub struct BalanceTable {
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct BalanceGroup {
-    /// What they share.
+    /// Value or range of the attribute.
     pub name: String,
-    /// Among all results.
-    pub results: Labels,
-    /// In the dataset, where one was given.
-    pub dataset: Option<Labels>,
+    /// Labels of all results.
+    pub results: LabelCounts,
+    /// Labels in the dataset, if given.
+    pub dataset: Option<LabelCounts>,
 }
 
-/// What the tactile images show, of one rendering of each simulation with a label.
+/// Visible contact in the tactile images of one rendering per labelled simulation.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct ContactFacts {
-    /// A pixel counts as changed above this, grey levels.
+    /// Minimum change of a changed pixel, grey levels.
     pub changed_levels: u16,
-    /// A pair with a smaller fraction of changed pixels shows no contact.
-    pub least_changed: f64,
+    /// Minimum fraction of changed pixels of a pair with contact.
+    pub min_changed: f64,
     /// By force and label.
     pub groups: Vec<ContactGroup>,
-    /// By force: how well the strength of the change alone tells the labels apart.
+    /// By force: how well the strength of the change alone separates the labels.
     pub separation: Vec<Separation>,
 }
 
@@ -188,118 +188,118 @@ pub struct ContactFacts {
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct ContactGroup {
-    /// Force, N.
+    /// Stopping force, N.
     pub stop_force_n: f64,
-    /// Label.
-    pub held: bool,
-    /// Pairs of images: two sensors of each simulation.
+    /// Label: stable or slip.
+    pub stable: bool,
+    /// Number of image pairs: two sensors per simulation.
     pub pairs: usize,
-    /// Of those, without visible contact.
+    /// Number of pairs without visible contact.
     pub without: usize,
-    /// Simulations whose both sensors show none.
+    /// Number of simulations without visible contact on both sensors.
     pub both_without: usize,
     /// Mean absolute difference of grasp and initial image, grey levels.
     pub mean_change: Quantiles,
 }
 
-/// How well the strength of the change alone tells the labels of a force apart.
+/// How well the strength of the change alone separates the labels at one force.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Separation {
-    /// Force, N.
+    /// Stopping force, N.
     pub stop_force_n: f64,
-    /// Probability that a held grasp changed the images more than a lost one: 0.5 tells nothing.
-    /// None where there is only one label.
+    /// Probability that a stable grasp changes the images more than a slip; 0.5 is no separation.
+    /// None with only one label.
     pub auroc: Option<f64>,
 }
 
-/// Some numbers in short.
+/// Quantiles of a set of numbers.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Quantiles {
-    /// 5 % are below.
+    /// 5 % quantile.
     pub p05: f64,
-    /// Half are below.
+    /// Median.
     pub median: f64,
-    /// 95 % are below.
+    /// 95 % quantile.
     pub p95: f64,
-    /// The largest.
+    /// Maximum.
     pub max: f64,
 }
 
-/// What the results cost. Simulations that failed have no times.
+/// CPU time of the results; failed simulations have none.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct CostFacts {
-    /// Simulations with times.
+    /// Number of simulations with CPU times.
     pub simulations: usize,
-    /// CPU time of all, s.
+    /// Total CPU time by stage, s.
     pub total_s: CpuSeconds,
-    /// CPU time of each, s: `prepare`, `simulate`, `tactile`, `visual`, `all`.
+    /// CPU time per simulation, s: `prepare`, `simulate`, `tactile`, `visual`, `all`.
     pub each_s: BTreeMap<String, Quantiles>,
-    /// Simulations in an hour of one core; none without times.
+    /// Simulations per core hour; none without CPU times.
     pub per_core_hour: Option<f64>,
-    /// The same for simulations with a label.
+    /// Labelled simulations per core hour.
     pub labelled_per_core_hour: Option<f64>,
     /// By simulator and force.
     pub settings: Vec<SettingCost>,
-    /// The plan's estimate against what was found; none without times.
+    /// The plan's estimate compared with the measured CPU time; none without CPU times.
     pub estimate: Option<EstimateFacts>,
 }
 
-/// What simulations of a simulator and a force cost.
+/// CPU time by simulator and force.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct SettingCost {
     /// Simulator.
     pub engine: String,
-    /// Force, N.
+    /// Stopping force, N.
     pub stop_force_n: f64,
-    /// Simulations.
+    /// Number of simulations.
     pub simulations: usize,
-    /// CPU time of the simulator, s.
+    /// CPU time of the simulator per simulation, s.
     pub simulate_s: Quantiles,
-    /// CPU time of all parts, s.
+    /// CPU time of all stages per simulation, s.
     pub all_s: Quantiles,
-    /// CPU time of all, s.
+    /// Total CPU time, s.
     pub total_s: f64,
-    /// Newton iterations of a simulation.
+    /// Newton iterations per simulation.
     pub newton_iterations: Quantiles,
-    /// Steps of all.
+    /// Number of time steps.
     pub steps: usize,
-    /// Steps that did not converge.
+    /// Number of steps that did not converge.
     pub unconverged_steps: usize,
-    /// Simulations with such a step.
+    /// Number of simulations with such a step.
     pub unconverged_simulations: usize,
 }
 
-/// An estimate of costs against what was found.
+/// Estimated and measured CPU time.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct EstimateFacts {
     /// Estimated CPU time, s.
     pub estimated_s: f64,
-    /// CPU time found for the same simulations, s.
-    pub found_s: f64,
-    /// Found over estimated of each simulation.
+    /// Measured CPU time of the same simulations, s.
+    pub measured_s: f64,
+    /// Measured over estimated CPU time per simulation.
     pub ratio: Quantiles,
-    /// Pearson's correlation of both; none where one does not vary.
+    /// Pearson correlation of both; none if one does not vary.
     pub correlation: Option<f64>,
 }
 
-/// Simulations without a label that have one reason.
+/// Simulations without a label, with the same reason.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct UnlabelledGroup {
-    /// Their outcome.
+    /// Outcome.
     pub outcome: String,
-    /// The reason, numbers as `#`.
+    /// Reason, with numbers replaced by `#`.
     pub reason: String,
-    /// How many.
+    /// Number of simulations.
     pub count: usize,
-    /// The first of them.
+    /// Id of the first one.
     pub example: String,
-    /// Its reason in full.
+    /// Full reason of the first one.
     pub example_reason: String,
 }
 
@@ -307,44 +307,44 @@ pub struct UnlabelledGroup {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Example {
-    /// Simulation.
+    /// Id of the simulation.
     pub simulation: String,
-    /// Object.
+    /// Name of the object.
     pub object: String,
-    /// Its category.
+    /// Category of the object.
     pub category: String,
-    /// Its material.
+    /// Material of the object.
     pub material: String,
-    /// How the grasp departs from opposite places; none for one that was given.
+    /// Deviation from an antipodal grasp; none for a given grasp.
     pub fault: Option<String>,
-    /// Force, N.
+    /// Stopping force, N.
     pub stop_force_n: f64,
     /// Coulomb friction coefficient.
     pub friction: f64,
     /// Mass, kg.
     pub mass_kg: f64,
-    /// Rise of the object, m.
+    /// Rise of the object's centre of mass, m.
     pub lifted_m: f64,
-    /// What became of it.
+    /// Simulation outcome.
     pub outcome: String,
-    /// Whether it held.
-    pub held: bool,
-    /// Which rendering is shown.
+    /// Label: stable or slip.
+    pub stable: bool,
+    /// Number of the rendering.
     pub rendering: u32,
-    /// What the object looks like, in words.
+    /// Description of the object's appearance.
     pub appearance: String,
-    /// The images.
+    /// Images of the rendering.
     pub images: ExampleImages,
 }
 
-/// Small images of a rendering, each a data URI.
+/// Thumbnails of a rendering as data URIs.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct ExampleImages {
-    /// The colour camera before the lift.
+    /// Colour camera before the lift.
     pub colour: String,
-    /// The left and the right sensor before the lift.
+    /// Left and right sensor before the lift.
     pub grasp: [String; 2],
-    /// What the contact changed in them: grey is no change.
+    /// Change by the contact; mid-grey is no change.
     pub change: [String; 2],
 }

@@ -1,20 +1,19 @@
-//! The report of a synthetic dataset: how far it is, what is in it, how it is balanced, what it
-//! looks like and what it cost; facts first, the page from them.
+//! Reports on synthetic datasets: progress, contents, balance, examples and cost. The facts are
+//! collected first; the page is rendered from them.
 //!
-//! Everything is read from the files of the plan, its results and the dataset, so the same files
-//! give the same report.
+//! Equal files of plan, results and dataset give identical reports.
 
 mod balance;
 mod contact;
 mod costs;
 mod dataset;
 mod facts;
-mod gather;
 mod html;
-mod look;
+mod inspect;
 mod numbers;
 #[cfg(test)]
 mod report_test;
+mod results;
 #[cfg(test)]
 mod sample;
 mod sheet;
@@ -26,96 +25,97 @@ use std::path::{Path, PathBuf};
 pub use facts::*;
 pub use html::page;
 
-use self::contact::Seen;
-use self::dataset::FoundDataset;
-use self::gather::{Done, Gathered};
+use self::contact::InspectedSimulation;
+use self::dataset::VerifiedDataset;
+use self::results::{FinishedSimulation, PlanResults};
 use super::plan::Plan;
 use super::store::ResultStore;
 use gripcast_base::error::Result;
 use gripcast_base::workers::one_per_core;
 
-/// What is reported.
+/// Settings of a report.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct SynthReportSettings {
-    /// Folder of the dataset, where there is one.
+    /// Folder of the dataset, if there is one.
     pub dataset: Option<PathBuf>,
-    /// Grasps of each label on the contact sheet.
+    /// Number of grasps of each label on the contact sheet.
     pub examples: usize,
-    /// Decides which grasps and renderings are looked at.
+    /// Seed that selects the inspected grasps and renderings.
     pub seed: u64,
-    /// Simulations that are looked at at a time; the report does not depend on it.
+    /// Simulations that are inspected in parallel; the report does not depend on it.
     pub jobs: usize,
 }
 
-/// The report of the plan in a folder, as far as its simulations are. `told` gets how many results
-/// were looked at, and of how many.
+/// Creates the report on the plan in a folder; the plan may be unfinished. `on_progress` gets the
+/// number of inspected results and their total.
 ///
 /// # Errors
-/// `Input` for results or a dataset of another plan, damaged images or a damaged dataset;
-/// `NotFound` where a file is missing; those of the operating system.
+/// `Input` for results or a dataset of another plan, damaged images or a damaged dataset; `NotFound`
+/// if a file is missing; I/O errors.
 pub fn report(
     plan: &Plan,
     folder: &Path,
     settings: &SynthReportSettings,
     on_progress: &(dyn Fn(usize, usize) + Sync),
 ) -> Result<SynthReport> {
-    let store = ResultStore::beside(folder);
-    let gathered = Gathered::read(plan, &store)?;
-    let progress = gathered.progress();
-    let found = settings.dataset.as_deref();
-    let found = found
-        .map(|path| FoundDataset::read(path, plan))
+    let store = ResultStore::new(folder);
+    let plan_results = PlanResults::read(plan, &store)?;
+    let progress = plan_results.progress();
+    let dataset = settings.dataset.as_deref();
+    let dataset = dataset
+        .map(|path| VerifiedDataset::read(path, plan))
         .transpose()?;
-    let chosen = found.as_ref().map(|found| &found.chosen);
-    let seen = seen(&gathered, &store, chosen, settings, on_progress)?;
+    let chosen = dataset.as_ref().map(|dataset| &dataset.chosen);
+    let inspected = inspected(&plan_results, &store, chosen, settings, on_progress)?;
     Ok(SynthReport {
         format: SYNTH_REPORT_FORMAT.to_owned(),
         version: SYNTH_REPORT_VERSION,
         software: concat!("gripcast ", env!("CARGO_PKG_VERSION")).to_owned(),
         seed: settings.seed,
-        plan: gather::plan_facts(plan),
-        dataset: found.as_ref().map(|found| found.facts(&progress)),
+        plan: results::plan_facts(plan),
+        dataset: dataset.as_ref().map(|dataset| dataset.facts(&progress)),
         progress,
-        categories: gathered.categories(plan),
-        balance: balance::balance(&gathered, chosen),
-        contact: contact::contact(&seen),
-        costs: costs::costs(&gathered),
-        unlabelled: unlabelled::unlabelled(&gathered),
-        examples: sheet::examples(&seen),
+        categories: plan_results.categories(plan),
+        balance: balance::balance(&plan_results, chosen),
+        contact: contact::contact(&inspected),
+        costs: costs::costs(&plan_results),
+        unlabelled: unlabelled::unlabelled(&plan_results),
+        examples: sheet::examples(&inspected),
     })
 }
 
-/// Looks at every result with a label and images; those on the contact sheet keep their images.
-fn seen<'a>(
-    gathered: &'a Gathered<'_>,
+/// Inspects every result with a label and images; those on the contact sheet get thumbnails.
+fn inspected<'a>(
+    plan_results: &'a PlanResults<'_>,
     store: &ResultStore,
     chosen: Option<&BTreeSet<String>>,
     settings: &SynthReportSettings,
     on_progress: &(dyn Fn(usize, usize) + Sync),
-) -> Result<Vec<Seen<'a>>> {
-    let has_images = |(done, _): &(&Done<'_>, bool)| !done.result.lacks_images();
-    let labelled: Vec<(&Done<'_>, bool)> = gathered.labelled().filter(has_images).collect();
+) -> Result<Vec<InspectedSimulation<'a>>> {
+    let has_images = |(done, _): &(&FinishedSimulation<'_>, bool)| !done.result.lacks_images();
+    let labelled: Vec<(&FinishedSimulation<'_>, bool)> =
+        plan_results.labelled().filter(has_images).collect();
     let mut shown = BTreeSet::new();
     for label in [true, false] {
-        let results = labelled.iter().filter(|(done, held)| {
-            *held == label && chosen.is_none_or(|chosen| chosen.contains(&*done.simulation.id))
+        let results = labelled.iter().filter(|(done, stable)| {
+            *stable == label && chosen.is_none_or(|chosen| chosen.contains(&*done.simulation.id))
         });
-        let results: Vec<&Done<'_>> = results.map(|(done, _)| *done).collect();
+        let results: Vec<&FinishedSimulation<'_>> = results.map(|(done, _)| *done).collect();
         shown.extend(sheet::choose(&results, settings.examples, settings.seed));
     }
-    let look = |(done, _): &(&Done<'_>, bool)| {
-        let is_shown = shown.contains(&*done.simulation.id);
-        look::look(store, done, settings.seed, is_shown)
+    let inspect = |(done, _): &(&FinishedSimulation<'_>, bool)| {
+        let with_thumbnails = shown.contains(&*done.simulation.id);
+        inspect::inspect(store, done, settings.seed, with_thumbnails)
     };
-    let all = labelled.len();
-    let looks = one_per_core(settings.jobs, &labelled, &look, &|done| {
-        on_progress(done, all)
+    let total = labelled.len();
+    let changes = one_per_core(settings.jobs, &labelled, &inspect, &|done| {
+        on_progress(done, total)
     })?;
-    let seen = labelled.iter().zip(looks);
-    let seen = seen.map(|((done, held), look)| Seen {
+    let pairs = labelled.iter().zip(changes);
+    let inspected = pairs.map(|((done, stable), change)| InspectedSimulation {
         done,
-        held: *held,
-        look,
+        stable: *stable,
+        change,
     });
-    Ok(seen.collect())
+    Ok(inspected.collect())
 }

@@ -1,9 +1,9 @@
-//! Quantiles, correlation, and how well a number tells two groups apart.
+//! Quantiles, correlation and AUROC.
 
 use super::facts::Quantiles;
 
 impl Quantiles {
-    /// Of some numbers: nearest ranks, so that each is one of them; zeros of none.
+    /// Computes nearest-rank quantiles; zeros for an empty set.
     pub(super) fn of(values: impl Iterator<Item = f64>) -> Self {
         let mut sorted: Vec<f64> = values.collect();
         sorted.sort_by(f64::total_cmp);
@@ -20,7 +20,7 @@ impl Quantiles {
     }
 }
 
-/// Pearson's correlation of pairs; none where one of both does not vary.
+/// Pearson correlation of pairs; none if one of both does not vary.
 pub(super) fn correlation(pairs: &[[f64; 2]]) -> Option<f64> {
     let count = pairs.len() as f64;
     let mean = |k: usize| pairs.iter().map(|pair| pair[k]).sum::<f64>() / count;
@@ -32,13 +32,13 @@ pub(super) fn correlation(pairs: &[[f64; 2]]) -> Option<f64> {
         first += a * a;
         second += b * b;
     }
-    // Means are rounded, so that equal numbers leave something too.
+    // Rounded means leave a residual even for equal numbers.
     let varies = |squares: f64, mean: f64| squares > count * (1e-9 * mean).powi(2);
     (varies(first, means[0]) && varies(second, means[1])).then(|| both / (first * second).sqrt())
 }
 
-/// Probability that a value of the first group is above one of the second, ties counted half
-/// (the area under the ROC curve); none where a group is empty.
+/// Probability that a value of the first group is above one of the second, with ties counted half
+/// (area under the ROC curve); none if a group is empty.
 pub(super) fn auroc(above: &[f64], below: &[f64]) -> Option<f64> {
     if above.is_empty() || below.is_empty() {
         return None;
@@ -72,7 +72,7 @@ mod tests {
     }
 
     #[test]
-    fn correlation_has_its_sign_and_needs_variation() {
+    fn correlation_needs_variation() {
         let found = correlation(&[[1.0, 2.0], [2.0, 4.0], [3.0, 6.0]]).unwrap();
         assert!((found - 1.0).abs() < 1e-12);
         // By hand: sums of products 1.5, of squares 2 and 4.5.
@@ -85,7 +85,7 @@ mod tests {
     }
 
     #[test]
-    fn groups_are_told_apart_or_not() {
+    fn auroc_separates_groups() {
         assert_eq!(auroc(&[3.0, 4.0], &[1.0, 2.0]), Some(1.0));
         assert_eq!(auroc(&[1.0, 2.0], &[1.0, 2.0]), Some(0.5));
         assert_eq!(auroc(&[1.0, 3.0], &[2.0]), Some(0.5));

@@ -10,8 +10,8 @@ use crate::{MergeSettings, merge};
 use gripcast_base::error::{ErrorKind, Result};
 use gripcast_dataset::shard::{Split, to_bytes};
 
-/// Lost ones are touched only at 40 N.
-const HELD: [bool; 10] = [
+/// Slips have contact only at 40 N.
+const STABLE: [bool; 10] = [
     true, true, false, false, true, false, false, true, true, false,
 ];
 
@@ -24,19 +24,19 @@ fn settings(dataset: Option<&Path>) -> SynthReportSettings {
     }
 }
 
-/// Results of the first simulations of a plan of twelve; the eleventh failed, the last is open.
+/// A plan of twelve simulations: ten have a label, the eleventh failed, the last is open.
 fn finished(folder: &Path) -> Sample {
     let sample = Sample::new(12);
-    let store = ResultStore::beside(folder);
-    for (k, held) in HELD.into_iter().enumerate() {
-        let row = sample.row(k, held, held || k % 2 == 1);
+    let store = ResultStore::new(folder);
+    for (k, stable) in STABLE.into_iter().enumerate() {
+        let row = sample.row(k, stable, stable || k % 2 == 1);
         let bytes = to_bytes(vec![row], "{}").unwrap();
         let samples = Some((1, &*bytes));
-        store.keep(sample.result(k, held), samples).unwrap();
+        store.save(sample.result(k, stable), samples).unwrap();
     }
-    let mut failed = SimulationResult::of(&sample.plan, &sample.plan.simulations[10]);
+    let mut failed = SimulationResult::new(&sample.plan, &sample.plan.simulations[10]);
     failed.detail = Some("defect 7".to_owned());
-    store.keep(failed, None).unwrap();
+    store.save(failed, None).unwrap();
     sample
 }
 
@@ -44,41 +44,44 @@ fn reported(plan: &Plan, folder: &Path, dataset: Option<&Path>) -> Result<SynthR
     report(plan, folder, &settings(dataset), &|_, _| ())
 }
 
-/// A dataset with all labelled results but what balance takes.
+/// Merges all labelled results, balanced.
 fn merged(plan: &Plan, folder: &Path, out: &Path) {
     let settings = MergeSettings {
         curation: CurationSettings {
-            parts: Split::one("train").unwrap(),
+            splits: Split::one("train").unwrap(),
             category_cap: None,
             ..CurationSettings::default()
         },
-        is_partial_allowed: true,
+        allow_partial: true,
     };
     merge(plan, folder, out, &settings, &|_, _| ()).unwrap();
 }
 
 #[test]
-fn a_plan_is_reported_as_far_as_it_is() {
+fn unfinished_plan_is_reported() {
     let folder = tempfile::tempdir().unwrap();
     let sample = finished(folder.path());
     let found = reported(&sample.plan, folder.path(), None).unwrap();
     let progress = &found.progress;
     assert_eq!((progress.done, progress.open, progress.failed), (11, 1, 1));
-    assert_eq!((progress.labels.held, progress.labels.lost), (5, 5));
+    assert_eq!((progress.labels.stable, progress.labels.slip), (5, 5));
     assert_eq!(progress.rows, 10);
     assert!(progress.damaged.is_empty());
     assert_eq!(found.plan.stop_forces_n, [10.0, 40.0]);
     assert_eq!((found.plan.simulations, found.plan.categories), (12, 2));
-    assert_eq!(found.costs.simulations, 10, "a failure has no times");
+    assert_eq!(found.costs.simulations, 10, "failures have no CPU time");
     let reasons: Vec<_> = found.unlabelled.iter().map(|g| &*g.reason).collect();
     assert_eq!(reasons, ["defect #"]);
     let boxes = &found.categories["box"];
-    assert_eq!((boxes.objects, boxes.grasps, boxes.labels.all()), (1, 5, 5));
+    assert_eq!(
+        (boxes.objects, boxes.grasps, boxes.labels.total()),
+        (1, 5, 5)
+    );
     assert_eq!(found.dataset, None);
 }
 
 #[test]
-fn images_are_looked_at_and_some_are_shown() {
+fn images_are_inspected_and_examples_shown() {
     let folder = tempfile::tempdir().unwrap();
     let sample = finished(folder.path());
     let found = reported(&sample.plan, folder.path(), None).unwrap();
@@ -86,7 +89,7 @@ fn images_are_looked_at_and_some_are_shown() {
         .contact
         .groups
         .iter()
-        .map(|g| (g.stop_force_n, g.held, g.pairs, g.without))
+        .map(|g| (g.stop_force_n, g.stable, g.pairs, g.without))
         .collect();
     let expected = [
         (10.0, true, 6, 0),
@@ -95,10 +98,10 @@ fn images_are_looked_at_and_some_are_shown() {
         (40.0, false, 6, 0),
     ];
     assert_eq!(without, expected);
-    let told: Vec<_> = found.contact.separation.iter().map(|s| s.auroc).collect();
-    assert_eq!(told, [Some(1.0), Some(0.5)]);
-    let held: Vec<bool> = found.examples.iter().map(|one| one.held).collect();
-    assert_eq!(held, [true, true, true, false, false, false]);
+    let auroc: Vec<_> = found.contact.separation.iter().map(|s| s.auroc).collect();
+    assert_eq!(auroc, [Some(1.0), Some(0.5)]);
+    let stable: Vec<bool> = found.examples.iter().map(|one| one.stable).collect();
+    assert_eq!(stable, [true, true, true, false, false, false]);
     for example in &found.examples {
         let images = &example.images;
         let all = [&images.colour].into_iter();
@@ -109,7 +112,7 @@ fn images_are_looked_at_and_some_are_shown() {
 }
 
 #[test]
-fn the_same_files_give_the_same_report() {
+fn equal_files_give_identical_reports() {
     let folder = tempfile::tempdir().unwrap();
     let sample = finished(folder.path());
     let text = |jobs: usize, seed: u64| {
@@ -129,33 +132,33 @@ fn the_same_files_give_the_same_report() {
 }
 
 #[test]
-fn a_dataset_is_reported_beside_all_results() {
+fn dataset_is_reported_beside_all_results() {
     let folder = tempfile::tempdir().unwrap();
     let sample = finished(folder.path());
     let out = folder.path().join("D");
     merged(&sample.plan, folder.path(), &out);
     let found = reported(&sample.plan, folder.path(), Some(&out)).unwrap();
     let dataset = found.dataset.unwrap();
-    let part = &dataset.merge.parts["train"];
-    assert_eq!((part.stable, part.slip, dataset.later_results), (4, 4, 0));
-    // Three held and two were lost at 10 N.
+    let split = &dataset.merge.splits["train"];
+    assert_eq!((split.stable, split.slip, dataset.later_results), (4, 4, 0));
+    // Three stable grasps and two slips at 10 N.
     let force = &found.balance[0].groups[0];
     let kept = force.dataset.unwrap();
-    assert_eq!((force.results.held, kept.held, kept.lost), (3, 2, 2));
-    // A result that came later is said.
+    assert_eq!((force.results.stable, kept.stable, kept.slip), (3, 2, 2));
+    // A later result is reported.
     let late = sample.row(11, false, true);
     let bytes = to_bytes(vec![late], "{}").unwrap();
-    let store = ResultStore::beside(folder.path());
+    let store = ResultStore::new(folder.path());
     let result = sample.result(11, false);
-    store.keep(result, Some((1, &*bytes))).unwrap();
+    store.save(result, Some((1, &*bytes))).unwrap();
     let found = reported(&sample.plan, folder.path(), Some(&out)).unwrap();
     assert_eq!(found.dataset.unwrap().later_results, 1);
     let strong = &found.balance[0].groups[1];
-    assert_eq!(strong.results.lost, strong.dataset.unwrap().lost + 2);
+    assert_eq!(strong.results.slip, strong.dataset.unwrap().slip + 2);
 }
 
 #[test]
-fn what_does_not_belong_together_is_refused() {
+fn mismatched_files_are_refused() {
     let folder = tempfile::tempdir().unwrap();
     let sample = finished(folder.path());
     let out = folder.path().join("D");
@@ -164,13 +167,17 @@ fn what_does_not_belong_together_is_refused() {
         assert!(error.to_string().contains(words), "{error}");
         error.kind()
     };
-    let missing = refused(&sample.plan, "cannot read the facts of the dataset");
+    let missing = refused(&sample.plan, "cannot read the description of the dataset");
     assert_eq!(missing, ErrorKind::NotFound);
     merged(&sample.plan, folder.path(), &out);
-    refused(&Sample::new(3).plan, "the result is of another plan");
+    refused(&Sample::new(3).plan, "the result belongs to another plan");
     let elsewhere = folder.path().join("elsewhere");
     let error = reported(&Sample::new(3).plan, &elsewhere, Some(&out)).unwrap_err();
-    assert!(error.to_string().contains("the dataset is of another plan"));
+    assert!(
+        error
+            .to_string()
+            .contains("the dataset belongs to another plan")
+    );
     let shard = out.join("data/train-00000-of-00001.parquet");
     let bytes = fs::read(&shard).unwrap();
     fs::write(&shard, &bytes[1..]).unwrap();
@@ -179,11 +186,11 @@ fn what_does_not_belong_together_is_refused() {
     let missing = refused(&sample.plan, "cannot read a file of the dataset");
     assert_eq!(missing, ErrorKind::NotFound);
     fs::write(out.join("synth.json"), "{}").unwrap();
-    refused(&sample.plan, "no facts of a dataset");
+    refused(&sample.plan, "not a description of a dataset");
 }
 
 #[test]
-fn files_of_a_dataset_outside_of_its_folder_are_not_read() {
+fn dataset_files_outside_of_the_folder_are_not_read() {
     let folder = tempfile::tempdir().unwrap();
     let sample = finished(folder.path());
     let out = folder.path().join("D");
@@ -203,7 +210,7 @@ fn files_of_a_dataset_outside_of_its_folder_are_not_read() {
         assert_eq!(error.kind(), ErrorKind::Input, "{error}");
         assert!(error.to_string().contains("leads out of"), "{error}");
     }
-    // Nor are links written through.
+    // Links are not written through either.
     fs::write(out.join("synth.json"), facts).unwrap();
     for name in ["README.md", shard] {
         fs::remove_file(out.join(name)).unwrap();
@@ -216,33 +223,33 @@ fn files_of_a_dataset_outside_of_its_folder_are_not_read() {
     std::os::unix::fs::symlink(folder.path(), out.join("data")).unwrap();
     let settings = MergeSettings {
         curation: CurationSettings {
-            parts: Split::one("train").unwrap(),
+            splits: Split::one("train").unwrap(),
             category_cap: None,
             ..CurationSettings::default()
         },
-        is_partial_allowed: true,
+        allow_partial: true,
     };
     let error = merge(&sample.plan, folder.path(), &out, &settings, &|_, _| ()).unwrap_err();
     assert!(
-        error.to_string().contains("cannot make the folder"),
+        error.to_string().contains("cannot create the folder"),
         "{error}"
     );
     assert!(!folder.path().join("train-00000-of-00001.parquet").exists());
 }
 
 #[test]
-fn damage_is_named() {
+fn damaged_files_are_reported() {
     let folder = tempfile::tempdir().unwrap();
     let sample = finished(folder.path());
-    let store = ResultStore::beside(folder.path());
+    let store = ResultStore::new(folder.path());
     let id = |k: usize| &sample.plan.simulations[k].id;
-    // Cut off: the result counts as open and is named.
+    // Truncated: the result counts as open and is listed.
     let path = store.samples(id(3)).shown();
     fs::write(&path, b"cut").unwrap();
     let found = reported(&sample.plan, folder.path(), None).unwrap();
     assert_eq!(found.progress.open, 2);
     assert_eq!(found.progress.damaged, [id(3).as_str()]);
-    // Altered: nothing can be said of the images.
+    // Altered: the report fails.
     let path = store.samples(id(4)).shown();
     let mut bytes = fs::read(&path).unwrap();
     bytes[200] ^= 1;
@@ -251,17 +258,17 @@ fn damage_is_named() {
     let text = error.to_string();
     assert_eq!(error.kind(), ErrorKind::Input);
     assert!(
-        text.contains("not those of the result") && text.contains(&**id(4)),
+        text.contains("do not belong to the result") && text.contains(&**id(4)),
         "{text}"
     );
 }
 
 #[test]
-fn a_plan_without_results_is_a_report() {
+fn plan_without_results_has_a_report() {
     let folder = tempfile::tempdir().unwrap();
     let sample = Sample::new(4);
     let found = reported(&sample.plan, folder.path(), None).unwrap();
     assert_eq!((found.progress.done, found.progress.open), (0, 4));
     let page = super::page(&found).unwrap();
-    assert!(page.contains("Nothing was simulated yet.") && !page.contains("NaN"));
+    assert!(page.contains("No simulation has finished yet.") && !page.contains("NaN"));
 }

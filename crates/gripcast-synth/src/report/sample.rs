@@ -1,8 +1,8 @@
-//! A plan with results for tests.
+//! A sample plan with results for tests.
 
 use image::{Rgb, RgbImage};
 
-use super::gather::{Done, Gathered};
+use super::results::{FinishedSimulation, PlanResults};
 use crate::plan::{Plan, sample_plan};
 use crate::store::{CpuSeconds, SimulationResult};
 use gripcast_base::files::SimulationId;
@@ -11,7 +11,7 @@ use gripcast_geometry::Pose;
 use gripcast_imaging::encode_jpeg;
 
 /// A plan of two objects, `box-0000` and `box-0001`, the second of its own category and material;
-/// simulation k is of object k mod 2, at 10 N where k is even and 40 N where not.
+/// simulation k has object k mod 2, at 10 N for even k and 40 N for odd k.
 pub(crate) struct Sample {
     pub(super) plan: Plan,
 }
@@ -33,11 +33,11 @@ impl Sample {
         }
     }
 
-    /// The result of simulation k: it costs 2 + k s.
-    pub(super) fn result(&self, k: usize, held: bool) -> SimulationResult {
-        let mut result = SimulationResult::of(&self.plan, &self.plan.simulations[k]);
-        result.outcome = if held { "success" } else { "slip" }.to_owned();
-        result.stable = Some(held);
+    /// Result of simulation k with a CPU time of 2 + k s.
+    pub(super) fn result(&self, k: usize, stable: bool) -> SimulationResult {
+        let mut result = SimulationResult::new(&self.plan, &self.plan.simulations[k]);
+        result.outcome = if stable { "success" } else { "slip" }.to_owned();
+        result.stable = Some(stable);
         result.steps = 100;
         result.newton_iterations = 1000 + k as u64;
         result.cpu_s = CpuSeconds {
@@ -49,12 +49,12 @@ impl Sample {
         result
     }
 
-    /// One rendering of simulation k, whose sensors are touched or not.
-    pub(super) fn row(&self, k: usize, held: bool, is_touched: bool) -> ShardRow {
+    /// One rendering of simulation k, with or without contact.
+    pub(super) fn row(&self, k: usize, stable: bool, has_contact: bool) -> ShardRow {
         let simulation = &self.plan.simulations[k];
         let object = &self.plan.objects[&simulation.object];
         let plain = jpeg(40, 30, 0);
-        let touched = jpeg(40, 30, if is_touched { 12 } else { 0 });
+        let touched = jpeg(40, 30, if has_contact { 12 } else { 0 });
         ShardRow {
             facts: ShardFacts {
                 id: format!("{}-r0", simulation.id),
@@ -62,7 +62,7 @@ impl Sample {
                 object: object.name.to_string(),
                 category: object.category.clone(),
                 engine: ShardEngine::Fem,
-                outcome: match held {
+                outcome: match stable {
                     true => ShardOutcome::Stable,
                     false => ShardOutcome::Slip,
                 },
@@ -102,16 +102,16 @@ fn jpeg(width: u32, height: u32, side: u32) -> Vec<u8> {
     encode_jpeg(&image, 92).unwrap()
 }
 
-/// Results of the first simulations that held or not.
-pub(super) fn labelled<'a>(sample: &'a Sample, held: &[bool]) -> Gathered<'a> {
-    let done = sample.plan.simulations.iter().zip(held).enumerate();
-    let done = done.map(|(k, (simulation, held))| Done {
+/// Results of the first simulations with the given labels.
+pub(super) fn labelled<'a>(sample: &'a Sample, stable: &[bool]) -> PlanResults<'a> {
+    let done = sample.plan.simulations.iter().zip(stable).enumerate();
+    let done = done.map(|(k, (simulation, stable))| FinishedSimulation {
         simulation,
         object: sample.plan.object(simulation).unwrap(),
-        result: sample.result(k, *held),
+        result: sample.result(k, *stable),
     });
-    Gathered {
+    PlanResults {
         done: done.collect(),
-        ..Gathered::default()
+        ..PlanResults::default()
     }
 }

@@ -8,7 +8,7 @@ use super::samples::Samples;
 use gripcast_base::error::Result;
 use gripcast_report::fixed;
 use gripcast_report::image::{data_uri, image};
-use gripcast_report::page::{Page, definitions, grasp_card, nothing, section, warning};
+use gripcast_report::page::{Page, definitions, grasp_card, placeholder, section, warning};
 use maud::{Markup, Render, html};
 
 const STYLE: &str = include_str!("style.css");
@@ -151,7 +151,7 @@ fn mistakes(model: &ModelEvaluation, samples: &Samples) -> Result<Markup> {
         @for (title, cards) in halves {
             h3 { (title) }
             @if cards.is_empty() {
-                (nothing("None."))
+                (placeholder("None."))
             } @else {
                 ul.grasps { @for card in cards { (card) } }
             }

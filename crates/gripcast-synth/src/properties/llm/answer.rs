@@ -1,4 +1,4 @@
-//! What a language model's answers say.
+//! Parses answers of a language model.
 
 use serde_json::{Deserializer, Map, Value};
 
@@ -6,23 +6,23 @@ use crate::properties::appearance::APPEARANCES;
 use crate::properties::physical::{FRICTION_RANGE, is_mass};
 use gripcast_base::error::{Error, Result};
 
-/// Longest answer that is read, bytes; the answers asked for have a hundred.
+/// Maximum length of an answer, bytes; expected answers have about a hundred.
 const MAX_BYTES: usize = 64 << 10;
-/// Longest text of an answer that an error repeats, characters.
+/// Maximum quotation of an answer in an error, characters.
 const MAX_QUOTE: usize = 160;
-/// Longest appearance, characters.
-const MAX_MODIFIER: usize = 80;
+/// Maximum length of a description, characters.
+const MAX_DESCRIPTION: usize = 80;
 
-/// Mass in kg and friction: the last JSON object in the text that has both.
+/// Parses mass (kg) and friction: the last JSON object in the text that has both.
 ///
 /// # Errors
-/// `Input` with what was found: no such object, a mass that is not positive, a friction outside
-/// [0.1, 1.5], numbers written as text.
+/// `Input` for a missing object, a mass that is not positive, a friction outside [0.1, 1.5], or
+/// numbers written as text.
 pub(super) fn mass_and_friction(text: &str) -> Result<(f64, f64)> {
-    let object = last_object(spoken(text)?).ok_or_else(|| {
+    let object = last_object(without_reasoning(text)?).ok_or_else(|| {
         unusable(format!(
-            "there is no JSON object with \"mass\" and \"friction\" in {}",
-            quote(text)
+            "no JSON object with \"mass\" and \"friction\" in {}",
+            quote(text, MAX_QUOTE)
         ))
     })?;
     let number = |key: &str| {
@@ -30,7 +30,7 @@ pub(super) fn mass_and_friction(text: &str) -> Result<(f64, f64)> {
         value.as_f64().filter(|v| v.is_finite()).ok_or_else(|| {
             unusable(format!(
                 "\"{key}\" must be a number, found {}",
-                quote(&value.to_string())
+                quote(&value.to_string(), MAX_QUOTE)
             ))
         })
     };
@@ -49,50 +49,47 @@ pub(super) fn mass_and_friction(text: &str) -> Result<(f64, f64)> {
     Ok((mass, friction))
 }
 
-/// The five appearances in a list: a JSON array, one per line, or separated by commas; bullets,
-/// numbers and quotation marks are taken off.
+/// Parses a list of five descriptions: a JSON array, one per line, or separated by commas; bullets,
+/// numbers and quotation marks are removed.
 ///
 /// # Errors
-/// `Input` with what was found unless there are exactly five different ones.
+/// `Input` unless there are exactly five different ones.
 pub(super) fn appearances(text: &str) -> Result<Vec<String>> {
-    let spoken = spoken(text)?;
+    let list = without_reasoning(text)?;
     let mut found: Vec<String> = Vec::new();
-    for entry in entries(spoken) {
-        let entry = bare(&entry);
-        let known = found.iter().any(|f| f.eq_ignore_ascii_case(&entry));
-        if !entry.is_empty() && !known {
+    for entry in entries(list) {
+        let entry = undecorated(&entry);
+        let is_duplicate = found.iter().any(|f| f.eq_ignore_ascii_case(&entry));
+        if !entry.is_empty() && !is_duplicate {
             found.push(entry);
         }
     }
-    let fits = |m: &String| m.chars().count() <= MAX_MODIFIER;
+    let fits = |m: &String| m.chars().count() <= MAX_DESCRIPTION;
     if found.len() == APPEARANCES && found.iter().all(fits) {
         return Ok(found);
     }
     Err(unusable(format!(
-        "expected {APPEARANCES} different appearances of at most {MAX_MODIFIER} characters, \
+        "expected {APPEARANCES} different appearances of at most {MAX_DESCRIPTION} characters, \
          found {} in {}",
         found.len(),
-        quote(text)
+        quote(text, MAX_QUOTE)
     )))
 }
 
-/// The text without what a model thought before it spoke.
-fn spoken(text: &str) -> Result<&str> {
+/// Removes the reasoning in front of an answer.
+fn without_reasoning(text: &str) -> Result<&str> {
     if text.len() > MAX_BYTES {
         return Err(unusable(format!(
             "the answer must have at most {MAX_BYTES} bytes, found {}",
             text.len()
         )));
     }
-    let after = text
-        .rsplit_once("</think>")
-        .map_or(text, |(_, after)| after);
-    Ok(after)
+    Ok(text.rsplit("</think>").next().unwrap_or(text))
 }
 
 fn last_object(text: &str) -> Option<Map<String, Value>> {
     let starts = text.rmatch_indices('{');
-    starts.map(|(at, _)| &text[at..]).find_map(|rest| {
+    starts.map(|(start, _)| &text[start..]).find_map(|rest| {
         let first = Deserializer::from_str(rest).into_iter::<Value>().next();
         match first {
             Some(Ok(Value::Object(map)))
@@ -106,27 +103,27 @@ fn last_object(text: &str) -> Option<Map<String, Value>> {
 }
 
 fn entries(text: &str) -> Vec<String> {
-    let array = text.find('[').and_then(|at| {
-        let mut values = Deserializer::from_str(&text[at..]).into_iter::<Vec<String>>();
+    let array = text.find('[').and_then(|start| {
+        let mut values = Deserializer::from_str(&text[start..]).into_iter::<Vec<String>>();
         values.next().and_then(std::result::Result::ok)
     });
     if let Some(array) = array {
         return array;
     }
-    let said = |line: &&str| {
+    let is_entry = |line: &&str| {
         let line = line.trim();
-        // Fences, and a sentence before the list.
+        // Skips code fences and a sentence before the list.
         !line.is_empty() && !line.starts_with("```") && !line.ends_with(':')
     };
-    let lines: Vec<&str> = text.lines().filter(said).collect();
+    let lines: Vec<&str> = text.lines().filter(is_entry).collect();
     match lines.as_slice() {
         [one] => one.split([',', ';']).map(str::to_owned).collect(),
         lines => lines.iter().map(|&l| l.to_owned()).collect(),
     }
 }
 
-/// An entry on one line without bullet, number, quotation marks and full stop.
-fn bare(entry: &str) -> String {
+/// Removes bullet, number, quotation marks and full stop.
+fn undecorated(entry: &str) -> String {
     let decoration = |c: char| {
         c.is_whitespace() || c.is_control() || c.is_ascii_digit() || "-*•.,;)(\"'`_".contains(c)
     };
@@ -134,15 +131,18 @@ fn bare(entry: &str) -> String {
     words.join(" ")
 }
 
-fn quote(text: &str) -> String {
-    let start: String = text.chars().take(MAX_QUOTE).collect();
+/// Quotes at most `max` characters of a text.
+pub(super) fn quote(text: &str, max: usize) -> String {
+    let start: String = text.chars().take(max).collect();
     let more = if start.len() < text.len() { " …" } else { "" };
     format!("{start:?}{more}")
 }
 
 fn unusable(what: String) -> Error {
-    Error::input(format!("the answer cannot be used: {what}"))
-    .remedy("ask another model, or allow the table of materials in place of its answers (--llm-fallback)")
+    Error::input(format!("unusable answer: {what}")).remedy(
+        "use another model, or allow the table of materials instead of its answers \
+         (--llm-fallback)",
+    )
 }
 
 #[cfg(test)]
@@ -151,7 +151,7 @@ mod tests {
     use gripcast_base::error::ErrorKind;
 
     #[test]
-    fn json_is_found_wherever_it_stands() {
+    fn json_is_found_anywhere_in_the_text() {
         for text in [
             r#"{"mass": 0.25, "friction": 0.8}"#,
             "A mug of that size weighs …\n```json\n{ \"mass\": 0.25, \"friction\": 0.8}.\n```\n",
@@ -164,7 +164,7 @@ mod tests {
     }
 
     #[test]
-    fn unusable_numbers_are_told() {
+    fn unusable_numbers_are_refused() {
         for (text, found) in [
             ("I cannot say.", "I cannot say."),
             ("", "no JSON object"),
@@ -190,7 +190,7 @@ mod tests {
     }
 
     #[test]
-    fn lists_of_appearances_are_read_in_any_form() {
+    fn lists_are_parsed_in_any_form() {
         let expected = [
             "Glossy red",
             "Matte black",
@@ -212,7 +212,7 @@ mod tests {
     }
 
     #[test]
-    fn other_lists_are_refused() {
+    fn unexpected_lists_are_refused() {
         let long = format!("a\nb\nc\nd\n{}", "e".repeat(81));
         for text in [
             "",

@@ -1,4 +1,4 @@
-//! Answers on the disk: one JSON file per question.
+//! Cache of answers: one JSON file per prompt.
 
 use std::fs;
 use std::io;
@@ -12,7 +12,7 @@ use gripcast_base::files::{BeneathPath, FileKind, FileName, Root, hex};
 
 /// Version of the files.
 const SCHEMA: u32 = 1;
-/// Largest file that is read, bytes.
+/// Maximum size of a file, bytes.
 const MAX_BYTES: u64 = 1 << 20;
 
 /// A folder of answers.
@@ -21,7 +21,7 @@ pub(super) struct AnswerCache {
     folder: Root,
 }
 
-/// An answer with its question, so that it can be checked and read by people.
+/// An answer with its prompt, so that it can be checked.
 #[derive(Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct Entry {
@@ -38,10 +38,10 @@ impl AnswerCache {
         }
     }
 
-    /// The file of a question: the hash of model and prompt.
-    fn place(&self, model: &str, prompt: &str) -> Result<BeneathPath> {
+    /// File of a prompt: the hash of model and prompt.
+    fn path(&self, model: &str, prompt: &str) -> Result<BeneathPath> {
         let mut hash = Sha256::new();
-        // The length keeps model and prompt apart.
+        // The length separates model and prompt.
         hash.update((model.len() as u64).to_le_bytes());
         hash.update(model);
         hash.update(prompt);
@@ -49,30 +49,30 @@ impl AnswerCache {
         Ok(self.folder.top().join(&name))
     }
 
-    /// The answer, if there is one that is whole and belongs to the question.
+    /// Loads the answer to a prompt; none if it is missing or damaged.
     ///
     /// # Errors
-    /// `Permission` or `Io` if there is a file that cannot be read.
+    /// `Permission` or `Io` if a file cannot be read.
     pub(super) fn load(&self, model: &str, prompt: &str) -> Result<Option<String>> {
-        let place = self.place(model, prompt)?;
-        let failed = |e| Error::io("cannot read the stored answer", e).at(place.display());
-        match place.metadata() {
+        let path = self.path(model, prompt)?;
+        let failed = |e| Error::io("cannot read the cached answer", e).at(path.display());
+        match path.metadata() {
             Ok(found) if found.bytes > MAX_BYTES => return Ok(None),
             Ok(_) => {}
             Err(e) if e.kind() == io::ErrorKind::NotFound => return Ok(None),
             Err(e) => return Err(failed(e)),
         }
-        let bytes = place.read(FileKind::Record).map_err(failed)?;
+        let bytes = path.read(FileKind::Record).map_err(failed)?;
         let entry: Option<Entry> = serde_json::from_slice(&bytes).ok();
-        let fitting =
+        let matching =
             entry.filter(|e| e.schema == SCHEMA && e.model == model && e.prompt == prompt);
-        Ok(fitting.map(|e| e.answer))
+        Ok(matching.map(|e| e.answer))
     }
 
-    /// Stores an answer in place of another.
+    /// Stores an answer.
     ///
     /// # Errors
-    /// Those of the operating system.
+    /// I/O errors.
     pub(super) fn store(&self, model: &str, prompt: &str, answer: &str) -> Result<()> {
         let entry = Entry {
             schema: SCHEMA,
@@ -84,12 +84,12 @@ impl AnswerCache {
             .map_err(|e| Error::internal("cannot write the answer as JSON").because(e))?;
         text.push('\n');
         let folder = self.folder.path();
-        fs::create_dir_all(folder)
-            .map_err(|e| Error::io("cannot make the folder of answers", e).at(folder.display()))?;
-        let place = self.place(model, prompt)?;
-        place
-            .replace(text.as_bytes())
-            .map_err(|e| Error::io("cannot write the answer", e).at(place.display()))
+        fs::create_dir_all(folder).map_err(|e| {
+            Error::io("cannot create the folder of answers", e).at(folder.display())
+        })?;
+        let path = self.path(model, prompt)?;
+        path.replace(text.as_bytes())
+            .map_err(|e| Error::io("cannot write the answer", e).at(path.display()))
     }
 }
 
@@ -98,7 +98,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn answers_come_back_for_their_question_alone() {
+    fn answers_belong_to_one_prompt() {
         let folder = tempfile::tempdir().unwrap();
         let cache = AnswerCache::new(folder.path().join("deep/answers"));
         assert_eq!(cache.load("m", "p").unwrap(), None);
@@ -110,11 +110,11 @@ mod tests {
     }
 
     #[test]
-    fn damaged_files_are_no_answers() {
+    fn damaged_files_are_ignored() {
         let folder = tempfile::tempdir().unwrap();
         let cache = AnswerCache::new(folder.path().to_owned());
         cache.store("m", "p", "answer").unwrap();
-        let path = cache.place("m", "p").unwrap().shown();
+        let path = cache.path("m", "p").unwrap().shown();
         let whole = fs::read_to_string(&path).unwrap();
         let other = whole.replace("\"p\"", "\"q\"");
         let newer = whole.replace("\"schema\": 1", "\"schema\": 2");

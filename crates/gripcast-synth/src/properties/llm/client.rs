@@ -1,4 +1,4 @@
-//! Questions with a memory and with patience.
+//! Client with a cache and retries.
 
 use std::fmt;
 use std::path::PathBuf;
@@ -11,39 +11,38 @@ use super::key::EndpointKey;
 use super::transport::{Failure, Transport};
 use gripcast_base::error::{Error, ErrorKind, Result};
 
-/// First wait of the back-off; each following one is twice as long.
+/// First wait of the exponential back-off.
 const FIRST_WAIT: Duration = Duration::from_secs(1);
-/// Longest wait of the back-off.
+/// Maximum wait of the back-off.
 const MAX_WAIT: Duration = Duration::from_secs(30);
-/// Longest wait that a server may ask for.
+/// Maximum wait that a server may request.
 const MAX_RETRY_AFTER: Duration = Duration::from_secs(120);
-/// How often a model is asked in all when its answers cannot be used.
-const ANSWERS: u32 = 2;
+/// Maximum answers that are requested if they are unusable.
+const MAX_ANSWERS: u32 = 2;
 
-/// How the client waits between attempts: `Ok` after the time, or an error (as `Stopped`) that ends
-/// the waiting and is handed on.
+/// How the client waits between attempts: `Ok` after the duration, or an error (for instance
+/// `Stopped`) that ends the request.
 pub type Wait = Box<dyn Fn(Duration) -> Result<()> + Send + Sync>;
 
-/// Which endpoint is asked, and how.
+/// Options of an [`LlmClient`].
 #[derive(Clone, Debug)]
 pub struct LlmOptions {
-    /// Base address, for instance `https://api.openai.com/v1` or `http://localhost:11434/v1`.
+    /// Base URL, for instance `https://api.openai.com/v1` or `http://localhost:11434/v1`.
     pub url: String,
     /// Name of the model at the endpoint.
     pub model: String,
-    /// Key; none for local servers that want none.
+    /// API key; none for local servers without one.
     pub key: Option<EndpointKey>,
-    /// Folder of the answers; made with the first one.
+    /// Folder of cached answers; created with the first one.
     pub cache: PathBuf,
-    /// Longest time for one attempt, from the connection to the last byte. 60 s leave a model
-    /// time to think.
+    /// Timeout of one attempt, from the connection to the last byte.
     pub timeout: Duration,
-    /// Attempts per answer, at least 1. With 5 a failing server is waited for 15 s.
+    /// Maximum attempts per answer, at least 1. With 5, the waits add up to 15 s.
     pub attempts: u32,
 }
 
 impl LlmOptions {
-    /// The usual time and attempts.
+    /// Creates options with the default timeout and attempts.
     pub fn new(url: &str, model: &str, cache: PathBuf) -> Self {
         Self {
             url: url.to_owned(),
@@ -56,9 +55,9 @@ impl LlmOptions {
     }
 }
 
-/// Asks a language model; answers that could be used are stored and not asked for again.
+/// Client of a language model; usable answers are cached.
 ///
-/// Neither `Debug` nor any error shows the key, and no file holds it.
+/// The key appears neither in `Debug` output nor in errors or files.
 pub struct LlmClient {
     transport: Transport,
     model: String,
@@ -67,36 +66,35 @@ pub struct LlmClient {
     wait: Wait,
 }
 
-/// Why a question has no answer.
+/// Why there is no usable answer.
 #[derive(Debug)]
-pub(super) enum Unanswered {
-    /// The endpoint did not answer in all attempts.
+pub(super) enum AskError {
+    /// The endpoint failed in all attempts.
     Down(Error),
-    /// What it answered cannot be used.
+    /// The answers are unusable.
     Unusable(Error),
-    /// Anything else: refused questions, no room for the answers, stopped.
+    /// Anything else: refused requests, a full disk, stopped.
     Other(Error),
 }
 
-impl From<Unanswered> for Error {
-    fn from(unanswered: Unanswered) -> Self {
-        match unanswered {
-            Unanswered::Down(e) | Unanswered::Unusable(e) | Unanswered::Other(e) => e,
+impl From<AskError> for Error {
+    fn from(error: AskError) -> Self {
+        match error {
+            AskError::Down(e) | AskError::Unusable(e) | AskError::Other(e) => e,
         }
     }
 }
 
 impl LlmClient {
-    /// A client; nothing is sent yet.
+    /// Creates a client; nothing is sent yet.
     ///
     /// # Errors
-    /// `Usage` for an address that is none, an empty model name, or a key that would go over the
-    /// network unencrypted.
+    /// `Usage` for an invalid URL, an empty model name, or a key that would be sent unencrypted.
     pub fn new(options: LlmOptions) -> Result<Self> {
         let endpoint = Endpoint::parse(&options.url)?;
         let model = options.model.trim().to_owned();
         if model.is_empty() {
-            return Err(Error::usage("the name of the model is empty")
+            return Err(Error::usage("the model name is empty")
                 .remedy("name a model of the endpoint, for instance gpt-4o"));
         }
         Ok(Self {
@@ -111,7 +109,7 @@ impl LlmClient {
         })
     }
 
-    /// The same client waiting in another way between attempts.
+    /// Replaces the waiting between attempts.
     #[must_use]
     pub fn waiting(mut self, wait: Wait) -> Self {
         self.wait = wait;
@@ -123,81 +121,81 @@ impl LlmClient {
         &self.model
     }
 
-    /// The stored answer to a question, or none.
-    pub(super) fn recall<T>(
+    /// Returns the cached answer to a prompt.
+    pub(super) fn cached<T>(
         &self,
         prompt: &str,
-        read: impl Fn(&str) -> Result<T>,
+        parse: impl Fn(&str) -> Result<T>,
     ) -> Result<Option<T>> {
         let stored = self.cache.load(&self.model, prompt)?;
-        // What cannot be read any more is asked again.
-        Ok(stored.and_then(|answer| read(&answer).ok()))
+        // An answer that cannot be parsed is requested again.
+        Ok(stored.and_then(|answer| parse(&answer).ok()))
     }
 
-    /// What `read` makes of the stored answer, or else of a new one.
+    /// Parses the cached answer, or a new one.
     pub(super) fn ask<T>(
         &self,
         prompt: &str,
-        read: impl Fn(&str) -> Result<T>,
-    ) -> Result<T, Unanswered> {
-        if let Some(known) = self.recall(prompt, &read).map_err(Unanswered::Other)? {
-            return Ok(known);
+        parse: impl Fn(&str) -> Result<T>,
+    ) -> Result<T, AskError> {
+        if let Some(value) = self.cached(prompt, &parse).map_err(AskError::Other)? {
+            return Ok(value);
         }
         let mut answers = 1;
         loop {
             let failed = match self.fetch(prompt) {
-                Ok(answer) => match read(&answer) {
+                Ok(answer) => match parse(&answer) {
                     Ok(value) => {
                         let stored = self.cache.store(&self.model, prompt, &answer);
-                        stored.map_err(Unanswered::Other)?;
+                        stored.map_err(AskError::Other)?;
                         return Ok(value);
                     }
-                    Err(error) => self.placed(error),
+                    Err(error) => self.located(error),
                 },
-                Err(Unanswered::Unusable(error)) => error,
+                Err(AskError::Unusable(error)) => error,
                 Err(other) => return Err(other),
             };
-            if answers == ANSWERS {
-                return Err(Unanswered::Unusable(failed));
+            if answers == MAX_ANSWERS {
+                return Err(AskError::Unusable(failed));
             }
             answers += 1;
         }
     }
 
-    /// A new answer, with attempts as long as there is hope.
-    fn fetch(&self, prompt: &str) -> Result<String, Unanswered> {
+    /// Requests a new answer, with retries.
+    fn fetch(&self, prompt: &str) -> Result<String, AskError> {
         let mut attempt = 1;
         loop {
             let (what, retry_after) = match self.transport.ask(&self.model, prompt) {
                 Ok(answer) => return Ok(answer),
-                Err(Failure::Unusable(e)) => return Err(Unanswered::Unusable(self.placed(e))),
-                Err(Failure::Final(e)) => return Err(Unanswered::Other(self.placed(e))),
-                Err(Failure::Passing { what, retry_after }) => (what, retry_after),
+                Err(Failure::Unusable(e)) => return Err(AskError::Unusable(self.located(e))),
+                Err(Failure::Permanent(e)) => return Err(AskError::Other(self.located(e))),
+                Err(Failure::Transient { what, retry_after }) => (what, retry_after),
             };
             let pause = retry_after.unwrap_or_else(|| back_off(attempt));
             if attempt >= self.attempts || pause > MAX_RETRY_AFTER {
-                return Err(Unanswered::Down(self.down(&what, attempt, retry_after)));
+                return Err(AskError::Down(self.down(&what, attempt, retry_after)));
             }
-            (self.wait)(pause).map_err(Unanswered::Other)?;
+            (self.wait)(pause).map_err(AskError::Other)?;
             attempt += 1;
         }
     }
 
     fn down(&self, what: &str, attempts: u32, retry_after: Option<Duration>) -> Error {
-        let asked = match retry_after {
+        let requested = match retry_after {
             Some(time) if time > MAX_RETRY_AFTER => {
-                format!("; it asks to wait {} s", time.as_secs())
+                format!("; the server asks to wait {} s", time.as_secs())
             }
             _ => String::new(),
         };
-        let what = format!("no answer in {attempts} attempts: {what}{asked}");
-        self.placed(Error::new(ErrorKind::Io, what).remedy(
-            "run it again when the endpoint is up (answers are kept), or allow the table of \
-             materials in its place (--llm-fallback)",
+        let what = format!("no answer in {attempts} attempts: {what}{requested}");
+        self.located(Error::new(ErrorKind::Io, what).remedy(
+            "run it again when the endpoint is up (answers are cached), or allow the table of \
+             materials instead (--llm-fallback)",
         ))
     }
 
-    fn placed(&self, error: Error) -> Error {
+    fn located(&self, error: Error) -> Error {
         error.at(format!("{} ({})", self.transport.url(), self.model))
     }
 }

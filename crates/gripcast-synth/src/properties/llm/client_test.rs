@@ -1,4 +1,4 @@
-//! The client against a server with a script.
+//! Tests of the client against a scripted server.
 
 use std::fs;
 use std::io::{Read as _, Write as _};
@@ -12,13 +12,14 @@ use tempfile::TempDir;
 
 use super::test_server::{Reply, TestServer};
 use super::*;
-use crate::properties::{FinishClass, Material, PropertySource};
+use crate::properties::{Material, PropertySource, builtin_appearances};
 use gripcast_base::error::{Error, ErrorKind, Result};
+use gripcast_visual::FinishClass;
 
 const KEY: &str = "sk-very-secret-42";
 const GOOD: &str = r#"{"mass": 0.25, "friction": 0.8}"#;
 
-/// A client with its answers and the waits that it asked for.
+/// A cache folder and the waits that clients requested.
 struct Bench {
     folder: TempDir,
     waits: Arc<Mutex<Vec<u64>>>,
@@ -43,8 +44,8 @@ impl Bench {
         LlmClient::new(options).unwrap().waiting(Box::new(wait))
     }
 
-    fn asker(&self, url: &str, fallback: bool) -> PropertyAsker {
-        PropertyAsker::new(self.client(url), fallback)
+    fn estimator(&self, url: &str, fallback: bool) -> PropertyEstimator {
+        PropertyEstimator::new(self.client(url), fallback)
     }
 
     fn waits(&self) -> Vec<u64> {
@@ -73,7 +74,7 @@ fn query() -> PropertyQuery<'static> {
 fn ask(script: Vec<Reply>) -> (Result<(f64, f64)>, Vec<u64>, Vec<String>) {
     let bench = Bench::new();
     let server = TestServer::new(script);
-    let found = bench.asker(&server.url, false).physical(&query());
+    let found = bench.estimator(&server.url, false).physical(&query());
     if let Err(error) = &found {
         assert!(!format!("{error} {error:?}").contains(KEY), "{error}");
         assert!(bench.files().is_empty());
@@ -92,8 +93,8 @@ fn refused_url() -> String {
 }
 
 #[test]
-fn a_good_answer_is_read_and_the_question_is_the_papers() {
-    let (found, waits, requests) = ask(vec![Reply::says(GOOD)]);
+fn usable_answer_is_parsed_and_prompt_matches_the_paper() {
+    let (found, waits, requests) = ask(vec![Reply::answer(GOOD)]);
     assert_eq!(found.unwrap(), (0.25, 0.8));
     assert!(waits.is_empty());
     let (head, body) = requests[0].split_once("\r\n\r\n").unwrap();
@@ -112,35 +113,35 @@ fn a_good_answer_is_read_and_the_question_is_the_papers() {
 }
 
 #[test]
-fn fences_and_prose_are_read_over() {
+fn fences_and_prose_are_skipped() {
     for text in [
         format!("```json\n{GOOD}\n```"),
         format!("A mug of glazed clay weighs 250 g.\n\n{GOOD}\nAsk me more!"),
     ] {
-        let (found, _, _) = ask(vec![Reply::says(&text)]);
+        let (found, _, _) = ask(vec![Reply::answer(&text)]);
         assert_eq!(found.unwrap(), (0.25, 0.8), "{text}");
     }
 }
 
 #[test]
-fn unusable_answers_are_asked_once_more_then_told() {
-    let (found, waits, requests) = ask(vec![Reply::says("No idea."), Reply::says(GOOD)]);
+fn unusable_answer_is_requested_once_more() {
+    let (found, waits, requests) = ask(vec![Reply::answer("No idea."), Reply::answer(GOOD)]);
     assert_eq!(found.unwrap(), (0.25, 0.8));
     assert_eq!((waits.len(), requests.len()), (0, 2));
-    for (text, on_progress) in [
+    for (text, expected) in [
         ("I would say a quarter of a kilogram.", "a quarter of"),
         (r#"{"mass": 0.25, "friction": 7.5}"#, "found 7.5"),
         (r#"{"mass": -1, "friction": 0.5}"#, "found -1"),
     ] {
-        let error = failure(vec![Reply::says(text), Reply::says(text)]);
+        let error = failure(vec![Reply::answer(text), Reply::answer(text)]);
         assert_eq!(error.kind(), ErrorKind::Input);
-        assert!(error.to_string().contains(on_progress), "{error}");
+        assert!(error.to_string().contains(expected), "{error}");
         assert!(error.to_string().contains("test-model"), "{error}");
     }
 }
 
 #[test]
-fn replies_that_are_no_answers_are_told() {
+fn replies_without_an_answer_are_refused() {
     let page = "<html>Hello</html>";
     let no_content = r#"{"choices": [{"message": {"content": null}}]}"#;
     for body in [page, no_content, r#"{"choices": []}"#, "", "[1, 2]"] {
@@ -154,13 +155,13 @@ fn replies_that_are_no_answers_are_told() {
 }
 
 #[test]
-fn a_busy_server_is_waited_for_as_it_asks() {
+fn busy_server_is_retried_as_requested() {
     let busy = |after: &str| Reply::status("429 Too Many Requests", after, "slow down");
     let (found, waits, requests) = ask(vec![
         busy("Retry-After: 7\r\n"),
         busy("Retry-After: Wed, 21 Oct 2015 07:28:00 GMT\r\n"),
         Reply::Hangup,
-        Reply::says(GOOD),
+        Reply::answer(GOOD),
     ]);
     assert_eq!(found.unwrap(), (0.25, 0.8));
     assert_eq!(waits, [7, 2, 4]);
@@ -173,7 +174,7 @@ fn a_busy_server_is_waited_for_as_it_asks() {
 }
 
 #[test]
-fn a_failing_server_is_given_up() {
+fn failing_server_is_given_up() {
     let failing = || Reply::status("503 Unavailable", "", r#"{"error": {"message": "down"}}"#);
     let (found, waits, requests) = ask((0..5).map(|_| failing()).collect());
     let error = found.unwrap_err();
@@ -181,7 +182,7 @@ fn a_failing_server_is_given_up() {
     assert!(
         error
             .to_string()
-            .contains("in 5 attempts: it answers 503: \"down\""),
+            .contains("in 5 attempts: status 503: \"down\""),
         "{error}"
     );
     assert_eq!(waits, [1, 2, 4, 8]);
@@ -189,10 +190,10 @@ fn a_failing_server_is_given_up() {
 }
 
 #[test]
-fn no_server_is_given_up() {
+fn refused_connection_is_given_up() {
     let bench = Bench::new();
     let error = bench
-        .asker(&refused_url(), false)
+        .estimator(&refused_url(), false)
         .physical(&query())
         .unwrap_err();
     assert_eq!(error.kind(), ErrorKind::Io);
@@ -202,7 +203,7 @@ fn no_server_is_given_up() {
 }
 
 #[test]
-fn a_server_without_encryption_is_told_at_once() {
+fn server_without_tls_fails_at_once() {
     let bench = Bench::new();
     let listener = TcpListener::bind("127.0.0.1:0").unwrap();
     let url = format!("https://{}/v1", listener.local_addr().unwrap());
@@ -213,7 +214,7 @@ fn a_server_without_encryption_is_told_at_once() {
             .write_all(b"HTTP/1.1 400 Bad Request\r\n\r\n")
             .unwrap();
     });
-    let error = bench.asker(&url, true).physical(&query()).unwrap_err();
+    let error = bench.estimator(&url, true).physical(&query()).unwrap_err();
     assert_eq!(error.kind(), ErrorKind::Config, "{error}");
     assert!(
         error.to_string().contains("no secure connection"),
@@ -223,21 +224,21 @@ fn a_server_without_encryption_is_told_at_once() {
 }
 
 #[test]
-fn a_silent_server_times_out() {
+fn silent_server_times_out() {
     let bench = Bench::new();
     let server = TestServer::new(vec![Reply::Silence]);
     let mut options = LlmOptions::new(&server.url, "m", bench.folder.path().to_owned());
     options.timeout = Duration::from_millis(20);
     options.attempts = 1;
     let client = LlmClient::new(options).unwrap();
-    let error = PropertyAsker::new(client, false)
+    let error = PropertyEstimator::new(client, false)
         .physical(&query())
         .unwrap_err();
     assert!(error.to_string().contains("timeout"), "{error}");
 }
 
 #[test]
-fn an_endless_reply_is_cut() {
+fn endless_reply_is_cut_off() {
     let error = failure(vec![Reply::Endless, Reply::Endless]);
     assert!(
         error.to_string().contains("longer than 1048576 bytes"),
@@ -267,7 +268,7 @@ fn refusals_are_not_repeated_and_hide_the_key() {
 }
 
 #[test]
-fn a_redirect_is_told_and_not_followed() {
+fn redirect_is_reported_and_not_followed() {
     let to = "Location: https://elsewhere.example/v1/chat/completions\r\n";
     let error = failure(vec![Reply::status("307 Temporary Redirect", to, "moved")]);
     assert!(
@@ -277,12 +278,12 @@ fn a_redirect_is_told_and_not_followed() {
 }
 
 #[test]
-fn the_key_is_nowhere() {
+fn key_never_leaks() {
     let bench = Bench::new();
-    let server = TestServer::new(vec![Reply::says(&format!("{KEY} {GOOD}"))]);
-    let mut asker = bench.asker(&server.url, false);
-    asker.physical(&query()).unwrap();
-    assert!(!format!("{asker:?}").contains(KEY), "{asker:?}");
+    let server = TestServer::new(vec![Reply::answer(&format!("{KEY} {GOOD}"))]);
+    let mut estimator = bench.estimator(&server.url, false);
+    estimator.physical(&query()).unwrap();
+    assert!(!format!("{estimator:?}").contains(KEY), "{estimator:?}");
     let files = bench.files();
     assert_eq!(files.len(), 1);
     let text = fs::read_to_string(&files[0]).unwrap();
@@ -296,12 +297,15 @@ fn the_key_is_nowhere() {
 }
 
 #[test]
-fn a_known_answer_is_not_asked_again() {
+fn cached_answer_is_not_requested_again() {
     let bench = Bench::new();
-    let server = TestServer::new(vec![Reply::says(GOOD)]);
-    let first = bench.asker(&server.url, false).physical(&query()).unwrap();
+    let server = TestServer::new(vec![Reply::answer(GOOD)]);
+    let first = bench
+        .estimator(&server.url, false)
+        .physical(&query())
+        .unwrap();
     let again = bench
-        .asker(&refused_url(), false)
+        .estimator(&refused_url(), false)
         .physical(&query())
         .unwrap();
     assert_eq!(first, again);
@@ -310,119 +314,130 @@ fn a_known_answer_is_not_asked_again() {
         size_m: 0.2,
         ..query()
     };
-    assert!(bench.asker(&refused_url(), false).physical(&other).is_err());
+    assert!(
+        bench
+            .estimator(&refused_url(), false)
+            .physical(&other)
+            .is_err()
+    );
 }
 
 #[test]
-fn a_damaged_answer_is_asked_again() {
+fn damaged_answer_is_requested_again() {
     let bench = Bench::new();
     let server = TestServer::new(vec![
-        Reply::says(GOOD),
-        Reply::says(GOOD),
-        Reply::says(GOOD),
+        Reply::answer(GOOD),
+        Reply::answer(GOOD),
+        Reply::answer(GOOD),
     ]);
-    let mut asker = bench.asker(&server.url, false);
-    let first = asker.physical(&query()).unwrap();
+    let mut estimator = bench.estimator(&server.url, false);
+    let first = estimator.physical(&query()).unwrap();
     let file = bench.files().remove(0);
     let whole = fs::read_to_string(&file).unwrap();
     for damaged in [whole[..40].to_owned(), whole.replace("0.8", "80")] {
         fs::write(&file, damaged).unwrap();
-        assert_eq!(asker.physical(&query()).unwrap(), first);
+        assert_eq!(estimator.physical(&query()).unwrap(), first);
         assert_eq!(fs::read_to_string(&file).unwrap(), whole);
     }
     assert_eq!(server.requests().len(), 3);
 }
 
 #[test]
-fn answers_that_cannot_be_stored_are_an_error_even_with_fallback() {
+fn cache_failure_is_an_error_even_with_fallback() {
     let bench = Bench::new();
-    let server = TestServer::new(vec![Reply::says(GOOD)]);
+    let server = TestServer::new(vec![Reply::answer(GOOD)]);
     let taken = bench.folder.path().join("taken");
     fs::write(&taken, "").unwrap();
     let options = LlmOptions::new(&server.url, "m", taken.join("answers"));
-    let mut asker = PropertyAsker::new(LlmClient::new(options).unwrap(), true);
-    assert!(asker.physical(&query()).is_err());
+    let mut estimator = PropertyEstimator::new(LlmClient::new(options).unwrap(), true);
+    assert!(estimator.physical(&query()).is_err());
 }
 
 #[test]
-fn the_table_takes_over_only_when_asked_and_says_so() {
+fn table_is_used_only_with_fallback() {
     let bench = Bench::new();
-    let server = TestServer::new(vec![Reply::says(GOOD)]);
-    let known = bench.asker(&server.url, false).physical(&query()).unwrap();
-    let mut asker = bench.asker(&refused_url(), true);
+    let server = TestServer::new(vec![Reply::answer(GOOD)]);
+    let known = bench
+        .estimator(&server.url, false)
+        .physical(&query())
+        .unwrap();
+    let mut estimator = bench.estimator(&refused_url(), true);
     let bowl = PropertyQuery {
         category: "bowl",
         ..query()
     };
-    let found = asker.physical(&bowl).unwrap();
-    let PropertySource::Fallback { why } = &found.source else {
+    let found = estimator.physical(&bowl).unwrap();
+    let PropertySource::Fallback { reason } = &found.source else {
         panic!("{found:?}");
     };
-    assert!(why.contains("refused"), "{why}");
+    assert!(reason.contains("refused"), "{reason}");
     assert!((0.1..0.3).contains(&found.mass_kg), "{found:?}");
     assert_eq!(bench.waits().len(), 4);
-    // Known answers still count, and nobody waits for the endpoint again.
-    assert_eq!(asker.physical(&query()).unwrap(), known);
-    let looks = asker.appearances(&bowl).unwrap();
-    assert_eq!(looks.modifiers.len(), 5);
-    assert!(matches!(looks.source, PropertySource::Fallback { .. }));
+    // Cached answers are still used, and nobody waits for the endpoint again.
+    assert_eq!(estimator.physical(&query()).unwrap(), known);
+    let expected = builtin_appearances(bowl.object, bowl.material, bowl.seed);
+    assert_eq!(estimator.appearances(&bowl).unwrap(), expected);
     assert_eq!(bench.waits().len(), 4);
 }
 
 #[test]
-fn an_unusable_answer_falls_back_for_its_object_alone() {
+fn unusable_answer_falls_back_for_one_object() {
     let bench = Bench::new();
-    let server = TestServer::new(vec![Reply::says("?"), Reply::says("?"), Reply::says(GOOD)]);
-    let mut asker = bench.asker(&server.url, true);
-    let first = asker.physical(&query()).unwrap();
+    let server = TestServer::new(vec![
+        Reply::answer("?"),
+        Reply::answer("?"),
+        Reply::answer(GOOD),
+    ]);
+    let mut estimator = bench.estimator(&server.url, true);
+    let first = estimator.physical(&query()).unwrap();
     assert!(
         matches!(first.source, PropertySource::Fallback { .. }),
         "{first:?}"
     );
-    let second = asker.physical(&query()).unwrap();
+    let second = estimator.physical(&query()).unwrap();
     let model = "test-model".to_owned();
     assert_eq!(second.source, PropertySource::Llm { model });
 }
 
 #[test]
-fn a_refusal_is_an_error_even_with_fallback() {
+fn refusal_is_an_error_even_with_fallback() {
     let bench = Bench::new();
     let server = TestServer::new(vec![Reply::status("401 Unauthorized", "", "")]);
     let error = bench
-        .asker(&server.url, true)
+        .estimator(&server.url, true)
         .physical(&query())
         .unwrap_err();
     assert_eq!(error.kind(), ErrorKind::Permission);
 }
 
 #[test]
-fn appearances_get_words_and_looks() {
+fn appearances_are_described_and_interpreted() {
     let bench = Bench::new();
     let list = "Scratched blue enamel\nPolished walnut\nBrushed steel\nFrosted glass\nPlain white";
-    let server = TestServer::new(vec![Reply::says(list)]);
+    let server = TestServer::new(vec![Reply::answer(list)]);
     let found = bench
-        .asker(&server.url, false)
+        .estimator(&server.url, false)
         .appearances(&query())
         .unwrap();
-    let finishes: Vec<_> = found.modifiers.iter().map(|m| m.look.finish).collect();
+    let finishes: Vec<_> = found.iter().map(|m| m.appearance.finish).collect();
     use FinishClass::{Ceramic, Glass, Metal, Wood};
     assert_eq!(finishes, [Ceramic, Wood, Metal, Glass, Ceramic]);
-    assert_eq!(found.modifiers[0].words, "Scratched blue enamel");
+    assert_eq!(found[0].description, "Scratched blue enamel");
 }
 
 #[test]
-fn a_stop_ends_the_waiting() {
+fn stop_ends_the_waiting() {
     let bench = Bench::new();
     let stop = |_| Err(Error::new(ErrorKind::Stopped, "stopped"));
     let client = bench.client(&refused_url()).waiting(Box::new(stop));
-    let error = PropertyAsker::new(client, true)
+    let error = PropertyEstimator::new(client, true)
         .physical(&query())
         .unwrap_err();
     assert_eq!(error.kind(), ErrorKind::Stopped);
 }
 
 #[test]
-fn clients_need_an_address_and_a_model() {
+fn client_needs_a_url_and_a_model() {
     let client = |url: &str, model: &str| {
         LlmClient::new(LlmOptions::new(url, model, Path::new("a").to_owned()))
     };

@@ -1,4 +1,4 @@
-//! The address of an OpenAI-compatible endpoint.
+//! URL of an OpenAI-compatible endpoint.
 
 use std::net::IpAddr;
 
@@ -8,44 +8,48 @@ use gripcast_base::error::{Error, Result};
 
 const PATH: &str = "/chat/completions";
 
-/// A checked address.
+/// A validated URL.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) struct Endpoint {
-    /// Where questions are posted to.
+    /// URL for chat completions.
     pub url: String,
     /// Whether it is on this machine.
     pub local: bool,
-    /// Whether what is sent is encrypted.
+    /// Whether the connection is encrypted.
     pub encrypted: bool,
 }
 
 impl Endpoint {
-    /// Address from its base, as `https://api.openai.com/v1` or `http://localhost:11434/v1`.
+    /// Parses a base URL such as `https://api.openai.com/v1` or `http://localhost:11434/v1`.
     ///
     /// # Errors
-    /// `Usage` for what is no such address, or has credentials, a query or a fragment, which would
-    /// be printed with it. The text of such an address is not repeated.
+    /// `Usage` for an invalid URL, or one with credentials, a query or a fragment, which is not
+    /// repeated in the error.
     pub(super) fn parse(base: &str) -> Result<Self> {
-        let wrong = |what: String, remedy: &str| Err(Error::usage(what).remedy(remedy.to_owned()));
+        let invalid =
+            |what: String, remedy: &str| Err(Error::usage(what).remedy(remedy.to_owned()));
         let base = base.trim();
         if base.contains(['@', '?', '#']) {
-            return wrong(
-                "the address of the endpoint has a user name, a query or a fragment".to_owned(),
-                "give it as https://HOST/v1, and the key in an environment variable",
+            return invalid(
+                "the endpoint URL must not have a user name, a query or a fragment".to_owned(),
+                "use https://HOST/v1, and set the key in an environment variable",
             );
         }
         let base = base.trim_end_matches('/');
         let base = base.strip_suffix(PATH).unwrap_or(base);
-        let example = "give it as https://api.openai.com/v1 or http://localhost:11434/v1";
+        let example = "use for instance https://api.openai.com/v1 or http://localhost:11434/v1";
         let uri: Uri = match base.parse() {
             Ok(uri) => uri,
-            Err(_) => return wrong(format!("{base:?} is no address of an endpoint"), example),
+            Err(_) => return invalid(format!("invalid endpoint URL {base:?}"), example),
         };
         let (Some(scheme), Some(host)) = (uri.scheme_str(), uri.host()) else {
-            return wrong(format!("{base:?} is no complete address"), example);
+            return invalid(format!("incomplete endpoint URL {base:?}"), example);
         };
         if host.is_empty() || !["http", "https"].contains(&scheme) {
-            return wrong(format!("{base:?} is no http or https address"), example);
+            return invalid(
+                format!("endpoint URL {base:?} is not http or https"),
+                example,
+            );
         }
         Ok(Self {
             url: format!("{base}{PATH}"),
@@ -67,7 +71,7 @@ mod tests {
     use gripcast_base::error::ErrorKind;
 
     #[test]
-    fn addresses_get_the_path_once() {
+    fn path_is_appended_once() {
         for base in [
             "https://api.openai.com/v1",
             " https://api.openai.com/v1/ ",
@@ -93,7 +97,7 @@ mod tests {
     }
 
     #[test]
-    fn wrong_addresses_are_refused_without_their_secrets() {
+    fn invalid_urls_are_refused_without_their_secrets() {
         for base in [
             "",
             "api.openai.com/v1",

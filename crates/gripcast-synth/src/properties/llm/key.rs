@@ -1,25 +1,25 @@
-//! The key of an endpoint, which nothing prints or stores.
+//! API key of an endpoint, which is never printed or stored.
 
 use std::env;
 use std::fmt;
 
 use gripcast_base::error::{Error, Result};
 
-/// Environment variable that the key is read from when none is named.
+/// Default environment variable of the key.
 pub const DEFAULT_KEY_VARIABLE: &str = "OPENAI_API_KEY";
 
-/// What stands in texts where a key was.
+/// Replacement for the key in texts.
 const HIDDEN: &str = "[key]";
 
-/// The key of an endpoint. It can be sent, but not printed: `Debug` hides it.
+/// API key of an endpoint. `Debug` hides it.
 #[derive(Clone, PartialEq, Eq)]
 pub struct EndpointKey(String);
 
 impl EndpointKey {
-    /// The key in an environment variable; none if it is unset or empty, as for local servers.
+    /// Reads the key from an environment variable; none if it is unset or empty.
     ///
     /// # Errors
-    /// `Config` for a value that cannot be a key: spaces, control characters, no ASCII.
+    /// `Config` for an invalid key: spaces, control characters, non-ASCII characters.
     pub fn from_env(variable: &str) -> Result<Option<Self>> {
         match env::var_os(variable) {
             None => Ok(None),
@@ -28,7 +28,7 @@ impl EndpointKey {
         }
     }
 
-    /// A key; none if the text is empty. White space around it is no part of it.
+    /// Creates a key; none if the text is empty. Surrounding white space is ignored.
     ///
     /// # Errors
     /// As [`from_env`](Self::from_env).
@@ -36,19 +36,19 @@ impl EndpointKey {
         let key = text.trim();
         if !key.bytes().all(|b| b.is_ascii_graphic()) {
             return Err(Error::config(
-                "the key has characters that no key has (spaces, line breaks or no ASCII)",
+                "the key contains spaces, line breaks or non-ASCII characters",
             )
             .remedy("set the variable to the key alone"));
         }
         Ok((!key.is_empty()).then(|| Self(key.to_owned())))
     }
 
-    /// The key itself, for the request header alone.
+    /// Returns the key, only for the request header.
     pub(super) fn reveal(&self) -> &str {
         &self.0
     }
 
-    /// A text without the key.
+    /// Removes the key from a text.
     pub(super) fn hide_in(&self, text: &str) -> String {
         text.replace(&self.0, HIDDEN)
     }
@@ -65,7 +65,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_key_is_never_printed() {
+    fn key_is_never_printed() {
         let key = EndpointKey::new(" sk-secret\n").unwrap().unwrap();
         assert_eq!(key.reveal(), "sk-secret");
         assert_eq!(format!("{key:?} {:?}", Some(&key)), "[key] Some([key])");
@@ -78,7 +78,7 @@ mod tests {
     }
 
     #[test]
-    fn no_key_is_none() {
+    fn empty_key_is_none() {
         assert_eq!(EndpointKey::new(" ").unwrap(), None);
         assert_eq!(
             EndpointKey::from_env("GRIPCAST_TEST_NO_SUCH_VARIABLE").unwrap(),

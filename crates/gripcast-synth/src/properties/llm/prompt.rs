@@ -1,13 +1,13 @@
-//! The paper's prompts (A.1), word for word, and what makes their answers readable.
+//! The paper's prompts (A.1), verbatim.
 
 use gripcast_base::error::{Error, Result};
 
-/// Longest category or texture, characters.
+/// Maximum length of category and texture, characters.
 const MAX_NAME: usize = 120;
-/// Largest object that is asked about, m.
+/// Maximum object size, m.
 const MAX_M: f64 = 100.0;
 
-/// The paper's prompt for mass and friction (A.1, Mass and Friction Coefficient).
+/// Returns the paper's prompt for mass and friction (A.1, Mass and Friction Coefficient).
 ///
 /// `texture` may be empty; the paper's *obj* is the category with its texture. `size_m` is the
 /// largest side of the oriented bounding box, m.
@@ -37,7 +37,7 @@ pub fn physical_prompt(texture: &str, category: &str, size_m: f64) -> Result<Str
     ))
 }
 
-/// The paper's prompt for textures (A.1, Texture), with the form of the list added.
+/// Returns the paper's prompt for textures (A.1, Texture), plus the format of the list.
 ///
 /// # Errors
 /// As [`physical_prompt`].
@@ -50,7 +50,7 @@ pub fn texture_prompt(category: &str) -> Result<String> {
     ))
 }
 
-/// A name on one line.
+/// Normalises a name to one line.
 fn name(kind: &str, text: &str) -> Result<String> {
     let words: Vec<&str> = text.split_whitespace().collect();
     let joined = words.join(" ");
@@ -69,7 +69,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn prompts_are_those_of_the_paper() {
+    fn prompts_match_the_paper() {
         let prompt = physical_prompt("light oak", "salad bowl", 0.1234).unwrap();
         assert_eq!(
             prompt,
@@ -92,7 +92,7 @@ mod tests {
     }
 
     #[test]
-    fn what_cannot_be_asked_is_refused() {
+    fn invalid_queries_are_refused() {
         for (category, size) in [("", 0.1), ("mug", 0.0), ("mug", f64::NAN), ("mug", 1e3)] {
             assert!(
                 physical_prompt("", category, size).is_err(),

@@ -1,4 +1,4 @@
-//! A tiny HTTP server with a script, for tests.
+//! A scripted HTTP server for tests.
 
 use std::io::{Read as _, Write as _};
 use std::net::{TcpListener, TcpStream};
@@ -7,15 +7,15 @@ use std::thread;
 
 use serde_json::json;
 
-/// What is sent to one connection.
+/// Reply to one connection.
 pub(super) enum Reply {
     /// Status line and headers without length, body.
     Http(String, Vec<u8>),
     /// A body that never ends.
     Endless,
-    /// The connection is closed without a word.
+    /// The connection is closed without a reply.
     Hangup,
-    /// The connection stays open without a word.
+    /// The connection stays open without a reply.
     Silence,
 }
 
@@ -27,8 +27,8 @@ impl Reply {
         )
     }
 
-    /// The answer of a model.
-    pub(super) fn says(content: &str) -> Self {
+    /// Answer of a model.
+    pub(super) fn answer(content: &str) -> Self {
         let message = json!({"role": "assistant", "content": content});
         let body = json!({"id": "x", "choices": [{"index": 0, "message": message}]});
         Self::status(
@@ -76,10 +76,10 @@ impl TestServer {
 
 fn request(stream: &mut TcpStream) -> String {
     let mut bytes = Vec::new();
-    let mut part = [0; 4096];
+    let mut buffer = [0; 4096];
     loop {
-        let count = stream.read(&mut part).unwrap();
-        bytes.extend_from_slice(&part[..count]);
+        let count = stream.read(&mut buffer).unwrap();
+        bytes.extend_from_slice(&buffer[..count]);
         let text = String::from_utf8_lossy(&bytes).into_owned();
         let whole = text.split_once("\r\n\r\n").is_some_and(|(head, body)| {
             let head = head.to_lowercase();

@@ -1,7 +1,7 @@
-//! Fraction of held grasps by what may decide it.
+//! Fraction of stable grasps by attributes that may predict the label.
 
 use super::{bar, key, percent, words};
-use crate::report::facts::{BalanceTable, Labels, SynthReport};
+use crate::report::facts::{BalanceTable, LabelCounts, SynthReport};
 use gripcast_report::page::{self, Table, number, text};
 use maud::{Markup, Render, html};
 
@@ -9,9 +9,9 @@ pub(super) fn section(report: &SynthReport) -> Markup {
     let has_dataset = report.dataset.is_some();
     let body = html! {
         p {
-            "Fraction of simulations that held. Where a group is nearly all of one label, a model can \
-             guess it from that alone"
-            @if has_dataset { "; what counts for training are the columns of the dataset" }
+            "Fraction of stable simulations. If nearly all labels of a group are equal, a model can \
+             predict the label from that attribute alone"
+            @if has_dataset { "; training only sees the columns of the dataset" }
             "."
         }
         (key())
@@ -34,15 +34,15 @@ fn draw(facts: &BalanceTable, has_dataset: bool) -> Table {
         .class("data balance");
     for group in &facts.groups {
         let first = group.dataset.unwrap_or(group.results);
-        let fraction = |labels: Labels| percent(labels.fraction());
-        // Where there is no dataset, there are no columns for the last two cells.
+        let fraction = |labels: LabelCounts| percent(labels.stable_fraction());
+        // Without a dataset there are no columns for the last two cells.
         table.row([
             &words(&group.name) as &dyn Render,
-            &bar(first, first.all()),
+            &bar(first, first.total()),
             &fraction(first),
-            &first.all(),
+            &first.total(),
             &fraction(group.results),
-            &group.results.all(),
+            &group.results.total(),
         ]);
     }
     table

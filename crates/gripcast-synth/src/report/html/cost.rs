@@ -1,12 +1,12 @@
-//! What it cost, and what gave no label.
+//! CPU time, and simulations without a label.
 
 use crate::report::facts::{CostFacts, EstimateFacts, Quantiles, SettingCost, SynthReport};
-use gripcast_report::page::{self, Table, nothing, number, stack, text};
+use gripcast_report::page::{self, Table, number, placeholder, stacked_bar, text};
 use gripcast_report::{duration, engine_name, fixed, optional, outcome_name, trimmed};
 use maud::{Markup, Render, html};
 
-/// Parts of the work: name in the report, name on the page, class of its colour.
-const PARTS: [(&str, &str, &str); 4] = [
+/// Stages: name in the report, name on the page, CSS class of its colour.
+const STAGES: [(&str, &str, &str); 4] = [
     ("prepare", "mesh", "part-0"),
     ("simulate", "simulation", "part-1"),
     ("tactile", "tactile images", "part-2"),
@@ -17,15 +17,14 @@ pub(super) fn section(report: &SynthReport) -> Markup {
     let costs = &report.costs;
     let body = html! {
         @if costs.simulations == 0 {
-            (nothing("Nothing was simulated yet."))
+            (placeholder("No simulation has finished yet."))
         } @else {
             p {
-                b { (optional(costs.per_core_hour, 0)) " simulations an hour on a core" } ", "
-                (optional(costs.labelled_per_core_hour, 0)) " of them with a label, with all their \
-                 images. CPU time of " (costs.simulations) " simulations; those that failed have \
-                 none."
+                b { (optional(costs.per_core_hour, 0)) " simulations per core hour" } ", "
+                (optional(costs.labelled_per_core_hour, 0)) " of them with a label and all images. \
+                 CPU time of " (costs.simulations) " simulations, without failed ones."
             }
-            (split(costs))
+            (by_stage(costs))
             (settings(&costs.settings))
             @if let Some(found) = &costs.estimate { (estimate(found)) }
         }
@@ -33,17 +32,17 @@ pub(super) fn section(report: &SynthReport) -> Markup {
     page::section("cost", "Cost", body)
 }
 
-fn split(costs: &CostFacts) -> Markup {
+fn by_stage(costs: &CostFacts) -> Markup {
     let total = costs.total_s;
     let seconds = [total.prepare, total.simulate, total.tactile, total.visual];
-    let all: f64 = seconds.iter().sum();
+    let all = total.total();
     let columns = [
-        text("Part"),
-        number("CPU time of all"),
+        text("Stage"),
+        number("total CPU time"),
         number("fraction"),
-        number("each: median"),
+        number("median"),
         number("95\u{a0}%"),
-        number("longest"),
+        number("maximum"),
     ];
     let cells = |key: &str, seconds: f64| {
         let each = costs.each_s.get(key).copied().unwrap_or_default();
@@ -51,17 +50,17 @@ fn split(costs: &CostFacts) -> Markup {
         let each = [each.median, each.p95, each.max].map(duration);
         (duration(seconds), fraction, each)
     };
-    let mut table = Table::new("CPU time by part", columns);
-    for ((key, name, class), seconds) in PARTS.into_iter().zip(seconds) {
+    let mut table = Table::new("CPU time by stage", columns);
+    for ((key, name, class), seconds) in STAGES.into_iter().zip(seconds) {
         let title = html! { span.key { i class=(class) {} } " " (name) };
         let (all, fraction, [median, p95, max]) = cells(key, seconds);
         table.row([&title as &dyn Render, &all, &fraction, &median, &p95, &max]);
     }
     let (sum, fraction, [median, p95, max]) = cells("all", all);
     table.total([&"all" as &dyn Render, &sum, &fraction, &median, &p95, &max]);
-    let parts = PARTS.into_iter().zip(seconds);
+    let stages = STAGES.into_iter().zip(seconds);
     html! {
-        div.wide-bar { (stack(parts.map(|((_, _, class), s)| (class, s / all)))) }
+        div.wide-bar { (stacked_bar(stages.map(|((_, _, class), s)| (class, s / all)))) }
         (table)
     }
 }
@@ -71,11 +70,11 @@ fn settings(settings: &[SettingCost]) -> Table {
         text("Simulator"),
         number("force, N"),
         number("simulations"),
-        number("CPU time of all"),
-        number("each: median, 95\u{a0}%, longest"),
-        number("of it simulator"),
+        number("total CPU time"),
+        number("per simulation: median, 95\u{a0}%, maximum"),
+        number("of that simulator"),
         number("Newton iterations"),
-        number("steps not converged"),
+        number("unconverged steps"),
     ];
     let mut table = Table::new("Cost by simulator and force", columns);
     for one in settings {
@@ -104,13 +103,13 @@ fn estimate(found: &EstimateFacts) -> Markup {
     let ratio = &found.ratio;
     html! {
         p {
-            "The plan estimated " (duration(found.estimated_s)) ", and " (duration(found.found_s))
-            " were found: " (fixed(found.found_s / found.estimated_s, 2)) " times as much (each: \
-             median " (fixed(ratio.median, 2)) ", 5 to 95\u{a0}% " (fixed(ratio.p05, 2)) " to "
-            (fixed(ratio.p95, 2)) "); "
+            "Estimated: " (duration(found.estimated_s)) ". Measured: " (duration(found.measured_s))
+            ", " (fixed(found.measured_s / found.estimated_s, 2)) " times the estimate (per \
+             simulation: median " (fixed(ratio.median, 2)) ", 5 to 95\u{a0}% "
+            (fixed(ratio.p05, 2)) " to " (fixed(ratio.p95, 2)) "); "
             @match found.correlation {
-                Some(correlation) => { "correlation of both " (fixed(correlation, 2)) },
-                None => "the estimate is the same for all, or the cost is",
+                Some(correlation) => { "correlation " (fixed(correlation, 2)) },
+                None => "no correlation, since one of both is constant",
             }
             "."
         }
@@ -123,11 +122,11 @@ pub(super) fn unlabelled(report: &SynthReport) -> Markup {
         text("Outcome"),
         text("Reason"),
         number("simulations"),
-        text("for instance"),
+        text("example"),
     ];
     let mut table = Table::new(TITLE, columns).class("data text");
     for group in &report.unlabelled {
-        // The reason with its numbers, where it has any.
+        // The reason with its numbers, if it has any.
         let example = if group.reason == group.example_reason {
             group.example.clone()
         } else {
@@ -142,7 +141,7 @@ pub(super) fn unlabelled(report: &SynthReport) -> Markup {
     }
     let body = html! {
         @if report.unlabelled.is_empty() {
-            p { "None: every simulation that is done has a label." }
+            p { "None: every finished simulation has a label." }
         } @else {
             (table)
         }

@@ -1,22 +1,24 @@
-//! Counts per category, as the paper's Figure 7, of all results and of the dataset.
+//! Counts by category (the paper's Figure 7) of all results and of the dataset.
+
+use std::collections::BTreeSet;
 
 use super::{bar, key, percent};
-use crate::curate::{Apart, LeftOut};
-use crate::merge::PartFacts;
-use crate::report::facts::{DatasetFacts, Labels, SynthReport};
+use crate::curate::{GroupKey, LeftOut};
+use crate::merge::SplitFacts;
+use crate::report::facts::{DatasetFacts, LabelCounts, SynthReport};
 use gripcast_report::outcome_name;
-use gripcast_report::page::{self, Table, nothing, number, text};
+use gripcast_report::page::{self, Table, number, placeholder, text};
 use maud::{Markup, Render, html};
 
 pub(super) fn section(report: &SynthReport) -> Markup {
     let body = html! {
-        p { "Simulations with a label. A grasp is a pose, simulated at every force." }
+        p { "Labelled simulations. A grasp is a pose that is simulated at every force." }
         (key())
         (results(report))
         @match &report.dataset {
             Some(dataset) => (of_dataset(dataset)),
-            None => (nothing(html! {
-                "No dataset was given; " code { "--dataset" } " adds what is in its splits."
+            None => (placeholder(html! {
+                "No dataset was given; " code { "--dataset" } " adds the contents of its splits."
             })),
         }
     };
@@ -27,80 +29,70 @@ fn results(report: &SynthReport) -> Table {
     let columns = [
         text("Category"),
         text("Simulations"),
-        number("held"),
-        number("lost"),
-        number("fraction held"),
+        number("stable"),
+        number("slip"),
+        number("stable fraction"),
         number("objects"),
         number("grasps"),
     ];
     let mut table = Table::new("Counts by category", columns).class("data categories");
-    let all = report.categories.values().map(|facts| facts.labels.all());
-    let most = all.max().unwrap_or(0);
-    let cells = |labels: Labels| (labels.held, labels.lost, percent(labels.fraction()));
-    let (mut objects, mut grasps) = (0, 0);
+    let all = report.categories.values().map(|facts| facts.labels.total());
+    let max = all.max().unwrap_or(0);
+    let cells = |name: &str, bar: Markup, labels: LabelCounts, [objects, grasps]: [usize; 2]| {
+        [
+            name.render(),
+            bar,
+            labels.stable.render(),
+            labels.slip.render(),
+            percent(labels.stable_fraction()).render(),
+            objects.render(),
+            grasps.render(),
+        ]
+    };
+    let mut sums = [0; 2];
     for (name, facts) in &report.categories {
-        let (held, lost, fraction) = cells(facts.labels);
-        let bar = bar(facts.labels, most);
-        let counts: [&dyn Render; 2] = [&facts.objects, &facts.grasps];
-        table.row([
-            name as &dyn Render,
-            &bar,
-            &held,
-            &lost,
-            &fraction,
-            counts[0],
-            counts[1],
-        ]);
-        objects += facts.objects;
-        grasps += facts.grasps;
+        let counts = [facts.objects, facts.grasps];
+        table.row(cells(name, bar(facts.labels, max), facts.labels, counts));
+        sums = [sums[0] + counts[0], sums[1] + counts[1]];
     }
-    let (held, lost, fraction) = cells(report.progress.labels);
-    table.total([
-        &"all" as &dyn Render,
-        &"",
-        &held,
-        &lost,
-        &fraction,
-        &objects,
-        &grasps,
-    ]);
+    table.total(cells("all", html! {}, report.progress.labels, sums));
     table
 }
 
 fn of_dataset(dataset: &DatasetFacts) -> Markup {
     let curation = &dataset.merge.curation;
-    let apart = match curation.apart {
-        Apart::Object => "no object is in two splits",
-        Apart::Category => "no category is in two splits",
+    let grouping = match curation.group_by {
+        GroupKey::Object => "grouped by object",
+        GroupKey::Category => "grouped by category",
     };
     html! {
-        h3 { "The dataset " span { (apart) "; seed " (curation.seed) } }
+        h3 { "The dataset " span { (grouping) "; seed " (curation.seed) } }
         (splits(dataset))
         (split_categories(dataset))
         (left_out(dataset))
     }
 }
 
-fn labels(part: &PartFacts) -> Labels {
-    Labels {
-        held: part.stable,
-        lost: part.slip,
+fn labels(split: &SplitFacts) -> LabelCounts {
+    LabelCounts {
+        stable: split.stable,
+        slip: split.slip,
     }
 }
 
 fn splits(dataset: &DatasetFacts) -> Table {
-    let numbers = ["held", "lost", "objects", "grasps", "renderings"];
+    let numbers = ["stable", "slip", "objects", "grasps", "renderings"];
     let columns = std::iter::once(text("Split")).chain(numbers.map(number));
     let mut table = Table::new("Splits of the dataset", columns);
-    for (name, part) in &dataset.merge.parts {
-        let labels = labels(part);
+    for (name, split) in &dataset.merge.splits {
+        let labels = labels(split);
         table.row([
             name as &dyn Render,
-            &labels.held,
-            &labels.lost,
-            &part.objects,
-            &part.grasps,
-            &part.rows,
+            &labels.stable,
+            &labels.slip,
+            &split.objects,
+            &split.grasps,
+            &split.rows,
         ]);
     }
     table
@@ -108,24 +100,26 @@ fn splits(dataset: &DatasetFacts) -> Table {
 
 /// Bars of each split by category; each split has its own scale.
 fn split_categories(dataset: &DatasetFacts) -> Table {
-    let parts = &dataset.merge.parts;
-    let mut categories: Vec<&String> = parts.values().flat_map(|p| p.categories.keys()).collect();
-    categories.sort();
-    categories.dedup();
-    let of_part = parts
+    let splits = &dataset.merge.splits;
+    let categories = splits.values().flat_map(|split| split.categories.keys());
+    let categories: BTreeSet<&String> = categories.collect();
+    let split_columns = splits
         .keys()
-        .flat_map(|name| [text(name), number("held"), number("lost")]);
-    let columns = std::iter::once(text("Category")).chain(of_part);
+        .flat_map(|name| [text(name), number("stable"), number("slip")]);
+    let columns = std::iter::once(text("Category")).chain(split_columns);
     let mut table = Table::new("Splits of the dataset by category", columns);
     for category in categories {
         let mut cells: Vec<Markup> = vec![category.render()];
-        for part in parts.values() {
-            let most = part.categories.values().map(|counts| counts[0] + counts[1]);
-            let [held, lost] = part.categories.get(category).copied().unwrap_or_default();
-            cells.push(bar(Labels { held, lost }, most.max().unwrap_or(0)));
-            cells.extend([held.render(), lost.render()]);
+        for split in splits.values() {
+            let totals = split
+                .categories
+                .values()
+                .map(|counts| counts[0] + counts[1]);
+            let [stable, slip] = split.categories.get(category).copied().unwrap_or_default();
+            cells.push(bar(LabelCounts { stable, slip }, totals.max().unwrap_or(0)));
+            cells.extend([stable.render(), slip.render()]);
         }
-        table.row(cells.iter().map(|cell| cell as &dyn Render));
+        table.row(cells);
     }
     table
 }
@@ -133,22 +127,25 @@ fn split_categories(dataset: &DatasetFacts) -> Table {
 fn left_out(dataset: &DatasetFacts) -> Table {
     let merge = &dataset.merge;
     let mut table = Table::new(
-        "Simulations that are not in the dataset",
+        "Simulations outside of the dataset",
         [text("Reason"), number("simulations")],
     )
-    .caption("Simulations that are not in the dataset");
+    .caption("Simulations outside of the dataset");
     for (reason, count) in &merge.left_out {
         let reason = match reason {
-            LeftOut::CategoryCap => "its category has enough",
-            LeftOut::Balance => "its label has enough",
+            LeftOut::CategoryCap => "its category reached the cap",
+            LeftOut::Balance => "its label is the more frequent one",
         };
         table.row([&reason as &dyn Render, count]);
     }
     for (outcome, count) in &merge.without_sample {
-        let reason = format!("nothing to see or no label: {}", outcome_name(outcome));
+        let reason = format!("no label: {}", outcome_name(outcome));
         table.row([&reason as &dyn Render, count]);
     }
-    table.row([&"could not be simulated" as &dyn Render, &merge.failed]);
-    table.row([&"no result when it was merged" as &dyn Render, &merge.open]);
+    table.row([&"failed" as &dyn Render, &merge.failed]);
+    table.row([
+        &"no result at the time of merging" as &dyn Render,
+        &merge.open,
+    ]);
     table
 }

@@ -1,4 +1,4 @@
-//! The summary: what was planned, how far it is, and that all of it is simulated.
+//! Summary: the plan, its progress, and the notice that everything is simulated.
 
 use super::{percent, short};
 use crate::report::facts::SynthReport;
@@ -13,15 +13,15 @@ pub(super) fn summary(report: &SynthReport) -> Markup {
             h1 { "Simulated grasps: plan " (short(&plan.sha256)) }
             p.simulated role="note" {
                 b { "Everything here is simulated and rendered." }
-                " No grasp was made by a robot and no image was taken by a camera; whether an \
-                 object was held is what a simulator says."
+                " No grasp was performed by a robot and no image was taken by a camera; the labels \
+                 are those of a simulator."
             }
             p.verdict {
                 b { (progress.done) " of " (plan.simulations) }
                 " planned simulations are done: "
-                b { (progress.labels.held) } " held, "
-                b { (progress.labels.lost) } " were lost (" (percent(progress.labels.fraction()))
-                " held), " (without_label(report)) ". They make " (progress.rows)
+                b { (progress.labels.stable) } " stable, "
+                b { (progress.labels.slip) } " slip (" (percent(progress.labels.stable_fraction()))
+                " stable), " (without_label(report)) ". They have " (progress.rows)
                 " renderings of " (plan.objects) " objects in " (plan.categories) " categories."
             }
             (warnings(report))
@@ -32,43 +32,43 @@ pub(super) fn summary(report: &SynthReport) -> Markup {
 
 fn without_label(report: &SynthReport) -> Markup {
     let progress = &report.progress;
-    let without = progress.done - progress.labels.all();
+    let without = progress.done - progress.labels.total();
     html! {
         @if without == 0 {
-            "none is without a label"
+            "none without a label"
         } @else {
-            b { (without) } " gave no label"
+            b { (without) } " without a label"
             @if progress.failed > 0 {
-                ", of which " (progress.failed) " could not be simulated"
+                ", of which " (progress.failed) " failed"
             }
         }
     }
 }
 
-/// What is not as it should be when a dataset is finished.
+/// Warnings about an unfinished or damaged plan.
 fn warnings(report: &SynthReport) -> Markup {
-    const NAMED: usize = 5;
+    const LISTED: usize = 5;
     let progress = &report.progress;
     let run = html! { code { "gripcast synth run" } };
-    let damaged = progress.damaged.iter().take(NAMED).map(String::as_str);
+    let damaged = progress.damaged.iter().take(LISTED).map(String::as_str);
     let damaged = damaged.collect::<Vec<_>>().join(", ");
     html! {
         @if progress.open > 0 {
             (warning(html! {
-                "Simulations without a result: " (progress.open) ". This report shows the plan as \
-                 far as it is; " (run) " resumes it."
+                "Simulations without a result: " (progress.open) ". The plan is unfinished; " (run)
+                " resumes it."
             }))
         }
         @if !progress.damaged.is_empty() {
             (warning(html! {
-                "Of these, damaged results that " (run) " makes again: " (progress.damaged.len())
-                " (" (damaged) @if progress.damaged.len() > NAMED { ", …" } ")."
+                "Of these, damaged results that " (run) " replaces: " (progress.damaged.len())
+                " (" (damaged) @if progress.damaged.len() > LISTED { ", …" } ")."
             }))
         }
         @if let Some(later) = report.dataset.as_ref().map(|d| d.later_results) {
             @if later > 0 {
                 (warning(html! {
-                    "The dataset was merged before " (later) " of the results were there."
+                    "The dataset is older than " (later) " of the results."
                 }))
             }
         }
@@ -84,10 +84,10 @@ fn facts(report: &SynthReport) -> Markup {
         .map(|(name, count)| format!("{count} {}", outcome_name(name)))
         .collect();
     let total = report.costs.total_s;
-    let cpu = total.prepare + total.simulate + total.tactile + total.visual;
+    let cpu = total.total();
     let rate = report.costs.per_core_hour;
     let rate = rate.map_or_else(String::new, |rate| {
-        format!(", {} simulations an hour on a core", fixed(rate, 0))
+        format!(", {} simulations per core hour", fixed(rate, 0))
     });
     definitions(
         "facts",
@@ -102,16 +102,16 @@ fn facts(report: &SynthReport) -> Markup {
             (
                 "Grasps",
                 &format!(
-                    "{} poses on {} objects; each at every force is a simulation",
+                    "{} poses on {} objects, each simulated at every force",
                     plan.grasps, plan.objects
                 ),
             ),
             (
                 "Renderings",
                 &format!(
-                    "{} of each simulation, {} paths a pixel, sensor spread {}, visual spread {}",
+                    "{} per simulation, {} samples per pixel, sensor spread {}, visual spread {}",
                     plan.renderings,
-                    plan.samples,
+                    plan.samples_per_pixel,
                     trimmed(plan.sensor_spread, 2),
                     trimmed(plan.visual_spread, 2)
                 ),
@@ -121,7 +121,7 @@ fn facts(report: &SynthReport) -> Markup {
             (
                 "Software",
                 &format!(
-                    "planned by {}, reported by {}",
+                    "plan created by {}, report by {}",
                     plan.software, report.software
                 ),
             ),

@@ -1,4 +1,4 @@
-//! The report as one page: no network, no script, light and dark; drawn from the facts alone.
+//! The report as a single page without network access or scripts, rendered from the facts alone.
 
 mod balance;
 mod contact;
@@ -10,15 +10,15 @@ mod notes;
 mod page_test;
 mod sheet;
 
-use super::facts::{Labels, SYNTH_REPORT_FORMAT, SYNTH_REPORT_VERSION, SynthReport};
+use super::facts::{LabelCounts, SYNTH_REPORT_FORMAT, SYNTH_REPORT_VERSION, SynthReport};
 use gripcast_base::error::{Error, Result};
-use gripcast_report::page::{Page, stack};
+use gripcast_report::page::{Page, stacked_bar};
 use gripcast_report::{MISSING, fixed};
 use maud::{Markup, html};
 
 const STYLE: &str = include_str!("style.css");
 
-/// Sections with their names in the bar.
+/// Ids and names of the sections, for the navigation bar.
 const SECTIONS: [(&str, &str); 8] = [
     ("summary", "Summary"),
     ("counts", "Counts"),
@@ -30,18 +30,18 @@ const SECTIONS: [(&str, &str); 8] = [
     ("notes", "Notes"),
 ];
 
-/// The page of a report: the same report gives the same bytes.
+/// Renders the page of a report: equal reports give identical bytes.
 ///
 /// # Errors
-/// `Input` where the report is of another format or version.
+/// `Input` for a report of another format or version.
 pub fn page(report: &SynthReport) -> Result<String> {
     if report.format != SYNTH_REPORT_FORMAT || report.version != SYNTH_REPORT_VERSION {
         return Err(Error::input(format!(
-            "cannot draw the page: expected {SYNTH_REPORT_FORMAT} version \
+            "cannot render the page: expected {SYNTH_REPORT_FORMAT} version \
                  {SYNTH_REPORT_VERSION}, found {:?} version {}",
             report.format, report.version
         ))
-        .remedy("report again with this version of gripcast"));
+        .remedy("create the report again with this version of gripcast"));
     }
     let page = Page {
         software: &report.software,
@@ -64,21 +64,21 @@ pub fn page(report: &SynthReport) -> Result<String> {
     Ok(page.to_html())
 }
 
-/// The begin of a hash.
+/// The first digits of a hash.
 fn short(hash: &str) -> String {
     hash.chars().take(12).collect()
 }
 
-/// A bar of both labels, `full` simulations long where it fills its place.
-fn bar(labels: Labels, full: usize) -> Markup {
+/// A bar of both labels; `full` simulations fill its width.
+fn bar(labels: LabelCounts, full: usize) -> Markup {
     let fraction = |count: usize| count as f64 / full.max(1) as f64;
-    stack([
-        ("held", fraction(labels.held)),
-        ("lost", fraction(labels.lost)),
+    stacked_bar([
+        ("stable", fraction(labels.stable)),
+        ("slip", fraction(labels.slip)),
     ])
 }
 
-/// `63 %`, or that there is nothing.
+/// Formats `63 %`, or a placeholder.
 fn percent(fraction: Option<f64>) -> String {
     fraction.map_or_else(
         || MISSING.to_owned(),
@@ -86,17 +86,17 @@ fn percent(fraction: Option<f64>) -> String {
     )
 }
 
-/// A name in files as people write it.
+/// Formats a name from a file.
 fn words(name: &str) -> String {
     name.replace('_', " ")
 }
 
-/// What the colours of the bars mean.
+/// Legend of the bars.
 fn key() -> Markup {
     html! {
         p.key {
-            i.held {} " held "
-            i.lost {} " lost"
+            i.stable {} " stable "
+            i.slip {} " slip"
         }
     }
 }

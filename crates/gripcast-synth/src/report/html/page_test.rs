@@ -1,7 +1,7 @@
 use std::collections::BTreeSet;
 
 use super::super::facts::*;
-use super::super::gather::plan_facts;
+use super::super::results::plan_facts;
 use super::super::sample::{Sample, labelled};
 use super::super::{balance::balance, contact::contact, costs::costs, unlabelled::unlabelled};
 use super::page;
@@ -10,32 +10,32 @@ use gripcast_report::image::data_uri;
 /// A report without contact, a dataset or examples.
 fn sample_report() -> SynthReport {
     let sample = Sample::new(8);
-    let mut gathered = labelled(&sample, &[true, true, false, true, false, false, true]);
-    gathered.open = 1;
-    gathered.damaged = vec!["<damaged>".to_owned()];
-    gathered.done[6].result.stable = None;
-    gathered.done[6].result.outcome = "<i>odd".to_owned();
+    let mut plan_results = labelled(&sample, &[true, true, false, true, false, false, true]);
+    plan_results.open = 1;
+    plan_results.damaged = vec!["<damaged>".to_owned()];
+    plan_results.done[6].result.stable = None;
+    plan_results.done[6].result.outcome = "<i>odd".to_owned();
     SynthReport {
         format: SYNTH_REPORT_FORMAT.to_owned(),
         version: SYNTH_REPORT_VERSION,
         software: "gripcast 0".to_owned(),
         seed: 0,
         plan: plan_facts(&sample.plan),
-        progress: gathered.progress(),
-        categories: gathered.categories(&sample.plan),
+        progress: plan_results.progress(),
+        categories: plan_results.categories(&sample.plan),
         dataset: None,
-        balance: balance(&gathered, None),
+        balance: balance(&plan_results, None),
         contact: contact(&[]),
-        costs: costs(&gathered),
-        unlabelled: unlabelled(&gathered),
+        costs: costs(&plan_results),
+        unlabelled: unlabelled(&plan_results),
         examples: Vec::new(),
     }
 }
 
-fn example(held: bool) -> Example {
+fn example(stable: bool) -> Example {
     let image = data_uri(&image::RgbImage::new(16, 12)).unwrap();
     Example {
-        simulation: format!("mug-{held}"),
+        simulation: format!("mug-{stable}"),
         object: "mug <script>".to_owned(),
         category: "mug".to_owned(),
         material: "wood".to_owned(),
@@ -44,8 +44,8 @@ fn example(held: bool) -> Example {
         friction: 0.456,
         mass_kg: 0.1234,
         lifted_m: 0.0501,
-        outcome: if held { "success" } else { "eject" }.to_owned(),
-        held,
+        outcome: if stable { "success" } else { "eject" }.to_owned(),
+        stable,
         rendering: 0,
         appearance: "\"red\"".to_owned(),
         images: ExampleImages {
@@ -61,7 +61,7 @@ fn count(page: &str, text: &str) -> usize {
 }
 
 #[test]
-fn every_tag_is_closed_and_every_string_escaped() {
+fn tags_are_closed_and_strings_escaped() {
     let mut report = sample_report();
     report.examples = [true, false].map(example).to_vec();
     let page = page(&report).unwrap();
@@ -78,7 +78,7 @@ fn every_tag_is_closed_and_every_string_escaped() {
 }
 
 #[test]
-fn nothing_is_fetched_and_nothing_needs_a_script() {
+fn page_needs_no_network_or_script() {
     let mut report = sample_report();
     report.examples = vec![example(true)];
     let page = page(&report).unwrap();
@@ -92,7 +92,7 @@ fn nothing_is_fetched_and_nothing_needs_a_script() {
 }
 
 #[test]
-fn links_have_their_places() {
+fn links_have_targets() {
     let page = page(&sample_report()).unwrap();
     let after = |mark: &str| -> Vec<String> {
         let found = page.match_indices(mark);
@@ -108,11 +108,11 @@ fn links_have_their_places() {
 }
 
 #[test]
-fn the_summary_says_what_is_not_finished_and_that_all_is_simulated() {
+fn summary_warns_about_open_and_simulated_results() {
     let mut report = sample_report();
     let unfinished = page(&report).unwrap();
     assert!(unfinished.contains("<b>7 of 8</b> planned simulations"));
-    assert!(unfinished.contains("<b>3</b> held, <b>3</b> were lost (50\u{a0}% held)"));
+    assert!(unfinished.contains("<b>3</b> stable, <b>3</b> slip (50\u{a0}% stable)"));
     assert!(unfinished.contains("Simulations without a result: 1."));
     assert!(unfinished.contains("Everything here is simulated"));
     report.progress.open = 0;
@@ -121,46 +121,46 @@ fn the_summary_says_what_is_not_finished_and_that_all_is_simulated() {
 }
 
 #[test]
-fn examples_are_in_their_halves() {
+fn examples_are_grouped_by_label() {
     let mut report = sample_report();
     report.examples = [true, true, false].map(example).to_vec();
     let page = page(&report).unwrap();
-    let (held, lost) = page.split_once("<h3>Lost").unwrap();
-    assert_eq!(count(held, "class=\"of-held\""), 2);
+    let (stable, slip) = page.split_once("<h3>Slip").unwrap();
+    assert_eq!(count(stable, "class=\"of-stable\""), 2);
     assert_eq!(
         (
-            count(lost, "class=\"of-lost\""),
-            count(lost, "class=\"of-held\"")
+            count(slip, "class=\"of-slip\""),
+            count(slip, "class=\"of-stable\"")
         ),
         (1, 0)
     );
-    assert!(lost.contains("40\u{a0}N, tilted, friction 0.46, 123\u{a0}g"));
-    assert!(lost.contains("squeezed out; rose 50.1\u{a0}mm"));
+    assert!(slip.contains("40\u{a0}N, tilted, friction 0.46, 123\u{a0}g"));
+    assert!(slip.contains("ejected; rose 50.1\u{a0}mm"));
 }
 
 #[test]
-fn bars_are_as_long_as_their_counts() {
+fn bars_have_the_length_of_their_counts() {
     let page = page(&sample_report()).unwrap();
     let row = page.split("<tr><th scope=\"row\">box</th>").nth(1).unwrap();
     let row = row.split("</tr>").next().unwrap();
-    // One held, two lost of the boxes; the most of a category is three.
+    // One stable grasp and two slips of the boxes; the maximum of a category is three.
     assert!(
-        row.contains("class=\"held\" style=\"width:33.33%\""),
+        row.contains("class=\"stable\" style=\"width:33.33%\""),
         "{row}"
     );
     assert!(
-        row.contains("class=\"lost\" style=\"width:66.67%\""),
+        row.contains("class=\"slip\" style=\"width:66.67%\""),
         "{row}"
     );
 }
 
 #[test]
-fn another_version_is_refused() {
+fn other_version_is_refused() {
     let mut report = sample_report();
     report.version += 1;
     let error = page(&report).unwrap_err().to_string();
     assert!(
-        error.contains("expected gripcast-synth-report version 1"),
+        error.contains("expected gripcast-synth-report version 2"),
         "{error}"
     );
 }

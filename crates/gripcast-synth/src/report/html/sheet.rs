@@ -1,9 +1,9 @@
-//! The contact sheet, as the paper's Figure 11: held grasps, then lost ones.
+//! The contact sheet (the paper's Figure 11): stable grasps, then slips.
 
 use super::words;
 use crate::report::facts::{Example, SynthReport};
 use gripcast_report::image::image;
-use gripcast_report::page::{self, grasp_card, nothing};
+use gripcast_report::page::{self, grasp_card, placeholder};
 use gripcast_report::{fixed, outcome_name, trimmed};
 use maud::{Markup, html};
 
@@ -12,25 +12,24 @@ pub(super) fn section(report: &SynthReport) -> Markup {
         Some(_) => "the dataset",
         None => "all results",
     };
-    let half = |held: bool| {
+    let half = |stable: bool| {
         let examples = report.examples.iter().enumerate();
-        let cards = examples.filter(move |(_, one)| one.held == held);
+        let cards = examples.filter(move |(_, one)| one.stable == stable);
         cards
             .map(|(number, one)| card(number, one))
             .collect::<Vec<_>>()
     };
     let body = html! {
         p {
-            "Drawn by seed " (report.seed) " from " (source) ", one category after the other. \
-             Each: the camera between the fingers before the lift; the left and the right tactile \
-             sensor (above), and what the contact changed in them (below; grey is no change, \
-             doubled)."
+            "Drawn by seed " (report.seed) " from " (source) ", one category after the other. Left: \
+             the camera between the fingers before the lift. Right: left and right tactile sensor \
+             (top) and their change by the contact (bottom; mid-grey is no change, amplified twice)."
         }
         div.sheets {
-            @for (title, cards) in [("Held", half(true)), ("Lost", half(false))] {
+            @for (title, cards) in [("Stable", half(true)), ("Slip", half(false))] {
                 h3 { (title) " " span { (cards.len()) } }
                 @if cards.is_empty() {
-                    (nothing("None."))
+                    (placeholder("None."))
                 } @else {
                     ul.grasps { @for card in &cards { (card) } }
                 }
@@ -46,8 +45,8 @@ fn card(number: usize, example: &Example) -> Markup {
         (&images.colour, "c", "camera"),
         (&images.grasp[0], "l", "left sensor"),
         (&images.grasp[1], "r", "right sensor"),
-        (&images.change[0], "m", "change of the left sensor"),
-        (&images.change[1], "s", "change of the right sensor"),
+        (&images.change[0], "m", "change on the left sensor"),
+        (&images.change[1], "s", "change on the right sensor"),
     ];
     let images = html! {
         @for (uri, id, alt) in views {
@@ -70,7 +69,7 @@ fn card(number: usize, example: &Example) -> Markup {
             (outcome_name(&example.outcome)) "; rose "
             (fixed(1e3 * example.lifted_m, 1)) "\u{a0}mm"
         }
-        (nothing(&example.appearance))
+        (placeholder(&example.appearance))
     };
-    grasp_card(example.held, images, text)
+    grasp_card(example.stable, images, text)
 }

@@ -95,11 +95,11 @@ fn reliability_plot_shows_fractions_at_mean_probabilities() {
     let drawn = |what: &str| tags.iter().find(|tag| tag.starts_with(what)).unwrap();
     let panel = square("", "");
     let (point, bar) = (drawn("circle"), drawn("rect class=\"pale"));
-    let [x, y] = panel.place([0.9, 0.75]);
+    let [x, y] = panel.to_px([0.9, 0.75]);
     assert!((number(point, "cx") - x).abs() < 0.1 && (number(point, "cy") - y).abs() < 0.1);
     assert!((number(bar, "y") - y).abs() < 0.1);
     // The bin from 13/15 to 14/15, with a little room at both sides.
-    let [left, right] = [13.0, 14.0].map(|k| panel.place([k / 15.0, 0.0])[0]);
+    let [left, right] = [13.0, 14.0].map(|k| panel.to_px([k / 15.0, 0.0])[0]);
     let (x, width) = (number(bar, "x"), number(bar, "width"));
     assert!(x > left && x + width < right && width > 0.8 * (right - left));
 }

@@ -23,14 +23,14 @@ const MARGIN: f64 = 14.0;
 
 /// Returns a square panel of fractions.
 fn square(abscissa: &str, ordinate: &str) -> Panel {
-    let y = Axis::of_fractions(ordinate);
-    let left = y.room();
+    let y = Axis::fractions(ordinate);
+    let left = y.width_px();
     Panel {
         left,
         right: left + SIDE,
         top: MARGIN,
         bottom: MARGIN + SIDE,
-        x: Axis::of_fractions(abscissa),
+        x: Axis::fractions(abscissa),
         y,
     }
 }

@@ -47,7 +47,7 @@ pub fn reliability(title: &str, table: &ReliabilityTable) -> Chart {
     let entries = [
         Entry::new(Key::PointedBar("series-0".to_owned()), "Grasps of a bin"),
         Entry::new(Key::Line("guide".to_owned()), "Perfect calibration"),
-        Entry::new(Key::Nothing, verdict.as_str()),
+        Entry::new(Key::None, verdict.as_str()),
     ];
     let description = format!("Reliability diagram of the stability prediction. {verdict}.");
     let corner = [histogram.right, histogram.bottom + Panel::ABSCISSA + 4.0];
@@ -57,12 +57,12 @@ pub fn reliability(title: &str, table: &ReliabilityTable) -> Chart {
 /// The diagram and the histogram below it.
 fn panels(table: &ReliabilityTable) -> (Panel, Panel) {
     let highest = table.bins.iter().map(|bin| bin.n).max().unwrap_or(0);
-    let counts = Axis::of_counts("Grasps", highest);
+    let counts = Axis::counts("Grasps", highest);
     let mut diagram = square(
         "Predicted probability of stable",
         "Fraction of grasps that are stable",
     );
-    let shift = (counts.room() - diagram.left).max(0.0);
+    let shift = (counts.width_px() - diagram.left).max(0.0);
     diagram.left += shift;
     diagram.right += shift;
     let histogram = Panel {
@@ -72,7 +72,7 @@ fn panels(table: &ReliabilityTable) -> (Panel, Panel) {
         y: counts,
         ..diagram
     };
-    diagram.x = diagram.x.without_text();
+    diagram.x = diagram.x.without_labels();
     (diagram, histogram)
 }
 

@@ -1,4 +1,4 @@
-//! The results of a plan as far as they are there.
+//! Results of a plan, as far as they exist.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -9,56 +9,48 @@ use gripcast_base::error::Result;
 
 /// A simulation with its result.
 #[derive(Clone, Debug)]
-pub(super) struct Done<'a> {
+pub(super) struct FinishedSimulation<'a> {
     pub(super) simulation: &'a PlannedSimulation,
     pub(super) object: &'a PlannedObject,
     pub(super) result: SimulationResult,
 }
 
-impl Done<'_> {
-    /// CPU time of all parts, s.
-    pub(super) fn cpu_s(&self) -> f64 {
-        let cpu = self.result.cpu_s;
-        cpu.prepare + cpu.simulate + cpu.tactile + cpu.visual
-    }
-}
-
-/// The results of a plan, in its order.
+/// Results of a plan, in the order of the plan.
 #[derive(Clone, Debug, Default)]
-pub(super) struct Gathered<'a> {
-    pub(super) done: Vec<Done<'a>>,
+pub(super) struct PlanResults<'a> {
+    pub(super) done: Vec<FinishedSimulation<'a>>,
     pub open: usize,
     pub(super) damaged: Vec<String>,
 }
 
-impl<'a> Gathered<'a> {
+impl<'a> PlanResults<'a> {
     /// Reads all results.
     ///
     /// # Errors
     /// `Input` for results of another plan.
     pub(super) fn read(plan: &'a Plan, store: &ResultStore) -> Result<Self> {
-        let mut gathered = Self::default();
+        let mut read = Self::default();
         for simulation in &plan.simulations {
-            let Some(result) = store.find(plan, &simulation.id)? else {
-                gathered.open += 1;
-                if store.is_begun(&simulation.id) {
-                    gathered.damaged.push(simulation.id.to_string());
+            let Some(result) = store.load(plan, &simulation.id)? else {
+                read.open += 1;
+                if store.has_file(&simulation.id) {
+                    read.damaged.push(simulation.id.to_string());
                 }
                 continue;
             };
-            gathered.done.push(Done {
+            read.done.push(FinishedSimulation {
                 simulation,
                 object: plan.object(simulation)?,
                 result,
             });
         }
-        Ok(gathered)
+        Ok(read)
     }
 
-    /// Results with a label, and whether they held.
-    pub(super) fn labelled(&self) -> impl Iterator<Item = (&Done<'a>, bool)> {
+    /// Results with a label; true is stable.
+    pub(super) fn labelled(&self) -> impl Iterator<Item = (&FinishedSimulation<'a>, bool)> {
         let pairs = self.done.iter().map(|done| (done, done.result.stable));
-        pairs.filter_map(|(done, held)| Some((done, held?)))
+        pairs.filter_map(|(done, stable)| Some((done, stable?)))
     }
 
     pub(super) fn progress(&self) -> ProgressFacts {
@@ -74,13 +66,13 @@ impl<'a> Gathered<'a> {
             facts.rows += result.samples.as_ref().map_or(0, |file| file.rows);
             *facts.outcomes.entry(result.outcome.clone()).or_default() += 1;
         }
-        for (_, held) in self.labelled() {
-            facts.labels.note(held);
+        for (_, stable) in self.labelled() {
+            facts.labels.add(stable);
         }
         facts
     }
 
-    /// Results by category; planned ones without results are there too.
+    /// Summarises the results by category, including categories without results.
     pub(super) fn categories(&self, plan: &Plan) -> BTreeMap<String, CategoryFacts> {
         let mut categories: BTreeMap<String, CategoryFacts> = BTreeMap::new();
         for object in plan.objects.values() {
@@ -88,9 +80,9 @@ impl<'a> Gathered<'a> {
             facts.objects += 1;
         }
         let mut grasps = BTreeSet::new();
-        for (done, held) in self.labelled() {
+        for (done, stable) in self.labelled() {
             let facts = categories.entry(done.object.category.clone()).or_default();
-            facts.labels.note(held);
+            facts.labels.add(stable);
             let is_new = grasps.insert((&done.object.name, done.simulation.grasp));
             facts.grasps += usize::from(is_new);
         }
@@ -98,7 +90,7 @@ impl<'a> Gathered<'a> {
     }
 }
 
-/// What was planned.
+/// Summarises a plan.
 pub(super) fn plan_facts(plan: &Plan) -> PlanFacts {
     let header = &plan.header;
     let categories: BTreeSet<&str> = plan.objects.values().map(|o| &*o.category).collect();
@@ -117,16 +109,16 @@ pub(super) fn plan_facts(plan: &Plan) -> PlanFacts {
         categories: categories.len(),
         grasps: grasps.len(),
         simulations: plan.simulations.len(),
-        stop_forces_n: different(simulations.map(|one| one.stop_force_n)),
+        stop_forces_n: distinct(simulations.map(|one| one.stop_force_n)),
         renderings: header.rendering.renderings,
-        samples: header.rendering.samples,
+        samples_per_pixel: header.rendering.samples_per_pixel,
         sensor_spread: header.rendering.sensor_spread,
         visual_spread: header.rendering.visual_spread,
     }
 }
 
-/// Every value once, the least first.
-pub(super) fn different(values: impl Iterator<Item = f64>) -> Vec<f64> {
+/// Returns the distinct values in ascending order.
+pub(super) fn distinct(values: impl Iterator<Item = f64>) -> Vec<f64> {
     let mut values: Vec<f64> = values.collect();
     values.sort_by(f64::total_cmp);
     values.dedup();
