@@ -26,7 +26,7 @@ use super::{Context, dataset_export, dataset_import, print, print_json};
 use crate::note;
 use gripcast_base::error::{Error, ErrorKind, Result};
 use gripcast_dataset::{
-    Dataset, Outcome, RecoverReport, SplitBy, SplitFile, SplitPlan, Summary, VerifyReport, recover,
+    Dataset, Outcome, RecoverReport, GroupKey, SplitFile, SplitPlan, Summary, VerifyReport, recover,
     reindex, split, summary, verify,
 };
 
@@ -204,8 +204,8 @@ fn run_reindex(context: &Context, place: &Place) -> Result<()> {
 
 fn run_split(args: &SplitArgs) -> Result<()> {
     let by = match args.by {
-        By::Object => SplitBy::Object,
-        By::Scene => SplitBy::Scene,
+        By::Object => GroupKey::Object,
+        By::Scene => GroupKey::Scene,
     };
     let plan = SplitPlan {
         name: args
@@ -273,8 +273,8 @@ fn info_text(summary: &Summary) -> String {
                 "{model}: {} of {} labelled grasps as predicted; {} slipped and {} held unexpectedly",
                 agreement.agreed(),
                 agreement.total(),
-                agreement.slipped_unexpectedly,
-                agreement.held_unexpectedly
+                agreement.false_stable,
+                agreement.false_slip
             ),
         );
     }
@@ -369,15 +369,15 @@ fn recover_text(report: &RecoverReport) -> String {
 }
 
 fn split_text(name: &str, file: &SplitFile) -> String {
-    let all: usize = file.parts.values().map(|part| part.grasps.len()).sum();
+    let all: usize = file.splits.values().map(|split| split.grasps.len()).sum();
     let mut text = format!("splits/{name}.json, by {}, seed {}\n", file.by, file.seed);
-    for (name, part) in &file.parts {
+    for (name, part) in &file.splits {
         let fraction = 100.0 * part.grasps.len() as f64 / all.max(1) as f64;
         let _ = writeln!(
             text,
             "{name:<6} {:>6} ({fraction:.1} %)  {:>4}  {}",
             counted(part.grasps.len(), "grasp"),
-            counted(part.items.len(), &file.by.to_string()),
+            counted(part.groups.len(), &file.by.to_string()),
             outcomes_text(&part.outcomes)
         );
     }

@@ -107,8 +107,8 @@ pub(super) fn run(context: &Context, args: Args) -> Result<()> {
 
 fn plan(args: &Args) -> Result<ExportPlan> {
     let mut plan = ExportPlan::new(args.to.into());
-    plan.split.clone_from(&args.split);
-    plan.part.clone_from(&args.part);
+    plan.split_file.clone_from(&args.split);
+    plan.only_split.clone_from(&args.part);
     plan.only_labelled = args.only_labelled;
     if let Some([width, height]) = args.size {
         if args.to != Format::Zarr {
@@ -134,8 +134,8 @@ fn text(report: &ExportReport) -> String {
         size_text(report.bytes),
         counted(report.files, "file")
     );
-    if report.parts.len() > 1 {
-        for (name, grasps) in &report.parts {
+    if report.splits.len() > 1 {
+        for (name, grasps) in &report.splits {
             let _ = writeln!(text, "{name:<12} {}", counted(*grasps, "grasp"));
         }
     }
@@ -151,7 +151,7 @@ fn text(report: &ExportReport) -> String {
         let _ = writeln!(text, "note         {note}");
     }
     for one in &report.left_out {
-        let _ = writeln!(text, "left out     {}: {}", one.id, one.why);
+        let _ = writeln!(text, "left out     {}: {}", one.id, one.reason);
     }
     text
 }

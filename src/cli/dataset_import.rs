@@ -20,7 +20,7 @@ use clap::ValueEnum;
 use super::dataset_text::{counted, progress_bar, to_value};
 use super::{Context, print, print_json};
 use gripcast_base::error::{Error, ErrorKind, Result};
-use gripcast_dataset::shard::Split;
+use gripcast_dataset::shard::SplitFractions;
 use gripcast_interop::import::{ImportReport, import_feeling_of_success};
 
 /// Arguments.
@@ -37,7 +37,7 @@ pub(super) struct Args {
     out: PathBuf,
     /// Parts and their fractions
     #[arg(long, value_name = "PART=FRACTION,…", default_value = "test")]
-    split: Split,
+    split: SplitFractions,
     /// Print one JSON object
     #[arg(long)]
     json: bool,
@@ -79,7 +79,7 @@ pub(super) fn run(context: &Context, args: &Args) -> Result<()> {
 
 fn text(report: &ImportReport) -> String {
     let mut text = String::new();
-    for (name, part) in &report.parts {
+    for (name, part) in &report.splits {
         let _ = writeln!(
             text,
             "{name:<12} {} held, {} lost, {}",
@@ -89,7 +89,7 @@ fn text(report: &ImportReport) -> String {
         );
     }
     for one in &report.left_out {
-        let _ = writeln!(text, "left out     {}: {}", one.id, one.why);
+        let _ = writeln!(text, "left out     {}: {}", one.id, one.reason);
     }
     text
 }

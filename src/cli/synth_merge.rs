@@ -8,7 +8,7 @@ use std::path::PathBuf;
 use super::working::interruptible;
 use super::{Context, print_report};
 use gripcast_base::error::{Error, ErrorKind, Result};
-use gripcast_dataset::shard::Split;
+use gripcast_dataset::shard::SplitFractions;
 use gripcast_synth::curate::{Apart, CurationSettings};
 use gripcast_synth::plan::Plan;
 use gripcast_synth::{MergeReport, MergeSettings, merge};
@@ -36,8 +36,8 @@ pub(crate) struct Args {
 #[derive(Clone, Debug, clap::Args)]
 pub(super) struct ChoiceArgs {
     /// Parts and their fractions
-    #[arg(long, value_name = "PART=FRACTION,…", default_value_t = Split::usual())]
-    split: Split,
+    #[arg(long, value_name = "PART=FRACTION,…", default_value_t = SplitFractions::standard())]
+    split: SplitFractions,
     /// What may not be in two parts
     #[arg(long, value_enum, default_value_t = ApartName::Object)]
     apart: ApartName,

@@ -17,7 +17,7 @@ use super::tasks::{Beat, TaskState, Tasks};
 use super::thread::spawn;
 use gripcast_base::error::{Error, ErrorKind, Result};
 use gripcast_base::files::ContentKey;
-use gripcast_base::quiet_panic;
+use gripcast_base::catch_panic::catch_panic;
 use gripcast_dataset::{
     BoardKeys, DatasetWriter, GraspId, GraspMeta, PendingInitial, PredictionRecord, StageCapture,
 };
@@ -161,7 +161,7 @@ impl Worker {
                     });
                     // A panic must not leave the session waiting for its answer for ever; the
                     // order of the writer's steps keeps what is on disk whole.
-                    let reply = quiet_panic::catch(work)
+                    let reply = catch_panic(work)
                         .unwrap_or_else(|panic| Err(panicked(&panic)))
                         .unwrap_or_else(|error| StoreReply::Failed {
                             message: error.to_string().replace("\n  → ", " → "),

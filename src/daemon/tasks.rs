@@ -15,7 +15,7 @@ use utoipa::ToSchema;
 
 use super::thread::spawn;
 use gripcast_base::error::Result;
-use gripcast_base::quiet_panic;
+use gripcast_base::catch_panic::catch_panic;
 use gripcast_capture::camera::monotonic_ns;
 
 /// Pause before the first restart; it doubles with each one that follows soon.
@@ -140,7 +140,7 @@ impl Tasks {
             let mut pause = FIRST_PAUSE;
             loop {
                 let started_ns = monotonic_ns();
-                let result = quiet_panic::catch(AssertUnwindSafe(|| body(&beat)));
+                let result = catch_panic(AssertUnwindSafe(|| body(&beat)));
                 beat.idle();
                 let Err(panic) = result else {
                     tasks.set(&task, TaskState::Ended, None);

@@ -319,10 +319,10 @@ fn info_shows_counts_and_agreement() {
       },
       "predictions": {
         "baseline-contact": {
-          "held_unexpectedly": 0,
-          "slip_as_predicted": 0,
-          "slipped_unexpectedly": 1,
-          "stable_as_predicted": 1
+          "false_slip": 0,
+          "true_slip": 0,
+          "false_stable": 1,
+          "true_stable": 1
         }
       },
       "rigs": [

@@ -1,5 +1,5 @@
-//! What every crate of gripcast uses: errors, files below folders that others made, random streams,
-//! small linear systems, statistics, work spread over cores.
+//! Foundation of all gripcast crates: errors, safe and atomic file access, random streams, small
+//! linear systems, statistics, parallel work.
 //!
 //! ```
 //! use gripcast_base::random::SeedStream;
@@ -12,7 +12,7 @@
 pub mod error;
 pub mod files;
 pub mod linear;
-pub mod quiet_panic;
+pub mod catch_panic;
 pub mod random;
 pub mod statistics;
 pub mod workers;

@@ -19,7 +19,7 @@ use super::tactile_pair::tactile_pairs;
 use gripcast_base::error::{Error, Result};
 use gripcast_base::files::{FileKind, ObjectName, read_text};
 use gripcast_base::statistics::mcnemar_p;
-use gripcast_base::workers::{cores, one_per_core};
+use gripcast_base::workers::{cores, par_map_single_threaded};
 use gripcast_dataset::Dataset;
 use gripcast_sim::grasp::StageName;
 use gripcast_sim::{Engine, EngineKind};
@@ -348,7 +348,7 @@ impl<'a> Replayed<'a> {
         let all = grasps.len();
         let told = |done| progress(ReplayProgress::Images { done, all });
         let items: Vec<(usize, &RecordedGrasp)> = grasps.iter().enumerate().collect();
-        one_per_core(self.settings.jobs, &items, &of_grasp, &told)
+        par_map_single_threaded(self.settings.jobs, &items, &of_grasp, &told)
     }
 
     fn objects(&self, progress: &Told<'_>) -> Result<Vec<ObjectFacts>> {

@@ -2,7 +2,7 @@
 
 use super::case::{Case, CaseRecord, CaseStore};
 use gripcast_base::error::{Error, Result};
-use gripcast_base::workers::one_per_core;
+use gripcast_base::workers::par_map_single_threaded;
 
 /// How far a sweep is.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -55,7 +55,7 @@ pub fn sweep(
         let (record, trace) = case.simulate()?;
         store.keep(case, &record, trace).map(|()| record)
     };
-    let new = one_per_core(jobs, &open, &run, &told)?;
+    let new = par_map_single_threaded(jobs, &open, &run, &told)?;
     let simulated = new.len();
     for (index, record) in open.into_iter().zip(new) {
         records[index] = Some(record);

@@ -11,7 +11,7 @@ use serde::{Deserialize, Serialize};
 
 use gripcast_base::error::{Error, Result};
 use gripcast_base::random::SeedStream;
-use gripcast_dataset::shard::{Split, SplitGroup};
+use gripcast_dataset::shard::{SplitFractions, SplitGroup};
 
 /// What may not be in two parts.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -30,7 +30,7 @@ pub struct CurationSettings {
     /// What may not be in two parts.
     pub apart: Apart,
     /// Parts and their fractions of the simulations.
-    pub parts: Split,
+    pub parts: SplitFractions,
     /// Most simulations of a category, as a multiple of the mean; none for no cap.
     pub category_cap: Option<f64>,
     /// Whether each part gets as many stable simulations as lost ones at each force, so that the
@@ -53,7 +53,7 @@ impl Default for CurationSettings {
     fn default() -> Self {
         Self {
             apart: Apart::Object,
-            parts: Split::usual(),
+            parts: SplitFractions::standard(),
             category_cap: Some(2.0),
             is_balanced: true,
             is_training_whole: false,
@@ -124,7 +124,7 @@ pub fn curate(
         let new = SplitGroup { stratum, size: 0 };
         groups.entry(group).or_insert(new).size += object.simulations;
     }
-    let dealt = settings.parts.deal(&groups, settings.seed);
+    let dealt = settings.parts.assign(&groups, settings.seed);
     let mut by_part: BTreeMap<&String, Vec<&Labelled>> = BTreeMap::new();
     for one in labelled {
         let group = match settings.apart {

@@ -12,7 +12,7 @@ use super::plan::{Plan, PlannedSimulation, replace};
 use super::store::{ResultStore, SimulationResult};
 use gripcast_base::error::{Error, Result};
 use gripcast_base::files::{FileKind, Root, SimulationId, sha256_hex};
-use gripcast_dataset::shard::{ShardRow, ShardWriter, shard_name, shard_place};
+use gripcast_dataset::shard::{ShardRow, ShardWriter, shard_name, shard_path};
 
 /// Facts of the dataset, beside `data/`.
 const DATASET_FILE: &str = "synth.json";
@@ -379,7 +379,7 @@ impl<'a> Writing<'a> {
         let shards = shards(part);
         let count = shards.len();
         for (number, shard) in shards.into_iter().enumerate() {
-            let place = shard_place(&self.root, name, number, count)?;
+            let place = shard_path(&self.root, name, number, count)?;
             let info = format!("{{\"plan_sha256\":\"{}\"}}", self.plan.sha256);
             let mut writer = ShardWriter::create(&place, &info)?;
             for (_, result) in shard {

@@ -11,9 +11,9 @@ use super::sample_images::{Grasped, Photographer, before_lift, rendering_seed, s
 use super::store::{ResultStore, SimulationResult};
 use gripcast_base::error::{Error, ErrorKind, Result};
 use gripcast_base::files::{Root, SimulationId};
-use gripcast_base::quiet_panic;
+use gripcast_base::catch_panic::catch_panic;
 use gripcast_base::random::SeedStream;
-use gripcast_base::workers::{one_per_core, thread_cpu_s};
+use gripcast_base::workers::{par_map_single_threaded, thread_cpu_s};
 use gripcast_dataset::shard::{
     ShardEngine, ShardFacts, ShardImages, ShardOutcome, ShardRow, to_bytes,
 };
@@ -155,7 +155,7 @@ pub fn run(
         }
         Ok(result)
     };
-    let made = one_per_core(settings.jobs, &open, &work, &tell)?;
+    let made = par_map_single_threaded(settings.jobs, &open, &work, &tell)?;
     for result in &made {
         note_failure(result, &mut failed);
     }
@@ -186,7 +186,7 @@ pub fn simulate_labels(
         let grasp = engine.simulate(&setup, object.friction, force_n)?;
         Ok(stable(grasp.outcome))
     };
-    one_per_core(jobs, &plan.simulations, &label, on_progress)
+    par_map_single_threaded(jobs, &plan.simulations, &label, on_progress)
 }
 
 fn setup(
@@ -254,7 +254,7 @@ impl<'a> Workshop<'a> {
     ) -> Result<(SimulationResult, Beside)> {
         let object = self.plan.object(simulation)?;
         let mut result = SimulationResult::of(self.plan, simulation);
-        let tried = quiet_panic::catch(AssertUnwindSafe(|| {
+        let tried = catch_panic(AssertUnwindSafe(|| {
             self.tried(simulation, object, earlier, is_taken)
         }));
         let why = match tried {

@@ -17,7 +17,7 @@ use super::settings::TrainSettings;
 use super::state::write;
 use gripcast_base::error::{Error, Result};
 use gripcast_base::files::{FileKind, Root};
-use gripcast_base::workers::one_per_core;
+use gripcast_base::workers::par_map_single_threaded;
 use gripcast_nn::predict::Model;
 use gripcast_nn::predict::contract::Variant;
 
@@ -183,7 +183,7 @@ pub fn experiment(
                 .map(move |condition| (seed, condition))
         })
         .collect();
-    let evaluations = one_per_core(
+    let evaluations = par_map_single_threaded(
         jobs,
         &runs,
         &|&(seed, condition)| {

@@ -7,7 +7,7 @@ use crate::run_folder::RETIRED;
 use crate::sample_dataset::{row, write_dataset, write_part};
 use crate::samples::SampleReader;
 use crate::{finish, logits};
-use gripcast_base::quiet_panic;
+use gripcast_base::catch_panic::catch_panic;
 use gripcast_nn::predict::contract::Variant;
 use gripcast_nn::predict::{Model, ModelInput};
 use gripcast_nn::{Architecture, ConvSpec};
@@ -116,7 +116,7 @@ fn a_run_that_was_killed_ends_with_the_same_bytes() {
     let [whole, broken] = ["whole", "broken"].map(|name| folder.path().join(name));
     train(&data, &whole, settings, &|_| {}).unwrap();
     for last in [1_u64, 8, 14] {
-        let killed = quiet_panic::catch(AssertUnwindSafe(|| {
+        let killed = catch_panic(AssertUnwindSafe(|| {
             train(&data, &broken, settings, &|event| {
                 let is_last = matches!(event, TrainEvent::Step { at, .. } if at[0] == last);
                 assert!(!is_last, "killed");
@@ -150,7 +150,7 @@ fn checkpoints_within_an_epoch_are_gone_on_with() {
     whole.epoch(&|_| {}).unwrap();
     let broken = std::cell::RefCell::new(Training::new(&run, &file, &train, &validation).unwrap());
     // The checkpoint is written where the panic leaves the run: after a step and its update.
-    let killed = quiet_panic::catch(AssertUnwindSafe(|| {
+    let killed = catch_panic(AssertUnwindSafe(|| {
         let mut training = broken.borrow_mut();
         training.epoch(&|event| {
             let is_third = matches!(event, TrainEvent::Step { at, .. } if at[0] == 3);
@@ -288,7 +288,7 @@ fn a_loss_that_is_no_number_ends_the_run_and_keeps_the_best_checkpoint() {
     };
     let run = RunFolder::at(&out);
     // The first epoch ends; then a parameter is spoilt, as an overflow would.
-    let killed = quiet_panic::catch(AssertUnwindSafe(|| {
+    let killed = catch_panic(AssertUnwindSafe(|| {
         train(&data, &out, &settings, &|event| {
             assert!(!matches!(event, TrainEvent::Epoch(_)), "killed");
         })

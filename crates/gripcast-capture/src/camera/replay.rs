@@ -275,7 +275,7 @@ fn image_kind(path: &Path) -> Option<ImageKind> {
 }
 
 fn open_image(path: &Path) -> Result<(Payload, (u32, u32))> {
-    let place = BeneathPath::given(path);
+    let place = BeneathPath::from_user_path(path);
     let bytes = place
         .read(FileKind::Image)
         .map_err(|error| Error::io("cannot read the image", error))?;

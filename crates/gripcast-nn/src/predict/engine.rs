@@ -19,7 +19,7 @@ use super::onnx;
 use super::own_engine::OwnEngine;
 use gripcast_base::error::{Error, Result};
 use gripcast_base::files::sha256_hex;
-use gripcast_base::quiet_panic;
+use gripcast_base::catch_panic::catch_panic;
 
 /// A model that has been checked and is ready to run, on the thread that asks.
 #[derive(Debug)]
@@ -223,7 +223,7 @@ fn input_order(proto: &ModelProto, contract: &ModelContract) -> Vec<InputName> {
 
 /// Runs the engine; what it refuses and what it panics on become errors of the model.
 fn guarded<T>(step: &str, work: impl FnOnce() -> TractResult<T>) -> Result<T> {
-    let outcome = quiet_panic::catch(AssertUnwindSafe(work));
+    let outcome = catch_panic(AssertUnwindSafe(work));
     outcome
         .and_then(|result| result.map_err(|cause| format!("{cause:#}")))
         .map_err(|cause| {

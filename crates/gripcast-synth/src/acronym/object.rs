@@ -8,7 +8,7 @@ use super::transform::{AcronymGrasp, SkippedGrasp, gripper_pose};
 use gripcast_base::error::{Error, ErrorKind, Result};
 use gripcast_base::files::Root;
 use gripcast_geometry::{LengthUnit, Prepared, load_object_mesh_below};
-use gripcast_interop::hdf5::{Hdf5, misshapen, wrong};
+use gripcast_interop::hdf5::{Hdf5, wrong_shape};
 
 /// Scales that are believed: coordinates of ShapeNetSem times the scale are metres, and objects are
 /// centimetres to decimetres large. Those of ACRONYM are around 1e-4 to 1e-1.
@@ -113,7 +113,7 @@ fn missing(mesh_file: &str, meshes: &Root) -> Error {
 
 fn check_gripper(file: &Hdf5) -> Result<()> {
     match file.text("gripper/type")? {
-        Some(other) if other != "panda" => Err(wrong(format!(
+        Some(other) if other != "panda" => Err(Error::input(format!(
             "the grasps are for the gripper {other:?}, known is \"panda\""
         ))
         .remedy("convert the grasps to poses of the Panda's hand")),
@@ -130,13 +130,13 @@ fn read_object(file: &Hdf5) -> Result<AcronymObject> {
         .ok_or_else(|| file.missing("object/scale"))?;
     let [low, high] = SCALES;
     if !(low..=high).contains(&scale) {
-        return Err(wrong(format!(
+        return Err(Error::input(format!(
             "`object/scale` must be from {low:e} to {high:e}, found {scale:e}"
         )));
     }
     let positive = |key: &str| match file.number(key)? {
         Some(value) if value <= 0.0 => {
-            Err(wrong(format!("`{key}` must be above 0, found {value}")))
+            Err(Error::input(format!("`{key}` must be above 0, found {value}")))
         }
         value => Ok(value),
     };
@@ -162,11 +162,11 @@ fn read_grasps(file: &Hdf5) -> Result<(Vec<AcronymGrasp>, Vec<SkippedGrasp>)> {
         .ok_or_else(|| file.missing(TRANSFORMS))?;
     match shape.as_slice() {
         &[count, 4, 4] if (1..=MAX_GRASPS).contains(&count) => {}
-        _ => return Err(misshapen(TRANSFORMS, "[N, 4, 4] with N above 0", &shape)),
+        _ => return Err(wrong_shape(TRANSFORMS, "[N, 4, 4] with N above 0", &shape)),
     }
     let (held_shape, held) = file.numbers(HELD)?.ok_or_else(|| file.missing(HELD))?;
     if held_shape != shape[..1] || 16 * held.len() != matrices.len() {
-        return Err(misshapen(
+        return Err(wrong_shape(
             HELD,
             &format!("[{}] as the transforms", shape[0]),
             &held_shape,
@@ -190,7 +190,7 @@ fn read_grasps(file: &Hdf5) -> Result<(Vec<AcronymGrasp>, Vec<SkippedGrasp>)> {
         }
     }
     if let ([], Some(SkippedGrasp { number, why })) = (grasps.as_slice(), skipped.first()) {
-        return Err(wrong(format!(
+        return Err(Error::input(format!(
             "none of the {} grasps can be used; grasp {number}: {why}",
             skipped.len()
         )));

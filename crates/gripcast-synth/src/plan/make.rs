@@ -19,7 +19,7 @@ use crate::properties::{
 use gripcast_base::error::{Error, Result};
 use gripcast_base::files::{BeneathPath, FileName, Root, SimulationId};
 use gripcast_base::random::SeedStream;
-use gripcast_base::workers::one_per_core;
+use gripcast_base::workers::par_map_single_threaded;
 use gripcast_geometry::{MassProperties, TriangleMesh, ply_bytes};
 use gripcast_sim::{Engine, EngineKind};
 
@@ -131,7 +131,7 @@ pub fn make_plan(
     } = drafts;
     check_names(&drafts)?;
     let look = |draft: &ObjectDraft| Ok(looked_at(draft, settings));
-    let seen = one_per_core(settings.jobs, &drafts, &look, on_progress)?;
+    let seen = par_map_single_threaded(settings.jobs, &drafts, &look, on_progress)?;
     let mut kept = Vec::new();
     for (draft, seen) in drafts.into_iter().zip(seen) {
         match seen {

@@ -148,7 +148,7 @@ fn draft(row: Row, folder: &Root, seed: u64) -> Result<ObjectDraft> {
         looks: row
             .appearances
             .iter()
-            .map(|words| Modifier::of_words(words, material, own))
+            .map(|words| Modifier::from_words(words, material, own))
             .collect(),
         textures: row.textures.iter().map(texture).collect::<Result<_>>()?,
         grasps: None,

@@ -82,7 +82,7 @@ impl TextureDraft {
         let stem = Path::new(&name).file_stem().unwrap_or_default();
         Ok(Self {
             planned: ImageTexture {
-                file: ContentKey::of(&bytes).with_suffix(ending),
+                file: ContentKey::from_contents(&bytes).with_suffix(ending),
                 words: Label::nearest(&stem.to_string_lossy()),
                 sha256: sha256_hex(&bytes),
                 width_m,

@@ -12,7 +12,7 @@ use gripcast_base::random::SeedStream;
 impl Modifier {
     /// An appearance of a thing of `material` in English words; what they leave open is that of
     /// the bare material, the colour one by chance.
-    pub fn of_words(words: &str, material: &Material, seed: u64) -> Self {
+    pub fn from_words(words: &str, material: &Material, seed: u64) -> Self {
         Self {
             words: words.to_owned(),
             look: look_of_words(words, material, seed),

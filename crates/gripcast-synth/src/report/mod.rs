@@ -32,7 +32,7 @@ use self::gather::{Done, Gathered};
 use super::plan::Plan;
 use super::store::ResultStore;
 use gripcast_base::error::Result;
-use gripcast_base::workers::one_per_core;
+use gripcast_base::workers::par_map_single_threaded;
 
 /// What is reported.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -108,7 +108,7 @@ fn seen<'a>(
         look::look(store, done, settings.seed, is_shown)
     };
     let all = labelled.len();
-    let looks = one_per_core(settings.jobs, &labelled, &look, &|done| {
+    let looks = par_map_single_threaded(settings.jobs, &labelled, &look, &|done| {
         on_progress(done, all)
     })?;
     let seen = labelled.iter().zip(looks);

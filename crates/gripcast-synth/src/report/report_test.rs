@@ -8,7 +8,7 @@ use crate::plan::Plan;
 use crate::store::{ResultStore, SimulationResult};
 use crate::{MergeSettings, merge};
 use gripcast_base::error::{ErrorKind, Result};
-use gripcast_dataset::shard::{Split, to_bytes};
+use gripcast_dataset::shard::{SplitFractions, to_bytes};
 
 /// Lost ones are touched only at 40 N.
 const HELD: [bool; 10] = [
@@ -48,7 +48,7 @@ fn reported(plan: &Plan, folder: &Path, dataset: Option<&Path>) -> Result<SynthR
 fn merged(plan: &Plan, folder: &Path, out: &Path) {
     let settings = MergeSettings {
         curation: CurationSettings {
-            parts: Split::one("train").unwrap(),
+            parts: SplitFractions::single("train").unwrap(),
             category_cap: None,
             ..CurationSettings::default()
         },
@@ -216,7 +216,7 @@ fn files_of_a_dataset_outside_of_its_folder_are_not_read() {
     std::os::unix::fs::symlink(folder.path(), out.join("data")).unwrap();
     let settings = MergeSettings {
         curation: CurationSettings {
-            parts: Split::one("train").unwrap(),
+            parts: SplitFractions::single("train").unwrap(),
             category_cap: None,
             ..CurationSettings::default()
         },

@@ -108,7 +108,7 @@ impl PropertyAsker {
             Ok(words) => Appearances {
                 modifiers: words
                     .iter()
-                    .map(|words| Modifier::of_words(words, query.material, query.seed))
+                    .map(|words| Modifier::from_words(words, query.material, query.seed))
                     .collect(),
                 source: self.model_source(),
             },
