@@ -19,10 +19,10 @@ pub(crate) fn chosen_model(name: &str, rig: &RigFile, is_quiet: bool) -> Result<
                     "{why}: predictions come from `{BASELINE}`, a heuristic, instead of `{SHIPPED}`"
                 );
             }
-            Model::named(name).map(Some)
+            Model::by_name(name).map(Some)
         }
         "none" => Ok(None),
-        name => Model::named(name).map(Some),
+        name => Model::by_name(name).map(Some),
     }
 }
 
@@ -31,7 +31,7 @@ pub(crate) fn chosen_model(name: &str, rig: &RigFile, is_quiet: bool) -> Result<
 /// # Errors
 /// As [`Model::named`]; a defect of gripcast.
 pub(crate) fn usual_model(rig: &RigFile) -> Result<(&'static str, Option<String>)> {
-    let shipped = Model::named(SHIPPED)?;
+    let shipped = Model::by_name(SHIPPED)?;
     Ok(match misfit(shipped.contract(), rig) {
         None => (SHIPPED, None),
         why => (BASELINE, why),
@@ -40,7 +40,7 @@ pub(crate) fn usual_model(rig: &RigFile) -> Result<(&'static str, Option<String>
 
 /// Why a model cannot judge what the cameras of a rig see; none if it can.
 pub(crate) fn misfit(model: &ModelContract, rig: &RigFile) -> Option<String> {
-    for input in model.variant.inputs() {
+    for input in model.modality.inputs() {
         let role = input.role();
         let Some(camera) = rig.cameras.get(&role) else {
             return Some(format!("the rig has no camera `{role}`"));
@@ -65,7 +65,7 @@ mod tests {
         assert_eq!(usual(&rig).contract().name, SHIPPED);
         rig.cameras.remove(&Role::Rgb);
         assert_eq!(usual(&rig).contract().name, BASELINE);
-        let contract = Model::named(SHIPPED).unwrap().contract().clone();
+        let contract = Model::by_name(SHIPPED).unwrap().contract().clone();
         let why = misfit(&contract, &rig).unwrap();
         assert!(why.contains("no camera `rgb`"), "{why}");
 

@@ -26,8 +26,8 @@ use super::{Context, dataset_export, dataset_import, print, print_json};
 use crate::note;
 use gripcast_base::error::{Error, ErrorKind, Result};
 use gripcast_dataset::{
-    Dataset, Outcome, RecoverReport, GroupKey, SplitFile, SplitPlan, Summary, VerifyReport, recover,
-    reindex, split, summary, verify,
+    Dataset, GroupKey, Outcome, RecoverReport, SplitFile, SplitPlan, Summary, VerifyReport,
+    recover, reindex, split, summary, verify,
 };
 
 /// Arguments of `dataset`.

@@ -46,7 +46,7 @@ pub(super) fn run(context: &Context, args: Args) -> Result<()> {
             let models = args
                 .model
                 .iter()
-                .map(|name| Ok((name.clone(), Model::named(name)?)))
+                .map(|name| Ok((name.clone(), Model::by_name(name)?)))
                 .collect::<Result<Vec<_>>>()?;
             let samples = Samples::open(&args.data, &args.split)?;
             let training = Samples::open(&args.data, "train").ok();

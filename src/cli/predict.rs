@@ -23,7 +23,7 @@ use gripcast_imaging::{
     decode_png_rgb, jpeg,
 };
 use gripcast_nn::predict::contract::{IMAGE_HEIGHT, IMAGE_WIDTH, InputName, Origin};
-use gripcast_nn::predict::{BASELINE, Model, ModelInput, SHIPPED, Verdict, baseline};
+use gripcast_nn::predict::{BASELINE, Model, ModelInput, PredictedLabel, SHIPPED, baseline};
 
 /// Arguments.
 #[derive(Debug, clap::Args)]
@@ -101,7 +101,7 @@ pub(crate) fn run(context: &Context, args: Args) -> Result<()> {
 }
 
 fn check(context: &Context, args: &CheckArgs) -> Result<()> {
-    let model = Model::named(&args.model)?;
+    let model = Model::by_name(&args.model)?;
     let contract = model.contract();
     let (seed, manifest) = match &contract.origin {
         Origin::Trained {
@@ -127,7 +127,7 @@ fn check(context: &Context, args: &CheckArgs) -> Result<()> {
                 "temperature": contract.temperature,
                 "threshold": contract.threshold,
                 "train_manifest_sha256": manifest,
-                "variant": contract.variant,
+                "variant": contract.modality,
             })
         ));
     }
@@ -141,7 +141,7 @@ fn check(context: &Context, args: &CheckArgs) -> Result<()> {
     let mut lines = vec![
         format!("model      {} ({origin})", contract.name),
         format!("sha256     {}", model.sha256()),
-        format!("variant    {}", contract.variant),
+        format!("variant    {}", contract.modality),
     ];
     for input in &contract.inputs {
         lines.push(format!(
@@ -159,7 +159,7 @@ fn check(context: &Context, args: &CheckArgs) -> Result<()> {
 }
 
 fn predict_images(context: &Context, args: &ImagesArgs) -> Result<()> {
-    let model = Model::named(&args.model)?;
+    let model = Model::by_name(&args.model)?;
     let contract = model.contract();
     let crop = match &args.crop {
         Some(name) => {
@@ -174,7 +174,7 @@ fn predict_images(context: &Context, args: &ImagesArgs) -> Result<()> {
     };
     let mut input = ModelInput::zeros(contract)?;
     let mut differences = Vec::new();
-    for &name in contract.variant.inputs() {
+    for &name in contract.modality.inputs() {
         let (initial, grasp) = match name {
             InputName::TactileLeft => (
                 needed(args.initial_left.as_deref(), "--initial-left", name)?,
@@ -196,9 +196,9 @@ fn predict_images(context: &Context, args: &ImagesArgs) -> Result<()> {
         differences.push(difference);
     }
     let prediction = model.predict(&input)?;
-    let known = model.novelty();
-    let novelty = known.and_then(|known| known.of_touch(&differences));
-    let verdict = Verdict::of(prediction.p_stable, contract.threshold, novelty);
+    let detector = model.ood_detector();
+    let ood_score = detector.and_then(|detector| detector.max_score(&differences));
+    let verdict = PredictedLabel::new(prediction.p_stable, contract.threshold, ood_score);
     let outcome = verdict.name();
     if contract.is_heuristic() && !context.quiet {
         note!(
@@ -215,7 +215,7 @@ fn predict_images(context: &Context, args: &ImagesArgs) -> Result<()> {
                 "kind": contract.origin.name(),
                 "model": contract.name,
                 "model_sha256": model.sha256(),
-                "novelty": novelty,
+                "ood_score": ood_score,
                 "p_stable": prediction.p_stable,
                 "predicted": outcome,
                 "threshold": contract.threshold,
@@ -223,8 +223,8 @@ fn predict_images(context: &Context, args: &ImagesArgs) -> Result<()> {
         ));
     }
     let why = match verdict {
-        Verdict::Unsure => "; the tactile images are unlike those of the training",
-        Verdict::Stable | Verdict::Slip => "",
+        PredictedLabel::Unsure => "; the tactile images are unlike those of the training",
+        PredictedLabel::Stable | PredictedLabel::Slip => "",
     };
     print(&format!(
         "{outcome}: p_stable {:.3}, threshold {}{why}",

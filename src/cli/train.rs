@@ -21,7 +21,7 @@ use crate::note;
 use crate::tui::{TrainingNews, TrainingScreen, TrainingStatus, epoch_line};
 use gripcast_base::error::{Error, Result};
 use gripcast_base::files;
-use gripcast_nn::predict::contract::Variant;
+use gripcast_nn::predict::contract;
 use gripcast_train::{Finished, RunFolder, TrainEvent, TrainSettings, Trained, finish, train};
 
 /// Arguments.
@@ -65,7 +65,7 @@ pub(super) enum Modality {
     Vt,
 }
 
-impl From<Modality> for Variant {
+impl From<Modality> for contract::Modality {
     fn from(modality: Modality) -> Self {
         match modality {
             Modality::V => Self::V,

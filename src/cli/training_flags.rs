@@ -2,7 +2,7 @@
 
 use gripcast_base::error::{Error, Result};
 use gripcast_nn::Architecture;
-use gripcast_nn::predict::contract::Variant;
+use gripcast_nn::predict::contract::Modality;
 use gripcast_train::{Augmentation, TrainSettings};
 
 /// Flags.
@@ -39,8 +39,8 @@ impl TrainingFlags {
     ///
     /// # Errors
     /// `Usage`, with the flag.
-    pub(super) fn settings(&self, variant: Variant, seed: u64) -> Result<TrainSettings> {
-        let architecture = Architecture::named(&self.arch).ok_or_else(|| {
+    pub(super) fn settings(&self, variant: Modality, seed: u64) -> Result<TrainSettings> {
+        let architecture = Architecture::by_name(&self.arch).ok_or_else(|| {
             let what = format!("there is no network `{}`", self.arch);
             Error::usage(what)
         })?;

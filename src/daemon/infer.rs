@@ -84,7 +84,7 @@ impl ModelFacts {
     fn record(&self, said: &LivePrediction, latency_ms: f64) -> PredictionRecord {
         PredictionRecord {
             p_stable: said.p_stable,
-            novelty: said.novelty,
+            ood_score: said.ood_score,
             threshold: self.threshold,
             model_sha256: self.sha256.clone(),
             model: self.name.clone(),
@@ -355,7 +355,7 @@ impl Worker {
             return;
         };
         let result = predictor.predict();
-        let waiting = predictor.waiting_for();
+        let waiting = predictor.missing_input();
         let now_ns = monotonic_ns();
         let mut findings = lock(&self.findings);
         match result {
@@ -381,7 +381,7 @@ impl Worker {
                 let note = serde_json::json!({
                     "p_stable": said.p_stable,
                     "p_stable_frame": prediction.p_stable,
-                    "novelty": said.novelty,
+                    "novelty": said.ood_score,
                     "frame_time_ns": frame_time_ns,
                     "latency_ms": latency_ms,
                     "engine_ms": said.engine_ms,
@@ -406,7 +406,7 @@ impl Worker {
         for role in [Role::Left, Role::Right, Role::Rgb] {
             match self.hub.slot(role).and_then(|slot| slot.latest()) {
                 Some(live) => predictor.update(role, (*live.image).clone(), live.driver_time_ns),
-                None => predictor.forget(role),
+                None => predictor.clear(role),
             }
         }
         // Its latency is that of the live prediction at the trigger, which the store knows.

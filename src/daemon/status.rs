@@ -12,7 +12,7 @@ use super::black_box::BlackBoxStatus;
 use gripcast_capture::camera::CameraCounters;
 use gripcast_dataset::PredictionRecord;
 use gripcast_imaging::Role;
-use gripcast_nn::predict::Verdict;
+use gripcast_nn::predict::PredictedLabel;
 use gripcast_session::{GuardLimits, Labels, OutcomeCounts, Session, SessionView};
 
 /// Snapshot of the engine.
@@ -84,7 +84,7 @@ pub struct PredictionStatus {
     #[schema(value_type = Object)]
     pub said: PredictionRecord,
     /// What it claims, were it not too old.
-    pub verdict: Verdict,
+    pub verdict: PredictedLabel,
     /// Whether the model is a heuristic and not trained.
     pub heuristic: bool,
     /// Age of the tactile frame that it was made from, ms, now.
@@ -110,8 +110,8 @@ impl PredictionStatus {
 
 /// What a prediction claims.
 #[must_use]
-pub fn verdict_of(said: &PredictionRecord) -> Verdict {
-    Verdict::of(said.p_stable, said.threshold, said.novelty)
+pub fn verdict_of(said: &PredictionRecord) -> PredictedLabel {
+    PredictedLabel::new(said.p_stable, said.threshold, said.ood_score)
 }
 
 /// How a camera does.
@@ -216,7 +216,7 @@ mod tests {
     fn a_status_comes_back_from_json() {
         let said = PredictionRecord {
             p_stable: 0.81,
-            novelty: Some(0.5),
+            ood_score: Some(0.5),
             threshold: 0.5,
             model_sha256: "0".repeat(64),
             model: "m".into(),

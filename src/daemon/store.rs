@@ -15,9 +15,9 @@ use super::decode::model_image;
 use super::infer::InferRequest;
 use super::tasks::{Beat, TaskState, Tasks};
 use super::thread::spawn;
+use gripcast_base::catch_panic::catch_panic;
 use gripcast_base::error::{Error, ErrorKind, Result};
 use gripcast_base::files::ContentKey;
-use gripcast_base::catch_panic::catch_panic;
 use gripcast_dataset::{
     BoardKeys, DatasetWriter, GraspId, GraspMeta, PendingInitial, PredictionRecord, StageCapture,
 };

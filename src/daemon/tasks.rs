@@ -14,8 +14,8 @@ use serde::Serialize;
 use utoipa::ToSchema;
 
 use super::thread::spawn;
-use gripcast_base::error::Result;
 use gripcast_base::catch_panic::catch_panic;
+use gripcast_base::error::Result;
 use gripcast_capture::camera::monotonic_ns;
 
 /// Pause before the first restart; it doubles with each one that follows soon.

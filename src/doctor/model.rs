@@ -52,7 +52,7 @@ fn looked_at(name: &str, rig: Option<&RigFile>) -> Result<Vec<Finding>> {
 fn answers(name: &str, check: &SelfCheck) -> Finding {
     let SelfCheck {
         p_stable,
-        other,
+        reference,
         engine_ms,
         load_ms,
     } = *check;
@@ -61,11 +61,11 @@ fn answers(name: &str, check: &SelfCheck) -> Finding {
         .figure("load_ms", load_ms)
         .figure("engine_ms", engine_ms)
         .figure("p_stable", p_stable);
-    let difference = other.map_or(0.0, |other| (other - p_stable).abs());
+    let difference = reference.map_or(0.0, |reference| (reference - p_stable).abs());
     if difference > ROUNDING {
         let found = format!(
-            "answers {p_stable:.6} here, but {:.6} by other arithmetic",
-            other.unwrap_or_default()
+            "answers {p_stable:.6} here, but {:.6} by reference arithmetic",
+            reference.unwrap_or_default()
         );
         return Finding {
             verdict: Verdict::Fail,
@@ -106,13 +106,13 @@ mod tests {
     fn wrong_arithmetic_misfits_and_files_that_are_none_are_told() {
         let check = SelfCheck {
             p_stable: 0.5,
-            other: Some(0.5001),
+            reference: Some(0.5001),
             engine_ms: 1.0,
             load_ms: 1.0,
         };
         assert_eq!(answers("m", &check).verdict, Verdict::Fail);
         let slow = SelfCheck {
-            other: None,
+            reference: None,
             engine_ms: 50.0,
             ..check
         };

@@ -15,7 +15,7 @@ use crate::daemon::{
 use crate::note;
 use gripcast_dataset::Outcome;
 use gripcast_imaging::Role;
-use gripcast_nn::predict::Verdict;
+use gripcast_nn::predict::PredictedLabel;
 use gripcast_session::{LastGrasp, Message, MessageLevel};
 
 /// Shortest time between two lines on the same camera, or on the live prediction.
@@ -156,7 +156,7 @@ impl LinePrinter {
         if let Some(prediction) = &status.prediction {
             self.absence = None;
             let verdict = match prediction.verdict {
-                Verdict::Unsure => "UNSURE, unlike the training images",
+                PredictedLabel::Unsure => "UNSURE, unlike the training images",
                 known => word(known),
             };
             return self

@@ -12,7 +12,7 @@ use crate::daemon::verdict_of;
 use gripcast_base::error::{Error, Result};
 use gripcast_dataset::{Dataset, GraspId, GraspRecord, Outcome, PredictionRecord};
 use gripcast_imaging::Role;
-use gripcast_nn::predict::Verdict;
+use gripcast_nn::predict::PredictedLabel;
 
 /// Grasps in an answer where no number is asked for.
 const USUAL_LIMIT: usize = 24;
@@ -42,12 +42,10 @@ impl GraspSummary {
     fn of(record: &GraspRecord) -> Self {
         let claimed = record.prediction.as_ref().map(verdict_of);
         let agrees = match (claimed, record.outcome) {
-            (Some(Verdict::Stable), Outcome::Stable) | (Some(Verdict::Slip), Outcome::Slip) => {
-                Some(true)
-            }
-            (Some(Verdict::Stable), Outcome::Slip) | (Some(Verdict::Slip), Outcome::Stable) => {
-                Some(false)
-            }
+            (Some(PredictedLabel::Stable), Outcome::Stable)
+            | (Some(PredictedLabel::Slip), Outcome::Slip) => Some(true),
+            (Some(PredictedLabel::Stable), Outcome::Slip)
+            | (Some(PredictedLabel::Slip), Outcome::Stable) => Some(false),
             _ => None,
         };
         Self {

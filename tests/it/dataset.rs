@@ -80,7 +80,7 @@ fn capture(number: u32, roles: &[Role]) -> StageCapture {
         trigger_time_ns: 1_000_000_100,
         trigger: "script".into(),
         truth: None,
-        approach: Vec::new(),
+        pre_grasp_frames: Vec::new(),
         pose: None,
         cameras: roles
             .iter()
@@ -92,7 +92,7 @@ fn capture(number: u32, roles: &[Role]) -> StageCapture {
 fn prediction() -> PredictionRecord {
     PredictionRecord {
         p_stable: 0.75,
-        novelty: None,
+        ood_score: None,
         threshold: 0.5,
         model_sha256: "ab".repeat(32),
         model: "baseline-contact".into(),

@@ -4,7 +4,7 @@ use std::time::Duration;
 
 use gripcast::tui::{ColourDepth, Palette, TrainingNews, TrainingStatus, draw_training};
 use gripcast_nn::Architecture;
-use gripcast_nn::predict::contract::Variant;
+use gripcast_nn::predict::contract::Modality;
 use gripcast_train::{EpochFigures, PartCounts, RunStart, TrainEvent, TrainSettings};
 use ratatui::Terminal;
 use ratatui::backend::TestBackend;
@@ -16,7 +16,7 @@ const EPOCHS: u64 = 30;
 const STEP: Duration = Duration::from_millis(1200);
 
 fn settings() -> TrainSettings {
-    TrainSettings::usual(Variant::Vt, Architecture::named("gripcast").unwrap(), 0)
+    TrainSettings::usual(Modality::Vt, Architecture::by_name("gripcast").unwrap(), 0)
 }
 
 fn fresh(seeds: u64) -> TrainingStatus {

@@ -9,10 +9,10 @@
 //! assert!((0.01..0.5).contains(&mass_kg));
 //! ```
 
+pub mod catch_panic;
 pub mod error;
 pub mod files;
 pub mod linear;
-pub mod catch_panic;
 pub mod random;
 pub mod statistics;
 pub mod workers;

@@ -11,7 +11,7 @@ use super::grasp::{
     BoardKeys, CameraRecord, OverriddenGuard, PoseRecord, PredictionRecord, SimulatedTruth,
     StageRecord,
 };
-use super::layout::{Stage, pre_grasp_name, image_name};
+use super::layout::{Stage, image_name, pre_grasp_name};
 use gripcast_base::error::Result;
 use gripcast_base::files::{ContentKey, FileName, Label, ObjectName};
 use gripcast_imaging::{Frame, Role};

@@ -354,7 +354,9 @@ impl Operator {
                 let record =
                     writer.save_grasp(self.pending.as_ref().unwrap(), &capture(number), meta)?;
                 self.pending = None;
-                self.acknowledged.grasps.insert(record.id.clone(), record.outcome);
+                self.acknowledged
+                    .grasps
+                    .insert(record.id.clone(), record.outcome);
                 self.last = Some(record.id);
             }
             Step::Label(outcome) => {

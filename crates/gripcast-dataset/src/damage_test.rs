@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 
 use super::sample::{capture, meta, new_dataset};
 use super::{
-    ActionKind, Dataset, DatasetWriter, GraspId, Outcome, ProblemKind, RecoverReport, GroupKey,
+    ActionKind, Dataset, DatasetWriter, GraspId, GroupKey, Outcome, ProblemKind, RecoverReport,
     SplitPlan, recover, split, verify,
 };
 use gripcast_base::error::ErrorKind;
@@ -345,7 +345,10 @@ fn loaded_frames_equal_sent_frames() {
             .ends_with(format!("grasps/{}/grasp.rgb.png", ids[0]))
     );
     let depth = Role::Depth;
-    assert_eq!(dataset.image_path(&record, super::Stage::Initial, depth), None);
+    assert_eq!(
+        dataset.image_path(&record, super::Stage::Initial, depth),
+        None
+    );
 }
 
 /// YUYV frames reach inference with the same pixels live and after a restart.

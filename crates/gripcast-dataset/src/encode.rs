@@ -28,7 +28,8 @@ pub(super) fn encode(frame: &Frame) -> Result<Cow<'_, [u8]>> {
         PixelFormat::Grey => {
             check_structure(frame)?;
             let image = GrayImage::from_raw(frame.width, frame.height, frame.data.to_vec());
-            let image = image.ok_or_else(|| Error::internal("a checked frame has an invalid size"))?;
+            let image =
+                image.ok_or_else(|| Error::internal("a checked frame has an invalid size"))?;
             encode_png_grey8(&image)?.into()
         }
     })

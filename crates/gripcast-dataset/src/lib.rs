@@ -61,7 +61,7 @@ pub use grasp::{
 };
 pub use gripcast_base::files::GraspId;
 pub use index::{ReindexReport, reindex};
-pub use layout::{Stage, pre_grasp_name, image_name};
+pub use layout::{Stage, image_name, pre_grasp_name};
 pub use opening::OpenReport;
 pub use reader::Dataset;
 pub use record_file::PendingInitial;

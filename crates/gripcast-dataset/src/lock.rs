@@ -40,7 +40,6 @@ impl DatasetLock {
 }
 
 fn not_writable(layout: &Layout, error: io::Error) -> Error {
-
     let remedy = match error.kind() {
         io::ErrorKind::ReadOnlyFilesystem => {
             "the disk is mounted read-only: remount it writable, or use another directory"

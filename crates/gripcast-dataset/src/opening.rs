@@ -88,9 +88,7 @@ impl DatasetWriter {
                         .and_then(|()| disk.rename_new(&dir, &self.layout.grasp(&id)))
                         .and_then(synced)
                         .map_err(|e| self.failed(&format!("cannot complete {id}"), e))?;
-                    report
-                        .notes
-                        .push(format!("completed {id} after a crash"));
+                    report.notes.push(format!("completed {id} after a crash"));
                 }
                 Unfinished::Pending(pending) => {
                     disk.sync_dir(&dir)

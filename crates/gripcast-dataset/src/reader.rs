@@ -78,7 +78,12 @@ impl Dataset {
 
     /// Path of an image of a grasp; `None` without an image of that role at that stage.
     #[must_use]
-    pub fn image_path(&self, record: &GraspRecord, stage: Stage, role: Role) -> Option<BeneathPath> {
+    pub fn image_path(
+        &self,
+        record: &GraspRecord,
+        stage: Stage,
+        role: Role,
+    ) -> Option<BeneathPath> {
         let camera = record.stage(stage).cameras.get(&role)?;
         Some(self.layout.grasp(&record.id).join(&camera.file))
     }
@@ -93,10 +98,17 @@ impl Dataset {
     /// Images of the external camera from before the gripper closed, by time: pre-grasp frames
     /// and initial frame.
     #[must_use]
-    pub fn external_images_before_closing(&self, record: &GraspRecord) -> Vec<(CameraRecord, BeneathPath)> {
+    pub fn external_images_before_closing(
+        &self,
+        record: &GraspRecord,
+    ) -> Vec<(CameraRecord, BeneathPath)> {
         let initial = record.initial.cameras.get(&Role::External);
-        let mut cameras: Vec<CameraRecord> =
-            record.pre_grasp_frames.iter().chain(initial).cloned().collect();
+        let mut cameras: Vec<CameraRecord> = record
+            .pre_grasp_frames
+            .iter()
+            .chain(initial)
+            .cloned()
+            .collect();
         cameras.sort_by_key(|camera| camera.driver_time_ns);
         let grasp = self.layout.grasp(&record.id);
         cameras

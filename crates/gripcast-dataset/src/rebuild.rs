@@ -13,7 +13,7 @@ use super::digest::FileDigest;
 use super::digest::digest;
 use super::grasp::{CameraRecord, GraspRecord, StageRecord};
 use super::image_file;
-use super::layout::{PRE_GRASP_PREFIX, GRASP_JSON, Stage};
+use super::layout::{GRASP_JSON, PRE_GRASP_PREFIX, Stage};
 use super::reader::entries;
 use super::schema::SCHEMA_VERSION;
 use gripcast_base::files::{BeneathPath, FileKind, FileName, GraspId, Label, ObjectName};
@@ -170,8 +170,9 @@ fn complete_image(
     let bytes = dir.join(&file).read(FileKind::Image).ok()?;
     let (format, width, height) = image_file::recognise(&bytes)?;
     files.insert(file.clone(), digest(&bytes));
-    let fits =
-        |camera: &&CameraRecord| camera.file == file && image_file::defect(&bytes, camera).is_none();
+    let fits = |camera: &&CameraRecord| {
+        camera.file == file && image_file::defect(&bytes, camera).is_none()
+    };
     Some(old.filter(fits).cloned().unwrap_or_else(|| CameraRecord {
         file,
         product: "unknown".into(),

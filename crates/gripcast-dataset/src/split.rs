@@ -226,7 +226,8 @@ impl SplitFile {
                 .create_dir(&dir)
                 .and_then(|()| SystemDisk.sync_dir(&layout.top()))
         };
-        created.and_then(|()| replace(&SystemDisk, &dir, name, &json))
+        created
+            .and_then(|()| replace(&SystemDisk, &dir, name, &json))
             .map_err(|e| layout.failed(&format!("cannot write splits/{name}"), e))
     }
 }
@@ -253,11 +254,7 @@ pub(super) fn file_name(name: &str) -> Result<FileName> {
 
 /// Refuses invalid file names and names that hide the dataset from `imagefolder`.
 pub(super) fn check_name(name: &str) -> Result<()> {
-    let refused = |why: &str| {
-        Err(Error::usage(format!(
-            "invalid split name `{name}`: {why}"
-        )))
-    };
+    let refused = |why: &str| Err(Error::usage(format!("invalid split name `{name}`: {why}")));
     let plain = !name.is_empty()
         && !name.starts_with('.')
         && name

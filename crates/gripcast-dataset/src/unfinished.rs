@@ -56,9 +56,7 @@ fn inspect(layout: &Layout, id: &GraspId) -> Unfinished {
             )),
             _ => Unfinished::Pending(pending),
         },
-        Pending::Torn(reason) => {
-            Unfinished::Unusable(format!("incomplete save: {reason}"))
-        }
+        Pending::Torn(reason) => Unfinished::Unusable(format!("incomplete save: {reason}")),
     }
 }
 

@@ -357,9 +357,7 @@ fn check_grasps_directory(layout: &Layout, found: &mut Collector) -> Result<usiz
                 }
                 _ => {
                     pending += 1;
-                    found
-                        .notes
-                        .push(format!("pending initial frame: {id}"));
+                    found.notes.push(format!("pending initial frame: {id}"));
                     continue;
                 }
             },
@@ -489,12 +487,7 @@ fn immutable_files(
         };
         match entry.read(FileKind::Record) {
             Ok(bytes) if ContentKey::from_contents(&bytes) == key => {}
-            Ok(_) => found.add(
-                kind,
-                None,
-                &at,
-                "the contents do not match the name",
-            ),
+            Ok(_) => found.add(kind, None, &at, "the contents do not match the name"),
             Err(error) => found.add(kind, None, &at, format!("cannot read the file: {error}")),
         }
         files.push((key.to_owned(), at));
@@ -510,9 +503,7 @@ fn check_index(layout: &Layout, grasps: &[CheckedGrasp], found: &mut Collector) 
     let detail = match layout.index().read(FileKind::List) {
         Err(_) => "cannot read the index",
         Ok(bytes) if bytes == to_jsonl(&rows).as_bytes() => return,
-        Ok(bytes) if !bytes.is_empty() && bytes.last() != Some(&b'\n') => {
-            "the index is truncated"
-        }
+        Ok(bytes) if !bytes.is_empty() && bytes.last() != Some(&b'\n') => "the index is truncated",
         Ok(_) => "the index differs from the records",
     };
     found.add(ProblemKind::Index, None, "metadata.jsonl", detail);

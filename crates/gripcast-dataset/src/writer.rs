@@ -20,7 +20,7 @@ use super::disk::{Disk, is_partial, replace};
 use super::grasp::{GraspRecord, Outcome, OverriddenGuard, PoseRecord, StageRecord};
 use super::index::{IndexRow, to_jsonl};
 use super::layout::{
-    PRE_GRASP_PREFIX, GRASP_JSON, INITIAL_JSON, Layout, METADATA_JSONL, Stage, id_at,
+    GRASP_JSON, INITIAL_JSON, Layout, METADATA_JSONL, PRE_GRASP_PREFIX, Stage, id_at,
 };
 use super::lock::DatasetLock;
 use super::reader::load_frame;
@@ -116,12 +116,11 @@ impl DatasetWriter {
     ) -> Result<GraspRecord> {
         let dir = self.layout.pending(&pending.id);
         if !dir.join(INITIAL_JSON).is_file() {
-            return Err(Error::not_found(format!(
-                "initial frame of {} not found",
-                pending.id
-            ))
-            .at(dir.display())
-            .remedy("check that the disk is mounted, then take the initial frame again"));
+            return Err(
+                Error::not_found(format!("initial frame of {} not found", pending.id))
+                    .at(dir.display())
+                    .remedy("check that the disk is mounted, then take the initial frame again"),
+            );
         }
         let EncodedStage {
             record: stage,

@@ -9,9 +9,9 @@ use super::object_mesh::planned_mesh;
 use super::plan::{Plan, PlannedObject, PlannedSimulation, Shard, check_parameters};
 use super::sample_images::{Grasped, Photographer, before_lift, rendering_seed, seen_surface};
 use super::store::{ResultStore, SimulationResult};
+use gripcast_base::catch_panic::catch_panic;
 use gripcast_base::error::{Error, ErrorKind, Result};
 use gripcast_base::files::{Root, SimulationId};
-use gripcast_base::catch_panic::catch_panic;
 use gripcast_base::random::SeedStream;
 use gripcast_base::workers::{par_map_single_threaded, thread_cpu_s};
 use gripcast_dataset::shard::{

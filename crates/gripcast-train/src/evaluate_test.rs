@@ -144,7 +144,7 @@ fn the_shipped_model_has_the_figures_on_a_drawn_set_that_it_had() {
     });
     write_part(folder.path(), "test", rows);
     let samples = Samples::open(folder.path(), "test").unwrap();
-    let model = Model::named(SHIPPED).unwrap();
+    let model = Model::by_name(SHIPPED).unwrap();
     let models = [(SHIPPED.to_owned(), model)];
     let report = evaluate(&models, &samples, None, "", &|_, _| {}).unwrap();
     let summary = &report.models[0].summary;

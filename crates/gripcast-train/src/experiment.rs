@@ -19,7 +19,7 @@ use gripcast_base::error::{Error, Result};
 use gripcast_base::files::{FileKind, Root};
 use gripcast_base::workers::par_map_single_threaded;
 use gripcast_nn::predict::Model;
-use gripcast_nn::predict::contract::Variant;
+use gripcast_nn::predict::contract::Modality;
 
 /// What is trained.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
@@ -59,11 +59,11 @@ impl Condition {
         }
     }
 
-    fn variant(self) -> Variant {
+    fn variant(self) -> Modality {
         match self {
-            Self::Vision => Variant::V,
-            Self::Touch => Variant::T,
-            Self::Both | Self::BothRigid => Variant::Vt,
+            Self::Vision => Modality::V,
+            Self::Touch => Modality::T,
+            Self::Both | Self::BothRigid => Modality::Vt,
         }
     }
 }

@@ -37,7 +37,7 @@ fn all_conditions_are_trained_tested_and_compared_once() {
         training: TrainSettings {
             epochs: 2,
             batch: 4,
-            ..TrainSettings::usual(Variant::Vt, architecture, 0)
+            ..TrainSettings::usual(Modality::Vt, architecture, 0)
         },
     };
     let runs = std::sync::Mutex::new([0, 0]);

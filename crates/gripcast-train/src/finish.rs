@@ -12,7 +12,7 @@ use super::state::write;
 use gripcast_base::error::Result;
 use gripcast_imaging::CropProfile;
 use gripcast_nn::predict::contract::{InputName, InputSpec, Origin};
-use gripcast_nn::predict::{ModelContract, novelty};
+use gripcast_nn::predict::{ModelContract, ood};
 use gripcast_nn::to_onnx;
 
 /// Metadata with the names of the objects that a model was trained on.
@@ -59,8 +59,8 @@ pub fn finish(
     let scored: Vec<_> = found.iter().map(|x| x.scored(temperature)).collect();
     let summary = Summary::new(&scored, threshold);
     let mut contract = contract(file, name, &best, [temperature, threshold], &summary)?;
-    if let Some(novelty) = known_touch(&Samples::open(data, "train")?, file)? {
-        let known = (novelty::METADATA.to_owned(), novelty.to_metadata());
+    if let Some(detector) = known_touch(&Samples::open(data, "train")?, file)? {
+        let known = (ood::METADATA.to_owned(), detector.to_metadata());
         contract.other.extend([known]);
     }
     let onnx = to_onnx(&network, &contract)?;
@@ -128,7 +128,7 @@ fn contract(
             seed: settings.seed,
             manifest_sha256: file.dataset_sha256.clone(),
         },
-        variant: settings.variant,
+        modality: settings.variant,
         inputs: inputs.collect(),
         threshold,
         temperature,

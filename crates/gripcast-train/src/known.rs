@@ -8,9 +8,9 @@ use super::run_folder::RunFile;
 use super::samples::Samples;
 use gripcast_base::error::Result;
 use gripcast_base::random::SeedStream;
-use gripcast_nn::predict::Novelty;
-use gripcast_nn::predict::contract::Variant;
-use gripcast_nn::predict::novelty::{Features, features};
+use gripcast_nn::predict::OodDetector;
+use gripcast_nn::predict::contract::Modality;
+use gripcast_nn::predict::ood::{Features, features};
 
 /// Most samples that are looked at, evenly spread: two sensors each, enough for one in a thousand.
 const MAX_SAMPLES: usize = 2000;
@@ -24,13 +24,13 @@ const MEMORY: usize = 1 << 25;
 ///
 /// # Errors
 /// Those of reading and decoding.
-pub(super) fn known_touch(samples: &Samples, file: &RunFile) -> Result<Option<Novelty>> {
+pub(super) fn known_touch(samples: &Samples, file: &RunFile) -> Result<Option<OodDetector>> {
     let settings = &file.settings;
     if !settings.variant.has_touch() {
         return Ok(None);
     }
     let writer = InputWriter::new(settings.augmentation, file.normalisation());
-    let mut batches = Batches::new(samples, Variant::T, writer, MEMORY);
+    let mut batches = Batches::new(samples, Modality::T, writer, MEMORY);
     let step = samples.facts().len().div_ceil(MAX_SAMPLES).max(1);
     let some: Vec<usize> = (0..samples.facts().len()).step_by(step).collect();
     let mut draw = SeedStream::named(settings.seed, "known touch");
@@ -41,5 +41,5 @@ pub(super) fn known_touch(samples: &Samples, file: &RunFile) -> Result<Option<No
         let found = batch.touch.par_chunks_exact(FLOATS).filter_map(features);
         known.extend(found.collect::<Vec<_>>());
     }
-    Ok(Novelty::fit(&known))
+    Ok(OodDetector::fit(&known))
 }

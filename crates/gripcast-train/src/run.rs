@@ -258,12 +258,12 @@ impl<'a> Training<'a> {
     fn restore(&mut self, place: &BeneathPath) -> Result<()> {
         let (position, arrays): (Position, _) = state::load(place)?;
         let network = &self.network;
-        let [all, moments] = [network.parameters.len(), network.moments.len()];
+        let [all, moments] = [network.parameters.len(), network.running_stats.len()];
         let [parameters, moments, first, second] =
             state::of_sizes(arrays, [all, moments, all, all])
                 .ok_or_else(|| foreign_checkpoint(place))?;
         self.network.parameters = parameters;
-        self.network.moments = moments;
+        self.network.running_stats = moments;
         self.position = position;
         self.adam = Adam {
             first,
@@ -277,7 +277,7 @@ impl<'a> Training<'a> {
         self.position.steps = self.adam.steps;
         let arrays: [&[f32]; 4] = [
             &self.network.parameters,
-            &self.network.moments,
+            &self.network.running_stats,
             &self.adam.first,
             &self.adam.second,
         ];
@@ -336,7 +336,7 @@ impl<'a> Training<'a> {
             let figures = self.epoch(on_progress)?;
             let accuracy = [figures.validation_accuracy, figures.validation_loss];
             if self.position.best.is_none_or(|best| figures.beats(best)) {
-                let arrays: [&[f32]; 2] = [&self.network.parameters, &self.network.moments];
+                let arrays: [&[f32]; 2] = [&self.network.parameters, &self.network.running_stats];
                 state::save(&self.folder.best(), &figures, &arrays)?;
                 self.position.best = Some(accuracy);
                 self.position.best_epoch = Some(figures.epoch);
@@ -393,7 +393,7 @@ impl<'a> Training<'a> {
             gradient.fill(0.0);
             let network = &mut self.network;
             let (loss, read) = rayon::join(
-                || network.learn(&batch, &drop, &mut gradient),
+                || network.train_step(&batch, &drop, &mut gradient),
                 || (step + 1 < steps).then(|| read(step + 1)).transpose(),
             );
             next = read?;

@@ -147,11 +147,11 @@ impl RunFolder {
         let place = self.best();
         let (figures, arrays): (EpochFigures, _) = state::load(&place)?;
         let mut network = untrained(settings, || 0.5);
-        let sizes = [network.parameters.len(), network.moments.len()];
+        let sizes = [network.parameters.len(), network.running_stats.len()];
         let [parameters, moments] =
             state::of_sizes(arrays, sizes).ok_or_else(|| foreign_checkpoint(&place))?;
         network.parameters = parameters;
-        network.moments = moments;
+        network.running_stats = moments;
         Ok((network, figures))
     }
 }

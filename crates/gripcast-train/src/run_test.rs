@@ -8,11 +8,11 @@ use crate::sample_dataset::{row, write_dataset, write_part};
 use crate::samples::SampleReader;
 use crate::{finish, logits};
 use gripcast_base::catch_panic::catch_panic;
-use gripcast_nn::predict::contract::Variant;
+use gripcast_nn::predict::contract::Modality;
 use gripcast_nn::predict::{Model, ModelInput};
 use gripcast_nn::{Architecture, ConvSpec};
 
-fn settings(variant: Variant) -> TrainSettings {
+fn settings(variant: Modality) -> TrainSettings {
     let conv = |channels, kernel, stride, pad| ConvSpec {
         channels,
         kernel,
@@ -52,7 +52,7 @@ fn a_run_learns_and_its_file_predicts_what_the_network_does() {
     let data = folder.path().join("data");
     write_dataset(&data, 24);
     let out = folder.path().join("run");
-    for variant in [Variant::Vt, Variant::T, Variant::V] {
+    for variant in [Modality::Vt, Modality::T, Modality::V] {
         let settings = TrainSettings {
             epochs: 6,
             ..settings(variant)
@@ -60,7 +60,7 @@ fn a_run_learns_and_its_file_predicts_what_the_network_does() {
         let out = out.join(variant.name());
         let trained = train(&data, &out, &settings, &|_| {}).unwrap();
         assert_eq!(trained.epochs, 6);
-        if variant != Variant::V {
+        if variant != Modality::V {
             assert!(trained.best.validation_accuracy > 0.9, "{trained:?}");
         }
         let run = RunFolder::at(&out);
@@ -69,8 +69,8 @@ fn a_run_learns_and_its_file_predicts_what_the_network_does() {
         let finished = finish(&run, &file, &data, "tiny", &|_| {}).unwrap();
         assert_eq!(fs::read(run.model().shown()).unwrap(), finished.onnx);
         let model = Model::from_bytes(&finished.onnx).unwrap();
-        assert_eq!(model.contract().variant, variant);
-        assert_eq!(model.novelty().is_some(), variant != Variant::V);
+        assert_eq!(model.contract().modality, variant);
+        assert_eq!(model.ood_detector().is_some(), variant != Modality::V);
         let (network, _) = run.best_network(&settings).unwrap();
         let found = logits(
             &network,
@@ -109,7 +109,7 @@ fn a_run_learns_and_its_file_predicts_what_the_network_does() {
 
 #[test]
 fn a_run_that_was_killed_ends_with_the_same_bytes() {
-    let settings = &settings(Variant::T);
+    let settings = &settings(Modality::T);
     let folder = tempfile::tempdir().unwrap();
     let data = folder.path().join("data");
     write_dataset(&data, 24);
@@ -138,7 +138,7 @@ fn checkpoints_within_an_epoch_are_gone_on_with() {
     let folder = tempfile::tempdir().unwrap();
     let data = folder.path().join("data");
     write_dataset(&data, 24);
-    let settings = settings(Variant::T);
+    let settings = settings(Modality::T);
     let file = {
         let train = Samples::open(&data, TRAIN).unwrap();
         let out = folder.path().join("run");
@@ -174,7 +174,7 @@ fn other_settings_and_another_dataset_are_refused() {
     let out = folder.path().join("run");
     let one = TrainSettings {
         epochs: 1,
-        ..settings(Variant::T)
+        ..settings(Modality::T)
     };
     train(&data, &out, &one, &|_| {}).unwrap();
     let other = TrainSettings {
@@ -200,7 +200,7 @@ fn runs_of_earlier_versions_go_on_unless_they_used_what_is_gone() {
     let out = folder.path().join("run");
     let settings = TrainSettings {
         epochs: 1,
-        ..settings(Variant::Vt)
+        ..settings(Modality::Vt)
     };
     train(&data, &out, &settings, &|_| {}).unwrap();
     let run = RunFolder::at(&out);
@@ -222,7 +222,7 @@ fn runs_of_earlier_versions_go_on_unless_they_used_what_is_gone() {
 #[test]
 fn datasets_that_teach_nothing_are_refused() {
     let folder = tempfile::tempdir().unwrap();
-    let settings = settings(Variant::T);
+    let settings = settings(Modality::T);
     let refused = |name: &str, rows: Vec<gripcast_dataset::shard::ShardRow>, validation: &str| {
         let data = folder.path().join(name);
         write_part(&data, "train", rows);
@@ -267,7 +267,7 @@ fn an_image_of_another_size_is_named() {
         (0..4).map(|n| row("validation", n)),
     );
     let out = folder.path().join("run");
-    let error = train(folder.path(), &out, &settings(Variant::T), &|_| {}).unwrap_err();
+    let error = train(folder.path(), &out, &settings(Modality::T), &|_| {}).unwrap_err();
     let text = error.to_string();
     assert!(
         text.contains("train-0005") && text.contains("160×120"),
@@ -284,7 +284,7 @@ fn a_loss_that_is_no_number_ends_the_run_and_keeps_the_best_checkpoint() {
     let settings = TrainSettings {
         epochs: 2,
         augmentation: Augmentation::NONE,
-        ..settings(Variant::T)
+        ..settings(Modality::T)
     };
     let run = RunFolder::at(&out);
     // The first epoch ends; then a parameter is spoilt, as an overflow would.

@@ -5,14 +5,14 @@ use serde::{Deserialize, Serialize};
 use super::augment::Augmentation;
 use gripcast_base::error::{Error, Result};
 use gripcast_nn::Architecture;
-use gripcast_nn::predict::contract::Variant;
+use gripcast_nn::predict::contract::Modality;
 
 /// Everything that decides what a run learns. A run goes on only under the same settings.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct TrainSettings {
     /// Senses of the classifier.
-    pub variant: Variant,
+    pub variant: Modality,
     /// Its sizes.
     pub architecture: Architecture,
     /// Parameters at the start, order of the samples and their changes follow from it.
@@ -39,7 +39,7 @@ pub struct TrainSettings {
 
 impl TrainSettings {
     /// The usual settings of an architecture.
-    pub fn usual(variant: Variant, architecture: Architecture, seed: u64) -> Self {
+    pub fn usual(variant: Modality, architecture: Architecture, seed: u64) -> Self {
         Self {
             variant,
             architecture,

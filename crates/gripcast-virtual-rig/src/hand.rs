@@ -208,7 +208,7 @@ mod tests {
         let film = hand.film();
         assert_eq!(hand.moment(clock.now_ns()).step, film.steps().len() - 1);
         let truth = hand.truth(clock.now_ns());
-        assert!(truth.held && truth.film == film.name());
+        assert!(truth.held && truth.clip == film.name());
         hand.go(HandGoal::Closed);
         clock.advance(900 * MS);
         let step = &film.steps()[hand.moment(clock.now_ns()).step];

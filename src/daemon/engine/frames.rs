@@ -145,7 +145,7 @@ impl Engine {
                 .into_iter()
                 .filter_map(|(role, frame)| Some((role, captured(role, frame)?)))
                 .collect(),
-            approach: approach
+            pre_grasp_frames: approach
                 .frames
                 .into_iter()
                 .filter_map(|frame| captured(Role::External, frame))

@@ -24,7 +24,7 @@ impl ScriptCommand {
         let result = self.open.as_mut().and_then(|open| open.try_recv().ok());
         if let Some(result) = result {
             self.open = None;
-            self.answer = Some(match result.complaint() {
+            self.answer = Some(match result.error_message() {
                 Some(complaint) => Answer::Refused(complaint),
                 None => Answer::Saved,
             });

@@ -135,12 +135,14 @@ impl<'a> Cells<'a> {
     }
 
     pub(super) fn integer(&mut self) -> Result<i64> {
-        self.next(|cell| cell.as_integer()).map(|(_, integer)| integer)
+        self.next(|cell| cell.as_integer())
+            .map(|(_, integer)| integer)
     }
 
     pub(super) fn natural<T: TryFrom<i64>>(&mut self) -> Result<T> {
         let (column, value) = self.next(|cell| cell.as_integer())?;
-        T::try_from(value).map_err(|_| column_error(column, format!("is {value}, which is out of range")))
+        T::try_from(value)
+            .map_err(|_| column_error(column, format!("is {value}, which is out of range")))
     }
 
     pub(super) fn optional_number(&mut self) -> Result<Option<f64>> {

@@ -11,10 +11,10 @@ use parquet::file::metadata::{ColumnChunkMetaData, RowGroupMetaData};
 
 use super::cell::{Cell, column_error};
 use super::columns::{Column, columns};
-use super::table_column::ColumnType;
 use super::layout::Layout;
 use super::page::ChunkPages;
 use super::source::Source;
+use super::table_column::ColumnType;
 use gripcast_base::error::{Error, Result};
 
 /// Maximum size of the rows in memory, bytes.

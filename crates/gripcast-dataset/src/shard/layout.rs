@@ -106,7 +106,9 @@ fn fits(leaf: &ColumnDescriptor, column: &Column) -> bool {
     let (depth, repeated) = (leaf.path().parts().len(), leaf.max_rep_level());
     match column.kind {
         ColumnType::Text => kind == Type::BYTE_ARRAY && depth == 1 && repeated == 0,
-        ColumnType::Int64 => matches!(kind, Type::INT64 | Type::INT32) && depth == 1 && repeated == 0,
+        ColumnType::Int64 => {
+            matches!(kind, Type::INT64 | Type::INT32) && depth == 1 && repeated == 0
+        }
         ColumnType::Float64 => kind == Type::DOUBLE && depth == 1 && repeated == 0,
         ColumnType::Float64List(_) => kind == Type::DOUBLE && repeated == 1,
         ColumnType::Image => kind == Type::BYTE_ARRAY && depth <= 2 && repeated == 0,
@@ -170,10 +172,7 @@ mod tests {
         let null = find("DOUBLE force_left_n;", "INT32 force_left_n (UNKNOWN);").unwrap();
         assert_eq!(leaf(&null, "force_left_n"), None);
         let error = find("INT64 seed;", "INT64 seeds;").unwrap_err();
-        assert!(
-            error.to_string().contains("missing column seed"),
-            "{error}"
-        );
+        assert!(error.to_string().contains("missing column seed"), "{error}");
     }
 
     #[test]

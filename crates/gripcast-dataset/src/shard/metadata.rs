@@ -64,9 +64,8 @@ impl ShardMetadata {
             format: String,
             version: u32,
         }
-        let unreadable = |e: serde_json::Error| {
-            Error::input("cannot read the `gripcast` metadata").because(e)
-        };
+        let unreadable =
+            |e: serde_json::Error| Error::input("cannot read the `gripcast` metadata").because(e);
         let Header { format, version } = serde_json::from_str(text).map_err(unreadable)?;
         if format != FORMAT {
             let what = format!("expected a file of format {FORMAT:?}, found {format:?}");

@@ -19,9 +19,9 @@ use super::layout::Layout;
 use super::metadata::{CREATED_BY, GroupHash, KEY, ShardMetadata};
 use super::row::{ShardFacts, ShardImages, ShardRow};
 use super::source::Source;
+use gripcast_base::catch_panic::catch_panic;
 use gripcast_base::error::{Error, Result};
 use gripcast_base::files::{BeneathPath, FileKind, open_regular};
-use gripcast_base::catch_panic::catch_panic;
 
 /// Rows per read; for files of other writers also the rows in memory.
 const BATCH: usize = 32;

@@ -357,7 +357,10 @@ fn pose(t_m: &[f64], q_wxyz: &[f64]) -> Result<Pose> {
     };
     let translation_m = glam::DVec3::new(x, y, z);
     if !translation_m.is_finite() {
-        return Err(column_error("pose_t_m", format!("is {t_m:?}, expected finite numbers")));
+        return Err(column_error(
+            "pose_t_m",
+            format!("is {t_m:?}, expected finite numbers"),
+        ));
     }
     let rotation = DQuat::from_xyzw(qx, qy, qz, qw);
     // False for NaN.

@@ -47,7 +47,8 @@ fn file_name(split: &str, index: usize, count: usize) -> Result<FileName> {
         return Err(error.remedy("use letters, digits and _, as in train, validation, test"));
     }
     if index >= count || count > MAX_SHARDS {
-        let what = format!("invalid shard {index} of {count}, at most {MAX_SHARDS} shards are supported");
+        let what =
+            format!("invalid shard {index} of {count}, at most {MAX_SHARDS} shards are supported");
         return Err(Error::usage(what));
     }
     FileName::parse(&format!(
@@ -186,7 +187,8 @@ fn list(root: &Root) -> Result<BTreeMap<String, Vec<BeneathPath>>> {
     let folder = root.top().join(DATA);
     if !folder.is_dir() && root.top().join(DATASET_TOML).is_file() {
         let what = "expected shards of samples, found a dataset of collected grasps";
-        let remedy = "run `gripcast dataset export FOLDER --to training --out SHARDS` and give SHARDS";
+        let remedy =
+            "run `gripcast dataset export FOLDER --to training --out SHARDS` and give SHARDS";
         return Err(Error::input(what).remedy(remedy));
     }
     let unreadable = |e: std::io::Error| {
@@ -228,9 +230,8 @@ fn list(root: &Root) -> Result<BTreeMap<String, Vec<BeneathPath>>> {
 fn files(root: &Root, split: &str, shards: &BTreeSet<(usize, usize)>) -> Result<Vec<BeneathPath>> {
     let count = shards.first().map_or(0, |&(_, count)| count);
     if let Some((_, other)) = shards.iter().find(|&&(_, other)| other != count) {
-        let what = format!(
-            "the split {split} has shards of two sets, of {count} and {other} shards"
-        );
+        let what =
+            format!("the split {split} has shards of two sets, of {count} and {other} shards");
         return Err(Error::input(what).remedy("remove the shards of the older set"));
     }
     let missing: Vec<usize> = (0..count)
@@ -307,10 +308,7 @@ mod tests {
         assert_eq!(set.verify().unwrap(), counts.into());
         write(root, "data/test-00000-of-00001.parquet", 3, 1);
         let error = set.verify().unwrap_err().to_string();
-        assert!(
-            error.contains("\"000003-r0\" in test and train"),
-            "{error}"
-        );
+        assert!(error.contains("\"000003-r0\" in test and train"), "{error}");
         let error = set.num_rows("tain").unwrap_err();
         assert_eq!(error.kind(), ErrorKind::Usage);
         assert!(error.to_string().contains("did you mean train"), "{error}");

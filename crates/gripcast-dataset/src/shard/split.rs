@@ -116,9 +116,11 @@ impl FromStr for SplitFractions {
         let mut splits = BTreeMap::new();
         for item in text.split(',') {
             let (name, fraction) = item.split_once('=').unwrap_or((item, "1"));
-            let number = fraction
-                .parse()
-                .map_err(|_| invalid(format!("invalid fraction {fraction:?} of the split `{name}`")))?;
+            let number = fraction.parse().map_err(|_| {
+                invalid(format!(
+                    "invalid fraction {fraction:?} of the split `{name}`"
+                ))
+            })?;
             if splits.insert(name.to_owned(), number).is_some() {
                 return Err(invalid(format!("the split `{name}` is given twice")));
             }
@@ -175,13 +177,19 @@ mod tests {
     #[test]
     fn fractions_are_parsed_and_checked() {
         let read = |text: &str| text.parse::<SplitFractions>();
-        assert_eq!(read("test").unwrap(), SplitFractions::single("test").unwrap());
+        assert_eq!(
+            read("test").unwrap(),
+            SplitFractions::single("test").unwrap()
+        );
         let standard = read("train=0.8,validation=0.1,test=0.1").unwrap();
         assert_eq!(standard, SplitFractions::standard());
         assert_eq!(read(&standard.to_string()).unwrap(), standard);
         let json = serde_json::to_string(&standard).unwrap();
         assert_eq!(json, r#"{"test":0.1,"train":0.8,"validation":0.1}"#);
-        assert_eq!(serde_json::from_str::<SplitFractions>(&json).unwrap(), standard);
+        assert_eq!(
+            serde_json::from_str::<SplitFractions>(&json).unwrap(),
+            standard
+        );
         for text in [
             "",
             "a/b",

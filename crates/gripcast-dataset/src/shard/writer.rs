@@ -399,7 +399,10 @@ mod tests {
                 with(|r| r.images.grasp_rgb = b"GIF89a".to_vec()),
                 "column grasp_rgb is neither PNG nor JPEG",
             ),
-            (with(|r| r.facts.id = sample_row(1).facts.id), "duplicate sample id"),
+            (
+                with(|r| r.facts.id = sample_row(1).facts.id),
+                "duplicate sample id",
+            ),
         ];
         let folder = tempfile::tempdir().unwrap();
         let target = Root::new(folder.path()).top().join("a.parquet");

@@ -15,7 +15,7 @@ use gripcast_base::error::{ErrorKind, Result};
 use gripcast_dataset::sample::{capture, meta, new_dataset};
 use gripcast_dataset::shard::{ShardEngine, ShardOutcome, ShardRow, ShardSet};
 use gripcast_dataset::{
-    Dataset, DatasetWriter, GraspId, Outcome, PoseRecord, GroupKey, SplitPlan, Stage, StageCapture,
+    Dataset, DatasetWriter, GraspId, GroupKey, Outcome, PoseRecord, SplitPlan, Stage, StageCapture,
     split,
 };
 use gripcast_imaging::{CropProfile, Decoder, Role, jpeg::inspect};
@@ -83,7 +83,8 @@ fn bare(jpeg: &[u8]) -> Vec<u8> {
     let mut out = jpeg[..2].to_vec();
     let mut offset = 2;
     while jpeg[offset + 1] != 0xda {
-        let end = offset + 2 + usize::from(u16::from_be_bytes([jpeg[offset + 2], jpeg[offset + 3]]));
+        let end =
+            offset + 2 + usize::from(u16::from_be_bytes([jpeg[offset + 2], jpeg[offset + 3]]));
         if jpeg[offset + 1] != 0xc4 {
             out.extend_from_slice(&jpeg[offset..end]);
         }
@@ -166,12 +167,17 @@ fn parquet_has_one_row_per_grasp_with_nulls() {
     assert_eq!(names(&out), ["data/train-00000-of-00001.parquet"]);
     let rows = rows(&out.join("data/train-00000-of-00001.parquet"));
     for (row, id) in rows.iter().zip(&ids) {
-        assert_eq!(row.get_string(column_index(row, "id")).unwrap(), id.as_str());
+        assert_eq!(
+            row.get_string(column_index(row, "id")).unwrap(),
+            id.as_str()
+        );
         let record: Value =
             serde_json::from_str(row.get_string(column_index(row, "record")).unwrap()).unwrap();
         assert_eq!(record["id"], id.as_str());
     }
-    let labels = rows.iter().map(|row| row.get_long(column_index(row, "label")).ok());
+    let labels = rows
+        .iter()
+        .map(|row| row.get_long(column_index(row, "label")).ok());
     assert_eq!(labels.collect::<Vec<_>>(), [Some(1), Some(0), None]);
     let is_null = |row: usize, column: &str| {
         let field = rows[row]
@@ -181,7 +187,9 @@ fn parquet_has_one_row_per_grasp_with_nulls() {
     };
     assert!(!is_null(0, "pose_t_m") && is_null(1, "pose_t_m"));
     assert!(!is_null(1, "predicted_p_stable") && is_null(2, "predicted_p_stable"));
-    let left = rows[0].get_group(column_index(&rows[0], "grasp_left")).unwrap();
+    let left = rows[0]
+        .get_group(column_index(&rows[0], "grasp_left"))
+        .unwrap();
     assert_eq!(left.get_string(1).unwrap(), "grasp.left.jpg");
     let header = inspect(left.get_bytes(0).unwrap().data()).unwrap();
     assert!(header.has_huffman_tables);
@@ -278,7 +286,10 @@ fn lerobot_episode_is_two_frames_of_a_labelled_grasp() {
         .map(|f| f.get_bool(column_index(f, "next.done")).unwrap());
     assert_eq!(done.collect::<Vec<_>>(), [false, true, false, true]);
     let poses = frames.iter().map(|f| {
-        let pose = f.get_list(column_index(f, "observation.pose")).unwrap().elements();
+        let pose = f
+            .get_list(column_index(f, "observation.pose"))
+            .unwrap()
+            .elements();
         pose[0].clone()
     });
     let poses: Vec<_> = poses.map(|x| format!("{x}")).collect();
@@ -295,7 +306,11 @@ fn lerobot_episode_is_two_frames_of_a_labelled_grasp() {
         last.get_string(column_index(last, "gripcast/id")).unwrap(),
         ids[1].as_str()
     );
-    assert_eq!(last.get_long(column_index(last, "dataset_from_index")).unwrap(), 2);
+    assert_eq!(
+        last.get_long(column_index(last, "dataset_from_index"))
+            .unwrap(),
+        2
+    );
     let stats = json(&out.join("meta/stats.json"));
     assert_eq!(stats["next.success"]["mean"], serde_json::json!([0.25]));
     assert_eq!(stats["observation.pose"]["count"], serde_json::json!([2]));
@@ -480,7 +495,10 @@ fn damaged_grasps_are_left_out_and_listed() {
             report.left_out[0].reason.contains("grasp.left.jpg"),
             "{report:?}"
         );
-        assert!(report.left_out[1].reason.contains("grasp.json"), "{report:?}");
+        assert!(
+            report.left_out[1].reason.contains("grasp.json"),
+            "{report:?}"
+        );
     }
     fs::remove_file(
         dir.path()

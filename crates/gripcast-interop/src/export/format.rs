@@ -1,7 +1,7 @@
 //! Interface of the export formats.
 
-use super::selection::Survey;
 use super::plan::ExportPlan;
+use super::selection::Survey;
 use super::source::Grasp;
 use super::staged::StagedFolder;
 use gripcast_base::error::{Error, Result};

@@ -5,13 +5,13 @@
 //! complete. Damaged grasps are left out and listed in the report. Memory use is limited to the
 //! ids, one grasp's images and one row group. `docs/exports.md` describes each format.
 
-mod selection;
 mod format;
 mod lerobot;
 mod parquet;
 mod plan;
 mod report;
 mod run;
+mod selection;
 mod shard_files;
 mod source;
 mod staged;

@@ -8,7 +8,7 @@ use super::format::{ExportContext, Writer};
 use super::shard_files::ShardFiles;
 use super::source::Grasp;
 use gripcast_base::error::{Error, Result};
-use gripcast_dataset::shard::{EXPORT, TableCell, ColumnType, TableWriter};
+use gripcast_dataset::shard::{ColumnType, EXPORT, TableCell, TableWriter};
 use gripcast_dataset::{GraspRecord, Outcome, Stage};
 use gripcast_imaging::Role;
 

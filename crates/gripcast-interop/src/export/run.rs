@@ -3,12 +3,12 @@
 use std::fs;
 use std::path::Path;
 
-use super::selection::{Selection, select};
 use super::format::{ExportContext, Writer};
 use super::lerobot::LeRobot;
 use super::parquet::ParquetShards;
 use super::plan::{ExportFormat, ExportPlan};
 use super::report::ExportReport;
+use super::selection::{Selection, select};
 use super::source::Source;
 use super::staged::StagedFolder;
 use super::training::TrainingShards;

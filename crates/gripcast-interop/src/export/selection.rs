@@ -95,7 +95,9 @@ pub(super) fn select(dataset: &Dataset, plan: &ExportPlan) -> Result<Selection> 
         let mut chosen = Vec::with_capacity(ids.len());
         for id in ids {
             match dataset.grasp_with_json(&id) {
-                Ok((record, _)) if plan.requires_labels() && record.outcome == Outcome::Unlabelled => {
+                Ok((record, _))
+                    if plan.requires_labels() && record.outcome == Outcome::Unlabelled =>
+                {
                     selection.unlabelled += 1;
                 }
                 Ok((record, _)) => {
@@ -134,14 +136,10 @@ fn split_file(dataset: &Dataset, plan: &ExportPlan) -> Result<Option<SplitFile>>
     let names = dataset.split_names()?;
     match names.as_slice() {
         [only] => dataset.split(only).map(Some),
-        [] => Err(
-            Error::usage("the dataset has no split file for `--part`")
-                .remedy("create one with `gripcast dataset split`, or omit `--part`"),
-        ),
-        _ => Err(
-            Error::usage("the dataset has several split files")
-                .remedy(format!("choose one with `--split`: {}", names.join(", "))),
-        ),
+        [] => Err(Error::usage("the dataset has no split file for `--part`")
+            .remedy("create one with `gripcast dataset split`, or omit `--part`")),
+        _ => Err(Error::usage("the dataset has several split files")
+            .remedy(format!("choose one with `--split`: {}", names.join(", ")))),
     }
 }
 
@@ -170,9 +168,7 @@ fn selected_splits(file: SplitFile, plan: &ExportPlan) -> Result<Vec<(String, Ve
         let is_word = |c: char| c.is_ascii_alphanumeric() || c == '_';
         if name.is_empty() || !name.chars().all(is_word) {
             let what = format!("the split name {name:?} is not a valid file name");
-            return Err(
-                Error::input(what).remedy("use letters, digits and _ in splits/*.json")
-            );
+            return Err(Error::input(what).remedy("use letters, digits and _ in splits/*.json"));
         }
         // `dataset split` uses `val`, `train` uses `validation`.
         let name = match &*name {

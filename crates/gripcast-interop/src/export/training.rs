@@ -14,7 +14,7 @@ use gripcast_base::error::{Error, ErrorKind, Result};
 use gripcast_dataset::shard::{
     ShardEngine, ShardFacts, ShardImages, ShardOutcome, ShardRow, ShardWriter,
 };
-use gripcast_dataset::{GraspRecord, Outcome, GroupKey, Stage};
+use gripcast_dataset::{GraspRecord, GroupKey, Outcome, Stage};
 use gripcast_imaging::{CropProfile, Decoder, Role, encode_png_rgb};
 
 /// Writes the shards.

@@ -78,7 +78,9 @@ impl Hdf5 {
             Ok(group) => group,
             Err(Hdf5Error::Format(FormatError::PathNotFound(_))) => return Ok(None),
             Err(Hdf5Error::NotAGroup(_)) => {
-                return Err(Error::input(format!("expected a group `{key}`, found a dataset")));
+                return Err(Error::input(format!(
+                    "expected a group `{key}`, found a dataset"
+                )));
             }
             Err(error) => return Err(failed(format!("cannot read `{key}`"), error)),
         };
@@ -114,7 +116,8 @@ impl Hdf5 {
             count if count > MAX_LISTED => listed.push_str(", …"),
             _ => {}
         }
-        Error::input(format!("`{key}` not found; the file has {listed}")).remedy(give(self.expected))
+        Error::input(format!("`{key}` not found; the file has {listed}"))
+            .remedy(give(self.expected))
     }
 
     /// Opens a dataset; none if there is no such key.
@@ -155,7 +158,9 @@ impl Hdf5 {
         };
         match values.as_slice() {
             [value] if value.is_finite() => Ok(Some(*value)),
-            [value] => Err(Error::input(format!("expected a finite number in `{key}`, found {value}"))),
+            [value] => Err(Error::input(format!(
+                "expected a finite number in `{key}`, found {value}"
+            ))),
             _ => Err(wrong_shape(key, "one number", &shape)),
         }
     }
@@ -174,7 +179,9 @@ impl Hdf5 {
         };
         match array.iter().find(|v| !v.is_finite()) {
             None => Ok(Some(array)),
-            Some(value) => Err(Error::input(format!("expected a finite number in `{key}`, found {value}"))),
+            Some(value) => Err(Error::input(format!(
+                "expected a finite number in `{key}`, found {value}"
+            ))),
         }
     }
 
@@ -201,7 +208,11 @@ impl Hdf5 {
                 }
                 dataset.read_string().map_err(failed)?
             }
-            other => return Err(Error::input(format!("expected a string in `{key}`, found {other}"))),
+            other => {
+                return Err(Error::input(format!(
+                    "expected a string in `{key}`, found {other}"
+                )));
+            }
         };
         match texts.as_slice() {
             [text] => Ok(Some(text.trim_end_matches('\0').to_owned())),
@@ -223,7 +234,11 @@ impl Hdf5 {
         let failed = |e| unreadable(key, e);
         match dataset.dtype().map_err(failed)? {
             DType::U8 => {}
-            other => return Err(Error::input(format!("expected bytes (u8) in `{key}`, found {other}"))),
+            other => {
+                return Err(Error::input(format!(
+                    "expected bytes (u8) in `{key}`, found {other}"
+                )));
+            }
         }
         let shape = dataset.shape().map_err(failed)?;
         check_count(key, &shape, max)?;
@@ -251,7 +266,9 @@ impl Hdf5 {
         let integer = || attribute.as_i64().map(|integer| integer as f64);
         match attribute.as_f64().or_else(integer) {
             Some(value) if value.is_finite() => Ok(Some(value)),
-            Some(value) => Err(Error::input(format!("expected a finite number in `{key}`, found {value}"))),
+            Some(value) => Err(Error::input(format!(
+                "expected a finite number in `{key}`, found {value}"
+            ))),
             None => Err(Error::input(format!(
                 "expected one number in `{key}`, found {attribute:?}"
             ))),
@@ -289,10 +306,8 @@ impl Hdf5 {
             None => Ok(None),
             Some(Datatype::BitField { size: 1, .. }) => match read_log::bit_field(&reads, key) {
                 Some(value) => Ok(Some(AttrValue::U8(value))),
-                None => Err(
-                    Error::input(format!("unsupported bit field in `{key}`"))
-                        .remedy("write the label as an integer"),
-                ),
+                None => Err(Error::input(format!("unsupported bit field in `{key}`"))
+                    .remedy("write the label as an integer")),
             },
             Some(other) => Err(Error::input(format!(
                 "unsupported type of `{key}`: {other}"

@@ -115,7 +115,11 @@ impl GraspLabel {
         let is_stable = match label {
             Some(0.0) => false,
             Some(1.0) => true,
-            Some(other) => return Err(Error::input(format!("expected 0 or 1 in `{LABEL}`, found {other}"))),
+            Some(other) => {
+                return Err(Error::input(format!(
+                    "expected 0 or 1 in `{LABEL}`, found {other}"
+                )));
+            }
             None => return Err(grasp.missing(LABEL)),
         };
         let object = match grasp.attribute_text(OBJECT)? {

@@ -211,10 +211,7 @@ fn other_files_are_refused_before_writing() {
     bench.refused(&one(|s| s.object = None), "`object_name` not found");
     for name in [" ", "a/b", "../../x", "/etc/x", "a\u{1b}[2J"] {
         let spec = GraspSpec::with(|s| s.object = Some(name));
-        bench.refused(
-            &write("data", &[spec]),
-            "object_name: invalid object name",
-        );
+        bench.refused(&write("data", &[spec]), "object_name: invalid object name");
     }
     bench.refused(
         &one(|s| s.label = Some(AttrValue::I64(2))),
@@ -243,7 +240,10 @@ fn damaged_grasps_are_left_out_and_listed() {
     let spec = GraspSpec::with(|s| s.during = Some((b"GIF89a".to_vec(), vec![6])));
     let path = unreadable.file("a.h5", &write("data", &[spec]));
     let error = unreadable.import(&[path], "test").unwrap_err().to_string();
-    assert!(error.contains("no readable grasp in the split `test`"), "{error}");
+    assert!(
+        error.contains("no readable grasp in the split `test`"),
+        "{error}"
+    );
     assert!(error.contains("gelsightA_during"), "{error}");
     let bench = Workspace::new();
     let specs = [
@@ -293,7 +293,10 @@ fn interrupted_import_is_restarted_only_in_its_directory() {
     assert!(second.to_string().contains("a finished import"), "{second}");
     fs::remove_file(bench.out().join("import.json")).unwrap();
     let full = bench.import(&files, "test").unwrap_err();
-    assert!(full.to_string().contains("the directory contains data"), "{full}");
+    assert!(
+        full.to_string().contains("the directory contains data"),
+        "{full}"
+    );
     let twice = bench.import(&[files[0].clone(), files[0].clone()], "test");
     assert_eq!(twice.unwrap_err().kind(), ErrorKind::Usage);
 }
@@ -323,7 +326,10 @@ fn detects(damaged: &[u8]) -> bool {
     };
     assert_eq!(ImportReport::read(&bench.out()).unwrap(), report);
     let counts = &report.splits["test"];
-    assert_eq!(rows(&bench.out(), "test").len(), counts.stable + counts.slip);
+    assert_eq!(
+        rows(&bench.out(), "test").len(),
+        counts.stable + counts.slip
+    );
     !report.left_out.is_empty() || counts.stable + counts.slip < 12
 }
 

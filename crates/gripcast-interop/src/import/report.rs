@@ -147,8 +147,7 @@ impl ImportReport {
         let text = serde_json::to_string_pretty(self)
             .map_err(|e| Error::internal("cannot write JSON").because(e))?;
         let path = Root::new(out).top().join(FILE);
-        path
-            .replace(format!("{text}\n").as_bytes())
+        path.replace(format!("{text}\n").as_bytes())
             .map_err(|e| Error::io("cannot write the report of the import", e).at(path.display()))
     }
 }

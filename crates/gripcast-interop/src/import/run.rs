@@ -4,14 +4,14 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
 use std::path::{Path, PathBuf};
 
-use super::feeling_of_success::{CROP, GraspLabel, GraspFile, images};
+use super::feeling_of_success::{CROP, GraspFile, GraspLabel, images};
 use super::report::{ImportReport, ImportedSplit, SourceFile};
 use crate::left_out::LeftOut;
 use gripcast_base::error::{Error, ErrorKind, Result};
 use gripcast_base::files::{Label, Printable, Root};
 use gripcast_dataset::shard::{
-    ShardEngine, ShardFacts, ShardImages, ShardOutcome, ShardRow, ShardWriter, SplitFractions, SplitGroup,
-    shard_path,
+    ShardEngine, ShardFacts, ShardImages, ShardOutcome, ShardRow, ShardWriter, SplitFractions,
+    SplitGroup, shard_path,
 };
 use gripcast_imaging::Decoder;
 

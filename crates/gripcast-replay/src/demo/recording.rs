@@ -98,7 +98,7 @@ impl Recorder {
                 let at = time(&record.grasp.captured_at)?;
                 label(&mut writer, &record.id, truth.held, at)?;
             }
-            recorded.insert(truth.film.clone());
+            recorded.insert(truth.clip.clone());
         }
         let engine = reality(is_quick).settings;
         Ok(Self {
@@ -194,7 +194,7 @@ impl Recorder {
                 trigger_time_ns,
                 trigger: "script".to_owned(),
                 cameras: cameras.into_iter().map(camera).collect(),
-                approach: Vec::new(),
+                pre_grasp_frames: Vec::new(),
                 pose: None,
                 truth: None,
             }
@@ -371,7 +371,7 @@ fn truth(object: &DemoObject, chosen: &Chosen) -> Option<SimulatedTruth> {
     let t_object_world = object.t_world_object.inverse();
     let initial = t_object_world * chosen.candidate.placed.t_world_gripper;
     Some(SimulatedTruth {
-        film: film(object, chosen),
+        clip: film(object, chosen),
         object: object.source.clone(),
         object_sha256: object.mesh.content_hash(),
         mass_kg: object.mass_kg,

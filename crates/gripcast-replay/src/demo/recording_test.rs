@@ -125,7 +125,7 @@ fn what_is_recorded_is_whole_labelled_and_the_same_after_a_stop() {
     assert_eq!(outcomes, [Outcome::Stable, Outcome::Slip]);
     let truth = records[1].truth.as_ref().unwrap();
     assert_eq!(
-        (truth.film.as_str(), truth.outcome.as_str()),
+        (truth.clip.as_str(), truth.outcome.as_str()),
         ("jack-005", "eject")
     );
     assert_eq!(truth.friction, object.friction);

@@ -214,17 +214,20 @@ fn wrong_shapes_and_numbers_are_told() {
         |s| s.transforms = Some((vec![0.0; 48], vec![48])),
         "found the shape [48]",
     );
+    with(|s| s.held = Some(vec![1, 0]), "found shape [2]");
     with(
-        |s| s.held = Some(vec![1, 0]),
-        "found shape [2]",
+        |s| s.com = vec![0.0; 2],
+        "expected 3 numbers in `object/com`",
     );
-    with(|s| s.com = vec![0.0; 2], "expected 3 numbers in `object/com`");
     with(
         |s| s.com = vec![0.0, f64::NAN, 0.0],
         "expected a finite number in `object/com`",
     );
     with(|s| s.mass = -1.0, "`object/mass` must be above 0");
-    with(|s| s.mass = f64::INFINITY, "expected a finite number in `object/mass`");
+    with(
+        |s| s.mass = f64::INFINITY,
+        "expected a finite number in `object/mass`",
+    );
     with(|s| s.gripper = "robotiq", "the gripper \"robotiq\"");
     for scale in [0.0, -1.0, f64::NAN, 1e-9, 1e4] {
         let mut sketch = Sketch::new();

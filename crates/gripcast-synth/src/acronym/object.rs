@@ -135,9 +135,9 @@ fn read_object(file: &Hdf5) -> Result<AcronymObject> {
         )));
     }
     let positive = |key: &str| match file.number(key)? {
-        Some(value) if value <= 0.0 => {
-            Err(Error::input(format!("`{key}` must be above 0, found {value}")))
-        }
+        Some(value) if value <= 0.0 => Err(Error::input(format!(
+            "`{key}` must be above 0, found {value}"
+        ))),
         value => Ok(value),
     };
     let folder = Path::new(&mesh_file).parent().and_then(Path::file_name);

@@ -98,10 +98,7 @@ mod tests {
         ] {
             assert_eq!(codec.decompress(&packed, page.len()).unwrap(), page);
             for size in [0, page.len() - 1, page.len() + 1, usize::MAX >> 1] {
-                assert!(
-                    codec.decompress(&packed, size).is_err(),
-                    "{codec:?} {size}"
-                );
+                assert!(codec.decompress(&packed, size).is_err(), "{codec:?} {size}");
             }
             assert!(
                 codec

@@ -121,9 +121,7 @@ impl ChunkPages {
             && levels.iter().sum::<i64>() <= header.uncompressed;
         let counts = [header.num_nulls, header.num_rows];
         if !fits || !counts.iter().all(|n| (0..=header.num_values).contains(n)) {
-            return Err(damaged(
-                "the counts in a page header contradict each other",
-            ));
+            return Err(damaged("the counts in a page header contradict each other"));
         }
         Ok(())
     }

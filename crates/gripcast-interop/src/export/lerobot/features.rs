@@ -85,7 +85,8 @@ impl Features {
         let depth = size(Role::Depth, &[Stage::Grasp]);
         if colour.is_empty() {
             let what = "no camera has images of one size in all grasps";
-            let remedy = "select grasps of one rig with `--split` and `--part`, or use another format";
+            let remedy =
+                "select grasps of one rig with `--split` and `--part`, or use another format";
             return Err(Error::input(what).remedy(remedy));
         }
         let features = Self {

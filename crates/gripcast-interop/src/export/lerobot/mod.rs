@@ -15,7 +15,7 @@ use frames::Frames;
 use gripcast_base::error::{Error, Result};
 use gripcast_base::files::{BeneathPath, FileName};
 use gripcast_dataset::Outcome;
-use gripcast_dataset::shard::{TableCell, ColumnType, TableWriter};
+use gripcast_dataset::shard::{ColumnType, TableCell, TableWriter};
 use info::{Totals, info, tasks_metadata};
 use stats::Stats;
 use std::borrow::Cow;
@@ -194,7 +194,11 @@ fn integer(value: usize) -> TableCell<'static> {
 }
 
 /// Path of a numbered file in a directory of the export, which is created.
-fn file_path(context: ExportContext<'_>, folder: &[&'static str], file: usize) -> Result<BeneathPath> {
+fn file_path(
+    context: ExportContext<'_>,
+    folder: &[&'static str],
+    file: usize,
+) -> Result<BeneathPath> {
     let top = context.folder.root().top();
     let folder = folder.iter().fold(top, |path, name| path.join(*name));
     let chunk = FileName::parse(&format!("chunk-{:03}", file / FILES_PER_CHUNK))?;

@@ -82,7 +82,13 @@ impl PerGrasp {
         }
     }
 
-    fn push(&mut self, store: &mut Store<'_>, grasp: &Grasp, split: &str, end: usize) -> Result<()> {
+    fn push(
+        &mut self,
+        store: &mut Store<'_>,
+        grasp: &Grasp,
+        split: &str,
+        end: usize,
+    ) -> Result<()> {
         let record = &grasp.record;
         let outcome: i8 = match record.outcome {
             Outcome::Stable => 1,
@@ -127,8 +133,9 @@ impl<'a> ReplayBuffer<'a> {
         let valid = 1..=MAX_SIDE;
         if !valid.contains(&width) || !valid.contains(&height) {
             let what = format!("invalid image size {width}×{height}");
-            return Err(Error::usage(what)
-                .remedy(format!("give a width and height of 1 to {MAX_SIDE} pixels, such as 320x240")));
+            return Err(Error::usage(what).remedy(format!(
+                "give a width and height of 1 to {MAX_SIDE} pixels, such as 320x240"
+            )));
         }
         let has = |role: &Role| {
             let cameras = &context.survey.cameras;
