@@ -208,11 +208,11 @@ fn wrong_shapes_and_numbers_are_told() {
     };
     with(
         |s| s.transforms = Some((vec![0.0; 36], vec![3, 3, 4])),
-        "found the shape [3, 3, 4]",
+        "found shape [3, 3, 4]",
     );
     with(
         |s| s.transforms = Some((vec![0.0; 48], vec![48])),
-        "found the shape [48]",
+        "found shape [48]",
     );
     with(|s| s.held = Some(vec![1, 0]), "found shape [2]");
     with(
