@@ -18,7 +18,7 @@ use gripcast_base::files::save;
 use gripcast_dataset::{Dataset, Outcome, Stage};
 use gripcast_imaging::{CropProfile, Decoder, Role, TactileDifference};
 use gripcast_nn::predict::contract::{
-    INPUT_SHAPE, InputName, InputSpec, OUTPUT, OUTPUT_SHAPE, Origin, Variant,
+    INPUT_SHAPE, InputName, InputSpec, Modality, OUTPUT, OUTPUT_SHAPE, Origin,
 };
 use gripcast_nn::predict::onnx::{Attribute, OnnxGraphBuilder};
 use gripcast_nn::predict::{Model, ModelContract, ModelInput};
@@ -49,7 +49,7 @@ pub(crate) fn onnx() -> Result<Vec<u8>> {
     let contract = ModelContract {
         name: "weaker-gel".into(),
         origin: Origin::Heuristic,
-        variant: Variant::T,
+        modality: Modality::T,
         inputs: GELS.map(|(_, name)| InputSpec::tactile(name)).to_vec(),
         threshold: 0.5,
         temperature: 1.0,

@@ -5,7 +5,7 @@
 use std::sync::OnceLock;
 
 use gripcast_nn::predict::onnx::{decode, pb};
-use gripcast_nn::predict::{ModelContract, Novelty, SHIPPED, model_bytes};
+use gripcast_nn::predict::{ModelContract, OodDetector, SHIPPED, model_bytes};
 
 /// The shipped model without its weights.
 fn sound() -> &'static pb::ModelProto {
@@ -46,11 +46,11 @@ pub(crate) fn check(input: &[u8]) {
 }
 
 fn read_contract(model: &pb::ModelProto) {
-    let Ok(contract) = ModelContract::of(model) else {
+    let Ok(contract) = ModelContract::from_proto(model) else {
         return;
     };
     let _ = contract.check_crop_profile("gsmini-v1");
     for text in contract.other.values() {
-        let _ = Novelty::of_metadata(text);
+        let _ = OodDetector::from_metadata(text);
     }
 }

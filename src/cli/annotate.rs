@@ -292,7 +292,7 @@ impl Work<'_> {
     fn images(&mut self, record: &GraspRecord) -> (Vec<Image>, Option<Error>) {
         let mut failure = None;
         let mut images = Vec::new();
-        for (camera, path) in self.dataset.before_closing(record) {
+        for (camera, path) in self.dataset.external_images_before_closing(record) {
             let bytes = path
                 .read(FileKind::Image)
                 .map_err(|e| Error::io("cannot read the image", e));

@@ -43,7 +43,7 @@ impl Args {
         let Self {
             seconds, quality, ..
         } = *self;
-        let model = Model::named(&self.model)?;
+        let model = Model::by_name(&self.model)?;
         let name = model.contract().name.clone();
         if !context.quiet {
             note!("generating full-size frames, then measuring for {seconds} s");

@@ -12,7 +12,7 @@ use super::working::resumable;
 use super::{Context, print_report};
 use gripcast_base::error::Result;
 use gripcast_base::workers::cores;
-use gripcast_nn::predict::contract::Variant;
+use gripcast_nn::predict::contract::Modality;
 use gripcast_train::metrics::Interval;
 use gripcast_train::{
     Condition, ExperimentEvent, ExperimentReport, ExperimentSettings, TestSet, TrainEvent,
@@ -79,7 +79,7 @@ pub(super) fn run(context: &Context, args: Args) -> Result<()> {
         rigid: args.rigid.clone(),
         tests,
         seeds: args.seeds,
-        training: args.training.settings(Variant::Vt, 0)?,
+        training: args.training.settings(Modality::Vt, 0)?,
     };
     let out = args.out.clone();
     let jobs = args.jobs.map_or_else(cores, usize::from);

@@ -15,7 +15,7 @@ use super::thread::{lock, spawn};
 use gripcast_annotate::{Annotation, Annotator, BoardHashes, Observation, annotation};
 use gripcast_base::error::{Error, Result};
 use gripcast_base::files::FileName;
-use gripcast_dataset::{PoseRecord, approach_name};
+use gripcast_dataset::{PoseRecord, pre_grasp_name};
 use gripcast_imaging::{Decoder, Frame, Intrinsics, Role};
 
 /// Interval between two kept frames.
@@ -208,7 +208,7 @@ impl Shared {
                 if let Some(file) = initial_file(frame) {
                     *name = file.to_string();
                 } else {
-                    *name = approach_name(frames.len(), frame.format).into();
+                    *name = pre_grasp_name(frames.len(), frame.format).into();
                     frames.push(frame.clone());
                 }
             }

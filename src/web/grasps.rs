@@ -236,7 +236,7 @@ fn stored_image(
         .as_deref()
         .map(CropProfile::by_name)
         .transpose()?;
-    let path = dataset.path_of(record, stage, role).ok_or_else(absent)?;
+    let path = dataset.image_path(record, stage, role).ok_or_else(absent)?;
     let bytes = path
         .read(FileKind::Image)
         .map_err(|e| Error::io("cannot read the image", e).at(path.display()))?;

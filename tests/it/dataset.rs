@@ -1,4 +1,4 @@
-//! The verb `dataset`, and datasets as other programs read them.
+//! The verb `dataset`, and datasets read by other programs.
 
 use std::collections::BTreeMap;
 use std::fs;
@@ -80,7 +80,7 @@ fn capture(number: u32, roles: &[Role]) -> StageCapture {
         trigger_time_ns: 1_000_000_100,
         trigger: "script".into(),
         truth: None,
-        approach: Vec::new(),
+        pre_grasp_frames: Vec::new(),
         pose: None,
         cameras: roles
             .iter()
@@ -92,7 +92,7 @@ fn capture(number: u32, roles: &[Role]) -> StageCapture {
 fn prediction() -> PredictionRecord {
     PredictionRecord {
         p_stable: 0.75,
-        novelty: None,
+        ood_score: None,
         threshold: 0.5,
         model_sha256: "ab".repeat(32),
         model: "baseline-contact".into(),
@@ -101,7 +101,7 @@ fn prediction() -> PredictionRecord {
     }
 }
 
-/// Grasps of `objects`, alternately stable and slip; the last one is not labelled and lacks depth.
+/// One grasp per object, alternately stable and slip; the last one is unlabelled and lacks depth.
 pub(super) fn write_dataset(root: &Path, objects: &[&str]) -> Vec<GraspId> {
     let (mut writer, _) = DatasetWriter::open_or_create(root, &new_dataset()).unwrap();
     let mut ids = Vec::new();
@@ -158,7 +158,7 @@ pub(super) fn json(output: &Output) -> Value {
         .unwrap_or_else(|e| panic!("{e}: {}{}", stdout(output), stderr(output)))
 }
 
-/// Ids hold the process id; their time is fixed.
+/// Replaces the process id in grasp ids; the time in them is fixed.
 fn redacted(text: &str, ids: &[GraspId]) -> String {
     ids.iter().fold(text.to_owned(), |text, id| {
         let (time, _) = id.rsplit_once('-').unwrap();
@@ -180,7 +180,7 @@ pub(super) fn tree(root: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
 }
 
 #[test]
-fn a_clean_dataset_verifies() {
+fn clean_dataset_verifies() {
     let dir = tempfile::tempdir().unwrap();
     write_dataset(dir.path(), &["mug", "bottle", "mug"]);
     let output = gripcast(&["verify", "--json"], dir.path());
@@ -216,11 +216,11 @@ fn problems_are_reported_and_recovered() {
       "pending": 0,
       "problems": [
         {
-          "detail": "the record names the file, but it cannot be read: No such file or directory (os error 2)",
+          "detail": "cannot read the file: No such file or directory (os error 2)",
           "file": "grasps/2026-11-20T10-15-00Z-XXXX/grasp.rgb.png",
           "grasp": "2026-11-20T10-15-00Z-XXXX",
           "kind": "missing-file",
-          "remedy": "restore it from a copy, or run `gripcast dataset recover`"
+          "remedy": "restore it from a backup, or run `gripcast dataset recover`"
         }
       ],
       "unlabelled": 1
@@ -246,7 +246,7 @@ fn problems_are_reported_and_recovered() {
 }
 
 #[test]
-fn a_lost_index_comes_back() {
+fn missing_index_is_rebuilt() {
     let dir = tempfile::tempdir().unwrap();
     let ids = write_dataset(dir.path(), &["mug", "bottle"]);
     let index = dir.path().join("metadata.jsonl");
@@ -319,10 +319,10 @@ fn info_shows_counts_and_agreement() {
       },
       "predictions": {
         "baseline-contact": {
-          "held_unexpectedly": 0,
-          "slip_as_predicted": 0,
-          "slipped_unexpectedly": 1,
-          "stable_as_predicted": 1
+          "false_slip": 0,
+          "false_stable": 1,
+          "true_slip": 0,
+          "true_stable": 1
         }
       },
       "rigs": [
@@ -342,7 +342,7 @@ fn info_shows_counts_and_agreement() {
 }
 
 #[test]
-fn splits_are_by_object_and_reproducible() {
+fn splits_group_by_object_and_are_reproducible() {
     let dir = tempfile::tempdir().unwrap();
     let objects = ["a", "b", "c", "d", "e", "f", "A ", "b", "c", "d"];
     write_dataset(dir.path(), &objects);
@@ -353,14 +353,14 @@ fn splits_are_by_object_and_reproducible() {
     let first = fs::read(&path).unwrap();
     gripcast(&args, dir.path());
     assert_eq!(fs::read(&path).unwrap(), first);
-    let parts = &json(&output)["split"]["parts"];
-    let mut items: Vec<&str> = ["train", "val", "test"]
+    let splits = &json(&output)["split"]["parts"];
+    let mut groups: Vec<&str> = ["train", "val", "test"]
         .iter()
-        .flat_map(|part| parts[part]["items"].as_array().unwrap())
-        .map(|item| item.as_str().unwrap())
+        .flat_map(|split| splits[split]["items"].as_array().unwrap())
+        .map(|group| group.as_str().unwrap())
         .collect();
-    items.sort_unstable();
-    assert_eq!(items, ["a", "b", "c", "d", "e", "f"], "each in one part");
+    groups.sort_unstable();
+    assert_eq!(groups, ["a", "b", "c", "d", "e", "f"], "each in one split");
     assert_eq!(gripcast(&["verify"], dir.path()).status.code(), Some(0));
 
     let few = tempfile::tempdir().unwrap();
@@ -377,13 +377,13 @@ fn splits_are_by_object_and_reproducible() {
 }
 
 #[test]
-fn what_is_no_dataset_is_explained() {
+fn missing_and_foreign_directories_are_explained() {
     let dir = tempfile::tempdir().unwrap();
     for verb in ["info", "verify", "recover", "reindex", "split"] {
         let output = gripcast(&[verb], &dir.path().join("nowhere"));
         assert_eq!(output.status.code(), Some(1), "{verb}");
         let text = stderr(&output);
-        assert!(text.contains("no such dataset"), "{verb}: {text}");
+        assert!(text.contains("dataset not found"), "{verb}: {text}");
         let output = gripcast(&[verb], dir.path());
         assert_eq!(output.status.code(), Some(1), "{verb}");
         assert!(stderr(&output).contains("not a dataset"), "{verb}");
@@ -395,7 +395,7 @@ fn what_is_no_dataset_is_explained() {
 }
 
 #[test]
-fn a_dataset_that_is_written_is_left_alone() {
+fn locked_dataset_is_not_modified() {
     let dir = tempfile::tempdir().unwrap();
     write_dataset(dir.path(), &["mug"]);
     let _writer = DatasetWriter::open_or_create(dir.path(), &new_dataset()).unwrap();
@@ -416,7 +416,7 @@ fn python_loads_all_image_columns() {
     let dir = tempfile::tempdir().unwrap();
     let cache = tempfile::tempdir().unwrap();
     write_dataset(dir.path(), &["mug", "bottle", "sponge"]);
-    // What lies around must not reach the columns: undone, pending and divided grasps.
+    // Undone and pending grasps and split files must not affect the columns.
     let (mut writer, _) = DatasetWriter::open_or_create(dir.path(), &new_dataset()).unwrap();
     let roles = [Role::Left, Role::Right, Role::Rgb];
     let pending = writer

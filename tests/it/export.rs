@@ -1,4 +1,4 @@
-//! The verb `dataset export`, killed exports, and exports as the libraries of others read them.
+//! The verb `dataset export`, killed exports, and exports read by other libraries.
 
 use std::fs;
 use std::path::Path;
@@ -13,8 +13,8 @@ use crate::peers::{agrees, peer};
 
 const FORMATS: [&str; 5] = ["parquet", "webdataset", "lerobot", "zarr", "training"];
 
-/// Whether the format leaves grasps without a label out.
-fn wants_labels(format: &str) -> bool {
+/// Whether the format leaves out unlabelled grasps.
+fn requires_labels(format: &str) -> bool {
     ["lerobot", "training"].contains(&format)
 }
 
@@ -24,7 +24,7 @@ fn arguments<'a>(format: &'a str, out: &'a Path) -> [&'a str; 5] {
 }
 
 #[test]
-fn the_program_exports_and_replaces_nothing() {
+fn exports_never_overwrite() {
     let dir = tempfile::tempdir().unwrap();
     let root = dir.path().join("d");
     write_dataset(&root, &["mug", "bottle", "sponge"]);
@@ -35,7 +35,7 @@ fn the_program_exports_and_replaces_nothing() {
         let output = gripcast(&[&arguments[..], &["--json"]].concat(), &root);
         assert_eq!(output.status.code(), Some(0), "{}", stderr(&output));
         let report = json(&output);
-        let grasps = if wants_labels(format) { 2 } else { 3 };
+        let grasps = if requires_labels(format) { 2 } else { 3 };
         assert_eq!(report["format"], format);
         assert_eq!(report["grasps"], grasps);
         let before = tree(&out);
@@ -43,7 +43,7 @@ fn the_program_exports_and_replaces_nothing() {
         let again = gripcast(&arguments, &root);
         assert_eq!(again.status.code(), Some(1), "{format}");
         assert!(
-            stderr(&again).contains("something already"),
+            stderr(&again).contains("the target exists"),
             "{}",
             stderr(&again)
         );
@@ -70,7 +70,7 @@ fn the_program_exports_and_replaces_nothing() {
 }
 
 #[test]
-fn a_damaged_grasp_is_named_and_told_by_the_exit_code() {
+fn damaged_grasp_is_reported_and_sets_the_exit_code() {
     let dir = tempfile::tempdir().unwrap();
     let root = dir.path().join("d");
     let ids = write_dataset(&root, &["mug", "bottle"]);
@@ -95,9 +95,9 @@ fn a_damaged_grasp_is_named_and_told_by_the_exit_code() {
     assert!(out.join("data/train-00000-of-00001.parquet").exists());
 }
 
-/// A pipe in place of an image stops the export where the kill is to come.
+/// A named pipe in place of an image blocks the export until it is killed.
 #[test]
-fn a_killed_export_leaves_nothing_that_passes_for_whole() {
+fn killed_export_leaves_only_a_hidden_partial() {
     let dir = tempfile::tempdir().unwrap();
     let root = dir.path().join("d");
     let ids = write_dataset(&root, &["mug", "bottle"]);
@@ -105,13 +105,13 @@ fn a_killed_export_leaves_nothing_that_passes_for_whole() {
     let bytes = fs::read(&image).unwrap();
     for format in FORMATS {
         let out = dir.path().join(format);
-        // The last grasp of every format: some leave the unlabelled one out.
-        let kept = if wants_labels(format) {
+        // The last exported grasp: some formats leave out the unlabelled one.
+        let last = if requires_labels(format) {
             &ids[0]
         } else {
             &ids[1]
         };
-        let image = root.join(format!("grasps/{kept}/grasp.rgb.png"));
+        let image = root.join(format!("grasps/{last}/grasp.rgb.png"));
         let stored = fs::read(&image).unwrap();
         fs::remove_file(&image).unwrap();
         mknodat(CWD, &image, FileType::Fifo, Mode::RUSR | Mode::WUSR, 0).unwrap();
@@ -121,7 +121,7 @@ fn a_killed_export_leaves_nothing_that_passes_for_whole() {
             .args(&arguments(format, &out)[1..])
             .spawn()
             .unwrap();
-        // Opens when the export reads the other end.
+        // Blocks until the export opens the other end.
         let pipe = fs::OpenOptions::new().write(true).open(&image).unwrap();
         kill_process(Pid::from_child(&child), Signal::KILL).unwrap();
         child.wait().unwrap();
@@ -131,19 +131,19 @@ fn a_killed_export_leaves_nothing_that_passes_for_whole() {
         assert!(hidden.is_dir(), "{format}");
         fs::remove_file(&image).unwrap();
         fs::write(&image, &stored).unwrap();
-        for place in [&out, &dir.path().join(format!("{format}-unhurt"))] {
-            let output = gripcast(&arguments(format, place), &root);
+        let reference = dir.path().join(format!("{format}-reference"));
+        for path in [&out, &reference] {
+            let output = gripcast(&arguments(format, path), &root);
             assert_eq!(output.status.code(), Some(0), "{}", stderr(&output));
         }
         assert!(!hidden.exists(), "{format}");
-        let unhurt = dir.path().join(format!("{format}-unhurt"));
-        let relative = |place: &Path| -> Vec<_> {
-            let files = tree(place).into_iter();
+        let relative = |root: &Path| -> Vec<_> {
+            let files = tree(root).into_iter();
             files
-                .map(|(path, bytes)| (path.strip_prefix(place).unwrap().to_owned(), bytes))
+                .map(|(path, bytes)| (path.strip_prefix(root).unwrap().to_owned(), bytes))
                 .collect()
         };
-        assert_eq!(relative(&out), relative(&unhurt), "{format}");
+        assert_eq!(relative(&out), relative(&reference), "{format}");
     }
     assert_eq!(fs::read(&image).unwrap(), bytes);
 }

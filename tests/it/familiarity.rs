@@ -1,7 +1,7 @@
-//! The shipped classifier on real tactile images: where it says that it does not know.
+//! Out-of-distribution scores of the shipped classifier on real tactile images.
 //!
-//! Outcomes of real lifts are not known here; only whether such images count as known is looked
-//! at.
+//! The outcomes of real lifts are unknown, so the tests only check whether such images count as
+//! in distribution.
 
 use std::path::{Path, PathBuf};
 
@@ -23,7 +23,7 @@ fn image(path: &Path) -> RgbImage {
     crop_and_resize(&image, &CropProfile::FULL, 320, 240).unwrap()
 }
 
-/// Images in a folder whose names begin alike, sorted.
+/// Sorted PNG files of a directory whose names start with `prefix`.
 fn images(folder: &Path, prefix: &str) -> Vec<PathBuf> {
     let all = std::fs::read_dir(folder).unwrap();
     let mut found: Vec<PathBuf> = all.map(|entry| entry.unwrap().path()).collect();
@@ -35,49 +35,49 @@ fn images(folder: &Path, prefix: &str) -> Vec<PathBuf> {
     found
 }
 
-/// Distance over the limit of each change from `initial`.
-fn novelties(initial: &Path, grasps: &[PathBuf]) -> Vec<f64> {
-    let model = Model::named(SHIPPED).unwrap();
-    let known = model.novelty().unwrap();
+/// Out-of-distribution score of each grasp image relative to `initial`.
+fn ood_scores(initial: &Path, grasps: &[PathBuf]) -> Vec<f64> {
+    let model = Model::by_name(SHIPPED).unwrap();
+    let detector = model.ood_detector().unwrap();
     let initial = image(initial);
     let score = |grasp: &PathBuf| {
         let difference = TactileDifference::between(&initial, &image(grasp)).unwrap();
-        known.score(&difference).unwrap()
+        detector.score(&difference).unwrap()
     };
     grasps.iter().map(score).collect()
 }
 
-fn fraction_unknown(novelties: &[f64]) -> f64 {
-    novelties.iter().filter(|novelty| **novelty > 1.0).count() as f64 / novelties.len() as f64
+fn fraction_ood(scores: &[f64]) -> f64 {
+    scores.iter().filter(|score| **score > 1.0).count() as f64 / scores.len() as f64
 }
 
-/// The presses are of the sensor that the simulated sensors' profile was fitted to: this holds the
-/// limit for that sensor. Presses of another Mini without markers are not at hand; only the untouched
-/// gels below are of others.
+/// The presses come from the sensor that the simulated profile was fitted to, so this checks the
+/// threshold for that sensor. No presses of another Mini without markers are available; only the
+/// no-contact frames below come from other sensors.
 #[test]
-fn real_presses_of_a_gelsight_mini_are_known() {
+fn real_presses_of_a_gelsight_mini_are_in_distribution() {
     let Some(folder) = shared("data/gsmini_taxim_ball") else {
         return;
     };
     let open = folder.join("nocontact.png");
     let presses = images(&folder, "ball_");
     assert!(presses.len() >= 24);
-    let found = novelties(&open, &presses);
+    let found = ood_scores(&open, &presses);
     eprintln!(
-        "false alarms: {:.3} of {}",
-        fraction_unknown(&found),
+        "false positives: {:.3} of {}",
+        fraction_ood(&found),
         found.len()
     );
-    assert!(fraction_unknown(&found) <= 0.05, "{found:.2?}");
+    assert!(fraction_ood(&found) <= 0.05, "{found:.2?}");
     for item in NO_CONTACT {
         let Some(open) = shared(item) else { return };
-        let still = novelties(&open, std::slice::from_ref(&open));
+        let still = ood_scores(&open, std::slice::from_ref(&open));
         assert!(still[0] <= 1.0, "{item}: {still:.2?}");
     }
 }
 
 #[test]
-fn an_initial_frame_of_another_sensor_is_not_known() {
+fn initial_frame_of_another_sensor_is_ood() {
     let Some(opens) = NO_CONTACT
         .map(shared)
         .into_iter()
@@ -87,9 +87,9 @@ fn an_initial_frame_of_another_sensor_is_not_known() {
     };
     for (at, initial) in opens.iter().enumerate() {
         let others: Vec<PathBuf> = [&opens[..at], &opens[at + 1..]].concat();
-        let found = novelties(initial, &others);
+        let found = ood_scores(initial, &others);
         assert!(
-            fraction_unknown(&found) == 1.0,
+            fraction_ood(&found) == 1.0,
             "{}: {found:.2?}",
             initial.display()
         );
@@ -97,21 +97,21 @@ fn an_initial_frame_of_another_sensor_is_not_known() {
 }
 
 #[test]
-fn a_gel_with_markers_is_not_known() {
+fn gel_with_markers_is_ood() {
     let Some(folder) = shared("data/gsmini_feats_marker") else {
         return;
     };
     let open = folder.join("nocontact_train_sensor.png");
-    let found = novelties(&open, &[folder.join("cuboid_10-2-284.png")]);
+    let found = ood_scores(&open, &[folder.join("cuboid_10-2-284.png")]);
     assert!(found[0] > 1.0, "{found:.2?}");
 }
 
 #[test]
-fn a_gel_of_other_colours_is_not_known() {
+fn gel_of_other_colours_is_ood() {
     let Some(folder) = shared("data/fots_ball") else {
         return;
     };
-    let found = novelties(&folder.join("no_contact.png"), &images(&folder, "press_"));
+    let found = ood_scores(&folder.join("no_contact.png"), &images(&folder, "press_"));
     assert!(found.len() >= 28);
-    assert!(fraction_unknown(&found) >= 0.95, "{found:.2?}");
+    assert!(fraction_ood(&found) >= 0.95, "{found:.2?}");
 }

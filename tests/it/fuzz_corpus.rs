@@ -1,4 +1,4 @@
-//! The small inputs that the fuzzer keeps, and those that once went wrong.
+//! Runs the fuzz cases on the stored corpus, which includes past failures.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -37,50 +37,51 @@ const CASES: [Case; 8] = [
     ("settings", settings::check),
 ];
 
-fn files(folder: &Path) -> Vec<PathBuf> {
-    let entries = fs::read_dir(folder).unwrap_or_else(|e| panic!("{}: {e}", folder.display()));
+fn files(directory: &Path) -> Vec<PathBuf> {
+    let entries =
+        fs::read_dir(directory).unwrap_or_else(|e| panic!("{}: {e}", directory.display()));
     let mut files: Vec<_> = entries.map(|entry| entry.unwrap().path()).collect();
     files.sort();
     files
 }
 
 #[test]
-fn kept_inputs_are_answered() {
+fn stored_inputs_pass() {
     let corpus = Path::new(env!("CARGO_MANIFEST_DIR")).join("fuzz/corpus");
     for (name, check) in CASES {
         let files = files(&corpus.join(name));
         assert!(!files.is_empty(), "{name} has no inputs");
         for file in files {
-            // Names the input where it fails.
+            // Identifies a failing input.
             println!("{}", file.display());
             check(&fs::read(&file).unwrap());
         }
     }
-    let folders: Vec<_> = files(&corpus);
-    let known = |folder: &PathBuf| CASES.iter().any(|(name, _)| folder.ends_with(name));
+    let directories: Vec<_> = files(&corpus);
+    let has_case = |directory: &PathBuf| CASES.iter().any(|(name, _)| directory.ends_with(name));
     assert!(
-        folders.iter().all(known),
-        "a folder that no case reads: {folders:?}"
+        directories.iter().all(has_case),
+        "directory without a case: {directories:?}"
     );
 }
 
-/// Random inputs from a seed: a few hundred, or as many as fit into
+/// Seeded random inputs: a few hundred, or as many as fit into
 /// `GRIPCAST_FUZZ_SECONDS` seconds (docs/fuzzing.md).
 #[test]
-fn hostile_names_lead_nowhere() {
+fn random_hostile_names_are_safe() {
     let seconds = std::env::var("GRIPCAST_FUZZ_SECONDS").ok();
     let seconds: Option<u64> = seconds.map(|text| text.parse().unwrap());
-    let began = Instant::now();
-    let goes_on = |number: u64| match seconds {
-        Some(seconds) => began.elapsed() < Duration::from_secs(seconds),
+    let start = Instant::now();
+    let keep_going = |number: u64| match seconds {
+        Some(seconds) => start.elapsed() < Duration::from_secs(seconds),
         None => number < 300,
     };
     let mut number = 0;
-    while goes_on(number) {
+    while keep_going(number) {
         let mut random = Pcg64::seed_from_u64(number);
         let mut input = vec![0; 96];
         random.fill_bytes(&mut input);
-        // Names the input where it fails.
+        // Identifies a failing input.
         println!("seed {number}");
         hostile_names::check(&input);
         number += 1;

@@ -1,5 +1,5 @@
-//! Datasets that try to read or change what lies outside of them. The corpus is in
-//! `tests/data/hostile`, one folder a case; each lies in a jail between files that it wants.
+//! Datasets that try to read or change files outside of them. The corpus is in
+//! `tests/data/hostile`, one directory per case; each case runs in a sandbox next to its targets.
 
 use std::collections::BTreeMap;
 use std::fs;
@@ -13,12 +13,12 @@ use crate::daemon::Place;
 use crate::dataset::write_dataset;
 use crate::program::gripcast;
 
-/// What no output may show.
+/// Must not appear in any output.
 const SECRET: &str = "TOP-SECRET-7d1f";
-/// Where cases with absolute paths try to write.
+/// Target of the cases with absolute paths.
 const PLANTED: &str = "/tmp/gripcast-hostile-planted";
 
-/// A record that is changed, written back.
+/// Modifies the record of the first grasp.
 fn change(root: &Path, change: impl FnOnce(&mut Value)) {
     let path = first_grasp(root).join("grasp.json");
     let mut record: Value = serde_json::from_slice(&fs::read(&path).unwrap()).unwrap();
@@ -35,7 +35,7 @@ fn first_grasp(root: &Path) -> PathBuf {
     grasps.remove(0)
 }
 
-/// Gives a stored file another name in the record, with its digest.
+/// Renames a stored file in the record and keeps its digest.
 fn rename_file(record: &mut Value, from: &str, to: &str) {
     let digest = record["files"]
         .as_object_mut()
@@ -59,7 +59,7 @@ fn relink(path: &Path, target: &str) {
 
 type Attack = (&'static str, fn(&Path));
 
-/// Each makes a case of a sound dataset. The jail: `outside/` and `data/CASE/` side by side.
+/// Each attack turns a valid dataset into a case. Sandbox layout: `outside/` and `data/CASE/`.
 const ATTACKS: &[Attack] = &[
     ("id-with-dots", |root| {
         change(root, |r| r["id"] = json!("../../../outside/autostart"));
@@ -156,7 +156,7 @@ fn corpus() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/data/hostile")
 }
 
-/// Copies a tree, links as links.
+/// Copies a directory tree; symbolic links stay links.
 fn copy(from: &Path, to: &Path) {
     fs::create_dir_all(to).unwrap();
     for entry in fs::read_dir(from).unwrap() {
@@ -174,7 +174,7 @@ fn copy(from: &Path, to: &Path) {
     }
 }
 
-/// Everything below a folder: contents of files, targets of links.
+/// Contents of all files and targets of all links below a directory.
 fn tree(folder: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
     let mut found = BTreeMap::new();
     let mut folders = vec![folder.to_owned()];
@@ -196,14 +196,14 @@ fn tree(folder: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
     found
 }
 
-/// A case of the corpus between what it wants.
-struct Jail {
+/// A case of the corpus next to the files it targets.
+struct Sandbox {
     dir: tempfile::TempDir,
     before: BTreeMap<PathBuf, Vec<u8>>,
 }
 
-impl Jail {
-    fn of(case: &Path) -> Self {
+impl Sandbox {
+    fn new(case: &Path) -> Self {
         let dir = tempfile::tempdir().unwrap();
         let outside = dir.path().join("outside");
         fs::create_dir_all(outside.join("folder")).unwrap();
@@ -215,15 +215,15 @@ impl Jail {
         ] {
             fs::write(outside.join(name), format!("{SECRET} of {name}\n")).unwrap();
         }
-        let jail = Self {
+        let sandbox = Self {
             before: tree(&outside),
             dir,
         };
-        copy(case, &jail.dataset());
-        jail
+        copy(case, &sandbox.dataset());
+        sandbox
     }
 
-    /// As deep as the links of the corpus expect.
+    /// At the depth that the links of the corpus expect.
     fn dataset(&self) -> PathBuf {
         self.dir.path().join("data/case")
     }
@@ -240,22 +240,22 @@ impl Jail {
             .unwrap()
     }
 
-    /// Nothing outside was changed or shown; the program ended by itself.
-    fn holds(&self, output: &Output, context: &str) {
+    /// Asserts that no outside file was changed or shown and that the program exited normally.
+    fn assert_contained(&self, output: &Output, context: &str) {
         let shown = [&output.stdout[..], &output.stderr].concat();
         let shown = String::from_utf8_lossy(&shown);
         assert!(
             !shown.contains(SECRET),
-            "{context} shows the secret: {shown}"
+            "{context} prints the secret: {shown}"
         );
         assert!(
             !shown.contains("root:x:"),
-            "{context} shows a file: {shown}"
+            "{context} prints an outside file: {shown}"
         );
         let is_safe = |c: char| c == '\n' || !c.is_control() && c != '\u{202e}';
         assert!(
             shown.chars().all(is_safe),
-            "{context} prints a control: {shown:?}"
+            "{context} prints a control character: {shown:?}"
         );
         assert!(
             matches!(output.status.code(), Some(0..=4 | 69 | 75)),
@@ -265,9 +265,12 @@ impl Jail {
         assert_eq!(
             tree(&self.outside()),
             self.before,
-            "{context} changed a file outside"
+            "{context} changed an outside file"
         );
-        assert!(!Path::new(PLANTED).exists(), "{context} wrote outside");
+        assert!(
+            !Path::new(PLANTED).exists(),
+            "{context} wrote an outside file"
+        );
     }
 }
 
@@ -285,9 +288,9 @@ fn name(case: &Path) -> String {
     case.file_name().unwrap().to_string_lossy().into_owned()
 }
 
-/// Makes the corpus again: `GRIPCAST_BLESS=1 cargo test --test it hostile`.
+/// Regenerate the corpus with `GRIPCAST_BLESS=1 cargo test --test it hostile`.
 #[test]
-fn the_corpus_has_every_attack() {
+fn corpus_contains_every_attack() {
     if std::env::var_os("GRIPCAST_BLESS").is_some() {
         let dir = tempfile::tempdir().unwrap();
         write_dataset(dir.path(), &["mug", "bottle"]);
@@ -297,7 +300,7 @@ fn the_corpus_has_every_attack() {
             copy(dir.path(), &case);
             attack(&case);
             for folder in ["trash", "logs", "calibration", "models"] {
-                // Git keeps no empty folders.
+                // Git does not store empty directories.
                 if fs::read_dir(case.join(folder)).is_ok_and(|mut f| f.next().is_none())
                     && !case.join(folder).is_symlink()
                 {
@@ -313,12 +316,12 @@ fn the_corpus_has_every_attack() {
 }
 
 #[test]
-fn hostile_datasets_reach_nothing_outside_of_them() {
+fn hostile_datasets_cannot_reach_outside_files() {
     for case in cases() {
         let name = name(&case);
-        let jail = Jail::of(&case);
-        let data = jail.dataset().display().to_string();
-        let out = |name: &str| jail.dir.path().join(name).display().to_string();
+        let sandbox = Sandbox::new(&case);
+        let data = sandbox.dataset().display().to_string();
+        let out = |name: &str| sandbox.dir.path().join(name).display().to_string();
         let mut verbs: Vec<Vec<String>> = Vec::new();
         let mut verb = |args: &[&str]| verbs.push(args.iter().map(|a| (*a).to_owned()).collect());
         verb(&["dataset", "info", &data]);
@@ -361,23 +364,23 @@ fn hostile_datasets_reach_nothing_outside_of_them() {
         verb(&["dataset", "info", &data]);
         for args in &verbs {
             let args: Vec<&str> = args.iter().map(String::as_str).collect();
-            let output = jail.run(&args);
-            jail.holds(&output, &format!("{name}: {}", args.join(" ")));
+            let output = sandbox.run(&args);
+            sandbox.assert_contained(&output, &format!("{name}: {}", args.join(" ")));
         }
     }
 }
 
 #[test]
-fn a_daemon_serves_no_file_outside_of_a_hostile_dataset() {
+fn daemon_serves_no_file_outside_a_hostile_dataset() {
     for case in [
         "file-key-with-dots",
         "image-is-a-link",
         "grasp-folder-is-a-link",
     ] {
-        let jail = Jail::of(&corpus().join(case));
-        let place = Place::at(jail.dataset());
+        let sandbox = Sandbox::new(&corpus().join(case));
+        let place = Place::at(sandbox.dataset());
         let daemon = place.daemon();
-        for grasp in fs::read_dir(jail.dataset().join("grasps")).unwrap() {
+        for grasp in fs::read_dir(sandbox.dataset().join("grasps")).unwrap() {
             let id = grasp.unwrap().file_name().into_string().unwrap();
             for path in [
                 format!("/api/grasps/{id}"),
@@ -394,33 +397,33 @@ fn a_daemon_serves_no_file_outside_of_a_hostile_dataset() {
             }
         }
         drop(daemon);
-        assert_eq!(tree(&jail.outside()), jail.before, "{case}");
+        assert_eq!(tree(&sandbox.outside()), sandbox.before, "{case}");
     }
 }
 
-/// What cannot be stored in a repository: a pipe, a device by a link, a huge file, a hard link.
+/// Files that Git cannot store: a named pipe, a link to a device, a huge file, a hard link.
 #[test]
-fn devices_pipes_and_huge_files_in_a_dataset_are_refused_at_once() {
+fn devices_pipes_and_huge_files_are_refused_without_blocking() {
     let dir = tempfile::tempdir().unwrap();
     write_dataset(dir.path(), &["mug", "bottle"]);
     let image = first_grasp(dir.path()).join("grasp.left.jpg");
     let stored = fs::read(&image).unwrap();
-    let put: [Attack; 4] = [
-        ("a pipe", |path| {
+    let replacements: [Attack; 4] = [
+        ("named pipe", |path| {
             use rustix::fs::{CWD, FileType, Mode, mknodat};
             mknodat(CWD, path, FileType::Fifo, Mode::from_raw_mode(0o600), 0).unwrap();
         }),
-        ("a link to a device", |path| {
+        ("link to a device", |path| {
             symlink("/dev/zero", path).unwrap()
         }),
-        ("a huge file", |path| {
+        ("huge file", |path| {
             fs::File::create(path).unwrap().set_len(1 << 42).unwrap();
         }),
-        ("a folder", |path| fs::create_dir(path).unwrap()),
+        ("directory", |path| fs::create_dir(path).unwrap()),
     ];
-    for (what, put) in put {
+    for (what, replace) in replacements {
         let _ = fs::remove_file(&image);
-        put(&image);
+        replace(&image);
         let output = gripcast()
             .args(["dataset", "verify", "--json"])
             .arg(dir.path())
@@ -448,14 +451,14 @@ fn devices_pipes_and_huge_files_in_a_dataset_are_refused_at_once() {
 }
 
 #[test]
-fn a_dataset_on_another_disk_works_where_the_user_says_so() {
+fn grasps_on_another_disk_need_permission() {
     let dir = tempfile::tempdir().unwrap();
     let (root, disk) = (dir.path().join("d"), dir.path().join("disk"));
     write_dataset(&root, &["mug", "bottle"]);
     fs::create_dir(&disk).unwrap();
     fs::rename(root.join("grasps"), disk.join("grasps")).unwrap();
     symlink(disk.join("grasps"), root.join("grasps")).unwrap();
-    // The dataset itself may always be a link.
+    // The dataset directory itself may always be a link.
     symlink(&root, dir.path().join("link")).unwrap();
     let verify = |allowed: Option<&Path>| {
         let mut command = gripcast();
@@ -469,16 +472,16 @@ fn a_dataset_on_another_disk_works_where_the_user_says_so() {
     };
     let refused = verify(None);
     assert_eq!(refused.status.code(), Some(1));
-    let said = String::from_utf8_lossy(&refused.stderr).into_owned();
-    assert!(said.contains("GRIPCAST__FILES__LINKED_FOLDERS"), "{said}");
+    let text = String::from_utf8_lossy(&refused.stderr).into_owned();
+    assert!(text.contains("GRIPCAST__FILES__LINKED_FOLDERS"), "{text}");
     let allowed = verify(Some(&disk));
-    let said = String::from_utf8_lossy(&allowed.stderr).into_owned();
-    assert_eq!(allowed.status.code(), Some(0), "{said}");
+    let text = String::from_utf8_lossy(&allowed.stderr).into_owned();
+    assert_eq!(allowed.status.code(), Some(0), "{text}");
 }
 
-/// Names of files are whatever somebody gave them: on stdout as a finding, on stderr as a place.
+/// File names are untrusted: they appear on stdout in problems and on stderr as locations.
 #[test]
-fn names_of_files_cannot_command_a_terminal() {
+fn file_names_cannot_send_terminal_escapes() {
     const TITLE: &str = "\u{1b}]0;owned\u{7}\u{202e}";
     let dir = tempfile::tempdir().unwrap();
     let root = dir.path().join(format!("data{TITLE}"));

@@ -1,4 +1,4 @@
-//! Models through the command line: what is refused says why, and nothing panics.
+//! Models on the command line: invalid ones are refused with a reason, and nothing panics.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -22,17 +22,17 @@ fn json(output: &Output) -> Value {
     serde_json::from_slice(&output.stdout).unwrap()
 }
 
-/// Runs `predict check` on these bytes; must fail with exit code 1 and nothing on stdout.
-fn refusal(folder: &Path, bytes: &[u8]) -> String {
-    let file = folder.join("model.onnx");
+/// Runs `predict check` on the bytes; it must fail with exit code 1 and print nothing to stdout.
+fn refusal(directory: &Path, bytes: &[u8]) -> String {
+    let file = directory.join("model.onnx");
     fs::write(&file, bytes).unwrap();
     let file = file.to_str().unwrap();
     let output = gripcast(&["predict", "check", file]);
     let stderr = String::from_utf8(output.stderr).unwrap();
     assert_eq!(output.status.code(), Some(1), "{stderr}");
     assert!(output.stdout.is_empty());
-    assert!(stderr.contains(file), "the file is named: {stderr}");
-    assert!(stderr.contains("\n  → "), "a remedy is given: {stderr}");
+    assert!(stderr.contains(file), "missing file name: {stderr}");
+    assert!(stderr.contains("\n  → "), "missing remedy: {stderr}");
     assert!(!stderr.contains("panicked"), "{stderr}");
     stderr
 }
@@ -42,7 +42,7 @@ fn shipped() -> PathBuf {
 }
 
 #[test]
-fn the_shipped_model_passes_and_says_what_it_is() {
+fn shipped_model_passes_and_is_described() {
     let report = json(&gripcast(&[
         "predict",
         "check",
@@ -63,19 +63,19 @@ fn the_shipped_model_passes_and_says_what_it_is() {
 }
 
 #[test]
-fn the_baseline_can_be_written_again() {
+fn baseline_can_be_exported() {
     let folder = tempfile::tempdir().unwrap();
     let file = folder.path().join("again.onnx");
     let output = gripcast(&["predict", "baseline", "--out", file.to_str().unwrap()]);
     assert!(output.status.success());
     assert!(fs::read(file).unwrap() == fs::read(shipped()).unwrap());
-    let nowhere = gripcast(&["predict", "baseline", "--out", "/no/such/folder/m.onnx"]);
-    assert_eq!(nowhere.status.code(), Some(1));
-    assert!(String::from_utf8_lossy(&nowhere.stderr).contains("/no/such/folder/m.onnx"));
+    let missing = gripcast(&["predict", "baseline", "--out", "/no/such/folder/m.onnx"]);
+    assert_eq!(missing.status.code(), Some(1));
+    assert!(String::from_utf8_lossy(&missing.stderr).contains("/no/such/folder/m.onnx"));
 }
 
 #[test]
-fn what_is_no_model_is_refused_as_what_it_is() {
+fn other_files_are_refused_by_type() {
     let folder = tempfile::tempdir().unwrap();
     let refusal = |bytes: &[u8]| refusal(folder.path(), bytes);
     assert!(refusal(b"").contains("empty (0 bytes)"));
@@ -84,7 +84,7 @@ fn what_is_no_model_is_refused_as_what_it_is() {
     assert!(refusal(b"version https://git-lfs.github.com/spec/v1\n").contains("git lfs pull"));
     assert!(refusal(b"<html></html>").contains("a text file"));
     let whole = fs::read(shipped()).unwrap();
-    assert!(refusal(&whole[..whole.len() / 2]).contains("damaged or cut off"));
+    assert!(refusal(&whole[..whole.len() / 2]).contains("damaged or truncated"));
 
     let missing = gripcast(&["predict", "check", "/no/such/model.onnx"]);
     assert_eq!(missing.status.code(), Some(1));
@@ -92,23 +92,23 @@ fn what_is_no_model_is_refused_as_what_it_is() {
     assert!(text.contains("/no/such/model.onnx: cannot read"), "{text}");
     let directory = gripcast(&["predict", "check", folder.path().to_str().unwrap()]);
     assert_eq!(directory.status.code(), Some(1));
-    assert!(String::from_utf8_lossy(&directory.stderr).contains("a folder"));
+    assert!(String::from_utf8_lossy(&directory.stderr).contains("a directory"));
 }
 
 #[test]
-fn a_foreign_network_is_refused_with_the_key_that_it_lacks() {
+fn foreign_network_is_refused_with_the_missing_key() {
     let folder = tempfile::tempdir().unwrap();
     let mut graph = onnx::OnnxGraphBuilder::new("foreign");
     let x = graph.input("x", &[1, 3, 224, 224]).unwrap();
     let y = graph.node("Relu", "y", &[&x], []).unwrap();
     graph.output(&y, &[1, 3, 224, 224]);
     let text = refusal(folder.path(), &graph.to_bytes().unwrap());
-    assert!(text.contains("no key `gripcast.schema`"), "{text}");
+    assert!(text.contains("missing key `gripcast.schema`"), "{text}");
     assert!(text.contains("models/README.md"), "{text}");
 }
 
 #[test]
-fn a_graph_that_the_engine_cannot_build_is_refused() {
+fn graph_with_mismatched_shapes_is_refused() {
     let folder = tempfile::tempdir().unwrap();
     let mut graph = onnx::OnnxGraphBuilder::new("odd");
     baseline::contract().write(&mut graph).unwrap();
@@ -123,7 +123,7 @@ fn a_graph_that_the_engine_cannot_build_is_refused() {
     assert!(text.contains("the engine cannot"), "{text}");
 }
 
-/// Flips bits of the shipped model; each gives a model or a refusal. Returns the refusals.
+/// Flips bits of the shipped model one at a time. Returns the number of refusals; none may panic.
 fn flip(positions: impl Iterator<Item = (usize, u32)>) -> usize {
     let mut model = baseline::onnx_bytes().unwrap();
     let mut refused = 0;
@@ -136,25 +136,28 @@ fn flip(positions: impl Iterator<Item = (usize, u32)>) -> usize {
 }
 
 #[test]
-fn damage_never_panics() {
+fn damaged_models_never_panic() {
     let whole = baseline::onnx_bytes().unwrap();
     for at in (0..whole.len()).step_by(7) {
-        assert!(Model::from_bytes(&whole[..at]).is_err(), "cut at {at}");
+        assert!(
+            Model::from_bytes(&whole[..at]).is_err(),
+            "truncated at {at}"
+        );
     }
     let refused = flip((0..whole.len()).step_by(7).map(|at| (at, at as u32 % 8)));
-    assert!(refused > 100, "only {refused} flips were noticed");
+    assert!(refused > 100, "only {refused} flips were detected");
 }
 
 #[test]
-#[ignore = "every bit of the file, minutes"]
-fn damage_of_any_bit_never_panics() {
+#[ignore = "flips every bit of the file, takes minutes"]
+fn no_flipped_bit_panics() {
     let bytes = baseline::onnx_bytes().unwrap().len();
     let refused = flip((0..bytes).flat_map(|byte| (0..8).map(move |bit| (byte, bit))));
-    assert!(refused > 8 * 100, "only {refused} flips were noticed");
+    assert!(refused > 8 * 100, "only {refused} flips were detected");
 }
 
 #[test]
-fn one_grasp_is_predicted_from_image_files() {
+fn grasp_is_predicted_from_image_files() {
     let folder = tempfile::tempdir().unwrap();
     let image = |name: &str, seed, contact| {
         let file = folder.path().join(name);
@@ -201,8 +204,8 @@ fn one_grasp_is_predicted_from_image_files() {
         text.contains("--crop: unknown crop profile `seventh`"),
         "{text}"
     );
-    let not_a_image = shipped();
-    let (status, text) = code(predict(&closed_left, not_a_image.to_str().unwrap(), &[]));
+    let not_an_image = shipped();
+    let (status, text) = code(predict(&closed_left, not_an_image.to_str().unwrap(), &[]));
     assert_eq!(status, Some(1), "{text}");
     assert!(text.contains("expected a PNG or JPEG image"), "{text}");
     let (status, text) = code(gripcast(&[
@@ -216,7 +219,7 @@ fn one_grasp_is_predicted_from_image_files() {
 }
 
 #[test]
-fn the_bench_prints_the_promised_figures() {
+fn bench_reports_the_documented_timings() {
     let report = json(&gripcast(&["bench", "predict", "--runs", "30", "--json"]));
     assert_schema("bench predict", &[&report]);
     assert_eq!(report["name"], "predict");

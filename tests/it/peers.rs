@@ -1,13 +1,13 @@
-//! Files and answers of gripcast, held against the libraries of others: quick checks. The longer ones
-//! are in tools/test-peers.sh.
+//! Quick checks of gripcast's files and results against other libraries. The longer checks are in
+//! tools/test-peers.sh.
 
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
 use gripcast_testing::{Needs, skip};
 
-/// A script of tests/peers under `GRIPCAST_PYTHON`, which names a Python with the libraries of
-/// tests/peers/requirements.txt; without it, the calling test is skipped.
+/// A script of tests/peers, run with the Python of `GRIPCAST_PYTHON`, which must have the libraries
+/// of tests/peers/requirements.txt; skips the calling test if it is not set.
 pub(crate) fn peer(script: &str) -> Option<Command> {
     let Some(python) = std::env::var_os("GRIPCAST_PYTHON").filter(|python| !python.is_empty())
     else {
@@ -25,12 +25,12 @@ pub(crate) fn peer(script: &str) -> Option<Command> {
     Some(command)
 }
 
-/// Runs a script that has to find no fault; what it says.
+/// Runs a script that must succeed and returns its output.
 pub(crate) fn agrees(command: &mut Command) -> String {
     let output = command.output().unwrap();
-    let said = [output.stdout, output.stderr].map(|text| String::from_utf8(text).unwrap());
-    assert!(output.status.success(), "{}", said.concat());
-    said.concat()
+    let texts = [output.stdout, output.stderr].map(|text| String::from_utf8(text).unwrap());
+    assert!(output.status.success(), "{}", texts.concat());
+    texts.concat()
 }
 
 fn in_repository(path: &str) -> PathBuf {
@@ -38,7 +38,7 @@ fn in_repository(path: &str) -> PathBuf {
 }
 
 #[test]
-fn onnxruntime_answers_as_gripcast_does() {
+fn onnxruntime_matches_gripcast() {
     for model in ["baseline-contact", "gripcast-vt"] {
         let Some(mut check) = peer("check_onnx.py") else {
             return;
@@ -51,7 +51,7 @@ fn onnxruntime_answers_as_gripcast_does() {
 }
 
 #[test]
-fn opencv_and_yaml_read_camera_files_and_gripcast_theirs() {
+fn camera_files_round_trip_through_opencv_and_yaml() {
     if let Some(mut check) = peer("camera_files.py") {
         agrees(check.arg(env!("CARGO_BIN_EXE_gripcast")));
     }

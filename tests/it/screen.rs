@@ -21,10 +21,10 @@ use proptest::prelude::*;
 use ratatui::Terminal;
 use ratatui::backend::TestBackend;
 
-fn predicted(p_stable: f64, novelty: Option<f64>) -> PredictionRecord {
+fn predicted(p_stable: f64, ood_score: Option<f64>) -> PredictionRecord {
     PredictionRecord {
         p_stable,
-        novelty,
+        ood_score,
         threshold: 0.5,
         model_sha256: String::new(),
         model: "baseline-contact".to_owned(),
@@ -505,7 +505,7 @@ prop_compose! {
                 id: GraspId::parse("2026-11-20T10-15-03Z-7f3a").unwrap(),
                 object: ObjectName::nearest(&names.1),
                 outcome: Outcome::Slip,
-                predicted: said.map(|(p_stable, novelty)| predicted(p_stable, novelty)),
+                predicted: said.map(|(p_stable, ood_score)| predicted(p_stable, ood_score)),
             }),
             redo: undo.clone(),
             message: Some(Message { level: MessageLevel::Error, text: names.2.clone() }),

@@ -7,7 +7,7 @@ use std::process::{Command, Stdio};
 
 use gripcast_base::files::Root;
 use gripcast_dataset::shard::{
-    ShardEngine, ShardFacts, ShardImages, ShardOutcome, ShardRow, ShardWriter, shard_place,
+    ShardEngine, ShardFacts, ShardImages, ShardOutcome, ShardRow, ShardWriter, shard_path,
 };
 use gripcast_geometry::Pose;
 use gripcast_imaging::{encode_jpeg, synthetic_gel};
@@ -76,7 +76,7 @@ fn row(part: &str, number: u64, is_stable: bool) -> ShardRow {
 
 fn write_part(data: &Path, part: &str, rows: impl IntoIterator<Item = ShardRow>) {
     fs::create_dir_all(data).unwrap();
-    let place = shard_place(&Root::new(data), part, 0, 1).unwrap();
+    let place = shard_path(&Root::new(data), part, 0, 1).unwrap();
     place.parent().create_dir_all().unwrap();
     let mut writer = ShardWriter::create(&place, "{}").unwrap();
     for row in rows {

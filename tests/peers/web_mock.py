@@ -220,7 +220,7 @@ class Mock:
             return await self.capture(self.step() if word == "trigger" else word, False)
         if word == "override":
             if not refused:
-                return await self.nothing("there is nothing to override")
+                return await self.nothing("nothing to override")
             return await self.capture(refused["stage"], True)
         if word in ("undo", "redo"):
             stack, other = (self.undos, self.redos) if word == "undo" else (self.redos, self.undos)
@@ -230,13 +230,13 @@ class Mock:
             await self.save()
             entry[1 if word == "undo" else 2]()
             other.append(entry)
-            self.say(f"{entry[0]} {'taken back' if word == 'undo' else 'done again'}")
+            self.say(f"{entry[0]} {'undone' if word == 'undo' else 'redone'}")
             await self.tone("undone")
             return True, []
         outcome = "unlabelled" if word == "unlabel" else word
         grasp = self.grasps.get(self.last)
         if not grasp or grasp["outcome"] == outcome:
-            return await self.nothing("there is no grasp to label yet" if not grasp else f"grasp {grasp['id'][-4:]} is labelled {outcome} already")
+            return await self.nothing("no grasp to label yet" if not grasp else f"grasp {grasp['id'][-4:]} is already labelled {outcome}")
         before = grasp["outcome"]
         await self.save()
         self.set_outcome(grasp, outcome)
@@ -269,7 +269,7 @@ class Mock:
             await self.tone("refused")
             return False, reasons
         if stage == "grasp" and not self.pending:
-            reasons = ["there is no initial frame: open the gripper and take one"]
+            reasons = ["no initial frame: open the gripper and take one"]
             self.refusal = {"stage": stage, "reasons": reasons, "can_override": False}
             await self.tone("refused")
             return False, reasons

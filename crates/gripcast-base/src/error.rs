@@ -1,7 +1,7 @@
-//! The one error type of the crate: what failed, where, and how to fix it.
+//! The error type of gripcast: what failed, where, and how to fix it.
 //!
-//! Every message names the operation and the object, what was expected and what was found;
-//! the caller that knows the path, camera role or port adds it with [`Error::at`].
+//! Every message states operation, object, expected and found values;
+//! the caller adds path, camera role or port with [`Error::at`].
 
 use std::fmt;
 
@@ -9,18 +9,18 @@ mod refused;
 
 pub use refused::Refused;
 
-/// Result with the crate's [`Error`].
+/// Result with [`Error`].
 pub type Result<T, E = Error> = std::result::Result<T, E>;
 
-/// Class of an error; decides the process exit code.
+/// Class of an error; determines the exit code.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum ErrorKind {
-    /// The command line asks for something that does not exist or contradicts itself.
+    /// Invalid or contradictory arguments.
     Usage,
-    /// A configuration or rig file is wrong.
+    /// Invalid configuration or rig file.
     Config,
-    /// A file, model, mesh, image or record given by the user is wrong.
+    /// Invalid input: file, model, mesh, image or record.
     Input,
     /// A path or item does not exist.
     NotFound,
@@ -32,13 +32,13 @@ pub enum ErrorKind {
     DiskFull,
     /// Another process holds the resource.
     Busy,
-    /// A device is missing, unplugged, or offers nothing that is usable.
+    /// A device is missing, unplugged or unusable.
     Device,
-    /// The work finished, but some of the data was lost or skipped.
+    /// The work finished, but some data was lost or skipped.
     Partial,
-    /// A check that the user asked for did not hold.
+    /// A requested check failed.
     Check,
-    /// Stopped at a safe point; running the same command again continues.
+    /// Stopped at a safe point; the same command resumes.
     Stopped,
     /// Interrupted by the user.
     Interrupted,
@@ -69,40 +69,40 @@ impl ErrorKind {
     }
 }
 
-/// An error with its place and its remedy.
+/// An error with location and remedy.
 pub struct Error(Box<Inner>);
 
 struct Inner {
     kind: ErrorKind,
     what: String,
-    place: Option<String>,
+    location: Option<String>,
     remedy: Option<String>,
     source: Option<Box<dyn std::error::Error + Send + Sync>>,
 }
 
 impl Error {
-    /// An error of `kind`; `what` says which operation failed on which object, expected vs found.
+    /// An error of `kind`; `what` states operation and object, expected and found values.
     pub fn new(kind: ErrorKind, what: impl Into<String>) -> Self {
         Self(Box::new(Inner {
             kind,
             what: what.into(),
-            place: None,
+            location: None,
             remedy: None,
             source: None,
         }))
     }
 
-    /// A file, model, mesh, image or record given by the user is wrong.
+    /// Invalid input: file, model, mesh, image or record.
     pub fn input(what: impl Into<String>) -> Self {
         Self::new(ErrorKind::Input, what)
     }
 
-    /// The command line asks for something that does not exist or contradicts itself.
+    /// Invalid or contradictory arguments.
     pub fn usage(what: impl Into<String>) -> Self {
         Self::new(ErrorKind::Usage, what)
     }
 
-    /// A configuration or rig file is wrong.
+    /// Invalid configuration or rig file.
     pub fn config(what: impl Into<String>) -> Self {
         Self::new(ErrorKind::Config, what)
     }
@@ -136,17 +136,17 @@ impl Error {
         Self::new(kind, what).because(source)
     }
 
-    /// Adds the place: a path, a camera role, a port. The outermost caller's place comes first.
+    /// Adds the location: a path, camera role or port. The outermost location comes first.
     #[must_use]
-    pub fn at(mut self, place: impl fmt::Display) -> Self {
-        self.0.place = Some(match self.0.place.take() {
-            Some(inner) => format!("{place}: {inner}"),
-            None => place.to_string(),
+    pub fn at(mut self, location: impl fmt::Display) -> Self {
+        self.0.location = Some(match self.0.location.take() {
+            Some(inner) => format!("{location}: {inner}"),
+            None => location.to_string(),
         });
         self
     }
 
-    /// Adds what the user can do about it. The first remedy, nearest to the cause, is kept.
+    /// Adds a remedy. The first one, closest to the cause, is kept.
     #[must_use]
     pub fn remedy(mut self, remedy: impl Into<String>) -> Self {
         self.0.remedy.get_or_insert_with(|| remedy.into());
@@ -166,19 +166,19 @@ impl Error {
         self.0.kind
     }
 
-    /// What failed, without place and remedy.
+    /// What failed, without location and remedy.
     #[must_use]
     pub fn what(&self) -> &str {
         &self.0.what
     }
 
-    /// Where it failed, if that is known.
+    /// Where it failed, if known.
     #[must_use]
-    pub fn place(&self) -> Option<&str> {
-        self.0.place.as_deref()
+    pub fn location(&self) -> Option<&str> {
+        self.0.location.as_deref()
     }
 
-    /// How to fix it, where known.
+    /// How to fix it, if known.
     #[must_use]
     pub fn remedy_text(&self) -> Option<&str> {
         self.0.remedy.as_deref()
@@ -188,8 +188,8 @@ impl Error {
 impl fmt::Display for Error {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let inner = &self.0;
-        if let Some(place) = &inner.place {
-            write!(f, "{place}: ")?;
+        if let Some(location) = &inner.location {
+            write!(f, "{location}: ")?;
         }
         f.write_str(&inner.what)?;
         if let Some(source) = &inner.source {
@@ -214,7 +214,7 @@ impl std::error::Error for Error {
     }
 }
 
-/// The known name nearest to a misspelt one, if one is near enough to be meant.
+/// Returns the known name closest to a misspelt one, if close enough.
 #[must_use]
 pub fn nearest_name<'a>(wanted: &str, known: impl IntoIterator<Item = &'a str>) -> Option<&'a str> {
     known
@@ -225,19 +225,16 @@ pub fn nearest_name<'a>(wanted: &str, known: impl IntoIterator<Item = &'a str>) 
         .map(|(_, name)| name)
 }
 
-/// `Usage`: there is no such thing of a kind; the remedy has the nearest name and all of them.
+/// `Usage` error for an unknown name; the remedy lists the closest name and all valid ones.
 #[must_use]
 pub fn unknown_name(kind: &str, wanted: &str, known: &[&str]) -> Error {
     let nearest = nearest_name(wanted, known.iter().copied());
     let hint = nearest.map_or(String::new(), |name| format!("did you mean {name}? "));
-    Error::new(
-        ErrorKind::Usage,
-        format!("there is no {kind} named {wanted:?}"),
-    )
-    .remedy(format!("{hint}known are: {}", known.join(", ")))
+    Error::usage(format!("unknown {kind} {wanted:?}"))
+        .remedy(format!("{hint}valid names: {}", known.join(", ")))
 }
 
-/// Number of inserted, removed and replaced characters (Levenshtein).
+/// Levenshtein distance.
 fn edit_distance(a: &str, b: &str) -> usize {
     let b: Vec<char> = b.chars().collect();
     let mut row: Vec<usize> = (0..=b.len()).collect();
@@ -257,7 +254,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn message_reads_place_what_cause_remedy() {
+    fn message_has_location_what_cause_and_remedy() {
         let cause = std::io::Error::from(std::io::ErrorKind::StorageFull);
         let error = Error::io("cannot write the grasp", cause)
             .at("grasp.json")
@@ -272,7 +269,7 @@ mod tests {
     }
 
     #[test]
-    fn the_nearest_name_is_near() {
+    fn nearest_name_is_close() {
         let known = ["left", "right", "rgb"];
         assert_eq!(nearest_name("lft", known), Some("left"));
         assert_eq!(nearest_name("rihgt", known), Some("right"));
@@ -281,7 +278,7 @@ mod tests {
     }
 
     #[test]
-    fn exit_codes_follow_the_contract() {
+    fn exit_codes_are_as_documented() {
         for (kind, code) in [
             (ErrorKind::Usage, 2),
             (ErrorKind::Config, 2),

@@ -1,8 +1,8 @@
-//! Files of results: written whole or not at all.
+//! Atomic writes of result files.
 //!
-//! A file gets its contents under another name in the same folder, and its own name last. A
-//! program that is killed, or a disk that is full, leaves the old file or the new one, never a
-//! part; a kill may leave a hidden `.gripcast-….partial` beside it, which nothing reads.
+//! A file is written under a temporary name in the same directory and renamed when complete. After
+//! a kill or with a full disk there is either the old file or the new one; a kill may leave a
+//! hidden `.gripcast-….partial` beside it, which is ignored.
 
 mod beneath;
 #[cfg(test)]
@@ -28,57 +28,57 @@ pub use name::{
 pub use opening::{FileKind, open_regular, read_regular, read_text};
 pub use owner_lock::{NotLocked, OwnerLock};
 
-/// Most symbolic links that are followed, as Linux has it.
+/// Maximum number of symbolic links that are followed, as in Linux.
 const MAX_LINKS: usize = 40;
 
-/// Bytes as lower-case hex.
+/// Formats bytes as lower-case hex.
 pub fn hex(bytes: &[u8]) -> String {
     let digit = |value: u8| char::from_digit(u32::from(value), 16).unwrap_or_default();
     let digits = bytes.iter().flat_map(|b| [b >> 4, b & 15]);
     digits.map(digit).collect()
 }
 
-/// SHA-256 as `sha256sum` prints it: 64 lower-case hex digits.
+/// SHA-256 as printed by `sha256sum`: 64 lower-case hex digits.
 pub fn sha256_hex(bytes: impl AsRef<[u8]>) -> String {
     hex(&Sha256::digest(bytes))
 }
 
-/// Writes a file whole, in place of what had its name.
+/// Writes a file atomically, replacing an existing one.
 ///
-/// A link stays and its target is replaced. What is no regular file (a pipe, `/dev/stdout`) is
-/// written directly. An existing file keeps its permissions, and has to be writable; its owner
-/// becomes the writer, and other hard links to it keep the old contents. The contents are on the
-/// disk before the name changes.
+/// A link is kept and its target replaced. Anything but a regular file (a pipe, `/dev/stdout`) is
+/// written directly. An existing file keeps its permissions and must be writable; its owner
+/// becomes the writer, and other hard links keep the old contents. The contents are flushed before
+/// the rename.
 ///
 /// # Errors
-/// Those of the operating system; the old file is then as it was, unless it is written directly.
+/// Those of the operating system; the old file is then unchanged, unless it is written directly.
 pub fn replace_file(path: &Path, bytes: &[u8]) -> io::Result<()> {
     StagedFile::write(path, bytes)?.commit()
 }
 
-/// [`replace_file`] with an error that names the file.
+/// As [`replace_file`], with an error that names the file.
 ///
 /// # Errors
-/// `Io`, `Permission`, `DiskFull`, …; the old file is then as it was.
+/// `Io`, `Permission`, `DiskFull`, …; the old file is then unchanged.
 pub fn save(path: &Path, bytes: &[u8]) -> Result<()> {
     replace_file(path, bytes).map_err(|e| Error::io("cannot write the file", e).at(path.display()))
 }
 
-/// A file that is written but has not got its name yet, so that several can take theirs at once.
-/// One that is dropped is removed.
+/// A file that is written but not renamed yet, so that several can be committed together. Removed
+/// when dropped.
 #[derive(Debug)]
 pub struct StagedFile(Stage);
 
 #[derive(Debug)]
 enum Stage {
-    /// Under a name for the meantime, with its own.
+    /// Written under a temporary name.
     Beside { partial: Partial, target: PathBuf },
-    /// Still to be written, where there is nothing to replace.
+    /// To be written directly at commit.
     Direct { path: PathBuf, bytes: Vec<u8> },
 }
 
 impl StagedFile {
-    /// Writes contents beside the file that they are for.
+    /// Writes the contents beside the target.
     ///
     /// # Errors
     /// As [`replace_file`].
@@ -107,7 +107,7 @@ impl StagedFile {
         Ok(Self(Stage::Beside { partial, target }))
     }
 
-    /// Gives the file its name.
+    /// Renames the file to its target.
     ///
     /// # Errors
     /// As [`replace_file`].
@@ -119,30 +119,30 @@ impl StagedFile {
     }
 }
 
-/// A file that is removed when dropped; after it was renamed there is none any more.
+/// A temporary file that is removed when dropped.
 #[derive(Debug)]
 struct Partial(PathBuf);
 
 impl Drop for Partial {
     fn drop(&mut self) {
-        // The cause is what the caller reports.
+        // Fails after the rename, as intended.
         let _ = fs::remove_file(&self.0);
     }
 }
 
-/// A name by chance: a number of the process comes again, and with it what a kill left behind.
+/// A random name: process ids repeat and would collide with leftovers of a kill.
 fn partial_name() -> String {
     format!(".gripcast-{:016x}.partial", RandomState::new().hash_one(()))
 }
 
-/// The file behind a path and its links, if it is one that can be replaced, or none yet.
+/// Resolves links to the file to replace or create; `None` where it must be written directly.
 fn replaceable(path: &Path) -> io::Result<Option<PathBuf>> {
     if fs::metadata(path).is_ok_and(|found| !found.is_file()) {
         return Ok(None);
     }
     let mut target = path.to_owned();
     for _ in 0..MAX_LINKS {
-        // An open file, as /dev/stdout is one: its reader holds the file, not the name.
+        // An open file such as /dev/stdout: its reader has the file open, not its name.
         if fs::canonicalize(folder(&target)).is_ok_and(|f| f.starts_with("/proc")) {
             return Ok(None);
         }
@@ -154,14 +154,14 @@ fn replaceable(path: &Path) -> io::Result<Option<PathBuf>> {
     Err(io::Error::other("too many symbolic links"))
 }
 
-/// How a file reads what it names by a path relative to itself (material library, buffer, texture):
-/// below its folder only, see [`Root`].
+/// Returns a reader for files that a file names relative to itself (material library, buffer,
+/// texture): below its directory only, see [`Root`].
 pub fn companions(path: &Path) -> impl Fn(&str) -> io::Result<Vec<u8>> + use<> {
     let root = Root::new(folder(path));
     move |name: &str| root.resolve(name)?.read(FileKind::Mesh)
 }
 
-/// The folder of a path; of a bare name the present one.
+/// The directory of a path; `.` for a bare name.
 fn folder(path: &Path) -> &Path {
     match path.parent() {
         Some(folder) if !folder.as_os_str().is_empty() => folder,
@@ -184,7 +184,7 @@ mod tests {
     }
 
     #[test]
-    fn a_file_is_made_and_replaced_with_its_permissions() {
+    fn replaced_file_keeps_its_permissions() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("a.png");
         replace_file(&path, b"old").unwrap();
@@ -200,7 +200,7 @@ mod tests {
     }
 
     #[test]
-    fn readers_see_the_old_file_until_the_new_one_is_whole() {
+    fn readers_see_the_old_file_until_commit() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("a.toml");
         replace_file(&path, b"old").unwrap();
@@ -219,14 +219,14 @@ mod tests {
     }
 
     #[test]
-    fn a_failed_write_leaves_nothing_behind() {
+    fn failed_write_leaves_no_file() {
         let folder = tempfile::tempdir().unwrap();
         let taken = folder.path().join("taken");
         fs::create_dir(&taken).unwrap();
         assert!(replace_file(&taken, b"x").is_err());
         assert!(replace_file(&folder.path().join("no/such/a.png"), b"x").is_err());
         let path = folder.path().join("a.png");
-        // The name is taken by a folder only after the contents were written.
+        // A directory takes the name after the contents were written.
         let staged = StagedFile::write(&path, b"x").unwrap();
         fs::create_dir(&path).unwrap();
         assert!(staged.commit().is_err());
@@ -238,7 +238,7 @@ mod tests {
     }
 
     #[test]
-    fn a_link_stays_and_its_target_is_replaced() {
+    fn link_is_kept_and_its_target_replaced() {
         let folder = tempfile::tempdir().unwrap();
         let [real, second, first, dangling] =
             ["deep/real.png", "deep/second", "first", "dangling"].map(|n| folder.path().join(n));

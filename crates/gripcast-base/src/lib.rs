@@ -1,5 +1,5 @@
-//! What every crate of gripcast uses: errors, files below folders that others made, random streams,
-//! small linear systems, statistics, work spread over cores.
+//! Foundation of all gripcast crates: errors, safe and atomic file access, random streams, small
+//! linear systems, statistics, parallel work.
 //!
 //! ```
 //! use gripcast_base::random::SeedStream;
@@ -9,10 +9,10 @@
 //! assert!((0.01..0.5).contains(&mass_kg));
 //! ```
 
+pub mod catch_panic;
 pub mod error;
 pub mod files;
 pub mod linear;
-pub mod quiet_panic;
 pub mod random;
 pub mod statistics;
 pub mod workers;

@@ -2,11 +2,11 @@
 //!
 //! All sums run in a fixed order, so that results are the same on every machine.
 
-/// Factors a symmetric matrix (by rows, of which the lower triangle is read) into L Lᵀ in place;
-/// the upper triangle is left as it is.
+/// Factors a symmetric matrix (row-major, only the lower triangle is read) into L Lᵀ in place; the
+/// upper triangle is unchanged.
 ///
-/// `pivot` gets what is left of an entry of the diagonal, and that entry, and says what the square
-/// of L's entry is; `None` refuses the matrix. Columns of a zero pivot are zero.
+/// `pivot` maps the remainder of a diagonal entry and that entry to the square of L's entry; `None`
+/// refuses the matrix. Columns of a zero pivot are zero.
 fn factor_in_place(
     matrix: &mut [f64],
     size: usize,
@@ -42,7 +42,7 @@ fn substitute(lower: &[f64], size: usize, x: &mut [f64]) {
     }
 }
 
-/// Refuses what is not positive beyond rounding, and NaN.
+/// Refuses pivots that are not positive beyond rounding, and NaN.
 fn positive_beyond_rounding(rest: f64, diagonal: f64) -> Option<f64> {
     (rest > 1e-13 * diagonal.abs() && rest > 0.0).then_some(rest)
 }
@@ -54,21 +54,21 @@ pub struct Cholesky<const N: usize> {
 }
 
 impl<const N: usize> Cholesky<N> {
-    /// Of a matrix of which only the lower triangle is read; `None` unless it is positive definite
-    /// and finite.
+    /// Factors a matrix, of which only the lower triangle is read; `None` unless it is positive
+    /// definite and finite.
     pub fn new(matrix: &[[f64; N]; N]) -> Option<Self> {
         Self::with_pivots(matrix, |rest, _| {
             (rest > 0.0 && rest.is_finite()).then_some(rest)
         })
     }
 
-    /// As [`Cholesky::new`], but also refuses a matrix that is singular up to rounding.
+    /// As [`Cholesky::new`], but also refuses a matrix that is singular within rounding.
     pub fn beyond_rounding(matrix: &[[f64; N]; N]) -> Option<Self> {
         Self::with_pivots(matrix, positive_beyond_rounding)
     }
 
-    /// With a rule of its own for the squares of the diagonal: `pivot` gets what is left of an
-    /// entry, and the entry. A column whose pivot is zero stays zero.
+    /// Factors a matrix with a custom rule for the squares of L's diagonal: `pivot` gets the
+    /// remainder of a diagonal entry, and the entry. A column with a zero pivot is zero.
     pub fn with_pivots(
         matrix: &[[f64; N]; N],
         pivot: impl Fn(f64, f64) -> Option<f64>,
@@ -81,12 +81,12 @@ impl<const N: usize> Cholesky<N> {
         Some(Self { lower })
     }
 
-    /// L, by rows; zero above the diagonal.
+    /// Returns L, row-major; zero above the diagonal.
     pub fn lower(&self) -> &[[f64; N]; N] {
         &self.lower
     }
 
-    /// x with L Lᵀ x = `b`.
+    /// Solves L Lᵀ x = `b`.
     #[must_use]
     pub fn solve(&self, b: &[f64; N]) -> [f64; N] {
         let mut x = *b;
@@ -94,7 +94,7 @@ impl<const N: usize> Cholesky<N> {
         x
     }
 
-    /// Inverse of L Lᵀ.
+    /// Returns the inverse of L Lᵀ.
     #[must_use]
     pub fn inverse(&self) -> [[f64; N]; N] {
         let columns: [[f64; N]; N] = std::array::from_fn(|i| {
@@ -102,13 +102,13 @@ impl<const N: usize> Cholesky<N> {
             unit[i] = 1.0;
             self.solve(&unit)
         });
-        // Rounding leaves it not quite symmetric.
+        // Remove the asymmetry due to rounding.
         let mean = |i: usize, j: usize| 0.5 * (columns[i][j] + columns[j][i]);
         std::array::from_fn(|i| std::array::from_fn(|j| mean(i, j)))
     }
 }
 
-/// JᵀWJ and JᵀWr of `N` unknowns.
+/// Normal equations JᵀWJ x = JᵀWr of `N` unknowns.
 #[derive(Clone, Debug)]
 pub struct NormalEquations<const N: usize> {
     /// JᵀWJ.
@@ -118,7 +118,7 @@ pub struct NormalEquations<const N: usize> {
 }
 
 impl<const N: usize> NormalEquations<N> {
-    /// Without equations.
+    /// An empty system.
     pub fn zero() -> Self {
         Self {
             matrix: [[0.0; N]; N],
@@ -138,13 +138,13 @@ impl<const N: usize> NormalEquations<N> {
         }
     }
 
-    /// The unknowns; `None` where the equations do not determine them.
+    /// Solves for the unknowns; `None` if the system is singular.
     pub fn solve(&self) -> Option<[f64; N]> {
         Some(Cholesky::beyond_rounding(&self.matrix)?.solve(&self.vector))
     }
 }
 
-/// A symmetric matrix whose size is known only at run time; both halves are kept.
+/// A symmetric matrix of dynamic size; both triangles are stored.
 #[derive(Clone, Debug)]
 pub struct Symmetric {
     size: usize,
@@ -152,7 +152,7 @@ pub struct Symmetric {
 }
 
 impl Symmetric {
-    /// All zero.
+    /// A zero matrix.
     pub fn zero(size: usize) -> Self {
         Self {
             size,
@@ -165,7 +165,7 @@ impl Symmetric {
         self.size
     }
 
-    /// An entry.
+    /// Entry in row `i`, column `j`.
     pub fn at(&self, i: usize, j: usize) -> f64 {
         self.entries[i * self.size + j]
     }
@@ -175,7 +175,7 @@ impl Symmetric {
         self.entries[i * self.size + j] += value;
     }
 
-    /// Adds weight · row rowᵀ; the row is given by its entries that are not zero.
+    /// Adds weight · row rowᵀ; the row is given by its non-zero entries.
     pub fn add_outer(&mut self, row: &[(usize, f64)], weight: f64) {
         for (i, a) in row {
             for (j, b) in row {
@@ -184,14 +184,14 @@ impl Symmetric {
         }
     }
 
-    /// Multiplies the diagonal.
+    /// Multiplies the diagonal by `factor`.
     pub fn damp(&mut self, factor: f64) {
         for i in 0..self.size {
             self.entries[i * self.size + i] *= factor;
         }
     }
 
-    /// Fixes an unknown: its step is 0 whatever the others do.
+    /// Fixes an unknown: its step is 0.
     pub fn pin(&mut self, i: usize) {
         for j in 0..self.size {
             self.entries[i * self.size + j] = 0.0;
@@ -200,12 +200,12 @@ impl Symmetric {
         self.entries[i * self.size + i] = 1.0;
     }
 
-    /// Largest entry of the diagonal.
+    /// Largest diagonal entry.
     pub fn largest(&self) -> f64 {
         (0..self.size).map(|i| self.at(i, i)).fold(0.0, f64::max)
     }
 
-    /// Cholesky's factor; `None` if the matrix is not positive definite beyond rounding.
+    /// Cholesky factorisation; `None` if the matrix is not positive definite beyond rounding.
     pub fn factor(&self) -> Option<Factor> {
         let mut lower = self.entries.clone();
         factor_in_place(&mut lower, self.size, positive_beyond_rounding)?;
@@ -214,7 +214,7 @@ impl Symmetric {
     }
 }
 
-/// Cholesky's factor of a [`Symmetric`].
+/// Cholesky factor of a [`Symmetric`].
 #[derive(Clone, Debug)]
 pub struct Factor {
     size: usize,
@@ -222,21 +222,21 @@ pub struct Factor {
 }
 
 impl Factor {
-    /// The unknowns for a right-hand side.
+    /// Solves for the unknowns of a right-hand side.
     pub fn solve(&self, right: &[f64]) -> Vec<f64> {
         let mut x = right.to_vec();
         substitute(&self.lower, self.size, &mut x);
         x
     }
 
-    /// The inverse of the factored matrix.
+    /// Returns the inverse of the factored matrix.
     pub fn inverse(&self) -> Symmetric {
         let mut result = Symmetric::zero(self.size);
         for i in 0..self.size {
             let mut unit = vec![0.0; self.size];
             unit[i] = 1.0;
             for (j, value) in self.solve(&unit).into_iter().enumerate() {
-                // Rounding leaves it not quite symmetric.
+                // Remove the asymmetry due to rounding.
                 result.add(i, j, 0.5 * value);
                 result.add(j, i, 0.5 * value);
             }
@@ -263,7 +263,7 @@ mod tests {
     }
 
     #[test]
-    fn solutions_satisfy_the_equations() {
+    fn solution_satisfies_the_equations() {
         let mut stream = SeedStream::named(2, "cholesky");
         for _ in 0..20 {
             let m = matrix(&mut stream);
@@ -277,7 +277,7 @@ mod tests {
     }
 
     #[test]
-    fn indefinite_and_broken_matrices_have_no_factor() {
+    fn indefinite_and_nan_matrices_have_no_factor() {
         let good = matrix(&mut SeedStream::named(2, "cholesky"));
         for (value, k) in [(-1.0, 0), (-1.0, 11), (f64::NAN, 5), (f64::INFINITY, 5)] {
             let mut m = good;
@@ -287,7 +287,7 @@ mod tests {
     }
 
     #[test]
-    fn directions_without_variance_stay_zero() {
+    fn zero_pivots_give_zero_columns() {
         let factor =
             Cholesky::with_pivots(&[[4.0, 2.0], [2.0, 1.0]], |rest, _| Some(rest.max(0.0)));
         assert_eq!(*factor.unwrap().lower(), [[2.0, 0.0], [1.0, 0.0]]);
@@ -296,8 +296,8 @@ mod tests {
     }
 
     #[test]
-    fn least_squares_and_inverse_agree_with_hand_calculation() {
-        // A line through (0, 1), (1, 3), (2, 5) with a fourth point of no weight.
+    fn least_squares_and_inverse_match_hand_calculation() {
+        // A line through (0, 1), (1, 3), (2, 5) and a point of zero weight.
         let mut line = NormalEquations::<2>::zero();
         for (x, y, weight) in [
             (0.0, 1.0, 1.0),
@@ -315,7 +315,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_not_determined_has_no_solution() {
+    fn singular_system_has_no_solution() {
         let mut one = NormalEquations::<2>::zero();
         one.add(&[1.0, 2.0], 3.0, 1.0);
         assert_eq!(one.solve(), None);
@@ -323,13 +323,13 @@ mod tests {
     }
 
     #[test]
-    fn systems_are_solved_inverted_and_pinned() {
+    fn symmetric_systems_are_solved_inverted_and_pinned() {
         let mut matrix = Symmetric::zero(3);
         matrix.add_outer(&[(0, 2.0), (1, 1.0)], 1.0);
         matrix.add_outer(&[(1, 1.0), (2, -1.0)], 2.0);
         assert!(
             matrix.factor().is_none(),
-            "two rows do not make three unknowns"
+            "two equations for three unknowns"
         );
         matrix.add_outer(&[(2, 3.0)], 1.0);
         let x = [0.5, -1.5, 2.0];

@@ -1,11 +1,11 @@
-//! Random numbers that depend only on a seed and a name.
+//! Reproducible random numbers from a seed and a name.
 
 use std::f64::consts::TAU;
 
-/// The step of SplitMix64: 2⁶⁴ over the golden ratio.
+/// Step of SplitMix64: 2⁶⁴ divided by the golden ratio.
 const STEP: u64 = 0x9e37_79b9_7f4a_7c15;
 
-/// A sequence of random numbers: the sub-stream of a seed that a name gives.
+/// A sequence of random numbers: a named sub-stream of a seed.
 ///
 /// SplitMix64 (Steele et al., *Fast splittable pseudorandom number generators*, 2014) started at
 /// a hash of both.
@@ -13,7 +13,7 @@ const STEP: u64 = 0x9e37_79b9_7f4a_7c15;
 pub struct SeedStream(u64);
 
 impl SeedStream {
-    /// The stream `name` of `seed`.
+    /// The sub-stream `name` of `seed`.
     pub fn named(seed: u64, name: &str) -> Self {
         // FNV-1a of the name.
         let hash = name.bytes().fold(0xcbf2_9ce4_8422_2325_u64, |hash, byte| {
@@ -22,40 +22,40 @@ impl SeedStream {
         Self(mix(seed ^ mix(hash)))
     }
 
-    /// The next 64 bits.
+    /// Draws 64 bits.
     pub fn bits(&mut self) -> u64 {
         self.0 = self.0.wrapping_add(STEP);
         mix(self.0)
     }
 
-    /// Uniform in 0..1.
+    /// Draws uniformly from 0..1.
     pub fn uniform(&mut self) -> f64 {
         unit(self.bits())
     }
 
-    /// Uniform between two numbers.
+    /// Draws uniformly from `low..high`.
     pub fn between(&mut self, low: f64, high: f64) -> f64 {
         low + (high - low) * self.uniform()
     }
 
-    /// Log-uniform between two positive numbers.
+    /// Draws log-uniformly from `low..high`, both positive.
     pub fn between_log(&mut self, low: f64, high: f64) -> f64 {
         (self.between(low.ln(), high.ln())).exp()
     }
 
-    /// An index below `count`; 0 if there is none.
+    /// Draws an index below `count`; 0 if `count` is 0.
     pub fn index(&mut self, count: usize) -> usize {
         ((self.uniform() * count as f64) as usize).min(count.saturating_sub(1))
     }
 
-    /// One of the items of a list that is not empty.
+    /// Draws one of the items.
     pub fn pick<T: Copy, const N: usize>(&mut self, items: [T; N]) -> T {
         const { assert!(N > 0) };
         items[self.index(N)]
     }
 }
 
-/// Two normally distributed numbers (mean 0, deviation 1) for an item of a seed.
+/// Two standard normal numbers for an item of a seed.
 pub fn gaussians(seed: u64, item: u64) -> [f32; 2] {
     let bits = mix(seed ^ scramble(item));
     // Above 0, for the logarithm.
@@ -65,19 +65,19 @@ pub fn gaussians(seed: u64, item: u64) -> [f32; 2] {
     [(radius * angle.cos()) as f32, (radius * angle.sin()) as f32]
 }
 
-/// A hash of three lattice coordinates in 0..1.
+/// Hash of three lattice coordinates, in 0..1.
 pub fn lattice(seed: u64, x: i64, y: i64, z: i64) -> f32 {
-    let at = mix(seed ^ (x as u64).wrapping_mul(STEP));
-    let at = mix(at ^ (y as u64).wrapping_mul(0xc2b2_ae3d_27d4_eb4f));
-    unit(mix(at ^ (z as u64).wrapping_mul(0x1656_67b1_9e37_79f9))) as f32
+    let hash = mix(seed ^ (x as u64).wrapping_mul(STEP));
+    let hash = mix(hash ^ (y as u64).wrapping_mul(0xc2b2_ae3d_27d4_eb4f));
+    unit(mix(hash ^ (z as u64).wrapping_mul(0x1656_67b1_9e37_79f9))) as f32
 }
 
-/// Bits as a number uniform in 0..1.
+/// Maps bits to a number uniform in 0..1.
 pub fn unit(bits: u64) -> f64 {
     (bits >> 11) as f64 / (1_u64 << 53) as f64
 }
 
-/// Number `counter` of the sequence that SplitMix64 gives for a seed.
+/// Number `counter` of the SplitMix64 sequence of a seed.
 pub fn numbered(seed: u64, counter: u64) -> u64 {
     mix(seed.wrapping_add(counter.wrapping_add(1).wrapping_mul(STEP)))
 }
@@ -100,7 +100,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn streams_are_fixed_by_seed_and_name() {
+    fn stream_depends_on_seed_and_name() {
         let first = |seed, name| SeedStream::named(seed, name).bits();
         assert_eq!(first(1, "sky"), first(1, "sky"));
         assert_ne!(first(1, "sky"), first(2, "sky"));
@@ -108,7 +108,7 @@ mod tests {
     }
 
     #[test]
-    fn the_generator_is_splitmix64() {
+    fn generator_is_splitmix64() {
         // First numbers of the seed 1234567 by Vigna's splitmix64.c.
         let first = [
             6_457_827_717_110_365_317,
@@ -120,7 +120,7 @@ mod tests {
     }
 
     #[test]
-    fn numbers_have_their_distribution() {
+    fn distributions_have_their_moments() {
         let mut stream = SeedStream::named(7, "test");
         let mean = (0..10_000).map(|_| stream.uniform()).sum::<f64>() / 1e4;
         assert!((mean - 0.5).abs() < 0.02, "{mean}");

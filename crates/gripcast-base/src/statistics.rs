@@ -1,9 +1,9 @@
-//! Medians, quantiles, and tests of fractions.
+//! Medians, quantiles, and tests of proportions.
 
 /// Two-sided 95 % quantile of the standard normal distribution.
 const Z: f64 = 1.959_963_984_540_054;
 
-/// The median, the upper of the two in the middle of an even number; `None` without values.
+/// Median; the upper of the two middle values of an even number; `None` without values.
 pub fn median(values: impl IntoIterator<Item = f64>) -> Option<f64> {
     let mut values: Vec<f64> = values.into_iter().collect();
     if values.is_empty() {
@@ -13,14 +13,14 @@ pub fn median(values: impl IntoIterator<Item = f64>) -> Option<f64> {
     Some(*values.select_nth_unstable_by(middle, f64::total_cmp).1)
 }
 
-/// Quantile of sorted numbers, interpolated linearly (Hyndman & Fan 1996, type 7, as NumPy does).
+/// Quantile of sorted numbers with linear interpolation (Hyndman & Fan 1996, type 7, as in NumPy).
 pub fn quantile(sorted: &[f64], fraction: f64) -> Option<f64> {
-    let place = fraction * (sorted.len().checked_sub(1)?) as f64;
+    let position = fraction * (sorted.len().checked_sub(1)?) as f64;
     let (&below, &above) = (
-        sorted.get(place.floor() as usize)?,
-        sorted.get(place.ceil() as usize)?,
+        sorted.get(position.floor() as usize)?,
+        sorted.get(position.ceil() as usize)?,
     );
-    Some(below + (place - place.floor()) * (above - below))
+    Some(below + (position - position.floor()) * (above - below))
 }
 
 /// 95 % interval of the fraction `successes / trials` (Wilson, *Probable Inference*, 1927); 0 to 1
@@ -40,8 +40,8 @@ pub fn wilson_interval(successes: usize, trials: usize) -> [f64; 2] {
     ]
 }
 
-/// Two-sided p of McNemar's exact test: how likely discordant pairs split as unevenly as `a` to
-/// `b`, or more, if both are equally good. 1 without discordant pairs.
+/// Two-sided p-value of McNemar's exact test for `a` and `b` discordant pairs; 1 without discordant
+/// pairs.
 pub fn mcnemar_p(a: usize, b: usize) -> f64 {
     let n = a + b;
     let mut term = 0.5f64.powi(i32::try_from(n).unwrap_or(i32::MAX));
@@ -58,14 +58,14 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_median_of_an_even_number_is_the_upper_one() {
+    fn median_of_even_count_is_the_upper_one() {
         assert_eq!(median([]), None);
         assert_eq!(median([3.0]), Some(3.0));
         assert_eq!(median([4.0, 1.0, 3.0, 2.0]), Some(3.0));
     }
 
     #[test]
-    fn quantiles_are_those_of_numpy() {
+    fn quantiles_match_numpy() {
         let sorted = [1.0, 2.0, 4.0, 8.0];
         // numpy.quantile([1, 2, 4, 8], q)
         assert_eq!(quantile(&sorted, 0.0), Some(1.0));
@@ -77,7 +77,7 @@ mod tests {
 
     /// Against SciPy's `binomtest(k, n).proportion_ci(method="wilson")`.
     #[test]
-    fn wilson_intervals_are_those_of_the_books() {
+    fn wilson_intervals_match_scipy() {
         let check = |successes, trials, expected: [f64; 2]| {
             let found = wilson_interval(successes, trials);
             for (found, expected) in found.iter().zip(expected) {
@@ -92,7 +92,7 @@ mod tests {
     }
 
     #[test]
-    fn mcnemar_is_the_exact_binomial() {
+    fn mcnemar_p_is_the_exact_binomial() {
         assert_eq!(mcnemar_p(0, 0), 1.0);
         assert_eq!(mcnemar_p(3, 3), 1.0);
         assert!((mcnemar_p(5, 0) - 2.0 / 32.0).abs() < 1e-15);

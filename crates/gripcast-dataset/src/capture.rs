@@ -1,4 +1,4 @@
-//! What the engine hands to the writer.
+//! Captured frames and metadata, the input of the writer.
 
 use std::collections::BTreeMap;
 
@@ -11,12 +11,12 @@ use super::grasp::{
     BoardKeys, CameraRecord, OverriddenGuard, PoseRecord, PredictionRecord, SimulatedTruth,
     StageRecord,
 };
-use super::layout::{Stage, approach_name, image_name};
+use super::layout::{Stage, image_name, pre_grasp_name};
 use gripcast_base::error::Result;
 use gripcast_base::files::{ContentKey, FileName, Label, ObjectName};
 use gripcast_imaging::{Frame, Role};
 
-/// One camera's frame with all that is stored about it.
+/// One camera's frame with its stored metadata.
 #[derive(Clone, Debug, PartialEq)]
 pub struct CapturedCamera {
     /// The frame as sent.
@@ -33,9 +33,9 @@ pub struct CapturedCamera {
     pub controls: BTreeMap<String, i64>,
     /// Age of the frame at the trigger, ms.
     pub age_ms: f64,
-    /// Named crop profile, tactile cameras.
+    /// Name of the crop profile; tactile cameras only.
     pub crop_profile: Option<String>,
-    /// Metres per count, depth cameras.
+    /// Metres per count; depth cameras only.
     pub depth_unit_m: Option<f64>,
 }
 
@@ -50,27 +50,27 @@ pub struct StageCapture {
     pub trigger: String,
     /// Cameras by role.
     pub cameras: BTreeMap<Role, CapturedCamera>,
-    /// Further frames of the external camera from before the fingers closed, by time; stored with
-    /// the grasp.
-    pub approach: Vec<CapturedCamera>,
-    /// Gripper relative to the object, where those frames tell.
+    /// Frames of the external camera from before the gripper closed, by time; stored with the
+    /// grasp.
+    pub pre_grasp_frames: Vec<CapturedCamera>,
+    /// Gripper pose in the object's frame, where the pre-grasp frames give one.
     pub pose: Option<Box<PoseRecord>>,
-    /// What a virtual rig knows of the grasp at these frames.
+    /// Ground truth of a virtual rig at these frames.
     pub truth: Option<Box<SimulatedTruth>>,
 }
 
-/// What a grasp record holds besides its frames.
+/// Metadata of a grasp besides its frames.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct GraspMeta {
-    /// What is grasped.
+    /// Object to grasp.
     pub object: ObjectName,
-    /// Where.
+    /// Scene.
     pub scene: Label,
-    /// Who holds the gripper.
+    /// Operator of the gripper.
     pub operator: Label,
     /// Rig file's id.
     pub rig: String,
-    /// The printed markers that the external camera saw.
+    /// Marker boards in view of the external camera.
     pub boards: Option<BoardKeys>,
     /// Prediction shown before the lift.
     pub prediction: Option<PredictionRecord>,
@@ -82,11 +82,11 @@ pub struct GraspMeta {
     pub note: String,
 }
 
-/// A capture in the form it is stored in.
+/// A capture as it is stored.
 pub(super) struct EncodedStage {
     pub(super) record: StageRecord,
-    /// The approach, with the grasp.
-    pub(super) approach: Vec<CameraRecord>,
+    /// Pre-grasp frames; only with the grasp.
+    pub(super) pre_grasp_frames: Vec<CameraRecord>,
     /// Contents by file name.
     pub(super) contents: BTreeMap<FileName, Vec<u8>>,
     /// Digests by file name.
@@ -97,7 +97,7 @@ impl StageCapture {
     /// Encodes the frames that are stored at `stage`.
     ///
     /// # Errors
-    /// `Input` naming the camera whose frame is not what it says.
+    /// `Input` naming the camera whose frame is invalid.
     pub(super) fn encode(&self, stage: Stage) -> Result<EncodedStage> {
         let mut cameras = BTreeMap::new();
         let mut contents = BTreeMap::new();
@@ -113,18 +113,18 @@ impl StageCapture {
             contents.insert(file.clone(), bytes);
             cameras.insert(role, camera.record(file));
         }
-        let mut approach = Vec::new();
+        let mut pre_grasp_frames = Vec::new();
         if stage == Stage::Grasp {
-            for (number, camera) in self.approach.iter().enumerate() {
-                let file = approach_name(number, camera.frame.format);
+            for (number, camera) in self.pre_grasp_frames.iter().enumerate() {
+                let file = pre_grasp_name(number, camera.frame.format);
                 let bytes = encode(&camera.frame).map_err(|e| e.at(&file))?.into_owned();
                 files.insert(file.clone(), digest(&bytes));
                 contents.insert(file.clone(), bytes);
-                approach.push(camera.record(file));
+                pre_grasp_frames.push(camera.record(file));
             }
         }
         Ok(EncodedStage {
-            approach,
+            pre_grasp_frames,
             record: StageRecord {
                 captured_at: self.captured_at.to_string(),
                 trigger_time_ns: self.trigger_time_ns,

@@ -1,11 +1,11 @@
-//! How many grasps there are.
+//! Number of grasps by outcome and object.
 
 use std::collections::BTreeMap;
 
 use super::grasp::Outcome;
 use gripcast_base::files::ObjectName;
 
-/// Grasps by outcome, and by object and outcome.
+/// Number of grasps by outcome, and by object and outcome.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct GraspCounts {
     /// Grasps by outcome.

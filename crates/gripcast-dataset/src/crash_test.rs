@@ -1,5 +1,5 @@
-//! Goes through every file operation of a whole session and lets the process, the power or the
-//! disk fail exactly there.
+//! Injects a fault of the process, the power or the disk into every file operation of a whole
+//! session.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
@@ -17,23 +17,23 @@ use super::{GraspId, Outcome, PendingInitial};
 use gripcast_base::error::{ErrorKind, Result};
 use gripcast_base::files::{BeneathPath, ContentKey};
 
-/// What happens at the chosen operation.
+/// Fault at the chosen operation.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Fault {
-    /// The process dies; what it did stays.
+    /// The process is killed; its changes remain.
     Kill,
-    /// The power fails; names that were not forced to the disk are lost, or the later half of
+    /// The power fails; names that were not flushed are lost, or the later half of
     /// them.
     PowerLoss { all: bool },
-    /// The operation fails for want of space, the next ones succeed.
+    /// The operation fails with a full disk, the next ones succeed.
     FullOnce,
-    /// The disk is full from there on; renaming and removing still work.
+    /// The disk is full from this operation on; renaming and removing still work.
     Full,
-    /// The disk is unplugged from there on.
+    /// The disk is unplugged from this operation on.
     Unplugged,
 }
 
-/// How to take back a change whose name is not on the disk yet.
+/// How to revert a change that was not flushed.
 enum Revert {
     RemoveFile(PathBuf),
     RemoveDir(PathBuf),
@@ -61,7 +61,7 @@ struct State {
     changes: Vec<Change>,
 }
 
-/// A disk that fails at one operation. Files are real, flushing is only noted.
+/// A disk that fails at one operation. Files are real; flushing is only recorded.
 #[derive(Clone)]
 struct FailingDisk(Arc<Mutex<State>>);
 
@@ -103,7 +103,7 @@ impl FailingDisk {
         state.struck = true;
         Err(match fault {
             Fault::FullOnce | Fault::Full => io::ErrorKind::StorageFull.into(),
-            _ => io::Error::other("the disk has gone"),
+            _ => io::Error::other("the disk is unplugged"),
         })
     }
 
@@ -115,7 +115,7 @@ impl FailingDisk {
         self.state().changes.push(Change { unflushed, revert });
     }
 
-    /// Notes a rename, after which directories below `from` are known by their new names.
+    /// Records a rename; directories below `from` get their new names.
     fn note_rename(&self, from: &Path, to: &Path, replaced: Option<Vec<u8>>) {
         for change in &mut self.state().changes {
             let names = std::mem::take(&mut change.unflushed);
@@ -132,7 +132,7 @@ impl FailingDisk {
         self.note(&[from, to], revert);
     }
 
-    /// What the power failure leaves: all names that were not flushed are lost, or the later half.
+    /// Simulates a power failure: loses all names that were not flushed, or the later half.
     fn lose_power(&self, all: bool) {
         let changes = std::mem::take(&mut self.state().changes);
         let unflushed = changes.iter().filter(|c| !c.unflushed.is_empty()).count();
@@ -160,7 +160,7 @@ impl FailingDisk {
     }
 }
 
-/// Where `path` is after a rename of `from` to `to`.
+/// Path of `path` after a rename of `from` to `to`.
 fn moved(path: &Path, from: &Path, to: &Path) -> PathBuf {
     match path.strip_prefix(from) {
         Ok(rest) if rest.as_os_str().is_empty() => to.to_owned(),
@@ -170,7 +170,7 @@ fn moved(path: &Path, from: &Path, to: &Path) -> PathBuf {
 }
 
 impl Revert {
-    /// `now`: where a path of then is now.
+    /// `now`: maps an old path to the current one.
     fn run(self, now: impl Fn(PathBuf) -> PathBuf) {
         match self {
             Self::RemoveFile(path) => fs::remove_file(now(path)).unwrap(),
@@ -205,10 +205,10 @@ impl Disk for FailingDisk {
         if is_new {
             self.note(&[path], Revert::RemoveFile(path.to_owned()));
         }
-        // Out of space or out of life in the middle of the file.
+        // The disk is full or the process killed in the middle of the file.
         self.step(true)?;
         fs::write(path, bytes)?;
-        // The flush: before it the contents are not on the disk.
+        // The flush: before it the contents are not durable.
         self.step(true).inspect_err(|_| {
             if matches!(self.state().fault, Some(Fault::PowerLoss { .. })) {
                 fs::write(path, vec![0; bytes.len()]).unwrap();
@@ -266,12 +266,12 @@ impl Disk for FailingDisk {
     }
 }
 
-/// What an operator knows to be saved.
+/// State acknowledged to the operator.
 #[derive(Clone, Debug, Default, PartialEq)]
-struct Known {
+struct Acknowledged {
     grasps: BTreeMap<GraspId, Outcome>,
     pending: Option<GraspId>,
-    /// Undone grasps, which can be had back.
+    /// Undone grasps, which can be restored.
     undone: BTreeSet<GraspId>,
 }
 
@@ -287,7 +287,7 @@ enum Step {
     Undo,
     Redo,
     Trash,
-    BackFromTrash,
+    RestoreFromTrash,
     Index,
 }
 
@@ -311,14 +311,14 @@ const SESSION: &[Step] = &[
     Step::Initial(6),
     Step::Trash,
     Step::Index,
-    Step::BackFromTrash,
+    Step::RestoreFromTrash,
     Step::Trash,
 ];
 
-/// The operator's side: what was done last, to be undone and redone.
+/// The operator's state, for undo and redo.
 #[derive(Default)]
 struct Operator {
-    known: Known,
+    acknowledged: Acknowledged,
     pending: Option<PendingInitial>,
     discarded: Option<GraspId>,
     last: Option<GraspId>,
@@ -327,7 +327,7 @@ struct Operator {
 }
 
 impl Operator {
-    /// Does one step; only what returned `Ok` is known.
+    /// Does one step; only a step that returns `Ok` is acknowledged.
     fn step(&mut self, writer: &mut DatasetWriter, step: Step) -> Result<()> {
         let at = "2026-11-20T11:00:00Z".parse().unwrap();
         match step {
@@ -354,40 +354,42 @@ impl Operator {
                 let record =
                     writer.save_grasp(self.pending.as_ref().unwrap(), &capture(number), meta)?;
                 self.pending = None;
-                self.known.grasps.insert(record.id.clone(), record.outcome);
+                self.acknowledged
+                    .grasps
+                    .insert(record.id.clone(), record.outcome);
                 self.last = Some(record.id);
             }
             Step::Label(outcome) => {
                 let record = writer.set_outcome(self.last.as_ref().unwrap(), outcome, at)?;
-                self.known.grasps.insert(record.id, record.outcome);
+                self.acknowledged.grasps.insert(record.id, record.outcome);
             }
             Step::Undo => {
                 let id = self.last.clone().unwrap();
                 self.pending = Some(writer.undo_grasp(&id)?);
-                self.known.grasps.remove(&id);
-                self.known.undone.insert(id.clone());
+                self.acknowledged.grasps.remove(&id);
+                self.acknowledged.undone.insert(id.clone());
                 self.undone = Some(id);
             }
             Step::Redo => {
                 let id = self.undone.clone().unwrap();
                 let record = writer.redo_grasp(&id, self.pending.as_ref())?;
                 self.pending = None;
-                self.known.undone.remove(&id);
-                self.known.grasps.insert(id, record.outcome);
+                self.acknowledged.undone.remove(&id);
+                self.acknowledged.grasps.insert(id, record.outcome);
             }
             Step::Trash => {
                 let record = writer.trash_grasp(self.last.as_ref().unwrap())?;
-                self.known.grasps.remove(&record.id);
-                self.known.undone.insert(record.id);
+                self.acknowledged.grasps.remove(&record.id);
+                self.acknowledged.undone.insert(record.id);
             }
-            Step::BackFromTrash => {
+            Step::RestoreFromTrash => {
                 let record = writer.redo_grasp(self.last.as_ref().unwrap(), None)?;
-                self.known.undone.remove(&record.id);
-                self.known.grasps.insert(record.id, record.outcome);
+                self.acknowledged.undone.remove(&record.id);
+                self.acknowledged.grasps.insert(record.id, record.outcome);
             }
             Step::Index => writer.flush_index()?,
         }
-        self.known.pending = self.pending.as_ref().map(|pending| pending.id.clone());
+        self.acknowledged.pending = self.pending.as_ref().map(|pending| pending.id.clone());
         Ok(())
     }
 }
@@ -396,9 +398,9 @@ fn open(disk: &FailingDisk, root: &Path) -> Result<(DatasetWriter, super::OpenRe
     DatasetWriter::open_on(Box::new(disk.clone()), root, &new_dataset())
 }
 
-/// Runs the session until it fails; returns what was known after each acknowledged step.
-fn run_session(disk: &FailingDisk, root: &Path) -> Vec<Known> {
-    let mut history = vec![Known::default()];
+/// Runs the session until it fails; returns the state after each acknowledged step.
+fn run_session(disk: &FailingDisk, root: &Path) -> Vec<Acknowledged> {
+    let mut history = vec![Acknowledged::default()];
     let Ok((mut writer, _)) = open(disk, root) else {
         return history;
     };
@@ -407,13 +409,13 @@ fn run_session(disk: &FailingDisk, root: &Path) -> Vec<Known> {
         if operator.step(&mut writer, step).is_err() {
             break;
         }
-        history.push(operator.known.clone());
+        history.push(operator.acknowledged.clone());
     }
     history
 }
 
-/// What a fresh start finds; also holds every file against its digest.
-fn found(disk: &FailingDisk, root: &Path, context: &str) -> Known {
+/// State after a restart; also checks every file against its digest.
+fn found(disk: &FailingDisk, root: &Path, context: &str) -> Acknowledged {
     let (writer, report) =
         open(disk, root).unwrap_or_else(|e| panic!("{context}: cannot open again: {e}"));
     let layout = Layout::new(root);
@@ -422,7 +424,7 @@ fn found(disk: &FailingDisk, root: &Path, context: &str) -> Known {
         .grasps()
         .unwrap()
         .map(|record| {
-            let record = record.unwrap_or_else(|e| panic!("{context}: half grasp: {e}"));
+            let record = record.unwrap_or_else(|e| panic!("{context}: incomplete grasp: {e}"));
             (record.id, record.outcome)
         })
         .collect();
@@ -434,7 +436,7 @@ fn found(disk: &FailingDisk, root: &Path, context: &str) -> Known {
         assert_eq!(
             frames.len(),
             3,
-            "{context}: both gels and the colour camera come back"
+            "{context}: both gels and the colour camera"
         );
     }
     drop(writer);
@@ -446,14 +448,14 @@ fn found(disk: &FailingDisk, root: &Path, context: &str) -> Known {
         .filter_map(|name| GraspId::parse(&name).ok())
         .filter(|id| super::record_file::read_grasp(&layout.trashed(id)).is_ok())
         .collect();
-    Known {
+    Acknowledged {
         grasps,
         pending: report.pending.map(|pending| pending.id),
         undone,
     }
 }
 
-fn whole_session() -> (usize, Vec<Known>) {
+fn whole_session() -> (usize, Vec<Acknowledged>) {
     let dir = tempfile::tempdir().unwrap();
     let disk = FailingDisk::new(0, None);
     let history = run_session(&disk, &dir.path().join("d"));
@@ -461,11 +463,11 @@ fn whole_session() -> (usize, Vec<Known>) {
     (disk.count(), history)
 }
 
-/// The state is the last acknowledged one, or the one after the step that was under way.
+/// Asserts that the state is the last acknowledged one, or the one after the step in progress.
 fn assert_nothing_lost(
-    known: &Known,
+    known: &Acknowledged,
     acknowledged: usize,
-    history: &[Known],
+    history: &[Acknowledged],
     undone_may_grow: bool,
     context: &str,
 ) {
@@ -484,7 +486,7 @@ fn assert_nothing_lost(
 }
 
 #[test]
-fn no_crash_loses_an_acknowledged_step_or_shows_half_a_grasp() {
+fn crash_keeps_acknowledged_steps_and_no_partial_grasp() {
     let (operations, history) = whole_session();
     assert!(operations > 150, "only {operations} operations");
     for fault in [
@@ -510,7 +512,7 @@ fn no_crash_loses_an_acknowledged_step_or_shows_half_a_grasp() {
 }
 
 #[test]
-fn a_crash_while_recovering_from_a_crash_loses_nothing() {
+fn crash_during_recovery_loses_nothing() {
     let (operations, history) = whole_session();
     for at in 0..operations {
         for second in 0.. {
@@ -539,7 +541,7 @@ fn a_crash_while_recovering_from_a_crash_loses_nothing() {
 }
 
 #[test]
-fn a_failed_step_changes_nothing_and_can_be_tried_again() {
+fn failed_step_changes_nothing_and_can_be_retried() {
     let (operations, history) = whole_session();
     for at in 0..operations {
         let context = format!("no space at operation {at}");
@@ -564,14 +566,14 @@ fn a_failed_step_changes_nothing_and_can_be_tried_again() {
         drop(writer);
         let known = found(&FailingDisk::new(0, None), &root, &context);
         let last = history.last().unwrap();
-        let outcomes = |known: &Known| known.grasps.values().copied().collect::<Vec<_>>();
+        let outcomes = |known: &Acknowledged| known.grasps.values().copied().collect::<Vec<_>>();
         assert_eq!(outcomes(&known), outcomes(last), "{context}");
         assert_eq!(known.pending.is_some(), last.pending.is_some(), "{context}");
     }
 }
 
 #[test]
-fn a_full_disk_keeps_what_was_saved_and_can_be_opened() {
+fn full_disk_keeps_saved_grasps_and_can_be_opened() {
     let (operations, history) = whole_session();
     for at in 0..operations {
         let context = format!("disk full from operation {at}");

@@ -1,4 +1,4 @@
-//! Damages a dataset in every way that verification knows, then recovers it.
+//! Damages a dataset in every way that verification detects, then recovers it.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 
 use super::sample::{capture, meta, new_dataset};
 use super::{
-    ActionKind, Dataset, DatasetWriter, GraspId, Outcome, ProblemKind, RecoverReport, SplitBy,
+    ActionKind, Dataset, DatasetWriter, GraspId, GroupKey, Outcome, ProblemKind, RecoverReport,
     SplitPlan, recover, split, verify,
 };
 use gripcast_base::error::ErrorKind;
@@ -55,7 +55,7 @@ fn kinds(report: &RecoverReport) -> BTreeSet<ActionKind> {
     report.actions.iter().map(|action| action.kind).collect()
 }
 
-/// All files with their contents.
+/// Contents of all files.
 fn contents(dir: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
     let mut files = BTreeMap::new();
     let mut dirs = vec![dir.to_owned()];
@@ -72,7 +72,7 @@ fn contents(dir: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
     files
 }
 
-/// Damages a dataset, expects `found`, recovers; returns what recovery did and the dataset.
+/// Damages a dataset, expects the problems `found`, recovers; returns the report and the dataset.
 fn damaged(
     found: &[ProblemKind],
     damage: impl FnOnce(&Path, &[GraspId]),
@@ -98,7 +98,7 @@ fn damaged(
 }
 
 #[test]
-fn a_missing_image_costs_its_grasp_alone() {
+fn missing_image_loses_only_its_grasp() {
     let (report, dir, ids) = damaged(&[ProblemKind::MissingFile], |root, ids| {
         fs::remove_file(root.join(format!("grasps/{}/grasp.left.jpg", ids[1]))).unwrap()
     });
@@ -109,7 +109,7 @@ fn a_missing_image_costs_its_grasp_alone() {
 }
 
 #[test]
-fn an_altered_image_costs_its_grasp_alone() {
+fn altered_image_loses_only_its_grasp() {
     let (report, ..) = damaged(&[ProblemKind::Altered], |root, ids| {
         let path = root.join(format!("grasps/{}/initial.right.jpg", ids[0]));
         let mut bytes = fs::read(&path).unwrap();
@@ -121,7 +121,7 @@ fn an_altered_image_costs_its_grasp_alone() {
 }
 
 #[test]
-fn a_torn_record_is_made_again_with_what_the_index_knows() {
+fn torn_record_is_rebuilt_from_the_index() {
     let (report, dir, ids) = damaged(
         &[ProblemKind::UnreadableRecord, ProblemKind::Index],
         |root, ids| {
@@ -140,7 +140,7 @@ fn a_torn_record_is_made_again_with_what_the_index_knows() {
 }
 
 #[test]
-fn a_record_of_the_wrong_shape_keeps_what_it_says() {
+fn invalid_record_keeps_its_valid_fields() {
     let (_, dir, ids) = damaged(
         &[ProblemKind::UnreadableRecord, ProblemKind::Index],
         |root, ids| {
@@ -156,7 +156,7 @@ fn a_record_of_the_wrong_shape_keeps_what_it_says() {
 }
 
 #[test]
-fn a_renamed_directory_gets_its_name_back() {
+fn renamed_directory_is_renamed_back() {
     let (report, dir, ids) = damaged(
         &[ProblemKind::IdMismatch, ProblemKind::Index],
         |root, ids| {
@@ -170,7 +170,7 @@ fn a_renamed_directory_gets_its_name_back() {
 }
 
 #[test]
-fn a_copied_grasp_is_set_aside() {
+fn copied_grasp_is_moved_to_trash() {
     let (report, ..) = damaged(
         &[
             ProblemKind::DuplicateId,
@@ -191,7 +191,7 @@ fn a_copied_grasp_is_set_aside() {
 }
 
 #[test]
-fn strays_and_torn_saves_are_set_aside() {
+fn extra_files_and_torn_saves_are_moved_to_trash() {
     let (report, ..) = damaged(&[ProblemKind::ExtraFile, ProblemKind::Torn], |root, ids| {
         fs::write(root.join(format!("grasps/{}/notes.txt", ids[0])), "mine").unwrap();
         fs::write(root.join("grasps/readme.txt"), "also mine").unwrap();
@@ -210,7 +210,7 @@ fn strays_and_torn_saves_are_set_aside() {
 }
 
 #[test]
-fn a_torn_index_is_written_again() {
+fn torn_index_is_rewritten() {
     let (report, ..) = damaged(&[ProblemKind::Index], |root, _| {
         let path = root.join("metadata.jsonl");
         let bytes = fs::read(&path).unwrap();
@@ -220,7 +220,7 @@ fn a_torn_index_is_written_again() {
 }
 
 #[test]
-fn a_lost_description_is_written_again() {
+fn missing_descriptor_is_rewritten() {
     let (report, dir, _) = damaged(&[ProblemKind::Descriptor], |root, _| {
         fs::remove_file(root.join("dataset.toml")).unwrap();
     });
@@ -230,7 +230,7 @@ fn a_lost_description_is_written_again() {
 }
 
 #[test]
-fn a_frozen_camera_shows() {
+fn frozen_camera_is_reported() {
     let dir = tempfile::tempdir().unwrap();
     let (mut writer, _) = DatasetWriter::open_or_create(dir.path(), &new_dataset()).unwrap();
     let initial = capture(1);
@@ -250,7 +250,7 @@ fn a_frozen_camera_shows() {
 }
 
 #[test]
-fn an_image_that_came_damaged_shows() {
+fn image_damaged_by_the_camera_is_reported() {
     let dir = tempfile::tempdir().unwrap();
     let (mut writer, _) = DatasetWriter::open_or_create(dir.path(), &new_dataset()).unwrap();
     let mut initial = capture(1);
@@ -266,7 +266,7 @@ fn an_image_that_came_damaged_shows() {
 }
 
 #[test]
-fn altered_and_missing_calibrations_show() {
+fn altered_and_missing_calibrations_are_reported() {
     let (dir, _) = dataset();
     let path = fs::read_dir(dir.path().join("calibration"))
         .unwrap()
@@ -281,11 +281,11 @@ fn altered_and_missing_calibrations_show() {
 }
 
 #[test]
-fn a_split_is_clean_until_an_object_leaks() {
+fn object_in_two_splits_is_a_leak() {
     let (dir, ids) = dataset();
     let plan = SplitPlan {
         name: "fold".into(),
-        by: SplitBy::Object,
+        by: GroupKey::Object,
         seed: 3,
         fractions: BTreeMap::from([("train".into(), 0.5), ("test".into(), 0.5)]),
     };
@@ -295,10 +295,10 @@ fn a_split_is_clean_until_an_object_leaks() {
     assert_eq!(problems(dir.path()), BTreeSet::new());
     let path = dir.path().join("splits/fold.json");
     let text = fs::read_to_string(&path).unwrap();
-    // A grasp of the training part turns out to show an object of the test part.
+    // A grasp of the training split is relabelled with an object of the test split.
     let object = |id: &GraspId| dataset.grasp(id).unwrap().object;
-    let train = file.parts["train"].grasps.first().unwrap();
-    let test = file.parts["test"].grasps.first().unwrap();
+    let train = file.splits["train"].grasps.first().unwrap();
+    let test = file.splits["test"].grasps.first().unwrap();
     let record = dir.path().join(format!("grasps/{train}/grasp.json"));
     let json = fs::read_to_string(&record).unwrap();
     let changed = json.replace(
@@ -317,7 +317,7 @@ fn a_split_is_clean_until_an_object_leaks() {
 }
 
 #[test]
-fn frames_come_back_as_they_were_sent() {
+fn loaded_frames_equal_sent_frames() {
     let (dir, ids) = dataset();
     let dataset = Dataset::open(dir.path()).unwrap();
     let record = dataset.grasp(&ids[0]).unwrap();
@@ -338,20 +338,22 @@ fn frames_come_back_as_they_were_sent() {
         decoder.decode_full(&sent.cameras[&colour].frame).unwrap(),
     );
     let path = dataset
-        .path_of(&record, super::Stage::Grasp, colour)
+        .image_path(&record, super::Stage::Grasp, colour)
         .unwrap();
     assert!(
         path.shown()
             .ends_with(format!("grasps/{}/grasp.rgb.png", ids[0]))
     );
     let depth = Role::Depth;
-    assert_eq!(dataset.path_of(&record, super::Stage::Initial, depth), None);
+    assert_eq!(
+        dataset.image_path(&record, super::Stage::Initial, depth),
+        None
+    );
 }
 
-/// A gel whose camera sends YUYV reaches inference after the initial trigger and after a restart
-/// with the same pixels as the live frame.
+/// YUYV frames reach inference with the same pixels live and after a restart.
 #[test]
-fn initial_frames_of_yuyv_gels_decode_as_they_did_live() {
+fn stored_yuyv_frames_decode_like_live_frames() {
     let dir = tempfile::tempdir().unwrap();
     let mut sent = capture(1);
     for (role, salt) in [(Role::Left, 7_u8), (Role::Right, 11)] {
@@ -380,20 +382,20 @@ fn initial_frames_of_yuyv_gels_decode_as_they_did_live() {
 }
 
 #[test]
-fn what_is_not_there_is_an_error_not_a_panic() {
+fn missing_items_are_errors_not_panics() {
     let (dir, ids) = dataset();
     let (mut writer, report) = DatasetWriter::open_or_create(dir.path(), &new_dataset()).unwrap();
     assert_eq!(report.counts.by_object["mug"][&Outcome::Slip], 1);
     assert!(writer.free_bytes().unwrap() > 0);
     let at = "2026-11-20T12:00:00Z".parse().unwrap();
-    let nobody = GraspId::parse("2020-01-01T00-00-00Z-0000").unwrap();
+    let missing = GraspId::parse("2020-01-01T00-00-00Z-0000").unwrap();
     let pending = writer.save_initial(&capture(20), Vec::new()).unwrap();
     for error in [
-        writer.set_outcome(&nobody, Outcome::Slip, at).unwrap_err(),
-        writer.undo_grasp(&nobody).unwrap_err(),
-        writer.trash_grasp(&nobody).unwrap_err(),
-        writer.redo_grasp(&nobody, None).unwrap_err(),
-        writer.restore_initial(&nobody).unwrap_err(),
+        writer.set_outcome(&missing, Outcome::Slip, at).unwrap_err(),
+        writer.undo_grasp(&missing).unwrap_err(),
+        writer.trash_grasp(&missing).unwrap_err(),
+        writer.redo_grasp(&missing, None).unwrap_err(),
+        writer.restore_initial(&missing).unwrap_err(),
     ] {
         assert_eq!(error.kind(), ErrorKind::NotFound, "{error}");
     }
@@ -418,7 +420,7 @@ fn what_is_not_there_is_an_error_not_a_panic() {
 }
 
 #[test]
-fn places_that_hold_no_dataset_are_refused() {
+fn directories_without_a_dataset_are_refused() {
     let dir = tempfile::tempdir().unwrap();
     let refused = |path: &Path| {
         DatasetWriter::open_or_create(path, &new_dataset())
@@ -445,7 +447,7 @@ fn places_that_hold_no_dataset_are_refused() {
 }
 
 #[test]
-fn the_second_writer_is_told_who_the_first_is() {
+fn second_writer_error_names_the_first() {
     let (dir, _) = dataset();
     let _first = DatasetWriter::open_or_create(dir.path(), &new_dataset()).unwrap();
     let Err(error) = DatasetWriter::open_or_create(dir.path(), &new_dataset()) else {
@@ -454,5 +456,5 @@ fn the_second_writer_is_told_who_the_first_is() {
     assert_eq!(error.kind(), ErrorKind::Busy);
     assert!(error.to_string().contains(&std::process::id().to_string()));
     let notes = verify(dir.path(), &|_, _| {}).unwrap().notes;
-    assert!(notes[0].contains("writes the dataset now"), "{notes:?}");
+    assert!(notes[0].contains("is writing the dataset"), "{notes:?}");
 }

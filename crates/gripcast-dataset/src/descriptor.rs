@@ -1,4 +1,4 @@
-//! `dataset.toml`: what a dataset says about itself.
+//! `dataset.toml`: the description of a dataset.
 
 use std::io;
 
@@ -9,14 +9,14 @@ use super::schema::{SCHEMA_VERSION, check_schema};
 use gripcast_base::error::{Error, Result};
 use gripcast_base::files::FileKind;
 
-/// What a new dataset is to say about itself.
+/// Description of a new dataset.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct NewDataset {
-    /// Name.
+    /// Name of the dataset.
     pub name: String,
-    /// Id of the rig that it is collected with.
+    /// Id of the rig that collects it.
     pub rig: String,
-    /// Licence of the data, an SPDX expression where there is one.
+    /// Licence of the data, an SPDX expression if possible.
     pub licence: String,
     /// What `stable` and `slip` mean here.
     pub label_definition: String,
@@ -28,15 +28,15 @@ pub struct NewDataset {
 pub struct Descriptor {
     /// Version of the dataset format.
     pub schema: u32,
-    /// Name.
+    /// Name of the dataset.
     pub name: String,
-    /// Id of the rig that it was begun with; each grasp names its own.
+    /// Id of the rig that created it; each grasp names its own.
     pub rig: String,
     /// Licence of the data.
     pub licence: String,
     /// What `stable` and `slip` mean here.
     pub label_definition: String,
-    /// `gripcast <version>` that made the dataset.
+    /// `gripcast <version>` that created the dataset.
     pub software: String,
 }
 
@@ -44,7 +44,7 @@ pub struct Descriptor {
 pub(super) const SOFTWARE: &str = concat!("gripcast ", env!("CARGO_PKG_VERSION"));
 
 impl Descriptor {
-    /// The description of a new dataset.
+    /// Adds schema and software to the description of a new dataset.
     pub(super) fn new(new: &NewDataset) -> Self {
         Self {
             schema: SCHEMA_VERSION,
@@ -64,7 +64,7 @@ impl Descriptor {
     /// Reads the description.
     ///
     /// # Errors
-    /// `NotFound` without a dataset there, `Input` when it is unreadable or of a newer version.
+    /// `NotFound` where there is no dataset, `Input` when it is unreadable or of a newer version.
     pub(super) fn read(layout: &Layout) -> Result<Self> {
         let path = layout.dataset_toml();
         let text = path
@@ -77,10 +77,10 @@ impl Descriptor {
         let unreadable = |e: toml::de::Error| {
             Error::input("cannot read the dataset's description")
                 .because(e)
-                .remedy("correct the line that is named, or restore the file from a copy")
+                .remedy("correct the line, or restore the file from a backup")
         };
         let table: toml::Table = text.parse().map_err(unreadable)?;
-        // The version decides whether the other keys mean what we think.
+        // The version is checked first: other versions may have other keys.
         if let Some(schema) = table.get("schema").and_then(toml::Value::as_integer) {
             check_schema(schema)?;
         }
@@ -92,21 +92,21 @@ fn not_readable(layout: &Layout, error: io::Error) -> Error {
     let root = layout.root();
     if error.kind() == io::ErrorKind::NotFound {
         return if !root.exists() {
-            Error::not_found("there is no such dataset")
-                .remedy("check the path; `gripcast collect --dataset DIR` begins a new one")
+            Error::not_found("dataset not found")
+                .remedy("check the path; `gripcast collect --dataset DIR` creates a new one")
         } else if layout.grasps().is_dir() {
-            Error::not_found("the dataset lacks its dataset.toml").remedy(format!(
-                "`gripcast dataset recover {}` writes it again",
+            Error::not_found("dataset.toml is missing").remedy(format!(
+                "run `gripcast dataset recover {}` to write it again",
                 root.display()
             ))
         } else {
-            Error::not_found("this is not a dataset: it has no dataset.toml")
-                .remedy("give the directory that holds dataset.toml and grasps/")
+            Error::not_found("not a dataset: dataset.toml not found")
+                .remedy("give the directory that contains dataset.toml and grasps/")
         }
         .at(root.display());
     }
     if error.kind() == io::ErrorKind::NotADirectory {
-        return Error::input("this is a file, not a dataset's directory").at(root.display());
+        return Error::input("expected a dataset directory, found a file").at(root.display());
     }
     Error::io("cannot read the dataset's description", error).at(layout.dataset_toml().display())
 }
@@ -120,18 +120,18 @@ mod tests {
             name: "kitchen".into(),
             rig: "bench-1".into(),
             licence: "CC-BY-4.0".into(),
-            label_definition: "stable = still held 3 s after the lift".into(),
+            label_definition: "stable = still in the gripper 3 s after the lift".into(),
         })
     }
 
     #[test]
-    fn reads_what_it_writes() {
+    fn descriptor_round_trips() {
         let text = descriptor().to_toml().unwrap();
         assert_eq!(Descriptor::parse(&text).unwrap(), descriptor());
     }
 
     #[test]
-    fn a_newer_version_is_explained_before_its_unknown_keys() {
+    fn newer_version_is_reported_before_unknown_keys() {
         let text = "schema = 2\nsurprise = true\n";
         let error = Descriptor::parse(text).unwrap_err().to_string();
         assert!(
@@ -141,7 +141,7 @@ mod tests {
     }
 
     #[test]
-    fn unknown_keys_and_nonsense_are_refused() {
+    fn unknown_keys_and_invalid_toml_are_refused() {
         let text = descriptor().to_toml().unwrap() + "colour = \"red\"\n";
         let error = Descriptor::parse(&text).unwrap_err().to_string();
         assert!(error.contains("colour"), "{error}");

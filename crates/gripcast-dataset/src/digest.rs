@@ -1,4 +1,4 @@
-//! Size and sha256 of a file, by which it is known.
+//! Size and sha256 of a stored file.
 
 use serde::{Deserialize, Serialize};
 
@@ -14,7 +14,7 @@ pub struct FileDigest {
     pub sha256: String,
 }
 
-/// Digest of a file's contents.
+/// Computes the digest of a file's contents.
 pub(super) fn digest(bytes: &[u8]) -> FileDigest {
     FileDigest {
         bytes: bytes.len() as u64,
@@ -28,7 +28,7 @@ mod tests {
     use gripcast_base::files::ContentKey;
 
     #[test]
-    fn digests_agree_with_sha256sum() {
+    fn digest_agrees_with_sha256sum() {
         assert_eq!(
             digest(b"abc"),
             FileDigest {
@@ -36,6 +36,6 @@ mod tests {
                 sha256: "ba7816bf8f01cfea414140de5dae2223b00361a396177a9cb410ff61f20015ad".into(),
             }
         );
-        assert_eq!(ContentKey::of(b"abc"), "ba7816bf8f01");
+        assert_eq!(ContentKey::from_contents(b"abc"), "ba7816bf8f01");
     }
 }

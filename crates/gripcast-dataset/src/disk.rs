@@ -1,77 +1,62 @@
-//! The few file operations that the writer is made of, so that tests can fail any one of them.
+//! File operations of the writer behind a trait, so that tests can inject faults.
 
 use std::io;
 
 use gripcast_base::files::{BeneathPath, Component};
 
-/// Operations on the disk that change it, all below the dataset's root.
+/// Operations that change the disk, all below the dataset's root. The default methods are those
+/// of the operating system.
 pub(super) trait Disk: Send {
-    /// Makes a directory whose parent exists.
-    fn create_dir(&self, path: &BeneathPath) -> io::Result<()>;
+    /// Creates a directory whose parent exists.
+    fn create_dir(&self, path: &BeneathPath) -> io::Result<()> {
+        path.create_dir()
+    }
 
-    /// Writes a file whole, replacing what was there, and forces its contents to the disk.
+    /// Writes a complete file, replacing an existing one, and flushes its contents to the disk.
     /// The name is durable only after [`Disk::sync_dir`] of the directory.
-    fn write(&self, path: &BeneathPath, bytes: &[u8]) -> io::Result<()>;
+    fn write(&self, path: &BeneathPath, bytes: &[u8]) -> io::Result<()> {
+        path.write(bytes)
+    }
 
-    /// Gives a file a second name; its contents are shared.
-    fn link(&self, from: &BeneathPath, to: &BeneathPath) -> io::Result<()>;
+    /// Creates a hard link.
+    fn link(&self, from: &BeneathPath, to: &BeneathPath) -> io::Result<()> {
+        from.hard_link(to)
+    }
 
-    /// Renames, replacing a file that has the new name.
-    fn rename(&self, from: &BeneathPath, to: &BeneathPath) -> io::Result<()>;
+    /// Renames, replacing an existing file.
+    fn rename(&self, from: &BeneathPath, to: &BeneathPath) -> io::Result<()> {
+        from.rename(to)
+    }
 
-    /// Renames; fails with `AlreadyExists` where the new name is taken.
-    fn rename_new(&self, from: &BeneathPath, to: &BeneathPath) -> io::Result<()>;
+    /// Renames; fails with `AlreadyExists` where the target exists.
+    fn rename_new(&self, from: &BeneathPath, to: &BeneathPath) -> io::Result<()> {
+        from.rename_new(to)
+    }
 
     /// Removes a file.
-    fn remove_file(&self, path: &BeneathPath) -> io::Result<()>;
+    fn remove_file(&self, path: &BeneathPath) -> io::Result<()> {
+        path.remove_file()
+    }
 
     /// Removes an empty directory.
-    fn remove_dir(&self, path: &BeneathPath) -> io::Result<()>;
+    fn remove_dir(&self, path: &BeneathPath) -> io::Result<()> {
+        path.remove_dir()
+    }
 
-    /// Forces the names inside a directory to the disk.
-    fn sync_dir(&self, path: &BeneathPath) -> io::Result<()>;
+    /// Flushes the directory entries to the disk.
+    fn sync_dir(&self, path: &BeneathPath) -> io::Result<()> {
+        path.sync_dir()
+    }
 }
 
 /// The operating system's disk.
 #[derive(Debug)]
 pub(super) struct SystemDisk;
 
-impl Disk for SystemDisk {
-    fn create_dir(&self, path: &BeneathPath) -> io::Result<()> {
-        path.create_dir()
-    }
+impl Disk for SystemDisk {}
 
-    fn write(&self, path: &BeneathPath, bytes: &[u8]) -> io::Result<()> {
-        path.write(bytes)
-    }
-
-    fn link(&self, from: &BeneathPath, to: &BeneathPath) -> io::Result<()> {
-        from.hard_link(to)
-    }
-
-    fn rename(&self, from: &BeneathPath, to: &BeneathPath) -> io::Result<()> {
-        from.rename(to)
-    }
-
-    fn rename_new(&self, from: &BeneathPath, to: &BeneathPath) -> io::Result<()> {
-        from.rename_new(to)
-    }
-
-    fn remove_file(&self, path: &BeneathPath) -> io::Result<()> {
-        path.remove_file()
-    }
-
-    fn remove_dir(&self, path: &BeneathPath) -> io::Result<()> {
-        path.remove_dir()
-    }
-
-    fn sync_dir(&self, path: &BeneathPath) -> io::Result<()> {
-        path.sync_dir()
-    }
-}
-
-/// Replaces `dir/name` as a whole: temporary file, flush, rename, flush of the directory.
-/// Readers see the old contents or the new, never a part.
+/// Replaces `dir/name` atomically: temporary file, flush, rename, flush of the directory.
+/// Readers see either the old or the new contents.
 pub(super) fn replace(
     disk: &dyn Disk,
     dir: &BeneathPath,
@@ -83,24 +68,24 @@ pub(super) fn replace(
         .write(&partial, bytes)
         .and_then(|()| disk.rename(&partial, &dir.join(&name)));
     if let Err(error) = written {
-        // The cause is what the caller reports; what stays here is recognised by its name.
+        // The caller reports the cause; a leftover is recognised by its name.
         let _ = disk.remove_file(&partial);
         return Err(error);
     }
     disk.sync_dir(dir)
 }
 
-/// Where a file is written before it gets its name.
+/// Temporary path of a file that is being written.
 pub(super) fn partial_of(dir: &BeneathPath, name: &impl Component) -> BeneathPath {
     dir.join_affixed(".", name, ".partial")
 }
 
-/// Name under which a file is written before it gets its own.
+/// Temporary name of a file that is being written.
 pub(super) fn partial_name(name: &str) -> String {
     format!(".{name}.partial")
 }
 
-/// Whether a file has a name given by [`partial_name`].
+/// Whether a name is one of [`partial_name`].
 pub(super) fn is_partial(name: &str) -> bool {
     name.starts_with('.') && name.ends_with(".partial")
 }

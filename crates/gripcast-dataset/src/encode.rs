@@ -1,4 +1,4 @@
-//! How a frame becomes the bytes of its file.
+//! Encodes frames for storage.
 
 use std::borrow::Cow;
 
@@ -10,14 +10,14 @@ use gripcast_imaging::{
     encode_png_rgb,
 };
 
-/// Bytes to store: a JPEG exactly as the camera sent it, raw formats as PNG (YUYV as the RGB
-/// image that it decodes to).
+/// Returns the bytes to store: a JPEG exactly as the camera sent it, raw formats as PNG (YUYV as
+/// the RGB image that it decodes to).
 ///
 /// # Errors
-/// `Input` when the payload does not fit the frame's size.
+/// `Input` when the payload does not match the frame's size.
 pub(super) fn encode(frame: &Frame) -> Result<Cow<'_, [u8]>> {
     if frame.data.is_empty() {
-        return Err(Error::input("the frame is empty"));
+        return Err(Error::input("empty frame"));
     }
     Ok(match frame.format {
         PixelFormat::Mjpg => Cow::Borrowed(&frame.data),
@@ -28,7 +28,8 @@ pub(super) fn encode(frame: &Frame) -> Result<Cow<'_, [u8]>> {
         PixelFormat::Grey => {
             check_structure(frame)?;
             let image = GrayImage::from_raw(frame.width, frame.height, frame.data.to_vec());
-            let image = image.ok_or_else(|| Error::internal("a checked frame has no size"))?;
+            let image =
+                image.ok_or_else(|| Error::internal("a checked frame has an invalid size"))?;
             encode_png_grey8(&image)?.into()
         }
     })
@@ -52,14 +53,14 @@ mod tests {
     }
 
     #[test]
-    fn jpeg_bytes_are_kept_as_sent() {
+    fn jpeg_is_stored_as_sent() {
         let sent = vec![0xff, 0xd8, 1, 2, 3, 0xff, 0xd9, 0, 0];
         let frame = frame(PixelFormat::Mjpg, 4, 4, sent.clone());
         assert_eq!(encode(&frame).unwrap().as_ref(), sent);
     }
 
     #[test]
-    fn depth_counts_survive() {
+    fn depth_counts_are_preserved() {
         let counts: Vec<u16> = vec![0, 1, 255, 256, 1234, 65_535];
         let data = counts.iter().flat_map(|c| c.to_le_bytes()).collect();
         let png = encode(&frame(PixelFormat::Z16, 3, 2, data))
@@ -70,7 +71,7 @@ mod tests {
     }
 
     #[test]
-    fn yuyv_colours_are_those_of_bt601() {
+    fn yuyv_decodes_as_bt601() {
         // Studio white, black, red and blue (ITU-R BT.601 colour bars), one pair each.
         let data = vec![
             235, 128, 235, 128, 16, 128, 16, 128, 81, 90, 81, 240, 41, 240, 41, 110,
@@ -90,7 +91,7 @@ mod tests {
     }
 
     #[test]
-    fn a_short_payload_is_refused() {
+    fn short_payload_is_refused() {
         let error = encode(&frame(PixelFormat::Z16, 4, 4, vec![0; 31])).unwrap_err();
         assert_eq!(error.kind(), ErrorKind::Input);
         assert!(error.to_string().contains("32 bytes, found 31"), "{error}");

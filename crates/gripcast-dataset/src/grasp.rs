@@ -1,4 +1,4 @@
-//! What `grasp.json` holds.
+//! Contents of `grasp.json`.
 
 use std::collections::BTreeMap;
 use std::fmt;
@@ -14,9 +14,9 @@ use gripcast_base::files::{ContentKey, FileName, GraspId, Label, ObjectName};
 use gripcast_geometry::Pose;
 use gripcast_imaging::{PixelFormat, Role};
 
-/// A unit quaternion's length may be off by this.
+/// Tolerance of a unit quaternion's norm.
 const UNIT_TOLERANCE: f64 = 1e-3;
-/// The only frame that a pose is in.
+/// The only valid frame of a pose.
 const POSE_FRAME: &str = "t_object_gripper";
 
 /// Whether the object stayed in the gripper during the lift.
@@ -36,17 +36,17 @@ const POSE_FRAME: &str = "t_object_gripper";
 )]
 #[serde(rename_all = "lowercase")]
 pub enum Outcome {
-    /// It held.
+    /// The object stayed in the gripper.
     Stable,
-    /// It slipped or fell.
+    /// The object slipped or fell.
     Slip,
-    /// Not said yet.
+    /// Not labelled yet.
     #[default]
     Unlabelled,
 }
 
 impl Outcome {
-    /// The outcome of this name, if there is one.
+    /// Parses the name of an outcome.
     #[must_use]
     pub fn by_name(name: &str) -> Option<Self> {
         match name {
@@ -68,7 +68,7 @@ impl fmt::Display for Outcome {
     }
 }
 
-/// One grasp; keys are sorted in the file.
+/// Record of one grasp; keys are sorted in the file.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct GraspRecord {
@@ -76,11 +76,11 @@ pub struct GraspRecord {
     pub schema: u32,
     /// Key of the grasp; equals the directory's name.
     pub id: GraspId,
-    /// What is grasped.
+    /// Object to grasp.
     pub object: ObjectName,
-    /// Where.
+    /// Scene.
     pub scene: Label,
-    /// Who holds the gripper.
+    /// Operator of the gripper.
     pub operator: Label,
     /// Rig file's id.
     pub rig: String,
@@ -88,16 +88,16 @@ pub struct GraspRecord {
     pub software: String,
     /// Outcome of the lift.
     pub outcome: Outcome,
-    /// When the outcome was given, RFC 3339 UTC.
+    /// Time of the label, RFC 3339 UTC.
     pub labelled_at: Option<String>,
-    /// Before the gripper closed.
+    /// Frames before the gripper closed.
     pub initial: StageRecord,
-    /// After it closed, before the lift.
+    /// Frames after the gripper closed, before the lift.
     pub grasp: StageRecord,
-    /// Further frames of the external camera from before the fingers closed, by time.
-    #[serde(default, skip_serializing_if = "Vec::is_empty")]
-    pub approach: Vec<CameraRecord>,
-    /// Gripper relative to the object, where annotated.
+    /// Frames of the external camera from before the gripper closed, by time; key `approach`.
+    #[serde(rename = "approach", default, skip_serializing_if = "Vec::is_empty")]
+    pub pre_grasp_frames: Vec<CameraRecord>,
+    /// Gripper pose in the object's frame, where annotated.
     pub pose: Option<PoseRecord>,
     /// Prediction shown at the grasp trigger, before the lift.
     pub prediction: Option<PredictionRecord>,
@@ -105,28 +105,28 @@ pub struct GraspRecord {
     pub overridden_guards: Vec<OverriddenGuard>,
     /// First 12 hex digits of the calibration's sha256, by role; file `calibration/<sha12>.toml`.
     pub calibration: BTreeMap<Role, ContentKey>,
-    /// The printed markers that the external camera saw, where they are known.
+    /// Marker boards in view of the external camera, where known.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub boards: Option<BoardKeys>,
     /// Digest of each image file of the grasp, by file name.
     pub files: BTreeMap<FileName, FileDigest>,
     /// Free text.
     pub note: String,
-    /// What the simulator knows, where the frames are those of a virtual rig.
+    /// Ground truth; virtual rigs only.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub truth: Option<SimulatedTruth>,
 }
 
 impl GraspRecord {
-    /// Reads the bytes of a `grasp.json`.
+    /// Parses a `grasp.json`.
     ///
     /// # Errors
-    /// `Input` when they are no record of this version.
+    /// `Input` when it is not a valid record of this version.
     pub fn from_json(bytes: &[u8]) -> Result<Self> {
         super::record_file::from_json(bytes)
     }
 
-    /// Both stages, in the order of the cycle.
+    /// Returns both stages, in the order of the cycle.
     pub fn stages(&self) -> [(Stage, &StageRecord); 2] {
         [(Stage::Initial, &self.initial), (Stage::Grasp, &self.grasp)]
     }
@@ -191,9 +191,9 @@ pub struct CameraRecord {
     pub age_ms: f64,
     /// Control values read back from the camera (exposure, white balance, gain, …).
     pub controls: BTreeMap<String, i64>,
-    /// Named crop profile, tactile cameras.
+    /// Name of the crop profile; tactile cameras only.
     pub crop_profile: Option<String>,
-    /// Metres per count, depth cameras.
+    /// Metres per count; depth cameras only.
     pub depth_unit_m: Option<f64>,
 }
 
@@ -211,24 +211,23 @@ pub struct PoseRecord {
     pub covariance: Option<Vec<f64>>,
     /// RMS reprojection error, px.
     pub reprojection_px: Option<f64>,
-    /// True once a person has corrected it; programs never overwrite it then.
+    /// Whether a person corrected it; programs never overwrite such a pose.
     #[serde(default)]
     pub corrected_by_hand: bool,
-    /// How it was found; none for one that a person gave.
+    /// Quality of the estimate; none for a pose entered by hand.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub quality: Option<PoseQuality>,
 }
 
 impl PoseRecord {
-    /// The pose as a transform, its quaternion brought to length 1.
+    /// Returns the pose as a transform with a normalised quaternion.
     ///
     /// # Errors
-    /// `Input`: it is in another frame, or its numbers are no pose.
+    /// `Input`: it is in another frame, or its numbers are invalid.
     pub fn t_object_gripper(&self) -> Result<Pose> {
-        let wrong = |what: String| Error::input(what);
         if self.frame != POSE_FRAME {
-            return Err(wrong(format!(
-                "its pose is `{}`, expected `{POSE_FRAME}`",
+            return Err(Error::input(format!(
+                "expected a pose in frame `{POSE_FRAME}`, found `{}`",
                 self.frame
             )));
         }
@@ -236,8 +235,8 @@ impl PoseRecord {
         let rotation = DQuat::from_xyzw(x, y, z, w);
         let is_finite = self.t_m.iter().chain(&self.q_wxyz).all(|n| n.is_finite());
         if !is_finite || (rotation.length() - 1.0).abs() > UNIT_TOLERANCE {
-            return Err(wrong(format!(
-                "its pose must be finite numbers with a unit quaternion, found t_m {:?}, q_wxyz {:?}",
+            return Err(Error::input(format!(
+                "expected a finite pose with a unit quaternion, found t_m {:?}, q_wxyz {:?}",
                 self.t_m, self.q_wxyz
             )));
         }
@@ -246,32 +245,32 @@ impl PoseRecord {
     }
 }
 
-/// How a pose was found, and what speaks for and against it.
+/// Quality of a pose estimate.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct PoseQuality {
-    /// Files of the frames that were used.
+    /// Files of the frames used.
     pub frames: Vec<String>,
-    /// Markers of the sheet and tags of the gripper in the last of them.
+    /// Detected markers of the sheet and tags of the gripper in the last of them.
     pub markers: [usize; 2],
     /// RMS reprojection error of the gripper's tags, px; that of the sheet is `reprojection_px`.
     pub tags_reprojection_px: f64,
-    /// Largest distance of a frame's pose from the pose, m. What all frames have wrong does not
-    /// show in it.
+    /// Largest distance of a frame's pose from the estimate, m. Errors common to all frames are
+    /// not included.
     pub spread_m: f64,
-    /// The same as an angle, rad.
+    /// Largest angle between a frame's pose and the estimate, rad.
     pub spread_rad: f64,
     /// Blur of the markers' edges in the sharpest frame, px.
     pub blur_px: f64,
-    /// Distance between the undeformed gel faces; none where no finger's tag was seen, m.
+    /// Distance between the undeformed gel faces, m; none where no finger tag was detected.
     pub opening_m: Option<f64>,
-    /// Another pose fits nearly as well, and no two tags face directions 30° apart.
+    /// Whether another pose fits nearly as well and no two tags face directions 30° apart.
     pub ambiguous: bool,
     /// Hash of the sheet's board.
     pub sheet: String,
     /// Hash of the tags' board.
     pub tags: String,
-    /// What a person should know.
+    /// Notes for the operator.
     pub notes: Vec<String>,
 }
 
@@ -279,36 +278,36 @@ pub struct PoseQuality {
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct BoardKeys {
-    /// The sheet that the object stands on.
+    /// Board of the sheet under the object.
     pub sheet: ContentKey,
-    /// The gripper's tags.
+    /// Board of the gripper's tags.
     pub tags: ContentKey,
 }
 
-/// What is true of a grasp on the virtual rig: it was simulated, and the frames are those of the
-/// renderers.
+/// Ground truth of a grasp on the virtual rig, whose frames are rendered.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct SimulatedTruth {
-    /// Name of the simulated grasp.
-    pub film: String,
-    /// Its object: mesh file or `builtin:NAME`.
+    /// Name of the clip of the simulated grasp; key `film`.
+    #[serde(rename = "film")]
+    pub clip: String,
+    /// Object: mesh file or `builtin:NAME`.
     pub object: String,
     /// Hash of the object's mesh.
     pub object_sha256: String,
     /// Mass of the object, kg.
     pub mass_kg: f64,
-    /// Coulomb friction coefficient of gel and object.
+    /// Coulomb friction coefficient between gel and object.
     pub friction: f64,
-    /// How the grasp ends: `success`, `slip`, `eject`, …
+    /// Simulation outcome: `success`, `slip`, `eject`, …
     pub outcome: String,
-    /// Whether the object is held through the lift.
+    /// Whether the object stays in the gripper during the lift.
     pub held: bool,
-    /// How far the object rises, m.
+    /// Rise of the object, m.
     pub lifted_m: f64,
-    /// The gripper in the object's frame before the fingers close.
+    /// Gripper pose in the object's frame before the gripper closes.
     pub t_object_gripper_initial: Pose,
-    /// The same at the left sensor's grasp frame.
+    /// Gripper pose in the object's frame at the left sensor's grasp frame.
     pub t_object_gripper: Pose,
     /// Distance between the undeformed gel faces at that frame, m.
     pub opening_m: f64,
@@ -316,29 +315,28 @@ pub struct SimulatedTruth {
     pub force_n: [f64; 2],
 }
 
-/// What the model said before the lift.
+/// Prediction of the model before the lift.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct PredictionRecord {
     /// Probability that the grasp is stable.
     pub p_stable: f64,
-    /// Distance of the tactile images from those of the training, over what counts as known;
-    /// absent where the model does not say.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub novelty: Option<f64>,
+    /// OOD score, 1 at the threshold; absent where the model has none. Key `novelty`.
+    #[serde(rename = "novelty", default, skip_serializing_if = "Option::is_none")]
+    pub ood_score: Option<f64>,
     /// Decision threshold of the model.
     pub threshold: f64,
     /// sha256 of the ONNX file.
     pub model_sha256: String,
     /// Name of the model.
     pub model: String,
-    /// Time from the newest frame's driver time to the result, ms.
+    /// Time from the newest frame's driver time stamp to the result, ms.
     pub latency_ms: f64,
-    /// Time of the model alone, ms.
+    /// Inference time of the model, ms.
     pub engine_ms: f64,
 }
 
-/// A guard that refused and was overridden by the operator.
+/// A guard violation that the operator overrode.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct OverriddenGuard {
@@ -346,7 +344,7 @@ pub struct OverriddenGuard {
     pub guard: String,
     /// `initial` or `grasp`.
     pub stage: String,
-    /// What it said.
+    /// Message of the guard.
     pub reason: String,
 }
 
@@ -355,9 +353,9 @@ mod tests {
     use proptest::prelude::*;
 
     proptest! {
-        /// Otherwise `verify` would find records and index different.
+        /// `verify` compares records and index exactly.
         #[test]
-        fn floats_read_back_exactly(value in proptest::num::f64::NORMAL) {
+        fn floats_round_trip_through_json(value in proptest::num::f64::NORMAL) {
             let text = serde_json::to_string(&value).unwrap();
             let back: f64 = serde_json::from_str(&text).unwrap();
             prop_assert_eq!(back.to_bits(), value.to_bits());

@@ -1,12 +1,12 @@
-//! Whether a stored file is the whole image that its record describes.
+//! Checks that a stored file is a complete image as its record describes it.
 
 use image::ColorType;
 
 use super::grasp::CameraRecord;
 use gripcast_imaging::{PixelFormat, decode_png, jpeg};
 
-/// Says what is wrong with an image; `None` when it is whole and of the right size and kind.
-pub(super) fn fault(bytes: &[u8], camera: &CameraRecord) -> Option<String> {
+/// Returns the defect of an image; `None` when it is complete and of the recorded size and type.
+pub(super) fn defect(bytes: &[u8], camera: &CameraRecord) -> Option<String> {
     let found = match camera.format {
         PixelFormat::Mjpg => jpeg_size(bytes),
         PixelFormat::Yuyv | PixelFormat::Rgb => png_size(bytes, ColorType::Rgb8),
@@ -14,16 +14,16 @@ pub(super) fn fault(bytes: &[u8], camera: &CameraRecord) -> Option<String> {
         PixelFormat::Z16 => png_size(bytes, ColorType::L16),
     };
     match found {
-        Err(fault) => Some(fault),
+        Err(defect) => Some(defect),
         Ok(size) if size != (camera.width, camera.height) => Some(format!(
-            "the image is {}×{}, its record says {}×{}",
-            size.0, size.1, camera.width, camera.height
+            "expected {}×{} pixels as recorded, found {}×{}",
+            camera.width, camera.height, size.0, size.1
         )),
         Ok(_) => None,
     }
 }
 
-/// Format, width and height of a whole image; the format is the one that is stored so.
+/// Returns format, width and height of a complete image.
 pub(super) fn recognise(bytes: &[u8]) -> Option<(PixelFormat, u32, u32)> {
     if let Ok((width, height)) = jpeg_size(bytes) {
         return Some((PixelFormat::Mjpg, width, height));
@@ -41,17 +41,17 @@ pub(super) fn recognise(bytes: &[u8]) -> Option<(PixelFormat, u32, u32)> {
 }
 
 fn png_size(bytes: &[u8], colour: ColorType) -> Result<(u32, u32), String> {
-    let image = decode_png(bytes).map_err(|e| format!("not a whole PNG: {e}"))?;
+    let image = decode_png(bytes).map_err(|e| format!("incomplete PNG: {e}"))?;
     if image.color() != colour {
         return Err(format!(
-            "the image is {:?}, its record says {colour:?}",
+            "expected {colour:?} pixels as recorded, found {:?}",
             image.color()
         ));
     }
     Ok((image.width(), image.height()))
 }
 
-/// Size of a JPEG whose marker structure is whole; the entropy-coded data is not decoded.
+/// Size of a JPEG whose marker structure is complete; the entropy-coded data is not decoded.
 fn jpeg_size(bytes: &[u8]) -> Result<(u32, u32), String> {
     let header = jpeg::inspect(bytes).map_err(|e| e.to_string())?;
     Ok((header.width, header.height))
@@ -63,7 +63,7 @@ mod tests {
     use crate::sample;
 
     #[test]
-    fn a_jpeg_is_followed_to_its_end() {
+    fn truncated_jpeg_has_no_size() {
         let whole = sample::jpeg(24, 16, 3);
         assert_eq!(jpeg_size(&whole), Ok((24, 16)));
         let mut padded = whole.clone();

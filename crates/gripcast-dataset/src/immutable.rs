@@ -1,5 +1,5 @@
-//! What grasps refer to and nobody changes: calibrations and model cards, each file named after
-//! its own contents.
+//! Content-addressed files that grasps refer to: calibrations and model cards, each named after
+//! its sha256.
 
 use super::disk::replace;
 use super::writer::DatasetWriter;
@@ -30,10 +30,10 @@ impl DatasetWriter {
         text: &str,
         suffix: &'static str,
     ) -> Result<ContentKey> {
-        let key = ContentKey::of(text.as_bytes());
+        let key = ContentKey::from_contents(text.as_bytes());
         let name = key.with_suffix(suffix);
-        let there = dir.join(&name).read(FileKind::Record);
-        if !there.is_ok_and(|found| found == text.as_bytes()) {
+        let stored = dir.join(&name).read(FileKind::Record);
+        if !stored.is_ok_and(|stored| stored == text.as_bytes()) {
             replace(self.disk.as_ref(), dir, &name, text.as_bytes())
                 .map_err(|e| self.failed(&format!("cannot store {name}"), e))?;
         }

@@ -1,4 +1,4 @@
-//! Names and places inside a dataset.
+//! Names and paths inside a dataset.
 
 use std::io;
 use std::path::{Path, PathBuf};
@@ -9,34 +9,34 @@ use gripcast_base::error::{Error, ErrorKind};
 use gripcast_base::files::{BeneathPath, FileName, GraspId, Root};
 use gripcast_imaging::{PixelFormat, Role};
 
-/// Beginning of the name of a grasp's directory before the grasp is complete.
+/// Name prefix of a grasp's directory before the grasp is complete.
 const PENDING_PREFIX: &str = ".tmp-";
 
 /// Record of a pending initial frame.
 pub(super) const INITIAL_JSON: &str = "initial.json";
 /// Record of a complete grasp.
 pub(super) const GRASP_JSON: &str = "grasp.json";
-/// The index.
+/// Index of the grasps.
 pub(super) const METADATA_JSONL: &str = "metadata.jsonl";
-/// The dataset's description.
+/// Description of the dataset.
 pub(super) const DATASET_TOML: &str = "dataset.toml";
-/// The lock of the writer.
+/// Lock of the writer.
 pub(super) const LOCK: &str = ".lock";
 
-/// Trigger of the cycle that a frame belongs to.
+/// Stage of the grasp cycle at which a frame is taken.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum Stage {
     /// Before the gripper closed.
     Initial,
-    /// After it closed, before the lift.
+    /// After the gripper closed, before the lift.
     Grasp,
 }
 
 impl Stage {
-    /// Both, in the order of the cycle.
+    /// Both stages, in the order of the cycle.
     pub const ALL: [Self; 2] = [Self::Initial, Self::Grasp];
 
-    /// Name in files and columns.
+    /// Name in file names and columns.
     #[must_use]
     pub fn name(self) -> &'static str {
         match self {
@@ -45,14 +45,14 @@ impl Stage {
         }
     }
 
-    /// Whether frames of a role are stored at this stage: depth only with the grasp.
+    /// Whether frames of a role are stored at this stage; depth only with the grasp.
     #[must_use]
     pub fn stores(self, role: Role) -> bool {
         role != Role::Depth || self == Self::Grasp
     }
 }
 
-/// Places of a dataset.
+/// Paths inside a dataset.
 #[derive(Clone, Debug)]
 pub(super) struct Layout {
     root: Root,
@@ -77,7 +77,7 @@ impl Layout {
         self.top().join(DATASET_TOML)
     }
 
-    /// The lock lies in the root itself: it is opened without following links.
+    /// The lock is in the root itself: it is opened without following links.
     pub(super) fn lock(&self) -> PathBuf {
         self.root().join(LOCK)
     }
@@ -115,35 +115,35 @@ impl Layout {
         self.grasps().join(id)
     }
 
-    /// Directory of a grasp of which the initial frame alone is there.
+    /// Directory of a pending initial frame.
     pub(super) fn pending(&self, id: &GraspId) -> BeneathPath {
         self.grasps().join_affixed(PENDING_PREFIX, id, "")
     }
 
-    /// Place of a discarded initial frame or an undone grasp.
+    /// Directory of a discarded initial frame or an undone grasp.
     pub(super) fn trashed(&self, id: &GraspId) -> BeneathPath {
         self.trash().join(id)
     }
 
-    /// An IO error of the dataset at its place, with what to do about it.
+    /// Wraps an IO error of the dataset and adds a remedy.
     pub(super) fn failed(&self, what: &str, error: io::Error) -> Error {
         let error = Error::io(what, error).at(self.root().display());
         match error.kind() {
             ErrorKind::DiskFull => error
-                .remedy("free some space on that disk and try again; all that was saved is safe"),
+                .remedy("free space on that disk and try again; everything saved so far is safe"),
             ErrorKind::Permission => error.remedy(
-                "the disk is read-only or belongs to someone else: make it writable and try again",
+                "the disk is read-only or belongs to another user: make it writable and try again",
             ),
             ErrorKind::NotFound => error
-                .remedy("the dataset was moved or its disk has gone: bring it back and try again"),
+                .remedy("the dataset was moved or its disk unmounted: restore it and try again"),
             ErrorKind::Io => {
-                error.remedy("the disk itself failed: look at `dmesg` and check the disk")
+                error.remedy("the disk reported an error: read `dmesg` and check the disk")
             }
             _ => error,
         }
     }
 
-    /// Directories that a dataset has from the beginning.
+    /// Directories of a new dataset.
     pub(super) fn directories(&self) -> [BeneathPath; 5] {
         [
             self.grasps(),
@@ -155,24 +155,24 @@ impl Layout {
     }
 }
 
-/// The id in the name of a pending directory.
+/// Parses the id in the name of a pending directory.
 pub(super) fn pending_id(name: &str) -> Option<GraspId> {
     GraspId::parse(name.strip_prefix(PENDING_PREFIX)?).ok()
 }
 
-/// Name of an image file of a grasp.
+/// Returns the file name of an image of a grasp.
 #[must_use]
 pub fn image_name(stage: Stage, role: Role, format: PixelFormat) -> FileName {
-    FileName::of_words(&[stage.name(), role.name(), extension(format)])
+    FileName::from_words(&[stage.name(), role.name(), extension(format)])
 }
 
-/// Begin of the names of further frames from before the fingers closed.
-pub(super) const APPROACH_PREFIX: &str = "approach.";
+/// Name prefix of pre-grasp frames.
+pub(super) const PRE_GRASP_PREFIX: &str = "approach.";
 
-/// Name of the file of a further frame from before the fingers closed.
+/// Returns the file name of a pre-grasp frame.
 #[must_use]
-pub fn approach_name(number: usize, format: PixelFormat) -> FileName {
-    FileName::of_words(&[
+pub fn pre_grasp_name(number: usize, format: PixelFormat) -> FileName {
+    FileName::from_words(&[
         "approach",
         &format!("{number:02}"),
         "external",
@@ -187,15 +187,15 @@ fn extension(format: PixelFormat) -> &'static str {
     }
 }
 
-/// The id of a trigger at this time: seconds, then 1/65536 s as 4 hex digits, so that ids sort as
-/// the triggers came. `later` steps are added where an id is taken.
-pub(super) fn id_at(at: Timestamp, later: u64) -> GraspId {
+/// Makes the id of a trigger: seconds, then 1/65536 s as 4 hex digits, so that ids sort by time.
+/// `offset` steps are added where an id is taken.
+pub(super) fn id_at(time: Timestamp, offset: u64) -> GraspId {
     const STEPS: i128 = 1 << 16;
     const SECOND_NS: i128 = 1_000_000_000;
-    let steps = at.as_nanosecond() * STEPS / SECOND_NS + i128::from(later);
-    // Stays within what a `Timestamp` holds but for the last second of the year 9999.
-    let second = Timestamp::from_nanosecond(steps.div_euclid(STEPS) * SECOND_NS).unwrap_or(at);
-    GraspId::of_words(&[
+    let steps = time.as_nanosecond() * STEPS / SECOND_NS + i128::from(offset);
+    // Out of range only in the last second of the year 9999.
+    let second = Timestamp::from_nanosecond(steps.div_euclid(STEPS) * SECOND_NS).unwrap_or(time);
+    GraspId::from_words(&[
         &second.strftime("%Y-%m-%dT%H-%M-%SZ").to_string(),
         &format!("{:04x}", steps.rem_euclid(STEPS)),
     ])
@@ -206,15 +206,15 @@ mod tests {
     use super::*;
 
     #[test]
-    fn ids_sort_as_the_triggers_came() {
-        let id = |at: &str, later| id_at(at.parse().unwrap(), later).to_string();
+    fn ids_sort_by_trigger_time() {
+        let id = |time: &str, offset| id_at(time.parse().unwrap(), offset).to_string();
         assert_eq!(
             id("2026-11-20T10:15:03.25Z", 0),
             "2026-11-20T10-15-03Z-4000"
         );
         assert_eq!(id("2026-11-20T10:15:03Z", 0), "2026-11-20T10-15-03Z-0000");
         assert_eq!(id("2026-11-20T10:15:03Z", 1), "2026-11-20T10-15-03Z-0001");
-        // The step after the last of a second belongs to the next.
+        // The step after the last one of a second is in the next second.
         assert_eq!(
             id("2026-11-20T10:15:03.999999999Z", 1),
             "2026-11-20T10-15-04Z-0000"
@@ -223,7 +223,7 @@ mod tests {
     }
 
     #[test]
-    fn pending_directories_are_told_by_their_name() {
+    fn pending_directory_is_recognised_by_name() {
         let layout = Layout::new("/d");
         let id = GraspId::parse("2026-11-20T10-15-03Z-7f3a").unwrap();
         let name = layout.pending(&id).name();

@@ -1,12 +1,12 @@
-//! The dataset on disk: one directory a grasp, crash-safe, readable in one line by
+//! The dataset on disk: one directory per grasp, crash-safe, readable in one line by
 //! Hugging Face `imagefolder` and pandas.
 //!
 //! Layout and durability rules: `docs/dataset-format.md`.
 //!
 //! * [`DatasetWriter`] writes, one process at a time; [`Dataset`] reads
-//! * [`verify`] finds every torn, missing, altered, duplicated or leaking item;
-//!   [`recover`] rescues what is there
-//! * [`split`] divides the grasps without leakage; [`summary`] counts them
+//! * [`verify`] finds torn, missing, altered, duplicated and leaking items;
+//!   [`recover`] keeps every readable grasp and moves the rest to `trash/`
+//! * [`split`] assigns grasps to splits without leakage; [`summary`] counts them
 //!
 //! ```no_run
 //! use gripcast_dataset::Dataset;
@@ -61,13 +61,13 @@ pub use grasp::{
 };
 pub use gripcast_base::files::GraspId;
 pub use index::{ReindexReport, reindex};
-pub use layout::{Stage, approach_name, image_name};
+pub use layout::{Stage, image_name, pre_grasp_name};
 pub use opening::OpenReport;
 pub use reader::Dataset;
 pub use record_file::PendingInitial;
 pub use recover::{Action, ActionKind, RecoverReport, recover};
 pub use schema::SCHEMA_VERSION;
-pub use split::{SplitBy, SplitFile, SplitPart, SplitPlan, split};
+pub use split::{GroupKey, SplitFile, SplitMembers, SplitPlan, split};
 pub use summary::{Agreement, Summary, summary};
 pub use verify::{Problem, ProblemKind, VerifyReport, verify};
 pub use writer::DatasetWriter;

@@ -1,4 +1,4 @@
-//! One writer at a time.
+//! Lock that admits one writer at a time.
 
 use std::io;
 
@@ -6,7 +6,7 @@ use super::layout::Layout;
 use gripcast_base::error::{Error, ErrorKind, Result};
 use gripcast_base::files::{NotLocked, OwnerLock};
 
-/// The dataset's lock; released when dropped or when the process ends, however it ends.
+/// The dataset's lock; released when dropped or when the process ends for any reason.
 #[derive(Debug)]
 pub(super) struct DatasetLock {
     _lock: OwnerLock,
@@ -16,7 +16,7 @@ impl DatasetLock {
     /// Takes the lock.
     ///
     /// # Errors
-    /// `Busy` naming the process that has it; `Permission` where the dataset cannot be written.
+    /// `Busy` naming the process that holds it; `Permission` where the dataset is not writable.
     pub(super) fn acquire(layout: &Layout) -> Result<Self> {
         let lock = OwnerLock::acquire(&layout.lock()).map_err(|why| match why {
             NotLocked::Held(owner) => Error::new(
@@ -24,41 +24,37 @@ impl DatasetLock {
                 format!("the dataset is being written by {owner}"),
             )
             .at(layout.root().display())
-            .remedy("end that program first, or use another dataset"),
-            NotLocked::Refused(e) => {
-                Error::io("cannot lock the dataset", e).at(layout.lock().display())
-            }
+            .remedy("quit that program first, or use another dataset"),
             NotLocked::Open(e) => not_writable(layout, e),
-            NotLocked::Lock(e) => {
+            NotLocked::Refused(e) | NotLocked::Lock(e) => {
                 Error::io("cannot lock the dataset", e).at(layout.lock().display())
             }
         })?;
         Ok(Self { _lock: lock })
     }
 
-    /// Who writes the dataset now, if anyone.
+    /// Returns the process that is writing the dataset, if any.
     pub(super) fn holder(layout: &Layout) -> Option<String> {
         OwnerLock::holder(&layout.lock())
     }
 }
 
 fn not_writable(layout: &Layout, error: io::Error) -> Error {
-    let root = layout.root().display().to_string();
     let remedy = match error.kind() {
         io::ErrorKind::ReadOnlyFilesystem => {
-            "the disk is mounted read-only: mount it writable, or use another place"
+            "the disk is mounted read-only: remount it writable, or use another directory"
         }
         io::ErrorKind::PermissionDenied => {
-            "you may not write there: change the owner or the rights of the directory, or use \
-             another place"
+            "no write permission: change the owner or mode of the directory, or use another \
+             directory"
         }
         io::ErrorKind::StorageFull | io::ErrorKind::QuotaExceeded => {
-            "the disk is full: free some space, or use another disk"
+            "the disk is full: free space, or use another disk"
         }
-        _ => "check that the disk is still there and can be written",
+        _ => "check that the disk is mounted and writable",
     };
     Error::io("cannot write to the dataset", error)
-        .at(root)
+        .at(layout.root().display())
         .remedy(remedy)
 }
 
@@ -67,7 +63,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_second_writer_learns_who_the_first_is() {
+    fn second_lock_names_the_holder() {
         let dir = tempfile::tempdir().unwrap();
         let layout = Layout::new(dir.path());
         assert_eq!(DatasetLock::holder(&layout), None);

@@ -1,4 +1,4 @@
-//! Opening a dataset for writing: making it, or putting in order what a crash left.
+//! Opens a dataset for writing: creates it, or recovers the state after a crash.
 
 use std::io;
 use std::path::Path;
@@ -11,34 +11,34 @@ use super::layout::{DATASET_TOML, GRASP_JSON, INITIAL_JSON, LOCK, Layout};
 use super::lock::DatasetLock;
 use super::reader::grasp_ids;
 use super::record_file::{PendingInitial, read_grasp};
-use super::trash::set_aside;
+use super::trash::move_to_trash;
 use super::unfinished::{Unfinished, unfinished};
 use super::writer::DatasetWriter;
 use gripcast_base::error::{Error, Result};
 use gripcast_base::files::Root;
 
-/// What was found when a dataset was opened for writing.
+/// State of a dataset that was opened for writing.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct OpenReport {
-    /// Whether the dataset is new.
+    /// Whether the dataset was created.
     pub created: bool,
-    /// Grasps that are there.
+    /// Number of existing grasps.
     pub counts: GraspCounts,
-    /// The newest durable initial frame that waits for its grasp.
+    /// The newest pending initial frame.
     pub pending: Option<PendingInitial>,
-    /// What an earlier crash left and what was done about it, one sentence each.
+    /// Leftovers of a crash and how they were handled, one sentence each.
     pub notes: Vec<String>,
 }
 
 impl DatasetWriter {
-    /// Opens the dataset at `path` for writing; makes it where nothing or an empty directory is.
+    /// Opens the dataset at `path` for writing; creates it if the directory is missing or empty.
     ///
-    /// Unfinished work of a crash is put in order: a whole grasp is completed, the newest durable
-    /// initial frame is offered, the rest moves to `trash/`.
+    /// Recovers after a crash: completes a complete grasp, returns the newest pending initial
+    /// frame, and moves other leftovers to `trash/`.
     ///
     /// # Errors
-    /// `Busy` naming the process that writes it; `Input` for a file, a directory of something
-    /// else, or a newer format; `Permission` or `DiskFull` where it cannot be written.
+    /// `Busy` naming the process that writes it; `Input` for a file, a directory with other
+    /// contents, or a newer format; `Permission` or `DiskFull` where it is not writable.
     pub fn open_or_create(path: impl AsRef<Path>, new: &NewDataset) -> Result<(Self, OpenReport)> {
         Self::open_on(Box::new(SystemDisk), path.as_ref(), new)
     }
@@ -55,17 +55,17 @@ impl DatasetWriter {
         if created {
             let text = Descriptor::new(new).to_toml()?;
             replace(disk.as_ref(), &layout.top(), DATASET_TOML, text.as_bytes())
-                .map_err(|e| layout.failed("cannot begin the dataset", e))?;
+                .map_err(|e| layout.failed("cannot create the dataset", e))?;
         }
         let descriptor = Descriptor::read(&layout)?;
         create_directories(disk.as_ref(), &layout)
-            .map_err(|e| layout.failed("cannot make the dataset's directories", e))?;
+            .map_err(|e| layout.failed("cannot create the dataset's directories", e))?;
         let mut writer = Self::new(layout, disk, lock, descriptor);
         let mut report = OpenReport {
             created,
             ..OpenReport::default()
         };
-        writer.settle(&mut report)?;
+        writer.handle_unfinished(&mut report)?;
         writer.read_rows(&mut report)?;
         report.counts = writer.counts();
         writer.index_is_stale = !is_stored(&writer.layout, &to_jsonl(&writer.rows));
@@ -75,24 +75,22 @@ impl DatasetWriter {
         Ok((writer, report))
     }
 
-    /// Puts in order what a crash left in `grasps/`.
-    fn settle(&mut self, report: &mut OpenReport) -> Result<()> {
+    /// Handles leftovers of a crash in `grasps/`.
+    fn handle_unfinished(&mut self, report: &mut OpenReport) -> Result<()> {
         let disk = self.disk.as_ref();
-        for (id, fate) in unfinished(&self.layout)? {
+        for (id, state) in unfinished(&self.layout)? {
             let dir = self.layout.pending(&id);
-            // The crash may have come before names in the directory were forced to the disk.
+            // The crash may have come before the directory was flushed.
             let synced = |()| disk.sync_dir(&self.layout.grasps());
-            match fate {
+            match state {
                 Unfinished::Complete => {
                     disk.sync_dir(&dir)
                         .and_then(|()| disk.rename_new(&dir, &self.layout.grasp(&id)))
                         .and_then(synced)
                         .map_err(|e| self.failed(&format!("cannot complete {id}"), e))?;
-                    report
-                        .notes
-                        .push(format!("completed {id}, which a crash had interrupted"));
+                    report.notes.push(format!("completed {id} after a crash"));
                 }
-                Unfinished::Waiting(pending) => {
+                Unfinished::Pending(pending) => {
                     disk.sync_dir(&dir)
                         .and_then(synced)
                         .map_err(|e| self.failed("cannot keep the initial frame", e))?;
@@ -101,7 +99,7 @@ impl DatasetWriter {
                 Unfinished::Unusable(reason) => {
                     report
                         .notes
-                        .push(match set_aside(disk, &self.layout, &dir, &reason) {
+                        .push(match move_to_trash(disk, &self.layout, &dir, &reason) {
                             Ok(_slot) => format!("moved .tmp-{id} to trash/: {reason}"),
                             Err(e) => format!("could not move .tmp-{id} to trash/: {e}"),
                         });
@@ -111,22 +109,22 @@ impl DatasetWriter {
         Ok(())
     }
 
-    /// Reads all records; clears what interrupted saves left beside them.
+    /// Reads all records; removes leftovers of interrupted saves beside them.
     fn read_rows(&mut self, report: &mut OpenReport) -> Result<()> {
         for id in grasp_ids(&self.layout)? {
             let dir = self.layout.grasp(&id);
             match read_grasp(&dir) {
                 Ok(record) => {
-                    self.rows.insert(id, IndexRow::of(&record));
+                    self.rows.insert(id, IndexRow::new(&record));
                 }
                 Err(error) => {
-                    report.notes.push(format!("{id} is not usable: {error}"));
+                    report.notes.push(format!("cannot use {id}: {error}"));
                     continue;
                 }
             }
             for leftover in [dir.join(INITIAL_JSON), partial_of(&dir, &GRASP_JSON)] {
                 if leftover.is_taken() {
-                    // Verification and the next opening see it again where this fails.
+                    // On failure, verification and the next opening find it again.
                     let _ = self.disk.remove_file(&leftover);
                 }
             }
@@ -135,21 +133,21 @@ impl DatasetWriter {
     }
 }
 
-/// Makes the dataset's directory, or refuses one that holds something else.
+/// Creates the dataset's directory, or refuses one with other contents.
 fn create_root(disk: &dyn Disk, layout: &Layout) -> Result<()> {
     let root = layout.root();
     match layout.top().entries() {
         Err(e) if e.kind() == io::ErrorKind::NotFound => create_all(disk, root)
-            .map_err(|e| layout.failed("cannot make the dataset's directory", e)),
+            .map_err(|e| layout.failed("cannot create the dataset's directory", e)),
         Err(e) if e.kind() == io::ErrorKind::NotADirectory => {
-            Err(Error::input("this is a file, not a directory")
+            Err(Error::input("expected a directory, found a file")
                 .at(root.display())
-                .remedy("give a directory that does not exist yet, is empty, or holds a dataset"))
+                .remedy("give a new or empty directory, or an existing dataset"))
         }
         Err(e) => Err(layout.failed("cannot read the directory", e)),
         Ok(_) if layout.dataset_toml().is_taken() => Ok(()),
         Ok(entries) => {
-            // A crash may have come between the lock and the description.
+            // A crash may have come between locking and writing dataset.toml.
             let foreign = entries.iter().find(|entry| {
                 let name = entry.name();
                 name != LOCK && name != partial_name(DATASET_TOML)
@@ -158,23 +156,23 @@ fn create_root(disk: &dyn Disk, layout: &Layout) -> Result<()> {
                 return Ok(());
             };
             let error = Error::input(format!(
-                "the directory holds `{}` but no dataset.toml: it is not a dataset",
+                "not a dataset: the directory contains `{}` but no dataset.toml",
                 foreign.name()
             ))
             .at(root.display());
             Err(if layout.grasps().is_dir() {
                 error.remedy(format!(
-                    "if it was one, `gripcast dataset recover {}` writes dataset.toml again",
+                    "if it was one, run `gripcast dataset recover {}` to write dataset.toml again",
                     root.display()
                 ))
             } else {
-                error.remedy("give a directory that does not exist yet or is empty")
+                error.remedy("give a new or empty directory")
             })
         }
     }
 }
 
-/// Makes a directory with its ancestors, durably.
+/// Creates a directory and its ancestors durably.
 fn create_all(disk: &dyn Disk, path: &Path) -> io::Result<()> {
     let parent = match path.parent() {
         Some(parent) if parent.as_os_str().is_empty() => Path::new("."),
@@ -184,21 +182,21 @@ fn create_all(disk: &dyn Disk, path: &Path) -> io::Result<()> {
     if !parent.exists() {
         create_all(disk, parent)?;
     }
-    // The folder is named by the user, not by the data.
-    let place = Root::new(parent).entry(path);
-    disk.create_dir(&place)?;
-    disk.sync_dir(&place.parent())
+    // The user names this directory, not the data.
+    let dir = Root::new(parent).entry(path);
+    disk.create_dir(&dir)?;
+    disk.sync_dir(&dir.parent())
 }
 
 pub(super) fn create_directories(disk: &dyn Disk, layout: &Layout) -> io::Result<()> {
-    let mut made = false;
+    let mut created = false;
     for dir in layout.directories() {
         if !dir.is_dir() {
             disk.create_dir(&dir)?;
-            made = true;
+            created = true;
         }
     }
-    if made {
+    if created {
         disk.sync_dir(&layout.top())?;
     }
     Ok(())

@@ -1,4 +1,4 @@
-//! Reading a dataset.
+//! Reads a dataset.
 
 use std::path::Path;
 
@@ -12,7 +12,7 @@ use gripcast_base::error::{Error, Result};
 use gripcast_base::files::{BeneathPath, ContentKey, FileKind, GraspId};
 use gripcast_imaging::{Frame, PixelFormat, Role, decode_png};
 
-/// A dataset that is read; any number of readers beside one writer.
+/// A dataset opened for reading; any number of readers may coexist with one writer.
 #[derive(Clone, Debug)]
 pub struct Dataset {
     layout: Layout,
@@ -20,23 +20,23 @@ pub struct Dataset {
 }
 
 impl Dataset {
-    /// Opens a dataset.
+    /// Opens a dataset for reading.
     ///
     /// # Errors
-    /// `NotFound` without a dataset there, `Input` when it is of a newer version or unreadable.
+    /// `NotFound` without a dataset, `Input` when it is unreadable or of a newer version.
     pub fn open(path: impl AsRef<Path>) -> Result<Self> {
         let layout = Layout::new(path.as_ref());
         let descriptor = Descriptor::read(&layout)?;
         Ok(Self { layout, descriptor })
     }
 
-    /// What the dataset says about itself.
+    /// Description of the dataset, from `dataset.toml`.
     #[must_use]
     pub fn descriptor(&self) -> &Descriptor {
         &self.descriptor
     }
 
-    /// Where the dataset is.
+    /// Directory of the dataset.
     #[must_use]
     pub fn path(&self) -> &Path {
         self.layout.root()
@@ -54,7 +54,7 @@ impl Dataset {
         grasp_ids(&self.layout)
     }
 
-    /// One grasp.
+    /// Reads the record of a grasp.
     ///
     /// # Errors
     /// `NotFound` without that grasp, `Input` when its record is unreadable.
@@ -62,13 +62,13 @@ impl Dataset {
         read_grasp(&self.layout.grasp(id))
     }
 
-    /// Whether a whole grasp of this id lies in `trash/`.
+    /// Whether `trash/` contains a complete grasp of this id.
     #[must_use]
     pub fn is_in_trash(&self, id: &GraspId) -> bool {
         self.layout.trashed(id).join(GRASP_JSON).is_file()
     }
 
-    /// All complete grasps, sorted by id. A grasp that cannot be read is an error of its own.
+    /// Reads all complete grasps, sorted by id. An unreadable grasp is an `Err` item.
     ///
     /// # Errors
     /// When `grasps/` cannot be read.
@@ -76,27 +76,39 @@ impl Dataset {
         Ok(self.ids()?.into_iter().map(|id| self.grasp(&id)))
     }
 
-    /// Where an image of a grasp is; `None` when there is none of that role at that stage.
+    /// Path of an image of a grasp; `None` without an image of that role at that stage.
     #[must_use]
-    pub fn path_of(&self, record: &GraspRecord, stage: Stage, role: Role) -> Option<BeneathPath> {
+    pub fn image_path(
+        &self,
+        record: &GraspRecord,
+        stage: Stage,
+        role: Role,
+    ) -> Option<BeneathPath> {
         let camera = record.stage(stage).cameras.get(&role)?;
         Some(self.layout.grasp(&record.id).join(&camera.file))
     }
 
-    /// Where a file of a grasp is, by its name in the record; `None` for other names.
+    /// Path of a file of a grasp, by its name in the record; `None` for other names.
     #[must_use]
     pub fn file(&self, record: &GraspRecord, name: &str) -> Option<BeneathPath> {
         let (name, _) = record.files.get_key_value(name)?;
         Some(self.layout.grasp(&record.id).join(name))
     }
 
-    /// Images of the external camera from before the fingers closed, by time: the approach and
-    /// the initial frame.
+    /// Images of the external camera from before the gripper closed, by time: pre-grasp frames
+    /// and initial frame.
     #[must_use]
-    pub fn before_closing(&self, record: &GraspRecord) -> Vec<(CameraRecord, BeneathPath)> {
+    pub fn external_images_before_closing(
+        &self,
+        record: &GraspRecord,
+    ) -> Vec<(CameraRecord, BeneathPath)> {
         let initial = record.initial.cameras.get(&Role::External);
-        let mut cameras: Vec<CameraRecord> =
-            record.approach.iter().chain(initial).cloned().collect();
+        let mut cameras: Vec<CameraRecord> = record
+            .pre_grasp_frames
+            .iter()
+            .chain(initial)
+            .cloned()
+            .collect();
         cameras.sort_by_key(|camera| camera.driver_time_ns);
         let grasp = self.layout.grasp(&record.id);
         cameras
@@ -108,7 +120,7 @@ impl Dataset {
             .collect()
     }
 
-    /// The text of a calibration, by its key.
+    /// Reads the text of a calibration by its key.
     ///
     /// # Errors
     /// `NotFound` without it, `Io`, ….
@@ -118,10 +130,10 @@ impl Dataset {
             .map_err(|e| Error::io("cannot read the calibration", e).at(path.display()))
     }
 
-    /// One grasp with the bytes of its `grasp.json`.
+    /// Reads a grasp with the bytes of its `grasp.json`.
     ///
     /// # Errors
-    /// As of [`grasp`](Self::grasp), and `Input` when the record is that of another grasp.
+    /// As [`grasp`](Self::grasp), and `Input` when the record belongs to another grasp.
     pub fn grasp_with_json(&self, id: &GraspId) -> Result<(GraspRecord, Vec<u8>)> {
         let dir = self.layout.grasp(id);
         let path = dir.join(GRASP_JSON);
@@ -133,12 +145,11 @@ impl Dataset {
         Ok((record, json))
     }
 
-    /// The bytes of a stored image, exactly as they were stored: size and sha256 are those of
-    /// the record, and the image has the recorded size. The entropy-coded data of a JPEG is not
-    /// decoded.
+    /// Reads a stored image and checks file size, sha256 and image size against the record. The
+    /// entropy-coded data of a JPEG is not decoded.
     ///
     /// # Errors
-    /// `NotFound`, `Io`: the file. `Input`: it is not what was stored, or damaged.
+    /// `NotFound`, `Io`: the file. `Input`: it differs from the record, or is damaged.
     pub fn stored_image(&self, record: &GraspRecord, camera: &CameraRecord) -> Result<Vec<u8>> {
         let path = self.layout.grasp(&record.id).join(&camera.file);
         let refused = |what: String| Error::input(what).at(path.display());
@@ -146,22 +157,22 @@ impl Dataset {
             .read(FileKind::Image)
             .map_err(|e| Error::io("cannot read the image", e).at(path.display()))?;
         let Some(expected) = record.files.get(&camera.file) else {
-            return Err(refused("the record has no digest of the file".to_owned()));
+            return Err(refused("the record lacks a digest of the file".to_owned()));
         };
         if digest(&bytes) != *expected {
-            return Err(refused("the file is not what was stored".to_owned()));
+            return Err(refused("size or sha256 differ from the record".to_owned()));
         }
-        match image_file::fault(&bytes, camera) {
-            Some(fault) => Err(refused(fault)),
+        match image_file::defect(&bytes, camera) {
+            Some(defect) => Err(refused(defect)),
             None => Ok(bytes),
         }
     }
 
-    /// A stored frame, as the camera sent it; a YUYV frame as RGB, with exactly the pixels that
-    /// the frame as sent decodes to.
+    /// Loads a stored frame as the camera sent it; a YUYV frame as RGB with the pixels that the
+    /// sent frame decodes to.
     ///
     /// # Errors
-    /// `NotFound` when there is none of that role at that stage; `Input` when the file is damaged.
+    /// `NotFound` without a frame of that role at that stage; `Input` when the file is damaged.
     pub fn load_frame(&self, record: &GraspRecord, stage: Stage, role: Role) -> Result<Frame> {
         let camera = record.stage(stage).cameras.get(&role).ok_or_else(|| {
             Error::not_found(format!(
@@ -194,7 +205,7 @@ pub(super) fn entries(path: &BeneathPath) -> Result<Vec<BeneathPath>> {
         .map_err(|e| Error::io("cannot read the directory", e).at(path.display()))
 }
 
-/// Reads a stored file back as the frame that it was made from; YUYV as RGB.
+/// Loads a stored file as the original frame; YUYV as RGB.
 pub(super) fn load_frame(dir: &BeneathPath, camera: &CameraRecord) -> Result<Frame> {
     let path = dir.join(&camera.file);
     let bytes = path
@@ -212,15 +223,15 @@ pub(super) fn load_frame(dir: &BeneathPath, camera: &CameraRecord) -> Result<Fra
                 .into_iter()
                 .flat_map(u16::to_le_bytes)
                 .collect(),
-            _ => return Err(other_image(&path, "a 16-bit grey image")),
+            _ => return Err(wrong_type(&path, "a 16-bit grey image")),
         },
         PixelFormat::Grey => match decode(&path, &bytes)? {
             image::DynamicImage::ImageLuma8(image) => image.into_raw(),
-            _ => return Err(other_image(&path, "an 8-bit grey image")),
+            _ => return Err(wrong_type(&path, "an 8-bit grey image")),
         },
         PixelFormat::Yuyv | PixelFormat::Rgb => match decode(&path, &bytes)? {
             image::DynamicImage::ImageRgb8(image) => image.into_raw(),
-            _ => return Err(other_image(&path, "an RGB image")),
+            _ => return Err(wrong_type(&path, "an RGB image")),
         },
     };
     Ok(Frame {
@@ -238,6 +249,6 @@ fn decode(path: &BeneathPath, bytes: &[u8]) -> Result<image::DynamicImage> {
     decode_png(bytes).map_err(|e| e.at(path.display()))
 }
 
-fn other_image(path: &BeneathPath, expected: &str) -> Error {
-    Error::input(format!("the file is not {expected}")).at(path.display())
+fn wrong_type(path: &BeneathPath, expected: &str) -> Error {
+    Error::input(format!("expected {expected}")).at(path.display())
 }

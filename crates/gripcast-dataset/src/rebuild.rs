@@ -1,4 +1,4 @@
-//! Makes a lost `grasp.json` again from the images, the index and what is left of the old record.
+//! Rebuilds a lost `grasp.json` from the images, the index and the rest of the old record.
 
 use std::collections::BTreeMap;
 
@@ -13,13 +13,13 @@ use super::digest::FileDigest;
 use super::digest::digest;
 use super::grasp::{CameraRecord, GraspRecord, StageRecord};
 use super::image_file;
-use super::layout::{APPROACH_PREFIX, GRASP_JSON, Stage};
+use super::layout::{GRASP_JSON, PRE_GRASP_PREFIX, Stage};
 use super::reader::entries;
 use super::schema::SCHEMA_VERSION;
 use gripcast_base::files::{BeneathPath, FileKind, FileName, GraspId, Label, ObjectName};
 use gripcast_imaging::Role;
 
-/// Whether the record is of a version that this build does not know.
+/// Whether the record is of a newer version of the format.
 pub(super) fn is_newer(dir: &BeneathPath) -> bool {
     old_record(dir)
         .get("schema")
@@ -27,9 +27,9 @@ pub(super) fn is_newer(dir: &BeneathPath) -> bool {
         .is_some_and(|schema| schema > u64::from(SCHEMA_VERSION))
 }
 
-/// The record of `id` as far as it can be known. `row`: its line of the index.
+/// Rebuilds the record of `id`. `row`: its line of the index.
 ///
-/// Needs whole images of both gels at both stages; otherwise says what is missing.
+/// Needs complete images of both gels at both stages; otherwise returns what is missing.
 pub(super) fn rebuild(
     dir: &BeneathPath,
     id: &GraspId,
@@ -51,7 +51,7 @@ pub(super) fn rebuild(
         for role in [Role::Left, Role::Right] {
             if !record.cameras.contains_key(&role) {
                 return Err(format!(
-                    "without a whole {} image of {role} it cannot be made again",
+                    "cannot rebuild the record: no complete {} image of {role}",
                     stage.name()
                 ));
             }
@@ -65,14 +65,14 @@ pub(super) fn rebuild(
         found.unwrap_or_else(|| "unknown".to_owned())
     };
     let from = match (old.is_object(), row.is_some()) {
-        (true, _) => "the images and what was left of it",
+        (true, _) => "the images and the rest of the old record",
         (false, true) => "the images and the index",
-        (false, false) => "the images alone; object, scene and outcome are not known",
+        (false, false) => "the images alone; object, scene and outcome are unknown",
     };
     Ok(GraspRecord {
         schema: SCHEMA_VERSION,
         id: id.clone(),
-        // Names from before they were checked are brought into a valid form.
+        // Older versions did not check names: make them valid.
         object: ObjectName::nearest(&text("object")),
         scene: Label::nearest(&text("scene")),
         operator: Label::nearest(&text("operator")),
@@ -82,7 +82,7 @@ pub(super) fn rebuild(
         labelled_at: sources.field("labelled_at").unwrap_or_default(),
         initial,
         grasp,
-        approach: approach(
+        pre_grasp_frames: pre_grasp_frames(
             dir,
             sources.field("approach").unwrap_or_default(),
             &mut files,
@@ -93,12 +93,12 @@ pub(super) fn rebuild(
         overridden_guards: sources.field("overridden_guards").unwrap_or_default(),
         calibration: sources.field("calibration").unwrap_or_default(),
         files,
-        note: format!("record made again from {from}"),
+        note: format!("record rebuilt from {from}"),
         truth: sources.field("truth").unwrap_or_default(),
     })
 }
 
-/// Where fields come from: the old record first, then the index.
+/// Sources of fields: the old record first, then the index.
 struct Sources<'a> {
     old: &'a Value,
     row: Option<&'a Value>,
@@ -114,7 +114,7 @@ impl Sources<'_> {
     }
 }
 
-/// The old record as far as it is JSON; null otherwise.
+/// The old record if it is valid JSON; null otherwise.
 fn old_record(dir: &BeneathPath) -> Value {
     dir.join(GRASP_JSON)
         .read(FileKind::Record)
@@ -123,56 +123,57 @@ fn old_record(dir: &BeneathPath) -> Value {
         .unwrap_or_default()
 }
 
-/// Cameras whose images of a stage are there and whole; notes the digests of those files.
+/// Cameras with a complete image of a stage; adds the digests of those files.
 fn cameras(
     dir: &BeneathPath,
     stage: Stage,
-    known: &BTreeMap<Role, CameraRecord>,
+    old: &BTreeMap<Role, CameraRecord>,
     files: &mut BTreeMap<FileName, FileDigest>,
 ) -> BTreeMap<Role, CameraRecord> {
     let mut cameras = BTreeMap::new();
     for role in Role::ALL {
         let found = ["jpg", "png"].iter().find_map(|extension| {
-            let file = FileName::of_words(&[stage.name(), role.name(), extension]);
-            whole_image(dir, file, known.get(&role), files)
+            let file = FileName::from_words(&[stage.name(), role.name(), extension]);
+            complete_image(dir, file, old.get(&role), files)
         });
         cameras.extend(found.map(|camera| (role, camera)));
     }
     cameras
 }
 
-/// Whole frames from before the fingers closed.
-fn approach(
+/// Complete pre-grasp frames; adds the digests of their files.
+fn pre_grasp_frames(
     dir: &BeneathPath,
-    known: Vec<CameraRecord>,
+    old: Vec<CameraRecord>,
     files: &mut BTreeMap<FileName, FileDigest>,
 ) -> Vec<CameraRecord> {
     let names = entries(dir)
         .into_iter()
         .flatten()
         .filter_map(|entry| FileName::parse(&entry.name()).ok())
-        .filter(|name| name.starts_with(APPROACH_PREFIX));
+        .filter(|name| name.starts_with(PRE_GRASP_PREFIX));
     let found = names.into_iter().filter_map(|name| {
-        let known = known.iter().find(|camera| camera.file == name);
-        whole_image(dir, name, known, files)
+        let old = old.iter().find(|camera| camera.file == name);
+        complete_image(dir, name, old, files)
     });
     found.collect()
 }
 
-/// An image's record, as it was where that still fits; notes its digest. None where the file is
-/// no whole image.
-fn whole_image(
+/// Record of an image, the old one where it still fits; adds the file's digest. `None` where the
+/// file is not a complete image.
+fn complete_image(
     dir: &BeneathPath,
     file: FileName,
-    known: Option<&CameraRecord>,
+    old: Option<&CameraRecord>,
     files: &mut BTreeMap<FileName, FileDigest>,
 ) -> Option<CameraRecord> {
     let bytes = dir.join(&file).read(FileKind::Image).ok()?;
     let (format, width, height) = image_file::recognise(&bytes)?;
     files.insert(file.clone(), digest(&bytes));
-    let fits =
-        |camera: &&CameraRecord| camera.file == file && image_file::fault(&bytes, camera).is_none();
-    Some(known.filter(fits).cloned().unwrap_or_else(|| CameraRecord {
+    let fits = |camera: &&CameraRecord| {
+        camera.file == file && image_file::defect(&bytes, camera).is_none()
+    };
+    Some(old.filter(fits).cloned().unwrap_or_else(|| CameraRecord {
         file,
         product: "unknown".into(),
         serial: String::new(),
@@ -190,7 +191,7 @@ fn whole_image(
     }))
 }
 
-/// The time in an id; the epoch where there is none.
+/// Time in an id; the epoch where it has none.
 fn time_of(id: &GraspId) -> Timestamp {
     let text = id.get(..20).unwrap_or_default();
     DateTime::strptime("%Y-%m-%dT%H-%M-%SZ", text)
@@ -203,7 +204,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_time_is_read_from_the_id() {
+    fn time_is_read_from_id() {
         let id = GraspId::parse("2026-11-20T10-15-03Z-7f3a").unwrap();
         assert_eq!(time_of(&id).to_string(), "2026-11-20T10:15:03Z");
         assert_eq!(

@@ -1,4 +1,4 @@
-//! Reading and writing of `grasp.json` and `initial.json`.
+//! Reads and writes `grasp.json` and `initial.json`.
 
 use std::collections::BTreeMap;
 
@@ -13,39 +13,39 @@ use super::schema::check_schema;
 use gripcast_base::error::{Error, Result};
 use gripcast_base::files::{BeneathPath, FileKind, FileName, GraspId};
 
-/// A durable initial frame that waits for its grasp; the contents of `initial.json`.
+/// A durable initial frame whose grasp is not saved yet; the contents of `initial.json`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct PendingInitial {
     /// Version of the format.
     pub schema: u32,
-    /// Key that the grasp will have.
+    /// Id of the future grasp.
     pub id: GraspId,
     /// `gripcast <version>` that wrote the record.
     pub software: String,
-    /// The frames.
+    /// The initial frames.
     pub stage: StageRecord,
     /// Guards that were overridden at the initial trigger.
     pub overridden_guards: Vec<OverriddenGuard>,
     /// Digest of each image file, by file name.
     pub files: BTreeMap<FileName, FileDigest>,
-    /// The undone grasp whose initial frame this is. It counts only while that grasp stays undone.
+    /// The undone grasp whose initial frame this is. Valid only while that grasp stays undone.
     pub reopened_from: Option<GraspId>,
 }
 
-/// What a directory `.tmp-<id>` holds.
+/// Contents of a directory `.tmp-<id>`.
 #[derive(Debug)]
 pub(super) enum Pending {
     /// A durable initial frame.
     Initial(PendingInitial),
-    /// A whole grasp; only its renaming is missing.
+    /// A complete grasp whose directory was not renamed.
     Grasp,
-    /// Neither; never acknowledged. Says what is wrong.
+    /// An incomplete save, never acknowledged; holds the reason.
     Torn(String),
 }
 
 impl Pending {
-    /// Looks into the directory of `id`.
+    /// Inspects the directory of `id`.
     pub(super) fn inspect(dir: &BeneathPath, id: &GraspId) -> Self {
         let grasp = read_grasp(dir).and_then(|record| {
             check_files(dir, &record.files)?;
@@ -72,14 +72,14 @@ pub(super) fn check_id(found: &GraspId, expected: &GraspId) -> Result<()> {
     if found == expected {
         Ok(())
     } else {
-        Err(Error::input(format!("the record is that of {found}")))
+        Err(Error::input(format!("the record belongs to {found}")))
     }
 }
 
 /// Reads `grasp.json`.
 ///
 /// # Errors
-/// `NotFound`, or `Input` when it is no record of this version.
+/// `NotFound`, or `Input` when it is not a valid record of this version.
 pub(super) fn read_grasp(dir: &BeneathPath) -> Result<GraspRecord> {
     read(&dir.join(GRASP_JSON))
 }
@@ -96,10 +96,10 @@ fn read<T: DeserializeOwned>(path: &BeneathPath) -> Result<T> {
     from_json(&bytes).map_err(|e| e.at(path.display()))
 }
 
-/// Reads the bytes of a record.
+/// Parses a record.
 ///
 /// # Errors
-/// `Input` when they are no record of this version.
+/// `Input` when it is not a valid record of this version.
 pub(super) fn from_json<T: DeserializeOwned>(bytes: &[u8]) -> Result<T> {
     #[derive(Deserialize)]
     struct Schema {
@@ -111,13 +111,13 @@ pub(super) fn from_json<T: DeserializeOwned>(bytes: &[u8]) -> Result<T> {
     serde_json::from_slice(bytes).map_err(unreadable)
 }
 
-/// Pretty JSON with sorted keys and a final newline; certain to read back.
+/// Serialises a record as pretty JSON with sorted keys and a final newline; checked to parse again.
 ///
 /// # Errors
-/// `Internal` for values that JSON cannot hold (not a number, infinity).
+/// `Internal` for values that JSON cannot represent (NaN, infinity).
 pub(super) fn to_json<T: Serialize + DeserializeOwned>(record: &T) -> Result<Vec<u8>> {
     let unwritable = |e: serde_json::Error| {
-        Error::internal("the record holds a value that JSON cannot hold").because(e)
+        Error::internal("the record contains a value that JSON cannot represent").because(e)
     };
     let value = serde_json::to_value(record).map_err(unwritable)?;
     let mut bytes = serde_json::to_vec_pretty(&value).map_err(unwritable)?;
@@ -126,7 +126,7 @@ pub(super) fn to_json<T: Serialize + DeserializeOwned>(record: &T) -> Result<Vec
     Ok(bytes)
 }
 
-/// Holds every file against its digest.
+/// Compares every file with its digest.
 ///
 /// # Errors
 /// `NotFound` or `Input` for the first file that is missing or altered.
@@ -137,7 +137,7 @@ pub(super) fn check_files(dir: &BeneathPath, files: &BTreeMap<FileName, FileDige
             .read(FileKind::Image)
             .map_err(|e| Error::io("cannot read the file", e).at(path.display()))?;
         if digest(&bytes) != *expected {
-            return Err(Error::input("the file is not what was stored").at(path.display()));
+            return Err(Error::input("size or sha256 differ from the record").at(path.display()));
         }
     }
     Ok(())
@@ -149,7 +149,7 @@ mod tests {
     use gripcast_base::error::ErrorKind;
 
     #[test]
-    fn json_is_sorted_and_refuses_what_does_not_read_back() {
+    fn json_is_sorted_and_refuses_nan() {
         #[derive(Serialize, Deserialize)]
         struct Sample {
             z: f64,

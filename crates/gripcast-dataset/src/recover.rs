@@ -1,4 +1,4 @@
-//! Rescues what is there; moves the rest to `trash/`, with the reason. Deletes nothing.
+//! Recovers a damaged dataset: keeps readable grasps, moves the rest to `trash/`, deletes nothing.
 
 use std::collections::BTreeMap;
 use std::fs;
@@ -16,57 +16,57 @@ use super::opening::create_directories;
 use super::reader::{entries, grasp_ids};
 use super::rebuild::{is_newer, rebuild};
 use super::record_file::{check_files, read_grasp, to_json};
-use super::trash::set_aside;
+use super::trash::move_to_trash;
 use super::unfinished::{Unfinished, unfinished};
 use gripcast_base::error::{Error, ErrorKind, Result};
 use gripcast_base::files::{BeneathPath, GraspId};
 
-/// What recovery does to an item.
+/// Kind of a recovery action.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize)]
 #[serde(rename_all = "kebab-case")]
 #[non_exhaustive]
 pub enum ActionKind {
-    /// `dataset.toml` is written again.
+    /// Writes `dataset.toml` again.
     WriteDescriptor,
-    /// A whole grasp whose renaming was interrupted is completed.
+    /// Completes a grasp whose renaming was interrupted.
     Complete,
-    /// A grasp gets back the name that its record says.
+    /// Renames a directory to the id in its record.
     Rename,
-    /// A record is made again from the images, the index and what is left of the old one.
+    /// Rebuilds a record from the images, the index and the rest of the old record.
     Rebuild,
-    /// Something that is no part of a whole grasp moves to `trash/`.
+    /// Moves an item that is not part of a complete grasp to `trash/`.
     SetAside,
-    /// Something that this version does not understand stays as it is.
+    /// Leaves an item of a newer version unchanged.
     Leave,
-    /// The index is written again.
+    /// Writes the index again.
     Reindex,
 }
 
-/// One thing that recovery does, or would do.
+/// One action of a recovery.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub struct Action {
-    /// What is done.
+    /// Kind of the action.
     pub kind: ActionKind,
-    /// To what, relative to the dataset.
+    /// Affected item, relative to the dataset.
     pub item: String,
-    /// Why.
+    /// Reason.
     pub detail: String,
-    /// Whether data is lost by it: a grasp or a part of one cannot be used any more.
+    /// Whether data is lost: a grasp or some of its files are no longer usable.
     pub lost: bool,
 }
 
-/// What recovery did.
+/// Result of a recovery.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct RecoverReport {
-    /// Whether it only looked.
+    /// Whether nothing was changed.
     pub dry_run: bool,
-    /// What was done, or would be.
+    /// Actions that were done, or would be done.
     pub actions: Vec<Action>,
     /// Complete grasps afterwards.
     pub grasps: usize,
 }
 
-/// How an action is done.
+/// Operation that carries out an action.
 enum Step {
     WriteDescriptor(Descriptor),
     Complete(GraspId),
@@ -77,11 +77,11 @@ enum Step {
     Nothing,
 }
 
-/// Puts a dataset in order after crashes, lost files and altered files.
+/// Recovers a dataset after crashes, lost files and altered files.
 ///
 /// # Errors
 /// `NotFound` or `Input` when there is no dataset or it is of a newer version; `Busy` while it is
-/// written; `DiskFull`, `Io`, … when an action fails: what was done before it stays done.
+/// written; `DiskFull`, `Io`, … when an action fails: earlier actions stay done.
 pub fn recover(path: impl AsRef<Path>, dry_run: bool) -> Result<RecoverReport> {
     let layout = Layout::new(path.as_ref());
     let descriptor = match Descriptor::read(&layout) {
@@ -115,7 +115,7 @@ pub fn recover(path: impl AsRef<Path>, dry_run: bool) -> Result<RecoverReport> {
     plan.index();
     if !dry_run {
         create_directories(&SystemDisk, &layout)
-            .map_err(|e| layout.failed("cannot make the dataset's directories", e))?;
+            .map_err(|e| layout.failed("cannot create the dataset's directories", e))?;
         for (action, step) in &plan.steps {
             execute(&layout, action, step)?;
         }
@@ -130,7 +130,7 @@ pub fn recover(path: impl AsRef<Path>, dry_run: bool) -> Result<RecoverReport> {
 struct Plan<'a> {
     layout: &'a Layout,
     steps: Vec<(Action, Step)>,
-    /// Grasps that are there afterwards.
+    /// Complete grasps afterwards.
     kept: BTreeMap<GraspId, IndexRow>,
 }
 
@@ -155,17 +155,17 @@ impl Plan<'_> {
     }
 
     /// Directories of saves that were not finished. They were never acknowledged as grasps, so
-    /// setting them aside loses nothing that was promised.
+    /// the trash loses no acknowledged data.
     fn unfinished(&mut self) -> Result<()> {
-        for (id, fate) in unfinished(self.layout)? {
+        for (id, state) in unfinished(self.layout)? {
             let dir = self.layout.pending(&id);
             let item = format!("grasps/.tmp-{id}");
-            match fate {
-                Unfinished::Waiting(_) => {}
+            match state {
+                Unfinished::Pending(_) => {}
                 Unfinished::Complete => {
                     self.kept
-                        .insert(id.clone(), IndexRow::of(&read_grasp(&dir)?));
-                    let detail = "the grasp is whole, only its renaming was interrupted";
+                        .insert(id.clone(), IndexRow::new(&read_grasp(&dir)?));
+                    let detail = "the grasp is complete, but its renaming was interrupted";
                     self.add(ActionKind::Complete, &item, detail, Step::Complete(id));
                 }
                 Unfinished::Unusable(reason) => {
@@ -178,7 +178,7 @@ impl Plan<'_> {
 
     fn grasps(&mut self) -> Result<()> {
         let ids = grasp_ids(self.layout)?;
-        // Directories that bear the name in their record come first, so that copies yield to them.
+        // Directories named after their record come first, so that copies are recognised.
         let (own, other): (Vec<_>, Vec<_>) = ids
             .into_iter()
             .map(|id| {
@@ -200,7 +200,7 @@ impl Plan<'_> {
         let name = dir.name();
         let item = format!("grasps/{name}");
         if self.kept.contains_key(&record.id) {
-            let detail = format!("a copy of {}, which is there", record.id);
+            let detail = format!("a copy of {}", record.id);
             let step = Step::SetAside(dir.clone());
             self.add(ActionKind::SetAside, &item, detail, step);
             return;
@@ -209,15 +209,15 @@ impl Plan<'_> {
             self.add_loss(
                 ActionKind::SetAside,
                 &item,
-                format!("not whole any more: {error}"),
+                format!("incomplete: {error}"),
                 Step::SetAside(dir.clone()),
             );
             return;
         }
         self.extra_files(dir, record);
-        self.kept.insert(record.id.clone(), IndexRow::of(record));
+        self.kept.insert(record.id.clone(), IndexRow::new(record));
         if record.id != *name {
-            let detail = format!("its record says {}", record.id);
+            let detail = format!("the record belongs to {}", record.id);
             let step = Step::Rename {
                 from: dir.clone(),
                 to: record.id.clone(),
@@ -233,7 +233,7 @@ impl Plan<'_> {
                 self.add(
                     ActionKind::SetAside,
                     &format!("grasps/{}/{name}", dir.name()),
-                    "the record does not name it",
+                    "not listed in the record",
                     Step::SetAside(entry),
                 );
             }
@@ -264,7 +264,7 @@ impl Plan<'_> {
                     );
                 }
                 self.extra_files(&dir, &record);
-                self.kept.insert(id, IndexRow::of(&record));
+                self.kept.insert(id, IndexRow::new(&record));
                 self.add(
                     ActionKind::Rebuild,
                     &item,
@@ -281,7 +281,7 @@ impl Plan<'_> {
         }
     }
 
-    /// What is no directory of a grasp.
+    /// Entries of `grasps/` that are not directories of grasps.
     fn strays(&mut self) -> Result<()> {
         for entry in entries(&self.layout.grasps())? {
             let name = entry.name();
@@ -289,7 +289,7 @@ impl Plan<'_> {
             if is_dir && (GraspId::parse(&name).is_ok() || pending_id(&name).is_some()) {
                 continue;
             }
-            // The folder of a grasp under a name that no grasp can have.
+            // A grasp in a directory with an invalid name.
             if is_dir && let Ok(record) = read_grasp(&entry) {
                 self.readable(&entry, &record);
                 continue;
@@ -297,17 +297,17 @@ impl Plan<'_> {
             self.add(
                 ActionKind::SetAside,
                 &format!("grasps/{name}"),
-                "only directories of grasps belong here",
+                "not a grasp directory",
                 Step::SetAside(entry),
             );
         }
         Ok(())
     }
 
-    /// The index of what is there afterwards.
+    /// The index afterwards.
     fn index(&mut self) {
         if !index::is_stored(self.layout, &index::to_jsonl(&self.kept)) {
-            let detail = "it does not say what the records say";
+            let detail = "it differs from the records";
             self.add(ActionKind::Reindex, METADATA_JSONL, detail, Step::Reindex);
         }
     }
@@ -335,14 +335,14 @@ fn execute(layout: &Layout, action: &Action, step: &Step) -> Result<()> {
             GRASP_JSON,
             &to_json(record.as_ref())?,
         ),
-        Step::SetAside(path) => set_aside(disk, layout, path, &action.detail).map(|_slot| ()),
+        Step::SetAside(path) => move_to_trash(disk, layout, path, &action.detail).map(|_slot| ()),
         Step::Reindex => return index::rewrite(disk, layout).map(|_report| ()),
         Step::Nothing => Ok(()),
     };
-    done.map_err(|e| layout.failed(&format!("cannot put {} in order", action.item), e))
+    done.map_err(|e| layout.failed(&format!("cannot recover {}", action.item), e))
 }
 
-/// A description for a dataset that lost its own.
+/// Description of a dataset whose `dataset.toml` is missing.
 fn new_descriptor(layout: &Layout) -> Descriptor {
     let rig = grasp_ids(layout)
         .into_iter()

@@ -1,4 +1,4 @@
-//! Small captures for tests.
+//! Small sample captures for tests.
 
 #![allow(clippy::unwrap_used)]
 
@@ -11,13 +11,13 @@ use super::descriptor::NewDataset;
 use super::grasp::PredictionRecord;
 use gripcast_imaging::{Frame, PixelFormat, Role};
 
-/// What a new dataset is told about itself.
+/// Description of a new dataset.
 pub fn new_dataset() -> NewDataset {
     NewDataset {
         name: "sample".into(),
         rig: "bench".into(),
         licence: "CC-BY-4.0".into(),
-        label_definition: "stable = still held 3 s after the lift".into(),
+        label_definition: "stable = still in the gripper 3 s after the lift".into(),
     }
 }
 
@@ -62,7 +62,7 @@ fn camera(role: Role, format: PixelFormat, data: Vec<u8>, number: u32) -> Captur
     }
 }
 
-/// Frames of both gels (MJPG), colour (YUYV) and depth (Z16), different for each `number`.
+/// Frames of both gels (MJPG), colour (YUYV) and depth (Z16); they differ with `number`.
 pub fn capture(number: u32) -> StageCapture {
     let shade = number as u8;
     let begin: Timestamp = "2026-11-20T10:15:00Z".parse().unwrap();
@@ -72,7 +72,7 @@ pub fn capture(number: u32) -> StageCapture {
         trigger_time_ns: 1_010_000_000 + u64::from(number) * 40_000_000,
         trigger: "script".into(),
         truth: None,
-        approach: Vec::new(),
+        pre_grasp_frames: Vec::new(),
         pose: None,
         cameras: BTreeMap::from([
             (
@@ -105,7 +105,7 @@ pub fn capture(number: u32) -> StageCapture {
     }
 }
 
-/// What is known of a grasp of an object.
+/// Metadata of a grasp of an object.
 pub fn meta(object: &str) -> GraspMeta {
     GraspMeta {
         object: object.parse().unwrap(),
@@ -114,7 +114,7 @@ pub fn meta(object: &str) -> GraspMeta {
         rig: "bench".into(),
         prediction: Some(PredictionRecord {
             p_stable: 0.75,
-            novelty: None,
+            ood_score: None,
             threshold: 0.5,
             model_sha256: "0".repeat(64),
             model: "baseline".into(),

@@ -1,4 +1,4 @@
-//! Division of a dataset into parts that share no object.
+//! Splits a dataset so that no group (object or scene) is in two splits.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fmt;
@@ -18,20 +18,20 @@ use super::schema::check_schema;
 use gripcast_base::error::{Error, Result};
 use gripcast_base::files::{BeneathPath, FileKind, FileName, GraspId, read_regular};
 
-/// How many seeded orders are tried; the best balanced one is kept.
+/// Number of seeded orders; the best balanced one is kept.
 const TRIALS: u64 = 64;
 
-/// What may not be in two parts.
+/// Group key: what may not be in two splits.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
-pub enum SplitBy {
-    /// All grasps of an object stay together.
+pub enum GroupKey {
+    /// No object is in two splits.
     Object,
-    /// All grasps in a scene stay together.
+    /// No scene is in two splits.
     Scene,
 }
 
-impl fmt::Display for SplitBy {
+impl fmt::Display for GroupKey {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.pad(match self {
             Self::Object => "object",
@@ -40,9 +40,9 @@ impl fmt::Display for SplitBy {
     }
 }
 
-impl SplitBy {
-    /// The item of a grasp; spellings that differ in case or blanks are the same item.
-    pub fn item(self, record: &GraspRecord) -> String {
+impl GroupKey {
+    /// Returns the group of a grasp; spellings that differ in case or blanks are equal.
+    pub fn group(self, record: &GraspRecord) -> String {
         let name = match self {
             Self::Object => record.object.as_str(),
             Self::Scene => record.scene.as_str(),
@@ -52,16 +52,16 @@ impl SplitBy {
     }
 }
 
-/// What a split is to be.
+/// Settings of a split.
 #[derive(Clone, Debug, PartialEq)]
 pub struct SplitPlan {
     /// Name of the file in `splits/`, without extension.
     pub name: String,
-    /// What stays together.
-    pub by: SplitBy,
-    /// Decides between equally good splits.
+    /// Group key.
+    pub by: GroupKey,
+    /// Random seed.
     pub seed: u64,
-    /// Fraction of the grasps of each part; sums to 1.
+    /// Fraction of the grasps in each split; sums to 1.
     pub fractions: BTreeMap<String, f64>,
 }
 
@@ -71,23 +71,25 @@ pub struct SplitPlan {
 pub struct SplitFile {
     /// Version of the dataset format.
     pub schema: u32,
-    /// What stays together.
-    pub by: SplitBy,
-    /// Seed.
+    /// Group key.
+    pub by: GroupKey,
+    /// Random seed.
     pub seed: u64,
-    /// Fraction of the grasps that was asked for.
+    /// Requested fraction of the grasps in each split.
     pub fractions: BTreeMap<String, f64>,
-    /// The parts.
-    pub parts: BTreeMap<String, SplitPart>,
+    /// The splits by name; key `parts`.
+    #[serde(rename = "parts")]
+    pub splits: BTreeMap<String, SplitMembers>,
 }
 
-/// One part of a split.
+/// Members of one split.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct SplitPart {
-    /// Objects (or scenes) of the part: lower case, single blanks.
-    pub items: BTreeSet<String>,
-    /// Grasps of the part.
+pub struct SplitMembers {
+    /// Groups (objects or scenes) of the split: lower case, single blanks. Key `items`.
+    #[serde(rename = "items")]
+    pub groups: BTreeSet<String>,
+    /// Grasps of the split.
     pub grasps: BTreeSet<GraspId>,
     /// Grasps by outcome.
     pub outcomes: BTreeMap<Outcome, usize>,
@@ -98,35 +100,35 @@ pub struct SplitPart {
 /// The result depends on the seed and the set of grasps, not on their order.
 ///
 /// # Errors
-/// `Usage` for shares that are not shares; `Input` with fewer objects than parts, or when a grasp
+/// `Usage` for invalid fractions; `Input` with fewer groups than splits, or when a grasp
 /// cannot be read; `DiskFull`, `Io`, … when the file cannot be written.
 pub fn split(dataset: &Dataset, plan: &SplitPlan) -> Result<SplitFile> {
     let name = file_name(&plan.name)?;
     check_fractions(&plan.fractions)?;
-    let mut items: BTreeMap<String, Vec<(GraspId, Outcome)>> = BTreeMap::new();
+    let mut groups: BTreeMap<String, Vec<(GraspId, Outcome)>> = BTreeMap::new();
     for record in dataset.grasps()? {
         let record = record.map_err(|e| {
-            e.remedy("run `gripcast dataset verify` to see what is wrong with the dataset")
+            e.remedy("run `gripcast dataset verify` to list the problems of the dataset")
         })?;
-        items
-            .entry(plan.by.item(&record))
+        groups
+            .entry(plan.by.group(&record))
             .or_default()
             .push((record.id, record.outcome));
     }
-    let parts = divide(&items, plan)?;
+    let splits = divide(&groups, plan)?;
     let file = SplitFile {
         schema: SCHEMA_VERSION,
         by: plan.by,
         seed: plan.seed,
         fractions: plan.fractions.clone(),
-        parts,
+        splits,
     };
     file.write(dataset, &name)?;
     Ok(file)
 }
 
 impl Dataset {
-    /// Names of the splits, sorted.
+    /// Names of the split files, sorted.
     ///
     /// # Errors
     /// When `splits/` cannot be read.
@@ -142,10 +144,10 @@ impl Dataset {
             .collect())
     }
 
-    /// A split, by its name.
+    /// Reads a split file by its name.
     ///
     /// # Errors
-    /// `Usage`: no split can be called so. As of [`SplitFile::read`].
+    /// `Usage`: invalid name. As [`SplitFile::read`].
     pub fn split(&self, name: &str) -> Result<SplitFile> {
         let file = file_name(name)?;
         SplitFile::read_beneath(&self.layout().splits().join(file))
@@ -156,7 +158,7 @@ impl SplitFile {
     /// Reads a split file.
     ///
     /// # Errors
-    /// `NotFound`, or `Input` when it is no split of this version.
+    /// `NotFound`, or `Input` when it is not a valid split file of this version.
     pub fn read(path: &Path) -> Result<Self> {
         Self::from_bytes(read_regular(path, FileKind::List)).map_err(|e| e.at(path.display()))
     }
@@ -176,40 +178,38 @@ impl SplitFile {
         serde_json::from_value(value).map_err(unreadable)
     }
 
-    /// All grasps of all parts.
+    /// Grasps of all splits.
     pub fn grasps(&self) -> impl Iterator<Item = &GraspId> {
-        self.parts.values().flat_map(|part| &part.grasps)
+        self.splits.values().flat_map(|members| &members.grasps)
     }
 
-    /// Items and grasps that are in two parts, a sentence each. `record` looks a grasp up: what
-    /// counts is what the records say now.
+    /// Lists groups and grasps that are in two splits, a sentence each. `record` looks up a grasp:
+    /// its current record counts.
     pub fn leaks<'a>(&self, record: impl Fn(&GraspId) -> Option<&'a GraspRecord>) -> Vec<String> {
-        let mut parts_of_item: BTreeMap<String, BTreeSet<&str>> = BTreeMap::new();
-        let mut parts_of_grasp: BTreeMap<&GraspId, BTreeSet<&str>> = BTreeMap::new();
-        for (name, part) in &self.parts {
-            for item in &part.items {
-                parts_of_item.entry(item.clone()).or_default().insert(name);
+        let by = self.by;
+        // Groups come before grasps.
+        let mut splits_of: BTreeMap<(bool, String), BTreeSet<&str>> = BTreeMap::new();
+        for (name, members) in &self.splits {
+            let mut add = |is_grasp, item| {
+                splits_of.entry((is_grasp, item)).or_default().insert(name);
+            };
+            for group in &members.groups {
+                add(false, format!("{by} `{group}`"));
             }
-            for id in &part.grasps {
-                parts_of_grasp.entry(id).or_default().insert(name);
+            for id in &members.grasps {
+                add(true, format!("grasp {id}"));
                 if let Some(record) = record(id) {
-                    let item = self.by.item(record);
-                    parts_of_item.entry(item).or_default().insert(name);
+                    add(false, format!("{by} `{}`", by.group(record)));
                 }
             }
         }
-        let sentence = |what: String, parts: BTreeSet<&str>| {
-            let parts: Vec<&str> = parts.into_iter().collect();
-            (parts.len() > 1).then(|| format!("{what} is in {}", parts.join(" and ")))
-        };
-        let by = self.by;
-        let items = parts_of_item
-            .into_iter()
-            .filter_map(|(item, parts)| sentence(format!("{by} `{item}`"), parts));
-        let grasps = parts_of_grasp
-            .into_iter()
-            .filter_map(|(id, parts)| sentence(format!("grasp {id}"), parts));
-        items.chain(grasps).collect()
+        let leaks = splits_of.into_iter().filter(|(_, splits)| splits.len() > 1);
+        leaks
+            .map(|((_, item), splits)| {
+                let splits: Vec<&str> = splits.into_iter().collect();
+                format!("{item} is in {}", splits.join(" and "))
+            })
+            .collect()
     }
 
     fn write(&self, dataset: &Dataset, name: &FileName) -> Result<()> {
@@ -219,20 +219,21 @@ impl SplitFile {
             .and_then(|value| serde_json::to_vec_pretty(&value))
             .map_err(|e| Error::internal("cannot write the split").because(e))?;
         json.push(b'\n');
-        let made = if dir.is_dir() {
+        let created = if dir.is_dir() {
             Ok(())
         } else {
             SystemDisk
                 .create_dir(&dir)
                 .and_then(|()| SystemDisk.sync_dir(&layout.top()))
         };
-        made.and_then(|()| replace(&SystemDisk, &dir, name, &json))
+        created
+            .and_then(|()| replace(&SystemDisk, &dir, name, &json))
             .map_err(|e| layout.failed(&format!("cannot write splits/{name}"), e))
     }
 }
 
-/// Words by which `imagefolder` takes a file for a part of the data, and then sees nothing else.
-const PART_WORDS: [&str; 10] = [
+/// Words in file names that `imagefolder` takes for the name of a split.
+const SPLIT_WORDS: [&str; 10] = [
     "train",
     "training",
     "validation",
@@ -245,19 +246,15 @@ const PART_WORDS: [&str; 10] = [
     "evaluation",
 ];
 
-/// The file of a split of this name.
+/// File name of a split.
 pub(super) fn file_name(name: &str) -> Result<FileName> {
     check_name(name)?;
     FileName::parse(&format!("{name}.json"))
 }
 
-/// Refuses names that are no plain file names or would hide the dataset from `imagefolder`.
+/// Refuses invalid file names and names that hide the dataset from `imagefolder`.
 pub(super) fn check_name(name: &str) -> Result<()> {
-    let refused = |why: &str| {
-        Err(Error::usage(format!(
-            "`{name}` cannot be the name of a split: {why}"
-        )))
-    };
+    let refused = |why: &str| Err(Error::usage(format!("invalid split name `{name}`: {why}")));
     let plain = !name.is_empty()
         && !name.starts_with('.')
         && name
@@ -267,10 +264,9 @@ pub(super) fn check_name(name: &str) -> Result<()> {
         return refused("use letters, digits, `-`, `_` and `.`");
     }
     let mut words = name.split(|c: char| !c.is_ascii_alphabetic());
-    match words.find(|word| PART_WORDS.contains(&word.to_ascii_lowercase().as_str())) {
+    match words.find(|word| SPLIT_WORDS.contains(&word.to_ascii_lowercase().as_str())) {
         Some(word) => refused(&format!(
-            "`imagefolder` would take the file for the {word} part of the data and load nothing \
-             else; the parts are inside the file"
+            "`imagefolder` would take the file for the {word} split and load nothing else"
         )),
         None => Ok(()),
     }
@@ -289,7 +285,7 @@ fn check_fractions(fractions: &BTreeMap<String, f64>) -> Result<()> {
         .map(|(name, fraction)| format!("{name} {fraction}"))
         .collect();
     Err(Error::usage(format!(
-        "the fractions ({}) must lie between 0 and 1 and sum to 1, not {sum:.6}",
+        "expected fractions between 0 and 1 that sum to 1, found {} (sum {sum:.6})",
         text.join(", ")
     )))
 }
@@ -305,30 +301,30 @@ fn tally(grasps: &[(GraspId, Outcome)]) -> Tally {
     tally
 }
 
-/// Assigns items to parts, greedily in the best of several seeded orders.
+/// Assigns groups to splits, greedily in the best of several seeded orders.
 fn divide(
-    items: &BTreeMap<String, Vec<(GraspId, Outcome)>>,
+    groups: &BTreeMap<String, Vec<(GraspId, Outcome)>>,
     plan: &SplitPlan,
-) -> Result<BTreeMap<String, SplitPart>> {
-    let parts: Vec<(&String, f64)> = plan
+) -> Result<BTreeMap<String, SplitMembers>> {
+    let splits: Vec<(&String, f64)> = plan
         .fractions
         .iter()
         .filter(|(_, fraction)| **fraction > 0.0)
         .map(|(name, fraction)| (name, *fraction))
         .collect();
-    if items.len() < parts.len() {
+    if groups.len() < splits.len() {
         return Err(Error::input(format!(
-            "{} parts need at least {} different {}s, but the dataset has {}",
-            parts.len(),
-            parts.len(),
+            "{} splits need at least {} different {}s, found {}",
+            splits.len(),
+            splits.len(),
             plan.by,
-            items.len()
+            groups.len()
         ))
-        .remedy("collect more of them, or give fewer parts a fraction above 0"));
+        .remedy("collect more of them, or use fewer splits"));
     }
-    let tallies: Vec<(&String, Tally)> = items
+    let tallies: Vec<(&String, Tally)> = groups
         .iter()
-        .map(|(item, grasps)| (item, tally(grasps)))
+        .map(|(group, grasps)| (group, tally(grasps)))
         .collect();
     let mut total = [0.0; 3];
     for (_, tally) in &tallies {
@@ -336,35 +332,35 @@ fn divide(
             *sum += count;
         }
     }
-    let targets: Vec<Tally> = parts
+    let targets: Vec<Tally> = splits
         .iter()
         .map(|(_, fraction)| total.map(|count| count * fraction))
         .collect();
     let mut best: Option<(f64, BTreeMap<&String, usize>)> = None;
     for trial in 0..TRIALS {
         let (cost, assignment) = assign(&tallies, &targets, plan.seed, trial);
-        if best.as_ref().is_none_or(|(least, _)| cost < *least) {
+        if best.as_ref().is_none_or(|(min, _)| cost < *min) {
             best = Some((cost, assignment));
         }
     }
-    let mut divided: BTreeMap<String, SplitPart> = parts
+    let mut divided: BTreeMap<String, SplitMembers> = splits
         .iter()
-        .map(|(name, _)| ((*name).clone(), SplitPart::default()))
+        .map(|(name, _)| ((*name).clone(), SplitMembers::default()))
         .collect();
-    for (item, part) in best.map(|(_, assignment)| assignment).unwrap_or_default() {
-        let Some(part) = divided.get_mut(parts[part].0) else {
+    for (group, split) in best.map(|(_, assignment)| assignment).unwrap_or_default() {
+        let Some(members) = divided.get_mut(splits[split].0) else {
             continue;
         };
-        part.items.insert(item.clone());
-        for (id, outcome) in &items[item] {
-            part.grasps.insert(id.clone());
-            *part.outcomes.entry(*outcome).or_default() += 1;
+        members.groups.insert(group.clone());
+        for (id, outcome) in &groups[group] {
+            members.grasps.insert(id.clone());
+            *members.outcomes.entry(*outcome).or_default() += 1;
         }
     }
     Ok(divided)
 }
 
-/// One greedy assignment: item → part, and how far the parts are from their targets.
+/// One greedy assignment of groups to splits, with its distance from the targets.
 fn assign<'a>(
     tallies: &[(&'a String, Tally)],
     targets: &[Tally],
@@ -373,30 +369,30 @@ fn assign<'a>(
 ) -> (f64, BTreeMap<&'a String, usize>) {
     let mut order: Vec<(u64, &String, Tally)> = tallies
         .iter()
-        .map(|(item, tally)| (draw(seed, trial, item), *item, *tally))
+        .map(|(group, tally)| (draw(seed, trial, group), *group, *tally))
         .collect();
     order.sort_by(|a, b| (a.0, a.1).cmp(&(b.0, b.1)));
     let mut filled = vec![[0.0; 3]; targets.len()];
-    let mut items_in = vec![0_usize; targets.len()];
+    let mut groups_in = vec![0_usize; targets.len()];
     let mut assignment = BTreeMap::new();
     let count = order.len();
-    for (position, (_, item, tally)) in order.into_iter().enumerate() {
-        let empty = items_in.iter().filter(|items| **items == 0).count();
+    for (position, (_, group, tally)) in order.into_iter().enumerate() {
+        let empty = groups_in.iter().filter(|count| **count == 0).count();
         let only_empty = count - position <= empty;
-        // The part whose distance to its target shrinks most by taking the item.
-        let gain = |part: usize| {
-            let after: Tally = std::array::from_fn(|i| filled[part][i] + tally[i]);
-            distance(&filled[part], &targets[part]) - distance(&after, &targets[part])
+        // Decrease of the split's distance from its target by adding the group.
+        let gain = |split: usize| {
+            let after: Tally = std::array::from_fn(|i| filled[split][i] + tally[i]);
+            distance(&filled[split], &targets[split]) - distance(&after, &targets[split])
         };
         let chosen = (0..targets.len())
-            .filter(|part| !only_empty || items_in[*part] == 0)
+            .filter(|split| !only_empty || groups_in[*split] == 0)
             .max_by(|a, b| gain(*a).total_cmp(&gain(*b)).then(b.cmp(a)));
-        let Some(part) = chosen else { continue };
-        for (sum, count) in filled[part].iter_mut().zip(tally) {
+        let Some(split) = chosen else { continue };
+        for (sum, count) in filled[split].iter_mut().zip(tally) {
             *sum += count;
         }
-        items_in[part] += 1;
-        assignment.insert(item, part);
+        groups_in[split] += 1;
+        assignment.insert(group, split);
     }
     let cost = filled
         .iter()
@@ -406,7 +402,7 @@ fn assign<'a>(
     (cost, assignment)
 }
 
-/// Squared distance in outcomes and, counted as much as all of them, in the number of grasps.
+/// Squared distance in the counts by outcome and, with the same weight, in the number of grasps.
 fn distance(filled: &Tally, target: &Tally) -> f64 {
     let by_outcome: f64 = filled
         .iter()
@@ -417,13 +413,13 @@ fn distance(filled: &Tally, target: &Tally) -> f64 {
     by_outcome + all.powi(2)
 }
 
-/// The item's own random number: independent of all other items and of any order.
-fn draw(seed: u64, trial: u64, item: &str) -> u64 {
+/// Random number of a group, independent of other groups and their order.
+fn draw(seed: u64, trial: u64, group: &str) -> u64 {
     let mut hasher = Sha256::new();
     hasher.update(b"dataset split\0");
     hasher.update(seed.to_le_bytes());
     hasher.update(trial.to_le_bytes());
-    hasher.update(item.as_bytes());
+    hasher.update(group.as_bytes());
     Pcg64::from_seed(hasher.finalize().into()).next_u64()
 }
 
@@ -435,7 +431,7 @@ mod tests {
     fn plan(seed: u64) -> SplitPlan {
         SplitPlan {
             name: "seed-7".into(),
-            by: SplitBy::Object,
+            by: GroupKey::Object,
             seed,
             fractions: BTreeMap::from([
                 ("train".into(), 0.7),
@@ -445,7 +441,7 @@ mod tests {
         }
     }
 
-    fn items(count: usize) -> BTreeMap<String, Vec<(GraspId, Outcome)>> {
+    fn groups(count: usize) -> BTreeMap<String, Vec<(GraspId, Outcome)>> {
         (0..count)
             .map(|object| {
                 let grasps = (0..4 + object % 5)
@@ -467,39 +463,39 @@ mod tests {
     }
 
     #[test]
-    fn parts_are_balanced_complete_and_reproducible() {
-        let items = items(40);
-        let all: usize = items.values().map(Vec::len).sum();
-        let parts = divide(&items, &plan(7)).unwrap();
-        assert_eq!(parts, divide(&items, &plan(7)).unwrap());
-        assert_ne!(parts, divide(&items, &plan(8)).unwrap());
-        let placed: usize = parts.values().map(|part| part.grasps.len()).sum();
+    fn splits_are_balanced_complete_and_reproducible() {
+        let groups = groups(40);
+        let all: usize = groups.values().map(Vec::len).sum();
+        let splits = divide(&groups, &plan(7)).unwrap();
+        assert_eq!(splits, divide(&groups, &plan(7)).unwrap());
+        assert_ne!(splits, divide(&groups, &plan(8)).unwrap());
+        let placed: usize = splits.values().map(|split| split.grasps.len()).sum();
         assert_eq!(placed, all);
-        let slips_of_all = items
+        let slips_of_all = groups
             .values()
             .flatten()
             .filter(|(_, outcome)| *outcome == Outcome::Slip)
             .count() as f64
             / all as f64;
         for (name, fraction) in &plan(7).fractions {
-            let part = &parts[name];
-            let found = part.grasps.len() as f64 / all as f64;
+            let split = &splits[name];
+            let found = split.grasps.len() as f64 / all as f64;
             assert!((found - fraction).abs() < 0.03, "{name}: {found}");
-            let slips = part.outcomes[&Outcome::Slip] as f64 / part.grasps.len() as f64;
+            let slips = split.outcomes[&Outcome::Slip] as f64 / split.grasps.len() as f64;
             assert!((slips - slips_of_all).abs() < 0.05, "{name}: {slips}");
         }
     }
 
     #[test]
-    fn every_part_gets_an_object_and_too_few_objects_are_refused() {
-        let parts = divide(&items(3), &plan(1)).unwrap();
-        assert!(parts.values().all(|part| part.items.len() == 1));
-        let error = divide(&items(2), &plan(1)).unwrap_err();
+    fn every_split_gets_an_object() {
+        let splits = divide(&groups(3), &plan(1)).unwrap();
+        assert!(splits.values().all(|split| split.groups.len() == 1));
+        let error = divide(&groups(2), &plan(1)).unwrap_err();
         assert!(error.to_string().contains("3 different objects"), "{error}");
     }
 
     #[test]
-    fn fractions_must_be_fractions() {
+    fn invalid_fractions_are_refused() {
         let fractions = |train: f64, val: f64| {
             check_fractions(&BTreeMap::from([
                 ("train".into(), train),
@@ -513,7 +509,7 @@ mod tests {
     }
 
     #[test]
-    fn names_that_mislead_imagefolder_are_refused() {
+    fn split_words_in_names_are_refused() {
         for name in ["object-7", "fold_3", "contest", "v1.2"] {
             assert!(check_name(name).is_ok(), "{name}");
         }
@@ -527,20 +523,20 @@ mod tests {
     }
 
     #[test]
-    fn a_leak_is_named() {
-        let part = |item: &str, id: &str| SplitPart {
-            items: BTreeSet::from([item.to_owned()]),
+    fn leak_is_reported() {
+        let members = |group: &str, id: &str| SplitMembers {
+            groups: BTreeSet::from([group.to_owned()]),
             grasps: BTreeSet::from([GraspId::parse(id).unwrap()]),
             outcomes: BTreeMap::new(),
         };
         let file = SplitFile {
             schema: 1,
-            by: SplitBy::Object,
+            by: GroupKey::Object,
             seed: 0,
             fractions: BTreeMap::new(),
-            parts: BTreeMap::from([
-                ("test".into(), part("mug", "a")),
-                ("train".into(), part("mug", "a")),
+            splits: BTreeMap::from([
+                ("test".into(), members("mug", "a")),
+                ("train".into(), members("mug", "a")),
             ]),
         };
         assert_eq!(

@@ -1,4 +1,4 @@
-//! Numbers about a dataset.
+//! Summary of a dataset.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -10,20 +10,20 @@ use super::reader::{Dataset, entries};
 use gripcast_base::error::Result;
 use gripcast_base::files::{BeneathPath, Label, ObjectName};
 
-/// What is in a dataset.
+/// Summary of a dataset.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct Summary {
-    /// Name.
+    /// Name of the dataset.
     pub name: String,
-    /// Rigs that it was collected with.
+    /// Rigs that collected it.
     pub rigs: BTreeSet<String>,
-    /// Licence.
+    /// Licence of the data.
     pub licence: String,
     /// What `stable` and `slip` mean.
     pub label_definition: String,
-    /// Complete grasps whose record can be read.
+    /// Complete grasps with a readable record.
     pub grasps: usize,
-    /// Grasps whose record cannot be read.
+    /// Grasps with an unreadable record.
     pub unreadable: usize,
     /// Grasps by outcome.
     pub outcomes: BTreeMap<Outcome, usize>,
@@ -33,51 +33,51 @@ pub struct Summary {
     pub scenes: BTreeMap<Label, usize>,
     /// Grasps by operator.
     pub operators: BTreeMap<Label, usize>,
-    /// Fraction of stable among the labelled grasps.
+    /// Fraction of stable grasps among the labelled ones.
     pub stable_fraction: Option<f64>,
-    /// When the first grasp was taken, RFC 3339 UTC.
+    /// Time of the first grasp, RFC 3339 UTC.
     pub first_captured_at: Option<String>,
-    /// When the last grasp was taken, RFC 3339 UTC.
+    /// Time of the last grasp, RFC 3339 UTC.
     pub last_captured_at: Option<String>,
     /// Size of all complete grasps, bytes.
     pub bytes: u64,
     /// Size of `trash/`, bytes.
     pub trash_bytes: u64,
-    /// Predictions held against labels, by model.
+    /// Agreement of predictions and labels, by model.
     pub predictions: BTreeMap<String, Agreement>,
 }
 
-/// How the predictions before the lift agree with the labels after it.
+/// Confusion matrix of the predictions before the lift and the labels after it.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct Agreement {
-    /// Predicted and labelled stable.
-    pub stable_as_predicted: usize,
-    /// Predicted and labelled slip.
-    pub slip_as_predicted: usize,
+    /// Predicted stable, labelled stable.
+    pub true_stable: usize,
+    /// Predicted slip, labelled slip.
+    pub true_slip: usize,
     /// Predicted stable, labelled slip.
-    pub slipped_unexpectedly: usize,
+    pub false_stable: usize,
     /// Predicted slip, labelled stable.
-    pub held_unexpectedly: usize,
+    pub false_slip: usize,
 }
 
 impl Agreement {
     /// Grasps with a prediction and a label.
     #[must_use]
     pub fn total(&self) -> usize {
-        self.agreed() + self.slipped_unexpectedly + self.held_unexpectedly
+        self.agreed() + self.false_stable + self.false_slip
     }
 
-    /// Grasps where both agree.
+    /// Grasps whose prediction and label agree.
     #[must_use]
     pub fn agreed(&self) -> usize {
-        self.stable_as_predicted + self.slip_as_predicted
+        self.true_stable + self.true_slip
     }
 }
 
-/// Counts what is in a dataset; reads all records, no image.
+/// Summarises a dataset; reads all records but no image.
 ///
 /// # Errors
-/// When the directory of the grasps cannot be read.
+/// `Io`, … when `grasps/` cannot be read.
 pub fn summary(dataset: &Dataset) -> Result<Summary> {
     let descriptor = dataset.descriptor();
     let layout = dataset.layout();
@@ -107,10 +107,10 @@ pub fn summary(dataset: &Dataset) -> Result<Summary> {
             let agreement = summary.predictions.entry(prediction.model).or_default();
             let predicted_stable = prediction.p_stable >= prediction.threshold;
             match (predicted_stable, record.outcome) {
-                (true, Outcome::Stable) => agreement.stable_as_predicted += 1,
-                (false, Outcome::Slip) => agreement.slip_as_predicted += 1,
-                (true, Outcome::Slip) => agreement.slipped_unexpectedly += 1,
-                (false, Outcome::Stable) => agreement.held_unexpectedly += 1,
+                (true, Outcome::Stable) => agreement.true_stable += 1,
+                (false, Outcome::Slip) => agreement.true_slip += 1,
+                (true, Outcome::Slip) => agreement.false_stable += 1,
+                (false, Outcome::Stable) => agreement.false_slip += 1,
                 (_, Outcome::Unlabelled) => {}
             }
         }
@@ -123,10 +123,10 @@ pub fn summary(dataset: &Dataset) -> Result<Summary> {
     Ok(summary)
 }
 
-/// Size of the files below a directory; what cannot be read counts as nothing.
+/// Size of the files below a directory; unreadable ones count as 0.
 fn directory_bytes(path: &BeneathPath) -> u64 {
     let entries = entries(path).into_iter().flatten();
-    // Links could lead round in a circle.
+    // Links could form a cycle.
     entries
         .filter(|entry| !entry.is_link())
         .map(|entry| match entry.metadata() {
@@ -143,7 +143,7 @@ mod tests {
     use crate::sample::{capture, meta, new_dataset};
 
     #[test]
-    fn predictions_are_held_against_labels() {
+    fn predictions_are_compared_with_labels() {
         let dir = tempfile::tempdir().unwrap();
         let (mut writer, _) = DatasetWriter::open_or_create(dir.path(), &new_dataset()).unwrap();
         let outcomes = [Outcome::Stable, Outcome::Slip, Outcome::Unlabelled];
@@ -165,8 +165,8 @@ mod tests {
         assert_eq!(
             summary.predictions["baseline"],
             Agreement {
-                stable_as_predicted: 1,
-                slipped_unexpectedly: 1,
+                true_stable: 1,
+                false_stable: 1,
                 ..Agreement::default()
             }
         );

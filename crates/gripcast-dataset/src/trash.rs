@@ -1,4 +1,4 @@
-//! Nothing is deleted: what is undone, discarded or unusable moves to `trash/`.
+//! Nothing is deleted: undone, discarded and unusable items move to `trash/`.
 
 use std::io;
 
@@ -6,10 +6,10 @@ use super::disk::Disk;
 use super::layout::Layout;
 use gripcast_base::files::{BeneathPath, Component, FileName};
 
-/// File beside what recovery has set aside.
+/// File that states why an item was moved to the trash.
 const REASON: &str = "reason.txt";
 
-/// A name in `trash/` that is free: `name`, `name.2`, `name.3`, …
+/// Returns an unused path in `trash/`: `name`, `name.2`, `name.3`, …
 pub(super) fn free_slot(layout: &Layout, name: &impl Component) -> BeneathPath {
     let first = layout.trash().join(name);
     let mut slot = first.clone();
@@ -21,8 +21,8 @@ pub(super) fn free_slot(layout: &Layout, name: &impl Component) -> BeneathPath {
     slot
 }
 
-/// Moves `path` into `trash/` and says why in a file beside it.
-pub(super) fn set_aside(
+/// Moves `path` into `trash/` and writes the reason into a file beside it.
+pub(super) fn move_to_trash(
     disk: &dyn Disk,
     layout: &Layout,
     path: &BeneathPath,
@@ -31,14 +31,14 @@ pub(super) fn set_aside(
     let parent = path.parent();
     let name = path.name();
     let plain = name.trim_start_matches('.');
-    // A link is moved as the link that it is.
+    // A link is moved as a link.
     let is_dir = path.is_dir() && !path.is_link();
     let slot = if is_dir {
         let slot = free_slot(layout, &FileName::nearest(plain));
         disk.rename_new(path, &slot)?;
         slot
     } else {
-        // A loose file gets a directory of its own, named after the grasp it came from.
+        // A single file gets its own directory, named after the grasp it came from.
         let slot = free_slot(
             layout,
             &FileName::nearest(&format!("{}.{plain}", parent.name())),
@@ -49,7 +49,7 @@ pub(super) fn set_aside(
     };
     disk.sync_dir(&layout.trash())?;
     disk.sync_dir(&parent)?;
-    // The move is what matters; on a full disk it succeeds where the explanation cannot be written.
+    // On a full disk the move succeeds even where the reason cannot be written.
     let _ = disk.write(&slot.join(REASON), format!("{reason}\n").as_bytes());
     Ok(slot)
 }

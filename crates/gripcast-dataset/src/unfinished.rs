@@ -1,4 +1,4 @@
-//! What a crash may leave in `grasps/`, and what is to become of it.
+//! Finds unfinished saves that a crash left in `grasps/` and decides how to handle them.
 
 use jiff::Timestamp;
 
@@ -8,37 +8,37 @@ use super::record_file::{Pending, PendingInitial};
 use gripcast_base::error::Result;
 use gripcast_base::files::GraspId;
 
-/// What is to become of a `.tmp-<id>` directory.
+/// How to handle a `.tmp-<id>` directory.
 #[derive(Debug)]
 pub(super) enum Unfinished {
-    /// A whole grasp that was not renamed: rename it.
+    /// A complete grasp that was not renamed: rename it.
     Complete,
     /// The newest durable initial frame: keep it for its grasp.
-    Waiting(PendingInitial),
-    /// Never acknowledged, or no longer of use; says why.
+    Pending(PendingInitial),
+    /// Never acknowledged, or no longer needed; holds the reason.
     Unusable(String),
 }
 
-/// Looks at all `.tmp-*` directories, sorted by id. At most one is waiting.
+/// Inspects all `.tmp-*` directories, sorted by id. At most one is pending.
 pub(super) fn unfinished(layout: &Layout) -> Result<Vec<(GraspId, Unfinished)>> {
     let mut found = Vec::new();
     for name in subdirectories(&layout.grasps())? {
         if let Some(id) = pending_id(&name) {
-            let fate = inspect(layout, &id);
-            found.push((id, fate));
+            let state = inspect(layout, &id);
+            found.push((id, state));
         }
     }
     let newest = found
         .iter()
-        .filter_map(|(id, fate)| match fate {
-            Unfinished::Waiting(pending) => Some((taken_at(pending), id.clone())),
+        .filter_map(|(id, state)| match state {
+            Unfinished::Pending(pending) => Some((captured_at(pending), id.clone())),
             Unfinished::Complete | Unfinished::Unusable(_) => None,
         })
         .max();
-    for (id, fate) in &mut found {
+    for (id, state) in &mut found {
         let is_newest = newest.as_ref().is_some_and(|(_, newest)| newest == id);
-        if matches!(fate, Unfinished::Waiting(_)) && !is_newest {
-            *fate = Unfinished::Unusable("a newer initial frame took its place".into());
+        if matches!(state, Unfinished::Pending(_)) && !is_newest {
+            *state = Unfinished::Unusable("superseded by a newer initial frame".into());
         }
     }
     Ok(found)
@@ -47,21 +47,19 @@ pub(super) fn unfinished(layout: &Layout) -> Result<Vec<(GraspId, Unfinished)>> 
 fn inspect(layout: &Layout, id: &GraspId) -> Unfinished {
     match Pending::inspect(&layout.pending(id), id) {
         Pending::Grasp if layout.grasp(id).is_taken() => {
-            Unfinished::Unusable(format!("there is another grasp {id}"))
+            Unfinished::Unusable(format!("grasp {id} already exists"))
         }
         Pending::Grasp => Unfinished::Complete,
         Pending::Initial(pending) => match &pending.reopened_from {
             Some(grasp) if layout.grasp(grasp).is_taken() => Unfinished::Unusable(format!(
-                "initial frame of {grasp}, which was not undone after all"
+                "initial frame of {grasp}, whose undo was not completed"
             )),
-            _ => Unfinished::Waiting(pending),
+            _ => Unfinished::Pending(pending),
         },
-        Pending::Torn(reason) => {
-            Unfinished::Unusable(format!("was not written to its end: {reason}"))
-        }
+        Pending::Torn(reason) => Unfinished::Unusable(format!("incomplete save: {reason}")),
     }
 }
 
-fn taken_at(pending: &PendingInitial) -> Option<Timestamp> {
+fn captured_at(pending: &PendingInitial) -> Option<Timestamp> {
     pending.stage.captured_at.parse().ok()
 }

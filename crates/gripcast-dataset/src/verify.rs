@@ -1,4 +1,4 @@
-//! Finds everything that is wrong with a dataset.
+//! Verifies a dataset.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
@@ -21,26 +21,26 @@ use super::split::{SplitFile, check_name};
 use gripcast_base::error::{ErrorKind, Result};
 use gripcast_base::files::{BeneathPath, ContentKey, FileKind, GraspId};
 
-/// Class of a problem.
+/// Kind of a problem.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize)]
 #[serde(rename_all = "kebab-case")]
 #[non_exhaustive]
 pub enum ProblemKind {
     /// `dataset.toml` is missing or unreadable.
     Descriptor,
-    /// A save that was not finished.
+    /// An unfinished save.
     Torn,
-    /// A record that cannot be read.
+    /// An unreadable record.
     UnreadableRecord,
-    /// The record's id is not the directory's name.
+    /// The record's id differs from the directory's name.
     IdMismatch,
-    /// Two directories hold the same grasp.
+    /// Two directories contain the same grasp.
     DuplicateId,
-    /// A file that the record names is not there.
+    /// A file listed in the record is missing.
     MissingFile,
-    /// A file that no record names.
+    /// A file that is not listed in any record.
     ExtraFile,
-    /// A file is not what was stored.
+    /// A file's size or sha256 differs from the record.
     Altered,
     /// An image is incomplete or not of the recorded size.
     DamagedImage,
@@ -50,27 +50,27 @@ pub enum ProblemKind {
     Calibration,
     /// A model card is altered.
     Model,
-    /// `metadata.jsonl` does not say what the records say.
+    /// `metadata.jsonl` differs from the records.
     Index,
-    /// A split file is unreadable or names what is not there.
+    /// A split file is unreadable or lists missing grasps.
     Split,
-    /// An object is in two parts of a split.
+    /// A group is in two splits.
     Leak,
 }
 
 impl ProblemKind {
-    /// What to do about problems of this class.
+    /// Remedy for problems of this kind.
     fn remedy(self) -> &'static str {
         match self {
             Self::MissingFile | Self::Altered => {
-                "restore it from a copy, or run `gripcast dataset recover`"
+                "restore it from a backup, or run `gripcast dataset recover`"
             }
             Self::DamagedImage => {
-                "the camera sent it damaged: leave the grasp out by moving it to trash/"
+                "the camera sent a damaged image: move the grasp to trash/ to exclude it"
             }
-            Self::DuplicateContent => "look at both, and move the grasp that is not real to trash/",
+            Self::DuplicateContent => "inspect both and move the invalid grasp to trash/",
             Self::Calibration | Self::Model => {
-                "restore it from a copy: its name is the beginning of its sha256"
+                "restore it from a backup: its name is the beginning of its sha256"
             }
             Self::Index => "run `gripcast dataset reindex`",
             Self::Split | Self::Leak => "make the split again with `gripcast dataset split`",
@@ -79,47 +79,47 @@ impl ProblemKind {
     }
 }
 
-/// Something that is wrong.
+/// A problem of a dataset.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize)]
 pub struct Problem {
-    /// Class.
+    /// Kind of the problem.
     pub kind: ProblemKind,
-    /// The grasp, where it is one's.
+    /// Affected grasp, if any.
     pub grasp: Option<GraspId>,
-    /// The file, relative to the dataset.
+    /// Affected file, relative to the dataset.
     pub file: Option<String>,
-    /// What is wrong.
+    /// Description.
     pub detail: String,
-    /// What to do about it.
+    /// Remedy.
     pub remedy: String,
 }
 
-/// What verification found.
+/// Result of a verification.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct VerifyReport {
-    /// Complete grasps looked at.
+    /// Number of complete grasps.
     pub grasps: usize,
-    /// Grasps without a label.
+    /// Number of unlabelled grasps.
     pub unlabelled: usize,
-    /// Durable initial frames that wait for their grasp.
+    /// Number of pending initial frames.
     pub pending: usize,
-    /// What is worth knowing and not wrong.
+    /// Notes that are not problems.
     pub notes: Vec<String>,
-    /// What is wrong, sorted.
+    /// Problems, sorted.
     pub problems: Vec<Problem>,
 }
 
-/// Checks a dataset; reads every file of it. `progress` gets the grasps done and the number of all.
+/// Verifies a dataset; reads all its files. `on_progress` gets the grasps done and their total.
 ///
 /// # Errors
-/// `NotFound` or `Input` when there is no dataset or it is of a newer version. What is wrong inside
-/// is in the report, not an error.
+/// `NotFound` or `Input` when there is no dataset or it is of a newer version. Problems of the
+/// dataset are in the report.
 pub fn verify(
     path: impl AsRef<Path>,
-    progress: &(dyn Fn(usize, usize) + Sync),
+    on_progress: &(dyn Fn(usize, usize) + Sync),
 ) -> Result<VerifyReport> {
     let layout = Layout::new(path.as_ref());
-    let mut found = Findings::default();
+    let mut found = Collector::default();
     if let Err(error) = Descriptor::read(&layout) {
         if error.kind() != ErrorKind::NotFound || !layout.grasps().is_dir() {
             return Err(error);
@@ -133,7 +133,7 @@ pub fn verify(
     }
     if let Some(holder) = DatasetLock::holder(&layout) {
         found.notes.push(format!(
-            "{holder} writes the dataset now: a save under way may look torn"
+            "{holder} is writing the dataset: a save in progress may look torn"
         ));
     }
     check_root(&layout, &mut found)?;
@@ -144,7 +144,7 @@ pub fn verify(
         .par_iter()
         .map(|id| {
             let checked = check_grasp(&layout, id);
-            progress(done.fetch_add(1, Ordering::Relaxed) + 1, ids.len());
+            on_progress(done.fetch_add(1, Ordering::Relaxed) + 1, ids.len());
             checked
         })
         .collect();
@@ -172,12 +172,12 @@ pub fn verify(
 }
 
 #[derive(Default)]
-struct Findings {
+struct Collector {
     problems: Vec<Problem>,
     notes: Vec<String>,
 }
 
-impl Findings {
+impl Collector {
     fn add(
         &mut self,
         kind: ProblemKind,
@@ -206,19 +206,19 @@ impl Findings {
     }
 }
 
-/// One grasp's directory, read and checked by itself.
+/// A grasp's directory, read and checked by itself.
 struct CheckedGrasp {
     /// Name of the directory.
     id: GraspId,
     record: Option<GraspRecord>,
     problems: Vec<Problem>,
-    /// sha256 → file, of what is really there.
+    /// sha256 and path of each existing file.
     contents: Vec<(String, String)>,
 }
 
 fn check_grasp(layout: &Layout, id: &GraspId) -> CheckedGrasp {
     let dir = layout.grasp(id);
-    let mut found = Findings::default();
+    let mut found = Collector::default();
     let mut contents = Vec::new();
     let at = |name: &str| format!("grasps/{id}/{name}");
     let record = match read_grasp(&dir) {
@@ -237,7 +237,7 @@ fn check_grasp(layout: &Layout, id: &GraspId) -> CheckedGrasp {
             .stages()
             .into_iter()
             .flat_map(|(_, stage)| stage.cameras.values())
-            .chain(&record.approach)
+            .chain(&record.pre_grasp_frames)
             .map(|camera| (camera.file.as_str(), camera))
             .collect();
         for name in cameras
@@ -248,7 +248,7 @@ fn check_grasp(layout: &Layout, id: &GraspId) -> CheckedGrasp {
                 ProblemKind::UnreadableRecord,
                 Some(id),
                 &at(name),
-                "the record has no digest of the file",
+                "the record lacks a digest of the file",
             );
         }
         for (name, expected) in &record.files {
@@ -259,7 +259,7 @@ fn check_grasp(layout: &Layout, id: &GraspId) -> CheckedGrasp {
                         ProblemKind::MissingFile,
                         Some(id),
                         &at(name),
-                        format!("the record names the file, but it cannot be read: {error}"),
+                        format!("cannot read the file: {error}"),
                     );
                     continue;
                 }
@@ -271,19 +271,19 @@ fn check_grasp(layout: &Layout, id: &GraspId) -> CheckedGrasp {
                     Some(id),
                     &at(name),
                     format!(
-                        "stored were {} bytes with sha256 {}, found are {} bytes with {}",
+                        "expected {} bytes with sha256 {}, found {} bytes with {}",
                         expected.bytes, expected.sha256, digest.bytes, digest.sha256
                     ),
                 );
-            } else if let Some(fault) = cameras
+            } else if let Some(defect) = cameras
                 .get(name.as_str())
-                .and_then(|camera| image_file::fault(&bytes, camera))
+                .and_then(|camera| image_file::defect(&bytes, camera))
             {
                 found.add(
                     ProblemKind::DamagedImage,
                     Some(id),
                     &at(name),
-                    format!("{fault}; it was stored so"),
+                    format!("{defect}; it was damaged before storing"),
                 );
             }
             contents.push((digest.sha256, at(name)));
@@ -298,37 +298,37 @@ fn check_grasp(layout: &Layout, id: &GraspId) -> CheckedGrasp {
     }
 }
 
-fn extra_files(dir: &BeneathPath, id: &GraspId, record: &GraspRecord, found: &mut Findings) {
+fn extra_files(dir: &BeneathPath, id: &GraspId, record: &GraspRecord, found: &mut Collector) {
     for entry in entries(dir).into_iter().flatten() {
         let name = entry.name();
         let at = format!("grasps/{id}/{name}");
-        // A crash right after a save leaves the initial frame's record for the next opening.
+        // After a crash, the next opening removes the initial frame's record.
         if name == GRASP_JSON || name == INITIAL_JSON || record.files.contains_key(name.as_str()) {
             continue;
         }
         let (kind, detail) = if is_partial(&name) {
-            (ProblemKind::Torn, "a change of the record was interrupted")
+            (ProblemKind::Torn, "interrupted change of the record")
         } else {
-            (ProblemKind::ExtraFile, "no record names the file")
+            (ProblemKind::ExtraFile, "not listed in any record")
         };
         found.add(kind, Some(id), &at, detail);
     }
 }
 
-fn check_root(layout: &Layout, found: &mut Findings) -> Result<()> {
+fn check_root(layout: &Layout, found: &mut Collector) -> Result<()> {
     for entry in entries(&layout.top())? {
         let name = entry.name();
         if is_partial(&name) {
             found.notes.push(format!(
-                "{name} is left of an interrupted save and will be replaced"
+                "{name} is a leftover of an interrupted save and will be replaced"
             ));
         }
     }
     Ok(())
 }
 
-/// Looks at what is no complete grasp; returns the number of pending initial frames.
-fn check_grasps_directory(layout: &Layout, found: &mut Findings) -> Result<usize> {
+/// Checks entries that are not complete grasps; returns the number of pending initial frames.
+fn check_grasps_directory(layout: &Layout, found: &mut Collector) -> Result<usize> {
     let mut pending = 0;
     for entry in entries(&layout.grasps())? {
         let name = entry.name();
@@ -340,38 +340,36 @@ fn check_grasps_directory(layout: &Layout, found: &mut Findings) -> Result<usize
                     ProblemKind::IdMismatch,
                     None,
                     &at,
-                    format!("the folder is not named after a grasp: {}", error.what()),
+                    format!("invalid directory name: {}", error.what()),
                 );
             }
             continue;
         }
         let Some(id) = pending_id(&name).filter(|_| is_dir) else {
-            let detail = "only directories of grasps belong here";
+            let detail = "not a grasp directory";
             found.add(ProblemKind::ExtraFile, None, &at, detail);
             continue;
         };
         let detail = match Pending::inspect(&entry, &id) {
             Pending::Initial(initial) => match &initial.reopened_from {
                 Some(grasp) if layout.grasp(grasp).is_taken() => {
-                    format!("undoing {grasp} was interrupted")
+                    format!("the undo of {grasp} was interrupted")
                 }
                 _ => {
                     pending += 1;
-                    found
-                        .notes
-                        .push(format!("an initial frame waits for its grasp: {id}"));
+                    found.notes.push(format!("pending initial frame: {id}"));
                     continue;
                 }
             },
-            Pending::Grasp => "the grasp is whole, but was not renamed".to_owned(),
-            Pending::Torn(reason) => format!("was not written to its end: {reason}"),
+            Pending::Grasp => "the grasp is complete, but was not renamed".to_owned(),
+            Pending::Torn(reason) => format!("incomplete save: {reason}"),
         };
         found.add(ProblemKind::Torn, Some(&id), &at, detail);
     }
     Ok(pending)
 }
 
-fn check_identity(grasps: &[CheckedGrasp], found: &mut Findings) {
+fn check_identity(grasps: &[CheckedGrasp], found: &mut Collector) {
     let names: BTreeSet<&GraspId> = grasps.iter().map(|grasp| &grasp.id).collect();
     let mut owners: BTreeMap<&GraspId, Vec<&GraspId>> = BTreeMap::new();
     for grasp in grasps {
@@ -383,40 +381,40 @@ fn check_identity(grasps: &[CheckedGrasp], found: &mut Findings) {
         for dir in dirs.iter().copied().filter(|dir| *dir != id) {
             let at = format!("grasps/{dir}/{GRASP_JSON}");
             let (kind, more) = if dirs.len() > 1 || names.contains(id) {
-                (ProblemKind::DuplicateId, ", which is there as well")
+                (ProblemKind::DuplicateId, ", which exists as well")
             } else {
                 (ProblemKind::IdMismatch, "")
             };
-            let detail = format!("the record is that of {id}{more}");
+            let detail = format!("the record belongs to {id}{more}");
             found.add(kind, Some(dir), &at, detail);
         }
     }
 }
 
-fn check_duplicates(grasps: &[CheckedGrasp], found: &mut Findings) {
-    let mut places: BTreeMap<&str, Vec<(&GraspId, &str)>> = BTreeMap::new();
+fn check_duplicates(grasps: &[CheckedGrasp], found: &mut Collector) {
+    let mut files_of: BTreeMap<&str, Vec<(&GraspId, &str)>> = BTreeMap::new();
     for grasp in grasps {
         for (sha256, file) in &grasp.contents {
-            places
+            files_of
                 .entry(sha256)
                 .or_default()
                 .push((&grasp.id, file.as_str()));
         }
     }
-    for files in places.values().filter(|files| files.len() > 1) {
+    for files in files_of.values().filter(|files| files.len() > 1) {
         let (_, first) = files[0];
         for (id, file) in &files[1..] {
             found.add(
                 ProblemKind::DuplicateContent,
                 Some(id),
                 file,
-                format!("the same bytes as {first}: a frozen camera or a copied grasp"),
+                format!("identical to {first}: a frozen camera or a copied grasp"),
             );
         }
     }
 }
 
-fn check_references(layout: &Layout, grasps: &[CheckedGrasp], found: &mut Findings) -> Result<()> {
+fn check_references(layout: &Layout, grasps: &[CheckedGrasp], found: &mut Collector) -> Result<()> {
     let mut calibrations = BTreeSet::new();
     for (name, at) in immutable_files(
         &layout.calibration(),
@@ -447,7 +445,7 @@ fn check_references(layout: &Layout, grasps: &[CheckedGrasp], found: &mut Findin
                     ProblemKind::Calibration,
                     Some(&grasp.id),
                     &format!("calibration/{key}.toml"),
-                    "the grasp refers to the calibration, but it is not there",
+                    "the grasp refers to a missing calibration",
                 );
             }
         }
@@ -456,11 +454,11 @@ fn check_references(layout: &Layout, grasps: &[CheckedGrasp], found: &mut Findin
     Ok(())
 }
 
-/// Keys and places of the files in a directory where each is named after its own hash.
+/// Keys and paths of the content-addressed files in a directory.
 fn immutable_files(
     dir: &BeneathPath,
     extension: &str,
-    found: &mut Findings,
+    found: &mut Collector,
     kind: ProblemKind,
 ) -> Result<Vec<(String, String)>> {
     if !dir.is_dir() {
@@ -474,7 +472,7 @@ fn immutable_files(
         if is_partial(&name) {
             found
                 .notes
-                .push(format!("{at} is left of an interrupted save"));
+                .push(format!("{at} is a leftover of an interrupted save"));
             continue;
         }
         let Some(key) = name.strip_suffix(extension) else {
@@ -482,43 +480,36 @@ fn immutable_files(
                 ProblemKind::ExtraFile,
                 None,
                 &at,
-                format!("only *{extension} files belong here"),
+                format!("expected only *{extension} files"),
                 "move it elsewhere",
             );
             continue;
         };
         match entry.read(FileKind::Record) {
-            Ok(bytes) if ContentKey::of(&bytes) == key => {}
-            Ok(_) => found.add(
-                kind,
-                None,
-                &at,
-                "the contents are not those the name was made from",
-            ),
-            Err(error) => found.add(kind, None, &at, format!("cannot be read: {error}")),
+            Ok(bytes) if ContentKey::from_contents(&bytes) == key => {}
+            Ok(_) => found.add(kind, None, &at, "the contents do not match the name"),
+            Err(error) => found.add(kind, None, &at, format!("cannot read the file: {error}")),
         }
         files.push((key.to_owned(), at));
     }
     Ok(files)
 }
 
-fn check_index(layout: &Layout, grasps: &[CheckedGrasp], found: &mut Findings) {
+fn check_index(layout: &Layout, grasps: &[CheckedGrasp], found: &mut Collector) {
     let rows = grasps
         .iter()
-        .filter_map(|grasp| Some((grasp.id.clone(), IndexRow::of(grasp.record.as_ref()?))))
+        .filter_map(|grasp| Some((grasp.id.clone(), IndexRow::new(grasp.record.as_ref()?))))
         .collect();
     let detail = match layout.index().read(FileKind::List) {
-        Err(_) => "the index cannot be read",
+        Err(_) => "cannot read the index",
         Ok(bytes) if bytes == to_jsonl(&rows).as_bytes() => return,
-        Ok(bytes) if !bytes.is_empty() && bytes.last() != Some(&b'\n') => {
-            "the index breaks off in the middle of a line"
-        }
-        Ok(_) => "the index does not say what the records say",
+        Ok(bytes) if !bytes.is_empty() && bytes.last() != Some(&b'\n') => "the index is truncated",
+        Ok(_) => "the index differs from the records",
     };
     found.add(ProblemKind::Index, None, "metadata.jsonl", detail);
 }
 
-fn check_splits(layout: &Layout, grasps: &[CheckedGrasp], found: &mut Findings) -> Result<()> {
+fn check_splits(layout: &Layout, grasps: &[CheckedGrasp], found: &mut Collector) -> Result<()> {
     if !layout.splits().is_dir() {
         return Ok(());
     }
@@ -538,7 +529,7 @@ fn check_splits(layout: &Layout, grasps: &[CheckedGrasp], found: &mut Findings) 
                 None,
                 &at,
                 error.to_string(),
-                "give the file another name",
+                "rename the file",
             );
         }
         let split = match SplitFile::read_beneath(&entry) {
@@ -553,7 +544,7 @@ fn check_splits(layout: &Layout, grasps: &[CheckedGrasp], found: &mut Findings) 
                 ProblemKind::Split,
                 Some(id),
                 &at,
-                "the split names a grasp that is not there",
+                "the split lists a missing grasp",
             );
         }
         for leak in split.leaks(|id| records.get(id).copied()) {

@@ -1,9 +1,9 @@
 //! The crash-safe writer.
 //!
-//! A method that returns `Ok` has its result on the disk, whatever happens next; one that fails
-//! leaves what was there before. Each change becomes visible by one `rename`; everything it needs
-//! is forced to the disk before, and the directory after. `docs/dataset-format.md` lists what a
-//! crash between any two operations leaves, and a test goes through all of them.
+//! A method that returns `Ok` has stored its result durably; one that fails leaves the previous
+//! state. Each change becomes visible by one `rename`; its files are flushed before, the directory
+//! after. `docs/dataset-format.md` lists the state after a crash between any two operations, and a
+//! test covers all of them.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs::File;
@@ -20,7 +20,7 @@ use super::disk::{Disk, is_partial, replace};
 use super::grasp::{GraspRecord, Outcome, OverriddenGuard, PoseRecord, StageRecord};
 use super::index::{IndexRow, to_jsonl};
 use super::layout::{
-    APPROACH_PREFIX, GRASP_JSON, INITIAL_JSON, Layout, METADATA_JSONL, Stage, id_at,
+    GRASP_JSON, INITIAL_JSON, Layout, METADATA_JSONL, PRE_GRASP_PREFIX, Stage, id_at,
 };
 use super::lock::DatasetLock;
 use super::reader::load_frame;
@@ -31,7 +31,7 @@ use gripcast_base::error::{Error, ErrorKind, Result};
 use gripcast_base::files::{BeneathPath, FileKind, FileName, GraspId};
 use gripcast_imaging::{Frame, Role};
 
-/// Writes a dataset; holds its lock.
+/// Writes a dataset and holds its lock.
 pub struct DatasetWriter {
     pub(super) layout: Layout,
     pub(super) disk: Box<dyn Disk>,
@@ -43,13 +43,13 @@ pub struct DatasetWriter {
 }
 
 impl DatasetWriter {
-    /// What the dataset says about itself.
+    /// Description of the dataset, from `dataset.toml`.
     #[must_use]
     pub fn descriptor(&self) -> &Descriptor {
         &self.descriptor
     }
 
-    /// Where the dataset is.
+    /// Directory of the dataset.
     #[must_use]
     pub fn path(&self) -> &Path {
         self.layout.root()
@@ -58,7 +58,7 @@ impl DatasetWriter {
     /// Stores an initial frame; durable when this returns.
     ///
     /// # Errors
-    /// `Input` for a frame that is not what it says; `DiskFull`, `Io`, … with nothing changed.
+    /// `Input` for an invalid frame; `DiskFull`, `Io`, … with nothing changed.
     pub fn save_initial(
         &mut self,
         capture: &StageCapture,
@@ -79,7 +79,7 @@ impl DatasetWriter {
             files,
             reopened_from: None,
         };
-        self.make_pending(&pending, |disk, dir| {
+        self.create_pending(&pending, |disk, dir| {
             contents
                 .iter()
                 .try_for_each(|(name, bytes)| disk.write(&dir.join(name), bytes))
@@ -87,11 +87,11 @@ impl DatasetWriter {
         Ok(pending)
     }
 
-    /// The frames of a pending initial, read back from the disk; YUYV frames as RGB, with exactly
-    /// the pixels that the frame as sent decodes to.
+    /// Loads the frames of a pending initial from the disk; YUYV frames as RGB with the pixels
+    /// that the sent frame decodes to.
     ///
     /// # Errors
-    /// `NotFound` or `Input` when a file is missing or not what was stored.
+    /// `NotFound` or `Input` when a file is missing or altered.
     pub fn pending_frames(&self, pending: &PendingInitial) -> Result<BTreeMap<Role, Frame>> {
         let dir = self.layout.pending(&pending.id);
         check_files(&dir, &pending.files)?;
@@ -103,11 +103,11 @@ impl DatasetWriter {
             .collect()
     }
 
-    /// Completes a pending initial to a grasp; whole and durable when this returns.
+    /// Completes a pending initial frame to a grasp; durable when this returns.
     ///
     /// # Errors
-    /// `NotFound` when the initial frame has gone; `Input` for a frame that is not what it says;
-    /// `DiskFull`, `Io`, … after which the initial frame is pending as before.
+    /// `NotFound` when the initial frame is missing; `Input` for an invalid frame; `DiskFull`,
+    /// `Io`, … with the initial frame still pending.
     pub fn save_grasp(
         &mut self,
         pending: &PendingInitial,
@@ -116,35 +116,34 @@ impl DatasetWriter {
     ) -> Result<GraspRecord> {
         let dir = self.layout.pending(&pending.id);
         if !dir.join(INITIAL_JSON).is_file() {
-            return Err(Error::not_found(format!(
-                "the initial frame of {} is no longer there",
-                pending.id
-            ))
-            .at(dir.display())
-            .remedy("check that the disk is still there, then take the initial frame again"));
+            return Err(
+                Error::not_found(format!("initial frame of {} not found", pending.id))
+                    .at(dir.display())
+                    .remedy("check that the disk is mounted, then take the initial frame again"),
+            );
         }
         let EncodedStage {
             record: stage,
-            approach,
+            pre_grasp_frames,
             contents,
             files,
         } = capture.encode(Stage::Grasp)?;
         let record = GraspRecord {
             truth: capture.truth.as_deref().cloned(),
-            approach,
+            pre_grasp_frames,
             pose: capture.pose.as_deref().cloned(),
             ..grasp_record(pending, stage, files, meta)
         };
         let json = to_json(&record)?;
         self.complete(&record.id, &contents, &json).map_err(|e| {
             self.failed("cannot save the grasp", e)
-                .remedy("fix that, then trigger again: the initial frame is still saved")
+                .remedy("fix this, then trigger again: the initial frame is still saved")
         })?;
         self.insert(&record);
         Ok(record)
     }
 
-    /// Labels a grasp, or takes its label back.
+    /// Sets or removes the label of a grasp.
     ///
     /// # Errors
     /// `NotFound` without that grasp; `DiskFull`, `Io`, … with the label as before.
@@ -152,26 +151,26 @@ impl DatasetWriter {
         &mut self,
         id: &GraspId,
         outcome: Outcome,
-        at: Timestamp,
+        time: Timestamp,
     ) -> Result<GraspRecord> {
         self.change(id, &format!("cannot label {id}"), |record| {
             record.outcome = outcome;
-            record.labelled_at = (outcome != Outcome::Unlabelled).then(|| at.to_string());
+            record.labelled_at = (outcome != Outcome::Unlabelled).then(|| time.to_string());
             Ok(())
         })
     }
 
-    /// Writes down where the gripper was.
+    /// Stores the gripper pose of a grasp.
     ///
     /// # Errors
-    /// `Input` if a person has corrected the pose that is there and this one is not by hand;
-    /// `NotFound` without that grasp; `DiskFull`, `Io`, … with the pose as before.
+    /// `Input` if the stored pose was corrected by hand and this one was not; `NotFound` without
+    /// that grasp; `DiskFull`, `Io`, … with the pose as before.
     pub fn set_pose(&mut self, id: &GraspId, pose: PoseRecord) -> Result<GraspRecord> {
         self.change(id, &format!("cannot annotate {id}"), |record| {
             let by_hand = record.pose.as_ref().is_some_and(|p| p.corrected_by_hand);
             if by_hand && !pose.corrected_by_hand {
                 return Err(Error::input(format!(
-                    "the pose of {id} was corrected by hand and is kept"
+                    "the pose of {id} was corrected by hand and is not overwritten"
                 )));
             }
             record.pose = Some(pose);
@@ -179,10 +178,10 @@ impl DatasetWriter {
         })
     }
 
-    /// Moves a pending initial to `trash/`.
+    /// Moves a pending initial frame to `trash/`.
     ///
     /// # Errors
-    /// `NotFound` when it has gone; `Io`, … with nothing changed.
+    /// `NotFound` when it is missing; `Io`, … with nothing changed.
     pub fn discard_initial(&mut self, pending: &PendingInitial) -> Result<()> {
         let id = &pending.id;
         self.vacate_trash(id)
@@ -190,7 +189,7 @@ impl DatasetWriter {
             .map_err(|e| self.failed(&format!("cannot discard the initial frame of {id}"), e))
     }
 
-    /// Brings a discarded initial frame back.
+    /// Restores a discarded initial frame.
     ///
     /// # Errors
     /// `NotFound` when it is not in `trash/`; `Input` when it is damaged; `Io`, ….
@@ -231,12 +230,12 @@ impl DatasetWriter {
             stage: record.initial.clone(),
             reopened_from: Some(id.clone()),
         };
-        self.make_pending(&pending, |disk, to| {
+        self.create_pending(&pending, |disk, to| {
             names
                 .iter()
                 .try_for_each(|name| link_or_copy(disk, &dir.join(name), &to.join(name)))
         })?;
-        // Until this rename the grasp is there and its reopened initial frame does not count.
+        // Before this rename the grasp exists and its reopened initial frame is ignored.
         let undone = self
             .vacate_trash(id)
             .and_then(|()| self.move_dir(&dir, &self.layout.trashed(id)));
@@ -248,7 +247,7 @@ impl DatasetWriter {
         Ok(pending)
     }
 
-    /// Brings an undone grasp back; the initial frame that undoing it reopened moves to `trash/`.
+    /// Restores an undone grasp; the initial frame reopened by the undo moves to `trash/`.
     ///
     /// # Errors
     /// `NotFound` when it is not in `trash/`; `Input` when it is damaged; `Io`, ….
@@ -261,16 +260,16 @@ impl DatasetWriter {
         let record = read_grasp(&trashed)?;
         check_files(&trashed, &record.files)?;
         self.move_dir(&trashed, &self.layout.grasp(id))
-            .map_err(|e| self.failed(&format!("cannot bring {id} back"), e))?;
+            .map_err(|e| self.failed(&format!("cannot restore {id}"), e))?;
         self.insert(&record);
         if let Some(pending) = reopened {
-            // It no longer counts, now that its grasp is back; the next opening would clear it.
+            // It is obsolete; on failure, the next opening moves it.
             let _ = self.discard_initial(pending);
         }
         Ok(record)
     }
 
-    /// Moves a grasp to `trash/`; [`DatasetWriter::redo_grasp`] brings it back.
+    /// Moves a grasp to `trash/`; [`DatasetWriter::redo_grasp`] restores it.
     ///
     /// # Errors
     /// `NotFound` without that grasp; `Io`, … with the grasp as before.
@@ -283,7 +282,7 @@ impl DatasetWriter {
         Ok(record)
     }
 
-    /// Grasps that are there now.
+    /// Current number of grasps.
     #[must_use]
     pub fn counts(&self) -> GraspCounts {
         let mut counts = GraspCounts::default();
@@ -293,38 +292,37 @@ impl DatasetWriter {
         counts
     }
 
-    /// Object and outcome of a grasp that is there.
+    /// Object and outcome of an existing grasp.
     #[must_use]
     pub fn outcome(&self, id: &GraspId) -> Option<(&str, Outcome)> {
         let row = self.rows.get(id)?;
         Some((&row.object, row.outcome))
     }
 
-    /// Space left for this user on the dataset's disk, bytes.
+    /// Free space for this user on the dataset's disk, bytes.
     ///
     /// # Errors
-    /// `NotFound` when the dataset has gone, `Io`, ….
+    /// `NotFound` when the dataset is missing, `Io`, ….
     pub fn free_bytes(&self) -> Result<u64> {
         let stat = rustix::fs::statvfs(self.layout.root())
-            .map_err(|e| self.failed("cannot ask for the free space", e.into()))?;
+            .map_err(|e| self.failed("cannot query the free space", e.into()))?;
         Ok(stat.f_bavail.saturating_mul(stat.f_frsize))
     }
 
-    /// Appends a line to this session's file in `logs/`. Not forced to the disk: a log explains
-    /// grasps, it does not hold any.
+    /// Appends a line to this session's file in `logs/`. Not flushed: a log holds no grasps.
     ///
     /// # Errors
     /// `DiskFull`, `Io`, ….
     pub fn log_event(&mut self, event: &serde_json::Value) -> Result<()> {
         let result = self.log_file().and_then(|mut file| {
-            // One write, so that lines of a killed process are whole.
+            // One write, so that lines are complete even if the process is killed.
             file.write_all(format!("{event}\n").as_bytes())
         });
         result.map_err(|e| self.failed("cannot write the log", e))
     }
 
-    /// Writes `metadata.jsonl` if it is not up to date. Grasps are safe without it; call it after
-    /// a save was acknowledged.
+    /// Writes `metadata.jsonl` if it is out of date. Grasps are safe without it; call it after a
+    /// save was acknowledged.
     ///
     /// # Errors
     /// `DiskFull`, `Io`, … with the old index in place.
@@ -368,7 +366,7 @@ impl DatasetWriter {
     }
 
     fn insert(&mut self, record: &GraspRecord) {
-        self.rows.insert(record.id.clone(), IndexRow::of(record));
+        self.rows.insert(record.id.clone(), IndexRow::new(record));
         self.index_is_stale = true;
     }
 
@@ -380,16 +378,16 @@ impl DatasetWriter {
     fn read(&self, id: &GraspId) -> Result<GraspRecord> {
         read_grasp(&self.layout.grasp(id)).map_err(|e| {
             if e.kind() == ErrorKind::NotFound {
-                Error::not_found(format!("there is no grasp {id}"))
+                Error::not_found(format!("grasp {id} not found"))
                     .at(self.layout.root().display())
-                    .remedy("it was undone or moved away, or the disk has gone")
+                    .remedy("it was undone or moved, or the disk is no longer mounted")
             } else {
                 e
             }
         })
     }
 
-    /// Replaces the record of a grasp; `what` begins the error.
+    /// Replaces the record of a grasp; `what` is the beginning of the error.
     fn change(
         &mut self,
         id: &GraspId,
@@ -402,7 +400,7 @@ impl DatasetWriter {
         change(&mut record)?;
         let json = to_json(&record)?;
         if let Err(error) = replace(self.disk.as_ref(), &dir, GRASP_JSON, &json) {
-            // The rename may have happened before the directory could not be flushed.
+            // The rename may have succeeded before the flush of the directory failed.
             let _ = replace(self.disk.as_ref(), &dir, GRASP_JSON, &to_json(&before)?);
             return Err(self.failed(what, error));
         }
@@ -410,24 +408,24 @@ impl DatasetWriter {
         Ok(record)
     }
 
-    fn free_id(&self, at: Timestamp) -> GraspId {
+    fn free_id(&self, time: Timestamp) -> GraspId {
         let is_free = |id: &GraspId| {
             let layout = &self.layout;
-            let places = [layout.grasp(id), layout.pending(id), layout.trashed(id)];
-            !places.iter().any(BeneathPath::is_taken)
+            let dirs = [layout.grasp(id), layout.pending(id), layout.trashed(id)];
+            !dirs.iter().any(BeneathPath::is_taken)
         };
-        let mut later = 0;
+        let mut offset = 0;
         loop {
-            let id = id_at(at, later);
+            let id = id_at(time, offset);
             if is_free(&id) {
                 return id;
             }
-            later += 1;
+            offset += 1;
         }
     }
 
-    /// Makes the directory of a pending initial; `fill` puts the image files there.
-    fn make_pending(
+    /// Creates the directory of a pending initial frame; `fill` adds the image files.
+    fn create_pending(
         &self,
         pending: &PendingInitial,
         fill: impl FnOnce(&dyn Disk, &BeneathPath) -> io::Result<()>,
@@ -435,19 +433,19 @@ impl DatasetWriter {
         let json = to_json(pending)?;
         let dir = self.layout.pending(&pending.id);
         let disk = self.disk.as_ref();
-        let made = disk
+        let created = disk
             .create_dir(&dir)
             .and_then(|()| fill(disk, &dir))
             .and_then(|()| replace(disk, &dir, INITIAL_JSON, &json))
             .and_then(|()| disk.sync_dir(&self.layout.grasps()));
-        made.map_err(|e| {
+        created.map_err(|e| {
             self.remove_pending(&pending.id);
             self.failed("cannot save the initial frame", e)
         })
     }
 
-    /// Takes back a pending directory that was not acknowledged. What cannot be removed lacks its
-    /// record, and the next opening sets it aside.
+    /// Removes a pending directory that was not acknowledged. Without its record, the next opening
+    /// moves the rest to `trash/`.
     fn remove_pending(&self, id: &GraspId) {
         let dir = self.layout.pending(id);
         let _ = self.disk.remove_file(&dir.join(INITIAL_JSON));
@@ -484,28 +482,28 @@ impl DatasetWriter {
             let _ = remove_grasp_files(disk, &pending);
             return Err(error);
         }
-        // The grasp's own record holds both stages now; a leftover is cleared at the next opening.
+        // The grasp's record holds both stages; the next opening removes a leftover.
         let _ = disk.remove_file(&grasp.join(INITIAL_JSON));
         Ok(())
     }
 
-    /// Frees `trash/<id>`.
+    /// Renames an existing `trash/<id>`.
     fn vacate_trash(&self, id: &GraspId) -> io::Result<()> {
-        let place = self.layout.trashed(id);
-        if !place.is_taken() {
+        let slot = self.layout.trashed(id);
+        if !slot.is_taken() {
             return Ok(());
         }
-        self.disk.rename_new(&place, &free_slot(&self.layout, id))
+        self.disk.rename_new(&slot, &free_slot(&self.layout, id))
     }
 
     /// Renames a directory between `grasps/` and `trash/`, durably.
     fn move_dir(&self, from: &BeneathPath, to: &BeneathPath) -> io::Result<()> {
         let disk = self.disk.as_ref();
         disk.rename_new(from, to)?;
-        // The new name first: a crash between the two may leave both names, never none.
+        // The new name first: a crash between them may leave both names, never none.
         let synced = [to, from]
             .into_iter()
-            .try_for_each(|place| disk.sync_dir(&place.parent()));
+            .try_for_each(|dir| disk.sync_dir(&dir.parent()));
         synced.inspect_err(|_| {
             let _ = disk.rename_new(to, from);
         })
@@ -514,7 +512,7 @@ impl DatasetWriter {
     fn log_file(&mut self) -> io::Result<&File> {
         if self.log.is_none() {
             let name = Timestamp::now().strftime("%Y-%m-%dT%H-%M-%SZ");
-            let name = FileName::of_words(&[&name.to_string(), "jsonl"]);
+            let name = FileName::from_words(&[&name.to_string(), "jsonl"]);
             self.log = Some(self.layout.logs().join(name).append()?);
         }
         self.log
@@ -525,7 +523,7 @@ impl DatasetWriter {
 
 impl Drop for DatasetWriter {
     fn drop(&mut self) {
-        // The records hold everything; a stale index is renewed at the next opening.
+        // The next opening rewrites a stale index from the records.
         let _ = self.flush_index();
     }
 }
@@ -552,7 +550,7 @@ fn grasp_record(
         labelled_at: None,
         initial: pending.stage.clone(),
         grasp: stage,
-        approach: Vec::new(),
+        pre_grasp_frames: Vec::new(),
         pose: None,
         boards: meta.boards,
         prediction: meta.prediction,
@@ -564,8 +562,8 @@ fn grasp_record(
     }
 }
 
-/// Removes what an earlier attempt at the grasp left in a pending directory, the record first:
-/// without it the rest is known to be incomplete.
+/// Removes leftovers of an earlier attempt at the grasp from a pending directory, the record
+/// first: without it the rest counts as incomplete.
 fn remove_grasp_files(disk: &dyn Disk, pending: &BeneathPath) -> io::Result<()> {
     let record = pending.join(GRASP_JSON);
     if record.is_taken() {
@@ -573,7 +571,7 @@ fn remove_grasp_files(disk: &dyn Disk, pending: &BeneathPath) -> io::Result<()> 
     }
     for entry in pending.entries()? {
         let name = entry.name();
-        let of_grasp = name.starts_with("grasp.") || name.starts_with(APPROACH_PREFIX);
+        let of_grasp = name.starts_with("grasp.") || name.starts_with(PRE_GRASP_PREFIX);
         if of_grasp || is_partial(&name) {
             disk.remove_file(&entry)?;
         }
@@ -582,12 +580,12 @@ fn remove_grasp_files(disk: &dyn Disk, pending: &BeneathPath) -> io::Result<()> 
 }
 
 fn link_or_copy(disk: &dyn Disk, from: &BeneathPath, to: &BeneathPath) -> io::Result<()> {
-    // A second name of a symbolic link would be another link.
+    // A hard link to a symbolic link would be another symbolic link.
     if from.is_link() {
         return disk.write(to, &from.read(FileKind::Image)?);
     }
     match disk.link(from, to) {
-        // Some file systems know no links.
+        // Some file systems do not support links.
         Err(e) if e.kind() != io::ErrorKind::NotFound => {
             disk.write(to, &from.read(FileKind::Image)?)
         }

@@ -1,13 +1,14 @@
-//! What an export or import could not take.
+//! Grasps that an export or import had to leave out.
 
 use serde::{Deserialize, Serialize};
 
-/// A grasp that is not in the result.
+/// A grasp that was left out.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct LeftOut {
-    /// Its id, or what that would have been.
+    /// Id of the grasp.
     pub id: String,
-    /// The reason.
-    pub why: String,
+    /// Reason; key `why`.
+    #[serde(rename = "why")]
+    pub reason: String,
 }

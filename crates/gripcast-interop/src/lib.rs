@@ -1,4 +1,4 @@
-//! Datasets of other programs: import, export, HDF5.
+//! Third-party dataset formats: export, import, HDF5.
 
 pub mod export;
 pub mod hdf5;

@@ -5,19 +5,19 @@ use super::architecture::Layout;
 const BETA: [f32; 2] = [0.9, 0.999];
 const EPSILON: f32 = 1e-8;
 
-/// The optimiser's memory.
+/// Adam optimiser with its state.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Adam {
-    /// Running means of the gradient.
+    /// Running mean of the gradient.
     pub first: Vec<f32>,
-    /// Running means of its square.
+    /// Running mean of the squared gradient.
     pub second: Vec<f32>,
-    /// Steps taken.
+    /// Number of steps taken.
     pub steps: u64,
 }
 
 impl Adam {
-    /// For so many parameters.
+    /// A fresh state for `parameters` parameters.
     pub fn new(parameters: usize) -> Self {
         Self {
             first: vec![0.0; parameters],
@@ -26,8 +26,8 @@ impl Adam {
         }
     }
 
-    /// Moves the parameters along their gradient; weights shrink by `rate·decay` of themselves,
-    /// biases and scales do not.
+    /// Updates the parameters; weight decay (`rate·decay`) applies to weights only, not to biases
+    /// and scales.
     pub fn step(
         &mut self,
         layout: &Layout,
@@ -39,9 +39,9 @@ impl Adam {
         self.steps += 1;
         let steps = i32::try_from(self.steps).unwrap_or(i32::MAX);
         let [first_fraction, second_fraction] = BETA.map(|beta| 1.0 - beta.powi(steps));
-        for part in layout.parts() {
-            let shrink = if part.is_weight() { rate * decay } else { 0.0 };
-            let range = part.range();
+        for param in layout.params() {
+            let shrink = if param.is_weight() { rate * decay } else { 0.0 };
+            let range = param.range();
             let means = self.first[range.clone()]
                 .iter_mut()
                 .zip(&mut self.second[range.clone()]);
@@ -57,11 +57,11 @@ impl Adam {
     }
 }
 
-/// The fraction of the learning rate at a step: rising over the first `warm_up` steps, then falling
-/// linearly to zero after `all`.
-pub fn linear_schedule(step: u64, warm_up: u64, all: u64) -> f32 {
+/// Learning rate factor at a step: linear warm-up over `warm_up` steps, linear decay to zero at
+/// step `total`.
+pub fn linear_schedule(step: u64, warm_up: u64, total: u64) -> f32 {
     let rising = (step + 1) as f32 / warm_up.max(1) as f32;
-    let falling = 1.0 - step as f32 / all.max(1) as f32;
+    let falling = 1.0 - step as f32 / total.max(1) as f32;
     rising.min(falling).clamp(0.0, 1.0)
 }
 
@@ -69,11 +69,11 @@ pub fn linear_schedule(step: u64, warm_up: u64, all: u64) -> f32 {
 mod tests {
     use super::*;
     use crate::Architecture;
-    use crate::predict::contract::Variant;
+    use crate::predict::contract::Modality;
 
     #[test]
-    fn it_finds_the_lowest_point_and_weights_shrink() {
-        let layout = Layout::of(&Architecture::gripcast(), Variant::T);
+    fn adam_converges_and_decays_weights_only() {
+        let layout = Layout::new(&Architecture::gripcast(), Modality::T);
         let mut parameters = vec![1.0; layout.len()];
         let mut adam = Adam::new(layout.len());
         for _ in 0..400 {
@@ -84,15 +84,15 @@ mod tests {
         let gradient = vec![0.0; layout.len()];
         let mut adam = Adam::new(layout.len());
         adam.step(&layout, &mut parameters, &gradient, 0.1, 0.5);
-        for part in layout.parts() {
-            let expected = if part.is_weight() { 0.95 } else { 1.0 };
-            let found = parameters[part.first] / 0.25;
-            assert!((found - expected).abs() < 5e-3, "{}: {found}", part.name);
+        for param in layout.params() {
+            let expected = if param.is_weight() { 0.95 } else { 1.0 };
+            let found = parameters[param.first] / 0.25;
+            assert!((found - expected).abs() < 5e-3, "{}: {found}", param.name);
         }
     }
 
     #[test]
-    fn the_rate_rises_then_falls_to_nothing() {
+    fn schedule_warms_up_then_decays_to_zero() {
         assert_eq!(linear_schedule(0, 10, 100), 0.1);
         assert_eq!(linear_schedule(50, 10, 100), 0.5);
         assert_eq!(linear_schedule(100, 10, 100), 0.0);

@@ -1,48 +1,48 @@
-//! Sizes of the classifier, and where its parameters lie.
+//! Architecture of the classifier, and layout of its parameters.
 
 use serde::{Deserialize, Serialize};
 
 use super::conv::ConvShape;
-use crate::predict::contract::Variant;
+use crate::predict::contract::Modality;
 
-/// Height, width and channels of the images that go in.
+/// Height, width and channels of the input images.
 pub const IMAGE: [usize; 3] = [240, 320, 3];
 
-/// One convolution with batch normalisation and ReLU.
+/// Settings of a convolution with batch normalisation and ReLU.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct ConvSpec {
-    /// Channels of the output; a multiple of 16.
+    /// Output channels; a multiple of 16.
     pub channels: usize,
-    /// Side of the window, pixels.
+    /// Kernel size, pixels.
     pub kernel: usize,
-    /// Distance of windows, pixels.
+    /// Stride, pixels.
     pub stride: usize,
-    /// Zeros around the input, pixels.
+    /// Zero padding, pixels.
     pub pad: usize,
 }
 
-/// Sizes of a classifier: an encoder for tactile differences, one of the same sizes for the colour
-/// image, and two layers over their embeddings.
+/// Architecture of a classifier: an encoder for tactile differences, one of equal size for the colour
+/// image, and two dense layers on their embeddings.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Architecture {
-    /// Its name on the command line and in files.
+    /// Name on the command line and in files.
     pub name: String,
     /// Convolutions of an encoder.
     pub convolutions: Vec<ConvSpec>,
-    /// Height and width of the windows whose means are projected, pixels of the last convolution.
+    /// Height and width of the average pooling after the last convolution, pixels.
     pub pool: [usize; 2],
-    /// Floats of an embedding.
+    /// Size of an embedding.
     pub embedding: usize,
-    /// Floats of the hidden layer over the embeddings.
+    /// Size of the hidden layer.
     pub hidden: usize,
 }
 
 impl Architecture {
-    /// Names that [`Architecture::named`] knows.
+    /// Names accepted by [`Architecture::by_name`].
     pub const NAMES: [&str; 2] = ["gripcast", "paper"];
 
-    /// The architecture of a name.
-    pub fn named(name: &str) -> Option<Self> {
+    /// Returns the architecture of a name.
+    pub fn by_name(name: &str) -> Option<Self> {
         match name {
             "gripcast" => Some(Self::gripcast()),
             "paper" => Some(Self::paper()),
@@ -50,7 +50,7 @@ impl Architecture {
         }
     }
 
-    /// Ours: a stem that looks at patches of 4×4 pixels, a twelfth of the work.
+    /// The default: a patch stem of 4×4 pixels, a twelfth of the paper's operations.
     pub fn gripcast() -> Self {
         let conv = |channels, kernel, stride, pad| ConvSpec {
             channels,
@@ -72,8 +72,8 @@ impl Architecture {
         }
     }
 
-    /// The paper's: four convolutions, embeddings of 512, two layers over them (§5.2). Windows,
-    /// channels, strides and the pool are not printed there; they are the usual ones for 240×320.
+    /// The paper's: four convolutions, embeddings of 512, two dense layers (§5.2). Kernels, channels,
+    /// strides and pooling are not stated there; common values for 240×320 are used.
     pub fn paper() -> Self {
         let conv = |channels, kernel, pad| ConvSpec {
             channels,
@@ -112,42 +112,41 @@ impl Architecture {
         self.convolutions.iter().map(shape).collect()
     }
 
-    /// Height, width and channels of the means that are projected; windows that do not fit are
-    /// left out.
+    /// Height, width and channels after pooling; incomplete windows are dropped.
     pub fn pooled(&self) -> [usize; 3] {
         let [height, width, channels] = self.shapes().last().map_or(IMAGE, ConvShape::output);
         [height / self.pool[0], width / self.pool[1], channels]
     }
 }
 
-/// A named part of the parameters.
+/// A named parameter tensor.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Part {
-    /// Its name, for instance `touch.conv1.weight`.
+pub struct Param {
+    /// Name, for instance `touch.conv1.weight`.
     pub name: String,
-    /// Where it begins.
+    /// Index of its first value.
     pub first: usize,
-    /// Rows and columns; one row for what is no matrix.
+    /// Rows and columns; one row for vectors.
     pub shape: [usize; 2],
 }
 
-impl Part {
-    /// Number of floats.
+impl Param {
+    /// Number of values.
     pub fn len(&self) -> usize {
         self.shape[0] * self.shape[1]
     }
 
-    /// Whether there are none.
+    /// Whether it is empty.
     pub fn is_empty(&self) -> bool {
         self.len() == 0
     }
 
-    /// Where it lies.
+    /// Range of its values.
     pub fn range(&self) -> std::ops::Range<usize> {
         self.first..self.first + self.len()
     }
 
-    /// Whether it is a matrix of weights, not a bias or scale.
+    /// Whether it is a weight matrix, not a bias or scale.
     pub fn is_weight(&self) -> bool {
         self.name.ends_with("weight")
     }
@@ -155,36 +154,36 @@ impl Part {
 
 /// Parameters of one encoder.
 #[derive(Clone, Debug)]
-pub(super) struct EncoderParts {
+pub(super) struct EncoderParams {
     /// Weight, γ, β of each convolution.
-    pub(super) convolutions: Vec<[Part; 3]>,
+    pub(super) convolutions: Vec<[Param; 3]>,
     /// Weight and bias.
-    pub(super) projection: [Part; 2],
-    /// Where mean and variance of each convolution's channels lie among the running moments.
-    pub(super) moments: Vec<[std::ops::Range<usize>; 2]>,
+    pub(super) projection: [Param; 2],
+    /// Ranges of mean and variance of each convolution in the running statistics.
+    pub(super) stats: Vec<[std::ops::Range<usize>; 2]>,
 }
 
-/// Where all parameters lie in one slice of floats.
+/// Layout of all parameters in one slice.
 #[derive(Clone, Debug)]
 pub struct Layout {
-    pub(super) touch: Option<EncoderParts>,
-    pub(super) vision: Option<EncoderParts>,
-    /// Weight and bias of the hidden and of the last layer.
-    pub(super) head: [[Part; 2]; 2],
-    parts: Vec<Part>,
-    moments: usize,
+    pub(super) touch: Option<EncoderParams>,
+    pub(super) vision: Option<EncoderParams>,
+    /// Weight and bias of the hidden and the output layer.
+    pub(super) head: [[Param; 2]; 2],
+    params: Vec<Param>,
+    running_stats_len: usize,
 }
 
 impl Layout {
-    /// The layout of an architecture for a classifier with these senses.
-    pub fn of(architecture: &Architecture, variant: Variant) -> Self {
-        let mut parts: Vec<Part> = Vec::new();
-        let mut moments = 0;
-        let mut part = |name: String, shape: [usize; 2]| {
-            let first = parts.last().map_or(0, |part| part.range().end);
-            let part = Part { name, first, shape };
-            parts.push(part.clone());
-            part
+    /// Layout of an architecture with encoders for `modality`.
+    pub fn new(architecture: &Architecture, modality: Modality) -> Self {
+        let mut params: Vec<Param> = Vec::new();
+        let mut running_stats_len = 0;
+        let mut add = |name: String, shape: [usize; 2]| {
+            let first = params.last().map_or(0, |param| param.range().end);
+            let param = Param { name, first, shape };
+            params.push(param.clone());
+            param
         };
         let mut encoder = |name: &str| {
             let shapes = architecture.shapes();
@@ -192,74 +191,74 @@ impl Layout {
                 let channels = shape.channels;
                 let name = |what: &str| format!("{name}.conv{}.{what}", i + 1);
                 [
-                    part(name("weight"), [shape.fan_in(), channels]),
-                    part(name("gamma"), [1, channels]),
-                    part(name("beta"), [1, channels]),
+                    add(name("weight"), [shape.fan_in(), channels]),
+                    add(name("gamma"), [1, channels]),
+                    add(name("beta"), [1, channels]),
                 ]
             });
             let convolutions = convolutions.collect();
             let pooled = architecture.pooled().iter().product();
             let projection = [
-                part(
+                add(
                     format!("{name}.projection.weight"),
                     [pooled, architecture.embedding],
                 ),
-                part(
+                add(
                     format!("{name}.projection.bias"),
                     [1, architecture.embedding],
                 ),
             ];
             let ranges = shapes.iter().map(|shape| {
-                let mean = moments..moments + shape.channels;
-                moments = mean.end + shape.channels;
-                [mean.clone(), mean.end..moments]
+                let mean = running_stats_len..running_stats_len + shape.channels;
+                running_stats_len = mean.end + shape.channels;
+                [mean.clone(), mean.end..running_stats_len]
             });
-            EncoderParts {
+            EncoderParams {
                 convolutions,
                 projection,
-                moments: ranges.collect(),
+                stats: ranges.collect(),
             }
         };
-        let touch = variant.has_touch().then(|| encoder("touch"));
-        let vision = variant.has_vision().then(|| encoder("vision"));
-        let joined = variant.inputs().len() * architecture.embedding;
+        let touch = modality.has_touch().then(|| encoder("touch"));
+        let vision = modality.has_vision().then(|| encoder("vision"));
+        let joined = modality.inputs().len() * architecture.embedding;
         let hidden = architecture.hidden;
         let head = [
             [
-                part("head.hidden.weight".to_owned(), [joined, hidden]),
-                part("head.hidden.bias".to_owned(), [1, hidden]),
+                add("head.hidden.weight".to_owned(), [joined, hidden]),
+                add("head.hidden.bias".to_owned(), [1, hidden]),
             ],
             [
-                part("head.logit.weight".to_owned(), [hidden, 1]),
-                part("head.logit.bias".to_owned(), [1, 1]),
+                add("head.logit.weight".to_owned(), [hidden, 1]),
+                add("head.logit.bias".to_owned(), [1, 1]),
             ],
         ];
         Self {
             touch,
             vision,
             head,
-            parts,
-            moments,
+            params,
+            running_stats_len,
         }
     }
 
-    /// All parts, one after the other.
-    pub fn parts(&self) -> &[Part] {
-        &self.parts
+    /// All parameter tensors in order.
+    pub fn params(&self) -> &[Param] {
+        &self.params
     }
 
     /// Number of parameters.
     pub fn len(&self) -> usize {
-        self.parts.last().map_or(0, |part| part.range().end)
+        self.params.last().map_or(0, |param| param.range().end)
     }
 
-    /// Whether there are none.
+    /// Whether it is empty.
     pub fn is_empty(&self) -> bool {
         self.len() == 0
     }
 
-    /// Number of running moments.
-    pub fn moments(&self) -> usize {
-        self.moments
+    /// Number of running statistics.
+    pub fn running_stats_len(&self) -> usize {
+        self.running_stats_len
     }
 }

@@ -7,21 +7,21 @@ use rayon::prelude::*;
 
 use super::lanes::{Isa, Lanes, WithLanes};
 
-/// Added to variances.
+/// Added to variances for numerical stability.
 const EPSILON: f32 = 1e-5;
 
 /// Mean and variance of each channel.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub(super) struct Moments {
+pub(super) struct ChannelStats {
     pub(super) mean: Vec<f32>,
-    /// Of the pixels at hand, not the estimate of a population's.
+    /// Biased (population) variance.
     pub(super) variance: Vec<f32>,
 }
 
-impl Moments {
-    /// Of images of `image` floats each, with `channels` channels.
-    pub(super) fn of(z: &[f32], image: usize, channels: usize) -> Self {
-        let parts: Vec<Vec<[f64; 2]>> = z
+impl ChannelStats {
+    /// Computes the statistics of images of `image` floats each with `channels` channels.
+    pub(super) fn from_images(z: &[f32], image: usize, channels: usize) -> Self {
+        let partial_sums: Vec<Vec<[f64; 2]>> = z
             .par_chunks(image)
             .map(|z| {
                 Isa::best().run(Sums {
@@ -32,15 +32,15 @@ impl Moments {
             })
             .collect();
         let count = (z.len() / channels) as f64;
-        let mut moments = Self::default();
-        for [sum, squares] in added(&parts, channels) {
+        let mut stats = Self::default();
+        for [sum, squares] in total(&partial_sums, channels) {
             let mean = sum / count;
-            moments.mean.push(mean as f32);
-            moments
+            stats.mean.push(mean as f32);
+            stats
                 .variance
                 .push((squares / count - mean * mean).max(0.0) as f32);
         }
-        moments
+        stats
     }
 
     /// `1/√(variance + ε)`.
@@ -48,7 +48,7 @@ impl Moments {
         self.variance.iter().map(|v| 1.0 / (v + EPSILON).sqrt())
     }
 
-    /// What [`normalise`] multiplies with and adds.
+    /// Scale and shift for [`normalise`].
     pub(super) fn scale_and_shift(&self, gamma: &[f32], beta: &[f32]) -> (Vec<f32>, Vec<f32>) {
         let scale: Vec<f32> = gamma
             .iter()
@@ -64,13 +64,13 @@ impl Moments {
     }
 }
 
-/// Sums over the parts, in their order.
-fn added(parts: &[Vec<[f64; 2]>], channels: usize) -> Vec<[f64; 2]> {
+/// Adds partial sums in order.
+fn total(partial_sums: &[Vec<[f64; 2]>], channels: usize) -> Vec<[f64; 2]> {
     let mut sums = vec![[0.0; 2]; channels];
-    for part in parts {
-        for (sum, part) in sums.iter_mut().zip(part) {
-            sum[0] += part[0];
-            sum[1] += part[1];
+    for partial in partial_sums {
+        for (sum, partial) in sums.iter_mut().zip(partial) {
+            sum[0] += partial[0];
+            sum[1] += partial[1];
         }
     }
     sums
@@ -83,7 +83,7 @@ pub(super) fn normalise(z: &[f32], image: usize, scale: &[f32], shift: &[f32], a
         .for_each(|(a, z)| Isa::best().run(Normalise { z, scale, shift, a }));
 }
 
-/// What a layer did on its way forwards, for images of `image` floats.
+/// Forward values of a layer, for images of `image` floats.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Pass<'a> {
     /// Before normalisation.
@@ -91,19 +91,14 @@ pub(super) struct Pass<'a> {
     /// After ReLU.
     pub(super) a: &'a [f32],
     pub(super) image: usize,
-    pub(super) moments: &'a Moments,
+    pub(super) stats: &'a ChannelStats,
 }
 
-/// Gradients of γ and β; turns the gradient of `a` in `d` into that of `z`.
+/// Returns the gradients of γ and β; replaces the gradient of `a` in `d` by that of `z`.
 pub(super) fn backward(pass: Pass<'_>, gamma: &[f32], d: &mut [f32]) -> [Vec<f32>; 2] {
-    let Pass {
-        z,
-        a,
-        image,
-        moments,
-    } = pass;
+    let Pass { z, a, image, stats } = pass;
     let channels = gamma.len();
-    let parts: Vec<Vec<[f64; 2]>> = d
+    let partial_sums: Vec<Vec<[f64; 2]>> = d
         .par_chunks_mut(image)
         .zip(a.par_chunks(image).zip(z.par_chunks(image)))
         .map(|(d, (a, z))| {
@@ -116,11 +111,11 @@ pub(super) fn backward(pass: Pass<'_>, gamma: &[f32], d: &mut [f32]) -> [Vec<f32
         })
         .collect();
     let count = (z.len() / channels) as f64;
-    let inverse: Vec<f32> = moments.inverse_deviation().collect();
+    let inverse: Vec<f32> = stats.inverse_deviation().collect();
     let (mut dgamma, mut dbeta) = (Vec::new(), Vec::new());
     let (mut factor, mut slope, mut offset) = (Vec::new(), Vec::new(), Vec::new());
-    for (c, [sum, with_z]) in added(&parts, channels).into_iter().enumerate() {
-        let (mean, inverse) = (f64::from(moments.mean[c]), f64::from(inverse[c]));
+    for (c, [sum, with_z]) in total(&partial_sums, channels).into_iter().enumerate() {
+        let (mean, inverse) = (f64::from(stats.mean[c]), f64::from(inverse[c]));
         // Σ d·(z − mean)/deviation.
         let with_normal = (with_z - mean * sum) * inverse;
         dgamma.push(with_normal as f32);
@@ -146,14 +141,14 @@ pub(super) fn backward(pass: Pass<'_>, gamma: &[f32], d: &mut [f32]) -> [Vec<f32
     [dgamma, dbeta]
 }
 
-/// Sums of `z` and of `z·other` for each channel; those of a row of pixels in floats.
+/// Sums of `z` and of `z·other` per channel, accumulated in f32 over short rows of pixels.
 struct Sums<'a> {
     z: &'a [f32],
     other: &'a [f32],
     channels: usize,
 }
 
-/// Pixels whose sum is kept in floats.
+/// Number of pixels accumulated in f32.
 const FLOAT_PIXELS: usize = 64;
 
 impl WithLanes for Sums<'_> {
@@ -212,7 +207,7 @@ impl WithLanes for Normalise<'_> {
     }
 }
 
-/// Clears gradients where the output was cut off at zero.
+/// Clears gradients where ReLU was inactive.
 struct Mask<'a> {
     a: &'a [f32],
     d: &'a mut [f32],

@@ -1,26 +1,25 @@
-//! Convolution of one image, forwards and backwards.
+//! Convolution of one image, forward and backward.
 //!
-//! Images are HWC (channels of a pixel side by side), weights are KH·KW·C rows of as many columns
-//! as there are output channels.
+//! Images are HWC, weights are KH·KW·C × output channels, row-major.
 
 use super::lanes::{Isa, Lanes, WithLanes};
 use super::product::{Finish, Output, Packed, Rows, Transposed, multiply, multiply_transposed};
 
-/// Output pixels whose gradients are spread at once; their products stay in the cache.
+/// Output pixels whose gradients are scattered at once, so that their products stay in the cache.
 const SPREAD_PIXELS: usize = 80;
 
-/// Sizes of a convolution.
+/// Shape of a convolution.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct ConvShape {
     /// Height, width and channels of the input.
     pub input: [usize; 3],
-    /// Channels of the output.
+    /// Output channels.
     pub channels: usize,
-    /// Side of the window, pixels.
+    /// Kernel size, pixels.
     pub kernel: usize,
-    /// Distance of windows, pixels.
+    /// Stride, pixels.
     pub stride: usize,
-    /// Zeros around the input, pixels.
+    /// Zero padding, pixels.
     pub pad: usize,
 }
 
@@ -32,23 +31,23 @@ impl ConvShape {
         [side(height), side(width), self.channels]
     }
 
-    /// Rows of the weights.
+    /// Number of rows of the weights.
     pub fn fan_in(&self) -> usize {
         self.kernel * self.kernel * self.input[2]
     }
 
-    /// Height and width of the input with the zeros that windows reach.
+    /// Height and width of the padded input that windows cover.
     fn padded(&self) -> [usize; 2] {
         let [height, width, _] = self.output();
         [height, width].map(|side| (side - 1) * self.stride + self.kernel)
     }
 
-    /// Whether windows read zeros around the input, or skip rows or columns at its end.
+    /// Whether the padded input differs from the input.
     fn is_padded(&self) -> bool {
         self.padded() != [self.input[0], self.input[1]]
     }
 
-    /// Where windows lie in the padded input.
+    /// Location of the windows in the padded input.
     pub(super) fn rows(&self) -> (Rows, [usize; 3]) {
         let [height, width, _] = self.output();
         let row = self.padded()[1] * self.input[2];
@@ -61,17 +60,17 @@ impl ConvShape {
         (rows, [height, self.stride * row, width])
     }
 
-    /// Weights packed for [`forward`].
+    /// Packs weights for [`forward`].
     pub(super) fn pack(&self, weights: &[f32], packed: &mut Packed) {
         packed.pack_rows([self.fan_in(), self.channels], weights);
     }
 
-    /// Weights packed for [`backward_input`].
+    /// Packs weights for [`backward_input`].
     pub(super) fn pack_transposed(&self, weights: &[f32], packed: &mut Packed) {
         packed.pack_columns([self.channels, self.fan_in()], weights);
     }
 
-    /// The input with its zeros; `x` itself where there are none.
+    /// Pads the input; returns `x` itself if no padding is needed.
     fn pad<'a>(&self, x: &'a [f32], padded: &'a mut Vec<f32>) -> &'a [f32] {
         if !self.is_padded() {
             return x;
@@ -89,7 +88,7 @@ impl ConvShape {
         padded
     }
 
-    /// Takes from a padded gradient what belongs to the input.
+    /// Copies the gradient of the input out of a padded gradient.
     fn unpad(&self, padded: &[f32], dx: &mut [f32]) {
         let [height, width, channels] = self.input;
         let [padded_height, padded_width] = self.padded();
@@ -107,14 +106,14 @@ impl ConvShape {
     }
 }
 
-/// Memory that a thread uses again.
+/// Reusable buffers of a thread.
 #[derive(Debug, Default)]
 pub(super) struct Scratch {
     padded: Vec<f32>,
     spread: Vec<f32>,
 }
 
-/// `y = finish(x ∗ weights)`, one image.
+/// Computes `y = finish(x ∗ weights)` for one image.
 pub(super) fn forward(
     shape: &ConvShape,
     x: &[f32],
@@ -137,7 +136,7 @@ pub(super) fn forward(
     });
 }
 
-/// Adds to `dweights` what one image contributes.
+/// Adds the gradient of the weights from one image to `dweights`.
 pub(super) fn backward_weights(
     shape: &ConvShape,
     x: &[f32],
@@ -158,7 +157,7 @@ pub(super) fn backward_weights(
     });
 }
 
-/// Gradient of the input of one image.
+/// Computes the gradient of the input of one image.
 pub(super) fn backward_input(
     shape: &ConvShape,
     dy: &[f32],
@@ -199,7 +198,7 @@ pub(super) fn backward_input(
     shape.unpad(padded, dx);
 }
 
-/// `y = finish(x·weights)` for rows of `x`; a convolution with windows of one pixel.
+/// Computes `y = finish(x·weights)` for rows of `x`.
 pub(super) fn linear_forward(
     x: &[f32],
     weights: &Packed,
@@ -280,7 +279,7 @@ impl WithLanes for MultiplyTransposed<'_> {
     }
 }
 
-/// Adds the products of each window to the pixels that it covers.
+/// Adds the products of each window to the pixels it covers (col2im).
 struct Spread<'a> {
     spread: &'a [f32],
     rows: Rows,

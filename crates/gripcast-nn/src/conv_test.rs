@@ -1,14 +1,14 @@
 use super::*;
 
-/// Numbers between −1 and 1 that look random.
+/// Pseudo-random numbers between −1 and 1.
 fn numbers(seed: usize, count: usize) -> Vec<f32> {
     (0..count)
         .map(|i| ((i * 7919 + seed * 104_729) % 2003) as f32 / 1001.0 - 1.0)
         .collect()
 }
 
-/// Calls `told` with the places in input, weights and output of every product.
-fn each_product(shape: &ConvShape, mut on_progress: impl FnMut(usize, usize, usize)) {
+/// Calls `visit` with the indices in input, weights and output of every product.
+fn each_product(shape: &ConvShape, mut visit: impl FnMut(usize, usize, usize)) {
     let [height, width, inputs] = shape.input;
     let [rows, columns, outputs] = shape.output();
     for (y, x) in (0..rows).flat_map(|y| (0..columns).map(move |x| (y, x))) {
@@ -24,7 +24,7 @@ fn each_product(shape: &ConvShape, mut on_progress: impl FnMut(usize, usize, usi
             }
             for input in 0..inputs {
                 for output in 0..outputs {
-                    on_progress(
+                    visit(
                         (v * width + u) * inputs + input,
                         ((i * shape.kernel + j) * inputs + input) * outputs + output,
                         (y * columns + x) * outputs + output,
@@ -37,17 +37,17 @@ fn each_product(shape: &ConvShape, mut on_progress: impl FnMut(usize, usize, usi
 
 fn assert_near(found: &[f32], expected: &[f64], what: &str) {
     assert_eq!(found.len(), expected.len());
-    for (at, (found, expected)) in found.iter().zip(expected).enumerate() {
-        let most = 1e-4 * (1.0 + expected.abs());
+    for (index, (found, expected)) in found.iter().zip(expected).enumerate() {
+        let tolerance = 1e-4 * (1.0 + expected.abs());
         assert!(
-            (f64::from(*found) - expected).abs() < most,
-            "{what} {at}: {found} {expected}"
+            (f64::from(*found) - expected).abs() < tolerance,
+            "{what} {index}: {found} {expected}"
         );
     }
 }
 
 #[test]
-fn convolutions_and_their_gradients_are_their_sums() {
+fn convolutions_and_gradients_match_direct_sums() {
     let shape = |input, channels, kernel, stride, pad| ConvShape {
         input,
         channels,
@@ -60,7 +60,7 @@ fn convolutions_and_their_gradients_are_their_sums() {
         shape([9, 31, 16], 48, 3, 2, 1),
         shape([6, 7, 5], 16, 3, 1, 1),
         shape([11, 26, 3], 24, 5, 2, 2),
-        // Columns at the right and rows below that no window reaches.
+        // Columns on the right and rows at the bottom outside of all windows.
         shape([10, 14, 4], 17, 3, 4, 0),
     ] {
         let inputs = shape.input.iter().product();
@@ -106,7 +106,7 @@ fn convolutions_and_their_gradients_are_their_sums() {
 }
 
 #[test]
-fn all_processors_find_the_same() {
+fn all_instruction_sets_agree() {
     let shape = ConvShape {
         input: [12, 43, 3],
         channels: 48,
@@ -164,6 +164,6 @@ fn all_processors_find_the_same() {
             assert!(best == other);
         }
         let expected: Vec<f64> = best.iter().map(|x| f64::from(*x)).collect();
-        assert_near(other, &expected, "other processor");
+        assert_near(other, &expected, "other instruction set");
     }
 }

@@ -1,88 +1,88 @@
-//! A trained network as an ONNX file, and such a file recognised as our network.
+//! Exports a network to ONNX, and recognises exported files.
 //!
-//! Batch normalisation becomes part of the convolutions, the temperature part of the last layer;
-//! the left and the right sensor share the weights of one encoder. The batch is of any size. A file
-//! is recognised by writing the nodes of a network of its sizes again: both must be equal.
+//! Batch normalisation is folded into the convolutions, the temperature into the last layer; the
+//! left and the right sensor share the weights of one encoder. The batch size is open. A file is
+//! recognised by comparing its nodes with those exported for the same architecture.
 
 use tract_onnx::pb::{GraphProto, NodeProto, TensorProto, tensor_proto::DataType};
 
-use crate::architecture::{Architecture, ConvSpec, IMAGE, Part};
-use crate::network::{Network, Sense};
+use crate::architecture::{Architecture, ConvSpec, IMAGE, Param};
+use crate::network::{EncoderKind, Network};
 use crate::predict::ModelContract;
 use crate::predict::contract::{INPUT_SHAPE, InputName, OUTPUT, OUTPUT_SHAPE};
 use crate::predict::onnx::{Attribute, OPEN_BATCH, OnnxGraphBuilder, Value};
 use gripcast_base::error::{Error, Result};
 
-/// Widest padding of a recognised convolution, pixels.
+/// Maximum padding of a recognised convolution, pixels.
 const MAX_PAD: usize = 16;
 
-/// The bytes of a model's file.
+/// Encodes a model as an ONNX file.
 ///
 /// # Errors
-/// A contract that would be refused, or that has inputs for which the network has no encoder.
+/// An invalid contract, or an input without encoder.
 pub fn to_onnx(network: &Network, contract: &ModelContract) -> Result<Vec<u8>> {
     let mut graph = OnnxGraphBuilder::new(&contract.name);
     graph.description("Grasp stability from touch and sight, trained on simulated grasps");
     contract.write(&mut graph)?;
     let inputs: Vec<InputName> = contract.inputs.iter().map(|input| input.name).collect();
     for name in &inputs {
-        graph.input(name.name(), &of_any_batch(INPUT_SHAPE))?;
-        if network.projection(sense(*name)).is_none() {
+        graph.input(name.name(), &with_open_batch(INPUT_SHAPE))?;
+        if network.projection(encoder_kind(*name)).is_none() {
             let what = format!("the network has no encoder for `{name}`");
             return Err(Error::internal(what));
         }
     }
-    for sense in [Sense::Touch, Sense::Vision] {
-        write_encoder(&mut graph, network, sense)?;
+    for kind in [EncoderKind::Touch, EncoderKind::Vision] {
+        write_encoder(&mut graph, network, kind)?;
     }
     let [hidden, last] = network.head();
     write_linear(&mut graph, network, hidden, 1.0)?;
     write_linear(&mut graph, network, last, contract.temperature)?;
     let p_stable = write_nodes(&mut graph, network.architecture(), &inputs)?;
-    graph.output(&p_stable, &of_any_batch(OUTPUT_SHAPE));
+    graph.output(&p_stable, &with_open_batch(OUTPUT_SHAPE));
     graph.to_bytes()
 }
 
-fn sense(input: InputName) -> Sense {
+fn encoder_kind(input: InputName) -> EncoderKind {
     match input {
-        InputName::TactileLeft | InputName::TactileRight => Sense::Touch,
-        InputName::Rgb => Sense::Vision,
+        InputName::TactileLeft | InputName::TactileRight => EncoderKind::Touch,
+        InputName::Rgb => EncoderKind::Vision,
     }
 }
 
-/// A shape for any number of images at once.
-fn of_any_batch<const N: usize>(mut shape: [i64; N]) -> [i64; N] {
+/// Replaces the batch size of a shape by an open one.
+fn with_open_batch<const N: usize>(mut shape: [i64; N]) -> [i64; N] {
     shape[0] = OPEN_BATCH;
     shape
 }
 
-/// Weight and bias of a layer, divided by the temperature.
+/// Writes weight and bias of a layer, divided by the temperature.
 fn write_linear(
     graph: &mut OnnxGraphBuilder,
     network: &Network,
-    layer: &[Part; 2],
+    layer: &[Param; 2],
     temperature: f64,
 ) -> Result<()> {
-    for part in layer {
-        let values = network.part(part).iter();
-        let cooled: Vec<f32> = values
+    for param in layer {
+        let values = network.values(param).iter();
+        let scaled: Vec<f32> = values
             .map(|x| (f64::from(*x) / temperature) as f32)
             .collect();
-        let [rows, columns] = part.shape.map(|side| side as i64);
-        let is_weight = part.is_weight();
+        let [rows, columns] = param.shape.map(|side| side as i64);
+        let is_weight = param.is_weight();
         let shape = if is_weight {
             &[rows, columns][..]
         } else {
             &[columns]
         };
-        graph.constant(&part.name, shape, &cooled)?;
+        graph.constant(&param.name, shape, &scaled)?;
     }
     Ok(())
 }
 
-/// Weights of an encoder, where the network has the sense.
-fn write_encoder(graph: &mut OnnxGraphBuilder, network: &Network, sense: Sense) -> Result<()> {
-    let (Some(folded), Some([weight, bias])) = (network.folded(sense), network.projection(sense))
+/// Writes the weights of an encoder, if the network has it.
+fn write_encoder(graph: &mut OnnxGraphBuilder, network: &Network, kind: EncoderKind) -> Result<()> {
+    let (Some(folded), Some([weight, bias])) = (network.folded(kind), network.projection(kind))
     else {
         return Ok(());
     };
@@ -90,22 +90,22 @@ fn write_encoder(graph: &mut OnnxGraphBuilder, network: &Network, sense: Sense) 
         let [kernel, inputs, outputs] = [shape.kernel, shape.input[2], shape.channels];
         let weight = outputs_first(&weight, kernel, inputs, outputs);
         let size = [outputs, inputs, kernel, kernel].map(|side| side as i64);
-        graph.constant(&convolution_part(sense, i, "weight"), &size, &weight)?;
-        graph.constant(&convolution_part(sense, i, "bias"), &size[..1], &bias)?;
+        graph.constant(&conv_param(kind, i, "weight"), &size, &weight)?;
+        graph.constant(&conv_param(kind, i, "bias"), &size[..1], &bias)?;
     }
     let [height, width, channels] = network.architecture().pooled();
     let [rows, columns] = weight.shape;
-    let values = channels_first(network.part(weight), [height * width, channels], columns);
+    let values = channels_first(network.values(weight), [height * width, channels], columns);
     graph.constant(&weight.name, &[rows as i64, columns as i64], &values)?;
-    graph.constant(&bias.name, &[columns as i64], network.part(bias))?;
+    graph.constant(&bias.name, &[columns as i64], network.values(bias))?;
     Ok(())
 }
 
-fn convolution_part(sense: Sense, at: usize, what: &str) -> String {
-    format!("{}.conv{}.{what}", sense.name(), at + 1)
+fn conv_param(kind: EncoderKind, at: usize, what: &str) -> String {
+    format!("{}.conv{}.{what}", kind.name(), at + 1)
 }
 
-/// Appends the nodes of a network. The graph has its inputs and constants under their names.
+/// Appends the nodes of a network; inputs and constants are referenced by name.
 fn write_nodes(
     graph: &mut OnnxGraphBuilder,
     architecture: &Architecture,
@@ -133,7 +133,7 @@ fn write_encoder_nodes(
     architecture: &Architecture,
     input: InputName,
 ) -> Result<Value> {
-    let (name, sense) = (input.name(), sense(input));
+    let (name, kind) = (input.name(), encoder_kind(input));
     let mut x = Value::named(name);
     for (i, spec) in architecture.convolutions.iter().enumerate() {
         let [kernel, stride, pad] = [spec.kernel, spec.stride, spec.pad].map(|n| n as i64);
@@ -144,7 +144,7 @@ fn write_encoder_nodes(
             Attribute::ints("pads", &[pad; 4]),
         ];
         let [weight, bias] =
-            ["weight", "bias"].map(|what| Value::named(&convolution_part(sense, i, what)));
+            ["weight", "bias"].map(|what| Value::named(&conv_param(kind, i, what)));
         let z = graph.node("Conv", &step, &[&x, &weight, &bias], attributes)?;
         x = graph.node("Relu", &format!("{step}_relu"), &[&z], [])?;
     }
@@ -156,7 +156,7 @@ fn write_encoder_nodes(
     let pooled = graph.node("AveragePool", &format!("{name}_pool"), &[&x], attributes)?;
     let axis = [Attribute::int("axis", 1)];
     let flat = graph.node("Flatten", &format!("{name}_flat"), &[&pooled], axis)?;
-    let projection = format!("{}.projection", sense.name());
+    let projection = format!("{}.projection", kind.name());
     write_gemm(graph, &format!("{name}_embedding"), &flat, &projection)
 }
 
@@ -165,7 +165,7 @@ fn write_gemm(graph: &mut OnnxGraphBuilder, name: &str, x: &Value, layer: &str) 
     graph.node("Gemm", name, &[x, &weight, &bias], [])
 }
 
-/// Weights KH·KW·C × outputs as outputs × C × KH × KW.
+/// Transposes weights KH·KW·C × outputs to outputs × C × KH × KW.
 fn outputs_first(weight: &[f32], kernel: usize, inputs: usize, outputs: usize) -> Vec<f32> {
     let window = kernel * kernel;
     let mut values = Vec::with_capacity(weight.len());
@@ -178,7 +178,7 @@ fn outputs_first(weight: &[f32], kernel: usize, inputs: usize, outputs: usize) -
     values
 }
 
-/// Rows for pixels × channels as rows for channels × pixels.
+/// Reorders rows from pixels × channels to channels × pixels.
 fn channels_first(weight: &[f32], [pixels, channels]: [usize; 2], columns: usize) -> Vec<f32> {
     let mut values = Vec::with_capacity(weight.len());
     for channel in 0..channels {
@@ -191,38 +191,38 @@ fn channels_first(weight: &[f32], [pixels, channels]: [usize; 2], columns: usize
 }
 
 const _: () = {
-    // The file's inputs and the network's images are of one size.
+    // The model's inputs and the network's images have equal size.
     assert!(INPUT_SHAPE[1] as usize == IMAGE[2] && INPUT_SHAPE[2] as usize == IMAGE[0]);
 };
 
-/// A file's graph that is one of our networks.
+/// A graph exported from a gripcast network.
 #[derive(Debug)]
-pub(crate) struct Recognised<'a> {
+pub(crate) struct RecognisedNetwork<'a> {
     graph: &'a GraphProto,
     pub(crate) architecture: Architecture,
 }
 
-/// Weight and bias of a layer as they are in the file.
+/// Weight and bias of a layer as stored in the file.
 pub(crate) type Layer = [Vec<f32>; 2];
 
-impl<'a> Recognised<'a> {
-    /// The graph, if it is that of a network with these inputs; none where a node differs.
+impl<'a> RecognisedNetwork<'a> {
+    /// Recognises the graph of a network with these inputs; none if any node differs.
     pub(crate) fn new(graph: &'a GraphProto, inputs: &[InputName]) -> Option<Self> {
-        let architecture = sizes(graph, *inputs.first()?)?;
-        let mut again = OnnxGraphBuilder::new("");
-        write_nodes(&mut again, &architecture, inputs).ok()?;
-        let is_ours = again.nodes() == graph.node;
-        is_ours.then_some(Self {
+        let architecture = architecture_of(graph, *inputs.first()?)?;
+        let mut expected = OnnxGraphBuilder::new("");
+        write_nodes(&mut expected, &architecture, inputs).ok()?;
+        let matches = expected.nodes() == graph.node;
+        matches.then_some(Self {
             graph,
             architecture,
         })
     }
 
-    /// Weight, outputs × C × KH × KW, and bias of a convolution with so many input channels.
-    pub(crate) fn convolution(&self, sense: Sense, at: usize, inputs: usize) -> Option<Layer> {
+    /// Weight, outputs × C × KH × KW, and bias of a convolution with `inputs` input channels.
+    pub(crate) fn convolution(&self, kind: EncoderKind, at: usize, inputs: usize) -> Option<Layer> {
         let spec = self.architecture.convolutions.get(at)?;
-        let weight = convolution_part(sense, at, "weight");
-        let bias = convolution_part(sense, at, "bias");
+        let weight = conv_param(kind, at, "weight");
+        let bias = conv_param(kind, at, "bias");
         let sides = [spec.channels, inputs, spec.kernel, spec.kernel];
         Some([
             self.floats(&weight, &sides)?,
@@ -238,7 +238,7 @@ impl<'a> Recognised<'a> {
         ])
     }
 
-    /// The values of an f32 constant of these sides.
+    /// Values of an f32 constant of this shape.
     fn floats(&self, name: &str, sides: &[usize]) -> Option<Vec<f32>> {
         let tensor = constant(self.graph, name)?;
         let mut all = sides.iter();
@@ -257,16 +257,16 @@ impl<'a> Recognised<'a> {
     }
 }
 
-/// Sizes of the network that a graph may be, read off the encoder of an input.
-fn sizes(graph: &GraphProto, input: InputName) -> Option<Architecture> {
-    let sense = sense(input);
+/// Reads the architecture of a graph from the encoder of an input.
+fn architecture_of(graph: &GraphProto, input: InputName) -> Option<Architecture> {
+    let kind = encoder_kind(input);
     let outputs = |name: &str, at: usize| dims(constant(graph, name)?)?.get(at).copied();
     let mut side = [IMAGE[0], IMAGE[1]];
     let mut convolutions = Vec::new();
     while let Some(node) = node(graph, &format!("{input}_conv{}", convolutions.len() + 1)) {
         let first = |name: &str| ints(node, name)?.first().copied();
         let spec = ConvSpec {
-            channels: outputs(&convolution_part(sense, convolutions.len(), "weight"), 0)?,
+            channels: outputs(&conv_param(kind, convolutions.len(), "weight"), 0)?,
             kernel: first("kernel_shape")?,
             stride: first("strides")?,
             pad: first("pads")?,
@@ -287,7 +287,7 @@ fn sizes(graph: &GraphProto, input: InputName) -> Option<Architecture> {
         name: String::new(),
         convolutions,
         pool,
-        embedding: outputs(&format!("{}.projection.weight", sense.name()), 1)?,
+        embedding: outputs(&format!("{}.projection.weight", kind.name()), 1)?,
         hidden: outputs("head.hidden.weight", 1)?,
     })
 }

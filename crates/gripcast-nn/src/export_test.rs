@@ -2,11 +2,11 @@ use tract_onnx::pb::{GraphProto, ModelProto};
 
 use super::*;
 use crate::Batch;
-use crate::predict::contract::{InputSpec, Origin, RgbNormalisation, Variant};
+use crate::predict::contract::{InputSpec, Modality, Origin, RgbNormalisation};
 use crate::predict::{Model, ModelInput, onnx};
 use gripcast_base::random::SeedStream;
 
-fn contract(variant: Variant, temperature: f64) -> ModelContract {
+fn contract(modality: Modality, temperature: f64) -> ModelContract {
     let normalisation = RgbNormalisation {
         mean: [0.0; 3],
         std: [1.0; 3],
@@ -17,8 +17,8 @@ fn contract(variant: Variant, temperature: f64) -> ModelContract {
             seed: 1,
             manifest_sha256: "0".repeat(64),
         },
-        variant,
-        inputs: variant
+        modality,
+        inputs: modality
             .inputs()
             .iter()
             .map(|name| match name {
@@ -34,23 +34,23 @@ fn contract(variant: Variant, temperature: f64) -> ModelContract {
     }
 }
 
-/// A network whose running moments and scales are no longer those of the beginning.
-fn network(architecture: &Architecture, variant: Variant, draw: &mut SeedStream) -> Network {
-    let mut network = Network::new(architecture, variant, || draw.uniform());
-    for part in network.layout().clone().parts() {
-        if !part.is_weight() {
-            for value in &mut network.parameters[part.range()] {
+/// A network whose running statistics, scales and biases differ from the initial ones.
+fn network(architecture: &Architecture, modality: Modality, draw: &mut SeedStream) -> Network {
+    let mut network = Network::new(architecture, modality, || draw.uniform());
+    for param in network.layout().clone().params() {
+        if !param.is_weight() {
+            for value in &mut network.parameters[param.range()] {
                 *value += draw.between(-0.2, 0.2) as f32;
             }
         }
     }
-    for moment in &mut network.moments {
-        *moment += draw.between(0.0, 0.5) as f32;
+    for value in &mut network.running_stats {
+        *value += draw.between(0.0, 0.5) as f32;
     }
     network
 }
 
-/// Images CHW, and the same as a batch of one.
+/// Images as CHW input, and as a batch of one.
 fn images(model: &Model, draw: &mut SeedStream) -> (ModelInput, Batch) {
     let mut input = ModelInput::zeros(model.contract()).unwrap();
     let mut batch = Batch {
@@ -66,7 +66,7 @@ fn images(model: &Model, draw: &mut SeedStream) -> (ModelInput, Batch) {
     for name in [InputName::TactileLeft, InputName::TactileRight] {
         let difference = gripcast_imaging::TactileDifference::between(&image(), &image()).unwrap();
         input.set_tactile(name, &difference).unwrap();
-        if model.contract().variant != Variant::V {
+        if model.contract().modality != Modality::V {
             batch
                 .touch
                 .extend(difference.levels().iter().map(|x| f32::from(*x) / 255.0));
@@ -74,7 +74,7 @@ fn images(model: &Model, draw: &mut SeedStream) -> (ModelInput, Batch) {
     }
     let rgb = image();
     input.set_rgb(&rgb).unwrap();
-    if model.contract().variant != Variant::T {
+    if model.contract().modality != Modality::T {
         batch
             .vision
             .extend(rgb.as_raw().iter().map(|x| f32::from(*x) / 255.0));
@@ -83,25 +83,25 @@ fn images(model: &Model, draw: &mut SeedStream) -> (ModelInput, Batch) {
 }
 
 #[test]
-fn the_network_and_both_engines_agree_on_its_file() {
+fn network_and_both_engines_agree() {
     let mut draw = SeedStream::named(3, "export");
-    for (architecture, variant) in [
-        (Architecture::gripcast(), Variant::Vt),
-        (Architecture::gripcast(), Variant::T),
-        (Architecture::paper(), Variant::V),
+    for (architecture, modality) in [
+        (Architecture::gripcast(), Modality::Vt),
+        (Architecture::gripcast(), Modality::T),
+        (Architecture::paper(), Modality::V),
     ] {
-        let network = network(&architecture, variant, &mut draw);
-        let contract = contract(variant, 1.7);
+        let network = network(&architecture, modality, &mut draw);
+        let contract = contract(modality, 1.7);
         let bytes = to_onnx(&network, &contract).unwrap();
-        let own = Model::from_bytes(&bytes).unwrap();
-        assert!(own.is_on_own_engine());
-        let tract = Model::on_tract(&bytes).unwrap();
-        assert!(!tract.is_on_own_engine());
+        let native = Model::from_bytes(&bytes).unwrap();
+        assert!(native.is_native());
+        let tract = Model::with_tract(&bytes).unwrap();
+        assert!(!tract.is_native());
         for _ in 0..3 {
-            let (input, batch) = images(&own, &mut draw);
+            let (input, batch) = images(&native, &mut draw);
             let logit = f64::from(network.logits(&batch)[0]) / contract.temperature;
             let expected = 1.0 / (1.0 + (-logit).exp());
-            let found = [&own, &tract].map(|model| model.predict(&input).unwrap().p_stable);
+            let found = [&native, &tract].map(|model| model.predict(&input).unwrap().p_stable);
             for found in found {
                 assert!((found - expected).abs() < 1e-5, "{found} {expected}");
             }
@@ -110,23 +110,23 @@ fn the_network_and_both_engines_agree_on_its_file() {
 }
 
 #[test]
-fn a_graph_with_anything_else_in_it_goes_to_the_general_engine() {
+fn altered_graph_runs_on_tract() {
     let mut draw = SeedStream::named(4, "export");
     let architecture = Architecture::gripcast();
-    let network = network(&architecture, Variant::T, &mut draw);
-    let bytes = to_onnx(&network, &contract(Variant::T, 1.0)).unwrap();
-    let whole = Model::from_bytes(&bytes).unwrap();
-    let (input, _) = images(&whole, &mut draw);
-    let expected = whole.predict(&input).unwrap().p_stable;
+    let network = network(&architecture, Modality::T, &mut draw);
+    let bytes = to_onnx(&network, &contract(Modality::T, 1.0)).unwrap();
+    let original = Model::from_bytes(&bytes).unwrap();
+    let (input, _) = images(&original, &mut draw);
+    let expected = original.predict(&input).unwrap().p_stable;
     let altered = |change: &dyn Fn(&mut GraphProto)| {
         let mut proto = onnx::decode(&bytes).unwrap();
         change(proto.graph.as_mut().unwrap());
         let model = Model::from_bytes(&prost::Message::encode_to_vec(&proto)).unwrap();
-        assert!(!model.is_on_own_engine());
+        assert!(!model.is_native());
         let found = model.predict(&input).unwrap().p_stable;
         assert!((found - expected).abs() < 1e-5, "{found} {expected}");
     };
-    // An operator that we do not have, which changes nothing.
+    // An unsupported operator with the same result.
     altered(&|graph| {
         let relu = graph
             .node
@@ -141,7 +141,7 @@ fn a_graph_with_anything_else_in_it_goes_to_the_general_engine() {
             ..Default::default()
         }];
     });
-    // Padding that differs between sides, in one that does.
+    // Asymmetric padding with the same result.
     altered(&|graph| {
         let second = graph
             .node
@@ -153,45 +153,45 @@ fn a_graph_with_anything_else_in_it_goes_to_the_general_engine() {
             .iter_mut()
             .find(|a| a.name == "pads")
             .unwrap();
-        // The rows and columns that are left out lie beyond the last window.
+        // The dropped rows and columns are beyond the last window.
         pads.ints = vec![1, 1, 0, 0];
     });
 }
 
-/// Damages a graph in every way that comes to mind, once at every place.
-fn damage(proto: &ModelProto, mut look: impl FnMut(&ModelProto)) {
+/// Damages a graph in many ways at every node and constant.
+fn damage(proto: &ModelProto, mut check: impl FnMut(&ModelProto)) {
     let graph = proto.graph.as_ref().unwrap();
     let mut with = |change: &dyn Fn(&mut GraphProto)| {
         let mut other = proto.clone();
         change(other.graph.as_mut().unwrap());
-        look(&other);
+        check(&other);
     };
-    for (at, node) in graph.node.iter().enumerate() {
+    for (index, node) in graph.node.iter().enumerate() {
         with(&|graph| {
-            graph.node.remove(at);
+            graph.node.remove(index);
         });
-        with(&|graph| graph.node[at].input.clear());
-        with(&|graph| graph.node[at].output.clear());
-        with(&|graph| graph.node[at].input.reverse());
-        with(&|graph| graph.node.swap(at, 0));
-        with(&|graph| graph.node[at].attribute.clear());
+        with(&|graph| graph.node[index].input.clear());
+        with(&|graph| graph.node[index].output.clear());
+        with(&|graph| graph.node[index].input.reverse());
+        with(&|graph| graph.node.swap(index, 0));
+        with(&|graph| graph.node[index].attribute.clear());
         for attribute in 0..node.attribute.len() {
-            for odd in [0, 2, 3, 7, 1 << 40, -1] {
-                with(&|graph| graph.node[at].attribute[attribute].ints.fill(odd));
+            for value in [0, 2, 3, 7, 1 << 40, -1] {
+                with(&|graph| graph.node[index].attribute[attribute].ints.fill(value));
             }
-            with(&|graph| graph.node[at].attribute[attribute].ints.clear());
-            with(&|graph| graph.node[at].attribute[attribute].i = -9);
+            with(&|graph| graph.node[index].attribute[attribute].ints.clear());
+            with(&|graph| graph.node[index].attribute[attribute].i = -9);
         }
     }
-    for at in 0..graph.initializer.len() {
-        with(&|graph| graph.initializer[at].raw_data.truncate(6));
-        with(&|graph| graph.initializer[at].dims.reverse());
-        with(&|graph| graph.initializer[at].dims.clear());
-        with(&|graph| graph.initializer[at].dims.fill(1 << 40));
-        with(&|graph| graph.initializer[at].dims.fill(i64::MAX));
-        with(&|graph| graph.initializer[at].dims.fill(-1));
+    for index in 0..graph.initializer.len() {
+        with(&|graph| graph.initializer[index].raw_data.truncate(6));
+        with(&|graph| graph.initializer[index].dims.reverse());
+        with(&|graph| graph.initializer[index].dims.clear());
+        with(&|graph| graph.initializer[index].dims.fill(1 << 40));
+        with(&|graph| graph.initializer[index].dims.fill(i64::MAX));
+        with(&|graph| graph.initializer[index].dims.fill(-1));
         with(&|graph| {
-            graph.initializer.remove(at);
+            graph.initializer.remove(index);
         });
     }
     with(&|graph| graph.input.clear());
@@ -199,17 +199,17 @@ fn damage(proto: &ModelProto, mut look: impl FnMut(&ModelProto)) {
 }
 
 #[test]
-fn no_damage_makes_our_engine_panic_or_answer_what_is_no_probability() {
+fn native_engine_survives_any_damage() {
     let mut draw = SeedStream::named(5, "export");
     let architecture = Architecture::gripcast();
-    let network = network(&architecture, Variant::T, &mut draw);
-    let contract = contract(Variant::T, 1.0);
+    let network = network(&architecture, Modality::T, &mut draw);
+    let contract = contract(Modality::T, 1.0);
     let proto = onnx::decode(&to_onnx(&network, &contract).unwrap()).unwrap();
-    assert!(Model::own_answer_to_zeros(&proto, &contract).is_some());
+    assert!(Model::native_prediction_for_zeros(&proto, &contract).is_some());
     let (mut refused, mut all) = (0, 0);
     damage(&proto, |damaged| {
         all += 1;
-        match Model::own_answer_to_zeros(damaged, &contract) {
+        match Model::native_prediction_for_zeros(damaged, &contract) {
             Some(p) => assert!((0.0..=1.0).contains(&p), "{all}: {p}"),
             None => refused += 1,
         }

@@ -1,13 +1,13 @@
-//! Layers of a trained network: weights packed once, one image at a time.
+//! Layers for inference: weights packed once, one image at a time.
 
 use super::conv::{ConvShape, Multiply};
 use super::lanes::{Isa, Lanes, WithLanes};
 use super::product::{Finish, Output, Packed, multiply_patches};
 
-/// Sides of windows for which [`Patches`] is compiled.
+/// Window sizes supported by [`Patches`].
 const PATCH_SIDES: [usize; 3] = [2, 4, 8];
 
-/// An image HWC with a border of zeros, which windows may read.
+/// An HWC image with a zero border.
 #[derive(Clone, Debug)]
 pub(crate) struct Padded {
     size: [usize; 3],
@@ -16,7 +16,7 @@ pub(crate) struct Padded {
 }
 
 impl Padded {
-    /// A black image of height, width and channels with a border of so many pixels.
+    /// A black image of height, width and channels with a border of `border` pixels.
     pub(crate) fn new(size: [usize; 3], border: usize) -> Self {
         let [height, width, channels] = size;
         let floats = (height + 2 * border) * (width + 2 * border) * channels;
@@ -27,21 +27,21 @@ impl Padded {
         }
     }
 
-    /// Floats from a row to the next.
-    fn row(&self) -> usize {
+    /// Distance between rows, floats.
+    fn row_step(&self) -> usize {
         (self.size[1] + 2 * self.border) * self.size[2]
     }
 
-    /// Place of a pixel that lies `border` pixels within the image with its border.
-    fn at(&self, border: usize) -> usize {
+    /// Index of the top-left pixel of the image extended by `border` pixels.
+    fn start(&self, border: usize) -> usize {
         let inset = self.border - border;
-        inset * self.row() + inset * self.size[2]
+        inset * self.row_step() + inset * self.size[2]
     }
 
-    /// Copies planes, one for each channel.
+    /// Copies CHW planes into the image.
     pub(crate) fn set_planes(&mut self, planes: &[f32]) {
         let [height, width, channels] = self.size;
-        let (first, step) = (self.at(0), self.row());
+        let (first, step) = (self.start(0), self.row_step());
         for (channel, plane) in planes.chunks_exact(height * width).enumerate() {
             for (y, from) in plane.chunks_exact(width).enumerate() {
                 let row = &mut self.values[first + y * step..][..width * channels];
@@ -52,20 +52,20 @@ impl Padded {
         }
     }
 
-    /// Appends means over windows of `window` pixels side by side, HWC.
+    /// Appends the average pooling with windows of `window` pixels, HWC.
     pub(crate) fn pool(&self, window: [usize; 2], means: &mut Vec<f32>) {
         let [height, width, channels] = self.size;
         let [tall, wide] = window;
         let fraction = 1.0 / (tall * wide) as f32;
         for y in 0..height / tall {
             for x in 0..width / wide {
-                let begun = means.len();
-                means.resize(begun + channels, 0.0);
+                let start = means.len();
+                means.resize(start + channels, 0.0);
                 for line in y * tall..(y + 1) * tall {
-                    let from = self.at(0) + line * self.row() + x * wide * channels;
+                    let from = self.start(0) + line * self.row_step() + x * wide * channels;
                     let pixels = self.values[from..][..wide * channels].chunks_exact(channels);
                     for pixel in pixels {
-                        for (mean, value) in means[begun..].iter_mut().zip(pixel) {
+                        for (mean, value) in means[start..].iter_mut().zip(pixel) {
                             *mean += fraction * value;
                         }
                     }
@@ -75,19 +75,19 @@ impl Padded {
     }
 }
 
-/// A convolution with its bias, and ReLU where there is one.
+/// A convolution with bias and optional ReLU.
 #[derive(Clone, Debug)]
 pub(crate) struct Convolution {
     shape: ConvShape,
     weights: Packed,
-    /// The same for windows in planes, where they lie side by side.
+    /// Weights for adjacent windows in planes.
     patches: Option<Packed>,
     bias: Vec<f32>,
     relu: bool,
 }
 
 impl Convolution {
-    /// A convolution; `weights` are outputs × inputs × rows × columns of the window.
+    /// A convolution; `weights` are outputs × inputs × kernel rows × kernel columns.
     pub(crate) fn new(shape: ConvShape, weights: &[f32], bias: Vec<f32>, relu: bool) -> Self {
         let [height, width, inputs] = shape.input;
         let sizes = [shape.fan_in(), shape.channels];
@@ -115,7 +115,7 @@ impl Convolution {
         }
     }
 
-    /// Whether it reads planes as they are, see [`Convolution::of_planes`].
+    /// Whether it can read planes directly, see [`Convolution::forward_planes`].
     pub(crate) fn reads_planes(&self) -> bool {
         self.patches.is_some()
     }
@@ -128,16 +128,16 @@ impl Convolution {
     }
 
     /// Convolves an image whose border is as wide as the convolution's padding.
-    pub(crate) fn of(&self, x: &Padded, y: &mut Padded) {
+    pub(crate) fn forward(&self, x: &Padded, y: &mut Padded) {
         let (rows, [height, _, width]) = self.shape.rows();
-        let step = x.row();
+        let step = x.row_step();
         let rows = super::product::Rows {
             run_step: step,
             ..rows
         };
-        let (first, line_step) = (y.at(0), y.row());
+        let (first, line_step) = (y.start(0), y.row_step());
         Isa::best().run(Multiply {
-            a: &x.values[x.at(self.shape.pad)..],
+            a: &x.values[x.start(self.shape.pad)..],
             rows,
             lines: [height, self.shape.stride * step, width],
             b: &self.weights,
@@ -149,12 +149,11 @@ impl Convolution {
         });
     }
 
-    /// Convolves planes, one for each channel; nothing where it does not [read
-    /// them](Convolution::reads_planes).
-    pub(crate) fn of_planes(&self, planes: &[f32], y: &mut Padded) {
+    /// Convolves CHW planes; does nothing unless it [reads planes](Convolution::reads_planes).
+    pub(crate) fn forward_planes(&self, planes: &[f32], y: &mut Padded) {
         let Some(weights) = &self.patches else { return };
         let [height, width, _] = self.shape.input;
-        let (first, line_step) = (y.at(0), y.row());
+        let (first, line_step) = (y.start(0), y.row_step());
         Isa::best().run(Patches {
             side: self.shape.kernel,
             planes,
@@ -197,7 +196,7 @@ impl WithLanes for Patches<'_> {
     }
 }
 
-/// `x·weights + bias`, and ReLU where there is one.
+/// A dense layer with bias and optional ReLU.
 #[derive(Clone, Debug)]
 pub(crate) struct Dense {
     inputs: usize,
@@ -207,7 +206,7 @@ pub(crate) struct Dense {
 }
 
 impl Dense {
-    /// A layer; `weights` has a row for each input and a column for each output.
+    /// A layer; `weights` are inputs × outputs, row-major.
     pub(crate) fn new(inputs: usize, weights: &[f32], bias: Vec<f32>, relu: bool) -> Self {
         let mut packed = Packed::default();
         packed.pack_rows([inputs, bias.len()], weights);
@@ -219,8 +218,8 @@ impl Dense {
         }
     }
 
-    /// A layer of the pixels of an image HWC; `weights` has its rows for planes.
-    pub(crate) fn of_planes(
+    /// A layer on HWC pixels whose `weights` have rows in CHW order.
+    pub(crate) fn from_planes(
         [pixels, channels]: [usize; 2],
         weights: &[f32],
         bias: Vec<f32>,
@@ -238,8 +237,8 @@ impl Dense {
         }
     }
 
-    /// Of rows of inputs.
-    pub(crate) fn of(&self, x: &[f32], y: &mut Vec<f32>) {
+    /// Applies the layer to rows of inputs.
+    pub(crate) fn forward(&self, x: &[f32], y: &mut Vec<f32>) {
         y.clear();
         y.resize(x.len() / self.inputs * self.bias.len(), 0.0);
         let finish = Finish {

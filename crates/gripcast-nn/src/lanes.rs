@@ -1,11 +1,10 @@
-//! Wide vectors of the processor that is found at run time.
+//! SIMD vectors, selected at run time.
 //!
-//! Every sum runs over its terms in one order whatever the width, and each lane is a sum of its
-//! own, so results are the same with 8 and 16 lanes. Without fused multiply-add they differ in the
-//! last bits.
+//! The order of additions does not depend on the vector width, so results are equal with 8 and 16
+//! lanes. Without fused multiply-add they differ in the last bits.
 //!
-//! Not on `pulp`: its AVX-512 is a feature of the whole program, and would change the width, and so
-//! the order of sums, of the simulator's solvers.
+//! Not based on `pulp`: enabling its AVX-512 affects the whole program and would change the order of
+//! sums in the simulator's solvers.
 
 #![allow(unsafe_code)]
 
@@ -16,19 +15,19 @@ use std::arch::x86_64::{
     _mm512_set1_ps, _mm512_storeu_ps,
 };
 
-/// Arithmetic on vectors of floats. A value says that the processor has the instructions.
+/// Arithmetic on vectors of floats. A value proves that the CPU has the instructions.
 pub(super) trait Lanes: Copy {
-    /// A vector.
+    /// Vector type.
     type Vector: Copy;
-    /// Floats in a vector.
+    /// Floats per vector.
     const COUNT: usize;
-    /// Rows of sums, two vectors each, that fit into registers beside what they are made of.
+    /// Rows of sums, two vectors each, that fit into registers beside the operands.
     const ROWS: usize;
 
     fn splat(self, x: f32) -> Self::Vector;
-    /// The first floats of a slice.
+    /// Loads the first floats of a slice.
     fn load(self, from: &[f32]) -> Self::Vector;
-    /// Into the first floats of a slice.
+    /// Stores into the first floats of a slice.
     fn store(self, x: Self::Vector, to: &mut [f32]);
     fn add(self, a: Self::Vector, b: Self::Vector) -> Self::Vector;
     fn max(self, a: Self::Vector, b: Self::Vector) -> Self::Vector;
@@ -36,17 +35,17 @@ pub(super) trait Lanes: Copy {
     fn mul_add(self, a: Self::Vector, b: Self::Vector, c: Self::Vector) -> Self::Vector;
 }
 
-/// Work on vectors. Implementations are `#[inline(always)]`, so that they are compiled for each
-/// kind of processor.
+/// A computation on vectors. Implementations are `#[inline(always)]`, so that they are compiled for
+/// each instruction set.
 pub(super) trait WithLanes {
-    /// What it gives.
+    /// Result type.
     type Output;
 
-    /// Does the work.
+    /// Runs the computation.
     fn with_lanes<S: Lanes>(self, lanes: S) -> Self::Output;
 }
 
-/// Kind of processor.
+/// Instruction set.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Isa {
     #[cfg(target_arch = "x86_64")]
@@ -56,18 +55,18 @@ pub(super) enum Isa {
     Portable,
 }
 
-/// Bits of the vectors that networks are run with on this processor; 0 where none suit.
+/// Vector width in bits used for networks on this CPU; 0 for portable code.
 pub fn vector_bits() -> u32 {
     Isa::best().bits()
 }
 
 impl Isa {
-    /// The best one of this processor.
+    /// Best instruction set of this CPU.
     #[inline]
     pub(super) fn best() -> Self {
         #[cfg(target_arch = "x86_64")]
         {
-            // The macro keeps what it found.
+            // The macro caches its result.
             if std::arch::is_x86_feature_detected!("avx512f") {
                 return Self::Avx512(Avx512(()));
             }
@@ -80,7 +79,7 @@ impl Isa {
         Self::Portable
     }
 
-    /// Bits of its vectors; 0 for the portable one.
+    /// Vector width in bits; 0 for portable code.
     fn bits(self) -> u32 {
         match self {
             #[cfg(target_arch = "x86_64")]
@@ -91,7 +90,7 @@ impl Isa {
         }
     }
 
-    /// All that this processor has, the best one first.
+    /// All instruction sets of this CPU, the best one first.
     #[cfg(test)]
     pub(super) fn available() -> Vec<Self> {
         let mut found = vec![Self::best()];
@@ -105,7 +104,7 @@ impl Isa {
         found
     }
 
-    /// Floats in a vector.
+    /// Floats per vector.
     pub(super) fn lanes(self) -> usize {
         match self {
             #[cfg(target_arch = "x86_64")]
@@ -116,11 +115,11 @@ impl Isa {
         }
     }
 
-    /// Does the work.
+    /// Runs the computation.
     #[inline]
     pub(super) fn run<W: WithLanes>(self, work: W) -> W::Output {
         match self {
-            // SAFETY: a value of this kind exists only where the processor has the instructions.
+            // SAFETY: a value of this type exists only if the CPU has the instructions.
             #[cfg(target_arch = "x86_64")]
             Self::Avx512(lanes) => unsafe { with_avx512(work, lanes) },
             // SAFETY: as above.
@@ -159,14 +158,14 @@ macro_rules! x86 {
 
             #[inline(always)]
             fn splat(self, x: f32) -> $vector {
-                // SAFETY: `self` says that the processor has the instruction.
+                // SAFETY: `self` proves that the CPU has the instruction.
                 unsafe { $splat(x) }
             }
 
             #[inline(always)]
             fn load(self, from: &[f32]) -> $vector {
                 let from = &from[..$count];
-                // SAFETY: `self` says that the processor has the instruction;
+                // SAFETY: `self` proves that the CPU has the instruction;
                 // the slice is as long as the vector.
                 unsafe { $load(from.as_ptr()) }
             }
@@ -174,26 +173,26 @@ macro_rules! x86 {
             #[inline(always)]
             fn store(self, x: $vector, to: &mut [f32]) {
                 let to = &mut to[..$count];
-                // SAFETY: `self` says that the processor has the instruction;
+                // SAFETY: `self` proves that the CPU has the instruction;
                 // the slice is as long as the vector.
                 unsafe { $store(to.as_mut_ptr(), x) }
             }
 
             #[inline(always)]
             fn add(self, a: $vector, b: $vector) -> $vector {
-                // SAFETY: `self` says that the processor has the instruction.
+                // SAFETY: `self` proves that the CPU has the instruction.
                 unsafe { $add(a, b) }
             }
 
             #[inline(always)]
             fn max(self, a: $vector, b: $vector) -> $vector {
-                // SAFETY: `self` says that the processor has the instruction.
+                // SAFETY: `self` proves that the CPU has the instruction.
                 unsafe { $max(a, b) }
             }
 
             #[inline(always)]
             fn mul_add(self, a: $vector, b: $vector, c: $vector) -> $vector {
-                // SAFETY: `self` says that the processor has the instruction.
+                // SAFETY: `self` proves that the CPU has the instruction.
                 unsafe { $mul_add(a, b, c) }
             }
         }
@@ -227,7 +226,7 @@ x86!(
     _mm256_fmadd_ps
 );
 
-/// 8 lanes, whatever the compiler makes of them.
+/// 8 lanes in portable code.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Portable;
 
@@ -266,7 +265,7 @@ impl Lanes for Portable {
         if cfg!(target_arch = "aarch64") {
             std::array::from_fn(|l| a[l].mul_add(b[l], c[l]))
         } else {
-            // Without the instruction, fusing costs a hundred times more.
+            // Without the instruction, `mul_add` is a hundred times slower.
             std::array::from_fn(|l| a[l] * b[l] + c[l])
         }
     }

@@ -1,9 +1,9 @@
-//! The classifier's network and the arithmetic that trains and runs it, on the processor's widest
-//! vectors.
+//! The grasp stability classifier: network, training step, ONNX export and inference, vectorised
+//! for the CPU (AVX2, AVX-512).
 //!
-//! Convolutions gather their windows where they lie (no matrix of windows is made) and keep sums in
-//! registers. Results do not depend on the number of threads, nor on the width of vectors where
-//! they have fused multiply-add.
+//! Convolutions read their windows in place (no im2col matrix) and accumulate in registers. Results
+//! do not depend on the number of threads, nor on the vector width if fused multiply-add is
+//! available.
 //!
 //! ```
 //! use gripcast_nn::predict::{Model, ModelInput, SHIPPED, model_bytes};
@@ -27,7 +27,7 @@ pub mod predict;
 mod product;
 
 pub use adam::{Adam, linear_schedule};
-pub use architecture::{Architecture, ConvSpec, IMAGE, Layout, Part};
+pub use architecture::{Architecture, ConvSpec, IMAGE, Layout, Param};
 pub use export::to_onnx;
 pub use lanes::vector_bits;
 pub use network::{Batch, Network, Step};

@@ -1,52 +1,52 @@
-//! The classifier: forwards, backwards, in training.
+//! The classifier network: forward pass, backward pass, training step.
 
 use rayon::prelude::*;
 
-use super::architecture::{Architecture, EncoderParts, IMAGE, Layout, Part};
-use super::batch_norm::{self, Moments};
+use super::architecture::{Architecture, EncoderParams, IMAGE, Layout, Param};
+use super::batch_norm::{self, ChannelStats};
 use super::conv::{self, ConvShape, Scratch};
 use super::product::{Finish, Packed};
-use crate::predict::contract::Variant;
+use crate::predict::contract::Modality;
 
-/// Fraction of a batch's moments in the running ones, at least.
+/// Minimum momentum of the running statistics.
 const MOMENTUM: f32 = 0.1;
-/// Parts of a batch whose gradients are summed on their own, so that sums do not depend on the
-/// number of threads.
+/// Number of groups of a batch with separate gradient sums, so that sums do not depend on the number
+/// of threads.
 const GROUPS: usize = 8;
 
-/// Images of a batch, HWC floats one after the other; empty where the classifier lacks the sense.
+/// Images of a batch, f32 HWC, concatenated; empty for a modality that the classifier lacks.
 #[derive(Clone, Debug, Default)]
 pub struct Batch {
     /// All left tactile differences, then all right ones.
     pub touch: Vec<f32>,
     /// Colour images.
     pub vision: Vec<f32>,
-    /// 1 for a stable grasp, 0 for a lost one.
+    /// Target: 1 stable, 0 slip.
     pub targets: Vec<f32>,
-    /// What each sample's loss counts.
+    /// Weight of each sample's loss.
     pub weights: Vec<f32>,
 }
 
-/// What a step of training needs beside the data.
+/// Inputs of a training step besides the data.
 #[derive(Clone, Debug, Default)]
 pub struct Step {
-    /// Steps that were taken before.
+    /// Number of previous steps.
     pub number: u64,
-    /// What the hidden floats of each sample are multiplied with; empty for nothing.
+    /// Dropout factors of the hidden units of each sample; empty for no dropout.
     pub dropout: Vec<f32>,
 }
 
-/// One of the encoders.
+/// Kind of encoder.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Sense {
-    /// Of tactile differences.
+pub(crate) enum EncoderKind {
+    /// Encoder of tactile differences.
     Touch,
-    /// Of the colour image.
+    /// Encoder of the colour image.
     Vision,
 }
 
-impl Sense {
-    /// Its name in the names of parts.
+impl EncoderKind {
+    /// Name in parameter names.
     pub(crate) fn name(self) -> &'static str {
         match self {
             Self::Touch => "touch",
@@ -55,93 +55,93 @@ impl Sense {
     }
 }
 
-/// Parameters and what belongs to them.
+/// The network with its parameters and running statistics.
 #[derive(Clone, Debug)]
 pub struct Network {
     shapes: Vec<ConvShape>,
     architecture: Architecture,
     layout: Layout,
-    variant: Variant,
+    modality: Modality,
     /// All parameters, by [`Layout`].
     pub parameters: Vec<f32>,
-    /// Running means and variances of the convolutions' channels.
-    pub moments: Vec<f32>,
+    /// Running means and variances of the convolutions' channels (batch normalisation).
+    pub running_stats: Vec<f32>,
     workspace: Workspace,
 }
 
-/// Memory that steps use again: asking for it anew takes a sixth of the time.
+/// Buffers reused between steps, which saves a sixth of the time.
 #[derive(Debug, Default)]
 struct Workspace {
     passes: Vec<EncoderPass>,
-    /// Gradients of what a layer gives and of what it gets.
+    /// Gradients of a layer's output and input.
     gradients: [Vec<f32>; 2],
 }
 
 impl Clone for Workspace {
-    /// Empty: it holds nothing that lasts.
+    /// Returns empty buffers.
     fn clone(&self) -> Self {
         Self::default()
     }
 }
 
-/// What an encoder keeps on its way forwards.
+/// Forward values of an encoder, kept for the backward pass.
 #[derive(Debug, Default)]
 struct EncoderPass {
     /// After each convolution, before normalisation.
     z: Vec<Vec<f32>>,
     /// After ReLU.
     a: Vec<Vec<f32>>,
-    moments: Vec<Moments>,
+    stats: Vec<ChannelStats>,
     pooled: Vec<f32>,
     embedding: Vec<f32>,
 }
 
 impl Network {
-    /// A network whose parameters are drawn by `uniform` from [0, 1): weights uniform within
-    /// ±√(6/fan-in) before a ReLU (He et al., 2015) and ±√(3/fan-in) elsewhere, γ = 1, the rest 0.
+    /// Initialises a network with `uniform` numbers from [0, 1): weights uniform within
+    /// ±√(6/fan-in) before a ReLU (He et al., 2015) and ±√(3/fan-in) elsewhere, γ = 1, others 0.
     pub fn new(
         architecture: &Architecture,
-        variant: Variant,
+        modality: Modality,
         mut uniform: impl FnMut() -> f64,
     ) -> Self {
-        let layout = Layout::of(architecture, variant);
+        let layout = Layout::new(architecture, modality);
         let mut parameters = vec![0.0; layout.len()];
-        for part in layout.parts() {
-            let values = &mut parameters[part.range()];
-            if part.name.ends_with("gamma") {
+        for param in layout.params() {
+            let values = &mut parameters[param.range()];
+            if param.name.ends_with("gamma") {
                 values.fill(1.0);
-            } else if part.is_weight() {
-                let is_linear = part.name.contains("projection") || part.name.contains("logit");
+            } else if param.is_weight() {
+                let is_linear = param.name.contains("projection") || param.name.contains("logit");
                 let gain = if is_linear { 3.0 } else { 6.0 };
-                let most = (gain / part.shape[0] as f64).sqrt();
-                values.fill_with(|| ((2.0 * uniform() - 1.0) * most) as f32);
+                let bound = (gain / param.shape[0] as f64).sqrt();
+                values.fill_with(|| ((2.0 * uniform() - 1.0) * bound) as f32);
             }
         }
-        let mut moments = vec![0.0; layout.moments()];
+        let mut running_stats = vec![0.0; layout.running_stats_len()];
         for encoder in layout.touch.iter().chain(&layout.vision) {
-            for [_, variance] in &encoder.moments {
-                moments[variance.clone()].fill(1.0);
+            for [_, variance] in &encoder.stats {
+                running_stats[variance.clone()].fill(1.0);
             }
         }
         Self {
             shapes: architecture.shapes(),
             architecture: architecture.clone(),
             layout,
-            variant,
+            modality,
             parameters,
-            moments,
+            running_stats,
             workspace: Workspace::default(),
         }
     }
 
-    /// Where the parameters lie.
+    /// Layout of the parameters.
     pub fn layout(&self) -> &Layout {
         &self.layout
     }
 
-    /// The values of a part.
-    pub(crate) fn part(&self, part: &Part) -> &[f32] {
-        &self.parameters[part.range()]
+    /// Values of a parameter tensor.
+    pub(crate) fn values(&self, param: &Param) -> &[f32] {
+        &self.parameters[param.range()]
     }
 
     /// Shapes of an encoder's convolutions.
@@ -149,59 +149,57 @@ impl Network {
         &self.shapes
     }
 
-    /// Its sizes.
+    /// Architecture of the network.
     pub(crate) fn architecture(&self) -> &Architecture {
         &self.architecture
     }
 
-    /// Weight and bias of the hidden and of the last layer.
-    pub(crate) fn head(&self) -> &[[Part; 2]; 2] {
+    /// Weight and bias of the hidden and the output layer.
+    pub(crate) fn head(&self) -> &[[Param; 2]; 2] {
         &self.layout.head
     }
 
-    fn encoder(&self, sense: Sense) -> Option<&EncoderParts> {
-        match sense {
-            Sense::Touch => self.layout.touch.as_ref(),
-            Sense::Vision => self.layout.vision.as_ref(),
+    fn encoder(&self, kind: EncoderKind) -> Option<&EncoderParams> {
+        match kind {
+            EncoderKind::Touch => self.layout.touch.as_ref(),
+            EncoderKind::Vision => self.layout.vision.as_ref(),
         }
     }
 
-    /// Weight and bias of an encoder's projection; none where the classifier lacks the sense.
-    pub(crate) fn projection(&self, sense: Sense) -> Option<&[Part; 2]> {
-        self.encoder(sense).map(|parts| &parts.projection)
+    /// Weight and bias of an encoder's projection; none without that encoder.
+    pub(crate) fn projection(&self, kind: EncoderKind) -> Option<&[Param; 2]> {
+        self.encoder(kind).map(|params| &params.projection)
     }
 
-    /// Weight, KH·KW·C rows with a column for each output channel, and bias of an encoder's
-    /// convolutions with their normalisation by the running moments in them; none where the
-    /// classifier lacks the sense.
-    pub(crate) fn folded(&self, sense: Sense) -> Option<Vec<[Vec<f32>; 2]>> {
-        let parts = self.encoder(sense)?;
-        let folded = parts.convolutions.iter().zip(&parts.moments);
-        let folded = folded.map(|([weight, gamma, beta], moments)| {
-            let [mean, variance] = moments.clone().map(|at| self.moments[at].to_vec());
-            let moments = Moments { mean, variance };
-            let (scale, bias) = moments.scale_and_shift(self.part(gamma), self.part(beta));
-            let rows = self.part(weight).chunks_exact(scale.len());
+    /// Weight (KH·KW·C × output channels) and bias of an encoder's convolutions with batch
+    /// normalisation folded in; none without that encoder.
+    pub(crate) fn folded(&self, kind: EncoderKind) -> Option<Vec<[Vec<f32>; 2]>> {
+        let params = self.encoder(kind)?;
+        let folded = params.convolutions.iter().zip(&params.stats);
+        let folded = folded.map(|([weight, gamma, beta], ranges)| {
+            let stats = self.running_channel_stats(ranges);
+            let (scale, bias) = stats.scale_and_shift(self.values(gamma), self.values(beta));
+            let rows = self.values(weight).chunks_exact(scale.len());
             let weight = rows.flat_map(|row| row.iter().zip(&scale).map(|(w, scale)| w * scale));
             [weight.collect(), bias]
         });
         Some(folded.collect())
     }
 
-    /// Logits of a batch with the running moments.
+    /// Computes the logits of a batch with the running statistics.
     pub fn logits(&self, batch: &Batch) -> Vec<f32> {
         let mut passes = Vec::new();
-        self.encode(batch, false, &mut passes);
-        self.decide(&passes, None).logits
+        self.forward(batch, false, &mut passes);
+        self.head_forward(&passes, None).logits
     }
 
-    /// Mean binary cross entropy of a batch, nats; adds the gradient of all parameters to `gradient`
-    /// and updates the running moments.
-    pub fn learn(&mut self, batch: &Batch, step: &Step, gradient: &mut [f32]) -> f64 {
+    /// Runs forward and backward pass: returns the mean binary cross entropy of a batch, nats, adds
+    /// the gradient of all parameters to `gradient` and updates the running statistics.
+    pub fn train_step(&mut self, batch: &Batch, step: &Step, gradient: &mut [f32]) -> f64 {
         let mut workspace = std::mem::take(&mut self.workspace);
         let Workspace { passes, gradients } = &mut workspace;
-        self.encode(batch, true, passes);
-        let head = self.decide(passes, Some(step));
+        self.forward(batch, true, passes);
+        let head = self.head_forward(passes, Some(step));
         let count = head.logits.len();
         let mut loss = 0.0;
         let total: f64 = batch.weights.iter().map(|w| f64::from(*w)).sum();
@@ -215,9 +213,9 @@ impl Network {
             })
             .collect();
         let djoined = self.backward_head(&head, step, &dlogits, gradient);
-        let dembeddings = self.split(passes, &djoined);
+        let dembeddings = self.split_embeddings(passes, &djoined);
         let mut first = 0;
-        let encoders = self.encoder_parts().into_iter().zip(&*passes);
+        let encoders = self.encoder_params().into_iter().zip(&*passes);
         for ((encoder, pass), images) in encoders.zip(self.inputs(batch)) {
             let dembedding = &dembeddings[first..][..pass.embedding.len()];
             let [weight, bias] = &encoder.projection;
@@ -226,39 +224,46 @@ impl Network {
             self.backward_convolutions(encoder, pass, images, gradients, gradient);
             first += dembedding.len();
         }
-        self.update_moments(passes, step.number);
+        self.update_running_stats(passes, step.number);
         self.workspace = workspace;
         loss
     }
 
-    /// Gives the batch's moments their fraction in the running ones.
-    fn update_moments(&mut self, passes: &[EncoderPass], number: u64) {
-        // At the beginning the mean of all batches: the first moments stand for nothing.
+    /// Updates the running statistics with those of the batch.
+    fn update_running_stats(&mut self, passes: &[EncoderPass], number: u64) {
+        // The first steps average all batches: the initial statistics are arbitrary.
         let fraction = MOMENTUM.max(1.0 / (number + 1) as f32);
-        let encoders: Vec<EncoderParts> = self.encoder_parts().into_iter().cloned().collect();
+        let encoders: Vec<EncoderParams> = self.encoder_params().into_iter().cloned().collect();
         for (encoder, pass) in encoders.iter().zip(passes) {
-            for ([mean, variance], (moments, z)) in
-                encoder.moments.iter().zip(pass.moments.iter().zip(&pass.z))
+            for ([mean, variance], (stats, z)) in
+                encoder.stats.iter().zip(pass.stats.iter().zip(&pass.z))
             {
-                let count = (z.len() / moments.mean.len()) as f32;
-                // That of the population.
+                let count = (z.len() / stats.mean.len()) as f32;
+                // Bessel's correction.
                 let unbiased = count / (count - 1.0).max(1.0);
-                let keep = |running: &mut [f32], found: &[f32], factor: f32| {
+                let update = |running: &mut [f32], found: &[f32], factor: f32| {
                     for (running, found) in running.iter_mut().zip(found) {
                         *running += fraction * (found * factor - *running);
                     }
                 };
-                keep(&mut self.moments[mean.clone()], &moments.mean, 1.0);
-                keep(
-                    &mut self.moments[variance.clone()],
-                    &moments.variance,
+                update(&mut self.running_stats[mean.clone()], &stats.mean, 1.0);
+                update(
+                    &mut self.running_stats[variance.clone()],
+                    &stats.variance,
                     unbiased,
                 );
             }
         }
     }
 
-    fn encoder_parts(&self) -> Vec<&EncoderParts> {
+    fn running_channel_stats(&self, ranges: &[std::ops::Range<usize>; 2]) -> ChannelStats {
+        let [mean, variance] = ranges
+            .clone()
+            .map(|range| self.running_stats[range].to_vec());
+        ChannelStats { mean, variance }
+    }
+
+    fn encoder_params(&self) -> Vec<&EncoderParams> {
         self.layout
             .touch
             .iter()
@@ -267,22 +272,22 @@ impl Network {
     }
 
     fn inputs<'a>(&self, batch: &'a Batch) -> Vec<&'a [f32]> {
-        let touch = self.variant.has_touch().then_some(&batch.touch[..]);
-        let vision = self.variant.has_vision().then_some(&batch.vision[..]);
+        let touch = self.modality.has_touch().then_some(&batch.touch[..]);
+        let vision = self.modality.has_vision().then_some(&batch.vision[..]);
         touch.into_iter().chain(vision).collect()
     }
 
-    fn encode(&self, batch: &Batch, is_training: bool, passes: &mut Vec<EncoderPass>) {
-        let parts = self.encoder_parts();
-        passes.resize_with(parts.len(), EncoderPass::default);
-        for ((parts, images), pass) in parts.into_iter().zip(self.inputs(batch)).zip(passes) {
-            self.encode_images(parts, images, is_training, pass);
+    fn forward(&self, batch: &Batch, is_training: bool, passes: &mut Vec<EncoderPass>) {
+        let params = self.encoder_params();
+        passes.resize_with(params.len(), EncoderPass::default);
+        for ((params, images), pass) in params.into_iter().zip(self.inputs(batch)).zip(passes) {
+            self.forward_encoder(params, images, is_training, pass);
         }
     }
 
-    fn encode_images(
+    fn forward_encoder(
         &self,
-        parts: &EncoderParts,
+        params: &EncoderParams,
         images: &[f32],
         is_training: bool,
         pass: &mut EncoderPass,
@@ -290,11 +295,11 @@ impl Network {
         let count = images.len() / IMAGE.iter().product::<usize>();
         pass.z.resize_with(self.shapes.len(), Vec::new);
         pass.a.resize_with(self.shapes.len(), Vec::new);
-        pass.moments.clear();
+        pass.stats.clear();
         for (i, shape) in self.shapes.iter().enumerate() {
-            let [weight, gamma, beta] = &parts.convolutions[i];
+            let [weight, gamma, beta] = &params.convolutions[i];
             let mut packed = Packed::default();
-            shape.pack(self.part(weight), &mut packed);
+            shape.pack(self.values(weight), &mut packed);
             let input: usize = shape.input.iter().product();
             let output: usize = shape.output().iter().product();
             let (before, after) = pass.a.split_at_mut(i);
@@ -307,28 +312,27 @@ impl Network {
                 .for_each_init(Scratch::default, |scratch, (z, x)| {
                     conv::forward(shape, x, &packed, z, Finish::default(), scratch);
                 });
-            let moments = if is_training {
-                Moments::of(z, output, shape.channels)
+            let stats = if is_training {
+                ChannelStats::from_images(z, output, shape.channels)
             } else {
-                let [mean, variance] = parts.moments[i].clone().map(|at| self.moments[at].to_vec());
-                Moments { mean, variance }
+                self.running_channel_stats(&params.stats[i])
             };
-            let (scale, shift) = moments.scale_and_shift(self.part(gamma), self.part(beta));
+            let (scale, shift) = stats.scale_and_shift(self.values(gamma), self.values(beta));
             batch_norm::normalise(z, output, &scale, &shift, a);
-            pass.moments.push(moments);
+            pass.stats.push(stats);
         }
         let last = pass.a.last().map_or(images, |a| &a[..]);
         pass.pooled = self.pool(last, count);
-        let [weight, bias] = &parts.projection;
-        pass.embedding = linear(&pass.pooled, self.part(weight), self.part(bias), false);
+        let [weight, bias] = &params.projection;
+        pass.embedding = linear(&pass.pooled, self.values(weight), self.values(bias), false);
     }
 
-    /// Height, width and channels of what the last convolution gives.
+    /// Height, width and channels of the last convolution's output.
     fn last(&self) -> [usize; 3] {
         self.shapes.last().map_or(IMAGE, ConvShape::output)
     }
 
-    /// Means over windows.
+    /// Average pooling.
     fn pool(&self, a: &[f32], count: usize) -> Vec<f32> {
         let [_, width, channels] = self.last();
         let image: usize = self.last().iter().product();
@@ -355,7 +359,7 @@ impl Network {
         pooled
     }
 
-    /// Gradient of what the last convolution gives.
+    /// Gradient of the last convolution's output.
     fn unpool(&self, dpooled: &[f32], d: &mut Vec<f32>) {
         let [_, width, channels] = self.last();
         let image: usize = self.last().iter().product();
@@ -383,16 +387,16 @@ impl Network {
         }
     }
 
-    fn decide(&self, passes: &[EncoderPass], step: Option<&Step>) -> HeadPass {
+    fn head_forward(&self, passes: &[EncoderPass], step: Option<&Step>) -> HeadPass {
         let [[weight, bias], [last, last_bias]] = &self.layout.head;
         let joined = self.join(passes);
-        let mut hidden = linear(&joined, self.part(weight), self.part(bias), true);
+        let mut hidden = linear(&joined, self.values(weight), self.values(bias), true);
         if let Some(step) = step {
             for (hidden, factor) in hidden.iter_mut().zip(&step.dropout) {
                 *hidden *= factor;
             }
         }
-        let logits = linear(&hidden, self.part(last), self.part(last_bias), false);
+        let logits = linear(&hidden, self.values(last), self.values(last_bias), false);
         HeadPass {
             joined,
             hidden,
@@ -400,11 +404,11 @@ impl Network {
         }
     }
 
-    /// Embeddings side by side: left, right, colour.
+    /// Concatenates the embeddings of each sample: left, right, colour.
     fn join(&self, passes: &[EncoderPass]) -> Vec<f32> {
         let width = self.embedding();
         let count = self.count(passes);
-        let mut joined = Vec::with_capacity(count * self.variant.inputs().len() * width);
+        let mut joined = Vec::with_capacity(count * self.modality.inputs().len() * width);
         for sample in 0..count {
             for pass in passes {
                 for row in (sample..pass.embedding.len() / width).step_by(count) {
@@ -416,15 +420,15 @@ impl Network {
     }
 
     fn embedding(&self) -> usize {
-        self.layout.head[0][0].shape[0] / self.variant.inputs().len()
+        self.layout.head[0][0].shape[0] / self.modality.inputs().len()
     }
 
     fn count(&self, passes: &[EncoderPass]) -> usize {
         let floats: usize = passes.iter().map(|pass| pass.embedding.len()).sum();
-        floats / (self.embedding() * self.variant.inputs().len())
+        floats / (self.embedding() * self.modality.inputs().len())
     }
 
-    /// Gradient of the joined embeddings.
+    /// Gradient of the concatenated embeddings.
     fn backward_head(
         &self,
         head: &HeadPass,
@@ -445,13 +449,13 @@ impl Network {
         backward_linear(&head.joined, &dhidden, self, weight, bias, gradient)
     }
 
-    /// Gradients of the encoders' embeddings, in the order of the passes.
-    fn split(&self, passes: &[EncoderPass], djoined: &[f32]) -> Vec<f32> {
+    /// Splits the gradient into those of the encoders' embeddings, in the order of the passes.
+    fn split_embeddings(&self, passes: &[EncoderPass], djoined: &[f32]) -> Vec<f32> {
         let width = self.embedding();
         let count = self.count(passes);
-        let row = self.variant.inputs().len() * width;
+        let row = self.modality.inputs().len() * width;
         let mut split = Vec::with_capacity(djoined.len());
-        for which in 0..self.variant.inputs().len() {
+        for which in 0..self.modality.inputs().len() {
             for sample in 0..count {
                 split.extend_from_slice(&djoined[sample * row + which * width..][..width]);
             }
@@ -459,34 +463,34 @@ impl Network {
         split
     }
 
-    /// Adds the gradients of an encoder's convolutions, from that of what the last one gives.
+    /// Adds the gradients of an encoder's convolutions, given that of the last output.
     fn backward_convolutions(
         &self,
-        parts: &EncoderParts,
+        params: &EncoderParams,
         pass: &EncoderPass,
         images: &[f32],
         [d, dx]: &mut [Vec<f32>; 2],
         gradient: &mut [f32],
     ) {
         for (i, shape) in self.shapes.iter().enumerate().rev() {
-            let [weight, gamma, beta] = &parts.convolutions[i];
+            let [weight, gamma, beta] = &params.convolutions[i];
             let input: usize = shape.input.iter().product();
             let output: usize = shape.output().iter().product();
             let of_layer = batch_norm::Pass {
                 z: &pass.z[i],
                 a: &pass.a[i],
                 image: output,
-                moments: &pass.moments[i],
+                stats: &pass.stats[i],
             };
-            let [dgamma, dbeta] = batch_norm::backward(of_layer, self.part(gamma), d);
+            let [dgamma, dbeta] = batch_norm::backward(of_layer, self.values(gamma), d);
             add(&mut gradient[gamma.range()], &dgamma);
             add(&mut gradient[beta.range()], &dbeta);
             let x = if i == 0 { images } else { &pass.a[i - 1][..] };
             let count = x.len() / input;
-            let some = count.div_ceil(GROUPS);
+            let group = count.div_ceil(GROUPS);
             let groups: Vec<Vec<f32>> = x
-                .par_chunks(some * input)
-                .zip(d.par_chunks(some * output))
+                .par_chunks(group * input)
+                .zip(d.par_chunks(group * output))
                 .map(|(x, d)| {
                     let mut dweight = vec![0.0; weight.len()];
                     let mut scratch = Scratch::default();
@@ -503,7 +507,7 @@ impl Network {
                 return;
             }
             let mut packed = Packed::default();
-            shape.pack_transposed(self.part(weight), &mut packed);
+            shape.pack_transposed(self.values(weight), &mut packed);
             dx.resize(x.len(), 0.0);
             dx.par_chunks_mut(input)
                 .zip(d.par_chunks(output))
@@ -515,7 +519,7 @@ impl Network {
     }
 }
 
-/// What the head keeps on its way forwards.
+/// Forward values of the head, kept for the backward pass.
 struct HeadPass {
     joined: Vec<f32>,
     hidden: Vec<f32>,
@@ -528,7 +532,7 @@ fn add(to: &mut [f32], from: &[f32]) {
     }
 }
 
-/// `x·weight + bias` for the rows of `x`.
+/// Computes `x·weight + bias` for the rows of `x`.
 fn linear(x: &[f32], weight: &[f32], bias: &[f32], relu: bool) -> Vec<f32> {
     let (outputs, inputs) = (bias.len(), weight.len() / bias.len());
     let mut y = vec![0.0; x.len() / inputs * outputs];
@@ -542,13 +546,13 @@ fn linear(x: &[f32], weight: &[f32], bias: &[f32], relu: bool) -> Vec<f32> {
     y
 }
 
-/// Gradient of `x`; adds those of weight and bias.
+/// Returns the gradient of `x`; adds those of weight and bias.
 fn backward_linear(
     x: &[f32],
     dy: &[f32],
     network: &Network,
-    weight: &Part,
-    bias: &Part,
+    weight: &Param,
+    bias: &Param,
     gradient: &mut [f32],
 ) -> Vec<f32> {
     let [inputs, outputs] = weight.shape;
@@ -557,7 +561,7 @@ fn backward_linear(
         add(&mut gradient[bias.range()], dy);
     }
     let mut packed = Packed::default();
-    packed.pack_columns([outputs, inputs], network.part(weight));
+    packed.pack_columns([outputs, inputs], network.values(weight));
     let mut dx = vec![0.0; x.len()];
     conv::linear_forward(dy, &packed, outputs, &mut dx, Finish::default());
     dx

@@ -1,35 +1,34 @@
-//! The inner loops of all layers: sums of products kept in registers.
+//! Matrix product kernels of all layers, accumulating in registers.
 //!
-//! A product is C = A·B with B packed into panels. Rows of A are gathered from an image: one row
-//! is the window of a convolution at one pixel, a few runs of neighbouring floats. Nothing is
-//! copied into a matrix first.
+//! Computes C = A·B with B packed into panels. Rows of A are read from an image in place: a row is
+//! the window of a convolution at one pixel, a few runs of consecutive floats.
 
 use std::hint;
 
 use super::lanes::{Isa, Lanes};
 
-/// Where the rows of A lie in a slice.
+/// Location of the rows of A in a slice.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Rows {
-    /// Distance from a row to the next, floats.
+    /// Distance between rows, floats.
     pub(super) step: usize,
-    /// Runs of which a row consists.
+    /// Runs per row.
     pub(super) runs: usize,
-    /// Floats of a run.
+    /// Length of a run, floats.
     pub(super) run: usize,
-    /// Distance from a run to the next, floats.
+    /// Distance between runs, floats.
     pub(super) run_step: usize,
 }
 
 impl Rows {
-    /// Floats of a row.
+    /// Length of a row, floats.
     pub(super) fn len(&self) -> usize {
         self.runs * self.run
     }
 }
 
-/// A matrix in panels of two vectors, and one of one where columns are left. Columns beyond the
-/// last are zero.
+/// A matrix packed into panels of two vectors, the last one possibly of one vector, padded with zero
+/// columns.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Packed {
     values: Vec<f32>,
@@ -39,12 +38,12 @@ pub(super) struct Packed {
 }
 
 impl Packed {
-    /// Packs what `at(row, column)` gives.
+    /// Packs the values of `at(row, column)`.
     pub(super) fn pack(&mut self, sizes: [usize; 2], at: impl Fn(usize, usize) -> f32) {
         self.pack_for(Isa::best(), sizes, at);
     }
 
-    /// The same for another processor.
+    /// Packs for a given instruction set.
     pub(super) fn pack_for(
         &mut self,
         isa: Isa,
@@ -71,14 +70,14 @@ impl Packed {
         }
     }
 
-    /// Packs a matrix that lies row after row.
+    /// Packs a row-major matrix.
     pub(super) fn pack_rows(&mut self, [rows, columns]: [usize; 2], values: &[f32]) {
         self.pack([rows, columns], |row, column| {
             values[row * columns + column]
         });
     }
 
-    /// Packs a matrix that lies column after column.
+    /// Packs a column-major matrix.
     pub(super) fn pack_columns(&mut self, [rows, columns]: [usize; 2], values: &[f32]) {
         self.pack([rows, columns], |row, column| values[column * rows + row]);
     }
@@ -87,7 +86,7 @@ impl Packed {
         self.columns
     }
 
-    /// First column, vectors and values of each panel.
+    /// First column, number of vectors and values of each panel.
     #[inline(always)]
     fn panels(&self) -> impl Iterator<Item = (usize, usize, &[f32])> {
         let mut rest = &self.values[..];
@@ -108,26 +107,26 @@ fn panels(columns: usize, lanes: usize) -> impl Iterator<Item = (usize, usize)> 
     })
 }
 
-/// What is done to a sum before it is stored.
+/// Operations on a sum before it is stored.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Finish<'a> {
-    /// Added, one for each column.
+    /// Bias of each column.
     pub(super) bias: Option<&'a [f32]>,
-    /// Whether what is below zero becomes zero.
+    /// Whether to apply ReLU.
     pub(super) relu: bool,
 }
 
-/// Where the rows of C lie.
+/// Location of the rows of C.
 #[derive(Debug)]
 pub(super) struct Output<'a> {
     pub(super) values: &'a mut [f32],
-    /// Distance from a line of rows to the next, floats; within a line they follow one another.
+    /// Distance between lines of rows, floats; rows of a line are contiguous.
     pub(super) line_step: usize,
     pub finish: Finish<'a>,
 }
 
-/// `c[row][column] = finish(Σ a[row][k]·b[k][column])` for lines of rows: line `i` begins at
-/// `a[i·line_step]` and has `count` rows.
+/// Computes `c[row][column] = finish(Σ a[row][k]·b[k][column])` for lines of rows: line `i` starts
+/// at `a[i·line_step]` and has `count` rows.
 #[inline(always)]
 pub(super) fn multiply<S: Lanes>(
     lanes: S,
@@ -142,7 +141,7 @@ pub(super) fn multiply<S: Lanes>(
             let a = &a[line * line_step..];
             let mut done = 0;
             while done < count {
-                // The last rows overlap those before: computed twice, they are the same.
+                // The last block overlaps the previous one; the results are equal.
                 let at_once = if count >= S::ROWS { S::ROWS } else { 1 };
                 let from = done.min(count - at_once);
                 let a = &a[from * rows.step..];
@@ -166,8 +165,8 @@ pub(super) fn multiply<S: Lanes>(
     }
 }
 
-/// [`multiply`] for windows of `SIDE`×`SIDE` pixels side by side in planes of `height`×`width`
-/// pixels, one for each channel. Rows of B run over planes, then rows, then columns of a window.
+/// [`multiply`] for adjacent windows of `SIDE`×`SIDE` pixels in planes of `height`×`width` pixels,
+/// one per channel. Rows of B are ordered by plane, row and column of a window.
 #[inline(always)]
 pub(super) fn multiply_patches<S: Lanes, const SIDE: usize>(
     lanes: S,
@@ -206,7 +205,7 @@ pub(super) fn multiply_patches<S: Lanes, const SIDE: usize>(
     }
 }
 
-/// Where a block of sums goes.
+/// Destination of a block of sums.
 struct Target<'a> {
     c: &'a mut [f32],
     columns: usize,
@@ -218,7 +217,7 @@ struct Target<'a> {
 impl Target<'_> {
     #[inline(always)]
     fn store<S: Lanes, const M: usize, const V: usize>(self, lanes: S, sums: &[[S::Vector; V]; M]) {
-        // Anything more in this loop, and the compiler keeps the sums in memory.
+        // With more work in this loop the compiler spills the sums to memory.
         let mut tile = [[[0.0; 16]; V]; M];
         for row in 0..M {
             for v in 0..V {
@@ -261,11 +260,11 @@ fn block<S: Lanes, const M: usize, const V: usize>(
 ) {
     let mut sums = [[lanes.splat(0.0); V]; M];
     let mut panel = panel;
-    // Rows that are known to lie at equal distances are reached by additions, one after the other.
-    let begins: [usize; M] = hint::black_box(std::array::from_fn(|row| row * rows.step));
+    // Hides the equal distances, which the compiler would turn into a chain of additions.
+    let starts: [usize; M] = hint::black_box(std::array::from_fn(|row| row * rows.step));
     for run in 0..rows.runs {
         let a: [&[f32]; M] =
-            std::array::from_fn(|row| &a[run * rows.run_step + begins[row]..][..rows.run]);
+            std::array::from_fn(|row| &a[run * rows.run_step + starts[row]..][..rows.run]);
         let (of_run, rest) = panel.split_at(rows.run * V * S::COUNT);
         panel = rest;
         for (k, b) in of_run.chunks_exact(V * S::COUNT).enumerate().take(rows.run) {
@@ -281,11 +280,10 @@ fn block<S: Lanes, const M: usize, const V: usize>(
     to.store(lanes, &sums);
 }
 
-/// Products of a single row at once.
+/// Independent sums of a single row.
 const INTERLEAVED: usize = 4;
 
-/// [`block`] of a single row: every fourth product goes into the same sums, because one sum waits
-/// for the one before.
+/// [`block`] of a single row with four interleaved sums, to hide the latency of additions.
 #[inline(always)]
 fn single<S: Lanes, const V: usize>(
     lanes: S,
@@ -353,19 +351,19 @@ fn patches<S: Lanes, const SIDE: usize, const M: usize, const V: usize>(
     to.store(lanes, &sums);
 }
 
-/// Sums that are added to a gradient, see [`multiply_transposed`].
+/// Operands of [`multiply_transposed`].
 #[derive(Debug)]
 pub(super) struct Transposed<'a> {
     pub(super) a: &'a [f32],
     pub(super) rows: Rows,
-    /// Lines, distance from a line to the next, rows of a line, as in [`multiply`].
+    /// Number of lines, distance between lines, rows per line, as in [`multiply`].
     pub(super) lines: [usize; 3],
-    /// A row of `columns` floats for each row of `a`.
+    /// One row of `columns` floats per row of `a`.
     pub(super) b: &'a [f32],
     pub(super) columns: usize,
 }
 
-/// `c[k][column] += Σ a[row][k]·b[row][column]` over lines of rows as in [`multiply`].
+/// Computes `c[k][column] += Σ a[row][k]·b[row][column]` over lines of rows as in [`multiply`].
 #[inline(always)]
 pub(super) fn multiply_transposed<S: Lanes>(lanes: S, terms: &Transposed<'_>, c: &mut [f32]) {
     let rows = terms.rows;
@@ -384,7 +382,7 @@ pub(super) fn multiply_transposed<S: Lanes>(lanes: S, terms: &Transposed<'_>, c:
     }
 }
 
-/// The first `M` rows of `c`, from the floats that `a` begins with; gives `M`.
+/// The first `M` rows of `c`, from the floats that `a` starts with; gives `M`.
 #[inline(always)]
 fn transposed<S: Lanes, const M: usize>(
     lanes: S,

@@ -45,7 +45,7 @@ pub(super) fn view_pair(
 ) -> Result<ImagePair> {
     let camera = grasp.record.grasp.cameras.get(&Role::Rgb);
     let size = camera.map_or([0; 2], |camera| [camera.width, camera.height]);
-    let path = dataset.path_of(&grasp.record, Stage::Grasp, Role::Rgb);
+    let path = dataset.image_path(&grasp.record, Stage::Grasp, Role::Rgb);
     let path = path.ok_or_else(|| Error::not_found("the grasp has no colour image"))?;
     let bytes = path
         .read(FileKind::Image)

@@ -1,4 +1,4 @@
-//! What an operator can ask for, whichever way it arrives.
+//! Commands of the operator, from any source.
 
 use std::fmt;
 use std::str::FromStr;
@@ -10,10 +10,10 @@ use gripcast_base::error::Error;
 use gripcast_base::files::{Label, ObjectName};
 use gripcast_dataset::{GraspId, Outcome};
 
-/// A session command; keyboard, pedal, script and API all end here.
+/// A session command from keyboard, pedal, script or API.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Command {
-    /// The next step of the cycle: initial, then grasp. Nothing while a label is awaited.
+    /// Next step of the cycle: initial, then grasp. Refused while a label is pending.
     Trigger,
     /// Take the initial frame (again).
     Initial,
@@ -25,25 +25,25 @@ pub enum Command {
     Relabel(GraspId, Outcome),
     /// Move any grasp of the dataset to the trash.
     Trash(GraspId),
-    /// Take a grasp back from the trash.
+    /// Restore a grasp from the trash.
     Restore(GraspId),
-    /// Take back the last step.
+    /// Undo the last step.
     Undo,
-    /// Do again what was taken back.
+    /// Redo the last undone step.
     Redo,
-    /// Repeat the refused command although a guard refused it; recorded in the grasp.
+    /// Repeat the refused trigger despite guard violations; recorded in the grasp.
     Override,
-    /// Name of the object from now on.
+    /// Set the object of the next grasps.
     Object(ObjectName),
-    /// Name of the scene from now on.
+    /// Set the scene of the next grasps.
     Scene(Label),
-    /// Name of the operator from now on.
+    /// Set the operator of the next grasps.
     Operator(Label),
     /// End the session.
     Quit,
 }
 
-/// Where a command came from; stored with each frame.
+/// Source of a command; stored with each frame.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum CommandSource {
     /// A key in the terminal.
@@ -69,41 +69,41 @@ impl CommandSource {
     }
 }
 
-/// A command on its way through the session.
+/// A command with its id and source.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Request {
-    /// Number by which its [result](super::Effect::Result) names it.
+    /// Id, repeated in its [result](super::Effect::Result).
     pub id: u64,
-    /// What is asked for.
+    /// The command.
     pub command: Command,
-    /// Where it came from.
+    /// Its source.
     pub source: CommandSource,
 }
 
-/// What became of a command.
+/// Result of a command.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
 #[serde(tag = "result", rename_all = "snake_case")]
 pub enum CommandResult {
-    /// Carried out; what it changed is durable.
+    /// Executed; its changes are durable.
     Accepted,
-    /// Refused: by guards, or because there was nothing to do.
+    /// Refused by guards, or because there was nothing to do.
     Refused {
-        /// One for each guard, or what there was not to do.
+        /// One reason per guard violation.
         reasons: Vec<String>,
-        /// Whether `override` can help.
+        /// Whether `override` is possible.
         can_override: bool,
     },
-    /// It failed on disk; nothing changed.
+    /// Storing failed; nothing changed.
     Failed {
-        /// What failed, and how to fix it.
+        /// Error with remedy.
         error: String,
     },
 }
 
 impl CommandResult {
-    /// Why it was not carried out, in one line.
+    /// Reason why it was not executed, in one line.
     #[must_use]
-    pub fn complaint(&self) -> Option<String> {
+    pub fn error_message(&self) -> Option<String> {
         match self {
             Self::Accepted => None,
             Self::Refused { reasons, .. } => Some(reasons.join("; ")),
@@ -112,12 +112,12 @@ impl CommandResult {
     }
 }
 
-/// A text that is no command.
+/// An invalid command.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct ParseCommandError {
     /// The text.
     pub text: String,
-    /// What is wrong with the name or id in it, where the command itself is known.
+    /// Error of the name or id in a known command.
     pub reason: Option<String>,
 }
 
@@ -138,7 +138,7 @@ impl fmt::Display for ParseCommandError {
 
 impl std::error::Error for ParseCommandError {}
 
-/// Commands of one word.
+/// Commands without arguments.
 const PLAIN: [(&str, Command); 10] = [
     ("trigger", Command::Trigger),
     ("initial", Command::Initial),
@@ -218,7 +218,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn every_command_reads_back() {
+    fn commands_round_trip() {
         for text in [
             "trigger",
             "initial",
@@ -242,7 +242,7 @@ mod tests {
     }
 
     #[test]
-    fn nonsense_is_refused() {
+    fn invalid_commands_are_refused() {
         for text in [
             "",
             "object",

@@ -1,4 +1,4 @@
-//! Guards: what must hold before a trigger is accepted.
+//! Guards: conditions of a trigger.
 
 use std::collections::BTreeMap;
 
@@ -11,17 +11,17 @@ use gripcast_imaging::Role;
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct GuardLimits {
-    /// Oldest frame that is accepted, ms. A Mini's frame is 40 ms long on the wire and the next
-    /// one comes 40–53 ms later, so a healthy stream stays below 100.
+    /// Maximum age of a frame, ms. A frame of a GelSight Mini takes 40 ms to transmit and the next
+    /// one follows after 40–53 ms, so a healthy stream stays below 100.
     pub max_frame_age_ms: f64,
-    /// Largest spread of the cameras' driver times, ms. Free-running cameras at 25 and 30 fps
-    /// can always be paired within half an interval, 20 ms.
+    /// Maximum skew of the cameras' driver times, ms. Free-running cameras at 25 and 30 fps can
+    /// always be paired within half an interval, 20 ms.
     pub max_skew_ms: f64,
-    /// Smallest part of a gel that must have changed since the initial frame, 0..1.
+    /// Minimum fraction of a gel that must have changed since the initial frame, 0..1.
     pub min_contact_fraction: f64,
-    /// Smallest free space on the dataset's disk, bytes.
+    /// Minimum free space on the dataset's disk, bytes.
     pub min_free_bytes: u64,
-    /// Age of an initial frame from which the screen asks to take it again, s.
+    /// Age of an initial frame at which the screen suggests retaking it, s.
     pub initial_warn_age_s: f64,
 }
 
@@ -37,18 +37,18 @@ impl Default for GuardLimits {
     }
 }
 
-/// The guards by their names in `grasp.json`.
+/// A guard, as named in `grasp.json`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Guard {
-    /// A camera delivers nothing that can be used.
+    /// A camera delivers no usable frame.
     MissingCamera,
     /// A frame is older than the limit.
     StaleFrame,
-    /// The cameras' frames lie too far apart in time.
+    /// The skew of the cameras' frames exceeds the limit.
     Skew,
-    /// There is no initial frame to subtract.
+    /// There is no initial frame.
     NoInitial,
-    /// The gels look as they did at the initial frame.
+    /// The gels did not change since the initial frame.
     NoContact,
     /// Exposure, gain or white balance differ from the initial frame's.
     ExposureChanged,
@@ -72,49 +72,49 @@ impl Guard {
     }
 }
 
-/// One guard's refusal.
+/// A guard that was not met.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Objection {
-    /// Which guard.
+pub struct GuardViolation {
+    /// The guard.
     pub guard: Guard,
-    /// What it saw, in a sentence.
+    /// Reason, one sentence.
     pub reason: String,
     /// Whether the operator may override it.
     pub can_override: bool,
 }
 
-/// One camera at the moment of a trigger.
+/// State of a camera at a trigger.
 #[derive(Clone, Debug, PartialEq)]
 pub struct CameraCondition {
-    /// Its role.
+    /// Role of the camera.
     pub role: Role,
-    /// Age of the frame that would be saved, ms; `None` when there is none that can be used.
+    /// Age of the frame to save, ms; `None` without a usable frame.
     pub age_ms: Option<f64>,
     /// Driver time of that frame, ns.
     pub frame_time_ns: u64,
-    /// Why there is none.
+    /// Reason for the missing frame.
     pub fault: Option<String>,
     /// Control values read back from the camera.
     pub controls: BTreeMap<String, i64>,
-    /// Part of the gel that changed since the pending initial frame, 0..1; tactile cameras only,
-    /// `None` until a frame was held against it.
+    /// Fraction of the gel that changed since the pending initial frame, 0..1; tactile cameras only,
+    /// `None` before the first comparison.
     pub contact_fraction: Option<f64>,
 }
 
-/// What the engine sees at the moment of a command.
+/// State of cameras and disk at a command.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Conditions {
     /// `CLOCK_MONOTONIC`, ns.
     pub now_ns: u64,
     /// Cameras of the rig.
     pub cameras: Vec<CameraCondition>,
-    /// Spread of the driver times of the frames that would be saved, ms.
+    /// Skew of the frames to save, ms.
     pub skew_ms: f64,
-    /// Free space of the dataset's disk, bytes; `None` when it cannot be asked.
+    /// Free space on the dataset's disk, bytes; `None` if unknown.
     pub disk_free_bytes: Option<u64>,
 }
 
-/// Controls whose change between initial and grasp spoils the tactile difference.
+/// Controls that must not change between initial and grasp frame.
 const EXPOSURE_CONTROLS: [&str; 6] = [
     "auto_exposure",
     "exposure_time_absolute",
@@ -124,14 +124,14 @@ const EXPOSURE_CONTROLS: [&str; 6] = [
     "gamma",
 ];
 
-/// Guards of every frame, initial or grasp; `captured_ns` is the time of the last capture, whose
-/// frames must not be saved again.
+/// Checks initial or grasp frames; `captured_ns` is the time of the last capture, whose frames must
+/// not be saved again.
 pub(crate) fn check_frames(
     limits: &GuardLimits,
     now: &Conditions,
     captured_ns: u64,
-) -> Vec<Objection> {
-    let mut objections = Vec::new();
+) -> Vec<GuardViolation> {
+    let mut violations = Vec::new();
     let old: Vec<&str> = now
         .cameras
         .iter()
@@ -139,7 +139,7 @@ pub(crate) fn check_frames(
         .map(|camera| camera.role.name())
         .collect();
     if !old.is_empty() {
-        objections.push(Objection {
+        violations.push(GuardViolation {
             guard: Guard::StaleFrame,
             reason: format!("{}: no new frame since the last capture", old.join(", ")),
             can_override: false,
@@ -149,16 +149,16 @@ pub(crate) fn check_frames(
         match camera.age_ms {
             None => {
                 let fault = camera.fault.as_deref().unwrap_or("no frame yet");
-                objections.push(Objection {
+                violations.push(GuardViolation {
                     guard: Guard::MissingCamera,
                     reason: format!("{}: {fault}", camera.role),
                     can_override: !camera.role.is_tactile(),
                 });
             }
-            Some(age) if age > limits.max_frame_age_ms => objections.push(Objection {
+            Some(age) if age > limits.max_frame_age_ms => violations.push(GuardViolation {
                 guard: Guard::StaleFrame,
                 reason: format!(
-                    "{}: newest good frame is {age:.0} ms old, limit {:.0} ms",
+                    "{}: newest valid frame is {age:.0} ms old, limit {:.0} ms",
                     camera.role, limits.max_frame_age_ms
                 ),
                 can_override: true,
@@ -167,10 +167,10 @@ pub(crate) fn check_frames(
         }
     }
     if now.skew_ms > limits.max_skew_ms {
-        objections.push(Objection {
+        violations.push(GuardViolation {
             guard: Guard::Skew,
             reason: format!(
-                "frames lie {:.0} ms apart, limit {:.0} ms",
+                "skew of the frames is {:.0} ms, limit {:.0} ms",
                 now.skew_ms, limits.max_skew_ms
             ),
             can_override: true,
@@ -179,7 +179,7 @@ pub(crate) fn check_frames(
     if let Some(free) = now.disk_free_bytes
         && free < limits.min_free_bytes
     {
-        objections.push(Objection {
+        violations.push(GuardViolation {
             guard: Guard::DiskLow,
             reason: format!(
                 "{} MB free on the dataset's disk, limit {} MB",
@@ -189,35 +189,33 @@ pub(crate) fn check_frames(
             can_override: true,
         });
     }
-    objections
+    violations
 }
 
-/// Guards of the grasp frame against the initial one.
+/// Checks the grasp frame against the initial frame.
 pub(crate) fn check_against_initial(
     limits: &GuardLimits,
     now: &Conditions,
     initial: &PendingFrame,
-) -> Vec<Objection> {
-    let mut objections = Vec::new();
+) -> Vec<GuardViolation> {
+    let mut violations = Vec::new();
     let contacts: Vec<f64> = now
         .cameras
         .iter()
         .filter_map(|camera| camera.contact_fraction)
         .collect();
     if contacts.iter().all(|c| *c < limits.min_contact_fraction) {
-        let largest = contacts.iter().copied().reduce(f64::max);
-        objections.push(Objection {
+        let max = contacts.iter().copied().reduce(f64::max);
+        violations.push(GuardViolation {
             guard: Guard::NoContact,
-            reason: match largest {
-                Some(largest) => format!(
+            reason: match max {
+                Some(max) => format!(
                     "no contact: at most {:.1} % of a gel changed since the initial frame, limit \
                      {:.1} %",
-                    largest * 100.0,
+                    max * 100.0,
                     limits.min_contact_fraction * 100.0
                 ),
-                None => {
-                    "contact is not known: no gel was held against the initial frame yet".into()
-                }
+                None => "contact unknown: no gel was compared with the initial frame yet".into(),
             },
             can_override: true,
         });
@@ -234,7 +232,7 @@ pub(crate) fn check_against_initial(
             })
             .collect();
         if !changed.is_empty() {
-            objections.push(Objection {
+            violations.push(GuardViolation {
                 guard: Guard::ExposureChanged,
                 reason: format!(
                     "{}: changed since the initial frame: {}",
@@ -245,5 +243,5 @@ pub(crate) fn check_against_initial(
             });
         }
     }
-    objections
+    violations
 }

@@ -1,4 +1,4 @@
-//! Undo and redo: steps that were taken, and the way back.
+//! Undo and redo history.
 
 use super::Effect;
 use super::machine::{InFlight, Session};
@@ -8,9 +8,9 @@ use super::view::{LastGrasp, MessageLevel, Tone};
 use gripcast_base::files::ObjectName;
 use gripcast_dataset::{GraspId, Outcome};
 
-/// A step that can be taken back.
+/// A step that can be undone.
 #[derive(Clone, Debug, PartialEq)]
-pub(crate) enum Done {
+pub(crate) enum HistoryStep {
     Initial {
         id: GraspId,
         replaced: Option<PendingFrame>,
@@ -18,7 +18,7 @@ pub(crate) enum Done {
     Grasp {
         last: LastGrasp,
         before: Option<LastGrasp>,
-        /// Pending frame that an undo made from the grasp's initial frame.
+        /// Pending frame that an undo reopened from the grasp's initial frame.
         reopened: Option<GraspId>,
     },
     Label {
@@ -35,19 +35,19 @@ pub(crate) enum Done {
     Restore(LastGrasp),
 }
 
-impl Done {
-    /// The step in a few words.
+impl HistoryStep {
+    /// Short description of the step.
     pub(crate) fn describe(&self) -> String {
         match self {
             Self::Initial { .. } => "initial frame".into(),
             Self::Grasp { last, .. } => format!("grasp {}", last.id.short()),
             Self::Label { id, after, .. } => format!("label {after} of {}", id.short()),
             Self::Trash { grasp, .. } => format!("trash of {}", grasp.id.short()),
-            Self::Restore(grasp) => format!("return of {}", grasp.id.short()),
+            Self::Restore(grasp) => format!("restore of {}", grasp.id.short()),
         }
     }
 
-    /// What takes it back.
+    /// Request that undoes the step.
     fn undo_request(&self) -> StoreRequest {
         match self {
             Self::Initial { id, .. } => StoreRequest::DiscardInitial { id: id.clone() },
@@ -67,7 +67,7 @@ impl Done {
         }
     }
 
-    /// What does it again, once nothing stands in its way.
+    /// Request that redoes the step.
     fn redo_request(&self) -> StoreRequest {
         match self {
             Self::Initial { id, .. } => StoreRequest::RestoreInitial { id: id.clone() },
@@ -90,32 +90,32 @@ impl Done {
 }
 
 impl Session {
-    /// A step was taken; what was taken back before cannot be done again any more.
-    pub(crate) fn record(&mut self, done: Done) {
-        self.undo.push(done);
+    /// Records a step; clears the redo history.
+    pub(crate) fn record(&mut self, step: HistoryStep) {
+        self.undo.push(step);
         self.redo.clear();
     }
 
     pub(crate) fn undo(&mut self) -> Vec<Effect> {
-        let Some(done) = self.undo.pop() else {
-            return self.nothing("nothing to undo");
+        let Some(step) = self.undo.pop() else {
+            return self.refuse_with("nothing to undo");
         };
-        let request = done.undo_request();
-        self.store(InFlight::Undo(done), request)
+        let request = step.undo_request();
+        self.store(InFlight::Undo(step), request)
     }
 
-    pub(crate) fn undone(&mut self, mut done: Done, reply: StoreReply) -> Vec<Effect> {
-        let text = match &mut done {
-            Done::Initial { replaced, .. } => {
+    pub(crate) fn undone(&mut self, mut step: HistoryStep, reply: StoreReply) -> Vec<Effect> {
+        let text = match &mut step {
+            HistoryStep::Initial { replaced, .. } => {
                 self.pending = None;
-                if let Some(earlier) = replaced {
-                    let id = earlier.id.clone();
-                    self.redo.push(done);
+                if let Some(previous) = replaced {
+                    let id = previous.id.clone();
+                    self.redo.push(step);
                     return self.store(InFlight::UndoRestore, StoreRequest::RestoreInitial { id });
                 }
-                "initial frame taken back".to_owned()
+                "initial frame undone".to_owned()
             }
-            Done::Grasp {
+            HistoryStep::Grasp {
                 last,
                 before,
                 reopened,
@@ -128,9 +128,9 @@ impl Session {
                 self.last.clone_from(before);
                 *reopened = Some(frame.id.clone());
                 self.pending = Some(frame);
-                format!("grasp {} taken back", last.id.short())
+                format!("grasp {} undone", last.id.short())
             }
-            Done::Label {
+            HistoryStep::Label {
                 id,
                 object,
                 before,
@@ -139,27 +139,27 @@ impl Session {
                 self.relabel(id, object, *after, *before);
                 format!("grasp {} is {before} again", id.short())
             }
-            Done::Trash { grasp, was_last } => {
+            HistoryStep::Trash { grasp, was_last } => {
                 self.count(&grasp.object, grasp.outcome, 1);
                 if *was_last {
                     self.last = Some(grasp.clone());
                 }
-                format!("grasp {} is back from the trash", grasp.id.short())
+                format!("grasp {} restored from the trash", grasp.id.short())
             }
-            Done::Restore(grasp) => {
-                self.leave_out(grasp);
-                format!("grasp {} is in the trash again", grasp.id.short())
+            HistoryStep::Restore(grasp) => {
+                self.remove_grasp(grasp);
+                format!("grasp {} moved to the trash again", grasp.id.short())
             }
         };
-        self.redo.push(done);
+        self.redo.push(step);
         self.finish_undo(&text)
     }
 
-    /// An undone grasp's initial frame is pending under a new key: the step that took the frame
-    /// has to name it, or it could not be taken back itself.
+    /// Updates the id of an initial frame in the history: undoing a grasp makes its initial frame
+    /// pending under a new id.
     fn rename_initial(&mut self, from: &GraspId, to: &GraspId) {
-        for done in &mut self.undo {
-            if let Done::Initial { id, .. } = done
+        for step in &mut self.undo {
+            if let HistoryStep::Initial { id, .. } = step
                 && id == from
             {
                 id.clone_from(to);
@@ -169,41 +169,41 @@ impl Session {
 
     pub(crate) fn finish_undo(&mut self, text: &str) -> Vec<Effect> {
         self.summary.undone += 1;
-        self.say(MessageLevel::Info, text);
+        self.set_message(MessageLevel::Info, text);
         vec![self.use_initial(), Effect::Tone(Tone::Undone)]
     }
 
     pub(crate) fn redo(&mut self) -> Vec<Effect> {
-        let Some(done) = self.redo.pop() else {
-            return self.nothing("nothing to redo");
+        let Some(step) = self.redo.pop() else {
+            return self.refuse_with("nothing to redo");
         };
-        // Of a re-taken initial the earlier one has to go first.
-        if let Done::Initial {
-            replaced: Some(earlier),
+        // A retaken initial frame replaces the previous one, which is discarded first.
+        if let HistoryStep::Initial {
+            replaced: Some(previous),
             ..
-        } = &done
+        } = &step
         {
-            let id = earlier.id.clone();
+            let id = previous.id.clone();
             return self.store(
-                InFlight::RedoRestore(done),
+                InFlight::RedoRestore(step),
                 StoreRequest::DiscardInitial { id },
             );
         }
-        let request = done.redo_request();
-        self.store(InFlight::Redo(done), request)
+        let request = step.redo_request();
+        self.store(InFlight::Redo(step), request)
     }
 
-    /// The earlier initial frame has gone: the re-taken one comes back.
-    pub(crate) fn redo_restore(&mut self, done: Done) -> Vec<Effect> {
-        let request = done.redo_request();
-        self.store(InFlight::Redo(done), request)
+    /// Second half of redoing a retaken initial frame: restores it.
+    pub(crate) fn redo_restore(&mut self, step: HistoryStep) -> Vec<Effect> {
+        let request = step.redo_request();
+        self.store(InFlight::Redo(step), request)
     }
 
-    pub(crate) fn redone(&mut self, done: Done, reply: StoreReply) -> Vec<Effect> {
-        match (&done, reply) {
-            (Done::Initial { .. }, StoreReply::Initial(frame)) => self.pending = Some(frame),
-            (Done::Initial { .. }, _) => return Vec::new(),
-            (Done::Grasp { last, reopened, .. }, _) => {
+    pub(crate) fn redone(&mut self, step: HistoryStep, reply: StoreReply) -> Vec<Effect> {
+        match (&step, reply) {
+            (HistoryStep::Initial { .. }, StoreReply::Initial(frame)) => self.pending = Some(frame),
+            (HistoryStep::Initial { .. }, _) => return Vec::new(),
+            (HistoryStep::Grasp { last, reopened, .. }, _) => {
                 if let Some(reopened) = reopened {
                     self.rename_initial(reopened, &last.id);
                 }
@@ -212,7 +212,7 @@ impl Session {
                 self.pending = None;
             }
             (
-                Done::Label {
+                HistoryStep::Label {
                     id,
                     object,
                     before,
@@ -220,17 +220,14 @@ impl Session {
                 },
                 _,
             ) => self.relabel(id, object, *before, *after),
-            (Done::Trash { grasp, .. }, _) => {
-                self.leave_out(grasp);
+            (HistoryStep::Trash { grasp, .. }, _) => {
+                self.remove_grasp(grasp);
             }
-            (Done::Restore(grasp), _) => self.count(&grasp.object, grasp.outcome, 1),
+            (HistoryStep::Restore(grasp), _) => self.count(&grasp.object, grasp.outcome, 1),
         }
         self.summary.redone += 1;
-        self.say(
-            MessageLevel::Info,
-            format!("done again: {}", done.describe()),
-        );
-        self.undo.push(done);
+        self.set_message(MessageLevel::Info, format!("redone: {}", step.describe()));
+        self.undo.push(step);
         vec![self.use_initial(), Effect::Tone(Tone::Undone)]
     }
 }

@@ -7,10 +7,10 @@
 //!     └──────────────── undo / redo, any number of steps ───────────┘
 //! ```
 //!
-//! A trigger is held against the guards ([`GuardLimits`]); a refusal names its reasons, and
-//! [`Command::Override`] repeats the trigger and records what was overridden. The engine carries
-//! out [`Effect`]s, one [`StoreRequest`] at a time, and answers with [`StoreReply`]; nothing is
-//! called saved before the answer. The last effect of a command is its [`CommandResult`].
+//! Guards ([`GuardLimits`]) check each trigger; a refusal lists its reasons, and
+//! [`Command::Override`] repeats the trigger and records the overridden guards. The engine executes
+//! [`Effect`]s, one [`StoreRequest`] at a time, and replies with [`StoreReply`]; nothing counts as
+//! saved before the reply. The last effect of a command is its [`CommandResult`].
 
 mod command;
 mod guard;
@@ -23,7 +23,7 @@ mod store;
 mod view;
 
 pub use command::{Command, CommandResult, CommandSource, ParseCommandError, Request};
-pub use guard::{CameraCondition, Conditions, Guard, GuardLimits, Objection};
+pub use guard::{CameraCondition, Conditions, Guard, GuardLimits, GuardViolation};
 pub use machine::{Effect, OutcomeCounts, Session, Summary};
 pub use pending::PendingFrame;
 pub use store::{Labels, StoreReply, StoreRequest};

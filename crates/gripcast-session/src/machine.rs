@@ -1,4 +1,4 @@
-//! The state machine itself.
+//! The state machine of the session.
 
 use std::collections::BTreeMap;
 use std::fmt;
@@ -6,38 +6,38 @@ use std::fmt;
 use serde::Serialize;
 
 use super::command::{Command, CommandResult, Request};
-use super::guard::{self, Conditions, Guard, GuardLimits, Objection};
-use super::history::Done;
+use super::guard::{self, Conditions, Guard, GuardLimits, GuardViolation};
+use super::history::HistoryStep;
 use super::pending::PendingFrame;
 use super::store::{Labels, StoreReply, StoreRequest};
 use super::view::{Counts, LastGrasp, Message, MessageLevel, Refusal, SessionView, Step, Tone};
 use gripcast_base::files::ObjectName;
 use gripcast_dataset::{GraspId, Outcome, OverriddenGuard, Stage};
 
-/// Grasps by object and outcome.
+/// Number of grasps by object and outcome.
 pub type OutcomeCounts = BTreeMap<ObjectName, BTreeMap<Outcome, usize>>;
 
-/// What the engine has to do.
+/// An action for the engine.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Effect {
-    /// Change the dataset; answered by [`Session::completed`].
+    /// Change the dataset; the engine replies with [`Session::completed`].
     Store(StoreRequest),
-    /// Make a sound.
+    /// Play a sound.
     Tone(Tone),
-    /// The frame that is subtracted has changed; `None` = there is none.
+    /// Use this initial frame for tactile differences; `None` for no frame.
     UseInitial(Option<GraspId>),
-    /// A command has been answered: nothing more follows from it.
+    /// Final result of a command.
     Result {
-        /// Number of the request.
+        /// Id of the request.
         id: u64,
-        /// What became of it.
+        /// Its result.
         result: CommandResult,
     },
-    /// End.
+    /// End the session.
     Quit,
 }
 
-/// What the request under way is for.
+/// Purpose of the store request in progress.
 #[derive(Clone, Debug)]
 pub(crate) enum InFlight {
     Initial,
@@ -46,15 +46,15 @@ pub(crate) enum InFlight {
     Label(Outcome),
     Trash,
     Restore,
-    Undo(Done),
-    Redo(Done),
-    /// Second half of undoing a re-taken initial: the earlier one comes back.
+    Undo(HistoryStep),
+    Redo(HistoryStep),
+    /// Second half of undoing a retaken initial frame: restores the previous one.
     UndoRestore,
-    /// First half of redoing a re-taken initial: the earlier one has gone.
-    RedoRestore(Done),
+    /// First half of redoing a retaken initial frame: discards the previous one.
+    RedoRestore(HistoryStep),
 }
 
-/// The collection session; see the module's documentation.
+/// The collection session; see the crate documentation.
 #[derive(Debug)]
 pub struct Session {
     limits: GuardLimits,
@@ -62,42 +62,42 @@ pub struct Session {
     counts: OutcomeCounts,
     pub(crate) pending: Option<PendingFrame>,
     pub(crate) last: Option<LastGrasp>,
-    pub(crate) undo: Vec<Done>,
-    pub(crate) redo: Vec<Done>,
+    pub(crate) undo: Vec<HistoryStep>,
+    pub(crate) redo: Vec<HistoryStep>,
     in_flight: Option<InFlight>,
-    /// Number of the newest command, and what became of it so far.
+    /// Id and preliminary result of the newest command.
     command: (u64, CommandResult),
-    /// The trigger that guards refused, and why.
-    refused: Option<(Stage, Vec<Objection>)>,
+    /// The refused trigger with its guard violations.
+    refused: Option<(Stage, Vec<GuardViolation>)>,
     message: Option<Message>,
     pub(crate) summary: Summary,
     /// Time of the last capture, ns; 0 before the first.
     captured_ns: u64,
 }
 
-/// What happened, for the closing line.
+/// Statistics of the session.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct Summary {
-    /// Initial frames saved.
+    /// Number of saved initial frames.
     pub initials: u64,
-    /// Grasps saved.
+    /// Number of saved grasps.
     pub saved: u64,
-    /// Labels given.
+    /// Number of labels.
     pub labelled: u64,
-    /// Triggers refused by a guard.
+    /// Number of triggers refused by guards.
     pub refused: u64,
-    /// Refusals overridden.
+    /// Number of overridden refusals.
     pub overridden: u64,
-    /// Steps taken back.
+    /// Number of undone steps.
     pub undone: u64,
-    /// Steps done again.
+    /// Number of redone steps.
     pub redone: u64,
-    /// Requests that failed on disk.
+    /// Number of failed store requests.
     pub failed: u64,
 }
 
 impl Session {
-    /// A session on a dataset that holds `counts` and perhaps an initial frame from before.
+    /// Starts a session on a dataset with `counts` grasps and possibly a pending initial frame.
     #[must_use]
     pub fn new(
         limits: GuardLimits,
@@ -108,7 +108,7 @@ impl Session {
         let message = pending.as_ref().map(|frame| Message {
             level: MessageLevel::Warning,
             text: format!(
-                "going on with the initial frame of {}; press i to take it again",
+                "resuming with the initial frame of {}; press i to retake it",
                 frame.captured_at
             ),
         });
@@ -129,24 +129,24 @@ impl Session {
         }
     }
 
-    /// Takes other limits of the guards from now on.
+    /// Changes the limits of the guards.
     pub fn set_limits(&mut self, limits: GuardLimits) {
         self.limits = limits;
     }
 
-    /// Whether a request is under way; commands have to wait until it is answered.
+    /// Whether a store request is in progress; commands must wait for its reply.
     #[must_use]
     pub fn is_storing(&self) -> bool {
         self.in_flight.is_some()
     }
 
-    /// What happened so far.
+    /// Statistics so far.
     #[must_use]
     pub fn summary(&self) -> Summary {
         self.summary
     }
 
-    /// The initial frame that waits for its grasp.
+    /// The pending initial frame.
     #[must_use]
     pub fn pending(&self) -> Option<&PendingFrame> {
         self.pending.as_ref()
@@ -158,13 +158,13 @@ impl Session {
         self.captured_ns
     }
 
-    /// Names that go into the next grasp.
+    /// Object, scene and operator of the next grasp.
     #[must_use]
     pub fn labels(&self) -> &Labels {
         &self.labels
     }
 
-    /// Step that comes next.
+    /// Next step of the cycle.
     #[must_use]
     pub fn step(&self) -> Step {
         match (&self.pending, &self.last) {
@@ -174,13 +174,13 @@ impl Session {
         }
     }
 
-    /// Whether the latest trigger was refused and not followed by another command.
+    /// Whether the last command was a refused trigger.
     #[must_use]
     pub fn is_refused(&self) -> bool {
         self.refused.is_some()
     }
 
-    /// Whether a command would take frames now; the cameras are looked at for these alone.
+    /// Whether a command would capture frames now; only these need the camera conditions.
     #[must_use]
     pub fn is_trigger(&self, command: &Command) -> bool {
         match command {
@@ -189,26 +189,26 @@ impl Session {
             Command::Override => self
                 .refused
                 .as_ref()
-                .is_some_and(|(_, objections)| can_override(objections)),
+                .is_some_and(|(_, violations)| can_override(violations)),
             _ => false,
         }
     }
 
-    /// Takes a command; `now` is what the cameras show where it [is a trigger](Self::is_trigger).
-    /// Must not be called while [`Session::is_storing`].
+    /// Handles a command; `now` are the camera conditions, for a [trigger](Self::is_trigger). Must
+    /// not be called while [`Session::is_storing`].
     pub fn handle(&mut self, request: Request, now: Option<&Conditions>) -> Vec<Effect> {
         self.command = (request.id, CommandResult::Accepted);
         let refused = self.refused.take();
         self.message = None;
         let effects = match request.command {
             Command::Override => match refused {
-                Some((stage, objections)) => self.override_guards(stage, objections, now),
-                None => self.nothing("there is nothing to override"),
+                Some((stage, violations)) => self.override_guards(stage, violations, now),
+                None => self.refuse_with("nothing to override"),
             },
             Command::Trigger => match self.step() {
                 Step::Initial => self.capture(Stage::Initial, now, false),
                 Step::Grasp => self.capture(Stage::Grasp, now, false),
-                Step::Label => self.nothing("lift, then label the grasp: s stable, f slip"),
+                Step::Label => self.refuse_with("lift, then label the grasp: s stable, f slip"),
             },
             Command::Initial => self.capture(Stage::Initial, now, false),
             Command::Grasp => self.capture(Stage::Grasp, now, false),
@@ -225,10 +225,10 @@ impl Session {
             Command::Operator(name) => self.rename(name, |labels| &mut labels.operator, "operator"),
             Command::Quit => vec![Effect::Quit],
         };
-        self.concluded(effects)
+        self.with_result(effects)
     }
 
-    /// Takes the answer to the request under way.
+    /// Handles the reply to the store request.
     pub fn completed(&mut self, reply: StoreReply) -> Vec<Effect> {
         let Some(in_flight) = self.in_flight.take() else {
             return Vec::new();
@@ -242,20 +242,20 @@ impl Session {
             }
             (InFlight::Trash, StoreReply::Trashed(grasp)) => self.trashed(grasp),
             (InFlight::Restore, StoreReply::Grasp(grasp)) => self.restored(grasp),
-            (InFlight::Undo(done), reply) => self.undone(done, reply),
-            (InFlight::Redo(done), reply) => self.redone(done, reply),
+            (InFlight::Undo(step), reply) => self.undone(step, reply),
+            (InFlight::Redo(step), reply) => self.redone(step, reply),
             (InFlight::UndoRestore, StoreReply::Initial(frame)) => {
                 self.pending = Some(frame);
-                self.finish_undo("the initial frame before is back")
+                self.finish_undo("previous initial frame restored")
             }
-            (InFlight::RedoRestore(done), _) => self.redo_restore(done),
+            (InFlight::RedoRestore(step), _) => self.redo_restore(step),
             _ => Vec::new(),
         };
-        self.concluded(effects)
+        self.with_result(effects)
     }
 
-    /// Adds the command's result once nothing more follows from it.
-    fn concluded(&mut self, mut effects: Vec<Effect>) -> Vec<Effect> {
+    /// Adds the command's result unless a store request is in progress.
+    fn with_result(&mut self, mut effects: Vec<Effect>) -> Vec<Effect> {
         if !self.is_storing() {
             let (id, result) = self.command.clone();
             effects.push(Effect::Result { id, result });
@@ -263,7 +263,7 @@ impl Session {
         effects
     }
 
-    /// The session for a screen; `now_ns` is `CLOCK_MONOTONIC`.
+    /// State of the session for a screen; `now_ns` is `CLOCK_MONOTONIC`.
     #[must_use]
     pub fn view(&self, now_ns: u64) -> SessionView {
         let initial_age_s = self
@@ -278,7 +278,7 @@ impl Session {
             message = Some(Message {
                 level: MessageLevel::Warning,
                 text: format!(
-                    "the initial frame is {:.0} min old: take it again with i",
+                    "the initial frame is {:.0} min old: press i to retake it",
                     initial_age_s.unwrap_or(0.0) / 60.0
                 ),
             });
@@ -292,13 +292,13 @@ impl Session {
             initial_age_s,
             counts: self.counts(),
             last: self.last.clone(),
-            undo: self.undo.last().map(Done::describe),
-            redo: self.redo.last().map(Done::describe),
+            undo: self.undo.last().map(HistoryStep::describe),
+            redo: self.redo.last().map(HistoryStep::describe),
             message,
-            refusal: self.refused.as_ref().map(|(stage, objections)| Refusal {
+            refusal: self.refused.as_ref().map(|(stage, violations)| Refusal {
                 stage: stage.name().into(),
-                reasons: reasons(objections),
-                can_override: can_override(objections),
+                reasons: reasons(violations),
+                can_override: can_override(violations),
             }),
             saving: self.in_flight.is_some(),
         }
@@ -306,30 +306,30 @@ impl Session {
 
     fn counts(&self) -> Counts {
         let mut counts = Counts::default();
-        let of = |object: &BTreeMap<Outcome, usize>, outcome| object.get(&outcome).copied();
+        let count = |object: &BTreeMap<Outcome, usize>, outcome| object.get(&outcome).copied();
         for object in self.counts.values() {
-            counts.stable += of(object, Outcome::Stable).unwrap_or(0);
-            counts.slip += of(object, Outcome::Slip).unwrap_or(0);
-            counts.unlabelled += of(object, Outcome::Unlabelled).unwrap_or(0);
+            counts.stable += count(object, Outcome::Stable).unwrap_or(0);
+            counts.slip += count(object, Outcome::Slip).unwrap_or(0);
+            counts.unlabelled += count(object, Outcome::Unlabelled).unwrap_or(0);
         }
-        if let Some(here) = self.counts.get(&self.labels.object) {
-            counts.object_stable = of(here, Outcome::Stable).unwrap_or(0);
-            counts.object_slip = of(here, Outcome::Slip).unwrap_or(0);
+        if let Some(current) = self.counts.get(&self.labels.object) {
+            counts.object_stable = count(current, Outcome::Stable).unwrap_or(0);
+            counts.object_slip = count(current, Outcome::Slip).unwrap_or(0);
         }
         counts
     }
 
-    pub(crate) fn say(&mut self, level: MessageLevel, text: impl Into<String>) {
+    pub(crate) fn set_message(&mut self, level: MessageLevel, text: impl Into<String>) {
         self.message = Some(Message {
             level,
             text: text.into(),
         });
     }
 
-    /// Refuses because there is nothing to do.
-    pub(crate) fn nothing(&mut self, why: &str) -> Vec<Effect> {
-        self.say(MessageLevel::Info, why);
-        self.refuse(vec![why.to_owned()], false)
+    /// Refuses a command with a reason that is also shown as a message.
+    pub(crate) fn refuse_with(&mut self, reason: &str) -> Vec<Effect> {
+        self.set_message(MessageLevel::Info, reason);
+        self.refuse(vec![reason.to_owned()], false)
     }
 
     fn refuse(&mut self, reasons: Vec<String>, can_override: bool) -> Vec<Effect> {
@@ -345,7 +345,7 @@ impl Session {
         vec![Effect::Store(request)]
     }
 
-    /// The frame that is subtracted now.
+    /// Effect that sets the current initial frame.
     pub(crate) fn use_initial(&self) -> Effect {
         Effect::UseInitial(self.pending.as_ref().map(|frame| frame.id.clone()))
     }
@@ -356,7 +356,7 @@ impl Session {
         field: fn(&mut Labels) -> &mut T,
         what: &str,
     ) -> Vec<Effect> {
-        self.say(MessageLevel::Info, format!("{what}: {name}"));
+        self.set_message(MessageLevel::Info, format!("{what}: {name}"));
         *field(&mut self.labels) = name;
         Vec::new()
     }
@@ -364,45 +364,45 @@ impl Session {
     fn override_guards(
         &mut self,
         stage: Stage,
-        objections: Vec<Objection>,
+        violations: Vec<GuardViolation>,
         now: Option<&Conditions>,
     ) -> Vec<Effect> {
-        let Some(firm) = objections.iter().find(|o| !o.can_override) else {
+        let Some(violation) = violations.iter().find(|o| !o.can_override) else {
             self.summary.overridden += 1;
             return self.capture(stage, now, true);
         };
-        let text = format!("this cannot be overridden: {}", firm.reason);
-        self.refused = Some((stage, objections));
-        self.say(MessageLevel::Warning, text.as_str());
+        let text = format!("cannot be overridden: {}", violation.reason);
+        self.refused = Some((stage, violations));
+        self.set_message(MessageLevel::Warning, text.as_str());
         self.refuse(vec![text], false)
     }
 
     fn capture(&mut self, stage: Stage, now: Option<&Conditions>, overriding: bool) -> Vec<Effect> {
         let Some(now) = now else {
-            return self.nothing("the cameras were not looked at");
+            return self.refuse_with("camera conditions unavailable");
         };
-        let mut objections = guard::check_frames(&self.limits, now, self.captured_ns);
+        let mut violations = guard::check_frames(&self.limits, now, self.captured_ns);
         if stage == Stage::Grasp {
             match &self.pending {
                 Some(initial) => {
-                    objections.extend(guard::check_against_initial(&self.limits, now, initial))
+                    violations.extend(guard::check_against_initial(&self.limits, now, initial))
                 }
-                None => objections.push(Objection {
+                None => violations.push(GuardViolation {
                     guard: Guard::NoInitial,
-                    reason: "there is no initial frame: open the gripper and take one".into(),
+                    reason: "no initial frame: open the gripper and take one".into(),
                     can_override: false,
                 }),
             }
         }
-        let can_override = can_override(&objections);
-        if !can_override || (!objections.is_empty() && !overriding) {
+        let can_override = can_override(&violations);
+        if !can_override || (!violations.is_empty() && !overriding) {
             self.summary.refused += 1;
-            let reasons = reasons(&objections);
-            self.refused = Some((stage, objections));
+            let reasons = reasons(&violations);
+            self.refused = Some((stage, violations));
             return self.refuse(reasons, can_override);
         }
         self.captured_ns = now.now_ns;
-        let overridden = objections
+        let overridden = violations
             .into_iter()
             .map(|o| OverriddenGuard {
                 guard: o.guard.name().into(),
@@ -428,8 +428,8 @@ impl Session {
         let id = frame.id.clone();
         let replaced = self.pending.replace(frame);
         let replaced_id = replaced.as_ref().map(|r| r.id.clone());
-        self.record(Done::Initial { id, replaced });
-        self.say(
+        self.record(HistoryStep::Initial { id, replaced });
+        self.set_message(
             MessageLevel::Info,
             "initial frame saved: close the gripper, then trigger",
         );
@@ -448,11 +448,11 @@ impl Session {
         self.count(&last.object, last.outcome, 1);
         let before = self.last.replace(last.clone());
         self.pending = None;
-        self.say(
+        self.set_message(
             MessageLevel::Info,
             format!("grasp {} saved: lift, then label it", last.id.short()),
         );
-        self.record(Done::Grasp {
+        self.record(HistoryStep::Grasp {
             last,
             before,
             reopened: None,
@@ -462,11 +462,11 @@ impl Session {
 
     fn label(&mut self, outcome: Outcome) -> Vec<Effect> {
         let Some(last) = &self.last else {
-            return self.nothing("there is no grasp to label yet");
+            return self.refuse_with("no grasp to label yet");
         };
         if last.outcome == outcome {
-            let text = format!("grasp {} is labelled {outcome} already", last.id.short());
-            return self.nothing(&text);
+            let text = format!("grasp {} is already labelled {outcome}", last.id.short());
+            return self.refuse_with(&text);
         }
         self.set_outcome(last.id.clone(), outcome)
     }
@@ -487,11 +487,11 @@ impl Session {
     ) -> Vec<Effect> {
         self.relabel(&id, &object, before, outcome);
         self.summary.labelled += 1;
-        self.say(
+        self.set_message(
             MessageLevel::Info,
             format!("grasp {} labelled {outcome}", id.short()),
         );
-        self.record(Done::Label {
+        self.record(HistoryStep::Label {
             id,
             object,
             before,
@@ -504,7 +504,7 @@ impl Session {
         })]
     }
 
-    /// Brings memory in line with a label that was written.
+    /// Updates the state after a label was stored.
     pub(crate) fn relabel(
         &mut self,
         id: &GraspId,
@@ -520,29 +520,29 @@ impl Session {
     }
 
     fn trashed(&mut self, grasp: LastGrasp) -> Vec<Effect> {
-        let was_last = self.leave_out(&grasp);
+        let was_last = self.remove_grasp(&grasp);
         let id = grasp.id.short();
-        self.say(
+        self.set_message(
             MessageLevel::Info,
-            format!("grasp {id} is in the trash; undo brings it back"),
+            format!("grasp {id} moved to the trash; undo restores it"),
         );
-        self.record(Done::Trash { grasp, was_last });
+        self.record(HistoryStep::Trash { grasp, was_last });
         vec![Effect::Tone(Tone::Undone)]
     }
 
     fn restored(&mut self, grasp: LastGrasp) -> Vec<Effect> {
         self.count(&grasp.object, grasp.outcome, 1);
         let id = grasp.id.short();
-        self.say(
+        self.set_message(
             MessageLevel::Info,
-            format!("grasp {id} is back from the trash"),
+            format!("grasp {id} restored from the trash"),
         );
-        self.record(Done::Restore(grasp));
+        self.record(HistoryStep::Restore(grasp));
         vec![Effect::Tone(Tone::Undone)]
     }
 
-    /// A grasp has gone to the trash; returns whether it was the newest of the session.
-    pub(crate) fn leave_out(&mut self, grasp: &LastGrasp) -> bool {
+    /// Removes a trashed grasp; returns whether it was the newest of the session.
+    pub(crate) fn remove_grasp(&mut self, grasp: &LastGrasp) -> bool {
         self.count(&grasp.object, grasp.outcome, -1);
         self.last.take_if(|last| last.id == grasp.id).is_some()
     }
@@ -557,32 +557,34 @@ impl Session {
         self.summary.failed += 1;
         let what = match in_flight {
             InFlight::Initial => "the initial frame was NOT saved",
-            InFlight::Grasp => "the grasp was NOT saved; its initial frame still is",
+            InFlight::Grasp => "the grasp was NOT saved; its initial frame is kept",
             InFlight::Label(_) => "the label was NOT saved",
             InFlight::Trash => "the grasp was NOT moved to the trash",
-            InFlight::Restore => "the grasp was NOT taken back from the trash",
-            InFlight::DiscardReplaced => "the initial frame before could not be moved to the trash",
-            InFlight::Undo(done) => {
-                self.undo.push(done);
+            InFlight::Restore => "the grasp was NOT restored from the trash",
+            InFlight::DiscardReplaced => {
+                "the previous initial frame could not be moved to the trash"
+            }
+            InFlight::Undo(step) => {
+                self.undo.push(step);
                 "undo failed"
             }
-            InFlight::UndoRestore => "the initial frame before could not be brought back",
-            InFlight::Redo(done) | InFlight::RedoRestore(done) => {
-                self.redo.push(done);
+            InFlight::UndoRestore => "the previous initial frame could not be restored",
+            InFlight::Redo(step) | InFlight::RedoRestore(step) => {
+                self.redo.push(step);
                 "redo failed"
             }
         };
         let error = format!("{what}: {message}");
-        self.say(MessageLevel::Error, error.as_str());
+        self.set_message(MessageLevel::Error, error.as_str());
         self.command.1 = CommandResult::Failed { error };
         vec![self.use_initial(), Effect::Tone(Tone::Fault)]
     }
 }
 
-fn can_override(objections: &[Objection]) -> bool {
-    objections.iter().all(|o| o.can_override)
+fn can_override(violations: &[GuardViolation]) -> bool {
+    violations.iter().all(|o| o.can_override)
 }
 
-fn reasons(objections: &[Objection]) -> Vec<String> {
-    objections.iter().map(|o| o.reason.clone()).collect()
+fn reasons(violations: &[GuardViolation]) -> Vec<String> {
+    violations.iter().map(|o| o.reason.clone()).collect()
 }

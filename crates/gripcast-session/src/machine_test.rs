@@ -1,4 +1,4 @@
-//! The session against a dataset in memory.
+//! Tests the session with a dataset in memory.
 
 use std::collections::BTreeMap;
 
@@ -9,7 +9,7 @@ use gripcast_base::files::ObjectName;
 use gripcast_dataset::{GraspId, Outcome};
 use gripcast_imaging::Role;
 
-/// A dataset in memory that refuses whatever a real one would refuse.
+/// A dataset in memory that refuses the same requests as a real one.
 #[derive(Clone, Debug, Default, PartialEq)]
 struct Store {
     next: u32,
@@ -17,7 +17,7 @@ struct Store {
     grasps: BTreeMap<String, (ObjectName, Outcome)>,
     trashed_pending: BTreeMap<String, ()>,
     trashed_grasps: BTreeMap<String, (ObjectName, Outcome)>,
-    /// Undone grasp → the pending frame that the undo made.
+    /// Undone grasp → pending frame reopened by the undo.
     reopened: BTreeMap<String, String>,
 }
 
@@ -42,7 +42,7 @@ impl Store {
         StoreReply::Grasp(last_grasp(id, object, outcome))
     }
 
-    fn carry_out(&mut self, request: StoreRequest) -> StoreReply {
+    fn execute(&mut self, request: StoreRequest) -> StoreReply {
         match request {
             StoreRequest::SaveInitial { .. } => {
                 let id = self.new_id();
@@ -130,11 +130,11 @@ impl Store {
 
     fn missing(id: &GraspId) -> StoreReply {
         StoreReply::Failed {
-            message: format!("there is no grasp {id}"),
+            message: format!("grasp {id} not found"),
         }
     }
 
-    /// The id of a grasp or of one in the trash, by a number.
+    /// Selects the id of a grasp, also in the trash, by number.
     fn any_id(&self, number: usize) -> GraspId {
         let all: Vec<&String> = self
             .grasps
@@ -142,7 +142,7 @@ impl Store {
             .chain(self.trashed_grasps.keys())
             .collect();
         let id = all.get(number % all.len().max(1));
-        GraspId::parse(id.map_or("nobody", |id| id.as_str())).unwrap()
+        GraspId::parse(id.map_or("missing", |id| id.as_str())).unwrap()
     }
 
     fn count(&self, outcome: Outcome) -> usize {
@@ -184,7 +184,7 @@ fn session() -> Session {
     Session::new(GuardLimits::default(), labels, OutcomeCounts::new(), None)
 }
 
-/// Handles a command as the engine does: only triggers see the cameras.
+/// Handles a command like the engine: only triggers get camera conditions.
 fn handle(session: &mut Session, command: Command, now: &Conditions) -> Vec<Effect> {
     let now = session.is_trigger(&command).then_some(now);
     let request = Request {
@@ -195,7 +195,7 @@ fn handle(session: &mut Session, command: Command, now: &Conditions) -> Vec<Effe
     session.handle(request, now)
 }
 
-/// The result among the effects.
+/// Result in the effects.
 fn result(effects: &[Effect]) -> &CommandResult {
     let Some(Effect::Result { id: 7, result }) = effects.last() else {
         panic!("{effects:?}");
@@ -208,7 +208,7 @@ fn is_refused(effects: &[Effect]) -> bool {
         && matches!(result(effects), CommandResult::Refused { .. })
 }
 
-/// Handles a command and carries out all that follows from it.
+/// Handles a command and executes its effects.
 fn play(session: &mut Session, store: &mut Store, command: Command, now: &Conditions) -> Vec<Tone> {
     let mut effects = handle(session, command, now);
     let mut tones = Vec::new();
@@ -218,7 +218,7 @@ fn play(session: &mut Session, store: &mut Store, command: Command, now: &Condit
         for effect in effects {
             match effect {
                 Effect::Store(request) => {
-                    let reply = store.carry_out(request);
+                    let reply = store.execute(request);
                     next.extend(session.completed(reply));
                 }
                 Effect::Tone(tone) => tones.push(tone),
@@ -232,12 +232,12 @@ fn play(session: &mut Session, store: &mut Store, command: Command, now: &Condit
         effects = next;
     }
     assert_eq!(results, 1, "a command has one result");
-    assert!(!session.is_storing(), "a request stayed unanswered");
+    assert!(!session.is_storing(), "a request has no reply");
     tones
 }
 
 #[test]
-fn the_plain_cycle_ends_with_a_label() {
+fn cycle_ends_with_a_label() {
     let (mut session, mut store) = (session(), Store::default());
     assert_eq!(session.step(), Step::Initial);
     let tones = play(&mut session, &mut store, Command::Trigger, &good());
@@ -258,9 +258,9 @@ fn the_plain_cycle_ends_with_a_label() {
 }
 
 #[test]
-fn every_guard_refuses_and_override_records_it() {
-    type Spoil = fn(&mut Conditions);
-    let cases: [(Guard, Spoil); 4] = [
+fn guards_refuse_and_override_is_recorded() {
+    type Change = fn(&mut Conditions);
+    let cases: [(Guard, Change); 4] = [
         (Guard::StaleFrame, |c| c.cameras[0].age_ms = Some(500.0)),
         (Guard::Skew, |c| c.skew_ms = 90.0),
         (Guard::DiskLow, |c| c.disk_free_bytes = Some(5)),
@@ -270,11 +270,11 @@ fn every_guard_refuses_and_override_records_it() {
             }
         }),
     ];
-    for (guard, spoil) in cases {
+    for (guard, change) in cases {
         let (mut session, mut store) = (session(), Store::default());
         play(&mut session, &mut store, Command::Initial, &good());
         let mut bad = good();
-        spoil(&mut bad);
+        change(&mut bad);
         assert!(is_refused(&handle(&mut session, Command::Grasp, &bad)));
         assert!(session.view(0).refusal.unwrap().can_override, "{guard:?}");
         let effects = handle(&mut session, Command::Override, &bad);
@@ -288,7 +288,7 @@ fn every_guard_refuses_and_override_records_it() {
 }
 
 #[test]
-fn only_triggers_look_at_the_cameras() {
+fn only_triggers_need_camera_conditions() {
     let (mut session, mut store) = (session(), Store::default());
     let trigger = |session: &Session, text: &str| session.is_trigger(&text.parse().unwrap());
     for text in ["undo", "redo", "object cup", "stable", "override", "quit"] {
@@ -307,11 +307,11 @@ fn only_triggers_look_at_the_cameras() {
     assert!(trigger(&session, "override"));
     play(&mut session, &mut store, Command::Override, &bad);
     assert_eq!(session.step(), Step::Label);
-    assert!(!trigger(&session, "trigger"), "a label is awaited");
+    assert!(!trigger(&session, "trigger"), "a label is pending");
 }
 
 #[test]
-fn nothing_is_saved_without_a_look_at_the_cameras() {
+fn trigger_without_camera_conditions_is_refused() {
     let mut session = session();
     let request = Request {
         id: 7,
@@ -345,7 +345,7 @@ fn changed_exposure_is_refused_with_both_values() {
 }
 
 #[test]
-fn a_missing_gel_and_a_missing_initial_cannot_be_overridden() {
+fn missing_gel_or_initial_cannot_be_overridden() {
     let (mut session, mut store) = (session(), Store::default());
     assert!(is_refused(&handle(&mut session, Command::Grasp, &good())));
     assert!(is_refused(&handle(
@@ -365,7 +365,7 @@ fn a_missing_gel_and_a_missing_initial_cannot_be_overridden() {
 }
 
 #[test]
-fn the_initial_frame_is_never_saved_as_the_grasp() {
+fn initial_frame_is_not_saved_as_grasp() {
     let (mut session, mut store) = (session(), Store::default());
     let mut now = good();
     now.now_ns = 1_000;
@@ -393,11 +393,11 @@ fn unknown_contact_is_refused() {
         camera.contact_fraction = None;
     }
     handle(&mut session, Command::Grasp, &now);
-    assert!(session.view(0).refusal.unwrap().reasons[0].contains("not known"));
+    assert!(session.view(0).refusal.unwrap().reasons[0].contains("contact unknown"));
 }
 
 #[test]
-fn a_failed_save_keeps_the_step_and_says_so() {
+fn failed_save_keeps_the_step_with_an_error() {
     let (mut session, mut store) = (session(), Store::default());
     play(&mut session, &mut store, Command::Trigger, &good());
     handle(&mut session, Command::Trigger, &good());
@@ -422,7 +422,7 @@ fn a_failed_save_keeps_the_step_and_says_so() {
 }
 
 #[test]
-fn an_initial_from_before_is_resumed() {
+fn pending_initial_frame_is_resumed() {
     let frame = Store::frame(GraspId::parse("2026-11-20T10-15-03Z-00ff").unwrap());
     let session = Session::new(
         GuardLimits::default(),
@@ -431,12 +431,12 @@ fn an_initial_from_before_is_resumed() {
         Some(frame),
     );
     assert_eq!(session.step(), Step::Grasp);
-    assert!(session.view(0).message.unwrap().text.contains("going on"));
+    assert!(session.view(0).message.unwrap().text.contains("resuming"));
 }
 
-/// A command; those that name a grasp come with its number among those that are there.
+/// A command, with the number of the grasp that it refers to.
 fn any_command() -> impl Strategy<Value = (Command, usize)> {
-    let nobody = || GraspId::parse("nobody").unwrap();
+    let missing = || GraspId::parse("missing").unwrap();
     let command = prop_oneof![
         4 => Just(Command::Trigger),
         2 => Just(Command::Initial),
@@ -448,15 +448,15 @@ fn any_command() -> impl Strategy<Value = (Command, usize)> {
         4 => Just(Command::Redo),
         1 => Just(Command::Override),
         1 => Just(Command::Object("cup".parse().unwrap())),
-        2 => Just(Command::Relabel(nobody(), Outcome::Slip)),
-        3 => Just(Command::Trash(nobody())),
-        3 => Just(Command::Restore(nobody())),
+        2 => Just(Command::Relabel(missing(), Outcome::Slip)),
+        3 => Just(Command::Trash(missing())),
+        3 => Just(Command::Restore(missing())),
     ];
     (command, 0..6_usize)
 }
 
-/// The command with the id that its number stands for.
-fn aimed((command, number): (Command, usize), store: &Store) -> Command {
+/// Replaces the number of the grasp by its id.
+fn with_id((command, number): (Command, usize), store: &Store) -> Command {
     match command {
         Command::Relabel(_, outcome) => Command::Relabel(store.any_id(number), outcome),
         Command::Trash(_) => Command::Trash(store.any_id(number)),
@@ -466,7 +466,7 @@ fn aimed((command, number): (Command, usize), store: &Store) -> Command {
 }
 
 #[test]
-fn a_grasp_in_the_trash_is_not_the_last_one_until_it_is_back() {
+fn trashed_grasp_is_not_the_last_until_restored() {
     let (mut session, mut store) = (session(), Store::default());
     for command in [Command::Trigger, Command::Trigger] {
         play(&mut session, &mut store, command, &good());
@@ -490,10 +490,10 @@ fn a_grasp_in_the_trash_is_not_the_last_one_until_it_is_back() {
 }
 
 proptest! {
-    /// Whatever is pressed, the session and the dataset agree, every request is valid, and
-    /// undoing everything leaves nothing but trash.
+    /// For any commands, session and dataset agree, every request is valid, and undoing everything
+    /// leaves only trash.
     #[test]
-    fn session_and_dataset_never_disagree(
+    fn session_and_dataset_always_agree(
         commands in proptest::collection::vec((any_command(), any::<bool>()), 0..60)
     ) {
         let (mut session, mut store) = (session(), Store::default());
@@ -504,7 +504,7 @@ proptest! {
                     camera.contact_fraction = Some(0.0);
                 }
             }
-            let command = aimed(command, &store);
+            let command = with_id(command, &store);
             play(&mut session, &mut store, command, &now);
             let view = session.view(0);
             prop_assert_eq!(view.counts.stable, store.count(Outcome::Stable));

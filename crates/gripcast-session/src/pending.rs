@@ -1,4 +1,4 @@
-//! The initial frame between its trigger and its grasp.
+//! The pending initial frame.
 
 use std::collections::BTreeMap;
 
@@ -8,17 +8,17 @@ use gripcast_base::files::FileName;
 use gripcast_dataset::GraspId;
 use gripcast_imaging::Role;
 
-/// An initial frame that waits for its grasp.
+/// An initial frame whose grasp is not taken yet.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct PendingFrame {
-    /// Key of the grasp that it begins.
+    /// Id of the future grasp.
     pub id: GraspId,
-    /// Wall clock, RFC 3339 UTC.
+    /// Time of the trigger, RFC 3339 UTC.
     pub captured_at: String,
-    /// `CLOCK_MONOTONIC` of the trigger, ns; 0 when it was taken before this process started.
+    /// `CLOCK_MONOTONIC` of the trigger, ns; 0 if taken before this process started.
     pub trigger_time_ns: u64,
-    /// Control values of each camera at that time.
+    /// Control values of each camera at the trigger.
     pub controls: BTreeMap<Role, BTreeMap<String, i64>>,
-    /// The external camera's frame: its driver time, ns, and file.
+    /// Driver time, ns, and file of the external camera's frame.
     pub external: Option<(u64, FileName)>,
 }

@@ -1,4 +1,4 @@
-//! What the session asks of the dataset, and the answers.
+//! Requests of the session to the dataset, and replies.
 
 use serde::Serialize;
 
@@ -7,100 +7,100 @@ use super::view::LastGrasp;
 use gripcast_base::files::{Label, ObjectName};
 use gripcast_dataset::{GraspId, Outcome, OverriddenGuard};
 
-/// Names that go into every grasp.
+/// Object, scene and operator of the next grasps.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct Labels {
-    /// What is grasped.
+    /// Object to grasp.
     pub object: ObjectName,
-    /// Where.
+    /// Scene.
     pub scene: Label,
-    /// Who holds the gripper.
+    /// Operator of the gripper.
     pub operator: Label,
 }
 
-/// A change of the dataset. At most one is under way.
+/// A change of the dataset. At most one is in progress.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum StoreRequest {
-    /// Save the present frames as initial.
+    /// Save the current frames as initial frame.
     SaveInitial {
-        /// Guards that the operator overrode.
+        /// Overridden guards.
         overridden: Vec<OverriddenGuard>,
     },
-    /// Save the present frames as the grasp that `initial` began.
+    /// Save the current frames as the grasp of `initial`.
     SaveGrasp {
         /// The pending initial frame.
         initial: GraspId,
-        /// Names.
+        /// Object, scene and operator.
         labels: Labels,
-        /// Guards that the operator overrode.
+        /// Overridden guards.
         overridden: Vec<OverriddenGuard>,
     },
     /// Set the outcome of a grasp.
     SetOutcome {
-        /// Which.
+        /// Id.
         id: GraspId,
-        /// To what.
+        /// New outcome.
         outcome: Outcome,
     },
     /// Move a grasp to the trash.
     TrashGrasp {
-        /// Which.
+        /// Id.
         id: GraspId,
     },
-    /// Take a grasp back from the trash.
+    /// Restore a grasp from the trash.
     RestoreGrasp {
-        /// Which.
+        /// Id.
         id: GraspId,
     },
     /// Move a pending initial frame to the trash.
     DiscardInitial {
-        /// Which.
+        /// Id.
         id: GraspId,
     },
-    /// Take it back from the trash.
+    /// Restore an initial frame from the trash.
     RestoreInitial {
-        /// Which.
+        /// Id.
         id: GraspId,
     },
-    /// Move a grasp to the trash; its initial frame becomes pending again under a new key.
+    /// Move a grasp to the trash; its initial frame becomes pending again under a new id.
     UndoGrasp {
-        /// Which.
+        /// Id.
         id: GraspId,
     },
-    /// Take it back from the trash; `reopened` is the pending frame that goes away.
+    /// Restore an undone grasp; `reopened` is discarded.
     RedoGrasp {
-        /// Which.
+        /// Id.
         id: GraspId,
-        /// The pending frame that the undo made.
+        /// The pending frame reopened by the undo.
         reopened: Option<GraspId>,
     },
 }
 
-/// Answer to a [`StoreRequest`].
+/// Reply to a [`StoreRequest`].
 #[derive(Clone, Debug, PartialEq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum StoreReply {
     /// An initial frame is durable (saved, restored, or reopened by an undone grasp).
     Initial(PendingFrame),
-    /// A grasp is durable (saved, or taken back from the trash).
+    /// A grasp is durable (saved or restored).
     Grasp(LastGrasp),
     /// An outcome is durable.
     Labelled {
-        /// Its key.
+        /// Id of the grasp.
         id: GraspId,
-        /// The grasp's object.
+        /// Object of the grasp.
         object: ObjectName,
-        /// Its outcome before.
+        /// Previous outcome.
         before: Outcome,
     },
-    /// A grasp is in the trash.
+    /// A grasp was moved to the trash.
     Trashed(LastGrasp),
-    /// Done; nothing to tell.
+    /// The request succeeded.
     Done,
-    /// Nothing changed on disk.
+    /// The request failed; nothing changed on disk.
     Failed {
-        /// Why, and how to fix it.
+        /// Error with remedy.
         message: String,
     },
 }

@@ -1,4 +1,4 @@
-//! What screens and the API show of the session.
+//! State of the session for screens and the API.
 
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
@@ -6,7 +6,7 @@ use utoipa::ToSchema;
 use gripcast_base::files::{Label, ObjectName};
 use gripcast_dataset::{GraspId, GraspRecord, Outcome, PredictionRecord};
 
-/// Step of the cycle that comes next.
+/// Next step of the cycle.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Step {
@@ -14,11 +14,11 @@ pub enum Step {
     Initial,
     /// Close the gripper, then take the grasp frame.
     Grasp,
-    /// Lift, then say whether it held.
+    /// Lift, then label the outcome.
     Label,
 }
 
-/// Sounds; distinct enough to work with eyes on the object.
+/// Sounds, distinct enough to work without looking at the screen.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Tone {
@@ -30,30 +30,30 @@ pub enum Tone {
     Stable,
     /// Labelled slip, on disk.
     Slip,
-    /// A step was taken back or done again.
+    /// A step was undone or redone.
     Undone,
-    /// A guard refused.
+    /// A command was refused.
     Refused,
-    /// A camera failed or a save failed.
+    /// A camera or a save failed.
     Fault,
 }
 
-/// Weight of a message.
+/// Severity of a message.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum MessageLevel {
-    /// Something happened as asked.
+    /// A command succeeded.
     Info,
-    /// Something deserves a look.
+    /// Something needs attention.
     Warning,
     /// Something failed.
     Error,
 }
 
-/// The line under the gauge.
+/// Message line under the gauge.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
 pub struct Message {
-    /// Weight.
+    /// Severity.
     pub level: MessageLevel,
     /// One sentence.
     pub text: String,
@@ -64,39 +64,39 @@ pub struct Message {
 pub struct Refusal {
     /// `initial` or `grasp`.
     pub stage: String,
-    /// Reasons, one a guard.
+    /// Reasons, one per guard violation.
     pub reasons: Vec<String>,
-    /// Whether an override can help (a missing camera cannot be overridden).
+    /// Whether it can be overridden (a missing camera cannot).
     pub can_override: bool,
 }
 
-/// Labels so far.
+/// Number of grasps by label.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
 pub struct Counts {
-    /// Labelled stable in the dataset.
+    /// Stable grasps in the dataset.
     pub stable: usize,
-    /// Labelled slip in the dataset.
+    /// Slip grasps in the dataset.
     pub slip: usize,
-    /// Not labelled in the dataset.
+    /// Unlabelled grasps in the dataset.
     pub unlabelled: usize,
-    /// Stable with the present object.
+    /// Stable grasps of the current object.
     pub object_stable: usize,
-    /// Slip with the present object.
+    /// Slip grasps of the current object.
     pub object_slip: usize,
 }
 
 /// The newest grasp.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct LastGrasp {
-    /// Its key.
+    /// Grasp id.
     #[schema(value_type = String)]
     pub id: GraspId,
-    /// Object.
+    /// Grasped object.
     #[schema(value_type = String)]
     pub object: ObjectName,
-    /// Label.
+    /// Outcome label.
     pub outcome: Outcome,
-    /// What was predicted before the lift.
+    /// Prediction before the lift.
     pub predicted: Option<PredictionRecord>,
 }
 
@@ -111,36 +111,36 @@ impl From<GraspRecord> for LastGrasp {
     }
 }
 
-/// State of the session, complete for a screen.
+/// Complete state of the session for a screen.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct SessionView {
-    /// Step that comes next.
+    /// Next step.
     pub step: Step,
-    /// Present object.
+    /// Current object.
     #[schema(value_type = String)]
     pub object: ObjectName,
-    /// Present scene.
+    /// Current scene.
     #[schema(value_type = String)]
     pub scene: Label,
-    /// Present operator.
+    /// Current operator.
     #[schema(value_type = String)]
     pub operator: Label,
-    /// When the pending initial frame was taken, RFC 3339 UTC.
+    /// Time of the pending initial frame, RFC 3339 UTC.
     pub initial_at: Option<String>,
     /// Age of the pending initial frame, s.
     pub initial_age_s: Option<f64>,
-    /// Labels so far.
+    /// Number of grasps by label.
     pub counts: Counts,
     /// The newest grasp.
     pub last: Option<LastGrasp>,
-    /// What undo would take back.
+    /// Step that undo would revert.
     pub undo: Option<String>,
-    /// What redo would do again.
+    /// Step that redo would repeat.
     pub redo: Option<String>,
     /// The latest message.
     pub message: Option<Message>,
     /// The refused trigger, until the next command.
     pub refusal: Option<Refusal>,
-    /// Whether a save is under way.
+    /// Whether a save is in progress.
     pub saving: bool,
 }

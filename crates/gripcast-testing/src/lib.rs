@@ -1,6 +1,6 @@
-//! What tests of gripcast fraction: where real data are, and how a test says that it cannot run here.
+//! Shared test helpers: location of real data, and reporting of skipped tests.
 
-// A helper of a test fails as a test does.
+// Test helpers may panic.
 #![allow(clippy::unwrap_used, clippy::panic)]
 
 pub mod sysfs_tree;
@@ -10,20 +10,20 @@ use std::fs::OpenOptions;
 use std::io::Write as _;
 use std::path::PathBuf;
 
-/// What a test needs beside the repository.
+/// External requirement of a test.
 #[derive(Clone, Copy, Debug)]
 pub enum Needs {
     /// OpenCV's ChArUco images, in the folder `GRIPCAST_CHARUCO`.
     Charuco,
     /// The User-Mode-Linux kernel of tests/kernel.
     Kernel,
-    /// A checker of manual pages.
+    /// A linter for manual pages.
     Mandoc,
     /// A Python with the peers' packages, `GRIPCAST_PYTHON`.
     Python,
     /// Real data, in `GRIPCAST_SHARED` or `../shared`.
     Shared,
-    /// A Slurm cluster of this machine alone.
+    /// A local Slurm cluster.
     Slurm,
 }
 
@@ -44,11 +44,11 @@ fn is_set(variable: &str) -> bool {
     std::env::var_os(variable).is_some_and(|value| !value.is_empty())
 }
 
-/// Says that the calling test is skipped: on stderr, and in the file that `GRIPCAST_SKIPS` names
-/// (tools/run-tests.sh prints it as a summary).
+/// Reports that the calling test is skipped: on stderr, and in the file `GRIPCAST_SKIPS`
+/// (tools/run-tests.sh prints a summary).
 ///
 /// # Panics
-/// Where `GRIPCAST_REQUIRE_KERNEL`, `GRIPCAST_REQUIRE_SHARED`, … makes what is missing a failure.
+/// If `GRIPCAST_REQUIRE_KERNEL`, `GRIPCAST_REQUIRE_SHARED`, … makes a missing requirement a failure.
 pub fn skip(needs: Needs, reason: impl Display) {
     let name = needs.name();
     let required = format!("GRIPCAST_REQUIRE_{}", name.to_uppercase());
@@ -56,11 +56,11 @@ pub fn skip(needs: Needs, reason: impl Display) {
     let thread = std::thread::current();
     let test = thread.name().unwrap_or("a test");
     let reason = reason.to_string().replace(['\n', '\t'], " ");
-    // The harness captures `eprintln!` and drops it where a test passes; it does not see this.
+    // Unlike `eprintln!`, this is not captured by the test harness.
     let _ = writeln!(std::io::stderr(), "SKIPPED {test}: {name}: {reason}");
     if is_set("GRIPCAST_SKIPS") {
         let path = std::env::var_os("GRIPCAST_SKIPS").unwrap_or_default();
-        // In one write each: tests run side by side.
+        // One write each: tests run in parallel.
         OpenOptions::new()
             .create(true)
             .append(true)
@@ -70,13 +70,13 @@ pub fn skip(needs: Needs, reason: impl Display) {
     }
 }
 
-/// The folder of the repository.
+/// Root directory of the repository.
 pub fn repository() -> PathBuf {
     PathBuf::from(concat!(env!("CARGO_MANIFEST_DIR"), "/../.."))
 }
 
-/// An item of the shared folder: `GRIPCAST_SHARED`, else `../shared`. Without it, the calling test
-/// is skipped.
+/// Path of an item of the shared directory: `GRIPCAST_SHARED`, else `../shared`. If it is missing,
+/// the calling test is skipped.
 pub fn shared(item: &str) -> Option<PathBuf> {
     let given = std::env::var_os("GRIPCAST_SHARED").unwrap_or_else(|| "../shared".into());
     let path = repository().join(given).join(item);
@@ -85,12 +85,12 @@ pub fn shared(item: &str) -> Option<PathBuf> {
     }
     skip(
         Needs::Shared,
-        format_args!("{} is not there (set GRIPCAST_SHARED)", path.display()),
+        format_args!("{} not found (set GRIPCAST_SHARED)", path.display()),
     );
     None
 }
 
-/// Mean difference of two images of one size, grey levels.
+/// Mean absolute difference of two images of equal size, grey levels.
 pub fn mean_difference(a: &image::RgbImage, b: &image::RgbImage) -> f64 {
     assert_eq!(a.dimensions(), b.dimensions());
     let pairs = a.iter().zip(b.iter());

@@ -1,29 +1,29 @@
-//! Builds trees like those of the kernel under a temporary directory, for tests.
+//! Builds fake `/sys`, `/dev` and `/proc` trees in a temporary directory, for tests.
 
 use std::fs;
 use std::os::unix::fs::symlink;
 use std::path::{Path, PathBuf};
 
-/// A `/sys`, `/dev` and `/proc` of its own.
+/// A fake `/sys`, `/dev` and `/proc`.
 pub struct Tree {
     directory: tempfile::TempDir,
     nodes: u32,
 }
 
-/// A USB device as the tree shows it.
+/// A USB device in the tree.
 #[derive(Clone, Copy)]
 pub struct Usb<'a> {
-    /// Where it is plugged in, as `3-1`.
+    /// Port path, such as `3-1`.
     pub port: &'a str,
-    /// Vendor and product.
+    /// Vendor and product id.
     pub ids: (u16, u16),
-    /// Its name.
+    /// Product string.
     pub product: &'a str,
     /// Serial number.
     pub serial: &'a str,
-    /// Number of its bus.
+    /// Bus number.
     pub bus: u32,
-    /// Speed of its link, Mbit/s.
+    /// Link speed, Mbit/s.
     pub speed: &'a str,
 }
 
@@ -70,18 +70,18 @@ impl Tree {
         }
     }
 
-    /// A path in the tree.
+    /// Path in the tree.
     pub fn path(&self, part: &str) -> PathBuf {
         self.directory.path().join(part)
     }
 
-    /// Path of the node with a number.
+    /// Path of the video node with a number.
     pub fn node(&self, number: u32) -> PathBuf {
         self.path("dev").join(format!("video{number}"))
     }
 
-    /// Plugs a device in; each function is an interface number and how many nodes it has, the
-    /// first and third of which carry images. Returns the number of its first node.
+    /// Plugs in a device; each function is an interface number and its number of nodes, the first
+    /// and third of which deliver images. Returns the number of its first node.
     pub fn plug(&mut self, usb: Usb<'_>, functions: &[(u8, u32)]) -> u32 {
         let device = self
             .path("sys/devices/pci0000:00/0000:00:14.0")
@@ -118,7 +118,7 @@ impl Tree {
         first
     }
 
-    /// A process that has the node open.
+    /// Adds a process that has the node open.
     pub fn hold(&self, pid: u32, name: &str, node: u32) {
         let directory = self.path("proc").join(pid.to_string());
         fs::create_dir_all(directory.join("fd")).unwrap();

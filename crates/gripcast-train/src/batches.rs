@@ -9,7 +9,7 @@ use super::samples::{SampleFacts, SampleReader, Samples};
 use gripcast_base::error::{Error, Result};
 use gripcast_imaging::Decoder;
 use gripcast_nn::Batch;
-use gripcast_nn::predict::contract::{RgbNormalisation, Variant};
+use gripcast_nn::predict::contract::{Modality, RgbNormalisation};
 
 /// Samples used for the mean and standard deviation of the colour image.
 const NORMALISATION_SAMPLES: usize = 256;
@@ -19,7 +19,7 @@ const NORMALISATION_SAMPLES: usize = 256;
 pub(super) struct Batches<'a> {
     samples: &'a Samples,
     reader: SampleReader<'a>,
-    variant: Variant,
+    variant: Modality,
     writer: InputWriter,
     /// Loss weight of each sample.
     weights: Vec<f32>,
@@ -29,7 +29,7 @@ impl<'a> Batches<'a> {
     /// Creates batches for a modality; about `memory` bytes of encoded images are cached.
     pub(super) fn new(
         samples: &'a Samples,
-        variant: Variant,
+        variant: Modality,
         writer: InputWriter,
         memory: usize,
     ) -> Self {
@@ -193,7 +193,7 @@ mod tests {
                     std: [1.0; 3],
                 },
             );
-            let batches = Batches::new(&samples, Variant::T, writer, 0).balanced();
+            let batches = Batches::new(&samples, Modality::T, writer, 0).balanced();
             let facts = samples.facts().iter().zip(&batches.weights);
             facts
                 .map(|(facts, weight)| {

@@ -144,7 +144,7 @@ fn shipped_model_keeps_its_metrics_on_synthetic_set() {
     });
     write_split(folder.path(), "test", rows);
     let samples = Samples::open(folder.path(), "test").unwrap();
-    let model = Model::named(SHIPPED).unwrap();
+    let model = Model::by_name(SHIPPED).unwrap();
     let models = [(SHIPPED.to_owned(), model)];
     let report = evaluate(&models, &samples, None, "", &|_, _| {}).unwrap();
     let summary = &report.models[0].summary;

@@ -17,9 +17,9 @@ use super::settings::TrainSettings;
 use super::state::write;
 use gripcast_base::error::{Error, Result};
 use gripcast_base::files::{FileKind, Root};
-use gripcast_base::workers::one_per_core;
+use gripcast_base::workers::par_map_single_threaded;
 use gripcast_nn::predict::Model;
-use gripcast_nn::predict::contract::Variant;
+use gripcast_nn::predict::contract::Modality;
 
 /// Condition of the experiment.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
@@ -59,11 +59,11 @@ impl Condition {
         }
     }
 
-    fn variant(self) -> Variant {
+    fn variant(self) -> Modality {
         match self {
-            Self::Vision => Variant::V,
-            Self::Touch => Variant::T,
-            Self::Both | Self::BothRigid => Variant::Vt,
+            Self::Vision => Modality::V,
+            Self::Touch => Modality::T,
+            Self::Both | Self::BothRigid => Modality::Vt,
         }
     }
 }
@@ -183,7 +183,7 @@ pub fn experiment(
                 .map(move |condition| (seed, condition))
         })
         .collect();
-    let evaluations = one_per_core(
+    let evaluations = par_map_single_threaded(
         jobs,
         &runs,
         &|&(seed, condition)| {

@@ -247,7 +247,7 @@ impl Clip {
         let lift = Pose::from_translation(DVec3::Z * step.lifted_m);
         let t_world_gripper = lift * self.start.t_world_gripper();
         SimulatedTruth {
-            film: self.name.clone(),
+            clip: self.name.clone(),
             object: self.object.source.clone(),
             object_sha256: self.object.sha256.clone(),
             mass_kg: self.header.object.mass_kg,

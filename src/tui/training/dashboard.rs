@@ -11,7 +11,7 @@ use super::super::text::{
 };
 use super::plot;
 use super::status::{TrainingStatus, figure};
-use gripcast_nn::predict::contract::Variant;
+use gripcast_nn::predict::contract::Modality;
 
 /// Minimum size of the dashboard; smaller ones show one line only.
 const MIN_COLUMNS: u16 = 40;
@@ -153,9 +153,9 @@ fn dataset(status: &TrainingStatus, palette: Palette) -> Line<'static> {
 fn settings(status: &TrainingStatus, palette: Palette) -> Line<'static> {
     let settings = &status.settings;
     let senses = match settings.variant {
-        Variant::V => "vision",
-        Variant::T => "touch",
-        Variant::Vt => "vision and touch",
+        Modality::V => "vision",
+        Modality::T => "touch",
+        Modality::Vt => "vision and touch",
     };
     let mut text = format!(
         "{senses} · network {} · batch {} · seed {}",

@@ -1,4 +1,4 @@
-//! Files that are refused whatever they hold.
+//! Files that are refused regardless of their contents.
 
 use std::fmt;
 use std::io;
@@ -7,43 +7,43 @@ use std::path::{Path, PathBuf};
 /// Why a file was refused; the cause inside an [`io::Error`].
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Refused {
-    /// A symbolic link or `..` leads out of the folder.
+    /// A symbolic link or `..` leads out of the directory.
     Outside {
-        /// The folder.
+        /// The directory.
         root: PathBuf,
-        /// Where it leads, as far as known.
+        /// Its target, if known.
         target: Option<PathBuf>,
     },
-    /// It is a device, a pipe, a socket, a folder or a symbolic link.
+    /// It is a device, a pipe, a socket, a directory or a symbolic link.
     NotRegular(&'static str),
-    /// It is larger than files of its kind can be.
+    /// It exceeds the size limit of its kind.
     TooLarge {
-        /// Its size, bytes.
+        /// Size, bytes.
         bytes: u64,
-        /// The limit, bytes.
+        /// Limit, bytes.
         limit: u64,
     },
-    /// It has other names (hard links), through which something else would change.
+    /// It has other hard links, so that writing would change another file.
     Linked,
 }
 
 impl Refused {
-    /// What the user can do about it.
+    /// Remedy for the user.
     #[must_use]
     pub fn remedy(&self) -> String {
         match self {
             Self::Outside { target, .. } => {
                 let folder = target.as_deref().unwrap_or(Path::new("/FOLDER"));
                 format!(
-                    "remove it if the data come from somebody else; if you linked another disk on \
+                    "remove it if the data come from a third party; if you linked another disk on \
                      purpose, set GRIPCAST__FILES__LINKED_FOLDERS={} or use a bind mount \
                      (docs/security.md)",
                     folder.display()
                 )
             }
-            Self::NotRegular(_) => "put a regular file in its place".to_owned(),
-            Self::TooLarge { .. } => "check that it is the right file".to_owned(),
-            Self::Linked => "copy it to a file of its own, or remove it".to_owned(),
+            Self::NotRegular(_) => "replace it with a regular file".to_owned(),
+            Self::TooLarge { .. } => "check that it is the intended file".to_owned(),
+            Self::Linked => "replace it with a copy, or remove it".to_owned(),
         }
     }
 }

@@ -1,14 +1,14 @@
-//! Files below a folder whose contents somebody else may have made.
+//! Files below a directory with untrusted contents.
 //!
-//! A [`Root`] is a folder that the user named; a [`BeneathPath`] is a place below it. Every
-//! operation resolves the place below the folder in the kernel (`openat2` with `RESOLVE_BENEATH`),
-//! so that neither `..` nor an absolute name nor a symbolic link leads out of it, whatever changes
-//! meanwhile. Components come from literals and from name types that cannot hold a path; no method
-//! takes a plain string.
+//! A [`Root`] is a directory given by the user; a [`BeneathPath`] is a path below it. Every
+//! operation resolves the path below the directory in the kernel (`openat2` with
+//! `RESOLVE_BENEATH`), so that neither `..` nor an absolute path nor a symbolic link leads out of
+//! it, even with concurrent changes. Components are literals or name types that cannot contain a
+//! path; no method takes a plain string.
 //!
-//! Symbolic links that stay below the folder are followed. Links that leave it are refused unless
-//! they lead into a folder that the user allowed with [`allow_links_into`]; a bind mount needs no
-//! permission. The root itself may be a link. Kernels without `openat2` follow no link at all.
+//! Symbolic links that stay below the directory are followed. Links that leave it are refused
+//! unless they lead into a directory allowed with [`allow_links_into`]; a bind mount needs no
+//! permission. The root itself may be a link. Without `openat2` no link is followed.
 
 use std::ffi::{OsStr, OsString};
 use std::fmt;
@@ -30,31 +30,31 @@ use super::opening::{FILE_MODE, FileKind, open_beneath, owned, read_all, regular
 use super::partial_name;
 use crate::error::Refused;
 
-/// Rights of new folders, less the umask.
+/// Mode of new directories, before the umask.
 const DIR_MODE: Mode = Mode::from_raw_mode(0o777);
 
-/// Folders outside of a root into which its links may lead; set once by the application.
+/// Directories outside of a root into which its links may lead; set once by the application.
 static ALLOWED: RwLock<Vec<PathBuf>> = RwLock::new(Vec::new());
 
-/// Permits symbolic links below any [`Root`] that lead into one of these folders.
+/// Permits symbolic links below any [`Root`] that lead into one of these directories.
 pub fn allow_links_into(folders: Vec<PathBuf>) {
     *ALLOWED.write().unwrap_or_else(|e| e.into_inner()) = folders;
 }
 
-/// What a place is; symbolic links that may be followed are followed.
+/// File type and size; permitted symbolic links are followed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Metadata {
     /// Whether it is a regular file.
     pub is_file: bool,
-    /// Whether it is a folder.
+    /// Whether it is a directory.
     pub is_dir: bool,
     /// Size, bytes.
     pub bytes: u64,
 }
 
-/// A component of a path that cannot lead anywhere else.
+/// A single, safe component of a path.
 pub trait Component {
-    /// The component.
+    /// The component as text.
     fn component(&self) -> &str;
 }
 
@@ -76,31 +76,31 @@ impl<T: Component> Component for &T {
     }
 }
 
-/// A literal of the program; nothing that came from a file has this type.
+/// A literal of the program, never data from a file.
 impl Component for &'static str {
     fn component(&self) -> &str {
         self
     }
 }
 
-/// A folder that the user named.
+/// A directory given by the user.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Root(Arc<PathBuf>);
 
 impl Root {
-    /// The folder; it need not exist yet.
+    /// A root directory, which need not exist yet.
     #[must_use]
     pub fn new(path: impl Into<PathBuf>) -> Self {
         Self(Arc::new(path.into()))
     }
 
-    /// Where it is.
+    /// Path of the directory.
     #[must_use]
     pub fn path(&self) -> &Path {
         &self.0
     }
 
-    /// The folder as a place.
+    /// The directory itself.
     #[must_use]
     pub fn top(&self) -> BeneathPath {
         BeneathPath {
@@ -109,16 +109,16 @@ impl Root {
         }
     }
 
-    /// The place of a path that a file gives relative to the folder, for instance a texture.
+    /// Resolves a path that a file gives relative to the directory, for instance of a texture.
     ///
     /// # Errors
     /// [`Refused::Outside`] for an absolute path and one with `..`.
     pub fn resolve(&self, relative: &str) -> io::Result<BeneathPath> {
         use std::path::Component as Part;
-        let mut place = PathBuf::new();
+        let mut resolved = PathBuf::new();
         for part in Path::new(relative).components() {
             match part {
-                Part::Normal(name) => place.push(name),
+                Part::Normal(name) => resolved.push(name),
                 Part::CurDir => {}
                 Part::ParentDir | Part::RootDir | Part::Prefix(_) => {
                     return Err(Refused::Outside {
@@ -131,12 +131,12 @@ impl Root {
         }
         Ok(BeneathPath {
             root: self.clone(),
-            relative: place,
+            relative: resolved,
         })
     }
 
-    /// As [`resolve`](Self::resolve); an absolute path may also lie in a folder that the user
-    /// allowed with [`allow_links_into`].
+    /// As [`resolve`](Self::resolve); an absolute path may also be in a directory allowed with
+    /// [`allow_links_into`].
     ///
     /// # Errors
     /// [`Refused::Outside`] for any other absolute path and one with `..`.
@@ -152,13 +152,13 @@ impl Root {
         found.unwrap_or_else(|| self.resolve(path))
     }
 
-    /// The folder of a file that the user named.
+    /// The directory of a file given by the user.
     #[must_use]
     pub fn beside(path: &Path) -> BeneathPath {
         Self::new(super::folder(path)).top()
     }
 
-    /// What has the last component of a path that the user named.
+    /// The child named like the last component of a path given by the user.
     #[must_use]
     pub fn entry(&self, path: &Path) -> BeneathPath {
         self.top().child(path.file_name().unwrap_or_default())
@@ -175,7 +175,7 @@ impl Root {
     }
 }
 
-/// A place below a [`Root`].
+/// A path below a [`Root`].
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct BeneathPath {
     root: Root,
@@ -183,19 +183,19 @@ pub struct BeneathPath {
 }
 
 impl BeneathPath {
-    /// A file that the user named, below its own folder.
+    /// A file given by the user, below its own directory.
     #[must_use]
-    pub fn given(path: &Path) -> Self {
+    pub fn from_user_path(path: &Path) -> Self {
         Root::new(super::folder(path)).entry(path)
     }
 
-    /// A place inside this one.
+    /// Appends a component.
     #[must_use]
     pub fn join(&self, name: impl Component) -> Self {
         self.child(OsStr::new(name.component()))
     }
 
-    /// A place whose name is an id with something before and behind it, both literals.
+    /// Appends an id with a literal prefix and suffix.
     #[must_use]
     pub fn join_affixed(
         &self,
@@ -206,13 +206,13 @@ impl BeneathPath {
         self.child(OsStr::new(&format!("{before}{}{after}", name.component())))
     }
 
-    /// A place that is named by a number, for instance `chunk-003`.
+    /// Appends a number in hex with a literal prefix, for instance `chunk-0a`.
     #[must_use]
     pub fn join_number(&self, before: &'static str, number: impl fmt::LowerHex) -> Self {
         self.child(OsStr::new(&format!("{before}{number:02x}")))
     }
 
-    /// `self` with the name `name.N`, for a free name beside one that is taken.
+    /// Appends `.N` to the name, for an unused name beside an existing one.
     #[must_use]
     pub fn numbered(&self, number: usize) -> Self {
         let mut name = self.relative.clone().into_os_string();
@@ -223,13 +223,13 @@ impl BeneathPath {
         }
     }
 
-    /// A place beside it with a hidden name by chance, for a file that gets its own name last.
+    /// A random hidden name in the same directory, for a file that is renamed when complete.
     #[must_use]
     pub fn partial(&self) -> Self {
         self.parent().child(OsStr::new(&partial_name()))
     }
 
-    /// A child by a name that is known to be one component.
+    /// Appends a name that is known to be one component.
     fn child(&self, name: &OsStr) -> Self {
         Self {
             root: self.root.clone(),
@@ -237,13 +237,13 @@ impl BeneathPath {
         }
     }
 
-    /// The folder below which it is.
+    /// The root directory.
     #[must_use]
     pub fn root(&self) -> &Root {
         &self.root
     }
 
-    /// The folder that it is in; that of the root is the root.
+    /// The parent directory; the root's parent is the root.
     #[must_use]
     pub fn parent(&self) -> Self {
         Self {
@@ -252,25 +252,25 @@ impl BeneathPath {
         }
     }
 
-    /// Its last component as text; empty for the root.
+    /// The last component as text; empty for the root.
     #[must_use]
     pub fn name(&self) -> String {
         let name = self.relative.file_name().unwrap_or_default();
         name.to_string_lossy().into_owned()
     }
 
-    /// The path for people. Opening it is not safe: use the methods.
+    /// The full path for messages. Opening it is not safe: use the methods.
     #[must_use]
     pub fn shown(&self) -> PathBuf {
         self.root.path().join(&self.relative)
     }
 
-    /// The path for messages.
+    /// The full path, to be displayed.
     pub fn display(&self) -> impl fmt::Display {
         self.shown().display().to_string()
     }
 
-    /// What is there.
+    /// File type and size.
     ///
     /// # Errors
     /// `NotFound`, [`Refused::Outside`], those of the operating system.
@@ -285,39 +285,39 @@ impl BeneathPath {
         })
     }
 
-    /// Whether a folder is there.
+    /// Whether it is a directory.
     #[must_use]
     pub fn is_dir(&self) -> bool {
         self.metadata().is_ok_and(|found| found.is_dir)
     }
 
-    /// Whether a regular file is there.
+    /// Whether it is a regular file.
     #[must_use]
     pub fn is_file(&self) -> bool {
         self.metadata().is_ok_and(|found| found.is_file)
     }
 
-    /// Whether the name is taken, be it by a link to nothing.
+    /// Whether the name is taken, even by a dangling link.
     #[must_use]
     pub fn is_taken(&self) -> bool {
         self.in_parent(|dir, name| statat(dir, name, AtFlags::SYMLINK_NOFOLLOW))
             .is_ok()
     }
 
-    /// Whether it is a symbolic link, wherever that leads.
+    /// Whether it is a symbolic link with any target.
     #[must_use]
     pub fn is_link(&self) -> bool {
         self.in_parent(|dir, name| statat(dir, name, AtFlags::SYMLINK_NOFOLLOW))
             .is_ok_and(|s| FileType::from_raw_mode(s.st_mode as RawMode) == FileType::Symlink)
     }
 
-    /// The place of the same name in another folder of the same root.
+    /// The same name in another directory of the same root.
     #[must_use]
     pub fn moved_into(&self, folder: &Self) -> Self {
         folder.child(self.relative.file_name().unwrap_or_default())
     }
 
-    /// What the folder holds, sorted by name.
+    /// Entries of the directory, sorted by name.
     ///
     /// # Errors
     /// Those of the operating system.
@@ -337,7 +337,7 @@ impl BeneathPath {
     /// Opens a regular file for reading.
     ///
     /// # Errors
-    /// [`Refused`] for anything else and for a file larger than its kind can be; those of the
+    /// [`Refused`] for other file types and for a file above the size limit; those of the
     /// operating system.
     pub fn open_file(&self, kind: FileKind) -> io::Result<File> {
         // O_NONBLOCK: a pipe without a writer must not hang the program.
@@ -351,21 +351,21 @@ impl BeneathPath {
     /// Reads a regular file.
     ///
     /// # Errors
-    /// As of [`open_file`](Self::open_file).
+    /// As [`open_file`](Self::open_file).
     pub fn read(&self, kind: FileKind) -> io::Result<Vec<u8>> {
         read_all(self.open_file(kind)?, kind)
     }
 
-    /// Reads a regular file of UTF-8.
+    /// Reads a regular UTF-8 file.
     ///
     /// # Errors
-    /// As of [`open_file`](Self::open_file); `InvalidData` for other bytes.
+    /// As [`open_file`](Self::open_file); `InvalidData` for invalid UTF-8.
     pub fn read_to_string(&self, kind: FileKind) -> io::Result<String> {
         String::from_utf8(self.read(kind)?)
             .map_err(|e| io::Error::new(io::ErrorKind::InvalidData, e))
     }
 
-    /// Makes a file that is not there yet; a name that is taken, be it by a link, is an error.
+    /// Creates a new file; an existing name, even of a link, is an error.
     ///
     /// # Errors
     /// `AlreadyExists`; those of the operating system.
@@ -376,8 +376,8 @@ impl BeneathPath {
             .into())
     }
 
-    /// Writes a file whole in the place of what had its name, links included, and forces its
-    /// contents to the disk. The name is durable only after [`sync_dir`](Self::sync_dir).
+    /// Writes a complete file, replacing an existing file or link, and flushes its contents. The
+    /// name is durable only after [`sync_dir`](Self::sync_dir).
     ///
     /// # Errors
     /// Those of the operating system.
@@ -391,25 +391,25 @@ impl BeneathPath {
         file.sync_all()
     }
 
-    /// Replaces a file whole or not at all: readers see the old contents or the new. A link is
+    /// Replaces a file atomically: readers see either the old or the new contents. A link is
     /// replaced, not followed.
     ///
     /// # Errors
-    /// Those of the operating system; the old file is then as it was.
+    /// Those of the operating system; the old file is then unchanged.
     pub fn replace(&self, bytes: &[u8]) -> io::Result<()> {
         let partial = self.partial();
         let written = partial.write(bytes).and_then(|()| partial.rename(self));
         if written.is_err() {
-            // The cause is what the caller reports.
+            // The caller reports the cause.
             let _ = partial.remove_file();
         }
         written
     }
 
-    /// Opens a file of one's own for appending; makes it where it is missing.
+    /// Opens a file without other hard links for appending; creates it if it is missing.
     ///
     /// # Errors
-    /// [`Refused`] for a link, for what is no regular file and for one with other names.
+    /// [`Refused`] for a link, another file type or a file with other hard links.
     pub fn append(&self) -> io::Result<File> {
         let flags = OFlags::WRONLY | OFlags::APPEND | OFlags::CREATE;
         let flags = flags | OFlags::NOFOLLOW | OFlags::NONBLOCK | OFlags::CLOEXEC;
@@ -417,7 +417,7 @@ impl BeneathPath {
         owned(fd)
     }
 
-    /// Makes a folder whose parent exists.
+    /// Creates a directory whose parent exists.
     ///
     /// # Errors
     /// `AlreadyExists`, those of the operating system.
@@ -425,7 +425,7 @@ impl BeneathPath {
         self.in_parent(|dir, name| mkdirat(dir, name, DIR_MODE))
     }
 
-    /// Makes a folder, and those above it below the root, where they are missing.
+    /// Creates a directory and its missing ancestors below the root.
     ///
     /// # Errors
     /// Those of the operating system.
@@ -436,11 +436,11 @@ impl BeneathPath {
         self.parent().create_dir_all()?;
         match self.create_dir() {
             Err(e) if e.kind() == io::ErrorKind::AlreadyExists && self.is_dir() => Ok(()),
-            made => made,
+            created => created,
         }
     }
 
-    /// Gives a file a second name; its contents are shared.
+    /// Creates a hard link.
     ///
     /// # Errors
     /// Those of the operating system.
@@ -450,7 +450,7 @@ impl BeneathPath {
         })
     }
 
-    /// Renames, replacing a file that has the new name.
+    /// Renames, replacing an existing file.
     ///
     /// # Errors
     /// Those of the operating system.
@@ -460,7 +460,7 @@ impl BeneathPath {
         })
     }
 
-    /// Renames; fails where the new name is taken.
+    /// Renames; fails if the target exists.
     ///
     /// # Errors
     /// `AlreadyExists`; those of the operating system.
@@ -477,8 +477,8 @@ impl BeneathPath {
             })
         })?;
         match renamed {
-            // Some network and FAT file systems lack the flag. Locks keep other writers out, so
-            // looking first is as good there.
+            // Some network and FAT file systems lack the flag. The caller's lock excludes other
+            // writers, so checking first is equivalent.
             Err(Errno::INVAL | Errno::NOSYS) if to.is_taken() => {
                 Err(io::ErrorKind::AlreadyExists.into())
             }
@@ -495,7 +495,7 @@ impl BeneathPath {
         self.in_parent(|dir, name| unlinkat(dir, name, AtFlags::empty()))
     }
 
-    /// Removes an empty folder.
+    /// Removes an empty directory.
     ///
     /// # Errors
     /// Those of the operating system.
@@ -503,7 +503,7 @@ impl BeneathPath {
         self.in_parent(|dir, name| unlinkat(dir, name, AtFlags::REMOVEDIR))
     }
 
-    /// Forces the names inside a folder to the disk.
+    /// Flushes the entries of a directory to the disk.
     ///
     /// # Errors
     /// Those of the operating system.
@@ -512,7 +512,7 @@ impl BeneathPath {
         Ok(fsync(fd)?)
     }
 
-    /// Does something in the folder that the place is in; the name is not followed.
+    /// Runs `act` with the parent directory and the name; a link with that name is not followed.
     fn in_parent<T>(
         &self,
         act: impl FnOnce(&OwnedFd, &OsStr) -> rustix::io::Result<T>,
@@ -542,7 +542,7 @@ impl BeneathPath {
         }
     }
 
-    /// Opens what a link leads to outside of the root, where the user allowed that.
+    /// Opens the target of a link outside of the root, if allowed.
     fn open_outside(&self, flags: OFlags, mode: Mode) -> io::Result<OwnedFd> {
         let target = self.shown().canonicalize().ok();
         let refused = Refused::Outside {

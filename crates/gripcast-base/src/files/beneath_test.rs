@@ -1,4 +1,4 @@
-//! Places below a folder that fight back.
+//! Paths below a directory with hostile contents.
 
 use std::fs;
 use std::io;
@@ -16,7 +16,7 @@ fn refused(error: &io::Error) -> Option<&Refused> {
     error.get_ref()?.downcast_ref()
 }
 
-/// A folder `data` with a secret beside it.
+/// A directory `data` with a secret file beside it.
 fn jail() -> (tempfile::TempDir, Root) {
     let dir = tempfile::tempdir().unwrap();
     fs::create_dir(dir.path().join("data")).unwrap();
@@ -26,7 +26,7 @@ fn jail() -> (tempfile::TempDir, Root) {
 }
 
 #[test]
-fn links_out_of_the_folder_are_refused_and_those_inside_followed() {
+fn links_are_followed_only_inside_the_root() {
     let (dir, root) = jail();
     let data = dir.path().join("data");
     fs::write(data.join("file"), "inside").unwrap();
@@ -37,19 +37,19 @@ fn links_out_of_the_folder_are_refused_and_those_inside_followed() {
     symlink("/proc/self/root", data.join("magic")).unwrap();
     let top = root.top();
     assert_eq!(top.join("good").read(FileKind::Record).unwrap(), b"inside");
-    for place in [
+    for path in [
         top.join("relative"),
         top.join("absolute"),
         top.join("up").join("secret"),
         top.join("magic").join("etc"),
     ] {
-        let error = place.read(FileKind::Record).unwrap_err();
+        let error = path.read(FileKind::Record).unwrap_err();
         assert!(
             matches!(refused(&error), Some(Refused::Outside { .. })),
             "{}: {error}",
-            place.display()
+            path.display()
         );
-        assert!(!place.is_file() && !place.is_dir());
+        assert!(!path.is_file() && !path.is_dir());
     }
     let error = top.join("up").join("new").write(b"x").unwrap_err();
     assert!(refused(&error).is_some(), "{error}");
@@ -61,7 +61,7 @@ fn links_out_of_the_folder_are_refused_and_those_inside_followed() {
 }
 
 #[test]
-fn without_openat2_no_link_is_followed() {
+fn stepwise_open_follows_no_link() {
     let (dir, root) = jail();
     let data = dir.path().join("data");
     fs::create_dir(data.join("sub")).unwrap();
@@ -85,19 +85,19 @@ fn without_openat2_no_link_is_followed() {
 }
 
 #[test]
-fn a_write_replaces_a_link_and_never_its_target() {
+fn write_replaces_a_link_not_its_target() {
     let (dir, root) = jail();
     let secret = dir.path().join("secret");
-    let place = root.top().join("file");
+    let target = root.top().join("file");
     for write in [BeneathPath::write, BeneathPath::replace] {
-        let _ = fs::remove_file(place.shown());
-        symlink("../secret", place.shown()).unwrap();
-        write(&place, b"new").unwrap();
+        let _ = fs::remove_file(target.shown());
+        symlink("../secret", target.shown()).unwrap();
+        write(&target, b"new").unwrap();
         assert_eq!(fs::read(&secret).unwrap(), b"secret");
-        assert_eq!(place.read(FileKind::Record).unwrap(), b"new");
-        let _ = fs::remove_file(place.shown());
-        fs::hard_link(&secret, place.shown()).unwrap();
-        write(&place, b"new").unwrap();
+        assert_eq!(target.read(FileKind::Record).unwrap(), b"new");
+        let _ = fs::remove_file(target.shown());
+        fs::hard_link(&secret, target.shown()).unwrap();
+        write(&target, b"new").unwrap();
         assert_eq!(fs::read(&secret).unwrap(), b"secret");
     }
     let log = root.top().join("log");
@@ -141,37 +141,37 @@ fn devices_pipes_sockets_and_huge_files_are_refused() {
 }
 
 #[test]
-fn the_root_may_be_a_link_and_links_may_lead_where_the_user_allows() {
+fn allowed_links_and_linked_roots_are_followed() {
     let (dir, root) = jail();
     let disk = dir.path().join("disk");
     fs::create_dir(&disk).unwrap();
     fs::write(disk.join("file"), "far").unwrap();
     symlink(&disk, dir.path().join("data/grasps")).unwrap();
     symlink("data", dir.path().join("alias")).unwrap();
-    let place = root.top().join("grasps").join("file");
-    assert!(place.read(FileKind::Record).is_err());
+    let target = root.top().join("grasps").join("file");
+    assert!(target.read(FileKind::Record).is_err());
     allow_links_into(vec![disk]);
-    assert_eq!(place.read(FileKind::Record).unwrap(), b"far");
+    assert_eq!(target.read(FileKind::Record).unwrap(), b"far");
     let alias = Root::new(dir.path().join("alias"));
-    let place = alias.top().join("grasps").join("new");
-    place.write(b"x").unwrap();
-    assert_eq!(place.read(FileKind::Record).unwrap(), b"x");
+    let target = alias.top().join("grasps").join("new");
+    target.write(b"x").unwrap();
+    assert_eq!(target.read(FileKind::Record).unwrap(), b"x");
     symlink("../secret", dir.path().join("data/other")).unwrap();
     assert!(!root.top().join("other").is_file());
     allow_links_into(Vec::new());
-    assert!(place.read(FileKind::Record).is_err());
+    assert!(target.read(FileKind::Record).is_err());
 }
 
 #[test]
-fn folders_are_listed_made_and_renamed_below() {
+fn directories_are_created_listed_and_renamed() {
     let (_dir, root) = jail();
-    let place = root.top().join("a").join("b");
-    place.create_dir_all().unwrap();
-    place.create_dir_all().unwrap();
-    let [one, two] = ["one", "two"].map(|name| place.join(name));
+    let target = root.top().join("a").join("b");
+    target.create_dir_all().unwrap();
+    target.create_dir_all().unwrap();
+    let [one, two] = ["one", "two"].map(|name| target.join(name));
     one.write(b"1").unwrap();
     two.write(b"2").unwrap();
-    assert_eq!(place.entries().unwrap(), [one.clone(), two.clone()]);
+    assert_eq!(target.entries().unwrap(), [one.clone(), two.clone()]);
     assert_eq!(
         one.rename_new(&two).unwrap_err().kind(),
         io::ErrorKind::AlreadyExists
@@ -181,9 +181,9 @@ fn folders_are_listed_made_and_renamed_below() {
     two.hard_link(&one).unwrap();
     two.remove_file().unwrap();
     one.remove_file().unwrap();
-    place.sync_dir().unwrap();
-    place.remove_dir().unwrap();
-    assert_eq!(place.name(), "b");
-    assert_eq!(place.parent(), root.top().join("a"));
-    assert_eq!(place.numbered(2).name(), "b.2");
+    target.sync_dir().unwrap();
+    target.remove_dir().unwrap();
+    assert_eq!(target.name(), "b");
+    assert_eq!(target.parent(), root.top().join("a"));
+    assert_eq!(target.numbered(2).name(), "b.2");
 }

@@ -1,4 +1,4 @@
-//! Names from files, flags and clients, as types that cannot hold a path.
+//! Types for names from files, flags and clients; they cannot contain a path.
 
 use std::borrow::Borrow;
 use std::fmt;
@@ -11,18 +11,17 @@ use unicode_normalization::{UnicodeNormalization as _, is_nfc};
 use super::sha256_hex;
 use crate::error::{Error, Result};
 
-/// Longest name of a file, bytes: that of Linux file systems.
+/// Maximum length of a file name, bytes: that of Linux file systems.
 const MAX_FILE_NAME_BYTES: usize = 255;
-/// Longest id of a grasp or a simulation, bytes: suffixes must fit behind it in a file name.
+/// Maximum length of an id, bytes: leaves room for suffixes in a file name.
 const MAX_ID_BYTES: usize = 80;
-/// Longest name of an object, a scene or an operator, characters.
+/// Maximum length of the name of an object, a scene or an operator, characters.
 pub const MAX_LABEL_CHARS: usize = 120;
-/// The same in bytes, so that an object's name with a suffix is a file name.
+/// Maximum length in bytes: leaves room for suffixes in a file name.
 const MAX_LABEL_BYTES: usize = 240;
 
-/// Whether a character changes how the text around it is read or where its line ends: controls,
-/// bidirectional controls, line and paragraph separators, zero-width characters that hide in a
-/// name, the byte-order mark.
+/// Whether a character affects the display of the text around it: controls, bidirectional controls,
+/// line and paragraph separators, zero-width characters, the byte-order mark.
 #[must_use]
 pub fn is_unsafe_char(c: char) -> bool {
     c.is_control()
@@ -32,16 +31,16 @@ pub fn is_unsafe_char(c: char) -> bool {
             | '\u{e0000}'..='\u{e007f}')
 }
 
-/// Text from data for a terminal or a message: one that is printed cannot move the cursor, change
-/// colours, reorder or hide what stands beside it. `\n` and `\t` stay.
+/// Untrusted text, escaped for a terminal or a message: it cannot move the cursor, change colours,
+/// reorder or hide other text. `\n` and `\t` are kept.
 #[derive(Clone, Copy, Debug)]
 pub struct Printable<'a>(pub &'a str);
 
 impl fmt::Display for Printable<'_> {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let mut rest = self.0;
-        while let Some(at) = rest.find(|c| is_unsafe_char(c) && c != '\n' && c != '\t') {
-            let (clean, tail) = rest.split_at(at);
+        while let Some(index) = rest.find(|c| is_unsafe_char(c) && c != '\n' && c != '\t') {
+            let (clean, tail) = rest.split_at(index);
             f.write_str(clean)?;
             let mut chars = tail.chars();
             if let Some(c) = chars.next() {
@@ -53,7 +52,7 @@ impl fmt::Display for Printable<'_> {
     }
 }
 
-/// A text as NFC, so that names that look alike are the same bytes (UAX #15).
+/// Normalises to NFC, so that equivalent names have equal bytes (UAX #15).
 fn nfc(text: &str) -> String {
     if is_nfc(text) {
         text.to_owned()
@@ -66,7 +65,7 @@ fn invalid(kind: &str, text: &str, expected: &str) -> Error {
     Error::input(format!("invalid {kind} {text:.80?}: expected {expected}"))
 }
 
-/// One line of at most [`MAX_LABEL_CHARS`] characters without unsafe ones, as NFC.
+/// Parses one line of at most [`MAX_LABEL_CHARS`] characters without unsafe ones, as NFC.
 fn parse_line(kind: &str, text: &str) -> Result<String> {
     let text = nfc(text);
     let is_long = text.chars().count() > MAX_LABEL_CHARS || text.len() > MAX_LABEL_BYTES;
@@ -80,7 +79,7 @@ fn parse_line(kind: &str, text: &str) -> Result<String> {
     Ok(text)
 }
 
-/// An ASCII id that names a file or a folder: letters, digits, `-`, `_` and, inside, `.`.
+/// Parses an ASCII id for file names: letters, digits, `-`, `_` and, not leading, `.`.
 fn parse_id(kind: &str, text: &str, has_dots: bool) -> Result<String> {
     let is_allowed =
         |c: char| c.is_ascii_alphanumeric() || c == '-' || c == '_' || (has_dots && c == '.');
@@ -104,16 +103,16 @@ macro_rules! name_type {
         pub struct $name(String);
 
         impl $name {
-            /// Checks a text from outside.
+            /// Parses untrusted text.
             ///
             /// # Errors
-            /// `Input` with what is expected.
+            /// `Input` with the expected form.
             pub fn parse(text: &str) -> Result<Self> {
                 let parse: fn(&str) -> Result<String> = $parse;
                 parse(text).map(Self)
             }
 
-            /// The name.
+            /// The name as text.
             #[must_use]
             pub fn as_str(&self) -> &str {
                 &self.0
@@ -182,23 +181,23 @@ macro_rules! name_type {
 }
 
 name_type!(
-    /// Key of a grasp and name of its folder: `<utc>-<4 hex>`, for instance
-    /// `2026-11-20T10-15-03Z-7f3a`. Never a position. ASCII letters, digits, `-` and `_`.
+    /// Id of a grasp and name of its directory: `<utc>-<4 hex>`, for instance
+    /// `2026-11-20T10-15-03Z-7f3a`. ASCII letters, digits, `-` and `_`.
     GraspId,
     |text| parse_id("grasp id", text, false)
-        .map_err(|e| e.remedy("ids look like 2026-11-20T10-15-03Z-7f3a"))
+        .map_err(|e| e.remedy("use an id such as 2026-11-20T10-15-03Z-7f3a"))
 );
 
 name_type!(
-    /// Key of a planned simulation and begin of the names of its files, for instance
-    /// `mug-0003-07-40n`. ASCII letters, digits, `-`, `_` and `.`.
+    /// Id of a planned simulation and prefix of its file names, for instance `mug-0003-07-40n`.
+    /// ASCII letters, digits, `-`, `_` and `.`.
     SimulationId,
     |text| parse_id("simulation id", text, true)
 );
 
 name_type!(
-    /// Name of a file without folders: one component of a path in NFC, not hidden, at most 255
-    /// bytes, without unsafe characters.
+    /// File name without directories: one path component in NFC, not hidden, at most 255 bytes,
+    /// without unsafe characters.
     FileName,
     |text| {
         let name = nfc(text);
@@ -209,14 +208,14 @@ name_type!(
         if is_name {
             Ok(name)
         } else {
-            Err(invalid("file name", &name, "one name without folders, not hidden"))
+            Err(invalid("file name", &name, "a name without directories and without a leading `.`"))
         }
     }
 );
 
 name_type!(
-    /// Name of an object: one line that can name a file, in NFC; `/`, `\`, `.`, `..` and hidden
-    /// names are refused.
+    /// Name of an object: one line in NFC that is valid as a file name; without `/`, `\` and a
+    /// leading `.`.
     ObjectName,
     |text| {
         let name = parse_line("object name", text)?;
@@ -232,7 +231,7 @@ name_type!(
 );
 
 name_type!(
-    /// Name of a scene or an operator: one line in NFC, which may be empty and never names a file.
+    /// Name of a scene or an operator: one line in NFC, possibly empty; never a file name.
     Label,
     |text| parse_line("name", text)
 );
@@ -251,15 +250,15 @@ name_type!(
 );
 
 impl ContentKey {
-    /// The file of a key; the suffix is a literal.
+    /// File name of a key with a literal suffix.
     #[must_use]
     pub fn with_suffix(&self, suffix: &'static str) -> FileName {
         FileName(format!("{}{suffix}", self.0))
     }
 
-    /// The key of some contents.
+    /// Computes the key of some contents.
     #[must_use]
-    pub fn of(bytes: &[u8]) -> Self {
+    pub fn from_contents(bytes: &[u8]) -> Self {
         let mut hex = sha256_hex(bytes);
         hex.truncate(12);
         Self(hex)
@@ -267,7 +266,7 @@ impl ContentKey {
 }
 
 impl FileName {
-    /// The valid name nearest to a text.
+    /// Replaces invalid characters of a text.
     #[must_use]
     pub fn nearest(text: &str) -> Self {
         let mut name = cleaned(text, |c| c != '/' && c != '\\');
@@ -277,16 +276,16 @@ impl FileName {
         Self(name)
     }
 
-    /// `stage.role.suffix`: words of the program with dots between them.
-    pub fn of_words(words: &[&str]) -> Self {
-        Self(component_of(words, "."))
+    /// Joins words of the program with dots: `stage.role.suffix`.
+    pub fn from_words(words: &[&str]) -> Self {
+        Self(join_words(words, "."))
     }
 }
 
-/// Words of the program as one component; what cannot be in one becomes `_`.
-fn component_of(words: &[&str], between: &str) -> String {
+/// Joins words of the program to one component; invalid characters become `_`.
+fn join_words(words: &[&str], separator: &str) -> String {
     let is_allowed = |c: char| c.is_ascii_alphanumeric() || "-_.".contains(c);
-    let name = cleaned(&words.join(between), is_allowed);
+    let name = cleaned(&words.join(separator), is_allowed);
     match name.strip_prefix('.') {
         Some(rest) => format!("_{rest}"),
         None => name,
@@ -294,20 +293,20 @@ fn component_of(words: &[&str], between: &str) -> String {
 }
 
 impl GraspId {
-    /// `utc-hex`: words of the program with `-` between them.
-    pub fn of_words(words: &[&str]) -> Self {
-        Self(component_of(words, "-"))
+    /// Joins words of the program with `-`: `utc-hex`.
+    pub fn from_words(words: &[&str]) -> Self {
+        Self(join_words(words, "-"))
     }
 
-    /// The last four characters: what people call the grasp.
+    /// The last four characters, for display.
     #[must_use]
     pub fn short(&self) -> &str {
         &self.0[self.0.len().saturating_sub(4)..]
     }
 }
 
-/// A text as near to it as a valid name can be: for records that were written before names were
-/// checked. What is not allowed becomes `_`.
+/// Replaces invalid characters by `_` and truncates: for records of versions that did not check
+/// names.
 fn cleaned(text: &str, is_allowed: impl Fn(char) -> bool) -> String {
     let clean = |c| {
         if is_allowed(c) && !is_unsafe_char(c) {
@@ -322,7 +321,7 @@ fn cleaned(text: &str, is_allowed: impl Fn(char) -> bool) -> String {
 }
 
 impl ObjectName {
-    /// The valid name nearest to a text.
+    /// Replaces invalid characters of a text.
     #[must_use]
     pub fn nearest(text: &str) -> Self {
         let mut name = cleaned(text, |c| c != '/' && c != '\\');
@@ -337,21 +336,21 @@ impl ObjectName {
 }
 
 impl Label {
-    /// The valid name nearest to a text.
+    /// Replaces invalid characters of a text.
     #[must_use]
     pub fn nearest(text: &str) -> Self {
         Self(cleaned(text, |_| true))
     }
 }
 
-/// What an object is called until somebody names it.
+/// The name of an object that was not given one.
 impl Default for ObjectName {
     fn default() -> Self {
         Self("object".to_owned())
     }
 }
 
-/// Not stated.
+/// An empty label.
 impl Default for Label {
     fn default() -> Self {
         Self(String::new())
@@ -364,7 +363,7 @@ mod tests {
 
     use super::*;
 
-    /// What people try, and some that programs make.
+    /// Hostile names.
     const HOSTILE: [&str; 16] = [
         "",
         ".",
@@ -385,7 +384,7 @@ mod tests {
     ];
 
     #[test]
-    fn no_name_holds_a_path_or_a_control() {
+    fn paths_and_control_characters_are_refused() {
         let long = "n".repeat(256);
         for text in HOSTILE.into_iter().chain([long.as_str()]) {
             assert!(GraspId::parse(text).is_err(), "{text:?}");
@@ -402,7 +401,7 @@ mod tests {
     }
 
     #[test]
-    fn usual_names_are_valid() {
+    fn common_names_are_valid() {
         assert!(GraspId::parse("2026-11-20T10-15-03Z-7f3a").is_ok());
         assert!(SimulationId::parse("part-1.5-00-10n").is_ok());
         assert!(FileName::parse("initial.left.jpg").is_ok());
@@ -414,13 +413,13 @@ mod tests {
     }
 
     #[test]
-    fn names_that_look_alike_are_the_same() {
+    fn equivalent_names_are_equal() {
         let composed = ObjectName::parse("Gr\u{f6}\u{df}e").unwrap();
         assert_eq!(ObjectName::parse("Gro\u{308}\u{df}e").unwrap(), composed);
     }
 
     #[test]
-    fn printed_text_cannot_command_a_terminal() {
+    fn printable_escapes_terminal_commands() {
         let text = "a\u{1b}]0;t\u{7}b\u{9b}31m\u{202e}c\r\nd\te";
         let printed = Printable(text).to_string();
         assert_eq!(
@@ -432,7 +431,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn a_parsed_name_is_one_normal_component(text in any::<String>()) {
+        fn parsed_name_is_one_normal_component(text in any::<String>()) {
             use std::path::{Component, Path};
             let names = [
                 GraspId::parse(&text).map(String::from),

@@ -1,4 +1,4 @@
-//! How files are opened: below a folder, regular ones only, with a limit of size for each kind.
+//! Opens regular files below a directory, with a size limit for each kind.
 
 use std::ffi::OsStr;
 use std::fs::File;
@@ -13,30 +13,30 @@ use rustix::io::Errno;
 
 use crate::error::Refused;
 
-/// Rights of new files, less the umask.
+/// Mode of new files, before the umask.
 pub(super) const FILE_MODE: Mode = Mode::from_raw_mode(0o666);
-/// `openat2` asks to try again when a folder moves meanwhile.
+/// `openat2` must be retried when a directory moves meanwhile.
 const MAX_TRIES: usize = 16;
 
-/// What a file holds; says how large one can be.
+/// Kind of a file; determines its size limit.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum FileKind {
-    /// A record, a card, a configuration: JSON or TOML written by hand or of one item.
+    /// A record, model card or configuration: JSON or TOML.
     Record,
     /// A compressed image or a raw frame of a camera.
     Image,
-    /// A list with a line or a row an item: index, plan, table, log.
+    /// A list with one line or row per item: index, plan, table, log.
     List,
-    /// A mesh, its buffers and textures, a trace.
+    /// A mesh with its buffers and textures, or a trace.
     Mesh,
-    /// An ONNX file: protobuf ends at 2 GiB.
+    /// An ONNX file: protobuf is limited to 2 GiB.
     Model,
-    /// A shard of samples, an HDF5 file: what is read piece by piece.
+    /// A shard or an HDF5 file, which is read incrementally.
     Bulk,
 }
 
 impl FileKind {
-    /// Largest file of this kind, bytes.
+    /// Maximum size of a file of this kind, bytes.
     #[must_use]
     pub fn max_bytes(self) -> u64 {
         const MIB: u64 = 1 << 20;
@@ -49,7 +49,7 @@ impl FileKind {
     }
 }
 
-/// Opens a path below a folder; `XDEV` where it leads out of it.
+/// Opens a path below a directory; `XDEV` where it leads out of it.
 pub(super) fn open_beneath(
     root: impl AsFd,
     relative: &Path,
@@ -65,9 +65,9 @@ pub(super) fn open_beneath(
     let resolve = ResolveFlags::BENEATH | ResolveFlags::NO_MAGICLINKS;
     for _ in 0..MAX_TRIES {
         match openat2(root.as_fd(), relative, flags, mode, resolve) {
-            // Another rename or mount of the system came in between.
+            // A concurrent rename or mount.
             Err(Errno::AGAIN) => {}
-            // Kernels before 5.6, and sandboxes that forbid calls that they do not know.
+            // Kernels before 5.6, and sandboxes that forbid unknown system calls.
             Err(Errno::NOSYS | Errno::PERM) => return open_stepwise(root, relative, flags, mode),
             opened => return opened,
         }
@@ -75,7 +75,7 @@ pub(super) fn open_beneath(
     Err(Errno::AGAIN)
 }
 
-/// The same without `openat2`: component by component, following no link.
+/// As [`open_beneath`] without `openat2`: component by component, following no link.
 pub(super) fn open_stepwise(
     root: impl AsFd,
     relative: &Path,
@@ -99,7 +99,7 @@ pub(super) fn open_stepwise(
             step
         };
         dir = match openat(&dir, name, how, mode) {
-            // ELOOP for a link that is to be opened, ENOTDIR for one on the way.
+            // ELOOP for a link as the last component, ENOTDIR for one before.
             Err(Errno::LOOP) => return Err(Errno::XDEV),
             Err(Errno::NOTDIR)
                 if statat(&dir, name, AtFlags::SYMLINK_NOFOLLOW).is_ok_and(|s| {
@@ -114,16 +114,16 @@ pub(super) fn open_stepwise(
     Ok(dir)
 }
 
-/// What is no regular file, in words.
+/// Refuses anything but a regular file.
 fn irregular(kind: FileType) -> Option<Refused> {
     let found = match kind {
         FileType::RegularFile => return None,
-        FileType::Directory => "a folder",
+        FileType::Directory => "a directory",
         FileType::Symlink => "a symbolic link",
         FileType::Fifo => "a pipe",
         FileType::Socket => "a socket",
         FileType::CharacterDevice | FileType::BlockDevice => "a device",
-        FileType::Unknown => "something else",
+        FileType::Unknown => "an unknown file type",
     };
     Some(Refused::NotRegular(found))
 }
@@ -141,7 +141,7 @@ pub(super) fn regular(fd: OwnedFd, kind: FileKind) -> io::Result<File> {
     Ok(fd.into())
 }
 
-/// A regular file that has no other name.
+/// Checks for a regular file without other hard links.
 pub(super) fn owned(fd: OwnedFd) -> io::Result<File> {
     let stat = fstat(&fd)?;
     if let Some(refused) = irregular(FileType::from_raw_mode(stat.st_mode as RawMode)) {
@@ -157,7 +157,7 @@ pub(super) fn read_all(mut file: File, kind: FileKind) -> io::Result<Vec<u8>> {
     let limit = kind.max_bytes();
     let expected = file.metadata()?.len();
     let mut bytes = Vec::with_capacity(usize::try_from(expected).unwrap_or(0) + 1);
-    // One that grows while it is read, and those of /proc, do not say how large they are.
+    // The size of a growing file or one of /proc is not known in advance.
     (&mut file).take(limit + 1).read_to_end(&mut bytes)?;
     let found = bytes.len() as u64;
     if found > limit {
@@ -170,14 +170,14 @@ pub(super) fn read_all(mut file: File, kind: FileKind) -> io::Result<Vec<u8>> {
     Ok(bytes)
 }
 
-/// Opens a regular file at a path that the user gave; links are followed.
+/// Opens a regular file at a path given by the user; links are followed.
 ///
 /// # Errors
-/// [`Refused`] for a device, a pipe, a socket, a folder, and for a file larger than its kind can
-/// be; those of the operating system.
+/// [`Refused`] for a device, a pipe, a socket, a directory, and for a file above the size limit;
+/// those of the operating system.
 pub fn open_regular(path: &Path, kind: FileKind) -> io::Result<File> {
     let flags = OFlags::RDONLY | OFlags::NONBLOCK | OFlags::NOCTTY | OFlags::CLOEXEC;
-    // Opening a device may already do something, so look first.
+    // Opening a device may have side effects, so check first.
     let stat = rustix::fs::stat(path)?;
     if let Some(refused) = irregular(FileType::from_raw_mode(stat.st_mode as RawMode)) {
         return Err(refused.into());
@@ -185,24 +185,24 @@ pub fn open_regular(path: &Path, kind: FileKind) -> io::Result<File> {
     regular(openat(CWD, path, flags, Mode::empty())?, kind)
 }
 
-/// Reads a regular file at a path that the user gave.
+/// Reads a regular file at a path given by the user.
 ///
 /// # Errors
-/// As of [`open_regular`].
+/// As [`open_regular`].
 pub fn read_regular(path: &Path, kind: FileKind) -> io::Result<Vec<u8>> {
     read_all(open_regular(path, kind)?, kind)
 }
 
-/// Reads a regular file of UTF-8 at a path that the user gave.
+/// Reads a regular UTF-8 file at a path given by the user.
 ///
 /// # Errors
-/// As of [`open_regular`]; `InvalidData` for other bytes.
+/// As [`open_regular`]; `InvalidData` for invalid UTF-8.
 pub fn read_text(path: &Path, kind: FileKind) -> io::Result<String> {
     String::from_utf8(read_regular(path, kind)?)
         .map_err(|e| io::Error::new(io::ErrorKind::InvalidData, e))
 }
 
-/// Opens a lock file without following a link; `write`: makes it where it is missing.
+/// Opens a lock file without following links; `write`: creates it if it is missing.
 pub(super) fn open_lock(
     dir: impl AsFd,
     path: impl rustix::path::Arg,

@@ -1,4 +1,4 @@
-//! A lock that names who holds it.
+//! A lock file that names its holder.
 
 use std::fs::{File, TryLockError};
 use std::io::{self, Read as _, Seek as _, Write as _};
@@ -9,22 +9,22 @@ use rustix::fs::CWD;
 use super::opening::open_lock;
 use crate::error::Refused;
 
-/// Longest owner line that is read, bytes.
+/// Maximum length of the owner line, bytes.
 const MAX_OWNER: u64 = 4096;
 
-/// A locked file; released when dropped or when the process ends, however it ends.
+/// A locked file; released when dropped or when the process ends for any reason.
 #[derive(Debug)]
 pub struct OwnerLock {
     _file: File,
 }
 
-/// Why a lock was not had.
+/// Reason why a lock was not acquired.
 #[derive(Debug)]
 pub enum NotLocked {
-    /// Another process has it: which, as far as it said.
+    /// Another process holds it; its description.
     Held(String),
-    /// It is a link, has other names, or is no regular file: writing to it would change something
-    /// else.
+    /// It is a link, has other hard links, or is not a regular file: writing would change another
+    /// file.
     Refused(io::Error),
     /// The file cannot be opened.
     Open(io::Error),
@@ -33,14 +33,14 @@ pub enum NotLocked {
 }
 
 impl OwnerLock {
-    /// Takes the lock and writes down who has it.
+    /// Acquires the lock and writes this process into it.
     ///
     /// # Errors
-    /// [`NotLocked`] says why not.
+    /// [`NotLocked`] with the reason.
     pub fn acquire(path: &Path) -> Result<Self, NotLocked> {
         let mut file = open_lock(CWD, path, true).map_err(not_opened)?;
         lock(&mut file)?;
-        // The owner's name only helps a message; the lock itself holds without it.
+        // The owner is only for messages; the lock works without it.
         let _ = file.set_len(0).and_then(|()| file.rewind()).and_then(|()| {
             let command: Vec<String> = std::env::args_os()
                 .map(|arg| arg.to_string_lossy().into_owned())
@@ -50,17 +50,17 @@ impl OwnerLock {
         Ok(Self { _file: file })
     }
 
-    /// Takes the lock of a file that another user made, without the right to write to it.
+    /// Acquires a lock file of another user without write permission.
     ///
     /// # Errors
-    /// [`NotLocked`] says why not.
+    /// [`NotLocked`] with the reason.
     pub fn acquire_foreign(path: &Path) -> Result<Self, NotLocked> {
         let mut file = open_lock(CWD, path, false).map_err(not_opened)?;
         lock(&mut file)?;
         Ok(Self { _file: file })
     }
 
-    /// Who has the lock now, if anyone.
+    /// Description of the current holder, if any.
     #[must_use]
     pub fn holder(path: &Path) -> Option<String> {
         let mut file = open_lock(CWD, path, false).ok()?;
@@ -101,7 +101,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_lock_that_is_something_else_is_refused_and_left_as_it_is() {
+    fn linked_lock_file_is_refused_and_unchanged() {
         use std::os::unix::fs::symlink;
         let dir = tempfile::tempdir().unwrap();
         let [target, lock] = ["target", "lock"].map(|name| dir.path().join(name));
@@ -124,7 +124,7 @@ mod tests {
     }
 
     #[test]
-    fn the_second_learns_who_the_first_is() {
+    fn second_lock_names_the_holder() {
         let dir = tempfile::tempdir().unwrap();
         let path = dir.path().join("lock");
         assert_eq!(OwnerLock::holder(&path), None);

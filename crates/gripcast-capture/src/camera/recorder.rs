@@ -140,7 +140,7 @@ impl Recorder {
     /// I/O errors; previous frames stay readable.
     pub fn write(&mut self, frame: &Frame) -> Result<()> {
         let number = format!("{:06}", self.count);
-        let file = FileName::of_words(&[&number, extension(self.format)]);
+        let file = FileName::from_words(&[&number, extension(self.format)]);
         let record = FrameRecord {
             file,
             sequence: frame.sequence,

@@ -1,15 +1,16 @@
-//! What stands in one column of one row.
+//! Value of one column in one row.
 
 use std::borrow::Cow;
+use std::fmt;
 
 use gripcast_base::error::{Error, Result};
 
-/// One value on its way between a row and a column.
+/// Value of one column in one row.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Cell<'a> {
-    /// Nothing.
+    /// Null.
     Null,
-    /// UTF-8.
+    /// UTF-8 string.
     Text(Cow<'a, str>),
     /// A 64-bit integer.
     Integer(i64),
@@ -22,7 +23,7 @@ pub enum Cell<'a> {
 }
 
 impl<'a> Cell<'a> {
-    /// A borrowed text.
+    /// A borrowed string.
     pub fn text(text: &'a str) -> Self {
         Self::Text(Cow::Borrowed(text))
     }
@@ -43,7 +44,36 @@ impl<'a> Cell<'a> {
         bytes.map_or(Self::Null, Self::image)
     }
 
-    /// Bytes that the value takes, about.
+    pub(super) fn as_bytes(&self) -> Option<&[u8]> {
+        match self {
+            Self::Text(text) => Some(text.as_bytes()),
+            Self::Image(bytes) => Some(bytes),
+            _ => None,
+        }
+    }
+
+    pub(super) fn as_integer(&self) -> Option<i64> {
+        match self {
+            Self::Integer(integer) => Some(*integer),
+            _ => None,
+        }
+    }
+
+    pub(super) fn as_number(&self) -> Option<f64> {
+        match self {
+            Self::Number(number) => Some(*number),
+            _ => None,
+        }
+    }
+
+    pub(super) fn as_numbers(&self) -> Option<&[f64]> {
+        match self {
+            Self::Numbers(numbers) => Some(numbers),
+            _ => None,
+        }
+    }
+
+    /// Approximate size in bytes.
     pub(super) fn size(&self) -> usize {
         match self {
             Self::Null => 1,
@@ -55,12 +85,12 @@ impl<'a> Cell<'a> {
     }
 }
 
-/// `Input`: what is wrong in a column.
-pub(super) fn wrong(column: &str, what: String) -> Error {
+/// Error of a column.
+pub(super) fn column_error(column: &str, what: impl fmt::Display) -> Error {
     Error::input(format!("column {column} {what}"))
 }
 
-/// Takes the cells of a row one by one.
+/// Reads the cells of a row one by one.
 pub(super) struct Cells<'a> {
     cells: &'a mut dyn Iterator<Item = (&'static str, Cell<'static>)>,
 }
@@ -70,17 +100,17 @@ impl<'a> Cells<'a> {
         Self { cells }
     }
 
-    /// What `take` makes of the next cell; none is an error.
+    /// Converts the next cell; `None` is an error.
     fn next<T>(
         &mut self,
         take: impl FnOnce(Cell<'static>) -> Option<T>,
     ) -> Result<(&'static str, T)> {
         let Some((name, cell)) = self.cells.next() else {
-            return Err(Error::internal("a row has too few columns"));
+            return Err(Error::internal("too few columns in a row"));
         };
         match take(cell) {
             Some(value) => Ok((name, value)),
-            None => Err(wrong(name, "is null".to_owned())),
+            None => Err(column_error(name, "is null")),
         }
     }
 
@@ -92,38 +122,36 @@ impl<'a> Cells<'a> {
         self.next(|cell| Some(text(cell))).map(|(_, text)| text)
     }
 
-    pub(super) fn named<T: Copy>(&mut self, known: &[(&str, T)]) -> Result<T> {
+    pub(super) fn named<T: Copy>(&mut self, variants: &[(&str, T)]) -> Result<T> {
         let (column, name) = self.next(text)?;
-        let found = known.iter().find(|(known, _)| *known == name);
+        let found = variants.iter().find(|(variant, _)| *variant == name);
         found.map(|(_, value)| *value).ok_or_else(|| {
-            let known: Vec<&str> = known.iter().map(|(name, _)| *name).collect();
-            wrong(
+            let known: Vec<&str> = variants.iter().map(|(name, _)| *name).collect();
+            column_error(
                 column,
-                format!("is {name:?}; it must be {}", known.join(" or ")),
+                format!("is {name:?}, expected {}", known.join(" or ")),
             )
         })
     }
 
     pub(super) fn integer(&mut self) -> Result<i64> {
-        self.next(integer).map(|(_, integer)| integer)
+        self.next(|cell| cell.as_integer())
+            .map(|(_, integer)| integer)
     }
 
     pub(super) fn natural<T: TryFrom<i64>>(&mut self) -> Result<T> {
-        let (column, value) = self.next(integer)?;
-        T::try_from(value).map_err(|_| wrong(column, format!("is {value}; it is out of range")))
+        let (column, value) = self.next(|cell| cell.as_integer())?;
+        T::try_from(value)
+            .map_err(|_| column_error(column, format!("is {value}, which is out of range")))
     }
 
     pub(super) fn optional_number(&mut self) -> Result<Option<f64>> {
-        self.next(|cell| Some(number(cell)))
+        self.next(|cell| Some(cell.as_number()))
             .map(|(_, number)| number)
     }
 
     pub(super) fn optional_numbers(&mut self) -> Result<Option<Vec<f64>>> {
-        let numbers = |cell| match cell {
-            Cell::Numbers(numbers) => Some(numbers),
-            _ => None,
-        };
-        self.next(|cell| Some(numbers(cell)))
+        self.next(|cell| Some(cell.as_numbers().map(<[f64]>::to_vec)))
             .map(|(_, numbers)| numbers)
     }
 
@@ -139,20 +167,6 @@ impl<'a> Cells<'a> {
 fn text(cell: Cell<'static>) -> Option<String> {
     match cell {
         Cell::Text(text) => Some(Cow::into_owned(text)),
-        _ => None,
-    }
-}
-
-fn integer(cell: Cell<'static>) -> Option<i64> {
-    match cell {
-        Cell::Integer(integer) => Some(integer),
-        _ => None,
-    }
-}
-
-fn number(cell: Cell<'static>) -> Option<f64> {
-    match cell {
-        Cell::Number(number) => Some(number),
         _ => None,
     }
 }

@@ -1,35 +1,20 @@
-//! The columns: names, kinds, order; the Parquet schema and the features of Hugging Face.
+//! Columns of a shard: names, types and order; Parquet schema and Hugging Face features.
 
 use parquet::errors::ParquetError;
 use parquet::schema::types::TypePtr;
 
-use super::table_column::{self, TableKind};
-
-/// What a column holds.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Kind {
-    /// UTF-8.
-    Text,
-    /// Signed, 64 bit.
-    Integer,
-    /// Double precision.
-    Number,
-    /// A list of so many doubles.
-    Numbers(usize),
-    /// An encoded image: its bytes and its file name.
-    Image,
-}
+use super::table_column::{self, ColumnType};
 
 /// One column.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Column {
     pub(super) name: &'static str,
-    pub(super) kind: Kind,
-    /// Whether rows may lack it, and so the file.
+    pub(super) kind: ColumnType,
+    /// Whether it may be null or missing.
     pub(super) nullable: bool,
 }
 
-const fn always(name: &'static str, kind: Kind) -> Column {
+const fn required(name: &'static str, kind: ColumnType) -> Column {
     Column {
         name,
         kind,
@@ -37,7 +22,7 @@ const fn always(name: &'static str, kind: Kind) -> Column {
     }
 }
 
-const fn nullable(name: &'static str, kind: Kind) -> Column {
+const fn nullable(name: &'static str, kind: ColumnType) -> Column {
     Column {
         name,
         kind,
@@ -47,72 +32,60 @@ const fn nullable(name: &'static str, kind: Kind) -> Column {
 
 /// Columns of `ShardFacts`, in the order of the file.
 pub(super) const FACTS: [Column; 22] = [
-    always("id", Kind::Text),
-    always("simulation", Kind::Text),
-    always("object", Kind::Text),
-    always("category", Kind::Text),
-    always("engine", Kind::Text),
-    always("outcome", Kind::Text),
-    always("outcome_detail", Kind::Text),
-    always("label", Kind::Integer),
-    nullable("stop_force_n", Kind::Number),
-    nullable("friction", Kind::Number),
-    nullable("mass_kg", Kind::Number),
-    nullable("lifted_m", Kind::Number),
-    nullable("force_left_n", Kind::Number),
-    nullable("force_right_n", Kind::Number),
-    nullable("opening_m", Kind::Number),
-    nullable("pose_t_m", Kind::Numbers(3)),
-    nullable("pose_q_wxyz", Kind::Numbers(4)),
-    nullable("fault", Kind::Text),
-    always("appearance", Kind::Text),
-    always("rendering", Kind::Integer),
-    always("seed", Kind::Integer),
-    always("crop_profile", Kind::Text),
+    required("id", ColumnType::Text),
+    required("simulation", ColumnType::Text),
+    required("object", ColumnType::Text),
+    required("category", ColumnType::Text),
+    required("engine", ColumnType::Text),
+    required("outcome", ColumnType::Text),
+    required("outcome_detail", ColumnType::Text),
+    required("label", ColumnType::Int64),
+    nullable("stop_force_n", ColumnType::Float64),
+    nullable("friction", ColumnType::Float64),
+    nullable("mass_kg", ColumnType::Float64),
+    nullable("lifted_m", ColumnType::Float64),
+    nullable("force_left_n", ColumnType::Float64),
+    nullable("force_right_n", ColumnType::Float64),
+    nullable("opening_m", ColumnType::Float64),
+    nullable("pose_t_m", ColumnType::Float64List(3)),
+    nullable("pose_q_wxyz", ColumnType::Float64List(4)),
+    nullable("fault", ColumnType::Text),
+    required("appearance", ColumnType::Text),
+    required("rendering", ColumnType::Int64),
+    required("seed", ColumnType::Int64),
+    required("crop_profile", ColumnType::Text),
 ];
 
 /// Columns of `ShardImages`, after the facts: `<stage>_<role>`.
 pub(super) const IMAGES: [Column; 7] = [
-    always("initial_left", Kind::Image),
-    always("initial_right", Kind::Image),
-    always("grasp_left", Kind::Image),
-    always("grasp_right", Kind::Image),
-    always("grasp_rgb", Kind::Image),
-    nullable("initial_rgb", Kind::Image),
-    nullable("grasp_depth", Kind::Image),
+    required("initial_left", ColumnType::Image),
+    required("initial_right", ColumnType::Image),
+    required("grasp_left", ColumnType::Image),
+    required("grasp_right", ColumnType::Image),
+    required("grasp_rgb", ColumnType::Image),
+    nullable("initial_rgb", ColumnType::Image),
+    nullable("grasp_depth", ColumnType::Image),
 ];
 
-/// All columns in the order of the file.
+/// Returns all columns in the order of the file.
 pub(super) fn columns() -> impl Iterator<Item = &'static Column> {
     FACTS.iter().chain(&IMAGES)
 }
 
-/// The same as columns of any table.
-pub(super) fn table_columns() -> impl Iterator<Item = (&'static str, TableKind)> {
-    columns().map(|column| (column.name, column.kind.into()))
+/// Returns all columns as columns of a table.
+pub(super) fn table_columns() -> impl Iterator<Item = (&'static str, ColumnType)> {
+    columns().map(|column| (column.name, column.kind))
 }
 
-/// The schema of the file. Every column is optional, as Arrow writes them; those that a row always
-/// has are never null.
+/// Returns the schema of a shard. Every column is optional, as in Arrow; required ones are never
+/// null.
 pub(super) fn schema() -> Result<TypePtr, ParquetError> {
     table_column::schema(table_columns())
 }
 
-/// The value of the `huggingface` key.
+/// Returns the value of the `huggingface` key.
 pub(super) fn features() -> String {
     table_column::features(table_columns())
-}
-
-impl From<Kind> for TableKind {
-    fn from(kind: Kind) -> Self {
-        match kind {
-            Kind::Text => Self::Text,
-            Kind::Integer => Self::Integer,
-            Kind::Number => Self::Number,
-            Kind::Numbers(_) => Self::Numbers,
-            Kind::Image => Self::Image,
-        }
-    }
 }
 
 #[cfg(test)]
@@ -122,7 +95,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn schema_and_features_have_the_columns_in_order() {
+    fn schema_and_features_list_columns_in_order() {
         let schema = schema().unwrap();
         let names: Vec<&str> = schema.get_fields().iter().map(|f| f.name()).collect();
         let expected: Vec<&str> = columns().map(|c| c.name).collect();

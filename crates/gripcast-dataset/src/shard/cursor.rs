@@ -1,4 +1,4 @@
-//! Reads a row group some rows at a time, column by column.
+//! Reads a row group in batches, column by column.
 
 use std::borrow::Cow;
 use std::sync::Arc;
@@ -9,32 +9,33 @@ use parquet::data_type::{ByteArray, ByteArrayType, DataType, DoubleType, Int32Ty
 use parquet::errors::ParquetError;
 use parquet::file::metadata::{ColumnChunkMetaData, RowGroupMetaData};
 
-use super::cell::{Cell, wrong};
-use super::columns::{Column, Kind, columns};
+use super::cell::{Cell, column_error};
+use super::columns::{Column, columns};
 use super::layout::Layout;
 use super::page::ChunkPages;
 use super::source::Source;
+use super::table_column::ColumnType;
 use gripcast_base::error::{Error, Result};
 
-/// Most bytes of rows that are in memory at once.
+/// Maximum size of the rows in memory, bytes.
 const MAX_BYTES: usize = 1 << 30;
-/// Definition level of an element where list and element may be null, so that 0 is a null list.
+/// Definition level of an element where list and element are nullable; level 0 is a null list.
 const LIST_LEVELS: i16 = 3;
 
-/// The next rows of a row group.
+/// Cursor over the rows of a row group.
 pub(super) struct GroupCursor {
     columns: Vec<(&'static Column, ColumnCursor)>,
 }
 
-/// Cells of some rows, by column.
+/// Cells of a batch of rows, by column.
 pub(super) struct Batch {
     pub(super) columns: Vec<(&'static str, std::vec::IntoIter<Cell<'static>>)>,
-    /// Bytes of them.
+    /// Size of the cells, bytes.
     pub(super) size: usize,
 }
 
 enum ColumnCursor {
-    /// Null in every row.
+    /// All null: the file lacks the column.
     Absent,
     Text(Leaf<ByteArrayType>),
     Integer(Leaf<Int64Type>),
@@ -46,12 +47,12 @@ enum ColumnCursor {
 
 struct Leaf<D: DataType> {
     reader: ColumnReaderImpl<D>,
-    /// Definition level of a value that is there.
+    /// Definition level of a non-null value.
     defined: i16,
     repeated: bool,
 }
 
-/// Values of some rows with their levels.
+/// Values of a batch of rows with their levels.
 struct Levels<T> {
     values: Vec<T>,
     definition: Vec<i16>,
@@ -59,10 +60,10 @@ struct Levels<T> {
 }
 
 impl GroupCursor {
-    /// The first `count` columns of a row group.
+    /// Opens the first `count` columns of a row group.
     ///
     /// # Errors
-    /// `Input`: a column is not in the file or compressed in an unknown way.
+    /// `Input`: a column is outside the file or has an unsupported compression.
     pub(super) fn open(
         source: &Arc<Source>,
         group: &RowGroupMetaData,
@@ -81,10 +82,10 @@ impl GroupCursor {
         })
     }
 
-    /// Reads `rows` rows, which there must be.
+    /// Reads exactly `rows` rows.
     ///
     /// # Errors
-    /// `Input`: they cannot be read, or take more than `MAX_BYTES` with what is in memory.
+    /// `Input`: they are unreadable, or exceed `MAX_BYTES` together with `in_memory`.
     pub(super) fn read(&mut self, rows: usize, in_memory: usize) -> Result<Batch> {
         let mut size = 0;
         let mut read = Vec::new();
@@ -110,14 +111,15 @@ impl ColumnCursor {
             return Ok(Self::Absent);
         };
         Ok(match column.kind {
-            Kind::Text => Self::Text(Leaf::open(source, chunk)?),
-            Kind::Integer if chunk.column_type() == Type::INT32 => {
+            ColumnType::Text => Self::Text(Leaf::open(source, chunk)?),
+            ColumnType::Int64 if chunk.column_type() == Type::INT32 => {
                 Self::ShortInteger(Leaf::open(source, chunk)?)
             }
-            Kind::Integer => Self::Integer(Leaf::open(source, chunk)?),
-            Kind::Number => Self::Number(Leaf::open(source, chunk)?),
-            Kind::Numbers(length) => Self::Numbers(Leaf::open(source, chunk)?, length),
-            Kind::Image => Self::Image(Leaf::open(source, chunk)?),
+            ColumnType::Int64 => Self::Integer(Leaf::open(source, chunk)?),
+            ColumnType::Float64 => Self::Number(Leaf::open(source, chunk)?),
+            ColumnType::Float64List(length) => Self::Numbers(Leaf::open(source, chunk)?, length),
+            ColumnType::Image => Self::Image(Leaf::open(source, chunk)?),
+            other => return Err(ParquetError::General(format!("type {other:?} in a shard"))),
         })
     }
 
@@ -168,7 +170,7 @@ impl<D: DataType> Leaf<D> {
         })
     }
 
-    /// One value a row, none where it is null.
+    /// Reads one value per row, none where it is null.
     fn read(&mut self, rows: usize, column: &Column) -> Result<Vec<Option<D::T>>> {
         let Levels {
             values, definition, ..
@@ -181,7 +183,7 @@ impl<D: DataType> Leaf<D> {
         Ok(definition.into_iter().map(value).collect())
     }
 
-    /// Values, definition and repetition levels of so many rows.
+    /// Reads values, definition and repetition levels of `rows` rows.
     fn read_levels(&mut self, rows: usize, column: &Column) -> Result<Levels<D::T>> {
         let (mut values, mut definition, mut repetition) = (Vec::new(), Vec::new(), Vec::new());
         let mut read = 0;
@@ -193,10 +195,7 @@ impl<D: DataType> Leaf<D> {
                 .read_records(rows - read, levels, repeats, &mut values);
             let (records, _, _) = records.map_err(|e| read_error(column.name, e))?;
             if records == 0 {
-                return Err(wrong(
-                    column.name,
-                    "has fewer rows than it should".to_owned(),
-                ));
+                return Err(column_error(column.name, "has too few rows"));
             }
             read += records;
         }
@@ -209,7 +208,7 @@ impl<D: DataType> Leaf<D> {
 }
 
 impl Leaf<DoubleType> {
-    /// One list of `length` values a row, or null.
+    /// Reads one list of `length` values per row, or null.
     fn read_lists(
         &mut self,
         rows: usize,
@@ -221,16 +220,16 @@ impl Leaf<DoubleType> {
             definition,
             repetition,
         } = self.read_levels(rows, column)?;
-        let misshapen = || {
-            let what = format!("has a row that is no list of {length} numbers");
-            wrong(column.name, what)
+        let malformed = || {
+            let what = format!("has a row that is not a list of {length} numbers");
+            column_error(column.name, what)
         };
         let mut lists = Vec::with_capacity(rows);
-        let (mut values, mut at) = (values.chunks(length), 0);
-        while at < repetition.len() {
-            let next = repetition[at + 1..].iter().position(|&level| level == 0);
-            let end = next.map_or(repetition.len(), |next| at + 1 + next);
-            let levels = definition.get(at..end).ok_or_else(misshapen)?;
+        let (mut values, mut start) = (values.chunks(length), 0);
+        while start < repetition.len() {
+            let next = repetition[start + 1..].iter().position(|&level| level == 0);
+            let end = next.map_or(repetition.len(), |next| start + 1 + next);
+            let levels = definition.get(start..end).ok_or_else(malformed)?;
             let is_whole =
                 levels.len() == length && levels.iter().all(|&level| level == self.defined);
             lists.push(if levels == [0] && self.defined == LIST_LEVELS {
@@ -238,12 +237,12 @@ impl Leaf<DoubleType> {
             } else if is_whole && let Some(list) = values.next() {
                 Cell::Numbers(list.to_vec())
             } else {
-                return Err(misshapen());
+                return Err(malformed());
             });
-            at = end;
+            start = end;
         }
         if lists.len() != rows {
-            return Err(misshapen());
+            return Err(malformed());
         }
         Ok(lists)
     }
@@ -251,20 +250,20 @@ impl Leaf<DoubleType> {
 
 fn text(value: &ByteArray, column: &Column) -> Result<Cell<'static>> {
     let text = std::str::from_utf8(value.data());
-    let text = text.map_err(|e| wrong(column.name, format!("holds no UTF-8: {e}")))?;
+    let text = text.map_err(|e| column_error(column.name, format!("is not valid UTF-8: {e}")))?;
     Ok(Cell::Text(Cow::Owned(text.to_owned())))
 }
 
-/// Values are parts of their pages until they are copied.
+/// Checks the size of values before they are copied out of their pages.
 fn check_budget(values: &[Option<ByteArray>], column: &Column, budget: usize) -> Result<()> {
     let mut sum = 0_usize;
     for value in values.iter().flatten() {
         sum = sum.saturating_add(value.len());
     }
     if sum > budget {
-        let what = format!("takes more than {MAX_BYTES} bytes at once");
+        let what = format!("needs more than {MAX_BYTES} bytes of memory");
         let remedy = "write the file again with smaller row groups";
-        return Err(wrong(column.name, what).remedy(remedy));
+        return Err(column_error(column.name, what).remedy(remedy));
     }
     Ok(())
 }
@@ -273,9 +272,9 @@ fn read_error(column: &str, error: ParquetError) -> Error {
     match error {
         ParquetError::External(cause) => match cause.downcast::<std::io::Error>() {
             Ok(cause) => Error::io("cannot read the shard", *cause).at(format!("column {column}")),
-            Err(cause) => wrong(column, cause.to_string()),
+            Err(cause) => column_error(column, cause.to_string()),
         },
-        ParquetError::General(what) => wrong(column, format!("is damaged: {what}")),
-        other => wrong(column, format!("is damaged: {other}")),
+        ParquetError::General(what) => column_error(column, format!("is damaged: {what}")),
+        other => column_error(column, format!("is damaged: {other}")),
     }
 }

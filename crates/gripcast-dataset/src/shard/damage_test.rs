@@ -1,4 +1,4 @@
-//! What damaged files do to the reader: an error, or the rows that were written.
+//! The reader returns an error or the original rows for any damaged file.
 
 use super::foreign_test::{DATASETS, PANDAS, PYARROW};
 use super::metadata::CREATED_BY;
@@ -8,7 +8,7 @@ use super::sample_rows::sample_rows;
 use super::writer::to_bytes;
 use gripcast_base::error::{ErrorKind, Result};
 
-/// A generator of numbers with a seed, for places of damage.
+/// Seeded random numbers for the offsets of damage.
 fn numbers(mut state: u64) -> impl Iterator<Item = u64> {
     std::iter::repeat_with(move || {
         state = state.wrapping_add(0x9e37_79b9_7f4a_7c15);
@@ -27,7 +27,7 @@ fn read(bytes: Vec<u8>) -> Result<(Vec<ShardRow>, Vec<ShardFacts>)> {
 }
 
 #[test]
-fn a_file_that_is_cut_is_refused() {
+fn truncated_file_is_refused() {
     let bytes = to_bytes(sample_rows(0, 5), "{}").unwrap();
     let step = bytes.len() / 300 + 1;
     let ends = (0..bytes.len()).step_by(step);
@@ -42,25 +42,25 @@ fn a_file_that_is_cut_is_refused() {
 }
 
 #[test]
-fn flipped_bits_are_found() {
+fn flipped_bits_are_detected() {
     let rows = sample_rows(0, 5);
     let bytes = to_bytes(rows.clone(), "{}").unwrap();
     let mut found = 0;
-    for (place, bits) in numbers(1).zip(numbers(2)).take(600) {
+    for (offset, bits) in numbers(1).zip(numbers(2)).take(600) {
         let mut damaged = bytes.clone();
-        let place = (place % bytes.len() as u64) as usize;
-        damaged[place] ^= (bits % 255 + 1) as u8;
+        let offset = (offset % bytes.len() as u64) as usize;
+        damaged[offset] ^= (bits % 255 + 1) as u8;
         match read(damaged) {
             Ok((read, facts)) => {
-                assert_eq!(read, rows, "byte {place}");
+                assert_eq!(read, rows, "byte {offset}");
                 assert!(
                     facts.iter().eq(rows.iter().map(|row| &row.facts)),
-                    "byte {place}"
+                    "byte {offset}"
                 );
             }
             Err(error) => {
                 found += 1;
-                assert_eq!(error.kind(), ErrorKind::Input, "byte {place}: {error}");
+                assert_eq!(error.kind(), ErrorKind::Input, "byte {offset}: {error}");
                 assert!(
                     error.to_string().starts_with("damaged.parquet: "),
                     "{error}"
@@ -68,17 +68,17 @@ fn flipped_bits_are_found() {
             }
         }
     }
-    // The rest are names of images, statistics and the features, which nothing here reads.
+    // The rest are names of images, statistics and features, which the reader ignores.
     assert!(found > 150, "{found}");
 }
 
-/// Without hashes the decoders themselves meet the damage.
+/// Without hashes the decoders receive the damaged bytes.
 #[test]
-fn flipped_bits_do_no_harm_in_files_without_hashes() {
+fn flipped_bits_without_hashes_cause_no_panic() {
     let mut ours = to_bytes(sample_rows(0, 40), "{}").unwrap();
     let name = CREATED_BY.as_bytes();
-    let at = ours.windows(name.len()).position(|w| w == name).unwrap();
-    ours[at] = b'x';
+    let offset = ours.windows(name.len()).position(|w| w == name).unwrap();
+    ours[offset] = b'x';
     for bytes in [&ours, DATASETS, PANDAS, PYARROW] {
         assert!(read(bytes.to_vec()).is_ok());
         flip(bytes);
@@ -86,24 +86,24 @@ fn flipped_bits_do_no_harm_in_files_without_hashes() {
 }
 
 fn flip(bytes: &[u8]) {
-    for (place, bits) in numbers(3).zip(numbers(4)).take(500) {
+    for (offset, bits) in numbers(3).zip(numbers(4)).take(500) {
         let mut damaged = bytes.to_vec();
         for (k, shift) in [0, 16, 32]
             .into_iter()
             .enumerate()
-            .take(1 + place as usize % 3)
+            .take(1 + offset as usize % 3)
         {
-            let place = (place.rotate_left(shift) % bytes.len() as u64) as usize;
-            damaged[place] ^= (bits >> (8 * k)) as u8 | 1;
+            let offset = (offset.rotate_left(shift) % bytes.len() as u64) as usize;
+            damaged[offset] ^= (bits >> (8 * k)) as u8 | 1;
         }
         if let Err(error) = read(damaged) {
-            assert_eq!(error.kind(), ErrorKind::Input, "byte {place}: {error}");
+            assert_eq!(error.kind(), ErrorKind::Input, "byte {offset}: {error}");
         }
     }
 }
 
 #[test]
-fn what_is_no_parquet_is_refused() {
+fn other_files_are_refused() {
     for bytes in [
         b"".to_vec(),
         b"PAR1".to_vec(),

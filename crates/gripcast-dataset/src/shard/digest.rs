@@ -1,15 +1,15 @@
-//! Hashes of what rows say, whatever the encoding of the file.
+//! Hashes of the contents of rows, independent of the file's encoding.
 
 use sha2::{Digest as _, Sha256};
 
 use super::cell::Cell;
 
-/// Hash of cells, in the order that they are given.
+/// Hash of a sequence of cells.
 #[derive(Clone, Default)]
 pub(super) struct ContentHash(Sha256);
 
 impl ContentHash {
-    /// Adds a cell: a letter for the kind, the length where it varies, the bytes little endian.
+    /// Adds a cell: a letter for its kind, its length if variable, its bytes in little endian.
     pub(super) fn add(&mut self, cell: &Cell<'_>) {
         match cell {
             Cell::Null => self.0.update(b"-"),
@@ -24,7 +24,7 @@ impl ContentHash {
         }
     }
 
-    /// The hash, 64 hexadecimal digits.
+    /// Returns the hash as 64 hexadecimal digits.
     pub(super) fn finish(self) -> String {
         let bytes = self.0.finalize();
         bytes.iter().map(|byte| format!("{byte:02x}")).collect()
@@ -50,7 +50,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn cells_do_not_run_together() {
+    fn hash_depends_on_cell_boundaries() {
         let hash = |cells: Vec<Cell<'_>>| {
             let mut hash = ContentHash::default();
             cells.iter().for_each(|cell| hash.add(cell));

@@ -1,4 +1,4 @@
-//! Files that other programs wrote, and rows that no sample can be.
+//! Files of other writers, and invalid rows.
 
 use std::sync::Arc;
 
@@ -13,7 +13,7 @@ use super::sample_rows::{sample_row, sample_rows};
 use super::writer::properties;
 use gripcast_base::error::{Error, Result};
 
-/// A file of another writer with our columns.
+/// A file of another writer with the same columns.
 fn foreign(groups: &[Vec<Vec<Cell<'_>>>]) -> Vec<u8> {
     let properties = Arc::new(properties("another writer"));
     let mut writer = SerializedFileWriter::new(Vec::new(), schema().unwrap(), properties).unwrap();
@@ -23,7 +23,7 @@ fn foreign(groups: &[Vec<Vec<Cell<'_>>>]) -> Vec<u8> {
     writer.into_inner().unwrap()
 }
 
-/// Five rows of our writer, and the first three of them as others wrote them
+/// Five rows of our writer, and the first three of them from other writers
 /// (`tests/peers/read_shards.py --rewrite`): Snappy and dictionaries; gzip, dictionaries, INT32
 /// labels, a column of nulls, one missing and one too many; Zstandard, pages of version 2, checksums.
 const OURS: &[u8] = include_bytes!("../../../../tests/data/shard/gripcast-1.parquet");
@@ -33,7 +33,7 @@ pub(super) const PANDAS: &[u8] =
 pub(super) const PYARROW: &[u8] = include_bytes!("../../../../tests/data/shard/pyarrow-v2.parquet");
 
 #[test]
-fn files_of_pandas_datasets_and_pyarrow_are_read() {
+fn reads_files_of_pandas_datasets_and_pyarrow() {
     let ours = read(OURS.to_vec()).unwrap();
     assert_eq!(ours.len(), 5);
     assert!(ours.iter().any(|row| row.images.grasp_depth.is_some()));
@@ -53,18 +53,18 @@ fn read(bytes: Vec<u8>) -> Result<Vec<ShardRow>> {
         .collect()
 }
 
-/// The error of a file in which one cell of the second group's third row is another.
+/// Error of a file with one cell of the second group's third row replaced.
 fn with(column: &str, cell: Cell<'static>) -> Error {
     let rows = sample_rows(0, 8);
     let mut cells: Vec<Vec<Cell<'_>>> = rows.iter().map(ShardRow::cells).collect();
-    let at = columns().position(|c| c.name == column).unwrap();
-    cells[6][at] = cell;
+    let index = columns().position(|c| c.name == column).unwrap();
+    cells[6][index] = cell;
     let second = cells.split_off(4);
     read(foreign(&[cells, second])).unwrap_err()
 }
 
 #[test]
-fn rows_of_another_writer_are_read_in_small_batches() {
+fn reads_other_writers_in_small_batches() {
     let rows = sample_rows(0, 200);
     let cells: Vec<Vec<Cell<'_>>> = rows.iter().map(ShardRow::cells).collect();
     let shard = ShardReader::from_bytes("foreign", foreign(&[cells])).unwrap();
@@ -76,26 +76,26 @@ fn rows_of_another_writer_are_read_in_small_batches() {
 }
 
 #[test]
-fn a_wrong_value_is_named_with_its_place() {
+fn invalid_value_is_reported_with_its_row() {
     let error = with("label", Cell::Integer(-1)).to_string();
-    let place = "foreign.parquet: row group 1: row 2: column label is -1";
-    assert!(error.starts_with(place), "{error}");
+    let location = "foreign.parquet: row group 1: row 2: column label is -1";
+    assert!(error.starts_with(location), "{error}");
     for (column, cell, expected) in [
         (
             "label",
             Cell::Integer(1),
-            "column label is 1; for the outcome slip it is 0",
+            "column label is 1, expected 0 for outcome slip",
         ),
         ("label", Cell::Null, "column label is null"),
         (
             "outcome",
             Cell::text("unlabelled"),
-            "it must be slip or stable",
+            "expected slip or stable",
         ),
         (
             "engine",
             Cell::text("mujoco"),
-            "it must be fem or rigid or real",
+            "expected fem or rigid or real",
         ),
         ("id", Cell::text(""), "column id is empty"),
         ("rendering", Cell::Integer(-3), "column rendering is -3"),
@@ -109,12 +109,12 @@ fn a_wrong_value_is_named_with_its_place() {
         (
             "pose_t_m",
             Cell::Numbers(vec![0.0; 2]),
-            "no list of 3 numbers",
+            "not a list of 3 numbers",
         ),
         (
             "pose_t_m",
             Cell::Numbers(vec![0.0; 4]),
-            "no list of 3 numbers",
+            "not a list of 3 numbers",
         ),
         (
             "pose_q_wxyz",
@@ -139,23 +139,23 @@ fn a_wrong_value_is_named_with_its_place() {
 }
 
 #[test]
-fn a_longer_and_a_shorter_list_do_not_make_up_for_each_other() {
+fn lists_of_wrong_length_do_not_cancel_out() {
     let rows = sample_rows(0, 2);
     let mut cells: Vec<Vec<Cell<'_>>> = rows.iter().map(ShardRow::cells).collect();
-    let at = columns().position(|c| c.name == "pose_t_m").unwrap();
-    cells[0][at] = Cell::Numbers(vec![0.0; 2]);
-    cells[1][at] = Cell::Numbers(vec![0.0; 4]);
+    let index = columns().position(|c| c.name == "pose_t_m").unwrap();
+    cells[0][index] = Cell::Numbers(vec![0.0; 2]);
+    cells[1][index] = Cell::Numbers(vec![0.0; 4]);
     let error = read(foreign(&[cells])).unwrap_err().to_string();
-    assert!(error.contains("no list of 3 numbers"), "{error}");
+    assert!(error.contains("not a list of 3 numbers"), "{error}");
 }
 
 #[test]
-fn a_quaternion_of_another_writer_is_made_canonical() {
+fn quaternion_of_another_writer_is_normalised() {
     let row = sample_row(3);
     let q = row.facts.t_object_gripper.unwrap().rotation;
     let mut cells = row.cells();
-    let at = columns().position(|c| c.name == "pose_q_wxyz").unwrap();
-    cells[at] = Cell::Numbers([q.w, q.x, q.y, q.z].map(|v| -1.0001 * v).to_vec());
+    let index = columns().position(|c| c.name == "pose_q_wxyz").unwrap();
+    cells[index] = Cell::Numbers([q.w, q.x, q.y, q.z].map(|v| -1.0001 * v).to_vec());
     let read = read(foreign(&[vec![cells]])).unwrap();
     let found = read[0].facts.t_object_gripper.unwrap().rotation;
     assert!(

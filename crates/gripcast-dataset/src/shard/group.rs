@@ -1,4 +1,4 @@
-//! Writes the rows of one row group, column by column.
+//! Writes a row group, column by column.
 
 use std::io::Write;
 
@@ -13,9 +13,9 @@ use super::columns::{FACTS, table_columns};
 use super::digest::ContentHash;
 use super::metadata::GroupHash;
 use super::row::image_extension;
-use super::table_column::TableKind;
+use super::table_column::ColumnType;
 
-/// Values of one leaf with their levels, as Parquet has them.
+/// Values of one leaf column with their definition and repetition levels.
 struct Leaf<T> {
     values: Vec<T>,
     definition: Vec<i16>,
@@ -31,7 +31,7 @@ impl<T> Leaf<T> {
         }
     }
 
-    /// Adds a value of an optional leaf that is `depth` optional or repeated levels deep.
+    /// Adds a value of an optional leaf at `depth` optional or repeated levels.
     fn push(&mut self, value: Option<T>, depth: i16) {
         self.definition
             .push(if value.is_some() { depth } else { 0 });
@@ -43,7 +43,7 @@ impl<T> Leaf<T> {
         D: DataType<T = T>,
         W: Write + Send,
     {
-        let missing = || ParquetError::General("the schema has too few columns".to_owned());
+        let missing = || ParquetError::General("too few columns in the schema".to_owned());
         let mut column = group.next_column()?.ok_or_else(missing)?;
         let repetition = (!self.repetition.is_empty()).then_some(&*self.repetition);
         let writer = column.typed::<D>();
@@ -52,7 +52,7 @@ impl<T> Leaf<T> {
     }
 }
 
-/// Writes one row group of a shard and tells its hashes. `cells`: of each row those of all columns.
+/// Writes one row group of a shard and returns its hashes. `cells`: all columns of each row.
 pub(super) fn write_group<W: Write + Send>(
     writer: &mut SerializedFileWriter<W>,
     cells: &[Vec<Cell<'_>>],
@@ -64,12 +64,12 @@ pub(super) fn write_group<W: Write + Send>(
 /// Writes one row group of any table.
 pub(super) fn write_columns<'a, W: Write + Send>(
     writer: &mut SerializedFileWriter<W>,
-    columns: impl Iterator<Item = (&'a str, TableKind)>,
+    columns: impl Iterator<Item = (&'a str, ColumnType)>,
     cells: &[Vec<Cell<'_>>],
 ) -> Result<()> {
     let mut group = writer.next_row_group()?;
-    for (number, (name, kind)) in columns.enumerate() {
-        write_column(&mut group, name, kind, cells.iter().map(|row| &row[number]))?;
+    for (index, (name, kind)) in columns.enumerate() {
+        write_column(&mut group, name, kind, cells.iter().map(|row| &row[index]))?;
     }
     group.close()?;
     Ok(())
@@ -78,41 +78,45 @@ pub(super) fn write_columns<'a, W: Write + Send>(
 fn write_column<'a, W: Write + Send>(
     group: &mut SerializedRowGroupWriter<'_, W>,
     name: &str,
-    kind: TableKind,
+    kind: ColumnType,
     cells: impl Iterator<Item = &'a Cell<'a>>,
 ) -> Result<()> {
+    let bytes = |cell: &Cell<'_>| Some(ByteArray::from(cell.as_bytes()?.to_vec()));
     match kind {
-        TableKind::Text => write_values::<ByteArrayType, W>(group, cells.map(text)),
-        TableKind::Integer => write_values::<Int64Type, W>(group, cells.map(integer)),
-        TableKind::Flag => {
-            let flag = |cell| integer(cell).map(|value| value != 0);
+        ColumnType::Text => write_values::<ByteArrayType, W>(group, cells.map(bytes)),
+        ColumnType::Int64 => write_values::<Int64Type, W>(group, cells.map(Cell::as_integer)),
+        ColumnType::Bool => {
+            let flag = |cell: &Cell<'_>| cell.as_integer().map(|value| value != 0);
             write_values::<BoolType, W>(group, cells.map(flag))
         }
-        TableKind::Number => write_values::<DoubleType, W>(group, cells.map(number)),
-        TableKind::Single => {
-            let single = |cell| number(cell).map(|value| value as f32);
+        ColumnType::Float64 => write_values::<DoubleType, W>(group, cells.map(Cell::as_number)),
+        ColumnType::Float32 => {
+            let single = |cell: &Cell<'_>| cell.as_number().map(|value| value as f32);
             write_values::<FloatType, W>(group, cells.map(single))
         }
-        TableKind::OneText => {
-            let list = |cell| text(cell).map(|text| vec![text]);
+        ColumnType::TextList => {
+            let list = |cell| bytes(cell).map(|text| vec![text]);
             write_lists::<ByteArrayType, W>(group, cells.map(list))
         }
-        TableKind::Numbers => write_lists::<DoubleType, W>(group, cells.map(numbers)),
-        TableKind::Singles(_) => {
-            let singles = |cell| {
-                let numbers = numbers(cell)?;
-                Some(numbers.into_iter().map(|value| value as f32).collect())
-            };
-            write_lists::<FloatType, W>(group, cells.map(singles))
+        ColumnType::Float64List(_) => {
+            let list = |cell: &Cell<'_>| cell.as_numbers().map(<[f64]>::to_vec);
+            write_lists::<DoubleType, W>(group, cells.map(list))
         }
-        TableKind::Image => {
-            let mut bytes = Leaf::new();
+        ColumnType::Float32List(_) => {
+            let list = |cell: &Cell<'_>| {
+                let numbers = cell.as_numbers()?.iter();
+                Some(numbers.map(|value| *value as f32).collect())
+            };
+            write_lists::<FloatType, W>(group, cells.map(list))
+        }
+        ColumnType::Image => {
+            let mut images = Leaf::new();
             let mut paths = Leaf::new();
             for cell in cells {
-                bytes.push(image(cell), 2);
+                images.push(bytes(cell), 2);
                 paths.push(image_name(name, cell), 2);
             }
-            bytes.write::<ByteArrayType, W>(group)?;
+            images.write::<ByteArrayType, W>(group)?;
             paths.write::<ByteArrayType, W>(group)
         }
     }
@@ -139,60 +143,25 @@ fn write_lists<D: DataType, W: Write + Send>(
             continue;
         };
         if list.is_empty() {
-            // The list is there, an element is not.
+            // The list exists, but has no element.
             leaf.definition.push(1);
             leaf.repetition.push(0);
         }
-        for (at, value) in list.into_iter().enumerate() {
+        for (index, value) in list.into_iter().enumerate() {
             leaf.push(Some(value), 3);
-            leaf.repetition.push(i16::from(at > 0));
+            leaf.repetition.push(i16::from(index > 0));
         }
     }
     leaf.write::<D, W>(group)
 }
 
-fn text(cell: &Cell<'_>) -> Option<ByteArray> {
-    match cell {
-        Cell::Text(text) => Some(ByteArray::from(text.as_bytes().to_vec())),
-        _ => None,
-    }
-}
-
-fn integer(cell: &Cell<'_>) -> Option<i64> {
-    match cell {
-        Cell::Integer(integer) => Some(*integer),
-        _ => None,
-    }
-}
-
-fn number(cell: &Cell<'_>) -> Option<f64> {
-    match cell {
-        Cell::Number(number) => Some(*number),
-        _ => None,
-    }
-}
-
-fn numbers(cell: &Cell<'_>) -> Option<Vec<f64>> {
-    match cell {
-        Cell::Numbers(numbers) => Some(numbers.clone()),
-        _ => None,
-    }
-}
-
-fn image(cell: &Cell<'_>) -> Option<ByteArray> {
-    match cell {
-        Cell::Image(bytes) => Some(ByteArray::from(bytes.to_vec())),
-        _ => None,
-    }
-}
-
-/// The name of the image's file in a dataset of single files: `<stage>.<role>.<ending>`.
+/// File name of the image in a dataset of single files: `<stage>.<role>.<extension>`.
 fn image_name(column: &str, cell: &Cell<'_>) -> Option<ByteArray> {
     let Cell::Image(bytes) = cell else {
         return None;
     };
-    let ending = image_extension(bytes).unwrap_or("bin");
-    let name = format!("{}.{ending}", column.replace('_', "."));
+    let extension = image_extension(bytes).unwrap_or("bin");
+    let name = format!("{}.{extension}", column.replace('_', "."));
     Some(ByteArray::from(name.into_bytes()))
 }
 
@@ -200,8 +169,8 @@ fn hash(rows: &[Vec<Cell<'_>>]) -> GroupHash {
     let mut facts = ContentHash::default();
     let mut images = ContentHash::default();
     for row in rows {
-        let (known, rest) = row.split_at(FACTS.len());
-        known.iter().for_each(|cell| facts.add(cell));
+        let (scalars, rest) = row.split_at(FACTS.len());
+        scalars.iter().for_each(|cell| facts.add(cell));
         rest.iter().for_each(|cell| images.add(cell));
     }
     GroupHash {

@@ -1,17 +1,18 @@
-//! Where the columns are in a file, whoever wrote it.
+//! Maps columns to the leaves of a file's schema, for any writer.
 
 use parquet::basic::{LogicalType, Type};
 use parquet::file::metadata::ParquetMetaData;
 use parquet::schema::types::{ColumnDescriptor, SchemaDescriptor};
 
-use super::cell::wrong;
-use super::columns::{Column, Kind, columns};
+use super::cell::column_error;
+use super::columns::{Column, columns};
+use super::table_column::ColumnType;
 use gripcast_base::error::{Error, Result};
 
-/// Most values of a list that are looked at, so that a damaged count takes no memory.
+/// Maximum length of a list, so that a damaged count takes no memory.
 const MAX_LIST: i64 = 16;
 
-/// For each column the leaf of the schema that holds its values; none where the file lacks it.
+/// Index of each column's leaf in the schema; none where the file lacks the column.
 #[derive(Clone, Debug)]
 pub(super) struct Layout {
     pub(super) leaves: Vec<Option<usize>>,
@@ -19,7 +20,7 @@ pub(super) struct Layout {
 
 impl Layout {
     /// # Errors
-    /// `Input`: a column is missing or of another kind.
+    /// `Input`: a column is missing or of another type.
     pub(super) fn find(schema: &SchemaDescriptor) -> Result<Self> {
         let leaves = columns().map(|column| leaf(schema, column));
         Ok(Self {
@@ -27,68 +28,68 @@ impl Layout {
         })
     }
 
-    /// Checks that the counts of all row groups agree; the number of rows.
+    /// Checks the counts of all row groups; returns the number of rows.
     ///
     /// # Errors
-    /// `Input`: they do not.
+    /// `Input`: they contradict each other.
     pub(super) fn count_rows(&self, metadata: &ParquetMetaData) -> Result<usize> {
         let mut sum = 0_i64;
-        for (number, group) in metadata.row_groups().iter().enumerate() {
+        for (index, group) in metadata.row_groups().iter().enumerate() {
             let rows = group.num_rows();
             sum = sum.saturating_add(rows);
             if rows < 0 {
-                return Err(counts(format!("row group {number} has {rows} rows")));
+                return Err(Error::input(format!("row group {index} has {rows} rows")));
             }
             for (column, leaf) in columns().zip(&self.leaves) {
                 let Some(chunk) = leaf.and_then(|leaf| group.columns().get(leaf)) else {
                     continue;
                 };
-                let most = match column.kind {
-                    Kind::Numbers(_) => rows.saturating_mul(MAX_LIST),
+                let max_values = match column.kind {
+                    ColumnType::Float64List(_) => rows.saturating_mul(MAX_LIST),
                     _ => rows,
                 };
                 let values = chunk.num_values();
-                if !(rows..=most).contains(&values) {
+                if !(rows..=max_values).contains(&values) {
                     let name = column.name;
                     let what = format!(
-                        "row group {number} has {rows} rows and {values} values in column {name}"
+                        "row group {index} has {rows} rows and {values} values in column {name}"
                     );
-                    return Err(counts(what));
+                    return Err(Error::input(what));
                 }
             }
         }
         let rows = metadata.file_metadata().num_rows();
         if rows != sum {
-            let what = format!("the row groups have {sum} rows, the file says {rows}");
-            return Err(counts(what));
+            let what = format!("expected {rows} rows, the row groups have {sum}");
+            return Err(Error::input(what));
         }
-        usize::try_from(sum).map_err(|_| counts(format!("{sum} rows are too many")))
+        usize::try_from(sum).map_err(|_| Error::input(format!("too many rows: {sum}")))
     }
 }
 
 fn leaf(schema: &SchemaDescriptor, column: &Column) -> Result<Option<usize>> {
     let mut found = schema.columns().iter().enumerate().filter(|(_, leaf)| {
-        let parts = leaf.path().parts();
-        let named = parts.first().is_some_and(|first| first == column.name);
-        // Of an image the bytes count: its name is in the column's name.
-        let part = column.kind != Kind::Image || parts.len() == 1 || parts[1] == "bytes";
-        named && part
+        let path = leaf.path().parts();
+        let named = path.first().is_some_and(|first| first == column.name);
+        // The name of an image follows from the column's name.
+        let is_value = column.kind != ColumnType::Image || path.len() == 1 || path[1] == "bytes";
+        named && is_value
     });
     let (first, second) = (found.next(), found.next());
     match (first, second) {
         (None, _) if column.nullable => Ok(None),
         (None, _) => {
-            let what = format!("the column {} is missing", column.name);
-            let remedy = "the columns are those of a shard of gripcast";
+            let what = format!("missing column {}", column.name);
+            let remedy = "write all columns of a gripcast shard";
             Err(Error::input(what).remedy(remedy))
         }
-        // A column of nothing but nulls has no type in files that pandas wrote.
+        // A column that is all null has no type in files written by pandas.
         (Some((_, leaf)), None) if column.nullable && is_unknown(leaf) => Ok(None),
         (Some((number, leaf)), None) if fits(leaf, column) => Ok(Some(number)),
-        (Some((_, leaf)), _) => Err(wrong(
+        (Some((_, leaf)), _) => Err(column_error(
             column.name,
             format!(
-                "has the type {}; expected {}",
+                "has type {}, expected {}",
                 describe(schema, column, leaf),
                 expected(column)
             ),
@@ -102,13 +103,16 @@ fn is_unknown(leaf: &ColumnDescriptor) -> bool {
 
 fn fits(leaf: &ColumnDescriptor, column: &Column) -> bool {
     let kind = leaf.physical_type();
-    let (parts, repeated) = (leaf.path().parts().len(), leaf.max_rep_level());
+    let (depth, repeated) = (leaf.path().parts().len(), leaf.max_rep_level());
     match column.kind {
-        Kind::Text => kind == Type::BYTE_ARRAY && parts == 1 && repeated == 0,
-        Kind::Integer => matches!(kind, Type::INT64 | Type::INT32) && parts == 1 && repeated == 0,
-        Kind::Number => kind == Type::DOUBLE && parts == 1 && repeated == 0,
-        Kind::Numbers(_) => kind == Type::DOUBLE && repeated == 1,
-        Kind::Image => kind == Type::BYTE_ARRAY && parts <= 2 && repeated == 0,
+        ColumnType::Text => kind == Type::BYTE_ARRAY && depth == 1 && repeated == 0,
+        ColumnType::Int64 => {
+            matches!(kind, Type::INT64 | Type::INT32) && depth == 1 && repeated == 0
+        }
+        ColumnType::Float64 => kind == Type::DOUBLE && depth == 1 && repeated == 0,
+        ColumnType::Float64List(_) => kind == Type::DOUBLE && repeated == 1,
+        ColumnType::Image => kind == Type::BYTE_ARRAY && depth <= 2 && repeated == 0,
+        _ => false,
     }
 }
 
@@ -123,16 +127,13 @@ fn describe(schema: &SchemaDescriptor, column: &Column, leaf: &ColumnDescriptor)
 
 fn expected(column: &Column) -> &'static str {
     match column.kind {
-        Kind::Text => "BYTE_ARRAY, a text",
-        Kind::Integer => "INT64 or INT32",
-        Kind::Number => "DOUBLE",
-        Kind::Numbers(_) => "a list of DOUBLE",
-        Kind::Image => "a group of bytes (BYTE_ARRAY) and path",
+        ColumnType::Text => "BYTE_ARRAY (a string)",
+        ColumnType::Int64 => "INT64 or INT32",
+        ColumnType::Float64 => "DOUBLE",
+        ColumnType::Float64List(_) => "a list of DOUBLE",
+        ColumnType::Image => "a group of bytes (BYTE_ARRAY) and path",
+        _ => "a type of a shard",
     }
-}
-
-fn counts(what: String) -> Error {
-    Error::input(what)
 }
 
 #[cfg(test)]
@@ -146,7 +147,7 @@ mod tests {
     use super::super::columns::schema;
     use super::*;
 
-    /// The layout of a schema in which a part of ours is another.
+    /// Layout of our schema with `ours` replaced by `other`.
     fn find(ours: &str, other: &str) -> Result<Layout> {
         let mut text = Vec::new();
         print_schema(&mut text, &schema().unwrap());
@@ -157,10 +158,10 @@ mod tests {
     }
 
     #[test]
-    fn columns_may_be_missing_only_where_they_may_be_null() {
+    fn only_nullable_columns_may_be_missing() {
         let leaf = |layout: &Layout, name: &str| {
-            let at = columns().position(|column| column.name == name).unwrap();
-            layout.leaves[at]
+            let index = columns().position(|column| column.name == name).unwrap();
+            layout.leaves[index]
         };
         let ours = find("", "").unwrap();
         assert!(ours.leaves.iter().all(Option::is_some));
@@ -171,24 +172,21 @@ mod tests {
         let null = find("DOUBLE force_left_n;", "INT32 force_left_n (UNKNOWN);").unwrap();
         assert_eq!(leaf(&null, "force_left_n"), None);
         let error = find("INT64 seed;", "INT64 seeds;").unwrap_err();
-        assert!(
-            error.to_string().contains("the column seed is missing"),
-            "{error}"
-        );
+        assert!(error.to_string().contains("missing column seed"), "{error}");
     }
 
     #[test]
-    fn wrong_types_are_named() {
+    fn wrong_type_is_reported() {
         for (ours, other, expected) in [
             (
                 "INT64 label;",
                 "DOUBLE label;",
-                "column label has the type DOUBLE",
+                "column label has type DOUBLE",
             ),
             (
                 "DOUBLE mass_kg;",
                 "FLOAT mass_kg;",
-                "column mass_kg has the type FLOAT",
+                "column mass_kg has type FLOAT",
             ),
             (
                 "BYTE_ARRAY id (STRING);",
@@ -213,7 +211,7 @@ mod tests {
             (
                 "DOUBLE element;",
                 "DOUBLE element; OPTIONAL DOUBLE more;",
-                "column pose_t_m has the type a group of 2 values",
+                "column pose_t_m has type a group of 2 values",
             ),
         ] {
             let error = find(ours, other).unwrap_err();

@@ -1,15 +1,15 @@
-//! The `gripcast` key of a file's metadata.
+//! The `gripcast` key in the metadata of a shard.
 
 use serde::{Deserialize, Serialize};
 
 use gripcast_base::error::{Error, Result};
 
-/// Key of our own metadata.
+/// Key of gripcast's metadata.
 pub(super) const KEY: &str = "gripcast";
 /// Key that Hugging Face `datasets` reads the features from.
 pub(super) const HUGGINGFACE_KEY: &str = "huggingface";
-/// Who wrote the file. Others keep our key when they write rows of theirs, so the hashes count
-/// only with this.
+/// Writer of the file. Other writers may keep our key with different rows, so the hashes are valid
+/// only with this writer.
 pub(super) const CREATED_BY: &str = "gripcast-shard version 1.0.0";
 /// Name of the format.
 const FORMAT: &str = "gripcast-shard";
@@ -18,14 +18,14 @@ pub const EXPORT: &str = "gripcast-export";
 /// Version of the format.
 const VERSION: u32 = 1;
 
-/// What the key holds.
+/// Value of the key.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub(super) struct ShardMetadata {
     format: String,
     version: u32,
-    /// JSON of the caller, as it was given.
+    /// JSON of the caller, unchanged.
     pub(super) info: String,
-    /// One a row group, in their order.
+    /// One per row group, in order.
     pub(super) row_groups: Vec<GroupHash>,
 }
 
@@ -34,9 +34,10 @@ pub(super) struct ShardMetadata {
 pub(super) struct GroupHash {
     /// Number of rows.
     pub rows: usize,
-    /// Of the facts, row by row.
+    /// Hash of the facts, row by row.
     pub(super) facts_sha256: String,
-    /// Of the images, row by row.
+    /// Hash of the images, row by row.
+    #[serde(rename = "pictures_sha256")]
     pub(super) images_sha256: String,
 }
 
@@ -56,33 +57,32 @@ impl ShardMetadata {
     }
 
     /// # Errors
-    /// `Input`: it is not ours, or of a version that is not known here.
+    /// `Input`: another format or an unsupported version.
     pub(super) fn parse(text: &str) -> Result<Self> {
         #[derive(Deserialize)]
         struct Header {
             format: String,
             version: u32,
         }
-        let wrong = |e: serde_json::Error| {
-            Error::input("the `gripcast` metadata cannot be read").because(e)
-        };
-        let Header { format, version } = serde_json::from_str(text).map_err(wrong)?;
+        let unreadable =
+            |e: serde_json::Error| Error::input("cannot read the `gripcast` metadata").because(e);
+        let Header { format, version } = serde_json::from_str(text).map_err(unreadable)?;
         if format != FORMAT {
-            let what = format!("this is a file of the format {format:?}, not {FORMAT:?}");
+            let what = format!("expected a file of format {FORMAT:?}, found {format:?}");
             let error = Error::input(what);
             return Err(match &*format {
                 EXPORT => error.remedy(
-                    "this export is for other programs; make one for `train` and `eval` with \
+                    "this export is for other programs; for `train` and `eval` run \
                      `gripcast dataset export DATASET --to training`",
                 ),
                 _ => error,
             });
         }
         if version != VERSION {
-            let what = format!("the shard has version {version}; known is {VERSION}");
+            let what = format!("unsupported shard version {version}, expected {VERSION}");
             let error = Error::input(what);
-            return Err(error.remedy("read it with the release of gripcast that wrote it"));
+            return Err(error.remedy("read it with the gripcast release that wrote it"));
         }
-        serde_json::from_str(text).map_err(wrong)
+        serde_json::from_str(text).map_err(unreadable)
     }
 }

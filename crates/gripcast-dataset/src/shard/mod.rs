@@ -1,14 +1,14 @@
-//! Parquet shards: samples with their images in a file that pandas and Hugging Face `datasets`
+//! Parquet shards: samples with images in a file that pandas and Hugging Face `datasets`
 //! read in one line.
 //!
-//! A [`ShardRow`] is one grasp, real or a rendering of a simulated one. [`ShardWriter`] writes rows into one
-//! file, [`ShardReader`] reads them again with bounded memory, [`ShardSet`] is a folder of such
-//! files by split. The columns that a real dataset has as well have the same names. A [`TableWriter`]
-//! writes rows of other columns in the same way.
+//! A [`ShardRow`] is one grasp, real or a rendering of a simulated one. [`ShardWriter`] writes
+//! rows to a file, [`ShardReader`] reads them with bounded memory, [`ShardSet`] is a directory of
+//! such files by split. Columns that a real dataset also has share their names. A [`TableWriter`]
+//! writes tables with other columns.
 //!
-//! Row groups are small, pages are not compressed (images are already), and nothing in a file
-//! depends on the time, the machine or the number of threads. Each row group has a hash of its
-//! contents in the file's metadata, which the reader checks.
+//! Row groups are small, pages are not compressed (images already are), and a file does not depend
+//! on the time, the machine or the number of threads. The file's metadata has a hash of each row
+//! group, which the reader checks.
 
 mod cell;
 mod columns;
@@ -39,8 +39,8 @@ pub use cell::Cell as TableCell;
 pub use metadata::EXPORT;
 pub use reader::ShardReader;
 pub use row::{ShardEngine, ShardFacts, ShardImages, ShardOutcome, ShardRow};
-pub use set::{ShardSet, shard_name, shard_place};
-pub use split::{Split, SplitGroup};
+pub use set::{ShardSet, shard_name, shard_path};
+pub use split::{SplitFractions, SplitGroup};
 pub use table::TableWriter;
-pub use table_column::TableKind;
+pub use table_column::ColumnType;
 pub use writer::{ShardWriter, to_bytes};

@@ -1,4 +1,4 @@
-//! Reads shards, ours and those that others wrote with the same columns.
+//! Reads shards written by gripcast or by other writers with the same columns.
 
 use std::fmt;
 use std::fs::File;
@@ -19,16 +19,16 @@ use super::layout::Layout;
 use super::metadata::{CREATED_BY, GroupHash, KEY, ShardMetadata};
 use super::row::{ShardFacts, ShardImages, ShardRow};
 use super::source::Source;
+use gripcast_base::catch_panic::catch_panic;
 use gripcast_base::error::{Error, Result};
 use gripcast_base::files::{BeneathPath, FileKind, open_regular};
-use gripcast_base::quiet_panic;
 
-/// Rows that are read together; of other writers' files, also those that are in memory.
+/// Rows per read; for files of other writers also the rows in memory.
 const BATCH: usize = 32;
-/// Largest metadata of a file, bytes: some hundred thousand row groups.
+/// Maximum size of a file's metadata, bytes: some hundred thousand row groups.
 const MAX_FOOTER: u64 = 256 << 20;
 
-/// An open shard. Clones read the same file; any number of threads may.
+/// An open shard. Clones share the file and may be used from any thread.
 #[derive(Clone, Debug)]
 pub struct ShardReader(Arc<Inner>);
 
@@ -40,68 +40,67 @@ struct Inner {
     layout: Layout,
     rows: usize,
     own: Option<ShardMetadata>,
-    /// Whether the hashes are those of this file.
+    /// Whether the hashes apply to this file.
     hashed: bool,
 }
 
 impl ShardReader {
-    /// Opens a shard and checks its kind, its columns and its counts; the rows are not read.
+    /// Opens a shard and checks format, columns and counts without reading rows.
     ///
-    /// Files of other writers (pandas, `datasets`) need the same columns; further ones are
-    /// ignored, those that may be null may be missing. Pages may be compressed with Snappy, gzip
-    /// or Zstandard.
+    /// Files of other writers (pandas, `datasets`) need the same columns; nullable ones may be
+    /// missing, others are ignored. Pages may be compressed with Snappy, gzip or Zstandard.
     ///
     /// # Errors
-    /// `Input`: no Parquet file, damaged, another version, a column is missing or of another
-    /// kind; no regular file. `NotFound`, `Permission`, `Io`: the file.
+    /// `Input`: not a regular Parquet file, damaged, unsupported version, a column is missing or
+    /// of another type. `NotFound`, `Permission`, `Io`: the file.
     pub fn open(path: impl AsRef<Path>) -> Result<Self> {
         let path = path.as_ref();
-        Self::of_file(open_regular(path, FileKind::Bulk), path.display())
+        Self::from_file(open_regular(path, FileKind::Bulk), path.display())
     }
 
-    /// The same of a file of a dataset.
+    /// Opens a shard inside a dataset.
     ///
     /// # Errors
     /// As [`open`](Self::open); `Input` for a link that leads out of the dataset.
-    pub fn open_beneath(place: &BeneathPath) -> Result<Self> {
-        Self::of_file(place.open_file(FileKind::Bulk), place.display())
+    pub fn open_beneath(path: &BeneathPath) -> Result<Self> {
+        Self::from_file(path.open_file(FileKind::Bulk), path.display())
     }
 
-    fn of_file(file: io::Result<File>, name: impl fmt::Display) -> Result<Self> {
+    fn from_file(file: io::Result<File>, name: impl fmt::Display) -> Result<Self> {
         let name = name.to_string();
         let source = file.and_then(Source::file);
         let source = source.map_err(|e| Error::io("cannot read the shard", e).at(&name))?;
-        Self::of(name, source)
+        Self::new(name, source)
     }
 
-    /// A shard in memory; `name` is for errors.
+    /// Opens a shard in memory; `name` is used in errors.
     ///
     /// # Errors
     /// As [`open`](Self::open).
     pub fn from_bytes(name: impl Into<String>, bytes: Vec<u8>) -> Result<Self> {
-        Self::of(name.into(), Source::Memory(Bytes::from(bytes)))
+        Self::new(name.into(), Source::Memory(Bytes::from(bytes)))
     }
 
-    fn of(name: String, source: Source) -> Result<Self> {
+    fn new(name: String, source: Source) -> Result<Self> {
         let source = Arc::new(source);
         let opened = guarded(|| Inner::open(&name, &source));
         let inner = opened.map_err(|e| e.at(&name))?;
         Ok(Self(Arc::new(inner)))
     }
 
-    /// Rows of the file.
+    /// Number of rows of the file.
     #[must_use]
     pub fn num_rows(&self) -> usize {
         self.0.rows
     }
 
-    /// Row groups of the file.
+    /// Number of row groups of the file.
     #[must_use]
     pub fn num_row_groups(&self) -> usize {
         self.0.metadata.num_row_groups()
     }
 
-    /// Rows of a row group; 0 where there is no such group.
+    /// Number of rows of a row group; 0 if it does not exist.
     #[must_use]
     pub fn group_rows(&self, group: usize) -> usize {
         let groups = self.0.metadata.row_groups();
@@ -110,46 +109,45 @@ impl ShardReader {
             .unwrap_or(0)
     }
 
-    /// The JSON that the writer's caller gave; none where another writer did not keep it.
+    /// JSON given to the writer; none in files of writers that dropped it.
     #[must_use]
     pub fn info(&self) -> Option<&str> {
         self.0.own.as_ref().map(|own| &*own.info)
     }
 
-    /// All rows of a row group. What our writer made has a hash that is checked.
+    /// Reads all rows of a row group and checks its hash, if any.
     ///
     /// # Errors
-    /// `Usage`: there is no such row group. `Input`: it is damaged, or a value is one that no
-    /// sample has. `Io`: the file.
+    /// `Usage`: no such row group. `Input`: damaged, or an invalid value. `Io`: the file.
     pub fn row_group(&self, group: usize) -> Result<Vec<ShardRow>> {
         let groups = self.num_row_groups();
         if group >= groups {
-            let what = format!("there is no row group {group}; the shard has {groups}");
+            let what = format!("no row group {group}: the shard has {groups}");
             return Err(Error::usage(what).at(&self.0.name));
         }
-        let mut walk = Walk::new(Arc::clone(&self.0), group..group + 1);
+        let mut groups = GroupsReader::new(Arc::clone(&self.0), group..group + 1);
         let mut rows = Vec::new();
-        while let Some(batch) = walk.next_batch(true)? {
+        while let Some(batch) = groups.next_batch(true)? {
             rows.extend(batch);
         }
         Ok(rows)
     }
 
-    /// All rows in their order. At most one row group is in memory, of files of other writers at
-    /// most 32 rows; nothing follows an error.
+    /// Reads all rows in order; ends at the first error. At most one row group is in memory, for
+    /// files of other writers at most 32 rows.
     ///
     /// # Errors
     /// As [`row_group`](Self::row_group).
     pub fn rows(&self) -> impl Iterator<Item = Result<ShardRow>> + Send + use<> {
-        Walk::new(Arc::clone(&self.0), 0..self.num_row_groups()).samples()
+        GroupsReader::new(Arc::clone(&self.0), 0..self.num_row_groups()).samples()
     }
 
-    /// All rows without their images, of which no byte is read.
+    /// Reads all rows without their images.
     ///
     /// # Errors
     /// As [`row_group`](Self::row_group).
     pub fn facts(&self) -> impl Iterator<Item = Result<ShardFacts>> + Send + use<> {
-        Walk::new(Arc::clone(&self.0), 0..self.num_row_groups()).samples()
+        GroupsReader::new(Arc::clone(&self.0), 0..self.num_row_groups()).samples()
     }
 }
 
@@ -174,7 +172,7 @@ impl Inner {
         Ok(inner)
     }
 
-    /// Our own file has a hash for each row group.
+    /// A file of our writer must have a hash for each row group.
     fn check_hashes(&self) -> Result<()> {
         if !self.hashed {
             return Ok(());
@@ -190,7 +188,7 @@ impl Inner {
             return Ok(());
         }
         Err(damaged(
-            "the metadata of the row groups is missing or contradicts them",
+            "the hashes of the row groups are missing or do not match them",
         ))
     }
 
@@ -202,22 +200,22 @@ impl Inner {
 
 fn read_footer(source: &Source) -> Result<ParquetMetaData> {
     let size = source.size();
-    let no_parquet = || {
-        let what = format!("this is no Parquet file, or it was cut ({size} bytes)");
-        Error::input(what).remedy("make or fetch the file again")
+    let not_parquet = || {
+        let what = format!("not a Parquet file, or truncated ({size} bytes)");
+        Error::input(what).remedy("create or download the file again")
     };
     let read = |offset, length| {
         let bytes = source.read(offset, length);
         bytes.map_err(|e| Error::io("cannot read the shard", e))
     };
     let tail_size = FOOTER_SIZE as u64;
-    let tail_at = size.checked_sub(tail_size).ok_or_else(no_parquet)?;
+    let tail_at = size.checked_sub(tail_size).ok_or_else(not_parquet)?;
     if &*read(0, 4)? != b"PAR1" {
-        return Err(no_parquet());
+        return Err(not_parquet());
     }
     let tail = read(tail_at, tail_size)?;
-    let tail = <&[u8; FOOTER_SIZE]>::try_from(&*tail).map_err(|_| no_parquet())?;
-    let tail = FooterTail::try_new(tail).map_err(|_| no_parquet())?;
+    let tail = <&[u8; FOOTER_SIZE]>::try_from(&*tail).map_err(|_| not_parquet())?;
+    let tail = FooterTail::try_new(tail).map_err(|_| not_parquet())?;
     if tail.is_encrypted_footer() {
         return Err(damaged("the file is encrypted"));
     }
@@ -225,7 +223,7 @@ fn read_footer(source: &Source) -> Result<ParquetMetaData> {
     let start = tail_at.checked_sub(length).filter(|_| length <= MAX_FOOTER);
     let start = start.ok_or_else(|| damaged("the metadata is longer than the file"))?;
     ParquetMetaDataReader::decode_metadata(&read(start, length)?)
-        .map_err(|e| damaged("the metadata cannot be read").because(e))
+        .map_err(|e| damaged("cannot read the metadata").because(e))
 }
 
 fn own_metadata(metadata: &ParquetMetaData) -> Result<Option<ShardMetadata>> {
@@ -235,9 +233,9 @@ fn own_metadata(metadata: &ParquetMetaData) -> Result<Option<ShardMetadata>> {
     value.map(ShardMetadata::parse).transpose()
 }
 
-/// What is made of the first columns of a row.
+/// A type that is read from the first columns of a row.
 trait Sample: Sized + Send {
-    /// How many columns.
+    /// Number of columns.
     const COLUMNS: usize;
     fn from_cells(cells: &mut Cells<'_>) -> Result<Self>;
     fn facts(&self) -> &ShardFacts;
@@ -280,8 +278,8 @@ impl Sample for ShardRow {
     }
 }
 
-/// Goes through row groups.
-struct Walk {
+/// Reads a range of row groups.
+struct GroupsReader {
     shard: Arc<Inner>,
     groups: std::ops::Range<usize>,
     open: Option<OpenGroup>,
@@ -290,14 +288,14 @@ struct Walk {
 struct OpenGroup {
     number: usize,
     cursor: GroupCursor,
-    /// Rows that were read, and all.
+    /// Number of rows read, and of all rows.
     read: usize,
     rows: usize,
-    /// Bytes of the rows in memory.
+    /// Size of the rows in memory, bytes.
     bytes: usize,
 }
 
-impl Walk {
+impl GroupsReader {
     fn new(shard: Arc<Inner>, groups: std::ops::Range<usize>) -> Self {
         Self {
             shard,
@@ -307,18 +305,18 @@ impl Walk {
     }
 
     fn samples<T: Sample>(mut self) -> impl Iterator<Item = Result<T>> + Send {
-        let mut waiting = Vec::new().into_iter();
+        let mut pending = Vec::new().into_iter();
         let mut failed = false;
         std::iter::from_fn(move || {
             loop {
-                if let Some(sample) = waiting.next() {
+                if let Some(sample) = pending.next() {
                     return Some(Ok(sample));
                 }
                 if failed {
                     return None;
                 }
                 match self.next_batch(false) {
-                    Ok(batch) => waiting = batch?.into_iter(),
+                    Ok(batch) => pending = batch?.into_iter(),
                     Err(error) => {
                         failed = true;
                         return Some(Err(error));
@@ -328,9 +326,9 @@ impl Walk {
         })
     }
 
-    /// Some rows that are sound as far as can be known; none after the last. `kept`: the caller
-    /// keeps those of before in memory.
-    fn next_batch<T: Sample>(&mut self, kept: bool) -> Result<Option<Vec<T>>> {
+    /// Reads the next rows, checked; none after the last. `accumulates`: whether the caller keeps
+    /// earlier rows in memory.
+    fn next_batch<T: Sample>(&mut self, accumulates: bool) -> Result<Option<Vec<T>>> {
         loop {
             let Some(mut group) = self.open.take() else {
                 let Some(number) = self.groups.next() else {
@@ -343,10 +341,10 @@ impl Walk {
             if group.read == group.rows {
                 continue;
             }
-            // With a hash all rows of the group are held back until it is checked.
+            // With a hash, all rows of the group are read before it is checked.
             let hash = self.shard.hash(group.number);
             let rows = if hash.is_some() { group.rows } else { BATCH };
-            if !kept {
+            if !accumulates {
                 group.bytes = 0;
             }
             let read = guarded(|| group.read::<T>(rows, hash));
@@ -374,9 +372,9 @@ impl OpenGroup {
         })
     }
 
-    /// The next rows, up to `most`; with a hash they must be all of the group.
-    fn read<T: Sample>(&mut self, most: usize, hash: Option<&GroupHash>) -> Result<Vec<T>> {
-        let end = self.rows.min(self.read.saturating_add(most));
+    /// Reads up to `max_rows` rows; with a hash they must be all rows of the group.
+    fn read<T: Sample>(&mut self, max_rows: usize, hash: Option<&GroupHash>) -> Result<Vec<T>> {
+        let end = self.rows.min(self.read.saturating_add(max_rows));
         let mut samples = Vec::new();
         while self.read < end {
             let rows = BATCH.min(end - self.read);
@@ -399,38 +397,36 @@ impl OpenGroup {
     }
 }
 
-/// Whether the samples of a whole row group say what was written.
+/// Checks the samples of a complete row group against its hash.
 fn check_hash<T: Sample>(samples: &[T], expected: &GroupHash) -> Result<()> {
     let (mut facts, mut images) = (ContentHash::default(), ContentHash::default());
-    let mut imaged = true;
+    let mut has_images = true;
     for sample in samples {
         sample.facts().cells().iter().for_each(|c| facts.add(c));
         match sample.images() {
             Some(found) => found.cells().iter().for_each(|c| images.add(c)),
-            None => imaged = false,
+            None => has_images = false,
         }
     }
     if facts.finish() != expected.facts_sha256 {
-        return Err(altered("the columns besides the images"));
+        return Err(altered("the columns other than the images"));
     }
-    if imaged && images.finish() != expected.images_sha256 {
+    if has_images && images.finish() != expected.images_sha256 {
         return Err(altered("the images"));
     }
     Ok(())
 }
 
-/// Runs what calls the Parquet crate; nothing of it is used again after a panic.
+/// Runs code of the Parquet crate; a panic becomes an error.
 fn guarded<T>(work: impl FnOnce() -> Result<T>) -> Result<T> {
-    quiet_panic::catch(AssertUnwindSafe(work))
-        .unwrap_or_else(|panic| Err(damaged(format!("the contents cannot be decoded ({panic})"))))
+    catch_panic(AssertUnwindSafe(work))
+        .unwrap_or_else(|panic| Err(damaged(format!("cannot decode the contents ({panic})"))))
 }
 
 fn altered(what: &str) -> Error {
-    damaged(format!(
-        "{what} are not those that were written: the hash differs"
-    ))
+    damaged(format!("the hash of {what} does not match"))
 }
 
 fn damaged(what: impl Into<String>) -> Error {
-    Error::input(what).remedy("make or fetch the file again")
+    Error::input(what).remedy("create or download the file again")
 }

@@ -1,50 +1,50 @@
-//! One sample.
+//! A sample of a shard.
 
 use std::fmt;
 
 use glam::DQuat;
 
-use super::cell::{Cell, Cells, wrong};
+use super::cell::{Cell, Cells, column_error};
 use gripcast_base::error::Result;
 use gripcast_geometry::Pose;
 
-/// Largest deviation of a quaternion's norm from 1 that is taken as rounding.
+/// Tolerance of a unit quaternion's norm.
 const UNIT_TOLERANCE: f64 = 1e-3;
-/// The least number above 0.
+/// Smallest positive number.
 const ABOVE_0: f64 = f64::MIN_POSITIVE;
-/// Begin of every PNG file.
+/// Signature of PNG files.
 const PNG: &[u8] = b"\x89PNG\r\n\x1a\n";
-/// Begin of every JPEG file.
+/// Signature of JPEG files.
 const JPEG: &[u8] = b"\xff\xd8\xff";
 
-/// One grasp, real or a rendering of a simulated one: what is known of it, and its images.
+/// One grasp, real or a rendering of a simulated one: scalar columns and images.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ShardRow {
-    /// The scalars.
+    /// Columns other than the images.
     pub facts: ShardFacts,
-    /// The images.
+    /// Encoded images.
     pub images: ShardImages,
 }
 
-/// A sample without its images. Columns have the names of the fields, except where said. What a
-/// real grasp leaves unknown is none.
+/// A sample without its images. Columns are named like the fields unless stated otherwise. Fields
+/// unknown for a real grasp are none.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ShardFacts {
-    /// Key of the sample, not empty, unique in its dataset.
+    /// Id of the sample, not empty, unique in its dataset.
     pub id: String,
-    /// The simulation that is rendered; its renderings share it. Of a real grasp its id. Not empty.
+    /// Id of the simulation, shared by its renderings; the grasp id of a real grasp. Not empty.
     pub simulation: String,
-    /// What is grasped. Not empty.
+    /// Object to grasp, not empty.
     pub object: String,
-    /// Its category.
+    /// Category of the object.
     pub category: String,
-    /// Which simulator decided, or reality.
+    /// Simulator that determined the outcome, or reality.
     pub engine: ShardEngine,
     /// Outcome of the lift; also the column `label`: 0 slip, 1 stable.
     pub outcome: ShardOutcome,
-    /// What is said more precisely: `success`, `slip`, `eject`, ….
+    /// Simulation outcome: `success`, `slip`, `eject`, ….
     pub outcome_detail: String,
-    /// Mean normal force at which the fingers stop closing, N, > 0.
+    /// Stopping force: mean normal force at which the fingers stop closing, N, > 0.
     pub stop_force_n: Option<f64>,
     /// Coefficient of friction between gel and object, ≥ 0.
     pub friction: Option<f64>,
@@ -56,19 +56,19 @@ pub struct ShardFacts {
     pub force_left_n: Option<f64>,
     /// Normal force on the right finger in the grasp, N, ≥ 0.
     pub force_right_n: Option<f64>,
-    /// Distance of the gels' front faces in the grasp, m.
+    /// Distance between the gels' front faces in the grasp, m.
     pub opening_m: Option<f64>,
     /// Maps gripper coordinates into the object frame; columns `pose_t_m` (m) and `pose_q_wxyz`
     /// (unit quaternion, w ≥ 0).
     pub t_object_gripper: Option<Pose>,
-    /// How the grasp departs from two opposite places: `none`, `off_centre`, `tilted`, …; none for a
-    /// grasp that was given.
+    /// Planned deviation from an antipodal grasp: `none`, `off_centre`, `tilted`, …; none for a
+    /// grasp from outside the plan.
     pub fault: Option<String>,
-    /// Which look of object and scene was drawn.
+    /// Appearance of object and scene.
     pub appearance: String,
-    /// Number of the rendering of its simulation, from 0.
+    /// Index of the rendering of its simulation, from 0.
     pub rendering: u32,
-    /// Seed of the rendering, below 2⁶³: readers have signed integers.
+    /// Seed of the rendering, below 2⁶³ (stored as a signed integer).
     pub seed: u64,
     /// Crop profile of the tactile images.
     pub crop_profile: String,
@@ -93,31 +93,31 @@ pub struct ShardImages {
     pub grasp_depth: Option<Vec<u8>>,
 }
 
-/// What decided the outcome.
+/// Origin of the outcome.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum ShardEngine {
-    /// Finite-element gels.
+    /// Simulator with finite-element gels.
     Fem,
-    /// Rigid fingers.
+    /// Simulator with rigid fingers.
     Rigid,
-    /// No simulator: a real lift.
+    /// A real lift.
     Real,
 }
 
 /// Outcome of a lift; the number is the label.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum ShardOutcome {
-    /// It slipped, fell or was squeezed out.
+    /// The object slipped, fell or was squeezed out.
     Slip = 0,
-    /// It held.
+    /// The object stayed in the gripper.
     Stable = 1,
 }
 
 impl ShardEngine {
-    /// All.
+    /// All engines.
     pub const ALL: [Self; 3] = [Self::Fem, Self::Rigid, Self::Real];
 
-    /// Name in files.
+    /// Name in shards.
     #[must_use]
     pub fn name(self) -> &'static str {
         match self {
@@ -129,10 +129,10 @@ impl ShardEngine {
 }
 
 impl ShardOutcome {
-    /// Both, in the order of the labels.
+    /// Both outcomes, in the order of the labels.
     pub const ALL: [Self; 2] = [Self::Slip, Self::Stable];
 
-    /// Name in files.
+    /// Name in shards.
     #[must_use]
     pub fn name(self) -> &'static str {
         match self {
@@ -141,7 +141,7 @@ impl ShardOutcome {
         }
     }
 
-    /// 0 slip, 1 stable.
+    /// Label: 0 slip, 1 stable.
     #[must_use]
     pub fn label(self) -> i64 {
         self as i64
@@ -161,7 +161,7 @@ impl fmt::Display for ShardOutcome {
 }
 
 impl ShardFacts {
-    /// In the order of the columns.
+    /// Cells in the order of the columns.
     pub(super) fn cells(&self) -> Vec<Cell<'_>> {
         let [t_m, q_wxyz] = match &self.t_object_gripper {
             None => [Cell::Null, Cell::Null],
@@ -196,7 +196,7 @@ impl ShardFacts {
         ]
     }
 
-    /// From cells in the order of the columns, which have the kinds of the columns.
+    /// Reads cells in the order of the columns.
     pub(super) fn from_cells(cells: &mut Cells<'_>) -> Result<Self> {
         let [id, simulation, object, category] =
             [cells.text()?, cells.text()?, cells.text()?, cells.text()?];
@@ -206,8 +206,8 @@ impl ShardFacts {
         let label = cells.integer()?;
         if label != outcome.label() {
             let expected = outcome.label();
-            let what = format!("is {label}; for the outcome {outcome} it is {expected}");
-            return Err(wrong("label", what));
+            let what = format!("is {label}, expected {expected} for outcome {outcome}");
+            return Err(column_error("label", what));
         }
         Ok(Self {
             id,
@@ -234,7 +234,7 @@ impl ShardFacts {
     }
 
     /// # Errors
-    /// `Input`: the first field that no sample can have.
+    /// `Input`: the first field with an invalid value.
     pub(super) fn check(&self) -> Result<()> {
         for (name, text) in [
             ("id", &self.id),
@@ -242,10 +242,10 @@ impl ShardFacts {
             ("object", &self.object),
         ] {
             if text.is_empty() {
-                return Err(wrong(name, "is empty".to_owned()));
+                return Err(column_error(name, "is empty"));
             }
         }
-        // The least that each may be.
+        // Lower bounds.
         let bounds = [
             ("stop_force_n", self.stop_force_n, ABOVE_0),
             ("friction", self.friction, 0.0),
@@ -255,33 +255,33 @@ impl ShardFacts {
             ("force_right_n", self.force_right_n, 0.0),
             ("opening_m", self.opening_m, f64::MIN),
         ];
-        for (name, value, least) in bounds {
-            if let Some(value) = value.filter(|v| !(least..=f64::MAX).contains(v)) {
-                let expected = match least {
-                    ABOVE_0 => ", above 0",
-                    0.0 => ", not negative",
+        for (name, value, min) in bounds {
+            if let Some(value) = value.filter(|v| !(min..=f64::MAX).contains(v)) {
+                let expected = match min {
+                    ABOVE_0 => " above 0",
+                    0.0 => " of at least 0",
                     _ => "",
                 };
-                let what = format!("is {value}; it must be a finite number{expected}");
-                return Err(wrong(name, what));
+                let what = format!("is {value}, expected a finite number{expected}");
+                return Err(column_error(name, what));
             }
         }
         if i64::try_from(self.seed).is_err() {
-            return Err(wrong(
+            return Err(column_error(
                 "seed",
-                format!("is {}; it must be below 2^63", self.seed),
+                format!("is {}, expected a value below 2^63", self.seed),
             ));
         }
-        let Some(known) = &self.t_object_gripper else {
+        let Some(stored) = &self.t_object_gripper else {
             return Ok(());
         };
-        let (t_m, q_wxyz) = pose_numbers(known);
+        let (t_m, q_wxyz) = pose_numbers(stored);
         pose(&t_m, &q_wxyz).map(|_| ())
     }
 }
 
 impl ShardImages {
-    /// In the order of the columns.
+    /// Cells in the order of the columns.
     pub(super) fn cells(&self) -> Vec<Cell<'_>> {
         vec![
             Cell::image(&self.initial_left),
@@ -294,7 +294,7 @@ impl ShardImages {
         ]
     }
 
-    /// From cells in the order of the columns, which have the kinds of the columns.
+    /// Reads cells in the order of the columns.
     pub(super) fn from_cells(cells: &mut Cells<'_>) -> Result<Self> {
         Ok(Self {
             initial_left: cells.image()?,
@@ -309,13 +309,13 @@ impl ShardImages {
 }
 
 impl ShardRow {
-    /// Bytes that it has in a shard, nearly.
+    /// Approximate size in a shard, bytes.
     #[must_use]
     pub fn bytes(&self) -> usize {
         self.cells().iter().map(Cell::size).sum()
     }
 
-    /// In the order of the columns.
+    /// Cells in the order of the columns.
     pub(super) fn cells(&self) -> Vec<Cell<'_>> {
         let mut cells = self.facts.cells();
         cells.extend(self.images.cells());
@@ -323,7 +323,7 @@ impl ShardRow {
     }
 }
 
-/// Ending of the file name of an encoded image; none when it is neither PNG nor JPEG.
+/// File extension of an encoded image; none when it is neither PNG nor JPEG.
 pub(super) fn image_extension(bytes: &[u8]) -> Option<&'static str> {
     match bytes {
         _ if bytes.starts_with(PNG) => Some("png"),
@@ -332,40 +332,43 @@ pub(super) fn image_extension(bytes: &[u8]) -> Option<&'static str> {
     }
 }
 
-/// Translation, and rotation as w, x, y, z.
+/// Returns the translation, and the rotation as w, x, y, z.
 fn pose_numbers(pose: &Pose) -> ([f64; 3], [f64; 4]) {
     let q = pose.rotation;
     (pose.translation_m.to_array(), [q.w, q.x, q.y, q.z])
 }
 
-/// None where both columns are null.
+/// Reads the pose; none where both columns are null.
 fn optional_pose(cells: &mut Cells<'_>) -> Result<Option<Pose>> {
     match (cells.optional_numbers()?, cells.optional_numbers()?) {
         (None, None) => Ok(None),
         (Some(t_m), Some(q_wxyz)) => pose(&t_m, &q_wxyz).map(Some),
-        (None, Some(_)) => Err(wrong("pose_t_m", "is null, pose_q_wxyz is not".to_owned())),
-        (Some(_), None) => Err(wrong("pose_q_wxyz", "is null, pose_t_m is not".to_owned())),
+        (None, Some(_)) => Err(column_error("pose_t_m", "is null, pose_q_wxyz is not")),
+        (Some(_), None) => Err(column_error("pose_q_wxyz", "is null, pose_t_m is not")),
     }
 }
 
 fn pose(t_m: &[f64], q_wxyz: &[f64]) -> Result<Pose> {
     let (&[x, y, z], &[qw, qx, qy, qz]) = (t_m, q_wxyz) else {
-        return Err(wrong(
+        return Err(column_error(
             "pose_t_m",
-            "and pose_q_wxyz need 3 and 4 numbers".to_owned(),
+            "and pose_q_wxyz need 3 and 4 numbers",
         ));
     };
     let translation_m = glam::DVec3::new(x, y, z);
     if !translation_m.is_finite() {
-        return Err(wrong("pose_t_m", format!("is {t_m:?}; it must be finite")));
+        return Err(column_error(
+            "pose_t_m",
+            format!("is {t_m:?}, expected finite numbers"),
+        ));
     }
     let rotation = DQuat::from_xyzw(qx, qy, qz, qw);
-    // Written so that NaN is refused as well.
+    // False for NaN.
     let is_unit = (rotation.length() - 1.0).abs() <= UNIT_TOLERANCE;
     if !is_unit {
-        return Err(wrong(
+        return Err(column_error(
             "pose_q_wxyz",
-            format!("is {q_wxyz:?}; it must be a unit quaternion"),
+            format!("is {q_wxyz:?}, expected a unit quaternion"),
         ));
     }
     Ok(Pose::new(rotation, translation_m))

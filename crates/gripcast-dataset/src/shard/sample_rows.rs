@@ -1,11 +1,11 @@
-//! Rows for tests.
+//! Sample rows for tests.
 
 use glam::{DQuat, DVec3};
 
 use super::row::{ShardEngine, ShardFacts, ShardImages, ShardOutcome, ShardRow};
 use gripcast_geometry::Pose;
 
-/// Bytes that begin as an image does; nothing here decodes it.
+/// Bytes with the signature of an image; not decodable.
 pub(super) fn image(png: bool, seed: u64, length: usize) -> Vec<u8> {
     let begin: &[u8] = if png {
         b"\x89PNG\r\n\x1a\n"
@@ -27,12 +27,12 @@ pub(super) fn image(png: bool, seed: u64, length: usize) -> Vec<u8> {
         .collect()
 }
 
-/// A row whose fields all depend on the number; every null comes up.
+/// A row whose fields all depend on `number`; every nullable column is null in some row.
 pub(super) fn sample_row(number: u64) -> ShardRow {
     let x = number as f64;
     let every = |n: u64| number.is_multiple_of(n);
     let outcome = ShardOutcome::ALL[(number % 2) as usize];
-    // Without sines, which differ between machines.
+    // Without trigonometric functions, which differ between machines.
     let rotation = DQuat::from_xyzw(0.3 * x, -0.2, 0.1, 1.0 + x);
     let facts = ShardFacts {
         id: format!("{number:06}-r0"),
@@ -72,7 +72,7 @@ pub(super) fn sample_row(number: u64) -> ShardRow {
     ShardRow { facts, images }
 }
 
-/// Rows with the numbers from `first` on.
+/// Rows `first`, `first` + 1, ….
 pub(super) fn sample_rows(first: u64, count: usize) -> Vec<ShardRow> {
     (first..).take(count).map(sample_row).collect()
 }

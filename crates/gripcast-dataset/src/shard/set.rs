@@ -1,4 +1,4 @@
-//! A folder of shards by split.
+//! A directory of shards by split.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::PathBuf;
@@ -8,54 +8,55 @@ use super::row::{ShardFacts, ShardRow};
 use gripcast_base::error::{Error, Result, unknown_name};
 use gripcast_base::files::{BeneathPath, FileName, Printable, Root};
 
-/// Folder of the shards in that of a dataset.
+/// Directory of the shards in that of a dataset.
 const DATA: &str = "data";
-/// Ending of their names.
-const ENDING: &str = ".parquet";
-/// Digits of a number in their names, at least; the first has no more.
+/// File extension of shards.
+const EXTENSION: &str = ".parquet";
+/// Digits of the numbers in names of shards.
 const DIGITS: usize = 5;
-/// Most shards of a split, so that a misspelt name does not stand for a million missing ones.
+/// Maximum number of shards of a split.
 const MAX_SHARDS: usize = 99_999;
-/// File by which a dataset of grasps, as they were collected, is known.
-const COLLECTED: &str = "dataset.toml";
-/// What makes sets of shards.
-const MAKERS: &str =
-    "give a folder that `synth merge`, `dataset import` or `dataset export --to training` wrote";
+/// File that identifies a dataset of collected grasps.
+const DATASET_TOML: &str = "dataset.toml";
+/// Remedy where no shards are found.
+const GIVE_SHARDS: &str =
+    "give a directory written by `synth merge`, `dataset import` or `dataset export --to training`";
 
-/// Name of a shard in its dataset, as Hugging Face `datasets` finds splits:
+/// Returns the name of a shard in its dataset, as Hugging Face `datasets` expects it:
 /// `data/train-00000-of-00003.parquet`. `index` counts from 0.
 ///
 /// # Errors
-/// `Usage`: the split is no word of ASCII letters, digits and `_`; there is no such shard.
+/// `Usage`: invalid name of a split, or index out of range.
 pub fn shard_name(split: &str, index: usize, count: usize) -> Result<String> {
     Ok(format!("{DATA}/{}", file_name(split, index, count)?))
 }
 
-/// Place of a shard in the folder of its dataset.
+/// Returns the path of a shard in its dataset.
 ///
 /// # Errors
-/// As of [`shard_name`].
-pub fn shard_place(root: &Root, split: &str, index: usize, count: usize) -> Result<BeneathPath> {
+/// As [`shard_name`].
+pub fn shard_path(root: &Root, split: &str, index: usize, count: usize) -> Result<BeneathPath> {
     let name = file_name(split, index, count)?;
     Ok(root.top().join(DATA).join(&name))
 }
 
 fn file_name(split: &str, index: usize, count: usize) -> Result<FileName> {
     if !is_split(split) {
-        let what = format!("a split cannot be called {split:?}");
+        let what = format!("invalid split name {split:?}");
         let error = Error::usage(what);
         return Err(error.remedy("use letters, digits and _, as in train, validation, test"));
     }
     if index >= count || count > MAX_SHARDS {
-        let what = format!("there is no shard {index} of {count}; at most {MAX_SHARDS} are");
+        let what =
+            format!("invalid shard {index} of {count}, at most {MAX_SHARDS} shards are supported");
         return Err(Error::usage(what));
     }
     FileName::parse(&format!(
-        "{split}-{index:0DIGITS$}-of-{count:0DIGITS$}{ENDING}"
+        "{split}-{index:0DIGITS$}-of-{count:0DIGITS$}{EXTENSION}"
     ))
 }
 
-/// The shards of a dataset, complete, by split.
+/// The complete shards of a dataset, by split.
 #[derive(Clone, Debug)]
 pub struct ShardSet {
     root: Root,
@@ -63,11 +64,11 @@ pub struct ShardSet {
 }
 
 impl ShardSet {
-    /// Lists the shards below `root/data` and checks that none is missing; they are not opened.
+    /// Lists the shards in `root/data` without opening them; checks that none is missing.
     ///
     /// # Errors
-    /// `NotFound`: there is no such folder, or no shard in it. `Input`: a shard is missing, or a
-    /// Parquet file has another name. `Permission`, `Io`: the folder.
+    /// `NotFound`: the directory is missing or has no shard. `Input`: a shard is missing, or a
+    /// Parquet file has an invalid name. `Permission`, `Io`: the directory.
     pub fn open(root: impl Into<PathBuf>) -> Result<Self> {
         let root = Root::new(root);
         match list(&root) {
@@ -81,10 +82,10 @@ impl ShardSet {
         self.splits.keys().map(String::as_str)
     }
 
-    /// Files of a split in their order.
+    /// Files of a split in order.
     ///
     /// # Errors
-    /// `Usage`: there is no such split.
+    /// `Usage`: unknown split.
     pub fn shards(&self, split: &str) -> Result<&[BeneathPath]> {
         let found = self.splits.get(split);
         found.map(Vec::as_slice).ok_or_else(|| {
@@ -93,21 +94,21 @@ impl ShardSet {
         })
     }
 
-    /// Rows of a split.
+    /// Number of rows of a split.
     ///
     /// # Errors
-    /// `Usage`: there is no such split. Those of [`ShardReader::open`] for any of its files.
+    /// `Usage`: unknown split. Those of [`ShardReader::open`] for any of its files.
     pub fn num_rows(&self, split: &str) -> Result<usize> {
         let shards = self.shards(split)?.iter();
         shards
-            .map(|place| Ok(ShardReader::open_beneath(place)?.num_rows()))
+            .map(|path| Ok(ShardReader::open_beneath(path)?.num_rows()))
             .sum()
     }
 
-    /// Rows of a split, file after file; one file is open at a time, and nothing follows an error.
+    /// Reads the rows of a split, one open file at a time; ends at the first error.
     ///
     /// # Errors
-    /// `Usage`: there is no such split. The items: as of [`ShardReader::rows`].
+    /// `Usage`: unknown split. Items: as [`ShardReader::rows`].
     pub fn rows(
         &self,
         split: &str,
@@ -116,7 +117,7 @@ impl ShardSet {
         Ok(chain(shards, |shard| shard.rows()))
     }
 
-    /// Rows of a split without their images.
+    /// Reads the rows of a split without their images.
     ///
     /// # Errors
     /// As [`rows`](Self::rows).
@@ -128,10 +129,10 @@ impl ShardSet {
         Ok(chain(shards, |shard| shard.facts()))
     }
 
-    /// Reads everything: hashes, values, and that no id is there twice. The rows of each split.
+    /// Checks hashes, values and unique ids of all rows; returns the number of rows by split.
     ///
     /// # Errors
-    /// `Input`: two samples have one id; as of [`ShardReader::rows`].
+    /// `Input`: duplicate ids; as [`ShardReader::rows`].
     pub fn verify(&self) -> Result<BTreeMap<String, usize>> {
         let mut split_of: BTreeMap<String, &str> = BTreeMap::new();
         let mut counts = BTreeMap::new();
@@ -141,7 +142,7 @@ impl ShardSet {
                 count += 1;
                 let id = row?.facts.id;
                 if let Some(other) = split_of.get(&id) {
-                    let what = format!("the sample {id:?} is in {other} and again in {split}");
+                    let what = format!("duplicate sample id {id:?} in {other} and {split}");
                     return Err(Error::input(what).at(self.root.path().display()));
                 }
                 split_of.insert(id, split);
@@ -152,7 +153,7 @@ impl ShardSet {
     }
 }
 
-/// What is in the files one after the other, up to the first error.
+/// Chains the samples of files, up to the first error.
 fn chain<T, I>(
     shards: Vec<BeneathPath>,
     samples: impl Fn(&ShardReader) -> I + Send,
@@ -184,16 +185,17 @@ where
 
 fn list(root: &Root) -> Result<BTreeMap<String, Vec<BeneathPath>>> {
     let folder = root.top().join(DATA);
-    if !folder.is_dir() && root.top().join(COLLECTED).is_file() {
-        let what = "these are grasps as they were collected, not shards of samples";
-        let remedy = "make shards of them with `gripcast dataset export FOLDER --to training --out SHARDS`, and give SHARDS";
+    if !folder.is_dir() && root.top().join(DATASET_TOML).is_file() {
+        let what = "expected shards of samples, found a dataset of collected grasps";
+        let remedy =
+            "run `gripcast dataset export FOLDER --to training --out SHARDS` and give SHARDS";
         return Err(Error::input(what).remedy(remedy));
     }
     let unreadable = |e: std::io::Error| {
         let is_absent = e.kind() == std::io::ErrorKind::NotFound;
-        let error = Error::io(format!("cannot list the folder {DATA}"), e);
+        let error = Error::io(format!("cannot list the directory {DATA}"), e);
         if is_absent {
-            error.remedy(MAKERS)
+            error.remedy(GIVE_SHARDS)
         } else {
             error
         }
@@ -201,21 +203,21 @@ fn list(root: &Root) -> Result<BTreeMap<String, Vec<BeneathPath>>> {
     let mut found: BTreeMap<String, BTreeSet<(usize, usize)>> = BTreeMap::new();
     for entry in folder.entries().map_err(unreadable)? {
         let name = entry.name();
-        // What a kill left behind is hidden.
-        if name.starts_with('.') || !name.ends_with(ENDING) {
+        // Leftovers of a killed process are hidden.
+        if name.starts_with('.') || !name.ends_with(EXTENSION) {
             continue;
         }
         let Some((split, index, count)) = parse(&name) else {
-            let what = format!("{DATA}/{} has no name of a shard", Printable(&name));
-            let remedy = "shards are called SPLIT-00000-of-00003.parquet, counted from 0";
+            let what = format!("invalid shard name {DATA}/{}", Printable(&name));
+            let remedy = "name shards SPLIT-00000-of-00003.parquet, counted from 0";
             return Err(Error::input(what).remedy(remedy));
         };
         let shards = found.entry(split.to_owned()).or_default();
         shards.insert((index, count));
     }
     if found.is_empty() {
-        let what = format!("there is no shard in the folder {DATA}");
-        return Err(Error::not_found(what).remedy(MAKERS));
+        let what = format!("no shard found in the directory {DATA}");
+        return Err(Error::not_found(what).remedy(GIVE_SHARDS));
     }
     let complete = |(split, shards): (String, BTreeSet<(usize, usize)>)| {
         let files = files(root, &split, &shards)?;
@@ -224,14 +226,13 @@ fn list(root: &Root) -> Result<BTreeMap<String, Vec<BeneathPath>>> {
     found.into_iter().map(complete).collect()
 }
 
-/// The files of a split, all of them. `shards`: index and count in the name of each.
+/// All files of a split. `shards`: index and count in the name of each.
 fn files(root: &Root, split: &str, shards: &BTreeSet<(usize, usize)>) -> Result<Vec<BeneathPath>> {
     let count = shards.first().map_or(0, |&(_, count)| count);
     if let Some((_, other)) = shards.iter().find(|&&(_, other)| other != count) {
-        let what = format!(
-            "the split {split} has shards of {count} and shards of {other}: they are of two sets"
-        );
-        return Err(Error::input(what).remedy("remove those of the older set"));
+        let what =
+            format!("the split {split} has shards of two sets, of {count} and {other} shards");
+        return Err(Error::input(what).remedy("remove the shards of the older set"));
     }
     let missing: Vec<usize> = (0..count)
         .filter(|index| !shards.contains(&(*index, count)))
@@ -242,15 +243,15 @@ fn files(root: &Root, split: &str, shards: &BTreeSet<(usize, usize)>) -> Result<
             1 => format!("{name} is missing"),
             several => format!("{name} and {} more are missing", several - 1),
         };
-        return Err(Error::input(what).remedy("make or fetch it again"));
+        return Err(Error::input(what).remedy("create or download it again"));
     }
-    let place = |index| shard_place(root, split, index, count);
-    (0..count).map(place).collect()
+    let path = |index| shard_path(root, split, index, count);
+    (0..count).map(path).collect()
 }
 
-/// Split, index and count in the name of a shard.
+/// Parses split, index and count in the name of a shard.
 fn parse(name: &str) -> Option<(&str, usize, usize)> {
-    let (split, numbers) = name.strip_suffix(ENDING)?.split_once('-')?;
+    let (split, numbers) = name.strip_suffix(EXTENSION)?.split_once('-')?;
     let (index, count) = numbers.split_once("-of-")?;
     let number = |text: &str| {
         let digits = text.len() == DIGITS && text.bytes().all(|b| b.is_ascii_digit());
@@ -283,7 +284,7 @@ mod tests {
     }
 
     #[test]
-    fn rows_of_a_split_come_file_after_file() {
+    fn rows_of_a_split_are_read_in_order() {
         let root = tempfile::tempdir().unwrap();
         let root = root.path();
         for (index, rows) in [4, 0, 3].into_iter().enumerate() {
@@ -307,17 +308,14 @@ mod tests {
         assert_eq!(set.verify().unwrap(), counts.into());
         write(root, "data/test-00000-of-00001.parquet", 3, 1);
         let error = set.verify().unwrap_err().to_string();
-        assert!(
-            error.contains("\"000003-r0\" is in test and again in train"),
-            "{error}"
-        );
+        assert!(error.contains("\"000003-r0\" in test and train"), "{error}");
         let error = set.num_rows("tain").unwrap_err();
         assert_eq!(error.kind(), ErrorKind::Usage);
         assert!(error.to_string().contains("did you mean train"), "{error}");
     }
 
     #[test]
-    fn an_error_ends_the_rows_and_names_the_file() {
+    fn error_names_the_file_and_ends_the_rows() {
         let root = tempfile::tempdir().unwrap();
         let root = root.path();
         write(root, "data/train-00000-of-00002.parquet", 0, 2);
@@ -327,13 +325,13 @@ mod tests {
         assert_eq!(rows.len(), 3);
         let error = rows[2].as_ref().unwrap_err().to_string();
         assert!(
-            error.contains("train-00001-of-00002.parquet: this is no Parquet"),
+            error.contains("train-00001-of-00002.parquet: not a Parquet file"),
             "{error}"
         );
     }
 
     #[test]
-    fn shards_that_lead_out_of_the_dataset_are_refused() {
+    fn links_out_of_the_dataset_are_refused() {
         let dir = tempfile::tempdir().unwrap();
         let [root, secret] = ["set", "secret"].map(|name| dir.path().join(name));
         write(&secret, "data/train-00000-of-00001.parquet", 0, 2);
@@ -361,7 +359,7 @@ mod tests {
     }
 
     #[test]
-    fn a_missing_shard_is_named() {
+    fn missing_shard_is_reported() {
         let root = tempfile::tempdir().unwrap();
         let root = root.path();
         let refused = || ShardSet::open(root).unwrap_err();
@@ -390,7 +388,7 @@ mod tests {
     }
 
     #[test]
-    fn names_are_those_that_datasets_looks_for() {
+    fn shard_names_match_hugging_face_datasets() {
         assert_eq!(
             shard_name("train", 7, 12).unwrap(),
             "data/train-00007-of-00012.parquet"

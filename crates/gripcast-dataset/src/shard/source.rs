@@ -1,4 +1,4 @@
-//! Where the bytes of a shard are read from.
+//! Source of a shard's bytes.
 
 use std::fs::File;
 use std::io;
@@ -6,7 +6,7 @@ use std::os::unix::fs::FileExt as _;
 
 use bytes::Bytes;
 
-/// A file or a block of memory, read at any place by any number of readers.
+/// A file or a block of memory with random access for any number of readers.
 #[derive(Debug)]
 pub(super) enum Source {
     File { file: File, size: u64 },
@@ -21,7 +21,7 @@ impl Source {
         Ok(Self::File { file, size })
     }
 
-    /// Bytes in all.
+    /// Total size in bytes.
     pub(super) fn size(&self) -> u64 {
         match self {
             Self::File { size, .. } => *size,
@@ -29,10 +29,10 @@ impl Source {
         }
     }
 
-    /// `length` bytes from `offset` on.
+    /// Reads `length` bytes at `offset`.
     ///
     /// # Errors
-    /// `UnexpectedEof`: there are fewer; those of the operating system.
+    /// `UnexpectedEof`: the range is outside the file; those of the operating system.
     pub(super) fn read(&self, offset: u64, length: u64) -> io::Result<Bytes> {
         let end = offset.checked_add(length).filter(|&end| end <= self.size());
         let Some(end) = end else {

@@ -1,4 +1,4 @@
-//! Parts of a dataset, and which object goes into which.
+//! Fractions of the splits of a dataset, and assignment of groups to splits.
 
 use std::cmp::Reverse;
 use std::collections::BTreeMap;
@@ -10,53 +10,53 @@ use sha2::{Digest as _, Sha256};
 use super::shard_name;
 use gripcast_base::error::{Error, Result};
 
-/// Largest deviation of the fractions' sum from 1 that is taken as rounding.
+/// Tolerance of the fractions' sum.
 const SUM_TOLERANCE: f64 = 1e-6;
 
-/// Parts of a dataset and the fraction of each: `train=0.8,validation=0.1,test=0.1`, or `test`.
+/// Splits of a dataset and their fractions: `train=0.8,validation=0.1,test=0.1`, or `test`.
 ///
-/// Fractions are above 0 and sum to 1; in JSON it is an object of fractions by name.
+/// Fractions are above 0 and sum to 1; in JSON an object of fractions by name.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(into = "BTreeMap<String, f64>", try_from = "BTreeMap<String, f64>")]
-pub struct Split(BTreeMap<String, f64>);
+pub struct SplitFractions(BTreeMap<String, f64>);
 
-/// What stays together in one part.
+/// A group of grasps that is assigned to one split as a whole.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct SplitGroup {
-    /// Groups of a stratum are divided by the fractions as nearly as whole groups allow.
+    /// Stratum, each of which is divided by the fractions.
     pub stratum: String,
-    /// How much of the dataset it is, in grasps.
+    /// Number of grasps.
     pub size: usize,
 }
 
-impl Split {
-    /// 80 % to train, 10 % each to validate and test.
-    pub fn usual() -> Self {
-        let parts = [("train", 0.8), ("validation", 0.1), ("test", 0.1)];
+impl SplitFractions {
+    /// 80 % train, 10 % validation, 10 % test.
+    pub fn standard() -> Self {
+        let splits = [("train", 0.8), ("validation", 0.1), ("test", 0.1)];
         Self(
-            parts
+            splits
                 .map(|(name, fraction)| (name.to_owned(), fraction))
                 .into(),
         )
     }
 
-    /// Everything in one part.
+    /// Everything in one split.
     ///
     /// # Errors
-    /// `Usage` for a name that files cannot have.
-    pub fn one(name: &str) -> Result<Self> {
-        Self::of(BTreeMap::from([(name.to_owned(), 1.0)]))
+    /// `Usage` for an invalid name.
+    pub fn single(name: &str) -> Result<Self> {
+        Self::new(BTreeMap::from([(name.to_owned(), 1.0)]))
     }
 
-    /// Names of the parts.
+    /// Names of the splits.
     pub fn names(&self) -> impl Iterator<Item = &String> {
         self.0.keys()
     }
 
-    /// The part of each group: the parts get their fractions of each stratum, and of all of them, as
-    /// nearly as whole groups allow. Each group, the largest first and equals by chance, goes to the
-    /// part that lacks most.
-    pub fn deal(
+    /// Assigns each group to a split, so that the splits get their fractions of each stratum and of
+    /// the whole as nearly as possible. Groups are taken in the order of decreasing size, equal
+    /// ones in random order; each goes to the split with the largest deficit.
+    pub fn assign(
         &self,
         groups: &BTreeMap<String, SplitGroup>,
         seed: u64,
@@ -66,92 +66,94 @@ impl Split {
             let members = strata.entry(&group.stratum).or_default();
             members.push((name, group.size));
         }
-        let mut dealt = BTreeMap::new();
-        let nothing = || self.names().map(|part| (part, 0.0)).collect();
-        let mut total: BTreeMap<&String, f64> = nothing();
+        let mut assigned = BTreeMap::new();
+        let zero = || self.names().map(|split| (split, 0.0)).collect();
+        let mut total: BTreeMap<&String, f64> = zero();
         for mut members in strata.into_values() {
-            members.sort_by_cached_key(|(name, size)| (Reverse(*size), chance(seed, name)));
+            members.sort_by_cached_key(|(name, size)| (Reverse(*size), random_key(seed, name)));
             let all: usize = members.iter().map(|(_, size)| size).sum();
-            let mut here: BTreeMap<&String, f64> = nothing();
+            let mut here: BTreeMap<&String, f64> = zero();
             let whole = total.values().sum::<f64>() + all as f64;
             for (name, size) in members {
-                let lacks = |part: &String, fraction: f64| {
-                    // In grasps, so that what small strata cannot give adds up until it counts.
-                    let in_stratum = fraction * all as f64 - here[part];
-                    let overall = fraction * whole - total[part];
+                let deficit = |split: &String, fraction: f64| {
+                    // In grasps, so that the deficits of small strata add up.
+                    let in_stratum = fraction * all as f64 - here[split];
+                    let overall = fraction * whole - total[split];
                     in_stratum + overall
                 };
-                let most = self
+                let neediest = self
                     .0
                     .iter()
-                    .max_by(|a, b| lacks(a.0, *a.1).total_cmp(&lacks(b.0, *b.1)));
-                let Some((part, _)) = most else { break };
-                *here.entry(part).or_default() += size as f64;
-                *total.entry(part).or_default() += size as f64;
-                dealt.insert(name.clone(), part.clone());
+                    .max_by(|a, b| deficit(a.0, *a.1).total_cmp(&deficit(b.0, *b.1)));
+                let Some((split, _)) = neediest else { break };
+                *here.entry(split).or_default() += size as f64;
+                *total.entry(split).or_default() += size as f64;
+                assigned.insert(name.clone(), split.clone());
             }
         }
-        dealt
+        assigned
     }
 
-    fn of(parts: BTreeMap<String, f64>) -> Result<Self> {
-        for name in parts.keys() {
+    fn new(splits: BTreeMap<String, f64>) -> Result<Self> {
+        for name in splits.keys() {
             shard_name(name, 0, 1)?;
         }
-        let sum: f64 = parts.values().sum();
+        let sum: f64 = splits.values().sum();
         let is_fraction = |fraction: &f64| *fraction > 0.0 && *fraction <= 1.0;
-        if parts.values().all(is_fraction) && (sum - 1.0).abs() <= SUM_TOLERANCE {
-            return Ok(Self(parts));
+        if splits.values().all(is_fraction) && (sum - 1.0).abs() <= SUM_TOLERANCE {
+            return Ok(Self(splits));
         }
-        Err(wrong(format!(
-            "the fractions of the parts must be above 0 and sum to 1, found {parts:?}"
+        Err(invalid(format!(
+            "expected fractions above 0 that sum to 1, found {splits:?}"
         )))
     }
 }
 
-impl FromStr for Split {
+impl FromStr for SplitFractions {
     type Err = Error;
 
     fn from_str(text: &str) -> Result<Self> {
-        let mut parts = BTreeMap::new();
-        for part in text.split(',') {
-            let (name, fraction) = part.split_once('=').unwrap_or((part, "1"));
-            let number = fraction
-                .parse()
-                .map_err(|_| wrong(format!("the fraction of the part `{name}` is {fraction:?}")))?;
-            if parts.insert(name.to_owned(), number).is_some() {
-                return Err(wrong(format!("the part `{name}` is given twice")));
+        let mut splits = BTreeMap::new();
+        for item in text.split(',') {
+            let (name, fraction) = item.split_once('=').unwrap_or((item, "1"));
+            let number = fraction.parse().map_err(|_| {
+                invalid(format!(
+                    "invalid fraction {fraction:?} of the split `{name}`"
+                ))
+            })?;
+            if splits.insert(name.to_owned(), number).is_some() {
+                return Err(invalid(format!("the split `{name}` is given twice")));
             }
         }
-        Self::of(parts)
+        Self::new(splits)
     }
 }
 
-impl std::fmt::Display for Split {
+impl std::fmt::Display for SplitFractions {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        let parts = self
+        let splits = self
             .0
             .iter()
             .map(|(name, fraction)| format!("{name}={fraction}"));
-        f.write_str(&parts.collect::<Vec<_>>().join(","))
+        f.write_str(&splits.collect::<Vec<_>>().join(","))
     }
 }
 
-impl TryFrom<BTreeMap<String, f64>> for Split {
+impl TryFrom<BTreeMap<String, f64>> for SplitFractions {
     type Error = Error;
 
-    fn try_from(parts: BTreeMap<String, f64>) -> Result<Self> {
-        Self::of(parts)
+    fn try_from(splits: BTreeMap<String, f64>) -> Result<Self> {
+        Self::new(splits)
     }
 }
 
-impl From<Split> for BTreeMap<String, f64> {
-    fn from(split: Split) -> Self {
+impl From<SplitFractions> for BTreeMap<String, f64> {
+    fn from(split: SplitFractions) -> Self {
         split.0
     }
 }
 
-fn chance(seed: u64, name: &str) -> [u8; 32] {
+fn random_key(seed: u64, name: &str) -> [u8; 32] {
     Sha256::new()
         .chain_update(seed.to_le_bytes())
         .chain_update(name)
@@ -159,7 +161,7 @@ fn chance(seed: u64, name: &str) -> [u8; 32] {
         .into()
 }
 
-fn wrong(what: String) -> Error {
+fn invalid(what: String) -> Error {
     Error::usage(what).remedy("for instance train=0.8,validation=0.1,test=0.1")
 }
 
@@ -173,15 +175,21 @@ mod tests {
     }
 
     #[test]
-    fn fractions_are_read_and_checked() {
-        let read = |text: &str| text.parse::<Split>();
-        assert_eq!(read("test").unwrap(), Split::one("test").unwrap());
-        let usual = read("train=0.8,validation=0.1,test=0.1").unwrap();
-        assert_eq!(usual, Split::usual());
-        assert_eq!(read(&usual.to_string()).unwrap(), usual);
-        let json = serde_json::to_string(&usual).unwrap();
+    fn fractions_are_parsed_and_checked() {
+        let read = |text: &str| text.parse::<SplitFractions>();
+        assert_eq!(
+            read("test").unwrap(),
+            SplitFractions::single("test").unwrap()
+        );
+        let standard = read("train=0.8,validation=0.1,test=0.1").unwrap();
+        assert_eq!(standard, SplitFractions::standard());
+        assert_eq!(read(&standard.to_string()).unwrap(), standard);
+        let json = serde_json::to_string(&standard).unwrap();
         assert_eq!(json, r#"{"test":0.1,"train":0.8,"validation":0.1}"#);
-        assert_eq!(serde_json::from_str::<Split>(&json).unwrap(), usual);
+        assert_eq!(
+            serde_json::from_str::<SplitFractions>(&json).unwrap(),
+            standard
+        );
         for text in [
             "",
             "a/b",
@@ -195,11 +203,11 @@ mod tests {
         ] {
             assert_eq!(read(text).unwrap_err().kind(), ErrorKind::Usage, "{text}");
         }
-        assert!(serde_json::from_str::<Split>(r#"{"train":0.5}"#).is_err());
+        assert!(serde_json::from_str::<SplitFractions>(r#"{"train":0.5}"#).is_err());
     }
 
     #[test]
-    fn strata_of_two_give_all_parts_their_fraction() {
+    fn strata_of_two_reach_all_fractions() {
         let groups = (0..60)
             .map(|k| {
                 (
@@ -208,9 +216,9 @@ mod tests {
                 )
             })
             .collect();
-        let dealt = Split::usual().deal(&groups, 0);
-        let count = |name: &str| dealt.values().filter(|part| *part == name).count();
-        assert_eq!(dealt.len(), 60);
+        let assigned = SplitFractions::standard().assign(&groups, 0);
+        let count = |name: &str| assigned.values().filter(|split| *split == name).count();
+        assert_eq!(assigned.len(), 60);
         for (name, expected) in [("train", 48), ("validation", 6), ("test", 6)] {
             assert!(
                 count(name).abs_diff(expected) <= 1,
@@ -221,18 +229,18 @@ mod tests {
     }
 
     #[test]
-    fn groups_of_any_size_come_to_their_fractions() {
+    fn groups_of_any_size_reach_their_fractions() {
         let groups: BTreeMap<String, SplitGroup> = (0..100)
             .map(|n| (format!("object {n}"), group(String::new(), 1 + n % 7)))
             .collect();
-        let split: Split = "train=0.6,test=0.4".parse().unwrap();
-        let dealt = split.deal(&groups, 1);
-        let of = |part: &str| -> usize {
-            let groups = groups.iter().filter(|(name, _)| dealt[*name] == part);
+        let split: SplitFractions = "train=0.6,test=0.4".parse().unwrap();
+        let assigned = split.assign(&groups, 1);
+        let size_of = |split: &str| -> usize {
+            let groups = groups.iter().filter(|(name, _)| assigned[*name] == split);
             groups.map(|(_, group)| group.size).sum()
         };
-        let fraction = of("train") as f64 / (of("train") + of("test")) as f64;
+        let fraction = size_of("train") as f64 / (size_of("train") + size_of("test")) as f64;
         assert!((fraction - 0.6).abs() < 0.03, "{fraction}");
-        assert_ne!(split.deal(&groups, 2), dealt);
+        assert_ne!(split.assign(&groups, 2), assigned);
     }
 }

@@ -1,11 +1,11 @@
-//! A file that is written piece by piece and gets its name last.
+//! A file that is written incrementally and renamed when complete.
 
 use std::fs::File;
 use std::io::{self, Write};
 
 use gripcast_base::files::BeneathPath;
 
-/// A file under a hidden name in the folder of its own; removed when dropped before
+/// A file under a hidden temporary name; removed when dropped before
 /// [`commit`](Self::commit).
 #[derive(Debug)]
 pub(super) struct StagedShard {
@@ -16,7 +16,7 @@ pub(super) struct StagedShard {
 
 impl StagedShard {
     /// # Errors
-    /// Those of the operating system; the target being a folder.
+    /// Those of the operating system; `IsADirectory` for a directory.
     pub(super) fn create(target: &BeneathPath) -> io::Result<Self> {
         if target.is_dir() {
             return Err(io::ErrorKind::IsADirectory.into());
@@ -29,14 +29,14 @@ impl StagedShard {
         })
     }
 
-    /// Gives the file its name once its contents are on the disk; a link is replaced.
+    /// Flushes the file and renames it to its target; a link is replaced.
     ///
     /// # Errors
-    /// Those of the operating system; what had the name before is then as it was.
+    /// Those of the operating system; the target is then unchanged.
     pub(super) fn commit(self) -> io::Result<()> {
         self.file.sync_all()?;
         self.partial.rename(&self.target)?;
-        // Not every file system can do this to a folder, and the file itself is safe.
+        // Not every file system can flush a directory, and the file itself is safe.
         let _ = self.target.parent().sync_dir();
         Ok(())
     }
@@ -54,7 +54,7 @@ impl Write for StagedShard {
 
 impl Drop for StagedShard {
     fn drop(&mut self) {
-        // After the renaming there is none any more; the cause is what the caller reports.
+        // Fails after the rename, as intended.
         let _ = self.partial.remove_file();
     }
 }

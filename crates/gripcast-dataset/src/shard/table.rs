@@ -1,52 +1,52 @@
-//! Writes tables with images whose columns are chosen while the program runs.
+//! Writes tables with images whose columns are chosen at run time.
 
 use std::sync::Arc;
 
 use parquet::file::metadata::KeyValue;
 use parquet::file::writer::SerializedFileWriter;
 
-use super::cell::{Cell, wrong};
+use super::cell::{Cell, column_error};
 use super::group::write_columns;
 use super::row::image_extension;
 use super::staged::StagedShard;
-use super::table_column::{TableKind, features, schema};
+use super::table_column::{ColumnType, features, schema};
 use super::writer::{GROUP_BYTES, MAX_ROW_BYTES, table_properties, write_error};
 use gripcast_base::error::{Error, Result};
 use gripcast_base::files::BeneathPath;
 
-/// Who wrote the file; a shard has another name, and hashes.
+/// Writer of the file; shards have another one.
 const CREATED_BY: &str = "gripcast-table version 1.0.0";
 
-/// Writes one Parquet file, row by row, in bounded memory; pages and row groups are those of
+/// Writes one Parquet file, row by row, in bounded memory; pages and row groups are like those of
 /// shards.
 ///
-/// The file has a hidden name in its folder until [`finish`](Self::finish). The same rows make the
-/// same bytes.
+/// The file has a hidden temporary name until [`finish`](Self::finish). Equal rows give equal
+/// bytes.
 pub struct TableWriter {
-    place: BeneathPath,
-    columns: Vec<(String, TableKind)>,
+    path: BeneathPath,
+    columns: Vec<(String, ColumnType)>,
     writer: SerializedFileWriter<StagedShard>,
-    waiting: Vec<Vec<Cell<'static>>>,
-    waiting_bytes: usize,
+    pending: Vec<Vec<Cell<'static>>>,
+    pending_bytes: usize,
     closed_bytes: usize,
     rows: usize,
 }
 
 impl TableWriter {
-    /// Begins a file; `metadata` goes into its footer beside the features of Hugging Face.
+    /// Creates a file; `metadata` goes into its footer beside the Hugging Face features.
     ///
     /// # Errors
-    /// `NotFound`, `Permission`, `DiskFull`, `Io`: the folder.
+    /// `NotFound`, `Permission`, `DiskFull`, `Io`: the directory.
     pub fn create(
-        place: BeneathPath,
-        columns: Vec<(String, TableKind)>,
+        path: BeneathPath,
+        columns: Vec<(String, ColumnType)>,
         metadata: &[(&str, String)],
     ) -> Result<Self> {
         let begin = || {
             let staged =
-                StagedShard::create(&place).map_err(|e| Error::io("cannot write the table", e))?;
+                StagedShard::create(&path).map_err(|e| Error::io("cannot write the table", e))?;
             let all = || columns.iter().map(|(name, kind)| (name.as_str(), *kind));
-            let images = all().filter(|(_, kind)| *kind == TableKind::Image);
+            let images = all().filter(|(_, kind)| *kind == ColumnType::Image);
             let properties =
                 table_properties(CREATED_BY, features(all()), images.map(|(name, _)| name));
             let schema = schema(all()).map_err(write_error)?;
@@ -58,30 +58,31 @@ impl TableWriter {
             }
             Ok(writer)
         };
-        let writer = begin().map_err(|e: Error| e.at(place.display()))?;
+        let writer = begin().map_err(|e: Error| e.at(path.display()))?;
         Ok(Self {
-            place,
+            path,
             columns,
             writer,
-            waiting: Vec::new(),
-            waiting_bytes: 0,
+            pending: Vec::new(),
+            pending_bytes: 0,
             closed_bytes: 0,
             rows: 0,
         })
     }
 
-    /// Adds a row: a cell a column, of the column's kind or null.
+    /// Adds a row: one cell per column, of the column's type or null.
     ///
     /// # Errors
-    /// `Input`: an image that is neither PNG nor JPEG, a row that is too large. `Internal`: not as
-    /// many cells as columns. `DiskFull`, `Io`, …: the file; nothing more can be written.
+    /// `Input`: an image that is neither PNG nor JPEG, a row that is too large. `Internal`: the
+    /// number of cells differs from that of the columns. `DiskFull`, `Io`, …: the file; nothing
+    /// more can be written.
     pub fn push(&mut self, cells: Vec<Cell<'static>>) -> Result<()> {
-        let size = self.check(&cells).map_err(|e| e.at(self.place.display()))?;
-        if self.waiting_bytes + size > GROUP_BYTES {
+        let size = self.check(&cells).map_err(|e| e.at(self.path.display()))?;
+        if self.pending_bytes + size > GROUP_BYTES {
             self.close_group()?;
         }
-        self.waiting.push(cells);
-        self.waiting_bytes += size;
+        self.pending.push(cells);
+        self.pending_bytes += size;
         self.rows += 1;
         Ok(())
     }
@@ -89,62 +90,61 @@ impl TableWriter {
     fn check(&self, cells: &[Cell<'static>]) -> Result<usize> {
         if cells.len() != self.columns.len() {
             let (found, expected) = (cells.len(), self.columns.len());
-            let what = format!("a row has {found} cells, the table {expected} columns");
+            let what = format!("expected {expected} cells in a row, found {found}");
             return Err(Error::internal(what));
         }
         for ((name, _), cell) in self.columns.iter().zip(cells) {
             if let Cell::Image(bytes) = cell
                 && image_extension(bytes).is_none()
             {
-                return Err(wrong(name, "is neither PNG nor JPEG".to_owned()));
+                return Err(column_error(name, "is neither PNG nor JPEG"));
             }
         }
         let size = cells.iter().map(Cell::size).sum();
         if size > MAX_ROW_BYTES {
-            let what = format!("a row of {size} bytes is too large; at most {MAX_ROW_BYTES} bytes");
+            let what = format!("a row has {size} bytes, at most {MAX_ROW_BYTES} are supported");
             return Err(Error::input(what));
         }
         Ok(size)
     }
 
     fn close_group(&mut self) -> Result<()> {
-        if self.waiting.is_empty() {
+        if self.pending.is_empty() {
             return Ok(());
         }
-        let rows = std::mem::take(&mut self.waiting);
-        self.closed_bytes += std::mem::take(&mut self.waiting_bytes);
+        let rows = std::mem::take(&mut self.pending);
+        self.closed_bytes += std::mem::take(&mut self.pending_bytes);
         let columns = self
             .columns
             .iter()
             .map(|(name, kind)| (name.as_str(), *kind));
         write_columns(&mut self.writer, columns, &rows)
-            .map_err(|e| write_error(e).at(self.place.display()))
+            .map_err(|e| write_error(e).at(self.path.display()))
     }
 
-    /// Rows so far.
+    /// Number of rows so far.
     pub fn rows(&self) -> usize {
         self.rows
     }
 
-    /// Bytes of the rows so far, about.
+    /// Approximate size of the rows so far, bytes.
     pub fn bytes(&self) -> usize {
-        self.closed_bytes + self.waiting_bytes
+        self.closed_bytes + self.pending_bytes
     }
 
-    /// Writes the rest, brings the file to the disk and gives it its name.
+    /// Writes the remaining rows, flushes the file and renames it to its final name.
     ///
     /// # Errors
     /// `DiskFull`, `Io`, ….
     pub fn finish(mut self) -> Result<()> {
         self.close_group()?;
-        let staged = self.writer.into_inner();
+        let staged = self.writer.into_inner().map_err(write_error);
         staged
-            .map_err(write_error)
             .and_then(|staged| {
                 let committed = staged.commit();
                 committed.map_err(|e| Error::io("cannot write the table", e))
             })
-            .map_err(|e| e.at(self.place.display()))
+            .map_err(|e| e.at(self.path.display()))
     }
 }
 
@@ -161,25 +161,25 @@ mod tests {
     use gripcast_base::files::Root;
 
     #[test]
-    fn every_kind_comes_back_and_nulls_stay_null() {
+    fn all_column_types_and_nulls_round_trip() {
         let folder = tempfile::tempdir().unwrap();
-        let place = Root::new(folder.path()).top().join("a.parquet");
-        let path = place.shown();
+        let target = Root::new(folder.path()).top().join("a.parquet");
+        let path = target.shown();
         let columns = [
-            ("text", TableKind::Text),
-            ("tasks", TableKind::OneText),
-            ("whole", TableKind::Integer),
-            ("next.done", TableKind::Flag),
-            ("number", TableKind::Number),
-            ("single", TableKind::Single),
-            ("list", TableKind::Numbers),
-            ("pose", TableKind::Singles(2)),
-            ("seen", TableKind::Image),
+            ("text", ColumnType::Text),
+            ("tasks", ColumnType::TextList),
+            ("whole", ColumnType::Int64),
+            ("next.done", ColumnType::Bool),
+            ("number", ColumnType::Float64),
+            ("single", ColumnType::Float32),
+            ("list", ColumnType::Float64List(2)),
+            ("pose", ColumnType::Float32List(2)),
+            ("view", ColumnType::Image),
         ];
         let columns = columns.map(|(name, kind)| (name.to_owned(), kind)).to_vec();
         let metadata = [("pandas", "{}".to_owned())];
-        let mut writer = TableWriter::create(place, columns, &metadata).unwrap();
-        let seen = image(true, 3, 100);
+        let mut writer = TableWriter::create(target, columns, &metadata).unwrap();
+        let view = image(true, 3, 100);
         writer
             .push(vec![
                 Cell::Text("é".into()),
@@ -190,7 +190,7 @@ mod tests {
                 Cell::Number(0.1),
                 Cell::Numbers(vec![1.0, f64::NAN]),
                 Cell::Numbers(vec![0.5, 2.0]),
-                Cell::Image(seen.clone().into()),
+                Cell::Image(view.clone().into()),
             ])
             .unwrap();
         writer.push(vec![Cell::Null; 9]).unwrap();
@@ -222,8 +222,8 @@ mod tests {
         assert_eq!(rows[0].get_list(6).unwrap().elements().len(), 2);
         assert_eq!(rows[0].get_list(7).unwrap().elements().len(), 2);
         let stored = rows[0].get_group(8).unwrap();
-        assert_eq!(stored.get_bytes(0).unwrap().data(), seen);
-        assert_eq!(stored.get_string(1).unwrap(), "seen.png");
+        assert_eq!(stored.get_bytes(0).unwrap().data(), view);
+        assert_eq!(stored.get_string(1).unwrap(), "view.png");
         let nulls = rows[1].get_column_iter().map(|(_, field)| field);
         for field in nulls.take(8) {
             assert_eq!(field, &parquet::record::Field::Null);
@@ -231,17 +231,17 @@ mod tests {
     }
 
     #[test]
-    fn an_image_must_be_one() {
+    fn column_of_images_refuses_other_bytes() {
         let folder = tempfile::tempdir().unwrap();
-        let place = Root::new(folder.path()).top().join("a.parquet");
-        let columns = vec![("seen".to_owned(), TableKind::Image)];
-        let mut writer = TableWriter::create(place, columns, &[]).unwrap();
+        let target = Root::new(folder.path()).top().join("a.parquet");
+        let columns = vec![("view".to_owned(), ColumnType::Image)];
+        let mut writer = TableWriter::create(target, columns, &[]).unwrap();
         let text = writer
             .push(vec![Cell::Image(b"GIF89a".as_slice().into())])
             .unwrap_err()
             .to_string();
         assert!(
-            text.contains("column seen is neither PNG nor JPEG"),
+            text.contains("column view is neither PNG nor JPEG"),
             "{text}"
         );
         drop(writer);

@@ -1,4 +1,4 @@
-//! Columns of any table with images: their Parquet schema and the features of Hugging Face.
+//! Column types of tables with images: Parquet schema and Hugging Face features.
 
 use parquet::errors::ParquetError;
 use parquet::schema::parser::parse_message_type;
@@ -7,32 +7,32 @@ use parquet::schema::types::TypePtr;
 /// Names of the labels 0 and 1 in a column `label`.
 const LABELS: [&str; 2] = ["slip", "stable"];
 
-/// What a column holds, and the cell that it takes.
+/// Type of a column, and the cell that it takes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum TableKind {
+pub enum ColumnType {
     /// UTF-8; `Text`.
     Text,
-    /// A list of one text; `Text`.
-    OneText,
-    /// Signed, 64 bit; `Integer`.
-    Integer,
-    /// True or false; `Integer`, 0 is false.
-    Flag,
-    /// Double precision; `Number`.
-    Number,
-    /// Single precision; `Number`.
-    Single,
-    /// A list of doubles; `Numbers`.
-    Numbers,
-    /// A list of so many singles; `Numbers`.
-    Singles(usize),
-    /// An encoded image, its bytes and its file name; `Image`.
+    /// A list of one string; `Text`.
+    TextList,
+    /// 64-bit signed integer; `Integer`.
+    Int64,
+    /// Boolean; `Integer`, 0 is false.
+    Bool,
+    /// 64-bit float; `Number`.
+    Float64,
+    /// 32-bit float; `Number`.
+    Float32,
+    /// A list of 64-bit floats of this length; `Numbers`.
+    Float64List(usize),
+    /// A list of 32-bit floats of this length; `Numbers`.
+    Float32List(usize),
+    /// An encoded image and its file name; `Image`.
     Image,
 }
 
-/// The schema of a file. Every column is optional, as Arrow writes them.
+/// Returns the schema of a file. Every column is optional, as in Arrow.
 pub(super) fn schema<'a>(
-    columns: impl Iterator<Item = (&'a str, TableKind)>,
+    columns: impl Iterator<Item = (&'a str, ColumnType)>,
 ) -> Result<TypePtr, ParquetError> {
     let list = |name: &str, element: &str| {
         format!("optional group {name} (LIST) {{ repeated group list {{ optional {element}; }} }}")
@@ -40,15 +40,15 @@ pub(super) fn schema<'a>(
     let mut text = String::from("message schema {");
     for (name, kind) in columns {
         text += &match kind {
-            TableKind::Text => format!("optional binary {name} (STRING);"),
-            TableKind::OneText => list(name, "binary element (STRING)"),
-            TableKind::Integer => format!("optional int64 {name};"),
-            TableKind::Flag => format!("optional boolean {name};"),
-            TableKind::Number => format!("optional double {name};"),
-            TableKind::Single => format!("optional float {name};"),
-            TableKind::Numbers => list(name, "double element"),
-            TableKind::Singles(_) => list(name, "float element"),
-            TableKind::Image => format!(
+            ColumnType::Text => format!("optional binary {name} (STRING);"),
+            ColumnType::TextList => list(name, "binary element (STRING)"),
+            ColumnType::Int64 => format!("optional int64 {name};"),
+            ColumnType::Bool => format!("optional boolean {name};"),
+            ColumnType::Float64 => format!("optional double {name};"),
+            ColumnType::Float32 => format!("optional float {name};"),
+            ColumnType::Float64List(_) => list(name, "double element"),
+            ColumnType::Float32List(_) => list(name, "float element"),
+            ColumnType::Image => format!(
                 "optional group {name} {{ optional binary bytes; optional binary path (STRING); }}"
             ),
         };
@@ -57,18 +57,18 @@ pub(super) fn schema<'a>(
     Ok(TypePtr::new(parse_message_type(&text)?))
 }
 
-/// The value of the `huggingface` key.
+/// Returns the value of the `huggingface` key.
 ///
-/// Lists are called `Sequence`, which releases of `datasets` before 4 and after it know.
-pub(super) fn features<'a>(columns: impl Iterator<Item = (&'a str, TableKind)>) -> String {
-    // Written by hand: a map of another build of serde_json might have another order.
+/// Lists are called `Sequence`, which all releases of `datasets` accept.
+pub(super) fn features<'a>(columns: impl Iterator<Item = (&'a str, ColumnType)>) -> String {
+    // Formatted by hand to fix the order of the keys.
     let features: Vec<String> = columns
         .map(|(name, kind)| format!(r#""{name}":{}"#, feature(name, kind)))
         .collect();
     format!(r#"{{"info":{{"features":{{{}}}}}}}"#, features.join(","))
 }
 
-fn feature(name: &str, kind: TableKind) -> String {
+fn feature(name: &str, kind: ColumnType) -> String {
     let value = |dtype: &str| format!(r#"{{"dtype":"{dtype}","_type":"Value"}}"#);
     let list = |dtype: &str| format!(r#"{{"feature":{},"_type":"Sequence"}}"#, value(dtype));
     match kind {
@@ -76,17 +76,17 @@ fn feature(name: &str, kind: TableKind) -> String {
             let [slip, stable] = LABELS;
             format!(r#"{{"names":["{slip}","{stable}"],"_type":"ClassLabel"}}"#)
         }
-        TableKind::Text => value("string"),
-        TableKind::OneText => list("string"),
-        TableKind::Integer => value("int64"),
-        TableKind::Flag => value("bool"),
-        TableKind::Number => value("float64"),
-        TableKind::Single => value("float32"),
-        TableKind::Numbers => list("float64"),
-        TableKind::Singles(length) => format!(
+        ColumnType::Text => value("string"),
+        ColumnType::TextList => list("string"),
+        ColumnType::Int64 => value("int64"),
+        ColumnType::Bool => value("bool"),
+        ColumnType::Float64 => value("float64"),
+        ColumnType::Float32 => value("float32"),
+        ColumnType::Float64List(_) => list("float64"),
+        ColumnType::Float32List(length) => format!(
             r#"{{"feature":{},"length":{length},"_type":"Sequence"}}"#,
             value("float32")
         ),
-        TableKind::Image => r#"{"_type":"Image"}"#.to_owned(),
+        ColumnType::Image => r#"{"_type":"Image"}"#.to_owned(),
     }
 }

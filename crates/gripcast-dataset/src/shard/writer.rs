@@ -11,7 +11,7 @@ use parquet::file::properties::{EnabledStatistics, WriterProperties};
 use parquet::file::writer::SerializedFileWriter;
 use parquet::schema::types::ColumnPath;
 
-use super::cell::{Cell, wrong};
+use super::cell::{Cell, column_error};
 use super::columns::{IMAGES, columns, features, schema};
 use super::group::write_group;
 use super::metadata::{CREATED_BY, GroupHash, HUGGINGFACE_KEY, KEY, ShardMetadata};
@@ -20,78 +20,77 @@ use super::staged::StagedShard;
 use gripcast_base::error::{Error, ErrorKind, Result};
 use gripcast_base::files::BeneathPath;
 
-/// Bytes of cells after which a row group is closed; only a single row may be larger.
+/// Maximum size of a row group, bytes; only a single row may be larger.
 pub(super) const GROUP_BYTES: usize = 12 << 20;
-/// Largest row, bytes: a limit of the page size of Parquet is not far above.
+/// Maximum size of a row, bytes, below the limit of Parquet's page size.
 pub(super) const MAX_ROW_BYTES: usize = 256 << 20;
-/// Values between two looks at the size of a page, so that pages of images stay small.
+/// Values written between checks of the page size, so that pages of images stay small.
 const BATCH: usize = 16;
 
 /// Writes one shard, row by row, in bounded memory.
 ///
-/// The file has a hidden name in its folder until [`finish`](Self::finish); a writer that is
-/// dropped before leaves what had the name as it was. The same rows make the same bytes.
+/// The file has a hidden temporary name until [`finish`](Self::finish); a writer that is dropped
+/// before leaves an existing file unchanged. Equal rows give equal bytes.
 #[derive(Debug)]
 pub struct ShardWriter {
-    place: BeneathPath,
+    path: BeneathPath,
     groups: Groups<StagedShard>,
 }
 
 impl ShardWriter {
-    /// Begins a shard; `info` is JSON of the caller's that is kept as it is in the metadata.
+    /// Creates a shard; `info` is JSON of the caller, stored unchanged in the metadata.
     ///
     /// # Errors
-    /// `Input`: `info` is no JSON. `NotFound`, `Permission`, `DiskFull`, `Io`: the folder.
-    pub fn create(place: &BeneathPath, info: &str) -> Result<Self> {
+    /// `Input`: `info` is not valid JSON. `NotFound`, `Permission`, `DiskFull`, `Io`: the directory.
+    pub fn create(path: &BeneathPath, info: &str) -> Result<Self> {
         let begin = || {
             let staged =
-                StagedShard::create(place).map_err(|e| Error::io("cannot write the shard", e))?;
+                StagedShard::create(path).map_err(|e| Error::io("cannot write the shard", e))?;
             Groups::new(staged, info)
         };
-        let groups = begin().map_err(|e| e.at(place.display()))?;
+        let groups = begin().map_err(|e| e.at(path.display()))?;
         Ok(Self {
-            place: place.clone(),
+            path: path.clone(),
             groups,
         })
     }
 
-    /// Adds a row.
+    /// Appends a row.
     ///
     /// # Errors
-    /// `Input`: a value that no sample can have, an image that is neither PNG nor JPEG, an id
-    /// that is there already; the row is then left out. `DiskFull`, `Io`, …: the file; nothing
-    /// more can be written.
+    /// `Input`: an invalid value, an image that is neither PNG nor JPEG, a duplicate id; the row
+    /// is then skipped. `DiskFull`, `Io`, …: the file; nothing more can be written.
     pub fn push(&mut self, row: ShardRow) -> Result<()> {
         let pushed = self.groups.push(row);
-        pushed.map_err(|e| e.at(self.place.display()))
+        pushed.map_err(|e| e.at(self.path.display()))
     }
 
-    /// Rows so far.
+    /// Number of rows so far.
     #[must_use]
     pub fn rows(&self) -> usize {
         self.groups.ids.len()
     }
 
-    /// Writes the rest, brings the file to the disk and gives it its name.
+    /// Writes the remaining rows, flushes the file and renames it to its final name.
     ///
     /// # Errors
-    /// `DiskFull`, `Io`, …; what had the name before is then as it was.
+    /// `DiskFull`, `Io`, …; an existing file is then unchanged.
     pub fn finish(self) -> Result<()> {
-        let Self { place, groups } = self;
+        let Self { path, groups } = self;
         let finish = || {
             let staged = groups.finish()?;
             staged
                 .commit()
                 .map_err(|e| Error::io("cannot write the shard", e))
         };
-        finish().map_err(|e| e.at(place.display()))
+        finish().map_err(|e| e.at(path.display()))
     }
 }
 
-/// The bytes of a small shard.
+/// Encodes a small shard in memory.
 ///
 /// # Errors
-/// `Input`: as of [`ShardWriter::create`] and [`ShardWriter::push`].
+/// `Input`: as [`ShardWriter::create`] and [`ShardWriter::push`].
 pub fn to_bytes(rows: impl IntoIterator<Item = ShardRow>, info: &str) -> Result<Vec<u8>> {
     let mut groups = Groups::new(Vec::new(), info)?;
     for row in rows {
@@ -100,23 +99,23 @@ pub fn to_bytes(rows: impl IntoIterator<Item = ShardRow>, info: &str) -> Result<
     groups.finish()
 }
 
-/// Rows that become row groups.
+/// Collects rows into row groups.
 #[derive(Debug)]
 struct Groups<W: Write + Send> {
     writer: SerializedFileWriter<W>,
     info: String,
     ids: HashSet<String>,
-    waiting: Vec<ShardRow>,
-    waiting_bytes: usize,
+    pending: Vec<ShardRow>,
+    pending_bytes: usize,
     hashes: Vec<GroupHash>,
-    /// Whether a group could not be written: its bytes are in the file in part.
+    /// Whether a group was written incompletely.
     failed: bool,
 }
 
 impl<W: Write + Send> Groups<W> {
     fn new(sink: W, info: &str) -> Result<Self> {
         serde_json::from_str::<serde::de::IgnoredAny>(info)
-            .map_err(|e| Error::input("the information for the metadata is no JSON").because(e))?;
+            .map_err(|e| Error::input("the metadata is not valid JSON").because(e))?;
         let schema = schema().map_err(write_error)?;
         let writer = SerializedFileWriter::new(sink, schema, Arc::new(properties(CREATED_BY)))
             .map_err(write_error)?;
@@ -124,8 +123,8 @@ impl<W: Write + Send> Groups<W> {
             writer,
             info: info.to_owned(),
             ids: HashSet::new(),
-            waiting: Vec::new(),
-            waiting_bytes: 0,
+            pending: Vec::new(),
+            pending_bytes: 0,
             hashes: Vec::new(),
             failed: false,
         })
@@ -134,28 +133,28 @@ impl<W: Write + Send> Groups<W> {
     fn push(&mut self, row: ShardRow) -> Result<()> {
         let size = check(&row).map_err(|e| e.at(format!("sample {:?}", row.facts.id)))?;
         if self.ids.contains(&row.facts.id) {
-            let what = format!("there are two samples with the id {:?}", row.facts.id);
+            let what = format!("duplicate sample id {:?}", row.facts.id);
             return Err(Error::input(what));
         }
-        if self.waiting_bytes + size > GROUP_BYTES {
+        if self.pending_bytes + size > GROUP_BYTES {
             self.close_group()?;
         }
         self.ids.insert(row.facts.id.clone());
-        self.waiting.push(row);
-        self.waiting_bytes += size;
+        self.pending.push(row);
+        self.pending_bytes += size;
         Ok(())
     }
 
     fn close_group(&mut self) -> Result<()> {
         if self.failed {
-            let what = "the shard cannot be continued: an earlier row group was not written";
+            let what = "cannot continue the shard: an earlier row group was not written";
             return Err(Error::new(ErrorKind::Io, what));
         }
-        if self.waiting.is_empty() {
+        if self.pending.is_empty() {
             return Ok(());
         }
-        let rows = std::mem::take(&mut self.waiting);
-        self.waiting_bytes = 0;
+        let rows = std::mem::take(&mut self.pending);
+        self.pending_bytes = 0;
         self.failed = true;
         let cells: Vec<Vec<Cell<'_>>> = rows.iter().map(ShardRow::cells).collect();
         let hash = write_group(&mut self.writer, &cells).map_err(write_error)?;
@@ -173,7 +172,7 @@ impl<W: Write + Send> Groups<W> {
     }
 }
 
-/// The size of a row that can be written.
+/// Checks a row; returns its size in bytes.
 fn check(row: &ShardRow) -> Result<usize> {
     row.facts.check()?;
     let mut size = 0;
@@ -183,11 +182,11 @@ fn check(row: &ShardRow) -> Result<usize> {
             && image_extension(bytes).is_none()
         {
             let what = format!("is neither PNG nor JPEG ({} bytes)", bytes.len());
-            return Err(wrong(column.name, what));
+            return Err(column_error(column.name, what));
         }
     }
     if size > MAX_ROW_BYTES {
-        let what = format!("a sample of {size} bytes is too large; at most {MAX_ROW_BYTES} bytes");
+        let what = format!("a sample has {size} bytes, at most {MAX_ROW_BYTES} are supported");
         return Err(Error::input(what));
     }
     Ok(size)
@@ -201,7 +200,7 @@ pub(super) fn properties(created_by: &str) -> WriterProperties {
     )
 }
 
-/// How any table is written. `images`: the columns that hold them.
+/// Properties of any table. `images`: the columns with images.
 pub(super) fn table_properties<'a>(
     created_by: &str,
     features: String,
@@ -225,7 +224,7 @@ pub(super) fn table_properties<'a>(
     properties.build()
 }
 
-/// The operating system's error where there is one, so that a full disk is seen as such.
+/// Converts an error; keeps that of the operating system, such as a full disk.
 pub(super) fn write_error(error: ParquetError) -> Error {
     match error {
         ParquetError::External(cause) => match cause.downcast::<io::Error>() {
@@ -269,7 +268,7 @@ mod tests {
     }
 
     #[test]
-    fn rows_come_back_bit_for_bit() {
+    fn rows_round_trip_bit_for_bit() {
         for count in [0, 1, 2, 61] {
             let rows = sample_rows(0, count);
             assert_eq!(read(to_bytes(rows.clone(), "{}").unwrap()), rows);
@@ -277,10 +276,10 @@ mod tests {
     }
 
     #[test]
-    fn a_real_grasp_leaves_unknown_what_only_a_simulator_knows() {
+    fn real_grasp_round_trips_with_nulls() {
         let mut rows = sample_rows(0, 5);
-        for at in [0, 2, 3] {
-            let facts = &mut rows[at].facts;
+        for index in [0, 2, 3] {
+            let facts = &mut rows[index].facts;
             facts.engine = ShardEngine::Real;
             (facts.stop_force_n, facts.friction, facts.mass_kg) = (None, None, None);
             (facts.lifted_m, facts.opening_m) = (None, None);
@@ -290,7 +289,7 @@ mod tests {
     }
 
     #[test]
-    fn the_same_rows_are_the_same_bytes_on_any_machine() {
+    fn equal_rows_give_equal_bytes_on_any_machine() {
         use sha2::{Digest as _, Sha256};
         let bytes = to_bytes(sample_rows(0, 40), r#"{"plan":"ab12"}"#).unwrap();
         assert_eq!(
@@ -301,8 +300,7 @@ mod tests {
             .iter()
             .map(|b| format!("{b:02x}"))
             .collect();
-        // Changes with the format, or with the release of the Parquet crate: then the version of
-        // the format says so.
+        // Changes with the format (then bump its version) or with the Parquet crate.
         assert_eq!(
             hash,
             "d0599186f195edafab41c088986337bea63438ae242619d46496b2dd088f3abc"
@@ -310,7 +308,7 @@ mod tests {
     }
 
     #[test]
-    fn row_groups_are_bounded_and_images_are_not_lost_between_them() {
+    fn row_groups_are_bounded_and_keep_all_images() {
         let large = |number| {
             let mut row = sample_row(number);
             row.images.grasp_rgb = image(true, number, 3 << 20);
@@ -330,13 +328,13 @@ mod tests {
     }
 
     #[test]
-    fn a_file_has_its_name_when_it_is_whole() {
+    fn file_gets_its_name_when_complete() {
         let folder = tempfile::tempdir().unwrap();
-        let place = Root::new(folder.path())
+        let target = Root::new(folder.path())
             .top()
             .join("train-00000-of-00001.parquet");
-        let path = place.shown();
-        let mut writer = ShardWriter::create(&place, "{}").unwrap();
+        let path = target.shown();
+        let mut writer = ShardWriter::create(&target, "{}").unwrap();
         for row in sample_rows(0, 3) {
             writer.push(row).unwrap();
         }
@@ -346,7 +344,7 @@ mod tests {
         assert_eq!(names(folder.path()), ["train-00000-of-00001.parquet"]);
         let bytes = fs::read(&path).unwrap();
         assert_eq!(bytes, to_bytes(sample_rows(0, 3), "{}").unwrap());
-        let mut dropped = ShardWriter::create(&place, "[1]").unwrap();
+        let mut dropped = ShardWriter::create(&target, "[1]").unwrap();
         dropped.push(sample_row(9)).unwrap();
         assert_eq!(names(folder.path()).len(), 2);
         drop(dropped);
@@ -357,10 +355,10 @@ mod tests {
     }
 
     #[test]
-    fn places_that_cannot_be_written_are_refused() {
+    fn unwritable_paths_are_refused() {
         let folder = tempfile::tempdir().unwrap();
         let top = Root::new(folder.path()).top();
-        let create = |place: &BeneathPath| ShardWriter::create(place, "{}").unwrap_err();
+        let create = |path: &BeneathPath| ShardWriter::create(path, "{}").unwrap_err();
         let error = create(&top.join("no").join("such.parquet"));
         assert_eq!(error.kind(), ErrorKind::NotFound);
         assert!(error.to_string().contains("no/such.parquet"), "{error}");
@@ -371,13 +369,13 @@ mod tests {
     }
 
     #[test]
-    fn rows_that_no_sample_can_be_are_left_out() {
+    fn invalid_rows_are_skipped() {
         let with = |change: fn(&mut ShardRow)| {
             let mut row = sample_row(7);
             change(&mut row);
             row
         };
-        let wrong = [
+        let invalid = [
             (with(|r| r.facts.id.clear()), "column id is empty"),
             (with(|r| r.facts.mass_kg = Some(0.0)), "column mass_kg is 0"),
             (
@@ -401,19 +399,22 @@ mod tests {
                 with(|r| r.images.grasp_rgb = b"GIF89a".to_vec()),
                 "column grasp_rgb is neither PNG nor JPEG",
             ),
-            (with(|r| r.facts.id = sample_row(1).facts.id), "two samples"),
+            (
+                with(|r| r.facts.id = sample_row(1).facts.id),
+                "duplicate sample id",
+            ),
         ];
         let folder = tempfile::tempdir().unwrap();
-        let place = Root::new(folder.path()).top().join("a.parquet");
-        let mut writer = ShardWriter::create(&place, "{}").unwrap();
+        let target = Root::new(folder.path()).top().join("a.parquet");
+        let mut writer = ShardWriter::create(&target, "{}").unwrap();
         writer.push(sample_row(1)).unwrap();
-        for (row, expected) in wrong {
+        for (row, expected) in invalid {
             let error = writer.push(row).unwrap_err();
             assert_eq!(error.kind(), ErrorKind::Input);
             assert!(error.to_string().contains(expected), "{error}");
         }
         writer.push(sample_row(2)).unwrap();
         writer.finish().unwrap();
-        assert_eq!(read(fs::read(place.shown()).unwrap()), sample_rows(1, 2));
+        assert_eq!(read(fs::read(target.shown()).unwrap()), sample_rows(1, 2));
     }
 }

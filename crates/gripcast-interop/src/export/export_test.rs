@@ -1,4 +1,4 @@
-//! Exports a small dataset in every format and reads the files with what wrote none of them.
+//! Exports a small dataset in every format and reads the files with independent code.
 
 use std::collections::BTreeMap;
 use std::fs;
@@ -15,7 +15,7 @@ use gripcast_base::error::{ErrorKind, Result};
 use gripcast_dataset::sample::{capture, meta, new_dataset};
 use gripcast_dataset::shard::{ShardEngine, ShardOutcome, ShardRow, ShardSet};
 use gripcast_dataset::{
-    Dataset, DatasetWriter, GraspId, Outcome, PoseRecord, SplitBy, SplitPlan, Stage, StageCapture,
+    Dataset, DatasetWriter, GraspId, GroupKey, Outcome, PoseRecord, SplitPlan, Stage, StageCapture,
     split,
 };
 use gripcast_imaging::{CropProfile, Decoder, Role, jpeg::inspect};
@@ -28,8 +28,8 @@ const FORMATS: [ExportFormat; 5] = [
     ExportFormat::Training,
 ];
 
-/// A mug that held, with a pose and padded images without Huffman tables; a bottle that slipped;
-/// a sponge without label, depth and prediction.
+/// A stable mug with a pose and padded images without Huffman tables; a slipped bottle; a sponge
+/// without label, depth and prediction.
 fn dataset() -> (tempfile::TempDir, Vec<GraspId>) {
     let dir = tempfile::tempdir().unwrap();
     let (mut writer, _) =
@@ -78,18 +78,19 @@ fn pose() -> PoseRecord {
     }
 }
 
-/// As a camera may send it: without Huffman tables, with padding.
+/// A JPEG as some cameras send it: without Huffman tables, with padding.
 fn bare(jpeg: &[u8]) -> Vec<u8> {
     let mut out = jpeg[..2].to_vec();
-    let mut at = 2;
-    while jpeg[at + 1] != 0xda {
-        let end = at + 2 + usize::from(u16::from_be_bytes([jpeg[at + 2], jpeg[at + 3]]));
-        if jpeg[at + 1] != 0xc4 {
-            out.extend_from_slice(&jpeg[at..end]);
+    let mut offset = 2;
+    while jpeg[offset + 1] != 0xda {
+        let end =
+            offset + 2 + usize::from(u16::from_be_bytes([jpeg[offset + 2], jpeg[offset + 3]]));
+        if jpeg[offset + 1] != 0xc4 {
+            out.extend_from_slice(&jpeg[offset..end]);
         }
-        at = end;
+        offset = end;
     }
-    out.extend_from_slice(&jpeg[at..]);
+    out.extend_from_slice(&jpeg[offset..]);
     out.extend([0; 40]);
     out
 }
@@ -98,20 +99,20 @@ fn run(root: &Path, out: &Path, plan: &ExportPlan) -> Result<ExportReport> {
     let dataset = Dataset::open(root.join("d"))?;
     export(&dataset, out, plan, &|done, all| {
         assert!(done <= all);
-        assert!(!out.exists(), "it has its name before it is whole");
+        assert!(!out.exists(), "renamed before it is complete");
     })
 }
 
-/// Contents of all files by their names, or of the one file.
+/// Contents of all files by name, or of the single file.
 fn contents(out: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
     let mut files = BTreeMap::new();
-    let mut places = vec![out.to_owned()];
-    while let Some(place) = places.pop() {
-        if place.is_dir() {
-            places.extend(fs::read_dir(place).unwrap().map(|e| e.unwrap().path()));
+    let mut paths = vec![out.to_owned()];
+    while let Some(path) = paths.pop() {
+        if path.is_dir() {
+            paths.extend(fs::read_dir(path).unwrap().map(|e| e.unwrap().path()));
         } else {
-            let name = place.strip_prefix(out).unwrap().to_owned();
-            files.insert(name, fs::read(place).unwrap());
+            let name = path.strip_prefix(out).unwrap().to_owned();
+            files.insert(name, fs::read(path).unwrap());
         }
     }
     files
@@ -128,8 +129,8 @@ fn rows(path: &Path) -> Vec<Row> {
     rows.map(std::result::Result::unwrap).collect()
 }
 
-/// Number of a column.
-fn at(row: &Row, column: &str) -> usize {
+/// Index of a column.
+fn column_index(row: &Row, column: &str) -> usize {
     row.get_column_iter()
         .position(|(name, _)| name == column)
         .unwrap()
@@ -140,7 +141,7 @@ fn json(path: &Path) -> Value {
 }
 
 #[test]
-fn the_same_dataset_makes_the_same_bytes() {
+fn equal_datasets_give_equal_bytes() {
     let (dir, _) = dataset();
     for format in FORMATS {
         let plan = ExportPlan::new(format);
@@ -158,7 +159,7 @@ fn the_same_dataset_makes_the_same_bytes() {
 }
 
 #[test]
-fn parquet_has_a_row_a_grasp_and_nulls_where_nothing_is_known() {
+fn parquet_has_one_row_per_grasp_with_nulls() {
     let (dir, ids) = dataset();
     let out = dir.path().join("out");
     let report = run(dir.path(), &out, &ExportPlan::new(ExportFormat::Parquet)).unwrap();
@@ -166,12 +167,17 @@ fn parquet_has_a_row_a_grasp_and_nulls_where_nothing_is_known() {
     assert_eq!(names(&out), ["data/train-00000-of-00001.parquet"]);
     let rows = rows(&out.join("data/train-00000-of-00001.parquet"));
     for (row, id) in rows.iter().zip(&ids) {
-        assert_eq!(row.get_string(at(row, "id")).unwrap(), id.as_str());
+        assert_eq!(
+            row.get_string(column_index(row, "id")).unwrap(),
+            id.as_str()
+        );
         let record: Value =
-            serde_json::from_str(row.get_string(at(row, "record")).unwrap()).unwrap();
+            serde_json::from_str(row.get_string(column_index(row, "record")).unwrap()).unwrap();
         assert_eq!(record["id"], id.as_str());
     }
-    let labels = rows.iter().map(|row| row.get_long(at(row, "label")).ok());
+    let labels = rows
+        .iter()
+        .map(|row| row.get_long(column_index(row, "label")).ok());
     assert_eq!(labels.collect::<Vec<_>>(), [Some(1), Some(0), None]);
     let is_null = |row: usize, column: &str| {
         let field = rows[row]
@@ -181,16 +187,18 @@ fn parquet_has_a_row_a_grasp_and_nulls_where_nothing_is_known() {
     };
     assert!(!is_null(0, "pose_t_m") && is_null(1, "pose_t_m"));
     assert!(!is_null(1, "predicted_p_stable") && is_null(2, "predicted_p_stable"));
-    let left = rows[0].get_group(at(&rows[0], "grasp_left")).unwrap();
+    let left = rows[0]
+        .get_group(column_index(&rows[0], "grasp_left"))
+        .unwrap();
     assert_eq!(left.get_string(1).unwrap(), "grasp.left.jpg");
     let header = inspect(left.get_bytes(0).unwrap().data()).unwrap();
     assert!(header.has_huffman_tables);
-    let depth = rows[2].get_group(at(&rows[2], "grasp_depth"));
+    let depth = rows[2].get_group(column_index(&rows[2], "grasp_depth"));
     assert!(depth.is_err() || depth.unwrap().get_bytes(0).is_err());
 }
 
 #[test]
-fn shards_are_bounded_and_say_how_many_they_are() {
+fn shards_are_bounded_and_numbered() {
     let (dir, ids) = dataset();
     let mut plan = ExportPlan::new(ExportFormat::Parquet);
     plan.shard_bytes = 1;
@@ -207,7 +215,7 @@ fn shards_are_bounded_and_say_how_many_they_are() {
 }
 
 #[test]
-fn a_sample_of_webdataset_is_neighbouring_files_of_nobody() {
+fn webdataset_sample_is_consecutive_files_without_owner() {
     let (dir, ids) = dataset();
     let out = dir.path().join("out");
     run(dir.path(), &out, &ExportPlan::new(ExportFormat::WebDataset)).unwrap();
@@ -253,7 +261,7 @@ fn a_sample_of_webdataset_is_neighbouring_files_of_nobody() {
 }
 
 #[test]
-fn an_episode_of_lerobot_is_two_frames_of_a_labelled_grasp() {
+fn lerobot_episode_is_two_frames_of_a_labelled_grasp() {
     let (dir, ids) = dataset();
     let out = dir.path().join("out");
     let report = run(dir.path(), &out, &ExportPlan::new(ExportFormat::LeRobot)).unwrap();
@@ -271,31 +279,38 @@ fn an_episode_of_lerobot_is_two_frames_of_a_labelled_grasp() {
     let frames = rows(&out.join("data/chunk-000/file-000.parquet"));
     let rewards = frames
         .iter()
-        .map(|f| f.get_float(at(f, "next.reward")).unwrap());
+        .map(|f| f.get_float(column_index(f, "next.reward")).unwrap());
     assert_eq!(rewards.collect::<Vec<_>>(), [0.0, 1.0, 0.0, 0.0]);
     let done = frames
         .iter()
-        .map(|f| f.get_bool(at(f, "next.done")).unwrap());
+        .map(|f| f.get_bool(column_index(f, "next.done")).unwrap());
     assert_eq!(done.collect::<Vec<_>>(), [false, true, false, true]);
     let poses = frames.iter().map(|f| {
-        let pose = f.get_list(at(f, "observation.pose")).unwrap().elements();
+        let pose = f
+            .get_list(column_index(f, "observation.pose"))
+            .unwrap()
+            .elements();
         pose[0].clone()
     });
     let poses: Vec<_> = poses.map(|x| format!("{x}")).collect();
     assert_eq!(poses, ["0.5", "0.5", "NaN", "NaN"]);
-    // Three channels, though the sensors of the sample are grey.
+    // Three channels, although the tactile images of the sample are grey.
     let image = frames[0]
-        .get_group(at(&frames[0], "observation.images.left"))
+        .get_group(column_index(&frames[0], "observation.images.left"))
         .unwrap();
     let image = image::load_from_memory(image.get_bytes(0).unwrap().data()).unwrap();
     assert_eq!(image.color(), image::ColorType::Rgb8);
     let episodes = rows(&out.join("meta/episodes/chunk-000/file-000.parquet"));
     let last = &episodes[1];
     assert_eq!(
-        last.get_string(at(last, "gripcast/id")).unwrap(),
+        last.get_string(column_index(last, "gripcast/id")).unwrap(),
         ids[1].as_str()
     );
-    assert_eq!(last.get_long(at(last, "dataset_from_index")).unwrap(), 2);
+    assert_eq!(
+        last.get_long(column_index(last, "dataset_from_index"))
+            .unwrap(),
+        2
+    );
     let stats = json(&out.join("meta/stats.json"));
     assert_eq!(stats["next.success"]["mean"], serde_json::json!([0.25]));
     assert_eq!(stats["observation.pose"]["count"], serde_json::json!([2]));
@@ -309,7 +324,7 @@ fn an_episode_of_lerobot_is_two_frames_of_a_labelled_grasp() {
 }
 
 #[test]
-fn a_chunk_of_zarr_is_the_cropped_and_resized_image() {
+fn zarr_chunk_is_the_cropped_and_resized_image() {
     let (dir, ids) = dataset();
     let out = dir.path().join("out.zarr");
     let mut plan = ExportPlan::new(ExportFormat::Zarr);
@@ -355,7 +370,7 @@ fn a_chunk_of_zarr_is_the_cropped_and_resized_image() {
 }
 
 #[test]
-fn a_sample_for_training_has_the_pixels_of_the_live_path() {
+fn training_sample_has_the_pixels_of_the_live_path() {
     let (dir, ids) = dataset();
     let out = dir.path().join("out");
     let report = run(dir.path(), &out, &ExportPlan::new(ExportFormat::Training)).unwrap();
@@ -371,14 +386,14 @@ fn a_sample_for_training_has_the_pixels_of_the_live_path() {
         (f.id.clone(), f.object.clone(), f.outcome, f.engine)
     };
     let real = ShardEngine::Real;
-    let held = (ids[0].to_string(), "mug".into(), ShardOutcome::Stable, real);
-    let lost = (
+    let stable = (ids[0].to_string(), "mug".into(), ShardOutcome::Stable, real);
+    let slip = (
         ids[1].to_string(),
         "bottle".into(),
         ShardOutcome::Slip,
         real,
     );
-    assert_eq!((facts(mug), facts(bottle)), (held, lost));
+    assert_eq!((facts(mug), facts(bottle)), (stable, slip));
     let pose = mug.facts.t_object_gripper.unwrap();
     assert_eq!(pose.translation_m.to_array(), [0.5, -0.25, 0.125]);
     assert!(bottle.facts.t_object_gripper.is_none() && bottle.facts.mass_kg.is_none());
@@ -400,24 +415,24 @@ fn a_sample_for_training_has_the_pixels_of_the_live_path() {
 }
 
 #[test]
-fn grasps_that_no_sample_can_be_made_of_are_named() {
+fn grasps_without_required_data_are_listed() {
     let dir = tempfile::tempdir().unwrap();
     let (mut writer, _) =
         DatasetWriter::open_or_create(dir.path().join("d"), &new_dataset()).unwrap();
     let at = "2026-11-20T11:00:00Z".parse().unwrap();
-    let mut save = |number: u32, spoil: &dyn Fn(&mut StageCapture)| {
+    let mut save = |number: u32, change: &dyn Fn(&mut StageCapture)| {
         let mut stages = [capture(2 * number + 1), capture(2 * number + 2)];
-        stages.iter_mut().for_each(spoil);
+        stages.iter_mut().for_each(change);
         let pending = writer.save_initial(&stages[0], Vec::new()).unwrap();
         let saved = writer.save_grasp(&pending, &stages[1], meta(" Blue  MUG"));
         let id = saved.unwrap().id;
         writer.set_outcome(&id, Outcome::Slip, at).unwrap();
         id
     };
-    let whole = save(0, &|_| {});
-    let blind = save(1, &|stage| drop(stage.cameras.remove(&Role::Rgb)));
-    let numb = save(2, &|stage| drop(stage.cameras.remove(&Role::Right)));
-    let otherwise = save(3, &|stage| {
+    let complete = save(0, &|_| {});
+    let no_rgb = save(1, &|stage| drop(stage.cameras.remove(&Role::Rgb)));
+    let no_right = save(2, &|stage| drop(stage.cameras.remove(&Role::Right)));
+    let other_profile = save(3, &|stage| {
         let left = stage.cameras.get_mut(&Role::Left).unwrap();
         left.crop_profile = Some("gsmini-fifteen-v1".into());
     });
@@ -426,14 +441,14 @@ fn grasps_that_no_sample_can_be_made_of_are_named() {
     let named: Vec<(&str, &str)> = report
         .left_out
         .iter()
-        .map(|one| (&*one.id, &*one.why))
+        .map(|one| (&*one.id, &*one.reason))
         .collect();
     let [(a, no_colour), (b, no_touch), (c, other_crop)] = named[..] else {
         panic!("{named:?}");
     };
     assert_eq!(
         [a, b, c],
-        [blind.as_str(), numb.as_str(), otherwise.as_str()]
+        [no_rgb.as_str(), no_right.as_str(), other_profile.as_str()]
     );
     assert!(no_colour.contains("grasp rgb"), "{no_colour}");
     assert!(no_touch.contains("initial right"), "{no_touch}");
@@ -442,26 +457,26 @@ fn grasps_that_no_sample_can_be_made_of_are_named() {
     let facts: Vec<_> = set.facts("test").unwrap().map(Result::unwrap).collect();
     assert_eq!(facts.len(), 1);
     assert_eq!(facts[0].object, "blue mug");
-    fs::remove_dir_all(dir.path().join("d/grasps").join(whole.as_str())).unwrap();
+    fs::remove_dir_all(dir.path().join("d/grasps").join(complete.as_str())).unwrap();
     let nothing = dir.path().join("nothing");
     let plan = ExportPlan::new(ExportFormat::Training);
     let error = run(dir.path(), &nothing, &plan).unwrap_err();
     assert!(
-        error.remedy_text().unwrap().contains("the format needs"),
+        error.remedy_text().unwrap().contains("the format requires"),
         "{error}"
     );
 }
 
 #[test]
-fn damaged_grasps_are_left_out_and_named() {
+fn damaged_grasps_are_left_out_and_listed() {
     let (dir, ids) = dataset();
     let image = dir
         .path()
         .join(format!("d/grasps/{}/grasp.left.jpg", ids[0]));
-    // As large as before, and a whole image: only the hash tells.
+    // Same size and still a complete image: only the hash differs.
     let mut bytes = fs::read(&image).unwrap();
-    let at = bytes.len() - 20;
-    bytes[at] ^= 1;
+    let offset = bytes.len() - 20;
+    bytes[offset] ^= 1;
     fs::write(&image, bytes).unwrap();
     let record = dir.path().join(format!("d/grasps/{}/grasp.json", ids[1]));
     let text = fs::read(&record).unwrap();
@@ -477,10 +492,13 @@ fn damaged_grasps_are_left_out_and_named() {
         let named: Vec<&String> = report.left_out.iter().map(|one| &one.id).collect();
         assert_eq!(named, [ids[0].as_str(), ids[1].as_str()]);
         assert!(
-            report.left_out[0].why.contains("grasp.left.jpg"),
+            report.left_out[0].reason.contains("grasp.left.jpg"),
             "{report:?}"
         );
-        assert!(report.left_out[1].why.contains("grasp.json"), "{report:?}");
+        assert!(
+            report.left_out[1].reason.contains("grasp.json"),
+            "{report:?}"
+        );
     }
     fs::remove_file(
         dir.path()
@@ -498,36 +516,36 @@ fn damaged_grasps_are_left_out_and_named() {
 }
 
 #[test]
-fn parts_of_a_split_stay_apart() {
+fn splits_are_exported_separately() {
     let (dir, _) = dataset();
     let root = dir.path().join("d");
     let plan = SplitPlan {
         name: "halves".into(),
-        by: SplitBy::Object,
+        by: GroupKey::Object,
         seed: 1,
         fractions: BTreeMap::from([("train".into(), 0.5), ("test".into(), 0.5)]),
     };
-    let asked = ExportPlan {
-        part: Some("test".into()),
+    let requested = ExportPlan {
+        only_split: Some("test".into()),
         ..ExportPlan::new(ExportFormat::Parquet)
     };
-    let error = run(dir.path(), &dir.path().join("early"), &asked).unwrap_err();
+    let error = run(dir.path(), &dir.path().join("early"), &requested).unwrap_err();
     assert_eq!(error.kind(), ErrorKind::Usage);
     let file = split(&Dataset::open(&root).unwrap(), &plan).unwrap();
-    let test = file.parts["test"].grasps.len();
-    let report = run(dir.path(), &dir.path().join("test"), &asked).unwrap();
-    assert_eq!(report.parts, BTreeMap::from([("test".to_owned(), test)]));
+    let test = file.splits["test"].grasps.len();
+    let report = run(dir.path(), &dir.path().join("test"), &requested).unwrap();
+    assert_eq!(report.splits, BTreeMap::from([("test".to_owned(), test)]));
     assert_eq!(
         names(&dir.path().join("test")),
         ["data/test-00000-of-00001.parquet"]
     );
     let all = ExportPlan {
-        split: Some("halves".into()),
+        split_file: Some("halves".into()),
         ..ExportPlan::new(ExportFormat::Zarr)
     };
     let report = run(dir.path(), &dir.path().join("all"), &all).unwrap();
     assert_eq!(
-        (report.grasps, report.not_in_split, report.parts.len()),
+        (report.grasps, report.not_in_split, report.splits.len()),
         (3, 0, 2)
     );
     let plan = SplitPlan {
@@ -537,37 +555,36 @@ fn parts_of_a_split_stay_apart() {
     };
     split(&Dataset::open(&root).unwrap(), &plan).unwrap();
     let training = ExportPlan {
-        split: Some("thirds".into()),
+        split_file: Some("thirds".into()),
         ..ExportPlan::new(ExportFormat::Training)
     };
     let report = run(dir.path(), &dir.path().join("thirds"), &training).unwrap();
-    let parts: Vec<&str> = report.parts.keys().map(String::as_str).collect();
-    assert!(!parts.contains(&"val"), "{parts:?}");
+    let splits: Vec<&str> = report.splits.keys().map(String::as_str).collect();
+    assert!(!splits.contains(&"val"), "{splits:?}");
     assert_eq!(report.grasps, 2);
-    let known = ShardSet::open(dir.path().join("thirds")).unwrap();
+    let set = ShardSet::open(dir.path().join("thirds")).unwrap();
     assert!(
-        known
-            .splits()
-            .all(|part| ["train", "validation"].contains(&part))
+        set.splits()
+            .all(|split| ["train", "validation"].contains(&split))
     );
-    for (split, part) in [("halve", None), ("../d", None), ("halves", Some("trian"))] {
-        let wrong = ExportPlan {
-            split: Some(split.into()),
-            part: part.map(str::to_owned),
+    for (file, split) in [("halve", None), ("../d", None), ("halves", Some("trian"))] {
+        let invalid = ExportPlan {
+            split_file: Some(file.into()),
+            only_split: split.map(str::to_owned),
             ..ExportPlan::new(ExportFormat::Zarr)
         };
-        let error = run(dir.path(), &dir.path().join("no"), &wrong).unwrap_err();
-        assert_eq!(error.kind(), ErrorKind::Usage, "{split}");
+        let error = run(dir.path(), &dir.path().join("no"), &invalid).unwrap_err();
+        assert_eq!(error.kind(), ErrorKind::Usage, "{file}");
     }
 }
 
 #[test]
-fn parts_whose_names_are_paths_are_refused_in_every_format() {
+fn split_names_that_are_paths_are_refused() {
     let (dir, _) = dataset();
     let root = dir.path().join("d");
     let plan = SplitPlan {
         name: "halves".into(),
-        by: SplitBy::Object,
+        by: GroupKey::Object,
         seed: 1,
         fractions: BTreeMap::from([("train".into(), 0.5), ("test".into(), 0.5)]),
     };
@@ -575,27 +592,27 @@ fn parts_whose_names_are_paths_are_refused_in_every_format() {
     let path = root.join("splits/halves.json");
     let text = fs::read_to_string(&path).unwrap();
     let absolute = dir.path().join("planted").display().to_string();
-    for part in ["../../planted", "a/b", "..", &absolute] {
-        fs::write(&path, text.replace("\"test\"", &format!("{part:?}"))).unwrap();
+    for name in ["../../planted", "a/b", "..", &absolute] {
+        fs::write(&path, text.replace("\"test\"", &format!("{name:?}"))).unwrap();
         for format in FORMATS {
-            let asked = ExportPlan {
-                split: Some("halves".into()),
+            let requested = ExportPlan {
+                split_file: Some("halves".into()),
                 ..ExportPlan::new(format)
             };
-            let error = run(dir.path(), &dir.path().join("out"), &asked).unwrap_err();
-            assert_eq!(error.kind(), ErrorKind::Input, "{part} {format}: {error}");
+            let error = run(dir.path(), &dir.path().join("out"), &requested).unwrap_err();
+            assert_eq!(error.kind(), ErrorKind::Input, "{name} {format}: {error}");
         }
         let mut found: Vec<_> = fs::read_dir(dir.path())
             .unwrap()
             .map(|entry| entry.unwrap().file_name())
             .collect();
         found.sort();
-        assert_eq!(found, ["d"], "{part}");
+        assert_eq!(found, ["d"], "{name}");
     }
 }
 
 #[test]
-fn nothing_to_export_and_no_place_for_it_are_explained() {
+fn empty_dataset_and_occupied_target_are_refused() {
     let dir = tempfile::tempdir().unwrap();
     let (mut writer, _) =
         DatasetWriter::open_or_create(dir.path().join("d"), &new_dataset()).unwrap();
@@ -612,7 +629,7 @@ fn nothing_to_export_and_no_place_for_it_are_explained() {
     let mut plan = ExportPlan::new(ExportFormat::Parquet);
     plan.only_labelled = true;
     let error = run(dir.path(), &out, &plan).unwrap_err();
-    assert!(error.what().contains("has a label"), "{error}");
+    assert!(error.what().contains("is labelled"), "{error}");
     plan.only_labelled = false;
     let error = run(dir.path(), &dir.path().join("d/grasps/x"), &plan).unwrap_err();
     assert_eq!(error.kind(), ErrorKind::Usage);

@@ -1,37 +1,37 @@
-//! What a format is to the export.
+//! Interface of the export formats.
 
-use super::choice::Survey;
 use super::plan::ExportPlan;
+use super::selection::Survey;
 use super::source::Grasp;
 use super::staged::StagedFolder;
 use gripcast_base::error::{Error, Result};
 use gripcast_dataset::{Descriptor, GraspId};
 
-/// A format that is being written.
+/// Writer of an export format.
 pub(super) trait Writer {
-    /// All further grasps are of this part.
-    fn begin_part(&mut self, part: &str) -> Result<()>;
+    /// Starts a split, to which the following grasps belong.
+    fn begin_split(&mut self, split: &str) -> Result<()>;
 
-    /// Adds a grasp, or says why the format cannot hold it; nothing of it is written then.
+    /// Adds a grasp, or returns why the format cannot represent it; then nothing is written.
     ///
     /// # Errors
     /// The export cannot be written.
     fn push(&mut self, grasp: Grasp) -> Result<Option<Error>>;
 
-    /// Writes the rest; what the format cannot hold of the grasps.
+    /// Completes the export; returns notes about data that the format cannot represent.
     ///
     /// # Errors
     /// The export cannot be written.
     fn finish(self: Box<Self>) -> Result<Vec<String>>;
 }
 
-/// What a writer is made from.
+/// Inputs of a writer.
 #[derive(Clone, Copy)]
-pub(super) struct Setting<'a> {
+pub(super) struct ExportContext<'a> {
     pub(super) folder: &'a StagedFolder,
     pub(super) plan: &'a ExportPlan,
     pub(super) survey: &'a Survey,
     pub(super) descriptor: &'a Descriptor,
-    /// Names of the parts.
-    pub(super) parts: &'a [(String, Vec<GraspId>)],
+    /// Splits with their grasps.
+    pub(super) splits: &'a [(String, Vec<GraspId>)],
 }

@@ -1,18 +1,17 @@
-//! A finished dataset in the formats of others: Hugging Face Parquet, WebDataset, LeRobot, Zarr; and
-//! as the shards that `train` and `eval` read.
+//! Exports a dataset to third-party formats (Hugging Face Parquet, WebDataset, LeRobot, Zarr) and
+//! to the shards of `train` and `eval`.
 //!
-//! An export is derived: the same dataset makes the same bytes, and no dataset is made of it. It is
-//! written under a hidden name and gets its own when it is whole. Of a damaged grasp nothing is
-//! exported; the report names it. Memory holds the ids, one grasp's images and one row group.
-//! `docs/exports.md` says what each format holds.
+//! Equal datasets give equal bytes. An export is written under a hidden name and renamed when
+//! complete. Damaged grasps are left out and listed in the report. Memory use is limited to the
+//! ids, one grasp's images and one row group. `docs/exports.md` describes each format.
 
-mod choice;
 mod format;
 mod lerobot;
 mod parquet;
 mod plan;
 mod report;
 mod run;
+mod selection;
 mod shard_files;
 mod source;
 mod staged;

@@ -1,46 +1,46 @@
-//! Parquet shards, a grasp a row: the columns of `metadata.jsonl`, and the images themselves.
+//! Parquet shards with one row per grasp: the columns of `metadata.jsonl`, and the images.
 
 use std::borrow::Cow;
 
 use serde_json::json;
 
-use super::format::{Setting, Writer};
+use super::format::{ExportContext, Writer};
 use super::shard_files::ShardFiles;
 use super::source::Grasp;
 use gripcast_base::error::{Error, Result};
-use gripcast_dataset::shard::{EXPORT, TableCell, TableKind, TableWriter};
+use gripcast_dataset::shard::{ColumnType, EXPORT, TableCell, TableWriter};
 use gripcast_dataset::{GraspRecord, Outcome, Stage};
 use gripcast_imaging::Role;
 
 /// Version of the columns.
 const VERSION: u32 = 1;
-/// Columns beside the images.
-const FACTS: [(&str, TableKind); 20] = [
-    ("id", TableKind::Text),
-    ("object", TableKind::Text),
-    ("scene", TableKind::Text),
-    ("operator", TableKind::Text),
-    ("outcome", TableKind::Text),
-    ("label", TableKind::Integer),
-    ("labelled_at", TableKind::Text),
-    ("captured_at", TableKind::Text),
-    ("rig", TableKind::Text),
-    ("note", TableKind::Text),
-    ("predicted_p_stable", TableKind::Number),
-    ("predicted_threshold", TableKind::Number),
-    ("predicted_model", TableKind::Text),
-    ("predicted_model_sha256", TableKind::Text),
-    ("pose_t_m", TableKind::Numbers),
-    ("pose_q_wxyz", TableKind::Numbers),
-    ("crop_profile_left", TableKind::Text),
-    ("crop_profile_right", TableKind::Text),
-    ("depth_unit_m", TableKind::Number),
-    ("record", TableKind::Text),
+/// Columns other than the images.
+const FACTS: [(&str, ColumnType); 20] = [
+    ("id", ColumnType::Text),
+    ("object", ColumnType::Text),
+    ("scene", ColumnType::Text),
+    ("operator", ColumnType::Text),
+    ("outcome", ColumnType::Text),
+    ("label", ColumnType::Int64),
+    ("labelled_at", ColumnType::Text),
+    ("captured_at", ColumnType::Text),
+    ("rig", ColumnType::Text),
+    ("note", ColumnType::Text),
+    ("predicted_p_stable", ColumnType::Float64),
+    ("predicted_threshold", ColumnType::Float64),
+    ("predicted_model", ColumnType::Text),
+    ("predicted_model_sha256", ColumnType::Text),
+    ("pose_t_m", ColumnType::Float64List(3)),
+    ("pose_q_wxyz", ColumnType::Float64List(4)),
+    ("crop_profile_left", ColumnType::Text),
+    ("crop_profile_right", ColumnType::Text),
+    ("depth_unit_m", ColumnType::Float64),
+    ("record", ColumnType::Text),
 ];
 
 /// Writes the shards.
 pub(super) struct ParquetShards<'a> {
-    setting: Setting<'a>,
+    context: ExportContext<'a>,
     images: Vec<(Stage, Role)>,
     metadata: String,
     files: ShardFiles<'a>,
@@ -48,8 +48,8 @@ pub(super) struct ParquetShards<'a> {
 }
 
 impl<'a> ParquetShards<'a> {
-    pub(super) fn new(setting: Setting<'a>) -> Self {
-        let descriptor = setting.descriptor;
+    pub(super) fn new(context: ExportContext<'a>) -> Self {
+        let descriptor = context.descriptor;
         let metadata = json!({
             "format": EXPORT,
             "version": VERSION,
@@ -58,19 +58,19 @@ impl<'a> ParquetShards<'a> {
             "label_definition": descriptor.label_definition,
         });
         Self {
-            setting,
-            images: setting.survey.cameras.keys().copied().collect(),
+            context,
+            images: context.survey.cameras.keys().copied().collect(),
             metadata: metadata.to_string(),
-            files: ShardFiles::new(setting.folder),
+            files: ShardFiles::new(context.folder),
             open: None,
         }
     }
 
-    /// The open shard, a new one where the last is full.
+    /// Returns the open shard, or a new one if it is full.
     fn shard(&mut self, next: usize) -> Result<&mut TableWriter> {
-        let most = self.setting.plan.shard_bytes;
+        let max_bytes = self.context.plan.shard_bytes;
         let open = match self.open.take() {
-            Some(full) if full.bytes() + next > most => {
+            Some(full) if full.bytes() + next > max_bytes => {
                 full.finish()?;
                 self.create()?
             }
@@ -85,24 +85,24 @@ impl<'a> ParquetShards<'a> {
         let facts = FACTS.iter().map(|(name, kind)| ((*name).to_owned(), *kind));
         let images = self.images.iter().map(|(stage, role)| {
             let name = format!("{}_{role}", stage.name());
-            (name, TableKind::Image)
+            (name, ColumnType::Image)
         });
         let metadata = [("gripcast", self.metadata.clone())];
         TableWriter::create(path, facts.chain(images).collect(), &metadata)
     }
 
-    fn end_part(&mut self) -> Result<()> {
+    fn end_split(&mut self) -> Result<()> {
         if let Some(open) = self.open.take() {
             open.finish()?;
         }
-        self.files.end_part()
+        self.files.end_split()
     }
 }
 
 impl Writer for ParquetShards<'_> {
-    fn begin_part(&mut self, part: &str) -> Result<()> {
-        self.end_part()?;
-        self.files.begin_part(part);
+    fn begin_split(&mut self, split: &str) -> Result<()> {
+        self.end_split()?;
+        self.files.begin_split(split);
         Ok(())
     }
 
@@ -120,12 +120,12 @@ impl Writer for ParquetShards<'_> {
     }
 
     fn finish(mut self: Box<Self>) -> Result<Vec<String>> {
-        self.end_part()?;
+        self.end_split()?;
         Ok(Vec::new())
     }
 }
 
-/// In the order of [`FACTS`].
+/// Cells in the order of [`FACTS`].
 fn facts(grasp: &Grasp) -> Vec<TableCell<'static>> {
     let record = &grasp.record;
     let prediction = record.prediction.as_ref();
@@ -155,7 +155,7 @@ fn facts(grasp: &Grasp) -> Vec<TableCell<'static>> {
     ]
 }
 
-/// 0 slip, 1 stable.
+/// Label: 0 slip, 1 stable.
 pub(super) fn label(outcome: Outcome) -> Option<i64> {
     match outcome {
         Outcome::Slip => Some(0),

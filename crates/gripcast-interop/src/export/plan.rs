@@ -1,24 +1,23 @@
-//! What is to be exported, and how.
+//! Settings of an export.
 
 use std::fmt;
 
-/// Size of a shard unless another is asked for, bytes: what Hugging Face and WebDataset users
-/// stream at a time.
+/// Default size of a shard, bytes, common with Hugging Face and WebDataset.
 const SHARD_BYTES: usize = 256 << 20;
-/// What the models of this program see, width and height in pixels: the size of images in shards
-/// for them, and in Zarr unless another is asked for.
+/// Input size of the models, width and height in pixels: the size of images in training shards, and
+/// the default in Zarr.
 pub(super) const SIZE: (u32, u32) = (320, 240);
 
-/// Formats that others read.
+/// Formats of an export.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ExportFormat {
     /// Parquet shards with embedded images, for Hugging Face `datasets` and pandas.
     Parquet,
     /// Tar shards, for `webdataset`.
     WebDataset,
-    /// LeRobot's format, version 3: a grasp is an episode of two frames.
+    /// LeRobot version 3; a grasp is an episode of two frames.
     LeRobot,
-    /// Zarr arrays, version 2, laid out as the replay buffer of UMI and Diffusion Policy.
+    /// Zarr version 2 with the replay-buffer layout of UMI and Diffusion Policy.
     Zarr,
     /// Shards of labelled samples at the models' size, for `train` and `eval`.
     Training,
@@ -37,9 +36,8 @@ impl ExportFormat {
         }
     }
 
-    /// Name of the part that all grasps are in without a split: what Hugging Face calls it, and
-    /// what `eval` measures.
-    pub(super) fn whole(self) -> &'static str {
+    /// Name of the split of all grasps without a split file.
+    pub(super) fn default_split(self) -> &'static str {
         match self {
             Self::Training => "test",
             _ => "train",
@@ -53,39 +51,39 @@ impl fmt::Display for ExportFormat {
     }
 }
 
-/// Which grasps go where.
+/// Settings of an export.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct ExportPlan {
-    /// The format.
+    /// Format of the export.
     pub format: ExportFormat,
-    /// Name of a split: its parts are kept apart, grasps of no part left out.
-    pub split: Option<String>,
-    /// Only this part, of the split or of the only one there is.
-    pub part: Option<String>,
-    /// Leave out what is not labelled; LeRobot and Training always do.
+    /// Name of a split file; grasps that are not in it are left out.
+    pub split_file: Option<String>,
+    /// Exports only this split, of `split_file` or of the only split file.
+    pub only_split: Option<String>,
+    /// Leaves out unlabelled grasps; LeRobot and Training always do.
     pub only_labelled: bool,
     /// Width and height of images in Zarr, pixels.
     pub size: (u32, u32),
-    /// Most bytes of a shard (Parquet, WebDataset, Training); only a single grasp may be larger.
+    /// Maximum size of a shard (Parquet, WebDataset, Training), bytes; only a single grasp may be larger.
     pub shard_bytes: usize,
 }
 
 impl ExportPlan {
-    /// All grasps in one part.
+    /// Exports all grasps as one split.
     #[must_use]
     pub fn new(format: ExportFormat) -> Self {
         Self {
             format,
-            split: None,
-            part: None,
+            split_file: None,
+            only_split: None,
             only_labelled: false,
             size: SIZE,
             shard_bytes: SHARD_BYTES,
         }
     }
 
-    /// Whether grasps without a label are left out.
-    pub(super) fn wants_labels(&self) -> bool {
+    /// Whether unlabelled grasps are left out.
+    pub(super) fn requires_labels(&self) -> bool {
         let always = [ExportFormat::LeRobot, ExportFormat::Training];
         self.only_labelled || always.contains(&self.format)
     }

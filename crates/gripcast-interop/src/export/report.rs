@@ -1,4 +1,4 @@
-//! What became of an export.
+//! Report of an export.
 
 use std::collections::BTreeMap;
 use std::path::PathBuf;
@@ -8,29 +8,29 @@ use serde::Serialize;
 use crate::left_out::LeftOut;
 use gripcast_dataset::Outcome;
 
-/// What was written, and what was not.
+/// Result of an export.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct ExportReport {
     /// Name of the format.
     pub format: String,
-    /// Where it is.
+    /// Path of the export.
     pub out: PathBuf,
-    /// Grasps that were written.
+    /// Number of exported grasps.
     pub grasps: usize,
-    /// Of these, by part.
-    pub parts: BTreeMap<String, usize>,
-    /// Of these, by outcome.
+    /// Exported grasps by split.
+    pub splits: BTreeMap<String, usize>,
+    /// Exported grasps by outcome.
     pub outcomes: BTreeMap<Outcome, usize>,
-    /// Files of the export.
+    /// Number of files.
     pub files: usize,
-    /// Their size.
+    /// Total size of the files, bytes.
     pub bytes: u64,
-    /// Grasps left out because they are not labelled.
+    /// Number of grasps left out because they are unlabelled.
     pub unlabelled: usize,
-    /// Grasps left out because the split does not name them.
+    /// Number of grasps left out because they are not in the split.
     pub not_in_split: usize,
-    /// What the format cannot hold of these grasps.
+    /// Data that the format cannot represent.
     pub notes: Vec<String>,
-    /// Damaged grasps, and those that the format cannot hold.
+    /// Damaged grasps, and those that the format cannot represent.
     pub left_out: Vec<LeftOut>,
 }

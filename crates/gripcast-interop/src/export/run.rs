@@ -1,14 +1,14 @@
-//! An export from its beginning to its name.
+//! Runs an export.
 
 use std::fs;
 use std::path::Path;
 
-use super::choice::{Choice, choose};
-use super::format::{Setting, Writer};
+use super::format::{ExportContext, Writer};
 use super::lerobot::LeRobot;
 use super::parquet::ParquetShards;
 use super::plan::{ExportFormat, ExportPlan};
 use super::report::ExportReport;
+use super::selection::{Selection, select};
 use super::source::Source;
 use super::staged::StagedFolder;
 use super::training::TrainingShards;
@@ -18,25 +18,25 @@ use crate::left_out::LeftOut;
 use gripcast_base::error::{Error, Result};
 use gripcast_dataset::Dataset;
 
-/// Writes a dataset in another format to `out`, whole or not at all.
+/// Exports a dataset to `out` atomically.
 ///
-/// `told` gets the number of grasps that are done and that of all. A damaged grasp is left out and
-/// named in the report. The same dataset and plan make the same bytes.
+/// `on_progress` gets the number of finished grasps and their total. Damaged grasps are left out and
+/// listed in the report. Equal datasets and plans give equal bytes.
 ///
 /// # Errors
-/// `Usage`: a split, part or size that cannot be; an `out` inside the dataset. `Input`: there is
-/// nothing to export, or something at `out` already. `Busy`: `out` is being written.
-/// `Permission`, `DiskFull`, `Io`, …: `out` cannot be written; there is nothing then.
+/// `Usage`: an invalid split or size; an `out` inside the dataset. `Input`: nothing to export, or
+/// `out` exists. `Busy`: `out` is being written. `Permission`, `DiskFull`, `Io`, …: `out` cannot be
+/// written; nothing is left there.
 pub fn export(
     dataset: &Dataset,
     out: &Path,
     plan: &ExportPlan,
     on_progress: &dyn Fn(usize, usize),
 ) -> Result<ExportReport> {
-    check_apart(dataset.path(), out)?;
-    let choice = choose(dataset, plan).map_err(|e| e.at(dataset.path().display()))?;
+    check_outside(dataset.path(), out)?;
+    let selection = select(dataset, plan).map_err(|e| e.at(dataset.path().display()))?;
     let folder = StagedFolder::create(out)?;
-    write(dataset, &folder, plan, choice, on_progress)
+    write(dataset, &folder, plan, selection, on_progress)
         .and_then(|mut report| {
             (report.files, report.bytes) = folder.size()?;
             report.out = out.to_owned();
@@ -54,29 +54,29 @@ fn write(
     dataset: &Dataset,
     folder: &StagedFolder,
     plan: &ExportPlan,
-    choice: Choice,
+    selection: Selection,
     on_progress: &dyn Fn(usize, usize),
 ) -> Result<ExportReport> {
-    let setting = Setting {
+    let context = ExportContext {
         folder,
         plan,
-        survey: &choice.survey,
+        survey: &selection.survey,
         descriptor: dataset.descriptor(),
-        parts: &choice.parts,
+        splits: &selection.splits,
     };
     let mut writer: Box<dyn Writer + '_> = match plan.format {
-        ExportFormat::Parquet => Box::new(ParquetShards::new(setting)),
-        ExportFormat::WebDataset => Box::new(TarShards::new(setting)),
-        ExportFormat::LeRobot => Box::new(LeRobot::new(setting)?),
-        ExportFormat::Zarr => Box::new(ReplayBuffer::new(setting)?),
-        ExportFormat::Training => Box::new(TrainingShards::new(setting)?),
+        ExportFormat::Parquet => Box::new(ParquetShards::new(context)),
+        ExportFormat::WebDataset => Box::new(TarShards::new(context)),
+        ExportFormat::LeRobot => Box::new(LeRobot::new(context)?),
+        ExportFormat::Zarr => Box::new(ReplayBuffer::new(context)?),
+        ExportFormat::Training => Box::new(TrainingShards::new(context)?),
     };
-    let mut report = ExportReport::new(plan.format, &choice);
+    let mut report = ExportReport::new(plan.format, &selection);
     let mut source = Source::new(dataset)?;
-    let all = choice.grasps();
-    let (mut done, mut is_damaged) = (0, !choice.left_out.is_empty());
-    for (part, ids) in &choice.parts {
-        writer.begin_part(part)?;
+    let all = selection.grasps();
+    let (mut done, mut is_damaged) = (0, !selection.left_out.is_empty());
+    for (split, ids) in &selection.splits {
+        writer.begin_split(split)?;
         for id in ids {
             let outcome = match source.read(id) {
                 Ok(grasp) => {
@@ -91,12 +91,12 @@ fn write(
             match outcome {
                 Ok(outcome) => {
                     report.grasps += 1;
-                    *report.parts.entry(part.clone()).or_default() += 1;
+                    *report.splits.entry(split.clone()).or_default() += 1;
                     *report.outcomes.entry(outcome).or_default() += 1;
                 }
                 Err(error) => report.left_out.push(LeftOut {
                     id: id.to_string(),
-                    why: error.to_string(),
+                    reason: error.to_string(),
                 }),
             }
             done += 1;
@@ -104,11 +104,11 @@ fn write(
         }
     }
     if let (0, Some(first)) = (report.grasps, report.left_out.first()) {
-        let what = format!("none of the {all} grasps can be exported, the first because of");
-        let what = format!("{what} {}", first.why);
+        let reason = &first.reason;
+        let what = format!("cannot export any of the {all} grasps, the first because of {reason}");
         return Err(Error::input(what).remedy(match is_damaged {
             true => "run `gripcast dataset verify` and `recover`",
-            false => "the format needs more than these grasps have: docs/exports.md says what",
+            false => "the format requires more data than these grasps have, see docs/exports.md",
         }));
     }
     report.notes.extend(writer.finish()?);
@@ -117,37 +117,37 @@ fn write(
 }
 
 impl ExportReport {
-    fn new(format: ExportFormat, choice: &Choice) -> Self {
+    fn new(format: ExportFormat, selection: &Selection) -> Self {
         Self {
             format: format.name().to_owned(),
             out: std::path::PathBuf::new(),
             grasps: 0,
-            parts: Default::default(),
+            splits: Default::default(),
             outcomes: Default::default(),
             files: 0,
             bytes: 0,
-            unlabelled: choice.unlabelled,
-            not_in_split: choice.not_in_split,
+            unlabelled: selection.unlabelled,
+            not_in_split: selection.not_in_split,
             notes: Vec::new(),
-            left_out: choice.left_out.clone(),
+            left_out: selection.left_out.clone(),
         }
     }
 }
 
-/// An export inside the dataset would become a part of what it is made from.
-fn check_apart(dataset: &Path, out: &Path) -> Result<()> {
+/// Refuses an export inside the dataset.
+fn check_outside(dataset: &Path, out: &Path) -> Result<()> {
     let Ok(root) = fs::canonicalize(dataset) else {
         return Ok(());
     };
-    let near = std::path::absolute(out).unwrap_or_else(|_| out.to_owned());
-    let real = near
+    let absolute = std::path::absolute(out).unwrap_or_else(|_| out.to_owned());
+    let real = absolute
         .ancestors()
         .find_map(|path| fs::canonicalize(path).ok());
     if real.is_some_and(|real| real.starts_with(&root)) {
-        let what = "the export would lie inside the dataset";
+        let what = "the export would be inside the dataset";
         return Err(Error::usage(what)
             .at(out.display())
-            .remedy("choose an `--out` beside it"));
+            .remedy("choose an `--out` outside of it"));
     }
     Ok(())
 }

@@ -1,16 +1,16 @@
-//! Parquet files of a part, whose names say how many there are.
+//! Shards of a split, whose names contain their number.
 
 use super::staged::{StagedFolder, write_failed};
 use gripcast_base::error::Result;
 use gripcast_base::files::{BeneathPath, FileName};
-use gripcast_dataset::shard::shard_place;
+use gripcast_dataset::shard::shard_path;
 
-/// Names for the shards of one part after the other.
+/// Names the shards of one split after the other.
 #[derive(Debug)]
 pub(super) struct ShardFiles<'a> {
     folder: &'a StagedFolder,
-    part: String,
-    /// Those of the part so far, under names for the meantime.
+    split: String,
+    /// Shards of the split so far, under temporary names.
     written: Vec<BeneathPath>,
 }
 
@@ -18,38 +18,38 @@ impl<'a> ShardFiles<'a> {
     pub(super) fn new(folder: &'a StagedFolder) -> Self {
         Self {
             folder,
-            part: String::new(),
+            split: String::new(),
             written: Vec::new(),
         }
     }
 
-    /// Place of the part's next shard for the meantime.
+    /// Temporary path of the next shard of the split.
     ///
     /// # Errors
     /// Those of the operating system.
     pub(super) fn next(&mut self) -> Result<BeneathPath> {
         let data = self.folder.folder(self.folder.root().top().join("data"))?;
-        let name = format!("{}-{:05}", self.part, self.written.len());
-        let place = data.join(&FileName::parse(&name)?);
-        self.written.push(place.clone());
-        Ok(place)
+        let name = format!("{}-{:05}", self.split, self.written.len());
+        let path = data.join(&FileName::parse(&name)?);
+        self.written.push(path.clone());
+        Ok(path)
     }
 
-    /// Names the shards of the part, all of which are written.
+    /// Renames the written shards of the split to their final names.
     ///
     /// # Errors
     /// Those of the operating system.
-    pub(super) fn end_part(&mut self) -> Result<()> {
+    pub(super) fn end_split(&mut self) -> Result<()> {
         let shards = std::mem::take(&mut self.written);
         for (index, written) in shards.iter().enumerate() {
-            let place = shard_place(self.folder.root(), &self.part, index, shards.len())?;
-            written.rename(&place).map_err(write_failed)?;
+            let path = shard_path(self.folder.root(), &self.split, index, shards.len())?;
+            written.rename(&path).map_err(write_failed)?;
         }
         Ok(())
     }
 
-    /// All further shards are of this part.
-    pub(super) fn begin_part(&mut self, part: &str) {
-        part.clone_into(&mut self.part);
+    /// Starts a split, to which the following shards belong.
+    pub(super) fn begin_split(&mut self, split: &str) {
+        split.clone_into(&mut self.split);
     }
 }

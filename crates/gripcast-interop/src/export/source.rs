@@ -1,4 +1,4 @@
-//! A grasp with its images, checked and ready for other programs.
+//! Reads and checks grasps with their images for an export.
 
 use std::collections::BTreeMap;
 
@@ -7,27 +7,27 @@ use gripcast_dataset::{CameraRecord, Dataset, GraspId, GraspRecord, Stage};
 use gripcast_imaging::jpeg::{self, JpegDecoder};
 use gripcast_imaging::{PixelFormat, Role};
 
-/// One whole grasp.
+/// A complete grasp.
 pub(super) struct Grasp {
     pub(super) record: GraspRecord,
-    /// Its `grasp.json` as it is.
+    /// Bytes of `grasp.json`.
     pub(super) json: Vec<u8>,
-    /// Frames of the approach are not among them.
+    /// Images of both stages, without pre-grasp frames.
     pub(super) images: BTreeMap<(Stage, Role), Image>,
 }
 
-/// An encoded image that any viewer opens.
+/// An encoded image in a standard format.
 pub(super) struct Image {
-    /// JPEG as the camera sent it but without padding and with Huffman tables; or PNG.
+    /// PNG, or JPEG as sent by the camera but without padding and with Huffman tables.
     pub bytes: Vec<u8>,
-    /// Whether it has one channel.
+    /// Whether it has a single channel.
     pub(super) is_grey: bool,
-    /// Named crop, tactile cameras.
+    /// Name of the crop profile; tactile cameras only.
     pub(super) crop_profile: Option<String>,
 }
 
 impl Image {
-    /// Ending of its file name.
+    /// File extension.
     pub(super) fn extension(&self) -> &'static str {
         if self.bytes.starts_with(b"\x89PNG") {
             "png"
@@ -38,14 +38,14 @@ impl Image {
 }
 
 impl Grasp {
-    /// Bytes of record and images.
+    /// Size of record and images, bytes.
     pub(super) fn bytes(&self) -> usize {
         let images = self.images.values().map(|image| image.bytes.len());
         self.json.len() + images.sum::<usize>()
     }
 }
 
-/// Reads grasps.
+/// Reads grasps of a dataset.
 pub(super) struct Source<'a> {
     dataset: &'a Dataset,
     jpeg: JpegDecoder,
@@ -57,10 +57,10 @@ impl<'a> Source<'a> {
         Ok(Self { dataset, jpeg })
     }
 
-    /// One grasp, all of whose images decode.
+    /// Reads a grasp and checks that all its images decode.
     ///
     /// # Errors
-    /// What is wrong with it.
+    /// The defect of the grasp.
     pub(super) fn read(&mut self, id: &GraspId) -> Result<Grasp> {
         let (record, json) = self.dataset.grasp_with_json(id)?;
         let mut images = BTreeMap::new();

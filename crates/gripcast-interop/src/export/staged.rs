@@ -1,41 +1,41 @@
-//! An export that gets its name when it is whole.
+//! An export directory that is renamed when complete.
 
 use std::ffi::OsString;
 use std::fs::{self, File};
 use std::io::{self, BufWriter, Write};
 use std::path::{Path, PathBuf};
 
-use rustix::fs::{CWD, FlockOperation, RenameFlags, flock, renameat_with, syncfs};
+use rustix::fs::{FlockOperation, flock, syncfs};
 use rustix::io::Errno;
 
 use gripcast_base::error::{Error, ErrorKind, Result};
 use gripcast_base::files::{BeneathPath, Root};
 
-/// A hidden folder beside the target. It is removed when dropped before the commit; what a kill
-/// leaves behind is removed by the next export to the same target.
+/// A hidden directory beside the target, removed when dropped before the commit. Leftovers of a
+/// kill are removed by the next export to the same target.
 #[derive(Debug)]
 pub(super) struct StagedFolder {
     root: Root,
     target: PathBuf,
-    /// Holds the folder's lock, so that two exports do not write one target.
+    /// Holds the directory's lock, so that two exports cannot write the same target.
     folder: File,
 }
 
 impl StagedFolder {
-    /// Begins an export to `target`, which must not be there or be an empty folder.
+    /// Starts an export to `target`, which must be missing or an empty directory.
     ///
     /// # Errors
-    /// `Usage`: the target has no name. `Input`: something is there. `Busy`: another export is
-    /// writing it. `Permission`, `DiskFull`, `Io`: the folder.
+    /// `Usage`: the target has no name. `Input`: the target exists. `Busy`: another export is
+    /// writing it. `Permission`, `DiskFull`, `Io`: the directory.
     pub(super) fn create(target: &Path) -> Result<Self> {
         let Some(name) = target.file_name() else {
-            let what = "the export needs a name of its own";
+            let what = "the path of the export has no file name";
             return Err(Error::usage(what).at(target.display()));
         };
         check_free(target)?;
-        let parent = parent(target);
-        let failed = |e| Error::io("cannot make the folder", e).at(target.display());
-        fs::create_dir_all(parent).map_err(failed)?;
+        let parent = Root::beside(target).shown();
+        let failed = |e| Error::io("cannot create the directory", e).at(target.display());
+        fs::create_dir_all(&parent).map_err(failed)?;
         let mut hidden = OsString::from(".");
         hidden.push(name);
         hidden.push(".gripcast-partial");
@@ -50,9 +50,9 @@ impl StagedFolder {
             return Err(occupied(&root));
         }
         let folder = File::open(&root).map_err(failed)?;
-        // Some network file systems have no locks.
+        // Some network file systems do not support locks.
         if let Err(Errno::WOULDBLOCK) = flock(&folder, FlockOperation::NonBlockingLockExclusive) {
-            let what = "another export to this place is under way";
+            let what = "another export to this path is in progress";
             return Err(Error::new(ErrorKind::Busy, what)
                 .at(target.display())
                 .remedy("wait for it, or choose another `--out`"));
@@ -66,39 +66,39 @@ impl StagedFolder {
         Ok(staged)
     }
 
-    /// Where the files of the export are until the commit.
+    /// Hidden directory with the files of the export.
     pub(super) fn root(&self) -> &Root {
         &self.root
     }
 
-    /// The name that the export will have.
+    /// Final path of the export.
     pub(super) fn target(&self) -> &Path {
         &self.target
     }
 
-    /// A new file, and the folders on the way to it.
+    /// Creates a file and its parent directories.
     ///
     /// # Errors
     /// Those of the operating system.
     pub(super) fn file(&self, name: &str) -> Result<BufWriter<File>> {
         let create = || {
-            let place = self.root.resolve(name)?;
-            place.parent().create_dir_all()?;
-            place.create_new()
+            let path = self.root.resolve(name)?;
+            path.parent().create_dir_all()?;
+            path.create_new()
         };
         create().map(BufWriter::new).map_err(write_failed)
     }
 
-    /// A folder of the export, which is made.
+    /// Creates a directory of the export.
     ///
     /// # Errors
     /// Those of the operating system.
-    pub(super) fn folder(&self, place: BeneathPath) -> Result<BeneathPath> {
-        place.create_dir_all().map_err(write_failed)?;
-        Ok(place)
+    pub(super) fn folder(&self, path: BeneathPath) -> Result<BeneathPath> {
+        path.create_dir_all().map_err(write_failed)?;
+        Ok(path)
     }
 
-    /// A new file with its contents.
+    /// Writes a new file.
     ///
     /// # Errors
     /// Those of the operating system.
@@ -108,7 +108,7 @@ impl StagedFolder {
         written.map_err(write_failed)
     }
 
-    /// Number and size of the files.
+    /// Returns the number and the total size of the files.
     ///
     /// # Errors
     /// Those of the operating system.
@@ -129,11 +129,11 @@ impl StagedFolder {
         Ok((files, bytes))
     }
 
-    /// Gives the export its name, once all of it is on the disk. `file`: the only file in it, if
-    /// the export is that file and no folder.
+    /// Flushes the export and renames it to its target. `file`: the name of the only file, if the
+    /// export is a file.
     ///
     /// # Errors
-    /// `Input`: something has appeared there. Those of the operating system.
+    /// `Input`: the target was created meanwhile. Those of the operating system.
     pub(super) fn commit(self, file: Option<&'static str>) -> Result<()> {
         let taken = |e: io::Error| match e.kind() {
             io::ErrorKind::AlreadyExists | io::ErrorKind::DirectoryNotEmpty => {
@@ -141,25 +141,25 @@ impl StagedFolder {
             }
             _ => write_failed(e),
         };
-        // One call for all files: an export may have very many small ones.
+        // One call for all files: an export may have many small ones.
         syncfs(&self.folder).map_err(|e| write_failed(e.into()))?;
         match file {
-            None => fs::rename(self.root.path(), &self.target).map_err(taken)?,
+            None => fs::rename(self.root.path(), &self.target),
             Some(name) => {
-                rename_new(&self.root.path().join(name), &self.target).map_err(taken)?;
+                let file = self.root.top().join(name);
+                file.rename_new(&BeneathPath::from_user_path(&self.target))
             }
         }
-        // Not every file system can do this to a folder, and the files themselves are safe.
-        if let Ok(parent) = File::open(parent(&self.target)) {
-            let _ = parent.sync_all();
-        }
+        .map_err(taken)?;
+        // Not every file system can flush a directory, and the files themselves are safe.
+        let _ = Root::beside(&self.target).sync_dir();
         Ok(())
     }
 
     fn clear(&self) -> io::Result<()> {
         for entry in fs::read_dir(self.root.path())? {
             let entry = entry?;
-            // Of a link the link.
+            // Links are removed, not followed.
             if entry.file_type()?.is_dir() {
                 fs::remove_dir_all(entry.path())?;
             } else {
@@ -172,59 +172,33 @@ impl StagedFolder {
 
 impl Drop for StagedFolder {
     fn drop(&mut self) {
-        // After the renaming there is none any more; the cause is what the caller reports.
+        // Fails after the rename, as intended.
         let _ = fs::remove_dir_all(self.root.path());
     }
 }
 
-/// `DiskFull`, `Io`, …: the export cannot be written.
+/// Error of the operating system while writing the export.
 pub(super) fn write_failed(error: io::Error) -> Error {
     Error::io("cannot write the export", error)
 }
 
 fn check_free(target: &Path) -> Result<()> {
-    match fs::symlink_metadata(target) {
+    let is_empty_dir = || -> io::Result<bool> {
+        Ok(fs::symlink_metadata(target)?.is_dir() && fs::read_dir(target)?.next().is_none())
+    };
+    match is_empty_dir() {
+        Ok(true) => Ok(()),
+        Ok(false) => Err(occupied(target)),
         Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(()),
-        Err(error) => Err(Error::io("cannot look at the target", error).at(target.display())),
-        Ok(found) if found.is_dir() => {
-            let mut entries = fs::read_dir(target)
-                .map_err(|e| Error::io("cannot look at the target", e).at(target.display()))?;
-            match entries.next() {
-                None => Ok(()),
-                Some(_) => Err(occupied(target)),
-            }
-        }
-        Ok(_) => Err(occupied(target)),
+        Err(error) => Err(Error::io("cannot read the target", error).at(target.display())),
     }
 }
 
 fn occupied(target: &Path) -> Error {
-    let what = "there is something already; an export never replaces anything";
+    let what = "the target exists; an export never overwrites";
     Error::input(what)
         .at(target.display())
-        .remedy("choose another `--out`, or remove what is there")
-}
-
-/// Renames; fails with `AlreadyExists` where the new name is taken.
-fn rename_new(from: &Path, to: &Path) -> io::Result<()> {
-    match renameat_with(CWD, from, CWD, to, RenameFlags::NOREPLACE) {
-        // Some network and FAT file systems lack the flag: looking first is the best there.
-        Err(Errno::INVAL | Errno::NOSYS) => {
-            if to.symlink_metadata().is_ok() {
-                return Err(io::ErrorKind::AlreadyExists.into());
-            }
-            fs::rename(from, to)
-        }
-        other => other.map_err(io::Error::from),
-    }
-}
-
-/// The folder of a path; of a bare name the present one.
-fn parent(path: &Path) -> &Path {
-    match path.parent() {
-        Some(folder) if !folder.as_os_str().is_empty() => folder,
-        _ => Path::new("."),
-    }
+        .remedy("choose another `--out`, or remove it")
 }
 
 #[cfg(test)]
@@ -234,7 +208,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn an_export_has_its_name_when_it_is_whole() {
+    fn export_is_renamed_when_complete() {
         let dir = tempfile::tempdir().unwrap();
         let target = dir.path().join("made/export");
         let staged = StagedFolder::create(&target).unwrap();
@@ -249,7 +223,7 @@ mod tests {
     }
 
     #[test]
-    fn an_empty_folder_may_be_there_and_nothing_else() {
+    fn only_an_empty_directory_is_replaced() {
         let dir = tempfile::tempdir().unwrap();
         let target = dir.path().join("export");
         fs::create_dir(&target).unwrap();
@@ -259,7 +233,7 @@ mod tests {
         let error = StagedFolder::create(&target).unwrap_err();
         assert_eq!(error.kind(), ErrorKind::Input);
         assert!(error.remedy_text().is_some());
-        // It appears while the export is written.
+        // The target is created while the export is written.
         let target = dir.path().join("other.zip");
         let staged = StagedFolder::create(&target).unwrap();
         staged.write("export.zip", b"1").unwrap();
@@ -272,12 +246,12 @@ mod tests {
     }
 
     #[test]
-    fn no_file_is_written_outside_and_no_link_is_followed() {
+    fn links_are_not_followed() {
         let dir = tempfile::tempdir().unwrap();
         let [target, secret] = ["made", "secret"].map(|name| dir.path().join(name));
         fs::create_dir(&secret).unwrap();
         fs::write(secret.join("file"), "secret").unwrap();
-        // What a kill, or somebody else, left.
+        // A leftover of a kill or of a third party.
         let partial = dir.path().join(".made.gripcast-partial");
         fs::create_dir(&partial).unwrap();
         symlink(&secret, partial.join("data")).unwrap();
@@ -290,20 +264,20 @@ mod tests {
         symlink(secret.join("file"), partial.join("file")).unwrap();
         assert!(staged.write("data/new", b"x").is_err());
         assert!(staged.write("file", b"x").is_err());
-        let place = staged.root().top().join("data").join("chunk");
-        assert!(staged.folder(place).is_err());
+        let chunk = staged.root().top().join("data").join("chunk");
+        assert!(staged.folder(chunk).is_err());
         assert_eq!(fs::read(secret.join("file")).unwrap(), b"secret");
         assert_eq!(fs::read_dir(&secret).unwrap().count(), 1);
     }
 
     #[test]
-    fn what_a_kill_left_is_gone_with_the_next_attempt() {
+    fn next_export_removes_leftovers_of_a_kill() {
         let dir = tempfile::tempdir().unwrap();
         let target = dir.path().join("export");
         let staged = StagedFolder::create(&target).unwrap();
         staged.write("data/old", b"1").unwrap();
         let root = staged.root().path().to_owned();
-        // As a kill does: the lock goes, the files stay.
+        // As after a kill: the lock is released, the files remain.
         drop(staged);
         fs::create_dir_all(root.join("data")).unwrap();
         fs::write(root.join("data/old"), b"1").unwrap();

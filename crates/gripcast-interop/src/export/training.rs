@@ -1,13 +1,12 @@
-//! Shards of labelled samples as `train` and `eval` read them: what synthetic and imported datasets
-//! are made of.
+//! Shards of labelled samples for `train` and `eval`, in the format of synthetic and imported
+//! datasets.
 //!
-//! The tactile images are cropped by the profile of their camera and have the models' size, made
-//! by the decoder of the live path and stored without loss: a model says of a sample what it says
-//! live of the same frames.
+//! Tactile images are cropped with the profile of their camera and resized by the decoder of the
+//! live path, and stored without loss, so that a model predicts the same as live.
 
 use serde_json::json;
 
-use super::format::{Setting, Writer};
+use super::format::{ExportContext, Writer};
 use super::plan::SIZE;
 use super::shard_files::ShardFiles;
 use super::source::{Grasp, Image};
@@ -15,50 +14,50 @@ use gripcast_base::error::{Error, ErrorKind, Result};
 use gripcast_dataset::shard::{
     ShardEngine, ShardFacts, ShardImages, ShardOutcome, ShardRow, ShardWriter,
 };
-use gripcast_dataset::{GraspRecord, Outcome, SplitBy, Stage};
+use gripcast_dataset::{GraspRecord, GroupKey, Outcome, Stage};
 use gripcast_imaging::{CropProfile, Decoder, Role, encode_png_rgb};
 
 /// Writes the shards.
 pub(super) struct TrainingShards<'a> {
-    setting: Setting<'a>,
+    context: ExportContext<'a>,
     decoder: Decoder,
     info: String,
     files: ShardFiles<'a>,
-    /// The open shard and the bytes of its rows.
+    /// The open shard and the size of its rows, bytes.
     open: Option<(ShardWriter, usize)>,
-    /// How the tactile images are cropped.
+    /// Name of the crop profile of the tactile images.
     crop: &'a str,
 }
 
 impl<'a> TrainingShards<'a> {
     /// # Errors
-    /// `Input`: no grasp has tactile images. `Internal`: no decoder can be had.
-    pub(super) fn new(setting: Setting<'a>) -> Result<Self> {
-        let Some(crop) = setting.survey.usual_crop() else {
-            let what = "no grasp has tactile images that say how they are cropped";
-            return Err(cannot(what.to_owned())
-                .remedy("give `crop_profile` to the tactile cameras in the rig file"));
+    /// `Input`: no grasp has tactile images. `Internal`: the decoder.
+    pub(super) fn new(context: ExportContext<'a>) -> Result<Self> {
+        let Some(crop) = context.survey.most_common_crop() else {
+            let what = "no grasp has tactile images with a crop profile";
+            return Err(Error::input(what)
+                .remedy("set `crop_profile` of the tactile cameras in the rig file"));
         };
-        let descriptor = setting.descriptor;
+        let descriptor = context.descriptor;
         let info = json!({
             "exported_from": descriptor.name,
             "licence": descriptor.licence,
             "label_definition": descriptor.label_definition,
         });
         Ok(Self {
-            setting,
+            context,
             decoder: Decoder::new()?,
             info: info.to_string(),
-            files: ShardFiles::new(setting.folder),
+            files: ShardFiles::new(context.folder),
             open: None,
             crop,
         })
     }
 
-    /// The open shard, a new one where the last is full.
+    /// Returns the open shard, or a new one if it is full.
     fn shard(&mut self, next: usize) -> Result<&mut ShardWriter> {
         let open = match self.open.take() {
-            Some((full, bytes)) if bytes + next > self.setting.plan.shard_bytes => {
+            Some((full, bytes)) if bytes + next > self.context.plan.shard_bytes => {
                 full.finish()?;
                 None
             }
@@ -71,20 +70,20 @@ impl<'a> TrainingShards<'a> {
         Ok(&mut self.open.insert((shard, bytes + next)).0)
     }
 
-    fn end_part(&mut self) -> Result<()> {
+    fn end_split(&mut self) -> Result<()> {
         if let Some((open, _)) = self.open.take() {
             open.finish()?;
         }
-        self.files.end_part()
+        self.files.end_split()
     }
 
-    /// A grasp as a sample, or why it cannot be one.
+    /// Converts a grasp to a sample.
     fn row(&mut self, grasp: &Grasp) -> Result<ShardRow> {
         let record = &grasp.record;
         let outcome = match record.outcome {
             Outcome::Stable => ShardOutcome::Stable,
             Outcome::Slip => ShardOutcome::Slip,
-            Outcome::Unlabelled => return Err(cannot("it has no label".to_owned())),
+            Outcome::Unlabelled => return Err(Error::input("the grasp is not labelled")),
         };
         let mut image = |stage, role| self.image(grasp, stage, role);
         let images = ShardImages {
@@ -108,7 +107,7 @@ impl<'a> TrainingShards<'a> {
     fn image(&mut self, grasp: &Grasp, stage: Stage, role: Role) -> Result<Vec<u8>> {
         let what = || format!("{} {role}", stage.name());
         let Some(image) = grasp.images.get(&(stage, role)) else {
-            return Err(cannot(format!("it has no image {}", what())));
+            return Err(Error::input(format!("the grasp has no image {}", what())));
         };
         let crop = match role.is_tactile() {
             true => self.crop(image).map_err(|e| e.at(what()))?,
@@ -122,13 +121,13 @@ impl<'a> TrainingShards<'a> {
         small.map_err(|e| e.at(what()))
     }
 
-    /// The crop of a tactile image, that of all.
+    /// Crop profile of a tactile image, which must be that of the export.
     fn crop(&self, image: &Image) -> Result<CropProfile> {
         match image.crop_profile.as_deref() {
-            None => Err(cannot("the camera has no crop profile".to_owned())),
+            None => Err(Error::input("the camera has no crop profile")),
             Some(name) if name == self.crop => CropProfile::by_name(name),
-            Some(name) => Err(cannot(format!(
-                "it is cropped by {name}, most others by {}: a model knows one crop",
+            Some(name) => Err(Error::input(format!(
+                "expected the crop profile {}, found {name}",
                 self.crop
             ))),
         }
@@ -136,9 +135,9 @@ impl<'a> TrainingShards<'a> {
 }
 
 impl Writer for TrainingShards<'_> {
-    fn begin_part(&mut self, part: &str) -> Result<()> {
-        self.end_part()?;
-        self.files.begin_part(part);
+    fn begin_split(&mut self, split: &str) -> Result<()> {
+        self.end_split()?;
+        self.files.begin_split(split);
         Ok(())
     }
 
@@ -155,7 +154,7 @@ impl Writer for TrainingShards<'_> {
     }
 
     fn finish(mut self: Box<Self>) -> Result<Vec<String>> {
-        self.end_part()?;
+        self.end_split()?;
         Ok(Vec::new())
     }
 }
@@ -176,7 +175,7 @@ fn facts(record: &GraspRecord, outcome: ShardOutcome, crop: &str) -> Result<Shar
     Ok(ShardFacts {
         id: record.id.to_string(),
         simulation: record.id.to_string(),
-        object: SplitBy::Object.item(record),
+        object: GroupKey::Object.group(record),
         category: "unknown".to_owned(),
         engine,
         outcome,
@@ -198,8 +197,4 @@ fn facts(record: &GraspRecord, outcome: ShardOutcome, crop: &str) -> Result<Shar
         seed: 0,
         crop_profile: crop.to_owned(),
     })
-}
-
-fn cannot(what: String) -> Error {
-    Error::input(what)
 }

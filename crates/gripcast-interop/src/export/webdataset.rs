@@ -1,34 +1,34 @@
-//! Tar shards, a sample a grasp: `<id>.json`, `<id>.<stage>_<role>.jpg` or `.png`.
+//! Tar shards with one sample per grasp: `<id>.json`, `<id>.<stage>_<role>.jpg` or `.png`.
 //!
-//! Readers group neighbouring files by what precedes the first dot of their names.
+//! Readers group consecutive files by the part of their names before the first dot.
 
 use std::fs::File;
 use std::io::{BufWriter, Write as _};
 
 use tar::{Builder, EntryType, Header};
 
-use super::format::{Setting, Writer};
+use super::format::{ExportContext, Writer};
 use super::source::Grasp;
 use super::staged::write_failed;
 use gripcast_base::error::{Error, Result};
 
-/// A file's header, the padding after its contents.
+/// Size of a file's header and padding, bytes.
 const OVERHEAD: usize = 1024;
 
 /// Writes the shards.
 pub(super) struct TarShards<'a> {
-    setting: Setting<'a>,
-    part: String,
-    /// Shards of the part so far.
+    context: ExportContext<'a>,
+    split: String,
+    /// Number of shards of the split so far.
     shards: usize,
     open: Option<(Builder<BufWriter<File>>, usize)>,
 }
 
 impl<'a> TarShards<'a> {
-    pub(super) fn new(setting: Setting<'a>) -> Self {
+    pub(super) fn new(context: ExportContext<'a>) -> Self {
         Self {
-            setting,
-            part: String::new(),
+            context,
+            split: String::new(),
             shards: 0,
             open: None,
         }
@@ -42,22 +42,22 @@ impl<'a> TarShards<'a> {
         closed.map_err(write_failed)
     }
 
-    /// The open shard, a new one where the last is full.
+    /// Returns the open shard, or a new one if it is full.
     fn shard(&mut self, next: usize) -> Result<&mut Builder<BufWriter<File>>> {
-        let most = self.setting.plan.shard_bytes;
+        let max_bytes = self.context.plan.shard_bytes;
         if self
             .open
             .as_ref()
-            .is_some_and(|(_, size)| size + next > most)
+            .is_some_and(|(_, size)| size + next > max_bytes)
         {
             self.close()?;
         }
         let (builder, size) = match self.open.take() {
             Some(open) => open,
             None => {
-                let name = format!("{}-{:06}.tar", self.part, self.shards);
+                let name = format!("{}-{:06}.tar", self.split, self.shards);
                 self.shards += 1;
-                (Builder::new(self.setting.folder.file(&name)?), 0)
+                (Builder::new(self.context.folder.file(&name)?), 0)
             }
         };
         let (builder, _) = self.open.insert((builder, size + next));
@@ -66,9 +66,9 @@ impl<'a> TarShards<'a> {
 }
 
 impl Writer for TarShards<'_> {
-    fn begin_part(&mut self, part: &str) -> Result<()> {
+    fn begin_split(&mut self, split: &str) -> Result<()> {
         self.close()?;
-        part.clone_into(&mut self.part);
+        split.clone_into(&mut self.split);
         self.shards = 0;
         Ok(())
     }
@@ -76,7 +76,7 @@ impl Writer for TarShards<'_> {
     fn push(&mut self, grasp: Grasp) -> Result<Option<Error>> {
         let id = &grasp.record.id;
         if id.contains('.') {
-            let what = "the id has a dot, by which WebDataset would cut it";
+            let what = "WebDataset does not support ids with a dot";
             return Ok(Some(Error::input(what)));
         }
         let size = grasp.bytes() + OVERHEAD * (1 + grasp.images.len());
@@ -95,7 +95,7 @@ impl Writer for TarShards<'_> {
     }
 }
 
-/// Adds a file that belongs to nobody and has no date, so that the same grasps are the same bytes.
+/// Adds a file without owner and date, so that equal grasps give equal bytes.
 fn append(builder: &mut Builder<BufWriter<File>>, name: &str, bytes: &[u8]) -> Result<()> {
     let mut header = Header::new_ustar();
     header.set_entry_type(EntryType::Regular);

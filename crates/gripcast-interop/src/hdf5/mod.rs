@@ -1,9 +1,8 @@
-//! HDF5 files of others: datasets and attributes with the shape that is expected of them.
+//! Reads third-party HDF5 files: datasets and attributes with checked type and shape.
 //!
-//! A file is never read whole: headers as they are asked for, a dataset when it is read, and only
-//! if it is no larger than the caller allows.
+//! Headers and datasets are read on demand, with a size limit for each dataset.
 
-mod watched;
+mod read_log;
 
 use std::path::Path;
 
@@ -14,72 +13,74 @@ use hdf5_pure::{
 
 use gripcast_base::error::{Error, ErrorKind, Result};
 use gripcast_base::files::{FileKind, open_regular};
-use watched::{Watch, WatchedFile};
+use read_log::{LoggedFile, ReadLog};
 
-/// Most numbers of one dataset.
+/// Maximum number of values of a dataset.
 const MAX_NUMBERS: u64 = 16 << 20;
-/// Longest text, bytes.
+/// Maximum length of a string, bytes.
 const MAX_TEXT: usize = 4096;
-/// Filters of chunks that are undone: deflate, shuffle, Fletcher's checksum, scale-offset, LZF.
-const KNOWN_FILTERS: [u16; 5] = [1, 2, 3, 6, 32000];
-/// Most keys that an error lists.
+/// Supported filters: deflate, shuffle, Fletcher-32, scale-offset, LZF.
+const SUPPORTED_FILTERS: [u16; 5] = [1, 2, 3, 6, 32000];
+/// Maximum number of keys in an error text.
 const MAX_LISTED: usize = 24;
 
 /// A group of an open file; its keys are relative to it.
 pub struct Hdf5 {
     group: Group,
-    watch: Watch,
-    /// Name in the group above.
+    log: ReadLog,
+    /// Name in the parent group.
     name: String,
-    /// Whose files these are, for the remedies.
-    of: &'static str,
+    /// Description of the expected files, for remedies.
+    expected: &'static str,
 }
 
-/// An array of bytes whose contents are still in the file.
+/// An array of bytes that is read on demand.
 pub struct ByteArray<'a> {
     dataset: Dataset,
     key: &'a str,
-    /// Lengths of its axes.
+    /// Lengths of the axes.
     pub(crate) shape: Vec<u64>,
 }
 
 impl Hdf5 {
-    /// The root of a file; `of` says whose files are expected.
+    /// Opens a file; `expected` describes the expected files.
     ///
     /// # Errors
-    /// Those of reading the file; `Input` for what is no HDF5.
-    pub fn open(path: &Path, of: &'static str) -> Result<Self> {
+    /// Those of reading the file; `Input` if it is not an HDF5 file.
+    pub fn open(path: &Path, expected: &'static str) -> Result<Self> {
         let unread = |e| Error::io("cannot read the file", e);
         let file = open_regular(path, FileKind::Bulk).map_err(unread)?;
         if !hdf5_pure::is_hdf5(path).map_err(unread)? {
-            return Err(wrong("this is no HDF5 file".to_owned()).remedy(give(of)));
+            return Err(Error::input("not an HDF5 file").remedy(give(expected)));
         }
-        let (source, watch) = WatchedFile::new(file).map_err(unread)?;
+        let (source, log) = LoggedFile::new(file).map_err(unread)?;
         let file = File::from_source(source)
             .map_err(|e| failed("the HDF5 file is damaged".to_owned(), e))?;
         Ok(Self {
             group: file.root(),
-            watch,
+            log,
             name: "/".to_owned(),
-            of,
+            expected,
         })
     }
 
-    /// Name in the group above; `/` for the root.
+    /// Name in the parent group; `/` for the root.
     pub(crate) fn name(&self) -> &str {
         &self.name
     }
 
-    /// The groups in a group, in no order; none if there is no such group.
+    /// Lists the groups in a group, unordered; none if there is no such group.
     ///
     /// # Errors
-    /// `Input` for what is damaged, or no group.
+    /// `Input` if it is damaged or not a group.
     pub(crate) fn groups(&self, key: &str) -> Result<Option<Vec<Self>>> {
         let group = match self.group.group(key) {
             Ok(group) => group,
             Err(Hdf5Error::Format(FormatError::PathNotFound(_))) => return Ok(None),
             Err(Hdf5Error::NotAGroup(_)) => {
-                return Err(wrong(format!("`{key}` must be a group, found a dataset")));
+                return Err(Error::input(format!(
+                    "expected a group `{key}`, found a dataset"
+                )));
             }
             Err(error) => return Err(failed(format!("cannot read `{key}`"), error)),
         };
@@ -88,14 +89,14 @@ impl Hdf5 {
             .map_err(|e| failed(format!("cannot read `{key}`"), e))?;
         let groups = inner.map(|(name, group)| Self {
             group,
-            watch: self.watch.clone(),
+            log: self.log.clone(),
             name,
-            of: self.of,
+            expected: self.expected,
         });
         Ok(Some(groups.collect()))
     }
 
-    /// Names of all groups, datasets and attributes, sorted; for messages.
+    /// Sorted names of all groups, datasets and attributes, for messages.
     fn keys(&self) -> Vec<String> {
         let group = &self.group;
         let mut keys = [group.groups(), group.datasets()].map(Result::unwrap_or_default);
@@ -106,7 +107,7 @@ impl Hdf5 {
         all
     }
 
-    /// `Input`: a key that is needed is not there, with those that are.
+    /// `Input` error for a missing key; lists the existing ones.
     pub fn missing(&self, key: &str) -> Error {
         let keys = self.keys();
         let mut listed = keys[..keys.len().min(MAX_LISTED)].join(", ");
@@ -115,10 +116,11 @@ impl Hdf5 {
             count if count > MAX_LISTED => listed.push_str(", …"),
             _ => {}
         }
-        wrong(format!("there is no `{key}`; there is {listed}")).remedy(give(self.of))
+        Error::input(format!("`{key}` not found; the file has {listed}"))
+            .remedy(give(self.expected))
     }
 
-    /// A dataset; none if the group has no such key.
+    /// Opens a dataset; none if there is no such key.
     fn find(&self, key: &str) -> Result<Option<Dataset>> {
         match self.group.dataset(key) {
             Ok(dataset) => Ok(Some(dataset)),
@@ -127,17 +129,17 @@ impl Hdf5 {
         }
     }
 
-    /// Shape and numbers, row by row; integers and booleans become numbers.
+    /// Reads shape and values, row-major; integers and booleans are converted.
     ///
     /// # Errors
-    /// `Input` for what is no array of numbers.
+    /// `Input` if it is not an array of numbers.
     pub fn numbers(&self, key: &str) -> Result<Option<(Vec<u64>, Vec<f64>)>> {
         let Some(dataset) = self.find(key)? else {
             return Ok(None);
         };
         let shape = dataset.shape().map_err(|e| unreadable(key, e))?;
         check_count(key, &shape, MAX_NUMBERS)?;
-        // PyTables' booleans.
+        // Booleans of PyTables.
         if let Ok(Datatype::BitField { size: 1, .. }) = dataset.datatype() {
             let bytes = dataset.read_raw().map_err(|e| unread(key, &dataset, e))?;
             return Ok(Some((shape, bytes.into_iter().map(f64::from).collect())));
@@ -146,7 +148,7 @@ impl Hdf5 {
         Ok(Some((shape, values)))
     }
 
-    /// One finite number: a scalar, or an array of one.
+    /// Reads one finite number: a scalar, or an array of length 1.
     ///
     /// # Errors
     /// `Input` for another type or shape.
@@ -156,12 +158,14 @@ impl Hdf5 {
         };
         match values.as_slice() {
             [value] if value.is_finite() => Ok(Some(*value)),
-            [value] => Err(wrong(format!("`{key}` must be finite, found {value}"))),
-            _ => Err(misshapen(key, "one number", &shape)),
+            [value] => Err(Error::input(format!(
+                "expected a finite number in `{key}`, found {value}"
+            ))),
+            _ => Err(wrong_shape(key, "one number", &shape)),
         }
     }
 
-    /// As many finite numbers as the array has, whatever their shape.
+    /// Reads `N` finite numbers of any shape.
     ///
     /// # Errors
     /// `Input` for another type or shape.
@@ -171,15 +175,17 @@ impl Hdf5 {
         };
         let array: [f64; N] = match values.try_into() {
             Ok(array) => array,
-            Err(_) => return Err(misshapen(key, &format!("{N} numbers"), &shape)),
+            Err(_) => return Err(wrong_shape(key, &format!("{N} numbers"), &shape)),
         };
         match array.iter().find(|v| !v.is_finite()) {
             None => Ok(Some(array)),
-            Some(value) => Err(wrong(format!("`{key}` must be finite, found {value}"))),
+            Some(value) => Err(Error::input(format!(
+                "expected a finite number in `{key}`, found {value}"
+            ))),
         }
     }
 
-    /// One text, of fixed or variable length.
+    /// Reads one string of fixed or variable length.
     ///
     /// # Errors
     /// `Input` for another type or shape.
@@ -198,40 +204,48 @@ impl Hdf5 {
             DType::String if dataset.element_size().map_err(failed)? <= MAX_TEXT as u64 => {
                 let shape = dataset.shape().map_err(failed)?;
                 if shape.iter().any(|length| *length != 1) {
-                    return Err(misshapen(key, "one text", &shape));
+                    return Err(wrong_shape(key, "one string", &shape));
                 }
                 dataset.read_string().map_err(failed)?
             }
-            other => return Err(wrong(format!("`{key}` must be a text, found {other}"))),
+            other => {
+                return Err(Error::input(format!(
+                    "expected a string in `{key}`, found {other}"
+                )));
+            }
         };
         match texts.as_slice() {
             [text] => Ok(Some(text.trim_end_matches('\0').to_owned())),
-            _ => Err(wrong(format!(
-                "`{key}` must be one text, found {}",
+            _ => Err(Error::input(format!(
+                "expected one string in `{key}`, found {}",
                 texts.len()
             ))),
         }
     }
 
-    /// An array of bytes of at most `most` elements, also one chunk of it; not read yet.
+    /// Opens an array of bytes; it and each of its chunks may have up to `max` elements.
     ///
     /// # Errors
-    /// `Input` for another type, too many, or unknown compression.
-    pub fn bytes<'a>(&self, key: &'a str, most: u64) -> Result<Option<ByteArray<'a>>> {
+    /// `Input` for another type, too many elements, or an unsupported compression.
+    pub fn bytes<'a>(&self, key: &'a str, max: u64) -> Result<Option<ByteArray<'a>>> {
         let Some(dataset) = self.find(key)? else {
             return Ok(None);
         };
         let failed = |e| unreadable(key, e);
         match dataset.dtype().map_err(failed)? {
             DType::U8 => {}
-            other => return Err(wrong(format!("`{key}` must be bytes (u8), found {other}"))),
+            other => {
+                return Err(Error::input(format!(
+                    "expected bytes (u8) in `{key}`, found {other}"
+                )));
+            }
         }
         let shape = dataset.shape().map_err(failed)?;
-        check_count(key, &shape, most)?;
+        check_count(key, &shape, max)?;
         if let Some(chunk) = dataset.chunk_shape().map_err(failed)? {
-            check_count(key, &chunk, most)?;
+            check_count(key, &chunk, max)?;
         }
-        match unknown_filter(key, &dataset) {
+        match unsupported_filter(key, &dataset) {
             Some(error) => Err(error),
             None => Ok(Some(ByteArray {
                 dataset,
@@ -241,10 +255,10 @@ impl Hdf5 {
         }
     }
 
-    /// One finite number of an attribute; a boolean is 0 or 1.
+    /// Reads an attribute as one finite number; a boolean is 0 or 1.
     ///
     /// # Errors
-    /// `Input` for what is no number.
+    /// `Input` if it is not a number.
     pub(crate) fn attribute_number(&self, key: &str) -> Result<Option<f64>> {
         let Some(attribute) = self.attribute(key)? else {
             return Ok(None);
@@ -252,25 +266,27 @@ impl Hdf5 {
         let integer = || attribute.as_i64().map(|integer| integer as f64);
         match attribute.as_f64().or_else(integer) {
             Some(value) if value.is_finite() => Ok(Some(value)),
-            Some(value) => Err(wrong(format!("`{key}` must be finite, found {value}"))),
-            None => Err(wrong(format!(
-                "`{key}` must be one number, found {attribute:?}"
+            Some(value) => Err(Error::input(format!(
+                "expected a finite number in `{key}`, found {value}"
+            ))),
+            None => Err(Error::input(format!(
+                "expected one number in `{key}`, found {attribute:?}"
             ))),
         }
     }
 
-    /// One text of an attribute.
+    /// Reads an attribute as one string.
     ///
     /// # Errors
-    /// `Input` for what is no text.
+    /// `Input` if it is not a string.
     pub(crate) fn attribute_text(&self, key: &str) -> Result<Option<String>> {
         let Some(attribute) = self.attribute(key)? else {
             return Ok(None);
         };
         match attribute.as_str() {
             Some(text) => Ok(Some(text.trim_end_matches('\0').to_owned())),
-            None => Err(wrong(format!(
-                "`{key}` must be one text, found {attribute:?}"
+            None => Err(Error::input(format!(
+                "expected one string in `{key}`, found {attribute:?}"
             ))),
         }
     }
@@ -281,75 +297,68 @@ impl Hdf5 {
         if let Some(value) = attributes.remove(key) {
             return Ok(Some(value));
         }
-        // What the library has no value for is still in the list of types.
+        // Attributes that the library cannot decode are still in the list of types.
         let mut types = Ok(None);
-        let seen = self.watch.during(|| {
+        let reads = self.log.during(|| {
             types = self.group.attr_datatypes().map(|mut all| all.remove(key));
         });
         match types.map_err(failed)? {
             None => Ok(None),
-            Some(Datatype::BitField { size: 1, .. }) => match watched::bit_field(&seen, key) {
+            Some(Datatype::BitField { size: 1, .. }) => match read_log::bit_field(&reads, key) {
                 Some(value) => Ok(Some(AttrValue::U8(value))),
-                None => Err(
-                    wrong(format!("`{key}` is a bit field that is not one byte"))
-                        .remedy("write the label as an integer"),
-                ),
+                None => Err(Error::input(format!("unsupported bit field in `{key}`"))
+                    .remedy("write the label as an integer")),
             },
-            Some(other) => Err(wrong(format!(
-                "`{key}` has a type without a value: {other}"
+            Some(other) => Err(Error::input(format!(
+                "unsupported type of `{key}`: {other}"
             ))),
         }
     }
 }
 
 impl ByteArray<'_> {
-    /// Its contents.
+    /// Reads the contents.
     ///
     /// # Errors
-    /// `Input` for damaged or unknown compression.
+    /// `Input` if it is damaged or its compression is unsupported.
     pub(crate) fn read(&self) -> Result<Vec<u8>> {
         let read = self.dataset.read_u8();
         read.map_err(|e| unread(self.key, &self.dataset, e))
     }
 }
 
-/// An array of another shape than expected.
-pub fn misshapen(key: &str, expected: &str, shape: &[u64]) -> Error {
-    wrong(format!(
-        "`{key}` must be {expected}, found the shape {shape:?}"
+/// `Input` error for an array of the wrong shape.
+pub fn wrong_shape(key: &str, expected: &str, shape: &[u64]) -> Error {
+    Error::input(format!(
+        "expected {expected} in `{key}`, found shape {shape:?}"
     ))
 }
 
-/// A file that holds something else than expected.
-pub fn wrong(what: String) -> Error {
-    Error::input(what)
+fn give(expected: &str) -> String {
+    format!("give a .h5 file of {expected}")
 }
 
-fn give(of: &str) -> String {
-    format!("give a .h5 file of {of}")
-}
-
-fn check_count(key: &str, shape: &[u64], most: u64) -> Result<()> {
+fn check_count(key: &str, shape: &[u64], max: u64) -> Result<()> {
     let count = shape.iter().try_fold(1_u64, |n, d| n.checked_mul(*d));
     match count {
-        Some(count) if count <= most => Ok(()),
-        _ => Err(wrong(format!(
-            "`{key}` has the absurd shape {shape:?}; at most {most} values are read"
+        Some(count) if count <= max => Ok(()),
+        _ => Err(Error::input(format!(
+            "`{key}` has shape {shape:?}, at most {max} values are supported"
         ))),
     }
 }
 
-/// What could not be read of a dataset that is there.
+/// Error of reading an existing dataset.
 fn unread(key: &str, dataset: &Dataset, error: Hdf5Error) -> Error {
-    unknown_filter(key, dataset).unwrap_or_else(|| unreadable(key, error))
+    unsupported_filter(key, dataset).unwrap_or_else(|| unreadable(key, error))
 }
 
-/// `Input`: the compression, where it is not known.
-fn unknown_filter(key: &str, dataset: &Dataset) -> Option<Error> {
-    let unknown = |id: &u16| !KNOWN_FILTERS.contains(id);
+/// `Input` error for an unsupported compression.
+fn unsupported_filter(key: &str, dataset: &Dataset) -> Option<Error> {
+    let unknown = |id: &u16| !SUPPORTED_FILTERS.contains(id);
     let filter = dataset.filters().into_iter().find(unknown)?;
-    let what = format!("`{key}` is compressed with the filter {filter}, which is not known here");
-    Some(wrong(what).remedy(
+    let what = format!("unsupported compression filter {filter} of `{key}`");
+    Some(Error::input(what).remedy(
         "write the file again with zlib: ptrepack --complib=zlib --complevel=1 OLD.h5 NEW.h5",
     ))
 }
@@ -359,7 +368,7 @@ fn unreadable(key: &str, error: Hdf5Error) -> Error {
         .remedy("load and save the file with the default settings of h5py")
 }
 
-/// `Io` where the operating system could not read, else `Input`.
+/// `Io` for errors of the operating system, else `Input`.
 fn failed(what: String, error: Hdf5Error) -> Error {
     let kind = match error {
         Hdf5Error::Io(_) | Hdf5Error::Format(FormatError::Source(_)) => ErrorKind::Io,

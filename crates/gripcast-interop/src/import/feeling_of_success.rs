@@ -1,4 +1,4 @@
-//! The layout of the *Feeling of Success*: what `deepdish` writes for a list of dictionaries.
+//! Layout of the *Feeling of Success*: a list of dictionaries as written by `deepdish`.
 //!
 //! ```text
 //! data/i0/ gelsightA_before   [height, width, 3] u8, RGB
@@ -9,15 +9,15 @@
 //! data/i1/ …
 //! ```
 //!
-//! `…_before` is taken before the gripper moves to the object, `…_during` with closed fingers just
-//! before the lift, `…_after` after it. The last is never read: it shows the outcome.
+//! `…_before` is taken before the gripper approaches the object, `…_during` with closed fingers
+//! before the lift, `…_after` after the lift. The last is never read: it shows the outcome.
 
 use std::path::Path;
 
 use image::RgbImage;
 use image::imageops::crop_imm;
 
-use crate::hdf5::{ByteArray, Hdf5, misshapen, wrong};
+use crate::hdf5::{ByteArray, Hdf5, wrong_shape};
 use gripcast_base::error::{Error, Result};
 use gripcast_base::files::ObjectName;
 use gripcast_dataset::shard::ShardImages;
@@ -25,9 +25,9 @@ use gripcast_imaging::{CropProfile, Decoder, crop_and_resize, encode_jpeg};
 
 /// Crop profile of the tactile images.
 pub(super) const CROP: CropProfile = CropProfile::GELSIGHT_2017_FULL;
-/// Groups that hold the list, in the releases of deepdish.
+/// Names of the list's group in different releases of deepdish.
 const LISTS: [&str; 2] = ["data", "_top"];
-/// Sensor A counts as the left one. Nothing says which side it is on.
+/// Sensor A is taken as the left one; the dataset does not define the side.
 const INITIAL_LEFT: &str = "gelsightA_before";
 const INITIAL_RIGHT: &str = "gelsightB_before";
 const GRASP_LEFT: &str = "gelsightA_during";
@@ -42,15 +42,15 @@ const IMAGES: [&str; 5] = [
 ];
 const LABEL: &str = "is_gripping";
 const OBJECT: &str = "object_name";
-/// Most bytes of an image; the Kinect's have 6 MB.
+/// Maximum size of an image, bytes; the Kinect's have 6 MB.
 const MAX_BYTES: u64 = 64 << 20;
 /// Size of the images of a shard.
 const WIDTH: u32 = 320;
 const HEIGHT: u32 = 240;
-/// Quality of the JPEGs, as of rendered images.
+/// JPEG quality, that of rendered images.
 const QUALITY: u8 = 92;
-/// Part of the Kinect's image that shows the table, as the authors crop it: left, top, right,
-/// bottom as fractions of its sides.
+/// Crop of the Kinect's image to the table, as by the authors: left, top, right, bottom as
+/// fractions of width and height.
 const TABLE: [f64; 4] = [0.064, 0.135, 0.606, 0.976];
 
 /// A file of grasps.
@@ -58,25 +58,25 @@ pub(super) struct GraspFile {
     grasps: Vec<Hdf5>,
 }
 
-/// What is known of a grasp besides its images.
+/// Label and object of a grasp.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub(super) struct GraspFacts {
+pub(super) struct GraspLabel {
     pub(super) object: ObjectName,
     pub(super) is_stable: bool,
 }
 
 impl GraspFile {
     /// # Errors
-    /// Those of reading the file; `Input` for what has no list of grasps.
+    /// Those of reading the file; `Input` without a list of grasps.
     pub(super) fn open(path: &Path) -> Result<Self> {
         let read = || {
             let file = Hdf5::open(path, "the Feeling of Success (calandra_corl2017_*.h5)")?;
             for list in LISTS {
                 if let Some(mut grasps) = file.groups(list)? {
                     if grasps.is_empty() {
-                        return Err(wrong(format!("there is no grasp in `{list}`")));
+                        return Err(Error::input(format!("no grasps in `{list}`")));
                     }
-                    grasps.sort_by_cached_key(|grasp| number(grasp.name()));
+                    grasps.sort_by_cached_key(|grasp| sort_key(grasp.name()));
                     return Ok(Self { grasps });
                 }
             }
@@ -85,25 +85,25 @@ impl GraspFile {
         read().map_err(|e: Error| e.at(path.display()))
     }
 
-    /// The grasps, in their order.
+    /// Grasps in order.
     pub(super) fn grasps(&self) -> &[Hdf5] {
         &self.grasps
     }
 }
 
-/// `i12` after `i7`; other names last.
-fn number(name: &str) -> (u64, String) {
+/// Sort key: `i12` after `i7`; other names last.
+fn sort_key(name: &str) -> (u64, String) {
     let digits = name
         .strip_prefix('i')
         .and_then(|digits| digits.parse().ok());
     (digits.unwrap_or(u64::MAX), name.to_owned())
 }
 
-impl GraspFacts {
-    /// Reads label and name, and looks whether the images are there.
+impl GraspLabel {
+    /// Reads label and object, and checks that the images exist.
     ///
     /// # Errors
-    /// `Input`: a key is missing or of another kind, a label is neither 0 nor 1.
+    /// `Input`: a key is missing or has another type, a label is neither 0 nor 1.
     pub(super) fn read(grasp: &Hdf5) -> Result<Self> {
         for key in IMAGES {
             shape(&image(grasp, key)?, key)?;
@@ -115,7 +115,11 @@ impl GraspFacts {
         let is_stable = match label {
             Some(0.0) => false,
             Some(1.0) => true,
-            Some(other) => return Err(wrong(format!("`{LABEL}` must be 0 or 1, found {other}"))),
+            Some(other) => {
+                return Err(Error::input(format!(
+                    "expected 0 or 1 in `{LABEL}`, found {other}"
+                )));
+            }
             None => return Err(grasp.missing(LABEL)),
         };
         let object = match grasp.attribute_text(OBJECT)? {
@@ -128,10 +132,10 @@ impl GraspFacts {
     }
 }
 
-/// The images of a grasp as a shard has them.
+/// Reads the images of a grasp, cropped and resized for a shard.
 ///
 /// # Errors
-/// `Input`: an image is damaged, missing or of another kind.
+/// `Input`: an image is damaged, missing or of another type.
 pub(super) fn images(grasp: &Hdf5, decoder: &mut Decoder) -> Result<ShardImages> {
     let mut read = |key: &str| -> Result<Vec<u8>> {
         let read = |decoder: &mut Decoder| {
@@ -160,7 +164,7 @@ fn image<'a>(grasp: &Hdf5, key: &'a str) -> Result<ByteArray<'a>> {
     found.ok_or_else(|| grasp.missing(key))
 }
 
-/// Width and height of an array of pixels; none for an encoded image.
+/// Width and height of a pixel array; none for an encoded image.
 fn shape(array: &ByteArray<'_>, key: &str) -> Result<Option<(u32, u32)>> {
     let side = |length: u64| u32::try_from(length).ok().filter(|side| *side > 0);
     match *array.shape {
@@ -168,7 +172,7 @@ fn shape(array: &ByteArray<'_>, key: &str) -> Result<Option<(u32, u32)>> {
             Ok(Some((w, h)))
         }
         [length] if length > 0 => Ok(None),
-        _ => Err(misshapen(
+        _ => Err(wrong_shape(
             key,
             "[height, width, 3], or the bytes of a JPEG or PNG",
             &array.shape,
@@ -184,19 +188,19 @@ fn decoded(array: &ByteArray<'_>, key: &str, decoder: &mut Decoder) -> Result<Rg
     };
     let found = bytes.len();
     RgbImage::from_raw(width, height, bytes).ok_or_else(|| {
-        let what = format!("`{key}` has {found} bytes for {width}×{height} pixels");
+        let what = format!("expected {width}×{height} pixels in `{key}`, found {found} bytes");
         Error::input(what)
     })
 }
 
-/// The table in the Kinect's image, widened or heightened to 4:3 as far as the image goes.
+/// Crops the Kinect's image to the table, extended to 4:3 within the image.
 fn table(whole: &RgbImage) -> RgbImage {
     let (width, height) = (f64::from(whole.width()), f64::from(whole.height()));
     let [left, top, right, bottom] = TABLE;
     let (w, h) = ((right - left) * width, (bottom - top) * height);
     let aspect = f64::from(WIDTH) / f64::from(HEIGHT);
     let (w, h) = (w.max(aspect * h), h.max(w / aspect));
-    // First pixel and number of pixels along a side.
+    // First pixel and number of pixels along an axis.
     let along = |middle: f64, length: f64, side: f64| {
         let length = length.min(side).round().max(1.0);
         let begin = (middle - 0.5 * length).clamp(0.0, side - length).floor();
@@ -212,7 +216,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_table_is_cut_out_in_proportion() {
+    fn table_crop_is_4_to_3_within_the_image() {
         let cut = table(&RgbImage::new(1920, 1080));
         assert_eq!(cut.dimensions(), (1211, 908));
         for (width, height) in [(1, 1), (3, 200), (200, 3), (512, 424)] {
@@ -223,9 +227,9 @@ mod tests {
     }
 
     #[test]
-    fn grasps_have_the_order_of_their_numbers() {
+    fn grasps_are_sorted_by_number() {
         let mut names = ["i10", "x", "i9", "i0"];
-        names.sort_by_cached_key(|name| number(name));
+        names.sort_by_cached_key(|name| sort_key(name));
         assert_eq!(names, ["i0", "i9", "i10", "x"]);
     }
 }

@@ -1,4 +1,4 @@
-//! Files that deepdish wrote (`tests/peers/feeling_of_success.py`), and others made up here.
+//! Imports files written by deepdish (`tests/peers/feeling_of_success.py`) and synthetic ones.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -10,16 +10,16 @@ use tempfile::TempDir;
 use super::run::sources;
 use super::*;
 use gripcast_base::error::{Error, ErrorKind, Result};
-use gripcast_dataset::shard::{ShardEngine, ShardRow, ShardSet, Split};
+use gripcast_dataset::shard::{ShardEngine, ShardRow, ShardSet, SplitFractions};
 use gripcast_imaging::{Decoder, encode_jpeg};
 
 const DEEPDISH: &[u8] = include_bytes!("../../../../tests/data/import/deepdish.h5");
 const BLOSC: &[u8] = include_bytes!("../../../../tests/data/import/deepdish-blosc.h5");
 
-/// A place for files and datasets.
-struct Bench(TempDir);
+/// Temporary directory for files and datasets.
+struct Workspace(TempDir);
 
-impl Bench {
+impl Workspace {
     fn new() -> Self {
         Self(tempfile::tempdir().unwrap())
     }
@@ -39,12 +39,12 @@ impl Bench {
     }
 
     #[track_caller]
-    fn refused(&self, bytes: &[u8], on_progress: &str) -> Error {
+    fn refused(&self, bytes: &[u8], expected: &str) -> Error {
         let path = self.file("refused.h5", bytes);
         let error = self.import(&[path], "test").unwrap_err();
         let text = error.to_string();
         assert!(
-            text.contains(on_progress) && text.contains("refused.h5"),
+            text.contains(expected) && text.contains("refused.h5"),
             "{text}"
         );
         assert!(!self.out().exists(), "{text}");
@@ -52,9 +52,9 @@ impl Bench {
     }
 }
 
-fn rows(out: &Path, part: &str) -> Vec<ShardRow> {
+fn rows(out: &Path, split: &str) -> Vec<ShardRow> {
     let set = ShardSet::open(out).unwrap();
-    set.rows(part).unwrap().map(Result::unwrap).collect()
+    set.rows(split).unwrap().map(Result::unwrap).collect()
 }
 
 fn colour(jpeg: &[u8]) -> [u8; 3] {
@@ -69,15 +69,15 @@ fn near(found: [u8; 3], expected: [u8; 3]) {
     assert!(is_near, "{found:?} {expected:?}");
 }
 
-/// A grasp of a made-up file; none leaves a key out.
+/// A grasp of a synthetic file; `None` omits a key.
 #[derive(Clone)]
-struct Sketch {
+struct GraspSpec {
     label: Option<AttrValue>,
     object: Option<&'static str>,
     during: Option<(Vec<u8>, Vec<u64>)>,
 }
 
-impl Sketch {
+impl GraspSpec {
     fn new() -> Self {
         Self {
             label: Some(AttrValue::I64(1)),
@@ -87,21 +87,21 @@ impl Sketch {
     }
 
     fn with(change: impl FnOnce(&mut Self)) -> Self {
-        let mut sketch = Self::new();
-        change(&mut sketch);
-        sketch
+        let mut spec = Self::new();
+        change(&mut spec);
+        spec
     }
 }
 
-fn write(list: &str, sketches: &[Sketch]) -> Vec<u8> {
+fn write(list: &str, specs: &[GraspSpec]) -> Vec<u8> {
     let mut file = FileBuilder::new();
     let mut data = file.create_group(list);
-    for (number, sketch) in sketches.iter().enumerate() {
+    for (number, spec) in specs.iter().enumerate() {
         let mut grasp = data.create_group(&format!("i{number}"));
-        if let Some(label) = &sketch.label {
+        if let Some(label) = &spec.label {
             grasp.set_attr("is_gripping", label.clone());
         }
-        if let Some(object) = sketch.object {
+        if let Some(object) = spec.object {
             grasp.set_attr("object_name", AttrValue::String(object.to_owned()));
         }
         for key in [
@@ -115,7 +115,7 @@ fn write(list: &str, sketches: &[Sketch]) -> Vec<u8> {
                 .with_u8_data(&[90; 6 * 8 * 3])
                 .with_shape(&[6, 8, 3]);
         }
-        if let Some((bytes, shape)) = &sketch.during {
+        if let Some((bytes, shape)) = &spec.during {
             grasp
                 .create_dataset("gelsightA_during")
                 .with_u8_data(bytes)
@@ -128,13 +128,13 @@ fn write(list: &str, sketches: &[Sketch]) -> Vec<u8> {
 }
 
 #[test]
-fn what_deepdish_wrote_is_imported() {
-    let bench = Bench::new();
+fn imports_files_of_deepdish() {
+    let bench = Workspace::new();
     let path = bench.file("calandra_corl2017_000.h5", DEEPDISH);
     let report = bench.import(&[path], "test").unwrap();
     assert!(report.is_finished && report.left_out.is_empty());
-    let part = &report.parts["test"];
-    assert_eq!((part.stable, part.slip, part.objects), (4, 8, 2));
+    let counts = &report.splits["test"];
+    assert_eq!((counts.stable, counts.slip, counts.objects), (4, 8, 2));
     let rows = rows(&bench.out(), "test");
     assert_eq!(rows.len(), 12);
     for (number, row) in rows.iter().enumerate() {
@@ -155,82 +155,79 @@ fn what_deepdish_wrote_is_imported() {
 }
 
 #[test]
-fn objects_are_kept_together() {
-    let bench = Bench::new();
+fn object_is_in_one_split() {
+    let bench = Workspace::new();
     let files = ["a.h5", "b.h5"].map(|name| bench.file(name, DEEPDISH));
     let report = bench.import(&files, "train=0.5,test=0.5").unwrap();
-    let objects = |part| -> Vec<String> {
-        let rows = rows(&bench.out(), part);
+    let objects = |split| -> Vec<String> {
+        let rows = rows(&bench.out(), split);
         assert_eq!(rows.len(), 12);
         rows.into_iter().map(|row| row.facts.object).collect()
     };
     let (train, test) = (objects("train"), objects("test"));
     assert!(train.iter().all(|object| !test.contains(object)));
-    assert_eq!(report.parts["train"].objects, 1);
+    assert_eq!(report.splits["train"].objects, 1);
     let error = bench.import(&files[..1], "train=0.9,a=0.05,b=0.05");
     assert!(error.unwrap_err().to_string().contains("only 2 objects"));
 }
 
 #[test]
-fn labels_names_and_images_have_several_forms() {
-    let bench = Bench::new();
+fn labels_names_and_images_may_have_several_types() {
+    let bench = Workspace::new();
     let jpeg = encode_jpeg(&RgbImage::from_pixel(64, 48, Rgb([10, 220, 30])), 95).unwrap();
     let length = jpeg.len() as u64;
-    let sketches = [
-        Sketch::with(|s| s.label = Some(AttrValue::U8(0))),
-        Sketch::with(|s| s.label = Some(AttrValue::F64(1.0))),
-        Sketch::with(|s| s.label = Some(AttrValue::I64Array(vec![1]))),
-        Sketch::with(|s| s.during = Some((jpeg, vec![length]))),
+    let specs = [
+        GraspSpec::with(|s| s.label = Some(AttrValue::U8(0))),
+        GraspSpec::with(|s| s.label = Some(AttrValue::F64(1.0))),
+        GraspSpec::with(|s| s.label = Some(AttrValue::I64Array(vec![1]))),
+        GraspSpec::with(|s| s.during = Some((jpeg, vec![length]))),
     ];
-    let path = bench.file("forms.h5", &write("_top", &sketches));
+    let path = bench.file("forms.h5", &write("_top", &specs));
     let report = bench.import(&[path], "test").unwrap();
-    let part = &report.parts["test"];
-    assert_eq!((part.stable, part.slip), (3, 1), "{report:?}");
+    let counts = &report.splits["test"];
+    assert_eq!((counts.stable, counts.slip), (3, 1), "{report:?}");
     let rows = rows(&bench.out(), "test");
     near(colour(&rows[3].images.grasp_left), [10, 220, 30]);
 }
 
 #[test]
-fn files_of_another_kind_are_refused_before_anything_is_written() {
-    let bench = Bench::new();
-    let error = bench.refused(b"kinect", "this is no HDF5 file");
+fn other_files_are_refused_before_writing() {
+    let bench = Workspace::new();
+    let error = bench.refused(b"kinect", "not an HDF5 file");
     assert!(error.remedy_text().unwrap().contains("calandra_corl2017"));
-    bench.refused(b"", "this is no HDF5 file");
+    bench.refused(b"", "not an HDF5 file");
     bench.refused(
-        &write("steps", &[Sketch::new()]),
-        "no `data`; there is steps",
+        &write("steps", &[GraspSpec::new()]),
+        "`data` not found; the file has steps",
     );
-    bench.refused(&write("data", &[]), "there is no grasp in `data`");
-    let one = |change: fn(&mut Sketch)| write("data", &[Sketch::with(change)]);
+    bench.refused(&write("data", &[]), "no grasps in `data`");
+    let one = |change: fn(&mut GraspSpec)| write("data", &[GraspSpec::with(change)]);
     bench.refused(
         &one(|s| s.during = None),
-        "no `gelsightA_during`; there is gelsightA_before, gelsightB_before, gelsightB_during, \
+        "`gelsightA_during` not found; the file has gelsightA_before, gelsightB_before, gelsightB_during, \
          is_gripping, kinectA_rgb_during, object_name",
     );
-    bench.refused(&one(|s| s.label = None), "there is no `is_gripping`");
-    bench.refused(&one(|s| s.object = None), "there is no `object_name`");
+    bench.refused(&one(|s| s.label = None), "`is_gripping` not found");
+    bench.refused(&one(|s| s.object = None), "`object_name` not found");
     for name in [" ", "a/b", "../../x", "/etc/x", "a\u{1b}[2J"] {
-        let sketch = Sketch::with(|s| s.object = Some(name));
-        bench.refused(
-            &write("data", &[sketch]),
-            "object_name: invalid object name",
-        );
+        let spec = GraspSpec::with(|s| s.object = Some(name));
+        bench.refused(&write("data", &[spec]), "object_name: invalid object name");
     }
     bench.refused(
         &one(|s| s.label = Some(AttrValue::I64(2))),
-        "`is_gripping` must be 0 or 1, found 2",
+        "expected 0 or 1 in `is_gripping`, found 2",
     );
     bench.refused(
         &one(|s| s.label = Some(AttrValue::String("yes".to_owned()))),
-        "`is_gripping` must be one number",
+        "expected one number in `is_gripping`",
     );
     bench.refused(
         &one(|s| s.during = Some((vec![1; 48], vec![6, 8]))),
-        "`gelsightA_during` must be [height, width, 3]",
+        "expected [height, width, 3], or the bytes of a JPEG or PNG in `gelsightA_during`",
     );
     let mut file = FileBuilder::new();
     file.create_dataset("data").with_u8_data(b"pickled");
-    bench.refused(&file.finish().unwrap(), "`data` must be a group");
+    bench.refused(&file.finish().unwrap(), "expected a group `data`");
     let gone = bench.import(&[bench.0.path().join("gone.h5")], "test");
     assert_eq!(gone.unwrap_err().kind(), ErrorKind::NotFound);
     let folder = bench.import(&[bench.0.path().to_owned()], "test");
@@ -238,26 +235,29 @@ fn files_of_another_kind_are_refused_before_anything_is_written() {
 }
 
 #[test]
-fn damaged_grasps_are_left_out_and_told() {
-    let hopeless = Bench::new();
-    let sketch = Sketch::with(|s| s.during = Some((b"GIF89a".to_vec(), vec![6])));
-    let path = hopeless.file("a.h5", &write("data", &[sketch]));
-    let error = hopeless.import(&[path], "test").unwrap_err().to_string();
-    assert!(error.contains("no grasp of the part `test`"), "{error}");
+fn damaged_grasps_are_left_out_and_listed() {
+    let unreadable = Workspace::new();
+    let spec = GraspSpec::with(|s| s.during = Some((b"GIF89a".to_vec(), vec![6])));
+    let path = unreadable.file("a.h5", &write("data", &[spec]));
+    let error = unreadable.import(&[path], "test").unwrap_err().to_string();
+    assert!(
+        error.contains("no readable grasp in the split `test`"),
+        "{error}"
+    );
     assert!(error.contains("gelsightA_during"), "{error}");
-    let bench = Bench::new();
-    let sketches = [
-        Sketch::new(),
-        Sketch::with(|s| s.label = Some(AttrValue::I64(-1))),
-        Sketch::with(|s| s.during = Some((b"\xff\xd8\xff\xe0 cut".to_vec(), vec![8]))),
-        Sketch::with(|s| s.during = Some((b"GIF89a".to_vec(), vec![6]))),
-        Sketch::new(),
+    let bench = Workspace::new();
+    let specs = [
+        GraspSpec::new(),
+        GraspSpec::with(|s| s.label = Some(AttrValue::I64(-1))),
+        GraspSpec::with(|s| s.during = Some((b"\xff\xd8\xff\xe0 cut".to_vec(), vec![8]))),
+        GraspSpec::with(|s| s.during = Some((b"GIF89a".to_vec(), vec![6]))),
+        GraspSpec::new(),
     ];
-    let path = bench.file("a.h5", &write("data", &sketches));
+    let path = bench.file("a.h5", &write("data", &specs));
     let report = bench.import(&[path], "test").unwrap();
     let left_out: Vec<&str> = report.left_out.iter().map(|one| &*one.id).collect();
     assert_eq!(left_out, ["a-i1", "a-i2", "a-i3"], "{report:?}");
-    assert!(report.left_out[1].why.contains("gelsightA_during"));
+    assert!(report.left_out[1].reason.contains("gelsightA_during"));
     let ids: Vec<String> = rows(&bench.out(), "test")
         .into_iter()
         .map(|r| r.facts.id)
@@ -266,17 +266,17 @@ fn damaged_grasps_are_left_out_and_told() {
 }
 
 #[test]
-fn unknown_compression_is_named_with_its_remedy() {
-    let error = Bench::new().refused(BLOSC, "compressed with the filter 32001");
+fn unsupported_compression_has_a_remedy() {
+    let error = Workspace::new().refused(BLOSC, "compression filter 32001");
     assert!(error.remedy_text().unwrap().contains("ptrepack"));
 }
 
 #[test]
-fn a_stopped_import_is_begun_again_and_no_other_folder_is_touched() {
-    let bench = Bench::new();
+fn interrupted_import_is_restarted_only_in_its_directory() {
+    let bench = Workspace::new();
     let files = [bench.file("a.h5", DEEPDISH)];
     let stopped = std::panic::catch_unwind(|| {
-        let split = Split::one("test").unwrap();
+        let split = SplitFractions::single("test").unwrap();
         import_feeling_of_success(&files, &bench.out(), &split, &|done, _| {
             assert!(done < 7, "stopped");
         })
@@ -285,24 +285,27 @@ fn a_stopped_import_is_begun_again_and_no_other_folder_is_touched() {
     assert!(ShardSet::open(bench.out()).is_err());
     let other = bench.import(&[bench.file("b.h5", DEEPDISH)], "test");
     let text = other.unwrap_err().to_string();
-    assert!(text.contains("the beginning of another import"), "{text}");
+    assert!(text.contains("another unfinished import"), "{text}");
     let report = bench.import(&files, "test").unwrap();
-    assert_eq!(report.parts["test"].stable, 4);
+    assert_eq!(report.splits["test"].stable, 4);
     assert_eq!(ImportReport::read(&bench.out()).unwrap(), report);
-    let again = bench.import(&files, "test").unwrap_err();
-    assert!(again.to_string().contains("a finished import"), "{again}");
+    let second = bench.import(&files, "test").unwrap_err();
+    assert!(second.to_string().contains("a finished import"), "{second}");
     fs::remove_file(bench.out().join("import.json")).unwrap();
     let full = bench.import(&files, "test").unwrap_err();
-    assert!(full.to_string().contains("something else: data"), "{full}");
+    assert!(
+        full.to_string().contains("the directory contains data"),
+        "{full}"
+    );
     let twice = bench.import(&[files[0].clone(), files[0].clone()], "test");
     assert_eq!(twice.unwrap_err().kind(), ErrorKind::Usage);
 }
 
 #[test]
-fn a_begun_import_whose_folder_leads_elsewhere_is_not_gone_on_with() {
-    let bench = Bench::new();
+fn import_does_not_resume_through_a_link() {
+    let bench = Workspace::new();
     let files = [bench.file("a.h5", DEEPDISH)];
-    let split = Split::one("test").unwrap();
+    let split = SplitFractions::single("test").unwrap();
     let report = ImportReport::new("feeling-of-success", sources(&files).unwrap(), &split);
     report.claim(&bench.out()).unwrap();
     let elsewhere = bench.0.path().join("elsewhere");
@@ -312,23 +315,26 @@ fn a_begun_import_whose_folder_leads_elsewhere_is_not_gone_on_with() {
     assert_eq!(fs::read_dir(&elsewhere).unwrap().count(), 0);
 }
 
-/// Whether the import noticed the damage; what it wrote is whole in any case.
-fn notices(damaged: &[u8]) -> bool {
-    let bench = Bench::new();
+/// Whether the import detected the damage; its output is complete in any case.
+fn detects(damaged: &[u8]) -> bool {
+    let bench = Workspace::new();
     let imported = bench.import(&[bench.file("a.h5", damaged)], "test");
     let Ok(report) = imported else {
-        // Nothing that could be taken for a finished dataset.
+        // No complete dataset.
         assert!(ShardSet::open(bench.out()).is_err());
         return true;
     };
     assert_eq!(ImportReport::read(&bench.out()).unwrap(), report);
-    let part = &report.parts["test"];
-    assert_eq!(rows(&bench.out(), "test").len(), part.stable + part.slip);
-    !report.left_out.is_empty() || part.stable + part.slip < 12
+    let counts = &report.splits["test"];
+    assert_eq!(
+        rows(&bench.out(), "test").len(),
+        counts.stable + counts.slip
+    );
+    !report.left_out.is_empty() || counts.stable + counts.slip < 12
 }
 
 #[test]
-fn damaged_files_end_in_errors_or_reports() {
+fn damaged_files_give_errors_or_reports() {
     let mut stream = 1_u64;
     let mut random = || {
         stream = stream
@@ -338,19 +344,19 @@ fn damaged_files_end_in_errors_or_reports() {
     };
     for fraction in 1..8 {
         assert!(
-            notices(&DEEPDISH[..DEEPDISH.len() * fraction / 8]),
+            detects(&DEEPDISH[..DEEPDISH.len() * fraction / 8]),
             "{fraction}"
         );
     }
-    let mut noticed = 0;
+    let mut detected = 0;
     for _ in 0..60 {
         let mut damaged = DEEPDISH.to_vec();
         for _ in 0..40 {
-            let at = random() % damaged.len();
-            damaged[at] = random() as u8;
+            let offset = random() % damaged.len();
+            damaged[offset] = random() as u8;
         }
-        noticed += usize::from(notices(&damaged));
+        detected += usize::from(detects(&damaged));
     }
-    // Damaged pixels of a raw image cannot be seen.
-    assert!(noticed > 0);
+    // Damaged pixels of a raw image are not detectable.
+    assert!(detected > 0);
 }

@@ -1,8 +1,7 @@
-//! Datasets of others as shards that `train` and `eval` read.
+//! Imports third-party datasets as shards for `train` and `eval`.
 //!
-//! One is known: the *Feeling of Success* (Calandra et al., 2017, arXiv 1710.05512), real grasps
-//! with two GelSight sensors and a Kinect. `docs/training.md` says what of its layout could be
-//! verified, and where.
+//! Supported: the *Feeling of Success* (Calandra et al., 2017, arXiv 1710.05512), real grasps with
+//! two GelSight sensors and a Kinect. `docs/training.md` states how its layout was verified.
 
 mod feeling_of_success;
 mod report;
@@ -12,5 +11,5 @@ mod run;
 mod import_test;
 
 pub use crate::left_out::LeftOut;
-pub use report::{ImportReport, ImportedPart, SourceFile};
+pub use report::{ImportReport, ImportedSplit, SourceFile};
 pub use run::import_feeling_of_success;

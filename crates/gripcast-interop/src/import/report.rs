@@ -1,4 +1,4 @@
-//! What was imported, as it stands beside the shards.
+//! Report of an import, stored beside the shards.
 
 use std::collections::BTreeMap;
 use std::fs;
@@ -9,81 +9,83 @@ use serde::{Deserialize, Serialize};
 use crate::left_out::LeftOut;
 use gripcast_base::error::{Error, Result};
 use gripcast_base::files::{FileKind, Printable, Root};
-use gripcast_dataset::shard::Split;
+use gripcast_dataset::shard::SplitFractions;
 
-/// The file, beside `data/`.
+/// File name of the report.
 const FILE: &str = "import.json";
 const FORMAT: &str = "gripcast-import";
 const VERSION: u32 = 1;
 
-/// What is in an imported dataset, and what is not.
+/// Report of an import.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct ImportReport {
     format: String,
     version: u32,
-    /// Whose dataset it is.
+    /// Name of the imported dataset.
     pub from: String,
-    /// Whether all shards are there.
+    /// Whether all shards are written.
     pub is_finished: bool,
-    /// The files that were read.
+    /// Imported files.
     pub files: Vec<SourceFile>,
-    /// The parts that were asked for.
-    pub split: Split,
-    /// What is in each part.
-    pub parts: BTreeMap<String, ImportedPart>,
-    /// Grasps that could not be read.
+    /// Requested fractions of the splits; key `split`.
+    #[serde(rename = "split")]
+    pub fractions: SplitFractions,
+    /// Imported splits; key `parts`.
+    #[serde(rename = "parts")]
+    pub splits: BTreeMap<String, ImportedSplit>,
+    /// Unreadable grasps.
     pub left_out: Vec<LeftOut>,
 }
 
-/// A file that was read.
+/// An imported file.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct SourceFile {
-    /// Its name.
+    /// File name.
     pub name: String,
-    /// Its size.
+    /// Size, bytes.
     pub bytes: u64,
 }
 
-/// What is in a part.
+/// Numbers of an imported split.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct ImportedPart {
-    /// Grasps that held.
+pub struct ImportedSplit {
+    /// Number of stable grasps.
     pub stable: usize,
-    /// Grasps that were lost.
+    /// Number of slipped grasps.
     pub slip: usize,
-    /// Objects.
+    /// Number of objects.
     pub objects: usize,
 }
 
 impl ImportReport {
-    pub(super) fn new(from: &str, files: Vec<SourceFile>, split: &Split) -> Self {
+    pub(super) fn new(from: &str, files: Vec<SourceFile>, fractions: &SplitFractions) -> Self {
         Self {
             format: FORMAT.to_owned(),
             version: VERSION,
             from: from.to_owned(),
             is_finished: false,
             files,
-            split: split.clone(),
-            parts: BTreeMap::new(),
+            fractions: fractions.clone(),
+            splits: BTreeMap::new(),
             left_out: Vec::new(),
         }
     }
 
-    /// What stands beside the shards.
+    /// Reads the report of an import.
     ///
     /// # Errors
-    /// `NotFound` for a folder without an import; `Input` for facts of another kind or version.
+    /// `NotFound` without an import; `Input` for another format or version.
     pub fn read(folder: &Path) -> Result<Self> {
-        let place = Root::new(folder).top().join(FILE);
+        let path = Root::new(folder).top().join(FILE);
         let read = || {
-            let bytes = place
+            let bytes = path
                 .read(FileKind::List)
-                .map_err(|e| Error::io("cannot read the facts of the import", e))?;
+                .map_err(|e| Error::io("cannot read the report of the import", e))?;
             let found: Self = serde_json::from_slice(&bytes)
-                .map_err(|e| Error::input(format!("these are no facts of an import: {e}")))?;
+                .map_err(|e| Error::input(format!("invalid report of an import: {e}")))?;
             if found.format == FORMAT && found.version == VERSION {
                 return Ok(found);
             }
@@ -94,48 +96,48 @@ impl ImportReport {
             Err(Error::input(what))
         };
         read().map_err(|e: Error| {
-            e.at(place.display())
-                .remedy("give the folder that `gripcast dataset import --out` wrote")
+            e.at(path.display())
+                .remedy("give a directory written by `gripcast dataset import --out`")
         })
     }
 
-    /// Takes a folder for this import: one that is new or empty, or has the beginning of the same
+    /// Claims a directory for this import: it must be new, empty, or contain the same unfinished
     /// import.
     ///
     /// # Errors
-    /// `Input`: the folder holds something else; those of the operating system.
+    /// `Input`: the directory has other contents; those of the operating system.
     pub(super) fn claim(&self, out: &Path) -> Result<()> {
         fs::create_dir_all(out)
-            .map_err(|e| Error::io("cannot make the folder", e).at(out.display()))?;
+            .map_err(|e| Error::io("cannot create the directory", e).at(out.display()))?;
         let refused = |what: &str| {
             let error = Error::input(what).at(out.display());
-            Err(error.remedy("give a new folder"))
+            Err(error.remedy("give a new directory"))
         };
         let top = Root::new(out).top();
         if top.join(FILE).is_taken() {
-            let there = Self::read(out)?;
-            if there.is_finished {
-                return refused("the folder holds a finished import");
+            let existing = Self::read(out)?;
+            if existing.is_finished {
+                return refused("the directory contains a finished import");
             }
-            let begun = Self {
-                parts: BTreeMap::new(),
+            let started = Self {
+                splits: BTreeMap::new(),
                 left_out: Vec::new(),
-                ..there
+                ..existing
             };
-            if begun != *self {
-                return refused("the folder holds the beginning of another import");
+            if started != *self {
+                return refused("the directory contains another unfinished import");
             }
             return Ok(());
         }
         let entries = top
             .entries()
-            .map_err(|e| Error::io("cannot read the folder", e).at(out.display()))?;
+            .map_err(|e| Error::io("cannot read the directory", e).at(out.display()))?;
         for entry in entries {
             let name = entry.name();
-            // What a kill left of this file.
+            // Leftovers of a kill are allowed.
             if !(name.starts_with(".gripcast-") && name.ends_with(".partial")) {
                 let name = Printable(&name);
-                return refused(&format!("the folder holds something else: {name}"));
+                return refused(&format!("the directory contains {name}"));
             }
         }
         self.save(out)
@@ -144,9 +146,8 @@ impl ImportReport {
     pub(super) fn save(&self, out: &Path) -> Result<()> {
         let text = serde_json::to_string_pretty(self)
             .map_err(|e| Error::internal("cannot write JSON").because(e))?;
-        let place = Root::new(out).top().join(FILE);
-        place
-            .replace(format!("{text}\n").as_bytes())
-            .map_err(|e| Error::io("cannot write the facts of the import", e).at(place.display()))
+        let path = Root::new(out).top().join(FILE);
+        path.replace(format!("{text}\n").as_bytes())
+            .map_err(|e| Error::io("cannot write the report of the import", e).at(path.display()))
     }
 }

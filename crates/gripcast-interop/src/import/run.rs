@@ -1,53 +1,52 @@
-//! Reads files twice: first what is in them, then the images, a grasp at a time.
+//! Runs an import: first reads all labels, then the images of one grasp at a time.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
 use std::path::{Path, PathBuf};
 
-use super::feeling_of_success::{CROP, GraspFacts, GraspFile, images};
-use super::report::{ImportReport, ImportedPart, SourceFile};
+use super::feeling_of_success::{CROP, GraspFile, GraspLabel, images};
+use super::report::{ImportReport, ImportedSplit, SourceFile};
 use crate::left_out::LeftOut;
 use gripcast_base::error::{Error, ErrorKind, Result};
 use gripcast_base::files::{Label, Printable, Root};
 use gripcast_dataset::shard::{
-    ShardEngine, ShardFacts, ShardImages, ShardOutcome, ShardRow, ShardWriter, Split, SplitGroup,
-    shard_place,
+    ShardEngine, ShardFacts, ShardImages, ShardOutcome, ShardRow, ShardWriter, SplitFractions,
+    SplitGroup, shard_path,
 };
 use gripcast_imaging::Decoder;
 
 /// Name of the dataset on the command line.
 const FROM: &str = "feeling-of-success";
-/// Rows of a shard: about 150 MB.
+/// Rows per shard, about 150 MB.
 const ROWS_PER_SHARD: usize = 2000;
-/// Folder of the shards.
+/// Directory of the shards.
 const DATA: &str = "data";
 
-/// Grasps of one file by their names in it.
-type Index = BTreeMap<String, GraspFacts>;
+/// Grasps of one file by name.
+type Index = BTreeMap<String, GraspLabel>;
 
-/// Writes files of the *Feeling of Success* as a dataset into `out`.
+/// Imports files of the *Feeling of Success* as a dataset into `out`.
 ///
-/// Objects are dealt to the parts by [`Split::deal`]. A grasp that cannot be read is left out
-/// and told. Memory holds one grasp's images, and a row group of each part. The same files make
-/// the same bytes; a stopped import is begun again by the same call.
+/// Objects are assigned to splits by [`SplitFractions::assign`]. Unreadable grasps are left out and
+/// listed in the report. Memory use is limited to one grasp's images and a row group per split.
+/// Equal files give equal bytes; the same call restarts an interrupted import.
 ///
 /// # Errors
-/// `Usage`: parts that cannot be, no file, two files of one name. `Input`: a file of another kind,
-/// one in which no grasp can be read, a part without an object, an `out` that holds something else.
-/// Those of the operating system.
+/// `Usage`: no file, two files with the same name. `Input`: a file of another format or without
+/// readable grasps, an empty split, an `out` with other contents. Those of the operating system.
 pub fn import_feeling_of_success(
     files: &[PathBuf],
     out: &Path,
-    split: &Split,
+    fractions: &SplitFractions,
     on_progress: &dyn Fn(usize, usize),
 ) -> Result<ImportReport> {
     let stems = stems(files)?;
-    let mut report = ImportReport::new(FROM, sources(files)?, split);
-    let mut found = Vec::with_capacity(files.len());
+    let mut report = ImportReport::new(FROM, sources(files)?, fractions);
+    let mut indices = Vec::with_capacity(files.len());
     for (path, stem) in files.iter().zip(&stems) {
-        found.push(index(path, stem, &mut report.left_out)?);
+        indices.push(index(path, stem, &mut report.left_out)?);
     }
-    let part_of = deal(&found, split)?;
+    let split_of = assign(&indices, fractions)?;
     let left_out = std::mem::take(&mut report.left_out);
     report.claim(out)?;
     report.left_out = left_out;
@@ -55,36 +54,36 @@ pub fn import_feeling_of_success(
     let folder = root.top().join(DATA);
     folder
         .create_dir_all()
-        .map_err(|e| Error::io("cannot make the folder", e).at(folder.display()))?;
-    let of_part = |part: &str| -> usize {
-        let facts = found.iter().flat_map(Index::values);
-        facts
-            .filter(|facts| part_of[facts.object.as_str()] == part)
+        .map_err(|e| Error::io("cannot create the directory", e).at(folder.display()))?;
+    let size_of = |split: &str| -> usize {
+        let labels = indices.iter().flat_map(Index::values);
+        labels
+            .filter(|label| split_of[label.object.as_str()] == split)
             .count()
     };
-    let mut writing: BTreeMap<&String, PartWriter<'_>> = split
+    let mut writers: BTreeMap<&String, SplitWriter<'_>> = fractions
         .names()
-        .map(|part| (part, PartWriter::new(&root, part, of_part(part))))
+        .map(|split| (split, SplitWriter::new(&root, split, size_of(split))))
         .collect();
-    let all = found.iter().map(Index::len).sum();
+    let all = indices.iter().map(Index::len).sum();
     let mut done = 0;
     let mut decoder = Decoder::new()?;
-    for ((path, stem), index) in files.iter().zip(&stems).zip(&found) {
+    for ((path, stem), index) in files.iter().zip(&stems).zip(&indices) {
         let file = GraspFile::open(path)?;
         for grasp in file.grasps() {
-            let Some(facts) = index.get(grasp.name()) else {
+            let Some(label) = index.get(grasp.name()) else {
                 continue;
             };
             let id = format!("{stem}-{}", grasp.name());
-            let Some(part) = writing.get_mut(&part_of[facts.object.as_str()]) else {
+            let Some(writer) = writers.get_mut(&split_of[label.object.as_str()]) else {
                 continue;
             };
             match images(grasp, &mut decoder) {
-                Ok(images) => part.push(row(id, facts, images))?,
+                Ok(images) => writer.push(row(id, label, images))?,
                 Err(error) if error.kind() == ErrorKind::Input => {
-                    part.leave_out()?;
-                    let why = error.to_string();
-                    report.left_out.push(LeftOut { id, why });
+                    writer.leave_out()?;
+                    let reason = error.to_string();
+                    report.left_out.push(LeftOut { id, reason });
                 }
                 Err(error) => return Err(error.at(grasp.name()).at(path.display())),
             }
@@ -92,28 +91,28 @@ pub fn import_feeling_of_success(
             on_progress(done, all);
         }
     }
-    for part in writing.into_values() {
-        let (name, facts) = part.finish(report.left_out.first())?;
-        report.parts.insert(name, facts);
+    for writer in writers.into_values() {
+        let (name, counts) = writer.finish(report.left_out.first())?;
+        report.splits.insert(name, counts);
     }
     report.is_finished = true;
     report.save(out)?;
     Ok(report)
 }
 
-/// Names of files without their endings: the beginnings of the ids.
+/// File names without extension, the prefixes of the ids.
 fn stems(files: &[PathBuf]) -> Result<Vec<String>> {
     if files.is_empty() {
-        return Err(Error::usage("there is no file to import"));
+        return Err(Error::usage("no file to import"));
     }
-    let mut seen = BTreeSet::new();
+    let mut unique = BTreeSet::new();
     let stems = files.iter().map(|path| {
         let stem = path.file_stem().unwrap_or_default();
         let stem = stem.to_string_lossy().into_owned();
-        if seen.insert(stem.clone()) {
+        if unique.insert(stem.clone()) {
             return Ok(stem);
         }
-        let what = format!("two files are called {stem:?}; their grasps would have the same ids");
+        let what = format!("duplicate file name {stem:?}: the ids of the grasps would collide");
         Err(Error::usage(what)
             .at(path.display())
             .remedy("give each file once, or rename one"))
@@ -134,22 +133,22 @@ pub(super) fn sources(files: &[PathBuf]) -> Result<Vec<SourceFile>> {
     files.iter().map(source).collect()
 }
 
-/// What is in a file, without its images.
+/// Reads the labels of a file.
 fn index(path: &Path, stem: &str, left_out: &mut Vec<LeftOut>) -> Result<Index> {
     let file = GraspFile::open(path)?;
     let mut index = Index::new();
     let mut first = None;
     for grasp in file.grasps() {
-        // The name becomes a part of the id.
+        // The name becomes part of the id.
         let named = Label::parse(grasp.name());
-        match named.and_then(|_| GraspFacts::read(grasp)) {
-            Ok(facts) => {
-                index.insert(grasp.name().to_owned(), facts);
+        match named.and_then(|_| GraspLabel::read(grasp)) {
+            Ok(label) => {
+                index.insert(grasp.name().to_owned(), label);
             }
             Err(error) if error.kind() == ErrorKind::Input => {
                 left_out.push(LeftOut {
                     id: format!("{stem}-{}", Printable(grasp.name())),
-                    why: error.to_string(),
+                    reason: error.to_string(),
                 });
                 first.get_or_insert((grasp.name(), error));
             }
@@ -157,41 +156,41 @@ fn index(path: &Path, stem: &str, left_out: &mut Vec<LeftOut>) -> Result<Index> 
         }
     }
     match first {
-        // Rather a file of another kind than one with damaged grasps.
+        // Probably a file of another format.
         Some((name, error)) if index.is_empty() => Err(error.at(name).at(path.display())),
         _ => Ok(index),
     }
 }
 
-/// The part of each object.
+/// Assigns each object to a split.
 ///
 /// # Errors
-/// `Input`: a part would be empty.
-fn deal(found: &[Index], split: &Split) -> Result<BTreeMap<String, String>> {
+/// `Input`: a split would be empty.
+fn assign(indices: &[Index], fractions: &SplitFractions) -> Result<BTreeMap<String, String>> {
     let mut objects: BTreeMap<String, SplitGroup> = BTreeMap::new();
-    for facts in found.iter().flat_map(Index::values) {
+    for label in indices.iter().flat_map(Index::values) {
         let new = SplitGroup {
             stratum: String::new(),
             size: 0,
         };
-        objects.entry(facts.object.to_string()).or_insert(new).size += 1;
+        objects.entry(label.object.to_string()).or_insert(new).size += 1;
     }
-    let dealt = split.deal(&objects, 0);
-    if let Some(empty) = split
+    let assigned = fractions.assign(&objects, 0);
+    if let Some(empty) = fractions
         .names()
-        .find(|name| dealt.values().all(|of| of != *name))
+        .find(|name| assigned.values().all(|split| split != *name))
     {
         let what = format!(
-            "the part `{empty}` would be empty: there are only {} objects",
+            "the split `{empty}` would be empty: there are only {} objects",
             objects.len()
         );
-        return Err(Error::input(what).remedy("give more files, or fewer parts"));
+        return Err(Error::input(what).remedy("give more files, or fewer splits"));
     }
-    Ok(dealt)
+    Ok(assigned)
 }
 
-fn row(id: String, facts: &GraspFacts, images: ShardImages) -> ShardRow {
-    let (outcome, detail) = match facts.is_stable {
+fn row(id: String, label: &GraspLabel, images: ShardImages) -> ShardRow {
+    let (outcome, detail) = match label.is_stable {
         true => (ShardOutcome::Stable, "held"),
         false => (ShardOutcome::Slip, "lost"),
     };
@@ -199,7 +198,7 @@ fn row(id: String, facts: &GraspFacts, images: ShardImages) -> ShardRow {
         facts: ShardFacts {
             simulation: id.clone(),
             id,
-            object: facts.object.to_string(),
+            object: label.object.to_string(),
             category: "unknown".to_owned(),
             engine: ShardEngine::Real,
             outcome,
@@ -222,36 +221,36 @@ fn row(id: String, facts: &GraspFacts, images: ShardImages) -> ShardRow {
     }
 }
 
-/// The shards of a part, one after the other.
-struct PartWriter<'a> {
+/// Writes the shards of a split.
+struct SplitWriter<'a> {
     root: &'a Root,
     name: &'a str,
-    /// Rows that are expected.
-    all: usize,
-    /// Rows that were written or left out.
+    /// Expected number of rows.
+    total: usize,
+    /// Number of rows written or left out.
     done: usize,
     shard: Option<ShardWriter>,
     objects: BTreeSet<String>,
-    facts: ImportedPart,
+    counts: ImportedSplit,
 }
 
-impl<'a> PartWriter<'a> {
-    fn new(root: &'a Root, name: &'a str, all: usize) -> Self {
+impl<'a> SplitWriter<'a> {
+    fn new(root: &'a Root, name: &'a str, total: usize) -> Self {
         Self {
             root,
             name,
-            all,
+            total,
             done: 0,
             shard: None,
             objects: BTreeSet::new(),
-            facts: ImportedPart::default(),
+            counts: ImportedSplit::default(),
         }
     }
 
     fn push(&mut self, row: ShardRow) -> Result<()> {
         match row.facts.outcome {
-            ShardOutcome::Stable => self.facts.stable += 1,
-            ShardOutcome::Slip => self.facts.slip += 1,
+            ShardOutcome::Stable => self.counts.stable += 1,
+            ShardOutcome::Slip => self.counts.slip += 1,
         }
         self.objects.insert(row.facts.object.clone());
         self.shard()?.push(row)?;
@@ -263,15 +262,15 @@ impl<'a> PartWriter<'a> {
         self.next()
     }
 
-    /// The shard that the next row is for.
+    /// Returns the shard of the next row.
     fn shard(&mut self) -> Result<&mut ShardWriter> {
         let shard = match self.shard.take() {
             Some(shard) => shard,
             None => {
                 let number = self.done / ROWS_PER_SHARD;
-                let count = self.all.div_ceil(ROWS_PER_SHARD);
-                let place = shard_place(self.root, self.name, number, count)?;
-                ShardWriter::create(&place, &format!("{{\"imported_from\":\"{FROM}\"}}"))?
+                let count = self.total.div_ceil(ROWS_PER_SHARD);
+                let path = shard_path(self.root, self.name, number, count)?;
+                ShardWriter::create(&path, &format!("{{\"imported_from\":\"{FROM}\"}}"))?
             }
         };
         Ok(self.shard.insert(shard))
@@ -279,7 +278,7 @@ impl<'a> PartWriter<'a> {
 
     fn next(&mut self) -> Result<()> {
         self.done += 1;
-        if self.done.is_multiple_of(ROWS_PER_SHARD) || self.done == self.all {
+        if self.done.is_multiple_of(ROWS_PER_SHARD) || self.done == self.total {
             self.close()?;
         }
         Ok(())
@@ -292,16 +291,16 @@ impl<'a> PartWriter<'a> {
         }
     }
 
-    fn finish(mut self, left_out: Option<&LeftOut>) -> Result<(String, ImportedPart)> {
+    fn finish(mut self, left_out: Option<&LeftOut>) -> Result<(String, ImportedSplit)> {
         self.close()?;
         if self.objects.is_empty() {
-            let mut what = format!("no grasp of the part `{}` could be read", self.name);
-            if let Some(LeftOut { id, why }) = left_out {
-                what.push_str(&format!("; {id}: {why}"));
+            let mut what = format!("no readable grasp in the split `{}`", self.name);
+            if let Some(LeftOut { id, reason }) = left_out {
+                what.push_str(&format!("; {id}: {reason}"));
             }
             return Err(Error::input(what).at(self.root.path().display()));
         }
-        self.facts.objects = self.objects.len();
-        Ok((self.name.to_owned(), self.facts))
+        self.counts.objects = self.objects.len();
+        Ok((self.name.to_owned(), self.counts))
     }
 }

@@ -1,18 +1,18 @@
-//! A hand-written contact-strength heuristic, for use until a trained model exists.
+//! A hand-written contact-strength heuristic, the baseline for trained models.
 //!
-//! It asks one question: do *both* gels show a clear contact, and about the same one? Per sensor:
-//! means of the tactile difference over small patches (averages camera noise out), minus the mean
-//! of the channel (cancels an even change of brightness), absolute value, the part above
-//! `NOISE_LEVELS` grey levels, mean over patches and channels. That excess `s` is squeezed into a
-//! strength `s / (s + HALF_EXCESS)` in [0, 1), and
+//! It checks whether *both* gels show a clear contact of about equal strength. Per sensor: means of
+//! the tactile difference over small patches (reduces camera noise), minus the mean of the channel
+//! (cancels uniform brightness changes), absolute value, excess over `NOISE_LEVELS` grey levels, mean
+//! over patches and channels. This excess `s` is mapped to a strength `s / (s + HALF_EXCESS)` in
+//! [0, 1), and
 //!
 //! `p_stable = sigmoid(BIAS + WEAKER·min(left, right) − IMBALANCE·|left − right|)`.
 //!
-//! The constants separate no contact from contact on real GelSight images; nothing was fitted to
-//! the outcome of a lift.
+//! The constants separate no contact from contact on real GelSight images; they were not fitted to
+//! outcomes.
 
 use super::contract::{
-    INPUT_SHAPE, InputName, InputSpec, ModelContract, OUTPUT, OUTPUT_SHAPE, Origin, Variant,
+    INPUT_SHAPE, InputName, InputSpec, Modality, ModelContract, OUTPUT, OUTPUT_SHAPE, Origin,
 };
 use super::onnx::{Attribute, OnnxGraphBuilder, Value};
 use gripcast_base::error::Result;
@@ -20,20 +20,20 @@ use gripcast_base::error::Result;
 /// Name of the heuristic, `models/baseline-contact.onnx`.
 pub const BASELINE: &str = "baseline-contact";
 
-/// Side of a patch, pixels; averages 16 pixels, so noise falls to a quarter.
+/// Patch size, pixels; averaging 16 pixels reduces noise to a quarter.
 const PATCH_PX: i64 = 4;
-/// Distance of patches, pixels. A contact spans several; every pixel would cost four times more.
+/// Stride of patches, pixels. A contact spans several.
 const STRIDE_PX: i64 = 8;
-/// Change of a patch that still counts as noise, grey levels of 255.
+/// Maximum change of a patch that counts as noise, grey levels of 255.
 const NOISE_LEVELS: f32 = 4.0;
-/// Excess at which the strength is one half. The faintest real press at hand (a small ball on a
-/// GelSight Mini) has 0.0017, the clearest 0.033; camera noise of 4 grey levels has 0.00001.
+/// Excess at which the strength is one half. The weakest real press available (a small ball on a
+/// GelSight Mini) has 0.0017, the strongest 0.033; camera noise of 4 grey levels has 0.00001.
 const HALF_EXCESS: f32 = 0.001;
 /// Log-odds without contact: p = 0.05.
 const BIAS: f32 = -3.0;
-/// Log-odds of a full contact on the weaker side.
+/// Log-odds per contact strength of the weaker side.
 const WEAKER: f32 = 6.5;
-/// Log-odds taken away by a contact on one side only.
+/// Log-odds subtracted per difference of the contact strengths.
 const IMBALANCE: f32 = 1.5;
 
 const CARD: &str = "\
@@ -50,13 +50,13 @@ contact at the edge of an object scores as high as one at its centre.
 - Licence: MIT OR Apache-2.0.
 ";
 
-/// What the heuristic promises.
+/// Contract of the heuristic.
 #[must_use]
 pub fn contract() -> ModelContract {
     ModelContract {
         name: BASELINE.to_owned(),
         origin: Origin::Heuristic,
-        variant: Variant::T,
+        modality: Modality::T,
         inputs: [InputName::TactileLeft, InputName::TactileRight]
             .map(InputSpec::tactile)
             .to_vec(),
@@ -70,10 +70,10 @@ pub fn contract() -> ModelContract {
     }
 }
 
-/// The bytes of `models/baseline-contact.onnx`.
+/// Encodes `models/baseline-contact.onnx`.
 ///
 /// # Errors
-/// A defect of gripcast.
+/// `Internal`: a defect of gripcast.
 pub fn onnx_bytes() -> Result<Vec<u8>> {
     let mut graph = OnnxGraphBuilder::new(BASELINE);
     graph.description("Contact-strength heuristic, not trained");
@@ -94,7 +94,7 @@ pub fn onnx_bytes() -> Result<Vec<u8>> {
     graph.to_bytes()
 }
 
-/// Constants that both sensors share.
+/// Constants shared by both sensors.
 struct Constants {
     noise: Value,
     half_excess: Value,
@@ -175,7 +175,7 @@ mod tests {
     }
 
     #[test]
-    fn the_shipped_file_is_what_this_code_writes() {
+    fn shipped_file_matches_this_code() {
         let shipped = include_bytes!("../../../../models/baseline-contact.onnx");
         assert!(
             shipped == onnx_bytes().unwrap().as_slice(),
@@ -184,7 +184,7 @@ mod tests {
     }
 
     #[test]
-    fn the_card_names_the_shipped_file() {
+    fn card_matches_the_shipped_file() {
         let card: toml::Table = include_str!("../../../../models/baseline-contact.toml")
             .parse()
             .unwrap();
@@ -192,7 +192,7 @@ mod tests {
         assert_eq!(card["sha256"].as_str(), Some(model.sha256()));
         let contract = model.contract();
         assert_eq!(card["threshold"].as_float(), Some(contract.threshold));
-        assert_eq!(card["variant"].as_str(), Some(contract.variant.name()));
+        assert_eq!(card["variant"].as_str(), Some(contract.modality.name()));
         assert_eq!(card["name"].as_str(), Some(contract.name.as_str()));
         let named: Vec<_> = card["inputs"].as_array().unwrap().iter().collect();
         assert_eq!(named.len(), contract.inputs.len());
@@ -206,13 +206,13 @@ mod tests {
     }
 
     #[test]
-    fn noise_alone_is_no_contact() {
+    fn noise_is_not_contact() {
         let p = p_stable(&gel(3, 0.0), &gel(4, 0.0));
         assert!(p < 0.06, "{p}");
     }
 
     #[test]
-    fn an_even_change_of_brightness_is_no_contact() {
+    fn uniform_brightness_change_is_not_contact() {
         let p = p_stable(&brighter(gel(3, 0.0), 12), &brighter(gel(4, 0.0), -12));
         assert!(p < 0.06, "{p}");
     }
@@ -224,7 +224,7 @@ mod tests {
     }
 
     #[test]
-    fn contact_on_one_side_is_below_the_threshold() {
+    fn contact_on_one_side_is_below_threshold() {
         for (left, right) in [(1.0, 0.0), (0.0, 1.0)] {
             let p = p_stable(&gel(3, left), &gel(4, right));
             assert!(p < contract().threshold / 2.0, "{p}");
@@ -232,7 +232,7 @@ mod tests {
     }
 
     #[test]
-    fn a_stronger_contact_is_never_worse() {
+    fn p_stable_increases_with_contact() {
         let mut last = 0.0;
         for contact in [0.0, 0.1, 0.3, 0.6, 1.0] {
             let p = p_stable(&gel(3, contact), &gel(4, contact));

@@ -1,9 +1,8 @@
-//! The contract between a model file and gripcast, kept in the file's `metadata_props`.
+//! Contract between a model file and gripcast, stored in the file's `metadata_props`.
 //!
-//! A model says which tensors it wants, how they are made from images, what its output means and
-//! where it comes from. Whatever does not agree with the graph or with this build is refused with
-//! the key, what was expected and what was found: a model that is fed something else than it was
-//! made for answers without complaint, and wrongly.
+//! It specifies input tensors, preprocessing, meaning of the output and origin of the model. Any
+//! mismatch with the graph or with this build is refused with key, expected and found value: a model
+//! with wrong inputs would silently predict wrong values.
 //!
 //! | key | value |
 //! | --- | --- |
@@ -13,12 +12,12 @@
 //! | `gripcast.variant` | `V`, `T` or `VT` |
 //! | `gripcast.inputs` | JSON list of [`InputSpec`] |
 //! | `gripcast.output` | `p_stable` |
-//! | `gripcast.threshold` | at or above it the grasp counts as stable; in (0, 1) |
+//! | `gripcast.threshold` | decision threshold: stable at or above it; in (0, 1) |
 //! | `gripcast.temperature` | calibration temperature, already part of the graph |
-//! | `gripcast.crop_profile` | crop of the tactile images; `any` where the model does not depend on it |
+//! | `gripcast.crop_profile` | crop of the tactile images; `any` if the model does not depend on it |
 //! | `gripcast.seed`, `gripcast.train.manifest_sha256` | origin of a trained model; `none` for a heuristic |
 //! | `gripcast.card` | Markdown: intended use, data, limits, licence |
-//! | other `gripcast.*` | validation figures, split digests, simulator, date; kept as they are |
+//! | other `gripcast.*` | validation metrics, split digests, simulator, date; not interpreted |
 
 use std::collections::BTreeMap;
 use std::str::FromStr;
@@ -29,31 +28,31 @@ use tract_onnx::pb::ModelProto;
 use super::graph_check::{check_graph, list, refusal};
 use super::onnx::OnnxGraphBuilder;
 pub use super::tensors::{
-    IMAGE_HEIGHT, IMAGE_WIDTH, INPUT_SHAPE, InputName, InputSpec, OUTPUT, OUTPUT_SHAPE,
-    RgbNormalisation, Variant,
+    IMAGE_HEIGHT, IMAGE_WIDTH, INPUT_SHAPE, InputName, InputSpec, Modality, OUTPUT, OUTPUT_SHAPE,
+    RgbNormalisation,
 };
 use gripcast_base::error::{Error, Result};
 use gripcast_imaging::CropProfile;
 
-/// Version of the contract that this build reads and writes.
+/// Supported version of the contract.
 pub const SCHEMA: u32 = 1;
 /// Crop profile of a model that does not depend on the crop.
 const ANY_CROP: &str = "any";
 const NONE: &str = "none";
 const HOW_TO_EXPORT: &str = "export the model again with gripcast's contract, see models/README.md";
 
-/// Where a model comes from.
+/// Origin of a model.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "lowercase", tag = "kind")]
 pub enum Origin {
-    /// Learned from labelled grasps.
+    /// Trained on labelled grasps.
     Trained {
         /// Seed of the run.
         seed: u64,
         /// sha256 of the manifest of the training data, lower-case hex.
         manifest_sha256: String,
     },
-    /// Written by hand; never measured on outcomes.
+    /// Written by hand; not evaluated on outcomes.
     Heuristic,
 }
 
@@ -68,22 +67,22 @@ impl Origin {
     }
 }
 
-/// What a model file promises.
+/// Contract of a model file.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ModelContract {
     /// Name of the model.
     pub name: String,
-    /// Where the model comes from.
+    /// Origin of the model.
     pub origin: Origin,
-    /// Senses that it uses.
-    pub variant: Variant,
-    /// Inputs, in the order of [`Variant::inputs`].
+    /// Modalities of the inputs.
+    pub modality: Modality,
+    /// Inputs, in the order of [`Modality::inputs`].
     pub inputs: Vec<InputSpec>,
-    /// At or above this probability the grasp counts as stable; in (0, 1).
+    /// Decision threshold: the grasp is predicted stable at or above it; in (0, 1).
     pub threshold: f64,
     /// Calibration temperature, already part of the graph.
     pub temperature: f64,
-    /// Crop of the tactile images; `None` where the model does not depend on it.
+    /// Crop of the tactile images; `None` if the model does not depend on it.
     pub crop_profile: Option<CropProfile>,
     /// Markdown: intended use, data, limits, licence.
     pub card: String,
@@ -92,23 +91,23 @@ pub struct ModelContract {
 }
 
 impl ModelContract {
-    /// Reads the contract of a model and holds it against the model's graph.
+    /// Reads the contract of a model and checks it against the graph.
     ///
     /// # Errors
-    /// When a key is missing or wrong, or the graph does not keep what the contract promises.
-    pub fn of(model: &ModelProto) -> Result<Self> {
+    /// When a key is missing or invalid, or the graph violates the contract.
+    pub fn from_proto(model: &ModelProto) -> Result<Self> {
         let read = || {
             let contract = Self::from_metadata(model)?;
-            check_graph(contract.variant, model)?;
+            check_graph(contract.modality, model)?;
             Ok(contract)
         };
         read().map_err(|error: Error| error.remedy(HOW_TO_EXPORT))
     }
 
-    /// Writes the contract into a graph that is being built.
+    /// Writes the contract into the metadata of a graph.
     ///
     /// # Errors
-    /// When the contract itself would be refused.
+    /// When the contract is invalid.
     pub fn write(&self, graph: &mut OnnxGraphBuilder) -> Result<()> {
         self.check()?;
         let inputs = serde_json::to_string(&self.inputs)
@@ -126,7 +125,7 @@ impl ModelContract {
         graph.metadata("gripcast.schema", SCHEMA.to_string());
         graph.metadata("gripcast.name", &self.name);
         graph.metadata("gripcast.kind", self.origin.name());
-        graph.metadata("gripcast.variant", self.variant.name());
+        graph.metadata("gripcast.variant", self.modality.name());
         graph.metadata("gripcast.inputs", inputs);
         graph.metadata("gripcast.output", OUTPUT);
         graph.metadata("gripcast.threshold", self.threshold.to_string());
@@ -138,19 +137,19 @@ impl ModelContract {
         Ok(())
     }
 
-    /// The input named `name`, if the model uses it.
+    /// Specification of an input, if the model uses it.
     #[must_use]
     pub fn input(&self, name: InputName) -> Option<&InputSpec> {
         self.inputs.iter().find(|input| input.name == name)
     }
 
-    /// Whether the model was written by hand and not trained.
+    /// Whether the model is a heuristic, not trained.
     #[must_use]
     pub fn is_heuristic(&self) -> bool {
         self.origin == Origin::Heuristic
     }
 
-    /// Refuses a rig whose tactile images are cropped in another way than the model's were.
+    /// Refuses a rig whose crop profile differs from that of the model.
     ///
     /// # Errors
     /// When the profiles differ.
@@ -160,7 +159,7 @@ impl ModelContract {
             _ => return Ok(()),
         };
         Err(refusal(format!(
-            "the model `{}` was made for the crop profile `{wanted}`, the tactile images are \
+            "the model `{}` expects the crop profile `{wanted}`, but the tactile images are \
              cropped with `{rig_profile}`",
             self.name
         ))
@@ -177,33 +176,28 @@ impl ModelContract {
     }
 
     fn from_metadata(model: &ModelProto) -> Result<Self> {
-        let mut metadata = Metadata::of(model)?;
+        let mut metadata = Metadata::new(model)?;
         let schema: u32 = metadata.parse("gripcast.schema", "a whole number")?;
         if schema != SCHEMA {
             return Err(Error::input(format!(
                 "`gripcast.schema`: expected {SCHEMA}, found {schema}"
             ))
             .remedy(if schema > SCHEMA {
-                "the model is newer than this gripcast: update gripcast, or export the model for \
-                 this version"
+                "the model needs a newer gripcast: update gripcast, or export the model for this \
+                 version"
             } else {
                 HOW_TO_EXPORT
             }));
         }
-        let variant = match metadata.take("gripcast.variant")?.as_str() {
-            "V" => Variant::V,
-            "T" => Variant::T,
-            "VT" => Variant::Vt,
-            found => {
-                return Err(refusal(format!(
-                    "`gripcast.variant`: expected V, T or VT, found `{found}`"
-                )));
-            }
+        let name = metadata.take("gripcast.variant")?;
+        let all = [Modality::V, Modality::T, Modality::Vt];
+        let Some(modality) = all.into_iter().find(|modality| modality.name() == name) else {
+            return Err(refusal(format!(
+                "`gripcast.variant`: expected V, T or VT, found `{name}`"
+            )));
         };
         let inputs: Vec<InputSpec> = serde_json::from_str(&metadata.take("gripcast.inputs")?)
-            .map_err(|cause| {
-                refusal("`gripcast.inputs` is no list of input descriptions").because(cause)
-            })?;
+            .map_err(|cause| refusal("invalid `gripcast.inputs`").because(cause))?;
         let output = metadata.take("gripcast.output")?;
         if output != OUTPUT {
             return Err(refusal(format!(
@@ -230,7 +224,7 @@ impl ModelContract {
         let mut contract = Self {
             name: metadata.take("gripcast.name")?,
             origin,
-            variant,
+            modality,
             inputs,
             threshold: metadata.parse("gripcast.threshold", "a number")?,
             temperature: metadata.parse("gripcast.temperature", "a number")?,
@@ -269,20 +263,20 @@ impl ModelContract {
                  `{manifest_sha256}`"
             )));
         }
-        if self.crop_profile.is_none() && !self.is_heuristic() && self.variant != Variant::V {
-            // What a network learned depends on the crop, whether or not its author knows.
+        if self.crop_profile.is_none() && !self.is_heuristic() && self.modality.has_touch() {
+            // A trained network always depends on the crop.
             return Err(refusal(format!(
-                "`gripcast.crop_profile`: a trained model with touch must name its crop profile, \
-                 found `{ANY_CROP}`"
+                "`gripcast.crop_profile`: expected a name for a trained model with touch, found \
+                 `{ANY_CROP}`"
             )));
         }
         let mut named: Vec<_> = self.inputs.iter().map(|input| input.name).collect();
         named.sort_unstable();
-        if named != self.variant.inputs() {
+        if named != self.modality.inputs() {
             return Err(refusal(format!(
-                "`gripcast.inputs`: a model of variant {} has the inputs {}, found {}",
-                self.variant,
-                list(self.variant.inputs()),
+                "`gripcast.inputs`: expected {1} for modality {0}, found {2}",
+                self.modality,
+                list(self.modality.inputs()),
                 list(&named)
             )));
         }
@@ -292,16 +286,16 @@ impl ModelContract {
     }
 }
 
-/// `metadata_props` as a map that is emptied while it is read.
+/// `metadata_props` as a map, emptied while it is read.
 struct Metadata(BTreeMap<String, String>);
 
 impl Metadata {
-    fn of(model: &ModelProto) -> Result<Self> {
+    fn new(model: &ModelProto) -> Result<Self> {
         let mut map = BTreeMap::new();
         for entry in &model.metadata_props {
             if map.insert(entry.key.clone(), entry.value.clone()).is_some() {
                 return Err(refusal(format!(
-                    "the metadata has the key `{}` twice",
+                    "duplicate key `{}` in the metadata",
                     entry.key
                 )));
             }
@@ -312,10 +306,10 @@ impl Metadata {
     fn take(&mut self, key: &str) -> Result<String> {
         self.0.remove(key).ok_or_else(|| {
             let what = if key == "gripcast.schema" {
-                "an ONNX file, but no gripcast model: the metadata has no key `gripcast.schema`"
+                "not a gripcast model: missing key `gripcast.schema` in the ONNX metadata"
                     .to_owned()
             } else {
-                format!("the model's metadata has no key `{key}`")
+                format!("missing key `{key}` in the model's metadata")
             };
             refusal(what)
         })

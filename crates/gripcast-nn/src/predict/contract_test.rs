@@ -23,24 +23,24 @@ fn set(model: &mut ModelProto, key: &str, value: &str) {
     entry.value = value.to_owned();
 }
 
-/// A change of the sound file, and what the refusal must say.
+/// A change of the valid file, and the expected parts of the error.
 type Case = (fn(&mut ModelProto), &'static [&'static str]);
 
 fn refuses(cases: &[Case]) {
     for (damage, expected) in cases {
         let mut model = file();
         damage(&mut model);
-        let error = ModelContract::of(&model).expect_err(expected[0]);
+        let error = ModelContract::from_proto(&model).expect_err(expected[0]);
         assert_eq!(error.kind(), ErrorKind::Input, "{error}");
         assert!(error.remedy_text().is_some(), "{error}");
-        for part in *expected {
-            assert!(error.to_string().contains(part), "`{part}` in: {error}");
+        for text in *expected {
+            assert!(error.to_string().contains(text), "`{text}` in: {error}");
         }
     }
 }
 
-fn trained(variant: Variant) -> ModelContract {
-    let inputs = variant.inputs().iter().map(|&name| match name {
+fn trained(modality: Modality) -> ModelContract {
+    let inputs = modality.inputs().iter().map(|&name| match name {
         InputName::Rgb => InputSpec::rgb(NORMALISATION),
         tactile => InputSpec::tactile(tactile),
     });
@@ -50,7 +50,7 @@ fn trained(variant: Variant) -> ModelContract {
             seed: u64::MAX,
             manifest_sha256: "0f".repeat(32),
         },
-        variant,
+        modality,
         inputs: inputs.collect(),
         threshold: 0.1 + 0.2,
         temperature: 1.7,
@@ -60,7 +60,7 @@ fn trained(variant: Variant) -> ModelContract {
     }
 }
 
-/// A graph with the contract's inputs that answers one half.
+/// A graph with the contract's inputs and the constant output 0.5.
 fn graph_of(contract: &ModelContract) -> ModelProto {
     let mut graph = OnnxGraphBuilder::new("half");
     contract.write(&mut graph).unwrap();
@@ -74,27 +74,36 @@ fn graph_of(contract: &ModelContract) -> ModelProto {
 }
 
 #[test]
-fn what_is_written_is_read_back() {
-    for variant in [Variant::V, Variant::T, Variant::Vt] {
-        let contract = trained(variant);
-        assert_eq!(ModelContract::of(&graph_of(&contract)).unwrap(), contract);
+fn contract_round_trips() {
+    for modality in [Modality::V, Modality::T, Modality::Vt] {
+        let contract = trained(modality);
+        assert_eq!(
+            ModelContract::from_proto(&graph_of(&contract)).unwrap(),
+            contract
+        );
     }
-    assert_eq!(ModelContract::of(&file()).unwrap(), baseline::contract());
+    assert_eq!(
+        ModelContract::from_proto(&file()).unwrap(),
+        baseline::contract()
+    );
 }
 
 #[test]
-fn every_key_is_needed() {
+fn missing_key_is_refused() {
     let keys: Vec<String> = file().metadata_props.into_iter().map(|e| e.key).collect();
     for key in keys.iter().filter(|key| *key != "gripcast.licence") {
         let mut model = file();
         model.metadata_props.retain(|entry| entry.key != *key);
-        let error = ModelContract::of(&model).unwrap_err();
-        assert!(error.what().contains(&format!("no key `{key}`")), "{error}");
+        let error = ModelContract::from_proto(&model).unwrap_err();
+        assert!(
+            error.what().contains(&format!("missing key `{key}`")),
+            "{error}"
+        );
     }
 }
 
 #[test]
-fn wrong_values_are_refused_with_key_expected_and_found() {
+fn invalid_values_are_refused_with_expected_and_found() {
     refuses(&[
         (
             |m| set(m, "gripcast.schema", "2"),
@@ -111,18 +120,18 @@ fn wrong_values_are_refused_with_key_expected_and_found() {
         (
             |m| set(m, "gripcast.variant", "VT"),
             &[
-                "variant VT",
+                "modality VT",
                 "`rgb`",
                 "found `tactile_left`, `tactile_right`",
             ],
         ),
         (
             |m| set(m, "gripcast.inputs", "[]"),
-            &["variant T", "found none"],
+            &["modality T", "found none"],
         ),
         (
             |m| set(m, "gripcast.inputs", "{"),
-            &["`gripcast.inputs` is no list"],
+            &["invalid `gripcast.inputs`"],
         ),
         (
             |m| set(m, "gripcast.output", "logit"),
@@ -172,7 +181,7 @@ fn wrong_values_are_refused_with_key_expected_and_found() {
 }
 
 #[test]
-fn inputs_that_are_made_in_another_way_are_refused() {
+fn inputs_with_other_preprocessing_are_refused() {
     for (field, other, expected) in [
         (
             "\"NCHW\"",
@@ -200,7 +209,7 @@ fn inputs_that_are_made_in_another_way_are_refused() {
         (
             "tactile_left",
             "tactile_middle",
-            "`gripcast.inputs` is no list",
+            "invalid `gripcast.inputs`",
         ),
         ("\"colour\"", "\"color\"", "unknown field `color`"),
     ] {
@@ -209,7 +218,7 @@ fn inputs_that_are_made_in_another_way_are_refused() {
         let changed = text.replacen(field, other, 1);
         assert_ne!(changed, text, "{field}");
         set(&mut model, "gripcast.inputs", &changed);
-        let error = ModelContract::of(&model).unwrap_err();
+        let error = ModelContract::from_proto(&model).unwrap_err();
         assert!(error.to_string().contains(expected), "{expected}: {error}");
     }
 }
@@ -221,21 +230,18 @@ fn tensor_of(value: &mut ValueInfoProto) -> &mut type_proto::Tensor {
 }
 
 #[test]
-fn a_graph_that_breaks_the_contract_is_refused() {
+fn graph_that_violates_the_contract_is_refused() {
     fn graph(model: &mut ModelProto) -> &mut GraphProto {
         model.graph.as_mut().unwrap()
     }
     refuses(&[
         (
             |m| graph(m).input[0].name = "left".to_owned(),
-            &[
-                "disagree on the inputs",
-                "the graph has `left`, `tactile_right`",
-            ],
+            &["inputs of the graph", "found `left`, `tactile_right`"],
         ),
         (
             |m| graph(m).output[0].name = "p".to_owned(),
-            &["one output `p_stable`, found `p`"],
+            &["single output `p_stable` in the graph, found `p`"],
         ),
         (
             |m| {
@@ -279,11 +285,11 @@ fn a_graph_that_breaks_the_contract_is_refused() {
         ),
         (
             |m| m.opset_import[0].domain = "com.microsoft".to_owned(),
-            &["the operator set `com.microsoft` 17"],
+            &["operator set `com.microsoft` 17"],
         ),
         (
             |m| graph(m).initializer[0].data_location = Some(DataLocation::External as i32),
-            &["`noise` are in another file"],
+            &["`noise` are in an external file"],
         ),
         (
             |m| graph(m).node[0].attribute[1].ints[0] = 0,
@@ -301,17 +307,17 @@ fn a_graph_that_breaks_the_contract_is_refused() {
 }
 
 #[test]
-fn an_open_batch_is_taken_and_closed_for_the_engine() {
+fn open_batch_is_accepted_and_set_to_one() {
     let mut model = file();
     let graph = model.graph.as_mut().unwrap();
     for value in graph.input.iter_mut().chain(&mut graph.output) {
         let shape = tensor_of(value).shape.as_mut().unwrap();
         shape.dim[0].value = Some(Dimension::DimParam("n".to_owned()));
     }
-    let contract = ModelContract::of(&model).unwrap();
+    let contract = ModelContract::from_proto(&model).unwrap();
     close_batch(model.graph.as_mut().unwrap());
     assert_eq!(model, file());
-    assert_eq!(ModelContract::of(&model).unwrap(), contract);
+    assert_eq!(ModelContract::from_proto(&model).unwrap(), contract);
 }
 
 #[test]
@@ -322,47 +328,47 @@ fn constants_listed_as_inputs_are_not_inputs() {
         name: "noise".to_owned(),
         ..pb::ValueInfoProto::default()
     });
-    assert!(ModelContract::of(&model).is_ok());
+    assert!(ModelContract::from_proto(&model).is_ok());
 }
 
 #[test]
-fn statistics_that_cannot_normalise_are_refused() {
+fn invalid_normalisation_is_refused() {
     for std in [0.0, -1.0, f32::NAN, f32::INFINITY] {
         let spec = InputSpec::rgb(RgbNormalisation {
             std: [0.2, std, 0.2],
             ..NORMALISATION
         });
         let error = spec.check().unwrap_err();
-        assert!(error.contains("input `rgb` needs `mean`"), "{error}");
+        assert!(error.contains("input `rgb`: expected `mean`"), "{error}");
     }
 }
 
 #[test]
-fn a_rig_with_another_crop_is_refused() {
-    let contract = trained(Variant::T);
+fn rig_with_other_crop_profile_is_refused() {
+    let contract = trained(Modality::T);
     assert!(contract.check_crop_profile("gsmini-seventh-v1").is_ok());
     let text = contract
         .check_crop_profile("gsmini-fifteen-v1")
         .unwrap_err()
         .to_string();
-    for part in [
+    for expected in [
         "`net`",
         "`gsmini-seventh-v1`",
         "`gsmini-fifteen-v1`",
         "rig file",
     ] {
-        assert!(text.contains(part), "{text}");
+        assert!(text.contains(expected), "{text}");
     }
     let heuristic = baseline::contract();
     assert!(heuristic.check_crop_profile("gsmini-fifteen-v1").is_ok());
 }
 
 #[test]
-fn a_trained_model_with_touch_cannot_fit_any_crop() {
-    let mut contract = trained(Variant::T);
+fn trained_model_with_touch_needs_a_crop_profile() {
+    let mut contract = trained(Modality::T);
     contract.crop_profile = None;
     assert!(contract.check().is_err());
-    contract.variant = Variant::V;
+    contract.modality = Modality::V;
     contract.inputs = vec![InputSpec::rgb(NORMALISATION)];
     assert!(contract.check().is_ok());
     contract.origin = Origin::Trained {

@@ -1,4 +1,4 @@
-//! Running a model file.
+//! Loads and runs a model file.
 
 use std::panic::AssertUnwindSafe;
 use std::path::Path;
@@ -14,28 +14,28 @@ use tract_onnx::prelude::{
 use super::contract::{self, InputName, ModelContract};
 use super::graph_check;
 use super::input::ModelInput;
-use super::novelty::{self, Novelty};
+use super::native_engine::NativeEngine;
 use super::onnx;
-use super::own_engine::OwnEngine;
+use super::ood::{self, OodDetector};
+use gripcast_base::catch_panic::catch_panic;
 use gripcast_base::error::{Error, Result};
 use gripcast_base::files::sha256_hex;
-use gripcast_base::quiet_panic;
 
-/// A model that has been checked and is ready to run, on the thread that asks.
+/// A checked model, ready to run on the calling thread.
 #[derive(Debug)]
 pub struct Model {
     contract: ModelContract,
     sha256: String,
     load_ms: f64,
-    novelty: Option<Novelty>,
+    ood_detector: Option<OodDetector>,
     engine: Engine,
 }
 
 #[derive(Debug)]
 enum Engine {
-    /// Ours, for the networks that gripcast trains.
-    Own(Box<OwnEngine>),
-    /// The general one.
+    /// For networks trained by gripcast.
+    Native(Box<NativeEngine>),
+    /// For any other graph.
     Tract {
         /// Inputs in the order of the graph.
         order: Vec<InputName>,
@@ -43,12 +43,12 @@ enum Engine {
     },
 }
 
-/// What a model says about one grasp.
+/// Prediction of one grasp.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Prediction {
     /// Probability that the grasp is stable.
     pub p_stable: f64,
-    /// Time of the model alone, ms.
+    /// Inference time of the model, ms.
     pub engine_ms: f64,
 }
 
@@ -56,8 +56,8 @@ impl Model {
     /// Reads, checks and optimises a model file, then runs it once on zeros.
     ///
     /// # Errors
-    /// When the file cannot be read, is no ONNX model, breaks the [`ModelContract`], has operators
-    /// or shapes that the engine refuses, or answers zeros with anything but a probability.
+    /// When the file is unreadable, not an ONNX model, violates the [`ModelContract`], has
+    /// unsupported operators or shapes, or predicts anything but a probability for zeros.
     pub fn load(path: &Path) -> Result<Self> {
         let started = Instant::now();
         let bytes = onnx::read(path)?;
@@ -73,12 +73,14 @@ impl Model {
     pub fn from_bytes(bytes: &[u8]) -> Result<Self> {
         let started = Instant::now();
         let mut proto = onnx::decode(bytes)?;
-        let contract = ModelContract::of(&proto)?;
-        let novelty = contract.other.get(novelty::METADATA);
-        let novelty = novelty.map(|text| Novelty::of_metadata(text)).transpose()?;
+        let contract = ModelContract::from_proto(&proto)?;
+        let ood_detector = contract.other.get(ood::METADATA);
+        let ood_detector = ood_detector
+            .map(|text| OodDetector::from_metadata(text))
+            .transpose()?;
         proto.graph.iter_mut().for_each(graph_check::close_batch);
-        let engine = match OwnEngine::of(&proto, contract.variant) {
-            Some(own) => Engine::Own(Box::new(own)),
+        let engine = match NativeEngine::new(&proto, contract.modality) {
+            Some(native) => Engine::Native(Box::new(native)),
             None => Engine::Tract {
                 order: input_order(&proto, &contract),
                 model: guarded("build the model's graph", || optimise(&proto))?,
@@ -88,22 +90,22 @@ impl Model {
             contract,
             sha256: sha256_hex(bytes),
             load_ms: 0.0,
-            novelty,
+            ood_detector,
             engine,
         };
         let zeros = ModelInput::zeros(&model.contract)?;
         model.predict(&zeros).map_err(|error| {
-            error.remedy("the file is damaged or was exported wrongly; export it again")
+            error.remedy("the file is damaged or was exported incorrectly: export it again")
         })?;
         model.load_ms = milliseconds_since(started);
         Ok(model)
     }
 
-    /// As [`Model::from_bytes`], on the general engine even where ours would do.
+    /// As [`Model::from_bytes`], always on the tract engine.
     ///
     /// # Errors
     /// As [`Model::load`].
-    pub fn on_tract(bytes: &[u8]) -> Result<Self> {
+    pub fn with_tract(bytes: &[u8]) -> Result<Self> {
         let mut proto = onnx::decode(bytes)?;
         proto.graph.iter_mut().for_each(graph_check::close_batch);
         let mut model = Self::from_bytes(bytes)?;
@@ -114,56 +116,58 @@ impl Model {
         Ok(model)
     }
 
-    /// What our own engine answers zeros for a graph; none if it leaves the graph to the general one.
+    /// Prediction of the native engine for zeros; none if it does not support the graph.
     #[cfg(test)]
-    pub(crate) fn own_answer_to_zeros(proto: &ModelProto, contract: &ModelContract) -> Option<f32> {
+    pub(crate) fn native_prediction_for_zeros(
+        proto: &ModelProto,
+        contract: &ModelContract,
+    ) -> Option<f32> {
         let zeros = ModelInput::zeros(contract).ok()?;
-        OwnEngine::of(proto, contract.variant)?.run(&zeros)
+        NativeEngine::new(proto, contract.modality)?.run(&zeros)
     }
 
-    /// Whether our own engine runs it.
-    pub fn is_on_own_engine(&self) -> bool {
-        matches!(self.engine, Engine::Own(_))
+    /// Whether the native engine runs it.
+    pub fn is_native(&self) -> bool {
+        matches!(self.engine, Engine::Native(_))
     }
 
-    /// What the model promises.
+    /// Contract of the model.
     #[must_use]
     pub fn contract(&self) -> &ModelContract {
         &self.contract
     }
 
-    /// sha256 of the file, lower-case hex; `sha256sum` prints the same.
+    /// sha256 of the file, lower-case hex.
     #[must_use]
     pub fn sha256(&self) -> &str {
         &self.sha256
     }
 
-    /// Time from the file to the first answer, ms.
+    /// Time from the file to the first prediction, ms.
     #[must_use]
     pub fn load_ms(&self) -> f64 {
         self.load_ms
     }
 
-    /// What its training images looked like, if it says so.
+    /// OOD detector of the model, if any.
     #[must_use]
-    pub fn novelty(&self) -> Option<&Novelty> {
-        self.novelty.as_ref()
+    pub fn ood_detector(&self) -> Option<&OodDetector> {
+        self.ood_detector.as_ref()
     }
 
     /// Predicts one grasp.
     ///
     /// # Errors
-    /// When the input was made for a model of another variant, the engine fails, or the answer is
-    /// no probability.
+    /// When the input is for another modality, the engine fails, or the output is not a probability.
     pub fn predict(&self, input: &ModelInput) -> Result<Prediction> {
         let started = Instant::now();
         let p_stable = match &self.engine {
-            Engine::Own(own) => own.run(input).ok_or_else(missing_input)?,
+            Engine::Native(native) => native.run(input).ok_or_else(missing_input)?,
             Engine::Tract { order, model } => run_tract(order, model, input)?,
         };
         if !(0.0..=1.0).contains(&p_stable) {
             return Err(Error::input(format!(
-                "the model `{}` answers {p_stable}; `{}` must be between 0 and 1",
+                "invalid output {p_stable} of the model `{}`: expected `{}` between 0 and 1",
                 self.contract.name,
                 contract::OUTPUT
             )));
@@ -176,7 +180,7 @@ impl Model {
 }
 
 fn missing_input() -> Error {
-    let what = "the model needs an input that was not given";
+    let what = "an input of the model is missing";
     Error::internal(what)
 }
 
@@ -188,7 +192,7 @@ fn run_tract(
     let mut tensors = TVec::new();
     for &name in order {
         let tensor = input.tensor(name).ok_or_else(missing_input)?;
-        tensors.push(tensor.fraction());
+        tensors.push(tensor.to_tvalue());
     }
     guarded("run the model", || {
         let output = TypedSimpleState::new(model)?.run(tensors)?;
@@ -215,15 +219,15 @@ fn input_order(proto: &ModelProto, contract: &ModelContract) -> Vec<InputName> {
     let inputs = proto.graph.iter().flat_map(graph_check::graph_inputs);
     inputs
         .filter_map(|input| {
-            let names = contract.variant.inputs().iter();
+            let names = contract.modality.inputs().iter();
             names.copied().find(|name| name.name() == input.name)
         })
         .collect()
 }
 
-/// Runs the engine; what it refuses and what it panics on become errors of the model.
+/// Runs the engine; its errors and panics become errors of the model.
 fn guarded<T>(step: &str, work: impl FnOnce() -> TractResult<T>) -> Result<T> {
-    let outcome = quiet_panic::catch(AssertUnwindSafe(work));
+    let outcome = catch_panic(AssertUnwindSafe(work));
     outcome
         .and_then(|result| result.map_err(|cause| format!("{cause:#}")))
         .map_err(|cause| {
@@ -247,7 +251,7 @@ mod tests {
     use crate::predict::onnx::OnnxGraphBuilder;
     use gripcast_base::error::ErrorKind;
 
-    /// A touch model that answers `value` whatever it is shown.
+    /// A touch model with the constant output `value`.
     fn constant_model(value: f32) -> Vec<u8> {
         let mut graph = OnnxGraphBuilder::new("constant");
         let contract = baseline::contract();
@@ -262,23 +266,23 @@ mod tests {
     }
 
     #[test]
-    fn an_answer_that_is_no_probability_is_refused_at_loading() {
+    fn output_that_is_not_a_probability_is_refused() {
         assert!(Model::from_bytes(&constant_model(0.25)).is_ok());
         for answer in [f32::NAN, f32::INFINITY, -0.01, 1.5] {
             let error = Model::from_bytes(&constant_model(answer)).unwrap_err();
             assert!(
-                error.what().contains(&format!("answers {answer}")),
+                error.what().contains(&format!("invalid output {answer}")),
                 "{error}"
             );
         }
     }
 
     #[test]
-    fn inputs_reach_the_tensor_of_their_name_in_any_order() {
+    fn inputs_are_matched_by_name_in_any_order() {
         let mut proto = onnx::decode(&constant_model(0.5)).unwrap();
         let graph = proto.graph.as_mut().unwrap();
         graph.input.reverse();
-        let contract = ModelContract::of(&proto).unwrap();
+        let contract = ModelContract::from_proto(&proto).unwrap();
         assert_eq!(
             input_order(&proto, &contract),
             [InputName::TactileRight, InputName::TactileLeft]
@@ -286,7 +290,7 @@ mod tests {
     }
 
     #[test]
-    fn an_unknown_operator_is_an_explained_refusal() {
+    fn unknown_operator_is_refused_with_remedy() {
         let mut graph = OnnxGraphBuilder::new("odd");
         let contract = baseline::contract();
         contract.write(&mut graph).unwrap();
@@ -301,13 +305,13 @@ mod tests {
     }
 
     #[test]
-    fn a_model_can_be_shared_between_threads() {
+    fn model_is_send_and_sync() {
         fn assert_shared<T: Send + Sync>() {}
         assert_shared::<Model>();
     }
 
     #[test]
-    fn the_digest_is_that_of_the_file() {
+    fn digest_is_sha256_of_the_file() {
         let expected = "ba7816bf8f01cfea414140de5dae2223b00361a396177a9cb410ff61f20015ad";
         assert_eq!(sha256_hex(b"abc"), expected);
     }

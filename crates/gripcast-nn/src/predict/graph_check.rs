@@ -1,4 +1,4 @@
-//! Holds the graph of a model file against its contract.
+//! Checks the graph of a model file against its contract.
 
 use std::collections::BTreeSet;
 use std::fmt::Display;
@@ -8,19 +8,19 @@ use tract_onnx::pb::tensor_shape_proto::Dimension as TensorDimension;
 use tract_onnx::pb::tensor_shape_proto::dimension::Value as Dimension;
 use tract_onnx::pb::{GraphProto, ModelProto, ValueInfoProto, type_proto};
 
-use super::tensors::{INPUT_SHAPE, OUTPUT, OUTPUT_SHAPE, Variant};
+use super::tensors::{INPUT_SHAPE, Modality, OUTPUT, OUTPUT_SHAPE};
 use gripcast_base::error::{Error, Result};
 
-/// Operator sets that the engine implements.
+/// Supported operator sets.
 const OPSETS: std::ops::RangeInclusive<i64> = 9..=18;
-/// Largest kernel, stride, dilation or padding, pixels; beyond any image that is an input.
+/// Maximum kernel, stride, dilation or padding, pixels.
 const MAX_WINDOW: i64 = 4096;
 
-/// Refuses a graph that does not keep what a contract promises, or that the engine cannot run.
+/// Refuses a graph that violates its contract or that the engine cannot run.
 ///
 /// # Errors
-/// `Input`, with what was expected and what was found.
-pub(super) fn check_graph(variant: Variant, model: &ModelProto) -> Result<()> {
+/// `Input`, with expected and found values.
+pub(super) fn check_graph(modality: Modality, model: &ModelProto) -> Result<()> {
     check_operator_sets(model)?;
     let graph = model
         .graph
@@ -30,12 +30,10 @@ pub(super) fn check_graph(variant: Variant, model: &ModelProto) -> Result<()> {
     check_windows(graph)?;
     let found = graph_inputs(graph);
     let names: BTreeSet<&str> = found.iter().map(|input| input.name.as_str()).collect();
-    let expected: BTreeSet<&str> = variant.inputs().iter().map(|n| n.name()).collect();
+    let expected: BTreeSet<&str> = modality.inputs().iter().map(|n| n.name()).collect();
     if names != expected || found.len() != expected.len() {
         return Err(refusal(format!(
-            "the contract (variant {}) and the graph disagree on the inputs: expected {}, the \
-             graph has {}",
-            variant,
+            "inputs of the graph: expected {} for modality {modality}, found {}",
             list(expected),
             list(found.iter().map(|input| &input.name))
         )));
@@ -47,13 +45,13 @@ pub(super) fn check_graph(variant: Variant, model: &ModelProto) -> Result<()> {
     match graph.output.as_slice() {
         [output] if output.name == OUTPUT => check_tensor("output", output, &OUTPUT_SHAPE, batch),
         outputs => Err(refusal(format!(
-            "the graph must have the one output `{OUTPUT}`, found {}",
+            "expected the single output `{OUTPUT}` in the graph, found {}",
             list(outputs.iter().map(|output| &output.name))
         ))),
     }
 }
 
-/// Inputs of a graph in the engine's order; constants may be listed among them and are not meant.
+/// Inputs of a graph in order, without constants that are listed among them.
 pub(super) fn graph_inputs(graph: &GraphProto) -> Vec<&ValueInfoProto> {
     let constants: BTreeSet<&str> = graph.initializer.iter().map(|t| t.name.as_str()).collect();
     graph
@@ -71,8 +69,7 @@ fn check_operator_sets(model: &ModelProto) -> Result<()> {
             version = Some(import.version);
         } else {
             return Err(refusal(format!(
-                "the model needs the operator set `{}` {}; only the standard operators are \
-                 supported",
+                "unsupported operator set `{}` {}: only the standard operators are supported",
                 import.domain, import.version
             ))
             .remedy("export the model with standard ONNX operators, opset 17"));
@@ -99,31 +96,31 @@ fn check_constants(graph: &GraphProto) -> Result<()> {
     {
         None => Ok(()),
         Some(tensor) => Err(refusal(format!(
-            "the weights `{}` are in another file; a gripcast model is one file",
+            "the weights `{}` are in an external file, which is not supported",
             tensor.name
         ))
         .remedy("export the model without external data")),
     }
 }
 
-/// Windows of convolutions and pools. The engine computes shapes from them without a check, so a
-/// damaged one could ask for any amount of memory.
+/// Checks the windows of convolutions and pools: the engine computes shapes from them without a
+/// check, so damaged ones could need any amount of memory.
 fn check_windows(graph: &GraphProto) -> Result<()> {
     for node in &graph.node {
         for attribute in &node.attribute {
-            let least = match attribute.name.as_str() {
+            let min = match attribute.name.as_str() {
                 "kernel_shape" | "strides" | "dilations" => 1,
                 "pads" => 0,
                 _ => continue,
             };
-            let allowed = least..=MAX_WINDOW;
+            let allowed = min..=MAX_WINDOW;
             if let Some(found) = attribute.ints.iter().find(|x| !allowed.contains(x)) {
                 return Err(refusal(format!(
-                    "operator `{}` ({}): expected `{}` between {least} and {MAX_WINDOW}, \
+                    "operator `{}` ({}): expected `{}` between {min} and {MAX_WINDOW}, \
                      found {found}",
                     node.name, node.op_type, attribute.name
                 ))
-                .remedy("the file is damaged; copy or export it again"));
+                .remedy("the file is damaged: copy or export it again"));
             }
         }
     }
@@ -138,7 +135,7 @@ fn shape_of(value: &ValueInfoProto) -> &[TensorDimension] {
     tensor.shape.as_ref().map_or(&[], |shape| &shape.dim)
 }
 
-/// Name of the first side of a tensor, where its size is left open.
+/// Name of the batch dimension of a tensor, if its size is open.
 fn batch_name(value: Option<&ValueInfoProto>) -> Option<&str> {
     match &shape_of(value?).first()?.value {
         Some(Dimension::DimParam(symbol)) if !symbol.is_empty() => Some(symbol),
@@ -146,7 +143,7 @@ fn batch_name(value: Option<&ValueInfoProto>) -> Option<&str> {
     }
 }
 
-/// Closes a batch of any size to one image, which the general engine is much quicker with.
+/// Sets an open batch size to 1, with which tract is much faster.
 pub(super) fn close_batch(graph: &mut GraphProto) {
     for value in graph.input.iter_mut().chain(&mut graph.output) {
         if batch_name(Some(value)).is_none() {
@@ -161,7 +158,7 @@ pub(super) fn close_batch(graph: &mut GraphProto) {
     }
 }
 
-/// `batch` is the name of the first side where the graph takes any number of images at once.
+/// Checks type and shape; `batch` is the name of an open batch dimension.
 fn check_tensor(
     role: &str,
     value: &ValueInfoProto,
@@ -202,7 +199,7 @@ fn check_tensor(
         found.join(", ")
     ))
     .remedy(
-        "export the model with fixed shapes; only the batch may be open, everywhere or nowhere",
+        "export the model with fixed shapes; only the batch may be open, for all tensors or none",
     ))
 }
 

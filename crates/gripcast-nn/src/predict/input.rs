@@ -1,4 +1,4 @@
-//! From images to the model's input tensors.
+//! Converts images to the input tensors of a model.
 
 use std::sync::Arc;
 
@@ -13,9 +13,9 @@ use gripcast_imaging::TactileDifference;
 
 const PIXELS: usize = IMAGE_WIDTH as usize * IMAGE_HEIGHT as usize;
 
-/// The input tensors of one prediction, each `[1, 3, 240, 320]` NCHW f32, channels red green blue.
+/// Input tensors of a prediction, each `[1, 3, 240, 320]` NCHW f32, RGB.
 ///
-/// Kept between predictions, the memory is written again; the engine reads it without a copy.
+/// Reuse it between predictions: the engine reads the memory without a copy.
 #[derive(Clone, Debug)]
 pub struct ModelInput {
     planes: Vec<(InputName, InputTensor)>,
@@ -23,14 +23,14 @@ pub struct ModelInput {
 }
 
 impl ModelInput {
-    /// Zeros for every input of the model: no tactile change, the mean colour.
+    /// Zeros for every input of the model: no tactile difference, the mean colour.
     ///
     /// # Errors
-    /// When the memory cannot be had.
+    /// `Internal`: the memory cannot be allocated.
     pub fn zeros(contract: &ModelContract) -> Result<Self> {
         Ok(Self {
             planes: contract
-                .variant
+                .modality
                 .inputs()
                 .iter()
                 .map(|&name| Ok((name, InputTensor::zeros()?)))
@@ -41,10 +41,10 @@ impl ModelInput {
         })
     }
 
-    /// Writes a tactile difference, (grasp − initial) / 255. A model without touch ignores it.
+    /// Writes a tactile difference, (grasp − initial) / 255. Ignored by models without touch.
     ///
     /// # Errors
-    /// When the images were not 320×240.
+    /// `Input`: the images are not 320×240.
     pub fn set_tactile(&mut self, name: InputName, difference: &TactileDifference) -> Result<()> {
         check_size(name, difference.width(), difference.height())?;
         match self.tensor_mut(name) {
@@ -53,10 +53,10 @@ impl ModelInput {
         }
     }
 
-    /// Writes the colour image, (x / 255 − mean) / std. A model without vision ignores it.
+    /// Writes the colour image, (x / 255 − mean) / std. Ignored by models without vision.
     ///
     /// # Errors
-    /// When the image is not 320×240.
+    /// `Input`: the image is not 320×240.
     pub fn set_rgb(&mut self, image: &RgbImage) -> Result<()> {
         check_size(InputName::Rgb, image.width(), image.height())?;
         match (self.normalisation, self.tensor_mut(InputName::Rgb)) {
@@ -68,7 +68,7 @@ impl ModelInput {
         }
     }
 
-    /// Values of an input, 3·240·320 of them; `None` where the model does not use it.
+    /// Values of an input, 3·240·320; `None` if the model does not use it.
     pub fn values(&self, name: InputName) -> Option<&[f32]> {
         self.tensor(name)?.values()
     }
@@ -86,7 +86,7 @@ impl ModelInput {
     }
 }
 
-/// One tensor, shared with the engine while it runs.
+/// A tensor that is shared with the engine while it runs.
 #[derive(Clone, Debug)]
 pub(super) struct InputTensor(Arc<Tensor>);
 
@@ -97,7 +97,7 @@ impl InputTensor {
         Ok(Self(Arc::new(tensor)))
     }
 
-    pub(super) fn fraction(&self) -> TValue {
+    pub(super) fn to_tvalue(&self) -> TValue {
         TValue::from_const(self.0.clone())
     }
 
@@ -105,7 +105,7 @@ impl InputTensor {
         self.0.try_as_plain_ram().ok()?.as_slice().ok()
     }
 
-    /// Writes the memory; copied first if the engine still holds it.
+    /// Writes the values; copies the memory first if the engine still uses it.
     fn write(&mut self, fill: impl FnOnce(&mut [f32]) -> Result<()>) -> Result<()> {
         let tensor = Arc::make_mut(&mut self.0);
         let mut view = tensor.try_as_plain_ram_mut().map_err(defect)?;
@@ -114,7 +114,7 @@ impl InputTensor {
 }
 
 fn defect(cause: impl std::fmt::Display) -> Error {
-    Error::internal(format!("cannot hold an input tensor: {cause}"))
+    Error::internal(format!("cannot create an input tensor: {cause}"))
 }
 
 fn check_size(name: InputName, width: u32, height: u32) -> Result<()> {
@@ -128,7 +128,7 @@ fn check_size(name: InputName, width: u32, height: u32) -> Result<()> {
     .remedy("crop and resize the image with the model's crop profile first"))
 }
 
-/// Interleaved 8-bit RGB → standardised planes.
+/// Converts interleaved 8-bit RGB to normalised planes.
 fn write_normalised(pixels: &[u8], normalisation: RgbNormalisation, planes: &mut [f32]) {
     for (channel, plane) in planes.chunks_exact_mut(PIXELS).enumerate() {
         let (mean, std) = (normalisation.mean[channel], normalisation.std[channel]);
@@ -145,7 +145,7 @@ mod tests {
 
     use super::*;
     use crate::predict::baseline;
-    use crate::predict::contract::Variant;
+    use crate::predict::contract::Modality;
 
     fn image(colour: [u8; 3]) -> RgbImage {
         RgbImage::from_pixel(IMAGE_WIDTH, IMAGE_HEIGHT, Rgb(colour))
@@ -157,13 +157,13 @@ mod tests {
             std: [0.5, 0.25, 2.0],
         };
         let mut contract = baseline::contract();
-        contract.variant = Variant::Vt;
+        contract.modality = Modality::Vt;
         contract.inputs.push(InputSpec::rgb(normalisation));
         contract
     }
 
     #[test]
-    fn a_known_pixel_lands_where_the_contract_says() {
+    fn pixel_is_written_as_the_contract_states() {
         let mut initial = image([100, 100, 100]);
         let mut grasp = initial.clone();
         initial.put_pixel(7, 3, Rgb([0, 255, 10]));
@@ -174,17 +174,24 @@ mod tests {
             .set_tactile(InputName::TactileRight, &difference)
             .unwrap();
         let values = input.values(InputName::TactileRight).unwrap();
-        let at = 3 * IMAGE_WIDTH as usize + 7;
-        assert_eq!(values[at], 1.0, "red, grasp minus initial");
-        assert_eq!(values[PIXELS + at], -1.0, "green is the second plane");
-        assert_eq!(values[2 * PIXELS + at], 51.0 / 255.0, "blue is the third");
+        let index = 3 * IMAGE_WIDTH as usize + 7;
+        assert_eq!(values[index], 1.0, "red, grasp minus initial");
+        assert_eq!(values[PIXELS + index], -1.0, "green is the second plane");
+        assert_eq!(
+            values[2 * PIXELS + index],
+            51.0 / 255.0,
+            "blue is the third"
+        );
         assert_eq!(values.iter().filter(|&&v| v != 0.0).count(), 3);
         let left = input.values(InputName::TactileLeft).unwrap();
-        assert!(left.iter().all(|&v| v == 0.0), "the other sensor stays");
+        assert!(
+            left.iter().all(|&v| v == 0.0),
+            "the other sensor is unchanged"
+        );
     }
 
     #[test]
-    fn swapped_channels_do_not_pass() {
+    fn channels_are_not_swapped() {
         let mut input = ModelInput::zeros(&touch_and_vision()).unwrap();
         input.set_rgb(&image([255, 0, 51])).unwrap();
         let values = input.values(InputName::Rgb).unwrap();
@@ -199,10 +206,10 @@ mod tests {
     }
 
     #[test]
-    fn images_of_another_size_are_refused() {
+    fn images_of_wrong_size_are_refused() {
         let mut input = ModelInput::zeros(&baseline::contract()).unwrap();
-        let turned = RgbImage::new(240, 320);
-        let difference = TactileDifference::between(&turned, &turned).unwrap();
+        let rotated = RgbImage::new(240, 320);
+        let difference = TactileDifference::between(&rotated, &rotated).unwrap();
         let error = input
             .set_tactile(InputName::TactileLeft, &difference)
             .unwrap_err();
@@ -212,20 +219,20 @@ mod tests {
                 .contains("`tactile_left`: expected 320×240 pixels, found 240×320"),
             "{error}"
         );
-        assert!(input.set_rgb(&turned).is_err());
+        assert!(input.set_rgb(&rotated).is_err());
     }
 
     #[test]
-    fn a_model_without_vision_ignores_the_colour_image() {
+    fn model_without_vision_ignores_the_colour_image() {
         let mut input = ModelInput::zeros(&baseline::contract()).unwrap();
         input.set_rgb(&image([9; 3])).unwrap();
         assert_eq!(input.values(InputName::Rgb), None);
     }
 
     #[test]
-    fn memory_held_by_the_engine_is_not_written() {
+    fn memory_used_by_the_engine_is_not_overwritten() {
         let mut input = ModelInput::zeros(&baseline::contract()).unwrap();
-        let held = input.tensor(InputName::TactileLeft).unwrap().fraction();
+        let held = input.tensor(InputName::TactileLeft).unwrap().to_tvalue();
         let difference = TactileDifference::between(&image([0; 3]), &image([255; 3]));
         input
             .set_tactile(InputName::TactileLeft, &difference.unwrap())

@@ -1,19 +1,19 @@
-//! Prediction from live images.
+//! Predicts from live images.
 
 use std::time::Instant;
 
 use image::RgbImage;
 
-use super::contract::{InputName, Variant};
+use super::contract::InputName;
 use super::engine::Model;
 use super::input::ModelInput;
 use gripcast_base::error::Result;
 use gripcast_imaging::{Role, TactileDifference};
 
-/// Holds the model, the initial images and the newest image of each role.
+/// A model with the initial images and the newest image of each role.
 ///
-/// All images are 320×240, already cropped with the model's crop profile. The probability is the
-/// model's raw answer, not smoothed.
+/// All images are 320×240, already cropped with the model's crop profile. The probability is not
+/// smoothed.
 #[derive(Debug)]
 pub struct LivePredictor {
     model: Model,
@@ -35,21 +35,21 @@ struct Image {
     driver_time_ns: u64,
 }
 
-/// A prediction and the frames it was made from.
+/// A prediction and the times of its frames.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct LivePrediction {
     /// Probability that the grasp is stable.
     pub p_stable: f64,
-    /// How far the tactile images are from those of the training, over what counts as known (see
-    /// [`Verdict`](super::Verdict)). None where the model does not say, or has no touch.
-    pub novelty: Option<f64>,
-    /// Time of the model alone, ms.
+    /// OOD score of the tactile images (see [`PredictedLabel`](super::PredictedLabel)); none for a
+    /// model without OOD detector or touch.
+    pub ood_score: Option<f64>,
+    /// Inference time of the model, ms.
     pub engine_ms: f64,
-    /// Time from images to tensors, ms.
+    /// Preprocessing time, ms.
     pub preprocess_ms: f64,
-    /// Driver time of the newest frame that was used, `CLOCK_MONOTONIC`, ns.
+    /// Driver time of the newest frame used, `CLOCK_MONOTONIC`, ns.
     pub newest_frame_ns: u64,
-    /// Driver time of the oldest frame that was used, `CLOCK_MONOTONIC`, ns.
+    /// Driver time of the oldest frame used, `CLOCK_MONOTONIC`, ns.
     pub oldest_frame_ns: u64,
 }
 
@@ -57,7 +57,7 @@ impl LivePredictor {
     /// A predictor without images.
     ///
     /// # Errors
-    /// When the input tensors cannot be had.
+    /// `Internal`: the input tensors cannot be allocated.
     pub fn new(model: Model) -> Result<Self> {
         Ok(Self {
             input: ModelInput::zeros(model.contract())?,
@@ -74,24 +74,33 @@ impl LivePredictor {
         &self.model
     }
 
-    /// Sets the images of the open gripper that differences refer to.
+    /// Sets the initial images, which tactile differences refer to.
     pub fn set_initial(&mut self, left: RgbImage, right: RgbImage) {
         self.left.initial = Some(left);
         self.right.initial = Some(right);
     }
 
-    /// Forgets the initial images; a model with touch predicts nothing until the next.
+    /// Clears the initial images; a model with touch does not predict until new ones are set.
     pub fn clear_initial(&mut self) {
         self.left.initial = None;
         self.right.initial = None;
     }
 
-    /// Sets the newest image of a camera. Roles that no model uses are ignored.
+    /// Sets the newest image of a camera. Roles without an input are ignored.
     pub fn update(&mut self, role: Role, image: RgbImage, driver_time_ns: u64) {
         let image = Some(Image {
             image,
             driver_time_ns,
         });
+        self.set_newest(role, image);
+    }
+
+    /// Clears the newest image of a lost camera, so that no stale image is used.
+    pub fn clear(&mut self, role: Role) {
+        self.set_newest(role, None);
+    }
+
+    fn set_newest(&mut self, role: Role, image: Option<Image>) {
         match role {
             Role::Left => self.left.newest = image,
             Role::Right => self.right.newest = image,
@@ -100,21 +109,11 @@ impl LivePredictor {
         }
     }
 
-    /// Forgets the newest image of a camera that is lost, so that no stale one is used.
-    pub fn forget(&mut self, role: Role) {
-        match role {
-            Role::Left => self.left.newest = None,
-            Role::Right => self.right.newest = None,
-            Role::Rgb => self.rgb = None,
-            Role::Depth | Role::External => {}
-        }
-    }
-
-    /// What is missing for a prediction, in a few words.
+    /// Short description of the missing input, if any.
     #[must_use]
-    pub fn waiting_for(&self) -> Option<&'static str> {
-        let variant = self.model.contract().variant;
-        if variant != Variant::V {
+    pub fn missing_input(&self) -> Option<&'static str> {
+        let modality = self.model.contract().modality;
+        if modality.has_touch() {
             if self.left.initial.is_none() || self.right.initial.is_none() {
                 return Some("no initial frame");
             }
@@ -125,16 +124,18 @@ impl LivePredictor {
                 return Some("no right frame");
             }
         }
-        if variant != Variant::T && self.rgb.is_none() {
+        if modality.has_vision() && self.rgb.is_none() {
             return Some("no rgb frame");
         }
         None
     }
 
-    /// Predicts from the newest images; `None` while [`LivePredictor::waiting_for`] says what is
-    /// missing.
+    /// Predicts from the newest images; `None` while there is a [missing
+    /// input](LivePredictor::missing_input).
     pub fn predict(&mut self) -> Option<Result<LivePrediction>> {
-        self.waiting_for().is_none().then(|| self.predict_newest())
+        self.missing_input()
+            .is_none()
+            .then(|| self.predict_newest())
     }
 
     fn predict_newest(&mut self) -> Result<LivePrediction> {
@@ -145,7 +146,7 @@ impl LivePredictor {
             oldest_frame_ns = image.driver_time_ns.min(oldest_frame_ns);
         };
         let mut differences = Vec::with_capacity(2);
-        let uses = self.model.contract().variant.inputs();
+        let uses = self.model.contract().modality.inputs();
         for (name, tactile) in [
             (InputName::TactileLeft, &self.left),
             (InputName::TactileRight, &self.right),
@@ -159,8 +160,8 @@ impl LivePredictor {
                 used(image);
             }
         }
-        let known = self.model.novelty();
-        let novelty = known.and_then(|known| known.of_touch(&differences));
+        let detector = self.model.ood_detector();
+        let ood_score = detector.and_then(|detector| detector.max_score(&differences));
         if let (true, Some(image)) = (uses.contains(&InputName::Rgb), &self.rgb) {
             self.input.set_rgb(&image.image)?;
             used(image);
@@ -169,7 +170,7 @@ impl LivePredictor {
         let prediction = self.model.predict(&self.input)?;
         Ok(LivePrediction {
             p_stable: prediction.p_stable,
-            novelty,
+            ood_score,
             engine_ms: prediction.engine_ms,
             preprocess_ms,
             newest_frame_ns,
@@ -185,7 +186,7 @@ mod tests {
     use super::*;
     use crate::predict::contract::{IMAGE_HEIGHT, IMAGE_WIDTH};
 
-    /// Stripes that are `contrast` grey levels from the gel's grey.
+    /// Stripes with `contrast` grey levels above the gel's grey.
     fn image(contrast: u8) -> RgbImage {
         RgbImage::from_fn(IMAGE_WIDTH, IMAGE_HEIGHT, |x, _| {
             Rgb([100 + if x / 32 % 2 == 0 { contrast } else { 0 }; 3])
@@ -197,23 +198,27 @@ mod tests {
     }
 
     #[test]
-    fn says_what_it_waits_for() {
+    fn missing_input_is_reported() {
         let mut live = predictor();
         assert!(live.predict().is_none());
-        assert_eq!(live.waiting_for(), Some("no initial frame"));
+        assert_eq!(live.missing_input(), Some("no initial frame"));
         live.set_initial(image(0), image(0));
-        assert_eq!(live.waiting_for(), Some("no left frame"));
+        assert_eq!(live.missing_input(), Some("no left frame"));
         live.update(Role::Left, image(0), 10);
         live.update(Role::External, image(0), 11);
-        assert_eq!(live.waiting_for(), Some("no right frame"));
+        assert_eq!(live.missing_input(), Some("no right frame"));
         live.update(Role::Right, image(0), 12);
-        assert_eq!(live.waiting_for(), None, "touch alone needs no colour");
+        assert_eq!(
+            live.missing_input(),
+            None,
+            "a touch model needs no colour image"
+        );
         live.clear_initial();
-        assert_eq!(live.waiting_for(), Some("no initial frame"));
+        assert_eq!(live.missing_input(), Some("no initial frame"));
     }
 
     #[test]
-    fn follows_the_newest_images_and_names_their_times() {
+    fn newest_images_are_used_with_their_times() {
         let mut live = predictor();
         live.set_initial(image(0), image(0));
         live.update(Role::Left, image(0), 40);
@@ -231,12 +236,12 @@ mod tests {
             again.p_stable, open.p_stable,
             "difference to the new initial"
         );
-        live.forget(Role::Right);
+        live.clear(Role::Right);
         assert!(live.predict().is_none());
     }
 
     #[test]
-    fn an_image_of_another_size_is_an_error() {
+    fn image_of_wrong_size_is_an_error() {
         let mut live = predictor();
         live.set_initial(image(0), image(0));
         live.update(Role::Left, image(0), 1);
@@ -246,7 +251,7 @@ mod tests {
     }
 
     #[test]
-    fn it_can_live_on_another_thread() {
+    fn live_predictor_is_send() {
         fn assert_send<T: Send>() {}
         assert_send::<LivePredictor>();
     }

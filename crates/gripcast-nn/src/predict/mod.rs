@@ -1,33 +1,33 @@
 //! Stability prediction: model contract, preprocessing, ONNX engine.
 //!
-//! A model is one ONNX file whose metadata is a [`contract::ModelContract`]. [`Model`] loads and
-//! checks it, [`ModelInput`] turns 320×240 images into its tensors, [`LivePredictor`] keeps the
-//! images of a running session; [`Smoothing`] calms its answers for a screen, [`Novelty`] tells
-//! images that are unlike those of the training, [`Verdict`] what may be claimed. [`SHIPPED`] is a trained model, [`baseline`] a heuristic to hold it against;
-//! [`onnx`] writes such files.
+//! A model is an ONNX file whose metadata is a [`contract::ModelContract`]. [`Model`] loads and
+//! checks it, [`ModelInput`] converts 320×240 images to its tensors, [`LivePredictor`] keeps the
+//! images of a running session; [`Smoothing`] filters its output for display, [`OodDetector`]
+//! detects out-of-distribution images, [`PredictedLabel`] is the resulting label. [`SHIPPED`] is a
+//! trained model, [`baseline`] a heuristic to compare with; [`onnx`] writes such files.
 
 pub mod baseline;
+mod benchmark;
+mod builtin;
 pub mod contract;
 mod engine;
 mod graph_check;
 mod input;
+mod label;
 mod live;
-mod named;
-pub mod novelty;
+mod native_engine;
 pub mod onnx;
-mod own_engine;
+pub mod ood;
 mod smoothing;
 mod tensors;
-mod timing;
-mod verdict;
 
 pub use baseline::BASELINE;
+pub use benchmark::{PredictTimings, SelfCheck, measure, self_check};
+pub use builtin::{SHIPPED, model_bytes};
 pub use contract::ModelContract;
 pub use engine::{Model, Prediction};
 pub use input::ModelInput;
+pub use label::PredictedLabel;
 pub use live::{LivePrediction, LivePredictor};
-pub use named::{SHIPPED, model_bytes};
-pub use novelty::Novelty;
+pub use ood::OodDetector;
 pub use smoothing::Smoothing;
-pub use timing::{PredictFigures, SelfCheck, measure, self_check};
-pub use verdict::Verdict;

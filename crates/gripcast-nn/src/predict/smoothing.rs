@@ -1,22 +1,22 @@
-//! A steady number on the screen that still follows every change.
+//! Smooths predictions for display without delaying changes.
 //!
-//! Log-odds of frame after frame tremble with the sensor's noise. A low-pass filter alone would
-//! calm them and hide for half a second that a grasp slips. So the median of three frames drops
-//! what a single frame says, a low-pass filter steadies what stays, and a median that is further
-//! from it than the trembling explains is believed at once.
+//! The log-odds of consecutive frames fluctuate with sensor noise. A low-pass filter alone would
+//! delay a slip by half a second. Therefore the median of three frames removes outliers, a low-pass
+//! filter smooths the rest, and a median that deviates more than the estimated jitter is adopted
+//! immediately.
 
 /// Time constant of the low-pass filter, s.
 const TAU_S: f64 = 0.25;
-/// Time constant of the estimate of the trembling, s.
-const TREMBLING_TAU_S: f64 = 2.0;
-/// A median further away than this many mean deviations is a change.
+/// Time constant of the jitter estimate, s.
+const JITTER_TAU_S: f64 = 2.0;
+/// A deviation of more than this many mean deviations is a change.
 const CHANGE: f64 = 4.0;
-/// Least trembling, log-odds: below it a change would not be seen on the screen.
-const MIN_TREMBLING: f64 = 0.05;
-/// After a pause as long as this what was before does not count, s.
+/// Minimum jitter, log-odds; smaller changes are not visible.
+const MIN_JITTER: f64 = 0.05;
+/// Pause after which the filter restarts, s.
 const PAUSE_S: f64 = 0.5;
-/// Probabilities nearer to 0 and 1 than this are as sure as can be shown.
-const SUREST: f64 = 1e-4;
+/// Probabilities are clamped to this distance from 0 and 1.
+const MIN_P: f64 = 1e-4;
 
 /// Smooths the probabilities of one grasp.
 #[derive(Clone, Debug, Default)]
@@ -27,34 +27,34 @@ pub struct Smoothing {
 #[derive(Clone, Debug)]
 struct State {
     time_ns: u64,
-    /// Newest log-odds, the newest last.
+    /// Most recent log-odds, the newest last.
     recent: Vec<f64>,
     smooth: f64,
-    trembling: f64,
+    jitter: f64,
 }
 
 impl Smoothing {
-    /// Forgets everything: another grasp.
+    /// Resets the filter for another grasp.
     pub fn clear(&mut self) {
         self.state = None;
     }
 
-    /// The steady probability after a prediction from a frame of this time.
+    /// Adds the prediction of a frame; returns the smoothed probability.
     pub fn add(&mut self, p: f64, time_ns: u64) -> f64 {
-        let p = p.clamp(SUREST, 1.0 - SUREST);
+        let p = p.clamp(MIN_P, 1.0 - MIN_P);
         let logit = (p / (1.0 - p)).ln();
-        let known = self.state.take().filter(|state| {
-            // A clock that runs backwards is a pause as well.
+        let previous = self.state.take().filter(|state| {
+            // A clock that runs backwards restarts the filter as well.
             let passed = time_ns.checked_sub(state.time_ns);
             passed.is_some_and(|ns| ns as f64 * 1e-9 <= PAUSE_S)
         });
-        let state = match known {
-            Some(state) => state.after(logit, time_ns),
+        let state = match previous {
+            Some(state) => state.update(logit, time_ns),
             None => State {
                 time_ns,
                 recent: vec![logit],
                 smooth: logit,
-                trembling: MIN_TREMBLING,
+                jitter: MIN_JITTER,
             },
         };
         let smooth = state.smooth;
@@ -64,33 +64,33 @@ impl Smoothing {
 }
 
 impl State {
-    fn after(mut self, logit: f64, time_ns: u64) -> Self {
+    fn update(mut self, logit: f64, time_ns: u64) -> Self {
         let passed_s = time_ns.saturating_sub(self.time_ns) as f64 * 1e-9;
         self.time_ns = time_ns;
         self.recent.push(logit);
         let first = self.recent.len().saturating_sub(3);
         self.recent.drain(..first);
         let median = median(&self.recent);
-        let off = (median - self.smooth).abs();
-        if off > CHANGE * self.trembling {
+        let deviation = (median - self.smooth).abs();
+        if deviation > CHANGE * self.jitter {
             self.smooth = median;
         } else {
-            self.smooth += fraction(passed_s, TAU_S) * (median - self.smooth);
+            self.smooth += gain(passed_s, TAU_S) * (median - self.smooth);
         }
-        // A change is no trembling: it counts as the most that is none.
-        let trembling = off.min(CHANGE * self.trembling);
-        self.trembling += fraction(passed_s, TREMBLING_TAU_S) * (trembling - self.trembling);
-        self.trembling = self.trembling.max(MIN_TREMBLING);
+        // A change is limited to the threshold in the jitter estimate.
+        let jitter = deviation.min(CHANGE * self.jitter);
+        self.jitter += gain(passed_s, JITTER_TAU_S) * (jitter - self.jitter);
+        self.jitter = self.jitter.max(MIN_JITTER);
         self
     }
 }
 
-/// What a low-pass filter takes over after a time.
-fn fraction(passed_s: f64, tau_s: f64) -> f64 {
+/// Gain of a first-order low-pass filter after a time.
+fn gain(passed_s: f64, tau_s: f64) -> f64 {
     1.0 - (-passed_s / tau_s).exp()
 }
 
-/// Of two the mean.
+/// Median; of two values their mean.
 fn median(values: &[f64]) -> f64 {
     let mut sorted = values.to_vec();
     sorted.sort_unstable_by(f64::total_cmp);
@@ -126,10 +126,10 @@ mod tests {
     }
 
     #[test]
-    fn trembling_is_calmed() {
-        // Multiples of the golden ratio are as good as chance here.
-        let chance = |at: u32| (f64::from(at * at) * 0.618_033_988_749_895).fract();
-        let raw: Vec<f64> = (0..400).map(|at| 0.62 + 0.16 * chance(at)).collect();
+    fn jitter_is_smoothed() {
+        // A low-discrepancy sequence instead of random numbers.
+        let noise = |at: u32| (f64::from(at * at) * 0.618_033_988_749_895).fract();
+        let raw: Vec<f64> = (0..400).map(|at| 0.62 + 0.16 * noise(at)).collect();
         let smooth = run(&mut Smoothing::default(), raw.iter().copied(), 0);
         let (before, after) = (deviation(&raw[100..]), deviation(&smooth[100..]));
         assert!(after < 0.45 * before, "{before} {after}");
@@ -138,16 +138,16 @@ mod tests {
     }
 
     #[test]
-    fn a_change_is_shown_after_two_frames() {
+    fn change_is_shown_after_two_frames() {
         let mut smoothing = Smoothing::default();
         run(&mut smoothing, [0.9; 50], 0);
         let after = run(&mut smoothing, [0.1; 3], 50);
-        assert!(after[0] > 0.85, "one frame may be wrong: {after:?}");
+        assert!(after[0] > 0.85, "one frame may be an outlier: {after:?}");
         assert!(after[1] < 0.15 && after[2] < 0.15, "{after:?}");
     }
 
     #[test]
-    fn a_single_odd_frame_is_not_shown() {
+    fn single_outlier_is_not_shown() {
         let mut smoothing = Smoothing::default();
         run(&mut smoothing, [0.8; 20], 0);
         let shown = run(&mut smoothing, [0.02, 0.8, 0.8], 20);
@@ -155,7 +155,7 @@ mod tests {
     }
 
     #[test]
-    fn pauses_other_grasps_and_odd_clocks_begin_anew() {
+    fn pause_new_grasp_or_clock_jump_restarts_filter() {
         let mut smoothing = Smoothing::default();
         run(&mut smoothing, [0.9; 20], 0);
         assert!((smoothing.add(0.2, 100 * FRAME_NS) - 0.2).abs() < 1e-9);

@@ -1,4 +1,4 @@
-//! The tensors of a model, and how those that go in are made from images.
+//! Input and output tensors of a model, and their preprocessing.
 
 use std::fmt::{self, Debug, Display};
 
@@ -6,9 +6,9 @@ use serde::{Deserialize, Serialize};
 
 use gripcast_imaging::{CropProfile, Role};
 
-/// Width of every image that becomes a tensor, pixels.
+/// Width of input images, pixels.
 pub const IMAGE_WIDTH: u32 = 320;
-/// Height of every image that becomes a tensor, pixels.
+/// Height of input images, pixels.
 pub const IMAGE_HEIGHT: u32 = 240;
 /// Shape of every input: one image, NCHW.
 pub const INPUT_SHAPE: [i64; 4] = [1, 3, IMAGE_HEIGHT as i64, IMAGE_WIDTH as i64];
@@ -17,7 +17,7 @@ pub const OUTPUT: &str = "p_stable";
 /// Shape of the output.
 pub const OUTPUT_SHAPE: [i64; 2] = [1, 1];
 
-/// An input tensor; the name in the graph.
+/// Name of an input tensor.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum InputName {
@@ -40,7 +40,7 @@ impl InputName {
         }
     }
 
-    /// Camera whose images it is made from.
+    /// Role of the camera.
     #[must_use]
     pub fn role(self) -> Role {
         match self {
@@ -57,20 +57,20 @@ impl Display for InputName {
     }
 }
 
-/// Senses that a model uses.
+/// Modalities that a model uses: a non-empty set of vision (V) and touch (T).
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-pub enum Variant {
-    /// Vision alone.
+pub enum Modality {
+    /// Vision only.
     V,
-    /// Touch alone.
+    /// Touch only.
     T,
     /// Vision and touch.
     #[serde(rename = "VT")]
     Vt,
 }
 
-impl Variant {
-    /// Inputs of a model of this variant.
+impl Modality {
+    /// Inputs of a model with these modalities.
     #[must_use]
     pub fn inputs(self) -> &'static [InputName] {
         use InputName::{Rgb, TactileLeft, TactileRight};
@@ -81,13 +81,13 @@ impl Variant {
         }
     }
 
-    /// Whether it sees the tactile differences.
+    /// Whether it includes the tactile differences.
     #[must_use]
     pub fn has_touch(self) -> bool {
         self != Self::V
     }
 
-    /// Whether it sees the colour image.
+    /// Whether it includes the colour image.
     #[must_use]
     pub fn has_vision(self) -> bool {
         self != Self::T
@@ -104,13 +104,13 @@ impl Variant {
     }
 }
 
-impl Display for Variant {
+impl Display for Modality {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.pad(self.name())
     }
 }
 
-/// One input tensor and how it is made from images.
+/// Specification of an input tensor and its preprocessing.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct InputSpec {
@@ -126,27 +126,27 @@ pub struct InputSpec {
     pub colour: String,
     /// `diff` (tactile difference) or `normalised` (colour image).
     pub encoding: String,
-    /// How a value follows from 8-bit pixels.
+    /// Formula of a value from 8-bit pixels.
     pub formula: String,
-    /// Smallest and largest value, tactile differences.
+    /// Minimum and maximum value; tactile differences only.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub range: Option<[f32; 2]>,
-    /// Mean of each channel of [0, 1] pixels, colour image.
+    /// Mean of each channel of [0, 1] pixels; colour image only.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub mean: Option<[f32; 3]>,
-    /// Standard deviation of each channel of [0, 1] pixels, colour image.
+    /// Standard deviation of each channel of [0, 1] pixels; colour image only.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub std: Option<[f32; 3]>,
-    /// How an image of another size becomes 320×240, colour image.
+    /// Resize method to 320×240; colour image only.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub resize: Option<String>,
-    /// Crop before the resize, colour image.
+    /// Crop before the resize; colour image only.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub crop: Option<String>,
 }
 
 impl InputSpec {
-    /// A tactile difference.
+    /// Specification of a tactile difference.
     pub fn tactile(name: InputName) -> Self {
         Self {
             name,
@@ -164,7 +164,7 @@ impl InputSpec {
         }
     }
 
-    /// The colour image, standardised with the statistics of the training data.
+    /// Specification of the colour image, normalised with the statistics of the training data.
     pub fn rgb(normalisation: RgbNormalisation) -> Self {
         Self {
             encoding: "normalised".to_owned(),
@@ -178,7 +178,7 @@ impl InputSpec {
         }
     }
 
-    /// Mean and deviation of a colour image.
+    /// Normalisation of a colour image.
     pub fn normalisation(&self) -> Option<RgbNormalisation> {
         Some(RgbNormalisation {
             mean: self.mean?,
@@ -186,7 +186,7 @@ impl InputSpec {
         })
     }
 
-    /// What is not as this build makes it.
+    /// Compares with the specification of this build; returns the first difference.
     pub(super) fn check(&self) -> Result<(), String> {
         let expected = match self.name {
             InputName::TactileLeft | InputName::TactileRight => Self::tactile(self.name),
@@ -196,8 +196,8 @@ impl InputSpec {
                     .filter(RgbNormalisation::is_usable)
                     .ok_or_else(|| {
                         format!(
-                            "input `rgb` needs `mean` (three finite numbers) and `std` (three \
-                             numbers above 0), found mean {:?} and std {:?}",
+                            "input `rgb`: expected `mean` of three finite numbers and `std` of \
+                             three numbers above 0, found mean {:?} and std {:?}",
                             self.mean, self.std
                         )
                     })?;

@@ -127,7 +127,7 @@ fn interrupted_recording_resumes_to_the_same_dataset() {
     assert_eq!(outcomes, [Outcome::Stable, Outcome::Slip]);
     let truth = records[1].truth.as_ref().unwrap();
     assert_eq!(
-        (truth.film.as_str(), truth.outcome.as_str()),
+        (truth.clip.as_str(), truth.outcome.as_str()),
         ("jack-005", "eject")
     );
     assert_eq!(truth.friction, object.friction);

@@ -6,7 +6,7 @@ use crate::properties::Material;
 use gripcast_base::error::Result;
 use gripcast_base::files::SimulationId;
 use gripcast_base::random::SeedStream;
-use gripcast_base::workers::one_per_core;
+use gripcast_base::workers::par_map_single_threaded;
 use gripcast_sim::fem::GelResolution;
 
 /// Size of a plan.
@@ -69,7 +69,7 @@ pub fn family_drafts(
     on_progress: &(dyn Fn(usize) + Sync),
 ) -> Result<Vec<ObjectDraft>> {
     let numbers: Vec<usize> = (0..count).collect();
-    one_per_core(jobs, &numbers, &|number| draft(*number, seed), on_progress)
+    par_map_single_threaded(jobs, &numbers, &|number| draft(*number, seed), on_progress)
 }
 
 fn draft(number: usize, seed: u64) -> Result<ObjectDraft> {

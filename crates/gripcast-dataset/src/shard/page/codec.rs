@@ -1,13 +1,13 @@
-//! Decompression of pages with a bound on what comes out.
+//! Decompresses pages with a bound on the output size.
 
 use std::io::Read;
 
 use parquet::basic::Compression;
 
-/// Most bytes that one byte of Snappy can become: a copy of 64 bytes takes 3.
+/// Maximum ratio of Snappy: a copy of 64 bytes takes 3.
 const SNAPPY_RATIO: usize = 32;
 
-/// What can be decompressed here, all of it in Rust.
+/// Supported codecs, all implemented in Rust.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Codec {
     None,
@@ -18,8 +18,8 @@ pub(super) enum Codec {
 
 impl Codec {
     /// # Errors
-    /// What is not supported, and what to do.
-    pub(super) fn of(compression: Compression) -> Result<Self, String> {
+    /// An unsupported compression and its remedy.
+    pub(super) fn new(compression: Compression) -> Result<Self, String> {
         match compression {
             Compression::UNCOMPRESSED => Ok(Self::None),
             Compression::SNAPPY => Ok(Self::Snappy),
@@ -32,10 +32,10 @@ impl Codec {
         }
     }
 
-    /// Exactly `size` bytes of `packed`.
+    /// Decompresses `packed` to exactly `size` bytes.
     ///
     /// # Errors
-    /// What is wrong with it.
+    /// A description of the damage.
     pub(super) fn decompress(self, packed: &[u8], size: usize) -> Result<Vec<u8>, String> {
         let bytes = match self {
             Self::None => packed.to_vec(),
@@ -60,7 +60,7 @@ impl Codec {
     }
 }
 
-/// Up to one byte more than expected; the memory grows with what there is.
+/// Reads at most one byte more than expected; memory grows with the actual size.
 fn read_bounded(reader: impl Read, size: usize) -> Result<Vec<u8>, String> {
     let mut bytes = Vec::new();
     let mut reader = reader.take(size as u64 + 1);
@@ -69,7 +69,7 @@ fn read_bounded(reader: impl Read, size: usize) -> Result<Vec<u8>, String> {
 }
 
 fn sizes(found: usize, expected: usize) -> String {
-    format!("a page has {found} bytes where its header says {expected}")
+    format!("expected a page of {expected} bytes, found {found}")
 }
 
 #[cfg(test)]
@@ -85,7 +85,7 @@ mod tests {
     }
 
     #[test]
-    fn pages_come_back_and_bombs_do_not() {
+    fn pages_round_trip_and_bombs_are_refused() {
         let page = b"sixteen bytes ..".repeat(100);
         let snappy = snap::raw::Encoder::new().compress_vec(&page).unwrap();
         let level = ruzstd::encoding::CompressionLevel::Fastest;
@@ -97,11 +97,8 @@ mod tests {
             (Codec::Zstd, zstd),
         ] {
             assert_eq!(codec.decompress(&packed, page.len()).unwrap(), page);
-            for wrong in [0, page.len() - 1, page.len() + 1, usize::MAX >> 1] {
-                assert!(
-                    codec.decompress(&packed, wrong).is_err(),
-                    "{codec:?} {wrong}"
-                );
+            for size in [0, page.len() - 1, page.len() + 1, usize::MAX >> 1] {
+                assert!(codec.decompress(&packed, size).is_err(), "{codec:?} {size}");
             }
             assert!(
                 codec
@@ -111,6 +108,6 @@ mod tests {
         }
         let bomb = gzip(&vec![0; 10 << 20]);
         let error = Codec::Gzip.decompress(&bomb, 100).unwrap_err();
-        assert!(error.contains("101 bytes"), "{error}");
+        assert!(error.contains("found 101"), "{error}");
     }
 }

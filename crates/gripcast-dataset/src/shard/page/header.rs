@@ -1,15 +1,15 @@
-//! Headers of pages, in Thrift's compact protocol
+//! Page headers in Thrift's compact protocol
 //! (`parquet.thrift` of the Apache Parquet format, `PageHeader`).
 //!
-//! Read here and not by the Parquet crate, so that sizes are looked at before anything is
+//! Read here and not by the Parquet crate, so that sizes are checked before anything is
 //! decompressed.
 
-/// What is needed of a page's header.
+/// Required fields of a page header.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub(super) struct PageHeader {
-    /// 0 data, 1 index, 2 dictionary, 3 data of version 2.
+    /// 0 data, 1 index, 2 dictionary, 3 data version 2.
     pub(super) kind: i64,
-    /// Size of the contents when decompressed, bytes.
+    /// Decompressed size of the contents, bytes.
     pub(super) uncompressed: i64,
     /// Size of the contents in the file, bytes.
     pub(super) compressed: i64,
@@ -28,13 +28,14 @@ pub(super) struct PageHeader {
     pub(super) is_compressed: bool,
 }
 
-/// Deepest structure in a structure; a page header needs three.
+/// Maximum nesting depth; a page header needs three.
 const MAX_DEPTH: usize = 16;
 
 impl PageHeader {
-    /// The header at the begin of `bytes`, and its length. None: there is none, or not all of it.
+    /// Parses the header at the start of `bytes`; returns it with its length. `None`: invalid or
+    /// truncated.
     pub(super) fn parse(bytes: &[u8]) -> Option<(Self, usize)> {
-        let mut thrift = Thrift { bytes, at: 0 };
+        let mut thrift = Thrift { bytes, offset: 0 };
         let mut header = Self {
             is_compressed: true,
             ..Self::default()
@@ -46,14 +47,14 @@ impl PageHeader {
                 (2, Field::Integer(v)) => header.uncompressed = v,
                 (3, Field::Integer(v)) => header.compressed = v,
                 (4, Field::Integer(v)) => header.crc = Some(v),
-                (5 | 7 | 8, Field::Struct) => header.of_kind(id, &mut thrift)?,
+                (5 | 7 | 8, Field::Struct) => header.parse_kind(id, &mut thrift)?,
                 (_, field) => thrift.skip(field, MAX_DEPTH)?,
             }
         }
-        Some((header, thrift.at))
+        Some((header, thrift.offset))
     }
 
-    fn of_kind(&mut self, kind: i64, thrift: &mut Thrift<'_>) -> Option<()> {
+    fn parse_kind(&mut self, kind: i64, thrift: &mut Thrift<'_>) -> Option<()> {
         let mut id = 0;
         while let Some(field) = thrift.field(&mut id)? {
             match (kind, id, field) {
@@ -74,7 +75,7 @@ impl PageHeader {
     }
 }
 
-/// A field whose scalar is read already, or what is to be read.
+/// A field: its scalar value, or the type of a value still to be read.
 enum Field {
     Bool(bool),
     Integer(i64),
@@ -87,13 +88,13 @@ enum Field {
 
 struct Thrift<'a> {
     bytes: &'a [u8],
-    at: usize,
+    offset: usize,
 }
 
 impl Thrift<'_> {
     fn byte(&mut self) -> Option<u8> {
-        let byte = *self.bytes.get(self.at)?;
-        self.at += 1;
+        let byte = *self.bytes.get(self.offset)?;
+        self.offset += 1;
         Some(byte)
     }
 
@@ -115,15 +116,15 @@ impl Thrift<'_> {
     }
 
     fn advance(&mut self, length: u64) -> Option<()> {
-        let left = (self.bytes.len() - self.at) as u64;
+        let left = (self.bytes.len() - self.offset) as u64;
         if length > left {
             return None;
         }
-        self.at += length as usize;
+        self.offset += length as usize;
         Some(())
     }
 
-    /// The next field of a structure; the inner none is its end. `id`: of the field before.
+    /// Reads the next field of a structure; the inner `None` is its end. `id`: of the previous field.
     fn field(&mut self, id: &mut i64) -> Option<Option<Field>> {
         let byte = self.byte()?;
         if byte == 0 {
@@ -154,7 +155,7 @@ impl Thrift<'_> {
         })
     }
 
-    /// Passes what of a field is not read yet.
+    /// Skips the unread rest of a field.
     fn skip(&mut self, field: Field, depth: usize) -> Option<()> {
         let depth = depth.checked_sub(1)?;
         match field {
@@ -190,7 +191,7 @@ impl Thrift<'_> {
         }
     }
 
-    /// Each value takes a byte at least, so the end of the bytes bounds the work.
+    /// Each value takes at least one byte, so the input bounds the work.
     fn skip_values(&mut self, count: u64, kinds: &[u8], depth: usize) -> Option<()> {
         for _ in 0..count {
             for &kind in kinds {
@@ -214,7 +215,7 @@ mod tests {
     ];
 
     #[test]
-    fn a_header_is_read_to_its_end() {
+    fn header_is_parsed_with_its_length() {
         let mut bytes = HEADER.to_vec();
         bytes.extend([0xaa; 9]);
         let (header, length) = PageHeader::parse(&bytes).unwrap();
@@ -234,14 +235,14 @@ mod tests {
     }
 
     #[test]
-    fn a_header_that_is_cut_is_none() {
+    fn truncated_header_is_none() {
         for length in 0..HEADER.len() {
             assert_eq!(PageHeader::parse(&HEADER[..length]), None, "{length}");
         }
     }
 
     #[test]
-    fn deep_and_long_structures_end() {
+    fn deep_and_long_structures_are_bounded() {
         assert_eq!(PageHeader::parse(&[0x9c; 100_000]), None);
         let long_list = [0x99, 0xf3, 0xff, 0xff, 0xff, 0xff, 0xff, 0xff, 0xff, 0x7f];
         assert_eq!(PageHeader::parse(&long_list), None);

@@ -1,7 +1,7 @@
-//! The pages of a column chunk, with every size checked before memory is taken.
+//! Reads the pages of a column chunk; checks every size before allocating memory.
 //!
-//! Needed as long as the page reader of the `parquet` crate allocates what a header declares
-//! without checking it (arrow-rs issue 10734); replace it by theirs once a release does.
+//! Needed until the page reader of the `parquet` crate checks the sizes in page headers before it
+//! allocates memory (arrow-rs issue 10734).
 
 mod codec;
 mod header;
@@ -18,39 +18,39 @@ use self::codec::Codec;
 use self::header::PageHeader;
 use super::source::Source;
 
-/// Longest header of a page: it may hold the smallest and largest value.
+/// Maximum size of a page header, which may contain the smallest and largest value.
 const MAX_HEADER: u64 = 64 << 10;
-/// Largest page, bytes when decompressed. Writers begin a new page after about 1 MiB, but not
-/// within some hundred values.
+/// Maximum decompressed size of a page, bytes. Writers start a new page after about 1 MiB, but
+/// only every few hundred values.
 const MAX_PAGE: i64 = 512 << 20;
 
-/// Reads the pages of one column chunk one after the other.
+/// Reads the pages of one column chunk in order.
 pub(super) struct ChunkPages {
     source: Arc<Source>,
     codec: Codec,
-    /// What is left of the chunk in the file.
+    /// Unread range of the chunk in the file.
     offset: u64,
     end: u64,
-    /// Values that the rest of the chunk may have.
+    /// Maximum number of values in the rest of the chunk.
     values: i64,
-    /// Header of the next page, when it was looked at already.
+    /// Header of the next page, once peeked.
     peeked: Option<PageHeader>,
 }
 
 impl ChunkPages {
     /// # Errors
-    /// The chunk is outside the file, or compressed in an unknown way.
+    /// The chunk is outside the file, or its compression is unsupported.
     pub(super) fn new(source: Arc<Source>, chunk: &ColumnChunkMetaData) -> Result<Self> {
-        let codec = Codec::of(chunk.compression()).map_err(damaged)?;
+        let codec = Codec::new(chunk.compression()).map_err(damaged)?;
         let data = chunk.data_page_offset();
-        // Some writers store 0 for none.
+        // Some writers store 0 instead of none.
         let dictionary = chunk.dictionary_page_offset().filter(|&at| at > 0);
         let start = dictionary.map_or(data, |at| at.min(data));
         let end = start.checked_add(chunk.compressed_size());
         let inside = |end: &i64| *end >= start && (*end).cast_unsigned() <= source.size();
         let (true, Some(end)) = (start >= 0, end.filter(inside)) else {
             let size = chunk.compressed_size();
-            let what = format!("its place (offset {start}, {size} bytes) is not in the file");
+            let what = format!("its range (offset {start}, {size} bytes) is outside the file");
             return Err(damaged(what));
         };
         Ok(Self {
@@ -63,16 +63,16 @@ impl ChunkPages {
         })
     }
 
-    fn left(&self) -> u64 {
+    fn remaining(&self) -> u64 {
         self.end - self.offset
     }
 
-    /// Looks at the header of the next page that is not an index; it stays to be taken.
+    /// Peeks at the header of the next page that is not an index.
     fn peek(&mut self) -> Result<Option<&PageHeader>> {
-        while self.peeked.is_none() && self.left() > 0 {
-            let window = self.read(self.left().min(MAX_HEADER))?;
+        while self.peeked.is_none() && self.remaining() > 0 {
+            let window = self.read(self.remaining().min(MAX_HEADER))?;
             let Some((header, length)) = PageHeader::parse(&window) else {
-                return Err(damaged("the header of a page cannot be read"));
+                return Err(damaged("cannot read a page header"));
             };
             self.offset += length as u64;
             self.check(&header)?;
@@ -86,14 +86,14 @@ impl ChunkPages {
     }
 
     fn check(&self, header: &PageHeader) -> Result<()> {
-        let in_file = 0..=i64::try_from(self.left()).unwrap_or(i64::MAX);
+        let in_file = 0..=i64::try_from(self.remaining()).unwrap_or(i64::MAX);
         if !in_file.contains(&header.compressed) {
-            let what = format!("a page of {} bytes is not in the file", header.compressed);
+            let what = format!("a page of {} bytes is outside the file", header.compressed);
             return Err(damaged(what));
         }
         if !(0..=MAX_PAGE).contains(&header.uncompressed) {
             let what = format!(
-                "a page has {} bytes when decompressed; at most {MAX_PAGE} are read",
+                "a page has {} bytes when decompressed, at most {MAX_PAGE} are supported",
                 header.uncompressed
             );
             return Err(damaged(what));
@@ -102,14 +102,14 @@ impl ChunkPages {
         if plain && header.compressed != header.uncompressed {
             return Err(damaged("an uncompressed page has two sizes"));
         }
-        // An entry of a dictionary takes 4 bytes at least: INT32, or the length of a text.
-        let most = match header.kind {
+        // A dictionary entry takes at least 4 bytes: INT32, or the length of a string.
+        let max_values = match header.kind {
             2 => header.uncompressed / 4,
             _ => self.values,
         };
-        if !(0..=most).contains(&header.num_values) {
+        if !(0..=max_values).contains(&header.num_values) {
             let what = format!(
-                "a page has {} values; at most {most} are left",
+                "a page has {} values, expected at most {max_values}",
                 header.num_values
             );
             return Err(damaged(what));
@@ -121,9 +121,7 @@ impl ChunkPages {
             && levels.iter().sum::<i64>() <= header.uncompressed;
         let counts = [header.num_nulls, header.num_rows];
         if !fits || !counts.iter().all(|n| (0..=header.num_values).contains(n)) {
-            return Err(damaged(
-                "the counts in the header of a page contradict each other",
-            ));
+            return Err(damaged("the counts in a page header contradict each other"));
         }
         Ok(())
     }
@@ -138,7 +136,7 @@ impl ChunkPages {
             let mut crc = flate2::Crc::new();
             crc.update(packed);
             if i64::from(crc.sum().cast_signed()) != expected {
-                return Err(damaged("the checksum of a page is wrong"));
+                return Err(damaged("the checksum of a page does not match"));
             }
         }
         // In version 2 the levels come first and are never compressed.
@@ -150,7 +148,7 @@ impl ChunkPages {
         let (Some(values), Some(size)) = (packed.get(levels..), size.checked_sub(levels)) else {
             return Err(damaged("a page is shorter than its levels"));
         };
-        // No values at all may be no bytes at all.
+        // Without values there may be no compressed bytes.
         if size == 0 {
             return Ok(packed.slice(..levels));
         }
@@ -198,8 +196,7 @@ impl Iterator for ChunkPages {
     }
 }
 
-/// The page as the Parquet crate takes it; all counts were checked to be neither negative nor
-/// large.
+/// Converts a page to the type of the Parquet crate; the counts are already checked.
 fn page(header: &PageHeader, buf: Bytes) -> Result<Page> {
     let num_values = header.num_values as u32;
     let encoding = encoding(header.encoding)?;
@@ -229,16 +226,16 @@ fn page(header: &PageHeader, buf: Bytes) -> Result<Page> {
             is_compressed: header.is_compressed,
             statistics: None,
         },
-        kind => return Err(damaged(format!("a page has the unknown kind {kind}"))),
+        kind => return Err(damaged(format!("unknown page type {kind}"))),
     })
 }
 
 fn encoding(number: i64) -> Result<Encoding> {
     Ok(match number {
-        // Their decoders take memory for as many values as the data claim.
+        // Decoders of delta encodings allocate as many values as the data claim.
         5..=7 => {
-            let what = "a page has a delta encoding, which is not read; write the file again \
-                        with the encodings that pandas and datasets choose";
+            let what = "a page has a delta encoding, which is not supported; write the file again \
+                        with the default encodings of pandas or datasets";
             return Err(damaged(what));
         }
         0 => Encoding::PLAIN,
@@ -246,7 +243,7 @@ fn encoding(number: i64) -> Result<Encoding> {
         3 => Encoding::RLE,
         8 => Encoding::RLE_DICTIONARY,
         9 => Encoding::BYTE_STREAM_SPLIT,
-        _ => return Err(damaged(format!("a page has the unknown encoding {number}"))),
+        _ => return Err(damaged(format!("unknown page encoding {number}"))),
     })
 }
 

@@ -1,39 +1,39 @@
-//! Which features the frames have. LeRobot's batches need each in every frame, in one shape.
+//! Features of the frames. LeRobot needs each in every frame, with a constant shape.
 
 use serde_json::{Map, Value, json};
 
-use super::super::choice::Survey;
+use super::super::selection::Survey;
 use gripcast_base::error::{Error, Result};
 use gripcast_dataset::Stage;
-use gripcast_dataset::shard::TableKind;
+use gripcast_dataset::shard::ColumnType;
 use gripcast_imaging::Role;
 
-/// Roles whose frames are colour images.
+/// Roles of the colour cameras.
 const COLOUR: [Role; 4] = [Role::Left, Role::Right, Role::Rgb, Role::External];
 /// Name of the depth feature.
 pub(super) const DEPTH: &str = "observation.depth";
-/// Name of the pose.
+/// Name of the pose feature.
 pub(super) const POSE: &str = "observation.pose";
-/// Name of the prediction.
+/// Name of the prediction feature.
 pub(super) const P_STABLE: &str = "prediction.p_stable";
-/// Features of every frame, after the others: name, kind, and what LeRobot calls the kind.
-pub(super) const ALWAYS: [(&str, TableKind, &str); 8] = [
-    ("next.reward", TableKind::Single, "float32"),
-    ("next.done", TableKind::Flag, "bool"),
-    ("next.success", TableKind::Flag, "bool"),
-    ("timestamp", TableKind::Single, "float32"),
-    ("frame_index", TableKind::Integer, "int64"),
-    ("episode_index", TableKind::Integer, "int64"),
-    ("index", TableKind::Integer, "int64"),
-    ("task_index", TableKind::Integer, "int64"),
+/// Features of every frame, after the others: name, type, and LeRobot's name of the type.
+pub(super) const ALWAYS: [(&str, ColumnType, &str); 8] = [
+    ("next.reward", ColumnType::Float32, "float32"),
+    ("next.done", ColumnType::Bool, "bool"),
+    ("next.success", ColumnType::Bool, "bool"),
+    ("timestamp", ColumnType::Float32, "float32"),
+    ("frame_index", ColumnType::Int64, "int64"),
+    ("episode_index", ColumnType::Int64, "int64"),
+    ("index", ColumnType::Int64, "int64"),
+    ("task_index", ColumnType::Int64, "int64"),
 ];
 
-/// The features that depend on the dataset.
+/// Features that depend on the dataset.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct Features {
-    /// Colour cameras with width and height in pixels.
+    /// Colour cameras with width and height, pixels.
     pub(super) colour: Vec<(Role, (u32, u32))>,
-    /// Width and height of depth.
+    /// Width and height of the depth camera, pixels.
     pub(super) depth: Option<(u32, u32)>,
     pub(super) has_pose: bool,
     pub(super) has_prediction: bool,
@@ -45,10 +45,10 @@ pub(super) fn colour_name(role: Role) -> String {
 }
 
 impl Features {
-    /// What all grasps have in one size, and a sentence for everything else that some have.
+    /// Selects the cameras that all grasps have in one size; returns a note for each other one.
     ///
     /// # Errors
-    /// `Input`: there is no such camera.
+    /// `Input`: no such camera.
     pub(super) fn choose(survey: &Survey) -> Result<(Self, Vec<String>)> {
         let mut notes = Vec::new();
         let mut size = |role: Role, stages: &[Stage]| {
@@ -57,23 +57,23 @@ impl Features {
             } else {
                 colour_name(role)
             };
-            let seen: Vec<_> = stages
+            let counts: Vec<_> = stages
                 .iter()
                 .map(|stage| survey.cameras.get(&(*stage, role)))
                 .collect();
-            let least = seen.iter().map(|s| s.map_or(0, |s| s.grasps)).min()?;
-            if seen.iter().all(Option::is_none) {
+            let min = counts.iter().map(|s| s.map_or(0, |s| s.grasps)).min()?;
+            if counts.iter().all(Option::is_none) {
                 return None;
             }
-            if least < survey.grasps {
+            if min < survey.grasps {
                 let all = survey.grasps;
-                notes.push(format!("{name} left out: {least} of {all} grasps have it"));
+                notes.push(format!("{name} left out: {min} of {all} grasps have it"));
                 return None;
             }
-            let mut sizes = seen.iter().flatten().flat_map(|s| &s.sizes);
+            let mut sizes = counts.iter().flatten().flat_map(|s| &s.sizes);
             let first = *sizes.next()?;
             if sizes.any(|other| *other != first) {
-                notes.push(format!("{name} left out: its images have several sizes"));
+                notes.push(format!("{name} left out: its images have different sizes"));
                 return None;
             }
             Some(first)
@@ -84,9 +84,9 @@ impl Features {
             .collect();
         let depth = size(Role::Depth, &[Stage::Grasp]);
         if colour.is_empty() {
-            let what = "there is no camera that every grasp has in one size";
+            let what = "no camera has images of one size in all grasps";
             let remedy =
-                "choose grasps of one rig with `--split` and `--subset`, or another format";
+                "select grasps of one rig with `--split` and `--part`, or use another format";
             return Err(Error::input(what).remedy(remedy));
         }
         let features = Self {
@@ -99,24 +99,24 @@ impl Features {
     }
 
     /// Columns of the data files, in the order of the cells of a frame.
-    pub(super) fn columns(&self) -> Vec<(String, TableKind)> {
+    pub(super) fn columns(&self) -> Vec<(String, ColumnType)> {
         let colour = self.colour.iter().map(|(role, _)| colour_name(*role));
         let depth = self.depth.map(|_| DEPTH.to_owned());
         let mut columns: Vec<_> = colour
             .chain(depth)
-            .map(|name| (name, TableKind::Image))
+            .map(|name| (name, ColumnType::Image))
             .collect();
         if self.has_pose {
-            columns.push((POSE.to_owned(), TableKind::Singles(7)));
+            columns.push((POSE.to_owned(), ColumnType::Float32List(7)));
         }
         if self.has_prediction {
-            columns.push((P_STABLE.to_owned(), TableKind::Single));
+            columns.push((P_STABLE.to_owned(), ColumnType::Float32));
         }
         columns.extend(ALWAYS.map(|(name, kind, _)| (name.to_owned(), kind)));
         columns
     }
 
-    /// As `info.json` has them.
+    /// Features for `info.json`.
     pub(super) fn to_json(&self) -> Value {
         let mut features = Map::new();
         let image = |(width, height): (u32, u32), channels: u32| {
@@ -150,20 +150,20 @@ impl Features {
 
 #[cfg(test)]
 mod tests {
-    use super::super::super::choice::Seen;
+    use super::super::super::selection::CameraCounts;
     use super::*;
     use gripcast_base::error::ErrorKind;
 
-    /// Stage, role, grasps that have it, sizes.
-    type SeenCamera<'a> = (Stage, Role, usize, &'a [(u32, u32)]);
+    /// Stage, role, number of grasps, sizes.
+    type CameraCase<'a> = (Stage, Role, usize, &'a [(u32, u32)]);
 
-    fn survey(cameras: &[SeenCamera<'_>]) -> Survey {
+    fn survey(cameras: &[CameraCase<'_>]) -> Survey {
         let cameras = cameras.iter().map(|(stage, role, grasps, sizes)| {
-            let seen = Seen {
+            let counts = CameraCounts {
                 grasps: *grasps,
                 sizes: sizes.iter().copied().collect(),
             };
-            ((*stage, *role), seen)
+            ((*stage, *role), counts)
         });
         Survey {
             grasps: 3,
@@ -173,7 +173,7 @@ mod tests {
     }
 
     #[test]
-    fn what_some_grasps_lack_is_left_out_and_told() {
+    fn incomplete_features_are_left_out_with_a_note() {
         const VGA: &[(u32, u32)] = &[(640, 480)];
         let survey = survey(&[
             (Stage::Initial, Role::Left, 3, VGA),
@@ -189,7 +189,7 @@ mod tests {
         assert_eq!(
             notes,
             [
-                "observation.images.right left out: its images have several sizes",
+                "observation.images.right left out: its images have different sizes",
                 "observation.images.rgb left out: 0 of 3 grasps have it",
                 "observation.depth left out: 2 of 3 grasps have it",
             ]
@@ -206,7 +206,7 @@ mod tests {
     }
 
     #[test]
-    fn without_a_common_camera_there_is_no_dataset() {
+    fn dataset_without_common_camera_is_refused() {
         let survey = survey(&[(Stage::Grasp, Role::Left, 3, &[(640, 480)])]);
         let error = Features::choose(&survey).unwrap_err();
         assert_eq!(error.kind(), ErrorKind::Input);

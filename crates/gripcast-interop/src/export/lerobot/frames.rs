@@ -1,4 +1,4 @@
-//! The two frames of a grasp.
+//! The two LeRobot frames of a grasp.
 
 use std::borrow::Cow;
 
@@ -14,11 +14,11 @@ use gripcast_imaging::{
     Decoder, DepthImage, Role, decode_png_grey16, encode_png_grey16, encode_png_rgb,
 };
 
-/// Makes frames of grasps.
+/// Converts grasps to frames.
 pub(super) struct Frames {
     features: Features,
     decoder: Decoder,
-    /// Depth of the initial frame, where none is measured.
+    /// Placeholder for the depth of the initial frame.
     no_depth: Option<Depth>,
 }
 
@@ -28,14 +28,14 @@ struct Colour {
     pixels: RgbImage,
 }
 
-/// The same of depth.
+/// An encoded depth image and its counts.
 #[derive(Clone)]
 struct Depth {
     bytes: Vec<u8>,
     counts: DepthImage,
 }
 
-/// Images of both frames.
+/// Decoded images of both frames.
 pub(super) struct Images {
     frames: [FrameImages; FRAMES],
     pose: Option<Vec<f64>>,
@@ -47,7 +47,7 @@ struct FrameImages {
     depth: Option<Depth>,
 }
 
-/// One frame: its images, then its numbers in the order of the columns.
+/// One frame: images, then numbers in the order of the columns.
 pub(super) struct FrameRow {
     images: FrameImages,
     pub numbers: Vec<Vec<f64>>,
@@ -98,17 +98,17 @@ impl Frames {
         &self.features
     }
 
-    /// Images of both frames, decoded.
+    /// Decodes the images of both frames.
     ///
     /// # Errors
-    /// One is not there or does not decode.
+    /// An image is missing or does not decode.
     pub(super) fn images(&mut self, grasp: &Grasp) -> Result<Images> {
         let [initial, closed] = Stage::ALL;
         let mut first = self.frame(grasp, initial)?;
         first.depth.clone_from(&self.no_depth);
         let mut second = self.frame(grasp, closed)?;
         if self.features.depth.is_some() {
-            let image = found(grasp, Stage::Grasp, Role::Depth)?;
+            let image = image_of(grasp, Stage::Grasp, Role::Depth)?;
             second.depth = Some(Depth {
                 bytes: image.bytes.clone(),
                 counts: decode_png_grey16(&image.bytes)?,
@@ -133,9 +133,9 @@ impl Frames {
     fn frame(&mut self, grasp: &Grasp, stage: Stage) -> Result<FrameImages> {
         let mut colour = Vec::new();
         for (role, _) in &self.features.colour {
-            let image = found(grasp, stage, *role)?;
+            let image = image_of(grasp, stage, *role)?;
             let pixels = self.decoder.stored_image(&image.bytes)?;
-            // LeRobot wants three channels.
+            // LeRobot requires three channels.
             let bytes = if image.is_grey {
                 encode_png_rgb(&pixels)?
             } else {
@@ -150,14 +150,14 @@ impl Frames {
     }
 }
 
-fn found(grasp: &Grasp, stage: Stage, role: Role) -> Result<&Image> {
+fn image_of(grasp: &Grasp, stage: Stage, role: Role) -> Result<&Image> {
     grasp.images.get(&(stage, role)).ok_or_else(|| {
         let what = format!("the grasp has no {} frame of {role}", stage.name());
         Error::input(what)
     })
 }
 
-/// Both frames. `episode` and `task` are the numbers of the grasp and of its task.
+/// Builds both frames. `episode` and `task` are the indices of the grasp and of its task.
 pub(super) fn rows(
     is_stable: bool,
     episode: usize,

@@ -1,4 +1,4 @@
-//! `meta/info.json`, and what pandas wants to know of `meta/tasks.parquet`.
+//! `meta/info.json`, and the pandas metadata of `meta/tasks.parquet`.
 
 use serde_json::{Map, Value, json};
 
@@ -9,21 +9,21 @@ use gripcast_dataset::Descriptor;
 
 /// Version of LeRobot's format.
 const VERSION: &str = "v3.0";
-/// LeRobot's default for files of which there are none here, MB.
+/// LeRobot's default size of video files, which are not used here, MB.
 const VIDEO_FILE_MB: usize = 200;
 
-/// What was written.
+/// Totals of the export.
 pub(super) struct Totals<'a> {
     pub(super) grasps: usize,
     pub(super) tasks: usize,
-    /// Parts with their first episodes.
-    pub(super) parts: &'a [(String, usize)],
+    /// Splits with their first episodes.
+    pub(super) splits: &'a [(String, usize)],
 }
 
-/// The text of `info.json`.
+/// Returns the contents of `info.json`.
 ///
 /// # Errors
-/// `Internal`: a defect.
+/// `Internal`: a defect of gripcast.
 pub(super) fn info(
     descriptor: &Descriptor,
     features: &Features,
@@ -38,7 +38,7 @@ pub(super) fn info(
         "chunks_size": FILES_PER_CHUNK,
         "data_files_size_in_mb": DATA_FILE_BYTES >> 20,
         "video_files_size_in_mb": VIDEO_FILE_MB,
-        // Frames are a step apart, not a time: what lies between them is in the records.
+        // Frames are steps, not samples in time; time stamps are in the records.
         "fps": 1,
         "splits": splits(totals),
         "data_path": "data/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet",
@@ -56,17 +56,17 @@ pub(super) fn info(
     Ok(text)
 }
 
-/// Ranges of episodes; parts that lost all their grasps are not there.
+/// Ranges of episodes by split; empty splits are omitted.
 fn splits(totals: &Totals<'_>) -> Value {
-    let ends = totals.parts.iter().skip(1).map(|(_, first)| *first);
+    let ends = totals.splits.iter().skip(1).map(|(_, first)| *first);
     let ends = ends.chain([totals.grasps]);
-    let ranges = totals.parts.iter().zip(ends);
+    let ranges = totals.splits.iter().zip(ends);
     let ranges = ranges.filter(|((_, first), end)| first < end);
     let named = ranges.map(|((name, first), end)| (name.clone(), json!(format!("{first}:{end}"))));
     Value::Object(named.collect::<Map<_, _>>())
 }
 
-/// Says that the column `task` is the index of the table.
+/// Pandas metadata that makes the column `task` the index of the table.
 pub(super) fn tasks_metadata() -> String {
     let column = |name: &str, kind: &str, numpy: &str| {
         json!({

@@ -1,76 +1,75 @@
-//! LeRobot's format, version 3: a grasp is an episode of two frames, initial and grasp.
+//! LeRobot format, version 3: a grasp is an episode of two frames, initial and grasp.
 //!
-//! Written from the layout that the package `lerobot` 0.4 reads: `meta/info.json`,
-//! `meta/stats.json`, `meta/tasks.parquet`, `meta/episodes/` and `data/` in files of bounded size.
-//! Images are embedded, there are no videos.
+//! Layout of the package `lerobot` 0.4: `meta/info.json`, `meta/stats.json`, `meta/tasks.parquet`,
+//! `meta/episodes/` and `data/` in files of bounded size. Images are embedded; there are no videos.
 
 mod features;
 mod frames;
 mod info;
 mod stats;
 
-use super::format::{Setting, Writer};
+use super::format::{ExportContext, Writer};
 use super::source::Grasp;
 use features::Features;
 use frames::Frames;
 use gripcast_base::error::{Error, Result};
 use gripcast_base::files::{BeneathPath, FileName};
 use gripcast_dataset::Outcome;
-use gripcast_dataset::shard::{TableCell, TableKind, TableWriter};
+use gripcast_dataset::shard::{ColumnType, TableCell, TableWriter};
 use info::{Totals, info, tasks_metadata};
 use stats::Stats;
 use std::borrow::Cow;
 use std::collections::BTreeMap;
 
-/// Size of a data file, bytes; LeRobot's own default.
+/// Maximum size of a data file, bytes; LeRobot's default.
 const DATA_FILE_BYTES: usize = 100 << 20;
-/// Files in a folder; LeRobot's own default.
+/// Files per chunk directory; LeRobot's default.
 const FILES_PER_CHUNK: usize = 1000;
-/// Frames of an episode.
+/// Frames per episode.
 const FRAMES: usize = 2;
-/// Columns of the episodes; those with `gripcast/` are ours.
-const EPISODES: [(&str, TableKind); 11] = [
-    ("episode_index", TableKind::Integer),
-    ("tasks", TableKind::OneText),
-    ("length", TableKind::Integer),
-    ("dataset_from_index", TableKind::Integer),
-    ("dataset_to_index", TableKind::Integer),
-    ("data/chunk_index", TableKind::Integer),
-    ("data/file_index", TableKind::Integer),
-    ("meta/episodes/chunk_index", TableKind::Integer),
-    ("meta/episodes/file_index", TableKind::Integer),
-    ("gripcast/id", TableKind::Text),
-    ("gripcast/record", TableKind::Text),
+/// Columns of the episodes; those with `gripcast/` are extensions.
+const EPISODES: [(&str, ColumnType); 11] = [
+    ("episode_index", ColumnType::Int64),
+    ("tasks", ColumnType::TextList),
+    ("length", ColumnType::Int64),
+    ("dataset_from_index", ColumnType::Int64),
+    ("dataset_to_index", ColumnType::Int64),
+    ("data/chunk_index", ColumnType::Int64),
+    ("data/file_index", ColumnType::Int64),
+    ("meta/episodes/chunk_index", ColumnType::Int64),
+    ("meta/episodes/file_index", ColumnType::Int64),
+    ("gripcast/id", ColumnType::Text),
+    ("gripcast/record", ColumnType::Text),
 ];
 
 /// Writes the dataset.
 pub(super) struct LeRobot<'a> {
-    setting: Setting<'a>,
+    context: ExportContext<'a>,
     frames: Frames,
     stats: Stats,
     notes: Vec<String>,
     tasks: BTreeMap<String, usize>,
     episodes: TableWriter,
     data: TableWriter,
-    /// Number of the open data file.
+    /// Index of the open data file.
     file: usize,
     grasps: usize,
-    /// Parts with their first episodes.
-    parts: Vec<(String, usize)>,
+    /// Splits with their first episodes.
+    splits: Vec<(String, usize)>,
 }
 
 impl<'a> LeRobot<'a> {
     /// # Errors
-    /// `Input`: there is no camera that every grasp has in one size. The files.
-    pub(super) fn new(setting: Setting<'a>) -> Result<Self> {
-        let (features, notes) = Features::choose(setting.survey)?;
+    /// `Input`: no camera has images of one size in all grasps. Those of the files.
+    pub(super) fn new(context: ExportContext<'a>) -> Result<Self> {
+        let (features, notes) = Features::choose(context.survey)?;
         let episodes = EPISODES.map(|(name, kind)| (name.to_owned(), kind));
-        let path = place(setting, &["meta", "episodes"], 0)?;
+        let path = file_path(context, &["meta", "episodes"], 0)?;
         let episodes = TableWriter::create(path, episodes.to_vec(), &[])?;
-        let path = place(setting, &["data"], 0)?;
+        let path = file_path(context, &["data"], 0)?;
         let data = TableWriter::create(path, features.columns(), &[])?;
         Ok(Self {
-            setting,
+            context,
             stats: Stats::new(&features),
             frames: Frames::new(features)?,
             notes,
@@ -79,17 +78,17 @@ impl<'a> LeRobot<'a> {
             data,
             file: 0,
             grasps: 0,
-            parts: Vec::new(),
+            splits: Vec::new(),
         })
     }
 
-    /// A further data file where the open one is full.
+    /// Starts another data file if the open one is full.
     fn make_room(&mut self, size: usize) -> Result<()> {
         if self.data.rows() == 0 || self.data.bytes() + size <= DATA_FILE_BYTES {
             return Ok(());
         }
         self.file += 1;
-        let path = place(self.setting, &["data"], self.file)?;
+        let path = file_path(self.context, &["data"], self.file)?;
         let next = TableWriter::create(path, self.frames.features().columns(), &[])?;
         std::mem::replace(&mut self.data, next).finish()
     }
@@ -119,11 +118,11 @@ impl<'a> LeRobot<'a> {
     }
 
     fn write_tasks(&self) -> Result<()> {
-        let meta = self.setting.folder.root().top().join("meta");
+        let meta = self.context.folder.root().top().join("meta");
         let path = meta.join("tasks.parquet");
         let columns = [
-            ("task_index", TableKind::Integer),
-            ("task", TableKind::Text),
+            ("task_index", ColumnType::Int64),
+            ("task", ColumnType::Text),
         ];
         let columns = columns.map(|(name, kind)| (name.to_owned(), kind)).to_vec();
         let metadata = [("pandas", tasks_metadata())];
@@ -139,8 +138,8 @@ impl<'a> LeRobot<'a> {
 }
 
 impl Writer for LeRobot<'_> {
-    fn begin_part(&mut self, part: &str) -> Result<()> {
-        self.parts.push((part.to_owned(), self.grasps));
+    fn begin_split(&mut self, split: &str) -> Result<()> {
+        self.splits.push((split.to_owned(), self.grasps));
         Ok(())
     }
 
@@ -149,7 +148,7 @@ impl Writer for LeRobot<'_> {
             Outcome::Stable => true,
             Outcome::Slip => false,
             Outcome::Unlabelled => {
-                let what = "the grasp lost its label during the export";
+                let what = "the label was removed during the export";
                 return Ok(Some(Error::input(what)));
             }
         };
@@ -173,10 +172,10 @@ impl Writer for LeRobot<'_> {
         let totals = Totals {
             grasps: self.grasps,
             tasks: self.tasks.len(),
-            parts: &self.parts,
+            splits: &self.splits,
         };
-        let info = info(self.setting.descriptor, self.frames.features(), &totals)?;
-        let folder = self.setting.folder;
+        let info = info(self.context.descriptor, self.frames.features(), &totals)?;
+        let folder = self.context.folder;
         folder.write("meta/info.json", &info)?;
         folder.write("meta/stats.json", &self.stats.to_json()?)?;
         self.episodes.finish()?;
@@ -185,7 +184,7 @@ impl Writer for LeRobot<'_> {
     }
 }
 
-/// What the operator was to do, in words, as LeRobot has it.
+/// Task description for LeRobot.
 fn task_text(object: &str) -> String {
     format!("grasp the {object}")
 }
@@ -194,12 +193,16 @@ fn integer(value: usize) -> TableCell<'static> {
     TableCell::Integer(value as i64)
 }
 
-/// Place of a numbered file below a folder of the export, which is made.
-fn place(setting: Setting<'_>, folder: &[&'static str], file: usize) -> Result<BeneathPath> {
-    let top = setting.folder.root().top();
-    let folder = folder.iter().fold(top, |place, name| place.join(*name));
+/// Path of a numbered file in a directory of the export, which is created.
+fn file_path(
+    context: ExportContext<'_>,
+    folder: &[&'static str],
+    file: usize,
+) -> Result<BeneathPath> {
+    let top = context.folder.root().top();
+    let folder = folder.iter().fold(top, |path, name| path.join(*name));
     let chunk = FileName::parse(&format!("chunk-{:03}", file / FILES_PER_CHUNK))?;
-    let folder = setting.folder.folder(folder.join(&chunk))?;
+    let folder = context.folder.folder(folder.join(&chunk))?;
     let name = FileName::parse(&format!("file-{:03}.parquet", file % FILES_PER_CHUNK))?;
     Ok(folder.join(&name))
 }

@@ -1,61 +1,61 @@
-//! `meta/stats.json`: least, largest, mean and spread of every feature, over all frames.
+//! `meta/stats.json`: minimum, maximum, mean and standard deviation of every feature.
 //!
-//! Colours are in [0, 1], as LeRobot loads them, depth in counts. Numbers that a grasp lacks do not
-//! count. Quantiles are not written: LeRobot adds them where a policy wants them.
+//! Colours are in [0, 1], as LeRobot loads them, depth in counts. Missing numbers are skipped.
+//! Quantiles are not written: LeRobot computes them where a policy needs them.
 
 use serde_json::{Map, Value, json};
 
 use super::features::{DEPTH, Features, colour_name};
 use super::frames::FrameRow;
 use gripcast_base::error::{Error, Result};
-use gripcast_dataset::shard::TableKind;
+use gripcast_dataset::shard::ColumnType;
 
-/// Largest value of an 8-bit channel.
+/// Maximum value of an 8-bit channel.
 const WHITE: f64 = 255.0;
 
-/// Of all features.
+/// Statistics of all features.
 pub(super) struct Stats {
     frames: usize,
-    colour: Vec<(String, [Levels; 3])>,
-    depth: Option<Levels>,
-    numbers: Vec<(String, Vec<Spread>)>,
+    colour: Vec<(String, [PixelStats; 3])>,
+    depth: Option<PixelStats>,
+    numbers: Vec<(String, Vec<RunningStats>)>,
 }
 
-/// Of the pixels of a channel; exact.
+/// Exact statistics of the pixels of a channel.
 #[derive(Clone, Copy)]
-struct Levels {
-    least: u16,
-    largest: u16,
+struct PixelStats {
+    min: u16,
+    max: u16,
     count: u64,
     sum: u128,
     squares: u128,
 }
 
-/// Of numbers, one after the other (Welford).
+/// Running statistics of a number (Welford's algorithm).
 #[derive(Clone, Copy)]
-struct Spread {
-    least: f64,
-    largest: f64,
+struct RunningStats {
+    min: f64,
+    max: f64,
     count: u64,
     mean: f64,
     squares: f64,
 }
 
-impl Levels {
+impl PixelStats {
     const NONE: Self = Self {
-        least: u16::MAX,
-        largest: 0,
+        min: u16::MAX,
+        max: 0,
         count: 0,
         sum: 0,
         squares: 0,
     };
 
     fn add(&mut self, levels: impl Iterator<Item = u16>) {
-        // An image's sums fit: 2²⁶ pixels of 16 bits, squared, are below 2⁵⁸.
+        // The sums of an image fit: 2²⁶ squares of 16 bits are below 2⁵⁸.
         let (mut sum, mut squares) = (0_u64, 0_u64);
         for level in levels {
-            self.least = self.least.min(level);
-            self.largest = self.largest.max(level);
+            self.min = self.min.min(level);
+            self.max = self.max.max(level);
             self.count += 1;
             sum += u64::from(level);
             squares += u64::from(level) * u64::from(level);
@@ -64,14 +64,14 @@ impl Levels {
         self.squares += u128::from(squares);
     }
 
-    /// Least, largest, mean, standard deviation; divided by `scale`.
+    /// Minimum, maximum, mean, standard deviation; divided by `scale`.
     fn figures(&self, scale: f64) -> [f64; 4] {
         let count = self.count.max(1) as f64;
         let mean = self.sum as f64 / count;
         let variance = (self.squares as f64 / count - mean * mean).max(0.0);
         [
-            f64::from(self.least),
-            f64::from(self.largest),
+            f64::from(self.min),
+            f64::from(self.max),
             mean,
             variance.sqrt(),
         ]
@@ -79,10 +79,10 @@ impl Levels {
     }
 }
 
-impl Spread {
+impl RunningStats {
     const NONE: Self = Self {
-        least: f64::INFINITY,
-        largest: f64::NEG_INFINITY,
+        min: f64::INFINITY,
+        max: f64::NEG_INFINITY,
         count: 0,
         mean: 0.0,
         squares: 0.0,
@@ -92,8 +92,8 @@ impl Spread {
         if number.is_nan() {
             return;
         }
-        self.least = self.least.min(number);
-        self.largest = self.largest.max(number);
+        self.min = self.min.min(number);
+        self.max = self.max.max(number);
         self.count += 1;
         let before = number - self.mean;
         self.mean += before / self.count as f64;
@@ -102,7 +102,7 @@ impl Spread {
 
     fn figures(&self) -> [f64; 4] {
         let deviation = (self.squares / self.count.max(1) as f64).sqrt();
-        [self.least, self.largest, self.mean, deviation]
+        [self.min, self.max, self.mean, deviation]
     }
 }
 
@@ -111,18 +111,18 @@ impl Stats {
         let colour = features.colour.iter();
         let numbers = features.columns().into_iter().filter_map(|(name, kind)| {
             let length = match kind {
-                TableKind::Image => return None,
-                TableKind::Singles(length) => length,
+                ColumnType::Image => return None,
+                ColumnType::Float32List(length) => length,
                 _ => 1,
             };
-            Some((name, vec![Spread::NONE; length]))
+            Some((name, vec![RunningStats::NONE; length]))
         });
         Self {
             frames: 0,
             colour: colour
-                .map(|(role, _)| (colour_name(*role), [Levels::NONE; 3]))
+                .map(|(role, _)| (colour_name(*role), [PixelStats::NONE; 3]))
                 .collect(),
-            depth: features.depth.map(|_| Levels::NONE),
+            depth: features.depth.map(|_| PixelStats::NONE),
             numbers: numbers.collect(),
         }
     }
@@ -145,7 +145,7 @@ impl Stats {
     }
 
     /// # Errors
-    /// `Internal`: a defect.
+    /// `Internal`: a defect of gripcast.
     pub(super) fn to_json(&self) -> Result<Vec<u8>> {
         let mut stats = Map::new();
         for (name, channels) in &self.colour {
@@ -157,12 +157,12 @@ impl Stats {
             stats.insert(DEPTH.to_owned(), self.image(&figures));
         }
         for (name, spreads) in &self.numbers {
-            // All are counted in the same frames.
+            // All components have the same count.
             let count = spreads.iter().map(|spread| spread.count).min().unwrap_or(0);
             if count > 0 {
-                let figures: Vec<[f64; 4]> = spreads.iter().map(Spread::figures).collect();
-                let of = |which: usize| figures.iter().map(|f| json!(f[which])).collect();
-                stats.insert(name.clone(), object(of, count));
+                let figures: Vec<[f64; 4]> = spreads.iter().map(RunningStats::figures).collect();
+                let column = |which: usize| figures.iter().map(|f| json!(f[which])).collect();
+                stats.insert(name.clone(), object(column, count));
             }
         }
         let mut text = serde_json::to_vec_pretty(&stats)
@@ -171,19 +171,19 @@ impl Stats {
         Ok(text)
     }
 
-    /// Channels × 1 × 1.
+    /// Statistics of an image, shape channels × 1 × 1.
     fn image(&self, channels: &[[f64; 4]]) -> Value {
-        let of = |which: usize| channels.iter().map(|f| json!([[f[which]]])).collect();
-        object(of, self.frames as u64)
+        let column = |which: usize| channels.iter().map(|f| json!([[f[which]]])).collect();
+        object(column, self.frames as u64)
     }
 }
 
-fn object(of: impl Fn(usize) -> Vec<Value>, count: u64) -> Value {
+fn object(column: impl Fn(usize) -> Vec<Value>, count: u64) -> Value {
     json!({
-        "min": of(0),
-        "max": of(1),
-        "mean": of(2),
-        "std": of(3),
+        "min": column(0),
+        "max": column(1),
+        "mean": column(2),
+        "std": column(3),
         "count": [count],
     })
 }
@@ -193,9 +193,9 @@ mod tests {
     use super::*;
 
     #[test]
-    fn both_ways_of_adding_up_agree() {
+    fn pixel_and_running_stats_agree() {
         let values = [0_u16, 3, 65_535, 7, 7, 1200];
-        let (mut levels, mut spread) = (Levels::NONE, Spread::NONE);
+        let (mut levels, mut spread) = (PixelStats::NONE, RunningStats::NONE);
         levels.add(values[..2].iter().copied());
         levels.add(values[2..].iter().copied());
         for value in values {
@@ -206,7 +206,7 @@ mod tests {
             assert!((a - b).abs() < 1e-9 * b.abs().max(1.0), "{a} {b}");
         }
         assert_eq!(levels.figures(1.0)[..2], [0.0, 65_535.0]);
-        // Mean and standard deviation by hand: 66752 / 6, and the root of the mean square less it.
+        // Mean by hand: 66752 / 6.
         assert!((spread.mean - 66_752.0 / 6.0).abs() < 1e-9);
     }
 }

@@ -1,4 +1,4 @@
-//! Arrays of Zarr version 2 that grow along their first axis.
+//! Zarr version 2 arrays that grow along their first axis.
 
 use std::io::Write as _;
 
@@ -10,14 +10,14 @@ use super::super::staged::write_failed;
 use super::store::Store;
 use gripcast_base::error::Result;
 
-/// Rows of a chunk; images have a chunk each.
+/// Rows of a chunk; each image has its own chunk.
 const ROWS_PER_CHUNK: usize = 1024;
-/// Of zlib: images of cameras hardly become smaller with more.
+/// Level of zlib: higher ones hardly compress camera images further.
 const LEVEL: u32 = 1;
-/// Bytes of a character in a text.
+/// Bytes per character of a string.
 const CHARACTER: usize = 4;
 
-/// Type of a value, little endian.
+/// Type of a value, little endian, named like in NumPy.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Kind {
     Bool,
@@ -25,12 +25,12 @@ pub(super) enum Kind {
     I1,
     I8,
     F8,
-    /// UTF-32 of so many characters, padded by zeros.
+    /// UTF-32 string of this length, padded with zeros.
     Text(usize),
 }
 
 impl Kind {
-    /// As numpy writes it.
+    /// NumPy's name of the type.
     fn dtype(self) -> String {
         match self {
             Self::Bool => "|b1".to_owned(),
@@ -50,7 +50,7 @@ impl Kind {
         }
     }
 
-    /// Value of what is in no chunk.
+    /// Fill value of missing chunks.
     fn fill(self) -> Value {
         match self {
             Self::Bool => json!(false),
@@ -61,13 +61,13 @@ impl Kind {
     }
 }
 
-/// Small rows; a chunk of them is in memory until it is full.
+/// Array of small rows, buffered until a chunk is full.
 pub(super) struct Rows {
     name: String,
     kind: Kind,
     /// Shape of a row.
     shape: Vec<usize>,
-    waiting: Vec<u8>,
+    buffer: Vec<u8>,
     rows: usize,
 }
 
@@ -77,15 +77,15 @@ impl Rows {
             name: name.into(),
             kind,
             shape: shape.to_vec(),
-            waiting: Vec::new(),
+            buffer: Vec::new(),
             rows: 0,
         }
     }
 
-    /// Adds a row: its bytes, little endian.
+    /// Appends a row of bytes, little endian.
     pub(super) fn push(&mut self, store: &mut Store<'_>, row: &[u8]) -> Result<()> {
         debug_assert_eq!(row.len(), self.row_bytes());
-        self.waiting.extend_from_slice(row);
+        self.buffer.extend_from_slice(row);
         self.rows += 1;
         if self.rows.is_multiple_of(ROWS_PER_CHUNK) {
             self.write_chunk(store)?;
@@ -93,7 +93,7 @@ impl Rows {
         Ok(())
     }
 
-    /// Adds a row of one text; characters beyond the length of the kind are cut.
+    /// Appends a string; longer ones are truncated.
     pub(super) fn push_text(&mut self, store: &mut Store<'_>, text: &str) -> Result<()> {
         let mut row: Vec<u8> = text
             .chars()
@@ -104,9 +104,9 @@ impl Rows {
     }
 
     pub(super) fn finish(mut self, store: &mut Store<'_>) -> Result<()> {
-        if !self.waiting.is_empty() {
-            // Chunks have all the same shape; what is beyond the array is not read.
-            self.waiting.resize(ROWS_PER_CHUNK * self.row_bytes(), 0);
+        if !self.buffer.is_empty() {
+            // All chunks have the same shape; readers ignore the padding.
+            self.buffer.resize(ROWS_PER_CHUNK * self.row_bytes(), 0);
             self.write_chunk(store)?;
         }
         let shape: Vec<usize> = [&[self.rows], self.shape.as_slice()].concat();
@@ -118,8 +118,8 @@ impl Rows {
     fn write_chunk(&mut self, store: &mut Store<'_>) -> Result<()> {
         let number = (self.rows - 1) / ROWS_PER_CHUNK;
         let name = chunk_name(&self.name, number, self.shape.len());
-        store.put(&name, &compressed(&self.waiting)?)?;
-        self.waiting.clear();
+        store.put(&name, &compressed(&self.buffer)?)?;
+        self.buffer.clear();
         Ok(())
     }
 
@@ -128,7 +128,7 @@ impl Rows {
     }
 }
 
-/// Images of one size, RGB, one a chunk.
+/// Array of RGB images of equal size, one per chunk.
 pub(super) struct Images {
     name: String,
     width: usize,
@@ -146,7 +146,7 @@ impl Images {
         }
     }
 
-    /// Adds an image of `height × width × 3` bytes; none is read as black.
+    /// Appends an image of `height × width × 3` bytes; `None` reads as black.
     pub(super) fn push(&mut self, store: &mut Store<'_>, pixels: Option<&[u8]>) -> Result<()> {
         if let Some(pixels) = pixels {
             let name = chunk_name(&self.name, self.rows, 3);
@@ -164,7 +164,7 @@ impl Images {
     }
 }
 
-/// `data/left/7.0.0.0`: a row of chunks is never divided along the other axes.
+/// Name of a chunk, such as `data/left/7.0.0.0`; only the first axis is chunked.
 fn chunk_name(array: &str, number: usize, further_axes: usize) -> String {
     format!("{array}/{number}{}", ".0".repeat(further_axes))
 }

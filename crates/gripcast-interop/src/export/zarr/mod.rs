@@ -1,9 +1,8 @@
-//! Zarr arrays, laid out as the replay buffer of UMI and Diffusion Policy: `data/` has a row a
-//! frame, `meta/` a row a grasp, `meta/episode_ends` says where each grasp ends in `data/`.
+//! Zarr arrays with the layout of the replay buffer of UMI and Diffusion Policy: `data/` has one row
+//! per frame, `meta/` one row per grasp, `meta/episode_ends` is the end of each grasp in `data/`.
 //!
-//! Version 2 of the format, which every release of Python's `zarr` reads; a few kinds of arrays
-//! are written, in chunks compressed by zlib. That is little, and a Zarr library brings a hundred
-//! crates.
+//! Zarr version 2, which every release of Python's `zarr` reads, with zlib-compressed chunks. Written
+//! without a Zarr library, which would add a hundred crates.
 
 mod array;
 mod store;
@@ -14,7 +13,7 @@ use std::path::Path;
 use image::RgbImage;
 use serde_json::json;
 
-use super::format::{Setting, Writer};
+use super::format::{ExportContext, Writer};
 use super::source::Grasp;
 use array::{Images, Kind, Rows};
 use gripcast_base::error::{Error, Result};
@@ -22,39 +21,39 @@ use gripcast_dataset::{Outcome, Stage};
 use gripcast_imaging::{CropProfile, Decoder, Role};
 use store::Store;
 
-/// Cameras that are exported, in one size.
+/// Exported cameras, resized to a common size.
 const ROLES: [Role; 3] = [Role::Left, Role::Right, Role::Rgb];
-/// Largest side of an image, pixels.
+/// Maximum image width and height, pixels.
 const MAX_SIDE: u32 = 8192;
-/// Name of a zip file until it gets its own.
+/// Temporary name of a zip file.
 pub(super) const ZIP_NAME: &str = "export.zip";
 
-/// Whether the export is one file.
+/// Whether the export is a zip file.
 pub(super) fn is_zip(out: &Path) -> bool {
-    out.extension().is_some_and(|ending| ending == "zip")
+    out.extension().is_some_and(|extension| extension == "zip")
 }
 
 /// Writes the arrays.
 pub(super) struct ReplayBuffer<'a> {
-    setting: Setting<'a>,
+    context: ExportContext<'a>,
     decoder: Decoder,
     store: Store<'a>,
     cameras: Vec<Camera>,
     stage: Rows,
     grasps: PerGrasp,
-    part: String,
+    split: String,
     frames: usize,
 }
 
-/// Frames of one role.
+/// Arrays of one camera.
 struct Camera {
     role: Role,
     images: Images,
-    /// Whether the grasp has the image; black stands for one that it lacks.
-    is_there: Rows,
+    /// Whether the grasp has the image; a missing one is black.
+    present: Rows,
 }
 
-/// Arrays with a row a grasp.
+/// Arrays with one row per grasp.
 struct PerGrasp {
     episode_ends: Rows,
     outcome: Rows,
@@ -63,13 +62,13 @@ struct PerGrasp {
     pose_q_wxyz: Rows,
     id: Rows,
     object: Rows,
-    part: Rows,
+    split: Rows,
 }
 
 impl PerGrasp {
-    fn new(setting: Setting<'_>) -> Self {
-        let survey = setting.survey;
-        let longest_part = setting.parts.iter().map(|(name, _)| name.chars().count());
+    fn new(context: ExportContext<'_>) -> Self {
+        let survey = context.survey;
+        let longest_split = context.splits.iter().map(|(name, _)| name.chars().count());
         let text = |length: usize| Kind::Text(length.max(1));
         Self {
             episode_ends: Rows::new("meta/episode_ends", Kind::I8, &[]),
@@ -79,11 +78,17 @@ impl PerGrasp {
             pose_q_wxyz: Rows::new("meta/pose_q_wxyz", Kind::F8, &[4]),
             id: Rows::new("meta/id", text(survey.longest_id), &[]),
             object: Rows::new("meta/object", text(survey.longest_object), &[]),
-            part: Rows::new("meta/part", text(longest_part.max().unwrap_or(1)), &[]),
+            split: Rows::new("meta/part", text(longest_split.max().unwrap_or(1)), &[]),
         }
     }
 
-    fn push(&mut self, store: &mut Store<'_>, grasp: &Grasp, part: &str, end: usize) -> Result<()> {
+    fn push(
+        &mut self,
+        store: &mut Store<'_>,
+        grasp: &Grasp,
+        split: &str,
+        end: usize,
+    ) -> Result<()> {
         let record = &grasp.record;
         let outcome: i8 = match record.outcome {
             Outcome::Stable => 1,
@@ -101,7 +106,7 @@ impl PerGrasp {
         self.pose_q_wxyz.push(store, &le_bytes(&q_wxyz))?;
         self.id.push_text(store, &record.id)?;
         self.object.push_text(store, &record.object)?;
-        self.part.push_text(store, part)
+        self.split.push_text(store, split)
     }
 
     fn finish(self, store: &mut Store<'_>) -> Result<()> {
@@ -112,7 +117,7 @@ impl PerGrasp {
             self.pose_t_m,
             self.pose_q_wxyz,
         ];
-        let texts = [self.id, self.object, self.part];
+        let texts = [self.id, self.object, self.split];
         numbers
             .into_iter()
             .chain(texts)
@@ -122,36 +127,37 @@ impl PerGrasp {
 
 impl<'a> ReplayBuffer<'a> {
     /// # Errors
-    /// `Usage`: a size that cannot be. `Input`: no grasp has one of the cameras. The files.
-    pub(super) fn new(setting: Setting<'a>) -> Result<Self> {
-        let (width, height) = setting.plan.size;
-        let possible = 1..=MAX_SIDE;
-        if !possible.contains(&width) || !possible.contains(&height) {
-            let what = format!("images of {width}×{height} pixels cannot be");
-            return Err(Error::usage(what)
-                .remedy(format!("give 1 to {MAX_SIDE} pixels a side, as 320x240")));
+    /// `Usage`: invalid image size. `Input`: no grasp has any of the cameras. Those of the files.
+    pub(super) fn new(context: ExportContext<'a>) -> Result<Self> {
+        let (width, height) = context.plan.size;
+        let valid = 1..=MAX_SIDE;
+        if !valid.contains(&width) || !valid.contains(&height) {
+            let what = format!("invalid image size {width}×{height}");
+            return Err(Error::usage(what).remedy(format!(
+                "give a width and height of 1 to {MAX_SIDE} pixels, such as 320x240"
+            )));
         }
         let has = |role: &Role| {
-            let seen = &setting.survey.cameras;
+            let cameras = &context.survey.cameras;
             Stage::ALL
                 .iter()
-                .any(|stage| seen.contains_key(&(*stage, *role)))
+                .any(|stage| cameras.contains_key(&(*stage, *role)))
         };
         let cameras: Vec<Camera> = ROLES
             .into_iter()
             .filter(has)
             .map(|role| Camera {
                 role,
-                images: Images::new(format!("data/{role}"), setting.plan.size),
-                is_there: Rows::new(format!("data/{role}_is_there"), Kind::Bool, &[]),
+                images: Images::new(format!("data/{role}"), context.plan.size),
+                present: Rows::new(format!("data/{role}_is_there"), Kind::Bool, &[]),
             })
             .collect();
         if cameras.is_empty() {
             let what = "no grasp has an image of left, right or rgb";
             return Err(Error::input(what));
         }
-        let mut store = Store::create(setting.folder, is_zip(setting.folder.target()))?;
-        store.put_json(".zattrs", &attributes(setting))?;
+        let mut store = Store::create(context.folder, is_zip(context.folder.target()))?;
+        store.put_json(".zattrs", &attributes(context))?;
         for group in ["", "data/", "meta/"] {
             store.put_json(&format!("{group}.zgroup"), &json!({"zarr_format": 2}))?;
         }
@@ -160,16 +166,16 @@ impl<'a> ReplayBuffer<'a> {
             store,
             cameras,
             stage: Rows::new("data/stage", Kind::U1, &[]),
-            grasps: PerGrasp::new(setting),
-            part: String::new(),
+            grasps: PerGrasp::new(context),
+            split: String::new(),
             frames: 0,
-            setting,
+            context,
         })
     }
 
-    /// Images of both frames, by camera; all of them before one is written.
+    /// Decodes the images of both frames, by camera.
     fn decode(&mut self, grasp: &Grasp) -> Result<Vec<Vec<Option<RgbImage>>>> {
-        let (width, height) = self.setting.plan.size;
+        let (width, height) = self.context.plan.size;
         let mut frames = Vec::new();
         for stage in Stage::ALL {
             let mut images = Vec::new();
@@ -193,8 +199,8 @@ impl<'a> ReplayBuffer<'a> {
 }
 
 impl Writer for ReplayBuffer<'_> {
-    fn begin_part(&mut self, part: &str) -> Result<()> {
-        part.clone_into(&mut self.part);
+    fn begin_split(&mut self, split: &str) -> Result<()> {
+        split.clone_into(&mut self.split);
         Ok(())
     }
 
@@ -206,15 +212,15 @@ impl Writer for ReplayBuffer<'_> {
         let store = &mut self.store;
         for (stage, images) in (0_u8..).zip(frames) {
             for (camera, image) in self.cameras.iter_mut().zip(images) {
-                let is_there = [u8::from(image.is_some())];
-                camera.is_there.push(store, &is_there)?;
+                let present = [u8::from(image.is_some())];
+                camera.present.push(store, &present)?;
                 let pixels = image.as_ref().map(|image| image.as_raw().as_slice());
                 camera.images.push(store, pixels)?;
             }
             self.stage.push(store, &[stage])?;
             self.frames += 1;
         }
-        self.grasps.push(store, &grasp, &self.part, self.frames)?;
+        self.grasps.push(store, &grasp, &self.split, self.frames)?;
         Ok(None)
     }
 
@@ -222,19 +228,19 @@ impl Writer for ReplayBuffer<'_> {
         let mut store = self.store;
         for camera in self.cameras {
             camera.images.finish(&mut store)?;
-            camera.is_there.finish(&mut store)?;
+            camera.present.finish(&mut store)?;
         }
         self.stage.finish(&mut store)?;
         self.grasps.finish(&mut store)?;
         store.finish()?;
-        Ok(not_exported(self.setting))
+        Ok(not_exported(self.context))
     }
 }
 
-/// What the arrays mean.
-fn attributes(setting: Setting<'_>) -> serde_json::Value {
-    let (width, height) = setting.plan.size;
-    let descriptor = setting.descriptor;
+/// Meaning of the arrays, for `.zattrs`.
+fn attributes(context: ExportContext<'_>) -> serde_json::Value {
+    let (width, height) = context.plan.size;
+    let descriptor = context.descriptor;
     json!({
         "dataset": descriptor.name,
         "licence": descriptor.licence,
@@ -246,13 +252,13 @@ fn attributes(setting: Setting<'_>) -> serde_json::Value {
     })
 }
 
-/// A note for every other kind of image.
-fn not_exported(setting: Setting<'_>) -> Vec<String> {
+/// A note for each camera that is not exported.
+fn not_exported(context: ExportContext<'_>) -> Vec<String> {
     let mut others: BTreeMap<Role, usize> = BTreeMap::new();
-    for ((_, role), seen) in &setting.survey.cameras {
+    for ((_, role), counts) in &context.survey.cameras {
         if !ROLES.contains(role) {
-            let most = others.entry(*role).or_default();
-            *most = seen.grasps.max(*most);
+            let max = others.entry(*role).or_default();
+            *max = counts.grasps.max(*max);
         }
     }
     let note = |(role, grasps)| format!("{role} left out: images of {grasps} grasps");

@@ -1,4 +1,4 @@
-//! Where chunks and descriptions go: a folder, or one zip file.
+//! Storage of chunks and metadata: a directory, or a zip file.
 
 use std::fs::File;
 use std::io::{self, BufWriter, Write as _};
@@ -11,10 +11,10 @@ use super::super::staged::{StagedFolder, write_failed};
 use super::ZIP_NAME;
 use gripcast_base::error::{Error, Result};
 
-/// Keys with their bytes.
+/// A key-value store of a Zarr export.
 pub(super) enum Store<'a> {
     Folder(&'a StagedFolder),
-    /// Its list of contents grows by some 100 bytes a chunk until it is written at the end.
+    /// Its directory, about 100 bytes per chunk, is in memory until the end.
     Zip(Box<ZipWriter<BufWriter<File>>>),
 }
 
@@ -31,7 +31,7 @@ impl<'a> Store<'a> {
         match self {
             Self::Folder(folder) => folder.write(key, bytes),
             Self::Zip(zip) => {
-                // Chunks are compressed already; without a date the same chunks are the same file.
+                // Chunks are already compressed; without a date equal chunks give equal files.
                 let options = SimpleFileOptions::default()
                     .compression_method(CompressionMethod::Stored)
                     .last_modified_time(DateTime::default())

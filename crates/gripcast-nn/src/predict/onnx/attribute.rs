@@ -1,8 +1,8 @@
-//! Attributes of a node.
+//! Attributes of ONNX nodes.
 
 use tract_onnx::pb::{AttributeProto, attribute_proto::AttributeType};
 
-/// A named constant of a node.
+/// A named attribute of a node.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Attribute(AttributeProto);
 

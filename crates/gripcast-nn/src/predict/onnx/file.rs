@@ -1,4 +1,4 @@
-//! Reading the message of an ONNX file.
+//! Reads ONNX files.
 
 use std::path::Path;
 
@@ -8,34 +8,34 @@ use tract_onnx::pb::ModelProto;
 use gripcast_base::error::{Error, Result};
 use gripcast_base::files::{FileKind, read_regular};
 
-/// Field 1, varint: what every ONNX writer puts first (`ir_version`).
+/// First byte of ONNX files: field 1, varint (`ir_version`).
 const FIRST_BYTE: u8 = 0x08;
 
-/// Reads a whole model file.
+/// Reads a model file.
 ///
 /// # Errors
-/// When it is missing, unreadable, no regular file, or larger than an ONNX file can be.
+/// When it is missing, unreadable, not a regular file, or too large.
 pub fn read(path: &Path) -> Result<Vec<u8>> {
     read_regular(path, FileKind::Model)
         .map_err(|e| Error::io("cannot read the model file", e).at(path.display()))
 }
 
-/// Decodes the message of a model file.
+/// Decodes a model file.
 ///
 /// # Errors
-/// When the bytes are no ONNX message; says what they are instead where that can be told.
+/// When the bytes are not an ONNX message; the error names recognised other formats.
 pub fn decode(bytes: &[u8]) -> Result<ModelProto> {
     if bytes.is_empty() {
         return Err(Error::input("the model file is empty (0 bytes)")
             .remedy("copy or export the model again"));
     }
     if let Some((found, remedy)) = recognise(bytes) {
-        return Err(Error::input(format!("not an ONNX file but {found}")).remedy(remedy));
+        return Err(Error::input(format!("expected an ONNX file, found {found}")).remedy(remedy));
     }
     let decoded = ModelProto::decode(bytes).map_err(|cause| {
         let what = if bytes[0] == FIRST_BYTE {
             format!(
-                "the ONNX file is damaged or cut off ({} bytes)",
+                "the ONNX file is damaged or truncated ({} bytes)",
                 bytes.len()
             )
         } else {
@@ -47,7 +47,7 @@ pub fn decode(bytes: &[u8]) -> Result<ModelProto> {
     })?;
     if decoded.graph.is_none() {
         return Err(Error::input(format!(
-            "the file has {} bytes but no ONNX graph: it is cut off, or no ONNX file",
+            "no ONNX graph in the file ({} bytes): it is truncated, or not an ONNX file",
             bytes.len()
         ))
         .remedy("copy or export the model again and compare its sha256 with its card"));
@@ -55,10 +55,10 @@ pub fn decode(bytes: &[u8]) -> Result<ModelProto> {
     Ok(decoded)
 }
 
-/// What people hand over by mistake.
+/// Recognises common other formats.
 fn recognise(bytes: &[u8]) -> Option<(&'static str, &'static str)> {
     const EXPORT: &str = "export the network with opset 17 and gripcast's metadata first";
-    const NAME: &str = "name the .onnx file itself";
+    const NAME: &str = "give the .onnx file itself";
     let starts = |magic: &[u8]| bytes.starts_with(magic);
     if starts(b"version https://git-lfs") {
         Some((
@@ -93,7 +93,7 @@ mod tests {
     use gripcast_base::error::ErrorKind;
 
     #[test]
-    fn says_what_the_file_is_instead() {
+    fn error_names_the_found_format() {
         for (bytes, expected) in [
             (&b""[..], "empty (0 bytes)"),
             (b"\xff\xd8\xff\xe0\0\x10JFIF", "a JPEG image"),
@@ -104,7 +104,7 @@ mod tests {
                 "a Git LFS pointer",
             ),
             (b"name = \"model\"\n", "a text file"),
-            (b"\x08\x08\x3a\xff", "damaged or cut off"),
+            (b"\x08\x08\x3a\xff", "damaged or truncated"),
             (b"\x08\x08", "no ONNX graph"),
             (b"\xfe\xfe\xfe\xfe", "not an ONNX file"),
         ] {
@@ -116,9 +116,9 @@ mod tests {
     }
 
     #[test]
-    fn a_directory_and_a_missing_file_are_told_apart() {
+    fn directory_and_missing_file_have_different_errors() {
         let directory = read(Path::new("/")).unwrap_err();
-        assert!(directory.to_string().contains("a folder"), "{directory}");
+        assert!(directory.to_string().contains("a directory"), "{directory}");
         let missing = read(Path::new("/no/such/model.onnx")).unwrap_err();
         assert_eq!(missing.kind(), ErrorKind::NotFound);
         assert!(missing.to_string().starts_with("/no/such/model.onnx: "));

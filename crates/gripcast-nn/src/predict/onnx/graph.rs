@@ -1,4 +1,4 @@
-//! Writing a graph.
+//! Builds ONNX graphs.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -12,9 +12,9 @@ use tract_onnx::pb::{
 use super::{Attribute, IR_VERSION, OPSET};
 use gripcast_base::error::{Error, Result};
 
-/// Side of an input's or output's shape that is left open: any number of images at once.
+/// Open batch dimension of an input's or output's shape.
 pub const OPEN_BATCH: i64 = -1;
-/// Name of that side in the file.
+/// Name of the open batch dimension.
 const BATCH_NAME: &str = "batch";
 
 /// A tensor of the graph: an input, a constant or the result of a node.
@@ -22,7 +22,7 @@ const BATCH_NAME: &str = "batch";
 pub struct Value(String);
 
 impl Value {
-    /// The tensor of this name, which the graph has when it is written.
+    /// Refers to a tensor by name; it must exist when the graph is written.
     pub(crate) fn named(name: &str) -> Self {
         Self(name.to_owned())
     }
@@ -35,7 +35,7 @@ impl Value {
 
 /// Builds an ONNX file of f32 tensors, node by node in the order of evaluation.
 ///
-/// The bytes depend on nothing but the calls, so that a written model can be compared byte by byte.
+/// Equal calls give equal bytes.
 ///
 /// ```
 /// use gripcast_nn::predict::onnx::{Attribute, OnnxGraphBuilder};
@@ -88,7 +88,7 @@ impl OnnxGraphBuilder {
     /// Stores an f32 tensor, row-major.
     ///
     /// # Errors
-    /// When `data` does not fill `shape`, or the name is taken.
+    /// When the length of `data` does not match `shape`, or the name is taken.
     pub fn constant(&mut self, name: &str, shape: &[i64], data: &[f32]) -> Result<Value> {
         let elements = data.len();
         let expected = shape
@@ -96,7 +96,7 @@ impl OnnxGraphBuilder {
             .try_fold(1_usize, |n, &d| n.checked_mul(usize::try_from(d).ok()?));
         if expected != Some(elements) {
             return Err(self.defect(&format!(
-                "got {elements} elements for the constant `{name}` of shape {shape:?}"
+                "has {elements} elements for the constant `{name}` of shape {shape:?}"
             )));
         }
         self.claim(name)?;
@@ -110,7 +110,7 @@ impl OnnxGraphBuilder {
         Ok(Value::named(name))
     }
 
-    /// Appends an operator with one result, which gets the node's name.
+    /// Appends an operator with one output, named like the node.
     ///
     /// # Errors
     /// When the name is taken.
@@ -148,15 +148,15 @@ impl OnnxGraphBuilder {
         text.clone_into(&mut self.description);
     }
 
-    /// The message.
+    /// Returns the ONNX message.
     ///
     /// # Errors
-    /// When there is no output, or one that no node has made.
+    /// When there is no output, or an output or input of a node is undefined.
     pub fn into_proto(self) -> Result<ModelProto> {
         if self.graph.output.is_empty() {
             return Err(self.defect("has no output"));
         }
-        if let Some(lost) = self
+        if let Some(undefined) = self
             .graph
             .output
             .iter()
@@ -164,7 +164,7 @@ impl OnnxGraphBuilder {
             .chain(self.graph.node.iter().flat_map(|node| &node.input))
             .find(|name| !self.names.contains(*name))
         {
-            return Err(self.defect(&format!("uses `{lost}`, which belongs to another graph")));
+            return Err(self.defect(&format!("uses the undefined value `{undefined}`")));
         }
         let metadata_props = self
             .metadata
@@ -185,7 +185,7 @@ impl OnnxGraphBuilder {
         })
     }
 
-    /// The bytes of the file.
+    /// Encodes the file.
     ///
     /// # Errors
     /// As [`OnnxGraphBuilder::into_proto`].
@@ -237,7 +237,7 @@ mod tests {
 
     use super::*;
 
-    /// Conv, Relu, AveragePool, Flatten, Gemm, Concat and Sigmoid as a trained network uses them.
+    /// A small network with the operators of a trained one.
     fn small_network() -> OnnxGraphBuilder {
         let mut graph = OnnxGraphBuilder::new("small");
         let x = graph.input("x", &[1, 1, 4, 4]).unwrap();
@@ -289,7 +289,7 @@ mod tests {
     }
 
     #[test]
-    fn the_file_is_what_was_called_whatever_the_order_of_metadata() {
+    fn file_does_not_depend_on_metadata_order() {
         let with = |pairs: [(&str, &str); 2]| {
             let mut graph = small_network();
             for (key, value) in pairs {
@@ -330,7 +330,7 @@ mod tests {
     }
 
     #[test]
-    fn mistakes_are_refused() {
+    fn invalid_calls_are_refused() {
         let mut graph = OnnxGraphBuilder::new("g");
         let wrong = graph.constant("w", &[2, 2], &[0.0; 3]).unwrap_err();
         assert!(

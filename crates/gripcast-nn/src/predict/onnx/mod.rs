@@ -1,7 +1,7 @@
-//! ONNX files: a small writer, and reading with explained refusals.
+//! Writes ONNX files, and reads them with explained errors.
 //!
-//! The message types are those of [`tract_onnx::pb`], so nothing is generated here. Written files
-//! carry opset [`OPSET`] and IR version [`IR_VERSION`], which onnxruntime and tract both read.
+//! The message types are those of [`tract_onnx::pb`]. Written files have opset [`OPSET`] and IR
+//! version [`IR_VERSION`], which onnxruntime and tract both read.
 
 mod attribute;
 mod file;

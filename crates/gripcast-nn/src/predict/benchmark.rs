@@ -1,4 +1,4 @@
-//! How long loading, preprocessing and predicting take on this machine.
+//! Measures loading, preprocessing and prediction times on this machine.
 
 use std::time::Instant;
 
@@ -11,36 +11,36 @@ use super::input::ModelInput;
 use gripcast_base::error::Result;
 use gripcast_imaging::TactileDifference;
 
-/// Loads per measurement; a load is far slower than a prediction.
+/// Number of loads per measurement.
 const LOADS: usize = 5;
-/// Predictions before the clock starts.
+/// Number of warm-up predictions.
 const WARM_UP: usize = 3;
 
-/// Predictions of a self-check.
+/// Number of predictions of a self-check.
 const SELF_CHECKS: usize = 9;
 
-/// Figures of one model, ms of wall time on one thread.
+/// Timings of a model, wall time on one thread.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
-pub struct PredictFigures {
-    /// Model alone, median.
+pub struct PredictTimings {
+    /// Median inference time, ms.
     pub engine_ms_median: f64,
-    /// Model alone, minimum.
+    /// Minimum inference time, ms.
     pub engine_ms_min: f64,
-    /// From the file's bytes to the first answer, median.
+    /// Median time from the file's bytes to the first prediction, ms.
     pub load_ms_median: f64,
-    /// From the file's bytes to the first answer, minimum.
+    /// Minimum time from the file's bytes to the first prediction, ms.
     pub load_ms_min: f64,
-    /// From 320×240 images to tensors, all inputs of the model, median.
+    /// Median preprocessing time of all inputs, ms.
     pub preprocess_ms_median: f64,
-    /// From 320×240 images to tensors, all inputs of the model, minimum.
+    /// Minimum preprocessing time of all inputs, ms.
     pub preprocess_ms_min: f64,
 }
 
-/// Measures a model, given as the bytes of its file, over `runs` predictions (at least one).
+/// Measures a model, given as bytes, over `runs` predictions (at least one).
 ///
 /// # Errors
 /// When the model does not load or run.
-pub fn measure(model: &[u8], runs: usize) -> Result<PredictFigures> {
+pub fn measure(model: &[u8], runs: usize) -> Result<PredictTimings> {
     let loads = (0..LOADS)
         .map(|_| Ok(Model::from_bytes(model)?.load_ms()))
         .collect::<Result<Vec<_>>>()?;
@@ -55,7 +55,7 @@ pub fn measure(model: &[u8], runs: usize) -> Result<PredictFigures> {
             preprocess.push(started.elapsed().as_secs_f64() * 1e3);
         }
     }
-    // The same tensors again and again, as the peer gets them.
+    // Constant input, as for the baseline engine.
     let mut engine = Vec::with_capacity(runs);
     for run in 0..WARM_UP + runs.max(1) {
         let prediction = model.predict(&input)?;
@@ -66,7 +66,7 @@ pub fn measure(model: &[u8], runs: usize) -> Result<PredictFigures> {
     let (engine_ms_min, engine_ms_median) = min_and_median(engine);
     let (load_ms_min, load_ms_median) = min_and_median(loads);
     let (preprocess_ms_min, preprocess_ms_median) = min_and_median(preprocess);
-    Ok(PredictFigures {
+    Ok(PredictTimings {
         engine_ms_median,
         engine_ms_min,
         load_ms_median,
@@ -76,29 +76,29 @@ pub fn measure(model: &[u8], runs: usize) -> Result<PredictFigures> {
     })
 }
 
-/// What a model answers here, and what it should.
+/// Result of a self-check.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SelfCheck {
-    /// Answer to a made-up grasp.
+    /// Prediction of a synthetic grasp.
     pub p_stable: f64,
-    /// The general engine's answer to the same, where our own one runs the model.
-    pub other: Option<f64>,
-    /// Model alone, median, ms.
+    /// Prediction of the tract engine, if the native engine runs the model.
+    pub reference: Option<f64>,
+    /// Median inference time, ms.
     pub engine_ms: f64,
-    /// From the file's bytes to the first answer, ms.
+    /// Time from the file's bytes to the first prediction, ms.
     pub load_ms: f64,
 }
 
-/// Predicts a made-up grasp, by both engines where both can.
+/// Predicts a synthetic grasp, with both engines if possible.
 ///
 /// # Errors
 /// When the model does not load or run.
 pub fn self_check(model: &[u8]) -> Result<SelfCheck> {
     let bytes = model;
     let model = Model::from_bytes(bytes)?;
-    let input = made_up(&model)?;
-    let other = if model.is_on_own_engine() {
-        Some(Model::on_tract(bytes)?.predict(&input)?.p_stable)
+    let input = synthetic_input(&model)?;
+    let reference = if model.is_native() {
+        Some(Model::with_tract(bytes)?.predict(&input)?.p_stable)
     } else {
         None
     };
@@ -108,13 +108,13 @@ pub fn self_check(model: &[u8]) -> Result<SelfCheck> {
     let (_, engine_ms) = min_and_median(runs.iter().map(|run| run.engine_ms).collect());
     Ok(SelfCheck {
         p_stable: runs.first().map_or(f64::NAN, |run| run.p_stable),
-        other,
+        reference,
         engine_ms,
         load_ms: model.load_ms(),
     })
 }
 
-fn made_up(model: &Model) -> Result<ModelInput> {
+fn synthetic_input(model: &Model) -> Result<ModelInput> {
     let mut input = ModelInput::zeros(model.contract())?;
     fill(&mut input, model, &pattern(0), &pattern(40))?;
     Ok(input)
@@ -122,7 +122,7 @@ fn made_up(model: &Model) -> Result<ModelInput> {
 
 /// Sets all inputs of a model.
 fn fill(input: &mut ModelInput, model: &Model, initial: &RgbImage, grasp: &RgbImage) -> Result<()> {
-    for &name in model.contract().variant.inputs() {
+    for &name in model.contract().modality.inputs() {
         match name {
             InputName::Rgb => input.set_rgb(grasp)?,
             tactile => {
@@ -140,11 +140,11 @@ fn pattern(shift: u32) -> RgbImage {
     })
 }
 
-/// The lower of the two middle values where their number is even.
+/// Minimum and (lower) median.
 fn min_and_median(mut values: Vec<f64>) -> (f64, f64) {
     values.sort_by(f64::total_cmp);
-    let at = |index: usize| values.get(index).copied().unwrap_or(f64::NAN);
-    (at(0), at(values.len().saturating_sub(1) / 2))
+    let value = |index: usize| values.get(index).copied().unwrap_or(f64::NAN);
+    (value(0), value(values.len().saturating_sub(1) / 2))
 }
 
 #[cfg(test)]
@@ -159,7 +159,7 @@ mod tests {
     }
 
     #[test]
-    fn figures_are_positive_and_named_as_promised() {
+    fn timings_are_positive_with_stable_keys() {
         let figures = measure(&crate::predict::baseline::onnx_bytes().unwrap(), 3).unwrap();
         let json = serde_json::to_value(figures).unwrap();
         let keys: Vec<_> = json.as_object().unwrap().keys().cloned().collect();

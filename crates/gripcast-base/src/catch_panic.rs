@@ -1,8 +1,7 @@
-//! Panics of a library as values.
+//! Catches panics of third-party libraries.
 //!
-//! The ONNX engine and the Parquet decoders panic on some contents that no exporter writes but a
-//! damaged file can hold. Such a panic is an explained refusal to the user, so neither the process
-//! nor the screen may see it.
+//! The ONNX engine and the Parquet decoders panic on some damaged files. The caller turns such a
+//! panic into an error, so it must neither end the process nor print to the screen.
 
 use std::any::Any;
 use std::cell::Cell;
@@ -13,11 +12,11 @@ thread_local! {
     static QUIET: Cell<bool> = const { Cell::new(false) };
 }
 
-/// Runs `work`; a panic in it is returned as its message and prints nothing.
+/// Runs `work`; returns the message of a panic without printing it.
 ///
 /// # Errors
 /// The message of the panic.
-pub fn catch<T>(work: impl FnOnce() -> T + UnwindSafe) -> Result<T, String> {
+pub fn catch_panic<T>(work: impl FnOnce() -> T + UnwindSafe) -> Result<T, String> {
     static HOOK: Once = Once::new();
     HOOK.call_once(|| {
         let previous = panic::take_hook();
@@ -46,11 +45,11 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_panic_becomes_its_message_and_others_pass() {
+    fn panic_becomes_its_message() {
         let index = std::hint::black_box(4);
-        let caught = catch(|| [0_u8; 3][index]).unwrap_err();
+        let caught = catch_panic(|| [0_u8; 3][index]).unwrap_err();
         assert!(caught.contains("index out of bounds"), "{caught}");
-        assert_eq!(catch(|| 7), Ok(7));
+        assert_eq!(catch_panic(|| 7), Ok(7));
         assert!(!QUIET.get());
     }
 }

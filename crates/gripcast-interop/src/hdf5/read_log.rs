@@ -1,7 +1,7 @@
-//! A file that remembers what was read of it, for the one kind of attribute that the library has no
-//! value for: PyTables writes a boolean as a bit field of one byte.
+//! A file that logs its reads, for attributes that the library cannot decode: PyTables writes a
+//! boolean as a bit field of one byte.
 //!
-//! Needed until `hdf5-pure` reads bit fields; it then has these attributes like all others.
+//! Needed until `hdf5-pure` reads bit fields.
 
 use std::fs;
 use std::io;
@@ -10,38 +10,38 @@ use std::sync::{Arc, Mutex, PoisonError};
 
 use hdf5_pure::{FormatError, Source};
 
-/// Longest read that is remembered, bytes: a message of a header has less than 64 KiB.
+/// Maximum size of a logged read, bytes: a header message has less than 64 KiB.
 const MAX: usize = 1 << 20;
 /// Class of a bit field in the low half of a datatype's first byte.
 const BIT_FIELD: u8 = 4;
 
-/// The file.
-pub(super) struct WatchedFile {
+/// A file with a log of its reads.
+pub(super) struct LoggedFile {
     file: fs::File,
     size: u64,
-    watch: Watch,
+    log: ReadLog,
 }
 
-/// What was read while somebody watched.
+/// Log of reads; `None` while logging is off.
 #[derive(Clone, Default)]
-pub(super) struct Watch(Arc<Mutex<Option<Vec<Vec<u8>>>>>);
+pub(super) struct ReadLog(Arc<Mutex<Option<Vec<Vec<u8>>>>>);
 
-impl WatchedFile {
+impl LoggedFile {
     /// # Errors
     /// Those of the operating system.
-    pub(super) fn new(file: fs::File) -> io::Result<(Self, Watch)> {
+    pub(super) fn new(file: fs::File) -> io::Result<(Self, ReadLog)> {
         let size = file.metadata()?.len();
-        let watch = Watch::default();
-        let watched = Self {
+        let log = ReadLog::default();
+        let logged = Self {
             file,
             size,
-            watch: watch.clone(),
+            log: log.clone(),
         };
-        Ok((watched, watch))
+        Ok((logged, log))
     }
 }
 
-impl Source for WatchedFile {
+impl Source for LoggedFile {
     fn len(&self) -> u64 {
         self.size
     }
@@ -49,7 +49,7 @@ impl Source for WatchedFile {
     fn read_at(&self, offset: u64, buf: &mut [u8]) -> Result<(), FormatError> {
         match self.file.read_exact_at(buf, offset) {
             Ok(()) => {}
-            // A damaged file names places behind its end.
+            // A damaged file refers to offsets beyond its end.
             Err(error) if error.kind() == io::ErrorKind::UnexpectedEof => {
                 return Err(FormatError::UnexpectedEof {
                     expected: buf.len(),
@@ -58,22 +58,22 @@ impl Source for WatchedFile {
             }
             Err(error) => return Err(FormatError::Source(error.to_string())),
         }
-        let mut seen = self.watch.0.lock().unwrap_or_else(PoisonError::into_inner);
-        if let Some(seen) = seen.as_mut()
+        let mut reads = self.log.0.lock().unwrap_or_else(PoisonError::into_inner);
+        if let Some(reads) = reads.as_mut()
             && buf.len() <= MAX
         {
-            seen.push(buf.to_vec());
+            reads.push(buf.to_vec());
         }
         Ok(())
     }
 }
 
-impl Watch {
-    /// All that is read of the file during `work`.
+impl ReadLog {
+    /// Returns all reads of the file during `work`.
     pub(super) fn during(&self, work: impl FnOnce()) -> Vec<Vec<u8>> {
         let swap = |new| {
-            let mut seen = self.0.lock().unwrap_or_else(PoisonError::into_inner);
-            std::mem::replace(&mut *seen, new)
+            let mut reads = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+            std::mem::replace(&mut *reads, new)
         };
         swap(Some(Vec::new()));
         work();
@@ -81,13 +81,13 @@ impl Watch {
     }
 }
 
-/// The value of an attribute that is a bit field of one byte, from the message that holds it; none
-/// where there is no such message, or several that disagree.
+/// Value of an attribute that is a bit field of one byte, from the logged attribute message; none
+/// without such a message, or if several disagree.
 pub(super) fn bit_field(reads: &[Vec<u8>], name: &str) -> Option<u8> {
     let mut found = None;
     for bytes in reads {
-        for at in 0..bytes.len() {
-            let Some(value) = value_at(&bytes[at..], name) else {
+        for offset in 0..bytes.len() {
+            let Some(value) = attribute_value(&bytes[offset..], name) else {
                 continue;
             };
             if found.is_some_and(|found| found != value) {
@@ -99,19 +99,19 @@ pub(super) fn bit_field(reads: &[Vec<u8>], name: &str) -> Option<u8> {
     found
 }
 
-/// The value, if an attribute message of that name begins here (HDF5 file format specification,
-/// IV.A.2.m).
-fn value_at(bytes: &[u8], name: &str) -> Option<u8> {
+/// Value of an attribute message of that name at the start of `bytes` (HDF5 file format
+/// specification, IV.A.2.m).
+fn attribute_value(bytes: &[u8], name: &str) -> Option<u8> {
     let version = *bytes.first()?;
     let begin = match version {
         1 | 2 => 8,
         3 => 9,
         _ => return None,
     };
-    let size = |at: usize| {
+    let size = |offset: usize| {
         Some(usize::from(u16::from_le_bytes([
-            *bytes.get(at)?,
-            *bytes.get(at + 1)?,
+            *bytes.get(offset)?,
+            *bytes.get(offset + 1)?,
         ])))
     };
     let [name_size, type_size, space_size] = [size(2)?, size(4)?, size(6)?];
@@ -125,12 +125,12 @@ fn value_at(bytes: &[u8], name: &str) -> Option<u8> {
         1 => size.next_multiple_of(8),
         _ => size,
     };
-    let type_at = begin + padded(name_size);
-    let datatype = bytes.get(type_at..type_at + type_size)?;
+    let type_offset = begin + padded(name_size);
+    let datatype = bytes.get(type_offset..type_offset + type_size)?;
     let is_byte = datatype.first()? & 0x0f == BIT_FIELD && datatype.get(4..8)? == [1, 0, 0, 0];
-    let space_at = type_at + padded(type_size);
-    let space = bytes.get(space_at..space_at + space_size)?;
-    // A scalar, or one axis of length one.
+    let space_offset = type_offset + padded(type_size);
+    let space = bytes.get(space_offset..space_offset + space_size)?;
+    // A scalar, or one axis of length 1.
     let lengths = match space.first()? {
         1 => 8,
         _ => 4,
@@ -140,7 +140,7 @@ fn value_at(bytes: &[u8], name: &str) -> Option<u8> {
         1 => space.get(lengths..lengths + 8)? == [1, 0, 0, 0, 0, 0, 0, 0],
         _ => false,
     };
-    let value = bytes.get(space_at + padded(space_size))?;
+    let value = bytes.get(space_offset + padded(space_size))?;
     (is_byte && is_one).then_some(*value)
 }
 
@@ -150,7 +150,7 @@ mod tests {
 
     const NAME: &str = "is_gripping";
 
-    /// Messages of version 1 and 3 as libhdf5 writes them.
+    /// Messages of versions 1 and 3 as written by libhdf5.
     fn message(version: u8, value: u8) -> Vec<u8> {
         let datatype = [0x14, 0, 0, 0, 1, 0, 0, 0, 0, 0, 8, 0];
         let mut bytes = vec![version, 0, 12, 0, 12, 0];
@@ -174,7 +174,7 @@ mod tests {
     }
 
     #[test]
-    fn the_value_is_found_in_both_forms_of_the_message() {
+    fn value_is_found_in_both_message_versions() {
         for version in [1, 3] {
             for value in [0, 1] {
                 let mut read = vec![7; 5];

@@ -1,83 +1,83 @@
-//! Our own engine for the networks that gripcast trains, on the processor's widest vectors. Other
-//! graphs are left to the general engine.
+//! Native engine for networks trained by gripcast, vectorised for the CPU. Other graphs run on
+//! tract.
 
 use std::sync::{Mutex, PoisonError};
 
 use tract_onnx::pb::ModelProto;
 
-use super::contract::{InputName, Variant};
+use super::contract::{InputName, Modality};
 use super::input::ModelInput;
 use crate::architecture::IMAGE;
-use crate::export::Recognised;
+use crate::export::RecognisedNetwork;
 use crate::inference::{Convolution, Dense, Padded};
-use crate::network::Sense;
+use crate::network::EncoderKind;
 
-/// A network that is ready to run.
+/// A network ready to run.
 #[derive(Debug)]
-pub(super) struct OwnEngine {
+pub(super) struct NativeEngine {
     encoders: Vec<Encoder>,
     pool: [usize; 2],
     hidden: Dense,
     logit: Dense,
-    empty: Memory,
-    /// Memory of runs that have ended.
-    free: Mutex<Vec<Memory>>,
+    empty: Buffers,
+    /// Buffers for reuse.
+    free: Mutex<Vec<Buffers>>,
 }
 
 #[derive(Debug)]
 struct Encoder {
-    /// Its images; sensors share one.
+    /// Inputs; both sensors share an encoder.
     inputs: &'static [InputName],
     convolutions: Vec<Convolution>,
     projection: Dense,
 }
 
-/// What a run writes.
+/// Buffers of a run.
 #[derive(Clone, Debug, Default)]
-struct Memory {
-    /// The input, where it is read as pixels, and what each convolution gives.
+struct Buffers {
+    /// The input as pixels, if needed, and the output of each convolution.
     images: Vec<Padded>,
-    /// Means over windows, one row for each input of an encoder.
+    /// Pooled features, one row for each input of an encoder.
     pooled: Vec<f32>,
-    /// What a layer gives.
+    /// Output of a dense layer.
     numbers: Vec<f32>,
     joined: Vec<f32>,
 }
 
-impl OwnEngine {
-    /// The engine for a model; none where its graph is not one of our networks.
-    pub(super) fn of(model: &ModelProto, variant: Variant) -> Option<Self> {
+impl NativeEngine {
+    /// Builds the engine for a model; none if its graph is not a gripcast network.
+    pub(super) fn new(model: &ModelProto, modality: Modality) -> Option<Self> {
         use InputName::{Rgb, TactileLeft, TactileRight};
-        let graph = Recognised::new(model.graph.as_ref()?, variant.inputs())?;
+        let graph = RecognisedNetwork::new(model.graph.as_ref()?, modality.inputs())?;
         let architecture = &graph.architecture;
         let shapes = architecture.shapes();
         let [height, width, channels] = architecture.pooled();
-        let encoder = |sense: Sense, inputs: &'static [InputName]| {
+        let encoder = |kind: EncoderKind, inputs: &'static [InputName]| {
             let convolutions = shapes.iter().enumerate().map(|(at, shape)| {
-                let [weight, bias] = graph.convolution(sense, at, shape.input[2])?;
+                let [weight, bias] = graph.convolution(kind, at, shape.input[2])?;
                 Some(Convolution::new(*shape, &weight, bias, true))
             });
-            // Before their channels are multiplied: the file's sides are then those of its data.
+            // First, so that the sizes below are those of actual data.
             let convolutions = convolutions.collect::<Option<_>>()?;
-            let layer = format!("{}.projection", sense.name());
+            let layer = format!("{}.projection", kind.name());
             let means = height * width * channels;
             let [weight, bias] = graph.dense(&layer, means, architecture.embedding)?;
             Some(Encoder {
                 inputs,
                 convolutions,
-                projection: Dense::of_planes([height * width, channels], &weight, bias),
+                projection: Dense::from_planes([height * width, channels], &weight, bias),
             })
         };
-        let all: [(Sense, &'static [InputName]); 2] = [
-            (Sense::Touch, &[TactileLeft, TactileRight]),
-            (Sense::Vision, &[Rgb]),
+        let all: [(EncoderKind, &'static [InputName]); 2] = [
+            (EncoderKind::Touch, &[TactileLeft, TactileRight]),
+            (EncoderKind::Vision, &[Rgb]),
         ];
         let encoders = all
             .into_iter()
-            .filter(|(_, inputs)| inputs.iter().all(|name| variant.inputs().contains(name)))
-            .map(|(sense, inputs)| encoder(sense, inputs));
+            .filter(|(_, inputs)| inputs.iter().all(|name| modality.inputs().contains(name)))
+            .map(|(kind, inputs)| encoder(kind, inputs));
         let encoders = encoders.collect::<Option<_>>()?;
-        let joined = variant.inputs().len() * architecture.embedding;
+        let joined = modality.inputs().len() * architecture.embedding;
         let [hidden, hidden_bias] = graph.dense("head.hidden", joined, architecture.hidden)?;
         let [logit, logit_bias] = graph.dense("head.logit", architecture.hidden, 1)?;
         let pads = shapes.iter().map(|shape| shape.pad).chain([0]);
@@ -88,30 +88,30 @@ impl OwnEngine {
             pool: architecture.pool,
             hidden: Dense::new(joined, &hidden, hidden_bias, true),
             logit: Dense::new(architecture.hidden, &logit, logit_bias, false),
-            empty: Memory {
+            empty: Buffers {
                 images: images.collect(),
-                ..Memory::default()
+                ..Buffers::default()
             },
             free: Mutex::default(),
         })
     }
 
-    /// The probability that the model gives; none where an input is missing.
+    /// Predicts p_stable; none if an input is missing.
     pub(super) fn run(&self, input: &ModelInput) -> Option<f32> {
         let free = || self.free.lock().unwrap_or_else(PoisonError::into_inner);
-        let mut memory = free().pop().unwrap_or_else(|| self.empty.clone());
-        let logit = self.logit(input, &mut memory);
-        free().push(memory);
+        let mut buffers = free().pop().unwrap_or_else(|| self.empty.clone());
+        let logit = self.logit(input, &mut buffers);
+        free().push(buffers);
         logit.map(|x| 1.0 / (1.0 + (-x).exp()))
     }
 
-    fn logit(&self, input: &ModelInput, memory: &mut Memory) -> Option<f32> {
-        let Memory {
+    fn logit(&self, input: &ModelInput, buffers: &mut Buffers) -> Option<f32> {
+        let Buffers {
             images,
             pooled,
             numbers,
             joined,
-        } = memory;
+        } = buffers;
         joined.clear();
         for encoder in &self.encoders {
             pooled.clear();
@@ -119,29 +119,29 @@ impl OwnEngine {
                 encoder.convolve(input.values(*name)?, images);
                 images.last()?.pool(self.pool, pooled);
             }
-            encoder.projection.of(pooled, numbers);
+            encoder.projection.forward(pooled, numbers);
             joined.extend_from_slice(numbers);
         }
-        self.hidden.of(joined, numbers);
-        self.logit.of(numbers, joined);
+        self.hidden.forward(joined, numbers);
+        self.logit.forward(numbers, joined);
         joined.first().copied()
     }
 }
 
 impl Encoder {
-    /// Planes of an input through all convolutions.
+    /// Runs all convolutions on the planes of an input.
     fn convolve(&self, planes: &[f32], images: &mut [Padded]) {
         for (at, layer) in self.convolutions.iter().enumerate() {
             let (before, after) = images.split_at_mut(at + 1);
             let (x, y) = (&mut before[at], &mut after[0]);
             if at == 0 && layer.reads_planes() {
-                layer.of_planes(planes, y);
+                layer.forward_planes(planes, y);
                 continue;
             }
             if at == 0 {
                 x.set_planes(planes);
             }
-            layer.of(x, y);
+            layer.forward(x, y);
         }
     }
 }

@@ -1,51 +1,52 @@
-//! Whether a tactile difference is like those that a model was trained on.
+//! Detects out-of-distribution (OOD) tactile differences.
 //!
-//! A classifier answers anything with a probability: a gel of another maker, a lamp that went
-//! out, an initial frame taken in contact. A model therefore carries the mean and the covariance
-//! of sixteen plain features of its training differences; what lies further away than nearly all
-//! of them (by Mahalanobis distance, as in Lee et al., *A simple unified framework for detecting
-//! out-of-distribution samples*, 2018, there on layers of the network) is none of its business.
+//! A classifier returns a probability for any input: another gel, a failed light, an initial frame
+//! in contact. A model therefore stores mean and covariance of 16 features of its training
+//! differences; inputs with a larger Mahalanobis distance than nearly all of them are OOD (as in Lee
+//! et al., *A simple unified framework for detecting out-of-distribution samples*, 2018, there on
+//! layers of the network).
 
 use serde::{Deserialize, Serialize};
 
 use crate::predict::contract::{IMAGE_HEIGHT, IMAGE_WIDTH};
 use gripcast_base::error::{Error, Result};
+use gripcast_base::linear::Cholesky;
 use gripcast_imaging::TactileDifference;
 
-/// Key of the metadata.
+/// Key in the metadata of a model.
 pub const METADATA: &str = "gripcast.novelty";
-/// Features of a difference.
+/// Number of features of a difference.
 pub const FEATURES: usize = 16;
-/// Fraction of the training differences that lie nearer than the limit.
+/// Fraction of the training differences within the limit.
 pub const QUANTILE: f64 = 0.999;
 
 const WIDTH: usize = IMAGE_WIDTH as usize;
 const HEIGHT: usize = IMAGE_HEIGHT as usize;
-/// Side of the blocks over which the light is averaged, pixels.
+/// Side of the blocks over which values are averaged, pixels.
 const BLOCK: usize = 8;
 const COLUMNS: usize = WIDTH / BLOCK;
 const ROWS: usize = HEIGHT / BLOCK;
-/// One grey level: smaller changes are noise.
+/// One grey level, the noise floor.
 const LEVEL: f64 = 1.0 / 255.0;
-/// Change from which a block counts as touched, grey levels.
-const TOUCHED_LEVELS: f64 = 10.0;
-/// Fraction of a feature's variance that is added to it, so that the covariance has an inverse.
+/// Minimum change of a block in contact, grey levels.
+const CONTACT_BLOCK_LEVELS: f64 = 10.0;
+/// Relative regularisation of the variances, so that the covariance is invertible.
 const SHRINKAGE: f64 = 1e-3;
-/// Least limit, deviations: images that are all alike say nothing about how far is far.
+/// Minimum limit, standard deviations; nearly equal images have no meaningful limit.
 const MIN_LIMIT: f64 = 1.0;
-/// Least variance of a feature.
+/// Absolute regularisation of the variances.
 const MIN_VARIANCE: f64 = 1e-6;
 
-/// What a difference looks like, in numbers.
+/// Features of a tactile difference.
 pub type Features = [f64; FEATURES];
 
-/// Features of a tactile difference of 320×240 pixels, `R, G, B` of each, (grasp − initial) / 255;
+/// Computes the features of a tactile difference of 320×240 RGB pixels, (grasp − initial) / 255;
 /// none for another number of values.
 ///
-/// Mean of each colour; logarithms of the deviations of the colours between blocks, of the
-/// difference between neighbouring pixels, between neighbouring blocks, and of the largest change;
-/// the correlations of the colours; the fraction of touched blocks; mean over mean magnitude of each
-/// colour.
+/// Mean of each channel; logarithms of the channels' standard deviations between blocks, of the
+/// difference between neighbouring pixels, between neighbouring blocks, and of the maximum change;
+/// correlations of the channels; fraction of blocks in contact; ratio of mean and mean magnitude of
+/// each channel.
 pub fn features(values: &[f32]) -> Option<Features> {
     if values.len() != WIDTH * HEIGHT * 3 {
         return None;
@@ -65,12 +66,12 @@ pub fn features(values: &[f32]) -> Option<Features> {
     let correlation = |pair: usize, [a, b]: [usize; 2]| {
         covariance[pair] / count / (deviation[a] * deviation[b] + LEVEL * LEVEL)
     };
-    let largest = |block: &[f64; 3]| block.iter().fold(0.0, |most: f64, v| most.max(v.abs()));
-    let peak = blocks.iter().map(largest).fold(0.0, f64::max);
-    let is_touched = |block: &&[f64; 3]| largest(block) > TOUCHED_LEVELS * LEVEL;
-    let touched = blocks.iter().filter(is_touched).count() as f64 / count;
+    let magnitude = |block: &[f64; 3]| block.iter().fold(0.0, |max: f64, v| max.max(v.abs()));
+    let peak = blocks.iter().map(magnitude).fold(0.0, f64::max);
+    let in_contact = |block: &&[f64; 3]| magnitude(block) > CONTACT_BLOCK_LEVELS * LEVEL;
+    let contact = blocks.iter().filter(in_contact).count() as f64 / count;
     let log = |x: f64| (LEVEL + x).ln();
-    let lean: [f64; 3] = std::array::from_fn(|c| mean[c] / (size[c] + LEVEL));
+    let bias: [f64; 3] = std::array::from_fn(|c| mean[c] / (size[c] + LEVEL));
     let [r, g, b] = deviation.map(log);
     Some([
         mean[0],
@@ -85,15 +86,15 @@ pub fn features(values: &[f32]) -> Option<Features> {
         correlation(0, [0, 1]),
         correlation(1, [1, 2]),
         correlation(2, [0, 2]),
-        touched,
-        lean[0],
-        lean[1],
-        lean[2],
+        contact,
+        bias[0],
+        bias[1],
+        bias[2],
     ])
 }
 
-/// Features of an image's change; none where it is not 320×240.
-pub fn features_of(difference: &TactileDifference) -> Option<Features> {
+/// Computes the features of a difference; none if it is not 320×240.
+pub fn difference_features(difference: &TactileDifference) -> Option<Features> {
     let values: Vec<f32> = difference
         .levels()
         .iter()
@@ -110,7 +111,7 @@ fn sum(blocks: &[[f64; 3]], of: impl Fn(&[f64; 3]) -> [f64; 3]) -> [f64; 3] {
     })
 }
 
-/// Mean colours of the blocks, row by row, and the mean difference of pixels side by side.
+/// Mean colours of the blocks, row-major, and the mean difference of horizontal neighbours.
 fn blocks(values: &[f32]) -> (Vec<[f64; 3]>, f64) {
     let mut sums = vec![[0.0_f32; 3]; COLUMNS * ROWS];
     let mut rough = 0.0;
@@ -131,7 +132,7 @@ fn blocks(values: &[f32]) -> (Vec<[f64; 3]>, f64) {
     (means.collect(), rough)
 }
 
-/// Mean difference of blocks side by side.
+/// Mean difference of horizontally neighbouring blocks.
 fn steps(blocks: &[[f64; 3]]) -> f64 {
     let of_row = |row: &[[f64; 3]]| -> f64 {
         let pairs = row.iter().zip(&row[1..]);
@@ -142,34 +143,34 @@ fn steps(blocks: &[[f64; 3]]) -> f64 {
     blocks.chunks_exact(COLUMNS).map(of_row).sum::<f64>() / (3 * (COLUMNS - 1) * ROWS) as f64
 }
 
-/// What a model's training differences look like, and how far from them is too far.
+/// Gaussian model of the training differences with a distance limit.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct Novelty {
+pub struct OodDetector {
     /// Mean of each feature.
     mean: Features,
-    /// Lower triangle, row by row, of the matrix that makes features uncorrelated with variance 1.
+    /// Lower triangle, row-major, of the whitening matrix.
     whitening: Vec<f64>,
-    /// Largest distance of what counts as known.
+    /// Distance at which the OOD score is 1.
     limit: f64,
 }
 
-impl Novelty {
-    /// Fits to the features of training differences; none for fewer than twice the number of
-    /// features, and for images that are all alike.
-    pub fn fit(known: &[Features]) -> Option<Self> {
-        if known.len() < 2 * FEATURES {
+impl OodDetector {
+    /// Fits the features of training differences; none for fewer rows than twice the number of
+    /// features, and for nearly equal images.
+    pub fn fit(rows: &[Features]) -> Option<Self> {
+        if rows.len() < 2 * FEATURES {
             return None;
         }
-        let count = known.len() as f64;
+        let count = rows.len() as f64;
         let mut mean = [0.0; FEATURES];
-        for row in known {
+        for row in rows {
             for (mean, value) in mean.iter_mut().zip(row) {
                 *mean += value / count;
             }
         }
         let mut covariance = [[0.0; FEATURES]; FEATURES];
-        for row in known {
+        for row in rows {
             for i in 0..FEATURES {
                 for j in 0..=i {
                     covariance[i][j] += (row[i] - mean[i]) * (row[j] - mean[j]) / count;
@@ -181,42 +182,38 @@ impl Novelty {
         }
         let mut fitted = Self {
             mean,
-            whitening: inverse_of_factor(&covariance)?,
+            whitening: whitening(&covariance)?,
             limit: 0.0,
         };
-        let mut distances: Vec<f64> = known.iter().map(|row| fitted.distance(row)).collect();
+        let mut distances: Vec<f64> = rows.iter().map(|row| fitted.distance(row)).collect();
         distances.sort_unstable_by(f64::total_cmp);
-        let at = (QUANTILE * (count - 1.0)).ceil() as usize;
-        fitted.limit = *distances.get(at)?;
+        let index = (QUANTILE * (count - 1.0)).ceil() as usize;
+        fitted.limit = *distances.get(index)?;
         (fitted.is_usable() && fitted.limit >= MIN_LIMIT).then_some(fitted)
     }
 
-    /// Reads the metadata of a model.
+    /// Parses the metadata of a model.
     ///
     /// # Errors
-    /// `Input` where the text is no description of training differences.
-    pub fn of_metadata(text: &str) -> Result<Self> {
+    /// `Input` for invalid metadata.
+    pub fn from_metadata(text: &str) -> Result<Self> {
         let refused = |what: &str| {
-            let what = format!("`{METADATA}` of the model {what}");
+            let what = format!("invalid `{METADATA}` of the model{what}");
             Error::input(what).remedy("train or export the model again")
         };
-        let found: Self = serde_json::from_str(text)
-            .map_err(|e| refused("is no description of training images").because(e))?;
+        let found: Self = serde_json::from_str(text).map_err(|e| refused("").because(e))?;
         match found.is_usable() {
             true => Ok(found),
-            false => Err(refused(
-                "has numbers that are not finite, or not as many as features",
-            )),
+            false => Err(refused(": expected finite numbers, as many as features")),
         }
     }
 
-    /// The text for the metadata of a model.
+    /// Serialises the detector for the metadata of a model.
     pub fn to_metadata(&self) -> String {
         serde_json::to_string(self).unwrap_or_default()
     }
 
-    /// Distance of a difference from the mean of what is known, in standard deviations; about
-    /// √16 for what is usual.
+    /// Mahalanobis distance of features from the training mean; about √16 for training data.
     pub fn distance(&self, features: &Features) -> f64 {
         let mut square = 0.0;
         let mut rest = &self.whitening[..];
@@ -230,17 +227,19 @@ impl Novelty {
         square.sqrt()
     }
 
-    /// Distance over the limit: above 1 for what the model knows nothing of.
+    /// OOD score of a difference: distance divided by the limit.
     pub fn score(&self, difference: &TactileDifference) -> Option<f64> {
-        Some(self.distance(&features_of(difference)?) / self.limit)
+        Some(self.distance(&difference_features(difference)?) / self.limit)
     }
 
-    /// The highest [`score`](Self::score) of a grasp's tactile differences.
-    pub fn of_touch<'a>(
+    /// Maximum [`score`](Self::score) of a grasp's tactile differences.
+    pub fn max_score<'a>(
         &self,
         differences: impl IntoIterator<Item = &'a TactileDifference>,
     ) -> Option<f64> {
-        let scores = differences.into_iter().filter_map(|seen| self.score(seen));
+        let scores = differences
+            .into_iter()
+            .filter_map(|difference| self.score(difference));
         scores.reduce(f64::max)
     }
 
@@ -252,21 +251,12 @@ impl Novelty {
     }
 }
 
-/// Inverse of the Cholesky factor of a covariance whose lower triangle is given.
-fn inverse_of_factor(covariance: &[[f64; FEATURES]; FEATURES]) -> Option<Vec<f64>> {
-    let mut factor = [[0.0; FEATURES]; FEATURES];
-    for i in 0..FEATURES {
-        for j in 0..=i {
-            let done: f64 = (0..j).map(|k| factor[i][k] * factor[j][k]).sum();
-            let rest = covariance[i][j] - done;
-            factor[i][j] = match i == j {
-                true if rest > 0.0 => rest.sqrt(),
-                true => return None,
-                false => rest / factor[j][j],
-            };
-        }
-    }
-    // Column by column by forward substitution.
+/// Lower triangle of the inverse Cholesky factor of a covariance, of which the lower triangle is
+/// read.
+fn whitening(covariance: &[[f64; FEATURES]; FEATURES]) -> Option<Vec<f64>> {
+    let cholesky = Cholesky::new(covariance)?;
+    let factor = cholesky.lower();
+    // Forward substitution for each column.
     let column = |at: usize| {
         let mut values = [0.0; FEATURES];
         for (row, of_row) in factor.iter().enumerate().skip(at) {
@@ -293,17 +283,17 @@ mod tests {
         TactileDifference::between(&gel(0.0), &gel(contact)).unwrap()
     }
 
-    fn known() -> Novelty {
+    fn detector() -> OodDetector {
         let contacts = (0..80).map(|seed| difference(seed, 0.01 * seed as f32));
-        let rows: Vec<Features> = contacts.map(|d| features_of(&d).unwrap()).collect();
-        Novelty::fit(&rows).unwrap()
+        let rows: Vec<Features> = contacts.map(|d| difference_features(&d).unwrap()).collect();
+        OodDetector::fit(&rows).unwrap()
     }
 
     #[test]
-    fn what_was_trained_on_is_known_and_other_things_are_not() {
-        let novelty = known();
+    fn training_images_are_in_distribution_and_others_are_not() {
+        let ood = detector();
         for (seed, contact) in [(200, 0.1), (201, 0.4), (202, 0.7)] {
-            let score = novelty.score(&difference(seed, contact)).unwrap();
+            let score = ood.score(&difference(seed, contact)).unwrap();
             assert!(score < 1.2, "{contact}: {score}");
         }
         let stripes = RgbImage::from_fn(IMAGE_WIDTH, IMAGE_HEIGHT, |x, _| {
@@ -313,19 +303,19 @@ mod tests {
         let gel = synthetic_gel(IMAGE_WIDTH, IMAGE_HEIGHT, 1, 0.0);
         let usual = difference(203, 0.3);
         for other in [&stripes, &dark] {
-            let odd = TactileDifference::between(&gel, other).unwrap();
-            assert!(novelty.score(&odd).unwrap() > 2.0);
-            // One odd sensor is enough.
-            for pair in [[&odd, &usual], [&usual, &odd]] {
-                assert_eq!(novelty.of_touch(pair), novelty.score(&odd));
+            let outlier = TactileDifference::between(&gel, other).unwrap();
+            assert!(ood.score(&outlier).unwrap() > 2.0);
+            // One OOD sensor is enough.
+            for pair in [[&outlier, &usual], [&usual, &outlier]] {
+                assert_eq!(ood.max_score(pair), ood.score(&outlier));
             }
         }
-        assert_eq!(novelty.of_touch([]), None);
+        assert_eq!(ood.max_score([]), None);
     }
 
     #[test]
-    fn distances_are_those_of_the_covariance() {
-        // Independent uniform numbers: their distance is the length in deviations.
+    fn distance_is_mahalanobis() {
+        // Independent uniform numbers: the distance is the norm in standard deviations.
         let mut state = 1_u64;
         let mut uniform = || {
             state = state
@@ -336,23 +326,21 @@ mod tests {
         let rows: Vec<Features> = (0..4000)
             .map(|_| std::array::from_fn(|i| (2.0 * uniform() - 1.0) * (1.0 + i as f64)))
             .collect();
-        let novelty = Novelty::fit(&rows).unwrap();
+        let ood = OodDetector::fit(&rows).unwrap();
         let mut far = [0.0; FEATURES];
         far[5] = 6.0;
-        // 6 in a feature of ±6 is √3 deviations, but for the few rows.
-        let distance = novelty.distance(&far);
+        // 6 in a feature of ±6 is √3 standard deviations, up to sampling error.
+        let distance = ood.distance(&far);
         assert!((distance / 3_f64.sqrt() - 1.0).abs() < 0.06, "{distance}");
-        let beyond = rows
-            .iter()
-            .filter(|row| novelty.distance(row) > novelty.limit);
+        let beyond = rows.iter().filter(|row| ood.distance(row) > ood.limit);
         assert!(beyond.count() <= 4);
     }
 
     #[test]
-    fn the_metadata_comes_back_and_damage_is_explained() {
-        let novelty = known();
-        let text = novelty.to_metadata();
-        assert_eq!(Novelty::of_metadata(&text).unwrap(), novelty);
+    fn metadata_round_trips_and_damage_is_refused() {
+        let ood = detector();
+        let text = ood.to_metadata();
+        assert_eq!(OodDetector::from_metadata(&text).unwrap(), ood);
         let short = text.replacen("\"whitening\":[", "\"whitening\":[0.5,", 1);
         for bad in [
             "",
@@ -361,16 +349,16 @@ mod tests {
             &short,
             &text.replace("\"limit\":", "\"limit\":-"),
         ] {
-            let error = Novelty::of_metadata(bad).unwrap_err().to_string();
+            let error = OodDetector::from_metadata(bad).unwrap_err().to_string();
             assert!(error.contains(METADATA), "{error}");
         }
     }
 
     #[test]
-    fn too_few_and_equal_images_are_no_fit_of_zeros() {
-        assert_eq!(Novelty::fit(&[[0.0; FEATURES]; 5]), None);
+    fn too_few_or_equal_images_do_not_fit() {
+        assert_eq!(OodDetector::fit(&[[0.0; FEATURES]; 5]), None);
         assert_eq!(features(&[0.0; 7]), None);
-        // All alike: nothing says how far is far.
-        assert_eq!(Novelty::fit(&[[1.0; FEATURES]; 50]), None);
+        // Equal rows have no meaningful limit.
+        assert_eq!(OodDetector::fit(&[[1.0; FEATURES]; 50]), None);
     }
 }

@@ -1,4 +1,4 @@
-//! Models by name: those that gripcast has built in, and files.
+//! Models by name: built-in ones and files.
 
 use std::path::Path;
 
@@ -11,7 +11,7 @@ pub const SHIPPED: &str = "gripcast-vt";
 
 static SHIPPED_BYTES: &[u8] = include_bytes!("../../../../models/gripcast-vt.onnx");
 
-/// The bytes of a model: [`SHIPPED`], [`BASELINE`], or a file.
+/// Returns the bytes of a model: [`SHIPPED`], [`BASELINE`], or a file.
 ///
 /// # Errors
 /// As [`onnx::read`].
@@ -23,13 +23,13 @@ pub fn model_bytes(name: &str) -> Result<Vec<u8>> {
     }
 }
 
-/// Who names a file that is not there may have meant a built-in model.
+/// Adds the built-in names to the remedy for a missing file.
 fn with_built_in_names(error: Error) -> Error {
     if error.kind() != ErrorKind::NotFound {
         return error;
     }
     error.remedy(format!(
-        "name a .onnx file, or {SHIPPED} or {BASELINE}, which are built in"
+        "give a .onnx file, or one of the built-in models {SHIPPED} and {BASELINE}"
     ))
 }
 
@@ -37,16 +37,16 @@ impl Model {
     /// The built-in contact-strength heuristic; the same bytes as `models/baseline-contact.onnx`.
     ///
     /// # Errors
-    /// As [`Model::from_bytes`]; a defect of gripcast.
+    /// As [`Model::from_bytes`].
     pub fn baseline() -> Result<Self> {
         Self::from_bytes(&baseline::onnx_bytes()?)
     }
 
-    /// The model of a name, as of [`model_bytes`].
+    /// Loads a model by name, as [`model_bytes`].
     ///
     /// # Errors
     /// As [`Model::load`].
-    pub fn named(name: &str) -> Result<Self> {
+    pub fn by_name(name: &str) -> Result<Self> {
         match name {
             SHIPPED => Self::from_bytes(SHIPPED_BYTES),
             BASELINE => Self::baseline(),
@@ -58,34 +58,37 @@ impl Model {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::predict::contract::{Origin, Variant};
+    use crate::predict::contract::{Modality, Origin};
 
     #[test]
-    fn other_names_are_files() {
-        let named = Model::named(BASELINE).unwrap();
+    fn unknown_name_is_a_file() {
+        let named = Model::by_name(BASELINE).unwrap();
         assert_eq!(named.sha256(), Model::baseline().unwrap().sha256());
-        let error = Model::named("no-such-model").unwrap_err();
+        let error = Model::by_name("no-such-model").unwrap_err();
         assert!(error.to_string().contains("no-such-model"), "{error}");
-        let unread = model_bytes("no-such-model").unwrap_err();
-        for error in [error, unread] {
+        let bytes_error = model_bytes("no-such-model").unwrap_err();
+        for error in [error, bytes_error] {
             let remedy = error.remedy_text().unwrap();
             assert!(remedy.contains(SHIPPED) && remedy.contains(BASELINE));
         }
     }
 
     #[test]
-    fn the_shipped_classifier_is_what_its_card_says() {
-        let model = Model::named(SHIPPED).unwrap();
+    fn shipped_classifier_matches_its_card() {
+        let model = Model::by_name(SHIPPED).unwrap();
         let contract = model.contract();
-        assert_eq!((&*contract.name, contract.variant), (SHIPPED, Variant::Vt));
+        assert_eq!(
+            (&*contract.name, contract.modality),
+            (SHIPPED, Modality::Vt)
+        );
         assert!(matches!(contract.origin, Origin::Trained { .. }));
-        assert!(model.is_on_own_engine() && model.novelty().is_some());
+        assert!(model.is_native() && model.ood_detector().is_some());
         assert!(SHIPPED_BYTES.len() <= 12 << 20);
         let card = concat!(env!("CARGO_MANIFEST_DIR"), "/../../models/gripcast-vt.toml");
         let card: toml::Table = std::fs::read_to_string(card).unwrap().parse().unwrap();
         assert_eq!(card["name"].as_str(), Some(SHIPPED));
         assert_eq!(card["sha256"].as_str(), Some(model.sha256()));
-        assert_eq!(card["variant"].as_str(), Some(contract.variant.name()));
+        assert_eq!(card["variant"].as_str(), Some(contract.modality.name()));
         assert_eq!(card["threshold"].as_float(), Some(contract.threshold));
         assert_eq!(
             card["crop_profile"].as_str(),
