@@ -88,16 +88,28 @@ pub(crate) fn router(backend: Arc<Backend>) -> Router {
 mod tests {
     use super::*;
 
+    /// `make docs` makes the reference of the API from the snapshot.
+    #[test]
+    fn openapi_description_matches_snapshot() {
+        let (_, description) = routes_of_the_api().split_for_parts();
+        let mut settings = insta::Settings::clone_current();
+        settings.set_snapshot_path("../../tests/it/snapshots");
+        settings.set_prepend_module_to_snapshot(false);
+        settings.set_omit_expression(true);
+        let text = description.to_pretty_json().unwrap();
+        settings.bind(|| insta::assert_snapshot!("openapi", text));
+    }
+
     /// Every route of the contract that people read is in the description, and the other way.
     #[test]
     fn the_description_and_the_document_name_the_same_routes() {
         let (_, description) = routes_of_the_api().split_for_parts();
         let described: Vec<String> = description.paths.paths.keys().cloned().collect();
-        let document = include_str!("../../docs/api.md");
+        let document = include_str!("../../docs/reference/api.md");
         for path in &described {
             let path = path.replace(['{', '}'], "").to_uppercase();
             let is_named = document.to_uppercase().contains(&path);
-            assert!(is_named, "docs/api.md does not name {path}");
+            assert!(is_named, "docs/reference/api.md does not name {path}");
         }
         let rows = document.lines().filter_map(|line| line.strip_prefix("| "));
         let named: Vec<&str> = rows

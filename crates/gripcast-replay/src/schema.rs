@@ -65,7 +65,7 @@ mod tests {
     fn the_schema_of_the_docs_is_this_one() {
         let path = concat!(
             env!("CARGO_MANIFEST_DIR"),
-            "/../../docs/replay-report.schema.json"
+            "/../../docs/reference/replay-report.schema.json"
         );
         let text = format!(
             "{}\n",
