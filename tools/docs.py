@@ -30,6 +30,7 @@ PROJECT = {
     "models/README.md": "project/models.md",
     "models/plans/README.md": "project/plans.md",
 }
+# Made by `stage`: pages of the repository do not link to them.
 GENERATED = ("reference/cli.md", "reference/json-output.md", "reference/openapi.md", "reference/replay-report.md")
 
 LINK = re.compile(r"\]\(([^)\s]+)\)")
