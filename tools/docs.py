@@ -2,7 +2,8 @@
 """tools/docs.py check | stage FOLDER
 
 check: every relative link and anchor of the Markdown files leads to something that exists, every
-page of docs/ is in SUMMARY.md, and every docs/NAME.md that code or scripts mention exists.
+page of docs/ is in SUMMARY.md, every docs/NAME.md that code or scripts mention exists, and every
+flag in a documented `gripcast` command is in the help of that command.
 
 stage FOLDER: writes the sources of the book: the pages of docs/, the Markdown files of the project
 as chapters, and reference pages generated from the help snapshots (command line), the snapshots of
@@ -77,11 +78,44 @@ def links(text):
                 yield number, path, anchor
 
 
+def snapshot(path):
+    """A snapshot without its header."""
+    return path.read_text().split("---\n", 2)[2].rstrip("\n")
+
+
+def help_sections():
+    """Help texts by command, `sim grasp`; that of the program by the empty name."""
+    sections = {"": snapshot(SNAPSHOTS / "help/gripcast.snap")}
+    for path in sorted((SNAPSHOTS / "help").glob("*.snap")):
+        parts = re.split(r"^===== gripcast (.*?)(?: \(hidden\))? =====\n", snapshot(path), flags=re.M)
+        sections.update(zip(parts[1::2], parts[2::2]))
+    return sections
+
+
+def command_faults(page, text, sections):
+    """Flags of commands in blocks and inline code that the help of the command does not have."""
+    for match in re.finditer(r"(?:^|[\s`])gripcast((?: [a-z][a-z0-9-]*)*)((?:[^\n`|;&]|\\\n)*)", text):
+        words = match[1].split()
+        if "fuzz" in words or not words:
+            continue
+        while words and " ".join(words) not in sections:
+            words.pop()
+        name = " ".join(words)
+        line = text.count("\n", 0, match.start(1)) + 1
+        for flag in re.findall(r"(?<=\s)--[a-z][a-z-]*", match[2].split("  #")[0]):
+            known = re.search(rf"^ +(?:-\w, )?{flag}\b(?!-)", sections[name], re.M)
+            if not known and flag not in ("--help", "--version"):
+                yield f"{page}:{line}: `gripcast {name}` has no flag `{flag}`"
+
+
 def check():
     faults = []
     pages = tracked("*.md")
+    sections = help_sections()
     for page in pages:
         text = (ROOT / page).read_text()
+        if page != "CHANGELOG.md":
+            faults += command_faults(page, text, sections)
         for number, path, anchor in links(text):
             target = (ROOT / page).parent / path if path else ROOT / page
             inside = os.path.relpath(target, ROOT)
@@ -122,21 +156,11 @@ def staged_links(text, page):
     return re.sub(r"\[((?:[^\]`]|`[^`]*`)*)\]\(([^)\s]+)\)", replace, text)
 
 
-def snapshot(path):
-    """A snapshot without its header."""
-    return path.read_text().split("---\n", 2)[2].rstrip("\n")
-
-
 def cli_page():
-    names = ["gripcast", *sorted(p.stem for p in (SNAPSHOTS / "help").glob("*.snap") if p.stem != "gripcast")]
     lines = ["# Command line", "", "Generated from `--help`. Exit codes: `man gripcast`, section EXIT STATUS.", ""]
-    for name in names:
-        sections = re.split(r"^===== (.*) =====\n", snapshot(SNAPSHOTS / f"help/{name}.snap"), flags=re.M)
-        pairs = zip(sections[1::2], sections[2::2]) if len(sections) > 1 else [("gripcast", sections[0])]
-        for title, text in pairs:
-            if not title.endswith("(hidden)"):
-                level = "##" if title.count(" ") < 2 else "###"
-                lines += [f"{level} {title}", "", "```text", text.strip("\n"), "```", ""]
+    for name, text in help_sections().items():
+        level = "###" if " " in name else "##"
+        lines += [f"{level} {' '.join(['gripcast', name]).strip()}", "", "```text", text.strip("\n"), "```", ""]
     return "\n".join(lines)
 
 

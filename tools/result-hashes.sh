@@ -21,6 +21,11 @@ if "$binary" bench grasp --help >/dev/null 2>&1; then
     bench=("$binary" -q bench)
 fi
 
+# Earlier binaries have other names of these flags.
+spp=--spp batch=--batch-size
+"$binary" render visual --help | grep -- "$spp" >/dev/null || spp=--samples
+"$binary" train --help | grep -- "$batch" >/dev/null || batch=--batch
+
 note() { # NAME, the bytes on stdin
     printf '%s  %s\n' "$(sha256sum | cut -c1-64)" "$1" | tee -a "$folder/hashes"
 }
@@ -52,7 +57,7 @@ for threads in 1 2; do
 done
 trace=$folder/mug-1.json
 "$binary" -q render tactile --trace "$trace" --object builtin:mug --seed 1 --out "$folder/images/tactile" >/dev/null
-"$binary" -q render visual --trace "$trace" --object builtin:mug --seed 1 --samples 16 --size 160x120 \
+"$binary" -q render visual --trace "$trace" --object builtin:mug --seed 1 "$spp" 16 --size 160x120 \
     --out "$folder/images/visual.png" >/dev/null
 (cd "$folder/images" && find . -name '*.png' | sort | xargs sha256sum) | note "render tactile, render visual"
 "${bench[@]}" pose --images 20 --json | untimed | note "bench pose"
@@ -60,5 +65,5 @@ trace=$folder/mug-1.json
 "$binary" -q synth run --plan "$folder/plan" >/dev/null
 "$binary" -q synth merge --plan "$folder/plan" --out "$folder/data" --partial >/dev/null
 (cd "$folder/data" && find . -name '*.parquet' | sort | xargs sha256sum) | note "synth --preset tiny"
-"$binary" -q train --data "$folder/data" --out "$folder/run" --epochs 2 --batch 4 --seed 1 --headless >/dev/null
+"$binary" -q train --data "$folder/data" --out "$folder/run" --epochs 2 "$batch" 4 --seed 1 --headless >/dev/null
 (cd "$folder/run" && find . -name '*.onnx' | sort | xargs sha256sum) | note "train, two epochs"
