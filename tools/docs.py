@@ -3,7 +3,8 @@
 
 check: every relative link and anchor of the Markdown files leads to something that exists, every
 page of docs/ is in SUMMARY.md, every docs/NAME.md that code or scripts mention exists, and every
-flag in a documented `gripcast` command is in the help of that command.
+flag in a documented `gripcast` command is in the help of that command, every snake_case or CamelCase
+name occurs in the sources, and every path of a source exists.
 
 stage FOLDER: writes the sources of the book: the pages of docs/, the Markdown files of the project
 as chapters, and reference pages generated from the help snapshots (command line), the snapshots of
@@ -33,6 +34,11 @@ PROJECT = {
 }
 # Made by `stage`: pages of the repository do not link to them.
 GENERATED = ("reference/cli.md", "reference/json-output.md", "reference/openapi.md", "reference/replay-report.md")
+
+# Names of third parties that no source of ours has.
+EXTERNAL_NAMES = {"time_pre_grasping", "plastic_duc", "plastic_duck"}
+NAME = re.compile(r"(?<![\w./-])(?:[a-z][a-z0-9]*(?:_[a-z0-9]+)+|(?:[A-Z][a-z0-9]+){2,})(?![\w./-])")
+PATH = re.compile(r"(?<![\w./$-])(?:src|crates|tests|tools|packaging|examples|fuzz|calib|models)/[\w./-]+")
 
 LINK = re.compile(r"\]\(([^)\s]+)\)")
 FENCE = re.compile(r"^( *)(```|~~~)")
@@ -108,14 +114,41 @@ def command_faults(page, text, sections):
                 yield f"{page}:{line}: `gripcast {name}` has no flag `{flag}`"
 
 
+def name_faults(page, text, names):
+    """Names and paths in inline code that do not exist."""
+    for number, line in prose_lines(text):
+        for code in re.findall(r"`([^`]+)`", line):
+            for name in NAME.findall(code):
+                if name not in names and name not in EXTERNAL_NAMES:
+                    yield f"{page}:{number}: no source has `{name}`"
+            for path in PATH.findall(code):
+                if not (ROOT / path).exists() and not re.search(r"/[A-Z]+\.", path):
+                    yield f"{page}:{number}: `{path}` does not exist"
+
+
+def source_names():
+    """Identifiers of the sources, and their beginnings and ends, which docs give with an ellipsis."""
+    names = set()
+    for name in tracked("*.rs", "*.py", "*.toml", "*.js", "*.sh", "*.snap", "*.json", "*.service", "*.sbatch"):
+        names.update(re.findall(r"[A-Za-z_]\w*", (ROOT / name).read_text(errors="replace")))
+    pieces = set(names)
+    for name in names:
+        words = name.split("_")
+        pieces.update("_".join(words[:count]) for count in range(2, len(words)))
+        pieces.update("_".join(words[count:]) for count in range(1, len(words) - 1))
+    return pieces
+
+
 def check():
     faults = []
+    names = source_names()
     pages = tracked("*.md")
     sections = help_sections()
     for page in pages:
         text = (ROOT / page).read_text()
         if page != "CHANGELOG.md":
             faults += command_faults(page, text, sections)
+            faults += name_faults(page, text, names)
         for number, path, anchor in links(text):
             target = (ROOT / page).parent / path if path else ROOT / page
             inside = os.path.relpath(target, ROOT)
