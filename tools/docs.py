@@ -24,7 +24,7 @@ SNAPSHOTS = ROOT / "tests/it/snapshots"
 
 # Chapters of the book that stand outside of docs/.
 PROJECT = {
-    "README.md": "project/README.md",
+    "README.md": "README.md",
     "ARCHITECTURE.md": "project/ARCHITECTURE.md",
     "CONTRIBUTING.md": "project/CONTRIBUTING.md",
     "CHANGELOG.md": "project/CHANGELOG.md",
