@@ -13,7 +13,7 @@ use std::process::{Command, Stdio};
 use crate::dataset::write_dataset;
 use crate::program;
 
-/// A page may take longer on a busy machine, but not for ever.
+/// Time limit of a page, for a busy machine.
 const TIMEOUT_S: &str = "600";
 
 /// A fenced block of a page.
