@@ -152,7 +152,7 @@ fn comment_before_a_block_decides_whether_it_runs() {
     );
     assert!(script.contains("case $code in 0|4)"), "{script}");
     assert!(
-        script.ends_with("echo 11 > \"$BLOCK\"\n  true\n"),
+        script.ends_with("echo 12 > \"$BLOCK\"\n  true\n"),
         "{script}"
     );
 }
