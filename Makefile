@@ -2,6 +2,7 @@
 # make test   everything: format, lints, unit, integration, crash, real-kernel and Slurm tests
 # make deb    a Debian package, target/debian/*.deb
 # make tarball  an archive for other Linux machines, target/tarball/*.tar.gz
+# make docs   the documentation as a book, target/book/html/index.html
 # All install what they need first (apt through sudo when not root, pinned Rust toolchain).
 
 SHELL := /bin/bash
@@ -11,7 +12,7 @@ SHELL := /bin/bash
 CARGO := . tools/env.sh; cargo
 DATASET ?= demo-dataset
 
-.PHONY: help run test test-fast test-peers lint bench kernel setup setup-test setup-package package-files deb try-deb tarball
+.PHONY: help run test test-fast test-peers lint docs bench kernel setup setup-test setup-package package-files deb try-deb tarball
 
 help:
 	@sed -n 's/^# \(make .*\)/\1/p' $(MAKEFILE_LIST)
@@ -42,9 +43,16 @@ run: setup
 	fi
 
 lint: setup
+	@python3 tools/docs.py check
+	@python3 tools/lint-prose.py --self-test
+	@python3 tools/lint-prose.py
+	@tools/spell.sh
 	@$(CARGO) fmt --check
 	@tools/deny.sh
 	@$(CARGO) clippy --workspace --all-targets -- -D warnings
+
+docs: setup
+	@tools/docs.sh
 
 # A kernel that cannot be built (no network, not x86-64) is said loudly and does not hide the
 # other tests; GRIPCAST_REQUIRE_KERNEL=1 makes it an error.

@@ -42,6 +42,9 @@ install -Dm644 -t "$root/share/fish/vendor_completions.d" "$staged/completions/g
 install -Dm644 -t "$root/packaging" packaging/70-gripcast.rules packaging/gripcast.service \
     packaging/config.toml packaging/deb/gripcast.sysusers
 install -Dm644 -t "$root/docs" docs/*.md
+for kind in tutorial how-to reference explanation; do
+    install -Dm644 -t "$root/docs/$kind" "docs/$kind"/*
+done
 install -Dm644 -t "$root/examples" tests/data/three-grasps.txt
 chmod -R u=rwX,go=rX "$root"
 

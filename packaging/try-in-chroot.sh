@@ -187,7 +187,7 @@ try_daemon() {
     stop_daemon
     say "with the packaged settings the daemon answers on its socket alone, closed to other users"
 
-    # The page, as config.toml and docs/install.md say.
+    # The page, as config.toml and docs/how-to/install.md say.
     sed -i -e '/^listen = "none"$/d' -e 's/^#\(listen = \)/\1/' -e 's/^#\(token_file = \)/\1/' \
         "$root/etc/gripcast/config.toml"
     start_daemon

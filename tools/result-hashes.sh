@@ -21,10 +21,10 @@ if "$binary" bench grasp --help >/dev/null 2>&1; then
     bench=("$binary" -q bench)
 fi
 
-# Flags of older binaries.
-spp=--spp batch_size=--batch-size
-"$binary" render visual --help | grep -q -- --spp || spp=--samples
-"$binary" train --help | grep -q -- --batch-size || batch_size=--batch
+# Earlier binaries have other names of these flags.
+spp=--spp batch=--batch-size
+"$binary" render visual --help | grep -- "$spp" >/dev/null || spp=--samples
+"$binary" train --help | grep -- "$batch" >/dev/null || batch=--batch
 
 note() { # NAME, the bytes on stdin
     printf '%s  %s\n' "$(sha256sum | cut -c1-64)" "$1" | tee -a "$folder/hashes"
@@ -37,8 +37,7 @@ import json, re, sys
 timed = re.compile(r"^ms$|(_s|_ms|_us|times|per_s|ratio|speed\w*|throughput\w*|threads)$|_per_s_|_ms_|_s_")
 def strip(value):
     if isinstance(value, dict):
-        return {k: strip(v) for k, v in value.items()
-                if not timed.search(k) and k not in ("peers", "baselines")}
+        return {k: strip(v) for k, v in value.items() if not timed.search(k)}
     if isinstance(value, list):
         return [strip(v) for v in value]
     return value
@@ -66,5 +65,5 @@ trace=$folder/mug-1.json
 "$binary" -q synth run --plan "$folder/plan" >/dev/null
 "$binary" -q synth merge --plan "$folder/plan" --out "$folder/data" --partial >/dev/null
 (cd "$folder/data" && find . -name '*.parquet' | sort | xargs sha256sum) | note "synth --preset tiny"
-"$binary" -q train --data "$folder/data" --out "$folder/run" --epochs 2 "$batch_size" 4 --seed 1 --headless >/dev/null
+"$binary" -q train --data "$folder/data" --out "$folder/run" --epochs 2 "$batch" 4 --seed 1 --headless >/dev/null
 (cd "$folder/run" && find . -name '*.onnx' | sort | xargs sha256sum) | note "train, two epochs"

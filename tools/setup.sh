@@ -9,15 +9,16 @@ set -euo pipefail
 cd "$(dirname "$0")/.."
 
 want=${1:-build}
-# cmake and nasm: libjpeg-turbo with SIMD. libclang: bindgen of the V4L2 headers.
-packages=(ca-certificates curl gcc g++ make pkg-config cmake nasm libclang-dev linux-libc-dev git)
+# cmake and nasm: libjpeg-turbo with SIMD. libclang: bindgen of the V4L2 headers. python3: checks of
+# the documentation.
+packages=(ca-certificates curl gcc g++ make pkg-config cmake nasm libclang-dev linux-libc-dev git python3)
 case "$want" in
     build) ;;
     # The kernel of the kernel tests is built from the distribution's source; mandoc reads the
     # manual pages; the Python libraries live in an environment of their own.
     test) packages+=(flex bison bc libelf-dev xz-utils bzip2 mandoc python3-venv) ;;
     # dpkg-dev finds the libraries that a package depends on.
-    package) packages+=(dpkg-dev python3) ;;
+    package) packages+=(dpkg-dev) ;;
     *)
         echo "usage: tools/setup.sh build|test|package" >&2
         exit 2

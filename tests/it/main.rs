@@ -12,6 +12,7 @@ mod collect;
 mod crash;
 mod daemon;
 mod dataset;
+mod docs;
 mod doctor;
 mod examples;
 mod export;

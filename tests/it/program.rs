@@ -8,6 +8,13 @@ use serde_json::Value;
 /// The program, without the settings of whoever runs the tests.
 pub(crate) fn gripcast() -> Command {
     let mut command = Command::new(env!("CARGO_BIN_EXE_gripcast"));
+    set_environment(&mut command);
+    command.stdin(Stdio::null());
+    command
+}
+
+/// Removes the settings of whoever runs the tests from the environment of a command.
+pub(crate) fn set_environment(command: &mut Command) {
     let inherited: Vec<String> = std::env::vars()
         .map(|(name, _)| name)
         .filter(|name| name.starts_with("GRIPCAST__"))
@@ -17,9 +24,7 @@ pub(crate) fn gripcast() -> Command {
     }
     command
         .env("XDG_CONFIG_HOME", "/proc/nonexistent")
-        .env("NO_COLOR", "1")
-        .stdin(Stdio::null());
-    command
+        .env("NO_COLOR", "1");
 }
 
 /// `collect` on the virtual rig with a script.
@@ -27,8 +32,7 @@ pub(crate) fn collect(script: &Path, dataset: &Path) -> Command {
     collect_on(Path::new("virtual"), script, dataset)
 }
 
-/// `collect` with a script, and with guards that a loaded machine can hold: these tests are about
-/// what is saved, not about how fresh frames are.
+/// `collect` with a script, and with relaxed guards.
 pub(crate) fn collect_on(rig: &Path, script: &Path, dataset: &Path) -> Command {
     let mut command = gripcast();
     command
@@ -37,11 +41,18 @@ pub(crate) fn collect_on(rig: &Path, script: &Path, dataset: &Path) -> Command {
         .arg("--script")
         .arg(script)
         .arg("--dataset")
-        .arg(dataset)
+        .arg(dataset);
+    relax_guards(&mut command);
+    command
+}
+
+/// Sets guards that a loaded machine can hold: these tests are about what is saved, not about how
+/// fresh frames are.
+pub(crate) fn relax_guards(command: &mut Command) {
+    command
         .env("GRIPCAST__GUARDS__MAX_FRAME_AGE_MS", "60000")
         .env("GRIPCAST__GUARDS__MAX_SKEW_MS", "60000")
         .env("GRIPCAST__GUARDS__MIN_FREE_BYTES", "0");
-    command
 }
 
 /// A script file in `dir`.

@@ -1,21 +1,23 @@
-//! README repeats figures of the docs and of the model's card; they must not part.
+//! README repeats figures of the docs and of the model's card; they must agree.
 
 use std::fs;
 use std::path::Path;
 
 /// Where the figures of a command stand in full.
-const SOURCES: [(&str, &[&str]); 8] = [
-    ("gripcast bench", &["docs/performance.md"]),
-    ("-p gripcast-bench", &["docs/performance.md"]),
+const SOURCES: [(&str, &[&str]); 4] = [
+    ("gripcast bench", &["docs/reference/performance.md"]),
+    ("-p gripcast-bench", &["docs/reference/performance.md"]),
+    ("gripcast eval", &MODEL_SOURCES),
     (
-        "gripcast eval",
-        &["docs/training.md", "models/gripcast-vt.toml"],
+        "cargo test --test it crash",
+        &["docs/reference/performance.md"],
     ),
-    ("gripcast experiment", &["docs/training.md"]),
-    ("gripcast render calibrate", &["docs/rendering-tactile.md"]),
-    ("gripcast annotate", &["docs/performance.md"]),
-    ("cargo test --test it crash", &["docs/performance.md"]),
-    ("cargo test --test it kernel", &["docs/kernel-tests.md"]),
+];
+
+/// Where the results of the built-in model stand in full.
+const MODEL_SOURCES: [&str; 2] = [
+    "docs/reference/training-results.md",
+    "models/gripcast-vt.toml",
 ];
 
 fn read(path: &str) -> String {
@@ -23,7 +25,7 @@ fn read(path: &str) -> String {
     fs::read_to_string(&path).unwrap_or_else(|error| panic!("{}: {error}", path.display()))
 }
 
-/// From one text to the other.
+/// Returns the text from `from` up to `to`.
 fn between<'a>(text: &'a str, from: &str, to: &str) -> &'a str {
     let start = text
         .find(from)
@@ -34,7 +36,7 @@ fn between<'a>(text: &'a str, from: &str, to: &str) -> &'a str {
         .unwrap_or_else(|| panic!("README has no `{to}`"))]
 }
 
-/// Numbers that stand alone, as they are written; `1,209` is one.
+/// Returns the stand-alone numbers as they are written; `1,209` is one.
 fn numbers(text: &str) -> Vec<&str> {
     let is_inner = |c: char| c.is_alphanumeric() || ".,_".contains(c);
     text.split(|c| !is_inner(c))
@@ -43,8 +45,8 @@ fn numbers(text: &str) -> Vec<&str> {
         .collect()
 }
 
-/// Whether a number of the README is one of a source, perhaps with more digits there.
-fn is_told(number: &str, source: &str) -> bool {
+/// Returns whether a source has a number of the README, perhaps with more digits.
+fn is_stated(number: &str, source: &str) -> bool {
     let decimals = number
         .split_once('.')
         .map_or(0, |(_, decimals)| decimals.len());
@@ -60,15 +62,15 @@ fn is_told(number: &str, source: &str) -> bool {
         .any(|found| (value(found) - wanted).abs() <= half + 1e-9)
 }
 
-/// Numbers of a text that no source has.
+/// Returns the numbers of a text that no source has.
 fn missing<'a>(text: &'a str, sources: &[&str]) -> Vec<&'a str> {
     let source: String = sources.iter().map(|path| read(path)).collect();
     let mut missing = numbers(text);
-    missing.retain(|number| !is_told(number, &source));
+    missing.retain(|number| !is_stated(number, &source));
     missing
 }
 
-/// A text without the targets of its links.
+/// Returns a text without the targets of its links.
 fn without_links(text: &str) -> String {
     let mut parts = text.split("](");
     let first = parts.next().unwrap_or_default().to_owned();
@@ -78,9 +80,9 @@ fn without_links(text: &str) -> String {
 }
 
 #[test]
-fn measured_figures_are_those_of_the_docs() {
+fn readme_measurements_match_the_docs() {
     let readme = read("README.md");
-    let table = between(&readme, "## Measured", "More, with peers");
+    let table = between(&readme, "## Measured", "All measurements");
     let mut command = String::new();
     let mut rows = 0;
     for line in table.lines().filter(|line| line.starts_with("| ")).skip(2) {
@@ -92,7 +94,8 @@ fn measured_figures_are_those_of_the_docs() {
             command = by.to_owned();
         }
         let found = SOURCES.iter().find(|(name, _)| command.contains(name));
-        let (_, sources) = found.unwrap_or_else(|| panic!("whose figures are these? {line}"));
+        let (_, sources) =
+            found.unwrap_or_else(|| panic!("no source for the command of this row: {line}"));
         let figure = without_links(figure);
         let missing = missing(&figure, sources);
         assert!(
@@ -101,14 +104,16 @@ fn measured_figures_are_those_of_the_docs() {
         );
         rows += 1;
     }
-    assert!(rows >= 12, "{rows}");
+    assert_eq!(rows, 5);
 }
 
 #[test]
-fn the_models_figures_are_those_of_its_card() {
+fn readme_model_results_match_its_card() {
     let readme = read("README.md");
-    let text = without_links(between(&readme, "## The prediction", "## Simulated grasps"));
-    let sources = ["docs/training.md", "models/gripcast-vt.toml"];
-    let missing = missing(&text, &sources);
-    assert!(missing.is_empty(), "{missing:?} are not in {sources:?}");
+    let text = without_links(between(&readme, "## The built-in model", "## Measured"));
+    let missing = missing(&text, &MODEL_SOURCES);
+    assert!(
+        missing.is_empty(),
+        "{missing:?} are not in {MODEL_SOURCES:?}"
+    );
 }
