@@ -10,7 +10,7 @@ use tokio::signal::unix::{SignalKind, signal};
 use tokio::sync::mpsc;
 
 use super::config::{CollectConfig, Config};
-use super::daemon::{Asked, Boards, Ended, EngineSetup};
+use super::daemon::{Boards, CommandRequest, EndReason, EngineSetup};
 use super::model_choice::chosen_model;
 use crate::note;
 use gripcast_base::error::{Error, Result};
@@ -82,7 +82,7 @@ pub(crate) fn prepare(
 
     let boards = match (&rig.boards, &hand) {
         (Some(boards), _) => Some(Boards::read(boards)?),
-        (None, Some(hand)) => Some(Boards::of_virtual_rig(Arc::clone(hand))?),
+        (None, Some(hand)) => Some(Boards::from_virtual_hand(Arc::clone(hand))?),
         (None, None) => None,
     };
     let is_bound = rig.cameras.contains_key(&Role::External);
@@ -130,7 +130,7 @@ fn known_intrinsics(
         let intrinsics = match (&camera.intrinsics, hand) {
             (Some(path), _) => Some(load_intrinsics(path)?),
             (None, Some(hand)) if is_virtual && *role == Role::External => {
-                hand.film().outside_intrinsics(camera.width, camera.height)
+                hand.clip().external_intrinsics(camera.width, camera.height)
             }
             _ => None,
         };
@@ -184,7 +184,7 @@ pub(crate) fn usual_socket() -> Option<PathBuf> {
 /// Starts a thread per pedal; the threads end once `ended` is true.
 pub(crate) fn start_pedals(
     pedals: Vec<PedalConfig>,
-    commands: &mpsc::Sender<Asked>,
+    commands: &mpsc::Sender<CommandRequest>,
     ended: &Arc<AtomicBool>,
 ) -> Vec<JoinHandle<()>> {
     pedals
@@ -196,12 +196,16 @@ pub(crate) fn start_pedals(
         .collect()
 }
 
-fn listen_to_pedal(pedal: &PedalConfig, commands: &mpsc::Sender<Asked>, ended: &AtomicBool) {
+fn listen_to_pedal(
+    pedal: &PedalConfig,
+    commands: &mpsc::Sender<CommandRequest>,
+    ended: &AtomicBool,
+) {
     let result = run_pedal(pedal, &MonotonicClock, ended, &mut |event| match event {
         PedalEvent::Trigger(trigger) => {
             if let Ok(command) = trigger.text.parse() {
                 // A full queue means commands arrive faster than grasps can be saved.
-                let _ = commands.try_send(Asked::new(command, CommandSource::Pedal));
+                let _ = commands.try_send(CommandRequest::new(command, CommandSource::Pedal));
             }
         }
         PedalEvent::Ready { product } => note!("pedal ready: {product}"),
@@ -217,7 +221,7 @@ fn listen_to_pedal(pedal: &PedalConfig, commands: &mpsc::Sender<Asked>, ended: &
 ///
 /// # Errors
 /// `Io`.
-pub(crate) fn stop_signals(hangup_ends: bool) -> Result<impl Future<Output = Ended>> {
+pub(crate) fn stop_signals(hangup_ends: bool) -> Result<impl Future<Output = EndReason>> {
     let listen = |kind| signal(kind).map_err(|e| Error::io("cannot listen for signals", e));
     let mut interrupt = listen(SignalKind::interrupt())?;
     let mut terminate = listen(SignalKind::terminate())?;
@@ -232,9 +236,9 @@ pub(crate) fn stop_signals(hangup_ends: bool) -> Result<impl Future<Output = End
             }
         };
         tokio::select! {
-            _ = interrupt.recv() => Ended::Interrupted,
-            _ = terminate.recv() => Ended::Terminated,
-            _ = hung_up => Ended::Terminated,
+            _ = interrupt.recv() => EndReason::Interrupted,
+            _ = terminate.recv() => EndReason::Terminated,
+            _ = hung_up => EndReason::Terminated,
         }
     })
 }

@@ -9,7 +9,7 @@ use gripcast_nn::predict::{BASELINE, Model, ModelContract, SHIPPED};
 /// heuristic with a note on stderr. `none` gives no model.
 ///
 /// # Errors
-/// As [`Model::named`].
+/// As [`Model::by_name`].
 pub(crate) fn chosen_model(name: &str, rig: &RigFile, is_quiet: bool) -> Result<Option<Model>> {
     match name {
         "" => {
@@ -17,19 +17,19 @@ pub(crate) fn chosen_model(name: &str, rig: &RigFile, is_quiet: bool) -> Result<
             if let (Some(reason), false) = (reason, is_quiet) {
                 note!("{reason}: using the heuristic `{BASELINE}` instead of `{SHIPPED}`");
             }
-            Model::named(name).map(Some)
+            Model::by_name(name).map(Some)
         }
         "none" => Ok(None),
-        name => Model::named(name).map(Some),
+        name => Model::by_name(name).map(Some),
     }
 }
 
 /// Returns the default model of a rig, and the reason if it is not the classifier.
 ///
 /// # Errors
-/// As [`Model::named`]; a defect of gripcast.
+/// As [`Model::by_name`]; a defect of gripcast.
 pub(crate) fn default_model(rig: &RigFile) -> Result<(&'static str, Option<String>)> {
-    let shipped = Model::named(SHIPPED)?;
+    let shipped = Model::by_name(SHIPPED)?;
     Ok(match misfit(shipped.contract(), rig) {
         None => (SHIPPED, None),
         reason => (BASELINE, reason),
@@ -38,7 +38,7 @@ pub(crate) fn default_model(rig: &RigFile) -> Result<(&'static str, Option<Strin
 
 /// Returns why a model does not suit the cameras of a rig; none if it does.
 pub(crate) fn misfit(model: &ModelContract, rig: &RigFile) -> Option<String> {
-    for input in model.variant.inputs() {
+    for input in model.modality.inputs() {
         let role = input.role();
         let Some(camera) = rig.cameras.get(&role) else {
             return Some(format!("the rig has no camera `{role}`"));
@@ -63,7 +63,7 @@ mod tests {
         assert_eq!(usual(&rig).contract().name, SHIPPED);
         rig.cameras.remove(&Role::Rgb);
         assert_eq!(usual(&rig).contract().name, BASELINE);
-        let contract = Model::named(SHIPPED).unwrap().contract().clone();
+        let contract = Model::by_name(SHIPPED).unwrap().contract().clone();
         let why = misfit(&contract, &rig).unwrap();
         assert!(why.contains("no camera `rgb`"), "{why}");
 

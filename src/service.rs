@@ -12,7 +12,7 @@ use tokio::sync::{mpsc, watch};
 
 use super::collection::{COMMAND_QUEUE, start_pedals, stop_signals};
 use super::daemon::{
-    self, CollectReport, EngineLinks, EngineSetup, EngineStatus, ModelFacts, Stored, Tasks,
+    self, CollectReport, EngineLinks, EngineSetup, EngineStatus, ModelInfo, StoreEvent, Tasks,
 };
 use super::tui;
 use super::web::{self, Access, Backend, Listeners, News, Token};
@@ -74,7 +74,7 @@ pub(crate) async fn run(
         command_sender.clone(),
         tasks.clone(),
         Arc::clone(&access),
-        setup.model.as_ref().map(ModelFacts::of),
+        setup.model.as_ref().map(ModelInfo::new),
         setup.dataset.clone(),
     ));
     let ended = Arc::new(AtomicBool::new(false));
@@ -88,7 +88,7 @@ pub(crate) async fn run(
         tasks: tasks.clone(),
         status,
         tones: tone_sender,
-        stored: Box::new(move |stored| on_stored(&store_backend, stored)),
+        on_stored: Box::new(move |stored| on_stored(&store_backend, stored)),
     };
     let engine = daemon::run(setup, links, stop);
     let beside = async {
@@ -122,7 +122,7 @@ pub(crate) async fn run(
     let _ = sd_notify::notify(&[NotifyState::Stopping]);
     ended.store(true, Ordering::Relaxed);
     // Without receivers there is no need to wait.
-    if backend.news.send(News::Bye).is_ok() {
+    if backend.news.send(News::Shutdown).is_ok() {
         tokio::time::sleep(FAREWELL).await;
     }
     let _ = close.send(true);
@@ -146,18 +146,18 @@ fn announce(listeners: &Listeners, settings: &ServiceSettings) {
 }
 
 /// Publishes a change of the dataset.
-fn on_stored(backend: &Backend, stored: &Stored) {
-    if let StoreReply::Failed { message } = &stored.reply {
+fn on_stored(backend: &Backend, event: &StoreEvent) {
+    if let StoreReply::Failed { message } = &event.reply {
         note!("NOT SAVED: {message}");
     }
     if let StoreRequest::SetOutcome { id, .. }
     | StoreRequest::RestoreGrasp { id }
-    | StoreRequest::RedoGrasp { id, .. } = &stored.request
+    | StoreRequest::RedoGrasp { id, .. } = &event.request
     {
         backend.grasps.forget(id);
     }
     // Without an open page there is no receiver.
-    let _ = backend.news.send(News::Stored(Arc::new(stored.clone())));
+    let _ = backend.news.send(News::Stored(Arc::new(event.clone())));
 }
 
 /// Notifies systemd that the service is ready, then feeds its watchdog. Does nothing without systemd.

@@ -7,7 +7,7 @@ use serde_json::json;
 
 use super::bench::Report;
 use gripcast_base::error::{Error, Result};
-use gripcast_nn::predict::{Model, PredictFigures, SHIPPED, measure, model_bytes};
+use gripcast_nn::predict::{Model, PredictTimings, SHIPPED, measure, model_bytes};
 
 /// Minimum for a usable median.
 const MIN_RUNS: u64 = 30;
@@ -50,7 +50,7 @@ impl Args {
     }
 }
 
-fn table(figures: &PredictFigures) -> String {
+fn table(figures: &PredictTimings) -> String {
     let f = figures;
     [
         "ms                  min   median".to_owned(),

@@ -31,7 +31,7 @@ use super::{Context, print_report};
 use super::{board_charuco, board_make};
 use gripcast_base::error::{Error, Result, unknown_name};
 use gripcast_base::files::save;
-use gripcast_pose::{BoardFile, Dictionary, ForeignBoard, Part, import_kalibr, import_ros};
+use gripcast_pose::{BoardFile, BoardFormat, Body, Dictionary, import_kalibr, import_ros};
 
 /// Arguments.
 #[derive(Debug, clap::Args)]
@@ -91,18 +91,18 @@ fn show(args: &ShowArgs) -> Result<()> {
 /// Describes a board as JSON.
 fn summary(file: &BoardFile) -> Value {
     let board = &file.board;
-    let bodies = Part::ALL.into_iter().filter_map(|body| {
-        let markers = board.of_part(body).count();
+    let bodies = Body::ALL.into_iter().filter_map(|body| {
+        let markers = board.markers_on(body).count();
         let planar = board.is_planar(body);
         (markers > 0).then(|| json!({"body": body.name(), "markers": markers, "planar": planar}))
     });
     let markers = board.markers.iter().map(|marker| {
         json!({
             "id": marker.id,
-            "body": marker.part.name(),
+            "body": marker.body.name(),
             "side_m": marker.side_m(),
             "center_m": marker.center_m().to_array(),
-            "front": marker.front().to_array(),
+            "front": marker.normal().to_array(),
         })
     });
     let sheet = file.sheet.as_ref().map(|sheet| {
@@ -134,8 +134,8 @@ fn describe(file: &BoardFile) -> String {
         format!("hash        {}", board.hash()),
         format!("dictionary  {}", board.dictionary),
     ];
-    for body in Part::ALL {
-        let markers: Vec<_> = board.of_part(body).collect();
+    for body in Body::ALL {
+        let markers: Vec<_> = board.markers_on(body).collect();
         if markers.is_empty() {
             continue;
         }
@@ -209,20 +209,20 @@ struct ImportArgs {
 fn import(args: &ImportArgs) -> Result<()> {
     let text = read_text(&args.file, "board")?;
     let here = |e: Error| e.at(args.file.display());
-    let kind = ForeignBoard::recognise(&text).map_err(here)?;
+    let kind = BoardFormat::detect(&text).map_err(here)?;
     let board = match kind {
-        ForeignBoard::OpencvDictionary => {
+        BoardFormat::OpencvDictionary => {
             let name = args.file.to_string_lossy();
             let dictionary = Dictionary::from_opencv(&name, &text).map_err(here)?;
             return print_dictionary(args, &dictionary);
         }
-        ForeignBoard::Kalibr => {
+        BoardFormat::Kalibr => {
             let dictionary = args.dictionary()?;
             let stem = args.file.file_stem().unwrap_or_default().to_string_lossy();
             let name = args.name.clone().unwrap_or_else(|| stem.into_owned());
             import_kalibr(&text, &name, dictionary.as_ref()).map_err(here)?
         }
-        ForeignBoard::Ros => {
+        BoardFormat::Ros => {
             let dictionary = args.dictionary()?.ok_or_else(|| {
                 Error::usage("the aruco_opencv file does not name its marker dictionary")
                     .remedy("give --dictionary, the marker_dict of the ROS node, such as 4X4_50")

@@ -13,7 +13,7 @@ use gripcast_imaging::{Decoder, Intrinsics};
 use gripcast_pose::calibrate::{
     CalibratedMarker, FrameSource, GripperCalibration, GripperImage, MarkerState, calibrate_gripper,
 };
-use gripcast_pose::detect::{detectors, diagnose, known_dictionaries};
+use gripcast_pose::detect::{builtin_dictionaries, detectors, diagnose};
 use gripcast_pose::refine::refine_all;
 use gripcast_pose::{BoardFile, load_intrinsics, require_size};
 
@@ -144,9 +144,9 @@ fn detect(
         return Err(Error::input(what));
     };
     if detections.images.iter().all(|p| p.detections.is_empty()) {
-        let others = known_dictionaries();
+        let others = builtin_dictionaries();
         let diagnosis = diagnose(&first, &board.dictionary, &board.board.ids(), &others)?;
-        return Err(diagnosis.explain(&board.board.name));
+        return Err(diagnosis.to_error(&board.board.name));
     }
     Ok(detections)
 }
@@ -202,7 +202,7 @@ impl MarkerReport {
     fn new(marker: &CalibratedMarker) -> Self {
         let (state, reason) = match &marker.state {
             MarkerState::Calibrated => ("calibrated", None),
-            MarkerState::AsDescribed(reason) => ("nominal", Some((*reason).to_owned())),
+            MarkerState::Nominal(reason) => ("nominal", Some((*reason).to_owned())),
             MarkerState::Loose { moved: None } => ("loose", None),
             MarkerState::Loose {
                 moved: Some(([a, b], ..)),
@@ -211,14 +211,14 @@ impl MarkerReport {
         let sigma = marker.sigma();
         Self {
             id: marker.id,
-            body: marker.part.name(),
+            body: marker.body.name(),
             state,
             reason,
             images: marker.images,
             outliers: marker.outliers,
             shift_mm: 1e3 * marker.shift_m.length(),
             shift_xyz_mm: (1e3 * marker.shift_m).to_array(),
-            rotation_deg: marker.turn_rad.to_degrees(),
+            rotation_deg: marker.rotation_rad.to_degrees(),
             sigma_mm: sigma.map(|s| 1e3 * s.0),
             sigma_deg: sigma.map(|s| s.1.to_degrees()),
             rms_px: marker.rms_px,

@@ -28,9 +28,9 @@ use gripcast_base::error::{Error, ErrorKind, Result};
 use gripcast_imaging::{Decoder, Role};
 use gripcast_pose::BoardFile;
 use gripcast_pose::calibrate::{
-    CalibrationReport, Collector, CollectorSettings, Hint, PARAMETERS, Refusal,
+    CalibrationReport, Collector, CollectorSettings, Hint, PARAMETERS, Rejection,
 };
-use gripcast_pose::detect::{Diagnosis, diagnose, known_dictionaries};
+use gripcast_pose::detect::{Diagnosis, builtin_dictionaries, diagnose};
 
 /// Reprojection error that causes a warning, px.
 const MAX_RMS_PX: f64 = 0.5;
@@ -157,24 +157,24 @@ fn from_folder(collector: Collector, folder: &Path, on_progress: &dyn Fn(String)
     for path in images(folder)? {
         let name = file_name(&path);
         let offered = read_grey(&mut decoder, &path)
-            .and_then(|image| Ok((views.collector.offer(&image)?, image)));
+            .and_then(|image| Ok((views.collector.add_image(&image)?, image)));
         let reason = match offered {
             Err(error) => {
                 views.unusable += 1;
                 Some(error.to_string())
             }
             Ok((offer, image)) => {
-                match offer.refused {
-                    Some(Refusal::Size([width, height], _)) => {
+                match offer.rejection {
+                    Some(Rejection::Size([width, height], _)) => {
                         sizes.push(format!("{name} ({width}×{height})"));
                     }
-                    Some(Refusal::NoBoard) => {
+                    Some(Rejection::NoBoard) => {
                         views.unusable += 1;
                         without_board.get_or_insert(image);
                     }
                     _ => {}
                 }
-                offer.refused.map(|r| r.to_string())
+                offer.rejection.map(|r| r.to_string())
             }
         };
         match reason {
@@ -190,7 +190,7 @@ fn from_folder(collector: Collector, folder: &Path, on_progress: &dyn Fn(String)
     }
     if let Some(image) = without_board {
         let diagnosis = diagnosed(&views.collector, &image)?;
-        let explained = diagnosis.explain(&views.collector.file().board.name);
+        let explained = diagnosis.to_error(&views.collector.file().board.name);
         if views.names.is_empty() {
             return Err(explained.at(folder.display()));
         }
@@ -205,7 +205,7 @@ fn from_folder(collector: Collector, folder: &Path, on_progress: &dyn Fn(String)
 /// Diagnoses an image without the board.
 pub(super) fn diagnosed(collector: &Collector, image: &GrayImage) -> Result<Diagnosis> {
     let file = collector.file();
-    let others = known_dictionaries();
+    let others = builtin_dictionaries();
     diagnose(image, &file.dictionary, &file.board.ids(), &others)
 }
 

@@ -19,7 +19,7 @@ use gripcast_capture::calibration::RigFile;
 use gripcast_capture::camera::{CameraOpener, CaptureError, FrameSource, RigSources};
 use gripcast_capture::device::SystemRoot;
 use gripcast_imaging::{Decoder, Role, encode_png_grey8};
-use gripcast_pose::calibrate::{Collector, Coverage, Hint, Offer, Refusal, Tilt};
+use gripcast_pose::calibrate::{AddedImage, Collector, Coverage, Hint, Rejection, Tilt};
 use gripcast_virtual_rig::VirtualSource;
 
 const FRAME_TIMEOUT: Duration = Duration::from_secs(1);
@@ -43,7 +43,7 @@ pub(super) fn collect(
     keep: Option<&Path>,
 ) -> Result<Views> {
     let rig = RigFile::find(rig)?;
-    let sources = RigSources::of(&rig, &SystemRoot::default(), &mut VirtualSource::new(1))?;
+    let sources = RigSources::new(&rig, &SystemRoot::default(), &mut VirtualSource::new(1))?;
     let roles: Vec<&str> = rig.cameras.keys().map(|r| r.name()).collect();
     let opener = sources.openers.into_iter().find(|o| o.role() == role);
     let opener = opener.ok_or_else(|| {
@@ -113,8 +113,8 @@ impl Live {
             let Some(image) = next(source.as_mut(), &mut decoder)? else {
                 return self.ended();
             };
-            let offer = self.views.collector.offer(&image)?;
-            if offer.refused.is_none() {
+            let offer = self.views.collector.add_image(&image)?;
+            if offer.rejection.is_none() {
                 self.keep(&image)?;
             }
             self.diagnose(&offer, &image)?;
@@ -146,8 +146,8 @@ impl Live {
     }
 
     /// Diagnoses the image if the board has been missing for long.
-    fn diagnose(&mut self, offer: &Offer, image: &GrayImage) -> Result<()> {
-        if offer.refused != Some(Refusal::NoBoard) {
+    fn diagnose(&mut self, offer: &AddedImage, image: &GrayImage) -> Result<()> {
+        if offer.rejection != Some(Rejection::NoBoard) {
             self.without_board = 0;
             return Ok(());
         }
@@ -158,12 +158,12 @@ impl Live {
         Ok(())
     }
 
-    fn show(&mut self, offer: &Offer, screen: &mut Screen<'_>) -> Result<()> {
+    fn show(&mut self, offer: &AddedImage, screen: &mut Screen<'_>) -> Result<()> {
         let coverage = self.views.collector.coverage();
         match screen {
             Screen::Terminal(block) => block.draw(&lines(&coverage, offer, &self.message)),
             Screen::Lines(progress) => {
-                if offer.refused.is_none() || !self.has_shown_hint {
+                if offer.rejection.is_none() || !self.has_shown_hint {
                     let (views, wanted) = (coverage.views, coverage.wanted);
                     progress.line(format!("{views} of {wanted} views; {}", offer.hint));
                 }
@@ -211,11 +211,11 @@ fn next(source: &mut dyn FrameSource, decoder: &mut Decoder) -> Result<Option<Gr
 }
 
 /// Formats the block.
-fn lines(coverage: &Coverage, offer: &Offer, message: &str) -> Vec<String> {
+fn lines(coverage: &Coverage, offer: &AddedImage, message: &str) -> Vec<String> {
     let tilts: Vec<String> = Tilt::ALL
         .iter()
         .zip(coverage.tilts)
-        .map(|(tilt, count)| format!("{} {count}/{}", tilt.edge(), Coverage::VIEWS_OF_TILT))
+        .map(|(tilt, count)| format!("{} {count}/{}", tilt.edge(), Coverage::VIEWS_PER_TILT))
         .collect();
     let cells = |row: usize| -> String {
         let cell = |column| match coverage.is_covered(column, row) {
@@ -224,7 +224,7 @@ fn lines(coverage: &Coverage, offer: &Offer, message: &str) -> Vec<String> {
         };
         (0..coverage.cells[row].len()).map(cell).collect()
     };
-    let now = match &offer.refused {
+    let now = match &offer.rejection {
         None => format!("accepted: {} points", offer.points),
         Some(refusal) => refusal.to_string(),
     };
@@ -240,7 +240,7 @@ fn lines(coverage: &Coverage, offer: &Offer, message: &str) -> Vec<String> {
             "{}  distances 1 to {:.2} (of {})",
             cells(2),
             coverage.distance_ratio,
-            Coverage::DISTANCES
+            Coverage::MIN_DISTANCE_RATIO
         ),
         format!("now: {now}"),
         format!("→ {}", offer.hint),

@@ -3,7 +3,7 @@
 use std::fmt::Write as _;
 
 use super::print_report;
-use crate::daemon::{BlackBoxReport, CollectReport, Ended};
+use crate::daemon::{BlackBoxReport, CollectReport, EndReason};
 use gripcast_base::error::{Error, ErrorKind, Result};
 
 /// Prints the report of a finished collection. For a service (`is_service`), SIGTERM is a normal
@@ -14,21 +14,23 @@ use gripcast_base::error::{Error, ErrorKind, Result};
 pub(super) fn conclude(report: &CollectReport, as_json: bool, is_service: bool) -> Result<()> {
     print_report(as_json, report, summary)?;
     match report.ended {
-        Ended::Interrupted => Err(Error::new(
+        EndReason::Interrupted => Err(Error::new(
             ErrorKind::Interrupted,
             "interrupted; all acknowledged data is on disk",
         )),
-        Ended::Terminated if !is_service => Err(Error::new(
+        EndReason::Terminated if !is_service => Err(Error::new(
             ErrorKind::Stopped,
             "stopped; all acknowledged data is on disk",
         )),
-        Ended::Terminated | Ended::Quit | Ended::ScriptDone => match report.session.failed {
-            0 => Ok(()),
-            failed => Err(Error::new(
-                ErrorKind::Partial,
-                format!("{failed} save(s) failed; see the messages above"),
-            )),
-        },
+        EndReason::Terminated | EndReason::Quit | EndReason::ScriptDone => {
+            match report.session.failed {
+                0 => Ok(()),
+                failed => Err(Error::new(
+                    ErrorKind::Partial,
+                    format!("{failed} save(s) failed; see the messages above"),
+                )),
+            }
+        }
     }
 }
 

@@ -26,7 +26,9 @@ use crate::collection::{
     usual_socket,
 };
 use crate::config::{FlagValue, Layered};
-use crate::daemon::{self, Asked, CollectReport, EngineLinks, EngineSetup, EngineStatus, Tasks};
+use crate::daemon::{
+    self, CollectReport, CommandRequest, EngineLinks, EngineSetup, EngineStatus, Tasks,
+};
 use crate::note;
 use crate::rig_lock::RigLock;
 use crate::terminal_text::escaped_json;
@@ -176,7 +178,7 @@ async fn collect(
         tasks: Tasks::default(),
         status,
         tones: tone_sender,
-        stored: Box::new(move |stored| {
+        on_stored: Box::new(move |stored| {
             if let (true, StoreReply::Failed { message }) = (prints_failures, &stored.reply) {
                 note!("NOT SAVED: {message}");
             }
@@ -252,7 +254,8 @@ impl Screen {
             let commands = wiring.commands.clone();
             let result = tui::run(wiring);
             // The engine may have ended before.
-            let _ = commands.blocking_send(Asked::new(Command::Quit, CommandSource::Keyboard));
+            let _ =
+                commands.blocking_send(CommandRequest::new(Command::Quit, CommandSource::Keyboard));
             // The process may end without waiting for the screen.
             let _ = sender.send(result);
         });

@@ -27,8 +27,8 @@ use super::{Context, dataset_export, dataset_import, print_json, print_report};
 use crate::note;
 use gripcast_base::error::{Error, ErrorKind, Result};
 use gripcast_dataset::{
-    Dataset, Outcome, RecoverReport, SplitBy, SplitFile, SplitPlan, Summary, VerifyReport, recover,
-    reindex, split, summary, verify,
+    Dataset, GroupKey, Outcome, RecoverReport, SplitFile, SplitPlan, Summary, VerifyReport,
+    recover, reindex, split, summary, verify,
 };
 
 /// Arguments of `dataset`.
@@ -92,10 +92,10 @@ struct SplitArgs {
     test: f64,
     /// Grouping key of the split (no group in two sets)
     #[arg(long, value_name = "KEY", default_value = "object", value_parser = named([
-        ("object", "No object in two sets", SplitBy::Object),
-        ("scene", "No scene in two sets", SplitBy::Scene),
+        ("object", "No object in two sets", GroupKey::Object),
+        ("scene", "No scene in two sets", GroupKey::Scene),
     ]))]
-    group_by: SplitBy,
+    group_by: GroupKey,
     /// Random seed
     #[arg(long, value_name = "SEED", default_value_t = 0)]
     seed: u64,
@@ -254,8 +254,8 @@ fn info_text(summary: &Summary) -> String {
                 "{model}: {} of {} labelled grasps correct; {} false stable, {} false slip",
                 agreement.agreed(),
                 agreement.total(),
-                agreement.slipped_unexpectedly,
-                agreement.held_unexpectedly
+                agreement.false_stable,
+                agreement.false_slip
             ),
         );
     }
@@ -350,15 +350,15 @@ fn recover_text(report: &RecoverReport) -> String {
 }
 
 fn split_text(name: &str, file: &SplitFile) -> String {
-    let all: usize = file.parts.values().map(|set| set.grasps.len()).sum();
+    let all: usize = file.splits.values().map(|set| set.grasps.len()).sum();
     let mut text = format!("splits/{name}.json, by {}, seed {}\n", file.by, file.seed);
-    for (name, set) in &file.parts {
+    for (name, set) in &file.splits {
         let percent = 100.0 * set.grasps.len() as f64 / all.max(1) as f64;
         let _ = writeln!(
             text,
             "{name:<6} {:>6} ({percent:.1} %)  {:>4}  {}",
             counted(set.grasps.len(), "grasp"),
-            counted(set.items.len(), &file.by.to_string()),
+            counted(set.groups.len(), &file.by.to_string()),
             outcomes_text(&set.outcomes)
         );
     }

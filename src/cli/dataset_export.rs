@@ -86,8 +86,8 @@ pub(super) fn run(context: &Context, args: Args) -> Result<()> {
 
 fn plan(args: &Args) -> Result<ExportPlan> {
     let mut plan = ExportPlan::new(args.to);
-    plan.split.clone_from(&args.split);
-    plan.part.clone_from(&args.subset);
+    plan.split_file.clone_from(&args.split);
+    plan.only_split.clone_from(&args.subset);
     plan.only_labelled = args.only_labelled;
     if let Some([width, height]) = args.size {
         if args.to != ExportFormat::Zarr {
@@ -113,8 +113,8 @@ fn text(report: &ExportReport) -> String {
         size_text(report.bytes),
         counted(report.files, "file")
     );
-    if report.parts.len() > 1 {
-        for (name, grasps) in &report.parts {
+    if report.splits.len() > 1 {
+        for (name, grasps) in &report.splits {
             let _ = writeln!(text, "{name:<12} {}", counted(*grasps, "grasp"));
         }
     }
@@ -130,7 +130,7 @@ fn text(report: &ExportReport) -> String {
         let _ = writeln!(text, "note         {note}");
     }
     for one in &report.left_out {
-        let _ = writeln!(text, "left out     {}: {}", one.id, one.why);
+        let _ = writeln!(text, "left out     {}: {}", one.id, one.reason);
     }
     text
 }

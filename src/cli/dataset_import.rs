@@ -21,7 +21,7 @@ use super::dataset_text::counted;
 use super::working::interruptible;
 use super::{Context, print_report};
 use gripcast_base::error::{Error, ErrorKind, Result};
-use gripcast_dataset::shard::Split;
+use gripcast_dataset::shard::SplitFractions;
 use gripcast_interop::import::{ImportReport, import_feeling_of_success};
 
 /// Arguments.
@@ -38,7 +38,7 @@ pub(super) struct Args {
     out: PathBuf,
     /// Splits and their fractions
     #[arg(long, value_name = "SPLIT=FRACTION,…", default_value = "test")]
-    split: Split,
+    split: SplitFractions,
     /// Print the result as JSON
     #[arg(long)]
     json: bool,
@@ -73,7 +73,7 @@ pub(super) fn run(context: &Context, args: Args) -> Result<()> {
 
 fn text(report: &ImportReport) -> String {
     let mut text = String::new();
-    for (name, split) in &report.parts {
+    for (name, split) in &report.splits {
         let _ = writeln!(
             text,
             "{name:<12} {} stable, {} slip, {}",
@@ -83,7 +83,7 @@ fn text(report: &ImportReport) -> String {
         );
     }
     for one in &report.left_out {
-        let _ = writeln!(text, "left out     {}: {}", one.id, one.why);
+        let _ = writeln!(text, "left out     {}: {}", one.id, one.reason);
     }
     text
 }

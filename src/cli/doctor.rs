@@ -11,7 +11,7 @@ use super::flags::{given, path_text, seconds};
 use super::working::interruptible;
 use super::{ConfigFlag, Context, print_report};
 use crate::config::Layered;
-use crate::doctor::{Finding, Patient, Verdict};
+use crate::doctor::{CheckStatus, DoctorTarget, Finding};
 use gripcast_base::error::{Error, ErrorKind, Result};
 use gripcast_capture::calibration::RigFile;
 use gripcast_capture::device::SystemRoot;
@@ -62,7 +62,7 @@ pub(crate) fn run(context: &Context, args: Args) -> Result<()> {
         .then(|| RigFile::find(&settings.rig))
         .transpose()?;
     let name = rig.as_ref().map(|rig| rig.id.clone());
-    let patient = Patient {
+    let target = DoctorTarget {
         rig,
         dataset: (!settings.dataset.is_empty()).then(|| PathBuf::from(&settings.dataset)),
         model: settings.model,
@@ -75,16 +75,16 @@ pub(crate) fn run(context: &Context, args: Args) -> Result<()> {
         },
     };
     let findings = interruptible(context, "examining", move |progress| {
-        patient.examine(&|what| progress.stage(what))
+        target.examine(&|what| progress.stage(what))
     })??;
-    let worst = findings.iter().map(|finding| finding.verdict).max();
-    let worst = worst.unwrap_or(Verdict::Ok);
-    let report = json!({ "findings": findings, "rig": name, "verdict": worst });
+    let worst = findings.iter().map(|finding| finding.status).max();
+    let worst = worst.unwrap_or(CheckStatus::Ok);
+    let report = json!({ "findings": findings, "rig": name, "status": worst });
     print_report(args.json, &report, |_| text(&findings))?;
-    if worst < Verdict::Fail {
+    if worst < CheckStatus::Fail {
         return Ok(());
     }
-    let failed = findings.iter().filter(|f| f.verdict == Verdict::Fail);
+    let failed = findings.iter().filter(|f| f.status == CheckStatus::Fail);
     let names: Vec<String> = failed.map(|f| format!("{} {}", f.area, f.name)).collect();
     Err(Error::new(
         ErrorKind::Check,
@@ -98,10 +98,10 @@ fn text(findings: &[Finding]) -> String {
     for finding in findings {
         lines.push(format!(
             "{:<4}  {:<8} {:<20} {}",
-            finding.verdict.name(),
+            finding.status.name(),
             finding.area,
             finding.name,
-            finding.found.replace('\n', "\n        ")
+            finding.message.replace('\n', "\n        ")
         ));
         if let Some(remedy) = &finding.remedy {
             lines.push(format!("        → {}", remedy.replace('\n', "\n        ")));

@@ -53,7 +53,7 @@ pub(super) fn run(context: &Context, args: Args) -> Result<()> {
 fn evaluated(args: &Args, progress: &Progress) -> Result<EvalReport> {
     let models = args.model.iter();
     let models = models
-        .map(|name| Ok((name.clone(), Model::named(name)?)))
+        .map(|name| Ok((name.clone(), Model::by_name(name)?)))
         .collect::<Result<Vec<_>>>()?;
     let samples = Samples::open(&args.data, &args.split)?;
     let training = Samples::open(&args.data, "train").ok();

@@ -9,7 +9,7 @@ use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
 use crate::config::FlagValue;
 use gripcast_base::error::{Error, Result};
 use gripcast_base::workers::cores;
-use gripcast_nn::predict::contract::Variant;
+use gripcast_nn::predict::contract::Modality;
 use gripcast_sim::EngineKind;
 use gripcast_sim::fem::GelResolution;
 use gripcast_sim::grasp::Preset;
@@ -59,11 +59,11 @@ pub(super) fn engine() -> impl TypedValueParser<Value = EngineKind> {
 }
 
 /// Parser of a model's modality.
-pub(super) fn modality() -> impl TypedValueParser<Value = Variant> {
+pub(super) fn modality() -> impl TypedValueParser<Value = Modality> {
     named([
-        ("v", "Colour image", Variant::V),
-        ("t", "Both tactile differences", Variant::T),
-        ("vt", "Colour image and tactile differences", Variant::Vt),
+        ("v", "Colour image", Modality::V),
+        ("t", "Both tactile differences", Modality::T),
+        ("vt", "Colour image and tactile differences", Modality::Vt),
     ])
 }
 
@@ -164,7 +164,7 @@ impl BallFlags {
         ReadOptions {
             ball_diameter_m: self.ball_mm.map(|mm| 1e-3 * mm),
             find_contacts: self.find_contacts,
-            ..ReadOptions::of_folder(folder)
+            ..ReadOptions::from_folder(folder)
         }
     }
 }

@@ -23,7 +23,7 @@ use gripcast_imaging::{
     decode_png_rgb, jpeg,
 };
 use gripcast_nn::predict::contract::{IMAGE_HEIGHT, IMAGE_WIDTH, InputName, Origin};
-use gripcast_nn::predict::{BASELINE, Model, ModelInput, SHIPPED, Verdict, baseline};
+use gripcast_nn::predict::{BASELINE, Model, ModelInput, PredictedLabel, SHIPPED, baseline};
 
 /// Arguments.
 #[derive(Debug, clap::Args)]
@@ -101,7 +101,7 @@ pub(crate) fn run(context: &Context, args: Args) -> Result<()> {
 }
 
 fn check(context: &Context, args: &CheckArgs) -> Result<()> {
-    let model = Model::named(&args.model)?;
+    let model = Model::by_name(&args.model)?;
     let contract = model.contract();
     let (seed, manifest, origin) = match &contract.origin {
         Origin::Trained {
@@ -128,7 +128,7 @@ fn check(context: &Context, args: &CheckArgs) -> Result<()> {
         "temperature": contract.temperature,
         "threshold": contract.threshold,
         "train_manifest_sha256": manifest,
-        "variant": contract.variant,
+        "variant": contract.modality,
     });
     print_report(args.json, &report, |_| {
         contract_text(context, &model, &origin)
@@ -140,7 +140,7 @@ fn contract_text(context: &Context, model: &Model, origin: &str) -> String {
     let mut lines = vec![
         format!("model      {} ({origin})", contract.name),
         format!("sha256     {}", model.sha256()),
-        format!("variant    {}", contract.variant),
+        format!("variant    {}", contract.modality),
     ];
     for input in &contract.inputs {
         lines.push(format!(
@@ -158,7 +158,7 @@ fn contract_text(context: &Context, model: &Model, origin: &str) -> String {
 }
 
 fn predict_images(context: &Context, args: &ImagesArgs) -> Result<()> {
-    let model = Model::named(&args.model)?;
+    let model = Model::by_name(&args.model)?;
     let contract = model.contract();
     let crop = match &args.crop {
         Some(name) => {
@@ -173,7 +173,7 @@ fn predict_images(context: &Context, args: &ImagesArgs) -> Result<()> {
     };
     let mut input = ModelInput::zeros(contract)?;
     let mut differences = Vec::new();
-    for &name in contract.variant.inputs() {
+    for &name in contract.modality.inputs() {
         let (initial, grasp) = match name {
             InputName::TactileLeft => (
                 needed(args.initial_left.as_deref(), "--initial-left", name)?,
@@ -196,9 +196,9 @@ fn predict_images(context: &Context, args: &ImagesArgs) -> Result<()> {
     }
     let prediction = model.predict(&input)?;
     let ood_score = model
-        .novelty()
-        .and_then(|reference| reference.of_touch(&differences));
-    let verdict = Verdict::of(prediction.p_stable, contract.threshold, ood_score);
+        .ood_detector()
+        .and_then(|reference| reference.max_score(&differences));
+    let verdict = PredictedLabel::new(prediction.p_stable, contract.threshold, ood_score);
     let outcome = verdict.name();
     if contract.is_heuristic() {
         let name = &contract.name;
@@ -219,8 +219,8 @@ fn predict_images(context: &Context, args: &ImagesArgs) -> Result<()> {
     });
     print_report(args.json, &report, |_| {
         let reason = match verdict {
-            Verdict::Unsure => "; the tactile images are out of distribution",
-            Verdict::Stable | Verdict::Slip => "",
+            PredictedLabel::Unsure => "; the tactile images are out of distribution",
+            PredictedLabel::Stable | PredictedLabel::Slip => "",
         };
         format!(
             "{outcome}: p_stable {:.3}, threshold {}{reason}",

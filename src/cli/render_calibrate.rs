@@ -104,13 +104,13 @@ enum Model {
 
 impl Args {
     fn options(&self) -> CalibrateOptions {
-        let mut options = CalibrateOptions::of_folder(&self.presses);
+        let mut options = CalibrateOptions::from_folder(&self.presses);
         options.read = self.ball.read_options(&self.presses);
         options.read.pixel_m = self.pixel_mm.map(|mm| 1e-3 * mm);
         options.read.crop = self.crop;
         options.read.size = self.size.map(Into::into);
         options.train_fraction = self.train_fraction;
-        options.most_fitted = self.max_fitted;
+        options.max_fitted = self.max_fitted;
         options.seed = self.seed;
         options.fit_scale = self.fit_scale;
         options.crop_profile = self.crop_profile;
@@ -145,7 +145,7 @@ pub(crate) fn run(context: &Context, args: Args) -> Result<()> {
     calibration.profile.save(&args.out)?;
     let image = args.out.with_extension("fit.png");
     save(&image, &encode_png_rgb(&calibration.image)?)?;
-    let skipped = &calibration.skipped;
+    let skipped = &calibration.report.skipped;
     context.warn(
         skipped
             .iter()

@@ -28,14 +28,15 @@ use gripcast_imaging::{encode_jpeg, encode_png_rgb};
 use gripcast_sim::fem::{GelGrid, GelResolution};
 use gripcast_sim::grasp::Finger;
 use gripcast_tactile::calibrate::{self, CalibrateOptions, PressSet};
-use gripcast_tactile::lookup::{TaximHeights, fit_to_presses};
+use gripcast_tactile::lookup::fit_to_presses;
 use gripcast_tactile::{
-    FrameLook, GelSurfaceRenderer, ObjectDepthRenderer, PressDepth, Rasteriser, SceneRenderer as _,
-    SensorPlace, SensorProfile, Smoothing, TactileRenderer, TactileScene, faceted, object_depth,
+    FrameNoise, GelSurfaceRenderer, ObjectDepthRenderer, PressDepth, Rasteriser,
+    SceneRenderer as _, SensorMount, SensorProfile, Smoothing, TactileRenderer, TactileScene,
+    faceted, object_depth,
 };
 use gripcast_visual::{
-    ColourSettings, DenoiseSettings, GraspState, RenderSettings, Renderer, View,
-    VisualRandomisation, Watch, demo_model, denoise, develop, grasp_scene,
+    ColourSettings, DENOISE_RADIUS_PX, GraspState, RenderControl, RenderSettings, Renderer, View,
+    VisualRandomisation, demo_model, denoise, develop, grasp_scene,
 };
 
 /// Columns and rows of a tile.
@@ -102,7 +103,7 @@ struct Fitted {
 }
 
 fn real_row(args: &Args) -> Result<(Vec<Tile>, Fitted)> {
-    let mut options = CalibrateOptions::of_folder(&args.presses);
+    let mut options = CalibrateOptions::from_folder(&args.presses);
     options.read = args.ball.read_options(&args.presses);
     options.read.size = Some(TILE);
     options.seed = args.seed;
@@ -116,11 +117,11 @@ fn real_row(args: &Args) -> Result<(Vec<Tile>, Fitted)> {
     let Some(&shown) = held_out.iter().max_by(widest) else {
         return Err(Error::input("no held-out press to show").at(args.presses.display()));
     };
-    let lookup = fit_to_presses(&set, &train, TaximHeights::default())?;
+    let lookup = fit_to_presses(&set, &train)?;
     let press = &set.presses[shown];
     let contact = set.contact(press);
     let depth = contact.press(profile.smoothing.sink_length_m);
-    let quiet = FrameLook::default();
+    let quiet = FrameNoise::default();
     let ours = TactileRenderer::new(&profile)?.render(&depth, &quiet)?;
     let gel = GelGrid::pad(GelResolution::Default)?;
     let flat = faceted(&depth, &gel, &mut Rasteriser::new());
@@ -143,7 +144,7 @@ fn real_row(args: &Args) -> Result<(Vec<Tile>, Fitted)> {
 }
 
 fn simulated_row(grasp: &SimulatedGrasp, fitted: &Fitted) -> Result<Vec<Tile>> {
-    let touched = scene(grasp, Moment::Grasp, SensorPlace::on(Finger::Left))?;
+    let touched = scene(grasp, Moment::Grasp, SensorMount::on(Finger::Left))?;
     let mut ours = ObjectDepthRenderer::new(&fitted.profile)?;
     let mut gel = GelSurfaceRenderer::new(&fitted.profile)?;
     let mut lookup = fitted.lookup.clone();
@@ -176,7 +177,7 @@ fn depth_image(scene: &TactileScene<'_>, grid: gripcast_tactile::SensorGeometry)
 
 fn traced_row(grasp: &SimulatedGrasp, args: &Args) -> Result<Vec<Tile>> {
     let state = match grasp.snapshot(Moment::Grasp)? {
-        Some(snapshot) => GraspState::at(snapshot, Some(&grasp.gel.grid))?,
+        Some(snapshot) => GraspState::from_snapshot(snapshot, Some(&grasp.gel.grid))?,
         None => return Ok(Vec::new()),
     };
     let size = [TILE.0 as usize, TILE.1 as usize];
@@ -192,13 +193,13 @@ fn traced_row(grasp: &SimulatedGrasp, args: &Args) -> Result<Vec<Tile>> {
         let model = demo_model(&grasp.object.name, seed)?;
         let scene = grasp_scene(&model, &state, &conditions, view)?;
         let settings = RenderSettings {
-            samples: args.spp,
+            samples_per_pixel: args.spp,
             seed,
             ..RenderSettings::default()
         };
         let rendering =
-            Renderer::new(&scene)?.render(&scene.camera, &settings, &Watch::default())?;
-        let light = denoise(&rendering, &DenoiseSettings::default());
+            Renderer::new(&scene)?.render(&scene.camera, &settings, &RenderControl::default())?;
+        let light = denoise(&rendering, DENOISE_RADIUS_PX);
         let image = develop(&light, &ColourSettings::default(), conditions.sensor_seed);
         tiles.push((format!("{name}, seed {seed}"), image));
     }

@@ -10,7 +10,7 @@ use gripcast_base::files::{FileKind, read_regular};
 use gripcast_geometry::{LengthUnit, TriangleMesh, load_object_mesh};
 use gripcast_sim::grasp::{Snapshot, StageName, Trace, TraceFile};
 use gripcast_tactile::{SimulatedGel, TraceHeader, TraceObject, TraceStart};
-use gripcast_visual::{Finish, Model, demo_model, drawn_finish};
+use gripcast_visual::{Finish, Model, demo_model, random_finish};
 
 /// Rendered moment of a grasp.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
@@ -74,11 +74,11 @@ impl ObjectSource {
         if self.name.starts_with("builtin:") {
             return match finish {
                 None => demo_model(&self.name, seed),
-                Some(finish) => Model::plain(&self.load()?, finish, seed),
+                Some(finish) => Model::with_finish(&self.load()?, finish, seed),
             };
         }
         let path = Path::new(&self.name);
-        let finish = finish.unwrap_or_else(|| drawn_finish(seed));
+        let finish = finish.unwrap_or_else(|| random_finish(seed));
         let loaded = Model::load(path, self.unit, finish, seed)?;
         for warning in &loaded.warnings {
             progress.line(format!("{}: {warning}", path.display()));

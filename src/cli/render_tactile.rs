@@ -34,10 +34,10 @@ use gripcast_geometry::{LengthUnit, Pose};
 use gripcast_imaging::{DepthImage, TactileDifference, encode_png_grey16, encode_png_rgb};
 use gripcast_sim::grasp::Finger;
 use gripcast_tactile::calibrate::PressSet;
-use gripcast_tactile::lookup::{LookupRenderer, Shadows, TaximHeights, fit_to_presses};
+use gripcast_tactile::lookup::{LookupRenderer, fit_to_presses};
 use gripcast_tactile::{
-    GelSurfaceRenderer, Mounting, ObjectDepthRenderer, PressDepth, Rasteriser, SceneRenderer,
-    SensorPlace, SensorProfile, TactileScene, object_depth,
+    GelSurfaceRenderer, MountingAngle, ObjectDepthRenderer, PressDepth, Rasteriser, SceneRenderer,
+    SensorMount, SensorProfile, TactileScene, object_depth,
 };
 
 /// Arguments.
@@ -103,10 +103,10 @@ struct SensorFlags {
     right_profile: Option<PathBuf>,
     /// Rotation of the left sensor on its finger: 0, 90, 180, 270
     #[arg(long, value_name = "DEG", default_value = "0", value_parser = mounting)]
-    mounting: Mounting,
+    mounting: MountingAngle,
     /// Rotation of the right sensor on its finger: 0, 90, 180, 270
     #[arg(long, value_name = "DEG", default_value = "0", value_parser = mounting)]
-    right_mounting: Mounting,
+    right_mounting: MountingAngle,
     /// Rendering method
     #[arg(long, value_enum, default_value_t = Method::Object)]
     method: Method,
@@ -141,9 +141,9 @@ enum Method {
     Lookup,
 }
 
-fn mounting(text: &str) -> Result<Mounting, String> {
+fn mounting(text: &str) -> Result<MountingAngle, String> {
     let degrees: u16 = text.parse().map_err(|_| "not a number".to_owned())?;
-    Mounting::from_degrees(degrees).map_err(|e| e.what().to_owned())
+    MountingAngle::from_degrees(degrees).map_err(|e| e.what().to_owned())
 }
 
 fn side_name(finger: Finger) -> &'static str {
@@ -213,8 +213,8 @@ impl SensorFlags {
         }
     }
 
-    fn place(&self, finger: Finger) -> SensorPlace {
-        SensorPlace {
+    fn place(&self, finger: Finger) -> SensorMount {
+        SensorMount {
             finger,
             mounting: match finger {
                 Finger::Left => self.mounting,
@@ -240,8 +240,8 @@ impl SensorFlags {
         };
         let set = PressSet::read(&self.ball.read_options(folder))?;
         let all: Vec<usize> = (0..set.presses.len()).collect();
-        let renderer = fit_to_presses(&set, &all, TaximHeights::default())?;
-        Ok(renderer.with_shadows(Shadows::default()))
+        let renderer = fit_to_presses(&set, &all)?;
+        Ok(renderer.with_shadows())
     }
 }
 
@@ -318,14 +318,14 @@ fn one_trace(
 pub(super) fn scene(
     grasp: &SimulatedGrasp,
     moment: Moment,
-    place: SensorPlace,
+    place: SensorMount,
 ) -> Result<TactileScene<'_>> {
     match grasp.snapshot(moment)? {
-        Some(snapshot) => TactileScene::of_snapshot(&grasp.mesh, &grasp.gel, snapshot, place),
+        Some(snapshot) => TactileScene::from_snapshot(&grasp.mesh, &grasp.gel, snapshot, place),
         None => {
             let start = &grasp.start;
             let poses = [&start.t_world_object, &start.t_world_gripper()];
-            TactileScene::at_start(&grasp.mesh, &grasp.gel, poses, start.opening_m, place)
+            TactileScene::before_closing(&grasp.mesh, &grasp.gel, poses, start.opening_m, place)
         }
     }
 }

@@ -35,9 +35,10 @@ use gripcast_geometry::LengthUnit;
 use gripcast_imaging::{encode_png_grey16, encode_png_rgb};
 use gripcast_sim::grasp::Placement;
 use gripcast_visual::{
-    Bitmap, ColourSettings, DenoiseSettings, DepthSettings, Finish, GraspState, Image, Model,
-    Pattern, RenderSettings, Renderer, Sky, View, VisualConditions, VisualRandomisation, Watch,
-    denoise, develop, grasp_scene, load_bitmap, load_hdr, measure_depth, normalise,
+    Bitmap, ColourSettings, DENOISE_RADIUS_PX, DepthSettings, Finish, GraspState, Image, Model,
+    ProceduralTexture, RenderControl, RenderSettings, Renderer, Sky, View, VisualConditions,
+    VisualRandomisation, denoise, develop, grasp_scene, load_bitmap, load_hdr, measure_depth,
+    normalise_env_map,
 };
 
 /// Arguments.
@@ -126,7 +127,7 @@ struct SceneFlags {
         value_delimiter = ',',
         conflicts_with = "ground"
     )]
-    pattern: Vec<Pattern>,
+    pattern: Vec<ProceduralTexture>,
     /// Width of a ground texture
     #[arg(long, value_name = "M", default_value_t = 0.5)]
     ground_width_m: f64,
@@ -210,7 +211,7 @@ impl<'a> Job<'a> {
     fn new(args: &'a Args, plan: &'a OutPlan, progress: &'a Progress) -> Result<Self> {
         let env_map = |path: &PathBuf| -> Result<Arc<Image>> {
             let mut image = load_hdr(path)?;
-            normalise(&mut image);
+            normalise_env_map(&mut image);
             Ok(Arc::new(image))
         };
         let width = args.scene.ground_width_m;
@@ -226,15 +227,15 @@ impl<'a> Job<'a> {
             plan,
             progress,
             randomisation: VisualRandomisation {
-                domes: args.scene.hdri.iter().map(env_map).collect::<Result<_>>()?,
-                grounds: args
+                env_maps: args.scene.hdri.iter().map(env_map).collect::<Result<_>>()?,
+                ground_images: args
                     .scene
                     .ground
                     .iter()
                     .map(ground)
                     .collect::<Result<_>>()?,
                 skies: args.scene.sky.clone(),
-                patterns: args.scene.pattern.clone(),
+                ground_textures: args.scene.pattern.clone(),
                 ..VisualRandomisation::default()
             },
         })
@@ -254,7 +255,7 @@ impl<'a> Job<'a> {
         let mut written = Vec::new();
         for &moment in &self.args.moment {
             let state = match grasp.snapshot(moment)? {
-                Some(snapshot) => GraspState::at(snapshot, Some(&grasp.gel.grid))?,
+                Some(snapshot) => GraspState::from_snapshot(snapshot, Some(&grasp.gel.grid))?,
                 None => {
                     let start = &grasp.start;
                     GraspState {
@@ -337,21 +338,21 @@ impl<'a> Job<'a> {
         let conditions = self.randomisation.sample(seed);
         let scene = grasp_scene(model, state, &conditions, view)?;
         let settings = RenderSettings {
-            samples: quality.spp,
+            samples_per_pixel: quality.spp,
             max_bounces: quality.bounces,
             clamp: quality.clamp,
             seed,
             ..RenderSettings::default()
         };
         let progress = |done: usize, all: usize| self.progress.count(done, all);
-        let watch = Watch {
-            progress: self.plan.is_single.then_some(&progress),
+        let watch = RenderControl {
+            on_progress: self.plan.is_single.then_some(&progress),
             cancel: None,
         };
         let renderer = Renderer::new(&scene)?;
         let rendering = renderer.render(&scene.camera, &settings, &watch)?;
         let light = if quality.denoise {
-            denoise(&rendering, &DenoiseSettings::default())
+            denoise(&rendering, DENOISE_RADIUS_PX)
         } else {
             rendering.image
         };

@@ -177,7 +177,7 @@ pub(crate) fn run(context: &Context, args: Args) -> Result<()> {
         return Ok(());
     };
     if json {
-        print_json(&report.thinned())?;
+        print_json(&report.without_media())?;
     } else {
         print(&text(&report, &out))?;
     }
@@ -215,13 +215,13 @@ impl DemoArgs {
             jobs: sweep.jobs.count(),
         };
         let watch = DemoWatch {
-            progress: &|at: DemoProgress| {
+            on_progress: &|at: DemoProgress| {
                 progress.stage(match at.stage {
                     DemoStage::Screening => "drawing grasps",
                     DemoStage::Simulating => "simulating reality",
                     DemoStage::Recording => "recording reality",
                 });
-                progress.count(at.done, at.of);
+                progress.count(at.done, at.total);
             },
             cancel: None,
         };
@@ -230,7 +230,9 @@ impl DemoArgs {
             dataset: data.dataset,
             objects: data.objects,
             only: Vec::new(),
-            reality: Some(Reality::Simulated { how: data.how }),
+            reality: Some(Reality::Simulated {
+                description: data.description,
+            }),
         })
     }
 }
@@ -288,7 +290,7 @@ impl SweepFlags {
             jobs: self.jobs.count(),
             pose_samples: self.pose_samples,
             sensor,
-            view_samples: (!self.no_images).then_some(VIEW_SPP),
+            view_spp: (!self.no_images).then_some(VIEW_SPP),
         })
     }
 }
@@ -323,7 +325,7 @@ fn replayed(
         print(&format!(
             "{} of {} grasps can be replayed: {cases} cases",
             recording.grasps.len(),
-            recording.all
+            recording.total
         ))?;
         return Ok(None);
     }
@@ -352,7 +354,7 @@ fn reality(recording: &Recording) -> Reality {
     let simulated = recording.grasps.iter().any(|g| g.record.truth.is_some());
     if simulated {
         Reality::Simulated {
-            how: "the grasps were recorded on a virtual rig".to_owned(),
+            description: "the grasps were recorded on a virtual rig".to_owned(),
         }
     } else {
         Reality::Real
@@ -361,9 +363,9 @@ fn reality(recording: &Recording) -> Reality {
 
 fn show(progress: &Progress, at: ReplayProgress) {
     let (stage, done, all) = match at {
-        ReplayProgress::Cases(at) => ("replaying", at.done, at.all),
-        ReplayProgress::Poses(at) => ("replaying sampled poses", at.done, at.all),
-        ReplayProgress::Images { done, all } => ("drawing images", done, all),
+        ReplayProgress::Cases(at) => ("replaying", at.done, at.total),
+        ReplayProgress::Poses(at) => ("replaying sampled poses", at.done, at.total),
+        ReplayProgress::Images { done, total: all } => ("drawing images", done, all),
         ReplayProgress::Note(line) => return progress.line(line),
     };
     progress.stage(stage);

@@ -34,7 +34,7 @@ pub(super) fn text(report: &Report, out: &Path) -> String {
         report.objects.len(),
         report.dataset.grasps.saturating_sub(report.grasps.len())
     );
-    if let Reality::Simulated { how } = &report.dataset.reality {
+    if let Reality::Simulated { description: how } = &report.dataset.reality {
         let _ = writeln!(text, "reality is simulated: {how}");
     }
     let _ = writeln!(text, "agreement with reality (95 % interval):");
@@ -57,13 +57,13 @@ pub(super) fn text(report: &Report, out: &Path) -> String {
             forces.collect::<Vec<_>>().join(", ")
         );
     }
-    if let Some(duel) = &report.duel {
+    if let Some(comparison) = &report.comparison {
         let _ = writeln!(
             text,
             "only fem correct {}, only rigid correct {}: McNemar p = {}",
-            duel.only_fem,
-            duel.only_rigid,
-            probability(duel.mcnemar_p)
+            comparison.only_fem,
+            comparison.only_rigid,
+            probability(comparison.mcnemar_p)
         );
     }
     if let Some(changes) = &report.changes {

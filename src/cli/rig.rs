@@ -16,7 +16,7 @@ use serde_json::{Value, json};
 use super::flags::seconds;
 use super::{Context, print_report};
 use crate::camera_check::{CameraCheck, check_cameras, verdict};
-use crate::doctor::{access_text, crowding, plugged_cameras};
+use crate::doctor::{access_text, connected_cameras, shared_buses};
 use crate::note;
 use gripcast_base::error::{Error, ErrorKind, Result};
 use gripcast_capture::calibration::{RigFile, draft};
@@ -127,8 +127,8 @@ pub(crate) fn run(context: &Context, args: Args) -> Result<()> {
 }
 
 fn list(context: &Context, root: &SystemRoot, json: bool) -> Result<()> {
-    let devices = plugged_cameras(root)?;
-    let warnings = crowding(&devices);
+    let devices = connected_cameras(root)?;
+    let warnings = shared_buses(&devices);
     let cameras: Vec<Value> = devices.iter().map(device_json).collect();
     let report = json!({ "cameras": cameras, "warnings": warnings });
     if json || !devices.is_empty() {
@@ -255,7 +255,7 @@ fn device_text(device: &VideoDevice) -> String {
 fn init(context: &Context, root: &SystemRoot, out: &Path, id: Option<String>) -> Result<()> {
     let stem = out.file_stem().unwrap_or_default();
     let id = id.unwrap_or_else(|| stem.to_string_lossy().into_owned());
-    let draft = draft(&id, &plugged_cameras(root)?)?;
+    let draft = draft(&id, &connected_cameras(root)?)?;
     let mut file = fs::File::create_new(out).map_err(|error| {
         let exists = error.kind() == io::ErrorKind::AlreadyExists;
         let error = if exists {

@@ -25,11 +25,11 @@ use super::working::interruptible;
 use super::{Context, print_report};
 use gripcast_base::error::{Error, ErrorKind, Result};
 use gripcast_base::files::save;
-use gripcast_geometry::{Pose, Prepared, TriangleMesh};
+use gripcast_geometry::{Pose, PreparedMesh, TriangleMesh};
 use gripcast_replay::plot;
 use gripcast_sim::fem::GelResolution;
 use gripcast_sim::grasp::{
-    ForceRule, GraspOutcome, GraspPose, GraspResult, GraspSettings, GraspSummary, Placed,
+    ForceRule, GraspOutcome, GraspPose, GraspResult, GraspSettings, GraspSummary, GripperState,
     Placement, Preset, STEADY_STEPS, Scene, TACCEL_DRIVE_WEIGHT, TraceFile, resting_pose, simulate,
 };
 use gripcast_sim::solver::{Drive, PhaseTimes};
@@ -206,7 +206,7 @@ struct StablePoseRecord {
 /// Runs the command.
 pub(crate) fn run(context: &Context, args: Args) -> Result<()> {
     args.out.check()?;
-    let Prepared { mesh, warnings } = args.object.mesh.load()?;
+    let PreparedMesh { mesh, warnings } = args.object.mesh.load()?;
     let (t_world_object, stable_pose, placed) = place(&mesh, &args.pose)?;
     let settings = args.settings.settings();
     let object = ObjectRecord::new(&args.object, &mesh);
@@ -228,7 +228,7 @@ pub(crate) fn run(context: &Context, args: Args) -> Result<()> {
         let result = pool.install(|| simulate(&scene, &settings.protocol, &settings.solver))?;
         Ok::<_, Error>((result, started.elapsed().as_secs_f64()))
     })??;
-    let mut summary = GraspSummary::of(&result, &settings.protocol, settings.solver.dt_s);
+    let mut summary = GraspSummary::new(&result, &settings.protocol, settings.solver.dt_s);
     summary.warnings.splice(0..0, warnings);
     let report = Report {
         wall_s,
@@ -252,7 +252,7 @@ pub(crate) fn run(context: &Context, args: Args) -> Result<()> {
 fn place(
     mesh: &TriangleMesh,
     flags: &PoseFlags,
-) -> Result<(Pose, Option<StablePoseRecord>, Placed)> {
+) -> Result<(Pose, Option<StablePoseRecord>, GripperState)> {
     let resting = || -> Result<(Pose, Option<StablePoseRecord>)> {
         let (index, pose) = resting_pose(mesh, flags.stable_pose)?;
         let record = StablePoseRecord {
@@ -274,8 +274,8 @@ fn place(
     let (t_world_object, stable_pose) = resting()?;
     let placement = Placement {
         yaw_rad: flags.yaw_deg.to_radians(),
-        tilt_rad: flags.roll_deg.to_radians(),
-        lean_rad: flags.pitch_deg.to_radians(),
+        roll_rad: flags.roll_deg.to_radians(),
+        pitch_rad: flags.pitch_deg.to_radians(),
         offset_m: [flags.offset_x, flags.offset_y],
         height_m: flags.height,
         opening_m: flags.width,
@@ -400,7 +400,7 @@ fn outcome_text(outcome: GraspOutcome) -> &'static str {
         GraspOutcome::Slip => "slip: the object slipped during the lift",
         GraspOutcome::Eject => "eject: the object was squeezed out before the lift",
         GraspOutcome::Miss => "miss: the fingers closed without touching the object",
-        GraspOutcome::Closed => "closed: the gels met before the force was reached",
+        GraspOutcome::GelsMet => "closed: the gels met before the force was reached",
         GraspOutcome::PenetratingStart => "penetrating_start: not simulated",
         GraspOutcome::NotConverged => "not_converged: no outcome",
     }

@@ -6,7 +6,7 @@ use serde::Serialize;
 
 use super::flags::read_text;
 use gripcast_base::error::Result;
-use gripcast_geometry::{LengthUnit, Pose, Prepared, TriangleMesh, load_object_mesh};
+use gripcast_geometry::{LengthUnit, Pose, PreparedMesh, TriangleMesh, load_object_mesh};
 use gripcast_sim::grasp::{GraspPose, resting_pose};
 
 /// Options that choose a mesh.
@@ -26,7 +26,7 @@ pub(super) struct MeshFlags {
 
 impl MeshFlags {
     /// Reads, scales and checks the mesh.
-    pub(super) fn load(&self) -> Result<Prepared> {
+    pub(super) fn load(&self) -> Result<PreparedMesh> {
         load_object_mesh(&self.object, self.unit, self.scale)
     }
 }

@@ -24,7 +24,7 @@ use super::{Context, print_report};
 use gripcast_base::error::{Error, ErrorKind, Result};
 use gripcast_geometry::{LengthUnit, PrepareOptions, TriangleMesh, load_mesh, prepare};
 use gripcast_sim::fem::{GelGrid, GelResolution, Grading, PAD_SIZE_M};
-use gripcast_sim::press::{Goal, Indenter, Press, PressPoint, half_pad, quarter_pad};
+use gripcast_sim::press::{Indenter, Press, PressPoint, PressTarget, half_pad, quarter_pad};
 use gripcast_sim::solver::GelMaterial;
 
 /// Arguments.
@@ -142,8 +142,8 @@ pub(crate) fn run(context: &Context, args: Args) -> Result<()> {
     Err(Error::new(ErrorKind::Check, what).remedy("pass a larger --d-hat-m or a coarser --gel"))
 }
 
-fn goals(args: &Args) -> Result<Vec<Goal>> {
-    let goal = |depth_m: f64, shift_m: f64| Goal { depth_m, shift_m };
+fn goals(args: &Args) -> Result<Vec<PressTarget>> {
+    let goal = |depth_m: f64, shift_m: f64| PressTarget { depth_m, shift_m };
     let Some(&last) = args.depth_m.last() else {
         return Err(Error::usage("`--depth-m` needs a depth"));
     };

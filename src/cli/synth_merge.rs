@@ -9,8 +9,8 @@ use super::flags::named;
 use super::working::interruptible;
 use super::{Context, print_report};
 use gripcast_base::error::{Error, ErrorKind, Result};
-use gripcast_dataset::shard::Split;
-use gripcast_synth::curate::{Apart, CurationSettings};
+use gripcast_dataset::shard::SplitFractions;
+use gripcast_synth::curate::{CurationSettings, GroupKey};
 use gripcast_synth::plan::Plan;
 use gripcast_synth::{MergeReport, MergeSettings, merge};
 
@@ -37,14 +37,14 @@ pub(crate) struct Args {
 #[derive(Clone, Debug, clap::Args)]
 pub(super) struct SelectionFlags {
     /// Splits and their fractions
-    #[arg(long, value_name = "SPLIT=FRACTION,…", default_value_t = Split::usual())]
-    split: Split,
+    #[arg(long, value_name = "SPLIT=FRACTION,…", default_value_t = SplitFractions::standard())]
+    split: SplitFractions,
     /// Grouping key of the split (no group in two splits)
     #[arg(long, value_name = "KEY", default_value = "object", value_parser = named([
-        ("object", "No object in two splits", Apart::Object),
-        ("category", "No category in two splits (harder)", Apart::Category),
+        ("object", "No object in two splits", GroupKey::Object),
+        ("category", "No category in two splits (harder)", GroupKey::Category),
     ]))]
-    group_by: Apart,
+    group_by: GroupKey,
     /// Maximum simulations of a category per split, as a multiple of the mean; 0 disables the cap
     #[arg(long, value_name = "FACTOR", default_value_t = 2.0)]
     category_cap: f64,
@@ -63,7 +63,7 @@ pub(super) struct SelectionFlags {
 pub(super) fn run(context: &Context, args: Args) -> Result<()> {
     let settings = MergeSettings {
         curation: args.selection.curation()?,
-        is_partial_allowed: args.partial,
+        allow_partial: args.partial,
     };
     let is_json = args.json;
     let report = interruptible(context, "merging", move |progress| {
@@ -94,11 +94,11 @@ impl SelectionFlags {
             )));
         }
         Ok(CurationSettings {
-            apart: self.group_by,
-            parts: self.split.clone(),
+            group_by: self.group_by,
+            splits: self.split.clone(),
             category_cap: (self.category_cap > 0.0).then_some(self.category_cap),
             is_balanced: !self.unbalanced,
-            is_training_whole: self.whole_train,
+            keep_all_training: self.whole_train,
             seed: self.seed,
         })
     }
@@ -106,14 +106,14 @@ impl SelectionFlags {
 
 fn text(report: &MergeReport) -> String {
     let mut text = String::new();
-    for (name, split) in &report.parts {
+    for (name, split) in &report.splits {
         text.push_str(&format!(
             "{name}: {} rows of {} grasps of {} objects; {} stable, {} slip\n",
             split.rows, split.grasps, split.objects, split.stable, split.slip
         ));
     }
-    let splits = report.curation.parts.names();
-    for name in splits.filter(|name| !report.parts.contains_key(*name)) {
+    let splits = report.curation.splits.names();
+    for name in splits.filter(|name| !report.splits.contains_key(*name)) {
         text.push_str(&format!(
             "{name}: empty; too few objects, or all their simulations have the same label\n"
         ));

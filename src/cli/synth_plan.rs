@@ -16,11 +16,11 @@ use gripcast_sim::grasp::{GraspSettings, Preset};
 use gripcast_sim::rigid::{RigidEngine, RigidSettings};
 use gripcast_sim::{Engine, EngineKind, FemEngine};
 use gripcast_synth::plan::{
-    Drafts, MIN_FRICTION_FRACTION, MadePlan, PlanPreset, PlanSettings, RenderingPlan,
-    acronym_drafts, family_drafts, make_plan, table_drafts, texture_folder,
+    Drafts, MIN_FRICTION_FRACTION, PlanBundle, PlanPreset, PlanSettings, RenderingPlan,
+    acronym_drafts, family_drafts, load_textures, make_plan, table_drafts,
 };
 use gripcast_synth::properties::{
-    DEFAULT_KEY_VARIABLE, EndpointKey, LlmClient, LlmOptions, MassMap, PropertyAsker,
+    DEFAULT_KEY_VARIABLE, EndpointKey, LlmClient, LlmOptions, MassMap, PropertyEstimator,
 };
 
 /// Arguments.
@@ -28,9 +28,9 @@ use gripcast_synth::properties::{
 pub(crate) struct Args {
     /// Size of the plan
     #[arg(long, value_name = "SIZE", default_value = "small", value_parser = named([
-        ("tiny", "10 objects, 2 grasps each: a smoke test", PlanPreset::Tiny),
-        ("small", "60 objects, 6 grasps each", PlanPreset::Small),
-        ("full", "453 objects, 24 grasps each, as in the paper", PlanPreset::Full),
+        ("tiny", "10 objects, 2 grasps each: a smoke test", PlanPreset::TINY),
+        ("small", "60 objects, 6 grasps each", PlanPreset::SMALL),
+        ("full", "453 objects, 24 grasps each, as in the paper", PlanPreset::FULL),
     ]))]
     preset: PlanPreset,
     /// Output directory of the plan and its results
@@ -165,7 +165,7 @@ pub(super) fn run(context: &Context, args: Args) -> Result<()> {
     let made = interruptible(context, "planning", move |progress| {
         let made = args.make(progress)?;
         made.write(&args.out)?;
-        Ok::<MadePlan, Error>(made)
+        Ok::<PlanBundle, Error>(made)
     })??;
     let (plan, left_out) = (&made.plan, &made.left_out);
     let cost_h = plan.simulations.iter().map(|s| s.cost_s).sum::<f64>() / 3600.0;
@@ -200,7 +200,7 @@ pub(super) fn run(context: &Context, args: Args) -> Result<()> {
 }
 
 impl Args {
-    fn make(&self, progress: &Progress) -> Result<MadePlan> {
+    fn make(&self, progress: &Progress) -> Result<PlanBundle> {
         let preset = self.preset;
         let Self {
             simulation,
@@ -224,26 +224,26 @@ impl Args {
                 "`--min-friction-fraction` must be above 0 and at most 1, found {friction}"
             )));
         }
-        let defaults = preset.rendering();
+        let defaults = preset.rendering;
         let jobs = self.jobs.count();
         let textures = match &objects.textures {
             None => Vec::new(),
-            Some(folder) => texture_folder(folder, objects.texture_width_m)?,
+            Some(folder) => load_textures(folder, objects.texture_width_m)?,
         };
         let settings = PlanSettings {
-            preset: preset.name().to_owned(),
+            preset: preset.name.to_owned(),
             seed: self.seed,
-            grasps: simulation.grasps.map_or(preset.grasps(), |n| n as usize),
+            grasps: simulation.grasps.map_or(preset.grasps, |n| n as usize),
             stop_forces_n: simulation.stop_force_n.clone(),
             rendering: RenderingPlan {
                 renderings: rendering.renderings.unwrap_or(defaults.renderings),
-                samples: rendering.spp.unwrap_or(defaults.samples),
+                samples_per_pixel: rendering.spp.unwrap_or(defaults.samples_per_pixel),
                 sensor_spread: rendering.sensor_spread,
                 visual_spread: rendering.visual_spread,
             },
             textures,
             mass_map: objects.mass_map,
-            least_friction_fraction: friction,
+            min_friction_fraction: friction,
             jobs,
         };
         let drafts = self.drafts(jobs, progress)?;
@@ -283,7 +283,7 @@ impl Args {
         let default = if table.is_some() || acronym.is_some() {
             0
         } else {
-            self.preset.objects()
+            self.preset.objects
         };
         let count = objects.map_or(default, |n| n as usize);
         let on_progress = |done: usize| progress.count(done, count);
@@ -297,7 +297,7 @@ impl Args {
         match flags.engine {
             EngineKind::Fem => {
                 let mut settings = GraspSettings::new(flags.gel_preset);
-                settings.resolution = flags.gel.unwrap_or(self.preset.gel());
+                settings.resolution = flags.gel.unwrap_or(self.preset.gel);
                 settings.solver.max_grasp_iterations = flags.max_iterations;
                 Box::new(FemEngine { settings })
             }
@@ -307,7 +307,7 @@ impl Args {
 }
 
 impl Llm {
-    fn asker(&self, plan_folder: &Path) -> Result<Option<PropertyAsker>> {
+    fn asker(&self, plan_folder: &Path) -> Result<Option<PropertyEstimator>> {
         let (Some(url), Some(model)) = (&self.llm_url, &self.llm_model) else {
             return Ok(None);
         };
@@ -319,7 +319,7 @@ impl Llm {
         let mut options = LlmOptions::new(url, model, cache);
         options.key = EndpointKey::from_env(&self.llm_key_variable)?;
         let client = LlmClient::new(options)?;
-        Ok(Some(PropertyAsker::new(client, self.llm_fallback)))
+        Ok(Some(PropertyEstimator::new(client, self.llm_fallback)))
     }
 }
 

@@ -81,12 +81,12 @@ fn text(report: &SynthReport, out: &Path) -> String {
         "{} of {} simulations done: {} stable, {} slip, {} unlabelled{rate}\n",
         progress.done,
         report.plan.simulations,
-        progress.labels.held,
-        progress.labels.lost,
-        progress.done - progress.labels.all()
+        progress.labels.stable,
+        progress.labels.slip,
+        progress.done - progress.labels.total()
     );
     if let Some(dataset) = &report.dataset {
-        for (name, split) in &dataset.merge.parts {
+        for (name, split) in &dataset.merge.splits {
             text.push_str(&format!(
                 "{name}: {} rows, {} stable, {} slip\n",
                 split.rows, split.stable, split.slip

@@ -15,7 +15,9 @@ use super::working::resumable;
 use super::{Context, print, print_json};
 use gripcast_base::error::{Error, ErrorKind, Result};
 use gripcast_synth::plan::{Plan, Shard};
-use gripcast_synth::{Images, MergeSettings, ResultStore, RunSettings, chosen, planned_engine};
+use gripcast_synth::{
+    ImageSelection, MergeSettings, ResultStore, RunSettings, planned_engine, select_simulations,
+};
 
 /// Maximum number of failures in the error text.
 const MAX_SHOWN_FAILURES: usize = 10;
@@ -91,37 +93,37 @@ pub(super) fn run(context: &Context, args: Args) -> Result<()> {
         let settings = RunSettings {
             shard,
             jobs: args.jobs.count(),
-            is_failed_retried: args.retry_failed,
-            is_open_simulated: !args.partial,
+            retry_failed: args.retry_failed,
+            simulate_open: !args.partial,
             images: match args.images {
-                ImagesName::All => Images::All,
-                ImagesName::None => Images::None,
+                ImagesName::All => ImageSelection::All,
+                ImagesName::None => ImageSelection::None,
                 ImagesName::Chosen => {
                     let settings = MergeSettings {
                         curation,
-                        is_partial_allowed: args.partial,
+                        allow_partial: args.partial,
                     };
-                    Images::Of(chosen(&plan, &folder, &settings)?)
+                    ImageSelection::Only(select_simulations(&plan, &folder, &settings)?)
                 }
             },
         };
         let engine = planned_engine(&plan, &folder)?;
         gripcast_synth::run(&plan, &folder, &settings, engine.as_ref(), &|at| {
-            progress.count(at.done, at.all);
+            progress.count(at.done, at.total);
         })
     })??;
     let failed = summary.failed.len();
     if args.json {
         print_json(&json!({
             "shard": shard.to_string(),
-            "simulations": summary.all,
+            "simulations": summary.total,
             "simulated_now": summary.simulated,
             "failed": summary.failed.iter().cloned().collect::<BTreeMap<_, _>>(),
         }))?;
     } else {
         print(&format!(
             "{} simulations in shard {shard}, {} run now, {failed} failed",
-            summary.all, summary.simulated
+            summary.total, summary.simulated
         ))?;
     }
     if failed == 0 {
@@ -141,13 +143,13 @@ pub(super) fn run(context: &Context, args: Args) -> Result<()> {
 /// Runs `synth status`.
 pub(super) fn status(args: &StatusArgs) -> Result<()> {
     let plan = Plan::read(&args.plan)?;
-    let store = ResultStore::beside(&args.plan);
+    let store = ResultStore::new(&args.plan);
     let mut outcomes: BTreeMap<String, usize> = BTreeMap::new();
     let [mut stable, mut slip, mut rows, mut without_images] = [0; 4];
     let [mut open_s, mut cpu_s] = [0.0; 2];
     let mut done = 0;
     for simulation in &plan.simulations {
-        let Some(result) = store.find(&plan, &simulation.id)? else {
+        let Some(result) = store.load(&plan, &simulation.id)? else {
             open_s += simulation.cost_s;
             continue;
         };

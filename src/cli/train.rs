@@ -21,7 +21,7 @@ use crate::note;
 use crate::tui::{TrainingNews, TrainingScreen, TrainingStatus, epoch_line};
 use gripcast_base::error::{Error, Result};
 use gripcast_base::files;
-use gripcast_nn::predict::contract::Variant;
+use gripcast_nn::predict::contract::Modality;
 use gripcast_train::{Finished, RunFolder, TrainEvent, TrainSettings, Trained, finish, train};
 
 /// Arguments.
@@ -35,7 +35,7 @@ pub(crate) struct Args {
     out: PathBuf,
     /// Input modality of the classifier
     #[arg(long, value_name = "MODALITY", default_value = "vt", value_parser = modality())]
-    modality: Variant,
+    modality: Modality,
     /// Model name [default: trained-MODALITY]
     #[arg(long)]
     name: Option<String>,
@@ -85,7 +85,7 @@ fn under_dashboard(args: Args) -> Result<Value> {
     };
     let status = TrainingStatus::new(&name(&args.data), &name(&args.out), settings, args.seeds);
     let (screen, cancel) = TrainingScreen::start(status)?;
-    let on_progress = screen.teller();
+    let on_progress = screen.sender();
     let report = resumable_under_screen(cancel, move || all_seeds(&args, &on_progress));
     if let Err(error) = screen.end() {
         // The training does not depend on its screen.

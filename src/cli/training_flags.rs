@@ -2,7 +2,7 @@
 
 use gripcast_base::error::{Error, Result};
 use gripcast_nn::Architecture;
-use gripcast_nn::predict::contract::Variant;
+use gripcast_nn::predict::contract::Modality;
 use gripcast_train::{Augmentation, TrainSettings};
 
 /// Training options.
@@ -41,8 +41,8 @@ impl TrainingFlags {
     ///
     /// # Errors
     /// `Usage`, naming the option.
-    pub(super) fn settings(&self, variant: Variant, seed: u64) -> Result<TrainSettings> {
-        let architecture = Architecture::named(&self.arch)
+    pub(super) fn settings(&self, variant: Modality, seed: u64) -> Result<TrainSettings> {
+        let architecture = Architecture::by_name(&self.arch)
             .ok_or_else(|| Error::usage(format!("unknown network architecture `{}`", self.arch)))?;
         let settings = TrainSettings {
             epochs: self.epochs,

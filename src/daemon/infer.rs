@@ -85,7 +85,7 @@ impl ModelInfo {
     fn record(&self, prediction: &LivePrediction, latency_ms: f64) -> PredictionRecord {
         PredictionRecord {
             p_stable: prediction.p_stable,
-            novelty: prediction.novelty,
+            ood_score: prediction.ood_score,
             threshold: self.threshold,
             model_sha256: self.sha256.clone(),
             model: self.name.clone(),
@@ -351,7 +351,7 @@ impl Worker {
             return;
         };
         let result = predictor.predict();
-        let missing = predictor.waiting_for();
+        let missing = predictor.missing_input();
         let now_ns = monotonic_ns();
         let mut state = lock(&self.state);
         match result {
@@ -377,7 +377,7 @@ impl Worker {
                 let message = serde_json::json!({
                     "p_stable": record.p_stable,
                     "p_stable_frame": prediction.p_stable,
-                    "ood_score": record.novelty,
+                    "ood_score": record.ood_score,
                     "frame_time_ns": frame_time_ns,
                     "latency_ms": latency_ms,
                     "engine_ms": record.engine_ms,
@@ -402,7 +402,7 @@ impl Worker {
         for role in [Role::Left, Role::Right, Role::Rgb] {
             match self.hub.slot(role).and_then(|slot| slot.latest()) {
                 Some(live) => predictor.update(role, (*live.image).clone(), live.driver_time_ns),
-                None => predictor.forget(role),
+                None => predictor.clear(role),
             }
         }
         // The store sets the latency to that of the live prediction at the trigger.

@@ -13,7 +13,7 @@ use super::black_box::BlackBoxStatus;
 use gripcast_capture::camera::CameraCounters;
 use gripcast_dataset::PredictionRecord;
 use gripcast_imaging::Role;
-use gripcast_nn::predict::Verdict;
+use gripcast_nn::predict::PredictedLabel;
 use gripcast_session::{GuardLimits, Labels, OutcomeCounts, Session, SessionView};
 
 /// Snapshot of the engine.
@@ -82,8 +82,8 @@ pub struct PredictionStatus {
     #[serde(flatten)]
     #[schema(value_type = Object)]
     pub record: PredictionRecord,
-    /// Verdict, regardless of the frame's age.
-    pub verdict: Verdict,
+    /// PredictedLabel, regardless of the frame's age.
+    pub verdict: PredictedLabel,
     /// Whether the model is a heuristic rather than trained.
     pub heuristic: bool,
     /// Current age of the tactile frame, ms.
@@ -107,8 +107,8 @@ impl PredictionStatus {
 }
 
 /// Returns the verdict of a prediction.
-pub fn verdict_of(record: &PredictionRecord) -> Verdict {
-    Verdict::of(record.p_stable, record.threshold, record.novelty)
+pub fn verdict_of(record: &PredictionRecord) -> PredictedLabel {
+    PredictedLabel::new(record.p_stable, record.threshold, record.ood_score)
 }
 
 /// State of a camera.
@@ -216,7 +216,7 @@ mod tests {
     fn status_survives_json_round_trip() {
         let record = PredictionRecord {
             p_stable: 0.81,
-            novelty: Some(0.5),
+            ood_score: Some(0.5),
             threshold: 0.5,
             model_sha256: "0".repeat(64),
             model: "m".into(),

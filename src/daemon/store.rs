@@ -15,9 +15,9 @@ use super::decode::model_image;
 use super::infer::InferRequest;
 use super::tasks::{Heartbeat, TaskState, Tasks};
 use super::thread::spawn;
+use gripcast_base::catch_panic;
 use gripcast_base::error::{Error, ErrorKind, Result};
 use gripcast_base::files::ContentKey;
-use gripcast_base::quiet_panic;
 use gripcast_dataset::{
     BoardKeys, DatasetWriter, GraspId, GraspMeta, PendingInitial, PredictionRecord, StageCapture,
 };
@@ -158,7 +158,7 @@ impl Worker {
                     let work = AssertUnwindSafe(|| self.execute(job));
                     // After a panic the session still gets a reply; the order of the writer's
                     // steps keeps the dataset consistent.
-                    let reply = quiet_panic::catch(work)
+                    let reply = catch_panic::catch_panic(work)
                         .unwrap_or_else(|panic| Err(panicked(&panic)))
                         .unwrap_or_else(|error| StoreReply::Failed {
                             message: error.to_string().replace("\n  → ", " → "),

@@ -14,8 +14,8 @@ use serde::Serialize;
 use utoipa::ToSchema;
 
 use super::thread::{lock, spawn, wait_while};
+use gripcast_base::catch_panic;
 use gripcast_base::error::Result;
-use gripcast_base::quiet_panic;
 use gripcast_capture::camera::monotonic_ns;
 
 /// Delay before the first restart; doubles with each further restart.
@@ -132,7 +132,7 @@ impl Tasks {
             let mut pause = MIN_BACKOFF;
             loop {
                 let started_ns = monotonic_ns();
-                let result = quiet_panic::catch(AssertUnwindSafe(|| body(&heartbeat)));
+                let result = catch_panic::catch_panic(AssertUnwindSafe(|| body(&heartbeat)));
                 heartbeat.idle();
                 let Err(panic) = result else {
                     tasks.set(&task, TaskState::Ended, None);

@@ -1,4 +1,4 @@
-//! Findings of the camera measurement.
+//! InferenceState of the camera measurement.
 
 use super::{CheckStatus, Finding};
 use crate::camera_check::{CameraCheck, CameraMeasurement};

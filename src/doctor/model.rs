@@ -1,7 +1,7 @@
 //! Checks that the model loads, fits the rig and computes correctly on this processor.
 
 use super::{CheckStatus, Finding};
-use crate::model_choice::{misfit, usual_model};
+use crate::model_choice::{default_model, misfit};
 use gripcast_base::error::Result;
 use gripcast_capture::calibration::RigFile;
 use gripcast_nn::predict::{BASELINE, Model, SelfCheck, model_bytes, self_check};
@@ -25,7 +25,7 @@ pub(super) fn findings(name: &str, rig: Option<&RigFile>) -> Vec<Finding> {
 
 fn check_model(name: &str, rig: Option<&RigFile>) -> Result<Vec<Finding>> {
     let (name, why) = match (name, rig) {
-        ("", Some(rig)) => usual_model(rig)?,
+        ("", Some(rig)) => default_model(rig)?,
         ("", None) => (gripcast_nn::predict::SHIPPED, None),
         (name, _) => (name, None),
     };
@@ -52,7 +52,7 @@ fn check_model(name: &str, rig: Option<&RigFile>) -> Result<Vec<Finding>> {
 fn compute_check(name: &str, check: &SelfCheck) -> Finding {
     let SelfCheck {
         p_stable,
-        other,
+        reference,
         engine_ms,
         load_ms,
     } = *check;
@@ -61,11 +61,11 @@ fn compute_check(name: &str, check: &SelfCheck) -> Finding {
         .measurement("load_ms", load_ms)
         .measurement("engine_ms", engine_ms)
         .measurement("p_stable", p_stable);
-    let difference = other.map_or(0.0, |other| (other - p_stable).abs());
+    let difference = reference.map_or(0.0, |reference| (reference - p_stable).abs());
     if difference > MAX_ROUNDING {
         let message = format!(
             "expected a probability of {:.6}, found {p_stable:.6}",
-            other.unwrap_or_default()
+            reference.unwrap_or_default()
         );
         return Finding {
             status: CheckStatus::Fail,
@@ -103,13 +103,13 @@ mod tests {
     fn wrong_results_misfits_and_invalid_files_are_reported() {
         let check = SelfCheck {
             p_stable: 0.5,
-            other: Some(0.5001),
+            reference: Some(0.5001),
             engine_ms: 1.0,
             load_ms: 1.0,
         };
         assert_eq!(compute_check("m", &check).status, CheckStatus::Fail);
         let slow = SelfCheck {
-            other: None,
+            reference: None,
             engine_ms: 50.0,
             ..check
         };

@@ -9,7 +9,7 @@ use super::palette::Palette;
 use super::text::{clipped, write_all};
 use crate::daemon::verdict_of;
 use gripcast_dataset::Outcome;
-use gripcast_nn::predict::Verdict;
+use gripcast_nn::predict::PredictedLabel;
 use gripcast_session::{LastGrasp, MessageLevel, SessionView, Step};
 
 /// Draws newest grasp, message and keys; low screens omit the upper lines.
@@ -72,9 +72,9 @@ fn predicted(last: &LastGrasp, palette: Palette) -> Vec<Span<'static>> {
     };
     let p = prediction.p_stable;
     let (mark, style) = match (verdict_of(prediction), last.outcome) {
-        (Verdict::Unsure, _) => (" ?", palette.warning()),
+        (PredictedLabel::Unsure, _) => (" ?", palette.warning()),
         (_, Outcome::Unlabelled) => ("", Style::new()),
-        (Verdict::Stable, Outcome::Stable) | (Verdict::Slip, Outcome::Slip) => {
+        (PredictedLabel::Stable, Outcome::Stable) | (PredictedLabel::Slip, Outcome::Slip) => {
             (" ✓", palette.stable())
         }
         _ => (" ✗", palette.warning()),
@@ -153,7 +153,7 @@ mod tests {
         let palette = Palette {
             depth: ColourDepth::Mono,
         };
-        let marked_of = |outcome, p, novelty| {
+        let marked_of = |outcome, p, ood_score| {
             let last = LastGrasp {
                 id: GraspId::parse("2026-11-20T10-15-03Z-7f3a").unwrap(),
                 object: "mug".parse().unwrap(),
@@ -161,7 +161,7 @@ mod tests {
                 predicted: Some(PredictionRecord {
                     p_stable: p,
                     threshold: 0.5,
-                    novelty,
+                    ood_score,
                     model: "m".to_owned(),
                     model_sha256: String::new(),
                     latency_ms: 12.0,

@@ -11,7 +11,7 @@ use super::text::{
     clipped, columns, duration_ms, inset, row, trimmed, without_last, write, write_right,
 };
 use crate::daemon::{EngineStatus, PredictionStatus};
-use gripcast_nn::predict::Verdict;
+use gripcast_nn::predict::PredictedLabel;
 
 /// Frame age above which a prediction is shown as old, ms.
 const STALE_MS: f64 = 500.0;
@@ -28,11 +28,11 @@ struct Reading {
 }
 
 /// Returns the displayed name of a verdict.
-pub(super) fn word(verdict: Verdict) -> &'static str {
+pub(super) fn word(verdict: PredictedLabel) -> &'static str {
     match verdict {
-        Verdict::Stable => "STABLE",
-        Verdict::Slip => "SLIP",
-        Verdict::Unsure => "UNSURE",
+        PredictedLabel::Stable => "STABLE",
+        PredictedLabel::Slip => "SLIP",
+        PredictedLabel::Unsure => "UNSURE",
     }
 }
 
@@ -95,7 +95,7 @@ fn size(width: u16, height: u16) -> Option<Size> {
             Size::Large => Size::Large,
             Size::Medium | Size::Small => Size::Small,
         };
-        let words = word_size.columns(word(Verdict::Unsure));
+        let words = word_size.columns(word(PredictedLabel::Unsure));
         size.rows() <= height && size.columns("0.00") + GAP + words + 2 <= width
     })
 }
@@ -235,7 +235,7 @@ fn write_title(
     if prediction.heuristic {
         left.push(Span::styled("HEURISTIC ", palette.warning()));
     }
-    if prediction.verdict == Verdict::Unsure {
+    if prediction.verdict == PredictedLabel::Unsure {
         let words = "unlike the training images ";
         left.push(Span::styled(words, palette.warning()));
     }
@@ -302,10 +302,10 @@ mod tests {
         depth: ColourDepth::True,
     };
 
-    fn prediction_on(p_stable: f64, novelty: Option<f64>, frame_age_ms: f64) -> PredictionStatus {
+    fn prediction_on(p_stable: f64, ood_score: Option<f64>, frame_age_ms: f64) -> PredictionStatus {
         let record = PredictionRecord {
             p_stable,
-            novelty,
+            ood_score,
             threshold: 0.5,
             model: "m".to_owned(),
             model_sha256: String::new(),
@@ -343,8 +343,9 @@ mod tests {
 
     #[test]
     fn out_of_distribution_images_are_unsure() {
-        let read =
-            |novelty, age_ms| reading(Some(&prediction_on(0.97, Some(novelty), age_ms)), PALETTE);
+        let read = |ood_score, age_ms| {
+            reading(Some(&prediction_on(0.97, Some(ood_score), age_ms)), PALETTE)
+        };
         let unsure = read(1.01, 18.0);
         assert_eq!(
             (unsure.verdict, unsure.style),

@@ -15,7 +15,7 @@ use crate::daemon::{
 use crate::note;
 use gripcast_dataset::Outcome;
 use gripcast_imaging::Role;
-use gripcast_nn::predict::Verdict;
+use gripcast_nn::predict::PredictedLabel;
 use gripcast_session::{LastGrasp, Message, MessageLevel};
 
 /// Minimum interval between two lines on the same subject.
@@ -146,7 +146,7 @@ impl LinePrinter {
         if let Some(prediction) = &status.prediction {
             self.no_prediction_reason = None;
             let verdict = match prediction.verdict {
-                Verdict::Unsure => "UNSURE, unlike the training images",
+                PredictedLabel::Unsure => "UNSURE, unlike the training images",
                 verdict => word(verdict),
             };
             return self

@@ -109,7 +109,7 @@ impl From<Error> for Failure {
             _ => StatusCode::INTERNAL_SERVER_ERROR,
         };
         let mut failure = Self::new(status, error.what());
-        failure.body.error.location = error.place().map(str::to_owned);
+        failure.body.error.location = error.location().map(str::to_owned);
         failure.body.error.remedy = error.remedy_text().map(str::to_owned);
         failure
     }

@@ -12,7 +12,7 @@ use crate::daemon::{lock, verdict_of};
 use gripcast_base::error::{Error, Result};
 use gripcast_dataset::{Dataset, GraspId, GraspRecord, Outcome, PredictionRecord};
 use gripcast_imaging::Role;
-use gripcast_nn::predict::Verdict;
+use gripcast_nn::predict::PredictedLabel;
 
 /// Default number of grasps per page.
 const DEFAULT_LIMIT: usize = 24;
@@ -41,12 +41,10 @@ impl GraspSummary {
     fn new(record: &GraspRecord) -> Self {
         let predicted = record.prediction.as_ref().map(verdict_of);
         let agrees = match (predicted, record.outcome) {
-            (Some(Verdict::Stable), Outcome::Stable) | (Some(Verdict::Slip), Outcome::Slip) => {
-                Some(true)
-            }
-            (Some(Verdict::Stable), Outcome::Slip) | (Some(Verdict::Slip), Outcome::Stable) => {
-                Some(false)
-            }
+            (Some(PredictedLabel::Stable), Outcome::Stable)
+            | (Some(PredictedLabel::Slip), Outcome::Slip) => Some(true),
+            (Some(PredictedLabel::Stable), Outcome::Slip)
+            | (Some(PredictedLabel::Slip), Outcome::Stable) => Some(false),
             _ => None,
         };
         Self {

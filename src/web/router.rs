@@ -87,16 +87,16 @@ pub(crate) fn router(backend: Arc<Backend>) -> Router {
 mod tests {
     use super::*;
 
-    /// docs/api.md and the OpenAPI description have the same routes.
+    /// docs/reference/api.md and the OpenAPI description have the same routes.
     #[test]
     fn openapi_and_docs_have_the_same_routes() {
         let (_, description) = api_routes().split_for_parts();
         let described: Vec<String> = description.paths.paths.keys().cloned().collect();
-        let document = include_str!("../../docs/api.md");
+        let document = include_str!("../../docs/reference/api.md");
         for path in &described {
             let path = path.replace(['{', '}'], "").to_uppercase();
             let is_named = document.to_uppercase().contains(&path);
-            assert!(is_named, "docs/api.md does not name {path}");
+            assert!(is_named, "docs/reference/api.md does not name {path}");
         }
         let rows = document.lines().filter_map(|line| line.strip_prefix("| "));
         let named: Vec<&str> = rows

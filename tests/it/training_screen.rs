@@ -4,7 +4,7 @@ use std::time::Duration;
 
 use gripcast::tui::{ColourDepth, Palette, TrainingNews, TrainingStatus, draw_training};
 use gripcast_nn::Architecture;
-use gripcast_nn::predict::contract::Variant;
+use gripcast_nn::predict::contract::Modality;
 use gripcast_train::{EpochMetrics, RunStart, SplitCounts, TrainEvent, TrainSettings};
 use ratatui::Terminal;
 use ratatui::backend::TestBackend;
@@ -12,11 +12,11 @@ use ratatui::style::Color;
 
 const STEPS: u64 = 40;
 const EPOCHS: u64 = 30;
-/// Time of a step.
+/// Duration of a step.
 const STEP: Duration = Duration::from_millis(1200);
 
 fn settings() -> TrainSettings {
-    TrainSettings::new(Variant::Vt, Architecture::named("gripcast").unwrap(), 0)
+    TrainSettings::new(Modality::Vt, Architecture::by_name("gripcast").unwrap(), 0)
 }
 
 fn fresh(seeds: u64) -> TrainingStatus {
@@ -50,7 +50,7 @@ fn start(epochs: u32) -> RunStart {
     }
 }
 
-/// Takes the news of some steps, one after the other.
+/// Applies a range of steps.
 fn steps(status: &mut TrainingStatus, steps: std::ops::Range<u64>) {
     let begun = steps.start;
     for step in steps {
@@ -60,15 +60,15 @@ fn steps(status: &mut TrainingStatus, steps: std::ops::Range<u64>) {
             learning_rate: 3e-4 * (1.0 - step as f64 / (EPOCHS * STEPS) as f64),
         };
         let after = STEP * u32::try_from(step + 1 - begun).unwrap();
-        status.take(TrainingNews::Train(event), after);
+        status.apply(TrainingNews::Train(event), after);
     }
 }
 
-/// In the first epoch of the first of five seeds.
-fn begun() -> TrainingStatus {
+/// Status in the first epoch of the first of five seeds.
+fn started() -> TrainingStatus {
     let mut status = fresh(5);
-    status.take(TrainingNews::Seed(0), Duration::ZERO);
-    status.take(
+    status.apply(TrainingNews::Seed(0), Duration::ZERO);
+    status.apply(
         TrainingNews::Train(TrainEvent::Started(start(0))),
         Duration::ZERO,
     );
@@ -76,18 +76,18 @@ fn begun() -> TrainingStatus {
     status
 }
 
-/// Gone on with after six epochs.
+/// Status of a run resumed after six epochs.
 fn resumed() -> TrainingStatus {
     let mut status = fresh(1);
-    status.take(
+    status.apply(
         TrainingNews::Train(TrainEvent::Started(start(6))),
         Duration::ZERO,
     );
     steps(&mut status, 6 * STEPS..7 * STEPS);
     let event = TrainEvent::Epoch(figures(7));
-    status.take(TrainingNews::Train(event), 41 * STEP);
+    status.apply(TrainingNews::Train(event), 41 * STEP);
     steps(&mut status, 7 * STEPS..7 * STEPS + 12);
-    status.wait(Duration::from_secs(3725));
+    status.set_elapsed(Duration::from_secs(3725));
     status
 }
 
@@ -106,7 +106,7 @@ fn drawn(width: u16, height: u16, status: &TrainingStatus, depth: ColourDepth) -
 #[test]
 fn the_dashboard_at_80_by_24() {
     insta::assert_snapshot!("waiting", image(80, 24, &fresh(1)));
-    insta::assert_snapshot!("first_epoch", image(80, 24, &begun()));
+    insta::assert_snapshot!("first_epoch", image(80, 24, &started()));
     insta::assert_snapshot!("resumed", image(80, 24, &resumed()));
 }
 
@@ -119,13 +119,13 @@ fn the_dashboard_at_other_sizes() {
 }
 
 #[test]
-fn what_is_done_besides_steps_is_said() {
+fn other_stages_are_shown() {
     let mut status = resumed();
     let now = Duration::from_secs(70);
     let look = TrainEvent::Validate([64, 96]);
-    status.take(TrainingNews::Train(look), now);
+    status.apply(TrainingNews::Train(look), now);
     assert!(image(80, 24, &status).contains("validation, 64 of 96 samples"));
-    status.take(TrainingNews::Stage("calibrating"), now);
+    status.apply(TrainingNews::Stage("calibrating"), now);
     assert!(image(80, 24, &status).contains("calibrating"));
 }
 
@@ -133,9 +133,9 @@ fn what_is_done_besides_steps_is_said() {
 fn next_seed_resets_screen_and_keeps_last_as_line() {
     let mut status = fresh(2);
     let now = Duration::from_secs(9);
-    status.take(TrainingNews::Seed(0), now);
-    status.take(TrainingNews::Train(TrainEvent::Started(start(7))), now);
-    status.take(TrainingNews::Seed(1), now);
+    status.apply(TrainingNews::Seed(0), now);
+    status.apply(TrainingNews::Train(TrainEvent::Started(start(7))), now);
+    status.apply(TrainingNews::Seed(1), now);
     let text = image(100, 24, &status);
     assert!(text.contains("seed 1, 2 of 2"), "{text}");
     let line = "seed 0: best epoch 5 of 7, validation accuracy 0.900, AUROC 0.942";
@@ -166,7 +166,7 @@ fn colours_are_disabled_on_request() {
 }
 
 #[test]
-fn no_size_and_no_figures_break_it() {
+fn any_size_and_values_can_be_drawn() {
     let mut odd = TrainingStatus::new("茶 ☕\n\u{7}", "", settings(), 100);
     let broken = EpochMetrics {
         train_loss: f64::NAN,
@@ -181,7 +181,7 @@ fn no_size_and_no_figures_break_it() {
         epochs: vec![broken; 40],
         ..start(0)
     };
-    odd.take(
+    odd.apply(
         TrainingNews::Train(TrainEvent::Started(nothing)),
         Duration::MAX,
     );
@@ -190,8 +190,8 @@ fn no_size_and_no_figures_break_it() {
         loss: f64::NAN,
         learning_rate: f64::INFINITY,
     };
-    odd.take(TrainingNews::Train(step), Duration::ZERO);
-    for status in [fresh(1), begun(), resumed(), odd] {
+    odd.apply(TrainingNews::Train(step), Duration::ZERO);
+    for status in [fresh(1), started(), resumed(), odd] {
         for width in 1..=100 {
             for height in [1, 2, 5, 6, 7, 8, 9, 12, 14, 15, 16, 19, 24, 40, 60] {
                 drawn(width, height, &status, ColourDepth::Indexed);

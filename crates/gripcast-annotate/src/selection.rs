@@ -72,7 +72,7 @@ pub fn select(observations: &[&Observation]) -> Option<Selection> {
     let end = *sharp.last()?;
     let is_at_rest = |i: &usize| {
         let (a, b) = (pose(observations[*i]), pose(observations[end]));
-        a.translation_m.distance(b.translation_m) < REST_M && a.turn_from(b).length() < REST_RAD
+        a.translation_m.distance(b.translation_m) < REST_M && a.rotation_from(b).length() < REST_RAD
     };
     let mut used: Vec<usize> = sharp.iter().rev().copied().take_while(is_at_rest).collect();
     if used.len() < 2 && observations.len() > 2 {
@@ -85,7 +85,10 @@ pub fn select(observations: &[&Observation]) -> Option<Selection> {
     let deviation = |observation: &&Observation| {
         let pose = pose(observation);
         let shift = pose.translation_m - t_object_gripper.translation_m;
-        (shift.length(), pose.turn_from(&t_object_gripper).length())
+        (
+            shift.length(),
+            pose.rotation_from(&t_object_gripper).length(),
+        )
     };
     let (spread_m, spread_rad) = selected
         .iter()
@@ -121,7 +124,7 @@ fn mean(observations: &[&Observation]) -> Pose {
     };
     let count = observations.len() as f64;
     let poses = || observations.iter().map(|o| pose(o));
-    let rotations = poses().map(|p| p.turn_from(pose(first)));
+    let rotations = poses().map(|p| p.rotation_from(pose(first)));
     let rotation = DQuat::from_scaled_axis(rotations.sum::<DVec3>() / count);
     let translation = poses().map(|p| p.translation_m).sum::<DVec3>() / count;
     Pose::new(rotation * pose(first).rotation, translation)

@@ -32,7 +32,6 @@ use gripcast::cli::Context;
 use gripcast::cli::bench::Report;
 use gripcast_base::error::{Error, ErrorKind, Result};
 use gripcast_sim::fem::GelResolution;
-use gripcast_sim::grasp::{resolution_by_name, resolution_name};
 use serde::Serialize;
 use serde_json::{Map, Value, json};
 
@@ -53,7 +52,7 @@ const IPCTK: Baseline = Baseline {
 #[derive(Debug, clap::Args)]
 pub(crate) struct Args {
     /// Gel meshes, comma-separated
-    #[arg(long, value_parser = resolution_by_name, value_delimiter = ',', default_value = "coarse")]
+    #[arg(long, value_parser = GelResolution::from_name, value_delimiter = ',', default_value = "coarse")]
     gel: Vec<GelResolution>,
     /// Faces of the sphere, comma-separated
     #[arg(long, value_parser = ["1280", "5120", "20480"], value_delimiter = ',',
@@ -144,7 +143,7 @@ pub(crate) fn run(context: &Context, args: &Args) -> Result<()> {
                 }
             }
             measured.push(Measured {
-                gel: resolution_name(gel),
+                gel: gel.name(),
                 faces: scene.faces(),
                 phases,
                 state,

@@ -11,7 +11,7 @@ use gripcast_base::error::Result;
 use gripcast_geometry::TriangleMesh;
 use gripcast_sim::affine::AffineState;
 use gripcast_sim::fem::{GelGrid, GelResolution, Side};
-use gripcast_sim::solver::{Collider, GelPhases, SolverParameters};
+use gripcast_sim::solver::{Collider, Drive, Gel, GelMaterial, GelPhases, SolverParameters};
 use serde::Serialize;
 
 use crate::timing::{Timing, timed};
@@ -123,9 +123,10 @@ pub(crate) struct ContactScene {
 fn pressed(grid: &GelGrid, side: DVec3, parameters: &SolverParameters) -> Result<GelPhases> {
     let rotation = DMat3::from_cols(DVec3::Z, side.cross(DVec3::Z), side);
     let back = -(RADIUS - DEPTH + grid.thickness_m());
-    let place = |p: &DVec3| rotation * *p + side * back;
-    let rest: Vec<DVec3> = grid.positions().iter().map(place).collect();
-    let mut x = rest.clone();
+    let (material, drive) = (GelMaterial::default(), Drive::default());
+    let to_world = |p: DVec3| rotation * p + side * back;
+    let gel = Gel::new(grid, &material, drive, parameters, to_world)?;
+    let mut x = gel.positions().to_vec();
     for node in grid.triangles(Side::Front).iter().flatten() {
         let x = &mut x[*node as usize];
         if x.length() < RADIUS + GAP {
@@ -133,7 +134,7 @@ fn pressed(grid: &GelGrid, side: DVec3, parameters: &SolverParameters) -> Result
         }
     }
     let object = AffineState::rigid(DVec3::ZERO, DMat3::IDENTITY);
-    GelPhases::new(grid, (rest, x), MOTION, object, *parameters)
+    Ok(GelPhases::new(gel, x, MOTION, object, *parameters))
 }
 
 impl ContactScene {
@@ -146,7 +147,7 @@ impl ContactScene {
         let [left, right] = [DVec3::X, DVec3::NEG_X].map(|side| pressed(&grid, side, &parameters));
         let mut gels = [left?, right?];
         for gel in &mut gels {
-            gel.gather(&collider);
+            gel.build_candidates(&collider);
         }
         Ok(Self {
             gels,
@@ -169,7 +170,7 @@ impl ContactScene {
             gels.iter_mut().for_each(work);
             timed(runs, || gels.iter_mut().for_each(work))
         };
-        let find = phase(GelPhases::find);
+        let find = phase(GelPhases::find_contacts);
         let energy = phase(|gel| {
             std::hint::black_box(gel.energy());
         });
@@ -178,7 +179,7 @@ impl ContactScene {
         });
         let hessian = phase(GelPhases::hessian);
         let ccd = phase(|gel| {
-            std::hint::black_box(gel.free_fraction());
+            std::hint::black_box(gel.collision_free_step());
         });
         ContactPhases {
             find,
@@ -187,7 +188,8 @@ impl ContactScene {
             hessian,
             ccd,
             build: timed(runs, || {
-                gels.iter_mut().for_each(|gel| gel.gather(collider));
+                gels.iter_mut()
+                    .for_each(|gel| gel.build_candidates(collider));
             }),
             rebuilds_per_iteration: MOTION.length() / self.parameters.candidate_margin_m,
         }
@@ -196,9 +198,9 @@ impl ContactScene {
     /// Returns the state of the contacts.
     pub(crate) fn state(&mut self) -> ContactState {
         let parts = self.gels.each_mut().map(|gel| {
-            gel.find();
+            gel.find_contacts();
             let squared: f64 = gel.gradient().iter().map(|g| g.length_squared()).sum();
-            (gel.energy(), squared, gel.free_fraction())
+            (gel.energy(), squared, gel.collision_free_step())
         });
         let contacts = || self.gels.iter().flat_map(GelPhases::contacts);
         let edge_edge_pairs = contacts().filter(|(is_edge_edge, _)| *is_edge_edge).count();

@@ -20,10 +20,7 @@ use gripcast::cli::working::{Progress, interruptible};
 use gripcast_base::error::{Error, ErrorKind, Result};
 use gripcast_geometry::{LengthUnit, TriangleMesh, load_object_mesh};
 use gripcast_sim::fem::GelResolution;
-use gripcast_sim::grasp::{
-    GraspOutcome, GraspSettings, GraspSummary, Scene, StageWork, resolution_by_name,
-    resolution_name, simulate,
-};
+use gripcast_sim::grasp::{GraspOutcome, GraspSettings, GraspSummary, Scene, StageWork, simulate};
 use gripcast_sim::solver::PhaseTimes;
 use rayon::ThreadPool;
 use serde::Serialize;
@@ -39,7 +36,7 @@ const GRASPS_PER_THREAD: usize = 4;
 #[derive(Clone, Debug, clap::Args)]
 pub(crate) struct Args {
     /// Gel meshes, comma-separated
-    #[arg(long, value_parser = resolution_by_name, value_delimiter = ',', default_value = "coarse")]
+    #[arg(long, value_parser = GelResolution::from_name, value_delimiter = ',', default_value = "coarse")]
     gel: Vec<GelResolution>,
     /// Simulations per case; the minimum time is reported
     #[arg(long, value_name = "N", default_value_t = 1,
@@ -125,7 +122,7 @@ pub(crate) fn run(context: &Context, args: Args) -> Result<()> {
 
 fn params(args: &Args) -> Value {
     let settings = args.settings(GelResolution::Default);
-    let gels = args.gel.iter().map(|&gel| resolution_name(gel));
+    let gels = args.gel.iter().map(|&gel| gel.name());
     json!({
         "class": args.class,
         "gel": gels.collect::<Vec<_>>(),
@@ -213,7 +210,7 @@ fn measure_case(
         if elapsed < wall_s {
             wall_s = elapsed;
             let dt_s = settings.solver.dt_s;
-            let summary = GraspSummary::of(&result, &settings.protocol, dt_s);
+            let summary = GraspSummary::new(&result, &settings.protocol, dt_s);
             best = Some((summary, result.times));
         }
     }
@@ -221,7 +218,7 @@ fn measure_case(
     Ok(Measured {
         case: case.name,
         class: case.class,
-        gel: resolution_name(settings.resolution),
+        gel: settings.resolution.name(),
         wall_s,
         steps: summary.steps,
         newton_per_step: summary.newton_per_step,

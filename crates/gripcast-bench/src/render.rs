@@ -21,7 +21,8 @@ use gripcast_geometry::{Pose, builtin};
 use gripcast_sim::grasp::{Placement, resting_pose};
 use gripcast_tactile::{ObjectDepthRenderer, SensorProfile};
 use gripcast_visual::{
-    GraspState, RenderSettings, Renderer, View, VisualRandomisation, Watch, demo_model, grasp_scene,
+    GraspState, RenderControl, RenderSettings, Renderer, View, VisualRandomisation, demo_model,
+    grasp_scene,
 };
 use serde_json::{Value, json};
 
@@ -114,11 +115,11 @@ fn measure(args: &Args) -> Result<Measured> {
     let renderer = Renderer::new(&scene)?;
     let prepare_s = start.elapsed().as_secs_f64();
     let settings = RenderSettings {
-        samples: args.spp,
+        samples_per_pixel: args.spp,
         ..RenderSettings::default()
     };
     let start = Instant::now();
-    renderer.render(&scene.camera, &settings, &Watch::default())?;
+    renderer.render(&scene.camera, &settings, &RenderControl::default())?;
     Ok(Measured {
         pixels: [profile.geometry.width, profile.geometry.height],
         depth,

@@ -194,8 +194,8 @@ fn draw(rng: &mut Pcg64Mcg, mesh: &Arc<TriangleMesh>, poses: &[Pose]) -> Result<
     let mut spread = |max: f64| rng.random_range(-max..max);
     let placement = Placement {
         yaw_rad: spread(std::f64::consts::PI),
-        tilt_rad: spread(0.2),
-        lean_rad: spread(0.3),
+        roll_rad: spread(0.2),
+        pitch_rad: spread(0.3),
         offset_m: [spread(0.01), spread(0.02)],
         height_m: None,
         opening_m: None,
@@ -291,7 +291,7 @@ pub(crate) fn compare(
 }
 
 fn object(grasp: &BaselineGrasp, pieces: &[TriangleMesh]) -> Result<BaselineObject> {
-    let properties = MassProperties::of(&grasp.setup.mesh)?;
+    let properties = MassProperties::from_mesh(&grasp.setup.mesh)?;
     let mass_kg = grasp.setup.mass_kg;
     let piece = |mesh: &TriangleMesh| BaselinePiece {
         vertices_m: mesh.vertices.iter().map(|v| v.to_array()).collect(),

@@ -19,14 +19,14 @@ use gripcast::daemon::live_load::peak_rss_mb;
 use gripcast_base::error::{Error, ErrorKind, Result};
 use gripcast_base::workers::cores;
 use gripcast_sim::fem::GelResolution;
-use gripcast_sim::grasp::{GraspSettings, Preset, resolution_by_name, resolution_name};
+use gripcast_sim::grasp::{GraspSettings, Preset};
 use gripcast_sim::{Engine, FemEngine};
 use gripcast_synth::plan::{
     MIN_FRICTION_FRACTION, Plan, PlanPreset, PlanSettings, Shard, family_drafts, make_plan,
 };
 use gripcast_synth::properties::MassMap;
 use gripcast_synth::{
-    CpuSeconds, Images, ResultStore, RunSettings, run as run_plan, simulate_labels,
+    CpuSeconds, ImageSelection, ResultStore, RunSettings, run as run_plan, simulate_labels,
 };
 use serde::Serialize;
 use serde_json::{Map, Value, json};
@@ -46,11 +46,11 @@ pub(crate) struct Args {
     #[arg(long, value_name = "N", default_value_t = 1)]
     grasps: usize,
     /// Gel meshes, comma-separated
-    #[arg(long, value_parser = resolution_by_name, value_delimiter = ',',
+    #[arg(long, value_parser = GelResolution::from_name, value_delimiter = ',',
         default_values = ["coarse", "default"])]
     gel: Vec<GelResolution>,
     /// Gel mesh to compare the labels with
-    #[arg(long, value_parser = resolution_by_name)]
+    #[arg(long, value_parser = GelResolution::from_name)]
     compare: Option<GelResolution>,
     /// Random seed of the plan
     #[arg(long, value_name = "SEED", default_value_t = 0)]
@@ -110,14 +110,14 @@ fn measure(args: &Args, progress: &Progress) -> Result<Vec<(GelResolution, Figur
         let jobs = args.jobs();
         let drafts = family_drafts(args.objects, args.seed, jobs, &|_| ())?;
         let made = make_plan(&args.settings(), drafts.into(), &engine, None, &|_| ())?;
-        let plan_folder = folder.path().join(resolution_name(*gel));
+        let plan_folder = folder.path().join(gel.name());
         made.write(&plan_folder)?;
         let plan = made.plan;
-        progress.line(format!("{} gels", resolution_name(*gel)));
+        progress.line(format!("{} gels", gel.name()));
         let mut figures = figures(&plan, &plan_folder, &engine, jobs, progress)?;
         if let Some(other) = args.compare {
             if reference.is_none() {
-                progress.line(format!("{} gels, for their labels", resolution_name(other)));
+                progress.line(format!("{} gels, for their labels", other.name()));
                 let on_progress = |done: usize| progress.count(done, plan.simulations.len());
                 let other = self::engine(other);
                 reference = Some(simulate_labels(
@@ -143,20 +143,20 @@ fn figures(
     progress: &Progress,
 ) -> Result<Figures> {
     let start = Instant::now();
-    let on_progress = |at: gripcast_synth::RunProgress| progress.count(at.done, at.all);
+    let on_progress = |at: gripcast_synth::RunProgress| progress.count(at.done, at.total);
     let settings = RunSettings {
         shard: Shard::WHOLE,
         jobs,
-        is_failed_retried: false,
-        is_open_simulated: true,
-        images: Images::All,
+        retry_failed: false,
+        simulate_open: true,
+        images: ImageSelection::All,
     };
     let summary = run_plan(plan, folder, &settings, engine, &on_progress)?;
     let wall_h = start.elapsed().as_secs_f64() / 3600.0;
-    let store = ResultStore::beside(folder);
+    let store = ResultStore::new(folder);
     let mut figures = Figures {
         grasps_per_hour: summary.simulated as f64 / wall_h,
-        simulations: summary.all,
+        simulations: summary.total,
         stable: 0,
         slip: 0,
         failed: summary.failed.len(),
@@ -165,13 +165,13 @@ fn figures(
         label_agreement: None,
     };
     for simulation in &plan.simulations {
-        let Some(result) = store.find(plan, &simulation.id)? else {
+        let Some(result) = store.load(plan, &simulation.id)? else {
             continue;
         };
         figures.stable += usize::from(result.stable == Some(true));
         figures.slip += usize::from(result.stable == Some(false));
         let (sum, own) = (&mut figures.cpu_s, result.cpu_s);
-        let fraction = 1.0 / summary.all as f64;
+        let fraction = 1.0 / summary.total as f64;
         sum.prepare += fraction * own.prepare;
         sum.simulate += fraction * own.simulate;
         sum.tactile += fraction * own.tactile;
@@ -186,10 +186,10 @@ fn agreement(
     folder: &Path,
     reference: Option<&[Option<bool>]>,
 ) -> Result<Option<f64>> {
-    let store = ResultStore::beside(folder);
+    let store = ResultStore::new(folder);
     let [mut same, mut all] = [0; 2];
     for (simulation, other) in plan.simulations.iter().zip(reference.unwrap_or_default()) {
-        let found = store.find(plan, &simulation.id)?;
+        let found = store.load(plan, &simulation.id)?;
         if let Some(stable) = found.and_then(|result| result.stable) {
             all += 1;
             same += usize::from(*other == Some(stable));
@@ -215,10 +215,10 @@ impl Args {
             seed: self.seed,
             grasps: self.grasps,
             stop_forces_n: vec![10.0, 40.0],
-            rendering: PlanPreset::Small.rendering(),
+            rendering: PlanPreset::SMALL.rendering,
             textures: Vec::new(),
             mass_map: MassMap::Logarithmic,
-            least_friction_fraction: MIN_FRICTION_FRACTION,
+            min_friction_fraction: MIN_FRICTION_FRACTION,
             jobs: self.jobs(),
         }
     }
@@ -227,15 +227,15 @@ impl Args {
 fn report(args: &Args, found: &[(GelResolution, Figures)]) -> Report {
     let gels: Map<String, Value> = found
         .iter()
-        .map(|(gel, figures)| (resolution_name(*gel).to_owned(), json!(figures)))
+        .map(|(gel, figures)| (gel.name().to_owned(), json!(figures)))
         .collect();
     let params = json!({
         "objects": args.objects,
         "grasps": args.grasps,
         "seed": args.seed,
         "jobs": args.jobs(),
-        "renderings": PlanPreset::Small.rendering().renderings,
-        "compare": args.compare.map(resolution_name),
+        "renderings": PlanPreset::SMALL.rendering.renderings,
+        "compare": args.compare.map(GelResolution::name),
     });
     Report::new("synth", params, gels.into(), text(args, found))
 }
@@ -247,7 +247,7 @@ fn text(args: &Args, found: &[(GelResolution, Figures)]) -> String {
         lines.push(format!(
             "{:8} {:6.0} grasps/h · {} stable, {} slip, {} failed · CPU s: prepare {:.2}, \
              simulate {:.2}, tactile {:.2}, visual {:.2} · {:.0} MB",
-            resolution_name(*gel),
+            gel.name(),
             figures.grasps_per_hour,
             figures.stable,
             figures.slip,
@@ -262,7 +262,7 @@ fn text(args: &Args, found: &[(GelResolution, Figures)]) -> String {
             lines.push(format!(
                 "{:8} labels agree with {} gels on {:.1} %",
                 "",
-                resolution_name(other),
+                other.name(),
                 1e2 * fraction
             ));
         }

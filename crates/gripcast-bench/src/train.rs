@@ -11,7 +11,7 @@ use gripcast_base::error::{Error, Result};
 use gripcast_base::random::SeedStream;
 use gripcast_base::statistics::median;
 use gripcast_base::workers::process_cpu_s;
-use gripcast_nn::predict::contract::Variant;
+use gripcast_nn::predict::contract::Modality;
 use gripcast_nn::{Adam, Architecture, Batch, IMAGE, Network, Step};
 use serde_json::json;
 
@@ -50,7 +50,7 @@ pub(crate) struct Args {
 
 /// Runs the benchmark.
 pub(crate) fn run(context: &Context, args: &Args) -> Result<()> {
-    let architecture = Architecture::named(&args.arch)
+    let architecture = Architecture::by_name(&args.arch)
         .ok_or_else(|| Error::usage(format!("unknown network architecture `{}`", args.arch)))?;
     let [per_s, per_cpu_s] = measure(&architecture, args)?;
     let params = json!({
@@ -93,7 +93,7 @@ fn row(name: &str, per_s: f64, per_cpu_s: f64) -> String {
 /// Measures samples per second of wall time and of CPU time (medians).
 fn measure(architecture: &Architecture, args: &Args) -> Result<[f64; 2]> {
     let mut draw = SeedStream::named(0, "bench train");
-    let mut network = Network::new(architecture, Variant::Vt, || draw.uniform());
+    let mut network = Network::new(architecture, Modality::Vt, || draw.uniform());
     let count = usize::from(args.batch_size);
     let image: usize = IMAGE.iter().product();
     let mut images = |images: usize| -> Vec<f32> {
@@ -120,7 +120,7 @@ fn measure(architecture: &Architecture, args: &Args) -> Result<[f64; 2]> {
                 ..Step::default()
             };
             gradient.fill(0.0);
-            network.learn(&batch, &step, &mut gradient);
+            network.train_step(&batch, &step, &mut gradient);
             adam.step(&layout, &mut network.parameters, &gradient, 3e-4, 0.01);
             if number >= WARM_UP {
                 wall.push(start.0.elapsed().as_secs_f64());

@@ -13,8 +13,9 @@ use gripcast_imaging::{Decoder, Role};
 use gripcast_report::image::data_uri;
 use gripcast_sim::grasp::Snapshot;
 use gripcast_visual::{
-    ColourSettings, DenoiseSettings, Finish, GraspState, Model, Pattern, RenderSettings, Renderer,
-    View, VisualConditions, VisualRandomisation, Watch, denoise, develop, grasp_scene,
+    ColourSettings, DENOISE_RADIUS_PX, Finish, GraspState, Model, ProceduralTexture, RenderControl,
+    RenderSettings, Renderer, View, VisualConditions, VisualRandomisation, denoise, develop,
+    grasp_scene,
 };
 
 /// Width and height of a camera view, px.
@@ -51,7 +52,7 @@ pub(super) fn view_pair(
         .read(FileKind::Image)
         .map_err(|e| Error::io("cannot read the colour image", e).at(path.display()))?;
     let whole = Decoder::new()?.decode_file(&bytes, None, size[0], size[1])?;
-    let state = GraspState::at(snapshot, None)?;
+    let state = GraspState::from_snapshot(snapshot, None)?;
     Ok(ImagePair {
         real: data_uri(&center_crop(&whole))?,
         sim: data_uri(&rendered(object, &state, View::EyeInHand(VIEW), settings)?)?,
@@ -103,25 +104,25 @@ fn rendered(
     settings: &ViewSettings,
 ) -> Result<RgbImage> {
     let conditions = VisualConditions {
-        camera_move: Pose::IDENTITY,
+        t_nominal_camera: Pose::IDENTITY,
         focal_factor: 1.0,
         ..VisualRandomisation::default().sample(settings.seed)
     };
-    let model = Model::plain(
+    let model = Model::with_finish(
         &object.mesh,
-        Finish::Painted(Pattern::Plastic),
+        Finish::Textured(ProceduralTexture::Plastic),
         settings.seed,
     )?;
     let scene = grasp_scene(&model, state, &conditions, view)?;
     let rendering = Renderer::new(&scene)?.render(
         &scene.camera,
         &RenderSettings {
-            samples: settings.spp,
+            samples_per_pixel: settings.spp,
             seed: settings.seed,
             ..RenderSettings::default()
         },
-        &Watch::default(),
+        &RenderControl::default(),
     )?;
-    let light = denoise(&rendering, &DenoiseSettings::default());
+    let light = denoise(&rendering, DENOISE_RADIUS_PX);
     Ok(develop(&light, &ColourSettings::default(), settings.seed))
 }

@@ -21,7 +21,7 @@ use super::tactile_pair::tactile_pairs;
 use gripcast_base::error::{Error, Result};
 use gripcast_base::files::{FileKind, ObjectName, read_text};
 use gripcast_base::statistics::mcnemar_p;
-use gripcast_base::workers::{cores, one_per_core};
+use gripcast_base::workers::{cores, par_map_single_threaded};
 use gripcast_dataset::Dataset;
 use gripcast_sim::grasp::StageName;
 use gripcast_sim::{Engine, EngineKind};
@@ -344,7 +344,7 @@ impl<'a> CompletedReplay<'a> {
         let total = grasps.len();
         let report = |done| on_progress(ReplayProgress::Images { done, total });
         let items: Vec<(usize, &RecordedGrasp)> = grasps.iter().enumerate().collect();
-        one_per_core(self.settings.jobs, &items, &of_grasp, &report)
+        par_map_single_threaded(self.settings.jobs, &items, &of_grasp, &report)
     }
 
     fn objects(&self, on_progress: &OnProgress<'_>) -> Result<Vec<ObjectFacts>> {

@@ -2,7 +2,7 @@
 
 use super::case::{Case, CaseRecord, CaseStore};
 use gripcast_base::error::{Error, Result};
-use gripcast_base::workers::one_per_core;
+use gripcast_base::workers::par_map_single_threaded;
 
 /// Progress of a sweep.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -54,7 +54,7 @@ pub fn sweep(
         let (record, trace) = case.simulate()?;
         store.save(case, &record, trace).map(|()| record)
     };
-    let new = one_per_core(jobs, &open, &run, &report)?;
+    let new = par_map_single_threaded(jobs, &open, &run, &report)?;
     let simulated = new.len();
     for (index, record) in open.into_iter().zip(new) {
         records[index] = Some(record);

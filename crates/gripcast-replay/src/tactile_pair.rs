@@ -11,7 +11,7 @@ use gripcast_dataset::{Dataset, Stage};
 use gripcast_imaging::{CropProfile, Decoder, Role, TactileDifference};
 use gripcast_report::image::data_uri;
 use gripcast_sim::grasp::{Finger, Snapshot};
-use gripcast_tactile::{SceneRenderer, SensorPlace, SimulatedGel, TactileScene};
+use gripcast_tactile::{SceneRenderer, SensorMount, SimulatedGel, TactileScene};
 
 /// Width and height of the compared images, px.
 const COMPARED: [u32; 2] = [320, 240];
@@ -44,8 +44,8 @@ pub(super) fn tactile_pairs(
         .into_iter()
         .map(|(role, finger)| {
             let real = recorded(dataset, grasp, role, &mut decoder)?;
-            let sensor = SensorPlace::on(finger);
-            let scene = TactileScene::of_snapshot(&object.mesh, gel, snapshot, sensor)?;
+            let sensor = SensorMount::on(finger);
+            let scene = TactileScene::from_snapshot(&object.mesh, gel, snapshot, sensor)?;
             let untouched = renderer.render(&scene.untouched(), None)?;
             let touched = renderer.render(&scene, None)?;
             let sim = Change::between(&resized(&untouched), &resized(&touched))?;

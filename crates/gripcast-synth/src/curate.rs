@@ -11,7 +11,7 @@ use serde::{Deserialize, Serialize};
 
 use gripcast_base::error::{Error, Result};
 use gripcast_base::random::SeedStream;
-use gripcast_dataset::shard::{Split, SplitGroup};
+use gripcast_dataset::shard::{SplitFractions, SplitGroup};
 
 /// Grouping key of the split: no group is in two splits.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -32,7 +32,7 @@ pub struct CurationSettings {
     pub group_by: GroupKey,
     /// Splits and their fractions of the simulations.
     #[serde(rename = "parts")]
-    pub splits: Split,
+    pub splits: SplitFractions,
     /// Maximum simulations of a category, as a multiple of the mean; none for no cap.
     pub category_cap: Option<f64>,
     /// Whether each split gets as many stable simulations as slips at each force, so that the force
@@ -55,7 +55,7 @@ impl Default for CurationSettings {
     fn default() -> Self {
         Self {
             group_by: GroupKey::Object,
-            splits: Split::usual(),
+            splits: SplitFractions::standard(),
             category_cap: Some(2.0),
             is_balanced: true,
             keep_all_training: false,
@@ -126,7 +126,7 @@ pub fn curate(
         let new = SplitGroup { stratum, size: 0 };
         groups.entry(group).or_insert(new).size += object.simulations;
     }
-    let assigned = settings.splits.deal(&groups, settings.seed);
+    let assigned = settings.splits.assign(&groups, settings.seed);
     let mut by_split: BTreeMap<&String, Vec<&LabelledSimulation>> = BTreeMap::new();
     for one in labelled {
         let group = match settings.group_by {

@@ -7,7 +7,8 @@ use serde_json::Value;
 use super::plan::{Plan, check_parameters};
 use gripcast_base::error::{Error, Result};
 use gripcast_base::files::Root;
-use gripcast_sim::grasp::{GraspSettings, Preset, resolution_by_name};
+use gripcast_sim::fem::GelResolution;
+use gripcast_sim::grasp::{GraspSettings, Preset};
 use gripcast_sim::rigid::{RigidEngine, RigidSettings};
 use gripcast_sim::{Engine, EngineKind, FemEngine};
 
@@ -40,7 +41,7 @@ fn fem_settings(parameters: &Value) -> Result<GraspSettings> {
     let preset = Preset::ALL.into_iter().find(|p| Some(p.name()) == preset);
     let mut settings = GraspSettings::new(preset.ok_or_else(|| unreadable("preset"))?);
     let mesh = parameters["gel"]["mesh"].as_str();
-    settings.resolution = resolution_by_name(mesh.ok_or_else(|| unreadable("gel.mesh"))?)?;
+    settings.resolution = GelResolution::from_name(mesh.ok_or_else(|| unreadable("gel.mesh"))?)?;
     settings.solver.max_grasp_iterations = parameters["solver"]["max_grasp_iterations"]
         .as_u64()
         .ok_or_else(|| unreadable("solver.max_grasp_iterations"))?;

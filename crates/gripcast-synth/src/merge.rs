@@ -14,7 +14,7 @@ use super::plan::{Plan, PlannedSimulation, replace};
 use super::store::{ResultStore, SimulationResult};
 use gripcast_base::error::{Error, Result};
 use gripcast_base::files::{FileKind, Root, SimulationId, sha256_hex};
-use gripcast_dataset::shard::{ShardRow, ShardWriter, shard_name, shard_place};
+use gripcast_dataset::shard::{ShardRow, ShardWriter, shard_name, shard_path};
 
 /// Description of the dataset, beside `data/`.
 const DATASET_FILE: &str = "synth.json";
@@ -374,7 +374,7 @@ impl<'a> DatasetWriter<'a> {
         let shards = shards(split);
         let count = shards.len();
         for (number, shard) in shards.into_iter().enumerate() {
-            let path = shard_place(&self.root, name, number, count)?;
+            let path = shard_path(&self.root, name, number, count)?;
             let info = format!("{{\"plan_sha256\":\"{}\"}}", self.plan.sha256);
             let mut writer = ShardWriter::create(&path, &info)?;
             for (_, result) in shard {

@@ -11,11 +11,11 @@ use super::sample_images::{
     PreLiftGrasp, SampleRenderer, pre_lift_snapshot, rendering_seed, smooth_surface,
 };
 use super::store::{ResultStore, SimulationResult};
+use gripcast_base::catch_panic;
 use gripcast_base::error::{Error, ErrorKind, Result};
 use gripcast_base::files::{Root, SimulationId};
-use gripcast_base::quiet_panic;
 use gripcast_base::random::SeedStream;
-use gripcast_base::workers::{one_per_core, thread_cpu_s};
+use gripcast_base::workers::{par_map_single_threaded, thread_cpu_s};
 use gripcast_dataset::shard::{
     ShardEngine, ShardFacts, ShardImages, ShardOutcome, ShardRow, to_bytes,
 };
@@ -152,7 +152,7 @@ pub fn run(
         }
         Ok(result)
     };
-    let results = one_per_core(settings.jobs, &open, &work, &report)?;
+    let results = par_map_single_threaded(settings.jobs, &open, &work, &report)?;
     for result in &results {
         record_failure(result, &mut failed);
     }
@@ -182,7 +182,7 @@ pub fn simulate_labels(
         let grasp = engine.simulate(&setup, object.friction, simulation.stop_force_n)?;
         Ok(stable(grasp.outcome))
     };
-    one_per_core(jobs, &plan.simulations, &label, on_progress)
+    par_map_single_threaded(jobs, &plan.simulations, &label, on_progress)
 }
 
 fn grasp_setup(
@@ -246,7 +246,7 @@ impl<'a> SimulationRunner<'a> {
         with_images: bool,
     ) -> Result<(SimulationResult, Artifacts)> {
         let object = self.plan.object(simulation)?;
-        let outcome = quiet_panic::catch(AssertUnwindSafe(|| {
+        let outcome = catch_panic::catch_panic(AssertUnwindSafe(|| {
             self.try_run(simulation, object, labelled, with_images)
         }));
         let reason = match outcome {
@@ -382,7 +382,7 @@ fn draw_appearance(
     let (appearances, textures) = (&object.appearances, &object.textures);
     let index = draw.index(appearances.len() + textures.len());
     if let Some(drawn) = appearances.get(index) {
-        let model = Model::coated(mesh, &drawn.appearance, draw.bits())?;
+        let model = Model::with_appearance(mesh, &drawn.appearance, draw.bits())?;
         return Ok((drawn.description.clone(), model));
     }
     let texture = textures
@@ -397,7 +397,7 @@ fn stable(outcome: GraspOutcome) -> Option<bool> {
     match outcome {
         GraspOutcome::Success => Some(true),
         GraspOutcome::Slip | GraspOutcome::Eject => Some(false),
-        GraspOutcome::Closed
+        GraspOutcome::GelsMet
         | GraspOutcome::Miss
         | GraspOutcome::PenetratingStart
         | GraspOutcome::NotConverged => None,

@@ -8,12 +8,12 @@ use gripcast_sim::GraspSetup;
 use gripcast_sim::grasp::{Finger, Snapshot, StageName};
 use gripcast_sim::solver::GelMaterial;
 use gripcast_tactile::{
-    ObjectDepthRenderer, SceneRenderer as _, SensorGeometry, SensorPlace, SensorProfile,
+    ObjectDepthRenderer, SceneRenderer as _, SensorGeometry, SensorMount, SensorProfile,
     SensorVariation, SimulatedGel, TactileScene, depth_under_force, foundation_pa_m,
 };
 use gripcast_visual::{
-    ColourSettings, DenoiseSettings, GraspState, Model, RenderSettings, Renderer, View,
-    VisualRandomisation, Watch, denoise, develop, grasp_scene,
+    ColourSettings, GraspState, Model, RenderControl, RenderSettings, Renderer, View,
+    VisualRandomisation, denoise, develop, grasp_scene,
 };
 
 use super::plan::RenderingPlan;
@@ -53,10 +53,10 @@ impl PreLiftGrasp<'_> {
     /// carries the force.
     fn scene(&self, finger: Finger, grid: &SensorGeometry) -> Result<TactileScene<'_>> {
         let mesh = self.surface;
-        let place = SensorPlace::on(finger);
+        let place = SensorMount::on(finger);
         if let Some(gel) = self.gel {
             // The gap refers to the facets, which the simulation used.
-            let faceted = TactileScene::of_snapshot(&self.setup.mesh, gel, self.snapshot, place)?;
+            let faceted = TactileScene::from_snapshot(&self.setup.mesh, gel, self.snapshot, place)?;
             return Ok(TactileScene {
                 object: mesh,
                 ..faceted
@@ -83,7 +83,7 @@ impl PreLiftGrasp<'_> {
     fn state(&self) -> Result<GraspState> {
         let snapshot = self.snapshot;
         match self.gel {
-            Some(gel) => GraspState::at(snapshot, Some(&gel.grid)),
+            Some(gel) => GraspState::from_snapshot(snapshot, Some(&gel.grid)),
             None => Ok(GraspState {
                 t_world_object: snapshot.t_world_object,
                 t_world_gripper: snapshot.t_world_gripper,
@@ -106,7 +106,7 @@ impl SampleRenderer {
     pub(super) fn new(plan: RenderingPlan) -> Result<Self> {
         Ok(Self {
             sensor: SensorProfile::gelsight_mini()?,
-            visual: VisualRandomisation::spread(plan.visual_spread),
+            visual: VisualRandomisation::with_spread(plan.visual_spread),
             plan,
         })
     }
@@ -123,8 +123,8 @@ impl SampleRenderer {
     pub(super) fn tactile(&self, grasp: &PreLiftGrasp<'_>, seed: u64) -> Result<[[Vec<u8>; 2]; 2]> {
         let mut draw = SeedStream::named(seed, "tactile");
         let mut render = |finger: Finger| -> Result<[Vec<u8>; 2]> {
-            let variation = SensorVariation::drawn(draw.bits(), self.plan.sensor_spread);
-            let mut renderer = ObjectDepthRenderer::new(&variation.of(&self.sensor))?;
+            let variation = SensorVariation::sample(draw.bits(), self.plan.sensor_spread);
+            let mut renderer = ObjectDepthRenderer::new(&variation.apply(&self.sensor))?;
             let after = grasp.scene(finger, &self.sensor.geometry)?;
             let mut image = |scene: &TactileScene<'_>| -> Result<Vec<u8>> {
                 encode_jpeg(&renderer.render(scene, Some(draw.bits()))?, QUALITY)
@@ -150,17 +150,13 @@ impl SampleRenderer {
         let state = grasp.state()?;
         let scene = grasp_scene(model, &state, &conditions, View::EyeInHand(VIEW))?;
         let settings = RenderSettings {
-            samples: self.plan.samples_per_pixel,
+            samples_per_pixel: self.plan.samples_per_pixel,
             seed: draw.bits(),
             ..RenderSettings::default()
         };
         let rendering =
-            Renderer::new(&scene)?.render(&scene.camera, &settings, &Watch::default())?;
-        let settings = DenoiseSettings {
-            radius: DENOISE_RADIUS,
-            ..DenoiseSettings::default()
-        };
-        let light = denoise(&rendering, &settings);
+            Renderer::new(&scene)?.render(&scene.camera, &settings, &RenderControl::default())?;
+        let light = denoise(&rendering, DENOISE_RADIUS);
         let image = develop(&light, &ColourSettings::default(), draw.bits());
         encode_jpeg(&image, QUALITY)
     }

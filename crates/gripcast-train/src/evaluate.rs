@@ -14,7 +14,7 @@ use super::metrics::{
 use super::samples::{SampleFacts, SampleReader, Samples};
 use gripcast_base::error::{Error, Result};
 use gripcast_imaging::{Decoder, TactileDifference};
-use gripcast_nn::predict::contract::{InputName, Origin, Variant};
+use gripcast_nn::predict::contract::{InputName, Modality, Origin};
 use gripcast_nn::predict::{Model, ModelInput};
 
 /// Samples read together.
@@ -67,7 +67,7 @@ pub struct ModelEvaluation {
     /// SHA-256 of the file.
     pub sha256: String,
     /// Modality: `V`, `T` or `VT`.
-    pub variant: Variant,
+    pub variant: Modality,
     /// Metrics of all samples at the model's threshold.
     pub summary: Summary,
     /// AUROC with its 95 % interval over objects.
@@ -315,7 +315,7 @@ impl ModelEvaluation {
             name: model.contract().name.clone(),
             file: file.to_owned(),
             sha256: model.sha256().to_owned(),
-            variant: model.contract().variant,
+            variant: model.contract().modality,
             summary: Summary::new(&scored, threshold),
             auroc: bootstrap.interval(&objects, |times| metrics.auroc(times)),
             balanced_accuracy: bootstrap

@@ -37,7 +37,7 @@ fn experiment_trains_tests_and_compares_conditions() {
         training: TrainSettings {
             epochs: 2,
             batch_size: 4,
-            ..TrainSettings::new(Variant::Vt, architecture, 0)
+            ..TrainSettings::new(Modality::Vt, architecture, 0)
         },
     };
     let runs = std::sync::Mutex::new([0, 0]);

@@ -12,7 +12,7 @@ use super::validate::{Logit, logits};
 use gripcast_base::error::Result;
 use gripcast_imaging::CropProfile;
 use gripcast_nn::predict::contract::{InputName, InputSpec, Origin};
-use gripcast_nn::predict::{ModelContract, novelty};
+use gripcast_nn::predict::{ModelContract, ood};
 use gripcast_nn::to_onnx;
 
 /// Metadata key of the training objects.
@@ -61,9 +61,7 @@ pub fn finish(
     let mut contract = contract(file, name, &best, [temperature, threshold], &summary)?;
     if let Some(reference) = fit_tactile_reference(&Samples::open(data, "train")?, file)? {
         let metadata = reference.to_metadata();
-        contract
-            .other
-            .insert(novelty::METADATA.to_owned(), metadata);
+        contract.other.insert(ood::METADATA.to_owned(), metadata);
     }
     let onnx = to_onnx(&network, &contract)?;
     write(&folder.model(), &onnx)?;
@@ -128,7 +126,7 @@ fn contract(
             seed: settings.seed,
             manifest_sha256: file.dataset_sha256.clone(),
         },
-        variant: settings.variant,
+        modality: settings.variant,
         inputs: inputs.collect(),
         threshold,
         temperature,

@@ -8,9 +8,9 @@ use super::run_folder::RunFile;
 use super::samples::Samples;
 use gripcast_base::error::Result;
 use gripcast_base::random::SeedStream;
-use gripcast_nn::predict::Novelty;
-use gripcast_nn::predict::contract::Variant;
-use gripcast_nn::predict::novelty::{Features, features};
+use gripcast_nn::predict::OodDetector;
+use gripcast_nn::predict::contract::Modality;
+use gripcast_nn::predict::ood::{Features, features};
 
 /// Maximum number of samples, evenly spaced; with two sensors each, enough for a 0.1 % quantile.
 const MAX_SAMPLES: usize = 2000;
@@ -23,13 +23,16 @@ const MEMORY: usize = 1 << 25;
 ///
 /// # Errors
 /// Errors of reading and decoding.
-pub(super) fn fit_tactile_reference(samples: &Samples, file: &RunFile) -> Result<Option<Novelty>> {
+pub(super) fn fit_tactile_reference(
+    samples: &Samples,
+    file: &RunFile,
+) -> Result<Option<OodDetector>> {
     let settings = &file.settings;
     if !settings.variant.has_touch() {
         return Ok(None);
     }
     let writer = InputWriter::new(settings.augmentation, file.normalisation());
-    let mut batches = Batches::new(samples, Variant::T, writer, MEMORY);
+    let mut batches = Batches::new(samples, Modality::T, writer, MEMORY);
     let step = samples.facts().len().div_ceil(MAX_SAMPLES).max(1);
     let selected: Vec<usize> = (0..samples.facts().len()).step_by(step).collect();
     let mut draw = SeedStream::named(settings.seed, "known touch");
@@ -40,5 +43,5 @@ pub(super) fn fit_tactile_reference(samples: &Samples, file: &RunFile) -> Result
         let features = batch.touch.par_chunks_exact(FLOATS).filter_map(features);
         reference.extend(features.collect::<Vec<_>>());
     }
-    Ok(Novelty::fit(&reference))
+    Ok(OodDetector::fit(&reference))
 }

@@ -252,12 +252,12 @@ impl<'a> Training<'a> {
     fn restore(&mut self, path: &BeneathPath) -> Result<()> {
         let (position, arrays): (Position, _) = state::load(path)?;
         let network = &self.network;
-        let [all, moments] = [network.parameters.len(), network.moments.len()];
+        let [all, moments] = [network.parameters.len(), network.running_stats.len()];
         let [parameters, moments, first, second] =
             state::with_sizes(arrays, [all, moments, all, all])
                 .ok_or_else(|| foreign_checkpoint(path))?;
         self.network.parameters = parameters;
-        self.network.moments = moments;
+        self.network.running_stats = moments;
         self.position = position;
         self.adam = Adam {
             first,
@@ -271,7 +271,7 @@ impl<'a> Training<'a> {
         self.position.optimizer_steps = self.adam.steps;
         let arrays: [&[f32]; 4] = [
             &self.network.parameters,
-            &self.network.moments,
+            &self.network.running_stats,
             &self.adam.first,
             &self.adam.second,
         ];
@@ -328,7 +328,7 @@ impl<'a> Training<'a> {
         while self.position.epoch < self.settings.epochs && !self.stops_early() {
             let metrics = self.epoch(on_progress)?;
             if self.position.best.is_none_or(|best| metrics.beats(best)) {
-                let arrays: [&[f32]; 2] = [&self.network.parameters, &self.network.moments];
+                let arrays: [&[f32]; 2] = [&self.network.parameters, &self.network.running_stats];
                 state::save(&self.folder.best(), &metrics, &arrays)?;
                 self.position.best = Some([metrics.validation_accuracy, metrics.validation_loss]);
                 self.position.best_epoch = Some(metrics.epoch);
@@ -382,7 +382,7 @@ impl<'a> Training<'a> {
             gradient.fill(0.0);
             let network = &mut self.network;
             let (loss, read) = rayon::join(
-                || network.learn(&batch, &drop, &mut gradient),
+                || network.train_step(&batch, &drop, &mut gradient),
                 || (step + 1 < steps).then(|| read(step + 1)).transpose(),
             );
             next = read?;

@@ -141,11 +141,11 @@ impl RunFolder {
         let path = self.best();
         let (metrics, arrays): (EpochMetrics, _) = state::load(&path)?;
         let mut network = untrained(settings, || 0.5);
-        let sizes = [network.parameters.len(), network.moments.len()];
+        let sizes = [network.parameters.len(), network.running_stats.len()];
         let [parameters, moments] =
             state::with_sizes(arrays, sizes).ok_or_else(|| foreign_checkpoint(&path))?;
         network.parameters = parameters;
-        network.moments = moments;
+        network.running_stats = moments;
         Ok((network, metrics))
     }
 }

@@ -6,12 +6,12 @@ use crate::augment::{Augmentation, SampleImages};
 use crate::sample_dataset::{row, write_dataset, write_split};
 use crate::samples::SampleReader;
 use crate::{finish, logits};
-use gripcast_base::quiet_panic;
-use gripcast_nn::predict::contract::Variant;
+use gripcast_base::catch_panic;
+use gripcast_nn::predict::contract::Modality;
 use gripcast_nn::predict::{Model, ModelInput};
 use gripcast_nn::{Architecture, ConvSpec};
 
-fn settings(variant: Variant) -> TrainSettings {
+fn settings(variant: Modality) -> TrainSettings {
     let conv = |channels, kernel, stride, pad| ConvSpec {
         channels,
         kernel,
@@ -51,7 +51,7 @@ fn exported_model_matches_network() {
     let data = folder.path().join("data");
     write_dataset(&data, 24);
     let out = folder.path().join("run");
-    for variant in [Variant::Vt, Variant::T, Variant::V] {
+    for variant in [Modality::Vt, Modality::T, Modality::V] {
         let settings = TrainSettings {
             epochs: 6,
             ..settings(variant)
@@ -59,7 +59,7 @@ fn exported_model_matches_network() {
         let out = out.join(variant.name());
         let trained = train(&data, &out, &settings, &|_| {}).unwrap();
         assert_eq!(trained.epochs, 6);
-        if variant != Variant::V {
+        if variant != Modality::V {
             assert!(trained.best.validation_accuracy > 0.9, "{trained:?}");
         }
         let run = RunFolder::at(&out);
@@ -68,8 +68,8 @@ fn exported_model_matches_network() {
         let finished = finish(&run, &file, &data, "tiny", &|_| {}).unwrap();
         assert_eq!(fs::read(run.model().shown()).unwrap(), finished.onnx);
         let model = Model::from_bytes(&finished.onnx).unwrap();
-        assert_eq!(model.contract().variant, variant);
-        assert_eq!(model.novelty().is_some(), variant != Variant::V);
+        assert_eq!(model.contract().modality, variant);
+        assert_eq!(model.ood_detector().is_some(), variant != Modality::V);
         let (network, _) = run.best_network(&settings).unwrap();
         let found = logits(
             &network,
@@ -108,14 +108,14 @@ fn exported_model_matches_network() {
 
 #[test]
 fn killed_run_resumes_to_same_bytes() {
-    let settings = &settings(Variant::T);
+    let settings = &settings(Modality::T);
     let folder = tempfile::tempdir().unwrap();
     let data = folder.path().join("data");
     write_dataset(&data, 24);
     let [whole, broken] = ["whole", "broken"].map(|name| folder.path().join(name));
     train(&data, &whole, settings, &|_| {}).unwrap();
     for last in [1_u64, 8, 14] {
-        let killed = quiet_panic::catch(AssertUnwindSafe(|| {
+        let killed = catch_panic::catch_panic(AssertUnwindSafe(|| {
             train(&data, &broken, settings, &|event| {
                 let is_last = matches!(event, TrainEvent::Step { steps, .. } if steps[0] == last);
                 assert!(!is_last, "killed");
@@ -137,7 +137,7 @@ fn run_resumes_within_epoch() {
     let folder = tempfile::tempdir().unwrap();
     let data = folder.path().join("data");
     write_dataset(&data, 24);
-    let settings = settings(Variant::T);
+    let settings = settings(Modality::T);
     let file = {
         let train = Samples::open(&data, TRAIN).unwrap();
         let out = folder.path().join("run");
@@ -149,7 +149,7 @@ fn run_resumes_within_epoch() {
     whole.epoch(&|_| {}).unwrap();
     let broken = std::cell::RefCell::new(Training::new(&run, &file, &train, &validation).unwrap());
     // The checkpoint is written where the panic leaves the run: after a step and its update.
-    let killed = quiet_panic::catch(AssertUnwindSafe(|| {
+    let killed = catch_panic::catch_panic(AssertUnwindSafe(|| {
         let mut training = broken.borrow_mut();
         training.epoch(&|event| {
             let is_third = matches!(event, TrainEvent::Step { steps, .. } if steps[0] == 3);
@@ -173,7 +173,7 @@ fn resuming_with_other_settings_or_dataset_is_refused() {
     let out = folder.path().join("run");
     let one = TrainSettings {
         epochs: 1,
-        ..settings(Variant::T)
+        ..settings(Modality::T)
     };
     train(&data, &out, &one, &|_| {}).unwrap();
     let other = TrainSettings {
@@ -199,7 +199,7 @@ fn runs_of_other_versions_are_refused() {
     let out = folder.path().join("run");
     let settings = TrainSettings {
         epochs: 1,
-        ..settings(Variant::Vt)
+        ..settings(Modality::Vt)
     };
     train(&data, &out, &settings, &|_| {}).unwrap();
     let run = RunFolder::at(&out);
@@ -214,7 +214,7 @@ fn runs_of_other_versions_are_refused() {
 #[test]
 fn unusable_datasets_are_refused() {
     let folder = tempfile::tempdir().unwrap();
-    let settings = settings(Variant::T);
+    let settings = settings(Modality::T);
     let refused = |name: &str, rows: Vec<gripcast_dataset::shard::ShardRow>, validation: &str| {
         let data = folder.path().join(name);
         write_split(&data, "train", rows);
@@ -259,7 +259,7 @@ fn image_of_wrong_size_is_named() {
         (0..4).map(|n| row("validation", n)),
     );
     let out = folder.path().join("run");
-    let error = train(folder.path(), &out, &settings(Variant::T), &|_| {}).unwrap_err();
+    let error = train(folder.path(), &out, &settings(Modality::T), &|_| {}).unwrap_err();
     let text = error.to_string();
     assert!(
         text.contains("train-0005") && text.contains("160×120"),
@@ -276,11 +276,11 @@ fn nan_loss_ends_run_and_keeps_best_checkpoint() {
     let settings = TrainSettings {
         epochs: 2,
         augmentation: Augmentation::NONE,
-        ..settings(Variant::T)
+        ..settings(Modality::T)
     };
     let run = RunFolder::at(&out);
     // The first epoch ends; then a parameter is spoilt, as an overflow would.
-    let killed = quiet_panic::catch(AssertUnwindSafe(|| {
+    let killed = catch_panic::catch_panic(AssertUnwindSafe(|| {
         train(&data, &out, &settings, &|event| {
             assert!(!matches!(event, TrainEvent::Epoch(_)), "killed");
         })

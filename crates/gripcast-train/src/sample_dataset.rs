@@ -7,7 +7,7 @@ use image::{Rgb, RgbImage};
 
 use gripcast_base::files::Root;
 use gripcast_dataset::shard::{
-    ShardEngine, ShardFacts, ShardImages, ShardOutcome, ShardRow, ShardWriter, shard_place,
+    ShardEngine, ShardFacts, ShardImages, ShardOutcome, ShardRow, ShardWriter, shard_path,
 };
 use gripcast_geometry::Pose;
 use gripcast_imaging::{encode_jpeg, synthetic_gel};
@@ -72,7 +72,7 @@ pub(super) fn graded_row(split: &str, number: u64, is_stable: bool, contact: f32
 /// Writes a split as one shard.
 pub(super) fn write_split(root: &Path, split: &str, rows: impl IntoIterator<Item = ShardRow>) {
     std::fs::create_dir_all(root).unwrap();
-    let place = shard_place(&Root::new(root), split, 0, 1).unwrap();
+    let place = shard_path(&Root::new(root), split, 0, 1).unwrap();
     place.parent().create_dir_all().unwrap();
     let mut writer = ShardWriter::create(&place, "{}").unwrap();
     for row in rows {

@@ -5,14 +5,14 @@ use serde::{Deserialize, Serialize};
 use super::augment::Augmentation;
 use gripcast_base::error::{Error, Result};
 use gripcast_nn::Architecture;
-use gripcast_nn::predict::contract::Variant;
+use gripcast_nn::predict::contract::Modality;
 
 /// All settings that affect the result. A run is only resumed with the same settings.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct TrainSettings {
     /// Input modality of the classifier.
-    pub variant: Variant,
+    pub variant: Modality,
     /// Network architecture.
     pub architecture: Architecture,
     /// Random seed of initialisation, sample order and augmentation.
@@ -39,7 +39,7 @@ pub struct TrainSettings {
 
 impl TrainSettings {
     /// Returns the default settings of an architecture.
-    pub fn new(variant: Variant, architecture: Architecture, seed: u64) -> Self {
+    pub fn new(variant: Modality, architecture: Architecture, seed: u64) -> Self {
         Self {
             variant,
             architecture,

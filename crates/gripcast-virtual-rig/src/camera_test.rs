@@ -21,7 +21,7 @@ fn config(format: PixelFormat, width: u32, height: u32, fps: f64) -> CameraConfi
 }
 
 fn rig() -> (VirtualRig, Arc<ManualClock>) {
-    let clock = Arc::new(ManualClock::at(1_000 * MS));
+    let clock = Arc::new(ManualClock::new(1_000 * MS));
     let clips = ClipLibrary::built_in().unwrap();
     (VirtualRig::new(clips, 1, clock.clone()), clock)
 }

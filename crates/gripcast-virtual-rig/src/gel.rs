@@ -10,7 +10,7 @@ use gripcast_base::error::Result;
 use gripcast_imaging::{CropWindow, Role};
 use gripcast_sim::grasp::Finger;
 use gripcast_tactile::{
-    FrameLook, PressDepth, Rasteriser, SensorPlace, SensorProfile, TactileRenderer, TactileScene,
+    FrameNoise, PressDepth, Rasteriser, SensorMount, SensorProfile, TactileRenderer, TactileScene,
     WholeFrame, object_depth,
 };
 
@@ -21,7 +21,7 @@ const MAX_COLOUR_OFFSET: f64 = 4.0;
 pub(super) struct GelRenderer {
     finger: Finger,
     seed: u64,
-    look: FrameLook,
+    look: FrameNoise,
     rasteriser: Rasteriser,
     renderer: TactileRenderer,
     frame: WholeFrame,
@@ -51,9 +51,9 @@ impl GelRenderer {
             height: full.1,
         });
         let frame = WholeFrame::new(&profile, window, full, render_size);
-        let look = FrameLook {
+        let look = FrameNoise {
             offset: [0, 1, 2].map(|n| (MAX_COLOUR_OFFSET * signed_unit(seed, 1, n)) as f32),
-            ..FrameLook::default()
+            ..FrameNoise::default()
         };
         // Downscaling the crop to the model's image averages noise.
         let shrunk = f64::from(render_size.0) / f64::from(full.0) * f64::from(window.width)
@@ -88,7 +88,7 @@ impl GelRenderer {
         if self.cached != Some(key) {
             let image = self.render(&scene.clip, scene.step)?;
             let image = image.as_ref().unwrap_or(&self.untouched);
-            self.noiseless = self.frame.place(image, &self.untouched)?;
+            self.noiseless = self.frame.compose(image, &self.untouched)?;
             self.cached = Some(key);
         }
         let mut image = self.noiseless.as_raw().clone();
@@ -103,10 +103,10 @@ impl GelRenderer {
         if step.min_gap_m[self.finger as usize].is_none() {
             return Ok(None);
         }
-        let place = SensorPlace::on(self.finger);
+        let place = SensorMount::on(self.finger);
         let t_world_gripper = clip.start.t_world_gripper();
         let mesh = clip.mesh()?;
-        let scene = TactileScene::of_step(mesh, &clip.gel, &t_world_gripper, step, place)?;
+        let scene = TactileScene::from_step(mesh, &clip.gel, &t_world_gripper, step, place)?;
         let press = object_depth(&scene, &self.renderer.geometry(), &mut self.rasteriser);
         self.renderer.render(&press, &self.look).map(Some)
     }
@@ -152,15 +152,15 @@ mod tests {
         let mut reference = ObjectDepthRenderer::new(&profile).unwrap();
         for (side, finger) in [(Role::Left, Finger::Left), (Role::Right, Finger::Right)] {
             let mut renderer = GelRenderer::new(side, 1, SIZE, SIZE).unwrap();
-            renderer.look = FrameLook::default();
+            renderer.look = FrameNoise::default();
             let shown = scene_at(&clip, 1.0);
             let cut = cropped(renderer.render_frame(&shown, 1).unwrap());
             let step = &clip.steps[shown.step];
             let t_world_gripper = clip.start.t_world_gripper();
-            let place = SensorPlace::on(finger);
+            let place = SensorMount::on(finger);
             let mesh = clip.mesh().unwrap();
             let scene =
-                TactileScene::of_step(mesh, &clip.gel, &t_world_gripper, step, place).unwrap();
+                TactileScene::from_step(mesh, &clip.gel, &t_world_gripper, step, place).unwrap();
             let expected = reference.render(&scene, None).unwrap();
             let bare = reference.render(&scene.untouched(), None).unwrap();
             assert!(mean_difference(&expected, &bare) > 1.0, "no contact");

@@ -158,7 +158,7 @@ mod tests {
     const MS: u64 = 1_000_000;
 
     fn hand() -> (VirtualHand, Arc<ManualClock>) {
-        let clock = Arc::new(ManualClock::at(1_000 * MS));
+        let clock = Arc::new(ManualClock::new(1_000 * MS));
         let clips = ClipLibrary::built_in().unwrap();
         (VirtualHand::new(clips, 1, clock.clone()), clock)
     }
@@ -203,7 +203,7 @@ mod tests {
         let clip = hand.clip();
         assert_eq!(hand.scene_at(clock.now_ns()).step, clip.steps.len() - 1);
         let truth = hand.truth(clock.now_ns());
-        assert!(truth.held && truth.film == clip.name);
+        assert!(truth.held && truth.clip == clip.name);
         hand.move_to(HandTarget::Closed);
         clock.advance(900 * MS);
         let step = &clip.steps[hand.scene_at(clock.now_ns()).step];

@@ -16,7 +16,7 @@
 //! use gripcast_imaging::Role;
 //! use gripcast_virtual_rig::{ClipLibrary, HandTarget, VirtualRig};
 //!
-//! let rig = VirtualRig::new(ClipLibrary::built_in()?, 1, Arc::new(ManualClock::at(0)));
+//! let rig = VirtualRig::new(ClipLibrary::built_in()?, 1, Arc::new(ManualClock::new(0)));
 //! let file = RigFile::virtual_rig();
 //! let mut camera = rig.camera(Role::Left, &file.cameras[&Role::Left])?.open()?;
 //! rig.hand().move_to(HandTarget::Closed);

@@ -12,13 +12,13 @@ use gripcast_base::error::{Error, Result};
 use gripcast_geometry::{Pose, TriangleMesh};
 use gripcast_imaging::{DepthImage, Intrinsics, encode_png_grey16};
 use gripcast_pose::BoardFile;
-use gripcast_pose::print::{ObjectOnSheet, ObjectSheet, usual_object_sheet};
+use gripcast_pose::print::{ObjectSheet, SheetObject, default_object_sheet};
 use gripcast_sim::fem::GelGrid;
 use gripcast_sim::grasp::{StageName, Trace, TraceFile, TraceStep};
 use gripcast_tactile::{TraceHeader, TraceStart};
 use gripcast_visual::{
-    Camera, ColourSettings, DenoiseSettings, DepthSettings, GraspPrints, GraspState, Model,
-    RenderSettings, Renderer, View, VisualConditions, VisualRandomisation, Watch,
+    AnnotationMarkers, Camera, ColourSettings, DENOISE_RADIUS_PX, DepthSettings, GraspState, Model,
+    RenderControl, RenderSettings, Renderer, View, VisualConditions, VisualRandomisation,
     annotation_camera, annotation_scene, denoise, develop, grasp_scene, measure_depth,
 };
 
@@ -90,7 +90,7 @@ pub fn record_clip(
     };
     let sheet = sheet_of(mesh, &object.source, clip_scene.start.t_world_object)?;
     let tags = BoardFile::gripper_umi()?;
-    let prints = GraspPrints::new(&sheet.flat_print()?, &tags.flat_prints())?;
+    let prints = AnnotationMarkers::new(&sheet.flat_print()?, &tags.flat_prints())?;
     let beside = annotation_camera(&clip_scene.state(0)?, settings.external, settings.seed);
     let keys = keyframes(trace, &shown, beside.intrinsics());
     let all = keys.keys.len() + keys.external_keys.len();
@@ -140,14 +140,14 @@ pub fn record_clip(
 
 /// Returns the sheet for an object in its initial pose, named after its mesh.
 fn sheet_of(mesh: &TriangleMesh, source: &str, t_world_object: Pose) -> Result<ObjectSheet> {
-    let object = ObjectOnSheet {
+    let object = SheetObject {
         mesh,
         source,
         t_world_object,
     };
     let named = source.strip_prefix("builtin:").unwrap_or(source);
     let name = Path::new(named).file_stem().unwrap_or_default();
-    usual_object_sheet(&name.to_string_lossy(), &object)
+    default_object_sheet(&name.to_string_lossy(), &object)
 }
 
 /// Trace and render settings common to all images of a clip.
@@ -174,7 +174,7 @@ impl ClipScene<'_> {
         let current = &self.trace.steps[step];
         let is_now = |t_s: f64| (t_s - current.t_s).abs() < 1e-9;
         if let Some(snapshot) = self.trace.snapshots.iter().find(|s| is_now(s.t_s)) {
-            return GraspState::at(snapshot, Some(&self.grid));
+            return GraspState::from_snapshot(snapshot, Some(&self.grid));
         }
         let lift = Pose::from_translation(DVec3::Z * current.lifted_m);
         Ok(GraspState {
@@ -187,12 +187,12 @@ impl ClipScene<'_> {
 
     fn image(&self, renderer: &Renderer, camera: &Camera, blur_px: f32) -> Result<RgbImage> {
         let settings = RenderSettings {
-            samples: self.settings.samples,
+            samples_per_pixel: self.settings.samples,
             seed: self.settings.seed,
             ..RenderSettings::default()
         };
-        let rendering = renderer.render(camera, &settings, &Watch::default())?;
-        let light = denoise(&rendering, &DenoiseSettings::default());
+        let rendering = renderer.render(camera, &settings, &RenderControl::default())?;
+        let light = denoise(&rendering, DENOISE_RADIUS_PX);
         // Noise is added per frame at playback.
         let colour = ColourSettings {
             full_well_e: 1e9,
@@ -206,7 +206,7 @@ impl ClipScene<'_> {
 
 fn depth_image(renderer: &Renderer, camera: &Camera) -> Result<DepthImage> {
     let noiseless = DepthSettings {
-        subpixel: 0.0,
+        disparity_std_px: 0.0,
         ..DepthSettings::default()
     };
     measure_depth(&renderer.depth(camera)?, camera, &noiseless, 0)

@@ -146,7 +146,7 @@ impl Engine {
                 .into_iter()
                 .filter_map(|(role, frame)| Some((role, captured(role, frame)?)))
                 .collect(),
-            approach: pre_grasp
+            pre_grasp_frames: pre_grasp
                 .frames
                 .into_iter()
                 .filter_map(|frame| captured(Role::External, frame))

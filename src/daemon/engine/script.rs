@@ -24,7 +24,7 @@ impl ScriptCommand {
         let pending = self.pending.as_mut();
         if let Some(result) = pending.and_then(|pending| pending.try_recv().ok()) {
             self.pending = None;
-            self.answer = Some(match result.complaint() {
+            self.answer = Some(match result.error_message() {
                 Some(complaint) => Answer::Refused(complaint),
                 None => Answer::Saved,
             });

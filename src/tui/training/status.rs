@@ -3,7 +3,7 @@
 use std::collections::VecDeque;
 use std::time::Duration;
 
-use gripcast_train::{EpochFigures, RunStart, TrainEvent, TrainSettings};
+use gripcast_train::{EpochMetrics, RunStart, TrainEvent, TrainSettings};
 
 /// Maximum kept lines.
 const LINES: usize = 100;
@@ -41,7 +41,7 @@ pub struct TrainingStatus {
     pub(super) at: [u64; 2],
     /// Finished and total samples of a running validation.
     pub(super) look: Option<[usize; 2]>,
-    pub(super) epochs: Vec<EpochFigures>,
+    pub(super) epochs: Vec<EpochMetrics>,
     pub(super) learning_rate: Option<f64>,
     /// Mean training loss since the start of the epoch or process.
     pub(super) loss: Option<f64>,
@@ -93,13 +93,13 @@ impl TrainingStatus {
         match news {
             TrainingNews::Seed(seed) => self.next(seed),
             TrainingNews::Stage(stage) => self.stage = Some(stage),
-            TrainingNews::Train(TrainEvent::Begun(start)) => self.begin(start),
+            TrainingNews::Train(TrainEvent::Started(start)) => self.begin(start),
             TrainingNews::Train(TrainEvent::Step {
-                at,
+                steps,
                 loss,
                 learning_rate,
-            }) => self.step(at, loss, learning_rate),
-            TrainingNews::Train(TrainEvent::Look(at)) => self.look = Some(at),
+            }) => self.step(steps, loss, learning_rate),
+            TrainingNews::Train(TrainEvent::Validate(at)) => self.look = Some(at),
             TrainingNews::Train(TrainEvent::Epoch(figures)) => self.end_epoch(figures),
         }
     }
@@ -142,14 +142,14 @@ impl TrainingStatus {
 
     fn begin(&mut self, start: RunStart) {
         self.stage = None;
-        self.at = start.at;
-        self.begun = (self.elapsed, start.at[0]);
+        self.at = start.steps;
+        self.begun = (self.elapsed, start.steps[0]);
         self.epochs.clone_from(&start.epochs);
-        if start.at[0] > 0 {
+        if start.steps[0] > 0 {
             let epochs = start.epochs.len();
             self.line(format!(
                 "resumed after {epochs} epochs, {} steps",
-                start.at[0]
+                start.steps[0]
             ));
         }
         self.start = Some(start);
@@ -174,7 +174,7 @@ impl TrainingStatus {
         }
     }
 
-    fn end_epoch(&mut self, figures: EpochFigures) {
+    fn end_epoch(&mut self, figures: EpochMetrics) {
         (self.look, self.losses) = (None, (0.0, 0));
         self.trace.clear();
         // Validation does not count for the speed.
@@ -184,7 +184,7 @@ impl TrainingStatus {
     }
 
     /// Returns the epoch of the best checkpoint.
-    pub(super) fn best(&self) -> Option<&EpochFigures> {
+    pub(super) fn best(&self) -> Option<&EpochMetrics> {
         self.epochs.iter().reduce(|best, next| {
             let is_better = next.beats([best.validation_accuracy, best.validation_loss]);
             if is_better { next } else { best }
@@ -205,7 +205,7 @@ impl TrainingStatus {
         let current = || {
             let ((first, from), (last, to)) = (self.steps.front()?, self.steps.back()?);
             let seconds = last.checked_sub(*first)?.as_secs_f64();
-            let samples = (to - from) as f64 * self.settings.batch as f64;
+            let samples = (to - from) as f64 * self.settings.batch_size as f64;
             (seconds > 0.0).then(|| samples / seconds)
         };
         let before = || Some(self.epochs.last()?.samples_per_s);
@@ -229,7 +229,7 @@ pub(super) fn figure(value: Option<f64>) -> String {
 }
 
 /// Formats a finished epoch in one line.
-pub(crate) fn epoch_line(figures: &EpochFigures) -> String {
+pub(crate) fn epoch_line(figures: &EpochMetrics) -> String {
     format!(
         "epoch {:>3}  loss {:.4}  validation: loss {:.4}, accuracy {:.3}, AUROC {}  {:.0} samples/s",
         figures.epoch,

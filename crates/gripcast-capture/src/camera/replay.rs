@@ -267,7 +267,7 @@ fn image_kind(path: &Path) -> Option<ImageKind> {
 }
 
 fn open_image(path: &Path) -> Result<(Payload, (u32, u32))> {
-    let file = BeneathPath::given(path);
+    let file = BeneathPath::from_user_path(path);
     let bytes = file
         .read(FileKind::Image)
         .map_err(|error| Error::io("cannot read the image", error))?;

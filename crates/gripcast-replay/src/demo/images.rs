@@ -8,13 +8,13 @@ use gripcast_base::random::SeedStream;
 use gripcast_geometry::Pose;
 use gripcast_imaging::{Intrinsics, encode_jpeg};
 use gripcast_pose::BoardFile;
-use gripcast_pose::print::{ObjectOnSheet, ObjectSheet, usual_object_sheet};
+use gripcast_pose::print::{ObjectSheet, SheetObject, default_object_sheet};
 use gripcast_sim::fem::GelGrid;
-use gripcast_sim::grasp::{Placed, Snapshot};
+use gripcast_sim::grasp::{GripperState, Snapshot};
 use gripcast_visual::{
-    Camera, ColourSettings, DenoiseSettings, GraspPrints, GraspState, Model, RenderSettings,
-    Renderer, Scene, View, VisualConditions, VisualRandomisation, Watch, annotation_camera,
-    annotation_scene, denoise, develop, drawn_finish, grasp_scene,
+    AnnotationMarkers, Camera, ColourSettings, DENOISE_RADIUS_PX, GraspState, Model, RenderControl,
+    RenderSettings, Renderer, Scene, View, VisualConditions, VisualRandomisation,
+    annotation_camera, annotation_scene, denoise, develop, grasp_scene, random_finish,
 };
 
 /// Size (px) and samples per pixel of the camera between the fingers.
@@ -37,7 +37,7 @@ pub(super) struct DemoScene {
     pub(super) sheet: ObjectSheet,
     /// The gripper's tags.
     pub(super) tags: BoardFile,
-    prints: GraspPrints,
+    prints: AnnotationMarkers,
     t_world_object: Pose,
     conditions: VisualConditions,
 }
@@ -59,16 +59,16 @@ impl DemoScene {
     /// `Input` for an object that is too large for any paper.
     pub(super) fn new(object: &DemoObject, seed: u64) -> Result<Self> {
         let finish_seed = SeedStream::named(seed, &format!("looks {}", object.name)).bits();
-        let lying = ObjectOnSheet {
+        let lying = SheetObject {
             mesh: &object.mesh,
             source: &object.source,
             t_world_object: object.t_world_object,
         };
-        let sheet = usual_object_sheet(&object.name, &lying)?;
+        let sheet = default_object_sheet(&object.name, &lying)?;
         let tags = BoardFile::gripper_umi()?;
         Ok(Self {
-            model: Model::plain(&object.mesh, drawn_finish(finish_seed), finish_seed)?,
-            prints: GraspPrints::new(&sheet.flat_print()?, &tags.flat_prints())?,
+            model: Model::with_finish(&object.mesh, random_finish(finish_seed), finish_seed)?,
+            prints: AnnotationMarkers::new(&sheet.flat_print()?, &tags.flat_prints())?,
             sheet,
             tags,
             t_world_object: object.t_world_object,
@@ -93,7 +93,7 @@ impl DemoScene {
     /// `Interrupted` once the watch is cancelled; `Input` if a camera would be below the ground.
     pub(super) fn render(
         &self,
-        placed: &Placed,
+        placed: &GripperState,
         pre_lift: &Snapshot,
         grid: &GelGrid,
         seed: u64,
@@ -105,19 +105,19 @@ impl DemoScene {
             opening_m: placed.opening_m,
             gels: None,
         };
-        let after = GraspState::at(pre_lift, Some(grid))?;
+        let after = GraspState::from_snapshot(pre_lift, Some(grid))?;
         let render = |scene: &Scene, camera: &Camera, samples, number: u64| {
             let settings = RenderSettings {
-                samples,
+                samples_per_pixel: samples,
                 seed: seed ^ number,
                 ..RenderSettings::default()
             };
-            let watch = Watch {
-                progress: None,
+            let watch = RenderControl {
+                on_progress: None,
                 cancel: watch.cancel,
             };
             let rendering = Renderer::new(scene)?.render(camera, &settings, &watch)?;
-            let light = denoise(&rendering, &denoiser(number));
+            let light = denoise(&rendering, denoise_radius_px(number));
             let image = develop(&light, &colour_settings(number), seed ^ number);
             encode_jpeg(&image, QUALITY)
         };
@@ -140,16 +140,12 @@ impl DemoScene {
     }
 }
 
-/// Returns the denoiser settings of an image.
-fn denoiser(number: u64) -> DenoiseSettings {
-    let default = DenoiseSettings::default();
-    DenoiseSettings {
-        radius: if number == TABLE_CAMERA_NUMBER {
-            TABLE_CAMERA_DENOISE_PX
-        } else {
-            default.radius
-        },
-        ..default
+/// Denoiser radius of an image, px.
+fn denoise_radius_px(number: u64) -> usize {
+    if number == TABLE_CAMERA_NUMBER {
+        TABLE_CAMERA_DENOISE_PX
+    } else {
+        DENOISE_RADIUS_PX
     }
 }
 

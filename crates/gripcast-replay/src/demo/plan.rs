@@ -4,7 +4,7 @@ use std::path::PathBuf;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use gripcast_base::error::{Error, ErrorKind, Result};
-use gripcast_base::workers::one_per_core;
+use gripcast_base::workers::par_map_single_threaded;
 
 /// Settings of a demo dataset.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -77,7 +77,7 @@ impl DemoWatch<'_> {
     ) -> Result<Vec<R>> {
         let total = items.len();
         let report = |done| (self.on_progress)(DemoProgress { stage, done, total });
-        one_per_core(
+        par_map_single_threaded(
             jobs,
             items,
             &|item| self.check().and_then(|()| work(item)),

@@ -13,9 +13,7 @@ use gripcast_base::files::{BeneathPath, FileKind, FileName, sha256_hex};
 use gripcast_base::workers::thread_cpu_s;
 use gripcast_sim::fem::GelResolution;
 use gripcast_sim::grasp::GraspResult;
-use gripcast_sim::grasp::{
-    GraspOutcome, GraspSettings, Preset, Snapshot, StageName, resolution_name,
-};
+use gripcast_sim::grasp::{GraspOutcome, GraspSettings, Preset, Snapshot, StageName};
 use gripcast_sim::{Engine as _, FemEngine, GraspSetup};
 
 /// Stored result of a candidate.
@@ -55,7 +53,7 @@ impl SimulatedCandidate {
     pub(super) fn label(&self) -> Option<GraspLabel> {
         match self.outcome {
             GraspOutcome::Success => Some(GraspLabel::Stable),
-            GraspOutcome::Slip | GraspOutcome::Eject | GraspOutcome::Closed => {
+            GraspOutcome::Slip | GraspOutcome::Eject | GraspOutcome::GelsMet => {
                 Some(GraspLabel::Slip)
             }
             GraspOutcome::Miss | GraspOutcome::PenetratingStart | GraspOutcome::NotConverged => {
@@ -167,7 +165,7 @@ impl<'a> CandidateSimulator<'a> {
     }
 
     fn path(&self, candidate: &Candidate) -> Result<BeneathPath> {
-        let mesh = resolution_name(self.engine.settings.resolution);
+        let mesh = self.engine.settings.resolution.name();
         let name = format!("{}-{:03}.{mesh}.json", self.object.name, candidate.number);
         Ok(self.folder.join(&FileName::parse(&name)?))
     }

@@ -96,7 +96,7 @@ impl Recorder {
                 let at = time(&record.grasp.captured_at)?;
                 set_label(&mut writer, &record.id, truth.held, at)?;
             }
-            recorded.insert(truth.film.clone());
+            recorded.insert(truth.clip.clone());
         }
         let engine = reality(is_quick).settings;
         Ok(Self {
@@ -192,7 +192,7 @@ impl Recorder {
                 trigger_time_ns,
                 trigger: "script".to_owned(),
                 cameras: cameras.into_iter().map(camera).collect(),
-                approach: Vec::new(),
+                pre_grasp_frames: Vec::new(),
                 pose: None,
                 truth: None,
             }
@@ -371,7 +371,7 @@ fn truth(object: &DemoObject, chosen: &SelectedGrasp) -> Option<SimulatedTruth> 
     let t_object_world = object.t_world_object.inverse();
     let initial = t_object_world * chosen.candidate.placed.t_world_gripper;
     Some(SimulatedTruth {
-        film: grasp_name(object, chosen),
+        clip: grasp_name(object, chosen),
         object: object.source.clone(),
         object_sha256: object.mesh.content_hash(),
         mass_kg: object.mass_kg,

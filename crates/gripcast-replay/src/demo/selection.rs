@@ -11,7 +11,7 @@ use super::reality::{CandidateSimulator, GraspLabel, SimulatedCandidate, reality
 use gripcast_base::error::Result;
 use gripcast_base::files::BeneathPath;
 use gripcast_sim::FemEngine;
-use gripcast_sim::grasp::Placed;
+use gripcast_sim::grasp::GripperState;
 use gripcast_synth::grasp::{FaultRanges, GraspSampler};
 
 /// Range of a person's squeezing force, N.
@@ -23,7 +23,7 @@ pub(super) struct Candidate {
     /// Number of the sample.
     pub(super) number: usize,
     /// Pose and opening of the gripper.
-    pub(super) placed: Placed,
+    pub(super) placed: GripperState,
     /// Squeezing force of the person, N.
     pub(super) stop_force_n: f64,
 }
@@ -235,7 +235,7 @@ mod tests {
     fn candidate(number: usize) -> Candidate {
         Candidate {
             number,
-            placed: Placed {
+            placed: GripperState {
                 t_world_gripper: Pose::IDENTITY,
                 opening_m: 0.05,
             },

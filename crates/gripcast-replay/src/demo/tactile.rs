@@ -3,9 +3,9 @@
 use gripcast_base::error::{Error, Result};
 use gripcast_geometry::TriangleMesh;
 use gripcast_imaging::encode_jpeg;
-use gripcast_sim::grasp::{Finger, Placed, Snapshot};
+use gripcast_sim::grasp::{Finger, GripperState, Snapshot};
 use gripcast_tactile::{
-    ObjectDepthRenderer, SceneRenderer as _, SensorPlace, SensorProfile, SensorVariation,
+    ObjectDepthRenderer, SceneRenderer as _, SensorMount, SensorProfile, SensorVariation,
     SimulatedGel, TactileScene, WholeFrame,
 };
 
@@ -42,7 +42,7 @@ const VARIATIONS: [SensorVariation; 2] = [
 /// None; a test checks that.
 pub(super) fn sensor(finger: Finger) -> Result<SensorProfile> {
     let variation = &VARIATIONS[finger as usize];
-    let mut profile = variation.of(&SensorProfile::gelsight_mini()?);
+    let mut profile = variation.apply(&SensorProfile::gelsight_mini()?);
     profile.name = format!("demo-{}", ["left", "right"][finger as usize]);
     profile.provenance = format!(
         "Not a real sensor: the shipped gelsight-mini profile with its background mirrored and \
@@ -62,7 +62,7 @@ pub(super) struct Contact<'a> {
     /// Pose of the object before the fingers close.
     pub(super) t_world_object: gripcast_geometry::Pose,
     /// Pose and opening of the gripper before the fingers close.
-    pub(super) placed: &'a Placed,
+    pub(super) placed: &'a GripperState,
     /// State before the lift.
     pub(super) pre_lift: &'a Snapshot,
 }
@@ -78,11 +78,11 @@ pub(super) fn tactile_frames(
     seeds: [u64; 2],
 ) -> Result<[Vec<u8>; 2]> {
     let mut renderer = ObjectDepthRenderer::new(profile)?;
-    let sensor = SensorPlace::on(finger);
+    let sensor = SensorMount::on(finger);
     let poses = [&contact.t_world_object, &contact.placed.t_world_gripper];
     let opening_m = contact.placed.opening_m;
-    let before = TactileScene::at_start(contact.mesh, contact.gel, poses, opening_m, sensor)?;
-    let after = TactileScene::of_snapshot(contact.mesh, contact.gel, contact.pre_lift, sensor)?;
+    let before = TactileScene::before_closing(contact.mesh, contact.gel, poses, opening_m, sensor)?;
+    let after = TactileScene::from_snapshot(contact.mesh, contact.gel, contact.pre_lift, sensor)?;
     let full = (FRAME[0], FRAME[1]);
     let window = profile.crop_profile.window(full.0, full.1);
     let window = window.ok_or_else(|| Error::internal("the crop leaves nothing of the frame"))?;
@@ -90,7 +90,7 @@ pub(super) fn tactile_frames(
     let untouched = renderer.render(&before.untouched(), None)?;
     let mut frame = |scene: &TactileScene<'_>, seed| -> Result<Vec<u8>> {
         let image = renderer.render(scene, Some(seed))?;
-        encode_jpeg(&whole.place(&image, &untouched)?, QUALITY)
+        encode_jpeg(&whole.compose(&image, &untouched)?, QUALITY)
     };
     Ok([frame(&before, seeds[0])?, frame(&after, seeds[1])?])
 }

@@ -5,8 +5,8 @@ use std::path::Path;
 use super::transform::{AcronymGrasp, SkippedGrasp, gripper_pose};
 use gripcast_base::error::{Error, ErrorKind, Result};
 use gripcast_base::files::Root;
-use gripcast_geometry::{LengthUnit, Prepared, load_object_mesh_below};
-use gripcast_interop::hdf5::{Hdf5, misshapen, wrong};
+use gripcast_geometry::{LengthUnit, PreparedMesh, load_object_mesh_below};
+use gripcast_interop::hdf5::{Hdf5, wrong_shape};
 
 /// Plausible scales: coordinates of ShapeNetSem times the scale are metres, and objects are
 /// centimetres to decimetres large. ACRONYM's scales are around 1e-4 to 1e-1.
@@ -74,7 +74,7 @@ impl AcronymObject {
     ///
     /// # Errors
     /// `Input` for a path that leads out of the root; errors of [`load_object_mesh_below`].
-    pub fn load_mesh(&self, meshes: &Root) -> Result<Prepared> {
+    pub fn load_mesh(&self, meshes: &Root) -> Result<PreparedMesh> {
         load_object_mesh_below(meshes, &self.mesh_file, LengthUnit::Metre, self.scale).map_err(
             |e| match e.kind() {
                 ErrorKind::NotFound => missing(&self.mesh_file, meshes),
@@ -96,7 +96,7 @@ fn missing(mesh_file: &str, meshes: &Root) -> Error {
 
 fn check_gripper(file: &Hdf5) -> Result<()> {
     match file.text("gripper/type")? {
-        Some(other) if other != "panda" => Err(wrong(format!(
+        Some(other) if other != "panda" => Err(Error::input(format!(
             "expected grasps of the gripper \"panda\", found {other:?}"
         ))
         .remedy("convert the grasps to poses of the Panda's hand")),
@@ -113,7 +113,7 @@ fn read_object(file: &Hdf5) -> Result<AcronymObject> {
         .ok_or_else(|| file.missing("object/scale"))?;
     let [low, high] = SCALES;
     if !(low..=high).contains(&scale) {
-        return Err(wrong(format!(
+        return Err(Error::input(format!(
             "`object/scale` must be from {low:e} to {high:e}, found {scale:e}"
         )));
     }
@@ -131,13 +131,13 @@ fn read_grasps(file: &Hdf5) -> Result<(Vec<AcronymGrasp>, Vec<SkippedGrasp>)> {
         .ok_or_else(|| file.missing(TRANSFORMS))?;
     match shape.as_slice() {
         &[count, 4, 4] if (1..=MAX_GRASPS).contains(&count) => {}
-        _ => return Err(misshapen(TRANSFORMS, "[N, 4, 4] with N above 0", &shape)),
+        _ => return Err(wrong_shape(TRANSFORMS, "[N, 4, 4] with N above 0", &shape)),
     }
     let (results_shape, results) = file
         .numbers(RESULTS)?
         .ok_or_else(|| file.missing(RESULTS))?;
     if results_shape != shape[..1] || 16 * results.len() != matrices.len() {
-        return Err(misshapen(
+        return Err(wrong_shape(
             RESULTS,
             &format!("[{}] as the transforms", shape[0]),
             &results_shape,
@@ -162,7 +162,7 @@ fn read_grasps(file: &Hdf5) -> Result<(Vec<AcronymGrasp>, Vec<SkippedGrasp>)> {
         }
     }
     if let ([], Some(SkippedGrasp { number, reason })) = (grasps.as_slice(), skipped.first()) {
-        return Err(wrong(format!(
+        return Err(Error::input(format!(
             "none of the {} grasps can be used; grasp {number}: {reason}",
             skipped.len()
         )));

@@ -3,7 +3,9 @@
 use glam::{DMat3, DQuat, DVec2, DVec3};
 
 use super::shape::{relative_height, snapped_to_grid};
-use gripcast_geometry::implicit::{Field, QuadMesh, even_out, gradient, neighbours, net_of_sheets};
+use gripcast_geometry::implicit::{
+    Field, QuadMesh, gradient, neighbours, smooth_on_surface, surface_net_by_sheet,
+};
 use gripcast_geometry::{Aabb, TriangleMesh};
 
 /// Smoothing iterations of the mesh.
@@ -200,7 +202,7 @@ pub(super) fn mesh_of(field: Field<'_>, half: DVec3, min_thickness_m: f64) -> Tr
     let mut mesh = TriangleMesh::default();
     for lattice in 0..LATTICES {
         let shift = f64::from(lattice) / f64::from(LATTICES);
-        let net = net_of_sheets(field, half, cell, shift);
+        let net = surface_net_by_sheet(field, half, cell, shift);
         if is_closed(&net) {
             return triangles(field, net, cell);
         }
@@ -239,7 +241,7 @@ fn is_closed(net: &QuadMesh) -> bool {
 }
 
 fn triangles(field: Field<'_>, mut net: QuadMesh, cell: f64) -> TriangleMesh {
-    even_out(field, &mut net, ROUNDS);
+    smooth_on_surface(field, &mut net, ROUNDS);
     sharpen(field, &mut net, cell);
     for v in &mut net.vertices {
         *v = snapped_to_grid(*v);
@@ -360,7 +362,7 @@ mod tests {
         );
         let mesh = solid.mesh();
         assert!(mesh.edges().is_closed());
-        let volume = MassProperties::of(&mesh).unwrap().volume_m3;
+        let volume = MassProperties::from_mesh(&mesh).unwrap().volume_m3;
         let expected = 8.0 * half.element_product();
         assert!(
             (volume / expected - 1.0).abs() < 0.02,
@@ -380,7 +382,7 @@ mod tests {
             DQuat::IDENTITY,
             Operation::Difference(0.0),
         );
-        let volume = MassProperties::of(&solid.mesh()).unwrap().volume_m3;
+        let volume = MassProperties::from_mesh(&solid.mesh()).unwrap().volume_m3;
         let expected = 4.0 / 3.0 * PI * (8e-6 - 4.096e-6);
         assert!(
             (volume / expected - 1.0).abs() < 0.03,

@@ -7,7 +7,7 @@ use super::{FaultRanges, GraspFault, GraspSampler, Obstacle, find_collision};
 use gripcast_base::error::Result;
 use gripcast_base::random::SeedStream;
 use gripcast_geometry::{Pose, StablePose, TriangleMesh, likely_poses};
-use gripcast_sim::grasp::{GraspPose, Placed};
+use gripcast_sim::grasp::{GraspPose, GripperState};
 
 /// Rotation that an object in a stable pose withstands without tipping over, rad.
 const MIN_TIP_RAD: f64 = 0.05;
@@ -22,7 +22,7 @@ pub struct ChosenGrasp {
     /// Pose of the object on the ground.
     pub t_world_object: Pose,
     /// Pose and opening of the gripper.
-    pub placed: Placed,
+    pub placed: GripperState,
     /// Deviation from an antipodal grasp; none for a given grasp.
     pub fault: Option<GraspFault>,
 }

@@ -6,7 +6,7 @@ use glam::DVec3;
 
 use gripcast_base::error::Result;
 use gripcast_geometry::{Pose, TriangleMesh, convex_hull};
-use gripcast_sim::grasp::Placed;
+use gripcast_sim::grasp::GripperState;
 use gripcast_sim::rigid::CollisionShape;
 use gripcast_visual::{GripperPart, gripper_parts};
 
@@ -34,7 +34,7 @@ impl Obstacle {
 ///
 /// # Errors
 /// `Input` for an opening out of the gripper's range.
-pub fn find_collision(placed: &Placed, obstacle: &Obstacle) -> Result<Option<String>> {
+pub fn find_collision(placed: &GripperState, obstacle: &Obstacle) -> Result<Option<String>> {
     let t_world_gripper = placed.t_world_gripper;
     for (part, solid) in gripper_parts(placed.opening_m)?.iter().zip(solids()?) {
         // Parts move with the opening but keep their shape.
@@ -93,8 +93,8 @@ mod tests {
     use gripcast_geometry::builtin;
     use gripcast_sim::grasp::Placement;
 
-    fn placed(height_m: f64, opening_m: f64) -> Placed {
-        Placed {
+    fn placed(height_m: f64, opening_m: f64) -> GripperState {
+        GripperState {
             t_world_gripper: Pose::new(
                 glam::DQuat::from_rotation_x(std::f64::consts::PI),
                 DVec3::Z * height_m,

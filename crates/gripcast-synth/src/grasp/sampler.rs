@@ -8,7 +8,7 @@ use gripcast_base::error::Result;
 use gripcast_base::random::SeedStream;
 use gripcast_geometry::{Aabb, MeshQuery, Pose, TriangleMesh};
 use gripcast_sim::fem::PAD_SIZE_M;
-use gripcast_sim::grasp::{Placed, Placement};
+use gripcast_sim::grasp::{GripperState, Placement};
 
 /// Distance between the antipodal contacts, m.
 const WIDTH_M: [f64; 2] = [0.008, 0.075];
@@ -31,7 +31,7 @@ pub struct Candidate {
     /// Deviation from an antipodal grasp.
     pub fault: GraspFault,
     /// Pose and opening of the gripper.
-    pub placed: Placed,
+    pub placed: GripperState,
     /// Squeezing force of the person, as a fraction of its range.
     pub squeeze: f64,
 }
@@ -284,7 +284,11 @@ impl<'a> GraspSampler<'a> {
     }
 
     /// Places the gripper at a pair of contacts and adds a fault.
-    fn placed(&self, pair: &AntipodalPair, draw: &mut SeedStream) -> Result<(GraspFault, Placed)> {
+    fn placed(
+        &self,
+        pair: &AntipodalPair,
+        draw: &mut SeedStream,
+    ) -> Result<(GraspFault, GripperState)> {
         let ranges = &self.ranges;
         let fault = ranges.draw(draw);
         let mut deviation = |kind: GraspFault, [low, high]: [f64; 2], usual: f64| {
@@ -325,8 +329,8 @@ impl<'a> GraspSampler<'a> {
         let axis = DVec2::from_angle(yaw);
         let mut placement = Placement {
             yaw_rad: yaw,
-            tilt_rad: roll,
-            lean_rad: pitch,
+            roll_rad: roll,
+            pitch_rad: pitch,
             offset_m: [
                 from_center.dot(axis) + along,
                 // The gripper's y axis is the world's, rotated and mirrored.
@@ -353,7 +357,7 @@ impl<'a> GraspSampler<'a> {
 const TOUCHED_M: f64 = 0.0015;
 
 /// Height of the lowest corner of the gels above the ground, m.
-fn min_height_m(placed: &Placed) -> f64 {
+fn min_height_m(placed: &GripperState) -> f64 {
     let [approach, across, thickness] = PAD_SIZE_M;
     let half = DVec3::new(
         0.5 * placed.opening_m + thickness,

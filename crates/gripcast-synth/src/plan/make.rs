@@ -20,7 +20,7 @@ use crate::properties::{
 use gripcast_base::error::{Error, Result};
 use gripcast_base::files::{BeneathPath, FileName, Root, SimulationId};
 use gripcast_base::random::SeedStream;
-use gripcast_base::workers::one_per_core;
+use gripcast_base::workers::par_map_single_threaded;
 use gripcast_geometry::{MassProperties, TriangleMesh, ply_bytes};
 use gripcast_sim::{Engine, EngineKind};
 
@@ -131,7 +131,7 @@ pub fn make_plan(
     } = drafts;
     check_names(&drafts)?;
     let analyse = |draft: &ObjectDraft| Ok(analysed(draft, settings));
-    let analyses = one_per_core(settings.jobs, &drafts, &analyse, on_progress)?;
+    let analyses = par_map_single_threaded(settings.jobs, &drafts, &analyse, on_progress)?;
     let mut kept = Vec::new();
     for (draft, analysis) in drafts.into_iter().zip(analyses) {
         match analysis {
@@ -206,7 +206,7 @@ struct Analysis {
 }
 
 fn analysed(draft: &ObjectDraft, settings: &PlanSettings) -> Result<Analysis> {
-    let volume_m3 = MassProperties::of(&draft.mesh)?.volume_m3;
+    let volume_m3 = MassProperties::from_mesh(&draft.mesh)?.volume_m3;
     let [size_m, ..] = oriented_size_m(&draft.mesh)?;
     if !(SIZE_M[0]..=SIZE_M[1]).contains(&size_m) {
         let what = format!(

@@ -75,7 +75,7 @@ fn plan_folder_is_self_contained() {
     image::RgbImage::from_pixel(8, 4, image::Rgb([200, 30, 30]))
         .save(&image)
         .unwrap();
-    let texture = TextureDraft::from_file(BeneathPath::given(&image), 0.05).unwrap();
+    let texture = TextureDraft::from_file(BeneathPath::from_user_path(&image), 0.05).unwrap();
     let mut labelled = draft("a", 1.0);
     labelled.textures = vec![texture];
     let made = made(vec![labelled, draft("b", 0.8)], &settings(1)).unwrap();

@@ -84,7 +84,7 @@ impl TextureDraft {
         let stem = Path::new(&file_name).file_stem().unwrap_or_default();
         Ok(Self {
             planned: ImageTexture {
-                file: ContentKey::of(&bytes).with_suffix(suffix),
+                file: ContentKey::from_contents(&bytes).with_suffix(suffix),
                 name: Label::nearest(&stem.to_string_lossy()),
                 sha256: sha256_hex(&bytes),
                 width_m,

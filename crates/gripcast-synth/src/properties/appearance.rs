@@ -6,7 +6,7 @@ use super::material::Material;
 use super::surface::{Shade, State, Surface};
 use gripcast_base::random::SeedStream;
 use gripcast_imaging::srgb_decode;
-use gripcast_visual::Look;
+use gripcast_visual::Appearance;
 
 /// Appearances per object, as in the paper (A.1, Texture).
 pub const APPEARANCES: usize = 5;
@@ -27,7 +27,7 @@ pub struct DescribedAppearance {
     pub description: String,
     /// Appearance for the renderer.
     #[serde(rename = "look")]
-    pub appearance: Look,
+    pub appearance: Appearance,
 }
 
 /// Converts an sRGB colour 0xRRGGBB to linear RGB.
@@ -103,12 +103,17 @@ fn description(surface: &Surface, state: &State, shade: &Shade) -> String {
     words.collect::<Vec<_>>().join(" ")
 }
 
-fn appearance(surface: &Surface, state: &State, shade: &Shade, stream: &mut SeedStream) -> Look {
+fn appearance(
+    surface: &Surface,
+    state: &State,
+    shade: &Shade,
+    stream: &mut SeedStream,
+) -> Appearance {
     let brightness = stream.between(1.0 - SHADE_CHANGE, 1.0 + SHADE_CHANGE) as f32;
     let variation = stream.between(-ROUGHNESS_CHANGE, ROUGHNESS_CHANGE) as f32;
     // Clear surfaces stay clear.
     let change = if state.2 < 0.05 { 0.0 } else { variation };
-    Look {
+    Appearance {
         finish: surface.finish,
         base_colour: linear_rgb(shade.1).map(|c| (c * brightness).clamp(0.0, 1.0)),
         roughness: (state.2 + change).clamp(0.0, 1.0),

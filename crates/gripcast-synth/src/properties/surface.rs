@@ -6,12 +6,12 @@ use std::sync::LazyLock;
 use serde::Deserialize;
 
 use super::material::Material;
-use gripcast_visual::{FinishClass, PatternWord};
+use gripcast_visual::{FinishClass, SurfacePattern};
 
 /// A colour word and its colour, sRGB 0xRRGGBB.
 pub(super) type Shade = (String, u32);
 /// A word for a state, its pattern and roughness.
-pub(super) type State = (String, PatternWord, f32);
+pub(super) type State = (String, SurfacePattern, f32);
 
 /// A kind of surface; each of its states combines with each of its shades.
 #[derive(Clone, Debug, PartialEq, Deserialize)]
@@ -52,7 +52,7 @@ impl Surface {
 #[serde(deny_unknown_fields)]
 pub(super) struct Words {
     pub(super) finishes: Vec<(String, FinishClass)>,
-    pub(super) patterns: Vec<(String, PatternWord)>,
+    pub(super) patterns: Vec<(String, SurfacePattern)>,
     pub(super) roughness: Vec<(String, f32)>,
 }
 

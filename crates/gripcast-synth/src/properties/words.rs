@@ -4,11 +4,11 @@ use super::appearance::{DescribedAppearance, linear_rgb};
 use super::material::Material;
 use super::surface::{SURFACES, Shade};
 use gripcast_base::random::SeedStream;
+use gripcast_visual::Appearance;
 use gripcast_visual::FinishClass::{
     self, Ceramic, Fabric, Glass, Metal, Organic, Paper, Plastic, Print, Rubber, Stone, Wood,
 };
-use gripcast_visual::Look;
-use gripcast_visual::PatternWord::{self, Grain, Plain, Printed, Speckled, Woven};
+use gripcast_visual::SurfacePattern::{self, Grain, Plain, Printed, Speckled, Woven};
 
 impl DescribedAppearance {
     /// Interprets a description. Unspecified properties are those of the bare `material`, with a
@@ -21,7 +21,7 @@ impl DescribedAppearance {
     }
 }
 
-fn interpret(description: &str, material: &Material, seed: u64) -> Look {
+fn interpret(description: &str, material: &Material, seed: u64) -> Appearance {
     let text = description.to_lowercase();
     let words: Vec<&str> = text
         .split(|c: char| !c.is_alphabetic())
@@ -33,7 +33,7 @@ fn interpret(description: &str, material: &Material, seed: u64) -> Look {
     let roughness = last_match(&words, &stems.roughness).unwrap_or(default_roughness(finish));
     let mut stream = SeedStream::named(seed, &format!("look/{text}"));
     let hex = named_colour(&words).unwrap_or_else(|| random_colour(finish, material, &mut stream));
-    Look {
+    Appearance {
         finish,
         base_colour: linear_rgb(hex),
         roughness,
@@ -89,7 +89,7 @@ fn random_colour(finish: FinishClass, material: &Material, stream: &mut SeedStre
         .map_or(0x80_8080, |(_, hex)| *hex)
 }
 
-fn default_pattern(finish: FinishClass) -> PatternWord {
+fn default_pattern(finish: FinishClass) -> SurfacePattern {
     match finish {
         Wood => Grain,
         Fabric => Woven,
@@ -115,9 +115,9 @@ fn default_roughness(finish: FinishClass) -> f32 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use gripcast_visual::PatternWord::{Brushed, Scratched, Worn};
+    use gripcast_visual::SurfacePattern::{Brushed, Scratched, Worn};
 
-    fn look(words: &str) -> Look {
+    fn look(words: &str) -> Appearance {
         interpret(words, Material::named("abs").unwrap(), 1)
     }
 

@@ -31,7 +31,7 @@ use self::results::{FinishedSimulation, PlanResults};
 use super::plan::Plan;
 use super::store::ResultStore;
 use gripcast_base::error::Result;
-use gripcast_base::workers::one_per_core;
+use gripcast_base::workers::par_map_single_threaded;
 
 /// Settings of a report.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -108,7 +108,7 @@ fn inspected<'a>(
         inspect::inspect(store, done, settings.seed, with_thumbnails)
     };
     let total = labelled.len();
-    let changes = one_per_core(settings.jobs, &labelled, &inspect, &|done| {
+    let changes = par_map_single_threaded(settings.jobs, &labelled, &inspect, &|done| {
         on_progress(done, total)
     })?;
     let pairs = labelled.iter().zip(changes);

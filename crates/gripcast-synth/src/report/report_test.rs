@@ -8,7 +8,7 @@ use crate::plan::Plan;
 use crate::store::{ResultStore, SimulationResult};
 use crate::{MergeSettings, merge};
 use gripcast_base::error::{ErrorKind, Result};
-use gripcast_dataset::shard::{Split, to_bytes};
+use gripcast_dataset::shard::{SplitFractions, to_bytes};
 
 /// Slips have contact only at 40 N.
 const STABLE: [bool; 10] = [
@@ -48,7 +48,7 @@ fn reported(plan: &Plan, folder: &Path, dataset: Option<&Path>) -> Result<SynthR
 fn merged(plan: &Plan, folder: &Path, out: &Path) {
     let settings = MergeSettings {
         curation: CurationSettings {
-            splits: Split::one("train").unwrap(),
+            splits: SplitFractions::single("train").unwrap(),
             category_cap: None,
             ..CurationSettings::default()
         },
@@ -223,7 +223,7 @@ fn dataset_files_outside_of_the_folder_are_not_read() {
     std::os::unix::fs::symlink(folder.path(), out.join("data")).unwrap();
     let settings = MergeSettings {
         curation: CurationSettings {
-            splits: Split::one("train").unwrap(),
+            splits: SplitFractions::single("train").unwrap(),
             category_cap: None,
             ..CurationSettings::default()
         },

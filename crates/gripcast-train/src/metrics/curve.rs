@@ -94,7 +94,7 @@ pub(super) fn precision_recall_points(ties: &[Tie]) -> Vec<PrecisionRecallPoint>
 /// Simplifies a curve.
 fn thinned<T: Copy>(points: Vec<T>, position: impl Fn(&T) -> [f64; 2]) -> Vec<T> {
     let positions: Vec<[f64; 2]> = points.iter().map(position).collect();
-    let kept = polyline::thinned(&positions, TOLERANCE, MAX_POINTS);
+    let kept = polyline::simplify(&positions, TOLERANCE, MAX_POINTS);
     kept.into_iter().map(|i| points[i]).collect()
 }
 

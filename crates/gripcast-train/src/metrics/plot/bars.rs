@@ -104,13 +104,13 @@ pub fn bars(chart: &BarChart) -> Chart {
         @for (place, bar) in places() {
             @if let Some(bar) = bar { (layout.bar(place, bar)) }
         }
-        @if let Some(y) = reference.filter(|&y| panel.y.shows(y)) {
+        @if let Some(y) = reference.filter(|&y| panel.y.contains(y)) {
             (panel.guide([0.0, y], [width, y]))
         }
         // After the line of the reference, which would cross them.
         @for (place, bar) in places() { (layout.value(place, bar)) }
         (panel.edges())
-        @if panel.y.range()[0] < 0.0 && panel.y.shows(0.0) {
+        @if panel.y.range()[0] < 0.0 && panel.y.contains(0.0) {
             (panel.segment("axis", [0.0, 0.0], [width, 0.0]))
         }
     };
@@ -152,7 +152,7 @@ impl Layout {
         let in_groups = chart.groups.iter().map(|group| group.bars.len()).max();
         let series = in_groups.unwrap_or(0).max(chart.series.len()).max(1);
         let group = (slot * series as f64).max(MIN_WIDTHS[0]);
-        let left = y.room();
+        let left = y.width_px();
         let inner = ((GAP + group) * chart.groups.len() as f64 + GAP).max(MIN_WIDTHS[1]);
         Self {
             panel: Panel {
@@ -160,7 +160,7 @@ impl Layout {
                 right: left + inner,
                 top: HEADROOM,
                 bottom: HEADROOM + HEIGHT,
-                x: Axis::of_px(inner),
+                x: Axis::pixels(inner),
                 y,
             },
             series,
@@ -204,7 +204,7 @@ impl Layout {
 
     fn shown_seeds<'a>(&'a self, bar: &'a Bar) -> impl Iterator<Item = (usize, &'a f64)> {
         let seeds = bar.seeds.iter().enumerate();
-        seeds.filter(|(_, seed)| self.panel.y.shows(**seed))
+        seeds.filter(|(_, seed)| self.panel.y.contains(**seed))
     }
 
     /// Draws the value above a bar, or a dash if it is missing.
@@ -214,7 +214,7 @@ impl Layout {
             let at = [x, self.panel.bottom - 5.0];
             return text("small halo", at, Anchor::Middle, MISSING);
         };
-        let y = |value: f64| self.panel.place([0.0, value])[1];
+        let y = |value: f64| self.panel.to_px([0.0, value])[1];
         let ends = bar.interval.into_iter().flatten().map(y);
         let seeds = self.shown_seeds(bar).map(|(_, seed)| y(*seed) - RADIUS);
         let top = ends.chain(seeds).fold(y(bar.mean).min(y(0.0)), f64::min);
