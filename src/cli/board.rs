@@ -17,7 +17,7 @@
 //! board for camera calibration. After printing, measure the rulers of the sheet and rerun the
 //! command with `--measured-mm`: it corrects the board file and keeps the drawing. `show` checks
 //! and describes a board file. `import` reads boards of ROS `aruco_opencv` and Kalibr and
-//! dictionaries of OpenCV. Format, printing and gluing: docs/boards.md.
+//! dictionaries of OpenCV. Format, printing and gluing: docs/how-to/boards.md.
 //!
 //! Exit codes: 0 done · 1 invalid object, board or file · 2 usage.
 

@@ -9,7 +9,7 @@
 //! `--images` uses the JPEG and PNG files of a folder, sorted by name. `--rig` opens a camera of the
 //! rig, shows which views are missing, and ends when there are enough. On a terminal, Enter ends
 //! with the current views and `q` or Ctrl-C quits without writing. The results are explained in
-//! docs/calibration.md.
+//! docs/how-to/calibration.md.
 //!
 //! Exit codes: 0 done · 1 calibration failed or invalid file · 2 usage · 3 done, but some images
 //! were unreadable or did not show the board · 69 no such camera · 130 interrupted, nothing written.
@@ -229,7 +229,7 @@ fn none_usable(views: &Views) -> Error {
         format!(": {name}: {reason}")
     });
     Error::input(format!("no usable image{reason}"))
-        .remedy("docs/calibration.md explains how to take them")
+        .remedy("docs/how-to/calibration.md explains how to take them")
 }
 
 fn warnings(views: &Views, report: &CalibrationReport) -> Vec<String> {

@@ -204,7 +204,7 @@ async fn collect(
 fn attach(target: &str, token: Option<&Token>, sound: tui::Sound) -> Result<()> {
     if !(std::io::stdin().is_terminal() && std::io::stdout().is_terminal()) {
         return Err(Error::usage("`--attach` needs a terminal")
-            .remedy("run it in a terminal; programs use the API (docs/api.md)"));
+            .remedy("run it in a terminal; programs use the API (docs/reference/api.md)"));
     }
     let target = match (target, usual_socket()) {
         ("", Some(socket)) => Target::parse(&socket.display().to_string())?,

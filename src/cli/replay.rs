@@ -9,7 +9,7 @@
 //!
 //! Every annotated, labelled grasp is simulated with every engine, friction and force. `OUT` gets
 //! `report.json`, `report.html` and a file per finished case, so that an interrupted replay is
-//! resumed. Object files, scores and the report: `docs/replay.md`.
+//! resumed. Object files, scores and the report: `docs/how-to/replay.md`.
 //!
 //! Exit codes: 0 all grasps replayed · 1 none replayed · 2 usage · 3 some grasps or cases were
 //! left out · 75 stopped by SIGTERM, rerun to resume · 130 interrupted; finished cases are kept.
@@ -192,7 +192,7 @@ impl Args {
         };
         let Some(objects) = self.objects else {
             return Err(Error::usage("`--objects` is missing")
-                .remedy("name a folder with OBJECT.toml for each object (docs/replay.md)"));
+                .remedy("name a folder with OBJECT.toml for each object (docs/how-to/replay.md)"));
         };
         Ok(Source {
             dataset,

@@ -105,7 +105,7 @@ struct Objects {
     /// Number of procedural objects [default: from the preset; 0 with --table or --acronym]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(0..=100_000))]
     objects: Option<u32>,
-    /// Table of objects beside their meshes (docs/synth.md)
+    /// Table of objects beside their meshes (docs/how-to/synth.md)
     #[arg(long, value_name = "FILE")]
     table: Option<PathBuf>,
     /// Folder of ACRONYM grasps (.h5)

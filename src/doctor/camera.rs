@@ -21,7 +21,7 @@ pub(super) fn findings(
         .map(|problem| {
             let (message, remedy) = problem.split_once("\n  → ").unwrap_or((
                 problem,
-                "see docs/kernel-tests.md for known camera problems",
+                "see docs/how-to/kernel-tests.md for known camera problems",
             ));
             Finding::new("camera", role, CheckStatus::Fail, message).remedy(remedy)
         })

@@ -76,7 +76,7 @@ struct Request {
 
 /// State and events (WebSocket)
 ///
-/// Messages are described in docs/api.md.
+/// Messages are described in docs/reference/api.md.
 #[utoipa::path(get, path = "/api/events", tag = "session", params(EventQuery),
     responses((status = 101, description = "switched to the WebSocket protocol"),
         (status = 400, body = super::failure::ErrorResponse),

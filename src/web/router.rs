@@ -87,6 +87,18 @@ pub(crate) fn router(backend: Arc<Backend>) -> Router {
 mod tests {
     use super::*;
 
+    /// `make docs` makes the reference of the API from the snapshot.
+    #[test]
+    fn openapi_description_matches_snapshot() {
+        let (_, description) = api_routes().split_for_parts();
+        let mut settings = insta::Settings::clone_current();
+        settings.set_snapshot_path("../../tests/it/snapshots");
+        settings.set_prepend_module_to_snapshot(false);
+        settings.set_omit_expression(true);
+        let text = description.to_pretty_json().unwrap();
+        settings.bind(|| insta::assert_snapshot!("openapi", text));
+    }
+
     /// docs/reference/api.md and the OpenAPI description have the same routes.
     #[test]
     fn openapi_and_docs_have_the_same_routes() {

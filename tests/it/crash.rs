@@ -1,4 +1,4 @@
-//! Killing the collection at random moments: nothing acknowledged is lost, nothing half is seen.
+//! Kills the collection at random times: no acknowledged grasp is lost, no partial one is visible.
 
 use std::collections::BTreeMap;
 use std::io::{BufRead as _, BufReader};
@@ -41,14 +41,14 @@ crop_profile = "gsmini-seventh-v1"
 /// State of the dataset according to the acknowledged lines of `--events`.
 #[derive(Clone, Debug, Default)]
 struct Acknowledged {
-    /// Outcome by grasp.
+    /// Outcome per grasp id.
     grasps: BTreeMap<String, String>,
-    /// The initial frame that waits for its grasp.
+    /// The initial frame without a grasp.
     pending: Option<String>,
 }
 
 impl Acknowledged {
-    fn take(&mut self, event: &Value) {
+    fn apply(&mut self, event: &Value) {
         let (request, reply) = (&event["request"], &event["reply"]);
         assert!(reply.get("failed").is_none(), "a request failed: {event}");
         let (kind, body) = request.as_object().unwrap().iter().next().unwrap();
@@ -108,58 +108,61 @@ fn acknowledged_changes_survive_200_random_kills() {
                  undo\nexpect saved\nwait contact\ngrasp\nexpect saved\nslip\nexpect saved\n";
     let steps = format!("wait live\n{}quit\n", cycle.repeat(50));
     let script = script(dir.path(), &steps);
-    let complaints = dir.path().join("stderr");
+    let stderr_file = dir.path().join("stderr");
     let mut rng = Pcg64::seed_from_u64(20);
     let (mut acknowledged, mut in_flight) = (0, 0);
-    let mut known = Acknowledged::default();
+    let mut state = Acknowledged::default();
     for kill in 0..KILLS {
         let dataset = dir.path().join(format!("d{}", kill / KILLS_PER_DATASET));
         if kill % KILLS_PER_DATASET == 0 {
-            known = Acknowledged::default();
+            state = Acknowledged::default();
         }
         let mut child = collect_on(&rig, &script, &dataset)
             .args(["--events", "--quiet"])
-            // Noise of its own: equal images in two grasps would rightly be a problem.
+            // A seed per run: identical images in two grasps would be a problem.
             .args(["--seed", &kill.to_string()])
-            // Without contact no virtual hand has to be waited for.
+            // No contact required, so the script need not wait for the virtual hand.
             .env("GRIPCAST__GUARDS__MIN_CONTACT_FRACTION", "0")
             .stdout(Stdio::piped())
-            .stderr(std::fs::File::create(&complaints).unwrap())
+            .stderr(std::fs::File::create(&stderr_file).unwrap())
             .spawn()
             .unwrap();
         let mut lines = BufReader::new(child.stdout.take().unwrap()).lines();
         let events = rng.random_range(0..40);
         for _ in 0..events {
             let line = lines.next().unwrap_or_else(|| {
-                let said = std::fs::read_to_string(&complaints).unwrap();
-                panic!("the collection ended too early: {:?}\n{said}", child.wait())
+                let stderr = std::fs::read_to_string(&stderr_file).unwrap();
+                panic!(
+                    "the collection exited too early: {:?}\n{stderr}",
+                    child.wait()
+                )
             });
             let line = line.unwrap();
-            known.take(&serde_json::from_str(&line).unwrap());
+            state.apply(&serde_json::from_str(&line).unwrap());
         }
-        // Somewhere in the next request or two.
-        let moment = Instant::now() + Duration::from_micros(rng.random_range(0..12_000));
-        while Instant::now() < moment {
+        // During one of the next two requests.
+        let kill_at = Instant::now() + Duration::from_micros(rng.random_range(0..12_000));
+        while Instant::now() < kill_at {
             std::hint::spin_loop();
         }
         child.kill().unwrap();
         child.wait().unwrap();
-        // What was written to the pipe before the kill was acknowledged too.
+        // Lines written to the pipe before the kill are acknowledged too.
         for line in lines {
             let Ok(event) = serde_json::from_str(&line.unwrap()) else {
                 break;
             };
-            known.take(&event);
+            state.apply(&event);
         }
 
         let found = on_disk(&dataset);
-        let unacknowledged = differences(&known.grasps, &found);
+        let unacknowledged = differences(&state.grasps, &found);
         assert!(
             unacknowledged <= 1,
-            "kill {kill}: more than the one request in flight differs\n{known:?}\n{found:?}"
+            "kill {kill}: more than the one request in flight differs\n{state:?}\n{found:?}"
         );
         in_flight += unacknowledged;
-        acknowledged += known.grasps.len();
+        acknowledged += state.grasps.len();
         if dataset.join("dataset.toml").exists() {
             let verified = verify(&dataset);
             let torn: Vec<&Value> = verified["problems"]
@@ -170,11 +173,11 @@ fn acknowledged_changes_survive_200_random_kills() {
                 .collect();
             assert!(torn.is_empty(), "kill {kill}: {torn:?}");
         }
-        known.grasps = found;
+        state.grasps = found;
     }
     println!("{KILLS} kills, {acknowledged} acknowledged grasps checked, {in_flight} in flight");
     assert!(
         acknowledged > KILLS as usize,
-        "the run hardly collected anything"
+        "the run collected too few grasps"
     );
 }

@@ -66,7 +66,7 @@ fn stored_inputs_pass() {
 }
 
 /// Seeded random inputs: a few hundred, or as many as fit into
-/// `GRIPCAST_FUZZ_SECONDS` seconds (docs/fuzzing.md).
+/// `GRIPCAST_FUZZ_SECONDS` seconds (docs/how-to/fuzzing.md).
 #[test]
 fn random_hostile_names_are_safe() {
     let seconds = std::env::var("GRIPCAST_FUZZ_SECONDS").ok();

@@ -1,4 +1,4 @@
-//! Keeps the two rules of docs/security.md: files of data are opened below their folder, and text
+//! Keeps the two rules of docs/explanation/security.md: files of data are opened below their folder, and text
 //! leaves through one place.
 
 use std::collections::BTreeMap;

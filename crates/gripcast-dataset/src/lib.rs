@@ -1,7 +1,7 @@
 //! The dataset on disk: one directory per grasp, crash-safe, readable in one line by
 //! Hugging Face `imagefolder` and pandas.
 //!
-//! Layout and durability rules: `docs/dataset-format.md`.
+//! Layout and durability rules: `docs/reference/dataset-format.md`.
 //!
 //! * [`DatasetWriter`] writes, one process at a time; [`Dataset`] reads
 //! * [`verify`] finds torn, missing, altered, duplicated and leaking items;

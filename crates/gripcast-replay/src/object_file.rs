@@ -110,7 +110,7 @@ impl ObjectFile {
         let file: Self = toml::from_str(&text).map_err(|e| {
             Error::input("not an object file").because(e).remedy(
                 "write schema = 1, mesh, unit, mass_kg, and stable_pose or t_world_object \
-                     (docs/replay.md)",
+                     (docs/how-to/replay.md)",
             )
         })?;
         file.check()?;
@@ -266,7 +266,7 @@ pub fn load_objects(folder: &Path) -> Result<BTreeMap<ObjectName, Result<ReplayO
     if objects.is_empty() {
         return Err(Error::not_found("no object file found")
             .at(folder.display())
-            .remedy("write NAME.toml for each object of the dataset (docs/replay.md)"));
+            .remedy("write NAME.toml for each object of the dataset (docs/how-to/replay.md)"));
     }
     Ok(objects)
 }

@@ -150,7 +150,7 @@ pub struct EngineFacts {
     pub without_outcome: usize,
 }
 
-/// How often an engine agrees with reality; `docs/replay.md` has the definitions.
+/// How often an engine agrees with reality; `docs/how-to/replay.md` has the definitions.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Scores {

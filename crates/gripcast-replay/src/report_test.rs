@@ -53,7 +53,7 @@ fn report_has_the_keys_of_the_schema() {
 fn schema_in_docs_is_current() {
     let file = concat!(
         env!("CARGO_MANIFEST_DIR"),
-        "/../../docs/replay-report.schema.json"
+        "/../../docs/reference/replay-report.schema.json"
     );
     let text = format!(
         "{}\n",

@@ -7,7 +7,7 @@
 //! ```
 //!
 //! Nothing waits for the black box. Frames that do not fit into the queue are dropped, counted and
-//! reported in the log; a write error ends the log, not the collection. `docs/black-box.md` describes
+//! reported in the log; a write error ends the log, not the collection. `docs/reference/black-box.md` describes
 //! the files.
 
 #[cfg(test)]

@@ -1,5 +1,5 @@
 //! The unmodified program against the real USB, UVC and HID drivers of a Linux kernel, with
-//! emulated devices, in virtual time. `docs/kernel-tests.md` tells how it works.
+//! emulated devices, in virtual time. `docs/how-to/kernel-tests.md` tells how it works.
 
 mod guest;
 mod images;

@@ -10,7 +10,7 @@ use crate::program::{collect_on, grasps, json, script, stderr, succeed};
 fn rig_plays_film_and_writes_ground_truth() {
     let dir = tempfile::tempdir().unwrap();
     let films = dir.path().join("films");
-    let words = format!("--samples 1 --size 32x24 --out {} --json", films.display());
+    let words = format!("--spp 1 --size 32x24 --out {} --json", films.display());
     let report = json(&succeed(render("film", &words).arg("--trace").arg(trace())));
     assert_schema("render film", &[&report]);
     assert_eq!(report["images"][0]["name"], "mug");

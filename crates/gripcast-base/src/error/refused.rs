@@ -37,7 +37,7 @@ impl Refused {
                 format!(
                     "remove it if the data come from a third party; if you linked another disk on \
                      purpose, set GRIPCAST__FILES__LINKED_FOLDERS={} or use a bind mount \
-                     (docs/security.md)",
+                     (docs/explanation/security.md)",
                     folder.display()
                 )
             }

@@ -3,7 +3,7 @@
 //!
 //! Equal datasets give equal bytes. An export is written under a hidden name and renamed when
 //! complete. Damaged grasps are left out and listed in the report. Memory use is limited to the
-//! ids, one grasp's images and one row group. `docs/exports.md` describes each format.
+//! ids, one grasp's images and one row group. `docs/reference/exports.md` describes each format.
 
 mod format;
 mod lerobot;

@@ -108,7 +108,7 @@ fn write(
         let what = format!("cannot export any of the {all} grasps, the first because of {reason}");
         return Err(Error::input(what).remedy(match is_damaged {
             true => "run `gripcast dataset verify` and `recover`",
-            false => "the format requires more data than these grasps have, see docs/exports.md",
+            false => "the format requires more data than these grasps have, see docs/reference/exports.md",
         }));
     }
     report.notes.extend(writer.finish()?);

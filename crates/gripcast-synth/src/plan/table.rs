@@ -103,7 +103,7 @@ pub fn table_drafts(table: &Path, seed: u64) -> Result<Drafts> {
 fn invalid_table() -> Error {
     Error::input("not a table of objects").remedy(
         "write schema = 1 and for each object [[object]] with name, mesh, unit, category and \
-         material (docs/synth.md)",
+         material (docs/how-to/synth.md)",
     )
 }
 
