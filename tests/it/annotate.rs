@@ -86,8 +86,8 @@ fn poses_of_the_virtual_rig_are_accurate() {
     let mut errors_mm = Vec::new();
     let mut errors_deg = Vec::new();
     for grasp in done["annotated"].as_array().unwrap() {
-        errors_mm.push(grasp["off_truth_mm"].as_f64().unwrap());
-        errors_deg.push(grasp["off_truth_deg"].as_f64().unwrap());
+        errors_mm.push(grasp["error_mm"].as_f64().unwrap());
+        errors_deg.push(grasp["error_deg"].as_f64().unwrap());
         let quality = &grasp["pose"]["quality"];
         assert_eq!(quality["ambiguous"], false, "{grasp}");
         assert_eq!(quality["notes"], json!([]), "{grasp}");

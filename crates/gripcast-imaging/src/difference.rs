@@ -80,7 +80,7 @@ impl TactileDifference {
         Ok(())
     }
 
-    /// Image for display: 128 is no change, scaled by `gain`. A gain of 0.5 never clips; 2 makes
+    /// Image for display: 128 means no change, scaled by `gain`. A gain of 0.5 never clips; 2 makes
     /// light contacts visible.
     #[must_use]
     pub fn to_image(&self, gain: f32) -> RgbImage {

@@ -402,7 +402,7 @@ pub struct ImagePair {
     pub sim: String,
 }
 
-/// A tactile difference image (grasp minus initial, mid-grey is no change), real and simulated.
+/// A tactile difference image (grasp minus initial, mid-grey means no change), real and simulated.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct TactilePair {

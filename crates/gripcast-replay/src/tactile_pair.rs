@@ -118,7 +118,7 @@ impl Change {
         smooth.iter().map(|level| *level > CONTACT_LEVELS).collect()
     }
 
-    /// Renders the change; 128 is no change.
+    /// Renders the change; 128 means no change.
     fn image(&self) -> RgbImage {
         let [width, height] = COMPARED;
         let mut image = RgbImage::new(width, height);

@@ -64,7 +64,7 @@ fn invalid_trace_or_size_is_refused() {
     let bad = dir.path().join("bad.bin");
     fs::write(&bad, b"not a trace").unwrap();
     let out = dir.path().join("films");
-    let words = format!("--samples 1 --size 16x12 --out {}", out.display());
+    let words = format!("--spp 1 --size 16x12 --out {}", out.display());
     let (code, message) = refused(render("film", &words).arg("--trace").arg(&bad));
     assert!(
         code == 1 && message.contains("bad.bin"),

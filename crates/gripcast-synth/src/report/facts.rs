@@ -208,7 +208,7 @@ pub struct ContactGroup {
 pub struct Separation {
     /// Stopping force, N.
     pub stop_force_n: f64,
-    /// Probability that a stable grasp changes the images more than a slip; 0.5 is no separation.
+    /// Probability that a stable grasp changes the images more than a slip; 0.5 means no separation.
     /// None with only one label.
     pub auroc: Option<f64>,
 }
@@ -345,6 +345,6 @@ pub struct ExampleImages {
     pub colour: String,
     /// Left and right sensor before the lift.
     pub grasp: [String; 2],
-    /// Change by the contact; mid-grey is no change.
+    /// Change by the contact; mid-grey means no change.
     pub change: [String; 2],
 }

@@ -25,7 +25,7 @@ pub(super) fn section(report: &SynthReport) -> Markup {
             (groups(report))
             p {
                 "AUROC: probability that a stable grasp changes the images of both sensors more \
-                 than a slip at the same force. 0.5 is no separation; values near 0 or 1 are \
+                 than a slip at the same force. 0.5 means no separation; values near 0 or 1 are \
                  undesirable."
             }
         }

@@ -23,7 +23,7 @@ pub(super) fn section(report: &SynthReport) -> Markup {
         p {
             "Drawn by seed " (report.seed) " from " (source) ", one category after the other. Left: \
              the camera between the fingers before the lift. Right: left and right tactile sensor \
-             (top) and their change by the contact (bottom; mid-grey is no change, amplified twice)."
+             (top) and their change by the contact (bottom; mid-grey means no change, amplified twice)."
         }
         div.sheets {
             @for (title, cards) in [("Stable", half(true)), ("Slip", half(false))] {
