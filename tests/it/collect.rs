@@ -103,7 +103,7 @@ fn what_was_collected_is_evaluated(dataset: &Path, dir: &Path) {
     assert!((base_rate - 2.0 / 3.0).abs() < 1e-12, "{found}");
     let output = succeed(&mut evaluate(&shards));
     let text = String::from_utf8_lossy(&output.stdout);
-    assert!(text.contains("67 % of these hold"), "{text}");
+    assert!(text.contains("67 % are stable"), "{text}");
 }
 
 #[test]
@@ -262,7 +262,7 @@ fn wrong_input_is_explained_with_the_right_exit_code() {
         (
             refused(&["collect", "--dataset", &dataset]),
             2,
-            &["which rig", "--rig virtual"],
+            &["no rig given", "--rig virtual"],
         ),
         (
             refused(&["collect", "--rig", "virtual"]),

@@ -188,10 +188,10 @@ fn clean_dataset_verifies() {
     insta::assert_snapshot!(stdout(&output), @r#"
     {
       "grasps": 3,
-      "notes": [],
+      "unlabelled": 1,
       "pending": 0,
-      "problems": [],
-      "unlabelled": 1
+      "notes": [],
+      "problems": []
     }
     "#);
     let output = gripcast(&["verify"], dir.path());
@@ -212,18 +212,18 @@ fn problems_are_reported_and_recovered() {
     insta::assert_snapshot!(redacted(&stdout(&output), &ids), @r#"
     {
       "grasps": 3,
-      "notes": [],
+      "unlabelled": 1,
       "pending": 0,
+      "notes": [],
       "problems": [
         {
-          "detail": "cannot read the file: No such file or directory (os error 2)",
-          "file": "grasps/2026-11-20T10-15-00Z-XXXX/grasp.rgb.png",
-          "grasp": "2026-11-20T10-15-00Z-XXXX",
           "kind": "missing-file",
+          "grasp": "2026-11-20T10-15-00Z-XXXX",
+          "file": "grasps/2026-11-20T10-15-00Z-XXXX/grasp.rgb.png",
+          "detail": "cannot read the file: No such file or directory (os error 2)",
           "remedy": "restore it from a backup, or run `gripcast dataset recover`"
         }
-      ],
-      "unlabelled": 1
+      ]
     }
     "#);
     assert!(stderr(&output).contains("1 problem found"));
@@ -337,7 +337,7 @@ fn info_shows_counts_and_agreement() {
     }
     "#);
     let text = stdout(&gripcast(&["info"], dir.path()));
-    assert!(text.contains("67 % of the labelled are stable"), "{text}");
+    assert!(text.contains("67 % of the labelled grasps are stable"), "{text}");
     assert!(text.contains("baseline-contact: 1 of 2"), "{text}");
 }
 

@@ -125,7 +125,7 @@ fn unusable_cameras_fail_with_a_remedy() {
     assert_eq!(of(&found, "usb", "bandwidth")["status"], "warn");
     assert_eq!(of(&found, "disk", "all")["status"], "skipped");
     assert_ne!(of(&found, "model", "baseline-contact")["status"], "fail");
-    assert!(stderr(&output).contains("collecting will not work yet: "));
+    assert!(stderr(&output).contains("collecting will not work: "));
 }
 
 #[test]

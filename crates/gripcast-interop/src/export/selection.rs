@@ -136,8 +136,8 @@ fn split_file(dataset: &Dataset, plan: &ExportPlan) -> Result<Option<SplitFile>>
     let names = dataset.split_names()?;
     match names.as_slice() {
         [only] => dataset.split(only).map(Some),
-        [] => Err(Error::usage("the dataset has no split file for `--part`")
-            .remedy("create one with `gripcast dataset split`, or omit `--part`")),
+        [] => Err(Error::usage("the dataset has no split file for `--subset`")
+            .remedy("create one with `gripcast dataset split`, or omit `--subset`")),
         _ => Err(Error::usage("the dataset has several split files")
             .remedy(format!("choose one with `--split`: {}", names.join(", ")))),
     }

@@ -86,7 +86,7 @@ impl Features {
         if colour.is_empty() {
             let what = "no camera has images of one size in all grasps";
             let remedy =
-                "select grasps of one rig with `--split` and `--part`, or use another format";
+                "select grasps of one rig with `--split` and `--subset`, or use another format";
             return Err(Error::input(what).remedy(remedy));
         }
         let features = Self {
