@@ -267,7 +267,7 @@ fn wrong_input_is_explained_with_the_right_exit_code() {
         (
             refused(&["collect", "--rig", "virtual"]),
             2,
-            &["which dataset"],
+            &["no dataset given"],
         ),
         (
             refused(&["collect", "--rig", "virtul", "--dataset", &dataset]),

@@ -337,7 +337,10 @@ fn info_shows_counts_and_agreement() {
     }
     "#);
     let text = stdout(&gripcast(&["info"], dir.path()));
-    assert!(text.contains("67 % of the labelled grasps are stable"), "{text}");
+    assert!(
+        text.contains("67 % of the labelled grasps are stable"),
+        "{text}"
+    );
     assert!(text.contains("baseline-contact: 1 of 2"), "{text}");
 }
 

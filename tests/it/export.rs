@@ -103,7 +103,12 @@ fn killed_export_leaves_only_a_hidden_partial() {
         let out = dir.path().join(format);
         let killed = Command::new("sh")
             .args(["-c", "ulimit -c 0; ulimit -f 1; exec \"$0\" \"$@\""])
-            .args([env!("CARGO_BIN_EXE_gripcast"), "dataset", "export", "--quiet"])
+            .args([
+                env!("CARGO_BIN_EXE_gripcast"),
+                "dataset",
+                "export",
+                "--quiet",
+            ])
             .arg(&root)
             .args(&arguments(format, &out)[1..])
             .status()

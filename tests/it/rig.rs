@@ -48,7 +48,7 @@ fn list_without_cameras_exits_69() {
     assert_eq!(output.status.code(), Some(69));
     assert!(output.stdout.is_empty());
     let text = stderr(&output);
-    assert!(text.contains("no camera is plugged in"), "{text}");
+    assert!(text.contains("no camera is connected"), "{text}");
     assert!(text.contains("--rig virtual"), "{text}");
     let output = gripcast(&Tree::new(), &["list", "--json"]);
     assert_eq!(output.status.code(), Some(69));

@@ -265,7 +265,7 @@ fn dashboard_quits_on_q_and_restores_terminal() {
         "{text}"
     );
     assert!(
-        after.contains("interrupted") && after.contains("goes on"),
+        after.contains("interrupted") && after.contains("to resume"),
         "{text}"
     );
     assert!(!RunFolder::at(&out).model().is_file());

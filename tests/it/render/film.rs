@@ -55,7 +55,7 @@ fn rig_plays_film_and_writes_ground_truth() {
     );
     fs::write(&rig, text.replacen("path = \"films\"\n", "", 1)).unwrap();
     let message = stderr(&collect("f").output().unwrap());
-    assert!(message.contains("the same films"), "{message}");
+    assert!(message.contains("the same clips"), "{message}");
 }
 
 #[test]

@@ -118,7 +118,7 @@ fn batch_continues_after_broken_trace() {
     let (code, message) = refused(&mut render("tactile", &words));
     assert_eq!(code, 3, "{message}");
     assert!(
-        message.contains("broken.bin") && message.contains("it ends after"),
+        message.contains("broken.bin") && message.contains("truncated after"),
         "{message}"
     );
     assert!(out.join("mug.grasp.left.png").exists());

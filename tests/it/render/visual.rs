@@ -95,7 +95,7 @@ fn invalid_input_is_refused() {
         (
             format!("--object builtin:box --size 0x4 --out {out}"),
             2,
-            "320x240",
+            "640x480",
         ),
         (
             format!("--object builtin:box --count 2 --out {out}"),

@@ -89,7 +89,7 @@ fn mug_grasp_succeeds_through_three_stages() {
         "adjustment",
         "lift",
         "F_stop 40 N",
-        "builtin:mug: held",
+        "builtin:mug: stable",
     ] {
         assert!(svg.contains(word), "{word}");
     }
@@ -222,8 +222,8 @@ fn mesh_files_are_checked_repaired_or_rejected() {
     let good = good.display().to_string();
     let short = "--adjust-s 0.05 --lift 0.002";
 
-    let text = error_text(&mut grasp(&good, ""));
-    assert!(text.contains("--unit mm"), "{text}");
+    let message = error_text(&mut grasp(&good, ""));
+    assert!(message.contains("--unit mm"), "{message}");
     let found = result(&good, &format!("--unit mm {short}"));
     let height = found["object"]["size_m"][2].as_f64().unwrap();
     assert!((height - 0.06).abs() < 1e-9);
@@ -259,21 +259,24 @@ fn mesh_files_are_checked_repaired_or_rejected() {
         error_text(&mut grasp(&path.display().to_string(), "--unit mm"))
     };
     let open = text.rsplit_once("f ").unwrap().0;
-    let text = rejected("open.obj", open);
+    let message = rejected("open.obj", open);
     assert!(
-        text.contains("closed") && text.contains("open.obj"),
-        "{text}"
+        message.contains("closed") && message.contains("open.obj"),
+        "{message}"
     );
-    let text = rejected("nan.obj", &text.replacen("v -20", "v nan", 1));
-    assert!(text.contains("finite") || text.contains("number"), "{text}");
-    let text = rejected("empty.obj", "");
-    assert!(text.contains("empty"), "{text}");
+    let message = rejected("nan.obj", &text.replacen("v -20", "v nan", 1));
+    assert!(
+        message.contains("finite") || message.contains("number"),
+        "{message}"
+    );
+    let message = rejected("empty.obj", "");
+    assert!(message.contains("empty"), "{message}");
     let flat = text.replace(" 30\n", " 0\n").replace(" -30\n", " 0\n");
     rejected("flat.obj", &flat);
     // The same box again, shifted into itself.
     let twice = format!("{text}{}", shifted(&text));
-    let text = rejected("twice.obj", &twice);
-    assert!(text.contains("intersects itself"), "{text}");
+    let message = rejected("twice.obj", &twice);
+    assert!(message.contains("intersects itself"), "{message}");
     let tiny = error_text(&mut grasp(&good, "--unit mm --scale 0.001"));
     assert!(tiny.contains("--unit m"), "{tiny}");
 }
