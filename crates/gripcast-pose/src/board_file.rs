@@ -370,7 +370,7 @@ mod tests {
             (
                 "part = \"object\"",
                 "part = \"hand\"",
-                "marker 7: there is no part named \"hand\"",
+                "marker 7: unknown part \"hand\"",
             ),
             (
                 "DICT_6X6_250",

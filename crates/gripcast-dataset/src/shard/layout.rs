@@ -191,7 +191,7 @@ mod tests {
             (
                 "BYTE_ARRAY id (STRING);",
                 "INT64 id;",
-                "expected BYTE_ARRAY, a text",
+                "expected BYTE_ARRAY (a string)",
             ),
             (
                 "OPTIONAL DOUBLE friction;",

@@ -37,7 +37,6 @@ pub(super) struct GroupHash {
     /// Hash of the facts, row by row.
     pub(super) facts_sha256: String,
     /// Hash of the images, row by row.
-    #[serde(rename = "pictures_sha256")]
     pub(super) images_sha256: String,
 }
 

@@ -175,7 +175,7 @@ fn invalid_values_are_refused_with_expected_and_found() {
         ),
         (
             |m| m.metadata_props.push(m.metadata_props[0].clone()),
-            &["twice"],
+            &["duplicate key"],
         ),
     ]);
 }

@@ -170,7 +170,7 @@ fn missing_keys_are_named() {
     without(|s| s.transforms = None, "`grasps/transforms` not found");
     without(
         |s| s.results = None,
-        "no `grasps/qualities/flex/object_in_gripper`",
+        "`grasps/qualities/flex/object_in_gripper` not found",
     );
     without(|s| s.mesh_file = None, "`object/file` not found");
     without(|s| s.scale = None, "`object/scale` not found");
