@@ -199,7 +199,7 @@ fn clean_dataset_verifies() {
         stdout(&output),
         "3 grasps, 1 unlabelled, 0 pending, 0 problems\n"
     );
-    assert_eq!(stderr(&output), "");
+    assert_eq!(stderr(&output), "verifying\n");
 }
 
 #[test]

@@ -66,10 +66,10 @@ fn face_areas(mesh: &TriangleMesh, units: &[DVec3]) -> Vec<f64> {
     let mut face: Vec<u32> = (0..mesh.triangles.len() as u32).collect();
     let edges = mesh.edges();
     for edge in 0..edges.len() {
-        if let [a, b] = *edges.triangles(edge) {
-            if units[a as usize].dot(units[b as usize]) >= COPLANAR {
-                join(&mut face, a, b);
-            }
+        if let [a, b] = *edges.triangles(edge)
+            && units[a as usize].dot(units[b as usize]) >= COPLANAR
+        {
+            join(&mut face, a, b);
         }
     }
     let roots: Vec<usize> = (0..face.len() as u32)
