@@ -154,7 +154,7 @@ impl Recorder {
             .as_ref()
             .ok_or_else(|| Error::internal("a selected grasp has no state before the lift"))?;
         let mut draw =
-            SeedStream::named(self.seed, &format!("images {}", grasp_name(object, chosen)));
+            SeedStream::named(self.seed, &format!("pictures {}", grasp_name(object, chosen)));
         let placed = &chosen.candidate.placed;
         let contact = Contact {
             mesh: &object.mesh,

@@ -415,7 +415,7 @@ fn simulations(
             for force_n in &settings.stop_forces_n {
                 let id = simulation_id(&draft.name, number, *force_n)?;
                 // Independent of the engine: both engines get images under the same conditions.
-                let seed = SeedStream::named(settings.seed, &format!("images {id}")).bits();
+                let seed = SeedStream::named(settings.seed, &format!("pictures {id}")).bits();
                 all.push(PlannedSimulation {
                     id,
                     object: draft.name.clone(),
