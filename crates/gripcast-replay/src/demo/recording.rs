@@ -153,8 +153,10 @@ impl Recorder {
             .pre_lift
             .as_ref()
             .ok_or_else(|| Error::internal("a selected grasp has no state before the lift"))?;
-        let mut draw =
-            SeedStream::named(self.seed, &format!("pictures {}", grasp_name(object, chosen)));
+        let mut draw = SeedStream::named(
+            self.seed,
+            &format!("pictures {}", grasp_name(object, chosen)),
+        );
         let placed = &chosen.candidate.placed;
         let contact = Contact {
             mesh: &object.mesh,
