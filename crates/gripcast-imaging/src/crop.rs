@@ -87,7 +87,7 @@ impl CropProfile {
     /// The profile with a name.
     ///
     /// # Errors
-    /// [`ErrorKind::Config`] for an unknown name.
+    /// `Config` for an unknown name.
     pub fn by_name(name: &str) -> Result<Self> {
         if let Some(profile) = Self::ALL.into_iter().find(|profile| profile.name == name) {
             return Ok(profile);

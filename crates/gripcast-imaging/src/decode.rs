@@ -54,7 +54,7 @@ impl Decoder {
     /// Decodes a JPEG or PNG file at its size.
     ///
     /// # Errors
-    /// [`ErrorKind::Input`] for a damaged or unsupported file.
+    /// `Input` for a damaged or unsupported file.
     pub fn stored_image(&mut self, bytes: &[u8]) -> CrateResult<RgbImage> {
         if bytes.starts_with(&[0xff, 0xd8]) {
             let JpegHeader { width, height, .. } = jpeg::inspect(bytes)?;
@@ -145,7 +145,7 @@ impl Decoder {
     /// this is how training reads what the live path saw.
     ///
     /// # Errors
-    /// [`ErrorKind::Input`] for a damaged or unsupported file, or an invalid size.
+    /// `Input` for a damaged or unsupported file, or an invalid size.
     pub fn decode_file(
         &mut self,
         bytes: &[u8],

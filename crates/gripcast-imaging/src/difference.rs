@@ -17,7 +17,7 @@ impl TactileDifference {
     /// Computes the difference *grasp − initial*.
     ///
     /// # Errors
-    /// [`ErrorKind::Input`] for different or empty sizes.
+    /// `Input` for different or empty sizes.
     pub fn between(initial: &RgbImage, grasp: &RgbImage) -> Result<Self> {
         let (width, height) = initial.dimensions();
         if grasp.dimensions() != (width, height) || width == 0 || height == 0 {
@@ -58,7 +58,7 @@ impl TactileDifference {
     /// Writes the model input: `[3, height, width]`, planes R, G, B, levels / 255 (−1 to 1).
     ///
     /// # Errors
-    /// [`ErrorKind::Internal`] for a length of `out` other than 3 × height × width.
+    /// `Internal` for a length of `out` other than 3 × height × width.
     pub fn write_chw(&self, out: &mut [f32]) -> Result<()> {
         if out.len() != self.levels.len() {
             return Err(Error::internal(format!(

@@ -47,7 +47,7 @@ impl Intrinsics {
     /// Reads a TOML file.
     ///
     /// # Errors
-    /// When the file cannot be read, or [`ErrorKind::Config`] for invalid intrinsics.
+    /// When the file cannot be read, or `Config` for invalid intrinsics.
     pub fn load(path: &Path) -> Result<Self> {
         let text = read_text(path, FileKind::Record)
             .map_err(|e| Error::io("cannot read the intrinsics", e).at(path.display()))?;
@@ -69,7 +69,7 @@ impl Intrinsics {
     /// Checks focal length and principal point for plausibility.
     ///
     /// # Errors
-    /// [`ErrorKind::Config`] for implausible intrinsics.
+    /// `Config` for implausible intrinsics.
     pub fn validate(self) -> Result<Self> {
         let largest = f64::from(self.width.max(self.height));
         let focal = |f: f64| f > 0.05 * largest && f < 50.0 * largest;

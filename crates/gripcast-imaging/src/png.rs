@@ -14,7 +14,7 @@ use gripcast_base::error::{Error, Result};
 /// RGB image to PNG, with fast compression.
 ///
 /// # Errors
-/// [`ErrorKind::Input`] for an empty image.
+/// `Input` for an empty image.
 pub fn encode_png_rgb(image: &RgbImage) -> Result<Vec<u8>> {
     let (width, height) = image.dimensions();
     encode(image.as_raw(), width, height, ExtendedColorType::Rgb8)
@@ -23,7 +23,7 @@ pub fn encode_png_rgb(image: &RgbImage) -> Result<Vec<u8>> {
 /// 8-bit grey image to PNG, with fast compression.
 ///
 /// # Errors
-/// [`ErrorKind::Input`] for an empty image.
+/// `Input` for an empty image.
 pub fn encode_png_grey8(image: &GrayImage) -> Result<Vec<u8>> {
     let (width, height) = image.dimensions();
     encode(image.as_raw(), width, height, ExtendedColorType::L8)
@@ -32,7 +32,7 @@ pub fn encode_png_grey8(image: &GrayImage) -> Result<Vec<u8>> {
 /// 16-bit depth to PNG, with fast compression.
 ///
 /// # Errors
-/// [`ErrorKind::Input`] for an empty image.
+/// `Input` for an empty image.
 pub fn encode_png_grey16(image: &DepthImage) -> Result<Vec<u8>> {
     let (width, height) = image.dimensions();
     // The encoder takes 16-bit samples in native byte order.
@@ -55,7 +55,7 @@ fn encode(bytes: &[u8], width: u32, height: u32, colour: ExtendedColorType) -> R
 /// PNG to RGB; converts grey, drops transparency.
 ///
 /// # Errors
-/// [`ErrorKind::Input`] for a damaged or unsupported file.
+/// `Input` for a damaged or unsupported file.
 pub fn decode_png_rgb(bytes: &[u8]) -> Result<RgbImage> {
     decode_png(bytes).map(DynamicImage::into_rgb8)
 }
@@ -63,7 +63,7 @@ pub fn decode_png_rgb(bytes: &[u8]) -> Result<RgbImage> {
 /// 16-bit grey PNG to depth.
 ///
 /// # Errors
-/// [`ErrorKind::Input`] for a damaged or unsupported file.
+/// `Input` for a damaged or unsupported file.
 pub fn decode_png_grey16(bytes: &[u8]) -> Result<DepthImage> {
     match decode_png(bytes)? {
         DynamicImage::ImageLuma16(depth) => Ok(depth),
@@ -77,7 +77,7 @@ pub fn decode_png_grey16(bytes: &[u8]) -> Result<DepthImage> {
 /// Decodes a PNG of a supported size.
 ///
 /// # Errors
-/// [`ErrorKind::Input`] for a damaged, unsupported or too large file.
+/// `Input` for a damaged, unsupported or too large file.
 pub fn decode_png(bytes: &[u8]) -> Result<DynamicImage> {
     let unreadable = |cause| Error::input("cannot read the PNG").because(cause);
     let mut limits = Limits::default();

@@ -82,7 +82,7 @@ impl ModePreference {
 /// as colour and depth.
 ///
 /// # Errors
-/// [`ErrorKind::Device`] unless exactly two Minis are connected, [`ErrorKind::Config`] for an
+/// `Device` unless exactly two Minis are connected, `Config` for an
 /// invalid `id`.
 pub fn draft(id: &str, devices: &[VideoDevice]) -> Result<Draft> {
     let mut cameras: Vec<&VideoDevice> = devices.iter().filter(|d| d.is_camera()).collect();

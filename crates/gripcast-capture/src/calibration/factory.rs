@@ -29,7 +29,7 @@ const ATTEMPTS: usize = 5;
 /// Reads the intrinsics of the colour camera of the D435 in a USB port. Works while it streams.
 ///
 /// # Errors
-/// [`ErrorKind::Device`] for a missing camera or an invalid reply.
+/// `Device` for a missing camera or an invalid reply.
 pub fn colour_intrinsics(
     root: &SystemRoot,
     nodes: &dyn VideoNodes,
@@ -78,7 +78,7 @@ impl ColourTable {
     /// Parses the payload of a reply.
     ///
     /// # Errors
-    /// [`ErrorKind::Device`] for a truncated, damaged or different table.
+    /// `Device` for a truncated, damaged or different table.
     pub fn parse(payload: &[u8]) -> Result<Self> {
         let bad = |what: String| device_error(what).remedy(FALLBACK);
         let size = u32_at(payload, 4).unwrap_or(0) as usize;
@@ -120,7 +120,7 @@ impl ColourTable {
     /// focal length in pixels of the other.
     ///
     /// # Errors
-    /// [`ErrorKind::Config`] for implausible intrinsics.
+    /// `Config` for implausible intrinsics.
     pub fn intrinsics(&self, width: u32, height: u32) -> Result<Intrinsics> {
         let (w, h) = (f64::from(width), f64::from(height));
         let wanted = h / w;

@@ -201,7 +201,7 @@ impl RigFile {
     /// configuration directory. Names with a slash or ending in `.toml` are paths.
     ///
     /// # Errors
-    /// [`ErrorKind::NotFound`] with the available rigs; [`ErrorKind::Config`] for an invalid file.
+    /// `NotFound` with the available rigs; `Config` for an invalid file.
     pub fn find(name: &str) -> Result<Self> {
         let configuration = env::var_os("XDG_CONFIG_HOME")
             .map(PathBuf::from)
@@ -267,7 +267,7 @@ impl RigFile {
     /// its directory.
     ///
     /// # Errors
-    /// For an unreadable file, or [`ErrorKind::Config`] with the line.
+    /// For an unreadable file, or `Config` with the line.
     pub fn load(path: &Path) -> Result<Self> {
         let text = fs::read_to_string(path)
             .map_err(|e| Error::io("cannot read the rig file", e).at(path.display()))?;
@@ -290,7 +290,7 @@ impl RigFile {
     /// Parses and validates the text of a rig file.
     ///
     /// # Errors
-    /// [`ErrorKind::Config`] with the line.
+    /// `Config` with the line.
     pub fn parse(text: &str) -> Result<Self> {
         // The version first: newer files may have unknown keys.
         #[derive(Deserialize)]
@@ -308,7 +308,7 @@ impl RigFile {
     /// Validates roles, camera identities, modes and controls.
     ///
     /// # Errors
-    /// [`ErrorKind::Config`] with camera and key.
+    /// `Config` with camera and key.
     pub fn validate(&self) -> Result<()> {
         check_schema(Some(self.schema))?;
         if self.id.is_empty() || self.id.contains(['/', '\\']) || self.id.starts_with('.') {

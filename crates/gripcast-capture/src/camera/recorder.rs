@@ -107,7 +107,7 @@ impl Recorder {
     /// Starts a recording in `dir/<role>`.
     ///
     /// # Errors
-    /// [`ErrorKind::Input`] for an existing recording; I/O errors.
+    /// `Input` for an existing recording; I/O errors.
     pub fn create(dir: &Path, role: Role, info: &StreamInfo) -> Result<Self> {
         let dir = dir.join(role.name());
         let create = || -> Result<File> {

@@ -37,7 +37,7 @@ impl ReplayOpener {
     /// A replay of `config.path`.
     ///
     /// # Errors
-    /// [`ErrorKind::Config`] for a missing path.
+    /// `Config` for a missing path.
     pub fn new(role: Role, config: &CameraConfig, clock: Arc<dyn Clock>) -> Result<Self> {
         let dir = config.path.clone().ok_or_else(|| {
             Error::config("a replay camera needs a directory")
@@ -55,7 +55,7 @@ impl ReplayOpener {
     /// Reads the directory's index; returns the source and warnings.
     ///
     /// # Errors
-    /// [`ErrorKind::NotFound`] for a missing directory, [`ErrorKind::Input`] for one without
+    /// `NotFound` for a missing directory, `Input` for one without
     /// frames or with a different format or size than the rig file.
     pub fn load(&self) -> Result<(ReplaySource, Vec<String>)> {
         let load = || {

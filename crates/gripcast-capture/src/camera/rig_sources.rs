@@ -14,7 +14,7 @@ pub trait VirtualCameras {
     /// An opener for the virtual camera of `role`.
     ///
     /// # Errors
-    /// [`ErrorKind::Config`] for an unsupported `config`.
+    /// `Config` for an unsupported `config`.
     fn camera(&mut self, role: Role, config: &CameraConfig) -> Result<Box<dyn CameraOpener>>;
 }
 

@@ -35,7 +35,7 @@ pub fn is_candidate(config: &CameraConfig, device: &VideoDevice) -> bool {
 /// the same one.
 ///
 /// # Errors
-/// [`ErrorKind::Device`] when none or several match, listing the devices found.
+/// `Device` when none or several match, listing the devices found.
 pub fn bind<'a>(
     role: Role,
     config: &CameraConfig,

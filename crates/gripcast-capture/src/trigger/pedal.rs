@@ -82,7 +82,7 @@ fn usage_key(usage: u8) -> Option<String> {
 type KeyMap = BTreeMap<u8, String>;
 
 /// # Errors
-/// [`ErrorKind::Config`] for an unknown key or a pedal without keys.
+/// `Config` for an unknown key or a pedal without keys.
 fn key_map(config: &PedalConfig) -> Result<KeyMap> {
     let pedal = pedal_name(config);
     if config.keys.is_empty() {
@@ -197,7 +197,7 @@ pub fn pedal_udev_rule(vendor: u16, product: u16) -> String {
 /// Reads a pedal until `stop` is set, reopening it when it is lost. Blocks; run it on a thread.
 ///
 /// # Errors
-/// [`ErrorKind::Config`] for invalid keys; other errors are sent to `sink` and retried.
+/// `Config` for invalid keys; other errors are sent to `sink` and retried.
 pub fn run_pedal(
     config: &PedalConfig,
     clock: &dyn Clock,

@@ -97,7 +97,7 @@ impl Script {
     /// Parses the `text` of `file`; `check` validates session commands.
     ///
     /// # Errors
-    /// [`ErrorKind::Input`] with file, line, text and the expected forms.
+    /// `Input` with file, line, text and the expected forms.
     pub fn parse(
         text: &str,
         file: impl fmt::Display,

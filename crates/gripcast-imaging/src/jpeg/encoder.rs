@@ -9,7 +9,7 @@ use gripcast_base::error::{Error, Result};
 /// (worst) to 100.
 ///
 /// # Errors
-/// [`ErrorKind::Input`] for an empty or too large image or a quality outside 1–100.
+/// `Input` for an empty or too large image or a quality outside 1–100.
 pub fn encode_jpeg(image: &RgbImage, quality: u8) -> Result<Vec<u8>> {
     let (width, height) = image.dimensions();
     let failed = |cause| {
