@@ -128,7 +128,7 @@ fn check(context: &Context, args: &CheckArgs) -> Result<()> {
         "temperature": contract.temperature,
         "threshold": contract.threshold,
         "train_manifest_sha256": manifest,
-        "variant": contract.modality,
+        "modality": contract.modality,
     });
     print_report(args.json, &report, |_| {
         contract_text(context, &model, &origin)
@@ -140,7 +140,7 @@ fn contract_text(context: &Context, model: &Model, origin: &str) -> String {
     let mut lines = vec![
         format!("model      {} ({origin})", contract.name),
         format!("sha256     {}", model.sha256()),
-        format!("variant    {}", contract.modality),
+        format!("modality   {}", contract.modality),
     ];
     for input in &contract.inputs {
         lines.push(format!(

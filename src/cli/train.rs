@@ -113,7 +113,7 @@ fn all_seeds(args: &Args, on_progress: &(dyn Fn(TrainingNews) + Sync)) -> Result
             Error::internal("the run has no description").at(folder.run().display())
         })?;
         on_progress(TrainingNews::Stage("calibrating"));
-        let modality = file.settings.variant.name().to_lowercase();
+        let modality = file.settings.modality.name().to_lowercase();
         let name = args.name.clone().unwrap_or(format!("trained-{modality}"));
         let finished = finish(&folder, &file, &args.data, &name, &|_| {})?;
         runs.push(run_report(seed, &folder, &trained, &finished));

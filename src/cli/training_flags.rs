@@ -41,7 +41,7 @@ impl TrainingFlags {
     ///
     /// # Errors
     /// `Usage`, naming the option.
-    pub(super) fn settings(&self, variant: Modality, seed: u64) -> Result<TrainSettings> {
+    pub(super) fn settings(&self, modality: Modality, seed: u64) -> Result<TrainSettings> {
         let architecture = Architecture::by_name(&self.arch)
             .ok_or_else(|| Error::usage(format!("unknown network architecture `{}`", self.arch)))?;
         let settings = TrainSettings {
@@ -56,7 +56,7 @@ impl TrainingFlags {
             } else {
                 Augmentation::DEFAULT
             },
-            ..TrainSettings::new(variant, architecture, seed)
+            ..TrainSettings::new(modality, architecture, seed)
         };
         settings.check()?;
         Ok(settings)

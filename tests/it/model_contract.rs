@@ -52,7 +52,7 @@ fn shipped_model_passes_and_is_described() {
     let trained = json(&gripcast(&["predict", "check", SHIPPED, "--json"]));
     assert_schema("predict check", &[&report, &trained]);
     assert_eq!(report["kind"], "heuristic");
-    assert_eq!(report["variant"], "T");
+    assert_eq!(report["modality"], "T");
     assert_eq!(report["threshold"], 0.5);
     assert_eq!(report["crop_profile"], "any");
     assert_eq!(report["sha256"], Model::baseline().unwrap().sha256());

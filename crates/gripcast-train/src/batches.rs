@@ -19,7 +19,7 @@ const NORMALISATION_SAMPLES: usize = 256;
 pub(super) struct Batches<'a> {
     samples: &'a Samples,
     reader: SampleReader<'a>,
-    variant: Modality,
+    modality: Modality,
     writer: InputWriter,
     /// Loss weight of each sample.
     weights: Vec<f32>,
@@ -29,14 +29,14 @@ impl<'a> Batches<'a> {
     /// Creates batches for a modality; about `memory` bytes of encoded images are cached.
     pub(super) fn new(
         samples: &'a Samples,
-        variant: Modality,
+        modality: Modality,
         writer: InputWriter,
         memory: usize,
     ) -> Self {
         Self {
             samples,
             reader: SampleReader::new(samples, memory),
-            variant,
+            modality,
             writer,
             weights: vec![1.0; samples.facts().len()],
         }
@@ -77,7 +77,7 @@ impl<'a> Batches<'a> {
         let rows = self.reader.rows(samples)?;
         let count = samples.len();
         let floats = |is_used, images: usize| vec![0.0; usize::from(is_used) * images * FLOATS];
-        let inputs = [self.variant.has_touch(), self.variant.has_vision()];
+        let inputs = [self.modality.has_touch(), self.modality.has_vision()];
         let mut touch = floats(inputs[0], 2 * count);
         let mut vision = floats(inputs[1], count);
         let half = touch.len() / 2;

@@ -67,7 +67,7 @@ pub struct ModelEvaluation {
     /// SHA-256 of the file.
     pub sha256: String,
     /// Modality: `V`, `T` or `VT`.
-    pub variant: Modality,
+    pub modality: Modality,
     /// Metrics of all samples at the model's threshold.
     pub summary: Summary,
     /// AUROC with its 95 % interval over objects.
@@ -315,7 +315,7 @@ impl ModelEvaluation {
             name: model.contract().name.clone(),
             file: file.to_owned(),
             sha256: model.sha256().to_owned(),
-            variant: model.contract().modality,
+            modality: model.contract().modality,
             summary: Summary::new(&scored, threshold),
             auroc: bootstrap.interval(&objects, |times| metrics.auroc(times)),
             balanced_accuracy: bootstrap

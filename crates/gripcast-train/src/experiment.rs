@@ -59,7 +59,7 @@ impl Condition {
         }
     }
 
-    fn variant(self) -> Modality {
+    fn modality(self) -> Modality {
         match self {
             Self::Vision => Modality::V,
             Self::Touch => Modality::T,
@@ -225,7 +225,7 @@ fn train_model(
 ) -> Result<PathBuf> {
     let data = settings.data(condition)?;
     let training = TrainSettings {
-        variant: condition.variant(),
+        modality: condition.modality(),
         seed,
         ..settings.training.clone()
     };

@@ -94,7 +94,7 @@ fn contract(
     validation: &Summary,
 ) -> Result<ModelContract> {
     let settings = &file.settings;
-    let inputs = settings.variant.inputs().iter().map(|input| match input {
+    let inputs = settings.modality.inputs().iter().map(|input| match input {
         InputName::Rgb => InputSpec::rgb(file.normalisation()),
         touch => InputSpec::tactile(*touch),
     });
@@ -126,7 +126,7 @@ fn contract(
             seed: settings.seed,
             manifest_sha256: file.dataset_sha256.clone(),
         },
-        modality: settings.variant,
+        modality: settings.modality,
         inputs: inputs.collect(),
         threshold,
         temperature,
@@ -139,7 +139,7 @@ fn contract(
 fn card(file: &RunFile, best: &EpochMetrics, validation: &Summary) -> String {
     let figure = |value: Option<f64>| value.map_or("–".to_owned(), |x| format!("{x:.3}"));
     format!(
-        "# Grasp stability, {variant}\n\n\
+        "# Grasp stability, {modality}\n\n\
          Probability that a grasp holds when it is lifted, from images taken before the lift. \
          Trained on simulated grasps with known outcomes.\n\n\
          - Data: dataset {dataset}, seed {seed}, {arch} network, epoch {epoch}.\n\
@@ -148,7 +148,7 @@ fn card(file: &RunFile, best: &EpochMetrics, validation: &Summary) -> String {
          - Limits: it has never been measured on the outcomes of real lifts. It knows neither mass \
          nor friction but from what images show of them.\n\
          - Licence: MIT OR Apache-2.0.\n",
-        variant = file.settings.variant,
+        modality = file.settings.modality,
         dataset = file.dataset_sha256,
         seed = file.settings.seed,
         arch = file.settings.architecture.name,

@@ -28,7 +28,7 @@ pub(super) fn fit_tactile_reference(
     file: &RunFile,
 ) -> Result<Option<OodDetector>> {
     let settings = &file.settings;
-    if !settings.variant.has_touch() {
+    if !settings.modality.has_touch() {
         return Ok(None);
     }
     let writer = InputWriter::new(settings.augmentation, file.normalisation());

@@ -167,7 +167,7 @@ fn open_or_create(
     }
     fs::create_dir_all(out)
         .map_err(|e| Error::io("cannot create the folder of the run", e).at(out.display()))?;
-    let normalisation = if settings.variant.has_vision() {
+    let normalisation = if settings.modality.has_vision() {
         colour_normalisation(train)?
     } else {
         RgbNormalisation {
@@ -362,7 +362,7 @@ impl<'a> Training<'a> {
         let epoch_seed = SeedStream::named(settings.seed, &format!("epoch {epoch}")).bits();
         let order = train.shuffled(epoch_seed, buffer);
         let writer = InputWriter::new(settings.augmentation, self.normalisation);
-        let mut batches = Batches::new(train, settings.variant, writer, buffer).balanced();
+        let mut batches = Batches::new(train, settings.modality, writer, buffer).balanced();
         let mut read = |step: u64| -> Result<Batch> {
             let first = step as usize * batch_size;
             let samples = &order[first..first + batch_size];

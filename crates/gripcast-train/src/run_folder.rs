@@ -151,7 +151,7 @@ impl RunFolder {
 }
 
 pub(super) fn untrained(settings: &TrainSettings, uniform: impl FnMut() -> f64) -> Network {
-    Network::new(&settings.architecture, settings.variant, uniform)
+    Network::new(&settings.architecture, settings.modality, uniform)
 }
 
 pub(super) fn foreign_checkpoint(path: &BeneathPath) -> Error {

@@ -11,7 +11,7 @@ use gripcast_nn::predict::contract::Modality;
 use gripcast_nn::predict::{Model, ModelInput};
 use gripcast_nn::{Architecture, ConvSpec};
 
-fn settings(variant: Modality) -> TrainSettings {
+fn settings(modality: Modality) -> TrainSettings {
     let conv = |channels, kernel, stride, pad| ConvSpec {
         channels,
         kernel,
@@ -30,7 +30,7 @@ fn settings(variant: Modality) -> TrainSettings {
         batch_size: 4,
         warm_up_steps: 1,
         learning_rate: 3e-3,
-        ..TrainSettings::new(variant, architecture, 5)
+        ..TrainSettings::new(modality, architecture, 5)
     }
 }
 
@@ -51,15 +51,15 @@ fn exported_model_matches_network() {
     let data = folder.path().join("data");
     write_dataset(&data, 24);
     let out = folder.path().join("run");
-    for variant in [Modality::Vt, Modality::T, Modality::V] {
+    for modality in [Modality::Vt, Modality::T, Modality::V] {
         let settings = TrainSettings {
             epochs: 6,
-            ..settings(variant)
+            ..settings(modality)
         };
-        let out = out.join(variant.name());
+        let out = out.join(modality.name());
         let trained = train(&data, &out, &settings, &|_| {}).unwrap();
         assert_eq!(trained.epochs, 6);
-        if variant != Modality::V {
+        if modality != Modality::V {
             assert!(trained.best.validation_accuracy > 0.9, "{trained:?}");
         }
         let run = RunFolder::at(&out);
@@ -68,8 +68,8 @@ fn exported_model_matches_network() {
         let finished = finish(&run, &file, &data, "tiny", &|_| {}).unwrap();
         assert_eq!(fs::read(run.model().shown()).unwrap(), finished.onnx);
         let model = Model::from_bytes(&finished.onnx).unwrap();
-        assert_eq!(model.contract().modality, variant);
-        assert_eq!(model.ood_detector().is_some(), variant != Modality::V);
+        assert_eq!(model.contract().modality, modality);
+        assert_eq!(model.ood_detector().is_some(), modality != Modality::V);
         let (network, _) = run.best_network(&settings).unwrap();
         let found = logits(
             &network,

@@ -12,7 +12,7 @@ use gripcast_nn::predict::contract::Modality;
 #[serde(deny_unknown_fields)]
 pub struct TrainSettings {
     /// Input modality of the classifier.
-    pub variant: Modality,
+    pub modality: Modality,
     /// Network architecture.
     pub architecture: Architecture,
     /// Random seed of initialisation, sample order and augmentation.
@@ -39,9 +39,9 @@ pub struct TrainSettings {
 
 impl TrainSettings {
     /// Returns the default settings of an architecture.
-    pub fn new(variant: Modality, architecture: Architecture, seed: u64) -> Self {
+    pub fn new(modality: Modality, architecture: Architecture, seed: u64) -> Self {
         Self {
-            variant,
+            modality,
             architecture,
             seed,
             epochs: 30,

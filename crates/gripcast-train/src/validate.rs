@@ -44,7 +44,7 @@ pub fn logits(
     on_progress: &dyn Fn(usize),
 ) -> Result<Vec<Logit>> {
     let writer = InputWriter::new(Augmentation::NONE, normalisation);
-    let mut batches = Batches::new(samples, settings.variant, writer, MEMORY);
+    let mut batches = Batches::new(samples, settings.modality, writer, MEMORY);
     let all: Vec<usize> = (0..samples.facts().len()).collect();
     let mut logits = Vec::with_capacity(all.len());
     for indices in all.chunks(BATCH_SIZE) {

@@ -152,13 +152,13 @@ fn dataset(status: &TrainingStatus, palette: Palette) -> Line<'static> {
 
 fn settings(status: &TrainingStatus, palette: Palette) -> Line<'static> {
     let settings = &status.settings;
-    let senses = match settings.variant {
+    let modality = match settings.modality {
         Modality::V => "vision",
         Modality::T => "touch",
         Modality::Vt => "vision and touch",
     };
     let mut text = format!(
-        "{senses} · network {} · batch {} · seed {}",
+        "{modality} · network {} · batch {} · seed {}",
         settings.architecture.name, settings.batch_size, settings.seed
     );
     if status.seeds > 1 {

@@ -192,7 +192,7 @@ mod tests {
         assert_eq!(card["sha256"].as_str(), Some(model.sha256()));
         let contract = model.contract();
         assert_eq!(card["threshold"].as_float(), Some(contract.threshold));
-        assert_eq!(card["variant"].as_str(), Some(contract.modality.name()));
+        assert_eq!(card["modality"].as_str(), Some(contract.modality.name()));
         assert_eq!(card["name"].as_str(), Some(contract.name.as_str()));
         let named: Vec<_> = card["inputs"].as_array().unwrap().iter().collect();
         assert_eq!(named.len(), contract.inputs.len());

@@ -88,7 +88,7 @@ mod tests {
         let card: toml::Table = std::fs::read_to_string(card).unwrap().parse().unwrap();
         assert_eq!(card["name"].as_str(), Some(SHIPPED));
         assert_eq!(card["sha256"].as_str(), Some(model.sha256()));
-        assert_eq!(card["variant"].as_str(), Some(contract.modality.name()));
+        assert_eq!(card["modality"].as_str(), Some(contract.modality.name()));
         assert_eq!(card["threshold"].as_float(), Some(contract.threshold));
         assert_eq!(
             card["crop_profile"].as_str(),

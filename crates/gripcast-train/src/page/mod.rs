@@ -75,8 +75,10 @@ fn display_name(model: &ModelEvaluation) -> String {
     let folder = file.parent().and_then(|folder| folder.file_name());
     let folder = folder.map(|name| name.to_string_lossy().into_owned());
     match folder {
-        Some(folder) if model.file.ends_with("model.onnx") => format!("{} {folder}", model.variant),
-        _ => format!("{} {}", model.variant, model.name),
+        Some(folder) if model.file.ends_with("model.onnx") => {
+            format!("{} {folder}", model.modality)
+        }
+        _ => format!("{} {}", model.modality, model.name),
     }
 }
 
