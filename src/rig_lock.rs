@@ -70,7 +70,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn second_program_is_told_lock_owner() {
+    fn second_program_sees_lock_owner() {
         let dir = tempfile::tempdir().unwrap();
         let first = RigLock::acquire_in(dir.path(), "bench/a").unwrap();
         assert!(first.is_some());

@@ -107,7 +107,7 @@ fn what_was_collected_is_evaluated(dataset: &Path, dir: &Path) {
 }
 
 #[test]
-fn the_usual_model_tells_good_grasps_of_the_virtual_rig_from_bad_ones() {
+fn default_model_separates_stable_and_slip_on_virtual_rig() {
     const ONE: &str = "wait no-contact\nwait fresh\ntrigger\nwait saved\nwait contact\nsleep 0.8\n\
                        wait fresh\ntrigger\nwait saved\nstable\nwait saved\n";
     let dir = tempfile::tempdir().unwrap();
@@ -140,7 +140,7 @@ fn the_usual_model_tells_good_grasps_of_the_virtual_rig_from_bad_ones() {
 }
 
 #[test]
-fn the_prediction_is_that_of_the_saved_files() {
+fn live_prediction_equals_prediction_of_saved_files() {
     let dir = tempfile::tempdir().unwrap();
     let dataset = dir.path().join("d");
     let steps =
@@ -179,7 +179,7 @@ fn the_prediction_is_that_of_the_saved_files() {
 }
 
 #[test]
-fn a_grasp_without_contact_is_refused_and_an_override_is_on_record() {
+fn grasp_without_contact_needs_recorded_override() {
     let dir = tempfile::tempdir().unwrap();
     let dataset = dir.path().join("d");
     // The virtual hand is still open right after the initial frame: nothing touches the gels.
@@ -215,7 +215,7 @@ fn undo_moves_to_the_trash_and_redo_brings_back() {
 }
 
 #[test]
-fn an_initial_frame_survives_the_process_and_is_resumed() {
+fn initial_frame_is_resumed_after_restart() {
     let dir = tempfile::tempdir().unwrap();
     let dataset = dir.path().join("d");
     let first = "wait live\ninitial\nexpect saved\nquit\n";
@@ -303,7 +303,7 @@ fn wrong_input_is_explained_with_the_right_exit_code() {
 }
 
 #[test]
-fn a_second_collection_on_the_same_dataset_is_told_who_holds_it() {
+fn second_collection_names_owner_of_dataset_lock() {
     let dir = tempfile::tempdir().unwrap();
     let dataset = dir.path().join("d");
     let long = dir.path().join("long.txt");
@@ -325,7 +325,7 @@ fn a_second_collection_on_the_same_dataset_is_told_who_holds_it() {
 }
 
 #[test]
-fn a_dataset_of_a_newer_schema_is_left_alone() {
+fn dataset_of_newer_schema_is_not_modified() {
     let dir = tempfile::tempdir().unwrap();
     let dataset = dir.path().join("d");
     let wait = script(dir.path(), "wait live\nquit\n");

@@ -15,7 +15,7 @@ mod simulate_and_render;
 mod write_predictor;
 
 #[test]
-fn a_dataset_is_read() {
+fn example_reads_a_dataset() {
     let dir = tempfile::tempdir().unwrap();
     let ids = write_dataset(dir.path(), &["mug", "bottle", "sponge"]);
     let table = read_dataset::table(dir.path().to_str().unwrap()).unwrap();
@@ -32,7 +32,7 @@ fn a_dataset_is_read() {
 }
 
 #[test]
-fn a_grasp_is_simulated_and_rendered() {
+fn example_simulates_and_renders_a_grasp() {
     let dir = tempfile::tempdir().unwrap();
     let said = simulate_and_render::run("box", dir.path()).unwrap();
     assert!(said.starts_with("Success, lifted "), "{said}");
@@ -53,7 +53,7 @@ fn a_grasp_is_simulated_and_rendered() {
 }
 
 #[test]
-fn an_own_predictor_is_written_and_measured() {
+fn example_writes_and_measures_a_predictor() {
     let dir = tempfile::tempdir().unwrap();
     write_dataset(dir.path(), &["mug", "bottle", "sponge"]);
     let model = Model::from_bytes(&write_predictor::onnx().unwrap()).unwrap();

@@ -39,11 +39,11 @@ fn ends_with_its_terminal(prelude: &str) {
 }
 
 #[test]
-fn a_closed_terminal_ends_the_collection() {
+fn closed_terminal_ends_collection() {
     ends_with_its_terminal("");
 }
 
 #[test]
-fn a_terminal_that_goes_without_a_signal_ends_it_too() {
+fn terminal_closed_without_signal_ends_collection() {
     ends_with_its_terminal("trap '' HUP;");
 }

@@ -212,7 +212,7 @@ fn packaged_settings_show_the_defaults() {
 /// Any user of a machine can reach its loopback: the packaged service listens there only with a
 /// token, and only after the administrator has said so.
 #[test]
-fn the_packaged_service_opens_no_port_without_a_token() {
+fn packaged_service_opens_no_port_without_token() {
     let packaged = repository_file("packaging/config.toml");
     let installed = config_show(&packaged);
     assert_eq!(installed["daemon.listen"]["value"], "none");

@@ -210,7 +210,7 @@ fn press(state: &mut ScreenState, code: KeyCode, status: &EngineStatus) -> React
 }
 
 #[test]
-fn the_screen_at_80_by_24() {
+fn screen_at_80_by_24() {
     insta::assert_snapshot!("initial", image(80, 24, &waiting_for_initial(), &state()));
     insta::assert_snapshot!("grasp", image(80, 24, &waiting_for_grasp(), &state()));
     insta::assert_snapshot!("label", image(80, 24, &labelling(), &state()));
@@ -219,7 +219,7 @@ fn the_screen_at_80_by_24() {
 }
 
 #[test]
-fn the_overlays_at_80_by_24() {
+fn overlays_at_80_by_24() {
     let status = waiting_for_grasp();
     let mut help = state();
     press(&mut help, KeyCode::Char('?'), &status);
@@ -230,7 +230,7 @@ fn the_overlays_at_80_by_24() {
 }
 
 #[test]
-fn the_screen_without_a_model() {
+fn screen_without_model() {
     let mut status = waiting_for_grasp();
     status.prediction = None;
     status.no_prediction_reason = Some("no model is loaded (--model FILE)".to_owned());
@@ -549,7 +549,7 @@ proptest! {
     #![proptest_config(ProptestConfig::with_cases(192))]
 
     #[test]
-    fn no_size_and_no_status_breaks_the_screen(
+    fn screen_draws_any_status_at_any_size(
         width in 1..=300_u16,
         height in 1..=100_u16,
         status in any_status(),

@@ -104,14 +104,14 @@ fn drawn(width: u16, height: u16, status: &TrainingStatus, depth: ColourDepth) -
 }
 
 #[test]
-fn the_dashboard_at_80_by_24() {
+fn dashboard_at_80_by_24() {
     insta::assert_snapshot!("waiting", image(80, 24, &fresh(1)));
     insta::assert_snapshot!("first_epoch", image(80, 24, &started()));
     insta::assert_snapshot!("resumed", image(80, 24, &resumed()));
 }
 
 #[test]
-fn the_dashboard_at_other_sizes() {
+fn dashboard_at_other_sizes() {
     insta::assert_snapshot!("wide", image(120, 36, &resumed()));
     insta::assert_snapshot!("narrow", image(48, 20, &resumed()));
     insta::assert_snapshot!("low", image(80, 9, &resumed()));

@@ -21,7 +21,7 @@ fn files(folder: &Path, suffix: &str) -> Vec<PathBuf> {
 }
 
 #[test]
-fn domes_of_poly_haven_are_read() {
+fn reads_environment_maps_of_poly_haven() {
     let Some(folder) = shared("data/hdri_polyhaven_cc0") else {
         return;
     };
@@ -36,7 +36,7 @@ fn domes_of_poly_haven_are_read() {
 }
 
 #[test]
-fn textures_of_poly_haven_are_read() {
+fn reads_textures_of_poly_haven() {
     let Some(folder) = shared("data/textures_polyhaven_cc0") else {
         return;
     };
@@ -47,7 +47,7 @@ fn textures_of_poly_haven_are_read() {
 }
 
 #[test]
-fn a_mesh_whose_texture_is_missing_is_drawn_grey_with_a_warning() {
+fn missing_texture_renders_grey_with_warning() {
     let Some(path) = shared("data/ycb_drake/004_sugar_box_textured.obj") else {
         return;
     };

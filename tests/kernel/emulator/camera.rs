@@ -206,7 +206,7 @@ mod tests {
     }
 
     #[test]
-    fn a_lost_packet_carries_nothing() {
+    fn lost_packet_carries_no_data() {
         let transmission = transmission(true);
         let (data, done) = payloads(&transmission).fill(&submit(3));
         assert_eq!(done[1].status, Status::PacketLost);

@@ -386,7 +386,7 @@ mod tests {
     }
 
     #[test]
-    fn the_second_mode_of_depth_is_negotiated_and_started() {
+    fn second_depth_mode_is_negotiated_and_started() {
         let mut d435 = endpoint(2);
         let mut wanted = vec![0; 26];
         wanted[2] = 1;
@@ -425,7 +425,7 @@ mod tests {
     }
 
     #[test]
-    fn the_hardware_monitor_is_on_the_depth_function_alone() {
+    fn hardware_monitor_is_only_on_depth_function() {
         let mut d435 = endpoint(2);
         let length = |interface: u8| control([0xa1, 0x85, 0, 1, interface, 3, 2, 0], &[]);
         assert_eq!(d435.answer(&length(0)), Some(vec![0, 4]));

@@ -329,7 +329,7 @@ mod tests {
     }
 
     #[test]
-    fn a_number_makes_equal_images_differ() {
+    fn frame_number_makes_equal_images_differ() {
         let jpeg = [0xff, 0xd8, 0xff, 0xd9];
         let sent = numbered(&jpeg, 0x0102);
         assert_eq!(sent[2..14], [0xff, 0xfe, 0, 10, 0, 0, 0, 0, 0, 0, 1, 2]);
@@ -338,7 +338,7 @@ mod tests {
     }
 
     #[test]
-    fn a_fault_hits_as_many_images_as_asked() {
+    fn fault_hits_requested_number_of_images() {
         let feed = files();
         feed.set_fault(Some(Fault::Truncate), Some(2));
         let lengths: Vec<_> = (0..3)

@@ -353,7 +353,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_rig_file_reads_back() {
+    fn rig_file_round_trips() {
         let text = toml::to_string_pretty(&rig_file()).unwrap();
         assert_eq!(toml::from_str::<RigFile>(&text).unwrap(), rig_file());
     }

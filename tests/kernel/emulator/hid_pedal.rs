@@ -97,7 +97,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_press_ends_with_the_key_up() {
+    fn press_ends_with_key_up() {
         let now = Instant::now();
         for bounces in [false, true] {
             let reports = press(now, bounces);

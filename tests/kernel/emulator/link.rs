@@ -325,7 +325,7 @@ mod tests {
     }
 
     #[test]
-    fn a_waiting_transfer_is_taken_back() {
+    fn pending_transfer_is_cancelled() {
         let (link, mut kernels) = link();
         assert!(link.accept(submit(1, 1)).is_none());
         link.unlink(2, 1);
@@ -333,7 +333,7 @@ mod tests {
     }
 
     #[test]
-    fn an_answered_transfer_cannot_be_taken_back() {
+    fn answered_transfer_cannot_be_cancelled() {
         let (link, mut kernels) = link();
         link.accept(submit(1, 1));
         link.answer_interrupt(1, &[]).unwrap();
@@ -343,7 +343,7 @@ mod tests {
     }
 
     #[test]
-    fn an_unlink_that_overtakes_its_transfer_waits_for_it() {
+    fn unlink_before_transfer_waits_for_it() {
         let (link, mut kernels) = link();
         link.accept(submit(5, 1));
         link.unlink(7, 6);
@@ -355,7 +355,7 @@ mod tests {
     }
 
     #[test]
-    fn a_stopped_stream_and_a_pulled_plug_interrupt_the_pump() {
+    fn stopped_stream_and_unplug_interrupt_pump() {
         let (link, _kernels) = link();
         let mode = Mode {
             width: 640,

@@ -151,7 +151,7 @@ mod tests {
     use crate::guest::Action;
 
     #[test]
-    fn a_seed_gives_one_soak_that_can_be_read() {
+    fn seed_gives_reproducible_readable_soak() {
         let soak = Soak::new(300.0, 4);
         let again = Soak::new(300.0, 4);
         assert_eq!((&soak.steps, &soak.script), (&again.steps, &again.script));

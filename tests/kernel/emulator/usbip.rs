@@ -200,7 +200,7 @@ mod tests {
     }
 
     #[test]
-    fn a_control_write_carries_setup_and_data() {
+    fn control_write_carries_setup_and_data() {
         let setup = [0x21, 1, 0, 2, 1, 0, 3, 0];
         let mut bytes = message([1, 7, 0x10001, 0, 0, 0, 3, 0, 0, 0], setup);
         bytes.extend_from_slice(&[9, 8, 7]);
@@ -214,7 +214,7 @@ mod tests {
     }
 
     #[test]
-    fn an_isochronous_read_carries_its_packets_and_no_data() {
+    fn isochronous_read_carries_packets_and_no_data() {
         let mut bytes = message([1, 9, 0x10001, 1, 1, 0, 6144, 0, 2, 1], [0; 8]);
         push_words(&mut bytes, &[0, 3072, 0, 0, 3072, 3072, 0, 0]);
         let Request::Submit(submit) = read_request(&mut bytes.as_slice()).unwrap() else {
