@@ -7,7 +7,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
 use sd_notify::NotifyState;
-use tokio::signal::unix::{SignalKind, signal};
+use tokio::signal::unix::{Signal, SignalKind, signal};
 use tokio::sync::{mpsc, watch};
 
 use super::collection::{COMMAND_QUEUE, start_pedals, stop_signals};
@@ -59,6 +59,9 @@ pub(crate) async fn run(
     reload: impl FnMut() -> Result<Reloaded>,
 ) -> Result<CollectReport> {
     let stop = stop_signals(false)?;
+    // Before the address is announced: until then SIGHUP would end the process.
+    let hangup =
+        signal(SignalKind::hangup()).map_err(|e| Error::io("cannot listen for SIGHUP", e))?;
     let listeners = Listeners::open(settings.listen, settings.socket.as_deref()).await?;
     announce(&listeners, &settings);
     let (command_sender, commands) = mpsc::channel(COMMAND_QUEUE);
@@ -110,7 +113,7 @@ pub(crate) async fn run(
             }
         };
         let watchdog = notify_systemd(newest.clone(), &tasks);
-        let reloads = reload_on_hangup(reload, &limit_sender, &access);
+        let reloads = reload_on_hangup(hangup, reload, &limit_sender, &access);
         tokio::join!(serving, sounds, lines, watchdog, reloads);
     };
     tokio::pin!(engine, beside);
@@ -185,20 +188,11 @@ async fn notify_systemd(mut status: watch::Receiver<Arc<EngineStatus>>, tasks: &
 
 /// Reloads the settings on SIGHUP.
 async fn reload_on_hangup(
+    mut hangup: Signal,
     mut reload: impl FnMut() -> Result<Reloaded>,
     limits: &mpsc::Sender<GuardLimits>,
     access: &Access,
 ) {
-    let mut hangup = match signal(SignalKind::hangup()) {
-        Ok(hangup) => hangup,
-        Err(e) => {
-            note!(
-                "{}",
-                Error::io("cannot listen for SIGHUP, settings cannot be reloaded", e)
-            );
-            return;
-        }
-    };
     while hangup.recv().await.is_some() {
         if let Ok(now) = NotifyState::monotonic_usec_now() {
             let _ = sd_notify::notify(&[NotifyState::Reloading, now]);
