@@ -14,6 +14,7 @@ use super::access::{Authorisation, Peer};
 use super::backend::Backend;
 use super::failure::{ErrorResponse, Failure};
 use super::previews::MAX_STREAMS;
+use crate::daemon::EngineStatus;
 use gripcast_imaging::Role;
 
 /// Interval between two images of a stream.
@@ -21,10 +22,12 @@ const INTERVAL: Duration = Duration::from_millis(100);
 /// Multipart boundary of a stream.
 const BOUNDARY: &str = "gripcast-frame";
 
-fn check_role(backend: &Backend, role: Role) -> Result<Role, Failure> {
-    let status = backend.status.borrow();
+fn check_role(status: &EngineStatus, role: Role) -> Result<Role, Failure> {
     if status.cameras.iter().any(|camera| camera.role == role) {
         return Ok(role);
+    }
+    if status.cameras.is_empty() {
+        return Err(Failure::busy("the cameras are starting"));
     }
     Err(Failure::not_found(format!(
         "the rig has no camera `{role}`"
@@ -42,7 +45,7 @@ pub(crate) async fn still(
     Shared(backend): Shared<Arc<Backend>>,
     Segment(role): Segment<Role>,
 ) -> Result<Response, Failure> {
-    let role = check_role(&backend, role)?;
+    let role = check_role(&backend.status.borrow(), role)?;
     let jpeg = backend
         .previews
         .jpeg(role)
@@ -63,7 +66,7 @@ pub(crate) async fn stream(
     Extension(authorisation): Extension<Authorisation>,
     Segment(role): Segment<Role>,
 ) -> Result<Response, Failure> {
-    let role = check_role(&backend, role)?;
+    let role = check_role(&backend.status.borrow(), role)?;
     let permit = backend.previews.streams.take(peer).ok_or_else(|| {
         Failure::busy(format!("{MAX_STREAMS} image streams are already open"))
             .remedy("close another page")
@@ -124,5 +127,23 @@ where
             Ok(Path(segment)) => Ok(Self(segment)),
             Err(rejection) => Err(Failure::new(rejection.status(), rejection.body_text())),
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use axum::http::StatusCode;
+    use gripcast_session::Labels;
+
+    use super::*;
+
+    #[test]
+    fn cameras_are_busy_until_the_engine_has_started() {
+        let starting = EngineStatus::starting("kitchen", "virtual", Labels::default());
+        let failure = check_role(&starting, Role::Left).unwrap_err();
+        assert_eq!(
+            failure.into_response().status(),
+            StatusCode::SERVICE_UNAVAILABLE
+        );
     }
 }
