@@ -7,8 +7,8 @@
 //! ```
 //!
 //! Prints one JSON object. `OUT` receives the images as PFM (linear light) and PNG, and with
-//! `--export` the scene as `scene.json` with PLY meshes, PNG textures and a PFM environment map whose rows
-//! begin and end at the poles, which `tests/peers/mitsuba_scene.py` renders.
+//! `--export` the scene as `scene.json` with PLY meshes, PNG textures and a PFM environment map
+//! whose rows begin and end at the poles, which `tests/peers/mitsuba_scene.py` renders.
 //! Materials: diffuse, principled, metal, glass.
 
 use std::error::Error;

@@ -5,8 +5,8 @@ use gripcast_base::error::Result;
 use gripcast_capture::calibration::RigFile;
 use gripcast_nn::predict::{BASELINE, Model, ModelContract, SHIPPED};
 
-/// Loads the named model. Without a name, loads the built-in classifier if it suits the rig, else the
-/// heuristic with a note on stderr. `none` gives no model.
+/// Loads the named model. Without a name, loads the built-in classifier if it suits the rig, else
+/// the heuristic with a note on stderr. `none` gives no model.
 ///
 /// # Errors
 /// As [`Model::by_name`].

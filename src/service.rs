@@ -163,7 +163,8 @@ fn on_stored(backend: &Backend, event: &StoreEvent) {
     let _ = backend.news.send(News::Stored(Arc::new(event.clone())));
 }
 
-/// Notifies systemd that the service is ready, then feeds its watchdog. Does nothing without systemd.
+/// Notifies systemd that the service is ready, then feeds its watchdog. Does nothing without
+/// systemd.
 async fn notify_systemd(mut status: watch::Receiver<Arc<EngineStatus>>, tasks: &Tasks) {
     // The engine sends the first status when it has started.
     if status.changed().await.is_err() {

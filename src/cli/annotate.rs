@@ -11,7 +11,8 @@
 //! external camera and stored in `grasp.json`; `overlays/GRASP.jpg` shows the detections. A pose
 //! that was corrected by hand is never overwritten.
 //!
-//! Exit codes: 0 all grasps have a pose · 1 none has · 2 usage · 3 some have none · 130 interrupted.
+//! Exit codes: 0 all grasps have a pose · 1 none has · 2 usage · 3 some have none · 130
+//! interrupted.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};

@@ -25,7 +25,8 @@ use gripcast_sim::grasp::resting_pose;
 pub(super) struct MakeArgs {
     #[command(flatten)]
     mesh: MeshFlags,
-    /// Stable pose of the object, 0 being the most probable [default: the nearest within 5°, else 0]
+    /// Stable pose of the object, 0 being the most probable [default: the nearest within 5°, else
+    /// 0]
     #[arg(long, value_name = "INDEX")]
     stable_pose: Option<usize>,
     /// Rotation of the object on the sheet, counter-clockwise

@@ -11,10 +11,10 @@
 //!     --images photos --closed closed-1.png --out gripper.toml
 //! ```
 //!
-//! `intrinsics` uses views of a planar board, live or from files (docs/how-to/calibration.md). `show` and
-//! `convert` read intrinsics of gripcast (TOML), ROS (camera_info YAML), OpenCV (FileStorage YAML)
-//! and Kalibr (camchain.yaml); the format is detected from the content. `gripper` measures the
-//! poses of the gripper tags (docs/how-to/gripper-tags.md).
+//! `intrinsics` uses views of a planar board, live or from files (docs/how-to/calibration.md).
+//! `show` and `convert` read intrinsics of gripcast (TOML), ROS (camera_info YAML), OpenCV
+//! (FileStorage YAML) and Kalibr (camchain.yaml); the format is detected from the content.
+//! `gripper` measures the poses of the gripper tags (docs/how-to/gripper-tags.md).
 //!
 //! Exit codes: 0 done · 1 invalid file or unusable images · 2 usage · 3 done, but an image was
 //! unreadable or a tag was loose.

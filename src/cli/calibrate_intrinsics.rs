@@ -2,17 +2,19 @@
 //!
 //! ```text
 //! gripcast board charuco --out charuco.pdf
-//! gripcast calibrate intrinsics --board charuco.toml --rig bench --camera external --out external.toml
-//! gripcast calibrate intrinsics --board charuco.toml --images shots/ --out external.toml
+//! gripcast calibrate intrinsics --board charuco.toml --rig bench --camera external --out
+//! external.toml gripcast calibrate intrinsics --board charuco.toml --images shots/ --out
+//! external.toml
 //! ```
 //!
-//! `--images` uses the JPEG and PNG files of a folder, sorted by name. `--rig` opens a camera of the
-//! rig, shows which views are missing, and ends when there are enough. On a terminal, Enter ends
-//! with the current views and `q` or Ctrl-C quits without writing. The results are explained in
-//! docs/how-to/calibration.md.
+//! `--images` uses the JPEG and PNG files of a folder, sorted by name. `--rig` opens a camera of
+//! the rig, shows which views are missing, and ends when there are enough. On a terminal, Enter
+//! ends with the current views and `q` or Ctrl-C quits without writing. The results are explained
+//! in docs/how-to/calibration.md.
 //!
 //! Exit codes: 0 done · 1 calibration failed or invalid file · 2 usage · 3 done, but some images
-//! were unreadable or did not show the board · 69 no such camera · 130 interrupted, nothing written.
+//! were unreadable or did not show the board · 69 no such camera · 130 interrupted, nothing
+//! written.
 
 use std::path::{Path, PathBuf};
 

@@ -8,8 +8,9 @@
 //! gripcast dataset export D --to training --out D-training --split object-0
 //! ```
 //!
-//! `training` is the format of `train` and `eval`. Contents and loading: `docs/reference/exports.md`. The
-//! export gets its name once it is complete. Damaged grasps are reported and left out.
+//! `training` is the format of `train` and `eval`. Contents and loading:
+//! `docs/reference/exports.md`. The export gets its name once it is complete. Damaged grasps are
+//! reported and left out.
 //!
 //! Exit codes: 0 all exported · 1 failed · 2 usage · 3 done, but some grasps were left out · 130
 //! interrupted.

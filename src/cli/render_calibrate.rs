@@ -7,8 +7,8 @@
 //!
 //! `--presses` is a folder with one image without contact (`no_contact.png`) and images of a ball
 //! pressed into the gel at several positions. Contacts are read from its `presses.json`, or else
-//! detected in the images (format: docs/how-to/rendering.md). By default half of the presses is fitted
-//! and the other half scored.
+//! detected in the images (format: docs/how-to/rendering.md). By default half of the presses is
+//! fitted and the other half scored.
 //!
 //! `FILE.background.png`, the gel without contact, and `FILE.fit.png`, the real, rendered and
 //! residual images of scored presses, are written beside `--out FILE.toml`.

@@ -56,7 +56,8 @@ struct PoseFlags {
         "height", "offset_x", "offset_y", "yaw_deg", "roll_deg", "pitch_deg",
     ])]
     pose: Option<PathBuf>,
-    /// Stable pose of the object, 0 being the most probable [default: the nearest within 5°, else 0]
+    /// Stable pose of the object, 0 being the most probable [default: the nearest within 5°, else
+    /// 0]
     #[arg(long, value_name = "INDEX")]
     stable_pose: Option<usize>,
     /// Initial distance between the gels [default: object width + 2 mm]

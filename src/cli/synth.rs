@@ -5,8 +5,8 @@
 //! gripcast synth run --plan P                       run all of them, on all cores
 //! gripcast synth run --plan P --shard 3/8           run shard 3 of 8; /8 with a scheduler's index
 //! gripcast synth status --plan P                    show the progress
-//! gripcast synth merge --plan P --out D             write the dataset: Parquet shards, split, balanced
-//! gripcast synth report --plan P --dataset D --out R   report counts, examples and costs
+//! gripcast synth merge --plan P --out D             write the dataset: Parquet shards, split,
+//! balanced gripcast synth report --plan P --dataset D --out R   report counts, examples and costs
 //! ```
 
 use super::{Context, synth_merge, synth_plan, synth_report, synth_run};

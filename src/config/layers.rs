@@ -1,5 +1,5 @@
-//! The layers of the configuration: defaults < TOML file < `GRIPCAST__SECTION__KEY` < flags, with the
-//! origin of every value.
+//! The layers of the configuration: defaults < TOML file < `GRIPCAST__SECTION__KEY` < flags, with
+//! the origin of every value.
 
 use std::collections::BTreeMap;
 use std::fmt;
@@ -15,9 +15,9 @@ const ENV_PREFIX: &str = "GRIPCAST__";
 
 /// Returns whether a key is ignored in the `gripcast.toml` of the current folder.
 ///
-/// Such a file may come with third-party data. It may set what is collected and how, but not network
-/// access and credentials, nor where files outside the dataset are written, removed or read through
-/// links. No key names a command to execute; such a key would be protected as well.
+/// Such a file may come with third-party data. It may set what is collected and how, but not
+/// network access and credentials, nor where files outside the dataset are written, removed or read
+/// through links. No key names a command to execute; such a key would be protected as well.
 fn is_protected(key: &str) -> bool {
     key.starts_with("daemon.") || key.starts_with("files.") || key == "black_box.directory"
 }
@@ -110,8 +110,8 @@ pub type FlagValue = (&'static str, &'static str, String);
 /// Merges all layers.
 ///
 /// # Errors
-/// `Config` for an invalid file, an unknown key (with the nearest one) or a value of the wrong type;
-/// each names its origin.
+/// `Config` for an invalid file, an unknown key (with the nearest one) or a value of the wrong
+/// type; each names its origin.
 pub fn load(
     file: Option<&ConfigFile>,
     environment: impl IntoIterator<Item = (String, String)>,

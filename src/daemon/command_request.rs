@@ -25,7 +25,8 @@ impl CommandRequest {
         }
     }
 
-    /// Creates a request and the receiver of its result, which arrives once all changes are durable.
+    /// Creates a request and the receiver of its result, which arrives once all changes are
+    /// durable.
     pub fn with_response(
         command: Command,
         source: CommandSource,

@@ -129,8 +129,8 @@ pub(super) struct InferenceState {
 }
 
 impl InferenceState {
-    /// Returns the changed fraction of a gel relative to the initial frame of `revision`, in a frame
-    /// newer than `since_ns`, or `None` before the first such frame.
+    /// Returns the changed fraction of a gel relative to the initial frame of `revision`, in a
+    /// frame newer than `since_ns`, or `None` before the first such frame.
     pub(super) fn changed_fraction(
         &self,
         role: Role,

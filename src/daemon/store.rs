@@ -334,7 +334,8 @@ impl Worker {
         model_image(&mut self.decoder, frame, crop.as_ref())
     }
 
-    /// Predicts on exactly the saved frames, so that the prediction can be reproduced from the files.
+    /// Predicts on exactly the saved frames, so that the prediction can be reproduced from the
+    /// files.
     fn predict(&mut self, capture: &StageCapture, latency_ms: f64) -> Option<PredictionRecord> {
         if !self.context.has_model {
             return None;

@@ -8,8 +8,8 @@ use gripcast_imaging::{Decoder, Role};
 use gripcast_pose::BoardFile;
 use gripcast_pose::detect::detectors;
 
-/// Detects the gripper's tags and, for a virtual rig or a single sheet, the sheet in the last frame of
-/// the external camera.
+/// Detects the gripper's tags and, for a virtual rig or a single sheet, the sheet in the last frame
+/// of the external camera.
 pub(super) fn findings(checks: &[CameraCheck], boards: Option<Result<Boards>>) -> Vec<Finding> {
     let external = checks.iter().find(|check| check.role == Role::External);
     let Some(external) = external else {

@@ -56,8 +56,8 @@ fn live_count(status: &EngineStatus) -> String {
     format!("{live}/{} cameras live", status.cameras.len())
 }
 
-/// Formats product and port: `GelSight Mini R0B 2BNN-4ZE7   usb 3-2.1`, with the serial number if the
-/// product string does not contain it.
+/// Formats product and port: `GelSight Mini R0B 2BNN-4ZE7   usb 3-2.1`, with the serial number if
+/// the product string does not contain it.
 pub(super) fn identity(camera: &CameraStatus) -> String {
     let port = match camera.port.as_str() {
         "" => "port unknown".to_owned(),

@@ -85,8 +85,8 @@ impl Prompt {
         &self.text
     }
 
-    /// Handles a key: characters, arrows, Home, End, Backspace, Delete, Ctrl-U and Ctrl-W edit; Tab and ↑
-    /// insert the current value; Enter accepts; Esc cancels.
+    /// Handles a key: characters, arrows, Home, End, Backspace, Delete, Ctrl-U and Ctrl-W edit; Tab
+    /// and ↑ insert the current value; Enter accepts; Esc cancels.
     pub fn press(&mut self, key: &KeyEvent) -> Reply {
         let control = key.modifiers.contains(KeyModifiers::CONTROL);
         match key.code {

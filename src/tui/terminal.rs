@@ -23,8 +23,8 @@ const WRITE_BUFFER_BYTES: usize = 512 * 1024;
 static ENTERED: AtomicBool = AtomicBool::new(false);
 static PANIC_HOOK: Once = Once::new();
 
-/// The terminal while the screen is shown. It is restored on drop, and on a panic before the message
-/// is printed.
+/// The terminal while the screen is shown. It is restored on drop, and on a panic before the
+/// message is printed.
 pub(super) struct ScreenTerminal {
     terminal: Terminal<CrosstermBackend<BufWriter<Stdout>>>,
 }

@@ -1,7 +1,7 @@
 //! Tones for operators who look at the object: through the system's sound player, or bells.
 //!
-//! Tones are synthesised here and played by the first of `pw-play`, `paplay` and `aplay`. If none is
-//! installed, or one fails (no sound server over SSH), the terminal bell rings a pattern.
+//! Tones are synthesised here and played by the first of `pw-play`, `paplay` and `aplay`. If none
+//! is installed, or one fails (no sound server over SSH), the terminal bell rings a pattern.
 
 use std::collections::VecDeque;
 use std::f64::consts::TAU;

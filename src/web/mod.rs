@@ -7,8 +7,8 @@
 //!  dataset ──► list of grasps, files, previews
 //! ```
 //!
-//! Handlers wait for the engine with a timeout; the engine never waits for them. `docs/reference/api.md` is the
-//! contract; `/api/openapi.json` is generated from these functions.
+//! Handlers wait for the engine with a timeout; the engine never waits for them.
+//! `docs/reference/api.md` is the contract; `/api/openapi.json` is generated from these functions.
 
 mod access;
 mod attach;

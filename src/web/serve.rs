@@ -51,8 +51,8 @@ impl Default for Limits {
 const MAX_TCP: usize = 128;
 /// Maximum connections over the Unix socket.
 const MAX_UNIX: usize = 64;
-/// Send buffer of the kernel, bytes (doubled by Linux). Small, because the write timeout starts when it
-/// is full.
+/// Send buffer of the kernel, bytes (doubled by Linux). Small, because the write timeout starts
+/// when it is full.
 const SEND_BUFFER: u32 = 64 * 1024;
 /// Maximum pending connections.
 const BACKLOG: u32 = 1024;

@@ -1,4 +1,5 @@
-//! `gripcast daemon` on the virtual rig: API, access rules and shutdown. One file for the shared fixture.
+//! `gripcast daemon` on the virtual rig: API, access rules and shutdown. One file for the shared
+//! fixture.
 
 use std::fs;
 use std::io::{BufRead as _, BufReader, Read, Write};

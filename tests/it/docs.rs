@@ -2,8 +2,8 @@
 //!
 //! The `sh` blocks of a page run in order in one shell in an empty folder, with the program on the
 //! path. A comment on the line before a block changes that: `<!-- not run: REASON -->`, or
-//! `<!-- exit codes: 0 4 -->` for other codes than 0. With `<!-- needs: kitchen -->` anywhere on the
-//! page, the folder has a small dataset `kitchen`.
+//! `<!-- exit codes: 0 4 -->` for other codes than 0. With `<!-- needs: kitchen -->` anywhere on
+//! the page, the folder has a small dataset `kitchen`.
 
 use std::fmt::Write as _;
 use std::fs;

@@ -1,9 +1,9 @@
 //! What `--json` prints, as a reviewed schema per command: the tests that run a command with
 //! `--json` hold its output against `snapshots/json/COMMAND.snap`.
 //!
-//! A line of a schema is `path: types`. `[]` is an item of an array, `{}` a value of an object whose
-//! keys are data, `?` a key that not every object has. A schema knows the values that the test
-//! saw: arrays that are empty, and arrays of texts, have no lines for their items.
+//! A line of a schema is `path: types`. `[]` is an item of an array, `{}` a value of an object
+//! whose keys are data, `?` a key that not every object has. A schema knows the values that the
+//! test saw: arrays that are empty, and arrays of texts, have no lines for their items.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::io::{BufRead as _, BufReader, Read as _};

@@ -1,5 +1,5 @@
-//! Keeps the two rules of docs/explanation/security.md: files of data are opened below their folder, and text
-//! leaves through one place.
+//! Keeps the two rules of docs/explanation/security.md: files of data are opened below their
+//! folder, and text leaves through one place.
 
 use std::collections::BTreeMap;
 use std::fs;

@@ -19,8 +19,8 @@ pub(crate) struct Baseline {
 }
 
 impl Baseline {
-    /// Runs the script on `input`. If Python or a package is absent, returns none and prints what to
-    /// install.
+    /// Runs the script on `input`. If Python or a package is absent, returns none and prints what
+    /// to install.
     pub(crate) fn measure(
         &self,
         context: &Context,

@@ -19,9 +19,9 @@
 //! | energy, gradient | the same of `BarrierPotential` |
 //! | positive semidefinite stiffness | `hessian` with CLAMP |
 //!
-//! Ours keeps candidates until a node has moved 0.4 mm, so half a broad phase falls on one iteration
-//! of this motion; `ours_rebuild_ms` counts a complete one. ipctk can keep candidates as well:
-//! `ipctk_kept_ms` reuses them and counts half of their build. Ours has an affine object (12
+//! Ours keeps candidates until a node has moved 0.4 mm, so half a broad phase falls on one
+//! iteration of this motion; `ours_rebuild_ms` counts a complete one. ipctk can keep candidates as
+//! well: `ipctk_kept_ms` reuses them and counts half of their build. Ours has an affine object (12
 //! unknowns) and keeps the normal part of the contact stiffness; ipctk gives every vertex of the
 //! object its own unknowns and projects each local 12 x 12 block. Pairs, minimum distance, energy
 //! and gradient must agree.

@@ -1,8 +1,8 @@
 //! Contact of two pressed gels and a sphere, to time its phases in isolation.
 //!
-//! The sphere is an icosphere of radius 20 mm. The front faces of the gels are pushed 1.5 mm into it
-//! along x from both sides; front nodes nearer than 0.25 mm are projected to that distance, without
-//! equilibrium. Both gels move by 0.2 mm along z over the sphere, without friction.
+//! The sphere is an icosphere of radius 20 mm. The front faces of the gels are pushed 1.5 mm into
+//! it along x from both sides; front nodes nearer than 0.25 mm are projected to that distance,
+//! without equilibrium. Both gels move by 0.2 mm along z over the sphere, without friction.
 
 use std::collections::BTreeMap;
 

@@ -1,10 +1,10 @@
 //! `gripcast-bench grasp`: simulated grasps of the paper's protocol at 40 N.
 //!
-//! *Easy* grasps meet the object squarely; *hard* ones push, rotate or tilt it, touch edges or slip.
-//! Each case is simulated `--repeat` times and the minimum time is reported; steps, iterations and
-//! outcomes are deterministic. EGAD's B1 is read from the folder of shared data (`GRIPCAST_SHARED`,
-//! else `../shared`); without it, its cases are skipped. Finally, the throughput of independent
-//! grasps on one and on two threads, one grasp per thread.
+//! *Easy* grasps meet the object squarely; *hard* ones push, rotate or tilt it, touch edges or
+//! slip. Each case is simulated `--repeat` times and the minimum time is reported; steps,
+//! iterations and outcomes are deterministic. EGAD's B1 is read from the folder of shared data
+//! (`GRIPCAST_SHARED`, else `../shared`); without it, its cases are skipped. Finally, the
+//! throughput of independent grasps on one and on two threads, one grasp per thread.
 //!
 //! Exit codes: 0 measured · 3 measured, but cases were skipped or did not converge.
 

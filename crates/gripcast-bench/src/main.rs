@@ -5,8 +5,8 @@
 //! ```
 //!
 //! Each benchmark prints a table, or with `--json` one object `{"figures", "name", "params",
-//! "baselines"}`. `--baseline` also runs another implementation through `python3`. The benchmarks for
-//! users are `gripcast bench`.
+//! "baselines"}`. `--baseline` also runs another implementation through `python3`. The benchmarks
+//! for users are `gripcast bench`.
 
 mod baseline;
 mod contact;

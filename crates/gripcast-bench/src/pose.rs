@@ -4,9 +4,10 @@
 //! gripcast-bench pose --motion-px 3 --json
 //! ```
 //!
-//! Renders a board with 14 markers of 30 mm and a gripper with two tags at 0.4–0.8 m, with realistic
-//! blur, shading and noise; detects, refines, solves, and compares with the ground truth. `ms` is
-//! CPU time of one thread from grey image to pose. All compiled-in detectors get the same images.
+//! Renders a board with 14 markers of 30 mm and a gripper with two tags at 0.4–0.8 m, with
+//! realistic blur, shading and noise; detects, refines, solves, and compares with the ground truth.
+//! `ms` is CPU time of one thread from grey image to pose. All compiled-in detectors get the same
+//! images.
 //!
 //! Exit codes: 0 measured · 2 usage.
 

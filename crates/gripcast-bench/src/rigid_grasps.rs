@@ -148,8 +148,8 @@ impl Agreement {
     }
 }
 
-/// Draws random grasps of each mesh (m): stable pose, yaw, offsets, roll, pitch, height, friction and
-/// force. About 40 % fail. Grasps that start in collision are redrawn.
+/// Draws random grasps of each mesh (m): stable pose, yaw, offsets, roll, pitch, height, friction
+/// and force. About 40 % fail. Grasps that start in collision are redrawn.
 pub(crate) fn random_grasps(
     engine: &RigidEngine,
     meshes: &[(String, Arc<TriangleMesh>)],
@@ -218,8 +218,8 @@ fn draw(rng: &mut Pcg64Mcg, mesh: &Arc<TriangleMesh>, poses: &[Pose]) -> Result<
     })
 }
 
-/// Returns the input of the baseline, with our convex pieces and `refine` of its time steps per step
-/// of ours. Grasps that start in collision are omitted.
+/// Returns the input of the baseline, with our convex pieces and `refine` of its time steps per
+/// step of ours. Grasps that start in collision are omitted.
 pub(crate) fn baseline_cases(
     engine: &RigidEngine,
     grasps: &[BaselineGrasp],

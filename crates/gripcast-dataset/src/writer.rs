@@ -2,8 +2,8 @@
 //!
 //! A method that returns `Ok` has stored its result durably; one that fails leaves the previous
 //! state. Each change becomes visible by one `rename`; its files are flushed before, the directory
-//! after. `docs/reference/dataset-format.md` lists the state after a crash between any two operations, and a
-//! test covers all of them.
+//! after. `docs/reference/dataset-format.md` lists the state after a crash between any two
+//! operations, and a test covers all of them.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs::File;

@@ -319,7 +319,8 @@ mod tests {
 
     #[test]
     fn geometric_series_does_not_overflow_the_stack() {
-        // Each box lies at half the distance of the previous one: splits peel off one bin at a time.
+        // Each box lies at half the distance of the previous one: splits peel off one bin at a
+        // time.
         let boxes: Vec<Aabb> = (0..1000)
             .map(|i| Aabb::from_points([DVec3::X * 0.5f64.powi(i)]))
             .collect();

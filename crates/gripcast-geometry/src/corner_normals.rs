@@ -11,9 +11,9 @@ pub const CREASE_RAD: f64 = 0.698;
 /// Cosine of the largest angle between coplanar neighbours (0.08°).
 const COPLANAR: f64 = 1.0 - 1e-6;
 
-/// Computes a unit normal at each corner of each triangle: the mean over the triangles at its vertex
-/// within the crease angle, weighted by their angle there and by the area of their planar face. A
-/// face thus stays flat up to the bevel around it, independent of the triangulation.
+/// Computes a unit normal at each corner of each triangle: the mean over the triangles at its
+/// vertex within the crease angle, weighted by their angle there and by the area of their planar
+/// face. A face thus stays flat up to the bevel around it, independent of the triangulation.
 pub fn corner_normals(mesh: &TriangleMesh, crease_rad: f64) -> Vec<[DVec3; 3]> {
     let units: Vec<DVec3> = mesh.all_corners().map(normal).collect();
     let areas = face_areas(mesh, &units);

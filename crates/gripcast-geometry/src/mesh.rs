@@ -211,7 +211,8 @@ impl TriangleMesh {
         Ok(())
     }
 
-    /// SHA-256 of vertices and triangles, 64 hex digits; equal if and only if both are bit-identical.
+    /// SHA-256 of vertices and triangles, 64 hex digits; equal if and only if both are
+    /// bit-identical.
     pub fn content_hash(&self) -> String {
         let mut hash = Sha256::new();
         hash.update((self.vertices.len() as u64).to_le_bytes());

@@ -9,8 +9,8 @@ use super::{
 use gripcast_base::error::{Error, Result};
 use gripcast_base::files::{FileKind, Root, companions};
 
-/// Loads `builtin:NAME` or a mesh file with coordinates in `unit`, scales and prepares it; the result
-/// is in metres.
+/// Loads `builtin:NAME` or a mesh file with coordinates in `unit`, scales and prepares it; the
+/// result is in metres.
 ///
 /// # Errors
 /// `Input` for a scale that is not above 0; those of [`load_mesh`] and [`prepare`].

@@ -74,8 +74,8 @@ impl Pose {
         self.rotation * vector
     }
 
-    /// Rotation vector (rad, in frame a) of the shortest rotation from the orientation of `other` to
-    /// this one.
+    /// Rotation vector (rad, in frame a) of the shortest rotation from the orientation of `other`
+    /// to this one.
     pub fn rotation_from(&self, other: &Self) -> DVec3 {
         let rotation = self.rotation * other.rotation.conjugate();
         let shortest = if rotation.w < 0.0 {
@@ -110,8 +110,8 @@ impl Mul for Pose {
     }
 }
 
-/// Canonical unit quaternion: w ≥ 0, and at w = 0 the first non-zero component positive. A canonical
-/// quaternion keeps its bits, so that poses round-trip through files.
+/// Canonical unit quaternion: w ≥ 0, and at w = 0 the first non-zero component positive. A
+/// canonical quaternion keeps its bits, so that poses round-trip through files.
 fn canonical(rotation: DQuat) -> DQuat {
     let norm = rotation.length();
     if !norm.is_finite() || norm == 0.0 {

@@ -11,15 +11,15 @@ use super::mesh_query::closest_on_triangle;
 use super::pose::Pose;
 use gripcast_base::error::{Error, Result};
 
-/// Distance from the plane of a facet, relative to the body's diagonal, up to which corners belong to
-/// it.
+/// Distance from the plane of a facet, relative to the body's diagonal, up to which corners belong
+/// to it.
 const FLATNESS: f64 = 1e-6;
 
 /// A stable pose of a body on the plane z = 0.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct StablePose {
-    /// Lowest point at z = 0, centre of mass at x = y = 0. Rotations about z are equivalent; this is
-    /// the smallest rotation.
+    /// Lowest point at z = 0, centre of mass at x = y = 0. Rotations about z are equivalent; this
+    /// is the smallest rotation.
     pub t_world_object: Pose,
     /// Probability that a body put down slowly in a uniformly random orientation comes to rest in
     /// this pose; all sum to 1.
@@ -50,9 +50,9 @@ pub fn likely_poses(
 ///
 /// Each facet of the convex hull is a candidate. Its solid angle from the centre of mass is its
 /// fraction of landings (Goldberg et al., *Part pose statistics*, IJRR 1999, without dynamics). If
-/// the centre of mass is not above the facet, or a tilt below `min_tip_rad` leaves it, the body tips
-/// over the nearest side onto that neighbour, and on to where that one comes to rest. 0 keeps all
-/// stable poses, 0.02 those that survive a nudge.
+/// the centre of mass is not above the facet, or a tilt below `min_tip_rad` leaves it, the body
+/// tips over the nearest side onto that neighbour, and on to where that one comes to rest. 0 keeps
+/// all stable poses, 0.02 those that survive a nudge.
 ///
 /// # Errors
 /// `Input` if the mesh encloses no volume, or if it tips over from every facet.
@@ -231,9 +231,9 @@ fn solid_angle(corners: &[DVec3; 3], eye: DVec3) -> f64 {
     2.0 * numerator.atan2(denominator)
 }
 
-/// Index of each triangle's facet, and the plane of each facet. The largest remaining triangle starts
-/// a facet with all connected coplanar triangles; slivers, whose own plane is uncertain, join a
-/// neighbour.
+/// Index of each triangle's facet, and the plane of each facet. The largest remaining triangle
+/// starts a facet with all connected coplanar triangles; slivers, whose own plane is uncertain,
+/// join a neighbour.
 fn group_by_plane(hull: &TriangleMesh) -> (Vec<usize>, Vec<Plane>) {
     let tolerance = FLATNESS * hull.bounds().diagonal();
     let areas = hull.triangle_areas();

@@ -175,9 +175,9 @@ fn read_npy(path: &Path) -> Vec<f64> {
         .collect()
 }
 
-/// trimesh uses the same solid angles, but tips each triangle over the side that faces the centre of
-/// mass from its centroid instead of the nearest side, and does not merge coplanar triangles. So the
-/// poses must agree, and the probabilities within caps of 0.2 rad.
+/// trimesh uses the same solid angles, but tips each triangle over the side that faces the centre
+/// of mass from its centroid instead of the nearest side, and does not merge coplanar triangles. So
+/// the poses must agree, and the probabilities within caps of 0.2 rad.
 #[test]
 fn poses_agree_with_trimesh() {
     let Some(folder) = shared("data/egad_eval") else {

@@ -54,8 +54,8 @@ impl CropProfile {
         rule: Rule::Full,
     };
 
-    /// GelSight's `gsrobotics`, 2022 to 2024 (`gsdevice.py`, `resize_crop_mini`): 1/7 off each side,
-    /// rounded down, and two more rows off the top.
+    /// GelSight's `gsrobotics`, 2022 to 2024 (`gsdevice.py`, `resize_crop_mini`): 1/7 off each
+    /// side, rounded down, and two more rows off the top.
     pub const GSMINI_SEVENTH: Self = Self {
         name: "gsmini-seventh-v1",
         rule: Rule::Seventh,

@@ -21,8 +21,8 @@ pub struct ConvSpec {
     pub pad: usize,
 }
 
-/// Architecture of a classifier: an encoder for tactile differences, one of equal size for the colour
-/// image, and two dense layers on their embeddings.
+/// Architecture of a classifier: an encoder for tactile differences, one of equal size for the
+/// colour image, and two dense layers on their embeddings.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Architecture {
     /// Name on the command line and in files.
@@ -72,8 +72,8 @@ impl Architecture {
         }
     }
 
-    /// The paper's: four convolutions, embeddings of 512, two dense layers (§5.2). Kernels, channels,
-    /// strides and pooling are not stated there; common values for 240×320 are used.
+    /// The paper's: four convolutions, embeddings of 512, two dense layers (§5.2). Kernels,
+    /// channels, strides and pooling are not stated there; common values for 240×320 are used.
     pub fn paper() -> Self {
         let conv = |channels, kernel, pad| ConvSpec {
             channels,

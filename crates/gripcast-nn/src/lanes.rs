@@ -3,8 +3,8 @@
 //! The order of additions does not depend on the vector width, so results are equal with 8 and 16
 //! lanes. Without fused multiply-add they differ in the last bits.
 //!
-//! Not based on `pulp`: enabling its AVX-512 affects the whole program and would change the order of
-//! sums in the simulator's solvers.
+//! Not based on `pulp`: enabling its AVX-512 affects the whole program and would change the order
+//! of sums in the simulator's solvers.
 
 #![allow(unsafe_code)]
 

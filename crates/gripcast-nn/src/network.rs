@@ -10,8 +10,8 @@ use crate::predict::contract::Modality;
 
 /// Minimum momentum of the running statistics.
 const MOMENTUM: f32 = 0.1;
-/// Number of groups of a batch with separate gradient sums, so that sums do not depend on the number
-/// of threads.
+/// Number of groups of a batch with separate gradient sums, so that sums do not depend on the
+/// number of threads.
 const GROUPS: usize = 8;
 
 /// Images of a batch, f32 HWC, concatenated; empty for a modality that the classifier lacks.

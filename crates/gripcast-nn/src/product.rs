@@ -27,8 +27,8 @@ impl Rows {
     }
 }
 
-/// A matrix packed into panels of two vectors, the last one possibly of one vector, padded with zero
-/// columns.
+/// A matrix packed into panels of two vectors, the last one possibly of one vector, padded with
+/// zero columns.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Packed {
     values: Vec<f32>,

@@ -131,8 +131,8 @@ impl Board {
         self.markers.iter().filter(move |m| m.body == body)
     }
 
-    /// Whether the markers of a body lie in one plane, within 1 % of their extent, and face the same
-    /// side. False for a body without markers.
+    /// Whether the markers of a body lie in one plane, within 1 % of their extent, and face the
+    /// same side. False for a body without markers.
     pub fn is_planar(&self, body: Body) -> bool {
         let Some(first) = self.markers_on(body).next() else {
             return false;

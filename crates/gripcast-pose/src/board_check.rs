@@ -11,7 +11,8 @@ use gripcast_base::error::{Error, Result};
 const SIDE_RANGE_M: [f64; 2] = [0.005, 0.4];
 /// Maximum distance of a corner from the frame's origin, m.
 const MAX_DISTANCE_M: f64 = 5.0;
-/// Maximum deviation from a square, relative to the side; anisotropic printer scale stays far below.
+/// Maximum deviation from a square, relative to the side; anisotropic printer scale stays far
+/// below.
 const SQUARE_TOLERANCE: f64 = 0.03;
 
 impl Board {
@@ -40,7 +41,8 @@ impl Board {
         self.check_overlap()
     }
 
-    /// Refuses markers of a plane that face away from `up`, or from the majority if `up` is unknown.
+    /// Refuses markers of a plane that face away from `up`, or from the majority if `up` is
+    /// unknown.
     fn check_facing(&self, body: Body, up: Option<DVec3>) -> Result<()> {
         let markers: Vec<&BoardMarker> = self.markers_on(body).collect();
         let Some(first) = markers.first() else {

@@ -10,7 +10,8 @@
 //! [[marker]]
 //! id = 0
 //! part = "object"
-//! corners_mm = [[-130.5, 90.0, -40.0], [-100.5, 90.0, -40.0], [-100.5, 60.0, -40.0], [-130.5, 60.0, -40.0]]
+//! corners_mm = [[-130.5, 90.0, -40.0], [-100.5, 90.0, -40.0], [-100.5, 60.0, -40.0], [-130.5,
+//! 60.0, -40.0]]
 //! ```
 
 use std::fmt::Write as _;
@@ -44,8 +45,8 @@ pub struct PrintedSheet {
     pub paper: String,
     /// Hash printed on the sheet: that of the board as drawn.
     pub printed_hash: String,
-    /// Measured lengths of the printed 100 mm rulers along x and y, mm; the corners are corrected by
-    /// them.
+    /// Measured lengths of the printed 100 mm rulers along x and y, mm; the corners are corrected
+    /// by them.
     pub measured_mm: [f64; 2],
     /// Pose of the object on the sheet: z up, the sheet at z = 0, x to the right of the sheet.
     pub t_world_object: Pose,

@@ -28,8 +28,8 @@ pub struct Chessboard {
     pub squares: [u32; 2],
     /// Width and height of a printed square, mm.
     pub square_mm: [f64; 2],
-    /// Layout of OpenCV before 4.6 for even numbers of rows: the top left square is white. No effect
-    /// for odd numbers of rows.
+    /// Layout of OpenCV before 4.6 for even numbers of rows: the top left square is white. No
+    /// effect for odd numbers of rows.
     #[serde(default)]
     pub legacy: bool,
     /// Hash printed on the sheet: that of the board as drawn.

@@ -288,8 +288,8 @@ impl Side {
         self.light.iter().copied().fold(0.0, f64::max) - low
     }
 
-    /// Standard deviation σ of the blur: the maximum slope of an edge with contrast c after Gaussian
-    /// blur is c/(σ √(2π)). `None`: no positive slope.
+    /// Standard deviation σ of the blur: the maximum slope of an edge with contrast c after
+    /// Gaussian blur is c/(σ √(2π)). `None`: no positive slope.
     fn blur_px(&self) -> Option<f64> {
         let slopes = self.light.windows(2).map(|w| (w[1] - w[0]) / STEP_PX);
         let max_slope = slopes.fold(0.0, f64::max);

@@ -32,8 +32,8 @@ pub(super) struct ViewSettings {
     pub(super) seed: u64,
 }
 
-/// Returns the camera image before the lift, and the simulated one from the nominal camera pose. Light,
-/// ground and surface of the object are unknown; the simulated ones are drawn from the seed.
+/// Returns the camera image before the lift, and the simulated one from the nominal camera pose.
+/// Light, ground and surface of the object are unknown; the simulated ones are drawn from the seed.
 ///
 /// # Errors
 /// `NotFound` or `Input` if the stored frame is missing or damaged; errors of rendering.

@@ -1,6 +1,6 @@
 //! Finished cases are identified by [`VERSION`] and their input, not by the code of the simulators.
-//! If these tests fail because an engine changed its results, increment [`VERSION`]; otherwise stored
-//! cases of the old and the new simulator would be mixed.
+//! If these tests fail because an engine changed its results, increment [`VERSION`]; otherwise
+//! stored cases of the old and the new simulator would be mixed.
 
 use std::fs;
 

@@ -52,8 +52,8 @@ pub(super) fn inline(replay: &GraspReplay, id: &str) -> Option<Markup> {
     Some(chart.draw().inline())
 }
 
-/// Renders the chart of a simulated grasp as an SVG file: the force of each gel over time with F_stop
-/// and the stages, and below it the rise of object and gripper. `title` names the object.
+/// Renders the chart of a simulated grasp as an SVG file: the force of each gel over time with
+/// F_stop and the stages, and below it the rise of object and gripper. `title` names the object.
 pub fn plot(trace: &Trace, summary: &GraspSummary, success_height_m: f64, title: &str) -> String {
     let steps = || trace.steps.iter();
     let height = |step: &TraceStep| step.t_world_object.translation_m.z;

@@ -1,9 +1,10 @@
-//! Replays annotated grasps in the simulators and measures how often simulation and reality agree (the
-//! paper's §5.1, Tables 1 and 2).
+//! Replays annotated grasps in the simulators and measures how often simulation and reality agree
+//! (the paper's §5.1, Tables 1 and 2).
 //!
-//! An [`ObjectFile`] describes a grasped object; a [`Recording`] contains the grasps of a dataset that
-//! can be replayed; [`replay`] simulates each as several [`Case`]s, stores them in a [`CaseStore`],
-//! scores them ([`OutcomeTable`]) and creates the [`Report`]. The report is written as JSON; the
+//! An [`ObjectFile`] describes a grasped object; a [`Recording`] contains the grasps of a dataset
+//! that can be replayed; [`replay`] simulates each as several [`Case`]s, stores them in a
+//! [`CaseStore`], scores them ([`OutcomeTable`]) and creates the [`Report`]. The report is written
+//! as JSON; the
 //! [`page`] is rendered from it. [`build_demo`] creates a dataset whose reality is simulated.
 
 mod camera_view;

@@ -36,8 +36,8 @@ const GROUND_TOLERANCE_M: f64 = 1e-3;
 ///                            # is another one in the same frame
 /// ```
 ///
-/// Without `stable_pose` and `t_world_object`, the pose is that on the printed sheet, else the stable
-/// pose nearest to the mesh's orientation, else the most probable one.
+/// Without `stable_pose` and `t_world_object`, the pose is that on the printed sheet, else the
+/// stable pose nearest to the mesh's orientation, else the most probable one.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct ObjectFile {
@@ -62,8 +62,8 @@ pub struct ObjectFile {
     /// Pose on the ground z = 0, z up.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub t_world_object: Option<Pose>,
-    /// Hash of the mesh that the printed sheet was drawn for, if that is another mesh (for instance a
-    /// finer one) in the same frame.
+    /// Hash of the mesh that the printed sheet was drawn for, if that is another mesh (for instance
+    /// a finer one) in the same frame.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub drawn_from_sha256: Option<String>,
 }
@@ -158,8 +158,8 @@ impl ReplayObject {
     /// Reads an object file and its mesh.
     ///
     /// # Errors
-    /// Errors of reading the files; `Input` for an invalid mesh, a mesh outside of the folder, or one
-    /// that does not match the hash.
+    /// Errors of reading the files; `Input` for an invalid mesh, a mesh outside of the folder, or
+    /// one that does not match the hash.
     pub fn load(folder: &Root, path: &BeneathPath) -> Result<Self> {
         Self::read(folder, path).map_err(|e| e.at(path.display()))
     }
@@ -199,8 +199,8 @@ impl ReplayObject {
     /// Returns the pose of the object on the ground; `sheet` is the printed sheet below it.
     ///
     /// # Errors
-    /// `Input` if the sheet was drawn for another mesh, the object does not touch the ground, or the
-    /// stable pose does not exist.
+    /// `Input` if the sheet was drawn for another mesh, the object does not touch the ground, or
+    /// the stable pose does not exist.
     pub fn t_world_object(&self, sheet: Option<&PrintedSheet>) -> Result<Pose> {
         if let Some(sheet) = sheet {
             self.check_sheet(sheet)?;

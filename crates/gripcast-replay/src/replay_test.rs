@@ -1,4 +1,5 @@
-//! Replays of a small dataset by a fake engine. One file, because all tests share dataset and engine.
+//! Replays of a small dataset by a fake engine. One file, because all tests share dataset and
+//! engine.
 
 use std::collections::BTreeMap;
 use std::fs;

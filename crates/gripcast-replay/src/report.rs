@@ -1,8 +1,8 @@
 //! Contents of `report.json`, the only source of the page.
 //!
-//! Keys ending in `_m`, `_n`, `_s`, `_kg` are in SI units; poses map gripper coordinates into the frame
-//! of the object's mesh (`t_object_gripper`) or object coordinates into the world (`t_world_object`:
-//! z up, ground z = 0).
+//! Keys ending in `_m`, `_n`, `_s`, `_kg` are in SI units; poses map gripper coordinates into the
+//! frame of the object's mesh (`t_object_gripper`) or object coordinates into the world
+//! (`t_world_object`: z up, ground z = 0).
 
 use std::collections::BTreeMap;
 
@@ -197,7 +197,8 @@ pub struct Score {
     pub by_object: BTreeMap<String, Proportion>,
 }
 
-/// Fraction of agreeing grasps with its 95 % Wilson interval; cases without outcome are not counted.
+/// Fraction of agreeing grasps with its 95 % Wilson interval; cases without outcome are not
+/// counted.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Proportion {
@@ -329,7 +330,8 @@ pub struct GraspReplay {
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct CaseFacts {
-    /// `success`, `slip`, `eject`, `miss`, `closed`, `penetrating_start` `not_converged` or `refused`.
+    /// `success`, `slip`, `eject`, `miss`, `closed`, `penetrating_start` `not_converged` or
+    /// `refused`.
     pub outcome: String,
     /// Details of the outcome, if any.
     pub detail: Option<String>,

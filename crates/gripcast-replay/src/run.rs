@@ -91,7 +91,8 @@ pub enum ReplayProgress {
 
 type OnProgress<'a> = dyn Fn(ReplayProgress) + Sync + 'a;
 
-/// Replays a dataset. Finished cases are loaded from `store`, so an interrupted replay can be resumed.
+/// Replays a dataset. Finished cases are loaded from `store`, so an interrupted replay can be
+/// resumed.
 ///
 /// # Errors
 /// `Input` if no grasp can be replayed; errors of storing cases.

@@ -196,7 +196,8 @@ fn tactile(sensor: &str) -> TactilePair {
     }
 }
 
-/// Grasp 2 disagrees in the rigid engine, grasp 3 in both; grasp 4 has no outcome with finite elements.
+/// Grasp 2 disagrees in the rigid engine, grasp 3 in both; grasp 4 has no outcome with finite
+/// elements.
 fn replay(i: usize, engine: &str) -> GraspReplay {
     let agrees = match (i, engine) {
         (2, "rigid") | (3, _) => Some(false),

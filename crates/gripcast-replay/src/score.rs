@@ -59,9 +59,9 @@ impl<'a> OutcomeTable<'a> {
 
     /// Scores the engine.
     ///
-    /// The paper's choice (A.2, A.4) is the friction with the most agreeing grasps if each object has
-    /// its best force, then that force for each object. Leaving one out repeats the choice without the
-    /// grasp. Ties go to the first setting.
+    /// The paper's choice (A.2, A.4) is the friction with the most agreeing grasps if each object
+    /// has its best force, then that force for each object. Leaving one out repeats the choice
+    /// without the grasp. Ties go to the first setting.
     pub fn score(&self) -> Scoring {
         let all: Vec<usize> = (0..self.real.len()).collect();
         let best = self.choose(&all);

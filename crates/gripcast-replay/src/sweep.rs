@@ -24,8 +24,8 @@ pub struct SweepResult {
     pub simulated: usize,
 }
 
-/// Runs all unfinished cases, `jobs` in parallel, each in one thread. Every result is stored as soon as
-/// it is finished, so an interrupted sweep can be resumed.
+/// Runs all unfinished cases, `jobs` in parallel, each in one thread. Every result is stored as
+/// soon as it is finished, so an interrupted sweep can be resumed.
 ///
 /// # Errors
 /// Errors of storing a result. A case without an outcome is not an error.

@@ -18,7 +18,8 @@ fn is_bidi_control(c: char) -> bool {
     matches!(c, '\u{200e}' | '\u{200f}' | '\u{202a}'..='\u{202e}' | '\u{2066}'..='\u{2069}')
 }
 
-/// Formats `value` with `digits` decimals and a minus sign (U+2212); [`MISSING`] if it is not finite.
+/// Formats `value` with `digits` decimals and a minus sign (U+2212); [`MISSING`] if it is not
+/// finite.
 pub fn fixed(value: f64, digits: usize) -> String {
     if !value.is_finite() {
         return MISSING.to_owned();

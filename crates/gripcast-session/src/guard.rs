@@ -96,8 +96,8 @@ pub struct CameraCondition {
     pub fault: Option<String>,
     /// Control values read back from the camera.
     pub controls: BTreeMap<String, i64>,
-    /// Fraction of the gel that changed since the pending initial frame, 0..1; tactile cameras only,
-    /// `None` before the first comparison.
+    /// Fraction of the gel that changed since the pending initial frame, 0..1; tactile cameras
+    /// only, `None` before the first comparison.
     pub contact_fraction: Option<f64>,
 }
 

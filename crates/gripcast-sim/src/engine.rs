@@ -74,8 +74,8 @@ pub trait Engine: Send + Sync {
     /// Simulates a grasp with a Coulomb friction coefficient and a grasping force (N).
     ///
     /// # Errors
-    /// `Input` or `Config` for an invalid setup or parameter. An initial penetration and a grasp that
-    /// does not converge are outcomes, not errors.
+    /// `Input` or `Config` for an invalid setup or parameter. An initial penetration and a grasp
+    /// that does not converge are outcomes, not errors.
     fn simulate(&self, setup: &GraspSetup, friction: f64, force_n: f64) -> Result<GraspResult>;
 }
 

@@ -12,7 +12,8 @@
 //! let mesh = prepare(&builtin("sphere")?, &PrepareOptions::default())?.mesh;
 //! let (_, rest) = resting_pose(&mesh, None)?;
 //! let placed = Placement::default().place(&mesh, &rest.t_world_object)?;
-//! let mut settings = GraspSettings { resolution: GelResolution::Coarse, ..GraspSettings::default() };
+//! let mut settings = GraspSettings::default();
+//! settings.resolution = GelResolution::Coarse;
 //! settings.protocol.stop_force_n = 10.0;
 //! let scene = Scene {
 //!     mesh,

@@ -2,8 +2,8 @@
 //!
 //! Objects (or whole categories) are assigned to splits first, so that no split contains another's
 //! objects. The assignment depends on the plan alone: datasets of the same grasps from two engines
-//! have the same objects in each split, whatever the labels. Within each split, categories are capped
-//! and the two labels balanced, as in the paper (§3.2).
+//! have the same objects in each split, whatever the labels. Within each split, categories are
+//! capped and the two labels balanced, as in the paper (§3.2).
 
 use std::collections::BTreeMap;
 

@@ -56,7 +56,8 @@ pub struct MergeReport {
     pub without_sample: BTreeMap<String, usize>,
     /// Labelled simulations that were left out, by reason.
     pub left_out: BTreeMap<LeftOut, usize>,
-    /// Tactile image pairs that occur in more than one simulation; real cameras never repeat an image.
+    /// Tactile image pairs that occur in more than one simulation; real cameras never repeat an
+    /// image.
     pub duplicates: usize,
     /// Contents of each split.
     #[serde(rename = "parts")]
@@ -69,8 +70,8 @@ impl MergeReport {
     /// Reads the description of a dataset.
     ///
     /// # Errors
-    /// `NotFound` for a folder without a dataset of `synth merge`; `Input` for a damaged description
-    /// or another version.
+    /// `NotFound` for a folder without a dataset of `synth merge`; `Input` for a damaged
+    /// description or another version.
     pub fn read(folder: &Path) -> Result<Self> {
         let path = Root::new(folder).top().join(DATASET_FILE);
         let bytes = path.read(FileKind::List).map_err(|e| {

@@ -25,8 +25,8 @@ const DENOISE_RADIUS: usize = 5;
 /// JPEG quality of all images.
 const QUALITY: u8 = 92;
 
-/// Edge length of the surface that tactile images show, m: the facets of simulation meshes are a few
-/// millimetres wide and would be visible.
+/// Edge length of the surface that tactile images show, m: the facets of simulation meshes are a
+/// few millimetres wide and would be visible.
 const SURFACE_EDGE_M: f64 = 8e-4;
 
 /// Returns the smooth surface that a simulation mesh stands for.

@@ -203,8 +203,8 @@ impl ResultStore {
         write(&self.path(id, STATE), &file)
     }
 
-    /// Loads the saved state before the lift; none if it is missing or damaged, which means that the
-    /// simulation has to be run again.
+    /// Loads the saved state before the lift; none if it is missing or damaged, which means that
+    /// the simulation has to be run again.
     pub(super) fn load_state(&self, plan: &Plan, id: &SimulationId) -> Option<Snapshot> {
         let file = self.path(id, STATE).read_to_string(FileKind::Mesh).ok()?;
         let (hash, text) = file.split_once('\n')?;

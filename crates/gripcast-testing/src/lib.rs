@@ -48,7 +48,8 @@ fn is_set(variable: &str) -> bool {
 /// (tools/run-tests.sh prints a summary).
 ///
 /// # Panics
-/// If `GRIPCAST_REQUIRE_KERNEL`, `GRIPCAST_REQUIRE_SHARED`, … makes a missing requirement a failure.
+/// If `GRIPCAST_REQUIRE_KERNEL`, `GRIPCAST_REQUIRE_SHARED`, … makes a missing requirement a
+/// failure.
 pub fn skip(needs: Needs, reason: impl Display) {
     let name = needs.name();
     let required = format!("GRIPCAST_REQUIRE_{}", name.to_uppercase());

@@ -33,7 +33,8 @@ impl HandTarget {
     }
 }
 
-/// The hand of a virtual rig, shared by its cameras. Commands take effect at the current clock time.
+/// The hand of a virtual rig, shared by its cameras. Commands take effect at the current clock
+/// time.
 pub struct VirtualHand {
     clock: Arc<dyn Clock>,
     clips: ClipLibrary,

@@ -232,7 +232,8 @@ fn shown_steps(steps: &[TraceStep]) -> Result<Vec<usize>> {
     Ok(shown)
 }
 
-/// Returns the number of steps before first contact, before the end of closure, and before the lift.
+/// Returns the number of steps before first contact, before the end of closure, and before the
+/// lift.
 fn phase_ends<'a>(steps: impl Iterator<Item = &'a TraceStep> + Clone) -> [usize; 3] {
     let count = |is: fn(&TraceStep) -> bool| steps.clone().take_while(|step| is(step)).count();
     [

@@ -101,7 +101,8 @@ impl DepthRenderer {
         }
     }
 
-    /// Returns the depth image of `scene`, m, with the noise of `frame`; 0 where stereo has no match.
+    /// Returns the depth image of `scene`, m, with the noise of `frame`; 0 where stereo has no
+    /// match.
     ///
     /// # Errors
     /// `Input` for a damaged image strip of the clip.

@@ -46,8 +46,8 @@ pub struct AnnotationMarkers {
 }
 
 impl AnnotationMarkers {
-    /// `board` is the board in the world; `markers` are the gripper's markers in its frame at opening
-    /// 0, each with its displacement along x per metre of opening.
+    /// `board` is the board in the world; `markers` are the gripper's markers in its frame at
+    /// opening 0, each with its displacement along x per metre of opening.
     ///
     /// # Errors
     /// `Input` if an image is invalid.

@@ -104,7 +104,8 @@ impl Renderer {
     ///     camera: Camera::centred(32, 24, 0.7, pose),
     /// };
     /// let settings = RenderSettings { samples_per_pixel: 4, ..RenderSettings::default() };
-    /// let rendering = Renderer::new(&scene)?.render(&scene.camera, &settings, &RenderControl::default())?;
+    /// let renderer = Renderer::new(&scene)?;
+    /// let rendering = renderer.render(&scene.camera, &settings, &RenderControl::default())?;
     /// rendering.image.to_srgb8(1.0);
     /// # Ok::<(), gripcast_base::error::Error>(())
     /// ```

@@ -15,8 +15,8 @@ use super::messages::{camera_channel, encode_frame, json_channel};
 use super::queue::{Content, Entry, Topic};
 use gripcast_imaging::{PixelFormat, Role};
 
-/// Size at which a chunk is written, bytes. Smaller chunks make a longer index, larger ones cost more
-/// reading per image.
+/// Size at which a chunk is written, bytes. Smaller chunks make a longer index, larger ones cost
+/// more reading per image.
 const CHUNK_BYTES: u64 = 4 << 20;
 
 /// Age at which a chunk is written, ns: a killed program loses the current chunk.
@@ -31,8 +31,8 @@ enum ChannelKey {
     Json(Topic),
 }
 
-/// An open MCAP file. Chunks are assembled in memory and written in one piece, so that a file that was
-/// not closed is damaged in its last chunk only.
+/// An open MCAP file. Chunks are assembled in memory and written in one piece, so that a file that
+/// was not closed is damaged in its last chunk only.
 pub(super) struct McapLog {
     writer: mcap::Writer<CountingWriter>,
     written: Arc<AtomicU64>,

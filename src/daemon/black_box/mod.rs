@@ -7,8 +7,8 @@
 //! ```
 //!
 //! Nothing waits for the black box. Frames that do not fit into the queue are dropped, counted and
-//! reported in the log; a write error ends the log, not the collection. `docs/reference/black-box.md` describes
-//! the files.
+//! reported in the log; a write error ends the log, not the collection.
+//! `docs/reference/black-box.md` describes the files.
 
 #[cfg(test)]
 mod black_box_test;
@@ -37,8 +37,8 @@ use super::thread::{lock, spawn};
 use gripcast_base::error::Result;
 use gripcast_imaging::Role;
 
-/// Maximum wait for the last bytes of the log at the end of a collection. If the disk hangs, the last
-/// file stays open; the grasps have been durable long before.
+/// Maximum wait for the last bytes of the log at the end of a collection. If the disk hangs, the
+/// last file stays open; the grasps have been durable long before.
 const CLOSE_TIMEOUT: Duration = Duration::from_secs(5);
 
 /// Settings of the black box.

@@ -29,8 +29,8 @@ impl Engine {
         })
     }
 
-    /// Returns whether every camera has a valid frame newer than the last capture and the last motion
-    /// of a virtual hand.
+    /// Returns whether every camera has a valid frame newer than the last capture and the last
+    /// motion of a virtual hand.
     pub(super) fn has_fresh_frames(&self) -> bool {
         let motion_ns = self.hand.as_ref().map_or(0, |hand| hand.since_ns());
         let since_ns = self.session.captured_ns().max(motion_ns);
@@ -120,8 +120,8 @@ impl Engine {
         }
     }
 
-    /// Returns the frames of a trigger with their metadata, and the board files used for the pre-grasp
-    /// frames.
+    /// Returns the frames of a trigger with their metadata, and the board files used for the
+    /// pre-grasp frames.
     pub(super) fn stage_capture(
         &self,
         trigger: Trigger,

@@ -110,8 +110,8 @@ pub struct StoreEvent {
 /// Runs the engine until the operator quits, the script ends, or `stop` resolves.
 ///
 /// # Errors
-/// If the dataset cannot be opened, a thread cannot be started, or a script step fails. Acknowledged
-/// changes are on disk in every case.
+/// If the dataset cannot be opened, a thread cannot be started, or a script step fails.
+/// Acknowledged changes are on disk in every case.
 pub async fn run(
     setup: EngineSetup,
     links: EngineLinks,

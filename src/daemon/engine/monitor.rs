@@ -26,7 +26,8 @@ impl Engine {
         }
     }
 
-    /// Gives a fault tone and a log line for every camera that fails, and a log line when it recovers.
+    /// Gives a fault tone and a log line for every camera that fails, and a log line when it
+    /// recovers.
     pub(super) fn check_cameras(&mut self) {
         let hub = self.hub.clone();
         for slot in hub.slots() {

@@ -101,8 +101,8 @@ fn quoted(path: &Path) -> String {
     format!("'{}'", path.to_str().unwrap().replace('\'', r"'\''"))
 }
 
-/// Returns the directory of the guests' memory files: in memory if there is enough space (containers
-/// often have 64 MiB), else on disk.
+/// Returns the directory of the guests' memory files: in memory if there is enough space
+/// (containers often have 64 MiB), else on disk.
 fn memory_dir() -> PathBuf {
     const ROOM: u64 = 4 << 30;
     let shared = Path::new("/dev/shm");

@@ -13,8 +13,8 @@ use gripcast_imaging::Role;
 use self::guest::{Outcome, SavedGrasp, kernel, run};
 use self::images::Images;
 
-/// Returns the image that a sensor sent: its input file with the number in a comment segment after the
-/// first marker.
+/// Returns the image that a sensor sent: its input file with the number in a comment segment after
+/// the first marker.
 fn sent_image(number: u64, dir: &Path, kind: &str) -> Vec<u8> {
     let mut files: Vec<_> = fs::read_dir(dir.join(kind))
         .unwrap()
@@ -68,8 +68,8 @@ fn assert_complete_as_sent(grasp: &SavedGrasp, images: &Images) {
     assert_depth_as_sent(grasp);
 }
 
-/// Asserts that the depth image is one complete image of the emulator: pixel (x, y) of image n holds
-/// 400 + (x + y + n) mod 256, the first four n in digits to the base of 256.
+/// Asserts that the depth image is one complete image of the emulator: pixel (x, y) of image n
+/// holds 400 + (x + y + n) mod 256, the first four n in digits to the base of 256.
 fn assert_depth_as_sent(grasp: &SavedGrasp) {
     let record = &grasp.record.grasp.cameras[&Role::Depth];
     let depth = image::open(grasp.dir.join(record.file.as_str()))

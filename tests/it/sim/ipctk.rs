@@ -1,7 +1,7 @@
 //! Contact mathematics against the IPC Toolkit.
 //!
-//! `tests/peers/ipctk_cases.py` writes `tests/data/ipctk_cases.json`. All values agree to 1e-10 of the
-//! largest entry; no case lies on a region boundary except one pair of parallel edges.
+//! `tests/peers/ipctk_cases.py` writes `tests/data/ipctk_cases.json`. All values agree to 1e-10 of
+//! the largest entry; no case lies on a region boundary except one pair of parallel edges.
 
 use glam::{DMat3, DVec3};
 use gripcast_sim::affine::Matrix12;

@@ -10,7 +10,8 @@
 //! ```
 //!
 //! LEFT and RIGHT are directories of JPEG files (`free/` and `pressed/`, or one for both).
-//! Needs root in a kernel with `vhci_hcd`; `docs/how-to/kernel-tests.md` tells how such a kernel is run.
+//! Needs root in a kernel with `vhci_hcd`; `docs/how-to/kernel-tests.md` tells how such a kernel is
+//! run.
 
 use std::io::{self, BufRead as _};
 use std::path::Path;

@@ -197,8 +197,8 @@ impl RigFile {
     }
 
     /// Finds a rig by name or path: the built-in `virtual` and `virtual-external`, then
-    /// `calib/rigs/NAME.toml` in the working directory, then `gripcast/rigs/NAME.toml` in the user's
-    /// configuration directory. Names with a slash or ending in `.toml` are paths.
+    /// `calib/rigs/NAME.toml` in the working directory, then `gripcast/rigs/NAME.toml` in the
+    /// user's configuration directory. Names with a slash or ending in `.toml` are paths.
     ///
     /// # Errors
     /// `NotFound` with the available rigs; `Config` for an invalid file.

@@ -25,7 +25,8 @@ fn foreign(groups: &[Vec<Vec<Cell<'_>>>]) -> Vec<u8> {
 
 /// Five rows of our writer, and the first three of them from other writers
 /// (`tests/peers/read_shards.py --rewrite`): Snappy and dictionaries; gzip, dictionaries, INT32
-/// labels, a column of nulls, one missing and one too many; Zstandard, pages of version 2, checksums.
+/// labels, a column of nulls, one missing and one too many; Zstandard, pages of version 2,
+/// checksums.
 const OURS: &[u8] = include_bytes!("../../../../tests/data/shard/gripcast-1.parquet");
 pub(super) const DATASETS: &[u8] = include_bytes!("../../../../tests/data/shard/datasets.parquet");
 pub(super) const PANDAS: &[u8] =

@@ -41,7 +41,8 @@ impl ShardWriter {
     /// Creates a shard; `info` is JSON of the caller, stored unchanged in the metadata.
     ///
     /// # Errors
-    /// `Input`: `info` is not valid JSON. `NotFound`, `Permission`, `DiskFull`, `Io`: the directory.
+    /// `Input`: `info` is not valid JSON. `NotFound`, `Permission`, `DiskFull`, `Io`: the
+    /// directory.
     pub fn create(path: &BeneathPath, info: &str) -> Result<Self> {
         let begin = || {
             let staged =

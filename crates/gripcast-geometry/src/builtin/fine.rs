@@ -7,7 +7,8 @@ use glam::DVec3;
 use super::shapes::{band, disc, octahedron, square_ring};
 use crate::mesh::TriangleMesh;
 
-/// Ball of a radius (m): an octahedron with `cuts` subdivisions per side, projected onto the sphere.
+/// Ball of a radius (m): an octahedron with `cuts` subdivisions per side, projected onto the
+/// sphere.
 pub(super) fn ball(radius: f64, cuts: u32) -> TriangleMesh {
     let mut mesh = octahedron(DVec3::ONE, cuts);
     for vertex in &mut mesh.vertices {

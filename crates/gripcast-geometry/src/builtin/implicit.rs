@@ -29,8 +29,8 @@ pub struct QuadMesh {
 
 /// Meshes the zero surface inside ±`half` (m) with faces about `cell` (m) wide.
 ///
-/// One vertex per cell cannot represent a surface that passes a cell twice, e.g. where a lattice plane
-/// grazes a saddle. The lattice is then shifted.
+/// One vertex per cell cannot represent a surface that passes a cell twice, e.g. where a lattice
+/// plane grazes a saddle. The lattice is then shifted.
 pub(super) fn surface(field: Field<'_>, half: DVec3, cell: f64) -> TriangleMesh {
     let mut mesh = TriangleMesh::default();
     for attempt in 0..MAX_ATTEMPTS {
@@ -213,7 +213,8 @@ impl Net {
         quads
     }
 
-    /// The quadrilateral around the edge from a node along an axis, if the surface crosses the edge.
+    /// The quadrilateral around the edge from a node along an axis, if the surface crosses the
+    /// edge.
     fn quad(&mut self, mesh: &mut TriangleMesh, node: Node, axis: usize) -> Option<[u32; 4]> {
         let (here, there) = (self.value(node), self.value(next_node(node, &[axis])));
         if (here < 0.0) == (there < 0.0) {
@@ -301,8 +302,8 @@ impl Net {
     }
 }
 
-/// End nodes of an edge of a cell: four edges along each axis, numbered by their positions along the
-/// next two axes.
+/// End nodes of an edge of a cell: four edges along each axis, numbered by their positions along
+/// the next two axes.
 fn edge_ends(cell: Node, edge: usize) -> [Node; 2] {
     let axis = edge / 4;
     let mut from = cell;

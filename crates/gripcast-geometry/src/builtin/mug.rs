@@ -16,8 +16,8 @@ const QUARTER: u32 = 16;
 /// Rings of faces outside and inside.
 const OUTER_ROWS: u32 = 28;
 const INNER_ROWS: u32 = 25;
-/// Faces replaced by the handle: columns about the x axis, rows at the top, and the mirrored rows at
-/// the bottom.
+/// Faces replaced by the handle: columns about the x axis, rows at the top, and the mirrored rows
+/// at the bottom.
 const HANDLE_COLUMNS: (usize, usize) = (6, 10);
 const HANDLE_ROWS: (usize, usize) = (20, 24);
 /// Half width (along y) and half thickness of the round middle of the handle, m.

@@ -146,8 +146,8 @@ pub(super) fn band(mesh: &mut TriangleMesh, lower: &[u32], upper: &[u32]) {
     }
 }
 
-/// Fills a [`square_ring`] with a square grid mapped to a disc, facing up or down (concentric map of
-/// Shirley and Chiu, J. Graphics Tools 1997: no slivers in the middle).
+/// Fills a [`square_ring`] with a square grid mapped to a disc, facing up or down (concentric map
+/// of Shirley and Chiu, J. Graphics Tools 1997: no slivers in the middle).
 pub(super) fn disc(mesh: &mut TriangleMesh, border: &[u32], up: bool) {
     let n = border.len() / 4;
     let rim = mesh.vertices[border[0] as usize];

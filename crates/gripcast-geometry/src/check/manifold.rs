@@ -92,8 +92,8 @@ fn solid_wedges(mesh: &TriangleMesh, [a, b]: [u32; 2], around: &[u32]) -> Option
         })
         .collect();
     ordered.sort_unstable_by(|x, y| x.0.total_cmp(&y.0).then(x.2.cmp(&y.2)));
-    // Counter-clockwise about the axis, the solid extends from a triangle that runs against the edge
-    // to the next one, which must run along it.
+    // Counter-clockwise about the axis, the solid extends from a triangle that runs against the
+    // edge to the next one, which must run along it.
     let start = ordered.iter().position(|(_, along, _)| !along)?;
     ordered.rotate_left(start);
     let clear = ordered

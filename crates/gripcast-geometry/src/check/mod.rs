@@ -20,8 +20,8 @@ use gripcast_base::error::{Error, Result};
 /// Limits and tolerances of [`prepare`].
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PrepareOptions {
-    /// Distance up to which vertices are merged, m. Default 0.1 µm: below the resolution of scans and
-    /// prints, above the rounding of single-precision coordinates.
+    /// Distance up to which vertices are merged, m. Default 0.1 µm: below the resolution of scans
+    /// and prints, above the rounding of single-precision coordinates.
     pub weld_tolerance_m: f64,
     /// Maximum side of the bounding box, m. Default 1 m.
     pub max_extent_m: f64,
@@ -57,8 +57,8 @@ pub struct PreparedMesh {
 }
 
 /// Checks a mesh (m) and repairs defects that do not affect its shape: welds coincident vertices,
-/// drops degenerate and duplicate triangles, removes slivers by edge flips, splits non-manifold edges
-/// and vertices, and orients all triangles outwards.
+/// drops degenerate and duplicate triangles, removes slivers by edge flips, splits non-manifold
+/// edges and vertices, and orients all triangles outwards.
 ///
 /// Several components are accepted if each is closed; one inside another is a cavity.
 ///

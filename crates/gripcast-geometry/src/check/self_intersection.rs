@@ -20,8 +20,8 @@ pub(super) struct SelfIntersections {
 }
 
 /// Finds all pairs of intersecting triangles. Touching triangles do not intersect: neighbours,
-/// corners on faces, coplanar faces. A fold by 180° does. An intersection is shallow if no side ends
-/// more than `tolerance_m` behind the face that it pierces.
+/// corners on faces, coplanar faces. A fold by 180° does. An intersection is shallow if no side
+/// ends more than `tolerance_m` behind the face that it pierces.
 pub(super) fn find(mesh: &TriangleMesh, tolerance_m: f64) -> SelfIntersections {
     let first_vertex = first_coincident(mesh);
     let boxes = mesh.triangle_bounds();
@@ -118,7 +118,8 @@ fn piercing_segment(p: DVec3, q: DVec3, &[a, b, c]: &[DVec3; 3]) -> Option<Inter
     })
 }
 
-/// Intersection of two triangles with a common side: they overlap if coplanar on the same side of it.
+/// Intersection of two triangles with a common side: they overlap if coplanar on the same side of
+/// it.
 fn fold(a: &Triangle, in_a: [bool; 3], b: &Triangle, in_b: [bool; 3]) -> Option<Intersection> {
     let apex = |t: &Triangle, shared: [bool; 3]| {
         let index = shared.iter().position(|s| !s);

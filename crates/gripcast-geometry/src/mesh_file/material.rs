@@ -32,7 +32,8 @@ pub struct MeshMaterial {
     pub metallic: f64,
     /// Perceptual roughness, 0 (mirror) to 1 (matt); its square is the GGX alpha.
     pub roughness: f64,
-    /// Image whose green channel multiplies `roughness` and whose blue channel multiplies `metallic`.
+    /// Image whose green channel multiplies `roughness` and whose blue channel multiplies
+    /// `metallic`.
     pub metallic_roughness_image: Option<ImageSource>,
     /// Fraction of light transmitted instead of diffusely reflected, 0 to 1 (glass).
     pub transmission: f64,

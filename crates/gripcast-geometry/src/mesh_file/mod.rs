@@ -182,8 +182,8 @@ fn check_placeholder(bytes: &[u8]) -> Result<()> {
     Ok(())
 }
 
-/// Writes a mesh in metres as `.obj` or binary `.ply`, by the suffix; coordinates round-trip bit for
-/// bit.
+/// Writes a mesh in metres as `.obj` or binary `.ply`, by the suffix; coordinates round-trip bit
+/// for bit.
 ///
 /// # Errors
 /// `Input` for another suffix; `Io` if the file cannot be written.

@@ -32,8 +32,8 @@ pub struct MeshPart {
     pub shape: TriangleMesh,
     /// Unit normal of each vertex.
     pub normals: Option<Vec<DVec3>>,
-    /// Texture coordinates of each vertex: u to the right, v downwards, (0, 0) at the outer corner of
-    /// the top-left pixel; the image repeats with period 1.
+    /// Texture coordinates of each vertex: u to the right, v downwards, (0, 0) at the outer corner
+    /// of the top-left pixel; the image repeats with period 1.
     pub uvs: Option<Vec<[f64; 2]>>,
     /// Index into the materials.
     pub material: Option<usize>,
@@ -73,8 +73,8 @@ pub fn load_textured_mesh(path: &Path, unit: LengthUnit) -> Result<TexturedMesh>
     Ok(mesh)
 }
 
-/// Parses a mesh with its appearance; coordinates keep the unit of the file. `companions` reads a file
-/// that the mesh refers to by a relative path (material library, buffer).
+/// Parses a mesh with its appearance; coordinates keep the unit of the file. `companions` reads a
+/// file that the mesh refers to by a relative path (material library, buffer).
 ///
 /// # Errors
 /// `Input` for invalid content.

@@ -1,5 +1,5 @@
-//! Exports a small dataset in every format and reads the files with independent code. One file, because
-//! all formats share the fixture and its readers.
+//! Exports a small dataset in every format and reads the files with independent code. One file,
+//! because all formats share the fixture and its readers.
 
 use std::collections::BTreeMap;
 use std::fs;

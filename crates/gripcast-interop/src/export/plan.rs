@@ -64,7 +64,8 @@ pub struct ExportPlan {
     pub only_labelled: bool,
     /// Width and height of images in Zarr, pixels.
     pub size: (u32, u32),
-    /// Maximum size of a shard (Parquet, WebDataset, Training), bytes; only a single grasp may be larger.
+    /// Maximum size of a shard (Parquet, WebDataset, Training), bytes; only a single grasp may be
+    /// larger.
     pub shard_bytes: usize,
 }
 

@@ -20,8 +20,8 @@ use gripcast_dataset::Dataset;
 
 /// Exports a dataset to `out` atomically.
 ///
-/// `on_progress` gets the number of finished grasps and their total. Damaged grasps are left out and
-/// listed in the report. Equal datasets and plans give equal bytes.
+/// `on_progress` gets the number of finished grasps and their total. Damaged grasps are left out
+/// and listed in the report. Equal datasets and plans give equal bytes.
 ///
 /// # Errors
 /// `Usage`: an invalid split or size; an `out` inside the dataset. `Input`: nothing to export, or

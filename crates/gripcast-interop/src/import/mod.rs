@@ -1,7 +1,8 @@
 //! Imports third-party datasets as shards for `train` and `eval`.
 //!
 //! Supported: the *Feeling of Success* (Calandra et al., 2017, arXiv 1710.05512), real grasps with
-//! two GelSight sensors and a Kinect. `docs/how-to/third-party-grasps.md` states how its layout was verified.
+//! two GelSight sensors and a Kinect. `docs/how-to/third-party-grasps.md` states how its layout was
+//! verified.
 
 mod feeling_of_success;
 mod report;

@@ -2,8 +2,9 @@
 //!
 //! It checks whether *both* gels show a clear contact of about equal strength. Per sensor: means of
 //! the tactile difference over small patches (reduces camera noise), minus the mean of the channel
-//! (cancels uniform brightness changes), absolute value, excess over `NOISE_LEVELS` grey levels, mean
-//! over patches and channels. This excess `s` is mapped to a strength `s / (s + HALF_EXCESS)` in
+//! (cancels uniform brightness changes), absolute value, excess over `NOISE_LEVELS` grey levels,
+//! mean over patches and channels. This excess `s` is mapped to a strength `s / (s + HALF_EXCESS)`
+//! in
 //! [0, 1), and
 //!
 //! `p_stable = sigmoid(BIAS + WEAKER·min(left, right) − IMBALANCE·|left − right|)`.

@@ -1,8 +1,8 @@
 //! Contract between a model file and gripcast, stored in the file's `metadata_props`.
 //!
 //! It specifies input tensors, preprocessing, meaning of the output and origin of the model. Any
-//! mismatch with the graph or with this build is refused with key, expected and found value: a model
-//! with wrong inputs would silently predict wrong values.
+//! mismatch with the graph or with this build is refused with key, expected and found value: a
+//! model with wrong inputs would silently predict wrong values.
 //!
 //! | key | value |
 //! | --- | --- |

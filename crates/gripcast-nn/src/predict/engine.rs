@@ -158,7 +158,8 @@ impl Model {
     /// Predicts one grasp.
     ///
     /// # Errors
-    /// When the input is for another modality, the engine fails, or the output is not a probability.
+    /// When the input is for another modality, the engine fails, or the output is not a
+    /// probability.
     pub fn predict(&self, input: &ModelInput) -> Result<Prediction> {
         let started = Instant::now();
         let p_stable = match &self.engine {

@@ -2,9 +2,9 @@
 //!
 //! A classifier returns a probability for any input: another gel, a failed light, an initial frame
 //! in contact. A model therefore stores mean and covariance of 16 features of its training
-//! differences; inputs with a larger Mahalanobis distance than nearly all of them are OOD (as in Lee
-//! et al., *A simple unified framework for detecting out-of-distribution samples*, 2018, there on
-//! layers of the network).
+//! differences; inputs with a larger Mahalanobis distance than nearly all of them are OOD (as in
+//! Lee et al., *A simple unified framework for detecting out-of-distribution samples*, 2018, there
+//! on layers of the network).
 
 use serde::{Deserialize, Serialize};
 

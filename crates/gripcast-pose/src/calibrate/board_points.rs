@@ -99,8 +99,8 @@ impl PointFinder {
         }
     }
 
-    /// Refined markers by index on the board. Skips markers that are detected twice or whose corners
-    /// cannot be refined, because they are partly occluded.
+    /// Refined markers by index on the board. Skips markers that are detected twice or whose
+    /// corners cannot be refined, because they are partly occluded.
     fn refined_markers(
         &self,
         image: &GrayImage,

@@ -100,7 +100,8 @@ pub(super) fn select(board: &Board, camera: &Intrinsics, images: &[GripperImage]
 }
 
 impl Selection {
-    /// Selects the largest group of markers that are observed together often enough. Returns a mask.
+    /// Selects the largest group of markers that are observed together often enough. Returns a
+    /// mask.
     fn select_markers(
         &mut self,
         all: &[Marker],

@@ -130,8 +130,8 @@ fn framed_all(board: &Board) -> Vec<Marker> {
     board.markers.iter().map(framed).collect()
 }
 
-/// The calibrated markers in the frame in which those on the body fit the truth best, and the change
-/// of frame.
+/// The calibrated markers in the frame in which those on the body fit the truth best, and the
+/// change of frame.
 fn aligned(found: &Board, truth: &Board) -> (Vec<Marker>, Pose) {
     let mut markers = framed_all(found);
     let before = markers[0].pose;

@@ -229,8 +229,8 @@ impl<'a> Calibration<'a> {
             .collect()
     }
 
-    /// The worst view, if it is an outlier. The error of a view is its median, so that single points
-    /// do not matter.
+    /// The worst view, if it is an outlier. The error of a view is its median, so that single
+    /// points do not matter.
     fn outlying_view(&self) -> Option<usize> {
         let views = self.views.iter().zip(&self.bundle.poses);
         let errors: Vec<f64> = views

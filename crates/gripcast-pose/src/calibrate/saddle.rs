@@ -33,7 +33,8 @@ pub(super) struct ExpectedSaddle {
     pub(super) free_px: f64,
 }
 
-/// Refines a saddle point near the prediction. None if the image shows none or markers are too near.
+/// Refines a saddle point near the prediction. None if the image shows none or markers are too
+/// near.
 ///
 /// At the corner, every gradient in the window is perpendicular to the line to the corner (W.
 /// Förstner and E. Gülch, *A fast operator for detection and precise location of distinct points*,
@@ -106,8 +107,8 @@ fn step(image: &GrayImage, centre: DVec2, radius: f64) -> Option<DVec2> {
     is_corner.then(|| centre + structure.inverse() * moment)
 }
 
-/// Scharr derivatives at an inner pixel (H. Scharr, *Optimal operators in digital image processing*,
-/// 2000), linear intensity per px: sRGB levels would shift edges to their dark side.
+/// Scharr derivatives at an inner pixel (H. Scharr, *Optimal operators in digital image
+/// processing*, 2000), linear intensity per px: sRGB levels would shift edges to their dark side.
 fn gradient(image: &GrayImage, x: usize, y: usize) -> DVec2 {
     const WEIGHTS: [f64; 3] = [3.0 / 32.0, 10.0 / 32.0, 3.0 / 32.0];
     let (pixels, width) = (image.as_raw(), image.width() as usize);

@@ -82,8 +82,8 @@ impl Dictionary {
         Self::from_codes(known, side, border, codes)
     }
 
-    /// Returns a built-in dictionary, or reads an OpenCV dictionary file (`.yml`, `.yaml`) whose path
-    /// is relative to `folder`.
+    /// Returns a built-in dictionary, or reads an OpenCV dictionary file (`.yml`, `.yaml`) whose
+    /// path is relative to `folder`.
     ///
     /// # Errors
     /// `Usage` for an unknown name, `Input` or an IO error for a file.
@@ -241,8 +241,8 @@ impl Dictionary {
         cells
     }
 
-    /// Minimum Hamming distance between any two markers in any rotation, or between a marker and its
-    /// own rotations. Compares all pairs, which takes some milliseconds.
+    /// Minimum Hamming distance between any two markers in any rotation, or between a marker and
+    /// its own rotations. Compares all pairs, which takes some milliseconds.
     pub fn min_distance(&self) -> u32 {
         let all: Vec<[u64; 4]> = self.codes.iter().map(|&c| self.rotations(c)).collect();
         let mut min = (self.side * self.side) as u32;

@@ -37,7 +37,8 @@ pub struct SyntheticImage {
     pub image: GrayImage,
     /// Exact corners of the fully visible markers.
     pub truth: Vec<Detection>,
-    /// Exact corners of the other markers in front of the camera: partly occluded or outside the image.
+    /// Exact corners of the other markers in front of the camera: partly occluded or outside the
+    /// image.
     pub covered: Vec<Detection>,
 }
 

@@ -38,8 +38,8 @@ pub struct DemoData {
 }
 
 /// Builds the dataset `OUT/dataset` and the object files `OUT/objects`. Simulations are stored in
-/// `OUT/simulated`, so an interrupted build can be resumed. Equal settings give identical bytes on any
-/// number of threads.
+/// `OUT/simulated`, so an interrupted build can be resumed. Equal settings give identical bytes on
+/// any number of threads.
 ///
 /// # Errors
 /// `Input` if the folder contains other grasps; `Stopped` once the watch is cancelled; `Io`,

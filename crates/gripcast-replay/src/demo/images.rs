@@ -1,5 +1,5 @@
-//! Colour images of the demo data: from the camera on the gripper, and from a camera next to the table
-//! that sees the object's printed sheet and the gripper's tags.
+//! Colour images of the demo data: from the camera on the gripper, and from a camera next to the
+//! table that sees the object's printed sheet and the gripper's tags.
 
 use super::object::DemoObject;
 use super::plan::DemoWatch;
@@ -87,7 +87,8 @@ impl DemoScene {
         annotation_camera(&state, TABLE_CAMERA, 0).intrinsics()
     }
 
-    /// Renders the images of a grasp; the seed draws the pose of the camera next to the table, and noise.
+    /// Renders the images of a grasp; the seed draws the pose of the camera next to the table, and
+    /// noise.
     ///
     /// # Errors
     /// `Interrupted` once the watch is cancelled; `Input` if a camera would be below the ground.

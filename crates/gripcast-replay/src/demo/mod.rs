@@ -1,5 +1,5 @@
-//! Demo data: a small dataset without real grasps. Its "reality" is a simulation that differs from the
-//! one that replays it, and the dataset states that.
+//! Demo data: a small dataset without real grasps. Its "reality" is a simulation that differs from
+//! the one that replays it, and the dataset states that.
 //!
 //! [`build_demo`] covers the whole chain: grasps are sampled and simulated with the fine mesh and
 //! softer gels ([`reality`]), selected so that half of them slip ([`selection`]), rendered

@@ -14,7 +14,8 @@ use gripcast_geometry::{
 
 /// Built-in shapes.
 const SHAPES: [&str; 5] = ["jack", "star", "dented", "saddle", "lump"];
-/// Shapes of EGAD's evaluation set (Morrison et al., RA-L 2020), and their folder below the shared data.
+/// Shapes of EGAD's evaluation set (Morrison et al., RA-L 2020), and their folder below the shared
+/// data.
 const EGAD: [&str; 4] = ["B1", "B4", "C2", "C4"];
 const EGAD_FOLDER: &str = "data/egad_eval";
 /// Scale of EGAD's meshes, which are 70 mm long: fits between the fingers in most poses.

@@ -13,8 +13,8 @@ pub struct DemoSettings {
     pub seed: u64,
     /// 4 grasps of each object instead of 20, on the default mesh instead of the fine one.
     pub quick: bool,
-    /// Folder with EGAD's B1, B4, C2 and C4 in `data/egad_eval/`, for the full dataset; built-in shapes
-    /// are used otherwise.
+    /// Folder with EGAD's B1, B4, C2 and C4 in `data/egad_eval/`, for the full dataset; built-in
+    /// shapes are used otherwise.
     pub shared: Option<PathBuf>,
     /// Grasps that are processed in parallel, at least 1.
     pub jobs: usize,
@@ -64,7 +64,8 @@ pub struct DemoWatch<'a> {
 }
 
 impl DemoWatch<'_> {
-    /// Does `work` for every item, `jobs` in parallel; returns the results in the order of the items.
+    /// Does `work` for every item, `jobs` in parallel; returns the results in the order of the
+    /// items.
     ///
     /// # Errors
     /// The error of the first failed item, after which no item is started; `Stopped`.

@@ -1,5 +1,5 @@
-//! The simulation that stands in for reality, and the coarse one that screens candidates. Each result
-//! is a file, so an interrupted build can be resumed.
+//! The simulation that stands in for reality, and the coarse one that screens candidates. Each
+//! result is a file, so an interrupted build can be resumed.
 
 use std::sync::Arc;
 
@@ -49,7 +49,8 @@ impl GraspLabel {
 }
 
 impl SimulatedCandidate {
-    /// Returns the label; none if the gripper missed, the start was in collision, or there is no outcome.
+    /// Returns the label; none if the gripper missed, the start was in collision, or there is no
+    /// outcome.
     pub(super) fn label(&self) -> Option<GraspLabel> {
         match self.outcome {
             GraspOutcome::Success => Some(GraspLabel::Stable),
@@ -63,13 +64,13 @@ impl SimulatedCandidate {
     }
 }
 
-/// Hold time before the lift, s, and lifting speed, m/s, of a person: shorter and faster than in the
-/// paper's protocol.
+/// Hold time before the lift, s, and lifting speed, m/s, of a person: shorter and faster than in
+/// the paper's protocol.
 const HOLD_S: f64 = 0.5;
 const LIFT_SPEED_M_S: f64 = 0.04;
 
-/// Returns the engine that stands in for reality: with the fine mesh, or the default mesh for the quick
-/// dataset, which is replayed with the coarse mesh.
+/// Returns the engine that stands in for reality: with the fine mesh, or the default mesh for the
+/// quick dataset, which is replayed with the coarse mesh.
 pub(super) fn reality(is_quick: bool) -> FemEngine {
     let mut settings = GraspSettings::new(Preset::Feats);
     settings.resolution = if is_quick {

@@ -296,8 +296,8 @@ impl Recorder {
         set_label(&mut writer, &record.id, stable, grasp.captured_at)
     }
 
-    /// Takes the initial frames of this grasp if an earlier run saved them; frames do not depend on the
-    /// run.
+    /// Takes the initial frames of this grasp if an earlier run saved them; frames do not depend on
+    /// the run.
     fn take_pending(&self, initial: &StageCapture) -> Option<PendingInitial> {
         let mut pending = self.pending.lock().unwrap_or_else(|e| e.into_inner());
         let captured_at = initial.captured_at.to_string();

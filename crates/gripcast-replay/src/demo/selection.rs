@@ -1,7 +1,7 @@
 //! Selects the grasps of the dataset: as many stable ones as slips.
 //!
-//! Every outcome is that of reality's mesh. The coarse mesh, with the same true friction and force, only
-//! decides which candidate to simulate next. No engine of the replay is involved.
+//! Every outcome is that of reality's mesh. The coarse mesh, with the same true friction and force,
+//! only decides which candidate to simulate next. No engine of the replay is involved.
 
 use std::collections::BTreeMap;
 

@@ -34,9 +34,9 @@ const VARIATIONS: [SensorVariation; 2] = [
     },
 ];
 
-/// Returns the sensor profile of a finger: the shipped profile with its background mirrored and rescaled
-/// per colour, another response to slopes, and more noise and smoothing. The amounts are chosen, not
-/// measured.
+/// Returns the sensor profile of a finger: the shipped profile with its background mirrored and
+/// rescaled per colour, another response to slopes, and more noise and smoothing. The amounts are
+/// chosen, not measured.
 ///
 /// # Errors
 /// None; a test checks that.
@@ -67,7 +67,8 @@ pub(super) struct Contact<'a> {
     pub(super) pre_lift: &'a Snapshot,
 }
 
-/// Renders the JPEG frames of a sensor before closing and before the lift; the seeds draw the noise.
+/// Renders the JPEG frames of a sensor before closing and before the lift; the seeds draw the
+/// noise.
 ///
 /// # Errors
 /// `Input` if the snapshot does not belong to the gel.

@@ -27,8 +27,8 @@ pub(super) fn section(page: &Page<'_>) -> Markup {
     page.section("failures", "Failures", body)
 }
 
-/// Indices of the grasps, sorted by the maximum fraction of disagreeing settings, then by the number of
-/// disagreeing engines.
+/// Indices of the grasps, sorted by the maximum fraction of disagreeing settings, then by the
+/// number of disagreeing engines.
 fn failures(page: &Page<'_>) -> Vec<usize> {
     let disagreement = |grasp: &GraspFacts| -> (f64, usize) {
         let replays = grasp.replays.iter().filter(|r| r.agrees == Some(false));

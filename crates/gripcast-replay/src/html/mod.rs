@@ -1,5 +1,5 @@
-//! The report as a single page without network access: inline CSS, SVG and a small optional script. The
-//! page's content security policy allows no other source.
+//! The report as a single page without network access: inline CSS, SVG and a small optional script.
+//! The page's content security policy allows no other source.
 
 mod agreement;
 mod appendix;

@@ -33,8 +33,8 @@ pub struct Axis {
 }
 
 impl Axis {
-    /// Creates an axis with about `count` round tick values. An empty range is widened; one that is not
-    /// finite becomes 0 to 1.
+    /// Creates an axis with about `count` round tick values. An empty range is widened; one that is
+    /// not finite becomes 0 to 1.
     pub fn new(label: &str, range: [f64; 2], count: f64) -> Self {
         let range = match range {
             [low, high] if !(low.is_finite() && high.is_finite()) => [0.0, 1.0],

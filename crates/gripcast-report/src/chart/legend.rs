@@ -83,8 +83,9 @@ pub struct Legend {
 }
 
 impl Legend {
-    /// Lays out entries from a point downwards within a width. Entries with figures are the rows of a
-    /// table, others flow like words. Names that do not fit are truncated and complete in tooltips.
+    /// Lays out entries from a point downwards within a width. Entries with figures are the rows of
+    /// a table, others flow like words. Names that do not fit are truncated and complete in
+    /// tooltips.
     pub fn new([left, top]: [f64; 2], max_width: f64, entries: &[Entry]) -> Self {
         let has_figures = entries.iter().any(|entry| !entry.figures.is_empty());
         let layout = if has_figures {

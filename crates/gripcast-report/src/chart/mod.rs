@@ -1,8 +1,8 @@
 //! Charts as SVG: panels with axes, marks in them, legends.
 //!
-//! A chart is part of a page, which has its style, or a separate file. Colours are the page's variables
-//! `--ink`, `--line`, `--paper` and `--series-0` to `--series-5`; without them a chart follows the
-//! `color-scheme` of its reader.
+//! A chart is part of a page, which has its style, or a separate file. Colours are the page's
+//! variables `--ink`, `--line`, `--paper` and `--series-0` to `--series-5`; without them a chart
+//! follows the `color-scheme` of its reader.
 
 mod axis;
 mod heat;

@@ -65,8 +65,8 @@ pub fn count(n: usize) -> String {
     text
 }
 
-/// Estimates the width of a text at a font size, px: an upper bound for DejaVu Sans, one of the widest
-/// fonts that a reader may have.
+/// Estimates the width of a text at a font size, px: an upper bound for DejaVu Sans, one of the
+/// widest fonts that a reader may have.
 pub fn width(text: &str, size: f64) -> f64 {
     size * text.chars().map(em).sum::<f64>()
 }

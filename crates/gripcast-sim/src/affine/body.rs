@@ -1,5 +1,5 @@
-//! Kinetic term and shape energy of an affine body, with gradients and Hessians (Lan et al., *Affine
-//! Body Dynamics*, 2022).
+//! Kinetic term and shape energy of an affine body, with gradients and Hessians (Lan et al.,
+//! *Affine Body Dynamics*, 2022).
 //!
 //! q = (p, A) with X relative to the centre of mass decouples translation and shape in the mass
 //! matrix.
@@ -163,10 +163,10 @@ impl AffineBody {
     }
 }
 
-/// Adds corrections of the negative modes. In singular values s the eigenvalues are k (s_i² - s_i s_j +
-/// s_j² - 1) for twists, k (s_i² + s_i s_j + s_j² - 1) for flips, k (3 s_i² - 1) for stretches
-/// (Smith, De Goes and Kim 2019 for this energy). Twists need the signs of a reflected A, which
-/// U carries.
+/// Adds corrections of the negative modes. In singular values s the eigenvalues are k (s_i² - s_i
+/// s_j + s_j² - 1) for twists, k (s_i² + s_i s_j + s_j² - 1) for flips, k (3 s_i² - 1) for
+/// stretches (Smith, De Goes and Kim 2019 for this energy). Twists need the signs of a reflected A,
+/// which U carries.
 fn add_corrections(a: &DMat3, k: f64, projection: Projection, hessian: &mut Matrix12) {
     let parts = svd(a);
     let (u, s, v) = (parts.u, parts.sigma, parts.v);

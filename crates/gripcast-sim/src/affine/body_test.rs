@@ -232,8 +232,8 @@ fn angular_momentum(body: &AffineBody, s: &AffineState, rate: &AffineRate) -> DV
     axial(rate.a * *body.second_moment() * s.a.transpose())
 }
 
-/// The shape energy exerts no torque, so a step changes the angular momentum only by the damping error
-/// of implicit Euler, dt axial(A'_old S A'_new^T).
+/// The shape energy exerts no torque, so a step changes the angular momentum only by the damping
+/// error of implicit Euler, dt axial(A'_old S A'_new^T).
 #[test]
 fn free_body_conserves_momenta() {
     let (body, dt) = (body(), 0.01);

@@ -7,8 +7,8 @@ use crate::fem::svd;
 
 /// State of an affine body: material point X, relative to the centre of mass, is at p + A X.
 ///
-/// As a vector q = (p, columns of A): entry 3 + 3 j + i is A(i, j). With weights w = (1, X), a point
-/// is x = Σ w_k q_k over the four 3-vectors of q.
+/// As a vector q = (p, columns of A): entry 3 + 3 j + i is A(i, j). With weights w = (1, X), a
+/// point is x = Σ w_k q_k over the four 3-vectors of q.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct AffineState {
     /// Centre of mass in m.
@@ -88,8 +88,8 @@ impl AffineState {
         }
     }
 
-    /// Inertial prediction of implicit Euler after `dt` seconds with a constant acceleration (m/s²):
-    /// the minimum of the kinetic term.
+    /// Inertial prediction of implicit Euler after `dt` seconds with a constant acceleration
+    /// (m/s²): the minimum of the kinetic term.
     #[must_use]
     pub fn inertial(&self, rate: &AffineRate, acceleration: DVec3, dt: f64) -> Self {
         Self {
@@ -98,8 +98,8 @@ impl AffineState {
         }
     }
 
-    /// Rotation nearest to A in the Frobenius norm (polar decomposition). For det A < 0 the smallest
-    /// singular direction is mirrored.
+    /// Rotation nearest to A in the Frobenius norm (polar decomposition). For det A < 0 the
+    /// smallest singular direction is mirrored.
     pub fn nearest_rotation(&self) -> DMat3 {
         let mut parts = svd(&self.a);
         if parts.u.determinant() < 0.0 {

@@ -24,8 +24,8 @@ impl Derivatives {
         second: 0.0,
     };
 
-    /// Converts derivatives with respect to the squared distance into derivatives with respect to the
-    /// distance (Pa/m, Pa/m²); `squared` in m².
+    /// Converts derivatives with respect to the squared distance into derivatives with respect to
+    /// the distance (Pa/m, Pa/m²); `squared` in m².
     ///
     /// The second derivative is positive, so `second n nᵀ` is the positive semidefinite part of the
     /// contact Hessian along the unit normal.

@@ -1,9 +1,10 @@
 //! Continuous collision detection (CCD) on linear trajectories.
 //!
-//! Additive CCD (Li et al. 2021, C-IPC, algorithm 1): the distance divided by a bound of the relative
-//! motion is a safe time step; advance and repeat. Each advance is the longer of that time and the
-//! time for which the plane across the closest points still separates both features (conservative
-//! advancement, Mirtich 1996), which lets features slide past each other in few steps.
+//! Additive CCD (Li et al. 2021, C-IPC, algorithm 1): the distance divided by a bound of the
+//! relative motion is a safe time step; advance and repeat. Each advance is the longer of that time
+//! and the time for which the plane across the closest points still separates both features
+//! (conservative advancement, Mirtich 1996), which lets features slide past each other in few
+//! steps.
 //!
 //! With `g = slack · (initial distance)`, both bounds keep the distance at g or more: up to the
 //! returned time, or the end of the step if there is none, it never falls below g, and at the
@@ -55,8 +56,8 @@ impl Stencil for EdgeEdge {
     }
 }
 
-/// Upper bound of the decrease of the distance over the whole step, m: the sum of the longest motions
-/// of both features relative to the mean motion.
+/// Upper bound of the decrease of the distance over the whole step, m: the sum of the longest
+/// motions of both features relative to the mean motion.
 #[inline]
 fn motion_bound<S: Stencil>(motion: &[DVec3; 4]) -> f64 {
     let mean = (motion[0] + motion[1] + motion[2] + motion[3]) * 0.25;
@@ -121,9 +122,9 @@ fn time_of_impact<S: Stencil>(x0: &[DVec3; 4], x1: &[DVec3; 4], slack: f64) -> O
     Some(time)
 }
 
-/// Time of impact in [0, 1] of a point and a triangle, stencil `[p, t0, t1, t2]`, that move from `x0`
-/// to `x1`: the time up to which the fraction `slack` (in (0, 0.9]) of their distance remains. `None`
-/// if the whole step is free; 0 if they touch and move against each other.
+/// Time of impact in [0, 1] of a point and a triangle, stencil `[p, t0, t1, t2]`, that move from
+/// `x0` to `x1`: the time up to which the fraction `slack` (in (0, 0.9]) of their distance remains.
+/// `None` if the whole step is free; 0 if they touch and move against each other.
 #[inline]
 pub fn point_triangle_toi(x0: &[DVec3; 4], x1: &[DVec3; 4], slack: f64) -> Option<f64> {
     time_of_impact::<PointTriangle>(x0, x1, slack)
@@ -135,8 +136,8 @@ pub fn edge_edge_toi(x0: &[DVec3; 4], x1: &[DVec3; 4], slack: f64) -> Option<f64
     time_of_impact::<EdgeEdge>(x0, x1, slack)
 }
 
-/// [`point_triangle_toi`] for a point whose signed distance from a half-space changes from `d0` to `d1`
-/// (m); exact. 0 if the point starts inside and does not move outwards.
+/// [`point_triangle_toi`] for a point whose signed distance from a half-space changes from `d0` to
+/// `d1` (m); exact. 0 if the point starts inside and does not move outwards.
 #[inline]
 pub fn half_space_toi(d0: f64, d1: f64, slack: f64) -> Option<f64> {
     if d0 <= 0.0 {

@@ -26,8 +26,8 @@ pub enum Region {
 
 /// Closest points of a stencil.
 ///
-/// The offset is `Σ weights[i] x[i]`. The weights of the first feature are non-negative and sum to 1,
-/// those of the second are non-positive and sum to −1; uninvolved points have exactly 0.
+/// The offset is `Σ weights[i] x[i]`. The weights of the first feature are non-negative and sum to
+/// 1, those of the second are non-positive and sum to −1; uninvolved points have exactly 0.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Closest {
     /// Weight of each stencil point: `(1, −b0, −b1, −b2)` for a point and a triangle,
@@ -77,8 +77,8 @@ impl Closest {
         self.weights.map(|weight| self.offset * (2.0 * weight))
     }
 
-    /// `Σ weights[i] vectors[i]`: motion of the first closest point relative to the second for motions
-    /// `vectors` of the stencil points.
+    /// `Σ weights[i] vectors[i]`: motion of the first closest point relative to the second for
+    /// motions `vectors` of the stencil points.
     #[inline]
     pub fn relative(&self, vectors: &[DVec3; 4]) -> DVec3 {
         let [a, b, c, d] = self.weights;
@@ -173,9 +173,9 @@ fn thin_triangle(ab: DVec3, ac: DVec3, ap: DVec3) -> Closest {
 
 /// Closest points of two edges, stencil `[a0, a1, b0, b1]`.
 ///
-/// Projects the closest point of line a to line b, clamped to edge a, onto edge b and back onto edge a
-/// (Ericson 2005, §5.1.9). For parallel edges any start leads to a closest pair. Branch-free, so the
-/// time does not depend on the region.
+/// Projects the closest point of line a to line b, clamped to edge a, onto edge b and back onto
+/// edge a (Ericson 2005, §5.1.9). For parallel edges any start leads to a closest pair.
+/// Branch-free, so the time does not depend on the region.
 #[inline]
 pub fn edge_edge(a0: DVec3, a1: DVec3, b0: DVec3, b1: DVec3) -> Closest {
     let (u, v, w) = (a1 - a0, b1 - b0, a0 - b0);

@@ -1,5 +1,5 @@
-//! Edge-edge mollifier (Li et al. 2020, eq. 24): smoothly reduces the barrier of two edges to zero as
-//! they become parallel, where their closest points jump.
+//! Edge-edge mollifier (Li et al. 2020, eq. 24): smoothly reduces the barrier of two edges to zero
+//! as they become parallel, where their closest points jump.
 //!
 //! `m = (2 − c/ε) c/ε` for `c < ε`, else 1, with `c = |ea × eb|²` of the current edges and
 //! `ε = 1e-3 |ea|² |eb|²` of the edges at rest.

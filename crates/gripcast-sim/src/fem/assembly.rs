@@ -1,7 +1,7 @@
 //! Sums over the elements: energy, gradient and Hessian of the mesh.
 //!
-//! Each sum is compiled for several instruction sets and dispatched at run time. All perform the same
-//! operations in the same order, so their results are bit-identical.
+//! Each sum is compiled for several instruction sets and dispatched at run time. All perform the
+//! same operations in the same order, so their results are bit-identical.
 
 #![allow(
     clippy::needless_range_loop,

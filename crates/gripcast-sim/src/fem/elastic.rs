@@ -12,8 +12,8 @@ use gripcast_base::error::{Error, Result};
 
 /// Elastic energy of linear tetrahedra as a function of the node positions.
 ///
-/// Positions are in m, one per node; energies in J, gradients in N, Hessians in N/m. Element sums run
-/// in a fixed order on one thread, so results are deterministic.
+/// Positions are in m, one per node; energies in J, gradients in N, Hessians in N/m. Element sums
+/// run in a fixed order on one thread, so results are deterministic.
 #[derive(Clone, Debug)]
 pub struct Elastic {
     law: NeoHookean,
@@ -25,8 +25,8 @@ impl Elastic {
     /// Creates the energy from rest positions (m) and positively oriented tetrahedra.
     ///
     /// # Errors
-    /// `Input` without tetrahedra, for an invalid node index or rest volume, or for a stiffness matrix
-    /// with 2^32 entries or more.
+    /// `Input` without tetrahedra, for an invalid node index or rest volume, or for a stiffness
+    /// matrix with 2^32 entries or more.
     pub fn new(rest: &[DVec3], tets: &[[u32; 4]], law: NeoHookean) -> Result<Self> {
         if tets.is_empty() {
             return Err(invalid_mesh("no tetrahedra".to_owned()));
@@ -98,10 +98,11 @@ impl Elastic {
         }
     }
 
-    /// Largest step size a in (0, 1] such that no element falls below a tenth of its volume at x on the
-    /// way to x + a dx; zero if a position or `dx` is not finite.
+    /// Largest step size a in (0, 1] such that no element falls below a tenth of its volume at x on
+    /// the way to x + a dx; zero if a position or `dx` is not finite.
     ///
-    /// `x` must be a state of finite energy. The result may be slightly below the largest step size.
+    /// `x` must be a state of finite energy. The result may be slightly below the largest step
+    /// size.
     pub fn inversion_free_step(&self, x: &[DVec3], dx: &[DVec3]) -> f64 {
         Arch::new().dispatch(SafeStep {
             batches: &self.batches,

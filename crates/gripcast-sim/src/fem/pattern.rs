@@ -5,8 +5,8 @@ use glam::DMat3;
 /// Sparsity pattern of a symmetric matrix of 3x3 node blocks.
 ///
 /// Row and column 3 n + a belong to axis a of node n. Only the lower triangle is stored, in
-/// compressed columns with ascending rows, as required by a sparse Cholesky factorisation. Two nodes
-/// are coupled if they share an element.
+/// compressed columns with ascending rows, as required by a sparse Cholesky factorisation. Two
+/// nodes are coupled if they share an element.
 #[derive(Clone, Debug)]
 pub struct StiffnessPattern {
     /// Higher neighbours of each node, ascending: those of node n at `starts[n]..starts[n + 1]`.
@@ -17,7 +17,8 @@ pub struct StiffnessPattern {
 }
 
 impl StiffnessPattern {
-    /// Pattern of `nodes` nodes coupled by `elements`; corners that are not below `nodes` are ignored.
+    /// Pattern of `nodes` nodes coupled by `elements`; corners that are not below `nodes` are
+    /// ignored.
     pub fn new(nodes: usize, elements: &[[u32; 4]]) -> Self {
         let mut pairs: Vec<(u32, u32)> = Vec::with_capacity(6 * elements.len());
         for e in elements {
@@ -93,7 +94,8 @@ impl StiffnessPattern {
 
     /// Adds the block of rows of node `i` and columns of node `j`, and its transpose.
     ///
-    /// Returns false without adding if the two nodes share no element. `i` = `j` is the diagonal block.
+    /// Returns false without adding if the two nodes share no element. `i` = `j` is the diagonal
+    /// block.
     pub fn add_pair_block(&self, i: usize, j: usize, block: &DMat3, values: &mut [f64]) -> bool {
         if i == j {
             self.add_diagonal_block(i, block, values);

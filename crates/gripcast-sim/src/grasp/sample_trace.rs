@@ -6,7 +6,8 @@ use super::trace::{GelForce, Snapshot, StageName, Trace, TraceStep};
 use crate::solver::StepReport;
 use gripcast_geometry::Pose;
 
-/// Two steps of free motion, ten of closing, 30 of adjustment cycling by 1 N around 40 N, 20 of lift.
+/// Two steps of free motion, ten of closing, 30 of adjustment cycling by 1 N around 40 N, 20 of
+/// lift.
 pub fn sample_trace() -> Trace {
     let mut trace = Trace::default();
     let mut opening_m = 0.042;

@@ -55,8 +55,8 @@ pub struct GraspSummary {
     pub mean_force_n: Option<f64>,
     /// Standard deviation of that force, N.
     pub std_force_n: Option<f64>,
-    /// Whether the force was steady at the end of the adjustment (docs/explanation/simulator.md); `None` without
-    /// an adjustment.
+    /// Whether the force was steady at the end of the adjustment (docs/explanation/simulator.md);
+    /// `None` without an adjustment.
     pub steady: Option<bool>,
     /// Time steps, including free motion.
     pub steps: usize,

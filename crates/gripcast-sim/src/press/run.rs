@@ -1,11 +1,12 @@
 //! Runs a press: the back of the gel moves towards the indenter in small steps.
 //!
-//! The indenter is fixed; the gel frame is the world frame at the start, with the front face towards
-//! +z. Time steps are long enough for inertia to vanish. Contact acts below `d_hat`, so the surface
-//! that carries the force is the indenter's offset by the gap. A smooth indenter is therefore meshed
-//! smaller by `d_hat`, and the depth counts from where the undeformed face would first meet the
-//! surface offset by the current gap: with the mean motion b of the back, the initial distance c
-//! between face and tip and the force-weighted mean gap g, the depth is `b - c + g`.
+//! The indenter is fixed; the gel frame is the world frame at the start, with the front face
+//! towards +z. Time steps are long enough for inertia to vanish. Contact acts below `d_hat`, so the
+//! surface that carries the force is the indenter's offset by the gap. A smooth indenter is
+//! therefore meshed smaller by `d_hat`, and the depth counts from where the undeformed face would
+//! first meet the surface offset by the current gap: with the mean motion b of the back, the
+//! initial distance c between face and tip and the force-weighted mean gap g, the depth is `b - c +
+//! g`.
 
 use glam::{DMat3, DVec2, DVec3};
 use serde::Serialize;

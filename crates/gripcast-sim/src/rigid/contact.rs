@@ -1,8 +1,8 @@
 //! Contact points of flat bodies (ground, finger faces) with convex pieces.
 //!
-//! parry uses the first four corners of a face, which do not surround the centre of a face with many
-//! corners: a cylinder tips over on the ground. Here contacts are found over the whole contact patch,
-//! and the four that span it are kept.
+//! parry uses the first four corners of a face, which do not surround the centre of a face with
+//! many corners: a cylinder tips over on the ground. Here contacts are found over the whole contact
+//! patch, and the four that span it are kept.
 
 use rapier3d_f64::geometry::{ContactData, ContactManifold, ContactManifoldData};
 use rapier3d_f64::math::{Pose, Vector};

@@ -1,4 +1,5 @@
-//! Conversion between the crate's vectors and poses and rapier's, which use another version of glam.
+//! Conversion between the crate's vectors and poses and rapier's, which use another version of
+//! glam.
 
 use glam::{DQuat, DVec3};
 use rapier3d_f64::math::{Pose as RapierPose, Rotation, Vector};

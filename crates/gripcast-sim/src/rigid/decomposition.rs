@@ -23,8 +23,8 @@ impl std::fmt::Debug for Decomposition {
 }
 
 impl Decomposition {
-    /// Decomposes a closed mesh (m) into convex pieces: V-HACD on voxels, a simplified hull of the mesh
-    /// in each piece, and merging of pieces that are convex together. Deterministic.
+    /// Decomposes a closed mesh (m) into convex pieces: V-HACD on voxels, a simplified hull of the
+    /// mesh in each piece, and merging of pieces that are convex together. Deterministic.
     ///
     /// # Errors
     /// `Input` if the mesh is invalid or encloses no volume.

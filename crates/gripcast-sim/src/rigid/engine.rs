@@ -16,7 +16,8 @@ use gripcast_base::error::{Error, Result};
 use gripcast_base::files::BeneathPath;
 use gripcast_geometry::TriangleMesh;
 
-/// Rigid fingers and a rigid object of convex pieces; the grasping force is the motor force per finger.
+/// Rigid fingers and a rigid object of convex pieces; the grasping force is the motor force per
+/// finger.
 #[derive(Debug, Default)]
 pub struct RigidEngine {
     /// All parameters but friction and force.
@@ -33,8 +34,8 @@ impl RigidEngine {
         }
     }
 
-    /// Also caches decompositions as files in a folder, which is created if missing. Damaged files are
-    /// replaced; failures to write are ignored.
+    /// Also caches decompositions as files in a folder, which is created if missing. Damaged files
+    /// are replaced; failures to write are ignored.
     ///
     /// # Errors
     /// `Io` if the folder cannot be created.

@@ -8,22 +8,22 @@ use gripcast_base::error::{Error, Result};
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct RigidSettings {
-    /// Distance between the faces from which the fingers close, m. Taxim: 0.09. A grasp with a wider
-    /// opening, or without clearance for this one, keeps its own.
+    /// Distance between the faces from which the fingers close, m. Taxim: 0.09. A grasp with a
+    /// wider opening, or without clearance for this one, keeps its own.
     pub opening_m: f64,
     /// Time steps of the closure. Taxim: at most 150.
     pub closing_steps: u32,
     /// Last steps of the closure, recorded as the adjustment: the force has settled by then.
     pub settle_steps: u32,
-    /// Maximum finger speed relative to the gripper, m/s. 0.1: from 45 mm to the centre in 108 of the
-    /// 150 steps.
+    /// Maximum finger speed relative to the gripper, m/s. 0.1: from 45 mm to the centre in 108 of
+    /// the 150 steps.
     pub closing_speed_m_s: f64,
-    /// Position gain: finger speed per metre from the gripper's centre, 1/s. 24: the gain of a PyBullet
-    /// motor, 0.1 per step of 1/240 s.
+    /// Position gain: finger speed per metre from the gripper's centre, 1/s. 24: the gain of a
+    /// PyBullet motor, 0.1 per step of 1/240 s.
     pub position_gain_per_s: f64,
-    /// Decay time of the fingers' common motion along the closing direction, s. Two independent motors
-    /// of the same force would let the gripped object float between them; the drive of a real gripper
-    /// couples its fingers. 0.05: well within the settling time.
+    /// Decay time of the fingers' common motion along the closing direction, s. Two independent
+    /// motors of the same force would let the gripped object float between them; the drive of a
+    /// real gripper couples its fingers. 0.05: well within the settling time.
     pub centring_s: f64,
     /// Moving mass of a finger, kg. 0.2: guide and finger of Taxim's WSG 50.
     pub finger_mass_kg: f64,
@@ -43,7 +43,8 @@ pub struct RigidSettings {
     /// Solver substeps per time step. 8: small enough for the contact stiffness.
     pub solver_substeps: u32,
     /// Natural frequency of the contact springs, Hz. 480, a quarter of the substep rate: at 40 N a
-    /// finger sinks 0.1 mm into an object of 50 g; with rapier's default of 30 Hz it would be 20 mm.
+    /// finger sinks 0.1 mm into an object of 50 g; with rapier's default of 30 Hz it would be 20
+    /// mm.
     pub contact_frequency_hz: f64,
     /// Damping ratio of the contact springs; above 1 there is no bounce.
     pub contact_damping_ratio: f64,
@@ -86,11 +87,11 @@ pub struct DecompositionSettings {
     pub alpha: f64,
     /// Bias towards cuts along axes of revolution. Default of V-HACD: 0.05.
     pub beta: f64,
-    /// Concavity: pieces are cut until their hull exceeds their volume by less than this fraction of the
-    /// whole hull, and merged below it. 0.01: finer cuts only follow the voxels.
+    /// Concavity: pieces are cut until their hull exceeds their volume by less than this fraction
+    /// of the whole hull, and merged below it. 0.01: finer cuts only follow the voxels.
     pub concavity: f64,
-    /// Voxels along the longest side. 64 corresponds to a V-HACD resolution of about 1e5; the paper's
-    /// 1e7 (215) takes minutes.
+    /// Voxels along the longest side. 64 corresponds to a V-HACD resolution of about 1e5; the
+    /// paper's 1e7 (215) takes minutes.
     pub resolution: u32,
     /// Maximum number of pieces.
     pub max_pieces: u32,

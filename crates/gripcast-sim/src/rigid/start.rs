@@ -11,8 +11,8 @@ use crate::GraspSetup;
 use crate::grasp::Finger;
 use gripcast_geometry::Pose;
 
-/// Initial opening (m): `preferred_m` if it is wider than the setup's own and collision-free, else the
-/// setup's own.
+/// Initial opening (m): `preferred_m` if it is wider than the setup's own and collision-free, else
+/// the setup's own.
 ///
 /// # Errors
 /// A description of the collision if the fingers start inside object or ground.

@@ -1,7 +1,7 @@
 //! Object, fingers and ground as rigid bodies.
 //!
-//! Simulated in the initial gripper frame, so that the only degree of freedom of a finger is along x,
-//! which rapier can leave free while locking the others exactly.
+//! Simulated in the initial gripper frame, so that the only degree of freedom of a finger is along
+//! x, which rapier can leave free while locking the others exactly.
 
 use glam::DVec3;
 use rapier3d_f64::dynamics::{
@@ -240,8 +240,8 @@ impl World {
         })
     }
 
-    /// Calls `visit` with each contact of a finger: its position relative to the finger's centre (m),
-    /// the force on the finger (N) and the distance (m).
+    /// Calls `visit` with each contact of a finger: its position relative to the finger's centre
+    /// (m), the force on the finger (N) and the distance (m).
     fn for_each_contact(&self, finger: usize, mut visit: impl FnMut(DVec3, DVec3, f64)) {
         let dt = self.settings.dt_s;
         let substep = dt / f64::from(self.settings.solver_substeps);

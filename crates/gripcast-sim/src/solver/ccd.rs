@@ -62,7 +62,8 @@ impl Motion<'_> {
                 from + self.object_direction.point(material) * max_step,
             )
         };
-        // The distance is at least `build_distance - displacement` and shrinks by at most the bound.
+        // The distance is at least `build_distance - displacement` and shrinks by at most the
+        // bound.
         let can_touch = |build_distance: f64, nodes: &[u32]| {
             let bound = |node: &u32| {
                 contact.displacements[*node as usize] + bounds[*node as usize] * max_step

@@ -78,8 +78,8 @@ impl Collider {
     }
 }
 
-/// Whether the two faces at an edge open outwards by more than [`MIN_OPENING_RAD`]. Edges without exactly two
-/// faces count as convex.
+/// Whether the two faces at an edge open outwards by more than [`MIN_OPENING_RAD`]. Edges without
+/// exactly two faces count as convex.
 fn is_convex(mesh: &TriangleMesh, edge: [u32; 2], faces: &[u32]) -> bool {
     let &[first, second] = faces else { return true };
     let corners = |face: u32| mesh.triangles[face as usize].map(|v| mesh.vertices[v as usize]);

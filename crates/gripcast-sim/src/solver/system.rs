@@ -1,9 +1,9 @@
 //! Gels, object and ground as one system, and its implicit Euler step.
 //!
 //! With all terms divided by dt² the incremental potential (Li et al. 2020) is, in J,
-//! `E(x, q) = ½ |x - x̂|²_M/dt² + Ψ(x) + drive(x) + ½ |q - q̂|²_M/dt² + shape(q) + contact + friction`,
-//! and its gradient is a balance of forces in N. A quasi-Newton iteration minimises it: the
-//! factorised stiffness is kept over iterations and steps and corrected by L-BFGS.
+//! `E(x, q) = ½ |x - x̂|²_M/dt² + Ψ(x) + drive(x) + ½ |q - q̂|²_M/dt² + shape(q) + contact +
+//! friction`, and its gradient is a balance of forces in N. A quasi-Newton iteration minimises it:
+//! the factorised stiffness is kept over iterations and steps and corrected by L-BFGS.
 
 use std::time::Instant;
 

@@ -38,8 +38,8 @@ pub(super) fn free_fall(recorder: &mut Recorder) -> Result<()> {
     Ok(())
 }
 
-/// Linear momentum is conserved; implicit Euler damps rotation: the angle φ per step becomes φ - φ³,
-/// so after n steps it is φ / sqrt(1 + 2 n φ²).
+/// Linear momentum is conserved; implicit Euler damps rotation: the angle φ per step becomes φ -
+/// φ³, so after n steps it is φ / sqrt(1 + 2 n φ²).
 pub(super) fn momentum(recorder: &mut Recorder) -> Result<()> {
     let velocity = DVec3::new(0.1, -0.05, 0.02);
     let spin = 2.0;
@@ -90,8 +90,8 @@ const INCLINES: [(f64, f64); 10] = [
     (0.8, 39.0),
 ];
 
-/// A block on an incline creeps at eps_v (1 - sqrt(1 - tan θ / µ)) for tan θ < µ, and accelerates by
-/// g (sin θ - µ cos θ) otherwise.
+/// A block on an incline creeps at eps_v (1 - sqrt(1 - tan θ / µ)) for tan θ < µ, and accelerates
+/// by g (sin θ - µ cos θ) otherwise.
 pub(super) fn incline(recorder: &mut Recorder) -> Result<()> {
     for (mu, degrees) in INCLINES {
         let angle = degrees.to_radians();
@@ -123,8 +123,8 @@ pub(super) fn incline(recorder: &mut Recorder) -> Result<()> {
     Ok(())
 }
 
-/// A flat bar (20 x 120 mm on the ground, 10 mm high) on ground inclined by `angle` about y, modelled
-/// by inclined gravity.
+/// A flat bar (20 x 120 mm on the ground, 10 mm high) on ground inclined by `angle` about y,
+/// modelled by inclined gravity.
 fn block(mu: f64, angle: f64) -> Result<System> {
     let parameters = SolverParameters {
         gravity_m_s2: -GRAVITY * angle.cos(),

@@ -12,8 +12,8 @@ use crate::solver::{Drive, SolverParameters};
 use gripcast_base::error::Result;
 use gripcast_geometry::{Pose, builtin};
 
-/// Contact and friction on the gels, the object's weight and its momentum change sum to zero in every
-/// step: while the gels close, while they lift and while the object swings.
+/// Contact and friction on the gels, the object's weight and its momentum change sum to zero in
+/// every step: while the gels close, while they lift and while the object swings.
 pub(super) fn balance(recorder: &mut Recorder) -> Result<()> {
     let parameters = SolverParameters {
         newton_tolerance_m_s: 1e-9,
@@ -151,8 +151,8 @@ pub(super) fn gap(recorder: &mut Recorder) -> Result<()> {
         shift_m: 0.0,
     });
     for point in press.run(&targets)? {
-        // The pressure of a plate is nearly uniform, so the mean gap is that of the mean pressure to
-        // second order.
+        // The pressure of a plate is nearly uniform, so the mean gap is that of the mean pressure
+        // to second order.
         let mean = point.normal_n / (0.025 * 0.02);
         let expected = gap_at(&barrier, NODE_WEIGHT, mean);
         let name = format!("{:.1} kPa", 1e-3 * mean);
@@ -173,8 +173,8 @@ fn single_face() -> gripcast_geometry::TriangleMesh {
     }
 }
 
-/// The default drive has 5e9 N/m³ on every mesh; Taccel's stiffness w m_back / dt² decreases with mesh
-/// refinement.
+/// The default drive has 5e9 N/m³ on every mesh; Taccel's stiffness w m_back / dt² decreases with
+/// mesh refinement.
 pub(super) fn drive(recorder: &mut Recorder) -> Result<()> {
     let area = 0.025 * 0.02;
     for nodes in [[13, 11, 3], [19, 16, 4], [13, 11, 5], [13, 11, 9]] {

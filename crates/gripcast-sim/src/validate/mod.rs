@@ -1,8 +1,8 @@
 //! Validation of the simulator against theory and converged finite elements.
 //!
 //! Values found by the simulator are compared, within a tolerance, with a formula or with the press
-//! reference in `tests/data/press_reference.json`. [`Effort::Quick`] uses coarser meshes, fewer grasps
-//! and wider tolerances.
+//! reference in `tests/data/press_reference.json`. [`Effort::Quick`] uses coarser meshes, fewer
+//! grasps and wider tolerances.
 
 mod bodies;
 mod contact_cases;

@@ -192,8 +192,8 @@ pub(super) fn sphere_3() -> Curve {
             meshing(1.0, [30, 28, 16], [1.1, 1.1, 1.12], 0.12, 20.0, 0.1),
         ],
         quick: vec![meshing(0.6, [14, 12, 8], [1.2, 1.2, 1.2], 0.15, 20.0, 0.1)],
-        // The contact radius spans 2.6 cells of the quick mesh at a depth of 0.1 mm (0.55 mm), and 3.7
-        // at 0.2 mm.
+        // The contact radius spans 2.6 cells of the quick mesh at a depth of 0.1 mm (0.55 mm), and
+        // 3.7 at 0.2 mm.
         tolerances: vec![(1e-4, 0.03, 0.18), (2e-4, 0.03, 0.13), (1e-3, 0.02, 0.09)],
     }
 }

@@ -47,9 +47,9 @@ pub struct AcronymSet {
 /// Grasps whose matrix is not a rigid transform are skipped and listed.
 ///
 /// # Errors
-/// Errors of reading the file; `Input` for an invalid HDF5 file, a missing key, an unexpected shape,
-/// numbers that are not finite, an implausible scale, another gripper than the Panda, or a file
-/// without usable grasps.
+/// Errors of reading the file; `Input` for an invalid HDF5 file, a missing key, an unexpected
+/// shape, numbers that are not finite, an implausible scale, another gripper than the Panda, or a
+/// file without usable grasps.
 pub fn read_acronym(path: &Path) -> Result<AcronymSet> {
     let read = || {
         let file = Hdf5::open(path, "ACRONYM")?;

@@ -75,8 +75,8 @@ impl Category {
         names.collect()
     }
 
-    /// Minimum and maximum fraction of the enclosed volume that is material. Closed vessels and cartons
-    /// are modelled by their outer surface, so their fill is that of walls and contents.
+    /// Minimum and maximum fraction of the enclosed volume that is material. Closed vessels and
+    /// cartons are modelled by their outer surface, so their fill is that of walls and contents.
     pub fn fill(self) -> (f64, f64) {
         match script::header(self.text(), "fill")[..] {
             [Formula::Number(low), Formula::Number(high)] => (low, high),

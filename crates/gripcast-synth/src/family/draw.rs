@@ -12,8 +12,8 @@ impl Draw {
         form.copied().unwrap_or_default()
     }
 
-    /// Uniform between two numbers, rounded to the micrometre or microradian, so that shapes start from
-    /// the same bits on every machine.
+    /// Uniform between two numbers, rounded to the micrometre or microradian, so that shapes start
+    /// from the same bits on every machine.
     pub(super) fn between(&mut self, low: f64, high: f64) -> f64 {
         (self.0.between(low, high) * 1e6).round() * 1e-6
     }

@@ -1,5 +1,5 @@
-//! Turned bodies: rings of vertices along a profile, with a number of vertices that follows the radius
-//! and cross sections that need not be circular.
+//! Turned bodies: rings of vertices along a profile, with a number of vertices that follows the
+//! radius and cross sections that need not be circular.
 
 use std::f64::consts::TAU;
 use std::ops::Range;
@@ -33,8 +33,8 @@ impl Section {
         Self::new(count, |_| 1.0)
     }
 
-    /// A superellipse with half widths `aspect` along x and 1 along y; a `power` of 2 is an ellipse,
-    /// more is closer to a rectangle.
+    /// A superellipse with half widths `aspect` along x and 1 along y; a `power` of 2 is an
+    /// ellipse, more is closer to a rectangle.
     pub(super) fn oblong(aspect: f64, power: f64) -> Self {
         Self::new(4, |angle| {
             let term = |x: f64| x.abs().powf(power);

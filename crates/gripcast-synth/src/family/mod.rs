@@ -1,5 +1,5 @@
-//! Built-in families of tabletop objects: any number of distinct closed meshes per category, generated
-//! from seeds without downloads.
+//! Built-in families of tabletop objects: any number of distinct closed meshes per category,
+//! generated from seeds without downloads.
 //!
 //! Bodies are turned on a lathe, cut from plates, or blended from signed distance primitives; none
 //! needs boolean operations on meshes. Most families are files in `shapes`.

@@ -90,8 +90,8 @@ pub(super) fn point_at(line: &[DVec2], lengths: &[f64], length: f64) -> DVec2 {
     line[next - 1].lerp(line[next], fraction)
 }
 
-/// Returns a dense spline through the points of a profile (Catmull and Rom, 1974), on the axis only at
-/// its ends.
+/// Returns a dense spline through the points of a profile (Catmull and Rom, 1974), on the axis only
+/// at its ends.
 pub(super) fn smooth(profile: &[Knot]) -> impl Iterator<Item = DVec2> {
     const PIECES: usize = 16;
     let at = |k: isize| {

@@ -206,9 +206,9 @@ fn rim_distance_m(p: DVec2, points: &[DVec2], sides: &[[usize; 2]]) -> f64 {
     squared.sqrt()
 }
 
-/// Bends a point upwards, towards +z, about a line along y: beyond `start` (m) in x, the centre line
-/// follows an arc of the given radius (m) and angle (rad, negative is downwards) and then continues
-/// straight.
+/// Bends a point upwards, towards +z, about a line along y: beyond `start` (m) in x, the centre
+/// line follows an arc of the given radius (m) and angle (rad, negative is downwards) and then
+/// continues straight.
 pub(super) fn bent(p: DVec3, start: f64, radius: f64, angle: f64) -> DVec3 {
     let beyond = p.x - start;
     if beyond <= 0.0 {

@@ -21,8 +21,8 @@ pub(super) fn rounded_box(size: DVec3, fillet: f64, edge: f64) -> TriangleMesh {
     mesh
 }
 
-/// Grid coordinates along an axis, spaced like a tangent in the fillets so that rounding gives equal
-/// steps.
+/// Grid coordinates along an axis, spaced like a tangent in the fillets so that rounding gives
+/// equal steps.
 fn steps(length: f64, fillet: f64, edge: f64) -> Vec<f64> {
     let core = 0.5 * length - fillet;
     let bends = (FRAC_PI_4 * fillet / edge).round().max(1.0);

@@ -1,7 +1,7 @@
 //! The language of the files in `shapes`: drawn numbers, formulas and commands that build a body.
 //!
-//! A line assigns a name (`top = 0.4 * height`) or is a command with arguments and an optional block
-//! (`repeat k, 4 { … }`). A text in quotation marks is 1 if it is the drawn form, else 0.
+//! A line assigns a name (`top = 0.4 * height`) or is a command with arguments and an optional
+//! block (`repeat k, 4 { … }`). A text in quotation marks is 1 if it is the drawn form, else 0.
 //! `draw(0.01, 0.03)`, `count(3, 6)` and `chance(0.4)` draw numbers in order of appearance. Lengths
 //! are in metres, angles in radians.
 
@@ -69,7 +69,8 @@ pub(super) fn header(text: &'static str, command: &str) -> Vec<Formula> {
     found.map(|step| step.arguments).unwrap_or_default()
 }
 
-/// Splits a text into words, numbers, texts with their opening quotation mark, operators and line ends.
+/// Splits a text into words, numbers, texts with their opening quotation mark, operators and line
+/// ends.
 fn tokens(text: &'static str) -> Vec<&'static str> {
     let mut tokens = Vec::new();
     for line in text.lines() {

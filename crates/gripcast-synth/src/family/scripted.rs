@@ -9,8 +9,8 @@
 //! | `box` | a box with rounded edges | |
 //! | `solid` | blended primitives | `ellipsoid`, `rounded_box`, `frustum`, `capsule`, `capsules`; before them `cut`, `rotate_x` …; `units` |
 //!
-//! All but the last are executed again for each edge length, the variable `edge`; the first argument
-//! of `lathe`, `ring` and `plate` is its maximum. `vertex` transforms each vertex.
+//! All but the last are executed again for each edge length, the variable `edge`; the first
+//! argument of `lathe`, `ring` and `plate` is its maximum. `vertex` transforms each vertex.
 
 use glam::{DQuat, DVec2, DVec3};
 
@@ -247,8 +247,8 @@ fn rotation_about(command: &str, angle: f64) -> DQuat {
     }
 }
 
-/// Builds a body of primitives; `cut` and `rotate_…` apply to the next one. Lengths are multiples of
-/// the first argument of `units`; the second is the minimum radius of capsules, m.
+/// Builds a body of primitives; `cut` and `rotate_…` apply to the next one. Lengths are multiples
+/// of the first argument of `units`; the second is the minimum radius of capsules, m.
 fn solid(step: &Step, scope: &mut Scope<'_>) -> TriangleMesh {
     let mut solid = Solid::new(scope.arguments(step).first().copied().unwrap_or(f64::NAN));
     let (mut unit, mut min_radius) = (1.0, 0.0);

@@ -92,8 +92,8 @@ fn split_long_sides(mesh: &mut TriangleMesh) {
 /// Centres the bounding box at the origin, snaps the coordinates and checks the mesh.
 ///
 /// # Errors
-/// `Internal` if it is open, disconnected, has slivers or self-intersections, or exceeds the limits of
-/// size and triangles.
+/// `Internal` if it is open, disconnected, has slivers or self-intersections, or exceeds the limits
+/// of size and triangles.
 pub(super) fn finish(mut mesh: TriangleMesh) -> Result<TriangleMesh> {
     let center = mesh.bounds().center();
     for v in &mut mesh.vertices {

@@ -195,7 +195,8 @@ pub(super) fn smooth_union(a: f64, b: f64, width: f64) -> f64 {
     a.min(b) - 0.25 * width * overlap * overlap
 }
 
-/// Meshes the zero level set of a field within ±`half` (m); walls are at least `min_thickness_m` thick.
+/// Meshes the zero level set of a field within ±`half` (m); walls are at least `min_thickness_m`
+/// thick.
 pub(super) fn mesh_of(field: Field<'_>, half: DVec3, min_thickness_m: f64) -> TriangleMesh {
     let cell = (DENSITY * area(field, half) / QUADS).sqrt();
     let cell = cell.clamp(CELL_M.0, CELL_M.1).min(min_thickness_m / 1.1);
@@ -211,7 +212,8 @@ pub(super) fn mesh_of(field: Field<'_>, half: DVec3, min_thickness_m: f64) -> Tr
     mesh
 }
 
-/// Estimates the area of the zero level set, m², by counting the cells of a coarse lattice around it.
+/// Estimates the area of the zero level set, m², by counting the cells of a coarse lattice around
+/// it.
 fn area(field: Field<'_>, half: DVec3) -> f64 {
     const STEP_M: f64 = 5e-3;
     let counts = (half / STEP_M).ceil() + 1.0;
@@ -258,8 +260,9 @@ fn triangles(field: Field<'_>, mut net: QuadMesh, cell: f64) -> TriangleMesh {
     mesh
 }
 
-/// Moves vertices near an edge of the body onto it, by minimising the distances from the surrounding
-/// tangent planes (quadratic error function of Ju et al., *Dual contouring of Hermite data*, 2002).
+/// Moves vertices near an edge of the body onto it, by minimising the distances from the
+/// surrounding tangent planes (quadratic error function of Ju et al., *Dual contouring of Hermite
+/// data*, 2002).
 fn sharpen(field: Field<'_>, net: &mut QuadMesh, cell: f64) {
     let normals: Vec<DVec3> = net
         .vertices
@@ -311,8 +314,8 @@ fn towards_planes(position: DVec3, planes: impl Iterator<Item = (DVec3, DVec3)>)
     matrix.inverse() * right
 }
 
-/// Quality of the two triangles of a quadrilateral that is split along its first diagonal: the smaller
-/// relative height, negative if they are folded.
+/// Quality of the two triangles of a quadrilateral that is split along its first diagonal: the
+/// smaller relative height, negative if they are folded.
 fn quality([a, b, c, d]: [u32; 4], vertices: &[DVec3]) -> f64 {
     let [a, b, c, d] = [a, b, c, d].map(|v| vertices[v as usize]);
     let min = relative_height([a, b, c]).min(relative_height([a, c, d]));

@@ -44,8 +44,8 @@ impl Plan {
     /// Creates a plan and computes its hash.
     ///
     /// # Errors
-    /// `Input` for a simulation of an unknown object or a duplicate id; `Internal` if a number has no
-    /// JSON representation.
+    /// `Input` for a simulation of an unknown object or a duplicate id; `Internal` if a number has
+    /// no JSON representation.
     pub fn new(
         header: PlanHeader,
         objects: Vec<PlannedObject>,

@@ -28,8 +28,8 @@ use gripcast_sim::{Engine, EngineKind};
 const SEED_BITS: u32 = 53;
 /// Plausible longest side of an object, m; other sizes usually mean a wrong unit.
 const SIZE_M: [f64; 2] = [0.005, 0.5];
-/// Estimated CPU time of a finite-element grasp, s: a constant and the cost per gel node, as measured
-/// for grasps of the built-in families with coarse gels.
+/// Estimated CPU time of a finite-element grasp, s: a constant and the cost per gel node, as
+/// measured for grasps of the built-in families with coarse gels.
 const FEM_BASE_S: f64 = 0.2;
 const FEM_S_PER_NODE: f64 = 1.7e-3;
 /// The same for a colour image (a constant and the cost per sample per pixel), a pair of tactile

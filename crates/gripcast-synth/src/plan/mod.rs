@@ -65,15 +65,16 @@ pub struct PlanHeader {
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct RenderingPlan {
-    /// Renderings of each simulation, each with other light, ground, camera, appearance and sensors.
+    /// Renderings of each simulation, each with other light, ground, camera, appearance and
+    /// sensors.
     pub renderings: u32,
     /// Samples per pixel (spp) of the colour images.
     #[serde(rename = "samples")]
     pub samples_per_pixel: u32,
     /// Spread of the tactile sensors: 0 is the shipped profile, 1 the spread between real sensors.
     pub sensor_spread: f64,
-    /// Spread of the colour camera's pose and lens and of the light's brightness: 0 is nominal, 1 the
-    /// default.
+    /// Spread of the colour camera's pose and lens and of the light's brightness: 0 is nominal, 1
+    /// the default.
     #[serde(default = "default_spread", skip_serializing_if = "is_default_spread")]
     pub visual_spread: f64,
 }

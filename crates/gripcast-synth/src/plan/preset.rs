@@ -18,7 +18,8 @@ pub struct PlanPreset {
     pub objects: usize,
     /// Grasps of each object.
     pub grasps: usize,
-    /// Mesh of the gels. Coarse gels hold some grasps that finer ones lose (docs/reference/performance.md).
+    /// Mesh of the gels. Coarse gels hold some grasps that finer ones lose
+    /// (docs/reference/performance.md).
     pub gel: GelResolution,
     /// How images are rendered.
     pub rendering: RenderingPlan,

@@ -8,9 +8,9 @@ use gripcast_geometry::{TriangleMesh, convex_hull};
 /// Maximum hull faces that are tried; round objects have thousands of similar ones.
 const MAX_FACES: usize = 256;
 
-/// Returns the sides of the oriented bounding box, m, longest first: the box of minimum volume among
-/// those that lie on one of the 256 largest faces of the convex hull and along one side of the hull's
-/// projection onto that face.
+/// Returns the sides of the oriented bounding box, m, longest first: the box of minimum volume
+/// among those that lie on one of the 256 largest faces of the convex hull and along one side of
+/// the hull's projection onto that face.
 ///
 /// # Errors
 /// `Input` for a mesh that encloses no volume.

@@ -1,7 +1,7 @@
 //! Mass, friction and appearance of objects.
 //!
-//! There are two sources: an embedded table of materials, and the paper's prompts (A.1) to a language
-//! model behind an OpenAI-compatible endpoint. Physical properties carry their source.
+//! There are two sources: an embedded table of materials, and the paper's prompts (A.1) to a
+//! language model behind an OpenAI-compatible endpoint. Physical properties carry their source.
 
 mod appearance;
 mod bounding_box;

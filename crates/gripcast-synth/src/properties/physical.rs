@@ -126,8 +126,8 @@ pub enum MassMap {
 /// m → 0.01 + 0.19 (min(m, 1) − low) / (high − low), with low and high the minimum and maximum
 /// of min(m, 1).
 ///
-/// Equal masses (or a single one) are only clamped to [0.01, 0.2] kg. The mapping depends on the whole
-/// list: another object changes all masses.
+/// Equal masses (or a single one) are only clamped to [0.01, 0.2] kg. The mapping depends on the
+/// whole list: another object changes all masses.
 ///
 /// # Errors
 /// `Input` for a mass that is not positive and finite.

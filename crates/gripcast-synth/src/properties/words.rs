@@ -48,8 +48,8 @@ fn last_match<T: Copy>(words: &[&str], stems: &[(String, T)]) -> Option<T> {
     found.map(|(_, value)| *value)
 }
 
-/// Finds a named colour: paint before kinds of wood before bare materials, the longest name first, so
-/// that `light blue` is not `blue`.
+/// Finds a named colour: paint before kinds of wood before bare materials, the longest name first,
+/// so that `light blue` is not `blue`.
 fn named_colour(words: &[&str]) -> Option<u32> {
     let text = format!(" {} ", words.join(" "));
     let longest = |shades: &[Shade]| {

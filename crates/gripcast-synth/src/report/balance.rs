@@ -65,7 +65,8 @@ pub(super) fn fault(done: &FinishedSimulation<'_>) -> String {
     }
 }
 
-/// Returns the bin of a value. Bins include their upper edge, since masses end at the paper's 200 g.
+/// Returns the bin of a value. Bins include their upper edge, since masses end at the paper's 200
+/// g.
 fn bin(value: f64, edges: &[f64], unit: f64) -> Key {
     let index = edges.partition_point(|edge| *edge < value);
     let show = |edge: &f64| {

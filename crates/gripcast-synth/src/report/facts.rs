@@ -208,8 +208,8 @@ pub struct ContactGroup {
 pub struct Separation {
     /// Stopping force, N.
     pub stop_force_n: f64,
-    /// Probability that a stable grasp changes the images more than a slip; 0.5 means no separation.
-    /// None with only one label.
+    /// Probability that a stable grasp changes the images more than a slip; 0.5 means no
+    /// separation. None with only one label.
     pub auroc: Option<f64>,
 }
 

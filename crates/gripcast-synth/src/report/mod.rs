@@ -50,8 +50,8 @@ pub struct SynthReportSettings {
 /// number of inspected results and their total.
 ///
 /// # Errors
-/// `Input` for results or a dataset of another plan, damaged images or a damaged dataset; `NotFound`
-/// if a file is missing; I/O errors.
+/// `Input` for results or a dataset of another plan, damaged images or a damaged dataset;
+/// `NotFound` if a file is missing; I/O errors.
 pub fn report(
     plan: &Plan,
     folder: &Path,

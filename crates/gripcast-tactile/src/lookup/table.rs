@@ -91,9 +91,9 @@ impl TaximTable {
     /// table's image) where the height towards the camera rises by `slope` (pixels per pixel,
     /// along columns and rows).
     ///
-    /// A fitted table keeps to its presses: a place outside of those that a bin has ranges counts as
-    /// the nearest of them, and a change beyond those ranges there is cut to them. Polynomials grow
-    /// without bound elsewhere.
+    /// A fitted table keeps to its presses: a place outside of those that a bin has ranges counts
+    /// as the nearest of them, and a change beyond those ranges there is cut to them. Polynomials
+    /// grow without bound elsewhere.
     pub fn change(&self, slope: [f32; 2], position: [f64; 2]) -> [f64; 3] {
         let angle = f64::from(slope[0].hypot(slope[1])).atan();
         let direction = f64::from(slope[1]).atan2(f64::from(slope[0]));

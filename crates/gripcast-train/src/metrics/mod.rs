@@ -1,8 +1,8 @@
 //! Metrics of the stability prediction.
 //!
 //! Stable (`true`) is the positive class; a sample is predicted stable if its probability is at
-//! least the threshold. A metric that is undefined for its samples (none, one class only) is `None`;
-//! samples whose probability is NaN or infinite are ignored.
+//! least the threshold. A metric that is undefined for its samples (none, one class only) is
+//! `None`; samples whose probability is NaN or infinite are ignored.
 //!
 //! | item | purpose |
 //! | --- | --- |

@@ -1,5 +1,5 @@
-//! Choice of the decision threshold. Choose it on validation data: metrics on the data it was chosen
-//! on are biased.
+//! Choice of the decision threshold. Choose it on validation data: metrics on the data it was
+//! chosen on are biased.
 
 use super::Scored;
 use super::curve::Tie;

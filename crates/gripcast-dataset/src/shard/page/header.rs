@@ -124,7 +124,8 @@ impl Thrift<'_> {
         Some(())
     }
 
-    /// Reads the next field of a structure; the inner `None` is its end. `id`: of the previous field.
+    /// Reads the next field of a structure; the inner `None` is its end. `id`: of the previous
+    /// field.
     fn field(&mut self, id: &mut i64) -> Option<Option<Field>> {
         let byte = self.byte()?;
         if byte == 0 {

@@ -1,8 +1,9 @@
-//! Zarr arrays with the layout of the replay buffer of UMI and Diffusion Policy: `data/` has one row
-//! per frame, `meta/` one row per grasp, `meta/episode_ends` is the end of each grasp in `data/`.
+//! Zarr arrays with the layout of the replay buffer of UMI and Diffusion Policy: `data/` has one
+//! row per frame, `meta/` one row per grasp, `meta/episode_ends` is the end of each grasp in
+//! `data/`.
 //!
-//! Zarr version 2, which every release of Python's `zarr` reads, with zlib-compressed chunks. Written
-//! without a Zarr library, which would add a hundred crates.
+//! Zarr version 2, which every release of Python's `zarr` reads, with zlib-compressed chunks.
+//! Written without a Zarr library, which would add a hundred crates.
 
 mod array;
 mod store;

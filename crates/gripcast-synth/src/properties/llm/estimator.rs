@@ -33,8 +33,9 @@ pub struct PropertyQuery<'a> {
 ///
 /// With `fallback` an object gets its properties from the table if the endpoint does not answer or
 /// its answer is unusable; its [`PropertySource`] records that. Once the endpoint failed in all
-/// attempts, it is not asked again for the following objects. Requests that the endpoint refuses (an
-/// invalid key, an unknown model) are errors even with `fallback`, since retrying does not help.
+/// attempts, it is not asked again for the following objects. Requests that the endpoint refuses
+/// (an invalid key, an unknown model) are errors even with `fallback`, since retrying does not
+/// help.
 #[derive(Debug)]
 pub struct PropertyEstimator {
     client: LlmClient,
