@@ -1,6 +1,6 @@
 //! `gripcast render`: the sensor images of simulated grasps.
 
-use super::{Context, render_calibrate, render_figure, render_film, render_tactile, render_visual};
+use super::{Context, render_calibrate, render_clip, render_figure, render_tactile, render_visual};
 use gripcast_base::error::Result;
 
 /// Arguments.
@@ -19,7 +19,7 @@ enum Action {
     /// Fit a sensor profile to ball presses
     Calibrate(render_calibrate::Args),
     /// Render clips of simulated grasps for the virtual rig
-    Film(render_film::Args),
+    Clip(render_clip::Args),
     /// Draw a comparison of the renderers
     Figure(render_figure::Args),
 }
@@ -30,7 +30,7 @@ pub(crate) fn run(context: &Context, args: Args) -> Result<()> {
         Action::Tactile(args) => render_tactile::run(context, *args),
         Action::Visual(args) => render_visual::run(context, *args),
         Action::Calibrate(args) => render_calibrate::run(context, args),
-        Action::Film(args) => render_film::run(context, args),
+        Action::Clip(args) => render_clip::run(context, args),
         Action::Figure(args) => render_figure::run(context, args),
     }
 }

@@ -9,7 +9,7 @@ use serde_json::{Value, json};
 use crate::json_schema::assert_schema;
 use crate::program::{collect_on, grasps, gripcast, script, stderr, succeed, verify};
 
-/// One grasp per built-in film.
+/// One grasp per built-in clip.
 const GRASPS: usize = 8;
 
 fn annotate(dataset: &Path, more: &[&str]) -> std::process::Output {

@@ -60,7 +60,7 @@ fn three_grasps_are_collected_predicted_and_verified() {
     // The simulator's word beside the operator's, at the moment of the grasp frame.
     let found = grasps(&dataset);
     let truths: Vec<_> = found.values().map(|grasp| &grasp["truth"]).collect();
-    let said: Vec<_> = truths.iter().map(|t| (&t["film"], &t["held"])).collect();
+    let said: Vec<_> = truths.iter().map(|t| (&t["clip"], &t["stable"])).collect();
     let [mug, bottle, ball] = ["mug", "bottle-low", "ball"].map(Value::from);
     let (held, lost) = (Value::from(true), Value::from(false));
     assert_eq!(said, [(&mug, &held), (&bottle, &lost), (&ball, &held)]);
@@ -117,25 +117,25 @@ fn default_model_separates_stable_and_slip_on_virtual_rig() {
 
     let mut found = BTreeMap::new();
     for grasp in grasps(&dataset).into_values() {
-        let (film, prediction) = (
-            grasp["truth"]["film"].as_str().unwrap(),
+        let (clip, prediction) = (
+            grasp["truth"]["clip"].as_str().unwrap(),
             &grasp["prediction"],
         );
         assert_eq!(prediction["model"], "gripcast-vt");
         let number = |key: &str| prediction[key].as_f64().unwrap();
-        assert!(number("novelty") <= 1.0, "{film}: {prediction}");
+        assert!(number("ood_score") <= 1.0, "{clip}: {prediction}");
         let is_stable = number("p_stable") >= number("threshold");
         found.insert(
-            film.to_owned(),
-            (is_stable, grasp["truth"]["held"].as_bool().unwrap()),
+            clip.to_owned(),
+            (is_stable, grasp["truth"]["stable"].as_bool().unwrap()),
         );
     }
     assert_eq!(found.len(), 8);
     // Two more are told wrongly: `bottle-low` is heavy and slippery, which no image shows, and
     // the flat `box` leaves little to see.
-    for film in ["mug", "ball", "bottle", "ball-aside", "wedge", "box-end"] {
-        let (is_stable, held) = found[film];
-        assert_eq!(is_stable, held, "{film}: {found:?}");
+    for clip in ["mug", "ball", "bottle", "ball-aside", "wedge", "box-end"] {
+        let (is_stable, held) = found[clip];
+        assert_eq!(is_stable, held, "{clip}: {found:?}");
     }
 }
 

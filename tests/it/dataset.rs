@@ -356,10 +356,10 @@ fn splits_group_by_object_and_are_reproducible() {
     let first = fs::read(&path).unwrap();
     gripcast(&args, dir.path());
     assert_eq!(fs::read(&path).unwrap(), first);
-    let splits = &json(&output)["split"]["parts"];
+    let splits = &json(&output)["split"]["splits"];
     let mut groups: Vec<&str> = ["train", "val", "test"]
         .iter()
-        .flat_map(|split| splits[split]["items"].as_array().unwrap())
+        .flat_map(|split| splits[split]["groups"].as_array().unwrap())
         .map(|group| group.as_str().unwrap())
         .collect();
     groups.sort_unstable();

@@ -128,7 +128,7 @@ const ATTACKS: &[Attack] = &[
         fs::write(
             root.join("splits/objects.json"),
             json!({"schema": 1, "by": "object", "seed": 0, "fractions": {"train": 1.0},
-                "parts": {"../../outside/x": {"items": [], "outcomes": {},
+                "splits": {"../../outside/x": {"groups": [], "outcomes": {},
                     "grasps": ["../../../outside/folder"]}}})
             .to_string(),
         )

@@ -5,7 +5,7 @@
 
 For work on the page (src/web/page), which is read anew for every request. Ctrl-C says goodbye to
 the pages first. Beyond the API, `POST /mock` with JSON changes what is simulated: `fault` (role and
-state, or null), `stale`, `absent` (a reason or null), `heuristic`, `novelty`, `p` (fixed, or null to
+state, or null), `stale`, `absent` (a reason or null), `heuristic`, `ood_score`, `p` (fixed, or null to
 wander), `refuse` (`overridable`, `final` or null), `saving_s`, `fail`, `mute` (no events).
 """
 
@@ -95,7 +95,7 @@ class Mock:
         self.random = random.Random(7)
         self.sockets = set()
         self.control = {
-            "fault": None, "stale": False, "absent": None, "heuristic": False, "novelty": 0.4,
+            "fault": None, "stale": False, "absent": None, "heuristic": False, "ood_score": 0.4,
             "p": None, "refuse": None, "saving_s": 0.15, "fail": False, "mute": False,
         }  # fmt: skip
         self.names = {"object": "mug", "scene": "desk", "operator": "ada"}
@@ -172,9 +172,9 @@ class Mock:
         if not self.pending and c["p"] is None:
             return None, "take the initial frame first"
         p = c["p"] if c["p"] is not None else 0.5 + 0.49 * math.sin((time.monotonic() - self.started) / 2)
-        verdict = "unsure" if (c["novelty"] or 0) > 1 else "stable" if p >= 0.51 else "slip"
+        verdict = "unsure" if (c["ood_score"] or 0) > 1 else "stable" if p >= 0.51 else "slip"
         return {
-            "p_stable": p, "verdict": verdict, "novelty": c["novelty"], "threshold": 0.51,
+            "p_stable": p, "verdict": verdict, "ood_score": c["ood_score"], "threshold": 0.51,
             "model": "baseline-contact" if c["heuristic"] else "gripcast-vt", "model_sha256": "0" * 64, "heuristic": c["heuristic"],
             "frame_age_ms": 1400.0 if c["stale"] else 30.0 + 20 * self.random.random(), "latency_ms": 17.0, "engine_ms": 7.3,
         }, None  # fmt: skip

@@ -288,8 +288,8 @@ pub struct BoardKeys {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct SimulatedTruth {
-    /// Name of the clip of the simulated grasp; key `film`.
-    #[serde(rename = "film")]
+    /// Name of the clip of the simulated grasp.
+    #[serde(alias = "film")]
     pub clip: String,
     /// Object: mesh file or `builtin:NAME`.
     pub object: String,
@@ -302,7 +302,8 @@ pub struct SimulatedTruth {
     /// Simulation outcome: `success`, `slip`, `eject`, …
     pub outcome: String,
     /// Whether the object stays in the gripper during the lift.
-    pub held: bool,
+    #[serde(alias = "held")]
+    pub stable: bool,
     /// Rise of the object, m.
     pub lifted_m: f64,
     /// Gripper pose in the object's frame before the gripper closes.
@@ -321,8 +322,8 @@ pub struct SimulatedTruth {
 pub struct PredictionRecord {
     /// Probability that the grasp is stable.
     pub p_stable: f64,
-    /// OOD score, 1 at the threshold; absent where the model has none. Key `novelty`.
-    #[serde(rename = "novelty", default, skip_serializing_if = "Option::is_none")]
+    /// OOD score, 1 at the threshold; absent where the model has none.
+    #[serde(alias = "novelty", default, skip_serializing_if = "Option::is_none")]
     pub ood_score: Option<f64>,
     /// Decision threshold of the model.
     pub threshold: f64,

@@ -77,8 +77,8 @@ pub struct SplitFile {
     pub seed: u64,
     /// Requested fraction of the grasps in each split.
     pub fractions: BTreeMap<String, f64>,
-    /// The splits by name; key `parts`.
-    #[serde(rename = "parts")]
+    /// The splits by name.
+    #[serde(alias = "parts")]
     pub splits: BTreeMap<String, SplitMembers>,
 }
 
@@ -86,8 +86,8 @@ pub struct SplitFile {
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct SplitMembers {
-    /// Groups (objects or scenes) of the split: lower case, single blanks. Key `items`.
-    #[serde(rename = "items")]
+    /// Groups (objects or scenes) of the split: lower case, single blanks.
+    #[serde(alias = "items")]
     pub groups: BTreeSet<String>,
     /// Grasps of the split.
     pub grasps: BTreeSet<GraspId>,

@@ -8,7 +8,6 @@ use serde::{Deserialize, Serialize};
 pub struct LeftOut {
     /// Id of the grasp.
     pub id: String,
-    /// Reason; key `why`.
-    #[serde(rename = "why")]
+    /// Reason.
     pub reason: String,
 }

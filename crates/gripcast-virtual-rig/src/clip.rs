@@ -7,12 +7,12 @@
 //! | `NAME.trace.bin` | trace of the grasp, thinned to the shown steps |
 //! | `NAME.colour.jpg` | images of the D435's colour camera at the keyframes, stacked vertically |
 //! | `NAME.depth.png` | noise-free depth images at the same keyframes, 16 bits, mm |
-//! | `NAME.outside.jpg` | images of the external camera at its own keyframes |
+//! | `NAME.external.jpg` | images of the external camera at its own keyframes |
 //! | `NAME.sheet.toml` | board file of the sheet under the object |
 //!
-//! The `film` entry of the trace header lists the keyframes (as indices of shown steps) and the
+//! The `clip` entry of the trace header lists the keyframes (as indices of shown steps) and the
 //! intrinsics of the external camera:
-//! `{"keys": [0, 3, …], "outside_keys": [0, …], "outside_camera": {…}}`. Between two keyframes the
+//! `{"keys": [0, 3, …], "external_keys": [0, …], "external_camera": {…}}`. Between two keyframes the
 //! image of the earlier one is shown. Tactile images are not stored: they are rendered from the
 //! trace at each step.
 
@@ -38,7 +38,7 @@ use gripcast_tactile::{SimulatedGel, TraceHeader, TraceObject, TraceStart};
 pub(super) const TRACE: &str = ".trace.bin";
 const COLOUR: &str = ".colour.jpg";
 const DEPTH: &str = ".depth.png";
-const EXTERNAL: &str = ".outside.jpg";
+const EXTERNAL: &str = ".external.jpg";
 const SHEET: &str = ".sheet.toml";
 /// Maximum pixels of an image strip: 100 images of the colour camera.
 const MAX_PIXELS: usize = 100 * 1280 * 720;
@@ -97,10 +97,8 @@ pub struct Keyframes {
     /// Steps with an image of the colour and the depth camera, ascending from 0.
     pub keys: Vec<usize>,
     /// Steps with an image of the external camera, ascending from 0.
-    #[serde(rename = "outside_keys")]
     pub external_keys: Vec<usize>,
     /// Intrinsics of the external camera.
-    #[serde(rename = "outside_camera")]
     pub external_camera: Intrinsics,
 }
 
@@ -128,7 +126,7 @@ struct ClipHeader {
     outcome: GraspOutcome,
     lifted_m: f64,
     object: ClipObject,
-    film: Keyframes,
+    clip: Keyframes,
 }
 
 #[derive(Debug, Deserialize)]
@@ -170,7 +168,7 @@ impl Clip {
         let TraceHeader { gel, object } = TraceHeader::read(&header)?;
         let start = TraceStart::read(&header)?;
         let steps = trace.steps;
-        clip_header.film.validate(steps.len())?;
+        clip_header.clip.validate(steps.len())?;
         let before_lift = |step: &TraceStep| step.stage != StageName::Lift;
         let closed = steps.iter().rposition(before_lift).unwrap_or(0);
         Ok(Self {
@@ -253,7 +251,7 @@ impl Clip {
             mass_kg: self.header.object.mass_kg,
             friction: self.header.object.friction,
             outcome: self.outcome().name().to_owned(),
-            held: self.outcome() == GraspOutcome::Success,
+            stable: self.outcome() == GraspOutcome::Success,
             lifted_m: self.header.lifted_m,
             t_object_gripper_initial: self.start.t_object_gripper,
             t_object_gripper: step.t_world_object.inverse() * t_world_gripper,
@@ -264,17 +262,17 @@ impl Clip {
 
     /// Returns the index of the colour and depth image at a step.
     pub(super) fn key_at(&self, step: usize) -> usize {
-        key_at(&self.header.film.keys, step)
+        key_at(&self.header.clip.keys, step)
     }
 
     /// Returns the index of the external image at a step.
     pub(super) fn external_key_at(&self, step: usize) -> usize {
-        key_at(&self.header.film.external_keys, step)
+        key_at(&self.header.clip.external_keys, step)
     }
 
     /// Decodes the images of the colour camera, one per keyframe.
     pub(super) fn colour(&self) -> Result<Vec<RgbImage>> {
-        self.strip(&self.files.colour, COLOUR, &self.header.film.keys)
+        self.strip(&self.files.colour, COLOUR, &self.header.clip.keys)
     }
 
     /// Decodes the images of the external camera, one per keyframe.
@@ -282,14 +280,14 @@ impl Clip {
         self.strip(
             &self.files.external,
             EXTERNAL,
-            &self.header.film.external_keys,
+            &self.header.clip.external_keys,
         )
     }
 
     /// Returns the intrinsics of the external camera for frames of `width` × `height` pixels, or
     /// `None` for another aspect ratio, because such images are cropped.
     pub fn external_intrinsics(&self, width: u32, height: u32) -> Option<Intrinsics> {
-        let own = self.header.film.external_camera;
+        let own = self.header.clip.external_camera;
         if u64::from(width) * u64::from(own.height) != u64::from(height) * u64::from(own.width) {
             return None;
         }
@@ -324,7 +322,7 @@ impl Clip {
         let at = |e: Error| e.at(format!("{}{DEPTH}", self.name));
         let strip = decode_png_grey16(&self.files.depth).map_err(at)?;
         let (width, height) = (strip.width(), strip.height());
-        let rows = image_rows(height, &self.header.film.keys).map_err(at)?;
+        let rows = image_rows(height, &self.header.clip.keys).map_err(at)?;
         let length = width as usize * rows as usize;
         let images = strip.as_raw().chunks_exact(length).map(|rows_mm| {
             DepthImage::from_vec(width, rows, rows_mm.to_vec())
@@ -373,7 +371,7 @@ pub(super) fn clip_header(header: &Value, keys: &Keyframes) -> Result<Value> {
     }
     let keys = serde_json::to_value(keys)
         .map_err(|e| Error::internal("cannot serialise the keyframes").because(e))?;
-    fields.insert("film".to_owned(), keys);
+    fields.insert("clip".to_owned(), keys);
     Ok(header)
 }
 
@@ -394,5 +392,5 @@ fn image_rows(rows: u32, keys: &[usize]) -> Result<u32> {
 
 fn damaged(what: String) -> Error {
     Error::input(format!("not a valid clip: {what}"))
-        .remedy("record it again with `gripcast render film`")
+        .remedy("record it again with `gripcast render clip`")
 }

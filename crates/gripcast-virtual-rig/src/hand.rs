@@ -204,7 +204,7 @@ mod tests {
         let clip = hand.clip();
         assert_eq!(hand.scene_at(clock.now_ns()).step, clip.steps.len() - 1);
         let truth = hand.truth(clock.now_ns());
-        assert!(truth.held && truth.clip == clip.name);
+        assert!(truth.stable && truth.clip == clip.name);
         hand.move_to(HandTarget::Closed);
         clock.advance(900 * MS);
         let step = &clip.steps[hand.scene_at(clock.now_ns()).step];
@@ -220,6 +220,6 @@ mod tests {
         hand.next_object();
         let scene = hand.scene_at(clock.now_ns());
         assert_eq!((scene.grasp, scene.step), (1, 0));
-        assert!(!hand.truth(clock.now_ns()).held, "the second grasp slips");
+        assert!(!hand.truth(clock.now_ns()).stable, "the second grasp slips");
     }
 }

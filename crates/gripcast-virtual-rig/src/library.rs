@@ -24,7 +24,7 @@ macro_rules! built_in_clips {
                     "../../../calib/virtual-rig/", $name, ".depth.png"
                 ))),
                 external: Cow::Borrowed(include_bytes!(concat!(
-                    "../../../calib/virtual-rig/", $name, ".outside.jpg"
+                    "../../../calib/virtual-rig/", $name, ".external.jpg"
                 ))),
                 sheet: Cow::Borrowed(include_bytes!(concat!(
                     "../../../calib/virtual-rig/", $name, ".sheet.toml"
@@ -81,7 +81,7 @@ impl ClipLibrary {
                 .at(folder.display())
                 .remedy(
                     "simulate grasps with `gripcast sim grasp … --trace FILE.bin`, then record \
-                     clips with `gripcast render film`",
+                     clips with `gripcast render clip`",
                 ));
         }
         let clips = names.iter().map(|name| {
@@ -184,7 +184,7 @@ mod tests {
     fn folder_without_clips_is_not_found() {
         let folder = tempfile::tempdir().unwrap();
         let text = ClipLibrary::read(folder.path()).unwrap_err().to_string();
-        assert!(text.contains("render film"), "{text}");
+        assert!(text.contains("render clip"), "{text}");
         let lost = folder.path().join("lost");
         assert_eq!(
             ClipLibrary::read(&lost).unwrap_err().kind(),

@@ -462,7 +462,7 @@ mod tests {
         assert_eq!(clip.steps[clip.step_at(1.0)], file.trace.steps[169]);
         assert_eq!(clip.steps[clip.step_at(2.0)], file.trace.steps[219]);
         let truth = clip.truth_at(clip.step_at(2.0));
-        assert!(truth.held && truth.object == "builtin:box");
+        assert!(truth.stable && truth.object == "builtin:box");
         // The gripper rises with the object, so their relative pose is constant.
         let drift =
             truth.t_object_gripper.translation_m - truth.t_object_gripper_initial.translation_m;

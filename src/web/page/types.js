@@ -9,7 +9,7 @@
  * @typedef {object} Predicted prediction of a grasp before the lift
  * @property {number} p_stable
  * @property {number} threshold
- * @property {number} [novelty] OOD score; above 1: unlike the training images
+ * @property {number} [ood_score] OOD score; above 1: unlike the training images
  * @property {string} model
  * @property {number} latency_ms
  * @property {number} engine_ms

@@ -109,7 +109,7 @@ export function shownVerdict(prediction) {
  * @param {Predicted|null} prediction @param {Outcome} outcome */
 export function agreement(prediction, outcome) {
   if (!prediction) return "";
-  if ((prediction.novelty ?? 0) > 1) return "?";
+  if ((prediction.ood_score ?? 0) > 1) return "?";
   if (outcome === "unlabelled") return "";
   return prediction.p_stable >= prediction.threshold === (outcome === "stable") ? "✓" : "✗";
 }

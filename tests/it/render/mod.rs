@@ -1,8 +1,8 @@
 //! End-to-end tests of `gripcast render`.
 
 mod calibrate;
+mod clip;
 mod figure;
-mod film;
 mod tactile;
 mod visual;
 

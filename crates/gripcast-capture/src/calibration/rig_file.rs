@@ -79,7 +79,7 @@ pub struct CameraConfig {
     /// USB port path (`3-2.1`), only for devices without a serial.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub port: Option<String>,
-    /// Directory of a `replay` source, or the folder of a `virtual` source's films (default: the
+    /// Directory of a `replay` source, or the folder of a `virtual` source's clips (default: the
     /// built-in ones).
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub path: Option<PathBuf>,
@@ -263,7 +263,7 @@ impl RigFile {
         )))
     }
 
-    /// Reads a rig file. Its relative paths (recordings, films, intrinsics, boards) are relative to
+    /// Reads a rig file. Its relative paths (recordings, clips, intrinsics, boards) are relative to
     /// its directory.
     ///
     /// # Errors

@@ -180,8 +180,8 @@ fn facts(record: &GraspRecord, outcome: ShardOutcome, crop: &str) -> Result<Shar
         engine,
         outcome,
         outcome_detail: match outcome {
-            ShardOutcome::Stable => "held".to_owned(),
-            ShardOutcome::Slip => "lost".to_owned(),
+            ShardOutcome::Stable => "stable".to_owned(),
+            ShardOutcome::Slip => "slip".to_owned(),
         },
         stop_force_n: None,
         friction: truth.map(|truth| truth.friction),

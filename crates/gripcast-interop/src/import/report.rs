@@ -28,11 +28,9 @@ pub struct ImportReport {
     pub is_finished: bool,
     /// Imported files.
     pub files: Vec<SourceFile>,
-    /// Requested fractions of the splits; key `split`.
-    #[serde(rename = "split")]
+    /// Requested fractions of the splits.
     pub fractions: SplitFractions,
-    /// Imported splits; key `parts`.
-    #[serde(rename = "parts")]
+    /// Imported splits.
     pub splits: BTreeMap<String, ImportedSplit>,
     /// Unreadable grasps.
     pub left_out: Vec<LeftOut>,

@@ -191,8 +191,8 @@ fn assign(indices: &[Index], fractions: &SplitFractions) -> Result<BTreeMap<Stri
 
 fn row(id: String, label: &GraspLabel, images: ShardImages) -> ShardRow {
     let (outcome, detail) = match label.is_stable {
-        true => (ShardOutcome::Stable, "held"),
-        false => (ShardOutcome::Slip, "lost"),
+        true => (ShardOutcome::Stable, "stable"),
+        false => (ShardOutcome::Slip, "slip"),
     };
     ShardRow {
         facts: ShardFacts {

@@ -29,7 +29,6 @@ pub(super) struct SimulatedCandidate {
     /// Normal force on the left and the right gel before the lift, N.
     pub(super) force_n: [f64; 2],
     /// State before the lift; not stored by screening.
-    #[serde(rename = "grasped")]
     pub(super) pre_lift: Option<Snapshot>,
     /// CPU time, s.
     pub(super) cpu_s: f64,

@@ -94,7 +94,7 @@ impl Recorder {
             };
             if record.outcome == Outcome::Unlabelled {
                 let at = time(&record.grasp.captured_at)?;
-                set_label(&mut writer, &record.id, truth.held, at)?;
+                set_label(&mut writer, &record.id, truth.stable, at)?;
             }
             recorded.insert(truth.clip.clone());
         }
@@ -379,7 +379,7 @@ fn truth(object: &DemoObject, chosen: &SelectedGrasp) -> Option<SimulatedTruth> 
         mass_kg: object.mass_kg,
         friction: object.friction,
         outcome: simulated.outcome.name().to_owned(),
-        held: simulated.label() == Some(GraspLabel::Stable),
+        stable: simulated.label() == Some(GraspLabel::Stable),
         lifted_m: simulated.lifted_m,
         t_object_gripper_initial: initial,
         t_object_gripper: pre_lift.t_world_object.inverse() * pre_lift.t_world_gripper,

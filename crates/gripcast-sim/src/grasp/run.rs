@@ -30,7 +30,6 @@ pub enum GraspOutcome {
     /// The fingers closed without touching the object.
     Miss,
     /// The gels met each other before the stopping force was reached.
-    #[serde(alias = "closed")]
     GelsMet,
     /// The gripper started inside the object or the ground.
     PenetratingStart,

@@ -45,7 +45,6 @@ pub struct StepReport {
     /// Halvings of the line search.
     pub halvings: u32,
     /// Rebuilds of the candidate pairs of a gel.
-    #[serde(alias = "gathers")]
     pub broad_phase_rebuilds: u32,
 }
 

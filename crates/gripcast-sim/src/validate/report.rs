@@ -15,7 +15,6 @@ pub enum Tolerance {
     /// Minimum: the expected value.
     AtLeast,
     /// Reported for information; must be finite.
-    #[serde(rename = "stated")]
     Informational,
 }
 

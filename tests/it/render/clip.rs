@@ -1,4 +1,4 @@
-//! `gripcast render film`, and a virtual rig that plays the result.
+//! `gripcast render clip`, and a virtual rig that plays the result.
 
 use std::fs;
 
@@ -7,24 +7,24 @@ use crate::json_schema::assert_schema;
 use crate::program::{collect_on, grasps, json, script, stderr, succeed};
 
 #[test]
-fn rig_plays_film_and_writes_ground_truth() {
+fn rig_plays_clip_and_writes_ground_truth() {
     let dir = tempfile::tempdir().unwrap();
-    let films = dir.path().join("films");
-    let words = format!("--spp 1 --size 32x24 --out {} --json", films.display());
-    let report = json(&succeed(render("film", &words).arg("--trace").arg(trace())));
-    assert_schema("render film", &[&report]);
+    let clips = dir.path().join("clips");
+    let words = format!("--spp 1 --size 32x24 --out {} --json", clips.display());
+    let report = json(&succeed(render("clip", &words).arg("--trace").arg(trace())));
+    assert_schema("render clip", &[&report]);
     assert_eq!(report["images"][0]["name"], "mug");
-    assert_eq!(fs::read_dir(&films).unwrap().count(), 5);
+    assert_eq!(fs::read_dir(&clips).unwrap().count(), 5);
 
     let camera = |role: &str| {
         format!(
-            "[cameras.{role}]\nsource = \"virtual\"\npath = \"films\"\nformat = \"MJPG\"\n\
+            "[cameras.{role}]\nsource = \"virtual\"\npath = \"clips\"\nformat = \"MJPG\"\n\
              width = 160\nheight = 120\nfps = 25\ncrop_profile = \"gsmini-seventh-v1\"\n"
         )
     };
     let rig = dir.path().join("rig.toml");
     let text = format!(
-        "schema = 1\nid = \"films\"\n{}{}",
+        "schema = 1\nid = \"clips\"\n{}{}",
         camera("left"),
         camera("right")
     );
@@ -37,23 +37,23 @@ fn rig_plays_film_and_writes_ground_truth() {
     succeed(&mut collect("d"));
     let (_, grasp) = grasps(&dataset).pop_first().unwrap();
     let truth = &grasp["truth"];
-    assert_eq!(truth["film"], "mug", "{truth}");
+    assert_eq!(truth["clip"], "mug", "{truth}");
     assert_eq!(truth["object"], "builtin:mug");
     let is_success = truth["outcome"] == "success";
-    assert_eq!(truth["held"], is_success, "{truth}");
+    assert_eq!(truth["stable"], is_success, "{truth}");
 
-    // A damaged film is reported before collection starts.
-    let strip = films.join("mug.colour.jpg");
+    // A damaged clip is reported before collection starts.
+    let strip = clips.join("mug.colour.jpg");
     let whole = fs::read(&strip).unwrap();
     fs::write(&strip, &whole[..whole.len() / 2]).unwrap();
     let output = collect("e").output().unwrap();
     assert_eq!(output.status.code(), Some(1));
     let message = stderr(&output);
     assert!(
-        message.contains("mug") && message.contains("render film"),
+        message.contains("mug") && message.contains("render clip"),
         "{message}"
     );
-    fs::write(&rig, text.replacen("path = \"films\"\n", "", 1)).unwrap();
+    fs::write(&rig, text.replacen("path = \"clips\"\n", "", 1)).unwrap();
     let message = stderr(&collect("f").output().unwrap());
     assert!(message.contains("the same clips"), "{message}");
 }
@@ -63,16 +63,16 @@ fn invalid_trace_or_size_is_refused() {
     let dir = tempfile::tempdir().unwrap();
     let bad = dir.path().join("bad.bin");
     fs::write(&bad, b"not a trace").unwrap();
-    let out = dir.path().join("films");
+    let out = dir.path().join("clips");
     let words = format!("--spp 1 --size 16x12 --out {}", out.display());
-    let (code, message) = refused(render("film", &words).arg("--trace").arg(&bad));
+    let (code, message) = refused(render("clip", &words).arg("--trace").arg(&bad));
     assert!(
         code == 1 && message.contains("bad.bin"),
         "{code}: {message}"
     );
     assert_eq!(fs::read_dir(&out).unwrap().count(), 0);
     let (code, message) = refused(
-        render("film", "--out x --size 0x12")
+        render("clip", "--out x --size 0x12")
             .arg("--trace")
             .arg(&bad),
     );

@@ -1,13 +1,13 @@
-//! `gripcast render film`: clips of simulated grasps for the virtual rig.
+//! `gripcast render clip`: clips of simulated grasps for the virtual rig.
 //!
 //! ```text
 //! gripcast sim grasp --object builtin:mug --width 0.08 --trace mug.bin
-//! gripcast render film --trace mug.bin --seed 3 --out films
+//! gripcast render clip --trace mug.bin --seed 3 --out clips
 //! ```
 //!
-//! Writes `NAME.trace.bin`, `NAME.colour.jpg`, `NAME.depth.png`, `NAME.outside.jpg` and
+//! Writes `NAME.trace.bin`, `NAME.colour.jpg`, `NAME.depth.png`, `NAME.external.jpg` and
 //! `NAME.sheet.toml` for every trace, where NAME is the name of the trace file. A rig file whose
-//! virtual cameras have `path = "films"` plays them. Simulate with `--width` equal to the opening
+//! virtual cameras have `path = "clips"` plays them. Simulate with `--width` equal to the opening
 //! of the hand, where the clip starts.
 //!
 //! Exit codes: 0 rendered · 1 nothing rendered · 2 usage · 3 some of several traces failed ·
