@@ -1,6 +1,6 @@
 //! Mesh files: reads OBJ, STL, PLY and glTF, writes OBJ and PLY.
 //!
-//! Polygons are triangulated as fans, and coincident vertices are welded. [`TexturedMesh`] also has
+//! Polygons are triangulated, and coincident vertices are welded. [`TexturedMesh`] also has
 //! normals, materials and texture coordinates.
 
 mod glb;
@@ -9,7 +9,9 @@ mod material;
 mod mtl;
 mod obj;
 mod ply;
+mod polygon;
 mod stl;
+mod text;
 mod textured;
 
 use std::fmt;
@@ -164,6 +166,7 @@ pub fn read_mesh(
         MeshFormat::Ply => ply::read(bytes),
         MeshFormat::Gltf => glb::read(bytes, companions),
     }?;
+    require_triangles(&mesh)?;
     mesh.validate().map_err(|e| e.remedy(REEXPORT))?;
     Ok(weld(&mesh, 0.0))
 }
@@ -180,6 +183,18 @@ fn check_placeholder(bytes: &[u8]) -> Result<()> {
         );
     }
     Ok(())
+}
+
+/// Rejects a file without faces.
+fn require_triangles(mesh: &TriangleMesh) -> Result<()> {
+    match (mesh.triangles.len(), mesh.vertices.len()) {
+        (0, 0) => Err(malformed("the file has no vertices and no faces")),
+        (0, points) => Err(Error::input(format!(
+            "the file has {points} points but no faces: a point cloud, not a mesh"
+        ))
+        .remedy("reconstruct its surface (Poisson, ball pivoting), or export the faces too")),
+        _ => Ok(()),
+    }
 }
 
 /// Writes a mesh in metres as `.obj` or binary `.ply`, by the suffix; coordinates round-trip bit
@@ -208,24 +223,6 @@ pub fn ply_bytes(mesh: &TriangleMesh) -> Vec<u8> {
 /// Error for invalid content.
 fn malformed(what: impl Into<String>) -> Error {
     Error::input(what).remedy(REEXPORT)
-}
-
-/// Appends a polygon as a fan around its first corner.
-fn push_polygon<T: Copy>(triangles: &mut Vec<[T; 3]>, corners: &[T]) -> Result<()> {
-    let [first, rest @ ..] = corners else {
-        return Err(too_few_corners(0));
-    };
-    if rest.len() < 2 {
-        return Err(too_few_corners(corners.len()));
-    }
-    triangles.extend(rest.windows(2).map(|pair| [*first, pair[0], pair[1]]));
-    Ok(())
-}
-
-fn too_few_corners(found: usize) -> Error {
-    malformed(format!(
-        "a face must have at least 3 corners, found {found}"
-    ))
 }
 
 /// Converts single-precision coordinates.

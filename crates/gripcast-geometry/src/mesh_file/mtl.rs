@@ -4,10 +4,13 @@
 //!
 //! The Phong exponent `Ns` becomes the roughness `(2 / (Ns + 2))^(1/4)` (Blinn–Phong exponent to
 //! GGX alpha, Walter et al., *Microfacet Models for Refraction*, 2007, then its square root).
-//! A material with `d` below 1 or an `illum` model 4, 6, 7 or 9 is transparent; one with almost no
+//! Programs disagree about `Tr`: the format and most use 1 − `d`, MeshLab and VCG the opacity. So it
+//! counts only without `d`, and 1, which would make an object invisible, is opaque. A material with
+//! `d` below 1 or an `illum` model 4, 6, 7 or 9 is transparent; one with almost no
 //! `Kd` but a bright `Ks` is a metal.
 
 use super::material::{ImageSource, MeshMaterial};
+use super::text;
 
 /// `illum` models with transparency.
 const GLASS_MODELS: [u32; 4] = [4, 6, 7, 9];
@@ -43,6 +46,7 @@ struct Entry {
     filter: Option<[f64; 3]>,
     exponent: Option<f64>,
     opacity: Option<f64>,
+    transparency: Option<f64>,
     ior: Option<f64>,
     model: Option<u32>,
     roughness: Option<f64>,
@@ -51,12 +55,12 @@ struct Entry {
 
 /// Parses a library; each warning states its line.
 pub(super) fn read(bytes: &[u8], warnings: &mut Vec<String>) -> Vec<MeshMaterial> {
-    let text = String::from_utf8_lossy(bytes);
+    let text = text::decode(bytes);
     let mut entries: Vec<Entry> = Vec::new();
-    for (index, line) in text.lines().enumerate() {
+    for (index, line) in text::lines(&text).enumerate() {
         let line = line.trim();
         let (keyword, rest) = line.split_once(char::is_whitespace).unwrap_or((line, ""));
-        let rest = rest.trim();
+        let rest = text::without_comment(rest);
         if keyword == "newmtl" {
             entries.push(Entry {
                 name: rest.to_string(),
@@ -85,9 +89,11 @@ impl Entry {
             "Ks" => return store(&mut self.specular, color(rest), bad),
             "Ke" => return store(&mut self.emission, color(rest), bad),
             "Tf" => return store(&mut self.filter, color(rest), bad),
-            "map_Kd" => return store(&mut self.diffuse_map, image_name(rest), bad),
+            "map_Kd" | "map_kd" | "map_KD" => {
+                return store(&mut self.diffuse_map, image_name(rest), bad);
+            }
             "illum" => return store(&mut self.model, rest.parse().ok(), bad),
-            "Tr" => return store(&mut self.opacity, number().map(|n| 1.0 - n), bad),
+            "Tr" => return store(&mut self.transparency, number(), bad),
             "d" => {
                 let word = rest.strip_prefix("-halo").unwrap_or(rest).trim();
                 return store(&mut self.opacity, word.parse().ok(), bad);
@@ -112,9 +118,13 @@ impl Entry {
         } else {
             plain.base_color
         };
-        let diffuse = self.diffuse.unwrap_or(default_color);
+        // A black image would be invisible: exporters leave `Kd` at 0 where an image replaces it.
+        let is_used = |color: &[f64; 3]| self.diffuse_map.is_none() || peak(*color) > 0.0;
+        let diffuse = self.diffuse.filter(is_used).unwrap_or(default_color);
         let specular = self.specular.unwrap_or([0.0; 3]);
-        let opacity = self.opacity.unwrap_or(1.0).clamp(0.0, 1.0);
+        let from_transparency = self.transparency.filter(|&t| t < 1.0).map(|t| 1.0 - t);
+        let opacity = self.opacity.or(from_transparency).unwrap_or(1.0);
+        let opacity = opacity.clamp(0.0, 1.0);
         let is_glass_model = self.model.is_some_and(|m| GLASS_MODELS.contains(&m));
         let transmission = match opacity {
             1.0 if is_glass_model => 1.0,

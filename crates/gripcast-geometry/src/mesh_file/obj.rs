@@ -6,7 +6,7 @@ use std::fmt::Write as _;
 
 use glam::DVec3;
 
-use super::{malformed, push_polygon};
+use super::{malformed, polygon, text};
 use crate::mesh::TriangleMesh;
 use gripcast_base::error::{Error, Result};
 
@@ -53,10 +53,9 @@ pub(super) fn read(bytes: &[u8]) -> Result<TriangleMesh> {
 
 /// Reads all statements; invalid appearance is not an error.
 pub(super) fn parse(bytes: &[u8]) -> Result<ObjFile> {
-    // Names and comments may have any encoding.
-    let text = String::from_utf8_lossy(bytes);
+    let text = text::decode(bytes);
     let mut file = ObjFile::default();
-    let mut lines = text.lines().enumerate();
+    let mut lines = text::lines(&text).enumerate();
     while let Some((index, line)) = lines.next() {
         let mut statement = line.to_string();
         while let Some(continued) = statement.trim_end().strip_suffix('\\') {
@@ -71,31 +70,44 @@ pub(super) fn parse(bytes: &[u8]) -> Result<ObjFile> {
 
 impl ObjFile {
     fn read_statement(&mut self, statement: &str) -> Result<()> {
-        let content = statement.split('#').next().unwrap_or_default().trim();
-        let (keyword, rest) = content
+        let statement = statement.trim();
+        let (keyword, rest) = statement
             .split_once(char::is_whitespace)
-            .unwrap_or((content, ""));
+            .unwrap_or((statement, ""));
+        let data = rest.split('#').next().unwrap_or_default();
         match keyword {
-            "v" => self.positions.push(position(rest.split_whitespace())?),
+            "v" => self.positions.push(position(data.split_whitespace())?),
             "vt" => {
-                let [u, v, _] = numbers(rest);
+                let [u, v, _] = numbers(data);
                 self.uvs.push([u, if v.is_nan() { 0.0 } else { v }]);
             }
-            "vn" => self.normals.push(DVec3::from_array(numbers(rest))),
-            "f" => self.face(rest)?,
-            "usemtl" => self.use_material(rest.trim()),
-            "mtllib" => self.libraries.push(rest.trim().to_string()),
+            "vn" => self.normals.push(DVec3::from_array(numbers(data))),
+            // `fo` is the face statement of the first version of the format.
+            "f" | "fo" => self.face(data)?,
+            "usemtl" => self.use_material(text::without_comment(rest)),
+            "mtllib" => self.libraries.push(text::without_comment(rest).to_string()),
             _ => {}
         }
         Ok(())
     }
 
+    /// Adds a face; one of fewer than three corners has no area.
     fn face(&mut self, words: &str) -> Result<()> {
         let corners = words
             .split_whitespace()
             .map(|word| self.corner(word))
             .collect::<Result<Vec<_>>>()?;
-        push_polygon(&mut self.triangles, &corners)?;
+        let positions: Vec<DVec3> = corners
+            .iter()
+            .map(|corner| self.positions[corner.position as usize])
+            .collect();
+        let all: Vec<u32> = (0..corners.len() as u32).collect();
+        let triangles = polygon::triangulate(&positions, &all);
+        self.triangles.extend(
+            triangles
+                .into_iter()
+                .map(|triangle| triangle.map(|i| corners[i as usize])),
+        );
         self.materials.resize(self.triangles.len(), self.material);
         Ok(())
     }
@@ -103,20 +115,19 @@ impl ObjFile {
     /// Parses `7`, `7/1`, `7//3` or `7/1/3`, each from 1; −1 is the last one defined.
     fn corner(&mut self, word: &str) -> Result<Corner> {
         let mut parts = word.split('/');
-        let number: i64 = parts
-            .next()
-            .unwrap_or_default()
-            .parse()
-            .map_err(|_| bad_number(word))?;
+        let first = parts.next().unwrap_or_default();
+        let number = index(first).ok_or_else(|| bad_number(word))?;
         let count = self.positions.len();
-        let position = resolve_index(number, count).ok_or_else(|| {
-            malformed(format!(
+        let position = resolve_index(number, count).ok_or_else(|| match number {
+            0 => Error::input("the face refers to vertex 0, but OBJ counts vertices from 1")
+                .remedy("export the mesh again with a program that writes valid OBJ"),
+            _ => malformed(format!(
                 "the face refers to vertex {number}, but {count} are defined before it"
-            ))
+            )),
         })?;
         let mut optional = |count: usize, is_usable: &dyn Fn(u32) -> bool| {
             let part = parts.next().filter(|part| !part.is_empty())?;
-            let index = part.parse().ok().and_then(|n| resolve_index(n, count));
+            let index = index(part).and_then(|n| resolve_index(n, count));
             let usable = index.filter(|&index| is_usable(index));
             self.dangling += usize::from(usable.is_none());
             usable
@@ -144,6 +155,14 @@ impl ObjFile {
     }
 }
 
+/// Parses an index; some programs write `1.0`.
+fn index(word: &str) -> Option<i64> {
+    word.parse().ok().or_else(|| {
+        let number: f64 = word.parse().ok()?;
+        (number.fract() == 0.0 && number.abs() < 2e9).then_some(number as i64)
+    })
+}
+
 /// Zero-based index of an index from 1 or from the end, if below `count`.
 fn resolve_index(number: i64, count: usize) -> Option<u32> {
     let shift = if number < 0 { count as i64 } else { -1 };
@@ -154,12 +173,7 @@ fn resolve_index(number: i64, count: usize) -> Option<u32> {
 /// Parses the first three numbers; NaN for missing or invalid ones.
 fn numbers(words: &str) -> [f64; 3] {
     let mut words = words.split_whitespace();
-    std::array::from_fn(|_| {
-        words
-            .next()
-            .and_then(|w| w.parse().ok())
-            .unwrap_or(f64::NAN)
-    })
+    std::array::from_fn(|_| words.next().and_then(text::number).unwrap_or(f64::NAN))
 }
 
 /// Parses a position; a weight or a colour may follow.
@@ -168,14 +182,15 @@ fn position<'a>(mut words: impl Iterator<Item = &'a str>) -> Result<DVec3> {
         let word = words
             .next()
             .ok_or_else(|| malformed("a vertex must have 3 coordinates"))?;
-        word.parse().map_err(|_| bad_number(word))
+        text::number(word).ok_or_else(|| bad_number(word))
     };
     let position = DVec3::new(number()?, number()?, number()?);
     if !position.is_finite() {
         let found = position.to_array();
-        return Err(malformed(format!(
+        return Err(Error::input(format!(
             "a vertex must have finite coordinates, found {found:?}"
-        )));
+        ))
+        .remedy("export the mesh again: the program that wrote it failed at this vertex"));
     }
     Ok(position)
 }

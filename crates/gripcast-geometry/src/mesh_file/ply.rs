@@ -7,7 +7,7 @@ use ply_rs_bw::parser::{ParseError, Parser, Reader};
 use ply_rs_bw::ply::{DefaultElement, ElementDef, Header, Property, PropertyAccess};
 use ply_rs_bw::ply::{PropertyAccessResult, PropertyAccessResult::Ignored};
 
-use super::{malformed, push_polygon};
+use super::{malformed, polygon};
 use crate::mesh::TriangleMesh;
 use gripcast_base::error::{Error, Result};
 
@@ -18,6 +18,7 @@ pub(super) fn read(bytes: &[u8]) -> Result<TriangleMesh> {
         .read_header(&mut reader)
         .map_err(invalid)?;
     let mut mesh = TriangleMesh::default();
+    let mut faces: Vec<Vec<u32>> = Vec::new();
     for (name, element) in &header.elements {
         check_element(element, bytes.len())?;
         match name.as_str() {
@@ -27,20 +28,42 @@ pub(super) fn read(bytes: &[u8]) -> Result<TriangleMesh> {
             }
             "face" => {
                 let read: Vec<Face> = elements(&mut reader, element, &header)?;
-                for (index, face) in read.iter().enumerate() {
-                    let corners = face.0.as_deref().ok_or_else(|| {
+                for (index, face) in read.into_iter().enumerate() {
+                    faces.push(face.corners().ok_or_else(|| {
                         malformed(format!("face {index} must list vertices by index from 0"))
-                    })?;
-                    push_polygon(&mut mesh.triangles, corners)
-                        .map_err(|e| e.at(format!("face {index}")))?;
+                    })?);
                 }
+            }
+            "tristrips" => {
+                let read: Vec<Face> = elements(&mut reader, element, &header)?;
+                let strips = read.iter().filter_map(|strip| strip.0.as_deref());
+                faces.extend(strips.flat_map(strip_triangles));
             }
             _ => {
                 elements::<Skipped>(&mut reader, element, &header)?;
             }
         }
     }
+    // Faces may precede vertices.
+    for corners in faces {
+        let triangles = polygon::triangulate(&mesh.vertices, &corners);
+        mesh.triangles.extend(triangles);
+    }
     Ok(mesh)
+}
+
+/// Triangles of a list of strips, which −1 separates (Stanford scans).
+fn strip_triangles(indices: &[i64]) -> Vec<Vec<u32>> {
+    let index = |v: i64| u32::try_from(v).unwrap_or(u32::MAX);
+    indices
+        .split(|&index| index < 0)
+        .flat_map(|strip| {
+            strip.windows(3).enumerate().map(move |(i, c)| match i % 2 {
+                0 => vec![index(c[0]), index(c[1]), index(c[2])],
+                _ => vec![index(c[1]), index(c[0]), index(c[2])],
+            })
+        })
+        .collect()
 }
 
 fn elements<E: PropertyAccess>(
@@ -103,8 +126,16 @@ impl PropertyAccess for Vertex {
     }
 }
 
-/// Corner indices of a face, if it has any.
-struct Face(Option<Vec<u32>>);
+/// Corner indices of a face or strips, if it has any.
+struct Face(Option<Vec<i64>>);
+
+impl Face {
+    /// Corners of a face; `None` for a negative index.
+    fn corners(self) -> Option<Vec<u32>> {
+        let indices = self.0?.into_iter();
+        indices.map(|index| u32::try_from(index).ok()).collect()
+    }
+}
 
 impl PropertyAccess for Face {
     fn new() -> Self {
@@ -113,9 +144,25 @@ impl PropertyAccess for Face {
 
     fn set_property(&mut self, name: &str, value: Property) -> PropertyAccessResult {
         if name == "vertex_indices" || name == "vertex_index" {
-            self.0 = value.to_u32_list();
+            self.0 = indices(value);
         }
         PropertyAccessResult::Set
+    }
+}
+
+/// Integers of a list property.
+fn indices(value: Property) -> Option<Vec<i64>> {
+    fn wide<T: Into<i64>>(list: Vec<T>) -> Option<Vec<i64>> {
+        Some(list.into_iter().map(Into::into).collect())
+    }
+    match value {
+        Property::ListChar(list) => wide(list),
+        Property::ListUChar(list) => wide(list),
+        Property::ListShort(list) => wide(list),
+        Property::ListUShort(list) => wide(list),
+        Property::ListInt(list) => wide(list),
+        Property::ListUInt(list) => wide(list),
+        _ => None,
     }
 }
 

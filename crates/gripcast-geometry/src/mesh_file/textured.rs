@@ -7,7 +7,8 @@ use glam::DVec3;
 
 use super::material::MeshMaterial;
 use super::obj::{Corner, ObjFile};
-use super::{Companions, LengthUnit, MeshFormat, check_placeholder, file_bytes, malformed};
+use super::require_triangles;
+use super::{Companions, LengthUnit, MeshFormat, check_placeholder, file_bytes};
 use super::{REEXPORT, glb, glb_material, mtl, obj, ply, stl};
 use crate::mesh::TriangleMesh;
 use gripcast_base::error::Result;
@@ -90,10 +91,16 @@ pub fn read_textured_mesh(
         MeshFormat::Stl => stl::read(bytes)?.into(),
         MeshFormat::Ply => ply::read(bytes)?.into(),
     };
-    mesh.parts.retain(|part| !part.shape.triangles.is_empty());
-    if mesh.parts.is_empty() {
-        return Err(malformed("the mesh has no triangles"));
+    if mesh
+        .parts
+        .iter()
+        .all(|part| part.shape.triangles.is_empty())
+    {
+        let all = mesh.parts.iter().map(|part| &part.shape);
+        let joined = all.fold(TriangleMesh::default(), |all, part| all.joined(part));
+        require_triangles(&joined)?;
     }
+    mesh.parts.retain(|part| !part.shape.triangles.is_empty());
     for part in &mut mesh.parts {
         part.shape.validate().map_err(|e| e.remedy(REEXPORT))?;
         if part.material.is_some_and(|m| m >= mesh.materials.len()) {
@@ -162,8 +169,14 @@ fn read_libraries(
     warnings: &mut Vec<String>,
 ) -> Vec<MeshMaterial> {
     let mut all = Vec::new();
-    for name in &file.libraries {
-        match companions(&name.replace('\\', "/")) {
+    let read = |name: &str| companions(&name.replace('\\', "/"));
+    // A name may contain blanks, and a statement may list several files.
+    let names = file.libraries.iter().flat_map(|names| match read(names) {
+        Err(_) if names.contains(' ') => names.split_whitespace().collect(),
+        _ => vec![names.as_str()],
+    });
+    for name in names {
+        match read(name) {
             Ok(bytes) => {
                 let mut messages = Vec::new();
                 let materials = mtl::read(&bytes, &mut messages);

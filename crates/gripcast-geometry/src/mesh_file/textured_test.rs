@@ -118,6 +118,10 @@ fn mtl_statements_become_metallic_roughness() {
     let tinted = material("d 0.25");
     assert_eq!((tinted.transmission, tinted.roughness), (0.75, 0.0));
     assert_eq!(material("Tr 0.75").transmission, 0.75);
+    // MeshLab writes the opacity as `Tr`; `d` decides where both are given.
+    assert_eq!(material("Tr 1\nillum 2").transmission, 0.0);
+    assert_eq!(material("d 1\nTr 1").transmission, 0.0);
+    assert_eq!(material("Tr 0.5\nd 0.75").transmission, 0.25);
     let pbr = material("Kd 1 1 1\nPr 0.35\nPm 0.5");
     assert_eq!((pbr.roughness, pbr.metallic), (0.35, 0.5));
 }
@@ -134,6 +138,36 @@ fn image_names_with_options_and_spaces_are_parsed() {
         assert_eq!(found, Some(ImageSource::File(name.to_string())), "{words}");
     }
     assert_eq!(material("map_Kd a.png").base_color, [1.0; 3]);
+    let commented = material("Kd 0 0 0\nmap_kd a.png # the label");
+    assert_eq!(commented.base_color, [1.0; 3], "exporters leave Kd at 0");
+    let image = Some(ImageSource::File("a.png".to_string()));
+    assert_eq!(commented.base_color_image, image);
+}
+
+#[test]
+fn materials_are_found_by_name_in_all_libraries() {
+    let library = |name: &str| match name {
+        "a.mtl" => Ok(b"\xef\xbb\xbfnewmtl red\nKd 1 0 0\n".to_vec()),
+        "b.mtl" => Ok(b"newmtl Material #25\nKd 0 1 0\rnewmtl m # blue\rKd 0 0 1\r".to_vec()),
+        "my c.mtl" => Ok(b"newmtl red\nKd 1 0 0\n".to_vec()),
+        _ => no_file(name),
+    };
+    let face = "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n";
+    for (statement, name, color) in [
+        ("mtllib a.mtl b.mtl", "red", [1.0, 0.0, 0.0]),
+        ("mtllib a.mtl b.mtl # both", "Material #25", [0.0, 1.0, 0.0]),
+        (
+            "mtllib a.mtl\nmtllib b.mtl",
+            "m # any comment",
+            [0.0, 0.0, 1.0],
+        ),
+        ("mtllib my c.mtl", "red", [1.0, 0.0, 0.0]),
+    ] {
+        let text = format!("{statement}\nusemtl {name}\n{face}");
+        let mesh = read_textured_mesh(text.as_bytes(), MeshFormat::Obj, &library).unwrap();
+        assert!(mesh.warnings.is_empty(), "{:?}", mesh.warnings);
+        assert_eq!(mesh.materials[0].base_color, color, "{statement} {name}");
+    }
 }
 
 /// One triangle with normals, texture coordinates and an embedded image.
@@ -241,7 +275,7 @@ fn other_formats_have_one_part_without_appearance() {
     let error = read_textured_mesh(b"", MeshFormat::Stl, &no_file).unwrap_err();
     assert!(error.to_string().contains("empty"));
     let error = read_textured_mesh(b"v 0 0 0\n", MeshFormat::Obj, &no_file).unwrap_err();
-    assert!(error.to_string().contains("no triangles"), "{error}");
+    assert!(error.to_string().contains("no faces"), "{error}");
 }
 
 proptest! {
