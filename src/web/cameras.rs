@@ -58,7 +58,7 @@ pub(crate) fn parameters<T>(query: Parameters<T>) -> Result<T, Failure> {
 /// Newest image of a camera
 ///
 /// At most 320×240; a gel shows the difference to the initial frame once there is one, or with
-/// `image=raw` what its camera sees.
+/// `image=raw` what its camera sees, and with `image=both` both, side by side.
 #[utoipa::path(get, path = "/api/cameras/{role}/preview.jpg", tag = "cameras",
     params(("role" = Role, Path), PreviewQuery),
     responses((status = 200, content_type = "image/jpeg", body = [u8]), (status = 400, body = ErrorResponse),
