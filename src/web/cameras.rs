@@ -44,6 +44,10 @@ pub(crate) struct PreviewQuery {
     #[serde(default)]
     #[param(inline, default = "difference")]
     image: PreviewImage,
+    /// Ignored. Browsers load an image again only from another address.
+    #[serde(default)]
+    #[allow(dead_code, reason = "part of the interface")]
+    start: Option<u64>,
 }
 
 /// Query parameters whose rejection is a [`Failure`].
@@ -68,7 +72,7 @@ pub(crate) async fn still(
     Segment(role): Segment<Role>,
     query: Parameters<PreviewQuery>,
 ) -> Result<Response, Failure> {
-    let PreviewQuery { image } = parameters(query)?;
+    let PreviewQuery { image, .. } = parameters(query)?;
     let role = check_role(&backend.status.borrow(), role)?;
     let jpeg = backend
         .previews
@@ -91,7 +95,7 @@ pub(crate) async fn stream(
     Segment(role): Segment<Role>,
     query: Parameters<PreviewQuery>,
 ) -> Result<Response, Failure> {
-    let PreviewQuery { image } = parameters(query)?;
+    let PreviewQuery { image, .. } = parameters(query)?;
     let role = check_role(&backend.status.borrow(), role)?;
     let permit = backend.previews.streams.take(peer).ok_or_else(|| {
         Failure::busy(format!("{MAX_STREAMS} image streams are already open"))

@@ -433,7 +433,7 @@ impl Session {
         self.record(HistoryStep::Initial { id, replaced });
         self.set_message(
             MessageLevel::Info,
-            "initial frame saved: close the gripper, then trigger",
+            "initial frame saved: close the gripper",
         );
         let mut effects = vec![self.use_initial(), Effect::Tone(Tone::InitialSaved)];
         if let Some(id) = replaced_id {

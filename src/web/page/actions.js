@@ -10,11 +10,17 @@ import { STEPS } from "./words.js";
 /** Whether a command is pending. */
 let waiting = false;
 let linked = false;
+/** Time after a step during which its buttons do nothing: the second tap of a double tap would land
+ * on a button that has just appeared under the finger, ms. */
+const SETTLE_MS = 350;
+/** When the buttons last changed their places. */
+let movedAt = -Infinity;
 /** @type {Session|null} */
 let session = null;
 
 /** @param {Session|null} now @param {boolean} up whether the server is connected */
 export function drawActions(now, up) {
+  if (now?.step !== session?.step) movedAt = performance.now();
   session = now;
   linked = up;
   if (!now) return;
@@ -85,6 +91,7 @@ export function startActions() {
   bar.addEventListener("mousedown", (/** @type {MouseEvent} */ event) => event.preventDefault());
   bar.addEventListener("click", (/** @type {MouseEvent} */ event) => {
     const button = /** @type {HTMLElement} */ (event.target).closest("button");
+    if (performance.now() - movedAt < SETTLE_MS) return;
     if (button && button.getAttribute("aria-disabled") !== "true") command(button.dataset.command ?? "");
   });
 }
