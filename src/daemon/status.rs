@@ -44,6 +44,9 @@ pub struct EngineStatus {
     pub no_prediction_reason: Option<String>,
     /// Mean absolute difference of each gel to the initial frame, grey levels (0 to 255).
     pub contact: BTreeMap<Role, f64>,
+    /// Number of grasps by object and outcome, which the API sends separately.
+    #[serde(skip)]
+    pub objects: Arc<OutcomeCounts>,
     /// Preview images, which the API sends separately.
     #[serde(skip)]
     pub previews: BTreeMap<Role, Preview>,
@@ -66,6 +69,7 @@ impl EngineStatus {
             prediction: None,
             no_prediction_reason: None,
             contact: BTreeMap::new(),
+            objects: Arc::default(),
             previews: BTreeMap::new(),
         }
     }

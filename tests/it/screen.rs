@@ -83,6 +83,7 @@ fn waiting_for_grasp() -> EngineStatus {
         disk_free_bytes: Some(212_000_000_000),
         grasps_left: None,
         target_per_object: 0,
+        objects: Arc::default(),
         black_box: None,
         session: SessionView {
             step: Step::Grasp,
@@ -541,7 +542,7 @@ prop_compose! {
             dataset: text.clone(), rig: text.clone(), clock: text,
             disk_free_bytes: disk,
             grasps_left: disk.map(|free| free / 1_300_000),
-            target_per_object: 20,
+            target_per_object: 20, objects: Arc::default(),
             contact: contact.into_iter().collect(),
             session, cameras, prediction,
             no_prediction_reason: absent,

@@ -403,6 +403,13 @@ def routes(mock):
         name = (await request.json())["name"]
         return await answered(*await mock.carry_out(f"{request.match_info['field']} {name}"))
 
+    @table.get("/api/objects")
+    async def _(_request):
+        objects = {}
+        for grasp in mock.grasps.values():
+            objects.setdefault(grasp["object"], dict.fromkeys(("stable", "slip", "unlabelled"), 0))[grasp["outcome"]] += 1
+        return web.json_response({"target_per_object": 20, "objects": [{"object": name} | counts for name, counts in sorted(objects.items())]})
+
     @table.get("/api/grasps")
     async def _(request):
         query = request.query
@@ -410,6 +417,10 @@ def routes(mock):
         for name in ("object", "outcome"):
             if name in query:
                 found = [g for g in found if g[name] == query[name]]
+        if "since" in query:
+            found = [g for g in found if g["captured_at"] >= query["since"]]
+        if "until" in query:
+            found = [g for g in found if g["captured_at"] < query["until"]]
         if query.get("disagree") == "true":
             found = [g for g in found if g["agrees"] is False]
         if "before" in query:

@@ -364,6 +364,67 @@ async def keyboard(d, context):
     await page.close()
 
 
+IDS = "[...document.querySelectorAll('#gallery > li')].map((c) => c.dataset.id)"
+
+
+async def sieve(d, page):
+    """Filters by object and date, alone and together with the outcome."""
+    objects = d.server.call("/api/objects")["objects"]
+    name = objects[0]["object"]
+    count = sum(objects[0][each] for each in ("stable", "slip", "unlabelled"))
+    await page.locator("#object-filter").select_option(name)
+    await d.until(f"object filter shows {min(count, 24)}", lambda: counted(page, min(count, 24)))
+    await page.locator("[data-filter=slip]").click()
+    await d.until("object and outcome together", lambda: counted(page, min(objects[0]["slip"], 24)))
+    await d.shot(page, "gallery-filtered")
+    await page.locator("[data-filter=all]").click()
+    await page.locator("#object-filter").select_option("")
+    today = await page.evaluate("new Date(Date.now() - new Date().getTimezoneOffset() * 60e3).toISOString().slice(0, 10)")
+    await page.locator("#from-filter").fill("2200-01-01")
+    await page.locator("#gallery-note:has-text('no matching grasp')").wait_for()
+    d.check("no grasp of the future", await page.locator("#gallery > li").count() == 0)
+    await page.locator("#from-filter").fill("2020-01-01")
+    await page.locator("#to-filter").fill(today)
+    total = sum(sum(each[o] for o in ("stable", "slip", "unlabelled")) for each in objects)
+    await d.until("up to today: all", lambda: counted(page, min(total, 24)))
+    await page.locator("#to-filter").fill("2020-01-02")
+    await d.until("a day without grasps: none", lambda: counted(page, 0))
+    for each in ("#from-filter", "#to-filter"):
+        await page.locator(each).fill("")
+    await d.until("without filters: all", lambda: counted(page, min(total, 24)))
+
+
+async def bulk(d, page):
+    """Many labels at once: asked first, then undone step by step."""
+    await page.locator("#select").click()
+    cards = page.locator("#gallery .card")
+    chosen = [await page.locator("#gallery > li").nth(i).get_attribute("data-id") for i in range(3)]
+    before = {key: d.server.call(f"/api/grasps/{key}")["outcome"] for key in chosen}
+    wanted = "slip" if list(before.values()).count("slip") < 2 else "stable"
+    moved = [key for key in chosen if before[key] != wanted]
+    for i in range(3):
+        await cards.nth(i).click()
+    await page.locator("#bulk >> text=3 selected").wait_for()
+    await d.shot(page, "gallery-select")
+    await d.legible(page, "selection")
+    await page.locator(f"#bulk .{wanted}").click()
+    await page.locator("#bulk-dialog[open]").wait_for()
+    words = await page.locator("#bulk-dialog").inner_text()
+    d.check("it is asked before many labels change", f"{len(moved)} grasp" in words and "Undo" in words, words)
+    await page.keyboard.press("Escape")
+    d.check("Esc changes nothing", all(d.server.call(f"/api/grasps/{key}")["outcome"] == before[key] for key in chosen))
+    await page.locator(f"#bulk .{wanted}").click()
+    await page.locator("#bulk-dialog .primary").click()
+    await d.until(f"{len(moved)} labels change", lambda: all(d.server.call(f"/api/grasps/{key}")["outcome"] == wanted for key in chosen))
+    await page.locator(f"#toasts >> text={len(moved)} labelled").wait_for()
+    await page.locator("#bulk button:text-is('Done')").click()
+    await page.locator("#bulk").wait_for(state="hidden")
+    for key in reversed(moved):
+        d.server.call("/api/commands", "POST", {"command": "undo"})
+        d.check("each label is one undo", d.server.call(f"/api/grasps/{key}")["outcome"] == before[key])
+    await page.locator(f"#gallery > li[data-id='{moved[0]}'] .line:has-text('{ {'stable': 'STABLE', 'slip': 'SLIP', 'unlabelled': 'not labelled'}[before[moved[0]]] }')").wait_for()
+
+
 async def gallery(d, context):
     """List, filters, paging, detail, relabelling, trash and restore, seen from two pages."""
     page = await d.page(context)
@@ -384,6 +445,8 @@ async def gallery(d, context):
     if total > 24:
         await page.locator("#more").click()
         await d.until("more shows more", lambda: counted(page, min(total, 48)))
+    await sieve(d, page)
+    await bulk(d, page)
     newest = d.server.call("/api/grasps?limit=2")["grasps"][-1]
     card = page.locator(f"#gallery > li[data-id='{newest['id']}'] .card")
     await card.click()

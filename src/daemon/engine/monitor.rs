@@ -96,6 +96,7 @@ impl Engine {
             }),
             no_prediction_reason: state.unavailable.clone(),
             contact: state.contact_levels(),
+            objects: Arc::clone(&self.objects),
             previews: state.previews.clone(),
         }
     }

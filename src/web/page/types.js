@@ -87,6 +87,12 @@
  * @property {string} [error] of a failure
  * @property {State} state
  *
+ * @typedef {object} ObjectCounts
+ * @property {string} object
+ * @property {number} stable
+ * @property {number} slip
+ * @property {number} unlabelled
+ *
  * @typedef {object} GraspSummary
  * @property {string} id
  * @property {string} object
