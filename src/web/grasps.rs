@@ -1,5 +1,6 @@
 //! Saved grasps over HTTP: list, records, files, previews, labels and trash.
 
+use std::collections::BTreeMap;
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -7,7 +8,7 @@ use axum::Json;
 use axum::extract::{Query, State as Shared};
 use axum::http::{StatusCode, header};
 use axum::response::{IntoResponse, Response};
-use serde::Deserialize;
+use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
 use super::backend::Backend;
@@ -15,8 +16,9 @@ use super::cameras::Segment;
 use super::commands::{Body, Reply, execute};
 use super::failure::{ErrorResponse, Failure};
 use super::grasp_list::{GraspPage, GraspQuery};
+use crate::daemon::EngineStatus;
 use gripcast_base::error::{Error, ErrorKind, Result as CrateResult};
-use gripcast_base::files::FileKind;
+use gripcast_base::files::{FileKind, ObjectName};
 use gripcast_dataset::{Dataset, GraspId, GraspRecord, Outcome, Stage};
 use gripcast_imaging::{
     CropProfile, Decoder, DepthImage, Frame, PixelFormat, Role, TactileDifference,
@@ -98,6 +100,56 @@ pub(crate) async fn list(
     off_thread(move || Ok(Json(backend.grasps.page(&query)?))).await
 }
 
+/// Number of grasps of an object.
+#[derive(Debug, PartialEq, Serialize, ToSchema)]
+pub(crate) struct ObjectCounts {
+    /// Object; empty if unnamed.
+    object: String,
+    stable: usize,
+    slip: usize,
+    unlabelled: usize,
+}
+
+/// The objects of the dataset.
+#[derive(Debug, PartialEq, Serialize, ToSchema)]
+pub(crate) struct ObjectList {
+    /// Labelled grasps wanted per object; 0: no target.
+    target_per_object: u32,
+    /// Objects with grasps, by name.
+    objects: Vec<ObjectCounts>,
+}
+
+impl ObjectList {
+    fn new(status: &EngineStatus) -> Self {
+        let counts = |(object, counts): (&ObjectName, &BTreeMap<Outcome, usize>)| {
+            let count = |outcome| counts.get(&outcome).copied().unwrap_or(0);
+            ObjectCounts {
+                object: object.to_string(),
+                stable: count(Outcome::Stable),
+                slip: count(Outcome::Slip),
+                unlabelled: count(Outcome::Unlabelled),
+            }
+        };
+        Self {
+            target_per_object: status.target_per_object,
+            objects: status
+                .objects
+                .iter()
+                .map(counts)
+                .filter(|each| each.stable + each.slip + each.unlabelled > 0)
+                .collect(),
+        }
+    }
+}
+
+/// Objects with their number of grasps
+///
+/// As of the last second.
+#[utoipa::path(get, path = "/api/objects", tag = "grasps", responses((status = 200, body = ObjectList)))]
+pub(crate) async fn objects(Shared(backend): Shared<Arc<Backend>>) -> Json<ObjectList> {
+    Json(ObjectList::new(&backend.status.borrow()))
+}
+
 /// The record of a grasp: its grasp.json
 #[utoipa::path(get, path = "/api/grasps/{id}", tag = "grasps", params(("id" = String, Path)),
     responses((status = 200, body = serde_json::Value), (status = 404, body = ErrorResponse), (status = 422, body = ErrorResponse)))]
@@ -159,7 +211,7 @@ pub(crate) enum PreviewKind {
 
 /// Preview of a grasp
 ///
-/// 320×240; tactile images cropped as for the model, depth in false colour.
+/// 320×240; tactile images cropped as for the model, depth in colour with its scale.
 #[utoipa::path(get, path = "/api/grasps/{id}/preview/{kind}/{file}", tag = "grasps",
     params(("id" = String, Path), ("kind" = PreviewKind, Path),
         ("file" = String, Path, description = "`ROLE.jpg`", pattern = "^(left|right|rgb|depth|external)\\.jpg$")),
@@ -243,14 +295,16 @@ fn stored_image(
     let (width, height) = (PREVIEW_WIDTH, PREVIEW_HEIGHT);
     let image = match camera.format {
         PixelFormat::Z16 => decode_png_grey16(&bytes).and_then(|depth| {
-            Ok(decoder.decode(&depth_frame(&depth), crop.as_ref(), width, height)?)
+            // A rebuilt record lacks the unit; nearly all depth cameras count millimetres.
+            let unit_m = camera.depth_unit_m.unwrap_or(0.001);
+            Ok(decoder.depth_preview(&depth_frame(&depth), unit_m, width, height)?)
         }),
         _ => decoder.decode_file(&bytes, crop.as_ref(), width, height),
     };
     image.map_err(|e| e.at(path.display()))
 }
 
-/// Converts a depth image to a Z16 frame for false-colour decoding.
+/// Converts a depth image to a Z16 frame.
 fn depth_frame(depth: &DepthImage) -> Frame {
     let data: Vec<u8> = depth.iter().flat_map(|v| v.to_le_bytes()).collect();
     Frame {
@@ -317,4 +371,37 @@ async fn existing(backend: &Arc<Backend>, id: &str) -> Result<GraspId, Failure> 
         Ok(id)
     })
     .await
+}
+
+#[cfg(test)]
+mod tests {
+    use gripcast_session::Labels;
+
+    use super::*;
+
+    #[test]
+    fn objects_have_their_counts_and_the_target() {
+        let name = |text: &str| text.parse::<ObjectName>().unwrap();
+        let mut status = EngineStatus::starting("d", "bench", Labels::default());
+        status.target_per_object = 20;
+        status.objects = Arc::new(BTreeMap::from([
+            (
+                name("mug"),
+                BTreeMap::from([(Outcome::Stable, 3), (Outcome::Unlabelled, 1)]),
+            ),
+            (name("cup"), BTreeMap::from([(Outcome::Slip, 2)])),
+            (name("gone"), BTreeMap::from([(Outcome::Slip, 0)])),
+        ]));
+        let counts = |object: &str, stable, slip, unlabelled| ObjectCounts {
+            object: object.into(),
+            stable,
+            slip,
+            unlabelled,
+        };
+        let expected = ObjectList {
+            target_per_object: 20,
+            objects: vec![counts("cup", 0, 2, 0), counts("mug", 3, 0, 1)],
+        };
+        assert_eq!(ObjectList::new(&status), expected);
+    }
 }

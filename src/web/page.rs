@@ -29,6 +29,7 @@ const FILES: &[File] = files! {
     "actions.js" => JAVASCRIPT,
     "api.js" => JAVASCRIPT,
     "app.js" => JAVASCRIPT,
+    "bulk.js" => JAVASCRIPT,
     "cameras.js" => JAVASCRIPT,
     "detail.js" => JAVASCRIPT,
     "dom.js" => JAVASCRIPT,

@@ -74,8 +74,10 @@ def scene(seed, closed, depth=False):
         out[finger] = (38, 40, 46)
     if not depth:
         return out
-    far = numpy.where(body, 120, 210) - numpy.where(out[..., 0] == 38, 120, 0)
-    return numpy.stack([far, far * 0.45, 255 - far], axis=2)
+    far = numpy.where(out[..., 0] == 38, 0.12, numpy.where(body, 0.3, 0.5 + 0.2 * (Y / 240)))
+    stripes = numpy.where(((X + Y) // 4) % 2 > 0, 96, 40)[..., None]
+    shadow = (abs(X - 70) < 12) & (Y > 40)
+    return numpy.where(shadow[..., None], stripes, turbo(far))
 
 
 def image(role, stage, seed, contact=1.0):
@@ -87,6 +89,23 @@ def image(role, stage, seed, contact=1.0):
     return jpeg(scene(seed, stage != "initial", role == "depth"))
 
 
+def both(seed, contact, closed):
+    """Raw image and difference of a gel side by side; dark in place of the difference without an initial frame."""
+    raw = gel(seed, contact)
+    right = raw - gel(seed, 0) + 128 if closed else numpy.full_like(raw, 24)
+    return jpeg(numpy.concatenate([raw, right], axis=1))
+
+
+def turbo(fraction):
+    """The colours of gripcast's depth images."""
+    coefficients = [
+        (0.1357214, 4.6153926, -42.66032, 132.13108, -152.9424, 59.28638),
+        (0.0914026, 2.1941884, 4.8429666, -14.185033, 4.2772986, 2.829566),
+        (0.1066733, 12.641946, -60.58205, 110.36277, -89.90311, 27.34825),
+    ]
+    return 255 * numpy.stack([sum(c * fraction**n for n, c in enumerate(each)) for each in coefficients], axis=2)
+
+
 class Mock:
     def __init__(self, options):
         self.options = options
@@ -96,7 +115,7 @@ class Mock:
         self.sockets = set()
         self.control = {
             "fault": None, "stale": False, "absent": None, "heuristic": False, "ood_score": 0.4,
-            "p": None, "refuse": None, "saving_s": 0.15, "fail": False, "mute": False,
+            "p": None, "refuse": None, "saving_s": 0.15, "fail": False, "mute": False, "free": 7.0e10,
         }  # fmt: skip
         self.names = {"object": "mug", "scene": "desk", "operator": "ada"}
         self.pending = None
@@ -183,7 +202,8 @@ class Mock:
         prediction, absent = self.prediction()
         last = self.grasps.get(self.last)
         return {
-            "dataset": "demo", "rig": "virtual", "clock": time.strftime("%H:%M:%S"), "disk_free_bytes": 7.0e10,
+            "dataset": "demo", "rig": "virtual", "clock": time.strftime("%H:%M:%S"), "disk_free_bytes": self.control["free"],
+            "grasps_left": int((self.control["free"] - 1e9) / 1.3e6) if self.grasps else None, "target_per_object": 20,
             "session": {
                 "step": self.step(), **self.names,
                 "initial_at": self.pending and stamp(self.pending[1]),
@@ -237,14 +257,17 @@ class Mock:
         grasp = self.grasps.get(self.last)
         if not grasp or grasp["outcome"] == outcome:
             return await self.nothing("no grasp to label yet" if not grasp else f"grasp {grasp['id'][-4:]} is already labelled {outcome}")
-        before = grasp["outcome"]
         await self.save()
-        self.set_outcome(grasp, outcome)
-        self.undos.append((f"label {outcome} of {grasp['id'][-4:]}", lambda: self.set_outcome(grasp, before), lambda: self.set_outcome(grasp, outcome)))
-        self.redos.clear()
+        self.relabel(grasp, outcome)
         self.say(f"grasp {grasp['id'][-4:]} labelled {outcome}")
         await self.tone({"unlabelled": "undone"}.get(outcome, outcome))
         return True, []
+
+    def relabel(self, grasp, outcome):
+        before = grasp["outcome"]
+        self.set_outcome(grasp, outcome)
+        self.undos.append((f"label {outcome} of {grasp['id'][-4:]}", lambda: self.set_outcome(grasp, before), lambda: self.set_outcome(grasp, outcome)))
+        self.redos.clear()
 
     def set_outcome(self, grasp, outcome):
         grasp["outcome"] = outcome
@@ -283,7 +306,7 @@ class Mock:
             before, self.pending = self.pending, (str(now), now, time.monotonic())
             taken = self.pending
             self.undos.append(("initial frame", lambda: self.set(pending=before), lambda: self.set(pending=taken)))
-            self.say("initial frame saved: close the gripper, then trigger")
+            self.say("initial frame saved: close the gripper")
             tone = "initial_saved"
         else:
             before, pending, grasp = self.last, self.pending, self.new_grasp(now)
@@ -380,6 +403,13 @@ def routes(mock):
         name = (await request.json())["name"]
         return await answered(*await mock.carry_out(f"{request.match_info['field']} {name}"))
 
+    @table.get("/api/objects")
+    async def _(_request):
+        objects = {}
+        for grasp in mock.grasps.values():
+            objects.setdefault(grasp["object"], dict.fromkeys(("stable", "slip", "unlabelled"), 0))[grasp["outcome"]] += 1
+        return web.json_response({"target_per_object": 20, "objects": [{"object": name} | counts for name, counts in sorted(objects.items())]})
+
     @table.get("/api/grasps")
     async def _(request):
         query = request.query
@@ -387,6 +417,10 @@ def routes(mock):
         for name in ("object", "outcome"):
             if name in query:
                 found = [g for g in found if g[name] == query[name]]
+        if "since" in query:
+            found = [g for g in found if g["captured_at"] >= query["since"]]
+        if "until" in query:
+            found = [g for g in found if g["captured_at"] < query["until"]]
         if query.get("disagree") == "true":
             found = [g for g in found if g["agrees"] is False]
         if "before" in query:
@@ -425,7 +459,7 @@ def routes(mock):
             wanted(request)
             mock.trash[key] = mock.grasps.pop(key)
         else:
-            mock.set_outcome(wanted(request), (await request.json())["outcome"])
+            mock.relabel(wanted(request), (await request.json())["outcome"])
         await mock.stored(key)
         return await answered(True, [])
 
@@ -490,7 +524,7 @@ def routes(mock):
 
 
 def live(mock, role):
-    """What a camera shows now; twenty different images are enough."""
+    """What a camera shows now, gels beside their difference; twenty different images are enough."""
     contact = 1.0 if mock.pending else 0.0
     seed, phase = len(mock.grasps), int(5 * time.monotonic()) % 10
     return frame(role, seed, contact * (0.8 + 0.02 * abs(phase - 5)), bool(mock.pending))
@@ -504,7 +538,7 @@ def frame(role, seed, contact, closed):
     if key not in CACHE:
         if len(CACHE) > 200:
             CACHE.clear()
-        CACHE[key] = image(role, "difference" if role in ("left", "right") else "grasp" if closed else "initial", seed, contact)
+        CACHE[key] = both(f"{seed}{role}", contact, closed) if role in ("left", "right") else image(role, "grasp" if closed else "initial", seed, contact)
     return CACHE[key]
 
 

@@ -180,6 +180,11 @@ class Driver:
         if message.type in ("error", "warning") and not own:
             self.noise.append(f"{message.type}: {message.text}")
 
+    async def tap(self, page, selector):
+        """Taps a button as a person does: not within the time of a double tap."""
+        await asyncio.sleep(0.4)
+        await page.locator(f"{selector}:not([aria-disabled])").click()
+
     async def shot(self, page, name):
         if self.shots:
             await page.screenshot(path=self.shots / f"{name}.png")
@@ -218,8 +223,7 @@ class Driver:
                     break
             if self.step() == wanted:
                 break
-        here = page.locator(f"#trigger.{wanted}")
-        await here.wait_for(timeout=10000)
+        await page.locator(f"#trigger.{wanted}").wait_for(state="attached", timeout=10000)
         self.check(f"step {wanted} is shown", await page.locator("#steps .here .digit").inner_text() == {"initial": "1", "grasp": "2", "label": "3"}[wanted])
 
     async def go_to(self, page, wanted):
@@ -252,26 +256,26 @@ async def cycle(d, context):
     other = await d.page(await d.context(PHONE, "light"))
     await d.go_to(page, "initial")
     before = d.server.state()["session"]["counts"]
-    await d.advance(page, "grasp", page.locator("#trigger").click)
+    await d.advance(page, "grasp", lambda: d.tap(page, "#trigger"))
     await d.shot(page, "desktop-initial" if page.viewport_size["width"] > 1300 else "tablet-grasp")
-    await d.advance(page, "label", page.locator("#trigger").click)
+    await d.advance(page, "label", lambda: d.tap(page, "#trigger"))
     state = d.server.state()["session"]
     d.check("the grasp is not labelled yet", state["last"]["outcome"] == "unlabelled")
     d.check("the trigger rests while a label is wanted", await page.locator("#trigger").get_attribute("aria-disabled") == "true")
     await d.shot(page, "tablet-label")
-    await page.locator("#stable").click()
+    await d.tap(page, "#stable")
     await d.until("stable is counted", lambda: d.server.state()["session"]["counts"]["stable"] == before["stable"] + 1)
     await other.locator("#trigger.initial").wait_for()
     for each in (page, other):
         await each.locator("#last >> text=STABLE").wait_for()
     d.check("both pages show the same counts", await agree(page, other, "#counts"))
-    await page.locator("#undo").click()
+    await d.tap(page, "#undo")
     await d.until("undo removes the label", lambda: d.server.state()["session"]["counts"]["stable"] == before["stable"])
-    await other.locator("#trigger.label").wait_for()
+    await other.locator("#actions.labelling").wait_for()
     d.check("the other page follows", await agree(page, other, "#last"))
     await other.locator("#redo:not([aria-disabled])").click()
     await d.until("redo from the other page", lambda: d.server.state()["session"]["counts"]["stable"] == before["stable"] + 1)
-    await page.locator("#slip:not([aria-disabled])").click()
+    await d.tap(page, "#slip")
     await d.until("a label can be changed", lambda: d.server.state()["session"]["last"]["outcome"] == "slip")
     await page.locator("#last >> text=SLIP").wait_for()
     d.check("nothing was laid on top by names", (await page.evaluate("window.seen.alerts")) == 0)
@@ -360,6 +364,67 @@ async def keyboard(d, context):
     await page.close()
 
 
+IDS = "[...document.querySelectorAll('#gallery > li')].map((c) => c.dataset.id)"
+
+
+async def sieve(d, page):
+    """Filters by object and date, alone and together with the outcome."""
+    objects = d.server.call("/api/objects")["objects"]
+    name = objects[0]["object"]
+    count = sum(objects[0][each] for each in ("stable", "slip", "unlabelled"))
+    await page.locator("#object-filter").select_option(name)
+    await d.until(f"object filter shows {min(count, 24)}", lambda: counted(page, min(count, 24)))
+    await page.locator("[data-filter=slip]").click()
+    await d.until("object and outcome together", lambda: counted(page, min(objects[0]["slip"], 24)))
+    await d.shot(page, "gallery-filtered")
+    await page.locator("[data-filter=all]").click()
+    await page.locator("#object-filter").select_option("")
+    today = await page.evaluate("new Date(Date.now() - new Date().getTimezoneOffset() * 60e3).toISOString().slice(0, 10)")
+    await page.locator("#from-filter").fill("2200-01-01")
+    await page.locator("#gallery-note:has-text('no matching grasp')").wait_for()
+    d.check("no grasp of the future", await page.locator("#gallery > li").count() == 0)
+    await page.locator("#from-filter").fill("2020-01-01")
+    await page.locator("#to-filter").fill(today)
+    total = sum(sum(each[o] for o in ("stable", "slip", "unlabelled")) for each in objects)
+    await d.until("up to today: all", lambda: counted(page, min(total, 24)))
+    await page.locator("#to-filter").fill("2020-01-02")
+    await d.until("a day without grasps: none", lambda: counted(page, 0))
+    for each in ("#from-filter", "#to-filter"):
+        await page.locator(each).fill("")
+    await d.until("without filters: all", lambda: counted(page, min(total, 24)))
+
+
+async def bulk(d, page):
+    """Many labels at once: asked first, then undone step by step."""
+    await page.locator("#select").click()
+    cards = page.locator("#gallery .card")
+    chosen = [await page.locator("#gallery > li").nth(i).get_attribute("data-id") for i in range(3)]
+    before = {key: d.server.call(f"/api/grasps/{key}")["outcome"] for key in chosen}
+    wanted = "slip" if list(before.values()).count("slip") < 2 else "stable"
+    moved = [key for key in chosen if before[key] != wanted]
+    for i in range(3):
+        await cards.nth(i).click()
+    await page.locator("#bulk >> text=3 selected").wait_for()
+    await d.shot(page, "gallery-select")
+    await d.legible(page, "selection")
+    await page.locator(f"#bulk .{wanted}").click()
+    await page.locator("#bulk-dialog[open]").wait_for()
+    words = await page.locator("#bulk-dialog").inner_text()
+    d.check("it is asked before many labels change", f"{len(moved)} grasp" in words and "Undo" in words, words)
+    await page.keyboard.press("Escape")
+    d.check("Esc changes nothing", all(d.server.call(f"/api/grasps/{key}")["outcome"] == before[key] for key in chosen))
+    await page.locator(f"#bulk .{wanted}").click()
+    await page.locator("#bulk-dialog .primary").click()
+    await d.until(f"{len(moved)} labels change", lambda: all(d.server.call(f"/api/grasps/{key}")["outcome"] == wanted for key in chosen))
+    await page.locator(f"#toasts >> text={len(moved)} labelled").wait_for()
+    await page.locator("#bulk button:text-is('Done')").click()
+    await page.locator("#bulk").wait_for(state="hidden")
+    for key in reversed(moved):
+        d.server.call("/api/commands", "POST", {"command": "undo"})
+        d.check("each label is one undo", d.server.call(f"/api/grasps/{key}")["outcome"] == before[key])
+    await page.locator(f"#gallery > li[data-id='{moved[0]}'] .line:has-text('{ {'stable': 'STABLE', 'slip': 'SLIP', 'unlabelled': 'not labelled'}[before[moved[0]]] }')").wait_for()
+
+
 async def gallery(d, context):
     """List, filters, paging, detail, relabelling, trash and restore, seen from two pages."""
     page = await d.page(context)
@@ -380,6 +445,8 @@ async def gallery(d, context):
     if total > 24:
         await page.locator("#more").click()
         await d.until("more shows more", lambda: counted(page, min(total, 48)))
+    await sieve(d, page)
+    await bulk(d, page)
     newest = d.server.call("/api/grasps?limit=2")["grasps"][-1]
     card = page.locator(f"#gallery > li[data-id='{newest['id']}'] .card")
     await card.click()
@@ -461,10 +528,10 @@ async def sound(d):
     await page.locator("#sound").click()
     await page.locator("#sound >> text=♪ on").wait_for()
     await page.evaluate("window.seen.tones = []")
-    await page.locator("#trigger").click()
+    await d.tap(page, "#trigger")
     if await d.until("the tone of a saved initial frame", lambda: tones(page, [660])):
         await page.evaluate("window.seen.tones = []")
-        await page.locator("#undo:not([aria-disabled])").click()
+        await d.tap(page, "#undo")
         await d.until("the tone of an undo", lambda: tones(page, [784, 784, 587]))
     again = await d.page(context)
     d.check("sound is remembered", await again.locator("#sound").get_attribute("aria-pressed") == "true")
@@ -473,6 +540,87 @@ async def sound(d):
 
 async def tones(page, wanted):
     return await page.evaluate("window.seen.tones") == wanted
+
+
+async def targets(d, page, name):
+    """The answer to the step is the largest button, and a finger hits every one."""
+    boxes = await page.evaluate("""[...document.querySelectorAll('button, nav a')].filter((b) => b.checkVisibility() && !b.closest('#labels p'))
+      .map((b) => { const r = b.getBoundingClientRect(); return { id: b.id || b.textContent, width: r.width, height: r.height, off: b.getAttribute("aria-disabled") === "true" }; })""")
+    small = [box for box in boxes if min(box["width"], box["height"]) < 44]
+    d.check(f"{name}: {len(boxes)} targets of 44 px", not small, small)
+    actions = [box for box in boxes if box["id"] in ("trigger", "stable", "slip", "undo", "redo", "initial")]
+    largest = max(actions, key=lambda box: box["width"] * box["height"])
+    d.check(f"{name}: the largest button, {largest['id']}, is possible and 96 px high", not largest["off"] and largest["height"] >= 96, largest)
+
+
+async def first_screen(d):
+    """On a phone held upright, cameras, disk and answers are visible without scrolling, in every step."""
+    for size in (PHONE, (390, 844)):
+        page = await d.page(await d.context(size, "light"))
+        for step in ("initial", "grasp", "label"):
+            await d.go_to(page, step)
+            await page.locator(f"#trigger.{step}").wait_for(state="attached")
+            await true(page, "document.querySelectorAll('#images img').length > 0 && [...document.querySelectorAll('#images img')].every((i) => i.naturalWidth > 0)")
+            name = f"{size[0]}×{size[1]} {step}"
+            await d.shot(page, f"phone-{size[1]}-{step}")
+            await targets(d, page, name)
+            hidden = await page.evaluate("""(() => {
+              const bottom = document.querySelector("#actions").getBoundingClientRect().top;
+              const inside = (r) => r.top >= 0 && r.bottom <= innerHeight && r.width > 0;
+              const names = ["#disk", "#number, #verdict", "#actions"].filter((s) => ![...document.querySelectorAll(s)].some((n) => inside(n.getBoundingClientRect())));
+              const images = [...document.querySelectorAll("#images .frame")].filter((n) => n.getBoundingClientRect().bottom > bottom + 1);
+              return [...names, ...images.map((n) => n.closest("figure").dataset.role)];
+            })()""")
+            d.check(f"{name}: cameras, disk and answers without scrolling", not hidden, hidden)
+        await d.go_to(page, "initial")
+        await page.context.close()
+
+
+async def gels(d, context):
+    """Raw image and difference of a gel: both, or the one that a tap chooses, remembered."""
+    page = await d.page(context)
+    await d.go_to(page, "grasp")
+    frame = page.locator("#images figure[data-role=left] .frame")
+    await true(page, "document.querySelector('#images figure[data-role=left] img').naturalWidth === 640")
+    d.check("raw image and difference arrive as one image", True)
+    seen = []
+    for _ in range(3):
+        seen.append([await page.locator("#images").get_attribute("data-gels"), await page.locator("figure[data-role=left] .half:visible").all_inner_texts()])
+        await frame.click()
+    wanted = [["both", ["raw", "difference"]], ["difference", ["difference"]], ["raw", ["raw"]]]
+    d.check("a tap on a gel changes the view", seen == wanted, seen)
+    await frame.click()
+    await page.reload()
+    await page.locator("#images[data-gels=difference]").wait_for()
+    d.check("the view is remembered", True)
+    await page.evaluate("localStorage.removeItem('gripcast-gels')")
+    await page.close()
+
+
+async def lift(d, context):
+    """From the grasp to its label the gauge shows the prediction saved with the grasp."""
+    page = await d.page(context)
+    small = await d.page(await d.context(PHONE, "dark"))
+    await d.go_to(page, "label")
+    last = d.server.state()["session"]["last"]
+    said = last["predicted"]
+    for each, name in ((page, "tablet"), (small, "phone")):
+        await each.locator("#actions.labelling").wait_for()
+        number, verdict = [await each.locator(s).inner_text() for s in ("#number", "#verdict")]
+        if said:
+            word = "UNSURE" if (said.get("novelty") or 0) > 1 else "STABLE" if said["p_stable"] >= said["threshold"] else "SLIP"
+            d.check(f"{name}: LIFT shows the grasp's own {number} {verdict}", [number, verdict] == [f"{said['p_stable']:.2f}", word], said)
+        else:
+            d.check(f"{name}: LIFT says that none was saved", "none was saved with grasp" in verdict, verdict)
+        about = await each.locator("#about").inner_text()
+        d.check(f"{name}: and of which grasp", not said or last["id"][-4:] in about, about)
+        d.check(f"{name}: the trigger is out of the way", await each.locator("#trigger:visible").count() == 0)
+    await d.tap(page, "#stable")
+    await page.locator("#trigger.initial").wait_for()
+    await page.locator("#verdict:not(:has-text('STABLE'))").wait_for()
+    d.check("after the label it is gone", True)
+    await small.context.close()
+    await page.close()
 
 
 async def themes(d):
@@ -484,8 +632,7 @@ async def themes(d):
         await page.wait_for_timeout(400)
         await d.shot(page, name)
         await d.quality(page, name)
-        high = await page.evaluate("[...document.querySelectorAll('.action')].map((b) => b.getBoundingClientRect().height)")
-        d.check(f"{name}: buttons are 96 px high", min(high) >= 96, high)
+        await targets(d, page, name)
         if size[0] >= 1024:
             sizes = await page.evaluate("['#number', '#verdict', '#steps .verb', '#steps .here .digit'].map((s) => parseFloat(getComputedStyle(document.querySelector(s)).fontSize))")
             if await page.locator("#gauge.none").count() == 0:
@@ -529,19 +676,26 @@ async def troubles(d):
 
     await d.go_to(page, "grasp")
     d.server.order(refuse="overridable", p=0.83)
-    await page.locator("#trigger").click()
+    await d.tap(page, "#trigger")
     await page.locator("#refusal >> text=no contact").wait_for()
     await small.locator("#refusal >> text=no contact").wait_for()
     d.check("both pages show the reason", True)
+    for each, name in ((page, "tablet"), (small, "phone")):
+        first = each.locator("#refusal .reason")
+        size = await first.evaluate("(n) => parseFloat(getComputedStyle(n).fontSize)")
+        rest = await each.locator("#refusal li").first.evaluate("(n) => parseFloat(getComputedStyle(n).fontSize)")
+        d.check(f"{name}: the first reason is the largest, {size:.0f} px against {rest:.0f}", size >= 1.2 * rest and "newest good frame" in await first.inner_text())
+        words = await each.locator("#refusal").inner_text()
+        d.check(f"{name}: the words are those of the buttons", "“Grasp”" in words and "“Override”" in words, words)
     await d.shot(page, "refusal")
     await d.shot(small, "phone-refusal")
     await d.quality(page, "refusal")
     d.check("the refusal is read out", "no contact" in await page.locator("#assertive").inner_text())
-    await page.locator("#override").click()
-    await page.locator("#trigger.label").wait_for()
+    await d.tap(page, "#override")
+    await page.locator("#actions.labelling").wait_for()
     d.check("take it anyway", True)
     d.server.order(refuse=None)
-    await page.locator("#slip:not([aria-disabled])").click()
+    await d.tap(page, "#slip")
     await page.locator("#trigger.initial").wait_for()
 
     d.server.order(saving_s=1.5)
@@ -553,7 +707,7 @@ async def troubles(d):
     await asyncio.sleep(0.3)
     d.check("a double tap is one step", d.server.state()["session"]["step"] == "grasp" and not d.server.state()["session"]["saving"])
     d.server.order(saving_s=0.1, fail=True)
-    await page.locator("#trigger").click()
+    await d.tap(page, "#trigger")
     await page.locator("#message.error").wait_for()
     d.check("a failed save is reported", "NOT saved" in await page.locator("#message").inner_text())
     await d.shot(page, "failed-save")
@@ -609,7 +763,7 @@ async def cable(d, context):
         await each.locator("#fault").wait_for(state="hidden", timeout=20000)
     d.check(f"the page shows it back ({time.monotonic() - back:.2f} s)", True)
     await true(page, "[...document.querySelectorAll('#images img')].every((i) => i.naturalWidth > 0)")
-    await d.advance(page, "grasp", page.locator("#trigger").click)
+    await d.advance(page, "grasp", lambda: d.tap(page, "#trigger"))
     await other.context.close()
 
 
@@ -619,9 +773,9 @@ async def grasps(d, context):
     await d.go_to(page, "initial")
     before = d.server.state()["session"]["counts"]
     for outcome in ("stable", "slip", "stable"):
-        await d.advance(page, "grasp", page.locator("#trigger").click)
-        await d.advance(page, "label", page.locator("#trigger").click)
-        await page.locator(f"#{outcome}:not([aria-disabled])").click()
+        await d.advance(page, "grasp", lambda: d.tap(page, "#trigger"))
+        await d.advance(page, "label", lambda: d.tap(page, "#trigger"))
+        await d.tap(page, f"#{outcome}")
         await page.locator("#trigger.initial").wait_for()
     after = d.server.state()["session"]["counts"]
     found = {name: after[name] - before[name] for name in ("stable", "slip")}
@@ -712,6 +866,9 @@ async def run(options):
             "images": lambda: images(d, context),
             "sound": lambda: sound(d),
             "themes": lambda: themes(d),
+            "first_screen": lambda: first_screen(d),
+            "gels": lambda: gels(d, context),
+            "lift": lambda: lift(d, context),
             "grasps": lambda: grasps(d, context),
             "cable": (lambda: cable(d, context)) if server.unplugged else None,
             "troubles": (lambda: troubles(d)) if server.mock else None,

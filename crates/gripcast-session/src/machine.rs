@@ -304,6 +304,12 @@ impl Session {
         }
     }
 
+    /// Returns the number of grasps by object and outcome.
+    #[must_use]
+    pub fn outcome_counts(&self) -> &OutcomeCounts {
+        &self.counts
+    }
+
     fn counts(&self) -> Counts {
         let mut counts = Counts::default();
         let count = |object: &BTreeMap<Outcome, usize>, outcome| object.get(&outcome).copied();
@@ -394,6 +400,8 @@ impl Session {
                 }),
             }
         }
+        // What cannot be overridden is the reason; the rest would not help.
+        violations.sort_by_key(|violation| violation.can_override);
         let can_override = can_override(&violations);
         if !can_override || (!violations.is_empty() && !overriding) {
             self.summary.refused += 1;
@@ -429,10 +437,7 @@ impl Session {
         let replaced = self.pending.replace(frame);
         let replaced_id = replaced.as_ref().map(|r| r.id.clone());
         self.record(HistoryStep::Initial { id, replaced });
-        self.set_message(
-            MessageLevel::Info,
-            "initial frame saved: close the gripper, then trigger",
-        );
+        self.set_message(MessageLevel::Info, "initial frame saved: close the gripper");
         let mut effects = vec![self.use_initial(), Effect::Tone(Tone::InitialSaved)];
         if let Some(id) = replaced_id {
             effects.extend(self.store(

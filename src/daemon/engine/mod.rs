@@ -41,7 +41,9 @@ use gripcast_capture::trigger::{Script, ScriptRunner};
 use gripcast_dataset::NewDataset;
 use gripcast_imaging::{Intrinsics, Role};
 use gripcast_nn::predict::Model;
-use gripcast_session::{GuardLimits, Labels, Session, Step, StoreReply, StoreRequest, Tone};
+use gripcast_session::{
+    GuardLimits, Labels, OutcomeCounts, Session, Step, StoreReply, StoreRequest, Tone,
+};
 use gripcast_virtual_rig::{HandTarget, VirtualHand};
 
 /// Interval of status updates and script steps.
@@ -76,6 +78,8 @@ pub struct EngineSetup {
     pub boards: Option<Boards>,
     /// Hand of the virtual rig, which follows the session's steps.
     pub hand: Option<Arc<VirtualHand>>,
+    /// Labelled grasps wanted per object; 0: no target.
+    pub target_per_object: u32,
     /// Settings of the black box, if enabled.
     pub black_box: Option<BlackBoxSettings>,
 }
@@ -152,6 +156,9 @@ struct Engine {
     /// Grasps of this session that are in the trash.
     undone: BTreeMap<String, GraspReport>,
     disk_free_bytes: Option<u64>,
+    target_per_object: u32,
+    /// Number of grasps by object and outcome, as of the last second.
+    objects: Arc<OutcomeCounts>,
     was_live: BTreeMap<Role, bool>,
     /// Whether each thread was stuck, and its restarts.
     last_task_states: BTreeMap<String, (bool, u64)>,
@@ -206,6 +213,7 @@ impl Engine {
     fn tick(&mut self) -> Result<()> {
         if self.ticks.is_multiple_of(DISK_TICKS) {
             self.disk_free_bytes = disk_free_bytes(&self.dataset);
+            self.objects = Arc::new(self.session.outcome_counts().clone());
             self.hub.tap.json(Topic::Cameras, || {
                 cameras_json(&self.hub, &self.rig, monotonic_ns())
             });

@@ -1,6 +1,7 @@
 //! Start of the engine and its threads.
 
 use std::collections::{BTreeMap, VecDeque};
+use std::sync::Arc;
 use std::sync::mpsc::channel;
 
 use tokio::sync::mpsc;
@@ -107,6 +108,8 @@ impl Engine {
             grasps: Vec::new(),
             undone: BTreeMap::new(),
             disk_free_bytes: None,
+            target_per_object: setup.target_per_object,
+            objects: Arc::default(),
             was_live: BTreeMap::new(),
             last_task_states: BTreeMap::new(),
             ticks: 0,

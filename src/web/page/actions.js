@@ -10,6 +10,10 @@ import { STEPS } from "./words.js";
 /** Whether a command is pending. */
 let waiting = false;
 let linked = false;
+/** Time after a tap during which the next does nothing: the second tap of a double tap would land on
+ * a button of the next step, which has just appeared under the finger, ms. */
+const DOUBLE_TAP_MS = 350;
+let tappedAt = -Infinity;
 /** @type {Session|null} */
 let session = null;
 
@@ -85,6 +89,10 @@ export function startActions() {
   bar.addEventListener("mousedown", (/** @type {MouseEvent} */ event) => event.preventDefault());
   bar.addEventListener("click", (/** @type {MouseEvent} */ event) => {
     const button = /** @type {HTMLElement} */ (event.target).closest("button");
-    if (button && button.getAttribute("aria-disabled") !== "true") command(button.dataset.command ?? "");
+    if (!button || button.getAttribute("aria-disabled") === "true") return;
+    const now = performance.now();
+    if (now - tappedAt < DOUBLE_TAP_MS) return;
+    tappedAt = now;
+    command(button.dataset.command ?? "");
   });
 }

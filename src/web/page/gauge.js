@@ -1,10 +1,10 @@
 /**
  * Steps and stability gauge, readable from two metres.
  *
- * @import {Prediction, Session, State} from "./types.js"
+ * @import {Predicted, Session, State} from "./types.js"
  */
 import { attribute, byId, make, refill, say, style } from "./dom.js";
-import { banner, duration, messageText, shownVerdict, STEPS } from "./words.js";
+import { banner, duration, messageText, savedVerdict, short, shownVerdict, STEPS } from "./words.js";
 
 /** Time after which a verdict is read out by screen readers, ms. */
 const SETTLED_MS = 1200;
@@ -38,33 +38,86 @@ export function stepSentence(session) {
 }
 
 /**
+ * What the gauge shows.
+ *
+ * @typedef {object} Reading
+ * @property {Predicted|null} prediction
+ * @property {string} verdict `stable`, `slip`, `unsure`, `old`, or `none` without a prediction
+ * @property {boolean} heuristic
+ * @property {string} words why there is no prediction
+ * @property {string} about to which frame the prediction belongs
+ * @property {string} timing
+ */
+
+/** Models that were seen to be heuristics; saved predictions do not say it. @type {Set<string>} */
+const heuristics = new Set();
+
+/**
+ * Draws the live prediction, or from the grasp to its label the one saved with the grasp.
  * @param {State} state
  * @param {string|null} staleReason why the state is out of date
  */
 export function drawGauge(state, staleReason) {
-  const prediction = staleReason ? null : finite(state.prediction);
-  const verdict = prediction ? shownVerdict(prediction) : "none";
+  const { step, last } = state.session;
+  const reading = staleReason ? none(staleReason) : step === "label" && last ? saved(last) : live(state);
+  const { prediction, verdict } = reading;
   style(byId("gauge"), verdict);
-  say(byId("number"), prediction ? Math.min(Math.max(prediction.p_stable, 0), 1).toFixed(2) : "-.--");
-  const reason = staleReason ?? state.no_prediction_reason ?? "waiting for the first prediction";
-  say(byId("verdict"), prediction ? verdict.toUpperCase() : `no prediction: ${reason}`);
-  drawBar(prediction);
-  drawTitle(prediction, verdict);
+  say(byId("number"), prediction ? shownProbability(prediction).toFixed(2) : "-.--");
+  say(byId("verdict"), prediction ? verdict.toUpperCase() : `no prediction: ${reading.words}`);
+  drawBar(reading);
+  drawTitle(reading);
   return verdict;
 }
 
-/** @param {Prediction|null} prediction */
-function finite(prediction) {
-  return prediction && Number.isFinite(prediction.p_stable) ? prediction : null;
+/** @param {string} words @returns {Reading} */
+function none(words) {
+  return { prediction: null, verdict: "none", heuristic: false, words, about: "", timing: "" };
 }
 
-/** @param {Prediction|null} prediction */
-function drawBar(prediction) {
-  const p = prediction ? Math.min(Math.max(prediction.p_stable, 0), 1) : 0;
+/** @param {NonNullable<Session["last"]>} last @returns {Reading} */
+function saved({ id, predicted }) {
+  if (!isUsable(predicted)) return none(`none was saved with grasp ${short(id)}`);
+  const about = `grasp ${short(id)}, before the lift`;
+  const heuristic = heuristics.has(predicted.model);
+  return { prediction: predicted, verdict: savedVerdict(predicted), heuristic, words: "", about, timing: "" };
+}
+
+/** @param {State} state @returns {Reading} */
+function live({ prediction, no_prediction_reason: reason }) {
+  if (!isUsable(prediction)) return none(reason ?? "waiting for the first prediction");
+  const { heuristic, model, frame_age_ms: age, latency_ms: latency, engine_ms: engine } = prediction;
+  if (heuristic) heuristics.add(model);
+  return {
+    prediction,
+    verdict: shownVerdict(prediction),
+    heuristic,
+    words: "",
+    about: `frame ${duration(age)} old`,
+    timing: `result in ${duration(latency)} · model ${engine.toFixed(1)} ms`,
+  };
+}
+
+/**
+ * @template {Predicted} P
+ * @param {P|null} prediction
+ * @returns {prediction is P}
+ */
+function isUsable(prediction) {
+  return prediction !== null && Number.isFinite(prediction.p_stable);
+}
+
+/** @param {Predicted} prediction */
+function shownProbability({ p_stable }) {
+  return Math.min(Math.max(p_stable, 0), 1);
+}
+
+/** @param {Reading} reading */
+function drawBar({ prediction, verdict }) {
+  const p = prediction ? shownProbability(prediction) : 0;
   byId("fill").style.width = `${(100 * p).toFixed(1)}%`;
   const trough = byId("trough");
   attribute(trough, "aria-valuenow", p.toFixed(2));
-  attribute(trough, "aria-valuetext", prediction ? `${p.toFixed(2)}, ${shownVerdict(prediction)}` : "no prediction");
+  attribute(trough, "aria-valuetext", prediction ? `${p.toFixed(2)}, ${verdict}` : "no prediction");
   const threshold = prediction?.threshold ?? NaN;
   const mark = byId("threshold");
   mark.hidden = !(threshold >= 0 && threshold <= 1);
@@ -72,15 +125,14 @@ function drawBar(prediction) {
   say(byId("threshold-value"), mark.hidden ? "" : `▲ ${threshold.toFixed(2)}`);
 }
 
-/** @param {Prediction|null} prediction @param {string} verdict */
-function drawTitle(prediction, verdict) {
-  byId("heuristic").hidden = !prediction?.heuristic;
-  byId("unknown").hidden = prediction?.verdict !== "unsure";
+/** @param {Reading} reading */
+function drawTitle({ prediction, verdict, heuristic, about, timing }) {
+  byId("heuristic").hidden = !heuristic;
+  byId("unknown").hidden = verdict !== "unsure";
   say(byId("model"), prediction?.model ?? "");
-  style(byId("age"), verdict === "old" ? "warning" : "faint");
-  say(byId("age"), prediction ? `frame ${duration(prediction.frame_age_ms)} old` : "");
-  const timing = prediction && `result in ${duration(prediction.latency_ms)} · model ${prediction.engine_ms.toFixed(1)} ms`;
-  say(byId("timing"), timing ?? "");
+  style(byId("about"), verdict === "old" ? "warning" : "faint");
+  say(byId("about"), about);
+  say(byId("timing"), timing);
 }
 
 /** Screen reader output: steps at once, verdicts once they are stable. */

@@ -15,6 +15,9 @@ const STILL_FETCHERS = 2;
 const STILL_INTERVAL_MS = 100;
 const RETRY_MS = 2000;
 const LOCK = "gripcast-streams";
+/** What is shown of a gel; a tap on its image changes it. @type {Record<string, string>} */
+const GEL_VIEWS = { both: "raw image and difference", difference: "difference", raw: "raw image" };
+const GEL_VIEW = "gripcast-gels";
 
 /**
  * @typedef {object} Tile
@@ -52,7 +55,9 @@ export class Images {
     const box = byId("images");
     this.tiles = new Map(roles.map((role) => [role, tile(role)]));
     box.replaceChildren(...[...this.tiles.values()].map(({ figure }) => figure));
-    box.style.setProperty("--count", String(roles.length));
+    box.style.setProperty("--columns", roles.map((role) => (isGel(role) ? "var(--gel)" : "minmax(0, 1fr)")).join(" "));
+    box.dataset.others = String(roles.filter((role) => !isGel(role)).length);
+    showGels(gelView);
     if (this.running) this.start();
   }
 
@@ -60,10 +65,11 @@ export class Images {
   caption(camera, contact) {
     const tile = this.tiles.get(camera.role);
     if (!tile) return;
-    const touch = camera.role === "left" || camera.role === "right" ? contact?.[camera.role] : null;
+    const touch = isGel(camera.role) ? contact?.[/** @type {"left"|"right"} */ (camera.role)] : null;
     const words = typeof touch === "number" ? `contact ${touch.toFixed(1)}` : "";
     refill(tile.health, [camera, words], () => health(camera, words));
-    style(tile.figure, isFault(camera) ? "failed" : camera.state === "live" ? "" : "waiting");
+    const state = isFault(camera) ? "failed" : camera.state === "live" ? "" : "waiting";
+    style(tile.figure, `${isGel(camera.role) ? "gel " : ""}${state}`.trim());
     say(tile.cover, camera.state === "live" ? "" : stateWords(camera));
     const back = camera.state === "live" && tile.state !== "live" && tile.state !== "";
     tile.state = camera.state;
@@ -109,7 +115,7 @@ export class Images {
         if (round === this.round && tile.state === "live") this.stream(tile);
       }, RETRY_MS);
     };
-    tile.image.src = address(`api/cameras/${tile.role}/preview.mjpg?start=${Date.now()}`);
+    tile.image.src = address(`api/cameras/${tile.role}/preview.mjpg?image=both&start=${Date.now()}`);
   }
 
   /** @param {number} round */
@@ -132,7 +138,7 @@ export class Images {
   /** Fetches one image; false on failure. @param {Tile} tile @param {number} round */
   async still(tile, round) {
     try {
-      const response = await fetch(address(`api/cameras/${tile.role}/preview.jpg`), {
+      const response = await fetch(address(`api/cameras/${tile.role}/preview.jpg?image=both`), {
         cache: "no-store",
         signal: AbortSignal.timeout(5000),
       });
@@ -148,17 +154,66 @@ export class Images {
   }
 }
 
+/** @param {Role} role */
+function isGel(role) {
+  return role === "left" || role === "right";
+}
+
+/** Raw image and difference arrive as one image, side by side. @param {Node[]} children */
+function gelFrame(...children) {
+  const frame = button("", nextGelView, "frame");
+  frame.append(...children, make("span", "half raw", "raw"), make("span", "half difference", "difference"));
+  return frame;
+}
+
+/** @param {Node[]} children */
+function sensorFrame(...children) {
+  const frame = button("", openSensors, "frame");
+  frame.append(...children);
+  frame.title = "sensors in detail (h)";
+  return frame;
+}
+
+/** Key of `GEL_VIEWS`, as chosen in this browser. */
+let gelView = "both";
+try {
+  const chosen = localStorage.getItem(GEL_VIEW) ?? "";
+  if (chosen in GEL_VIEWS) gelView = chosen;
+} catch {
+  // Without storage the choice ends with the page.
+}
+
+function nextGelView() {
+  const views = Object.keys(GEL_VIEWS);
+  showGels(views[(views.indexOf(gelView) + 1) % views.length] ?? "both");
+  try {
+    localStorage.setItem(GEL_VIEW, gelView);
+  } catch {
+    // As above.
+  }
+}
+
+/** @param {string} view */
+function showGels(view) {
+  gelView = view;
+  const box = byId("images");
+  box.dataset.gels = view;
+  for (const frame of box.querySelectorAll(".gel button.frame")) {
+    frame.setAttribute("aria-label", `${GEL_VIEWS[view]}; press to change what is shown of the gels`);
+  }
+}
+
 /** @param {Role} role @returns {Tile} */
 function tile(role) {
   const image = make("img");
-  image.alt = role === "left" || role === "right" ? `${role} gel, difference to the initial frame` : `${role} camera`;
+  image.alt = isGel(role) ? `${role} gel, raw image and difference to the initial frame` : `${role} camera`;
   image.dataset.role = role;
-  const name = button(role, openSensors, "role");
-  name.title = "sensors in detail (h)";
+  const name = make("b", "", role);
   const words = make("span", "health");
   const caption = make("figcaption", "", name, words);
   const cover = make("span", "cover");
-  const figure = make("figure", "", caption, make("div", "frame", image, cover));
+  const frame = isGel(role) ? gelFrame(image, cover) : sensorFrame(image, cover);
+  const figure = make("figure", isGel(role) ? "gel" : "", caption, frame);
   figure.dataset.role = role;
   return { role, figure, image, health: words, cover, state: "", due: 0, busy: false };
 }

@@ -5,10 +5,12 @@
  */
 import { change, failureReason } from "./api.js";
 import { button, byId, make, refill, say, style, toast } from "./dom.js";
-import { agreement, agreementWords, balance, bytes, messageText, OUTCOMES, short } from "./words.js";
+import { agreement, agreementWords, balance, bytes, messageText, number, OUTCOMES, refusalRemedy, short } from "./words.js";
 
 const LOW_DISK_BYTES = 5e9;
 const FULL_DISK_BYTES = 1e9;
+/** Grasps left below which the disk is a warning: an hour's work. */
+const FEW_GRASPS = 100;
 
 /** @typedef {"object"|"scene"|"operator"} Field */
 /** @type {[Field, string][]} */
@@ -28,24 +30,35 @@ export function drawLabels(state, show) {
   session = state.session;
   drawHead(state);
   drawNames(state.session);
-  drawCounts(state.session);
+  drawCounts(state);
   refill(byId("last"), state.session.last, () => lastGrasp(state.session.last, show));
   drawMessage(state.session);
   drawRefusal(state.session);
 }
 
 /** @param {State} state */
-function drawHead({ dataset, rig, clock, cameras, disk_free_bytes: free, session: { step } }) {
+function drawHead(state) {
+  const { dataset, rig, clock, cameras, disk_free_bytes: free, grasps_left: left, session } = state;
   say(byId("dataset"), dataset);
   say(byId("rig"), `rig ${rig}`);
   const live = cameras.every((camera) => camera.state === "live");
   say(byId("rig-mark"), live ? "✓" : "✗");
   style(byId("rig-mark"), live ? "stable" : "slip");
   say(byId("clock"), clock);
-  say(byId("disk"), free === null ? "" : `disk ${bytes(free)}`);
-  style(byId("disk"), free === null || free >= LOW_DISK_BYTES ? "" : free < FULL_DISK_BYTES ? "slip" : "warning");
-  const title = `${step} · ${dataset} · gripcast`;
+  refill(byId("disk"), [free && bytes(free), left], () => diskWords(free, left));
+  const full = free !== null && (free < FULL_DISK_BYTES || left === 0);
+  const low = free !== null && (free < LOW_DISK_BYTES || (left ?? Infinity) < FEW_GRASPS);
+  style(byId("disk"), full ? "slip" : low ? "warning" : "");
+  const title = `${session.step} · ${dataset} · gripcast`;
   if (document.title !== title) document.title = title;
+}
+
+/** Free space, and how many grasps fit; narrow screens omit the words. @param {number|null} free @param {number|null} left */
+function diskWords(free, left) {
+  if (free === null) return [];
+  const words = [make("span", "word", "disk "), bytes(free)];
+  if (left !== null) words.push(` · ${number(left)} `, make("span", "word", left === 1 ? "grasp " : "grasps "), "left");
+  return words;
 }
 
 /** @param {Session} session */
@@ -62,9 +75,9 @@ function drawNames(session) {
   );
 }
 
-/** @param {Session} session */
-function drawCounts({ counts, object }) {
-  refill(byId("counts"), [counts, object], () => {
+/** @param {State} state */
+function drawCounts({ session: { counts, object }, target_per_object: target }) {
+  refill(byId("counts"), [counts, object, target], () => {
     const max = Math.max(counts.stable, counts.slip, 1);
     const bar = (/** @type {"stable"|"slip"} */ name) => {
       const fill = make("i", `fill ${name}`);
@@ -80,6 +93,8 @@ function drawCounts({ counts, object }) {
       "  ",
       make("span", "slip", `${counts.object_slip} slip`),
     );
+    const labelled = counts.object_stable + counts.object_slip;
+    if (target) here.append(make("span", labelled < target ? "faint" : "stable", ` · ${labelled} of ${target}${labelled < target ? "" : " ✓"}`));
     return [here, bar("stable"), bar("slip"), make("p", hint.short ? "warning" : "faint", hint.text)];
   });
 }
@@ -125,14 +140,9 @@ function drawRefusal({ refusal }) {
   byId("refusal").hidden = !refusal;
   if (!refusal) return;
   refill(byId("refusal"), refusal, () => [
-    make("ul", "", ...refusal.reasons.map((reason) => make("li", "", reason))),
-    make(
-      "p",
-      "",
-      refusal.can_override
-        ? "Override with ! (recorded with the grasp)"
-        : "Cannot be overridden: fix this and trigger again",
-    ),
+    make("p", "reason", refusal.reasons[0] ?? ""),
+    make("ul", "", ...refusal.reasons.slice(1).map((reason) => make("li", "", reason))),
+    make("p", "", refusalRemedy(refusal)),
   ]);
 }
 

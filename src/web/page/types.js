@@ -72,6 +72,8 @@
  * @property {string} rig
  * @property {string} clock
  * @property {number|null} disk_free_bytes
+ * @property {number|null} grasps_left grasps that still fit on the disk
+ * @property {number} target_per_object labelled grasps wanted per object; 0: no target
  * @property {Session} session
  * @property {Camera[]} cameras
  * @property {Prediction|null} prediction
@@ -84,6 +86,12 @@
  * @property {boolean} [can_override]
  * @property {string} [error] of a failure
  * @property {State} state
+ *
+ * @typedef {object} ObjectCounts
+ * @property {string} object
+ * @property {number} stable
+ * @property {number} slip
+ * @property {number} unlabelled
  *
  * @typedef {object} GraspSummary
  * @property {string} id

@@ -1,7 +1,7 @@
 /**
  * Texts of the page, the same as on the terminal screen. No DOM access.
  *
- * @import {Camera, Counts, Outcome, Predicted, Prediction, Session} from "./types.js"
+ * @import {Camera, Counts, Outcome, Predicted, Prediction, Refusal, Session, State, Step} from "./types.js"
  */
 
 /** Frame age above which a prediction is shown as old, ms. */
@@ -18,21 +18,21 @@ export const STEPS = {
   initial: {
     number: 1,
     verb: "OPEN",
-    instruction: "OPEN THE GRIPPER, then trigger",
+    instruction: "OPEN THE GRIPPER, then “Initial”",
     trigger: "Initial",
     hint: "take the initial frame",
   },
   grasp: {
     number: 2,
     verb: "CLOSE",
-    instruction: "CLOSE THE GRIPPER, then trigger",
+    instruction: "CLOSE THE GRIPPER, then “Grasp”",
     trigger: "Grasp",
     hint: "take the grasp frame",
   },
   label: {
     number: 3,
     verb: "LIFT",
-    instruction: "LIFT, then label: STABLE or SLIP",
+    instruction: "LIFT, then “Stable” or “Slip”",
     trigger: "Label",
     hint: "stable or slip?",
   },
@@ -81,12 +81,24 @@ export function moment(rfc3339) {
   return `${day} ${two(time.getHours())}:${two(time.getMinutes())}`;
 }
 
+/** A number of grasps: `12,400`. @param {number} count */
+export function number(count) {
+  return count.toLocaleString("en");
+}
+
+/** What to do after a refusal, in the words of the buttons. @param {Refusal} refusal */
+export function refusalRemedy({ stage, can_override }) {
+  const { trigger } = STEPS[/** @type {Step} */ (stage)] ?? STEPS.grasp;
+  const again = `Fix this, then “${trigger}” again`;
+  return can_override ? `${again}; or “Override”, which is recorded with the grasp.` : `${again}. It cannot be overridden.`;
+}
+
 /** Banner of the current step. @param {Session} session */
 export function banner(session) {
   const step = STEPS[session.step];
   if (session.saving) return { ...step, kind: "saving", verb: "SAVING", instruction: "hold still" };
   if (session.refusal) {
-    return { ...step, kind: "refused", verb: "REFUSED", instruction: `${session.refusal.stage.toUpperCase()} NOT TAKEN — fix this and trigger again` };
+    return { ...step, kind: "refused", verb: "REFUSED", instruction: `${session.refusal.stage.toUpperCase()} NOT TAKEN` };
   }
   return { ...step, kind: session.step };
 }
@@ -103,6 +115,12 @@ export function messageText({ level, text }) {
 export function shownVerdict(prediction) {
   const fresh = prediction.frame_age_ms <= STALE_MS;
   return fresh && Number.isFinite(prediction.p_stable) ? prediction.verdict : "old";
+}
+
+/** The verdict of a saved prediction. @param {Predicted} predicted */
+export function savedVerdict({ p_stable, threshold, novelty }) {
+  if ((novelty ?? 0) > 1) return "unsure";
+  return p_stable >= threshold ? "stable" : "slip";
 }
 
 /** `✓` if label and prediction agree, `✗` if not, `?` for out-of-distribution images.
