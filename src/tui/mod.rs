@@ -15,6 +15,7 @@ mod header;
 mod health;
 mod help;
 mod input;
+mod key_filter;
 mod keyboard;
 mod lines;
 mod palette;

@@ -76,8 +76,12 @@ impl Screen {
         if self.changed && self.drawn.is_none_or(|at| at.elapsed() >= MIN_INTERVAL) {
             self.draw(terminal)?;
         }
-        let events = keyboard.events(POLL)?;
-        Ok(events.is_some_and(|events| events.iter().all(|event| self.handle(event))))
+        let Some(events) = keyboard.events(POLL)? else {
+            return Ok(false);
+        };
+        let stays = self.handle(&events, Instant::now());
+        terminal.report_key_kinds(self.state.prompt.is_none())?;
+        Ok(stays)
     }
 
     fn sound(&mut self, terminal: &mut ScreenTerminal) -> Result<()> {
@@ -100,19 +104,21 @@ impl Screen {
         Ok(())
     }
 
-    /// Handles an event; false closes the screen.
-    fn handle(&mut self, event: &Event) -> bool {
-        self.changed = true;
-        let Event::Key(key) = event else {
-            return true;
-        };
+    /// Handles events; false closes the screen.
+    fn handle(&mut self, events: &[Event], now: Instant) -> bool {
+        self.changed |= !events.is_empty();
         let status = Arc::clone(&self.wiring.status.borrow());
-        match self.state.press(key, &status) {
-            Reaction::None => {}
-            Reaction::Send(command) => self.send(command),
-            Reaction::Leave => {
-                self.send(Command::Quit);
-                return false;
+        let mut reactions = self.state.handle(events, now, &status);
+        reactions.extend(self.state.handle_waiting(now, &status));
+        for reaction in reactions {
+            self.changed = true;
+            match reaction {
+                Reaction::None => {}
+                Reaction::Send(command) => self.send(command),
+                Reaction::Leave => {
+                    self.send(Command::Quit);
+                    return false;
+                }
             }
         }
         true

@@ -5,6 +5,10 @@ use std::sync::Once;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use crossterm::cursor::{Hide, Show};
+use crossterm::event::{
+    DisableBracketedPaste, EnableBracketedPaste, KeyboardEnhancementFlags,
+    PopKeyboardEnhancementFlags, PushKeyboardEnhancementFlags,
+};
 use crossterm::terminal::{
     BeginSynchronizedUpdate, EndSynchronizedUpdate, EnterAlternateScreen, LeaveAlternateScreen,
     disable_raw_mode, enable_raw_mode,
@@ -21,6 +25,9 @@ const WRITE_BUFFER_BYTES: usize = 512 * 1024;
 
 /// Whether the screen owns the terminal; see [`restore`].
 static ENTERED: AtomicBool = AtomicBool::new(false);
+/// Whether the terminal was asked for the kinds of key events; see
+/// [`ScreenTerminal::report_key_kinds`].
+static REPORTS_KEY_KINDS: AtomicBool = AtomicBool::new(false);
 static PANIC_HOOK: Once = Once::new();
 
 /// The terminal while the screen is shown. It is restored on drop, and on a panic before the
@@ -53,7 +60,13 @@ impl ScreenTerminal {
     fn take(&mut self) -> Result<()> {
         ENTERED.store(true, Ordering::SeqCst);
         enable_raw_mode().map_err(failed)?;
-        execute!(self.terminal.backend_mut(), EnterAlternateScreen, Hide).map_err(failed)?;
+        execute!(
+            self.terminal.backend_mut(),
+            EnterAlternateScreen,
+            Hide,
+            EnableBracketedPaste
+        )
+        .map_err(failed)?;
         // Clears like `Terminal::clear`, but without querying the cursor, which may take seconds or
         // fail.
         let size = self.terminal.size().map_err(failed)?;
@@ -76,6 +89,29 @@ impl ScreenTerminal {
         execute!(self.terminal.backend_mut(), EndSynchronizedUpdate).map_err(failed)
     }
 
+    /// Asks the terminal to say which key events are presses, repeats and releases (kitty keyboard
+    /// protocol; other terminals ignore it). Off while text is typed: input methods need the
+    /// terminal's own text.
+    ///
+    /// # Errors
+    /// If the terminal is closed.
+    pub(super) fn report_key_kinds(&mut self, on: bool) -> Result<()> {
+        if REPORTS_KEY_KINDS.swap(on, Ordering::SeqCst) == on {
+            return Ok(());
+        }
+        let backend = self.terminal.backend_mut();
+        if on {
+            let flags = KeyboardEnhancementFlags::DISAMBIGUATE_ESCAPE_CODES
+                | KeyboardEnhancementFlags::REPORT_EVENT_TYPES
+                | KeyboardEnhancementFlags::REPORT_ALTERNATE_KEYS
+                | KeyboardEnhancementFlags::REPORT_ALL_KEYS_AS_ESCAPE_CODES;
+            execute!(backend, PushKeyboardEnhancementFlags(flags))
+        } else {
+            execute!(backend, PopKeyboardEnhancementFlags)
+        }
+        .map_err(failed)
+    }
+
     /// Rings the bell, between images only, so that it never splits an escape sequence.
     pub(super) fn ring(&mut self) -> Result<()> {
         let backend = self.terminal.backend_mut();
@@ -96,9 +132,13 @@ impl Drop for ScreenTerminal {
 pub fn restore() {
     if ENTERED.swap(false, Ordering::SeqCst) {
         // Errors of a closing terminal are ignored.
+        if REPORTS_KEY_KINDS.swap(false, Ordering::SeqCst) {
+            let _ = execute!(io::stdout(), PopKeyboardEnhancementFlags);
+        }
         let _ = execute!(
             io::stdout(),
             EndSynchronizedUpdate,
+            DisableBracketedPaste,
             LeaveAlternateScreen,
             Show
         );
