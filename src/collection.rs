@@ -115,6 +115,7 @@ pub(crate) fn prepare(
         script,
         boards,
         hand,
+        target_per_object: settings.target_per_object,
         black_box,
     })
 }

@@ -170,6 +170,8 @@ pub struct CollectConfig {
     pub sound: String,
     /// Licence of a new dataset.
     pub licence: String,
+    /// Labelled grasps wanted per object, shown with its count; 0: no target.
+    pub target_per_object: u32,
 }
 
 impl Default for CollectConfig {
@@ -183,6 +185,7 @@ impl Default for CollectConfig {
             model: String::new(),
             sound: "auto".into(),
             licence: "not stated".into(),
+            target_per_object: 0,
         }
     }
 }

@@ -50,6 +50,22 @@ pub(super) fn start(
         .collect()
 }
 
+/// Decodes a frame for inference and previews.
+fn shown_image(
+    slot: &CameraSlot,
+    decoder: &mut Decoder,
+    frame: &Frame,
+    crop: Option<&CropProfile>,
+) -> Result<image::RgbImage, gripcast_imaging::FrameDamage> {
+    let unit_m = slot.with_info(|info| info.stream.as_ref()?.depth_unit_m);
+    match (frame.format, unit_m) {
+        (PixelFormat::Z16, Some(unit_m)) => {
+            decoder.depth_preview(frame, unit_m, IMAGE_WIDTH, IMAGE_HEIGHT)
+        }
+        _ => model_image(decoder, frame, crop),
+    }
+}
+
 fn run(
     slot: &CameraSlot,
     crop: Option<&CropProfile>,
@@ -63,7 +79,7 @@ fn run(
         };
         let started = Instant::now();
         heartbeat.busy();
-        match model_image(decoder, &frame, crop) {
+        match shown_image(slot, decoder, &frame, crop) {
             Ok(image) => {
                 slot.on_decoded(&frame, image);
                 if infer.send(InferRequest::NewImage(slot.role)).is_err() {

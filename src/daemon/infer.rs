@@ -325,11 +325,8 @@ impl Worker {
         });
         let shown = difference.filter(|_| self.predicting);
         let preview = Preview {
-            is_difference: shown.is_some(),
-            image: shown.map_or_else(
-                || Arc::clone(&decoded.image),
-                |difference| Arc::new(difference.to_image(PREVIEW_GAIN)),
-            ),
+            image: Arc::clone(&decoded.image),
+            difference: shown.map(|difference| Arc::new(difference.to_image(PREVIEW_GAIN))),
         };
         {
             let mut state = lock(&self.state);

@@ -27,6 +27,11 @@ pub struct EngineStatus {
     pub clock: String,
     /// Free space on the dataset's disk, bytes.
     pub disk_free_bytes: Option<u64>,
+    /// Number of grasps that still fit on the disk: the free space above the limit of the guards
+    /// over the mean size of the newest hundred grasps; null before the first grasp.
+    pub grasps_left: Option<u64>,
+    /// Labelled grasps wanted per object; 0: no target.
+    pub target_per_object: u32,
     /// The black box, if enabled.
     pub black_box: Option<BlackBoxStatus>,
     /// State of the session.
@@ -39,8 +44,7 @@ pub struct EngineStatus {
     pub no_prediction_reason: Option<String>,
     /// Mean absolute difference of each gel to the initial frame, grey levels (0 to 255).
     pub contact: BTreeMap<Role, f64>,
-    /// Preview images, which the API sends separately. Tactile cameras show the difference to the
-    /// initial frame (grey = no change) once there is one.
+    /// Preview images, which the API sends separately.
     #[serde(skip)]
     pub previews: BTreeMap<Role, Preview>,
 }
@@ -54,6 +58,8 @@ impl EngineStatus {
             rig: rig.to_owned(),
             clock: String::new(),
             disk_free_bytes: None,
+            grasps_left: None,
+            target_per_object: 0,
             black_box: None,
             session: session.view(0),
             cameras: Vec::new(),
@@ -68,10 +74,20 @@ impl EngineStatus {
 /// A preview image.
 #[derive(Clone, Debug)]
 pub struct Preview {
-    /// RGB image, at most 320×240.
+    /// RGB image of the camera, at most 320×240.
     pub image: Arc<RgbImage>,
-    /// Whether the image is a tactile difference.
-    pub is_difference: bool,
+    /// Tactile difference to the initial frame, grey for no change; none without an initial frame.
+    pub difference: Option<Arc<RgbImage>>,
+}
+
+impl Preview {
+    /// Returns the difference if there is one, else the image, and whether it is a difference.
+    pub fn shown(&self) -> (&Arc<RgbImage>, bool) {
+        match &self.difference {
+            Some(difference) => (difference, true),
+            None => (&self.image, false),
+        }
+    }
 }
 
 /// The newest live prediction.

@@ -3,6 +3,7 @@
 use std::collections::BTreeMap;
 use std::panic::AssertUnwindSafe;
 use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, channel};
 use std::thread::JoinHandle;
 use std::time::Duration;
@@ -83,6 +84,8 @@ pub(super) struct StoreContext {
 pub(super) struct Store {
     messages: Sender<StoreMessage>,
     thread: JoinHandle<Result<()>>,
+    /// Mean size of a grasp, bytes; 0 if unknown.
+    grasp_bytes: Arc<AtomicU64>,
 }
 
 impl Store {
@@ -101,6 +104,7 @@ impl Store {
         let (messages, inbox) = channel();
         let heartbeat = tasks.register(TASK);
         let tasks = tasks.clone();
+        let grasp_bytes = Arc::new(AtomicU64::new(writer.mean_grasp_bytes().unwrap_or(0)));
         let mut worker = Worker {
             heartbeat,
             writer,
@@ -109,13 +113,23 @@ impl Store {
             pending: pending.map(|p| (p.id.clone(), p)).into_iter().collect(),
             infer,
             replies,
+            grasp_bytes: Arc::clone(&grasp_bytes),
         };
         let thread = spawn(TASK.into(), move || {
             let result = worker.run(&inbox);
             tasks.set(TASK, TaskState::Ended, None);
             result
         })?;
-        Ok(Self { messages, thread })
+        Ok(Self {
+            messages,
+            thread,
+            grasp_bytes,
+        })
+    }
+
+    /// Returns the mean size of the newest grasps, bytes; `None` without grasps.
+    pub(super) fn mean_grasp_bytes(&self) -> Option<u64> {
+        Some(self.grasp_bytes.load(Ordering::Relaxed)).filter(|bytes| *bytes > 0)
     }
 
     /// Sends a message; fails if the thread has ended.
@@ -147,6 +161,7 @@ struct Worker {
     pending: BTreeMap<GraspId, PendingInitial>,
     infer: Sender<InferRequest>,
     replies: UnboundedSender<StoreReply>,
+    grasp_bytes: Arc<AtomicU64>,
 }
 
 impl Worker {
@@ -163,6 +178,8 @@ impl Worker {
                         .unwrap_or_else(|error| StoreReply::Failed {
                             message: error.to_string().replace("\n  → ", " → "),
                         });
+                    let mean = self.writer.mean_grasp_bytes().unwrap_or(0);
+                    self.grasp_bytes.store(mean, Ordering::Relaxed);
                     self.heartbeat.idle();
                     // The engine has ended; all earlier requests are on disk.
                     if self.replies.send(reply).is_err() {

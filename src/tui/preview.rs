@@ -92,7 +92,7 @@ fn caption(
             long if long.len() <= room => long,
             _ => format!(" {contact:.1}"),
         },
-        (None, Some(preview)) if preview.is_difference => " difference".to_owned(),
+        (None, Some(preview)) if preview.difference.is_some() => " difference".to_owned(),
         _ => String::new(),
     };
     Line::from(vec![
@@ -114,7 +114,7 @@ fn fitted((width, height): (u32, u32), columns: u16, rows: u16) -> Rect {
 }
 
 fn draw_image(buffer: &mut Buffer, area: Rect, preview: &Preview, depth: ColourDepth) {
-    let image = &*preview.image;
+    let (image, is_difference) = preview.shown();
     let size = fitted(image.dimensions(), area.width, area.height);
     for y in 0..size.height {
         for x in 0..size.width {
@@ -134,7 +134,7 @@ fn draw_image(buffer: &mut Buffer, area: Rect, preview: &Preview, depth: ColourD
                     cell.set_symbol("▀").set_style(Style::new().fg(fg).bg(bg));
                 }
                 _ => {
-                    cell.set_char(shade(upper, lower, preview.is_difference));
+                    cell.set_char(shade(upper, lower, is_difference));
                 }
             }
         }
@@ -185,9 +185,10 @@ mod tests {
     use super::*;
 
     fn preview(image: RgbImage, is_difference: bool) -> Preview {
+        let image = Arc::new(image);
         Preview {
-            image: Arc::new(image),
-            is_difference,
+            difference: is_difference.then(|| Arc::clone(&image)),
+            image,
         }
     }
 

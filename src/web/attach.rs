@@ -16,6 +16,7 @@ use tokio_tungstenite::tungstenite::http::HeaderValue;
 use tokio_tungstenite::tungstenite::{Error as WsError, Message};
 
 use super::access::Token;
+use super::events::DIFFERENCE;
 use crate::daemon::{CommandRequest, EngineStatus, Preview};
 use crate::note;
 use gripcast_base::error::{Error, ErrorKind, Result};
@@ -179,27 +180,35 @@ struct Received {
 }
 
 impl Received {
-    /// Takes an image: the index of its role, then a JPEG. Invalid images are ignored.
+    /// Takes an image: the index of its role, plus [`DIFFERENCE`] for a difference, then a JPEG.
+    /// Invalid images are ignored.
     fn take_image(&mut self, bytes: &[u8]) {
-        let Some((index, jpeg)) = bytes.split_first() else {
+        let Some((first, jpeg)) = bytes.split_first() else {
             return;
         };
-        let role = Role::ALL.get(usize::from(*index)).copied();
+        let role = Role::ALL.get(usize::from(first % DIFFERENCE)).copied();
         let Some((role, image)) = role.zip(self.decoder.stored_image(jpeg).ok()) else {
             return;
         };
-        let has_initial = |state: &EngineStatus| state.session.initial_at.is_some();
-        let preview = Preview {
-            image: Arc::new(image),
-            is_difference: role.is_tactile() && self.state.as_ref().is_some_and(has_initial),
-        };
-        self.previews.insert(role, preview);
+        let image = Arc::new(image);
+        if *first < DIFFERENCE {
+            let difference = self.previews.remove(&role).and_then(|old| old.difference);
+            self.previews.insert(role, Preview { image, difference });
+        } else if let Some(preview) = self.previews.get_mut(&role) {
+            preview.difference = Some(image);
+        }
     }
 
-    fn status(&self) -> Option<EngineStatus> {
+    fn status(&mut self) -> Option<EngineStatus> {
+        let state = self.state.clone()?;
+        if state.session.initial_at.is_none() {
+            for preview in self.previews.values_mut() {
+                preview.difference = None;
+            }
+        }
         Some(EngineStatus {
             previews: self.previews.clone(),
-            ..self.state.clone()?
+            ..state
         })
     }
 }
@@ -253,6 +262,41 @@ fn version_mismatch(error: serde_json::Error, target: &Target) -> Error {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    /// The terminal shows raw image and difference of a gel; the difference goes with its initial
+    /// frame.
+    #[test]
+    fn image_and_difference_of_a_gel_are_kept_apart() {
+        let jpeg = |level: u8| {
+            let image = image::RgbImage::from_pixel(8, 8, image::Rgb([level; 3]));
+            gripcast_imaging::encode_jpeg(&image, 90).unwrap()
+        };
+        let labels = gripcast_session::Labels::default();
+        let mut state = EngineStatus::starting("d", "bench", labels);
+        state.session.initial_at = Some("2026-11-20T11:00:00Z".into());
+        let mut received = Received {
+            decoder: Decoder::new().unwrap(),
+            previews: BTreeMap::new(),
+            state: Some(state),
+        };
+        for (first, level) in [(DIFFERENCE, 128), (0, 40), (DIFFERENCE, 128), (0, 50)] {
+            received.take_image(&[&[first][..], &jpeg(level)].concat());
+        }
+        received.take_image(&[9, 0]);
+        let left = |received: &mut Received| {
+            received
+                .status()
+                .unwrap()
+                .previews
+                .remove(&Role::Left)
+                .unwrap()
+        };
+        let shown = left(&mut received);
+        assert_eq!(shown.image.get_pixel(0, 0).0[0], 50);
+        assert_eq!(shown.difference.unwrap().get_pixel(0, 0).0[0], 128);
+        received.state.as_mut().unwrap().session.initial_at = None;
+        assert_eq!(left(&mut received).difference, None);
+    }
 
     #[test]
     fn daemon_addresses_are_parsed() {

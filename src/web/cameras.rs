@@ -6,14 +6,15 @@ use std::time::Duration;
 
 use axum::Extension;
 use axum::body::{Body, Bytes};
-use axum::extract::{Path, State as Shared};
+use axum::extract::rejection::QueryRejection;
+use axum::extract::{Path, Query, State as Shared};
 use axum::http::header;
 use axum::response::{IntoResponse, Response};
 
 use super::access::{Authorisation, Peer};
 use super::backend::Backend;
 use super::failure::{ErrorResponse, Failure};
-use super::previews::MAX_STREAMS;
+use super::previews::{MAX_STREAMS, PreviewImage};
 use crate::daemon::EngineStatus;
 use gripcast_imaging::Role;
 
@@ -34,21 +35,44 @@ fn check_role(status: &EngineStatus, role: Role) -> Result<Role, Failure> {
     )))
 }
 
+/// Query of a live preview.
+#[derive(Clone, Copy, Debug, Default, serde::Deserialize, utoipa::IntoParams)]
+#[serde(deny_unknown_fields)]
+#[into_params(parameter_in = Query)]
+pub(crate) struct PreviewQuery {
+    /// Which image of the camera.
+    #[serde(default)]
+    #[param(inline, default = "difference")]
+    image: PreviewImage,
+}
+
+/// Query parameters whose rejection is a [`Failure`].
+pub(crate) type Parameters<T> = Result<Query<T>, QueryRejection>;
+
+/// Returns valid query parameters.
+pub(crate) fn parameters<T>(query: Parameters<T>) -> Result<T, Failure> {
+    let Query(query) = query.map_err(|e| Failure::new(e.status(), e.body_text()))?;
+    Ok(query)
+}
+
 /// Newest image of a camera
 ///
-/// At most 320×240; a gel shows the difference to the initial frame once there is one.
+/// At most 320×240; a gel shows the difference to the initial frame once there is one, or with
+/// `image=raw` what its camera sees, and with `image=both` both, side by side.
 #[utoipa::path(get, path = "/api/cameras/{role}/preview.jpg", tag = "cameras",
-    params(("role" = Role, Path)),
+    params(("role" = Role, Path), PreviewQuery),
     responses((status = 200, content_type = "image/jpeg", body = [u8]), (status = 400, body = ErrorResponse),
         (status = 404, body = ErrorResponse), (status = 503, body = ErrorResponse)))]
 pub(crate) async fn still(
     Shared(backend): Shared<Arc<Backend>>,
     Segment(role): Segment<Role>,
+    query: Parameters<PreviewQuery>,
 ) -> Result<Response, Failure> {
+    let PreviewQuery { image } = parameters(query)?;
     let role = check_role(&backend.status.borrow(), role)?;
     let jpeg = backend
         .previews
-        .jpeg(role)
+        .shown(role, image)
         .ok_or_else(|| Failure::busy(format!("{role} has no image yet")))?;
     Ok(([(header::CONTENT_TYPE, "image/jpeg")], jpeg).into_response())
 }
@@ -57,7 +81,7 @@ pub(crate) async fn still(
 ///
 /// `multipart/x-mixed-replace`, at most ten images per second. Slow readers miss images.
 #[utoipa::path(get, path = "/api/cameras/{role}/preview.mjpg", tag = "cameras",
-    params(("role" = Role, Path)),
+    params(("role" = Role, Path), PreviewQuery),
     responses((status = 200, content_type = "multipart/x-mixed-replace", body = [u8]),
         (status = 400, body = ErrorResponse), (status = 404, body = ErrorResponse), (status = 503, body = ErrorResponse)))]
 pub(crate) async fn stream(
@@ -65,7 +89,9 @@ pub(crate) async fn stream(
     Extension(peer): Extension<Peer>,
     Extension(authorisation): Extension<Authorisation>,
     Segment(role): Segment<Role>,
+    query: Parameters<PreviewQuery>,
 ) -> Result<Response, Failure> {
+    let PreviewQuery { image } = parameters(query)?;
     let role = check_role(&backend.status.borrow(), role)?;
     let permit = backend.previews.streams.take(peer).ok_or_else(|| {
         Failure::busy(format!("{MAX_STREAMS} image streams are already open"))
@@ -87,7 +113,7 @@ pub(crate) async fn stream(
             if !authorisation.is_valid() {
                 return None;
             }
-            match backend.previews.jpeg(role) {
+            match backend.previews.shown(role, image) {
                 // The same buffer means no new image.
                 Some(jpeg) if jpeg.as_ptr() != last.as_ptr() => break jpeg,
                 _ => {}

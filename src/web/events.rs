@@ -2,8 +2,9 @@
 //!
 //! Text to the client: `{"type": "state" | "tone" | "stored" | "response" | "shutdown", …}`. Text
 //! from the client: `{"command": "trigger", "id": 7}`; the response has the same id. With
-//! `?previews=true` preview images are sent as binary messages: one byte, the index of the role in
-//! left, right, rgb, depth, external, then a JPEG.
+//! `?previews=true` preview images are sent as binary messages: one byte, then a JPEG. The byte is the
+//! index of the role in left, right, rgb, depth, external, plus 16 for the difference of a gel to the
+//! initial frame.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -30,6 +31,9 @@ use gripcast_session::Tone;
 const INTERVAL: Duration = Duration::from_millis(100);
 /// Maximum size of a client message, bytes.
 const MAX_MESSAGE_BYTES: usize = 4096;
+
+/// Added to the index of a role for a tactile difference.
+pub(super) const DIFFERENCE: u8 = 16;
 
 /// Query of an event connection.
 #[derive(Clone, Copy, Debug, Default, Deserialize, IntoParams)]
@@ -123,8 +127,8 @@ struct Listener {
     authorisation: Authorisation,
     socket: WebSocket,
     query: EventQuery,
-    /// Newest image sent, by role.
-    sent: BTreeMap<Role, Bytes>,
+    /// Newest image sent, by the first byte of its message.
+    sent: BTreeMap<u8, Bytes>,
 }
 
 impl Listener {
@@ -196,19 +200,27 @@ impl Listener {
     }
 
     async fn send_previews(&mut self) -> Result<(), Disconnected> {
-        for (index, role) in Role::ALL.into_iter().enumerate() {
-            let Some(jpeg) = self.backend.previews.jpeg(role) else {
-                continue;
-            };
-            let sent = self.sent.get(&role);
-            if sent.is_some_and(|sent| sent.as_ptr() == jpeg.as_ptr()) {
-                continue;
+        for (index, role) in (0..).zip(Role::ALL) {
+            self.send_preview(index, self.backend.previews.jpeg(role))
+                .await?;
+            if role.is_tactile() {
+                let difference = self.backend.previews.difference(role);
+                self.send_preview(DIFFERENCE + index, difference).await?;
             }
-            let message = [&[index as u8][..], &jpeg].concat();
-            self.sent.insert(role, jpeg);
-            self.send(Message::Binary(message.into())).await?;
         }
         Ok(())
+    }
+
+    /// Sends an image that was not sent yet.
+    async fn send_preview(&mut self, first: u8, jpeg: Option<Bytes>) -> Result<(), Disconnected> {
+        let Some(jpeg) = jpeg else { return Ok(()) };
+        let sent = self.sent.get(&first);
+        if sent.is_some_and(|sent| sent.as_ptr() == jpeg.as_ptr()) {
+            return Ok(());
+        }
+        let message = [&[first][..], &jpeg].concat();
+        self.sent.insert(first, jpeg);
+        self.send(Message::Binary(message.into())).await
     }
 
     async fn send_event(&mut self, event: &Event) -> Result<(), Disconnected> {

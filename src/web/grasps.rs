@@ -159,7 +159,7 @@ pub(crate) enum PreviewKind {
 
 /// Preview of a grasp
 ///
-/// 320×240; tactile images cropped as for the model, depth in false colour.
+/// 320×240; tactile images cropped as for the model, depth in colour with its scale.
 #[utoipa::path(get, path = "/api/grasps/{id}/preview/{kind}/{file}", tag = "grasps",
     params(("id" = String, Path), ("kind" = PreviewKind, Path),
         ("file" = String, Path, description = "`ROLE.jpg`", pattern = "^(left|right|rgb|depth|external)\\.jpg$")),
@@ -243,14 +243,16 @@ fn stored_image(
     let (width, height) = (PREVIEW_WIDTH, PREVIEW_HEIGHT);
     let image = match camera.format {
         PixelFormat::Z16 => decode_png_grey16(&bytes).and_then(|depth| {
-            Ok(decoder.decode(&depth_frame(&depth), crop.as_ref(), width, height)?)
+            // A rebuilt record lacks the unit; nearly all depth cameras count millimetres.
+            let unit_m = camera.depth_unit_m.unwrap_or(0.001);
+            Ok(decoder.depth_preview(&depth_frame(&depth), unit_m, width, height)?)
         }),
         _ => decoder.decode_file(&bytes, crop.as_ref(), width, height),
     };
     image.map_err(|e| e.at(path.display()))
 }
 
-/// Converts a depth image to a Z16 frame for false-colour decoding.
+/// Converts a depth image to a Z16 frame.
 fn depth_frame(depth: &DepthImage) -> Frame {
     let data: Vec<u8> = depth.iter().flat_map(|v| v.to_le_bytes()).collect();
     Frame {

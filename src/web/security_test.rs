@@ -203,7 +203,7 @@ fn status() -> EngineStatus {
     });
     let preview = Preview {
         image: Arc::new(image),
-        is_difference: false,
+        difference: None,
     };
     status.previews.insert(Role::Left, preview);
     status

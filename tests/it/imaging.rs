@@ -417,13 +417,21 @@ fn depth_is_decoded() {
     assert_eq!(depth.get_pixel(1, 0).0, [100]);
     assert_eq!(depth.as_raw(), &[0, 100, 1500, 800]);
     let shown = decoder.decode(&frame, None, 4, 4).unwrap();
-    assert_eq!(shown.get_pixel(1, 1).0, [0, 0, 0]);
-    assert_eq!(shown.get_pixel(3, 0).0, [255, 80, 60]);
-    assert_eq!(shown.get_pixel(0, 3).0, [40, 60, 160]);
-    assert_eq!(
-        decoder.decode_full(&frame).unwrap().get_pixel(1, 0).0,
-        [255, 80, 60]
+    let [r, g, b] = shown.get_pixel(1, 1).0;
+    assert!(r == g && g == b, "no depth is grey, found {r} {g} {b}");
+    let (near, far) = (shown.get_pixel(3, 0).0, shown.get_pixel(0, 3).0);
+    assert!(
+        near[2] > near[0] && far[0] > far[2],
+        "near {near:?}, far {far:?}"
     );
+    assert_eq!(shown.get_pixel(3, 3).0, far, "beyond the working range");
+    assert_eq!(decoder.decode_full(&frame).unwrap().get_pixel(1, 0).0, near);
+    assert_eq!(decoder.depth_preview(&frame, 0.001, 4, 4).unwrap(), shown);
+    // In units of 10 mm, 100 counts are beyond the range.
+    let coarse = decoder.depth_preview(&frame, 0.01, 4, 4).unwrap();
+    assert_eq!(coarse.get_pixel(3, 0).0, far);
+    let colour = self::frame(PixelFormat::Rgb, 2, 2, vec![0; 12]);
+    assert!(decoder.depth_preview(&colour, 0.001, 4, 4).is_err());
 }
 
 #[test]

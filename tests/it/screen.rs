@@ -68,9 +68,10 @@ fn preview(is_difference: bool) -> Preview {
         let rise = (120.0 - 5.0 * distance).max(0.0) as u8;
         Rgb([if is_difference { 128 } else { 20 } + rise; 3])
     });
+    let image = Arc::new(image);
     Preview {
-        image: Arc::new(image),
-        is_difference,
+        difference: is_difference.then(|| Arc::clone(&image)),
+        image,
     }
 }
 
@@ -80,6 +81,8 @@ fn waiting_for_grasp() -> EngineStatus {
         rig: "bench-a".to_owned(),
         clock: "17:42:10".to_owned(),
         disk_free_bytes: Some(212_000_000_000),
+        grasps_left: None,
+        target_per_object: 0,
         black_box: None,
         session: SessionView {
             step: Step::Grasp,
@@ -530,13 +533,15 @@ prop_compose! {
     ) -> EngineStatus {
         let preview = Preview {
             image: Arc::new(RgbImage::new(image.0, image.1)),
-            is_difference: image.2,
+            difference: image.2.then(|| Arc::new(RgbImage::new(image.0, image.1))),
         };
         let contact = prediction.as_ref().map(|p| (Role::Left, p.record.p_stable));
         EngineStatus {
             black_box: None,
             dataset: text.clone(), rig: text.clone(), clock: text,
             disk_free_bytes: disk,
+            grasps_left: disk.map(|free| free / 1_300_000),
+            target_per_object: 20,
             contact: contact.into_iter().collect(),
             session, cameras, prediction,
             no_prediction_reason: absent,

@@ -21,6 +21,8 @@ use gripcast_imaging::Role;
 pub(super) struct IndexRow {
     pub(super) object: ObjectName,
     pub(super) outcome: Outcome,
+    /// Size of the image files.
+    pub(super) bytes: u64,
     /// Columns other than the images.
     columns: Value,
     files: BTreeMap<(Stage, Role), FileName>,
@@ -39,6 +41,7 @@ impl IndexRow {
         Self {
             object: record.object.clone(),
             outcome: record.outcome,
+            bytes: record.files.values().map(|file| file.bytes).sum(),
             columns: json!({
                 "id": record.id,
                 "object": record.object,

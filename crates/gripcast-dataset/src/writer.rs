@@ -31,6 +31,10 @@ use gripcast_base::error::{Error, ErrorKind, Result};
 use gripcast_base::files::{BeneathPath, FileKind, FileName, GraspId};
 use gripcast_imaging::{Frame, Role};
 
+/// Grasps in [`DatasetWriter::mean_grasp_bytes`]: enough for a mean, few enough to follow a change of
+/// cameras.
+const MEAN_OF_GRASPS: usize = 100;
+
 /// Writes a dataset and holds its lock.
 pub struct DatasetWriter {
     pub(super) layout: Layout,
@@ -297,6 +301,16 @@ impl DatasetWriter {
     pub fn outcome(&self, id: &GraspId) -> Option<(&str, Outcome)> {
         let row = self.rows.get(id)?;
         Some((&row.object, row.outcome))
+    }
+
+    /// Mean size of the newest hundred grasps, bytes; `None` without grasps.
+    #[must_use]
+    pub fn mean_grasp_bytes(&self) -> Option<u64> {
+        let newest = self.rows.values().rev().take(MEAN_OF_GRASPS);
+        let (count, bytes) = newest.fold((0_u64, 0_u64), |(count, bytes), row| {
+            (count + 1, bytes.saturating_add(row.bytes))
+        });
+        bytes.checked_div(count).filter(|mean| *mean > 0)
     }
 
     /// Free space for this user on the dataset's disk, bytes.

@@ -4,6 +4,7 @@ use image::RgbImage;
 
 use super::crop::{CropProfile, CropWindow};
 use super::damage::FrameDamage;
+use super::depth_preview::{self, DepthColours};
 use super::frame::{Frame, MAX_SIDE, PixelFormat};
 use super::jpeg::{self, JpegDecoder, JpegHeader, JpegScale};
 use super::png::decode_png_rgb;
@@ -11,6 +12,9 @@ use super::resample::{RgbScaler, Source, check_stored, check_target, crop_and_re
 use super::yuyv::yuyv_to_rgb;
 use super::z16::{self, DepthImage};
 use gripcast_base::error::{Error, Result as CrateResult};
+
+/// Usual unit of a depth camera, m.
+const MILLIMETRE: f64 = 0.001;
 
 /// Decodes frames to images; reuses its buffers. Damaged frames are errors.
 ///
@@ -66,8 +70,7 @@ impl Decoder {
     /// Decodes, crops (`None`: not) and resizes a frame to RGB.
     ///
     /// A JPEG is decoded at the smallest scale of 1/8, 1/4, 1/2 and 1 with enough pixels in the
-    /// crop. Depth is shown in false colour: black for unknown, red (100 units) over yellow and
-    /// green to blue (1500 units), nearest neighbour.
+    /// crop. Depth is shown as by [`Decoder::depth_preview`], in units of a millimetre.
     ///
     /// # Errors
     /// [`FrameDamage`] of the frame or for an invalid size.
@@ -85,7 +88,7 @@ impl Decoder {
         check_target(width, height)?;
         let window = window_of(crop, frame.width, frame.height)?;
         if frame.format == PixelFormat::Z16 {
-            return Ok(depth_preview(frame, window, width, height));
+            return Ok(depth_in_colour(frame, MILLIMETRE, window, (width, height)));
         }
         raw_to_rgb(frame, &mut self.rgb);
         let source = Source {
@@ -95,6 +98,29 @@ impl Decoder {
             reduction: 1,
         };
         self.scaler.resample(&source, window, width, height)
+    }
+
+    /// Shows a Z16 frame in colour: Turbo over [`DEPTH_RANGE_M`](crate::DEPTH_RANGE_M) from blue
+    /// (near) to red (far), grey stripes without depth, nearest neighbour, with the scale at the
+    /// lower edge. `unit_m`: metres per count.
+    ///
+    /// # Errors
+    /// [`FrameDamage`] of the frame, for another format or for an invalid size.
+    pub fn depth_preview(
+        &mut self,
+        frame: &Frame,
+        unit_m: f64,
+        width: u32,
+        height: u32,
+    ) -> Result<RgbImage, FrameDamage> {
+        check(frame)?;
+        check_target(width, height)?;
+        let format = frame.format;
+        if format != PixelFormat::Z16 {
+            return Err(FrameDamage::NoDepth { format });
+        }
+        let window = window_of(&CropProfile::FULL, frame.width, frame.height)?;
+        Ok(depth_in_colour(frame, unit_m, window, (width, height)))
     }
 
     fn decode_jpeg(
@@ -118,7 +144,7 @@ impl Decoder {
         self.scaler.resample(&source, window, width, height)
     }
 
-    /// The whole frame at its own size, RGB; depth in false colour as in [`Decoder::decode`].
+    /// The whole frame at its own size, RGB; depth in colour, in units of a millimetre.
     ///
     /// # Errors
     /// [`FrameDamage`] says what is wrong with the frame.
@@ -252,19 +278,13 @@ fn check(frame: &Frame) -> Result<Option<JpegHeader>, FrameDamage> {
     Ok(Some(header))
 }
 
-/// Depth in false colour, by nearest neighbour.
-fn depth_preview(frame: &Frame, window: CropWindow, width: u32, height: u32) -> RgbImage {
-    let nearest = |index: u32, target: u32, first: u32, count: u32| {
-        let centre = (2 * u64::from(index) + 1) * u64::from(count);
-        first as usize + (centre / (2 * u64::from(target))) as usize
+/// Depth in colour, of a checked frame.
+fn depth_in_colour(frame: &Frame, unit_m: f64, window: CropWindow, size: (u32, u32)) -> RgbImage {
+    let depth = |x: u32, y: u32| {
+        let at = (y as usize * frame.width as usize + x as usize) * 2;
+        u16::from_le_bytes([frame.data[at], frame.data[at + 1]])
     };
-    RgbImage::from_fn(width, height, |x, y| {
-        let x = nearest(x, width, window.left, window.width);
-        let y = nearest(y, height, window.top, window.height);
-        let at = (y * frame.width as usize + x) * 2;
-        let depth = u16::from_le_bytes([frame.data[at], frame.data[at + 1]]);
-        image::Rgb(z16::preview_colour(depth))
-    })
+    depth_preview::draw(depth, unit_m, window, size)
 }
 
 /// Converts a raw frame with a checked byte count.
@@ -278,9 +298,12 @@ fn raw_to_rgb(frame: &Frame, rgb: &mut Vec<u8>) {
             }
         }
         PixelFormat::Z16 => {
-            for (pixel, depth) in rgb.chunks_exact_mut(3).zip(frame.data.chunks_exact(2)) {
+            let colours = DepthColours::new(MILLIMETRE);
+            let positions = (0..frame.height).flat_map(|y| (0..frame.width).map(move |x| (x, y)));
+            let depths = frame.data.chunks_exact(2).zip(positions);
+            for (pixel, (depth, (x, y))) in rgb.chunks_exact_mut(3).zip(depths) {
                 let depth = u16::from_le_bytes([depth[0], depth[1]]);
-                pixel.copy_from_slice(&z16::preview_colour(depth));
+                pixel.copy_from_slice(&colours.colour(depth, x, y));
             }
         }
         PixelFormat::Rgb => rgb.copy_from_slice(&frame.data),

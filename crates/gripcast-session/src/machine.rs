@@ -394,6 +394,8 @@ impl Session {
                 }),
             }
         }
+        // What cannot be overridden is the reason; the rest would not help.
+        violations.sort_by_key(|violation| violation.can_override);
         let can_override = can_override(&violations);
         if !can_override || (!violations.is_empty() && !overriding) {
             self.summary.refused += 1;

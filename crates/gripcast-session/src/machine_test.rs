@@ -364,6 +364,22 @@ fn missing_gel_or_initial_cannot_be_overridden() {
     assert_eq!(session.step(), Step::Grasp);
 }
 
+/// A screen shows the first reason big; overriding the others would not help.
+#[test]
+fn reason_that_cannot_be_overridden_comes_first() {
+    let (mut session, mut store) = (session(), Store::default());
+    play(&mut session, &mut store, Command::Initial, &good());
+    let mut bad = good();
+    bad.skew_ms = 1e6;
+    bad.cameras[0].age_ms = Some(1e6);
+    bad.cameras[1].age_ms = None;
+    bad.cameras[1].fault = Some("unplugged".into());
+    handle(&mut session, Command::Grasp, &bad);
+    let reasons = session.view(0).refusal.unwrap().reasons;
+    let is_missing = reasons[0].contains("unplugged");
+    assert!(is_missing && reasons.len() >= 3, "{reasons:?}");
+}
+
 #[test]
 fn initial_frame_is_not_saved_as_grasp() {
     let (mut session, mut store) = (session(), Store::default());

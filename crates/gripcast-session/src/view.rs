@@ -64,7 +64,7 @@ pub struct Message {
 pub struct Refusal {
     /// `initial` or `grasp`.
     pub stage: String,
-    /// Reasons, one per guard violation.
+    /// Reasons, one per guard violation; those that cannot be overridden first.
     pub reasons: Vec<String>,
     /// Whether it can be overridden (a missing camera cannot).
     pub can_override: bool,

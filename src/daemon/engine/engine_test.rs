@@ -125,6 +125,7 @@ fn setup(dataset: PathBuf, gels: [YuyvGel; 2]) -> EngineSetup {
         script: None,
         boards: None,
         hand: None,
+        target_per_object: 20,
         black_box: None,
     }
 }
@@ -194,15 +195,26 @@ async fn engine_saves_and_predicts_with_yuyv_cameras() {
         let saved = bench
             .status
             .wait_for(|status| status.session.last.is_some());
-        let last = saved.await.unwrap().session.last.clone().unwrap();
+        let saved = saved.await.unwrap().clone();
+        assert_eq!(saved.target_per_object, 20);
+        let last = saved.session.last.clone().unwrap();
+        let left = bench.status.wait_for(|status| status.grasps_left.is_some());
+        let left = left.await.unwrap().clone();
+        let preview = &left.previews[&Role::Left];
+        assert!(
+            preview
+                .difference
+                .as_ref()
+                .is_none_or(|shown| *shown != preview.image)
+        );
         bench
             .commands
             .send(CommandRequest::new(Command::Quit, CommandSource::Script))
             .await
             .unwrap();
-        last
+        (last, left)
     };
-    let (report, last) = tokio::join!(run(setup, links, stop), operator);
+    let (report, (last, left)) = tokio::join!(run(setup, links, stop), operator);
     let report = report.unwrap();
     assert_eq!(report.ended, EndReason::Quit);
     let prediction = last.predicted.expect("a prediction");
@@ -211,6 +223,9 @@ async fn engine_saves_and_predicts_with_yuyv_cameras() {
     let dataset = Dataset::open(dir.path().join("d")).unwrap();
     let record = dataset.grasp(&last.id).unwrap();
     assert_eq!(record.prediction, Some(prediction));
+    let grasp_bytes: u64 = record.files.values().map(|file| file.bytes).sum();
+    let expected = left.disk_free_bytes.unwrap() / grasp_bytes;
+    assert_eq!(left.grasps_left, Some(expected));
     for stage in [Stage::Initial, Stage::Grasp] {
         let cameras = &record.stage(stage).cameras;
         assert_eq!(cameras.len(), 2);

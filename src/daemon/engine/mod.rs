@@ -76,6 +76,8 @@ pub struct EngineSetup {
     pub boards: Option<Boards>,
     /// Hand of the virtual rig, which follows the session's steps.
     pub hand: Option<Arc<VirtualHand>>,
+    /// Labelled grasps wanted per object; 0: no target.
+    pub target_per_object: u32,
     /// Settings of the black box, if enabled.
     pub black_box: Option<BlackBoxSettings>,
 }
@@ -152,6 +154,7 @@ struct Engine {
     /// Grasps of this session that are in the trash.
     undone: BTreeMap<String, GraspReport>,
     disk_free_bytes: Option<u64>,
+    target_per_object: u32,
     was_live: BTreeMap<Role, bool>,
     /// Whether each thread was stuck, and its restarts.
     last_task_states: BTreeMap<String, (bool, u64)>,

@@ -59,6 +59,13 @@ impl Engine {
         let _ = self.links.status.send(Arc::new(self.status()));
     }
 
+    /// Returns the number of grasps that fit on the disk before the guards refuse them.
+    fn grasps_left(&self) -> Option<u64> {
+        let free = self.disk_free_bytes?;
+        let usable = free.saturating_sub(self.guards.min_free_bytes);
+        usable.checked_div(self.store.mean_grasp_bytes()?)
+    }
+
     fn status(&self) -> EngineStatus {
         let now_ns = monotonic_ns();
         let state = self.inference.state();
@@ -67,6 +74,8 @@ impl Engine {
             rig: self.rig.id.clone(),
             clock: jiff::Zoned::now().strftime("%H:%M:%S").to_string(),
             disk_free_bytes: self.disk_free_bytes,
+            grasps_left: self.grasps_left(),
+            target_per_object: self.target_per_object,
             black_box: self.black_box.as_ref().map(BlackBox::status),
             session: self.session.view(now_ns),
             cameras: self

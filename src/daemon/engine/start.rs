@@ -107,6 +107,7 @@ impl Engine {
             grasps: Vec::new(),
             undone: BTreeMap::new(),
             disk_free_bytes: None,
+            target_per_object: setup.target_per_object,
             was_live: BTreeMap::new(),
             last_task_states: BTreeMap::new(),
             ticks: 0,
