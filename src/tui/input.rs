@@ -15,6 +15,8 @@ pub enum UiAction {
     Command(Command),
     /// Show or hide an overlay.
     Toggle(Overlay),
+    /// Show the next choice of gel images.
+    NextGelImages,
     /// Prompt for a name.
     Prompt(Field),
     /// Close the overlay, or dismiss a fault.
@@ -85,6 +87,7 @@ pub fn action(key: &KeyEvent) -> Option<UiAction> {
             'o' => return Some(UiAction::Prompt(Field::Object)),
             'n' => return Some(UiAction::Prompt(Field::Scene)),
             'p' => return Some(UiAction::Prompt(Field::Operator)),
+            'v' => return Some(UiAction::NextGelImages),
             'h' => return Some(UiAction::Toggle(Overlay::Sensors)),
             '?' => return Some(UiAction::Toggle(Overlay::Help)),
             'q' => return Some(UiAction::Quit),
@@ -121,6 +124,7 @@ mod tests {
             ('o', UiAction::Prompt(Field::Object)),
             ('n', UiAction::Prompt(Field::Scene)),
             ('p', UiAction::Prompt(Field::Operator)),
+            ('v', UiAction::NextGelImages),
             ('h', UiAction::Toggle(Overlay::Sensors)),
             ('?', UiAction::Toggle(Overlay::Help)),
             ('q', UiAction::Quit),

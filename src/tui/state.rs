@@ -8,6 +8,7 @@ use super::fault::faults;
 use super::input::{self, UiAction};
 use super::key_filter::{Judged, KeyFilter};
 use super::palette::Palette;
+use super::preview::GelImages;
 use super::prompt::{Prompt, Reply};
 use crate::daemon::EngineStatus;
 use gripcast_dataset::GraspId;
@@ -44,6 +45,8 @@ pub struct ScreenState {
     pub palette: Palette,
     /// Current overlay.
     pub overlay: Overlay,
+    /// Shown images of the gels.
+    pub gels: GelImages,
     /// Open prompt.
     pub prompt: Option<Prompt>,
     /// Notice of the screen, shown instead of the session's message.
@@ -70,6 +73,7 @@ impl ScreenState {
         Self {
             palette,
             overlay: Overlay::None,
+            gels: GelImages::default(),
             prompt: None,
             notice: None,
             keys: KeyFilter::default(),
@@ -143,8 +147,10 @@ impl ScreenState {
 
     fn paste(&mut self, text: &str, status: &EngineStatus) {
         let hint = match &mut self.prompt {
-            Some(prompt) if prompt.paste(text) => return,
-            Some(_) => "the pasted text was cut to the longest name",
+            Some(prompt) => match prompt.paste(text) {
+                true => return,
+                false => "the pasted text was cut to the longest name",
+            },
             None => "pasted text is not commands; paste it into a name (o, n, p)",
         };
         self.hint(hint, status);
@@ -187,6 +193,7 @@ impl ScreenState {
             UiAction::Quit => return self.quit(confirmed, status),
             UiAction::Toggle(overlay) if self.overlay == overlay => self.overlay = Overlay::None,
             UiAction::Toggle(overlay) => self.overlay = overlay,
+            UiAction::NextGelImages => self.gels = self.gels.next(),
             UiAction::Prompt(field) => self.prompt = Some(Prompt::new(field, &status.session)),
             UiAction::Close if self.overlay != Overlay::None => self.overlay = Overlay::None,
             UiAction::Close => {
