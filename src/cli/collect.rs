@@ -15,6 +15,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::RecvTimeoutError;
 use std::time::Duration;
 
+use clap::ValueEnum;
 use tokio::sync::{mpsc, watch};
 
 use super::closing_report::conclude;
@@ -25,7 +26,7 @@ use crate::collection::{
     COMMAND_QUEUE, Start, chosen_dataset, chosen_rig, prepare, start_pedals, stop_signals,
     usual_socket,
 };
-use crate::config::{FlagValue, Layered};
+use crate::config::{CollectConfig, FlagValue, Layered};
 use crate::daemon::{
     self, CollectReport, CommandRequest, EngineLinks, EngineSetup, EngineStatus, Tasks,
 };
@@ -69,6 +70,9 @@ pub(crate) struct Args {
     /// Sounds: auto, bell, off
     #[arg(long, value_name = "MODE")]
     sound: Option<String>,
+    /// Images of the screen: auto, kitty, iterm2, sixel, blocks
+    #[arg(long, value_name = "MODE")]
+    graphics: Option<String>,
     /// Random seed of the virtual rig
     #[arg(long, value_name = "SEED", default_value_t = 1)]
     seed: u64,
@@ -85,7 +89,10 @@ pub(crate) struct Args {
 impl Args {
     fn flags(&self) -> Vec<FlagValue> {
         let sound = self.sound.clone();
-        let own = sound.map(|sound| ("--sound", "collect.sound", sound));
+        let sound = sound.map(|sound| ("--sound", "collect.sound", sound));
+        let graphics = self.graphics.clone();
+        let graphics = graphics.map(|mode| ("--graphics", "collect.graphics", mode));
+        let own = sound.into_iter().chain(graphics);
         self.collection.given().into_iter().chain(own).collect()
     }
 }
@@ -95,7 +102,7 @@ pub(crate) fn run(context: &Context, args: Args) -> Result<()> {
     let Layered { config, .. } = args.config.load(&args.flags())?;
     if let Some(target) = &args.attach {
         let token = args.token_file.as_deref().map(Token::read).transpose()?;
-        return attach(target, token.as_ref(), sound(&config.collect.sound)?);
+        return attach(target, token.as_ref(), screen_output(&config.collect)?);
     }
     let rig = chosen_rig(&config.collect)?;
     chosen_dataset(&config.collect)?;
@@ -111,7 +118,7 @@ pub(crate) fn run(context: &Context, args: Args) -> Result<()> {
         )
         .remedy("run it in a terminal, give --script FILE, or add a [[pedals]] entry to the rig"));
     }
-    let sound = sound(&config.collect.sound)?;
+    let output = screen_output(&config.collect)?;
     let _lock = RigLock::acquire(&rig)?;
     let pedals = rig.pedals.clone();
     let start = Start {
@@ -123,7 +130,7 @@ pub(crate) fn run(context: &Context, args: Args) -> Result<()> {
     let report = event_loop()?.block_on(collect(
         setup,
         pedals,
-        screen.then_some(sound),
+        screen.then_some(output),
         args.events,
         context.quiet,
     ))?;
@@ -140,7 +147,7 @@ fn event_loop() -> Result<tokio::runtime::Runtime> {
 async fn collect(
     setup: EngineSetup,
     pedals: Vec<PedalConfig>,
-    screen: Option<tui::Sound>,
+    screen: Option<tui::Output>,
     events: bool,
     quiet: bool,
 ) -> Result<CollectReport> {
@@ -154,12 +161,12 @@ async fn collect(
     )));
     let ended = Arc::new(AtomicBool::new(false));
     let pedals = start_pedals(pedals, &command_sender, &ended);
-    let screen = screen.map(|sound| {
+    let screen = screen.map(|output| {
         Screen::start(tui::Wiring {
             status: newest.clone(),
             commands: command_sender.clone(),
             tones,
-            sound,
+            output,
         })
     });
     let lines = async {
@@ -201,7 +208,7 @@ async fn collect(
 }
 
 /// Shows the screen of a running daemon; the daemon continues when the operator leaves.
-fn attach(target: &str, token: Option<&Token>, sound: tui::Sound) -> Result<()> {
+fn attach(target: &str, token: Option<&Token>, output: tui::Output) -> Result<()> {
     if !(std::io::stdin().is_terminal() && std::io::stdout().is_terminal()) {
         return Err(Error::usage("`--attach` needs a terminal")
             .remedy("run it in a terminal; programs use the API (docs/reference/api.md)"));
@@ -224,7 +231,7 @@ fn attach(target: &str, token: Option<&Token>, sound: tui::Sound) -> Result<()> 
         status: newest,
         commands: command_sender,
         tones,
-        sound,
+        output,
     });
     let wiring = web::Screen {
         status,
@@ -273,10 +280,16 @@ impl Screen {
     }
 }
 
-fn sound(name: &str) -> Result<tui::Sound> {
-    <tui::Sound as clap::ValueEnum>::from_str(name, true).map_err(|_| {
-        Error::config(format!("unknown sound `{name}`")).remedy("use auto, bell or off")
-    })
+fn screen_output(config: &CollectConfig) -> Result<tui::Output> {
+    let sound = <tui::Sound as ValueEnum>::from_str(&config.sound, true).map_err(|_| {
+        Error::config(format!("unknown sound `{}`", config.sound)).remedy("use auto, bell or off")
+    })?;
+    let name = &config.graphics;
+    let graphics = <tui::Graphics as ValueEnum>::from_str(name, true).map_err(|_| {
+        Error::config(format!("unknown graphics `{name}`"))
+            .remedy("use auto, kitty, iterm2, sixel or blocks")
+    })?;
+    Ok(tui::Output { sound, graphics })
 }
 
 fn read_script(path: &Path) -> Result<Script> {

@@ -168,6 +168,8 @@ pub struct CollectConfig {
     pub model: String,
     /// `auto`, `bell` or `off`.
     pub sound: String,
+    /// Images of the screen: `auto`, `kitty`, `iterm2`, `sixel` or `blocks`.
+    pub graphics: String,
     /// Licence of a new dataset.
     pub licence: String,
     /// Labelled grasps wanted per object, shown with its count; 0: no target.
@@ -184,6 +186,7 @@ impl Default for CollectConfig {
             operator: Label::default(),
             model: String::new(),
             sound: "auto".into(),
+            graphics: "auto".into(),
             licence: "not stated".into(),
             target_per_object: 0,
         }

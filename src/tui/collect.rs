@@ -3,8 +3,9 @@
 use ratatui::Frame;
 use ratatui::buffer::Buffer;
 use ratatui::layout::Rect;
-use ratatui::text::{Line, Span};
+use ratatui::text::Line;
 
+use super::graphics::TerminalGraphics;
 use super::palette::Palette;
 use super::state::{Overlay, ScreenState};
 use super::text::{inset, row, write};
@@ -20,14 +21,24 @@ const MIN_ROWS: u16 = 10;
 const FULL_COLUMNS: u16 = 60;
 const FULL_ROWS: u16 = 18;
 
-/// Draws the whole screen, a pure function of status and state.
+/// Draws the whole screen with characters, a pure function of status and state.
 pub fn draw(frame: &mut Frame<'_>, status: &EngineStatus, state: &ScreenState) {
+    draw_with(frame, status, state, None);
+}
+
+/// Draws the whole screen, images through the graphics protocol of the terminal if it has one.
+pub(super) fn draw_with(
+    frame: &mut Frame<'_>,
+    status: &EngineStatus,
+    state: &ScreenState,
+    graphics: Option<&mut TerminalGraphics>,
+) {
     let area = frame.area();
     let buffer = frame.buffer_mut();
     if area.width < MIN_COLUMNS || area.height < MIN_ROWS {
         draw_tiny(buffer, area, status, state.palette);
     } else {
-        draw_screen(buffer, area, status, state);
+        draw_screen(buffer, area, status, state, graphics);
     }
     let last = row(area, area.height.saturating_sub(1));
     if let Some(prompt) = &state.prompt
@@ -37,7 +48,13 @@ pub fn draw(frame: &mut Frame<'_>, status: &EngineStatus, state: &ScreenState) {
     }
 }
 
-fn draw_screen(buffer: &mut Buffer, area: Rect, status: &EngineStatus, state: &ScreenState) {
+fn draw_screen(
+    buffer: &mut Buffer,
+    area: Rect,
+    status: &EngineStatus,
+    state: &ScreenState,
+    graphics: Option<&mut TerminalGraphics>,
+) {
     let palette = state.palette;
     let [top, middle, bottom] = split(area, 1, 3);
     header::draw(buffer, top, status, palette);
@@ -51,7 +68,9 @@ fn draw_screen(buffer: &mut Buffer, area: Rect, status: &EngineStatus, state: &S
     if state.shows_fault(status) {
         fault::draw(buffer, middle, status, palette);
     } else {
-        draw_work(buffer, middle, status, palette);
+        // A panel over an image would be hidden by the next image.
+        let graphics = graphics.filter(|_| state.overlay == Overlay::None);
+        draw_work(buffer, middle, status, state, graphics);
         // A dismissed fault replaces the message line.
         fault::draw_line(buffer, row(bottom, 1), status, palette);
     }
@@ -62,8 +81,15 @@ fn draw_screen(buffer: &mut Buffer, area: Rect, status: &EngineStatus, state: &S
     }
 }
 
-/// Draws step, gauge, counts, sensors and images.
-fn draw_work(buffer: &mut Buffer, area: Rect, status: &EngineStatus, palette: Palette) {
+/// Draws step, gauge or refusal, counts, sensors and images.
+fn draw_work(
+    buffer: &mut Buffer,
+    area: Rect,
+    status: &EngineStatus,
+    state: &ScreenState,
+    graphics: Option<&mut TerminalGraphics>,
+) {
+    let (palette, refusal) = (state.palette, &status.session.refusal);
     let full = area.width >= FULL_COLUMNS && area.height + 4 >= FULL_ROWS;
     let banner_rows = match area.height {
         40.. => 5,
@@ -72,24 +98,33 @@ fn draw_work(buffer: &mut Buffer, area: Rect, status: &EngineStatus, palette: Pa
     };
     let [banner, rest, _] = split(area, banner_rows, 0);
     steps::draw(buffer, banner, &status.session, palette);
-    let kept_for_body = match (full, status.session.refusal.is_some()) {
-        (true, _) => (area.height / 3).clamp(6, 9),
-        (false, true) => rest.height.saturating_sub(3),
-        (false, false) => 0,
+    let kept_for_body = match full {
+        true => (area.height / 3).clamp(6, 9),
+        false => 0,
     };
-    let gauge_rows = gauge::rows(area.width, rest.height.saturating_sub(kept_for_body));
+    let mut gauge_rows = gauge::rows(area.width, rest.height.saturating_sub(kept_for_body));
+    if refusal.is_some() && !full {
+        gauge_rows = rest.height;
+    }
     let [gauge_area, body, _] = split(rest, gauge_rows, 0);
-    gauge::draw(buffer, gauge_area, status, palette);
+    match refusal {
+        Some(refusal) => refusal::draw(buffer, gauge_area, refusal, palette),
+        None => gauge::draw(buffer, gauge_area, status, palette),
+    }
     if full {
-        draw_body(buffer, body, status, palette);
-    } else if let Some(refusal) = &status.session.refusal {
-        refusal::draw(buffer, body, refusal, palette);
+        draw_body(buffer, body, status, state, graphics);
     } else {
-        counts::draw(buffer, inset(body, 1, 0), &status.session, palette);
+        counts::draw(buffer, inset(body, 1, 0), status, palette);
     }
 }
 
-fn draw_body(buffer: &mut Buffer, area: Rect, status: &EngineStatus, palette: Palette) {
+fn draw_body(
+    buffer: &mut Buffer,
+    area: Rect,
+    status: &EngineStatus,
+    state: &ScreenState,
+    graphics: Option<&mut TerminalGraphics>,
+) {
     let side_columns = match area.width {
         130.. => 32,
         _ => 24,
@@ -97,11 +132,8 @@ fn draw_body(buffer: &mut Buffer, area: Rect, status: &EngineStatus, palette: Pa
     let mut side = inset(area, 1, 0);
     side.width = side_columns;
     let rest = inset(area, side_columns + 3, 0);
-    draw_side(buffer, side, status, palette);
-    match &status.session.refusal {
-        Some(refusal) => refusal::draw(buffer, rest, refusal, palette),
-        None => preview::draw(buffer, rest, status, palette),
-    }
+    draw_side(buffer, side, status, state.palette);
+    preview::draw(buffer, rest, status, state, graphics);
 }
 
 /// Draws counts above sensors; on low screens sensors take precedence.
@@ -115,7 +147,7 @@ fn draw_side(buffer: &mut Buffer, area: Rect, status: &EngineStatus, palette: Pa
         _ => 2,
     };
     let [upper, lower, _] = split(area, count_rows, 0);
-    counts::draw(buffer, upper, &status.session, palette);
+    counts::draw(buffer, upper, status, palette);
     let [between, lower, _] = split(lower, gap, 0);
     if gap > 0 {
         let title = row(between, gap - 1);
@@ -132,13 +164,7 @@ fn draw_tiny(buffer: &mut Buffer, area: Rect, status: &EngineStatus, palette: Pa
         write(buffer, middle, &Line::styled(summary, palette.fault()));
         return;
     }
-    let mut spans = Vec::new();
-    if let Some(prediction) = &status.prediction {
-        let verdict = gauge::shown_verdict(prediction);
-        let text = format!("{:.2} {verdict} ", prediction.record.p_stable);
-        spans.push(Span::styled(text, gauge::verdict_style(verdict, palette)));
-    }
-    let mut line = Line::from(spans);
+    let mut line: Line<'_> = gauge::brief(status, palette).into_iter().collect();
     let room = usize::from(area.width).saturating_sub(line.width());
     line.push_span(steps::brief(&status.session, room, palette));
     write(buffer, middle, &line);

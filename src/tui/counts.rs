@@ -7,6 +7,7 @@ use ratatui::text::{Line, Span};
 
 use super::palette::Palette;
 use super::text::{clipped, write_all};
+use crate::daemon::EngineStatus;
 use gripcast_dataset::Outcome;
 use gripcast_session::{Counts, SessionView};
 
@@ -19,16 +20,10 @@ const OBJECT_INDENT: &str = "       ";
 /// Rows needed for all lines.
 pub(super) const ROWS: u16 = 5;
 
-pub(super) fn draw(buffer: &mut Buffer, area: Rect, session: &SessionView, palette: Palette) {
-    let counts = &session.counts;
+pub(super) fn draw(buffer: &mut Buffer, area: Rect, status: &EngineStatus, palette: Palette) {
+    let counts = &status.session.counts;
     let width = usize::from(area.width);
-    let object = if session.object.is_empty() {
-        Span::styled("no object: press o", palette.warning())
-    } else {
-        let room = width.saturating_sub(OBJECT_INDENT.len());
-        Span::styled(clipped(&session.object, room), palette.strong())
-    };
-    let object = Line::from(vec![Span::styled("object ", palette.faint()), object]);
+    let object = object(status, width, palette);
     let max = counts.stable.max(counts.slip);
     let bar = |name, count, style| count_bar(name, count, max, width, style);
     let hint = balance(counts, width, palette);
@@ -47,6 +42,27 @@ pub(super) fn draw(buffer: &mut Buffer, area: Rect, session: &SessionView, palet
         vec![object, this, stable, slip, hint]
     };
     write_all(buffer, area, &lines);
+}
+
+/// Name of the object, and its labelled grasps of the wanted ones: `object mug-blue 6 of 20`.
+fn object(status: &EngineStatus, width: usize, palette: Palette) -> Line<'static> {
+    let SessionView { object, counts, .. } = &status.session;
+    let heading = Span::styled("object ", palette.faint());
+    if object.is_empty() {
+        let words = Span::styled("no object: press o", palette.warning());
+        return Line::from(vec![heading, words]);
+    }
+    let labelled = counts.object_stable.saturating_add(counts.object_slip);
+    let target = match status.target_per_object as usize {
+        0 => Span::raw(""),
+        target if labelled < target => {
+            Span::styled(format!(" {labelled} of {target}"), palette.faint())
+        }
+        target => Span::styled(format!(" {labelled} of {target} ✓"), palette.stable()),
+    };
+    let room = width.saturating_sub(OBJECT_INDENT.len() + target.width());
+    let name = Span::styled(clipped(object, room), palette.strong());
+    Line::from(vec![heading, name, target])
 }
 
 /// `88 stable  71 slip`.
@@ -121,6 +137,24 @@ mod tests {
         assert_eq!(hint(4, 0), "balanced ");
         assert_eq!(hint(88, 80), "balanced ");
         assert_eq!(hint(0, 0), "balanced ");
+    }
+
+    #[test]
+    fn target_of_the_object_is_shown() {
+        let mut status = EngineStatus::starting("d", "r", gripcast_session::Labels::default());
+        status.session.object = "a-very-long-object-name".parse().unwrap();
+        status.session.counts.object_stable = 4;
+        status.session.counts.object_slip = 2;
+        let shown = |target_per_object| {
+            let status = EngineStatus {
+                target_per_object,
+                ..status.clone()
+            };
+            object(&status, 24, PALETTE).to_string()
+        };
+        assert_eq!(shown(0), "object a-very-long-obje…");
+        assert_eq!(shown(20), "object a-very-lo… 6 of 20");
+        assert_eq!(shown(6), "object a-very-l… 6 of 6 ✓");
     }
 
     #[test]

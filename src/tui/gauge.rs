@@ -10,8 +10,10 @@ use super::palette::Palette;
 use super::text::{
     clipped, columns, duration_ms, inset, row, trimmed, without_last, write, write_right,
 };
-use crate::daemon::{EngineStatus, PredictionStatus};
+use crate::daemon::{EngineStatus, PredictionStatus, verdict_of};
+use gripcast_dataset::{GraspId, Outcome, PredictionRecord};
 use gripcast_nn::predict::PredictedLabel;
+use gripcast_session::{LastGrasp, SessionView, Step};
 
 /// Frame age above which a prediction is shown as old, ms.
 const STALE_MS: f64 = 500.0;
@@ -19,12 +21,34 @@ const STALE_MS: f64 = 500.0;
 const GAP: u16 = 4;
 
 /// Displayed texts and style of the gauge.
-struct Reading {
+struct Reading<'a> {
+    /// Prediction and probability; `None` without a finite probability.
+    prediction: Option<&'a PredictionRecord>,
     number: String,
+    /// Verdict, empty without a prediction.
     verdict: &'static str,
+    /// Reason for the missing prediction.
+    no_prediction: String,
     style: Style,
-    /// Probability and threshold; `None` for an empty bar.
-    bar: Option<(f64, f64)>,
+    /// What was predicted.
+    of: Predicted<'a>,
+}
+
+/// What a prediction is about.
+#[derive(Clone, Copy)]
+enum Predicted<'a> {
+    /// The newest images.
+    Live(Option<&'a PredictionStatus>),
+    /// The grasp that waits for its label.
+    Grasp(&'a GraspId),
+}
+
+impl Reading<'_> {
+    /// Probability and threshold of the bar.
+    fn bar(&self) -> Option<(f64, f64)> {
+        self.prediction
+            .map(|record| (record.p_stable, record.threshold))
+    }
 }
 
 /// Returns the displayed name of a verdict.
@@ -36,20 +60,11 @@ pub(super) fn word(verdict: PredictedLabel) -> &'static str {
     }
 }
 
-/// Returns the displayed verdict: that of the prediction, or `OLD`.
-pub(super) fn shown_verdict(prediction: &PredictionStatus) -> &'static str {
-    if is_stale(prediction) || !prediction.record.p_stable.is_finite() {
-        "OLD"
-    } else {
-        word(prediction.verdict)
-    }
-}
-
 fn is_stale(prediction: &PredictionStatus) -> bool {
     prediction.frame_age_ms > STALE_MS || prediction.frame_age_ms.is_nan()
 }
 
-pub(super) fn verdict_style(verdict: &str, palette: Palette) -> Style {
+fn verdict_style(verdict: &str, palette: Palette) -> Style {
     match verdict {
         "STABLE" => palette.stable(),
         "SLIP" => palette.slip(),
@@ -58,24 +73,63 @@ pub(super) fn verdict_style(verdict: &str, palette: Palette) -> Style {
     }
 }
 
-fn reading(prediction: Option<&PredictionStatus>, palette: Palette) -> Reading {
-    let Some(prediction) = prediction.filter(|p| p.record.p_stable.is_finite()) else {
-        return Reading {
-            number: "-.--".to_owned(),
-            verdict: "",
-            style: palette.faint(),
-            bar: None,
-        };
+/// Returns the grasp that waits for its label. Until then its own prediction is shown, not the live
+/// one: the gripper is about to open.
+fn grasp_to_label(session: &SessionView) -> Option<&LastGrasp> {
+    let last = session
+        .last
+        .as_ref()
+        .filter(|_| session.step == Step::Label)?;
+    (last.outcome == Outcome::Unlabelled).then_some(last)
+}
+
+/// Returns the displayed prediction: that of the grasp that waits for its label, else the live one.
+fn reading(status: &EngineStatus, palette: Palette) -> Reading<'_> {
+    let live = status.prediction.as_ref();
+    let (of, record, verdict, no_prediction) = match grasp_to_label(&status.session) {
+        Some(grasp) => (
+            Predicted::Grasp(&grasp.id),
+            grasp.predicted.as_ref(),
+            grasp
+                .predicted
+                .as_ref()
+                .map_or("", |record| word(verdict_of(record))),
+            format!("none was saved with grasp {}", grasp.id.short()),
+        ),
+        None => (
+            Predicted::Live(live),
+            live.map(|live| &live.record),
+            live.map_or("", |live| match is_stale(live) {
+                true => "OLD",
+                false => word(live.verdict),
+            }),
+            status
+                .no_prediction_reason
+                .clone()
+                .unwrap_or_else(|| "waiting for the first prediction".to_owned()),
+        ),
     };
-    let p = prediction.record.p_stable;
-    let verdict = shown_verdict(prediction);
-    let style = verdict_style(verdict, palette);
+    let prediction = record.filter(|record| record.p_stable.is_finite());
+    let verdict = prediction.map_or("", |_| verdict);
     Reading {
-        number: format!("{:.2}", p.clamp(0.0, 1.0)),
+        number: prediction.map_or_else(
+            || "-.--".to_owned(),
+            |record| format!("{:.2}", record.p_stable.clamp(0.0, 1.0)),
+        ),
+        prediction,
         verdict,
-        style,
-        bar: Some((p, prediction.record.threshold)),
+        no_prediction,
+        style: verdict_style(verdict, palette),
+        of,
     }
+}
+
+/// Returns `0.81 STABLE `, or nothing without a prediction.
+pub(super) fn brief(status: &EngineStatus, palette: Palette) -> Option<Span<'static>> {
+    let reading = reading(status, palette);
+    reading.prediction?;
+    let text = format!("{} {} ", reading.number, reading.verdict);
+    Some(Span::styled(text, reading.style))
 }
 
 /// Returns the rows to use of `available`: title, number, bar, scale, and a thicker bar under large
@@ -104,12 +158,12 @@ pub(super) fn draw(buffer: &mut Buffer, area: Rect, status: &EngineStatus, palet
     if area.is_empty() {
         return;
     }
-    let reading = reading(status.prediction.as_ref(), palette);
-    write_title(buffer, row(area, 0), status.prediction.as_ref(), palette);
+    let reading = reading(status, palette);
+    write_title(buffer, row(area, 0), &reading, palette);
     let body = inset(area, 0, 1);
     let used = match size(area.width, body.height.saturating_sub(1)) {
-        Some(size) => draw_big(buffer, body, &reading, size, status, palette),
-        None => draw_line(buffer, body, &reading, status, palette),
+        Some(size) => draw_big(buffer, body, &reading, size, palette),
+        None => draw_line(buffer, body, &reading, palette),
     };
     let below = inset(body, 0, used);
     let thick = u16::from(below.height >= 3);
@@ -124,9 +178,8 @@ pub(super) fn draw(buffer: &mut Buffer, area: Rect, status: &EngineStatus, palet
 fn draw_big(
     buffer: &mut Buffer,
     area: Rect,
-    reading: &Reading,
+    reading: &Reading<'_>,
     size: Size,
-    status: &EngineStatus,
     palette: Palette,
 ) -> u16 {
     let (at, style) = (inset(area, 1, 0), reading.style);
@@ -134,7 +187,7 @@ fn draw_big(
     let x = 1 + size.columns("0.00") + GAP;
     if reading.verdict.is_empty() {
         let reason = inset(area, x, size.rows() / 2);
-        write_no_prediction(buffer, reason, status, palette);
+        write_no_prediction(buffer, reason, reading, palette);
         return size.rows();
     }
     let room = area.width.saturating_sub(x + 1);
@@ -149,28 +202,18 @@ fn draw_big(
 }
 
 /// Draws probability and verdict as one line of text; returns the rows used.
-fn draw_line(
-    buffer: &mut Buffer,
-    area: Rect,
-    reading: &Reading,
-    status: &EngineStatus,
-    palette: Palette,
-) -> u16 {
+fn draw_line(buffer: &mut Buffer, area: Rect, reading: &Reading<'_>, palette: Palette) -> u16 {
     let text = format!(" {}  {}  ", reading.number, reading.verdict);
     let after = columns(&text).min(area.width);
     write(buffer, area, &Line::styled(text, reading.style));
     if reading.verdict.is_empty() {
-        write_no_prediction(buffer, inset(area, after, 0), status, palette);
+        write_no_prediction(buffer, inset(area, after, 0), reading, palette);
     }
     1
 }
 
-fn write_no_prediction(buffer: &mut Buffer, area: Rect, status: &EngineStatus, palette: Palette) {
-    let reason = status
-        .no_prediction_reason
-        .as_deref()
-        .unwrap_or("waiting for the first prediction");
-    let mut rest = reason;
+fn write_no_prediction(buffer: &mut Buffer, area: Rect, reading: &Reading<'_>, palette: Palette) {
+    let mut rest = reading.no_prediction.as_str();
     for index in 0..area.height.min(2) {
         let (now, later) = wrap_line(rest, usize::from(area.width));
         let now = match index {
@@ -200,42 +243,27 @@ fn wrap_line(text: &str, columns_wide: usize) -> (&str, &str) {
     }
 }
 
-fn write_title(
-    buffer: &mut Buffer,
-    area: Rect,
-    prediction: Option<&PredictionStatus>,
-    palette: Palette,
-) {
+fn write_title(buffer: &mut Buffer, area: Rect, reading: &Reading<'_>, palette: Palette) {
     let mut left = vec![Span::styled(" STABILITY ", palette.strong())];
-    let Some(prediction) = prediction else {
+    let Some(record) = reading.prediction else {
         write(buffer, area, &Line::from(left));
         return;
     };
-    let age = format!("frame {} old", duration_ms(prediction.frame_age_ms));
-    let age_style = palette.warning_if(is_stale(prediction), palette.faint());
-    let timing = |words: String| {
-        Line::from(vec![
-            Span::styled(age.clone(), age_style),
-            Span::styled(words, palette.faint()),
-        ])
-    };
-    let latency = duration_ms(prediction.record.latency_ms);
-    let long = timing(format!(
-        " · result in {latency} · model {:.1} ms ",
-        prediction.record.engine_ms
-    ));
-    let name = clipped(&prediction.record.model, 28);
-    let heuristic = u16::from(prediction.heuristic) * columns(" HEURISTIC ");
+    let name = clipped(&record.model, 28);
+    let is_heuristic = matches!(reading.of, Predicted::Live(Some(live)) if live.heuristic);
+    let heuristic = u16::from(is_heuristic) * columns(" HEURISTIC ");
     let needed = columns(" STABILITY ") + columns(&name) + heuristic + 2;
+    let mut details = details(reading, record, palette);
+    let long = details.remove(0);
     let taken = match area.width.checked_sub(needed) {
         Some(room) if long.width() <= usize::from(room) => write_right(buffer, area, &long),
-        _ => write_right(buffer, area, &timing(format!(" · {latency} "))),
+        _ => write_right(buffer, area, details.first().unwrap_or(&long)),
     };
     let rest = without_last(area, taken + 1);
-    if prediction.heuristic {
+    if is_heuristic {
         left.push(Span::styled("HEURISTIC ", palette.warning()));
     }
-    if prediction.verdict == PredictedLabel::Unsure {
+    if reading.verdict == word(PredictedLabel::Unsure) {
         let words = "unlike the training images ";
         left.push(Span::styled(words, palette.warning()));
     }
@@ -244,16 +272,51 @@ fn write_title(
     write(buffer, rest, &Line::from(left));
 }
 
+/// Returns what was predicted when, long and short.
+fn details(
+    reading: &Reading<'_>,
+    record: &PredictionRecord,
+    palette: Palette,
+) -> Vec<Line<'static>> {
+    let prediction = match reading.of {
+        Predicted::Grasp(id) => {
+            let id = id.short();
+            return vec![
+                Line::styled(format!("grasp {id}, before the lift "), palette.strong()),
+                Line::styled(format!("grasp {id} "), palette.strong()),
+            ];
+        }
+        Predicted::Live(prediction) => prediction,
+    };
+    let Some(prediction) = prediction else {
+        return vec![Line::default()];
+    };
+    let age = format!("frame {} old", duration_ms(prediction.frame_age_ms));
+    let age_style = palette.warning_if(is_stale(prediction), palette.faint());
+    let latency = duration_ms(record.latency_ms);
+    let timings = [
+        format!(" · result in {latency} · model {:.1} ms ", record.engine_ms),
+        format!(" · {latency} "),
+    ];
+    let line = |words| {
+        Line::from(vec![
+            Span::styled(age.clone(), age_style),
+            Span::styled(words, palette.faint()),
+        ])
+    };
+    timings.into_iter().map(line).collect()
+}
+
 /// Draws a bar from 0 to 1 with a `whole` and a `half` symbol and a mark at the threshold.
 fn draw_bar(
     buffer: &mut Buffer,
     area: Rect,
     [whole, half]: [&'static str; 2],
-    reading: &Reading,
+    reading: &Reading<'_>,
     palette: Palette,
 ) {
     let area = trimmed(area);
-    let (p, threshold) = reading.bar.unwrap_or((0.0, f64::NAN));
+    let (p, threshold) = reading.bar().unwrap_or((0.0, f64::NAN));
     let halves = (p.clamp(0.0, 1.0) * f64::from(area.width) * 2.0).round() as u32;
     let mark = mark_column(area, threshold);
     for x in 0..area.width {
@@ -275,11 +338,11 @@ fn mark_column(area: Rect, threshold: f64) -> Option<u16> {
 }
 
 /// Draws `◄ slip   ▲ 0.50   stable ►` under the bar.
-fn draw_scale(buffer: &mut Buffer, area: Rect, reading: &Reading, palette: Palette) {
+fn draw_scale(buffer: &mut Buffer, area: Rect, reading: &Reading<'_>, palette: Palette) {
     let area = trimmed(area);
     write(buffer, area, &Line::styled("◄ slip", palette.faint()));
     write_right(buffer, area, &Line::styled("stable ►", palette.faint()));
-    let Some((_, threshold)) = reading.bar else {
+    let Some((_, threshold)) = reading.bar() else {
         return;
     };
     if let Some(mark) = mark_column(area, threshold) {
@@ -296,7 +359,7 @@ fn draw_scale(buffer: &mut Buffer, area: Rect, reading: &Reading, palette: Palet
 mod tests {
     use super::*;
     use crate::tui::palette::ColourDepth;
-    use gripcast_dataset::PredictionRecord;
+    use gripcast_session::Labels;
 
     const PALETTE: Palette = Palette {
         depth: ColourDepth::True,
@@ -318,16 +381,74 @@ mod tests {
         }
     }
 
-    fn prediction(p_stable: f64, frame_age_ms: f64) -> PredictionStatus {
-        prediction_on(p_stable, None, frame_age_ms)
+    fn live(prediction: Option<PredictionStatus>) -> EngineStatus {
+        EngineStatus {
+            prediction,
+            ..EngineStatus::starting("d", "r", Labels::default())
+        }
+    }
+
+    fn predicted(p_stable: f64, frame_age_ms: f64) -> EngineStatus {
+        live(Some(prediction_on(p_stable, None, frame_age_ms)))
+    }
+
+    /// A saved grasp that waits for its label, while the live prediction sees something else.
+    fn lifting(p_stable: Option<f64>) -> EngineStatus {
+        let record = |p_stable| prediction_on(p_stable, None, 0.0).record;
+        let mut status = predicted(0.02, 18.0);
+        status.no_prediction_reason = Some("no initial frame".into());
+        status.session.step = Step::Label;
+        status.session.last = Some(LastGrasp {
+            id: GraspId::parse("2026-11-20T10-15-03Z-7f3a").unwrap(),
+            object: "mug".parse().unwrap(),
+            outcome: Outcome::Unlabelled,
+            predicted: p_stable.map(record),
+        });
+        status
+    }
+
+    fn drawn(status: &EngineStatus) -> String {
+        let area = Rect::new(0, 0, 80, 9);
+        let mut buffer = Buffer::empty(area);
+        draw(&mut buffer, area, status, PALETTE);
+        let cells = buffer.content.chunks(80);
+        cells
+            .map(|row| row.iter().map(|cell| cell.symbol()).collect::<String>() + "\n")
+            .collect()
+    }
+
+    #[test]
+    fn prediction_of_the_grasp_stays_until_its_label() {
+        let mut status = lifting(Some(0.97));
+        for live in [status.prediction.take(), None] {
+            status.prediction = live;
+            let shown = reading(&status, PALETTE);
+            assert_eq!((shown.number.as_str(), shown.verdict), ("0.97", "STABLE"));
+            let drawn = drawn(&status);
+            assert!(drawn.contains("grasp 7f3a, before the lift"), "{drawn}");
+            assert!(!drawn.contains("no prediction"), "{drawn}");
+        }
+        status.session.last.as_mut().unwrap().outcome = Outcome::Stable;
+        status.session.step = Step::Initial;
+        assert!(drawn(&status).contains("no prediction: no initial frame"));
+    }
+
+    #[test]
+    fn grasp_without_prediction_says_so() {
+        let drawn = drawn(&lifting(None));
+        assert!(
+            drawn.contains("no prediction: none was saved with grasp 7f3a"),
+            "{drawn}"
+        );
     }
 
     #[test]
     fn style_and_verdict_follow_the_threshold() {
-        let stable = reading(Some(&prediction(0.5, 18.0)), PALETTE);
+        let [stable, slip] = [predicted(0.5, 18.0), predicted(0.49, 18.0)];
+        let stable = reading(&stable, PALETTE);
         assert_eq!((stable.number.as_str(), stable.verdict), ("0.50", "STABLE"));
         assert_eq!(stable.style, PALETTE.stable());
-        let slip = reading(Some(&prediction(0.49, 18.0)), PALETTE);
+        let slip = reading(&slip, PALETTE);
         assert_eq!((slip.number.as_str(), slip.verdict), ("0.49", "SLIP"));
         assert_eq!(slip.style, PALETTE.slip());
     }
@@ -335,7 +456,8 @@ mod tests {
     #[test]
     fn old_frame_gives_no_verdict() {
         for age in [501.0, f64::NAN, f64::INFINITY] {
-            let old = reading(Some(&prediction(0.9, age)), PALETTE);
+            let old = predicted(0.9, age);
+            let old = reading(&old, PALETTE);
             assert_eq!(old.verdict, "OLD");
             assert_eq!(old.style, PALETTE.faint());
         }
@@ -344,23 +466,21 @@ mod tests {
     #[test]
     fn out_of_distribution_images_are_unsure() {
         let read = |ood_score, age_ms| {
-            reading(Some(&prediction_on(0.97, Some(ood_score), age_ms)), PALETTE)
+            let status = live(Some(prediction_on(0.97, Some(ood_score), age_ms)));
+            let reading = reading(&status, PALETTE);
+            (reading.verdict, reading.style)
         };
-        let unsure = read(1.01, 18.0);
-        assert_eq!(
-            (unsure.verdict, unsure.style),
-            ("UNSURE", PALETTE.warning())
-        );
-        assert_eq!(read(0.99, 18.0).verdict, "STABLE");
-        assert_eq!(read(7.0, 900.0).verdict, "OLD");
+        assert_eq!(read(1.01, 18.0), ("UNSURE", PALETTE.warning()));
+        assert_eq!(read(0.99, 18.0).0, "STABLE");
+        assert_eq!(read(7.0, 900.0).0, "OLD");
     }
 
     #[test]
     fn missing_probability_gives_no_verdict() {
-        for absent in [None, Some(prediction(f64::NAN, 1.0))] {
-            let reading = reading(absent.as_ref(), PALETTE);
+        for absent in [live(None), predicted(f64::NAN, 1.0)] {
+            let reading = reading(&absent, PALETTE);
             assert_eq!((reading.number.as_str(), reading.verdict), ("-.--", ""));
-            assert_eq!(reading.bar, None);
+            assert_eq!(reading.bar(), None);
         }
     }
 
@@ -369,10 +489,11 @@ mod tests {
         let area = Rect::new(0, 0, 12, 1);
         for (p, full) in [(0.0, 0), (0.3, 3), (1.0, 10), (7.0, 10), (-1.0, 0)] {
             let mut buffer = Buffer::empty(area);
-            let reading = Reading {
-                bar: Some((p, f64::NAN)),
-                ..reading(Some(&prediction(p, 1.0)), PALETTE)
-            };
+            let mut status = predicted(p, 1.0);
+            if let Some(prediction) = &mut status.prediction {
+                prediction.record.threshold = f64::NAN;
+            }
+            let reading = reading(&status, PALETTE);
             draw_bar(&mut buffer, area, ["█", "▌"], &reading, PALETTE);
             let full_style = |x: &u16| buffer[(*x, 0)].style().fg == reading.style.fg;
             let blocks = (1..11).filter(full_style).count();
@@ -384,7 +505,8 @@ mod tests {
     fn threshold_is_marked() {
         let area = Rect::new(0, 0, 13, 1);
         let mut buffer = Buffer::empty(area);
-        let reading = reading(Some(&prediction(0.9, 1.0)), PALETTE);
+        let status = predicted(0.9, 1.0);
+        let reading = reading(&status, PALETTE);
         draw_bar(&mut buffer, area, ["█", "▌"], &reading, PALETTE);
         assert_eq!(buffer[(6, 0)].symbol(), "┃");
     }

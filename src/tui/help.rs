@@ -7,7 +7,7 @@ use ratatui::text::{Line, Span};
 use super::palette::Palette;
 use super::text::{fill, row, write};
 
-const KEYS: [(&str, &str); 15] = [
+const KEYS: [(&str, &str); 16] = [
     ("space, pedal", "next step: initial frame, then grasp frame"),
     ("i", "take the initial frame (again)"),
     ("g", "take the grasp frame"),
@@ -19,6 +19,7 @@ const KEYS: [(&str, &str); 15] = [
     ("o", "set the object name"),
     ("n", "set the scene name"),
     ("p", "set the operator name"),
+    ("v", "gels: image and difference, image, difference"),
     ("h", "sensors in detail"),
     ("Esc", "close a panel, minimise the fault screen"),
     ("q", "quit; asks if work is unfinished"),

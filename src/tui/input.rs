@@ -4,6 +4,7 @@ use crossterm::event::{KeyCode, KeyEvent, KeyEventKind, KeyModifiers};
 
 use super::prompt::Field;
 use super::state::Overlay;
+use gripcast_base::files::is_unsafe_char;
 use gripcast_dataset::Outcome;
 use gripcast_session::Command;
 
@@ -14,6 +15,8 @@ pub enum UiAction {
     Command(Command),
     /// Show or hide an overlay.
     Toggle(Overlay),
+    /// Show the next choice of gel images.
+    NextGelImages,
     /// Prompt for a name.
     Prompt(Field),
     /// Close the overlay, or dismiss a fault.
@@ -29,6 +32,33 @@ pub(super) fn is_interrupt(key: &KeyEvent) -> bool {
     key.kind == KeyEventKind::Press
         && key.modifiers.contains(KeyModifiers::CONTROL)
         && matches!(key.code, KeyCode::Char('c' | 'C'))
+}
+
+/// Returns the name of a key without an action, such as `Page Down` or `Ctrl-X`; `None` for keys
+/// that are pressed together with others.
+pub(super) fn unbound(key: &KeyEvent) -> Option<String> {
+    use KeyCode::{CapsLock, Modifier, Null, NumLock, ScrollLock};
+    if matches!(
+        key.code,
+        Null | CapsLock | NumLock | ScrollLock | Modifier(_)
+    ) {
+        return None;
+    }
+    let chords = [
+        (KeyModifiers::CONTROL, "Ctrl-"),
+        (KeyModifiers::ALT, "Alt-"),
+        (KeyModifiers::SUPER, "Super-"),
+    ];
+    let held = chords
+        .iter()
+        .filter(|(chord, _)| key.modifiers.contains(*chord));
+    let mut name: String = held.map(|(_, name)| *name).collect();
+    match key.code {
+        KeyCode::Char(c) if is_unsafe_char(c) => return None,
+        KeyCode::Char(c) => name.extend(c.to_uppercase()),
+        code => name += &code.to_string(),
+    }
+    Some(name)
 }
 
 /// Returns the action of a key press without an open prompt, ignoring case.
@@ -57,6 +87,7 @@ pub fn action(key: &KeyEvent) -> Option<UiAction> {
             'o' => return Some(UiAction::Prompt(Field::Object)),
             'n' => return Some(UiAction::Prompt(Field::Scene)),
             'p' => return Some(UiAction::Prompt(Field::Operator)),
+            'v' => return Some(UiAction::NextGelImages),
             'h' => return Some(UiAction::Toggle(Overlay::Sensors)),
             '?' => return Some(UiAction::Toggle(Overlay::Help)),
             'q' => return Some(UiAction::Quit),
@@ -93,6 +124,7 @@ mod tests {
             ('o', UiAction::Prompt(Field::Object)),
             ('n', UiAction::Prompt(Field::Scene)),
             ('p', UiAction::Prompt(Field::Operator)),
+            ('v', UiAction::NextGelImages),
             ('h', UiAction::Toggle(Overlay::Sensors)),
             ('?', UiAction::Toggle(Overlay::Help)),
             ('q', UiAction::Quit),

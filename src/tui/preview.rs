@@ -1,4 +1,7 @@
-//! Camera images as half blocks: two pixels per cell, aspect ratio kept.
+//! Camera images, aspect ratio kept: through the terminal's graphics protocol, else as half blocks,
+//! two pixels per cell.
+
+use std::sync::Arc;
 
 use image::RgbImage;
 use ratatui::buffer::Buffer;
@@ -6,13 +9,17 @@ use ratatui::layout::Rect;
 use ratatui::style::Style;
 use ratatui::text::{Line, Span};
 
+use super::graphics::TerminalGraphics;
 use super::palette::{ColourDepth, Palette};
+use super::state::ScreenState;
 use super::text::{clipped, inset, row, write};
-use crate::daemon::{EngineStatus, Preview};
+use crate::daemon::EngineStatus;
 use gripcast_imaging::Role;
 
 /// Minimum width of an image; otherwise the last cameras are omitted.
 const MIN_COLUMNS: u16 = 16;
+/// Minimum size of an image with its caption if gels are shown twice.
+const MIN_TWICE: (u16, u16) = (20, 8);
 /// Aspect ratio assumed for the layout.
 const DEFAULT_ASPECT: (u32, u32) = (4, 3);
 /// Characters from empty to full, for terminals without colours.
@@ -20,27 +27,112 @@ const SHADES: &[u8] = b" .:-=+*#%@";
 /// Grey level of no change in a tactile difference.
 const NO_CHANGE: u8 = 128;
 
-/// Draws the images of as many cameras as fit, each with its caption.
-pub(super) fn draw(buffer: &mut Buffer, area: Rect, status: &EngineStatus, palette: Palette) {
-    let mut roles: Vec<Role> = status.cameras.iter().map(|camera| camera.role).collect();
-    roles.extend(status.previews.keys());
-    roles.sort_unstable();
-    roles.dedup();
-    while roles.len() > 1 && grid(area, roles.len()).1.width < MIN_COLUMNS {
-        roles.pop();
+/// Which images of the gels are shown once there is an initial frame.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum GelImages {
+    /// Image and difference where there is room for both, else the difference.
+    #[default]
+    Both,
+    /// The image of the camera.
+    Image,
+    /// The difference to the initial frame.
+    Difference,
+}
+
+impl GelImages {
+    /// Returns the next choice.
+    #[must_use]
+    pub fn next(self) -> Self {
+        match self {
+            Self::Both => Self::Image,
+            Self::Image => Self::Difference,
+            Self::Difference => Self::Both,
+        }
     }
-    if roles.is_empty() || area.height < 2 {
+}
+
+/// One image of a camera.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+struct Shown {
+    role: Role,
+    is_difference: bool,
+    /// Whether the other image of this gel is not shown.
+    is_alone: bool,
+}
+
+/// Draws the images of as many cameras as fit, each with its caption.
+pub(super) fn draw(
+    buffer: &mut Buffer,
+    area: Rect,
+    status: &EngineStatus,
+    state: &ScreenState,
+    mut graphics: Option<&mut TerminalGraphics>,
+) {
+    if area.height < 2 {
         return;
     }
-    let (across, cell) = grid(area, roles.len());
-    for (index, role) in (0..).zip(&roles) {
+    let (shown, across, cell) = layout(area, status, state.gels);
+    for (index, shown) in (0..).zip(&shown) {
         let tile = Rect {
             x: area.x + index % across * (cell.width + 1),
             y: area.y + index / across * cell.height,
             ..cell
         };
-        draw_tile(buffer, tile, *role, status, palette);
+        draw_tile(
+            buffer,
+            tile,
+            *shown,
+            status,
+            state.palette,
+            graphics.as_deref_mut(),
+        );
     }
+}
+
+/// Returns the images, the number of columns and the size of a tile.
+fn layout(area: Rect, status: &EngineStatus, gels: GelImages) -> (Vec<Shown>, u16, Rect) {
+    let mut roles: Vec<Role> = status.cameras.iter().map(|camera| camera.role).collect();
+    roles.extend(status.previews.keys());
+    roles.sort_unstable();
+    roles.dedup();
+    let has_difference = |role: Role| {
+        let preview = status.previews.get(&role);
+        preview.is_some_and(|preview| preview.difference.is_some())
+    };
+    let twice = roles.iter().filter(|role| has_difference(**role)).count();
+    let (across, cell) = grid(area, roles.len() + twice);
+    let (width, height) = MIN_TWICE;
+    if gels == GelImages::Both && twice > 0 && cell.width >= width && cell.height >= height {
+        let image = |is_difference| {
+            move |role: &Role| Shown {
+                role: *role,
+                is_difference,
+                is_alone: false,
+            }
+        };
+        let mut shown: Vec<Shown> = roles.iter().map(image(false)).collect();
+        shown.extend(
+            roles
+                .iter()
+                .filter(|role| has_difference(**role))
+                .map(image(true)),
+        );
+        // The difference of a gel stands beside its image, or below it.
+        if across % 2 == 0 || across == 1 {
+            shown.sort_by_key(|shown| shown.role);
+        }
+        return (shown, across, cell);
+    }
+    while roles.len() > 1 && grid(area, roles.len()).1.width < MIN_COLUMNS {
+        roles.pop();
+    }
+    let (across, cell) = grid(area, roles.len());
+    let single = |role: &Role| Shown {
+        role: *role,
+        is_difference: gels != GelImages::Image && has_difference(*role),
+        is_alone: true,
+    };
+    (roles.iter().map(single).collect(), across, cell)
 }
 
 /// Returns the number of columns and the tile size with the largest images.
@@ -59,62 +151,104 @@ fn grid(area: Rect, count: usize) -> (u16, Rect) {
     (across, tile(across))
 }
 
-fn draw_tile(buffer: &mut Buffer, tile: Rect, role: Role, status: &EngineStatus, palette: Palette) {
+fn draw_tile(
+    buffer: &mut Buffer,
+    tile: Rect,
+    shown: Shown,
+    status: &EngineStatus,
+    palette: Palette,
+    graphics: Option<&mut TerminalGraphics>,
+) {
     if tile.height < 2 || tile.width < 3 {
         return;
     }
-    let preview = status.previews.get(&role);
-    let contact = status.contact.get(&role).copied();
-    let caption = caption(role, (preview, contact), tile.width, palette);
+    let caption = caption(shown, status, tile.width, palette);
     write(buffer, row(tile, 0), &caption);
     let below = inset(tile, 0, 1);
-    match preview {
-        Some(preview) if preview.image.width() > 0 && preview.image.height() > 0 => {
-            draw_image(buffer, below, preview, palette.depth);
-        }
-        _ => {
-            let text = clipped("no image yet", usize::from(below.width));
-            let line = Line::styled(text, palette.faint());
-            write(buffer, row(below, below.height / 2), &line);
-        }
+    let preview = status.previews.get(&shown.role);
+    let image = preview.and_then(|preview| match shown.is_difference {
+        true => preview.difference.as_ref(),
+        false => Some(&preview.image),
+    });
+    let Some(image) = image.filter(|image| image.width() > 0 && image.height() > 0) else {
+        let text = clipped("no image yet", usize::from(below.width));
+        let line = Line::styled(text, palette.faint());
+        write(buffer, row(below, below.height / 2), &line);
+        return;
+    };
+    let is_drawn =
+        graphics.is_some_and(|graphics| graphics.draw(buffer, below, image_id(shown), image));
+    if !is_drawn {
+        draw_image(buffer, below, image, shown.is_difference, palette.depth);
     }
 }
 
-fn caption(
-    role: Role,
-    (preview, contact): (Option<&Preview>, Option<f64>),
-    width: u16,
-    palette: Palette,
-) -> Line<'static> {
-    let room = usize::from(width).saturating_sub(role.name().len());
-    let detail = match (contact, preview) {
-        (Some(contact), _) => match format!(" contact {contact:.1}") {
-            long if long.len() <= room => long,
-            _ => format!(" {contact:.1}"),
-        },
-        (None, Some(preview)) if preview.difference.is_some() => " difference".to_owned(),
-        _ => String::new(),
+/// Returns a number of the image among all cameras, from 1.
+fn image_id(shown: Shown) -> u32 {
+    1 + 2 * shown.role as u32 + u32::from(shown.is_difference)
+}
+
+fn caption(shown: Shown, status: &EngineStatus, width: u16, palette: Palette) -> Line<'static> {
+    let role = shown.role;
+    let has_difference = status
+        .previews
+        .get(&role)
+        .is_some_and(|preview| preview.difference.is_some());
+    let kind = match (shown.is_difference, has_difference && shown.is_alone) {
+        (true, _) => " difference",
+        (false, true) => " image",
+        (false, false) => "",
     };
+    let contact = status
+        .contact
+        .get(&role)
+        .filter(|_| shown.is_difference || shown.is_alone);
+    let details = match contact {
+        Some(contact) => vec![
+            format!("{kind} · contact {contact:.1}"),
+            format!(" contact {contact:.1}"),
+            format!(" {contact:.1}"),
+        ],
+        None => vec![kind.to_owned()],
+    };
+    let room = usize::from(width).saturating_sub(role.name().len());
+    let fitting = details.iter().find(|detail| detail.chars().count() <= room);
     Line::from(vec![
         Span::styled(role.name(), palette.strong()),
-        Span::styled(clipped(&detail, room), palette.faint()),
+        Span::styled(fitting.cloned().unwrap_or_default(), palette.faint()),
     ])
 }
 
 /// Fits an image into `columns` × `rows` cells; a cell is two square pixels high.
-fn fitted((width, height): (u32, u32), columns: u16, rows: u16) -> Rect {
-    let (width, height) = (f64::from(width.max(1)), f64::from(height.max(1)));
-    let scale = (f64::from(columns) / width).min(2.0 * f64::from(rows) / height);
+fn fitted(size: (u32, u32), columns: u16, rows: u16) -> Rect {
+    fitted_to_cells(size, columns, rows, (1.0, 2.0))
+}
+
+/// Fits an image into `columns` × `rows` cells of a width and height.
+pub(super) fn fitted_to_cells(
+    (width, height): (u32, u32),
+    columns: u16,
+    rows: u16,
+    (cell_width, cell_height): (f64, f64),
+) -> Rect {
+    let width = f64::from(width.max(1)) / cell_width;
+    let height = f64::from(height.max(1)) / cell_height;
+    let scale = (f64::from(columns) / width).min(f64::from(rows) / height);
     Rect::new(
         0,
         0,
         ((width * scale).round() as u16).clamp(columns.min(1), columns),
-        ((height * scale / 2.0).round() as u16).clamp(rows.min(1), rows),
+        ((height * scale).round() as u16).clamp(rows.min(1), rows),
     )
 }
 
-fn draw_image(buffer: &mut Buffer, area: Rect, preview: &Preview, depth: ColourDepth) {
-    let (image, is_difference) = preview.shown();
+fn draw_image(
+    buffer: &mut Buffer,
+    area: Rect,
+    image: &Arc<RgbImage>,
+    is_difference: bool,
+    depth: ColourDepth,
+) {
     let size = fitted(image.dimensions(), area.width, area.height);
     for y in 0..size.height {
         for x in 0..size.width {
@@ -177,19 +311,97 @@ fn shade(upper: [u8; 3], lower: [u8; 3], is_difference: bool) -> char {
 
 #[cfg(test)]
 mod tests {
-    use std::sync::Arc;
-
     use image::Rgb;
     use ratatui::style::Color;
 
     use super::*;
+    use crate::daemon::Preview;
 
-    fn preview(image: RgbImage, is_difference: bool) -> Preview {
-        let image = Arc::new(image);
-        Preview {
-            difference: is_difference.then(|| Arc::clone(&image)),
-            image,
+    const PALETTE: Palette = Palette {
+        depth: ColourDepth::True,
+    };
+
+    /// Two gels with differences, and a colour camera.
+    fn status() -> EngineStatus {
+        let mut status = EngineStatus::starting("d", "r", gripcast_session::Labels::default());
+        let image = Arc::new(RgbImage::new(64, 48));
+        for role in [Role::Left, Role::Right, Role::Rgb] {
+            let difference = role.is_tactile().then(|| Arc::clone(&image));
+            let image = Arc::clone(&image);
+            status.previews.insert(role, Preview { image, difference });
         }
+        status.contact.insert(Role::Left, 8.4);
+        status
+    }
+
+    fn names(shown: &[Shown]) -> Vec<String> {
+        let name = |shown: &Shown| match shown.is_difference {
+            true => format!("{} difference", shown.role),
+            false => shown.role.to_string(),
+        };
+        shown.iter().map(name).collect()
+    }
+
+    #[test]
+    fn gels_are_shown_twice_where_there_is_room() {
+        let images = |width, height, gels| {
+            let (shown, across, _) = layout(Rect::new(0, 0, width, height), &status(), gels);
+            (names(&shown), across)
+        };
+        let (shown, across) = images(160, 14, GelImages::Both);
+        assert_eq!(across, 5);
+        assert_eq!(
+            shown,
+            [
+                "left",
+                "right",
+                "rgb",
+                "left difference",
+                "right difference"
+            ]
+        );
+        let (shown, across) = images(60, 60, GelImages::Both);
+        assert_eq!(across, 2);
+        assert_eq!(
+            shown,
+            [
+                "left",
+                "left difference",
+                "right",
+                "right difference",
+                "rgb"
+            ]
+        );
+        for (gels, expected) in [
+            (
+                GelImages::Both,
+                ["left difference", "right difference", "rgb"],
+            ),
+            (
+                GelImages::Difference,
+                ["left difference", "right difference", "rgb"],
+            ),
+            (GelImages::Image, ["left", "right", "rgb"]),
+        ] {
+            assert_eq!(images(53, 9, gels).0, expected);
+        }
+    }
+
+    #[test]
+    fn captions_name_the_image_and_its_contact() {
+        let of = |is_difference, is_alone, width| {
+            let shown = Shown {
+                role: Role::Left,
+                is_difference,
+                is_alone,
+            };
+            caption(shown, &status(), width, PALETTE).to_string()
+        };
+        assert_eq!(of(true, true, 30), "left difference · contact 8.4");
+        assert_eq!(of(true, true, 17), "left contact 8.4");
+        assert_eq!(of(true, true, 8), "left 8.4");
+        assert_eq!(of(false, true, 30), "left image · contact 8.4");
+        assert_eq!(of(false, false, 30), "left");
     }
 
     #[test]
@@ -207,7 +419,13 @@ mod tests {
         });
         let area = Rect::new(0, 0, 2, 1);
         let mut buffer = Buffer::empty(area);
-        draw_image(&mut buffer, area, &preview(image, false), ColourDepth::True);
+        draw_image(
+            &mut buffer,
+            area,
+            &Arc::new(image),
+            false,
+            ColourDepth::True,
+        );
         for x in 0..2 {
             let cell = &buffer[(x, 0)];
             assert_eq!(cell.symbol(), "▀");
@@ -221,7 +439,7 @@ mod tests {
         let image = RgbImage::from_fn(2, 1, |x, _| Rgb([128 + 127 * x as u8; 3]));
         let area = Rect::new(0, 0, 2, 1);
         let mut buffer = Buffer::empty(area);
-        draw_image(&mut buffer, area, &preview(image, true), ColourDepth::Mono);
+        draw_image(&mut buffer, area, &Arc::new(image), true, ColourDepth::Mono);
         assert_eq!(buffer[(0, 0)].symbol(), " ");
         assert_ne!(buffer[(1, 0)].symbol(), " ");
     }

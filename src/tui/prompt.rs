@@ -97,7 +97,9 @@ impl Prompt {
                 self.cursor = 0;
             }
             KeyCode::Char('w') if control => self.delete_word(),
-            KeyCode::Char(c) if !control => self.insert(c),
+            KeyCode::Char(c) if !control && !key.modifiers.contains(KeyModifiers::ALT) => {
+                self.insert(c);
+            }
             KeyCode::Backspace => {
                 let end = self.cursor;
                 self.cursor = self.before();
@@ -120,6 +122,18 @@ impl Prompt {
         Reply::Editing
     }
 
+    /// Inserts pasted text as one line: runs of blanks, line breaks and control characters become a
+    /// space. Returns false if the text is longer than a name can be.
+    pub fn paste(&mut self, text: &str) -> bool {
+        let is_blank = |c: char| c.is_whitespace() || c.is_control();
+        let words: Vec<&str> = text
+            .split(is_blank)
+            .filter(|word| !word.is_empty())
+            .collect();
+        let is_inserted = |c| is_unsafe_char(c) || self.insert(c);
+        words.join(" ").chars().all(is_inserted)
+    }
+
     fn accepted(&self) -> Reply {
         match self.text.trim() {
             "" => Reply::Cancelled,
@@ -127,11 +141,14 @@ impl Prompt {
         }
     }
 
-    fn insert(&mut self, character: char) {
-        if !is_unsafe_char(character) && self.text.chars().count() < MAX_LABEL_CHARS {
+    /// Returns false if the character is unsafe or the name is full.
+    fn insert(&mut self, character: char) -> bool {
+        let fits = !is_unsafe_char(character) && self.text.chars().count() < MAX_LABEL_CHARS;
+        if fits {
             self.text.insert(self.cursor, character);
             self.cursor += character.len_utf8();
         }
+        fits
     }
 
     fn delete_word(&mut self) {

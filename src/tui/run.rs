@@ -7,6 +7,7 @@ use crossterm::event::Event;
 use tokio::sync::{mpsc, watch};
 
 use super::collect;
+use super::graphics::{Graphics, TerminalGraphics};
 use super::keyboard::{Keyboard, unreadable};
 use super::palette::{ColourDepth, Palette};
 use super::state::{Reaction, ScreenState};
@@ -21,6 +22,15 @@ const POLL: Duration = Duration::from_millis(50);
 /// Minimum interval between two images, to save bandwidth over SSH.
 const MIN_INTERVAL: Duration = Duration::from_millis(100);
 
+/// How the screen outputs tones and images.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Output {
+    /// Output of tones.
+    pub sound: Sound,
+    /// Output of images.
+    pub graphics: Graphics,
+}
+
 /// Channels between screen and engine.
 pub struct Wiring {
     /// Incoming status. A dropped sender means the engine has ended and closes the screen.
@@ -29,8 +39,8 @@ pub struct Wiring {
     pub commands: mpsc::Sender<CommandRequest>,
     /// Incoming tones.
     pub tones: mpsc::UnboundedReceiver<Tone>,
-    /// Output of tones.
-    pub sound: Sound,
+    /// Output of tones and images.
+    pub output: Output,
 }
 
 /// Runs the screen until the operator quits or the engine ends; blocks the thread.
@@ -44,9 +54,11 @@ pub fn run(wiring: Wiring) -> Result<()> {
     let depth = ColourDepth::from_environment(|name| std::env::var(name).ok());
     let keyboard = Keyboard::open().map_err(unreadable)?;
     let mut terminal = ScreenTerminal::enter()?;
+    let graphics = terminal.graphics(wiring.output.graphics, &keyboard)?;
     let mut screen = Screen {
+        graphics,
         state: ScreenState::new(Palette { depth }),
-        speaker: Speaker::new(wiring.sound),
+        speaker: Speaker::new(wiring.output.sound),
         wiring,
         drawn: None,
         changed: true,
@@ -59,6 +71,8 @@ struct Screen {
     wiring: Wiring,
     state: ScreenState,
     speaker: Speaker,
+    /// Graphics of the terminal, or `None` for half blocks.
+    graphics: Option<TerminalGraphics>,
     /// Time of the last drawing.
     drawn: Option<Instant>,
     /// Whether the screen is out of date.
@@ -76,8 +90,12 @@ impl Screen {
         if self.changed && self.drawn.is_none_or(|at| at.elapsed() >= MIN_INTERVAL) {
             self.draw(terminal)?;
         }
-        let events = keyboard.events(POLL)?;
-        Ok(events.is_some_and(|events| events.iter().all(|event| self.handle(event))))
+        let Some(events) = keyboard.events(POLL)? else {
+            return Ok(false);
+        };
+        let stays = self.handle(&events, Instant::now());
+        terminal.report_key_kinds(self.state.prompt.is_none())?;
+        Ok(stays)
     }
 
     fn sound(&mut self, terminal: &mut ScreenTerminal) -> Result<()> {
@@ -94,25 +112,36 @@ impl Screen {
     fn draw(&mut self, terminal: &mut ScreenTerminal) -> Result<()> {
         let status = Arc::clone(&self.wiring.status.borrow_and_update());
         self.state.update(&status);
-        terminal.draw(|frame| collect::draw(frame, &status, &self.state))?;
+        let mut graphics = self.graphics.as_mut();
+        if let Some(graphics) = &mut graphics {
+            graphics.start(Instant::now());
+        }
+        terminal.draw(|frame| collect::draw_with(frame, &status, &self.state, graphics))?;
         self.drawn = Some(Instant::now());
         self.changed = false;
         Ok(())
     }
 
-    /// Handles an event; false closes the screen.
-    fn handle(&mut self, event: &Event) -> bool {
-        self.changed = true;
-        let Event::Key(key) = event else {
-            return true;
-        };
+    /// Handles events; false closes the screen.
+    fn handle(&mut self, events: &[Event], now: Instant) -> bool {
+        self.changed |= !events.is_empty();
+        if let Some(graphics) = &mut self.graphics
+            && events.iter().any(Event::is_resize)
+        {
+            graphics.resize();
+        }
         let status = Arc::clone(&self.wiring.status.borrow());
-        match self.state.press(key, &status) {
-            Reaction::None => {}
-            Reaction::Send(command) => self.send(command),
-            Reaction::Leave => {
-                self.send(Command::Quit);
-                return false;
+        let mut reactions = self.state.handle(events, now, &status);
+        reactions.extend(self.state.handle_waiting(now, &status));
+        for reaction in reactions {
+            self.changed = true;
+            match reaction {
+                Reaction::None => {}
+                Reaction::Send(command) => self.send(command),
+                Reaction::Leave => {
+                    self.send(Command::Quit);
+                    return false;
+                }
             }
         }
         true

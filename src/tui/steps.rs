@@ -14,18 +14,18 @@ use gripcast_session::{SessionView, Step};
 struct Banner {
     number: u8,
     verb: &'static str,
-    instruction: &'static str,
+    instruction: String,
     /// Instruction for narrow screens.
-    brief: &'static str,
+    brief: String,
     style: Style,
 }
 
 impl Banner {
     /// Returns the longest instruction of at most `columns`.
-    fn fitting(&self, columns: usize) -> &'static str {
+    fn fitting(&self, columns: usize) -> &str {
         match self.instruction.chars().count() <= columns {
-            true => self.instruction,
-            false => self.brief,
+            true => &self.instruction,
+            false => &self.brief,
         }
     }
 }
@@ -36,19 +36,26 @@ fn banner(session: &SessionView, palette: Palette) -> Banner {
         Step::Grasp => 2,
         Step::Label => 3,
     };
-    let is_refused = session.refusal.is_some();
+    if let Some(refusal) = session.refusal.as_ref().filter(|_| !session.saving) {
+        let stage = refusal.stage.to_uppercase();
+        let keys = match refusal.can_override {
+            true => "SPACE again, or ! overrides",
+            false => "fix it, then SPACE again",
+        };
+        return Banner {
+            number,
+            verb: "REFUSED",
+            instruction: format!("{stage} NOT TAKEN — {keys}"),
+            brief: format!("NOT TAKEN — {keys}"),
+            style: palette.refusal(),
+        };
+    }
     let (verb, instruction, brief, style) = match session.step {
         _ if session.saving => (
             "SAVING",
             "SAVING — hold still",
             "SAVING — hold still",
             palette.busy_step(),
-        ),
-        _ if is_refused => (
-            "REFUSED",
-            "NOT TAKEN — fix this and trigger again",
-            "NOT TAKEN — see reasons",
-            palette.refusal(),
         ),
         Step::Initial => (
             "OPEN",
@@ -72,8 +79,8 @@ fn banner(session: &SessionView, palette: Palette) -> Banner {
     Banner {
         number,
         verb,
-        instruction,
-        brief,
+        instruction: instruction.to_owned(),
+        brief: brief.to_owned(),
         style,
     }
 }
@@ -98,7 +105,7 @@ pub(super) fn draw(buffer: &mut Buffer, area: Rect, session: &SessionView, palet
     let verb = size.columns(banner.verb).max(size.columns("CLOSE"));
     let words = inset(area, verb + 4, (area.height - 3) / 2);
     let heading = format!("STEP {}/3", banner.number);
-    let instruction = banner.fitting(usize::from(words.width));
+    let instruction = banner.fitting(usize::from(words.width)).to_owned();
     let lines = [
         Line::styled(heading, banner.style),
         Line::styled(instruction, banner.style),
@@ -118,7 +125,7 @@ pub(super) fn brief(session: &SessionView, room: usize, palette: Palette) -> Spa
     let words = if banner.brief.chars().count() <= room {
         banner.brief
     } else {
-        banner.verb
+        banner.verb.to_owned()
     };
     Span::styled(words, banner.style)
 }

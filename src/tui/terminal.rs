@@ -3,8 +3,13 @@
 use std::io::{self, BufWriter, Stdout, Write};
 use std::sync::Once;
 use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::Duration;
 
 use crossterm::cursor::{Hide, Show};
+use crossterm::event::{
+    DisableBracketedPaste, EnableBracketedPaste, KeyboardEnhancementFlags,
+    PopKeyboardEnhancementFlags, PushKeyboardEnhancementFlags,
+};
 use crossterm::terminal::{
     BeginSynchronizedUpdate, EndSynchronizedUpdate, EnterAlternateScreen, LeaveAlternateScreen,
     disable_raw_mode, enable_raw_mode,
@@ -14,13 +19,25 @@ use ratatui::backend::CrosstermBackend;
 use ratatui::layout::{Position, Rect};
 use ratatui::{Frame, Terminal};
 
+use super::graphics::{self, Answer, Graphics, GraphicsProtocol, TerminalGraphics};
+use super::keyboard::Keyboard;
+use super::palette::ColourDepth;
 use gripcast_base::error::{Error, Result};
 
 /// Write buffer: holds a 200×60 screen of half blocks in 24-bit colour, bytes.
 const WRITE_BUFFER_BYTES: usize = 512 * 1024;
 
+/// Maximum wait for each part of the terminal's answer.
+const ANSWER_TIMEOUT: Duration = Duration::from_secs(1);
+const DELETE_KITTY_IMAGES: &[u8] = b"\x1b_Ga=d,d=A,q=2\x1b\\";
+
 /// Whether the screen owns the terminal; see [`restore`].
 static ENTERED: AtomicBool = AtomicBool::new(false);
+/// Whether the terminal was asked for the kinds of key events; see
+/// [`ScreenTerminal::report_key_kinds`].
+static REPORTS_KEY_KINDS: AtomicBool = AtomicBool::new(false);
+/// Whether the terminal may hold kitty images, which are to be deleted.
+static HAS_KITTY_IMAGES: AtomicBool = AtomicBool::new(false);
 static PANIC_HOOK: Once = Once::new();
 
 /// The terminal while the screen is shown. It is restored on drop, and on a panic before the
@@ -53,7 +70,17 @@ impl ScreenTerminal {
     fn take(&mut self) -> Result<()> {
         ENTERED.store(true, Ordering::SeqCst);
         enable_raw_mode().map_err(failed)?;
-        execute!(self.terminal.backend_mut(), EnterAlternateScreen, Hide).map_err(failed)?;
+        execute!(
+            self.terminal.backend_mut(),
+            EnterAlternateScreen,
+            Hide,
+            EnableBracketedPaste
+        )
+        .map_err(failed)?;
+        self.clear()
+    }
+
+    fn clear(&mut self) -> Result<()> {
         // Clears like `Terminal::clear`, but without querying the cursor, which may take seconds or
         // fail.
         let size = self.terminal.size().map_err(failed)?;
@@ -76,6 +103,64 @@ impl ScreenTerminal {
         execute!(self.terminal.backend_mut(), EndSynchronizedUpdate).map_err(failed)
     }
 
+    /// Returns the graphics of the terminal, or `None` for half blocks. Waits at most
+    /// [`ANSWER_TIMEOUT`] for a terminal that does not answer.
+    ///
+    /// # Errors
+    /// If the terminal is closed.
+    pub(super) fn graphics(
+        &mut self,
+        choice: Graphics,
+        keyboard: &Keyboard,
+    ) -> Result<Option<TerminalGraphics>> {
+        let variable = |name: &str| std::env::var(name).ok();
+        let is_mono = ColourDepth::from_environment(variable) == ColourDepth::Mono;
+        if choice == Graphics::Blocks || choice == Graphics::Auto && is_mono {
+            return Ok(None);
+        }
+        let mut answer = Answer::default();
+        if graphics::can_be_asked(variable) {
+            let backend = self.terminal.backend_mut();
+            backend
+                .write_all(graphics::QUESTION.as_bytes())
+                .map_err(failed)?;
+            io::Write::flush(backend).map_err(failed)?;
+            let is_complete = |bytes: &[u8]| Answer::parse(bytes).is_complete;
+            let bytes = keyboard.answer(ANSWER_TIMEOUT, is_complete);
+            answer = Answer::parse(&bytes.map_err(failed)?);
+            // Terminals may print what they do not know.
+            self.clear()?;
+        }
+        let is_remote = variable("SSH_CONNECTION").is_some();
+        let graphics = TerminalGraphics::new(choice, &answer, is_remote);
+        let is_kitty = |g: &TerminalGraphics| g.protocol() == GraphicsProtocol::Kitty;
+        HAS_KITTY_IMAGES.store(graphics.as_ref().is_some_and(is_kitty), Ordering::SeqCst);
+        Ok(graphics)
+    }
+
+    /// Asks the terminal to say which key events are presses, repeats and releases (kitty keyboard
+    /// protocol; other terminals ignore it). Off while text is typed: input methods need the
+    /// terminal's own text.
+    ///
+    /// # Errors
+    /// If the terminal is closed.
+    pub(super) fn report_key_kinds(&mut self, on: bool) -> Result<()> {
+        if REPORTS_KEY_KINDS.swap(on, Ordering::SeqCst) == on {
+            return Ok(());
+        }
+        let backend = self.terminal.backend_mut();
+        if on {
+            let flags = KeyboardEnhancementFlags::DISAMBIGUATE_ESCAPE_CODES
+                | KeyboardEnhancementFlags::REPORT_EVENT_TYPES
+                | KeyboardEnhancementFlags::REPORT_ALTERNATE_KEYS
+                | KeyboardEnhancementFlags::REPORT_ALL_KEYS_AS_ESCAPE_CODES;
+            execute!(backend, PushKeyboardEnhancementFlags(flags))
+        } else {
+            execute!(backend, PopKeyboardEnhancementFlags)
+        }
+        .map_err(failed)
+    }
+
     /// Rings the bell, between images only, so that it never splits an escape sequence.
     pub(super) fn ring(&mut self) -> Result<()> {
         let backend = self.terminal.backend_mut();
@@ -96,9 +181,16 @@ impl Drop for ScreenTerminal {
 pub fn restore() {
     if ENTERED.swap(false, Ordering::SeqCst) {
         // Errors of a closing terminal are ignored.
+        if HAS_KITTY_IMAGES.swap(false, Ordering::SeqCst) {
+            let _ = io::stdout().write_all(DELETE_KITTY_IMAGES);
+        }
+        if REPORTS_KEY_KINDS.swap(false, Ordering::SeqCst) {
+            let _ = execute!(io::stdout(), PopKeyboardEnhancementFlags);
+        }
         let _ = execute!(
             io::stdout(),
             EndSynchronizedUpdate,
+            DisableBracketedPaste,
             LeaveAlternateScreen,
             Show
         );

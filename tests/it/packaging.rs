@@ -197,8 +197,8 @@ fn packaged_settings_show_the_defaults() {
     let defaults = config_show("");
     let shown = config_show(&switched_on(&packaged));
     for (key, default) in defaults.as_object().unwrap() {
-        // `sound` is of the screen, which a service has none of.
-        if key == "collect.sound" {
+        // Sound and graphics are of the screen, which a service has none of.
+        if ["collect.sound", "collect.graphics"].contains(&key.as_str()) {
             continue;
         }
         let here = &shown[key];

@@ -118,14 +118,15 @@ pub struct PedalConfig {
     pub product: u16,
     /// Commands (`trigger`, `stable`, `slip`, `undo`, …) by key name (`a`, `b`, `page_down`).
     pub keys: BTreeMap<String, String>,
-    /// Debounce time, ms.
+    /// Debounce time, ms: an edge within this time after the last one is no press. Keyboards repeat
+    /// held keys every 25–100 ms.
     #[serde(default = "PedalConfig::default_debounce_ms")]
     pub debounce_ms: u64,
 }
 
 impl PedalConfig {
     fn default_debounce_ms() -> u64 {
-        80
+        150
     }
 }
 

@@ -405,6 +405,20 @@ mod tests {
         assert_eq!(presses(sequence), [(0, A), (780, A)]);
     }
 
+    /// Some devices send a held key as short presses.
+    #[test]
+    fn repeated_reports_of_a_held_pedal_are_one_press() {
+        let mut detector = KeyEdgeDetector::new(150 * MS);
+        let mut pressed = Vec::new();
+        for press in 0..30 {
+            let at_ns = 90 * MS * press;
+            pressed.extend(detector.report(&keys(&[A]), at_ns));
+            pressed.extend(detector.report(&keys(&[]), at_ns + 5 * MS));
+        }
+        assert_eq!(pressed, [A]);
+        assert_eq!(detector.report(&keys(&[A]), 3_000 * MS), [A]);
+    }
+
     #[test]
     fn keys_are_debounced_independently() {
         let sequence: &[(u64, &[u8])] = &[(0, &[A]), (10, &[A, B]), (20, &[B]), (30, &[])];
