@@ -21,8 +21,8 @@ use gripcast_session::{Command, CommandResult};
 #[serde(deny_unknown_fields)]
 pub(crate) struct CommandBody {
     /// `trigger`, `initial`, `grasp`, `override`, `stable`, `slip`, `unlabel`, `undo`, `redo`,
-    /// `object NAME`, `scene NAME`, `operator NAME`, `relabel ID OUTCOME`, `trash ID`, `restore
-    /// ID`.
+    /// `object NAME`, `scene NAME`, `operator NAME`, `relabel ID OUTCOME`, `edit ID object NAME`,
+    /// `edit ID scene NAME`, `edit ID operator NAME`, `trash ID`, `restore ID`.
     #[schema(example = "trigger")]
     command: String,
 }

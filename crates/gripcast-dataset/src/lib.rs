@@ -35,6 +35,7 @@ mod immutable;
 mod index;
 mod layout;
 mod lock;
+mod names;
 mod opening;
 mod reader;
 mod rebuild;
@@ -62,6 +63,7 @@ pub use grasp::{
 pub use gripcast_base::files::GraspId;
 pub use index::{ReindexReport, reindex};
 pub use layout::{Stage, image_name, pre_grasp_name};
+pub use names::NameChange;
 pub use opening::OpenReport;
 pub use reader::Dataset;
 pub use record_file::PendingInitial;
