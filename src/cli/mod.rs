@@ -33,6 +33,7 @@ mod completions;
 mod config;
 mod daemon;
 mod dataset;
+mod dataset_edit;
 mod dataset_export;
 mod dataset_import;
 mod dataset_text;

@@ -5,7 +5,7 @@ use crossterm::event::KeyEvent;
 use super::fault::faults;
 use super::input::{self, UiAction};
 use super::palette::Palette;
-use super::prompt::{Prompt, Reply};
+use super::prompt::{Field, Prompt, Reply};
 use crate::daemon::EngineStatus;
 use gripcast_imaging::Role;
 use gripcast_session::{Command, Step};
@@ -90,6 +90,9 @@ impl ScreenState {
             UiAction::Quit => return self.quit(confirmed, status),
             UiAction::Toggle(overlay) if self.overlay == overlay => self.overlay = Overlay::None,
             UiAction::Toggle(overlay) => self.overlay = overlay,
+            UiAction::Prompt(Field::LastObject) if status.session.last.is_none() => {
+                self.notice = Some("no grasp to correct yet".to_owned());
+            }
             UiAction::Prompt(field) => self.prompt = Some(Prompt::new(field, &status.session)),
             UiAction::Close if self.overlay != Overlay::None => self.overlay = Overlay::None,
             UiAction::Close => {

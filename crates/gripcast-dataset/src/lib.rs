@@ -63,7 +63,7 @@ pub use grasp::{
 pub use gripcast_base::files::GraspId;
 pub use index::{ReindexReport, reindex};
 pub use layout::{Stage, image_name, pre_grasp_name};
-pub use names::NameChange;
+pub use names::{EditReport, EditedGrasp, NameChange, Selection, edit};
 pub use opening::OpenReport;
 pub use reader::Dataset;
 pub use record_file::PendingInitial;

@@ -43,6 +43,22 @@ impl DatasetWriter {
         Self::open_on(Box::new(SystemDisk), path.as_ref(), new)
     }
 
+    /// Opens an existing dataset for writing, as [`open_or_create`](Self::open_or_create).
+    ///
+    /// # Errors
+    /// `NotFound` without a dataset; as [`open_or_create`](Self::open_or_create).
+    pub fn open(path: impl AsRef<Path>) -> Result<(Self, OpenReport)> {
+        let path = path.as_ref();
+        let found = Descriptor::read(&Layout::new(path))?;
+        let same = NewDataset {
+            name: found.name,
+            rig: found.rig,
+            licence: found.licence,
+            label_definition: found.label_definition,
+        };
+        Self::open_or_create(path, &same)
+    }
+
     pub(super) fn open_on(
         disk: Box<dyn Disk>,
         root: &Path,
