@@ -131,7 +131,6 @@ fn annotate(args: &Args, progress: &Progress) -> Result<Summary> {
     let dataset = Dataset::open(&args.dataset)?;
     let mut writer = None;
     if !args.dry_run {
-        let descriptor = dataset.descriptor();
         writer = Some(DatasetWriter::open(&args.dataset)?.0);
     }
     let ids = dataset.ids()?;

@@ -22,7 +22,7 @@ use clap::Subcommand;
 use serde_json::json;
 
 use super::dataset_text::{counted, name_of, outcomes_text, size_text};
-use super::flags::named;
+use super::flags::{fraction, named};
 use super::working::interruptible;
 use super::{Context, dataset_edit, dataset_export, dataset_import, print_json, print_report};
 use crate::note;
@@ -85,13 +85,13 @@ struct SplitArgs {
     /// Folder of the dataset
     dataset: PathBuf,
     /// Fraction of the training set
-    #[arg(long, value_name = "FRACTION", default_value_t = 0.7)]
+    #[arg(long, value_name = "FRACTION", default_value_t = 0.7, value_parser = fraction)]
     train: f64,
     /// Fraction of the validation set
-    #[arg(long, value_name = "FRACTION", default_value_t = 0.15)]
+    #[arg(long, value_name = "FRACTION", default_value_t = 0.15, value_parser = fraction)]
     val: f64,
     /// Fraction of the test set
-    #[arg(long, value_name = "FRACTION", default_value_t = 0.15)]
+    #[arg(long, value_name = "FRACTION", default_value_t = 0.15, value_parser = fraction)]
     test: f64,
     /// Grouping key of the split (no group in two sets)
     #[arg(long, value_name = "KEY", default_value = "object", value_parser = named([

@@ -10,6 +10,7 @@ use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
 use super::black_box::BlackBoxStatus;
+use super::start_report::StartFinding;
 use gripcast_capture::camera::CameraCounters;
 use gripcast_dataset::PredictionRecord;
 use gripcast_imaging::Role;
@@ -27,6 +28,13 @@ pub struct EngineStatus {
     pub clock: String,
     /// Free space on the dataset's disk, bytes.
     pub disk_free_bytes: Option<u64>,
+    /// Number of grasps that fit on the disk until triggers are refused; null before the first
+    /// grasp.
+    #[serde(default)]
+    pub grasps_that_fit: Option<u64>,
+    /// What differs from the dataset's earlier grasps, the most important first.
+    #[serde(default)]
+    pub start_report: Vec<StartFinding>,
     /// The black box, if enabled.
     pub black_box: Option<BlackBoxStatus>,
     /// State of the session.
@@ -54,6 +62,8 @@ impl EngineStatus {
             rig: rig.to_owned(),
             clock: String::new(),
             disk_free_bytes: None,
+            grasps_that_fit: None,
+            start_report: Vec::new(),
             black_box: None,
             session: session.view(0),
             cameras: Vec::new(),

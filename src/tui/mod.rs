@@ -23,6 +23,7 @@ mod prompt;
 mod refusal;
 mod run;
 mod sensors;
+mod start_report;
 mod state;
 mod steps;
 mod terminal;

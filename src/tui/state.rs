@@ -6,7 +6,7 @@ use super::fault::faults;
 use super::input::{self, UiAction};
 use super::palette::Palette;
 use super::prompt::{Field, Prompt, Reply};
-use crate::daemon::EngineStatus;
+use crate::daemon::{EngineStatus, StartFinding};
 use gripcast_imaging::Role;
 use gripcast_session::{Command, Step};
 
@@ -46,6 +46,7 @@ pub struct ScreenState {
     pub notice: Option<String>,
     leaving: bool,
     dismissed_faults: Vec<Role>,
+    pub(super) dismissed_warnings: Vec<StartFinding>,
 }
 
 impl ScreenState {
@@ -58,6 +59,7 @@ impl ScreenState {
             notice: None,
             leaving: false,
             dismissed_faults: Vec::new(),
+            dismissed_warnings: Vec::new(),
         }
     }
 
@@ -97,6 +99,7 @@ impl ScreenState {
             UiAction::Close if self.overlay != Overlay::None => self.overlay = Overlay::None,
             UiAction::Close => {
                 self.dismissed_faults = faults(status).map(|camera| camera.role).collect();
+                self.dismissed_warnings.clone_from(&status.start_report);
             }
         }
         Reaction::None

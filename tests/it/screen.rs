@@ -80,6 +80,8 @@ fn waiting_for_grasp() -> EngineStatus {
         rig: "bench-a".to_owned(),
         clock: "17:42:10".to_owned(),
         disk_free_bytes: Some(212_000_000_000),
+        grasps_that_fit: None,
+        start_report: Vec::new(),
         black_box: None,
         session: SessionView {
             step: Step::Grasp,

@@ -252,6 +252,75 @@ mod tests {
         );
     }
 
+    /// A dataset of an earlier version, which stored names as typed.
+    #[test]
+    fn composed_and_decomposed_names_are_one_object() {
+        let dir = tempfile::tempdir().unwrap();
+        let (mut writer, _) = DatasetWriter::open_or_create(dir.path(), &new_dataset()).unwrap();
+        let mut ids = Vec::new();
+        for (number, object) in [(1, "Gr\u{f6}\u{df}e"), (3, "Gr\u{f6}\u{df}e"), (5, "mug")] {
+            let pending = writer.save_initial(&capture(number), Vec::new()).unwrap();
+            let record = writer.save_grasp(&pending, &capture(number + 1), meta(object));
+            ids.push(record.unwrap().id);
+        }
+        drop(writer);
+        let path = dir.path().join("grasps").join(&*ids[1]).join("grasp.json");
+        let text = std::fs::read_to_string(&path).unwrap();
+        std::fs::write(
+            &path,
+            text.replace("Gr\u{f6}\u{df}e", "  Gro\u{308}\u{df}e"),
+        )
+        .unwrap();
+
+        let dataset = Dataset::open(dir.path()).unwrap();
+        let objects = crate::summary(&dataset).unwrap().objects;
+        assert_eq!(objects.len(), 2, "{objects:?}");
+        let plan = crate::SplitPlan {
+            name: "a".into(),
+            by: crate::GroupKey::Object,
+            seed: 0,
+            fractions: [("fit".to_owned(), 0.5), ("rest".to_owned(), 0.5)].into(),
+        };
+        let file = crate::split(&dataset, &plan).unwrap();
+        let splits: Vec<_> = file.splits.values().collect();
+        let together = splits
+            .iter()
+            .any(|set| set.grasps.contains(&ids[0]) && set.grasps.contains(&ids[1]));
+        assert!(together, "{splits:?}");
+
+        let kinds = || {
+            let report = crate::verify(dir.path(), &|_, _| {}).unwrap();
+            report.problems.iter().map(|p| p.kind).collect::<Vec<_>>()
+        };
+        assert_eq!(kinds(), [crate::ProblemKind::Name]);
+        let planned = crate::recover(dir.path(), true).unwrap();
+        assert_eq!(planned.actions.len(), 1, "{planned:?}");
+        crate::recover(dir.path(), false).unwrap();
+        assert_eq!(kinds(), []);
+        let text = std::fs::read_to_string(&path).unwrap();
+        assert!(text.contains("\"Gr\u{f6}\u{df}e\""), "{text}");
+    }
+
+    #[test]
+    fn objects_that_differ_only_in_case_are_noted() {
+        let dir = tempfile::tempdir().unwrap();
+        let (mut writer, _) = DatasetWriter::open_or_create(dir.path(), &new_dataset()).unwrap();
+        for (number, object) in [(1, "Mug"), (3, "mug")] {
+            let pending = writer.save_initial(&capture(number), Vec::new()).unwrap();
+            writer
+                .save_grasp(&pending, &capture(number + 1), meta(object))
+                .unwrap();
+        }
+        drop(writer);
+        let report = crate::verify(dir.path(), &|_, _| {}).unwrap();
+        assert_eq!(report.problems, []);
+        let notes = report.notes.join("\n");
+        assert!(
+            notes.contains("`Mug` and `mug` are easily confused"),
+            "{notes}"
+        );
+    }
+
     #[test]
     fn several_names_are_printed() {
         let change = NameChange {

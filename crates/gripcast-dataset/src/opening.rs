@@ -9,6 +9,7 @@ use super::disk::{Disk, SystemDisk, partial_name, partial_of, replace};
 use super::index::{IndexRow, is_stored, to_jsonl};
 use super::layout::{DATASET_TOML, GRASP_JSON, INITIAL_JSON, LOCK, Layout};
 use super::lock::DatasetLock;
+use super::provenance::Provenance;
 use super::reader::grasp_ids;
 use super::record_file::{PendingInitial, read_grasp};
 use super::trash::move_to_trash;
@@ -24,6 +25,8 @@ pub struct OpenReport {
     pub created: bool,
     /// Number of existing grasps.
     pub counts: GraspCounts,
+    /// What the existing grasps were taken with.
+    pub provenance: Provenance,
     /// The newest pending initial frame.
     pub pending: Option<PendingInitial>,
     /// Leftovers of a crash and how they were handled, one sentence each.
@@ -131,9 +134,11 @@ impl DatasetWriter {
             let dir = self.layout.grasp(&id);
             match read_grasp(&dir) {
                 Ok(record) => {
+                    report.provenance.add(&record);
                     self.rows.insert(id, IndexRow::new(&record));
                 }
                 Err(error) => {
+                    report.provenance.unreadable += 1;
                     report.notes.push(format!("cannot use {id}: {error}"));
                     continue;
                 }

@@ -25,6 +25,8 @@ pub enum Command {
     Relabel(GraspId, Outcome),
     /// Change object, scene or operator of any grasp of the dataset.
     Edit(GraspId, NameChange),
+    /// Change object, scene or operator of the newest grasp.
+    EditLast(NameChange),
     /// Move any grasp of the dataset to the trash.
     Trash(GraspId),
     /// Restore a grasp from the trash.
@@ -132,7 +134,7 @@ impl fmt::Display for ParseCommandError {
             f,
             "unknown command `{}`; expected one of trigger, initial, grasp, stable, slip, unlabel, \
              undo, redo, override, object NAME, scene NAME, operator NAME, relabel ID OUTCOME, \
-             edit ID object|scene|operator NAME, trash ID, restore ID, quit",
+             edit ID|last object|scene|operator NAME, trash ID, restore ID, quit",
             self.text
         )
     }
@@ -188,7 +190,10 @@ impl FromStr for Command {
             "edit" => {
                 let (which, names) = rest.split_once(char::is_whitespace).ok_or_else(error)?;
                 let names = NameChange::parse(names.trim()).map_err(because)?;
-                Ok(Self::Edit(id(which)?, names))
+                Ok(match which {
+                    "last" => Self::EditLast(names),
+                    which => Self::Edit(id(which)?, names),
+                })
             }
             "object" if rest.is_empty() => Err(error()),
             "object" => ObjectName::parse(rest).map(Self::Object).map_err(because),
@@ -208,6 +213,7 @@ impl fmt::Display for Command {
         match self {
             Self::Relabel(id, outcome) => write!(f, "relabel {id} {outcome}"),
             Self::Edit(id, names) => write!(f, "edit {id} {names}"),
+            Self::EditLast(names) => write!(f, "edit last {names}"),
             Self::Trash(id) => write!(f, "trash {id}"),
             Self::Restore(id) => write!(f, "restore {id}"),
             Self::Object(name) => write!(f, "object {name}"),
@@ -242,7 +248,7 @@ mod tests {
             "operator Ada",
             "relabel 2026-11-20T10-15-03Z-7f3a unlabelled",
             "edit 2026-11-20T10-15-03Z-7f3a object mug blue",
-            "edit 2026-11-20T10-15-03Z-7f3a scene lab",
+            "edit last scene lab",
             "edit 2026-11-20T10-15-03Z-7f3a operator Ada",
             "trash 2026-11-20T10-15-03Z-7f3a",
             "restore 2026-11-20T10-15-03Z-7f3a",

@@ -215,13 +215,11 @@ impl Session {
             Command::Grasp => self.capture(Stage::Grasp, now, false),
             Command::Label(outcome) => self.label(outcome),
             Command::Relabel(id, outcome) => self.set_outcome(id, outcome),
-            Command::Edit(id, names) => {
-                let request = StoreRequest::SetNames {
-                    id,
-                    names: names.clone(),
-                };
-                self.store(InFlight::Names(names), request)
-            }
+            Command::EditLast(names) => match &self.last {
+                Some(last) => self.edit(last.id.clone(), names),
+                None => self.refuse_with("no grasp to edit yet"),
+            },
+            Command::Edit(id, names) => self.edit(id, names),
             Command::Trash(id) => self.store(InFlight::Trash, StoreRequest::TrashGrasp { id }),
             Command::Restore(id) => {
                 self.store(InFlight::Restore, StoreRequest::RestoreGrasp { id })
@@ -526,6 +524,11 @@ impl Session {
         }
         self.count(object, from, -1);
         self.count(object, to, 1);
+    }
+
+    fn edit(&mut self, id: GraspId, names: NameChange) -> Vec<Effect> {
+        let after = names.clone();
+        self.store(InFlight::Names(after), StoreRequest::SetNames { id, names })
     }
 
     fn names_changed(&mut self, after: NameChange, reply: &StoreReply) -> Vec<Effect> {

@@ -465,7 +465,7 @@ fn any_command() -> impl Strategy<Value = (Command, usize)> {
         1 => Just(Command::Object("cup".parse().unwrap())),
         2 => Just(Command::Relabel(missing(), Outcome::Slip)),
         2 => Just(Command::Edit(missing(), NameChange::parse("object cup").unwrap())),
-        2 => Just(Command::Edit(missing(), NameChange::parse("object jar").unwrap())),
+        2 => Just(Command::EditLast(NameChange::parse("object jar").unwrap())),
         3 => Just(Command::Trash(missing())),
         3 => Just(Command::Restore(missing())),
     ];
@@ -529,6 +529,9 @@ fn object_of_any_grasp_is_corrected_and_undone() {
     assert_eq!(view.counts.object_stable, 1);
     play(&mut session, &mut store, Command::Redo, &good());
     assert_eq!(session.view(0).last.unwrap().object, "jar");
+    let cup = Command::EditLast(NameChange::parse("object cup").unwrap());
+    play(&mut session, &mut store, cup, &good());
+    assert_eq!(session.view(0).last.unwrap().object, "cup");
     let missing = GraspId::parse("missing").unwrap();
     let edit = Command::Edit(missing, NameChange::parse("scene lab").unwrap());
     let tones = play(&mut session, &mut store, edit, &good());

@@ -30,6 +30,7 @@ use super::pre_grasp::PreGraspRecorder;
 use super::report::{
     CollectReport, EndReason, GraspReport, PredictionReport, camera_report, cameras_json,
 };
+use super::start_report::{StartFinding, StartSubject};
 use super::status::{EngineStatus, disk_free_bytes};
 use super::store::{Store, StoreMessage};
 use super::tasks::Tasks;
@@ -38,7 +39,7 @@ use gripcast_base::error::Result;
 use gripcast_capture::calibration::RigFile;
 use gripcast_capture::camera::{CameraOpener, SupervisionPolicy, monotonic_ns};
 use gripcast_capture::trigger::{Script, ScriptRunner};
-use gripcast_dataset::NewDataset;
+use gripcast_dataset::{NewDataset, Provenance};
 use gripcast_imaging::{Intrinsics, Role};
 use gripcast_nn::predict::Model;
 use gripcast_session::{GuardLimits, Labels, Session, Step, StoreReply, StoreRequest, Tone};
@@ -152,6 +153,14 @@ struct Engine {
     /// Grasps of this session that are in the trash.
     undone: BTreeMap<String, GraspReport>,
     disk_free_bytes: Option<u64>,
+    /// What the dataset's grasps were taken with, at the start.
+    provenance: Provenance,
+    /// Wall clock and `CLOCK_MONOTONIC` (ns) at the start.
+    started: (Timestamp, u64),
+    /// What differs from them now.
+    start_report: Vec<StartFinding>,
+    /// All findings of this session.
+    start_findings: BTreeMap<StartSubject, StartFinding>,
     was_live: BTreeMap<Role, bool>,
     /// Whether each thread was stuck, and its restarts.
     last_task_states: BTreeMap<String, (bool, u64)>,
@@ -206,6 +215,7 @@ impl Engine {
     fn tick(&mut self) -> Result<()> {
         if self.ticks.is_multiple_of(DISK_TICKS) {
             self.disk_free_bytes = disk_free_bytes(&self.dataset);
+            self.check_start();
             self.hub.tap.json(Topic::Cameras, || {
                 cameras_json(&self.hub, &self.rig, monotonic_ns())
             });
@@ -275,6 +285,7 @@ impl Engine {
             rig: self.rig.id,
             ended,
             session,
+            start_report: self.start_findings.into_values().collect(),
             grasps: self.grasps,
             cameras,
             prediction: PredictionReport {

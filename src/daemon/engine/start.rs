@@ -3,6 +3,7 @@
 use std::collections::{BTreeMap, VecDeque};
 use std::sync::mpsc::channel;
 
+use jiff::Timestamp;
 use tokio::sync::mpsc;
 
 use super::script::ScriptCommand;
@@ -17,6 +18,7 @@ use crate::daemon::pre_grasp::PreGraspRecorder;
 use crate::daemon::store::{Store, StoreContext, StoreMessage, pending_frame};
 use gripcast_base::error::{Error, Result};
 use gripcast_capture::calibration::RigFile;
+use gripcast_capture::camera::monotonic_ns;
 use gripcast_capture::trigger::ScriptRunner;
 use gripcast_dataset::{DatasetWriter, PendingInitial};
 use gripcast_imaging::{CropProfile, Role};
@@ -107,6 +109,10 @@ impl Engine {
             grasps: Vec::new(),
             undone: BTreeMap::new(),
             disk_free_bytes: None,
+            provenance: opened.provenance,
+            started: (Timestamp::now(), monotonic_ns()),
+            start_report: Vec::new(),
+            start_findings: BTreeMap::new(),
             was_live: BTreeMap::new(),
             last_task_states: BTreeMap::new(),
             ticks: 0,

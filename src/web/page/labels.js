@@ -33,6 +33,7 @@ let edited = {
 export function drawLabels(state, show) {
   session = state.session;
   drawHead(state);
+  drawStartReport(state);
   drawNames(state.session);
   drawCounts(state.session);
   refill(byId("last"), state.session.last, () => lastGrasp(state.session.last, show));
@@ -52,6 +53,23 @@ function drawHead({ dataset, rig, clock, cameras, disk_free_bytes: free, session
   style(byId("disk"), free === null || free >= LOW_DISK_BYTES ? "" : free < FULL_DISK_BYTES ? "slip" : "warning");
   const title = `${step} · ${dataset} · gripcast`;
   if (document.title !== title) document.title = title;
+}
+
+/** Warnings of the start report that were dismissed on this page. @type {Set<string>} */
+const dismissed = new Set();
+
+/** @param {State} state */
+function drawStartReport(state) {
+  const warnings = (state.start_report ?? []).filter(({ level, text }) => level !== "info" && !dismissed.has(text));
+  const node = byId("start-report");
+  node.hidden = warnings.length === 0;
+  refill(node, warnings, () => [
+    make("ul", "", ...warnings.map(({ text }) => make("li", "", text))),
+    button("Close", () => {
+      for (const { text } of warnings) dismissed.add(text);
+      drawStartReport(state);
+    }),
+  ]);
 }
 
 /** @param {Session} session */

@@ -72,6 +72,8 @@
  * @property {string} rig
  * @property {string} clock
  * @property {number|null} disk_free_bytes
+ * @property {number|null} [grasps_that_fit] until triggers are refused
+ * @property {{subject: string, level: "info"|"warning"|"error", text: string}[]} [start_report]
  * @property {Session} session
  * @property {Camera[]} cameras
  * @property {Prediction|null} prediction
