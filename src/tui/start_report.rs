@@ -53,7 +53,7 @@ pub(super) fn draw(buffer: &mut Buffer, area: Rect, warnings: &[&StartFinding], 
 mod tests {
     use super::*;
     use crate::daemon::StartSubject;
-    use crate::tui::{Palette, ScreenState};
+    use crate::tui::{ColourDepth, Palette, ScreenState};
     use crossterm::event::{KeyCode, KeyEvent, KeyModifiers};
     use gripcast_session::Labels;
 
@@ -76,7 +76,9 @@ mod tests {
                 ..warning(StartSubject::FreeSpace, "9 fit")
             },
         ];
-        let mut state = ScreenState::new(Palette::from_environment(|_| None));
+        let mut state = ScreenState::new(Palette {
+            depth: ColourDepth::True,
+        });
         let open = |state: &ScreenState, status: &EngineStatus| {
             open_warnings(status, &state.dismissed_warnings).count()
         };

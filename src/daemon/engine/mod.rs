@@ -25,7 +25,7 @@ use super::boards::Boards;
 use super::capture::CaptureThreads;
 use super::command_request::CommandRequest;
 use super::hub::Hub;
-use super::infer::Inference;
+use super::infer::{Inference, ModelInfo};
 use super::pre_grasp::PreGraspRecorder;
 use super::report::{
     CollectReport, EndReason, GraspReport, PredictionReport, camera_report, cameras_json,
@@ -155,6 +155,8 @@ struct Engine {
     disk_free_bytes: Option<u64>,
     /// What the dataset's grasps were taken with, at the start.
     provenance: Provenance,
+    /// The model.
+    model: Option<ModelInfo>,
     /// Wall clock and `CLOCK_MONOTONIC` (ns) at the start.
     started: (Timestamp, u64),
     /// What differs from them now.

@@ -74,7 +74,7 @@ impl Engine {
             dataset: &self.provenance,
             rig: &self.rig,
             cameras: &cameras,
-            model: self.inference.model.as_ref(),
+            model: self.model.as_ref(),
             object: &self.session.labels().object,
             now,
             clock_jump: now.duration_since(start) - elapsed,

@@ -110,6 +110,7 @@ impl Engine {
             undone: BTreeMap::new(),
             disk_free_bytes: None,
             provenance: opened.provenance,
+            model,
             started: (Timestamp::now(), monotonic_ns()),
             start_report: Vec::new(),
             start_findings: BTreeMap::new(),
