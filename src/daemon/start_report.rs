@@ -23,8 +23,8 @@ const FEW_GRASPS: u64 = 200;
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize, ToSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum StartSubject {
-    /// Simulated grasps among real ones, or the reverse.
-    MixedSimulation,
+    /// Grasps of a virtual rig, of recordings and of cameras in one dataset.
+    MixedSources,
     /// The wall clock is wrong.
     Clock,
     /// Records that cannot be read.
@@ -56,6 +56,8 @@ pub struct StartFinding {
 pub(super) struct StartFacts<'a> {
     /// The existing grasps.
     pub(super) dataset: &'a Provenance,
+    /// Source of the newest grasp's frames.
+    pub(super) newest_source: Option<SourceKind>,
     /// The rig.
     pub(super) rig: &'a RigFile,
     /// Its cameras; product and serial are known once a camera was opened.
@@ -84,10 +86,10 @@ pub(super) fn start_report(facts: &StartFacts<'_>) -> Vec<StartFinding> {
             text,
         })
     };
-    let mixed = mixed_simulation(facts);
+    let mixed = mixed_sources(facts);
     let is_mixed = mixed.is_some();
     [
-        warning(StartSubject::MixedSimulation, mixed),
+        warning(StartSubject::MixedSources, mixed),
         warning(StartSubject::Clock, clock(facts)),
         warning(StartSubject::Unreadable, unreadable(facts)),
         // A virtual rig differs from a real one in everything.
@@ -113,29 +115,40 @@ pub(super) fn grasps_that_fit(
     free.checked_div(dataset.bytes_per_grasp()?)
 }
 
-fn mixed_simulation(facts: &StartFacts<'_>) -> Option<String> {
+fn mixed_sources(facts: &StartFacts<'_>) -> Option<String> {
     let (simulated, all) = (facts.dataset.simulated, facts.dataset.grasps);
-    let others = if is_virtual(facts.rig) {
-        all - simulated
-    } else {
-        simulated
+    let source = source(facts.rig);
+    let (others, old) = match source {
+        SourceKind::Virtual => (all - simulated, "not simulated"),
+        _ => (simulated, "simulated"),
     };
-    if others == 0 {
-        return None;
-    }
-    let (new, old) = match is_virtual(facts.rig) {
-        true => ("SIMULATED", "not simulated"),
-        false => ("REAL", "simulated"),
+    let old = if others > 0 {
+        format!("{others} of the dataset's {all} grasps are {old}")
+    } else {
+        let newest = facts.newest_source.filter(|newest| *newest != source)?;
+        format!("the dataset's newest grasp is {}", words(newest))
     };
     Some(format!(
-        "the next grasps are {new}, but {others} of the dataset's {all} grasps are {old}: use \
-         another --dataset, or filter by `rig`"
+        "the next grasps are {}, but {old}: use another --dataset, or filter by `rig`",
+        words(source).to_uppercase()
     ))
 }
 
-fn is_virtual(rig: &RigFile) -> bool {
+/// Source of the tactile cameras' frames.
+fn source(rig: &RigFile) -> SourceKind {
     let mut tactile = rig.cameras.iter().filter(|(role, _)| role.is_tactile());
-    tactile.any(|(_, camera)| camera.source == SourceKind::Virtual)
+    tactile
+        .next()
+        .map(|(_, camera)| camera.source)
+        .unwrap_or_default()
+}
+
+fn words(source: SourceKind) -> &'static str {
+    match source {
+        SourceKind::V4l2 => "from cameras",
+        SourceKind::Replay => "from a recording",
+        SourceKind::Virtual => "simulated",
+    }
 }
 
 fn clock(facts: &StartFacts<'_>) -> Option<String> {
@@ -336,6 +349,7 @@ mod tests {
 
     struct Scene {
         dataset: Provenance,
+        newest_source: Option<SourceKind>,
         rig: RigFile,
         cameras: Vec<CameraStatus>,
         model: Option<ModelInfo>,
@@ -351,6 +365,7 @@ mod tests {
             let dataset = bench();
             let record: &PredictionRecord = dataset.prediction.as_ref().unwrap();
             Self {
+                newest_source: Some(SourceKind::V4l2),
                 rig: rig_of(&dataset, SourceKind::V4l2),
                 cameras: opened(&dataset),
                 model: Some(ModelInfo {
@@ -370,6 +385,7 @@ mod tests {
         fn report(&self) -> Vec<StartFinding> {
             start_report(&StartFacts {
                 dataset: &self.dataset,
+                newest_source: self.newest_source,
                 rig: &self.rig,
                 cameras: &self.cameras,
                 model: self.model.as_ref(),
@@ -407,25 +423,32 @@ mod tests {
     fn new_dataset_has_nothing_to_compare_with() {
         let mut scene = Scene::same();
         scene.dataset = Provenance::default();
+        scene.newest_source = None;
         scene.rig.id = "other".into();
         assert_eq!(scene.report(), []);
     }
 
     #[test]
-    fn simulated_and_real_grasps_are_not_mixed_silently() {
+    fn simulated_recorded_and_real_grasps_are_not_mixed_silently() {
         let mut scene = Scene::same();
         scene.rig = RigFile::virtual_rig();
-        let text = scene.warning(StartSubject::MixedSimulation);
+        let text = scene.warning(StartSubject::MixedSources);
         assert!(
             text.contains("SIMULATED") && text.contains("1 of the dataset's 1"),
             "{text}"
         );
         let mut scene = Scene::same();
         scene.dataset.simulated = 1;
-        let text = scene.warning(StartSubject::MixedSimulation);
-        assert!(text.contains("REAL"), "{text}");
+        let text = scene.warning(StartSubject::MixedSources);
+        assert!(text.contains("FROM CAMERAS, but 1 of"), "{text}");
         scene.rig = rig_of(&scene.dataset, SourceKind::Virtual);
+        scene.newest_source = Some(SourceKind::Virtual);
         assert_eq!(scene.report().len(), 1, "virtual again");
+        let mut scene = Scene::same();
+        scene.rig = rig_of(&scene.dataset, SourceKind::Replay);
+        let text = scene.warning(StartSubject::MixedSources);
+        assert!(text.contains("FROM A RECORDING"), "{text}");
+        assert!(text.contains("newest grasp is from cameras"), "{text}");
     }
 
     #[test]

@@ -5,6 +5,7 @@ use std::collections::BTreeMap;
 use jiff::Timestamp;
 
 use super::grasp::{CameraRecord, GraspRecord, PredictionRecord};
+use gripcast_base::files::ContentKey;
 use gripcast_imaging::Role;
 
 /// What the existing grasps of a dataset were taken with.
@@ -24,6 +25,8 @@ pub struct Provenance {
     pub rig: Option<String>,
     /// Cameras of the newest grasp.
     pub cameras: BTreeMap<Role, CameraRecord>,
+    /// Calibration of the newest grasp's left camera.
+    pub calibration: Option<ContentKey>,
     /// The newest prediction.
     pub prediction: Option<PredictionRecord>,
 }
@@ -38,6 +41,7 @@ impl Provenance {
         self.captured_at = self.captured_at.max(captured_at);
         self.rig = Some(record.rig.clone());
         self.cameras.clone_from(&record.grasp.cameras);
+        self.calibration = record.calibration.get(&Role::Left).cloned();
         if let Some(prediction) = &record.prediction {
             self.prediction = Some(prediction.clone());
         }

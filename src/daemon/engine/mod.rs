@@ -36,7 +36,7 @@ use super::store::{Store, StoreMessage};
 use super::tasks::Tasks;
 use super::thread::lock;
 use gripcast_base::error::Result;
-use gripcast_capture::calibration::RigFile;
+use gripcast_capture::calibration::{RigFile, SourceKind};
 use gripcast_capture::camera::{CameraOpener, SupervisionPolicy, monotonic_ns};
 use gripcast_capture::trigger::{Script, ScriptRunner};
 use gripcast_dataset::{NewDataset, Provenance};
@@ -157,6 +157,8 @@ struct Engine {
     provenance: Provenance,
     /// The model.
     model: Option<ModelInfo>,
+    /// Source of the newest grasp's frames, at the start.
+    newest_source: Option<SourceKind>,
     /// Wall clock and `CLOCK_MONOTONIC` (ns) at the start.
     started: (Timestamp, u64),
     /// What differs from them now.

@@ -72,6 +72,7 @@ impl Engine {
             .collect();
         self.start_report = start_report(&StartFacts {
             dataset: &self.provenance,
+            newest_source: self.newest_source,
             rig: &self.rig,
             cameras: &cameras,
             model: self.model.as_ref(),
