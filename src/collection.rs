@@ -15,6 +15,7 @@ use super::model_choice::chosen_model;
 use crate::note;
 use gripcast_base::error::{Error, Result};
 use gripcast_base::files::allow_links_into;
+use gripcast_base::number::NumberRange;
 use gripcast_capture::calibration::{PedalConfig, RigFile, SourceKind};
 use gripcast_capture::camera::{MonotonicClock, RigSources, SupervisionPolicy};
 use gripcast_capture::device::SystemRoot;
@@ -22,11 +23,14 @@ use gripcast_capture::trigger::{PedalEvent, Script, run_pedal};
 use gripcast_dataset::NewDataset;
 use gripcast_imaging::{Intrinsics, Role};
 use gripcast_pose::load_intrinsics;
-use gripcast_session::{CommandSource, Labels};
+use gripcast_session::{Command, CommandSource, Labels};
 use gripcast_virtual_rig::{VirtualHand, VirtualSource};
 
 /// Capacity of the command queue.
 pub(crate) const COMMAND_QUEUE: usize = 64;
+
+/// Debounce times of pedals; a longer one loses steps of the cycle.
+const DEBOUNCE_MS: NumberRange = NumberRange::between(0.0, 2000.0).unit("ms");
 
 /// Name of the socket in the folder of runtime files.
 const SOCKET: &str = "gripcast.sock";
@@ -143,7 +147,8 @@ fn known_intrinsics(
 /// Finds the rig of a configuration.
 ///
 /// # Errors
-/// `Usage` if none is named; as [`RigFile::find`].
+/// `Usage` if none is named; `Config` for a pedal key without a valid command; as
+/// [`RigFile::find`].
 pub(crate) fn chosen_rig(settings: &CollectConfig) -> Result<RigFile> {
     if settings.rig.is_empty() {
         return Err(Error::usage("no rig given").remedy(
@@ -151,7 +156,24 @@ pub(crate) fn chosen_rig(settings: &CollectConfig) -> Result<RigFile> {
              connected cameras",
         ));
     }
-    RigFile::find(&settings.rig)
+    let rig = RigFile::find(&settings.rig)?;
+    check_pedals(&rig.pedals).map_err(|e| e.at(format!("rig {}", rig.id)))?;
+    Ok(rig)
+}
+
+/// Checks that every key of a pedal has a command, so that none is ignored during a grasp.
+fn check_pedals(pedals: &[PedalConfig]) -> Result<()> {
+    for (index, pedal) in pedals.iter().enumerate() {
+        DEBOUNCE_MS
+            .check(pedal.debounce_ms as f64)
+            .map_err(|e| Error::config(format!("pedals[{index}].debounce_ms: {}", e.what())))?;
+        for (key, command) in &pedal.keys {
+            command.parse::<Command>().map_err(|e| {
+                Error::config(format!("pedals[{index}].keys.{key} is not a command: {e}"))
+            })?;
+        }
+    }
+    Ok(())
 }
 
 /// Returns the dataset folder of a configuration.
@@ -242,4 +264,31 @@ pub(crate) fn stop_signals(hangup_ends: bool) -> Result<impl Future<Output = End
             _ = hung_up => EndReason::Terminated,
         }
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn pedal_keys_must_be_commands() {
+        let pedal = |command: &str, debounce_ms| PedalConfig {
+            vendor: 1,
+            product: 2,
+            keys: [("a".to_owned(), command.to_owned())].into(),
+            debounce_ms,
+        };
+        assert!(check_pedals(&[pedal("trigger", 80), pedal("object mug", 0)]).is_ok());
+        for (command, debounce_ms, expected) in [
+            ("trigge", 80, "pedals[1].keys.a"),
+            ("object a/b", 80, "object name"),
+            ("object ", 80, "pedals[1].keys.a"),
+            ("trigger", 3_600_000, "pedals[1].debounce_ms"),
+        ] {
+            let pedals = [pedal("trigger", 80), pedal(command, debounce_ms)];
+            let error = check_pedals(&pedals).unwrap_err();
+            assert_eq!(error.kind().exit_code(), 2);
+            assert!(error.to_string().contains(expected), "{error}");
+        }
+    }
 }

@@ -154,6 +154,7 @@ fn on_stored(backend: &Backend, event: &StoreEvent) {
         note!("NOT SAVED: {message}");
     }
     if let StoreRequest::SetOutcome { id, .. }
+    | StoreRequest::SetNames { id, .. }
     | StoreRequest::RestoreGrasp { id }
     | StoreRequest::RedoGrasp { id, .. } = &event.request
     {

@@ -31,7 +31,7 @@ use gripcast_annotate::{
 };
 use gripcast_base::error::{Error, ErrorKind, Result};
 use gripcast_base::files::{ContentKey, FileKind, ObjectName, Root};
-use gripcast_dataset::{Dataset, DatasetWriter, GraspId, GraspRecord, NewDataset, PoseRecord};
+use gripcast_dataset::{Dataset, DatasetWriter, GraspId, GraspRecord, PoseRecord};
 use gripcast_geometry::{LengthUnit, Pose, TriangleMesh, load_object_mesh};
 use gripcast_imaging::{Decoder, Intrinsics, Role, encode_jpeg};
 use gripcast_pose::{BoardFile, PrintedSheet, load_intrinsics};
@@ -131,14 +131,7 @@ fn annotate(args: &Args, progress: &Progress) -> Result<Summary> {
     let dataset = Dataset::open(&args.dataset)?;
     let mut writer = None;
     if !args.dry_run {
-        let descriptor = dataset.descriptor();
-        let same = NewDataset {
-            name: descriptor.name.clone(),
-            rig: descriptor.rig.clone(),
-            licence: descriptor.licence.clone(),
-            label_definition: descriptor.label_definition.clone(),
-        };
-        writer = Some(DatasetWriter::open_or_create(&args.dataset, &same)?.0);
+        writer = Some(DatasetWriter::open(&args.dataset)?.0);
     }
     let ids = dataset.ids()?;
     let mut summary = Summary {

@@ -1,7 +1,7 @@
 //! `gripcast board charuco`: draws a ChArUco board for camera calibration.
 
 use super::board_make::SheetFlags;
-use super::flags::size;
+use super::flags::{millimetres, size};
 use gripcast_base::error::Result;
 use gripcast_pose::print::{CharucoSettings, charuco_sheet};
 
@@ -16,10 +16,10 @@ pub(super) struct Args {
         value_parser = |text: &str| size(text, 0..=1000))]
     squares: [u32; 2],
     /// Side length of a square
-    #[arg(long, value_name = "MM", default_value_t = 30.0)]
+    #[arg(long, value_name = "MM", default_value_t = 30.0, value_parser = millimetres)]
     square_mm: f64,
     /// Side length of a marker [default: 0.7 of a square]
-    #[arg(long, value_name = "MM")]
+    #[arg(long, value_name = "MM", value_parser = millimetres)]
     marker_mm: Option<f64>,
     /// ID of the first marker
     #[arg(long, value_name = "ID", default_value_t = 0)]

@@ -6,7 +6,7 @@ use glam::DQuat;
 use serde_json::json;
 
 use super::board::folder;
-use super::flags::{numbers, suffix};
+use super::flags::{above_zero, degrees, millimetres, numbers, suffix};
 use super::sim_object::MeshFlags;
 use super::{Context, print_report};
 use gripcast_base::error::{Error, Result, nearest_name};
@@ -30,10 +30,10 @@ pub(super) struct MakeArgs {
     #[arg(long, value_name = "INDEX")]
     stable_pose: Option<usize>,
     /// Rotation of the object on the sheet, counter-clockwise
-    #[arg(long, value_name = "DEG", default_value_t = 0.0)]
+    #[arg(long, value_name = "DEG", default_value_t = 0.0, value_parser = degrees)]
     yaw_deg: f64,
     /// Marker side length
-    #[arg(long, value_name = "MM", default_value_t = 30.0)]
+    #[arg(long, value_name = "MM", default_value_t = 30.0, value_parser = millimetres)]
     marker_mm: f64,
     /// ID of the first marker
     #[arg(long, value_name = "ID", default_value_t = 0)]
@@ -46,10 +46,10 @@ pub(super) struct MakeArgs {
 #[derive(Debug, clap::Args)]
 pub(super) struct GripperArgs {
     /// Side length of the body markers
-    #[arg(long, value_name = "MM", default_value_t = 30.0)]
+    #[arg(long, value_name = "MM", default_value_t = 30.0, value_parser = millimetres)]
     body_mm: f64,
     /// Side length of the finger markers
-    #[arg(long, value_name = "MM", default_value_t = 18.0)]
+    #[arg(long, value_name = "MM", default_value_t = 18.0, value_parser = millimetres)]
     finger_mm: f64,
     /// ID of the first of six markers [default: the tenth from the end of the dictionary]
     #[arg(long, value_name = "ID")]
@@ -77,7 +77,7 @@ pub(super) struct SheetFlags {
     #[arg(long, value_name = "SIZE", default_value = "A4")]
     pub(super) paper: Paper,
     /// Resolution of a .png, dots per inch
-    #[arg(long, value_name = "DPI", default_value_t = 300.0)]
+    #[arg(long, value_name = "DPI", default_value_t = 300.0, value_parser = above_zero)]
     dpi: f64,
     /// Measured lengths of the printed 100 mm rulers along x and y; corrects the board file
     #[arg(long, value_name = "X,Y", default_value = "100,100", value_parser = measured)]

@@ -4,6 +4,7 @@
 //! gripcast dataset info DIR      show counts, balance, size, predictions versus labels
 //! gripcast dataset verify DIR    read every file and report all problems
 //! gripcast dataset recover DIR   recover readable grasps; the rest moves to trash/
+//! gripcast dataset edit DIR ID…  correct object, scene or operator of saved grasps
 //! gripcast dataset reindex DIR   rebuild metadata.jsonl from the records
 //! gripcast dataset split DIR     split into train, val and test sets with disjoint objects
 //! gripcast dataset export DIR    export to Parquet, WebDataset, LeRobot or Zarr
@@ -21,9 +22,9 @@ use clap::Subcommand;
 use serde_json::json;
 
 use super::dataset_text::{counted, name_of, outcomes_text, size_text};
-use super::flags::named;
+use super::flags::{fraction, named};
 use super::working::interruptible;
-use super::{Context, dataset_export, dataset_import, print_json, print_report};
+use super::{Context, dataset_edit, dataset_export, dataset_import, print_json, print_report};
 use crate::note;
 use gripcast_base::error::{Error, ErrorKind, Result};
 use gripcast_dataset::{
@@ -46,6 +47,8 @@ enum Action {
     Verify(DatasetArgs),
     /// Recover readable grasps; move the rest to trash/
     Recover(RecoverArgs),
+    /// Correct object, scene or operator of saved grasps
+    Edit(dataset_edit::Args),
     /// Rebuild metadata.jsonl from the records
     Reindex(DatasetArgs),
     /// Split the grasps into sets with disjoint objects
@@ -82,13 +85,13 @@ struct SplitArgs {
     /// Folder of the dataset
     dataset: PathBuf,
     /// Fraction of the training set
-    #[arg(long, value_name = "FRACTION", default_value_t = 0.7)]
+    #[arg(long, value_name = "FRACTION", default_value_t = 0.7, value_parser = fraction)]
     train: f64,
     /// Fraction of the validation set
-    #[arg(long, value_name = "FRACTION", default_value_t = 0.15)]
+    #[arg(long, value_name = "FRACTION", default_value_t = 0.15, value_parser = fraction)]
     val: f64,
     /// Fraction of the test set
-    #[arg(long, value_name = "FRACTION", default_value_t = 0.15)]
+    #[arg(long, value_name = "FRACTION", default_value_t = 0.15, value_parser = fraction)]
     test: f64,
     /// Grouping key of the split (no group in two sets)
     #[arg(long, value_name = "KEY", default_value = "object", value_parser = named([
@@ -113,6 +116,7 @@ pub(crate) fn run(context: &Context, args: Args) -> Result<()> {
         Action::Info(args) => run_info(&args),
         Action::Verify(args) => run_verify(context, args),
         Action::Recover(args) => run_recover(context, &args),
+        Action::Edit(args) => dataset_edit::run(&args),
         Action::Reindex(args) => run_reindex(context, &args),
         Action::Split(args) => run_split(&args),
         Action::Export(args) => dataset_export::run(context, args),

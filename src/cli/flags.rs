@@ -8,6 +8,7 @@ use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
 
 use crate::config::FlagValue;
 use gripcast_base::error::{Error, Result};
+use gripcast_base::number::NumberRange;
 use gripcast_base::workers::cores;
 use gripcast_nn::predict::contract::Modality;
 use gripcast_sim::EngineKind;
@@ -67,24 +68,36 @@ pub(super) fn modality() -> impl TypedValueParser<Value = Modality> {
     ])
 }
 
+/// Parser of a number in a range.
+pub(super) fn number(
+    range: NumberRange,
+) -> impl Fn(&str) -> Result<f64, String> + Clone + Send + Sync + 'static {
+    move |text| range.parse(text).map_err(|e| e.what().to_owned())
+}
+
 /// Parses a finite number above 0.
 pub(super) fn above_zero(text: &str) -> Result<f64, String> {
-    let value: f64 = text.parse().map_err(|_| "not a number".to_owned())?;
-    if value.is_finite() && value > 0.0 {
-        Ok(value)
-    } else {
-        Err("must be above 0".to_owned())
-    }
+    number(NumberRange::POSITIVE)(text)
+}
+
+/// Parses a fraction.
+pub(super) fn fraction(text: &str) -> Result<f64, String> {
+    number(NumberRange::FRACTION)(text)
+}
+
+/// Parses an angle, degrees.
+pub(super) fn degrees(text: &str) -> Result<f64, String> {
+    number(NumberRange::between(-360.0, 360.0).unit("degrees"))(text)
+}
+
+/// Parses the side of something that is printed, mm.
+pub(super) fn millimetres(text: &str) -> Result<f64, String> {
+    number(NumberRange::above(0.0, 10_000.0).unit("mm"))(text)
 }
 
 /// Parses a measuring time, s.
 pub(super) fn seconds(text: &str) -> Result<f64, String> {
-    let value: f64 = text.parse().map_err(|_| "not a number".to_owned())?;
-    if (0.1..=3600.0).contains(&value) {
-        Ok(value)
-    } else {
-        Err("must be from 0.1 to 3600".to_owned())
-    }
+    number(NumberRange::between(0.1, 3600.0).unit("s"))(text)
 }
 
 /// Parses `WIDTHxHEIGHT`; both numbers must lie in `range`.
@@ -151,7 +164,7 @@ impl ThreadsFlag {
 #[derive(Clone, Debug, clap::Args)]
 pub(super) struct BallFlags {
     /// Diameter of the ball [default: from presses.json]
-    #[arg(long, value_name = "MM")]
+    #[arg(long, value_name = "MM", value_parser = millimetres)]
     ball_mm: Option<f64>,
     /// Detect contacts in the images even if presses.json has them
     #[arg(long)]

@@ -33,6 +33,7 @@ mod completions;
 mod config;
 mod daemon;
 mod dataset;
+mod dataset_edit;
 mod dataset_export;
 mod dataset_import;
 mod dataset_text;
@@ -245,5 +246,58 @@ fn run(cli: Cli) -> Result<()> {
         Command::Config(args) => config::run(args),
         Command::Completions(args) => completions::run(&args),
         Command::Man(args) => man::run(&context, &args),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::any::TypeId;
+
+    use super::*;
+
+    /// A floating-point option of a command: its path and name.
+    fn floats(command: &clap::Command, path: &[String]) -> Vec<(Vec<String>, String)> {
+        let own = command.get_arguments().filter_map(|arg| {
+            let kind = arg.get_value_parser().type_id();
+            let is_float = kind == TypeId::of::<f64>() || kind == TypeId::of::<f32>();
+            let name = arg.get_long().filter(|_| is_float)?;
+            Some((path.to_vec(), name.to_owned()))
+        });
+        let own: Vec<_> = own.collect();
+        let inner = command.get_subcommands().flat_map(|inner| {
+            let path = [path, &[inner.get_name().to_owned()]].concat();
+            floats(inner, &path)
+        });
+        own.into_iter().chain(inner).collect()
+    }
+
+    #[test]
+    fn floating_point_options_refuse_numbers_that_are_not_finite() {
+        let found = floats(&command(), &["gripcast".to_owned()]);
+        assert!(found.len() > 40, "{found:?}");
+        for (path, name) in found {
+            for bad in ["nan", "-nan", "inf", "-inf", "1e400", "ten"] {
+                let option = format!("--{name}={bad}");
+                let arguments = path.iter().cloned().chain([option.clone()]);
+                let error = command().try_get_matches_from(arguments).unwrap_err();
+                let text = error.to_string();
+                assert_eq!(
+                    error.kind(),
+                    clap::error::ErrorKind::ValueValidation,
+                    "{path:?} {option}: {text}"
+                );
+                assert!(text.contains(&name), "{text}");
+                assert_eq!(error.exit_code(), 2);
+            }
+        }
+    }
+
+    #[test]
+    fn object_option_refuses_what_is_no_name() {
+        for bad in ["", " ", "mug\nblue", "a/b", "\u{200b}", "a\u{202e}b"] {
+            let arguments = ["gripcast", "collect", "--object", bad];
+            let error = command().try_get_matches_from(arguments).unwrap_err();
+            assert!(error.to_string().contains("--object"), "{bad:?}: {error}");
+        }
     }
 }

@@ -20,7 +20,7 @@ use std::path::{Path, PathBuf};
 
 use serde::Serialize;
 
-use super::flags::{BallFlags, check_output, named, size};
+use super::flags::{BallFlags, check_output, fraction, millimetres, named, size};
 use super::working::interruptible;
 use super::{Context, print_report};
 use gripcast_base::error::{Error, ErrorKind, Result};
@@ -47,7 +47,7 @@ pub(crate) struct Args {
     #[arg(long, default_value = "")]
     serial: String,
     /// Fraction of the presses to fit; the others are scored
-    #[arg(long, value_name = "FRACTION", default_value_t = 0.5)]
+    #[arg(long, value_name = "FRACTION", default_value_t = 0.5, value_parser = fraction)]
     train_fraction: f64,
     /// Maximum number of presses to fit
     #[arg(long, value_name = "N")]
@@ -73,7 +73,7 @@ pub(crate) struct Args {
     ]))]
     position: Option<PositionOrder>,
     /// Pixel size of the stored images [default: from presses.json]
-    #[arg(long, value_name = "MM")]
+    #[arg(long, value_name = "MM", value_parser = millimetres)]
     pixel_mm: Option<f64>,
     /// Search the pixel size within ±15 %
     #[arg(long)]

@@ -24,12 +24,13 @@ use image::Luma;
 use serde::{Deserialize, Serialize};
 
 use super::Context;
-use super::flags::{BallFlags, named, read_text};
+use super::flags::{BallFlags, named, number, read_text};
 use super::render_out::{OutPlan, Report};
 use super::render_source::{Moment, ObjectSource, SimulatedGrasp};
 use super::working::{Progress, interruptible};
 use gripcast_base::error::{Error, Result};
 use gripcast_base::files::save;
+use gripcast_base::number::NumberRange;
 use gripcast_geometry::{LengthUnit, Pose};
 use gripcast_imaging::{DepthImage, TactileDifference, encode_png_grey16, encode_png_rgb};
 use gripcast_sim::grasp::Finger;
@@ -88,7 +89,7 @@ struct ObjectFlags {
     )]
     pose: Option<PathBuf>,
     /// Indentation depth of --object without a trace
-    #[arg(long, value_name = "M", default_value_t = 5e-4)]
+    #[arg(long, value_name = "M", default_value_t = 5e-4, value_parser = number(NumberRange::NOT_NEGATIVE))]
     press_m: f64,
 }
 

@@ -24,13 +24,14 @@ use image::RgbImage;
 use serde::Serialize;
 
 use super::Context;
-use super::flags::{ThreadsFlag, image_size};
+use super::flags::{ThreadsFlag, above_zero, image_size, number};
 use super::render_out::{OutPlan, Report};
 use super::render_source::{Moment, ObjectSource, SimulatedGrasp};
 use super::sim_object::{default_resting_pose, read_grasp_pose};
 use super::working::{Progress, interruptible};
 use gripcast_base::error::{Error, Result};
 use gripcast_base::files::save;
+use gripcast_base::number::NumberRange;
 use gripcast_geometry::LengthUnit;
 use gripcast_imaging::{encode_png_grey16, encode_png_rgb};
 use gripcast_sim::grasp::Placement;
@@ -80,7 +81,7 @@ struct ObjectFlags {
     #[arg(long, default_value_t = LengthUnit::Metre)]
     unit: LengthUnit,
     /// Scale factor of --object without a trace
-    #[arg(long, value_name = "FACTOR", default_value_t = 1.0)]
+    #[arg(long, value_name = "FACTOR", default_value_t = 1.0, value_parser = above_zero)]
     scale: f64,
     /// JSON file with t_object_gripper, for --object without a trace
     #[arg(
@@ -129,7 +130,7 @@ struct SceneFlags {
     )]
     pattern: Vec<ProceduralTexture>,
     /// Width of a ground texture
-    #[arg(long, value_name = "M", default_value_t = 0.5)]
+    #[arg(long, value_name = "M", default_value_t = 0.5, value_parser = above_zero)]
     ground_width_m: f64,
 }
 
@@ -147,7 +148,7 @@ struct QualityFlags {
     #[arg(long, value_name = "N", default_value_t = 6)]
     bounces: u32,
     /// Maximum radiance of one sample (biased) [default: unlimited]
-    #[arg(long, value_name = "RADIANCE")]
+    #[arg(long, value_name = "RADIANCE", value_parser = radiance)]
     clamp: Option<f32>,
     /// Denoise, guided by albedo, normal and depth
     #[arg(long)]
@@ -382,4 +383,10 @@ impl<'a> Job<'a> {
         }
         develop(light, &settings, conditions.sensor_seed)
     }
+}
+
+/// Parses a radiance above 0.
+fn radiance(text: &str) -> Result<f32, String> {
+    let range = NumberRange::above(0.0, f64::from(f32::MAX));
+    number(range)(text).map(|value| value as f32)
 }

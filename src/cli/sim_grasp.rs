@@ -19,12 +19,15 @@ use std::time::Instant;
 use serde::Serialize;
 use serde_json::{Value, json};
 
-use super::flags::{ThreadsFlag, above_zero, check_output, gel_resolution, preset, suffix};
+use super::flags::{
+    ThreadsFlag, above_zero, check_output, degrees, gel_resolution, number, preset, suffix,
+};
 use super::sim_object::{ObjectFlags, ObjectRecord, read_grasp_pose};
 use super::working::interruptible;
 use super::{Context, print_report};
 use gripcast_base::error::{Error, ErrorKind, Result};
 use gripcast_base::files::save;
+use gripcast_base::number::NumberRange;
 use gripcast_geometry::{Pose, PreparedMesh, TriangleMesh};
 use gripcast_replay::plot;
 use gripcast_sim::fem::GelResolution;
@@ -61,25 +64,25 @@ struct PoseFlags {
     #[arg(long, value_name = "INDEX")]
     stable_pose: Option<usize>,
     /// Initial distance between the gels [default: object width + 2 mm]
-    #[arg(long, value_name = "M")]
+    #[arg(long, value_name = "M", value_parser = above_zero)]
     width: Option<f64>,
     /// Height of the gel centres above the ground [default: the object's centre]
-    #[arg(long, value_name = "M")]
+    #[arg(long, value_name = "M", value_parser = number(NumberRange::FINITE))]
     height: Option<f64>,
     /// Offset along the closing direction
-    #[arg(long, value_name = "M", default_value_t = 0.0)]
+    #[arg(long, value_name = "M", default_value_t = 0.0, value_parser = number(NumberRange::FINITE))]
     offset_x: f64,
     /// Offset across the closing direction
-    #[arg(long, value_name = "M", default_value_t = 0.0)]
+    #[arg(long, value_name = "M", default_value_t = 0.0, value_parser = number(NumberRange::FINITE))]
     offset_y: f64,
     /// Rotation about the vertical
-    #[arg(long, value_name = "DEG", default_value_t = 0.0)]
+    #[arg(long, value_name = "DEG", default_value_t = 0.0, value_parser = degrees)]
     yaw_deg: f64,
     /// Rotation about the gripper's y axis: one finger higher than the other
-    #[arg(long, value_name = "DEG", default_value_t = 0.0)]
+    #[arg(long, value_name = "DEG", default_value_t = 0.0, value_parser = degrees)]
     roll_deg: f64,
     /// Rotation about the gripper's x axis (closing direction): approach off the vertical
-    #[arg(long, value_name = "DEG", default_value_t = 0.0)]
+    #[arg(long, value_name = "DEG", default_value_t = 0.0, value_parser = degrees)]
     pitch_deg: f64,
 }
 

@@ -4,8 +4,9 @@ use std::path::Path;
 
 use serde::Serialize;
 
-use super::flags::read_text;
+use super::flags::{above_zero, number, read_text};
 use gripcast_base::error::Result;
+use gripcast_base::number::NumberRange;
 use gripcast_geometry::{LengthUnit, Pose, PreparedMesh, TriangleMesh, load_object_mesh};
 use gripcast_sim::grasp::{GraspPose, resting_pose};
 
@@ -20,7 +21,7 @@ pub(super) struct MeshFlags {
     #[arg(long, default_value_t = LengthUnit::Metre)]
     unit: LengthUnit,
     /// Scale factor of the mesh
-    #[arg(long, value_name = "FACTOR", default_value_t = 1.0)]
+    #[arg(long, value_name = "FACTOR", default_value_t = 1.0, value_parser = above_zero)]
     scale: f64,
 }
 
@@ -38,10 +39,10 @@ pub(super) struct ObjectFlags {
     #[command(flatten)]
     pub(super) mesh: MeshFlags,
     /// Mass of the object
-    #[arg(long, value_name = "KG", default_value_t = 0.06)]
+    #[arg(long, value_name = "KG", default_value_t = 0.06, value_parser = above_zero)]
     pub(super) mass_kg: f64,
     /// Coulomb friction coefficient (gel–object and object–ground)
-    #[arg(long, value_name = "MU", default_value_t = 0.4)]
+    #[arg(long, value_name = "MU", default_value_t = 0.4, value_parser = number(NumberRange::NOT_NEGATIVE))]
     pub(super) friction: f64,
 }
 

@@ -19,9 +19,11 @@ use std::time::Instant;
 
 use serde::Serialize;
 
+use super::flags::{above_zero, number};
 use super::working::interruptible;
 use super::{Context, print_report};
 use gripcast_base::error::{Error, ErrorKind, Result};
+use gripcast_base::number::NumberRange;
 use gripcast_geometry::{LengthUnit, PrepareOptions, TriangleMesh, load_mesh, prepare};
 use gripcast_sim::fem::{GelGrid, GelResolution, Grading, PAD_SIZE_M};
 use gripcast_sim::press::{Indenter, Press, PressPoint, PressTarget, half_pad, quarter_pad};
@@ -36,7 +38,7 @@ pub(crate) struct Args {
     /// Radius of the sphere, cylinder or edge
     #[arg(long, value_name = "M", required_if_eq_any = [
         ("indenter", "sphere"), ("indenter", "cylinder"), ("indenter", "edge"),
-    ])]
+    ], value_parser = above_zero)]
     radius_m: Option<f64>,
     /// Mesh file (obj, stl, ply, glb, gltf)
     #[arg(long, value_name = "FILE", required_if_eq("indenter", "mesh"))]
@@ -46,37 +48,37 @@ pub(crate) struct Args {
     unit: LengthUnit,
     /// Indentation depths, comma-separated
     #[arg(long, value_name = "M", value_delimiter = ',',
-        default_values_t = [1e-4, 2e-4, 4e-4, 6e-4, 8e-4, 1e-3])]
+        default_values_t = [1e-4, 2e-4, 4e-4, 6e-4, 8e-4, 1e-3], value_parser = number(NumberRange::FINITE))]
     depth_m: Vec<f64>,
     /// Shear displacements along the gel's x axis at the last depth, comma-separated
-    #[arg(long, value_name = "M", value_delimiter = ',')]
+    #[arg(long, value_name = "M", value_delimiter = ',', value_parser = number(NumberRange::FINITE))]
     shift_m: Vec<f64>,
     /// Gel mesh
     #[arg(long, value_enum, default_value_t = Mesh::Default)]
     gel: Mesh,
     /// Mesh grading towards the middle of the face (1: uniform); not for refined
-    #[arg(long, value_name = "EXPONENT", default_value_t = 1.0)]
+    #[arg(long, value_name = "EXPONENT", default_value_t = 1.0, value_parser = above_zero)]
     grade_middle: f64,
     /// Mesh grading towards the face (1: uniform); not for refined
-    #[arg(long, value_name = "EXPONENT", default_value_t = 1.0)]
+    #[arg(long, value_name = "EXPONENT", default_value_t = 1.0, value_parser = above_zero)]
     grade_face: f64,
     /// Coulomb friction coefficient
-    #[arg(long, value_name = "MU", default_value_t = 0.0)]
+    #[arg(long, value_name = "MU", default_value_t = 0.0, value_parser = number(NumberRange::NOT_NEGATIVE))]
     friction: f64,
     /// Young's modulus of the gel
-    #[arg(long, value_name = "PA", default_value_t = 1e6)]
+    #[arg(long, value_name = "PA", default_value_t = 1e6, value_parser = above_zero)]
     young_pa: f64,
     /// Poisson's ratio of the gel
-    #[arg(long, value_name = "NU", default_value_t = 0.3)]
+    #[arg(long, value_name = "NU", default_value_t = 0.3, value_parser = number(NumberRange::above(-1.0, 0.5)))]
     poisson: f64,
     /// Barrier activation distance d̂ (5e-4 in grasps)
-    #[arg(long, value_name = "M", default_value_t = 2e-5)]
+    #[arg(long, value_name = "M", default_value_t = 2e-5, value_parser = above_zero)]
     d_hat_m: f64,
     /// Barrier stiffness κ
-    #[arg(long, value_name = "PA", default_value_t = 3e6)]
+    #[arg(long, value_name = "PA", default_value_t = 3e6, value_parser = above_zero)]
     kappa_pa: f64,
     /// Face size of the indenter mesh
-    #[arg(long, value_name = "M", default_value_t = 2e-4)]
+    #[arg(long, value_name = "M", default_value_t = 2e-4, value_parser = above_zero)]
     face_m: f64,
     /// Print the result as JSON
     #[arg(long)]

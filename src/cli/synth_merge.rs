@@ -5,10 +5,11 @@
 
 use std::path::PathBuf;
 
-use super::flags::named;
+use super::flags::{named, number};
 use super::working::interruptible;
 use super::{Context, print_report};
 use gripcast_base::error::{Error, ErrorKind, Result};
+use gripcast_base::number::NumberRange;
 use gripcast_dataset::shard::SplitFractions;
 use gripcast_synth::curate::{CurationSettings, GroupKey};
 use gripcast_synth::plan::Plan;
@@ -46,7 +47,7 @@ pub(super) struct SelectionFlags {
     ]))]
     group_by: GroupKey,
     /// Maximum simulations of a category per split, as a multiple of the mean; 0 disables the cap
-    #[arg(long, value_name = "FACTOR", default_value_t = 2.0)]
+    #[arg(long, value_name = "FACTOR", default_value_t = 2.0, value_parser = number(NumberRange::NOT_NEGATIVE))]
     category_cap: f64,
     /// Do not balance the labels
     #[arg(long)]

@@ -7,10 +7,11 @@ use std::path::{Path, PathBuf};
 
 use serde_json::json;
 
-use super::flags::{JobsFlag, above_zero, engine, gel_resolution, named, preset};
+use super::flags::{JobsFlag, above_zero, engine, fraction, gel_resolution, named, number, preset};
 use super::working::{Progress, interruptible};
 use super::{Context, print, print_json};
 use gripcast_base::error::{Error, ErrorKind, Result};
+use gripcast_base::number::NumberRange;
 use gripcast_sim::fem::GelResolution;
 use gripcast_sim::grasp::{GraspSettings, Preset};
 use gripcast_sim::rigid::{RigidEngine, RigidSettings};
@@ -91,10 +92,10 @@ struct Rendering {
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=4096))]
     spp: Option<u32>,
     /// Randomisation of the tactile sensors: 0 = shipped profile, 1 = as real sensors vary
-    #[arg(long, value_name = "SCALE", default_value_t = 1.0)]
+    #[arg(long, value_name = "SCALE", default_value_t = 1.0, value_parser = number(NumberRange::NOT_NEGATIVE))]
     sensor_spread: f64,
     /// Randomisation of camera pose, lens and light: 0 = nominal, 1 = full range
-    #[arg(long, value_name = "SCALE", default_value_t = 1.0)]
+    #[arg(long, value_name = "SCALE", default_value_t = 1.0, value_parser = number(NumberRange::NOT_NEGATIVE))]
     visual_spread: f64,
 }
 
@@ -133,7 +134,7 @@ struct Objects {
     mass_map: MassMap,
     /// Minimum friction of a contaminated surface, as a fraction of the clean, dry one (material
     /// table only)
-    #[arg(long, value_name = "FRACTION", default_value_t = MIN_FRICTION_FRACTION)]
+    #[arg(long, value_name = "FRACTION", default_value_t = MIN_FRICTION_FRACTION, value_parser = fraction)]
     min_friction_fraction: f64,
 }
 

@@ -1,6 +1,8 @@
 //! Training options of `train` and `experiment`.
 
+use super::flags::{above_zero, fraction, number};
 use gripcast_base::error::{Error, Result};
+use gripcast_base::number::NumberRange;
 use gripcast_nn::Architecture;
 use gripcast_nn::predict::contract::Modality;
 use gripcast_train::{Augmentation, TrainSettings};
@@ -20,13 +22,13 @@ pub(super) struct TrainingFlags {
     #[arg(long, value_name = "N", default_value_t = 16)]
     batch_size: usize,
     /// Peak learning rate (linear decay to 0)
-    #[arg(long, value_name = "RATE", default_value_t = 3e-4)]
+    #[arg(long, value_name = "RATE", default_value_t = 3e-4, value_parser = above_zero)]
     learning_rate: f64,
     /// Weight decay (decoupled, AdamW)
-    #[arg(long, value_name = "DECAY", default_value_t = 0.01)]
+    #[arg(long, value_name = "DECAY", default_value_t = 0.01, value_parser = number(NumberRange::NOT_NEGATIVE))]
     weight_decay: f64,
     /// Dropout probability of the hidden layer
-    #[arg(long, value_name = "P", default_value_t = 0.2)]
+    #[arg(long, value_name = "P", default_value_t = 0.2, value_parser = fraction)]
     dropout: f64,
     /// Early-stopping patience (epochs); 0 disables early stopping
     #[arg(long, value_name = "EPOCHS", default_value_t = 0)]

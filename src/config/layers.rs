@@ -5,8 +5,10 @@ use std::collections::BTreeMap;
 use std::fmt;
 use std::path::{Path, PathBuf};
 
+use toml::de::{DeTable, DeValue};
 use toml::{Table, Value};
 
+use super::values::checked;
 use super::{Config, FilesConfig};
 use gripcast_base::error::{Error, Result, nearest_name};
 
@@ -26,8 +28,8 @@ fn is_protected(key: &str) -> bool {
 pub enum Origin {
     /// Built-in default.
     Default,
-    /// A configuration file.
-    File(PathBuf),
+    /// A configuration file and the line, from 1.
+    File(PathBuf, usize),
     /// An environment variable.
     Environment(String),
     /// A command-line flag.
@@ -38,7 +40,7 @@ impl fmt::Display for Origin {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Self::Default => f.write_str("default"),
-            Self::File(path) => write!(f, "{}", path.display()),
+            Self::File(path, line) => write!(f, "{}:{line}", path.display()),
             Self::Environment(name) => f.write_str(name),
             Self::Flag(name) => f.write_str(name),
         }
@@ -150,12 +152,14 @@ pub fn merge(
                 .because(e)
                 .at(path.display())
         })?;
+        let lines = lines(text);
         let mut given = Vec::new();
         flatten("", &table, &mut |key, value| {
             given.push((key, value.clone()))
         });
         for (key, value) in given {
-            let origin = Origin::File(path.to_owned());
+            let line = lines.get(&key).copied().unwrap_or(1);
+            let origin = Origin::File(path.to_owned(), line);
             if matches!(file, ConfigFile::Found(_)) && is_protected(&key) {
                 // It must be a key all the same.
                 slot(&mut values, &key, &origin)?;
@@ -224,6 +228,29 @@ pub fn linked_folders() -> Vec<PathBuf> {
     FilesConfig { linked_folders }.folders()
 }
 
+/// Returns the line of every key, from 1.
+fn lines(text: &str) -> BTreeMap<String, usize> {
+    fn add(prefix: &str, table: &DeTable<'_>, text: &str, lines: &mut BTreeMap<String, usize>) {
+        for (name, value) in table {
+            let key = match prefix {
+                "" => name.get_ref().to_string(),
+                _ => format!("{prefix}.{}", name.get_ref()),
+            };
+            if let DeValue::Table(inner) = value.get_ref() {
+                add(&key, inner, text, lines);
+                continue;
+            }
+            let before = text.get(..name.span().start).unwrap_or_default();
+            lines.insert(key, before.matches('\n').count() + 1);
+        }
+    }
+    let mut lines = BTreeMap::new();
+    if let Ok(table) = DeTable::parse(text) {
+        add("", table.get_ref(), text, &mut lines);
+    }
+    lines
+}
+
 fn flatten(prefix: &str, table: &Table, found: &mut impl FnMut(String, &Value)) {
     for (key, value) in table {
         let key = if prefix.is_empty() {
@@ -272,8 +299,15 @@ fn set(
             Error::config(format!("`{key}` must be of type {expected}, found {found}")).at(origin),
         );
     }
-    *slot = (value, origin);
+    *slot = (
+        checked(key, value).map_err(|e| refused(key, &e, &origin))?,
+        origin,
+    );
     Ok(())
+}
+
+fn refused(key: &str, error: &Error, origin: &Origin) -> Error {
+    Error::config(format!("`{key}`: {}", error.what())).at(origin)
 }
 
 fn set_text(
@@ -296,7 +330,10 @@ fn set_text(
         ))
         .at(origin));
     };
-    *slot = (value, origin);
+    *slot = (
+        checked(key, value).map_err(|e| refused(key, &e, &origin))?,
+        origin,
+    );
     Ok(())
 }
 
@@ -342,7 +379,7 @@ mod tests {
             layered.values["collect.rig"].1,
             Origin::Flag("--rig".into())
         );
-        assert_eq!(layered.values["collect.scene"].1, Origin::File(file));
+        assert_eq!(layered.values["collect.scene"].1, Origin::File(file, 3));
         assert_eq!(layered.values["collect.sound"].1, Origin::Default);
     }
 
@@ -407,6 +444,73 @@ mod tests {
         )];
         let text = load(None, env, &[]).unwrap_err().to_string();
         assert!(text.contains("max_skew_ms") && text.contains("float") && text.contains("wide"));
+    }
+
+    /// Every numeric key, from a file, a variable and a flag.
+    #[test]
+    fn numbers_are_finite_and_in_range_at_every_source() {
+        let defaults = load(None, none(), &[]).unwrap().values;
+        let is_number = |value: &Value| matches!(value, Value::Float(_) | Value::Integer(_));
+        let keys: Vec<&String> = defaults
+            .iter()
+            .filter(|(_, (value, _))| is_number(value))
+            .map(|(key, _)| key)
+            .collect();
+        assert!(keys.len() >= 8, "{keys:?}");
+        let file = ConfigFile::Chosen(PathBuf::from("c.toml"));
+        for key in keys {
+            let (section, name) = key.split_once('.').unwrap();
+            let is_float = matches!(defaults[key].0, Value::Float(_));
+            for bad in ["nan", "inf", "-inf", "1e400", "-1", "-0.5"] {
+                let variable = format!("{ENV_PREFIX}{}", key.to_uppercase().replace('.', "__"));
+                let environment = [(variable.clone(), bad.to_owned())];
+                let error = load(None, environment, &[]).unwrap_err();
+                let text = error.to_string();
+                assert_eq!(error.kind().exit_code(), 2, "{text}");
+                assert!(text.contains(key) && text.contains(&variable), "{text}");
+                let flags = [("--some-flag", "guards.max_skew_ms", bad.to_owned())];
+                let text = load(None, none(), &flags).unwrap_err().to_string();
+                assert!(text.contains("--some-flag"), "{text}");
+                // TOML has no 1e400, and an integer key refuses a float by its type.
+                if bad == "1e400" || (!is_float && bad != "-1") {
+                    continue;
+                }
+                let text = format!("# comment\n[{section}]\n{name} = {bad}\n");
+                let text = merge(Some((&file, &text)), none(), &[])
+                    .unwrap_err()
+                    .to_string();
+                assert!(text.contains(key) && text.contains("c.toml:3"), "{text}");
+                assert!(
+                    text.contains("expected") && text.contains("found"),
+                    "{text}"
+                );
+            }
+        }
+        let text = "guards.max_skew_ms = 1e400\n";
+        assert!(merge(Some((&file, text)), none(), &[]).is_err());
+    }
+
+    #[test]
+    fn names_are_checked_with_their_origin() {
+        let file = ConfigFile::Chosen(PathBuf::from("c.toml"));
+        for (key, name) in [
+            ("object", ""),
+            ("object", "  "),
+            ("object", "a/b"),
+            ("scene", "a\\nb"),
+        ] {
+            let text = format!("[collect]\n{key} = \"{name}\"\n");
+            let error = merge(Some((&file, &text)), none(), &[])
+                .unwrap_err()
+                .to_string();
+            assert!(error.contains("c.toml:2") && error.contains(key), "{error}");
+        }
+        let env = [("GRIPCAST__COLLECT__OBJECT".to_owned(), String::new())];
+        let error = load(None, env, &[]).unwrap_err().to_string();
+        assert!(error.contains("GRIPCAST__COLLECT__OBJECT"), "{error}");
+        let text = "collect.object = \"Gro\u{308}\u{df}e\"\n";
+        let layered = merge(Some((&file, text)), none(), &[]).unwrap();
+        assert_eq!(layered.config.collect.object, "Gr\u{f6}\u{df}e");
     }
 
     #[test]

@@ -4,6 +4,7 @@
 //! nearest one. A `gripcast.toml` found in the current folder may not set protected keys.
 
 mod layers;
+mod values;
 
 use std::fmt;
 use std::path::{Path, PathBuf};

@@ -6,7 +6,7 @@ use serde::{Deserialize, Serialize};
 
 use gripcast_base::error::{Error, Result};
 use gripcast_base::files::ContentKey;
-use gripcast_capture::calibration::{CameraConfig, RigFile};
+use gripcast_capture::calibration::{CameraConfig, RigFile, SourceKind};
 use gripcast_dataset::DatasetWriter;
 use gripcast_imaging::{Intrinsics, Role};
 
@@ -38,6 +38,17 @@ pub(super) fn store_calibration(
             Ok((*role, writer.put_calibration(&text)?))
         })
         .collect()
+}
+
+/// Reads the source of a camera's frames from a file that `store_calibration` wrote; none if it is
+/// invalid.
+pub(super) fn stored_source(text: &str) -> Option<SourceKind> {
+    #[derive(Deserialize)]
+    struct Stored {
+        camera: CameraConfig,
+    }
+    let stored: Stored = toml::from_str(text).ok()?;
+    Some(stored.camera.source)
 }
 
 /// Reads the intrinsics, if any, from a file that `store_calibration` wrote.

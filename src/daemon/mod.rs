@@ -22,6 +22,7 @@ pub mod live_load;
 mod pairing;
 mod pre_grasp;
 mod report;
+mod start_report;
 mod status;
 mod store;
 mod tasks;
@@ -34,6 +35,7 @@ pub use command_request::CommandRequest;
 pub use engine::{EngineLinks, EngineSetup, StoreEvent, run};
 pub use infer::ModelInfo;
 pub use report::{CameraReport, CollectReport, EndReason, GraspReport, PredictionReport};
+pub use start_report::{StartFinding, StartSubject};
 pub(crate) use status::disk_free_bytes;
 pub use status::{
     CameraState, CameraStatus, EngineStatus, MarkerStatus, PredictionStatus, Preview, verdict_of,

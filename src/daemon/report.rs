@@ -6,6 +6,7 @@ use serde::Serialize;
 
 use super::black_box::BlackBoxReport;
 use super::hub::{CameraSlot, Hub};
+use super::start_report::StartFinding;
 use super::status::{CameraState, CameraStatus};
 use gripcast_capture::calibration::RigFile;
 use gripcast_capture::camera::{CameraCounters, Health};
@@ -84,6 +85,8 @@ pub struct CollectReport {
     pub ended: EndReason,
     /// Summary of the session.
     pub session: Summary,
+    /// What differed from the dataset's earlier grasps.
+    pub start_report: Vec<StartFinding>,
     /// Grasps saved in this session.
     pub grasps: Vec<GraspReport>,
     /// Cameras by role.

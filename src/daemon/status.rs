@@ -10,6 +10,7 @@ use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
 use super::black_box::BlackBoxStatus;
+use super::start_report::StartFinding;
 use gripcast_capture::camera::CameraCounters;
 use gripcast_dataset::PredictionRecord;
 use gripcast_imaging::Role;
@@ -32,6 +33,9 @@ pub struct EngineStatus {
     pub grasps_left: Option<u64>,
     /// Labelled grasps wanted per object; 0: no target.
     pub target_per_object: u32,
+    /// What differs from the dataset's earlier grasps, the most important first.
+    #[serde(default)]
+    pub start_report: Vec<StartFinding>,
     /// The black box, if enabled.
     pub black_box: Option<BlackBoxStatus>,
     /// State of the session.
@@ -63,6 +67,7 @@ impl EngineStatus {
             disk_free_bytes: None,
             grasps_left: None,
             target_per_object: 0,
+            start_report: Vec::new(),
             black_box: None,
             session: session.view(0),
             cameras: Vec::new(),

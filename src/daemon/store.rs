@@ -233,6 +233,13 @@ impl Worker {
                     before: before.unwrap_or_default(),
                 })
             }
+            StoreRequest::SetNames { id, names } => {
+                let (record, before) = self.writer.set_names(&id, &names)?;
+                Ok(StoreReply::Renamed {
+                    grasp: record.into(),
+                    before,
+                })
+            }
             StoreRequest::TrashGrasp { id } => {
                 Ok(StoreReply::Trashed(self.writer.trash_grasp(&id)?.into()))
             }

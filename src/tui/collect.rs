@@ -10,7 +10,8 @@ use super::palette::Palette;
 use super::state::{Overlay, ScreenState};
 use super::text::{inset, row, write};
 use super::{
-    counts, fault, footer, gauge, header, health, help, preview, prompt, refusal, sensors, steps,
+    counts, fault, footer, gauge, header, health, help, preview, prompt, refusal, sensors,
+    start_report, steps,
 };
 use crate::daemon::EngineStatus;
 
@@ -70,7 +71,12 @@ fn draw_screen(
     } else {
         // A panel over an image would be hidden by the next image.
         let graphics = graphics.filter(|_| state.overlay == Overlay::None);
-        draw_work(buffer, middle, status, state, graphics);
+        let warnings: Vec<_> =
+            start_report::open_warnings(status, &state.dismissed_warnings).collect();
+        let rows = start_report::rows(warnings.len(), middle.height);
+        let [list, work, _] = split(middle, rows, 0);
+        start_report::draw(buffer, list, &warnings, palette);
+        draw_work(buffer, work, status, state, graphics);
         // A dismissed fault replaces the message line.
         fault::draw_line(buffer, row(bottom, 1), status, palette);
     }

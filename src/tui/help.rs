@@ -7,7 +7,7 @@ use ratatui::text::{Line, Span};
 use super::palette::Palette;
 use super::text::{fill, row, write};
 
-const KEYS: [(&str, &str); 16] = [
+const KEYS: [(&str, &str); 17] = [
     ("space, pedal", "next step: initial frame, then grasp frame"),
     ("i", "take the initial frame (again)"),
     ("g", "take the grasp frame"),
@@ -17,6 +17,7 @@ const KEYS: [(&str, &str); 16] = [
     ("r", "redo what was undone"),
     ("!", "override a refusal; recorded with the grasp"),
     ("o", "set the object name"),
+    ("e", "correct the object of the last grasp"),
     ("n", "set the scene name"),
     ("p", "set the operator name"),
     ("v", "gels: image and difference, image, difference"),

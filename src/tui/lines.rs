@@ -1,6 +1,6 @@
 //! Plain text lines without a screen: one per change of the engine's state.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
@@ -10,7 +10,7 @@ use super::fault::{identity, summary};
 use super::gauge::word;
 use crate::daemon::{
     BlackBoxStatus, CameraState, CameraStatus, EngineStatus, MarkerStatus, PredictionStatus,
-    verdict_of,
+    StartSubject, verdict_of,
 };
 use crate::note;
 use gripcast_dataset::Outcome;
@@ -32,6 +32,7 @@ pub struct LinePrinter {
     black_box_ended: bool,
     last: Option<LastGrasp>,
     message: Option<Message>,
+    start_findings: BTreeSet<StartSubject>,
     started: bool,
 }
 
@@ -74,6 +75,14 @@ impl LinePrinter {
             lines.push(format!("collecting into {dataset} with rig {rig}"));
             // Earlier grasps of the dataset are not news.
             self.last = status.session.last.clone();
+        }
+        for finding in &status.start_report {
+            if self.start_findings.insert(finding.subject) {
+                lines.push(match finding.level {
+                    MessageLevel::Info => finding.text.clone(),
+                    _ => format!("WARNING {}", finding.text),
+                });
+            }
         }
         for camera in &status.cameras {
             lines.extend(self.camera(camera, status, now));

@@ -25,6 +25,7 @@ mod prompt;
 mod refusal;
 mod run;
 mod sensors;
+mod start_report;
 mod state;
 mod steps;
 mod terminal;

@@ -7,7 +7,9 @@ use ratatui::text::{Line, Span};
 
 use super::palette::Palette;
 use super::text::{clipped, columns, fill, write};
-use gripcast_base::files::{Label, MAX_LABEL_CHARS, ObjectName, is_unsafe_char};
+use gripcast_base::error::Result;
+use gripcast_base::files::{GraspId, MAX_LABEL_CHARS, is_unsafe_char};
+use gripcast_dataset::NameChange;
 use gripcast_session::{Command, SessionView};
 
 /// Field edited by a prompt.
@@ -19,6 +21,8 @@ pub enum Field {
     Scene,
     /// Operator name.
     Operator,
+    /// Object of the newest grasp.
+    LastObject,
 }
 
 impl Field {
@@ -27,6 +31,7 @@ impl Field {
             Self::Object => "object",
             Self::Scene => "scene",
             Self::Operator => "operator",
+            Self::LastObject => "object of the last grasp",
         }
     }
 
@@ -35,15 +40,25 @@ impl Field {
             Self::Object => &session.object,
             Self::Scene => &session.scene,
             Self::Operator => &session.operator,
+            Self::LastObject => session.last.as_ref().map_or("", |last| &last.object),
         }
     }
 
-    fn command(self, name: &str) -> Command {
-        match self {
-            Self::Object => Command::Object(ObjectName::nearest(name)),
-            Self::Scene => Command::Scene(Label::nearest(name)),
-            Self::Operator => Command::Operator(Label::nearest(name)),
-        }
+    /// `last`: the newest grasp.
+    fn command(self, name: &str, last: Option<&GraspId>) -> Result<Command> {
+        Ok(match (self, last) {
+            (Self::Scene, _) => Command::Scene(name.parse()?),
+            (Self::Operator, _) => Command::Operator(name.parse()?),
+            (Self::LastObject, Some(last)) => {
+                let object = Some(name.parse()?);
+                let names = NameChange {
+                    object,
+                    ..NameChange::default()
+                };
+                Command::Edit(last.clone(), names)
+            }
+            (Self::Object | Self::LastObject, _) => Command::Object(name.parse()?),
+        })
     }
 }
 
@@ -64,6 +79,10 @@ pub struct Prompt {
     field: Field,
     /// Current value, inserted by Tab or ↑.
     current: String,
+    /// The newest grasp.
+    last: Option<GraspId>,
+    /// Why the text is not a name.
+    error: Option<String>,
     text: String,
     /// Byte position in `text`, always between characters.
     cursor: usize,
@@ -75,6 +94,8 @@ impl Prompt {
         Self {
             field,
             current: field.current(session).to_owned(),
+            last: session.last.as_ref().map(|last| last.id.clone()),
+            error: None,
             text: String::new(),
             cursor: 0,
         }
@@ -88,6 +109,7 @@ impl Prompt {
     /// Handles a key: characters, arrows, Home, End, Backspace, Delete, Ctrl-U and Ctrl-W edit; Tab
     /// and ↑ insert the current value; Enter accepts; Esc cancels.
     pub fn press(&mut self, key: &KeyEvent) -> Reply {
+        self.error = None;
         let control = key.modifiers.contains(KeyModifiers::CONTROL);
         match key.code {
             KeyCode::Esc => return Reply::Cancelled,
@@ -134,10 +156,17 @@ impl Prompt {
         words.join(" ").chars().all(is_inserted)
     }
 
-    fn accepted(&self) -> Reply {
-        match self.text.trim() {
-            "" => Reply::Cancelled,
-            name => Reply::Accepted(self.field.command(name)),
+    fn accepted(&mut self) -> Reply {
+        let name = self.text.trim();
+        if name.is_empty() {
+            return Reply::Cancelled;
+        }
+        match self.field.command(name, self.last.as_ref()) {
+            Ok(command) => Reply::Accepted(command),
+            Err(error) => {
+                self.error = Some(error.what().to_owned());
+                Reply::Editing
+            }
         }
     }
 
@@ -201,10 +230,15 @@ pub(super) fn draw(
             Span::styled(hint, style.patch(palette.faint())),
         ]
     } else {
+        let error = prompt
+            .error
+            .as_ref()
+            .map_or_else(String::new, |e| format!("  {e}"));
         vec![
             Span::styled(label.clone(), style),
             Span::styled(head.clone(), style),
             Span::styled(&prompt.text[prompt.cursor..], style),
+            Span::styled(error, style.patch(palette.faint())),
         ]
     };
     write(buffer, area, &Line::from(line));
@@ -227,6 +261,8 @@ mod tests {
         Prompt {
             field: Field::Object,
             current: "mug-blue".to_owned(),
+            last: None,
+            error: None,
             text: String::new(),
             cursor: 0,
         }
@@ -287,6 +323,33 @@ mod tests {
         type_text(&mut prompt, "  ");
         assert_eq!(press(&mut prompt, KeyCode::Enter), Reply::Cancelled);
         assert_eq!(press(&mut prompt, KeyCode::Esc), Reply::Cancelled);
+    }
+
+    #[test]
+    fn invalid_name_stays_open_with_its_reason() {
+        let mut prompt = prompt();
+        type_text(&mut prompt, "a/b");
+        assert_eq!(press(&mut prompt, KeyCode::Enter), Reply::Editing);
+        let error = prompt.error.clone().unwrap();
+        assert!(error.contains("invalid object name"), "{error}");
+        press(&mut prompt, KeyCode::Backspace);
+        assert_eq!(prompt.error, None);
+    }
+
+    #[test]
+    fn object_of_the_last_grasp_is_edited() {
+        let last = GraspId::parse("2026-11-20T10-15-03Z-7f3a").unwrap();
+        let mut prompt = Prompt {
+            field: Field::LastObject,
+            last: Some(last.clone()),
+            ..prompt()
+        };
+        type_text(&mut prompt, "jar");
+        let names = NameChange::parse("object jar").unwrap();
+        assert_eq!(
+            press(&mut prompt, KeyCode::Enter),
+            Reply::Accepted(Command::Edit(last, names))
+        );
     }
 
     #[test]

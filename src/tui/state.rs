@@ -9,8 +9,8 @@ use super::input::{self, UiAction};
 use super::key_filter::{Judged, KeyFilter};
 use super::palette::Palette;
 use super::preview::GelImages;
-use super::prompt::{Prompt, Reply};
-use crate::daemon::EngineStatus;
+use super::prompt::{Field, Prompt, Reply};
+use crate::daemon::{EngineStatus, StartFinding};
 use gripcast_dataset::GraspId;
 use gripcast_imaging::Role;
 use gripcast_session::{Command, Message, SessionView, Step};
@@ -56,6 +56,7 @@ pub struct ScreenState {
     hinted_at: Option<Moment>,
     leaving: bool,
     dismissed_faults: Vec<Role>,
+    pub(super) dismissed_warnings: Vec<StartFinding>,
 }
 
 /// What tells one state of the session from the next.
@@ -80,6 +81,7 @@ impl ScreenState {
             hinted_at: None,
             leaving: false,
             dismissed_faults: Vec::new(),
+            dismissed_warnings: Vec::new(),
         }
     }
 
@@ -194,10 +196,14 @@ impl ScreenState {
             UiAction::Toggle(overlay) if self.overlay == overlay => self.overlay = Overlay::None,
             UiAction::Toggle(overlay) => self.overlay = overlay,
             UiAction::NextGelImages => self.gels = self.gels.next(),
+            UiAction::Prompt(Field::LastObject) if status.session.last.is_none() => {
+                self.notice = Some("no grasp to correct yet".to_owned());
+            }
             UiAction::Prompt(field) => self.prompt = Some(Prompt::new(field, &status.session)),
             UiAction::Close if self.overlay != Overlay::None => self.overlay = Overlay::None,
             UiAction::Close => {
                 self.dismissed_faults = faults(status).map(|camera| camera.role).collect();
+                self.dismissed_warnings.clone_from(&status.start_report);
             }
         }
         Reaction::None

@@ -21,8 +21,9 @@ use gripcast_session::{Command, CommandResult};
 #[serde(deny_unknown_fields)]
 pub(crate) struct CommandBody {
     /// `trigger`, `initial`, `grasp`, `override`, `stable`, `slip`, `unlabel`, `undo`, `redo`,
-    /// `object NAME`, `scene NAME`, `operator NAME`, `relabel ID OUTCOME`, `trash ID`, `restore
-    /// ID`.
+    /// `object NAME`, `scene NAME`, `operator NAME`, `relabel ID OUTCOME`, `edit ID object NAME`,
+    /// `edit ID scene NAME`, `edit ID operator NAME`, `trash ID`, `restore ID`; `edit last object
+    /// NAME` for the newest grasp.
     #[schema(example = "trigger")]
     command: String,
 }
@@ -132,7 +133,7 @@ async fn set_name<T>(backend: &Backend, request: NameBody, make: fn(T) -> Comman
 where
     T: FromStr<Err = Error> + Deref<Target = str>,
 {
-    let name: T = request.name.trim().parse()?;
+    let name: T = request.name.parse()?;
     if name.is_empty() {
         return Err(Failure::input("expected a name, found an empty string"));
     }

@@ -10,6 +10,7 @@ use utoipa::{IntoParams, ToSchema};
 
 use crate::daemon::{lock, verdict_of};
 use gripcast_base::error::{Error, Result};
+use gripcast_base::files::ObjectName;
 use gripcast_dataset::{Dataset, GraspId, GraspRecord, Outcome, PredictionRecord};
 use gripcast_imaging::Role;
 use gripcast_nn::predict::PredictedLabel;
@@ -73,7 +74,8 @@ pub(crate) struct GraspQuery {
     /// Only grasps older than this id: `next` of the previous page.
     before: Option<String>,
     /// Only grasps of this object.
-    object: Option<String>,
+    #[param(value_type = Option<String>)]
+    object: Option<ObjectName>,
     /// Only grasps with this outcome.
     outcome: Option<Outcome>,
     /// Only grasps whose label and prediction disagree (true) or agree (false).
@@ -84,7 +86,9 @@ impl GraspQuery {
     fn matches(&self, grasp: &GraspSummary) -> bool {
         let Self { before, object, .. } = self;
         before.as_ref().is_none_or(|before| grasp.id < *before)
-            && object.as_ref().is_none_or(|object| grasp.object == *object)
+            && object
+                .as_ref()
+                .is_none_or(|object| *object == grasp.object.as_str())
             && self.outcome.is_none_or(|outcome| grasp.outcome == outcome)
             && self
                 .disagree
@@ -209,7 +213,7 @@ mod tests {
             (vec![saved[0].as_str()], None)
         );
         let mugs = page(GraspQuery {
-            object: Some("mug".into()),
+            object: Some(" mug".parse().unwrap()),
             ..GraspQuery::default()
         });
         assert_eq!(mugs.grasps.len(), 2);

@@ -19,7 +19,7 @@ use super::grasp_list::{GraspPage, GraspQuery};
 use crate::daemon::EngineStatus;
 use gripcast_base::error::{Error, ErrorKind, Result as CrateResult};
 use gripcast_base::files::{FileKind, ObjectName};
-use gripcast_dataset::{Dataset, GraspId, GraspRecord, Outcome, Stage};
+use gripcast_dataset::{Dataset, GraspId, GraspRecord, NameChange, Outcome, Stage};
 use gripcast_imaging::{
     CropProfile, Decoder, DepthImage, Frame, PixelFormat, Role, TactileDifference,
     decode_png_grey16, encode_jpeg,
@@ -331,6 +331,29 @@ pub(crate) async fn label(
 ) -> Reply {
     let id = existing(&backend, &id).await?;
     execute(&backend, Command::Relabel(id, request.outcome)).await
+}
+
+/// Correct object, scene or operator of a grasp
+///
+/// Absent names stay; an empty scene or operator removes the name. One undo reverts all names of a
+/// request.
+#[utoipa::path(patch, path = "/api/grasps/{id}", tag = "grasps", params(("id" = String, Path)),
+    request_body = NameChange,
+    responses((status = 200, body = super::commands::CommandResponse), (status = 400, body = ErrorResponse),
+        (status = 404, body = ErrorResponse), (status = 408, body = ErrorResponse), (status = 413, body = ErrorResponse), (status = 415, body = ErrorResponse),
+        (status = 422, body = ErrorResponse), (status = 500, body = super::commands::CommandResponse), (status = 503, body = ErrorResponse)))]
+pub(crate) async fn edit(
+    Shared(backend): Shared<Arc<Backend>>,
+    Segment(id): Segment<String>,
+    Body(names): Body<NameChange>,
+) -> Reply {
+    if names.is_empty() {
+        return Err(Failure::input(
+            "expected at least one of object, scene and operator, found none",
+        ));
+    }
+    let id = existing(&backend, &id).await?;
+    execute(&backend, Command::Edit(id, names)).await
 }
 
 /// Move a grasp to the trash

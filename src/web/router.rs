@@ -43,7 +43,7 @@ fn api_routes() -> OpenApiRouter<Arc<Backend>> {
         .routes(routes!(commands::operator))
         .routes(routes!(grasps::list))
         .routes(routes!(grasps::objects))
-        .routes(routes!(grasps::record))
+        .routes(routes!(grasps::record, grasps::edit))
         .routes(routes!(grasps::file))
         .routes(routes!(grasps::preview))
         .routes(routes!(grasps::label))

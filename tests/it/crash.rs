@@ -41,7 +41,7 @@ crop_profile = "gsmini-seventh-v1"
 /// State of the dataset according to the acknowledged lines of `--events`.
 #[derive(Clone, Debug, Default)]
 struct Acknowledged {
-    /// Outcome per grasp id.
+    /// Object and outcome per grasp id.
     grasps: BTreeMap<String, String>,
     /// The initial frame without a grasp.
     pending: Option<String>,
@@ -66,25 +66,37 @@ impl Acknowledged {
             }
             "save_grasp" | "redo_grasp" => {
                 self.pending = None;
-                self.grasps
-                    .insert(reply_id(), id(&reply["grasp"]["outcome"]));
+                self.grasps.insert(reply_id(), labelled(&reply["grasp"]));
             }
             "undo_grasp" => {
                 self.grasps.remove(&id(&body["id"]));
                 self.pending = Some(reply_id());
             }
             "set_outcome" => {
-                self.grasps.insert(id(&body["id"]), id(&body["outcome"]));
+                let object = id(&reply["labelled"]["object"]);
+                let outcome = id(&body["outcome"]);
+                self.grasps
+                    .insert(id(&body["id"]), format!("{object} {outcome}"));
+            }
+            "set_names" => {
+                let grasp = &reply["renamed"]["grasp"];
+                self.grasps.insert(id(&grasp["id"]), labelled(grasp));
             }
             other => panic!("unknown request {other}"),
         }
     }
 }
 
+/// Object and outcome of a record or a reply.
+fn labelled(grasp: &Value) -> String {
+    let text = |key: &str| grasp[key].as_str().unwrap().to_owned();
+    format!("{} {}", text("object"), text("outcome"))
+}
+
 fn on_disk(dataset: &Path) -> BTreeMap<String, String> {
     grasps(dataset)
         .into_iter()
-        .map(|(id, grasp)| (id, grasp["outcome"].as_str().unwrap().to_owned()))
+        .map(|(id, grasp)| (id, labelled(&grasp)))
         .collect()
 }
 
@@ -105,7 +117,8 @@ fn acknowledged_changes_survive_200_random_kills() {
     let cycle = "wait fresh\ninitial\nexpect saved\nwait contact\ngrasp\nexpect saved\nstable\nexpect saved\nundo\n\
                  expect saved\nslip\nexpect saved\nundo\nexpect saved\nundo\nexpect saved\n\
                  redo\nexpect saved\nwait fresh\ninitial\nexpect saved\nwait fresh\ninitial\nexpect saved\n\
-                 undo\nexpect saved\nwait contact\ngrasp\nexpect saved\nslip\nexpect saved\n";
+                 undo\nexpect saved\nwait contact\ngrasp\nexpect saved\nslip\nexpect saved\n\
+                 edit last object cup\nexpect saved\nundo\nexpect saved\nredo\nexpect saved\n";
     let steps = format!("wait live\n{}quit\n", cycle.repeat(50));
     let script = script(dir.path(), &steps);
     let stderr_file = dir.path().join("stderr");

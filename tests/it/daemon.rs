@@ -26,7 +26,7 @@ pub(crate) struct Daemon {
 pub(crate) struct Place(tempfile::TempDir, Option<PathBuf>);
 
 impl Place {
-    fn new() -> Self {
+    pub(crate) fn new() -> Self {
         Self(tempfile::tempdir().unwrap(), None)
     }
 
@@ -35,7 +35,7 @@ impl Place {
         Self(tempfile::tempdir().unwrap(), Some(dataset))
     }
 
-    fn dataset(&self) -> PathBuf {
+    pub(crate) fn dataset(&self) -> PathBuf {
         self.1.clone().unwrap_or_else(|| self.0.path().join("d"))
     }
 
@@ -114,7 +114,7 @@ impl Daemon {
         (status, answer)
     }
 
-    fn get(&self, path: &str) -> Value {
+    pub(crate) fn get(&self, path: &str) -> Value {
         let (status, body) = self.ask("GET", path, None);
         assert_eq!(status, 200, "{path}: {}", String::from_utf8_lossy(&body));
         serde_json::from_slice(&body).unwrap()
@@ -128,7 +128,7 @@ impl Daemon {
         )
     }
 
-    fn command(&self, command: &str) -> (u16, Value) {
+    pub(crate) fn command(&self, command: &str) -> (u16, Value) {
         self.post("/api/commands", &json!({"command": command}))
     }
 
@@ -145,7 +145,7 @@ impl Daemon {
     }
 
     /// One whole grasp; returns its id.
-    fn grasp(&self, outcome: &str) -> String {
+    pub(crate) fn grasp(&self, outcome: &str) -> String {
         assert_eq!(self.trigger()["state"]["session"]["step"], "grasp");
         let answer = self.trigger();
         let id = answer["state"]["session"]["last"]["id"]
@@ -176,7 +176,7 @@ impl Daemon {
         }
     }
 
-    fn stop(mut self) -> Option<i32> {
+    pub(crate) fn stop(mut self) -> Option<i32> {
         self.signal(Signal::TERM);
         self.child.wait().unwrap().code()
     }

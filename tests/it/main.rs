@@ -26,6 +26,7 @@ mod imaging;
 mod json_schema;
 mod kernel;
 mod model_contract;
+mod names;
 mod packaging;
 mod peers;
 mod program;

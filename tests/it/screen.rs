@@ -84,6 +84,7 @@ fn waiting_for_grasp() -> EngineStatus {
         grasps_left: None,
         target_per_object: 0,
         objects: Arc::default(),
+        start_report: Vec::new(),
         black_box: None,
         session: SessionView {
             step: Step::Grasp,
@@ -542,7 +543,7 @@ prop_compose! {
             dataset: text.clone(), rig: text.clone(), clock: text,
             disk_free_bytes: disk,
             grasps_left: disk.map(|free| free / 1_300_000),
-            target_per_object: 20, objects: Arc::default(),
+            target_per_object: 20, objects: Arc::default(), start_report: Vec::new(),
             contact: contact.into_iter().collect(),
             session, cameras, prediction,
             no_prediction_reason: absent,

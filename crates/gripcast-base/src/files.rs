@@ -23,7 +23,7 @@ use crate::error::{Error, Result};
 pub use beneath::{BeneathPath, Component, Metadata, Root, allow_links_into};
 pub use name::{
     ContentKey, FileName, GraspId, Label, MAX_LABEL_CHARS, ObjectName, Printable, SimulationId,
-    is_unsafe_char,
+    folded_name, is_unsafe_char,
 };
 pub use opening::{FileKind, open_regular, read_regular, read_text};
 pub use owner_lock::{NotLocked, OwnerLock};

@@ -1,5 +1,5 @@
-//! Foundation of all gripcast crates: errors, safe and atomic file access, random streams, small
-//! linear systems, statistics, parallel work.
+//! Foundation of all gripcast crates: errors, safe and atomic file access, random streams, ranges of
+//! numbers, small linear systems, statistics, parallel work.
 //!
 //! ```
 //! use gripcast_base::random::SeedStream;
@@ -13,6 +13,7 @@ pub mod catch_panic;
 pub mod error;
 pub mod files;
 pub mod linear;
+pub mod number;
 pub mod random;
 pub mod statistics;
 pub mod workers;

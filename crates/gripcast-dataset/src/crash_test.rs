@@ -13,9 +13,9 @@ use super::reader::Dataset;
 use super::sample::{capture, meta, new_dataset};
 use super::verify::verify;
 use super::writer::DatasetWriter;
-use super::{GraspId, Outcome, PendingInitial};
+use super::{GraspId, GraspRecord, NameChange, Outcome, PendingInitial};
 use gripcast_base::error::{ErrorKind, Result};
-use gripcast_base::files::{BeneathPath, ContentKey};
+use gripcast_base::files::{BeneathPath, ContentKey, Label, ObjectName};
 
 /// Fault at the chosen operation.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -266,13 +266,23 @@ impl Disk for FailingDisk {
     }
 }
 
+/// Object, scene and outcome of a grasp.
+type Labelled = (ObjectName, Label, Outcome);
+
 /// State acknowledged to the operator.
 #[derive(Clone, Debug, Default, PartialEq)]
 struct Acknowledged {
-    grasps: BTreeMap<GraspId, Outcome>,
+    grasps: BTreeMap<GraspId, Labelled>,
     pending: Option<GraspId>,
     /// Undone grasps, which can be restored.
     undone: BTreeSet<GraspId>,
+}
+
+impl Acknowledged {
+    fn insert(&mut self, record: GraspRecord) {
+        let labelled = (record.object, record.scene, record.outcome);
+        self.grasps.insert(record.id, labelled);
+    }
 }
 
 /// Steps of the session under test.
@@ -284,6 +294,7 @@ enum Step {
     Restore,
     Grasp(u32, &'static str),
     Label(Outcome),
+    Rename(&'static str),
     Undo,
     Redo,
     Trash,
@@ -302,6 +313,7 @@ const SESSION: &[Step] = &[
     Step::Undo,
     Step::Redo,
     Step::Label(Outcome::Slip),
+    Step::Rename("cup"),
     Step::Index,
     Step::Initial(3),
     Step::Grasp(4, "bottle"),
@@ -312,6 +324,8 @@ const SESSION: &[Step] = &[
     Step::Trash,
     Step::Index,
     Step::RestoreFromTrash,
+    Step::Rename("jar"),
+    Step::Rename("bottle"),
     Step::Trash,
 ];
 
@@ -354,14 +368,21 @@ impl Operator {
                 let record =
                     writer.save_grasp(self.pending.as_ref().unwrap(), &capture(number), meta)?;
                 self.pending = None;
-                self.acknowledged
-                    .grasps
-                    .insert(record.id.clone(), record.outcome);
-                self.last = Some(record.id);
+                self.last = Some(record.id.clone());
+                self.acknowledged.insert(record);
             }
             Step::Label(outcome) => {
                 let record = writer.set_outcome(self.last.as_ref().unwrap(), outcome, at)?;
-                self.acknowledged.grasps.insert(record.id, record.outcome);
+                self.acknowledged.insert(record);
+            }
+            Step::Rename(object) => {
+                let names = NameChange {
+                    object: Some(object.parse().unwrap()),
+                    scene: Some("table 2".parse().unwrap()),
+                    ..NameChange::default()
+                };
+                let (record, _) = writer.set_names(self.last.as_ref().unwrap(), &names)?;
+                self.acknowledged.insert(record);
             }
             Step::Undo => {
                 let id = self.last.clone().unwrap();
@@ -375,7 +396,7 @@ impl Operator {
                 let record = writer.redo_grasp(&id, self.pending.as_ref())?;
                 self.pending = None;
                 self.acknowledged.undone.remove(&id);
-                self.acknowledged.grasps.insert(id, record.outcome);
+                self.acknowledged.insert(record);
             }
             Step::Trash => {
                 let record = writer.trash_grasp(self.last.as_ref().unwrap())?;
@@ -385,7 +406,7 @@ impl Operator {
             Step::RestoreFromTrash => {
                 let record = writer.redo_grasp(self.last.as_ref().unwrap(), None)?;
                 self.acknowledged.undone.remove(&record.id);
-                self.acknowledged.grasps.insert(record.id, record.outcome);
+                self.acknowledged.insert(record);
             }
             Step::Index => writer.flush_index()?,
         }
@@ -420,12 +441,12 @@ fn found(disk: &FailingDisk, root: &Path, context: &str) -> Acknowledged {
         open(disk, root).unwrap_or_else(|e| panic!("{context}: cannot open again: {e}"));
     let layout = Layout::new(root);
     let dataset = Dataset::open(root).unwrap();
-    let grasps: BTreeMap<GraspId, Outcome> = dataset
+    let grasps: BTreeMap<GraspId, Labelled> = dataset
         .grasps()
         .unwrap()
         .map(|record| {
             let record = record.unwrap_or_else(|e| panic!("{context}: incomplete grasp: {e}"));
-            (record.id, record.outcome)
+            (record.id, (record.object, record.scene, record.outcome))
         })
         .collect();
     assert_eq!(report.counts.total(), grasps.len(), "{context}");
@@ -566,7 +587,7 @@ fn failed_step_changes_nothing_and_can_be_retried() {
         drop(writer);
         let known = found(&FailingDisk::new(0, None), &root, &context);
         let last = history.last().unwrap();
-        let outcomes = |known: &Acknowledged| known.grasps.values().copied().collect::<Vec<_>>();
+        let outcomes = |known: &Acknowledged| known.grasps.values().cloned().collect::<Vec<_>>();
         assert_eq!(outcomes(&known), outcomes(last), "{context}");
         assert_eq!(known.pending.is_some(), last.pending.is_some(), "{context}");
     }

@@ -126,6 +126,12 @@ impl GraspRecord {
         super::record_file::from_json(bytes)
     }
 
+    /// Whether a virtual rig took the grasp.
+    #[must_use]
+    pub fn is_simulated(&self) -> bool {
+        self.truth.is_some()
+    }
+
     /// Returns both stages, in the order of the cycle.
     pub fn stages(&self) -> [(Stage, &StageRecord); 2] {
         [(Stage::Initial, &self.initial), (Stage::Grasp, &self.grasp)]

@@ -9,6 +9,7 @@ use super::disk::{Disk, SystemDisk, partial_name, partial_of, replace};
 use super::index::{IndexRow, is_stored, to_jsonl};
 use super::layout::{DATASET_TOML, GRASP_JSON, INITIAL_JSON, LOCK, Layout};
 use super::lock::DatasetLock;
+use super::provenance::Provenance;
 use super::reader::grasp_ids;
 use super::record_file::{PendingInitial, read_grasp};
 use super::trash::move_to_trash;
@@ -24,6 +25,8 @@ pub struct OpenReport {
     pub created: bool,
     /// Number of existing grasps.
     pub counts: GraspCounts,
+    /// What the existing grasps were taken with.
+    pub provenance: Provenance,
     /// The newest pending initial frame.
     pub pending: Option<PendingInitial>,
     /// Leftovers of a crash and how they were handled, one sentence each.
@@ -41,6 +44,22 @@ impl DatasetWriter {
     /// contents, or a newer format; `Permission` or `DiskFull` where it is not writable.
     pub fn open_or_create(path: impl AsRef<Path>, new: &NewDataset) -> Result<(Self, OpenReport)> {
         Self::open_on(Box::new(SystemDisk), path.as_ref(), new)
+    }
+
+    /// Opens an existing dataset for writing, as [`open_or_create`](Self::open_or_create).
+    ///
+    /// # Errors
+    /// `NotFound` without a dataset; as [`open_or_create`](Self::open_or_create).
+    pub fn open(path: impl AsRef<Path>) -> Result<(Self, OpenReport)> {
+        let path = path.as_ref();
+        let found = Descriptor::read(&Layout::new(path))?;
+        let same = NewDataset {
+            name: found.name,
+            rig: found.rig,
+            licence: found.licence,
+            label_definition: found.label_definition,
+        };
+        Self::open_or_create(path, &same)
     }
 
     pub(super) fn open_on(
@@ -115,9 +134,11 @@ impl DatasetWriter {
             let dir = self.layout.grasp(&id);
             match read_grasp(&dir) {
                 Ok(record) => {
+                    report.provenance.add(&record);
                     self.rows.insert(id, IndexRow::new(&record));
                 }
                 Err(error) => {
+                    report.provenance.unreadable += 1;
                     report.notes.push(format!("cannot use {id}: {error}"));
                     continue;
                 }

@@ -84,6 +84,35 @@ pub(super) fn read_grasp(dir: &BeneathPath) -> Result<GraspRecord> {
     read(&dir.join(GRASP_JSON))
 }
 
+/// Returns the names of a record that are not stored in their normal form, as `field`, stored and
+/// normal name. Earlier versions stored names as typed.
+pub(super) fn names_to_normalise(
+    dir: &BeneathPath,
+    record: &GraspRecord,
+) -> Vec<(&'static str, String, String)> {
+    #[derive(Deserialize)]
+    struct Stored {
+        object: String,
+        scene: String,
+        operator: String,
+    }
+    let bytes = dir.join(GRASP_JSON).read(FileKind::Record).ok();
+    let stored = bytes.and_then(|bytes| serde_json::from_slice::<Stored>(&bytes).ok());
+    let Some(stored) = stored else {
+        return Vec::new();
+    };
+    let names = [
+        ("object", stored.object, record.object.as_str()),
+        ("scene", stored.scene, record.scene.as_str()),
+        ("operator", stored.operator, record.operator.as_str()),
+    ];
+    names
+        .into_iter()
+        .filter(|(_, stored, normal)| stored != normal)
+        .map(|(field, stored, normal)| (field, stored, normal.to_owned()))
+        .collect()
+}
+
 /// Reads `initial.json`.
 pub(super) fn read_initial(dir: &BeneathPath) -> Result<PendingInitial> {
     read(&dir.join(INITIAL_JSON))

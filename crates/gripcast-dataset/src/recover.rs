@@ -15,7 +15,7 @@ use super::lock::DatasetLock;
 use super::opening::create_directories;
 use super::reader::{entries, grasp_ids};
 use super::rebuild::{is_newer, rebuild};
-use super::record_file::{check_files, read_grasp, to_json};
+use super::record_file::{check_files, names_to_normalise, read_grasp, to_json};
 use super::trash::move_to_trash;
 use super::unfinished::{Unfinished, unfinished};
 use gripcast_base::error::{Error, ErrorKind, Result};
@@ -34,6 +34,8 @@ pub enum ActionKind {
     Rename,
     /// Rebuilds a record from the images, the index and the rest of the old record.
     Rebuild,
+    /// Stores names in their normal form.
+    NormaliseNames,
     /// Moves an item that is not part of a complete grasp to `trash/`.
     SetAside,
     /// Leaves an item of a newer version unchanged.
@@ -71,7 +73,7 @@ enum Step {
     WriteDescriptor(Descriptor),
     Complete(GraspId),
     Rename { from: BeneathPath, to: GraspId },
-    Rebuild(Box<GraspRecord>),
+    WriteRecord(Box<GraspRecord>),
     SetAside(BeneathPath),
     Reindex,
     Nothing,
@@ -224,6 +226,14 @@ impl Plan<'_> {
             };
             self.add(ActionKind::Rename, &item, detail, step);
         }
+        let names: Vec<String> = names_to_normalise(dir, record)
+            .into_iter()
+            .map(|(field, stored, normal)| format!("{field} {stored:?} → {normal:?}"))
+            .collect();
+        if !names.is_empty() {
+            let step = Step::WriteRecord(Box::new(record.clone()));
+            self.add(ActionKind::NormaliseNames, &item, names.join(", "), step);
+        }
     }
 
     fn extra_files(&mut self, dir: &BeneathPath, record: &GraspRecord) {
@@ -269,7 +279,7 @@ impl Plan<'_> {
                     ActionKind::Rebuild,
                     &item,
                     record.note.clone(),
-                    Step::Rebuild(Box::new(record)),
+                    Step::WriteRecord(Box::new(record)),
                 );
             }
             Err(reason) => self.add_loss(
@@ -329,7 +339,7 @@ fn execute(layout: &Layout, action: &Action, step: &Step) -> Result<()> {
         Step::Rename { from, to } => disk
             .rename_new(from, &layout.grasp(to))
             .and_then(|()| disk.sync_dir(&layout.grasps())),
-        Step::Rebuild(record) => replace(
+        Step::WriteRecord(record) => replace(
             disk,
             &layout.grasp(&record.id),
             GRASP_JSON,

@@ -16,7 +16,7 @@ use super::reader::{Dataset, entries};
 use super::schema::SCHEMA_VERSION;
 use super::schema::check_schema;
 use gripcast_base::error::{Error, Result};
-use gripcast_base::files::{BeneathPath, FileKind, FileName, GraspId, read_regular};
+use gripcast_base::files::{BeneathPath, FileKind, FileName, GraspId, folded_name, read_regular};
 
 /// Number of seeded orders; the best balanced one is kept.
 const TRIALS: u64 = 64;
@@ -41,14 +41,13 @@ impl fmt::Display for GroupKey {
 }
 
 impl GroupKey {
-    /// Returns the group of a grasp; spellings that differ in case or blanks are equal.
+    /// Returns the group of a grasp; names that are easily confused are equal.
     pub fn group(self, record: &GraspRecord) -> String {
         let name = match self {
             Self::Object => record.object.as_str(),
             Self::Scene => record.scene.as_str(),
         };
-        let words: Vec<String> = name.split_whitespace().map(str::to_lowercase).collect();
-        words.join(" ")
+        folded_name(name)
     }
 }
 

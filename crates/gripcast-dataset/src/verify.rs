@@ -16,10 +16,10 @@ use super::index::{IndexRow, to_jsonl};
 use super::layout::{GRASP_JSON, INITIAL_JSON, Layout, pending_id};
 use super::lock::DatasetLock;
 use super::reader::{entries, grasp_ids};
-use super::record_file::{Pending, read_grasp};
+use super::record_file::{Pending, names_to_normalise, read_grasp};
 use super::split::{SplitFile, check_name};
 use gripcast_base::error::{ErrorKind, Result};
-use gripcast_base::files::{BeneathPath, ContentKey, FileKind, GraspId};
+use gripcast_base::files::{BeneathPath, ContentKey, FileKind, GraspId, folded_name};
 
 /// Kind of a problem.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize)]
@@ -32,6 +32,8 @@ pub enum ProblemKind {
     Torn,
     /// An unreadable record.
     UnreadableRecord,
+    /// A name that is not stored in its normal form: third-party programs take it for another one.
+    Name,
     /// The record's id differs from the directory's name.
     IdMismatch,
     /// Two directories contain the same grasp.
@@ -149,6 +151,7 @@ pub fn verify(
         })
         .collect();
     check_identity(&grasps, &mut found);
+    note_confusable_objects(&grasps, &mut found);
     check_duplicates(&grasps, &mut found);
     check_references(&layout, &grasps, &mut found)?;
     check_index(&layout, &grasps, &mut found);
@@ -288,6 +291,10 @@ fn check_grasp(layout: &Layout, id: &GraspId) -> CheckedGrasp {
             }
             contents.push((digest.sha256, at(name)));
         }
+        for (field, stored, normal) in names_to_normalise(&dir, record) {
+            let detail = format!("{field} {stored:?} is not in normal form: {normal:?}");
+            found.add(ProblemKind::Name, Some(id), &at(GRASP_JSON), detail);
+        }
         extra_files(&dir, id, record, &mut found);
     }
     CheckedGrasp {
@@ -388,6 +395,23 @@ fn check_identity(grasps: &[CheckedGrasp], found: &mut Collector) {
             let detail = format!("the record belongs to {id}{more}");
             found.add(kind, Some(dir), &at, detail);
         }
+    }
+}
+
+/// Notes objects whose names differ only in case or in characters that look alike.
+fn note_confusable_objects(grasps: &[CheckedGrasp], found: &mut Collector) {
+    let mut names: BTreeMap<String, BTreeSet<&str>> = BTreeMap::new();
+    for record in grasps.iter().filter_map(|grasp| grasp.record.as_ref()) {
+        let folded = folded_name(&record.object);
+        names.entry(folded).or_default().insert(&record.object);
+    }
+    for alike in names.values().filter(|names| names.len() > 1) {
+        let alike: Vec<String> = alike.iter().map(|name| format!("`{name}`")).collect();
+        found.notes.push(format!(
+            "objects {} are easily confused; if they are one, run `gripcast dataset edit DIR \
+             --all-of NAME --object NAME`",
+            alike.join(" and ")
+        ));
     }
 }
 

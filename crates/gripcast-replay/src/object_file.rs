@@ -250,7 +250,8 @@ impl ReplayObject {
 /// Loads all objects of a folder by name; each may fail.
 ///
 /// # Errors
-/// I/O errors of the folder; `NotFound` if it has no object file; `Input` for an invalid file name.
+/// I/O errors of the folder; `NotFound` if it has no object file; `Input` for an invalid file name
+/// or two files of one name.
 pub fn load_objects(folder: &Path) -> Result<BTreeMap<ObjectName, Result<ReplayObject>>> {
     let root = Root::new(folder);
     let unreadable = |e| Error::io("cannot read the objects", e).at(folder.display());
@@ -260,6 +261,14 @@ pub fn load_objects(folder: &Path) -> Result<BTreeMap<ObjectName, Result<ReplayO
         // Skips hidden files of editors.
         if file.ends_with(SUFFIX) && !file.starts_with('.') {
             let name = object_name(&file).map_err(|e| e.at(folder.display()))?;
+            if objects.contains_key(&name) {
+                return Err(Error::input(format!(
+                    "two object files of the same name `{name}`: they differ only in Unicode form \
+                     or spaces"
+                ))
+                .at(folder.display())
+                .remedy("rename or remove one of them"));
+            }
             objects.insert(name, ReplayObject::load(&root, &path));
         }
     }

@@ -8,7 +8,7 @@ use utoipa::ToSchema;
 
 use gripcast_base::error::Error;
 use gripcast_base::files::{Label, ObjectName};
-use gripcast_dataset::{GraspId, Outcome};
+use gripcast_dataset::{GraspId, NameChange, Outcome};
 
 /// A session command from keyboard, pedal, script or API.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -23,6 +23,10 @@ pub enum Command {
     Label(Outcome),
     /// Label any grasp of the dataset.
     Relabel(GraspId, Outcome),
+    /// Change object, scene or operator of any grasp of the dataset.
+    Edit(GraspId, NameChange),
+    /// Change object, scene or operator of the newest grasp.
+    EditLast(NameChange),
     /// Move any grasp of the dataset to the trash.
     Trash(GraspId),
     /// Restore a grasp from the trash.
@@ -130,7 +134,7 @@ impl fmt::Display for ParseCommandError {
             f,
             "unknown command `{}`; expected one of trigger, initial, grasp, stable, slip, unlabel, \
              undo, redo, override, object NAME, scene NAME, operator NAME, relabel ID OUTCOME, \
-             trash ID, restore ID, quit",
+             edit ID|last object|scene|operator NAME, trash ID, restore ID, quit",
             self.text
         )
     }
@@ -183,6 +187,14 @@ impl FromStr for Command {
                 let outcome = Outcome::by_name(outcome.trim()).ok_or_else(error)?;
                 Ok(Self::Relabel(id(which)?, outcome))
             }
+            "edit" => {
+                let (which, names) = rest.split_once(char::is_whitespace).ok_or_else(error)?;
+                let names = NameChange::parse(names.trim()).map_err(because)?;
+                Ok(match which {
+                    "last" => Self::EditLast(names),
+                    which => Self::Edit(id(which)?, names),
+                })
+            }
             "object" if rest.is_empty() => Err(error()),
             "object" => ObjectName::parse(rest).map(Self::Object).map_err(because),
             "scene" => label().map(Self::Scene),
@@ -200,6 +212,8 @@ impl fmt::Display for Command {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Self::Relabel(id, outcome) => write!(f, "relabel {id} {outcome}"),
+            Self::Edit(id, names) => write!(f, "edit {id} {names}"),
+            Self::EditLast(names) => write!(f, "edit last {names}"),
             Self::Trash(id) => write!(f, "trash {id}"),
             Self::Restore(id) => write!(f, "restore {id}"),
             Self::Object(name) => write!(f, "object {name}"),
@@ -233,6 +247,9 @@ mod tests {
             "scene lab",
             "operator Ada",
             "relabel 2026-11-20T10-15-03Z-7f3a unlabelled",
+            "edit 2026-11-20T10-15-03Z-7f3a object mug blue",
+            "edit last scene lab",
+            "edit 2026-11-20T10-15-03Z-7f3a operator Ada",
             "trash 2026-11-20T10-15-03Z-7f3a",
             "restore 2026-11-20T10-15-03Z-7f3a",
             "quit",
@@ -253,6 +270,11 @@ mod tests {
             "object ../mug",
             "object a\u{202e}b",
             "scene a\u{1b}[2Jb",
+            "edit 7f3a",
+            "edit 7f3a object",
+            "edit 7f3a colour blue",
+            "edit 7f3a object a/b",
+            "edit ../7f3a object mug",
             "relabel 7f3a",
             "relabel 7f3a good",
         ] {

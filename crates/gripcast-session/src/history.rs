@@ -6,7 +6,7 @@ use super::pending::PendingFrame;
 use super::store::{StoreReply, StoreRequest};
 use super::view::{LastGrasp, MessageLevel, Tone};
 use gripcast_base::files::ObjectName;
-use gripcast_dataset::{GraspId, Outcome};
+use gripcast_dataset::{GraspId, NameChange, Outcome};
 
 /// A step that can be undone.
 #[derive(Clone, Debug, PartialEq)]
@@ -27,6 +27,11 @@ pub(crate) enum HistoryStep {
         before: Outcome,
         after: Outcome,
     },
+    Names {
+        id: GraspId,
+        before: NameChange,
+        after: NameChange,
+    },
     Trash {
         grasp: LastGrasp,
         /// Whether it was the newest grasp of the session.
@@ -42,6 +47,7 @@ impl HistoryStep {
             Self::Initial { .. } => "initial frame".into(),
             Self::Grasp { last, .. } => format!("grasp {}", last.id.short()),
             Self::Label { id, after, .. } => format!("label {after} of {}", id.short()),
+            Self::Names { id, after, .. } => format!("{after} of {}", id.short()),
             Self::Trash { grasp, .. } => format!("trash of {}", grasp.id.short()),
             Self::Restore(grasp) => format!("restore of {}", grasp.id.short()),
         }
@@ -57,6 +63,10 @@ impl HistoryStep {
             Self::Label { id, before, .. } => StoreRequest::SetOutcome {
                 id: id.clone(),
                 outcome: *before,
+            },
+            Self::Names { id, before, .. } => StoreRequest::SetNames {
+                id: id.clone(),
+                names: before.clone(),
             },
             Self::Trash { grasp, .. } => StoreRequest::RestoreGrasp {
                 id: grasp.id.clone(),
@@ -78,6 +88,10 @@ impl HistoryStep {
             Self::Label { id, after, .. } => StoreRequest::SetOutcome {
                 id: id.clone(),
                 outcome: *after,
+            },
+            Self::Names { id, after, .. } => StoreRequest::SetNames {
+                id: id.clone(),
+                names: after.clone(),
             },
             Self::Trash { grasp, .. } => StoreRequest::TrashGrasp {
                 id: grasp.id.clone(),
@@ -137,6 +151,10 @@ impl Session {
                 after,
             } => {
                 self.relabel(id, object, *after, *before);
+                format!("grasp {} is {before} again", id.short())
+            }
+            HistoryStep::Names { id, before, .. } => {
+                self.renamed(&reply);
                 format!("grasp {} is {before} again", id.short())
             }
             HistoryStep::Trash { grasp, was_last } => {
@@ -201,6 +219,7 @@ impl Session {
 
     pub(crate) fn redone(&mut self, step: HistoryStep, reply: StoreReply) -> Vec<Effect> {
         match (&step, reply) {
+            (HistoryStep::Names { .. }, reply) => self.renamed(&reply),
             (HistoryStep::Initial { .. }, StoreReply::Initial(frame)) => self.pending = Some(frame),
             (HistoryStep::Initial { .. }, _) => return Vec::new(),
             (HistoryStep::Grasp { last, reopened, .. }, _) => {

@@ -12,7 +12,7 @@ use super::pending::PendingFrame;
 use super::store::{Labels, StoreReply, StoreRequest};
 use super::view::{Counts, LastGrasp, Message, MessageLevel, Refusal, SessionView, Step, Tone};
 use gripcast_base::files::ObjectName;
-use gripcast_dataset::{GraspId, Outcome, OverriddenGuard, Stage};
+use gripcast_dataset::{GraspId, NameChange, Outcome, OverriddenGuard, Stage};
 
 /// Number of grasps by object and outcome.
 pub type OutcomeCounts = BTreeMap<ObjectName, BTreeMap<Outcome, usize>>;
@@ -44,6 +44,7 @@ pub(crate) enum InFlight {
     DiscardReplaced,
     Grasp,
     Label(Outcome),
+    Names(NameChange),
     Trash,
     Restore,
     Undo(HistoryStep),
@@ -214,6 +215,11 @@ impl Session {
             Command::Grasp => self.capture(Stage::Grasp, now, false),
             Command::Label(outcome) => self.label(outcome),
             Command::Relabel(id, outcome) => self.set_outcome(id, outcome),
+            Command::EditLast(names) => match &self.last {
+                Some(last) => self.edit(last.id.clone(), names),
+                None => self.refuse_with("no grasp to edit yet"),
+            },
+            Command::Edit(id, names) => self.edit(id, names),
             Command::Trash(id) => self.store(InFlight::Trash, StoreRequest::TrashGrasp { id }),
             Command::Restore(id) => {
                 self.store(InFlight::Restore, StoreRequest::RestoreGrasp { id })
@@ -240,6 +246,7 @@ impl Session {
             (InFlight::Label(outcome), StoreReply::Labelled { id, object, before }) => {
                 self.labelled(id, object, before, outcome)
             }
+            (InFlight::Names(names), reply) => self.names_changed(names, &reply),
             (InFlight::Trash, StoreReply::Trashed(grasp)) => self.trashed(grasp),
             (InFlight::Restore, StoreReply::Grasp(grasp)) => self.restored(grasp),
             (InFlight::Undo(step), reply) => self.undone(step, reply),
@@ -524,6 +531,42 @@ impl Session {
         self.count(object, to, 1);
     }
 
+    fn edit(&mut self, id: GraspId, names: NameChange) -> Vec<Effect> {
+        let after = names.clone();
+        self.store(InFlight::Names(after), StoreRequest::SetNames { id, names })
+    }
+
+    fn names_changed(&mut self, after: NameChange, reply: &StoreReply) -> Vec<Effect> {
+        let StoreReply::Renamed { grasp, before } = reply else {
+            return Vec::new();
+        };
+        let id = grasp.id.clone();
+        if before.is_empty() {
+            let text = format!("grasp {} already has {after}", id.short());
+            self.set_message(MessageLevel::Info, text);
+            return Vec::new();
+        }
+        self.renamed(reply);
+        self.set_message(MessageLevel::Info, format!("grasp {}: {after}", id.short()));
+        let before = before.clone();
+        self.record(HistoryStep::Names { id, before, after });
+        vec![Effect::Tone(Tone::Undone)]
+    }
+
+    /// Updates counts and newest grasp after names were stored.
+    pub(crate) fn renamed(&mut self, reply: &StoreReply) {
+        let StoreReply::Renamed { grasp, before } = reply else {
+            return;
+        };
+        if let Some(last) = self.last.as_mut().filter(|last| last.id == grasp.id) {
+            last.object.clone_from(&grasp.object);
+        }
+        if let Some(before) = &before.object {
+            self.count(before, grasp.outcome, -1);
+            self.count(&grasp.object, grasp.outcome, 1);
+        }
+    }
+
     fn trashed(&mut self, grasp: LastGrasp) -> Vec<Effect> {
         let was_last = self.remove_grasp(&grasp);
         let id = grasp.id.short();
@@ -564,6 +607,7 @@ impl Session {
             InFlight::Initial => "the initial frame was NOT saved",
             InFlight::Grasp => "the grasp was NOT saved; its initial frame is kept",
             InFlight::Label(_) => "the label was NOT saved",
+            InFlight::Names(_) => "the names were NOT changed",
             InFlight::Trash => "the grasp was NOT moved to the trash",
             InFlight::Restore => "the grasp was NOT restored from the trash",
             InFlight::DiscardReplaced => {

@@ -6,7 +6,7 @@ use proptest::prelude::*;
 
 use super::*;
 use gripcast_base::files::ObjectName;
-use gripcast_dataset::{GraspId, Outcome};
+use gripcast_dataset::{GraspId, NameChange, Outcome};
 use gripcast_imaging::Role;
 
 /// A dataset in memory that refuses the same requests as a real one.
@@ -68,6 +68,21 @@ impl Store {
                     object: grasp.0.clone(),
                     before,
                     id,
+                }
+            }
+            StoreRequest::SetNames { id, names } => {
+                let Some(grasp) = self.grasps.get_mut(id.as_str()) else {
+                    return Self::missing(&id);
+                };
+                let new = names.object.unwrap_or_else(|| grasp.0.clone());
+                let before = std::mem::replace(&mut grasp.0, new);
+                let (object, outcome) = grasp.clone();
+                StoreReply::Renamed {
+                    before: NameChange {
+                        object: (before != object).then_some(before),
+                        ..NameChange::default()
+                    },
+                    grasp: last_grasp(id, object, outcome),
                 }
             }
             StoreRequest::TrashGrasp { id } => {
@@ -465,6 +480,8 @@ fn any_command() -> impl Strategy<Value = (Command, usize)> {
         1 => Just(Command::Override),
         1 => Just(Command::Object("cup".parse().unwrap())),
         2 => Just(Command::Relabel(missing(), Outcome::Slip)),
+        2 => Just(Command::Edit(missing(), NameChange::parse("object cup").unwrap())),
+        2 => Just(Command::EditLast(NameChange::parse("object jar").unwrap())),
         3 => Just(Command::Trash(missing())),
         3 => Just(Command::Restore(missing())),
     ];
@@ -475,6 +492,7 @@ fn any_command() -> impl Strategy<Value = (Command, usize)> {
 fn with_id((command, number): (Command, usize), store: &Store) -> Command {
     match command {
         Command::Relabel(_, outcome) => Command::Relabel(store.any_id(number), outcome),
+        Command::Edit(_, names) => Command::Edit(store.any_id(number), names),
         Command::Trash(_) => Command::Trash(store.any_id(number)),
         Command::Restore(_) => Command::Restore(store.any_id(number)),
         other => other,
@@ -505,6 +523,37 @@ fn trashed_grasp_is_not_the_last_until_restored() {
     assert_eq!(session.step(), Step::Grasp);
 }
 
+#[test]
+fn object_of_any_grasp_is_corrected_and_undone() {
+    let (mut session, mut store) = (session(), Store::default());
+    let stable = Command::Label(Outcome::Stable);
+    for command in [Command::Trigger, Command::Trigger, stable] {
+        play(&mut session, &mut store, command, &good());
+    }
+    let last = session.view(0).last.unwrap();
+    let edit = |name: &str| Command::Edit(last.id.clone(), NameChange::parse(name).unwrap());
+    play(&mut session, &mut store, edit("object jar"), &good());
+    let view = session.view(0);
+    assert_eq!(view.last.as_ref().unwrap().object, "jar");
+    assert_eq!((view.counts.stable, view.counts.object_stable), (1, 0));
+    assert_eq!(view.undo.as_deref(), Some("object jar of 0001"));
+    // The same name again is no step.
+    play(&mut session, &mut store, edit("object jar"), &good());
+    play(&mut session, &mut store, Command::Undo, &good());
+    let view = session.view(0);
+    assert_eq!(view.last.unwrap().object, last.object);
+    assert_eq!(view.counts.object_stable, 1);
+    play(&mut session, &mut store, Command::Redo, &good());
+    assert_eq!(session.view(0).last.unwrap().object, "jar");
+    let cup = Command::EditLast(NameChange::parse("object cup").unwrap());
+    play(&mut session, &mut store, cup, &good());
+    assert_eq!(session.view(0).last.unwrap().object, "cup");
+    let missing = GraspId::parse("missing").unwrap();
+    let edit = Command::Edit(missing, NameChange::parse("scene lab").unwrap());
+    let tones = play(&mut session, &mut store, edit, &good());
+    assert_eq!(tones, [Tone::Fault]);
+}
+
 proptest! {
     /// For any commands, session and dataset agree, every request is valid, and undoing everything
     /// leaves only trash.
@@ -528,8 +577,15 @@ proptest! {
             prop_assert_eq!(view.counts.unlabelled, store.count(Outcome::Unlabelled));
             prop_assert_eq!(store.pending.len(), usize::from(view.step == Step::Grasp));
             if let Some(last) = &view.last {
-                prop_assert_eq!(store.grasps[&last.id.to_string()].1, last.outcome);
+                let (object, outcome) = &store.grasps[&last.id.to_string()];
+                prop_assert_eq!((object, outcome), (&last.object, &last.outcome));
             }
+            let of_object = |outcome| {
+                let object = &view.object;
+                store.grasps.values().filter(|g| (&g.0, g.1) == (object, outcome)).count()
+            };
+            prop_assert_eq!(view.counts.object_stable, of_object(Outcome::Stable));
+            prop_assert_eq!(view.counts.object_slip, of_object(Outcome::Slip));
         }
         while session.view(0).undo.is_some() {
             play(&mut session, &mut store, Command::Undo, &good());

@@ -5,7 +5,7 @@ use serde::Serialize;
 use super::pending::PendingFrame;
 use super::view::LastGrasp;
 use gripcast_base::files::{Label, ObjectName};
-use gripcast_dataset::{GraspId, Outcome, OverriddenGuard};
+use gripcast_dataset::{GraspId, NameChange, Outcome, OverriddenGuard};
 
 /// Object, scene and operator of the next grasps.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]
@@ -42,6 +42,13 @@ pub enum StoreRequest {
         id: GraspId,
         /// New outcome.
         outcome: Outcome,
+    },
+    /// Change object, scene or operator of a grasp.
+    SetNames {
+        /// Id.
+        id: GraspId,
+        /// New names.
+        names: NameChange,
     },
     /// Move a grasp to the trash.
     TrashGrasp {
@@ -93,6 +100,13 @@ pub enum StoreReply {
         object: ObjectName,
         /// Previous outcome.
         before: Outcome,
+    },
+    /// The names of a grasp are durable.
+    Renamed {
+        /// The grasp with its new names.
+        grasp: LastGrasp,
+        /// Previous names of the fields that differ.
+        before: NameChange,
     },
     /// A grasp was moved to the trash.
     Trashed(LastGrasp),

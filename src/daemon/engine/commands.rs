@@ -123,6 +123,11 @@ impl Engine {
                     grasp.outcome = *outcome;
                 }
             }
+            (_, StoreReply::Renamed { grasp, .. }) => {
+                if let Some(report) = self.grasps.iter_mut().find(|g| g.id == *grasp.id) {
+                    report.object = grasp.object.to_string();
+                }
+            }
             (StoreRequest::UndoGrasp { id } | StoreRequest::TrashGrasp { id }, _) => {
                 if let Some(index) = self.grasps.iter().position(|g| g.id == **id) {
                     self.undone

@@ -25,20 +25,21 @@ use super::boards::Boards;
 use super::capture::CaptureThreads;
 use super::command_request::CommandRequest;
 use super::hub::Hub;
-use super::infer::Inference;
+use super::infer::{Inference, ModelInfo};
 use super::pre_grasp::PreGraspRecorder;
 use super::report::{
     CollectReport, EndReason, GraspReport, PredictionReport, camera_report, cameras_json,
 };
+use super::start_report::{StartFinding, StartSubject};
 use super::status::{EngineStatus, disk_free_bytes};
 use super::store::{Store, StoreMessage};
 use super::tasks::Tasks;
 use super::thread::lock;
 use gripcast_base::error::Result;
-use gripcast_capture::calibration::RigFile;
+use gripcast_capture::calibration::{RigFile, SourceKind};
 use gripcast_capture::camera::{CameraOpener, SupervisionPolicy, monotonic_ns};
 use gripcast_capture::trigger::{Script, ScriptRunner};
-use gripcast_dataset::NewDataset;
+use gripcast_dataset::{NewDataset, Provenance};
 use gripcast_imaging::{Intrinsics, Role};
 use gripcast_nn::predict::Model;
 use gripcast_session::{
@@ -159,6 +160,18 @@ struct Engine {
     target_per_object: u32,
     /// Number of grasps by object and outcome, as of the last second.
     objects: Arc<OutcomeCounts>,
+    /// What the dataset's grasps were taken with, at the start.
+    provenance: Provenance,
+    /// The model.
+    model: Option<ModelInfo>,
+    /// Source of the newest grasp's frames, at the start.
+    newest_source: Option<SourceKind>,
+    /// Wall clock and `CLOCK_MONOTONIC` (ns) at the start.
+    started: (Timestamp, u64),
+    /// What differs from them now.
+    start_report: Vec<StartFinding>,
+    /// All findings of this session.
+    start_findings: BTreeMap<StartSubject, StartFinding>,
     was_live: BTreeMap<Role, bool>,
     /// Whether each thread was stuck, and its restarts.
     last_task_states: BTreeMap<String, (bool, u64)>,
@@ -214,6 +227,7 @@ impl Engine {
         if self.ticks.is_multiple_of(DISK_TICKS) {
             self.disk_free_bytes = disk_free_bytes(&self.dataset);
             self.objects = Arc::new(self.session.outcome_counts().clone());
+            self.check_start();
             self.hub.tap.json(Topic::Cameras, || {
                 cameras_json(&self.hub, &self.rig, monotonic_ns())
             });
@@ -283,6 +297,7 @@ impl Engine {
             rig: self.rig.id,
             ended,
             session,
+            start_report: self.start_findings.into_values().collect(),
             grasps: self.grasps,
             cameras,
             prediction: PredictionReport {

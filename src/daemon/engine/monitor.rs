@@ -1,11 +1,15 @@
 //! Monitoring: faults of cameras and threads, and the engine's status.
 
 use std::sync::Arc;
+use std::time::Duration;
+
+use jiff::{SignedDuration, Timestamp};
 
 use super::Engine;
 use crate::daemon::black_box::BlackBox;
 use crate::daemon::pre_grasp::PreGraspRecorder;
 use crate::daemon::report::camera_status;
+use crate::daemon::start_report::{StartFacts, start_report};
 use crate::daemon::status::{CameraStatus, EngineStatus, PredictionStatus};
 use crate::daemon::tasks::TaskState;
 use gripcast_capture::camera::{Health, monotonic_ns};
@@ -54,6 +58,38 @@ impl Engine {
         }
     }
 
+    /// Compares rig, cameras, model and clock with the dataset's grasps; logs new findings.
+    pub(super) fn check_start(&mut self) {
+        let now_ns = monotonic_ns();
+        let now = Timestamp::now();
+        let (start, start_ns) = self.started;
+        let elapsed = Duration::from_nanos(now_ns.saturating_sub(start_ns));
+        let elapsed = SignedDuration::try_from(elapsed).unwrap_or_default();
+        let cameras: Vec<CameraStatus> = self
+            .hub
+            .slots()
+            .map(|slot| camera_status(slot, &self.rig, now_ns))
+            .collect();
+        self.start_report = start_report(&StartFacts {
+            dataset: &self.provenance,
+            newest_source: self.newest_source,
+            rig: &self.rig,
+            cameras: &cameras,
+            model: self.model.as_ref(),
+            object: &self.session.labels().object,
+            now,
+            clock_jump: now.duration_since(start) - elapsed,
+            disk_free_bytes: self.disk_free_bytes,
+            grasps_left: self.grasps_left(),
+        });
+        for finding in self.start_report.clone() {
+            if !self.start_findings.contains_key(&finding.subject) {
+                self.log("start_report", &finding);
+                self.start_findings.insert(finding.subject, finding);
+            }
+        }
+    }
+
     pub(super) fn send_status(&self) {
         // All receivers may be gone; the closing report is complete.
         let _ = self.links.status.send(Arc::new(self.status()));
@@ -76,6 +112,7 @@ impl Engine {
             disk_free_bytes: self.disk_free_bytes,
             grasps_left: self.grasps_left(),
             target_per_object: self.target_per_object,
+            start_report: self.start_report.clone(),
             black_box: self.black_box.as_ref().map(BlackBox::status),
             session: self.session.view(now_ns),
             cameras: self

@@ -1,15 +1,17 @@
 //! Start of the engine and its threads.
 
 use std::collections::{BTreeMap, VecDeque};
+use std::path::Path;
 use std::sync::Arc;
 use std::sync::mpsc::channel;
 
+use jiff::Timestamp;
 use tokio::sync::mpsc;
 
 use super::script::ScriptCommand;
 use super::{Engine, EngineLinks, EngineSetup};
 use crate::daemon::black_box::{BlackBox, Tap};
-use crate::daemon::calibration::store_calibration;
+use crate::daemon::calibration::{store_calibration, stored_source};
 use crate::daemon::capture::CaptureThreads;
 use crate::daemon::decode;
 use crate::daemon::hub::Hub;
@@ -17,9 +19,10 @@ use crate::daemon::infer::{Inference, ModelInfo};
 use crate::daemon::pre_grasp::PreGraspRecorder;
 use crate::daemon::store::{Store, StoreContext, StoreMessage, pending_frame};
 use gripcast_base::error::{Error, Result};
-use gripcast_capture::calibration::RigFile;
+use gripcast_capture::calibration::{RigFile, SourceKind};
+use gripcast_capture::camera::monotonic_ns;
 use gripcast_capture::trigger::ScriptRunner;
-use gripcast_dataset::{DatasetWriter, PendingInitial};
+use gripcast_dataset::{Dataset, DatasetWriter, PendingInitial, Provenance};
 use gripcast_imaging::{CropProfile, Role};
 use gripcast_nn::predict::Model;
 use gripcast_session::{PendingFrame, Session};
@@ -29,6 +32,7 @@ impl Engine {
         let crops = crop_profiles(&setup.rig, setup.model.as_ref())?;
         let (mut writer, opened) =
             DatasetWriter::open_or_create(&setup.dataset, &setup.new_dataset)?;
+        let newest_source = newest_source(&setup.dataset, &opened.provenance);
         let calibration = store_calibration(&mut writer, &setup.rig, &setup.intrinsics)?;
         let model = setup.model.as_ref().map(ModelInfo::new);
         if let Some(model) = &model {
@@ -110,11 +114,24 @@ impl Engine {
             disk_free_bytes: None,
             target_per_object: setup.target_per_object,
             objects: Arc::default(),
+            newest_source,
+            provenance: opened.provenance,
+            model,
+            started: (Timestamp::now(), monotonic_ns()),
+            start_report: Vec::new(),
+            start_findings: BTreeMap::new(),
             was_live: BTreeMap::new(),
             last_task_states: BTreeMap::new(),
             ticks: 0,
         })
     }
+}
+
+/// Returns the source of the newest grasp's frames; none where its calibration is unreadable.
+fn newest_source(dataset: &Path, provenance: &Provenance) -> Option<SourceKind> {
+    let key = provenance.calibration.as_ref()?;
+    let text = Dataset::open(dataset).ok()?.calibration(key).ok()?;
+    stored_source(&text)
 }
 
 /// Converts a pending initial frame of an earlier run.

@@ -6,7 +6,7 @@
 import { address, ApiError, change, get, failureReason } from "./api.js";
 import { button, byId, make, refill, say, toast } from "./dom.js";
 import { neighbours, noteTrashed, restore } from "./gallery.js";
-import { markNode, outcomeNode } from "./labels.js";
+import { askEdit, markNode, outcomeNode } from "./labels.js";
 import { agreement, moment, short } from "./words.js";
 
 /** @type {Role[]} */
@@ -135,8 +135,20 @@ function facts(record) {
     ["note", record.note],
   ];
   const list = make("dl", "facts");
-  for (const [name, value] of pairs) if (value) list.append(make("dt", "", name), make("dd", "", String(value)));
+  for (const [name, value] of pairs) {
+    const editable = name === "object" || name === "scene" || name === "operator";
+    if (!value && !editable) continue;
+    const edit = editable ? [" ", editButton(record.id, name, value ?? "")] : [];
+    list.append(make("dt", "", name), make("dd", "", String(value || "–"), ...edit));
+  }
   return list;
+}
+
+/** @param {string} id @param {"object"|"scene"|"operator"} field @param {string} now */
+function editButton(id, field, now) {
+  const node = button("Edit", () => askEdit(id, field, now), "link");
+  node.setAttribute("aria-label", `edit ${field}`);
+  return node;
 }
 
 /** @param {string} id @param {Outcome} now @param {Outcome} outcome @param {string} text */

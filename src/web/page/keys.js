@@ -2,7 +2,7 @@
 import { command } from "./actions.js";
 import { openSensors, minimiseFaults } from "./cameras.js";
 import { byId, make, toggle } from "./dom.js";
-import { ask } from "./labels.js";
+import { ask, askLastObject } from "./labels.js";
 
 /** @type {[string, string][]} */
 const HELP = [
@@ -15,6 +15,7 @@ const HELP = [
   ["r", "redo what was undone"],
   ["!", "override a refusal; recorded with the grasp"],
   ["o", "set the object name"],
+  ["e", "correct the object of the last grasp"],
   ["n", "set the scene name"],
   ["p", "set the operator name"],
   ["h", "sensors in detail"],
@@ -29,6 +30,7 @@ const COMMANDS = { " ": "trigger", i: "initial", g: "grasp", s: "stable", f: "sl
 /** @type {Record<string, () => void>} */
 const PANELS = {
   o: () => ask("object"),
+  e: askLastObject,
   n: () => ask("scene"),
   p: () => ask("operator"),
   h: openSensors,

@@ -22,13 +22,20 @@ const FIELDS = [
 
 /** @type {Session|null} */
 let session = null;
-/** @type {Field} */
-let edited = "object";
+/** The open name dialog. */
+let edited = {
+  title: "",
+  now: "",
+  mayBeEmpty: false,
+  /** @param {string} _name @returns {Promise<import("./types.js").CommandResponse>} */
+  send: (_name) => Promise.reject(new Error("no dialog is open")),
+};
 
 /** @param {State} state @param {(id: string) => void} show opens a grasp */
 export function drawLabels(state, show) {
   session = state.session;
   drawHead(state);
+  drawStartReport(state);
   drawNames(state.session);
   drawCounts(state);
   refill(byId("last"), state.session.last, () => lastGrasp(state.session.last, show));
@@ -59,6 +66,23 @@ function diskWords(free, left) {
   const words = [make("span", "word", "disk "), bytes(free)];
   if (left !== null) words.push(` · ${number(left)} `, make("span", "word", left === 1 ? "grasp " : "grasps "), "left");
   return words;
+}
+
+/** Warnings of the start report that were dismissed on this page. @type {Set<string>} */
+const dismissed = new Set();
+
+/** @param {State} state */
+function drawStartReport(state) {
+  const warnings = (state.start_report ?? []).filter(({ level, text }) => level !== "info" && !dismissed.has(text));
+  const node = byId("start-report");
+  node.hidden = warnings.length === 0;
+  refill(node, warnings, () => [
+    make("ul", "", ...warnings.map(({ text }) => make("li", "", text))),
+    button("Close", () => {
+      for (const { text } of warnings) dismissed.add(text);
+      drawStartReport(state);
+    }),
+  ]);
 }
 
 /** @param {Session} session */
@@ -146,14 +170,34 @@ function drawRefusal({ refusal }) {
   ]);
 }
 
-/** Opens the dialog for a name. @param {Field} field */
+/** Opens the dialog for a name of the next grasps. @param {Field} field */
 export function ask(field) {
-  if (!session) return;
-  edited = field;
+  if (session) askName(`Name of the ${field}`, session[field], (name) => change("PUT", `api/${field}`, { name }));
+}
+
+/** Opens the dialog for the object of the newest grasp. */
+export function askLastObject() {
+  if (session?.last) askEdit(session.last.id, "object", session.last.object);
+  else toast("no grasp to correct yet");
+}
+
+/** Opens the dialog for a name of a saved grasp. @param {string} id @param {Field} field @param {string} now */
+export function askEdit(id, field, now) {
+  const send = (/** @type {string} */ name) => change("PATCH", `api/grasps/${encodeURIComponent(id)}`, { [field]: name });
+  askName(`${field} of grasp ${short(id)}`, now, send, field !== "object");
+}
+
+/**
+ * @param {string} title @param {string} now
+ * @param {(name: string) => Promise<import("./types.js").CommandResponse>} send
+ * @param {boolean} mayBeEmpty
+ */
+function askName(title, now, send, mayBeEmpty = false) {
+  edited = { title, now, send, mayBeEmpty };
   const dialog = byId("name-dialog");
   const input = byId("name");
-  say(byId("name-label"), `Name of the ${field}`);
-  input.value = session[field];
+  say(byId("name-label"), title);
+  input.value = now;
   dialog.returnValue = "";
   dialog.showModal();
   input.focus();
@@ -164,12 +208,13 @@ export function startNames() {
   const dialog = byId("name-dialog");
   dialog.addEventListener("close", async () => {
     const name = byId("name").value.trim();
-    if (dialog.returnValue !== "ok" || !name || name === session?.[edited]) return;
+    const { title, now, send, mayBeEmpty } = edited;
+    if (dialog.returnValue !== "ok" || (!name && !mayBeEmpty) || name === now) return;
     try {
-      const answer = await change("PUT", `api/${edited}`, { name });
+      const answer = await send(name);
       if (answer.result !== "accepted") toast(failureReason(answer), "error");
     } catch (error) {
-      toast(`${edited} not changed: ${/** @type {Error} */ (error).message}`, "error");
+      toast(`${title} not changed: ${/** @type {Error} */ (error).message}`, "error");
     }
   });
 }

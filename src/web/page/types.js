@@ -74,6 +74,7 @@
  * @property {number|null} disk_free_bytes
  * @property {number|null} grasps_left grasps that still fit on the disk
  * @property {number} target_per_object labelled grasps wanted per object; 0: no target
+ * @property {{subject: string, level: "info"|"warning"|"error", text: string}[]} [start_report]
  * @property {Session} session
  * @property {Camera[]} cameras
  * @property {Prediction|null} prediction

@@ -65,18 +65,81 @@ fn invalid(kind: &str, text: &str, expected: &str) -> Error {
     Error::input(format!("invalid {kind} {text:.80?}: expected {expected}"))
 }
 
-/// Parses one line of at most [`MAX_LABEL_CHARS`] characters without unsafe ones, as NFC.
+/// Whether a character is invisible and never changes the display of the text around it: soft
+/// hyphen, grapheme joiner, fillers, blanks without width.
+fn is_invisible(c: char) -> bool {
+    matches!(c,
+        '\u{ad}' | '\u{34f}' | '\u{115f}' | '\u{1160}' | '\u{17b4}' | '\u{17b5}' | '\u{180e}'
+        | '\u{2800}' | '\u{3164}' | '\u{ffa0}' | '\u{1bca0}'..='\u{1bca3}'
+        | '\u{1d173}'..='\u{1d17a}')
+}
+
+/// Whether a character joins or separates its neighbours in some scripts and in emoji.
+fn is_joiner(c: char) -> bool {
+    matches!(c, '\u{200c}' | '\u{200d}')
+}
+
+/// Whether a character selects a variant of the one before it.
+fn is_variation_selector(c: char) -> bool {
+    matches!(c, '\u{180b}'..='\u{180d}' | '\u{180f}' | '\u{fe00}'..='\u{fe0f}'
+        | '\u{e0100}'..='\u{e01ef}')
+}
+
+/// Brings a name into its normal form, in which names of the same appearance have the same bytes:
+/// NFC, single ASCII spaces and none at the ends, no invisible characters. Joiners stay between
+/// characters outside ASCII, variation selectors after one: elsewhere they have no effect.
+fn normal_line(text: &str) -> String {
+    let has_effect = |c: Option<&char>| {
+        c.is_some_and(|c| {
+            !(c.is_ascii() || c.is_whitespace() || is_joiner(*c) || is_variation_selector(*c))
+        })
+    };
+    let visible: Vec<char> = nfc(text).chars().filter(|c| !is_invisible(*c)).collect();
+    let mut kept: Vec<char> = Vec::with_capacity(visible.len());
+    for (index, &c) in visible.iter().enumerate() {
+        let after_effect = has_effect(kept.last());
+        let is_kept = match c {
+            c if is_joiner(c) => {
+                let after_variant = kept.last().is_some_and(|c| is_variation_selector(*c));
+                (after_effect || after_variant) && has_effect(visible.get(index + 1))
+            }
+            c if is_variation_selector(c) => after_effect,
+            _ => true,
+        };
+        if is_kept {
+            kept.push(c);
+        }
+    }
+    let text: String = kept.into_iter().collect();
+    let words: Vec<&str> = text.split_whitespace().collect();
+    nfc(&words.join(" "))
+}
+
+/// Returns the form in which names that are easily confused are equal: normal form without case,
+/// compatibility variants (NFKC), joiners and variation selectors.
+#[must_use]
+pub fn folded_name(name: &str) -> String {
+    let lower: String = name.nfkc().flat_map(char::to_lowercase).collect();
+    let plain: String = lower
+        .chars()
+        .filter(|c| !(is_joiner(*c) || is_variation_selector(*c)))
+        .collect();
+    normal_line(&plain)
+}
+
+/// Parses one line of at most [`MAX_LABEL_CHARS`] characters without unsafe ones, in its
+/// [normal form](normal_line).
 fn parse_line(kind: &str, text: &str) -> Result<String> {
-    let text = nfc(text);
-    let is_long = text.chars().count() > MAX_LABEL_CHARS || text.len() > MAX_LABEL_BYTES;
+    let name = normal_line(text);
+    let is_long = name.chars().count() > MAX_LABEL_CHARS || name.len() > MAX_LABEL_BYTES;
     if is_long || text.chars().any(is_unsafe_char) {
         let expected = format!(
             "one line of at most {MAX_LABEL_CHARS} characters ({MAX_LABEL_BYTES} bytes) without \
              control, bidirectional or zero-width characters"
         );
-        return Err(invalid(kind, &text, &expected));
+        return Err(invalid(kind, text, &expected));
     }
-    Ok(text)
+    Ok(name)
 }
 
 /// Parses an ASCII id for file names: letters, digits, `-`, `_` and, not leading, `.`.
@@ -214,13 +277,15 @@ name_type!(
 );
 
 name_type!(
-    /// Name of an object: one line in NFC that is valid as a file name; without `/`, `\` and a
-    /// leading `.`.
+    /// Name of an object: one line in normal form (NFC, single spaces, nothing invisible), not
+    /// empty, valid as a file name: without `/`, `\` and a leading `.`.
     ObjectName,
     |text| {
         let name = parse_line("object name", text)?;
-        let is_name = !name.trim().is_empty()
-            && !name.starts_with('.')
+        if name.is_empty() {
+            return Err(invalid("object name", text, "a name, found nothing visible"));
+        }
+        let is_name = !name.starts_with('.')
             && !name.contains(['/', '\\']);
         if is_name {
             Ok(name)
@@ -231,7 +296,7 @@ name_type!(
 );
 
 name_type!(
-    /// Name of a scene or an operator: one line in NFC, possibly empty; never a file name.
+    /// Name of a scene or an operator: one line in normal form, possibly empty; never a file name.
     Label,
     |text| parse_line("name", text)
 );
@@ -324,11 +389,11 @@ impl ObjectName {
     /// Replaces invalid characters of a text.
     #[must_use]
     pub fn nearest(text: &str) -> Self {
-        let mut name = cleaned(text, |c| c != '/' && c != '\\');
+        let mut name = normal_line(&cleaned(text, |c| c != '/' && c != '\\'));
         if name.starts_with('.') {
             name.replace_range(..1, "_");
         }
-        if name.trim().is_empty() {
+        if name.is_empty() {
             "unknown".clone_into(&mut name);
         }
         Self(name)
@@ -339,7 +404,7 @@ impl Label {
     /// Replaces invalid characters of a text.
     #[must_use]
     pub fn nearest(text: &str) -> Self {
-        Self(cleaned(text, |_| true))
+        Self(normal_line(&cleaned(text, |_| true)))
     }
 }
 
@@ -419,6 +484,59 @@ mod tests {
     }
 
     #[test]
+    fn names_of_the_same_appearance_are_equal() {
+        let name = |text: &str| ObjectName::parse(text).unwrap();
+        let mug = name("blue mug");
+        for text in [
+            "  blue mug ",
+            "blue  mug",
+            "blue\u{a0}mug",
+            "blue\u{2009}mug",
+            "blue\u{3000}mug\u{a0}",
+            "blue mug\u{ad}",
+            "blue\u{200d} mug",
+            "blue mug\u{200c}",
+            "blue mu\u{fe0f}g",
+            "\u{2800}blue mug\u{3164}",
+        ] {
+            assert_eq!(name(text), mug, "{text:?}");
+        }
+        assert_ne!(name("Blue mug"), mug, "case is part of a name");
+        // Joiners and selectors that change what is shown stay.
+        for text in ["👩\u{200d}🔬", "❤\u{fe0f}", "می\u{200c}خواهم", "क्\u{200d}ष"]
+        {
+            assert_eq!(name(text), text, "{text:?}");
+        }
+        assert_eq!(Label::parse(" lab\u{a0} 3 ").unwrap(), "lab 3");
+    }
+
+    #[test]
+    fn empty_and_invisible_object_names_are_refused() {
+        for text in [
+            "",
+            " ",
+            "\u{a0}",
+            "\u{ad}",
+            "\u{200d}",
+            "\u{fe0f}",
+            "\u{3164}\u{2800}",
+        ] {
+            let error = ObjectName::parse(text).unwrap_err().to_string();
+            assert!(error.contains("nothing visible"), "{text:?}: {error}");
+        }
+        assert_eq!(Label::parse(" ").unwrap(), "");
+    }
+
+    #[test]
+    fn confusable_names_have_the_same_folded_form() {
+        let mug = folded_name("blue mug");
+        for text in ["Blue Mug", "ＢＬＵＥ mug", "blue  mug", "blue mug\u{fe0f}"] {
+            assert_eq!(folded_name(text), mug, "{text:?}");
+        }
+        assert_ne!(folded_name("blue mugs"), mug);
+    }
+
+    #[test]
     fn printable_escapes_terminal_commands() {
         let text = "a\u{1b}]0;t\u{7}b\u{9b}31m\u{202e}c\r\nd\te";
         let printed = Printable(text).to_string();
@@ -444,8 +562,15 @@ mod tests {
                 let components: Vec<_> = Path::new(&name).components().collect();
                 prop_assert_eq!(components, [Component::Normal(name.as_ref())]);
             }
-            prop_assert!(ObjectName::parse(&ObjectName::nearest(&text)).is_ok());
-            prop_assert!(Label::parse(&Label::nearest(&text)).is_ok());
+            let nearest = ObjectName::nearest(&text);
+            prop_assert_eq!(ObjectName::parse(&nearest).unwrap(), nearest);
+            let nearest = Label::nearest(&text);
+            prop_assert_eq!(Label::parse(&nearest).unwrap(), nearest);
+            for name in [ObjectName::parse(&text), ObjectName::parse(&format!("ob{text}t"))] {
+                if let Ok(name) = name {
+                    prop_assert_eq!(ObjectName::parse(&name).unwrap(), name);
+                }
+            }
             let printed = Printable(&text).to_string();
             prop_assert!(!printed.chars().any(|c| is_unsafe_char(c) && c != '\n' && c != '\t'));
         }
