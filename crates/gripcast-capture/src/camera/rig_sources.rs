@@ -5,7 +5,7 @@ use std::sync::Arc;
 
 use super::{CameraOpener, KernelNodes, MonotonicClock, ReplayOpener, V4l2Opener};
 use crate::calibration::{CameraConfig, RigFile, SourceKind, colour_intrinsics};
-use crate::device::SystemRoot;
+use crate::device::{CameraBinder, SystemRoot};
 use gripcast_base::error::{Error, Result};
 use gripcast_imaging::{Intrinsics, Role};
 
@@ -53,10 +53,12 @@ impl RigSources {
             openers: Vec::new(),
             v4l2: Vec::new(),
         };
+        let binder = Arc::new(CameraBinder::new(&rig.cameras));
         for (role, camera) in &rig.cameras {
             let opener: Box<dyn CameraOpener> = match camera.source {
                 SourceKind::V4l2 => {
-                    let opener = || V4l2Opener::new(*role, camera.clone(), root.clone());
+                    let opener =
+                        || V4l2Opener::new(*role, camera.clone(), binder.clone(), root.clone());
                     sources.v4l2.push(opener());
                     Box::new(opener())
                 }
