@@ -109,9 +109,7 @@ impl RigSources {
     /// `Device` for the first one that is not.
     pub fn check_present(&self) -> Result<()> {
         for opener in &self.v4l2 {
-            opener
-                .find()
-                .map_err(|e| e.at(format!("camera {}", opener.role())))?;
+            opener.find()?;
         }
         Ok(())
     }
