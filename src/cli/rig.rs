@@ -16,7 +16,7 @@ use serde_json::{Value, json};
 use super::flags::seconds;
 use super::{Context, print_report};
 use crate::camera_check::{CameraCheck, check_cameras, verdict};
-use crate::doctor::{access_text, connected_cameras, shared_buses};
+use crate::doctor::{access_text, connected_cameras, repeated_serials, shared_buses};
 use crate::note;
 use gripcast_base::error::{Error, ErrorKind, Result};
 use gripcast_capture::calibration::{RigFile, draft};
@@ -128,7 +128,7 @@ pub(crate) fn run(context: &Context, args: Args) -> Result<()> {
 
 fn list(context: &Context, root: &SystemRoot, json: bool) -> Result<()> {
     let devices = connected_cameras(root)?;
-    let warnings = shared_buses(&devices);
+    let warnings = [shared_buses(&devices), repeated_serials(&devices)].concat();
     let cameras: Vec<Value> = devices.iter().map(device_json).collect();
     let report = json!({ "cameras": cameras, "warnings": warnings });
     if json || !devices.is_empty() {

@@ -1,10 +1,11 @@
 //! The disk of the dataset.
 
 use std::fs;
+use std::io;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
-use super::{CheckStatus, Finding};
+use super::{CheckStatus, Finding, file_system};
 use crate::daemon::disk_free_bytes;
 use gripcast_base::error::{Error, Result};
 use gripcast_base::files;
@@ -35,10 +36,30 @@ pub(super) fn findings(dataset: &Path, guards: &GuardLimits) -> Vec<Finding> {
         return findings;
     };
     findings.extend(space(&folder, guards));
-    findings.push(match durable_writes(&folder) {
+    findings.extend(try_out(&folder));
+    findings.extend(file_system::trash_finding(dataset));
+    findings
+}
+
+/// Tries the writer's operations in a hidden directory, which is removed.
+fn try_out(folder: &Path) -> Vec<Finding> {
+    let probe = folder.join(format!(".gripcast-doctor-{}", std::process::id()));
+    let at_folder = |what: &str, e: io::Error| {
+        let remedy = files::disk_remedy(&e).unwrap_or("choose a dataset on another disk");
+        let error = Error::io(what, e).at(folder.display()).remedy(remedy);
+        Finding::failed("disk", "writes", &error)
+    };
+    if let Err(error) = fs::create_dir(&probe) {
+        return vec![at_folder("cannot write", error)];
+    }
+    let mut findings = file_system::findings(&probe);
+    findings.push(match durable_writes(&probe) {
         Ok(took_ms) => durability(took_ms),
         Err(error) => Finding::failed("disk", "writes", &error),
     });
+    if let Err(error) = fs::remove_dir_all(&probe) {
+        findings.push(at_folder("cannot remove the test files", error));
+    }
     findings
 }
 
@@ -97,11 +118,8 @@ fn space(folder: &Path, guards: &GuardLimits) -> Vec<Finding> {
     findings
 }
 
-/// Measures durable writes and returns their times in ascending order, ms.
-fn durable_writes(folder: &Path) -> Result<Vec<f64>> {
-    let probe = folder.join(format!(".gripcast-doctor-{}", std::process::id()));
-    let at_probe = |e| Error::io("cannot write", e).at(folder.display());
-    fs::create_dir(&probe).map_err(at_probe)?;
+/// Measures durable writes in `probe` and returns their times in ascending order, ms.
+fn durable_writes(probe: &Path) -> Result<Vec<f64>> {
     // Pseudo-random bytes, because some disks compress.
     let mut state = 1_u32;
     let bytes: Vec<u8> = std::iter::repeat_with(|| {
@@ -117,9 +135,7 @@ fn durable_writes(folder: &Path) -> Result<Vec<f64>> {
             Ok(start.elapsed().as_secs_f64() * 1e3)
         })
         .collect();
-    let removed = fs::remove_dir_all(&probe);
     let mut took = took?;
-    removed.map_err(at_probe)?;
     took.sort_by(f64::total_cmp);
     Ok(took)
 }

@@ -3,6 +3,7 @@
 mod board;
 mod camera;
 mod disk;
+mod file_system;
 mod machine;
 mod model;
 mod usb;
@@ -23,7 +24,7 @@ use gripcast_capture::trigger::find_pedal;
 use gripcast_session::GuardLimits;
 use gripcast_virtual_rig::VirtualSource;
 
-pub(crate) use usb::{access_text, connected_cameras, shared_buses};
+pub(crate) use usb::{access_text, connected_cameras, repeated_serials, shared_buses};
 
 /// Status of a check, in ascending order of severity.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize)]

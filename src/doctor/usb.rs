@@ -1,13 +1,14 @@
 //! Connected cameras, their link speeds and permissions.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
 use super::{CheckStatus, Finding};
 use gripcast_base::error::Result;
-use gripcast_capture::calibration::{CameraConfig, RigFile, SourceKind};
+use gripcast_capture::calibration::{CameraConfig, RigFile};
 use gripcast_capture::camera::KernelNodes;
 use gripcast_capture::device::{
-    Access, SystemRoot, VideoDevice, bind, crowded_buses, permission_error, probe, scan,
+    Access, CameraBinder, SystemRoot, VideoDevice, crowded_buses, indistinct_cameras,
+    permission_error, probe, scan,
 };
 use gripcast_imaging::PixelFormat;
 
@@ -37,6 +38,49 @@ pub(crate) fn shared_buses(devices: &[VideoDevice]) -> Vec<String> {
                 "{} cameras share USB bus {bus}, whose bandwidth may be insufficient: {}",
                 on_bus.len(),
                 names.join("; ")
+            )
+        })
+        .collect()
+}
+
+/// Describes each group of cameras that only their ports distinguish.
+pub(crate) fn repeated_serials(devices: &[VideoDevice]) -> Vec<String> {
+    let groups = indistinct_cameras(devices);
+    groups.iter().map(|cameras| indistinct(cameras)).collect()
+}
+
+fn indistinct(cameras: &[&VideoDevice]) -> String {
+    let ports: Vec<&str> = cameras.iter().map(|camera| camera.port.as_str()).collect();
+    let names: BTreeSet<&str> = cameras.iter().map(|c| c.product.as_str()).collect();
+    let names: Vec<&str> = names.into_iter().collect();
+    let serial = match cameras.first().map(|camera| camera.serial.as_str()) {
+        None | Some("") => "no serial number".to_owned(),
+        Some(serial) => format!("the serial number {serial}"),
+    };
+    format!(
+        "{} cameras ({}) have {serial}: only their ports {} distinguish them",
+        cameras.len(),
+        names.join(", "),
+        ports.join(", ")
+    )
+}
+
+/// Warns of cameras that only their ports distinguish, unless the rig file names those ports.
+fn repeated_serial_findings(rig: Option<&RigFile>, devices: &[VideoDevice]) -> Vec<Finding> {
+    let has_port = |device: &VideoDevice| {
+        let mut cameras = rig.iter().flat_map(|rig| rig.cameras.values());
+        cameras.any(|camera| camera.port.as_ref() == Some(&device.port))
+    };
+    indistinct_cameras(devices)
+        .iter()
+        .map(|cameras| {
+            let finding = Finding::new("usb", "serials", CheckStatus::Ok, indistinct(cameras));
+            if cameras.iter().all(|camera| has_port(camera)) {
+                return finding;
+            }
+            finding.warn(
+                "give each of them its `port` in the rig file and keep it there; `gripcast rig \
+                 init` writes the ports",
             )
         })
         .collect()
@@ -73,6 +117,7 @@ pub(super) fn findings(root: &SystemRoot, rig: Option<&RigFile>) -> Vec<Finding>
                 .remedy("connect one of them to another USB controller; another hub does not help"),
         );
     }
+    findings.extend(repeated_serial_findings(rig, &devices));
     if let Some(rig) = rig {
         findings.extend(overload(rig, &devices));
     }
@@ -119,9 +164,9 @@ fn raw_mbps(camera: &CameraConfig) -> Option<f64> {
 /// Finds links with less bandwidth than the raw images of their cameras.
 fn overload(rig: &RigFile, devices: &[VideoDevice]) -> Vec<Finding> {
     let mut links: BTreeMap<&str, (f64, u32, Vec<String>)> = BTreeMap::new();
+    let binder = CameraBinder::new(&rig.cameras);
     for (role, camera) in &rig.cameras {
-        let bound = (camera.source == SourceKind::V4l2).then(|| bind(*role, camera, devices));
-        let (Some(Ok(device)), Some(mbps)) = (bound, raw_mbps(camera)) else {
+        let (Ok(device), Some(mbps)) = (binder.bind(*role, devices), raw_mbps(camera)) else {
             continue;
         };
         let Some(speed) = device.speed_mbps else {
@@ -155,8 +200,9 @@ fn overload(rig: &RigFile, devices: &[VideoDevice]) -> Vec<Finding> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use gripcast_capture::calibration::SourceKind;
     use gripcast_imaging::Role;
-    use gripcast_testing::sysfs_tree::{Tree, Usb, d435};
+    use gripcast_testing::sysfs_tree::{Tree, Usb, d435, mini};
 
     /// Checks a D435 on a link of this speed with a rig that uses both of its images.
     fn verdicts(speed_mbps: &str, [width, height]: [u32; 2]) -> Vec<Finding> {
@@ -195,5 +241,37 @@ mod tests {
         assert!(text.contains("provides 384"), "{text}");
         assert!(verdicts("5000", [1280, 720]).is_empty());
         assert!(verdicts("480", [424, 240]).is_empty());
+    }
+
+    #[test]
+    fn repeated_serials_are_reported_until_the_rig_names_the_ports() {
+        let mut tree = Tree::new();
+        for port in ["3-1", "3-2"] {
+            tree.plug(mini(port, "Tactile Cam", "200901010001"), &[(0, 2)]);
+        }
+        tree.plug(mini("3-3", "Tactile Cam", "200901010002"), &[(0, 2)]);
+        let root = SystemRoot {
+            sys: tree.path("sys"),
+            dev: tree.path("dev"),
+            proc: tree.path("proc"),
+        };
+        let devices = scan(&root).unwrap();
+        let found = repeated_serial_findings(None, &devices);
+        assert_eq!(found.len(), 1, "{found:?}");
+        assert_eq!(found[0].status, CheckStatus::Warn);
+        assert_eq!(
+            found[0].message,
+            "2 cameras (Tactile Cam) have the serial number 200901010001: only their ports 3-1, \
+             3-2 distinguish them"
+        );
+        let mut rig = RigFile::virtual_rig();
+        let mut name_port = |role, port: &str| {
+            if let Some(camera) = rig.cameras.get_mut(&role) {
+                camera.port = Some(port.to_owned());
+            }
+            repeated_serial_findings(Some(&rig), &devices)[0].status
+        };
+        assert_eq!(name_port(Role::Left, "3-1"), CheckStatus::Warn);
+        assert_eq!(name_port(Role::Right, "3-2"), CheckStatus::Ok);
     }
 }

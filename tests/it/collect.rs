@@ -1,6 +1,7 @@
 //! `gripcast collect` on the virtual rig, end to end.
 
 use std::collections::BTreeMap;
+use std::os::unix::fs::MetadataExt as _;
 use std::path::Path;
 
 use serde_json::Value;
@@ -9,6 +10,7 @@ use crate::json_schema::assert_schema;
 use crate::program::{
     collect, grasps, gripcast, json, script, stderr, succeed, verify, wait_until,
 };
+use gripcast_testing::{Needs, skip};
 
 #[test]
 fn three_grasps_are_collected_predicted_and_verified() {
@@ -212,6 +214,51 @@ fn undo_moves_to_the_trash_and_redo_brings_back() {
     assert_eq!(found.len(), 1);
     assert_eq!(found.values().next().unwrap()["outcome"], "slip");
     assert_eq!(verify(&dataset)["problems"].as_array().unwrap().len(), 0);
+}
+
+/// `grasps/` and `trash/` are real directories of two file systems.
+#[test]
+fn undo_and_redo_work_where_the_trash_is_on_another_disk() {
+    let dir = tempfile::tempdir_in(env!("CARGO_TARGET_TMPDIR")).unwrap();
+    let Ok(other) = tempfile::tempdir_in("/dev/shm") else {
+        return skip(Needs::Disks, "/dev/shm is not there");
+    };
+    let device = |path: &Path| std::fs::metadata(path).unwrap().dev();
+    if device(dir.path()) == device(other.path()) {
+        return skip(
+            Needs::Disks,
+            "/dev/shm is no other disk than the build directory",
+        );
+    }
+    let dataset = dir.path().join("d");
+    let run = |text: &str| {
+        let mut command = collect(&script(dir.path(), text), &dataset);
+        command.env("GRIPCAST__FILES__LINKED_FOLDERS", other.path());
+        json(&succeed(&mut command))
+    };
+    run("quit\n");
+    std::fs::remove_dir(dataset.join("trash")).unwrap();
+    std::os::unix::fs::symlink(other.path(), dataset.join("trash")).unwrap();
+    let report = run(
+        "wait live\nobject mug\ninitial\nexpect saved\nwait contact\n\
+         wait fresh\ngrasp\nexpect saved\nundo\nexpect saved\nundo\nexpect saved\nredo\nexpect saved\nredo\n\
+         expect saved\nstable\nexpect saved\nundo\nexpect saved\nundo\nexpect saved\nquit\n",
+    );
+    assert_eq!(report["session"]["undone"], 4, "{report}");
+    assert_eq!(report["session"]["failed"], 0, "{report}");
+    assert!(grasps(&dataset).is_empty());
+    let trashed: Vec<_> = std::fs::read_dir(other.path()).unwrap().collect();
+    let names = trashed.iter().map(|e| e.as_ref().unwrap().file_name());
+    assert!(
+        names
+            .into_iter()
+            .all(|name| !name.to_string_lossy().starts_with('.'))
+    );
+    let complete = trashed.iter().filter(|entry| {
+        let path = entry.as_ref().unwrap().path();
+        path.join("grasp.json").is_file() && path.join("grasp.left.jpg").is_file()
+    });
+    assert_eq!(complete.count(), 1, "{trashed:?}");
 }
 
 #[test]

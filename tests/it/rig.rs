@@ -199,3 +199,59 @@ fn example_rig_files_are_valid() {
     }
     assert!(checked >= 2);
 }
+
+#[test]
+fn twin_of_an_unplugged_camera_is_not_taken() {
+    const SERIAL: &str = "200901010001";
+    let mut tree = Tree::new();
+    tree.plug(mini("1-2", "Tactile Cam", SERIAL), &[(0, 2)]);
+    let dir = tempfile::tempdir().unwrap();
+    let file = dir.path().join("twins.toml");
+    let camera = |role: &str, port: &str| {
+        format!(
+            "[cameras.{role}]\nproduct = \"Tactile Cam\"\nserial = \"{SERIAL}\"\n{port}\
+             format = \"MJPG\"\nwidth = 640\nheight = 480\nfps = 25\n\
+             crop_profile = \"gsmini-seventh-v1\"\n"
+        )
+    };
+    let write = |left: &str, right: &str| {
+        let cameras = camera("left", left) + &camera("right", right);
+        fs::write(&file, format!("schema = 1\nid = \"twins\"\n{cameras}")).unwrap();
+    };
+    let check = |tree: &Tree| {
+        let rig = file.to_str().unwrap();
+        gripcast(tree, &["check", "--json", "--seconds", "0.1", "--rig", rig])
+    };
+    write("port = \"1-1\"\n", "port = \"1-2\"\n");
+    let output = check(&tree);
+    assert_eq!(output.status.code(), Some(69), "{}", stderr(&output));
+    let report: Value = serde_json::from_slice(&output.stdout).unwrap();
+    let of = |role: &str| {
+        let cameras = report["cameras"].as_array().unwrap();
+        let found = cameras.iter().find(|camera| camera["role"] == role);
+        found.unwrap().clone()
+    };
+    assert_eq!(of("left")["missing"], true, "{report}");
+    let problem = of("left")["problems"][0].to_string();
+    assert!(
+        problem.contains("no matching camera in port 1-1"),
+        "{problem}"
+    );
+    assert!(of("left")["expected"].to_string().contains("port 1-1"));
+    // The right one is there, but the fake tree has no camera behind its node.
+    assert_eq!(of("right")["missing"], false, "{report}");
+
+    write("", "port = \"1-2\"\n");
+    let output = check(&tree);
+    assert_eq!(output.status.code(), Some(2));
+    let text = stderr(&output);
+    assert!(text.contains("[cameras.left] names no `port`"), "{text}");
+    assert!(text.contains("rig init` writes them"), "{text}");
+
+    tree.plug(mini("1-1", "Tactile Cam", SERIAL), &[(0, 2)]);
+    let text = stderr(&gripcast(&tree, &["list"]));
+    assert!(
+        text.contains("only their ports 1-2, 1-1 distinguish them"),
+        "{text}"
+    );
+}

@@ -7,6 +7,7 @@
 mod beneath;
 #[cfg(test)]
 mod beneath_test;
+mod disk_failure;
 mod name;
 mod opening;
 mod owner_lock;
@@ -21,6 +22,7 @@ use sha2::{Digest as _, Sha256};
 use crate::error::{Error, Result};
 
 pub use beneath::{BeneathPath, Component, Metadata, Root, allow_links_into};
+pub use disk_failure::disk_remedy;
 pub use name::{
     ContentKey, FileName, GraspId, Label, MAX_LABEL_CHARS, ObjectName, Printable, SimulationId,
     folded_name, is_unsafe_char,
@@ -61,7 +63,14 @@ pub fn replace_file(path: &Path, bytes: &[u8]) -> io::Result<()> {
 /// # Errors
 /// `Io`, `Permission`, `DiskFull`, …; the old file is then unchanged.
 pub fn save(path: &Path, bytes: &[u8]) -> Result<()> {
-    replace_file(path, bytes).map_err(|e| Error::io("cannot write the file", e).at(path.display()))
+    replace_file(path, bytes).map_err(|e| {
+        let remedy = disk_remedy(&e);
+        let error = Error::io("cannot write the file", e).at(path.display());
+        match remedy {
+            Some(remedy) => error.remedy(remedy),
+            None => error,
+        }
+    })
 }
 
 /// A file that is written but not renamed yet, so that several can be committed together. Removed

@@ -7,7 +7,7 @@ use std::io;
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, MutexGuard};
 
-use super::disk::{Disk, SystemDisk};
+use super::disk::{Disk, SystemDisk, is_partial};
 use super::layout::Layout;
 use super::reader::Dataset;
 use super::sample::{capture, meta, new_dataset};
@@ -53,6 +53,8 @@ struct Change {
 }
 
 struct State {
+    /// `grasps/` and `trash/` are on different disks.
+    two_disks: bool,
     /// Operations so far.
     count: usize,
     at: usize,
@@ -68,12 +70,20 @@ struct FailingDisk(Arc<Mutex<State>>);
 impl FailingDisk {
     fn new(at: usize, fault: Option<Fault>) -> Self {
         Self(Arc::new(Mutex::new(State {
+            two_disks: false,
             count: 0,
             at,
             fault,
             struck: false,
             changes: Vec::new(),
         })))
+    }
+
+    /// As [`new`](Self::new), with `trash/` on another disk than `grasps/`.
+    fn with_two_disks(at: usize, fault: Option<Fault>) -> Self {
+        let disk = Self::new(at, fault);
+        disk.state().two_disks = true;
+        disk
     }
 
     fn state(&self) -> MutexGuard<'_, State> {
@@ -235,6 +245,9 @@ impl Disk for FailingDisk {
 
     fn rename_new(&self, from: &BeneathPath, to: &BeneathPath) -> io::Result<()> {
         self.step(false)?;
+        if self.state().two_disks && from.parent() != to.parent() {
+            return Err(io::ErrorKind::CrossesDevices.into());
+        }
         SystemDisk.rename_new(from, to)?;
         self.note_rename(&from.shown(), &to.shown(), None);
         Ok(())
@@ -476,10 +489,9 @@ fn found(disk: &FailingDisk, root: &Path, context: &str) -> Acknowledged {
     }
 }
 
-fn whole_session() -> (usize, Vec<Acknowledged>) {
+fn whole_session(disk: &FailingDisk) -> (usize, Vec<Acknowledged>) {
     let dir = tempfile::tempdir().unwrap();
-    let disk = FailingDisk::new(0, None);
-    let history = run_session(&disk, &dir.path().join("d"));
+    let history = run_session(disk, &dir.path().join("d"));
     assert_eq!(history.len(), SESSION.len() + 1);
     (disk.count(), history)
 }
@@ -508,7 +520,7 @@ fn assert_nothing_lost(
 
 #[test]
 fn crash_keeps_acknowledged_steps_and_no_partial_grasp() {
-    let (operations, history) = whole_session();
+    let (operations, history) = whole_session(&FailingDisk::new(0, None));
     assert!(operations > 150, "only {operations} operations");
     for fault in [
         Fault::Kill,
@@ -534,7 +546,7 @@ fn crash_keeps_acknowledged_steps_and_no_partial_grasp() {
 
 #[test]
 fn crash_during_recovery_loses_nothing() {
-    let (operations, history) = whole_session();
+    let (operations, history) = whole_session(&FailingDisk::new(0, None));
     for at in 0..operations {
         for second in 0.. {
             let context = format!("killed at operation {at}, then at {second} of opening again");
@@ -563,7 +575,7 @@ fn crash_during_recovery_loses_nothing() {
 
 #[test]
 fn failed_step_changes_nothing_and_can_be_retried() {
-    let (operations, history) = whole_session();
+    let (operations, history) = whole_session(&FailingDisk::new(0, None));
     for at in 0..operations {
         let context = format!("no space at operation {at}");
         let dir = tempfile::tempdir().unwrap();
@@ -595,7 +607,7 @@ fn failed_step_changes_nothing_and_can_be_retried() {
 
 #[test]
 fn full_disk_keeps_saved_grasps_and_can_be_opened() {
-    let (operations, history) = whole_session();
+    let (operations, history) = whole_session(&FailingDisk::new(0, None));
     for at in 0..operations {
         let context = format!("disk full from operation {at}");
         let dir = tempfile::tempdir().unwrap();
@@ -609,5 +621,36 @@ fn full_disk_keeps_saved_grasps_and_can_be_opened() {
         }
         let known = found(&FailingDisk::new(0, None), &root, &context);
         assert_nothing_lost(&known, acknowledged, &history, true, &context);
+    }
+}
+
+#[test]
+fn trash_on_another_disk_loses_nothing() {
+    let (operations, history) = whole_session(&FailingDisk::with_two_disks(0, None));
+    for fault in [
+        Fault::Kill,
+        Fault::PowerLoss { all: true },
+        Fault::PowerLoss { all: false },
+        Fault::Full,
+        Fault::Unplugged,
+    ] {
+        for at in 0..operations {
+            let context = format!("two disks, {fault:?} at operation {at}");
+            let dir = tempfile::tempdir().unwrap();
+            let root = dir.path().join("d");
+            let disk = FailingDisk::with_two_disks(at, Some(fault));
+            let acknowledged = run_session(&disk, &root).len() - 1;
+            if let Fault::PowerLoss { all } = fault {
+                disk.lose_power(all);
+            }
+            let known = found(&FailingDisk::with_two_disks(0, None), &root, &context);
+            // A copy in the trash may remain beside the item that a crash left in its place.
+            assert_nothing_lost(&known, acknowledged, &history, true, &context);
+            let hidden = ["grasps", "trash"]
+                .iter()
+                .flat_map(|folder| fs::read_dir(root.join(folder)).unwrap())
+                .filter(|e| is_partial(&e.as_ref().unwrap().file_name().to_string_lossy()));
+            assert_eq!(hidden.count(), 0, "{context}");
+        }
     }
 }

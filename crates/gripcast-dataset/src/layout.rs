@@ -5,8 +5,8 @@ use std::path::{Path, PathBuf};
 
 use jiff::Timestamp;
 
-use gripcast_base::error::{Error, ErrorKind};
-use gripcast_base::files::{BeneathPath, FileName, GraspId, Root};
+use gripcast_base::error::Error;
+use gripcast_base::files::{BeneathPath, FileName, GraspId, Root, disk_remedy};
 use gripcast_imaging::{PixelFormat, Role};
 
 /// Name prefix of a grasp's directory before the grasp is complete.
@@ -127,20 +127,14 @@ impl Layout {
 
     /// Wraps an IO error of the dataset and adds a remedy.
     pub(super) fn failed(&self, what: &str, error: io::Error) -> Error {
-        let error = Error::io(what, error).at(self.root().display());
-        match error.kind() {
-            ErrorKind::DiskFull => error
-                .remedy("free space on that disk and try again; everything saved so far is safe"),
-            ErrorKind::Permission => error.remedy(
-                "the disk is read-only or belongs to another user: make it writable and try again",
-            ),
-            ErrorKind::NotFound => error
-                .remedy("the dataset was moved or its disk unmounted: restore it and try again"),
-            ErrorKind::Io => {
-                error.remedy("the disk reported an error: read `dmesg` and check the disk")
-            }
-            _ => error,
-        }
+        Self::failed_at(self.root(), what, error)
+    }
+
+    /// As [`failed`](Self::failed) for one of its files.
+    pub(super) fn failed_at(path: &Path, what: &str, error: io::Error) -> Error {
+        let remedy = disk_remedy(&error)
+            .unwrap_or("`gripcast doctor --dataset DIR` checks the disk; read `dmesg` as well");
+        Error::io(what, error).at(path.display()).remedy(remedy)
     }
 
     /// Directories of a new dataset.

@@ -1,7 +1,5 @@
 //! Lock that admits one writer at a time.
 
-use std::io;
-
 use super::layout::Layout;
 use gripcast_base::error::{Error, ErrorKind, Result};
 use gripcast_base::files::{NotLocked, OwnerLock};
@@ -25,9 +23,9 @@ impl DatasetLock {
             )
             .at(layout.root().display())
             .remedy("quit that program first, or use another dataset"),
-            NotLocked::Open(e) => not_writable(layout, e),
+            NotLocked::Open(e) => layout.failed("cannot write to the dataset", e),
             NotLocked::Refused(e) | NotLocked::Lock(e) => {
-                Error::io("cannot lock the dataset", e).at(layout.lock().display())
+                Layout::failed_at(&layout.lock(), "cannot lock the dataset", e)
             }
         })?;
         Ok(Self { _lock: lock })
@@ -37,25 +35,6 @@ impl DatasetLock {
     pub(super) fn holder(layout: &Layout) -> Option<String> {
         OwnerLock::holder(&layout.lock())
     }
-}
-
-fn not_writable(layout: &Layout, error: io::Error) -> Error {
-    let remedy = match error.kind() {
-        io::ErrorKind::ReadOnlyFilesystem => {
-            "the disk is mounted read-only: remount it writable, or use another directory"
-        }
-        io::ErrorKind::PermissionDenied => {
-            "no write permission: change the owner or mode of the directory, or use another \
-             directory"
-        }
-        io::ErrorKind::StorageFull | io::ErrorKind::QuotaExceeded => {
-            "the disk is full: free space, or use another disk"
-        }
-        _ => "check that the disk is mounted and writable",
-    };
-    Error::io("cannot write to the dataset", error)
-        .at(layout.root().display())
-        .remedy(remedy)
 }
 
 #[cfg(test)]

@@ -5,7 +5,7 @@ use std::path::Path;
 
 use super::counts::GraspCounts;
 use super::descriptor::{Descriptor, NewDataset};
-use super::disk::{Disk, SystemDisk, partial_name, partial_of, replace};
+use super::disk::{Disk, SystemDisk, is_partial, partial_name, partial_of, remove_item, replace};
 use super::index::{IndexRow, is_stored, to_jsonl};
 use super::layout::{DATASET_TOML, GRASP_JSON, INITIAL_JSON, LOCK, Layout};
 use super::lock::DatasetLock;
@@ -17,6 +17,10 @@ use super::unfinished::{Unfinished, unfinished};
 use super::writer::DatasetWriter;
 use gripcast_base::error::{Error, Result};
 use gripcast_base::files::Root;
+
+/// Warning for file systems without a flush of directories.
+const CANNOT_FLUSH: &str = "the file system cannot flush directories: a power failure can lose the \
+     grasps of the last seconds, a crash of the program cannot; a local disk has no such limit";
 
 /// State of a dataset that was opened for writing.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -84,6 +88,10 @@ impl DatasetWriter {
             created,
             ..OpenReport::default()
         };
+        writer.remove_partial_moves();
+        if !writer.layout.grasps().can_sync_dir().unwrap_or(true) {
+            report.notes.push(CANNOT_FLUSH.to_owned());
+        }
         writer.handle_unfinished(&mut report)?;
         writer.read_rows(&mut report)?;
         report.counts = writer.counts();
@@ -92,6 +100,17 @@ impl DatasetWriter {
             report.notes.push(error.to_string());
         }
         Ok((writer, report))
+    }
+
+    /// Removes incomplete copies of moves between disks: the complete item is in its other place.
+    fn remove_partial_moves(&self) {
+        for folder in [self.layout.grasps(), self.layout.trash()] {
+            for entry in folder.entries().into_iter().flatten() {
+                if is_partial(&entry.name()) {
+                    remove_item(self.disk.as_ref(), &entry);
+                }
+            }
+        }
     }
 
     /// Handles leftovers of a crash in `grasps/`.

@@ -7,7 +7,7 @@ use std::path::Path;
 use serde::Serialize;
 
 use super::descriptor::{Descriptor, NewDataset};
-use super::disk::{Disk, SystemDisk, replace};
+use super::disk::{Disk, SystemDisk, is_partial, replace};
 use super::grasp::GraspRecord;
 use super::index::{self, IndexRow};
 use super::layout::{DATASET_TOML, GRASP_JSON, Layout, METADATA_JSONL, pending_id};
@@ -297,6 +297,15 @@ impl Plan<'_> {
             let name = entry.name();
             let is_dir = entry.is_dir();
             if is_dir && (GraspId::parse(&name).is_ok() || pending_id(&name).is_some()) {
+                continue;
+            }
+            if is_partial(&name) {
+                self.add(
+                    ActionKind::SetAside,
+                    &format!("grasps/{name}"),
+                    "the copy of an interrupted move; the item is in its old or new place",
+                    Step::SetAside(entry),
+                );
                 continue;
             }
             // A grasp in a directory with an invalid name.

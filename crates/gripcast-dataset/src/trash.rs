@@ -2,7 +2,7 @@
 
 use std::io;
 
-use super::disk::Disk;
+use super::disk::{Disk, move_item};
 use super::layout::Layout;
 use gripcast_base::files::{BeneathPath, Component, FileName};
 
@@ -35,7 +35,7 @@ pub(super) fn move_to_trash(
     let is_dir = path.is_dir() && !path.is_link();
     let slot = if is_dir {
         let slot = free_slot(layout, &FileName::nearest(plain));
-        disk.rename_new(path, &slot)?;
+        move_item(disk, path, &slot)?;
         slot
     } else {
         // A single file gets its own directory, named after the grasp it came from.
@@ -44,11 +44,10 @@ pub(super) fn move_to_trash(
             &FileName::nearest(&format!("{}.{plain}", parent.name())),
         );
         disk.create_dir(&slot)?;
-        disk.rename_new(path, &path.moved_into(&slot))?;
+        move_item(disk, path, &path.moved_into(&slot))?;
+        disk.sync_dir(&layout.trash())?;
         slot
     };
-    disk.sync_dir(&layout.trash())?;
-    disk.sync_dir(&parent)?;
     // On a full disk the move succeeds even where the reason cannot be written.
     let _ = disk.write(&slot.join(REASON), format!("{reason}\n").as_bytes());
     Ok(slot)

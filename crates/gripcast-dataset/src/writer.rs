@@ -16,7 +16,7 @@ use super::capture::{EncodedStage, GraspMeta, StageCapture};
 use super::counts::GraspCounts;
 use super::descriptor::{Descriptor, SOFTWARE};
 use super::digest::FileDigest;
-use super::disk::{Disk, is_partial, replace};
+use super::disk::{Disk, is_partial, move_item, remove_item, replace};
 use super::grasp::{GraspRecord, Outcome, OverriddenGuard, PoseRecord, StageRecord};
 use super::index::{IndexRow, to_jsonl};
 use super::layout::{
@@ -208,7 +208,13 @@ impl DatasetWriter {
     pub fn discard_initial(&mut self, pending: &PendingInitial) -> Result<()> {
         let id = &pending.id;
         self.vacate_trash(id)
-            .and_then(|()| self.move_dir(&self.layout.pending(id), &self.layout.trashed(id)))
+            .and_then(|()| {
+                move_item(
+                    self.disk.as_ref(),
+                    &self.layout.pending(id),
+                    &self.layout.trashed(id),
+                )
+            })
             .map_err(|e| self.failed(&format!("cannot discard the initial frame of {id}"), e))
     }
 
@@ -220,7 +226,7 @@ impl DatasetWriter {
         let trashed = self.layout.trashed(id);
         let pending = read_initial(&trashed)?;
         check_files(&trashed, &pending.files)?;
-        self.move_dir(&trashed, &self.layout.pending(id))
+        move_item(self.disk.as_ref(), &trashed, &self.layout.pending(id))
             .map_err(|e| self.failed(&format!("cannot restore the initial frame of {id}"), e))?;
         Ok(pending)
     }
@@ -261,7 +267,7 @@ impl DatasetWriter {
         // Before this rename the grasp exists and its reopened initial frame is ignored.
         let undone = self
             .vacate_trash(id)
-            .and_then(|()| self.move_dir(&dir, &self.layout.trashed(id)));
+            .and_then(|()| move_item(self.disk.as_ref(), &dir, &self.layout.trashed(id)));
         if let Err(error) = undone {
             self.remove_pending(&pending.id);
             return Err(self.failed(&format!("cannot undo {id}"), error));
@@ -282,7 +288,7 @@ impl DatasetWriter {
         let trashed = self.layout.trashed(id);
         let record = read_grasp(&trashed)?;
         check_files(&trashed, &record.files)?;
-        self.move_dir(&trashed, &self.layout.grasp(id))
+        move_item(self.disk.as_ref(), &trashed, &self.layout.grasp(id))
             .map_err(|e| self.failed(&format!("cannot restore {id}"), e))?;
         self.insert(&record);
         if let Some(pending) = reopened {
@@ -299,7 +305,13 @@ impl DatasetWriter {
     pub fn trash_grasp(&mut self, id: &GraspId) -> Result<GraspRecord> {
         let record = self.read(id)?;
         self.vacate_trash(id)
-            .and_then(|()| self.move_dir(&self.layout.grasp(id), &self.layout.trashed(id)))
+            .and_then(|()| {
+                move_item(
+                    self.disk.as_ref(),
+                    &self.layout.grasp(id),
+                    &self.layout.trashed(id),
+                )
+            })
             .map_err(|e| self.failed(&format!("cannot move {id} to the trash"), e))?;
         self.remove(id);
         Ok(record)
@@ -482,10 +494,7 @@ impl DatasetWriter {
     fn remove_pending(&self, id: &GraspId) {
         let dir = self.layout.pending(id);
         let _ = self.disk.remove_file(&dir.join(INITIAL_JSON));
-        for entry in dir.entries().into_iter().flatten() {
-            let _ = self.disk.remove_file(&entry);
-        }
-        let _ = self.disk.remove_dir(&dir);
+        remove_item(self.disk.as_ref(), &dir);
     }
 
     /// Writes the grasp's files beside the initial frame and renames the directory.
@@ -527,19 +536,6 @@ impl DatasetWriter {
             return Ok(());
         }
         self.disk.rename_new(&slot, &free_slot(&self.layout, id))
-    }
-
-    /// Renames a directory between `grasps/` and `trash/`, durably.
-    fn move_dir(&self, from: &BeneathPath, to: &BeneathPath) -> io::Result<()> {
-        let disk = self.disk.as_ref();
-        disk.rename_new(from, to)?;
-        // The new name first: a crash between them may leave both names, never none.
-        let synced = [to, from]
-            .into_iter()
-            .try_for_each(|dir| disk.sync_dir(&dir.parent()));
-        synced.inspect_err(|_| {
-            let _ = disk.rename_new(to, from);
-        })
     }
 
     fn log_file(&mut self) -> io::Result<&File> {

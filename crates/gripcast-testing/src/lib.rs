@@ -15,6 +15,8 @@ use std::path::PathBuf;
 pub enum Needs {
     /// OpenCV's ChArUco images, in the folder `GRIPCAST_CHARUCO`.
     Charuco,
+    /// Two file systems: /dev/shm beside the build directory.
+    Disks,
     /// The User-Mode-Linux kernel of tests/kernel.
     Kernel,
     /// A linter for manual pages.
@@ -31,6 +33,7 @@ impl Needs {
     fn name(self) -> &'static str {
         match self {
             Self::Charuco => "charuco",
+            Self::Disks => "disks",
             Self::Kernel => "kernel",
             Self::Mandoc => "mandoc",
             Self::Python => "python",

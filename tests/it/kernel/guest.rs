@@ -241,6 +241,11 @@ impl Outcome {
 }
 
 impl Outcome {
+    /// What the program told the operator, line by line.
+    pub(super) fn told(&self) -> String {
+        fs::read_to_string(self.out.join("stderr.txt")).unwrap_or_default()
+    }
+
     /// Memory of the program, KiB, by the guest's second.
     pub(super) fn memory_kib(&self) -> Vec<(f64, f64)> {
         let text = fs::read_to_string(self.out.join("memory.csv")).unwrap();
@@ -254,7 +259,7 @@ impl Outcome {
 
 impl std::fmt::Display for Outcome {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        let stderr = fs::read_to_string(self.out.join("stderr.txt")).unwrap_or_default();
+        let stderr = self.told();
         write!(
             f,
             "{}: exit code {:?}\nreport {:#}\nsent {:?}\nstderr:\n{stderr}",

@@ -1,6 +1,7 @@
 //! The unmodified program against the real USB, UVC and HID drivers of a Linux kernel, with
 //! emulated devices, in virtual time. `docs/how-to/kernel-tests.md` tells how it works.
 
+mod faults;
 mod guest;
 mod images;
 
@@ -31,11 +32,19 @@ fn camera_file(stage: &StageRecord, role: Role, dir: &Path) -> Vec<u8> {
     fs::read(dir.join(record.file.as_str())).unwrap()
 }
 
+/// Serial numbers of the left and the right sensor.
+const SERIALS: [&str; 2] = ["2BNN4ZE7", "28F5K4RR"];
+
 /// Asserts that the tactile images of a grasp are the bytes sent by the sensor of that role.
 fn assert_as_sent(grasp: &SavedGrasp, images: &Images) {
+    assert_as_sent_by(SERIALS, grasp, images);
+}
+
+/// As [`assert_as_sent`], for sensors with these serial numbers.
+fn assert_as_sent_by(serials: [&str; 2], grasp: &SavedGrasp, images: &Images) {
     for (role, serial, dir) in [
-        (Role::Left, "2BNN4ZE7", &images.left),
-        (Role::Right, "28F5K4RR", &images.right),
+        (Role::Left, serials[0], &images.left),
+        (Role::Right, serials[1], &images.right),
     ] {
         for (stage, kind) in [
             (&grasp.record.initial, "free"),
@@ -103,12 +112,17 @@ fn assert_dataset_is_clean(outcome: &Outcome) {
 
 /// Asserts that one labelled grasp was saved as sent and the program succeeded.
 fn assert_one_good_grasp(outcome: &Outcome, images: &Images) {
+    assert_one_good_grasp_of(SERIALS, outcome, images);
+}
+
+/// As [`assert_one_good_grasp`], for sensors with these serial numbers.
+fn assert_one_good_grasp_of(serials: [&str; 2], outcome: &Outcome, images: &Images) {
     assert_eq!(outcome.exit_code, Some(0), "{outcome}");
     assert_eq!(outcome.grasps.len(), 1, "{outcome}");
     let grasp = &outcome.grasps[0];
     assert_eq!(grasp.record.object, "mug");
     assert_eq!(grasp.record.outcome, Label::Stable);
-    assert_as_sent(grasp, images);
+    assert_as_sent_by(serials, grasp, images);
     assert_depth_as_sent(grasp);
     assert_dataset_is_clean(outcome);
 }

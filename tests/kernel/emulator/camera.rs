@@ -5,7 +5,7 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use crate::descriptors::StreamPlace;
-use crate::feed::{Feed, Transmission};
+use crate::feed::{Clock, Feed, Transmission};
 use crate::link::{Interrupted, Link, Streaming};
 use crate::usbip::{PacketDone, Status, Submit};
 
@@ -113,6 +113,7 @@ fn run(
     let interval = Duration::from_nanos(1_000_000_000 / u64::from(streaming.mode.fps));
     let mut frame_id = 0;
     let mut slot: u32 = 0;
+    let mut presented = Duration::ZERO;
     loop {
         let passed = Instant::now().saturating_duration_since(streaming.since);
         slot = (slot + 1).max((passed.as_nanos() / interval.as_nanos()) as u32);
@@ -125,10 +126,15 @@ fn run(
             continue;
         };
         frame_id ^= header_bit::FRAME_ID;
+        presented = match transmission.clock {
+            Clock::Runs => streaming.since.elapsed(),
+            Clock::StandsStill => presented,
+            Clock::Ahead(by) => streaming.since.elapsed() + by,
+        };
         let mut payloads = Payloads {
             transmission: &transmission,
             frame_id,
-            presented: streaming.since.elapsed(),
+            presented,
             sent_bytes: 0,
             sent_packets: 0,
         };
@@ -167,6 +173,7 @@ mod tests {
             bytes: Arc::new((0..250).map(|k| k as u8).collect()),
             has_error_bit: false,
             loses_packet,
+            clock: Clock::Runs,
         }
     }
 

@@ -5,7 +5,11 @@
 //! detach DEVICE               pull out
 //! fault CAMERA none           CAMERA is left, right, depth, infrared or rgb
 //! fault CAMERA KIND [COUNT]   hit the next COUNT images, or all from now on; KIND is freeze,
-//!                             silent, truncate, corrupt, error-bit, lose-packet or drop
+//!                             silent, truncate, corrupt, error-bit, lose-packet, drop, tail,
+//!                             lead, no-end, zero, still-clock or jumping-clock
+//! stall-commit CAMERA COUNT   refuse the next COUNT starts of its stream
+//! twin-serials                give both tactile sensors one serial number; before they are
+//!                             plugged in
 //! touch free|pressed          what both gels feel
 //! pedal press [bounce]
 //! quit
@@ -31,6 +35,11 @@ pub(crate) enum Command {
         fault: Option<Fault>,
         images: Option<u32>,
     },
+    StallCommit {
+        camera: String,
+        times: u32,
+    },
+    TwinSerials,
     Touch(Touch),
     Pedal {
         bounces: bool,
@@ -84,6 +93,11 @@ impl FromStr for Command {
                 fault: Some(kind.parse()?),
                 images: Some(number(images)?),
             }),
+            ["stall-commit", camera, times] => Ok(Self::StallCommit {
+                camera: camera.to_owned(),
+                times: number(times)?,
+            }),
+            ["twin-serials"] => Ok(Self::TwinSerials),
             ["touch", "free"] => Ok(Self::Touch(Touch::Free)),
             ["touch", "pressed"] => Ok(Self::Touch(Touch::Pressed)),
             ["pedal", "press"] => Ok(Self::Pedal { bounces: false }),

@@ -80,6 +80,7 @@ mod standard {
 /// A stream's negotiation.
 struct StreamControl {
     place: StreamPlace,
+    feed: Arc<Feed>,
     pixels: Pixels,
     modes: Vec<Mode>,
     probed: usize,
@@ -111,7 +112,7 @@ impl StreamControl {
         }
     }
 
-    /// `None` = stall: no such mode.
+    /// `None` = stall: no such mode, or a camera that refuses to start.
     fn set(&mut self, selector: u8, data: &[u8]) -> Option<()> {
         if data.len() != Self::LENGTH || data[2] != 1 {
             return None;
@@ -120,7 +121,7 @@ impl StreamControl {
         self.modes.get(index)?;
         match selector {
             Self::PROBE => self.probed = index,
-            Self::COMMIT => self.committed = index,
+            Self::COMMIT if self.feed.takes_start() => self.committed = index,
             _ => return None,
         }
         Some(())
@@ -144,7 +145,8 @@ struct ControlEndpoint {
 }
 
 impl ControlEndpoint {
-    fn new(profile: &Profile, link: Arc<Link>) -> Self {
+    fn new(profile: &Profile, feeds: &[Arc<Feed>], link: Arc<Link>) -> Self {
+        let mut feeds = feeds.iter();
         let mut functions = Vec::new();
         let mut streams = Vec::new();
         if let Class::Camera(cameras) = &profile.class {
@@ -154,9 +156,11 @@ impl ControlEndpoint {
                     panel: ControlPanel::new(function.controls.clone()),
                     monitor: function.has_hardware_monitor.then(HardwareMonitor::new),
                 });
-                for (stream, place) in function.streams.iter().zip(places) {
+                let streams_of = function.streams.iter().zip(places);
+                for ((stream, place), feed) in streams_of.zip(&mut feeds) {
                     streams.push(StreamControl {
                         place,
+                        feed: feed.clone(),
                         pixels: stream.pixels,
                         modes: stream.modes.clone(),
                         probed: 0,
@@ -272,7 +276,7 @@ impl Plugged {
     pub(crate) fn new(profile: &Profile, port: u8, feeds: &[Arc<Feed>]) -> io::Result<Self> {
         let (ours, kernels) = UnixStream::pair()?;
         let link = Arc::new(Link::new(ours.try_clone()?));
-        let control = ControlEndpoint::new(profile, link.clone());
+        let control = ControlEndpoint::new(profile, feeds, link.clone());
         let mut reports = None;
         match &profile.class {
             Class::Camera(functions) => spawn_cameras(functions, feeds, &link),
@@ -366,11 +370,14 @@ fn attach(port: u8, kernels: &UnixStream, class: &Class) -> io::Result<()> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::feed::Images;
     use crate::profile;
 
     fn endpoint(device: usize) -> ControlEndpoint {
         let (ours, _) = UnixStream::pair().unwrap();
-        ControlEndpoint::new(&profile::rig()[device], Arc::new(Link::new(ours)))
+        let feed = || Arc::new(Feed::new(Images::Drawn(Pixels::Z16)));
+        let feeds = [feed(), feed(), feed()];
+        ControlEndpoint::new(&profile::rig()[device], &feeds, Arc::new(Link::new(ours)))
     }
 
     fn control(setup: [u8; 8], data: &[u8]) -> Submit {

@@ -30,10 +30,22 @@ pub(crate) enum Fault {
     LosePacket,
     /// The image is skipped, without a trace in the stream.
     Drop,
+    /// A line feed, fill bytes and the tail of an older image follow the image.
+    Tail,
+    /// Bytes of an older image come before the image.
+    Lead,
+    /// The end marker of the JPEG is missing, its data are whole.
+    NoEnd,
+    /// All bytes are zero.
+    Zero,
+    /// The camera's clock stands still; the image itself is intact.
+    StillClock,
+    /// The camera's clock jumps to and fro; the image itself is intact.
+    JumpingClock,
 }
 
 impl Fault {
-    pub(crate) const ALL: [Self; 7] = [
+    pub(crate) const ALL: [Self; 13] = [
         Self::Freeze,
         Self::Silent,
         Self::Truncate,
@@ -41,6 +53,12 @@ impl Fault {
         Self::ErrorBit,
         Self::LosePacket,
         Self::Drop,
+        Self::Tail,
+        Self::Lead,
+        Self::NoEnd,
+        Self::Zero,
+        Self::StillClock,
+        Self::JumpingClock,
     ];
 
     /// Name in commands and counters.
@@ -53,6 +71,12 @@ impl Fault {
             Self::ErrorBit => "error-bit",
             Self::LosePacket => "lose-packet",
             Self::Drop => "drop",
+            Self::Tail => "tail",
+            Self::Lead => "lead",
+            Self::NoEnd => "no-end",
+            Self::Zero => "zero",
+            Self::StillClock => "still-clock",
+            Self::JumpingClock => "jumping-clock",
         }
     }
 }
@@ -160,7 +184,20 @@ pub(crate) struct Transmission {
     pub(crate) has_error_bit: bool,
     /// The second packet does not arrive.
     pub(crate) loses_packet: bool,
+    pub(crate) clock: Clock,
 }
+
+/// The camera's clock in the headers of an image.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Clock {
+    Runs,
+    StandsStill,
+    /// It is ahead by this much.
+    Ahead(Duration),
+}
+
+/// How far a jumping clock jumps.
+const JUMP: Duration = Duration::from_secs(10);
 
 #[derive(Default)]
 struct State {
@@ -172,6 +209,8 @@ struct State {
     sent: u64,
     faults: BTreeMap<&'static str, u64>,
     first_sent: Option<Instant>,
+    /// Starts of the stream that the camera still refuses.
+    refused_starts: u32,
     /// Plugged in again, and nothing sent since.
     back_at: Option<Instant>,
     /// From each plugging in again to the next image, s.
@@ -205,6 +244,22 @@ impl Feed {
         state.hits_left = images;
     }
 
+    /// Lets the camera refuse the next `times` starts of its stream.
+    pub(crate) fn refuse_starts(&self, times: u32) {
+        self.lock().refused_starts = times;
+    }
+
+    /// Whether the camera takes a start of its stream; counts the refused ones.
+    pub(crate) fn takes_start(&self) -> bool {
+        let mut state = self.lock();
+        if state.refused_starts == 0 {
+            return true;
+        }
+        state.refused_starts -= 1;
+        *state.faults.entry("stall-commit").or_default() += 1;
+        false
+    }
+
     pub(crate) fn set_touch(&self, touch: Touch) {
         self.lock().touch = touch;
     }
@@ -234,6 +289,10 @@ impl Feed {
         match fault {
             Some(Fault::Truncate) => bytes = Arc::new(bytes[..bytes.len() / 2].to_vec()),
             Some(Fault::Corrupt) => bytes = Arc::new(corrupted(&bytes, state.number)),
+            Some(Fault::Tail) => bytes = Arc::new(with_tail(&bytes)),
+            Some(Fault::Lead) => bytes = Arc::new([&bytes[bytes.len() - 300..], &bytes].concat()),
+            Some(Fault::NoEnd) => bytes = Arc::new(bytes[..bytes.len() - 2].to_vec()),
+            Some(Fault::Zero) => bytes = Arc::new(vec![0; bytes.len()]),
             _ => {}
         }
         let now = Instant::now();
@@ -246,6 +305,11 @@ impl Feed {
             bytes,
             has_error_bit: fault == Some(Fault::ErrorBit),
             loses_packet: fault == Some(Fault::LosePacket),
+            clock: match fault {
+                Some(Fault::StillClock) => Clock::StandsStill,
+                Some(Fault::JumpingClock) => Clock::Ahead(JUMP * (state.number % 2) as u32),
+                _ => Clock::Runs,
+            },
         })
     }
 
@@ -278,6 +342,12 @@ impl Feed {
         counters.insert("sent", state.sent);
         counters
     }
+}
+
+/// The image with a line feed, fill bytes and the tail of an older image behind it.
+fn with_tail(bytes: &[u8]) -> Vec<u8> {
+    let tail = &bytes[bytes.len() - 300..];
+    [bytes, b"\n", &[0xff; 40], tail].concat()
 }
 
 /// The image with 200 bytes of its middle altered, each to a value that follows from `seed`.
@@ -359,6 +429,28 @@ mod tests {
         feed.set_fault(Some(Fault::Drop), Some(1));
         assert_eq!(first_byte(&feed), None);
         assert_eq!(first_byte(&feed), Some(2));
+    }
+
+    #[test]
+    fn image_is_whole_among_strange_bytes() {
+        let feed = files();
+        let sent = |fault| {
+            feed.set_fault(Some(fault), Some(1));
+            feed.next(MODE).unwrap().bytes.to_vec()
+        };
+        let (tail, lead, no_end) = (sent(Fault::Tail), sent(Fault::Lead), sent(Fault::NoEnd));
+        assert_eq!((tail.len(), lead.len(), no_end.len()), (1339, 1298, 996));
+        assert_eq!(tail[998..1000], [b'\n', 0xff]);
+        assert_eq!(sent(Fault::Zero), vec![0; 998]);
+    }
+
+    #[test]
+    fn start_is_refused_as_often_as_requested() {
+        let feed = files();
+        feed.refuse_starts(2);
+        let taken: Vec<bool> = (0..3).map(|_| feed.takes_start()).collect();
+        assert_eq!(taken, [false, false, true]);
+        assert_eq!(feed.counters()["stall-commit"], 2);
     }
 
     #[test]

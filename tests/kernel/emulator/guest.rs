@@ -18,6 +18,7 @@ use gripcast_imaging::{PixelFormat, Role};
 
 use crate::command::Command;
 use crate::probe;
+use crate::profile::TWIN_SERIAL;
 use crate::rig::Rig;
 
 /// A step of a scenario: a command to the rig, or something done to the guest.
@@ -30,14 +31,21 @@ pub(crate) enum Action {
     },
     /// Makes the dataset read-only, as a kernel does with a disk that reports errors.
     ReadOnly,
+    /// Lets the kernel stamp images with the cameras' clocks.
+    CameraClocks,
 }
+
+/// Parameter of the driver; 1: stamp images with the camera's clock.
+const HARDWARE_TIMESTAMPS: &str = "/sys/module/uvcvideo/parameters/hwtimestamps";
 
 impl FromStr for Action {
     type Err = String;
 
     fn from_str(line: &str) -> Result<Self, String> {
-        if line == "read-only" {
-            return Ok(Self::ReadOnly);
+        match line {
+            "read-only" => return Ok(Self::ReadOnly),
+            "camera-clocks" => return Ok(Self::CameraClocks),
+            _ => {}
         }
         match line.strip_prefix("fill-disk ") {
             Some(kib) => kib
@@ -100,14 +108,17 @@ fn camera(
     }
 }
 
-/// The rig file that binds roles to the emulated devices by serial.
-fn rig_file() -> RigFile {
-    let tactile = |serial| {
+/// The rig file that binds roles to the emulated devices: by serial, the tactile sensors by port
+/// where they are twins.
+fn rig_file(are_twins: bool) -> RigFile {
+    let tactile = |serial, port: &str| {
+        let serial = if are_twins { TWIN_SERIAL } else { serial };
         let mut mini = camera(
             ("GelSight Mini", serial, None),
             PixelFormat::Mjpg,
             (3280, 2464, 25.0),
         );
+        mini.port = are_twins.then(|| port.to_owned());
         mini.crop_profile = Some("gsmini-seventh-v1".into());
         mini.controls = [
             ("auto_exposure", 1),
@@ -135,8 +146,8 @@ fn rig_file() -> RigFile {
         schema: 1,
         id: "kernel-test".into(),
         cameras: [
-            (Role::Left, tactile("2BNN4ZE7")),
-            (Role::Right, tactile("28F5K4RR")),
+            (Role::Left, tactile("2BNN4ZE7", "1-1")),
+            (Role::Right, tactile("28F5K4RR", "1-2")),
             (Role::Rgb, rgb),
             (Role::Depth, depth),
         ]
@@ -170,7 +181,8 @@ fn collect(run: &Run<'_>, arguments: &[&str], script: &Path, dataset: &Path) -> 
 
 fn start(run: &Run<'_>, dataset: &Path) -> io::Result<Child> {
     let rig = run.out.join("rig.toml");
-    let text = toml::to_string_pretty(&rig_file()).map_err(io::Error::other)?;
+    let are_twins = run.setup.contains(&"twin-serials");
+    let text = toml::to_string_pretty(&rig_file(are_twins)).map_err(io::Error::other)?;
     fs::write(&rig, text)?;
     let script = run.out.join("script.txt");
     fs::write(&script, run.script)?;
@@ -327,6 +339,7 @@ pub(crate) fn run(run: &Run<'_>) -> io::Result<()> {
                 Action::Rig(command) => rig.obey(&command)?,
                 Action::FillDisk { leave_kib } => fill_disk(run.disk, leave_kib)?,
                 Action::ReadOnly => make_read_only(&dataset)?,
+                Action::CameraClocks => fs::write(HARDWARE_TIMESTAMPS, "1")?,
             }
         }
     }
@@ -354,8 +367,10 @@ mod tests {
 
     #[test]
     fn rig_file_round_trips() {
-        let text = toml::to_string_pretty(&rig_file()).unwrap();
-        assert_eq!(toml::from_str::<RigFile>(&text).unwrap(), rig_file());
+        for are_twins in [false, true] {
+            let text = toml::to_string_pretty(&rig_file(are_twins)).unwrap();
+            assert_eq!(RigFile::parse(&text).unwrap(), rig_file(are_twins));
+        }
     }
 
     #[test]

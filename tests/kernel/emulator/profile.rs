@@ -147,6 +147,16 @@ pub(crate) const PEDAL: usize = 3;
 /// Names of the devices in commands.
 pub(crate) const NAMES: [&str; DEVICES] = ["left", "right", "d435", "pedal"];
 
+/// Serial number of many cheap cameras.
+pub(crate) const TWIN_SERIAL: &str = "200901010001";
+
+/// Gives both tactile sensors one serial number.
+pub(crate) fn make_twins(profiles: &mut [Profile; DEVICES]) {
+    let [left, right, ..] = profiles;
+    left.serial = TWIN_SERIAL;
+    right.serial = TWIN_SERIAL;
+}
+
 /// The devices in the order of [`NAMES`].
 pub(crate) fn rig() -> [Profile; DEVICES] {
     [

@@ -78,6 +78,8 @@ impl Rig {
                 fault,
                 images,
             } => self.feed(camera)?.set_fault(*fault, *images),
+            Command::StallCommit { camera, times } => self.feed(camera)?.refuse_starts(*times),
+            Command::TwinSerials => profile::make_twins(&mut self.profiles),
             Command::Touch(touch) => {
                 for (_, feed) in self.all_feeds() {
                     feed.set_touch(*touch);

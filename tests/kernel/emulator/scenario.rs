@@ -224,6 +224,172 @@ quit
         disk_mib: ROOMY_MIB,
     },
     Scenario {
+        name: "twins-unplugged",
+        about: "both sensors have one serial number; they are pulled out one after the other, and \
+                the right one comes back first",
+        setup: &[
+            "twin-serials",
+            "attach left",
+            "attach right",
+            "attach d435",
+            "attach pedal",
+        ],
+        steps: &[
+            (1.513, "detach left"),
+            (3.513, "detach right"),
+            (4.513, "attach right"),
+            (7.513, "attach left"),
+            (10.013, "touch pressed"),
+        ],
+        script: ONE_GRASP,
+        disk_mib: ROOMY_MIB,
+    },
+    Scenario {
+        name: "both-unplugged",
+        about: "both sensors are pulled out within one frame, and put back together",
+        setup: PLUG_ALL,
+        steps: &[
+            (1.513, "detach left"),
+            (1.513, "detach right"),
+            (4.513, "attach left"),
+            (4.513, "attach right"),
+            (8.013, "touch pressed"),
+        ],
+        script: "\
+wait live
+object mug
++0.5 initial
+expect saved
+sleep 1.7
+grasp
+expect refused
+wait contact
++0.2 grasp
+expect saved
+stable
+wait saved
+quit
+",
+        disk_mib: ROOMY_MIB,
+    },
+    Scenario {
+        name: "commit-stalls",
+        about: "the left sensor refuses to start its stream, when plugged in and after a replug",
+        setup: &[
+            "stall-commit left 3",
+            "attach left",
+            "attach right",
+            "attach d435",
+            "attach pedal",
+        ],
+        steps: &[
+            (1.513, "detach left"),
+            (1.613, "stall-commit left 2"),
+            (2.513, "attach left"),
+            (8.013, "touch pressed"),
+        ],
+        script: ONE_GRASP,
+        disk_mib: ROOMY_MIB,
+    },
+    Scenario {
+        name: "camera-clocks",
+        about: "the kernel stamps images with the cameras' clocks: one stands still, one jumps",
+        setup: PLUG_ALL,
+        steps: &[
+            (0.113, "camera-clocks"),
+            (0.713, "fault left still-clock"),
+            (0.713, "fault right jumping-clock"),
+            (3.013, "touch pressed"),
+        ],
+        script: "\
+wait live
+object mug
++1.5 initial
+wait saved
+wait contact
++0.2 grasp
+wait saved
+stable
+wait saved
+quit
+",
+        disk_mib: ROOMY_MIB,
+    },
+    Scenario {
+        name: "harmless-bytes",
+        about: "bytes before and after the JPEGs, and JPEGs without an end marker",
+        setup: PLUG_ALL,
+        steps: &[
+            (0.313, "fault left tail"),
+            (0.313, "fault right lead"),
+            (2.013, "touch pressed"),
+            (2.013, "fault right no-end"),
+        ],
+        script: "\
+wait live
+object mug
++1 initial
+expect saved
+wait contact
++0.2 grasp
+expect saved
+stable
+wait saved
+quit
+",
+        disk_mib: ROOMY_MIB,
+    },
+    Scenario {
+        name: "always-damaged",
+        about: "every JPEG of the left sensor is cut off for three seconds",
+        setup: PLUG_ALL,
+        steps: &[
+            (1.013, "fault left truncate"),
+            (4.013, "fault left none"),
+            (6.013, "touch pressed"),
+        ],
+        script: "\
+wait live
+object mug
++2.5 initial
+expect refused
++2 initial
+expect saved
+wait contact
++0.2 grasp
+expect saved
+stable
+wait saved
+quit
+",
+        disk_mib: ROOMY_MIB,
+    },
+    Scenario {
+        name: "zero-depth",
+        about: "the depth camera sees nothing for four seconds",
+        setup: PLUG_ALL,
+        steps: &[
+            (1.013, "touch pressed"),
+            (1.013, "fault depth zero"),
+            (5.013, "fault depth none"),
+        ],
+        script: "\
+wait live
+object mug
++0.5 initial
+expect saved
+wait contact
++2.5 grasp
+expect refused
++3 grasp
+expect saved
+stable
+wait saved
+quit
+",
+        disk_mib: ROOMY_MIB,
+    },
+    Scenario {
         name: "disk-full",
         about: "the disk takes the first grasp and has no room for the second",
         setup: PLUG_ALL,

@@ -21,7 +21,7 @@ use std::sync::{Arc, RwLock};
 
 use rustix::fs::{
     AtFlags, CWD, Dir, FileType, Mode, OFlags, RawMode, RenameFlags, fstat, fsync, linkat, mkdirat,
-    openat, renameat, renameat_with, statat, unlinkat,
+    openat, renameat, renameat_with, statat, syncfs, unlinkat,
 };
 use rustix::io::Errno;
 
@@ -503,13 +503,30 @@ impl BeneathPath {
         self.in_parent(|dir, name| unlinkat(dir, name, AtFlags::REMOVEDIR))
     }
 
-    /// Flushes the entries of a directory to the disk.
+    /// Flushes the entries of a directory to the disk. Where the file system cannot flush
+    /// directories (SMB, some FUSE), it is asked to write all that it holds back.
     ///
     /// # Errors
     /// Those of the operating system.
     pub fn sync_dir(&self) -> io::Result<()> {
-        let fd = self.open(OFlags::RDONLY | OFlags::DIRECTORY, Mode::empty())?;
-        Ok(fsync(fd)?)
+        let dir = self.open(OFlags::RDONLY | OFlags::DIRECTORY, Mode::empty())?;
+        if !flush_dir(&dir)? {
+            // Refused by the same file systems; nothing else is left to try.
+            match syncfs(&dir) {
+                Err(e) if cannot_flush_dirs(e) => {}
+                flushed => flushed?,
+            }
+        }
+        Ok(())
+    }
+
+    /// Whether the file system can flush directories. Otherwise a power failure can lose names of
+    /// the last files, even of flushed ones.
+    ///
+    /// # Errors
+    /// Those of the operating system.
+    pub fn can_sync_dir(&self) -> io::Result<bool> {
+        flush_dir(&self.open(OFlags::RDONLY | OFlags::DIRECTORY, Mode::empty())?)
     }
 
     /// Runs `act` with the parent directory and the name; a link with that name is not followed.
@@ -568,4 +585,21 @@ impl BeneathPath {
         }
         Err(refused.into())
     }
+}
+
+/// Flushes a directory; `false` where the file system cannot.
+fn flush_dir(dir: &OwnedFd) -> io::Result<bool> {
+    match fsync(dir) {
+        Ok(()) => Ok(true),
+        Err(e) if cannot_flush_dirs(e) => Ok(false),
+        Err(e) => Err(e.into()),
+    }
+}
+
+/// Codes of file systems without a flush of directories.
+fn cannot_flush_dirs(error: Errno) -> bool {
+    matches!(
+        error,
+        Errno::INVAL | Errno::BADF | Errno::OPNOTSUPP | Errno::NOSYS | Errno::NOTTY
+    )
 }

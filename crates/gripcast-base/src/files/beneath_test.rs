@@ -187,3 +187,16 @@ fn directories_are_created_listed_and_renamed() {
     assert_eq!(target.parent(), root.top().join("a"));
     assert_eq!(target.numbered(2).name(), "b.2");
 }
+
+#[test]
+fn directory_that_cannot_be_flushed_is_no_error() {
+    // The kernel's own file system answers EINVAL, as SMB and some FUSE do.
+    let proc = Root::new("/proc").top();
+    assert!(!proc.can_sync_dir().unwrap());
+    proc.sync_dir().unwrap();
+    let dir = tempfile::tempdir().unwrap();
+    let disk = Root::new(dir.path()).top();
+    assert!(disk.can_sync_dir().unwrap());
+    disk.sync_dir().unwrap();
+    assert!(disk.join("none").sync_dir().is_err());
+}

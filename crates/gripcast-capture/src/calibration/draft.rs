@@ -3,7 +3,7 @@
 use std::fmt::Write as _;
 
 use super::rig_file::RigFile;
-use crate::device::{Mode, VideoDevice, device_error};
+use crate::device::{Mode, VideoDevice, device_error, serial_key};
 use gripcast_base::error::Result;
 use gripcast_imaging::{PixelFormat, Role};
 
@@ -104,13 +104,14 @@ pub fn draft(id: &str, devices: &[VideoDevice]) -> Result<Draft> {
         ))
         .remedy("plug in exactly the two sensors of the gripper; `gripcast rig list` lists all"));
     };
+    let same_serial = serial_key(&left.serial) == serial_key(&right.serial);
+    let key = if same_serial { "port" } else { "serial" };
     let mut notes = vec![format!(
-        "left is in port {}, right in port {}: touch the left gel and swap the two `serial` lines \
+        "left is in port {}, right in port {}: touch the left gel and swap the two `{key}` lines \
          if the other image changes",
         left.port, right.port
     )];
     let mut text = format!("schema = 1\nid = {}\n", quoted(id));
-    let same_serial = left.serial == right.serial;
     for (role, device) in [(Role::Left, *left), (Role::Right, *right)] {
         section(&mut text, role, MINI, device, &TACTILE, same_serial);
         line(&mut text, "crop_profile", &quoted("gsmini-seventh-v1"));
@@ -118,8 +119,8 @@ pub fn draft(id: &str, devices: &[VideoDevice]) -> Result<Draft> {
     }
     if same_serial {
         notes.push(
-            "the two sensors have no distinct serial numbers: they are distinguished by port and \
-             must stay in their ports"
+            "the two sensors have the same serial number or none: they are distinguished by port \
+             and must stay in their ports"
                 .to_owned(),
         );
     }
@@ -181,7 +182,7 @@ fn section(
     if !device.serial.is_empty() {
         line(text, "serial", &quoted(&device.serial));
     }
-    if by_port || device.serial.is_empty() {
+    if by_port || serial_key(&device.serial).is_none() {
         line(text, "port", &quoted(&device.port));
     }
     if product.contains(REALSENSE) {
@@ -208,7 +209,7 @@ mod tests {
     use gripcast_base::error::ErrorKind;
 
     use crate::camera::{FakeCamera, FakeNodes};
-    use crate::device::{SystemRoot, bind, probe, scan};
+    use crate::device::{CameraBinder, SystemRoot, probe, scan};
     use gripcast_testing::sysfs_tree::{Tree, Usb, d435, mini};
 
     fn devices(usbs: &[Usb<'_>], with_d435: bool) -> Vec<VideoDevice> {
@@ -259,14 +260,15 @@ mod tests {
         assert_eq!((rgb.width, rgb.height, rgb.fps), (1280, 720, 15.0));
         assert_eq!(rgb.interface, Some(2));
         assert_eq!(rig.cameras[&Role::Depth].fps, 30.0);
-        for (role, camera) in &rig.cameras {
-            bind(*role, camera, &devices).unwrap();
+        let binder = CameraBinder::new(&rig.cameras);
+        for role in rig.cameras.keys() {
+            binder.bind(*role, &devices).unwrap();
         }
     }
 
     #[test]
     fn sensors_without_distinct_serials_are_bound_by_port() {
-        for serial in ["", "0001"] {
+        for serial in ["", "0001", "0000"] {
             let devices = devices(&[Usb { serial, ..A }, Usb { serial, ..B }], false);
             let draft = draft("x", &devices).unwrap();
             let rig = RigFile::parse(&draft.text).unwrap();
@@ -277,12 +279,12 @@ mod tests {
                     .iter()
                     .any(|note| note.contains("distinguished by port"))
             );
+            assert!(draft.notes[0].contains("swap the two `port` lines"));
             assert!(draft.notes.iter().any(|note| note.contains("no RealSense")));
+            let binder = CameraBinder::new(&rig.cameras);
             for (role, camera) in &rig.cameras {
-                assert_eq!(
-                    &bind(*role, camera, &devices).unwrap().port,
-                    camera.port.as_ref().unwrap()
-                );
+                let bound = binder.bind(*role, &devices).unwrap();
+                assert_eq!(Some(&bound.port), camera.port.as_ref());
             }
         }
     }

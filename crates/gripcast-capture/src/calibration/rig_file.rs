@@ -8,6 +8,7 @@ use std::path::{Path, PathBuf};
 use serde::{Deserialize, Serialize};
 
 use crate::camera::{CONTROLS, FORMER_NAMES};
+use crate::device::are_twins;
 use gripcast_base::error::{Error, Result, nearest_name};
 use gripcast_imaging::{MAX_SIDE, PixelFormat, Role};
 
@@ -76,7 +77,7 @@ pub struct CameraConfig {
     /// USB video-control interface number; on a D435, 0 is depth and 3 colour.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub interface: Option<u8>,
-    /// USB port path (`3-2.1`), only for devices without a serial.
+    /// USB port path (`3-2.1`); decides where the serial is missing or not unique.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub port: Option<String>,
     /// Directory of a `replay` source, or the folder of a `virtual` source's clips (default: the
@@ -348,17 +349,35 @@ impl RigFile {
             .collect();
         for (i, (role, camera)) in real.iter().enumerate() {
             for (other_role, other) in &real[..i] {
-                let same = |of: fn(&CameraConfig) -> Option<&str>| of(camera) == of(other);
-                if camera.product == other.product
-                    && same(|c| c.serial.as_deref())
-                    && same(|c| c.port.as_deref())
+                let are_twins = are_twins(camera, other);
+                let is_named_equally = camera.product == other.product
+                    && camera.serial == other.serial
                     && camera.interface == other.interface
-                    && camera.format == other.format
-                {
+                    && camera.format == other.format;
+                let has_ports = camera.port.is_some() && other.port.is_some();
+                if camera.port == other.port && (is_named_equally || are_twins && has_ports) {
                     return Err(Error::config(format!(
                         "[cameras.{other_role}] and [cameras.{role}] are the same camera"
                     ))
-                    .remedy("give each its own `serial` (`gripcast rig list` lists them)"));
+                    .remedy(
+                        "give each its own `serial`, or its `port` where the serials are equal \
+                         (`gripcast rig list` lists both, `gripcast rig init` writes them)",
+                    ));
+                }
+                if are_twins && !has_ports {
+                    let lacking = if camera.port.is_none() {
+                        role
+                    } else {
+                        other_role
+                    };
+                    return Err(Error::config(format!(
+                        "[cameras.{other_role}] and [cameras.{role}] have the same serial number, \
+                         and [cameras.{lacking}] names no `port`"
+                    ))
+                    .remedy(
+                        "give both their `port` (`gripcast rig list` lists the ports, `gripcast \
+                         rig init` writes them)",
+                    ));
                 }
             }
         }

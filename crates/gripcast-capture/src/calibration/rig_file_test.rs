@@ -128,6 +128,21 @@ fn invalid_files_are_rejected() {
 }
 
 #[test]
+fn equal_serials_require_ports() {
+    let twins = GOOD.replace("28F5K4RR", "2bnn-4ze7");
+    let serial = |with: &str, text: &str| text.replacen("2BNN4ZE7\"\n", with, 1);
+    let one_port = serial("2BNN4ZE7\"\nport = \"3-1\"\n", &twins);
+    for text in [&twins, &one_port] {
+        let error = RigFile::parse(text).unwrap_err().to_string();
+        assert!(error.contains("have the same serial number"), "{error}");
+        assert!(error.contains("`gripcast rig init` writes them"), "{error}");
+    }
+    let both = one_port.replace("2bnn-4ze7\"\n", "2bnn-4ze7\"\nport = \"3-2\"\n");
+    RigFile::parse(&both).unwrap();
+    RigFile::parse(&both.replace("3-2", "3-1")).unwrap_err();
+}
+
+#[test]
 fn virtual_rig_is_valid() {
     let rig = RigFile::virtual_rig();
     rig.validate().unwrap();

@@ -5,7 +5,7 @@ use std::sync::Arc;
 
 use super::{CameraOpener, KernelNodes, MonotonicClock, ReplayOpener, V4l2Opener};
 use crate::calibration::{CameraConfig, RigFile, SourceKind, colour_intrinsics};
-use crate::device::SystemRoot;
+use crate::device::{CameraBinder, SystemRoot};
 use gripcast_base::error::{Error, Result};
 use gripcast_imaging::{Intrinsics, Role};
 
@@ -53,10 +53,12 @@ impl RigSources {
             openers: Vec::new(),
             v4l2: Vec::new(),
         };
+        let binder = Arc::new(CameraBinder::new(&rig.cameras));
         for (role, camera) in &rig.cameras {
             let opener: Box<dyn CameraOpener> = match camera.source {
                 SourceKind::V4l2 => {
-                    let opener = || V4l2Opener::new(*role, camera.clone(), root.clone());
+                    let opener =
+                        || V4l2Opener::new(*role, camera.clone(), binder.clone(), root.clone());
                     sources.v4l2.push(opener());
                     Box::new(opener())
                 }
@@ -107,9 +109,7 @@ impl RigSources {
     /// `Device` for the first one that is not.
     pub fn check_present(&self) -> Result<()> {
         for opener in &self.v4l2 {
-            opener
-                .find()
-                .map_err(|e| e.at(format!("camera {}", opener.role())))?;
+            opener.find()?;
         }
         Ok(())
     }

@@ -17,7 +17,7 @@ use super::v4l2_ioctl::KernelNodes;
 use super::v4l2_node::{FilledBuffer, Interval, Layout, VideoNode, VideoNodes};
 use super::v4l2_shared::SharedBytes;
 use crate::calibration::CameraConfig;
-use crate::device::{self, SystemRoot, VideoDevice, device_error};
+use crate::device::{self, CameraBinder, SystemRoot, VideoDevice, device_error};
 use gripcast_base::error::{Error, Result};
 use gripcast_imaging::{Frame, FrameBytes, FramePool, Role};
 
@@ -359,16 +359,22 @@ impl Drop for V4l2Source {
 pub struct V4l2Opener {
     role: Role,
     config: CameraConfig,
+    binder: Arc<CameraBinder>,
     root: SystemRoot,
     nodes: Arc<dyn VideoNodes>,
     busy_pauses: Vec<Duration>,
 }
 
 impl V4l2Opener {
-    /// Opener of a camera on the kernel's nodes.
+    /// Opener of a camera on the kernel's nodes; `binder` is that of its rig.
     #[must_use]
-    pub fn new(role: Role, config: CameraConfig, root: SystemRoot) -> Self {
-        Self::with_nodes(role, config, root, Arc::new(KernelNodes))
+    pub fn new(
+        role: Role,
+        config: CameraConfig,
+        binder: Arc<CameraBinder>,
+        root: SystemRoot,
+    ) -> Self {
+        Self::with_nodes(role, config, binder, root, Arc::new(KernelNodes))
     }
 
     /// Opener of a camera on `nodes`.
@@ -376,12 +382,14 @@ impl V4l2Opener {
     pub fn with_nodes(
         role: Role,
         config: CameraConfig,
+        binder: Arc<CameraBinder>,
         root: SystemRoot,
         nodes: Arc<dyn VideoNodes>,
     ) -> Self {
         Self {
             role,
             config,
+            binder,
             root,
             nodes,
             busy_pauses: [50, 100, 200, 400].map(Duration::from_millis).to_vec(),
@@ -399,15 +407,15 @@ impl V4l2Opener {
     /// Scans the devices, probes the candidates, and binds.
     ///
     /// # Errors
-    /// As [`device::bind`].
+    /// As [`CameraBinder::bind`].
     pub fn find(&self) -> Result<(VideoDevice, Vec<VideoDevice>)> {
         let mut devices = device::scan(&self.root)?;
         for candidate in &mut devices {
-            if device::is_candidate(&self.config, candidate) {
+            if self.binder.is_candidate(self.role, candidate) {
                 device::probe(candidate, self.nodes.as_ref(), &self.root);
             }
         }
-        let bound = device::bind(self.role, &self.config, &devices)?.clone();
+        let bound = self.binder.bind(self.role, &devices)?.clone();
         Ok((bound, devices))
     }
 
@@ -447,7 +455,8 @@ impl CameraOpener for V4l2Opener {
         if let Some(interface) = config.interface {
             text += &format!(", interface {interface}");
         }
-        if let Some(port) = config.port.as_ref().filter(|_| config.serial.is_none()) {
+        let by_port = self.binder.is_bound_by_port(self.role);
+        if let Some(port) = config.port.as_ref().filter(|_| by_port) {
             text += &format!(", port {port}");
         }
         text

@@ -42,7 +42,8 @@ fn bench(camera: Camera, config: CameraConfig) -> Bench {
         dev: tree.path("dev"),
         proc: tree.path("proc"),
     };
-    let opener = V4l2Opener::with_nodes(Role::Left, config, root, Arc::new(nodes.clone()))
+    let binder = Arc::new(CameraBinder::new(&[(Role::Left, config.clone())].into()));
+    let opener = V4l2Opener::with_nodes(Role::Left, config, binder, root, Arc::new(nodes.clone()))
         .busy_pauses(vec![Duration::ZERO; 4]);
     Bench {
         tree,

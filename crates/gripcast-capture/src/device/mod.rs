@@ -1,6 +1,7 @@
 //! Discovery, identity and access rights of USB cameras.
 //!
-//! A role is bound to a product, a serial number and an interface, never to `/dev/videoN`.
+//! A role is bound to a product, a serial number and an interface, never to `/dev/videoN`; to a port
+//! where serial numbers repeat.
 
 mod access;
 mod bandwidth;
@@ -13,7 +14,8 @@ mod tests;
 
 pub use access::{LOCAL_UDEV_RULES, open_error, permission_error, udev_rule};
 pub use bandwidth::{crowded_buses, no_bandwidth_error};
-pub use binding::{bind, is_candidate};
+pub use binding::{CameraBinder, indistinct_cameras};
+pub(crate) use binding::{are_twins, serial_key};
 pub(crate) use discovery::modes;
 pub use discovery::{Access, Mode, VideoDevice, probe, scan};
 pub use owner::NodeOwner;

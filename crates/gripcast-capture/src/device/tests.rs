@@ -6,7 +6,7 @@ use std::io;
 use super::*;
 use crate::calibration::{CameraConfig, SourceKind};
 use crate::camera::{FakeCamera, FakeNodes};
-use gripcast_base::error::ErrorKind;
+use gripcast_base::error::{ErrorKind, Result};
 use gripcast_imaging::{PixelFormat, Role};
 use gripcast_testing::sysfs_tree::{Tree, Usb, d435, mini};
 
@@ -26,6 +26,12 @@ fn config(product: &str) -> CameraConfig {
         product: product.to_owned(),
         ..CameraConfig::new(SourceKind::V4l2, PixelFormat::Mjpg, 3280, 2464, 25.0)
     }
+}
+
+/// Binds the only camera of a rig.
+fn bind(role: Role, config: &CameraConfig, devices: &[VideoDevice]) -> Result<VideoDevice> {
+    let binder = CameraBinder::new(&[(role, config.clone())].into());
+    binder.bind(role, devices).cloned()
 }
 
 /// Two Minis and a D435 whose stereo function has depth, metadata, infrared and metadata nodes.
