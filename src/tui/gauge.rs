@@ -236,7 +236,8 @@ fn write_title(
         left.push(Span::styled("HEURISTIC ", palette.warning()));
     }
     if prediction.verdict == PredictedLabel::Unsure {
-        let words = "unlike the training images ";
+        let reason = prediction.record.unsure_reason.as_deref();
+        let words = format!("{} ", reason.unwrap_or("unlike the training images"));
         left.push(Span::styled(words, palette.warning()));
     }
     let room = usize::from(rest.width).saturating_sub(Line::from(left.clone()).width());
@@ -306,6 +307,7 @@ mod tests {
         let record = PredictionRecord {
             p_stable,
             ood_score,
+            unsure_reason: None,
             threshold: 0.5,
             model: "m".to_owned(),
             model_sha256: String::new(),

@@ -145,14 +145,14 @@ impl LinePrinter {
     fn prediction(&mut self, status: &EngineStatus, now: Instant) -> Option<String> {
         if let Some(prediction) = &status.prediction {
             self.no_prediction_reason = None;
-            let verdict = match prediction.verdict {
-                PredictedLabel::Unsure => "UNSURE, unlike the training images",
-                verdict => word(verdict),
+            let verdict = match (prediction.verdict, &prediction.record.unsure_reason) {
+                (PredictedLabel::Unsure, Some(reason)) => format!("UNSURE, {reason}"),
+                (PredictedLabel::Unsure, None) => "UNSURE, unlike the training images".to_owned(),
+                (verdict, _) => word(verdict).to_owned(),
             };
-            return self
-                .prediction
-                .is_news(verdict, now)
-                .then(|| live(prediction, verdict));
+            // The sentence contains measured levels: only a new verdict is news.
+            let is_news = self.prediction.is_news(word(prediction.verdict), now);
+            return is_news.then(|| live(prediction, &verdict));
         }
         let reason = status.no_prediction_reason.clone();
         let news = reason != self.no_prediction_reason;

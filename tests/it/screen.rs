@@ -25,6 +25,7 @@ fn predicted(p_stable: f64, ood_score: Option<f64>) -> PredictionRecord {
     PredictionRecord {
         p_stable,
         ood_score,
+        unsure_reason: None,
         threshold: 0.5,
         model_sha256: String::new(),
         model: "baseline-contact".to_owned(),

@@ -1,12 +1,14 @@
 //! Monitoring: faults of cameras and threads, and the engine's status.
 
+use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use super::Engine;
 use crate::daemon::black_box::BlackBox;
+use crate::daemon::infer::InferenceState;
 use crate::daemon::pre_grasp::PreGraspRecorder;
 use crate::daemon::report::camera_status;
-use crate::daemon::status::{CameraStatus, EngineStatus, PredictionStatus};
+use crate::daemon::status::{CameraStatus, EngineStatus, GelStatus, PredictionStatus};
 use crate::daemon::tasks::TaskState;
 use gripcast_capture::camera::{Health, monotonic_ns};
 use gripcast_imaging::Role;
@@ -87,7 +89,18 @@ impl Engine {
             }),
             no_prediction_reason: state.unavailable.clone(),
             contact: state.contact_levels(),
+            gels: self.gels(&state),
             previews: state.previews.clone(),
         }
+    }
+
+    fn gels(&self, state: &InferenceState) -> BTreeMap<Role, GelStatus> {
+        let revision = self.session.pending().map(|_| self.initial_revision);
+        let limit = self.guards.min_contact_fraction;
+        let gels = state.gels.iter().map(|(role, gel)| {
+            let change = revision.and_then(|_| state.change(*role, revision, 0));
+            (*role, GelStatus::new(gel.clone(), change, limit))
+        });
+        gels.collect()
     }
 }

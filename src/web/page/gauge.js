@@ -76,6 +76,7 @@ function drawBar(prediction) {
 function drawTitle(prediction, verdict) {
   byId("heuristic").hidden = !prediction?.heuristic;
   byId("unknown").hidden = prediction?.verdict !== "unsure";
+  say(byId("unknown"), prediction?.unsure_reason ?? "unlike the training images");
   say(byId("model"), prediction?.model ?? "");
   style(byId("age"), verdict === "old" ? "warning" : "faint");
   say(byId("age"), prediction ? `frame ${duration(prediction.frame_age_ms)} old` : "");

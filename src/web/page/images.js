@@ -44,7 +44,7 @@ export class Images {
   draw(state) {
     const roles = state.cameras.map(({ role }) => role);
     if (roles.join() !== [...this.tiles.keys()].join()) this.createTiles(roles);
-    for (const camera of state.cameras) this.caption(camera, state.contact);
+    for (const camera of state.cameras) this.caption(camera, state);
   }
 
   /** @param {Role[]} roles */
@@ -56,13 +56,15 @@ export class Images {
     if (this.running) this.start();
   }
 
-  /** @param {Camera} camera @param {State["contact"]} contact */
-  caption(camera, contact) {
+  /** @param {Camera} camera @param {State} state */
+  caption(camera, { contact, gels }) {
     const tile = this.tiles.get(camera.role);
     if (!tile) return;
-    const touch = camera.role === "left" || camera.role === "right" ? contact?.[camera.role] : null;
+    const isGel = camera.role === "left" || camera.role === "right";
+    const touch = isGel ? contact?.[camera.role] : null;
+    const messages = (isGel && gels?.[camera.role]?.messages) || [];
     const words = typeof touch === "number" ? `contact ${touch.toFixed(1)}` : "";
-    refill(tile.health, [camera, words], () => health(camera, words));
+    refill(tile.health, [camera, words, messages], () => health(camera, words, messages));
     style(tile.figure, isFault(camera) ? "failed" : camera.state === "live" ? "" : "waiting");
     say(tile.cover, camera.state === "live" ? "" : stateWords(camera));
     const back = camera.state === "live" && tile.state !== "live" && tile.state !== "";
@@ -163,8 +165,9 @@ function tile(role) {
   return { role, figure, image, health: words, cover, state: "", due: 0, busy: false };
 }
 
-/** Frame rate, age, contact and problems. @param {Camera} camera @param {string} contact */
-function health(camera, contact) {
+/** Frame rate, age, contact and problems. @param {Camera} camera @param {string} contact
+ * @param {string[]} messages problems of a gel's image */
+function health(camera, contact, messages) {
   const nodes = [];
   if (camera.state === "live") {
     const { rate, slow, age, old } = rates(camera);
@@ -176,6 +179,7 @@ function health(camera, contact) {
   const warning = problems(camera);
   if (warning) nodes.push(make("span", "warning", warning));
   else if (camera.markers) nodes.push(make("span", "stable", camera.markers.text));
+  for (const message of messages) nodes.push(make("span", "warning", message));
   if (camera.reason) nodes.push(make("span", "slip", camera.reason));
   return nodes;
 }

@@ -109,14 +109,14 @@ export function shownVerdict(prediction) {
  * @param {Predicted|null} prediction @param {Outcome} outcome */
 export function agreement(prediction, outcome) {
   if (!prediction) return "";
-  if ((prediction.novelty ?? 0) > 1) return "?";
+  if (prediction.unsure_reason || (prediction.novelty ?? 0) > 1) return "?";
   if (outcome === "unlabelled") return "";
   return prediction.p_stable >= prediction.threshold === (outcome === "stable") ? "✓" : "✗";
 }
 
 /** Meaning of an agreement mark. @param {string} mark */
 export function agreementWords(mark) {
-  return { "✓": "prediction and label agree", "✗": "prediction and label disagree", "?": "unlike the training images" }[mark] ?? "";
+  return { "✓": "prediction and label agree", "✗": "prediction and label disagree", "?": "the images cannot tell" }[mark] ?? "";
 }
 
 /** Hint which label has fewer grasps. @param {Counts} counts */

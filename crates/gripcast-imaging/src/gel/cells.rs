@@ -73,9 +73,7 @@ impl GelCells {
         let levels = std::array::from_fn(|channel| {
             let mean = |i: usize| {
                 let (x, y) = (2 * (i % COLUMNS), 2 * (i / COLUMNS));
-                let at = |dx: usize, dy: usize| {
-                    fine(&sums[(y + dy) * FINE[0] + x + dx], channel)
-                };
+                let at = |dx: usize, dy: usize| fine(&sums[(y + dy) * FINE[0] + x + dx], channel);
                 0.25 * (at(0, 0) + at(1, 0) + at(0, 1) + at(1, 1))
             };
             (0..CELLS).map(mean).collect()
@@ -115,7 +113,10 @@ impl GelCells {
     /// this. A contact hides the texture of some tiles only.
     pub(super) fn texture_correlation(&self, other: &Self) -> f32 {
         let products = self.tile_products(other);
-        let norms = self.tile_products(self).into_iter().zip(other.tile_products(other));
+        let norms = self
+            .tile_products(self)
+            .into_iter()
+            .zip(other.tile_products(other));
         let pairs = products.into_iter().zip(norms);
         let mut correlations: Vec<f32> = pairs
             .map(|(product, (a, b))| product / (a * b).sqrt().max(f32::MIN_POSITIVE))
@@ -127,7 +128,10 @@ impl GelCells {
     fn tile_products(&self, other: &Self) -> [f32; TILES[0] * TILES[1]] {
         let mut sums = [0.0; TILES[0] * TILES[1]];
         for (i, (a, b)) in self.texture.iter().zip(&other.texture).enumerate() {
-            let (x, y) = (i % FINE[0] * TILES[0] / FINE[0], i / FINE[0] * TILES[1] / FINE[1]);
+            let (x, y) = (
+                i % FINE[0] * TILES[0] / FINE[0],
+                i / FINE[0] * TILES[1] / FINE[1],
+            );
             sums[y * TILES[0] + x] += a * b;
         }
         sums.map(|sum| sum / (FINE[0] * FINE[1] / (TILES[0] * TILES[1])) as f32)
@@ -155,7 +159,9 @@ pub(super) fn local_mean(values: &[f32], [width, height]: [usize; 2], radius: us
     let mut means = vec![0.0; values.len()];
     for x in 0..width {
         let column = (0..height).map(|y| rows[y * width + x]);
-        window_means(column, height, radius, |y, mean| means[y * width + x] = mean);
+        window_means(column, height, radius, |y, mean| {
+            means[y * width + x] = mean
+        });
     }
     means
 }

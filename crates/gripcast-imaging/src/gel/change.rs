@@ -3,11 +3,14 @@
 //! Lamps, exposure and white balance change an image smoothly: level' = gain · level + offset, where
 //! gain and offset are quadratic functions of the position. This field is fitted robustly and
 //! removed. What remains, relative to its surroundings, is local structure: the edges and slopes
-//! of a contact. A field that differs strongly over the gel is fitted less well, so it raises the
+//! of a contact. A large, smooth contact is part of the field, but tilts the colours in opposite
+//! directions, which no change of light does. A field that differs strongly over the gel is fitted less well, so it raises the
 //! level from which structure counts; so do camera noise and markers, whose edges move with every
 //! relaxation of the gel.
 
 use gripcast_base::linear::NormalEquations;
+use serde::{Deserialize, Serialize};
+use utoipa::ToSchema;
 
 use super::cells::{CELLS, COLUMNS, GelCells, ROWS, local_mean, quantile};
 
@@ -25,7 +28,14 @@ const UNEVEN_FRACTION: f32 = 1.0;
 /// Minimum texture of a gel with markers, grey levels. Gels without have 0.5 to 0.9, with 14 to 21.
 const MARKER_LEVELS: f32 = 4.0;
 /// Structure expected of markers that are where they were, fraction of their texture.
-const MARKER_FRACTION: f32 = 0.1;
+const MARKER_FRACTION: f32 = 0.15;
+/// Minimum gradients of the colours, from the middle to the edge of the gel and relative to their
+/// mean, in the direction in which they are smaller, for a large contact, grey levels. Real
+/// sensors differ by more only where the other direction has at least 2.7 times as much.
+const MIN_TILT_LEVELS: f64 = 15.0;
+/// Minimum ratio of the gradients of both directions for a large contact. Lamps that stand around
+/// the gel tilt the colours about equally in all directions.
+const MIN_TILT_RATIO: f64 = 0.6;
 /// Minimum correlation of the texture of the same gel with markers. Of real grasps 1 % are below,
 /// of pairs of two gels 9 in 10.
 const MIN_TEXTURE_CORRELATION: f32 = 0.4;
@@ -57,7 +67,8 @@ pub struct GelChange {
 }
 
 /// What changed.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
+#[serde(rename_all = "snake_case")]
 pub enum ChangeKind {
     /// Nothing beyond noise.
     Unchanged,
@@ -79,29 +90,28 @@ impl GelChange {
         if (count as f32) < MIN_COMPARABLE * CELLS as f32 {
             return Self::incomparable(initial, now);
         }
-        let fields: [Field; 3] = std::array::from_fn(|c| {
-            Field::fit(&initial.levels[c], &now.levels[c], &comparable)
-        });
+        let fields: [Field; 3] =
+            std::array::from_fn(|c| Field::fit(&initial.levels[c], &now.levels[c], &comparable));
         let rms = |square: fn(&Field) -> f32| {
             let sum: f32 = fields.iter().map(square).sum();
             (sum / (3 * count) as f32).sqrt()
         };
         let uneven_levels = rms(|field| field.uneven_squares);
         let markers = initial.covering_texture();
-        let threshold = MIN_STRUCTURE_LEVELS.max(STRUCTURE_DEVIATIONS * noise_levels)
-            + UNEVEN_FRACTION * uneven_levels
-            + if markers > MARKER_LEVELS {
-                MARKER_FRACTION * markers
-            } else {
-                0.0
-            };
-        let structure = fields.each_ref().map(|field| {
-            let around = local_mean(&field.residuals, [COLUMNS, ROWS], SURROUNDINGS);
-            let pairs = field.residuals.iter().zip(around);
-            pairs.map(|(r, mean)| (r - mean).abs()).collect::<Vec<_>>()
-        });
+        let marker_levels = match markers > MARKER_LEVELS {
+            true => MARKER_FRACTION * markers,
+            false => 0.0,
+        };
+        let noise = MIN_STRUCTURE_LEVELS.max(STRUCTURE_DEVIATIONS * noise_levels) + marker_levels;
+        let (evidence, threshold) = match is_tilted(fields.each_ref().map(|f| f.gradient)) {
+            true => (fields.each_ref().map(|field| field.changes.clone()), noise),
+            false => (
+                fields.each_ref().map(Field::structure),
+                noise + UNEVEN_FRACTION * uneven_levels,
+            ),
+        };
         let in_contact = (0..CELLS)
-            .filter(|i| structure.iter().any(|channel| channel[*i] > threshold))
+            .filter(|i| evidence.iter().any(|channel| channel[*i].abs() > threshold))
             .count();
         Self {
             contact_fraction: in_contact as f64 / CELLS as f64,
@@ -144,8 +154,30 @@ fn is_comparable(initial: &GelCells, now: &GelCells, i: usize) -> bool {
     })
 }
 
+/// Returns whether the colours are tilted in opposite directions, as by the slopes of a large
+/// contact; gradients of red, green and blue.
+fn is_tilted(gradients: [[f64; 2]; 3]) -> bool {
+    let mean = [0, 1].map(|axis| gradients.iter().map(|g| g[axis]).sum::<f64>() / 3.0);
+    let sum = |a: usize, b: usize| -> f64 {
+        let products = gradients
+            .iter()
+            .map(|g| (g[a] - mean[a]) * (g[b] - mean[b]));
+        products.sum()
+    };
+    // Singular values of the gradients: the square roots of the eigenvalues of this matrix.
+    let (xx, xy, yy) = (sum(0, 0), sum(0, 1), sum(1, 1));
+    let root = (0.25 * (xx - yy).powi(2) + xy * xy).sqrt();
+    let middle = 0.5 * (xx + yy);
+    let [smaller, larger] = [middle - root, middle + root].map(|square| square.max(0.0).sqrt());
+    smaller > MIN_TILT_LEVELS && smaller > MIN_TILT_RATIO * larger
+}
+
 /// The illumination field of one channel.
 struct Field {
+    /// Change of each cell, grey levels; 0 where cells cannot be compared.
+    changes: Vec<f32>,
+    /// Gradient of the field across and down, from the middle to the edge, grey levels.
+    gradient: [f64; 2],
     /// Change that the field does not explain, by cell; 0 where cells cannot be compared.
     residuals: Vec<f32>,
     /// Sum of the squares of the field's change.
@@ -187,22 +219,46 @@ impl Field {
                 break;
             }
         }
-        let mut residuals = vec![0.0; CELLS];
+        let (mut residuals, mut all_changes) = (vec![0.0; CELLS], vec![0.0; CELLS]);
+        let mut gradient = [0.0; 2];
+        let mut squares = [f64::MIN_POSITIVE; 2];
         for ((i, change), field) in cells.iter().zip(&changes).zip(&explained) {
             residuals[*i] = change - field;
+            all_changes[*i] = *change;
+            for (axis, position) in position(*i).into_iter().enumerate() {
+                gradient[axis] += f64::from(*field) * position;
+                squares[axis] += position * position;
+            }
         }
         Self {
+            changes: all_changes,
+            gradient: [gradient[0] / squares[0], gradient[1] / squares[1]],
             residuals,
             squares: explained.iter().map(|e| e * e).sum(),
             uneven_squares: uneven_squares(cells.iter().map(|i| initial[*i]), &explained),
         }
     }
+
+    /// What the field does not explain, relative to its surroundings, grey levels.
+    fn structure(&self) -> Vec<f32> {
+        let around = local_mean(&self.residuals, [COLUMNS, ROWS], SURROUNDINGS);
+        let pairs = self.residuals.iter().zip(around);
+        pairs.map(|(residual, mean)| residual - mean).collect()
+    }
+}
+
+/// Position of the middle of a cell, −1 to 1 from left to right and top to bottom.
+fn position(cell: usize) -> [f64; 2] {
+    let centred = |i: usize, count: usize| (i as f64 + 0.5) / count as f64 * 2.0 - 1.0;
+    [
+        centred(cell % COLUMNS, COLUMNS),
+        centred(cell / COLUMNS, ROWS),
+    ]
 }
 
 /// Row of the normal equations of a cell with this initial level.
 fn terms(cell: usize, level: f32) -> [f64; TERMS] {
-    let centred = |i: usize, count: usize| (i as f64 + 0.5) / count as f64 * 2.0 - 1.0;
-    let (x, y) = (centred(cell % COLUMNS, COLUMNS), centred(cell / COLUMNS, ROWS));
+    let [x, y] = position(cell);
     let field = [1.0, x, y, x * x, x * y, y * y];
     let level = f64::from(level) / 128.0;
     std::array::from_fn(|i| match field.get(i) {
@@ -219,8 +275,8 @@ fn uneven_squares(levels: impl Iterator<Item = f32> + Clone, changes: &[f32]) ->
         system.add(&[f64::from(level) / 128.0, 1.0], f64::from(*change), 1.0);
     }
     let [gain, offset] = system.solve().unwrap_or_default();
-    let uneven = levels.zip(changes).map(|(level, change)| {
-        change - (gain * f64::from(level) / 128.0 + offset) as f32
-    });
+    let uneven = levels
+        .zip(changes)
+        .map(|(level, change)| change - (gain * f64::from(level) / 128.0 + offset) as f32);
     uneven.map(|u| u * u).sum()
 }

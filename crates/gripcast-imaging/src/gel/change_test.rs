@@ -34,12 +34,12 @@ fn lit(image: &RgbImage, gain: impl Fn(f32, f32, usize) -> f32) -> RgbImage {
     image
 }
 
-/// Adds markers: dark dots on a lattice of 32 pixels, shifted by `(dx, dy)`.
+/// Adds markers: dark dots of 7 pixels radius on a lattice of 32 pixels, shifted by `(dx, dy)`.
 fn with_markers(image: &RgbImage, dx: f32, dy: f32) -> RgbImage {
     lit(image, |x, y, _| {
         let (u, v) = ((x + 1.0) * 159.5 - dx, (y + 1.0) * 119.5 - dy);
-        let (u, v) = ((u / 32.0).fract() - 0.5, (v / 32.0).fract() - 0.5);
-        if u.hypot(v) < 0.22 { 0.3 } else { 1.0 }
+        let (u, v) = (u.rem_euclid(32.0) - 16.0, v.rem_euclid(32.0) - 16.0);
+        0.3 + 0.7 * ((u.hypot(v) - 7.0) / 2.0 + 0.5).clamp(0.0, 1.0)
     })
 }
 
@@ -67,8 +67,14 @@ const LIGHTS: [(&str, Gain); 14] = [
     ("exposure 0.5", |_, _, _| 0.5),
     ("exposure 1.6", |_, _, _| 1.6),
     ("white balance", |_, _, c| [1.2, 1.0, 0.85][c]),
-    ("red lamp dim", |_, y, c| if c == 0 { 0.7 - 0.3 * y } else { 1.0 }),
-    ("green gradient", |x, _, c| if c == 1 { 1.0 + 0.2 * x } else { 1.0 }),
+    (
+        "red lamp dim",
+        |_, y, c| if c == 0 { 0.7 - 0.3 * y } else { 1.0 },
+    ),
+    (
+        "green gradient",
+        |x, _, c| if c == 1 { 1.0 + 0.2 * x } else { 1.0 },
+    ),
     ("vignette", |x, y, _| 1.0 - 0.15 * (x * x + y * y)),
     ("blue lamp off", |_, _, c| if c == 2 { 0.1 } else { 1.0 }),
 ];
@@ -89,7 +95,11 @@ fn illumination_is_not_contact() {
         assert_eq!(kind(&gel(1, 0.0), &now), ChangeKind::Illumination, "{name}");
         let markers = with_markers(&gel(1, 0.0), 0.0, 0.0);
         let now = lit(&with_markers(&gel(2, 0.0), 0.0, 0.0), gain);
-        assert_eq!(kind(&markers, &now), ChangeKind::Illumination, "markers, {name}");
+        assert_eq!(
+            kind(&markers, &now),
+            ChangeKind::Illumination,
+            "markers, {name}"
+        );
     }
 }
 
@@ -107,6 +117,7 @@ fn light_small_large_and_edge_contacts_are_detected() {
     for (name, centre, radius, strength) in [
         ("light", [0.5, 0.5], 0.12, 0.1),
         ("small", [0.4, 0.6], 0.05, 0.3),
+        ("third of the gel", [0.5, 0.5], 0.3, 0.3),
         ("half of the gel", [0.5, 0.5], 0.4, 0.3),
         ("most of the gel", [0.5, 0.5], 0.6, 0.5),
         ("all of the gel", [0.5, 0.5], 0.8, 0.5),
@@ -118,7 +129,11 @@ fn light_small_large_and_edge_contacts_are_detected() {
         assert_eq!(kind(&gel(1, 0.0), &now), ChangeKind::Contact, "{name}");
         let markers = with_markers(&now, 1.5, 0.5);
         let initial = with_markers(&gel(1, 0.0), 0.0, 0.0);
-        assert_eq!(kind(&initial, &markers), ChangeKind::Contact, "markers, {name}");
+        assert_eq!(
+            kind(&initial, &markers),
+            ChangeKind::Contact,
+            "markers, {name}"
+        );
     }
 }
 
@@ -135,7 +150,7 @@ fn another_gel_is_not_contact() {
 #[test]
 fn relaxing_markers_are_not_contact() {
     let initial = with_markers(&gel(1, 0.0), 0.0, 0.0);
-    for shift in [0.2, 0.5] {
+    for shift in [0.1, 0.3] {
         let now = with_markers(&gel(2, 0.0), shift, -shift);
         assert_eq!(kind(&initial, &now), ChangeKind::Unchanged, "{shift}");
     }

@@ -23,7 +23,7 @@ const MAX_PAUSE_NS: u64 = 1_000_000_000;
 const BLACK_LEVEL: f32 = 25.0;
 /// Level that 95 % of the cells are below in the channel of a dead lamp.
 const DEAD_LAMP_LEVEL: f32 = 15.0;
-/// Level that 95 % of the cells exceed … of another channel, for a lamp to count as dead.
+/// Level that 5 % of the cells exceed in another channel for a lamp to count as dead.
 const LIT_LEVEL: f32 = 50.0;
 /// Maximum fraction of clipped pixels.
 const MAX_CLIPPED: f32 = 0.1;
@@ -59,32 +59,44 @@ pub enum GelProblem {
 }
 
 impl GelProblem {
-    /// The problem and its remedy, one sentence.
+    /// What is wrong.
     #[must_use]
-    pub fn text(self) -> &'static str {
+    pub fn what(self) -> &'static str {
         match self {
-            Self::Black => {
-                "image is black: check the sensor's lamps, its cable and its exposure setting"
-            }
-            Self::LampDead => {
-                "one colour is missing, a lamp is dead: replug the sensor, else have it repaired"
-            }
+            Self::Black => "image is black",
+            Self::LampDead => "one colour is missing: a lamp is dead",
+            Self::Saturated => "image is saturated",
+            Self::Noisy => "image is mostly noise",
+            Self::Flickering => "brightness or colour flickers",
+            Self::Drifting => "brightness or colour drifts",
+        }
+    }
+
+    /// What to do about it.
+    #[must_use]
+    pub fn remedy(self) -> &'static str {
+        match self {
+            Self::Black => "check the sensor's lamps, its cable and its exposure setting",
+            Self::LampDead => "replug the sensor, else have it repaired",
             Self::Saturated => {
-                "image is saturated: lower exposure_time_absolute or gain in the rig file, keep \
-                 ambient light off the gel"
+                "lower exposure_time_absolute or gain in the rig file, shield the gel from other light"
             }
-            Self::Noisy => {
-                "image is mostly noise: check the lamps and the cable, lower the gain"
-            }
+            Self::Noisy => "check the lamps and the cable, lower the gain in the rig file",
             Self::Flickering => {
-                "brightness or colour flickers: set auto_exposure and white_balance_automatic off \
-                 and the mains frequency in the rig file, keep lamplight off the gel"
+                "switch auto_exposure and white_balance_automatic off and set power_line_frequency \
+                 in the rig file, shield the gel from lamps"
             }
             Self::Drifting => {
-                "brightness or colour drifts: set auto_exposure and white_balance_automatic off in \
-                 the rig file, let the sensor warm up"
+                "switch auto_exposure and white_balance_automatic off in the rig file, let the \
+                 sensor warm up"
             }
         }
+    }
+
+    /// The problem with its remedy.
+    #[must_use]
+    pub fn text(self) -> String {
+        format!("{}: {}", self.what(), self.remedy())
     }
 }
 
@@ -151,7 +163,10 @@ impl GelMonitor {
         };
         self.samples.push_back(sample);
         while self.samples.len() > WINDOW_FRAMES
-            || self.samples.front().is_some_and(|s| s.time_ns + WINDOW_NS < time_ns)
+            || self
+                .samples
+                .front()
+                .is_some_and(|s| s.time_ns + WINDOW_NS < time_ns)
         {
             self.samples.pop_front();
         }

@@ -38,7 +38,12 @@ fn healthy_gel_has_no_problem() {
     assert_eq!(state.problems, []);
     let noise = state.noise_levels.unwrap();
     assert!((0.1..0.4).contains(&noise), "{noise}");
-    assert!(state.level.iter().all(|level| (60.0..160.0).contains(level)));
+    assert!(
+        state
+            .level
+            .iter()
+            .all(|level| (60.0..160.0).contains(level))
+    );
     assert_eq!((state.flicker, state.drift_per_s), (0.0, 0.0));
 }
 
@@ -71,18 +76,29 @@ fn black_lamp_dead_saturated_and_noise_are_named() {
         let found = problems(image);
         assert!(found.contains(&problem), "{problem:?}: {found:?}");
     }
-    assert_eq!(problems(|i| scaled(&gel(i), [0.05, 1.0, 1.0])), [GelProblem::LampDead]);
+    assert_eq!(
+        problems(|i| scaled(&gel(i), [0.05, 1.0, 1.0])),
+        [GelProblem::LampDead]
+    );
 }
 
 #[test]
 fn fast_slow_and_beating_flicker_is_named() {
     let gain = |gain: f32| [gain; 3];
     let cases: [(&str, &dyn Fn(u64) -> [f32; 3]); 5] = [
-        ("every two frames", &|i| gain(if i % 4 < 2 { 1.0 } else { 0.8 })),
-        ("every frame", &|i| gain(if i % 2 == 0 { 1.0 } else { 0.97 })),
+        ("every two frames", &|i| {
+            gain(if i % 4 < 2 { 1.0 } else { 0.8 })
+        }),
+        ("every frame", &|i| {
+            gain(if i % 2 == 0 { 1.0 } else { 0.97 })
+        }),
         ("slow", &|i| gain(1.0 + 0.1 * (i as f32 / 4.0).sin())),
-        ("beat of 50 Hz and 25 fps", &|i| gain(1.0 + 0.03 * (i as f32 * 0.7).sin())),
-        ("of green", &|i| [1.0, if i % 6 < 3 { 1.0 } else { 0.94 }, 1.0]),
+        ("beat of 50 Hz and 25 fps", &|i| {
+            gain(1.0 + 0.03 * (i as f32 * 0.7).sin())
+        }),
+        ("of green", &|i| {
+            [1.0, if i % 6 < 3 { 1.0 } else { 0.94 }, 1.0]
+        }),
     ];
     for (name, gain) in cases {
         let state = state_after(75, |i| scaled(&gel(i), gain(i)));

@@ -91,7 +91,13 @@ fn real_presses_are_contact() {
         let mut presses = 0;
         for entry in std::fs::read_dir(&folder).unwrap() {
             let path = entry.unwrap().path();
-            if !path.file_name().unwrap().to_str().unwrap().starts_with(prefix) {
+            if !path
+                .file_name()
+                .unwrap()
+                .to_str()
+                .unwrap()
+                .starts_with(prefix)
+            {
                 continue;
             }
             presses += 1;
