@@ -131,6 +131,7 @@ fn waiting_for_grasp() -> EngineStatus {
         }),
         no_prediction_reason: None,
         contact: BTreeMap::from([(Role::Left, 8.4), (Role::Right, 8.4)]),
+        gels: BTreeMap::new(),
         previews: BTreeMap::from([
             (Role::Left, preview(true)),
             (Role::Right, preview(true)),
@@ -539,6 +540,7 @@ prop_compose! {
             dataset: text.clone(), rig: text.clone(), clock: text,
             disk_free_bytes: disk,
             contact: contact.into_iter().collect(),
+            gels: BTreeMap::new(),
             session, cameras, prediction,
             no_prediction_reason: absent,
             previews: BTreeMap::from([(Role::Left, preview.clone()), (Role::External, preview)]),

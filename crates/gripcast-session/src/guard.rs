@@ -208,9 +208,13 @@ pub(crate) fn check_frames(
 }
 
 /// Checks the images of the gels. Drift counts with the gripper open only: a closing gripper changes
-/// the light on the gels as well.
+/// the light on the gels as well. A mark is no reason to refuse: it is part of the initial frame.
 pub(crate) fn check_gels(now: &Conditions, is_open: bool) -> Vec<GuardViolation> {
-    let named = |problem: &GelProblem| is_open || *problem != GelProblem::Drifting;
+    let named = |problem: &GelProblem| match problem {
+        GelProblem::Drifting => is_open,
+        GelProblem::Marked => false,
+        _ => true,
+    };
     let cameras = now.cameras.iter();
     let problems = cameras.flat_map(|camera| {
         let problems = camera.gel_problems.iter().copied().filter(named);

@@ -326,6 +326,7 @@ fn gel_problems_refuse_the_initial_frame() {
         GelProblem::Noisy,
         GelProblem::Flickering,
         GelProblem::Drifting,
+        GelProblem::Swapped,
     ] {
         let mut bad = good();
         bad.cameras[1].gel_problems = vec![problem];
@@ -339,6 +340,14 @@ fn gel_problems_refuse_the_initial_frame() {
         let refused = is_refused(&handle(&mut session, Command::Grasp, &bad));
         assert_eq!(refused, problem != GelProblem::Drifting, "{problem:?}");
     }
+    let mut marked = good();
+    marked.cameras[1].gel_problems = vec![GelProblem::Marked];
+    let mut session = session();
+    assert!(!is_refused(&handle(
+        &mut session,
+        Command::Initial,
+        &marked
+    )));
 }
 
 #[test]

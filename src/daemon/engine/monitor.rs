@@ -11,8 +11,8 @@ use crate::daemon::report::camera_status;
 use crate::daemon::status::{CameraStatus, EngineStatus, GelStatus, PredictionStatus};
 use crate::daemon::tasks::TaskState;
 use gripcast_capture::camera::{Health, monotonic_ns};
-use gripcast_imaging::Role;
-use gripcast_session::Tone;
+use gripcast_imaging::{GelProblem, Role};
+use gripcast_session::{Step, Tone};
 
 impl Engine {
     /// Gives a fault tone and a log line for every thread that restarted or is stuck.
@@ -99,7 +99,13 @@ impl Engine {
         let limit = self.guards.min_contact_fraction;
         let gels = state.gels.iter().map(|(role, gel)| {
             let change = revision.and_then(|_| state.change(*role, revision, 0));
-            (*role, GelStatus::new(gel.clone(), change, limit))
+            let mut gel = gel.clone();
+            if self.session.step() != Step::Initial {
+                // The gripper may still be closed.
+                gel.problems
+                    .retain(|problem| *problem != GelProblem::Marked);
+            }
+            (*role, GelStatus::new(gel, change, limit))
         });
         gels.collect()
     }

@@ -28,7 +28,7 @@ const UNEVEN_FRACTION: f32 = 1.0;
 /// Minimum texture of a gel with markers, grey levels. Gels without have 0.5 to 0.9, with 14 to 21.
 const MARKER_LEVELS: f32 = 4.0;
 /// Structure expected of markers that are where they were, fraction of their texture.
-const MARKER_FRACTION: f32 = 0.15;
+const MARKER_FRACTION: f32 = 0.2;
 /// Minimum gradients of the colours, from the middle to the edge of the gel and relative to their
 /// mean, in the direction in which they are smaller, for a large contact, grey levels. Real
 /// sensors differ by more only where the other direction has at least 2.7 times as much.
@@ -42,6 +42,11 @@ const MIN_TEXTURE_CORRELATION: f32 = 0.4;
 /// Minimum illumination change that is reported, grey levels: above the smooth effects of a
 /// relaxing gel.
 const MIN_ILLUMINATION_LEVELS: f32 = 2.5;
+/// Minimum change since the reference of its own gel for swapped sensors, grey levels. The
+/// backgrounds of two real sensors differ by 7 to 97.
+const MIN_SWAPPED_LEVELS: f64 = 5.0;
+/// Maximum ratio of the changes since the other gel's reference and since its own.
+const MAX_SWAPPED_RATIO: f64 = 0.5;
 /// Radius of the surroundings that structure is relative to, cells.
 const SURROUNDINGS: usize = 4;
 /// Levels of cells that are compared: others are clipped somewhere.
@@ -132,6 +137,18 @@ impl GelChange {
             ChangeKind::Illumination
         } else {
             ChangeKind::Unchanged
+        }
+    }
+
+    /// Whether an image is of the other gel, given its change since the reference of its own gel and
+    /// since that of the other one.
+    #[must_use]
+    pub fn is_swapped(own: &Self, other: &Self) -> bool {
+        let (own_levels, other_levels) = (own.illumination_levels, other.illumination_levels);
+        match (own.is_other_gel, other.is_other_gel) {
+            (true, false) => true,
+            (false, true) => false,
+            _ => own_levels > MIN_SWAPPED_LEVELS && other_levels < MAX_SWAPPED_RATIO * own_levels,
         }
     }
 

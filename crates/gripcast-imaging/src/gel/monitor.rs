@@ -56,6 +56,10 @@ pub enum GelProblem {
     Flickering,
     /// Brightness or colour changes steadily.
     Drifting,
+    /// The image is that of the other gel.
+    Swapped,
+    /// With the gripper open, a part of the image stays other than in the last initial frame.
+    Marked,
 }
 
 impl GelProblem {
@@ -69,6 +73,10 @@ impl GelProblem {
             Self::Noisy => "image is mostly noise",
             Self::Flickering => "brightness or colour flickers",
             Self::Drifting => "brightness or colour drifts",
+            Self::Swapped => {
+                "the sensors are swapped: this is the other gel of the last initial frame"
+            }
+            Self::Marked => "a part of the gel stays other than in the last initial frame",
         }
     }
 
@@ -90,6 +98,8 @@ impl GelProblem {
                 "switch auto_exposure and white_balance_automatic off in the rig file, let the \
                  sensor warm up"
             }
+            Self::Swapped => "swap the plugs, or the roles in the rig file",
+            Self::Marked => "open the gripper, then clean the gel or look for damage",
         }
     }
 
