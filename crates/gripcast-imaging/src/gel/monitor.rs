@@ -31,8 +31,8 @@ const MAX_CLIPPED: f32 = 0.1;
 const MAX_GRAIN: f32 = 20.0;
 /// Minimum change of brightness or colour that counts as one swing of flicker, fraction.
 const MIN_SWING: f32 = 0.015;
-/// Swings from which the light flickers. Closing and opening on an object gives two.
-const MIN_SWINGS: usize = 4;
+/// Swings from which the light flickers. Closing and opening on an object gives at most two.
+const MIN_SWINGS: usize = 6;
 /// Drift that is a problem, fraction per second.
 const MAX_DRIFT_PER_S: f32 = 0.03;
 /// Maximum noise of a cell, grey levels. Gels have 0.1 to 0.5.

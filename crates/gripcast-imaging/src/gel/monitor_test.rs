@@ -101,7 +101,7 @@ fn fast_slow_and_beating_flicker_is_named() {
         }),
     ];
     for (name, gain) in cases {
-        let state = state_after(75, |i| scaled(&gel(i), gain(i)));
+        let state = state_after(110, |i| scaled(&gel(i), gain(i)));
         assert_eq!(state.problems, [GelProblem::Flickering], "{name}");
         assert!(state.flicker > 0.02, "{name}");
     }
