@@ -12,7 +12,9 @@ use gripcast_capture::camera::{
     CameraOpener, CaptureError, ControlValues, FrameSource, KernelNodes, Recorder, StreamInfo,
 };
 use gripcast_capture::device::SystemRoot;
-use gripcast_imaging::{Frame, Intrinsics, Role};
+use gripcast_imaging::{Frame, GelState, Intrinsics, Role};
+
+use crate::gel_check::GelCheck;
 
 /// Minimum fraction of the nominal frame rate; GelSight Minis are known to deliver three quarters.
 const MIN_RATE_FRACTION: f64 = 0.7;
@@ -43,6 +45,8 @@ pub(crate) struct CameraMeasurement {
     /// The last frame.
     pub(crate) last: Option<Frame>,
     pub(crate) intrinsics: Option<Intrinsics>,
+    /// State of the gel; tactile cameras only.
+    pub(crate) gel: Option<GelState>,
     pub(crate) notes: Vec<String>,
 }
 
@@ -115,7 +119,28 @@ fn check_one(
             check.problems.push(error.to_string());
             None
         });
-    let (frames, last) = measure(source.as_mut(), duration, recorder, &mut check.problems);
+    let gel = check.role.is_tactile().then(GelCheck::new).transpose();
+    let mut gel = gel.unwrap_or_else(|error| {
+        check.problems.push(error.to_string());
+        None
+    });
+    let judge = |frame: &Frame| {
+        if let Some(gel) = &mut gel {
+            gel.add(frame);
+        }
+    };
+    let (frames, last) = measure(
+        source.as_mut(),
+        duration,
+        recorder,
+        judge,
+        &mut check.problems,
+    );
+    let gel = gel.and_then(|gel| gel.state().cloned());
+    for problem in gel.iter().flat_map(|gel| &gel.problems) {
+        let (what, remedy) = (problem.what(), problem.remedy());
+        check.problems.push(format!("{what}\n  → {remedy}"));
+    }
     let info = source.info().clone();
     let mut notes = source.warnings().to_vec();
     let mut intrinsics = None;
@@ -132,6 +157,7 @@ fn check_one(
         controls,
         last,
         intrinsics,
+        gel,
         notes,
     });
     check
@@ -163,6 +189,7 @@ fn measure(
     source: &mut dyn FrameSource,
     duration: Duration,
     mut recorder: Option<Recorder>,
+    mut judge: impl FnMut(&Frame),
     problems: &mut Vec<String>,
 ) -> (FrameStats, Option<Frame>) {
     let nominal = source.info().nominal_fps;
@@ -178,6 +205,7 @@ fn measure(
             Ok(frame) => {
                 timeouts = 0;
                 frames.received += 1;
+                judge(&frame);
                 if let Some(recording) = &mut recorder
                     && let Err(error) = recording.write(&frame)
                 {
@@ -284,6 +312,7 @@ impl CameraCheck {
                 ("factory_intrinsics", json!(measurement.intrinsics)),
                 ("format", json!(info.format)),
                 ("fps", json!(frames.fps)),
+                ("gel", json!(measurement.gel)),
                 ("height", json!(info.height)),
                 ("lost", json!(frames.lost)),
                 ("node", json!(info.identity.node)),
@@ -315,6 +344,7 @@ impl CameraCheck {
                 frames,
                 controls,
                 intrinsics,
+                gel,
                 notes,
                 ..
             }) => {
@@ -341,6 +371,15 @@ impl CameraCheck {
                     text += &format!(
                         "  factory intrinsics: fx {:.2}, fy {:.2}, cx {:.2}, cy {:.2}\n",
                         k.fx, k.fy, k.cx, k.cy
+                    );
+                }
+                if let Some(gel) = gel {
+                    let [red, green, blue] = gel.level;
+                    let noise = gel.noise_levels.unwrap_or_default();
+                    text += &format!(
+                        "  gel: level {red:.0} {green:.0} {blue:.0} (RGB), noise {noise:.2}, \
+                         {:.1} % clipped\n",
+                        100.0 * gel.clipped_fraction
                     );
                 }
                 for note in notes {

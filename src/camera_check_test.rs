@@ -73,7 +73,13 @@ impl CameraOpener for Opener {
 
 fn measured(mut source: Scripted) -> (FrameStats, Vec<String>) {
     let mut problems = Vec::new();
-    let (frames, last) = measure(&mut source, Duration::from_secs(1), None, &mut problems);
+    let (frames, last) = measure(
+        &mut source,
+        Duration::from_secs(1),
+        None,
+        |_| (),
+        &mut problems,
+    );
     assert_eq!(last.is_some(), frames.received > 0);
     (frames, problems)
 }

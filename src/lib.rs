@@ -16,6 +16,7 @@ mod collection;
 pub mod config;
 pub mod daemon;
 mod doctor;
+mod gel_check;
 mod model_choice;
 mod rig_lock;
 mod service;

@@ -19,11 +19,13 @@ use crate::note;
 use gripcast_base::error::{Error, Result};
 use gripcast_base::files::{FileKind, read_regular, save};
 use gripcast_imaging::{
-    CropProfile, Decoder, Frame, FrameDamage, PixelFormat, TactileDifference, crop_and_resize,
-    decode_png_rgb, jpeg,
+    CropProfile, Decoder, Frame, FrameDamage, GelCells, GelChange, PixelFormat, TactileDifference,
+    crop_and_resize, decode_png_rgb, jpeg,
 };
 use gripcast_nn::predict::contract::{IMAGE_HEIGHT, IMAGE_WIDTH, InputName, Origin};
-use gripcast_nn::predict::{BASELINE, Model, ModelInput, PredictedLabel, SHIPPED, baseline};
+use gripcast_nn::predict::{
+    BASELINE, Model, ModelInput, PredictedLabel, SHIPPED, baseline, contact_doubt,
+};
 
 /// Arguments.
 #[derive(Debug, clap::Args)]
@@ -173,6 +175,7 @@ fn predict_images(context: &Context, args: &ImagesArgs) -> Result<()> {
     };
     let mut input = ModelInput::zeros(contract)?;
     let mut differences = Vec::new();
+    let mut changes = Vec::new();
     for &name in contract.modality.inputs() {
         let (initial, grasp) = match name {
             InputName::TactileLeft => (
@@ -189,8 +192,10 @@ fn predict_images(context: &Context, args: &ImagesArgs) -> Result<()> {
                 continue;
             }
         };
-        let difference =
-            TactileDifference::between(&image(initial, &crop)?, &image(grasp, &crop)?)?;
+        let (initial, grasp) = (image(initial, &crop)?, image(grasp, &crop)?);
+        let difference = TactileDifference::between(&initial, &grasp)?;
+        let (initial, grasp) = (GelCells::new(&initial)?, GelCells::new(&grasp)?);
+        changes.push(GelChange::between(&initial, &grasp, 0.0));
         input.set_tactile(name, &difference)?;
         differences.push(difference);
     }
@@ -198,7 +203,15 @@ fn predict_images(context: &Context, args: &ImagesArgs) -> Result<()> {
     let ood_score = model
         .ood_detector()
         .and_then(|reference| reference.max_score(&differences));
-    let verdict = PredictedLabel::new(prediction.p_stable, contract.threshold, ood_score);
+    let label = PredictedLabel::new(prediction.p_stable, contract.threshold, ood_score);
+    let unsure_reason = match &changes[..] {
+        [left, right] => contact_doubt([left, right], label == PredictedLabel::Stable),
+        _ => None,
+    };
+    let verdict = match unsure_reason {
+        Some(_) => PredictedLabel::Unsure,
+        None => label,
+    };
     let outcome = verdict.name();
     if contract.is_heuristic() {
         let name = &contract.name;
@@ -216,11 +229,15 @@ fn predict_images(context: &Context, args: &ImagesArgs) -> Result<()> {
         "p_stable": prediction.p_stable,
         "predicted": outcome,
         "threshold": contract.threshold,
+        "unsure_reason": unsure_reason,
     });
     print_report(args.json, &report, |_| {
-        let reason = match verdict {
-            PredictedLabel::Unsure => "; the tactile images are out of distribution",
-            PredictedLabel::Stable | PredictedLabel::Slip => "",
+        let reason = match (&unsure_reason, verdict) {
+            (Some(reason), _) => format!("; {reason}"),
+            (None, PredictedLabel::Unsure) => {
+                "; the tactile images are out of distribution".to_owned()
+            }
+            (None, PredictedLabel::Stable | PredictedLabel::Slip) => String::new(),
         };
         format!(
             "{outcome}: p_stable {:.3}, threshold {}{reason}",

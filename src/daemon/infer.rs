@@ -5,6 +5,7 @@ use std::ops::ControlFlow;
 use std::sync::mpsc::{Receiver, Sender};
 use std::sync::{Arc, Mutex, MutexGuard};
 use std::thread::JoinHandle;
+use std::time::Instant;
 
 use image::RgbImage;
 use serde::Serialize;
@@ -14,19 +15,24 @@ use utoipa::ToSchema;
 use super::black_box::Tap;
 use super::black_box::Topic;
 use super::histogram::LatencyHistogram;
-use super::hub::Hub;
-use super::status::{PredictionStatus, Preview};
+use super::hub::{Decoded, Hub};
+use super::status::{PredictionStatus, Preview, verdict_of};
 use super::tasks::{Heartbeat, Tasks};
 use super::thread::lock;
 use gripcast_base::error::Result;
 use gripcast_capture::camera::monotonic_ns;
 use gripcast_dataset::PredictionRecord;
-use gripcast_imaging::{Role, TactileDifference};
-use gripcast_nn::predict::{LivePrediction, LivePredictor, Model, Smoothing};
+use gripcast_imaging::{
+    ChangeKind, GelCells, GelChange, GelMonitor, GelProblem, GelState, Role, TactileDifference,
+};
+use gripcast_nn::predict::{
+    LivePrediction, LivePredictor, Model, PredictedLabel, Smoothing, contact_doubt,
+};
 
-/// Minimum difference of a pixel in contact, grey levels: far above sensor noise (1–2 levels), far
-/// below contact (up to 120).
-const CONTACT_LEVELS: u16 = 10;
+/// Minimum fraction of a gel that is different for a mark, 0 to 1.
+const MIN_MARKED_FRACTION: f64 = 0.01;
+/// Time after which a difference counts as a mark, ns.
+const MARKED_NS: u64 = 3_000_000_000;
 
 /// Gain of the displayed difference.
 const PREVIEW_GAIN: f32 = 1.5;
@@ -44,6 +50,13 @@ pub(super) enum InferRequest {
         left: Arc<RgbImage>,
         /// Right gel, open gripper.
         right: Arc<RgbImage>,
+    },
+    /// Compare gels with these images of an earlier initial frame while there is none.
+    SetReference {
+        /// Left gel, open gripper.
+        left: RgbImage,
+        /// Right gel, open gripper.
+        right: RgbImage,
     },
     /// Stop predicting, for this reason. Contact is still measured against the last initial frame.
     ClearInitial(String),
@@ -86,6 +99,7 @@ impl ModelInfo {
         PredictionRecord {
             p_stable: prediction.p_stable,
             ood_score: prediction.ood_score,
+            unsure_reason: None,
             threshold: self.threshold,
             model_sha256: self.sha256.clone(),
             model: self.name.clone(),
@@ -102,8 +116,8 @@ pub(super) struct Contact {
     pub(super) mean_abs: f64,
     /// Driver time of the compared frame, ns.
     pub(super) frame_time_ns: u64,
-    /// Changed fraction of the gel.
-    pub(super) changed_fraction: f64,
+    /// Contact or illumination.
+    pub(super) change: GelChange,
 }
 
 /// Newest results of inference.
@@ -118,6 +132,10 @@ pub(super) struct InferenceState {
     /// Revision of the initial frame in use. Not its id: after an undo the same frame returns, and
     /// earlier comparisons with it are stale.
     pub(super) revision: Option<u64>,
+    /// State of each gel.
+    pub(super) gels: BTreeMap<Role, GelState>,
+    /// Time to judge a tactile image, ms.
+    pub(super) judge_time: LatencyHistogram,
     /// Preview images.
     pub(super) previews: BTreeMap<Role, Preview>,
     /// Number of predictions.
@@ -129,19 +147,19 @@ pub(super) struct InferenceState {
 }
 
 impl InferenceState {
-    /// Returns the changed fraction of a gel relative to the initial frame of `revision`, in a
-    /// frame newer than `since_ns`, or `None` before the first such frame.
-    pub(super) fn changed_fraction(
+    /// Returns the change of a gel relative to the initial frame of `revision`, in a frame newer
+    /// than `since_ns`, or `None` before the first such frame.
+    pub(super) fn change(
         &self,
         role: Role,
         revision: Option<u64>,
         since_ns: u64,
-    ) -> Option<f64> {
+    ) -> Option<GelChange> {
         let contact = self
             .contact
             .get(&role)
             .filter(|_| self.revision == revision)?;
-        (contact.frame_time_ns > since_ns).then_some(contact.changed_fraction)
+        (contact.frame_time_ns > since_ns).then_some(contact.change)
     }
 
     /// Returns the mean absolute difference of each gel, grey levels.
@@ -208,10 +226,61 @@ impl Inference {
     }
 }
 
+/// The gels of an earlier initial frame, for the time without a pending one.
+#[derive(Debug, Default)]
+struct GelReference {
+    cells: BTreeMap<Role, GelCells>,
+    /// Whether the newest image of each gel is that of the other.
+    swapped: BTreeMap<Role, bool>,
+    /// Driver time since which a part of a gel is different, ns.
+    marked_since_ns: BTreeMap<Role, u64>,
+}
+
+impl GelReference {
+    fn new(cells: BTreeMap<Role, GelCells>) -> Self {
+        Self {
+            cells,
+            ..Self::default()
+        }
+    }
+
+    /// Compares the newest image of a gel with both references.
+    fn problems(&mut self, role: Role, cells: &GelCells, time_ns: u64) -> Vec<GelProblem> {
+        let other = match role {
+            Role::Left => Role::Right,
+            _ => Role::Left,
+        };
+        let change = |role| Some(GelChange::between(self.cells.get(&role)?, cells, 0.0));
+        let (Some(own), Some(other)) = (change(role), change(other)) else {
+            return Vec::new();
+        };
+        self.swapped
+            .insert(role, GelChange::is_swapped(&own, &other));
+        let are_swapped = self.swapped.len() == 2 && self.swapped.values().all(|swapped| *swapped);
+        let is_marked = own.kind(MIN_MARKED_FRACTION) == ChangeKind::Contact;
+        let since_ns = match is_marked {
+            true => *self.marked_since_ns.entry(role).or_insert(time_ns),
+            false => {
+                self.marked_since_ns.remove(&role);
+                time_ns
+            }
+        };
+        let stays = time_ns.saturating_sub(since_ns) >= MARKED_NS;
+        let problems = [
+            (GelProblem::Swapped, are_swapped),
+            (GelProblem::Marked, stays && !are_swapped),
+        ];
+        problems.into_iter().filter(|p| p.1).map(|p| p.0).collect()
+    }
+}
+
 struct Worker {
     hub: Hub,
     predictor: Option<(LivePredictor, ModelInfo)>,
     initial: BTreeMap<Role, Arc<RgbImage>>,
+    initial_cells: BTreeMap<Role, GelCells>,
+    monitors: BTreeMap<Role, GelMonitor>,
+    reference: GelReference,
     predicting: bool,
     smoothing: Smoothing,
     /// Serial of the newest image used, by role.
@@ -229,6 +298,9 @@ impl Worker {
             hub: hub.clone(),
             predictor,
             initial: BTreeMap::new(),
+            initial_cells: BTreeMap::new(),
+            monitors: BTreeMap::new(),
+            reference: GelReference::default(),
             predicting: false,
             smoothing: Smoothing::default(),
             seen: BTreeMap::new(),
@@ -274,6 +346,11 @@ impl Worker {
                 left,
                 right,
             } => self.set_initial(revision, left, right),
+            InferRequest::SetReference { left, right } => {
+                let cells = [(Role::Left, left), (Role::Right, right)]
+                    .map(|(role, image)| Some((role, GelCells::new(&image).ok()?)));
+                self.reference.cells = cells.into_iter().flatten().collect();
+            }
             InferRequest::ClearInitial(reason) => self.clear_initial(reason),
             InferRequest::PredictFrames { images, reply } => {
                 // The requester may have timed out.
@@ -289,6 +366,10 @@ impl Worker {
             predictor.set_initial((*left).clone(), (*right).clone());
         }
         self.initial = BTreeMap::from([(Role::Left, left), (Role::Right, right)]);
+        let cells =
+            |(role, image): (&Role, &Arc<RgbImage>)| Some((*role, GelCells::new(image).ok()?));
+        self.initial_cells = self.initial.iter().filter_map(cells).collect();
+        self.reference = GelReference::new(self.initial_cells.clone());
         self.predicting = true;
         self.smoothing.clear();
         let mut state = lock(&self.state);
@@ -318,11 +399,18 @@ impl Worker {
             .initial
             .get(&role)
             .and_then(|initial| TactileDifference::between(initial, &decoded.image).ok());
-        let contact = difference.as_ref().map(|difference| Contact {
-            mean_abs: f64::from(difference.mean_abs()),
-            frame_time_ns: decoded.driver_time_ns,
-            changed_fraction: f64::from(difference.changed_fraction(CONTACT_LEVELS)),
-        });
+        let change = role
+            .is_tactile()
+            .then(|| self.judge(role, &decoded))
+            .flatten();
+        let contact = difference
+            .as_ref()
+            .zip(change)
+            .map(|(difference, change)| Contact {
+                mean_abs: f64::from(difference.mean_abs()),
+                frame_time_ns: decoded.driver_time_ns,
+                change,
+            });
         let shown = difference.filter(|_| self.predicting);
         let preview = Preview {
             image: Arc::clone(&decoded.image),
@@ -341,6 +429,35 @@ impl Worker {
                 self.predict();
             }
         }
+    }
+
+    /// Updates the state of a gel and returns its change since the initial frame, if any.
+    fn judge(&mut self, role: Role, decoded: &Decoded) -> Option<GelChange> {
+        let started = Instant::now();
+        let cells = GelCells::new(&decoded.image).ok()?;
+        let change = self.change(role, &cells);
+        let reference = &mut self.reference;
+        let problems = match self.predicting {
+            false => reference.problems(role, &cells, decoded.driver_time_ns),
+            true => Vec::new(),
+        };
+        let monitor = self.monitors.entry(role).or_default();
+        let mut gel = monitor.add(cells, decoded.driver_time_ns).clone();
+        gel.problems.extend(problems);
+        let mut state = lock(&self.state);
+        state.gels.insert(role, gel);
+        state.judge_time.add(started.elapsed().as_secs_f64() * 1e3);
+        change
+    }
+
+    /// Returns the change of a gel since the initial frame.
+    fn change(&self, role: Role, cells: &GelCells) -> Option<GelChange> {
+        let state = self.monitors.get(&role).and_then(GelMonitor::state);
+        let noise_levels = state
+            .and_then(|state| state.noise_levels)
+            .unwrap_or_default();
+        let initial = self.initial_cells.get(&role)?;
+        Some(GelChange::between(initial, cells, noise_levels))
     }
 
     fn predict(&mut self) {
@@ -371,10 +488,14 @@ impl Worker {
                     p_stable: self.smoothing.add(prediction.p_stable, frame_time_ns),
                     ..model.record(&prediction, latency_ms)
                 };
+                let changes = [Role::Left, Role::Right].map(|role| state.contact.get(&role));
+                let changes = changes.map(|contact| contact.map(|contact| contact.change));
+                let record = with_doubt(record, predictor, changes);
                 let message = serde_json::json!({
                     "p_stable": record.p_stable,
                     "p_stable_frame": prediction.p_stable,
                     "ood_score": record.ood_score,
+                    "unsure_reason": record.unsure_reason,
                     "frame_time_ns": frame_time_ns,
                     "latency_ms": latency_ms,
                     "engine_ms": record.engine_ms,
@@ -391,6 +512,10 @@ impl Worker {
 
     /// Predicts on saved images, then restores the live ones.
     fn predict_saved(&mut self, images: BTreeMap<Role, RgbImage>) -> Option<PredictionRecord> {
+        let changes = [Role::Left, Role::Right].map(|role| {
+            let cells = GelCells::new(images.get(&role)?).ok()?;
+            self.change(role, &cells)
+        });
         let (predictor, model) = self.predictor.as_mut().filter(|_| self.predicting)?;
         for (role, image) in images {
             predictor.update(role, image, 0);
@@ -403,19 +528,38 @@ impl Worker {
             }
         }
         // The store sets the latency to that of the live prediction at the trigger.
-        Some(model.record(&result?.ok()?, 0.0))
+        let record = model.record(&result?.ok()?, 0.0);
+        Some(with_doubt(record, predictor, changes))
+    }
+}
+
+/// Adds why the changes of both gels cannot support a tactile prediction.
+fn with_doubt(
+    record: PredictionRecord,
+    predictor: &LivePredictor,
+    changes: [Option<GelChange>; 2],
+) -> PredictionRecord {
+    let (true, [Some(left), Some(right)]) =
+        (predictor.model().contract().modality.has_touch(), changes)
+    else {
+        return record;
+    };
+    let is_stable = verdict_of(&record) == PredictedLabel::Stable;
+    PredictionRecord {
+        unsure_reason: contact_doubt([&left, &right], is_stable),
+        ..record
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use gripcast_imaging::{Frame, PixelFormat};
+    use gripcast_imaging::{ChangeKind, Frame, MIN_CONTACT_FRACTION, PixelFormat, synthetic_gel};
 
     const CAPTURED_NS: u64 = 100;
 
-    fn grey(level: u8) -> RgbImage {
-        RgbImage::from_pixel(32, 24, image::Rgb([level; 3]))
+    fn gel(contact: f32) -> RgbImage {
+        synthetic_gel(160, 120, 1, contact)
     }
 
     #[test]
@@ -444,37 +588,67 @@ mod tests {
     }
 
     #[test]
+    fn swapped_and_marked_gels_are_named() {
+        let tinted = |role: Role, seed: u64, contact: f32| {
+            let mut image = synthetic_gel(160, 120, seed, contact);
+            if role == Role::Right {
+                image.pixels_mut().for_each(|pixel| pixel.0[2] -= 20);
+            }
+            GelCells::new(&image).unwrap()
+        };
+        let both = [Role::Left, Role::Right];
+        let cells = both.map(|role| (role, tinted(role, 1, 0.0)));
+        let mut reference = GelReference::new(cells.into());
+        let mut problems = |left: GelCells, right: GelCells, time_ns: u64| {
+            reference.problems(Role::Left, &left, time_ns);
+            let right = reference.problems(Role::Right, &right, time_ns);
+            (reference.problems(Role::Left, &left, time_ns), right)
+        };
+        let [left, right] = both.map(|role| tinted(role, 2, 0.0));
+        let none = (vec![], vec![]);
+        assert_eq!(problems(left.clone(), right.clone(), 0), none);
+        let swapped = (vec![GelProblem::Swapped], vec![GelProblem::Swapped]);
+        assert_eq!(problems(right.clone(), left.clone(), 1), swapped);
+        let mark = tinted(Role::Left, 3, 0.5);
+        assert_eq!(problems(mark.clone(), right.clone(), 2), none);
+        let marked = (vec![GelProblem::Marked], vec![]);
+        assert_eq!(problems(mark, right.clone(), 2 + MARKED_NS), marked);
+        assert_eq!(problems(left, right, 3 + MARKED_NS), none);
+    }
+
+    #[test]
     fn contact_refers_to_the_newest_initial_frame_only() {
         let hub = Hub::new([Role::Left], Tap::default());
         let state = Arc::default();
         let mut worker = Worker::new(&hub, None, &state);
-        let show = |worker: &mut Worker, level: u8, at_ns: u64| {
+        let show = |worker: &mut Worker, contact: f32, at_ns: u64| {
             let frame = Frame {
                 format: PixelFormat::Grey,
-                width: 32,
-                height: 24,
-                data: vec![level; 32 * 24].into(),
+                width: 160,
+                height: 120,
+                data: vec![0; 160 * 120].into(),
                 sequence: 1,
                 driver_time_ns: at_ns,
                 received_ns: at_ns,
             };
             hub.slot(Role::Left)
                 .unwrap()
-                .on_decoded(&frame, grey(level));
+                .on_decoded(&frame, gel(contact));
             worker.on_new_image(Role::Left);
         };
         let contact = |revision: u64, since_ns: u64| {
-            lock(&state).changed_fraction(Role::Left, Some(revision), since_ns)
+            let change = lock(&state).change(Role::Left, Some(revision), since_ns);
+            change.map(|change| change.kind(MIN_CONTACT_FRACTION))
         };
-        let initial = Arc::new(grey(10));
+        let initial = Arc::new(gel(0.0));
         let set = |worker: &mut Worker, revision: u64| {
             worker.set_initial(revision, Arc::clone(&initial), Arc::clone(&initial));
         };
 
         set(&mut worker, 1);
         assert_eq!(contact(1, 0), None, "no frame yet");
-        show(&mut worker, 90, CAPTURED_NS);
-        assert_eq!(contact(1, 0), Some(1.0));
+        show(&mut worker, 0.8, CAPTURED_NS);
+        assert_eq!(contact(1, 0), Some(ChangeKind::Contact));
         assert_eq!(
             contact(1, CAPTURED_NS),
             None,
@@ -485,7 +659,8 @@ mod tests {
         set(&mut worker, 2);
         assert_eq!(contact(2, 0), None, "the frame is older than the revision");
         assert_eq!(contact(1, 0), None);
-        show(&mut worker, 10, CAPTURED_NS + 1);
-        assert_eq!(contact(2, 0), Some(0.0));
+        show(&mut worker, 0.0, CAPTURED_NS + 1);
+        assert_eq!(contact(2, 0), Some(ChangeKind::Unchanged));
+        assert!(lock(&state).gels[&Role::Left].problems.is_empty());
     }
 }

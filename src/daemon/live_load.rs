@@ -63,6 +63,8 @@ pub struct LoadFigures {
     pub latency_p50_ms: f64,
     /// 99th percentile of the latency, ms.
     pub latency_p99_ms: f64,
+    /// Median time to judge a tactile image, ms.
+    pub gel_judge_p50_ms: f64,
     /// Mean number of busy CPU cores.
     pub cores: f64,
     /// Peak resident memory of the process, MB.
@@ -132,6 +134,7 @@ pub fn run_load(model: Model, params: LoadParams) -> Result<LoadFigures> {
     let predictions_before = {
         let mut state = inference.state();
         state.latency = super::histogram::LatencyHistogram::default();
+        state.judge_time = super::histogram::LatencyHistogram::default();
         state.predictions
     };
     let (cpu, started) = (process_cpu_s(), monotonic_ns());
@@ -155,6 +158,7 @@ pub fn run_load(model: Model, params: LoadParams) -> Result<LoadFigures> {
         predictions_per_s: (state.predictions - predictions_before) as f64 / wall_s,
         latency_p50_ms: quantile(0.5),
         latency_p99_ms: quantile(0.99),
+        gel_judge_p50_ms: state.judge_time.quantile_ms(0.5).unwrap_or(f64::NAN),
         cores,
         rss_mb: peak_rss_mb(),
         gel_frame_kb: gel_bytes as f64 / (2 * DISTINCT_FRAMES) as f64 * 1e-3,

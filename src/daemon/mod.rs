@@ -38,7 +38,8 @@ pub use report::{CameraReport, CollectReport, EndReason, GraspReport, Prediction
 pub use start_report::{StartFinding, StartSubject};
 pub(crate) use status::disk_free_bytes;
 pub use status::{
-    CameraState, CameraStatus, EngineStatus, MarkerStatus, PredictionStatus, Preview, verdict_of,
+    CameraState, CameraStatus, EngineStatus, GelStatus, MarkerStatus, PredictionStatus, Preview,
+    verdict_of,
 };
 pub use tasks::{Heartbeat, TaskReport, TaskState, Tasks};
 pub(crate) use thread::lock;

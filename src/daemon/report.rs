@@ -59,6 +59,8 @@ pub struct PredictionReport {
     pub latency_p50_ms: Option<f64>,
     /// 99th percentile of the latency, ms.
     pub latency_p99_ms: Option<f64>,
+    /// Median time to judge a tactile image, ms.
+    pub gel_judge_p50_ms: Option<f64>,
 }
 
 /// A grasp of this session.

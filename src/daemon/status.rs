@@ -13,7 +13,7 @@ use super::black_box::BlackBoxStatus;
 use super::start_report::StartFinding;
 use gripcast_capture::camera::CameraCounters;
 use gripcast_dataset::PredictionRecord;
-use gripcast_imaging::Role;
+use gripcast_imaging::{ChangeKind, GelChange, GelState, Role};
 use gripcast_nn::predict::PredictedLabel;
 use gripcast_session::{GuardLimits, Labels, OutcomeCounts, Session, SessionView};
 
@@ -48,6 +48,9 @@ pub struct EngineStatus {
     pub no_prediction_reason: Option<String>,
     /// Mean absolute difference of each gel to the initial frame, grey levels (0 to 255).
     pub contact: BTreeMap<Role, f64>,
+    /// State of each gel.
+    #[serde(default)]
+    pub gels: BTreeMap<Role, GelStatus>,
     /// Number of grasps by object and outcome, which the API sends separately.
     #[serde(skip)]
     pub objects: Arc<OutcomeCounts>,
@@ -75,7 +78,35 @@ impl EngineStatus {
             no_prediction_reason: None,
             contact: BTreeMap::new(),
             objects: Arc::default(),
+            gels: BTreeMap::new(),
             previews: BTreeMap::new(),
+        }
+    }
+}
+
+/// State of a gel and its change since the initial frame.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
+pub struct GelStatus {
+    /// Level, noise and problems.
+    #[serde(flatten)]
+    pub state: GelState,
+    /// A sentence with remedy for each problem.
+    pub messages: Vec<String>,
+    /// Fraction of the gel in contact, 0 to 1; `None` without an initial frame.
+    pub contact_fraction: Option<f64>,
+    /// What changed since the initial frame; `None` without one.
+    pub change: Option<ChangeKind>,
+}
+
+impl GelStatus {
+    /// Creates the status; a contact covers at least `min_contact_fraction` of the gel.
+    pub fn new(state: GelState, change: Option<GelChange>, min_contact_fraction: f64) -> Self {
+        let messages = state.problems.iter().map(|problem| problem.text());
+        Self {
+            messages: messages.collect(),
+            contact_fraction: change.map(|change| change.contact_fraction),
+            change: change.map(|change| change.kind(min_contact_fraction)),
+            state,
         }
     }
 }
@@ -133,7 +164,10 @@ impl PredictionStatus {
 
 /// Returns the verdict of a prediction.
 pub fn verdict_of(record: &PredictionRecord) -> PredictedLabel {
-    PredictedLabel::new(record.p_stable, record.threshold, record.ood_score)
+    match record.unsure_reason {
+        Some(_) => PredictedLabel::Unsure,
+        None => PredictedLabel::new(record.p_stable, record.threshold, record.ood_score),
+    }
 }
 
 /// State of a camera.
@@ -235,6 +269,7 @@ pub(crate) fn disk_free_bytes(path: &Path) -> Option<u64> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use gripcast_imaging::GelProblem;
 
     /// `collect --attach` reads back everything but the images.
     #[test]
@@ -242,12 +277,28 @@ mod tests {
         let record = PredictionRecord {
             p_stable: 0.81,
             ood_score: Some(0.5),
+            unsure_reason: None,
             threshold: 0.5,
             model_sha256: "0".repeat(64),
             model: "m".into(),
             latency_ms: 12.0,
             engine_ms: 3.0,
         };
+        let gel = GelState {
+            level: [90.0, 100.0, 110.0],
+            clipped_fraction: 0.0,
+            noise_levels: Some(0.25),
+            flicker: 0.5,
+            drift_per_s: 0.0,
+            problems: vec![GelProblem::Flickering],
+        };
+        let change = GelChange {
+            contact_fraction: 0.0,
+            illumination_levels: 12.0,
+            is_other_gel: false,
+        };
+        let gel = GelStatus::new(gel, Some(change), 0.005);
+        assert!(gel.messages[0].contains("flickers"));
         let camera = |role, state| CameraStatus {
             role,
             product: "GelSight".into(),
@@ -270,9 +321,12 @@ mod tests {
             ],
             prediction: Some(PredictionStatus::new(record, true)),
             contact: BTreeMap::from([(Role::Left, 8.5)]),
+            gels: BTreeMap::from([(Role::Left, gel)]),
             ..EngineStatus::starting("d", "bench", Labels::default())
         };
         let json = serde_json::to_value(&status).unwrap();
+        assert_eq!(json["gels"]["left"]["problems"][0], "flickering");
+        assert_eq!(json["gels"]["left"]["change"], "illumination");
         let camera = &json["cameras"][0];
         assert_eq!(
             (&camera["state"], &camera["for_s"]),
@@ -288,5 +342,6 @@ mod tests {
         assert_eq!(back.cameras, status.cameras);
         assert_eq!(back.prediction, status.prediction);
         assert_eq!(back.contact, status.contact);
+        assert_eq!(back.gels, status.gels);
     }
 }

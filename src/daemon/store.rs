@@ -20,7 +20,8 @@ use gripcast_base::catch_panic;
 use gripcast_base::error::{Error, ErrorKind, Result};
 use gripcast_base::files::ContentKey;
 use gripcast_dataset::{
-    BoardKeys, DatasetWriter, GraspId, GraspMeta, PendingInitial, PredictionRecord, StageCapture,
+    BoardKeys, Dataset, DatasetWriter, GraspId, GraspMeta, PendingInitial, PredictionRecord, Stage,
+    StageCapture,
 };
 use gripcast_imaging::{CropProfile, Decoder, Frame, FrameDamage, Role};
 use gripcast_session::{Labels, PendingFrame, StoreReply, StoreRequest};
@@ -166,6 +167,10 @@ struct Worker {
 
 impl Worker {
     fn run(&mut self, inbox: &Receiver<StoreMessage>) -> Result<()> {
+        if let Ok(Some([left, right])) = self.reference_images() {
+            // Fails only while the process is ending.
+            let _ = self.infer.send(InferRequest::SetReference { left, right });
+        }
         loop {
             match inbox.recv_timeout(INDEX_DELAY) {
                 Ok(StoreMessage::Execute(job)) => {
@@ -351,6 +356,24 @@ impl Worker {
             Ok(self.image(frame, role)?)
         };
         Ok([image(Role::Left)?, image(Role::Right)?])
+    }
+
+    /// Decodes the images of both gels with the gripper open of the newest grasp, if it is of this
+    /// rig.
+    fn reference_images(&mut self) -> Result<Option<[RgbImage; 2]>> {
+        let dataset = Dataset::open(self.writer.path())?;
+        let Some(id) = dataset.ids()?.pop() else {
+            return Ok(None);
+        };
+        let record = dataset.grasp(&id)?;
+        if record.rig != self.context.rig {
+            return Ok(None);
+        }
+        let mut image = |role| -> Result<RgbImage> {
+            let frame = dataset.load_frame(&record, Stage::Initial, role)?;
+            Ok(self.image(&frame, role)?)
+        };
+        Ok(Some([image(Role::Left)?, image(Role::Right)?]))
     }
 
     fn image(&mut self, frame: &Frame, role: Role) -> std::result::Result<RgbImage, FrameDamage> {

@@ -146,6 +146,7 @@ mod tests {
                 .collect(),
             last: None,
             intrinsics: None,
+            gel: None,
             notes: Vec::new(),
         };
         let problems = problems.iter().map(|p| (*p).to_owned()).collect();

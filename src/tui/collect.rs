@@ -159,7 +159,7 @@ fn draw_side(buffer: &mut Buffer, area: Rect, status: &EngineStatus, palette: Pa
         let title = row(between, gap - 1);
         write(buffer, title, &Line::styled("SENSORS", palette.strong()));
     }
-    sensors::draw(buffer, lower, &status.cameras, palette);
+    sensors::draw(buffer, lower, status, palette);
 }
 
 /// Draws one line: a fault, else verdict and instruction.

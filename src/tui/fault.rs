@@ -138,7 +138,7 @@ pub(super) fn draw(buffer: &mut Buffer, area: Rect, status: &EngineStatus, palet
         big_digits::draw(buffer, foot, word, size, style);
     }
     let rest = inset(area, 2, block.height);
-    sensors::draw(buffer, rest, &status.cameras, palette);
+    sensors::draw(buffer, rest, status, palette);
 }
 
 /// Draws camera and state in large letters, or as text on small screens; returns the rows used.

@@ -162,6 +162,7 @@ mod tests {
                     p_stable: p,
                     threshold: 0.5,
                     ood_score,
+                    unsure_reason: None,
                     model: "m".to_owned(),
                     model_sha256: String::new(),
                     latency_ms: 12.0,

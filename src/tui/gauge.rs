@@ -264,7 +264,8 @@ fn write_title(buffer: &mut Buffer, area: Rect, reading: &Reading<'_>, palette: 
         left.push(Span::styled("HEURISTIC ", palette.warning()));
     }
     if reading.verdict == word(PredictedLabel::Unsure) {
-        let words = "unlike the training images ";
+        let reason = record.unsure_reason.as_deref();
+        let words = format!("{} ", reason.unwrap_or("unlike the training images"));
         left.push(Span::styled(words, palette.warning()));
     }
     let room = usize::from(rest.width).saturating_sub(Line::from(left.clone()).width());
@@ -369,6 +370,7 @@ mod tests {
         let record = PredictionRecord {
             p_stable,
             ood_score,
+            unsure_reason: None,
             threshold: 0.5,
             model: "m".to_owned(),
             model_sha256: String::new(),

@@ -9,12 +9,12 @@ use tokio::sync::watch;
 use super::fault::{identity, summary};
 use super::gauge::word;
 use crate::daemon::{
-    BlackBoxStatus, CameraState, CameraStatus, EngineStatus, MarkerStatus, PredictionStatus,
-    StartSubject, verdict_of,
+    BlackBoxStatus, CameraState, CameraStatus, EngineStatus, GelStatus, MarkerStatus,
+    PredictionStatus, StartSubject, verdict_of,
 };
 use crate::note;
 use gripcast_dataset::Outcome;
-use gripcast_imaging::Role;
+use gripcast_imaging::{GelProblem, Role};
 use gripcast_nn::predict::PredictedLabel;
 use gripcast_session::{LastGrasp, Message, MessageLevel};
 
@@ -25,6 +25,7 @@ const MIN_INTERVAL: Duration = Duration::from_secs(2);
 #[derive(Debug, Default)]
 pub struct LinePrinter {
     cameras: BTreeMap<Role, Printed<&'static str>>,
+    gels: BTreeMap<Role, Printed<Option<GelProblem>>>,
     markers: Printed<&'static str>,
     prediction: Printed<&'static str>,
     no_prediction_reason: Option<String>,
@@ -88,6 +89,9 @@ impl LinePrinter {
             lines.extend(self.camera(camera, status, now));
             lines.extend(self.markers(camera, now));
         }
+        for (role, gel) in &status.gels {
+            lines.extend(self.gel(*role, gel, now));
+        }
         lines.extend(self.prediction(status, now));
         lines.extend(self.black_box(status.black_box.as_ref(), now));
         lines.extend(self.grasp(status.session.last.as_ref()));
@@ -112,6 +116,19 @@ impl LinePrinter {
         };
         let printed = self.cameras.entry(camera.role).or_default();
         printed.is_news(camera.state.word(), now).then_some(words)
+    }
+
+    /// Reports the problems of a gel's image, and their end.
+    fn gel(&mut self, role: Role, gel: &GelStatus, now: Instant) -> Option<String> {
+        let problem = gel.state.problems.first().copied();
+        if problem.is_none() && !self.gels.contains_key(&role) {
+            return None;
+        }
+        let printed = self.gels.entry(role).or_default();
+        printed.is_news(problem, now).then(|| match problem {
+            Some(_) => format!("warning: {role}: {}", gel.messages.join("; ")),
+            None => format!("{role}: the image has no more problems"),
+        })
     }
 
     /// Reports changes of the marker detection.
@@ -154,14 +171,14 @@ impl LinePrinter {
     fn prediction(&mut self, status: &EngineStatus, now: Instant) -> Option<String> {
         if let Some(prediction) = &status.prediction {
             self.no_prediction_reason = None;
-            let verdict = match prediction.verdict {
-                PredictedLabel::Unsure => "UNSURE, unlike the training images",
-                verdict => word(verdict),
+            let verdict = match (prediction.verdict, &prediction.record.unsure_reason) {
+                (PredictedLabel::Unsure, Some(reason)) => format!("UNSURE, {reason}"),
+                (PredictedLabel::Unsure, None) => "UNSURE, unlike the training images".to_owned(),
+                (verdict, _) => word(verdict).to_owned(),
             };
-            return self
-                .prediction
-                .is_news(verdict, now)
-                .then(|| live(prediction, verdict));
+            // The sentence contains measured levels: only a new verdict is news.
+            let is_news = self.prediction.is_news(word(prediction.verdict), now);
+            return is_news.then(|| live(prediction, &verdict));
         }
         let reason = status.no_prediction_reason.clone();
         let news = reason != self.no_prediction_reason;

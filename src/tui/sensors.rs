@@ -8,19 +8,20 @@ use ratatui::text::{Line, Span};
 use super::fault::state_and_duration;
 use super::palette::Palette;
 use super::text::{clipped, duration_ms, row, write};
-use crate::daemon::{CameraState, CameraStatus};
+use crate::daemon::{CameraState, CameraStatus, EngineStatus, GelStatus};
 
 /// Fraction of the nominal frame rate below which the rate is a warning.
 const SLOW_FRACTION: f64 = 0.9;
 /// Frame age above which it is a warning, nominal intervals.
 const OLD_INTERVALS: f64 = 3.0;
 
-pub(super) fn draw(buffer: &mut Buffer, area: Rect, cameras: &[CameraStatus], palette: Palette) {
+pub(super) fn draw(buffer: &mut Buffer, area: Rect, status: &EngineStatus, palette: Palette) {
+    let cameras = &status.cameras;
     let spare = usize::from(area.height).saturating_sub(cameras.len());
     let mut spare_rows = spare;
     let mut index = 0;
     for camera in cameras {
-        let problems = problems(camera);
+        let problems = problems(camera, status.gels.get(&camera.role));
         let (note, style) = match &camera.markers {
             Some(markers) if markers.ok && problems.is_empty() => {
                 (markers.text.clone(), palette.stable())
@@ -84,23 +85,22 @@ pub(super) fn state(state: &CameraState, palette: Palette) -> (String, Style) {
     (words, style)
 }
 
-/// Describes non-zero error counters and a missing pose; late frames are in the details only.
-fn problems(camera: &CameraStatus) -> String {
-    [
+/// Describes the problems of a gel's image, non-zero error counters and a missing pose; late frames are in the details only.
+fn problems(camera: &CameraStatus, gel: Option<&GelStatus>) -> String {
+    let of_image = gel.into_iter().flat_map(|gel| gel.messages.clone());
+    let counted = [
         (camera.counters.sequence_gaps, "lost"),
         (camera.counters.damaged, "damaged"),
         (camera.counters.reconnects, "reopened"),
     ]
     .into_iter()
     .filter(|(count, _)| *count > 0)
-    .map(|(count, word)| format!("{count} {word}"))
-    .chain(
-        camera
-            .markers
-            .iter()
-            .filter(|markers| !markers.ok)
-            .map(|markers| format!("no pose: {}", markers.text)),
-    )
-    .collect::<Vec<_>>()
-    .join(" ")
+    .map(|(count, word)| format!("{count} {word}"));
+    let no_pose = camera
+        .markers
+        .iter()
+        .filter(|markers| !markers.ok)
+        .map(|markers| format!("no pose: {}", markers.text));
+    let all = of_image.chain(counted).chain(no_pose);
+    all.collect::<Vec<_>>().join(" ")
 }

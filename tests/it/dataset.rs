@@ -93,6 +93,7 @@ fn prediction() -> PredictionRecord {
     PredictionRecord {
         p_stable: 0.75,
         ood_score: None,
+        unsure_reason: None,
         threshold: 0.5,
         model_sha256: "ab".repeat(32),
         model: "baseline-contact".into(),

@@ -18,6 +18,7 @@ mod examples;
 mod export;
 mod familiarity;
 mod fuzz_corpus;
+mod gels;
 mod hangup;
 mod help;
 mod hostile;

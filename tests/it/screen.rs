@@ -25,6 +25,7 @@ fn predicted(p_stable: f64, ood_score: Option<f64>) -> PredictionRecord {
     PredictionRecord {
         p_stable,
         ood_score,
+        unsure_reason: None,
         threshold: 0.5,
         model_sha256: String::new(),
         model: "baseline-contact".to_owned(),
@@ -135,6 +136,7 @@ fn waiting_for_grasp() -> EngineStatus {
         }),
         no_prediction_reason: None,
         contact: BTreeMap::from([(Role::Left, 8.4), (Role::Right, 8.4)]),
+        gels: BTreeMap::new(),
         previews: BTreeMap::from([
             (Role::Left, preview(true)),
             (Role::Right, preview(true)),
@@ -545,6 +547,7 @@ prop_compose! {
             grasps_left: disk.map(|free| free / 1_300_000),
             target_per_object: 20, objects: Arc::default(), start_report: Vec::new(),
             contact: contact.into_iter().collect(),
+            gels: BTreeMap::new(),
             session, cameras, prediction,
             no_prediction_reason: absent,
             previews: BTreeMap::from([(Role::Left, preview.clone()), (Role::External, preview)]),

@@ -608,7 +608,7 @@ async def lift(d, context):
         await each.locator("#actions.labelling").wait_for()
         number, verdict = [await each.locator(s).inner_text() for s in ("#number", "#verdict")]
         if said:
-            word = "UNSURE" if (said.get("novelty") or 0) > 1 else "STABLE" if said["p_stable"] >= said["threshold"] else "SLIP"
+            word = "UNSURE" if (said.get("ood_score") or 0) > 1 else "STABLE" if said["p_stable"] >= said["threshold"] else "SLIP"
             d.check(f"{name}: LIFT shows the grasp's own {number} {verdict}", [number, verdict] == [f"{said['p_stable']:.2f}", word], said)
         else:
             d.check(f"{name}: LIFT says that none was saved", "none was saved with grasp" in verdict, verdict)

@@ -331,6 +331,9 @@ pub struct PredictionRecord {
     /// OOD score, 1 at the threshold; absent where the model has none.
     #[serde(alias = "novelty", default, skip_serializing_if = "Option::is_none")]
     pub ood_score: Option<f64>,
+    /// Why the images cannot tell, one sentence; absent where they can.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub unsure_reason: Option<String>,
     /// Decision threshold of the model.
     pub threshold: f64,
     /// sha256 of the ONNX file.

@@ -115,6 +115,7 @@ pub fn meta(object: &str) -> GraspMeta {
         prediction: Some(PredictionRecord {
             p_stable: 0.75,
             ood_score: None,
+            unsure_reason: None,
             threshold: 0.5,
             model_sha256: "0".repeat(64),
             model: "baseline".into(),

@@ -2,7 +2,8 @@
 //!
 //! Colour order is RGB in memory and in files. Pixel (0,0) is the centre of the top-left pixel.
 //! A [`Frame`] is the raw data of a camera; a [`Decoder`] converts frames to cropped and resized
-//! images; a [`TactileDifference`] is the change between two tactile images.
+//! images; a [`TactileDifference`] is the change between two tactile images, and a [`GelChange`] tells
+//! whether it is contact or light.
 //!
 //! ```
 //! use gripcast_imaging::TactileDifference;
@@ -24,6 +25,7 @@ mod depth_preview;
 mod difference;
 mod flat_print;
 mod frame;
+mod gel;
 mod gel_pattern;
 mod intrinsics;
 pub mod jpeg;
@@ -40,6 +42,9 @@ pub use depth_preview::DEPTH_RANGE_M;
 pub use difference::TactileDifference;
 pub use flat_print::FlatPrint;
 pub use frame::{Frame, FrameBytes, FramePool, MAX_SIDE, PixelFormat, Role};
+pub use gel::{
+    ChangeKind, GelCells, GelChange, GelMonitor, GelProblem, GelState, MIN_CONTACT_FRACTION,
+};
 pub use gel_pattern::{GelContact, gel_image, synthetic_gel};
 pub use intrinsics::{DistortionModel, Intrinsics};
 pub use jpeg::{JpegDamage, JpegDecoder, encode_jpeg};

@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use serde::{Deserialize, Serialize};
 
 use super::pending::PendingFrame;
-use gripcast_imaging::Role;
+use gripcast_imaging::{ChangeKind, GelChange, GelProblem, MIN_CONTACT_FRACTION, Role};
 
 /// Limits of the guards; section `[guards]` of the configuration.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -17,7 +17,8 @@ pub struct GuardLimits {
     /// Maximum skew of the cameras' driver times, ms. Free-running cameras at 25 and 30 fps can
     /// always be paired within half an interval, 20 ms.
     pub max_skew_ms: f64,
-    /// Minimum fraction of a gel that must have changed since the initial frame, 0..1.
+    /// Minimum fraction of a gel with contact structure since the initial frame, 0..1; 0 accepts
+    /// any image.
     pub min_contact_fraction: f64,
     /// Minimum free space on the dataset's disk, bytes.
     pub min_free_bytes: u64,
@@ -30,7 +31,7 @@ impl Default for GuardLimits {
         Self {
             max_frame_age_ms: 150.0,
             max_skew_ms: 40.0,
-            min_contact_fraction: 0.005,
+            min_contact_fraction: MIN_CONTACT_FRACTION,
             min_free_bytes: 1_000_000_000,
             initial_warn_age_s: 300.0,
         }
@@ -48,8 +49,16 @@ pub enum Guard {
     Skew,
     /// There is no initial frame.
     NoInitial,
-    /// The gels did not change since the initial frame.
+    /// A gel's image is black, saturated, noise, flickering or drifting.
+    GelImage,
+    /// No gel is in contact.
     NoContact,
+    /// Only one gel is in contact.
+    OneSidedContact,
+    /// No gel is in contact, but the light changed since the initial frame.
+    IlluminationChanged,
+    /// A gel is not the one of the initial frame.
+    OtherGel,
     /// Exposure, gain or white balance differ from the initial frame's.
     ExposureChanged,
     /// The dataset's disk is nearly full.
@@ -65,7 +74,11 @@ impl Guard {
             Self::StaleFrame => "stale_frame",
             Self::Skew => "skew",
             Self::NoInitial => "no_initial",
+            Self::GelImage => "gel_image",
             Self::NoContact => "no_contact",
+            Self::OneSidedContact => "one_sided_contact",
+            Self::IlluminationChanged => "illumination_changed",
+            Self::OtherGel => "other_gel",
             Self::ExposureChanged => "exposure_changed",
             Self::DiskLow => "disk_low",
         }
@@ -96,9 +109,11 @@ pub struct CameraCondition {
     pub fault: Option<String>,
     /// Control values read back from the camera.
     pub controls: BTreeMap<String, i64>,
-    /// Fraction of the gel that changed since the pending initial frame, 0..1; tactile cameras
-    /// only, `None` before the first comparison.
-    pub contact_fraction: Option<f64>,
+    /// Change of the gel since the pending initial frame; tactile cameras only, `None` before the
+    /// first comparison.
+    pub change: Option<GelChange>,
+    /// Problems of the gel's image; tactile cameras only.
+    pub gel_problems: Vec<GelProblem>,
 }
 
 /// State of cameras and disk at a command.
@@ -192,34 +207,100 @@ pub(crate) fn check_frames(
     violations
 }
 
+/// Checks the images of the gels. Drift counts with the gripper open only: a closing gripper changes
+/// the light on the gels as well. A mark is no reason to refuse: it is part of the initial frame.
+pub(crate) fn check_gels(now: &Conditions, is_open: bool) -> Vec<GuardViolation> {
+    let named = |problem: &GelProblem| match problem {
+        GelProblem::Drifting => is_open,
+        GelProblem::Marked => false,
+        _ => true,
+    };
+    let cameras = now.cameras.iter();
+    let problems = cameras.flat_map(|camera| {
+        let problems = camera.gel_problems.iter().copied().filter(named);
+        problems.map(|problem| (camera.role, problem))
+    });
+    problems
+        .map(|(role, problem)| GuardViolation {
+            guard: Guard::GelImage,
+            reason: format!("{role}: {}", problem.text()),
+            can_override: true,
+        })
+        .collect()
+}
+
+/// Checks that both gels are in contact.
+fn check_contact(limits: &GuardLimits, now: &Conditions) -> Vec<GuardViolation> {
+    let gels: Vec<(Role, GelChange, ChangeKind)> = now
+        .cameras
+        .iter()
+        .filter_map(|camera| {
+            let change = camera.change?;
+            Some((
+                camera.role,
+                change,
+                change.kind(limits.min_contact_fraction),
+            ))
+        })
+        .collect();
+    let of_kind = |kind: ChangeKind| gels.iter().filter(move |gel| gel.2 == kind);
+    let violation = |guard, reason| GuardViolation {
+        guard,
+        reason,
+        can_override: true,
+    };
+    let mut violations: Vec<GuardViolation> = of_kind(ChangeKind::OtherGel)
+        .map(|(role, ..)| {
+            let reason = format!(
+                "{role}: another gel than in the initial frame: check whether the sensors are \
+                 swapped, then retake the initial frame"
+            );
+            violation(Guard::OtherGel, reason)
+        })
+        .collect();
+    let touched: Vec<Role> = of_kind(ChangeKind::Contact).map(|gel| gel.0).collect();
+    let brightened = of_kind(ChangeKind::Illumination);
+    let brightest =
+        brightened.max_by(|a, b| a.1.illumination_levels.total_cmp(&b.1.illumination_levels));
+    let limit = limits.min_contact_fraction * 100.0;
+    let percent = |change: &GelChange| change.contact_fraction * 100.0;
+    if gels.is_empty() {
+        let reason = "contact unknown: no gel was compared with the initial frame yet";
+        violations.push(violation(Guard::NoContact, reason.into()));
+    } else if let [role] = touched[..]
+        && let Some((other, change, _)) = gels.iter().find(|gel| gel.0 != role)
+        && violations.is_empty()
+    {
+        let reason = format!(
+            "only the {role} gel is in contact: {:.1} % of the {other} gel, limit {limit:.1} %; \
+             centre the gripper on the object",
+            percent(change)
+        );
+        violations.push(violation(Guard::OneSidedContact, reason));
+    } else if touched.is_empty()
+        && let Some((role, change, _)) = brightest
+    {
+        let reason = format!(
+            "no contact: only the light on the {role} gel changed, by {:.0} grey levels since the \
+             initial frame: check lamps and exposure, then retake the initial frame",
+            change.illumination_levels
+        );
+        violations.push(violation(Guard::IlluminationChanged, reason));
+    } else if touched.is_empty() && violations.is_empty() {
+        let max = gels.iter().map(|gel| percent(&gel.1)).fold(0.0, f64::max);
+        let reason = format!("no contact: at most {max:.1} % of a gel, limit {limit:.1} %");
+        violations.push(violation(Guard::NoContact, reason));
+    }
+    violations
+}
+
 /// Checks the grasp frame against the initial frame.
 pub(crate) fn check_against_initial(
     limits: &GuardLimits,
     now: &Conditions,
     initial: &PendingFrame,
 ) -> Vec<GuardViolation> {
-    let mut violations = Vec::new();
-    let contacts: Vec<f64> = now
-        .cameras
-        .iter()
-        .filter_map(|camera| camera.contact_fraction)
-        .collect();
-    if contacts.iter().all(|c| *c < limits.min_contact_fraction) {
-        let max = contacts.iter().copied().reduce(f64::max);
-        violations.push(GuardViolation {
-            guard: Guard::NoContact,
-            reason: match max {
-                Some(max) => format!(
-                    "no contact: at most {:.1} % of a gel changed since the initial frame, limit \
-                     {:.1} %",
-                    max * 100.0,
-                    limits.min_contact_fraction * 100.0
-                ),
-                None => "contact unknown: no gel was compared with the initial frame yet".into(),
-            },
-            can_override: true,
-        });
-    }
+    let mut violations = check_contact(limits, now);
     for camera in &now.cameras {
         let Some(initial) = initial.controls.get(&camera.role) else {
             continue;

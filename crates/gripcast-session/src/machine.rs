@@ -395,6 +395,7 @@ impl Session {
             return self.refuse_with("camera conditions unavailable");
         };
         let mut violations = guard::check_frames(&self.limits, now, self.captured_ns);
+        violations.extend(guard::check_gels(now, stage == Stage::Initial));
         if stage == Stage::Grasp {
             match &self.pending {
                 Some(initial) => {

@@ -7,7 +7,7 @@ use proptest::prelude::*;
 use super::*;
 use gripcast_base::files::ObjectName;
 use gripcast_dataset::{GraspId, NameChange, Outcome};
-use gripcast_imaging::Role;
+use gripcast_imaging::{GelChange, GelProblem, Role};
 
 /// A dataset in memory that refuses the same requests as a real one.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -174,6 +174,14 @@ fn last_grasp(id: GraspId, object: ObjectName, outcome: Outcome) -> LastGrasp {
     }
 }
 
+fn change(contact_fraction: f64, illumination_levels: f64) -> GelChange {
+    GelChange {
+        contact_fraction,
+        illumination_levels,
+        is_other_gel: false,
+    }
+}
+
 fn good() -> Conditions {
     let camera = |role| CameraCondition {
         role,
@@ -181,7 +189,8 @@ fn good() -> Conditions {
         frame_time_ns: 2,
         fault: None,
         controls: BTreeMap::new(),
-        contact_fraction: Some(0.2),
+        change: Some(change(0.2, 1.0)),
+        gel_problems: Vec::new(),
     };
     Conditions {
         now_ns: 0,
@@ -275,14 +284,35 @@ fn cycle_ends_with_a_label() {
 #[test]
 fn guards_refuse_and_override_is_recorded() {
     type Change = fn(&mut Conditions);
-    let cases: [(Guard, Change); 4] = [
+    let cases: [(Guard, Change); 9] = [
         (Guard::StaleFrame, |c| c.cameras[0].age_ms = Some(500.0)),
         (Guard::Skew, |c| c.skew_ms = 90.0),
         (Guard::DiskLow, |c| c.disk_free_bytes = Some(5)),
         (Guard::NoContact, |c| {
             for camera in &mut c.cameras {
-                camera.contact_fraction = Some(0.0);
+                camera.change = Some(change(0.0, 0.1));
             }
+        }),
+        (Guard::IlluminationChanged, |c| {
+            for camera in &mut c.cameras {
+                camera.change = Some(change(0.001, 12.0));
+            }
+        }),
+        (Guard::OneSidedContact, |c| {
+            c.cameras[0].change = Some(change(0.001, 12.0));
+        }),
+        (Guard::OneSidedContact, |c| {
+            c.cameras[1].change = Some(change(0.0, 0.1));
+        }),
+        (Guard::OtherGel, |c| {
+            let other = GelChange {
+                is_other_gel: true,
+                ..change(0.4, 30.0)
+            };
+            c.cameras[1].change = Some(other);
+        }),
+        (Guard::GelImage, |c| {
+            c.cameras[0].gel_problems = vec![GelProblem::Flickering];
         }),
     ];
     for (guard, change) in cases {
@@ -300,6 +330,53 @@ fn guards_refuse_and_override_is_recorded() {
         assert_eq!(overridden[0].guard, guard.name());
         assert_eq!(overridden[0].stage, "grasp");
     }
+}
+
+#[test]
+fn gel_problems_refuse_the_initial_frame() {
+    for problem in [
+        GelProblem::Black,
+        GelProblem::LampDead,
+        GelProblem::Saturated,
+        GelProblem::Noisy,
+        GelProblem::Flickering,
+        GelProblem::Drifting,
+        GelProblem::Swapped,
+    ] {
+        let mut bad = good();
+        bad.cameras[1].gel_problems = vec![problem];
+        let (mut session, mut store) = (session(), Store::default());
+        assert!(is_refused(&handle(&mut session, Command::Initial, &bad)));
+        let refusal = session.view(0).refusal.unwrap();
+        assert!(refusal.can_override && refusal.reasons[0].starts_with("right: "));
+        play(&mut session, &mut store, Command::Override, &bad);
+        assert_eq!(session.step(), Step::Grasp);
+        // A closing gripper changes the light.
+        let refused = is_refused(&handle(&mut session, Command::Grasp, &bad));
+        assert_eq!(refused, problem != GelProblem::Drifting, "{problem:?}");
+    }
+    let mut marked = good();
+    marked.cameras[1].gel_problems = vec![GelProblem::Marked];
+    let mut session = session();
+    assert!(!is_refused(&handle(
+        &mut session,
+        Command::Initial,
+        &marked
+    )));
+}
+
+#[test]
+fn one_sided_contact_names_the_gel() {
+    let (mut session, mut store) = (session(), Store::default());
+    play(&mut session, &mut store, Command::Initial, &good());
+    let mut now = good();
+    now.cameras[1].change = Some(change(0.001, 0.1));
+    handle(&mut session, Command::Grasp, &now);
+    let reasons = session.view(0).refusal.unwrap().reasons;
+    assert!(
+        reasons[0].starts_with("only the left gel is in contact"),
+        "{reasons:?}"
+    );
 }
 
 #[test]
@@ -421,7 +498,7 @@ fn unknown_contact_is_refused() {
     play(&mut session, &mut store, Command::Initial, &good());
     let mut now = good();
     for camera in &mut now.cameras {
-        camera.contact_fraction = None;
+        camera.change = None;
     }
     handle(&mut session, Command::Grasp, &now);
     assert!(session.view(0).refusal.unwrap().reasons[0].contains("contact unknown"));
@@ -566,7 +643,7 @@ proptest! {
             let mut now = good();
             if !contact {
                 for camera in &mut now.cameras {
-                    camera.contact_fraction = Some(0.0);
+                    camera.change = Some(change(0.0, 0.1));
                 }
             }
             let command = with_id(command, &store);

@@ -74,9 +74,12 @@ impl FrameSource for YuyvGel {
     fn next_frame(&mut self, timeout: Duration) -> std::result::Result<Frame, CaptureError> {
         let is_pressed = self.shutter.lock().unwrap().recv_timeout(timeout);
         let is_pressed = is_pressed.map_err(|_| CaptureError::Timeout)?;
-        let rise = 60 * u8::from(is_pressed);
-        // Luma and chroma bytes alternate; a stripe is 40 pixels wide.
-        let pixel = |n: u32| [100 + rise * u8::from((n / 40).is_multiple_of(2)), 128];
+        let rise = 90 * u8::from(is_pressed);
+        // Luma and chroma bytes alternate; a stripe is 40 pixels wide and in the middle of the gel.
+        let pixel = |n: u32| {
+            let is_stripe = (n / 40).is_multiple_of(2) && (160..320).contains(&(n / WIDTH));
+            [100 + rise * u8::from(is_stripe), 128]
+        };
         let data: Vec<u8> = (0..WIDTH * HEIGHT).flat_map(pixel).collect();
         self.sequence += 1;
         Ok(Frame {

@@ -12,7 +12,7 @@ use crate::daemon::status::disk_free_bytes;
 use gripcast_capture::calibration::SourceKind;
 use gripcast_capture::camera::{Health, monotonic_ns};
 use gripcast_dataset::{CapturedCamera, StageCapture};
-use gripcast_imaging::{Frame, Role};
+use gripcast_imaging::{ChangeKind, Frame, GelChange, Role};
 use gripcast_session::{CameraCondition, CommandSource, Conditions};
 
 /// Frames paired for a trigger.
@@ -53,11 +53,12 @@ impl Engine {
         };
         let since_ns = self.session.captured_ns();
         let gels = self.hub.slots().filter(|slot| slot.role.is_tactile());
-        let contacts = gels
-            .map(|slot| state.changed_fraction(slot.role, revision, since_ns))
-            .collect::<Option<Vec<f64>>>()?;
+        let changes = gels
+            .map(|slot| state.change(slot.role, revision, since_ns))
+            .collect::<Option<Vec<GelChange>>>()?;
         let limit = self.guards.min_contact_fraction;
-        Some(contacts.iter().any(|changed| *changed >= limit))
+        let mut kinds = changes.iter().map(|change| change.kind(limit));
+        Some(kinds.any(|kind| kind == ChangeKind::Contact))
     }
 
     /// Pairs the newest frames of all cameras.
@@ -102,13 +103,15 @@ impl Engine {
                 let frame = frame_set.frames.get(&role);
                 let (fault, controls) = slot
                     .with_info(|info| (fault_text(&info.health, now_ns), info.controls.clone()));
+                let gel = state.gels.get(&role);
                 CameraCondition {
                     role,
                     age_ms: frame.map(|frame| age_ms(frame, now_ns)),
                     frame_time_ns: frame.map_or(0, |frame| frame.driver_time_ns),
                     fault,
                     controls,
-                    contact_fraction: state.changed_fraction(role, revision, since_ns),
+                    change: state.change(role, revision, since_ns),
+                    gel_problems: gel.map(|gel| gel.problems.clone()).unwrap_or_default(),
                 }
             })
             .collect();

@@ -306,6 +306,7 @@ impl Engine {
                 failures: state.failures,
                 latency_p50_ms: state.latency.quantile_ms(0.5),
                 latency_p99_ms: state.latency.quantile_ms(0.99),
+                gel_judge_p50_ms: state.judge_time.quantile_ms(0.5),
             },
             black_box,
         })

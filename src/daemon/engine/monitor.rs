@@ -1,5 +1,6 @@
 //! Monitoring: faults of cameras and threads, and the engine's status.
 
+use std::collections::BTreeMap;
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -7,14 +8,15 @@ use jiff::{SignedDuration, Timestamp};
 
 use super::Engine;
 use crate::daemon::black_box::BlackBox;
+use crate::daemon::infer::InferenceState;
 use crate::daemon::pre_grasp::PreGraspRecorder;
 use crate::daemon::report::camera_status;
 use crate::daemon::start_report::{StartFacts, start_report};
-use crate::daemon::status::{CameraStatus, EngineStatus, PredictionStatus};
+use crate::daemon::status::{CameraStatus, EngineStatus, GelStatus, PredictionStatus};
 use crate::daemon::tasks::TaskState;
 use gripcast_capture::camera::{Health, monotonic_ns};
-use gripcast_imaging::Role;
-use gripcast_session::Tone;
+use gripcast_imaging::{GelProblem, Role};
+use gripcast_session::{Step, Tone};
 
 impl Engine {
     /// Gives a fault tone and a log line for every thread that restarted or is stuck.
@@ -134,7 +136,24 @@ impl Engine {
             no_prediction_reason: state.unavailable.clone(),
             contact: state.contact_levels(),
             objects: Arc::clone(&self.objects),
+            gels: self.gels(&state),
             previews: state.previews.clone(),
         }
+    }
+
+    fn gels(&self, state: &InferenceState) -> BTreeMap<Role, GelStatus> {
+        let revision = self.session.pending().map(|_| self.initial_revision);
+        let limit = self.guards.min_contact_fraction;
+        let gels = state.gels.iter().map(|(role, gel)| {
+            let change = revision.and_then(|_| state.change(*role, revision, 0));
+            let mut gel = gel.clone();
+            if self.session.step() != Step::Initial {
+                // The gripper may still be closed.
+                gel.problems
+                    .retain(|problem| *problem != GelProblem::Marked);
+            }
+            (*role, GelStatus::new(gel, change, limit))
+        });
+        gels.collect()
     }
 }

@@ -129,6 +129,7 @@ function drawBar({ prediction, verdict }) {
 function drawTitle({ prediction, verdict, heuristic, about, timing }) {
   byId("heuristic").hidden = !heuristic;
   byId("unknown").hidden = verdict !== "unsure";
+  say(byId("unknown"), prediction?.unsure_reason ?? "unlike the training images");
   say(byId("model"), prediction?.model ?? "");
   style(byId("about"), verdict === "old" ? "warning" : "faint");
   say(byId("about"), about);

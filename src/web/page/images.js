@@ -47,7 +47,7 @@ export class Images {
   draw(state) {
     const roles = state.cameras.map(({ role }) => role);
     if (roles.join() !== [...this.tiles.keys()].join()) this.createTiles(roles);
-    for (const camera of state.cameras) this.caption(camera, state.contact);
+    for (const camera of state.cameras) this.caption(camera, state);
   }
 
   /** @param {Role[]} roles */
@@ -61,13 +61,14 @@ export class Images {
     if (this.running) this.start();
   }
 
-  /** @param {Camera} camera @param {State["contact"]} contact */
-  caption(camera, contact) {
+  /** @param {Camera} camera @param {State} state */
+  caption(camera, { contact, gels }) {
     const tile = this.tiles.get(camera.role);
     if (!tile) return;
     const touch = isGel(camera.role) ? contact?.[/** @type {"left"|"right"} */ (camera.role)] : null;
+    const messages = (isGel(camera.role) && gels?.[/** @type {"left"|"right"} */ (camera.role)]?.messages) || [];
     const words = typeof touch === "number" ? `contact ${touch.toFixed(1)}` : "";
-    refill(tile.health, [camera, words], () => health(camera, words));
+    refill(tile.health, [camera, words, messages], () => health(camera, words, messages));
     const state = isFault(camera) ? "failed" : camera.state === "live" ? "" : "waiting";
     style(tile.figure, `${isGel(camera.role) ? "gel " : ""}${state}`.trim());
     say(tile.cover, camera.state === "live" ? "" : stateWords(camera));
@@ -218,8 +219,9 @@ function tile(role) {
   return { role, figure, image, health: words, cover, state: "", due: 0, busy: false };
 }
 
-/** Frame rate, age, contact and problems. @param {Camera} camera @param {string} contact */
-function health(camera, contact) {
+/** Frame rate, age, contact and problems. @param {Camera} camera @param {string} contact
+ * @param {string[]} messages problems of a gel's image */
+function health(camera, contact, messages) {
   const nodes = [];
   if (camera.state === "live") {
     const { rate, slow, age, old } = rates(camera);
@@ -231,6 +233,7 @@ function health(camera, contact) {
   const warning = problems(camera);
   if (warning) nodes.push(make("span", "warning", warning));
   else if (camera.markers) nodes.push(make("span", "stable", camera.markers.text));
+  for (const message of messages) nodes.push(make("span", "warning", message));
   if (camera.reason) nodes.push(make("span", "slip", camera.reason));
   return nodes;
 }

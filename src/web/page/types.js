@@ -10,6 +10,7 @@
  * @property {number} p_stable
  * @property {number} threshold
  * @property {number} [ood_score] OOD score; above 1: unlike the training images
+ * @property {string} [unsure_reason] why the images cannot tell
  * @property {string} model
  * @property {number} latency_ms
  * @property {number} engine_ms
@@ -67,6 +68,11 @@
  *
  * @typedef {Predicted & {verdict: "stable"|"slip"|"unsure", heuristic: boolean, frame_age_ms: number}} Prediction
  *
+ * @typedef {object} Gel
+ * @property {string[]} problems
+ * @property {string[]} messages a sentence with remedy for each problem
+ * @property {"unchanged"|"contact"|"illumination"|"other_gel"|null} change
+ *
  * @typedef {object} State
  * @property {string} dataset
  * @property {string} rig
@@ -80,6 +86,7 @@
  * @property {Prediction|null} prediction
  * @property {string|null} no_prediction_reason
  * @property {{left?: number, right?: number}} contact
+ * @property {{left?: Gel, right?: Gel}} [gels]
  *
  * @typedef {object} CommandResponse
  * @property {"accepted"|"refused"|"failed"} result

@@ -118,8 +118,8 @@ export function shownVerdict(prediction) {
 }
 
 /** The verdict of a saved prediction. @param {Predicted} predicted */
-export function savedVerdict({ p_stable, threshold, novelty }) {
-  if ((novelty ?? 0) > 1) return "unsure";
+export function savedVerdict({ p_stable, threshold, ood_score }) {
+  if ((ood_score ?? 0) > 1) return "unsure";
   return p_stable >= threshold ? "stable" : "slip";
 }
 
@@ -127,14 +127,14 @@ export function savedVerdict({ p_stable, threshold, novelty }) {
  * @param {Predicted|null} prediction @param {Outcome} outcome */
 export function agreement(prediction, outcome) {
   if (!prediction) return "";
-  if ((prediction.ood_score ?? 0) > 1) return "?";
+  if (prediction.unsure_reason || (prediction.ood_score ?? 0) > 1) return "?";
   if (outcome === "unlabelled") return "";
   return prediction.p_stable >= prediction.threshold === (outcome === "stable") ? "✓" : "✗";
 }
 
 /** Meaning of an agreement mark. @param {string} mark */
 export function agreementWords(mark) {
-  return { "✓": "prediction and label agree", "✗": "prediction and label disagree", "?": "unlike the training images" }[mark] ?? "";
+  return { "✓": "prediction and label agree", "✗": "prediction and label disagree", "?": "the images cannot tell" }[mark] ?? "";
 }
 
 /** Hint which label has fewer grasps. @param {Counts} counts */

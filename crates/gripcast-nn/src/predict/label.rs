@@ -3,6 +3,8 @@
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
+use gripcast_imaging::{ChangeKind, GelChange, MIN_CONTACT_FRACTION};
+
 /// Predicted label of a grasp.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
 #[serde(rename_all = "snake_case")]
@@ -11,7 +13,8 @@ pub enum PredictedLabel {
     Stable,
     /// The grasp is predicted to slip.
     Slip,
-    /// The tactile images are out of distribution, so that the probability is meaningless.
+    /// The tactile images are out of distribution or show no contact of both gels, so that the
+    /// probability is meaningless.
     Unsure,
 }
 
@@ -40,6 +43,32 @@ impl PredictedLabel {
     }
 }
 
+/// Why the tactile images of a grasp cannot tell whether it is stable, one sentence: the light on a
+/// gel changed and hides whether something presses, a gel is another one, or a grasp is predicted
+/// to be stable that both gels do not feel.
+#[must_use]
+pub fn contact_doubt(changes: [&GelChange; 2], is_stable: bool) -> Option<String> {
+    let gels = ["left", "right"].into_iter().zip(changes);
+    let gels = gels.map(|(name, change)| (name, change, change.kind(MIN_CONTACT_FRACTION)));
+    let of_kind = |kind: ChangeKind| gels.clone().find(|gel| gel.2 == kind);
+    if let Some((name, ..)) = of_kind(ChangeKind::OtherGel) {
+        return Some(format!(
+            "the {name} gel is not the one of the initial frame"
+        ));
+    }
+    if let Some((name, change, _)) = of_kind(ChangeKind::Illumination) {
+        let levels = change.illumination_levels;
+        return Some(format!(
+            "the light on the {name} gel changed by {levels:.0} grey levels, and nothing presses on it"
+        ));
+    }
+    of_kind(ChangeKind::Unchanged).filter(|_| is_stable)?;
+    Some(match of_kind(ChangeKind::Contact) {
+        Some((name, ..)) => format!("only the {name} gel is in contact"),
+        None => "no gel is in contact".to_owned(),
+    })
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -60,5 +89,34 @@ mod tests {
                 "{p_stable} {ood_score:?}"
             );
         }
+    }
+
+    #[test]
+    fn contact_of_both_gels_is_no_doubt() {
+        let change = |contact_fraction, illumination_levels| GelChange {
+            contact_fraction,
+            illumination_levels,
+            is_other_gel: false,
+        };
+        let (touched, untouched, lit) = (change(0.1, 9.0), change(0.0, 0.1), change(0.001, 12.0));
+        let other = GelChange {
+            is_other_gel: true,
+            ..touched
+        };
+        let doubt = |left, right, is_stable| contact_doubt([left, right], is_stable);
+        for is_stable in [true, false] {
+            assert_eq!(doubt(&touched, &touched, is_stable), None);
+            let light = doubt(&touched, &lit, is_stable).unwrap();
+            assert!(light.contains("light on the right gel"), "{light}");
+            assert!(doubt(&lit, &lit, is_stable).is_some());
+            assert!(doubt(&other, &touched, is_stable).is_some());
+        }
+        assert_eq!(doubt(&untouched, &touched, false), None);
+        let one = doubt(&untouched, &touched, true).unwrap();
+        assert_eq!(one, "only the right gel is in contact");
+        assert_eq!(
+            doubt(&untouched, &untouched, true).unwrap(),
+            "no gel is in contact"
+        );
     }
 }

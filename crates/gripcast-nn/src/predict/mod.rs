@@ -3,7 +3,8 @@
 //! A model is an ONNX file whose metadata is a [`contract::ModelContract`]. [`Model`] loads and
 //! checks it, [`ModelInput`] converts 320×240 images to its tensors, [`LivePredictor`] keeps the
 //! images of a running session; [`Smoothing`] filters its output for display, [`OodDetector`]
-//! detects out-of-distribution images, [`PredictedLabel`] is the resulting label. [`SHIPPED`] is a
+//! detects out-of-distribution images, [`PredictedLabel`] is the resulting label and
+//! [`contact_doubt`] tells why the images cannot support it. [`SHIPPED`] is a
 //! trained model, [`baseline`] a heuristic to compare with; [`onnx`] writes such files.
 
 pub mod baseline;
@@ -27,7 +28,7 @@ pub use builtin::{SHIPPED, model_bytes};
 pub use contract::ModelContract;
 pub use engine::{Model, Prediction};
 pub use input::ModelInput;
-pub use label::PredictedLabel;
+pub use label::{PredictedLabel, contact_doubt};
 pub use live::{LivePrediction, LivePredictor};
 pub use ood::OodDetector;
 pub use smoothing::Smoothing;

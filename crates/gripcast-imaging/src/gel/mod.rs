@@ -1,0 +1,19 @@
+//! Tactile images judged as images: contact, illumination and the state of a gel.
+//!
+//! [`GelCells`] reduces an image to a grid. [`GelChange`] splits the change between two of them
+//! into a smooth illumination and local structure: only structure is contact. [`GelMonitor`]
+//! follows one gel over time and names its [`GelProblem`]s.
+
+mod cells;
+mod change;
+#[cfg(test)]
+mod change_test;
+mod monitor;
+#[cfg(test)]
+mod monitor_test;
+#[cfg(test)]
+mod real_gel_test;
+
+pub use cells::GelCells;
+pub use change::{ChangeKind, GelChange, MIN_CONTACT_FRACTION};
+pub use monitor::{GelMonitor, GelProblem, GelState};
