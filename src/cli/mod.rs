@@ -35,6 +35,7 @@ mod daemon;
 mod dataset;
 mod dataset_export;
 mod dataset_import;
+mod dataset_list;
 mod dataset_text;
 mod doctor;
 mod eval;

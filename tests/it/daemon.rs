@@ -62,7 +62,7 @@ impl Place {
 }
 
 impl Daemon {
-    fn start(command: &mut Command) -> Self {
+    pub(crate) fn start(command: &mut Command) -> Self {
         let mut child = command
             .stdout(Stdio::null())
             .stderr(Stdio::piped())
@@ -114,18 +114,40 @@ impl Daemon {
         (status, answer)
     }
 
-    fn get(&self, path: &str) -> Value {
+    pub(crate) fn get(&self, path: &str) -> Value {
         let (status, body) = self.ask("GET", path, None);
         assert_eq!(status, 200, "{path}: {}", String::from_utf8_lossy(&body));
         serde_json::from_slice(&body).unwrap()
     }
 
-    fn post(&self, path: &str, body: &Value) -> (u16, Value) {
+    pub(crate) fn post(&self, path: &str, body: &Value) -> (u16, Value) {
         let (status, answer) = self.ask("POST", path, Some(body));
         (
             status,
             serde_json::from_slice(&answer).unwrap_or(Value::Null),
         )
+    }
+
+    /// As [`post`](Self::post), of a daemon that may be killed meanwhile: the status, if it answers.
+    pub(crate) fn try_post(&self, path: &str, body: &Value) -> Option<u16> {
+        let body = body.to_string();
+        let request = format!(
+            "POST {path} HTTP/1.1\r\nHost: {}\r\nContent-Type: application/json\r\n\
+             Content-Length: {}\r\nConnection: close\r\n\r\n{body}",
+            self.address,
+            body.len()
+        );
+        let mut stream = TcpStream::connect(&self.address).ok()?;
+        stream.write_all(request.as_bytes()).ok()?;
+        let mut answer = String::new();
+        // What arrived before the kill counts.
+        let _ = stream.read_to_string(&mut answer);
+        answer.split(' ').nth(1)?.parse().ok()
+    }
+
+    /// Kills the daemon; it is waited for when this is dropped.
+    pub(crate) fn kill(&self) {
+        self.signal(Signal::KILL);
     }
 
     fn command(&self, command: &str) -> (u16, Value) {

@@ -7,6 +7,7 @@
 mod beneath;
 #[cfg(test)]
 mod beneath_test;
+mod foreign;
 mod name;
 mod opening;
 mod owner_lock;
@@ -21,6 +22,7 @@ use sha2::{Digest as _, Sha256};
 use crate::error::{Error, Result};
 
 pub use beneath::{BeneathPath, Component, Metadata, Root, allow_links_into};
+pub use foreign::{conflict_copy_of, glob_character, is_system_file, without_bom};
 pub use name::{
     ContentKey, FileName, GraspId, Label, MAX_LABEL_CHARS, ObjectName, Printable, SimulationId,
     is_unsafe_char,

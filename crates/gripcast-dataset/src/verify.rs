@@ -19,7 +19,9 @@ use super::reader::{entries, grasp_ids};
 use super::record_file::{Pending, read_grasp};
 use super::split::{SplitFile, check_name};
 use gripcast_base::error::{ErrorKind, Result};
-use gripcast_base::files::{BeneathPath, ContentKey, FileKind, GraspId};
+use gripcast_base::files::{
+    BeneathPath, ContentKey, FileKind, GraspId, conflict_copy_of, glob_character,
+};
 
 /// Kind of a problem.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize)]
@@ -94,6 +96,22 @@ pub struct Problem {
     pub remedy: String,
 }
 
+/// Number of examples in a [`ProblemSummary`].
+const EXAMPLES: usize = 3;
+
+/// Problems of one kind.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
+pub struct ProblemSummary {
+    /// Kind of the problems.
+    pub kind: ProblemKind,
+    /// Number of problems.
+    pub problems: usize,
+    /// Number of affected grasps.
+    pub grasps: usize,
+    /// The first affected grasps, at most 3.
+    pub examples: Vec<GraspId>,
+}
+
 /// Result of a verification.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct VerifyReport {
@@ -105,7 +123,9 @@ pub struct VerifyReport {
     pub pending: usize,
     /// Notes that are not problems.
     pub notes: Vec<String>,
-    /// Problems, sorted.
+    /// Problems summed up by kind.
+    pub by_kind: Vec<ProblemSummary>,
+    /// All problems, sorted by kind, grasp and file.
     pub problems: Vec<Problem>,
 }
 
@@ -131,6 +151,12 @@ pub fn verify(
             "the file is missing",
         );
     }
+    if let Some(character) = glob_character(layout.root()) {
+        found.notes.push(format!(
+            "the path has a `{character}`: Hugging Face `datasets` and others take it for a pattern and \
+             find no files; rename the folder for them"
+        ));
+    }
     if let Some(holder) = DatasetLock::holder(&layout) {
         found.notes.push(format!(
             "{holder} is writing the dataset: a save in progress may look torn"
@@ -140,7 +166,7 @@ pub fn verify(
     let pending = check_grasps_directory(&layout, &mut found)?;
     let ids = grasp_ids(&layout)?;
     let done = AtomicUsize::new(0);
-    let grasps: Vec<CheckedGrasp> = ids
+    let mut grasps: Vec<CheckedGrasp> = ids
         .par_iter()
         .map(|id| {
             let checked = check_grasp(&layout, id);
@@ -149,6 +175,13 @@ pub fn verify(
         })
         .collect();
     check_identity(&grasps, &mut found);
+    // A copy is one problem, and no grasp.
+    grasps.retain(|grasp| {
+        grasp
+            .record
+            .as_ref()
+            .is_none_or(|record| record.id == grasp.id)
+    });
     check_duplicates(&grasps, &mut found);
     check_references(&layout, &grasps, &mut found)?;
     check_index(&layout, &grasps, &mut found);
@@ -167,8 +200,24 @@ pub fn verify(
         unlabelled,
         pending,
         notes: found.notes,
+        by_kind: by_kind(&found.problems),
         problems: found.problems,
     })
+}
+
+/// Sums up sorted problems.
+fn by_kind(problems: &[Problem]) -> Vec<ProblemSummary> {
+    let kinds = problems.chunk_by(|a, b| a.kind == b.kind);
+    let summaries = kinds.filter_map(|problems| {
+        let grasps: BTreeSet<&GraspId> = problems.iter().filter_map(|p| p.grasp.as_ref()).collect();
+        Some(ProblemSummary {
+            kind: problems.first()?.kind,
+            problems: problems.len(),
+            grasps: grasps.len(),
+            examples: grasps.into_iter().take(EXAMPLES).cloned().collect(),
+        })
+    });
+    summaries.collect()
 }
 
 #[derive(Default)]
@@ -228,7 +277,10 @@ fn check_grasp(layout: &Layout, id: &GraspId) -> CheckedGrasp {
                 ErrorKind::NotFound => ProblemKind::MissingFile,
                 _ => ProblemKind::UnreadableRecord,
             };
-            found.add(kind, Some(id), &at(GRASP_JSON), error.to_string());
+            let remedy = error.remedy_text().unwrap_or_else(|| kind.remedy());
+            let text = error.to_string();
+            let detail = text.split("\n  → ").next().unwrap_or_default();
+            found.add_with_remedy(kind, Some(id), &at(GRASP_JSON), detail, remedy);
             None
         }
     };
@@ -298,6 +350,15 @@ fn check_grasp(layout: &Layout, id: &GraspId) -> CheckedGrasp {
     }
 }
 
+/// Remedy for [`copy_text`].
+const COPY_REMEDY: &str = "compare it with the original, then move it out of the dataset";
+
+fn copy_text(original: &str) -> String {
+    format!(
+        "a copy of {original}, made by a file manager or by a program that synchronises folders"
+    )
+}
+
 fn extra_files(dir: &BeneathPath, id: &GraspId, record: &GraspRecord, found: &mut Collector) {
     for entry in entries(dir).into_iter().flatten() {
         let name = entry.name();
@@ -306,12 +367,16 @@ fn extra_files(dir: &BeneathPath, id: &GraspId, record: &GraspRecord, found: &mu
         if name == GRASP_JSON || name == INITIAL_JSON || record.files.contains_key(name.as_str()) {
             continue;
         }
-        let (kind, detail) = if is_partial(&name) {
-            (ProblemKind::Torn, "interrupted change of the record")
+        if is_partial(&name) {
+            let detail = "interrupted change of the record";
+            found.add(ProblemKind::Torn, Some(id), &at, detail);
+        } else if let Some(original) = conflict_copy_of(&name) {
+            let (kind, detail) = (ProblemKind::ExtraFile, copy_text(&original));
+            found.add_with_remedy(kind, Some(id), &at, detail, COPY_REMEDY);
         } else {
-            (ProblemKind::ExtraFile, "not listed in any record")
-        };
-        found.add(kind, Some(id), &at, detail);
+            let detail = "not listed in any record";
+            found.add(ProblemKind::ExtraFile, Some(id), &at, detail);
+        }
     }
 }
 
@@ -335,13 +400,22 @@ fn check_grasps_directory(layout: &Layout, found: &mut Collector) -> Result<usiz
         let at = format!("grasps/{name}");
         let is_dir = entry.is_dir();
         if is_dir && !name.starts_with('.') {
-            if let Err(error) = GraspId::parse(&name) {
-                found.add(
+            let copied = conflict_copy_of(&name);
+            match (GraspId::parse(&name), copied) {
+                (Ok(_), _) => {}
+                (Err(_), Some(original)) => found.add_with_remedy(
+                    ProblemKind::DuplicateId,
+                    None,
+                    &at,
+                    copy_text(&original),
+                    COPY_REMEDY,
+                ),
+                (Err(error), None) => found.add(
                     ProblemKind::IdMismatch,
                     None,
                     &at,
                     format!("invalid directory name: {}", error.what()),
-                );
+                ),
             }
             continue;
         }

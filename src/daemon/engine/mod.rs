@@ -38,7 +38,7 @@ use gripcast_base::error::Result;
 use gripcast_capture::calibration::RigFile;
 use gripcast_capture::camera::{CameraOpener, SupervisionPolicy, monotonic_ns};
 use gripcast_capture::trigger::{Script, ScriptRunner};
-use gripcast_dataset::NewDataset;
+use gripcast_dataset::{GraspIndex, NewDataset};
 use gripcast_imaging::{Intrinsics, Role};
 use gripcast_nn::predict::Model;
 use gripcast_session::{GuardLimits, Labels, Session, Step, StoreReply, StoreRequest, Tone};
@@ -62,6 +62,8 @@ pub struct EngineSetup {
     pub supervision: SupervisionPolicy,
     /// Dataset directory.
     pub dataset: PathBuf,
+    /// Index of the dataset, which the engine fills and readers share.
+    pub index: GraspIndex,
     /// Metadata of a new dataset.
     pub new_dataset: NewDataset,
     /// Initial labels.
