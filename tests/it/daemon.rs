@@ -128,21 +128,8 @@ impl Daemon {
         )
     }
 
-    /// As [`post`](Self::post), of a daemon that may be killed meanwhile: the status, if it answers.
-    pub(crate) fn try_post(&self, path: &str, body: &Value) -> Option<u16> {
-        let body = body.to_string();
-        let request = format!(
-            "POST {path} HTTP/1.1\r\nHost: {}\r\nContent-Type: application/json\r\n\
-             Content-Length: {}\r\nConnection: close\r\n\r\n{body}",
-            self.address,
-            body.len()
-        );
-        let mut stream = TcpStream::connect(&self.address).ok()?;
-        stream.write_all(request.as_bytes()).ok()?;
-        let mut answer = String::new();
-        // What arrived before the kill counts.
-        let _ = stream.read_to_string(&mut answer);
-        answer.split(' ').nth(1)?.parse().ok()
+    pub(crate) fn address(&self) -> &str {
+        &self.address
     }
 
     /// Kills the daemon; it is waited for when this is dropped.
@@ -210,6 +197,22 @@ impl Drop for Daemon {
         let _ = self.child.kill();
         let _ = self.child.wait();
     }
+}
+
+/// Posts to a daemon that may be killed meanwhile; returns the status, if it answers.
+pub(crate) fn try_post(address: &str, path: &str, body: &Value) -> Option<u16> {
+    let body = body.to_string();
+    let request = format!(
+        "POST {path} HTTP/1.1\r\nHost: {address}\r\nContent-Type: application/json\r\n\
+         Content-Length: {}\r\nConnection: close\r\n\r\n{body}",
+        body.len()
+    );
+    let mut stream = TcpStream::connect(address).ok()?;
+    stream.write_all(request.as_bytes()).ok()?;
+    let mut answer = String::new();
+    // What arrived before the kill counts.
+    let _ = stream.read_to_string(&mut answer);
+    answer.split(' ').nth(1)?.parse().ok()
 }
 
 /// Sends a raw request; returns status, head and body.

@@ -14,7 +14,7 @@ use rand_pcg::Pcg64;
 use serde_json::{Value, json};
 
 use crate::crash::RIG;
-use crate::daemon::Daemon;
+use crate::daemon::{Daemon, try_post};
 use crate::program::{gripcast, relax_guards, verify};
 
 /// Number of kills without `GRIPCAST_KILLS`.
@@ -175,8 +175,9 @@ fn run_and_kill(daemon: &Daemon, rng: &mut Pcg64, mut known: Answered) -> (Answe
     }
     let (path, body) = random_request(rng, &known);
     let delay = Duration::from_micros(rng.random_range(0..20_000));
+    let address = daemon.address().to_owned();
     let status = std::thread::scope(|scope| {
-        let request = scope.spawn(|| daemon.try_post(&path, &body));
+        let request = scope.spawn(|| try_post(&address, &path, &body));
         let kill_at = Instant::now() + delay;
         while Instant::now() < kill_at {
             std::hint::spin_loop();

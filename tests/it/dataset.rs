@@ -474,9 +474,9 @@ fn files_of_systems_and_copies_are_not_grasps() {
         fs::write(dir.path().join(name), "x").unwrap();
     }
     // A byte-order mark and line ends of Windows.
-    let json = grasp.join("grasp.json");
-    let text = fs::read_to_string(&json).unwrap().replace('\n', "\r\n");
-    fs::write(&json, format!("\u{feff}{text}")).unwrap();
+    let record = grasp.join("grasp.json");
+    let text = fs::read_to_string(&record).unwrap().replace('\n', "\r\n");
+    fs::write(&record, format!("\u{feff}{text}")).unwrap();
     let toml = dir.path().join("dataset.toml");
     fs::write(
         &toml,
@@ -525,7 +525,7 @@ fn files_of_systems_and_copies_are_not_grasps() {
     }
 
     let unknown = text.replacen('{', "{\"weight_g\": 120,", 1);
-    fs::write(&json, unknown).unwrap();
+    fs::write(&record, unknown).unwrap();
     let problem = &json(&gripcast(&["verify", "--json"], dir.path()))["problems"][0];
     assert_eq!(problem["kind"], "unreadable-record");
     assert!(

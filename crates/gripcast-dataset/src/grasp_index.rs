@@ -202,6 +202,11 @@ impl GraspIndex {
         self.state().work
     }
 
+    /// Number of grasps.
+    pub(super) fn len(&self) -> usize {
+        self.state().rows.len()
+    }
+
     /// Number of grasps by outcome and object.
     #[must_use]
     pub fn counts(&self) -> GraspCounts {

@@ -9,7 +9,9 @@ use super::image_file;
 use super::layout::{GRASP_JSON, Layout, Stage};
 use super::record_file::read_grasp_of;
 use gripcast_base::error::{Error, Result};
-use gripcast_base::files::{BeneathPath, ContentKey, FileKind, GraspId, without_bom};
+use gripcast_base::files::{
+    BeneathPath, ContentKey, FileKind, GraspId, conflict_copy_of, without_bom,
+};
 use gripcast_imaging::{Frame, PixelFormat, Role, decode_png};
 
 /// A dataset opened for reading; any number of readers may coexist with one writer.
@@ -185,12 +187,18 @@ impl Dataset {
     }
 }
 
-/// Ids of the complete grasps, sorted.
+/// Ids of the complete grasps, sorted, without conflict copies.
 pub(super) fn grasp_ids(layout: &Layout) -> Result<Vec<GraspId>> {
-    Ok(subdirectories(&layout.grasps())?
-        .into_iter()
-        .filter_map(|name| GraspId::parse(&name).ok())
-        .collect())
+    let names = subdirectories(&layout.grasps())?;
+    let is_grasp = |name: &&String| copied_from(name, &names).is_none();
+    let ids = names.iter().filter(is_grasp);
+    Ok(ids.filter_map(|name| GraspId::parse(name).ok()).collect())
+}
+
+/// The directory that a directory in `grasps/` is a conflict copy of. `names`: sorted names in
+/// `grasps/`.
+pub(super) fn copied_from(name: &str, names: &[String]) -> Option<String> {
+    conflict_copy_of(name).filter(|original| names.binary_search(original).is_ok())
 }
 
 /// Names of the directories inside a directory, sorted.

@@ -15,7 +15,7 @@ use super::image_file;
 use super::index::{IndexRow, to_jsonl};
 use super::layout::{GRASP_JSON, INITIAL_JSON, Layout, pending_id};
 use super::lock::DatasetLock;
-use super::reader::{entries, grasp_ids};
+use super::reader::{copied_from, entries, grasp_ids};
 use super::record_file::{Pending, read_grasp};
 use super::split::{SplitFile, check_name};
 use gripcast_base::error::{ErrorKind, Result};
@@ -395,27 +395,19 @@ fn check_root(layout: &Layout, found: &mut Collector) -> Result<()> {
 /// Checks entries that are not complete grasps; returns the number of pending initial frames.
 fn check_grasps_directory(layout: &Layout, found: &mut Collector) -> Result<usize> {
     let mut pending = 0;
-    for entry in entries(&layout.grasps())? {
+    let entries = entries(&layout.grasps())?;
+    let names: Vec<String> = entries.iter().map(BeneathPath::name).collect();
+    for entry in entries {
         let name = entry.name();
         let at = format!("grasps/{name}");
         let is_dir = entry.is_dir();
         if is_dir && !name.starts_with('.') {
-            let copied = conflict_copy_of(&name);
-            match (GraspId::parse(&name), copied) {
-                (Ok(_), _) => {}
-                (Err(_), Some(original)) => found.add_with_remedy(
-                    ProblemKind::DuplicateId,
-                    None,
-                    &at,
-                    copy_text(&original),
-                    COPY_REMEDY,
-                ),
-                (Err(error), None) => found.add(
-                    ProblemKind::IdMismatch,
-                    None,
-                    &at,
-                    format!("invalid directory name: {}", error.what()),
-                ),
+            if let Some(original) = copied_from(&name, &names) {
+                let (kind, detail) = (ProblemKind::DuplicateId, copy_text(&original));
+                found.add_with_remedy(kind, None, &at, detail, COPY_REMEDY);
+            } else if let Err(error) = GraspId::parse(&name) {
+                let detail = format!("invalid directory name: {}", error.what());
+                found.add(ProblemKind::IdMismatch, None, &at, detail);
             }
             continue;
         }

@@ -291,6 +291,12 @@ impl DatasetWriter {
         self.index.counts()
     }
 
+    /// Number of grasps.
+    #[must_use]
+    pub fn grasps(&self) -> usize {
+        self.index.len()
+    }
+
     /// Object and outcome of an existing grasp.
     #[must_use]
     pub fn outcome(&self, id: &GraspId) -> Option<(ObjectName, Outcome)> {
