@@ -20,7 +20,7 @@ use gripcast_capture::calibration::{PedalConfig, RigFile, SourceKind};
 use gripcast_capture::camera::{MonotonicClock, RigSources, SupervisionPolicy};
 use gripcast_capture::device::SystemRoot;
 use gripcast_capture::trigger::{PedalEvent, Script, run_pedal};
-use gripcast_dataset::NewDataset;
+use gripcast_dataset::{GraspIndex, NewDataset};
 use gripcast_imaging::{Intrinsics, Role};
 use gripcast_pose::load_intrinsics;
 use gripcast_session::{Command, CommandSource, Labels};
@@ -108,6 +108,7 @@ pub(crate) fn prepare(
         intrinsics,
         openers: sources.openers,
         supervision: SupervisionPolicy::default(),
+        index: GraspIndex::new(&dataset),
         dataset,
         labels: Labels {
             object: settings.object,

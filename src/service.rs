@@ -19,7 +19,7 @@ use super::web::{self, Access, Backend, Listeners, News, Token};
 use crate::note;
 use gripcast_base::error::{Error, Result};
 use gripcast_capture::calibration::PedalConfig;
-use gripcast_session::{GuardLimits, StoreReply, StoreRequest};
+use gripcast_session::{GuardLimits, StoreReply};
 
 /// Time for open connections to receive the end message.
 const FAREWELL: Duration = Duration::from_millis(100);
@@ -78,7 +78,7 @@ pub(crate) async fn run(
         tasks.clone(),
         Arc::clone(&access),
         setup.model.as_ref().map(ModelInfo::new),
-        setup.dataset.clone(),
+        setup.index.clone(),
     ));
     let ended = Arc::new(AtomicBool::new(false));
     let pedals = start_pedals(pedals, &command_sender, &ended);
@@ -152,13 +152,6 @@ fn announce(listeners: &Listeners, settings: &ServiceSettings) {
 fn on_stored(backend: &Backend, event: &StoreEvent) {
     if let StoreReply::Failed { message } = &event.reply {
         note!("NOT SAVED: {message}");
-    }
-    if let StoreRequest::SetOutcome { id, .. }
-    | StoreRequest::SetNames { id, .. }
-    | StoreRequest::RestoreGrasp { id }
-    | StoreRequest::RedoGrasp { id, .. } = &event.request
-    {
-        backend.grasps.forget(id);
     }
     // Without an open page there is no receiver.
     let _ = backend.news.send(News::Stored(Arc::new(event.clone())));

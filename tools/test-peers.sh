@@ -1,6 +1,7 @@
 #!/usr/bin/env bash
 # tools/test-peers.sh: the longer checks against other programs' libraries: models on onnxruntime,
-# shards and the black box as Python users read them. `make test` runs the quick ones.
+# shards, the black box, a collected dataset and its exports as Python users read them. `make test`
+# runs the quick ones, also of a dataset whose first grasps lack label, prediction and images.
 set -euo pipefail
 cd "$(dirname "$0")/.."
 python=${GRIPCAST_PYTHON:-$(tools/peers.sh path)}
@@ -22,3 +23,10 @@ GRIPCAST__GUARDS__MAX_FRAME_AGE_MS=2000 GRIPCAST__GUARDS__MAX_SKEW_MS=2000 \
     "$gripcast" -q collect --rig virtual --script tests/data/three-grasps.txt --black-box \
     --dataset "$folder/collected" >/dev/null
 "$python" tests/peers/read_black_box.py "$folder/collected" --require
+"$python" tests/peers/load_imagefolder.py "$folder/collected"
+exports=()
+for format in parquet webdataset lerobot zarr; do
+    "$gripcast" -q dataset export "$folder/collected" --to "$format" --out "$folder/$format" >/dev/null
+    exports+=("--$format" "$folder/$format")
+done
+"$python" tests/peers/load_exports.py "$folder/collected" "${exports[@]}"

@@ -1,7 +1,9 @@
-//! `gripcast dataset`: inspects, verifies, recovers, indexes, splits, exports and imports datasets.
+//! `gripcast dataset`: inspects, lists, verifies, recovers, indexes, splits, exports and imports
+//! datasets.
 //!
 //! ```text
 //! gripcast dataset info DIR      show counts, balance, size, predictions versus labels
+//! gripcast dataset list DIR      list grasps by object, outcome and time
 //! gripcast dataset verify DIR    read every file and report all problems
 //! gripcast dataset recover DIR   recover readable grasps; the rest moves to trash/
 //! gripcast dataset edit DIR ID…  correct object, scene or operator of saved grasps
@@ -24,12 +26,14 @@ use serde_json::json;
 use super::dataset_text::{counted, name_of, outcomes_text, size_text};
 use super::flags::{fraction, named};
 use super::working::interruptible;
-use super::{Context, dataset_edit, dataset_export, dataset_import, print_json, print_report};
+use super::{
+    Context, dataset_edit, dataset_export, dataset_import, dataset_list, print_json, print_report,
+};
 use crate::note;
 use gripcast_base::error::{Error, ErrorKind, Result};
 use gripcast_dataset::{
-    Dataset, GroupKey, Outcome, RecoverReport, SplitFile, SplitPlan, Summary, VerifyReport,
-    recover, reindex, split, summary, verify,
+    Dataset, GroupKey, Outcome, Problem, RecoverReport, SplitFile, SplitPlan, Summary,
+    VerifyReport, recover, reindex, split, summary, verify,
 };
 
 /// Arguments of `dataset`.
@@ -42,9 +46,11 @@ pub(crate) struct Args {
 #[derive(Debug, Subcommand)]
 enum Action {
     /// Show the contents of a dataset
-    Info(DatasetArgs),
+    Info(InfoArgs),
+    /// List the grasps, newest first
+    List(dataset_list::Args),
     /// Find damaged, missing, altered, duplicated and leaking data
-    Verify(DatasetArgs),
+    Verify(VerifyArgs),
     /// Recover readable grasps; move the rest to trash/
     Recover(RecoverArgs),
     /// Correct object, scene or operator of saved grasps
@@ -64,6 +70,30 @@ struct DatasetArgs {
     /// Folder of the dataset
     dataset: PathBuf,
     /// Print the result as JSON
+    #[arg(long)]
+    json: bool,
+}
+
+#[derive(Debug, clap::Args)]
+struct InfoArgs {
+    /// Folder of the dataset
+    dataset: PathBuf,
+    /// Print all objects
+    #[arg(long)]
+    all: bool,
+    /// Print the result as JSON
+    #[arg(long)]
+    json: bool,
+}
+
+#[derive(Debug, clap::Args)]
+struct VerifyArgs {
+    /// Folder of the dataset
+    dataset: PathBuf,
+    /// Print every problem instead of a summary for each kind
+    #[arg(long)]
+    all: bool,
+    /// Print the result, with every problem, as JSON
     #[arg(long)]
     json: bool,
 }
@@ -115,6 +145,7 @@ pub(crate) fn run(context: &Context, args: Args) -> Result<()> {
     match args.action {
         Action::Info(args) => run_info(&args),
         Action::Verify(args) => run_verify(context, args),
+        Action::List(args) => dataset_list::run(&args),
         Action::Recover(args) => run_recover(context, &args),
         Action::Edit(args) => dataset_edit::run(&args),
         Action::Reindex(args) => run_reindex(context, &args),
@@ -124,17 +155,17 @@ pub(crate) fn run(context: &Context, args: Args) -> Result<()> {
     }
 }
 
-fn run_info(args: &DatasetArgs) -> Result<()> {
+fn run_info(args: &InfoArgs) -> Result<()> {
     let summary = summary(&Dataset::open(&args.dataset)?)?;
-    print_report(args.json, &summary, info_text)
+    print_report(args.json, &summary, |summary| info_text(summary, args.all))
 }
 
-fn run_verify(context: &Context, args: DatasetArgs) -> Result<()> {
+fn run_verify(context: &Context, args: VerifyArgs) -> Result<()> {
     let dataset = args.dataset.clone();
     let report = interruptible(context, "verifying", move |progress| {
         verify(&dataset, &|done, all| progress.count(done, all))
     })??;
-    print_report(args.json, &report, verify_text)?;
+    print_report(args.json, &report, |report| verify_text(report, args.all))?;
     if report.problems.is_empty() {
         return Ok(());
     }
@@ -213,7 +244,12 @@ fn run_split(args: &SplitArgs) -> Result<()> {
     print_report(args.json, &report, |_| split_text(&plan.name, &file))
 }
 
-fn info_text(summary: &Summary) -> String {
+/// Objects that `info` prints without `--all`.
+const OBJECTS: usize = 30;
+/// Problems of a kind that `verify` prints without `--all`.
+const PROBLEMS: usize = 3;
+
+fn info_text(summary: &Summary, all: bool) -> String {
     let mut text = String::new();
     let mut line = |name: &str, value: &str| {
         let _ = writeln!(text, "{name:<12} {value}");
@@ -277,7 +313,8 @@ fn info_text(summary: &Summary) -> String {
             "object", "stable", "slip", "unlabelled"
         );
     }
-    for (object, outcomes) in &summary.objects {
+    let shown = if all { usize::MAX } else { OBJECTS };
+    for (object, outcomes) in summary.objects.iter().take(shown) {
         let count = |outcome| outcomes.get(&outcome).copied().unwrap_or(0);
         let _ = writeln!(
             text,
@@ -285,6 +322,13 @@ fn info_text(summary: &Summary) -> String {
             count(Outcome::Stable),
             count(Outcome::Slip),
             count(Outcome::Unlabelled)
+        );
+    }
+    if let Some(more) = summary.objects.len().checked_sub(shown).filter(|n| *n > 0) {
+        let _ = writeln!(
+            text,
+            "and {}; `--all` prints them",
+            counted(more, "more object")
         );
     }
     if !summary.scenes.is_empty() {
@@ -298,21 +342,31 @@ fn info_text(summary: &Summary) -> String {
     text
 }
 
-fn verify_text(report: &VerifyReport) -> String {
+fn verify_text(report: &VerifyReport, all: bool) -> String {
     let mut text = String::new();
-    for problem in &report.problems {
-        let file = problem.file.clone().or_else(|| {
-            let grasp = problem.grasp.as_ref()?;
-            Some(format!("grasps/{grasp}"))
-        });
-        let _ = writeln!(
-            text,
-            "{}  {}: {}\n  → {}",
-            name_of(&problem.kind),
-            file.unwrap_or_default(),
-            problem.detail,
-            problem.remedy
-        );
+    let mut problems = report.problems.iter().peekable();
+    for summary in &report.by_kind {
+        let of_kind = std::iter::from_fn(|| problems.next_if(|p| p.kind == summary.kind));
+        let is_short = all || summary.problems <= PROBLEMS;
+        let shown = if is_short { usize::MAX } else { PROBLEMS };
+        if !is_short {
+            let grasps = match summary.grasps {
+                0 => String::new(),
+                grasps => format!(" in {}", counted(grasps, "grasp")),
+            };
+            let _ = writeln!(
+                text,
+                "{}  {}{grasps}, the first of them:",
+                name_of(&summary.kind),
+                counted(summary.problems, "problem")
+            );
+        }
+        for problem in of_kind
+            .enumerate()
+            .filter_map(|(i, p)| (i < shown).then_some(p))
+        {
+            problem_text(&mut text, problem);
+        }
     }
     for note in &report.notes {
         let _ = writeln!(text, "note  {note}");
@@ -325,7 +379,25 @@ fn verify_text(report: &VerifyReport) -> String {
         report.pending,
         counted(report.problems.len(), "problem")
     );
+    if !all && report.by_kind.iter().any(|kind| kind.problems > PROBLEMS) {
+        text.push_str("`--all` prints every problem\n");
+    }
     text
+}
+
+fn problem_text(text: &mut String, problem: &Problem) {
+    let file = problem.file.clone().or_else(|| {
+        let grasp = problem.grasp.as_ref()?;
+        Some(format!("grasps/{grasp}"))
+    });
+    let _ = writeln!(
+        text,
+        "{}  {}: {}\n  → {}",
+        name_of(&problem.kind),
+        file.unwrap_or_default(),
+        problem.detail,
+        problem.remedy
+    );
 }
 
 fn recover_text(report: &RecoverReport) -> String {

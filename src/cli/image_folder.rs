@@ -7,7 +7,7 @@ use image::GrayImage;
 use image::imageops::grayscale;
 
 use gripcast_base::error::{Error, Result};
-use gripcast_base::files::{FileKind, read_regular};
+use gripcast_base::files::{FileKind, is_system_file, read_regular};
 use gripcast_imaging::Decoder;
 
 /// Suffixes of images.
@@ -23,7 +23,8 @@ pub(super) fn images(folder: &Path) -> Result<Vec<PathBuf>> {
     for entry in fs::read_dir(folder).map_err(cannot)? {
         let path = entry.map_err(cannot)?.path();
         let suffix = path.extension().unwrap_or_default();
-        if SUFFIXES.iter().any(|s| suffix.eq_ignore_ascii_case(s)) {
+        let is_image = SUFFIXES.iter().any(|s| suffix.eq_ignore_ascii_case(s));
+        if is_image && !is_system_file(&file_name(&path)) {
             files.push(path);
         }
     }

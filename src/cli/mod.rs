@@ -36,6 +36,7 @@ mod dataset;
 mod dataset_edit;
 mod dataset_export;
 mod dataset_import;
+mod dataset_list;
 mod dataset_text;
 mod doctor;
 mod eval;

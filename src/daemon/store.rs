@@ -29,8 +29,10 @@ use gripcast_session::{Labels, PendingFrame, StoreReply, StoreRequest};
 /// Name of the thread.
 const TASK: &str = "store";
 
-/// Idle time after which the index is written.
+/// Idle time after which the index is written, and its increase for each grasp: the whole file is
+/// written, and a command that comes meanwhile waits.
 const INDEX_DELAY: Duration = Duration::from_millis(150);
+const INDEX_DELAY_PER_GRASP: Duration = Duration::from_micros(500);
 
 /// Wait for the model during a save; afterwards the grasp is saved without a prediction. Only a
 /// hanging model takes this long; loaded machines have needed more than half a second.
@@ -172,7 +174,8 @@ impl Worker {
             let _ = self.infer.send(InferRequest::SetReference { left, right });
         }
         loop {
-            match inbox.recv_timeout(INDEX_DELAY) {
+            let grasps = u32::try_from(self.writer.grasps()).unwrap_or(u32::MAX);
+            match inbox.recv_timeout(INDEX_DELAY + INDEX_DELAY_PER_GRASP * grasps) {
                 Ok(StoreMessage::Execute(job)) => {
                     self.heartbeat.busy();
                     let work = AssertUnwindSafe(|| self.execute(job));

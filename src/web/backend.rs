@@ -1,6 +1,5 @@
 //! State shared by all handlers.
 
-use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
@@ -13,6 +12,7 @@ use super::grasp_list::GraspList;
 use super::previews::Previews;
 use super::slots::Slots;
 use crate::daemon::{CommandRequest, EngineStatus, ModelInfo, StoreEvent, Tasks};
+use gripcast_dataset::GraspIndex;
 use gripcast_session::{Command, CommandResult, CommandSource, Tone};
 
 /// Queued news for a slow reader; the oldest are dropped.
@@ -57,14 +57,14 @@ pub(crate) struct Backend {
 }
 
 impl Backend {
-    /// Creates a backend for the engine's channels and dataset.
+    /// Creates a backend for the engine's channels and the index of its dataset.
     pub(crate) fn new(
         status: watch::Receiver<Arc<EngineStatus>>,
         commands: mpsc::Sender<CommandRequest>,
         tasks: Tasks,
         access: Arc<Access>,
         model: Option<ModelInfo>,
-        dataset: PathBuf,
+        index: GraspIndex,
     ) -> Self {
         let cores = std::thread::available_parallelism().map_or(1, usize::from);
         Self {
@@ -75,7 +75,7 @@ impl Backend {
             tasks,
             access,
             model,
-            grasps: GraspList::new(dataset),
+            grasps: GraspList::new(index),
             started: Instant::now(),
             listeners: Slots::new(MAX_LISTENERS, MAX_LISTENERS),
             decodes: Arc::new(Semaphore::new(cores)),

@@ -36,6 +36,7 @@ mod security_test;
 pub(crate) use access::{Access, Token};
 pub(crate) use attach::{Attached, Screen, Target, attach};
 pub(crate) use backend::{Backend, News};
+pub(crate) use grasp_list::{GraspList, GraspPage, GraspQuery};
 pub(crate) use health::is_healthy;
 pub(crate) use router::router;
 pub(crate) use serve::{Listeners, serve};

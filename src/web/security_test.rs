@@ -19,6 +19,7 @@ use super::serve::{Listeners, serve};
 use super::sessions::MAX_FAILURES;
 use super::slots::Slots;
 use crate::daemon::{CameraState, CameraStatus, CommandRequest, EngineStatus, Preview, Tasks};
+use gripcast_dataset::GraspIndex;
 use gripcast_imaging::Role;
 use gripcast_session::Labels;
 
@@ -66,7 +67,7 @@ impl Site {
             Tasks::default(),
             Arc::new(Access::new(token)),
             None,
-            dir.path().join("no-dataset"),
+            GraspIndex::new(dir.path().join("no-dataset")),
         );
         let listen = Some((Ipv4Addr::LOCALHOST, 0).into());
         let mut listeners = runtime

@@ -19,7 +19,7 @@ const KILLS: u64 = 200;
 const KILLS_PER_DATASET: u64 = 20;
 
 /// Small fast cameras, because the test is about the dataset.
-const RIG: &str = r#"
+pub(crate) const RIG: &str = r#"
 schema = 1
 id = "crash"
 [cameras.left]

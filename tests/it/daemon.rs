@@ -62,7 +62,7 @@ impl Place {
 }
 
 impl Daemon {
-    fn start(command: &mut Command) -> Self {
+    pub(crate) fn start(command: &mut Command) -> Self {
         let mut child = command
             .stdout(Stdio::null())
             .stderr(Stdio::piped())
@@ -120,12 +120,21 @@ impl Daemon {
         serde_json::from_slice(&body).unwrap()
     }
 
-    fn post(&self, path: &str, body: &Value) -> (u16, Value) {
+    pub(crate) fn post(&self, path: &str, body: &Value) -> (u16, Value) {
         let (status, answer) = self.ask("POST", path, Some(body));
         (
             status,
             serde_json::from_slice(&answer).unwrap_or(Value::Null),
         )
+    }
+
+    pub(crate) fn address(&self) -> &str {
+        &self.address
+    }
+
+    /// Kills the daemon; it is waited for when this is dropped.
+    pub(crate) fn kill(&self) {
+        self.signal(Signal::KILL);
     }
 
     pub(crate) fn command(&self, command: &str) -> (u16, Value) {
@@ -188,6 +197,22 @@ impl Drop for Daemon {
         let _ = self.child.kill();
         let _ = self.child.wait();
     }
+}
+
+/// Posts to a daemon that may be killed meanwhile; returns the status, if it answers.
+pub(crate) fn try_post(address: &str, path: &str, body: &Value) -> Option<u16> {
+    let body = body.to_string();
+    let request = format!(
+        "POST {path} HTTP/1.1\r\nHost: {address}\r\nContent-Type: application/json\r\n\
+         Content-Length: {}\r\nConnection: close\r\n\r\n{body}",
+        body.len()
+    );
+    let mut stream = TcpStream::connect(address).ok()?;
+    stream.write_all(request.as_bytes()).ok()?;
+    let mut answer = String::new();
+    // What arrived before the kill counts.
+    let _ = stream.read_to_string(&mut answer);
+    answer.split(' ').nth(1)?.parse().ok()
 }
 
 /// Sends a raw request; returns status, head and body.

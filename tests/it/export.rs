@@ -5,7 +5,7 @@ use std::os::unix::process::ExitStatusExt as _;
 use std::path::Path;
 use std::process::Command;
 
-use super::dataset::{gripcast, json, stderr, stdout, tree, write_dataset};
+use super::dataset::{gripcast, json, stderr, stdout, tree, write_dataset, write_mixed_dataset};
 use crate::json_schema::assert_schema;
 use crate::peers::{agrees, peer};
 
@@ -143,6 +143,25 @@ fn python_opens_every_export() {
     write_dataset(&root, &["mug", "bottle", "sponge"]);
     check.arg(&root);
     for format in FORMATS {
+        let out = dir.path().join(format);
+        let output = gripcast(&arguments(format, &out), &root);
+        assert_eq!(output.status.code(), Some(0), "{}", stderr(&output));
+        check.arg(format!("--{format}")).arg(out);
+    }
+    let cache = dir.path().join("cache");
+    println!("{}", agrees(check.env("HF_HOME", cache)));
+}
+
+#[test]
+fn python_opens_exports_of_a_mixed_dataset() {
+    let Some(mut check) = peer("load_exports.py") else {
+        return;
+    };
+    let dir = tempfile::tempdir().unwrap();
+    let root = dir.path().join("d");
+    write_mixed_dataset(&root);
+    check.arg(&root);
+    for format in ["parquet", "webdataset", "lerobot", "zarr"] {
         let out = dir.path().join(format);
         let output = gripcast(&arguments(format, &out), &root);
         assert_eq!(output.status.code(), Some(0), "{}", stderr(&output));

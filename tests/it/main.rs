@@ -11,6 +11,7 @@ mod cluster;
 mod collect;
 mod crash;
 mod daemon;
+mod daemon_kills;
 mod dataset;
 mod docs;
 mod doctor;

@@ -1,10 +1,10 @@
 """Loads a gripcast dataset as Python users would, and holds it against its records.
 
-    python -m venv venv && venv/bin/pip install datasets pandas pillow
+    python -m venv venv && venv/bin/pip install datasets pandas pillow polars duckdb
     venv/bin/python tests/peers/load_imagefolder.py DATASET
 
 Prints the columns. Exits 1 when an image column is missing, is no image, or differs from the
-records; depth must come as 16 bit.
+records, or when a library changes an object name; depth must come as 16 bit.
 """
 
 import json
@@ -12,7 +12,9 @@ import pathlib
 import sys
 
 import datasets
+import duckdb
 import pandas
+import polars
 from datasets import load_dataset
 
 root = pathlib.Path(sys.argv[1])
@@ -27,12 +29,27 @@ stored = {
     for role in record[stage]["cameras"]
 }
 
-table = pandas.read_json(root / "metadata.jsonl", lines=True)
+# Without `dtype`, pandas reads the object 001 as the number 1.
+table = pandas.read_json(root / "metadata.jsonl", lines=True, dtype={"object": str})
 loaded = load_dataset("imagefolder", data_dir=str(root), split="train")
 faults = []
 if len(table) != len(records) or loaded.num_rows != len(records):
     faults.append(f"{len(records)} records, {len(table)} index rows, {loaded.num_rows} loaded")
 
+index = str(root / "metadata.jsonl")
+objects = [records[id]["object"] for id in sorted(records)]
+frame = polars.read_ndjson(index, infer_schema_length=None)
+rows = duckdb.sql("SELECT object FROM read_json(?) ORDER BY id", params=[index]).fetchall()
+for library, found in (
+    ("pandas", table["object"].tolist()),
+    ("datasets", loaded["object"][:]),
+    ("polars", frame["object"].to_list()),
+    ("duckdb", [row[0] for row in rows]),
+):
+    if found != objects:
+        faults.append(f"objects by {library}: {found}, expected {objects}")
+
+print(f"polars {polars.__version__}, duckdb {duckdb.__version__}")
 print(f"datasets {datasets.__version__}, pandas {pandas.__version__}, {loaded.num_rows} rows")
 for name, feature in loaded.features.items():
     print(f"  {name}: {feature}")

@@ -8,6 +8,7 @@ mod beneath;
 #[cfg(test)]
 mod beneath_test;
 mod disk_failure;
+mod foreign;
 mod name;
 mod opening;
 mod owner_lock;
@@ -23,6 +24,7 @@ use crate::error::{Error, Result};
 
 pub use beneath::{BeneathPath, Component, Metadata, Root, allow_links_into};
 pub use disk_failure::disk_remedy;
+pub use foreign::{conflict_copy_of, glob_character, is_system_file, without_bom};
 pub use name::{
     ContentKey, FileName, GraspId, Label, MAX_LABEL_CHARS, ObjectName, Printable, SimulationId,
     folded_name, is_unsafe_char,

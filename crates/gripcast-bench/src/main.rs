@@ -11,6 +11,7 @@
 mod baseline;
 mod contact;
 mod contact_scene;
+mod dataset;
 mod depth_scene;
 mod grasp;
 mod grasp_cases;
@@ -49,6 +50,8 @@ struct Cli {
 enum Bench {
     /// Contact phases of a Newton iteration
     Contact(contact::Args),
+    /// Index and pages of a large dataset
+    Dataset(dataset::Args),
     /// Simulated grasps: time, steps, Newton iterations, outcomes
     Grasp(grasp::Args),
     /// `gripcast bench live` with baseline decoders
@@ -71,6 +74,7 @@ fn main() -> ExitCode {
     let Cli { context, bench } = Cli::parse();
     exit_code("gripcast-bench", || match bench {
         Bench::Contact(args) => contact::run(&context, &args),
+        Bench::Dataset(args) => dataset::run(&context, &args),
         Bench::Grasp(args) => grasp::run(&context, args),
         Bench::Live(args) => live::run(&context, &args),
         Bench::Pose(args) => pose::run(&context, &args),

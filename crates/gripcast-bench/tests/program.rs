@@ -24,6 +24,21 @@ fn report(arguments: &str) -> Value {
 }
 
 #[test]
+fn dataset_reports_pages_and_filters() {
+    let report = report("-q dataset --json --grasps 60 --runs 1");
+    for figure in [
+        "fill",
+        "refresh",
+        "first_page",
+        "last_page",
+        "filter_no_match",
+    ] {
+        let timing = &report["figures"][format!("{figure}_ms")];
+        assert!(timing["median"].as_f64().unwrap() > 0.0, "{figure}");
+    }
+}
+
+#[test]
 fn contact_reports_phases_and_total() {
     let report = report("-q contact --json --faces 1280 --runs 20");
     assert_eq!(report["name"], "contact");

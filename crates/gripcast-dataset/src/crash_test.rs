@@ -8,6 +8,7 @@ use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, MutexGuard};
 
 use super::disk::{Disk, SystemDisk, is_partial};
+use super::grasp_index::GraspIndex;
 use super::layout::Layout;
 use super::reader::Dataset;
 use super::sample::{capture, meta, new_dataset};
@@ -429,7 +430,11 @@ impl Operator {
 }
 
 fn open(disk: &FailingDisk, root: &Path) -> Result<(DatasetWriter, super::OpenReport)> {
-    DatasetWriter::open_on(Box::new(disk.clone()), root, &new_dataset())
+    DatasetWriter::open_on(
+        Box::new(disk.clone()),
+        GraspIndex::new(root),
+        &new_dataset(),
+    )
 }
 
 /// Runs the session until it fails; returns the state after each acknowledged step.

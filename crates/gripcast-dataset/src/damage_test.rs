@@ -171,23 +171,22 @@ fn renamed_directory_is_renamed_back() {
 
 #[test]
 fn copied_grasp_is_moved_to_trash() {
-    let (report, ..) = damaged(
-        &[
-            ProblemKind::DuplicateId,
-            ProblemKind::DuplicateContent,
-            ProblemKind::Index,
-        ],
-        |root, ids| {
-            let copy = root.join("grasps/0-copy");
+    for name in [
+        "0-copy",
+        "ID (conflicted copy)",
+        "ID.sync-conflict-20261125-101010-A",
+    ] {
+        let (report, ..) = damaged(&[ProblemKind::DuplicateId], |root, ids| {
+            let copy = root.join("grasps").join(name.replace("ID", &ids[0]));
             fs::create_dir(&copy).unwrap();
             for entry in fs::read_dir(root.join(format!("grasps/{}", ids[0]))).unwrap() {
                 let entry = entry.unwrap();
                 fs::copy(entry.path(), copy.join(entry.file_name())).unwrap();
             }
-        },
-    );
-    assert!(!has_losses(&report));
-    assert_eq!(report.grasps, 3);
+        });
+        assert!(!has_losses(&report));
+        assert_eq!(report.grasps, 3);
+    }
 }
 
 #[test]

@@ -3,28 +3,47 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 
+use jiff::Timestamp;
 use serde::Serialize;
 use serde_json::{Value, json};
 
 use super::disk::{Disk, SystemDisk, replace};
-use super::grasp::{GraspRecord, Outcome};
+use super::grasp::{GraspRecord, Outcome, PredictionRecord};
 use super::layout::{Layout, METADATA_JSONL, Stage};
 use super::lock::DatasetLock;
 use super::reader::{Dataset, grasp_ids};
-use super::record_file::read_grasp;
+use super::record_file::read_grasp_of;
 use gripcast_base::error::Result;
-use gripcast_base::files::{FileKind, FileName, GraspId, ObjectName};
+use gripcast_base::files::{FileKind, FileName, GraspId, Label, ObjectName};
 use gripcast_imaging::Role;
 
 /// A grasp in the index.
 #[derive(Clone, Debug, PartialEq)]
-pub(super) struct IndexRow {
-    pub(super) object: ObjectName,
-    pub(super) outcome: Outcome,
-    /// Size of the image files.
-    pub(super) bytes: u64,
-    /// Columns other than the images.
-    columns: Value,
+pub struct IndexRow {
+    /// Object to grasp.
+    pub object: ObjectName,
+    /// Where it was grasped.
+    pub scene: Label,
+    /// Who collected it.
+    pub operator: Label,
+    /// The label.
+    pub outcome: Outcome,
+    /// Time of the label, RFC 3339.
+    pub labelled_at: Option<String>,
+    /// Time of the grasp frame, RFC 3339.
+    pub captured_at: String,
+    /// [`captured_at`](Self::captured_at), parsed.
+    pub time: Option<Timestamp>,
+    /// Id of the rig.
+    pub rig: String,
+    /// Prediction before the lift.
+    pub prediction: Option<PredictionRecord>,
+    /// Translation, m, and quaternion (w, x, y, z) of the gripper in the object's frame.
+    pose: Option<([f64; 3], [f64; 4])>,
+    /// Size of the image files, bytes.
+    pub bytes: u64,
+    /// Whether a virtual rig took it.
+    pub is_simulated: bool,
     files: BTreeMap<(Stage, Role), FileName>,
 }
 
@@ -36,35 +55,51 @@ impl IndexRow {
                 files.insert((stage, role), camera.file.clone());
             }
         }
-        let prediction = record.prediction.as_ref();
-        let pose = record.pose.as_ref();
         Self {
             object: record.object.clone(),
+            scene: record.scene.clone(),
+            operator: record.operator.clone(),
             outcome: record.outcome,
+            labelled_at: record.labelled_at.clone(),
+            captured_at: record.grasp.captured_at.clone(),
+            time: record.grasp.captured_at.parse().ok(),
+            rig: record.rig.clone(),
+            prediction: record.prediction.clone(),
+            pose: record.pose.as_ref().map(|pose| (pose.t_m, pose.q_wxyz)),
             bytes: record.files.values().map(|file| file.bytes).sum(),
-            columns: json!({
-                "id": record.id,
-                "object": record.object,
-                "scene": record.scene,
-                "operator": record.operator,
-                "outcome": record.outcome,
-                "labelled_at": record.labelled_at,
-                "captured_at": record.grasp.captured_at,
-                "rig": record.rig,
-                "predicted_p_stable": prediction.map(|p| p.p_stable),
-                "predicted_threshold": prediction.map(|p| p.threshold),
-                "predicted_model": prediction.map(|p| &p.model),
-                "pose_t_m": pose.map(|p| p.t_m),
-                "pose_q_wxyz": pose.map(|p| p.q_wxyz),
-            }),
+            is_simulated: record.is_simulated(),
             files,
         }
     }
 
+    /// Cameras with a grasp frame.
+    #[must_use]
+    pub fn roles(&self) -> Vec<Role> {
+        let of_grasp = self
+            .files
+            .keys()
+            .filter(|(stage, _)| *stage == Stage::Grasp);
+        of_grasp.map(|(_, role)| *role).collect()
+    }
+
     /// The line of the grasp in directory `id`. `images`: the image columns of every row.
     fn to_json(&self, id: &GraspId, images: &BTreeSet<(Stage, Role)>) -> Value {
-        let mut row = self.columns.clone();
-        row["id"] = json!(id);
+        let prediction = self.prediction.as_ref();
+        let mut row = json!({
+            "id": id,
+            "object": self.object,
+            "scene": self.scene,
+            "operator": self.operator,
+            "outcome": self.outcome,
+            "labelled_at": self.labelled_at,
+            "captured_at": self.captured_at,
+            "rig": self.rig,
+            "predicted_p_stable": prediction.map(|p| p.p_stable),
+            "predicted_threshold": prediction.map(|p| p.threshold),
+            "predicted_model": prediction.map(|p| &p.model),
+            "pose_t_m": self.pose.map(|(t_m, _)| t_m),
+            "pose_q_wxyz": self.pose.map(|(_, q_wxyz)| q_wxyz),
+        });
         for &(stage, role) in images {
             let file = self.files.get(&(stage, role));
             row[format!("{}_{role}_file_name", stage.name())] =
@@ -74,15 +109,21 @@ impl IndexRow {
     }
 }
 
+impl AsRef<IndexRow> for IndexRow {
+    fn as_ref(&self) -> &IndexRow {
+        self
+    }
+}
+
 /// Serialises the index. All rows have the same columns: one for each image that any grasp has,
 /// null where a grasp lacks it.
-pub(super) fn to_jsonl(rows: &BTreeMap<GraspId, IndexRow>) -> String {
+pub(super) fn to_jsonl<R: AsRef<IndexRow>>(rows: &BTreeMap<GraspId, R>) -> String {
     let images: BTreeSet<(Stage, Role)> = rows
         .values()
-        .flat_map(|row| row.files.keys().copied())
+        .flat_map(|row| row.as_ref().files.keys().copied())
         .collect();
     rows.iter()
-        .map(|(id, row)| format!("{}\n", row.to_json(id, &images)))
+        .map(|(id, row)| format!("{}\n", row.as_ref().to_json(id, &images)))
         .collect()
 }
 
@@ -146,7 +187,7 @@ fn read_rows(layout: &Layout) -> Result<(BTreeMap<GraspId, IndexRow>, Vec<String
     let mut rows = BTreeMap::new();
     let mut skipped = Vec::new();
     for id in grasp_ids(layout)? {
-        match read_grasp(&layout.grasp(&id)) {
+        match read_grasp_of(layout, &id) {
             Ok(record) => {
                 rows.insert(id, IndexRow::new(&record));
             }

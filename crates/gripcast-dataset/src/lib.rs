@@ -30,6 +30,7 @@ mod digest;
 mod disk;
 mod encode;
 mod grasp;
+mod grasp_index;
 mod image_file;
 mod immutable;
 mod index;
@@ -61,8 +62,9 @@ pub use grasp::{
     BoardKeys, CameraRecord, GraspRecord, Outcome, OverriddenGuard, PoseQuality, PoseRecord,
     PredictionRecord, SimulatedTruth, StageRecord,
 };
+pub use grasp_index::{GraspIndex, IndexWork};
 pub use gripcast_base::files::GraspId;
-pub use index::{ReindexReport, reindex};
+pub use index::{IndexRow, ReindexReport, reindex};
 pub use layout::{Stage, image_name, pre_grasp_name};
 pub use names::{EditReport, EditedGrasp, NameChange, Selection, edit};
 pub use opening::OpenReport;
@@ -73,5 +75,5 @@ pub use recover::{Action, ActionKind, RecoverReport, recover};
 pub use schema::SCHEMA_VERSION;
 pub use split::{GroupKey, SplitFile, SplitMembers, SplitPlan, split};
 pub use summary::{Agreement, Summary, summary};
-pub use verify::{Problem, ProblemKind, VerifyReport, verify};
+pub use verify::{Problem, ProblemKind, ProblemSummary, VerifyReport, verify};
 pub use writer::DatasetWriter;

@@ -6,12 +6,12 @@ use std::path::Path;
 use super::counts::GraspCounts;
 use super::descriptor::{Descriptor, NewDataset};
 use super::disk::{Disk, SystemDisk, is_partial, partial_name, partial_of, remove_item, replace};
-use super::index::{IndexRow, is_stored, to_jsonl};
+use super::grasp_index::GraspIndex;
+use super::index::is_stored;
 use super::layout::{DATASET_TOML, GRASP_JSON, INITIAL_JSON, LOCK, Layout};
 use super::lock::DatasetLock;
 use super::provenance::Provenance;
-use super::reader::grasp_ids;
-use super::record_file::{PendingInitial, read_grasp};
+use super::record_file::PendingInitial;
 use super::trash::move_to_trash;
 use super::unfinished::{Unfinished, unfinished};
 use super::writer::DatasetWriter;
@@ -47,7 +47,16 @@ impl DatasetWriter {
     /// `Busy` naming the process that writes it; `Input` for a file, a directory with other
     /// contents, or a newer format; `Permission` or `DiskFull` where it is not writable.
     pub fn open_or_create(path: impl AsRef<Path>, new: &NewDataset) -> Result<(Self, OpenReport)> {
-        Self::open_on(Box::new(SystemDisk), path.as_ref(), new)
+        Self::open_index(GraspIndex::new(path.as_ref()), new)
+    }
+
+    /// As [`open_or_create`](Self::open_or_create), with an index that other parts of the process
+    /// read.
+    ///
+    /// # Errors
+    /// As [`open_or_create`](Self::open_or_create).
+    pub fn open_index(index: GraspIndex, new: &NewDataset) -> Result<(Self, OpenReport)> {
+        Self::open_on(Box::new(SystemDisk), index, new)
     }
 
     /// Opens an existing dataset for writing, as [`open_or_create`](Self::open_or_create).
@@ -68,10 +77,10 @@ impl DatasetWriter {
 
     pub(super) fn open_on(
         disk: Box<dyn Disk>,
-        root: &Path,
+        index: GraspIndex,
         new: &NewDataset,
     ) -> Result<(Self, OpenReport)> {
-        let layout = Layout::new(root);
+        let layout = Layout::new(index.path());
         create_root(disk.as_ref(), &layout)?;
         let lock = DatasetLock::acquire(&layout)?;
         let created = !layout.dataset_toml().is_taken();
@@ -83,7 +92,7 @@ impl DatasetWriter {
         let descriptor = Descriptor::read(&layout)?;
         create_directories(disk.as_ref(), &layout)
             .map_err(|e| layout.failed("cannot create the dataset's directories", e))?;
-        let mut writer = Self::new(layout, disk, lock, descriptor);
+        let mut writer = Self::new(layout, disk, lock, descriptor, index);
         let mut report = OpenReport {
             created,
             ..OpenReport::default()
@@ -93,9 +102,10 @@ impl DatasetWriter {
             report.notes.push(CANNOT_FLUSH.to_owned());
         }
         writer.handle_unfinished(&mut report)?;
-        writer.read_rows(&mut report)?;
+        writer.fill_index(&mut report)?;
         report.counts = writer.counts();
-        writer.index_is_stale = !is_stored(&writer.layout, &to_jsonl(&writer.rows));
+        let (revision, text) = writer.index.to_jsonl();
+        writer.stored_revision = is_stored(&writer.layout, &text).then_some(revision);
         if let Err(error) = writer.flush_index() {
             report.notes.push(error.to_string());
         }
@@ -148,20 +158,14 @@ impl DatasetWriter {
     }
 
     /// Reads all records; removes leftovers of interrupted saves beside them.
-    fn read_rows(&mut self, report: &mut OpenReport) -> Result<()> {
-        for id in grasp_ids(&self.layout)? {
+    fn fill_index(&mut self, report: &mut OpenReport) -> Result<()> {
+        self.index.fill()?;
+        for (id, error) in self.index.unreadable() {
+            report.notes.push(format!("cannot use {id}: {error}"));
+        }
+        report.provenance = Provenance::of(&self.index, &self.layout);
+        for id in self.index.ids() {
             let dir = self.layout.grasp(&id);
-            match read_grasp(&dir) {
-                Ok(record) => {
-                    report.provenance.add(&record);
-                    self.rows.insert(id, IndexRow::new(&record));
-                }
-                Err(error) => {
-                    report.provenance.unreadable += 1;
-                    report.notes.push(format!("cannot use {id}: {error}"));
-                    continue;
-                }
-            }
             for leftover in [dir.join(INITIAL_JSON), partial_of(&dir, &GRASP_JSON)] {
                 if leftover.is_taken() {
                     // On failure, verification and the next opening find it again.

@@ -4,7 +4,10 @@ use std::collections::BTreeMap;
 
 use jiff::Timestamp;
 
-use super::grasp::{CameraRecord, GraspRecord, PredictionRecord};
+use super::grasp::{CameraRecord, PredictionRecord};
+use super::grasp_index::GraspIndex;
+use super::layout::Layout;
+use super::record_file::read_grasp_of;
 use gripcast_base::files::ContentKey;
 use gripcast_imaging::Role;
 
@@ -30,17 +33,25 @@ pub struct Provenance {
 }
 
 impl Provenance {
-    /// Adds a grasp; the newest ids come last.
-    pub(super) fn add(&mut self, record: &GraspRecord) {
-        self.grasps += 1;
-        self.simulated += usize::from(record.is_simulated());
-        let captured_at = record.grasp.captured_at.parse().ok();
-        self.captured_at = self.captured_at.max(captured_at);
-        self.rig = Some(record.rig.clone());
-        self.cameras.clone_from(&record.grasp.cameras);
-        self.calibration = record.calibration.get(&Role::Left).cloned();
-        if let Some(prediction) = &record.prediction {
-            self.prediction = Some(prediction.clone());
+    /// Reads it from the index, and the newest record.
+    pub(super) fn of(index: &GraspIndex, layout: &Layout) -> Self {
+        let rows = index.newest(None, usize::MAX, |_| true);
+        let newest = rows
+            .first()
+            .and_then(|(id, _)| read_grasp_of(layout, id).ok());
+        Self {
+            grasps: rows.len(),
+            unreadable: index.unreadable().len(),
+            simulated: rows.iter().filter(|(_, row)| row.is_simulated).count(),
+            captured_at: rows.iter().filter_map(|(_, row)| row.time).max(),
+            prediction: rows.iter().find_map(|(_, row)| row.prediction.clone()),
+            rig: newest.as_ref().map(|record| record.rig.clone()),
+            calibration: newest
+                .as_ref()
+                .and_then(|record| record.calibration.get(&Role::Left).cloned()),
+            cameras: newest
+                .map(|record| record.grasp.cameras)
+                .unwrap_or_default(),
         }
     }
 }

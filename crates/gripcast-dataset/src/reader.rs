@@ -7,9 +7,11 @@ use super::digest::digest;
 use super::grasp::{CameraRecord, GraspRecord};
 use super::image_file;
 use super::layout::{GRASP_JSON, Layout, Stage};
-use super::record_file::{check_id, read_grasp};
+use super::record_file::read_grasp_of;
 use gripcast_base::error::{Error, Result};
-use gripcast_base::files::{BeneathPath, ContentKey, FileKind, GraspId};
+use gripcast_base::files::{
+    BeneathPath, ContentKey, FileKind, GraspId, conflict_copy_of, without_bom,
+};
 use gripcast_imaging::{Frame, PixelFormat, Role, decode_png};
 
 /// A dataset opened for reading; any number of readers may coexist with one writer.
@@ -57,9 +59,10 @@ impl Dataset {
     /// Reads the record of a grasp.
     ///
     /// # Errors
-    /// `NotFound` without that grasp, `Input` when its record is unreadable.
+    /// `NotFound` without that grasp, `Input` when its record is unreadable or belongs to another
+    /// grasp.
     pub fn grasp(&self, id: &GraspId) -> Result<GraspRecord> {
-        read_grasp(&self.layout.grasp(id))
+        read_grasp_of(&self.layout, id)
     }
 
     /// Whether `trash/` contains a complete grasp of this id.
@@ -130,18 +133,17 @@ impl Dataset {
             .map_err(|e| Error::io("cannot read the calibration", e).at(path.display()))
     }
 
-    /// Reads a grasp with the bytes of its `grasp.json`.
+    /// Reads a grasp with the bytes of its `grasp.json`, without a byte-order mark.
     ///
     /// # Errors
-    /// As [`grasp`](Self::grasp), and `Input` when the record belongs to another grasp.
+    /// As [`grasp`](Self::grasp).
     pub fn grasp_with_json(&self, id: &GraspId) -> Result<(GraspRecord, Vec<u8>)> {
-        let dir = self.layout.grasp(id);
-        let path = dir.join(GRASP_JSON);
-        let record = read_grasp(&dir)?;
-        check_id(&record.id, id).map_err(|e| e.at(path.display()))?;
+        let record = read_grasp_of(&self.layout, id)?;
+        let path = self.layout.grasp(id).join(GRASP_JSON);
         let json = path
             .read(FileKind::Record)
             .map_err(|e| Error::io("cannot read the record", e).at(path.display()))?;
+        let json = without_bom(&json).to_vec();
         Ok((record, json))
     }
 
@@ -185,18 +187,26 @@ impl Dataset {
     }
 }
 
-/// Ids of the complete grasps, sorted.
+/// Ids of the complete grasps, sorted, without conflict copies.
 pub(super) fn grasp_ids(layout: &Layout) -> Result<Vec<GraspId>> {
-    Ok(subdirectories(&layout.grasps())?
-        .into_iter()
-        .filter_map(|name| GraspId::parse(&name).ok())
-        .collect())
+    let names = subdirectories(&layout.grasps())?;
+    let is_grasp = |name: &&String| copied_from(name, &names).is_none();
+    let ids = names.iter().filter(is_grasp);
+    Ok(ids.filter_map(|name| GraspId::parse(name).ok()).collect())
+}
+
+/// The directory that a directory in `grasps/` is a conflict copy of. `names`: sorted names in
+/// `grasps/`.
+pub(super) fn copied_from(name: &str, names: &[String]) -> Option<String> {
+    conflict_copy_of(name).filter(|original| names.binary_search(original).is_ok())
 }
 
 /// Names of the directories inside a directory, sorted.
 pub(super) fn subdirectories(path: &BeneathPath) -> Result<Vec<String>> {
-    let folders = entries(path)?.into_iter().filter(BeneathPath::is_dir);
-    Ok(folders.map(|folder| folder.name()).collect())
+    let folders = path
+        .directories()
+        .map_err(|e| Error::io("cannot read the directory", e).at(path.display()))?;
+    Ok(folders.iter().map(BeneathPath::name).collect())
 }
 
 /// Entries of a directory, sorted by name.

@@ -16,7 +16,9 @@ use super::image_file;
 use super::layout::{GRASP_JSON, PRE_GRASP_PREFIX, Stage};
 use super::reader::entries;
 use super::schema::SCHEMA_VERSION;
-use gripcast_base::files::{BeneathPath, FileKind, FileName, GraspId, Label, ObjectName};
+use gripcast_base::files::{
+    BeneathPath, FileKind, FileName, GraspId, Label, ObjectName, without_bom,
+};
 use gripcast_imaging::Role;
 
 /// Whether the record is of a newer version of the format.
@@ -119,7 +121,7 @@ fn old_record(dir: &BeneathPath) -> Value {
     dir.join(GRASP_JSON)
         .read(FileKind::Record)
         .ok()
-        .and_then(|bytes| serde_json::from_slice(&bytes).ok())
+        .and_then(|bytes| serde_json::from_slice(without_bom(&bytes)).ok())
         .unwrap_or_default()
 }
 

@@ -8,10 +8,10 @@ use serde::{Deserialize, Serialize};
 use super::digest::FileDigest;
 use super::digest::digest;
 use super::grasp::{GraspRecord, OverriddenGuard, StageRecord};
-use super::layout::{GRASP_JSON, INITIAL_JSON};
+use super::layout::{GRASP_JSON, INITIAL_JSON, Layout};
 use super::schema::check_schema;
 use gripcast_base::error::{Error, Result};
-use gripcast_base::files::{BeneathPath, FileKind, FileName, GraspId};
+use gripcast_base::files::{BeneathPath, FileKind, FileName, GraspId, without_bom};
 
 /// A durable initial frame whose grasp is not saved yet; the contents of `initial.json`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -72,7 +72,8 @@ pub(super) fn check_id(found: &GraspId, expected: &GraspId) -> Result<()> {
     if found == expected {
         Ok(())
     } else {
-        Err(Error::input(format!("the record belongs to {found}")))
+        let what = format!("the record belongs to {found}: the folder is a copy, or was renamed");
+        Err(Error::input(what))
     }
 }
 
@@ -113,6 +114,17 @@ pub(super) fn names_to_normalise(
         .collect()
 }
 
+/// Reads the record of a complete grasp.
+///
+/// # Errors
+/// As [`read_grasp`]; `Input` for the record of another grasp.
+pub(super) fn read_grasp_of(layout: &Layout, id: &GraspId) -> Result<GraspRecord> {
+    let dir = layout.grasp(id);
+    let record = read_grasp(&dir)?;
+    check_id(&record.id, id).map_err(|e| e.at(dir.join(GRASP_JSON).display()))?;
+    Ok(record)
+}
+
 /// Reads `initial.json`.
 pub(super) fn read_initial(dir: &BeneathPath) -> Result<PendingInitial> {
     read(&dir.join(INITIAL_JSON))
@@ -125,19 +137,34 @@ fn read<T: DeserializeOwned>(path: &BeneathPath) -> Result<T> {
     from_json(&bytes).map_err(|e| e.at(path.display()))
 }
 
-/// Parses a record.
+/// Parses a record, with or without a byte-order mark.
 ///
 /// # Errors
 /// `Input` when it is not a valid record of this version.
 pub(super) fn from_json<T: DeserializeOwned>(bytes: &[u8]) -> Result<T> {
+    let bytes = without_bom(bytes);
     #[derive(Deserialize)]
     struct Schema {
         schema: i64,
     }
-    let unreadable = |e: serde_json::Error| Error::input("cannot read the record").because(e);
     let Schema { schema } = serde_json::from_slice(bytes).map_err(unreadable)?;
     check_schema(schema)?;
     serde_json::from_slice(bytes).map_err(unreadable)
+}
+
+fn unreadable(error: serde_json::Error) -> Error {
+    let text = error.to_string();
+    let key = text
+        .strip_prefix("unknown field `")
+        .and_then(|rest| rest.split_once('`'));
+    match key {
+        Some((key, _)) => {
+            let line = error.line();
+            Error::input(format!("unknown key `{key}` in line {line} of the record"))
+                .remedy("remove the key; remarks belong into `note`")
+        }
+        None => Error::input("cannot read the record").because(error),
+    }
 }
 
 /// Serialises a record as pretty JSON with sorted keys and a final newline; checked to parse again.

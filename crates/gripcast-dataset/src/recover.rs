@@ -293,10 +293,12 @@ impl Plan<'_> {
 
     /// Entries of `grasps/` that are not directories of grasps.
     fn strays(&mut self) -> Result<()> {
+        let ids = grasp_ids(self.layout)?;
+        let is_grasp = |name: &str| ids.binary_search_by(|id| id.as_str().cmp(name)).is_ok();
         for entry in entries(&self.layout.grasps())? {
             let name = entry.name();
             let is_dir = entry.is_dir();
-            if is_dir && (GraspId::parse(&name).is_ok() || pending_id(&name).is_some()) {
+            if is_dir && (is_grasp(&name) || pending_id(&name).is_some()) {
                 continue;
             }
             if is_partial(&name) {
@@ -308,7 +310,7 @@ impl Plan<'_> {
                 );
                 continue;
             }
-            // A grasp in a directory with an invalid name.
+            // A copy of a grasp, or a grasp in a directory with an invalid name.
             if is_dir && let Ok(record) = read_grasp(&entry) {
                 self.readable(&entry, &record);
                 continue;

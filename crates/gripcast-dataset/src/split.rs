@@ -16,7 +16,9 @@ use super::reader::{Dataset, entries};
 use super::schema::SCHEMA_VERSION;
 use super::schema::check_schema;
 use gripcast_base::error::{Error, Result};
-use gripcast_base::files::{BeneathPath, FileKind, FileName, GraspId, folded_name, read_regular};
+use gripcast_base::files::{
+    BeneathPath, FileKind, FileName, GraspId, folded_name, read_regular, without_bom,
+};
 
 /// Number of seeded orders; the best balanced one is kept.
 const TRIALS: u64 = 64;
@@ -170,7 +172,8 @@ impl SplitFile {
     fn from_bytes(bytes: io::Result<Vec<u8>>) -> Result<Self> {
         let unreadable = |e: serde_json::Error| Error::input("cannot read the split").because(e);
         let bytes = bytes.map_err(|e| Error::io("cannot read the split", e))?;
-        let value: serde_json::Value = serde_json::from_slice(&bytes).map_err(unreadable)?;
+        let value: serde_json::Value =
+            serde_json::from_slice(without_bom(&bytes)).map_err(unreadable)?;
         if let Some(schema) = value.get("schema").and_then(serde_json::Value::as_i64) {
             check_schema(schema)?;
         }

@@ -15,11 +15,13 @@ use super::image_file;
 use super::index::{IndexRow, to_jsonl};
 use super::layout::{GRASP_JSON, INITIAL_JSON, Layout, pending_id};
 use super::lock::DatasetLock;
-use super::reader::{entries, grasp_ids};
+use super::reader::{copied_from, entries, grasp_ids};
 use super::record_file::{Pending, names_to_normalise, read_grasp};
 use super::split::{SplitFile, check_name};
 use gripcast_base::error::{ErrorKind, Result};
-use gripcast_base::files::{BeneathPath, ContentKey, FileKind, GraspId, folded_name};
+use gripcast_base::files::{
+    BeneathPath, ContentKey, FileKind, GraspId, conflict_copy_of, folded_name, glob_character,
+};
 
 /// Kind of a problem.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize)]
@@ -96,6 +98,22 @@ pub struct Problem {
     pub remedy: String,
 }
 
+/// Number of examples in a [`ProblemSummary`].
+const EXAMPLES: usize = 3;
+
+/// Problems of one kind.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
+pub struct ProblemSummary {
+    /// Kind of the problems.
+    pub kind: ProblemKind,
+    /// Number of problems.
+    pub problems: usize,
+    /// Number of affected grasps.
+    pub grasps: usize,
+    /// The first affected grasps, at most 3.
+    pub examples: Vec<GraspId>,
+}
+
 /// Result of a verification.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct VerifyReport {
@@ -107,7 +125,9 @@ pub struct VerifyReport {
     pub pending: usize,
     /// Notes that are not problems.
     pub notes: Vec<String>,
-    /// Problems, sorted.
+    /// Problems summed up by kind.
+    pub by_kind: Vec<ProblemSummary>,
+    /// All problems, sorted by kind, grasp and file.
     pub problems: Vec<Problem>,
 }
 
@@ -133,6 +153,12 @@ pub fn verify(
             "the file is missing",
         );
     }
+    if let Some(character) = glob_character(layout.root()) {
+        found.notes.push(format!(
+            "the path has a `{character}`: Hugging Face `datasets` and others take it for a pattern and \
+             find no files; rename the folder for them"
+        ));
+    }
     if let Some(holder) = DatasetLock::holder(&layout) {
         found.notes.push(format!(
             "{holder} is writing the dataset: a save in progress may look torn"
@@ -142,7 +168,7 @@ pub fn verify(
     let pending = check_grasps_directory(&layout, &mut found)?;
     let ids = grasp_ids(&layout)?;
     let done = AtomicUsize::new(0);
-    let grasps: Vec<CheckedGrasp> = ids
+    let mut grasps: Vec<CheckedGrasp> = ids
         .par_iter()
         .map(|id| {
             let checked = check_grasp(&layout, id);
@@ -151,6 +177,13 @@ pub fn verify(
         })
         .collect();
     check_identity(&grasps, &mut found);
+    // A copy is one problem, and no grasp.
+    grasps.retain(|grasp| {
+        grasp
+            .record
+            .as_ref()
+            .is_none_or(|record| record.id == grasp.id)
+    });
     note_confusable_objects(&grasps, &mut found);
     check_duplicates(&grasps, &mut found);
     check_references(&layout, &grasps, &mut found)?;
@@ -170,8 +203,24 @@ pub fn verify(
         unlabelled,
         pending,
         notes: found.notes,
+        by_kind: by_kind(&found.problems),
         problems: found.problems,
     })
+}
+
+/// Sums up sorted problems.
+fn by_kind(problems: &[Problem]) -> Vec<ProblemSummary> {
+    let kinds = problems.chunk_by(|a, b| a.kind == b.kind);
+    let summaries = kinds.filter_map(|problems| {
+        let grasps: BTreeSet<&GraspId> = problems.iter().filter_map(|p| p.grasp.as_ref()).collect();
+        Some(ProblemSummary {
+            kind: problems.first()?.kind,
+            problems: problems.len(),
+            grasps: grasps.len(),
+            examples: grasps.into_iter().take(EXAMPLES).cloned().collect(),
+        })
+    });
+    summaries.collect()
 }
 
 #[derive(Default)]
@@ -231,7 +280,10 @@ fn check_grasp(layout: &Layout, id: &GraspId) -> CheckedGrasp {
                 ErrorKind::NotFound => ProblemKind::MissingFile,
                 _ => ProblemKind::UnreadableRecord,
             };
-            found.add(kind, Some(id), &at(GRASP_JSON), error.to_string());
+            let remedy = error.remedy_text().unwrap_or_else(|| kind.remedy());
+            let text = error.to_string();
+            let detail = text.split("\n  → ").next().unwrap_or_default();
+            found.add_with_remedy(kind, Some(id), &at(GRASP_JSON), detail, remedy);
             None
         }
     };
@@ -305,6 +357,15 @@ fn check_grasp(layout: &Layout, id: &GraspId) -> CheckedGrasp {
     }
 }
 
+/// Remedy for [`copy_text`].
+const COPY_REMEDY: &str = "compare it with the original, then move it out of the dataset";
+
+fn copy_text(original: &str) -> String {
+    format!(
+        "a copy of {original}, made by a file manager or by a program that synchronises folders"
+    )
+}
+
 fn extra_files(dir: &BeneathPath, id: &GraspId, record: &GraspRecord, found: &mut Collector) {
     for entry in entries(dir).into_iter().flatten() {
         let name = entry.name();
@@ -313,12 +374,16 @@ fn extra_files(dir: &BeneathPath, id: &GraspId, record: &GraspRecord, found: &mu
         if name == GRASP_JSON || name == INITIAL_JSON || record.files.contains_key(name.as_str()) {
             continue;
         }
-        let (kind, detail) = if is_partial(&name) {
-            (ProblemKind::Torn, "interrupted change of the record")
+        if is_partial(&name) {
+            let detail = "interrupted change of the record";
+            found.add(ProblemKind::Torn, Some(id), &at, detail);
+        } else if let Some(original) = conflict_copy_of(&name) {
+            let (kind, detail) = (ProblemKind::ExtraFile, copy_text(&original));
+            found.add_with_remedy(kind, Some(id), &at, detail, COPY_REMEDY);
         } else {
-            (ProblemKind::ExtraFile, "not listed in any record")
-        };
-        found.add(kind, Some(id), &at, detail);
+            let detail = "not listed in any record";
+            found.add(ProblemKind::ExtraFile, Some(id), &at, detail);
+        }
     }
 }
 
@@ -337,18 +402,19 @@ fn check_root(layout: &Layout, found: &mut Collector) -> Result<()> {
 /// Checks entries that are not complete grasps; returns the number of pending initial frames.
 fn check_grasps_directory(layout: &Layout, found: &mut Collector) -> Result<usize> {
     let mut pending = 0;
-    for entry in entries(&layout.grasps())? {
+    let entries = entries(&layout.grasps())?;
+    let names: Vec<String> = entries.iter().map(BeneathPath::name).collect();
+    for entry in entries {
         let name = entry.name();
         let at = format!("grasps/{name}");
         let is_dir = entry.is_dir();
         if is_dir && !name.starts_with('.') {
-            if let Err(error) = GraspId::parse(&name) {
-                found.add(
-                    ProblemKind::IdMismatch,
-                    None,
-                    &at,
-                    format!("invalid directory name: {}", error.what()),
-                );
+            if let Some(original) = copied_from(&name, &names) {
+                let (kind, detail) = (ProblemKind::DuplicateId, copy_text(&original));
+                found.add_with_remedy(kind, None, &at, detail, COPY_REMEDY);
+            } else if let Err(error) = GraspId::parse(&name) {
+                let detail = format!("invalid directory name: {}", error.what());
+                found.add(ProblemKind::IdMismatch, None, &at, detail);
             }
             continue;
         }

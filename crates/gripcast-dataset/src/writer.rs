@@ -18,18 +18,20 @@ use super::descriptor::{Descriptor, SOFTWARE};
 use super::digest::FileDigest;
 use super::disk::{Disk, is_partial, move_item, remove_item, replace};
 use super::grasp::{GraspRecord, Outcome, OverriddenGuard, PoseRecord, StageRecord};
-use super::index::{IndexRow, to_jsonl};
+use super::grasp_index::GraspIndex;
 use super::layout::{
     GRASP_JSON, INITIAL_JSON, Layout, METADATA_JSONL, PRE_GRASP_PREFIX, Stage, id_at,
 };
 use super::lock::DatasetLock;
 use super::names::NameChange;
 use super::reader::load_frame;
-use super::record_file::{PendingInitial, check_files, read_grasp, read_initial, to_json};
+use super::record_file::{
+    PendingInitial, check_files, read_grasp, read_grasp_of, read_initial, to_json,
+};
 use super::schema::SCHEMA_VERSION;
 use super::trash::free_slot;
 use gripcast_base::error::{Error, ErrorKind, Result};
-use gripcast_base::files::{BeneathPath, FileKind, FileName, GraspId};
+use gripcast_base::files::{BeneathPath, FileKind, FileName, GraspId, ObjectName};
 use gripcast_imaging::{Frame, Role};
 
 /// Grasps in [`DatasetWriter::mean_grasp_bytes`]: enough for a mean, few enough to follow a change of
@@ -41,8 +43,9 @@ pub struct DatasetWriter {
     pub(super) layout: Layout,
     pub(super) disk: Box<dyn Disk>,
     pub(super) descriptor: Descriptor,
-    pub(super) rows: BTreeMap<GraspId, IndexRow>,
-    pub(super) index_is_stale: bool,
+    pub(super) index: GraspIndex,
+    /// Revision of the index that `metadata.jsonl` has.
+    pub(super) stored_revision: Option<u64>,
     log: Option<File>,
     _lock: DatasetLock,
 }
@@ -320,28 +323,30 @@ impl DatasetWriter {
     /// Current number of grasps.
     #[must_use]
     pub fn counts(&self) -> GraspCounts {
-        let mut counts = GraspCounts::default();
-        for row in self.rows.values() {
-            counts.add(&row.object, row.outcome);
-        }
-        counts
+        self.index.counts()
+    }
+
+    /// Number of grasps.
+    #[must_use]
+    pub fn grasps(&self) -> usize {
+        self.index.len()
     }
 
     /// Object and outcome of an existing grasp.
     #[must_use]
-    pub fn outcome(&self, id: &GraspId) -> Option<(&str, Outcome)> {
-        let row = self.rows.get(id)?;
-        Some((&row.object, row.outcome))
+    pub fn outcome(&self, id: &GraspId) -> Option<(ObjectName, Outcome)> {
+        let row = self.index.get(id)?;
+        Some((row.object.clone(), row.outcome))
     }
 
     /// Mean size of the newest hundred grasps, bytes; `None` without grasps.
     #[must_use]
     pub fn mean_grasp_bytes(&self) -> Option<u64> {
-        let newest = self.rows.values().rev().take(MEAN_OF_GRASPS);
-        let (count, bytes) = newest.fold((0_u64, 0_u64), |(count, bytes), row| {
-            (count + 1, bytes.saturating_add(row.bytes))
-        });
-        bytes.checked_div(count).filter(|mean| *mean > 0)
+        let newest = self.index.newest(None, MEAN_OF_GRASPS, |_| true);
+        let bytes: u64 = newest.iter().map(|(_, row)| row.bytes).sum();
+        bytes
+            .checked_div(newest.len() as u64)
+            .filter(|mean| *mean > 0)
     }
 
     /// Free space for this user on the dataset's disk, bytes.
@@ -372,10 +377,10 @@ impl DatasetWriter {
     /// # Errors
     /// `DiskFull`, `Io`, … with the old index in place.
     pub fn flush_index(&mut self) -> Result<()> {
-        if !self.index_is_stale {
+        if self.stored_revision == Some(self.index.revision()) {
             return Ok(());
         }
-        let text = to_jsonl(&self.rows);
+        let (revision, text) = self.index.to_jsonl();
         replace(
             self.disk.as_ref(),
             &self.layout.top(),
@@ -383,7 +388,7 @@ impl DatasetWriter {
             text.as_bytes(),
         )
         .map_err(|e| self.failed("cannot write the index", e))?;
-        self.index_is_stale = false;
+        self.stored_revision = Some(revision);
         Ok(())
     }
 }
@@ -394,13 +399,14 @@ impl DatasetWriter {
         disk: Box<dyn Disk>,
         lock: DatasetLock,
         descriptor: Descriptor,
+        index: GraspIndex,
     ) -> Self {
         Self {
             layout,
             disk,
             descriptor,
-            rows: BTreeMap::new(),
-            index_is_stale: false,
+            index,
+            stored_revision: None,
             log: None,
             _lock: lock,
         }
@@ -411,17 +417,15 @@ impl DatasetWriter {
     }
 
     fn insert(&mut self, record: &GraspRecord) {
-        self.rows.insert(record.id.clone(), IndexRow::new(record));
-        self.index_is_stale = true;
+        self.index.insert(record);
     }
 
     fn remove(&mut self, id: &GraspId) {
-        self.rows.remove(id);
-        self.index_is_stale = true;
+        self.index.remove(id);
     }
 
     fn read(&self, id: &GraspId) -> Result<GraspRecord> {
-        read_grasp(&self.layout.grasp(id)).map_err(|e| {
+        read_grasp_of(&self.layout, id).map_err(|e| {
             if e.kind() == ErrorKind::NotFound {
                 Error::not_found(format!("grasp {id} not found"))
                     .at(self.layout.root().display())

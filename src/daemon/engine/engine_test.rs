@@ -13,7 +13,7 @@ use gripcast_capture::camera::{
     CameraIdentity, CaptureError, ControlValues, FrameSource, StreamInfo,
 };
 use gripcast_dataset::sample::new_dataset;
-use gripcast_dataset::{Dataset, Stage};
+use gripcast_dataset::{Dataset, GraspIndex, Stage};
 use gripcast_imaging::{Frame, PixelFormat};
 use gripcast_session::{Command, CommandResult, CommandSource};
 
@@ -111,6 +111,7 @@ fn setup(dataset: PathBuf, gels: [YuyvGel; 2]) -> EngineSetup {
             freeze_after_ns: None,
             ..SupervisionPolicy::default()
         },
+        index: GraspIndex::new(&dataset),
         dataset,
         new_dataset: new_dataset(),
         labels: Labels {

@@ -39,7 +39,7 @@ use gripcast_base::error::Result;
 use gripcast_capture::calibration::{RigFile, SourceKind};
 use gripcast_capture::camera::{CameraOpener, SupervisionPolicy, monotonic_ns};
 use gripcast_capture::trigger::{Script, ScriptRunner};
-use gripcast_dataset::{NewDataset, Provenance};
+use gripcast_dataset::{GraspIndex, NewDataset, Provenance};
 use gripcast_imaging::{Intrinsics, Role};
 use gripcast_nn::predict::Model;
 use gripcast_session::{
@@ -65,6 +65,8 @@ pub struct EngineSetup {
     pub supervision: SupervisionPolicy,
     /// Dataset directory.
     pub dataset: PathBuf,
+    /// Index of the dataset, which the engine fills and readers share.
+    pub index: GraspIndex,
     /// Metadata of a new dataset.
     pub new_dataset: NewDataset,
     /// Initial labels.

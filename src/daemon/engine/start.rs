@@ -30,9 +30,9 @@ use gripcast_session::{PendingFrame, Session};
 impl Engine {
     pub(super) fn start(setup: EngineSetup, links: EngineLinks) -> Result<Self> {
         let crops = crop_profiles(&setup.rig, setup.model.as_ref())?;
-        let (mut writer, opened) =
-            DatasetWriter::open_or_create(&setup.dataset, &setup.new_dataset)?;
-        let newest_source = newest_source(&setup.dataset, &opened.provenance);
+        let newest_source_of = setup.index.path().to_owned();
+        let (mut writer, opened) = DatasetWriter::open_index(setup.index, &setup.new_dataset)?;
+        let newest_source = newest_source(&newest_source_of, &opened.provenance);
         let calibration = store_calibration(&mut writer, &setup.rig, &setup.intrinsics)?;
         let model = setup.model.as_ref().map(ModelInfo::new);
         if let Some(model) = &model {

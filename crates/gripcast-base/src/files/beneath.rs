@@ -25,8 +25,9 @@ use rustix::fs::{
 };
 use rustix::io::Errno;
 
+use super::foreign::is_system_file;
 use super::name::{ContentKey, FileName, GraspId, ObjectName, SimulationId};
-use super::opening::{FILE_MODE, FileKind, open_beneath, owned, read_all, regular};
+use super::opening::{FILE_MODE, FileKind, open_beneath, owned, read_all, regular, text};
 use super::partial_name;
 use crate::error::Refused;
 
@@ -317,21 +318,57 @@ impl BeneathPath {
         folder.child(self.relative.file_name().unwrap_or_default())
     }
 
-    /// Entries of the directory, sorted by name.
+    /// Entries of the directory, sorted by name, without those of [`is_system_file`].
     ///
     /// # Errors
     /// Those of the operating system.
     pub fn entries(&self) -> io::Result<Vec<Self>> {
+        let entries = self.typed_entries()?;
+        Ok(entries.into_iter().map(|(entry, _)| entry).collect())
+    }
+
+    /// Directories in the directory, as [`entries`](Self::entries).
+    ///
+    /// # Errors
+    /// Those of the operating system.
+    pub fn directories(&self) -> io::Result<Vec<Self>> {
+        let mut entries = self.typed_entries()?;
+        entries.retain(|(entry, kind)| match kind {
+            FileType::Directory => true,
+            // Some file systems do not tell.
+            FileType::Symlink | FileType::Unknown => entry.is_dir(),
+            _ => false,
+        });
+        Ok(entries.into_iter().map(|(entry, _)| entry).collect())
+    }
+
+    fn typed_entries(&self) -> io::Result<Vec<(Self, FileType)>> {
         let fd = self.open(OFlags::RDONLY | OFlags::DIRECTORY, Mode::empty())?;
-        let mut names = Vec::new();
+        let mut found = Vec::new();
         for entry in Dir::read_from(&fd)? {
-            let name = OsString::from_vec(entry?.file_name().to_bytes().to_vec());
-            if name != "." && name != ".." {
-                names.push(name);
+            let entry = entry?;
+            let name = OsString::from_vec(entry.file_name().to_bytes().to_vec());
+            if name != "." && name != ".." && !is_system_file(&name.to_string_lossy()) {
+                found.push((name, entry.file_type()));
             }
         }
-        names.sort();
-        Ok(names.iter().map(|name| self.child(name)).collect())
+        found.sort_by(|(a, _), (b, _)| a.cmp(b));
+        let found = found.into_iter();
+        Ok(found
+            .map(|(name, kind)| (self.child(&name), kind))
+            .collect())
+    }
+
+    /// A value that changes when an entry is added, removed or renamed: device, inode, and time of
+    /// the last change of the directory, ns. Changes within the resolution of the file system's
+    /// clock may leave it unchanged.
+    ///
+    /// # Errors
+    /// Those of the operating system.
+    pub fn change_stamp(&self) -> io::Result<[u64; 3]> {
+        let stat = fstat(self.open(OFlags::PATH, Mode::empty())?)?;
+        let time_ns = stat.st_mtime as i128 * 1_000_000_000 + stat.st_mtime_nsec as i128;
+        Ok([stat.st_dev, stat.st_ino, time_ns as u64])
     }
 
     /// Opens a regular file for reading.
@@ -356,13 +393,12 @@ impl BeneathPath {
         read_all(self.open_file(kind)?, kind)
     }
 
-    /// Reads a regular UTF-8 file.
+    /// Reads a regular UTF-8 file without its byte-order mark.
     ///
     /// # Errors
     /// As [`open_file`](Self::open_file); `InvalidData` for invalid UTF-8.
     pub fn read_to_string(&self, kind: FileKind) -> io::Result<String> {
-        String::from_utf8(self.read(kind)?)
-            .map_err(|e| io::Error::new(io::ErrorKind::InvalidData, e))
+        text(self.read(kind)?)
     }
 
     /// Creates a new file; an existing name, even of a link, is an error.

@@ -11,6 +11,7 @@ use rustix::fs::{
 };
 use rustix::io::Errno;
 
+use super::foreign::without_bom;
 use crate::error::Refused;
 
 /// Mode of new files, before the umask.
@@ -193,13 +194,19 @@ pub fn read_regular(path: &Path, kind: FileKind) -> io::Result<Vec<u8>> {
     read_all(open_regular(path, kind)?, kind)
 }
 
-/// Reads a regular UTF-8 file at a path given by the user.
+/// Reads a regular UTF-8 file at a path given by the user, without its byte-order mark.
 ///
 /// # Errors
 /// As [`open_regular`]; `InvalidData` for invalid UTF-8.
 pub fn read_text(path: &Path, kind: FileKind) -> io::Result<String> {
-    String::from_utf8(read_regular(path, kind)?)
-        .map_err(|e| io::Error::new(io::ErrorKind::InvalidData, e))
+    text(read_regular(path, kind)?)
+}
+
+/// UTF-8 text without its byte-order mark.
+pub(super) fn text(mut bytes: Vec<u8>) -> io::Result<String> {
+    let mark = bytes.len() - without_bom(&bytes).len();
+    bytes.drain(..mark);
+    String::from_utf8(bytes).map_err(|e| io::Error::new(io::ErrorKind::InvalidData, e))
 }
 
 /// Opens a lock file without following links; `write`: creates it if it is missing.

@@ -10,6 +10,7 @@ use serde::{Deserialize, Serialize};
 use crate::camera::{CONTROLS, FORMER_NAMES};
 use crate::device::are_twins;
 use gripcast_base::error::{Error, Result, nearest_name};
+use gripcast_base::files::is_system_file;
 use gripcast_imaging::{MAX_SIDE, PixelFormat, Role};
 
 /// Version of the rig file format.
@@ -241,7 +242,8 @@ impl RigFile {
             let mut names: Vec<String> = files
                 .filter_map(|entry| {
                     let name = entry.file_name().into_string().ok()?;
-                    Some(name.strip_suffix(".toml")?.to_owned())
+                    let is_rig = !is_system_file(&name);
+                    Some(name.strip_suffix(".toml").filter(|_| is_rig)?.to_owned())
                 })
                 .collect();
             names.sort();

@@ -20,7 +20,7 @@ use super::source::{
 };
 use crate::calibration::CameraConfig;
 use gripcast_base::error::{Error, Result};
-use gripcast_base::files::{BeneathPath, FileKind, Root};
+use gripcast_base::files::{BeneathPath, FileKind, Root, is_system_file};
 use gripcast_imaging::{Frame, FrameBytes, PixelFormat, Role, decode_png_rgb};
 
 const PNG_JPEG_QUALITY: i32 = 98;
@@ -197,8 +197,12 @@ fn load_images(dir: &Path, config: &CameraConfig) -> Result<Recording> {
     let read = || -> io::Result<BTreeSet<PathBuf>> {
         fs::read_dir(dir)?.map(|entry| Ok(entry?.path())).collect()
     };
+    let is_foreign = |path: &PathBuf| {
+        let name = path.file_name().unwrap_or_default();
+        is_system_file(&name.to_string_lossy())
+    };
     let mut images = read().map_err(|error| Error::io("cannot read the directory", error))?;
-    images.retain(|path| image_kind(path).is_some());
+    images.retain(|path| image_kind(path).is_some() && !is_foreign(path));
     if images.is_empty() {
         return Err(Error::input(format!(
             "the directory has neither {STREAM_FILE} nor .jpg, .jpeg or .png images"

@@ -12,7 +12,7 @@ use super::cell::Cell;
 use super::columns::{FACTS, table_columns};
 use super::digest::ContentHash;
 use super::metadata::GroupHash;
-use super::row::image_extension;
+use super::table::table_image_extension;
 use super::table_column::ColumnType;
 
 /// Values of one leaf column with their definition and repetition levels.
@@ -160,7 +160,7 @@ fn image_name(column: &str, cell: &Cell<'_>) -> Option<ByteArray> {
     let Cell::Image(bytes) = cell else {
         return None;
     };
-    let extension = image_extension(bytes).unwrap_or("bin");
+    let extension = table_image_extension(bytes).unwrap_or("bin");
     let name = format!("{}.{extension}", column.replace('_', "."));
     Some(ByteArray::from(name.into_bytes()))
 }

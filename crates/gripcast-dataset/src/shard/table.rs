@@ -16,6 +16,8 @@ use gripcast_base::files::BeneathPath;
 
 /// Writer of the file; shards have another one.
 const CREATED_BY: &str = "gripcast-table version 1.0.0";
+/// Beginning of a little-endian TIFF file.
+const TIFF: &[u8] = b"II*\0";
 
 /// Writes one Parquet file, row by row, in bounded memory; pages and row groups are like those of
 /// shards.
@@ -73,7 +75,7 @@ impl TableWriter {
     /// Adds a row: one cell per column, of the column's type or null.
     ///
     /// # Errors
-    /// `Input`: an image that is neither PNG nor JPEG, a row that is too large. `Internal`: the
+    /// `Input`: an image that is neither PNG nor JPEG nor TIFF, a row that is too large. `Internal`: the
     /// number of cells differs from that of the columns. `DiskFull`, `Io`, …: the file; nothing
     /// more can be written.
     pub fn push(&mut self, cells: Vec<Cell<'static>>) -> Result<()> {
@@ -95,9 +97,9 @@ impl TableWriter {
         }
         for ((name, _), cell) in self.columns.iter().zip(cells) {
             if let Cell::Image(bytes) = cell
-                && image_extension(bytes).is_none()
+                && table_image_extension(bytes).is_none()
             {
-                return Err(column_error(name, "is neither PNG nor JPEG"));
+                return Err(column_error(name, "is neither PNG nor JPEG nor TIFF"));
             }
         }
         let size = cells.iter().map(Cell::size).sum();
@@ -146,6 +148,11 @@ impl TableWriter {
             })
             .map_err(|e| e.at(self.path.display()))
     }
+}
+
+/// File extension of an image in a table.
+pub(super) fn table_image_extension(bytes: &[u8]) -> Option<&'static str> {
+    image_extension(bytes).or_else(|| bytes.starts_with(TIFF).then_some("tiff"))
 }
 
 #[cfg(test)]
@@ -241,7 +248,7 @@ mod tests {
             .unwrap_err()
             .to_string();
         assert!(
-            text.contains("column view is neither PNG nor JPEG"),
+            text.contains("column view is neither PNG nor JPEG nor TIFF"),
             "{text}"
         );
         drop(writer);

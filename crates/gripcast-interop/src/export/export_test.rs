@@ -19,7 +19,7 @@ use gripcast_dataset::{
     Dataset, DatasetWriter, GraspId, GroupKey, Outcome, PoseRecord, SplitPlan, Stage, StageCapture,
     split,
 };
-use gripcast_imaging::{CropProfile, Decoder, Role, jpeg::inspect};
+use gripcast_imaging::{CropProfile, Decoder, Role, decode_png_grey16, jpeg::inspect};
 
 const FORMATS: [ExportFormat; 5] = [
     ExportFormat::Parquet,
@@ -215,13 +215,10 @@ fn shards_are_bounded_and_numbered() {
     assert_eq!(names(&out).len(), 3);
 }
 
-#[test]
-fn webdataset_sample_is_consecutive_files_without_owner() {
-    let (dir, ids) = dataset();
-    let out = dir.path().join("out");
-    run(dir.path(), &out, &ExportPlan::new(ExportFormat::WebDataset)).unwrap();
-    let file = fs::File::open(out.join("train-000000.tar")).unwrap();
-    let mut keys: Vec<(String, Vec<String>)> = Vec::new();
+/// Key, and extension and bytes of each file, of the samples of a tar file.
+fn samples(path: &Path) -> Vec<(String, Vec<(String, Vec<u8>)>)> {
+    let mut samples: Vec<(String, Vec<(String, Vec<u8>)>)> = Vec::new();
+    let file = fs::File::open(path).unwrap();
     for entry in tar::Archive::new(file).entries().unwrap() {
         let mut entry = entry.unwrap();
         let header = entry.header();
@@ -230,35 +227,143 @@ fn webdataset_sample_is_consecutive_files_without_owner() {
         let (key, rest) = name.split_once('.').unwrap();
         let mut bytes = Vec::new();
         entry.read_to_end(&mut bytes).unwrap();
-        if rest == "json" {
-            let stored = dir.path().join(format!("d/grasps/{key}/grasp.json"));
-            assert_eq!(bytes, fs::read(stored).unwrap());
-        } else if rest.ends_with("jpg") {
-            let header = inspect(&bytes).unwrap();
+        match samples.last_mut().filter(|(last, _)| last == key) {
+            Some((_, files)) => files.push((rest.to_owned(), bytes)),
+            None => samples.push((key.to_owned(), vec![(rest.to_owned(), bytes)])),
+        }
+    }
+    samples
+}
+
+/// Name of a JSON value's type; lists with the types of their elements.
+fn type_of(value: &Value) -> String {
+    match value {
+        Value::Null => "null".to_owned(),
+        Value::Bool(_) => "bool".to_owned(),
+        Value::Number(number) if number.is_f64() => "float".to_owned(),
+        Value::Number(_) => "int".to_owned(),
+        Value::String(_) => "text".to_owned(),
+        Value::Array(list) => format!("{:?}", list.iter().map(type_of).collect::<Vec<_>>()),
+        Value::Object(_) => "object".to_owned(),
+    }
+}
+
+#[test]
+fn webdataset_samples_have_equal_fields_and_types() {
+    let (dir, ids) = dataset();
+    let out = dir.path().join("out");
+    let report = run(dir.path(), &out, &ExportPlan::new(ExportFormat::WebDataset)).unwrap();
+    let lacking = "grasp_depth: black where `has_grasp_depth` is false, 1 grasps";
+    assert_eq!(report.notes, [lacking]);
+    let samples = samples(&out.join("train-000000.tar"));
+    let found: Vec<&str> = samples.iter().map(|(key, _)| key.as_str()).collect();
+    assert_eq!(found, ids.iter().map(GraspId::as_str).collect::<Vec<_>>());
+    let mut types = Vec::new();
+    for (key, files) in &samples {
+        let names: Vec<&str> = files.iter().map(|(name, _)| name.as_str()).collect();
+        let expected = [
+            "json",
+            "initial_left.jpg",
+            "initial_right.jpg",
+            "initial_rgb.png",
+            "grasp_left.jpg",
+            "grasp_right.jpg",
+            "grasp_rgb.png",
+            "grasp_depth.png",
+        ];
+        assert_eq!(names, expected);
+        let facts: Value = serde_json::from_slice(&files[0].1).unwrap();
+        let record = fs::read_to_string(dir.path().join(format!("d/grasps/{key}/grasp.json")));
+        assert_eq!(facts["record"], record.unwrap());
+        let of_sample: BTreeMap<String, String> = facts
+            .as_object()
+            .unwrap()
+            .iter()
+            .map(|(name, value)| (name.clone(), type_of(value)))
+            .collect();
+        assert!(!of_sample.values().any(|kind| kind.contains("null")));
+        types.push(of_sample);
+        for (name, bytes) in files.iter().filter(|(name, _)| name.ends_with("jpg")) {
+            let header = inspect(bytes).unwrap();
             assert!(
                 header.has_huffman_tables && header.length == bytes.len(),
                 "{name}"
             );
         }
-        match keys.last_mut().filter(|(last, _)| last == key) {
-            Some((_, files)) => files.push(rest.to_owned()),
-            None => keys.push((key.to_owned(), vec![rest.to_owned()])),
-        }
     }
-    let found: Vec<&str> = keys.iter().map(|(key, _)| key.as_str()).collect();
-    assert_eq!(found, ids.iter().map(GraspId::as_str).collect::<Vec<_>>());
-    let with_depth = [
-        "json",
-        "initial_left.jpg",
-        "initial_right.jpg",
-        "initial_rgb.png",
-        "grasp_left.jpg",
-        "grasp_right.jpg",
-        "grasp_rgb.png",
-        "grasp_depth.png",
-    ];
-    assert_eq!(keys[0].1, with_depth);
-    assert_eq!(keys[2].1, with_depth[..7]);
+    assert!(types.iter().all(|of_sample| *of_sample == types[0]));
+    let facts =
+        |sample: usize| -> Value { serde_json::from_slice(&samples[sample].1[0].1).unwrap() };
+    let (mug, sponge) = (facts(0), facts(2));
+    assert_eq!((&mug["label"], &sponge["label"]), (&1.into(), &(-1).into()));
+    assert_eq!(
+        (&mug["has_pose"], &sponge["has_pose"]),
+        (&true.into(), &false.into())
+    );
+    assert_eq!(sponge["has_prediction"], false);
+    assert_eq!(sponge["predicted_p_stable"], -1.0);
+    assert_eq!(
+        (&sponge["labelled_at"], &sponge["predicted_model"]),
+        (&"".into(), &"".into())
+    );
+    assert_eq!(
+        sponge["pose_q_wxyz"],
+        serde_json::json!([0.0, 0.0, 0.0, 0.0])
+    );
+    assert_eq!(sponge["has_grasp_depth"], false);
+    let depth = |sample: usize| decode_png_grey16(&samples[sample].1[7].1).unwrap();
+    assert_eq!(depth(0).dimensions(), depth(2).dimensions());
+    assert!(depth(2).iter().all(|count| *count == 0));
+}
+
+#[test]
+fn path_that_readers_take_for_a_pattern_is_noted() {
+    let (dir, _) = dataset();
+    for (name, is_noted) in [("kitchen [1]", true), ("a*b", true), ("kitchen 1", false)] {
+        let out = dir.path().join(name);
+        let report = run(dir.path(), &out, &ExportPlan::new(ExportFormat::Parquet)).unwrap();
+        let notes = report.notes.iter();
+        assert_eq!(
+            notes.filter(|note| note.contains("pattern")).count() == 1,
+            is_noted,
+            "{name}"
+        );
+    }
+}
+
+#[test]
+fn webdataset_field_has_one_image_format() {
+    let dir = tempfile::tempdir().unwrap();
+    let (mut writer, _) =
+        DatasetWriter::open_or_create(dir.path().join("d"), &new_dataset()).unwrap();
+    for number in 0..2 {
+        let mut closed = capture(2 * number + 2);
+        if number == 1 {
+            // Another camera, which sends JPEG.
+            let left = closed.cameras[&Role::Left].clone();
+            closed.cameras.insert(Role::Rgb, left);
+        }
+        let pending = writer
+            .save_initial(&capture(2 * number + 1), Vec::new())
+            .unwrap();
+        writer.save_grasp(&pending, &closed, meta("mug")).unwrap();
+    }
+    let out = dir.path().join("out");
+    let report = run(dir.path(), &out, &ExportPlan::new(ExportFormat::WebDataset)).unwrap();
+    assert_eq!(
+        report.notes,
+        ["grasp_rgb: 1 JPEG images became PNG, as the others are"]
+    );
+    let samples = samples(&out.join("train-000000.tar"));
+    let (_, files) = &samples[1];
+    let bytes = |wanted: &str| &files.iter().find(|(name, _)| name == wanted).unwrap().1;
+    let mut decoder = Decoder::new().unwrap();
+    let mut pixels = |bytes: &[u8]| decoder.stored_image(bytes).unwrap();
+    assert!(bytes("grasp_rgb.png").starts_with(b"\x89PNG"));
+    assert_eq!(
+        pixels(bytes("grasp_rgb.png")),
+        pixels(bytes("grasp_left.jpg"))
+    );
 }
 
 #[test]

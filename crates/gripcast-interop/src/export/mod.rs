@@ -5,6 +5,7 @@
 //! complete. Damaged grasps are left out and listed in the report. Memory use is limited to the
 //! ids, one grasp's images and one row group. `docs/reference/exports.md` describes each format.
 
+mod facts;
 mod format;
 mod lerobot;
 mod parquet;

@@ -16,6 +16,7 @@ use super::webdataset::TarShards;
 use super::zarr::{self, ReplayBuffer};
 use crate::left_out::LeftOut;
 use gripcast_base::error::{Error, Result};
+use gripcast_base::files::glob_character;
 use gripcast_dataset::Dataset;
 
 /// Exports a dataset to `out` atomically.
@@ -40,6 +41,7 @@ pub fn export(
         .and_then(|mut report| {
             (report.files, report.bytes) = folder.size()?;
             report.out = out.to_owned();
+            report.notes.extend(glob_note(out));
             Ok(report)
         })
         .and_then(|report| {
@@ -66,7 +68,7 @@ fn write(
     };
     let mut writer: Box<dyn Writer + '_> = match plan.format {
         ExportFormat::Parquet => Box::new(ParquetShards::new(context)),
-        ExportFormat::WebDataset => Box::new(TarShards::new(context)),
+        ExportFormat::WebDataset => Box::new(TarShards::new(context)?),
         ExportFormat::LeRobot => Box::new(LeRobot::new(context)?),
         ExportFormat::Zarr => Box::new(ReplayBuffer::new(context)?),
         ExportFormat::Training => Box::new(TrainingShards::new(context)?),
@@ -132,6 +134,16 @@ impl ExportReport {
             left_out: selection.left_out.clone(),
         }
     }
+}
+
+/// A note on a path in which Python libraries do not find the export.
+fn glob_note(out: &Path) -> Option<String> {
+    let absolute = std::path::absolute(out).unwrap_or_else(|_| out.to_owned());
+    let character = glob_character(&absolute)?;
+    Some(format!(
+        "the path has a `{character}`: Hugging Face `datasets` and others take it for a pattern and find \
+         no files; rename the folder for them"
+    ))
 }
 
 /// Refuses an export inside the dataset.

@@ -6,7 +6,7 @@ use super::plan::{ExportFormat, ExportPlan};
 use crate::left_out::LeftOut;
 use gripcast_base::error::{Error, Result, unknown_name};
 use gripcast_dataset::{Dataset, GraspId, GraspRecord, Outcome, SplitFile, Stage};
-use gripcast_imaging::Role;
+use gripcast_imaging::{PixelFormat, Role};
 
 /// Selected grasps of an export.
 #[derive(Debug, Default)]
@@ -39,6 +39,8 @@ pub(super) struct Survey {
 pub(super) struct CameraCounts {
     /// Number of grasps with an image.
     pub(super) grasps: usize,
+    /// Number of those that are JPEG; the others are PNG.
+    pub(super) jpegs: usize,
     /// Widths and heights, pixels.
     pub(super) sizes: BTreeSet<(u32, u32)>,
 }
@@ -58,6 +60,7 @@ impl Survey {
             for (role, camera) in &frames.cameras {
                 let counts = self.cameras.entry((stage, *role)).or_default();
                 counts.grasps += 1;
+                counts.jpegs += usize::from(camera.format == PixelFormat::Mjpg);
                 counts.sizes.insert((camera.width, camera.height));
             }
         }

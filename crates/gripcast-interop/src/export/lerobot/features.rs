@@ -161,6 +161,7 @@ mod tests {
         let cameras = cameras.iter().map(|(stage, role, grasps, sizes)| {
             let counts = CameraCounts {
                 grasps: *grasps,
+                jpegs: 0,
                 sizes: sizes.iter().copied().collect(),
             };
             ((*stage, *role), counts)

@@ -7,12 +7,11 @@ use image::RgbImage;
 use super::super::source::{Grasp, Image};
 use super::FRAMES;
 use super::features::Features;
+use super::tiff;
 use gripcast_base::error::{Error, Result};
 use gripcast_dataset::Stage;
 use gripcast_dataset::shard::TableCell;
-use gripcast_imaging::{
-    Decoder, DepthImage, Role, decode_png_grey16, encode_png_grey16, encode_png_rgb,
-};
+use gripcast_imaging::{Decoder, DepthImage, Role, decode_png_grey16, encode_png_rgb};
 
 /// Converts grasps to frames.
 pub(super) struct Frames {
@@ -85,7 +84,7 @@ impl Frames {
     pub(super) fn new(features: Features) -> Result<Self> {
         let no_depth = features.depth.map(|(width, height)| {
             let counts = DepthImage::new(width, height);
-            encode_png_grey16(&counts).map(|bytes| Depth { bytes, counts })
+            tiff::encode(&counts).map(|bytes| Depth { bytes, counts })
         });
         Ok(Self {
             decoder: Decoder::new()?,
@@ -109,9 +108,10 @@ impl Frames {
         let mut second = self.frame(grasp, closed)?;
         if self.features.depth.is_some() {
             let image = image_of(grasp, Stage::Grasp, Role::Depth)?;
+            let counts = decode_png_grey16(&image.bytes)?;
             second.depth = Some(Depth {
-                bytes: image.bytes.clone(),
-                counts: decode_png_grey16(&image.bytes)?,
+                bytes: tiff::encode(&counts)?,
+                counts,
             });
         }
         let record = &grasp.record;

@@ -7,6 +7,7 @@ mod features;
 mod frames;
 mod info;
 mod stats;
+mod tiff;
 
 use super::format::{ExportContext, Writer};
 use super::source::Grasp;
