@@ -40,6 +40,7 @@ const FILES: &[File] = files! {
     "link.js" => JAVASCRIPT,
     "login.js" => JAVASCRIPT,
     "images.js" => JAVASCRIPT,
+    "recent.js" => JAVASCRIPT,
     "sound.js" => JAVASCRIPT,
     "theme.js" => JAVASCRIPT,
     "types.js" => JAVASCRIPT,

@@ -498,7 +498,7 @@ async def images(d, context):
     page = await d.page(context)
     other = await d.page(context)
     roles = [camera["role"] for camera in d.server.state()["cameras"]]
-    ready = f"[...document.querySelectorAll('#images img')].filter((i) => i.naturalWidth > 0).length === {len(roles)}"
+    ready = f"[...document.querySelectorAll('#images img:not(.earlier)')].filter((i) => i.naturalWidth > 0).length === {len(roles)}"
     for name, each in (("first", page), ("second", other)):
         await true(each, ready)
         d.check(f"{name} window shows all {len(roles)} cameras", True)
@@ -560,7 +560,7 @@ async def first_screen(d):
         for step in ("initial", "grasp", "label"):
             await d.go_to(page, step)
             await page.locator(f"#trigger.{step}").wait_for(state="attached")
-            await true(page, "document.querySelectorAll('#images img').length > 0 && [...document.querySelectorAll('#images img')].every((i) => i.naturalWidth > 0)")
+            await true(page, "document.querySelectorAll('#images img:not(.earlier)').length > 0 && [...document.querySelectorAll('#images img:not(.earlier)')].every((i) => i.naturalWidth > 0)")
             name = f"{size[0]}×{size[1]} {step}"
             await d.shot(page, f"phone-{size[1]}-{step}")
             await targets(d, page, name)
@@ -597,6 +597,29 @@ async def gels(d, context):
     await page.close()
 
 
+async def recent(d, context):
+    """Looks back over the last seconds; a step returns to the live images."""
+    page = await d.page(context)
+    await d.go_to(page, "initial")
+    await true(page, "[...document.querySelectorAll('#images img:not(.earlier)')].every((i) => i.naturalWidth > 0)")
+    await page.wait_for_timeout(3000)
+    await page.locator("#moment").evaluate("(n) => { n.value = '-10'; n.dispatchEvent(new Event('input')); }")
+    await page.locator("#images.past").wait_for()
+    words = await page.locator("#moment-words").inner_text()
+    d.check("the slider shows an earlier moment and says which", words.endswith("s back") and 1 <= float(words.split()[0]) <= 5, words)
+    await true(page, "[...document.querySelectorAll('#images .earlier')].every((i) => i.naturalWidth > 0)")
+    d.check("of every camera", True)
+    await d.shot(page, "recent")
+    await d.advance(page, "grasp", lambda: page.keyboard.press("Space"))
+    await page.locator("#images:not(.past)").wait_for()
+    d.check("a step returns to the live images", await page.locator("#moment-words").inner_text() == "live")
+    await page.locator("#images figure[data-role=right] .frame").click()
+    await d.advance(page, "label", lambda: page.keyboard.press("Space"))
+    d.check("a tap on an image does not take the pedal's space", True)
+    await page.evaluate("localStorage.removeItem('gripcast-gels')")
+    await page.close()
+
+
 async def lift(d, context):
     """From the grasp to its label the gauge shows the prediction saved with the grasp."""
     page = await d.page(context)
@@ -628,7 +651,7 @@ async def themes(d):
     for name, size, scheme in (("phone-light", PHONE, "light"), ("phone-dark", PHONE, "dark"), ("phone-side", (740, 360), "dark"), ("tablet-light", (1024, 768), "light"), ("tablet-dark", TABLET, "dark"), ("desktop", DESKTOP, "dark")):
         page = await d.page(await d.context(size, scheme))
         await d.go_to(page, "grasp")
-        await true(page, "document.querySelectorAll('#images img').length > 0 && [...document.querySelectorAll('#images img')].every((i) => i.naturalWidth > 0)")
+        await true(page, "document.querySelectorAll('#images img:not(.earlier)').length > 0 && [...document.querySelectorAll('#images img:not(.earlier)')].every((i) => i.naturalWidth > 0)")
         await page.wait_for_timeout(400)
         await d.shot(page, name)
         await d.quality(page, name)
@@ -735,8 +758,9 @@ async def troubles(d):
     d.server.order(absent=None, mute=True)
     await page.locator("#verdict >> text=no data").wait_for()
     d.check("silence of the server is not a prediction", True)
-    await page.locator("#link:visible").wait_for(timeout=15000)
-    d.check("a lost connection is detected", "saved grasps are safe" in await page.locator("#link").inner_text())
+    # It reconnects after 0.4 s, and is silent again.
+    await page.locator("#link:has-text('saved grasps are safe')").wait_for(timeout=15000)
+    d.check("a lost connection is detected", True)
     d.server.order(mute=False, p=None)
     await page.locator("body:not(.offline)").wait_for(timeout=20000)
     await page.context.close()
@@ -762,7 +786,7 @@ async def cable(d, context):
     for each in (page, other):
         await each.locator("#fault").wait_for(state="hidden", timeout=20000)
     d.check(f"the page shows it back ({time.monotonic() - back:.2f} s)", True)
-    await true(page, "[...document.querySelectorAll('#images img')].every((i) => i.naturalWidth > 0)")
+    await true(page, "[...document.querySelectorAll('#images img:not(.earlier)')].every((i) => i.naturalWidth > 0)")
     await d.advance(page, "grasp", lambda: d.tap(page, "#trigger"))
     await other.context.close()
 
@@ -802,7 +826,7 @@ async def restart(d, context):
             await page.keyboard.press("Enter")
             await page.locator("#steps .here").wait_for()
         await page.locator("#link").wait_for(state="hidden", timeout=30000)
-        await true(page, "[...document.querySelectorAll('#images img')].every((i) => i.naturalWidth > 0)")
+        await true(page, "[...document.querySelectorAll('#images img:not(.earlier)')].every((i) => i.naturalWidth > 0)")
         d.check(f"{how.name}: back with images", await page.locator("#trigger[aria-disabled]").count() == 0)
     await page.close()
 
@@ -868,6 +892,7 @@ async def run(options):
             "themes": lambda: themes(d),
             "first_screen": lambda: first_screen(d),
             "gels": lambda: gels(d, context),
+            "recent": lambda: recent(d, context),
             "lift": lambda: lift(d, context),
             "grasps": lambda: grasps(d, context),
             "cable": (lambda: cable(d, context)) if server.unplugged else None,

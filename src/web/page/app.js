@@ -15,6 +15,7 @@ import { drawLabels, startNames } from "./labels.js";
 import { Link } from "./link.js";
 import { askToken, drawLogout, loginFromAddress, startLogin, startLogout } from "./login.js";
 import { Images } from "./images.js";
+import { drawRecent, goLive, startRecent } from "./recent.js";
 import { play, startSound } from "./sound.js";
 
 /** Age of the state after which its prediction is hidden, ms. */
@@ -38,6 +39,7 @@ function draw() {
   drawLabels(state, openDetail);
   drawCameras(state);
   images.draw(state);
+  drawRecent(state.session);
 }
 
 /** Reason why the newest state is out of date. */
@@ -116,6 +118,7 @@ function view() {
   }
   showGallery(grasps);
   const visible = !grasps && !document.hidden && offline === null;
+  if (!visible) goLive();
   if (visible && !images.running) images.start();
   else if (!visible) images.stop();
 }
@@ -136,6 +139,7 @@ startGallery();
 startKeys();
 startNames();
 startSound();
+startRecent(() => images.tiles.values());
 startLogin(() => link.start());
 startLogout();
 addEventListener("hashchange", async () => {

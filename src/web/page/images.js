@@ -24,6 +24,7 @@ const GEL_VIEW = "gripcast-gels";
  * @property {Role} role
  * @property {any} figure
  * @property {HTMLImageElement} image
+ * @property {HTMLImageElement} past the image of an earlier moment, over the live one
  * @property {HTMLElement} health
  * @property {HTMLElement} cover
  * @property {string} state
@@ -41,6 +42,8 @@ export class Images {
     this.round = 0;
     /** @type {(() => void)|null} */
     this.release = null;
+    // A click must not move the focus, or the next space would press the image again.
+    byId("images").addEventListener("mousedown", (/** @type {MouseEvent} */ event) => event.preventDefault());
   }
 
   /** @param {State} state */
@@ -210,13 +213,15 @@ function tile(role) {
   image.alt = isGel(role) ? `${role} gel, raw image and difference to the initial frame` : `${role} camera`;
   image.dataset.role = role;
   const name = make("b", "", role);
+  const past = make("img", "earlier");
+  past.alt = "";
   const words = make("span", "health");
   const caption = make("figcaption", "", name, words);
   const cover = make("span", "cover");
-  const frame = isGel(role) ? gelFrame(image, cover) : sensorFrame(image, cover);
+  const frame = isGel(role) ? gelFrame(image, past, cover) : sensorFrame(image, past, cover);
   const figure = make("figure", isGel(role) ? "gel" : "", caption, frame);
   figure.dataset.role = role;
-  return { role, figure, image, health: words, cover, state: "", due: 0, busy: false };
+  return { role, figure, image, past, health: words, cover, state: "", due: 0, busy: false };
 }
 
 /** Frame rate, age, contact and problems. @param {Camera} camera @param {string} contact
