@@ -41,11 +41,11 @@ pub(super) fn draw(buffer: &mut Buffer, area: Rect, warnings: &[&StartFinding], 
         };
         let room = usize::from(area.width).saturating_sub(3 + hint.chars().count());
         let text = clipped(&warning.text, room);
-        let spans = [
+        let warning_line = Line::from(vec![
             Span::styled(format!("⚠ {text}"), style),
             Span::styled(hint, palette.faint()),
-        ];
-        write(buffer, inset(line, 1, 0), &Line::from(spans.to_vec()));
+        ]);
+        write(buffer, inset(line, 1, 0), &warning_line);
     }
 }
 

@@ -6,7 +6,8 @@ use std::time::{Duration, Instant};
 
 use crossterm::event::{KeyCode, KeyEvent, KeyModifiers};
 use gripcast::daemon::{
-    CameraState, CameraStatus, EngineStatus, MarkerStatus, PredictionStatus, Preview,
+    CameraState, CameraStatus, EngineStatus, MarkerStatus, PredictionStatus, Preview, StartFinding,
+    StartSubject,
 };
 use gripcast::tui::{ColourDepth, LinePrinter, Overlay, Palette, Reaction, ScreenState, draw};
 use gripcast_base::files::{Label, ObjectName};
@@ -540,12 +541,15 @@ prop_compose! {
             difference: image.2.then(|| Arc::new(RgbImage::new(image.0, image.1))),
         };
         let contact = prediction.as_ref().map(|p| (Role::Left, p.record.p_stable));
+        let subject = StartSubject::Clock;
+        let level = MessageLevel::Warning;
+        let report = vec![StartFinding { subject, level, text: text.clone() }];
         EngineStatus {
             black_box: None,
             dataset: text.clone(), rig: text.clone(), clock: text,
             disk_free_bytes: disk,
             grasps_left: disk.map(|free| free / 1_300_000),
-            target_per_object: 20, objects: Arc::default(), start_report: Vec::new(),
+            target_per_object: 20, objects: Arc::default(), start_report: report,
             contact: contact.into_iter().collect(),
             gels: BTreeMap::new(),
             session, cameras, prediction,

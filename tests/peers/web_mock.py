@@ -448,6 +448,15 @@ def routes(mock):
         info, grasp = request.match_info, wanted(request)
         return web.Response(body=image(info["role"], info["stage"], grasp["id"]), content_type="image/jpeg")
 
+    @table.patch("/api/grasps/{id}")
+    async def _(request):
+        grasp, names = wanted(request), await request.json()
+        before = {name: grasp[name] for name in names}
+        grasp.update(names)
+        mock.undos.append((f"names of {grasp['id'][-4:]}", lambda: grasp.update(before), lambda: grasp.update(names)))
+        await mock.stored(grasp["id"])
+        return await answered(True, [])
+
     @table.post("/api/grasps/{id}/{what:label|trash|restore}")
     async def _(request):
         key, what = request.match_info["id"], request.match_info["what"]

@@ -1,5 +1,5 @@
 //! Injects a fault of the process, the power or the disk into every file operation of a whole
-//! session.
+//! session. One file: disk, session and checks share their types.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;

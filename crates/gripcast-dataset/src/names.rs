@@ -75,6 +75,26 @@ fn replace<T: Clone + PartialEq>(found: &mut T, new: Option<&T>) -> Option<T> {
     Some(std::mem::replace(found, new.clone()))
 }
 
+impl DatasetWriter {
+    /// Changes object, scene or operator of a grasp; returns the previous names of the fields that
+    /// differ.
+    ///
+    /// # Errors
+    /// `NotFound` without that grasp; `DiskFull`, `Io`, … with the names as before.
+    pub fn set_names(
+        &mut self,
+        id: &GraspId,
+        names: &NameChange,
+    ) -> Result<(GraspRecord, NameChange)> {
+        let mut before = NameChange::default();
+        let record = self.change(id, &format!("cannot change the names of {id}"), |record| {
+            before = names.apply(record);
+            Ok(())
+        })?;
+        Ok((record, before))
+    }
+}
+
 /// Which grasps to edit.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Selection {

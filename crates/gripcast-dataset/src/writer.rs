@@ -23,7 +23,6 @@ use super::layout::{
     GRASP_JSON, INITIAL_JSON, Layout, METADATA_JSONL, PRE_GRASP_PREFIX, Stage, id_at,
 };
 use super::lock::DatasetLock;
-use super::names::NameChange;
 use super::reader::load_frame;
 use super::record_file::{
     PendingInitial, check_files, read_grasp, read_grasp_of, read_initial, to_json,
@@ -166,24 +165,6 @@ impl DatasetWriter {
             record.labelled_at = (outcome != Outcome::Unlabelled).then(|| time.to_string());
             Ok(())
         })
-    }
-
-    /// Changes object, scene or operator of a grasp; returns the previous names of the fields that
-    /// differ.
-    ///
-    /// # Errors
-    /// `NotFound` without that grasp; `DiskFull`, `Io`, … with the names as before.
-    pub fn set_names(
-        &mut self,
-        id: &GraspId,
-        names: &NameChange,
-    ) -> Result<(GraspRecord, NameChange)> {
-        let mut before = NameChange::default();
-        let record = self.change(id, &format!("cannot change the names of {id}"), |record| {
-            before = names.apply(record);
-            Ok(())
-        })?;
-        Ok((record, before))
     }
 
     /// Stores the gripper pose of a grasp.
@@ -437,7 +418,7 @@ impl DatasetWriter {
     }
 
     /// Replaces the record of a grasp; `what` is the beginning of the error.
-    fn change(
+    pub(super) fn change(
         &mut self,
         id: &GraspId,
         what: &str,

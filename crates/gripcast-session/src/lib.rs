@@ -18,6 +18,7 @@ mod history;
 mod machine;
 #[cfg(test)]
 mod machine_test;
+mod names;
 mod pending;
 mod store;
 mod view;

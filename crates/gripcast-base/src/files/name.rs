@@ -566,10 +566,9 @@ mod tests {
             prop_assert_eq!(ObjectName::parse(&nearest).unwrap(), nearest);
             let nearest = Label::nearest(&text);
             prop_assert_eq!(Label::parse(&nearest).unwrap(), nearest);
-            for name in [ObjectName::parse(&text), ObjectName::parse(&format!("ob{text}t"))] {
-                if let Ok(name) = name {
-                    prop_assert_eq!(ObjectName::parse(&name).unwrap(), name);
-                }
+            let names = [ObjectName::parse(&text), ObjectName::parse(&format!("ob{text}t"))];
+            for name in names.into_iter().flatten() {
+                prop_assert_eq!(ObjectName::parse(&name).unwrap(), name);
             }
             let printed = Printable(&text).to_string();
             prop_assert!(!printed.chars().any(|c| is_unsafe_char(c) && c != '\n' && c != '\t'));
