@@ -9,8 +9,8 @@ use tokio::sync::watch;
 use super::fault::{identity, summary};
 use super::gauge::word;
 use crate::daemon::{
-    BlackBoxStatus, CameraState, CameraStatus, EngineStatus, GelStatus, MarkerStatus, PredictionStatus,
-    verdict_of,
+    BlackBoxStatus, CameraState, CameraStatus, EngineStatus, GelStatus, MarkerStatus,
+    PredictionStatus, verdict_of,
 };
 use crate::note;
 use gripcast_dataset::Outcome;
