@@ -14,6 +14,7 @@ use utoipa::ToSchema;
 #[cfg(test)]
 use super::black_box::Tap;
 use super::black_box::Topic;
+use super::gels::GelJudge;
 use super::histogram::LatencyHistogram;
 use super::hub::{Decoded, Hub};
 use super::status::{PredictionStatus, Preview, verdict_of};
@@ -22,17 +23,10 @@ use super::thread::lock;
 use gripcast_base::error::Result;
 use gripcast_capture::camera::monotonic_ns;
 use gripcast_dataset::PredictionRecord;
-use gripcast_imaging::{
-    ChangeKind, GelCells, GelChange, GelMonitor, GelProblem, GelState, Role, TactileDifference,
-};
+use gripcast_imaging::{GelChange, GelState, Role, TactileDifference};
 use gripcast_nn::predict::{
     LivePrediction, LivePredictor, Model, PredictedLabel, Smoothing, contact_doubt,
 };
-
-/// Minimum fraction of a gel that is different for a mark, 0 to 1.
-const MIN_MARKED_FRACTION: f64 = 0.01;
-/// Time after which a difference counts as a mark, ns.
-const MARKED_NS: u64 = 3_000_000_000;
 
 /// Gain of the displayed difference.
 const PREVIEW_GAIN: f32 = 1.5;
@@ -226,61 +220,11 @@ impl Inference {
     }
 }
 
-/// The gels of an earlier initial frame, for the time without a pending one.
-#[derive(Debug, Default)]
-struct GelReference {
-    cells: BTreeMap<Role, GelCells>,
-    /// Whether the newest image of each gel is that of the other.
-    swapped: BTreeMap<Role, bool>,
-    /// Driver time since which a part of a gel is different, ns.
-    marked_since_ns: BTreeMap<Role, u64>,
-}
-
-impl GelReference {
-    fn new(cells: BTreeMap<Role, GelCells>) -> Self {
-        Self {
-            cells,
-            ..Self::default()
-        }
-    }
-
-    /// Compares the newest image of a gel with both references.
-    fn problems(&mut self, role: Role, cells: &GelCells, time_ns: u64) -> Vec<GelProblem> {
-        let other = match role {
-            Role::Left => Role::Right,
-            _ => Role::Left,
-        };
-        let change = |role| Some(GelChange::between(self.cells.get(&role)?, cells, 0.0));
-        let (Some(own), Some(other)) = (change(role), change(other)) else {
-            return Vec::new();
-        };
-        self.swapped
-            .insert(role, GelChange::is_swapped(&own, &other));
-        let are_swapped = self.swapped.len() == 2 && self.swapped.values().all(|swapped| *swapped);
-        let is_marked = own.kind(MIN_MARKED_FRACTION) == ChangeKind::Contact;
-        let since_ns = match is_marked {
-            true => *self.marked_since_ns.entry(role).or_insert(time_ns),
-            false => {
-                self.marked_since_ns.remove(&role);
-                time_ns
-            }
-        };
-        let stays = time_ns.saturating_sub(since_ns) >= MARKED_NS;
-        let problems = [
-            (GelProblem::Swapped, are_swapped),
-            (GelProblem::Marked, stays && !are_swapped),
-        ];
-        problems.into_iter().filter(|p| p.1).map(|p| p.0).collect()
-    }
-}
-
 struct Worker {
     hub: Hub,
     predictor: Option<(LivePredictor, ModelInfo)>,
     initial: BTreeMap<Role, Arc<RgbImage>>,
-    initial_cells: BTreeMap<Role, GelCells>,
-    monitors: BTreeMap<Role, GelMonitor>,
-    reference: GelReference,
+    gels: GelJudge,
     predicting: bool,
     smoothing: Smoothing,
     /// Serial of the newest image used, by role.
@@ -298,9 +242,7 @@ impl Worker {
             hub: hub.clone(),
             predictor,
             initial: BTreeMap::new(),
-            initial_cells: BTreeMap::new(),
-            monitors: BTreeMap::new(),
-            reference: GelReference::default(),
+            gels: GelJudge::default(),
             predicting: false,
             smoothing: Smoothing::default(),
             seen: BTreeMap::new(),
@@ -346,11 +288,7 @@ impl Worker {
                 left,
                 right,
             } => self.set_initial(revision, left, right),
-            InferRequest::SetReference { left, right } => {
-                let cells = [(Role::Left, left), (Role::Right, right)]
-                    .map(|(role, image)| Some((role, GelCells::new(&image).ok()?)));
-                self.reference.cells = cells.into_iter().flatten().collect();
-            }
+            InferRequest::SetReference { left, right } => self.gels.set_reference([&left, &right]),
             InferRequest::ClearInitial(reason) => self.clear_initial(reason),
             InferRequest::PredictFrames { images, reply } => {
                 // The requester may have timed out.
@@ -365,11 +303,8 @@ impl Worker {
         if let Some((predictor, _)) = &mut self.predictor {
             predictor.set_initial((*left).clone(), (*right).clone());
         }
+        self.gels.set_initial([&left, &right]);
         self.initial = BTreeMap::from([(Role::Left, left), (Role::Right, right)]);
-        let cells =
-            |(role, image): (&Role, &Arc<RgbImage>)| Some((*role, GelCells::new(image).ok()?));
-        self.initial_cells = self.initial.iter().filter_map(cells).collect();
-        self.reference = GelReference::new(self.initial_cells.clone());
         self.predicting = true;
         self.smoothing.clear();
         let mut state = lock(&self.state);
@@ -434,30 +369,12 @@ impl Worker {
     /// Updates the state of a gel and returns its change since the initial frame, if any.
     fn judge(&mut self, role: Role, decoded: &Decoded) -> Option<GelChange> {
         let started = Instant::now();
-        let cells = GelCells::new(&decoded.image).ok()?;
-        let change = self.change(role, &cells);
-        let reference = &mut self.reference;
-        let problems = match self.predicting {
-            false => reference.problems(role, &cells, decoded.driver_time_ns),
-            true => Vec::new(),
-        };
-        let monitor = self.monitors.entry(role).or_default();
-        let mut gel = monitor.add(cells, decoded.driver_time_ns).clone();
-        gel.problems.extend(problems);
+        let (image, time_ns) = (&decoded.image, decoded.driver_time_ns);
+        let (gel, change) = self.gels.judge(role, image, time_ns, !self.predicting)?;
         let mut state = lock(&self.state);
         state.gels.insert(role, gel);
         state.judge_time.add(started.elapsed().as_secs_f64() * 1e3);
         change
-    }
-
-    /// Returns the change of a gel since the initial frame.
-    fn change(&self, role: Role, cells: &GelCells) -> Option<GelChange> {
-        let state = self.monitors.get(&role).and_then(GelMonitor::state);
-        let noise_levels = state
-            .and_then(|state| state.noise_levels)
-            .unwrap_or_default();
-        let initial = self.initial_cells.get(&role)?;
-        Some(GelChange::between(initial, cells, noise_levels))
     }
 
     fn predict(&mut self) {
@@ -512,10 +429,8 @@ impl Worker {
 
     /// Predicts on saved images, then restores the live ones.
     fn predict_saved(&mut self, images: BTreeMap<Role, RgbImage>) -> Option<PredictionRecord> {
-        let changes = [Role::Left, Role::Right].map(|role| {
-            let cells = GelCells::new(images.get(&role)?).ok()?;
-            self.change(role, &cells)
-        });
+        let changes =
+            [Role::Left, Role::Right].map(|role| self.gels.change(role, images.get(&role)?));
         let (predictor, model) = self.predictor.as_mut().filter(|_| self.predicting)?;
         for (role, image) in images {
             predictor.update(role, image, 0);
@@ -585,35 +500,6 @@ mod tests {
                 .handle(InferRequest::Stop, &mut new_images)
                 .is_break()
         );
-    }
-
-    #[test]
-    fn swapped_and_marked_gels_are_named() {
-        let tinted = |role: Role, seed: u64, contact: f32| {
-            let mut image = synthetic_gel(160, 120, seed, contact);
-            if role == Role::Right {
-                image.pixels_mut().for_each(|pixel| pixel.0[2] -= 20);
-            }
-            GelCells::new(&image).unwrap()
-        };
-        let both = [Role::Left, Role::Right];
-        let cells = both.map(|role| (role, tinted(role, 1, 0.0)));
-        let mut reference = GelReference::new(cells.into());
-        let mut problems = |left: GelCells, right: GelCells, time_ns: u64| {
-            reference.problems(Role::Left, &left, time_ns);
-            let right = reference.problems(Role::Right, &right, time_ns);
-            (reference.problems(Role::Left, &left, time_ns), right)
-        };
-        let [left, right] = both.map(|role| tinted(role, 2, 0.0));
-        let none = (vec![], vec![]);
-        assert_eq!(problems(left.clone(), right.clone(), 0), none);
-        let swapped = (vec![GelProblem::Swapped], vec![GelProblem::Swapped]);
-        assert_eq!(problems(right.clone(), left.clone(), 1), swapped);
-        let mark = tinted(Role::Left, 3, 0.5);
-        assert_eq!(problems(mark.clone(), right.clone(), 2), none);
-        let marked = (vec![GelProblem::Marked], vec![]);
-        assert_eq!(problems(mark, right.clone(), 2 + MARKED_NS), marked);
-        assert_eq!(problems(left, right, 3 + MARKED_NS), none);
     }
 
     #[test]

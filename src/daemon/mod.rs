@@ -15,6 +15,7 @@ mod capture;
 mod command_request;
 mod decode;
 mod engine;
+mod gels;
 mod histogram;
 mod hub;
 mod infer;

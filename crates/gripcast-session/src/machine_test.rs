@@ -334,14 +334,9 @@ fn guards_refuse_and_override_is_recorded() {
 
 #[test]
 fn gel_problems_refuse_the_initial_frame() {
+    use GelProblem::{Black, Drifting, Flickering, LampDead, Noisy, Saturated, Swapped};
     for problem in [
-        GelProblem::Black,
-        GelProblem::LampDead,
-        GelProblem::Saturated,
-        GelProblem::Noisy,
-        GelProblem::Flickering,
-        GelProblem::Drifting,
-        GelProblem::Swapped,
+        Black, LampDead, Saturated, Noisy, Flickering, Drifting, Swapped,
     ] {
         let mut bad = good();
         bad.cameras[1].gel_problems = vec![problem];
@@ -353,7 +348,7 @@ fn gel_problems_refuse_the_initial_frame() {
         assert_eq!(session.step(), Step::Grasp);
         // A closing gripper changes the light.
         let refused = is_refused(&handle(&mut session, Command::Grasp, &bad));
-        assert_eq!(refused, problem != GelProblem::Drifting, "{problem:?}");
+        assert_eq!(refused, problem != Drifting, "{problem:?}");
     }
     let mut marked = good();
     marked.cameras[1].gel_problems = vec![GelProblem::Marked];

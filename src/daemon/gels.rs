@@ -1,0 +1,161 @@
+//! The gels of the rig: their state, and their change since the initial frame.
+
+use std::collections::BTreeMap;
+
+use image::RgbImage;
+
+use gripcast_imaging::{ChangeKind, GelCells, GelChange, GelMonitor, GelProblem, GelState, Role};
+
+/// Minimum fraction of a gel that is different for a mark, 0 to 1.
+const MIN_MARKED_FRACTION: f64 = 0.01;
+/// Time after which a difference counts as a mark, ns.
+const MARKED_NS: u64 = 3_000_000_000;
+
+/// Judges the images of both gels.
+#[derive(Debug, Default)]
+pub(super) struct GelJudge {
+    initial: BTreeMap<Role, GelCells>,
+    monitors: BTreeMap<Role, GelMonitor>,
+    reference: GelReference,
+}
+
+impl GelJudge {
+    /// Sets the initial images of the left and the right gel.
+    pub(super) fn set_initial(&mut self, images: [&RgbImage; 2]) {
+        self.initial = cells_by_role(images);
+        self.reference = GelReference::new(self.initial.clone());
+    }
+
+    /// Sets the images of an earlier initial frame.
+    pub(super) fn set_reference(&mut self, images: [&RgbImage; 2]) {
+        self.reference = GelReference::new(cells_by_role(images));
+    }
+
+    /// Returns the state of a gel after its newest image, and its change since the initial frame,
+    /// if any; without a pending initial frame (`is_open`), the gel is compared with an earlier one.
+    pub(super) fn judge(
+        &mut self,
+        role: Role,
+        image: &RgbImage,
+        time_ns: u64,
+        is_open: bool,
+    ) -> Option<(GelState, Option<GelChange>)> {
+        let cells = GelCells::new(image).ok()?;
+        let change = self.change_of(role, &cells);
+        let problems = match is_open {
+            true => self.reference.problems(role, &cells, time_ns),
+            false => Vec::new(),
+        };
+        let monitor = self.monitors.entry(role).or_default();
+        let mut gel = monitor.add(cells, time_ns).clone();
+        gel.problems.extend(problems);
+        Some((gel, change))
+    }
+
+    /// Returns the change of a gel in an image since the initial frame.
+    pub(super) fn change(&self, role: Role, image: &RgbImage) -> Option<GelChange> {
+        self.change_of(role, &GelCells::new(image).ok()?)
+    }
+
+    fn change_of(&self, role: Role, cells: &GelCells) -> Option<GelChange> {
+        let state = self.monitors.get(&role).and_then(GelMonitor::state);
+        let noise_levels = state.and_then(|state| state.noise_levels);
+        let initial = self.initial.get(&role)?;
+        Some(GelChange::between(
+            initial,
+            cells,
+            noise_levels.unwrap_or_default(),
+        ))
+    }
+}
+
+/// Reduces the images of the left and the right gel; too small ones are omitted.
+fn cells_by_role([left, right]: [&RgbImage; 2]) -> BTreeMap<Role, GelCells> {
+    let images = [(Role::Left, left), (Role::Right, right)].into_iter();
+    images
+        .filter_map(|(role, image)| Some((role, GelCells::new(image).ok()?)))
+        .collect()
+}
+
+/// The gels of an earlier initial frame, for the time without a pending one.
+#[derive(Debug, Default)]
+struct GelReference {
+    cells: BTreeMap<Role, GelCells>,
+    /// Whether the newest image of each gel is that of the other.
+    swapped: BTreeMap<Role, bool>,
+    /// Driver time since which a part of a gel is different, ns.
+    marked_since_ns: BTreeMap<Role, u64>,
+}
+
+impl GelReference {
+    fn new(cells: BTreeMap<Role, GelCells>) -> Self {
+        Self {
+            cells,
+            ..Self::default()
+        }
+    }
+
+    /// Compares the newest image of a gel with both references.
+    fn problems(&mut self, role: Role, cells: &GelCells, time_ns: u64) -> Vec<GelProblem> {
+        let other = match role {
+            Role::Left => Role::Right,
+            _ => Role::Left,
+        };
+        let change = |role| Some(GelChange::between(self.cells.get(&role)?, cells, 0.0));
+        let (Some(own), Some(other)) = (change(role), change(other)) else {
+            return Vec::new();
+        };
+        self.swapped
+            .insert(role, GelChange::is_swapped(&own, &other));
+        let are_swapped = self.swapped.len() == 2 && self.swapped.values().all(|swapped| *swapped);
+        let is_marked = own.kind(MIN_MARKED_FRACTION) == ChangeKind::Contact;
+        let since_ns = match is_marked {
+            true => *self.marked_since_ns.entry(role).or_insert(time_ns),
+            false => {
+                self.marked_since_ns.remove(&role);
+                time_ns
+            }
+        };
+        let stays = time_ns.saturating_sub(since_ns) >= MARKED_NS;
+        let problems = [
+            (GelProblem::Swapped, are_swapped),
+            (GelProblem::Marked, stays && !are_swapped),
+        ];
+        problems.into_iter().filter(|p| p.1).map(|p| p.0).collect()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use gripcast_imaging::synthetic_gel;
+
+    #[test]
+    fn swapped_and_marked_gels_are_named() {
+        let tinted = |role: Role, seed: u64, contact: f32| {
+            let mut image = synthetic_gel(160, 120, seed, contact);
+            if role == Role::Right {
+                image.pixels_mut().for_each(|pixel| pixel.0[2] -= 20);
+            }
+            GelCells::new(&image).unwrap()
+        };
+        let both = [Role::Left, Role::Right];
+        let cells = both.map(|role| (role, tinted(role, 1, 0.0)));
+        let mut reference = GelReference::new(cells.into());
+        let mut problems = |left: GelCells, right: GelCells, time_ns: u64| {
+            reference.problems(Role::Left, &left, time_ns);
+            let right = reference.problems(Role::Right, &right, time_ns);
+            (reference.problems(Role::Left, &left, time_ns), right)
+        };
+        let [left, right] = both.map(|role| tinted(role, 2, 0.0));
+        let none = (vec![], vec![]);
+        assert_eq!(problems(left.clone(), right.clone(), 0), none);
+        let swapped = (vec![GelProblem::Swapped], vec![GelProblem::Swapped]);
+        assert_eq!(problems(right.clone(), left.clone(), 1), swapped);
+        let mark = tinted(Role::Left, 3, 0.5);
+        assert_eq!(problems(mark.clone(), right.clone(), 2), none);
+        let marked = (vec![GelProblem::Marked], vec![]);
+        assert_eq!(problems(mark, right.clone(), 2 + MARKED_NS), marked);
+        assert_eq!(problems(left, right, 3 + MARKED_NS), none);
+    }
+}
