@@ -13,6 +13,7 @@ mod crash;
 mod daemon;
 mod daemon_kills;
 mod dataset;
+mod dataset_contents;
 mod docs;
 mod doctor;
 mod examples;

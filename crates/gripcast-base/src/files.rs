@@ -7,6 +7,7 @@
 mod beneath;
 #[cfg(test)]
 mod beneath_test;
+mod component;
 mod disk_failure;
 mod foreign;
 mod name;
@@ -22,7 +23,8 @@ use sha2::{Digest as _, Sha256};
 
 use crate::error::{Error, Result};
 
-pub use beneath::{BeneathPath, Component, Metadata, Root, allow_links_into};
+pub use beneath::{BeneathPath, Metadata, Root, allow_links_into};
+pub use component::Component;
 pub use disk_failure::disk_remedy;
 pub use foreign::{conflict_copy_of, glob_character, is_system_file, without_bom};
 pub use name::{

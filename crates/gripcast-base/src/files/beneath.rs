@@ -25,8 +25,8 @@ use rustix::fs::{
 };
 use rustix::io::Errno;
 
+use super::component::Component;
 use super::foreign::is_system_file;
-use super::name::{ContentKey, FileName, GraspId, ObjectName, SimulationId};
 use super::opening::{FILE_MODE, FileKind, open_beneath, owned, read_all, regular, text};
 use super::partial_name;
 use crate::error::Refused;
@@ -51,37 +51,6 @@ pub struct Metadata {
     pub is_dir: bool,
     /// Size, bytes.
     pub bytes: u64,
-}
-
-/// A single, safe component of a path.
-pub trait Component {
-    /// The component as text.
-    fn component(&self) -> &str;
-}
-
-macro_rules! components {
-    ($($name:ty),*) => {
-        $(impl Component for $name {
-            fn component(&self) -> &str {
-                self
-            }
-        })*
-    };
-}
-
-components!(ContentKey, FileName, GraspId, ObjectName, SimulationId);
-
-impl<T: Component> Component for &T {
-    fn component(&self) -> &str {
-        (*self).component()
-    }
-}
-
-/// A literal of the program, never data from a file.
-impl Component for &'static str {
-    fn component(&self) -> &str {
-        self
-    }
 }
 
 /// A directory given by the user.
