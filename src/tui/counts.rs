@@ -153,8 +153,8 @@ mod tests {
             object(&status, 24, PALETTE).to_string()
         };
         assert_eq!(shown(0), "object a-very-long-obje…");
-        assert_eq!(shown(20), "object a-very-lo… 6 of 20");
-        assert_eq!(shown(6), "object a-very-l… 6 of 6 ✓");
+        assert_eq!(shown(20), "object a-very-l… 6 of 20");
+        assert_eq!(shown(6), "object a-very-… 6 of 6 ✓");
     }
 
     #[test]

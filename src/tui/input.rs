@@ -27,11 +27,15 @@ pub enum UiAction {
     QuitNow,
 }
 
-/// Returns whether the key is Ctrl-C.
+/// Returns whether the key is Ctrl-C, also on Cyrillic, Greek, Hebrew and Arabic layouts: terminals
+/// that report key events name the letter of the layout.
 pub(super) fn is_interrupt(key: &KeyEvent) -> bool {
     key.kind == KeyEventKind::Press
         && key.modifiers.contains(KeyModifiers::CONTROL)
-        && matches!(key.code, KeyCode::Char('c' | 'C'))
+        && matches!(
+            key.code,
+            KeyCode::Char('c' | 'C' | 'с' | 'С' | 'ψ' | 'Ψ' | 'ב' | 'ؤ')
+        )
 }
 
 /// Returns the name of a key without an action, such as `Page Down` or `Ctrl-X`; `None` for keys
@@ -164,6 +168,8 @@ mod tests {
         let chord = |c, modifiers| KeyEvent::new(KeyCode::Char(c), modifiers);
         let interrupt = chord('c', KeyModifiers::CONTROL);
         assert_eq!(action(&interrupt), Some(UiAction::QuitNow));
+        let cyrillic = chord('с', KeyModifiers::CONTROL);
+        assert_eq!(action(&cyrillic), Some(UiAction::QuitNow));
         assert_eq!(action(&chord('s', KeyModifiers::CONTROL)), None);
         assert_eq!(action(&chord('f', KeyModifiers::ALT)), None);
     }

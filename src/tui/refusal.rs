@@ -100,7 +100,7 @@ mod tests {
             "skew is 80 ms",
         ];
         let shown = drawn(80, 9, &reasons, true);
-        assert!(shown.starts_with(" █▀▀█"), "{shown}");
+        assert!(shown.starts_with(" █▄ █"), "{shown}");
         let [first, second] = reasons.map(|reason| shown.find(reason).unwrap());
         assert!(first < second, "{shown}");
         assert!(shown.contains("! override"), "{shown}");
