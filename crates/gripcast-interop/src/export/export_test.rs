@@ -236,7 +236,7 @@ fn webdataset_sample_is_consecutive_files_without_owner() {
         } else if rest.ends_with("jpg") {
             let header = inspect(&bytes).unwrap();
             assert!(
-                header.has_huffman_tables && header.length == bytes.len(),
+                header.has_huffman_tables && header.end == bytes.len(),
                 "{name}"
             );
         }
