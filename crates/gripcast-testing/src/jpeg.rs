@@ -80,7 +80,10 @@ pub fn harmless_frames(
         ("tail of one byte", with_tail(b"\n")),
         ("tail of fill bytes", with_tail(&[0xff; 300])),
         ("tail of zeros", with_tail(&[0; 4096])),
-        ("tail of the previous frame", with_tail(&previous[previous.len() / 2..])),
+        (
+            "tail of the previous frame",
+            with_tail(&previous[previous.len() / 2..]),
+        ),
         ("second whole frame", with_tail(previous)),
         ("tail of megabytes", with_tail(&stray_bytes(3, 3_000_000))),
         ("bytes before the start", [b"\xa8\n\0\x13", plain].concat()),
@@ -88,15 +91,36 @@ pub fn harmless_frames(
             let tail = &previous[previous.len() / 2..];
             [tail, plain].concat()
         }),
-        ("bytes before restart markers", before_restart_markers(restarts, every_seventh)),
-        ("zeros before restart markers", before_restart_markers(restarts, |_| vec![0, 0])),
-        ("bytes before the end marker", [without_end, &stray_bytes(1, 5), end].concat()),
-        ("two fill bytes before the end marker", [without_end, &[0xff, 0xff], end].concat()),
+        (
+            "bytes before restart markers",
+            before_restart_markers(restarts, every_seventh),
+        ),
+        (
+            "zeros before restart markers",
+            before_restart_markers(restarts, |_| vec![0, 0]),
+        ),
+        (
+            "bytes before the end marker",
+            [without_end, &stray_bytes(1, 5), end].concat(),
+        ),
+        (
+            "two fill bytes before the end marker",
+            [without_end, &[0xff, 0xff], end].concat(),
+        ),
         ("without end marker", without_end.to_vec()),
-        ("without end marker, with restart markers", restarts[..restarts.len() - 2].to_vec()),
+        (
+            "without end marker, with restart markers",
+            restarts[..restarts.len() - 2].to_vec(),
+        ),
         ("half an end marker", plain[..plain.len() - 1].to_vec()),
-        ("zeros instead of the end marker", [without_end, &[0; 64]].concat()),
-        ("fill bytes instead of the end marker", [without_end, &[0xff; 64]].concat()),
+        (
+            "zeros instead of the end marker",
+            [without_end, &[0; 64]].concat(),
+        ),
+        (
+            "fill bytes instead of the end marker",
+            [without_end, &[0xff; 64]].concat(),
+        ),
     ]
 }
 
@@ -106,7 +130,9 @@ pub fn damaged_frames(plain: &[u8], restarts: &[u8]) -> Vec<(&'static str, Vec<u
     let cut = |share: f64| plain[..(plain.len() as f64 * share) as usize].to_vec();
     let scan = scan_start(restarts);
     let marker = |code: u8| {
-        let found = restarts[scan..].windows(2).position(|two| two == [0xff, code]);
+        let found = restarts[scan..]
+            .windows(2)
+            .position(|two| two == [0xff, code]);
         scan + found.expect("a restart marker") + 1
     };
     let mut swapped = restarts.to_vec();
@@ -114,13 +140,19 @@ pub fn damaged_frames(plain: &[u8], restarts: &[u8]) -> Vec<(&'static str, Vec<u
     let mut lost = restarts.to_vec();
     lost.drain(marker(0xd1)..marker(0xd2));
     let middle = plain.len() / 2;
-    let tables = plain.windows(2).position(|two| two == [0xff, 0xdb]).expect("a table");
+    let tables = plain
+        .windows(2)
+        .position(|two| two == [0xff, 0xdb])
+        .expect("a table");
     vec![
         ("empty", Vec::new()),
         ("cut", cut(0.6)),
         ("cut and padded", [cut(0.6), vec![0; plain.len()]].concat()),
         ("cut and ended", [&cut(0.6)[..], &[0xff, 0xd9]].concat()),
-        ("cut and continued by another", [&cut(0.6)[..], &plain[plain.len() / 4..]].concat()),
+        (
+            "cut and continued by another",
+            [&cut(0.6)[..], &plain[plain.len() / 4..]].concat(),
+        ),
         ("first part missing", plain[plain.len() / 3..].to_vec()),
         ("hole", [&plain[..middle], &plain[middle + 200..]].concat()),
         ("restart markers out of order", swapped),

@@ -82,8 +82,7 @@ pub(super) fn walk(bytes: &[u8], scan: &Scan<'_>) -> Option<Walked> {
         }?;
         // Zeros are valid codes: data that goes on into the zeros of an unused buffer is not whole.
         // One byte of zeros is common in flat images.
-        let runs_into_zeros = end >= start + 2
-            && bytes[end - 2..].starts_with(&[0, 0, 0]);
+        let runs_into_zeros = end >= start + 2 && bytes[end - 2..].starts_with(&[0, 0, 0]);
         walked.end = end;
         let has_marker = marker(bytes, end + stray).is_some();
         if (stray > 0 || !has_marker) && (!is_filled || runs_into_zeros) {

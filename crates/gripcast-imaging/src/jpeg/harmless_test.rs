@@ -35,7 +35,10 @@ fn harmless_bytes_change_no_pixel_and_stay_out_of_the_file() {
         let strict = turbojpeg::decompress(&file, turbojpeg::PixelFormat::RGB);
         let strict = strict.unwrap_or_else(|error| panic!("{name}: {error}"));
         assert!(strict.pixels == found, "{name}: other pixels in the file");
-        assert!(file.starts_with(&[0xff, 0xd8]) && file.ends_with(&[0xff, 0xd9]), "{name}");
+        assert!(
+            file.starts_with(&[0xff, 0xd8]) && file.ends_with(&[0xff, 0xd9]),
+            "{name}"
+        );
         assert_eq!(whole_file(&file).unwrap().1, None, "{name}");
     }
 }
@@ -51,7 +54,9 @@ fn one_decoder_takes_clean_stray_and_damaged_frames_in_turn() {
         .zip(damaged.iter().cycle())
     {
         for _ in 0..2 {
-            let found = decoder.decode(&sent, JpegScale::Whole).map(|p| p.rgb.to_vec());
+            let found = decoder
+                .decode(&sent, JpegScale::Whole)
+                .map(|p| p.rgb.to_vec());
             assert!(expected.contains(&found.unwrap()), "{name}");
         }
         assert!(decoder.verify(damaged).is_err());
@@ -62,7 +67,9 @@ fn one_decoder_takes_clean_stray_and_damaged_frames_in_turn() {
 fn damaged_frames_are_refused() {
     let [plain, restarts, _] = frames();
     for (name, sent) in damaged_frames(&plain, &restarts) {
-        let damage = pixels(&sent).err().unwrap_or_else(|| panic!("{name} is accepted"));
+        let damage = pixels(&sent)
+            .err()
+            .unwrap_or_else(|| panic!("{name} is accepted"));
         println!("{name}: {damage}");
         assert!(JpegDecoder::new().unwrap().verify(&sent).is_err(), "{name}");
     }
@@ -96,7 +103,10 @@ fn tolerance_accepts_no_changed_pixels() {
                 continue;
             }
             let strict = turbojpeg::decompress(&bytes, turbojpeg::PixelFormat::RGB);
-            assert!(strict.is_ok(), "{name}, seed {seed}: {length} bytes at {at}");
+            assert!(
+                strict.is_ok(),
+                "{name}, seed {seed}: {length} bytes at {at}"
+            );
             undetectable += 1;
         }
         println!("{name}: of {cases}, {accepted} accepted, {undetectable} with other pixels");

@@ -502,10 +502,7 @@ impl<'a> Parser<'a> {
         self.finish(false)
     }
 
-    fn finish(
-        self,
-        has_end_marker: bool,
-    ) -> Result<(JpegHeader, Option<Scan<'a>>), JpegDamage> {
+    fn finish(self, has_end_marker: bool) -> Result<(JpegHeader, Option<Scan<'a>>), JpegDamage> {
         let frame = self
             .frame
             .ok_or_else(|| malformed("the image ends before its frame header"))?;
@@ -540,9 +537,9 @@ fn find_start(bytes: &[u8]) -> Result<usize, JpegDamage> {
     }
     Err(match bytes {
         [0xff] | [0xff, code::SOI] => truncated(bytes, "the start-of-image marker"),
-        [0xff, code::SOI, found, ..] => malformed(format!(
-            "expected a marker at byte 2, found {found:02X}"
-        )),
+        [0xff, code::SOI, found, ..] => {
+            malformed(format!("expected a marker at byte 2, found {found:02X}"))
+        }
         _ => JpegDamage::NotJpeg {
             found: bytes[..bytes.len().min(4)].to_vec(),
         },

@@ -76,7 +76,9 @@ pub(super) fn ac<'a>(slot: u8) -> Cow<'a, [u8]> {
 
 fn standard<'a>(class_and_slot: u8) -> Cow<'a, [u8]> {
     let table = TABLES.iter().find(|t| t.class_and_slot == class_and_slot);
-    table.map_or_else(Vec::new, |t| [&t.counts[..], t.symbols].concat()).into()
+    table
+        .map_or_else(Vec::new, |t| [&t.counts[..], t.symbols].concat())
+        .into()
 }
 
 /// Appends a segment with the standard tables to `out`; tables in later segments override them.

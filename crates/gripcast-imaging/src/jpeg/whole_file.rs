@@ -1,6 +1,7 @@
 //! JPEG files of the frames that cameras send.
 
 use std::borrow::Cow;
+use std::fmt;
 
 use serde::{Deserialize, Serialize};
 
@@ -31,6 +32,23 @@ pub struct JpegRepairs {
     pub added_end_marker: bool,
 }
 
+impl fmt::Display for JpegRepairs {
+    /// What the camera sent besides the image or left out: `4 bytes before the image, no end
+    /// marker`.
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let bytes = |count: u64, place: &str| (count > 0).then(|| format!("{count} bytes {place}"));
+        let parts = [
+            bytes(self.removed_before_start, "before the image"),
+            bytes(self.removed_before_markers, "before markers"),
+            bytes(self.removed_after_end, "after the image"),
+            self.added_huffman_tables
+                .then(|| "no Huffman tables".to_owned()),
+            self.added_end_marker.then(|| "no end marker".to_owned()),
+        ];
+        f.write_str(&parts.into_iter().flatten().collect::<Vec<_>>().join(", "))
+    }
+}
+
 #[expect(clippy::trivially_copy_pass_by_ref, reason = "signature of serde")]
 fn is_zero(count: &u64) -> bool {
     *count == 0
@@ -47,7 +65,9 @@ pub fn whole_file(bytes: &[u8]) -> Result<(Cow<'_, [u8]>, Option<JpegRepairs>), 
     let walked = walked.filter(|walked| walked.stray_bytes > 0);
     let repairs = JpegRepairs {
         removed_before_start: header.start as u64,
-        removed_before_markers: walked.as_ref().map_or(0, |walked| walked.stray_bytes as u64),
+        removed_before_markers: walked
+            .as_ref()
+            .map_or(0, |walked| walked.stray_bytes as u64),
         removed_after_end: (bytes.len() - header.end) as u64,
         added_huffman_tables: !header.has_huffman_tables,
         added_end_marker: !header.has_end_marker,
