@@ -26,7 +26,7 @@ pub(crate) struct Daemon {
 pub(crate) struct Place(tempfile::TempDir, Option<PathBuf>);
 
 impl Place {
-    fn new() -> Self {
+    pub(crate) fn new() -> Self {
         Self(tempfile::tempdir().unwrap(), None)
     }
 
@@ -35,11 +35,11 @@ impl Place {
         Self(tempfile::tempdir().unwrap(), Some(dataset))
     }
 
-    fn dataset(&self) -> PathBuf {
+    pub(crate) fn dataset(&self) -> PathBuf {
         self.1.clone().unwrap_or_else(|| self.0.path().join("d"))
     }
 
-    fn socket(&self) -> PathBuf {
+    pub(crate) fn socket(&self) -> PathBuf {
         self.0.path().join("s")
     }
 
@@ -62,7 +62,7 @@ impl Place {
 }
 
 impl Daemon {
-    fn start(command: &mut Command) -> Self {
+    pub(crate) fn start(command: &mut Command) -> Self {
         let mut child = command
             .stdout(Stdio::null())
             .stderr(Stdio::piped())
@@ -114,7 +114,7 @@ impl Daemon {
         (status, answer)
     }
 
-    fn get(&self, path: &str) -> Value {
+    pub(crate) fn get(&self, path: &str) -> Value {
         let (status, body) = self.ask("GET", path, None);
         assert_eq!(status, 200, "{path}: {}", String::from_utf8_lossy(&body));
         serde_json::from_slice(&body).unwrap()
@@ -128,12 +128,12 @@ impl Daemon {
         )
     }
 
-    fn command(&self, command: &str) -> (u16, Value) {
+    pub(crate) fn command(&self, command: &str) -> (u16, Value) {
         self.post("/api/commands", &json!({"command": command}))
     }
 
     /// Triggers until no guard refuses: the gripper may not have closed yet.
-    fn trigger(&self) -> Value {
+    pub(crate) fn trigger(&self) -> Value {
         loop {
             let (status, answer) = self.command("trigger");
             match status {
