@@ -5,7 +5,7 @@
  */
 import { change, failureReason } from "./api.js";
 import { button, byId, make, refill, say, style, toast } from "./dom.js";
-import { agreement, agreementWords, balance, bytes, messageText, OUTCOMES, short } from "./words.js";
+import { agreement, agreementWords, balance, bytes, messageText, OUTCOMES, rigMark, short } from "./words.js";
 
 const LOW_DISK_BYTES = 5e9;
 const FULL_DISK_BYTES = 1e9;
@@ -38,9 +38,9 @@ export function drawLabels(state, show) {
 function drawHead({ dataset, rig, clock, cameras, disk_free_bytes: free, session: { step } }) {
   say(byId("dataset"), dataset);
   say(byId("rig"), `rig ${rig}`);
-  const live = cameras.every((camera) => camera.state === "live");
-  say(byId("rig-mark"), live ? "✓" : "✗");
-  style(byId("rig-mark"), live ? "stable" : "slip");
+  const [mark, tone] = rigMark(cameras);
+  say(byId("rig-mark"), mark);
+  style(byId("rig-mark"), tone);
   say(byId("clock"), clock);
   say(byId("disk"), free === null ? "" : `disk ${bytes(free)}`);
   style(byId("disk"), free === null || free >= LOW_DISK_BYTES ? "" : free < FULL_DISK_BYTES ? "slip" : "warning");

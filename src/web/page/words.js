@@ -185,6 +185,12 @@ export function identity({ product, serial, port }) {
   return parts.filter(Boolean).join(" · ");
 }
 
+/** Mark of the whole rig and its style. @param {Camera[]} cameras @returns {[string, string]} */
+export function rigMark(cameras) {
+  if (cameras.every(({ state }) => state === "live")) return ["✓", "stable"];
+  return cameras.every(deliversFrames) ? ["!", "warning"] : ["✗", "slip"];
+}
+
 /** @param {Camera[]} cameras */
 export function liveCount(cameras) {
   const live = cameras.filter((camera) => camera.state === "live").length;
