@@ -1,6 +1,7 @@
 //! Measurement of the cameras of a rig: frame rates, losses, timestamps, controls.
 
 use std::path::Path;
+use std::sync::mpsc::{Receiver, sync_channel};
 use std::thread;
 use std::time::Duration;
 
@@ -9,17 +10,20 @@ use serde_json::{Value, json};
 use gripcast_base::error::{Error, ErrorKind, Result};
 use gripcast_capture::calibration::colour_intrinsics;
 use gripcast_capture::camera::{
-    CameraOpener, CaptureError, ControlValues, FrameSource, KernelNodes, Recorder, StreamInfo,
+    CameraOpener, CameraState, CaptureError, ControlValues, FrameFacts, FrameQuality, FrameSource,
+    Health, KernelNodes, Recorder, StreamInfo, StreamMonitor, SupervisionPolicy, content_of,
+    health_of,
 };
 use gripcast_capture::device::SystemRoot;
-use gripcast_imaging::{Frame, GelState, Intrinsics, Role};
+use gripcast_imaging::{Decoder, Frame, GelState, Intrinsics, PixelFormat, Role, whole_file};
 
 use crate::gel_check::GelCheck;
 
 /// Minimum fraction of the nominal frame rate; GelSight Minis are known to deliver three quarters.
 const MIN_RATE_FRACTION: f64 = 0.7;
-/// Maximum fraction of damaged frames.
-const MAX_DAMAGED_FRACTION: f64 = 0.1;
+/// Remedy for damaged or repeated frames.
+const DAMAGE_REMEDY: &str = "replug the camera; use another cable or port: cameras on one USB controller compete for \
+     bandwidth";
 /// Timeout of one frame.
 const FRAME_TIMEOUT: Duration = Duration::from_secs(1);
 /// Consecutive timeouts after which a camera counts as silent.
@@ -32,8 +36,8 @@ pub(crate) struct CameraCheck {
     expected: String,
     pub(crate) measurement: Option<CameraMeasurement>,
     pub(crate) problems: Vec<String>,
-    /// Whether the camera is missing.
-    missing: bool,
+    /// State at the end of the check.
+    pub(crate) state: CameraState,
 }
 
 /// Measurement of an opened camera.
@@ -41,6 +45,8 @@ pub(crate) struct CameraCheck {
 pub(crate) struct CameraMeasurement {
     pub(crate) info: StreamInfo,
     pub(crate) frames: FrameStats,
+    /// What was wrong with the newest damaged frame; empty without one.
+    pub(crate) damage: String,
     pub(crate) controls: ControlValues,
     /// The last frame.
     pub(crate) last: Option<Frame>,
@@ -55,7 +61,12 @@ pub(crate) struct CameraMeasurement {
 pub(crate) struct FrameStats {
     pub(crate) received: u64,
     pub(crate) lost: u64,
+    /// Frames that arrived damaged or did not decode.
     pub(crate) damaged: u64,
+    /// Frames that were decoded: as many as time allowed.
+    pub(crate) decoded: u64,
+    /// Damaged fraction, 0..1.
+    pub(crate) damaged_fraction: f64,
     pub(crate) fps: Option<f64>,
     /// Minimum and maximum time from the driver's timestamp to the arrival, ms.
     pub(crate) delay_ms: Option<[f64; 2]>,
@@ -103,7 +114,7 @@ fn check_one(
     let mut source = match opener.open() {
         Ok(source) => source,
         Err(error) => {
-            check.missing = error.kind() == ErrorKind::Device;
+            check.state = CameraState::judge(&health_of(&error), &FrameQuality::default(), 0);
             check.problems.push(error.to_string());
             return check;
         }
@@ -120,29 +131,29 @@ fn check_one(
             None
         });
     let gel = check.role.is_tactile().then(GelCheck::new).transpose();
-    let mut gel = gel.unwrap_or_else(|error| {
+    let gel = gel.unwrap_or_else(|error| {
         check.problems.push(error.to_string());
         None
     });
-    let judge = |frame: &Frame| {
-        if let Some(gel) = &mut gel {
-            gel.add(frame);
-        }
-    };
-    let (frames, last) = measure(
+    let measured = measure(
         source.as_mut(),
         duration,
         recorder,
-        judge,
+        gel,
         &mut check.problems,
     );
-    let gel = gel.and_then(|gel| gel.state().cloned());
+    let (frames, last, gel) = (measured.frames, measured.last, measured.gel);
     for problem in gel.iter().flat_map(|gel| &gel.problems) {
         let (what, remedy) = (problem.what(), problem.remedy());
         check.problems.push(format!("{what}\n  → {remedy}"));
     }
     let info = source.info().clone();
     let mut notes = source.warnings().to_vec();
+    if let CameraState::NoValidDepth { .. } = measured.state {
+        notes.extend(measured.state.fault_text());
+    }
+    notes.extend(last.as_ref().and_then(harmless_note));
+    check.state = measured.state;
     let mut intrinsics = None;
     if check.role == Role::Rgb && info.identity.product.contains("RealSense") {
         let (port, width, height) = (&info.identity.port, info.width, info.height);
@@ -154,6 +165,7 @@ fn check_one(
     check.measurement = Some(CameraMeasurement {
         info,
         frames,
+        damage: measured.damage,
         controls,
         last,
         intrinsics,
@@ -161,6 +173,37 @@ fn check_one(
         notes,
     });
     check
+}
+
+/// Describes the bytes of a frame that are not part of its image.
+fn harmless_note(frame: &Frame) -> Option<String> {
+    if frame.format != PixelFormat::Mjpg {
+        return None;
+    }
+    let (_, repairs) = whole_file(&frame.data).ok()?;
+    Some(format!("harmless in its JPEGs: {}", repairs?))
+}
+
+/// Decodes frames beside the measurement and judges the gel in them; the damage of each.
+fn decode_frames(
+    frames: &Receiver<Frame>,
+    mut gel: Option<GelCheck>,
+) -> (Vec<Option<String>>, Option<GelState>) {
+    let mut decoder = match Decoder::new() {
+        Ok(decoder) => decoder,
+        Err(error) => return (vec![Some(error.to_string())], None),
+    };
+    let damage = |frame: Frame| {
+        if let Some(gel) = &mut gel {
+            gel.add(&frame);
+        }
+        decoder
+            .verify(&frame)
+            .err()
+            .map(|damage| damage.to_string())
+    };
+    let damages = frames.iter().map(damage).collect();
+    (damages, gel.and_then(|gel| gel.state().cloned()))
 }
 
 /// Counts missing sequence numbers. uvcvideo can deliver two frames out of order, so a number below
@@ -184,88 +227,204 @@ impl Sequences {
     }
 }
 
+/// Result of [`measure`].
+struct Measured {
+    frames: FrameStats,
+    state: CameraState,
+    damage: String,
+    last: Option<Frame>,
+    gel: Option<GelState>,
+}
+
 /// Measures frames for `duration` from the first one, by their time stamps.
 fn measure(
     source: &mut dyn FrameSource,
     duration: Duration,
-    mut recorder: Option<Recorder>,
-    mut judge: impl FnMut(&Frame),
+    recorder: Option<Recorder>,
+    gel: Option<GelCheck>,
     problems: &mut Vec<String>,
-) -> (FrameStats, Option<Frame>) {
+) -> Measured {
     let nominal = source.info().nominal_fps;
-    let damage_limit = 50 + (2.0 * nominal * duration.as_secs_f64()) as u64;
-    let mut frames = FrameStats::default();
-    let mut first: Option<(u64, u64)> = None;
-    let mut last_time_ns = 0;
-    let mut sequences = Sequences::default();
-    let mut timeouts = 0;
-    let mut last: Option<Frame> = None;
-    loop {
-        match source.next_frame(FRAME_TIMEOUT) {
-            Ok(frame) => {
-                timeouts = 0;
-                frames.received += 1;
-                judge(&frame);
-                if let Some(recording) = &mut recorder
-                    && let Err(error) = recording.write(&frame)
-                {
-                    problems.push(error.to_string());
-                    recorder = None;
-                }
-                sequences.count(frame.sequence);
-                frames.add_times(&frame, last.as_ref());
-                last_time_ns = last_time_ns.max(frame.driver_time_ns);
-                let (_, began) = *first.get_or_insert((frame.driver_time_ns, frame.received_ns));
-                let elapsed_ns = frame.received_ns.saturating_sub(began);
-                last = Some(frame);
-                if u128::from(elapsed_ns) >= duration.as_nanos() {
-                    break;
-                }
-            }
-            Err(CaptureError::Damaged { sequence, .. }) => {
-                timeouts = 0;
-                frames.damaged += 1;
-                sequences.count(sequence);
-                if frames.damaged > damage_limit {
-                    break;
-                }
-            }
-            Err(CaptureError::Timeout) => {
-                timeouts += 1;
-                if timeouts >= MAX_TIMEOUTS {
-                    problems.push(format!("no frame for {MAX_TIMEOUTS} s"));
-                    break;
-                }
-            }
-            Err(CaptureError::Ended) => break,
-            Err(error) => {
-                problems.push(error.to_string());
-                break;
-            }
-        }
-    }
-    if let Some(Err(error)) = recorder.map(Recorder::finish) {
-        problems.push(error.to_string());
-    }
-    frames.lost = sequences.lost;
-    frames.fps = first.and_then(|(from, _)| {
-        let elapsed_s = last_time_ns.saturating_sub(from) as f64 / 1e9;
-        (elapsed_s > 0.0).then(|| (frames.received - 1) as f64 / elapsed_s)
+    let mut measuring = Measuring {
+        frames: FrameStats::default(),
+        quality: FrameQuality::of_measurement(),
+        monitor: StreamMonitor::new(SupervisionPolicy::default()),
+        now_ns: None,
+        first: None,
+        last_time_ns: 0,
+        sequences: Sequences::default(),
+        last: None,
+        recorder,
+    };
+    // The decoder gets a frame whenever it is idle, so that no frame is lost to a slow one.
+    let (sender, receiver) = sync_channel(1);
+    let (health, (verdicts, gel)) = thread::scope(|scope| {
+        let decoder = scope.spawn(move || decode_frames(&receiver, gel));
+        let health = measuring.run(source, duration, problems, |frame| {
+            // Fails while the decoder is busy.
+            let _ = sender.try_send(frame);
+        });
+        drop(sender);
+        (health, decoder.join().unwrap_or_default())
     });
-    match frames.fps {
-        Some(fps) if fps < MIN_RATE_FRACTION * nominal => {
-            problems.push(format!("expected {nominal} frames/s, measured {fps:.2}"));
-        }
-        None if problems.is_empty() => {
-            problems.push("too few frames to measure the frame rate".to_owned())
-        }
-        _ => {}
+    Measured {
+        gel,
+        ..measuring.finish(health, verdicts, nominal, problems)
     }
-    let all = frames.received + frames.damaged;
-    if frames.damaged as f64 > MAX_DAMAGED_FRACTION * all as f64 {
-        problems.push(format!("{} of {all} frames are damaged", frames.damaged));
+}
+
+/// State of a measurement.
+struct Measuring {
+    frames: FrameStats,
+    quality: FrameQuality,
+    monitor: StreamMonitor,
+    /// Time of the newest event, ns.
+    now_ns: Option<u64>,
+    /// Driver time and arrival of the first frame, ns.
+    first: Option<(u64, u64)>,
+    last_time_ns: u64,
+    sequences: Sequences,
+    last: Option<Frame>,
+    recorder: Option<Recorder>,
+}
+
+impl Measuring {
+    /// Reads frames until the time is over; the health of a stream that ends earlier.
+    fn run(
+        &mut self,
+        source: &mut dyn FrameSource,
+        duration: Duration,
+        problems: &mut Vec<String>,
+        decode: impl Fn(Frame),
+    ) -> Option<Health> {
+        let nominal = source.info().nominal_fps;
+        let damage_limit = 50 + (2.0 * nominal * duration.as_secs_f64()) as u64;
+        let mut timeouts = 0;
+        loop {
+            match source.next_frame(FRAME_TIMEOUT) {
+                Ok(frame) => {
+                    timeouts = 0;
+                    decode(frame.clone());
+                    let began = self.add(frame, nominal, problems);
+                    let elapsed_ns = self.now_ns.unwrap_or(began).saturating_sub(began);
+                    if u128::from(elapsed_ns) >= duration.as_nanos() {
+                        return None;
+                    }
+                }
+                Err(CaptureError::Damaged { sequence, reason }) => {
+                    timeouts = 0;
+                    self.frames.damaged += 1;
+                    self.sequences.count(sequence);
+                    self.quality.refused(reason);
+                    let now_ns = self.now_ns.unwrap_or(0);
+                    self.monitor.damaged(sequence, now_ns);
+                    if self.frames.damaged > damage_limit {
+                        return None;
+                    }
+                }
+                Err(CaptureError::Timeout) => {
+                    timeouts += 1;
+                    if timeouts >= MAX_TIMEOUTS {
+                        problems.push(format!("no frame for {MAX_TIMEOUTS} s"));
+                        let quiet_ns = FRAME_TIMEOUT.as_nanos() as u64 * u64::from(timeouts);
+                        let since_ns = self.now_ns.unwrap_or(0);
+                        self.now_ns = Some(since_ns + quiet_ns);
+                        return Some(Health::Silent { since_ns });
+                    }
+                }
+                Err(CaptureError::Ended) => return None,
+                Err(CaptureError::Gone) => {
+                    let reason = CaptureError::Gone.to_string();
+                    problems.push(reason.clone());
+                    return Some(Health::Unplugged { reason });
+                }
+                Err(CaptureError::Failed(error)) => {
+                    problems.push(error.to_string());
+                    return Some(health_of(&error));
+                }
+            }
+        }
     }
-    (frames, last)
+
+    /// Adds a frame; returns the arrival of the first one, ns.
+    fn add(&mut self, frame: Frame, nominal_fps: f64, problems: &mut Vec<String>) -> u64 {
+        self.frames.received += 1;
+        if let Some(recording) = &mut self.recorder
+            && let Err(error) = recording.write(&frame)
+        {
+            problems.push(error.to_string());
+            self.recorder = None;
+        }
+        if self.first.is_none() {
+            self.monitor.opened(frame.received_ns, nominal_fps);
+        }
+        self.quality.arrived();
+        self.monitor.frame(FrameFacts {
+            sequence: frame.sequence,
+            received_ns: frame.received_ns,
+            content: content_of(&frame, self.last.as_ref().map(|last| &last.data)),
+        });
+        self.sequences.count(frame.sequence);
+        self.frames.add_times(&frame, self.last.as_ref());
+        self.last_time_ns = self.last_time_ns.max(frame.driver_time_ns);
+        self.now_ns = Some(frame.received_ns);
+        let (_, began) = *self
+            .first
+            .get_or_insert((frame.driver_time_ns, frame.received_ns));
+        self.last = Some(frame);
+        began
+    }
+
+    /// Judges what was measured.
+    fn finish(
+        mut self,
+        health: Option<Health>,
+        verdicts: Vec<Option<String>>,
+        nominal: f64,
+        problems: &mut Vec<String>,
+    ) -> Measured {
+        if let Some(Err(error)) = self.recorder.take().map(Recorder::finish) {
+            problems.push(error.to_string());
+        }
+        for verdict in verdicts {
+            self.frames.decoded += 1;
+            match verdict {
+                None => self.quality.decoded(),
+                Some(damage) => {
+                    self.frames.damaged += 1;
+                    self.quality.undecodable(damage);
+                }
+            }
+        }
+        self.frames.damaged_fraction = self.quality.damaged_fraction();
+        self.frames.lost = self.sequences.lost;
+        self.frames.fps = self.first.and_then(|(from, _)| {
+            let elapsed_s = self.last_time_ns.saturating_sub(from) as f64 / 1e9;
+            (elapsed_s > 0.0).then(|| (self.frames.received - 1) as f64 / elapsed_s)
+        });
+        match self.frames.fps {
+            Some(fps) if fps < MIN_RATE_FRACTION * nominal => {
+                problems.push(format!("expected {nominal} frames/s, measured {fps:.2}"));
+            }
+            None if problems.is_empty() => {
+                problems.push("too few frames to measure the frame rate".to_owned())
+            }
+            _ => {}
+        }
+        let health = health.unwrap_or_else(|| self.monitor.health().clone());
+        let state = CameraState::judge(&health, &self.quality, self.now_ns.unwrap_or(0));
+        if let CameraState::Damaged { .. } | CameraState::Frozen { .. } = state {
+            let fault = state.fault_text().unwrap_or_default();
+            problems.push(format!("{fault}\n  → {DAMAGE_REMEDY}"));
+        }
+        Measured {
+            frames: self.frames,
+            state,
+            damage: self.quality.reason().to_owned(),
+            last: self.last,
+            gel: None,
+        }
+    }
 }
 
 impl FrameStats {
@@ -291,15 +450,21 @@ impl CameraCheck {
             expected,
             measurement: None,
             problems: Vec::new(),
-            missing: false,
+            state: CameraState::Opening,
         }
+    }
+
+    /// Returns whether the camera is not connected.
+    fn is_missing(&self) -> bool {
+        self.measurement.is_none() && matches!(self.state, CameraState::Unplugged { .. })
     }
 
     /// Returns the result as JSON.
     pub(crate) fn json(&self) -> Value {
         let mut value = json!({
+            "state": self.state.name(),
             "expected": self.expected,
-            "missing": self.missing,
+            "missing": self.is_missing(),
             "ok": self.problems.is_empty(),
             "problems": self.problems,
             "role": self.role,
@@ -308,7 +473,13 @@ impl CameraCheck {
             let (info, frames) = (&measurement.info, &measurement.frames);
             for (key, field) in [
                 ("controls", json!(measurement.controls)),
+                (
+                    "damage",
+                    json!(Some(&measurement.damage).filter(|text| !text.is_empty())),
+                ),
                 ("damaged", json!(frames.damaged)),
+                ("damaged_fraction", json!(frames.damaged_fraction)),
+                ("decoded", json!(frames.decoded)),
                 ("factory_intrinsics", json!(measurement.intrinsics)),
                 ("format", json!(info.format)),
                 ("fps", json!(frames.fps)),
@@ -349,7 +520,7 @@ impl CameraCheck {
                 ..
             }) => {
                 text += &format!(
-                    "{}\n  {} {}×{}, {} of {} frames/s, {} received, {} lost, {} damaged\n",
+                    "{}\n  {} {}×{}, {} of {} frames/s, {} received, {} lost, {} decoded, {} damaged\n",
                     info.identity,
                     info.format,
                     info.width,
@@ -358,6 +529,7 @@ impl CameraCheck {
                     info.nominal_fps,
                     frames.received,
                     frames.lost,
+                    frames.decoded,
                     frames.damaged
                 );
                 if !controls.is_empty() {
@@ -401,7 +573,7 @@ pub(crate) fn verdict(checks: &[CameraCheck]) -> Result<()> {
         let names: Vec<&str> = affected.map(|check| check.role.name()).collect();
         (!names.is_empty()).then(|| names.join(", "))
     };
-    if let Some(missing) = roles(|check| check.missing) {
+    if let Some(missing) = roles(CameraCheck::is_missing) {
         let what = format!("missing cameras: {missing}");
         return Err(Error::new(ErrorKind::Device, what)
             .remedy("see the problems above; `gripcast rig list` shows the connected cameras"));

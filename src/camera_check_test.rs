@@ -43,7 +43,7 @@ impl FrameSource for Scripted {
             format: PixelFormat::Grey,
             width: 1,
             height: 1,
-            data: vec![0].into(),
+            data: vec![sequence as u8].into(),
             sequence,
             driver_time_ns: self.now_ns,
             received_ns: self.now_ns,
@@ -73,21 +73,21 @@ impl CameraOpener for Opener {
 
 fn measured(mut source: Scripted) -> (FrameStats, Vec<String>) {
     let mut problems = Vec::new();
-    let (frames, last) = measure(
+    let measured = measure(
         &mut source,
         Duration::from_secs(1),
         None,
-        |_| (),
+        None,
         &mut problems,
     );
-    assert_eq!(last.is_some(), frames.received > 0);
-    (frames, problems)
+    assert_eq!(measured.last.is_some(), measured.frames.received > 0);
+    (measured.frames, problems)
 }
 
 fn damaged(sequence: u32) -> Result<u32, CaptureError> {
     Err(CaptureError::Damaged {
         sequence,
-        reason: String::new(),
+        reason: "error flag".to_owned(),
     })
 }
 
@@ -125,7 +125,7 @@ fn slow_silent_damaged_and_unplugged_cameras_have_a_problem() {
     let (frames, problems) = measured(Scripted::new(25.0, (0..).map(damaged).take(500)));
     assert_eq!(frames.damaged, 101, "it does not go on for ever");
     assert!(
-        problems[1].contains("101 of 101 frames are damaged"),
+        problems[1].contains("100 % of its frames are damaged: error flag"),
         "{problems:?}"
     );
     let (_, problems) = measured(Scripted::new(25.0, [Ok(1), Ok(2), Err(CaptureError::Gone)]));
@@ -175,7 +175,10 @@ fn report_has_stable_keys() {
         keys,
         [
             "controls",
+            "damage",
             "damaged",
+            "damaged_fraction",
+            "decoded",
             "expected",
             "factory_intrinsics",
             "format",
@@ -193,10 +196,15 @@ fn report_has_stable_keys() {
             "received",
             "role",
             "serial",
+            "state",
             "width"
         ]
     );
     assert_eq!(value["controls"]["gain"], 7);
     assert_eq!(value["ok"], true);
+    assert_eq!(
+        (&value["state"], &value["damage"]),
+        (&"live".into(), &Value::Null)
+    );
     assert!(check.text().starts_with("left     ok"), "{}", check.text());
 }

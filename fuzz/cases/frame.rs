@@ -4,7 +4,7 @@
 
 use std::cell::RefCell;
 
-use gripcast_imaging::{CropProfile, Decoder, Frame, PixelFormat, check_structure};
+use gripcast_imaging::{CropProfile, Decoder, Frame, PixelFormat, check_structure, whole_file};
 
 /// Larger images only take longer.
 const MAX_PIXELS: u32 = 1 << 16;
@@ -40,6 +40,9 @@ pub(crate) fn check(input: &[u8]) {
         assert!(sound || whole.is_err(), "decoded a frame that is refused");
         if let Ok(image) = &whole {
             assert_eq!((image.width(), image.height()), (frame.width, frame.height));
+            if format == PixelFormat::Mjpg {
+                stored_file_is_whole(decoder, &frame, image.as_raw());
+            }
         }
         let _ = decoder.verify(&frame);
         let _ = decoder.depth(&frame);
@@ -48,6 +51,18 @@ pub(crate) fn check(input: &[u8]) {
             let _ = decoder.decode_file(payload, None, 32, 24);
         }
     });
+}
+
+/// What is stored of a frame has its pixels and needs no repairs.
+fn stored_file_is_whole(decoder: &mut Decoder, frame: &Frame, pixels: &[u8]) {
+    let (file, _) = whole_file(&frame.data).expect("a file of a decoded frame");
+    let (again, repairs) = whole_file(&file).expect("a file of a stored file");
+    assert!(
+        repairs.is_none() && *again == *file,
+        "repaired twice: {repairs:?}"
+    );
+    let stored = decoder.stored_image(&file).expect("a stored file decodes");
+    assert!(stored.as_raw() == pixels, "stored pixels differ");
 }
 
 /// What a JPEG's or PNG's header says; zero for others.

@@ -79,7 +79,10 @@ fn handle_event(slot: &CameraSlot, event: CameraEvent) {
         CameraEvent::Frame(frame) => slot.push(frame),
         CameraEvent::Controls(controls) => slot.with_info(|info| info.controls = controls),
         CameraEvent::Report(report) => {
-            if matches!(report.health, Health::Lost { .. }) {
+            if matches!(
+                report.health,
+                Health::Unplugged { .. } | Health::Unavailable { .. }
+            ) {
                 slot.clear_frames();
             }
             slot.with_info(|info| {
@@ -88,7 +91,8 @@ fn handle_event(slot: &CameraSlot, event: CameraEvent) {
                 info.measured_fps = report.measured_fps;
             });
         }
-        // The accompanying report carries the counter.
-        CameraEvent::Damaged { .. } | CameraEvent::Ended => {}
+        // The next report carries the counter.
+        CameraEvent::Damaged { reason, .. } => slot.with_info(|info| info.quality.refused(reason)),
+        CameraEvent::Ended => {}
     }
 }

@@ -86,7 +86,7 @@ fn run(
                     return;
                 }
             }
-            Err(_) => slot.on_damaged(&frame),
+            Err(damage) => slot.on_damaged(&frame, damage.to_string()),
         }
         heartbeat.idle();
         // Compressed frames are decoded to validate them; raw ones only for previews.

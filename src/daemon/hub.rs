@@ -10,7 +10,9 @@ use image::RgbImage;
 
 use super::black_box::Tap;
 use super::thread::{lock, wait_while};
-use gripcast_capture::camera::{CameraCounters, ControlValues, Health, StreamInfo};
+use gripcast_capture::camera::{
+    CameraCounters, CameraState, ControlValues, FrameQuality, Health, StreamInfo,
+};
 use gripcast_imaging::{Frame, PixelFormat, Role};
 
 /// Frames kept per camera: 0.3 s at 25/s, enough to pair cameras of different frame rates.
@@ -45,8 +47,10 @@ pub(super) struct Decoded {
 /// Health, counters and stream of one camera.
 #[derive(Debug)]
 pub(super) struct CameraInfo {
-    /// Health determined by the supervisor.
+    /// Health of the stream, determined by the supervisor.
     pub health: Health,
+    /// Quality of the stream's frames.
+    pub quality: FrameQuality,
     /// Counters of the supervisor.
     pub counters: CameraCounters,
     /// Frames whose entropy-coded data failed to decode.
@@ -92,6 +96,7 @@ impl CameraSlot {
                 ring: VecDeque::with_capacity(RING_FRAMES),
                 info: CameraInfo {
                     health: Health::Opening,
+                    quality: FrameQuality::default(),
                     counters: CameraCounters::default(),
                     damaged_when_decoded: 0,
                     not_decoded: 0,
@@ -113,6 +118,11 @@ impl CameraSlot {
         f(&mut lock(&self.state).info)
     }
 
+    /// Judges the camera.
+    pub(super) fn camera_state(&self, now_ns: u64) -> CameraState {
+        self.with_info(|info| CameraState::judge(&info.health, &info.quality, now_ns))
+    }
+
     /// Starts a new stream and drops the frames of the previous one.
     pub(super) fn on_opened(
         &self,
@@ -123,6 +133,7 @@ impl CameraSlot {
         let mut state = lock(&self.state);
         state.ring.clear();
         state.last_taken = None;
+        state.info.quality = FrameQuality::default();
         state.info.stream = Some(stream);
         state.info.controls = controls;
         state.info.warnings = warnings;
@@ -140,6 +151,7 @@ impl CameraSlot {
     pub(super) fn push(&self, frame: Frame) {
         self.tap.frame(self.role, &frame);
         let mut state = lock(&self.state);
+        state.info.quality.arrived();
         make_room(&mut state.ring);
         let validity = match frame.format {
             PixelFormat::Mjpg => Validity::Unknown,
@@ -184,13 +196,15 @@ impl CameraSlot {
             driver_time_ns: frame.driver_time_ns,
             serial,
         });
+        state.info.quality.decoded();
         mark_valid(&mut state, frame);
     }
 
-    /// Counts a damaged frame and removes it from the ring.
-    pub(super) fn on_damaged(&self, frame: &Frame) {
+    /// Counts a frame that is damaged for this reason and removes it from the ring.
+    pub(super) fn on_damaged(&self, frame: &Frame, reason: String) {
         let mut state = lock(&self.state);
         state.info.damaged_when_decoded += 1;
+        state.info.quality.undecodable(reason);
         state.ring.retain(|entry| key(&entry.frame) != key(frame));
     }
 
@@ -379,7 +393,7 @@ mod tests {
         slot.push(bad.clone());
         assert!(slot.frames().iter().all(|(_, s)| *s == Validity::Unknown));
         slot.on_decoded(&good, RgbImage::new(1, 1));
-        slot.on_damaged(&bad);
+        slot.on_damaged(&bad, String::new());
         let frames = slot.frames();
         assert_eq!(frames.len(), 1);
         assert_eq!(frames[0].1, Validity::Valid);

@@ -34,13 +34,13 @@ pub use boards::{Boards, read_object_boards};
 pub use calibration::stored_intrinsics;
 pub use command_request::CommandRequest;
 pub use engine::{EngineLinks, EngineSetup, StoreEvent, run};
+pub use gripcast_capture::camera::CameraState;
 pub use infer::ModelInfo;
 pub use report::{CameraReport, CollectReport, EndReason, GraspReport, PredictionReport};
 pub use start_report::{StartFinding, StartSubject};
 pub(crate) use status::disk_free_bytes;
 pub use status::{
-    CameraState, CameraStatus, EngineStatus, GelStatus, MarkerStatus, PredictionStatus, Preview,
-    verdict_of,
+    CameraStatus, EngineStatus, GelStatus, MarkerStatus, PredictionStatus, Preview, verdict_of,
 };
 pub use tasks::{Heartbeat, TaskReport, TaskState, Tasks};
 pub(crate) use thread::lock;

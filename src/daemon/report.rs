@@ -7,9 +7,9 @@ use serde::Serialize;
 use super::black_box::BlackBoxReport;
 use super::hub::{CameraSlot, Hub};
 use super::start_report::StartFinding;
-use super::status::{CameraState, CameraStatus};
+use super::status::CameraStatus;
 use gripcast_capture::calibration::RigFile;
-use gripcast_capture::camera::{CameraCounters, Health};
+use gripcast_capture::camera::CameraCounters;
 use gripcast_dataset::Outcome;
 use gripcast_imaging::Role;
 use gripcast_session::Summary;
@@ -100,40 +100,11 @@ pub struct CollectReport {
     pub black_box: Option<BlackBoxReport>,
 }
 
-/// Describes why the frames of a camera cannot be used; `None` for a live camera.
-pub(super) fn fault_text(health: &Health, now_ns: u64) -> Option<String> {
-    match camera_state(health, now_ns) {
-        CameraState::Live => None,
-        CameraState::Opening => Some("not open yet".into()),
-        CameraState::Silent { for_s } => Some(format!("silent for {for_s:.1} s")),
-        CameraState::Frozen { for_s } => Some(format!("image frozen for {for_s:.1} s")),
-        CameraState::Lost { reason } => Some(format!("lost: {reason}")),
-        CameraState::Ended => Some("the recording has ended".into()),
-    }
-}
-
-fn camera_state(health: &Health, now_ns: u64) -> CameraState {
-    let since_s = |since_ns: &u64| now_ns.saturating_sub(*since_ns) as f64 * 1e-9;
-    match health {
-        Health::Opening => CameraState::Opening,
-        Health::Live => CameraState::Live,
-        Health::Silent { since_ns } => CameraState::Silent {
-            for_s: since_s(since_ns),
-        },
-        Health::Frozen { since_ns } => CameraState::Frozen {
-            for_s: since_s(since_ns),
-        },
-        Health::Lost { reason } => CameraState::Lost {
-            reason: reason.clone(),
-        },
-        Health::Ended => CameraState::Ended,
-    }
-}
-
 pub(super) fn camera_status(slot: &CameraSlot, rig: &RigFile, now_ns: u64) -> CameraStatus {
     let role = slot.role;
     let newest_ns = slot.newest_time_ns();
     let report = camera_report(slot, rig);
+    let state = slot.camera_state(now_ns);
     slot.with_info(|info| CameraStatus {
         role,
         product: report.product,
@@ -143,7 +114,7 @@ pub(super) fn camera_status(slot: &CameraSlot, rig: &RigFile, now_ns: u64) -> Ca
             .as_ref()
             .map(|stream| stream.identity.port.clone())
             .unwrap_or_default(),
-        state: camera_state(&info.health, now_ns),
+        state,
         measured_fps: report.measured_fps,
         nominal_fps: rig.cameras.get(&role).map_or(0.0, |camera| camera.fps),
         frame_age_ms: newest_ns.map(|t| now_ns.saturating_sub(t) as f64 * 1e-6),
@@ -155,11 +126,11 @@ pub(super) fn camera_status(slot: &CameraSlot, rig: &RigFile, now_ns: u64) -> Ca
 /// Returns health and counters of all cameras by role, for the black box.
 pub(super) fn cameras_json(hub: &Hub, rig: &RigFile, now_ns: u64) -> serde_json::Value {
     let camera = |slot: &CameraSlot| {
-        let fault = slot.with_info(|info| fault_text(&info.health, now_ns));
+        let state = slot.camera_state(now_ns);
         let newest_ns = slot.newest_time_ns();
         serde_json::json!({
-            "state": if fault.is_none() { "live" } else { "fault" },
-            "fault": fault,
+            "state": state.word(),
+            "fault": state.fault_text(),
             "frame_age_ms": newest_ns.map(|t| now_ns.saturating_sub(t) as f64 * 1e-6),
             "report": camera_report(slot, rig),
         })

@@ -280,12 +280,10 @@ fn free_space(facts: &StartFacts<'_>) -> Option<StartFinding> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use gripcast_capture::camera::CameraCounters;
+    use gripcast_capture::camera::{CameraCounters, CameraState};
     use gripcast_dataset::sample::{capture, meta, new_dataset};
     use gripcast_dataset::{DatasetWriter, PredictionRecord};
     use gripcast_imaging::{PixelFormat, Role};
-
-    use crate::daemon::status::CameraState;
 
     /// Dataset of one grasp of both gels, colour and depth by rig `bench`.
     fn bench() -> Provenance {

@@ -11,7 +11,7 @@ use utoipa::ToSchema;
 
 use super::black_box::BlackBoxStatus;
 use super::start_report::StartFinding;
-use gripcast_capture::camera::CameraCounters;
+use gripcast_capture::camera::{CameraCounters, CameraState};
 use gripcast_dataset::PredictionRecord;
 use gripcast_imaging::{ChangeKind, GelChange, GelState, Role};
 use gripcast_nn::predict::PredictedLabel;
@@ -170,60 +170,6 @@ pub fn verdict_of(record: &PredictionRecord) -> PredictedLabel {
     }
 }
 
-/// State of a camera.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
-#[serde(tag = "state", rename_all = "snake_case")]
-pub enum CameraState {
-    /// Being opened for the first time.
-    Opening,
-    /// Frames arrive.
-    Live,
-    /// No frames arrive, but the device is still present.
-    Silent {
-        /// Seconds since the last frame.
-        for_s: f64,
-    },
-    /// Frames arrive but the image does not change.
-    Frozen {
-        /// Seconds since the last change.
-        for_s: f64,
-    },
-    /// Unplugged or not accessible; reopened automatically.
-    Lost {
-        /// Error of the last attempt to open it.
-        reason: String,
-    },
-    /// A recorded stream has ended.
-    Ended,
-}
-
-impl CameraState {
-    /// Returns the state as one word.
-    pub fn word(&self) -> &'static str {
-        match self {
-            Self::Opening => "opening",
-            Self::Live => "live",
-            Self::Silent { .. } => "silent",
-            Self::Frozen { .. } => "frozen",
-            Self::Lost { .. } => "lost",
-            Self::Ended => "ended",
-        }
-    }
-
-    /// Returns how long the camera has been silent or frozen, s.
-    pub fn since_s(&self) -> Option<f64> {
-        match self {
-            Self::Silent { for_s } | Self::Frozen { for_s } => Some(*for_s),
-            _ => None,
-        }
-    }
-
-    /// Returns whether frames of the camera can be used.
-    pub fn is_live(&self) -> bool {
-        matches!(self, Self::Live)
-    }
-}
-
 /// Whether sheet and tags are detected in a frame.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
 pub struct MarkerStatus {
@@ -247,7 +193,7 @@ pub struct CameraStatus {
     /// State.
     #[serde(flatten)]
     pub state: CameraState,
-    /// Measured frame rate over the last seconds, 1/s.
+    /// Rate of arriving frames over the last seconds, damaged ones included, 1/s.
     pub measured_fps: f64,
     /// Nominal frame rate, 1/s.
     pub nominal_fps: f64,

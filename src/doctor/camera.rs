@@ -3,6 +3,7 @@
 use super::{CheckStatus, Finding};
 use crate::camera_check::{CameraCheck, CameraMeasurement};
 use gripcast_capture::calibration::CameraConfig;
+use gripcast_capture::camera::CameraState;
 use gripcast_session::GuardLimits;
 
 /// Maximum time of a timestamp after the frame's arrival, ms: two clock readings differ.
@@ -30,14 +31,14 @@ pub(super) fn findings(
         return findings;
     };
     if findings.is_empty() {
-        findings.push(rate(role, measurement));
+        findings.push(rate(role, measurement, &check.state));
     }
     findings.extend(timestamps(role, measurement, guards));
     findings.push(controls(role, measurement, config));
     findings
 }
 
-fn rate(role: &str, measurement: &CameraMeasurement) -> Finding {
+fn rate(role: &str, measurement: &CameraMeasurement, state: &CameraState) -> Finding {
     let (info, frames) = (&measurement.info, &measurement.frames);
     let fps = frames.fps.unwrap_or_default();
     let found = format!(
@@ -50,10 +51,20 @@ fn rate(role: &str, measurement: &CameraMeasurement) -> Finding {
         frames.lost,
         frames.damaged
     );
+    let found = match measurement.damage.as_str() {
+        "" => found,
+        damage => format!("{found} ({damage})"),
+    };
     let finding = Finding::new("camera", role, CheckStatus::Ok, found)
         .measurement("fps", fps)
         .measurement("lost", frames.lost as f64)
         .measurement("damaged", frames.damaged as f64);
+    if let CameraState::NoValidDepth { .. } = state {
+        let mut finding = finding;
+        finding.message += "; depth sees nothing";
+        return finding
+            .warn("move the camera away from the surface, add light, switch the emitter on");
+    }
     if frames.lost == 0 && frames.damaged == 0 {
         return finding;
     }
@@ -140,6 +151,7 @@ mod tests {
                 depth_unit_m: None,
             },
             frames,
+            damage: String::new(),
             controls: controls
                 .iter()
                 .map(|(n, v)| ((*n).to_owned(), *v))

@@ -9,20 +9,16 @@ use super::palette::Palette;
 use super::sensors;
 use super::text::{clipped, duration_ms, fill, inset, row, write, write_all};
 use crate::daemon::{CameraState, CameraStatus, EngineStatus};
+use gripcast_capture::camera::percent;
 use gripcast_imaging::Role;
 use gripcast_session::Step;
 
-/// Returns whether the camera has failed; opening and the end of a recording are not faults.
-pub(super) fn is_fault(camera: &CameraStatus) -> bool {
-    matches!(
-        camera.state,
-        CameraState::Silent { .. } | CameraState::Frozen { .. } | CameraState::Lost { .. }
-    )
-}
-
 /// Iterates over failed cameras in the order of roles.
 pub(super) fn faults(status: &EngineStatus) -> impl Iterator<Item = &CameraStatus> {
-    status.cameras.iter().filter(|camera| is_fault(camera))
+    status
+        .cameras
+        .iter()
+        .filter(|camera| camera.state.is_fault())
 }
 
 fn camera_name(role: Role) -> &'static str {
@@ -35,18 +31,38 @@ fn camera_name(role: Role) -> &'static str {
     }
 }
 
-/// Returns the state in capitals, and its duration if known.
-pub(super) fn state_and_duration(state: &CameraState) -> (String, String) {
-    let since = state.since_s().map(|for_s| duration_ms(for_s * 1e3));
-    (state.word().to_uppercase(), since.unwrap_or_default())
+/// Returns the state in capitals, and its duration or extent if known.
+pub(super) fn state_and_extent(state: &CameraState) -> (String, String) {
+    let extent = match state {
+        CameraState::Damaged { fraction, .. } => percent(*fraction),
+        _ => state
+            .since_s()
+            .map_or_else(String::new, |for_s| duration_ms(for_s * 1e3)),
+    };
+    (state.word().to_uppercase(), extent)
 }
 
 /// Returns the remedy in one word, shown in large letters, and as a sentence.
 fn remedy(state: &CameraState) -> (&'static str, &'static str) {
     match state {
         CameraState::Frozen { .. } => ("REPLUG", "REPLUG IT: the image does not change"),
-        CameraState::Lost { .. } => ("PLUG IN", "PLUG IT IN: it reopens by itself"),
+        CameraState::Unplugged { .. } => ("PLUG IN", "PLUG IT IN: it reopens by itself"),
+        CameraState::Unavailable { .. } => {
+            ("FREE IT", "FREE IT: it is plugged in, but cannot be opened")
+        }
+        CameraState::Damaged { .. } => (
+            "REPLUG",
+            "REPLUG IT, or use another cable or port: many of its images are damaged",
+        ),
         _ => ("REPLUG", "REPLUG IT: no frames arrive"),
+    }
+}
+
+/// What the faults mean for triggers.
+fn consequence(failed: &[&CameraStatus]) -> &'static str {
+    match failed.iter().all(|camera| camera.state.delivers_frames()) {
+        true => "triggers use the images that are whole",
+        false => "capture is blocked until the camera recovers",
     }
 }
 
@@ -73,7 +89,7 @@ pub(super) fn identity(camera: &CameraStatus) -> String {
 
 /// Formats the fault in one line: `LEFT GELSIGHT (2BNN4ZE7, usb 3-2.1) SILENT 1.4 s — replug …`.
 pub(super) fn summary(camera: &CameraStatus, status: &EngineStatus) -> String {
-    let (word, since) = state_and_duration(&camera.state);
+    let (word, since) = state_and_extent(&camera.state);
     format!(
         "{} {word} {since}{}— {} ({}; {})",
         camera_name(camera.role),
@@ -105,18 +121,12 @@ pub(super) fn draw(buffer: &mut Buffer, area: Rect, status: &EngineStatus, palet
     let used = draw_heading(buffer, inner, first, palette);
     let mut lines = vec![
         identity(first),
-        match &first.state {
-            CameraState::Lost { reason } => reason.clone(),
-            _ => String::new(),
-        },
+        first.state.reason().unwrap_or_default().to_owned(),
         format!("→ {remedy}"),
-        format!(
-            "{} · capture is blocked until the camera recovers",
-            live_count(status)
-        ),
+        format!("{} · {}", live_count(status), consequence(&failed)),
     ];
     for other in failed.iter().skip(1) {
-        let (word, since) = state_and_duration(&other.state);
+        let (word, since) = state_and_extent(&other.state);
         let (name, identity) = (camera_name(other.role), identity(other));
         lines.push(format!("also: {name} {word} {since}   {identity}"));
     }
@@ -143,7 +153,7 @@ pub(super) fn draw(buffer: &mut Buffer, area: Rect, status: &EngineStatus, palet
 
 /// Draws camera and state in large letters, or as text on small screens; returns the rows used.
 fn draw_heading(buffer: &mut Buffer, area: Rect, camera: &CameraStatus, palette: Palette) -> u16 {
-    let (word, since) = state_and_duration(&camera.state);
+    let (word, since) = state_and_extent(&camera.state);
     let text = format!("{} {word}", camera.role.name());
     let size = Size::DESCENDING
         .into_iter()

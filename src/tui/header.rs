@@ -7,7 +7,7 @@ use ratatui::text::{Line, Span};
 
 use super::palette::Palette;
 use super::text::{clipped, without_last, write, write_right};
-use crate::daemon::{BlackBoxStatus, EngineStatus};
+use crate::daemon::{BlackBoxStatus, CameraState, EngineStatus};
 
 const LOW_DISK_BYTES: u64 = 5_000_000_000;
 const FULL_DISK_BYTES: u64 = 1_000_000_000;
@@ -20,10 +20,13 @@ pub(super) fn draw(buffer: &mut Buffer, area: Rect, status: &EngineStatus, palet
     let right = right(status, area.width, palette);
     let taken = write_right(buffer, area, &right);
     let left = without_last(area, taken + 1);
-    let all_live = status.cameras.iter().all(|camera| camera.state.is_live());
-    let mark = match all_live {
-        true => Span::styled("✓", palette.stable()),
-        false => Span::styled("✗", palette.slip()),
+    let all = |is: fn(&CameraState) -> bool| status.cameras.iter().all(|c| is(&c.state));
+    let mark = if all(CameraState::is_live) {
+        Span::styled("✓", palette.stable())
+    } else if all(CameraState::delivers_frames) {
+        Span::styled("!", palette.warning())
+    } else {
+        Span::styled("✗", palette.slip())
     };
     let session = &status.session;
     let mut spans = vec![

@@ -7,7 +7,7 @@ use ratatui::text::{Line, Span};
 use super::palette::Palette;
 use super::sensors::state;
 use super::text::{clipped, duration_ms, fill, inset, write, write_all};
-use crate::daemon::{CameraState, CameraStatus};
+use crate::daemon::CameraStatus;
 
 pub(super) fn draw(buffer: &mut Buffer, area: Rect, cameras: &[CameraStatus], palette: Palette) {
     let style = palette.panel();
@@ -23,9 +23,9 @@ pub(super) fn draw(buffer: &mut Buffer, area: Rect, cameras: &[CameraStatus], pa
 
 fn lines(camera: &CameraStatus, width: usize, palette: Palette) -> [Line<'static>; 3] {
     let (words, style) = state(&camera.state, palette);
-    let reason = match &camera.state {
-        CameraState::Lost { reason } => format!(": {reason}"),
-        _ => String::new(),
+    let reason = match camera.state.reason() {
+        Some(reason) => format!(": {reason}"),
+        None => String::new(),
     };
     let identity = [
         ("", &camera.product),

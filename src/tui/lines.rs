@@ -109,10 +109,14 @@ impl LinePrinter {
             CameraState::Opening => return None,
             CameraState::Live => format!("{}: live ({})", camera.role, identity(camera)),
             CameraState::Ended => format!("{}: the recording has ended", camera.role),
-            CameraState::Lost { reason } => {
-                format!("FAULT {}: {reason}", summary(camera, status))
+            CameraState::NoValidDepth { .. } => {
+                let fault = camera.state.fault_text().unwrap_or_default();
+                format!("WARNING {}: {fault}", camera.role)
             }
-            _ => format!("FAULT {}", summary(camera, status)),
+            state => match state.reason() {
+                Some(reason) => format!("FAULT {}: {reason}", summary(camera, status)),
+                None => format!("FAULT {}", summary(camera, status)),
+            },
         };
         let printed = self.cameras.entry(camera.role).or_default();
         printed.is_news(camera.state.word(), now).then_some(words)

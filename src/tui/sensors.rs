@@ -5,7 +5,7 @@ use ratatui::layout::Rect;
 use ratatui::style::Style;
 use ratatui::text::{Line, Span};
 
-use super::fault::state_and_duration;
+use super::fault::state_and_extent;
 use super::palette::Palette;
 use super::text::{clipped, duration_ms, row, write};
 use crate::daemon::{CameraState, CameraStatus, EngineStatus, GelStatus};
@@ -72,15 +72,16 @@ pub(super) fn state(state: &CameraState, palette: Palette) -> (String, Style) {
     let style = match state {
         CameraState::Opening | CameraState::Ended => palette.faint(),
         CameraState::Live => palette.stable(),
+        CameraState::NoValidDepth { .. } => palette.warning(),
         _ => palette.slip(),
     };
-    let (word, since) = state_and_duration(state);
+    let (word, since) = state_and_extent(state);
     let words = match state {
         CameraState::Opening => "opening …".to_owned(),
         CameraState::Live => "live".to_owned(),
         CameraState::Ended => "recording ended".to_owned(),
-        CameraState::Lost { .. } => word,
-        _ => format!("{word} {since}"),
+        CameraState::NoValidDepth { .. } => "sees nothing".to_owned(),
+        _ => format!("{word} {since}").trim_end().to_owned(),
     };
     (words, style)
 }

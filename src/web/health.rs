@@ -12,18 +12,29 @@ use utoipa::ToSchema;
 
 use super::backend::Backend;
 use super::failure::{ErrorResponse, Failure};
+use gripcast_imaging::Role;
+
 use crate::daemon::{
-    CameraStatus, EngineStatus, ModelInfo, PredictionStatus, TaskReport, TaskState,
+    CameraState, CameraStatus, EngineStatus, ModelInfo, PredictionStatus, TaskReport, TaskState,
 };
 
-/// Health of the daemon.
+/// Health of daemon and cameras.
 #[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
 pub(crate) struct HealthReport {
-    /// Whether every task is running.
+    /// Whether every task is running and no camera has a fault.
     ok: bool,
     version: &'static str,
     uptime_s: f64,
     tasks: Vec<TaskReport>,
+    cameras: Vec<CameraHealth>,
+}
+
+/// State of one camera, as in `/api/state`.
+#[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
+pub(crate) struct CameraHealth {
+    role: Role,
+    #[serde(flatten)]
+    state: CameraState,
 }
 
 /// Returns whether all tasks are running, for the watchdog.
@@ -46,17 +57,27 @@ pub(crate) async fn health(
     Shared(backend): Shared<Arc<Backend>>,
 ) -> (StatusCode, Json<HealthReport>) {
     let tasks = backend.tasks.report();
-    let ok = is_healthy(&tasks);
-    let status = if ok {
-        StatusCode::OK
-    } else {
-        StatusCode::SERVICE_UNAVAILABLE
+    let is_healthy = is_healthy(&tasks);
+    // Restarting the daemon repairs its tasks, but no camera.
+    let status = match is_healthy {
+        true => StatusCode::OK,
+        false => StatusCode::SERVICE_UNAVAILABLE,
     };
+    let state = Arc::clone(&backend.status.borrow());
+    let cameras: Vec<CameraHealth> = state
+        .cameras
+        .iter()
+        .map(|camera| CameraHealth {
+            role: camera.role,
+            state: camera.state.clone(),
+        })
+        .collect();
     let health = HealthReport {
-        ok,
+        ok: is_healthy && !cameras.iter().any(|camera| camera.state.is_fault()),
         version: env!("CARGO_PKG_VERSION"),
         uptime_s: backend.started.elapsed().as_secs_f64(),
         tasks,
+        cameras,
     };
     (status, Json(health))
 }
@@ -133,7 +154,7 @@ impl Metrics {
 
     fn cameras(&mut self, cameras: &[CameraStatus]) {
         const FAMILIES: [(&str, &str); 7] = [
-            ("live", "1 while frames arrive."),
+            ("live", "1 while frames arrive and decode."),
             ("fps", "Measured frame rate."),
             ("frame_age_seconds", "Age of the newest frame."),
             ("frames_total", "Frames received."),

@@ -39,7 +39,7 @@ impl Place {
         self.1.clone().unwrap_or_else(|| self.0.path().join("d"))
     }
 
-    fn socket(&self) -> PathBuf {
+    pub(crate) fn socket(&self) -> PathBuf {
         self.0.path().join("s")
     }
 
@@ -142,7 +142,7 @@ impl Daemon {
     }
 
     /// Triggers until no guard refuses: the gripper may not have closed yet.
-    fn trigger(&self) -> Value {
+    pub(crate) fn trigger(&self) -> Value {
         loop {
             let (status, answer) = self.command("trigger");
             match status {

@@ -7,6 +7,7 @@ mod black_box;
 mod board;
 mod calibrate;
 mod calibrate_intrinsics;
+mod camera_states;
 mod cluster;
 mod collect;
 mod crash;

@@ -279,12 +279,39 @@ fn dismissed_fault_stays_one_line_until_another_camera_fails() {
     let aside = image(80, 24, &status, &state);
     assert!(aside.contains("CLOSE THE GRIPPER"), "{aside}");
     assert!(aside.contains("LEFT GELSIGHT SILENT 1.4 s"), "{aside}");
-    status.cameras[2].state = CameraState::Lost {
+    status.cameras[2].state = CameraState::Unplugged {
         reason: "no device with serial 842512070215".to_owned(),
     };
     let both = image(80, 24, &status, &state);
     assert!(!both.contains("CLOSE THE GRIPPER"), "{both}");
-    assert!(both.contains("also: COLOUR CAMERA LOST"), "{both}");
+    assert!(both.contains("also: COLOUR CAMERA UNPLUGGED"), "{both}");
+}
+
+#[test]
+fn damaged_and_unavailable_cameras_are_not_told_to_be_plugged_in() {
+    let with = |state: CameraState| {
+        let mut status = faulty();
+        status.cameras[0].state = state;
+        image(80, 24, &status, &crate::screen::state())
+    };
+    let reason = || "the JPEG is truncated".to_owned();
+    let damaged = with(CameraState::Damaged {
+        fraction: 0.87,
+        reason: reason(),
+    });
+    for words in ["DAMAGED", "87 %", "the JPEG is truncated", "whole"] {
+        assert!(damaged.contains(words), "{words}: {damaged}");
+    }
+    let unavailable = with(CameraState::Unavailable { reason: reason() });
+    assert!(unavailable.contains("FREE IT"), "{unavailable}");
+    for screen in [damaged, unavailable] {
+        assert!(!screen.contains("PLUG IT IN"), "{screen}");
+    }
+    let blind = with(CameraState::NoValidDepth { for_s: 3.0 });
+    assert!(
+        blind.contains("sees nothing") && blind.contains("CLOSE THE GRIPPER"),
+        "{blind}"
+    );
 }
 
 #[test]
@@ -455,7 +482,11 @@ fn any_state() -> impl Strategy<Value = CameraState> {
         Just(CameraState::Ended),
         any_number().prop_map(|for_s| CameraState::Silent { for_s }),
         any_number().prop_map(|for_s| CameraState::Frozen { for_s }),
-        any_text().prop_map(|reason| CameraState::Lost { reason }),
+        any_number().prop_map(|for_s| CameraState::NoValidDepth { for_s }),
+        any_text().prop_map(|reason| CameraState::Unplugged { reason }),
+        any_text().prop_map(|reason| CameraState::Unavailable { reason }),
+        (any_number(), any_text())
+            .prop_map(|(fraction, reason)| CameraState::Damaged { fraction, reason }),
     ]
 }
 

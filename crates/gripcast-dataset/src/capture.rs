@@ -14,7 +14,7 @@ use super::grasp::{
 use super::layout::{Stage, image_name, pre_grasp_name};
 use gripcast_base::error::Result;
 use gripcast_base::files::{ContentKey, FileName, Label, ObjectName};
-use gripcast_imaging::{Frame, Role};
+use gripcast_imaging::{Frame, JpegRepairs, Role, valid_depth_fraction};
 
 /// One camera's frame with its stored metadata.
 #[derive(Clone, Debug, PartialEq)]
@@ -108,19 +108,19 @@ impl StageCapture {
             }
             let frame = &camera.frame;
             let file = image_name(stage, role, frame.format);
-            let bytes = encode(frame).map_err(|e| e.at(role))?.into_owned();
+            let (bytes, repairs) = encode(frame).map_err(|e| e.at(role))?;
             files.insert(file.clone(), digest(&bytes));
-            contents.insert(file.clone(), bytes);
-            cameras.insert(role, camera.record(file));
+            contents.insert(file.clone(), bytes.into_owned());
+            cameras.insert(role, camera.record(file, repairs));
         }
         let mut pre_grasp_frames = Vec::new();
         if stage == Stage::Grasp {
             for (number, camera) in self.pre_grasp_frames.iter().enumerate() {
                 let file = pre_grasp_name(number, camera.frame.format);
-                let bytes = encode(&camera.frame).map_err(|e| e.at(&file))?.into_owned();
+                let (bytes, repairs) = encode(&camera.frame).map_err(|e| e.at(&file))?;
                 files.insert(file.clone(), digest(&bytes));
-                contents.insert(file.clone(), bytes);
-                pre_grasp_frames.push(camera.record(file));
+                contents.insert(file.clone(), bytes.into_owned());
+                pre_grasp_frames.push(camera.record(file, repairs));
             }
         }
         Ok(EncodedStage {
@@ -139,7 +139,7 @@ impl StageCapture {
 }
 
 impl CapturedCamera {
-    fn record(&self, file: FileName) -> CameraRecord {
+    fn record(&self, file: FileName, repairs: Option<JpegRepairs>) -> CameraRecord {
         CameraRecord {
             file,
             product: self.product.clone(),
@@ -155,6 +155,8 @@ impl CapturedCamera {
             controls: self.controls.clone(),
             crop_profile: self.crop_profile.clone(),
             depth_unit_m: self.depth_unit_m,
+            valid_fraction: valid_depth_fraction(&self.frame),
+            repairs,
         }
     }
 }

@@ -12,7 +12,7 @@ use super::layout::Stage;
 use gripcast_base::error::{Error, Result};
 use gripcast_base::files::{ContentKey, FileName, GraspId, Label, ObjectName};
 use gripcast_geometry::Pose;
-use gripcast_imaging::{PixelFormat, Role};
+use gripcast_imaging::{JpegRepairs, PixelFormat, Role};
 
 /// Tolerance of a unit quaternion's norm.
 const UNIT_TOLERANCE: f64 = 1e-3;
@@ -201,6 +201,12 @@ pub struct CameraRecord {
     pub crop_profile: Option<String>,
     /// Metres per count; depth cameras only.
     pub depth_unit_m: Option<f64>,
+    /// Fraction of the pixels that have a depth, 0..1; depth cameras only.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub valid_fraction: Option<f64>,
+    /// Differences of a stored JPEG from the bytes that the camera sent.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub repairs: Option<JpegRepairs>,
 }
 
 /// Gripper pose in the object's frame.

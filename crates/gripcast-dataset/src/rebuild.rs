@@ -190,6 +190,8 @@ fn complete_image(
         controls: BTreeMap::new(),
         crop_profile: None,
         depth_unit_m: None,
+        valid_fraction: None,
+        repairs: None,
     }))
 }
 

@@ -47,11 +47,11 @@ pub use gel::{
 };
 pub use gel_pattern::{GelContact, gel_image, synthetic_gel};
 pub use intrinsics::{DistortionModel, Intrinsics};
-pub use jpeg::{JpegDamage, JpegDecoder, encode_jpeg};
+pub use jpeg::{JpegDamage, JpegDecoder, JpegRepairs, encode_jpeg, whole_file};
 pub use png::{
     decode_png, decode_png_grey16, decode_png_rgb, encode_png_grey8, encode_png_grey16,
     encode_png_rgb,
 };
 pub use resample::{RgbScaler, crop_and_resize};
 pub use srgb::{linear_to_srgb, srgb_decode, srgb_encode, srgb_to_linear};
-pub use z16::DepthImage;
+pub use z16::{DepthImage, valid_depth_fraction};

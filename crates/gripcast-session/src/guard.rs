@@ -105,7 +105,7 @@ pub struct CameraCondition {
     pub age_ms: Option<f64>,
     /// Driver time of that frame, ns.
     pub frame_time_ns: u64,
-    /// Reason for the missing frame.
+    /// Reason for a missing or old frame.
     pub fault: Option<String>,
     /// Control values read back from the camera.
     pub controls: BTreeMap<String, i64>,
@@ -173,8 +173,13 @@ pub(crate) fn check_frames(
             Some(age) if age > limits.max_frame_age_ms => violations.push(GuardViolation {
                 guard: Guard::StaleFrame,
                 reason: format!(
-                    "{}: newest valid frame is {age:.0} ms old, limit {:.0} ms",
-                    camera.role, limits.max_frame_age_ms
+                    "{}: newest valid frame is {age:.0} ms old, limit {:.0} ms{}",
+                    camera.role,
+                    limits.max_frame_age_ms,
+                    match &camera.fault {
+                        Some(fault) => format!("; {fault}"),
+                        None => String::new(),
+                    }
                 ),
                 can_override: true,
             }),

@@ -1,8 +1,9 @@
 //! Shared test helpers: location of real data, and reporting of skipped tests.
 
 // Test helpers may panic.
-#![allow(clippy::unwrap_used, clippy::panic)]
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
+pub mod jpeg;
 pub mod sysfs_tree;
 
 use std::fmt::Display;

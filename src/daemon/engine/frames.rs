@@ -7,10 +7,9 @@ use jiff::Timestamp;
 use super::Engine;
 use crate::daemon::pairing::{FrameSet, pair};
 use crate::daemon::pre_grasp::PreGraspFrames;
-use crate::daemon::report::fault_text;
 use crate::daemon::status::disk_free_bytes;
 use gripcast_capture::calibration::SourceKind;
-use gripcast_capture::camera::{Health, monotonic_ns};
+use gripcast_capture::camera::{CameraState, monotonic_ns};
 use gripcast_dataset::{CapturedCamera, StageCapture};
 use gripcast_imaging::{ChangeKind, Frame, GelChange, Role};
 use gripcast_session::{CameraCondition, CommandSource, Conditions};
@@ -22,10 +21,11 @@ pub(super) struct Trigger {
 }
 
 impl Engine {
-    /// Returns whether every camera is live and has a valid frame.
+    /// Returns whether every camera delivers frames and has a valid one.
     pub(super) fn all_live(&self) -> bool {
+        let now_ns = monotonic_ns();
         self.hub.slots().all(|slot| {
-            slot.with_info(|info| info.health == Health::Live) && !slot.valid_frames().is_empty()
+            slot.camera_state(now_ns).delivers_frames() && !slot.valid_frames().is_empty()
         })
     }
 
@@ -75,7 +75,7 @@ impl Engine {
         let valid: BTreeMap<Role, Vec<Frame>> = self
             .hub
             .slots()
-            .filter(|slot| slot.with_info(|info| is_usable(&info.health)))
+            .filter(|slot| is_usable(&slot.camera_state(now_ns)))
             .map(|slot| {
                 let is_new = |frame: &Frame| frame.driver_time_ns > since_ns;
                 let (new, old): (Vec<_>, Vec<_>) =
@@ -101,14 +101,13 @@ impl Engine {
             .map(|slot| {
                 let role = slot.role;
                 let frame = frame_set.frames.get(&role);
-                let (fault, controls) = slot
-                    .with_info(|info| (fault_text(&info.health, now_ns), info.controls.clone()));
+                let controls = slot.with_info(|info| info.controls.clone());
                 let gel = state.gels.get(&role);
                 CameraCondition {
                     role,
                     age_ms: frame.map(|frame| age_ms(frame, now_ns)),
                     frame_time_ns: frame.map_or(0, |frame| frame.driver_time_ns),
-                    fault,
+                    fault: slot.camera_state(now_ns).fault_text(),
                     controls,
                     change: state.change(role, revision, since_ns),
                     gel_problems: gel.map(|gel| gel.problems.clone()).unwrap_or_default(),
@@ -209,6 +208,6 @@ fn age_ms(frame: &Frame, now_ns: u64) -> f64 {
 }
 
 /// Returns whether frames of a camera in this state may be saved, regardless of their age.
-fn is_usable(health: &Health) -> bool {
-    matches!(health, Health::Live | Health::Silent { .. } | Health::Ended)
+fn is_usable(state: &CameraState) -> bool {
+    state.delivers_frames() || matches!(state, CameraState::Silent { .. } | CameraState::Ended)
 }

@@ -14,7 +14,7 @@ use crate::daemon::report::camera_status;
 use crate::daemon::start_report::{StartFacts, start_report};
 use crate::daemon::status::{CameraStatus, EngineStatus, GelStatus, PredictionStatus};
 use crate::daemon::tasks::TaskState;
-use gripcast_capture::camera::{Health, monotonic_ns};
+use gripcast_capture::camera::monotonic_ns;
 use gripcast_imaging::{GelProblem, Role};
 use gripcast_session::{Step, Tone};
 
@@ -37,10 +37,8 @@ impl Engine {
     pub(super) fn check_cameras(&mut self) {
         let hub = self.hub.clone();
         for slot in hub.slots() {
-            let (live, reason) = slot.with_info(|info| {
-                let live = info.health == Health::Live;
-                (live, format!("{:?}", info.health))
-            });
+            let state = slot.camera_state(monotonic_ns());
+            let live = state.delivers_frames() && !state.is_fault();
             let before = self.was_live.insert(slot.role, live);
             if before == Some(true) && !live {
                 // The receiver is gone without a screen; the log has the fault.
@@ -52,7 +50,8 @@ impl Engine {
                 let warnings = slot.with_info(|info| info.warnings.clone());
                 let what = serde_json::json!({
                     "role": role,
-                    "health": reason,
+                    "state": state.word(),
+                    "reason": state.fault_text(),
                     "warnings": warnings,
                 });
                 self.log(event, &what);

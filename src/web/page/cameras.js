@@ -4,7 +4,7 @@
  * @import {Camera, Role, State} from "./types.js"
  */
 import { button, byId, make, refill, style } from "./dom.js";
-import { fault, identity, isFault, liveCount, rates, stateWords } from "./words.js";
+import { consequence, fault, identity, isFault, liveCount, rates, stateWords } from "./words.js";
 
 /** Minimised faults; a camera that recovers is removed. @type {Set<Role>} */
 const minimised = new Set();
@@ -71,7 +71,7 @@ function largeFault(failed, all, reassurance) {
   for (const other of others) {
     nodes.push(make("p", "also", `also: ${fault(other).part} `, since(other), ` — ${fault(other).remedy} (${identity(other)})`));
   }
-  nodes.push(make("p", "", `${liveCount(all)} · capture is blocked until the camera recovers`), make("p", "", reassurance));
+  nodes.push(make("p", "", `${liveCount(all)} · ${consequence(failed)}`), make("p", "", reassurance));
   nodes.push(button("minimise (Esc)", minimiseFaults));
   return nodes;
 }
@@ -80,6 +80,12 @@ function largeFault(failed, all, reassurance) {
 function smallFault(camera) {
   const { part, remedy } = fault(camera);
   return make("p", "", make("b", "", `${part} `, since(camera)), ` — ${remedy} (${identity(camera)})`);
+}
+
+/** @param {Camera} camera */
+function tone(camera) {
+  if (camera.state === "live") return "stable";
+  return camera.state === "no_valid_depth" ? "warning" : "slip";
 }
 
 /** @param {Camera[]} cameras */
@@ -99,7 +105,7 @@ function drawDetail(cameras) {
       return make(
         "section",
         "",
-        make("h3", "", `${camera.role} `, make("span", camera.state === "live" ? "stable" : "slip", words)),
+        make("h3", "", `${camera.role} `, make("span", tone(camera), words)),
         make("p", "", identity(camera)),
         make("p", "", `${rate} · newest frame ${age} old`),
         make("p", "faint", counters.join(" · ")),

@@ -8,7 +8,7 @@
 import { address } from "./api.js";
 import { openSensors } from "./cameras.js";
 import { button, byId, make, refill, say, style } from "./dom.js";
-import { isFault, rates, stateWords, problems } from "./words.js";
+import { deliversFrames, isFault, rates, stateWords, problems } from "./words.js";
 
 const STILL_FETCHERS = 2;
 /** Minimum interval between two images of a camera; the server makes ten per second, ms. */
@@ -72,11 +72,12 @@ export class Images {
     const messages = (isGel(camera.role) && gels?.[/** @type {"left"|"right"} */ (camera.role)]?.messages) || [];
     const words = typeof touch === "number" ? `contact ${touch.toFixed(1)}` : "";
     refill(tile.health, [camera, words, messages], () => health(camera, words, messages));
-    const state = isFault(camera) ? "failed" : camera.state === "live" ? "" : "waiting";
+    const delivers = deliversFrames(camera);
+    const state = isFault(camera) ? "failed" : delivers ? "" : "waiting";
     style(tile.figure, `${isGel(camera.role) ? "gel " : ""}${state}`.trim());
-    say(tile.cover, camera.state === "live" ? "" : stateWords(camera));
-    const back = camera.state === "live" && tile.state !== "live" && tile.state !== "";
-    tile.state = camera.state;
+    say(tile.cover, delivers ? "" : stateWords(camera));
+    const back = delivers && tile.state === "gone";
+    tile.state = delivers ? "delivers" : "gone";
     if (back && this.streaming) this.stream(tile);
   }
 
@@ -116,7 +117,7 @@ export class Images {
     const round = this.round;
     tile.image.onerror = () => {
       setTimeout(() => {
-        if (round === this.round && tile.state === "live") this.stream(tile);
+        if (round === this.round && tile.state === "delivers") this.stream(tile);
       }, RETRY_MS);
     };
     tile.image.src = address(`api/cameras/${tile.role}/preview.mjpg?image=both&start=${Date.now()}`);
@@ -232,7 +233,7 @@ function health(camera, contact, messages) {
     const { rate, slow, age, old } = rates(camera);
     nodes.push(make("span", slow ? "warning" : "", rate), make("span", old ? "warning" : "faint", age));
   } else {
-    nodes.push(make("span", isFault(camera) ? "slip" : "faint", stateWords(camera)));
+    nodes.push(make("span", isFault(camera) ? "slip" : deliversFrames(camera) ? "warning" : "faint", stateWords(camera)));
   }
   if (contact) nodes.push(make("span", "faint", contact));
   const warning = problems(camera);

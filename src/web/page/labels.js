@@ -5,7 +5,7 @@
  */
 import { change, failureReason } from "./api.js";
 import { button, byId, make, refill, say, style, toast } from "./dom.js";
-import { agreement, agreementWords, balance, bytes, messageText, number, OUTCOMES, refusalRemedy, short } from "./words.js";
+import { agreement, agreementWords, balance, bytes, messageText, number, OUTCOMES, refusalRemedy, rigMark, short } from "./words.js";
 
 const LOW_DISK_BYTES = 5e9;
 const FULL_DISK_BYTES = 1e9;
@@ -48,9 +48,9 @@ function drawHead(state) {
   const { dataset, rig, clock, cameras, disk_free_bytes: free, grasps_left: left, session } = state;
   say(byId("dataset"), dataset);
   say(byId("rig"), `rig ${rig}`);
-  const live = cameras.every((camera) => camera.state === "live");
-  say(byId("rig-mark"), live ? "✓" : "✗");
-  style(byId("rig-mark"), live ? "stable" : "slip");
+  const [mark, tone] = rigMark(cameras);
+  say(byId("rig-mark"), mark);
+  style(byId("rig-mark"), tone);
   say(byId("clock"), clock);
   refill(byId("disk"), [free && bytes(free), left], () => diskWords(free, left));
   const full = free !== null && (free < FULL_DISK_BYTES || left === 0);

@@ -53,9 +53,10 @@
  * @property {string} product
  * @property {string} serial
  * @property {string} port
- * @property {"opening"|"live"|"silent"|"frozen"|"lost"|"ended"} state
- * @property {number} [for_s] seconds since it is silent or frozen
- * @property {string} [reason] why it is lost
+ * @property {"opening"|"live"|"damaged"|"silent"|"frozen"|"no_valid_depth"|"unplugged"|"unavailable"|"ended"} state
+ * @property {number} [for_s] seconds since it is silent or frozen, or has no depth
+ * @property {number} [fraction] damaged fraction of its newest frames
+ * @property {string} [reason] what the decoder says, or why it cannot be opened
  * @property {number} measured_fps
  * @property {number} nominal_fps
  * @property {number|null} frame_age_ms

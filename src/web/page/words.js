@@ -145,24 +145,42 @@ export function balance({ stable, slip, unlabelled }) {
   return { short, text: unlabelled ? `${hint} · ${unlabelled} unlabelled` : hint };
 }
 
-/** Whether the camera has failed; opening and the end of a recording are not faults. @param {Camera} camera */
+/** Whether the camera needs a person: not while it opens or has no depth, nor at the end of a recording.
+ * @param {Camera} camera */
 export function isFault({ state }) {
-  return state === "silent" || state === "frozen" || state === "lost";
+  return ["damaged", "silent", "frozen", "unplugged", "unavailable"].includes(state);
 }
 
-/** State of a camera in one or two words. @param {Camera} camera */
-export function stateWords({ state, for_s }) {
+/** Whether whole new frames arrive. @param {Camera} camera */
+export function deliversFrames({ state }) {
+  return ["live", "damaged", "no_valid_depth"].includes(state);
+}
+
+/** A fraction in percent; never 0 or 100 for what is neither. @param {number} fraction */
+export function percent(fraction) {
+  const value = fraction * 100;
+  if (value > 0 && value < 1) return "< 1 %";
+  if (value > 99 && value < 100) return "> 99 %";
+  return `${value.toFixed(0)} %`;
+}
+
+/** State of a camera in a few words. @param {Camera} camera */
+export function stateWords({ state, for_s, fraction }) {
   if (state === "opening") return "opening …";
   if (state === "ended") return "recording ended";
   if (state === "live") return "live";
+  if (state === "no_valid_depth") return "sees nothing";
+  if (fraction !== undefined) return `${state.toUpperCase()} ${percent(fraction)}`;
   return for_s === undefined ? state.toUpperCase() : `${state.toUpperCase()} ${duration(for_s * 1e3)}`;
 }
 
 /** Name of the failed camera, its state and the remedy. @param {Camera} camera */
 export function fault(camera) {
   const remedies = {
+    damaged: "REPLUG IT, or use another cable or port: many of its images are damaged",
     frozen: "REPLUG IT: the image does not change",
-    lost: "PLUG IT IN: it reopens by itself",
+    unplugged: "PLUG IT IN: it reopens by itself",
+    unavailable: "FREE IT: it is plugged in, but cannot be opened",
     silent: "REPLUG IT: no frames arrive",
   };
   return {
@@ -172,10 +190,23 @@ export function fault(camera) {
   };
 }
 
+/** What the faults mean for triggers. @param {Camera[]} failed */
+export function consequence(failed) {
+  return failed.every(deliversFrames)
+    ? "triggers use the images that are whole"
+    : "capture is blocked until the camera recovers";
+}
+
 /** Product, serial number and port of a camera. @param {Camera} camera */
 export function identity({ product, serial, port }) {
   const parts = [product, serial && `serial ${serial}`, port ? `usb ${port}` : "port unknown"];
   return parts.filter(Boolean).join(" · ");
+}
+
+/** Mark of the whole rig and its style. @param {Camera[]} cameras @returns {[string, string]} */
+export function rigMark(cameras) {
+  if (cameras.every(({ state }) => state === "live")) return ["✓", "stable"];
+  return cameras.every(deliversFrames) ? ["!", "warning"] : ["✗", "slip"];
 }
 
 /** @param {Camera[]} cameras */

@@ -1,5 +1,6 @@
 //! Frame sources and their supervision.
 
+mod camera_state;
 mod clock;
 mod recorder;
 mod replay;
@@ -15,6 +16,7 @@ mod v4l2_ioctl;
 mod v4l2_node;
 mod v4l2_shared;
 
+pub use camera_state::{CameraState, FrameQuality, MAX_DAMAGED_FRACTION, percent};
 pub use clock::{Clock, ManualClock, MonotonicClock, monotonic_ns};
 pub use recorder::Recorder;
 pub use replay::{ReplayOpener, ReplaySource};
@@ -23,9 +25,10 @@ pub use source::{
     CameraIdentity, CameraOpener, CaptureError, ControlValues, FrameSource, StreamInfo,
 };
 pub use stream_monitor::{
-    CameraCounters, FrameFacts, Health, StreamMonitor, StreamReport, SupervisionPolicy,
+    CameraCounters, FrameContent, FrameFacts, Health, StreamMonitor, StreamReport,
+    SupervisionPolicy,
 };
-pub use supervised::{CameraEvent, run_camera};
+pub use supervised::{CameraEvent, content_of, health_of, run_camera};
 pub use v4l2::V4l2Opener;
 pub(crate) use v4l2_controls::{CONTROLS, FORMER_NAMES};
 #[cfg(test)]

@@ -10,15 +10,17 @@ use utoipa::ToSchema;
 pub struct SupervisionPolicy {
     /// Window of the measured frame rate, ns.
     pub fps_window_ns: u64,
-    /// Nominal intervals without a usable frame after which the camera is silent.
+    /// Nominal intervals without a frame after which the camera is silent.
     pub silent_periods: f64,
-    /// Minimum time without a usable frame after which the camera is silent, ns.
+    /// Minimum time without a frame after which the camera is silent, ns.
     pub silent_after_ns: u64,
     /// Time after which a silent or frozen camera is reopened, ns.
     pub reopen_after_ns: u64,
     /// Time of repeated frames after which the image is frozen, ns; `None` for sources that may
     /// repeat frames.
     pub freeze_after_ns: Option<u64>,
+    /// Time of depth frames without depth after which depth is missing, ns.
+    pub no_depth_after_ns: u64,
     /// Initial backoff between attempts to open, ns; doubles with each failure.
     pub first_backoff_ns: u64,
     /// Maximum backoff, ns.
@@ -39,6 +41,7 @@ impl Default for SupervisionPolicy {
             silent_after_ns: 250_000_000,
             reopen_after_ns: 3_000_000_000,
             freeze_after_ns: Some(1_000_000_000),
+            no_depth_after_ns: 1_000_000_000,
             first_backoff_ns: 250_000_000,
             max_backoff_ns: 1_000_000_000,
             frame_timeout_ns: 100_000_000,
@@ -48,16 +51,17 @@ impl Default for SupervisionPolicy {
     }
 }
 
-/// Health of a camera.
+/// Health of a stream. Whether its frames decode is not known here: see
+/// [`super::CameraState`].
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Health {
     /// Opening, or waiting for the first frame.
     Opening,
     /// Frames arrive.
     Live,
-    /// No usable frames from a connected device.
+    /// No frames from a connected device.
     Silent {
-        /// Time of the last usable frame or of opening, ns.
+        /// Time of the last frame or of opening, ns.
         since_ns: u64,
     },
     /// The same frame is repeated.
@@ -65,9 +69,19 @@ pub enum Health {
         /// Time of the first of the repeated frames, ns.
         since_ns: u64,
     },
-    /// Unplugged or failed to open; retried.
-    Lost {
-        /// Error of the last attempt.
+    /// Depth frames without depth.
+    NoValidDepth {
+        /// Time of the last frame with a depth or of opening, ns.
+        since_ns: u64,
+    },
+    /// Unplugged; retried.
+    Unplugged {
+        /// Error of the last attempt to open it.
+        reason: String,
+    },
+    /// Present, but it cannot be opened; retried.
+    Unavailable {
+        /// Error of the last attempt to open it.
         reason: String,
     },
     /// A recorded stream has ended.
@@ -98,7 +112,7 @@ pub struct StreamReport {
     pub health: Health,
     /// Counters.
     pub counters: CameraCounters,
-    /// Frame rate over the policy's window, 1/s; 0 with fewer than two frames.
+    /// Rate of arriving frames over the policy's window, 1/s; 0 with fewer than two frames.
     pub measured_fps: f64,
 }
 
@@ -109,8 +123,19 @@ pub struct FrameFacts {
     pub sequence: u32,
     /// Time of reception, ns.
     pub received_ns: u64,
-    /// Whether it equals its predecessor.
-    pub repeats: bool,
+    /// What it shows.
+    pub content: FrameContent,
+}
+
+/// What a frame shows, compared with its predecessor.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum FrameContent {
+    /// Something new.
+    New,
+    /// The same bytes.
+    Repeated,
+    /// A depth frame without depth.
+    NoDepth,
 }
 
 /// State machine of a camera's health and counters.
@@ -122,8 +147,9 @@ pub struct StreamMonitor {
     counters: CameraCounters,
     arrivals_ns: VecDeque<u64>,
     last_sequence: Option<u32>,
-    usable_ns: u64,
+    arrived_ns: u64,
     changed_ns: u64,
+    depth_ns: u64,
     has_frame: bool,
     was_open: bool,
 }
@@ -138,8 +164,9 @@ impl StreamMonitor {
             counters: CameraCounters::default(),
             arrivals_ns: VecDeque::new(),
             last_sequence: None,
-            usable_ns: 0,
+            arrived_ns: 0,
             changed_ns: 0,
+            depth_ns: 0,
             has_frame: false,
             was_open: false,
         }
@@ -159,9 +186,13 @@ impl StreamMonitor {
         self.arrivals_ns.clear();
         self.last_sequence = None;
         self.has_frame = false;
-        self.usable_ns = now_ns;
+        self.arrived_ns = now_ns;
         self.changed_ns = now_ns;
-        self.health = Health::Opening;
+        self.depth_ns = now_ns;
+        // A silent or frozen camera that is reopened stays so until its frames prove otherwise.
+        if !matches!(self.health, Health::Silent { .. } | Health::Frozen { .. }) {
+            self.health = Health::Opening;
+        }
     }
 
     /// A usable frame was received.
@@ -170,22 +201,34 @@ impl StreamMonitor {
         self.counters.received += 1;
         if self.has_frame
             && self.interval_ns > 0
-            && facts.received_ns.saturating_sub(self.usable_ns) > 2 * self.interval_ns
+            && facts.received_ns.saturating_sub(self.arrived_ns) > 2 * self.interval_ns
         {
             self.counters.late += 1;
         }
-        if facts.repeats && self.has_frame {
+        if facts.content == FrameContent::Repeated && self.has_frame {
             self.counters.duplicates += 1;
         } else {
             self.changed_ns = facts.received_ns;
         }
+        if facts.content != FrameContent::NoDepth {
+            self.depth_ns = facts.received_ns;
+        }
+        let was_frozen = matches!(self.health, Health::Frozen { .. });
+        let is_first = !self.has_frame;
         self.has_frame = true;
-        self.usable_ns = facts.received_ns;
-        self.arrivals_ns.push_back(facts.received_ns);
-        self.drop_old_arrivals(facts.received_ns);
+        self.arrived(facts.received_ns);
+        let no_depth_ns = facts.received_ns.saturating_sub(self.depth_ns);
+        if was_frozen && (is_first || facts.content == FrameContent::Repeated) {
+            // After reopening, one frame does not prove a change.
+            return;
+        }
         self.health = if self.is_frozen(facts.received_ns) {
             Health::Frozen {
                 since_ns: self.changed_ns,
+            }
+        } else if no_depth_ns > self.policy.no_depth_after_ns {
+            Health::NoValidDepth {
+                since_ns: self.depth_ns,
             }
         } else {
             Health::Live
@@ -193,15 +236,26 @@ impl StreamMonitor {
     }
 
     /// A damaged frame was received.
-    pub fn damaged(&mut self, sequence: u32) {
+    pub fn damaged(&mut self, sequence: u32, now_ns: u64) {
         self.count_gap(sequence);
         self.counters.damaged += 1;
+        self.arrived(now_ns);
+        self.changed_ns = now_ns;
+        self.health = Health::Live;
     }
 
-    /// The camera was unplugged or could not be opened.
-    pub fn lost(&mut self, reason: String) {
+    fn arrived(&mut self, now_ns: u64) {
+        self.arrived_ns = now_ns;
+        self.arrivals_ns.push_back(now_ns);
+        self.drop_old_arrivals(now_ns);
+    }
+
+    /// The camera is closed: unplugged or unavailable, or `None` to reopen it after silence.
+    pub fn closed(&mut self, health: Option<Health>) {
         self.arrivals_ns.clear();
-        self.health = Health::Lost { reason };
+        if let Some(health) = health {
+            self.health = health;
+        }
     }
 
     /// A recorded stream has ended.
@@ -209,29 +263,29 @@ impl StreamMonitor {
         self.health = Health::Ended;
     }
 
-    /// Updates the health of an open camera; the reason if it must be reopened.
-    pub fn tick(&mut self, now_ns: u64) -> Option<String> {
+    /// Updates the health of an open camera; whether it must be reopened.
+    pub fn tick(&mut self, now_ns: u64) -> bool {
         self.drop_old_arrivals(now_ns);
-        let quiet_ns = now_ns.saturating_sub(self.usable_ns);
+        let quiet_ns = now_ns.saturating_sub(self.arrived_ns);
         let periods_ns = (self.interval_ns as f64 * self.policy.silent_periods) as u64;
         let limit_ns = periods_ns.max(self.policy.silent_after_ns);
         let opening = self.health == Health::Opening;
-        if quiet_ns > limit_ns && periods_ns > 0 && !opening {
+        let is_silent = matches!(self.health, Health::Silent { .. });
+        if quiet_ns > limit_ns && periods_ns > 0 && !opening && !is_silent {
             self.health = Health::Silent {
-                since_ns: self.usable_ns,
+                since_ns: self.arrived_ns,
             };
         }
         if quiet_ns > self.policy.reopen_after_ns.max(limit_ns) {
-            return Some(format!("no frame for {:.1} s", quiet_ns as f64 * 1e-9));
-        }
-        if let Health::Frozen { since_ns } = self.health {
-            let frozen_ns = now_ns.saturating_sub(since_ns);
-            if frozen_ns > self.policy.reopen_after_ns {
-                let frozen_s = frozen_ns as f64 * 1e-9;
-                return Some(format!("the same image for {frozen_s:.1} s"));
+            if opening {
+                self.health = Health::Silent {
+                    since_ns: self.arrived_ns,
+                };
             }
+            return true;
         }
-        None
+        matches!(self.health, Health::Frozen { .. })
+            && now_ns.saturating_sub(self.changed_ns) > self.policy.reopen_after_ns
     }
 
     /// State at `now_ns`.
@@ -299,7 +353,7 @@ mod tests {
         FrameFacts {
             sequence,
             received_ns: at_ms * MS,
-            repeats: false,
+            content: FrameContent::New,
         }
     }
 
@@ -309,7 +363,7 @@ mod tests {
         assert_eq!(*monitor.health(), Health::Opening);
         for n in 0..100 {
             monitor.frame(fresh(n, 40 + u64::from(n) * 53));
-            assert_eq!(monitor.tick((41 + u64::from(n) * 53) * MS), None);
+            assert!(!monitor.tick((41 + u64::from(n) * 53) * MS));
         }
         let report = monitor.report((40 + 99 * 53) * MS);
         assert_eq!(report.health, Health::Live);
@@ -354,38 +408,76 @@ mod tests {
     }
 
     #[test]
-    fn damaged_frames_do_not_keep_the_camera_live() {
+    fn damaged_frames_arrive_and_cause_no_reopening() {
         let mut monitor = opened();
         monitor.frame(fresh(0, 40));
-        for n in 1..=10 {
-            monitor.damaged(n);
-            assert_eq!(monitor.tick((40 + u64::from(n) * 40) * MS), None);
+        for n in 1..=100 {
+            let now_ns = (40 + u64::from(n) * 40) * MS;
+            monitor.damaged(n, now_ns);
+            assert!(!monitor.tick(now_ns));
         }
-        let report = monitor.report(440 * MS);
-        assert_eq!(report.counters.damaged, 10);
+        let report = monitor.report(4040 * MS);
+        assert_eq!(report.counters.damaged, 100);
         assert_eq!(report.counters.sequence_gaps, 0);
-        assert_eq!(report.health, Health::Silent { since_ns: 40 * MS });
+        assert_eq!(report.health, Health::Live);
+        assert!((report.measured_fps - 25.0).abs() < 1e-9);
+    }
+
+    #[test]
+    fn depth_without_depth_is_neither_frozen_nor_reopened() {
+        let mut monitor = opened();
+        let blind = |n: u32| FrameFacts {
+            content: FrameContent::NoDepth,
+            ..fresh(n, u64::from(n) * 40)
+        };
+        monitor.frame(fresh(1, 40));
+        for n in 2..=26 {
+            monitor.frame(blind(n));
+            assert_eq!(*monitor.health(), Health::Live);
+        }
+        for n in 27..=200 {
+            monitor.frame(blind(n));
+            assert!(!monitor.tick(u64::from(n) * 40 * MS));
+            let since_ns = 40 * MS;
+            assert_eq!(*monitor.health(), Health::NoValidDepth { since_ns });
+        }
+        assert_eq!(monitor.report(8000 * MS).counters.duplicates, 0);
+        monitor.frame(fresh(201, 8040));
+        assert_eq!(*monitor.health(), Health::Live);
+    }
+
+    #[test]
+    fn silence_outlasts_reopening() {
+        let mut monitor = opened();
+        monitor.frame(fresh(0, 40));
+        assert!(monitor.tick(3100 * MS));
+        monitor.closed(None);
+        monitor.opened(3200 * MS, 25.0);
+        assert!(!monitor.tick(3900 * MS));
+        assert_eq!(*monitor.health(), Health::Silent { since_ns: 40 * MS });
+        monitor.frame(fresh(1, 4000));
+        assert_eq!(*monitor.health(), Health::Live);
     }
 
     #[test]
     fn silence_ends_with_a_frame_or_a_reopen() {
         let mut monitor = opened();
         monitor.frame(fresh(0, 40));
-        assert_eq!(monitor.tick(360 * MS), None);
+        assert!(!monitor.tick(360 * MS));
         assert_eq!(*monitor.health(), Health::Live);
-        assert_eq!(monitor.tick(361 * MS), None);
+        assert!(!monitor.tick(361 * MS));
         assert_eq!(*monitor.health(), Health::Silent { since_ns: 40 * MS });
         monitor.frame(fresh(1, 400));
         assert_eq!(*monitor.health(), Health::Live);
-        assert!(monitor.tick(3500 * MS).unwrap().contains("3.1 s"));
+        assert!(monitor.tick(3500 * MS));
     }
 
     #[test]
     fn camera_without_frames_is_reopened() {
         let mut monitor = opened();
-        assert_eq!(monitor.tick(2900 * MS), None);
+        assert!(!monitor.tick(2900 * MS));
         assert_eq!(*monitor.health(), Health::Opening);
-        assert!(monitor.tick(3001 * MS).is_some());
+        assert!(monitor.tick(3001 * MS));
     }
 
     #[test]
@@ -394,7 +486,7 @@ mod tests {
         monitor.frame(fresh(0, 0));
         for n in 1..=26_u32 {
             monitor.frame(FrameFacts {
-                repeats: true,
+                content: FrameContent::Repeated,
                 ..fresh(n, u64::from(n) * 40)
             });
         }
@@ -412,30 +504,31 @@ mod tests {
                 ..SupervisionPolicy::default()
             });
             monitor.opened(0, 25.0);
-            let mut reopen = None;
+            let mut reopen = false;
             for n in 0..100_u32 {
                 monitor.frame(FrameFacts {
-                    repeats: n > 0,
+                    content: match n {
+                        0 => FrameContent::New,
+                        _ => FrameContent::Repeated,
+                    },
                     ..fresh(n, u64::from(n) * 40)
                 });
-                reopen = reopen.or(monitor.tick(u64::from(n) * 40 * MS));
+                reopen |= monitor.tick(u64::from(n) * 40 * MS);
             }
-            assert_eq!(reopen.is_some(), reopened);
+            assert_eq!(reopen, reopened);
         }
     }
 
     #[test]
-    fn lost_and_ended_are_reported() {
+    fn unplugged_and_ended_are_reported() {
         let mut monitor = opened();
         monitor.frame(fresh(0, 40));
-        monitor.lost("unplugged".to_owned());
+        let unplugged = Health::Unplugged {
+            reason: "no such device".to_owned(),
+        };
+        monitor.closed(Some(unplugged.clone()));
         let report = monitor.report(50 * MS);
-        assert_eq!(
-            report.health,
-            Health::Lost {
-                reason: "unplugged".to_owned()
-            }
-        );
+        assert_eq!(report.health, unplugged);
         assert_eq!(report.measured_fps, 0.0);
         monitor.ended();
         assert_eq!(*monitor.health(), Health::Ended);

@@ -5,8 +5,14 @@ use std::time::Duration;
 
 use super::clock::Clock;
 use super::source::{CameraOpener, CaptureError, ControlValues, FrameSource, StreamInfo};
-use super::stream_monitor::{FrameFacts, Health, StreamMonitor, StreamReport, SupervisionPolicy};
-use gripcast_imaging::{Frame, FrameBytes, check_structure};
+use super::stream_monitor::{
+    FrameContent, FrameFacts, Health, StreamMonitor, StreamReport, SupervisionPolicy,
+};
+use gripcast_base::error::{Error, ErrorKind};
+use gripcast_imaging::{Frame, FrameBytes, check_structure, valid_depth_fraction};
+
+/// Fraction of valid pixels below which a depth frame has no depth.
+const MIN_DEPTH_FRACTION: f64 = 0.001;
 
 /// Event of a supervised camera.
 #[derive(Clone, Debug)]
@@ -41,7 +47,28 @@ pub enum CameraEvent {
 enum Stop {
     Requested,
     Ended,
-    Reopen(String),
+    /// Reopen it: unplugged or unavailable, or `None` after silence.
+    Reopen(Option<Health>),
+}
+
+/// Health of a camera that fails with this error.
+pub fn health_of(error: &Error) -> Health {
+    let reason = error.to_string();
+    match error.kind() {
+        ErrorKind::Device => Health::Unplugged { reason },
+        _ => Health::Unavailable { reason },
+    }
+}
+
+/// What a frame shows, compared with the frame before.
+pub fn content_of(frame: &Frame, before: Option<&FrameBytes>) -> FrameContent {
+    if valid_depth_fraction(frame).is_some_and(|valid| valid < MIN_DEPTH_FRACTION) {
+        FrameContent::NoDepth
+    } else if before.is_some_and(|before| **before == *frame.data) {
+        FrameContent::Repeated
+    } else {
+        FrameContent::New
+    }
 }
 
 /// Runs a camera until `stop` is set or a recording ends.
@@ -58,7 +85,7 @@ pub fn run_camera(
     let mut backoff_ns = policy.first_backoff_ns;
     sink(CameraEvent::Report(monitor.report(clock.now_ns())));
     while !stop.load(Ordering::Relaxed) {
-        let reason = match opener.open() {
+        let health = match opener.open() {
             Ok(mut source) => {
                 let received = monitor.report(clock.now_ns()).counters.received;
                 match read_frames(source.as_mut(), policy, &mut monitor, clock, stop, sink) {
@@ -72,17 +99,17 @@ pub fn run_camera(
                         sink(CameraEvent::Ended);
                         return;
                     }
-                    Stop::Reopen(reason) => {
+                    Stop::Reopen(health) => {
                         if monitor.report(clock.now_ns()).counters.received > received {
                             backoff_ns = policy.first_backoff_ns;
                         }
-                        reason
+                        health
                     }
                 }
             }
-            Err(error) => error.to_string(),
+            Err(error) => Some(health_of(&error)),
         };
-        monitor.lost(reason);
+        monitor.closed(health);
         sink(CameraEvent::Report(monitor.report(clock.now_ns())));
         pause(clock, clock.now_ns() + backoff_ns, stop);
         backoff_ns = (backoff_ns * 2).min(policy.max_backoff_ns);
@@ -99,7 +126,7 @@ fn read_frames(
 ) -> Stop {
     let mut controls = match source.controls() {
         Ok(controls) => controls,
-        Err(error) => return Stop::Reopen(error.to_string()),
+        Err(error) => return Stop::Reopen(Some(health_of(&error))),
     };
     monitor.opened(clock.now_ns(), source.info().nominal_fps);
     sink(CameraEvent::Opened {
@@ -124,13 +151,13 @@ fn read_frames(
                     monitor.frame(FrameFacts {
                         sequence: frame.sequence,
                         received_ns: frame.received_ns,
-                        repeats: previous.as_ref().is_some_and(|old| **old == *frame.data),
+                        content: content_of(&frame, previous.as_ref()),
                     });
                     previous = Some(frame.data.clone());
                     sink(CameraEvent::Frame(frame));
                 }
                 Some(damage) => {
-                    monitor.damaged(frame.sequence);
+                    monitor.damaged(frame.sequence, frame.received_ns);
                     sink(CameraEvent::Damaged {
                         sequence: frame.sequence,
                         reason: damage.to_string(),
@@ -139,12 +166,15 @@ fn read_frames(
             },
             Err(CaptureError::Timeout) => {}
             Err(CaptureError::Damaged { sequence, reason }) => {
-                monitor.damaged(sequence);
+                monitor.damaged(sequence, clock.now_ns());
                 sink(CameraEvent::Damaged { sequence, reason });
             }
-            Err(CaptureError::Gone) => return Stop::Reopen(CaptureError::Gone.to_string()),
+            Err(CaptureError::Gone) => {
+                let reason = CaptureError::Gone.to_string();
+                return Stop::Reopen(Some(Health::Unplugged { reason }));
+            }
             Err(CaptureError::Ended) => return Stop::Ended,
-            Err(CaptureError::Failed(error)) => return Stop::Reopen(error.to_string()),
+            Err(CaptureError::Failed(error)) => return Stop::Reopen(Some(health_of(&error))),
         }
         let now_ns = clock.now_ns();
         let reopen = monitor.tick(now_ns);
@@ -153,8 +183,8 @@ fn read_frames(
             report_ns = now_ns + policy.report_every_ns;
             sink(CameraEvent::Report(monitor.report(now_ns)));
         }
-        if let Some(reason) = reopen {
-            return Stop::Reopen(reason);
+        if reopen {
+            return Stop::Reopen(None);
         }
         if let (Some(due_ns), Some(every_ns)) = (controls_ns, policy.controls_every_ns)
             && now_ns >= due_ns
@@ -364,7 +394,7 @@ mod tests {
         let lost: Vec<_> = reports(&events)
             .into_iter()
             .filter_map(|report| match report.health {
-                Health::Lost { reason } => Some(reason),
+                Health::Unplugged { reason } => Some(reason),
                 _ => None,
             })
             .collect();
@@ -420,9 +450,14 @@ mod tests {
                 .iter()
                 .any(|report| matches!(report.health, Health::Silent { .. }))
         );
-        assert!(reports.iter().any(
-            |report| matches!(&report.health, Health::Lost { reason } if reason.contains("no frame"))
-        ));
+        let is_absent = |report: &StreamReport| {
+            let health = &report.health;
+            matches!(
+                health,
+                Health::Unplugged { .. } | Health::Unavailable { .. }
+            )
+        };
+        assert!(!reports.iter().any(is_absent), "it is still plugged in");
         assert_eq!(reports.last().unwrap().counters.reconnects, 1);
     }
 
@@ -442,9 +477,15 @@ mod tests {
                 .iter()
                 .any(|report| matches!(report.health, Health::Frozen { .. }))
         );
-        assert!(reports.iter().any(
-            |report| matches!(&report.health, Health::Lost { reason } if reason.contains("same"))
-        ));
+        assert_eq!(reports.last().unwrap().counters.reconnects, 1);
+        let is_absent = |report: &StreamReport| {
+            let health = &report.health;
+            matches!(
+                health,
+                Health::Unplugged { .. } | Health::Unavailable { .. }
+            )
+        };
+        assert!(!reports.iter().any(is_absent), "it is still plugged in");
     }
 
     #[test]

@@ -1,7 +1,11 @@
 //! Parser of the marker segments of a JPEG (ITU T.81 annex B).
 
+use std::borrow::Cow;
+
 use super::code;
 use super::damage::JpegDamage;
+use super::entropy::{self, BlockTables, Scan};
+use super::standard_tables;
 
 /// Maximum number of pixels.
 const MAX_PIXELS: u64 = 1 << 26;
@@ -47,34 +51,33 @@ pub struct JpegHeader {
     pub scans: u32,
     /// Coded blocks between restart markers; 0: none.
     pub restart_interval: u16,
-    /// Number of bytes including the end-of-image marker; zero padding may follow.
-    pub length: usize,
+    /// Offset of the start-of-image marker.
+    pub start: usize,
+    /// Offset of the end of the image: behind its end-of-image marker or, without one, behind its
+    /// entropy-coded data.
+    pub end: usize,
+    /// Whether the image has its end-of-image marker.
+    pub has_end_marker: bool,
 }
 
-/// Parses the marker structure of a JPEG. Entropy-coded data is not decoded; zero bytes after the
-/// end are padding.
+/// First bytes of a JPEG: the start-of-image marker and the first byte of the next marker.
+const START: [u8; 3] = [0xff, code::SOI, 0xff];
+
+/// Parses the marker structure of a JPEG.
+///
+/// Harmless, because every image byte is there: bytes before the start-of-image marker, bytes after
+/// the end-of-image marker, and a missing end-of-image marker after whole entropy-coded data.
+/// Entropy-coded data is not decoded, except that of a JPEG without an end-of-image marker.
 ///
 /// # Errors
 /// The first damage.
 pub fn inspect(bytes: &[u8]) -> Result<JpegHeader, JpegDamage> {
-    if bytes.get(..2) != Some(&[0xff, code::SOI]) {
-        let found = bytes[..bytes.len().min(4)].to_vec();
-        return Err(if bytes == [0xff] {
-            truncated(bytes, "the start-of-image marker")
-        } else {
-            JpegDamage::NotJpeg { found }
-        });
-    }
-    Parser {
-        bytes,
-        at: 2,
-        frame: None,
-        scans: 0,
-        restart_interval: 0,
-        tables: Tables::default(),
-        has_huffman_tables: true,
-    }
-    .run()
+    Parser::run(bytes).map(|(header, _)| header)
+}
+
+/// [`inspect`], with the scan of a sequential JPEG of one scan.
+pub(super) fn inspect_scan(bytes: &[u8]) -> Result<(JpegHeader, Option<Scan<'_>>), JpegDamage> {
+    Parser::run(bytes)
 }
 
 fn truncated(bytes: &[u8], expected: &'static str) -> JpegDamage {
@@ -88,12 +91,14 @@ fn malformed(what: impl Into<String>) -> JpegDamage {
     JpegDamage::Malformed(what.into())
 }
 
-/// Defined table slots of each kind, one bit per slot.
+/// Defined tables by slot.
 #[derive(Default)]
-struct Tables {
-    quantisation: u8,
-    huffman_dc: u8,
-    huffman_ac: u8,
+struct Tables<'a> {
+    /// Values in zigzag order.
+    quantisation: [Option<[u16; 64]>; 4],
+    /// Code counts and symbols.
+    huffman_dc: [Option<&'a [u8]>; 4],
+    huffman_ac: [Option<&'a [u8]>; 4],
 }
 
 struct FrameHeader {
@@ -112,6 +117,18 @@ struct Component {
 }
 
 impl FrameHeader {
+    /// Number of coded units of a scan of all components.
+    fn coded_units(&self) -> u32 {
+        let is_single = self.components.len() == 1;
+        let most = |factor: fn(&Component) -> u8| match is_single {
+            true => 1,
+            false => self.components.iter().map(factor).max().unwrap_or(1).into(),
+        };
+        let columns = self.width.div_ceil(8 * most(|c| c.horizontal));
+        let rows = self.height.div_ceil(8 * most(|c| c.vertical));
+        columns * rows
+    }
+
     fn subsampling(&self) -> Subsampling {
         let [luma, blue, red] = self.components.as_slice() else {
             return Subsampling::Grey;
@@ -134,19 +151,43 @@ struct Parser<'a> {
     bytes: &'a [u8],
     at: usize,
     frame: Option<FrameHeader>,
+    start: usize,
     scans: u32,
+    /// The newest scan, if its data can be walked.
+    scan: Option<Scan<'a>>,
     restart_interval: u16,
-    tables: Tables,
+    tables: Tables<'a>,
     has_huffman_tables: bool,
 }
 
 impl<'a> Parser<'a> {
-    fn run(mut self) -> Result<JpegHeader, JpegDamage> {
+    fn run(bytes: &'a [u8]) -> Result<(JpegHeader, Option<Scan<'a>>), JpegDamage> {
+        let start = find_start(bytes)?;
+        Parser {
+            bytes,
+            at: start + 2,
+            frame: None,
+            start,
+            scans: 0,
+            scan: None,
+            restart_interval: 0,
+            tables: Tables::default(),
+            has_huffman_tables: true,
+        }
+        .segments()
+    }
+
+    fn segments(mut self) -> Result<(JpegHeader, Option<Scan<'a>>), JpegDamage> {
         loop {
             let marker = self.marker()?;
             match marker {
-                code::EOI => return self.finish(),
-                code::SOS => self.scan()?,
+                code::EOI => return self.finish(true),
+                code::SOS => {
+                    self.scan()?;
+                    if !self.skip_entropy_coded_data()? {
+                        return self.end_without_marker();
+                    }
+                }
                 code::SOF0 | code::SOF1 | code::SOF2 => self.start_of_frame(marker)?,
                 code::DHT => self.huffman_tables()?,
                 code::DQT => self.quantisation_tables()?,
@@ -299,11 +340,11 @@ impl<'a> Parser<'a> {
                     values.len()
                 )));
             }
-            if class == 0 {
-                self.tables.huffman_dc |= 1 << slot;
-            } else {
-                self.tables.huffman_ac |= 1 << slot;
-            }
+            let tables = match class {
+                0 => &mut self.tables.huffman_dc,
+                _ => &mut self.tables.huffman_ac,
+            };
+            tables[usize::from(slot)] = Some(&after[..16 + symbols]);
             rest = &values[symbols..];
         }
         Ok(())
@@ -320,7 +361,11 @@ impl<'a> Parser<'a> {
                     after.len()
                 )));
             }
-            self.tables.quantisation |= 1 << slot;
+            let value = |i: usize| match precision {
+                0 => u16::from(after[i]),
+                _ => u16::from_be_bytes([after[2 * i], after[2 * i + 1]]),
+            };
+            self.tables.quantisation[usize::from(slot)] = Some(std::array::from_fn(value));
             rest = &after[size..];
         }
         Ok(())
@@ -356,6 +401,7 @@ impl<'a> Parser<'a> {
             )));
         }
         let (components, spectral) = rest.split_at(count * 2);
+        let mut blocks = Vec::new();
         for pair in components.chunks_exact(2) {
             let (id, dc, ac) = (pair[0], pair[1] >> 4, pair[1] & 15);
             let component = frame
@@ -365,17 +411,21 @@ impl<'a> Parser<'a> {
                 .ok_or_else(|| malformed(format!("the scan has the unknown component {id}")))?;
             component.scanned = true;
             // libjpeg would decode with the table of an earlier frame.
-            if self.tables.quantisation & (1 << component.quantisation) == 0 {
-                return Err(malformed(format!(
-                    "quantisation table {} is used but not defined",
-                    component.quantisation
-                )));
-            }
+            let quantisation = self.tables.quantisation[usize::from(component.quantisation)]
+                .ok_or_else(|| {
+                    malformed(format!(
+                        "quantisation table {} is used but not defined",
+                        component.quantisation
+                    ))
+                })?;
             let needs_dc = spectral[0] == 0 && spectral[2] >> 4 == 0;
             let needs_ac = spectral[1] > 0;
-            let missing = (needs_dc && (dc > 3 || self.tables.huffman_dc & (1 << dc) == 0))
-                || (needs_ac && (ac > 3 || self.tables.huffman_ac & (1 << ac) == 0));
-            if missing {
+            let defined = |tables: &[Option<&'a [u8]>; 4], slot: u8| {
+                tables.get(usize::from(slot)).copied().flatten()
+            };
+            let own_dc = defined(&self.tables.huffman_dc, dc);
+            let own_ac = defined(&self.tables.huffman_ac, ac);
+            if (needs_dc && own_dc.is_none()) || (needs_ac && own_ac.is_none()) {
                 if frame.progressive || dc > 1 || ac > 1 {
                     return Err(malformed(format!(
                         "Huffman tables {dc}/{ac} are used but neither defined nor standard"
@@ -383,18 +433,40 @@ impl<'a> Parser<'a> {
                 }
                 self.has_huffman_tables = false;
             }
+            let tables = BlockTables {
+                dc: own_dc.map_or_else(|| standard_tables::dc(dc), Cow::Borrowed),
+                ac: own_ac.map_or_else(|| standard_tables::ac(ac), Cow::Borrowed),
+                quantisation,
+            };
+            // A scan of one component has one block per coded unit.
+            let per_unit = match count {
+                1 => 1,
+                _ => usize::from(component.horizontal) * usize::from(component.vertical),
+            };
+            blocks.push((tables, per_unit));
         }
         self.scans += 1;
-        self.entropy_coded_data()
+        let is_whole = self.scans == 1 && count == frame.components.len();
+        self.scan = (is_whole && !frame.progressive).then(|| Scan {
+            start: self.at,
+            blocks,
+            units: frame.coded_units(),
+            restart_interval: u32::from(self.restart_interval),
+        });
+        Ok(())
     }
 
-    /// Skips to the end of the scan, checking the restart markers.
-    fn entropy_coded_data(&mut self) -> Result<(), JpegDamage> {
+    /// Skips to the marker after the scan, checking the restart markers; whether there is one.
+    fn skip_entropy_coded_data(&mut self) -> Result<bool, JpegDamage> {
         let mut restarts: u32 = 0;
         loop {
-            let end = || truncated(self.bytes, "the end-of-image marker FF D9");
-            let found = find_ff(&self.bytes[self.at..]).ok_or_else(end)? + self.at;
-            match *self.bytes.get(found + 1).ok_or_else(end)? {
+            let Some(found) = find_ff(&self.bytes[self.at..]).map(|found| found + self.at) else {
+                return Ok(false);
+            };
+            let Some(next) = self.bytes.get(found + 1) else {
+                return Ok(false);
+            };
+            match *next {
                 0 => self.at = found + 2,
                 0xff => self.at = found + 1,
                 restart @ code::RST0..=code::RST7 => {
@@ -416,13 +488,21 @@ impl<'a> Parser<'a> {
                 }
                 _ => {
                     self.at = found;
-                    return Ok(());
+                    return Ok(true);
                 }
             }
         }
     }
 
-    fn finish(self) -> Result<JpegHeader, JpegDamage> {
+    /// Ends an image whose scan runs to the end of the input: harmless if its data are whole.
+    fn end_without_marker(mut self) -> Result<(JpegHeader, Option<Scan<'a>>), JpegDamage> {
+        let end = truncated(self.bytes, "the end-of-image marker FF D9");
+        let scan = self.scan.as_ref().ok_or_else(|| end.clone())?;
+        self.at = entropy::walk(self.bytes, scan).ok_or(end)?.end;
+        self.finish(false)
+    }
+
+    fn finish(self, has_end_marker: bool) -> Result<(JpegHeader, Option<Scan<'a>>), JpegDamage> {
         let frame = self
             .frame
             .ok_or_else(|| malformed("the image ends before its frame header"))?;
@@ -432,16 +512,7 @@ impl<'a> Parser<'a> {
                 missing.id
             )));
         }
-        let padding = &self.bytes[self.at..];
-        if let Some(stray) = padding.iter().position(|byte| *byte != 0) {
-            return Err(malformed(format!(
-                "the image ends at byte {}, but {} bytes follow, not all zero (first at byte {})",
-                self.at,
-                padding.len(),
-                self.at + stray
-            )));
-        }
-        Ok(JpegHeader {
+        let header = JpegHeader {
             width: frame.width,
             height: frame.height,
             components: frame.components.len() as u8,
@@ -450,9 +521,29 @@ impl<'a> Parser<'a> {
             has_huffman_tables: self.has_huffman_tables,
             scans: self.scans,
             restart_interval: self.restart_interval,
-            length: self.at,
-        })
+            start: self.start,
+            end: self.at,
+            has_end_marker,
+        };
+        Ok((header, self.scan))
     }
+}
+
+/// Offset of the start-of-image marker; cameras that do not clear their buffers send bytes before
+/// it.
+fn find_start(bytes: &[u8]) -> Result<usize, JpegDamage> {
+    if let Some(start) = bytes.windows(START.len()).position(|three| three == START) {
+        return Ok(start);
+    }
+    Err(match bytes {
+        [0xff] | [0xff, code::SOI] => truncated(bytes, "the start-of-image marker"),
+        [0xff, code::SOI, found, ..] => {
+            malformed(format!("expected a marker at byte 2, found {found:02X}"))
+        }
+        _ => JpegDamage::NotJpeg {
+            found: bytes[..bytes.len().min(4)].to_vec(),
+        },
+    })
 }
 
 /// Position of the first FF byte; skips blocks by a vectorisable test.

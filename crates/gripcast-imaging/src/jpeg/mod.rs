@@ -1,19 +1,24 @@
 //! JPEG frames: header, damage, pixels.
 //!
 //! [`inspect`] parses the markers without decoding; [`JpegDecoder`] decodes with libjpeg-turbo and
-//! rejects damaged images.
+//! rejects damaged images. What is harmless is decoded and stays out of stored files
+//! ([`whole_file`]): docs/reference/camera-states.md.
 
 mod damage;
 mod decoder;
 mod encoder;
+mod entropy;
+#[cfg(test)]
+mod harmless_test;
 mod markers;
 mod standard_tables;
+mod whole_file;
 
 pub use damage::JpegDamage;
 pub use decoder::{JpegDecoder, JpegPixels, JpegScale};
 pub use encoder::encode_jpeg;
 pub use markers::{JpegHeader, Subsampling, inspect};
-pub use standard_tables::complete;
+pub use whole_file::{JpegRepairs, whole_file};
 
 /// Marker codes (the byte after 0xFF) of ITU T.81 table B.1.
 mod code {

@@ -3,7 +3,6 @@
 use std::borrow::Cow;
 
 use super::code;
-use super::markers::JpegHeader;
 
 /// A Huffman table of ITU T.81 (tables K.3 to K.6).
 struct HuffmanTable {
@@ -65,12 +64,25 @@ const TABLES: [HuffmanTable; 4] = [
     },
 ];
 
-/// Writes `jpeg` to `out` with the standard tables before its first segment; its own tables
-/// override them.
-pub(super) fn with_standard_tables(jpeg: &[u8], out: &mut Vec<u8>) {
-    let (start_of_image, segments) = jpeg.split_at(jpeg.len().min(2));
-    out.clear();
-    out.extend_from_slice(start_of_image);
+/// Code counts and symbols of the standard table of a DC slot.
+pub(super) fn dc<'a>(slot: u8) -> Cow<'a, [u8]> {
+    standard(slot & 1)
+}
+
+/// Code counts and symbols of the standard table of an AC slot.
+pub(super) fn ac<'a>(slot: u8) -> Cow<'a, [u8]> {
+    standard(0x10 | slot & 1)
+}
+
+fn standard<'a>(class_and_slot: u8) -> Cow<'a, [u8]> {
+    let table = TABLES.iter().find(|t| t.class_and_slot == class_and_slot);
+    table
+        .map_or_else(Vec::new, |t| [&t.counts[..], t.symbols].concat())
+        .into()
+}
+
+/// Appends a segment with the standard tables to `out`; tables in later segments override them.
+pub(super) fn standard_tables_segment(out: &mut Vec<u8>) {
     out.extend_from_slice(&[0xff, code::DHT]);
     let length = 2 + TABLES.iter().map(|t| 17 + t.symbols.len()).sum::<usize>();
     out.extend_from_slice(&(length as u16).to_be_bytes());
@@ -79,71 +91,19 @@ pub(super) fn with_standard_tables(jpeg: &[u8], out: &mut Vec<u8>) {
         out.extend_from_slice(&table.counts);
         out.extend_from_slice(table.symbols);
     }
-    out.extend_from_slice(segments);
-}
-
-/// Converts a frame to a complete file: removes padding and adds missing standard Huffman tables.
-#[must_use]
-pub fn complete<'a>(bytes: &'a [u8], header: &JpegHeader) -> Cow<'a, [u8]> {
-    let image = &bytes[..header.length.min(bytes.len())];
-    if header.has_huffman_tables {
-        return Cow::Borrowed(image);
-    }
-    let mut completed = Vec::new();
-    with_standard_tables(image, &mut completed);
-    Cow::Owned(completed)
 }
 
 #[cfg(test)]
 mod tests {
-    use super::super::{JpegDecoder, JpegScale, inspect};
     use super::*;
     use crate::{encode_jpeg, synthetic_gel};
-
-    /// Removes the DHT segments.
-    fn without_tables(jpeg: &[u8]) -> Vec<u8> {
-        let mut out = jpeg[..2].to_vec();
-        let mut at = 2;
-        while jpeg[at + 1] != code::SOS {
-            let length = 2 + usize::from(u16::from_be_bytes([jpeg[at + 2], jpeg[at + 3]]));
-            if jpeg[at + 1] != code::DHT {
-                out.extend_from_slice(&jpeg[at..at + length]);
-            }
-            at += length;
-        }
-        out.extend_from_slice(&jpeg[at..]);
-        out
-    }
-
-    #[test]
-    fn complete_file_has_tables_and_no_padding() {
-        let jpeg = encode_jpeg(&synthetic_gel(16, 16, 1, 0.0), 90).unwrap();
-        assert_eq!(complete(&jpeg, &inspect(&jpeg).unwrap()), jpeg);
-        let mut sent = without_tables(&jpeg);
-        sent.extend([0; 32]);
-        let header = inspect(&sent).unwrap();
-        assert!(!header.has_huffman_tables);
-        let completed = complete(&sent, &header).into_owned();
-        let now = inspect(&completed).unwrap();
-        assert!(now.has_huffman_tables);
-        assert_eq!(now.length, completed.len());
-        let mut decoder = JpegDecoder::new().unwrap();
-        let pixels = decoder
-            .decode(&jpeg, JpegScale::Whole)
-            .unwrap()
-            .rgb
-            .to_vec();
-        assert_eq!(
-            decoder.decode(&completed, JpegScale::Whole).unwrap().rgb,
-            pixels
-        );
-    }
 
     #[test]
     fn tables_match_libjpeg() {
         let jpeg = encode_jpeg(&synthetic_gel(16, 16, 1, 0.0), 90).unwrap();
-        let mut completed = Vec::new();
-        with_standard_tables(&jpeg, &mut completed);
+        let mut segment = Vec::new();
+        standard_tables_segment(&mut segment);
+        assert_eq!(segment.len(), 4 + 416);
         for table in &TABLES {
             let length = (19 + table.symbols.len()) as u16;
             let mut segment = vec![0xff, code::DHT];
@@ -153,8 +113,6 @@ mod tests {
             segment.extend_from_slice(table.symbols);
             assert!(jpeg.windows(segment.len()).any(|w| w == segment));
         }
-        assert_eq!(completed.len(), jpeg.len() + 4 + 416);
-        assert_eq!(completed[completed.len() - jpeg.len() + 2..], jpeg[2..]);
     }
 
     #[test]

@@ -286,7 +286,7 @@ fn webdataset_samples_have_equal_fields_and_types() {
         for (name, bytes) in files.iter().filter(|(name, _)| name.ends_with("jpg")) {
             let header = inspect(bytes).unwrap();
             assert!(
-                header.has_huffman_tables && header.length == bytes.len(),
+                header.has_huffman_tables && header.end == bytes.len(),
                 "{name}"
             );
         }

@@ -84,8 +84,8 @@ impl<'a> Source<'a> {
         let (bytes, is_grey) = match camera.format {
             PixelFormat::Mjpg => {
                 let header = self.jpeg.verify(&stored)?;
-                let bytes = jpeg::complete(&stored, &header).into_owned();
-                (bytes, header.components == 1)
+                let (file, _) = jpeg::whole_file(&stored)?;
+                (file.into_owned(), header.components == 1)
             }
             PixelFormat::Yuyv | PixelFormat::Rgb => (stored, false),
             PixelFormat::Grey | PixelFormat::Z16 => (stored, true),
