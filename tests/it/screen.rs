@@ -76,12 +76,14 @@ fn preview(is_difference: bool) -> Preview {
 
 fn waiting_for_grasp() -> EngineStatus {
     EngineStatus {
+        monotonic_ms: 0,
         dataset: "kitchen-02".to_owned(),
         rig: "bench-a".to_owned(),
         clock: "17:42:10".to_owned(),
         disk_free_bytes: Some(212_000_000_000),
         black_box: None,
         session: SessionView {
+            revision: 0,
             step: Step::Grasp,
             object: "mug-blue".parse().unwrap(),
             scene: "sink".parse().unwrap(),
@@ -497,6 +499,7 @@ prop_compose! {
     ) -> SessionView {
         let [a, b, c] = [counts.0, counts.1, counts.2].map(|n| n as usize);
         SessionView {
+            revision: 0,
             step,
             initial_at: None,
             initial_age_s: age,
@@ -534,6 +537,7 @@ prop_compose! {
         };
         let contact = prediction.as_ref().map(|p| (Role::Left, p.record.p_stable));
         EngineStatus {
+            monotonic_ms: 0,
             black_box: None,
             dataset: text.clone(), rig: text.clone(), clock: text,
             disk_free_bytes: disk,

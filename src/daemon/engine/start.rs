@@ -3,6 +3,7 @@
 use std::collections::{BTreeMap, VecDeque};
 use std::sync::mpsc::channel;
 
+use jiff::Timestamp;
 use tokio::sync::mpsc;
 
 use super::script::ScriptCommand;
@@ -36,7 +37,8 @@ impl Engine {
         let dataset_name = writer.descriptor().name.clone();
         let resumed = opened.pending.as_ref().map(resumed);
         let counts = writer.counts().by_object.clone();
-        let session = Session::new(setup.guards.clone(), setup.labels, counts, resumed);
+        let session = Session::new(setup.guards.clone(), setup.labels, counts, resumed)
+            .with_revision(first_revision());
 
         let black_box = setup
             .black_box
@@ -112,6 +114,11 @@ impl Engine {
             ticks: 0,
         })
     }
+}
+
+/// First revision of a session: the wall clock, ms, so that revisions increase across restarts.
+fn first_revision() -> u64 {
+    u64::try_from(Timestamp::now().as_millisecond()).unwrap_or_default()
 }
 
 /// Converts a pending initial frame of an earlier run.

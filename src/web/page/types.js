@@ -33,6 +33,7 @@
  * @property {boolean} can_override
  *
  * @typedef {object} Session
+ * @property {number} revision number of the state
  * @property {Step} step
  * @property {string} object
  * @property {string} scene
@@ -67,7 +68,14 @@
  *
  * @typedef {Predicted & {verdict: "stable"|"slip"|"unsure", heuristic: boolean, frame_age_ms: number}} Prediction
  *
+ * @typedef {object} Seen what the operator saw; a command is refused where it differs
+ * @property {number} [revision]
+ * @property {Outcome} [outcome] of the newest grasp
+ * @property {string} [undo]
+ * @property {string} [redo]
+ *
  * @typedef {object} State
+ * @property {number} monotonic_ms clock of the server
  * @property {string} dataset
  * @property {string} rig
  * @property {string} clock
@@ -82,6 +90,7 @@
  * @property {"accepted"|"refused"|"failed"} result
  * @property {string[]} [reasons] of a refusal
  * @property {boolean} [can_override]
+ * @property {boolean} [stale] the command no longer fitted
  * @property {string} [error] of a failure
  * @property {State} state
  *
