@@ -282,7 +282,10 @@ impl Access {
                 StatusCode::FORBIDDEN,
                 "expected a `Host` that names this machine, for example localhost",
             )
-            .remedy("open the page at the address printed by the daemon"));
+            .remedy(
+                "open the page at the address printed by the daemon; behind a proxy with another \
+                 name, start the daemon with --token-file",
+            ));
         }
         if peer == Peer::Local {
             return Ok(Credential::Local);

@@ -1,9 +1,9 @@
 //! WebSocket with the engine's state and events, and commands from the client.
 //!
 //! Text to the client: `{"type": "state" | "tone" | "stored" | "response" | "shutdown", …}`. Text
-//! from the client: `{"command": "trigger", "id": 7, "sender": {…}}`; the response has the same id. With
-//! `?previews=true` preview images are sent as binary messages: one byte, the index of the role in
-//! left, right, rgb, depth, external, then a JPEG.
+//! from the client: `{"command": "trigger", "id": 7, "sender": {…}}`; the response has the same id.
+//! With `?previews=true` preview images are sent as binary messages: one byte, the index of the
+//! role in left, right, rgb, depth, external, then a JPEG.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;

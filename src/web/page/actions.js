@@ -2,9 +2,10 @@
  * Command buttons; they show the server's state only. What became of a tap is always said: done (the
  * state shows it), not carried out and why, or no answer.
  *
+ * @import {ApiError} from "./api.js"
  * @import {CommandResponse, Seen, Session, State} from "./types.js"
  */
-import { ApiError, change, failureReason, resultOf } from "./api.js";
+import { change, failureReason, resultOf } from "./api.js";
 import { attribute, byId, say, style, toast } from "./dom.js";
 import { newId } from "./sender.js";
 import { commandName, STEPS } from "./words.js";
@@ -96,20 +97,21 @@ export async function command(text, pressedAt) {
   lost = null;
   told?.remove();
   drawActions(session, offline);
+  let answer = null;
   try {
-    const answer = await change("POST", "api/commands", { command }, { id, pressedAt, seen });
-    waiting = null;
+    answer = await change("POST", "api/commands", { command }, { id, pressedAt, seen });
+  } catch (error) {
+    const { isUncertain, message } = /** @type {ApiError} */ (error);
+    if (isUncertain) lost = { id, name };
+    tell(isUncertain ? `${name}: ${message}: not known whether it was carried out` : `${name}: NOT carried out: ${message}`, "error");
+  }
+  waiting = null;
+  if (answer) {
     received(answer.state);
     tellResult(name, answer);
-  } catch (error) {
-    const { status, message } = /** @type {ApiError} */ (error);
-    if (status === 0) lost = { id, name };
-    tell(status === 0 ? `${name}: ${message}: not known whether it was carried out` : `${name}: NOT carried out: ${message}`, "error");
-  } finally {
-    waiting = null;
-    drawActions(session, offline);
-    if (!offline) askLost();
   }
+  drawActions(session, offline);
+  if (!offline) askLost();
 }
 
 /** @param {string} name @param {CommandResponse} answer */

@@ -6,10 +6,15 @@ const TIMEOUT_MS = 30000;
 
 /** Error response of the server. */
 export class ApiError extends Error {
-  /** @param {number} status 0 without a response @param {string} what @param {string|null} remedy */
+  /** @param {number} status 0 without a response, -1 if nothing was sent @param {string} what @param {string|null} remedy */
   constructor(status, what, remedy = null) {
     super(remedy ? `${what}: ${remedy}` : what);
     this.status = status;
+  }
+
+  /** Whether the change may have been made: it was sent, and gripcast did not refuse it. */
+  get isUncertain() {
+    return this.status === 0 || this.status >= 500;
   }
 }
 
@@ -81,7 +86,7 @@ export async function version() {
  */
 export async function change(method, path, body, press = {}) {
   const reason = offline();
-  if (reason) throw new ApiError(0, `not sent: ${reason}`);
+  if (reason) throw new ApiError(-1, `not sent: ${reason}`);
   const { id = newId(), pressedAt = performance.now(), seen = {} } = press;
   const request = new AbortController();
   unanswered.add(request);
