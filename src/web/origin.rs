@@ -95,9 +95,9 @@ struct InvalidHeader;
 
 /// Checks host and origin of a request and returns the host.
 ///
-/// Files of the page need no `Origin` check, since they are public. Nor do requests that the browser
-/// itself marks as same-origin: `Sec-Fetch-Site` compares with the address that the browser sees,
-/// which a proxy may have replaced in `Host`, and scripts cannot set it.
+/// Files of the page need no `Origin` check, since they are public. Nor do requests that the
+/// browser itself marks as same-origin: `Sec-Fetch-Site` compares with the address that the browser
+/// sees, which a proxy may have replaced in `Host`, and scripts cannot set it.
 ///
 /// # Errors
 /// 400 for a missing, repeated or malformed `Host`; 403 for a cross-site request.

@@ -31,8 +31,8 @@ impl Arrival {
 #[derive(Clone, Debug, Default, Serialize, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields, default)]
 pub(crate) struct Sender {
-    /// Id of the command, unique for its sender: 1 to 64 printable ASCII characters. A command whose
-    /// id is repeated is not executed again and gets the first answer.
+    /// Id of the command, unique for its sender: 1 to 64 printable ASCII characters. A command
+    /// whose id is repeated is not executed again and gets the first answer.
     #[schema(value_type = Option<String>, min_length = 1, max_length = 64, example = "9f86d081884c")]
     pub(super) request_id: Option<RequestId>,
     /// Time from the press to the sending by the sender's monotonic clock, ms.
