@@ -103,7 +103,7 @@ export async function command(text, pressedAt) {
   } catch (error) {
     const { isUncertain, message } = /** @type {ApiError} */ (error);
     if (isUncertain) lost = { id, name };
-    tell(isUncertain ? `${name}: ${message}: not known whether it was carried out` : `${name}: NOT carried out: ${message}`, "error");
+    tell(`${name}: ${isUncertain ? "" : "NOT carried out: "}${message}`, "error");
   }
   waiting = null;
   if (answer) {

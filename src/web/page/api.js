@@ -95,6 +95,10 @@ export async function change(method, path, body, press = {}) {
     const { response, answer } = await send(method, path, whole, TIMEOUT_MS, request);
     if (typeof answer?.result === "string") return answer;
     throw errorOf(response, answer);
+  } catch (error) {
+    const failure = /** @type {ApiError} */ (error);
+    if (failure.isUncertain) failure.message += ": not known whether it was carried out";
+    throw failure;
   } finally {
     unanswered.delete(request);
   }

@@ -57,6 +57,8 @@ function linkBanner(text) {
 
 /** @param {State} now */
 function received(now) {
+  // The state of an answer may overtake an older one of the event connection.
+  if (offline === null && state && now.monotonic_ms < state.monotonic_ms) return;
   noteClock(now);
   state = now;
   receivedAt = performance.now();
