@@ -336,7 +336,10 @@ fn late_repeated_and_outdated_commands_change_nothing() {
     let mut command = place.command();
     let daemon = Daemon::start(command.env("GRIPCAST__GUARDS__MAX_COMMAND_AGE_MS", "20000"));
     let send = |command: &str, sender: Value| {
-        daemon.post("/api/commands", &json!({"command": command, "sender": sender}))
+        daemon.post(
+            "/api/commands",
+            &json!({"command": command, "sender": sender}),
+        )
     };
     // Taken once a tap is accepted: the cameras may still be starting.
     let initial = daemon.trigger();
@@ -346,20 +349,33 @@ fn late_repeated_and_outdated_commands_change_nothing() {
     assert_eq!(state["session"]["undo"], "initial frame");
 
     for (sender, reason) in [
-        (json!({"sent_at_ms": now_ms - 25_000.0}), "s old; the limit is 20 s"),
-        (json!({"age_ms": 25_000}), "this command is 25 s old; the limit is 20 s"),
+        (
+            json!({"sent_at_ms": now_ms - 25_000.0}),
+            "s old; the limit is 20 s",
+        ),
+        (
+            json!({"age_ms": 25_000}),
+            "this command is 25 s old; the limit is 20 s",
+        ),
         (
             json!({"seen": {"revision": revision - 1}}),
             "the initial frame was saved",
         ),
-        (json!({"seen": {"step": "initial"}}), "ago; look at the step"),
+        (
+            json!({"seen": {"step": "initial"}}),
+            "ago; look at the step",
+        ),
         (
             json!({"seen": {"undo": "grasp 7f3a"}}),
             "undo would now change initial frame, not grasp 7f3a",
         ),
     ] {
         let (status, answer) = send("undo", sender.clone());
-        assert_eq!((status, &answer["stale"]), (409, &json!(true)), "{sender}: {answer}");
+        assert_eq!(
+            (status, &answer["stale"]),
+            (409, &json!(true)),
+            "{sender}: {answer}"
+        );
         let reasons = answer["reasons"].to_string();
         assert!(reasons.contains(reason), "{sender}: {reasons}");
         assert_eq!(answer["state"]["session"]["revision"], json!(revision));
@@ -369,7 +385,10 @@ fn late_repeated_and_outdated_commands_change_nothing() {
 
     let tap = json!({"request_id": "tap", "seen": {"revision": revision, "undo": "initial frame"}});
     let (status, first) = send("undo", tap.clone());
-    assert_eq!((status, &first["state"]["session"]["step"]), (200, &json!("initial")));
+    assert_eq!(
+        (status, &first["state"]["session"]["step"]),
+        (200, &json!("initial"))
+    );
     let now = &first["state"]["session"]["revision"];
     assert_eq!(now, &json!(revision + 1));
     let (status, again) = send("undo", tap);
@@ -382,15 +401,25 @@ fn late_repeated_and_outdated_commands_change_nothing() {
     assert_eq!(daemon.ask("PUT", "/api/object", Some(&body)).0, 200);
     let mut socket = listen(&daemon);
     let message = json!({"command": "redo", "id": 3, "sender": {"age_ms": 25_000}});
-    socket.send(tungstenite::Message::text(message.to_string())).unwrap();
+    socket
+        .send(tungstenite::Message::text(message.to_string()))
+        .unwrap();
     let [answer] = wait_for_events(&mut socket, [&|event| event["type"] == "response"]);
-    assert_eq!((&answer["id"], &answer["response"]["stale"]), (&json!(3), &json!(true)));
+    assert_eq!(
+        (&answer["id"], &answer["response"]["stale"]),
+        (&json!(3), &json!(true))
+    );
     drop(daemon);
 
     // Revisions increase across restarts, so that an old tap cannot fit again.
     let daemon = place.daemon();
-    let restarted = daemon.get("/api/state")["session"]["revision"].as_u64().unwrap();
-    assert!(restarted == 0 || restarted > revision, "{restarted} after {revision}");
+    let restarted = daemon.get("/api/state")["session"]["revision"]
+        .as_u64()
+        .unwrap();
+    assert!(
+        restarted == 0 || restarted > revision,
+        "{restarted} after {revision}"
+    );
 }
 
 #[test]
