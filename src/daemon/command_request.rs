@@ -2,7 +2,8 @@
 
 use tokio::sync::oneshot;
 
-use gripcast_session::{Command, CommandResult, CommandSource};
+use gripcast_capture::camera::monotonic_ns;
+use gripcast_session::{Command, CommandResult, CommandSource, Seen};
 
 /// A command for the engine.
 #[derive(Debug)]
@@ -11,16 +12,24 @@ pub struct CommandRequest {
     pub command: Command,
     /// Source of the command.
     pub source: CommandSource,
+    /// Time at which the operator gave it, `CLOCK_MONOTONIC`, ns. The engine refuses a command that
+    /// has become too old, wherever it waited.
+    pub given_ns: u64,
+    /// What its sender saw.
+    pub seen: Seen,
     /// Where the result goes, if the sender waits for it.
     pub response: Option<oneshot::Sender<CommandResult>>,
 }
 
 impl CommandRequest {
-    /// Creates a request without a response; the sender reads the outcome from the status.
+    /// Creates a request that is given now, without a response; the sender reads the outcome from
+    /// the status.
     pub fn new(command: Command, source: CommandSource) -> Self {
         Self {
             command,
             source,
+            given_ns: monotonic_ns(),
+            seen: Seen::default(),
             response: None,
         }
     }
@@ -37,5 +46,13 @@ impl CommandRequest {
             ..Self::new(command, source)
         };
         (request, receiver)
+    }
+
+    /// Time since the operator gave it, ms. The steps of a script have no age: a script waits.
+    pub fn age_ms(&self, now_ns: u64) -> f64 {
+        match self.source {
+            CommandSource::Script => 0.0,
+            _ => now_ns.saturating_sub(self.given_ns) as f64 * 1e-6,
+        }
     }
 }

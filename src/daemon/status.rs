@@ -11,7 +11,7 @@ use utoipa::ToSchema;
 
 use super::black_box::BlackBoxStatus;
 use super::start_report::StartFinding;
-use gripcast_capture::camera::{CameraCounters, CameraState};
+use gripcast_capture::camera::{CameraCounters, CameraState, monotonic_ns};
 use gripcast_dataset::PredictionRecord;
 use gripcast_imaging::{ChangeKind, GelChange, GelState, Role};
 use gripcast_nn::predict::PredictedLabel;
@@ -24,6 +24,9 @@ pub struct EngineStatus {
     pub dataset: String,
     /// Rig id.
     pub rig: String,
+    /// `CLOCK_MONOTONIC` of this snapshot, ms. A sender that measures the time since it arrived
+    /// knows the time at which it sends a command on this clock.
+    pub monotonic_ms: u64,
     /// Local wall clock, `HH:MM:SS`.
     pub clock: String,
     /// Free space on the dataset's disk, bytes.
@@ -66,6 +69,7 @@ impl EngineStatus {
         Self {
             dataset: dataset.to_owned(),
             rig: rig.to_owned(),
+            monotonic_ms: monotonic_ns() / 1_000_000,
             clock: String::new(),
             disk_free_bytes: None,
             grasps_left: None,

@@ -41,8 +41,10 @@ const MAX_COOKIES: usize = 4;
 /// Attributes of the cookie: not readable by scripts, not sent by other sites.
 const COOKIE_ATTRIBUTES: &str = "Path=/; HttpOnly; SameSite=Strict";
 
-/// Allows own files only, and no embedding.
-const CONTENT_SECURITY_POLICY: &str = "default-src 'none'; script-src 'self'; style-src 'self'; \
+/// Allows own files only, and no embedding. The hash is that of the only inline script, which adds
+/// a missing `/` to the address of the page below a proxy's path.
+pub(super) const CONTENT_SECURITY_POLICY: &str = "default-src 'none'; \
+     script-src 'self' 'sha256-3oLP79nhG9DuRkiDt5p87o4gLPlodsizyYywHO19FkA='; style-src 'self'; \
      img-src 'self' blob: data:; connect-src 'self'; manifest-src 'self'; base-uri 'none'; \
      form-action 'none'; frame-ancestors 'none'";
 
@@ -280,7 +282,10 @@ impl Access {
                 StatusCode::FORBIDDEN,
                 "expected a `Host` that names this machine, for example localhost",
             )
-            .remedy("open the page at the address printed by the daemon"));
+            .remedy(
+                "open the page at the address printed by the daemon; behind a proxy with another \
+                 name, start the daemon with --token-file",
+            ));
         }
         if peer == Peer::Local {
             return Ok(Credential::Local);
@@ -307,7 +312,8 @@ impl Access {
     }
 }
 
-fn is_api(path: &str) -> bool {
+/// Whether a path belongs to the API; all others are public files of the page.
+pub(super) fn is_api(path: &str) -> bool {
     path.starts_with("/api/") || path == "/metrics"
 }
 

@@ -2,6 +2,7 @@
 
 use std::collections::BTreeMap;
 use std::fmt;
+use std::io;
 use std::path::PathBuf;
 use std::sync::Arc;
 
@@ -10,18 +11,22 @@ use serde::Deserialize;
 use tokio::io::{AsyncRead, AsyncWrite};
 use tokio::net::{TcpStream, UnixStream};
 use tokio::sync::{mpsc, watch};
+use tokio::time::{Duration, Instant};
 use tokio_tungstenite::WebSocketStream;
 use tokio_tungstenite::tungstenite::client::IntoClientRequest as _;
 use tokio_tungstenite::tungstenite::http::HeaderValue;
 use tokio_tungstenite::tungstenite::{Error as WsError, Message};
 
 use super::access::Token;
+use super::attached_commands::{SentCommands, monotonic_ms};
 use super::events::DIFFERENCE;
 use crate::daemon::{CommandRequest, EngineStatus, Preview};
-use crate::note;
 use gripcast_base::error::{Error, ErrorKind, Result};
 use gripcast_imaging::{Decoder, Role};
-use gripcast_session::{Command, Tone};
+use gripcast_session::{Command, CommandResult, Message as SessionMessage, MessageLevel, Tone};
+
+/// Time without a message after which the line is dead; states come ten times per second.
+const SILENCE: Duration = Duration::from_secs(6);
 
 /// Address of a daemon.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -80,6 +85,8 @@ enum DaemonEvent {
         tone: Tone,
     },
     Response {
+        id: u64,
+        response: Option<CommandResult>,
         error: Option<String>,
     },
     Shutdown,
@@ -138,33 +145,45 @@ async fn show<S: AsyncRead + AsyncWrite + Unpin>(
         decoder: Decoder::new()?,
         previews: BTreeMap::new(),
         state: None,
+        sent: SentCommands::default(),
     };
+    let mut heard = Instant::now();
     loop {
         tokio::select! {
-            message = socket.next() => match message {
-                Some(Ok(Message::Text(text))) => match serde_json::from_str(&text) {
-                    Ok(DaemonEvent::State { state }) => received.state = Some(*state),
-                    // A closed screen detaches next.
-                    Ok(DaemonEvent::Tone { tone }) => drop(screen.tones.send(tone)),
-                    Ok(DaemonEvent::Response { error: Some(error) }) => note!("{error}"),
-                    Ok(DaemonEvent::Shutdown) => return Ok(Attached::Ended),
-                    Ok(DaemonEvent::Response { error: None } | DaemonEvent::Other) => continue,
-                    Err(e) => return Err(version_mismatch(e, target)),
-                },
-                Some(Ok(Message::Binary(bytes))) => received.take_image(&bytes),
-                Some(Ok(Message::Close(_))) => return Ok(Attached::Ended),
-                Some(Ok(_)) => continue,
-                Some(Err(e)) => return Err(broken(e, target)),
-                None => return Ok(Attached::Ended),
-            },
+            message = socket.next() => {
+                heard = Instant::now();
+                match message {
+                    Some(Ok(Message::Text(text))) => match serde_json::from_str(&text) {
+                        Ok(DaemonEvent::State { state }) => received.take_state(*state),
+                        // A closed screen detaches next.
+                        Ok(DaemonEvent::Tone { tone }) => drop(screen.tones.send(tone)),
+                        Ok(DaemonEvent::Response { id, response, error }) => {
+                            received.sent.answer(id, response, error);
+                        }
+                        Ok(DaemonEvent::Shutdown) => return Ok(Attached::Ended),
+                        Ok(DaemonEvent::Other) => continue,
+                        Err(e) => return Err(version_mismatch(e, target)),
+                    },
+                    Some(Ok(Message::Binary(bytes))) => received.take_image(&bytes),
+                    Some(Ok(Message::Close(_))) => return Ok(Attached::Ended),
+                    Some(Ok(_)) => continue,
+                    Some(Err(e)) => return Err(received.sent.broken(e, target)),
+                    None => return Ok(Attached::Ended),
+                }
+            }
             request = screen.commands.recv() => match request {
                 None | Some(CommandRequest { command: Command::Quit, .. }) => return Ok(Attached::Left),
                 Some(request) => {
-                    let text = serde_json::json!({"command": request.command.to_string(), "id": 1});
-                    let message = Message::Text(text.to_string().into());
-                    socket.send(message).await.map_err(|e| broken(e, target))?;
+                    let text = received.sent.message(request, received.state.as_ref());
+                    let sent = socket.send(Message::Text(text.into())).await;
+                    sent.map_err(|e| received.sent.broken(e, target))?;
                 }
             },
+            // A dead line keeps its connection for minutes.
+            () = tokio::time::sleep_until(heard + SILENCE) => {
+                let silent = io::Error::from(io::ErrorKind::TimedOut);
+                return Err(received.sent.broken(silent.into(), target));
+            }
         }
         if let Some(status) = received.status() {
             let _ = screen.status.send(Arc::new(status));
@@ -177,6 +196,7 @@ struct Received {
     decoder: Decoder,
     previews: BTreeMap<Role, Preview>,
     state: Option<EngineStatus>,
+    sent: SentCommands,
 }
 
 impl Received {
@@ -199,6 +219,11 @@ impl Received {
         }
     }
 
+    fn take_state(&mut self, state: EngineStatus) {
+        self.sent.clock.note(state.monotonic_ms, monotonic_ms());
+        self.state = Some(state);
+    }
+
     fn status(&mut self) -> Option<EngineStatus> {
         let state = self.state.clone()?;
         if state.session.initial_at.is_none() {
@@ -206,10 +231,17 @@ impl Received {
                 preview.difference = None;
             }
         }
-        Some(EngineStatus {
+        let mut status = EngineStatus {
             previews: self.previews.clone(),
             ..state
-        })
+        };
+        if let Some(text) = self.sent.refusal.clone() {
+            status.session.message = Some(SessionMessage {
+                level: MessageLevel::Warning,
+                text,
+            });
+        }
+        Some(status)
     }
 }
 
@@ -245,13 +277,6 @@ fn refused(error: WsError, target: &Target) -> Error {
     error.at(target)
 }
 
-fn broken(error: WsError, target: &Target) -> Error {
-    Error::new(ErrorKind::Io, "the connection to the daemon was lost")
-        .because(error)
-        .at(target)
-        .remedy("acknowledged changes are on disk; rerun the same command")
-}
-
 fn version_mismatch(error: serde_json::Error, target: &Target) -> Error {
     Error::input("unknown message from the daemon")
         .because(error)
@@ -278,6 +303,7 @@ mod tests {
             decoder: Decoder::new().unwrap(),
             previews: BTreeMap::new(),
             state: Some(state),
+            sent: SentCommands::default(),
         };
         for (first, level) in [(DIFFERENCE, 128), (0, 40), (DIFFERENCE, 128), (0, 50)] {
             received.take_image(&[&[first][..], &jpeg(level)].concat());

@@ -1,17 +1,19 @@
 //! State shared by all handlers.
 
-use std::sync::Arc;
+use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
 use axum::http::StatusCode;
 use tokio::sync::{Semaphore, broadcast, mpsc, watch};
 
 use super::access::Access;
+use super::answers::{Answer, Answers};
 use super::failure::Failure;
 use super::grasp_list::GraspList;
 use super::previews::Previews;
+use super::sender::{Arrival, RequestId, Sender};
 use super::slots::Slots;
-use crate::daemon::{CommandRequest, EngineStatus, ModelInfo, StoreEvent, Tasks};
+use crate::daemon::{CommandRequest, EngineStatus, ModelInfo, StoreEvent, Tasks, lock};
 use gripcast_dataset::GraspIndex;
 use gripcast_session::{Command, CommandResult, CommandSource, Tone};
 
@@ -41,6 +43,7 @@ pub(crate) enum News {
 pub(crate) struct Backend {
     pub(crate) status: watch::Receiver<Arc<EngineStatus>>,
     pub(crate) commands: mpsc::Sender<CommandRequest>,
+    answers: Mutex<Answers>,
     pub(crate) news: broadcast::Sender<News>,
     pub(crate) tasks: Tasks,
     pub(crate) access: Arc<Access>,
@@ -71,6 +74,7 @@ impl Backend {
             previews: Previews::new(status.clone()),
             status,
             commands,
+            answers: Mutex::default(),
             news: broadcast::channel(NEWS_CAPACITY).0,
             tasks,
             access,
@@ -89,23 +93,62 @@ impl Backend {
         EngineStatus::clone(&self.status.borrow())
     }
 
-    /// Sends a command to the engine and waits until its changes are durable.
+    /// Sends a command to the engine, unless one with the same request id was sent before.
     ///
     /// # Errors
-    /// 503 if too many commands are queued or the engine is ending, 504 on timeout.
-    pub(crate) async fn execute(&self, command: Command) -> Result<CommandResult, Failure> {
-        let (request, response) = CommandRequest::with_response(command, CommandSource::Remote);
+    /// 422 for an impossible age or the id of another command, 503 if too many commands are queued
+    /// or the engine is ending.
+    pub(crate) fn submit(
+        &self,
+        command: Command,
+        sender: Sender,
+        arrival: Arrival,
+    ) -> Result<Answer, Failure> {
+        let given_ns = sender.given_ns(arrival)?;
+        let mut answers = lock(&self.answers);
+        if let Some(id) = &sender.request_id
+            && let Some((answer, is_same)) = answers.find(id, &command)
+        {
+            return if is_same {
+                Ok(answer)
+            } else {
+                Err(id.reused())
+            };
+        }
+        let (request, response) =
+            CommandRequest::with_response(command.clone(), CommandSource::Remote);
+        let request = CommandRequest {
+            given_ns,
+            seen: sender.seen,
+            ..request
+        };
         self.commands.try_send(request).map_err(|e| match e {
             mpsc::error::TrySendError::Full(_) => Failure::busy("too many commands are queued"),
             mpsc::error::TrySendError::Closed(_) => Failure::busy("the daemon is shutting down"),
         })?;
-        match tokio::time::timeout(RESPONSE_TIMEOUT, response).await {
-            Ok(Ok(result)) => Ok(result),
-            Ok(Err(_)) => Err(Failure::busy("the daemon is shutting down")),
-            Err(_) => Err(Failure::new(
-                StatusCode::GATEWAY_TIMEOUT,
-                "the engine did not respond in time; the command may still be executed",
-            )),
-        }
+        Ok(answers.add(sender.request_id, command, response))
+    }
+
+    /// Returns the answer to the command with a request id.
+    ///
+    /// # Errors
+    /// 404 if no such command arrived.
+    pub(crate) fn answer_to(&self, id: &RequestId) -> Result<Answer, Failure> {
+        lock(&self.answers).get(id).ok_or_else(|| id.unknown())
+    }
+}
+
+/// Waits until the changes of a command are durable.
+///
+/// # Errors
+/// 503 if the engine is ending, 504 on timeout.
+pub(crate) async fn wait_for(answer: Answer) -> Result<CommandResult, Failure> {
+    match tokio::time::timeout(RESPONSE_TIMEOUT, answer).await {
+        Ok(Ok(result)) => Ok(result),
+        Ok(Err(_)) => Err(Failure::busy("the daemon is shutting down")),
+        Err(_) => Err(Failure::new(
+            StatusCode::GATEWAY_TIMEOUT,
+            "the engine did not respond in time; the command may still be executed",
+        )),
     }
 }

@@ -8,7 +8,7 @@ use axum::Extension;
 use axum::body::{Body, Bytes};
 use axum::extract::rejection::QueryRejection;
 use axum::extract::{Path, Query, State as Shared};
-use axum::http::header;
+use axum::http::{HeaderName, header};
 use axum::response::{IntoResponse, Response};
 
 use super::access::{Authorisation, Peer};
@@ -123,20 +123,33 @@ pub(crate) async fn stream(
                 _ => {}
             }
         };
-        let part = Ok::<_, Infallible>(multipart_image(&jpeg));
+        let part = Ok::<_, Infallible>(multipart_image(&jpeg, last.is_empty()));
         Some((part, (backend, authorisation, permit, jpeg)))
     };
     let images = futures_util::stream::unfold(start, next);
     let kind = format!("multipart/x-mixed-replace; boundary={BOUNDARY}");
-    Ok(([(header::CONTENT_TYPE, kind)], Body::from_stream(images)).into_response())
+    let headers = [
+        (header::CONTENT_TYPE, kind.as_str()),
+        // nginx would hold images back.
+        (HeaderName::from_static("x-accel-buffering"), "no"),
+    ];
+    Ok((headers, Body::from_stream(images)).into_response())
 }
 
-fn multipart_image(jpeg: &[u8]) -> Bytes {
+/// An image between two boundaries: a browser shows it once the next boundary has arrived. The
+/// boundary before it belongs to the previous image, except for the first.
+fn multipart_image(jpeg: &[u8], is_first: bool) -> Bytes {
+    let start = if is_first {
+        format!("--{BOUNDARY}\r\n")
+    } else {
+        String::new()
+    };
     let head = format!(
-        "--{BOUNDARY}\r\nContent-Type: image/jpeg\r\nContent-Length: {}\r\n\r\n",
+        "{start}Content-Type: image/jpeg\r\nContent-Length: {}\r\n\r\n",
         jpeg.len()
     );
-    Bytes::from([head.as_bytes(), jpeg, b"\r\n"].concat())
+    let end = format!("\r\n--{BOUNDARY}\r\n");
+    Bytes::from([head.as_bytes(), jpeg, end.as_bytes()].concat())
 }
 
 /// Path parameters whose rejection is a [`Failure`].
@@ -166,6 +179,20 @@ mod tests {
     use gripcast_session::Labels;
 
     use super::*;
+
+    /// Whatever follows, an image is complete with the boundary behind it.
+    #[test]
+    fn every_image_of_a_stream_ends_with_a_boundary() {
+        let parts = [
+            multipart_image(b"one", true),
+            multipart_image(b"three", false),
+        ]
+        .concat();
+        let expected = "--gripcast-frame\r\nContent-Type: image/jpeg\r\nContent-Length: 3\r\n\r\none\r\n\
+                        --gripcast-frame\r\nContent-Type: image/jpeg\r\nContent-Length: 5\r\n\r\nthree\r\n\
+                        --gripcast-frame\r\n";
+        assert_eq!(String::from_utf8(parts).unwrap(), expected);
+    }
 
     #[test]
     fn cameras_are_busy_until_the_engine_has_started() {

@@ -4,14 +4,17 @@ use std::ops::Deref;
 use std::str::FromStr;
 use std::sync::Arc;
 
-use axum::Json;
 use axum::extract::State as Shared;
-use axum::http::StatusCode;
+use axum::http::{StatusCode, header};
+use axum::{Extension, Json};
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
-use super::backend::Backend;
+use super::answers::Answer;
+use super::backend::{Backend, wait_for};
+use super::cameras::Segment;
 use super::failure::{ErrorResponse, Failure};
+use super::sender::{Arrival, RequestId, Sender};
 use crate::daemon::EngineStatus;
 use gripcast_base::error::Error;
 use gripcast_session::{Command, CommandResult};
@@ -26,6 +29,8 @@ pub(crate) struct CommandBody {
     /// NAME` for the newest grasp.
     #[schema(example = "trigger")]
     command: String,
+    #[serde(default)]
+    sender: Sender,
 }
 
 /// A name for the following grasps.
@@ -34,6 +39,15 @@ pub(crate) struct CommandBody {
 pub(crate) struct NameBody {
     #[schema(min_length = 1, max_length = 120, example = "mug-blue")]
     name: String,
+    #[serde(default)]
+    sender: Sender,
+}
+
+/// Body of a command without arguments.
+#[derive(Debug, Default, Deserialize, ToSchema)]
+#[serde(deny_unknown_fields, default)]
+pub(crate) struct SenderBody {
+    pub(super) sender: Sender,
 }
 
 /// Result of a command.
@@ -49,8 +63,18 @@ pub(crate) struct CommandResponse {
 pub(crate) type Reply = Result<(StatusCode, Json<CommandResponse>), Failure>;
 
 /// Executes a command and returns its result.
-pub(crate) async fn execute(backend: &Backend, command: Command) -> Reply {
-    let result = backend.execute(command).await?;
+pub(crate) async fn execute(
+    backend: &Backend,
+    command: Command,
+    sender: Sender,
+    arrival: Arrival,
+) -> Reply {
+    reply(backend, backend.submit(command, sender, arrival)?).await
+}
+
+/// Waits for an answer.
+pub(crate) async fn reply(backend: &Backend, answer: Answer) -> Reply {
+    let result = wait_for(answer).await?;
     let status = match &result {
         CommandResult::Accepted => StatusCode::OK,
         CommandResult::Refused { .. } => StatusCode::CONFLICT,
@@ -88,9 +112,25 @@ pub(crate) fn parse(text: &str) -> Result<Command, Failure> {
         (status = 415, body = ErrorResponse), (status = 422, body = ErrorResponse), (status = 503, body = ErrorResponse)))]
 pub(crate) async fn command(
     Shared(backend): Shared<Arc<Backend>>,
+    Extension(arrival): Extension<Arrival>,
     Body(request): Body<CommandBody>,
 ) -> Reply {
-    execute(&backend, parse(&request.command)?).await
+    let command = parse(&request.command)?;
+    execute(&backend, command, request.sender, arrival).await
+}
+
+/// Result of a command by its request id
+///
+/// For a sender whose connection broke before the answer: 404 if the command did not arrive.
+#[utoipa::path(get, path = "/api/commands/{request_id}", tag = "session", params(("request_id" = String, Path)),
+    responses((status = 200, body = CommandResponse), (status = 409, body = CommandResponse, description = "refused"),
+        (status = 500, body = CommandResponse, description = "write error; nothing changed"),
+        (status = 404, body = ErrorResponse), (status = 422, body = ErrorResponse), (status = 503, body = ErrorResponse)))]
+pub(crate) async fn command_result(
+    Shared(backend): Shared<Arc<Backend>>,
+    Segment(id): Segment<String>,
+) -> Reply {
+    reply(&backend, backend.answer_to(&RequestId::parse(id)?)?).await
 }
 
 /// Set the object name
@@ -100,9 +140,10 @@ pub(crate) async fn command(
         (status = 503, body = ErrorResponse)))]
 pub(crate) async fn object(
     Shared(backend): Shared<Arc<Backend>>,
+    Extension(arrival): Extension<Arrival>,
     Body(request): Body<NameBody>,
 ) -> Reply {
-    set_name(&backend, request, Command::Object).await
+    set_name(&backend, request, arrival, Command::Object).await
 }
 
 /// Set the scene name
@@ -112,9 +153,10 @@ pub(crate) async fn object(
         (status = 503, body = ErrorResponse)))]
 pub(crate) async fn scene(
     Shared(backend): Shared<Arc<Backend>>,
+    Extension(arrival): Extension<Arrival>,
     Body(request): Body<NameBody>,
 ) -> Reply {
-    set_name(&backend, request, Command::Scene).await
+    set_name(&backend, request, arrival, Command::Scene).await
 }
 
 /// Set the operator name
@@ -124,12 +166,18 @@ pub(crate) async fn scene(
         (status = 503, body = ErrorResponse)))]
 pub(crate) async fn operator(
     Shared(backend): Shared<Arc<Backend>>,
+    Extension(arrival): Extension<Arrival>,
     Body(request): Body<NameBody>,
 ) -> Reply {
-    set_name(&backend, request, Command::Operator).await
+    set_name(&backend, request, arrival, Command::Operator).await
 }
 
-async fn set_name<T>(backend: &Backend, request: NameBody, make: fn(T) -> Command) -> Reply
+async fn set_name<T>(
+    backend: &Backend,
+    request: NameBody,
+    arrival: Arrival,
+    make: fn(T) -> Command,
+) -> Reply
 where
     T: FromStr<Err = Error> + Deref<Target = str>,
 {
@@ -137,7 +185,7 @@ where
     if name.is_empty() {
         return Err(Failure::input("expected a name, found an empty string"));
     }
-    execute(backend, make(name)).await
+    execute(backend, make(name), request.sender, arrival).await
 }
 
 /// JSON body whose rejection is a [`Failure`].
@@ -166,6 +214,26 @@ where
             )
             .remedy("send the body at once")),
         }
+    }
+}
+
+/// An optional body: absent without a `Content-Type`.
+impl<T> axum::extract::OptionalFromRequest<Arc<Backend>> for Body<T>
+where
+    T: serde::de::DeserializeOwned,
+{
+    type Rejection = Failure;
+
+    async fn from_request(
+        request: axum::extract::Request,
+        backend: &Arc<Backend>,
+    ) -> Result<Option<Self>, Failure> {
+        if !request.headers().contains_key(header::CONTENT_TYPE) {
+            return Ok(None);
+        }
+        let body =
+            <Self as axum::extract::FromRequest<Arc<Backend>>>::from_request(request, backend);
+        body.await.map(Some)
     }
 }
 

@@ -1,10 +1,10 @@
 //! WebSocket with the engine's state and events, and commands from the client.
 //!
 //! Text to the client: `{"type": "state" | "tone" | "stored" | "response" | "shutdown", …}`. Text
-//! from the client: `{"command": "trigger", "id": 7}`; the response has the same id. With
-//! `?previews=true` preview images are sent as binary messages: one byte, then a JPEG. The byte is the
-//! index of the role in left, right, rgb, depth, external, plus 16 for the difference of a gel to the
-//! initial frame.
+//! from the client: `{"command": "trigger", "id": 7, "sender": {…}}`; the response has the same id.
+//! With `?previews=true` preview images are sent as binary messages: one byte, then a JPEG. The byte
+//! is the index of the role in left, right, rgb, depth, external, plus 16 for the difference of a gel
+//! to the initial frame.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -15,14 +15,18 @@ use axum::body::Bytes;
 use axum::extract::ws::{Message, WebSocket, WebSocketUpgrade};
 use axum::extract::{Query, State as Shared};
 use axum::response::Response;
+use futures_util::StreamExt as _;
+use futures_util::future::BoxFuture;
+use futures_util::stream::FuturesUnordered;
 use serde::{Deserialize, Serialize};
 use tokio::sync::broadcast::error::RecvError;
 use utoipa::{IntoParams, ToSchema};
 
 use super::access::{Authorisation, Peer};
 use super::backend::{Backend, News};
-use super::commands::{CommandResponse, execute, parse};
+use super::commands::{CommandResponse, parse, reply};
 use super::failure::Failure;
+use super::sender::{Arrival, Sender};
 use crate::daemon::{EngineStatus, StoreEvent};
 use gripcast_imaging::Role;
 use gripcast_session::Tone;
@@ -31,6 +35,8 @@ use gripcast_session::Tone;
 const INTERVAL: Duration = Duration::from_millis(100);
 /// Maximum size of a client message, bytes.
 const MAX_MESSAGE_BYTES: usize = 4096;
+/// Maximum commands of a client in progress.
+const MAX_COMMANDS: usize = 16;
 
 /// Added to the index of a role for a tactile difference.
 pub(super) const DIFFERENCE: u8 = 16;
@@ -76,6 +82,8 @@ pub(crate) enum Event {
 struct Request {
     command: String,
     id: u64,
+    #[serde(default)]
+    sender: Sender,
 }
 
 /// State and events (WebSocket)
@@ -94,8 +102,9 @@ pub(crate) async fn events(
 ) -> Result<Response, Failure> {
     let Query(query) = query.map_err(|e| Failure::new(e.status(), e.body_text()))?;
     let upgrade = upgrade.map_err(|e| {
-        Failure::new(axum::http::StatusCode::BAD_REQUEST, e.body_text())
-            .remedy("open it as a WebSocket")
+        Failure::new(axum::http::StatusCode::BAD_REQUEST, e.body_text()).remedy(
+            "open it as a WebSocket; a proxy must pass the headers `Upgrade` and `Connection`",
+        )
     })?;
     let permit = backend.listeners.take(peer).ok_or_else(|| {
         Failure::busy("too many event connections are open").remedy("close another page")
@@ -113,10 +122,20 @@ pub(crate) async fn events(
             socket,
             query,
             sent: BTreeMap::new(),
+            answers: FuturesUnordered::new(),
         };
         let _ = listener.run().await;
         drop(permit);
     }))
+}
+
+/// Response to a command that was not executed.
+fn failed(id: u64, error: &str) -> Event {
+    Event::Response {
+        id,
+        response: None,
+        error: Some(error.to_owned()),
+    }
 }
 
 /// The client has disconnected, or its session has ended.
@@ -129,6 +148,8 @@ struct Listener {
     query: EventQuery,
     /// Newest image sent, by the first byte of its message.
     sent: BTreeMap<u8, Bytes>,
+    /// Responses to commands in progress.
+    answers: FuturesUnordered<BoxFuture<'static, Event>>,
 }
 
 impl Listener {
@@ -148,6 +169,7 @@ impl Listener {
                     // Missed news are reflected in the next state.
                     Err(RecvError::Lagged(_)) => {}
                 },
+                Some(response) = self.answers.next() => self.send_event(&response).await?,
                 message = self.socket.recv() => match message {
                     Some(Ok(Message::Text(text))) => self.handle(&text).await?,
                     // Pings are answered by the library.
@@ -169,34 +191,44 @@ impl Listener {
         }
     }
 
+    /// Sends a command to the engine; the response follows while states go on.
     async fn handle(&mut self, text: &str) -> Result<(), Disconnected> {
-        let Ok(Request { command, id }) = serde_json::from_str(text) else {
-            let error = Some("expected {\"command\": \"…\", \"id\": 1}".to_owned());
-            return self
-                .send_event(&Event::Response {
-                    id: 0,
-                    response: None,
-                    error,
-                })
-                .await;
+        let arrival = Arrival::now();
+        let Ok(Request {
+            command,
+            id,
+            sender,
+        }) = serde_json::from_str(text)
+        else {
+            let error = "expected {\"command\": \"…\", \"id\": 1, \"sender\": {…}}";
+            return self.send_event(&failed(0, error)).await;
         };
         if !self.authorisation.is_valid() {
             return Err(Disconnected);
         }
-        let result = match parse(&command) {
-            Ok(command) => execute(&self.backend, command).await,
-            Err(failure) => Err(failure),
-        };
-        let (response, error) = match result {
-            Ok((_, axum::Json(response))) => (Some(Box::new(response)), None),
-            Err(failure) => (None, Some(failure.what().to_owned())),
-        };
-        self.send_event(&Event::Response {
-            id,
-            response,
-            error,
-        })
-        .await
+        if self.answers.len() >= MAX_COMMANDS {
+            return self
+                .send_event(&failed(id, "too many commands are queued"))
+                .await;
+        }
+        let submitted =
+            parse(&command).and_then(|command| self.backend.submit(command, sender, arrival));
+        let backend = Arc::clone(&self.backend);
+        self.answers.push(Box::pin(async move {
+            let result = match submitted {
+                Ok(answer) => reply(&backend, answer).await,
+                Err(failure) => Err(failure),
+            };
+            match result {
+                Ok((_, axum::Json(response))) => Event::Response {
+                    id,
+                    response: Some(Box::new(response)),
+                    error: None,
+                },
+                Err(failure) => failed(id, failure.what()),
+            }
+        }));
+        Ok(())
     }
 
     async fn send_previews(&mut self) -> Result<(), Disconnected> {

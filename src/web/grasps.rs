@@ -4,21 +4,22 @@ use std::collections::BTreeMap;
 use std::sync::Arc;
 use std::time::Duration;
 
-use axum::Json;
 use axum::extract::{Query, State as Shared};
 use axum::http::{StatusCode, header};
 use axum::response::{IntoResponse, Response};
+use axum::{Extension, Json};
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
 use super::backend::Backend;
 use super::cameras::Segment;
-use super::commands::{Body, Reply, execute};
+use super::commands::{Body, Reply, SenderBody, execute};
 use super::failure::{ErrorResponse, Failure};
 use super::grasp_list::{GraspPage, GraspQuery};
+use super::sender::{Arrival, Sender};
 use crate::daemon::EngineStatus;
 use gripcast_base::error::{Error, ErrorKind, Result as CrateResult};
-use gripcast_base::files::{FileKind, ObjectName};
+use gripcast_base::files::{FileKind, Label, ObjectName};
 use gripcast_dataset::{Dataset, GraspId, GraspRecord, NameChange, Outcome, Stage};
 use gripcast_imaging::{
     CropProfile, Decoder, DepthImage, Frame, PixelFormat, Role, TactileDifference,
@@ -41,6 +42,22 @@ const DIFFERENCE_GAIN: f32 = 1.5;
 #[serde(deny_unknown_fields)]
 pub(crate) struct LabelBody {
     outcome: Outcome,
+    #[serde(default)]
+    sender: Sender,
+}
+
+/// New names of a grasp; an absent name stays, an empty scene or operator removes the name.
+#[derive(Debug, Deserialize, ToSchema)]
+#[serde(deny_unknown_fields)]
+pub(crate) struct EditBody {
+    #[schema(value_type = Option<String>, min_length = 1, max_length = 120)]
+    object: Option<ObjectName>,
+    #[schema(value_type = Option<String>, max_length = 120)]
+    scene: Option<Label>,
+    #[schema(value_type = Option<String>, max_length = 120)]
+    operator: Option<Label>,
+    #[serde(default)]
+    sender: Sender,
 }
 
 /// Decodes images on blocking threads, at most one per core at a time.
@@ -327,10 +344,12 @@ fn depth_frame(depth: &DepthImage) -> Frame {
 pub(crate) async fn label(
     Shared(backend): Shared<Arc<Backend>>,
     Segment(id): Segment<String>,
+    Extension(arrival): Extension<Arrival>,
     Body(request): Body<LabelBody>,
 ) -> Reply {
     let id = existing(&backend, &id).await?;
-    execute(&backend, Command::Relabel(id, request.outcome)).await
+    let command = Command::Relabel(id, request.outcome);
+    execute(&backend, command, request.sender, arrival).await
 }
 
 /// Correct object, scene or operator of a grasp
@@ -338,38 +357,48 @@ pub(crate) async fn label(
 /// Absent names stay; an empty scene or operator removes the name. One undo reverts all names of a
 /// request.
 #[utoipa::path(patch, path = "/api/grasps/{id}", tag = "grasps", params(("id" = String, Path)),
-    request_body = NameChange,
+    request_body = EditBody,
     responses((status = 200, body = super::commands::CommandResponse), (status = 400, body = ErrorResponse),
         (status = 404, body = ErrorResponse), (status = 408, body = ErrorResponse), (status = 413, body = ErrorResponse), (status = 415, body = ErrorResponse),
         (status = 422, body = ErrorResponse), (status = 500, body = super::commands::CommandResponse), (status = 503, body = ErrorResponse)))]
 pub(crate) async fn edit(
     Shared(backend): Shared<Arc<Backend>>,
     Segment(id): Segment<String>,
-    Body(names): Body<NameChange>,
+    Extension(arrival): Extension<Arrival>,
+    Body(request): Body<EditBody>,
 ) -> Reply {
+    let names = NameChange {
+        object: request.object,
+        scene: request.scene,
+        operator: request.operator,
+    };
     if names.is_empty() {
         return Err(Failure::input(
             "expected at least one of object, scene and operator, found none",
         ));
     }
     let id = existing(&backend, &id).await?;
-    execute(&backend, Command::Edit(id, names)).await
+    execute(&backend, Command::Edit(id, names), request.sender, arrival).await
 }
 
 /// Move a grasp to the trash
 #[utoipa::path(post, path = "/api/grasps/{id}/trash", tag = "grasps", params(("id" = String, Path)),
+    request_body = Option<SenderBody>,
     responses((status = 200, body = super::commands::CommandResponse), (status = 404, body = ErrorResponse),
         (status = 422, body = ErrorResponse), (status = 500, body = super::commands::CommandResponse), (status = 503, body = ErrorResponse)))]
 pub(crate) async fn trash(
     Shared(backend): Shared<Arc<Backend>>,
     Segment(id): Segment<String>,
+    Extension(arrival): Extension<Arrival>,
+    body: Option<Body<SenderBody>>,
 ) -> Reply {
     let id = existing(&backend, &id).await?;
-    execute(&backend, Command::Trash(id)).await
+    execute(&backend, Command::Trash(id), sender_of(body), arrival).await
 }
 
 /// Restore a grasp from the trash
 #[utoipa::path(post, path = "/api/grasps/{id}/restore", tag = "grasps", params(("id" = String, Path)),
+    request_body = Option<SenderBody>,
     responses((status = 200, body = super::commands::CommandResponse),
         (status = 404, body = ErrorResponse, description = "not in the trash"), (status = 422, body = ErrorResponse),
         (status = 500, body = super::commands::CommandResponse, description = "damaged, or to be restored with redo"),
@@ -377,6 +406,8 @@ pub(crate) async fn trash(
 pub(crate) async fn restore(
     Shared(backend): Shared<Arc<Backend>>,
     Segment(id): Segment<String>,
+    Extension(arrival): Extension<Arrival>,
+    body: Option<Body<SenderBody>>,
 ) -> Reply {
     let id = parse_id(&id)?;
     let (trashed, list) = (id.clone(), Arc::clone(&backend));
@@ -384,7 +415,11 @@ pub(crate) async fn restore(
     if !is_in_trash {
         return Err(Failure::not_found(format!("{id} is not in the trash")));
     }
-    execute(&backend, Command::Restore(id)).await
+    execute(&backend, Command::Restore(id), sender_of(body), arrival).await
+}
+
+fn sender_of(body: Option<Body<SenderBody>>) -> Sender {
+    body.map(|Body(body)| body.sender).unwrap_or_default()
 }
 
 async fn existing(backend: &Arc<Backend>, id: &str) -> Result<GraspId, Failure> {

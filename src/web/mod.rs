@@ -11,7 +11,9 @@
 //! `docs/reference/api.md` is the contract; `/api/openapi.json` is generated from these functions.
 
 mod access;
+mod answers;
 mod attach;
+mod attached_commands;
 mod backend;
 mod cameras;
 mod commands;
@@ -25,6 +27,7 @@ mod origin;
 mod page;
 mod previews;
 mod router;
+mod sender;
 mod serve;
 mod sessions;
 mod slots;

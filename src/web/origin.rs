@@ -6,6 +6,7 @@ use std::net::{IpAddr, Ipv4Addr, Ipv6Addr};
 use axum::extract::Request;
 use axum::http::{HeaderMap, Method, StatusCode, header};
 
+use super::access::is_api;
 use super::failure::Failure;
 
 /// Maximum length of a host name, characters (RFC 1035).
@@ -94,11 +95,20 @@ struct InvalidHeader;
 
 /// Checks host and origin of a request and returns the host.
 ///
+/// Files of the page need no `Origin` check, since they are public. Nor do requests that the
+/// browser itself marks as same-origin: `Sec-Fetch-Site` compares with the address that the browser
+/// sees, which a proxy may have replaced in `Host`, and scripts cannot set it.
+///
 /// # Errors
 /// 400 for a missing, repeated or malformed `Host`; 403 for a cross-site request.
 pub(super) fn check(request: &Request) -> Result<Authority, Failure> {
     let host = host(request)?;
-    check_origin(request.headers(), &host)?;
+    let is_read = matches!(*request.method(), Method::GET | Method::HEAD);
+    let is_file = is_read && !is_api(request.uri().path());
+    let site = single_value(request.headers(), "sec-fetch-site");
+    if !is_file && !matches!(site, Ok(Some("same-origin"))) {
+        check_origin(request.headers(), &host)?;
+    }
     check_site(request)?;
     Ok(host)
 }
@@ -147,7 +157,11 @@ fn check_origin(headers: &HeaderMap, host: &Authority) -> Result<(), Failure> {
     }
     Err(cross_site(format!(
         "requests from {origin:.100} are not allowed"
-    )))
+    ))
+    .remedy(
+        "open the page at the address printed by the daemon; a proxy must pass the header `Host` \
+         (nginx: proxy_set_header Host $http_host)",
+    ))
 }
 
 /// Rejects images and frames embedded by other sites, which have no `Origin`. Links to the page

@@ -41,6 +41,7 @@ const FILES: &[File] = files! {
     "login.js" => JAVASCRIPT,
     "images.js" => JAVASCRIPT,
     "recent.js" => JAVASCRIPT,
+    "sender.js" => JAVASCRIPT,
     "sound.js" => JAVASCRIPT,
     "theme.js" => JAVASCRIPT,
     "types.js" => JAVASCRIPT,
@@ -75,8 +76,42 @@ pub(crate) async fn file(Path(name): Path<String>) -> Result<Response, Failure> 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::web::access::CONTENT_SECURITY_POLICY;
+    use base64::Engine as _;
+    use base64::prelude::BASE64_STANDARD;
+    use sha2::{Digest as _, Sha256};
     use std::collections::BTreeSet;
     use std::path::Path;
+
+    /// The content security policy allows the inline script of the page, and no other.
+    #[test]
+    fn policy_has_the_hash_of_the_inline_script() {
+        let (_, _, html) = FILES.iter().find(|file| file.0 == "index.html").unwrap();
+        let inline = html.split("<script>").skip(1);
+        let scripts: Vec<&str> = inline.filter_map(|s| s.split("</script>").next()).collect();
+        assert_eq!(scripts.len(), 1, "{scripts:?}");
+        let hash = BASE64_STANDARD.encode(Sha256::digest(scripts[0]));
+        let allowed = format!("script-src 'self' 'sha256-{hash}';");
+        assert!(
+            CONTENT_SECURITY_POLICY.contains(&allowed),
+            "expected {allowed}"
+        );
+    }
+
+    /// Without its scripts the page says that it is not connected, and has no enabled button.
+    #[test]
+    fn first_state_of_the_page_is_not_connected() {
+        let (_, _, html) = FILES.iter().find(|file| file.0 == "index.html").unwrap();
+        let buttons: Vec<&str> = html
+            .split("<button")
+            .filter_map(|button| button.split('>').next())
+            .filter(|button| button.contains("data-command"))
+            .collect();
+        assert_eq!(buttons.len(), 7);
+        assert!(buttons.iter().all(|button| button.contains(" disabled ")));
+        assert!(html.contains("<body class=\"offline\">"));
+        assert!(html.contains("<div id=\"link\" role=\"alert\">Not connected"));
+    }
 
     /// Every file of the folder is served, and all referenced files exist.
     #[test]

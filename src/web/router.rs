@@ -38,6 +38,7 @@ fn api_routes() -> OpenApiRouter<Arc<Backend>> {
         .routes(routes!(health::state))
         .routes(routes!(events::events))
         .routes(routes!(commands::command))
+        .routes(routes!(commands::command_result))
         .routes(routes!(commands::object))
         .routes(routes!(commands::scene))
         .routes(routes!(commands::operator))

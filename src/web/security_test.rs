@@ -19,9 +19,10 @@ use super::serve::{Listeners, serve};
 use super::sessions::MAX_FAILURES;
 use super::slots::Slots;
 use crate::daemon::{CameraState, CameraStatus, CommandRequest, EngineStatus, Preview, Tasks};
+use gripcast_capture::camera::monotonic_ns;
 use gripcast_dataset::GraspIndex;
 use gripcast_imaging::Role;
-use gripcast_session::Labels;
+use gripcast_session::{CommandResult, Labels};
 
 const SECRET: &str = "correct-horse-battery";
 /// Timeout that tests wait for.
@@ -41,7 +42,7 @@ struct Site {
     slots: Slots,
     stop: watch::Sender<bool>,
     server: Option<std::thread::JoinHandle<()>>,
-    _engine: (
+    engine: (
         watch::Sender<Arc<EngineStatus>>,
         mpsc::Receiver<CommandRequest>,
     ),
@@ -89,7 +90,7 @@ impl Site {
             slots,
             stop,
             server: Some(server),
-            _engine: (status, requests),
+            engine: (status, requests),
             _dir: dir,
         }
     }
@@ -440,6 +441,11 @@ fn header_cases() -> Vec<(&'static str, u16)> {
         ("Host: [::1]:7471\r\nOrigin: http://[::1]:7471\r\n", 200),
         ("Host: localhost\r\nSec-Fetch-Site: same-origin\r\n", 200),
         ("Host: localhost\r\nSec-Fetch-Site: none\r\n", 200),
+        // A proxy replaced the host.
+        (
+            "Host: localhost\r\nSec-Fetch-Site: same-origin\r\nOrigin: http://localhost:8000\r\n",
+            200,
+        ),
     ];
     let hosts = [
         ("", 400),
@@ -487,6 +493,15 @@ fn header_cases() -> Vec<(&'static str, u16)> {
         ),
         ("Host: localhost\r\nSec-Fetch-Site: whatever\r\n", 403),
         (
+            "Host: localhost\r\nSec-Fetch-Site: none\r\nOrigin: http://evil.example\r\n",
+            403,
+        ),
+        (
+            "Host: localhost\r\nSec-Fetch-Site: same-origin\r\nSec-Fetch-Site: same-origin\r\n\
+             Origin: http://evil.example\r\n",
+            403,
+        ),
+        (
             "Host: localhost\r\nSec-Fetch-Site: none\r\nSec-Fetch-Site: cross-site\r\n",
             403,
         ),
@@ -530,6 +545,65 @@ fn cross_site_requests_and_invalid_hosts_are_rejected() {
         "",
     );
     assert_eq!(elsewhere.unwrap().status, 400);
+}
+
+/// A proxy that replaces `Host` passes the `Origin` of module scripts.
+#[test]
+fn files_of_the_page_need_no_origin() {
+    let site = Site::open(None, |_, _| {});
+    let status = |line, headers| {
+        let headers = format!("Host: localhost\r\n{headers}");
+        request(site.tcp(), line, &headers, "").unwrap().status
+    };
+    let origin = "Origin: http://lab.example:8080\r\n";
+    for path in ["GET /", "GET /app.js", "HEAD /style.css"] {
+        assert_eq!(status(path, origin), 200, "{path}");
+    }
+    for line in ["POST /app.js", "GET /api/state", "POST /api/commands"] {
+        assert_eq!(status(line, origin), 403, "{line}");
+    }
+}
+
+/// A proxy that maps `/rig` to `/` passes `/rig/api/state` as `//api/state`.
+#[test]
+fn leading_slashes_are_one_before_all_checks() {
+    let site = Site::open(Some(SECRET), |_, _| {});
+    let answer = |line: &str| request(site.tcp(), line, "Host: lab\r\n", "").unwrap();
+    assert!(answer("GET //").text.contains("<!DOCTYPE html>"));
+    assert_eq!(answer("GET ///app.js").status, 200);
+    for path in [
+        "//api/state",
+        "///metrics",
+        "//api/cameras/left/preview.jpg",
+    ] {
+        assert_eq!(answer(&format!("GET {path}")).status, 401, "{path}");
+    }
+    let bearer = format!("Host: lab\r\nAuthorization: Bearer {SECRET}\r\n");
+    let line = "GET //api/state?x=//y";
+    assert_eq!(request(site.tcp(), line, &bearer, "").unwrap().status, 200);
+}
+
+/// A browser shows an image once the next boundary has arrived.
+#[test]
+fn newest_image_of_a_stream_is_followed_by_a_boundary_at_once() {
+    const END: &[u8] = b"\r\n--gripcast-frame\r\n";
+    let site = Site::open(None, |_, _| {});
+    let mut stream = site.tcp();
+    start(
+        &mut stream,
+        "GET /api/cameras/left/preview.mjpg",
+        "Host: localhost\r\n",
+    );
+    let mut bytes = Vec::new();
+    // The camera delivers one image only.
+    while !bytes.windows(END.len()).any(|window| window == END) {
+        let mut some = [0; 4096];
+        let count = stream.read(&mut some).unwrap();
+        assert!(count > 0);
+        bytes.extend(&some[..count]);
+    }
+    let text = String::from_utf8_lossy(&bytes);
+    assert_eq!(text.matches("--gripcast-frame").count(), 2);
 }
 
 #[test]
@@ -609,6 +683,49 @@ fn guessing_address_is_blocked_and_others_are_not() {
     assert_eq!(log_in(other, SECRET).unwrap().status, 204);
     assert_eq!(log_in(site.unix(), SECRET).unwrap().status, 204);
     assert_eq!(site.status_with(&cookie), 200);
+}
+
+/// A command that is repeated with its id reaches the engine once.
+#[test]
+fn repeated_command_gets_the_first_answer() {
+    let mut site = Site::open(None, |_, _| {});
+    let headers = "Host: localhost\r\nContent-Type: application/json\r\n";
+    let send = |site: &Site, command: &str| {
+        let stream = site.tcp();
+        let sender = r#"{"request_id": "tap-1", "age_ms": 300, "seen": {"revision": 7}}"#;
+        let body = format!(r#"{{"command": "{command}", "sender": {sender}}}"#);
+        std::thread::spawn(move || request(stream, "POST /api/commands", headers, &body).unwrap())
+    };
+    let known = |site: &Site, id: &str| {
+        let line = format!("GET /api/commands/{id}");
+        request(site.tcp(), &line, "Host: localhost\r\n", "").unwrap()
+    };
+    let first = send(&site, "undo");
+    let queued = site.runtime.block_on(site.engine.1.recv()).unwrap();
+    assert_eq!(queued.seen.revision, Some(7));
+    assert!(queued.age_ms(monotonic_ns()) >= 300.0);
+    let second = send(&site, "undo");
+    let other = send(&site, "redo").join().unwrap();
+    assert_eq!(other.status, 422, "{}", other.text);
+    queued
+        .response
+        .unwrap()
+        .send(CommandResult::Accepted)
+        .unwrap();
+    for answer in [
+        first.join().unwrap(),
+        second.join().unwrap(),
+        known(&site, "tap-1"),
+    ] {
+        assert_eq!(answer.status, 200, "{}", answer.text);
+        assert!(
+            answer.text.contains(r#""result":"accepted""#),
+            "{}",
+            answer.text
+        );
+    }
+    assert!(site.engine.1.try_recv().is_err(), "executed once");
+    assert_eq!(known(&site, "tap-2").status, 404);
 }
 
 #[test]

@@ -10,10 +10,10 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use axum::Router;
-use hyper::Request;
 use hyper::body::Incoming;
 use hyper::server::conn::http1;
 use hyper::service::{Service as _, service_fn};
+use hyper::{Request, Uri};
 use hyper_util::rt::{TokioIo, TokioTimer};
 use hyper_util::service::TowerToHyperService;
 use tokio::io::{AsyncRead, AsyncWrite};
@@ -21,6 +21,7 @@ use tokio::net::{TcpListener, TcpSocket, UnixListener};
 use tokio::sync::{Semaphore, watch};
 
 use super::access::Peer;
+use super::sender::Arrival;
 use super::slots::Slots;
 use super::stall::StallTimeout;
 use crate::daemon::{TaskState, Tasks};
@@ -257,6 +258,8 @@ impl Server {
         let router = TowerToHyperService::new(self.router.clone());
         let service = service_fn(move |mut request: Request<Incoming>| {
             request.extensions_mut().insert(peer);
+            request.extensions_mut().insert(Arrival::now());
+            merge_leading_slashes(&mut request);
             router.call(request)
         });
         let connection = http1::Builder::new()
@@ -272,5 +275,26 @@ impl Server {
                 _ = stop.wait_for(|stop| *stop) => {}
             }
         });
+    }
+}
+
+/// Replaces several slashes at the start of the path by one: a proxy that maps `/rig` to `/` makes
+/// `//api/state` of `/rig/api/state`. Before all checks, which depend on the path.
+fn merge_leading_slashes(request: &mut Request<Incoming>) {
+    let path = request
+        .uri()
+        .path_and_query()
+        .map_or("", |path| path.as_str());
+    let rest = path.trim_start_matches('/');
+    if path.len() < rest.len() + 2 {
+        return;
+    }
+    let Ok(merged) = format!("/{rest}").parse() else {
+        return;
+    };
+    let mut parts = request.uri().clone().into_parts();
+    parts.path_and_query = Some(merged);
+    if let Ok(uri) = Uri::from_parts(parts) {
+        *request.uri_mut() = uri;
     }
 }

@@ -52,6 +52,7 @@ impl Place {
             .env("GRIPCAST__COLLECT__DATASET", self.dataset())
             .env("GRIPCAST__GUARDS__MAX_FRAME_AGE_MS", "60000")
             .env("GRIPCAST__GUARDS__MAX_SKEW_MS", "60000")
+            .env("GRIPCAST__GUARDS__MAX_COMMAND_AGE_MS", "60000")
             .env("GRIPCAST__GUARDS__MIN_FREE_BYTES", "0");
         command
     }
@@ -351,6 +352,99 @@ fn api_collects_reads_and_changes_grasps() {
     assert_eq!(verify(&place.dataset())["problems"], json!([]));
     assert_eq!(grasps(&place.dataset()).len(), 2);
     assert!(!place.socket().exists());
+}
+
+/// A tap on a dead line arrives late, twice, or after somebody else's.
+#[test]
+fn late_repeated_and_outdated_commands_change_nothing() {
+    let place = Place::new();
+    let mut command = place.command();
+    let daemon = Daemon::start(command.env("GRIPCAST__GUARDS__MAX_COMMAND_AGE_MS", "20000"));
+    let send = |command: &str, sender: Value| {
+        daemon.post(
+            "/api/commands",
+            &json!({"command": command, "sender": sender}),
+        )
+    };
+    // Taken once a tap is accepted: the cameras may still be starting.
+    let initial = daemon.trigger();
+    let state = &initial["state"];
+    let now_ms = state["monotonic_ms"].as_f64().unwrap();
+    let revision = state["session"]["revision"].as_u64().unwrap();
+    assert_eq!(state["session"]["undo"], "initial frame");
+
+    for (sender, reason) in [
+        (
+            json!({"sent_at_ms": now_ms - 25_000.0}),
+            "s old; the limit is 20 s",
+        ),
+        (
+            json!({"age_ms": 25_000}),
+            "this command is 25 s old; the limit is 20 s",
+        ),
+        (
+            json!({"seen": {"revision": revision - 1}}),
+            "the initial frame was saved",
+        ),
+        (
+            json!({"seen": {"step": "initial"}}),
+            "ago; look at the step",
+        ),
+        (
+            json!({"seen": {"undo": "grasp 7f3a"}}),
+            "undo would now change initial frame, not grasp 7f3a",
+        ),
+    ] {
+        let (status, answer) = send("undo", sender.clone());
+        assert_eq!(
+            (status, &answer["stale"]),
+            (409, &json!(true)),
+            "{sender}: {answer}"
+        );
+        let reasons = answer["reasons"].to_string();
+        assert!(reasons.contains(reason), "{sender}: {reasons}");
+        assert_eq!(answer["state"]["session"]["revision"], json!(revision));
+    }
+    let (status, _) = send("undo", json!({"sent_at_ms": now_ms + 1e6}));
+    assert_eq!(status, 422);
+
+    let tap = json!({"request_id": "tap", "seen": {"revision": revision, "undo": "initial frame"}});
+    let (status, first) = send("undo", tap.clone());
+    assert_eq!(
+        (status, &first["state"]["session"]["step"]),
+        (200, &json!("initial"))
+    );
+    let now = &first["state"]["session"]["revision"];
+    assert_eq!(now, &json!(revision + 1));
+    let (status, again) = send("undo", tap);
+    assert_eq!((status, &again["state"]["session"]["revision"]), (200, now));
+    assert_eq!(daemon.get("/api/commands/tap")["result"], "accepted");
+    assert_eq!(daemon.ask("GET", "/api/commands/other", None).0, 404);
+
+    // A name means the same for longer.
+    let body = json!({"name": "cup", "sender": {"age_ms": 25_000}});
+    assert_eq!(daemon.ask("PUT", "/api/object", Some(&body)).0, 200);
+    let mut socket = listen(&daemon);
+    let message = json!({"command": "redo", "id": 3, "sender": {"age_ms": 25_000}});
+    socket
+        .send(tungstenite::Message::text(message.to_string()))
+        .unwrap();
+    let [answer] = wait_for_events(&mut socket, [&|event| event["type"] == "response"]);
+    assert_eq!(
+        (&answer["id"], &answer["response"]["stale"]),
+        (&json!(3), &json!(true))
+    );
+    drop(daemon);
+
+    // Revisions increase across restarts, so that an old tap cannot fit again.
+    let daemon = place.daemon();
+    let restarted = daemon.get("/api/state")["session"]["revision"]
+        .as_u64()
+        .unwrap();
+    assert!(
+        restarted == 0 || restarted > revision,
+        "{restarted} after {revision}"
+    );
 }
 
 #[test]

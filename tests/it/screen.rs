@@ -79,6 +79,7 @@ fn preview(is_difference: bool) -> Preview {
 
 fn waiting_for_grasp() -> EngineStatus {
     EngineStatus {
+        monotonic_ms: 0,
         dataset: "kitchen-02".to_owned(),
         rig: "bench-a".to_owned(),
         clock: "17:42:10".to_owned(),
@@ -89,6 +90,7 @@ fn waiting_for_grasp() -> EngineStatus {
         start_report: Vec::new(),
         black_box: None,
         session: SessionView {
+            revision: 0,
             step: Step::Grasp,
             object: "mug-blue".parse().unwrap(),
             scene: "sink".parse().unwrap(),
@@ -536,6 +538,7 @@ prop_compose! {
     ) -> SessionView {
         let [a, b, c] = [counts.0, counts.1, counts.2].map(|n| n as usize);
         SessionView {
+            revision: 0,
             step,
             initial_at: None,
             initial_age_s: age,
@@ -576,6 +579,7 @@ prop_compose! {
         let level = MessageLevel::Warning;
         let report = vec![StartFinding { subject, level, text: text.clone() }];
         EngineStatus {
+            monotonic_ms: 0,
             black_box: None,
             dataset: text.clone(), rig: text.clone(), clock: text,
             disk_free_bytes: disk,

@@ -11,12 +11,15 @@ wander), `refuse` (`overridable`, `final` or null), `saving_s`, `fail`, `mute` (
 
 import argparse
 import asyncio
+import base64
 import contextlib
 import datetime
+import hashlib
 import io
 import math
 import pathlib
 import random
+import re
 import time
 
 import numpy
@@ -24,8 +27,11 @@ from aiohttp import WSMsgType, web
 from PIL import Image
 
 PAGE = pathlib.Path(__file__).resolve().parents[2] / "src/web/page"
+# The page has one inline script.
+INLINE = re.search(r"<script>(.*?)</script>", (PAGE / "index.html").read_text(), re.DOTALL)[1]
+HASH = base64.b64encode(hashlib.sha256(INLINE.encode()).digest()).decode()
 POLICY = (
-    "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' blob: data:; "
+    f"default-src 'none'; script-src 'self' 'sha256-{HASH}'; style-src 'self'; img-src 'self' blob: data:; "
     "connect-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
 )
 IDENTITIES = {
@@ -37,7 +43,7 @@ IDENTITIES = {
 }
 OBJECTS = ["mug", "screwdriver", "bottle", "<b>sponge</b> & co", "a very long name of an object that nobody would want to type"]
 WORDS = {
-    "trigger", "initial", "grasp", "override", "undo", "redo", "stable", "slip", "unlabel",
+    "trigger", "initial", "grasp", "override", "undo", "redo", "stable", "slip", "unlabel", "relabel",
 }  # fmt: skip
 Y, X = numpy.mgrid[0:240, 0:320].astype(numpy.float32)
 
@@ -123,6 +129,8 @@ class Mock:
         self.undos, self.redos = [], []
         self.message = self.refusal = None
         self.saving = False
+        self.revision = int(1000 * time.time())
+        self.answers = {}
         self.trash = {}
         self.grasps = {}
         now = datetime.datetime.now(datetime.timezone.utc)
@@ -203,10 +211,10 @@ class Mock:
         prediction, absent = self.prediction()
         last = self.grasps.get(self.last)
         return {
-            "dataset": "demo", "rig": "virtual", "clock": time.strftime("%H:%M:%S"), "disk_free_bytes": self.control["free"],
+            "monotonic_ms": int(1000 * time.monotonic()), "dataset": "demo", "rig": "virtual", "clock": time.strftime("%H:%M:%S"), "disk_free_bytes": self.control["free"],
             "grasps_left": int((self.control["free"] - 1e9) / 1.3e6) if self.grasps else None, "target_per_object": 20,
             "session": {
-                "step": self.step(), **self.names,
+                "revision": self.revision, "step": self.step(), **self.names,
                 "initial_at": self.pending and stamp(self.pending[1]),
                 "initial_age_s": self.pending and time.monotonic() - self.pending[2],
                 "counts": self.counts(),
@@ -228,6 +236,7 @@ class Mock:
         if self.saving:
             return False, ["a save is under way"]
         word, _, name = text.partition(" ")
+        self.revision += 1
         refused, self.refusal, self.message = self.refusal, None, None
         if word in self.names:
             if not name.strip():
@@ -254,8 +263,9 @@ class Mock:
             self.say(f"{entry[0]} {'undone' if word == 'undo' else 'redone'}")
             await self.tone("undone")
             return True, []
-        outcome = "unlabelled" if word == "unlabel" else word
-        grasp = self.grasps.get(self.last)
+        key, _, outcome = name.partition(" ") if word == "relabel" else (self.last, "", word)
+        outcome = "unlabelled" if outcome == "unlabel" else outcome
+        grasp = self.grasps.get(key)
         if not grasp or grasp["outcome"] == outcome:
             return await self.nothing("no grasp to label yet" if not grasp else f"grasp {grasp['id'][-4:]} is already labelled {outcome}")
         await self.save()
@@ -371,12 +381,22 @@ def error(status, kind, what, remedy=None):
 def routes(mock):
     table = web.RouteTableDef()
 
-    async def answered(done, reasons):
+    def stale(sender):
+        """Why a command no longer fits."""
+        now, reasons = 1000 * time.monotonic(), []
+        age = sender.get("age_ms", 0) + max(0, now - sender.get("sent_at_ms", now))
+        if sender.get("seen", {}).get("revision", mock.revision) != mock.revision:
+            reasons.append("the step was taken already; look at the step and press again")
+        if age > 2000:
+            reasons.append(f"this command is {age / 1000:.0f} s old; the limit is 2.0 s")
+        return reasons
+
+    async def answered(done, reasons, is_stale=False):
         await mock.publish()
         body = {
             True: {"result": "accepted"},
             False: {"result": "refused", "reasons": reasons,
-                    "can_override": bool(mock.refusal and mock.refusal["can_override"])},
+                    "can_override": bool(mock.refusal and mock.refusal["can_override"]), "stale": is_stale},
             None: {"result": "failed", "error": mock.message and mock.message["text"]},
         }[done] | {"state": mock.state()}  # fmt: skip
         return web.json_response(body, status=200 if done else 500 if done is None else 409)
@@ -391,13 +411,23 @@ def routes(mock):
 
     @table.post("/api/commands")
     async def _(request):
-        text = (await request.json())["command"]
+        body = await request.json()
+        text, sender = body["command"], body.get("sender", {})
         if text.split(" ")[0] not in WORDS | set(mock.names):
             return error(400, "usage", f"`{text}` is no command")
-        done, reasons = await mock.carry_out(text)
+        key = sender.get("request_id")
+        if key not in mock.answers:
+            reasons = stale(sender)
+            mock.answers[key] = (False, reasons, True) if reasons else (*await mock.carry_out(text), False)
+        done, reasons, is_stale = mock.answers[key] if key else mock.answers.pop(key)
         if done:
             await mock.stored(mock.last)
-        return await answered(done, reasons)
+        return await answered(done, reasons, is_stale)
+
+    @table.get("/api/commands/{id}")
+    async def _(request):
+        answer = mock.answers.get(request.match_info["id"])
+        return await answered(*answer) if answer else error(404, "not_found", "no command with this request id")
 
     @table.put(r"/api/{field:object|scene|operator}")
     async def _(request):

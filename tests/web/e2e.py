@@ -140,6 +140,61 @@ def free_port():
         return probe.getsockname()[1]
 
 
+class Proxy:
+    """A reverse proxy like nginx: without options `Host` is replaced and a WebSocket is blocked.
+
+    `prefix` is replaced by `/`, as `location PREFIX { proxy_pass http://…/; }` does. While `dead_up` or
+    `dead_down` is true, no byte passes in that direction and all connections stay open, as on a lost
+    Wi-Fi.
+    """
+
+    def __init__(self, port, host=False, upgrade=False, prefix="/"):
+        self.target, self.host, self.upgrade, self.prefix = port, host, upgrade, prefix
+        self.dead_up = self.dead_down = False
+        self.connections = set()
+
+    async def __aenter__(self):
+        self.server = await asyncio.start_server(self.serve, "127.0.0.1", 0)
+        self.url = f"http://127.0.0.1:{self.server.sockets[0].getsockname()[1]}"
+        return self
+
+    async def __aexit__(self, *_):
+        self.server.close()
+        for task in self.connections:
+            task.cancel()
+
+    async def serve(self, reader, writer):
+        self.connections.add(asyncio.current_task())
+        with contextlib.suppress(OSError, EOFError, asyncio.CancelledError):
+            head = (await reader.readuntil(b"\r\n\r\n")).decode("latin-1")
+            line, *headers = head.split("\r\n")[:-2]
+            method, path, version = line.split(" ")
+            if not path.startswith(self.prefix):
+                writer.write(b"HTTP/1.1 404 Not Found\r\nContent-Length: 0\r\nConnection: close\r\n\r\n")
+                return writer.close()
+            switches = self.upgrade and any(each.lower().startswith("upgrade:") for each in headers)
+            own = ["connection"] + ([] if self.host else ["host"]) + ([] if switches else ["upgrade"])
+            headers = [each for each in headers if each.split(":")[0].lower() not in own]
+            headers.append(f"Connection: {'upgrade' if switches else 'close'}")
+            if not self.host:
+                headers.append(f"Host: 127.0.0.1:{self.target}")
+            path = "/" + path[len(self.prefix) :]
+            up_reader, up_writer = await asyncio.open_connection("127.0.0.1", self.target)
+            up_writer.write("\r\n".join([f"{method} {path} {version}", *headers, "", ""]).encode("latin-1"))
+            pumps = (self.pump(reader, up_writer, "dead_up"), self.pump(up_reader, writer, "dead_down"))
+            await asyncio.gather(*pumps)
+        self.connections.discard(asyncio.current_task())
+
+    async def pump(self, reader, writer, dead):
+        with contextlib.suppress(OSError):
+            while data := await reader.read(65536):
+                while getattr(self, dead):
+                    await asyncio.sleep(0.05)
+                writer.write(data)
+                await writer.drain()
+        writer.close()
+
+
 class Driver:
     def __init__(self, browser, server, shots):
         self.browser, self.server, self.shots = browser, server, shots
@@ -162,13 +217,13 @@ class Driver:
         await context.add_init_script(SPY)
         return context
 
-    async def page(self, context, path="/"):
+    async def page(self, context, path="/", url=None):
         page = await context.new_page()
         page.on("pageerror", lambda error: self.noise.append(f"error: {error}"))
         page.on("console", self.listen)
-        if self.server.token and path == "/":
-            path = f"/#token={self.server.token}"
-        await page.goto(f"{self.server.url}{path}", wait_until="domcontentloaded")
+        if self.server.token and "#" not in path:
+            path = f"{path}#token={self.server.token}"
+        await page.goto(f"{url or self.server.url}{path}", wait_until="domcontentloaded")
         if self.server.token is None or "token=" in path:
             await page.locator("#steps .here").wait_for(state="attached")
             await page.locator("body:not(.offline)").wait_for()
@@ -801,6 +856,120 @@ async def cable(d, context):
     await other.context.close()
 
 
+async def first_state(d):
+    """Without its scripts the page is not connected, and its buttons are off."""
+    page = await (await d.context(PHONE, java_script_enabled=False)).new_page()
+    await page.goto(d.server.url)
+    d.check("without scripts: “Not connected”", "Not connected" in await page.locator("#link").inner_text())
+    enabled = await page.locator("#actions button:not([disabled])").count()
+    d.check("without scripts: no button is enabled", enabled == 0, enabled)
+    await d.shot(page, "first-state")
+    await page.context.close()
+
+
+async def proxies(d):
+    """The page behind proxies that replace headers, block the WebSocket or have a path."""
+    port = int(d.server.url.rsplit(":", 1)[1])
+    cases = {
+        "plain proxy": ({}, "/"),
+        "with Host": ({"host": True}, "/"),
+        "with Host and Upgrade": ({"host": True, "upgrade": True}, "/"),
+        "below a path": ({"host": True, "upgrade": True, "prefix": "/rig1/"}, "/rig1/"),
+    }
+    if not d.server.mock:
+        cases["below a path without slash"] = ({"host": True, "upgrade": True, "prefix": "/rig2"}, "/rig2")
+        cases["plain, below a path without slash"] = ({"prefix": "/rig2"}, "/rig2")
+    for name, (settings, path) in cases.items():
+        async with Proxy(port, **settings) as proxy:
+            for size_name, size in (("phone", PHONE), ("desktop", DESKTOP)):
+                what = f"{name}, {size_name}"
+                d.server.call("/api/commands", "POST", {"command": "undo"}) if d.step() != "initial" else None
+                await d.go_to(None, "initial")
+                page = await d.page(await d.context(size), path, proxy.url)
+                banner = await page.locator("#link").inner_text()
+                blocked = not settings.get("upgrade")
+                d.check(f"{what}: {'the blocked WebSocket is named' if blocked else 'no banner'}", ("WebSocket blocked" in banner) == blocked, banner)
+                await true(page, "document.querySelectorAll('#images img').length > 0 && [...document.querySelectorAll('#images img')].every((i) => i.naturalWidth > 0)")
+                d.check(f"{what}: images", True)
+                await d.advance(page, "grasp", page.locator("#trigger").click)
+                await page.locator("#undo:not([aria-disabled])").click()
+                await d.until(f"{what}: undo", lambda: d.step() == "initial")
+                await d.shot(page, f"proxy-{what.replace(' ', '-').replace(',', '')}")
+                await page.context.close()
+
+
+async def dead_line(d):
+    """The line dies between a tap and its answer; all connections stay open."""
+    port = int(d.server.url.rsplit(":", 1)[1])
+    for name, size in (("phone", PHONE), ("desktop", DESKTOP)):
+        await d.go_to(None, "initial")
+        async with Proxy(port, host=True, upgrade=True) as proxy:
+            page = await d.page(await d.context(size), "/", proxy.url)
+            toasts = page.locator("#toasts")
+            await page.locator("#trigger:not([aria-disabled])").wait_for()
+            # The tap does not arrive.
+            proxy.dead_up = proxy.dead_down = True
+            await page.locator("#trigger").click()
+            d.check(f"{name}: the tap is shown at once", await page.locator("#trigger[aria-busy=true]").count() == 1)
+            await page.locator("#trigger[aria-disabled=true]:not([aria-busy])").wait_for(timeout=15000)
+            await page.locator("#toasts >> text=not known whether").wait_for()
+            d.check(f"{name}: no answer is said", True)
+            await d.shot(page, f"dead-line-{name}")
+            await page.locator("#trigger").click(force=True)
+            await page.locator("#toasts >> text=not sent").wait_for()
+            d.check(f"{name}: a tap on the dead line is not sent", True)
+            proxy.dead_up = proxy.dead_down = False
+            await page.locator("body:not(.offline)").wait_for(timeout=20000)
+            await page.locator("#trigger:not([aria-disabled])").wait_for()
+            await asyncio.sleep(1)
+            session = d.server.state()["session"]
+            d.check(f"{name}: the old tap is not carried out", session["step"] == "initial" and session["initial_at"] is None, session)
+            # The tap arrives, its answer does not.
+            for _ in range(30):
+                proxy.dead_down = True
+                await page.locator("#trigger").click()
+                await asyncio.sleep(1)
+                session = d.server.state()["session"]
+                if session["step"] == "grasp":
+                    break
+                proxy.dead_down = False
+                await page.locator("#trigger:not([aria-disabled])").wait_for()
+            d.check(f"{name}: the tap is carried out", session["step"] == "grasp")
+            await page.locator("#toasts >> text=not known whether").wait_for(timeout=15000)
+            proxy.dead_down = False
+            await page.locator("#toasts >> text=carried out; the answer was late").wait_for(timeout=20000)
+            d.check(f"{name}: the result is asked for after the reconnection", d.step() == "grasp")
+            await page.locator("#trigger.grasp").wait_for()
+            d.check(f"{name}: no text about an old tap remains in doubt", "not known" not in await toasts.inner_text())
+            await page.context.close()
+        d.server.call("/api/commands", "POST", {"command": "undo"})
+
+
+async def held_key(d, context):
+    """A key that is held, with and without the browser's mark, is one press."""
+    page = await d.page(context)
+    await d.go_to(page, "initial")
+    sent = []
+    page.on("request", lambda request: sent.append(request.post_data) if request.url.endswith("/api/commands") else None)
+    await page.keyboard.down("u")
+    for _ in range(10):
+        await page.keyboard.down("u")
+    await page.keyboard.up("u")
+    await asyncio.sleep(0.5)
+    # A remote desktop sends pairs of press and release every 30 ms, without a mark.
+    await page.evaluate("""async () => {
+      for (let i = 0; i < 15; i += 1) {
+        for (const type of ["keydown", "keyup"]) document.body.dispatchEvent(new KeyboardEvent(type, { key: "u", bubbles: true }));
+        await new Promise((resolve) => setTimeout(resolve, 30));
+      }
+    }""")
+    await asyncio.sleep(0.5)
+    d.check("a held key is one press", len(sent) == 2, sent)
+    carried = [json.loads(each)["sender"] for each in sent]
+    d.check("a command carries id, age and state", all(each["request_id"] and each["age_ms"] >= 0 and each["sent_at_ms"] > 0 and each["seen"]["revision"] for each in carried), carried)
+    await page.close()
+
+
 async def grasps(d, context):
     """Three grasps by buttons, nothing else."""
     page = await d.page(context)
@@ -905,6 +1074,10 @@ async def run(options):
             "recent": lambda: recent(d, context),
             "lift": lambda: lift(d, context),
             "grasps": lambda: grasps(d, context),
+            "first_state": lambda: first_state(d),
+            "held_key": lambda: held_key(d, context),
+            "proxies": lambda: proxies(d),
+            "dead_line": lambda: dead_line(d),
             "cable": (lambda: cable(d, context)) if server.unplugged else None,
             "troubles": (lambda: troubles(d)) if server.mock else None,
             "restart": (lambda: restart(d, context)) if server.restartable else None,

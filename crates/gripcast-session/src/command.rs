@@ -6,6 +6,7 @@ use std::str::FromStr;
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
+use super::seen::Seen;
 use gripcast_base::error::Error;
 use gripcast_base::files::{Label, ObjectName};
 use gripcast_dataset::{GraspId, NameChange, Outcome};
@@ -47,6 +48,24 @@ pub enum Command {
     Quit,
 }
 
+impl Command {
+    /// Whether the command means the same whatever happened since it was given, because it names
+    /// what it changes.
+    #[must_use]
+    pub fn names_its_target(&self) -> bool {
+        matches!(
+            self,
+            Self::Relabel(..)
+                | Self::Edit(..)
+                | Self::Trash(_)
+                | Self::Restore(_)
+                | Self::Object(_)
+                | Self::Scene(_)
+                | Self::Operator(_)
+        )
+    }
+}
+
 /// Source of a command; stored with each frame.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum CommandSource {
@@ -74,7 +93,7 @@ impl CommandSource {
 }
 
 /// A command with its id and source.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct Request {
     /// Id, repeated in its [result](super::Effect::Result).
     pub id: u64,
@@ -82,6 +101,27 @@ pub struct Request {
     pub command: Command,
     /// Its source.
     pub source: CommandSource,
+    /// Time since the operator gave it, ms.
+    pub age_ms: f64,
+    /// What its sender saw.
+    pub seen: Seen,
+    /// Current time, `CLOCK_MONOTONIC`, ns.
+    pub now_ns: u64,
+}
+
+impl Request {
+    /// Creates a request that was given just now, without expectations.
+    #[must_use]
+    pub fn new(id: u64, command: Command, source: CommandSource) -> Self {
+        Self {
+            id,
+            command,
+            source,
+            age_ms: 0.0,
+            seen: Seen::default(),
+            now_ns: 0,
+        }
+    }
 }
 
 /// Result of a command.
@@ -90,12 +130,15 @@ pub struct Request {
 pub enum CommandResult {
     /// Executed; its changes are durable.
     Accepted,
-    /// Refused by guards, or because there was nothing to do.
+    /// Refused by guards, because there was nothing to do, or because the command no longer fits.
     Refused {
         /// One reason per guard violation.
         reasons: Vec<String>,
         /// Whether `override` is possible.
         can_override: bool,
+        /// Whether the command no longer fitted: too old, or its sender saw another state.
+        #[serde(default)]
+        stale: bool,
     },
     /// Storing failed; nothing changed.
     Failed {

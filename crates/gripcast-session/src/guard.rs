@@ -24,6 +24,11 @@ pub struct GuardLimits {
     pub min_free_bytes: u64,
     /// Age of an initial frame at which the screen suggests retaking it, s.
     pub initial_warn_age_s: f64,
+    /// Maximum age of a command, ms: from the key press or tap until it is carried out.
+    pub max_command_age_ms: f64,
+    /// Maximum age of a command that names what it changes, ms: a label, name or trash command with
+    /// its grasp or name.
+    pub max_named_command_age_ms: f64,
 }
 
 impl Default for GuardLimits {
@@ -34,6 +39,8 @@ impl Default for GuardLimits {
             min_contact_fraction: MIN_CONTACT_FRACTION,
             min_free_bytes: 1_000_000_000,
             initial_warn_age_s: 300.0,
+            max_command_age_ms: 2_000.0,
+            max_named_command_age_ms: 30_000.0,
         }
     }
 }

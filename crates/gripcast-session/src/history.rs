@@ -53,6 +53,24 @@ impl HistoryStep {
         }
     }
 
+    /// What happened when the step was done.
+    pub(crate) fn describe_done(&self) -> String {
+        match self {
+            Self::Initial { .. } => "the initial frame was saved".into(),
+            Self::Grasp { last, .. } => format!("grasp {} was saved", last.id.short()),
+            Self::Label { id, after, .. } => {
+                format!("grasp {} was labelled {after}", id.short())
+            }
+            Self::Names { id, after, .. } => format!("grasp {} got {after}", id.short()),
+            Self::Trash { grasp, .. } => {
+                format!("grasp {} was moved to the trash", grasp.id.short())
+            }
+            Self::Restore(grasp) => {
+                format!("grasp {} was restored from the trash", grasp.id.short())
+            }
+        }
+    }
+
     /// Request that undoes the step.
     fn undo_request(&self) -> StoreRequest {
         match self {

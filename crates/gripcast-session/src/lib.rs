@@ -11,6 +11,9 @@
 //! [`Command::Override`] repeats the trigger and records the overridden guards. The engine executes
 //! [`Effect`]s, one [`StoreRequest`] at a time, and replies with [`StoreReply`]; nothing counts as
 //! saved before the reply. The last effect of a command is its [`CommandResult`].
+//!
+//! A command carries its age and what its sender saw ([`Seen`]); one that no longer fits is refused
+//! and changes nothing.
 
 mod command;
 mod guard;
@@ -20,6 +23,9 @@ mod machine;
 mod machine_test;
 mod names;
 mod pending;
+mod seen;
+#[cfg(test)]
+mod seen_test;
 mod store;
 mod view;
 
@@ -27,5 +33,6 @@ pub use command::{Command, CommandResult, CommandSource, ParseCommandError, Requ
 pub use guard::{CameraCondition, Conditions, Guard, GuardLimits, GuardViolation};
 pub use machine::{Effect, OutcomeCounts, Session, Summary};
 pub use pending::PendingFrame;
+pub use seen::Seen;
 pub use store::{Labels, StoreReply, StoreRequest};
 pub use view::{Counts, LastGrasp, Message, MessageLevel, Refusal, SessionView, Step, Tone};

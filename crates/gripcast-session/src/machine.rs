@@ -9,6 +9,7 @@ use super::command::{Command, CommandResult, Request};
 use super::guard::{self, Conditions, Guard, GuardLimits, GuardViolation};
 use super::history::HistoryStep;
 use super::pending::PendingFrame;
+use super::seen::{Change, CurrentCommand};
 use super::store::{Labels, StoreReply, StoreRequest};
 use super::view::{Counts, LastGrasp, Message, MessageLevel, Refusal, SessionView, Step, Tone};
 use gripcast_base::files::ObjectName;
@@ -58,7 +59,7 @@ pub(crate) enum InFlight {
 /// The collection session; see the crate documentation.
 #[derive(Debug)]
 pub struct Session {
-    limits: GuardLimits,
+    pub(crate) limits: GuardLimits,
     labels: Labels,
     counts: OutcomeCounts,
     pub(crate) pending: Option<PendingFrame>,
@@ -66,8 +67,10 @@ pub struct Session {
     pub(crate) undo: Vec<HistoryStep>,
     pub(crate) redo: Vec<HistoryStep>,
     in_flight: Option<InFlight>,
-    /// Id and preliminary result of the newest command.
-    command: (u64, CommandResult),
+    pub(crate) current: CurrentCommand,
+    /// Number of the state.
+    pub(crate) revision: u64,
+    pub(crate) changed: Option<Change>,
     /// The refused trigger with its guard violations.
     refused: Option<(Stage, Vec<GuardViolation>)>,
     message: Option<Message>,
@@ -122,7 +125,9 @@ impl Session {
             undo: Vec::new(),
             redo: Vec::new(),
             in_flight: None,
-            command: (0, CommandResult::Accepted),
+            current: CurrentCommand::none(),
+            revision: 0,
+            changed: None,
             refused: None,
             message,
             summary: Summary::default(),
@@ -198,8 +203,11 @@ impl Session {
     /// Handles a command; `now` are the camera conditions, for a [trigger](Self::is_trigger). Must
     /// not be called while [`Session::is_storing`].
     pub fn handle(&mut self, request: Request, now: Option<&Conditions>) -> Vec<Effect> {
-        self.command = (request.id, CommandResult::Accepted);
+        if let Some(effects) = self.refuse_if_stale(&request) {
+            return effects;
+        }
         let refused = self.refused.take();
+        self.current = CurrentCommand::new(&request, refused.is_some());
         self.message = None;
         let effects = match request.command {
             Command::Override => match refused {
@@ -264,7 +272,8 @@ impl Session {
     /// Adds the command's result unless a store request is in progress.
     fn with_result(&mut self, mut effects: Vec<Effect>) -> Vec<Effect> {
         if !self.is_storing() {
-            let (id, result) = self.command.clone();
+            self.note_change();
+            let (id, result) = (self.current.id, self.current.result.clone());
             effects.push(Effect::Result { id, result });
         }
         effects
@@ -291,6 +300,7 @@ impl Session {
             });
         }
         SessionView {
+            revision: self.revision,
             step: self.step(),
             object: self.labels.object.clone(),
             scene: self.labels.scene.clone(),
@@ -346,9 +356,10 @@ impl Session {
     }
 
     fn refuse(&mut self, reasons: Vec<String>, can_override: bool) -> Vec<Effect> {
-        self.command.1 = CommandResult::Refused {
+        self.current.result = CommandResult::Refused {
             reasons,
             can_override,
+            stale: false,
         };
         vec![Effect::Tone(Tone::Refused)]
     }
@@ -474,17 +485,18 @@ impl Session {
     }
 
     fn label(&mut self, outcome: Outcome) -> Vec<Effect> {
-        let Some(last) = &self.last else {
-            return self.refuse_with("no grasp to label yet");
-        };
-        if last.outcome == outcome {
-            let text = format!("grasp {} is already labelled {outcome}", last.id.short());
-            return self.refuse_with(&text);
+        match &self.last {
+            Some(last) => self.set_outcome(last.id.clone(), outcome),
+            None => self.refuse_with("no grasp to label yet"),
         }
-        self.set_outcome(last.id.clone(), outcome)
     }
 
     fn set_outcome(&mut self, id: GraspId, outcome: Outcome) -> Vec<Effect> {
+        let newest = self.last.as_ref().filter(|last| last.id == id);
+        if newest.is_some_and(|newest| newest.outcome == outcome) {
+            let text = format!("grasp {} is already labelled {outcome}", id.short());
+            return self.refuse_with(&text);
+        }
         self.store(
             InFlight::Label(outcome),
             StoreRequest::SetOutcome { id, outcome },
@@ -590,7 +602,7 @@ impl Session {
         };
         let error = format!("{what}: {message}");
         self.set_message(MessageLevel::Error, error.as_str());
-        self.command.1 = CommandResult::Failed { error };
+        self.current.result = CommandResult::Failed { error };
         vec![self.use_initial(), Effect::Tone(Tone::Fault)]
     }
 }

@@ -11,7 +11,7 @@ use gripcast_imaging::{GelChange, GelProblem, Role};
 
 /// A dataset in memory that refuses the same requests as a real one.
 #[derive(Clone, Debug, Default, PartialEq)]
-struct Store {
+pub(crate) struct Store {
     next: u32,
     pending: BTreeMap<String, ()>,
     grasps: BTreeMap<String, (ObjectName, Outcome)>,
@@ -182,7 +182,7 @@ fn change(contact_fraction: f64, illumination_levels: f64) -> GelChange {
     }
 }
 
-fn good() -> Conditions {
+pub(crate) fn good() -> Conditions {
     let camera = |role| CameraCondition {
         role,
         age_ms: Some(20.0),
@@ -200,7 +200,7 @@ fn good() -> Conditions {
     }
 }
 
-fn session() -> Session {
+pub(crate) fn session() -> Session {
     let labels = Labels {
         object: "mug".parse().unwrap(),
         ..Labels::default()
@@ -209,18 +209,14 @@ fn session() -> Session {
 }
 
 /// Handles a command like the engine: only triggers get camera conditions.
-fn handle(session: &mut Session, command: Command, now: &Conditions) -> Vec<Effect> {
+pub(crate) fn handle(session: &mut Session, command: Command, now: &Conditions) -> Vec<Effect> {
     let now = session.is_trigger(&command).then_some(now);
-    let request = Request {
-        id: 7,
-        command,
-        source: CommandSource::Keyboard,
-    };
+    let request = Request::new(7, command, CommandSource::Keyboard);
     session.handle(request, now)
 }
 
 /// Result in the effects.
-fn result(effects: &[Effect]) -> &CommandResult {
+pub(crate) fn result(effects: &[Effect]) -> &CommandResult {
     let Some(Effect::Result { id: 7, result }) = effects.last() else {
         panic!("{effects:?}");
     };
@@ -233,7 +229,12 @@ fn is_refused(effects: &[Effect]) -> bool {
 }
 
 /// Handles a command and executes its effects.
-fn play(session: &mut Session, store: &mut Store, command: Command, now: &Conditions) -> Vec<Tone> {
+pub(crate) fn play(
+    session: &mut Session,
+    store: &mut Store,
+    command: Command,
+    now: &Conditions,
+) -> Vec<Tone> {
     let mut effects = handle(session, command, now);
     let mut tones = Vec::new();
     let mut results = 0;
@@ -400,11 +401,7 @@ fn only_triggers_need_camera_conditions() {
 #[test]
 fn trigger_without_camera_conditions_is_refused() {
     let mut session = session();
-    let request = Request {
-        id: 7,
-        command: Command::Initial,
-        source: CommandSource::Script,
-    };
+    let request = Request::new(7, Command::Initial, CommandSource::Script);
     assert!(is_refused(&session.handle(request, None)));
     assert!(!session.is_storing());
 }

@@ -114,6 +114,9 @@ impl From<GraspRecord> for LastGrasp {
 /// Complete state of the session for a screen.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct SessionView {
+    /// Number of the state: increases with every change of the session, and across restarts. A
+    /// command carries the one that its sender saw.
+    pub revision: u64,
     /// Next step.
     pub step: Step,
     /// Current object.

@@ -10,6 +10,7 @@ use crate::daemon::command_request::CommandRequest;
 use crate::daemon::report::{EndReason, GraspReport};
 use crate::daemon::store::{StoreJob, StoreMessage};
 use gripcast_base::error::Result;
+use gripcast_capture::camera::monotonic_ns;
 use gripcast_session::{
     Command, CommandResult, CommandSource, Effect, LastGrasp, Request, Step, StoreReply,
     StoreRequest,
@@ -23,7 +24,7 @@ pub(super) struct Pending {
     source: CommandSource,
     /// Where the result goes.
     response: Option<oneshot::Sender<CommandResult>>,
-    /// Whether it labels the newest grasp.
+    /// Whether it labels a grasp.
     is_label: bool,
     /// Frames of a trigger, until they are saved.
     trigger: Option<Trigger>,
@@ -33,16 +34,22 @@ pub(super) struct Pending {
 
 impl Engine {
     pub(super) fn handle(&mut self, request: CommandRequest) -> Result<()> {
+        let now_ns = monotonic_ns();
+        let age_ms = request.age_ms(now_ns);
         let CommandRequest {
             command,
             source,
+            given_ns: _,
+            seen,
             response,
         } = request;
         self.last_command += 1;
         let id = self.last_command;
         self.log(
             "command",
-            &serde_json::json!({"id": id, "command": command.to_string(), "source": source.name()}),
+            &serde_json::json!({
+                "id": id, "command": command.to_string(), "source": source.name(), "age_ms": age_ms,
+            }),
         );
         let trigger = self
             .session
@@ -53,14 +60,15 @@ impl Engine {
             id,
             source,
             response,
-            is_label: matches!(command, Command::Label(_)),
+            is_label: matches!(command, Command::Label(_) | Command::Relabel(..)),
             trigger,
             request: None,
         });
         let request = Request {
-            id,
-            command,
-            source,
+            age_ms,
+            seen,
+            now_ns,
+            ..Request::new(id, command, source)
         };
         let effects = self.session.handle(request, now.as_ref());
         self.apply(effects)
@@ -187,6 +195,9 @@ impl Engine {
 
     /// Sends the result of a command to its requester.
     fn respond(&mut self, id: u64, result: CommandResult) {
+        if result != CommandResult::Accepted {
+            self.log("result", &serde_json::json!({"id": id, "result": result}));
+        }
         let pending = self.pending.take_if(|pending| pending.id == id);
         let Some(response) = pending.and_then(|pending| pending.response) else {
             return;

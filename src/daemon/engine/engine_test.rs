@@ -151,6 +151,21 @@ impl Bench {
         assert!(shown.is_ok());
     }
 
+    /// A key that waited since the machine started, for example for a slow disk.
+    async fn refused_as_late(&self, command: Command) {
+        let (request, response) = CommandRequest::with_response(command, CommandSource::Keyboard);
+        let late = CommandRequest {
+            given_ns: 0,
+            ..request
+        };
+        self.commands.send(late).await.unwrap();
+        let result = response.await.unwrap();
+        let is_stale = matches!(result, CommandResult::Refused { stale: true, .. });
+        assert!(is_stale, "{result:?}");
+        let message = self.status.borrow().session.message.clone().unwrap();
+        assert!(message.text.contains("NOT carried out"), "{message:?}");
+    }
+
     async fn accepted(&self, command: Command) {
         let (request, response) = CommandRequest::with_response(command, CommandSource::Script);
         self.commands.send(request).await.unwrap();
@@ -190,6 +205,7 @@ async fn engine_saves_and_predicts_with_yuyv_cameras() {
             status.cameras.len() == 2 && status.cameras.iter().all(live)
         };
         bench.take_frames(false, are_live).await;
+        bench.refused_as_late(Command::Initial).await;
         bench.accepted(Command::Initial).await;
         let is_in_contact = |status: &EngineStatus| {
             status.contact.len() == 2 && status.contact.values().all(|levels| *levels > 10.0)

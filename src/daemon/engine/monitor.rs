@@ -109,6 +109,7 @@ impl Engine {
         EngineStatus {
             dataset: self.dataset_name.clone(),
             rig: self.rig.id.clone(),
+            monotonic_ms: now_ns / 1_000_000,
             clock: jiff::Zoned::now().strftime("%H:%M:%S").to_string(),
             disk_free_bytes: self.disk_free_bytes,
             grasps_left: self.grasps_left(),

@@ -41,7 +41,8 @@ impl Engine {
         let dataset_name = writer.descriptor().name.clone();
         let resumed = opened.pending.as_ref().map(resumed);
         let counts = writer.counts().by_object.clone();
-        let session = Session::new(setup.guards.clone(), setup.labels, counts, resumed);
+        let session = Session::new(setup.guards.clone(), setup.labels, counts, resumed)
+            .with_revision(first_revision());
 
         let black_box = setup
             .black_box
@@ -132,6 +133,11 @@ fn newest_source(dataset: &Path, provenance: &Provenance) -> Option<SourceKind> 
     let key = provenance.calibration.as_ref()?;
     let text = Dataset::open(dataset).ok()?.calibration(key).ok()?;
     stored_source(&text)
+}
+
+/// First revision of a session: the wall clock, ms, so that revisions increase across restarts.
+fn first_revision() -> u64 {
+    u64::try_from(Timestamp::now().as_millisecond()).unwrap_or_default()
 }
 
 /// Converts a pending initial frame of an earlier run.

@@ -1,15 +1,36 @@
-/** Requests to the server. @import {CommandResponse} from "./types.js" */
+/** Requests to the server. @import {CommandResponse, Seen} from "./types.js" */
+import { newId, sender } from "./sender.js";
 
 /** Timeout of a request; a save may wait for a slow disk, ms. */
 const TIMEOUT_MS = 30000;
 
 /** Error response of the server. */
 export class ApiError extends Error {
-  /** @param {number} status 0 without a response @param {string} what @param {string|null} remedy */
+  /** @param {number} status 0 without a response, -1 if nothing was sent @param {string} what @param {string|null} remedy */
   constructor(status, what, remedy = null) {
     super(remedy ? `${what}: ${remedy}` : what);
     this.status = status;
   }
+
+  /** Whether the change may have been made: it was sent, and gripcast did not refuse it. */
+  get isUncertain() {
+    return this.status === 0 || this.status >= 500;
+  }
+}
+
+/** Why no change can be sent; null while connected. @type {() => string|null} */
+let offline = () => "not connected";
+/** Changes without an answer yet. @type {Set<AbortController>} */
+const unanswered = new Set();
+
+/** @param {() => string|null} reason why no change can be sent; null while connected */
+export function watchConnection(reason) {
+  offline = reason;
+}
+
+/** Gives up the changes without an answer: the connection is lost. */
+export function abandonChanges() {
+  for (const request of unanswered) request.abort();
 }
 
 /** Absolute URL of a path relative to the page, which may have a prefix. @param {string} path */
@@ -17,19 +38,22 @@ export function address(path) {
   return new URL(path, document.baseURI).href;
 }
 
-/** @param {string} method @param {string} path @param {object} [body] @param {number} [timeout_ms] */
-async function send(method, path, body, timeout_ms = TIMEOUT_MS) {
+/** @param {string} method @param {string} path @param {object} [body] @param {number} [timeout_ms] @param {AbortController} [request] */
+async function send(method, path, body, timeout_ms = TIMEOUT_MS, request = new AbortController()) {
+  const timer = setTimeout(() => request.abort(), timeout_ms);
   try {
     const response = await fetch(address(path), {
       method,
       cache: "no-store",
-      signal: AbortSignal.timeout(timeout_ms),
+      signal: request.signal,
       headers: body ? { "Content-Type": "application/json" } : {},
       body: body && JSON.stringify(body),
     });
     return { response, answer: await response.json().catch(() => null) };
   } catch {
-    throw new ApiError(0, "no response from gripcast");
+    throw new ApiError(0, "no answer from gripcast");
+  } finally {
+    clearTimeout(timer);
   }
 }
 
@@ -54,14 +78,40 @@ export async function version() {
 }
 
 /**
- * Request for a change. A refusal is a valid response, not an error.
+ * Request for a change. A refusal is a valid response, not an error. Without a connection nothing is
+ * sent: a request on a dead line would arrive later.
  * @param {string} method @param {string} path @param {object} [body]
+ * @param {{id?: string, pressedAt?: number, seen?: Seen}} [press] defaults: a new id, now, nothing
  * @returns {Promise<CommandResponse>}
  */
-export async function change(method, path, body) {
-  const { response, answer } = await send(method, path, body);
-  if (typeof answer?.result === "string") return answer;
-  throw errorOf(response, answer);
+export async function change(method, path, body, press = {}) {
+  const reason = offline();
+  if (reason) throw new ApiError(-1, `not sent: ${reason}`);
+  const { id = newId(), pressedAt = performance.now(), seen = {} } = press;
+  const request = new AbortController();
+  unanswered.add(request);
+  try {
+    const whole = { ...body, sender: sender(id, pressedAt, seen) };
+    const { response, answer } = await send(method, path, whole, TIMEOUT_MS, request);
+    if (typeof answer?.result === "string") return answer;
+    throw errorOf(response, answer);
+  } catch (error) {
+    const failure = /** @type {ApiError} */ (error);
+    if (failure.isUncertain) failure.message += ": not known whether it was carried out";
+    throw failure;
+  } finally {
+    unanswered.delete(request);
+  }
+}
+
+/**
+ * Result of a command whose answer did not arrive; null if the server does not know it.
+ * @param {string} id
+ * @returns {Promise<CommandResponse|null>}
+ */
+export async function resultOf(id) {
+  const { answer } = await send("GET", `api/commands/${id}`);
+  return typeof answer?.result === "string" ? answer : null;
 }
 
 /** Reason why a command was not executed, in one line. @param {CommandResponse} answer */

@@ -3,8 +3,8 @@
  *
  * @import {State} from "./types.js"
  */
-import { drawActions, startActions } from "./actions.js";
-import { version } from "./api.js";
+import { askLost, drawActions, startActions } from "./actions.js";
+import { abandonChanges, version, watchConnection } from "./api.js";
 import { drawCameras } from "./cameras.js";
 import { startDetail, openDetail } from "./detail.js";
 import { byId, say } from "./dom.js";
@@ -16,23 +16,25 @@ import { Link } from "./link.js";
 import { askToken, drawLogout, loginFromAddress, startLogin, startLogout } from "./login.js";
 import { Images } from "./images.js";
 import { drawRecent, goLive, startRecent } from "./recent.js";
+import { forgetClock, noteClock } from "./sender.js";
 import { play, startSound } from "./sound.js";
 
-/** Age of the state after which its prediction is hidden, ms. */
+/** Age of the state after which its prediction is hidden and no command is sent, ms. */
 const STATE_TIMEOUT_MS = 1500;
 
 /** @type {State|null} */
 let state = null;
 let receivedAt = 0;
 /** Reason why the server is not connected; null while it is. @type {string|null} */
-let offline = "connecting …";
+let offline = "not connected";
+let wasLinked = false;
 /** Version of the server that this page belongs to. @type {string|null} */
 let loadedVersion = null;
 const images = new Images();
 const reader = new Reader();
 
 function draw() {
-  drawActions(state?.session ?? null, offline === null);
+  drawActions(state?.session ?? null, staleReason());
   if (!state) return;
   drawSteps(state.session);
   reader.note(state.session, drawGauge(state, staleReason()));
@@ -55,33 +57,43 @@ function linkBanner(text) {
   say(box, text);
 }
 
+/** @param {State} now */
+function received(now) {
+  // The state of an answer may overtake an older one of the event connection.
+  if (offline === null && state && now.monotonic_ms < state.monotonic_ms) return;
+  noteClock(now);
+  state = now;
+  receivedAt = performance.now();
+  draw();
+}
+
 const link = new Link({
-  state(now) {
-    state = now;
-    receivedAt = performance.now();
-    draw();
-  },
+  state: received,
   tone: play,
   stored: galleryChanged,
-  linked() {
+  linked(hasEvents) {
     offline = null;
+    wasLinked = true;
     document.body.classList.remove("offline", "locked");
     byId("login").hidden = true;
-    linkBanner("");
+    linkBanner(
+      hasEvents
+        ? ""
+        : "WebSocket blocked: the state is fetched every 0.4 s, without tones. A proxy must pass the headers Upgrade and Connection.",
+    );
     draw();
     view();
     galleryChanged();
+    askLost();
     reloadAfterUpdate();
     drawLogout();
   },
-  lost(isShutdown) {
-    offline = isShutdown ? "gripcast has stopped" : "connection lost";
+  lost(isShutdown, reason) {
+    offline = isShutdown ? "gripcast has stopped" : wasLinked ? "connection lost" : "not connected";
     document.body.classList.add("offline");
-    linkBanner(
-      isShutdown
-        ? "gripcast has stopped. All saved grasps are safe. This page reconnects when gripcast is restarted."
-        : "Connection lost; all saved grasps are safe. Reconnecting …",
-    );
+    linkBanner(lostWords(isShutdown, reason));
+    forgetClock();
+    abandonChanges();
     images.stop();
     draw();
   },
@@ -93,6 +105,14 @@ const link = new Link({
     askToken();
   },
 });
+
+/** @param {boolean} isShutdown @param {string|null} reason why the server refuses this page */
+function lostWords(isShutdown, reason) {
+  if (reason) return `Not connected: ${reason}`;
+  if (isShutdown) return "gripcast has stopped. All saved grasps are safe. This page reconnects when gripcast is restarted.";
+  if (wasLinked) return "Connection lost; all saved grasps are safe. Reconnecting …";
+  return "Not connected: gripcast does not respond. Trying again …";
+}
 
 /** Reloads the page after an update of gripcast. */
 async function reloadAfterUpdate() {
@@ -133,7 +153,8 @@ async function stayAwake() {
   }
 }
 
-startActions();
+watchConnection(staleReason);
+startActions(received);
 startDetail();
 startGallery();
 startKeys();
@@ -153,7 +174,12 @@ document.addEventListener("visibilitychange", () => {
   view();
   stayAwake();
 });
-setInterval(() => state && drawGauge(state, staleReason()), 1000);
+// Without new states the prediction and the buttons go.
+setInterval(() => {
+  if (!state) return;
+  drawGauge(state, staleReason());
+  drawActions(state.session, staleReason());
+}, 500);
 stayAwake();
 await loginFromAddress();
 view();

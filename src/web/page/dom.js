@@ -65,6 +65,7 @@ export function refill(node, key, children) {
  * Shows a temporary message at the bottom of the page.
  * @param {string} text
  * @param {"info"|"error"} [level]
+ * @returns {HTMLElement}
  */
 export function toast(text, level = "info") {
   const box = byId("toasts");
@@ -74,6 +75,7 @@ export function toast(text, level = "info") {
   box.append(line);
   while (box.children.length > 3) box.firstElementChild.remove();
   setTimeout(() => line.remove(), level === "error" ? 15000 : 6000);
+  return line;
 }
 
 /** Opens or closes a dialog. @param {HTMLDialogElement} dialog */

@@ -41,6 +41,19 @@ const PANELS = {
   escape: minimiseFaults,
 };
 
+/** Maximum interval of the presses that a held key, or a bouncing pedal, makes, ms. */
+const REPEAT_MS = 150;
+
+/** Time of the newest press by key. @type {Map<string, number>} */
+const pressedAt = new Map();
+
+/** Whether a press is the repetition of a held key; remote desktops do not mark it. @param {string} key @param {KeyboardEvent} event */
+function isRepeat(key, event) {
+  const before = pressedAt.get(key);
+  pressedAt.set(key, event.timeStamp);
+  return event.repeat || (before !== undefined && event.timeStamp - before < REPEAT_MS);
+}
+
 /** @param {KeyboardEvent} event */
 function press(event) {
   if (event.ctrlKey || event.altKey || event.metaKey || event.isComposing || event.defaultPrevented) return;
@@ -56,8 +69,8 @@ function press(event) {
   if (!text && !panel) return;
   if (key !== "escape") event.preventDefault();
   // A key that is held down sends one command.
-  if (event.repeat) return;
-  if (text) command(text);
+  if (isRepeat(key, event)) return;
+  if (text) command(text, event.timeStamp);
   else panel();
 }
 

@@ -1,5 +1,6 @@
 /**
- * Connection to the server: the state, then events; reconnects when the connection is lost.
+ * Connection to the server: the state, then events; reconnects when the connection is lost. Where a
+ * proxy blocks WebSockets, the state is fetched repeatedly instead.
  *
  * @import {Event, State, Tone} from "./types.js"
  */
@@ -9,14 +10,22 @@ import { address, ApiError, get } from "./api.js";
 const SILENCE_MS = 6000;
 const FIRST_DELAY_MS = 400;
 const MAX_DELAY_MS = 8000;
+/** Interval of fetched states, ms. */
+const POLL_MS = 400;
+/** Timeout of a fetched state, ms. */
+const POLL_TIMEOUT_MS = 3000;
+/** Interval of attempts to open events while states are fetched, ms. */
+const EVENTS_RETRY_MS = 30000;
 
 /**
  * @typedef {object} Listener
  * @property {(state: State) => void} state
  * @property {(tone: Tone) => void} tone
  * @property {() => void} stored
- * @property {() => void} linked called once the state has arrived and events are open
- * @property {(isShutdown: boolean) => void} lost `isShutdown`: the daemon announced its shutdown
+ * @property {(hasEvents: boolean) => void} linked called once the state has arrived; without events
+ *   states are fetched, and there are no tones
+ * @property {(isShutdown: boolean, reason: string|null) => void} lost `isShutdown`: the daemon
+ *   announced its shutdown; `reason`: why it refuses this page
  * @property {() => void} locked called if a token is required; call `start` again after the login
  */
 
@@ -31,13 +40,16 @@ export class Link {
     this.timer = 0;
     this.silence = 0;
     this.trying = false;
+    /** Number of the polling in progress; 0 for none. */
+    this.polling = 0;
+    this.polls = 0;
     addEventListener("online", () => this.hurry());
     document.addEventListener("visibilitychange", () => this.hurry());
   }
 
-  /** Whether the event connection is open. */
+  /** Whether states arrive. */
   get up() {
-    return this.socket?.readyState === WebSocket.OPEN;
+    return this.polling > 0 || this.socket?.readyState === WebSocket.OPEN;
   }
 
   async start() {
@@ -46,15 +58,53 @@ export class Link {
     this.trying = true;
     try {
       this.listener.state(await get("api/state", 5000));
-      await this.open();
+      const hasEvents = await this.open().then(
+        () => true,
+        () => false,
+      );
+      // Not a lost connection: the state still comes.
+      if (!hasEvents) this.listener.state(await get("api/state", 5000));
       this.failures = 0;
       this.isShutdown = false;
-      this.listener.linked();
+      if (!hasEvents) this.poll();
+      this.listener.linked(hasEvents);
     } catch (error) {
-      if (error instanceof ApiError && error.status === 401) this.listener.locked();
-      else this.retry();
+      const { status, message } = /** @type {ApiError} */ (error);
+      if (error instanceof ApiError && status === 401) this.listener.locked();
+      else this.retry(error instanceof ApiError && status > 0 ? message : null);
     } finally {
       this.trying = false;
+    }
+  }
+
+  /** Fetches states until one does not come, or events can be opened. */
+  async poll() {
+    this.polls += 1;
+    const round = this.polls;
+    this.polling = round;
+    let revision = -1;
+    let retryAt = performance.now() + EVENTS_RETRY_MS;
+    while (this.polling === round) {
+      await new Promise((resolve) => setTimeout(resolve, POLL_MS));
+      try {
+        const state = await get("api/state", POLL_TIMEOUT_MS);
+        this.listener.state(state);
+        if (revision >= 0 && state.session.revision !== revision) this.listener.stored();
+        revision = state.session.revision;
+      } catch {
+        this.polling = 0;
+        this.retry(null);
+        return;
+      }
+      if (performance.now() < retryAt) continue;
+      retryAt = performance.now() + EVENTS_RETRY_MS;
+      this.open().then(
+        () => {
+          this.polling = 0;
+          this.listener.linked(true);
+        },
+        () => {},
+      );
     }
   }
 
@@ -101,12 +151,13 @@ export class Link {
     clearTimeout(this.silence);
     this.socket = null;
     socket.close();
-    if (!this.trying) this.retry();
+    if (!this.trying && !this.polling) this.retry(null);
   }
 
-  retry() {
+  /** @param {string|null} reason */
+  retry(reason) {
     this.socket = null;
-    this.listener.lost(this.isShutdown);
+    this.listener.lost(this.isShutdown, reason);
     const delay = Math.min(FIRST_DELAY_MS * 2 ** this.failures, MAX_DELAY_MS);
     this.failures += 1;
     clearTimeout(this.timer);

@@ -34,6 +34,7 @@
  * @property {boolean} can_override
  *
  * @typedef {object} Session
+ * @property {number} revision number of the state
  * @property {Step} step
  * @property {string} object
  * @property {string} scene
@@ -74,7 +75,14 @@
  * @property {string[]} messages a sentence with remedy for each problem
  * @property {"unchanged"|"contact"|"illumination"|"other_gel"|null} change
  *
+ * @typedef {object} Seen what the operator saw; a command is refused where it differs
+ * @property {number} [revision]
+ * @property {Outcome} [outcome] of the newest grasp
+ * @property {string} [undo]
+ * @property {string} [redo]
+ *
  * @typedef {object} State
+ * @property {number} monotonic_ms clock of the server
  * @property {string} dataset
  * @property {string} rig
  * @property {string} clock
@@ -93,6 +101,7 @@
  * @property {"accepted"|"refused"|"failed"} result
  * @property {string[]} [reasons] of a refusal
  * @property {boolean} [can_override]
+ * @property {boolean} [stale] the command no longer fitted
  * @property {string} [error] of a failure
  * @property {State} state
  *

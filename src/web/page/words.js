@@ -38,6 +38,12 @@ export const STEPS = {
   },
 };
 
+/** Word on the button of a command. @param {string} text @param {Session} session */
+export function commandName(text, session) {
+  const words = { trigger: STEPS[session.step].trigger, initial: "Initial again" };
+  return words[/** @type {"trigger"} */ (text)] ?? text.charAt(0).toUpperCase() + text.slice(1);
+}
+
 export const OUTCOMES = { stable: "STABLE", slip: "SLIP", unlabelled: "not labelled" };
 
 const PARTS = {
