@@ -46,7 +46,7 @@ const MEASURABLE: std::ops::RangeInclusive<f32> = 8.0..=245.0;
 pub enum GelProblem {
     /// The image is black.
     Black,
-    /// One lamp is dead: its colour is missing.
+    /// One lamp is dead: its colour is missing (`lamp_dead`).
     LampDead,
     /// Much of the image is clipped.
     Saturated,
