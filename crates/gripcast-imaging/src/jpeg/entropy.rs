@@ -153,9 +153,9 @@ fn interval(bits: &mut Bits<'_>, components: &[Component], units: u32) -> Option
 fn block(bits: &mut Bits<'_>, component: &Component, prediction: &mut i64) -> Option<()> {
     let is_possible =
         |value: i64, at: usize| (value * component.quantisation[at]).abs() <= MAX_COEFFICIENT;
-    let size = component.dc.next(bits)?;
+    let size = component.dc.next(bits).filter(|size| *size <= 11)?;
     *prediction += bits.value(size)?;
-    if size > 11 || !is_possible(*prediction, 0) {
+    if !is_possible(*prediction, 0) {
         return None;
     }
     let mut at = 1;
