@@ -47,7 +47,8 @@ pub(super) struct SelectionFlags {
     ]))]
     group_by: GroupKey,
     /// Maximum simulations of a category per split, as a multiple of the mean; 0 disables the cap
-    #[arg(long, value_name = "FACTOR", default_value_t = 2.0, value_parser = number(NumberRange::NOT_NEGATIVE))]
+    #[arg(long, value_name = "FACTOR", default_value_t = 2.0,
+        value_parser = number(NumberRange::NOT_NEGATIVE))]
     category_cap: f64,
     /// Do not balance the labels
     #[arg(long)]

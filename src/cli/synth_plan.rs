@@ -92,10 +92,12 @@ struct Rendering {
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=4096))]
     spp: Option<u32>,
     /// Randomisation of the tactile sensors: 0 = shipped profile, 1 = as real sensors vary
-    #[arg(long, value_name = "SCALE", default_value_t = 1.0, value_parser = number(NumberRange::NOT_NEGATIVE))]
+    #[arg(long, value_name = "SCALE", default_value_t = 1.0,
+        value_parser = number(NumberRange::NOT_NEGATIVE))]
     sensor_spread: f64,
     /// Randomisation of camera pose, lens and light: 0 = nominal, 1 = full range
-    #[arg(long, value_name = "SCALE", default_value_t = 1.0, value_parser = number(NumberRange::NOT_NEGATIVE))]
+    #[arg(long, value_name = "SCALE", default_value_t = 1.0,
+        value_parser = number(NumberRange::NOT_NEGATIVE))]
     visual_spread: f64,
 }
 
