@@ -64,7 +64,7 @@ pub(super) struct SelectionFlags {
 /// Runs the command.
 pub(super) fn run(context: &Context, args: Args) -> Result<()> {
     let settings = MergeSettings {
-        curation: args.selection.curation()?,
+        curation: args.selection.curation(),
         allow_partial: args.partial,
     };
     let is_json = args.json;
@@ -88,21 +88,15 @@ pub(super) fn run(context: &Context, args: Args) -> Result<()> {
 }
 
 impl SelectionFlags {
-    pub(super) fn curation(&self) -> Result<CurationSettings> {
-        if !(self.category_cap >= 0.0 && self.category_cap.is_finite()) {
-            return Err(Error::usage(format!(
-                "`--category-cap` must be 0 or above, found {}",
-                self.category_cap
-            )));
-        }
-        Ok(CurationSettings {
+    pub(super) fn curation(&self) -> CurationSettings {
+        CurationSettings {
             group_by: self.group_by,
             splits: self.split.clone(),
             category_cap: (self.category_cap > 0.0).then_some(self.category_cap),
             is_balanced: !self.unbalanced,
             keep_all_training: self.whole_train,
             seed: self.seed,
-        })
+        }
     }
 }
 
