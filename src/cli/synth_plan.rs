@@ -233,7 +233,7 @@ impl Args {
             },
             textures,
             mass_map: objects.mass_map,
-            min_friction_fraction: friction,
+            min_friction_fraction: objects.min_friction_fraction,
             jobs,
         };
         let drafts = self.drafts(jobs, progress)?;
