@@ -196,10 +196,6 @@ pub(super) fn make(context: &Context, args: &MakeArgs) -> Result<()> {
     let object = args.mesh.load()?;
     context.warn(&object.warnings);
     let (_, pose) = resting_pose(&object.mesh, args.stable_pose)?;
-    if !args.yaw_deg.is_finite() {
-        let what = format!("`--yaw-deg` must be an angle, found {}", args.yaw_deg);
-        return Err(Error::usage(what));
-    }
     let yaw = Pose::from_rotation(DQuat::from_rotation_z(args.yaw_deg.to_radians()));
     let placed = SheetObject {
         mesh: &object.mesh,

@@ -3,6 +3,8 @@
 use std::fmt::Write as _;
 use std::path::PathBuf;
 
+use clap::ArgGroup;
+
 use super::dataset_text::counted;
 use super::print_report;
 use gripcast_base::error::Result;
@@ -11,8 +13,11 @@ use gripcast_dataset::{EditReport, NameChange, Selection, edit};
 
 /// Arguments of `dataset edit`.
 #[derive(Debug, clap::Args)]
-#[command(group = clap::ArgGroup::new("selection").args(["ids", "all_of"]).required(true))]
-#[command(group = clap::ArgGroup::new("names").args(["object", "scene", "operator"]).required(true).multiple(true))]
+#[command(group = ArgGroup::new("selection").args(["ids", "all_of"]).required(true))]
+#[command(group = ArgGroup::new("names")
+    .args(["object", "scene", "operator"])
+    .required(true)
+    .multiple(true))]
 pub(super) struct Args {
     /// Folder of the dataset
     dataset: PathBuf,

@@ -89,7 +89,8 @@ struct ObjectFlags {
     )]
     pose: Option<PathBuf>,
     /// Indentation depth of --object without a trace
-    #[arg(long, value_name = "M", default_value_t = 5e-4, value_parser = number(NumberRange::NOT_NEGATIVE))]
+    #[arg(long, value_name = "M", default_value_t = 5e-4,
+        value_parser = number(NumberRange::NOT_NEGATIVE))]
     press_m: f64,
 }
 

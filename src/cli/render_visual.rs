@@ -216,10 +216,6 @@ impl<'a> Job<'a> {
             Ok(Arc::new(image))
         };
         let width = args.scene.ground_width_m;
-        if !(width.is_finite() && width > 0.0) {
-            let what = format!("`--ground-width-m` must be above 0, found {width}");
-            return Err(Error::usage(what));
-        }
         let ground = |path: &PathBuf| -> Result<(Arc<Bitmap>, f64)> {
             Ok((Arc::new(load_bitmap(path)?), width))
         };

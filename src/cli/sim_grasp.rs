@@ -70,10 +70,12 @@ struct PoseFlags {
     #[arg(long, value_name = "M", value_parser = number(NumberRange::FINITE))]
     height: Option<f64>,
     /// Offset along the closing direction
-    #[arg(long, value_name = "M", default_value_t = 0.0, value_parser = number(NumberRange::FINITE))]
+    #[arg(long, value_name = "M", default_value_t = 0.0,
+        value_parser = number(NumberRange::FINITE))]
     offset_x: f64,
     /// Offset across the closing direction
-    #[arg(long, value_name = "M", default_value_t = 0.0, value_parser = number(NumberRange::FINITE))]
+    #[arg(long, value_name = "M", default_value_t = 0.0,
+        value_parser = number(NumberRange::FINITE))]
     offset_y: f64,
     /// Rotation about the vertical
     #[arg(long, value_name = "DEG", default_value_t = 0.0, value_parser = degrees)]

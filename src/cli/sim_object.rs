@@ -42,7 +42,8 @@ pub(super) struct ObjectFlags {
     #[arg(long, value_name = "KG", default_value_t = 0.06, value_parser = above_zero)]
     pub(super) mass_kg: f64,
     /// Coulomb friction coefficient (gel–object and object–ground)
-    #[arg(long, value_name = "MU", default_value_t = 0.4, value_parser = number(NumberRange::NOT_NEGATIVE))]
+    #[arg(long, value_name = "MU", default_value_t = 0.4,
+        value_parser = number(NumberRange::NOT_NEGATIVE))]
     pub(super) friction: f64,
 }
 

@@ -48,10 +48,12 @@ pub(crate) struct Args {
     unit: LengthUnit,
     /// Indentation depths, comma-separated
     #[arg(long, value_name = "M", value_delimiter = ',',
-        default_values_t = [1e-4, 2e-4, 4e-4, 6e-4, 8e-4, 1e-3], value_parser = number(NumberRange::FINITE))]
+        default_values_t = [1e-4, 2e-4, 4e-4, 6e-4, 8e-4, 1e-3],
+        value_parser = number(NumberRange::FINITE))]
     depth_m: Vec<f64>,
     /// Shear displacements along the gel's x axis at the last depth, comma-separated
-    #[arg(long, value_name = "M", value_delimiter = ',', value_parser = number(NumberRange::FINITE))]
+    #[arg(long, value_name = "M", value_delimiter = ',',
+        value_parser = number(NumberRange::FINITE))]
     shift_m: Vec<f64>,
     /// Gel mesh
     #[arg(long, value_enum, default_value_t = Mesh::Default)]
@@ -63,13 +65,15 @@ pub(crate) struct Args {
     #[arg(long, value_name = "EXPONENT", default_value_t = 1.0, value_parser = above_zero)]
     grade_face: f64,
     /// Coulomb friction coefficient
-    #[arg(long, value_name = "MU", default_value_t = 0.0, value_parser = number(NumberRange::NOT_NEGATIVE))]
+    #[arg(long, value_name = "MU", default_value_t = 0.0,
+        value_parser = number(NumberRange::NOT_NEGATIVE))]
     friction: f64,
     /// Young's modulus of the gel
     #[arg(long, value_name = "PA", default_value_t = 1e6, value_parser = above_zero)]
     young_pa: f64,
     /// Poisson's ratio of the gel
-    #[arg(long, value_name = "NU", default_value_t = 0.3, value_parser = number(NumberRange::above(-1.0, 0.5)))]
+    #[arg(long, value_name = "NU", default_value_t = 0.3,
+        value_parser = number(NumberRange::above(-1.0, 0.5)))]
     poisson: f64,
     /// Barrier activation distance d̂ (5e-4 in grasps)
     #[arg(long, value_name = "M", default_value_t = 2e-5, value_parser = above_zero)]

@@ -47,7 +47,8 @@ pub(super) struct SelectionFlags {
     ]))]
     group_by: GroupKey,
     /// Maximum simulations of a category per split, as a multiple of the mean; 0 disables the cap
-    #[arg(long, value_name = "FACTOR", default_value_t = 2.0, value_parser = number(NumberRange::NOT_NEGATIVE))]
+    #[arg(long, value_name = "FACTOR", default_value_t = 2.0,
+        value_parser = number(NumberRange::NOT_NEGATIVE))]
     category_cap: f64,
     /// Do not balance the labels
     #[arg(long)]
@@ -63,7 +64,7 @@ pub(super) struct SelectionFlags {
 /// Runs the command.
 pub(super) fn run(context: &Context, args: Args) -> Result<()> {
     let settings = MergeSettings {
-        curation: args.selection.curation()?,
+        curation: args.selection.curation(),
         allow_partial: args.partial,
     };
     let is_json = args.json;
@@ -87,21 +88,15 @@ pub(super) fn run(context: &Context, args: Args) -> Result<()> {
 }
 
 impl SelectionFlags {
-    pub(super) fn curation(&self) -> Result<CurationSettings> {
-        if !(self.category_cap >= 0.0 && self.category_cap.is_finite()) {
-            return Err(Error::usage(format!(
-                "`--category-cap` must be 0 or above, found {}",
-                self.category_cap
-            )));
-        }
-        Ok(CurationSettings {
+    pub(super) fn curation(&self) -> CurationSettings {
+        CurationSettings {
             group_by: self.group_by,
             splits: self.split.clone(),
             category_cap: (self.category_cap > 0.0).then_some(self.category_cap),
             is_balanced: !self.unbalanced,
             keep_all_training: self.whole_train,
             seed: self.seed,
-        })
+        }
     }
 }
 

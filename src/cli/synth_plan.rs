@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 
 use serde_json::json;
 
-use super::flags::{JobsFlag, above_zero, engine, fraction, gel_resolution, named, number, preset};
+use super::flags::{JobsFlag, above_zero, engine, gel_resolution, named, number, preset};
 use super::working::{Progress, interruptible};
 use super::{Context, print, print_json};
 use gripcast_base::error::{Error, ErrorKind, Result};
@@ -23,6 +23,9 @@ use gripcast_synth::plan::{
 use gripcast_synth::properties::{
     DEFAULT_KEY_VARIABLE, EndpointKey, LlmClient, LlmOptions, MassMap, PropertyEstimator,
 };
+
+/// Scales of randomisation.
+const SPREAD: NumberRange = NumberRange::between(0.0, 3.0);
 
 /// Arguments.
 #[derive(Clone, Debug, clap::Args)]
@@ -92,10 +95,12 @@ struct Rendering {
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=4096))]
     spp: Option<u32>,
     /// Randomisation of the tactile sensors: 0 = shipped profile, 1 = as real sensors vary
-    #[arg(long, value_name = "SCALE", default_value_t = 1.0, value_parser = number(NumberRange::NOT_NEGATIVE))]
+    #[arg(long, value_name = "SCALE", default_value_t = 1.0,
+        value_parser = number(SPREAD))]
     sensor_spread: f64,
     /// Randomisation of camera pose, lens and light: 0 = nominal, 1 = full range
-    #[arg(long, value_name = "SCALE", default_value_t = 1.0, value_parser = number(NumberRange::NOT_NEGATIVE))]
+    #[arg(long, value_name = "SCALE", default_value_t = 1.0,
+        value_parser = number(SPREAD))]
     visual_spread: f64,
 }
 
@@ -134,7 +139,7 @@ struct Objects {
     mass_map: MassMap,
     /// Minimum friction of a contaminated surface, as a fraction of the clean, dry one (material
     /// table only)
-    #[arg(long, value_name = "FRACTION", default_value_t = MIN_FRICTION_FRACTION, value_parser = fraction)]
+    #[arg(long, value_name = "FRACTION", default_value_t = MIN_FRICTION_FRACTION, value_parser = number(NumberRange::above(0.0, 1.0)))]
     min_friction_fraction: f64,
 }
 
@@ -209,22 +214,6 @@ impl Args {
             objects,
             ..
         } = self;
-        for (flag, spread) in [
-            ("--sensor-spread", rendering.sensor_spread),
-            ("--visual-spread", rendering.visual_spread),
-        ] {
-            if !(0.0..=3.0).contains(&spread) {
-                return Err(Error::usage(format!(
-                    "`{flag}` must be from 0 to 3, found {spread}"
-                )));
-            }
-        }
-        let friction = objects.min_friction_fraction;
-        if !(friction > 0.0 && friction <= 1.0) {
-            return Err(Error::usage(format!(
-                "`--min-friction-fraction` must be above 0 and at most 1, found {friction}"
-            )));
-        }
         let defaults = preset.rendering;
         let jobs = self.jobs.count();
         let textures = match &objects.textures {
@@ -244,7 +233,7 @@ impl Args {
             },
             textures,
             mass_map: objects.mass_map,
-            min_friction_fraction: friction,
+            min_friction_fraction: objects.min_friction_fraction,
             jobs,
         };
         let drafts = self.drafts(jobs, progress)?;

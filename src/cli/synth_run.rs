@@ -83,7 +83,7 @@ pub(super) fn run(context: &Context, args: Args) -> Result<()> {
         None => Shard::WHOLE,
     };
     let folder = args.plan.clone();
-    let curation = args.selection.curation()?;
+    let curation = args.selection.curation();
     if args.partial && args.images != ImagesName::Chosen {
         return Err(Error::usage("--partial needs --images chosen")
             .remedy("add --images chosen, or omit --partial"));

@@ -25,7 +25,8 @@ pub(super) struct TrainingFlags {
     #[arg(long, value_name = "RATE", default_value_t = 3e-4, value_parser = above_zero)]
     learning_rate: f64,
     /// Weight decay (decoupled, AdamW)
-    #[arg(long, value_name = "DECAY", default_value_t = 0.01, value_parser = number(NumberRange::NOT_NEGATIVE))]
+    #[arg(long, value_name = "DECAY", default_value_t = 0.01,
+        value_parser = number(NumberRange::NOT_NEGATIVE))]
     weight_decay: f64,
     /// Dropout probability of the hidden layer
     #[arg(long, value_name = "P", default_value_t = 0.2, value_parser = fraction)]

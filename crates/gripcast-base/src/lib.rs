@@ -1,5 +1,5 @@
-//! Foundation of all gripcast crates: errors, safe and atomic file access, random streams, ranges of
-//! numbers, small linear systems, statistics, parallel work.
+//! Foundation of all gripcast crates: errors, safe and atomic file access, random streams, ranges
+//! of numbers, small linear systems, statistics, parallel work.
 //!
 //! ```
 //! use gripcast_base::random::SeedStream;

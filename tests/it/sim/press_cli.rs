@@ -31,7 +31,7 @@ fn plate_force_matches_the_reference() {
 fn invalid_presses_are_rejected() {
     for (arguments, code, expected) in [
         ("press --indenter sphere", 2, "--radius-m"),
-        ("press --indenter sphere --radius-m 0", 1, "radius"),
+        ("press --indenter sphere --radius-m 0", 2, "--radius-m"),
         ("press --indenter plate --depth-m 0.003", 1, "depths"),
         ("press --indenter mesh", 2, "--mesh"),
         ("press --indenter mesh --mesh no.stl", 1, "no.stl"),
