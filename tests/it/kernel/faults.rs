@@ -94,7 +94,10 @@ fn harmless_bytes_around_images_are_no_damage() {
         for fault in faults {
             assert!(outcome.sent[role.name()][*fault] > 10, "{outcome}");
         }
-        for (stage, kind) in [(&grasp.record.initial, "free"), (&grasp.record.grasp, "pressed")] {
+        for (stage, kind) in [
+            (&grasp.record.initial, "free"),
+            (&grasp.record.grasp, "pressed"),
+        ] {
             let saved = camera_file(stage, role, &grasp.dir);
             let as_sent = fs::read_dir(dir.join(kind))
                 .unwrap()
@@ -128,7 +131,10 @@ fn depth_camera_that_sees_nothing_is_not_called_frozen() {
     assert_eq!(outcome.session("refused"), 1, "{outcome}");
     let told = outcome.told();
     assert!(told.contains("FAULT DEPTH"), "{told}");
-    assert!(!told.contains("FROZEN") && !told.contains("REPLUG"), "{told}");
+    assert!(
+        !told.contains("FROZEN") && !told.contains("REPLUG"),
+        "{told}"
+    );
     assert_eq!(outcome.counter("depth", "reconnects"), 0, "{outcome}");
     assert_others_undisturbed(&outcome, &["depth"]);
 }
