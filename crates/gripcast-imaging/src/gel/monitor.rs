@@ -210,7 +210,11 @@ impl GelMonitor {
             (GelProblem::Saturated, cells.clipped_fraction > MAX_CLIPPED),
             (GelProblem::Noisy, is_noisy || cells.grain > MAX_GRAIN),
             (GelProblem::Flickering, flicker > 0.0),
-            (GelProblem::Drifting, drift_per_s > MAX_DRIFT_PER_S),
+            // A slow flicker rises steadily for a second as well.
+            (
+                GelProblem::Drifting,
+                flicker == 0.0 && drift_per_s > MAX_DRIFT_PER_S,
+            ),
         ];
         GelState {
             level: cells.mean_levels(),

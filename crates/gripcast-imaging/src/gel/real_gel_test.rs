@@ -5,7 +5,7 @@ use std::path::Path;
 use image::RgbImage;
 
 use super::*;
-use crate::{CropProfile, crop_and_resize, decode_png_rgb};
+use crate::{CropProfile, Decoder, Frame, PixelFormat, crop_and_resize, decode_png_rgb, jpeg};
 use gripcast_testing::shared;
 
 /// Images of gels without contact: five sensors, one with markers.
@@ -116,5 +116,47 @@ fn real_gels_have_no_problem() {
         let mut monitor = GelMonitor::default();
         let state = monitor.add(GelCells::new(gel).unwrap(), 0);
         assert_eq!(state.problems, [], "gel {i} {state:?}");
+    }
+}
+
+#[test]
+fn recorded_bad_gels_are_named() {
+    use GelProblem::{Black, Drifting, Flickering};
+    for (folder, expected) in [
+        ("gel-black", &[Black][..]),
+        ("gel-flicker", &[Flickering]),
+        ("gel-colour-drift", &[Drifting, Flickering]),
+    ] {
+        let Some(folder) = shared(&format!("field/capture-web/{folder}/left")) else {
+            return;
+        };
+        let mut files: Vec<_> = std::fs::read_dir(folder)
+            .unwrap()
+            .map(|entry| entry.unwrap().path())
+            .filter(|path| path.extension().is_some_and(|e| e == "jpg"))
+            .collect();
+        files.sort();
+        let mut decoder = Decoder::new().unwrap();
+        let mut monitor = GelMonitor::default();
+        // The recording is short and repeats.
+        for (i, file) in files.iter().cycle().take(60).enumerate() {
+            let data = std::fs::read(file).unwrap();
+            let header = jpeg::inspect(&data).unwrap();
+            let frame = Frame {
+                format: PixelFormat::Mjpg,
+                width: header.width,
+                height: header.height,
+                data: data.into(),
+                sequence: 0,
+                driver_time_ns: 0,
+                received_ns: 0,
+            };
+            let crop = Some(&CropProfile::GSMINI_SEVENTH);
+            let image = decoder.decode(&frame, crop, 320, 240).unwrap();
+            monitor.add(GelCells::new(&image).unwrap(), i as u64 * 40_000_000);
+        }
+        let problems = &monitor.state().unwrap().problems;
+        let is_named = expected.iter().any(|problem| problems.contains(problem));
+        assert!(is_named, "{expected:?}: {:?}", monitor.state());
     }
 }
