@@ -41,6 +41,8 @@ const TURBO: [[f32; 6]; 3] = [
         27.348_25,
     ],
 ];
+/// First colour: the nearly grey ones before it could be taken for no depth.
+const FIRST: f32 = 0.04;
 /// The two greys of pixels without depth: Turbo has no greys.
 const NO_DEPTH: [[u8; 3]; 2] = [[40; 3], [96; 3]];
 /// Width of a stripe of pixels without depth, px.
@@ -50,7 +52,7 @@ const SCALED_SIZE: (u32, u32) = (200, 60);
 
 static PALETTE: LazyLock<[[u8; 3]; COLOURS]> = LazyLock::new(|| {
     std::array::from_fn(|index| {
-        let x = index as f32 / (COLOURS - 1) as f32;
+        let x = FIRST + (1.0 - FIRST) * index as f32 / (COLOURS - 1) as f32;
         TURBO.map(|channel| {
             let value = channel.iter().rev().fold(0.0, |sum, c| sum * x + c);
             (255.0 * value.clamp(0.0, 1.0)).round() as u8
@@ -160,10 +162,15 @@ mod tests {
     #[test]
     fn ends_and_middle_are_those_of_turbo() {
         let colours = DepthColours::new(MM);
-        let near = |a: [u8; 3], b: [u8; 3]| a.iter().zip(b).all(|(a, b)| a.abs_diff(b) <= 16);
-        assert!(near(colours.colour(100, 0, 0), [48, 18, 59]));
-        assert!(near(colours.colour(450, 0, 0), [164, 252, 60]));
-        assert!(near(colours.colour(800, 0, 0), [122, 4, 3]));
+        let near = |a: [u8; 3], b: [u8; 3]| a.iter().zip(b).all(|(a, b)| a.abs_diff(b) <= 3);
+        for (depth, expected) in [
+            (100, [66, 47, 133]),
+            (450, [167, 246, 72]),
+            (800, [144, 13, 0]),
+        ] {
+            let found = colours.colour(depth, 0, 0);
+            assert!(near(found, expected), "{depth} mm: {found:?}");
+        }
         assert_eq!(colours.colour(1, 0, 0), colours.colour(100, 0, 0));
         assert_eq!(colours.colour(u16::MAX, 0, 0), colours.colour(800, 0, 0));
     }

@@ -31,8 +31,8 @@ async function record() {
   const at = performance.now();
   /** @type {Map<Role, Blob>} */
   const images = new Map();
-  for (const { role, image, state } of tiles()) {
-    if (state !== "live" || !image.complete || !image.naturalWidth) continue;
+  for (const { role, image, figure } of tiles()) {
+    if (figure.matches(".failed, .waiting") || !image.complete || !image.naturalWidth) continue;
     const blob = await copy(image);
     if (blob) images.set(role, blob);
   }
