@@ -7,7 +7,7 @@ use ratatui::widgets::{Paragraph, Widget, Wrap};
 
 use super::big_digits::{self, Size};
 use super::palette::Palette;
-use super::text::{fill, inset, trimmed};
+use super::text::{fill, inset, row, trimmed, write};
 use gripcast_session::Refusal;
 
 /// Rows of the sentences and keys below the heading.
@@ -23,11 +23,15 @@ pub(super) fn draw(buffer: &mut Buffer, area: Rect, refusal: &Refusal, palette: 
     let warning = panel.patch(palette.warning());
     let mut lines = vec![Line::styled(format!("✗ {first}"), warning)];
     lines.extend(reasons.map(|reason| Line::styled(format!("✗ {reason}"), panel)));
-    lines.push(keys(refusal, palette));
+    // The keys stay visible however many reasons there are.
+    let mut sentences = inset(area, 0, used);
+    sentences.height = sentences.height.saturating_sub(1);
     Paragraph::new(lines)
         .style(panel)
         .wrap(Wrap { trim: false })
-        .render(inset(area, 0, used), buffer);
+        .render(sentences, buffer);
+    let last = row(area, area.height.saturating_sub(1));
+    write(buffer, last, &keys(refusal, palette));
 }
 
 /// Returns the subject of a reason: `no contact` of `no contact: at most …`.
@@ -64,9 +68,8 @@ fn keys(refusal: &Refusal, palette: Palette) -> Line<'static> {
             words(" override (recorded with the grasp)"),
         ]),
         false => Line::from(vec![
-            words("fix it, then "),
             key("space/pedal"),
-            words(" again; it cannot be overridden"),
+            words(" again; cannot be overridden"),
         ]),
     }
 }
