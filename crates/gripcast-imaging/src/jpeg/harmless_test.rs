@@ -77,6 +77,36 @@ fn damaged_frames_are_refused() {
     }
 }
 
+#[test]
+fn recorded_field_inputs_are_judged_by_their_images() {
+    for (folder, damaged) in [
+        ("jpeg-tail", 0),
+        ("jpeg-tail-previous-frame", 0),
+        ("jpeg-bytes-before-restart-markers", 0),
+        ("jpeg-garbage-before-start", 0),
+        ("jpeg-without-end-marker", 0),
+        ("jpeg-87-percent-truncated", 7),
+    ] {
+        let Some(path) = gripcast_testing::shared(&format!("field/capture-web/{folder}/left"))
+        else {
+            return;
+        };
+        let mut decoder = JpegDecoder::new().unwrap();
+        let mut found = 0;
+        for number in 0..8 {
+            let bytes = std::fs::read(path.join(format!("{number:06}.jpg"))).unwrap();
+            match decoder.verify(&bytes) {
+                Ok(_) => assert_eq!(whole_file(&whole_file(&bytes).unwrap().0).unwrap().1, None),
+                Err(damage) => {
+                    println!("{folder} {number}: {damage}");
+                    found += 1;
+                }
+            }
+        }
+        assert_eq!(found, damaged, "{folder}");
+    }
+}
+
 /// Tolerance of stray bytes and missing markers accepts no other pixels than strict decoding:
 /// a frame whose pixels differ is accepted only if libjpeg has no warning about its bytes either,
 /// as JPEG has no checksum. Seeds as many as fit into `GRIPCAST_FUZZ_SECONDS` seconds, else 300.
