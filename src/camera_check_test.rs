@@ -183,6 +183,7 @@ fn report_has_stable_keys() {
             "factory_intrinsics",
             "format",
             "fps",
+            "gel",
             "height",
             "lost",
             "missing",

@@ -409,6 +409,7 @@ mod tests {
         let mut scene = Scene::same();
         scene.dataset = Provenance::default();
         scene.newest_source = None;
+        scene.grasps_left = None;
         scene.rig.id = "other".into();
         assert_eq!(scene.report(), []);
     }

@@ -474,7 +474,8 @@ mod tests {
         });
         state.update(&saved);
         assert_eq!(state.notice, None);
-        assert_eq!(state.handle(&[alt('x')], Instant::now(), &status()), []);
+        let later = Instant::now() + Duration::from_secs(2);
+        assert_eq!(state.handle(&[alt('x')], later, &status()), []);
         assert!(state.notice.unwrap().starts_with("Alt-X is not bound"));
     }
 

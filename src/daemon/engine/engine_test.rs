@@ -75,9 +75,9 @@ impl FrameSource for YuyvGel {
         let is_pressed = self.shutter.lock().unwrap().recv_timeout(timeout);
         let is_pressed = is_pressed.map_err(|_| CaptureError::Timeout)?;
         let rise = 90 * u8::from(is_pressed);
-        // Luma and chroma bytes alternate; a stripe is 40 pixels wide and in the middle of the gel.
+        // Luma and chroma bytes alternate; stripes are 40 pixels wide and in the middle of the gel.
         let pixel = |n: u32| {
-            let is_stripe = (n / 40).is_multiple_of(2) && (160..320).contains(&(n / WIDTH));
+            let is_stripe = (n / 40).is_multiple_of(2) && (210..270).contains(&(n / WIDTH));
             [100 + rise * u8::from(is_stripe), 128]
         };
         let data: Vec<u8> = (0..WIDTH * HEIGHT).flat_map(pixel).collect();
