@@ -1,5 +1,7 @@
 //! Injects a fault of the process, the power or the disk into every file operation of a whole
-//! session. One file: disk, session and checks share their types.
+//! session.
+//!
+//! Longer than 600 lines: the disk that injects the faults is part of every test.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;

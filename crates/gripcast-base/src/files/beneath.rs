@@ -20,12 +20,13 @@ use std::path::{Path, PathBuf};
 use std::sync::{Arc, RwLock};
 
 use rustix::fs::{
-    AtFlags, CWD, Dir, FileType, Mode, OFlags, RawMode, RenameFlags, fstat, fsync, linkat, mkdirat,
+    AtFlags, CWD, Dir, FileType, Mode, OFlags, RawMode, RenameFlags, fstat, linkat, mkdirat,
     openat, renameat, renameat_with, statat, syncfs, unlinkat,
 };
 use rustix::io::Errno;
 
 use super::component::Component;
+use super::disk_failure::{cannot_flush_dirs, flush_dir};
 use super::foreign::is_system_file;
 use super::opening::{FILE_MODE, FileKind, open_beneath, owned, read_all, regular, text};
 use super::partial_name;
@@ -590,21 +591,4 @@ impl BeneathPath {
         }
         Err(refused.into())
     }
-}
-
-/// Flushes a directory; `false` where the file system cannot.
-fn flush_dir(dir: &OwnedFd) -> io::Result<bool> {
-    match fsync(dir) {
-        Ok(()) => Ok(true),
-        Err(e) if cannot_flush_dirs(e) => Ok(false),
-        Err(e) => Err(e.into()),
-    }
-}
-
-/// Codes of file systems without a flush of directories.
-fn cannot_flush_dirs(error: Errno) -> bool {
-    matches!(
-        error,
-        Errno::INVAL | Errno::BADF | Errno::OPNOTSUPP | Errno::NOSYS | Errno::NOTTY
-    )
 }

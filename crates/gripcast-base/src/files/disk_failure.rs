@@ -1,7 +1,9 @@
-//! Remedies for errors of a disk, by the code of the operating system.
+//! What the codes of the operating system say about a disk: remedies, and what it cannot do.
 
 use std::io;
+use std::os::fd::OwnedFd;
 
+use rustix::fs::fsync;
 use rustix::io::Errno;
 
 /// What to do about an error of a file operation; `None` where the code does not tell the cause.
@@ -65,6 +67,23 @@ fn by_kind(kind: io::ErrorKind) -> Option<&'static str> {
         _ => return None,
     };
     disk_remedy(&errno.into())
+}
+
+/// Flushes a directory; `false` where the file system cannot.
+pub(super) fn flush_dir(dir: &OwnedFd) -> io::Result<bool> {
+    match fsync(dir) {
+        Ok(()) => Ok(true),
+        Err(e) if cannot_flush_dirs(e) => Ok(false),
+        Err(e) => Err(e.into()),
+    }
+}
+
+/// Codes of file systems without a flush of directories.
+pub(super) fn cannot_flush_dirs(error: Errno) -> bool {
+    matches!(
+        error,
+        Errno::INVAL | Errno::BADF | Errno::OPNOTSUPP | Errno::NOSYS | Errno::NOTTY
+    )
 }
 
 #[cfg(test)]
