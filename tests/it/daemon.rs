@@ -750,7 +750,7 @@ fn reload_applies_guards_and_names_other_changes() {
     daemon.trigger();
     fs::write(
         &config,
-        "[guards]\nmin_contact_fraction = 1.1\n[collect]\nlicence = \"x\"\n",
+        "[guards]\nmin_contact_fraction = 1\n[collect]\nlicence = \"x\"\n",
     )
     .unwrap();
     daemon.signal(Signal::HUP);
@@ -862,7 +862,7 @@ fn discovered_configuration_cannot_open_sockets() {
     let listen = &json_of(&named)["daemon.listen"];
     assert_eq!(
         (&listen["value"], &listen["origin"]),
-        (&json!("0.0.0.0:0"), &json!("./gripcast.toml"))
+        (&json!("0.0.0.0:0"), &json!("./gripcast.toml:2"))
     );
 
     let mut command = gripcast();

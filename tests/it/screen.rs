@@ -1,4 +1,5 @@
-//! The operator's screen on a fixed status, as text; and that no status and no size breaks it.
+//! The operator's screen on a fixed status, as text; and that no status and no size breaks it. One
+//! file, because all tests share the status.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;

@@ -3,7 +3,8 @@
 //! A method that returns `Ok` has stored its result durably; one that fails leaves the previous
 //! state. Each change becomes visible by one `rename`; its files are flushed before, the directory
 //! after. `docs/reference/dataset-format.md` lists the state after a crash between any two
-//! operations, and a test covers all of them.
+//! operations, and a test covers all of them. One file, because all changes share the order of their
+//! steps.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs::File;

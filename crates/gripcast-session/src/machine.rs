@@ -1,4 +1,4 @@
-//! The state machine of the session.
+//! The state machine of the session. One file, because all transitions share the state.
 
 use std::collections::BTreeMap;
 use std::fmt;

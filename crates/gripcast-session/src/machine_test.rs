@@ -1,4 +1,4 @@
-//! Tests the session with a dataset in memory.
+//! Tests the session with a dataset in memory. One file, because all tests share that dataset.
 
 use std::collections::BTreeMap;
 

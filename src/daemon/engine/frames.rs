@@ -41,8 +41,9 @@ impl Engine {
         })
     }
 
-    /// Returns whether a gel is in contact, relative to the pending or else the last initial frame;
-    /// `None` until every gel has been compared in a frame newer than the last capture.
+    /// Returns whether all gels are in contact (true) or none (false), relative to the pending or
+    /// else the last initial frame; `None` while only one is, and until every gel has been compared
+    /// in a frame newer than the last capture.
     pub(super) fn is_in_contact(&self) -> Option<bool> {
         let state = self.inference.state();
         let revision = match (self.session.pending(), state.revision) {
@@ -57,8 +58,9 @@ impl Engine {
             .map(|slot| state.change(slot.role, revision, since_ns))
             .collect::<Option<Vec<GelChange>>>()?;
         let limit = self.guards.min_contact_fraction;
-        let mut kinds = changes.iter().map(|change| change.kind(limit));
-        Some(kinds.any(|kind| kind == ChangeKind::Contact))
+        let is_contact = |change: &GelChange| change.kind(limit) == ChangeKind::Contact;
+        let touched = changes.iter().filter(|change| is_contact(change)).count();
+        (touched == 0 || touched == changes.len()).then_some(touched > 0)
     }
 
     /// Pairs the newest frames of all cameras.

@@ -6,7 +6,7 @@
 //! | --- | --- |
 //! | `[+SECONDS] COMMAND` | sends a session command, after a delay |
 //! | `wait live [T]` | waits until all cameras are live |
-//! | `wait contact [T]`, `wait no-contact [T]` | waits for contact, or no contact, on the gels |
+//! | `wait contact [T]`, `wait no-contact [T]` | waits until all gels are in contact, or none |
 //! | `wait fresh [T]` | waits until all cameras have a frame newer than the last capture |
 //! | `wait saved [T]` | waits until the last command is on disk; a rejection ends the script |
 //! | `sleep S` | waits |

@@ -1,6 +1,7 @@
 //! glTF 2.0, binary and text: the triangles of the default scene.
 //!
-//! Parsed here because the `gltf` crate panics on damaged documents.
+//! Parsed here because the `gltf` crate panics on damaged documents. One file: the types of the format
+//! and their readers belong together.
 
 use base64::Engine as _;
 use base64::engine::general_purpose::STANDARD;
