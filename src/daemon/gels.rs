@@ -4,7 +4,9 @@ use std::collections::BTreeMap;
 
 use image::RgbImage;
 
-use gripcast_imaging::{ChangeKind, GelCells, GelChange, GelMonitor, GelProblem, GelState, Role};
+use gripcast_imaging::{
+    ChangeKind, GelCells, GelChange, GelMonitor, GelProblem, GelState, MIN_CONTACT_FRACTION, Role,
+};
 
 /// Minimum fraction of a gel that is different for a mark, 0 to 1.
 const MIN_MARKED_FRACTION: f64 = 0.01;
@@ -16,6 +18,8 @@ const MARKED_NS: u64 = 3_000_000_000;
 pub(super) struct GelJudge {
     initial: BTreeMap<Role, GelCells>,
     monitors: BTreeMap<Role, GelMonitor>,
+    /// Newest noise of each gel, grey levels.
+    noise_levels: BTreeMap<Role, f32>,
     reference: GelReference,
 }
 
@@ -47,8 +51,15 @@ impl GelJudge {
             false => Vec::new(),
         };
         let monitor = self.monitors.entry(role).or_default();
+        if change.is_some_and(|c| c.kind(MIN_CONTACT_FRACTION) == ChangeKind::Contact) {
+            // Fingers that close and open again are not flicker.
+            monitor.restart();
+        }
         let mut gel = monitor.add(cells, time_ns).clone();
         gel.problems.extend(problems);
+        if let Some(noise_levels) = gel.noise_levels {
+            self.noise_levels.insert(role, noise_levels);
+        }
         Some((gel, change))
     }
 
@@ -58,9 +69,8 @@ impl GelJudge {
     }
 
     fn change_of(&self, role: Role, cells: &GelCells) -> Option<GelChange> {
-        let state = self.monitors.get(&role).and_then(GelMonitor::state);
-        let noise_levels = state.and_then(|state| state.noise_levels);
         let initial = self.initial.get(&role)?;
+        let noise_levels = self.noise_levels.get(&role).copied();
         Some(GelChange::between(
             initial,
             cells,

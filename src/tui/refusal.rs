@@ -67,10 +67,7 @@ fn keys(refusal: &Refusal, palette: Palette) -> Line<'static> {
             key("!"),
             words(" override (recorded with the grasp)"),
         ]),
-        false => Line::from(vec![
-            key("space/pedal"),
-            words(" again; no override"),
-        ]),
+        false => Line::from(vec![key("space/pedal"), words(" again; no override")]),
     }
 }
 

@@ -4,8 +4,7 @@
 //! * Unix socket: everyone who may open it. The `Host` must name this machine, because `ssh -L`
 //!   connects browsers to the socket.
 //! * TCP without a token (loopback only): programs on this machine. The `Host` must name it,
-//! against
-//!   DNS rebinding.
+//!   against DNS rebinding.
 //! * TCP with a token: `Authorization: Bearer`, or the cookie of a login session.
 
 use std::fmt;

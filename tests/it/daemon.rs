@@ -144,12 +144,24 @@ impl Daemon {
 
     /// Triggers until no guard refuses: the gripper may not have closed yet.
     pub(crate) fn trigger(&self) -> Value {
+        self.wait_for_open_gripper();
         loop {
             let (status, answer) = self.command("trigger");
             match status {
                 200 => return answer,
                 409 => assert_ne!(answer["reasons"], json!([]), "{answer}"),
                 _ => panic!("{status}: {answer}"),
+            }
+        }
+    }
+
+    /// Before an initial frame: waits until the virtual hand has let go of the last object.
+    fn wait_for_open_gripper(&self) {
+        loop {
+            let state = self.get("/api/state");
+            let mut gels = state["gels"].as_object().unwrap().values();
+            if state["session"]["step"] != "initial" || gels.all(|gel| gel["change"] != "contact") {
+                return;
             }
         }
     }

@@ -142,7 +142,11 @@ impl Engine {
     }
 
     fn gels(&self, state: &InferenceState) -> BTreeMap<Role, GelStatus> {
-        let revision = self.session.pending().map(|_| self.initial_revision);
+        // Until the next initial frame the last one shows whether the gripper has let go.
+        let revision = match self.session.pending() {
+            Some(_) => Some(self.initial_revision),
+            None => state.revision,
+        };
         let limit = self.guards.min_contact_fraction;
         let gels = state.gels.iter().map(|(role, gel)| {
             let change = revision.and_then(|_| state.change(*role, revision, 0));

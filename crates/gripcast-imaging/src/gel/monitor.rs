@@ -148,6 +148,11 @@ struct Sample {
 }
 
 impl GelMonitor {
+    /// Forgets the earlier frames, which something touched.
+    pub fn restart(&mut self) {
+        self.samples.clear();
+    }
+
     /// Adds the next frame; `time_ns` is its driver time. Returns the new state.
     pub fn add(&mut self, cells: GelCells, time_ns: u64) -> &GelState {
         let newest = self.samples.back().copied();
