@@ -154,7 +154,7 @@ mod tests {
             r#"{"request_id": ""}"#,
             r#"{"request_id": "a b"}"#,
             r#"{"age_ms": 1e999}"#,
-            r#"{"seen": {"revison": 1}}"#,
+            r#"{"seen": {"step_number": 1}}"#,
             r#"{"agems": 1}"#,
         ] {
             assert!(serde_json::from_str::<Sender>(json).is_err(), "{json}");

@@ -3,6 +3,7 @@
 use std::fs;
 
 use crate::dataset::{gripcast, json, stderr, stdout, tree, write_dataset};
+use crate::json_schema::assert_schema;
 
 #[test]
 fn files_of_systems_and_copies_are_not_grasps() {
@@ -134,12 +135,15 @@ fn list_pages_and_filters() {
     assert_eq!(list(&[]), [third.clone(), second.clone(), first.clone()]);
     assert_eq!(
         list(&["--before", &third, "--limit", "1"]),
-        [second.clone()]
+        std::slice::from_ref(&second)
     );
     assert_eq!(list(&["--object", "mug"]), [third, first]);
     assert_eq!(list(&["--outcome", "slip"]), [second]);
     assert!(list(&["--until", "2026-11-20"]).is_empty());
     assert_eq!(list(&["--since", "2026-11-20T10:15:00Z"]).len(), 3);
+    let pages = [&["list", "--json"][..], &["list", "--json", "--limit", "1"]]
+        .map(|args| json(&gripcast(args, dir.path())));
+    assert_schema("dataset list", &pages.each_ref());
     let text = stdout(&gripcast(&["list", "--limit", "1"], dir.path()));
     assert!(text.contains("older: `--before"), "{text}");
 }

@@ -6,6 +6,7 @@ use std::process::Command;
 use serde_json::{Value, json};
 
 use crate::daemon::Place;
+use crate::json_schema::assert_schema;
 use crate::program::{collect, collect_on, grasps, gripcast, script, stderr, succeed, verify};
 
 /// One grasp of the object `mug`.
@@ -104,6 +105,8 @@ fn last_grasp_is_edited_by_script_and_all_grasps_by_command() {
     );
     let done = edit(&["--all-of", "jar", "--object", "tea cup", "--scene", "lab"]);
     assert!(done.status.success(), "{}", stderr(&done));
+    let [planned, done] = [&planned, &done].map(crate::program::json);
+    assert_schema("dataset edit", &[&planned, &done]);
     let (id, record) = grasps(&dataset).into_iter().next().unwrap();
     assert_eq!(
         (&record["object"], &record["scene"]),

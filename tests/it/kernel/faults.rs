@@ -92,7 +92,7 @@ fn harmless_bytes_around_images_are_no_damage() {
         (Role::Right, &images.right, &["lead", "no-end"][..]),
     ] {
         for fault in faults {
-            assert!(outcome.sent[role.name()][*fault] > 10, "{outcome}");
+            assert!(outcome.sent[role.name()][*fault] > 3, "{outcome}");
         }
         for (stage, kind) in [
             (&grasp.record.initial, "free"),
@@ -127,10 +127,15 @@ fn depth_camera_that_sees_nothing_is_not_called_frozen() {
     let Some(kernel) = kernel() else { return };
     let images = images::drawn();
     let outcome = run(&kernel, "zero-depth", "zero-depth", images);
-    assert_one_good_grasp(&outcome, images);
-    assert_eq!(outcome.session("refused"), 1, "{outcome}");
+    assert_eq!(outcome.exit_code, Some(0), "{outcome}");
+    assert_eq!(outcome.session("refused"), 0, "{outcome}");
+    let [grasp] = outcome.grasps.as_slice() else {
+        panic!("{outcome}");
+    };
+    let depth = &grasp.record.grasp.cameras[&Role::Depth];
+    assert_eq!(depth.valid_fraction, Some(0.0), "{outcome}");
     let told = outcome.told();
-    assert!(told.contains("FAULT DEPTH"), "{told}");
+    assert!(told.contains("depth sees nothing"), "{told}");
     assert!(
         !told.contains("FROZEN") && !told.contains("REPLUG"),
         "{told}"

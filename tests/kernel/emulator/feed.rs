@@ -40,7 +40,7 @@ pub(crate) enum Fault {
     Zero,
     /// The camera's clock stands still; the image itself is intact.
     StillClock,
-    /// The camera's clock jumps to and fro; the image itself is intact.
+    /// The camera's clock jumps back and forth; the image itself is intact.
     JumpingClock,
 }
 

@@ -380,8 +380,6 @@ object mug
 expect saved
 wait contact
 +2.5 grasp
-expect refused
-+3 grasp
 expect saved
 stable
 wait saved

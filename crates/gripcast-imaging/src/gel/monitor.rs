@@ -37,6 +37,8 @@ const MIN_SWINGS: usize = 6;
 const MAX_DRIFT_PER_S: f32 = 0.03;
 /// Maximum noise of a cell, grey levels. Gels have 0.1 to 0.5.
 const MAX_NOISE_LEVELS: f32 = 4.0;
+/// Changes between frames from which noise is a problem.
+const MIN_NOISE_FRAMES: usize = 10;
 /// Levels of cells whose ratio between two frames is measured.
 const MEASURABLE: std::ops::RangeInclusive<f32> = 8.0..=245.0;
 
@@ -205,7 +207,9 @@ impl GelMonitor {
         let bright = cells.quantiles(0.95);
         let brightest = bright.into_iter().fold(0.0, f32::max);
         let darkest = bright.into_iter().fold(f32::INFINITY, f32::min);
-        let is_noisy = noise_levels.is_some_and(|noise| noise > MAX_NOISE_LEVELS);
+        // Fingers that close change most frames of a short window, noise changes all.
+        let is_noisy =
+            noise.len() >= MIN_NOISE_FRAMES && quantile(&mut noise, 0.25) > MAX_NOISE_LEVELS;
         let problems = [
             (GelProblem::Black, brightest < BLACK_LEVEL),
             (
