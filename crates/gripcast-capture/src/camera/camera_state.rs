@@ -366,7 +366,7 @@ mod tests {
     #[test]
     fn rare_damage_and_a_cut_first_frame_are_live() {
         for kinds in [
-            "d".repeat(1) + &"g".repeat(20),
+            "d".to_owned() + &"g".repeat(20),
             "dggggggggggggggggggg".repeat(5),
         ] {
             assert_eq!(played(kinds.chars()).1, CameraState::Live, "{kinds}");

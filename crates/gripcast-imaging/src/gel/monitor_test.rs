@@ -85,7 +85,8 @@ fn black_lamp_dead_saturated_and_noise_are_named() {
 #[test]
 fn fast_slow_and_beating_flicker_is_named() {
     let gain = |gain: f32| [gain; 3];
-    let cases: [(&str, &dyn Fn(u64) -> [f32; 3]); 5] = [
+    type Light<'a> = &'a dyn Fn(u64) -> [f32; 3];
+    let cases: [(&str, Light<'_>); 5] = [
         ("every two frames", &|i| {
             gain(if i % 4 < 2 { 1.0 } else { 0.8 })
         }),

@@ -215,9 +215,12 @@ fn shards_are_bounded_and_numbered() {
     assert_eq!(names(&out).len(), 3);
 }
 
-/// Key, and extension and bytes of each file, of the samples of a tar file.
-fn samples(path: &Path) -> Vec<(String, Vec<(String, Vec<u8>)>)> {
-    let mut samples: Vec<(String, Vec<(String, Vec<u8>)>)> = Vec::new();
+/// Key of a sample, and extension and bytes of each of its files.
+type Sample = (String, Vec<(String, Vec<u8>)>);
+
+/// Samples of a tar file.
+fn samples(path: &Path) -> Vec<Sample> {
+    let mut samples: Vec<Sample> = Vec::new();
     let file = fs::File::open(path).unwrap();
     for entry in tar::Archive::new(file).entries().unwrap() {
         let mut entry = entry.unwrap();
