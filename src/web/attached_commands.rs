@@ -144,7 +144,7 @@ mod tests {
     }
 
     #[test]
-    fn least_delayed_state_sets_the_clock() {
+    fn state_with_the_shortest_delay_sets_the_clock() {
         let mut clock = ClockEstimate::default();
         assert_eq!(clock.daemon_ms(5.0), None);
         clock.note(1_000, 10.0);

@@ -144,7 +144,10 @@ fn api_edits_names_of_a_grasp_and_undoes_them_together() {
         let (status, body) = daemon.ask("PATCH", &path, Some(&body));
         (status, serde_json::from_slice::<Value>(&body).unwrap())
     };
-    let (status, answer) = patch(json!({"object": "cup", "scene": "lab", "operator": "Ada"}));
+    let (status, answer) = patch(json!({
+        "object": "cup", "scene": "lab", "operator": "Ada",
+        "sender": {"request_id": "edit-1", "age_ms": 1.5},
+    }));
     assert_eq!(status, 200, "{answer}");
     assert_eq!(answer["state"]["session"]["last"]["object"], "cup");
     let record = daemon.get(&path);

@@ -482,6 +482,7 @@ def routes(mock):
     @table.patch("/api/grasps/{id}")
     async def _(request):
         grasp, names = wanted(request), await request.json()
+        names.pop("sender", None)
         before = {name: grasp[name] for name in names}
         grasp.update(names)
         mock.undos.append((f"names of {grasp['id'][-4:]}", lambda: grasp.update(before), lambda: grasp.update(names)))

@@ -74,7 +74,7 @@ impl FrameSource for YuyvGel {
     fn next_frame(&mut self, timeout: Duration) -> std::result::Result<Frame, CaptureError> {
         let is_pressed = self.shutter.lock().unwrap().recv_timeout(timeout);
         let is_pressed = is_pressed.map_err(|_| CaptureError::Timeout)?;
-        let rise = 90 * u8::from(is_pressed);
+        let rise = 140 * u8::from(is_pressed);
         // Luma and chroma bytes alternate; stripes are 40 pixels wide and in the middle of the gel.
         let pixel = |n: u32| {
             let is_stripe = (n / 40).is_multiple_of(2) && (210..270).contains(&(n / WIDTH));
@@ -209,7 +209,7 @@ async fn engine_saves_and_predicts_with_yuyv_cameras() {
         bench.refused_as_late(Command::Initial).await;
         bench.accepted(Command::Initial).await;
         let is_in_contact = |status: &EngineStatus| {
-            status.contact.len() == 2 && status.contact.values().all(|levels| *levels > 4.0)
+            status.contact.len() == 2 && status.contact.values().all(|levels| *levels > 10.0)
         };
         bench.take_frames(true, is_in_contact).await;
         bench.accepted(Command::Grasp).await;

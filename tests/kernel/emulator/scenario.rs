@@ -331,7 +331,7 @@ object mug
 +1 initial
 expect saved
 wait contact
-+0.2 grasp
++1 grasp
 expect saved
 stable
 wait saved

@@ -133,7 +133,9 @@ impl GelChange {
             ChangeKind::OtherGel
         } else if self.contact_fraction >= min_contact_fraction {
             ChangeKind::Contact
-        } else if self.illumination_levels > f64::from(MIN_ILLUMINATION_LEVELS) {
+        } else if self.contact_fraction < MIN_CONTACT_FRACTION
+            && self.illumination_levels > f64::from(MIN_ILLUMINATION_LEVELS)
+        {
             ChangeKind::Illumination
         } else {
             ChangeKind::Unchanged

@@ -137,6 +137,18 @@ fn light_small_large_and_edge_contacts_are_detected() {
     }
 }
 
+/// A contact that is smaller than a strict limit is no change of light either.
+#[test]
+fn contact_below_a_strict_limit_is_not_illumination() {
+    let change = GelChange {
+        contact_fraction: 0.02,
+        illumination_levels: 9.0,
+        is_other_gel: false,
+    };
+    assert_eq!(change.kind(0.01), ChangeKind::Contact);
+    assert_eq!(change.kind(0.05), ChangeKind::Unchanged);
+}
+
 #[test]
 fn another_gel_is_not_contact() {
     let plain = gel(1, 0.0);
