@@ -16,7 +16,6 @@ const MARKED_NS: u64 = 3_000_000_000;
 /// Judges the images of both gels.
 #[derive(Debug, Default)]
 pub(super) struct GelJudge {
-    initial: BTreeMap<Role, GelCells>,
     monitors: BTreeMap<Role, GelMonitor>,
     /// Newest noise of each gel, grey levels.
     noise_levels: BTreeMap<Role, f32>,
@@ -24,14 +23,8 @@ pub(super) struct GelJudge {
 }
 
 impl GelJudge {
-    /// Sets the initial images of the left and the right gel.
+    /// Sets the images of the left and the right gel with an open gripper, of an initial frame.
     pub(super) fn set_initial(&mut self, images: [&RgbImage; 2]) {
-        self.initial = cells_by_role(images);
-        self.reference = GelReference::new(self.initial.clone());
-    }
-
-    /// Sets the images of an earlier initial frame.
-    pub(super) fn set_reference(&mut self, images: [&RgbImage; 2]) {
         self.reference = GelReference::new(cells_by_role(images));
     }
 
@@ -69,7 +62,7 @@ impl GelJudge {
     }
 
     fn change_of(&self, role: Role, cells: &GelCells) -> Option<GelChange> {
-        let initial = self.initial.get(&role)?;
+        let initial = self.reference.cells.get(&role)?;
         let noise_levels = self.noise_levels.get(&role).copied();
         Some(GelChange::between(
             initial,
@@ -87,7 +80,7 @@ fn cells_by_role([left, right]: [&RgbImage; 2]) -> BTreeMap<Role, GelCells> {
         .collect()
 }
 
-/// The gels of an earlier initial frame, for the time without a pending one.
+/// The gels of the pending or else the last initial frame.
 #[derive(Debug, Default)]
 struct GelReference {
     cells: BTreeMap<Role, GelCells>,

@@ -45,12 +45,13 @@ pub(super) enum InferRequest {
         /// Right gel, open gripper.
         right: Arc<RgbImage>,
     },
-    /// Compare gels with these images of an earlier initial frame while there is none.
+    /// Until the first initial frame (revision 1), compare the gels with these images of the
+    /// dataset's newest one (revision 0).
     SetReference {
         /// Left gel, open gripper.
-        left: RgbImage,
+        left: Arc<RgbImage>,
         /// Right gel, open gripper.
-        right: RgbImage,
+        right: Arc<RgbImage>,
     },
     /// Stop predicting, for this reason. Contact is still measured against the last initial frame.
     ClearInitial(String),
@@ -288,7 +289,7 @@ impl Worker {
                 left,
                 right,
             } => self.set_initial(revision, left, right),
-            InferRequest::SetReference { left, right } => self.gels.set_reference([&left, &right]),
+            InferRequest::SetReference { left, right } => self.compare_with(0, left, right),
             InferRequest::ClearInitial(reason) => self.clear_initial(reason),
             InferRequest::PredictFrames { images, reply } => {
                 // The requester may have timed out.
@@ -303,12 +304,17 @@ impl Worker {
         if let Some((predictor, _)) = &mut self.predictor {
             predictor.set_initial((*left).clone(), (*right).clone());
         }
-        self.gels.set_initial([&left, &right]);
-        self.initial = BTreeMap::from([(Role::Left, left), (Role::Right, right)]);
+        self.compare_with(revision, left, right);
         self.predicting = true;
         self.smoothing.clear();
+        lock(&self.state).live = None;
+    }
+
+    /// Compares the gels with these images from now on.
+    fn compare_with(&mut self, revision: u64, left: Arc<RgbImage>, right: Arc<RgbImage>) {
+        self.gels.set_initial([&left, &right]);
+        self.initial = BTreeMap::from([(Role::Left, left), (Role::Right, right)]);
         let mut state = lock(&self.state);
-        state.live = None;
         state.contact.clear();
         state.revision = Some(revision);
     }

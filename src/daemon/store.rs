@@ -169,7 +169,8 @@ struct Worker {
 
 impl Worker {
     fn run(&mut self, inbox: &Receiver<StoreMessage>) -> Result<()> {
-        if let Ok(Some([left, right])) = self.reference_images() {
+        if let Ok(Some(images)) = self.reference_images() {
+            let [left, right] = images.map(Arc::new);
             // Fails only while the process is ending.
             let _ = self.infer.send(InferRequest::SetReference { left, right });
         }

@@ -56,6 +56,8 @@ pub enum Guard {
     Skew,
     /// There is no initial frame.
     NoInitial,
+    /// A gel is still in contact at an initial frame.
+    GripperClosed,
     /// A gel's image is black, saturated, noise, flickering or drifting.
     GelImage,
     /// No gel is in contact.
@@ -81,6 +83,7 @@ impl Guard {
             Self::StaleFrame => "stale_frame",
             Self::Skew => "skew",
             Self::NoInitial => "no_initial",
+            Self::GripperClosed => "gripper_closed",
             Self::GelImage => "gel_image",
             Self::NoContact => "no_contact",
             Self::OneSidedContact => "one_sided_contact",
@@ -116,8 +119,8 @@ pub struct CameraCondition {
     pub fault: Option<String>,
     /// Control values read back from the camera.
     pub controls: BTreeMap<String, i64>,
-    /// Change of the gel since the pending initial frame; tactile cameras only, `None` before the
-    /// first comparison.
+    /// Change of the gel since the pending or else the last initial frame; tactile cameras only,
+    /// `None` before the first comparison.
     pub change: Option<GelChange>,
     /// Problems of the gel's image; tactile cameras only.
     pub gel_problems: Vec<GelProblem>,
@@ -241,20 +244,44 @@ pub(crate) fn check_gels(now: &Conditions, is_open: bool) -> Vec<GuardViolation>
         .collect()
 }
 
+/// Returns the compared gels with the kind of their change.
+fn compared_gels(limits: &GuardLimits, now: &Conditions) -> Vec<(Role, GelChange, ChangeKind)> {
+    let limit = limits.min_contact_fraction;
+    let compared = |camera: &CameraCondition| {
+        let change = camera.change?;
+        Some((camera.role, change, change.kind(limit)))
+    };
+    now.cameras.iter().filter_map(compared).collect()
+}
+
+/// Checks that no gel is in contact at an initial frame. Without an earlier initial frame nothing
+/// is known.
+pub(crate) fn check_open(limits: &GuardLimits, now: &Conditions) -> Vec<GuardViolation> {
+    let limit = limits.min_contact_fraction;
+    let gels = compared_gels(limits, now).into_iter();
+    let touched: Vec<String> = gels
+        .filter(|(_, _, kind)| *kind == ChangeKind::Contact && limit > 0.0)
+        .map(|(role, change, _)| format!("{role} {:.1} %", change.contact_fraction * 100.0))
+        .collect();
+    if touched.is_empty() {
+        return Vec::new();
+    }
+    let reason = format!(
+        "the gripper is still closed: contact since the last initial frame: {}, limit {:.1} %; \
+         open it, or override if the gel itself has changed",
+        touched.join(", "),
+        limit * 100.0
+    );
+    vec![GuardViolation {
+        guard: Guard::GripperClosed,
+        reason,
+        can_override: true,
+    }]
+}
+
 /// Checks that both gels are in contact.
 fn check_contact(limits: &GuardLimits, now: &Conditions) -> Vec<GuardViolation> {
-    let gels: Vec<(Role, GelChange, ChangeKind)> = now
-        .cameras
-        .iter()
-        .filter_map(|camera| {
-            let change = camera.change?;
-            Some((
-                camera.role,
-                change,
-                change.kind(limits.min_contact_fraction),
-            ))
-        })
-        .collect();
+    let gels = compared_gels(limits, now);
     let of_kind = |kind: ChangeKind| gels.iter().filter(move |gel| gel.2 == kind);
     let violation = |guard, reason| GuardViolation {
         guard,

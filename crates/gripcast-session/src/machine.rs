@@ -407,17 +407,16 @@ impl Session {
         };
         let mut violations = guard::check_frames(&self.limits, now, self.captured_ns);
         violations.extend(guard::check_gels(now, stage == Stage::Initial));
-        if stage == Stage::Grasp {
-            match &self.pending {
-                Some(initial) => {
-                    violations.extend(guard::check_against_initial(&self.limits, now, initial))
-                }
-                None => violations.push(GuardViolation {
-                    guard: Guard::NoInitial,
-                    reason: "no initial frame: open the gripper and take one".into(),
-                    can_override: false,
-                }),
+        match (stage, &self.pending) {
+            (Stage::Initial, _) => violations.extend(guard::check_open(&self.limits, now)),
+            (Stage::Grasp, Some(initial)) => {
+                violations.extend(guard::check_against_initial(&self.limits, now, initial));
             }
+            (Stage::Grasp, None) => violations.push(GuardViolation {
+                guard: Guard::NoInitial,
+                reason: "no initial frame: open the gripper and take one".into(),
+                can_override: false,
+            }),
         }
         // What cannot be overridden is the reason; the rest would not help.
         violations.sort_by_key(|violation| violation.can_override);

@@ -174,6 +174,13 @@ fn last_grasp(id: GraspId, object: ObjectName, outcome: Outcome) -> LastGrasp {
     }
 }
 
+/// Change of a gel that holds an object.
+const HELD: GelChange = GelChange {
+    contact_fraction: 0.2,
+    illumination_levels: 1.0,
+    is_other_gel: false,
+};
+
 fn change(contact_fraction: f64, illumination_levels: f64) -> GelChange {
     GelChange {
         contact_fraction,
@@ -182,6 +189,7 @@ fn change(contact_fraction: f64, illumination_levels: f64) -> GelChange {
     }
 }
 
+/// Conditions of a gripper that holds an object; [`handle`] opens it for an initial frame.
 pub(crate) fn good() -> Conditions {
     let camera = |role| CameraCondition {
         role,
@@ -189,7 +197,7 @@ pub(crate) fn good() -> Conditions {
         frame_time_ns: 2,
         fault: None,
         controls: BTreeMap::new(),
-        change: Some(change(0.2, 1.0)),
+        change: Some(HELD),
         gel_problems: Vec::new(),
     };
     Conditions {
@@ -210,7 +218,13 @@ pub(crate) fn session() -> Session {
 
 /// Handles a command like the engine: only triggers get camera conditions.
 pub(crate) fn handle(session: &mut Session, command: Command, now: &Conditions) -> Vec<Effect> {
-    let now = session.is_trigger(&command).then_some(now);
+    let mut now = now.clone();
+    let is_initial = command == Command::Initial
+        || (command == Command::Trigger && session.step() == Step::Initial);
+    let held = now.cameras.iter_mut().filter(|c| c.change == Some(HELD));
+    held.filter(|_| is_initial)
+        .for_each(|c| c.change = Some(change(0.0, 0.1)));
+    let now = session.is_trigger(&command).then_some(&now);
     let request = Request::new(7, command, CommandSource::Keyboard);
     session.handle(request, now)
 }
@@ -373,6 +387,52 @@ fn one_sided_contact_names_the_gel() {
         reasons[0].starts_with("only the left gel is in contact"),
         "{reasons:?}"
     );
+}
+
+#[test]
+fn initial_frame_of_a_closed_gripper_is_refused() {
+    let closed = |left, right| {
+        let mut now = good();
+        now.cameras[0].change = left;
+        now.cameras[1].change = right;
+        now
+    };
+    let open = Some(change(0.001, 0.1));
+    for now in [
+        closed(Some(change(0.3, 1.0)), Some(change(0.25, 1.0))),
+        closed(Some(change(0.3, 1.0)), open),
+        closed(None, Some(change(0.3, 1.0))),
+    ] {
+        let (mut session, mut store) = (session(), Store::default());
+        assert!(is_refused(&handle(&mut session, Command::Trigger, &now)));
+        let refusal = session.view(0).refusal.unwrap();
+        assert!(refusal.can_override);
+        assert!(
+            refusal.reasons[0].contains("still closed"),
+            "{:?}",
+            refusal.reasons
+        );
+        play(&mut session, &mut store, Command::Override, &now);
+        assert_eq!(session.step(), Step::Grasp);
+        // Retaking it with closed fingers is refused as well.
+        assert!(is_refused(&handle(&mut session, Command::Initial, &now)));
+    }
+    let other = GelChange {
+        is_other_gel: true,
+        ..change(0.4, 30.0)
+    };
+    // Nothing to compare with, a new gel and other light are no contact.
+    for change in [None, open, Some(other), Some(change(0.001, 30.0))] {
+        let now = closed(change, change);
+        let effects = handle(&mut session(), Command::Trigger, &now);
+        assert!(matches!(effects[..], [Effect::Store(_)]), "{effects:?}");
+    }
+    let limits = GuardLimits {
+        min_contact_fraction: 0.0,
+        ..GuardLimits::default()
+    };
+    let now = closed(Some(change(0.3, 1.0)), Some(change(0.3, 1.0)));
+    assert!(guard::check_open(&limits, &now).is_empty());
 }
 
 #[test]

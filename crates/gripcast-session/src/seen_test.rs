@@ -96,7 +96,10 @@ fn command_older_than_the_limit_is_refused() {
         max_command_age_ms: 20_000.0,
         ..GuardLimits::default()
     });
-    let effects = session.handle(old(Command::Trigger, 13_000.0), Some(&good()));
+    let effects = session.handle(
+        old(Command::Initial, 13_000.0),
+        Some(&Conditions::default()),
+    );
     assert!(matches!(effects[0], Effect::Store(_)), "{effects:?}");
 }
 

@@ -5,6 +5,7 @@ use std::collections::BTreeMap;
 use jiff::Timestamp;
 
 use super::Engine;
+use crate::daemon::infer::InferenceState;
 use crate::daemon::pairing::{FrameSet, pair};
 use crate::daemon::pre_grasp::PreGraspFrames;
 use crate::daemon::status::disk_free_bytes;
@@ -41,21 +42,28 @@ impl Engine {
         })
     }
 
+    /// Returns the revision of the initial frame with which the gels are compared: the pending or
+    /// else the last one, which shows whether the gripper has let go.
+    pub(super) fn compared_revision(&self, state: &InferenceState) -> Option<u64> {
+        match self.session.pending() {
+            Some(_) => Some(self.initial_revision),
+            None => state.revision,
+        }
+    }
+
     /// Returns whether all gels are in contact (true) or none (false), relative to the pending or
     /// else the last initial frame; `None` while only one is, and until every gel has been compared
     /// in a frame newer than the last capture.
     pub(super) fn is_in_contact(&self) -> Option<bool> {
         let state = self.inference.state();
-        let revision = match (self.session.pending(), state.revision) {
-            // No contact is measured before the first initial frame.
-            (None, None) => return Some(false),
-            (None, last) => last,
-            (Some(_), _) => Some(self.initial_revision),
+        // No contact is measured before the first initial frame.
+        let Some(revision) = self.compared_revision(&state) else {
+            return Some(false);
         };
         let since_ns = self.session.captured_ns();
         let gels = self.hub.slots().filter(|slot| slot.role.is_tactile());
         let changes = gels
-            .map(|slot| state.change(slot.role, revision, since_ns))
+            .map(|slot| state.change(slot.role, Some(revision), since_ns))
             .collect::<Option<Vec<GelChange>>>()?;
         let limit = self.guards.min_contact_fraction;
         let is_contact = |change: &GelChange| change.kind(limit) == ChangeKind::Contact;
@@ -95,7 +103,7 @@ impl Engine {
         let Trigger { now_ns, frame_set } = trigger;
         let now_ns = *now_ns;
         let state = self.inference.state();
-        let revision = Some(self.initial_revision);
+        let revision = self.compared_revision(&state);
         let since_ns = self.session.captured_ns();
         let cameras = self
             .hub

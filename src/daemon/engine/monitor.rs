@@ -142,11 +142,7 @@ impl Engine {
     }
 
     fn gels(&self, state: &InferenceState) -> BTreeMap<Role, GelStatus> {
-        // Until the next initial frame the last one shows whether the gripper has let go.
-        let revision = match self.session.pending() {
-            Some(_) => Some(self.initial_revision),
-            None => state.revision,
-        };
+        let revision = self.compared_revision(state);
         let limit = self.guards.min_contact_fraction;
         let gels = state.gels.iter().map(|(role, gel)| {
             let change = revision.and_then(|_| state.change(*role, revision, 0));

@@ -58,7 +58,8 @@ function isRepeat(key, event) {
 function press(event) {
   if (event.ctrlKey || event.altKey || event.metaKey || event.isComposing || event.defaultPrevented) return;
   const target = /** @type {HTMLElement} */ (event.target);
-  if (target.matches("input, select, textarea")) return;
+  // The field of a panel that has just closed keeps the focus until the next frame.
+  if (target.matches("input, select, textarea") && target.checkVisibility()) return;
   const key = event.key.toLowerCase();
   // Space and Enter press the focused button.
   if ((key === " " || key === "enter") && target.closest("button, a, summary")) return;
