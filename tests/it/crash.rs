@@ -114,9 +114,9 @@ fn acknowledged_changes_survive_200_random_kills() {
     let dir = tempfile::tempdir().unwrap();
     let rig = dir.path().join("crash.toml");
     std::fs::write(&rig, RIG).unwrap();
-    let cycle = "wait no-contact\nwait fresh\ninitial\nexpect saved\nwait contact\ngrasp\nexpect saved\nstable\nexpect saved\nundo\n\
+    let cycle = "wait fresh\ninitial\nexpect saved\nwait contact\ngrasp\nexpect saved\nstable\nexpect saved\nundo\n\
                  expect saved\nslip\nexpect saved\nundo\nexpect saved\nundo\nexpect saved\n\
-                 redo\nexpect saved\nwait no-contact\nwait fresh\ninitial\nexpect saved\nwait fresh\ninitial\nexpect saved\n\
+                 redo\nexpect saved\nwait fresh\ninitial\nexpect saved\nwait fresh\ninitial\nexpect saved\n\
                  undo\nexpect saved\nwait contact\ngrasp\nexpect saved\nslip\nexpect saved\n\
                  edit last object cup\nexpect saved\nundo\nexpect saved\nredo\nexpect saved\n";
     let steps = format!("wait live\n{}quit\n", cycle.repeat(50));

@@ -287,7 +287,7 @@ impl ScriptRunner {
                         if elapsed_ns < limit_ns {
                             return ScriptAction::Wait;
                         }
-                        let limit_s = limit_ns as f64 * 1e-9;
+                        let limit_s = limit_ns as f64 / 1e9;
                         return self.fail(&line, &format!("no result within {limit_s} s"));
                     }
                 }
