@@ -257,7 +257,7 @@ impl Work<'_> {
         {
             quality.notes.push(
                 "the object is not between the fingers: check that the sheet was printed at 100 % \
-                 (--measured-mm) and that the object stood on its outline"
+                 (`gripcast board make --measured-mm`) and that the object stood on its outline"
                     .to_owned(),
             );
         }

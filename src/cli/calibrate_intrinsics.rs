@@ -251,7 +251,12 @@ fn warnings(views: &Views, report: &CalibrationReport) -> Vec<String> {
             holdout.rms_px, report.rms_px
         ));
     }
-    if report.corner_sigma_px > MAX_CORNER_SIGMA_PX {
+    if report.corner_sigma_px.is_infinite() {
+        warnings.push(
+            "the fitted distortion has no inverse in the image corners: add views of the board there"
+                .to_owned(),
+        );
+    } else if report.corner_sigma_px > MAX_CORNER_SIGMA_PX {
         warnings.push(format!(
             "the uncertainty in the image corners is {:.1} px: add views of the board there",
             report.corner_sigma_px
@@ -301,7 +306,10 @@ fn as_text(args: &Args, views: &Views, report: &CalibrationReport) -> String {
             holdout.rms_px
         ));
     }
-    lines.push(format!("corners     ± {:.2} px", report.corner_sigma_px));
+    lines.push(match report.corner_sigma_px {
+        sigma if sigma.is_finite() => format!("corners     ± {sigma:.2} px"),
+        _ => "corners     not known".to_owned(),
+    });
     lines.push(format!("intrinsics  {}", args.out.display()));
     lines.join("\n")
 }

@@ -16,8 +16,8 @@ enum Action {
     Tactile(Box<render_tactile::Args>),
     /// Render path-traced images of the eye-in-hand camera
     Visual(Box<render_visual::Args>),
-    /// Fit a sensor profile to ball presses
-    Calibrate(render_calibrate::Args),
+    /// Fit a sensor profile to ball presses, or score one
+    Calibrate(Box<render_calibrate::Args>),
     /// Render clips of simulated grasps for the virtual rig
     Clip(render_clip::Args),
     /// Draw a comparison of the renderers
@@ -29,7 +29,7 @@ pub(crate) fn run(context: &Context, args: Args) -> Result<()> {
     match args.action {
         Action::Tactile(args) => render_tactile::run(context, *args),
         Action::Visual(args) => render_visual::run(context, *args),
-        Action::Calibrate(args) => render_calibrate::run(context, args),
+        Action::Calibrate(args) => render_calibrate::run(context, *args),
         Action::Clip(args) => render_clip::run(context, args),
         Action::Figure(args) => render_figure::run(context, args),
     }

@@ -2,19 +2,21 @@
 //!
 //! ```text
 //! gripcast render calibrate --presses ball --ball-mm 4.7 --out calib/sensors/2BKC.toml
-//! gripcast render calibrate --presses ball --train-fraction 1 --serial 2BKC --out 2BKC.toml --json
+//! gripcast render calibrate --presses ball --train 1-14 --test 15-28 --out 2BKC.toml
+//! gripcast render calibrate --presses ball --profile calib/sensors/2BKC.toml --json
 //! ```
 //!
 //! `--presses` is a folder with one image without contact (`no_contact.png`) and images of a ball
 //! pressed into the gel at several positions. Contacts are read from its `presses.json`, or else
 //! detected in the images (format: docs/how-to/rendering.md). By default half of the presses is
-//! fitted and the other half scored.
+//! fitted and the other half scored; `--train` and `--test` name them. `--profile` fits nothing: it
+//! scores an existing profile.
 //!
 //! `FILE.background.png`, the gel without contact, and `FILE.fit.png`, the real, rendered and
 //! residual images of scored presses, are written beside `--out FILE.toml`.
 //!
-//! Exit codes: 0 fitted · 1 nothing fitted · 2 usage · 3 fitted, but some presses were unusable ·
-//! 130 interrupted.
+//! Exit codes: 0 done · 1 nothing fitted or scored · 2 usage · 3 done, but some presses were
+//! unusable · 130 interrupted.
 
 use std::path::{Path, PathBuf};
 
@@ -26,8 +28,30 @@ use super::{Context, print_report};
 use gripcast_base::error::{Error, ErrorKind, Result};
 use gripcast_base::files::save;
 use gripcast_imaging::{CropProfile, encode_png_rgb};
-use gripcast_tactile::calibrate::{self, CalibrateOptions, CalibrationReport, ModelChoice, Terms};
-use gripcast_tactile::{NormalOrder, PositionOrder};
+use gripcast_tactile::calibrate::{
+    self, CalibrateOptions, CalibrationReport, ModelChoice, ReadOptions, Role, ScaleSource, Split,
+    Terms,
+};
+use gripcast_tactile::{NormalOrder, PositionOrder, SensorProfile};
+
+/// Options of the random split.
+const RANDOM_FLAGS: [&str; 3] = ["train_fraction", "max_fitted", "seed"];
+/// Options of the fit.
+const FIT_FLAGS: [&str; 13] = [
+    "train",
+    "train_fraction",
+    "max_fitted",
+    "seed",
+    "name",
+    "serial",
+    "model",
+    "normal",
+    "position",
+    "pixel_mm",
+    "fit_scale",
+    "size",
+    "crop_profile",
+];
 
 /// Arguments.
 #[derive(Clone, Debug, clap::Args)]
@@ -37,9 +61,24 @@ pub(crate) struct Args {
     presses: PathBuf,
     #[command(flatten)]
     ball: BallFlags,
-    /// Sensor profile to write
-    #[arg(long, value_name = "FILE.toml")]
-    out: PathBuf,
+    /// Sensor profile to write; with --profile, the image of scored presses
+    #[arg(
+        long,
+        value_name = "FILE.toml|FILE.png",
+        required_unless_present = "profile"
+    )]
+    out: Option<PathBuf>,
+    /// Score this sensor profile instead of fitting one; `builtin` is the generic GelSight Mini
+    #[arg(long, value_name = "FILE.toml|builtin", conflicts_with_all = FIT_FLAGS)]
+    profile: Option<PathBuf>,
+    /// Presses to fit: files, numbers from 1 or ranges as 1-14 [default: all but --test]
+    #[arg(long, value_name = "PRESS", value_delimiter = ',', num_args = 1..,
+        conflicts_with_all = RANDOM_FLAGS)]
+    train: Vec<String>,
+    /// Presses to score [default: all but --train]
+    #[arg(long, value_name = "PRESS", value_delimiter = ',', num_args = 1..,
+        conflicts_with_all = RANDOM_FLAGS)]
+    test: Vec<String>,
     /// Name of the profile [default: the file name]
     #[arg(long)]
     name: Option<String>,
@@ -103,29 +142,48 @@ enum Model {
 }
 
 impl Args {
-    fn options(&self) -> CalibrateOptions {
-        let mut options = CalibrateOptions::from_folder(&self.presses);
-        options.read = self.ball.read_options(&self.presses);
-        options.read.pixel_m = self.pixel_mm.map(|mm| 1e-3 * mm);
-        options.read.crop = self.crop;
-        options.read.size = self.size.map(Into::into);
-        options.train_fraction = self.train_fraction;
-        options.max_fitted = self.max_fitted;
-        options.seed = self.seed;
-        options.fit_scale = self.fit_scale;
-        options.crop_profile = self.crop_profile;
-        options.model = match self.model {
-            Model::Leds => ModelChoice::Leds,
-            Model::Polynomial => ModelChoice::Polynomial(Terms {
-                normal: self.normal,
-                position: self.position,
-            }),
-        };
-        let stem = self.out.file_stem().unwrap_or_default();
+    fn read_options(&self) -> ReadOptions {
+        ReadOptions {
+            pixel_m: self.pixel_mm.map(|mm| 1e-3 * mm),
+            crop: self.crop,
+            size: self.size.map(Into::into),
+            ..self.ball.read_options(&self.presses)
+        }
+    }
+
+    fn split(&self) -> Split {
+        if self.train.is_empty() && self.test.is_empty() {
+            return Split::Random {
+                train_fraction: self.train_fraction,
+                max_fitted: self.max_fitted,
+                seed: self.seed,
+            };
+        }
+        Split::Named {
+            train: self.train.clone(),
+            test: self.test.clone(),
+        }
+    }
+
+    fn options(&self, out: &Path) -> CalibrateOptions {
+        let stem = out.file_stem().unwrap_or_default();
         let name = self.name.clone();
-        options.name = name.unwrap_or_else(|| stem.to_string_lossy().into_owned());
-        options.serial.clone_from(&self.serial);
-        options
+        CalibrateOptions {
+            read: self.read_options(),
+            split: self.split(),
+            fit_scale: self.fit_scale,
+            crop_profile: self.crop_profile,
+            model: match self.model {
+                Model::Leds => ModelChoice::Leds,
+                Model::Polynomial => ModelChoice::Polynomial(Terms {
+                    normal: self.normal,
+                    position: self.position,
+                }),
+            },
+            name: name.unwrap_or_else(|| stem.to_string_lossy().into_owned()),
+            serial: self.serial.clone(),
+            ..CalibrateOptions::from_folder(&self.presses)
+        }
     }
 }
 
@@ -133,61 +191,143 @@ impl Args {
 struct Report<'a> {
     #[serde(flatten)]
     calibration: &'a CalibrationReport,
+    /// Profile that was written or scored.
     profile: &'a Path,
-    image: &'a Path,
+    /// Image of scored presses.
+    image: Option<&'a Path>,
 }
 
 /// Runs the command.
 pub(crate) fn run(context: &Context, args: Args) -> Result<()> {
-    check_output("--out", &args.out, &["toml"])?;
-    let options = args.options();
+    match (args.profile.clone(), args.out.clone()) {
+        (Some(profile), out) => score(context, args, &profile, out.as_deref()),
+        (None, Some(out)) => fit(context, &args, &out),
+        (None, None) => Err(Error::usage("`--out` or `--profile` is missing")),
+    }
+}
+
+fn fit(context: &Context, args: &Args, out: &Path) -> Result<()> {
+    check_output("--out", out, &["toml"])?;
+    let options = args.options(out);
     let calibration = interruptible(context, "fitting", move |_| calibrate::run(&options))??;
-    calibration.profile.save(&args.out)?;
-    let image = args.out.with_extension("fit.png");
+    calibration.profile.save(out)?;
+    let image = out.with_extension("fit.png");
     save(&image, &encode_png_rgb(&calibration.image)?)?;
-    let skipped = &calibration.report.skipped;
+    let report = Report {
+        calibration: &calibration.report,
+        profile: out,
+        image: Some(&image),
+    };
+    finish(context, args.json, &report)
+}
+
+fn score(context: &Context, args: Args, profile: &Path, out: Option<&Path>) -> Result<()> {
+    if let Some(out) = out {
+        check_output("--out", out, &["png"])?;
+    }
+    let json = args.json;
+    let path = profile.to_owned();
+    let (calibration, image) = interruptible(context, "scoring", move |_| {
+        let profile = match path.to_str() {
+            Some("builtin") => SensorProfile::gelsight_mini()?,
+            _ => SensorProfile::load(&path)?,
+        };
+        calibrate::score_profile(&profile, &args.read_options(), &args.test)
+    })??;
+    if let Some(out) = out {
+        save(out, &encode_png_rgb(&image)?)?;
+    }
+    let report = Report {
+        calibration: &calibration,
+        profile,
+        image: out,
+    };
+    finish(context, json, &report)
+}
+
+/// Prints warnings and the report.
+fn finish(context: &Context, json: bool, report: &Report<'_>) -> Result<()> {
+    let skipped = &report.calibration.skipped;
     context.warn(
         skipped
             .iter()
             .map(|press| format!("{} is not used: {}", press.file, press.reason)),
     );
-    let report = Report {
-        calibration: &calibration.report,
-        profile: &args.out,
-        image: &image,
-    };
-    print_report(args.json, &report, |report| {
+    context.warn(&report.calibration.notes);
+    print_report(json, report, |report| {
         text(report.calibration, report.profile)
     })?;
     match skipped.len() {
         0 => Ok(()),
         count => Err(Error::new(
             ErrorKind::Partial,
-            format!("{count} presses are unusable"),
+            format!("{count} of the presses are unusable"),
         )),
     }
 }
 
-fn text(report: &CalibrationReport, out: &Path) -> String {
+fn text(report: &CalibrationReport, profile: &Path) -> String {
     let score = &report.score;
-    let scored = report.scored_on.replace('_', " ");
-    [
+    let fitted = match report.train.as_ref().filter(|_| report.held_out > 0) {
+        Some(train) => format!("; fitted {:.3}", train.fve),
+        None => String::new(),
+    };
+    let scale = match report.scale {
+        ScaleSource::Given => "as given",
+        ScaleSource::Nominal => "assumed",
+        ScaleSource::Fitted => "fitted",
+        ScaleSource::Profile => "of the profile",
+    };
+    let mut lines = vec![format!(
+        "{:<24} {:<8} {:>12} {:>7} {:>8} {:>7} {:>6} {:>5}",
+        "press", "use", "centre px", "radius", "depth mm", "FVE", "dB", "L1"
+    )];
+    lines.extend(report.presses.iter().map(|row| {
+        let [x, y] = row.center_px;
         format!(
-            "{} fitted, {} held out, {} not used",
+            "{:<24} {:<8} {:>12} {:>7.1} {:>8.3} {:>7.3} {:>6.1} {:>5.1}",
+            row.score.file,
+            role(row.role),
+            format!("{x:.1}, {y:.1}"),
+            row.radius_px,
+            1e3 * row.indentation_m,
+            row.score.fve,
+            row.score.patch_psnr_db,
+            row.score.patch_l1,
+        )
+    }));
+    lines.extend([
+        String::new(),
+        format!(
+            "{} fitted, {} scored only, {} unusable, {} not used",
             report.fitted,
             report.held_out,
-            report.skipped.len()
+            report.skipped.len(),
+            report.unused.len()
         ),
         format!(
-            "FVE         {:.3} in the contact ({scored} presses)",
-            score.fve
+            "FVE         {:.3} in the contact ({} presses{fitted})",
+            score.fve,
+            role(report.scored_on)
         ),
         format!(
             "error       {:.1} dB, {:.1} grey levels; without contact {:.1} dB, {:.1}",
             score.patch_psnr_db, score.patch_l1, score.no_contact_psnr_db, score.no_contact_l1
         ),
-        format!("scale       {:.5} mm a pixel", 1e3 * report.pixel_m),
-        format!("profile     {}", out.display()),
-    ]
-    .join("\n")
+        format!(
+            "scale       {:.5} mm a pixel, {scale}; ball {:.3} mm",
+            1e3 * report.pixel_m,
+            1e3 * report.ball_diameter_m
+        ),
+        format!("profile     {}", profile.display()),
+    ]);
+    lines.join("\n")
+}
+
+fn role(role: Role) -> &'static str {
+    match role {
+        Role::Fitted => "fitted",
+        Role::HeldOut => "held out",
+        Role::Unknown => "scored",
+    }
 }

@@ -27,7 +27,7 @@ use gripcast_imaging::caption::{HEIGHT, write_text};
 use gripcast_imaging::{encode_jpeg, encode_png_rgb};
 use gripcast_sim::fem::{GelGrid, GelResolution};
 use gripcast_sim::grasp::Finger;
-use gripcast_tactile::calibrate::{self, CalibrateOptions, PressSet};
+use gripcast_tactile::calibrate::{self, CalibrateOptions, Split, SplitPresses};
 use gripcast_tactile::lookup::fit_to_presses;
 use gripcast_tactile::{
     FrameNoise, GelSurfaceRenderer, ObjectDepthRenderer, PressDepth, Rasteriser,
@@ -106,10 +106,19 @@ fn real_row(args: &Args) -> Result<(Vec<Tile>, Fitted)> {
     let mut options = CalibrateOptions::from_folder(&args.presses);
     options.read = args.ball.read_options(&args.presses);
     options.read.size = Some(TILE);
-    options.seed = args.seed;
-    let profile = calibrate::run(&options)?.profile;
-    let set = PressSet::read(&options.read)?;
-    let (train, held_out) = set.split(options.train_fraction, None, options.seed);
+    options.split = Split::Random {
+        train_fraction: 0.5,
+        max_fitted: None,
+        seed: args.seed,
+    };
+    let calibration = calibrate::run(&options)?;
+    let profile = calibration.profile;
+    let SplitPresses {
+        set,
+        train,
+        held_out,
+        ..
+    } = calibration.presses;
     let widest = |a: &&usize, b: &&usize| {
         let radius = |i: usize| set.presses[i].radius_px;
         radius(**a).total_cmp(&radius(**b))

@@ -39,7 +39,7 @@ use gripcast_visual::{
     Bitmap, ColourSettings, DENOISE_RADIUS_PX, DepthSettings, Finish, GraspState, Image, Model,
     ProceduralTexture, RenderControl, RenderSettings, Renderer, Sky, View, VisualConditions,
     VisualRandomisation, denoise, develop, grasp_scene, load_bitmap, load_hdr, measure_depth,
-    normalise_env_map,
+    normalise_env_map, white_table_luminance,
 };
 
 /// Arguments.
@@ -212,6 +212,13 @@ impl<'a> Job<'a> {
     fn new(args: &'a Args, plan: &'a OutPlan, progress: &'a Progress) -> Result<Self> {
         let env_map = |path: &PathBuf| -> Result<Arc<Image>> {
             let mut image = load_hdr(path)?;
+            if white_table_luminance(&image) <= 0.0 {
+                return Err(Error::input(
+                    "the environment map has no light above the horizon: all images would be dark",
+                )
+                .at(path.display())
+                .remedy("check the file, or leave `--hdri` out"));
+            }
             normalise_env_map(&mut image);
             Ok(Arc::new(image))
         };

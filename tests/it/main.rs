@@ -20,6 +20,7 @@ mod doctor;
 mod examples;
 mod export;
 mod familiarity;
+mod flags;
 mod fuzz_corpus;
 mod gels;
 mod hangup;

@@ -1,14 +1,17 @@
 //! Calibration of the tactile renderer on real presses.
 
 use gripcast_tactile::SensorProfile;
-use gripcast_tactile::calibrate::{CalibrateOptions, CalibrationReport, run};
+use gripcast_tactile::calibrate::{CalibrateOptions, CalibrationReport, Split, run};
 
 use gripcast_testing::shared;
 
 fn fots(max_fitted: Option<usize>, seed: u64) -> Option<CalibrationReport> {
     let options = CalibrateOptions {
-        max_fitted,
-        seed,
+        split: Split::Random {
+            train_fraction: 0.5,
+            max_fitted,
+            seed,
+        },
         ..CalibrateOptions::from_folder(shared("data/fots_ball")?)
     };
     Some(run(&options).unwrap().report)

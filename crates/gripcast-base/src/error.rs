@@ -153,6 +153,13 @@ impl Error {
         self
     }
 
+    /// Replaces a remedy that does not apply where the error goes to.
+    #[must_use]
+    pub fn replace_remedy(mut self, remedy: impl Into<String>) -> Self {
+        self.0.remedy = Some(remedy.into());
+        self
+    }
+
     /// Adds the underlying cause.
     #[must_use]
     pub fn because(mut self, source: impl std::error::Error + Send + Sync + 'static) -> Self {

@@ -169,9 +169,32 @@ fn replaceable(path: &Path) -> io::Result<Option<PathBuf>> {
 
 /// Returns a reader for files that a file names relative to itself (material library, buffer,
 /// texture): below its directory only, see [`Root`].
+///
+/// A name that is not found is looked for in other upper and lower case, as file systems of Windows
+/// and macOS do, and then without its folders, which are often those of the author's machine.
 pub fn companions(path: &Path) -> impl Fn(&str) -> io::Result<Vec<u8>> + use<> {
     let root = Root::new(folder(path));
-    move |name: &str| root.resolve(name)?.read(FileKind::Mesh)
+    move |name: &str| {
+        let read = |path: io::Result<BeneathPath>| path?.read(FileKind::Mesh);
+        let parts: Vec<&str> = name
+            .split(['/', '\\'])
+            .filter(|part| *part != ".")
+            .collect();
+        read(root.resolve(name)).or_else(|error| {
+            let moved = in_any_case(&root, &parts)
+                .or_else(|| in_any_case(&root, &parts[parts.len().saturating_sub(1)..]));
+            moved.map_or(Err(error), |path| read(Ok(path)))
+        })
+    }
+}
+
+/// Returns the first file below a directory whose path has these names in any case.
+fn in_any_case(root: &Root, names: &[&str]) -> Option<BeneathPath> {
+    names.iter().try_fold(root.top(), |folder, name| {
+        let entries = folder.entries().ok()?;
+        let same = |entry: &BeneathPath| entry.name().to_lowercase() == name.to_lowercase();
+        entries.into_iter().find(same)
+    })
 }
 
 /// The directory of a path; `.` for a bare name.
@@ -194,6 +217,31 @@ mod tests {
         let mut names: Vec<_> = fs::read_dir(folder).unwrap().map(name).collect();
         names.sort();
         names
+    }
+
+    #[test]
+    fn companions_are_found_in_any_case_and_without_foreign_folders() {
+        let folder = tempfile::tempdir().unwrap();
+        fs::create_dir(folder.path().join("Tex")).unwrap();
+        fs::write(folder.path().join("Tex/Wood.PNG"), b"deep").unwrap();
+        fs::write(folder.path().join("cup.png"), b"beside").unwrap();
+        let read = companions(&folder.path().join("cup.obj"));
+        for name in ["tex/wood.png", "Tex\\Wood.png", "./TEX/WOOD.PNG"] {
+            assert_eq!(read(name).unwrap(), b"deep", "{name}");
+        }
+        for name in [
+            "CUP.png",
+            "C:\\work\\cup.png",
+            "/home/me/Cup.png",
+            "../cup.png",
+        ] {
+            assert_eq!(read(name).unwrap(), b"beside", "{name}");
+        }
+        // Nothing outside the directory, and no other name.
+        let inside = companions(&folder.path().join("Tex/a.obj"));
+        for name in ["../cup.png", "cup.png", "", "..", "wood.jpg"] {
+            assert!(inside(name).is_err(), "{name}");
+        }
     }
 
     #[test]

@@ -61,7 +61,13 @@ pub fn load_object_mesh_below(
         let mesh = read_mesh(&bytes, format, &companions(&path))?;
         prepared(&mesh.scaled(unit.in_metres()), scale)
     };
-    read().map_err(|e: Error| e.at(path.display()))
+    let without_flag = |e: Error| match e.remedy_text() {
+        Some(remedy) if remedy.contains("--unit") => {
+            e.replace_remedy("check the unit or scale in the file that names the mesh")
+        }
+        _ => e,
+    };
+    read().map_err(|e: Error| without_flag(e).at(path.display()))
 }
 
 /// Error for the name of a built-in shape without its prefix.

@@ -49,7 +49,7 @@ pub use membrane::ball_sink_m;
 pub use noise::{Drift, FrameNoise};
 pub use normals::Normals;
 pub use press_depth::{PressDepth, SensorGeometry};
-pub use profile::{Background, SensorProfile, ShadingModel};
+pub use profile::{Background, FittedPress, SensorProfile, ShadingModel};
 pub use rasteriser::{NO_TRIANGLE, Rasteriser};
 pub use renderer::TactileRenderer;
 pub use rigid_press::{depth_under_force, foundation_pa_m};

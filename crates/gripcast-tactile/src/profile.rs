@@ -96,6 +96,19 @@ pub struct SensorProfile {
     pub shading: ShadingModel,
     /// Background.
     pub background: Background,
+    /// Presses that the profile was fitted to; empty if they are not recorded.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub fitted_to: Vec<FittedPress>,
+}
+
+/// A press that a profile was fitted to, by which later scores tell it from held-out presses.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct FittedPress {
+    /// File name.
+    pub file: String,
+    /// SHA-256 of the file, 64 hex digits.
+    pub sha256: String,
 }
 
 impl SensorProfile {

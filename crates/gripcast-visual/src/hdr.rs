@@ -37,13 +37,13 @@ pub fn read_hdr(bytes: &[u8]) -> Result<Image> {
     }
     let mut reader = Reader { bytes, position: 0 };
     let (size, exposure) = reader.header()?;
-    let Layout { width, height, .. } = size;
-    // Rows are appended as they are decoded, so that a forged header cannot allocate memory.
+    let Layout { length, count, .. } = size;
+    // Lines are appended as they are decoded, so that a forged header cannot allocate memory.
     let mut pixels = Vec::new();
-    let mut codes = vec![[0_u8; 4]; width];
-    for row in 0..height {
+    let mut codes = vec![[0_u8; 4]; length];
+    for line in 0..count {
         reader.scan_line(&mut codes).map_err(|what| {
-            invalid(format!("{what} in row {row} of {height}"))
+            invalid(format!("{what} in line {line} of {count}"))
                 .remedy("check that the file is complete")
         })?;
         pixels.extend(
@@ -51,14 +51,18 @@ pub fn read_hdr(bytes: &[u8]) -> Result<Image> {
                 .iter()
                 .map(|&code| radiance(code).map(|v| v / exposure)),
         );
-        if size.right_to_left {
-            pixels[row * width..].reverse();
+        if size.is_line_reversed {
+            pixels[line * length..].reverse();
         }
     }
-    if size.bottom_up {
-        pixels = pixels.chunks(width).rev().flatten().copied().collect();
+    if size.is_order_reversed {
+        pixels = pixels.chunks(length).rev().flatten().copied().collect();
     }
-    Image::from_pixels(width, height, pixels)
+    if !size.is_by_column {
+        return Image::from_pixels(length, count, pixels);
+    }
+    let rows = (0..length).flat_map(|y| (0..count).map(move |x| x * length + y));
+    Image::from_pixels(count, length, rows.map(|i| pixels[i]).collect())
 }
 
 fn invalid(what: impl Into<String>) -> Error {
@@ -72,12 +76,17 @@ fn not_hdr(bytes: &[u8]) -> Error {
         .remedy("use a .hdr file (RGBE), for instance from Poly Haven, or a procedural sky")
 }
 
-/// Size and order of the pixels.
+/// Size and order of the pixels: lines are rows, or columns.
 struct Layout {
-    width: usize,
-    height: usize,
-    bottom_up: bool,
-    right_to_left: bool,
+    /// Pixels of a line.
+    length: usize,
+    /// Number of lines.
+    count: usize,
+    is_by_column: bool,
+    /// Rows from right to left, or columns from bottom to top.
+    is_line_reversed: bool,
+    /// Rows from bottom to top, or columns from right to left.
+    is_order_reversed: bool,
 }
 
 struct Reader<'a> {
@@ -114,14 +123,19 @@ impl Reader<'_> {
                     return Err(invalid(format!(
                         "HDR values must be 32-bit_rle_rgbe, found {format:?}"
                     ))
-                    .remedy("convert the image to RGBE"));
+                    .remedy(
+                        "convert the image to RGBE, for instance with Radiance's `ra_xyze -r`",
+                    ));
                 }
             } else if let Some(value) = line.strip_prefix("EXPOSURE=") {
                 let value = value.trim().parse().unwrap_or(1.0_f32);
                 if value.is_normal() && value > 0.0 {
                     exposure *= value;
                 }
-            } else if line.starts_with("-Y") || line.starts_with("+Y") {
+            } else if ["-Y ", "+Y ", "-X ", "+X "]
+                .iter()
+                .any(|axis| line.starts_with(axis))
+            {
                 return Ok((layout(&line)?, exposure));
             }
         }
@@ -189,26 +203,36 @@ impl Reader<'_> {
     }
 }
 
+/// Parses a size such as `-Y 512 +X 1024`: rows from the top, each from the left.
 fn layout(line: &str) -> Result<Layout> {
     let words: Vec<&str> = line.split_whitespace().collect();
     let parsed = match words[..] {
-        [y, height, x @ ("+X" | "-X"), width] => {
-            let (height, width) = (height.parse::<usize>(), width.parse::<usize>());
-            height.ok().zip(width.ok()).map(|(height, width)| Layout {
-                width,
-                height,
-                bottom_up: y == "+Y",
-                right_to_left: x == "-X",
+        [first, count, second, length] => {
+            let numbers = count
+                .parse::<usize>()
+                .ok()
+                .zip(length.parse::<usize>().ok());
+            let order = match (first, second) {
+                ("-Y" | "+Y", "-X" | "+X") => Some((false, first == "+Y", second == "-X")),
+                ("-X" | "+X", "-Y" | "+Y") => Some((true, first == "-X", second == "+Y")),
+                _ => None,
+            };
+            numbers.zip(order).map(|((count, length), order)| Layout {
+                length,
+                count,
+                is_by_column: order.0,
+                is_order_reversed: order.1,
+                is_line_reversed: order.2,
             })
         }
         _ => None,
     };
     let size = parsed.ok_or_else(|| invalid(format!("invalid HDR size {line:?}")))?;
     let is_usable = |n: usize| (1..=MAX_SIDE).contains(&n);
-    if !is_usable(size.width) || !is_usable(size.height) {
+    if !is_usable(size.length) || !is_usable(size.count) {
         return Err(invalid(format!(
             "an HDR image must have 1 to {MAX_SIDE} pixels per side, found {}×{}",
-            size.width, size.height
+            size.length, size.count
         ))
         .remedy("scale it down; 2048×1024 is enough for lighting"));
     }
@@ -258,6 +282,20 @@ mod tests {
         let body = [128, 0, 0, 129, 0, 128, 0, 129];
         let turned = read_hdr(&file("+Y 2 -X 1", &body)).unwrap();
         assert_eq!(turned.pixels, [[0.0, 1.0, 0.0], [1.0, 0.0, 0.0]]);
+        // Columns from the left, each from the top: the first two pixels are the left column.
+        let body = [1_u8, 2, 3, 4].map(|red| [red, 0, 0, 136]).concat();
+        for (size, expected) in [
+            ("+X 2 -Y 2", [1.0, 3.0, 2.0, 4.0]),
+            ("+X 2 +Y 2", [2.0, 4.0, 1.0, 3.0]),
+            ("-X 2 -Y 2", [3.0, 1.0, 4.0, 2.0]),
+            ("-X 2 +Y 2", [4.0, 2.0, 3.0, 1.0]),
+        ] {
+            let image = read_hdr(&file(size, &body)).unwrap();
+            let reds: Vec<f32> = image.pixels.iter().map(|p| p[0]).collect();
+            assert_eq!(reds, expected, "{size}");
+        }
+        let tall = read_hdr(&file("+X 1 -Y 4", &body)).unwrap();
+        assert_eq!((tall.width, tall.height), (1, 4));
         let head = "#?RGBE\nEXPOSURE=2\nEXPOSURE= 0\n\n-Y 1 +X 1\n";
         let halved = read_hdr(&[head.as_bytes(), &[128, 64, 32, 129]].concat()).unwrap();
         assert_eq!(halved.pixels, [[0.5, 0.25, 0.125]]);
@@ -282,11 +320,12 @@ mod tests {
             (b"hello".to_vec(), "#?RADIANCE"),
             (b"#?RADIANCE\nno size".to_vec(), "-Y 512 +X 1024"),
             (xyze, "32-bit_rle_xyze"),
-            (cut.to_vec(), "the file ends in row 1 of 2"),
+            (cut.to_vec(), "the file ends in line 1 of 2"),
             (file("-Y 1 +X 8", &overlong), "does not fit the width"),
             (file("-Y 1 +X 99999999", &[]), "pixels per side"),
             (file("-Y 0 +X 4", &[]), "pixels per side"),
             (file("-Y one +X 4", &[]), "invalid HDR size"),
+            (file("-Y 4 +Y 4", &[]), "invalid HDR size"),
         ] {
             let error = read_hdr(&bytes).unwrap_err();
             assert_eq!(error.kind(), ErrorKind::Input);

@@ -42,6 +42,9 @@ pub struct LoadedModel {
     pub warnings: Vec<String>,
 }
 
+/// Transform of [`MeshMaterial::uv_transform`].
+type UvTransform = [[f64; 3]; 2];
+
 /// Reads an image that a mesh refers to by a relative path.
 type ReadRelative<'a> = &'a dyn Fn(&str) -> std::io::Result<Vec<u8>>;
 
@@ -87,10 +90,10 @@ impl Model {
             warnings: mesh.warnings.clone(),
             beside,
         };
-        let is_textured: Vec<bool> = mesh
+        let uv_transforms: Vec<Option<UvTransform>> = mesh
             .materials
             .iter()
-            .map(|material| build.material(material))
+            .map(|material| build.material(material).then_some(material.uv_transform))
             .collect();
         let is_inside_out = signed_volume(mesh) < 0.0;
         if is_inside_out {
@@ -100,7 +103,7 @@ impl Model {
         }
         for (number, part) in mesh.parts.iter().enumerate() {
             let mut own = match part.material {
-                Some(material) => build.part(part, material, is_textured[material], number),
+                Some(material) => build.part(part, material, uv_transforms[material], number),
                 None => build.part_with_finish(part, finish, seed)?,
             };
             if is_inside_out {
@@ -238,7 +241,8 @@ impl ModelBuilder<'_> {
         let base_colour = match image {
             Some(Some(image)) => self.texture(tinted(image, from.base_color)),
             // The factor of an image is usually white.
-            Some(None) => None,
+            Some(None) if from.base_color == [1.0; 3] => None,
+            Some(None) => Some(Colour::Constant(from.base_color.map(|c| c as f32))),
             None => Some(Colour::Constant(from.base_color.map(|c| c as f32))),
         };
         let is_textured = matches!(base_colour, Some(Colour::Texture(_)));
@@ -270,7 +274,10 @@ impl ModelBuilder<'_> {
         };
         let (image, warning) = match loaded {
             Ok(loaded) => (Some(loaded.image), loaded.warning),
-            Err(text) => (None, Some(format!("{text}; grey is used instead"))),
+            Err(text) => (
+                None,
+                Some(format!("{text}; a plain colour is used instead")),
+            ),
         };
         let warning = warning.map(|text| format!("{label}: texture {name:?}: {text}"));
         self.warnings.extend(warning);
@@ -278,7 +285,18 @@ impl ModelBuilder<'_> {
     }
 
     /// Converts a part with a material of the file.
-    fn part(&mut self, part: &MeshPart, material: usize, textured: bool, number: usize) -> Mesh {
+    fn part(
+        &mut self,
+        part: &MeshPart,
+        material: usize,
+        uv_transform: Option<UvTransform>,
+        number: usize,
+    ) -> Mesh {
+        let textured = uv_transform.is_some();
+        let placed = |&[u, v]: &[f64; 2]| {
+            let rows = uv_transform.unwrap_or_default();
+            rows.map(|[a, b, c]| (a * u + b * v + c) as f32)
+        };
         let extent = part.shape.bounds().extent().max_element();
         let width = if extent > 0.0 { extent } else { 1.0 };
         if matches!(self.model.materials[material], Material::Dielectric { .. })
@@ -304,15 +322,14 @@ impl ModelBuilder<'_> {
             Projection::None
         };
         match (&part.normals, &part.uvs) {
-            (None, Some(uvs)) if textured => flat_with_uvs(part, uvs, material),
+            (None, Some(uvs)) if textured => {
+                let uvs: Vec<[f32; 2]> = uvs.iter().map(placed).collect();
+                flat_with_uvs(part, &uvs, material)
+            }
             (Some(normals), uvs) if !needs_projection => Mesh {
                 positions: part.shape.vertices.iter().map(|v| v.as_vec3()).collect(),
                 normals: normals.iter().map(|n| n.as_vec3()).collect(),
-                uvs: uvs
-                    .iter()
-                    .flatten()
-                    .map(|uv| uv.map(|c| c as f32))
-                    .collect(),
+                uvs: uvs.iter().flatten().map(placed).collect(),
                 triangles: part.shape.triangles.clone(),
                 material,
             },
@@ -347,7 +364,7 @@ fn tinted(mut image: image::RgbImage, color: [f64; 3]) -> image::RgbImage {
 }
 
 /// Converts a part with texture coordinates but without normals.
-fn flat_with_uvs(part: &MeshPart, uvs: &[[f64; 2]], material: usize) -> Mesh {
+fn flat_with_uvs(part: &MeshPart, uvs: &[[f32; 2]], material: usize) -> Mesh {
     // Texture seams must not become creases: normals come from the welded shape.
     let welded = welded(&part.shape);
     let smooth = shaded_mesh(&welded, CREASE_RAD, Projection::None, material);
@@ -361,7 +378,7 @@ fn flat_with_uvs(part: &MeshPart, uvs: &[[f64; 2]], material: usize) -> Mesh {
             let vertex = own[k] as usize;
             mesh.positions.push(part.shape.vertices[vertex].as_vec3());
             mesh.normals.push(smooth.normals[smoothed[k] as usize]);
-            mesh.uvs.push(uvs[vertex].map(|c| c as f32));
+            mesh.uvs.push(uvs[vertex]);
         }
         mesh.triangles.push([first, first + 1, first + 2]);
     }

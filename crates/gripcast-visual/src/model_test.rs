@@ -45,6 +45,27 @@ fn textured_square_shows_its_image_upright() {
 }
 
 #[test]
+fn image_is_placed_by_the_material() {
+    let mtl = b"newmtl paint\nmap_Kd -s 3 2 -o 0 0.25 top.png\n".to_vec();
+    let loaded = read(SQUARE, &[("a.mtl", mtl), ("top.png", red_top())]);
+    let mesh = &loaded.model.meshes[0];
+    for (position, uv) in mesh.positions.iter().zip(&mesh.uvs) {
+        assert_eq!(*uv, [3.0 * position.x, 1.0 - (2.0 * position.y + 0.25)]);
+    }
+}
+
+#[test]
+fn missing_texture_leaves_the_colour_of_the_material() {
+    let mtl = b"newmtl paint\nKd 0.5 0.25 0\nmap_Kd gone.png\n".to_vec();
+    let loaded = read(SQUARE, &[("a.mtl", mtl)]);
+    assert!(matches!(
+        loaded.model.materials[0],
+        Material::Principled { base_colour: Colour::Constant(colour), .. }
+        if colour == [0.5, 0.25, 0.0]
+    ));
+}
+
+#[test]
 fn missing_texture_becomes_grey_with_warning() {
     let mtl = b"newmtl paint\nmap_Kd gone.png\n".to_vec();
     for (files, expected) in [

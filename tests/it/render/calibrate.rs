@@ -101,6 +101,63 @@ fn calibration_recovers_rendered_sensor() {
 }
 
 #[test]
+fn named_presses_and_existing_profiles_are_scored() {
+    let dir = tempfile::tempdir().unwrap();
+    let folder = rendered_presses(dir.path());
+    let out = dir.path().join("sensor.toml");
+    let report = calibrate(
+        &folder,
+        &format!(
+            "--train 1-3,press_4 --test 8 press_5.png --out {}",
+            out.display()
+        ),
+    );
+    assert_schema("render calibrate", &[&report]);
+    let roles = |report: &Value| -> Vec<(u64, String)> {
+        let rows = report["presses"].as_array().unwrap().iter();
+        let row = |row: &Value| {
+            let role = row["role"].as_str().unwrap().to_owned();
+            (row["number"].as_u64().unwrap(), role)
+        };
+        rows.map(row).collect()
+    };
+    let fitted = [1, 2, 3, 5].map(|number| (number, "fitted".to_owned()));
+    let scored = [6, 8].map(|number| (number, "held_out".to_owned()));
+    let mut all = [&fitted[..], &scored[..]].concat();
+    all.sort();
+    assert_eq!(roles(&report), all);
+    assert_eq!(report["unused"], value!(["press_3.png", "press_6.png"]));
+    // The profile knows its presses.
+    let image = dir.path().join("scored.png");
+    let words = format!("--profile {} --out {}", out.display(), image.display());
+    let report = calibrate(&folder, &words);
+    assert_eq!(
+        (&report["fitted"], &report["held_out"]),
+        (&value!(4), &value!(4))
+    );
+    assert!(report["fve"].as_f64().unwrap() > 0.9, "{report}");
+    assert!(png(image).width() > 320);
+    let report = calibrate(&folder, "--profile builtin --test 1");
+    assert_eq!(report["scored_on"], "held_out");
+    assert!(report["fve"].as_f64().unwrap() > 0.9, "{report}");
+    for (words, expected) in [
+        ("--profile builtin --train 1", "--train"),
+        ("--train 1 --seed 3 --out a.toml", "--seed"),
+        ("--train 9 --out a.toml", "names none of the 8 presses"),
+        (
+            "--train 1,2 --test 2 --out a.toml",
+            "both to fit and to score",
+        ),
+        ("--train 1,2", "--out"),
+    ] {
+        let words = format!("--presses {} {words}", folder.display());
+        let (code, message) = refused(&mut render("calibrate", &words));
+        assert_eq!(code, 2, "{message}");
+        assert!(message.contains(expected), "{expected}: {message}");
+    }
+}
+
+#[test]
 fn unusable_presses_are_reported() {
     let dir = tempfile::tempdir().unwrap();
     let folder = rendered_presses(dir.path());

@@ -1,12 +1,13 @@
-//! Materials and images of glTF 2.0, with the extensions for transmission and index of
-//! refraction.
+//! Materials and images of glTF 2.0, with the extensions for transmission, index of refraction,
+//! unlit materials, specular-glossiness and texture transforms.
 //!
 //! Parsed separately from the shape, so that invalid materials do not prevent reading the shape.
 
+use percent_encoding::percent_decode_str;
 use serde::Deserialize;
 
 use super::glb::{Gltf, decode_data_uri};
-use super::material::{ImageSource, MeshMaterial};
+use super::material::{ImageSource, MeshMaterial, UV_IDENTITY};
 
 #[derive(Default, Deserialize)]
 #[serde(default)]
@@ -70,6 +71,30 @@ struct Extensions {
     transmission: Transmission,
     #[serde(rename = "KHR_materials_ior")]
     ior: Option<Ior>,
+    #[serde(rename = "KHR_materials_unlit")]
+    unlit: Option<serde::de::IgnoredAny>,
+    #[serde(rename = "KHR_materials_pbrSpecularGlossiness")]
+    specular_glossiness: Option<SpecularGlossiness>,
+}
+
+/// The material model of older exporters; its specular colour is not used.
+#[derive(Deserialize)]
+#[serde(rename_all = "camelCase", default)]
+struct SpecularGlossiness {
+    diffuse_factor: [f64; 4],
+    diffuse_texture: Option<TextureUse>,
+    glossiness_factor: f64,
+}
+
+impl Default for SpecularGlossiness {
+    /// Defaults of the extension.
+    fn default() -> Self {
+        Self {
+            diffuse_factor: [1.0; 4],
+            diffuse_texture: None,
+            glossiness_factor: 1.0,
+        }
+    }
 }
 
 #[derive(Default, Deserialize)]
@@ -90,7 +115,55 @@ struct TextureUse {
     #[serde(default)]
     tex_coord: u32,
     #[serde(default)]
-    extensions: serde_json::Map<String, serde_json::Value>,
+    extensions: TextureExtensions,
+}
+
+#[derive(Default, Deserialize)]
+#[serde(default)]
+struct TextureExtensions {
+    #[serde(rename = "KHR_texture_transform")]
+    transform: Option<TextureTransform>,
+}
+
+#[derive(Deserialize)]
+#[serde(rename_all = "camelCase", default)]
+struct TextureTransform {
+    offset: [f64; 2],
+    rotation: f64,
+    scale: [f64; 2],
+    tex_coord: Option<u32>,
+}
+
+impl Default for TextureTransform {
+    fn default() -> Self {
+        Self {
+            offset: [0.0; 2],
+            rotation: 0.0,
+            scale: [1.0; 2],
+            tex_coord: None,
+        }
+    }
+}
+
+impl TextureUse {
+    /// Offset · rotation · scale; the rotation is clockwise in the image, whose v points down.
+    fn uv_transform(&self) -> [[f64; 3]; 2] {
+        let Some(transform) = &self.extensions.transform else {
+            return UV_IDENTITY;
+        };
+        let (sin, cos) = transform.rotation.sin_cos();
+        let ([su, sv], [ou, ov]) = (transform.scale, transform.offset);
+        let matrix = [[cos * su, sin * sv, ou], [-sin * su, cos * sv, ov]];
+        let is_finite = matrix.iter().flatten().all(|value| value.is_finite());
+        if is_finite { matrix } else { UV_IDENTITY }
+    }
+
+    fn uv_set(&self) -> u32 {
+        let transform = self.extensions.transform.as_ref();
+        transform
+            .and_then(|t| t.tex_coord)
+            .unwrap_or(self.tex_coord)
+    }
 }
 
 #[derive(Deserialize)]
@@ -138,7 +211,17 @@ fn convert(
     messages: &mut Vec<String>,
 ) -> MeshMaterial {
     let pbr = &entry.pbr_metallic_roughness;
-    let [red, green, blue, alpha] = pbr.base_color_factor;
+    let (mut factor, mut texture) = (pbr.base_color_factor, &pbr.base_color_texture);
+    let (mut metallic, mut roughness) = (pbr.metallic_factor, pbr.roughness_factor);
+    if let Some(older) = &entry.extensions.specular_glossiness {
+        (factor, texture) = (older.diffuse_factor, &older.diffuse_texture);
+        (metallic, roughness) = (0.0, 1.0 - older.glossiness_factor);
+    }
+    if entry.extensions.unlit.is_some() {
+        messages.push("KHR_materials_unlit is rendered as a matt surface".to_string());
+        (metallic, roughness) = (0.0, 1.0);
+    }
+    let [red, green, blue, alpha] = factor;
     let see_through = match entry.alpha_mode.as_str() {
         "BLEND" => 1.0 - alpha,
         "MASK" => {
@@ -162,9 +245,12 @@ fn convert(
     MeshMaterial {
         name: entry.name.clone(),
         base_color: [red, green, blue].map(|c| finite(c, 1.0).clamp(0.0, 1.0)),
-        base_color_image: image(&pbr.base_color_texture),
-        metallic: finite(pbr.metallic_factor, 1.0).clamp(0.0, 1.0),
-        roughness: finite(pbr.roughness_factor, 1.0).clamp(0.0, 1.0),
+        base_color_image: image(texture),
+        uv_transform: texture
+            .as_ref()
+            .map_or(UV_IDENTITY, TextureUse::uv_transform),
+        metallic: finite(metallic, 1.0).clamp(0.0, 1.0),
+        roughness: finite(roughness, 1.0).clamp(0.0, 1.0),
         metallic_roughness_image: image(&pbr.metallic_roughness_texture),
         transmission: finite(transmission.max(see_through), 0.0).clamp(0.0, 1.0),
         ior: ior.filter(|n| (1.0..=4.0).contains(n)).unwrap_or(plain.ior),
@@ -178,11 +264,8 @@ fn image_source(
     document: &Document,
     gltf: &Gltf,
 ) -> Result<ImageSource, String> {
-    if texture_use.tex_coord != 0 {
+    if texture_use.uv_set() != 0 {
         return Err("only the first set of texture coordinates is supported".to_string());
-    }
-    if texture_use.extensions.contains_key("KHR_texture_transform") {
-        return Err("KHR_texture_transform is not supported; the texture is ignored".to_string());
     }
     let texture = document.textures.get(texture_use.index);
     let texture = texture.ok_or_else(|| format!("texture {} not found", texture_use.index))?;
@@ -200,7 +283,9 @@ fn image_source(
             Some(bytes) => bytes
                 .map(|bytes| ImageSource::Embedded(name, bytes))
                 .map_err(|error| format!("image {index} is not valid base64: {error}")),
-            None => Ok(ImageSource::File(uri.replace("%20", " "))),
+            None => Ok(ImageSource::File(
+                percent_decode_str(uri).decode_utf8_lossy().into_owned(),
+            )),
         },
         (None, Some(view)) => gltf
             .view(view)

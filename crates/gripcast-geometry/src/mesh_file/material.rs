@@ -18,6 +18,9 @@ impl ImageSource {
     }
 }
 
+/// Texture coordinates as they are.
+pub(super) const UV_IDENTITY: [[f64; 3]; 2] = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]];
+
 /// A material in the metallic-roughness model of glTF 2.0; colours are linear.
 #[derive(Clone, Debug, PartialEq)]
 pub struct MeshMaterial {
@@ -28,6 +31,9 @@ pub struct MeshMaterial {
     pub base_color: [f64; 3],
     /// sRGB image of the base colour.
     pub base_color_image: Option<ImageSource>,
+    /// From texture coordinates (u, v, 1), as of [`MeshPart::uvs`](super::MeshPart::uvs), to those
+    /// in the image.
+    pub uv_transform: [[f64; 3]; 2],
     /// 0 for a dielectric, 1 for a metal.
     pub metallic: f64,
     /// Perceptual roughness, 0 (mirror) to 1 (matt); its square is the GGX alpha.
@@ -50,6 +56,7 @@ impl Default for MeshMaterial {
             name: String::new(),
             base_color: [0.8; 3],
             base_color_image: None,
+            uv_transform: UV_IDENTITY,
             metallic: 0.0,
             roughness: 0.6,
             metallic_roughness_image: None,

@@ -7,7 +7,8 @@
 //! Programs disagree about `Tr`: the format and most use 1 − `d`, MeshLab and VCG the opacity. So it
 //! counts only without `d`, and 1, which would make an object invisible, is opaque. A material with
 //! `d` below 1 or an `illum` model 4, 6, 7 or 9 is transparent; one with almost no
-//! `Kd` but a bright `Ks` is a metal.
+//! `Kd` but a bright `Ks` is a metal. Keywords count in any case, as in other programs. Of the
+//! options of `map_Kd`, `-s` and `-o` (uv · s + o) are used.
 
 use super::material::{ImageSource, MeshMaterial};
 use super::text;
@@ -40,7 +41,7 @@ const MAP_OPTIONS: [(&str, usize); 12] = [
 struct Entry {
     name: String,
     diffuse: Option<[f64; 3]>,
-    diffuse_map: Option<String>,
+    diffuse_map: Option<DiffuseMap>,
     specular: Option<[f64; 3]>,
     emission: Option<[f64; 3]>,
     filter: Option<[f64; 3]>,
@@ -53,6 +54,21 @@ struct Entry {
     metallic: Option<f64>,
 }
 
+/// File and placement of `map_Kd`.
+struct DiffuseMap {
+    file: String,
+    scale: [f64; 2],
+    offset: [f64; 2],
+}
+
+impl DiffuseMap {
+    /// Transform of texture coordinates with v downwards.
+    fn uv_transform(&self) -> [[f64; 3]; 2] {
+        let ([su, sv], [ou, ov]) = (self.scale, self.offset);
+        [[su, 0.0, ou], [0.0, sv, 1.0 - sv - ov]]
+    }
+}
+
 /// Parses a library; each warning states its line.
 pub(super) fn read(bytes: &[u8], warnings: &mut Vec<String>) -> Vec<MeshMaterial> {
     let text = text::decode(bytes);
@@ -61,7 +77,7 @@ pub(super) fn read(bytes: &[u8], warnings: &mut Vec<String>) -> Vec<MeshMaterial
         let line = line.trim();
         let (keyword, rest) = line.split_once(char::is_whitespace).unwrap_or((line, ""));
         let rest = text::without_comment(rest);
-        if keyword == "newmtl" {
+        if keyword.eq_ignore_ascii_case("newmtl") {
             entries.push(Entry {
                 name: rest.to_string(),
                 ..Entry::default()
@@ -84,25 +100,23 @@ impl Entry {
         let bad = || Some(format!("invalid statement `{keyword} {rest}` is ignored"));
         let number = || rest.split_whitespace().next()?.parse::<f64>().ok();
         let number = || number().filter(|n| n.is_finite());
-        let slot = match keyword {
-            "Kd" => return store(&mut self.diffuse, color(rest), bad),
-            "Ks" => return store(&mut self.specular, color(rest), bad),
-            "Ke" => return store(&mut self.emission, color(rest), bad),
-            "Tf" => return store(&mut self.filter, color(rest), bad),
-            "map_Kd" | "map_kd" | "map_KD" => {
-                return store(&mut self.diffuse_map, image_name(rest), bad);
-            }
+        let slot = match &*keyword.to_ascii_lowercase() {
+            "kd" => return store(&mut self.diffuse, color(rest), bad),
+            "ks" => return store(&mut self.specular, color(rest), bad),
+            "ke" => return store(&mut self.emission, color(rest), bad),
+            "tf" => return store(&mut self.filter, color(rest), bad),
+            "map_kd" => return store(&mut self.diffuse_map, diffuse_map(rest), bad),
             "illum" => return store(&mut self.model, rest.parse().ok(), bad),
-            "Tr" => return store(&mut self.transparency, number(), bad),
+            "tr" => return store(&mut self.transparency, number(), bad),
             "d" => {
                 let word = rest.strip_prefix("-halo").unwrap_or(rest).trim();
                 return store(&mut self.opacity, word.parse().ok(), bad);
             }
-            "Ns" => &mut self.exponent,
-            "Ni" => &mut self.ior,
-            "Pr" => &mut self.roughness,
-            "Pm" => &mut self.metallic,
-            _ if keyword.starts_with("map_") || matches!(keyword, "bump" | "norm" | "disp") => {
+            "ns" => &mut self.exponent,
+            "ni" => &mut self.ior,
+            "pr" => &mut self.roughness,
+            "pm" => &mut self.metallic,
+            lower if lower.starts_with("map_") || matches!(lower, "bump" | "norm" | "disp") => {
                 return Some(format!("`{keyword}` is not supported and is ignored"));
             }
             _ => return None,
@@ -152,7 +166,11 @@ impl Entry {
         MeshMaterial {
             name: self.name,
             base_color: base_color.map(|c| c.clamp(0.0, 1.0)),
-            base_color_image: self.diffuse_map.map(ImageSource::File),
+            uv_transform: self
+                .diffuse_map
+                .as_ref()
+                .map_or(plain.uv_transform, DiffuseMap::uv_transform),
+            base_color_image: self.diffuse_map.map(|map| ImageSource::File(map.file)),
             metallic: metallic.clamp(0.0, 1.0),
             roughness: self
                 .roughness
@@ -197,22 +215,36 @@ fn color(words: &str) -> Option<[f64; 3]> {
     all.iter().all(|c| c.is_finite()).then_some(all)
 }
 
-/// File name after the options; it may contain spaces and backslashes.
-fn image_name(words: &str) -> Option<String> {
+/// Parses options and the file name, which may contain spaces and backslashes.
+fn diffuse_map(words: &str) -> Option<DiffuseMap> {
+    let (mut scale, mut offset) = ([1.0; 2], [0.0; 2]);
     let mut rest = words.trim();
-    while let Some((option, max_values)) = MAP_OPTIONS
-        .iter()
-        .find(|(option, _)| rest.split_whitespace().next() == Some(*option))
-    {
+    while let Some((option, max_values)) = MAP_OPTIONS.iter().find(|(option, _)| {
+        let first = rest.split_whitespace().next();
+        first.is_some_and(|word| word.eq_ignore_ascii_case(option))
+    }) {
         rest = rest[option.len()..].trim_start();
         for count in 0..*max_values {
             let word = rest.split_whitespace().next()?;
-            if count > 0 && word.parse::<f64>().is_err() {
+            let number = word.parse::<f64>().ok();
+            if count > 0 && number.is_none() {
                 break;
             }
             rest = rest[word.len()..].trim_start();
+            let slot = match *option {
+                "-s" => scale.get_mut(count),
+                "-o" => offset.get_mut(count),
+                _ => None,
+            };
+            if let (Some(slot), Some(number)) = (slot, number.filter(|n| n.is_finite())) {
+                *slot = number;
+            }
         }
     }
-    let name = rest.trim_matches('"').replace('\\', "/");
-    (!name.is_empty()).then_some(name)
+    let file = rest.trim_matches('"').replace('\\', "/");
+    (!file.is_empty()).then_some(DiffuseMap {
+        file,
+        scale,
+        offset,
+    })
 }

@@ -14,6 +14,9 @@ use crate::mesh::TriangleMesh;
 use gripcast_base::error::Result;
 use gripcast_base::files::companions;
 
+/// Bytes in which the header of a PLY file is expected.
+const MAX_PLY_HEADER: usize = 1 << 16;
+
 /// A mesh with the appearance given in its file.
 #[derive(Clone, Debug, Default)]
 pub struct TexturedMesh {
@@ -100,6 +103,12 @@ pub fn read_textured_mesh(
         let joined = all.fold(TriangleMesh::default(), |all, part| all.joined(part));
         require_triangles(&joined)?;
     }
+    if has_vertex_colours(bytes, format) {
+        mesh.warnings.push(
+            "vertex colours are not supported and are ignored; bake them into a texture"
+                .to_string(),
+        );
+    }
     mesh.parts.retain(|part| !part.shape.triangles.is_empty());
     for part in &mut mesh.parts {
         part.shape.validate().map_err(|e| e.remedy(REEXPORT))?;
@@ -108,6 +117,28 @@ pub fn read_textured_mesh(
         }
     }
     Ok(mesh)
+}
+
+/// Whether the vertices of a file have colours: `red` in a PLY header, `COLOR_0` in a glTF, six
+/// numbers in the first `v` of an OBJ.
+fn has_vertex_colours(bytes: &[u8], format: MeshFormat) -> bool {
+    let contains = |bytes: &[u8], word: &[u8]| bytes.windows(word.len()).any(|w| w == word);
+    match format {
+        MeshFormat::Ply => {
+            let header = &bytes[..bytes.len().min(MAX_PLY_HEADER)];
+            let end = header.windows(10).position(|w| w == b"end_header");
+            contains(&header[..end.unwrap_or(header.len())], b" red")
+        }
+        MeshFormat::Gltf => glb::split(bytes).is_ok_and(|(json, _)| contains(json, b"\"COLOR_0\"")),
+        MeshFormat::Obj => {
+            let first = bytes
+                .split(|b| *b == b'\n')
+                .find(|line| line.starts_with(b"v "));
+            let words = first.unwrap_or_default().split(u8::is_ascii_whitespace);
+            words.filter(|word| !word.is_empty()).count() == 7
+        }
+        MeshFormat::Stl => false,
+    }
 }
 
 fn read_gltf(bytes: &[u8], companions: Companions<'_>) -> Result<TexturedMesh> {
@@ -133,17 +164,19 @@ fn read_obj(bytes: &[u8], companions: Companions<'_>) -> Result<TexturedMesh> {
     }
     let library = read_libraries(&file, companions, &mut warnings);
     let mut materials = Vec::new();
+    let mut of_name = |name: &String| {
+        let by = |is: &dyn Fn(&str) -> bool| library.iter().find(|entry| is(&entry.name));
+        let entry = by(&|entry| entry == name)
+            .or_else(|| by(&|entry| entry.to_lowercase() == name.to_lowercase()))?;
+        materials.push(entry.clone());
+        Some(materials.len() - 1)
+    };
     // Index into `materials` of each name of the file.
-    let found: Vec<Option<usize>> = file
-        .material_names
-        .iter()
-        .map(|name| {
-            let entry = library.iter().find(|entry| entry.name == *name)?;
-            materials.push(entry.clone());
-            Some(materials.len() - 1)
-        })
-        .collect();
-    if !file.libraries.is_empty() {
+    let found: Vec<Option<usize>> = file.material_names.iter().map(&mut of_name).collect();
+    if file.libraries.is_empty() && !file.material_names.is_empty() {
+        warnings
+            .push("the file uses materials but names no material library (`mtllib`)".to_string());
+    } else {
         let missing =
             |(name, _): (&String, _)| format!("material {name:?} is not defined in a library");
         let names = file.material_names.iter().zip(&found);

@@ -145,6 +145,27 @@ fn image_names_with_options_and_spaces_are_parsed() {
 }
 
 #[test]
+fn map_options_place_the_image() {
+    let placed = |words: &str| material(&format!("map_Kd {words}")).uv_transform;
+    let identity = MeshMaterial::default().uv_transform;
+    assert_eq!(placed("a.png"), identity);
+    assert_eq!(placed("-s 1 1 1 -o 0 0 0 -bm 1 a.png"), identity);
+    // v points up in the file, down in the mesh: v' = 1 - (2 (1 - v) + 0.25).
+    assert_eq!(
+        placed("-s 3 2 1 -o 0.5 0.25 0 a.png"),
+        [[3.0, 0.0, 0.5], [0.0, 2.0, -1.25]]
+    );
+    assert_eq!(placed("-S 2 2.png"), [[2.0, 0.0, 0.0], [0.0, 1.0, 0.0]]);
+}
+
+#[test]
+fn keywords_count_in_any_case() {
+    let shouted = material("KD 0.5 0.25 0\nILLUM 2\nMAP_KD A.PNG\nD 0.25");
+    assert_eq!(shouted.base_color_image.unwrap().name(), "A.PNG");
+    assert_eq!((shouted.base_color, shouted.transmission), ([1.0; 3], 0.75));
+}
+
+#[test]
 fn materials_are_found_by_name_in_all_libraries() {
     let library = |name: &str| match name {
         "a.mtl" => Ok(b"\xef\xbb\xbfnewmtl red\nKd 1 0 0\n".to_vec()),
@@ -168,6 +189,59 @@ fn materials_are_found_by_name_in_all_libraries() {
         assert!(mesh.warnings.is_empty(), "{:?}", mesh.warnings);
         assert_eq!(mesh.materials[0].base_color, color, "{statement} {name}");
     }
+    let text = format!("usemtl red\n{face}");
+    let mesh = read_textured_mesh(text.as_bytes(), MeshFormat::Obj, &library).unwrap();
+    assert!(
+        mesh.warnings[0].contains("names no material library"),
+        "{:?}",
+        mesh.warnings
+    );
+}
+
+#[test]
+fn vertex_colours_are_reported_as_ignored() {
+    let face = "f 1 2 3\n";
+    let corners = "v 0 0 0\nv 1 0 0\nv 0 1 0\n";
+    let coloured = "v 0 0 0 1 0 0\nv 1 0 0 0 1 0\nv 0 1 0 0 0 1\n";
+    let ply = |colour: &str| {
+        format!(
+            "ply\nformat ascii 1.0\nelement vertex 3\nproperty float x\nproperty float y\n\
+             property float z\n{colour}element face 1\nproperty list uchar int vertex_indices\n\
+             end_header\n0 0 0 9\n1 0 0 9\n0 1 0 9\n3 0 1 2\n"
+        )
+    };
+    let attributes = r#""TEXCOORD_0":2"#;
+    let gltf = gltf("{}", "");
+    for (text, format, is_coloured) in [
+        (format!("{corners}{face}"), MeshFormat::Obj, false),
+        (format!("{coloured}{face}"), MeshFormat::Obj, true),
+        (ply("property float quality\n"), MeshFormat::Ply, false),
+        (ply("property uchar red\n"), MeshFormat::Ply, true),
+        (gltf.clone(), MeshFormat::Gltf, false),
+        (
+            gltf.replace(attributes, &format!(r#"{attributes},"COLOR_0":1"#)),
+            MeshFormat::Gltf,
+            true,
+        ),
+    ] {
+        let mesh = read_textured_mesh(text.as_bytes(), format, &no_file).unwrap();
+        let is_told = mesh.warnings.join("\n").contains("vertex colours");
+        assert_eq!(is_told, is_coloured, "{text}: {:?}", mesh.warnings);
+    }
+}
+
+#[test]
+fn material_names_and_textures_are_found_in_other_case() {
+    let folder = tempfile::tempdir().unwrap();
+    let save = |name: &str, text: &str| std::fs::write(folder.path().join(name), text).unwrap();
+    save("Cup.MTL", "newmtl Red\nKd 1 0 0\n");
+    save(
+        "cup.obj",
+        "mtllib cup.mtl\nv 0 0 0\nv 1 0 0\nv 0 1 0\nusemtl RED\nf 1 2 3\n",
+    );
+    let mesh = load_textured_mesh(&folder.path().join("cup.obj"), LengthUnit::Metre).unwrap();
+    assert!(mesh.warnings.is_empty(), "{:?}", mesh.warnings);
+    assert_eq!(mesh.materials[0].base_color, [1.0, 0.0, 0.0]);
 }
 
 /// One triangle with normals, texture coordinates and an embedded image.
@@ -246,6 +320,56 @@ fn gltf_transmission_and_unsupported_features() {
     for expected in ["normal map", "first set", "MASK", "texture 9 not found"] {
         assert!(warnings.contains(expected), "{expected}: {warnings}");
     }
+}
+
+#[test]
+fn gltf_material_extensions_are_read() {
+    let mesh = read_gltf_text(&gltf(
+        r#"{"extensions":{"KHR_materials_pbrSpecularGlossiness":{"diffuseFactor":[0.5,0.25,1,1],
+            "diffuseTexture":{"index":0},"glossinessFactor":0.75}}},
+          {"extensions":{"KHR_materials_unlit":{}},
+            "pbrMetallicRoughness":{"baseColorFactor":[0,1,0,1]}},
+          {"pbrMetallicRoughness":{"baseColorTexture":{"index":0,"texCoord":1,"extensions":
+            {"KHR_texture_transform":{"offset":[0,1],"rotation":1.5707963267948966,
+              "scale":[0.5,0.5],"texCoord":0}}}}}"#,
+        "",
+    ));
+    let [glossy, unlit, placed] = &mesh.materials[..] else {
+        panic!()
+    };
+    assert_eq!(glossy.base_color, [0.5, 0.25, 1.0]);
+    assert!(glossy.base_color_image.is_some());
+    assert_eq!((glossy.metallic, glossy.roughness), (0.0, 0.25));
+    assert_eq!((unlit.metallic, unlit.roughness), (0.0, 1.0));
+    assert!(
+        mesh.warnings.join("\n").contains("unlit"),
+        "{:?}",
+        mesh.warnings
+    );
+    // The example of the extension: the lower left quadrant, turned clockwise.
+    assert!(placed.base_color_image.is_some());
+    let [[_, b, c], [d, _, f]] = placed.uv_transform;
+    for (found, expected) in [(b, 0.5), (c, 0.0), (d, -0.5), (f, 1.0)] {
+        assert!(
+            (found - expected).abs() < 1e-12,
+            "{:?}",
+            placed.uv_transform
+        );
+    }
+}
+
+#[test]
+fn gltf_image_names_are_percent_decoded() {
+    let text = gltf(
+        r#"{"pbrMetallicRoughness":{"baseColorTexture":{"index":0}}}"#,
+        "",
+    );
+    let text = text.replace(
+        r#""bufferView":3,"mimeType":"image/png""#,
+        r#""uri":"b%C3%BCx%201.png""#,
+    );
+    let image = read_gltf_text(&text).materials[0].base_color_image.clone();
+    assert_eq!(image, Some(ImageSource::File("büx 1.png".into())));
 }
 
 #[test]

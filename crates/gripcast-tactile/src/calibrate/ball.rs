@@ -54,6 +54,11 @@ impl BallContact {
         press
     }
 
+    /// Depth of the ball below the border of its contact, m: R − √(R² − a²).
+    pub fn indentation_m(&self) -> f64 {
+        self.ball_m - (self.ball_m.powi(2) - self.contact_m().powi(2)).sqrt()
+    }
+
     /// Contact radius, m, at most 0.95 of the ball radius.
     fn contact_m(&self) -> f64 {
         (self.radius_px * self.geometry.pixel_m).min(MAX_CONTACT * self.ball_m)

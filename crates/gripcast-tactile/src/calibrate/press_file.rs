@@ -7,13 +7,15 @@
 //! `ball_diameter_m` and `m_per_px` may be null, `center_px` and `radius_px` may be missing: the
 //! contact is then detected in the image. Other keys are ignored.
 
+use std::fmt::Write as _;
+use std::ops::RangeInclusive;
 use std::path::Path;
 
 use image::RgbImage;
 use serde::Deserialize;
 
 use gripcast_base::error::{Error, Result};
-use gripcast_base::files::{FileKind, Root};
+use gripcast_base::files::{FileKind, Root, sha256_hex};
 use gripcast_imaging::Decoder;
 
 /// Name of the press list.
@@ -92,8 +94,62 @@ impl PressList {
                     )
             }),
             Err(e) if e.kind() == std::io::ErrorKind::NotFound => Self::from_images(folder),
-            Err(e) => Err(Error::io("cannot read the list of presses", e).at(path.display())),
+            Err(e) => Err(Error::io("cannot read the list of presses", e)
+                .at(path.display())
+                .remedy("give the folder with presses.json or with images of presses")),
         }
+    }
+
+    /// Returns the positions of named presses in the list, without repetition: by file name, file
+    /// name without suffix, number from 1, or range of numbers.
+    ///
+    /// # Errors
+    /// `Usage` if a name is unknown.
+    pub(super) fn positions(&self, names: &[String]) -> Result<Vec<usize>> {
+        let mut positions = Vec::new();
+        for name in names {
+            for position in self.position(name).ok_or_else(|| self.unknown(name))? {
+                if !positions.contains(&position) {
+                    positions.push(position);
+                }
+            }
+        }
+        Ok(positions)
+    }
+
+    fn position(&self, name: &str) -> Option<RangeInclusive<usize>> {
+        let of = |is: &dyn Fn(&str) -> bool| {
+            let found = self.presses.iter().position(|press| is(&press.file));
+            found.map(|position| position..=position)
+        };
+        let stem = |file: &str| file.rsplit_once('.').map_or(file, |(stem, _)| stem) == name;
+        let number = |text: &str| {
+            let number: usize = text.trim().parse().ok()?;
+            (1..=self.presses.len())
+                .contains(&number)
+                .then(|| number - 1)
+        };
+        let range = || {
+            let (first, last) = name.split_once('-')?;
+            let (first, last) = (number(first)?, number(last)?);
+            (first <= last).then_some(first..=last)
+        };
+        of(&|file| file == name)
+            .or_else(|| of(&stem))
+            .or_else(|| number(name).map(|position| position..=position))
+            .or_else(range)
+    }
+
+    fn unknown(&self, name: &str) -> Error {
+        let ends = match (self.presses.first(), self.presses.last()) {
+            (Some(first), Some(last)) => format!(", {} to {}", first.file, last.file),
+            _ => String::new(),
+        };
+        Error::usage(format!(
+            "`{name}` names none of the {} presses{ends}",
+            self.presses.len()
+        ))
+        .remedy("name a press by its file, its number in the list from 1, or a range as 1-14")
     }
 
     fn from_images(folder: &Path) -> Result<Self> {
@@ -130,7 +186,7 @@ impl PressList {
     }
 }
 
-/// Returns the sorted names of the images in a folder.
+/// Returns the names of the images in a folder, sorted, numbers by their value.
 fn image_names(folder: &Path) -> Result<Vec<String>> {
     let refused = |e| {
         Error::io("cannot read the folder of presses", e)
@@ -145,16 +201,32 @@ fn image_names(folder: &Path) -> Result<Vec<String>> {
             names.push(name);
         }
     }
+    names.sort_by_cached_key(|name| by_number(name));
     Ok(names)
 }
 
-/// Reads a PNG or JPEG image of a folder.
-pub(super) fn read_image(folder: &Path, file: &str) -> Result<RgbImage> {
+/// Sort key: each run of digits has 20 digits.
+fn by_number(name: &str) -> String {
+    let mut key = String::new();
+    let mut rest = name;
+    while let Some(start) = rest.find(|c: char| c.is_ascii_digit()) {
+        let (text, digits) = rest.split_at(start);
+        let end = digits.find(|c: char| !c.is_ascii_digit());
+        let (digits, after) = digits.split_at(end.unwrap_or(digits.len()));
+        let _ = write!(key, "{text}{:0>20}", digits.trim_start_matches('0'));
+        rest = after;
+    }
+    key + rest
+}
+
+/// Reads a PNG or JPEG image of a folder; returns it with the SHA-256 of the file.
+pub(super) fn read_image(folder: &Path, file: &str) -> Result<(RgbImage, String)> {
     let path = folder.join(file);
     let bytes = Root::new(folder)
         .resolve(file)
         .and_then(|path| path.read(FileKind::Image))
         .map_err(|e| Error::io("cannot read the image", e).at(path.display()))?;
     let decoded = Decoder::new()?.stored_image(&bytes);
-    decoded.map_err(|e| e.at(path.display()))
+    let image = decoded.map_err(|e| e.at(path.display()))?;
+    Ok((image, sha256_hex(&bytes)))
 }

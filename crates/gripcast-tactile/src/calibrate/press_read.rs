@@ -36,6 +36,9 @@ const MIN_CHANGE: f64 = 5.0;
 const MAX_OUTSIDE: f64 = 16.0;
 /// Plausible exposure gains.
 const GAIN: std::ops::RangeInclusive<f64> = 0.5..=2.0;
+/// Maximum stretch of one axis relative to the other by the resize: a crop by a seventh of
+/// 640×480 pixels stretches by 0.4 %.
+const MAX_STRETCH: f64 = 0.03;
 /// Minimum side of an image, px.
 const MIN_SIDE: u32 = 64;
 /// Maximum side of an image, px.
@@ -54,6 +57,8 @@ pub struct ReadOptions {
     pub crop: CropProfile,
     /// Width and height after the crop; `None` keeps the stored size.
     pub size: Option<(u32, u32)>,
+    /// Pixel grid of a profile to score: replaces size and pixel size.
+    pub grid: Option<SensorGeometry>,
     /// Detects all contacts, ignoring labels.
     pub find_contacts: bool,
 }
@@ -67,6 +72,7 @@ impl ReadOptions {
             pixel_m: None,
             crop: CropProfile::FULL,
             size: None,
+            grid: None,
             find_contacts: false,
         }
     }
@@ -80,37 +86,55 @@ impl PressSet {
     /// the ball diameter is unknown, or no press is usable.
     pub fn read(options: &ReadOptions) -> Result<Self> {
         let list = PressList::read(&options.folder)?;
+        let all: Vec<usize> = (0..list.presses.len()).collect();
+        Self::read_at(options, &list, &all)
+    }
+
+    /// Reads the presses at some positions of a list.
+    pub(super) fn read_at(
+        options: &ReadOptions,
+        list: &PressList,
+        positions: &[usize],
+    ) -> Result<Self> {
         let folder = options.folder.display().to_string();
-        let ball_m = 0.5 * ball_diameter(options, &list).map_err(|e| e.at(&folder))?;
-        let stored = read_image(&options.folder, &list.no_contact)?;
+        let ball_m = 0.5 * ball_diameter(options, list).map_err(|e| e.at(&folder))?;
+        let (stored, _) = read_image(&options.folder, &list.no_contact)?;
         let frame = Reframe::new(&stored, options).map_err(|e| e.at(&folder))?;
-        let (stored_pixel_m, scale) =
-            pixel_size(options, &list, &frame).map_err(|e| e.at(&folder))?;
+        let stated = options.pixel_m.or(list.m_per_px);
+        let stated = stated.map(|pixel_m| plausible("the pixel size", pixel_m, PIXEL_M));
+        let stated = stated.transpose().map_err(|e| e.at(&folder))?;
+        let stated_pixel_m = stated.map(|pixel_m| pixel_m / frame.zoom());
+        let (geometry, scale) = match (options.grid, stated_pixel_m) {
+            (Some(grid), _) => (grid, ScaleSource::Profile),
+            (None, Some(pixel_m)) => (frame.geometry(pixel_m), ScaleSource::Given),
+            (None, None) => {
+                let pixel_m = NOMINAL_VIEW_M / f64::from(frame.size.0.max(frame.size.1));
+                (frame.geometry(pixel_m), ScaleSource::Nominal)
+            }
+        };
         let no_contact = frame.apply(&stored)?;
+        let other_ball = |diameter_m: &f64| (diameter_m / (2.0 * ball_m) - 1.0).abs() > 1e-3;
         let mut set = Self {
-            geometry: SensorGeometry {
-                width: frame.size.0 as usize,
-                height: frame.size.1 as usize,
-                pixel_m: stored_pixel_m / frame.zoom(),
-                gel_thickness_m: GEL_THICKNESS_M,
-            },
+            geometry,
             scale,
+            stated_pixel_m,
             ball_m,
+            overridden_ball_diameter_m: list.ball_diameter_m.filter(other_ball),
             untouched: planes_of(&no_contact),
             no_contact,
             presses: Vec::new(),
             skipped: Vec::new(),
         };
-        let read: Vec<Result<LabelledPress, String>> = list
-            .presses
+        let read: Vec<Result<LabelledPress, String>> = positions
             .par_iter()
-            .map(|entry| set.read_press(options, &frame, entry))
+            .map(|position| set.read_press(options, &frame, (*position, &list.presses[*position])))
             .collect();
-        for (entry, press) in list.presses.iter().zip(read) {
+        for (position, press) in positions.iter().zip(read) {
             match press {
                 Ok(press) => set.presses.push(press),
                 Err(reason) => set.skipped.push(SkippedPress {
-                    file: entry.file.clone(),
+                    number: position + 1,
+                    file: list.presses[*position].file.clone(),
                     reason,
                 }),
             }
@@ -125,10 +149,11 @@ impl PressSet {
         &self,
         options: &ReadOptions,
         frame: &Reframe,
-        entry: &PressEntry,
+        (position, entry): (usize, &PressEntry),
     ) -> Result<LabelledPress, String> {
         let label = entry.label()?;
-        let stored = read_image(&options.folder, &entry.file).map_err(|e| e.to_string())?;
+        let (stored, sha256) =
+            read_image(&options.folder, &entry.file).map_err(|e| e.to_string())?;
         if stored.dimensions() != frame.stored {
             return Err(format!(
                 "the image has {}×{} pixels, the no-contact image {}×{}",
@@ -145,6 +170,8 @@ impl PressSet {
             None => find_contact(self, &image)?,
         };
         let press = LabelledPress {
+            number: position + 1,
+            sha256,
             file: entry.file.clone(),
             image,
             centre_px,
@@ -206,27 +233,9 @@ impl PressSet {
 fn ball_diameter(options: &ReadOptions, list: &PressList) -> Result<f64> {
     let Some(diameter) = options.ball_diameter_m.or(list.ball_diameter_m) else {
         return Err(Error::input("unknown ball diameter")
-            .remedy("pass --ball-diameter, or set `ball_diameter_m` in presses.json"));
+            .remedy("pass --ball-mm, or set `ball_diameter_m` in presses.json"));
     };
     plausible("the ball diameter", diameter, BALL_M)
-}
-
-/// Returns the size of a stored pixel, m, and its source.
-fn pixel_size(
-    options: &ReadOptions,
-    list: &PressList,
-    frame: &Reframe,
-) -> Result<(f64, ScaleSource)> {
-    match options.pixel_m.or(list.m_per_px) {
-        Some(pixel_m) => {
-            let pixel_m = plausible("the pixel size", pixel_m, PIXEL_M)?;
-            Ok((pixel_m, ScaleSource::Given))
-        }
-        None => {
-            let longer = f64::from(frame.window.width.max(frame.window.height));
-            Ok((NOMINAL_VIEW_M / longer, ScaleSource::Nominal))
-        }
-    }
 }
 
 fn plausible(what: &str, value: f64, range: std::ops::RangeInclusive<f64>) -> Result<f64> {
@@ -234,14 +243,15 @@ fn plausible(what: &str, value: f64, range: std::ops::RangeInclusive<f64>) -> Re
         return Ok(value);
     }
     Err(Error::input(format!(
-        "{what} must be {} to {} m, found {value}",
-        range.start(),
-        range.end()
+        "{what} must be {} to {} mm, found {} mm",
+        1e3 * range.start(),
+        1e3 * range.end(),
+        1e3 * value
     ))
-    .remedy("give it in metres"))
+    .remedy("options take millimetres, presses.json takes metres"))
 }
 
-fn none_usable(skipped: &[SkippedPress]) -> Error {
+pub(super) fn none_usable(skipped: &[SkippedPress]) -> Error {
     let first = skipped.first().map_or_else(
         || "the list is empty".to_owned(),
         |press| format!("{}: {}", press.file, press.reason),
@@ -273,12 +283,28 @@ impl Reframe {
                 options.crop
             ));
         };
-        let size = options.size.unwrap_or((window.width, window.height));
+        let size = match options.grid {
+            Some(grid) => (grid.width as u32, grid.height as u32),
+            None => options.size.unwrap_or((window.width, window.height)),
+        };
         if size.0.min(size.1) < MIN_SIDE || size.0.max(size.1) > MAX_SIDE {
             return refused(format!(
                 "images of {}×{} pixels cannot be calibrated",
                 size.0, size.1
             ));
+        }
+        let aspect = |(width, height): (u32, u32)| f64::from(width) / f64::from(height);
+        let stretch = aspect(size) / aspect((window.width, window.height));
+        if (stretch - 1.0).abs() > MAX_STRETCH {
+            return Err(Error::input(format!(
+                "images of {}×{} pixels cannot be shown as {}×{}: that stretches them by {:.0} %",
+                window.width,
+                window.height,
+                size.0,
+                size.1,
+                100.0 * (stretch.max(stretch.recip()) - 1.0)
+            ))
+            .remedy("crop and turn the images as those of the sensor profile"));
         }
         Ok(Self {
             crop: options.crop,
@@ -286,6 +312,16 @@ impl Reframe {
             window,
             size,
         })
+    }
+
+    /// Pixel grid of the resized images.
+    fn geometry(&self, pixel_m: f64) -> SensorGeometry {
+        SensorGeometry {
+            width: self.size.0 as usize,
+            height: self.size.1 as usize,
+            pixel_m,
+            gel_thickness_m: GEL_THICKNESS_M,
+        }
     }
 
     /// Scale of the resize, mean of both axes.

@@ -1,9 +1,6 @@
 //! Set of presses for fitting and scoring.
 
 use image::RgbImage;
-use rand::SeedableRng as _;
-use rand::seq::SliceRandom as _;
-use rand_pcg::Pcg64;
 use serde::Serialize;
 
 use super::ball::BallContact;
@@ -12,8 +9,12 @@ use crate::SensorGeometry;
 /// A press with its contact.
 #[derive(Clone, Debug)]
 pub struct LabelledPress {
+    /// Number in the list, from 1.
+    pub number: usize,
     /// File name.
     pub file: String,
+    /// SHA-256 of the file, 64 hex digits.
+    pub sha256: String,
     /// The sensor's image.
     pub image: RgbImage,
     /// Column and row of the contact centre, px.
@@ -27,6 +28,8 @@ pub struct LabelledPress {
 /// A press that is not used.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub struct SkippedPress {
+    /// Number in the list, from 1.
+    pub number: usize,
     /// File name.
     pub file: String,
     /// Why it is not used.
@@ -43,6 +46,8 @@ pub enum ScaleSource {
     Nominal,
     /// Fitted by cross-validation.
     Fitted,
+    /// That of the profile that is scored.
+    Profile,
 }
 
 /// Presses of one ball on one sensor.
@@ -52,8 +57,12 @@ pub struct PressSet {
     pub geometry: SensorGeometry,
     /// Source of the scale.
     pub scale: ScaleSource,
+    /// Pixel size that the list or the user states, on the pixel grid of `geometry`, m.
+    pub stated_pixel_m: Option<f64>,
     /// Ball radius, m.
     pub ball_m: f64,
+    /// Ball diameter of the list if another one was given, m.
+    pub overridden_ball_diameter_m: Option<f64>,
     /// No-contact image.
     pub no_contact: RgbImage,
     /// Planes of the no-contact image.
@@ -75,15 +84,11 @@ impl PressSet {
         }
     }
 
-    /// Splits the presses at random into indices to fit and to score: the first `fraction` of the
-    /// shuffle is fitted (at least one, at most `max`), the rest is scored, independently of `max`.
-    pub fn split(&self, fraction: f64, max: Option<usize>, seed: u64) -> (Vec<usize>, Vec<usize>) {
-        let mut order: Vec<usize> = (0..self.presses.len()).collect();
-        order.shuffle(&mut Pcg64::seed_from_u64(seed));
-        let count = (fraction * order.len() as f64).round() as usize;
-        let held_out = order.split_off(count.clamp(1, order.len()));
-        order.truncate(max.unwrap_or(usize::MAX).max(1));
-        (order, held_out)
+    /// Returns the indices of the usable presses at some positions of the list.
+    pub(super) fn indices_of(&self, positions: &[usize]) -> Vec<usize> {
+        let presses = self.presses.iter().enumerate();
+        let named = presses.filter(|(_, press)| positions.contains(&(press.number - 1)));
+        named.map(|(index, _)| index).collect()
     }
 }
 
@@ -98,7 +103,9 @@ pub(super) fn test_set(
     PressSet {
         geometry,
         scale: ScaleSource::Given,
+        stated_pixel_m: Some(geometry.pixel_m),
         ball_m,
+        overridden_ball_diameter_m: None,
         untouched: crate::background::planes_of(&no_contact),
         no_contact,
         presses,

@@ -2,19 +2,20 @@
 
 use image::RgbImage;
 
+use super::evaluate::evaluate;
 use super::led_fit::fit_leds;
+use super::no_contact::check_no_contact;
 use super::press_read::ReadOptions;
-use super::press_set::{PressSet, ScaleSource};
-use super::report::CalibrationReport;
-use super::score::{ChangePlanes, ObservedChange, Score, observe, score};
+use super::press_set::{LabelledPress, PressSet, ScaleSource};
+use super::report::{CalibrationReport, FitReport, Role};
+use super::score::{ObservedChange, observe};
 use super::select::{ChosenModel, Terms, choose};
-use super::sheet::{Row, sheet};
+use super::split::{Split, SplitPresses};
 use crate::gaussian::{Gaussian, Region};
 use crate::{
-    Background, BackgroundFit, Drift, PolynomialShading, SensorProfile, ShadingModel,
-    TactileRenderer,
+    Background, BackgroundFit, Drift, FittedPress, PolynomialShading, SensorProfile, ShadingModel,
 };
-use gripcast_base::error::{Error, Result};
+use gripcast_base::error::Result;
 use gripcast_base::statistics::median;
 use gripcast_imaging::CropProfile;
 
@@ -22,8 +23,6 @@ use gripcast_imaging::CropProfile;
 const SCALES: [f64; 7] = [0.85, 0.9, 0.95, 1.0, 1.05, 1.1, 1.15];
 /// Degree of the background fit.
 const BACKGROUND_DEGREE: usize = 8;
-/// Presses shown in the calibration image.
-const MAX_ROWS: usize = 6;
 /// Schema version of the profile.
 const SCHEMA: u32 = 1;
 
@@ -41,12 +40,8 @@ pub enum ModelChoice {
 pub struct CalibrateOptions {
     /// The presses.
     pub read: ReadOptions,
-    /// Fraction of the presses to fit, above 0, at most 1.
-    pub train_fraction: f64,
-    /// Maximum number of presses to fit; the rest of the fraction is not used.
-    pub max_fitted: Option<usize>,
-    /// Seed of the split.
-    pub seed: u64,
+    /// Presses to fit and to score.
+    pub split: Split,
     /// Shading model.
     pub model: ModelChoice,
     /// Also fits the pixel size, within 15 % of the given one.
@@ -66,9 +61,7 @@ impl CalibrateOptions {
     pub fn from_folder(folder: impl Into<std::path::PathBuf>) -> Self {
         Self {
             read: ReadOptions::from_folder(folder),
-            train_fraction: 0.5,
-            max_fitted: None,
-            seed: 0,
+            split: Split::HALF,
             model: ModelChoice::Polynomial(Terms::default()),
             fit_scale: false,
             name: "sensor".to_owned(),
@@ -88,57 +81,35 @@ pub struct Calibration {
     pub report: CalibrationReport,
     /// Real, rendered and residual images of scored presses.
     pub image: RgbImage,
+    /// The presses by their use.
+    pub presses: SplitPresses,
 }
 
 /// Calibrates a sensor.
 ///
 /// # Errors
-/// Those of [`PressSet::read`]; `Usage` if the fraction is out of range; `Input` if there are fewer
-/// than two presses to fit.
+/// Those of [`SplitPresses::read`]; `Input` if there are fewer than two presses to fit or the
+/// no-contact image shows a contact.
 pub fn run(options: &CalibrateOptions) -> Result<Calibration> {
-    if !(options.train_fraction > 0.0 && options.train_fraction <= 1.0) {
-        return Err(Error::usage(format!(
-            "the fraction of presses to fit must be above 0 and at most 1, found {}",
-            options.train_fraction
-        )));
-    }
     let folder = options.read.folder.display();
-    let mut set = PressSet::read(&options.read)?;
-    let (train, held_out) = set.split(options.train_fraction, options.max_fitted, options.seed);
-    let fitted = fit(&mut set, &train, options).map_err(|e| e.at(&folder))?;
-    let counts = [train.len(), held_out.len()];
-    let profile = profile(&set, counts, &fitted, options);
-    let scored = if held_out.is_empty() {
-        &train
-    } else {
-        &held_out
+    let mut presses = SplitPresses::read(&options.read, &options.split)?;
+    check_no_contact(&presses.set).map_err(|e| e.at(&folder))?;
+    let train = &presses.train;
+    let fitted = fit(&mut presses.set, train, options).map_err(|e| e.at(&folder))?;
+    let profile = profile(&presses, &fitted, options);
+    let roles = |indices: &[usize], role: Role| -> Vec<(usize, Role)> {
+        indices.iter().map(|index| (*index, role)).collect()
     };
-    let mut renderer = TactileRenderer::new(&profile)?;
-    let mut render = |index: usize| rendered(&mut renderer, &set, index, &profile);
-    let mut changes = scored
-        .iter()
-        .map(|i| render(*i))
-        .collect::<Result<Vec<_>>>()?;
-    let mut next = changes.iter();
-    let scores = score(&set, scored, &mut |_| {
-        Ok(next.next().cloned().unwrap_or_default())
-    })?;
-    changes.truncate(MAX_ROWS);
-    let rows: Vec<Row<'_>> = changes
-        .into_iter()
-        .zip(scored.iter().zip(&scores.presses))
-        .map(|(change, (index, score))| Row {
-            index: *index,
-            change,
-            score,
-        })
-        .collect();
-    let image = sheet(&set, &rows);
-    let report = report(&set, counts, scores, &fitted, &profile, options);
+    let mut uses = roles(&presses.held_out, Role::HeldOut);
+    uses.extend(roles(train, Role::Fitted));
+    let (mut report, image) = evaluate(&presses.set, &uses, &profile)?;
+    report.unused.clone_from(&presses.unused);
+    report.fit = Some(fit_report(&presses.set, &fitted, &profile, options));
     Ok(Calibration {
         profile,
         report,
         image,
+        presses,
     })
 }
 
@@ -206,24 +177,8 @@ fn scan_scales(
     Ok((best.0, best.1, scan))
 }
 
-/// Renders the change of a labelled contact.
-fn rendered(
-    renderer: &mut TactileRenderer,
-    set: &PressSet,
-    index: usize,
-    profile: &SensorProfile,
-) -> Result<ChangePlanes> {
-    let contact = set.contact(&set.presses[index]);
-    let press = contact.press(profile.smoothing.sink_length_m);
-    renderer.change(&press).cloned()
-}
-
-fn profile(
-    set: &PressSet,
-    counts: [usize; 2],
-    fitted: &Fitted,
-    options: &CalibrateOptions,
-) -> SensorProfile {
+fn profile(presses: &SplitPresses, fitted: &Fitted, options: &CalibrateOptions) -> SensorProfile {
+    let set = &presses.set;
     let pivot = pivot(set);
     let spread =
         |value: &dyn Fn(&ObservedChange) -> f64| standard_deviation(&fitted.observed, value);
@@ -232,7 +187,7 @@ fn profile(
         name: options.name.clone(),
         serial: options.serial.clone(),
         crop_profile: options.crop_profile,
-        provenance: provenance(set, counts, options),
+        provenance: provenance(presses, options),
         noise_std: noise(set, fitted),
         geometry: set.geometry,
         smoothing: fitted.model.smoothing,
@@ -247,20 +202,34 @@ fn profile(
             fit: BackgroundFit::from_image(&set.no_contact, BACKGROUND_DEGREE),
             image: Some(set.no_contact.clone()),
         },
+        fitted_to: presses
+            .train
+            .iter()
+            .map(|i| record(&set.presses[*i]))
+            .collect(),
     }
 }
 
-fn provenance(
-    set: &PressSet,
-    [fitted, held_out]: [usize; 2],
-    options: &CalibrateOptions,
-) -> String {
+fn record(press: &LabelledPress) -> FittedPress {
+    FittedPress {
+        file: press.file.clone(),
+        sha256: press.sha256.clone(),
+    }
+}
+
+fn provenance(presses: &SplitPresses, options: &CalibrateOptions) -> String {
+    let set = &presses.set;
+    let drawn = match &options.split {
+        Split::Random { seed, .. } => format!("seed {seed}"),
+        Split::Named { .. } => "named".to_owned(),
+    };
     let found = set.presses.iter().filter(|press| press.is_detected).count();
     let text = format!(
-        "Fitted on {fitted} presses of a ball of {} mm ({held_out} held out, seed {}, contacts of \
-         {found} found in the images). {}",
+        "Fitted on {} presses of a ball of {} mm ({} held out, {drawn}, contacts of {found} found \
+         in the images). {}",
+        presses.train.len(),
         set.ball_m * 2e3,
-        options.seed,
+        presses.held_out.len(),
         options.note
     );
     text.trim_end().to_owned()
@@ -311,31 +280,19 @@ fn noise(set: &PressSet, fitted: &Fitted) -> [f64; 3] {
     })
 }
 
-fn report(
+fn fit_report(
     set: &PressSet,
-    [train, held_out]: [usize; 2],
-    score: Score,
     fitted: &Fitted,
     profile: &SensorProfile,
     options: &CalibrateOptions,
-) -> CalibrationReport {
+) -> FitReport {
     let pivot = pivot(set);
-    CalibrationReport {
-        score,
-        scored_on: if held_out == 0 { "fitted" } else { "held_out" },
-        fitted: train,
-        held_out,
-        skipped: set.skipped.clone(),
-        contacts_found: set.presses.iter().filter(|press| press.is_detected).count(),
-        seed: options.seed,
-        model: match profile.shading {
-            ShadingModel::Polynomial(_) => "polynomial",
-            ShadingModel::Leds(_) => "leds",
+    FitReport {
+        seed: match options.split {
+            Split::Random { seed, .. } => Some(seed),
+            Split::Named { .. } => None,
         },
         chosen: fitted.model,
-        ball_diameter_m: 2.0 * set.ball_m,
-        pixel_m: set.geometry.pixel_m,
-        scale: set.scale,
         scale_scan: fitted.scale_scan.clone(),
         gain_mean: std::array::from_fn(|c| mean(&fitted.observed, &|o| o.gain[c])),
         offset_mean: std::array::from_fn(|c| {

@@ -7,8 +7,8 @@ use image::{Rgb, RgbImage};
 use serde_json::{Value, json};
 
 use super::*;
-use crate::FrameNoise;
-use crate::calibrate::{BallContact, LabelledPress, change_between};
+use crate::calibrate::{BallContact, LabelledPress, change_between, score, score_profile};
+use crate::{FrameNoise, TactileRenderer};
 use crate::{NormalOrder, PositionOrder, SensorGeometry, Smoothing};
 use gripcast_base::error::ErrorKind;
 use gripcast_imaging::encode_png_rgb;
@@ -52,6 +52,7 @@ fn truth() -> SensorProfile {
             fit: BackgroundFit::from_image(&no_contact, 2),
             image: Some(no_contact),
         },
+        fitted_to: Vec::new(),
     }
 }
 
@@ -125,14 +126,19 @@ fn known_shading_is_recovered() {
     assert!(result.report.skipped.is_empty());
     // Gain and offset are the rendered ones; the noise is that of one frame (the no-contact image
     // has none, so the difference is divided by √2).
-    assert!((report.gain_mean[0] - 1.03).abs() < 0.02, "{report:?}");
-    assert!((report.noise_std[0] - 0.75).abs() < 0.2, "{report:?}");
+    let fit = report.fit.as_ref().unwrap();
+    assert!((fit.gain_mean[0] - 1.03).abs() < 0.02, "{report:?}");
+    assert!((fit.noise_std[0] - 0.75).abs() < 0.2, "{report:?}");
     assert_eq!(result.image.width() % 4, 0);
     result.profile.validate().unwrap();
     // Deterministic, and depends on the split.
     assert_eq!(run(&options(&folder)).unwrap().profile, result.profile);
     let other = CalibrateOptions {
-        seed: 5,
+        split: Split::Random {
+            train_fraction: 0.5,
+            max_fitted: None,
+            seed: 5,
+        },
         ..options(&folder)
     };
     assert_ne!(run(&other).unwrap().report.score, report.score);
@@ -228,10 +234,14 @@ fn unusable_folder_is_explained() {
     assert!(text.contains("none of 0"), "{text}");
     let tiny = folder(1, |_, list| list["ball_diameter_m"] = json!(4.7));
     let text = run(&options(&tiny)).unwrap_err().to_string();
-    assert!(text.contains("4.7"), "{text}");
+    assert!(text.contains("found 4700 mm"), "{text}");
     for fraction in [0.0, -1.0, 1.5, f64::NAN] {
         let options = CalibrateOptions {
-            train_fraction: fraction,
+            split: Split::Random {
+                train_fraction: fraction,
+                max_fitted: None,
+                seed: 0,
+            },
             ..options(&tiny)
         };
         assert_eq!(run(&options).unwrap_err().kind(), ErrorKind::Usage);
@@ -244,6 +254,8 @@ fn perfect_and_empty_renderer_have_defined_scores() {
     let free = truth().background.image.unwrap();
     let presses = (0..3)
         .map(|i| LabelledPress {
+            number: i + 1,
+            sha256: String::new(),
             file: i.to_string(),
             image: {
                 let press = contact(i).press(1e-3);
@@ -268,4 +280,182 @@ fn perfect_and_empty_renderer_have_defined_scores() {
     })
     .unwrap();
     assert!(perfect.fve > 0.995, "{perfect:?}");
+}
+
+fn named(train: &[&str], test: &[&str]) -> Split {
+    let words = |names: &[&str]| names.iter().map(|&name| name.to_owned()).collect();
+    Split::Named {
+        train: words(train),
+        test: words(test),
+    }
+}
+
+/// Numbers of the presses of a role.
+fn numbers(report: &CalibrationReport, role: Role) -> Vec<usize> {
+    let rows = report.presses.iter().filter(|row| row.role == role);
+    rows.map(|row| row.number).collect()
+}
+
+#[test]
+fn named_presses_are_fitted_and_scored() {
+    let folder = folder(8, |_, _| ());
+    let of = |split: Split| {
+        run(&CalibrateOptions {
+            split,
+            ..options(&folder)
+        })
+    };
+    let result = of(named(&["press_0.png", "2-4", "press_5"], &["7"])).unwrap();
+    let report = &result.report;
+    assert_eq!(numbers(report, Role::Fitted), [1, 2, 3, 4, 6]);
+    assert_eq!(numbers(report, Role::HeldOut), [7]);
+    assert_eq!(report.unused, ["press_4.png", "press_7.png"]);
+    assert_eq!(report.scored_on, Role::HeldOut);
+    assert_eq!(report.score.fve, report.presses[5].score.fve);
+    let train = report.train.as_ref().unwrap();
+    assert!(train.fve > 0.9 && report.score.fve > 0.9, "{report:?}");
+    let files = result.profile.fitted_to.iter().map(|press| &*press.file);
+    let fitted = [
+        "press_0.png",
+        "press_1.png",
+        "press_2.png",
+        "press_3.png",
+        "press_5.png",
+    ];
+    assert_eq!(files.collect::<Vec<_>>(), fitted);
+    // An empty list means all others.
+    let report = of(named(&["1-6"], &[])).unwrap().report;
+    assert_eq!(numbers(&report, Role::HeldOut), [7, 8]);
+    let report = of(named(&[], &["1-6"])).unwrap().report;
+    assert_eq!(numbers(&report, Role::Fitted), [7, 8]);
+    for (split, expected) in [
+        (named(&["1-6"], &["6-7"]), "press_5.png is named both"),
+        (named(&["9"], &[]), "`9` names none of the 8 presses"),
+        (named(&["4-2"], &[]), "`4-2`"),
+        (named(&["press_9.png"], &[]), "press_0.png to press_7.png"),
+        (named(&[], &[]), "no press is named"),
+    ] {
+        let error = of(split).unwrap_err();
+        assert_eq!(error.kind(), ErrorKind::Usage);
+        assert!(error.to_string().contains(expected), "{error}");
+    }
+}
+
+#[test]
+fn unusable_press_to_score_is_not_replaced_by_fitted_ones() {
+    let folder = folder(5, |path, _| {
+        fs::remove_file(path.join("press_4.png")).unwrap()
+    });
+    let of = |split: Split| {
+        run(&CalibrateOptions {
+            split,
+            ..options(&folder)
+        })
+    };
+    let text = of(named(&["1-4"], &["5"])).unwrap_err().to_string();
+    assert!(
+        text.contains("none of 1 presses") && text.contains("press_4.png"),
+        "{text}"
+    );
+    // Nor does a press that is not named make the result partial.
+    assert!(
+        of(named(&["1-3"], &["4"]))
+            .unwrap()
+            .report
+            .skipped
+            .is_empty()
+    );
+    let report = of(named(&["1-3"], &["4-5"])).unwrap().report;
+    assert_eq!((report.skipped[0].number, report.held_out), (5, 1));
+    let text = of(named(&["1", "5"], &["4"])).unwrap_err().to_string();
+    assert!(text.contains("found 1; 1 unusable (press_4.png"), "{text}");
+}
+
+#[test]
+fn existing_profile_is_scored_without_fitting() {
+    let folder = folder(6, |_, _| ());
+    let read = ReadOptions::from_folder(folder.path());
+    let (report, image) = score_profile(&truth(), &read, &[]).unwrap();
+    assert!(report.score.fve > 0.97, "{report:?}");
+    assert_eq!((report.fitted, report.held_out), (0, 6));
+    assert_eq!(report.scored_on, Role::Unknown);
+    assert!(report.fit.is_none() && image.width() > 4);
+    assert!(
+        report.notes[0].contains("does not record its presses"),
+        "{report:?}"
+    );
+    // A fitted profile knows its presses: they are left out of the means.
+    let fitted = run(&CalibrateOptions {
+        split: named(&["1-4"], &[]),
+        ..options(&folder)
+    });
+    let fitted = fitted.unwrap();
+    let (report, _) = score_profile(&fitted.profile, &read, &[]).unwrap();
+    assert_eq!(numbers(&report, Role::Fitted), [1, 2, 3, 4]);
+    assert_eq!(report.score.fve, fitted.report.score.fve);
+    assert!(
+        report.notes[0].contains("left out of the means"),
+        "{report:?}"
+    );
+    let (report, _) = score_profile(&fitted.profile, &read, &["2".to_owned()]).unwrap();
+    assert_eq!(report.scored_on, Role::Fitted);
+    assert!(report.notes[0].contains("flatter"), "{report:?}");
+    assert_eq!(report.unused.len(), 5);
+    // The grid is that of the profile; another aspect ratio is refused.
+    let mut turned = truth();
+    (turned.geometry.width, turned.geometry.height) = (120, 160);
+    let text = score_profile(&turned, &read, &[]).unwrap_err().to_string();
+    assert!(text.contains("stretches"), "{text}");
+    // A profile of another sensor explains nothing.
+    let mut other = truth();
+    if let ShadingModel::Polynomial(shading) = &mut other.shading {
+        std::mem::swap(&mut shading.red, &mut shading.blue);
+    }
+    let (report, _) = score_profile(&other, &read, &[]).unwrap();
+    let notes = report.notes.join("\n");
+    assert!(notes.contains("explains little"), "{notes}");
+}
+
+#[test]
+fn contact_in_the_no_contact_image_is_found() {
+    let folder = folder(6, |path, list| {
+        fs::copy(path.join("press_0.png"), path.join("no_contact.png")).unwrap();
+        list["presses"].as_array_mut().unwrap().remove(0);
+    });
+    let text = run(&options(&folder)).unwrap_err().to_string();
+    assert!(text.contains("it shows a contact"), "{text}");
+}
+
+#[test]
+fn doubtful_scales_are_noted() {
+    let folder = folder(4, |_, list| list["m_per_px"] = Value::Null);
+    let mut options = options(&folder);
+    options.read.ball_diameter_m = Some(4.0 * BALL_M);
+    let report = run(&options).unwrap().report;
+    assert!(
+        report.notes[0].contains("replaces that of presses.json"),
+        "{report:?}"
+    );
+    assert!(report.notes[1].contains("pass --pixel-mm"), "{report:?}");
+    let row = &report.presses[0];
+    let (ball, radius) = (2.0 * BALL_M, row.radius_px * report.pixel_m);
+    let depth = ball - (ball * ball - radius * radius).sqrt();
+    assert!((row.indentation_m - depth).abs() < 1e-9, "{row:?}");
+}
+
+#[test]
+fn listed_images_are_ordered_by_number() {
+    let dir = tempfile::tempdir().unwrap();
+    for i in [10, 9, 1] {
+        save(&dir.path().join(format!("{i}.png")), &image(i));
+    }
+    save(
+        &dir.path().join("bg.png"),
+        truth().background.image.as_ref().unwrap(),
+    );
+    let mut read = ReadOptions::from_folder(dir.path());
+    (read.ball_diameter_m, read.pixel_m) = (Some(2.0 * BALL_M), Some(1e-4));
+    let set = PressSet::read(&read).unwrap();
+    let files = set.presses.iter().map(|press| &*press.file);
+    assert_eq!(files.collect::<Vec<_>>(), ["1.png", "9.png", "10.png"]);
 }

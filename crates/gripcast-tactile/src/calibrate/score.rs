@@ -71,7 +71,8 @@ pub struct Score {
     pub no_contact_psnr_db: f64,
     /// Mean absolute error of the background alone, grey levels.
     pub no_contact_l1: f64,
-    /// Scores of the presses.
+    /// Scores of the presses, in the order of the indices.
+    #[serde(skip)]
     pub presses: Vec<PressScore>,
 }
 
@@ -132,8 +133,24 @@ pub fn change_between(pressed: &RgbImage, untouched: &RgbImage) -> ChangePlanes 
 /// Fits the background of a press and returns the change.
 pub fn observe(set: &PressSet, press: &LabelledPress) -> ObservedChange {
     let distance = CentreDistance::new(press);
-    let outside = |i: usize| distance.at(i) > press.radius_px + OUTSIDE_PX;
-    observe_where(set, &press.image, outside)
+    observe_where(set, &press.image, |i| {
+        is_outside(distance.at(i), press.radius_px)
+    })
+}
+
+/// Whether a pixel at a distance from the centre of a contact is far from it.
+pub(super) fn is_outside(distance: f64, radius_px: f64) -> bool {
+    distance > radius_px + OUTSIDE_PX
+}
+
+/// RMS difference of another no-contact image from that of the set after gain and offset, largest
+/// of the channels, grey levels; 0 if the sizes differ.
+pub(super) fn background_residual(set: &PressSet, image: &RgbImage) -> f64 {
+    if image.dimensions() != set.no_contact.dimensions() {
+        return 0.0;
+    }
+    let observed = observe_where(set, image, |_| true);
+    observed.outside_rms.into_iter().fold(0.0, f64::max)
 }
 
 /// [`observe`] with the background fitted to selected pixels.

@@ -62,11 +62,20 @@ pub(super) fn choose(
     terms: Terms,
 ) -> Result<(ChosenModel, PolynomialShading)> {
     if train.len() < 2 {
+        let unusable = match &*set.skipped {
+            [] => String::new(),
+            [first, ..] => format!(
+                "; {} unusable ({}: {})",
+                set.skipped.len(),
+                first.file,
+                first.reason
+            ),
+        };
         return Err(Error::input(format!(
-            "at least 2 presses are required to fit, found {}",
+            "at least 2 presses are required to fit, found {}{unusable}",
             train.len()
         ))
-        .remedy("take more presses, 5 or more spread over the pad, or fit a larger fraction"));
+        .remedy("take more presses, 5 or more spread over the pad, or fit more of them"));
     }
     let observed: Vec<ObservedChange> = train
         .par_iter()
