@@ -47,7 +47,7 @@ pub use mesh_file::{
     load_textured_mesh, ply_bytes, read_mesh, read_textured_mesh, save_mesh,
 };
 pub use mesh_query::{ClosestPoint, MeshQuery, RayHit};
-pub use object_mesh::{load_object_mesh, load_object_mesh_below};
+pub use object_mesh::{MeshOptions, load_object_mesh, load_object_mesh_below};
 pub use pose::Pose;
 pub use solid::Solid;
 pub use stable_poses::{StablePose, likely_poses, stable_poses};

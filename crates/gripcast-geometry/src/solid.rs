@@ -12,7 +12,7 @@ use super::winding_number::WindingNumber;
 use gripcast_base::error::Result;
 
 /// Rays a side that look for overlaps of a closed surface.
-const SEARCH: usize = 128;
+const SEARCH: usize = 64;
 /// Rays a side that measure them.
 const MEASURE: usize = 384;
 /// Rays a side, and steps along each, for a surface with holes.

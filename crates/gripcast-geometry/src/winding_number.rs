@@ -8,7 +8,7 @@ use super::bvh::Bvh;
 use super::mesh::TriangleMesh;
 
 /// Distance, in radii of a group of triangles, from which its dipole stands for it.
-const FAR: f64 = 2.5;
+const FAR: f64 = 4.0;
 
 /// The generalised winding number of a surface (Jacobson et al., *Robust inside-outside segmentation
 /// using generalized winding numbers*, SIGGRAPH 2013): its solid angle over 4π, 1 inside a closed
@@ -131,9 +131,9 @@ mod tests {
         let bounds = mesh.bounds();
         let mut rng = rand_pcg::Pcg64Mcg::seed_from_u64(5);
         for _ in 0..500 {
-            let at = DVec3::from_array([0, 1, 2].map(|k| {
-                rng.random_range(bounds.min[k] - 0.01..bounds.max[k] + 0.01)
-            }));
+            let at = DVec3::from_array(
+                [0, 1, 2].map(|k| rng.random_range(bounds.min[k] - 0.01..bounds.max[k] + 0.01)),
+            );
             let expected = f64::from(u8::from(query.contains(at)));
             let found = winding.at(at);
             assert!((found - expected).abs() < 0.03, "{found} at {at}");
@@ -147,6 +147,9 @@ mod tests {
         mesh.triangles = mesh.triangles.iter().copied().filter(above).collect();
         let found = WindingNumber::new(&mesh).at(DVec3::ZERO);
         assert!((found - 0.5).abs() < 0.02, "{found}");
-        assert_eq!(WindingNumber::new(&TriangleMesh::default()).at(DVec3::ZERO), 0.0);
+        assert_eq!(
+            WindingNumber::new(&TriangleMesh::default()).at(DVec3::ZERO),
+            0.0
+        );
     }
 }

@@ -46,7 +46,9 @@ pub(super) fn drop_duplicates(mesh: &mut TriangleMesh, warnings: &mut Vec<String
             *own.entry(side).or_default() += 1;
         }
         let odd = |remaining: &dyn Fn(usize, usize) -> usize| {
-            let all = own.iter().map(|(side, own)| remaining(distinct[side], *own));
+            let all = own
+                .iter()
+                .map(|(side, own)| remaining(distinct[side], *own));
             all.filter(|count| count % 2 == 1).count()
         };
         let is_needed = odd(&|all, _| all) <= odd(&|all, own| all - own);

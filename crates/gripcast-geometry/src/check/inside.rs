@@ -69,7 +69,7 @@ fn too_open(solid: &Solid) -> Error {
 }
 
 const WALL: &str = "if it is a shell, like a cup or a box without a lid, pass its wall as \
-                    --wall-thickness-m; else close its holes in a mesh editor";
+                    --wall-thickness-mm; else close its holes in a mesh editor";
 
 /// Formats a fraction with two significant digits.
 fn percent(fraction: f64) -> String {

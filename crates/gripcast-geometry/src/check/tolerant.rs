@@ -175,7 +175,9 @@ fn faces_inwards(mesh: &TriangleMesh, query: &MeshQuery, triangles: &[u32]) -> b
         for (sign, side) in [(1, normal), (-1, -normal)] {
             let origin = (a + b + c) / 3.0 + side * start;
             for across in [DVec3::ZERO, u, -u, v, -v] {
-                let escapes = query.ray_cast(origin, side + across, f64::INFINITY).is_none();
+                let escapes = query
+                    .ray_cast(origin, side + across, f64::INFINITY)
+                    .is_none();
                 score += sign * i64::from(escapes);
             }
         }

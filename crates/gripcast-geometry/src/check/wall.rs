@@ -31,7 +31,7 @@ pub(super) fn thickened(
             super::millimetres(thickness_m),
             super::millimetres(size)
         ))
-        .remedy("pass --wall-thickness-m in metres, for instance 0.002"));
+        .remedy("pass --wall-thickness-mm, for instance 2"));
     }
     let open = weld(mesh, 0.0);
     let edges = open.edges();
@@ -78,7 +78,8 @@ fn inward(mesh: &TriangleMesh) -> Vec<DVec3> {
         let (normal, area) = (scaled.normalize_or_zero(), scaled.length());
         for &vertex in triangle {
             let sum = sums.entry(vertex).or_insert((DMat3::ZERO, DVec3::ZERO));
-            sum.0 += DMat3::from_cols(normal * normal.x, normal * normal.y, normal * normal.z) * area;
+            sum.0 +=
+                DMat3::from_cols(normal * normal.x, normal * normal.y, normal * normal.z) * area;
             sum.1 -= normal * area;
         }
     }

@@ -178,7 +178,9 @@ pub(super) fn volume(mesh: &TriangleMesh, triangles: &[u32]) -> f64 {
 /// Signed volume between the triangles of an open component and their mean position, m³: negative
 /// if they face it.
 pub(super) fn volume_about_center(mesh: &TriangleMesh, triangles: &[u32]) -> f64 {
-    let corners = triangles.iter().flat_map(|&t| mesh.corners(mesh.triangles[t as usize]));
+    let corners = triangles
+        .iter()
+        .flat_map(|&t| mesh.corners(mesh.triangles[t as usize]));
     let mean = corners.sum::<DVec3>() / (3 * triangles.len().max(1)) as f64;
     cone_volume(mesh, triangles, mean)
 }
