@@ -17,6 +17,8 @@ const SEARCH: usize = 64;
 const MEASURE: usize = 384;
 /// Rays a side, and steps along each, for a surface with holes.
 const OPEN: usize = 40;
+/// Thickness of a film, as a fraction of its size, that counts as flat.
+const FILM: f64 = 1e-7;
 /// Area of the closed holes, as a fraction of the surface, below which they are rounding.
 const CLOSED_AREA: f64 = 1e-9;
 
@@ -74,6 +76,10 @@ impl Solid {
         let mut moments = Moments::of_surface(triangles.iter().copied(), reference);
         for miscount in miscounts.iter().filter(|_| !is_clean) {
             moments.add(&miscount.excess, -1.0 / 3.0);
+        }
+        // What rounding leaves of a flat surface is not a volume.
+        if moments.volume <= FILM * area(&triangles) * bounds.diagonal() {
+            moments.volume = moments.volume.min(0.0);
         }
         let properties = moments.properties(reference)?;
         let share = |of: fn(&Miscount) -> f64| {

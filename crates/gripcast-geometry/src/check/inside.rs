@@ -5,7 +5,7 @@ use crate::solid::Solid;
 use gripcast_base::error::{Error, Result};
 
 /// Largest uncertainty of a volume, as a fraction of it.
-const MAX_UNCERTAINTY: f64 = 0.25;
+const MAX_UNCERTAINTY: f64 = 0.1;
 /// Fractions of the volume or the surface that are worth a warning.
 const NOTABLE: f64 = 1e-4;
 

@@ -60,10 +60,15 @@ pub fn prepare(mesh: &TriangleMesh, options: &PrepareOptions) -> Result<Prepared
     let mut warnings = Vec::new();
     let surface = match options.repair {
         Repair::Strict => strict(mesh, options, &mut warnings)?,
-        Repair::Auto => strict(mesh, options, &mut warnings).or_else(|_| {
-            warnings.clear();
-            tolerant::repair(mesh, options, &mut warnings)
-        })?,
+        Repair::Auto => {
+            let exact = strict(mesh, options, &mut warnings);
+            let mut surface = exact.or_else(|_| {
+                warnings.clear();
+                tolerant::repair(mesh, options, &mut warnings)
+            })?;
+            tolerant::drop_strays(&mut surface, &mut warnings);
+            surface
+        }
         Repair::None => {
             slivers::require_area(mesh)?;
             mesh.clone()
@@ -223,3 +228,7 @@ fn position_mm(position: DVec3) -> String {
 #[cfg(test)]
 #[path = "check_test.rs"]
 mod tests;
+
+#[cfg(test)]
+#[path = "repair_test.rs"]
+mod repair_tests;

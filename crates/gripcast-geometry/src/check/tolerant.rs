@@ -37,7 +37,6 @@ pub(super) fn repair(
     close_cracks(&mut mesh, warnings);
     slivers::drop_flat(&mut mesh, f64::MIN_POSITIVE, warnings);
     require_triangles(&mesh)?;
-    drop_strays(&mut mesh, warnings);
     let mut split = Vec::new();
     if let Ok(manifold) = manifold::split(&mesh, &mut split) {
         mesh = manifold;
@@ -83,7 +82,7 @@ fn close_cracks(mesh: &mut TriangleMesh, warnings: &mut Vec<String>) {
 }
 
 /// Drops small pieces far from the rest, such as the islands of a scan.
-fn drop_strays(mesh: &mut TriangleMesh, warnings: &mut Vec<String>) {
+pub(super) fn drop_strays(mesh: &mut TriangleMesh, warnings: &mut Vec<String>) {
     // Pieces are connected by vertices.
     let mut parent: Vec<u32> = (0..mesh.vertices.len() as u32).collect();
     for &[a, b, c] in &mesh.triangles {
