@@ -32,7 +32,7 @@ use gripcast_annotate::{
 use gripcast_base::error::{Error, ErrorKind, Result};
 use gripcast_base::files::{ContentKey, FileKind, ObjectName, Root};
 use gripcast_dataset::{Dataset, DatasetWriter, GraspId, GraspRecord, PoseRecord};
-use gripcast_geometry::{LengthUnit, Pose, TriangleMesh, load_object_mesh};
+use gripcast_geometry::{LengthUnit, MeshOptions, Pose, TriangleMesh, load_object_mesh};
 use gripcast_imaging::{Decoder, Intrinsics, Role, encode_jpeg};
 use gripcast_pose::{BoardFile, PrintedSheet, load_intrinsics};
 
@@ -414,7 +414,9 @@ struct Image {
 /// Loads the mesh of a sheet in the unit that gives its hash.
 fn mesh_of(sheet: &PrintedSheet) -> Option<TriangleMesh> {
     LengthUnit::ALL.into_iter().find_map(|unit| {
-        let mesh = load_object_mesh(&sheet.object, unit, 1.0).ok()?.mesh;
+        let mut options = MeshOptions::new(unit, 1.0);
+        options.prepare.needs_inside = false;
+        let mesh = load_object_mesh(&sheet.object, &options).ok()?.mesh;
         (mesh.content_hash() == sheet.object_sha256).then_some(mesh)
     })
 }

@@ -193,7 +193,7 @@ impl SheetFlags {
 pub(super) fn make(context: &Context, args: &MakeArgs) -> Result<()> {
     let flags = &args.sheet;
     let (name, dictionary) = flags.board()?;
-    let object = args.mesh.load()?;
+    let object = args.mesh.load_surface()?;
     context.warn(&object.warnings);
     let (_, pose) = resting_pose(&object.mesh, args.stable_pose)?;
     let yaw = Pose::from_rotation(DQuat::from_rotation_z(args.yaw_deg.to_radians()));

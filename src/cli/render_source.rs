@@ -7,7 +7,7 @@ use serde_json::Value;
 use super::working::Progress;
 use gripcast_base::error::{Error, Result};
 use gripcast_base::files::{FileKind, read_regular};
-use gripcast_geometry::{LengthUnit, TriangleMesh, load_object_mesh};
+use gripcast_geometry::{MeshOptions, TriangleMesh, load_object_mesh};
 use gripcast_sim::grasp::{Snapshot, StageName, Trace, TraceFile};
 use gripcast_tactile::{SimulatedGel, TraceHeader, TraceObject, TraceStart};
 use gripcast_visual::{Finish, Model, demo_model, random_finish};
@@ -51,16 +51,14 @@ impl Moment {
 pub(super) struct ObjectSource {
     /// File, or `builtin:NAME`.
     pub(super) name: String,
-    /// Unit of the file's coordinates.
-    pub(super) unit: LengthUnit,
-    /// Scale factor.
-    pub(super) scale: f64,
+    /// How it is read.
+    pub(super) options: MeshOptions,
 }
 
 impl ObjectSource {
     /// Loads the mesh as it is simulated, m.
     pub(super) fn load(&self) -> Result<TriangleMesh> {
-        Ok(load_object_mesh(&self.name, self.unit, self.scale)?.mesh)
+        Ok(load_object_mesh(&self.name, &self.options)?.mesh)
     }
 
     /// Loads the mesh with its materials; `finish` replaces a missing material, else one is drawn
@@ -79,11 +77,11 @@ impl ObjectSource {
         }
         let path = Path::new(&self.name);
         let finish = finish.unwrap_or_else(|| random_finish(seed));
-        let loaded = Model::load(path, self.unit, finish, seed)?;
+        let loaded = Model::load(path, self.options.unit, finish, seed)?;
         for warning in &loaded.warnings {
             progress.line(format!("{}: {warning}", path.display()));
         }
-        Ok(loaded.model.scaled(self.scale))
+        Ok(loaded.model.scaled(self.options.scale))
     }
 }
 
@@ -115,11 +113,11 @@ impl SimulatedGrasp {
         let start = TraceStart::read(&file.header)?;
         let mesh = named.load(path)?;
         let file_name = named.file(path);
+        let options = named.options()?;
         Ok(Self {
             object: ObjectSource {
                 name: file_name.map_or(named.source, |file| file.display().to_string()),
-                unit: named.unit.parse()?,
-                scale: named.scale,
+                options,
             },
             mesh,
             gel,

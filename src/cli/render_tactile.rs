@@ -25,13 +25,14 @@ use serde::{Deserialize, Serialize};
 
 use super::Context;
 use super::flags::{BallFlags, named, number, read_text};
+use super::mesh_repair::RepairFlags;
 use super::render_out::{OutPlan, Report};
 use super::render_source::{Moment, ObjectSource, SimulatedGrasp};
 use super::working::{Progress, interruptible};
 use gripcast_base::error::{Error, Result};
 use gripcast_base::files::save;
 use gripcast_base::number::NumberRange;
-use gripcast_geometry::{LengthUnit, Pose};
+use gripcast_geometry::{LengthUnit, MeshOptions, Pose};
 use gripcast_imaging::{DepthImage, TactileDifference, encode_png_grey16, encode_png_rgb};
 use gripcast_sim::grasp::Finger;
 use gripcast_tactile::calibrate::PressSet;
@@ -80,6 +81,8 @@ struct ObjectFlags {
     /// Unit of the mesh coordinates of --object without a trace: mm, cm, m, in
     #[arg(long, default_value_t = LengthUnit::Metre)]
     unit: LengthUnit,
+    #[command(flatten)]
+    repair: RepairFlags,
     /// JSON file with t_sensor_object, for --object without a trace [default: identity]
     #[arg(
         long,
@@ -274,8 +277,10 @@ fn one_press(args: &Args) -> Result<Written> {
     };
     let source = ObjectSource {
         name: name.clone(),
-        unit: flags.unit,
-        scale: 1.0,
+        options: MeshOptions {
+            prepare: flags.repair.surface_options(),
+            ..MeshOptions::new(flags.unit, 1.0)
+        },
     };
     let mesh = source.load()?;
     let finger = args.side[0];

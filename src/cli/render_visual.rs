@@ -25,6 +25,7 @@ use serde::Serialize;
 
 use super::Context;
 use super::flags::{ThreadsFlag, above_zero, image_size, number};
+use super::mesh_repair::RepairFlags;
 use super::render_out::{OutPlan, Report};
 use super::render_source::{Moment, ObjectSource, SimulatedGrasp};
 use super::sim_object::{default_resting_pose, read_grasp_pose};
@@ -32,7 +33,7 @@ use super::working::{Progress, interruptible};
 use gripcast_base::error::{Error, Result};
 use gripcast_base::files::save;
 use gripcast_base::number::NumberRange;
-use gripcast_geometry::LengthUnit;
+use gripcast_geometry::{LengthUnit, MeshOptions};
 use gripcast_imaging::{encode_png_grey16, encode_png_rgb};
 use gripcast_sim::grasp::Placement;
 use gripcast_visual::{
@@ -80,6 +81,8 @@ struct ObjectFlags {
     /// Unit of the mesh coordinates of --object without a trace: mm, cm, m, in
     #[arg(long, default_value_t = LengthUnit::Metre)]
     unit: LengthUnit,
+    #[command(flatten)]
+    repair: RepairFlags,
     /// Scale factor of --object without a trace
     #[arg(long, value_name = "FACTOR", default_value_t = 1.0, value_parser = above_zero)]
     scale: f64,
@@ -282,8 +285,10 @@ impl<'a> Job<'a> {
         };
         let source = ObjectSource {
             name: name.clone(),
-            unit: flags.unit,
-            scale: flags.scale,
+            options: MeshOptions {
+                prepare: flags.repair.surface_options(),
+                ..MeshOptions::new(flags.unit, flags.scale)
+            },
         };
         let mesh = source.load()?;
         let pose = flags.pose.as_deref().map(read_grasp_pose).transpose()?;

@@ -212,10 +212,11 @@ struct StablePoseRecord {
 /// Runs the command.
 pub(crate) fn run(context: &Context, args: Args) -> Result<()> {
     args.out.check()?;
-    let PreparedMesh { mesh, warnings } = args.object.mesh.load()?;
+    let prepared = args.object.mesh.load()?;
+    let object = ObjectRecord::new(&args.object, &prepared);
+    let PreparedMesh { mesh, warnings, .. } = prepared;
     let (t_world_object, stable_pose, placed) = place(&mesh, &args.pose)?;
     let settings = args.settings.settings();
-    let object = ObjectRecord::new(&args.object, &mesh);
     let scene = Scene {
         mesh,
         mass_kg: args.object.mass_kg,

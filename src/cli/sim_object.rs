@@ -5,9 +5,13 @@ use std::path::Path;
 use serde::Serialize;
 
 use super::flags::{above_zero, number, read_text};
+use super::mesh_repair::RepairFlags;
 use gripcast_base::error::Result;
 use gripcast_base::number::NumberRange;
-use gripcast_geometry::{LengthUnit, Pose, PreparedMesh, TriangleMesh, load_object_mesh};
+use gripcast_geometry::{
+    LengthUnit, MeshOptions, Pose, PrepareOptions, PreparedMesh, Solid, TriangleMesh,
+    load_object_mesh,
+};
 use gripcast_sim::grasp::{GraspPose, resting_pose};
 
 /// Options that choose a mesh.
@@ -23,12 +27,27 @@ pub(super) struct MeshFlags {
     /// Scale factor of the mesh
     #[arg(long, value_name = "FACTOR", default_value_t = 1.0, value_parser = above_zero)]
     scale: f64,
+    #[command(flatten)]
+    repair: RepairFlags,
 }
 
 impl MeshFlags {
-    /// Reads, scales and checks the mesh.
+    /// Reads, scales and checks a mesh that has a mass.
     pub(super) fn load(&self) -> Result<PreparedMesh> {
-        load_object_mesh(&self.object, self.unit, self.scale)
+        self.load_with(self.repair.options())
+    }
+
+    /// Reads, scales and checks a mesh of which only the surface is used.
+    pub(super) fn load_surface(&self) -> Result<PreparedMesh> {
+        self.load_with(self.repair.surface_options())
+    }
+
+    fn load_with(&self, prepare: PrepareOptions) -> Result<PreparedMesh> {
+        let options = MeshOptions {
+            prepare,
+            ..MeshOptions::new(self.unit, self.scale)
+        };
+        load_object_mesh(&self.object, &options)
     }
 }
 
@@ -47,28 +66,77 @@ pub(super) struct ObjectFlags {
     pub(super) friction: f64,
 }
 
-/// The object in a result.
+/// The mesh in a result.
 #[derive(Debug, Serialize)]
-pub(super) struct ObjectRecord {
+pub(super) struct MeshRecord {
     source: String,
     unit: String,
     scale: f64,
+    repair: String,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    wall_thickness_mm: Option<f64>,
     sha256: String,
-    triangles: usize,
-    size_m: [f64; 3],
+    pub(super) triangles: usize,
+    pub(super) size_m: [f64; 3],
+    #[serde(flatten)]
+    pub(super) solid: Option<SolidRecord>,
+}
+
+/// The inside of a mesh in a result.
+#[derive(Debug, Serialize)]
+pub(super) struct SolidRecord {
+    pub(super) volume_m3: f64,
+    /// As a fraction of the volume.
+    pub(super) volume_uncertainty: f64,
+    /// Volume that several pieces share, as a fraction of the volume.
+    overlap: f64,
+    /// Area of the holes, as a fraction of the surface.
+    hole_area: f64,
+    pub(super) center_of_mass_m: [f64; 3],
+}
+
+impl From<&Solid> for SolidRecord {
+    fn from(solid: &Solid) -> Self {
+        Self {
+            volume_m3: solid.properties.volume_m3,
+            volume_uncertainty: solid.uncertainty,
+            overlap: solid.overlap,
+            hole_area: solid.hole_area,
+            center_of_mass_m: solid.properties.center_of_mass_m.to_array(),
+        }
+    }
+}
+
+impl MeshRecord {
+    pub(super) fn new(flags: &MeshFlags, prepared: &PreparedMesh) -> Self {
+        let mesh = &prepared.mesh;
+        Self {
+            source: flags.object.clone(),
+            unit: flags.unit.to_string(),
+            scale: flags.scale,
+            repair: flags.repair.repair.to_string(),
+            wall_thickness_mm: flags.repair.wall_thickness_mm,
+            sha256: mesh.content_hash(),
+            triangles: mesh.triangles.len(),
+            size_m: mesh.bounds().extent().to_array(),
+            solid: prepared.solid.as_ref().map(SolidRecord::from),
+        }
+    }
+}
+
+/// The object in a result.
+#[derive(Debug, Serialize)]
+pub(super) struct ObjectRecord {
+    #[serde(flatten)]
+    mesh: MeshRecord,
     mass_kg: f64,
     friction: f64,
 }
 
 impl ObjectRecord {
-    pub(super) fn new(flags: &ObjectFlags, mesh: &TriangleMesh) -> Self {
+    pub(super) fn new(flags: &ObjectFlags, prepared: &PreparedMesh) -> Self {
         Self {
-            source: flags.mesh.object.clone(),
-            unit: flags.mesh.unit.to_string(),
-            scale: flags.mesh.scale,
-            sha256: mesh.content_hash(),
-            triangles: mesh.triangles.len(),
-            size_m: mesh.bounds().extent().to_array(),
+            mesh: MeshRecord::new(&flags.mesh, prepared),
             mass_kg: flags.mass_kg,
             friction: flags.friction,
         }

@@ -20,11 +20,12 @@ use std::time::Instant;
 use serde::Serialize;
 
 use super::flags::{above_zero, number};
+use super::mesh_repair::RepairFlags;
 use super::working::interruptible;
 use super::{Context, print_report};
 use gripcast_base::error::{Error, ErrorKind, Result};
 use gripcast_base::number::NumberRange;
-use gripcast_geometry::{LengthUnit, PrepareOptions, TriangleMesh, load_mesh, prepare};
+use gripcast_geometry::{LengthUnit, MeshOptions, TriangleMesh, load_object_mesh};
 use gripcast_sim::fem::{GelGrid, GelResolution, Grading, PAD_SIZE_M};
 use gripcast_sim::press::{Indenter, Press, PressPoint, PressTarget, half_pad, quarter_pad};
 use gripcast_sim::solver::GelMaterial;
@@ -46,6 +47,8 @@ pub(crate) struct Args {
     /// Unit of the mesh coordinates: mm, cm, m, in
     #[arg(long, default_value_t = LengthUnit::Metre)]
     unit: LengthUnit,
+    #[command(flatten)]
+    repair: RepairFlags,
     /// Indentation depths, comma-separated
     #[arg(long, value_name = "M", value_delimiter = ',',
         default_values_t = [1e-4, 2e-4, 4e-4, 6e-4, 8e-4, 1e-3],
@@ -158,9 +161,12 @@ fn goals(args: &Args) -> Result<Vec<PressTarget>> {
     Ok(normal.chain(shear).collect())
 }
 
-fn load(context: &Context, path: &Path, unit: LengthUnit) -> Result<TriangleMesh> {
-    let prepared = prepare(&load_mesh(path, unit)?, &PrepareOptions::default())
-        .map_err(|e| e.at(path.display()))?;
+fn load(context: &Context, path: &Path, args: &Args) -> Result<TriangleMesh> {
+    let options = MeshOptions {
+        prepare: args.repair.surface_options(),
+        ..MeshOptions::new(args.unit, 1.0)
+    };
+    let prepared = load_object_mesh(&path.to_string_lossy(), &options)?;
     let file = path.display();
     context.warn(prepared.warnings.iter().map(|w| format!("{file}: {w}")));
     Ok(prepared.mesh)
@@ -172,7 +178,7 @@ fn build(context: &Context, args: &Args) -> Result<Press> {
         (Shape::Sphere, _) => Indenter::Sphere { radius_m },
         (Shape::Cylinder, _) => Indenter::Cylinder { radius_m },
         (Shape::Edge, _) => Indenter::Edge { radius_m },
-        (Shape::Mesh, Some(path)) => Indenter::Mesh(load(context, path, args.unit)?),
+        (Shape::Mesh, Some(path)) => Indenter::Mesh(load(context, path, args)?),
         (Shape::Plate | Shape::Mesh, _) => Indenter::Plate,
     };
     if args.indenter == Shape::Mesh && args.gel == Mesh::Refined {

@@ -18,7 +18,7 @@ use gripcast::cli::Context;
 use gripcast::cli::bench::Report;
 use gripcast::cli::working::{Progress, interruptible};
 use gripcast_base::error::{Error, ErrorKind, Result};
-use gripcast_geometry::{LengthUnit, TriangleMesh, load_object_mesh};
+use gripcast_geometry::{LengthUnit, MeshOptions, TriangleMesh, load_object_mesh};
 use gripcast_sim::fem::GelResolution;
 use gripcast_sim::grasp::{GraspOutcome, GraspSettings, GraspSummary, Scene, StageWork, simulate};
 use gripcast_sim::solver::PhaseTimes;
@@ -286,7 +286,8 @@ fn shared_mesh(item: &str, unit_m: f64) -> Result<Option<TriangleMesh>> {
     if !path.exists() {
         return Ok(None);
     }
-    let prepared = load_object_mesh(&path.to_string_lossy(), LengthUnit::Metre, unit_m)?;
+    let options = MeshOptions::new(LengthUnit::Metre, unit_m);
+    let prepared = load_object_mesh(&path.to_string_lossy(), &options)?;
     Ok(Some(prepared.mesh))
 }
 

@@ -20,7 +20,7 @@ use gripcast::cli::Context;
 use gripcast::cli::bench::Report;
 use gripcast_base::error::{Error, ErrorKind, Result};
 use gripcast_base::statistics::median;
-use gripcast_geometry::{LengthUnit, TriangleMesh, load_object_mesh};
+use gripcast_geometry::{LengthUnit, MeshOptions, TriangleMesh, load_object_mesh};
 use gripcast_sim::Engine as _;
 use gripcast_sim::grasp::{GraspOutcome, GraspResult};
 use gripcast_sim::rigid::{RigidEngine, RigidSettings};
@@ -133,7 +133,7 @@ fn meshes(args: &Args) -> Result<Vec<(String, Arc<TriangleMesh>)>> {
         } else {
             args.scale
         };
-        let object = load_object_mesh(name, args.unit, scale)?;
+        let object = load_object_mesh(name, &MeshOptions::new(args.unit, scale))?;
         Ok((name.clone(), Arc::new(object.mesh)))
     };
     args.objects.iter().map(load).collect()

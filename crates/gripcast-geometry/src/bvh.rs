@@ -88,6 +88,15 @@ impl Bvh {
     pub fn search(
         &self,
         mut enter: impl FnMut(&Aabb) -> bool,
+        visit: impl FnMut(usize) -> bool,
+    ) -> bool {
+        self.search_nodes(|_, bounds| enter(bounds), visit)
+    }
+
+    /// [`Bvh::search`] with the index of the node, as in the result of [`Bvh::summaries`].
+    pub(super) fn search_nodes(
+        &self,
+        mut enter: impl FnMut(usize, &Aabb) -> bool,
         mut visit: impl FnMut(usize) -> bool,
     ) -> bool {
         if self.nodes.is_empty() {
@@ -99,7 +108,7 @@ impl Bvh {
             depth -= 1;
             let index = stack[depth];
             let node = &self.nodes[index as usize];
-            if !enter(&node.bounds) {
+            if !enter(index as usize, &node.bounds) {
                 continue;
             }
             if node.count == 0 {
@@ -114,6 +123,30 @@ impl Bvh {
             }
         }
         false
+    }
+
+    /// A value for each node: of a leaf from its positions in [`Bvh::leaf_order`], of an inner node
+    /// from the values of its children.
+    pub(super) fn summaries<T: Clone>(
+        &self,
+        leaf: impl Fn(std::ops::Range<usize>) -> T,
+        join: impl Fn(&T, &T) -> T,
+    ) -> Vec<T> {
+        // Children follow their parent: the list is made from its end.
+        let mut from_last: Vec<T> = Vec::with_capacity(self.nodes.len());
+        let all = self.nodes.len();
+        for (index, node) in self.nodes.iter().enumerate().rev() {
+            let first = node.right_or_first as usize;
+            let value = if node.count > 0 {
+                leaf(first..first + node.count as usize)
+            } else {
+                let child = |node: usize| &from_last[all - 1 - node];
+                join(child(index + 1), child(first))
+            };
+            from_last.push(value);
+        }
+        from_last.reverse();
+        from_last
     }
 
     /// Branch and bound: visits near leaves first and skips nodes whose `lower_bound` is not below

@@ -26,14 +26,17 @@ mod mesh_file;
 mod mesh_query;
 mod object_mesh;
 mod pose;
+mod ray_integral;
+mod solid;
 mod stable_poses;
 mod weld;
+mod winding_number;
 
 pub use aabb::Aabb;
 pub use builtin::implicit;
 pub use builtin::{BUILTIN_NAMES, builtin};
 pub use bvh::Bvh;
-pub use check::{PrepareOptions, PreparedMesh, prepare};
+pub use check::{PrepareOptions, PreparedMesh, Repair, prepare};
 pub use convex_hull::convex_hull;
 pub use corner_normals::{CREASE_RAD, corner_normals};
 pub use curved::curved;
@@ -44,6 +47,7 @@ pub use mesh_file::{
     load_textured_mesh, ply_bytes, read_mesh, read_textured_mesh, save_mesh,
 };
 pub use mesh_query::{ClosestPoint, MeshQuery, RayHit};
-pub use object_mesh::{load_object_mesh, load_object_mesh_below};
+pub use object_mesh::{MeshOptions, load_object_mesh, load_object_mesh_below};
 pub use pose::Pose;
+pub use solid::Solid;
 pub use stable_poses::{StablePose, likely_poses, stable_poses};

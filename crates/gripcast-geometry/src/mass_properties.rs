@@ -1,11 +1,12 @@
-//! Mass properties of a closed mesh: volume, centre of mass and second moment at unit density.
+//! Mass properties of a solid: volume, centre of mass and second moment at unit density.
 
 use glam::{DMat3, DVec3};
 
 use super::mesh::TriangleMesh;
+use super::solid::Solid;
 use gripcast_base::error::{Error, Result};
 
-/// Exact integrals over the solid inside a closed mesh, at unit density.
+/// Integrals over the solid inside a surface, at unit density.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct MassProperties {
     /// Volume, m³.
@@ -16,40 +17,92 @@ pub struct MassProperties {
     pub second_moment_m5: DMat3,
 }
 
-impl MassProperties {
-    /// Integrates over the solid bounded by `mesh`, which must be closed, with triangles
-    /// counter-clockwise seen from outside; components add up.
+/// Integrals over a solid at unit density, about a reference point.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Moments {
+    /// ∫ dV, m³.
+    pub(super) volume: f64,
+    /// ∫ x dV, m⁴.
+    pub(super) first: DVec3,
+    /// ∫ x xᵀ dV, m⁵.
+    pub(super) second: DMat3,
+}
+
+impl Moments {
+    /// Those of nothing.
+    pub(super) const ZERO: Self = Self {
+        volume: 0.0,
+        first: DVec3::ZERO,
+        second: DMat3::ZERO,
+    };
+
+    /// Signed sum of the tetrahedra between the reference point and each triangle (corners in m):
+    /// exact for a closed surface, where it counts each point as often as its winding number says.
     ///
-    /// The solid is the signed sum of the tetrahedra between a point and each triangle. For a
-    /// tetrahedron with one corner in the origin and edges a, b, c: `V = a·(b×c)/6`,
+    /// For a tetrahedron with one corner in the origin and edges a, b, c: `V = a·(b×c)/6`,
     /// `∫x = V s/4`, `∫x xᵀ = V (a aᵀ + b bᵀ + c cᵀ + s sᵀ)/20`, `s = a + b + c`.
-    ///
-    /// # Errors
-    /// `Input` if the volume is not positive: the mesh is open, flat or inverted.
-    pub fn from_mesh(mesh: &TriangleMesh) -> Result<Self> {
-        // A reference point near the solid reduces cancellation.
-        let reference = mesh.bounds().center();
-        let (mut volume, mut first, mut second) = (0.0, DVec3::ZERO, DMat3::ZERO);
-        for corners in mesh.all_corners() {
+    pub(super) fn of_surface(
+        triangles: impl Iterator<Item = [DVec3; 3]>,
+        reference: DVec3,
+    ) -> Self {
+        let mut all = Self::ZERO;
+        for corners in triangles {
             let [a, b, c] = corners.map(|corner| corner - reference);
             let v = a.dot(b.cross(c)) / 6.0;
             let s = a + b + c;
-            volume += v;
-            first += s * (v / 4.0);
-            second += (outer(a) + outer(b) + outer(c) + outer(s)) * (v / 20.0);
+            all.volume += v;
+            all.first += s * (v / 4.0);
+            all.second += (outer(a) + outer(b) + outer(c) + outer(s)) * (v / 20.0);
         }
+        all
+    }
+
+    /// Adds `factor` times other moments about the same point.
+    pub(super) fn add(&mut self, other: &Self, factor: f64) {
+        self.volume += factor * other.volume;
+        self.first += other.first * factor;
+        self.second += other.second * factor;
+    }
+
+    /// Mass properties of the solid.
+    ///
+    /// # Errors
+    /// `Input` if the volume is not positive.
+    pub(super) fn properties(&self, reference: DVec3) -> Result<MassProperties> {
+        let volume = self.volume;
         if !(volume > 0.0 && volume.is_finite()) {
             return Err(Error::input(format!(
                 "the mesh must enclose a positive volume, found {volume:e} m³"
             ))
             .remedy("close its holes and orient its triangles outwards"));
         }
-        let center = first / volume;
-        Ok(Self {
+        let center = self.first / volume;
+        Ok(MassProperties {
             volume_m3: volume,
             center_of_mass_m: reference + center,
-            second_moment_m5: second - outer(center) * volume,
+            second_moment_m5: self.second - outer(center) * volume,
         })
+    }
+}
+
+impl MassProperties {
+    /// Integrates over the inside of a surface as [`Solid::of`] finds it.
+    ///
+    /// # Errors
+    /// `Input` if the surface has no inside: it is flat or inverted.
+    pub fn from_mesh(mesh: &TriangleMesh) -> Result<Self> {
+        Ok(Solid::of(mesh)?.properties)
+    }
+
+    /// Integrates over the solid bounded by `mesh`, which must be closed and free of overlaps, with
+    /// triangles counter-clockwise seen from outside, for instance a convex hull; exact.
+    ///
+    /// # Errors
+    /// `Input` if the volume is not positive: the mesh is flat or inverted.
+    pub fn of_closed(mesh: &TriangleMesh) -> Result<Self> {
+        // A reference point near the solid reduces cancellation.
+        let reference = mesh.bounds().center();
+        Moments::of_surface(mesh.all_corners(), reference).properties(reference)
     }
 
     /// Inertia tensor about the centre of mass at unit density, m⁵:
@@ -62,7 +115,7 @@ impl MassProperties {
 }
 
 /// v vᵀ.
-fn outer(v: DVec3) -> DMat3 {
+pub(super) fn outer(v: DVec3) -> DMat3 {
     DMat3::from_cols(v * v.x, v * v.y, v * v.z)
 }
 

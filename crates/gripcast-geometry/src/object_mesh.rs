@@ -9,22 +9,49 @@ use super::{
 use gripcast_base::error::{Error, Result};
 use gripcast_base::files::{FileKind, Root, companions};
 
-/// Loads `builtin:NAME` or a mesh file with coordinates in `unit`, scales and prepares it; the
-/// result is in metres.
+/// How the mesh of an object is read.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct MeshOptions {
+    /// Unit of the coordinates of a file. Default metres.
+    pub unit: LengthUnit,
+    /// Scale factor, above 0. Default 1.
+    pub scale: f64,
+    /// Checks and repairs, applied to the scaled mesh.
+    pub prepare: PrepareOptions,
+}
+
+impl Default for MeshOptions {
+    fn default() -> Self {
+        Self::new(LengthUnit::Metre, 1.0)
+    }
+}
+
+impl MeshOptions {
+    /// With the default repairs.
+    pub fn new(unit: LengthUnit, scale: f64) -> Self {
+        Self {
+            unit,
+            scale,
+            prepare: PrepareOptions::default(),
+        }
+    }
+}
+
+/// Loads `builtin:NAME` or a mesh file, scales and prepares it; the result is in metres.
 ///
 /// # Errors
 /// `Input` for a scale that is not above 0; those of [`load_mesh`] and [`prepare`].
-pub fn load_object_mesh(source: &str, unit: LengthUnit, scale: f64) -> Result<PreparedMesh> {
-    check_scale(scale)?;
+pub fn load_object_mesh(source: &str, options: &MeshOptions) -> Result<PreparedMesh> {
+    check_scale(options.scale)?;
     let path = Path::new(source);
     let mesh = if source.starts_with("builtin:") {
         builtin(source)?
     } else if BUILTIN_NAMES.contains(&source) && !path.exists() {
         return Err(missing_prefix(source));
     } else {
-        load_mesh(path, unit)?
+        load_mesh(path, options.unit)?
     };
-    prepared(&mesh, scale).map_err(|e| e.at(source))
+    prepared(&mesh, options).map_err(|e| e.at(source))
 }
 
 /// [`load_object_mesh`] for a mesh that a file refers to: `builtin:NAME`, or a file below the
@@ -35,13 +62,12 @@ pub fn load_object_mesh(source: &str, unit: LengthUnit, scale: f64) -> Result<Pr
 pub fn load_object_mesh_below(
     folder: &Root,
     name: &str,
-    unit: LengthUnit,
-    scale: f64,
+    options: &MeshOptions,
 ) -> Result<PreparedMesh> {
     if name.starts_with("builtin:") {
-        return load_object_mesh(name, unit, scale);
+        return load_object_mesh(name, options);
     }
-    check_scale(scale)?;
+    check_scale(options.scale)?;
     let file = folder.resolve_allowed(name).map_err(|_| {
         let what = format!("the mesh {name:?} is not below the folder of the file that names it");
         Error::input(what).remedy(
@@ -59,7 +85,7 @@ pub fn load_object_mesh_below(
             Error::io("cannot read the mesh", e).remedy("check the path and its permissions")
         })?;
         let mesh = read_mesh(&bytes, format, &companions(&path))?;
-        prepared(&mesh.scaled(unit.in_metres()), scale)
+        prepared(&mesh.scaled(options.unit.in_metres()), options)
     };
     let without_flag = |e: Error| match e.remedy_text() {
         Some(remedy) if remedy.contains("--unit") => {
@@ -86,6 +112,6 @@ fn check_scale(scale: f64) -> Result<()> {
     )))
 }
 
-fn prepared(mesh: &TriangleMesh, scale: f64) -> Result<PreparedMesh> {
-    prepare(&mesh.scaled(scale), &PrepareOptions::default())
+fn prepared(mesh: &TriangleMesh, options: &MeshOptions) -> Result<PreparedMesh> {
+    prepare(&mesh.scaled(options.scale), &options.prepare)
 }

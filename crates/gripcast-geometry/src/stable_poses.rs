@@ -9,6 +9,7 @@ use super::mass_properties::MassProperties;
 use super::mesh::TriangleMesh;
 use super::mesh_query::closest_on_triangle;
 use super::pose::Pose;
+use super::winding_number::solid_angle;
 use gripcast_base::error::{Error, Result};
 
 /// Distance from the plane of a facet, relative to the body's diagonal, up to which corners belong
@@ -220,15 +221,6 @@ fn distance_to_segment(point: DVec3, &[a, b]: &[DVec3; 2]) -> f64 {
     let along = b - a;
     let t = (point - a).dot(along) / along.length_squared();
     point.distance(a + along * t.clamp(0.0, 1.0))
-}
-
-/// Solid angle of a triangle, sr (Van Oosterom and Strackee, IEEE Trans. Biomed. Eng. 1983).
-fn solid_angle(corners: &[DVec3; 3], eye: DVec3) -> f64 {
-    let [a, b, c] = corners.map(|corner| corner - eye);
-    let (la, lb, lc) = (a.length(), b.length(), c.length());
-    let numerator = a.dot(b.cross(c));
-    let denominator = la * lb * lc + a.dot(b) * lc + b.dot(c) * la + c.dot(a) * lb;
-    2.0 * numerator.atan2(denominator)
 }
 
 /// Index of each triangle's facet, and the plane of each facet. The largest remaining triangle

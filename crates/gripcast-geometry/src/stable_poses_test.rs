@@ -46,7 +46,7 @@ fn support_margin(mesh: &TriangleMesh, center: DVec3, down: DVec3, contact_m: f6
 
 /// Checks that a mesh rests on z = 0 under its centre of mass, and that each small tilt lifts it.
 fn assert_rests(mesh: &TriangleMesh, pose: &StablePose) {
-    let center = MassProperties::from_mesh(mesh).unwrap().center_of_mass_m;
+    let center = MassProperties::of_closed(mesh).unwrap().center_of_mass_m;
     let placed = mesh.transformed(&pose.t_world_object);
     assert!(placed.bounds().min.z.abs() < 1e-12);
     let above = pose.t_world_object.transform_point(center);

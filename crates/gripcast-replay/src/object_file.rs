@@ -9,7 +9,9 @@ use serde::{Deserialize, Serialize};
 
 use gripcast_base::error::{Error, Result};
 use gripcast_base::files::{BeneathPath, FileKind, ObjectName, Root};
-use gripcast_geometry::{Aabb, LengthUnit, Pose, TriangleMesh, load_object_mesh_below};
+use gripcast_geometry::{
+    Aabb, LengthUnit, MeshOptions, Pose, TriangleMesh, load_object_mesh_below,
+};
 use gripcast_pose::PrintedSheet;
 use gripcast_sim::grasp::resting_pose;
 
@@ -29,6 +31,8 @@ const GROUND_TOLERANCE_M: f64 = 1e-3;
 /// mesh = "b1.obj"            # below this file's folder, or builtin:NAME
 /// unit = "mm"                # of the file's coordinates; not needed for builtin:NAME
 /// scale = 1.0
+/// repair = "auto"            # optional: none, auto, strict
+/// wall_thickness_mm = 2.0    # optional: the wall of a mesh modelled without thickness
 /// mesh_sha256 = "…"          # optional: what `gripcast sim grasp --json` prints for the mesh
 /// mass_kg = 0.070
 /// stable_pose = 0            # or t_world_object = { t_m = [x, y, z], q_wxyz = [w, x, y, z] }
@@ -51,6 +55,12 @@ pub struct ObjectFile {
     /// Factor on the size of the mesh.
     #[serde(default = "one")]
     pub scale: f64,
+    /// What is done about defects of the mesh: `none`, `auto` (default), `strict`.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub repair: Option<String>,
+    /// Wall that an open surface gets, mm.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub wall_thickness_mm: Option<f64>,
     /// Hash of the simulated mesh in metres; a changed mesh is refused.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub mesh_sha256: Option<String>,
@@ -101,6 +111,15 @@ impl ObjectFile {
             .map_err(|e| Error::internal("cannot write the object file").because(e))?;
         path.replace(text.as_bytes())
             .map_err(|e| Error::io("cannot write the object file", e).at(path.display()))
+    }
+
+    fn mesh_options(&self, unit: LengthUnit) -> Result<MeshOptions> {
+        let mut options = MeshOptions::new(unit, self.scale);
+        if let Some(repair) = &self.repair {
+            options.prepare.repair = repair.parse()?;
+        }
+        options.prepare.wall_thickness_m = self.wall_thickness_mm.map(|mm| 1e-3 * mm);
+        Ok(options)
     }
 
     fn read(path: &BeneathPath) -> Result<Self> {
@@ -168,7 +187,7 @@ impl ReplayObject {
         let name = object_name(&path.name())?;
         let file = ObjectFile::read(path)?;
         let unit = file.unit.as_deref().unwrap_or("m").parse()?;
-        let prepared = load_object_mesh_below(folder, &file.mesh, unit, file.scale)?;
+        let prepared = load_object_mesh_below(folder, &file.mesh, &file.mesh_options(unit)?)?;
         let source = match file.mesh.starts_with("builtin:") {
             true => file.mesh.clone(),
             false => folder.path().join(&file.mesh).display().to_string(),

@@ -8,11 +8,12 @@ use serde_json::Value;
 use super::scene::SimulatedGel;
 use gripcast_base::error::{Error, Result};
 use gripcast_geometry::{
-    LengthUnit, Pose, PrepareOptions, PreparedMesh, TriangleMesh, builtin, load_mesh, prepare,
+    LengthUnit, MeshOptions, Pose, PrepareOptions, Repair, TriangleMesh, load_object_mesh,
 };
 use gripcast_sim::fem::GelGrid;
 
-/// Object of a trace, from the header's `object`: `{"source", "sha256", "unit", "scale"}`.
+/// Object of a trace, from the header's `object`: `{"source", "sha256", "unit", "scale", "repair",
+/// "wall_thickness_mm"}`.
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 pub struct TraceObject {
     /// Mesh file, or `builtin:NAME`.
@@ -25,10 +26,20 @@ pub struct TraceObject {
     /// Scale factor.
     #[serde(default = "one")]
     pub scale: f64,
+    /// How it was repaired: none, auto, strict.
+    #[serde(default = "auto")]
+    pub repair: String,
+    /// Wall that an open surface got, mm.
+    #[serde(default)]
+    pub wall_thickness_mm: Option<f64>,
 }
 
 fn metre() -> String {
     LengthUnit::Metre.to_string()
+}
+
+fn auto() -> String {
+    Repair::Auto.to_string()
 }
 
 fn one() -> f64 {
@@ -98,19 +109,33 @@ impl TraceHeader {
 }
 
 impl TraceObject {
+    /// How its mesh is read for the surface.
+    ///
+    /// # Errors
+    /// `Usage` for an unknown unit or repair.
+    pub fn options(&self) -> Result<MeshOptions> {
+        Ok(MeshOptions {
+            prepare: PrepareOptions {
+                repair: self.repair.parse()?,
+                wall_thickness_m: self.wall_thickness_mm.map(|mm| 1e-3 * mm),
+                needs_inside: false,
+                ..PrepareOptions::default()
+            },
+            ..MeshOptions::new(self.unit.parse()?, self.scale)
+        })
+    }
+
     /// Loads the simulated mesh from [`Self::file`] and verifies its hash.
     ///
     /// # Errors
     /// `NotFound`, `Io`, `Input` as for reading a mesh; `Input` if the mesh differs from the
     /// simulated one.
     pub fn load(&self, trace: &Path) -> Result<TriangleMesh> {
-        let mesh = match self.file(trace) {
-            None => builtin(&self.source)?,
-            Some(path) => load_mesh(&path, self.unit.parse()?)?,
-        };
-        let PreparedMesh { mesh, .. } =
-            prepare(&mesh.scaled(self.scale), &PrepareOptions::default())
-                .map_err(|e| e.at(&self.source))?;
+        let path = self.file(trace);
+        let source = path.map_or(self.source.clone(), |path| {
+            path.to_string_lossy().into_owned()
+        });
+        let mesh = load_object_mesh(&source, &self.options()?)?.mesh;
         if mesh.content_hash() != self.sha256 {
             return Err(Error::input(format!(
                 "the mesh differs from the simulated one (unit {}, scale {})",
@@ -141,7 +166,7 @@ impl TraceObject {
 mod tests {
     use super::*;
     use gripcast_base::error::ErrorKind;
-    use gripcast_geometry::save_mesh;
+    use gripcast_geometry::{builtin, load_mesh, prepare, save_mesh};
     use gripcast_sim::fem::GelResolution;
     use serde_json::json;
 
@@ -185,6 +210,8 @@ mod tests {
             sha256: prepared.mesh.content_hash(),
             unit: metre(),
             scale: 1.0,
+            repair: auto(),
+            wall_thickness_mm: None,
         };
         let trace = folder.path().join("grasp.bin");
         assert_eq!(object.load(&trace).unwrap(), prepared.mesh);

@@ -4,8 +4,19 @@ use gripcast_base::error::ErrorKind;
 use gripcast_testing::shared;
 use proptest::prelude::*;
 
+/// Strict, so that each defect is refused or repaired exactly; `repair_test.rs` tests the others.
+const STRICT: PrepareOptions = PrepareOptions {
+    weld_tolerance_m: 1e-7,
+    max_extent_m: 1.0,
+    min_extent_m: 2e-3,
+    crossing_tolerance_m: 1e-6,
+    repair: Repair::Strict,
+    wall_thickness_m: None,
+    needs_inside: true,
+};
+
 fn run(mesh: &TriangleMesh) -> Result<PreparedMesh> {
-    prepare(mesh, &PrepareOptions::default())
+    prepare(mesh, &STRICT)
 }
 
 fn error_text(mesh: &TriangleMesh) -> String {
@@ -257,12 +268,22 @@ fn components_and_cavities_are_accepted() {
     let apart = outer.joined(&moved(&outer, DVec3::X * 0.06));
     assert!(run(&apart).unwrap().warnings.is_empty());
 
+    // A component that faces inwards in another is a cavity, also if all of it is inverted.
     let inner = outer.scaled(0.5);
-    let prepared = run(&outer.joined(&inner)).unwrap();
-    assert!(only_warning(&prepared).contains("1 of 2 component(s)"));
+    let mut hollow = outer.joined(&inner);
+    for triangle in &mut hollow.triangles[outer.triangles.len()..] {
+        triangle.swap(0, 1);
+    }
+    let prepared = run(&hollow).unwrap();
+    assert!(prepared.warnings.is_empty(), "{:?}", prepared.warnings);
     assert!((volume(&prepared.mesh) / volume(&outer) - 0.875).abs() < 1e-12);
-    let again = run(&prepared.mesh).unwrap();
-    assert!(again.warnings.is_empty());
+    hollow.triangles.iter_mut().for_each(|t| t.swap(0, 1));
+    let prepared = run(&hollow).unwrap();
+    assert!(only_warning(&prepared).contains("2 of 2 component(s)"));
+    assert!((volume(&prepared.mesh) / volume(&outer) - 0.875).abs() < 1e-12);
+    // One that faces outwards is counted twice.
+    let text = error_text(&outer.joined(&inner));
+    assert!(text.contains("of the volume counts once"), "{text}");
 
     let mut open = apart.clone();
     open.triangles.pop();
@@ -320,7 +341,7 @@ fn flat_bodies_are_rejected() {
     let flat = mirrored(&mesh, DVec3::new(1e-7, 1.0, 1.0));
     let options = PrepareOptions {
         weld_tolerance_m: 0.0,
-        ..PrepareOptions::default()
+        ..STRICT
     };
     let text = prepare(&flat, &options).unwrap_err().to_string();
     assert!(text.contains("enclose a volume"), "{text}");
@@ -348,13 +369,6 @@ fn intersecting_surfaces_are_rejected_touching_ones_not() {
     let overlapping = cube.joined(&moved(&cube, DVec3::new(0.011, 0.007, 0.013)));
     let text = error_text(&overlapping);
     assert!(text.contains("intersects itself"), "{text}");
-    let allowed = PrepareOptions {
-        allow_self_intersection: true,
-        ..PrepareOptions::default()
-    };
-    let prepared = prepare(&overlapping, &allowed).unwrap();
-    assert!(only_warning(&prepared).contains("pair(s) of triangles"));
-
     // On the same lattice, so that sides intersect sides and corners.
     let lattice = cube.joined(&moved(&cube, DVec3::new(0.01, 0.01, 0.01)));
     assert!(run(&lattice).is_err());

@@ -3,6 +3,7 @@
 use std::collections::BTreeMap;
 
 use crate::mesh::TriangleMesh;
+use crate::weld::{join, root};
 
 /// Drops triangles with a repeated corner and their unused vertices.
 pub(super) fn drop_degenerate(mesh: &mut TriangleMesh, warnings: &mut Vec<String>) {
@@ -18,8 +19,8 @@ pub(super) fn drop_degenerate(mesh: &mut TriangleMesh, warnings: &mut Vec<String
     }
 }
 
-/// Drops triangles with the same three vertices: all but one if the surface would be open without
-/// it, else all of them, which enclose nothing.
+/// Drops triangles with the same three vertices: all but one where the surface would otherwise be
+/// open, as in a surface with two sides; all where one of them would be a fin or an inner wall.
 pub(super) fn drop_duplicates(mesh: &mut TriangleMesh, warnings: &mut Vec<String>) {
     let mut groups: BTreeMap<[u32; 3], Vec<usize>> = BTreeMap::new();
     for (index, triangle) in mesh.triangles.iter().enumerate() {
@@ -27,20 +28,34 @@ pub(super) fn drop_duplicates(mesh: &mut TriangleMesh, warnings: &mut Vec<String
         key.sort_unstable();
         groups.entry(key).or_default().push(index);
     }
-    groups.retain(|_, members| members.len() > 1);
-    if groups.is_empty() {
+    // Number of distinct triangles at each edge.
+    let sides = |[a, b, c]: [u32; 3]| [[a, b], [b, c], [a, c]];
+    let mut distinct: BTreeMap<[u32; 2], usize> = BTreeMap::new();
+    if groups.values().all(|members| members.len() == 1) {
         return;
     }
-    let edges = mesh.edges();
+    for side in groups.keys().flat_map(|key| sides(*key)) {
+        *distinct.entry(side).or_default() += 1;
+    }
+    groups.retain(|_, members| members.len() > 1);
     let mut drop = vec![false; mesh.triangles.len()];
-    for ([a, b, c], members) in &groups {
-        let sides = [[*a, *b], [*b, *c], [*a, *c]];
-        let needed = sides.iter().any(|side| {
-            let edge = edges.vertices.binary_search(side);
-            edge.is_ok_and(|e| (edges.triangles(e).len() - members.len()) % 2 == 1)
-        });
-        for &member in &members[usize::from(needed)..] {
-            drop[member] = true;
+    for sheet in sheets(groups.keys().copied().collect()) {
+        // Edges with an odd number of triangles, if one of each kind stays, and if none does.
+        let mut own: BTreeMap<[u32; 2], usize> = BTreeMap::new();
+        for side in sheet.iter().flat_map(|key| sides(*key)) {
+            *own.entry(side).or_default() += 1;
+        }
+        let odd = |remaining: &dyn Fn(usize, usize) -> usize| {
+            let all = own
+                .iter()
+                .map(|(side, own)| remaining(distinct[side], *own));
+            all.filter(|count| count % 2 == 1).count()
+        };
+        let is_needed = odd(&|all, _| all) <= odd(&|all, own| all - own);
+        for key in &sheet {
+            for &member in &groups[key][usize::from(is_needed)..] {
+                drop[member] = true;
+            }
         }
     }
     let mut kept = drop.iter().map(|dropped| !dropped);
@@ -50,4 +65,22 @@ pub(super) fn drop_duplicates(mesh: &mut TriangleMesh, warnings: &mut Vec<String
     warnings.push(format!(
         "dropped {dropped} duplicate triangle(s) with the same corners as another"
     ));
+}
+
+/// Groups triangles that are connected by edges.
+fn sheets(keys: Vec<[u32; 3]>) -> Vec<Vec<[u32; 3]>> {
+    let mut parent: Vec<u32> = (0..keys.len() as u32).collect();
+    let mut first_at: BTreeMap<[u32; 2], u32> = BTreeMap::new();
+    for (index, [a, b, c]) in keys.iter().enumerate() {
+        for side in [[*a, *b], [*b, *c], [*a, *c]] {
+            let other = *first_at.entry(side).or_insert(index as u32);
+            join(&mut parent, index as u32, other);
+        }
+    }
+    let mut sheets: BTreeMap<u32, Vec<[u32; 3]>> = BTreeMap::new();
+    for (index, key) in keys.into_iter().enumerate() {
+        let sheet = root(&mut parent, index as u32);
+        sheets.entry(sheet).or_default().push(key);
+    }
+    sheets.into_values().collect()
 }

@@ -1,70 +1,52 @@
 //! Checks and repairs meshes for simulation.
 //!
-//! A simulated object must be closed, face outwards and not intersect itself. Defects that can be
-//! repaired without changing the shape are repaired with a warning; others are errors with their
-//! position.
+//! A mesh that is one closed manifold without self-intersections, or becomes one by repairs that do
+//! not change its shape, is taken exactly. Any other is repaired for contact, and its inside, which
+//! mass needs, follows from its winding number, with a stated uncertainty.
 
 mod duplicates;
+mod inside;
 mod manifold;
+mod options;
 mod self_intersection;
 mod slivers;
+mod tolerant;
+mod wall;
 mod winding;
 
 use glam::DVec3;
 
+pub use options::{PrepareOptions, Repair};
+
 use super::mesh::{MeshEdges, TriangleMesh};
 use super::mesh_file::REEXPORT;
+use super::solid::Solid;
 use super::weld::{join, root, weld};
 use gripcast_base::error::{Error, Result};
-
-/// Limits and tolerances of [`prepare`].
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct PrepareOptions {
-    /// Distance up to which vertices are merged, m. Default 0.1 µm: below the resolution of scans
-    /// and prints, above the rounding of single-precision coordinates.
-    pub weld_tolerance_m: f64,
-    /// Maximum side of the bounding box, m. Default 1 m.
-    pub max_extent_m: f64,
-    /// Minimum longest side of the bounding box, m. Default 2 mm.
-    pub min_extent_m: f64,
-    /// Depth up to which self-intersections are tolerated, m. Default 1 µm: slivers of exported
-    /// meshes cause such intersections, without effect.
-    pub crossing_tolerance_m: f64,
-    /// Whether a deeper self-intersection is a warning instead of an error. Default false.
-    pub allow_self_intersection: bool,
-}
-
-impl Default for PrepareOptions {
-    fn default() -> Self {
-        Self {
-            weld_tolerance_m: 1e-7,
-            max_extent_m: 1.0,
-            min_extent_m: 2e-3,
-            crossing_tolerance_m: 1e-6,
-            allow_self_intersection: false,
-        }
-    }
-}
 
 /// A mesh fit for simulation.
 #[derive(Clone, Debug, PartialEq)]
 pub struct PreparedMesh {
-    /// Closed, with two triangles at each edge, counter-clockwise seen from outside; cavities face
-    /// inwards. Vertices may coincide where the surface touches itself.
+    /// Counter-clockwise seen from outside; cavities face inwards. With [`Repair::Strict`], and
+    /// whenever the mesh allows it, two triangles meet at each edge. Vertices may coincide where the
+    /// surface touches itself.
     pub mesh: TriangleMesh,
-    /// Repairs, one sentence each, for the user.
+    /// Its inside; `None` if it has none and none is needed.
+    pub solid: Option<Solid>,
+    /// Repairs and defects, one sentence each, for the user.
     pub warnings: Vec<String>,
 }
 
-/// Checks a mesh (m) and repairs defects that do not affect its shape: welds coincident vertices,
-/// drops degenerate and duplicate triangles, removes slivers by edge flips, splits non-manifold
-/// edges and vertices, and orients all triangles outwards.
+/// Checks a mesh (m) in two stages and repairs defects as [`PrepareOptions::repair`] says.
 ///
-/// Several components are accepted if each is closed; one inside another is a cavity.
+/// What contact needs: finite coordinates, a plausible size, triangles with an area, a consistent
+/// outer side. Coincident vertices are welded, degenerate and duplicate triangles dropped, slivers
+/// removed by edge flips, non-manifold edges and vertices split where it is clear how, strays
+/// dropped, and all triangles oriented outwards. What mass needs: an inside ([`Solid`]).
 ///
 /// # Errors
-/// `Input`, with position and remedy, for a mesh that is invalid, of implausible size, open,
-/// non-orientable, without volume, or self-intersecting.
+/// `Input`, with position and remedy, for a mesh that is invalid, of implausible size or without an
+/// inside; with [`Repair::Strict`] also for one that is open, non-orientable or self-intersecting.
 ///
 /// ```
 /// use gripcast_geometry::{PrepareOptions, builtin, prepare};
@@ -76,15 +58,49 @@ pub fn prepare(mesh: &TriangleMesh, options: &PrepareOptions) -> Result<Prepared
     mesh.validate().map_err(|e| e.remedy(REEXPORT))?;
     check_size(mesh, options)?;
     let mut warnings = Vec::new();
+    let surface = match options.repair {
+        Repair::Strict => strict(mesh, options, &mut warnings)?,
+        Repair::Auto => {
+            let exact = strict(mesh, options, &mut warnings);
+            let mut surface = exact.or_else(|_| {
+                warnings.clear();
+                tolerant::repair(mesh, options, &mut warnings)
+            })?;
+            tolerant::drop_strays(&mut surface, &mut warnings);
+            surface
+        }
+        Repair::None => {
+            slivers::require_area(mesh)?;
+            mesh.clone()
+        }
+    };
+    let mesh = match options.wall_thickness_m {
+        Some(thickness_m) => wall::thickened(&surface, thickness_m, &mut warnings)?,
+        None => surface,
+    };
+    let solid = inside::check(&mesh, options, &mut warnings)?;
+    Ok(PreparedMesh {
+        mesh,
+        solid,
+        warnings,
+    })
+}
+
+/// The mesh as a closed manifold without self-intersections.
+fn strict(
+    mesh: &TriangleMesh,
+    options: &PrepareOptions,
+    warnings: &mut Vec<String>,
+) -> Result<TriangleMesh> {
     let mut mesh = weld(mesh, options.weld_tolerance_m);
-    duplicates::drop_degenerate(&mut mesh, &mut warnings);
-    duplicates::drop_duplicates(&mut mesh, &mut warnings);
+    duplicates::drop_degenerate(&mut mesh, warnings);
+    duplicates::drop_duplicates(&mut mesh, warnings);
     require_closed(&mesh)?;
-    let mut mesh = manifold::split(&mesh, &mut warnings)?;
-    winding::orient_outwards(&mut mesh, &mut warnings)?;
-    slivers::remove(&mut mesh, options.weld_tolerance_m, &mut warnings)?;
-    check_self_intersection(&mesh, options, &mut warnings)?;
-    Ok(PreparedMesh { mesh, warnings })
+    let mut mesh = manifold::split(&mesh, warnings)?;
+    winding::orient_outwards(&mut mesh, warnings)?;
+    slivers::remove(&mut mesh, options.weld_tolerance_m, warnings)?;
+    check_self_intersection(&mesh, options, warnings)?;
+    Ok(mesh)
 }
 
 /// Rejects sizes that no gripper can grasp, mostly due to a wrong unit.
@@ -114,18 +130,24 @@ fn check_size(mesh: &TriangleMesh, options: &PrepareOptions) -> Result<()> {
     Ok(())
 }
 
+/// Rejects a mesh of which no triangle is left.
+fn require_triangles(mesh: &TriangleMesh) -> Result<()> {
+    if !mesh.triangles.is_empty() {
+        return Ok(());
+    }
+    Err(
+        Error::input("the mesh has only degenerate and duplicate triangles")
+            .remedy("export the mesh again as a solid body"),
+    )
+}
+
 /// Rejects a mesh with boundary edges.
 fn require_closed(mesh: &TriangleMesh) -> Result<()> {
     let edges = mesh.edges();
     let boundary: Vec<usize> = (0..edges.len())
         .filter(|&edge| edges.triangles(edge).len() == 1)
         .collect();
-    if mesh.triangles.is_empty() {
-        return Err(
-            Error::input("the mesh has only degenerate and duplicate triangles")
-                .remedy("export the mesh again as a solid body"),
-        );
-    }
+    require_triangles(mesh)?;
     if boundary.is_empty() {
         return Ok(());
     }
@@ -181,17 +203,12 @@ fn check_self_intersection(
     let Some(position) = found.first_position else {
         return Ok(());
     };
-    let what = format!(
+    Err(Error::input(format!(
         "the surface intersects itself: {} pair(s) of triangles, one near {}",
         found.pairs,
         position_mm(position)
-    );
-    if options.allow_self_intersection {
-        warnings.push(what);
-        return Ok(());
-    }
-    Err(Error::input(what)
-        .remedy("merge the overlapping bodies in a mesh editor (boolean union, voxel remesh)"))
+    ))
+    .remedy("merge the overlapping bodies in a mesh editor (boolean union, voxel remesh)"))
 }
 
 /// Formats a length in millimetres.
@@ -211,3 +228,7 @@ fn position_mm(position: DVec3) -> String {
 #[cfg(test)]
 #[path = "check_test.rs"]
 mod tests;
+
+#[cfg(test)]
+#[path = "repair_test.rs"]
+mod repair_tests;

@@ -31,19 +31,41 @@ pub(super) fn remove(
     if flipped > 0 {
         warnings.push(format!("flipped {flipped} triangle(s) without area"));
     }
+    require_area(mesh)?;
+    let thin = mesh.all_corners().filter(|c| height(c) < height_m).count();
+    if thin > 0 {
+        warnings.push(format!("{thin} triangle(s) have almost no area"));
+    }
+    Ok(())
+}
+
+/// Rejects a triangle without area, which has no normal.
+///
+/// # Errors
+/// `Input`, with its position.
+pub(super) fn require_area(mesh: &TriangleMesh) -> Result<()> {
     let mut areas = mesh.triangle_areas().into_iter();
     if let Some(flat) = areas.position(|area| area < f64::MIN_POSITIVE) {
         let position = position_mm(mesh.corners(mesh.triangles[flat])[0]);
         return Err(Error::input(format!(
             "triangles must have an area above 0, found one with area 0 near {position}"
         ))
-        .remedy("dissolve degenerate faces in a mesh editor"));
-    }
-    let thin = mesh.all_corners().filter(|c| height(c) < height_m).count();
-    if thin > 0 {
-        warnings.push(format!("{thin} triangle(s) have almost no area"));
+        .remedy("dissolve degenerate faces in a mesh editor, or pass --repair auto"));
     }
     Ok(())
+}
+
+/// Drops triangles whose height over their longest side is below `height_m`.
+pub(super) fn drop_flat(mesh: &mut TriangleMesh, height_m: f64, warnings: &mut Vec<String>) {
+    let before = mesh.triangles.len();
+    let kept = mesh.triangles.iter().copied();
+    let is_wide = |t: &[u32; 3]| height(&mesh.corners(*t)) >= height_m;
+    mesh.triangles = kept.filter(is_wide).collect();
+    let dropped = before - mesh.triangles.len();
+    if dropped > 0 {
+        *mesh = mesh.without_unused_vertices();
+        warnings.push(format!("dropped {dropped} triangle(s) without area"));
+    }
 }
 
 /// Height over the longest side, m.

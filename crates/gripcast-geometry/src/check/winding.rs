@@ -11,55 +11,92 @@ use gripcast_base::error::{Error, Result};
 /// Sample points for testing whether a component lies inside another.
 const NESTING_SAMPLES: usize = 16;
 
-/// Flips triangles of a manifold mesh so that neighbours agree, outer surfaces face outwards, and
-/// cavities face into the cavity.
+/// Flips triangles of a manifold mesh so that neighbours agree and outer surfaces face outwards. A
+/// component inside another keeps its orientation relative to the outermost one: it is a cavity if
+/// they are opposite.
 ///
 /// # Errors
 /// `Input` for a non-orientable surface (Möbius strip, Klein bottle) and for a component without
 /// volume.
 pub(super) fn orient_outwards(mesh: &mut TriangleMesh, warnings: &mut Vec<String>) -> Result<()> {
-    let components = components(mesh)?;
+    let (components, conflict) = components(mesh);
+    if let Some(triangle) = conflict {
+        return Err(non_orientable(mesh, triangle));
+    }
+    flip_to_neighbours(mesh, &components, warnings);
+    for component in &components {
+        let volume = volume(mesh, &component.triangles);
+        require_volume(mesh, component, volume)?;
+    }
+    let closed: Vec<&Component> = components.iter().collect();
+    flip_inward(mesh, &closed, components.len(), warnings);
+    Ok(())
+}
+
+/// Flips the minority of the triangles of each component, so that neighbours agree.
+pub(super) fn flip_to_neighbours(
+    mesh: &mut TriangleMesh,
+    components: &[Component],
+    warnings: &mut Vec<String>,
+) {
     let flipped: usize = components.iter().map(|c| c.to_flip.len()).sum();
-    for &triangle in components.iter().flat_map(|c| &c.to_flip) {
-        mesh.triangles[triangle as usize].swap(1, 2);
+    for component in components {
+        flip(mesh, &component.to_flip);
     }
     if flipped > 0 {
         warnings.push(format!(
             "flipped {flipped} triangle(s) that faced against their neighbours"
         ));
     }
-    let depths = nesting_depths(mesh, &components);
+}
+
+/// Flips the closed components of which the outermost one around them, or they themselves, face
+/// inwards; `all` is the number of components including open ones.
+pub(super) fn flip_inward(
+    mesh: &mut TriangleMesh,
+    closed: &[&Component],
+    all: usize,
+    warnings: &mut Vec<String>,
+) {
+    let is_inward: Vec<bool> = closed
+        .iter()
+        .map(|component| volume(mesh, &component.triangles) < 0.0)
+        .collect();
+    let outermost = outermost(mesh, closed);
     let mut inverted = 0;
-    for (component, depth) in components.iter().zip(depths) {
-        let volume = volume(mesh, &component.triangles);
-        require_volume(mesh, component, volume)?;
-        let is_cavity = depth % 2 == 1;
-        if (volume < 0.0) != is_cavity {
+    for (component, outermost) in closed.iter().zip(outermost) {
+        if is_inward[outermost] {
             inverted += 1;
-            for &triangle in &component.triangles {
-                mesh.triangles[triangle as usize].swap(1, 2);
-            }
+            flip(mesh, &component.triangles);
         }
     }
     if inverted > 0 {
-        let all = components.len();
         warnings.push(format!(
-            "flipped {inverted} of {all} component(s) that faced the wrong way (a component inside \
-             another is a cavity)"
+            "flipped {inverted} of {all} component(s) that faced inwards"
         ));
     }
-    Ok(())
+}
+
+/// Flips triangles.
+pub(super) fn flip(mesh: &mut TriangleMesh, triangles: &[u32]) {
+    for &triangle in triangles {
+        mesh.triangles[triangle as usize].swap(1, 2);
+    }
 }
 
 /// Triangles connected by edges.
-struct Component {
+pub(super) struct Component {
     /// In ascending order.
-    triangles: Vec<u32>,
+    pub(super) triangles: Vec<u32>,
     /// Triangles to flip for a consistent orientation.
     to_flip: Vec<u32>,
+    /// Whether each of their edges has two triangles.
+    pub(super) is_closed: bool,
 }
 
-fn components(mesh: &TriangleMesh) -> Result<Vec<Component>> {
+/// Components connected by edges with two triangles, and a triangle that cannot agree with all its
+/// neighbours.
+pub(super) fn components(mesh: &TriangleMesh) -> (Vec<Component>, Option<u32>) {
     let edges = mesh.edges();
     let mut sides: Vec<Vec<(u32, bool)>> = vec![Vec::with_capacity(3); mesh.triangles.len()];
     for edge in 0..edges.len() {
@@ -73,6 +110,7 @@ fn components(mesh: &TriangleMesh) -> Result<Vec<Component>> {
     }
     let mut is_flipped: Vec<Option<bool>> = vec![None; mesh.triangles.len()];
     let mut components = Vec::new();
+    let mut conflict = None;
     for seed in 0..mesh.triangles.len() as u32 {
         if is_flipped[seed as usize].is_some() {
             continue;
@@ -89,19 +127,22 @@ fn components(mesh: &TriangleMesh) -> Result<Vec<Component>> {
                         open.push(next);
                         found.push(next);
                     }
-                    found if found != expected => return Err(non_orientable(mesh, next)),
+                    found if found != expected => {
+                        conflict.get_or_insert(next);
+                    }
                     Some(_) => {}
                 }
             }
         }
         found.sort_unstable();
-        components.push(Component::new(found, &is_flipped));
+        let is_closed = found.iter().all(|t| sides[*t as usize].len() == 3);
+        components.push(Component::new(found, &is_flipped, is_closed));
     }
-    Ok(components)
+    (components, conflict)
 }
 
 impl Component {
-    fn new(triangles: Vec<u32>, is_flipped: &[Option<bool>]) -> Self {
+    fn new(triangles: Vec<u32>, is_flipped: &[Option<bool>], is_closed: bool) -> Self {
         let (mut to_flip, rest): (Vec<u32>, Vec<u32>) = triangles
             .iter()
             .partition(|t| is_flipped[**t as usize] == Some(true));
@@ -109,7 +150,11 @@ impl Component {
         if to_flip.len() > rest.len() {
             to_flip = rest;
         }
-        Self { triangles, to_flip }
+        Self {
+            triangles,
+            to_flip,
+            is_closed,
+        }
     }
 }
 
@@ -122,10 +167,26 @@ fn non_orientable(mesh: &TriangleMesh, triangle: u32) -> Error {
     .remedy("remodel the object as a solid body, or remesh it by voxels")
 }
 
-/// Signed volume of a component, m³.
-fn volume(mesh: &TriangleMesh, triangles: &[u32]) -> f64 {
+/// Signed volume of a closed component, m³.
+pub(super) fn volume(mesh: &TriangleMesh, triangles: &[u32]) -> f64 {
+    let origin = triangles.first().map_or(DVec3::ZERO, |&t| {
+        mesh.corners(mesh.triangles[t as usize])[0]
+    });
+    cone_volume(mesh, triangles, origin)
+}
+
+/// Signed volume between the triangles of an open component and their mean position, m³: negative
+/// if they face it.
+pub(super) fn volume_about_center(mesh: &TriangleMesh, triangles: &[u32]) -> f64 {
+    let corners = triangles
+        .iter()
+        .flat_map(|&t| mesh.corners(mesh.triangles[t as usize]));
+    let mean = corners.sum::<DVec3>() / (3 * triangles.len().max(1)) as f64;
+    cone_volume(mesh, triangles, mean)
+}
+
+fn cone_volume(mesh: &TriangleMesh, triangles: &[u32], origin: DVec3) -> f64 {
     let corners = |&t: &u32| mesh.corners(mesh.triangles[t as usize]);
-    let origin = triangles.first().map_or(DVec3::ZERO, |t| corners(t)[0]);
     let sixfold: f64 = triangles
         .iter()
         .map(corners)
@@ -151,7 +212,7 @@ fn require_volume(mesh: &TriangleMesh, component: &Component, volume: f64) -> Re
     .remedy("remove the sheet, or give it thickness"))
 }
 
-fn sub_mesh(mesh: &TriangleMesh, triangles: &[u32]) -> TriangleMesh {
+pub(super) fn sub_mesh(mesh: &TriangleMesh, triangles: &[u32]) -> TriangleMesh {
     let chosen = triangles.iter().map(|&t| mesh.triangles[t as usize]);
     TriangleMesh {
         vertices: mesh.vertices.clone(),
@@ -160,11 +221,8 @@ fn sub_mesh(mesh: &TriangleMesh, triangles: &[u32]) -> TriangleMesh {
     .without_unused_vertices()
 }
 
-/// For each component, the number of others that contain it.
-fn nesting_depths(mesh: &TriangleMesh, components: &[Component]) -> Vec<usize> {
-    if components.len() == 1 {
-        return vec![0];
-    }
+/// For each component, the outermost one that contains it; itself if none does.
+fn outermost(mesh: &TriangleMesh, components: &[&Component]) -> Vec<usize> {
     let parts: Vec<MeshQuery> = components
         .iter()
         .map(|c| MeshQuery::new(&sub_mesh(mesh, &c.triangles)))
@@ -173,22 +231,26 @@ fn nesting_depths(mesh: &TriangleMesh, components: &[Component]) -> Vec<usize> {
         let [a, b, c] = mesh.corners(mesh.triangles[t as usize]);
         (a + b + c) / 3.0
     };
-    components
-        .iter()
-        .enumerate()
-        .map(|(own, component)| {
-            // Several samples: a component that intersects another is not inside it.
-            let step = component.triangles.len().div_ceil(NESTING_SAMPLES);
-            let samples: Vec<DVec3> = component
-                .triangles
-                .iter()
-                .step_by(step)
-                .map(centroid)
-                .collect();
-            let others = parts.iter().enumerate().filter(|(other, _)| *other != own);
-            others
-                .filter(|(_, part)| samples.iter().all(|&p| part.contains(p)))
-                .count()
+    let mut containers: Vec<Vec<usize>> = Vec::with_capacity(components.len());
+    for (own, component) in components.iter().enumerate() {
+        // Several samples: a component that intersects another is not inside it.
+        let step = component.triangles.len().div_ceil(NESTING_SAMPLES);
+        let samples: Vec<DVec3> = component
+            .triangles
+            .iter()
+            .step_by(step.max(1))
+            .map(centroid)
+            .collect();
+        let others = parts.iter().enumerate().filter(|(other, _)| *other != own);
+        let around = others.filter(|(_, part)| samples.iter().all(|&p| part.contains(p)));
+        containers.push(around.map(|(other, _)| other).collect());
+    }
+    (0..components.len())
+        .map(|own| {
+            let around = containers[own].iter().copied();
+            around
+                .min_by_key(|&other| containers[other].len())
+                .unwrap_or(own)
         })
         .collect()
 }

@@ -138,6 +138,8 @@ impl DemoObject {
             mesh: self.source.clone(),
             unit,
             scale: self.scale,
+            repair: None,
+            wall_thickness_mm: None,
             mesh_sha256: Some(self.mesh.content_hash()),
             mass_kg: self.mass_kg,
             stable_pose: None,

@@ -71,7 +71,7 @@ fn pair(a: &(TriangleMesh, f64), b: &(TriangleMesh, f64)) -> Option<Pair> {
 }
 
 fn volume_m3(mesh: &TriangleMesh) -> Option<f64> {
-    MassProperties::from_mesh(mesh)
+    MassProperties::of_closed(mesh)
         .ok()
         .map(|properties| properties.volume_m3)
 }

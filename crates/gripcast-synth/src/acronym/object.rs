@@ -5,7 +5,7 @@ use std::path::Path;
 use super::transform::{AcronymGrasp, SkippedGrasp, gripper_pose};
 use gripcast_base::error::{Error, ErrorKind, Result};
 use gripcast_base::files::Root;
-use gripcast_geometry::{LengthUnit, PreparedMesh, load_object_mesh_below};
+use gripcast_geometry::{LengthUnit, MeshOptions, PreparedMesh, load_object_mesh_below};
 use gripcast_interop::hdf5::{Hdf5, wrong_shape};
 
 /// Plausible scales: coordinates of ShapeNetSem times the scale are metres, and objects are
@@ -75,12 +75,11 @@ impl AcronymObject {
     /// # Errors
     /// `Input` for a path that leads out of the root; errors of [`load_object_mesh_below`].
     pub fn load_mesh(&self, meshes: &Root) -> Result<PreparedMesh> {
-        load_object_mesh_below(meshes, &self.mesh_file, LengthUnit::Metre, self.scale).map_err(
-            |e| match e.kind() {
-                ErrorKind::NotFound => missing(&self.mesh_file, meshes),
-                _ => e,
-            },
-        )
+        let options = MeshOptions::new(LengthUnit::Metre, self.scale);
+        load_object_mesh_below(meshes, &self.mesh_file, &options).map_err(|e| match e.kind() {
+            ErrorKind::NotFound => missing(&self.mesh_file, meshes),
+            _ => e,
+        })
     }
 }
 

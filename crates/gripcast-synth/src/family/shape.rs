@@ -3,7 +3,7 @@
 use glam::DVec3;
 
 use gripcast_base::error::{Error, Result};
-use gripcast_geometry::{MassProperties, PrepareOptions, TriangleMesh, prepare};
+use gripcast_geometry::{MassProperties, PrepareOptions, Repair, TriangleMesh, prepare};
 
 /// Target number of triangles, as far as the limits of the edge length allow.
 const TRIANGLES: f64 = 3200.0;
@@ -121,8 +121,12 @@ fn check(mesh: &TriangleMesh) -> Result<()> {
     if !is_connected(mesh) {
         return fail("it has several components".to_string());
     }
-    MassProperties::from_mesh(mesh)?;
-    let prepared = prepare(mesh, &PrepareOptions::default())?;
+    MassProperties::of_closed(mesh)?;
+    let strict = PrepareOptions {
+        repair: Repair::Strict,
+        ..PrepareOptions::default()
+    };
+    let prepared = prepare(mesh, &strict)?;
     if prepared.mesh != *mesh || !prepared.warnings.is_empty() {
         return fail(format!("it needed repair: {:?}", prepared.warnings));
     }

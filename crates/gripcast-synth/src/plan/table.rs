@@ -9,7 +9,7 @@ use crate::properties::{DescribedAppearance, FRICTION_RANGE, Material};
 use gripcast_base::error::{Error, Result};
 use gripcast_base::files::{FileKind, Root, SimulationId, read_text};
 use gripcast_base::random::SeedStream;
-use gripcast_geometry::load_object_mesh_below;
+use gripcast_geometry::{MeshOptions, load_object_mesh_below};
 
 /// Version of the format.
 const SCHEMA: u32 = 1;
@@ -126,8 +126,8 @@ fn draft(row: Row, folder: &Root, seed: u64) -> Result<ObjectDraft> {
             );
         }
     };
-    let scale = row.scale.unwrap_or(1.0);
-    let mesh = load_object_mesh_below(folder, &row.mesh, unit.parse()?, scale)?.mesh;
+    let options = MeshOptions::new(unit.parse()?, row.scale.unwrap_or(1.0));
+    let mesh = load_object_mesh_below(folder, &row.mesh, &options)?.mesh;
     let seed = SeedStream::named(seed, &format!("object {}", row.name)).bits();
     let width_m = row.texture_width_m.unwrap_or(TEXTURE_WIDTH_M);
     let texture = |file: &String| {
