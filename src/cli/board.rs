@@ -7,6 +7,8 @@
 //! gripcast board gripper --out tags.pdf
 //! gripcast board charuco --squares 8x6 --square-mm 30 --out charuco.pdf
 //! gripcast board show board.toml
+//! gripcast board detect photo.png
+//! gripcast board detect shots/*.jpg --board table.toml --camera external.yaml --overlay found
 //! gripcast board import board_descriptions.yaml --dictionary 4X4_50 --name table --out table.toml
 //! gripcast board import target.yaml --out grid.toml
 //! gripcast board import own_dictionary.yml
@@ -16,10 +18,11 @@
 //! in the object's frame. `gripper` does the same for the gripper tags, `charuco` for a ChArUco
 //! board for camera calibration. After printing, measure the rulers of the sheet and rerun the
 //! command with `--measured-mm`: it corrects the board file and keeps the drawing. `show` checks
-//! and describes a board file. `import` reads boards of ROS `aruco_opencv` and Kalibr and
+//! and describes a board file. `detect` finds markers in any image. `import` reads boards of ROS `aruco_opencv` and Kalibr and
 //! dictionaries of OpenCV. Format, printing and gluing: docs/how-to/boards.md.
 //!
-//! Exit codes: 0 done · 1 invalid object, board or file · 2 usage.
+//! Exit codes: 0 done · 1 invalid object, board or file, no marker in any image · 2 usage · 3 no marker
+//! in some images.
 
 use std::path::{Path, PathBuf};
 
@@ -28,7 +31,7 @@ use serde_json::{Value, json};
 
 use super::flags::read_text;
 use super::{Context, print_report};
-use super::{board_charuco, board_make};
+use super::{board_charuco, board_detect, board_make};
 use gripcast_base::error::{Error, Result, unknown_name};
 use gripcast_base::files::save;
 use gripcast_pose::{BoardFile, BoardFormat, Body, Dictionary, import_kalibr, import_ros};
@@ -50,6 +53,8 @@ enum Kind {
     Charuco(board_charuco::Args),
     /// Check and describe a board file
     Show(ShowArgs),
+    /// Detect markers in images
+    Detect(board_detect::Args),
     /// Import a board of ROS or Kalibr, or a dictionary of OpenCV
     Import(ImportArgs),
 }
@@ -61,6 +66,7 @@ pub(crate) fn run(context: &Context, args: Args) -> Result<()> {
         Kind::Gripper(args) => board_make::gripper(&args),
         Kind::Charuco(args) => board_charuco::run(&args),
         Kind::Show(args) => show(&args),
+        Kind::Detect(args) => board_detect::run(&args),
         Kind::Import(args) => import(&args),
     }
 }

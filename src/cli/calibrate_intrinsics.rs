@@ -32,7 +32,7 @@ use gripcast_pose::BoardFile;
 use gripcast_pose::calibrate::{
     CalibrationReport, Collector, CollectorSettings, Hint, PARAMETERS, Rejection,
 };
-use gripcast_pose::detect::{Diagnosis, builtin_dictionaries, diagnose};
+use gripcast_pose::detect::{Diagnosis, diagnose};
 
 /// Reprojection error that causes a warning, px.
 const MAX_RMS_PX: f64 = 0.5;
@@ -207,8 +207,7 @@ fn from_folder(collector: Collector, folder: &Path, on_progress: &dyn Fn(String)
 /// Diagnoses an image without the board.
 pub(super) fn diagnosed(collector: &Collector, image: &GrayImage) -> Result<Diagnosis> {
     let file = collector.file();
-    let others = builtin_dictionaries();
-    diagnose(image, &file.dictionary, &file.board.ids(), &others)
+    diagnose(image, &file.dictionary, &file.board.ids())
 }
 
 fn other_sizes(views: &Views, sizes: &[String]) -> Error {

@@ -787,6 +787,7 @@ async def troubles(d):
     await page.locator("#trigger.initial").wait_for()
 
     d.server.order(saving_s=1.5)
+    await asyncio.sleep(0.4)  # longer than a double tap, see Driver.tap
     await page.locator("#trigger:not([aria-disabled])").dblclick()
     await small.locator("#steps .saving").wait_for()
     d.check("saving disables the other page too", await small.locator("#trigger").get_attribute("aria-disabled") == "true")
@@ -889,7 +890,7 @@ async def proxies(d):
                 banner = await page.locator("#link").inner_text()
                 blocked = not settings.get("upgrade")
                 d.check(f"{what}: {'the blocked WebSocket is named' if blocked else 'no banner'}", ("WebSocket blocked" in banner) == blocked, banner)
-                await true(page, "document.querySelectorAll('#images img').length > 0 && [...document.querySelectorAll('#images img')].every((i) => i.naturalWidth > 0)")
+                await true(page, "document.querySelectorAll('#images img:not(.earlier)').length > 0 && [...document.querySelectorAll('#images img:not(.earlier)')].every((i) => i.naturalWidth > 0)")
                 d.check(f"{what}: images", True)
                 await d.advance(page, "grasp", page.locator("#trigger").click)
                 await page.locator("#undo:not([aria-disabled])").click()

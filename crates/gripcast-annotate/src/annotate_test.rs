@@ -5,6 +5,7 @@ use image::{GrayImage, Luma, imageops};
 
 use super::*;
 use gripcast_imaging::Intrinsics;
+use gripcast_pose::detect::FullSearch;
 use gripcast_pose::synthetic::{ImageConditions, PlacedBoard, render, ring_board, test_camera};
 use gripcast_pose::{BoardFile, Body, Dictionary};
 
@@ -93,7 +94,7 @@ impl TestImage {
 }
 
 fn annotator() -> Annotator {
-    Annotator::new(sheet("DICT_6X6_250"), tags(), camera()).unwrap()
+    Annotator::new(sheet("DICT_6X6_250"), tags(), camera(), FullSearch::IfSmall).unwrap()
 }
 
 fn render_all(images: &[TestImage]) -> Vec<(String, GrayImage)> {
@@ -275,7 +276,7 @@ fn few_markers_are_noted() {
 #[test]
 fn incompatible_boards_are_rejected() {
     let text = |sheet: BoardFile, tags: BoardFile| {
-        Annotator::new(sheet, tags, camera())
+        Annotator::new(sheet, tags, camera(), FullSearch::IfSmall)
             .map(|_| ())
             .unwrap_err()
             .to_string()
