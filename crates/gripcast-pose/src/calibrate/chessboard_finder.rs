@@ -11,6 +11,7 @@ use glam::DVec2;
 use image::GrayImage;
 
 use super::saddle::{ExpectedSaddle, refine_saddle};
+use crate::refine::bilinear;
 use gripcast_imaging::srgb_decode;
 
 /// Scales at which saddle points are searched for: distance of the samples of the Hessian, px. Large
@@ -27,6 +28,14 @@ const MAX_CORNERS: usize = 4000;
 /// Maximum distance of a corner from its prediction, relative to the step of the grid: for
 /// predictions from known corners, and from the edges of the first one.
 const REACH: (f64, f64) = (0.28, 0.4);
+/// Distance from a corner at which its squares are compared, relative to the step of the grid.
+const SYMMETRY_REACH: f64 = 0.4;
+/// Maximum difference of opposite squares, relative to the contrast.
+const MAX_ASYMMETRY: f64 = 0.35;
+/// Minimum response of a corner relative to its neighbour's.
+const MIN_RATIO: f64 = 0.35;
+/// Maximum response beyond the rim of the board, relative to the neighbour within.
+const MAX_RIM_RATIO: f64 = 0.65;
 /// Maximum number of corners that grids are grown from.
 const MAX_SEEDS: usize = 60;
 
@@ -47,9 +56,24 @@ impl Saddle {
         direction.dot(self.bright).abs() > direction.dot(self.bright.perp()).abs()
     }
 
-    /// Whether two neighbours along an edge have squares of opposite colours.
-    fn fits(&self, other: &Self) -> bool {
-        !self.is_bright(other.bright)
+    /// Whether `next` may be the neighbour of this corner at the other end of an edge: its squares
+    /// have the opposite colours, and opposite ones are alike; at the rim
+    /// of the board they are not.
+    fn continues(&self, image: &GrayImage, next: &Self) -> bool {
+        let reach = SYMMETRY_REACH * self.at.distance(next.at);
+        let pair = |direction: DVec2| {
+            let there = bilinear(image, next.at + reach * direction)?;
+            Some((there, bilinear(image, next.at - reach * direction)?))
+        };
+        let (Some(bright), Some(dark)) = (pair(next.bright), pair(next.bright.perp())) else {
+            return false;
+        };
+        let contrast = 0.5 * (bright.0 + bright.1 - dark.0 - dark.1);
+        let is_alike = |(a, b): (f64, f64)| (a - b).abs() < MAX_ASYMMETRY * contrast;
+        next.response > MIN_RATIO * self.response
+            && !self.is_bright(next.bright)
+            && is_alike(bright)
+            && is_alike(dark)
     }
 }
 
@@ -80,7 +104,7 @@ pub(super) fn find_chessboard(
                 continue;
             }
             seeds += 1;
-            let grid = grow(&saddles, seed);
+            let grid = grow(image, &saddles, seed);
             grid.values().for_each(|index| tried[*index] = true);
             let ordered = ordered(&grid, &saddles, [columns, rows], is_first_black);
             if let Some(corners) = ordered.and_then(|c| refined(image, &c, columns as usize)) {
@@ -177,13 +201,13 @@ fn edges([xx, xy, yy]: [f64; 3]) -> Option<([DVec2; 2], DVec2)> {
 }
 
 /// Grows a grid from a saddle point: indices by column and row, along its edges.
-fn grow(saddles: &[Saddle], seed: usize) -> BTreeMap<[i32; 2], usize> {
+fn grow(image: &GrayImage, saddles: &[Saddle], seed: usize) -> BTreeMap<[i32; 2], usize> {
     let mut grid = BTreeMap::from([([0, 0], seed)]);
     let start = &saddles[seed];
     let mut queue = VecDeque::new();
     for (axis, edge) in start.edges.into_iter().enumerate() {
         for sign in [1, -1] {
-            if let Some(next) = along(saddles, seed, edge * f64::from(sign)) {
+            if let Some(next) = along(image, saddles, seed, edge * f64::from(sign)) {
                 let mut cell = [0, 0];
                 cell[axis] = sign;
                 grid.insert(cell, next);
@@ -202,7 +226,7 @@ fn grow(saddles: &[Saddle], seed: usize) -> BTreeMap<[i32; 2], usize> {
             };
             let from = grid[&cell];
             let found = nearest(saddles, expected, reach)
-                .filter(|index| saddles[from].fits(&saddles[*index]))
+                .filter(|index| saddles[from].continues(image, &saddles[*index]))
                 .filter(|index| !grid.values().any(|known| known == index));
             if let Some(found) = found {
                 grid.insert(next, found);
@@ -214,7 +238,7 @@ fn grow(saddles: &[Saddle], seed: usize) -> BTreeMap<[i32; 2], usize> {
 }
 
 /// The nearest corner along an edge of the first one.
-fn along(saddles: &[Saddle], from: usize, edge: DVec2) -> Option<usize> {
+fn along(image: &GrayImage, saddles: &[Saddle], from: usize, edge: DVec2) -> Option<usize> {
     let start = &saddles[from];
     let candidates = (0..saddles.len()).filter(|index| {
         let off = saddles[*index].at - start.at;
@@ -222,7 +246,7 @@ fn along(saddles: &[Saddle], from: usize, edge: DVec2) -> Option<usize> {
         distance > 4.0
             && off.dot(edge) > 0.0
             && off.perp_dot(edge).abs() < 0.5 * REACH.1 * distance
-            && start.fits(&saddles[*index])
+            && start.continues(image, &saddles[*index])
     });
     candidates.min_by(|a, b| {
         let distance = |index: usize| saddles[index].at.distance_squared(start.at);
@@ -255,24 +279,42 @@ fn nearest(saddles: &[Saddle], at: DVec2, reach: f64) -> Option<usize> {
         .min_by(|a, b| distance(*a).total_cmp(&distance(*b)))
 }
 
-/// The corners of a complete grid in the order of the board.
+/// Lowest column and row of the part of a grid with `size` columns and rows that is complete and
+/// whose neighbours outside are much weaker: junctions of squares and background.
+fn part_of(
+    grid: &BTreeMap<[i32; 2], usize>,
+    saddles: &[Saddle],
+    [columns, rows]: [i32; 2],
+) -> Option<[i32; 2]> {
+    let response = |x: i32, y: i32| Some(saddles[*grid.get(&[x, y])?].response);
+    grid.keys().copied().find(|[left, top]| {
+        let (right, bottom) = (left + columns - 1, top + rows - 1);
+        let is_weak = |inside: (i32, i32), outside: (i32, i32)| {
+            let (a, b) = (response(inside.0, inside.1), response(outside.0, outside.1));
+            b.is_none() || a.zip(b).is_some_and(|(a, b)| b < MAX_RIM_RATIO * a)
+        };
+        let is_complete =
+            (*left..=right).all(|x| (*top..=bottom).all(|y| grid.contains_key(&[x, y])));
+        is_complete
+            && (*left..=right)
+                .all(|x| is_weak((x, *top), (x, top - 1)) && is_weak((x, bottom), (x, bottom + 1)))
+            && (*top..=bottom)
+                .all(|y| is_weak((*left, y), (left - 1, y)) && is_weak((right, y), (right + 1, y)))
+    })
+}
+
+/// The corners of a grid in the order of the board.
 fn ordered(
     grid: &BTreeMap<[i32; 2], usize>,
     saddles: &[Saddle],
     [columns, rows]: [u32; 2],
     is_first_black: bool,
 ) -> Option<Vec<DVec2>> {
-    let range = |axis: usize| {
-        let values = || grid.keys().map(|cell| cell[axis]);
-        Some((values().min()?, values().max()?))
-    };
-    let ((left, right), (top, bottom)) = (range(0)?, range(1)?);
-    let size = [right - left + 1, bottom - top + 1].map(i64::from);
     let wanted = [i64::from(columns), i64::from(rows)];
-    let is_complete = grid.len() as i64 == size[0] * size[1];
-    if !is_complete || (size != wanted && [size[1], size[0]] != wanted) {
-        return None;
-    }
+    let (columns, rows) = (i32::try_from(columns).ok()?, i32::try_from(rows).ok()?);
+    let along = part_of(grid, saddles, [columns, rows]).map(|first| (first, wanted));
+    let across = || part_of(grid, saddles, [rows, columns]).map(|f| (f, [wanted[1], wanted[0]]));
+    let ([left, top], size) = along.or_else(across)?;
     let at = |x: i64, y: i64| {
         let cell = [left + x as i32, top + y as i32];
         grid.get(&cell).map(|index| &saddles[*index])

@@ -207,3 +207,5 @@ pub fn require_size(intrinsics: &Intrinsics, width: u32, height: u32) -> Result<
 
 #[cfg(test)]
 mod camera_file_test;
+#[cfg(test)]
+mod dialects_test;

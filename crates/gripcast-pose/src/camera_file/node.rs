@@ -170,9 +170,10 @@ pub(super) fn from_xml(text: &str) -> Result<Node> {
                 .unwrap_or_default()
                 .to_owned();
             if tag.ends_with('/') {
-                if let Some((_, entries, _)) = open.last_mut() {
-                    entries.insert(name, Node::Null);
-                }
+                let Some((_, entries, _)) = open.last_mut() else {
+                    return Ok(Node::Map(BTreeMap::new()));
+                };
+                entries.insert(name, Node::Null);
             } else if open.len() < MAX_DEPTH {
                 open.push((name, BTreeMap::new(), String::new()));
             } else {
@@ -221,6 +222,7 @@ mod tests {
         assert!(data[2].is_nan());
         assert_eq!(node.get("s").unwrap().text().as_deref(), Some("a b"));
         assert_eq!(node.get("e"), Some(&Node::Null));
+        assert_eq!(from_xml("<a/>").unwrap(), Node::Map(BTreeMap::new()));
         for text in ["<a>", "<a></b>", "</a>", "<a", "", &"<a>".repeat(50)] {
             assert!(from_xml(text).is_err(), "{text}");
         }
