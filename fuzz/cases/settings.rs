@@ -1,11 +1,13 @@
-//! Texts that people write or bring along. Input: which one (byte 0, modulo 5), text.
+//! Texts that people write or bring along. Input: which one (byte 0, modulo 6), text.
 
 use std::path::Path;
 
 use gripcast::config;
 use gripcast_capture::calibration::RigFile;
 use gripcast_capture::trigger::Script;
-use gripcast_pose::{BoardFile, CameraFile, CameraReadOptions};
+use gripcast_pose::{
+    BoardFile, CameraFile, CameraReadOptions, Dictionary, import_aruco_map, import_kalibr, import_ros,
+};
 use gripcast_session::Command;
 
 /// Panics where something is wrong.
@@ -16,7 +18,7 @@ pub(crate) fn check(input: &[u8]) {
     let Ok(text) = std::str::from_utf8(text) else {
         return;
     };
-    match kind % 5 {
+    match kind % 6 {
         0 => {
             let file = config::ConfigFile::Found("gripcast.toml".into());
             let _ = config::merge(Some((&file, text)), [], &[]);
@@ -29,7 +31,20 @@ pub(crate) fn check(input: &[u8]) {
             let _ = BoardFile::parse(text, Path::new("/proc/nonexistent"));
         }
         3 => {
-            let _ = CameraFile::parse(text, CameraReadOptions::default());
+            for (size, camera) in [(None, None), (Some([640, 480]), Some("cam0"))] {
+                if let Ok(file) = CameraFile::parse(text, CameraReadOptions { size, camera }) {
+                    file.intrinsics.validate().expect("intrinsics are plausible");
+                }
+            }
+        }
+        5 => {
+            let Ok(dictionary) = Dictionary::by_name("4X4_50") else {
+                return;
+            };
+            let _ = import_ros(text, &dictionary);
+            let _ = import_kalibr(text, "board", None);
+            let _ = import_aruco_map(text, "board", None);
+            let _ = Dictionary::from_opencv("own.yml", text);
         }
         _ => {
             let check = |line: &str| match line.parse::<Command>() {

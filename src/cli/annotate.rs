@@ -34,6 +34,7 @@ use gripcast_base::files::{ContentKey, FileKind, ObjectName, Root};
 use gripcast_dataset::{Dataset, DatasetWriter, GraspId, GraspRecord, PoseRecord};
 use gripcast_geometry::{LengthUnit, MeshOptions, Pose, TriangleMesh, load_object_mesh};
 use gripcast_imaging::{Decoder, Intrinsics, Role, encode_jpeg};
+use gripcast_pose::detect::FullSearch;
 use gripcast_pose::{BoardFile, PrintedSheet, load_intrinsics};
 
 const OVERLAY_JPEG_QUALITY: u8 = 88;
@@ -314,7 +315,12 @@ impl Work<'_> {
         });
         if !is_same {
             self.annotator = None;
-            self.annotator = Some(Annotator::new(sheet, tags, intrinsics)?);
+            self.annotator = Some(Annotator::new(
+                sheet,
+                tags,
+                intrinsics,
+                FullSearch::IfSmall,
+            )?);
         }
         Ok(())
     }
@@ -476,20 +482,16 @@ impl Summary {
             .iter()
             .map(|done| {
                 let [x, y, z] = done.pose.t_m.map(|m| 1e3 * m);
-                let quality = done.pose.quality.as_ref();
-                let notes = quality.map_or(0, |q| q.notes.len());
+                let notes = done.pose.quality.iter().flat_map(|q| &q.notes);
+                let notes: String = notes.map(|note| format!("\n       note: {note}")).collect();
                 let error = done.error_mm.zip(done.error_deg);
                 format!(
-                    "{}  {:<12} {x:8.2} {y:8.2} {z:8.2} mm{}{}",
+                    "{}  {:<12} {x:8.2} {y:8.2} {z:8.2} mm{}{notes}",
                     done.grasp,
                     done.object,
                     error.map_or(String::new(), |(mm, deg)| format!(
                         "  error {mm:.3} mm, {deg:.3}°"
                     )),
-                    match notes {
-                        0 => String::new(),
-                        count => format!("  {count} notes"),
-                    }
                 )
             })
             .collect();

@@ -7,6 +7,8 @@
 //! gripcast board gripper --out tags.pdf
 //! gripcast board charuco --squares 8x6 --square-mm 30 --out charuco.pdf
 //! gripcast board show board.toml
+//! gripcast board detect photo.png
+//! gripcast board detect shots/*.jpg --board table.toml --camera external.yaml --overlay found
 //! gripcast board import board_descriptions.yaml --dictionary 4X4_50 --name table --out table.toml
 //! gripcast board import target.yaml --out grid.toml
 //! gripcast board import own_dictionary.yml
@@ -16,10 +18,11 @@
 //! in the object's frame. `gripper` does the same for the gripper tags, `charuco` for a ChArUco
 //! board for camera calibration. After printing, measure the rulers of the sheet and rerun the
 //! command with `--measured-mm`: it corrects the board file and keeps the drawing. `show` checks
-//! and describes a board file. `import` reads boards of ROS `aruco_opencv` and Kalibr and
-//! dictionaries of OpenCV. Format, printing and gluing: docs/how-to/boards.md.
+//! and describes a board file. `detect` finds markers in any image. `import` reads boards of ROS `aruco_opencv`, Kalibr and
+//! the aruco library, and dictionaries of OpenCV. Format, printing and gluing: docs/how-to/boards.md.
 //!
-//! Exit codes: 0 done · 1 invalid object, board or file · 2 usage.
+//! Exit codes: 0 done · 1 invalid object, board or file, no marker in any image · 2 usage · 3 no marker
+//! in some images.
 
 use std::path::{Path, PathBuf};
 
@@ -28,10 +31,13 @@ use serde_json::{Value, json};
 
 use super::flags::read_text;
 use super::{Context, print_report};
-use super::{board_charuco, board_make};
+use super::{board_charuco, board_detect, board_make};
 use gripcast_base::error::{Error, Result, unknown_name};
 use gripcast_base::files::save;
-use gripcast_pose::{BoardFile, BoardFormat, Body, Dictionary, import_kalibr, import_ros};
+use gripcast_pose::{
+    BoardFile, BoardFormat, Body, Dictionary, ImportedBoards, import_aruco_map, import_kalibr,
+    import_ros,
+};
 
 /// Arguments.
 #[derive(Debug, clap::Args)]
@@ -50,7 +56,9 @@ enum Kind {
     Charuco(board_charuco::Args),
     /// Check and describe a board file
     Show(ShowArgs),
-    /// Import a board of ROS or Kalibr, or a dictionary of OpenCV
+    /// Detect markers in images
+    Detect(board_detect::Args),
+    /// Import a board of ROS, Kalibr or aruco, or a dictionary of OpenCV
     Import(ImportArgs),
 }
 
@@ -61,6 +69,7 @@ pub(crate) fn run(context: &Context, args: Args) -> Result<()> {
         Kind::Gripper(args) => board_make::gripper(&args),
         Kind::Charuco(args) => board_charuco::run(&args),
         Kind::Show(args) => show(&args),
+        Kind::Detect(args) => board_detect::run(&args),
         Kind::Import(args) => import(&args),
     }
 }
@@ -132,8 +141,10 @@ fn describe(file: &BoardFile) -> String {
     let mut lines = vec![
         format!("board       {}", board.name),
         format!("hash        {}", board.hash()),
-        format!("dictionary  {}", board.dictionary),
     ];
+    if file.plain().is_none() {
+        lines.push(format!("dictionary  {}", board.dictionary));
+    }
     for body in Body::ALL {
         let markers: Vec<_> = board.markers_on(body).collect();
         if markers.is_empty() {
@@ -188,14 +199,14 @@ fn span(min: f64, max: f64) -> String {
 
 #[derive(Debug, clap::Args)]
 struct ImportArgs {
-    /// board_descriptions.yaml of ROS aruco_opencv, target.yaml of Kalibr, or a dictionary of
-    /// OpenCV
+    /// board_descriptions.yaml of ROS aruco_opencv, target.yaml of Kalibr, marker map of aruco, or
+    /// dictionary of OpenCV
     #[arg(value_name = "FILE")]
     file: PathBuf,
-    /// Marker dictionary; for Kalibr [default: 36h11_border2]
+    /// Marker dictionary [default for Kalibr: its tagFamily with a border of two cells]
     #[arg(long, value_name = "NAME|FILE.yml")]
     dictionary: Option<String>,
-    /// Board to choose from several, or name for a Kalibr target
+    /// Board to choose from several, or name of a board that has none
     #[arg(long)]
     name: Option<String>,
     /// Board file to write
@@ -217,10 +228,10 @@ fn import(args: &ImportArgs) -> Result<()> {
             return print_dictionary(args, &dictionary);
         }
         BoardFormat::Kalibr => {
-            let dictionary = args.dictionary()?;
-            let stem = args.file.file_stem().unwrap_or_default().to_string_lossy();
-            let name = args.name.clone().unwrap_or_else(|| stem.into_owned());
-            import_kalibr(&text, &name, dictionary.as_ref()).map_err(here)?
+            import_kalibr(&text, &args.name(), args.dictionary()?.as_ref()).map_err(here)?
+        }
+        BoardFormat::ArucoMap => {
+            import_aruco_map(&text, &args.name(), args.dictionary()?.as_ref()).map_err(here)?
         }
         BoardFormat::Ros => {
             let dictionary = args.dictionary()?.ok_or_else(|| {
@@ -241,6 +252,12 @@ fn import(args: &ImportArgs) -> Result<()> {
 }
 
 impl ImportArgs {
+    /// Name of the board: that given, else that of the file.
+    fn name(&self) -> String {
+        let stem = self.file.file_stem().unwrap_or_default().to_string_lossy();
+        self.name.clone().unwrap_or_else(|| stem.into_owned())
+    }
+
     fn dictionary(&self) -> Result<Option<Dictionary>> {
         let folder = self.out.as_deref().map_or(Path::new("."), folder);
         let name = self.dictionary.as_deref();
@@ -249,18 +266,32 @@ impl ImportArgs {
 }
 
 /// Returns the only board, or the board with the given name.
-fn chosen(mut boards: Vec<BoardFile>, name: Option<&str>) -> Result<BoardFile> {
+fn chosen(imported: ImportedBoards, name: Option<&str>) -> Result<BoardFile> {
+    let ImportedBoards {
+        mut boards,
+        unsupported,
+    } = imported;
+    let is_only = boards.len() + unsupported.len() == 1;
+    let refused = |(other, _): &&(String, String)| name.map_or(is_only, |name| name == other);
+    if let Some((name, reason)) = unsupported.iter().find(refused) {
+        return Err(Error::input(format!(
+            "board {name:?} is not supported: {reason}"
+        )));
+    }
     let names: Vec<String> = boards.iter().map(|b| b.board.name.clone()).collect();
     let names: Vec<&str> = names.iter().map(|n| &**n).collect();
     let index = match name {
         Some(name) => names.iter().position(|n| *n == name),
-        None => Some(0).filter(|_| names.len() == 1),
+        None => Some(0).filter(|_| is_only),
     };
     match (index, name) {
         (Some(index), _) => Ok(boards.swap_remove(index)),
         (None, Some(name)) => Err(unknown_name("board", name, &names)),
-        (None, None) => Err(Error::usage(format!("the file has {} boards", names.len()))
-            .remedy(format!("choose one with --name: {}", names.join(", ")))),
+        (None, None) => Err(Error::usage(format!(
+            "the file has {} boards",
+            names.len() + unsupported.len()
+        ))
+        .remedy(format!("choose one with --name: {}", names.join(", ")))),
     }
 }
 

@@ -13,7 +13,7 @@ use gripcast_imaging::{Decoder, Intrinsics};
 use gripcast_pose::calibrate::{
     CalibratedMarker, FrameSource, GripperCalibration, GripperImage, MarkerState, calibrate_gripper,
 };
-use gripcast_pose::detect::{builtin_dictionaries, detectors, diagnose};
+use gripcast_pose::detect::{FullSearch, detectors, diagnose};
 use gripcast_pose::refine::refine_all;
 use gripcast_pose::{BoardFile, load_intrinsics, require_size};
 
@@ -108,7 +108,8 @@ fn detect(
     closed: &[bool],
     progress: &Progress,
 ) -> Result<Detections> {
-    let mut all = detectors(&board.dictionary, &board.board.ids())?.into_iter();
+    let mut all =
+        detectors(&board.dictionary, &board.board.ids(), FullSearch::IfSmall)?.into_iter();
     let Some(mut detector) = all.next() else {
         return Err(Error::internal("there is no detector"));
     };
@@ -144,8 +145,7 @@ fn detect(
         return Err(Error::input(what));
     };
     if detections.images.iter().all(|p| p.detections.is_empty()) {
-        let others = builtin_dictionaries();
-        let diagnosis = diagnose(&first, &board.dictionary, &board.board.ids(), &others)?;
+        let diagnosis = diagnose(&first, &board.dictionary, &board.board.ids())?;
         return Err(diagnosis.to_error(&board.board.name));
     }
     Ok(detections)

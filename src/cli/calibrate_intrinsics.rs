@@ -2,9 +2,9 @@
 //!
 //! ```text
 //! gripcast board charuco --out charuco.pdf
-//! gripcast calibrate intrinsics --board charuco.toml --rig bench --camera external --out
-//! external.toml gripcast calibrate intrinsics --board charuco.toml --images shots/ --out
-//! external.toml
+//! gripcast calibrate intrinsics --board charuco.toml --rig bench --camera external --out external.toml
+//! gripcast calibrate intrinsics --board charuco.toml --images shots/ --out external.toml
+//! gripcast calibrate intrinsics --chessboard 9x6 --square-mm 25 --images shots/ --out external.toml
 //! ```
 //!
 //! `--images` uses the JPEG and PNG files of a folder, sorted by name. `--rig` opens a camera of
@@ -21,7 +21,7 @@ use std::path::{Path, PathBuf};
 use image::GrayImage;
 use serde_json::{Value, json};
 
-use super::flags::check_output;
+use super::flags::{check_output, millimetres, size};
 use super::image_folder::{file_name, images, read_grey};
 use super::working::interruptible;
 use super::{Context, calibrate_live, print, print_json};
@@ -32,7 +32,7 @@ use gripcast_pose::BoardFile;
 use gripcast_pose::calibrate::{
     CalibrationReport, Collector, CollectorSettings, Hint, PARAMETERS, Rejection,
 };
-use gripcast_pose::detect::{Diagnosis, builtin_dictionaries, diagnose};
+use gripcast_pose::detect::{Diagnosis, diagnose};
 
 /// Reprojection error that causes a warning, px.
 const MAX_RMS_PX: f64 = 0.5;
@@ -44,9 +44,16 @@ const MAX_CORNER_SIGMA_PX: f64 = 1.0;
 /// Arguments.
 #[derive(Debug, clap::Args)]
 pub(crate) struct Args {
-    /// Board file: a ChArUco board or any planar marker board
-    #[arg(long, value_name = "FILE.toml")]
-    board: PathBuf,
+    /// Board file: a ChArUco board, any planar marker board or a chessboard
+    #[arg(long, value_name = "FILE.toml", required_unless_present = "chessboard")]
+    board: Option<PathBuf>,
+    /// Columns and rows of inner corners of a chessboard without markers
+    #[arg(long, value_name = "COLUMNSxROWS", conflicts_with = "board", requires = "square_mm",
+        value_parser = |text: &str| size(text, 2..=59))]
+    chessboard: Option<[u32; 2]>,
+    /// Side length of a square of the chessboard
+    #[arg(long, value_name = "MM", requires = "chessboard", value_parser = millimetres)]
+    square_mm: Option<f64>,
     /// Folder of JPEG and PNG images of one camera
     #[arg(
         long,
@@ -84,6 +91,21 @@ fn role(text: &str) -> Result<Role, String> {
     Ok(role)
 }
 
+impl Args {
+    fn board_file(&self) -> Result<BoardFile> {
+        match (&self.board, self.chessboard, self.square_mm) {
+            (Some(path), _, _) => BoardFile::load(path),
+            (None, Some([columns, rows]), Some(square_mm)) => {
+                let name = format!("chessboard of {columns}×{rows} corners");
+                BoardFile::plain_chessboard(&name, [columns, rows], [square_mm; 2])
+            }
+            _ => Err(Error::usage(
+                "give --board, or --chessboard and --square-mm",
+            )),
+        }
+    }
+}
+
 /// Collected views.
 pub(super) struct Views {
     pub(super) collector: Collector,
@@ -108,14 +130,14 @@ impl Views {
 
 /// Runs the command.
 pub(super) fn run(context: &Context, args: &Args) -> Result<()> {
-    let board = BoardFile::load(&args.board)?;
+    let board = args.board_file()?;
     check_output("--out", &args.out, &[])?;
     let settings = CollectorSettings {
         wanted: usize::from(args.views),
         still: args.images.is_none(),
         ..CollectorSettings::default()
     };
-    let collector = Collector::new(&board, settings).map_err(|e| e.at(args.board.display()))?;
+    let collector = Collector::new(&board, settings).map_err(|e| e.at(&board.board.name))?;
     let views = match (&args.images, &args.rig) {
         (Some(folder), _) => {
             let folder = folder.clone();
@@ -170,7 +192,7 @@ fn from_folder(collector: Collector, folder: &Path, on_progress: &dyn Fn(String)
                     Some(Rejection::Size([width, height], _)) => {
                         sizes.push(format!("{name} ({width}×{height})"));
                     }
-                    Some(Rejection::NoBoard) => {
+                    Some(Rejection::NoBoard | Rejection::NoChessboard(_)) => {
                         views.unusable += 1;
                         without_board.get_or_insert(image);
                     }
@@ -191,8 +213,7 @@ fn from_folder(collector: Collector, folder: &Path, on_progress: &dyn Fn(String)
         return Err(other_sizes(&views, &sizes).at(folder.display()));
     }
     if let Some(image) = without_board {
-        let diagnosis = diagnosed(&views.collector, &image)?;
-        let explained = diagnosis.to_error(&views.collector.file().board.name);
+        let explained = explained(&views.collector, &image)?;
         if views.names.is_empty() {
             return Err(explained.at(folder.display()));
         }
@@ -204,11 +225,21 @@ fn from_folder(collector: Collector, folder: &Path, on_progress: &dyn Fn(String)
     Ok(views)
 }
 
+/// The error for an image without the board.
+fn explained(collector: &Collector, image: &GrayImage) -> Result<Error> {
+    if let Some(chessboard) = collector.file().plain() {
+        let rejection = Rejection::NoChessboard(chessboard.squares.map(|n| n - 1));
+        return Ok(Error::input(rejection.to_string())
+            .remedy("count the corners between black squares, not the squares"));
+    }
+    let diagnosis = diagnosed(collector, image)?;
+    Ok(diagnosis.to_error(&collector.file().board.name))
+}
+
 /// Diagnoses an image without the board.
 pub(super) fn diagnosed(collector: &Collector, image: &GrayImage) -> Result<Diagnosis> {
     let file = collector.file();
-    let others = builtin_dictionaries();
-    diagnose(image, &file.dictionary, &file.board.ids(), &others)
+    diagnose(image, &file.dictionary, &file.board.ids())
 }
 
 fn other_sizes(views: &Views, sizes: &[String]) -> Error {
@@ -341,7 +372,10 @@ fn as_json(args: &Args, views: &Views, report: &CalibrationReport, warnings: &[S
     };
     let left_out = |(image, reason): &(String, String)| json!({ "image": image, "reason": reason });
     json!({
-        "board": { "hash": file.board.hash(), "name": file.board.name },
+        "board": {
+            "hash": file.plain().is_none().then(|| file.board.hash()),
+            "name": file.board.name,
+        },
         "corner_sigma_px": report.corner_sigma_px,
         "fitted": fitted,
         "holdout": report.holdout.map(|h| json!({

@@ -20,6 +20,7 @@ pub mod bench_live;
 pub mod bench_predict;
 mod board;
 mod board_charuco;
+mod board_detect;
 mod board_make;
 mod calibrate;
 mod calibrate_convert;

@@ -17,6 +17,7 @@ use gripcast_base::error::{Error, Result};
 use gripcast_base::files::FileName;
 use gripcast_dataset::{PoseRecord, pre_grasp_name};
 use gripcast_imaging::{Decoder, Frame, Intrinsics, Role};
+use gripcast_pose::detect::FullSearch;
 
 /// Interval between two kept frames.
 const INTERVAL: Duration = Duration::from_millis(120);
@@ -323,7 +324,12 @@ impl Measurer {
         })?;
         let annotator = match previous {
             Some(annotator) if annotator.sheet() == &sheet => annotator,
-            _ => Annotator::new(sheet, self.boards.tags.clone(), self.intrinsics)?,
+            _ => Annotator::new(
+                sheet,
+                self.boards.tags.clone(),
+                self.intrinsics,
+                FullSearch::Never,
+            )?,
         };
         Ok(self.annotator.insert(annotator))
     }

@@ -6,7 +6,7 @@ use crate::daemon::Boards;
 use gripcast_base::error::{Error, Result};
 use gripcast_imaging::{Decoder, Role};
 use gripcast_pose::BoardFile;
-use gripcast_pose::detect::detectors;
+use gripcast_pose::detect::{FullSearch, detectors};
 
 /// Detects the gripper's tags and, for a virtual rig or a single sheet, the sheet in the last frame
 /// of the external camera.
@@ -61,7 +61,7 @@ pub(super) fn findings(checks: &[CameraCheck], boards: Option<Result<Boards>>) -
 
 /// Counts the markers of a board in an image.
 fn markers(board: &BoardFile, image: &image::GrayImage) -> Result<usize> {
-    let mut detectors = detectors(&board.dictionary, &board.board.ids())?;
+    let mut detectors = detectors(&board.dictionary, &board.board.ids(), FullSearch::IfSmall)?;
     match detectors.first_mut() {
         Some(detector) => Ok(detector.detect(image)?.len()),
         None => Ok(0),

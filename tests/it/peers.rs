@@ -56,3 +56,10 @@ fn camera_files_round_trip_through_opencv_and_yaml() {
         agrees(check.arg(env!("CARGO_BIN_EXE_gripcast")));
     }
 }
+
+#[test]
+fn markers_are_those_of_opencv_and_found_where_it_finds_them() {
+    if let Some(mut check) = peer("markers.py") {
+        agrees(check.args([env!("CARGO_BIN_EXE_gripcast"), "--sizes", "16,20,28"]));
+    }
+}

@@ -5,6 +5,7 @@ use image::{GrayImage, Luma, imageops};
 
 use super::*;
 use gripcast_imaging::Intrinsics;
+use gripcast_pose::detect::FullSearch;
 use gripcast_pose::synthetic::{ImageConditions, PlacedBoard, render, ring_board, test_camera};
 use gripcast_pose::{BoardFile, Body, Dictionary};
 
@@ -93,7 +94,7 @@ impl TestImage {
 }
 
 fn annotator() -> Annotator {
-    Annotator::new(sheet("DICT_6X6_250"), tags(), camera()).unwrap()
+    Annotator::new(sheet("DICT_6X6_250"), tags(), camera(), FullSearch::IfSmall).unwrap()
 }
 
 fn render_all(images: &[TestImage]) -> Vec<(String, GrayImage)> {
@@ -275,7 +276,7 @@ fn few_markers_are_noted() {
 #[test]
 fn incompatible_boards_are_rejected() {
     let text = |sheet: BoardFile, tags: BoardFile| {
-        Annotator::new(sheet, tags, camera())
+        Annotator::new(sheet, tags, camera(), FullSearch::IfSmall)
             .map(|_| ())
             .unwrap_err()
             .to_string()
@@ -324,4 +325,94 @@ fn overlay_has_axes_markers_and_mesh() {
     let mut behind = observation;
     behind.object.t_camera_body.translation_m = DVec3::new(50.0, 0.0, -0.2);
     overlay(&mut drawn, &behind, annotator.intrinsics(), &content);
+}
+
+/// The image with other levels.
+fn changed(image: &GrayImage, level: impl Fn(f64) -> f64) -> GrayImage {
+    let mut changed = image.clone();
+    for pixel in changed.iter_mut() {
+        *pixel = level(f64::from(*pixel)).round().clamp(0.0, 255.0) as u8;
+    }
+    changed
+}
+
+fn notes_of(image: GrayImage) -> (f64, String) {
+    let record = annotate(&[("0".to_owned(), image)]).unwrap().record;
+    let notes = record.quality.as_ref().unwrap().notes.join("; ");
+    (error_mm(&record), notes)
+}
+
+#[test]
+fn linear_levels_are_recognised_by_the_residual() {
+    let image = TestImage::default().render(&sheet("DICT_6X6_250"));
+    let linear = |v: f64| 255.0 * f64::from(gripcast_imaging::srgb_decode(v as u8));
+    let (error, notes) = notes_of(changed(&image, linear));
+    assert!(error < 0.2, "{error} mm: {notes}");
+    assert!(notes.contains("taken as linear"), "{notes}");
+}
+
+#[test]
+fn clipping_and_blur_are_noted() {
+    let sheet = sheet("DICT_6X6_250");
+    let image = TestImage::default().render(&sheet);
+    let (_, notes) = notes_of(changed(&image, |v| 1.5 * v));
+    assert!(notes.contains("overexposed"), "{notes}");
+    let blurred = TestImage {
+        blur_px: 1.7,
+        ..TestImage::default()
+    };
+    let (_, notes) = notes_of(blurred.render(&sheet));
+    assert!(notes.contains("blurred by"), "{notes}");
+}
+
+#[test]
+fn marker_that_is_there_twice_is_not_used() {
+    let sheet = sheet("DICT_6X6_250");
+    let mut image = TestImage::default().render(&sheet);
+    let mut annotator = annotator();
+    let before = annotator.observe(&image).unwrap();
+    // A copy of one of the sheet's markers in an empty corner.
+    let copied = before.object.markers.iter().find(|m| m.used).unwrap().id;
+    let marker = before.detections.iter().find(|d| d.id == copied).unwrap();
+    let (low, high) = marker.corners_px.iter().fold(
+        (glam::DVec2::INFINITY, glam::DVec2::NEG_INFINITY),
+        |(low, high), c| (low.min(*c), high.max(*c)),
+    );
+    let (low, size) = ((low - 6.0).as_uvec2(), (high - low + 12.0).as_uvec2());
+    let copy = imageops::crop_imm(&image, low.x, low.y, size.x, size.y).to_image();
+    imageops::replace(&mut image, &copy, 4, 4);
+    let after = annotator.observe(&image).unwrap();
+    let note = format!("marker {copied} is in the image 2 times");
+    assert!(after.notes.iter().any(|n| n.contains(&note)), "{:?}", after.notes);
+    assert_eq!(after.object.used_markers() + 1, before.object.used_markers());
+}
+
+/// Images of one scene by cameras of different kinds; all have the pose of `truth.json`.
+#[test]
+fn field_images_are_right_or_noted() {
+    let Some(folder) = gripcast_testing::shared("field/mesh-sim-pose/linear-camera") else {
+        return;
+    };
+    let board = |name: &str| BoardFile::load(&folder.join(name)).unwrap();
+    let intrinsics = gripcast_pose::load_intrinsics(&folder.join("cam.toml")).unwrap();
+    let mut decoder = gripcast_imaging::Decoder::new().unwrap();
+    // Column 3 of the matrix in truth.json, mm.
+    let truth = DVec3::new(134.378_551, 181.124_795, -80.846_852);
+    for (name, max_mm, expected) in [
+        ("srgb", 0.15, ""),
+        ("linear", 0.15, "taken as linear"),
+        ("overexposed", f64::INFINITY, "overexposed"),
+    ] {
+        let bytes = std::fs::read(folder.join(format!("{name}.jpg"))).unwrap();
+        let image = imageops::grayscale(&decoder.stored_image(&bytes).unwrap());
+        let (sheet, tags) = (board("sheet.toml"), board("tags.toml"));
+        let mut annotator = Annotator::new(sheet, tags, intrinsics, FullSearch::IfSmall).unwrap();
+        let found = annotator.observe(&image).unwrap();
+        let at_mm = 1e3 * found.relative.t_object_gripper.translation_m;
+        let error_mm = at_mm.distance(truth);
+        let notes = found.notes.join("; ");
+        assert!(error_mm < max_mm, "{name}: {error_mm} mm");
+        assert!(notes.contains(expected), "{name}: {notes}");
+        assert_eq!(expected.is_empty(), notes.is_empty(), "{name}: {notes}");
+    }
 }

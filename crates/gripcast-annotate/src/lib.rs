@@ -11,7 +11,7 @@ mod plausibility;
 mod selection;
 
 pub use observation::{Annotator, Observation};
-pub use overlay::{OverlayContent, overlay};
+pub use overlay::{OverlayContent, draw_axes, draw_markers, overlay};
 pub use plausibility::is_between_fingers;
 pub use selection::{Selection, select};
 

@@ -5,8 +5,9 @@ use image::GrayImage;
 use super::BoardHashes;
 use gripcast_base::error::{Error, Result};
 use gripcast_imaging::Intrinsics;
-use gripcast_pose::detect::{Diagnosis, builtin_dictionaries, diagnose};
-use gripcast_pose::refine::{refine_all, sharpness};
+use gripcast_pose::detect::{Diagnosis, FullSearch, diagnose};
+use gripcast_pose::levels::{Levels, with_levels};
+use gripcast_pose::refine::{blur_px, image_notes, refine_all};
 use gripcast_pose::solve::{
     BodyPose, GripperPose, RelativePose, relative_pose, solve_body_pose, solve_gripper,
 };
@@ -15,7 +16,7 @@ use gripcast_pose::{BoardFile, Body, Detection, MarkerDetector, require_size};
 /// Maximum distance of a grasping gripper from the object's frame, m.
 const MAX_M: f64 = 0.5;
 /// Maximum reprojection error without a note, px.
-const MAX_RMS_PX: f64 = 1.0;
+const MAX_RMS_PX: f64 = 0.3;
 /// Minimum number of the gripper's tags without a note.
 const MIN_TAGS: usize = 2;
 /// Minimum number of the sheet's markers without a note.
@@ -53,20 +54,28 @@ pub struct Annotator {
     intrinsics: Intrinsics,
     /// A single one if both boards have the same dictionary.
     detectors: Vec<Box<dyn MarkerDetector>>,
+    /// Levels of the camera, once an image has shown that they are linear.
+    levels: Option<Levels>,
 }
 
 impl Annotator {
-    /// Creates an annotator for an object on `sheet`, a gripper with `tags`, and a camera.
+    /// Creates an annotator for an object on `sheet`, a gripper with `tags`, and a camera. `full`
+    /// says whether images are also searched at full resolution.
     ///
     /// # Errors
     /// `Input` if the sheet has no marker of an object, the tags have none of a gripper, or both
     /// share ids.
-    pub fn new(sheet: BoardFile, tags: BoardFile, intrinsics: Intrinsics) -> Result<Self> {
+    pub fn new(
+        sheet: BoardFile,
+        tags: BoardFile,
+        intrinsics: Intrinsics,
+        full: FullSearch,
+    ) -> Result<Self> {
         check_boards(&sheet, &tags)?;
         let mut detectors = Vec::new();
         let (sheet_ids, tag_ids) = (sheet.board.ids(), tags.board.ids());
         let mut add = |dictionary, ids: &[u32]| -> Result<()> {
-            let mut all = gripcast_pose::detect::detectors(dictionary, ids)?;
+            let mut all = gripcast_pose::detect::detectors(dictionary, ids, full)?;
             detectors.push(all.remove(0));
             Ok(())
         };
@@ -81,6 +90,7 @@ impl Annotator {
             tags,
             intrinsics,
             detectors,
+            levels: None,
         })
     }
 
@@ -122,10 +132,9 @@ impl Annotator {
         for detector in &mut self.detectors {
             found.extend(detector.detect(image)?);
         }
-        let detections = refine_all(image, &found);
         let is_detected = |board: &BoardFile| {
             let ids = board.board.ids();
-            detections.iter().any(|d| ids.contains(&d.id))
+            found.iter().any(|d| ids.contains(&d.id))
         };
         for (what, board) in [
             ("the sheet", &self.sheet),
@@ -135,15 +144,11 @@ impl Annotator {
                 return Err(missing_board(image, what, board)?);
             }
         }
-        let object = solve_body_pose(
-            &self.sheet.board,
-            Body::Object,
-            &detections,
-            &self.intrinsics,
-        )
-        .map_err(|e| e.at("the sheet"))?;
-        let gripper = solve_gripper(&self.tags.board, &detections, &self.intrinsics, None)
-            .map_err(|e| e.at("the gripper's tags"))?;
+        let seen = with_levels(image, self.levels, |image| self.solve(image, &found))?;
+        if seen.levels == Levels::Linear {
+            self.levels = Some(Levels::Linear);
+        }
+        let (detections, object, gripper) = seen.measured;
         let relative = relative_pose(&object, &gripper.body);
         let distance_m = relative.t_object_gripper.translation_m.length();
         if distance_m > MAX_M {
@@ -152,17 +157,31 @@ impl Annotator {
             ))
             .remedy("check that both board files have the printed sizes"));
         }
-        let blur = sharpness(image, &detections);
+        let encoded = seen.levels.to_srgb(image);
         let mut notes = [&object.notes[..], &gripper.body.notes].concat();
+        notes.extend(seen.note);
+        notes.extend(image_notes(&encoded, &detections));
         self.add_notes(&object, &gripper, &mut notes);
         Ok(Observation {
             object,
             gripper,
             relative,
+            blur_px: blur_px(&encoded, &detections).unwrap_or(f64::INFINITY),
             detections,
-            blur_px: blur.map_or(f64::INFINITY, |s| s.blur_px),
             notes,
         })
+    }
+
+    /// Poses from the refined markers of an image with sRGB levels, with their residual, px.
+    fn solve(&self, image: &GrayImage, found: &[Detection]) -> Result<(Solved, f64)> {
+        let detections = refine_all(image, found);
+        let sheet = &self.sheet.board;
+        let object = solve_body_pose(sheet, Body::Object, &detections, &self.intrinsics)
+            .map_err(|e| e.at("the sheet"))?;
+        let gripper = solve_gripper(&self.tags.board, &detections, &self.intrinsics, None)
+            .map_err(|e| e.at("the gripper's tags"))?;
+        let residual_px = object.rms_px.max(gripper.body.rms_px);
+        Ok(((detections, object, gripper), residual_px))
     }
 
     fn add_notes(&self, object: &BodyPose, gripper: &GripperPose, notes: &mut Vec<String>) {
@@ -183,14 +202,17 @@ impl Annotator {
             }
             if pose.rms_px > MAX_RMS_PX {
                 notes.push(format!(
-                    "the reprojection error of the {what} is {:.1} px: check board file and \
-                     intrinsics",
+                    "the residual of the {what} is {:.2} px: check board file, intrinsics, and \
+                     that the print is flat",
                     pose.rms_px
                 ));
             }
         }
     }
 }
+
+/// Refined markers, and the poses of sheet and gripper.
+type Solved = (Vec<Detection>, BodyPose, GripperPose);
 
 fn check_boards(sheet: &BoardFile, tags: &BoardFile) -> Result<()> {
     let is_object = |body: Body| body == Body::Object;
@@ -228,17 +250,15 @@ fn check_boards(sheet: &BoardFile, tags: &BoardFile) -> Result<()> {
 fn missing_board(image: &GrayImage, what: &str, board: &BoardFile) -> Result<Error> {
     let ids = board.board.ids();
     let name = &board.board.name;
-    Ok(
-        match diagnose(image, &board.dictionary, &ids, &builtin_dictionaries())? {
-            // Other markers are those of the other board.
-            Diagnosis::OtherMarkers(_) | Diagnosis::Nothing => Error::input(format!(
-                "{what} (board `{name}`) is not in the image: none of its markers is detected"
-            ))
-            .remedy(
-                "show its markers to the camera in focus, at least 20 px large and evenly lit; \
+    Ok(match diagnose(image, &board.dictionary, &ids)? {
+        // Other markers are those of the other board.
+        Diagnosis::OtherMarkers(_) | Diagnosis::Nothing => Error::input(format!(
+            "{what} (board `{name}`) is not in the image: none of its markers is detected"
+        ))
+        .remedy(
+            "show its markers to the camera in focus, at least 20 px large and evenly lit; \
                  give the board file of the printed board",
-            ),
-            cause => cause.to_error(&format!("{what}, board `{name}`")),
-        },
-    )
+        ),
+        cause => cause.to_error(&format!("{what}, board `{name}`")),
+    })
 }

@@ -7,6 +7,7 @@ use super::observation::Observation;
 use gripcast_geometry::{Pose, TriangleMesh};
 use gripcast_imaging::Intrinsics;
 use gripcast_imaging::caption::{HEIGHT, write_text};
+use gripcast_pose::Detection;
 use gripcast_pose::camera::project;
 
 /// Length of drawn axes, m.
@@ -59,25 +60,45 @@ pub fn overlay(
         } else {
             USED
         };
-        let corners = detection.corners_px;
-        for i in 0..4 {
-            line(image, corners[i], corners[(i + 1) % 4], 1.0, colour);
-        }
+        outline(image, detection, colour);
     }
-    for pose in [
-        &observation.object.t_camera_body,
-        &observation.gripper.body.t_camera_body,
-    ] {
-        for (axis, colour) in AXES {
-            let tip = pose.transform_point(AXIS_M * axis);
-            segment(image, intrinsics, pose.translation_m, tip, 2.5, colour);
-        }
-    }
+    draw_axes(image, intrinsics, &observation.object.t_camera_body);
+    draw_axes(image, intrinsics, &observation.gripper.body.t_camera_body);
     let step = 2 * HEIGHT;
     for (row, text) in content.lines.iter().enumerate() {
         let y = HEIGHT + row as u32 * step;
         shade(image, y.saturating_sub(4), step);
         write_text(image, 8, y, text, TEXT);
+    }
+}
+
+/// Draws detected markers over an image: outline (cyan), id, and a dot at the top left corner.
+pub fn draw_markers(image: &mut RgbImage, detections: &[Detection]) {
+    for detection in detections {
+        outline(image, detection, USED);
+        let first = detection.corners_px[0];
+        line(image, first, first, 4.0, EXCLUDED);
+        let at = detection.center_px();
+        if at.cmpge(DVec2::ZERO).all() {
+            let id = detection.id.to_string();
+            write_text(image, at.x as u32, at.y as u32, &id, MESH);
+        }
+    }
+}
+
+/// Draws the axes of a frame: x red, y green, z blue.
+pub fn draw_axes(image: &mut RgbImage, intrinsics: &Intrinsics, t_camera_body: &Pose) {
+    for (axis, colour) in AXES {
+        let tip = t_camera_body.transform_point(AXIS_M * axis);
+        let origin = t_camera_body.translation_m;
+        segment(image, intrinsics, origin, tip, 2.5, colour);
+    }
+}
+
+fn outline(image: &mut RgbImage, detection: &Detection, colour: Rgb<u8>) {
+    let corners = detection.corners_px;
+    for i in 0..4 {
+        line(image, corners[i], corners[(i + 1) % 4], 1.0, colour);
     }
 }
 

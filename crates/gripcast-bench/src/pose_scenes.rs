@@ -4,7 +4,7 @@ use glam::DVec2;
 use gripcast_base::error::Result;
 use gripcast_base::workers::thread_cpu_s;
 use gripcast_imaging::Intrinsics;
-use gripcast_pose::detect::detectors;
+use gripcast_pose::detect::{FullSearch, detectors};
 use gripcast_pose::refine::refine_all;
 use gripcast_pose::solve::{RelativePose, relative_pose, solve_body_pose, solve_gripper};
 use gripcast_pose::synthetic::{
@@ -76,10 +76,11 @@ impl PoseScenes {
         let gripper = gripper_markers(&dictionary, [Body::Gripper; 2]);
         let camera = test_camera(self.width, self.width * 9 / 16);
         let ids: Vec<u32> = (0..dictionary.len() as u32).collect();
-        let mut runs: Vec<(Box<dyn MarkerDetector>, Tally)> = detectors(&dictionary, &ids)?
-            .into_iter()
-            .map(|detector| (detector, Tally::default()))
-            .collect();
+        let mut runs: Vec<(Box<dyn MarkerDetector>, Tally)> =
+            detectors(&dictionary, &ids, FullSearch::Never)?
+                .into_iter()
+                .map(|detector| (detector, Tally::default()))
+                .collect();
         for index in 0..self.images {
             let scene = GraspScene::random(&board, &gripper, &dictionary, self.seed, index);
             let seen = scene.render(&camera, &self.conditions(index), self.seed ^ index);

@@ -30,6 +30,8 @@ use gripcast_geometry::Pose;
 
 /// Version of the format.
 const SCHEMA: i64 = 1;
+/// Dictionary of a chessboard without markers, which has no meaning.
+const UNUSED_DICTIONARY: &str = "DICT_4X4_50";
 /// Hexadecimal digits of a board's hash.
 const HASH_DIGITS: usize = 12;
 
@@ -61,7 +63,7 @@ pub struct BoardFile {
     pub dictionary: Dictionary,
     /// The sheet, for a board drawn for an object.
     pub sheet: Option<PrintedSheet>,
-    /// The squares, for markers on a chessboard.
+    /// The squares, for a chessboard with or without markers.
     pub chessboard: Option<Chessboard>,
 }
 
@@ -119,6 +121,43 @@ impl BoardFile {
         Ok(self)
     }
 
+    /// A chessboard without markers, given its columns and rows of inner corners and the width and
+    /// height of a square.
+    ///
+    /// # Errors
+    /// `Input` for implausible sizes.
+    pub fn plain_chessboard(name: &str, corners: [u32; 2], square_mm: [f64; 2]) -> Result<Self> {
+        let chessboard = Chessboard {
+            squares: corners.map(|n| n.saturating_add(1)),
+            square_mm,
+            legacy: false,
+            printed_hash: None,
+        };
+        Self::without_markers(name.to_owned(), chessboard)
+    }
+
+    fn without_markers(name: String, chessboard: Chessboard) -> Result<Self> {
+        chessboard.check_size()?;
+        let dictionary = Dictionary::by_name(UNUSED_DICTIONARY)?;
+        Ok(Self {
+            board: Board {
+                name,
+                dictionary: dictionary.name().to_owned(),
+                markers: Vec::new(),
+            },
+            dictionary,
+            sheet: None,
+            chessboard: Some(chessboard),
+        })
+    }
+
+    /// The chessboard of a file without markers.
+    #[must_use]
+    pub fn plain(&self) -> Option<&Chessboard> {
+        let chessboard = self.chessboard.as_ref();
+        chessboard.filter(|_| self.board.markers.is_empty())
+    }
+
     /// Reads and validates a file. A custom dictionary is looked up in the same folder.
     ///
     /// # Errors
@@ -134,14 +173,27 @@ impl BoardFile {
     /// # Errors
     /// As [`Self::load`].
     pub fn parse(text: &str, folder: &Path) -> Result<Self> {
-        let read: Record = toml::from_str(text).map_err(|e| malformed(text, &e))?;
+        let mut read: Record = toml::from_str(text).map_err(|e| malformed(text, &e))?;
         if read.schema != SCHEMA {
             let what = format!("expected board schema {SCHEMA}, found {}", read.schema);
             return Err(
                 Error::input(what).remedy("read it with the release of gripcast that wrote it")
             );
         }
-        let dictionary = Dictionary::open(&read.dictionary, folder)?;
+        let name = match (read.dictionary, read.chessboard) {
+            (None, Some(chessboard)) if read.marker.is_empty() => {
+                return Self::without_markers(read.name, chessboard);
+            }
+            (Some(name), chessboard) => {
+                read.chessboard = chessboard;
+                name
+            }
+            (None, _) => {
+                return Err(Error::input("missing field `dictionary`")
+                    .remedy("only a chessboard without markers needs none"));
+            }
+        };
+        let dictionary = Dictionary::open(&name, folder)?;
         let markers: Result<Vec<BoardMarker>> = read.marker.iter().map(marker).collect();
         let board = Board {
             name: read.name,
@@ -162,11 +214,10 @@ impl BoardFile {
     pub fn to_toml(&self) -> String {
         let board = &self.board;
         let quoted = |text: &str| toml::Value::from(text).to_string();
-        let mut text = format!(
-            "schema = {SCHEMA}\nname = {}\ndictionary = {}\n",
-            quoted(&board.name),
-            quoted(&board.dictionary)
-        );
+        let mut text = format!("schema = {SCHEMA}\nname = {}\n", quoted(&board.name));
+        if self.plain().is_none() {
+            let _ = writeln!(text, "dictionary = {}", quoted(&board.dictionary));
+        }
         if let Some(sheet) = &self.sheet {
             let t = sheet.t_world_object;
             let q = t.rotation;
@@ -199,7 +250,7 @@ impl BoardFile {
 struct Record {
     schema: i64,
     name: String,
-    dictionary: String,
+    dictionary: Option<String>,
     sheet: Option<PrintedSheet>,
     chessboard: Option<Chessboard>,
     #[serde(default)]
@@ -326,6 +377,18 @@ mod tests {
         let path = folder.path().join("board.toml");
         fs::write(&path, &text).unwrap();
         assert_eq!(BoardFile::load(&path).unwrap(), read);
+    }
+
+    #[test]
+    fn chessboard_without_markers_needs_no_dictionary() {
+        let file = BoardFile::plain_chessboard("plain", [9, 6], [25.0, 24.9]).unwrap();
+        let text = file.to_toml();
+        assert!(!text.contains("dictionary"), "{text}");
+        assert_eq!(parse(&text).unwrap(), file);
+        assert_eq!(file.plain().unwrap().squares, [10, 7]);
+        let chessboard = text.find("\n[chessboard]").unwrap();
+        assert!(parse(&text[..chessboard]).is_err());
+        assert!(BoardFile::plain_chessboard("p", [1, 6], [25.0; 2]).is_err());
     }
 
     #[test]

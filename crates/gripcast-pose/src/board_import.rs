@@ -4,6 +4,8 @@
 //! | --- | --- | --- |
 //! | ROS `aruco_opencv` | `board_descriptions.yaml`: a list of grids | x right, y up, z out of the sheet; origin at the centre or the bottom left corner |
 //! | Kalibr | `target.yaml` with `target_type: aprilgrid` | the same, origin at the bottom left corner of tag 0 |
+//! | Kalibr | `target.yaml` with `target_type: checkerboard` | x right, y up, z out of the sheet; origin at the centre |
+//! | aruco (Muñoz-Salinas) | marker map in metres: `aruco_bc_markers` | that of the file |
 //!
 //! ROS nodes built with OpenCV 4.7 or later use y down and z into the sheet; the markers are the
 //! same.
@@ -26,8 +28,10 @@ const MAX_MARKERS: u64 = 1024;
 pub enum BoardFormat {
     /// `board_descriptions.yaml` of ROS `aruco_opencv`.
     Ros,
-    /// `target.yaml` of Kalibr, an aprilgrid.
+    /// `target.yaml` of Kalibr, an aprilgrid or a checkerboard.
     Kalibr,
+    /// Marker map of the aruco library.
+    ArucoMap,
     /// OpenCV dictionary; contains no board.
     OpencvDictionary,
 }
@@ -48,6 +52,8 @@ impl BoardFormat {
         };
         if has("target_type") {
             Ok(Self::Kalibr)
+        } else if has("aruco_bc_markers") {
+            Ok(Self::ArucoMap)
         } else if has("markers_x") || has("marker_size") {
             Ok(Self::Ros)
         } else if has("nmarkers") || has("markersize") {
@@ -55,105 +61,256 @@ impl BoardFormat {
         } else {
             Err(Error::input("unknown board format").remedy(
                 "supported: board_descriptions.yaml of ROS aruco_opencv (markers_x …), target.yaml \
-                 of Kalibr (target_type: aprilgrid), OpenCV dictionary (nmarkers …)",
+                 of Kalibr (target_type …), marker map of aruco (aruco_bc_markers …), OpenCV \
+                 dictionary (nmarkers …)",
             ))
         }
     }
 }
 
-/// Imports all boards of a `board_descriptions.yaml`. The dictionary is a parameter of the ROS node
+/// Boards of a file, and those that are not supported.
+#[derive(Clone, Debug)]
+pub struct ImportedBoards {
+    /// The boards.
+    pub boards: Vec<BoardFile>,
+    /// Names of other entries, with the reason.
+    pub unsupported: Vec<(String, String)>,
+}
+
+/// Imports all grids of a `board_descriptions.yaml`. The dictionary is a parameter of the ROS node
 /// and not in the file.
 ///
 /// # Errors
 /// `Input` for a malformed file or an invalid board, which is named.
-pub fn import_ros(text: &str, dictionary: &Dictionary) -> Result<Vec<BoardFile>> {
-    let grids: Vec<RosGrid> = yaml::read(text, "the list of boards")?;
-    if grids.is_empty() {
+pub fn import_ros(text: &str, dictionary: &Dictionary) -> Result<ImportedBoards> {
+    let entries: Vec<RosBoard> = yaml::read(text, "the list of boards")?;
+    if entries.is_empty() {
         return Err(Error::input("the list of boards is empty"));
     }
-    let mut names: Vec<&str> = grids.iter().map(|g| &*g.name).collect();
+    let mut names: Vec<&str> = entries.iter().map(|g| &*g.name).collect();
     names.sort_unstable();
     if let Some(pair) = names.windows(2).find(|pair| pair[0] == pair[1]) {
         let what = format!("two boards are named {:?}", pair[0]);
         return Err(Error::input(what).remedy("rename one of them"));
     }
-    let read = |grid: &RosGrid| {
-        let board = grid.grid().board(&grid.name, dictionary);
-        board.map_err(|e| e.at(format!("board {:?}", grid.name)))
+    let mut imported = ImportedBoards {
+        boards: Vec::new(),
+        unsupported: Vec::new(),
     };
-    grids.iter().map(read).collect()
+    for entry in &entries {
+        let kind = entry.kind.as_deref().unwrap_or("grid");
+        if kind == "grid" {
+            let board = entry.grid().and_then(|g| g.board(&entry.name, dictionary));
+            let board = board.map_err(|e| e.at(format!("board {:?}", entry.name)))?;
+            imported.boards.push(board);
+        } else {
+            let reason = format!("type {kind:?} is not a grid");
+            imported.unsupported.push((entry.name.clone(), reason));
+        }
+    }
+    Ok(imported)
 }
 
-/// Imports an aprilgrid. Kalibr prints tags with a border of two cells, `36h11_border2`;
-/// `dictionary` overrides that.
+/// Imports a target of Kalibr. Its tags have a border of two cells and are of `tagFamily`, 36h11
+/// where it is missing; `dictionary` overrides both. Ids begin with `startId` or `codeOffset`.
 ///
 /// # Errors
-/// `Input` for another target type or implausible sizes.
+/// `Input` for another target type, an unknown family or implausible sizes.
 pub fn import_kalibr(text: &str, name: &str, dictionary: Option<&Dictionary>) -> Result<BoardFile> {
     let target: KalibrTarget = yaml::read(text, "the target")?;
-    if target.target_type != "aprilgrid" {
-        let what = format!("target type {:?} has no marker ids", target.target_type);
-        return Err(Error::input(what).remedy("give a target with target_type: aprilgrid"));
+    match &*target.target_type {
+        "aprilgrid" => target.aprilgrid(name, dictionary),
+        "checkerboard" => target.checkerboard(name),
+        other => Err(Error::input(format!("unsupported target type {other:?}"))
+            .remedy("give a target with target_type: aprilgrid or checkerboard")),
     }
-    let missing = |key: &str| Error::input(format!("the target has no {key}"));
-    let side = target.side.ok_or_else(|| missing("tagSize"))?;
-    let spacing = target.spacing.ok_or_else(|| missing("tagSpacing"))?;
-    if !(0.0..=2.0).contains(&spacing) {
-        let what = format!("tagSpacing must be a fraction of tagSize, found {spacing}");
-        return Err(Error::input(what).remedy("divide the gap between two tags by tagSize"));
+}
+
+/// Imports a marker map of the aruco library (S. Garrido-Jurado, R. Muñoz-Salinas), whose corners
+/// are in metres. `dictionary` overrides that of the file.
+///
+/// # Errors
+/// `Input` for a malformed file, corners in pixels, or a dictionary with another name here.
+pub fn import_aruco_map(
+    text: &str,
+    name: &str,
+    dictionary: Option<&Dictionary>,
+) -> Result<BoardFile> {
+    // OpenCV writes `id:0` in flow mappings, which YAML takes for a text.
+    let spaced = ["id:", "corners:"]
+        .iter()
+        .fold(text.to_owned(), |text, key| {
+            text.replace(key, &format!("{key} "))
+        });
+    let map: ArucoMap = yaml::read(&spaced, "the marker map")?;
+    if let Some(count) = map.count
+        && count != map.markers.len()
+    {
+        let found = map.markers.len();
+        let what = format!("aruco_bc_nmarkers is {count}, found {found} markers");
+        return Err(Error::input(what).remedy("the file is incomplete: export it again"));
     }
-    let grid = Grid {
-        columns: target.columns.ok_or_else(|| missing("tagCols"))?,
-        rows: target.rows.ok_or_else(|| missing("tagRows"))?,
-        side_m: side,
-        gap_m: spacing * side,
-        first_id: 0,
-        is_bottom_up: true,
-        is_origin_centered: false,
+    if map.unit != Some(1) {
+        return Err(Error::input(
+            "the corners of the marker map are in pixels: aruco_bc_mInfoType is not 1",
+        )
+        .remedy("convert it to metres with aruco's tool for marker maps"));
+    }
+    let dictionary = match (dictionary, map.dictionary.as_deref()) {
+        (Some(dictionary), _) => dictionary.clone(),
+        (None, Some("ARUCO_MIP_36h12")) => Dictionary::by_name("DICT_ARUCO_MIP_36h12")?,
+        (None, Some("ARUCO")) => Dictionary::by_name("DICT_ARUCO_ORIGINAL")?,
+        (None, other) => {
+            let what = format!(
+                "unknown dictionary {:?} of the aruco library",
+                other.unwrap_or("")
+            );
+            return Err(Error::input(what).remedy("give --dictionary"));
+        }
     };
-    let dictionary = match dictionary {
-        Some(dictionary) => dictionary.clone(),
-        None => Dictionary::by_name("36h11_border2")?,
+    let marker = |marker: &ArucoMarker| BoardMarker {
+        id: marker.id,
+        body: Body::Object,
+        corners_m: marker.corners.map(DVec3::from_array),
     };
-    grid.board(name, &dictionary)
+    let board = Board {
+        name: name.to_owned(),
+        dictionary: dictionary.name().to_owned(),
+        markers: map.markers.iter().map(marker).collect(),
+    };
+    BoardFile::new(board, dictionary, None)
 }
 
 #[derive(Deserialize)]
-struct RosGrid {
+struct RosBoard {
     name: String,
-    frame_at_center: bool,
+    #[serde(rename = "type")]
+    kind: Option<String>,
+    frame_at_center: Option<bool>,
+    #[serde(default)]
     first_id: u32,
-    markers_x: u32,
-    markers_y: u32,
-    marker_size: f64,
-    separation: f64,
+    markers_x: Option<u32>,
+    markers_y: Option<u32>,
+    marker_size: Option<f64>,
+    separation: Option<f64>,
 }
 
-impl RosGrid {
-    fn grid(&self) -> Grid {
-        Grid {
-            columns: self.markers_x,
-            rows: self.markers_y,
-            side_m: self.marker_size,
-            gap_m: self.separation,
+impl RosBoard {
+    fn grid(&self) -> Result<Grid> {
+        Ok(Grid {
+            columns: required(self.markers_x, "the board", "markers_x")?,
+            rows: required(self.markers_y, "the board", "markers_y")?,
+            side_m: required(self.marker_size, "the board", "marker_size")?,
+            gap_m: required(self.separation, "the board", "separation")?,
             first_id: self.first_id,
             is_bottom_up: false,
-            is_origin_centered: self.frame_at_center,
-        }
+            is_origin_centered: required(self.frame_at_center, "the board", "frame_at_center")?,
+        })
     }
+}
+
+#[derive(Deserialize)]
+struct ArucoMap {
+    #[serde(rename = "aruco_bc_dict")]
+    dictionary: Option<String>,
+    #[serde(rename = "aruco_bc_nmarkers")]
+    count: Option<usize>,
+    #[serde(rename = "aruco_bc_mInfoType")]
+    unit: Option<i64>,
+    #[serde(rename = "aruco_bc_markers")]
+    markers: Vec<ArucoMarker>,
+}
+
+#[derive(Deserialize)]
+struct ArucoMarker {
+    id: u32,
+    corners: [[f64; 3]; 4],
 }
 
 #[derive(Deserialize)]
 struct KalibrTarget {
     target_type: String,
     #[serde(rename = "tagCols")]
-    columns: Option<u32>,
+    tag_columns: Option<u32>,
     #[serde(rename = "tagRows")]
-    rows: Option<u32>,
+    tag_rows: Option<u32>,
     #[serde(rename = "tagSize")]
     side: Option<f64>,
     #[serde(rename = "tagSpacing")]
     spacing: Option<f64>,
+    #[serde(rename = "tagFamily")]
+    family: Option<String>,
+    #[serde(rename = "startId", alias = "codeOffset")]
+    first_id: Option<u32>,
+    #[serde(rename = "targetCols")]
+    corner_columns: Option<u32>,
+    #[serde(rename = "targetRows")]
+    corner_rows: Option<u32>,
+    #[serde(rename = "colSpacingMeters")]
+    column_spacing_m: Option<f64>,
+    #[serde(rename = "rowSpacingMeters")]
+    row_spacing_m: Option<f64>,
+}
+
+impl KalibrTarget {
+    fn aprilgrid(&self, name: &str, dictionary: Option<&Dictionary>) -> Result<BoardFile> {
+        let side = required(self.side, "the target", "tagSize")?;
+        let spacing = required(self.spacing, "the target", "tagSpacing")?;
+        if !(0.0..=2.0).contains(&spacing) {
+            let what = format!("tagSpacing must be a fraction of tagSize, found {spacing}");
+            return Err(Error::input(what).remedy("divide the gap between two tags by tagSize"));
+        }
+        // Tags have cells of a tenth of their side; a smaller gap leaves no white between them.
+        if spacing < 0.1 {
+            let (gap_mm, ratio) = (1e3 * spacing * side, spacing / side);
+            return Err(Error::input(format!(
+                "tagSpacing {spacing} is a gap of {gap_mm:.2} mm between tags of {:.1} mm: too small",
+                1e3 * side
+            ))
+            .remedy(format!(
+                "tagSpacing is the gap divided by tagSize; if {spacing} is metres, write {ratio:.4}"
+            )));
+        }
+        let grid = Grid {
+            columns: required(self.tag_columns, "the target", "tagCols")?,
+            rows: required(self.tag_rows, "the target", "tagRows")?,
+            side_m: side,
+            gap_m: spacing * side,
+            first_id: self.first_id.unwrap_or(0),
+            is_bottom_up: true,
+            is_origin_centered: false,
+        };
+        let dictionary = match dictionary {
+            Some(dictionary) => dictionary.clone(),
+            None => self.own_dictionary()?,
+        };
+        grid.board(name, &dictionary)
+    }
+
+    /// The dictionary of `tagFamily`, with Kalibr's border.
+    fn own_dictionary(&self) -> Result<Dictionary> {
+        let family = self.family.as_deref().unwrap_or("t36h11");
+        let plain = family.to_ascii_lowercase();
+        let plain = plain.trim_start_matches("tag").trim_start_matches('t');
+        Dictionary::by_name(&format!("{plain}_border2")).map_err(|_| {
+            Error::input(format!("unknown tagFamily {family:?}"))
+                .remedy("supported: t16h5, t25h9, t36h10, t36h11; name another with --dictionary")
+        })
+    }
+
+    /// A chessboard without markers; rows and columns are those of its inner corners.
+    fn checkerboard(&self, name: &str) -> Result<BoardFile> {
+        let columns = required(self.corner_columns, "the target", "targetCols")?;
+        let rows = required(self.corner_rows, "the target", "targetRows")?;
+        let width_m = required(self.column_spacing_m, "the target", "colSpacingMeters")?;
+        let height_m = required(self.row_spacing_m, "the target", "rowSpacingMeters")?;
+        BoardFile::plain_chessboard(name, [columns, rows], [1e3 * width_m, 1e3 * height_m])
+    }
+}
+
+/// The entry of a file, or the error that names it.
+fn required<T>(entry: Option<T>, what: &str, key: &str) -> Result<T> {
+    entry.ok_or_else(|| Error::input(format!("{what} has no {key}")))
 }
 
 /// Markers in rows and columns, numbered row by row from the left.
@@ -264,7 +421,7 @@ tagSpacing: 0.3          #ratio of space between tags to tagSize
 
     #[test]
     fn ros_grid_ids_start_at_top_left() {
-        let boards = import_ros(ROS, &dictionary()).unwrap();
+        let boards = import_ros(ROS, &dictionary()).unwrap().boards;
         assert_eq!(boards.len(), 2);
         let grid = &boards[0].board;
         assert_eq!(grid.ids(), (10..22).collect::<Vec<u32>>());
@@ -293,6 +450,65 @@ tagSpacing: 0.3          #ratio of space between tags to tagSize
         let one = Dictionary::by_name("36h11").unwrap();
         let other = import_kalibr(KALIBR, "grid", Some(&one)).unwrap();
         assert_eq!(other.board.dictionary, "36h11");
+    }
+
+    #[test]
+    fn kalibr_family_and_first_id_are_read() {
+        let text = KALIBR.replacen(
+            "tagCols: 6",
+            "tagFamily: 't16h5'\ncodeOffset: 5\ntagCols: 4",
+            1,
+        );
+        let file = import_kalibr(&text, "grid", None).unwrap();
+        assert_eq!(file.board.dictionary, "16h5_border2");
+        assert_eq!(file.board.ids(), (5..25).collect::<Vec<u32>>());
+    }
+
+    #[test]
+    fn kalibr_checkerboard_is_a_chessboard_without_markers() {
+        let text = "%YAML:1.0\n---\ntarget_type: 'checkerboard'\ntargetCols: 6\ntargetRows: 7\n\
+                    rowSpacingMeters: 0.06\ncolSpacingMeters: 0.06\n";
+        let file = import_kalibr(text, "checks", None).unwrap();
+        let chessboard = file.chessboard.unwrap();
+        assert_eq!(chessboard.squares, [7, 8]);
+        assert_eq!(chessboard.square_mm, [60.0, 60.0]);
+        assert!(file.board.markers.is_empty());
+    }
+
+    #[test]
+    fn other_types_of_ros_boards_are_listed() {
+        let text = format!("{ROS}- name: odd\n  type: custom\n  markers:\n    - id: 3\n");
+        let imported = import_ros(&text, &dictionary()).unwrap();
+        assert_eq!(imported.boards.len(), 2);
+        assert_eq!(imported.unsupported[0].0, "odd");
+    }
+
+    const ARUCO_MAP: &str = "%YAML:1.0\n---\naruco_bc_dict: ARUCO_MIP_36h12\naruco_bc_nmarkers: 1\n\
+        aruco_bc_mInfoType: 1\naruco_bc_markers:\n   - { id:7, corners:[ [ -0.1, 0.1, 0. ], [ 0.1, \
+        0.1, 0. ], [ 0.1, -0.1, 0. ], [ -0.1, -0.1, 0. ] ] }\n";
+
+    #[test]
+    fn aruco_map_is_read() {
+        assert_eq!(
+            BoardFormat::detect(ARUCO_MAP).unwrap(),
+            BoardFormat::ArucoMap
+        );
+        let file = import_aruco_map(ARUCO_MAP, "map", None).unwrap();
+        assert_eq!(file.board.dictionary, "DICT_ARUCO_MIP_36h12");
+        assert_eq!(file.board.ids(), [7]);
+        assert!((file.board.markers[0].side_m() - 0.2).abs() < 1e-12);
+        for (from, to, expected) in [
+            ("nmarkers: 1", "nmarkers: 2", "found 1 markers"),
+            ("mInfoType: 1", "mInfoType: 0", "in pixels"),
+            ("ARUCO_MIP_36h12", "CHILITAGS", "\"CHILITAGS\""),
+            ("0.1, 0. ], [ 0.1, ", "0.3, 0. ], [ 0.1, ", "not a square"),
+        ] {
+            let text = ARUCO_MAP.replacen(from, to, 1);
+            let error = import_aruco_map(&text, "map", None)
+                .unwrap_err()
+                .to_string();
+            assert!(error.contains(expected), "{from}: {error}");
+        }
     }
 
     #[test]
@@ -330,7 +546,24 @@ tagSpacing: 0.3          #ratio of space between tags to tagSize
     #[test]
     fn invalid_kalibr_targets_are_refused() {
         for (from, to, expected) in [
-            ("'aprilgrid'", "'checkerboard'", "no marker ids"),
+            ("'aprilgrid'", "'circlegrid'", "target type \"circlegrid\""),
+            ("'aprilgrid'", "'checkerboard'", "no targetCols"),
+            ("tagSpacing: 0.3", "tagSpacing: 0.0264", "write 0.3000"),
+            (
+                "tagCols: 6",
+                "tagFamily: t25h7\ntagCols: 6",
+                "tagFamily \"t25h7\"",
+            ),
+            (
+                "tagCols: 6",
+                "tagFamily: t16h5\ntagCols: 7",
+                "exceeds 16h5_border2",
+            ),
+            (
+                "tagCols: 6",
+                "startId: 570\ntagCols: 6",
+                "from id 570 exceeds",
+            ),
             (
                 "tagSize: 0.088 ",
                 "tagSize: 88 ",
@@ -354,7 +587,7 @@ tagSpacing: 0.3          #ratio of space between tags to tagSize
         };
         // Number of boards read; each was validated against its dictionary.
         let read = |text: &str| {
-            let ros = import_ros(text, &dictionary()).map_or_else(rejected, |all| all.len());
+            let ros = import_ros(text, &dictionary()).map_or_else(rejected, |all| all.boards.len());
             let kalibr = import_kalibr(text, "g", None).map_or_else(rejected, |_| 1);
             ros + kalibr
         };

@@ -1,4 +1,4 @@
-//! ChArUco boards: chessboards with markers in the white squares.
+//! Chessboards, without markers or as ChArUco boards with markers in the white squares.
 //!
 //! Markers: S. Garrido-Jurado et al., *Automatic generation and detection of highly reliable
 //! fiducial markers under occlusion*, Pattern Recognition 47 (2014). Inner corners are saddle
@@ -151,7 +151,8 @@ impl Chessboard {
         markers.try_for_each(|marker| self.check_marker(marker))
     }
 
-    fn check_size(&self) -> Result<()> {
+    /// Checks the numbers of squares and their size.
+    pub(crate) fn check_size(&self) -> Result<()> {
         let [min, max] = SQUARES_RANGE;
         if !self.squares.iter().all(|n| (min..=max).contains(n)) {
             return Err(Error::input(format!(

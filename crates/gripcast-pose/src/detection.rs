@@ -19,12 +19,33 @@ pub struct Detection {
     pub margin: f32,
 }
 
+impl Detection {
+    /// Mean of the corners, px.
+    #[must_use]
+    pub fn center_px(&self) -> DVec2 {
+        0.25 * self.corners_px.iter().sum::<DVec2>()
+    }
+
+    /// Lengths of the sides, px: top, right, bottom, left.
+    #[must_use]
+    pub fn sides_px(&self) -> [f64; 4] {
+        [0, 1, 2, 3].map(|k| self.corners_px[k].distance(self.corners_px[(k + 1) % 4]))
+    }
+
+    /// Length of the shortest side, px.
+    #[must_use]
+    pub fn min_side_px(&self) -> f64 {
+        self.sides_px().into_iter().fold(f64::INFINITY, f64::min)
+    }
+}
+
 /// Detects markers of one dictionary in grey images.
 pub trait MarkerDetector: Send {
     /// Name on the command line.
     fn name(&self) -> &'static str;
 
-    /// Detects the whitelisted markers of an image, sorted by id.
+    /// Detects the whitelisted markers of an image, sorted by id. An id is listed as often as it is
+    /// in the image.
     ///
     /// # Errors
     /// `Input` for an image that is too small or too large.

@@ -20,6 +20,7 @@ pub mod detect;
 mod detection;
 mod dictionary;
 mod least_squares;
+pub mod levels;
 pub mod print;
 pub mod refine;
 #[cfg(test)]
@@ -30,7 +31,7 @@ mod yaml;
 
 pub use board::{Board, BoardMarker, Body};
 pub use board_file::{BoardFile, PrintedSheet};
-pub use board_import::{BoardFormat, import_kalibr, import_ros};
+pub use board_import::{BoardFormat, ImportedBoards, import_aruco_map, import_kalibr, import_ros};
 pub use camera_file::{
     CameraFile, CameraFormat, CameraReadOptions, load_intrinsics, require_size, to_opencv, to_ros,
 };

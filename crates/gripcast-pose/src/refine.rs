@@ -44,6 +44,14 @@ const MAX_DEVIATIONS: f64 = 3.0;
 const MIN_DEVIATION_PX: f64 = 0.02;
 /// Maximum displacement of a corner, px.
 const MAX_PX: f64 = 4.0;
+/// Light of sRGB level 254, from which white counts as clipped.
+const CLIPPED_LIGHT: f64 = 0.991;
+/// Maximum clipped fraction of a marker's surround without a note.
+const MAX_CLIPPED: f64 = 0.5;
+/// Maximum blur without a note, px: corners are unbiased up to about this.
+const MAX_BLUR_PX: f64 = 1.3;
+/// Minimum contrast without a note, linear light.
+const MIN_LIGHT_CONTRAST: f64 = 0.02;
 
 /// Refines the corners of a marker with a dark border on a bright background. Returns the
 /// detection unchanged if the image has no four lines near its corners.
@@ -84,43 +92,85 @@ pub fn refine_all(image: &GrayImage, detections: &[Detection]) -> Vec<Detection>
         .collect()
 }
 
-/// Sharpness of the markers' edges.
+/// Quality of a marker's edges.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Sharpness {
+pub struct EdgeQuality {
     /// Standard deviation of the blur across the more blurred pair of sides, px. Sampling adds
     /// about a third of a pixel.
     pub blur_px: f64,
     /// Contrast of the edges, linear light from 0 to 1.
     pub contrast: f64,
+    /// Fraction of the surround that is at the highest level: light beyond it is lost.
+    pub clipped: f64,
 }
 
-/// Median sharpness of the markers of an image.
+/// Median blur of the markers of an image, px.
 #[must_use]
-pub fn sharpness(image: &GrayImage, detections: &[Detection]) -> Option<Sharpness> {
-    let mut all: Vec<Sharpness> = detections
+pub fn blur_px(image: &GrayImage, detections: &[Detection]) -> Option<f64> {
+    let mut all: Vec<f64> = detections
         .iter()
-        .filter_map(|d| marker_sharpness(image, &d.corners_px))
+        .filter_map(|d| edge_quality(image, &d.corners_px))
+        .map(|quality| quality.blur_px)
         .collect();
-    all.sort_by(|a, b| a.blur_px.total_cmp(&b.blur_px));
+    all.sort_by(f64::total_cmp);
     all.get(all.len() / 2).copied()
 }
 
-fn marker_sharpness(image: &GrayImage, corners: &[DVec2; 4]) -> Option<Sharpness> {
-    let mut sides = [Sharpness {
+/// Notes on what in the image impairs the corners of its markers.
+#[must_use]
+pub fn image_notes(image: &GrayImage, detections: &[Detection]) -> Vec<String> {
+    let all: Vec<EdgeQuality> = detections
+        .iter()
+        .filter_map(|d| edge_quality(image, &d.corners_px))
+        .collect();
+    let mut notes = Vec::new();
+    let clipped = all.iter().filter(|q| q.clipped > MAX_CLIPPED).count();
+    if clipped > 0 {
+        notes.push(format!(
+            "the white around {clipped} of {} markers is overexposed, which moves their corners: \
+             reduce exposure or light",
+            all.len()
+        ));
+    }
+    if let Some(blur) = median(all.iter().map(|q| q.blur_px)).filter(|blur| *blur > MAX_BLUR_PX) {
+        notes.push(format!(
+            "the markers' edges are blurred by {blur:.1} px, which impairs the pose: check the \
+             focus, avoid motion, shorten the exposure"
+        ));
+    }
+    if let Some(contrast) = median(all.iter().map(|q| q.contrast))
+        && contrast < MIN_LIGHT_CONTRAST
+    {
+        notes.push(format!(
+            "the markers' contrast is {:.1} % of the range: use more light or exposure",
+            100.0 * contrast
+        ));
+    }
+    notes
+}
+
+/// Quality of the edges of a marker; `None` where it cannot be measured, as at the image's border.
+#[must_use]
+pub fn edge_quality(image: &GrayImage, corners: &[DVec2; 4]) -> Option<EdgeQuality> {
+    let mut sides = [EdgeQuality {
         blur_px: 0.0,
         contrast: 0.0,
+        clipped: 0.0,
     }; 4];
     for (i, side) in sides.iter_mut().enumerate() {
         let sampled = Side::sample(image, Edge::new(corners, i)?)?;
-        *side = Sharpness {
+        *side = EdgeQuality {
             blur_px: sampled.blur_px()?,
             contrast: sampled.contrast(),
+            clipped: sampled.clipped(),
         };
     }
+    let clipped = 0.25 * sides.iter().map(|side| side.clipped).sum::<f64>();
     // Motion blurs one pair of opposite sides.
-    let pair = |a: usize, b: usize| Sharpness {
+    let pair = |a: usize, b: usize| EdgeQuality {
         blur_px: 0.5 * (sides[a].blur_px + sides[b].blur_px),
         contrast: 0.5 * (sides[a].contrast + sides[b].contrast),
+        clipped,
     };
     let (first, second) = (pair(0, 2), pair(1, 3));
     Some(if first.blur_px > second.blur_px {
@@ -286,6 +336,13 @@ impl Side {
     fn contrast(&self) -> f64 {
         let low = self.light.iter().copied().fold(f64::INFINITY, f64::min);
         self.light.iter().copied().fold(0.0, f64::max) - low
+    }
+
+    /// Fraction of the profiles that end at the highest level.
+    fn clipped(&self) -> f64 {
+        let last = self.light.len() - 1;
+        let is_clipped = |(_, profile): &&(f64, Profile)| profile[last] >= CLIPPED_LIGHT;
+        self.profiles.iter().filter(is_clipped).count() as f64 / self.profiles.len() as f64
     }
 
     /// Standard deviation σ of the blur: the maximum slope of an edge with contrast c after

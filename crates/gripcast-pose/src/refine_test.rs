@@ -73,21 +73,45 @@ fn sharpness_measures_the_blur() {
             ..ImageConditions::default()
         };
         let rendered = image(2, &conditions);
-        sharpness(&rendered.image, &rendered.truth).unwrap()
+        let corners = &rendered.truth[0].corners_px;
+        (
+            blur_px(&rendered.image, &rendered.truth).unwrap(),
+            edge_quality(&rendered.image, corners).unwrap(),
+        )
     };
-    let sharp = blur(0.7, DVec2::ZERO);
-    assert!((0.6..1.0).contains(&sharp.blur_px), "{sharp:?}");
-    assert!((0.5..0.7).contains(&sharp.contrast), "{sharp:?}");
-    let soft = blur(1.2, DVec2::ZERO);
-    let along_x = blur(0.7, DVec2::new(3.0, 0.0));
-    let along_y = blur(0.7, DVec2::new(0.0, 3.0));
+    let (sharp, marker) = blur(0.7, DVec2::ZERO);
+    assert!((0.6..1.0).contains(&sharp), "{sharp}");
+    assert!((0.5..0.7).contains(&marker.contrast), "{marker:?}");
+    assert_eq!(marker.clipped, 0.0);
+    let (soft, _) = blur(1.2, DVec2::ZERO);
+    let (along_x, _) = blur(0.7, DVec2::new(3.0, 0.0));
+    let (along_y, _) = blur(0.7, DVec2::new(0.0, 3.0));
     for other in [soft, along_x, along_y] {
-        assert!(other.blur_px > 1.2 * sharp.blur_px, "{other:?} {sharp:?}");
+        assert!(other > 1.2 * sharp, "{other} {sharp}");
     }
-    assert_eq!(
-        sharpness(&image(2, &ImageConditions::default()).image, &[]),
-        None
-    );
+    let without_markers = image(2, &ImageConditions::default()).image;
+    assert_eq!(blur_px(&without_markers, &[]), None);
+}
+
+#[test]
+fn clipping_blur_and_darkness_are_noted() {
+    let notes = |change: &dyn Fn(f64) -> f64, psf_px: f64| {
+        let conditions = ImageConditions {
+            psf_px,
+            ..ImageConditions::default()
+        };
+        let mut rendered = image(2, &conditions);
+        for level in rendered.image.iter_mut() {
+            *level = change(f64::from(*level)).clamp(0.0, 255.0) as u8;
+        }
+        image_notes(&rendered.image, &rendered.truth).join("; ")
+    };
+    assert_eq!(notes(&|v| v, 0.7), "");
+    assert!(notes(&|v| 1.6 * v, 0.7).contains("overexposed"));
+    let blurred = notes(&|v| v, 1.8);
+    assert!(blurred.contains("blurred by 1."), "{blurred}");
+    let dark = notes(&|v| 0.1 * v, 0.7);
+    assert!(dark.contains("contrast"), "{dark}");
 }
 
 #[test]
@@ -118,7 +142,7 @@ fn detections_without_a_border_are_unchanged() {
         for (a, b) in moved.corners_px.iter().zip(&detection.corners_px) {
             assert!(a.distance(*b) < 4.0 || !b.is_finite());
         }
-        let blur = sharpness(&noise, &[detection]).map_or(0.0, |s| s.blur_px);
+        let blur = blur_px(&noise, &[detection]).unwrap_or(0.0);
         assert!(blur.is_finite());
     }
 }

@@ -5,6 +5,7 @@ use std::collections::BTreeMap;
 use glam::{DMat3, DQuat, DVec2, DVec3};
 use image::GrayImage;
 
+use super::chessboard_finder::find_chessboard;
 use super::saddle::{ExpectedSaddle, refine_saddle};
 use crate::refine::refine_corners;
 use crate::solve::homography::plane_to_image;
@@ -35,6 +36,8 @@ pub struct BoardPoints {
     pub points: Vec<BoardPoint>,
     /// Number of detected markers of the board.
     pub markers: usize,
+    /// Black squares of a chessboard without markers, whose edges show the blur.
+    pub squares: Vec<Detection>,
 }
 
 /// Finds the points of a board: the inner corners of its chessboard, else its marker corners.
@@ -52,6 +55,14 @@ impl PointFinder {
     /// `Input` if the object markers of the board are not in one plane.
     pub fn new(file: &BoardFile) -> Result<Self> {
         let board = &file.board;
+        if let Some(chessboard) = file.plain() {
+            let corners = chessboard.corners_m();
+            return Ok(Self {
+                file: file.clone(),
+                t_plane_board: Pose::IDENTITY,
+                diameter_m: 2.0 * corners.iter().map(|c| c.length()).fold(0.0, f64::max),
+            });
+        }
         if !board.is_planar(Body::Object) {
             return Err(Error::input(format!(
                 "{}: calibration needs a planar board with markers of part \"object\"",
@@ -87,6 +98,9 @@ impl PointFinder {
 
     /// Finds the points in an image, given unrefined detections.
     pub fn find(&self, image: &GrayImage, detections: &[Detection]) -> BoardPoints {
+        if let Some(chessboard) = self.file.plain() {
+            return plain_points(image, chessboard);
+        }
         let observed = self.refined_markers(image, detections);
         let mut points = match &self.file.chessboard {
             Some(chessboard) => self.saddles(image, chessboard, &observed),
@@ -96,6 +110,7 @@ impl PointFinder {
         BoardPoints {
             points,
             markers: observed.len(),
+            squares: Vec::new(),
         }
     }
 
@@ -207,6 +222,42 @@ impl PointFinder {
             black,
             free_px,
         })
+    }
+}
+
+/// Points of a chessboard without markers; none unless all of it is visible.
+fn plain_points(image: &GrayImage, chessboard: &Chessboard) -> BoardPoints {
+    let [columns, rows] = chessboard.squares.map(|n| n - 1);
+    let Some(pixels) = find_chessboard(image, [columns, rows], chessboard.is_black(0, 0)) else {
+        return BoardPoints::default();
+    };
+    let point = |(index, (corner, pixel)): (u32, (DVec2, &DVec2))| BoardPoint {
+        index,
+        point_m: corner.extend(0.0),
+        pixel: *pixel,
+    };
+    let at = |column: u32, row: u32| pixels[(row * columns + column) as usize];
+    let square = |(column, row): (u32, u32)| Detection {
+        id: row * columns + column,
+        corners_px: [
+            at(column, row),
+            at(column + 1, row),
+            at(column + 1, row + 1),
+            at(column, row + 1),
+        ],
+        hamming: 0,
+        margin: 0.0,
+    };
+    let squares = (0..rows - 1)
+        .flat_map(|row| (0..columns - 1).map(move |column| (column, row)))
+        .filter(|(column, row)| chessboard.is_black(column + 1, row + 1));
+    BoardPoints {
+        points: (0..)
+            .zip(chessboard.corners_m().into_iter().zip(&pixels))
+            .map(point)
+            .collect(),
+        markers: 0,
+        squares: squares.map(square).collect(),
     }
 }
 

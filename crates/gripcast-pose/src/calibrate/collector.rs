@@ -2,7 +2,7 @@
 
 use std::fmt;
 
-use glam::{DMat3, DVec2, DVec3};
+use glam::{DMat3, DVec2};
 use image::GrayImage;
 
 use super::board_points::{BoardPoint, BoardPoints, PointFinder};
@@ -10,8 +10,8 @@ use super::bundle::error_px;
 use super::coverage::{Coverage, Hint};
 use super::intrinsics::{CalibrationReport, calibrate_intrinsics, fit_pose};
 use super::start::{default_lens, homography, lenses, pose};
-use crate::detect::{ApriltagDetector, ApriltagSettings};
-use crate::refine::sharpness;
+use crate::detect::{ApriltagDetector, ApriltagSettings, check_size};
+use crate::refine::blur_px;
 use crate::{BoardFile, Detection, MarkerDetector as _};
 use gripcast_base::error::Result;
 use gripcast_base::statistics::median;
@@ -22,9 +22,10 @@ use gripcast_imaging::Intrinsics;
 const MIN_POINTS: usize = 8;
 /// Minimum width of the points, relative to the board's diameter.
 const MIN_WIDTH: f64 = 0.04;
-/// Views are duplicates if normal (rad), centre (relative to the image diagonal) and log distance
-/// differ by less than these.
-const SAME_VIEW: (f64, f64, f64) = (0.14, 0.05, 0.1);
+/// Views are duplicates if rotation (rad), centre (relative to the image diagonal) and log distance
+/// differ by less than these: those of a live camera, of which there are many, and given images.
+const SAME_LIVE_VIEW: (f64, f64, f64) = (0.14, 0.05, 0.1);
+const SAME_VIEW: (f64, f64, f64) = (0.05, 0.02, 0.04);
 /// Maximum motion between two images of a static board, px.
 const STATIC_PX: f64 = 1.5;
 /// Maximum number of views.
@@ -60,6 +61,8 @@ pub enum Rejection {
     Size([u32; 2], [u32; 2]),
     /// No marker of the board was detected.
     NoBoard,
+    /// No chessboard with these columns and rows of inner corners was found.
+    NoChessboard([u32; 2]),
     /// Too few points: numbers of points and markers.
     TooFew(usize, usize),
     /// The points are almost collinear.
@@ -86,6 +89,11 @@ impl fmt::Display for Rejection {
                 )
             }
             Self::NoBoard => f.write_str("no marker of the board"),
+            Self::NoChessboard([columns, rows]) => write!(
+                f,
+                "no chessboard with {columns}×{rows} inner corners: all of it must be visible, with \
+                 a white margin"
+            ),
             Self::TooFew(0, markers) => write!(
                 f,
                 "{markers} markers, but no chessboard corners: too small, or a different layout \
@@ -125,7 +133,8 @@ pub struct AddedImage {
 /// Selects useful images of a board and calibrates with them. Does no IO.
 pub struct Collector {
     finder: PointFinder,
-    detector: ApriltagDetector,
+    /// None for a chessboard without markers.
+    detector: Option<ApriltagDetector>,
     settings: CollectorSettings,
     size: Option<[u32; 2]>,
     views: Vec<Vec<BoardPoint>>,
@@ -144,8 +153,9 @@ impl Collector {
     pub fn new(file: &BoardFile, settings: CollectorSettings) -> Result<Self> {
         let ids = file.board.ids();
         let detection = ApriltagSettings::default();
+        let detector = || ApriltagDetector::new(&file.dictionary, &ids, detection);
         Ok(Self {
-            detector: ApriltagDetector::new(&file.dictionary, &ids, detection)?,
+            detector: file.plain().is_none().then(detector).transpose()?,
             finder: PointFinder::new(file)?,
             settings,
             size: None,
@@ -182,7 +192,13 @@ impl Collector {
     /// # Errors
     /// `Input` for an image that is too small or too large for the detector.
     pub fn add_image(&mut self, image: &GrayImage) -> Result<AddedImage> {
-        let detections = self.detector.detect(image)?;
+        let detections = match &mut self.detector {
+            Some(detector) => detector.detect(image)?,
+            None => {
+                check_size(image)?;
+                Vec::new()
+            }
+        };
         let found = self.finder.find(image, &detections);
         let rejection = self.check(image, &detections, &found);
         self.previous.clone_from(&found.points);
@@ -224,11 +240,19 @@ impl Collector {
         {
             return Some(Rejection::Size(size, expected));
         }
-        if found.markers == 0 {
-            return Some(Rejection::NoBoard);
-        }
         let points = &found.points;
-        let blur = sharpness(image, detections).map_or(0.0, |s| s.blur_px);
+        if found.markers == 0 && points.is_empty() {
+            return Some(match self.finder.file().plain() {
+                Some(chessboard) => Rejection::NoChessboard(chessboard.squares.map(|n| n - 1)),
+                None => Rejection::NoBoard,
+            });
+        }
+        let outlines = if detections.is_empty() {
+            &found.squares
+        } else {
+            detections
+        };
+        let blur = blur_px(image, outlines).unwrap_or(0.0);
         if blur > self.settings.blur_px {
             return Some(Rejection::Blurred(blur));
         }
@@ -264,11 +288,25 @@ impl Collector {
             let t = pose.translation_m;
             DVec2::new(lens.fx, lens.fy) * t.truncate() / t.z
         };
-        let normal = |pose: &Pose| pose.transform_vector(DVec3::Z);
+        let limits = if self.settings.still {
+            SAME_LIVE_VIEW
+        } else {
+            SAME_VIEW
+        };
+        // A chessboard may be read upside down.
+        let is_plain = self.finder.file().plain().is_some();
+        let rotation = |other: &Pose| {
+            let angle = other.rotation_from(pose).length();
+            if is_plain {
+                angle.min(std::f64::consts::PI - angle)
+            } else {
+                angle
+            }
+        };
         self.poses.iter().position(|other| {
-            normal(other).angle_between(normal(pose)) < SAME_VIEW.0
-                && center(other).distance(center(pose)) < SAME_VIEW.1 * diagonal
-                && (other.translation_m.z / pose.translation_m.z).ln().abs() < SAME_VIEW.2
+            rotation(other) < limits.0
+                && center(other).distance(center(pose)) < limits.1 * diagonal
+                && (other.translation_m.z / pose.translation_m.z).ln().abs() < limits.2
         })
     }
 

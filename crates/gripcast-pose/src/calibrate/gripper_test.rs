@@ -9,7 +9,7 @@ use super::gripper_frame::{FrameSources, align};
 use super::gripper_start::framed;
 use super::*;
 use crate::camera::project;
-use crate::detect::detectors;
+use crate::detect::{FullSearch, detectors};
 use crate::least_squares::angle_between;
 use crate::refine::refine_all;
 use crate::solve::solve_gripper;
@@ -316,7 +316,7 @@ fn rendered_images_recover_tags() {
     let file = nominal();
     let truth = glued(&file.board, 21);
     let conditions = ImageConditions::default();
-    let mut detector = detectors(&file.dictionary, &file.board.ids())
+    let mut detector = detectors(&file.dictionary, &file.board.ids(), FullSearch::IfSmall)
         .unwrap()
         .remove(0);
     let views = poses(14, 22);

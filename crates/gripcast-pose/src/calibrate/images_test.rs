@@ -106,7 +106,7 @@ fn charuco_images_recover_intrinsics() {
     println!("{report:#?}");
     assert!(report.rms_px < 0.1);
     let found = report.intrinsics;
-    assert!((found.fx / lens.fx - 1.0).abs() < 1e-3 && (found.fy / lens.fy - 1.0).abs() < 1e-3);
+    assert!((found.fx / lens.fx - 1.0).abs() < 2e-3 && (found.fy / lens.fy - 1.0).abs() < 2e-3);
     assert!((found.cx - lens.cx).abs() < 1.0 && (found.cy - lens.cy).abs() < 1.0);
 }
 
@@ -127,6 +127,90 @@ fn marker_images_recover_intrinsics() {
     assert!(report.rms_px < 0.15);
     assert!((found.fx / lens.fx - 1.0).abs() < 2e-3 && (found.fy / lens.fy - 1.0).abs() < 2e-3);
     assert!((found.cx - lens.cx).abs() < 1.0 && (found.cy - lens.cy).abs() < 1.0);
+}
+
+#[test]
+fn plain_chessboards_recover_intrinsics() {
+    let lens = small_lens();
+    // Alike upside down, of another colour upside down, and as many columns as rows.
+    for corners in [[9, 6], [8, 6], [6, 6]] {
+        let file = BoardFile::plain_chessboard("plain", corners, [26.0; 2]).unwrap();
+        let mut collector = Collector::new(&file, CollectorSettings::default()).unwrap();
+        let mut random = Pcg64::seed_from_u64(3);
+        let (mut used, mut missed) = (0, 0);
+        for (seed, pose) in poses(14, &mut random, 0.6).iter().enumerate() {
+            let image = image(&lens, &file, pose, seed as u64);
+            let added = collector.add_image(&image).unwrap();
+            let is_visible = file
+                .chessboard
+                .as_ref()
+                .unwrap()
+                .corners_m()
+                .iter()
+                .all(|c| {
+                    let pixel = project(&lens, pose.transform_point(c.extend(0.0))).unwrap();
+                    pixel.cmpgt(DVec2::splat(14.0)).all()
+                        && pixel.cmplt(DVec2::new(625.0, 465.0)).all()
+                });
+            used += usize::from(added.rejection.is_none());
+            missed += usize::from(is_visible && added.points == 0);
+        }
+        assert!(used >= 5 && missed <= 1, "{used} used, {missed} missed");
+        let report = collector.finish().unwrap();
+        let found = report.intrinsics;
+        assert!(report.rms_px < 0.1, "{corners:?} {}", report.rms_px);
+        assert!(
+            (found.fx / lens.fx - 1.0).abs() < 5e-3,
+            "{corners:?} {}",
+            found.fx
+        );
+        assert!((found.cx - lens.cx).abs() < 3.0 && (found.cy - lens.cy).abs() < 3.0);
+    }
+}
+
+#[test]
+fn chessboard_that_is_not_whole_is_rejected() {
+    let (lens, file) = (small_lens(), charuco());
+    let larger = BoardFile::plain_chessboard("larger", [9, 6], [18.0; 2]).unwrap();
+    let plain = BoardFile::plain_chessboard("plain", [7, 5], [26.0; 2]).unwrap();
+    let mut collector = Collector::new(&plain, CollectorSettings::default()).unwrap();
+    let mut random = Pcg64::seed_from_u64(3);
+    for pose in poses(3, &mut random, 0.6) {
+        // Other boards, and nothing.
+        let others = [
+            image(&lens, &file, &pose, 0),
+            image(&lens, &larger, &pose, 0),
+        ];
+        for image in others.into_iter().chain([GrayImage::new(640, 480)]) {
+            let added = collector.add_image(&image).unwrap();
+            assert_eq!(added.rejection, Some(Rejection::NoChessboard([7, 5])));
+        }
+    }
+    assert!(collector.add_image(&GrayImage::new(4, 4)).is_err());
+}
+
+#[test]
+fn given_views_are_the_same_if_their_poses_are() {
+    let (lens, file) = (small_lens(), charuco());
+    let mut random = Pcg64::seed_from_u64(5);
+    let pose = poses(2, &mut random, 0.6)[1];
+    // Live images are plenty: there, views must differ by 8°.
+    for (still, views) in [(false, 2), (true, 1)] {
+        let settings = CollectorSettings {
+            still,
+            ..CollectorSettings::default()
+        };
+        let mut collector = Collector::new(&file, settings).unwrap();
+        for degrees in [0.0f64, 4.0, 5.0] {
+            let turn = glam::DQuat::from_rotation_z(degrees.to_radians());
+            let turned = Pose::new(pose.rotation * turn, pose.translation_m);
+            let image = image(&lens, &file, &turned, 1);
+            // The second image of a static board is used.
+            collector.add_image(&image).unwrap();
+            collector.add_image(&image).unwrap();
+        }
+        assert_eq!(collector.views().len(), views);
+    }
 }
 
 #[test]

@@ -3,6 +3,7 @@
 
 mod board_points;
 mod bundle;
+mod chessboard_finder;
 mod collector;
 mod coverage;
 mod gripper;

@@ -1,5 +1,6 @@
 //! Conversion of third-party camera matrices and distortion coefficients.
 
+use super::node::Node;
 use gripcast_base::error::{Error, Result};
 use gripcast_imaging::{DistortionModel, Intrinsics};
 
@@ -12,40 +13,77 @@ const MODELS: [(&str, usize); 4] = [
 ];
 
 /// A matrix in a file, row by row.
-#[derive(Clone, Debug, serde::Deserialize)]
+#[derive(Clone, Debug)]
 pub(super) struct Matrix {
-    pub(super) rows: usize,
-    pub(super) cols: usize,
-    pub(super) data: Vec<f64>,
+    /// Rows and columns; none for a plain list of numbers.
+    shape: Option<[usize; 2]>,
+    data: Vec<f64>,
 }
 
 impl Matrix {
-    /// The entries, checked for count and finiteness.
-    pub(super) fn numbers(&self, name: &str) -> Result<&[f64]> {
-        let Self { rows, cols, data } = self;
-        if rows.checked_mul(*cols) != Some(data.len()) {
-            let found = data.len();
-            let what = format!("{name}: expected {rows} × {cols} numbers, found {found}");
-            return Err(Error::input(what));
-        }
+    /// Reads `{rows, cols, data}`, a list of rows, or a list of numbers.
+    pub(super) fn from_node(name: &str, node: &Node) -> Result<Self> {
+        let data = node.get("data").unwrap_or(node).numbers();
+        let Some(data) = data else {
+            return Err(Error::input(format!("{name}: expected numbers")));
+        };
+        let side = |key: &str| node.get(key).and_then(Node::number).map(|n| n as usize);
+        let shape = match (side("rows"), side("cols"), node) {
+            (Some(rows), Some(cols), _) => Some([rows, cols]),
+            (_, _, Node::List(rows)) if matches!(rows.first(), Some(Node::List(_))) => {
+                let rows = rows.len();
+                (data.len() % rows == 0).then_some([rows, data.len() / rows])
+            }
+            _ => None,
+        };
         if let Some(invalid) = data.iter().find(|v| !v.is_finite()) {
             return Err(Error::input(format!("{name}: invalid entry {invalid}")));
         }
-        Ok(data)
+        Ok(Self { shape, data })
     }
 
     /// The entries of a matrix with `shape` rows and columns.
     pub(super) fn shaped<const N: usize>(&self, name: &str, shape: [usize; 2]) -> Result<[f64; N]> {
-        let numbers = self.numbers(name)?;
-        let entries = numbers.try_into().ok();
+        self.check_count(name)?;
+        let [rows, cols] = self.shape.unwrap_or(shape);
+        let entries = self.data[..].try_into().ok();
         entries
-            .filter(|_| [self.rows, self.cols] == shape)
-            .ok_or_else(|| {
-                Error::input(format!(
-                    "{name} must be {} × {}, found {} × {}",
-                    shape[0], shape[1], self.rows, self.cols
-                ))
+            .filter(|_| [rows, cols] == shape)
+            .ok_or_else(|| match self.shape {
+                Some(_) => Error::input(format!(
+                    "{name} must be {} × {}, found {rows} × {cols}",
+                    shape[0], shape[1]
+                )),
+                None => Error::input(format!(
+                    "{name} must have {N} numbers, found {}",
+                    self.data.len()
+                )),
             })
+    }
+
+    /// The entries of a list of distortion coefficients. Drivers write the eight numbers of a
+    /// rational model over the five columns of plumb_bob.
+    pub(super) fn coefficients(&self, notes: &mut Vec<String>) -> Result<Vec<f64>> {
+        const NAME: &str = "distortion_coefficients";
+        let count = self.data.len();
+        if self.shape == Some([1, 5]) && [8, 12, 14].contains(&count) {
+            notes.push(format!(
+                "{NAME}: 1 × 5 is declared, all {count} numbers are read"
+            ));
+            return Ok(self.data.clone());
+        }
+        self.check_count(NAME)?;
+        Ok(self.data.clone())
+    }
+
+    fn check_count(&self, name: &str) -> Result<()> {
+        let found = self.data.len();
+        match self.shape {
+            Some([rows, cols]) if rows.checked_mul(cols) != Some(found) => Err(Error::input(
+                format!("{name}: expected {rows} × {cols} numbers, found {found}"),
+            )),
+            _ => Ok(()),
+        }
     }
 }
 
@@ -58,6 +96,8 @@ pub(super) struct ForeignCamera {
     pub(super) matrix: [f64; 9],
     /// Distortion coefficients in OpenCV's order.
     pub(super) coefficients: Vec<f64>,
+    /// Whether the coefficients map distorted to ideal coordinates.
+    pub(super) is_inverse: bool,
     pub(super) camera_name: Option<String>,
     /// Reprojection error, px.
     pub(super) rms_px: Option<f64>,
@@ -95,10 +135,10 @@ impl ForeignCamera {
             fy,
             cx,
             cy,
-            model: if is_straight {
-                DistortionModel::None
-            } else {
-                DistortionModel::BrownConrady
+            model: match (is_straight, self.is_inverse) {
+                (true, _) => DistortionModel::None,
+                (false, true) => DistortionModel::InverseBrownConrady,
+                (false, false) => DistortionModel::BrownConrady,
             },
             coefficients,
         })

@@ -3,13 +3,11 @@
 //! All describe a pinhole camera with k1, k2, p1, p2, k3 (Brown–Conrady, `plumb_bob`) and use the
 //! pixel convention of [`Intrinsics`]. Other distortion models are rejected. Intrinsics are not
 //! scaled to other image sizes.
-//!
-//! OpenCV's XML and JSON are not supported.
 
 mod kalibr;
 mod lens;
-mod opencv;
-mod ros;
+mod matrices;
+mod node;
 mod write;
 
 use std::path::Path;
@@ -29,7 +27,7 @@ pub enum CameraFormat {
     Toml,
     /// `camera_info` of ROS, YAML.
     Ros,
-    /// OpenCV's `FileStorage`, YAML.
+    /// OpenCV's `FileStorage` in YAML, XML or JSON, or its keys in plain YAML.
     Opencv,
     /// `camchain.yaml` of Kalibr; read only.
     Kalibr,
@@ -78,12 +76,8 @@ impl CameraFormat {
     pub fn detect(text: &str) -> Result<Self> {
         let text = text.trim_start_matches('\u{feff}');
         let start = text.trim_start();
-        if start.starts_with('<') || start.starts_with('{') {
-            let what = "XML and JSON of OpenCV's FileStorage are not supported";
-            return Err(Error::input(what)
-                .remedy("write YAML: give OpenCV's FileStorage a file name that ends in .yml"));
-        }
-        if start.starts_with("%YAML:") || text.contains("!!opencv-matrix") {
+        let is_opencv = start.starts_with(['<', '{']) || start.starts_with("%YAML:");
+        if is_opencv || text.contains("!!opencv-matrix") {
             return Ok(Self::Opencv);
         }
         let has_line = |test: &dyn Fn(&str) -> bool| text.lines().any(test);
@@ -94,8 +88,29 @@ impl CameraFormat {
         if has_line(&is_camera) {
             return Ok(Self::Kalibr);
         }
-        if has_line(&|line| line.starts_with("camera_matrix:")) {
+        let has_key = |keys: &[&str]| {
+            let key = |line: &str| {
+                line.split_once(':')
+                    .map(|(key, _)| key.trim_end().to_owned())
+            };
+            has_line(&|line| key(line).is_some_and(|key| keys.contains(&&*key)))
+        };
+        if has_key(&[
+            "distortion_model",
+            "rectification_matrix",
+            "projection_matrix",
+        ]) {
             return Ok(Self::Ros);
+        }
+        if has_key(&[
+            "camera_matrix",
+            "cameraMatrix",
+            "intrinsic_matrix",
+            "mtx",
+            "K",
+            "k",
+        ]) {
+            return Ok(Self::Opencv);
         }
         let is_assignment = |line: &str| {
             let key = line.split_once('=').map(|(key, _)| key.trim());
@@ -106,8 +121,8 @@ impl CameraFormat {
             return Ok(Self::Toml);
         }
         Err(Error::input("unknown camera file format").remedy(
-            "supported: gripcast's TOML, camera_info YAML of ROS, OpenCV FileStorage YAML with \
-             camera_matrix, camchain.yaml of Kalibr",
+            "supported: gripcast's TOML, camera_info YAML of ROS, OpenCV FileStorage (YAML, XML, \
+             JSON) with camera_matrix, camchain.yaml of Kalibr",
         ))
     }
 }
@@ -138,8 +153,8 @@ impl CameraFile {
         } else {
             foreign = match format {
                 CameraFormat::Kalibr => kalibr::read(text, options.camera)?,
-                CameraFormat::Opencv => opencv::read(text)?,
-                _ => ros::read(text)?,
+                CameraFormat::Opencv => matrices::read_opencv(text)?,
+                _ => matrices::read_ros(text)?,
             };
             foreign.intrinsics(options.size).map_err(|e| {
                 match foreign.camera_name.as_deref() {
@@ -192,3 +207,5 @@ pub fn require_size(intrinsics: &Intrinsics, width: u32, height: u32) -> Result<
 
 #[cfg(test)]
 mod camera_file_test;
+#[cfg(test)]
+mod dialects_test;

@@ -23,6 +23,9 @@ const HALF_PIXEL: DVec2 = DVec2::splat(0.5);
 const MAX_CELLS: usize = 7;
 /// Minimum Hamming distance of a dictionary for bit correction.
 const MIN_DISTANCE_TO_CORRECT: u32 = 6;
+/// Side of a marker below which others may be too small for the decimated search, px: it finds
+/// markers of 24 px, and those of one rig differ by a factor of two.
+const SMALL_MARKER_PX: f64 = 48.0;
 /// Fraction of saturated pixels after the intensity is stretched: lamps, glints.
 const SATURATED_FRACTION: f64 = 0.002;
 /// Maximum gain of the intensity stretch; limits noise.
@@ -32,6 +35,17 @@ const NOISE_RANGE: f64 = 7.0;
 /// Range of the minimum window contrast, grey levels; the lower bound is the library's default.
 const MIN_CONTRAST: (i32, i32) = (5, 60);
 
+/// Whether the image is also searched at full resolution, which takes four times as long.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum FullSearch {
+    /// Never: for live images.
+    Never,
+    /// If ids are missing, and the detected markers are small or there are none.
+    IfSmall,
+    /// Always: for images of unknown content.
+    Always,
+}
+
 /// Detector settings.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct ApriltagSettings {
@@ -40,6 +54,8 @@ pub struct ApriltagSettings {
     pub decimate: u32,
     /// Whether edges are refined in the full image.
     pub refine_edges: bool,
+    /// Whether small markers are searched for at full resolution.
+    pub full: FullSearch,
 }
 
 impl Default for ApriltagSettings {
@@ -47,15 +63,24 @@ impl Default for ApriltagSettings {
         Self {
             decimate: 2,
             refine_edges: true,
+            full: FullSearch::IfSmall,
         }
     }
 }
 
-/// Detects the markers of one dictionary on the calling thread.
+/// Detects the markers of one or several dictionaries on the calling thread.
 pub struct ApriltagDetector {
     detector: *mut sys::apriltag_detector,
-    family: *mut sys::apriltag_family,
-    /// Data that the family points to; must not be changed while it does.
+    families: Vec<Family>,
+    settings: ApriltagSettings,
+    /// Squares of the last image, markers or not.
+    squares: u32,
+}
+
+/// The searched markers of a dictionary.
+struct Family {
+    raw: *mut sys::apriltag_family,
+    /// Data that `raw` points to; must not be changed while it does.
     _tables: Tables,
     /// Marker id of each code of the family.
     ids: Vec<u32>,
@@ -84,6 +109,43 @@ impl ApriltagDetector {
         whitelist: &[u32],
         settings: ApriltagSettings,
     ) -> Result<Self> {
+        let mut this = Self::empty(settings)?;
+        this.add(dictionary, whitelist)?;
+        Ok(this)
+    }
+
+    /// Creates a detector for all markers of several dictionaries. The squares of an image are
+    /// searched for once.
+    ///
+    /// # Errors
+    /// As [`Self::new`].
+    pub fn of_several(dictionaries: &[Dictionary], settings: ApriltagSettings) -> Result<Self> {
+        let mut this = Self::empty(settings)?;
+        for dictionary in dictionaries {
+            let every_id: Vec<u32> = (0..dictionary.len() as u32).collect();
+            this.add(dictionary, &every_id)?;
+        }
+        Ok(this)
+    }
+
+    fn empty(settings: ApriltagSettings) -> Result<Self> {
+        let decimate = settings.decimate;
+        if !(1..=4).contains(&decimate) {
+            let what = format!("decimation must be 1 to 4, found {decimate}");
+            return Err(Error::input(what));
+        }
+        let this = Self {
+            // SAFETY: no arguments; `configure` checks the result.
+            detector: unsafe { sys::apriltag_detector_create() },
+            families: Vec::new(),
+            settings,
+            squares: 0,
+        };
+        this.configure()?;
+        Ok(this)
+    }
+
+    fn add(&mut self, dictionary: &Dictionary, whitelist: &[u32]) -> Result<()> {
         let side = dictionary.bits_per_side();
         if side > MAX_CELLS {
             return Err(Error::input(format!(
@@ -92,11 +154,6 @@ impl ApriltagDetector {
             )));
         }
         let ids = sorted_ids(dictionary, whitelist)?;
-        let decimate = settings.decimate;
-        if !(1..=4).contains(&decimate) {
-            let what = format!("decimation must be 1 to 4, found {decimate}");
-            return Err(Error::input(what));
-        }
         // The dictionary counts cells from 1 inside the border, the library from 0 with the border.
         let border = dictionary.border_cells() as u32 - 1;
         let cells = dictionary.rotation_grouped_cells();
@@ -109,20 +166,29 @@ impl ApriltagDetector {
             bit_y: cells.iter().map(|cell| cell[1] + border).collect(),
             name: CString::new(dictionary.name().replace('\0', "")).unwrap_or_default(),
         };
-        let this = Self {
-            // SAFETY: no arguments; `configure` checks the result.
-            detector: unsafe { sys::apriltag_detector_create() },
-            family: Box::into_raw(Box::new(raw_family(dictionary, &mut tables))),
+        let raw = Box::into_raw(Box::new(raw_family(dictionary, &mut tables)));
+        self.families.push(Family {
+            raw,
             _tables: tables,
             ids,
-        };
+        });
         // In a small dictionary one wrong bit already makes markers of anything.
         let corrected_bits = i32::from(dictionary.min_distance() >= MIN_DISTANCE_TO_CORRECT);
-        this.configure(settings, corrected_bits)?;
-        Ok(this)
+        // SAFETY: `configure` has checked the detector; the family is owned by `self`, its tables
+        // outlive the detector, and their sizes were validated.
+        unsafe {
+            sys::apriltag_detector_add_family_bits(self.detector, raw, corrected_bits);
+        }
+        // SAFETY: as above.
+        if unsafe { (*raw).impl_.is_null() } {
+            return Err(Error::internal(
+                "the AprilTag library cannot prepare the dictionary",
+            ));
+        }
+        Ok(())
     }
 
-    fn configure(&self, settings: ApriltagSettings, corrected_bits: i32) -> Result<()> {
+    fn configure(&self) -> Result<()> {
         // SAFETY: null, or a detector made by create() and owned by `self` alone.
         let Some(detector) = (unsafe { self.detector.as_mut() }) else {
             return Err(Error::internal("the AprilTag library is out of memory"));
@@ -139,30 +205,71 @@ impl ApriltagDetector {
                     .remedy("build with APRILTAG_SYS_METHOD=raw,static"),
             );
         }
-        detector.quad_decimate = settings.decimate as f32;
-        detector.refine_edges = settings.refine_edges;
-        // SAFETY: both were made by `new`, the family for this detector alone; its tables outlive
-        // the detector, and their sizes were validated.
-        unsafe {
-            sys::apriltag_detector_add_family_bits(self.detector, self.family, corrected_bits);
-        }
-        // SAFETY: as above.
-        if unsafe { (*self.family).impl_.is_null() } {
-            return Err(Error::internal(
-                "the AprilTag library cannot prepare the dictionary",
-            ));
-        }
+        detector.refine_edges = self.settings.refine_edges;
         Ok(())
+    }
+
+    /// Detects the markers of all dictionaries in an image, each with the index of its dictionary,
+    /// sorted by dictionary and id. An id is listed as often as it is in the image.
+    ///
+    /// # Errors
+    /// `Input` for an image that is too small or too large.
+    pub fn detect_all(&mut self, image: &GrayImage) -> Result<Vec<(usize, Detection)>> {
+        check_size(image)?;
+        let linear = linear_intensity(image);
+        let decimate = self.settings.decimate;
+        self.squares = 0;
+        let mut found = Vec::new();
+        let mut scales = vec![decimate];
+        while let Some(scale) = scales.pop() {
+            // 8-bit linear intensity lacks contrast in the dark beside lamps or windows.
+            for levels in [&linear, image] {
+                for (family, detection) in self.search(levels, scale)? {
+                    let is_known = |(other, known): &(usize, Detection)| {
+                        *other == family && is_same_marker(known, &detection)
+                    };
+                    if !found.iter().any(is_known) {
+                        found.push((family, detection));
+                    }
+                }
+            }
+            if scale == decimate && decimate > 1 && self.needs_full_search(&found) {
+                scales.push(1);
+            }
+        }
+        found.sort_by_key(|(family, d)| (*family, d.id));
+        Ok(found)
+    }
+
+    /// Number of dark squares in the last image that were compared with markers.
+    #[must_use]
+    pub fn squares(&self) -> u32 {
+        self.squares
+    }
+
+    /// Whether a search at full resolution may find more markers.
+    fn needs_full_search(&self, found: &[(usize, Detection)]) -> bool {
+        let wanted: usize = self.families.iter().map(|family| family.ids.len()).sum();
+        let smallest = found.iter().map(|(_, d)| d.min_side_px());
+        match self.settings.full {
+            FullSearch::Never => false,
+            FullSearch::Always => true,
+            FullSearch::IfSmall => {
+                let smallest = smallest.fold(f64::INFINITY, f64::min);
+                found.len() < wanted && (found.is_empty() || smallest < SMALL_MARKER_PX)
+            }
+        }
     }
 
     /// Runs the library once on an image. Windows without contrast above the noise are skipped;
     /// they would take most of the time.
-    fn search(&mut self, image: &GrayImage) -> Result<Vec<Detection>> {
+    fn search(&mut self, image: &GrayImage, decimate: u32) -> Result<Vec<(usize, Detection)>> {
         let contrast = (NOISE_RANGE * noise(image)).round() as i32;
         let contrast = contrast.clamp(MIN_CONTRAST.0, MIN_CONTRAST.1);
         // SAFETY: the detector is valid, which `configure` has checked, and borrowed exclusively.
         unsafe {
             (*self.detector).qtp.min_white_black_diff = contrast;
+            (*self.detector).quad_decimate = decimate as f32;
         }
         let (width, height) = (image.width() as i32, image.height() as i32);
         let mut image = sys::image_u8 {
@@ -179,6 +286,8 @@ impl ApriltagDetector {
         let Some(array) = (unsafe { found.as_ref() }) else {
             return Err(Error::internal("the AprilTag library is out of memory"));
         };
+        // SAFETY: as above.
+        self.squares = self.squares.max(unsafe { (*self.detector).nquads });
         let mut detections = Vec::new();
         let pointers = array.data.cast::<*const sys::apriltag_detection>();
         for i in 0..usize::try_from(array.size).unwrap_or(0) {
@@ -191,20 +300,31 @@ impl ApriltagDetector {
         Ok(detections)
     }
 
-    fn detection(&self, raw: &sys::apriltag_detection) -> Option<Detection> {
-        let id = *self.ids.get(usize::try_from(raw.id).ok()?)?;
+    fn detection(&self, raw: &sys::apriltag_detection) -> Option<(usize, Detection)> {
+        let is_family = |family: &Family| std::ptr::eq(family.raw, raw.family);
+        let family = self.families.iter().position(is_family)?;
+        let id = *self.families[family]
+            .ids
+            .get(usize::try_from(raw.id).ok()?)?;
         // The library lists corners counter-clockwise from the bottom left.
         let corners_px = [3, 2, 1, 0].map(|i: usize| DVec2::from_array(raw.p[i]) - HALF_PIXEL);
+        let detection = Detection {
+            id,
+            corners_px,
+            hamming: u32::try_from(raw.hamming).unwrap_or(0),
+            margin: raw.decision_margin,
+        };
         corners_px
             .iter()
             .all(|p| p.is_finite())
-            .then_some(Detection {
-                id,
-                corners_px,
-                hamming: u32::try_from(raw.hamming).unwrap_or(0),
-                margin: raw.decision_margin,
-            })
+            .then_some((family, detection))
     }
+}
+
+/// Whether two detections of a dictionary are of one marker: the same id at the same place.
+fn is_same_marker(a: &Detection, b: &Detection) -> bool {
+    let reach = 0.5 * a.min_side_px().min(b.min_side_px());
+    a.id == b.id && a.center_px().distance(b.center_px()) < reach
 }
 
 impl MarkerDetector for ApriltagDetector {
@@ -213,27 +333,21 @@ impl MarkerDetector for ApriltagDetector {
     }
 
     fn detect(&mut self, image: &GrayImage) -> Result<Vec<Detection>> {
-        check_size(image)?;
-        let mut detections = self.search(&linear_intensity(image))?;
-        // 8-bit linear intensity lacks contrast in the dark beside lamps or windows.
-        for dark in self.search(image)? {
-            if detections.iter().all(|d| d.id != dark.id) {
-                detections.push(dark);
-            }
-        }
-        detections.sort_by_key(|d| d.id);
-        Ok(detections)
+        let found = self.detect_all(image)?;
+        Ok(found.into_iter().map(|(_, detection)| detection).collect())
     }
 }
 
 impl Drop for ApriltagDetector {
     fn drop(&mut self) {
-        // SAFETY: made by `new` and not used afterwards; the detector releases the family first.
+        // SAFETY: made by `new` and not used afterwards; the detector releases the families first.
         unsafe {
             if !self.detector.is_null() {
                 sys::apriltag_detector_destroy(self.detector);
             }
-            drop(Box::from_raw(self.family));
+            for family in &self.families {
+                drop(Box::from_raw(family.raw));
+            }
         }
     }
 }

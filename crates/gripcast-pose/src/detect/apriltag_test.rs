@@ -50,6 +50,11 @@ fn detects_all_dictionaries_without_pixel_offset() {
         "36h11_border2",
         "DICT_6X6_250",
         "DICT_5X5_100",
+        "DICT_4X4_1000",
+        "DICT_7X7_1000",
+        "DICT_ARUCO_MIP_36h12",
+        "DICT_APRILTAG_36h10",
+        "36h10_border2",
     ] {
         let searched = dictionary(name);
         let rendered = image(&searched, 1);
@@ -129,7 +134,7 @@ fn survives_noise_patterns_and_extreme_sizes() {
     for decimate in [1, 2, 4] {
         let settings = ApriltagSettings {
             decimate,
-            refine_edges: true,
+            ..ApriltagSettings::default()
         };
         let mut detector = ApriltagDetector::new(&searched, &[0, 1, 2], settings).unwrap();
         for (width, height) in [(0, 0), (31, 300), (1, 16_385)] {
@@ -149,7 +154,7 @@ fn survives_noise_patterns_and_extreme_sizes() {
     }
     let settings = ApriltagSettings {
         decimate: 0,
-        refine_edges: true,
+        ..ApriltagSettings::default()
     };
     assert!(ApriltagDetector::new(&searched, &[0], settings).is_err());
 }

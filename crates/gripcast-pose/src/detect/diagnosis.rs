@@ -5,8 +5,8 @@ use std::fmt;
 use image::GrayImage;
 use image::imageops::flip_horizontal;
 
-use super::{ApriltagDetector, ApriltagSettings};
-use crate::{DICTIONARY_NAMES, Dictionary, MarkerDetector as _};
+use super::{ApriltagDetector, ApriltagSettings, identify};
+use crate::{Dictionary, MarkerDetector as _};
 use gripcast_base::error::{Error, Result};
 
 /// Minimum number of markers of another dictionary that is not chance.
@@ -33,7 +33,7 @@ pub enum Diagnosis {
 }
 
 /// Searches `image` for the markers of `dictionary` with ids in `board_ids`, then for mirrored
-/// markers, other ids, and the dictionaries `others`. Takes one detection per dictionary.
+/// markers, other ids, and other dictionaries.
 ///
 /// # Errors
 /// `Input` for an image or ids that the detector does not support.
@@ -41,7 +41,6 @@ pub fn diagnose(
     image: &GrayImage,
     dictionary: &Dictionary,
     board_ids: &[u32],
-    others: &[Dictionary],
 ) -> Result<Diagnosis> {
     let present = ids(image, dictionary, board_ids)?;
     if !present.is_empty() {
@@ -53,7 +52,7 @@ pub fn diagnose(
     }
     let everything: Vec<u32> = (0..dictionary.len() as u32).collect();
     let foreign = ids(image, dictionary, &everything)?;
-    let (names, markers) = best_dictionaries(image, others)?;
+    let (names, markers) = best_dictionary(image)?;
     if markers > foreign.len() && !names.contains(&dictionary.name().to_owned()) {
         return Ok(Diagnosis::OtherDictionaries { names, markers });
     }
@@ -62,15 +61,6 @@ pub fn diagnose(
     } else {
         Diagnosis::OtherMarkers(foreign)
     })
-}
-
-/// Returns all built-in dictionaries.
-#[must_use]
-pub fn builtin_dictionaries() -> Vec<Dictionary> {
-    DICTIONARY_NAMES
-        .iter()
-        .filter_map(|name| Dictionary::by_name(name).ok())
-        .collect()
 }
 
 impl Diagnosis {
@@ -136,23 +126,19 @@ fn ids(image: &GrayImage, dictionary: &Dictionary, whitelist: &[u32]) -> Result<
     Ok(ids)
 }
 
-/// The smallest dictionaries with the max markers in the image; none below [`MIN_MARKERS`].
-fn best_dictionaries(image: &GrayImage, others: &[Dictionary]) -> Result<(Vec<String>, usize)> {
-    let mut scores: Vec<(usize, &Dictionary)> = Vec::new();
-    for other in others {
-        let everything: Vec<u32> = (0..other.len() as u32).collect();
-        scores.push((ids(image, other, &everything)?.len(), other));
-    }
-    let max = scores.iter().map(|(count, _)| *count).max().unwrap_or(0);
-    if max < MIN_MARKERS {
-        return Ok((Vec::new(), 0));
-    }
-    let best = || scores.iter().filter(|(count, _)| *count == max);
-    let smallest = best().map(|(_, d)| d.len()).min().unwrap_or(0);
-    let names = best()
-        .filter(|(_, d)| d.len() == smallest)
-        .map(|(_, d)| d.name().to_owned());
-    Ok((names.collect(), max))
+/// Names of the dictionary with most markers in the image, and their number; none below
+/// [`MIN_MARKERS`].
+fn best_dictionary(image: &GrayImage) -> Result<(Vec<String>, usize)> {
+    let identified = identify(image, ApriltagSettings::default())?;
+    let best = identified
+        .into_iter()
+        .max_by_key(|i| i.detections.len())
+        .filter(|i| i.detections.len() >= MIN_MARKERS);
+    Ok(best.map_or_else(Default::default, |best| {
+        let own = best.dictionary.name().to_owned();
+        let names = std::iter::once(own).chain(best.alias);
+        (names.collect(), best.detections.len())
+    }))
 }
 
 #[cfg(test)]
@@ -172,12 +158,10 @@ mod tests {
 
     #[test]
     fn diagnose_distinguishes_mistakes() {
-        let others = builtin_dictionaries();
         let board = Dictionary::by_name("DICT_6X6_250").unwrap();
         let matching = image("DICT_6X6_250");
         let on_board: Vec<u32> = (0..14).collect();
-        let diagnose_board =
-            |image: &GrayImage, ids: &[u32]| diagnose(image, &board, ids, &others).unwrap();
+        let diagnose_board = |image: &GrayImage, ids: &[u32]| diagnose(image, &board, ids).unwrap();
         let Diagnosis::Present(found) = diagnose_board(&matching, &on_board) else {
             panic!("the board is there");
         };
@@ -203,10 +187,9 @@ mod tests {
 
     #[test]
     fn diagnose_names_matching_dictionary() {
-        let others = builtin_dictionaries();
         let board = Dictionary::by_name("DICT_6X6_250").unwrap();
         for (name, expected) in [("DICT_5X5_100", "DICT_5X5_50"), ("36h11", "36h11")] {
-            let found = diagnose(&image(name), &board, &[0, 1, 2, 3], &others).unwrap();
+            let found = diagnose(&image(name), &board, &[0, 1, 2, 3]).unwrap();
             let Diagnosis::OtherDictionaries { names, markers } = &found else {
                 panic!("{found}");
             };

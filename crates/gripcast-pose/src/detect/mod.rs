@@ -4,13 +4,15 @@ mod apriltag;
 #[cfg(test)]
 mod apriltag_test;
 mod diagnosis;
+mod identify;
 #[cfg(feature = "opencv")]
 mod opencv;
 
 #[cfg(feature = "opencv")]
 pub use self::opencv::OpencvDetector;
-pub use apriltag::{ApriltagDetector, ApriltagSettings};
-pub use diagnosis::{Diagnosis, builtin_dictionaries, diagnose};
+pub use apriltag::{ApriltagDetector, ApriltagSettings, FullSearch};
+pub use diagnosis::{Diagnosis, diagnose};
+pub use identify::{Identified, identify};
 
 use image::GrayImage;
 
@@ -21,15 +23,20 @@ use gripcast_base::error::{Error, Result};
 const SIDE_RANGE: std::ops::RangeInclusive<u32> = 32..=16_384;
 
 /// Creates all detectors that are compiled in, the default one first, for the markers of
-/// `dictionary` with ids in `whitelist`.
+/// `dictionary` with ids in `whitelist`. `full` says whether images are also searched at full
+/// resolution.
 ///
 /// # Errors
 /// Those of the detectors.
 pub fn detectors(
     dictionary: &Dictionary,
     whitelist: &[u32],
+    full: FullSearch,
 ) -> Result<Vec<Box<dyn MarkerDetector>>> {
-    let settings = ApriltagSettings::default();
+    let settings = ApriltagSettings {
+        full,
+        ..ApriltagSettings::default()
+    };
     let apriltag = ApriltagDetector::new(dictionary, whitelist, settings)?;
     Ok(vec![
         Box::new(apriltag),
@@ -39,7 +46,7 @@ pub fn detectors(
 }
 
 /// Refuses images that no detector supports.
-fn check_size(image: &GrayImage) -> Result<()> {
+pub(crate) fn check_size(image: &GrayImage) -> Result<()> {
     let (width, height) = image.dimensions();
     if SIDE_RANGE.contains(&width) && SIDE_RANGE.contains(&height) {
         return Ok(());

@@ -30,24 +30,41 @@ struct Predefined {
     is_rotated: bool,
 }
 
-/// OpenCV's number of a dictionary, the same in both modules.
+/// OpenCV's names in the order of its numbers, the same in both modules up to 36h11.
+const PREDEFINED: [&str; 22] = [
+    "DICT_4X4_50",
+    "DICT_4X4_100",
+    "DICT_4X4_250",
+    "DICT_4X4_1000",
+    "DICT_5X5_50",
+    "DICT_5X5_100",
+    "DICT_5X5_250",
+    "DICT_5X5_1000",
+    "DICT_6X6_50",
+    "DICT_6X6_100",
+    "DICT_6X6_250",
+    "DICT_6X6_1000",
+    "DICT_7X7_50",
+    "DICT_7X7_100",
+    "DICT_7X7_250",
+    "DICT_7X7_1000",
+    "DICT_ARUCO_ORIGINAL",
+    "DICT_APRILTAG_16h5",
+    "DICT_APRILTAG_25h9",
+    "DICT_APRILTAG_36h10",
+    "DICT_APRILTAG_36h11",
+    "DICT_ARUCO_MIP_36h12",
+];
+
+/// OpenCV's number of a dictionary.
 fn predefined(name: &str) -> Option<Predefined> {
-    let number = match name {
-        "DICT_4X4_50" => 0,
-        "DICT_4X4_100" => 1,
-        "DICT_5X5_50" => 4,
-        "DICT_5X5_100" => 5,
-        "DICT_5X5_250" => 6,
-        "DICT_6X6_50" => 8,
-        "DICT_6X6_100" => 9,
-        "DICT_6X6_250" => 10,
-        "DICT_ARUCO_ORIGINAL" => 16,
-        "DICT_APRILTAG_36h11" | "36h11" => 20,
-        _ => return None,
-    };
+    let is_rotated = ["16h5", "25h9", "36h10", "36h11"].contains(&name);
+    let rotated = format!("DICT_APRILTAG_{name}");
+    let wanted = if is_rotated { &*rotated } else { name };
+    let number = PREDEFINED.iter().position(|n| *n == wanted)?;
     Some(Predefined {
-        number,
-        is_rotated: name == "36h11",
+        number: i32::try_from(number).ok()?,
+        is_rotated,
     })
 }
 

@@ -14,8 +14,10 @@ fn codes_match_published_tables() {
         [0x152_c6e3, 0x15_8da8, 0x1b9_77e8]
     );
     assert_eq!(first("DICT_6X6_250", 2), [0x1_8735_9537, 0xbebe_30f0]);
-    // First entry of AprilTag's own table.
+    // First entries of AprilTag's own tables.
     assert_eq!(first("36h11", 1), [0xd_7e00_984b]);
+    assert_eq!(first("16h5", 3), [0x27c8, 0x31b6, 0x3859]);
+    assert_eq!(first("25h9", 3), [0x156_f1f4, 0x1f2_8cd5, 0x16c_e32c]);
     let original = Dictionary::by_name("DICT_ARUCO_ORIGINAL").unwrap();
     assert_eq!(original.code(1), Some(0x108_4217));
 }
@@ -25,12 +27,24 @@ fn min_distance_matches_published_values() {
     for (name, side, count, distance) in [
         ("DICT_4X4_50", 4, 50, 4),
         ("DICT_4X4_100", 4, 100, 3),
+        ("DICT_4X4_250", 4, 250, 3),
+        ("DICT_4X4_1000", 4, 1000, 2),
+        ("DICT_5X5_1000", 5, 1000, 5),
         ("DICT_5X5_50", 5, 50, 8),
         ("DICT_5X5_100", 5, 100, 7),
         ("DICT_5X5_250", 5, 250, 6),
         ("DICT_6X6_50", 6, 50, 13),
         ("DICT_6X6_100", 6, 100, 12),
         ("DICT_6X6_250", 6, 250, 11),
+        ("DICT_6X6_1000", 6, 1000, 9),
+        ("DICT_7X7_50", 7, 50, 19),
+        ("DICT_7X7_100", 7, 100, 18),
+        ("DICT_7X7_250", 7, 250, 17),
+        ("DICT_7X7_1000", 7, 1000, 14),
+        ("DICT_ARUCO_MIP_36h12", 6, 250, 12),
+        ("DICT_APRILTAG_16h5", 4, 30, 5),
+        ("25h9_border2", 5, 35, 9),
+        ("DICT_APRILTAG_36h10", 6, 2320, 10),
         ("DICT_APRILTAG_36h11", 6, 587, 11),
         ("36h11", 6, 587, 11),
         ("DICT_ARUCO_ORIGINAL", 5, 1024, 0),
@@ -87,11 +101,20 @@ fn opencv_36h11_is_rotated_by_180_degrees() {
 }
 
 #[test]
+fn every_name_has_a_dictionary_of_different_codes() {
+    for name in DICTIONARY_NAMES {
+        assert_eq!(Dictionary::by_name(name).unwrap().name(), *name);
+    }
+}
+
+#[test]
 fn names_match_without_prefix_and_typos_get_suggestion() {
     for (name, expected) in [
         ("4x4_50", "DICT_4X4_50"),
         ("dict_6x6_250", "DICT_6X6_250"),
         ("tag36h11", "36h11"),
+        ("t16h5", "16h5"),
+        ("t36h11_border2", "36h11_border2"),
         ("apriltag_36H11", "DICT_APRILTAG_36h11"),
     ] {
         assert_eq!(Dictionary::by_name(name).unwrap().name(), expected);

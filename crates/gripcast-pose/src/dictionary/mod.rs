@@ -8,24 +8,10 @@ use std::path::Path;
 use gripcast_base::error::{Error, Result, unknown_name};
 use gripcast_base::files::{FileKind, Root};
 
+pub use tables::DICTIONARY_NAMES;
+
 /// Maximum number of cells along a side: a code is a `u64`.
 const MAX_SIDE: usize = 8;
-
-/// Names accepted by [`Dictionary::by_name`].
-pub const DICTIONARY_NAMES: &[&str] = &[
-    "DICT_4X4_50",
-    "DICT_4X4_100",
-    "DICT_5X5_50",
-    "DICT_5X5_100",
-    "DICT_5X5_250",
-    "DICT_6X6_50",
-    "DICT_6X6_100",
-    "DICT_6X6_250",
-    "DICT_ARUCO_ORIGINAL",
-    "DICT_APRILTAG_36h11",
-    "36h11",
-    "36h11_border2",
-];
 
 /// The cells of a marker within its black border; `true` is white.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -67,7 +53,8 @@ impl Dictionary {
     /// Returns a built-in dictionary. Names are case-insensitive; the prefix `DICT_` is optional.
     ///
     /// `36h11` has the orientation of AprilTag's own images, `DICT_APRILTAG_36h11` that of OpenCV:
-    /// the same codes rotated by 180°. `36h11_border2` has Kalibr's border of two cells.
+    /// the same codes rotated by 180°. `36h11_border2` has Kalibr's border of two cells. The same
+    /// holds for 16h5, 25h9 and 36h10. `tag36h11` and Kalibr's `t36h11` mean `36h11`.
     /// `DICT_ARUCO_ORIGINAL` has markers that are rotations of each other ([`Self::min_distance`]
     /// is 0): use it for existing boards only.
     ///
@@ -275,10 +262,9 @@ fn canonical(name: &str) -> Option<&'static str> {
     let plain = |text: &str| {
         let text = text.trim().to_ascii_lowercase();
         let text = text.strip_prefix("dict_").unwrap_or(&text);
-        match text {
-            "tag36h11" | "t36h11" => "36h11".to_owned(),
-            other => other.to_owned(),
-        }
+        let family = text.strip_prefix("tag").or_else(|| text.strip_prefix('t'));
+        let is_family = |f: &&str| f.starts_with(|c: char| c.is_ascii_digit());
+        family.filter(is_family).unwrap_or(text).to_owned()
     };
     let wanted = plain(name);
     DICTIONARY_NAMES

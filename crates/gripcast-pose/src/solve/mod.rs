@@ -60,6 +60,7 @@ pub fn solve_body_pose(
     intrinsics: &Intrinsics,
 ) -> Result<BodyPose> {
     let (observed, notes) = observe_markers(board, &[body], detections, intrinsics);
+    require_usable(&observed, &notes)?;
     let observed: Vec<_> = observed.into_iter().map(|o| at_opening(o, 0.0)).collect();
     let solution = solve::<6>(board, body, &observed, intrinsics, &[0.0])?;
     Ok(body_pose(body, &observed, solution, notes))
@@ -81,6 +82,7 @@ pub fn solve_gripper(
 ) -> Result<GripperPose> {
     let bodies = [Body::Gripper, Body::FingerLeft, Body::FingerRight];
     let (observed, mut notes) = observe_markers(board, &bodies, detections, intrinsics);
+    require_usable(&observed, &notes)?;
     let slide = |o: &MarkerObservation| o.corners[0].slide;
     let has_finger = observed.iter().any(|o| slide(o) != 0.0);
     if has_finger && known_opening_m.is_none() {
@@ -373,6 +375,15 @@ fn body_pose<const N: usize>(
         normal_spread_rad: solution.normal_spread_rad,
         notes,
     }
+}
+
+/// Refuses markers that were detected and all excluded.
+fn require_usable(observed: &[MarkerObservation], notes: &[String]) -> Result<()> {
+    if !observed.is_empty() || notes.is_empty() {
+        return Ok(());
+    }
+    Err(Error::input(notes.join("; "))
+        .remedy("show each marker once: cover or remove copies and other boards"))
 }
 
 fn not_detected(board: &Board, body: Body) -> Error {

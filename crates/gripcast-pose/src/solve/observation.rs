@@ -57,6 +57,17 @@ pub(super) fn observe_markers(
             .iter()
             .find(|m| m.id == detection.id && bodies.contains(&m.body));
         let Some(marker) = marker else { continue };
+        let copies = detections.iter().filter(|d| d.id == marker.id).count();
+        if copies > 1 {
+            let note = format!(
+                "marker {} is in the image {copies} times: none of them was used",
+                marker.id
+            );
+            if !notes.contains(&note) {
+                notes.push(note);
+            }
+            continue;
+        }
         let ideal = detection.corners_px.map(|c| undistort(intrinsics, c));
         let [Some(a), Some(b), Some(c), Some(d)] = ideal else {
             notes.push(format!(
@@ -65,9 +76,6 @@ pub(super) fn observe_markers(
             ));
             continue;
         };
-        if found.iter().any(|s| s.id == marker.id) {
-            notes.push(format!("marker {} was detected more than once", marker.id));
-        }
         let slide = marker.body.slide();
         let corner = |i: usize| CornerObservation {
             point_m: marker.corners_m[i],

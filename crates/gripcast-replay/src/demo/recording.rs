@@ -23,6 +23,7 @@ use gripcast_dataset::{
     PendingInitial, PoseRecord, SimulatedTruth, Stage, StageCapture, image_name,
 };
 use gripcast_imaging::{Decoder, Frame, Intrinsics, PixelFormat, Role};
+use gripcast_pose::detect::FullSearch;
 use gripcast_sim::grasp::Finger;
 use gripcast_tactile::{SensorProfile, SimulatedGel};
 
@@ -362,7 +363,7 @@ pub(super) fn grasp_name(object: &DemoObject, chosen: &SelectedGrasp) -> String 
 fn annotate(scene: &DemoScene, images: &Images) -> Result<PoseRecord> {
     let image = grayscale(&Decoder::new()?.stored_image(&images.table)?);
     let (sheet, tags) = (scene.sheet.file.clone(), scene.tags.clone());
-    let mut annotator = Annotator::new(sheet, tags, images.intrinsics)?;
+    let mut annotator = Annotator::new(sheet, tags, images.intrinsics, FullSearch::Never)?;
     let name = image_name(Stage::Initial, Role::External, PixelFormat::Mjpg);
     Ok(annotator.annotate([(name.into(), &image)])?.record)
 }
