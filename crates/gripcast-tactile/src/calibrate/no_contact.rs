@@ -77,3 +77,56 @@ fn shared_change(changes: &[[f64; 3]]) -> f64 {
     };
     (0..3).map(of_channel).fold(0.0, f64::max)
 }
+
+#[cfg(test)]
+mod tests {
+    use image::{Rgb, RgbImage};
+
+    use super::super::press_set::test_set;
+    use super::*;
+    use crate::SensorGeometry;
+
+    /// An image without contact, or with a square that is darker by `depth`.
+    fn gel(depth: u8) -> RgbImage {
+        RgbImage::from_fn(320, 240, |x, y| {
+            let level = 90 + (x / 8) as u8 + (y / 8) as u8;
+            let is_dark = (160..192).contains(&x) && (96..128).contains(&y);
+            Rgb([level, level - if is_dark { depth } else { 0 }, level])
+        })
+    }
+
+    /// A set of presses that show only the gel, with contacts stated at `centres`.
+    fn set(no_contact: RgbImage, centres: &[[f64; 2]]) -> PressSet {
+        let geometry = SensorGeometry {
+            width: 320,
+            height: 240,
+            pixel_m: 6e-5,
+            gel_thickness_m: 4e-3,
+        };
+        let press = |(index, centre_px): (usize, &[f64; 2])| LabelledPress {
+            number: index + 1,
+            file: format!("{index}.png"),
+            sha256: String::new(),
+            image: gel(0),
+            centre_px: *centre_px,
+            radius_px: 20.0,
+            is_detected: false,
+        };
+        let presses = centres.iter().enumerate().map(press).collect();
+        test_set(geometry, 2e-3, no_contact, presses)
+    }
+
+    #[test]
+    fn contact_in_the_no_contact_image_is_found() {
+        let spread = [[40.0, 40.0], [280.0, 200.0], [60.0, 200.0]];
+        assert!(check_no_contact(&set(gel(0), &spread)).is_ok());
+        // Less than the bulge of real gels around other presses.
+        assert!(check_no_contact(&set(gel(15), &spread)).is_ok());
+        let text = check_no_contact(&set(gel(40), &spread))
+            .unwrap_err()
+            .to_string();
+        assert!(text.contains("column 184, row 120"), "{text}");
+        // It cannot be told from the presses' own contacts.
+        assert!(check_no_contact(&set(gel(40), &[[176.0, 112.0]; 3])).is_ok());
+    }
+}

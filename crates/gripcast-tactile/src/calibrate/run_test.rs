@@ -417,23 +417,6 @@ fn existing_profile_is_scored_without_fitting() {
 }
 
 #[test]
-fn contact_in_the_no_contact_image_is_found() {
-    let folder = folder(8, |path, _| {
-        let contact = BallContact {
-            centre_px: [52.0, 40.0],
-            radius_px: 20.0,
-            ..contact(0)
-        };
-        let press = contact.press(truth().smoothing.sink_length_m);
-        let mut renderer = TactileRenderer::new(&truth()).unwrap();
-        let pressed = renderer.render(&press, &FrameNoise::default()).unwrap();
-        save(&path.join("no_contact.png"), &pressed);
-    });
-    let text = run(&options(&folder)).unwrap_err().to_string();
-    assert!(text.contains("it shows a contact"), "{text}");
-}
-
-#[test]
 fn doubtful_scales_are_noted() {
     let folder = folder(4, |_, list| list["m_per_px"] = Value::Null);
     let mut options = options(&folder);
