@@ -80,14 +80,14 @@ fn literals(source: &str) -> Vec<String> {
         let (before, tail) = rest.split_at(at);
         rest = if tail.starts_with("//") {
             &tail[tail.find('\n').unwrap_or(tail.len())..]
-        } else if tail.starts_with("'\"'") || tail.starts_with("'\\\"'") {
-            &tail[3..]
-        } else if tail.starts_with('"') {
+        } else if let Some(after) = ["'\"'", "'\\\"'"].iter().find_map(|c| tail.strip_prefix(c)) {
+            after
+        } else if let Some(tail) = tail.strip_prefix('"') {
             let hashes = before.len() - before.trim_end_matches('#').len();
             let is_raw = before[..before.len() - hashes].ends_with('r');
             let (text, after) = match is_raw {
-                true => split_raw(&tail[1..], hashes),
-                false => split_quoted(&tail[1..]),
+                true => split_raw(tail, hashes),
+                false => split_quoted(tail),
             };
             found.push(text.to_owned());
             after

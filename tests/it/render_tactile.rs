@@ -56,3 +56,19 @@ fn contacts_of_real_mini_are_detected() {
     let shipped = SensorProfile::gelsight_mini().unwrap();
     assert_eq!(shipped.background.image, result.profile.background.image);
 }
+
+#[test]
+fn press_in_place_of_the_no_contact_image_is_found() {
+    let Some(folder) = shared("data/fots_ball") else {
+        return;
+    };
+    let dir = tempfile::tempdir().unwrap();
+    for entry in std::fs::read_dir(folder).unwrap() {
+        let path = entry.unwrap().path();
+        std::fs::copy(&path, dir.path().join(path.file_name().unwrap())).unwrap();
+    }
+    let [press, free] = ["press_0010.png", "no_contact.png"].map(|name| dir.path().join(name));
+    std::fs::copy(press, free).unwrap();
+    let error = run(&CalibrateOptions::from_folder(dir.path())).unwrap_err();
+    assert!(error.to_string().contains("it shows a contact"), "{error}");
+}

@@ -89,6 +89,7 @@ pub struct CalibrationReport {
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct FitReport {
     /// Seed of a random split.
+    #[serde(skip_serializing_if = "Option::is_none")]
     pub seed: Option<u64>,
     /// Gel shape and shading terms; for LEDs those of the polynomial that selected the shape.
     pub chosen: ChosenModel,

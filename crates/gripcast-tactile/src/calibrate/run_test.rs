@@ -417,16 +417,6 @@ fn existing_profile_is_scored_without_fitting() {
 }
 
 #[test]
-fn contact_in_the_no_contact_image_is_found() {
-    let folder = folder(6, |path, list| {
-        fs::copy(path.join("press_0.png"), path.join("no_contact.png")).unwrap();
-        list["presses"].as_array_mut().unwrap().remove(0);
-    });
-    let text = run(&options(&folder)).unwrap_err().to_string();
-    assert!(text.contains("it shows a contact"), "{text}");
-}
-
-#[test]
 fn doubtful_scales_are_noted() {
     let folder = folder(4, |_, list| list["m_per_px"] = Value::Null);
     let mut options = options(&folder);
