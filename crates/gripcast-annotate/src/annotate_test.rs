@@ -383,8 +383,15 @@ fn marker_that_is_there_twice_is_not_used() {
     imageops::replace(&mut image, &copy, 4, 4);
     let after = annotator.observe(&image).unwrap();
     let note = format!("marker {copied} is in the image 2 times");
-    assert!(after.notes.iter().any(|n| n.contains(&note)), "{:?}", after.notes);
-    assert_eq!(after.object.used_markers() + 1, before.object.used_markers());
+    assert!(
+        after.notes.iter().any(|n| n.contains(&note)),
+        "{:?}",
+        after.notes
+    );
+    assert_eq!(
+        after.object.used_markers() + 1,
+        before.object.used_markers()
+    );
 }
 
 /// Images of one scene by cameras of different kinds; all have the pose of `truth.json`.
