@@ -6,7 +6,8 @@ use gripcast::config;
 use gripcast_capture::calibration::RigFile;
 use gripcast_capture::trigger::Script;
 use gripcast_pose::{
-    BoardFile, CameraFile, CameraReadOptions, Dictionary, import_aruco_map, import_kalibr, import_ros,
+    BoardFile, CameraFile, CameraReadOptions, Dictionary, import_aruco_map, import_kalibr,
+    import_ros,
 };
 use gripcast_session::Command;
 
@@ -33,7 +34,9 @@ pub(crate) fn check(input: &[u8]) {
         3 => {
             for (size, camera) in [(None, None), (Some([640, 480]), Some("cam0"))] {
                 if let Ok(file) = CameraFile::parse(text, CameraReadOptions { size, camera }) {
-                    file.intrinsics.validate().expect("intrinsics are plausible");
+                    file.intrinsics
+                        .validate()
+                        .expect("intrinsics are plausible");
                 }
             }
         }

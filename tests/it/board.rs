@@ -322,8 +322,15 @@ fn markers_of_an_image_are_detected() {
     let side = image["markers"][0]["sides_px"][0].as_f64().unwrap();
     assert!((side - 82.7).abs() < 0.5, "{side}");
     // Text, the board file, another dictionary.
-    let text = succeed(&mut board(&format!("detect {} --board {}", at("c.png"), at("c.toml"))));
-    assert!(text.contains("24 markers") && text.contains("DICT_7X7_250"), "{text}");
+    let text = succeed(&mut board(&format!(
+        "detect {} --board {}",
+        at("c.png"),
+        at("c.toml")
+    )));
+    assert!(
+        text.contains("24 markers") && text.contains("DICT_7X7_250"),
+        "{text}"
+    );
     let words = format!("detect {} --dictionary 4X4_50", at("c.png"));
     let output = board(&words).output().unwrap();
     assert_eq!(output.status.code(), Some(1));
@@ -335,14 +342,20 @@ fn markers_of_an_image_are_detected() {
 fn copies_of_a_marker_are_all_listed() {
     let dir = tempfile::tempdir().unwrap();
     let at = |name: &str| dir.path().join(name).display().to_string();
-    succeed(&mut board(&format!("charuco --out {} --dpi 60", at("c.png"))));
+    succeed(&mut board(&format!(
+        "charuco --out {} --dpi 60",
+        at("c.png")
+    )));
     let one = gripcast_imaging::decode_png_rgb(&fs::read(at("c.png")).unwrap()).unwrap();
     let (width, height) = one.dimensions();
     let mut two = image::RgbImage::new(2 * width, height);
     image::imageops::replace(&mut two, &one, 0, 0);
     image::imageops::replace(&mut two, &one, i64::from(width), 0);
     two.save(at("two.png")).unwrap();
-    let found = json(&succeed(&mut board(&format!("detect {} --json", at("two.png")))));
+    let found = json(&succeed(&mut board(&format!(
+        "detect {} --json",
+        at("two.png")
+    ))));
     let image = &found["images"][0];
     assert_eq!(image["markers"].as_array().unwrap().len(), 48);
     assert_eq!(image["repeated_ids"].as_array().unwrap().len(), 24);
@@ -355,15 +368,31 @@ fn field_boards_are_imported_or_refused_with_the_cause() {
         return;
     };
     for (name, flags, expected) in [
-        ("aruco_map.yml", "", Err("aruco_bc_nmarkers is 2, found 1 markers")),
+        (
+            "aruco_map.yml",
+            "",
+            Err("aruco_bc_nmarkers is 2, found 1 markers"),
+        ),
         ("dict4.yml", "", Ok("3 of 4 × 4 cells")),
         ("dict_maxcorr.yml", "", Ok("2 of 6 × 6 cells")),
         ("kalibr_checker.yaml", "", Ok("squares = [7, 8]")),
         ("kalibr_frac.yaml", "", Err("write 0.3000")),
-        ("kalibr_startid.yaml", "", Err("from id 36 exceeds 16h5_border2")),
+        (
+            "kalibr_startid.yaml",
+            "",
+            Err("from id 36 exceeds 16h5_border2"),
+        ),
         ("kalibr_yamlhead.yaml", "", Ok("36h11_border2")),
-        ("ros_extra.yaml", "--dictionary 4X4_50 --name b1", Ok("DICT_4X4_50")),
-        ("ros_extra.yaml", "--dictionary 4X4_50 --name custom", Err("not a grid")),
+        (
+            "ros_extra.yaml",
+            "--dictionary 4X4_50 --name b1",
+            Ok("DICT_4X4_50"),
+        ),
+        (
+            "ros_extra.yaml",
+            "--dictionary 4X4_50 --name custom",
+            Err("not a grid"),
+        ),
         ("ros_extra.yaml", "--dictionary 4X4_50", Err("has 2 boards")),
     ] {
         let words = format!("import {} {flags}", folder.join(name).display());
@@ -373,7 +402,11 @@ fn field_boards_are_imported_or_refused_with_the_cause() {
                 let found = String::from_utf8(output.stdout.clone()).unwrap();
                 assert!(found.contains(text), "{name}: {found}{}", stderr(&output));
             }
-            Err(text) => assert!(stderr(&output).contains(text), "{name}: {}", stderr(&output)),
+            Err(text) => assert!(
+                stderr(&output).contains(text),
+                "{name}: {}",
+                stderr(&output)
+            ),
         }
     }
 }

@@ -378,13 +378,22 @@ fn marker_that_is_there_twice_is_not_used() {
         (glam::DVec2::INFINITY, glam::DVec2::NEG_INFINITY),
         |(low, high), c| (low.min(*c), high.max(*c)),
     );
-    let (low, size) = ((low - 6.0).as_uvec2(), (high - low + 12.0).as_uvec2());
-    let copy = imageops::crop_imm(&image, low.x, low.y, size.x, size.y).to_image();
+    let size = high - low + 12.0;
+    let whole = |v: f64| v as u32;
+    let (left, top) = (whole(low.x - 6.0), whole(low.y - 6.0));
+    let copy = imageops::crop_imm(&image, left, top, whole(size.x), whole(size.y)).to_image();
     imageops::replace(&mut image, &copy, 4, 4);
     let after = annotator.observe(&image).unwrap();
     let note = format!("marker {copied} is in the image 2 times");
-    assert!(after.notes.iter().any(|n| n.contains(&note)), "{:?}", after.notes);
-    assert_eq!(after.object.used_markers() + 1, before.object.used_markers());
+    assert!(
+        after.notes.iter().any(|n| n.contains(&note)),
+        "{:?}",
+        after.notes
+    );
+    assert_eq!(
+        after.object.used_markers() + 1,
+        before.object.used_markers()
+    );
 }
 
 /// Images of one scene by cameras of different kinds; all have the pose of `truth.json`.
