@@ -6,6 +6,7 @@ use super::winding::{self, Component, flip};
 use super::{PrepareOptions, duplicates, manifold, require_triangles, self_intersection, slivers};
 use crate::mesh::TriangleMesh;
 use crate::mesh_query::MeshQuery;
+use crate::solid::hole_area;
 use crate::weld::{join, root, weld};
 use gripcast_base::error::Result;
 
@@ -145,6 +146,7 @@ fn orient(mesh: &mut TriangleMesh, warnings: &mut Vec<String>) {
         return;
     }
     let query = MeshQuery::new(mesh);
+    let as_given = mesh.clone();
     let hidden: Vec<&Component> = open
         .into_iter()
         .filter(|component| faces_inwards(mesh, &query, &component.triangles))
@@ -152,7 +154,10 @@ fn orient(mesh: &mut TriangleMesh, warnings: &mut Vec<String>) {
     for component in &hidden {
         flip(mesh, &component.triangles);
     }
-    if !hidden.is_empty() {
+    // Pieces that fit each other as they are given stay as they are.
+    if hole_area(mesh) > hole_area(&as_given) {
+        *mesh = as_given;
+    } else if !hidden.is_empty() {
         warnings.push(format!(
             "flipped {} open piece(s) whose back is seen from outside",
             hidden.len()
