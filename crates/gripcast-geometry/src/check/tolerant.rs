@@ -16,6 +16,8 @@ const CRACK: f64 = 1e-5;
 const STRAY_AREA: f64 = 1e-3;
 /// Distance of a stray from the rest, in its own diagonals.
 const STRAY_DISTANCE: f64 = 1.0;
+/// Area of the holes, as a fraction of the surface, of a surface whose pieces fit each other.
+const NEARLY_CLOSED: f64 = 0.05;
 /// Triangles of an open component whose sides are looked at.
 const VISIBILITY_SAMPLES: usize = 48;
 /// Height of the start of a ray over its triangle, as a fraction of the mesh's diagonal.
@@ -145,8 +147,19 @@ fn orient(mesh: &mut TriangleMesh, warnings: &mut Vec<String>) {
     if open.is_empty() {
         return;
     }
+    // Pieces that fit each other as they are given stay as they are.
+    if hole_area(mesh) < NEARLY_CLOSED {
+        let all: Vec<u32> = open.iter().flat_map(|c| &c.triangles).copied().collect();
+        if winding::volume_about_center(mesh, &all) < 0.0 {
+            flip(mesh, &all);
+            warnings.push(format!(
+                "flipped {} open piece(s) that faced inwards",
+                open.len()
+            ));
+        }
+        return;
+    }
     let query = MeshQuery::new(mesh);
-    let as_given = mesh.clone();
     let hidden: Vec<&Component> = open
         .into_iter()
         .filter(|component| faces_inwards(mesh, &query, &component.triangles))
@@ -154,10 +167,7 @@ fn orient(mesh: &mut TriangleMesh, warnings: &mut Vec<String>) {
     for component in &hidden {
         flip(mesh, &component.triangles);
     }
-    // Pieces that fit each other as they are given stay as they are.
-    if hole_area(mesh) > hole_area(&as_given) {
-        *mesh = as_given;
-    } else if !hidden.is_empty() {
+    if !hidden.is_empty() {
         warnings.push(format!(
             "flipped {} open piece(s) whose back is seen from outside",
             hidden.len()
