@@ -23,7 +23,7 @@ import re
 import subprocess
 import sys
 
-PACKAGES = ["numpy==2.2.6", "trimesh==5.2.0", "manifold3d==3.5.4", "networkx==3.6", "scipy==1.15.3"]
+PACKAGES = ["numpy==2.4.6", "trimesh==5.2.0", "manifold3d==3.5.4", "networkx==3.6.1", "scipy==1.17.1", "pillow==12.3.0"]
 # Their meshes are used, not their code.
 SETS = ["pybullet==3.2.7", "robosuite==1.5.2"]
 SUFFIXES = {".obj", ".stl", ".ply", ".glb", ".gltf"}

@@ -18,8 +18,8 @@ const OFFSET: [f64; 2] = [-0.318_309_886, -0.271_828_183];
 pub(super) struct ClosedSurface<'a> {
     /// Corners of all triangles, m.
     pub(super) triangles: &'a [[DVec3; 3]],
-    /// Winding number without the additional triangles; `None` if there are none.
-    pub(super) open: Option<&'a WindingNumber>,
+    /// Winding number of the additional triangles; `None` if there are none.
+    pub(super) closing: Option<&'a WindingNumber>,
     /// Reference point of the moments, m: the centre of the bounding box.
     pub(super) center: DVec3,
     /// Sides of the bounding box, m.
@@ -87,7 +87,7 @@ impl ClosedSurface<'_> {
                     continue;
                 }
                 // Between crossings, the winding number changes only near a hole.
-                let parts = match self.open {
+                let parts = match self.closing {
                     Some(_) => ((to - from) / longest).ceil().max(1.0),
                     None => 1.0,
                 };
@@ -104,10 +104,10 @@ impl ClosedSurface<'_> {
 
     /// Adds a segment on which the closed surface has the winding number `level`.
     fn count(&self, segment: &Segment, level: i32, found: &mut Miscount) {
-        let winding = match self.open {
-            Some(open) => open.at(self.center + segment.middle()),
-            None => f64::from(level),
-        };
+        let closing = self
+            .closing
+            .map_or(0.0, |closing| closing.at(self.center + segment.middle()));
+        let winding = f64::from(level) - closing;
         let inside = i32::from(winding > 0.5);
         let volume = segment.volume();
         if winding < -0.25 || (winding > 0.25 && winding < 0.75) {

@@ -57,12 +57,12 @@ impl Solid {
         let mut triangles: Vec<[DVec3; 3]> = mesh.all_corners().collect();
         let fans = closing_fans(mesh);
         let hole_area = area(&fans) / area(&triangles).max(f64::MIN_POSITIVE);
-        triangles.extend(fans);
         let is_open = hole_area > CLOSED_AREA;
-        let winding = is_open.then(|| WindingNumber::new(mesh));
+        let closing = is_open.then(|| WindingNumber::new(&fans));
+        triangles.extend(fans);
         let surface = ClosedSurface {
             triangles: &triangles,
-            open: winding.as_ref(),
+            closing: closing.as_ref(),
             center: reference,
             extent: bounds.extent(),
         };
@@ -97,6 +97,11 @@ impl Solid {
     }
 }
 
+/// Area of the holes as a fraction of the surface, as in [`Solid::hole_area`].
+pub(super) fn hole_area(mesh: &TriangleMesh) -> f64 {
+    area(&closing_fans(mesh)) / mesh.area().max(f64::MIN_POSITIVE)
+}
+
 fn area(triangles: &[[DVec3; 3]]) -> f64 {
     let twice = triangles.iter().map(|[a, b, c]| (*b - *a).cross(*c - *a));
     0.5 * twice.map(|normal| normal.length()).sum::<f64>()
@@ -104,7 +109,7 @@ fn area(triangles: &[[DVec3; 3]]) -> f64 {
 
 /// Triangles that close the surface: each group of connected boundary edges becomes a fan around its
 /// mean position. The sides of a crack cancel.
-pub(super) fn closing_fans(mesh: &TriangleMesh) -> Vec<[DVec3; 3]> {
+fn closing_fans(mesh: &TriangleMesh) -> Vec<[DVec3; 3]> {
     let boundary = boundary(mesh);
     let mut parent: Vec<u32> = (0..mesh.vertices.len() as u32).collect();
     for &([a, b], _) in &boundary {

@@ -4,8 +4,8 @@ use std::f64::consts::PI;
 
 use glam::{DMat3, DVec3};
 
+use super::aabb::Aabb;
 use super::bvh::Bvh;
-use super::mesh::TriangleMesh;
 
 /// Distance, in radii of a group of triangles, from which its dipole stands for it.
 const FAR: f64 = 3.0;
@@ -38,14 +38,12 @@ struct Group {
 }
 
 impl WindingNumber {
-    /// Prepares a surface.
-    pub(super) fn new(mesh: &TriangleMesh) -> Self {
-        let bvh = Bvh::build(&mesh.triangle_bounds());
-        let corners: Vec<[DVec3; 3]> = bvh
-            .leaf_order()
-            .iter()
-            .map(|&t| mesh.corners(mesh.triangles[t as usize]))
-            .collect();
+    /// Prepares a surface, given by the corners of its triangles (m).
+    pub(super) fn new(triangles: &[[DVec3; 3]]) -> Self {
+        let boxes: Vec<Aabb> = triangles.iter().map(|t| Aabb::from_points(*t)).collect();
+        let bvh = Bvh::build(&boxes);
+        let in_order = bvh.leaf_order().iter();
+        let corners: Vec<[DVec3; 3]> = in_order.map(|&t| triangles[t as usize]).collect();
         let groups = bvh.summaries(
             |slots| {
                 let all = corners[slots].iter().map(Group::of);
@@ -141,13 +139,17 @@ pub(super) fn solid_angle(corners: &[DVec3; 3], eye: DVec3) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::{MeshQuery, builtin};
+    use crate::{MeshQuery, TriangleMesh, builtin};
     use rand::{RngExt as _, SeedableRng as _};
+
+    fn of(mesh: &TriangleMesh) -> WindingNumber {
+        WindingNumber::new(&mesh.all_corners().collect::<Vec<_>>())
+    }
 
     #[test]
     fn closed_surface_has_one_inside_and_zero_outside() {
         let mesh = builtin("mug").unwrap();
-        let (winding, query) = (WindingNumber::new(&mesh), MeshQuery::new(&mesh));
+        let (winding, query) = (of(&mesh), MeshQuery::new(&mesh));
         let bounds = mesh.bounds();
         let mut rng = rand_pcg::Pcg64Mcg::seed_from_u64(5);
         for _ in 0..500 {
@@ -169,12 +171,9 @@ mod tests {
             .all_corners()
             .map(|t| solid_angle(&t, DVec3::ZERO))
             .sum();
-        let found = WindingNumber::new(&mesh).at(DVec3::ZERO);
+        let found = of(&mesh).at(DVec3::ZERO);
         assert!((found - exact / (4.0 * PI)).abs() < 0.02, "{found}");
         assert!(found > 0.45 && found < 0.5, "{found}");
-        assert_eq!(
-            WindingNumber::new(&TriangleMesh::default()).at(DVec3::ZERO),
-            0.0
-        );
+        assert_eq!(of(&TriangleMesh::default()).at(DVec3::ZERO), 0.0);
     }
 }

@@ -256,7 +256,10 @@ fn mesh_files_are_checked_repaired_or_rejected() {
 
     let rejected = |name: &str, text: &str| {
         let path = write(dir.path(), name, text);
-        error_text(&mut grasp(&path.display().to_string(), "--unit mm"))
+        error_text(&mut grasp(
+            &path.display().to_string(),
+            "--unit mm --repair strict",
+        ))
     };
     let open = text.rsplit_once("f ").unwrap().0;
     let message = rejected("open.obj", open);

@@ -6,6 +6,7 @@ use super::winding::{self, Component, flip};
 use super::{PrepareOptions, duplicates, manifold, require_triangles, self_intersection, slivers};
 use crate::mesh::TriangleMesh;
 use crate::mesh_query::MeshQuery;
+use crate::solid::hole_area;
 use crate::weld::{join, root, weld};
 use gripcast_base::error::Result;
 
@@ -15,6 +16,8 @@ const CRACK: f64 = 1e-5;
 const STRAY_AREA: f64 = 1e-3;
 /// Distance of a stray from the rest, in its own diagonals.
 const STRAY_DISTANCE: f64 = 1.0;
+/// Area of the holes, as a fraction of the surface, of a surface whose pieces fit each other.
+const NEARLY_CLOSED: f64 = 0.05;
 /// Triangles of an open component whose sides are looked at.
 const VISIBILITY_SAMPLES: usize = 48;
 /// Height of the start of a ray over its triangle, as a fraction of the mesh's diagonal.
@@ -142,6 +145,18 @@ fn orient(mesh: &mut TriangleMesh, warnings: &mut Vec<String>) {
         components.iter().partition(|c| c.is_closed);
     winding::flip_inward(mesh, &closed, components.len(), warnings);
     if open.is_empty() {
+        return;
+    }
+    // Pieces that fit each other as they are given stay as they are.
+    if hole_area(mesh) < NEARLY_CLOSED {
+        let all: Vec<u32> = open.iter().flat_map(|c| &c.triangles).copied().collect();
+        if winding::volume_about_center(mesh, &all) < 0.0 {
+            flip(mesh, &all);
+            warnings.push(format!(
+                "flipped {} open piece(s) that faced inwards",
+                open.len()
+            ));
+        }
         return;
     }
     let query = MeshQuery::new(mesh);

@@ -8,7 +8,7 @@ use gripcast_geometry::{Aabb, Bvh, TriangleMesh};
 /// before a face does. On a 2 mm edge a gel edge would dip 50 nm, far below any contact gap.
 const MIN_OPENING_RAD: f64 = 1e-4;
 
-/// Triangles, convex edges and convex vertices of a closed surface, each with a BVH.
+/// Triangles, convex edges and convex vertices of a surface, each with a BVH.
 #[derive(Clone, Debug)]
 pub struct Collider {
     pub(super) vertices: Vec<DVec3>,
@@ -25,15 +25,18 @@ pub struct Collider {
 }
 
 impl Collider {
-    /// Collision surface of a closed mesh whose origin is its centre of mass (m).
+    /// Collision surface of a mesh whose origin is its centre of mass (m). It may cross itself: the
+    /// object is one body, so its faces do not touch each other. The back of an open mesh can be
+    /// touched too, where its concave edges are convex.
     pub fn new(mesh: &TriangleMesh) -> Self {
         let all_edges = mesh.edges();
+        let is_open = (0..all_edges.len()).any(|edge| all_edges.triangles(edge).len() == 1);
         let all_areas = mesh.edge_areas(&all_edges);
         let mut edges = Vec::new();
         let mut edge_areas = Vec::new();
         let mut is_corner = vec![false; mesh.vertices.len()];
         for (index, &edge) in all_edges.vertices.iter().enumerate() {
-            if is_convex(mesh, edge, all_edges.triangles(index)) {
+            if is_candidate(mesh, edge, all_edges.triangles(index), is_open) {
                 edges.push(edge);
                 edge_areas.push(all_areas[index]);
                 for vertex in edge {
@@ -78,10 +81,18 @@ impl Collider {
     }
 }
 
-/// Whether the two faces at an edge open outwards by more than [`MIN_OPENING_RAD`]. Edges without
-/// exactly two faces count as convex.
-fn is_convex(mesh: &TriangleMesh, edge: [u32; 2], faces: &[u32]) -> bool {
+/// Whether an edge can be touched before its faces: they open outwards by more than
+/// [`MIN_OPENING_RAD`], on either side of an open mesh. So can edges without exactly two faces, or
+/// whose faces do not agree about the outer side.
+fn is_candidate(mesh: &TriangleMesh, edge: [u32; 2], faces: &[u32], is_open: bool) -> bool {
     let &[first, second] = faces else { return true };
+    let runs_along = |face: u32| {
+        let [a, b, c] = mesh.triangles[face as usize];
+        [[a, b], [b, c], [c, a]].contains(&edge)
+    };
+    if runs_along(first) == runs_along(second) {
+        return true;
+    }
     let corners = |face: u32| mesh.triangles[face as usize].map(|v| mesh.vertices[v as usize]);
     let normal = |[a, b, c]: [DVec3; 3]| (b - a).cross(c - a).normalize_or_zero();
     let opposite = mesh.triangles[second as usize]
@@ -93,7 +104,7 @@ fn is_convex(mesh: &TriangleMesh, edge: [u32; 2], faces: &[u32]) -> bool {
     let (n1, n2) = (normal(corners(first)), normal(corners(second)));
     let start = mesh.vertices[edge[0] as usize];
     let below = n1.dot(mesh.vertices[opposite as usize] - start) < 0.0;
-    below && n1.cross(n2).length().atan2(n1.dot(n2)) > MIN_OPENING_RAD
+    (below || is_open) && n1.cross(n2).length().atan2(n1.dot(n2)) > MIN_OPENING_RAD
 }
 
 #[cfg(test)]
@@ -115,6 +126,26 @@ mod tests {
             .sum();
         assert!((edge_length - 4.0 * (0.04 + 0.04 + 0.06)).abs() < 1e-12);
         assert!(collider.corners.len() < mesh.vertices.len());
+    }
+
+    #[test]
+    fn concave_edges_are_candidates_only_of_an_open_mesh() {
+        // An L of two squares seen from outside, folded towards the viewer.
+        let vertices = [
+            [0.0, 0.0, 0.0],
+            [1.0, 0.0, 0.0],
+            [0.0, 1.0, 0.0],
+            [1.0, 0.5, 1.0],
+        ];
+        let mesh = |last: [u32; 3]| TriangleMesh {
+            vertices: vertices.map(DVec3::from_array).to_vec(),
+            triangles: vec![[0, 1, 2], last],
+        };
+        let edge = [1, 2];
+        assert!(!is_candidate(&mesh([2, 1, 3]), edge, &[0, 1], false));
+        assert!(is_candidate(&mesh([2, 1, 3]), edge, &[0, 1], true));
+        // Faces that disagree about the outer side.
+        assert!(is_candidate(&mesh([1, 2, 3]), edge, &[0, 1], false));
     }
 
     #[test]
