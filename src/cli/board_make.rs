@@ -21,7 +21,6 @@ use gripcast_sim::grasp::resting_pose;
 
 /// Arguments of `make`.
 #[derive(Debug, clap::Args)]
-#[command(allow_negative_numbers = true)]
 pub(super) struct MakeArgs {
     #[command(flatten)]
     mesh: MeshFlags,

@@ -1,11 +1,12 @@
 //! The command line, one file per command. stdout carries data, stderr carries text for people.
 
+use std::any::TypeId;
 use std::fmt::Display;
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
-use clap::{ArgAction, CommandFactory as _, Parser, Subcommand};
+use clap::{ArgAction, CommandFactory as _, FromArgMatches as _, Parser, Subcommand};
 
 use crate::config::{self as settings, ConfigFile, FlagValue, Layered};
 use crate::note;
@@ -205,13 +206,38 @@ enum Command {
 /// Returns the command line with all commands, for manual pages, completions and tests.
 #[must_use]
 pub fn command() -> clap::Command {
-    Cli::command()
+    with_negative_numbers(Cli::command())
+}
+
+/// Lets options with numbers take values such as `-.006` and `-1e-3,2e-3` as the next argument.
+fn with_negative_numbers(command: clap::Command) -> clap::Command {
+    let numbers = [
+        TypeId::of::<f64>(),
+        TypeId::of::<f32>(),
+        TypeId::of::<[f64; 2]>(),
+        TypeId::of::<[f64; 3]>(),
+        TypeId::of::<i64>(),
+        TypeId::of::<i32>(),
+    ];
+    let takes_negative = move |arg: clap::Arg| {
+        let kind = arg.get_value_parser().type_id();
+        let is_number = arg.get_long().is_some() && numbers.iter().any(|n| kind == *n);
+        if is_number {
+            arg.allow_hyphen_values(true)
+        } else {
+            arg
+        }
+    };
+    command
+        .mut_args(takes_negative)
+        .mut_subcommands(with_negative_numbers)
 }
 
 /// Runs the command line of this process.
 #[must_use]
 pub fn main() -> ExitCode {
-    let cli = Cli::parse();
+    let parsed = Cli::from_arg_matches_mut(&mut command().get_matches());
+    let cli = parsed.unwrap_or_else(|error| error.format(&mut command()).exit());
     exit_code("gripcast", || run(cli))
 }
 
@@ -255,8 +281,6 @@ fn run(cli: Cli) -> Result<()> {
 
 #[cfg(test)]
 mod tests {
-    use std::any::TypeId;
-
     use super::*;
 
     /// A floating-point option of a command: its path and name.
@@ -294,6 +318,40 @@ mod tests {
                 assert_eq!(error.exit_code(), 2);
             }
         }
+    }
+
+    #[test]
+    fn floating_point_options_take_negative_numbers() {
+        for (path, name) in floats(&command(), &["gripcast".to_owned()]) {
+            for value in ["-.006", "-1", "-1e-3", "-2.5E2"] {
+                let option = [format!("--{name}"), value.to_owned()];
+                let arguments = path.iter().cloned().chain(option);
+                let Err(error) = command().try_get_matches_from(arguments) else {
+                    continue;
+                };
+                // Out of range is fine, and so are other options that are missing.
+                let text = error.to_string();
+                assert_ne!(
+                    error.kind(),
+                    clap::error::ErrorKind::UnknownArgument,
+                    "{path:?} --{name} {value}: {text}"
+                );
+                assert!(
+                    !text.contains("a value is required for"),
+                    "{path:?}: {text}"
+                );
+            }
+        }
+        let lists = [
+            "sim",
+            "press",
+            "--indenter",
+            "plate",
+            "--shift-m",
+            "-1e-4,-.0002",
+        ];
+        let press = command().try_get_matches_from([&["gripcast"][..], &lists].concat());
+        assert!(press.is_ok(), "{press:?}");
     }
 
     #[test]

@@ -42,7 +42,7 @@ const VIEW_SPP: u32 = 24;
 
 /// Arguments.
 #[derive(Clone, Debug, clap::Args)]
-#[command(args_conflicts_with_subcommands = true, allow_negative_numbers = true)]
+#[command(args_conflicts_with_subcommands = true)]
 pub(crate) struct Args {
     #[command(subcommand)]
     demo: Option<Sub>,
@@ -65,7 +65,6 @@ enum Sub {
 }
 
 #[derive(Clone, Debug, clap::Args)]
-#[command(allow_negative_numbers = true)]
 struct DemoArgs {
     /// Use 20 grasps instead of 100, coarser meshes and fewer settings
     #[arg(long)]

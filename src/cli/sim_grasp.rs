@@ -32,14 +32,14 @@ use gripcast_geometry::{Pose, PreparedMesh, TriangleMesh};
 use gripcast_replay::plot;
 use gripcast_sim::fem::GelResolution;
 use gripcast_sim::grasp::{
-    ForceRule, GraspOutcome, GraspPose, GraspResult, GraspSettings, GraspSummary, GripperState,
-    Placement, Preset, STEADY_STEPS, Scene, TACCEL_DRIVE_WEIGHT, TraceFile, resting_pose, simulate,
+    ForceRule, GRIPPER_OPENING_M, GraspOutcome, GraspPose, GraspResult, GraspSettings,
+    GraspSummary, GripperState, Placement, Preset, STEADY_STEPS, Scene, TACCEL_DRIVE_WEIGHT,
+    TraceFile, height_above_ground, resting_pose, simulate,
 };
 use gripcast_sim::solver::{Drive, PhaseTimes};
 
 /// Arguments.
 #[derive(Clone, Debug, clap::Args)]
-#[command(allow_negative_numbers = true)]
 pub(crate) struct Args {
     #[command(flatten)]
     object: ObjectFlags,
@@ -66,6 +66,9 @@ struct PoseFlags {
     /// Initial distance between the gels [default: object width + 2 mm]
     #[arg(long, value_name = "M", value_parser = above_zero)]
     width: Option<f64>,
+    /// Largest opening of the gripper
+    #[arg(long, value_name = "M", default_value_t = GRIPPER_OPENING_M, value_parser = above_zero)]
+    max_opening: f64,
     /// Height of the gel centres above the ground [default: the object's centre]
     #[arg(long, value_name = "M", value_parser = number(NumberRange::FINITE))]
     height: Option<f64>,
@@ -77,9 +80,9 @@ struct PoseFlags {
     #[arg(long, value_name = "M", default_value_t = 0.0,
         value_parser = number(NumberRange::FINITE))]
     offset_y: f64,
-    /// Rotation about the vertical
-    #[arg(long, value_name = "DEG", default_value_t = 0.0, value_parser = degrees)]
-    yaw_deg: f64,
+    /// Rotation about the vertical [default: 0, or 90 if the object only fits then]
+    #[arg(long, value_name = "DEG", value_parser = degrees)]
+    yaw_deg: Option<f64>,
     /// Rotation about the gripper's y axis: one finger higher than the other
     #[arg(long, value_name = "DEG", default_value_t = 0.0, value_parser = degrees)]
     roll_deg: f64,
@@ -118,6 +121,9 @@ struct SettingsFlags {
     /// Time step
     #[arg(long, value_name = "S", default_value_t = 0.01, value_parser = above_zero)]
     dt: f64,
+    /// Sliding speed below which friction is regularised: loaded contacts creep at up to this speed
+    #[arg(long, value_name = "M_PER_S", default_value_t = 1e-3, value_parser = above_zero)]
+    eps_v: f64,
     /// Newton convergence tolerance (max nodal speed, m/s)
     #[arg(long, value_name = "M_PER_S", default_value_t = 1e-4, value_parser = above_zero)]
     tolerance: f64,
@@ -176,6 +182,7 @@ impl SettingsFlags {
             },
         };
         settings.solver.dt_s = self.dt;
+        settings.solver.eps_v_m_s = self.eps_v;
         settings.solver.newton_tolerance_m_s = self.tolerance;
         settings.solver.max_iterations = self.max_iterations;
         settings
@@ -186,6 +193,9 @@ impl SettingsFlags {
 struct Report {
     #[serde(flatten)]
     summary: GraspSummary,
+    /// Number of warnings of the mesh and the pose, which are printed before the simulation.
+    #[serde(skip)]
+    early_warnings: usize,
     wall_s: f64,
     times: PhaseTimes,
     object: ObjectRecord,
@@ -215,7 +225,13 @@ pub(crate) fn run(context: &Context, args: Args) -> Result<()> {
     let prepared = args.object.mesh.load()?;
     let object = ObjectRecord::new(&args.object, &prepared);
     let PreparedMesh { mesh, warnings, .. } = prepared;
-    let (t_world_object, stable_pose, placed) = place(&mesh, &args.pose)?;
+    let Placed {
+        t_world_object,
+        stable_pose,
+        gripper: placed,
+        warnings: of_pose,
+    } = place(&mesh, &args.pose)?;
+    let warnings = [warnings, of_pose].concat();
     let settings = args.settings.settings();
     let scene = Scene {
         mesh,
@@ -236,8 +252,10 @@ pub(crate) fn run(context: &Context, args: Args) -> Result<()> {
         Ok::<_, Error>((result, started.elapsed().as_secs_f64()))
     })??;
     let mut summary = GraspSummary::new(&result, &settings.protocol, settings.solver.dt_s);
+    let early_warnings = warnings.len();
     summary.warnings.splice(0..0, warnings);
     let report = Report {
+        early_warnings,
         wall_s,
         times: result.times,
         object,
@@ -255,11 +273,19 @@ pub(crate) fn run(context: &Context, args: Args) -> Result<()> {
     finish(context, &report)
 }
 
-/// Returns `t_world_object`, the stable pose it comes from, and the gripper pose.
-fn place(
-    mesh: &TriangleMesh,
-    flags: &PoseFlags,
-) -> Result<(Pose, Option<StablePoseRecord>, GripperState)> {
+/// Poses at the start of the grasp.
+struct Placed {
+    t_world_object: Pose,
+    /// The stable pose that `t_world_object` is.
+    stable_pose: Option<StablePoseRecord>,
+    gripper: GripperState,
+    warnings: Vec<String>,
+}
+
+/// Smallest height above the ground at which an object's pose is a warning, m.
+const IN_THE_AIR_M: f64 = 1e-3;
+
+fn place(mesh: &TriangleMesh, flags: &PoseFlags) -> Result<Placed> {
     let resting = || -> Result<(Pose, Option<StablePoseRecord>)> {
         let (index, pose) = resting_pose(mesh, flags.stable_pose)?;
         let record = StablePoseRecord {
@@ -275,20 +301,42 @@ fn place(
             Some(given) => (given, None),
             None => resting()?,
         };
-        let placed = pose.place(mesh, &t_world_object);
-        return Ok((t_world_object, stable_pose, placed));
+        let above = height_above_ground(mesh, &t_world_object);
+        let warning = format!(
+            "the pose holds the object {:.1} mm above the ground: object and gripper are set down \
+             together by that much",
+            1e3 * above
+        );
+        return Ok(Placed {
+            t_world_object,
+            stable_pose,
+            gripper: pose
+                .place_within(mesh, &t_world_object, flags.max_opening)
+                .map_err(|e| e.at(path.display()))?,
+            warnings: (above > IN_THE_AIR_M)
+                .then_some(warning)
+                .into_iter()
+                .collect(),
+        });
     }
     let (t_world_object, stable_pose) = resting()?;
     let placement = Placement {
-        yaw_rad: flags.yaw_deg.to_radians(),
+        yaw_rad: flags.yaw_deg.unwrap_or(0.0).to_radians(),
         roll_rad: flags.roll_deg.to_radians(),
         pitch_rad: flags.pitch_deg.to_radians(),
         offset_m: [flags.offset_x, flags.offset_y],
         height_m: flags.height,
         opening_m: flags.width,
     };
-    let placed = placement.place(mesh, &t_world_object)?;
-    Ok((t_world_object, stable_pose, placed))
+    let may_turn = flags.yaw_deg.is_none();
+    let (gripper, warning) =
+        placement.place_within(mesh, &t_world_object, flags.max_opening, may_turn)?;
+    Ok(Placed {
+        t_world_object,
+        stable_pose,
+        gripper,
+        warnings: warning.into_iter().collect(),
+    })
 }
 
 fn read_pose(path: &Path, flags: &PoseFlags) -> Result<GraspPose> {
@@ -362,10 +410,15 @@ fn text(report: &Report) -> String {
             rounded(1e3 * summary.lifted_m, 1)
         ));
         lines.push(format!(
-            "force       {} N left, {} N right, threshold {} N",
+            "force       {} N left, {} N right, threshold {} N{}",
             rounded(summary.force_n.left, 2),
             rounded(summary.force_n.right, 2),
-            summary.stop_force_n
+            summary.stop_force_n,
+            if summary.reached_stop_force {
+                ""
+            } else {
+                ", never reached"
+            }
         ));
     }
     if let (Some(mean), Some(std)) = (summary.mean_force_n, summary.std_force_n) {
@@ -377,6 +430,12 @@ fn text(report: &Report) -> String {
         lines.push(format!(
             "adjustment  {} ± {std:.2} N over its last {STEADY_STEPS} steps, {steady}",
             rounded(mean, 2)
+        ));
+    }
+    if let Some(friction_use) = summary.friction_use {
+        lines.push(format!(
+            "friction    {:.0} % of its limit in the lift",
+            100.0 * friction_use
         ));
     }
     lines.push(format!(
@@ -416,9 +475,7 @@ fn outcome_text(outcome: GraspOutcome) -> &'static str {
 /// Prints warnings and returns the error of a grasp without an outcome.
 fn finish(context: &Context, report: &Report) -> Result<()> {
     let summary = &report.summary;
-    // Warnings of the mesh are printed before the simulation.
-    let warnings = summary.warnings.iter();
-    context.warn(warnings.filter(|warning| warning.contains("converge")));
+    context.warn(&report.summary.warnings[report.early_warnings..]);
     if summary.outcome == GraspOutcome::PenetratingStart {
         context.warn([
             "the gripper starts in collision\n  → open it further (--width), raise it (--height) or \

@@ -9,7 +9,7 @@
 //!
 //! The back of the gel moves quasi-statically towards the fixed indenter; the depth counts from
 //! first contact. A mesh indenter points down in the gel's frame (x along 25 mm, y along 20 mm);
-//! its lowest point touches first.
+//! its lowest point above the gel touches first.
 //!
 //! Exit codes: 0 simulated · 1 invalid indenter · 2 usage · 4 a point did not converge · 130
 //! interrupted.
@@ -124,6 +124,8 @@ struct Report {
     gel_nodes: [usize; 3],
     wall_s: f64,
     points: Vec<PressPoint>,
+    /// Reasons to doubt the result.
+    warnings: Vec<String>,
 }
 
 /// Runs the command.
@@ -136,10 +138,14 @@ pub(crate) fn run(context: &Context, args: Args) -> Result<()> {
         let points = press.run(&goals);
         (points, started.elapsed().as_secs_f64())
     })?;
+    let points = points?;
+    let warnings = without_force(&points);
+    context.warn(&warnings);
     let report = Report {
         gel_nodes,
         wall_s,
-        points: points?,
+        points,
+        warnings,
     };
     print_report(args.json, &report, |_| text(&report.points))?;
     let unconverged = report.points.iter().filter(|p| !p.converged).count();
@@ -149,6 +155,19 @@ pub(crate) fn run(context: &Context, args: Args) -> Result<()> {
     let total = report.points.len();
     let what = format!("{unconverged} of {total} points did not converge");
     Err(Error::new(ErrorKind::Check, what).remedy("pass a larger --d-hat-m or a coarser --gel"))
+}
+
+/// Warns of points at which the gel feels no force.
+fn without_force(points: &[PressPoint]) -> Vec<String> {
+    let loose = points.iter().filter(|p| p.converged && p.normal_n <= 0.0);
+    let depths: Vec<String> = loose.map(|p| format!("{:.3}", 1e3 * p.depth_m)).collect();
+    if depths.is_empty() {
+        return Vec::new();
+    }
+    vec![format!(
+        "the gel feels no force at a depth of {} mm: the indenter does not touch it there",
+        depths.join(", ")
+    )]
 }
 
 fn goals(args: &Args) -> Result<Vec<PressTarget>> {

@@ -50,4 +50,4 @@ pub use mesh_query::{ClosestPoint, MeshQuery, RayHit};
 pub use object_mesh::{MeshOptions, load_object_mesh, load_object_mesh_below};
 pub use pose::Pose;
 pub use solid::Solid;
-pub use stable_poses::{StablePose, likely_poses, stable_poses};
+pub use stable_poses::{StablePose, likely_poses, nearest_pose, stable_poses};

@@ -1,5 +1,6 @@
 //! Stable poses of a body on a plane.
 
+use std::collections::BTreeSet;
 use std::f64::consts::PI;
 
 use glam::{DQuat, DVec3};
@@ -13,20 +14,50 @@ use super::winding_number::solid_angle;
 use gripcast_base::error::{Error, Result};
 
 /// Distance from the plane of a facet, relative to the body's diagonal, up to which corners belong
-/// to it.
-const FLATNESS: f64 = 1e-6;
+/// to it; also the difference up to which distances are equal. Coordinates rounded to single
+/// precision or to micrometres differ by less.
+const FLATNESS: f64 = 1e-5;
+/// Tip angle up to which the body does not rest on a facet, rad: rounding decides its sign.
+const MARGINAL_TIP_RAD: f64 = 1e-5;
+/// Relative difference up to which probabilities are equal.
+const EQUAL_PROBABILITY: f64 = 1e-3;
+/// Difference up to which rotation angles (rad) and components of unit vectors are equal.
+const EQUAL_DIRECTION: f64 = 1e-4;
+/// Angle from upside down within which a body is turned about the x axis, rad.
+const UPSIDE_DOWN_RAD: f64 = 1e-3;
 
 /// A stable pose of a body on the plane z = 0.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct StablePose {
     /// Lowest point at z = 0, centre of mass at x = y = 0. Rotations about z are equivalent; this
-    /// is the smallest rotation.
+    /// is the smallest rotation, or for an upside-down body the one about x.
     pub t_world_object: Pose,
     /// Probability that a body put down slowly in a uniformly random orientation comes to rest in
     /// this pose; all sum to 1.
     pub probability: f64,
     /// Smallest tilt that tips the body over, rad.
     pub tip_angle_rad: f64,
+}
+
+impl StablePose {
+    /// Angle by which the pose rotates the body as it stands in its file, rad.
+    pub fn rotation_angle_rad(&self) -> f64 {
+        self.down().angle_between(DVec3::NEG_Z)
+    }
+
+    /// Direction of the mesh's frame that points down.
+    fn down(&self) -> DVec3 {
+        self.t_world_object.rotation.conjugate() * DVec3::NEG_Z
+    }
+}
+
+/// Index of the pose that rotates the body least, if by less than `max_angle_rad`; the first of
+/// equal ones.
+pub fn nearest_pose(poses: &[StablePose], max_angle_rad: f64) -> Option<usize> {
+    let angles: Vec<f64> = poses.iter().map(StablePose::rotation_angle_rad).collect();
+    let least = angles.iter().copied().fold(f64::INFINITY, f64::min);
+    let nearest = angles.iter().position(|a| *a <= least + EQUAL_DIRECTION);
+    nearest.filter(|_| least < max_angle_rad)
 }
 
 /// Likely stable poses, by falling probability: those that survive a tilt of `min_tip_rad` and have
@@ -41,9 +72,11 @@ pub fn likely_poses(
     min_probability: f64,
 ) -> Result<Vec<StablePose>> {
     let mut poses = stable_poses(mesh, min_tip_rad).or_else(|_| stable_poses(mesh, 0.0))?;
-    let is_likely = |pose: &&StablePose| pose.probability >= min_probability;
-    let likely = poses.iter().take_while(is_likely).count();
-    poses.truncate(likely.max(1));
+    let first = poses.first().copied();
+    poses.retain(|pose| pose.probability >= min_probability);
+    if poses.is_empty() {
+        poses.extend(first);
+    }
     Ok(poses)
 }
 
@@ -52,8 +85,13 @@ pub fn likely_poses(
 /// Each facet of the convex hull is a candidate. Its solid angle from the centre of mass is its
 /// fraction of landings (Goldberg et al., *Part pose statistics*, IJRR 1999, without dynamics). If
 /// the centre of mass is not above the facet, or a tilt below `min_tip_rad` leaves it, the body
-/// tips over the nearest side onto that neighbour, and on to where that one comes to rest. 0 keeps
-/// all stable poses, 0.02 those that survive a nudge.
+/// tips over the nearest side onto that neighbour, and on to where that one comes to rest; of
+/// equally near sides, each takes its share. 0 keeps all stable poses, 0.02 those that survive a
+/// nudge.
+///
+/// The order does not depend on rounding. Of poses with equal probabilities (within 0.1 %), the one
+/// that rotates the body least from how it stands in its file comes first; of equal rotations, the
+/// one whose downward direction has the larger x, then y, then z component in the axes of the file.
 ///
 /// # Errors
 /// `Input` if the mesh encloses no volume, or if it tips over from every facet.
@@ -68,16 +106,11 @@ pub fn stable_poses(mesh: &TriangleMesh, min_tip_rad: f64) -> Result<Vec<StableP
     let center = MassProperties::from_mesh(mesh)?.center_of_mass_m;
     let hull = convex_hull(&mesh.without_unused_vertices().vertices)?;
     let facets = facets(&hull, center);
-    let mut probability = vec![0.0; facets.len()];
-    for (index, facet) in facets.iter().enumerate() {
-        if let Some(rest) = resting_facet(&facets, index, min_tip_rad) {
-            probability[rest] += facet.solid_angle;
-        }
-    }
-    let total: f64 = probability.iter().sum();
+    let landings = landings(&facets, min_tip_rad);
+    let total: f64 = landings.iter().sum();
     let mut poses: Vec<StablePose> = facets
         .iter()
-        .zip(&probability)
+        .zip(&landings)
         .filter(|(_, fraction)| **fraction > 0.0)
         .map(|(facet, fraction)| StablePose {
             t_world_object: resting_pose(&hull, center, facet.normal),
@@ -92,8 +125,36 @@ pub fn stable_poses(mesh: &TriangleMesh, min_tip_rad: f64) -> Result<Vec<StableP
         ))
         .remedy("use a smaller minimum tip angle"));
     }
-    poses.sort_by(|a, b| b.probability.total_cmp(&a.probability));
+    sort_by_keys(&mut poses, &ORDER);
     Ok(poses)
+}
+
+/// A number that orders poses, and the difference up to which it is equal.
+type Key = (fn(&StablePose) -> f64, f64);
+
+/// Order of poses: each key decides where those before it are equal.
+const ORDER: [Key; 5] = [
+    (|pose| -pose.probability.ln(), EQUAL_PROBABILITY),
+    (StablePose::rotation_angle_rad, EQUAL_DIRECTION),
+    (|pose| -pose.down().x, EQUAL_DIRECTION),
+    (|pose| -pose.down().y, EQUAL_DIRECTION),
+    (|pose| -pose.down().z, EQUAL_DIRECTION),
+];
+
+/// Sorts by the first key, and those within its tolerance of the first of them by the other keys.
+fn sort_by_keys(poses: &mut [StablePose], keys: &[Key]) {
+    let Some(((key, tolerance), others)) = keys.split_first() else {
+        return;
+    };
+    poses.sort_by(|a, b| key(a).total_cmp(&key(b)));
+    let mut rest = poses;
+    while let Some(first) = rest.first().map(key) {
+        let is_equal = |pose: &&StablePose| key(pose) - first <= *tolerance;
+        let count = rest.iter().take_while(is_equal).count().max(1);
+        let (equal, after) = rest.split_at_mut(count);
+        sort_by_keys(equal, others);
+        rest = after;
+    }
 }
 
 /// Coplanar triangles of the hull.
@@ -104,28 +165,42 @@ struct Facet {
     solid_angle: f64,
     /// Tilt at which the body leaves the facet, rad; negative if unstable.
     tip_angle: f64,
-    /// Facet onto which the body tips.
-    tips_to: usize,
+    /// Facets onto which the body tips, each with the same probability.
+    tips_to: Vec<usize>,
 }
 
-/// Facet on which a body put down on `start` comes to rest; `None` if it never does.
-fn resting_facet(facets: &[Facet], start: usize, min_tip_rad: f64) -> Option<usize> {
-    let mut current = start;
+/// Fraction of the landings that come to rest on each facet.
+fn landings(facets: &[Facet], min_tip_rad: f64) -> Vec<f64> {
+    let rests =
+        |facet: &Facet| facet.tip_angle > MARGINAL_TIP_RAD && facet.tip_angle >= min_tip_rad;
+    let mut resting = vec![0.0; facets.len()];
+    let mut falling: Vec<f64> = facets.iter().map(|facet| facet.solid_angle).collect();
     // Each fall lowers the centre of mass, unless the minimum tip angle excludes all minima.
     for _ in 0..=facets.len() {
-        if facets[current].tip_angle > 0.0 && facets[current].tip_angle >= min_tip_rad {
-            return Some(current);
+        let mut next = vec![0.0; facets.len()];
+        for (index, facet) in facets.iter().enumerate() {
+            if rests(facet) {
+                resting[index] += falling[index];
+                continue;
+            }
+            for &neighbour in &facet.tips_to {
+                next[neighbour] += falling[index] / facet.tips_to.len() as f64;
+            }
         }
-        current = facets[current].tips_to;
+        if next.iter().all(|fraction| *fraction == 0.0) {
+            break;
+        }
+        falling = next;
     }
-    None
+    resting
 }
 
 /// Pose with the given direction of the object pointing down.
 fn resting_pose(hull: &TriangleMesh, center: DVec3, down: DVec3) -> Pose {
-    // The shortest rotation is undefined for a direction that points up.
-    let rotation = if down.z > 1.0 - 1e-12 {
-        DQuat::from_rotation_x(PI)
+    // From upside down, rounding decides the axis of the shortest rotation.
+    let rotation = if down.angle_between(DVec3::Z) < UPSIDE_DOWN_RAD {
+        let turn = DQuat::from_rotation_x(PI);
+        DQuat::from_rotation_arc(turn * down, DVec3::NEG_Z) * turn
     } else {
         DQuat::from_rotation_arc(down, DVec3::NEG_Z)
     };
@@ -137,7 +212,8 @@ fn resting_pose(hull: &TriangleMesh, center: DVec3, down: DVec3) -> Pose {
 }
 
 fn facets(hull: &TriangleMesh, center: DVec3) -> Vec<Facet> {
-    let (facet_of, planes) = group_by_plane(hull);
+    let tolerance = FLATNESS * hull.bounds().diagonal();
+    let (facet_of, planes) = group_by_plane(hull, tolerance);
     let mut triangles: Vec<Vec<[DVec3; 3]>> = vec![Vec::new(); planes.len()];
     for (corners, &facet) in hull.all_corners().zip(&facet_of) {
         triangles[facet].push(corners);
@@ -154,8 +230,10 @@ fn facets(hull: &TriangleMesh, center: DVec3) -> Vec<Facet> {
             }
         }
     }
-    (0..planes.len())
-        .map(|f| facet(&planes[f], &triangles[f], &sides[f], center))
+    planes
+        .iter()
+        .zip(triangles.iter().zip(&sides))
+        .map(|(plane, (triangles, sides))| facet(plane, triangles, sides, center, tolerance))
         .collect()
 }
 
@@ -169,6 +247,14 @@ struct Plane {
 }
 
 impl Plane {
+    /// The plane of a triangle.
+    fn through([a, b, c]: [DVec3; 3]) -> Self {
+        Self {
+            point: a,
+            normal: (b - a).cross(c - a).normalize_or_zero(),
+        }
+    }
+
     /// Height of a point over the plane, m.
     fn height(&self, p: DVec3) -> f64 {
         (p - self.point).dot(self.normal)
@@ -180,7 +266,14 @@ impl Plane {
     }
 }
 
-fn facet(plane: &Plane, triangles: &[[DVec3; 3]], sides: &[Side], center: DVec3) -> Facet {
+/// A facet of a hull with centre of mass `center`; distances within `tolerance` (m) are equal.
+fn facet(
+    plane: &Plane,
+    triangles: &[[DVec3; 3]],
+    sides: &[Side],
+    center: DVec3,
+    tolerance: f64,
+) -> Facet {
     let height = -plane.height(center);
     let foot = plane.foot(center);
     let reach = |corners: &[DVec3; 3]| {
@@ -188,18 +281,23 @@ fn facet(plane: &Plane, triangles: &[[DVec3; 3]], sides: &[Side], center: DVec3)
         closest_on_triangle(foot, &flat).1.distance(foot)
     };
     let outside_by = triangles.iter().map(reach).fold(f64::INFINITY, f64::min);
-    // A foot beyond the corner of two sides tips over the one that it is further beyond.
     let middle = middle_of(triangles);
-    let beyond = |[a, b]: &[DVec3; 2]| {
-        let across = (*b - *a).cross(plane.normal).normalize_or_zero();
-        (foot - *a).dot(across) * (*a - middle).dot(across).signum()
+    // A foot beyond the corner of two sides tips over the one that it is further beyond.
+    let beyond = |side: &&Side| {
+        let [a, b] = side.0;
+        let across = (b - a).cross(plane.normal).normalize_or_zero();
+        (foot - a).dot(across) * (a - middle).dot(across).signum()
     };
     let distance = |(ends, _): &Side| distance_to_segment(foot, &ends.map(|p| plane.foot(p)));
     let shortest = sides.iter().map(distance).fold(f64::INFINITY, f64::min);
-    let nearest = sides
+    let nearest = |side: &&Side| distance(side) <= shortest + tolerance;
+    let farthest_beyond = sides.iter().filter(nearest).map(|side| beyond(&side));
+    let farthest_beyond = farthest_beyond.fold(f64::NEG_INFINITY, f64::max);
+    let tips_over = sides
         .iter()
-        .filter(|side| distance(side) <= shortest * (1.0 + 1e-9))
-        .max_by(|x, y| beyond(&x.0).total_cmp(&beyond(&y.0)));
+        .filter(nearest)
+        .filter(|side| beyond(side) >= farthest_beyond - tolerance);
+    let tips_to: BTreeSet<usize> = tips_over.map(|(_, facet)| *facet).collect();
     let is_above = outside_by <= 1e-9 * height;
     let margin = if is_above { shortest } else { -shortest };
     let seen: f64 = triangles.iter().map(|t| solid_angle(t, center)).sum();
@@ -207,7 +305,7 @@ fn facet(plane: &Plane, triangles: &[[DVec3; 3]], sides: &[Side], center: DVec3)
         normal: plane.normal,
         solid_angle: seen / (4.0 * PI),
         tip_angle: margin.atan2(height),
-        tips_to: nearest.map_or(0, |(_, facet)| *facet),
+        tips_to: tips_to.into_iter().collect(),
     }
 }
 
@@ -224,10 +322,9 @@ fn distance_to_segment(point: DVec3, &[a, b]: &[DVec3; 2]) -> f64 {
 }
 
 /// Index of each triangle's facet, and the plane of each facet. The largest remaining triangle
-/// starts a facet with all connected coplanar triangles; slivers, whose own plane is uncertain,
-/// join a neighbour.
-fn group_by_plane(hull: &TriangleMesh) -> (Vec<usize>, Vec<Plane>) {
-    let tolerance = FLATNESS * hull.bounds().diagonal();
+/// starts a facet with all connected triangles within `tolerance` (m) of its plane; slivers, whose
+/// own plane is uncertain, join a neighbour.
+fn group_by_plane(hull: &TriangleMesh, tolerance: f64) -> (Vec<usize>, Vec<Plane>) {
     let areas = hull.triangle_areas();
     let is_sliver = |t: usize| {
         let [a, b, c] = hull.corners(hull.triangles[t]);
@@ -243,11 +340,7 @@ fn group_by_plane(hull: &TriangleMesh) -> (Vec<usize>, Vec<Plane>) {
         if facet_of[seed].is_some() {
             continue;
         }
-        let [a, b, c] = hull.corners(hull.triangles[seed]);
-        let plane = Plane {
-            point: a,
-            normal: (b - a).cross(c - a).normalize_or_zero(),
-        };
+        let plane = Plane::through(hull.corners(hull.triangles[seed]));
         let is_flat = |t: u32| {
             let corners = hull.corners(hull.triangles[t as usize]);
             corners.iter().all(|&p| plane.height(p).abs() <= tolerance)

@@ -1,11 +1,13 @@
 use super::*;
 use crate::{BUILTIN_NAMES, LengthUnit, PrepareOptions, builtin, load_mesh, prepare};
+use gripcast_base::random::SeedStream;
 use gripcast_testing::shared;
+use gripcast_testing::shuffled_mesh::shuffle_mesh;
 use std::path::Path;
 
 /// Object direction that points down in a pose.
 fn down(pose: &StablePose) -> DVec3 {
-    pose.t_world_object.rotation.conjugate() * DVec3::NEG_Z
+    pose.down()
 }
 
 fn total(poses: &[StablePose]) -> f64 {
@@ -20,7 +22,7 @@ fn height(mesh: &TriangleMesh, center: DVec3, rotation: DQuat) -> f64 {
 
 /// Height above the lowest vertex below which vertices certainly touch the ground, and above which
 /// they certainly do not, m; rounding and nearly coplanar facets decide between them.
-const CONTACT_M: [f64; 2] = [1e-9, 1e-7];
+const CONTACT_M: [f64; 2] = [1e-9, 3e-6];
 
 /// Distance of the centre of mass's foot inside the support polygon (negative: outside), m: the
 /// minimum over all directions across two contacts.
@@ -33,6 +35,9 @@ fn support_margin(mesh: &TriangleMesh, center: DVec3, down: DVec3, contact_m: f6
         .filter(|v| depth(v) > lowest - contact_m)
         .map(|v| (*v - center).reject_from_normalized(down))
         .collect();
+    if contacts.len() < 3 {
+        return 0.0;
+    }
     let mut margin = f64::INFINITY;
     for a in &contacts {
         for b in contacts.iter().filter(|b| a.distance(**b) > 1e-6) {
@@ -100,7 +105,10 @@ fn all_poses_of_built_in_shapes_are_stable() {
         let mesh = builtin(name).unwrap();
         let poses = stable_poses(&mesh, 0.0).unwrap();
         assert!((total(&poses) - 1.0).abs() < 1e-12, "{name}");
-        assert!(poses.is_sorted_by(|a, b| a.probability >= b.probability));
+        let is_before = |a: &StablePose, b: &StablePose| {
+            a.probability >= b.probability * (1.0 - EQUAL_PROBABILITY)
+        };
+        assert!(poses.is_sorted_by(is_before), "{name}");
         for pose in &poses {
             assert_rests(&mesh, pose);
         }
@@ -208,7 +216,7 @@ fn poses_agree_with_trimesh() {
             .iter()
             .filter(|(d, _)| ours.iter().all(|pose| down(pose).angle_between(*d) > 2e-3));
         let largest = missing
-            .map(|(d, _)| support_margin(&mesh, center, *d, CONTACT_M[1]))
+            .map(|(d, _)| support_margin(&mesh, center, *d, 1e-7))
             .fold(f64::MIN, f64::max);
         let cap = |d: DVec3| {
             let inside = |other: DVec3| other.angle_between(d) < 0.2;
@@ -243,4 +251,134 @@ fn round_body_has_a_likely_pose() {
     let all = stable_poses(&bar, 0.05).unwrap();
     let likely = likely_poses(&bar, 0.05, 0.3).unwrap();
     assert_eq!(likely, all[..2], "on its two large sides");
+}
+
+/// The same body in another file: shuffled, moved, and rounded to single precision.
+fn refiled(mesh: &TriangleMesh, t: &Pose, random: &mut SeedStream) -> TriangleMesh {
+    let mut moved = mesh.transformed(t);
+    for v in &mut moved.vertices {
+        *v = v.as_vec3().as_dvec3();
+    }
+    let index = |count| random.index(count);
+    shuffle_mesh(&mut moved.vertices, &mut moved.triangles, index);
+    moved
+}
+
+fn random_vector(random: &mut SeedStream) -> DVec3 {
+    DVec3::from_array([0; 3].map(|_| random.between(-0.3, 0.3)))
+}
+
+/// A bent capsule, mirror-symmetric in y: its most probable poses come in pairs.
+fn bent_capsule() -> TriangleMesh {
+    let mut mesh = builtin("sphere").unwrap();
+    let radius = mesh.bounds().max.x;
+    for v in &mut mesh.vertices {
+        *v *= 0.014 / radius;
+        v.x += 0.025 * (v.x / 0.004).clamp(-1.0, 1.0);
+        v.z += 0.003 * (60.0 * v.x).sin();
+    }
+    mesh
+}
+
+#[test]
+fn order_of_poses_does_not_depend_on_rounding() {
+    let mut random = SeedStream::named(35, "order");
+    let names = ["box", "bar", "wedge", "spike", "cylinder", "mug"];
+    let mut shapes: Vec<(&str, TriangleMesh)> = names
+        .iter()
+        .map(|name| (*name, builtin(name).unwrap()))
+        .collect();
+    shapes.push(("bent capsule", bent_capsule()));
+    for (name, mesh) in &shapes {
+        let poses = stable_poses(mesh, 0.0).unwrap();
+        for _ in 0..30 {
+            let t = Pose::from_translation(random_vector(&mut random));
+            let moved = stable_poses(&refiled(mesh, &t, &mut random), 0.0).unwrap();
+            assert!(
+                down(&poses[0]).angle_between(down(&moved[0])) < 1e-3,
+                "{name}: {:?} {:?}",
+                poses[0],
+                moved[0]
+            );
+            assert!(
+                (poses[0].probability - moved[0].probability).abs() < 1e-3 * poses[0].probability
+            );
+            let nearest = |poses: &[StablePose]| nearest_pose(poses, 0.09).map(|i| down(&poses[i]));
+            match (nearest(&poses), nearest(&moved)) {
+                (Some(a), Some(b)) => assert!(a.angle_between(b) < 1e-3, "{name}"),
+                (a, b) => assert_eq!(a.is_some(), b.is_some(), "{name}"),
+            }
+        }
+    }
+}
+
+#[test]
+fn probabilities_do_not_depend_on_the_frame_of_the_file() {
+    let mut random = SeedStream::named(7, "probabilities");
+    for name in ["box", "bar", "wedge", "mug", "spike"] {
+        let mesh = builtin(name).unwrap();
+        let poses = stable_poses(&mesh, 0.0).unwrap();
+        for _ in 0..30 {
+            let t = Pose::new(
+                DQuat::from_scaled_axis(random_vector(&mut random) * 10.0),
+                random_vector(&mut random),
+            );
+            let moved = stable_poses(&refiled(&mesh, &t, &mut random), 0.0).unwrap();
+            // Facets between rounding and flat may differ; together they land as often.
+            for pose in &poses[..poses.len().min(6)] {
+                let expected = t.transform_vector(down(pose));
+                let near = |p: &&StablePose, d: DVec3| down(p).angle_between(d) < 0.01;
+                let sum = |poses: &[StablePose], d: DVec3| -> f64 {
+                    poses
+                        .iter()
+                        .filter(|p| near(p, d))
+                        .map(|p| p.probability)
+                        .sum()
+                };
+                let (before, after) = (sum(&poses, down(pose)), sum(&moved, expected));
+                assert!(
+                    (before - after).abs() < 1e-3 * before,
+                    "{name}: {before} {after}"
+                );
+            }
+            let height = |mesh: &TriangleMesh, pose: &StablePose| {
+                let center = MassProperties::from_mesh(mesh).unwrap().center_of_mass_m;
+                pose.t_world_object.transform_point(center).z
+            };
+            let moved_mesh = mesh.transformed(&t);
+            let heights = [height(&mesh, &poses[0]), height(&moved_mesh, &moved[0])];
+            assert!(
+                (heights[0] - heights[1]).abs() < 1e-6,
+                "{name}: {heights:?}"
+            );
+        }
+    }
+}
+
+#[test]
+fn a_tie_between_two_sides_is_shared() {
+    // A regular pyramid on its tip: it falls on each of its four sides alike.
+    let apex = DVec3::new(0.0, 0.0, -0.03);
+    let ring = [(1.0, 0.0), (0.0, 1.0), (-1.0, 0.0), (0.0, -1.0)];
+    let mut points: Vec<DVec3> = ring
+        .iter()
+        .map(|(x, y)| DVec3::new(0.02 * x, 0.02 * y, 0.03))
+        .collect();
+    // A truncated tip too small to stand on.
+    points.extend(
+        ring.iter()
+            .map(|(x, y)| apex + DVec3::new(1e-3 * x, 1e-3 * y, 0.0)),
+    );
+    let mesh = convex_hull(&points).unwrap();
+    let poses = stable_poses(&mesh, 0.2).unwrap();
+    let sides: Vec<f64> = poses
+        .iter()
+        .filter(|pose| down(pose).z.abs() < 0.9)
+        .map(|pose| pose.probability)
+        .collect();
+    assert_eq!(sides.len(), 4);
+    assert!(
+        sides.iter().all(|p| (p - sides[0]).abs() < 1e-9),
+        "{sides:?}"
+    );
 }

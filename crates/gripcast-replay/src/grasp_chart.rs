@@ -250,6 +250,7 @@ mod tests {
             outcome: GraspOutcome::Success,
             detail: None,
             lifted_m: 0.05,
+            friction_use: None,
             unconverged_steps: 0,
             times: PhaseTimes::default(),
             trace,

@@ -17,10 +17,8 @@ use gripcast_dataset::{Dataset, GraspRecord, Outcome};
 use gripcast_geometry::{MeshQuery, Pose};
 use gripcast_pose::{BoardFile, PrintedSheet};
 use gripcast_sim::GraspSetup;
-use gripcast_sim::grasp::GraspPose;
+use gripcast_sim::grasp::{GRIPPER_OPENING_M, GraspPose};
 
-/// Maximum initial opening if the record does not contain it, m.
-const MAX_OPENING_M: f64 = 0.09;
 /// Maximum distance of the gripper's origin from the object's surface, m; more usually means
 /// millimetres instead of metres.
 const MAX_DISTANCE_M: f64 = 0.1;
@@ -146,7 +144,7 @@ fn recorded(
     .place(&object.mesh, &t_world_object);
     let opening_m = match measured_m {
         Some(_) => placed.opening_m,
-        None => placed.opening_m.min(MAX_OPENING_M),
+        None => placed.opening_m.min(GRIPPER_OPENING_M),
     };
     let covariance = pose.covariance.as_deref().map(covariance).transpose()?;
     Ok(RecordedGrasp {

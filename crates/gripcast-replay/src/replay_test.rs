@@ -84,6 +84,7 @@ impl Engine for FakeEngine {
             outcome,
             detail: None,
             lifted_m: 0.0,
+            friction_use: None,
             unconverged_steps: 0,
             times: PhaseTimes::default(),
             trace: Trace {

@@ -4,6 +4,7 @@
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
 pub mod jpeg;
+pub mod shuffled_mesh;
 pub mod sysfs_tree;
 
 use std::fmt::Display;

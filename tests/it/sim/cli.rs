@@ -36,10 +36,15 @@ fn error_text(command: &mut Command) -> String {
 
 /// OBJ text of a closed box of 40 × 40 × 60 units, facing outwards.
 fn box_obj() -> String {
+    box_of([20.0, 20.0, 30.0])
+}
+
+/// OBJ text of a closed box of the given half sizes, facing outwards.
+fn box_of(half: [f64; 3]) -> String {
     let mut text = String::new();
     for corner in 0..8 {
         let pick = |bit: usize, half: f64| if corner & bit == 0 { -half } else { half };
-        let (x, y, z) = (pick(1, 20.0), pick(2, 20.0), pick(4, 30.0));
+        let (x, y, z) = (pick(1, half[0]), pick(2, half[1]), pick(4, half[2]));
         text += &format!("v {x} {y} {z}\n");
     }
     for face in [
@@ -63,7 +68,8 @@ fn mug_grasp_succeeds_through_three_stages() {
     let (plot, trace) = (path("f.svg"), path("f.bin"));
     let found = result(
         "builtin:mug",
-        &format!("--stop-force-n 40 --plot {plot} --trace {trace}"),
+        // The handle makes it 93 mm wide.
+        &format!("--stop-force-n 40 --max-opening 0.1 --plot {plot} --trace {trace}"),
     );
     assert_schema("sim grasp", &[&found]);
     assert_eq!(found["outcome"], "success");
@@ -129,6 +135,87 @@ fn rolled_off_centre_grasp_fails_and_high_grasp_misses() {
     let miss = result("builtin:sphere", "--height 0.08");
     assert_eq!(miss["outcome"], "miss");
     assert_eq!(miss["mean_force_n"], Value::Null);
+}
+
+#[test]
+fn small_stopping_forces_hold_light_objects() {
+    // 2 μ F of 0.4 N against 0.2 N, and of 1.2 N against 0.39 N.
+    for flags in [
+        "--stop-force-n 0.5 --mass-kg 0.02",
+        "--stop-force-n 1 --mass-kg 0.04 --friction 0.6",
+    ] {
+        let found = result("builtin:box", &format!("{flags} --adjust-s 0.5"));
+        assert_eq!(found["outcome"], "success", "{flags}: {found}");
+        assert_eq!(found["steady"], true, "{flags}: {found}");
+        assert_eq!(found["reached_stop_force"], true);
+        let used = found["friction_use"].as_f64().unwrap();
+        assert!((0.25..0.65).contains(&used), "{flags}: {used}");
+    }
+}
+
+#[test]
+fn bar_lost_below_its_torsional_limit_is_called_creep() {
+    // A bar held 60 mm off its centre at 85 % of the torsional limit of its contact.
+    let folder = tempfile::tempdir().unwrap();
+    let bar = write(folder.path(), "bar.obj", &box_of([10.0, 100.0, 10.0]));
+    let flags = "--unit mm --offset-y .06 --mass-kg .1768 --stop-force-n 20 --adjust-s 0.3";
+    let creep = |eps_v: &str| {
+        result(
+            &bar.display().to_string(),
+            &format!("{flags} --eps-v {eps_v}"),
+        )
+    };
+    let lost = creep("1e-3");
+    let used = lost["friction_use"].as_f64().unwrap();
+    assert!((0.7..0.95).contains(&used), "{used}");
+    assert_eq!(lost["outcome"], "slip");
+    assert!(
+        lost["warnings"].to_string().contains("lost by creep"),
+        "{lost}"
+    );
+    let held = creep("5e-4");
+    assert_eq!(held["outcome"], "success");
+    assert!(held["lifted_m"].as_f64() > lost["lifted_m"].as_f64());
+}
+
+#[test]
+fn object_wider_than_the_gripper_is_turned_or_refused() {
+    let folder = tempfile::tempdir().unwrap();
+    let wide = |y: f64| {
+        let file = write(folder.path(), &format!("{y}.obj"), &box_of([60.0, y, 30.0]));
+        file.display().to_string()
+    };
+    let output = succeed(&mut grasp(
+        &wide(20.0),
+        "--unit mm --adjust-s 0.05 --offset-y -.002",
+    ));
+    let found = json(&output);
+    let opening = found["pose"]["opening_m"].as_f64().unwrap();
+    assert!((opening - 0.042).abs() < 1e-9, "{opening}");
+    assert!(
+        found["warnings"].to_string().contains("turned by 90°"),
+        "{found}"
+    );
+    assert!(stderr(&output).contains("turned by 90°"));
+    for (y, flags) in [(60.0, "--unit mm"), (20.0, "--unit mm --yaw-deg 0")] {
+        let text = error_text(&mut grasp(&wide(y), flags));
+        assert!(text.contains("wider than the gripper's 90 mm"), "{text}");
+        assert!(text.contains("--max-opening"), "{text}");
+    }
+}
+
+#[test]
+fn pose_in_the_air_is_told() {
+    let folder = tempfile::tempdir().unwrap();
+    let file = folder.path().join("pose.json");
+    let pose = r#"{"t_object_gripper": {"t_m": [0, 0, 0], "q_wxyz": [0, 1, 0, 0]},
+        "t_world_object": {"t_m": [0, 0, 0.08], "q_wxyz": [1, 0, 0, 0]}}"#;
+    std::fs::write(&file, pose).unwrap();
+    let flags = format!("--pose {} --adjust-s 0.05", file.display());
+    let output = succeed(&mut grasp("builtin:box", &flags));
+    let expected = "50.0 mm above the ground";
+    assert!(stderr(&output).contains(expected));
+    assert!(json(&output)["warnings"].to_string().contains(expected));
 }
 
 #[test]

@@ -32,7 +32,13 @@ fn invalid_presses_are_rejected() {
     for (arguments, code, expected) in [
         ("press --indenter sphere", 2, "--radius-m"),
         ("press --indenter sphere --radius-m 0", 2, "--radius-m"),
-        ("press --indenter plate --depth-m 0.003", 1, "depths"),
+        (
+            "press --indenter plate --depth-m 0.003",
+            1,
+            "at most 0.002 m, half the gel's thickness, found 0.003",
+        ),
+        ("press --indenter plate --depth-m -.003", 1, "found -0.003"),
+        ("press --indenter plate --radius-m -.003", 2, "--radius-m"),
         ("press --indenter mesh", 2, "--mesh"),
         ("press --indenter mesh --mesh no.stl", 1, "no.stl"),
     ] {
@@ -41,6 +47,32 @@ fn invalid_presses_are_rejected() {
         assert_eq!(output.status.code(), Some(code), "{arguments}: {text}");
         assert!(text.contains(expected), "{arguments}: {text}");
     }
+}
+
+#[test]
+fn mesh_beside_the_gel_is_explained() {
+    let folder = tempfile::tempdir().unwrap();
+    let file = folder.path().join("plate.obj");
+    let corner = |x: f64, y: f64, z: f64| format!("v {x} {y} {z}\n");
+    let vertices = [
+        corner(20.0, 0.0, 0.0),
+        corner(30.0, 0.0, 0.0),
+        corner(20.0, 9.0, 0.0),
+        corner(22.0, 3.0, 9.0),
+    ];
+    let faces = "f 1 3 2\nf 1 2 4\nf 2 3 4\nf 3 1 4\n";
+    std::fs::write(&file, vertices.concat() + faces).unwrap();
+    let press = format!(
+        "press --indenter mesh --unit mm --gel coarse --mesh {}",
+        file.display()
+    );
+    let output = sim(&press).output().unwrap();
+    let text = stderr(&output);
+    assert_eq!(output.status.code(), Some(1), "{text}");
+    assert!(
+        text.contains("beside the gel: it spans x from 20.0 to 30.0 mm"),
+        "{text}"
+    );
 }
 
 #[test]

@@ -1,5 +1,6 @@
 //! Simulation of a grasp as in the paper: closure, force adjustment, lift.
 
+mod friction_use;
 #[cfg(test)]
 mod not_converged_test;
 mod placement;
@@ -14,7 +15,9 @@ mod summary;
 pub mod trace;
 mod trace_file;
 
-pub use placement::{GraspPose, GripperState, Placement, resting_pose};
+pub use placement::{
+    GRIPPER_OPENING_M, GraspPose, GripperState, Placement, height_above_ground, resting_pose,
+};
 pub use protocol::{ForceRule, Protocol};
 pub(crate) use run::MIN_CONTACT_FORCE_N;
 pub use run::{GraspOutcome, GraspResult, simulate};

@@ -1,11 +1,15 @@
 //! Initial gripper pose: a grasp from above by a few parameters, or a recorded pose.
 
+use std::f64::consts::FRAC_PI_2;
+
 use glam::{DMat3, DQuat, DVec3};
 use serde::{Deserialize, Serialize};
 
 use gripcast_base::error::{Error, Result};
-use gripcast_geometry::{Aabb, Pose, StablePose, TriangleMesh, stable_poses};
+use gripcast_geometry::{Aabb, Pose, StablePose, TriangleMesh, nearest_pose, stable_poses};
 
+/// Largest opening of the gripper by default, m: a parallel gripper of the size of the paper's.
+pub const GRIPPER_OPENING_M: f64 = 0.09;
 /// Clearance between the object and each gel, m.
 const SIDE_CLEARANCE_M: f64 = 1e-3;
 /// Clearance between the gels and the ground, m.
@@ -44,13 +48,7 @@ const NEAR_STABLE_RAD: f64 = 5.0 * std::f64::consts::PI / 180.0;
 /// `Input` if the index is out of range or there is no stable pose.
 pub fn resting_pose(mesh: &TriangleMesh, index: Option<usize>) -> Result<(usize, StablePose)> {
     let poses = stable_poses(mesh, 0.0)?;
-    let angle = |pose: &StablePose| 2.0 * pose.t_world_object.rotation.w.abs().min(1.0).acos();
-    let nearest = || {
-        let all = poses.iter().map(angle).enumerate();
-        all.filter(|(_, angle)| *angle < NEAR_STABLE_RAD)
-            .min_by(|a, b| a.1.total_cmp(&b.1))
-            .map(|(index, _)| index)
-    };
+    let nearest = || nearest_pose(&poses, NEAR_STABLE_RAD);
     let index = index.or_else(nearest).unwrap_or(0);
     let pose = poses.get(index).ok_or_else(|| {
         Error::input(format!(
@@ -112,6 +110,48 @@ impl Placement {
         })
     }
 
+    /// Places a gripper that opens up to `max_opening_m`. If the object is too wide for it and
+    /// `may_turn`, the gripper is turned by 90° about the vertical where that fits; then also
+    /// returns a warning.
+    ///
+    /// # Errors
+    /// As [`place`](Self::place); `Input` if the object is too wide.
+    pub fn place_within(
+        &self,
+        mesh: &TriangleMesh,
+        t_world_object: &Pose,
+        max_opening_m: f64,
+        may_turn: bool,
+    ) -> Result<(GripperState, Option<String>)> {
+        let placed = self.place(mesh, t_world_object)?;
+        if placed.opening_m <= max_opening_m {
+            return Ok((placed, None));
+        }
+        if self.opening_m.is_none() && may_turn {
+            let turned = Self {
+                yaw_rad: self.yaw_rad + FRAC_PI_2,
+                ..*self
+            };
+            let turned = turned.place(mesh, t_world_object)?;
+            if turned.opening_m <= max_opening_m {
+                let warning = format!(
+                    "the gripper is turned by 90°: the object is {:.1} mm wide along x, the \
+                     gripper opens to {} mm",
+                    1e3 * (placed.opening_m - 2.0 * SIDE_CLEARANCE_M),
+                    millimetres(max_opening_m)
+                );
+                return Ok((turned, Some(warning)));
+            }
+        }
+        let clearance_m = if self.opening_m.is_some() {
+            0.0
+        } else {
+            SIDE_CLEARANCE_M
+        };
+        check_opening(placed.opening_m, clearance_m, max_opening_m)?;
+        Ok((placed, None))
+    }
+
     fn validate(&self) -> Result<()> {
         let [along, across] = self.offset_m;
         let numbers = [
@@ -131,6 +171,37 @@ impl Placement {
         }
         Ok(())
     }
+}
+
+/// Checks that the gripper opens as far as a grasp needs: `clearance_m` beyond the object on each
+/// side, or a given opening with a clearance of 0.
+fn check_opening(opening_m: f64, clearance_m: f64, max_opening_m: f64) -> Result<()> {
+    if opening_m <= max_opening_m {
+        return Ok(());
+    }
+    let limit = millimetres(max_opening_m);
+    let what = if clearance_m > 0.0 {
+        format!(
+            "the object is {:.1} mm wide where the fingers close, and needs {} mm of clearance on \
+             each side: wider than the gripper's {limit} mm",
+            1e3 * (opening_m - 2.0 * clearance_m),
+            millimetres(clearance_m)
+        )
+    } else {
+        format!(
+            "the opening of {} mm is wider than the gripper's {limit} mm",
+            millimetres(opening_m)
+        )
+    };
+    Err(Error::input(what).remedy(
+        "turn the gripper (--yaw-deg), lay the object on another side (--stable-pose), scale it \
+         (--scale), or name a gripper that opens further (--max-opening)",
+    ))
+}
+
+/// A length in millimetres without trailing zeros.
+fn millimetres(length_m: f64) -> f64 {
+    (1e6 * length_m).round() / 1e3
 }
 
 /// Opening that leaves [`SIDE_CLEARANCE_M`] between the points and each gel, m.
@@ -192,6 +263,29 @@ impl GraspPose {
                 .unwrap_or_else(|| clear_opening(points, origin, closing)),
         }
     }
+
+    /// As [`place`](Self::place), with a gripper that opens up to `max_opening_m`.
+    ///
+    /// # Errors
+    /// `Input` if the pose needs a wider opening.
+    pub fn place_within(
+        &self,
+        mesh: &TriangleMesh,
+        t_world_object: &Pose,
+        max_opening_m: f64,
+    ) -> Result<GripperState> {
+        let placed = self.place(mesh, t_world_object);
+        let clearance_m = self.opening_m.map_or(SIDE_CLEARANCE_M, |_| 0.0);
+        check_opening(placed.opening_m, clearance_m, max_opening_m)?;
+        Ok(placed)
+    }
+}
+
+/// Height of a placed object's lowest point above the ground (z = 0), m.
+pub fn height_above_ground(mesh: &TriangleMesh, t_world_object: &Pose) -> f64 {
+    let points = mesh.all_corners().flatten();
+    let heights = points.map(|v| t_world_object.transform_point(v).z);
+    heights.fold(f64::INFINITY, f64::min)
 }
 
 #[cfg(test)]
@@ -248,6 +342,58 @@ mod tests {
         let shift = placed.t_world_gripper.rotation.conjugate()
             * (placed.t_world_gripper.translation_m - DVec3::Z * 0.03);
         assert!((shift - DVec3::new(0.005, 0.002, 0.0)).length() < 1e-12);
+    }
+
+    #[test]
+    fn wide_object_turns_the_gripper_or_is_refused() {
+        let mut mesh = builtin("box").unwrap();
+        let place = |mesh: &TriangleMesh, placement: Placement, may_turn| {
+            placement.place_within(mesh, &on_ground(mesh), GRIPPER_OPENING_M, may_turn)
+        };
+        let (placed, warning) = place(&mesh, Placement::default(), true).unwrap();
+        assert!((placed.opening_m - 0.042).abs() < 1e-12 && warning.is_none());
+        for v in &mut mesh.vertices {
+            v.x *= 3.0;
+        }
+        let (placed, warning) = place(&mesh, Placement::default(), true).unwrap();
+        assert!((placed.opening_m - 0.042).abs() < 1e-12);
+        let closing = placed.t_world_gripper.rotation * DVec3::X;
+        assert!(closing.y.abs() > 1.0 - 1e-12);
+        let warning = warning.unwrap();
+        assert!(
+            warning.contains("120.0 mm") && warning.contains("90 mm"),
+            "{warning}"
+        );
+        // A yaw of the user's own is kept.
+        let error = place(&mesh, Placement::default(), false).unwrap_err();
+        let text = error.to_string();
+        assert!(
+            text.contains("120.0 mm") && text.contains("gripper's 90 mm"),
+            "{text}"
+        );
+        assert!(text.contains("--max-opening"), "{text}");
+        let given = Placement {
+            opening_m: Some(0.1),
+            ..Placement::default()
+        };
+        let text = place(&mesh, given, true).unwrap_err().to_string();
+        assert!(text.contains("opening of 100 mm"), "{text}");
+        let wide = Placement::default().place_within(&mesh, &on_ground(&mesh), 0.13, true);
+        assert!(wide.unwrap().1.is_none());
+        for v in &mut mesh.vertices {
+            v.y *= 3.0;
+        }
+        let text = place(&mesh, Placement::default(), true)
+            .unwrap_err()
+            .to_string();
+        assert!(text.contains("wider than the gripper's 90 mm"), "{text}");
+        let pose = GraspPose {
+            t_object_gripper: Pose::IDENTITY,
+            t_world_object: None,
+            opening_m: None,
+        };
+        let text = pose.place_within(&mesh, &Pose::IDENTITY, GRIPPER_OPENING_M);
+        assert!(text.unwrap_err().to_string().contains("120.0 mm"));
     }
 
     #[test]

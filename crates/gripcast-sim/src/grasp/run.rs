@@ -3,11 +3,13 @@
 use glam::{DQuat, DVec3};
 use serde::{Deserialize, Serialize};
 
+use super::friction_use::friction_use;
 use super::protocol::Protocol;
 use super::scene::{BuiltScene, Scene};
 use super::trace::{GelForce, Snapshot, StageName, Trace, TraceStep};
 use crate::solver::{Gel, PhaseTimes, SolverParameters, StepReport, StepStart};
 use gripcast_base::error::Result;
+use gripcast_base::statistics::median;
 use gripcast_geometry::Pose;
 
 /// Distance beyond `d_hat` above which the gels move freely, m.
@@ -61,6 +63,10 @@ pub struct GraspResult {
     pub detail: Option<String>,
     /// Rise of the object's centre of mass, m.
     pub lifted_m: f64,
+    /// Load of the grip's friction in the lift as a fraction of its limit, of shear and torsion
+    /// together; the median of the steps in which both gels touch and the object is clear of the
+    /// ground, which would carry a part. `None` without such a step, and of rigid bodies.
+    pub friction_use: Option<f64>,
     /// Steps that did not converge.
     pub unconverged_steps: usize,
     /// Wall time of the solver phases.
@@ -76,6 +82,7 @@ impl GraspResult {
             outcome: GraspOutcome::PenetratingStart,
             detail: Some(detail),
             lifted_m: 0.0,
+            friction_use: None,
             unconverged_steps: 0,
             times: PhaseTimes::default(),
             trace: Trace::default(),
@@ -109,6 +116,8 @@ struct Run<'a> {
     dt: f64,
     time: f64,
     opening: f64,
+    /// Mean force per motion of each finger, N/m, from the last steps.
+    stiffness: f64,
     lifted: f64,
     start_height: f64,
     gels_have_met: bool,
@@ -116,6 +125,9 @@ struct Run<'a> {
     has_reached_force: bool,
     unconverged: usize,
     iterations: u64,
+    /// Load of the friction in each step of the lift.
+    friction_uses: Vec<f64>,
+    friction: f64,
     trace: Trace,
 }
 
@@ -130,12 +142,15 @@ impl<'a> Run<'a> {
             protocol,
             dt,
             time: 0.0,
+            stiffness: 0.0,
             lifted: 0.0,
             gels_have_met: false,
             has_touched: false,
             has_reached_force: false,
             unconverged: 0,
             iterations: 0,
+            friction_uses: Vec::new(),
+            friction: scene.friction,
             trace: Trace::default(),
         }
     }
@@ -174,6 +189,7 @@ impl<'a> Run<'a> {
             outcome,
             detail,
             lifted_m: object.state().p.z - self.start_height,
+            friction_use: median(self.friction_uses),
             unconverged_steps: self.unconverged,
             times: *self.scene.system.phase_times(),
             trace: self.trace,
@@ -246,7 +262,9 @@ impl<'a> Run<'a> {
                 warm_start_slot: warm_start_slot(StageName::Closure, by),
                 ..Default::default()
             };
+            let before = self.mean_force();
             self.step(StageName::Closure, &start);
+            self.measure_stiffness(before, by);
             let [left, right] = self.forces().map(|force| force.normal_n);
             self.has_touched |= left > MIN_CONTACT_FORCE_N || right > MIN_CONTACT_FORCE_N;
             if left > self.protocol.stop_force_n && right > self.protocol.stop_force_n {
@@ -283,14 +301,29 @@ impl<'a> Run<'a> {
             let translation = if follows && is_in_contact { rise } else { 0.0 };
             let before = self.scene.system.object().state().p.z;
             self.control_step(StageName::Lift, rise, DVec3::Z * translation);
+            self.friction_uses.extend(self.friction_use());
             let risen = self.scene.system.object().state().p.z - before;
             follows = risen > 0.5 * rise;
         }
     }
 
+    /// Mean load of both gels' friction, if both touch and carry the object alone.
+    fn friction_use(&self) -> Option<f64> {
+        let object = self.scene.system.object();
+        let clearance = object.lowest(self.scene.system.collider());
+        if clearance < self.scene.system.parameters().d_hat_m {
+            return None;
+        }
+        let gels = self.scene.system.gels();
+        let [left, right] =
+            [0, 1].map(|i| friction_use(&gels[i], self.scene.closing[i], self.friction));
+        Some(0.5 * (left? + right?))
+    }
+
     /// One step of the force controller, with the gripper rising by `rise` (m).
     fn control_step(&mut self, stage: StageName, rise: f64, initial_translation: DVec3) {
-        let by = self.protocol.adjustment(self.mean_force(), self.dt);
+        let before = self.mean_force();
+        let by = self.protocol.adjustment(before, self.stiffness, self.dt);
         let by = self.close_by(by);
         self.move_targets(by, rise);
         let start = StepStart {
@@ -299,6 +332,21 @@ impl<'a> Run<'a> {
             ..Default::default()
         };
         self.step(stage, &start);
+        self.measure_stiffness(before, by);
+    }
+
+    /// Updates the stiffness by a step that closed each finger by `by` (m) from a mean force of
+    /// `before` (N). Other causes also change the force, so a step changes the estimate by at most
+    /// a factor of 2.
+    fn measure_stiffness(&mut self, before: f64, by: f64) {
+        let measured = (self.mean_force() - before) / by;
+        if measured.is_finite() && measured > 0.0 {
+            self.stiffness = if self.stiffness > 0.0 {
+                measured.clamp(0.5 * self.stiffness, 2.0 * self.stiffness)
+            } else {
+                measured
+            };
+        }
     }
 
     fn step(&mut self, stage: StageName, start: &StepStart) {

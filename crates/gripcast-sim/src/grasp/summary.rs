@@ -3,7 +3,7 @@
 use serde::Serialize;
 
 use super::protocol::Protocol;
-use super::run::{GraspOutcome, GraspResult};
+use super::run::{GraspOutcome, GraspResult, MIN_CONTACT_FORCE_N};
 use super::trace::{StageName, Trace, TraceStep, mean};
 use gripcast_base::statistics::median;
 
@@ -15,6 +15,8 @@ const STEADY_FRACTION: f64 = 0.02;
 const STEP_TOLERANCE: f64 = 1.1;
 /// Force changes below this fraction of the stopping force are always steady.
 const NOISE_FRACTION: f64 = 1e-3;
+/// Largest load of friction, as a fraction of its limit, that counts as sticking.
+const MAX_STICKING_USE: f64 = 0.95;
 /// Largest difference of the gels' forces in the lift, as a fraction.
 const MAX_IMBALANCE: f64 = 0.05;
 
@@ -51,10 +53,15 @@ pub struct GraspSummary {
     pub force_n: PerGel,
     /// Stopping force, N.
     pub stop_force_n: f64,
+    /// Whether the mean force reached the stopping force before the lift.
+    pub reached_stop_force: bool,
     /// Mean force of both gels over the last [`STEADY_STEPS`] adjustment steps, N.
     pub mean_force_n: Option<f64>,
     /// Standard deviation of that force, N.
     pub std_force_n: Option<f64>,
+    /// Load of the grip's friction in the lift as a fraction of its limit
+    /// ([`GraspResult::friction_use`]).
+    pub friction_use: Option<f64>,
     /// Whether the force was steady at the end of the adjustment (docs/explanation/simulator.md);
     /// `None` without an adjustment.
     pub steady: Option<bool>,
@@ -93,6 +100,24 @@ impl GraspSummary {
                 trace.steps.len()
             ));
         }
+        let steady = is_steady(trace, protocol, dt_s);
+        let max_force_n = max_force(trace);
+        let reached_stop_force = max_force_n >= protocol.stop_force_n;
+        if max_force_n > MIN_CONTACT_FORCE_N && !reached_stop_force {
+            warnings.push(format!(
+                "the stopping force of {} N was never reached: the gels felt at most {max_force_n:.2} N",
+                protocol.stop_force_n
+            ));
+        }
+        if let (Some(false), Some(mean)) = (steady, mean) {
+            warnings.push(format!(
+                "the force was not steady at the end of the adjustment: {mean:.2} ± {:.2} N for a \
+                 stopping force of {} N",
+                deviation(&forces, mean),
+                protocol.stop_force_n
+            ));
+        }
+        warnings.extend(lost_by_creep(result));
         warnings.extend(force_imbalance(trace));
         Self {
             outcome: result.outcome,
@@ -103,9 +128,11 @@ impl GraspSummary {
                 right: force(1),
             },
             stop_force_n: protocol.stop_force_n,
+            reached_stop_force,
             mean_force_n: mean,
             std_force_n: mean.map(|mean| deviation(&forces, mean)),
-            steady: is_steady(trace, protocol, dt_s),
+            friction_use: result.friction_use,
+            steady,
             steps: trace.steps.len(),
             simulated_s: trace.steps.last().map_or(0.0, |step| step.t_s),
             newton_per_step: newton_per_step(trace.steps.iter()),
@@ -118,6 +145,26 @@ impl GraspSummary {
             warnings,
         }
     }
+}
+
+/// Largest mean force of both gels before the lift, N.
+fn max_force(trace: &Trace) -> f64 {
+    let before_lift = trace.steps.iter().filter(|s| s.stage != StageName::Lift);
+    before_lift.map(TraceStep::mean_force_n).fold(0.0, f64::max)
+}
+
+/// Warns of a slip below the friction limit. Regularised friction creeps there, where Coulomb
+/// friction sticks.
+fn lost_by_creep(result: &GraspResult) -> Option<String> {
+    let friction_use = result.friction_use?;
+    let is_creep = result.outcome == GraspOutcome::Slip && friction_use < MAX_STICKING_USE;
+    is_creep.then(|| {
+        format!(
+            "the object was lost by creep: the lift needed {:.0} % of the friction limit, and \
+             regularised friction creeps below it; a smaller --eps-v creeps less",
+            100.0 * friction_use
+        )
+    })
 }
 
 /// Warns if the gels' forces differ in the lift. Off the ground they must balance; a difference
@@ -171,13 +218,14 @@ fn deviation(values: &[f64], mean: f64) -> f64 {
 /// Whether the force is steady at the end of the adjustment; `None` without an adjustment.
 ///
 /// Let k be the force change per metre of finger motion (median over the adjustment) and
-/// s = k · adjustment speed · dt the force of one controller step. The force is steady if, over the
+/// s = k · adjustment speed · dt the force of one controller step, or 20 % F_stop where steps are
+/// shortened ([`super::ForceRule::BangBang`]). The force is steady if, over the
 /// last [`STEADY_STEPS`] steps, its mean lies within max(2 % F_stop, s/2) of F_stop and no step
 /// changes it by more than max(1.1 s, 0.1 % F_stop).
 fn is_steady(trace: &Trace, protocol: &Protocol, dt_s: f64) -> Option<bool> {
     let forces = trace.last_forces(StageName::Adjustment, STEADY_STEPS);
     let mean = mean(&forces)?;
-    let step_n = stiffness(trace) * protocol.adjust_speed_m_s * dt_s;
+    let step_n = protocol.step_force_n(stiffness(trace), dt_s);
     let band = (STEADY_FRACTION * protocol.stop_force_n).max(0.5 * step_n);
     let max_change = (STEP_TOLERANCE * step_n).max(NOISE_FRACTION * protocol.stop_force_n);
     let is_quiet = forces.windows(2).all(|w| (w[1] - w[0]).abs() <= max_change);
@@ -207,6 +255,7 @@ mod tests {
             outcome: GraspOutcome::Success,
             detail: None,
             lifted_m: 0.05,
+            friction_use: Some(0.4),
             unconverged_steps: 1,
             times: PhaseTimes::default(),
             trace: sample_trace(),
@@ -252,8 +301,44 @@ mod tests {
             step.force[1].normal_n *= 0.8;
         }
         let summary = GraspSummary::new(&result, &Protocol::default(), 0.01);
-        let text = &summary.warnings[1];
+        let text = summary.warnings.last().unwrap();
         assert!(text.contains("40.0 N") && text.contains("32.0 N"), "{text}");
+    }
+
+    #[test]
+    fn force_that_was_never_reached_is_a_warning() {
+        let protocol = Protocol {
+            stop_force_n: 60.0,
+            ..Protocol::default()
+        };
+        let summary = GraspSummary::new(&result(), &protocol, 0.01);
+        assert!(!summary.reached_stop_force);
+        assert_eq!(summary.steady, Some(false));
+        let text = summary.warnings.join("\n");
+        assert!(
+            text.contains("60 N was never reached: the gels felt at most 40.5"),
+            "{text}"
+        );
+        assert!(
+            text.contains("not steady") && text.contains("40.0"),
+            "{text}"
+        );
+        let reached = GraspSummary::new(&result(), &Protocol::default(), 0.01);
+        assert!(reached.reached_stop_force);
+    }
+
+    #[test]
+    fn slip_below_the_friction_limit_is_called_creep() {
+        let mut slip = result();
+        slip.outcome = GraspOutcome::Slip;
+        slip.friction_use = Some(0.85);
+        let text = GraspSummary::new(&slip, &Protocol::default(), 0.01)
+            .warnings
+            .join("\n");
+        assert!(text.contains("creep") && text.contains("85 %"), "{text}");
+        slip.friction_use = Some(0.99);
+        let summary = GraspSummary::new(&slip, &Protocol::default(), 0.01);
+        assert!(!summary.warnings.join("\n").contains("creep"));
     }
 
     #[test]

@@ -31,7 +31,8 @@ pub enum Indenter {
         /// Radius of the tip, m.
         radius_m: f64,
     },
-    /// Any surface, in the gel frame; its lowest point (minimum z) touches first.
+    /// Any surface, in the gel frame; its lowest point above the gel's face (minimum z) touches
+    /// first.
     Mesh(TriangleMesh),
 }
 
@@ -52,11 +53,11 @@ pub(super) struct MeshSize {
 const MARGIN_M: f64 = 5e-4;
 
 impl Indenter {
-    /// Checks radius and mesh.
+    /// Checks the radius, or that the mesh lies above a gel of half extent `half` (m).
     ///
     /// # Errors
-    /// `Input` for a radius that is not positive, or an invalid mesh.
-    pub(super) fn validate(&self) -> Result<()> {
+    /// `Input` for a radius that is not positive, an invalid mesh, or one beside the gel.
+    pub(super) fn validate(&self, half: DVec2) -> Result<()> {
         match self {
             Self::Sphere { radius_m } | Self::Cylinder { radius_m } | Self::Edge { radius_m } => {
                 if radius_m.is_finite() && *radius_m > 0.0 {
@@ -66,11 +67,14 @@ impl Indenter {
                 Err(Error::input(what))
             }
             Self::Plate => Ok(()),
-            Self::Mesh(mesh) => mesh.validate(),
+            Self::Mesh(mesh) => {
+                mesh.validate()?;
+                lowest_above(mesh, half).map_or_else(|| Err(beside(mesh, half)), |_| Ok(()))
+            }
         }
     }
 
-    /// Surface with its lowest point at z = 0; analytic shapes are smaller by `inset_m`.
+    /// Surface whose lowest point above the gel is at z = 0; analytic shapes are smaller by `inset_m`.
     pub(super) fn surface(&self, size: &MeshSize, inset_m: f64) -> TriangleMesh {
         match self {
             Self::Sphere { radius_m } => cap(shrunk(*radius_m, inset_m), size),
@@ -85,7 +89,7 @@ impl Indenter {
                 extrude(&wedge(radius, size), size)
             }
             Self::Mesh(mesh) => {
-                let lowest = mesh.bounds().min.z;
+                let lowest = lowest_above(mesh, size.half).unwrap_or(mesh.bounds().min.z);
                 let mut mesh = mesh.clone();
                 for vertex in &mut mesh.vertices {
                     vertex.z -= lowest;
@@ -94,6 +98,53 @@ impl Indenter {
             }
         }
     }
+}
+
+/// Lowest z of the part of a mesh above the rectangle of half extent `half`; `None` if there is no
+/// such part.
+fn lowest_above(mesh: &TriangleMesh, half: DVec2) -> Option<f64> {
+    let lowest = mesh
+        .all_corners()
+        .flat_map(|corners| clipped(&corners, half))
+        .map(|p| p.z);
+    lowest.reduce(f64::min)
+}
+
+/// Polygon of the part of a triangle above a rectangle (Sutherland and Hodgman, CACM 1974).
+fn clipped(corners: &[DVec3; 3], half: DVec2) -> Vec<DVec3> {
+    let mut polygon = corners.to_vec();
+    for (axis, sign) in [(0, 1.0), (0, -1.0), (1, 1.0), (1, -1.0)] {
+        let room = |p: DVec3| half[axis] - sign * p[axis];
+        let mut kept = Vec::with_capacity(polygon.len() + 1);
+        for (i, &from) in polygon.iter().enumerate() {
+            let to = polygon[(i + 1) % polygon.len()];
+            if room(from) >= 0.0 {
+                kept.push(from);
+            }
+            if room(from).min(room(to)) < 0.0 && room(from).max(room(to)) > 0.0 {
+                kept.push(from.lerp(to, room(from) / (room(from) - room(to))));
+            }
+        }
+        polygon = kept;
+    }
+    polygon
+}
+
+/// The error of an indenter beside the gel.
+fn beside(mesh: &TriangleMesh, half: DVec2) -> Error {
+    let bounds = mesh.bounds();
+    let (low, high) = (1e3 * bounds.min, 1e3 * bounds.max);
+    Error::input(format!(
+        "the indenter lies beside the gel: it spans x from {:.1} to {:.1} mm and y from {:.1} to \
+         {:.1} mm, the gel x within {:.1} mm and y within {:.1} mm of 0",
+        low.x,
+        high.x,
+        low.y,
+        high.y,
+        1e3 * half.x,
+        1e3 * half.y
+    ))
+    .remedy("move the mesh: its origin is above the centre of the gel; check --unit")
 }
 
 fn shrunk(radius: f64, inset: f64) -> f64 {
@@ -246,6 +297,36 @@ mod tests {
             let inner = (0..boundary.len()).filter(|&e| boundary.triangles(e).len() > 2);
             assert_eq!(inner.count(), 0);
         }
+    }
+
+    #[test]
+    fn mesh_beside_the_gel_is_refused_and_the_part_above_it_counts() {
+        let half = SIZE.half;
+        let at = |x: f64, y: f64| {
+            let box_mesh = gripcast_geometry::builtin("box").unwrap();
+            let shift = gripcast_geometry::Pose::from_translation(DVec3::new(x, y, 0.05));
+            box_mesh.transformed(&shift)
+        };
+        assert!(Indenter::Mesh(at(0.0, 0.0)).validate(half).is_ok());
+        // The box is 40 mm wide; its side crosses the gel without a corner above it.
+        assert!(Indenter::Mesh(at(0.032, 0.0)).validate(half).is_ok());
+        for (x, y) in [(0.033, 0.0), (0.0, -0.031), (1.0, 1.0)] {
+            let error = Indenter::Mesh(at(x, y)).validate(half).unwrap_err();
+            let text = error.to_string();
+            assert!(
+                text.contains("beside the gel") && text.contains("within 12.5"),
+                "{text}"
+            );
+        }
+        // A ramp whose lowest corner lies outside: the depth counts from where it meets the gel.
+        let ramp = TriangleMesh {
+            vertices: [(-0.1, -0.1, 0.1), (0.1, -0.1, -0.1), (0.0, 0.2, 0.0)]
+                .map(|(x, y, z)| DVec3::new(x, y, z))
+                .to_vec(),
+            triangles: vec![[0, 1, 2]],
+        };
+        let lowest = lowest_above(&ramp, half).unwrap();
+        assert!((lowest + 0.0125).abs() < 1e-12, "{lowest}");
     }
 
     #[test]

@@ -129,16 +129,21 @@ impl Press {
     }
 
     fn validate(&self, targets: &[PressTarget]) -> Result<()> {
-        self.indenter.validate()?;
+        self.indenter.validate(self.half())?;
         let deepest = 0.5 * self.grid.thickness_m();
-        for target in targets {
-            let is_valid =
-                target.depth_m > 0.0 && target.depth_m <= deepest && target.shift_m.is_finite();
-            if !is_valid {
-                let what = format!(
-                    "press depths must be above 0 and at most {deepest} m, found {target:?}"
-                );
-                return Err(Error::input(what));
+        for &PressTarget { depth_m, shift_m } in targets {
+            // Also rejects NaN.
+            if !(depth_m > 0.0 && depth_m <= deepest) {
+                return Err(Error::input(format!(
+                    "the press depth must be above 0 and at most {deepest} m, half the gel's \
+                     thickness, found {depth_m}"
+                ))
+                .remedy("pass the depth in metres, for instance 5e-4 for 0.5 mm"));
+            }
+            if !shift_m.is_finite() {
+                return Err(Error::input(format!(
+                    "the shift of a press must be a finite number, found {shift_m}"
+                )));
             }
         }
         let positive = [
@@ -157,16 +162,21 @@ impl Press {
         Ok(())
     }
 
+    /// Half extent of the gel along x and y, m.
+    fn half(&self) -> DVec2 {
+        let [x, y, _] = self.grid.axes();
+        let reach = |axis: &[f64]| axis.iter().fold(0.0_f64, |m, c| m.max(c.abs()));
+        DVec2::new(reach(x), reach(y))
+    }
+
     fn start(&self, targets: &[PressTarget]) -> Result<Run> {
         let depth = targets
             .iter()
             .fold(0.0_f64, |d, target| d.max(target.depth_m));
-        let [x, y, _] = self.grid.axes();
-        let reach = |axis: &[f64]| axis.iter().fold(0.0_f64, |m, c| m.max(c.abs()));
         let size = MeshSize {
             face_m: self.face_m,
             along_m: self.along_m,
-            half: DVec2::new(reach(x), reach(y)),
+            half: self.half(),
             depth_m: depth,
         };
         let parameters = SolverParameters {

@@ -14,7 +14,7 @@ use gripcast_base::files::{BeneathPath, FileKind, FileName, hex, sha256_hex};
 use gripcast_geometry::TriangleMesh;
 
 /// Format name of a cache file.
-const FORMAT: &str = "gripcast-convex-pieces-v1";
+const FORMAT: &str = "gripcast-convex-pieces-v2";
 
 type Slot = Arc<OnceLock<std::result::Result<Arc<Decomposition>, String>>>;
 
@@ -197,7 +197,7 @@ mod tests {
         let sum = checksum(computed.pieces());
         assert_eq!(
             (FORMAT, &sum[..16]),
-            ("gripcast-convex-pieces-v1", "4d68a2ec81d16c19")
+            ("gripcast-convex-pieces-v2", "260977b5f4f1f002")
         );
     }
 

@@ -1,5 +1,7 @@
 //! Convex decomposition of an object.
 
+use std::panic::AssertUnwindSafe;
+
 use glam::DVec3;
 use rapier3d_f64::geometry::SharedShape;
 use rapier3d_f64::parry::transformation::vhacd::{VHACD, VHACDParameters};
@@ -7,8 +9,15 @@ use rapier3d_f64::parry::transformation::voxelization::FillMode;
 
 use super::settings::DecompositionSettings;
 use super::{convert, merge};
+use gripcast_base::catch_panic::catch_panic;
 use gripcast_base::error::{Error, Result};
-use gripcast_geometry::{MassProperties, TriangleMesh, convex_hull};
+use gripcast_geometry::{MassProperties, Pose, TriangleMesh, convex_hull};
+
+/// Grid that coordinates are rounded to, m: voxels must not depend on where the file's origin is.
+const GRID_M: f64 = 1e-9;
+/// Voxel resolutions tried, each one finer than the last: the hull of voxels in [`VHACD`] panics on
+/// some lattices.
+const MAX_ATTEMPTS: u32 = 8;
 
 /// An object as convex pieces, in the frame of its mesh.
 pub struct Decomposition {
@@ -30,38 +39,33 @@ impl Decomposition {
     /// `Input` if the mesh is invalid or encloses no volume.
     pub fn compute(mesh: &TriangleMesh, settings: &DecompositionSettings) -> Result<Self> {
         mesh.validate()?;
-        let points: Vec<_> = mesh.vertices.iter().map(|v| convert::vector(*v)).collect();
-        let parameters = VHACDParameters {
-            concavity: settings.concavity,
-            alpha: settings.alpha,
-            beta: settings.beta,
-            resolution: settings.resolution,
-            max_convex_hulls: settings.max_pieces,
-            fill_mode: FillMode::FloodFill {
-                detect_cavities: false,
-            },
-            ..VHACDParameters::default()
-        };
-        let whole = convex_hull(&mesh.vertices)?;
+        let center = mesh.bounds().center();
+        let centred = on_grid(mesh, center);
+        let whole = convex_hull(&centred.vertices)?;
         let hull_m3 = MassProperties::from_mesh(&whole)?.volume_m3;
         let max_excess_m3 = settings.concavity * hull_m3;
         let mut pieces = Vec::new();
         // The voxels of a convex object are less convex than the object.
         if hull_m3 - MassProperties::from_mesh(mesh)?.volume_m3 > max_excess_m3 {
-            let voxels = VHACD::decompose(&parameters, &points, &mesh.triangles, true);
-            for part in voxels.voxel_parts() {
-                let inside = part.compute_primitive_intersections(&points, &mesh.triangles);
-                let inside: Vec<_> = inside.into_iter().map(convert::from_vector).collect();
-                pieces.extend(simplified_hull(&inside, settings));
-            }
+            let simplified = |points: &[DVec3]| simplified_hull(points, settings);
+            let parts = points_of_parts(&centred, settings)?;
+            pieces = parts.iter().filter_map(|part| simplified(part)).collect();
             pieces = merge::merged(pieces, max_excess_m3);
-            let simplified = |piece: TriangleMesh| simplified_hull(&piece.vertices, settings);
-            pieces = pieces.into_iter().filter_map(simplified).collect();
+            let merged = pieces.iter();
+            pieces = merged
+                .filter_map(|piece| simplified(&piece.vertices))
+                .collect();
         }
         if pieces.is_empty() {
             pieces.extend(simplified_hull(&whole.vertices, settings));
         }
-        Self::from_pieces(pieces)
+        let back = Pose::from_translation(center);
+        Self::from_pieces(
+            pieces
+                .iter()
+                .map(|piece| piece.transformed(&back))
+                .collect(),
+        )
     }
 
     /// From convex pieces.
@@ -79,8 +83,7 @@ impl Decomposition {
         for piece in &pieces {
             piece.validate()?;
             let corners: Vec<_> = piece.vertices.iter().map(|v| convert::vector(*v)).collect();
-            let shape = SharedShape::convex_mesh(corners.clone(), &piece.triangles)
-                .or_else(|| SharedShape::convex_hull(&corners))
+            let shape = SharedShape::convex_mesh(corners, &piece.triangles)
                 .ok_or_else(|| invalid("a convex piece of the mesh has no volume"))?;
             shapes.push(shape);
         }
@@ -97,13 +100,63 @@ impl Decomposition {
     }
 }
 
+/// The mesh relative to `center`, with rounded coordinates.
+fn on_grid(mesh: &TriangleMesh, center: DVec3) -> TriangleMesh {
+    let vertices = mesh.vertices.iter();
+    TriangleMesh {
+        vertices: vertices
+            .map(|v| ((*v - center) / GRID_M).round() * GRID_M)
+            .collect(),
+        triangles: mesh.triangles.clone(),
+    }
+}
+
+/// Points of the mesh in each nearly convex part that V-HACD finds.
+fn points_of_parts(
+    mesh: &TriangleMesh,
+    settings: &DecompositionSettings,
+) -> Result<Vec<Vec<DVec3>>> {
+    let points: Vec<_> = mesh.vertices.iter().map(|v| convert::vector(*v)).collect();
+    let decompose = |resolution: u32| {
+        let parameters = VHACDParameters {
+            concavity: settings.concavity,
+            alpha: settings.alpha,
+            beta: settings.beta,
+            resolution,
+            max_convex_hulls: settings.max_pieces,
+            fill_mode: FillMode::FloodFill {
+                detect_cavities: false,
+            },
+            ..VHACDParameters::default()
+        };
+        let found = VHACD::decompose(&parameters, &points, &mesh.triangles, true);
+        let parts = found.voxel_parts().iter();
+        parts
+            .map(|part| part.compute_primitive_intersections(&points, &mesh.triangles))
+            .map(|inside| inside.into_iter().map(convert::from_vector).collect())
+            .collect()
+    };
+    let resolutions = settings.resolution..settings.resolution + MAX_ATTEMPTS;
+    let mut attempts =
+        resolutions.map(|resolution| catch_panic(AssertUnwindSafe(|| decompose(resolution))));
+    attempts.find_map(Result::ok).ok_or_else(|| {
+        Error::input("V-HACD cannot divide the mesh into convex pieces")
+            .remedy("simplify the mesh, or use the finite-element engine")
+    })
+}
+
 /// Convex hull of greedily chosen points, each the farthest outside the hull so far; `None` for
 /// coplanar points.
 fn simplified_hull(points: &[DVec3], settings: &DecompositionSettings) -> Option<TriangleMesh> {
     let whole = convex_hull(points).ok()?;
-    let whole = whole.without_unused_vertices();
     let max_corners = settings.max_corners as usize;
-    let candidates = &whole.vertices;
+    // Ties must not depend on the order of the mesh.
+    let mut candidates = whole.without_unused_vertices().vertices;
+    candidates.sort_by(|a, b| {
+        let by_axis = |axis: usize| a[axis].total_cmp(&b[axis]);
+        by_axis(2).then(by_axis(1)).then(by_axis(0))
+    });
+    let candidates = &candidates;
     let mut chosen = first_corners(candidates);
     loop {
         let corners: Vec<DVec3> = chosen.iter().map(|&i| candidates[i]).collect();

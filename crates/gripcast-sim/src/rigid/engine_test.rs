@@ -3,8 +3,12 @@ use std::sync::Arc;
 use glam::DVec3;
 
 use super::*;
-use crate::grasp::{GraspOutcome, Placement, StageName};
+use crate::FemEngine;
+use crate::fem::GelResolution;
+use crate::grasp::{GraspOutcome, GraspSettings, Placement, Preset, StageName};
+use gripcast_base::random::SeedStream;
 use gripcast_geometry::{Pose, builtin};
+use gripcast_testing::shuffled_mesh::shuffle_mesh;
 
 /// A built-in mesh in its own orientation, gripped centrally from above.
 fn setup(name: &str) -> GraspSetup {
@@ -180,7 +184,7 @@ fn gripper_beside_the_object_misses() {
 #[test]
 fn sphere_gripped_off_centre_is_ejected() {
     let mut setup = setup("sphere");
-    setup.t_world_gripper.translation_m.y += 0.03;
+    setup.t_world_gripper.translation_m.y += 0.027;
     let result = engine().simulate(&setup, 0.1, 10.0).unwrap();
     assert_eq!(result.outcome, GraspOutcome::Eject);
 }
@@ -285,4 +289,80 @@ fn parameters_round_trip_as_json() {
     assert_eq!(value["decomposition"]["resolution"], 32);
     let back: RigidSettings = serde_json::from_value(value).unwrap();
     assert_eq!(back, engine().settings);
+}
+
+/// The same grasp with the object in another file: its frame is moved by `t`, its vertices and
+/// triangles are shuffled.
+fn refiled(setup: &GraspSetup, t: &Pose, random: &mut SeedStream) -> GraspSetup {
+    let mut mesh = setup.mesh.transformed(t);
+    let index = |count| random.index(count);
+    shuffle_mesh(&mut mesh.vertices, &mut mesh.triangles, index);
+    GraspSetup {
+        mesh: Arc::new(mesh),
+        t_world_object: setup.t_world_object * t.inverse(),
+        ..setup.clone()
+    }
+}
+
+fn random_motion(random: &mut SeedStream) -> Pose {
+    let mut vector = |reach: f64| DVec3::from_array([0; 3].map(|_| random.between(-reach, reach)));
+    Pose::new(glam::DQuat::from_scaled_axis(vector(3.0)), vector(0.5))
+}
+
+fn fem_engine(adjust_s: f64) -> FemEngine {
+    let mut settings = GraspSettings::new(Preset::Paper);
+    settings.resolution = GelResolution::Coarse;
+    settings.protocol.adjust_s = adjust_s;
+    FemEngine { settings }
+}
+
+/// Checks that random files of the object give the same outcome and the same final pose, up to a
+/// tolerance (m), in `count` grasps.
+fn assert_invariant(engine: &dyn Engine, setup: &GraspSetup, count: usize, tolerance_m: f64) {
+    let mut random = SeedStream::named(35, "files");
+    let expected = engine.simulate(setup, 0.4, 10.0).unwrap();
+    let end = |result: &GraspResult, setup: &GraspSetup| {
+        let last = result.trace.steps.last().unwrap().t_world_object;
+        // A point of the object beside its centre.
+        (last * setup.t_world_object.inverse()).transform_point(DVec3::new(0.01, 0.02, 0.03))
+    };
+    let mut worst = 0.0_f64;
+    for _ in 0..count {
+        let t = random_motion(&mut random);
+        let other = refiled(setup, &t, &mut random);
+        let found = engine.simulate(&other, 0.4, 10.0).unwrap();
+        assert_eq!(found.outcome, expected.outcome, "{t:?}");
+        let height = (found.lifted_m - expected.lifted_m).abs();
+        worst = worst.max(height);
+        worst = worst.max(end(&found, &other).distance(end(&expected, setup)));
+    }
+    println!("{count} files: states differ by up to {worst:e} m");
+    assert!(worst < tolerance_m, "states differ by {worst} m");
+}
+
+#[test]
+fn outcome_does_not_depend_on_the_file() {
+    let engine = engine();
+    for (name, count, tolerance_m) in [("box", 150, 1e-4), ("bar", 50, 1e-3), ("mug", 5, 1e-2)] {
+        let mut setup = setup(name);
+        setup.t_world_gripper.translation_m.y += 0.004;
+        assert_invariant(&engine, &setup, count, tolerance_m);
+    }
+    let mut setup = setup("box");
+    setup.t_world_gripper.translation_m.y += 0.004;
+    assert_invariant(&fem_engine(0.1), &setup, 3, 1e-5);
+}
+
+#[test]
+fn rise_is_that_of_the_centre_of_mass() {
+    let mut random = SeedStream::named(17, "origin");
+    let far = Pose::from_translation(DVec3::new(0.3, -0.2, 1.0));
+    let turned = Pose::new(glam::DQuat::from_rotation_x(1.2), DVec3::splat(0.5));
+    for t in [Pose::IDENTITY, far, turned] {
+        let setup = refiled(&setup("box"), &t, &mut random);
+        let rigid = engine().simulate(&setup, 0.4, 10.0).unwrap();
+        assert!((rigid.lifted_m - 0.18).abs() < 2e-3, "{}", rigid.lifted_m);
+        let fem = fem_engine(0.1).simulate(&setup, 0.4, 10.0).unwrap();
+        assert!((fem.lifted_m - 0.05).abs() < 1e-3, "{}", fem.lifted_m);
+    }
 }

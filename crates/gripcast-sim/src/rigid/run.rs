@@ -64,6 +64,7 @@ impl<'a> Run<'a> {
             } else {
                 0.0
             },
+            friction_use: None,
             unconverged_steps: 0,
             times: PhaseTimes::default(),
             trace: self.trace,

@@ -57,6 +57,8 @@ pub(super) struct World {
     /// The world's z axis in the gripper's frame.
     up: DVec3,
     object: RigidBodyHandle,
+    /// Centre of mass in the frame of the object's mesh, m.
+    center_of_mass_m: DVec3,
     base: RigidBodyHandle,
     fingers: [RigidBodyHandle; 2],
     motors: [ImpulseJointHandle; 2],
@@ -99,10 +101,11 @@ impl World {
         );
 
         let t_gripper_object = t_gripper_world * setup.grasp.t_world_object;
+        let properties = MassProperties::from_mesh(&setup.grasp.mesh)?;
         let object = physics.insert_body(
             RigidBodyBuilder::dynamic()
                 .pose(convert::pose(&t_gripper_object))
-                .additional_mass_properties(mass(setup)?)
+                .additional_mass_properties(mass(&properties, setup.grasp.mass_kg))
                 .can_sleep(false),
         );
         for shape in setup.pieces.shapes() {
@@ -142,6 +145,7 @@ impl World {
             t_world_gripper: setup.grasp.t_world_gripper,
             up,
             object,
+            center_of_mass_m: properties.center_of_mass_m,
             base,
             fingers: [left, right],
             motors: [left_motor, right_motor],
@@ -195,8 +199,9 @@ impl World {
 
     /// Height of the object's centre of mass above the ground, m.
     pub(super) fn object_height_m(&self) -> f64 {
-        let center = convert::from_vector(self.physics.bodies[self.object].center_of_mass());
-        self.t_world_gripper.transform_point(center).z
+        self.t_world_object()
+            .transform_point(self.center_of_mass_m)
+            .z
     }
 
     /// Linear (m/s) and angular (rad/s) speed of the object.
@@ -280,15 +285,13 @@ impl World {
     }
 }
 
-fn mass(setup: &WorldSetup) -> Result<RapierMass> {
-    let properties = MassProperties::from_mesh(&setup.grasp.mesh)?;
-    let mass_kg = setup.grasp.mass_kg;
+fn mass(properties: &MassProperties, mass_kg: f64) -> RapierMass {
     let inertia = properties.inertia_m5() * (mass_kg / properties.volume_m3);
-    Ok(RapierMass::with_inertia_matrix(
+    RapierMass::with_inertia_matrix(
         convert::vector(properties.center_of_mass_m),
         mass_kg,
         Matrix::from_cols_array(&inertia.to_cols_array()),
-    ))
+    )
 }
 
 /// Solver parameters, with tolerances scaled from bodies of 1 m to a gripper and all approximations

@@ -5,6 +5,7 @@ use super::shape::{MAX_SIDE_M, MAX_TRIANGLES, SIZE_M, relative_height};
 use super::*;
 use gripcast_base::files::sha256_hex;
 use gripcast_geometry::{MassProperties, PrepareOptions, prepare};
+use gripcast_sim::rigid::{Decomposition, DecompositionSettings};
 
 const SEEDS: u64 = 3;
 
@@ -140,4 +141,19 @@ fn shapes_match_existing_plans() {
         sha256_hex(hashes.concat()),
         "c22e7c1f3b89a2ac2abfdf2aad41b93eba90229bf29b67d94e45cc97c522f4e4"
     );
+}
+
+/// V-HACD's own convex hull panics on the voxels of this ring at a resolution of 64.
+#[test]
+fn ring_on_which_v_hacd_panics_has_convex_pieces() {
+    let ring = Category::all().find(|category| category.name() == "ring");
+    let mesh = family_shape(ring.unwrap(), 922_240_332_454_601).unwrap();
+    let found = Decomposition::compute(&mesh, &DecompositionSettings::default()).unwrap();
+    assert!(found.pieces().len() > 3, "{} pieces", found.pieces().len());
+    let volumes = found.pieces().iter();
+    let sum: f64 = volumes
+        .map(|piece| MassProperties::from_mesh(piece).unwrap().volume_m3)
+        .sum();
+    let exact = MassProperties::from_mesh(&mesh).unwrap().volume_m3;
+    assert!((0.95..1.3).contains(&(sum / exact)), "{sum} {exact}");
 }
