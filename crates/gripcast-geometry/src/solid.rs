@@ -104,7 +104,8 @@ pub(super) fn hole_area(mesh: &TriangleMesh) -> f64 {
 
 fn area(triangles: &[[DVec3; 3]]) -> f64 {
     let twice = triangles.iter().map(|[a, b, c]| (*b - *a).cross(*c - *a));
-    0.5 * twice.map(|normal| normal.length()).sum::<f64>()
+    // The sum of nothing is −0.
+    0.5 * twice.map(|normal| normal.length()).sum::<f64>() + 0.0
 }
 
 /// Triangles that close the surface: each group of connected boundary edges becomes a fan around its

@@ -4,6 +4,7 @@ use glam::DVec3;
 
 use super::winding::{self, Component, flip};
 use super::{PrepareOptions, duplicates, manifold, require_triangles, self_intersection, slivers};
+use crate::mass_properties::MassProperties;
 use crate::mesh::TriangleMesh;
 use crate::mesh_query::MeshQuery;
 use crate::solid::hole_area;
@@ -16,6 +17,8 @@ const CRACK: f64 = 1e-5;
 const STRAY_AREA: f64 = 1e-3;
 /// Distance of a stray from the rest, in its own diagonals.
 const STRAY_DISTANCE: f64 = 1.0;
+/// Area of the holes, as a fraction of the surface, of a surface that is closed as it faces.
+const FITTING: f64 = 1e-3;
 /// Area of the holes, as a fraction of the surface, of a surface whose pieces fit each other.
 const NEARLY_CLOSED: f64 = 0.05;
 /// Triangles of an open component whose sides are looked at.
@@ -35,7 +38,11 @@ pub(super) fn repair(
 ) -> Result<TriangleMesh> {
     let mut mesh = weld(mesh, options.weld_tolerance_m);
     duplicates::drop_degenerate(&mut mesh, warnings);
-    duplicates::drop_duplicates(&mut mesh, warnings);
+    // What is closed as it faces, if not a manifold, needs no other orientation.
+    let fits = hole_area(&mesh) < FITTING && MassProperties::of_closed(&mesh).is_ok();
+    if !fits {
+        duplicates::drop_duplicates(&mut mesh, warnings);
+    }
     require_triangles(&mesh)?;
     close_cracks(&mut mesh, warnings);
     slivers::drop_flat(&mut mesh, f64::MIN_POSITIVE, warnings);
@@ -45,7 +52,7 @@ pub(super) fn repair(
         mesh = manifold;
         warnings.append(&mut split);
     }
-    orient(&mut mesh, warnings);
+    orient(&mut mesh, fits, warnings);
     let crossings = self_intersection::find(&mesh, options.crossing_tolerance_m);
     if crossings.pairs > 0 {
         warnings.push(format!(
@@ -136,15 +143,17 @@ pub(super) fn drop_strays(mesh: &mut TriangleMesh, warnings: &mut Vec<String>) {
     *mesh = mesh.without_unused_vertices();
 }
 
-/// Orients neighbours alike, closed components outwards, and open ones towards the side that is
-/// visible from outside.
-fn orient(mesh: &mut TriangleMesh, warnings: &mut Vec<String>) {
+/// Orients closed components outwards and, unless the surface `fits`, neighbours alike and open
+/// components towards the side that is visible from outside.
+fn orient(mesh: &mut TriangleMesh, fits: bool, warnings: &mut Vec<String>) {
     let (components, _) = winding::components(mesh);
-    winding::flip_to_neighbours(mesh, &components, warnings);
+    if !fits {
+        winding::flip_to_neighbours(mesh, &components, warnings);
+    }
     let (closed, open): (Vec<&Component>, Vec<&Component>) =
         components.iter().partition(|c| c.is_closed);
     winding::flip_inward(mesh, &closed, components.len(), warnings);
-    if open.is_empty() {
+    if fits || open.is_empty() {
         return;
     }
     // Pieces that fit each other as they are given stay as they are.
