@@ -322,11 +322,12 @@ fn markers_of_an_image_are_detected() {
     let side = image["markers"][0]["sides_px"][0].as_f64().unwrap();
     assert!((side - 82.7).abs() < 0.5, "{side}");
     // Text, the board file, another dictionary.
-    let text = succeed(&mut board(&format!(
+    let output = succeed(&mut board(&format!(
         "detect {} --board {}",
         at("c.png"),
         at("c.toml")
     )));
+    let text = String::from_utf8(output.stdout).unwrap();
     assert!(
         text.contains("24 markers") && text.contains("DICT_7X7_250"),
         "{text}"
