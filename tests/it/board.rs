@@ -344,7 +344,7 @@ fn copies_of_a_marker_are_all_listed() {
     let dir = tempfile::tempdir().unwrap();
     let at = |name: &str| dir.path().join(name).display().to_string();
     succeed(&mut board(&format!(
-        "charuco --out {} --dpi 60",
+        "charuco --out {} --dpi 80",
         at("c.png")
     )));
     let one = gripcast_imaging::decode_png_rgb(&fs::read(at("c.png")).unwrap()).unwrap();
