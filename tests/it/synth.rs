@@ -24,7 +24,7 @@ const SMALL_PLAN: [&str; 12] = [
     "--spp",
     "1",
     "--seed",
-    "3",
+    "8",
 ];
 
 fn synth(verb: &str, plan: &Path) -> Command {

@@ -1,6 +1,7 @@
 //! Integrals over the inside of a surface by parallel rays.
 
-use std::ops::RangeInclusive;
+use std::f64::consts::{E, FRAC_1_PI};
+use std::ops::Range;
 
 use glam::{DMat3, DVec3};
 use robust::{Coord, orient2d};
@@ -12,7 +13,7 @@ use super::winding_number::WindingNumber;
 const COINCIDENT: f64 = 1e-6;
 /// Offset of the first ray from the corner of the bounding box, in cells: irrational, so that rays
 /// avoid the edges of regular meshes.
-const OFFSET: [f64; 2] = [-0.318_309_886, -0.271_828_183];
+const OFFSET: [f64; 2] = [-FRAC_1_PI, -0.1 * E];
 
 /// A surface closed by additional triangles, for integration.
 pub(super) struct ClosedSurface<'a> {
@@ -151,15 +152,15 @@ impl Rays {
     }
 
     /// Indices of the rays between two coordinates.
-    fn between(&self, k: usize, low: f64, high: f64) -> RangeInclusive<usize> {
+    fn between(&self, k: usize, low: f64, high: f64) -> Range<usize> {
         let index = |at: f64| (at - self.first[k]) / self.pitch[k];
         let last = (self.count[k] - 1) as f64;
         let from = index(low).ceil().max(0.0);
         let to = index(high).floor().min(last);
         if from > to {
-            return 1..=0;
+            return 0..0;
         }
-        from as usize..=to as usize
+        from as usize..to as usize + 1
     }
 
     /// Adds the crossings of a triangle.

@@ -302,6 +302,63 @@ fn pose_file_defines_the_gripper_pose() {
 }
 
 #[test]
+fn volume_of_overlapping_pieces_is_that_of_their_union() {
+    let dir = tempfile::tempdir().unwrap();
+    // Two copies of the box, one shifted by half its width.
+    let one = box_obj();
+    let corners = |line: &str| -> Vec<f64> {
+        let numbers = line.split(' ').skip(1);
+        numbers.map(|number| number.parse().unwrap()).collect()
+    };
+    let vertices: Vec<Vec<f64>> = one
+        .lines()
+        .filter(|l| l.starts_with("v "))
+        .map(corners)
+        .collect();
+    let width = vertices
+        .iter()
+        .map(|v| v[0])
+        .fold(f64::NEG_INFINITY, f64::max)
+        - vertices.iter().map(|v| v[0]).fold(f64::INFINITY, f64::min);
+    let mut text = one.clone();
+    for line in one.lines() {
+        let numbers = corners(line);
+        text += &match line.split_once(' ') {
+            Some(("v", _)) => format!(
+                "v {} {} {}\n",
+                numbers[0] + 0.5 * width,
+                numbers[1],
+                numbers[2]
+            ),
+            Some(("f", _)) => {
+                let moved: Vec<String> = numbers
+                    .iter()
+                    .map(|n| (*n as usize + vertices.len()).to_string())
+                    .collect();
+                format!("f {}\n", moved.join(" "))
+            }
+            _ => String::new(),
+        };
+    }
+    let volume = |name: &str, text: &str| {
+        let path = write(dir.path(), name, text);
+        let mut command = gripcast();
+        command.args(["sim", "mesh", "--unit", "mm", "--json", "--object"]);
+        let found = json(&succeed(command.arg(path)));
+        assert_schema("sim mesh", &[&found]);
+        found
+    };
+    let (one, two) = (volume("one.obj", &one), volume("two.obj", &text));
+    let ratio = two["volume_m3"].as_f64().unwrap() / one["volume_m3"].as_f64().unwrap();
+    assert!((ratio - 1.5).abs() < 0.015, "{two}");
+    assert!(
+        (two["overlap"].as_f64().unwrap() - 0.25).abs() < 0.01,
+        "{two}"
+    );
+    assert_eq!(one["warnings"].as_array().unwrap().len(), 0);
+}
+
+#[test]
 fn mesh_files_are_checked_repaired_or_rejected() {
     let dir = tempfile::tempdir().unwrap();
     let text = box_obj();
@@ -334,7 +391,8 @@ fn mesh_files_are_checked_repaired_or_rejected() {
         &format!("--unit mm {short}"),
     ));
     let warnings = json(&output)["warnings"].to_string();
-    assert!(warnings.contains("faced the wrong way"), "{warnings}");
+    assert!(warnings.contains("faced inwards"), "{warnings}");
+    assert!(!warnings.contains("creep"), "{warnings}");
     assert!(
         stderr(&output).contains("inverted.obj"),
         "{}",
@@ -442,7 +500,14 @@ fn usage_errors_are_reported_before_the_simulation() {
 #[test]
 fn ctrl_c_ends_a_grasp_with_130() {
     let mut command = gripcast();
-    command.args(["sim", "grasp", "--gel", "fine", "--object", "builtin:mug"]);
+    command.args([
+        "sim",
+        "grasp",
+        "--gel",
+        "fine",
+        "--object",
+        "builtin:bottle",
+    ]);
     let mut child = command
         .args(["--dt", "0.0001", "--adjust-s", "1000"])
         .stdout(Stdio::piped())

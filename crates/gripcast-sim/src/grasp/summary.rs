@@ -17,6 +17,9 @@ const STEP_TOLERANCE: f64 = 1.1;
 const NOISE_FRACTION: f64 = 1e-3;
 /// Largest load of friction, as a fraction of its limit, that counts as sticking.
 const MAX_STICKING_USE: f64 = 0.95;
+/// Smallest load of friction that creeps far: a third of `eps_v` at half the limit, 0.7 mm in the
+/// paper's lift.
+const MIN_CREEPING_USE: f64 = 0.5;
 /// Largest difference of the gels' forces in the lift, as a fraction.
 const MAX_IMBALANCE: f64 = 0.05;
 
@@ -157,8 +160,8 @@ fn max_force(trace: &Trace) -> f64 {
 /// friction sticks.
 fn lost_by_creep(result: &GraspResult) -> Option<String> {
     let friction_use = result.friction_use?;
-    let is_creep = result.outcome == GraspOutcome::Slip && friction_use < MAX_STICKING_USE;
-    is_creep.then(|| {
+    let is_creeping = (MIN_CREEPING_USE..MAX_STICKING_USE).contains(&friction_use);
+    (result.outcome == GraspOutcome::Slip && is_creeping).then(|| {
         format!(
             "the object was lost by creep: the lift needed {:.0} % of the friction limit, and \
              regularised friction creeps below it; a smaller --eps-v creeps less",
