@@ -1,6 +1,6 @@
 //! Decodes frames to images.
 
-use image::RgbImage;
+use image::{ImageFormat, RgbImage};
 
 use super::crop::{CropProfile, CropWindow};
 use super::damage::FrameDamage;
@@ -64,7 +64,19 @@ impl Decoder {
             let JpegHeader { width, height, .. } = jpeg::inspect(bytes)?;
             return self.decode_file(bytes, None, width, height);
         }
-        decode_png_rgb(bytes)
+        let found = match image::guess_format(bytes) {
+            Ok(ImageFormat::Png) => return decode_png_rgb(bytes),
+            Ok(other) => format!(
+                "a {} image",
+                other.to_mime_type().trim_start_matches("image/")
+            ),
+            Err(_) if bytes.is_empty() => "an empty file".to_owned(),
+            Err(_) => "another type of file".to_owned(),
+        };
+        Err(
+            Error::input(format!("expected a JPEG or PNG image, found {found}"))
+                .remedy("convert the image to PNG"),
+        )
     }
 
     /// Decodes, crops (`None`: not) and resizes a frame to RGB.
@@ -308,5 +320,25 @@ fn raw_to_rgb(frame: &Frame, rgb: &mut Vec<u8>) {
         }
         PixelFormat::Rgb => rgb.copy_from_slice(&frame.data),
         PixelFormat::Mjpg => {}
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn files_that_are_neither_jpeg_nor_png_are_named() {
+        let mut decoder = Decoder::new().unwrap();
+        for (bytes, found) in [
+            (&b"RIFF\x10\0\0\0WEBPVP8 "[..], "found a webp image"),
+            (b"BM\x10\0\0\0", "found a bmp image"),
+            (b"II*\0", "found a tiff image"),
+            (b"<html>", "found another type of file"),
+            (b"", "found an empty file"),
+        ] {
+            let error = decoder.stored_image(bytes).unwrap_err().to_string();
+            assert!(error.contains(found), "{error}");
+        }
     }
 }
