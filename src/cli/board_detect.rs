@@ -22,8 +22,6 @@ use gripcast_pose::{
 };
 
 const OVERLAY_JPEG_QUALITY: u8 = 90;
-/// Residual of a pose that causes a note, px.
-const MAX_RMS_PX: f64 = 0.3;
 /// Marker side below which a note says that its corners are inexact, px.
 const MIN_SIDE_PX: f64 = 20.0;
 
@@ -348,12 +346,7 @@ impl Marker {
 impl ImageReport {
     fn add_pose(&mut self, body: &BodyPose, opening_m: Option<f64>) {
         self.notes.extend(body.notes.iter().cloned());
-        if body.rms_px > MAX_RMS_PX {
-            self.notes.push(format!(
-                "the residual is {:.2} px: check board file, intrinsics, and that the print is flat",
-                body.rms_px
-            ));
-        }
+        self.notes.extend(body.residual_note("board"));
         if body.ambiguous {
             self.notes
                 .push("the pose is ambiguous: another fits as well".to_owned());

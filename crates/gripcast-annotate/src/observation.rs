@@ -15,8 +15,6 @@ use gripcast_pose::{BoardFile, Body, Detection, MarkerDetector, require_size};
 
 /// Maximum distance of a grasping gripper from the object's frame, m.
 const MAX_M: f64 = 0.5;
-/// Maximum reprojection error without a note, px.
-const MAX_RMS_PX: f64 = 0.3;
 /// Minimum number of the gripper's tags without a note.
 const MIN_TAGS: usize = 2;
 /// Minimum number of the sheet's markers without a note.
@@ -200,13 +198,7 @@ impl Annotator {
             if pose.ambiguous {
                 notes.push(format!("the pose of the {what} is ambiguous"));
             }
-            if pose.rms_px > MAX_RMS_PX {
-                notes.push(format!(
-                    "the residual of the {what} is {:.2} px: check board file, intrinsics, and \
-                     that the print is flat",
-                    pose.rms_px
-                ));
-            }
+            notes.extend(pose.residual_note(what));
         }
     }
 }

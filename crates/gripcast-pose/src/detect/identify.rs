@@ -3,31 +3,23 @@
 use image::GrayImage;
 
 use super::{ApriltagDetector, ApriltagSettings};
-use crate::{Detection, Dictionary};
+use crate::{DICTIONARY_NAMES, Detection, Dictionary};
 use gripcast_base::error::Result;
 
-/// Searched dictionaries: the largest of each size, and tags with the border of Kalibr.
-const SEARCHED: [&str; 14] = [
-    "DICT_4X4_1000",
-    "DICT_5X5_1000",
-    "DICT_6X6_1000",
-    "DICT_7X7_1000",
-    "DICT_ARUCO_ORIGINAL",
-    "DICT_ARUCO_MIP_36h12",
-    "16h5",
-    "25h9",
-    "36h10",
-    "36h11",
-    "16h5_border2",
-    "25h9_border2",
-    "36h10_border2",
-    "36h11_border2",
-];
 /// Smaller dictionaries with the same codes.
 const PREFIXES: [&str; 4] = ["50", "100", "250", "1000"];
 /// Evidence for a dictionary, decimal digits of improbability by chance: one marker of 36 cells in an
 /// image without other squares has eight, one of DICT_4X4_50 two and a half.
 const MIN_EVIDENCE: f64 = 3.5;
+
+/// Whether a dictionary is not contained in another: the largest of each size, and AprilTag's names
+/// of its tags rather than OpenCV's.
+fn is_searched(name: &str) -> bool {
+    let is_smaller = PREFIXES[..3]
+        .iter()
+        .any(|count| name.ends_with(&format!("_{count}")));
+    !is_smaller && !name.starts_with("DICT_APRILTAG_")
+}
 
 /// A dictionary with markers in an image.
 #[derive(Clone, Debug, PartialEq)]
@@ -47,8 +39,8 @@ pub struct Identified {
 /// # Errors
 /// `Input` for an image that the detector does not support.
 pub fn identify(image: &GrayImage, settings: ApriltagSettings) -> Result<Vec<Identified>> {
-    let searched: Vec<Dictionary> = SEARCHED
-        .iter()
+    let names = DICTIONARY_NAMES.iter().filter(|name| is_searched(name));
+    let searched: Vec<Dictionary> = names
         .map(|name| Dictionary::by_name(name))
         .collect::<Result<_>>()?;
     let mut detector = ApriltagDetector::of_several(&searched, settings)?;
@@ -123,8 +115,8 @@ mod tests {
     use image::Luma;
 
     use super::*;
+    use crate::MarkerDetector as _;
     use crate::detect::FullSearch;
-    use crate::{DICTIONARY_NAMES, MarkerDetector as _};
 
     /// Eight markers of a dictionary on white, 5 px a cell.
     fn sheet(dictionary: &Dictionary) -> GrayImage {

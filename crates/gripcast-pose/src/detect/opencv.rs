@@ -12,7 +12,7 @@ use opencv::prelude::*;
 
 use super::check_size;
 use crate::refine::refine_all;
-use crate::{Detection, Dictionary, MarkerDetector};
+use crate::{DICTIONARY_NAMES, Detection, Dictionary, MarkerDetector};
 use gripcast_base::error::{Error, Result};
 
 /// Detects the markers of one of OpenCV's predefined dictionaries.
@@ -30,38 +30,14 @@ struct Predefined {
     is_rotated: bool,
 }
 
-/// OpenCV's names in the order of its numbers, the same in both modules up to 36h11.
-const PREDEFINED: [&str; 22] = [
-    "DICT_4X4_50",
-    "DICT_4X4_100",
-    "DICT_4X4_250",
-    "DICT_4X4_1000",
-    "DICT_5X5_50",
-    "DICT_5X5_100",
-    "DICT_5X5_250",
-    "DICT_5X5_1000",
-    "DICT_6X6_50",
-    "DICT_6X6_100",
-    "DICT_6X6_250",
-    "DICT_6X6_1000",
-    "DICT_7X7_50",
-    "DICT_7X7_100",
-    "DICT_7X7_250",
-    "DICT_7X7_1000",
-    "DICT_ARUCO_ORIGINAL",
-    "DICT_APRILTAG_16h5",
-    "DICT_APRILTAG_25h9",
-    "DICT_APRILTAG_36h10",
-    "DICT_APRILTAG_36h11",
-    "DICT_ARUCO_MIP_36h12",
-];
-
 /// OpenCV's number of a dictionary.
 fn predefined(name: &str) -> Option<Predefined> {
     let is_rotated = ["16h5", "25h9", "36h10", "36h11"].contains(&name);
     let rotated = format!("DICT_APRILTAG_{name}");
     let wanted = if is_rotated { &*rotated } else { name };
-    let number = PREDEFINED.iter().position(|n| *n == wanted)?;
+    let number = DICTIONARY_NAMES.iter().position(|n| *n == wanted)?;
+    // The names behind OpenCV's are of tags with other borders.
+    let number = Some(number).filter(|_| wanted.starts_with("DICT_"))?;
     Some(Predefined {
         number: i32::try_from(number).ok()?,
         is_rotated,

@@ -16,7 +16,8 @@ const APRILTAG_25H9: &str = include_str!("codes/apriltag_25h9.txt");
 const APRILTAG_36H10: &str = include_str!("codes/apriltag_36h10.txt");
 const APRILTAG_36H11: &str = include_str!("codes/apriltag_36h11.txt");
 
-/// Names of all built-in dictionaries; those with the same codes from the smallest on.
+/// Names of all built-in dictionaries; those with the same codes from the smallest on. The first 22
+/// are OpenCV's, in the order of its numbers.
 pub const DICTIONARY_NAMES: &[&str] = &[
     "DICT_4X4_50",
     "DICT_4X4_100",
@@ -35,11 +36,11 @@ pub const DICTIONARY_NAMES: &[&str] = &[
     "DICT_7X7_250",
     "DICT_7X7_1000",
     "DICT_ARUCO_ORIGINAL",
-    "DICT_ARUCO_MIP_36h12",
     "DICT_APRILTAG_16h5",
     "DICT_APRILTAG_25h9",
     "DICT_APRILTAG_36h10",
     "DICT_APRILTAG_36h11",
+    "DICT_ARUCO_MIP_36h12",
     "16h5",
     "25h9",
     "36h10",

@@ -4,7 +4,11 @@ use glam::{DMat3, DVec3};
 
 use crate::Body;
 use gripcast_base::linear::Cholesky;
+use gripcast_base::statistics::median;
 use gripcast_geometry::Pose;
+
+/// Median residual of the markers above which board or intrinsics are doubtful, px.
+const MAX_MEDIAN_RESIDUAL_PX: f64 = 0.3;
 
 /// Residual of a detected marker.
 #[derive(Clone, Debug, PartialEq)]
@@ -51,6 +55,20 @@ impl BodyPose {
     #[must_use]
     pub fn used_markers(&self) -> usize {
         self.markers.iter().filter(|marker| marker.used).count()
+    }
+
+    /// Note that the markers of `what` do not fit their board well: an error of the board or of the
+    /// intrinsics shows in most markers, a partly covered marker in itself only.
+    #[must_use]
+    pub fn residual_note(&self, what: &str) -> Option<String> {
+        let used = self.markers.iter().filter(|marker| marker.used);
+        let median_px = median(used.map(|marker| marker.rms_px))?;
+        (median_px > MAX_MEDIAN_RESIDUAL_PX).then(|| {
+            format!(
+                "the residual of the {what} is {median_px:.2} px: check board file, intrinsics, and \
+                 that the print is flat"
+            )
+        })
     }
 }
 
