@@ -1,0 +1,25 @@
+//! Shear: how the skin of a gel moves under a tactile image.
+//!
+//! A [`ShearTracker`] starts from the image of the untouched gel and measures each later image
+//! against it: the displacement of every gel marker where the gel has them, else the rigid motion of
+//! the texture in contact. Positions are pixels of the cropped image: x right, y down, pixel (0,0)
+//! is the centre of the top-left pixel.
+//!
+//! ```
+//! use gripcast_shear::ShearTracker;
+//! use image::{Rgb, RgbImage};
+//!
+//! let initial = RgbImage::from_pixel(320, 240, Rgb([90, 100, 110]));
+//! let mut tracker = ShearTracker::new(&initial, 3.0e-5, None)?;
+//! let frame = tracker.update(&initial);
+//! assert!(frame.field.is_none());
+//! # Ok::<(), gripcast_base::error::Error>(())
+//! ```
+
+mod marker;
+mod problem;
+mod tracker;
+
+pub use marker::{GelMarker, MarkerField, MarkerPattern};
+pub use problem::ShearProblem;
+pub use tracker::{ShearFrame, ShearSource, ShearSummary, ShearTracker};

@@ -1,0 +1,89 @@
+//! The tracker of one gel.
+
+use image::RgbImage;
+use serde::{Deserialize, Serialize};
+use utoipa::ToSchema;
+
+use gripcast_base::error::{Error, Result};
+
+use crate::{MarkerField, MarkerPattern, ShearProblem};
+
+/// What the shear was measured on.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum ShearSource {
+    /// Gel markers.
+    Markers,
+    /// The texture of the contact.
+    Texture,
+}
+
+/// The shear of one gel in one image. Axes are those of the image: x right, y down.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
+pub struct ShearSummary {
+    /// What the shear was measured on.
+    pub source: ShearSource,
+    /// Confidence, 0 to 1.
+    pub confidence: f32,
+    /// Fraction of the gel markers, or of the contact's texture, that is tracked, 0 to 1.
+    pub tracked_fraction: f32,
+    /// Mean displacement of the skin in contact, of all of it without contact, mm.
+    pub mean_displacement_mm: [f32; 2],
+    /// Maximum displacement, mm.
+    pub max_displacement_mm: f32,
+    /// Mean divergence of the displacement, ∂u/∂x + ∂v/∂y; above 0 where the skin is stretched.
+    pub divergence: f32,
+    /// Mean curl of the displacement, ∂v/∂x − ∂u/∂y: twice the rotation in radians, from x
+    /// towards y.
+    pub curl: f32,
+    /// Fraction of the contact that moves against the gel's rigid motion, 0 to 1; `None` without
+    /// contact.
+    pub slip_ratio: Option<f32>,
+}
+
+/// What the tracker says of one image.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct ShearFrame {
+    /// The shear; `None` where nothing can be said.
+    pub summary: Option<ShearSummary>,
+    /// The gel markers; `None` for a gel without.
+    pub field: Option<MarkerField>,
+    /// Problems.
+    pub problems: Vec<ShearProblem>,
+}
+
+/// Measures the shear of one gel, image by image.
+#[derive(Clone, Debug)]
+pub struct ShearTracker {
+    problems: Vec<ShearProblem>,
+}
+
+impl ShearTracker {
+    /// Starts from the image of the untouched gel; `m_per_px` is the scale of the image. Whether
+    /// gel markers or texture are followed is decided by the image; `expected` is what the sensor
+    /// profile says.
+    ///
+    /// # Errors
+    /// `Input` for a scale that is not a positive number, or an image that is too small.
+    pub fn new(
+        _initial: &RgbImage,
+        m_per_px: f64,
+        _expected: Option<&MarkerPattern>,
+    ) -> Result<Self> {
+        if !(m_per_px.is_finite() && m_per_px > 0.0) {
+            let what = format!("expected a positive scale in m/px, found {m_per_px}");
+            return Err(Error::input(what).remedy("0.00003 for a cropped GelSight Mini image"));
+        }
+        Ok(Self {
+            problems: Vec::new(),
+        })
+    }
+
+    /// Measures one image against the initial one.
+    pub fn update(&mut self, _image: &RgbImage) -> ShearFrame {
+        ShearFrame {
+            problems: self.problems.clone(),
+            ..ShearFrame::default()
+        }
+    }
+}
