@@ -16,8 +16,16 @@
 //! # Ok::<(), gripcast_base::error::Error>(())
 //! ```
 
+mod association;
+mod contact;
+mod darkness;
+mod dots;
+mod lattice;
 mod marker;
+mod markers;
 mod problem;
+mod slip;
+mod texture;
 mod tracker;
 
 pub use marker::{GelMarker, MarkerField, MarkerPattern};

@@ -1,5 +1,6 @@
 //! Gel markers: the dots of a gel, their lattice and their displacement.
 
+use gripcast_base::linear::NormalEquations;
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
@@ -60,10 +61,54 @@ pub struct MarkerField {
     pub markers: Vec<Option<GelMarker>>,
 }
 
+/// Minimum gel markers for the gradient of the displacement.
+const MIN_GRADIENT_MARKERS: usize = 4;
 /// Values of one lattice point in [`MarkerField::to_array`].
 const VALUES: usize = 5;
 
 impl MarkerField {
+    /// The gel marker at a lattice point, unless it is lost.
+    pub(crate) fn tracked(&self, at: usize) -> Option<&GelMarker> {
+        let marker = self.markers.get(at)?.as_ref()?;
+        (marker.confidence > 0.0).then_some(marker)
+    }
+
+    /// Gradient of the displacement (u, v) at a lattice point, by least squares over the gel marker
+    /// and its up to eight neighbours: [[∂u/∂x, ∂u/∂y], [∂v/∂x, ∂v/∂y]]. `None` where too few of
+    /// them are tracked.
+    ///
+    /// The small strain is its symmetric part, the divergence its trace, the curl ∂v/∂x − ∂u/∂y.
+    #[must_use]
+    pub fn gradient(&self, column: usize, row: usize) -> Option<[[f32; 2]; 2]> {
+        if column >= self.columns || row >= self.rows {
+            return None;
+        }
+        let centre = self.tracked(row * self.columns + column)?;
+        let rows = row.saturating_sub(1)..(row + 2).min(self.rows);
+        let columns = column.saturating_sub(1)..(column + 2).min(self.columns);
+        let around = rows.flat_map(|r| columns.clone().map(move |c| r * self.columns + c));
+        let mut systems = [NormalEquations::<3>::zero(), NormalEquations::<3>::zero()];
+        let mut count = 0;
+        for marker in around.filter_map(|at| self.tracked(at)) {
+            let offset = [0, 1].map(|a| f64::from(marker.rest_px[a] - centre.rest_px[a]));
+            let displacement = marker.displacement_px();
+            for (system, value) in systems.iter_mut().zip(displacement) {
+                system.add(&[1.0, offset[0], offset[1]], f64::from(value), 1.0);
+            }
+            count += 1;
+        }
+        if count < MIN_GRADIENT_MARKERS {
+            return None;
+        }
+        let [u, v] = systems.map(|system| system.solve());
+        let gradient = [u?, v?].map(|[_, x, y]| [x as f32, y as f32]);
+        gradient
+            .iter()
+            .flatten()
+            .all(|value| value.is_finite())
+            .then_some(gradient)
+    }
+
     /// The gel markers as an array of rows × columns × 5: rest x, rest y, displacement x,
     /// displacement y (px), confidence. NaN where the lattice point has no gel marker, and for the
     /// displacement of a lost one.

@@ -6,6 +6,10 @@ use utoipa::ToSchema;
 
 use gripcast_base::error::{Error, Result};
 
+use crate::darkness::Brightness;
+use crate::lattice::Lattice;
+use crate::markers::MarkerTracker;
+use crate::texture::TextureTracker;
 use crate::{MarkerField, MarkerPattern, ShearProblem};
 
 /// What the shear was measured on.
@@ -55,35 +59,95 @@ pub struct ShearFrame {
 /// Measures the shear of one gel, image by image.
 #[derive(Clone, Debug)]
 pub struct ShearTracker {
+    size: [u32; 2],
+    method: Method,
+    /// Problems of the initial image, which all frames have.
     problems: Vec<ShearProblem>,
 }
 
+#[derive(Clone, Debug)]
+enum Method {
+    Markers(Box<MarkerTracker>),
+    Texture(Box<TextureTracker>),
+}
+
+/// Maximum difference of the pitch from that of the sensor profile, fraction.
+const MAX_PITCH_DIFFERENCE: f32 = 0.12;
+
 impl ShearTracker {
     /// Starts from the image of the untouched gel; `m_per_px` is the scale of the image. Whether
-    /// gel markers or texture are followed is decided by the image; `expected` is what the sensor
-    /// profile says.
+    /// gel markers or texture are followed is decided by the image; `expected` is the pattern of
+    /// the sensor profile, against which the image is checked.
     ///
     /// # Errors
-    /// `Input` for a scale that is not a positive number, or an image that is too small.
+    /// `Input` for a scale that is not a positive number, or an image below 80×60 pixels.
     pub fn new(
-        _initial: &RgbImage,
+        initial: &RgbImage,
         m_per_px: f64,
-        _expected: Option<&MarkerPattern>,
+        expected: Option<&MarkerPattern>,
     ) -> Result<Self> {
         if !(m_per_px.is_finite() && m_per_px > 0.0) {
             let what = format!("expected a positive scale in m/px, found {m_per_px}");
             return Err(Error::input(what).remedy("0.00003 for a cropped GelSight Mini image"));
         }
+        let mut problems = Vec::new();
+        let method = match Lattice::find(&Brightness::new(initial)) {
+            Some(lattice) => {
+                let markers = MarkerTracker::new(initial, lattice, m_per_px)?;
+                if let Some(pattern) = expected {
+                    let [x, y] = pattern.pitch_m;
+                    let (found_px, expected_px) =
+                        (markers.pitch_px(), (x.min(y) / m_per_px) as f32);
+                    if (found_px / expected_px - 1.0).abs() > MAX_PITCH_DIFFERENCE {
+                        problems.push(ShearProblem::OtherPitch {
+                            found_px,
+                            expected_px,
+                        });
+                    }
+                }
+                Method::Markers(Box::new(markers))
+            }
+            None => {
+                if expected.is_some() {
+                    problems.push(ShearProblem::NoMarkers);
+                }
+                Method::Texture(Box::new(TextureTracker::new(initial, m_per_px)?))
+            }
+        };
         Ok(Self {
-            problems: Vec::new(),
+            size: [initial.width(), initial.height()],
+            method,
+            problems,
         })
     }
 
-    /// Measures one image against the initial one.
-    pub fn update(&mut self, _image: &RgbImage) -> ShearFrame {
-        ShearFrame {
-            problems: self.problems.clone(),
-            ..ShearFrame::default()
+    /// What the shear is measured on.
+    pub fn source(&self) -> ShearSource {
+        match self.method {
+            Method::Markers(_) => ShearSource::Markers,
+            Method::Texture(_) => ShearSource::Texture,
         }
+    }
+
+    /// Measures one image against the initial one.
+    pub fn update(&mut self, image: &RgbImage) -> ShearFrame {
+        let found = [image.width(), image.height()];
+        let mut problems = self.problems.clone();
+        if found != self.size {
+            problems.push(ShearProblem::Resized {
+                found,
+                expected: self.size,
+            });
+            return ShearFrame {
+                problems,
+                ..ShearFrame::default()
+            };
+        }
+        let mut frame = match &mut self.method {
+            Method::Markers(markers) => markers.update(image),
+            Method::Texture(texture) => texture.update(image),
+        };
+        problems.append(&mut frame.problems);
+        ShearFrame { problems, ..frame }
     }
 }
