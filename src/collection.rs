@@ -10,7 +10,7 @@ use tokio::signal::unix::{SignalKind, signal};
 use tokio::sync::mpsc;
 
 use super::config::{CollectConfig, Config};
-use super::daemon::{Boards, CommandRequest, EndReason, EngineSetup};
+use super::daemon::{Boards, CommandRequest, EndReason, EngineSetup, GelScale};
 use super::model_choice::chosen_model;
 use crate::note;
 use gripcast_base::error::{Error, Result};
@@ -24,6 +24,7 @@ use gripcast_dataset::{GraspIndex, NewDataset};
 use gripcast_imaging::{Intrinsics, Role};
 use gripcast_pose::load_intrinsics;
 use gripcast_session::{Command, CommandSource, Labels};
+use gripcast_tactile::SensorProfile;
 use gripcast_virtual_rig::{VirtualHand, VirtualSource};
 
 /// Capacity of the command queue.
@@ -98,6 +99,7 @@ pub(crate) fn prepare(
         );
     }
     Ok(EngineSetup {
+        gel_scales: gel_scales(&rig)?,
         new_dataset: NewDataset {
             name: dataset_name(&dataset),
             rig: rig.id.clone(),
@@ -123,6 +125,48 @@ pub(crate) fn prepare(
         target_per_object: settings.target_per_object,
         black_box,
     })
+}
+
+/// Returns scale and gel markers of the tactile cameras: of the sensor profile that the rig file
+/// names, else of a generic GelSight Mini where the crop is one of its.
+fn gel_scales(rig: &RigFile) -> Result<BTreeMap<Role, GelScale>> {
+    let mut scales = BTreeMap::new();
+    for (role, camera) in &rig.cameras {
+        let Some(crop) = camera.crop_profile.as_deref() else {
+            continue;
+        };
+        let profile = match &camera.sensor_profile {
+            Some(name) => {
+                let at_camera = |e: Error| e.at(format!("camera {role}"));
+                let profile = SensorProfile::load(name);
+                let profile = profile.map_err(at_camera)?;
+                if profile.crop_profile.name() != crop {
+                    let what = format!(
+                        "the sensor profile `{}` is for the crop {}, the camera has {crop}",
+                        profile.name,
+                        profile.crop_profile.name()
+                    );
+                    return Err(at_camera(Error::config(what).remedy(
+                        "set `crop_profile` to that of the profile, or choose another",
+                    )));
+                }
+                profile
+            }
+            None => {
+                let mini = SensorProfile::gelsight_mini()?;
+                if mini.crop_profile.name() != crop {
+                    continue;
+                }
+                mini
+            }
+        };
+        let scale = GelScale {
+            m_per_px: profile.geometry.pixel_m,
+            markers: None,
+        };
+        scales.insert(*role, scale);
+    }
+    Ok(scales)
 }
 
 /// Loads the intrinsics named by the rig, and those of the external virtual camera.

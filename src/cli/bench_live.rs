@@ -52,7 +52,7 @@ impl Args {
         let text = format!(
             "frames {}  dropped {}  tactile frames not decoded {}\n\
              predictions {:.1}/s  frame to prediction {:.1} ms (median) {:.1} ms (p99)\n\
-             gel judged in {:.1} ms (median)  {:.2} cores  {:.0} MB peak  gel frames of {:.0} kB",
+             gel judged in {:.1} ms, shear in {:.1} ms (median)  {:.2} cores  {:.0} MB peak  gel frames of {:.0} kB",
             figures.received,
             figures.lost,
             figures.not_decoded,
@@ -60,6 +60,7 @@ impl Args {
             figures.latency_p50_ms,
             figures.latency_p99_ms,
             figures.gel_judge_p50_ms,
+            figures.shear_p50_ms,
             figures.cores,
             figures.rss_mb,
             figures.gel_frame_kb,

@@ -17,7 +17,8 @@ use super::black_box::Topic;
 use super::gels::GelJudge;
 use super::histogram::LatencyHistogram;
 use super::hub::{Decoded, Hub};
-use super::status::{PredictionStatus, Preview, verdict_of};
+use super::shear::{GelScale, GelTrackers, draw_markers};
+use super::status::{PredictionStatus, Preview, ShearStatus, verdict_of};
 use super::tasks::{Heartbeat, Tasks};
 use super::thread::lock;
 use gripcast_base::error::Result;
@@ -27,6 +28,7 @@ use gripcast_imaging::{GelChange, GelState, Role, TactileDifference};
 use gripcast_nn::predict::{
     LivePrediction, LivePredictor, Model, PredictedLabel, Smoothing, contact_doubt,
 };
+use gripcast_shear::{MarkerField, ShearFrame};
 
 /// Gain of the displayed difference.
 const PREVIEW_GAIN: f32 = 1.5;
@@ -55,15 +57,24 @@ pub(super) enum InferRequest {
     },
     /// Stop predicting, for this reason. Contact is still measured against the last initial frame.
     ClearInitial(String),
-    /// Predict on exactly these images and the current initial frame.
-    PredictFrames {
+    /// Predict and measure shear on exactly these images and the current initial frame.
+    Analyse {
         /// Images by role.
         images: BTreeMap<Role, RgbImage>,
-        /// Receives the prediction, or `None`.
-        reply: Sender<Option<PredictionRecord>>,
+        /// Receives the results.
+        reply: Sender<SavedAnalysis>,
     },
     /// End the thread.
     Stop,
+}
+
+/// What the images of a saved frame say.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub(super) struct SavedAnalysis {
+    /// The prediction, if there is one.
+    pub(super) prediction: Option<PredictionRecord>,
+    /// Shear by gel.
+    pub(super) shear: BTreeMap<Role, ShearFrame>,
 }
 
 /// The model used for predictions.
@@ -131,6 +142,12 @@ pub(super) struct InferenceState {
     pub(super) gels: BTreeMap<Role, GelState>,
     /// Time to judge a tactile image, ms.
     pub(super) judge_time: LatencyHistogram,
+    /// Shear of each gel, relative to the initial frame of `revision`.
+    pub(super) shear: BTreeMap<Role, ShearStatus>,
+    /// Gel markers in the newest image of each gel that has them.
+    pub(super) marker_fields: BTreeMap<Role, Arc<MarkerField>>,
+    /// Time to measure the shear of a tactile image, ms.
+    pub(super) shear_time: LatencyHistogram,
     /// Preview images.
     pub(super) previews: BTreeMap<Role, Preview>,
     /// Number of predictions.
@@ -183,6 +200,7 @@ impl Inference {
     pub(super) fn start(
         hub: &Hub,
         model: Option<Model>,
+        scales: BTreeMap<Role, GelScale>,
         (requests, inbox): (Sender<InferRequest>, Receiver<InferRequest>),
         tasks: &Tasks,
     ) -> Result<Self> {
@@ -197,7 +215,7 @@ impl Inference {
         }));
         let name = info.as_ref().map(|info| info.name.clone());
         let predictor = model.map(LivePredictor::new).transpose()?;
-        let mut worker = Worker::new(hub, predictor.zip(info), &state);
+        let mut worker = Worker::new(hub, predictor.zip(info), scales, &state);
         let thread = tasks.spawn("inference", move |heartbeat| worker.run(&inbox, heartbeat))?;
         Ok(Self {
             state,
@@ -226,6 +244,7 @@ struct Worker {
     predictor: Option<(LivePredictor, ModelInfo)>,
     initial: BTreeMap<Role, Arc<RgbImage>>,
     gels: GelJudge,
+    trackers: GelTrackers,
     predicting: bool,
     smoothing: Smoothing,
     /// Serial of the newest image used, by role.
@@ -237,6 +256,7 @@ impl Worker {
     fn new(
         hub: &Hub,
         predictor: Option<(LivePredictor, ModelInfo)>,
+        scales: BTreeMap<Role, GelScale>,
         state: &Arc<Mutex<InferenceState>>,
     ) -> Self {
         Self {
@@ -244,6 +264,7 @@ impl Worker {
             predictor,
             initial: BTreeMap::new(),
             gels: GelJudge::default(),
+            trackers: GelTrackers::new(scales),
             predicting: false,
             smoothing: Smoothing::default(),
             seen: BTreeMap::new(),
@@ -291,9 +312,9 @@ impl Worker {
             } => self.set_initial(revision, left, right),
             InferRequest::SetReference { left, right } => self.compare_with(0, left, right),
             InferRequest::ClearInitial(reason) => self.clear_initial(reason),
-            InferRequest::PredictFrames { images, reply } => {
+            InferRequest::Analyse { images, reply } => {
                 // The requester may have timed out.
-                let _ = reply.send(self.predict_saved(images));
+                let _ = reply.send(self.analyse_saved(images));
             }
             InferRequest::Stop => return ControlFlow::Break(()),
         }
@@ -313,9 +334,13 @@ impl Worker {
     /// Compares the gels with these images from now on.
     fn compare_with(&mut self, revision: u64, left: Arc<RgbImage>, right: Arc<RgbImage>) {
         self.gels.set_initial([&left, &right]);
+        self.trackers
+            .set_initial([(Role::Left, &*left), (Role::Right, &*right)]);
         self.initial = BTreeMap::from([(Role::Left, left), (Role::Right, right)]);
         let mut state = lock(&self.state);
         state.contact.clear();
+        state.shear = self.trackers.unavailable().collect();
+        state.marker_fields.clear();
         state.revision = Some(revision);
     }
 
@@ -352,17 +377,8 @@ impl Worker {
                 frame_time_ns: decoded.driver_time_ns,
                 change,
             });
-        let shown = difference.filter(|_| self.predicting);
-        let preview = Preview {
-            image: Arc::clone(&decoded.image),
-            difference: shown.map(|difference| Arc::new(difference.to_image(PREVIEW_GAIN))),
-        };
-        {
-            let mut state = lock(&self.state);
-            if let Some(contact) = contact {
-                state.contact.insert(role, contact);
-            }
-            state.previews.insert(role, preview);
+        if let Some(contact) = contact {
+            lock(&self.state).contact.insert(role, contact);
         }
         if let Some((predictor, _)) = &mut self.predictor {
             predictor.update(role, (*decoded.image).clone(), decoded.driver_time_ns);
@@ -370,6 +386,46 @@ impl Worker {
                 self.predict();
             }
         }
+        // After the prediction, which does not wait for the shear.
+        let field = self.measure_shear(role, &decoded);
+        let difference = difference.filter(|_| self.predicting).map(|difference| {
+            let mut image = difference.to_image(PREVIEW_GAIN);
+            if let Some(field) = &field {
+                draw_markers(&mut image, field);
+            }
+            Arc::new(image)
+        });
+        let preview = Preview {
+            image: Arc::clone(&decoded.image),
+            difference,
+        };
+        lock(&self.state).previews.insert(role, preview);
+    }
+
+    /// Measures the shear of a gel and returns its markers, if it has them.
+    fn measure_shear(&mut self, role: Role, decoded: &Decoded) -> Option<Arc<MarkerField>> {
+        let started = Instant::now();
+        let frame = self.trackers.update(role, &decoded.image)?;
+        let status = ShearStatus::from(&frame);
+        let field = frame.field.map(Arc::new);
+        self.hub.tap.json(Topic::Shear, || {
+            let markers = field.as_ref().map(|field| field.to_array());
+            serde_json::json!({
+                "role": role,
+                "frame_time_ns": decoded.driver_time_ns,
+                "summary": status.summary,
+                "problems": frame.problems,
+                "markers": markers.map(|(values, shape)| MarkerMessage::new(&values, shape)),
+            })
+        });
+        let mut state = lock(&self.state);
+        state.shear_time.add(started.elapsed().as_secs_f64() * 1e3);
+        state.shear.insert(role, status);
+        match &field {
+            Some(field) => drop(state.marker_fields.insert(role, Arc::clone(field))),
+            None => drop(state.marker_fields.remove(&role)),
+        }
+        field
     }
 
     /// Updates the state of a gel and returns its change since the initial frame, if any.
@@ -433,7 +489,18 @@ impl Worker {
         }
     }
 
-    /// Predicts on saved images, then restores the live ones.
+    /// Predicts and measures the shear on saved images, then restores the live ones.
+    fn analyse_saved(&mut self, images: BTreeMap<Role, RgbImage>) -> SavedAnalysis {
+        let shear = images.iter().filter(|(role, _)| role.is_tactile());
+        let shear = shear
+            .filter_map(|(role, image)| Some((*role, self.trackers.measure(*role, image)?)))
+            .collect();
+        SavedAnalysis {
+            shear,
+            prediction: self.predict_saved(images),
+        }
+    }
+
     fn predict_saved(&mut self, images: BTreeMap<Role, RgbImage>) -> Option<PredictionRecord> {
         let changes =
             [Role::Left, Role::Right].map(|role| self.gels.change(role, images.get(&role)?));
@@ -451,6 +518,24 @@ impl Worker {
         // The store sets the latency to that of the live prediction at the trigger.
         let record = model.record(&result?.ok()?, 0.0);
         Some(with_doubt(record, predictor, changes))
+    }
+}
+
+/// Gel markers as JSON, which has no NaN: null.
+#[derive(Serialize)]
+struct MarkerMessage {
+    /// Rows, columns, values.
+    shape: [usize; 3],
+    /// Row-major; null where there is no value.
+    values: Vec<Option<f32>>,
+}
+
+impl MarkerMessage {
+    fn new(values: &[f32], shape: [usize; 3]) -> Self {
+        Self {
+            shape,
+            values: values.iter().map(|v| v.is_finite().then_some(*v)).collect(),
+        }
     }
 }
 
@@ -487,7 +572,7 @@ mod tests {
     fn newest_image_per_camera_is_used_after_pending_requests() {
         let hub = Hub::new([Role::Left], Tap::default());
         let state = Arc::default();
-        let mut worker = Worker::new(&hub, None, &state);
+        let mut worker = Worker::new(&hub, None, BTreeMap::new(), &state);
         let mut new_images = VecDeque::new();
         let (reply, answer) = std::sync::mpsc::channel();
         let images = BTreeMap::new();
@@ -495,11 +580,15 @@ mod tests {
             InferRequest::NewImage(Role::Left),
             InferRequest::NewImage(Role::Right),
             InferRequest::NewImage(Role::Left),
-            InferRequest::PredictFrames { images, reply },
+            InferRequest::Analyse { images, reply },
         ] {
             assert!(worker.handle(request, &mut new_images).is_continue());
         }
-        assert_eq!(answer.try_recv(), Ok(None), "must be answered first");
+        assert_eq!(
+            answer.try_recv(),
+            Ok(SavedAnalysis::default()),
+            "must be answered first"
+        );
         assert_eq!(new_images, [Role::Left, Role::Right]);
         assert!(
             worker
@@ -512,7 +601,7 @@ mod tests {
     fn contact_refers_to_the_newest_initial_frame_only() {
         let hub = Hub::new([Role::Left], Tap::default());
         let state = Arc::default();
-        let mut worker = Worker::new(&hub, None, &state);
+        let mut worker = Worker::new(&hub, None, BTreeMap::new(), &state);
         let show = |worker: &mut Worker, contact: f32, at_ns: u64| {
             let frame = Frame {
                 format: PixelFormat::Grey,

@@ -3,15 +3,19 @@
 //! Capture, hub, decoding and inference are those of `collect`; only the frames come from memory
 //! instead of a driver, at the frame rate of the real cameras.
 
+use std::collections::BTreeMap;
 use std::sync::Arc;
 use std::sync::mpsc::channel;
 use std::time::Duration;
+
+use image::{Rgb, RgbImage};
 
 use super::black_box::Tap;
 use super::capture::CaptureThreads;
 use super::decode;
 use super::hub::Hub;
 use super::infer::{InferRequest, Inference};
+use super::shear::GelScale;
 use super::tasks::Tasks;
 use super::thread::lock;
 use gripcast_base::error::{Error, Result};
@@ -22,16 +26,22 @@ use gripcast_capture::camera::{
     SupervisionPolicy, monotonic_ns,
 };
 use gripcast_imaging::{
-    CropProfile, Decoder, Frame, FrameBytes, FramePool, PixelFormat, Role, encode_jpeg,
+    CropProfile, Decoder, Frame, FrameBytes, FramePool, PixelFormat, Role, draw_line, encode_jpeg,
     synthetic_gel,
 };
 use gripcast_nn::predict::Model;
+use gripcast_tactile::SensorProfile;
 
 /// Frames that a V4L2 queue holds for a late reader; further ones are lost, as with a driver.
 const QUEUE_FRAMES: u64 = 4;
 
 /// Size of a GelSight Mini's frame, pixels.
 const GEL_SIZE: (u32, u32) = (3280, 2464);
+
+/// Pitch, diameter and largest motion of the gel markers: 1.3, 0.5 and 0.3 mm in a full frame, px.
+const MARKER_PITCH_PX: f64 = 161.0;
+const MARKER_DIAMETER_PX: f64 = 62.0;
+const MARKER_MOTION_PX: f64 = 37.0;
 
 /// Number of different frames that each camera repeats.
 const DISTINCT_FRAMES: u64 = 6;
@@ -65,6 +75,8 @@ pub struct LoadFigures {
     pub latency_p99_ms: f64,
     /// Median time to judge a tactile image, ms.
     pub gel_judge_p50_ms: f64,
+    /// Median time to measure the shear of a tactile image, ms.
+    pub shear_p50_ms: f64,
     /// Mean number of busy CPU cores.
     pub cores: f64,
     /// Peak resident memory of the process, MB.
@@ -103,7 +115,12 @@ pub fn run_load(model: Model, params: LoadParams) -> Result<LoadFigures> {
     let crop = |role: Role| role.is_tactile().then_some(CropProfile::GSMINI_SEVENTH);
     let tasks = Tasks::default();
     let decoders = decode::start(&hub, crop, &requests, &tasks)?;
-    let inference = Inference::start(&hub, Some(model), (requests, inbox), &tasks)?;
+    let scale = GelScale {
+        m_per_px: SensorProfile::gelsight_mini()?.geometry.pixel_m,
+        markers: None,
+    };
+    let scales = BTreeMap::from([(Role::Left, scale.clone()), (Role::Right, scale)]);
+    let inference = Inference::start(&hub, Some(model), scales, (requests, inbox), &tasks)?;
     // This source repeats its frames by design.
     let policy = SupervisionPolicy {
         freeze_after_ns: None,
@@ -135,6 +152,7 @@ pub fn run_load(model: Model, params: LoadParams) -> Result<LoadFigures> {
         let mut state = inference.state();
         state.latency = super::histogram::LatencyHistogram::default();
         state.judge_time = super::histogram::LatencyHistogram::default();
+        state.shear_time = super::histogram::LatencyHistogram::default();
         state.predictions
     };
     let (cpu, started) = (process_cpu_s(), monotonic_ns());
@@ -159,6 +177,7 @@ pub fn run_load(model: Model, params: LoadParams) -> Result<LoadFigures> {
         latency_p50_ms: quantile(0.5),
         latency_p99_ms: quantile(0.99),
         gel_judge_p50_ms: state.judge_time.quantile_ms(0.5).unwrap_or(f64::NAN),
+        shear_p50_ms: state.shear_time.quantile_ms(0.5).unwrap_or(f64::NAN),
         cores,
         rss_mb: peak_rss_mb(),
         gel_frame_kb: gel_bytes as f64 / (2 * DISTINCT_FRAMES) as f64 * 1e-3,
@@ -246,13 +265,30 @@ fn recording(
     }
 }
 
-/// Generates frames of a GelSight Mini with a growing and shrinking contact.
+/// Draws the dots of a marker gel, all moved by `shift_px` to the right.
+fn draw_gel_markers(image: &mut RgbImage, shift_px: f64) {
+    let (columns, rows) = (
+        f64::from(image.width()) / MARKER_PITCH_PX,
+        f64::from(image.height()) / MARKER_PITCH_PX,
+    );
+    for row in 0..rows as u32 {
+        for column in 0..columns as u32 {
+            let x = (f64::from(column) + 0.5) * MARKER_PITCH_PX + shift_px;
+            let at = [x, (f64::from(row) + 0.5) * MARKER_PITCH_PX];
+            draw_line(image, at, at, MARKER_DIAMETER_PX, Rgb([28, 32, 36]));
+        }
+    }
+}
+
+/// Generates frames of a GelSight Mini's marker gel with a growing and shrinking contact that moves
+/// the markers.
 fn gel_frames(seed: u64, quality: u8) -> Result<Recording> {
     let size = GEL_SIZE;
     let frames = (0..DISTINCT_FRAMES)
         .map(|i| {
             let contact = (i as f32 / DISTINCT_FRAMES as f32 * std::f32::consts::PI).sin();
-            let image = synthetic_gel(size.0, size.1, seed * 100 + i, contact);
+            let mut image = synthetic_gel(size.0, size.1, seed * 100 + i, contact);
+            draw_gel_markers(&mut image, f64::from(contact) * MARKER_MOTION_PX);
             Ok(encode_jpeg(&image, quality)?.into())
         })
         .collect::<Result<_>>()?;

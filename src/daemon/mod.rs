@@ -23,6 +23,7 @@ pub mod live_load;
 mod pairing;
 mod pre_grasp;
 mod report;
+mod shear;
 mod start_report;
 mod status;
 mod store;
@@ -37,10 +38,12 @@ pub use engine::{EngineLinks, EngineSetup, StoreEvent, run};
 pub use gripcast_capture::camera::CameraState;
 pub use infer::ModelInfo;
 pub use report::{CameraReport, CollectReport, EndReason, GraspReport, PredictionReport};
+pub use shear::GelScale;
 pub use start_report::{StartFinding, StartSubject};
 pub(crate) use status::disk_free_bytes;
 pub use status::{
-    CameraStatus, EngineStatus, GelStatus, MarkerStatus, PredictionStatus, Preview, verdict_of,
+    CameraStatus, EngineStatus, GelStatus, MarkerStatus, PredictionStatus, Preview, ShearStatus,
+    verdict_of,
 };
 pub use tasks::{Heartbeat, TaskReport, TaskState, Tasks};
 pub(crate) use thread::lock;

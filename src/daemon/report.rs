@@ -61,6 +61,8 @@ pub struct PredictionReport {
     pub latency_p99_ms: Option<f64>,
     /// Median time to judge a tactile image, ms.
     pub gel_judge_p50_ms: Option<f64>,
+    /// Median time to measure the shear of a tactile image, ms.
+    pub shear_p50_ms: Option<f64>,
 }
 
 /// A grasp of this session.

@@ -16,6 +16,7 @@ use gripcast_dataset::PredictionRecord;
 use gripcast_imaging::{ChangeKind, GelChange, GelState, Role};
 use gripcast_nn::predict::PredictedLabel;
 use gripcast_session::{GuardLimits, Labels, OutcomeCounts, Session, SessionView};
+use gripcast_shear::{MarkerField, ShearFrame, ShearSummary};
 
 /// Snapshot of the engine.
 #[derive(Clone, Debug, Serialize, Deserialize, ToSchema)]
@@ -54,12 +55,18 @@ pub struct EngineStatus {
     /// State of each gel.
     #[serde(default)]
     pub gels: BTreeMap<Role, GelStatus>,
+    /// Shear of each gel since the initial frame; absent without one.
+    #[serde(default)]
+    pub shear: BTreeMap<Role, ShearStatus>,
     /// Number of grasps by object and outcome, which the API sends separately.
     #[serde(skip)]
     pub objects: Arc<OutcomeCounts>,
     /// Preview images, which the API sends separately.
     #[serde(skip)]
     pub previews: BTreeMap<Role, Preview>,
+    /// Gel markers in the newest image of each gel that has them, which the API sends separately.
+    #[serde(skip)]
+    pub marker_fields: BTreeMap<Role, Arc<MarkerField>>,
 }
 
 impl EngineStatus {
@@ -83,7 +90,9 @@ impl EngineStatus {
             contact: BTreeMap::new(),
             objects: Arc::default(),
             gels: BTreeMap::new(),
+            shear: BTreeMap::new(),
             previews: BTreeMap::new(),
+            marker_fields: BTreeMap::new(),
         }
     }
 }
@@ -111,6 +120,62 @@ impl GelStatus {
             contact_fraction: change.map(|change| change.contact_fraction),
             change: change.map(|change| change.kind(min_contact_fraction)),
             state,
+        }
+    }
+}
+
+/// Shear of a gel since the initial frame.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, ToSchema)]
+pub struct ShearStatus {
+    /// The shear; null where nothing can be said.
+    pub summary: Option<ShearSummary>,
+    /// A sentence with remedy for each problem.
+    pub messages: Vec<String>,
+}
+
+impl ShearStatus {
+    /// The shear in a few words, for instance `shear 0.42 mm ↗ slip 12 %`, with `~` where it is
+    /// uncertain; the arrow points as the skin of the gel moves in its image. `None` where nothing
+    /// can be said.
+    #[must_use]
+    pub fn words(&self) -> Option<String> {
+        let summary = self.summary?;
+        let [x, y] = summary.mean_displacement_mm;
+        let length_mm = x.hypot(y);
+        let about = match summary.confidence < UNCERTAIN {
+            true => "~",
+            false => "",
+        };
+        let direction = match length_mm < MIN_DIRECTION_MM {
+            true => String::new(),
+            false => format!(" {}", arrow(x, y)),
+        };
+        let slip = summary
+            .slip_ratio
+            .map(|ratio| format!(" slip {:.0} %", 100.0 * ratio));
+        let slip = slip.unwrap_or_default();
+        Some(format!("shear {about}{length_mm:.2} mm{direction}{slip}"))
+    }
+}
+
+/// Confidence below which a shear is shown as uncertain.
+const UNCERTAIN: f32 = 0.5;
+/// Displacement from which a direction is shown, mm.
+const MIN_DIRECTION_MM: f32 = 0.02;
+
+/// Returns the arrow nearest to a direction in an image, y down.
+fn arrow(x: f32, y: f32) -> char {
+    const ARROWS: [char; 8] = ['→', '↘', '↓', '↙', '←', '↖', '↑', '↗'];
+    let eighth = (y.atan2(x) / std::f32::consts::FRAC_PI_4).round() as i32;
+    ARROWS[eighth.rem_euclid(8) as usize]
+}
+
+impl From<&ShearFrame> for ShearStatus {
+    fn from(frame: &ShearFrame) -> Self {
+        let messages = frame.problems.iter().map(|problem| problem.text());
+        Self {
+            summary: frame.summary,
+            messages: messages.collect(),
         }
     }
 }
@@ -220,6 +285,7 @@ pub(crate) fn disk_free_bytes(path: &Path) -> Option<u64> {
 mod tests {
     use super::*;
     use gripcast_imaging::GelProblem;
+    use gripcast_shear::ShearSource;
 
     /// `collect --attach` reads back everything but the images.
     #[test]
@@ -272,6 +338,7 @@ mod tests {
             prediction: Some(PredictionStatus::new(record, true)),
             contact: BTreeMap::from([(Role::Left, 8.5)]),
             gels: BTreeMap::from([(Role::Left, gel)]),
+            shear: BTreeMap::from([(Role::Left, shear([0.3, 0.3], 0.9, Some(0.12)))]),
             ..EngineStatus::starting("d", "bench", Labels::default())
         };
         let json = serde_json::to_value(&status).unwrap();
@@ -293,5 +360,35 @@ mod tests {
         assert_eq!(back.prediction, status.prediction);
         assert_eq!(back.contact, status.contact);
         assert_eq!(back.gels, status.gels);
+        assert_eq!(back.shear, status.shear);
+    }
+
+    fn shear(mean_displacement_mm: [f32; 2], confidence: f32, slip: Option<f32>) -> ShearStatus {
+        ShearStatus {
+            summary: Some(ShearSummary {
+                source: ShearSource::Markers,
+                confidence,
+                tracked_fraction: 1.0,
+                mean_displacement_mm,
+                max_displacement_mm: 1.0,
+                divergence: 0.0,
+                curl: 0.0,
+                slip_ratio: slip,
+            }),
+            messages: Vec::new(),
+        }
+    }
+
+    #[test]
+    fn shear_is_told_in_a_few_words() {
+        let words = |d, confidence, slip| shear(d, confidence, slip).words().unwrap();
+        assert_eq!(
+            words([0.3, -0.3], 0.9, Some(0.12)),
+            "shear 0.42 mm ↗ slip 12 %"
+        );
+        assert_eq!(words([0.0, 0.5], 0.9, None), "shear 0.50 mm ↓");
+        assert_eq!(words([-0.5, 0.01], 0.3, None), "shear ~0.50 mm ←");
+        assert_eq!(words([0.0, 0.0], 0.9, None), "shear 0.00 mm");
+        assert_eq!(ShearStatus::default().words(), None);
     }
 }

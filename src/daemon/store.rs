@@ -13,7 +13,7 @@ use jiff::Timestamp;
 use tokio::sync::mpsc::UnboundedSender;
 
 use super::decode::model_image;
-use super::infer::InferRequest;
+use super::infer::{InferRequest, SavedAnalysis};
 use super::tasks::{Heartbeat, TaskState, Tasks};
 use super::thread::spawn;
 use gripcast_base::catch_panic;
@@ -34,9 +34,10 @@ const TASK: &str = "store";
 const INDEX_DELAY: Duration = Duration::from_millis(150);
 const INDEX_DELAY_PER_GRASP: Duration = Duration::from_micros(500);
 
-/// Wait for the model during a save; afterwards the grasp is saved without a prediction. Only a
+/// Wait for the model and the tracker during a save; afterwards the grasp is saved without their
+/// results. Only a
 /// hanging model takes this long; loaded machines have needed more than half a second.
-const PREDICTION_TIMEOUT: Duration = Duration::from_secs(5);
+const ANALYSIS_TIMEOUT: Duration = Duration::from_secs(5);
 
 /// Messages to the store thread.
 #[derive(Debug)]
@@ -76,8 +77,6 @@ pub(super) struct StoreContext {
     pub(super) rig: String,
     /// Content key of the calibration, by role.
     pub(super) calibration: BTreeMap<Role, ContentKey>,
-    /// Whether there is a model.
-    pub(super) has_model: bool,
     /// Crop profile of each tactile camera.
     pub(super) crops: BTreeMap<Role, CropProfile>,
 }
@@ -289,13 +288,17 @@ impl Worker {
         boards: Option<[String; 2]>,
         latency_ms: f64,
     ) -> Result<GraspMeta> {
+        let analysis = self.analyse(capture);
         Ok(GraspMeta {
             object: labels.object,
             scene: labels.scene,
             operator: labels.operator,
             rig: self.context.rig.clone(),
             boards: boards.map(|texts| self.board_keys(&texts)).transpose()?,
-            prediction: self.predict(capture, latency_ms),
+            prediction: analysis.prediction.map(|record| PredictionRecord {
+                latency_ms,
+                ..record
+            }),
             calibration: self.context.calibration.clone(),
             ..GraspMeta::default()
         })
@@ -385,12 +388,9 @@ impl Worker {
         model_image(&mut self.decoder, frame, crop.as_ref())
     }
 
-    /// Predicts on exactly the saved frames, so that the prediction can be reproduced from the
-    /// files.
-    fn predict(&mut self, capture: &StageCapture, latency_ms: f64) -> Option<PredictionRecord> {
-        if !self.context.has_model {
-            return None;
-        }
+    /// Predicts and measures the shear on exactly the saved frames, so that both can be reproduced
+    /// from the files.
+    fn analyse(&mut self, capture: &StageCapture) -> SavedAnalysis {
         let images = [Role::Left, Role::Right, Role::Rgb]
             .into_iter()
             .filter_map(|role| {
@@ -399,14 +399,10 @@ impl Worker {
             })
             .collect();
         let (reply, answer) = channel();
-        self.infer
-            .send(InferRequest::PredictFrames { images, reply })
-            .ok()?;
-        let record = answer.recv_timeout(PREDICTION_TIMEOUT).ok()??;
-        Some(PredictionRecord {
-            latency_ms,
-            ..record
-        })
+        let request = InferRequest::Analyse { images, reply };
+        let sent = self.infer.send(request).is_ok();
+        let analysis = sent.then(|| answer.recv_timeout(ANALYSIS_TIMEOUT).ok());
+        analysis.flatten().unwrap_or_default()
     }
 }
 

@@ -13,7 +13,7 @@ use super::graphics::TerminalGraphics;
 use super::palette::{ColourDepth, Palette};
 use super::state::ScreenState;
 use super::text::{clipped, inset, row, write};
-use crate::daemon::EngineStatus;
+use crate::daemon::{EngineStatus, ShearStatus};
 use gripcast_imaging::Role;
 
 /// Minimum width of an image; otherwise the last cameras are omitted.
@@ -203,8 +203,13 @@ fn caption(shown: Shown, status: &EngineStatus, width: u16, palette: Palette) ->
         .contact
         .get(&role)
         .filter(|_| shown.is_difference || shown.is_alone);
+    let shear = status.shear.get(&role).and_then(ShearStatus::words);
     let details = match contact {
         Some(contact) => vec![
+            match shear {
+                Some(shear) => format!("{kind} · contact {contact:.1} · {shear}"),
+                None => format!("{kind} · contact {contact:.1}"),
+            },
             format!("{kind} · contact {contact:.1}"),
             format!(" contact {contact:.1}"),
             format!(" {contact:.1}"),

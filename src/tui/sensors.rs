@@ -8,7 +8,7 @@ use ratatui::text::{Line, Span};
 use super::fault::state_and_extent;
 use super::palette::Palette;
 use super::text::{clipped, duration_ms, row, write};
-use crate::daemon::{CameraState, CameraStatus, EngineStatus, GelStatus};
+use crate::daemon::{CameraState, CameraStatus, EngineStatus, GelStatus, ShearStatus};
 
 /// Fraction of the nominal frame rate below which the rate is a warning.
 const SLOW_FRACTION: f64 = 0.9;
@@ -21,7 +21,11 @@ pub(super) fn draw(buffer: &mut Buffer, area: Rect, status: &EngineStatus, palet
     let mut spare_rows = spare;
     let mut index = 0;
     for camera in cameras {
-        let problems = problems(camera, status.gels.get(&camera.role));
+        let problems = problems(
+            camera,
+            status.gels.get(&camera.role),
+            status.shear.get(&camera.role),
+        );
         let (note, style) = match &camera.markers {
             Some(markers) if markers.ok && problems.is_empty() => {
                 (markers.text.clone(), palette.stable())
@@ -87,8 +91,9 @@ pub(super) fn state(state: &CameraState, palette: Palette) -> (String, Style) {
 }
 
 /// Describes the problems of a gel's image, non-zero error counters and a missing pose; late frames are in the details only.
-fn problems(camera: &CameraStatus, gel: Option<&GelStatus>) -> String {
+fn problems(camera: &CameraStatus, gel: Option<&GelStatus>, shear: Option<&ShearStatus>) -> String {
     let of_image = gel.into_iter().flat_map(|gel| gel.messages.clone());
+    let of_shear = shear.into_iter().flat_map(|shear| shear.messages.clone());
     let counted = [
         (camera.counters.sequence_gaps, "lost"),
         (camera.counters.damaged, "damaged"),
@@ -102,6 +107,6 @@ fn problems(camera: &CameraStatus, gel: Option<&GelStatus>) -> String {
         .iter()
         .filter(|markers| !markers.ok)
         .map(|markers| format!("no pose: {}", markers.text));
-    let all = of_image.chain(counted).chain(no_pose);
+    let all = of_image.chain(of_shear).chain(counted).chain(no_pose);
     all.collect::<Vec<_>>().join(" ")
 }

@@ -9,7 +9,7 @@ use axum::body::{Body, Bytes};
 use axum::extract::rejection::QueryRejection;
 use axum::extract::{Path, Query, State as Shared};
 use axum::http::{HeaderName, header};
-use axum::response::{IntoResponse, Response};
+use axum::response::{IntoResponse, Json, Response};
 
 use super::access::{Authorisation, Peer};
 use super::backend::Backend;
@@ -17,6 +17,7 @@ use super::failure::{ErrorResponse, Failure};
 use super::previews::{MAX_STREAMS, PreviewImage};
 use crate::daemon::EngineStatus;
 use gripcast_imaging::Role;
+use gripcast_shear::MarkerField;
 
 /// Interval between two images of a stream.
 const INTERVAL: Duration = Duration::from_millis(100);
@@ -79,6 +80,30 @@ pub(crate) async fn still(
         .shown(role, image)
         .ok_or_else(|| Failure::busy(format!("{role} has no image yet")))?;
     Ok(([(header::CONTENT_TYPE, "image/jpeg")], jpeg).into_response())
+}
+
+/// Gel markers of a gel
+///
+/// In its newest image, since the initial frame: rest and present positions in px of the 320×240
+/// image, confidence 0 for a lost one; null where the lattice has no marker.
+#[utoipa::path(get, path = "/api/cameras/{role}/markers", tag = "cameras",
+    params(("role" = Role, Path)),
+    responses((status = 200, body = MarkerField), (status = 400, body = ErrorResponse),
+        (status = 404, body = ErrorResponse), (status = 503, body = ErrorResponse)))]
+pub(crate) async fn markers(
+    Shared(backend): Shared<Arc<Backend>>,
+    Segment(role): Segment<Role>,
+) -> Result<Json<MarkerField>, Failure> {
+    let status = Arc::clone(&backend.status.borrow());
+    let role = check_role(&status, role)?;
+    let field = status.marker_fields.get(&role).ok_or_else(|| {
+        let why = match status.shear.get(&role) {
+            Some(_) => "no gel markers in its image",
+            None => "no initial frame",
+        };
+        Failure::busy(format!("{role}: {why}"))
+    })?;
+    Ok(Json((**field).clone()))
 }
 
 /// Image stream of a camera

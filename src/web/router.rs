@@ -51,6 +51,7 @@ fn api_routes() -> OpenApiRouter<Arc<Backend>> {
         .routes(routes!(grasps::trash))
         .routes(routes!(grasps::restore))
         .routes(routes!(cameras::still))
+        .routes(routes!(cameras::markers))
         .routes(routes!(cameras::stream))
         .routes(routes!(health::health))
         .routes(routes!(health::model))

@@ -141,6 +141,8 @@ fn waiting_for_grasp() -> EngineStatus {
         no_prediction_reason: None,
         contact: BTreeMap::from([(Role::Left, 8.4), (Role::Right, 8.4)]),
         gels: BTreeMap::new(),
+        shear: BTreeMap::new(),
+        marker_fields: BTreeMap::new(),
         previews: BTreeMap::from([
             (Role::Left, preview(true)),
             (Role::Right, preview(true)),
@@ -587,7 +589,7 @@ prop_compose! {
             grasps_left: disk.map(|free| free / 1_300_000),
             target_per_object: 20, objects: Arc::default(), start_report: report,
             contact: contact.into_iter().collect(),
-            gels: BTreeMap::new(),
+            gels: BTreeMap::new(), shear: BTreeMap::new(), marker_fields: BTreeMap::new(),
             session, cameras, prediction,
             no_prediction_reason: absent,
             previews: BTreeMap::from([(Role::Left, preview.clone()), (Role::External, preview)]),

@@ -5,8 +5,8 @@ use image::{Rgb, RgbImage};
 
 use super::observation::Observation;
 use gripcast_geometry::{Pose, TriangleMesh};
-use gripcast_imaging::Intrinsics;
 use gripcast_imaging::caption::{HEIGHT, write_text};
+use gripcast_imaging::{Intrinsics, draw_line};
 use gripcast_pose::Detection;
 use gripcast_pose::camera::project;
 
@@ -149,32 +149,8 @@ fn segment(
     }
 }
 
-/// Draws an antialiased line, clipped to the image.
 fn line(image: &mut RgbImage, a: DVec2, b: DVec2, width: f64, colour: Rgb<u8>) {
-    let size = DVec2::new(f64::from(image.width()), f64::from(image.height()));
-    let margin = DVec2::splat(0.5 * width + 1.0);
-    let low = (a.min(b) - margin).max(DVec2::ZERO);
-    let high = (a.max(b) + margin).min(size - 1.0);
-    // False for NaN.
-    if !(low.cmple(high).all() && a.is_finite() && b.is_finite()) {
-        return;
-    }
-    let along = b - a;
-    let length_squared = along.length_squared().max(1e-12);
-    for y in low.y as u32..=high.y as u32 {
-        for x in low.x as u32..=high.x as u32 {
-            let off = DVec2::new(f64::from(x), f64::from(y)) - a;
-            let nearest = along * (off.dot(along) / length_squared).clamp(0.0, 1.0);
-            let coverage = (0.5 * width + 0.5 - off.distance(nearest)).clamp(0.0, 1.0);
-            if coverage > 0.0 {
-                let pixel = image.get_pixel_mut(x, y);
-                for (level, target) in pixel.0.iter_mut().zip(colour.0) {
-                    let (old, new) = (f64::from(*level), f64::from(target));
-                    *level = (old + coverage * (new - old)).round() as u8;
-                }
-            }
-        }
-    }
+    draw_line(image, a.to_array(), b.to_array(), width, colour);
 }
 
 /// Darkens rows behind text.

@@ -23,6 +23,7 @@ mod damage;
 mod decode;
 mod depth_preview;
 mod difference;
+mod drawing;
 mod flat_print;
 mod frame;
 mod gel;
@@ -40,6 +41,7 @@ pub use damage::FrameDamage;
 pub use decode::{Decoder, check_structure};
 pub use depth_preview::DEPTH_RANGE_M;
 pub use difference::TactileDifference;
+pub use drawing::draw_line;
 pub use flat_print::FlatPrint;
 pub use frame::{Frame, FrameBytes, FramePool, MAX_SIDE, PixelFormat, Role};
 pub use gel::{

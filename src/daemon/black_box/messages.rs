@@ -13,6 +13,7 @@ use gripcast_imaging::{Frame, FrameBytes, PixelFormat, Role};
 const EVENT_SCHEMA: &str = include_str!("schemas/event.json");
 const STORED_SCHEMA: &str = include_str!("schemas/stored.json");
 const PREDICTION_SCHEMA: &str = include_str!("schemas/prediction.json");
+const SHEAR_SCHEMA: &str = include_str!("schemas/shear.json");
 const CAMERAS_SCHEMA: &str = include_str!("schemas/cameras.json");
 
 /// `foxglove.CompressedImage`.
@@ -89,6 +90,7 @@ pub(super) fn json_channel(topic: Topic) -> ChannelSchema {
         Topic::Events => ("/session/events", "gripcast.Event", EVENT_SCHEMA),
         Topic::Stored => ("/session/stored", "gripcast.Stored", STORED_SCHEMA),
         Topic::Prediction => ("/prediction", "gripcast.Prediction", PREDICTION_SCHEMA),
+        Topic::Shear => ("/shear", "gripcast.Shear", SHEAR_SCHEMA),
         Topic::Cameras => ("/cameras", "gripcast.Cameras", CAMERAS_SCHEMA),
     };
     ChannelSchema {

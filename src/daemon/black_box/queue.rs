@@ -23,6 +23,8 @@ pub(in crate::daemon) enum Topic {
     Stored,
     /// Live predictions.
     Prediction,
+    /// Shear of one gel in one frame.
+    Shear,
     /// Health of all cameras.
     Cameras,
 }

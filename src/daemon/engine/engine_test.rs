@@ -107,6 +107,7 @@ fn setup(dataset: PathBuf, gels: [YuyvGel; 2]) -> EngineSetup {
             .into(),
         rig,
         intrinsics: BTreeMap::new(),
+        gel_scales: BTreeMap::new(),
         supervision: SupervisionPolicy {
             freeze_after_ns: None,
             ..SupervisionPolicy::default()

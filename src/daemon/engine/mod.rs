@@ -30,6 +30,7 @@ use super::pre_grasp::PreGraspRecorder;
 use super::report::{
     CollectReport, EndReason, GraspReport, PredictionReport, camera_report, cameras_json,
 };
+use super::shear::GelScale;
 use super::start_report::{StartFinding, StartSubject};
 use super::status::{EngineStatus, disk_free_bytes};
 use super::store::{Store, StoreMessage};
@@ -59,6 +60,8 @@ pub struct EngineSetup {
     pub rig: RigFile,
     /// Known intrinsics of the colour cameras.
     pub intrinsics: BTreeMap<Role, Intrinsics>,
+    /// Scale and gel markers of the tactile cameras where they are known.
+    pub gel_scales: BTreeMap<Role, GelScale>,
     /// Camera openers.
     pub openers: Vec<Box<dyn CameraOpener>>,
     /// Camera supervision.
@@ -309,6 +312,7 @@ impl Engine {
                 latency_p50_ms: state.latency.quantile_ms(0.5),
                 latency_p99_ms: state.latency.quantile_ms(0.99),
                 gel_judge_p50_ms: state.judge_time.quantile_ms(0.5),
+                shear_p50_ms: state.shear_time.quantile_ms(0.5),
             },
             black_box,
         })

@@ -137,6 +137,8 @@ impl Engine {
             contact: state.contact_levels(),
             objects: Arc::clone(&self.objects),
             gels: self.gels(&state),
+            shear: state.shear.clone(),
+            marker_fields: state.marker_fields.clone(),
             previews: state.previews.clone(),
         }
     }

@@ -61,13 +61,18 @@ impl Engine {
             &links.tasks,
         )?;
         let infer_channel = (infer_requests.clone(), infer_inbox);
-        let inference = Inference::start(&hub, setup.model, infer_channel, &links.tasks)?;
+        let inference = Inference::start(
+            &hub,
+            setup.model,
+            setup.gel_scales,
+            infer_channel,
+            &links.tasks,
+        )?;
         let external = setup.intrinsics.get(&Role::External).copied();
         let pre_grasp = PreGraspRecorder::start(&hub, setup.boards, external)?;
         let context = StoreContext {
             rig: setup.rig.id.clone(),
             calibration,
-            has_model: model.is_some(),
             crops,
         };
         let (reply_sender, replies) = mpsc::unbounded_channel();

@@ -8,7 +8,7 @@
 import { address } from "./api.js";
 import { openSensors } from "./cameras.js";
 import { button, byId, make, refill, say, style } from "./dom.js";
-import { deliversFrames, isFault, rates, stateWords, problems } from "./words.js";
+import { deliversFrames, isFault, rates, shearWords, stateWords, problems } from "./words.js";
 
 const STILL_FETCHERS = 2;
 /** Minimum interval between two images of a camera; the server makes ten per second, ms. */
@@ -65,13 +65,15 @@ export class Images {
   }
 
   /** @param {Camera} camera @param {State} state */
-  caption(camera, { contact, gels }) {
+  caption(camera, { contact, gels, shear }) {
     const tile = this.tiles.get(camera.role);
     if (!tile) return;
     const touch = isGel(camera.role) ? contact?.[/** @type {"left"|"right"} */ (camera.role)] : null;
     const messages = (isGel(camera.role) && gels?.[/** @type {"left"|"right"} */ (camera.role)]?.messages) || [];
-    const words = typeof touch === "number" ? `contact ${touch.toFixed(1)}` : "";
-    refill(tile.health, [camera, words, messages], () => health(camera, words, messages));
+    const moved = isGel(camera.role) ? shear?.[/** @type {"left"|"right"} */ (camera.role)] : undefined;
+    const words = [typeof touch === "number" ? `contact ${touch.toFixed(1)}` : "", shearWords(moved)].filter(Boolean).join(" · ");
+    const all = [...messages, ...(moved?.messages ?? [])];
+    refill(tile.health, [camera, words, all], () => health(camera, words, all));
     const delivers = deliversFrames(camera);
     const state = isFault(camera) ? "failed" : delivers ? "" : "waiting";
     style(tile.figure, `${isGel(camera.role) ? "gel " : ""}${state}`.trim());

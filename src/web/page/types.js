@@ -70,6 +70,10 @@
  *
  * @typedef {Predicted & {verdict: "stable"|"slip"|"unsure", heuristic: boolean, frame_age_ms: number}} Prediction
  *
+ * @typedef {object} Shear of a gel since the initial frame; axes of its image, x right, y down
+ * @property {{confidence: number, mean_displacement_mm: [number, number], slip_ratio: number|null}|null} summary
+ * @property {string[]} messages
+ *
  * @typedef {object} Gel
  * @property {string[]} problems
  * @property {string[]} messages a sentence with remedy for each problem
@@ -96,6 +100,7 @@
  * @property {string|null} no_prediction_reason
  * @property {{left?: number, right?: number}} contact
  * @property {{left?: Gel, right?: Gel}} [gels]
+ * @property {{left?: Shear, right?: Shear}} [shear]
  *
  * @typedef {object} CommandResponse
  * @property {"accepted"|"refused"|"failed"} result

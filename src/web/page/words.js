@@ -1,7 +1,7 @@
 /**
  * Texts of the page, the same as on the terminal screen. No DOM access.
  *
- * @import {Camera, Counts, Outcome, Predicted, Prediction, Refusal, Session, State, Step} from "./types.js"
+ * @import {Camera, Counts, Outcome, Predicted, Prediction, Refusal, Session, Shear, State, Step} from "./types.js"
  */
 
 /** Frame age above which a prediction is shown as old, ms. */
@@ -241,4 +241,20 @@ export function problems(camera) {
   const words = counters.filter(([count]) => count).map(([count, word]) => `${count} ${word}`);
   if (camera.markers && !camera.markers.ok) words.push(`no pose: ${camera.markers.text}`);
   return words.join(" ");
+}
+
+/** Confidence below which a shear is shown as uncertain. */
+const UNCERTAIN = 0.5;
+/** Displacement from which a direction is shown, mm. */
+const MIN_DIRECTION_MM = 0.02;
+
+/** The shear in a few words, `shear 0.42 mm ↗ slip 12 %`; empty where nothing can be said. @param {Shear} [shear] */
+export function shearWords(shear) {
+  if (!shear?.summary) return "";
+  const { confidence, mean_displacement_mm: [x, y], slip_ratio: ratio } = shear.summary;
+  const length = Math.hypot(x, y);
+  const eighth = Math.round(Math.atan2(y, x) / (Math.PI / 4));
+  const direction = length < MIN_DIRECTION_MM ? "" : ` ${"→↘↓↙←↖↑↗"[(eighth + 8) % 8]}`;
+  const slip = ratio === null ? "" : ` slip ${Math.round(100 * ratio)} %`;
+  return `shear ${confidence < UNCERTAIN ? "~" : ""}${length.toFixed(2)} mm${direction}${slip}`;
 }

@@ -99,6 +99,10 @@ pub struct CameraConfig {
     /// Named crop profile of a tactile camera.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub crop_profile: Option<String>,
+    /// Sensor profile of a tactile camera: the name of a shipped one, or a `.toml` file. It has the
+    /// image scale and the gel markers; default: a generic GelSight Mini where the crop is one of its.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub sensor_profile: Option<PathBuf>,
     /// Depth unit of a depth camera, m.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub depth_unit_m: Option<f64>,
@@ -150,6 +154,7 @@ impl CameraConfig {
             fps,
             crop_profile: None,
             depth_unit_m: None,
+            sensor_profile: None,
             intrinsics: None,
             controls: BTreeMap::new(),
         }
@@ -267,7 +272,7 @@ impl RigFile {
         )))
     }
 
-    /// Reads a rig file. Its relative paths (recordings, clips, intrinsics, boards) are relative to
+    /// Reads a rig file. Its relative paths (recordings, clips, intrinsics, sensor profiles, boards) are relative to
     /// its directory.
     ///
     /// # Errors
@@ -281,7 +286,10 @@ impl RigFile {
         let resolve = |file: &mut PathBuf| *file = directory.join(&*file);
         for camera in rig.cameras.values_mut() {
             let files = camera.path.iter_mut().chain(&mut camera.intrinsics);
-            files.for_each(resolve);
+            // Shipped profiles are named without a suffix.
+            let profile = camera.sensor_profile.iter_mut();
+            let profile = profile.filter(|name| name.extension().is_some());
+            files.chain(profile).for_each(resolve);
         }
         if let Some(boards) = &mut rig.boards {
             [&mut boards.tags, &mut boards.sheets]
@@ -417,6 +425,11 @@ impl CameraConfig {
                 "`fps` must be above 0 and at most 1000, found {}",
                 self.fps
             )));
+        }
+        if !role.is_tactile() && self.sensor_profile.is_some() {
+            return Err(Error::config(
+                "`sensor_profile` is only for the roles left and right",
+            ));
         }
         if role.is_tactile() && self.crop_profile.is_none() {
             return Err(Error::config("`crop_profile` is missing")
