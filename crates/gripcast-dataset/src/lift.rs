@@ -75,7 +75,7 @@ impl LiftCamera {
     ///
     /// # Errors
     /// `Input`: it has another size, or a frame is damaged.
-    pub(super) fn split<'a>(&self, bytes: &'a [u8]) -> Result<Vec<(LiftFrame, &'a [u8])>> {
+    pub fn split<'a>(&self, bytes: &'a [u8]) -> Result<Vec<(LiftFrame, &'a [u8])>> {
         let mut frames = Vec::with_capacity(self.frames.len());
         let mut rest = bytes;
         for (number, frame) in self.frames.iter().enumerate() {
