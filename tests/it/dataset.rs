@@ -81,6 +81,8 @@ fn capture(number: u32, roles: &[Role]) -> StageCapture {
         trigger: "script".into(),
         truth: None,
         pre_grasp_frames: Vec::new(),
+        fields: Vec::new(),
+        shear: BTreeMap::new(),
         pose: None,
         cameras: roles
             .iter()

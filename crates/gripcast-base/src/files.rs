@@ -11,6 +11,7 @@ mod component;
 mod disk_failure;
 mod foreign;
 mod name;
+pub mod npy;
 mod opening;
 mod owner_lock;
 
@@ -28,8 +29,8 @@ pub use component::Component;
 pub use disk_failure::disk_remedy;
 pub use foreign::{conflict_copy_of, glob_character, is_system_file, without_bom};
 pub use name::{
-    ContentKey, FileName, GraspId, Label, MAX_LABEL_CHARS, ObjectName, Printable, SimulationId,
-    folded_name, is_unsafe_char,
+    ContentKey, FieldName, FileName, GraspId, Label, MAX_LABEL_CHARS, ObjectName, Printable,
+    SimulationId, folded_name, is_unsafe_char,
 };
 pub use opening::{FileKind, open_regular, read_regular, read_text};
 pub use owner_lock::{NotLocked, OwnerLock};

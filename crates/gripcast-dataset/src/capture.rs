@@ -7,13 +7,14 @@ use jiff::Timestamp;
 use super::digest::FileDigest;
 use super::digest::digest;
 use super::encode::encode;
+use super::field::{FieldArray, FieldRecord, ShearRecord};
 use super::grasp::{
     BoardKeys, CameraRecord, OverriddenGuard, PoseRecord, PredictionRecord, SimulatedTruth,
     StageRecord,
 };
 use super::layout::{Stage, image_name, pre_grasp_name};
 use gripcast_base::error::Result;
-use gripcast_base::files::{ContentKey, FileName, Label, ObjectName};
+use gripcast_base::files::{ContentKey, FieldName, FileName, Label, ObjectName};
 use gripcast_imaging::{Frame, JpegRepairs, Role, valid_depth_fraction};
 
 /// One camera's frame with its stored metadata.
@@ -53,6 +54,10 @@ pub struct StageCapture {
     /// Frames of the external camera from before the gripper closed, by time; stored with the
     /// grasp.
     pub pre_grasp_frames: Vec<CapturedCamera>,
+    /// Field arrays of the gels.
+    pub fields: Vec<FieldArray>,
+    /// Shear by gel. One with a number that is not finite is not stored: it must not stop the save.
+    pub shear: BTreeMap<Role, ShearRecord>,
     /// Gripper pose in the object's frame, where the pre-grasp frames give one.
     pub pose: Option<Box<PoseRecord>>,
     /// Ground truth of a virtual rig at these frames.
@@ -123,6 +128,15 @@ impl StageCapture {
                 pre_grasp_frames.push(camera.record(file, repairs));
             }
         }
+        let mut fields: BTreeMap<Role, BTreeMap<FieldName, FieldRecord>> = BTreeMap::new();
+        for field in &self.fields {
+            let record = field.record(stage)?;
+            let npy = field.values.to_npy();
+            files.insert(record.file.clone(), digest(&npy));
+            contents.insert(record.file.clone(), npy);
+            let of_role = fields.entry(field.role).or_default();
+            of_role.insert(field.name.clone(), record);
+        }
         Ok(EncodedStage {
             pre_grasp_frames,
             record: StageRecord {
@@ -131,6 +145,8 @@ impl StageCapture {
                 trigger: self.trigger.clone(),
                 skew_ms: skew_ms(cameras.values()),
                 cameras,
+                fields,
+                shear: finite(&self.shear),
             },
             contents,
             files,
@@ -159,6 +175,11 @@ impl CapturedCamera {
             repairs,
         }
     }
+}
+
+fn finite(shear: &BTreeMap<Role, ShearRecord>) -> BTreeMap<Role, ShearRecord> {
+    let finite = shear.iter().filter(|(_, shear)| shear.is_finite());
+    finite.map(|(role, shear)| (*role, *shear)).collect()
 }
 
 /// Largest difference between the driver times, ms.

@@ -13,7 +13,7 @@ use super::disk::{Disk, SystemDisk, is_partial};
 use super::grasp_index::GraspIndex;
 use super::layout::Layout;
 use super::reader::Dataset;
-use super::sample::{capture, meta, new_dataset};
+use super::sample::{capture_with_fields as capture, lift, meta, new_dataset};
 use super::verify::verify;
 use super::writer::DatasetWriter;
 use super::{GraspId, GraspRecord, NameChange, Outcome, PendingInitial};
@@ -288,8 +288,14 @@ impl Disk for FailingDisk {
     }
 }
 
-/// Object, scene and outcome of a grasp.
-type Labelled = (ObjectName, Label, Outcome);
+/// Object, scene and outcome of a grasp, and its number of lift frames.
+type Labelled = (ObjectName, Label, Outcome, usize);
+
+fn labelled(record: GraspRecord) -> Labelled {
+    let lift = record.lift.iter().flat_map(|lift| lift.cameras.values());
+    let frames = lift.map(|camera| camera.frames.len()).sum();
+    (record.object, record.scene, record.outcome, frames)
+}
 
 /// State acknowledged to the operator.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -302,8 +308,7 @@ struct Acknowledged {
 
 impl Acknowledged {
     fn insert(&mut self, record: GraspRecord) {
-        let labelled = (record.object, record.scene, record.outcome);
-        self.grasps.insert(record.id, labelled);
+        self.grasps.insert(record.id.clone(), labelled(record));
     }
 }
 
@@ -315,6 +320,7 @@ enum Step {
     Discard,
     Restore,
     Grasp(u32, &'static str),
+    Lift(u32),
     Label(Outcome),
     Rename(&'static str),
     Undo,
@@ -330,6 +336,7 @@ const SESSION: &[Step] = &[
     Step::Discard,
     Step::Restore,
     Step::Grasp(2, "mug"),
+    Step::Lift(1),
     Step::Label(Outcome::Stable),
     Step::Index,
     Step::Undo,
@@ -342,6 +349,7 @@ const SESSION: &[Step] = &[
     Step::Undo,
     Step::Grasp(5, "bottle"),
     Step::Label(Outcome::Stable),
+    Step::Lift(2),
     Step::Initial(6),
     Step::Trash,
     Step::Index,
@@ -391,6 +399,10 @@ impl Operator {
                     writer.save_grasp(self.pending.as_ref().unwrap(), &capture(number), meta)?;
                 self.pending = None;
                 self.last = Some(record.id.clone());
+                self.acknowledged.insert(record);
+            }
+            Step::Lift(number) => {
+                let record = writer.append_lift(self.last.as_ref().unwrap(), &lift(number), 2.0)?;
                 self.acknowledged.insert(record);
             }
             Step::Label(outcome) => {
@@ -472,7 +484,7 @@ fn found(disk: &FailingDisk, root: &Path, context: &str) -> Acknowledged {
         .unwrap()
         .map(|record| {
             let record = record.unwrap_or_else(|e| panic!("{context}: incomplete grasp: {e}"));
-            (record.id, (record.object, record.scene, record.outcome))
+            (record.id.clone(), labelled(record))
         })
         .collect();
     assert_eq!(report.counts.total(), grasps.len(), "{context}");
@@ -662,6 +674,108 @@ fn trash_on_another_disk_loses_nothing() {
                 .flat_map(|folder| fs::read_dir(root.join(folder)).unwrap())
                 .filter(|e| is_partial(&e.as_ref().unwrap().file_name().to_string_lossy()));
             assert_eq!(hidden.count(), 0, "{context}");
+        }
+    }
+}
+
+/// A dataset of version 1 with one grasp.
+fn earlier_dataset(root: &Path) -> GraspId {
+    let (mut writer, _) = DatasetWriter::open_or_create(root, &new_dataset()).unwrap();
+    let initial = super::sample::capture(1);
+    let pending = writer.save_initial(&initial, Vec::new()).unwrap();
+    let closed = super::sample::capture(2);
+    let record = writer.save_grasp(&pending, &closed, meta("mug")).unwrap();
+    drop(writer);
+    let grasp = root.join("grasps").join(&*record.id).join("grasp.json");
+    for (path, new, old) in [
+        (grasp, "\"schema\": 2", "\"schema\": 1"),
+        (
+            root.join("dataset.toml"),
+            "schema = 2",
+            "# by hand\nschema = 1",
+        ),
+    ] {
+        let text = fs::read_to_string(&path).unwrap();
+        assert!(text.contains(new), "{text}");
+        fs::write(&path, text.replace(new, old)).unwrap();
+    }
+    record.id
+}
+
+fn schemas(root: &Path) -> (u32, u32) {
+    let dataset = Dataset::open(root).unwrap();
+    let record = dataset.grasps().unwrap().next().unwrap().unwrap();
+    (dataset.descriptor().schema, record.schema)
+}
+
+#[test]
+fn reading_and_opening_leave_an_earlier_dataset_as_it_is() {
+    let dir = tempfile::tempdir().unwrap();
+    let root = dir.path().join("d");
+    let id = earlier_dataset(&root);
+    assert_eq!(verify(&root, &|_, _| {}).unwrap().problems, []);
+    drop(DatasetWriter::open(&root).unwrap());
+    assert_eq!(schemas(&root), (1, 1));
+    let (mut writer, _) = DatasetWriter::open(&root).unwrap();
+    writer.trash_grasp(&id).unwrap();
+    writer.redo_grasp(&id, None).unwrap();
+    assert_eq!(schemas(&root), (1, 1), "no record was written");
+    writer.append_lift(&id, &lift(1), 2.0).unwrap();
+    assert_eq!(schemas(&root), (2, 2));
+    drop(writer);
+    let text = fs::read_to_string(root.join("dataset.toml")).unwrap();
+    assert!(text.starts_with("# by hand\nschema = 2\n"), "{text}");
+    assert_eq!(verify(&root, &|_, _| {}).unwrap().problems, []);
+}
+
+#[test]
+fn command_migrates_once() {
+    let dir = tempfile::tempdir().unwrap();
+    let root = dir.path().join("d");
+    earlier_dataset(&root);
+    let report = super::migrate(&root).unwrap();
+    assert_eq!((report.from, report.to), (1, 2));
+    let report = super::migrate(&root).unwrap();
+    assert_eq!((report.from, report.to), (2, 2));
+    assert_eq!(schemas(&root), (2, 1), "records of version 1 stay valid");
+    assert_eq!(verify(&root, &|_, _| {}).unwrap().problems, []);
+}
+
+#[test]
+fn crash_during_migration_leaves_one_version_or_the_other() {
+    for fault in [
+        Fault::Kill,
+        Fault::PowerLoss { all: true },
+        Fault::PowerLoss { all: false },
+        Fault::Unplugged,
+        Fault::FullOnce,
+        Fault::Full,
+    ] {
+        for at in 0.. {
+            let context = format!("{fault:?} at operation {at}");
+            let dir = tempfile::tempdir().unwrap();
+            let root = dir.path().join("d");
+            let id = earlier_dataset(&root);
+            let disk = FailingDisk::new(at, Some(fault));
+            let labelled = open(&disk, &root).and_then(|(mut writer, _)| {
+                let time = "2026-11-20T11:00:00Z".parse().unwrap();
+                writer.set_outcome(&id, Outcome::Slip, time)
+            });
+            if let Fault::PowerLoss { all } = fault {
+                disk.lose_power(all);
+            }
+            let known = found(&FailingDisk::new(0, None), &root, &context);
+            let outcome = known.grasps[&id].2;
+            let (dataset, record) = schemas(&root);
+            // A record is never newer than its dataset.
+            assert!(record <= dataset, "{context}: {record} in {dataset}");
+            assert_eq!(outcome == Outcome::Slip, record == 2, "{context}");
+            if labelled.is_ok() {
+                assert_eq!((dataset, outcome), (2, Outcome::Slip), "{context}");
+            }
+            if !disk.state().struck {
+                break;
+            }
         }
     }
 }

@@ -438,7 +438,7 @@ fn directories_without_a_dataset_are_refused() {
     assert!(!foreign.join(".lock").exists());
     let newer = dir.path().join("newer");
     fs::create_dir(&newer).unwrap();
-    fs::write(newer.join("dataset.toml"), "schema = 2\n").unwrap();
+    fs::write(newer.join("dataset.toml"), "schema = 99\n").unwrap();
     let error = refused(&newer);
     assert!(error.to_string().contains("update gripcast"), "{error}");
     let deep = dir.path().join("a/b/c");

@@ -73,7 +73,7 @@ impl Descriptor {
         Self::parse(&text).map_err(|e| e.at(path.display()))
     }
 
-    fn parse(text: &str) -> Result<Self> {
+    pub(super) fn parse(text: &str) -> Result<Self> {
         let unreadable = |e: toml::de::Error| {
             Error::input("cannot read the dataset's description")
                 .because(e)
@@ -132,10 +132,10 @@ mod tests {
 
     #[test]
     fn newer_version_is_reported_before_unknown_keys() {
-        let text = "schema = 2\nsurprise = true\n";
+        let text = "schema = 3\nsurprise = true\n";
         let error = Descriptor::parse(text).unwrap_err().to_string();
         assert!(
-            error.contains("version 2") && error.contains("update gripcast"),
+            error.contains("version 3, expected 1 to 2") && error.contains("update gripcast"),
             "{error}"
         );
     }

@@ -8,9 +8,11 @@ use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
 use super::digest::FileDigest;
+use super::field::{FieldRecord, ShearRecord};
 use super::layout::Stage;
+use super::lift::LiftRecord;
 use gripcast_base::error::{Error, Result};
-use gripcast_base::files::{ContentKey, FileName, GraspId, Label, ObjectName};
+use gripcast_base::files::{ContentKey, FieldName, FileName, GraspId, Label, ObjectName};
 use gripcast_geometry::Pose;
 use gripcast_imaging::{JpegRepairs, PixelFormat, Role};
 
@@ -108,7 +110,10 @@ pub struct GraspRecord {
     /// Marker boards in view of the external camera, where known.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub boards: Option<BoardKeys>,
-    /// Digest of each image file of the grasp, by file name.
+    /// Frames of the gels after the grasp trigger, where they were kept.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub lift: Option<LiftRecord>,
+    /// Digest of each file of the grasp but the record, by file name.
     pub files: BTreeMap<FileName, FileDigest>,
     /// Free text.
     pub note: String,
@@ -167,6 +172,21 @@ pub struct StageRecord {
     pub skew_ms: f64,
     /// Cameras by role.
     pub cameras: BTreeMap<Role, CameraRecord>,
+    /// Field arrays by gel and name.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub fields: BTreeMap<Role, BTreeMap<FieldName, FieldRecord>>,
+    /// Shear by gel, where it was measured.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub shear: BTreeMap<Role, ShearRecord>,
+}
+
+impl StageRecord {
+    /// Names of the files of images and field arrays.
+    pub(super) fn files(&self) -> impl Iterator<Item = &FileName> {
+        let images = self.cameras.values().map(|camera| &camera.file);
+        let fields = self.fields.values().flat_map(BTreeMap::values);
+        images.chain(fields.map(|field| &field.file))
+    }
 }
 
 /// One camera's frame.

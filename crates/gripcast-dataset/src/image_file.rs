@@ -2,12 +2,11 @@
 
 use image::ColorType;
 
-use super::grasp::CameraRecord;
 use gripcast_imaging::{PixelFormat, decode_png, jpeg};
 
 /// Returns the defect of an image; `None` when it is complete and of the recorded size and type.
-pub(super) fn defect(bytes: &[u8], camera: &CameraRecord) -> Option<String> {
-    let found = match camera.format {
+pub(super) fn defect(bytes: &[u8], format: PixelFormat, width: u32, height: u32) -> Option<String> {
+    let found = match format {
         PixelFormat::Mjpg => jpeg_size(bytes),
         PixelFormat::Yuyv | PixelFormat::Rgb => png_size(bytes, ColorType::Rgb8),
         PixelFormat::Grey => png_size(bytes, ColorType::L8),
@@ -15,9 +14,8 @@ pub(super) fn defect(bytes: &[u8], camera: &CameraRecord) -> Option<String> {
     };
     match found {
         Err(defect) => Some(defect),
-        Ok(size) if size != (camera.width, camera.height) => Some(format!(
-            "expected {}×{} pixels as recorded, found {}×{}",
-            camera.width, camera.height, size.0, size.1
+        Ok((w, h)) if (w, h) != (width, height) => Some(format!(
+            "expected {width}×{height} pixels as recorded, found {w}×{h}"
         )),
         Ok(_) => None,
     }

@@ -40,8 +40,10 @@ pub struct IndexRow {
     pub prediction: Option<PredictionRecord>,
     /// Translation, m, and quaternion (w, x, y, z) of the gripper in the object's frame.
     pose: Option<([f64; 3], [f64; 4])>,
-    /// Size of the image files, bytes.
+    /// Size of the files, bytes.
     pub bytes: u64,
+    /// Whether it has lift frames.
+    pub has_lift: bool,
     /// Whether a virtual rig took it.
     pub is_simulated: bool,
     files: BTreeMap<(Stage, Role), FileName>,
@@ -67,6 +69,7 @@ impl IndexRow {
             prediction: record.prediction.clone(),
             pose: record.pose.as_ref().map(|pose| (pose.t_m, pose.q_wxyz)),
             bytes: record.files.values().map(|file| file.bytes).sum(),
+            has_lift: record.lift.is_some(),
             is_simulated: record.is_simulated(),
             files,
         }

@@ -29,13 +29,18 @@ mod descriptor;
 mod digest;
 mod disk;
 mod encode;
+mod field;
+#[cfg(test)]
+mod field_test;
 mod grasp;
 mod grasp_index;
 mod image_file;
 mod immutable;
 mod index;
 mod layout;
+mod lift;
 mod lock;
+mod migrate;
 mod names;
 mod opening;
 mod problem;
@@ -49,6 +54,7 @@ pub mod sample;
 mod schema;
 pub mod shard;
 mod split;
+mod stored_file;
 mod summary;
 mod trash;
 mod unfinished;
@@ -59,14 +65,17 @@ pub use capture::{CapturedCamera, GraspMeta, StageCapture};
 pub use counts::GraspCounts;
 pub use descriptor::{Descriptor, NewDataset};
 pub use digest::FileDigest;
+pub use field::{FieldArray, FieldRecord, MARKERS, ShearRecord, ShearSource};
 pub use grasp::{
     BoardKeys, CameraRecord, GraspRecord, Outcome, OverriddenGuard, PoseQuality, PoseRecord,
     PredictionRecord, SimulatedTruth, StageRecord,
 };
 pub use grasp_index::{GraspIndex, IndexWork};
-pub use gripcast_base::files::GraspId;
+pub use gripcast_base::files::{FieldName, GraspId};
 pub use index::{IndexRow, ReindexReport, reindex};
 pub use layout::{Stage, image_name, pre_grasp_name};
+pub use lift::{LiftCamera, LiftFrame, LiftRecord};
+pub use migrate::{MigrateReport, migrate};
 pub use names::{EditReport, EditedGrasp, NameChange, Selection, edit};
 pub use opening::OpenReport;
 pub use problem::{Problem, ProblemKind, ProblemSummary, VerifyReport};

@@ -9,6 +9,7 @@ use super::disk::{Disk, SystemDisk, is_partial, partial_name, partial_of, remove
 use super::grasp_index::GraspIndex;
 use super::index::is_stored;
 use super::layout::{DATASET_TOML, GRASP_JSON, INITIAL_JSON, LOCK, Layout};
+use super::lift::lift_files;
 use super::lock::DatasetLock;
 use super::provenance::Provenance;
 use super::record_file::PendingInitial;
@@ -166,7 +167,10 @@ impl DatasetWriter {
         report.provenance = Provenance::of(&self.index, &self.layout);
         for id in self.index.ids() {
             let dir = self.layout.grasp(&id);
-            for leftover in [dir.join(INITIAL_JSON), partial_of(&dir, &GRASP_JSON)] {
+            let records = [dir.join(INITIAL_JSON), partial_of(&dir, &GRASP_JSON)];
+            let has_lift = self.index.get(&id).is_none_or(|row| row.has_lift);
+            let lifts = lift_files(&dir).filter(|_| !has_lift);
+            for leftover in records.into_iter().chain(lifts) {
                 if leftover.is_taken() {
                     // On failure, verification and the next opening find it again.
                     let _ = self.disk.remove_file(&leftover);

@@ -31,6 +31,8 @@ pub enum ProblemKind {
     Altered,
     /// An image is incomplete or not of the recorded size.
     DamagedImage,
+    /// A field array is not the one that the record describes.
+    DamagedField,
     /// Two files of the dataset are identical: a frozen camera or a copied grasp.
     DuplicateContent,
     /// A calibration is missing or altered.
@@ -55,6 +57,7 @@ impl ProblemKind {
             Self::DamagedImage => {
                 "the camera sent a damaged image: move the grasp to trash/ to exclude it"
             }
+            Self::DamagedField => "move the grasp to trash/ to exclude it",
             Self::DuplicateContent => "inspect both and move the invalid grasp to trash/",
             Self::Calibration | Self::Model => {
                 "restore it from a backup: its name is the beginning of its sha256"

@@ -5,12 +5,14 @@ use std::path::Path;
 use super::descriptor::Descriptor;
 use super::digest::digest;
 use super::grasp::{CameraRecord, GraspRecord};
-use super::image_file;
 use super::layout::{GRASP_JSON, Layout, Stage};
+use super::lift::LiftCamera;
 use super::record_file::read_grasp_of;
+use super::stored_file::StoredFile;
 use gripcast_base::error::{Error, Result};
+use gripcast_base::files::npy::Array;
 use gripcast_base::files::{
-    BeneathPath, ContentKey, FileKind, GraspId, conflict_copy_of, without_bom,
+    BeneathPath, ContentKey, FileKind, FileName, GraspId, conflict_copy_of, without_bom,
 };
 use gripcast_imaging::{Frame, PixelFormat, Role, decode_png};
 
@@ -153,18 +155,94 @@ impl Dataset {
     /// # Errors
     /// `NotFound`, `Io`: the file. `Input`: it differs from the record, or is damaged.
     pub fn stored_image(&self, record: &GraspRecord, camera: &CameraRecord) -> Result<Vec<u8>> {
-        let path = self.layout.grasp(&record.id).join(&camera.file);
+        self.stored(record, &camera.file, StoredFile::Image(camera))
+    }
+
+    /// Reads a field array and checks it against the record.
+    ///
+    /// # Errors
+    /// `NotFound` without that field; `Input`: it differs from the record.
+    pub fn field(
+        &self,
+        record: &GraspRecord,
+        stage: Stage,
+        role: Role,
+        name: &str,
+    ) -> Result<Array> {
+        let fields = record.stage(stage).fields.get(&role);
+        let field = fields.and_then(|fields| fields.get(name)).ok_or_else(|| {
+            Error::not_found(format!(
+                "{} has no field `{name}` of {role} at the {} stage",
+                record.id,
+                stage.name()
+            ))
+        })?;
+        let bytes = self.stored(record, &field.file, StoredFile::Field(field))?;
+        field.parse(&bytes)
+    }
+
+    /// Reads the lift frames of a gel as the camera sent them, raw formats as RGB, and checks them
+    /// against the record.
+    ///
+    /// # Errors
+    /// `NotFound` without lift frames of that gel; `Input`: they differ from the record.
+    pub fn lift_frames(&self, record: &GraspRecord, role: Role) -> Result<Vec<Frame>> {
+        let lift = self.lift_of(record, role)?;
+        let bytes = self.lift_bytes(record, role)?;
+        let path = self.layout.grasp(&record.id).join(&lift.file);
+        let split = lift.split(&bytes).map_err(|e| e.at(path.display()))?;
+        let frames = split.into_iter().map(|(frame, image)| {
+            let (format, data) = pixels(&path, lift.format, image.to_vec())?;
+            Ok(Frame {
+                format,
+                width: lift.width,
+                height: lift.height,
+                data: data.into(),
+                sequence: frame.sequence,
+                driver_time_ns: frame.driver_time_ns,
+                received_ns: frame.driver_time_ns,
+            })
+        });
+        frames.collect()
+    }
+
+    /// Reads the file with the lift frames of a gel, one after the other, and checks it against the
+    /// record.
+    ///
+    /// # Errors
+    /// As [`lift_frames`](Self::lift_frames).
+    pub fn lift_bytes(&self, record: &GraspRecord, role: Role) -> Result<Vec<u8>> {
+        let lift = self.lift_of(record, role)?;
+        self.stored(record, &lift.file, StoredFile::Lift(lift))
+    }
+
+    fn lift_of<'a>(&self, record: &'a GraspRecord, role: Role) -> Result<&'a LiftCamera> {
+        let lift = record
+            .lift
+            .as_ref()
+            .and_then(|lift| lift.cameras.get(&role));
+        lift.ok_or_else(|| Error::not_found(format!("{} has no lift frames of {role}", record.id)))
+    }
+
+    /// Reads a file of a grasp and checks it against the record.
+    fn stored(
+        &self,
+        record: &GraspRecord,
+        name: &FileName,
+        file: StoredFile<'_>,
+    ) -> Result<Vec<u8>> {
+        let path = self.layout.grasp(&record.id).join(name);
         let refused = |what: String| Error::input(what).at(path.display());
         let bytes = path
             .read(FileKind::Image)
-            .map_err(|e| Error::io("cannot read the image", e).at(path.display()))?;
-        let Some(expected) = record.files.get(&camera.file) else {
+            .map_err(|e| Error::io("cannot read the file", e).at(path.display()))?;
+        let Some(expected) = record.files.get(name) else {
             return Err(refused("the record lacks a digest of the file".to_owned()));
         };
         if digest(&bytes) != *expected {
             return Err(refused("size or sha256 differ from the record".to_owned()));
         }
-        match image_file::defect(&bytes, camera) {
+        match file.defect(&bytes) {
             Some(defect) => Err(refused(defect)),
             None => Ok(bytes),
         }
@@ -221,29 +299,7 @@ pub(super) fn load_frame(dir: &BeneathPath, camera: &CameraRecord) -> Result<Fra
     let bytes = path
         .read(FileKind::Image)
         .map_err(|e| Error::io("cannot read the image", e).at(path.display()))?;
-    let format = match camera.format {
-        PixelFormat::Yuyv => PixelFormat::Rgb,
-        other => other,
-    };
-    let data = match format {
-        PixelFormat::Mjpg => bytes,
-        PixelFormat::Z16 => match decode(&path, &bytes)? {
-            image::DynamicImage::ImageLuma16(image) => image
-                .into_raw()
-                .into_iter()
-                .flat_map(u16::to_le_bytes)
-                .collect(),
-            _ => return Err(wrong_type(&path, "a 16-bit grey image")),
-        },
-        PixelFormat::Grey => match decode(&path, &bytes)? {
-            image::DynamicImage::ImageLuma8(image) => image.into_raw(),
-            _ => return Err(wrong_type(&path, "an 8-bit grey image")),
-        },
-        PixelFormat::Yuyv | PixelFormat::Rgb => match decode(&path, &bytes)? {
-            image::DynamicImage::ImageRgb8(image) => image.into_raw(),
-            _ => return Err(wrong_type(&path, "an RGB image")),
-        },
-    };
+    let (format, data) = pixels(&path, camera.format, bytes)?;
     Ok(Frame {
         format,
         width: camera.width,
@@ -253,6 +309,38 @@ pub(super) fn load_frame(dir: &BeneathPath, camera: &CameraRecord) -> Result<Fra
         driver_time_ns: camera.driver_time_ns,
         received_ns: camera.driver_time_ns,
     })
+}
+
+/// Format and payload of a stored image; YUYV as RGB.
+fn pixels(
+    path: &BeneathPath,
+    format: PixelFormat,
+    bytes: Vec<u8>,
+) -> Result<(PixelFormat, Vec<u8>)> {
+    let format = match format {
+        PixelFormat::Yuyv => PixelFormat::Rgb,
+        other => other,
+    };
+    let data = match format {
+        PixelFormat::Mjpg => bytes,
+        PixelFormat::Z16 => match decode(path, &bytes)? {
+            image::DynamicImage::ImageLuma16(image) => image
+                .into_raw()
+                .into_iter()
+                .flat_map(u16::to_le_bytes)
+                .collect(),
+            _ => return Err(wrong_type(path, "a 16-bit grey image")),
+        },
+        PixelFormat::Grey => match decode(path, &bytes)? {
+            image::DynamicImage::ImageLuma8(image) => image.into_raw(),
+            _ => return Err(wrong_type(path, "an 8-bit grey image")),
+        },
+        PixelFormat::Yuyv | PixelFormat::Rgb => match decode(path, &bytes)? {
+            image::DynamicImage::ImageRgb8(image) => image.into_raw(),
+            _ => return Err(wrong_type(path, "an RGB image")),
+        },
+    };
+    Ok((format, data))
 }
 
 fn decode(path: &BeneathPath, bytes: &[u8]) -> Result<image::DynamicImage> {

@@ -14,8 +14,10 @@ use super::digest::digest;
 use super::grasp::{CameraRecord, GraspRecord, StageRecord};
 use super::image_file;
 use super::layout::{GRASP_JSON, PRE_GRASP_PREFIX, Stage};
+use super::lift::{LiftCamera, LiftRecord};
 use super::reader::entries;
 use super::schema::SCHEMA_VERSION;
+use super::stored_file::StoredFile;
 use gripcast_base::files::{
     BeneathPath, FileKind, FileName, GraspId, Label, ObjectName, without_bom,
 };
@@ -48,8 +50,14 @@ pub(super) fn rebuild(
             trigger: "unknown".into(),
             skew_ms: 0.0,
             cameras: BTreeMap::new(),
+            fields: BTreeMap::new(),
+            shear: BTreeMap::new(),
         });
         record.cameras = cameras(dir, stage, &record.cameras, &mut files);
+        for fields in record.fields.values_mut() {
+            fields.retain(|_, field| keep(dir, &field.file, StoredFile::Field(field), &mut files));
+        }
+        record.fields.retain(|_, fields| !fields.is_empty());
         for role in [Role::Left, Role::Right] {
             if !record.cameras.contains_key(&role) {
                 return Err(format!(
@@ -62,6 +70,12 @@ pub(super) fn rebuild(
     };
     let initial = stage(Stage::Initial)?;
     let grasp = stage(Stage::Grasp)?;
+    let mut lift: Option<LiftRecord> = sources.field("lift");
+    if let Some(lift) = &mut lift {
+        let mut is_whole =
+            |lift: &LiftCamera| keep(dir, &lift.file, StoredFile::Lift(lift), &mut files);
+        lift.cameras.retain(|_, lift| is_whole(lift));
+    }
     let text = |name: &str| {
         let found: Option<String> = sources.field(name);
         found.unwrap_or_else(|| "unknown".to_owned())
@@ -94,6 +108,7 @@ pub(super) fn rebuild(
         prediction: sources.field("prediction").unwrap_or_default(),
         overridden_guards: sources.field("overridden_guards").unwrap_or_default(),
         calibration: sources.field("calibration").unwrap_or_default(),
+        lift: lift.filter(|lift| !lift.cameras.is_empty()),
         files,
         note: format!("record rebuilt from {from}"),
         truth: sources.field("truth").unwrap_or_default(),
@@ -161,6 +176,24 @@ fn pre_grasp_frames(
     found.collect()
 }
 
+/// Whether a file is still what the old record says; adds its digest. Without the record nothing
+/// tells what a field or a lift is.
+fn keep(
+    dir: &BeneathPath,
+    name: &FileName,
+    file: StoredFile<'_>,
+    files: &mut BTreeMap<FileName, FileDigest>,
+) -> bool {
+    let Ok(bytes) = dir.join(name).read(FileKind::Image) else {
+        return false;
+    };
+    let is_whole = file.defect(&bytes).is_none();
+    if is_whole {
+        files.insert(name.clone(), digest(&bytes));
+    }
+    is_whole
+}
+
 /// Record of an image, the old one where it still fits; adds the file's digest. `None` where the
 /// file is not a complete image.
 fn complete_image(
@@ -173,7 +206,7 @@ fn complete_image(
     let (format, width, height) = image_file::recognise(&bytes)?;
     files.insert(file.clone(), digest(&bytes));
     let fits = |camera: &&CameraRecord| {
-        camera.file == file && image_file::defect(&bytes, camera).is_none()
+        camera.file == file && StoredFile::Image(camera).defect(&bytes).is_none()
     };
     Some(old.filter(fits).cloned().unwrap_or_else(|| CameraRecord {
         file,

@@ -12,10 +12,12 @@ use super::grasp::GraspRecord;
 use super::index::{self, IndexRow};
 use super::layout::{DATASET_TOML, GRASP_JSON, Layout, METADATA_JSONL, pending_id};
 use super::lock::DatasetLock;
+use super::migrate::raise;
 use super::opening::create_directories;
 use super::reader::{entries, grasp_ids};
 use super::rebuild::{is_newer, rebuild};
 use super::record_file::{check_files, names_to_normalise, read_grasp, to_json};
+use super::schema::SCHEMA_VERSION;
 use super::trash::move_to_trash;
 use super::unfinished::{Unfinished, unfinished};
 use gripcast_base::error::{Error, ErrorKind, Result};
@@ -350,12 +352,19 @@ fn execute(layout: &Layout, action: &Action, step: &Step) -> Result<()> {
         Step::Rename { from, to } => disk
             .rename_new(from, &layout.grasp(to))
             .and_then(|()| disk.sync_dir(&layout.grasps())),
-        Step::WriteRecord(record) => replace(
-            disk,
-            &layout.grasp(&record.id),
-            GRASP_JSON,
-            &to_json(record.as_ref())?,
-        ),
+        Step::WriteRecord(record) => {
+            let record = GraspRecord {
+                schema: SCHEMA_VERSION,
+                ..record.as_ref().clone()
+            };
+            raise(disk, layout, &mut Descriptor::read(layout)?)?;
+            replace(
+                disk,
+                &layout.grasp(&record.id),
+                GRASP_JSON,
+                &to_json(&record)?,
+            )
+        }
         Step::SetAside(path) => move_to_trash(disk, layout, path, &action.detail).map(|_slot| ()),
         Step::Reindex => return index::rewrite(disk, layout).map(|_report| ()),
         Step::Nothing => Ok(()),

@@ -8,6 +8,7 @@ use jiff::{SignedDuration, Timestamp};
 
 use super::capture::{CapturedCamera, GraspMeta, StageCapture};
 use super::descriptor::NewDataset;
+use super::field::{FieldArray, ShearRecord, ShearSource};
 use super::grasp::PredictionRecord;
 use gripcast_imaging::{Frame, PixelFormat, Role};
 
@@ -72,6 +73,8 @@ pub fn capture(number: u32) -> StageCapture {
         trigger_time_ns: 1_010_000_000 + u64::from(number) * 40_000_000,
         trigger: "script".into(),
         truth: None,
+        fields: Vec::new(),
+        shear: BTreeMap::new(),
         pre_grasp_frames: Vec::new(),
         pose: None,
         cameras: BTreeMap::from([
@@ -103,6 +106,39 @@ pub fn capture(number: u32) -> StageCapture {
             ),
         ]),
     }
+}
+
+/// As [`capture`], with the markers and the shear of the left gel.
+pub fn capture_with_fields(number: u32) -> StageCapture {
+    let values = (0..2 * 3 * 5).map(|i| i as f32 + number as f32 / 8.0);
+    let field = FieldArray::markers(Role::Left, values.collect(), [2, 3, 5], 2.9e-5).unwrap();
+    let shear = ShearRecord {
+        source: ShearSource::Markers,
+        confidence: 0.9,
+        tracked_fraction: 1.0,
+        mean_displacement_mm: [0.125, -0.25],
+        max_displacement_mm: 0.5,
+        divergence: 0.01,
+        curl: 0.0,
+        slip_ratio: None,
+    };
+    StageCapture {
+        fields: vec![field],
+        shear: BTreeMap::from([(Role::Left, shear)]),
+        ..capture(number)
+    }
+}
+
+/// Three lift frames of each gel, as `DatasetWriter::append_lift` takes them.
+pub fn lift(number: u32) -> BTreeMap<Role, Vec<Frame>> {
+    let frames = |role: Role| {
+        let frame = |at: u32| {
+            let shade = (number * 16 + at * 2) as u8 + 128 + role as u8;
+            camera(role, PixelFormat::Mjpg, jpeg(16, 8, shade), number + at).frame
+        };
+        (role, (0..3).map(frame).collect())
+    };
+    BTreeMap::from([Role::Left, Role::Right].map(frames))
 }
 
 /// Metadata of a grasp of an object.

@@ -13,8 +13,7 @@ use sha2::{Digest as _, Sha256};
 use super::disk::{Disk as _, SystemDisk, replace};
 use super::grasp::{GraspRecord, Outcome};
 use super::reader::{Dataset, entries};
-use super::schema::SCHEMA_VERSION;
-use super::schema::check_schema;
+use super::schema::{SPLIT_VERSION, check_version};
 use gripcast_base::error::{Error, Result};
 use gripcast_base::files::{
     BeneathPath, FileKind, FileName, GraspId, folded_name, read_regular, without_bom,
@@ -70,7 +69,7 @@ pub struct SplitPlan {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct SplitFile {
-    /// Version of the dataset format.
+    /// Version of the file.
     pub schema: u32,
     /// Group key.
     pub by: GroupKey,
@@ -118,7 +117,7 @@ pub fn split(dataset: &Dataset, plan: &SplitPlan) -> Result<SplitFile> {
     }
     let splits = divide(&groups, plan)?;
     let file = SplitFile {
-        schema: SCHEMA_VERSION,
+        schema: SPLIT_VERSION,
         by: plan.by,
         seed: plan.seed,
         fractions: plan.fractions.clone(),
@@ -175,7 +174,7 @@ impl SplitFile {
         let value: serde_json::Value =
             serde_json::from_slice(without_bom(&bytes)).map_err(unreadable)?;
         if let Some(schema) = value.get("schema").and_then(serde_json::Value::as_i64) {
-            check_schema(schema)?;
+            check_version(schema, SPLIT_VERSION..=SPLIT_VERSION)?;
         }
         serde_json::from_value(value).map_err(unreadable)
     }

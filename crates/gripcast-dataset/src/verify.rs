@@ -9,15 +9,16 @@ use rayon::prelude::*;
 use super::descriptor::Descriptor;
 use super::digest::digest;
 use super::disk::is_partial;
-use super::grasp::{CameraRecord, GraspRecord, Outcome};
-use super::image_file;
+use super::grasp::{GraspRecord, Outcome};
 use super::index::{IndexRow, to_jsonl};
 use super::layout::{GRASP_JSON, INITIAL_JSON, Layout, pending_id};
+use super::lift::is_lift_file;
 use super::lock::DatasetLock;
 use super::problem::{Problem, ProblemKind, VerifyReport, by_kind};
 use super::reader::{copied_from, entries, grasp_ids};
 use super::record_file::{Pending, names_to_normalise, read_grasp};
 use super::split::{SplitFile, check_name};
+use super::stored_file::StoredFile;
 use gripcast_base::error::{ErrorKind, Result};
 use gripcast_base::files::{
     BeneathPath, ContentKey, FileKind, GraspId, conflict_copy_of, folded_name, glob_character,
@@ -165,14 +166,8 @@ fn check_grasp(layout: &Layout, id: &GraspId) -> CheckedGrasp {
         }
     };
     if let Some(record) = &record {
-        let cameras: BTreeMap<&str, &CameraRecord> = record
-            .stages()
-            .into_iter()
-            .flat_map(|(_, stage)| stage.cameras.values())
-            .chain(&record.pre_grasp_frames)
-            .map(|camera| (camera.file.as_str(), camera))
-            .collect();
-        for name in cameras
+        let stored = record.stored_files();
+        for name in stored
             .keys()
             .filter(|name| !record.files.contains_key(**name))
         {
@@ -197,6 +192,7 @@ fn check_grasp(layout: &Layout, id: &GraspId) -> CheckedGrasp {
                 }
             };
             let digest = digest(&bytes);
+            let file = stored.get(name.as_str()).copied();
             if digest != *expected {
                 found.add(
                     ProblemKind::Altered,
@@ -207,18 +203,18 @@ fn check_grasp(layout: &Layout, id: &GraspId) -> CheckedGrasp {
                         expected.bytes, expected.sha256, digest.bytes, digest.sha256
                     ),
                 );
-            } else if let Some(defect) = cameras
-                .get(name.as_str())
-                .and_then(|camera| image_file::defect(&bytes, camera))
-            {
+            } else if let Some((kind, defect)) = file.and_then(|file| defect(file, &bytes)) {
                 found.add(
-                    ProblemKind::DamagedImage,
+                    kind,
                     Some(id),
                     &at(name),
                     format!("{defect}; it was damaged before storing"),
                 );
             }
-            contents.push((digest.sha256, at(name)));
+            // Fields may be alike; images of a running camera never are.
+            if !matches!(file, Some(StoredFile::Field(_))) {
+                contents.push((digest.sha256, at(name)));
+            }
         }
         for (field, stored, normal) in names_to_normalise(&dir, record) {
             let detail = format!("{field} {stored:?} is not in normal form: {normal:?}");
@@ -232,6 +228,15 @@ fn check_grasp(layout: &Layout, id: &GraspId) -> CheckedGrasp {
         problems: found.problems,
         contents,
     }
+}
+
+/// The problem of a file whose contents are those that were stored.
+fn defect(file: StoredFile<'_>, bytes: &[u8]) -> Option<(ProblemKind, String)> {
+    let kind = match file {
+        StoredFile::Image(_) | StoredFile::Lift(_) => ProblemKind::DamagedImage,
+        StoredFile::Field(_) => ProblemKind::DamagedField,
+    };
+    Some((kind, file.defect(bytes)?))
 }
 
 /// Remedy for [`copy_text`].
@@ -253,6 +258,9 @@ fn extra_files(dir: &BeneathPath, id: &GraspId, record: &GraspRecord, found: &mu
         }
         if is_partial(&name) {
             let detail = "interrupted change of the record";
+            found.add(ProblemKind::Torn, Some(id), &at, detail);
+        } else if record.lift.is_none() && is_lift_file(&name) {
+            let detail = "interrupted save of the lift frames";
             found.add(ProblemKind::Torn, Some(id), &at, detail);
         } else if let Some(original) = conflict_copy_of(&name) {
             let (kind, detail) = (ProblemKind::ExtraFile, copy_text(&original));

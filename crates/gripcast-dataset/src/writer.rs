@@ -87,6 +87,7 @@ impl DatasetWriter {
             files,
             reopened_from: None,
         };
+        self.migrate()?;
         self.create_pending(&pending, |disk, dir| {
             contents
                 .iter()
@@ -143,6 +144,7 @@ impl DatasetWriter {
             ..grasp_record(pending, stage, files, meta)
         };
         let json = to_json(&record)?;
+        self.migrate()?;
         self.complete(&record.id, &contents, &json).map_err(|e| {
             self.failed("cannot save the grasp", e)
                 .remedy("fix this, then trigger again: the initial frame is still saved")
@@ -224,7 +226,7 @@ impl DatasetWriter {
         let record = self.read(id)?;
         let dir = self.layout.grasp(id);
         let captured_at = record.initial.captured_at.parse().unwrap_or_default();
-        let names: BTreeSet<&FileName> = record.initial.cameras.values().map(|c| &c.file).collect();
+        let names: BTreeSet<&FileName> = record.initial.files().collect();
         let pending = PendingInitial {
             schema: SCHEMA_VERSION,
             id: self.free_id(captured_at),
@@ -244,6 +246,7 @@ impl DatasetWriter {
             stage: record.initial.clone(),
             reopened_from: Some(id.clone()),
         };
+        self.migrate()?;
         self.create_pending(&pending, |disk, to| {
             names
                 .iter()
@@ -406,7 +409,7 @@ impl DatasetWriter {
         self.index.remove(id);
     }
 
-    fn read(&self, id: &GraspId) -> Result<GraspRecord> {
+    pub(super) fn read(&self, id: &GraspId) -> Result<GraspRecord> {
         read_grasp_of(&self.layout, id).map_err(|e| {
             if e.kind() == ErrorKind::NotFound {
                 Error::not_found(format!("grasp {id} not found"))
@@ -429,6 +432,8 @@ impl DatasetWriter {
         let before = self.read(id)?;
         let mut record = before.clone();
         change(&mut record)?;
+        record.schema = SCHEMA_VERSION;
+        self.migrate()?;
         let json = to_json(&record)?;
         if let Err(error) = replace(self.disk.as_ref(), &dir, GRASP_JSON, &json) {
             // The rename may have succeeded before the flush of the directory failed.
@@ -571,6 +576,7 @@ fn grasp_record(
         prediction: meta.prediction,
         overridden_guards,
         calibration: meta.calibration,
+        lift: None,
         files,
         note: meta.note,
         truth: None,

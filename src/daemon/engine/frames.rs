@@ -163,6 +163,8 @@ impl Engine {
                 .into_iter()
                 .filter_map(|frame| captured(Role::External, frame))
                 .collect(),
+            fields: Vec::new(),
+            shear: BTreeMap::new(),
             pose: pre_grasp.pose.map(Box::new),
             truth: hand.map(|hand| Box::new(hand.truth(gel_ns))),
         };

@@ -259,6 +259,20 @@ name_type!(
 );
 
 name_type!(
+    /// Name of a field array, such as `markers`: it begins with a lower-case letter, then also
+    /// digits and `_`, so that it can be part of a column's name. At most 40 characters.
+    FieldName,
+    |text| {
+        let is_word = text.bytes().all(|b| matches!(b, b'a'..=b'z' | b'0'..=b'9' | b'_'));
+        if is_word && text.len() <= 40 && text.starts_with(|c: char| c.is_ascii_lowercase()) {
+            Ok(text.to_owned())
+        } else {
+            Err(invalid("field name", text, "at most 40 lower-case letters, digits and `_`, a letter first"))
+        }
+    }
+);
+
+name_type!(
     /// File name without directories: one path component in NFC, not hidden, at most 255 bytes,
     /// without unsafe characters.
     FileName,

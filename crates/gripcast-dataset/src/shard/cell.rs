@@ -4,6 +4,7 @@ use std::borrow::Cow;
 use std::fmt;
 
 use gripcast_base::error::{Error, Result};
+use gripcast_base::files::npy::Array;
 
 /// Value of one column in one row.
 #[derive(Clone, Debug, PartialEq)]
@@ -20,6 +21,10 @@ pub enum Cell<'a> {
     Numbers(Vec<f64>),
     /// An encoded image.
     Image(Cow<'a, [u8]>),
+    /// Encoded images.
+    Images(Vec<Vec<u8>>),
+    /// An array of 32-bit floats.
+    Array(Array),
 }
 
 impl<'a> Cell<'a> {
@@ -52,6 +57,15 @@ impl<'a> Cell<'a> {
         }
     }
 
+    /// The encoded images of a cell of one or several.
+    pub(super) fn images(&self) -> Vec<&[u8]> {
+        match self {
+            Self::Image(bytes) => vec![bytes],
+            Self::Images(images) => images.iter().map(Vec::as_slice).collect(),
+            _ => Vec::new(),
+        }
+    }
+
     pub(super) fn as_integer(&self) -> Option<i64> {
         match self {
             Self::Integer(integer) => Some(*integer),
@@ -81,6 +95,8 @@ impl<'a> Cell<'a> {
             Self::Integer(_) | Self::Number(_) => 8,
             Self::Numbers(numbers) => 8 * numbers.len(),
             Self::Image(bytes) => bytes.len() + 4,
+            Self::Images(images) => images.iter().map(|bytes| bytes.len() + 4).sum(),
+            Self::Array(array) => 4 * array.values().len(),
         }
     }
 }

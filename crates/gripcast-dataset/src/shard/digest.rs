@@ -21,6 +21,12 @@ impl ContentHash {
             Cell::Number(number) => self.numbers(b"n", &[*number]),
             Cell::Numbers(numbers) => self.numbers(b"l", numbers),
             Cell::Image(bytes) => self.bytes(b"p", bytes),
+            Cell::Images(images) => {
+                self.0.update(b"q");
+                self.0.update((images.len() as u64).to_le_bytes());
+                images.iter().for_each(|bytes| self.bytes(b"p", bytes));
+            }
+            Cell::Array(array) => self.bytes(b"a", &array.to_npy()),
         }
     }
 

@@ -114,11 +114,14 @@ fn write_column<'a, W: Write + Send>(
             let mut paths = Leaf::new();
             for cell in cells {
                 images.push(bytes(cell), 2);
-                paths.push(image_name(name, cell), 2);
+                let image = cell.images().first().copied();
+                paths.push(image.map(|image| image_name(name, None, image)), 2);
             }
             images.write::<ByteArrayType, W>(group)?;
             paths.write::<ByteArrayType, W>(group)
         }
+        ColumnType::ImageList => write_image_lists(group, name, cells),
+        ColumnType::Float32Array(dimensions) => write_arrays(group, dimensions, cells),
     }
 }
 
@@ -155,14 +158,86 @@ fn write_lists<D: DataType, W: Write + Send>(
     leaf.write::<D, W>(group)
 }
 
+fn write_image_lists<'a, W: Write + Send>(
+    group: &mut SerializedRowGroupWriter<'_, W>,
+    name: &str,
+    cells: impl Iterator<Item = &'a Cell<'a>>,
+) -> Result<()> {
+    let mut images = Leaf::new();
+    let mut paths = Leaf::new();
+    for cell in cells {
+        let list = cell.images();
+        if list.is_empty() {
+            images.push(None, 4);
+            images.repetition.push(0);
+            paths.push(None, 4);
+            paths.repetition.push(0);
+        }
+        for (index, image) in list.into_iter().enumerate() {
+            images.push(Some(ByteArray::from(image.to_vec())), 4);
+            images.repetition.push(i16::from(index > 0));
+            paths.push(Some(image_name(name, Some(index), image)), 4);
+            paths.repetition.push(i16::from(index > 0));
+        }
+    }
+    images.write::<ByteArrayType, W>(group)?;
+    paths.write::<ByteArrayType, W>(group)
+}
+
+/// Writes arrays as nested lists. Each list is one optional and one repeated level.
+fn write_arrays<'a, W: Write + Send>(
+    group: &mut SerializedRowGroupWriter<'_, W>,
+    dimensions: usize,
+    cells: impl Iterator<Item = &'a Cell<'a>>,
+) -> Result<()> {
+    let mut leaf = Leaf::new();
+    for cell in cells {
+        let Cell::Array(array) = cell else {
+            leaf.push(None, 0);
+            leaf.repetition.push(0);
+            continue;
+        };
+        // Lists below an empty one do not exist.
+        let shape = array.shape();
+        let depth = shape
+            .iter()
+            .position(|size| *size == 0)
+            .unwrap_or(dimensions);
+        let entries: usize = shape[..depth].iter().product();
+        for entry in 0..entries {
+            match array.values().get(entry) {
+                Some(value) => leaf.push(Some(*value), 2 * dimensions as i16 + 1),
+                None => leaf.definition.push(2 * depth as i16 + 1),
+            }
+            leaf.repetition.push(level(&shape[..depth], entry));
+        }
+    }
+    leaf.write::<FloatType, W>(group)
+}
+
+/// Repetition level of an entry: the outermost list of which it is a further element, 0 for the first
+/// entry.
+fn level(shape: &[usize], entry: usize) -> i16 {
+    if entry == 0 {
+        return 0;
+    }
+    let mut level = shape.len();
+    let mut stride = 1;
+    for size in shape.iter().skip(1).rev() {
+        stride *= size;
+        if entry.is_multiple_of(stride) {
+            level -= 1;
+        }
+    }
+    level as i16
+}
+
 /// File name of the image in a dataset of single files: `<stage>.<role>.<extension>`.
-fn image_name(column: &str, cell: &Cell<'_>) -> Option<ByteArray> {
-    let Cell::Image(bytes) = cell else {
-        return None;
-    };
-    let extension = table_image_extension(bytes).unwrap_or("bin");
-    let name = format!("{}.{extension}", column.replace('_', "."));
-    Some(ByteArray::from(name.into_bytes()))
+fn image_name(column: &str, number: Option<usize>, image: &[u8]) -> ByteArray {
+    let extension = table_image_extension(image).unwrap_or("bin");
+    let number = number.map_or(String::new(), |number| format!("{number:04}."));
+    let name = format!("{}.{number}{extension}", column.replace('_', "."));
+    ByteArray::from(name.into_bytes())
 }
 
 fn hash(rows: &[Vec<Cell<'_>>]) -> GroupHash {

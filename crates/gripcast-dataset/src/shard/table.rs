@@ -48,9 +48,7 @@ impl TableWriter {
             let staged =
                 StagedShard::create(&path).map_err(|e| Error::io("cannot write the table", e))?;
             let all = || columns.iter().map(|(name, kind)| (name.as_str(), *kind));
-            let images = all().filter(|(_, kind)| *kind == ColumnType::Image);
-            let properties =
-                table_properties(CREATED_BY, features(all()), images.map(|(name, _)| name));
+            let properties = table_properties(CREATED_BY, features(all()), all());
             let schema = schema(all()).map_err(write_error)?;
             let mut writer = SerializedFileWriter::new(staged, schema, Arc::new(properties))
                 .map_err(write_error)?;
@@ -95,11 +93,15 @@ impl TableWriter {
             let what = format!("expected {expected} cells in a row, found {found}");
             return Err(Error::internal(what));
         }
-        for ((name, _), cell) in self.columns.iter().zip(cells) {
-            if let Cell::Image(bytes) = cell
-                && table_image_extension(bytes).is_none()
-            {
+        for ((name, kind), cell) in self.columns.iter().zip(cells) {
+            let mut images = cell.images().into_iter();
+            if images.any(|bytes| table_image_extension(bytes).is_none()) {
                 return Err(column_error(name, "is neither PNG nor JPEG nor TIFF"));
+            }
+            if let Cell::Array(array) = cell
+                && *kind != ColumnType::Float32Array(array.shape().len())
+            {
+                return Err(column_error(name, "has arrays of other dimensions"));
             }
         }
         let size = cells.iter().map(Cell::size).sum();
@@ -161,11 +163,12 @@ mod tests {
     use std::fs;
 
     use parquet::file::reader::{FileReader as _, SerializedFileReader};
-    use parquet::record::RowAccessor as _;
+    use parquet::record::{ListAccessor as _, RowAccessor as _};
 
     use super::super::sample_rows::image;
     use super::*;
     use gripcast_base::files::Root;
+    use gripcast_base::files::npy::Array;
 
     #[test]
     fn all_column_types_and_nulls_round_trip() {
@@ -182,11 +185,14 @@ mod tests {
             ("list", ColumnType::Float64List(2)),
             ("pose", ColumnType::Float32List(2)),
             ("view", ColumnType::Image),
+            ("lift", ColumnType::ImageList),
+            ("field", ColumnType::Float32Array(3)),
         ];
         let columns = columns.map(|(name, kind)| (name.to_owned(), kind)).to_vec();
         let metadata = [("pandas", "{}".to_owned())];
         let mut writer = TableWriter::create(target, columns, &metadata).unwrap();
         let view = image(true, 3, 100);
+        let field: Vec<f32> = (0..12).map(|i| i as f32).collect();
         writer
             .push(vec![
                 Cell::Text("é".into()),
@@ -198,10 +204,19 @@ mod tests {
                 Cell::Numbers(vec![1.0, f64::NAN]),
                 Cell::Numbers(vec![0.5, 2.0]),
                 Cell::Image(view.clone().into()),
+                Cell::Images(vec![view.clone(), image(false, 4, 90)]),
+                Cell::Array(Array::new([2, 3, 2], field.clone()).unwrap()),
             ])
             .unwrap();
-        writer.push(vec![Cell::Null; 9]).unwrap();
-        assert_eq!(writer.rows(), 2);
+        writer.push(vec![Cell::Null; 11]).unwrap();
+        let mut empty = vec![Cell::Null; 11];
+        empty[10] = Cell::Array(Array::new([2, 0, 2], Vec::new()).unwrap());
+        writer.push(empty).unwrap();
+        let mut flat = vec![Cell::Null; 11];
+        flat[10] = Cell::Array(Array::new([2], vec![0.0; 2]).unwrap());
+        let error = writer.push(flat).unwrap_err().to_string();
+        assert!(error.contains("other dimensions"), "{error}");
+        assert_eq!(writer.rows(), 3);
         assert!(writer.bytes() > 100 && !path.exists());
         let wrong = writer.push(vec![Cell::Null; 8]).unwrap_err();
         assert_eq!(wrong.kind(), ErrorKind::Internal);
@@ -231,6 +246,23 @@ mod tests {
         let stored = rows[0].get_group(8).unwrap();
         assert_eq!(stored.get_bytes(0).unwrap().data(), view);
         assert_eq!(stored.get_string(1).unwrap(), "view.png");
+        let lift = rows[0].get_list(9).unwrap();
+        let second = lift.get_group(1).unwrap();
+        assert_eq!(lift.len(), 2);
+        assert_eq!(second.get_string(1).unwrap(), "lift.0001.jpg");
+        let outer = rows[0].get_list(10).unwrap();
+        let mut read = Vec::new();
+        for i in 0..outer.len() {
+            let middle = outer.get_list(i).unwrap();
+            for j in 0..middle.len() {
+                let inner = middle.get_list(j).unwrap();
+                read.extend((0..inner.len()).map(|k| inner.get_float(k).unwrap()));
+                assert_eq!((outer.len(), middle.len(), inner.len()), (2, 3, 2));
+            }
+        }
+        assert_eq!(read, field);
+        let outer = rows[2].get_list(10).unwrap();
+        assert_eq!((outer.len(), outer.get_list(0).unwrap().len()), (2, 0));
         let nulls = rows[1].get_column_iter().map(|(_, field)| field);
         for field in nulls.take(8) {
             assert_eq!(field, &parquet::record::Field::Null);

@@ -28,6 +28,10 @@ pub enum ColumnType {
     Float32List(usize),
     /// An encoded image and its file name; `Image`.
     Image,
+    /// A list of encoded images and their file names; `Images`.
+    ImageList,
+    /// An array of 32-bit floats of this number of dimensions, any size: nested lists; `Array`.
+    Float32Array(usize),
 }
 
 /// Returns the schema of a file. Every column is optional, as in Arrow.
@@ -35,22 +39,30 @@ pub(super) fn schema<'a>(
     columns: impl Iterator<Item = (&'a str, ColumnType)>,
 ) -> Result<TypePtr, ParquetError> {
     let list = |name: &str, element: &str| {
-        format!("optional group {name} (LIST) {{ repeated group list {{ optional {element}; }} }}")
+        format!("optional group {name} (LIST) {{ repeated group list {{ {element} }} }}")
+    };
+    let image = |name: &str| {
+        format!("optional group {name} {{ optional binary bytes; optional binary path (STRING); }}")
     };
     let mut text = String::from("message schema {");
     for (name, kind) in columns {
         text += &match kind {
             ColumnType::Text => format!("optional binary {name} (STRING);"),
-            ColumnType::TextList => list(name, "binary element (STRING)"),
+            ColumnType::TextList => list(name, "optional binary element (STRING);"),
             ColumnType::Int64 => format!("optional int64 {name};"),
             ColumnType::Bool => format!("optional boolean {name};"),
             ColumnType::Float64 => format!("optional double {name};"),
             ColumnType::Float32 => format!("optional float {name};"),
-            ColumnType::Float64List(_) => list(name, "double element"),
-            ColumnType::Float32List(_) => list(name, "float element"),
-            ColumnType::Image => format!(
-                "optional group {name} {{ optional binary bytes; optional binary path (STRING); }}"
-            ),
+            ColumnType::Float64List(_) => list(name, "optional double element;"),
+            ColumnType::Float32List(_) => list(name, "optional float element;"),
+            ColumnType::Image => image(name),
+            ColumnType::ImageList => list(name, &image("element")),
+            ColumnType::Float32Array(dimensions) => {
+                let names = std::iter::repeat_n("element", dimensions.saturating_sub(1));
+                let names = names.chain([name]);
+                let leaf = "optional float element;".to_owned();
+                names.fold(leaf, |element, name| list(name, &element))
+            }
         };
     }
     text.push('}');
@@ -88,5 +100,10 @@ fn feature(name: &str, kind: ColumnType) -> String {
             value("float32")
         ),
         ColumnType::Image => r#"{"_type":"Image"}"#.to_owned(),
+        ColumnType::ImageList => r#"{"feature":{"_type":"Image"},"_type":"Sequence"}"#.to_owned(),
+        ColumnType::Float32Array(dimensions) => (0..dimensions)
+            .fold(value("float32"), |inner, _| {
+                format!(r#"{{"feature":{inner},"_type":"Sequence"}}"#)
+            }),
     }
 }

@@ -12,11 +12,12 @@ use parquet::file::writer::SerializedFileWriter;
 use parquet::schema::types::ColumnPath;
 
 use super::cell::{Cell, column_error};
-use super::columns::{IMAGES, columns, features, schema};
+use super::columns::{columns, features, schema, table_columns};
 use super::group::write_group;
 use super::metadata::{CREATED_BY, GroupHash, HUGGINGFACE_KEY, KEY, ShardMetadata};
 use super::row::{ShardRow, image_extension};
 use super::staged::StagedShard;
+use super::table_column::ColumnType;
 use gripcast_base::error::{Error, ErrorKind, Result};
 use gripcast_base::files::BeneathPath;
 
@@ -194,18 +195,14 @@ fn check(row: &ShardRow) -> Result<usize> {
 }
 
 pub(super) fn properties(created_by: &str) -> WriterProperties {
-    table_properties(
-        created_by,
-        features(),
-        IMAGES.iter().map(|image| image.name),
-    )
+    table_properties(created_by, features(), table_columns())
 }
 
 /// Properties of any table. `images`: the columns with images.
 pub(super) fn table_properties<'a>(
     created_by: &str,
     features: String,
-    images: impl Iterator<Item = &'a str>,
+    columns: impl Iterator<Item = (&'a str, ColumnType)>,
 ) -> WriterProperties {
     let features = KeyValue::new(HUGGINGFACE_KEY.to_owned(), features);
     let mut properties = WriterProperties::builder()
@@ -216,8 +213,14 @@ pub(super) fn table_properties<'a>(
         .set_write_batch_size(BATCH)
         .set_max_row_group_row_count(None)
         .set_key_value_metadata(Some(vec![features]));
-    for image in images {
-        let bytes = ColumnPath::new(vec![image.to_owned(), "bytes".to_owned()]);
+    // Dictionaries and statistics of images would be as large as the images.
+    let images = columns.filter_map(|(name, kind)| match kind {
+        ColumnType::Image => Some(vec![name, "bytes"]),
+        ColumnType::ImageList => Some(vec![name, "list", "element", "bytes"]),
+        _ => None,
+    });
+    for path in images {
+        let bytes = ColumnPath::new(path.into_iter().map(str::to_owned).collect());
         properties = properties
             .set_column_dictionary_enabled(bytes.clone(), false)
             .set_column_statistics_enabled(bytes, EnabledStatistics::None);

@@ -113,7 +113,8 @@ fn value(cell: TableCell<'_>) -> Option<Value> {
         TableCell::Integer(number) => Some(json!(number)),
         TableCell::Number(number) => Some(json!(number)),
         TableCell::Numbers(numbers) => Some(json!(numbers)),
-        TableCell::Image(_) | TableCell::Null => None,
+        // Facts are none of these.
+        TableCell::Image(_) | TableCell::Images(_) | TableCell::Array(_) | TableCell::Null => None,
     }
 }
 
@@ -125,6 +126,10 @@ fn missing(kind: ColumnType) -> Value {
         ColumnType::Float64List(length) | ColumnType::Float32List(length) => {
             json!(vec![0.0; length])
         }
-        ColumnType::Text | ColumnType::TextList | ColumnType::Image => json!(""),
+        ColumnType::Text
+        | ColumnType::TextList
+        | ColumnType::Image
+        | ColumnType::ImageList
+        | ColumnType::Float32Array(_) => json!(""),
     }
 }

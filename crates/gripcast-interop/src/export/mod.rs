@@ -6,6 +6,7 @@
 //! ids, one grasp's images and one row group. `docs/reference/exports.md` describes each format.
 
 mod facts;
+mod fields;
 mod format;
 mod lerobot;
 mod parquet;

@@ -9,16 +9,21 @@ use super::format::{ExportContext, Writer};
 use super::shard_files::ShardFiles;
 use super::source::Grasp;
 use gripcast_base::error::{Error, Result};
-use gripcast_dataset::Stage;
 use gripcast_dataset::shard::{ColumnType, EXPORT, TableCell, TableWriter};
-use gripcast_imaging::Role;
+use gripcast_dataset::{FieldName, Stage};
+use gripcast_imaging::jpeg::whole_file;
+use gripcast_imaging::{PixelFormat, Role};
 
 /// Version of the columns.
 const VERSION: u32 = 1;
+
 /// Writes the shards.
 pub(super) struct ParquetShards<'a> {
     context: ExportContext<'a>,
     images: Vec<(Stage, Role)>,
+    fields: Vec<(Stage, Role, FieldName, usize)>,
+    lifts: Vec<Role>,
+    notes: Vec<String>,
     metadata: String,
     files: ShardFiles<'a>,
     open: Option<TableWriter>,
@@ -34,7 +39,21 @@ impl<'a> ParquetShards<'a> {
             "licence": descriptor.licence,
             "label_definition": descriptor.label_definition,
         });
+        let (mut fields, mut notes) = (Vec::new(), Vec::new());
+        for ((role, name), counts) in context.survey.fields.iter() {
+            let Some(dimensions) = counts.dimensions() else {
+                notes.push(format!(
+                    "field {name} of {role} left out: its arrays have different dimensions"
+                ));
+                continue;
+            };
+            let column = |stage: &Stage| (*stage, *role, name.clone(), dimensions);
+            fields.extend(counts.grasps.keys().map(column));
+        }
         Self {
+            fields,
+            lifts: context.survey.lifts.keys().copied().collect(),
+            notes,
             context,
             images: context.survey.cameras.keys().copied().collect(),
             metadata: metadata.to_string(),
@@ -64,8 +83,15 @@ impl<'a> ParquetShards<'a> {
             let name = format!("{}_{role}", stage.name());
             (name, ColumnType::Image)
         });
+        let fields = self.fields.iter().map(|(stage, role, name, dimensions)| {
+            let name = format!("{}_{role}_{name}", stage.name());
+            (name, ColumnType::Float32Array(*dimensions))
+        });
+        let lifts = self.lifts.iter();
+        let lifts = lifts.map(|role| (format!("lift_{role}"), ColumnType::ImageList));
+        let columns = facts.chain(images).chain(fields).chain(lifts).collect();
         let metadata = [("gripcast", self.metadata.clone())];
-        TableWriter::create(path, facts.chain(images).collect(), &metadata)
+        TableWriter::create(path, columns, &metadata)
     }
 
     fn end_split(&mut self) -> Result<()> {
@@ -92,12 +118,41 @@ impl Writer for ParquetShards<'_> {
                 None => TableCell::Null,
             });
         }
+        for (stage, role, name, _) in &self.fields {
+            let array = grasp.fields.remove(&(*stage, *role, name.clone()));
+            cells.push(array.map_or(TableCell::Null, TableCell::Array));
+        }
+        for role in &self.lifts {
+            cells.push(match lift_images(&grasp, *role) {
+                Ok(images) if images.is_empty() => TableCell::Null,
+                Ok(images) => TableCell::Images(images),
+                Err(error) => return Ok(Some(error)),
+            });
+        }
         self.shard(size)?.push(cells)?;
         Ok(None)
     }
 
     fn finish(mut self: Box<Self>) -> Result<Vec<String>> {
         self.end_split()?;
-        Ok(Vec::new())
+        Ok(self.notes)
     }
+}
+
+/// The lift frames of a gel as images that any decoder reads; none where it has none.
+///
+/// # Errors
+/// A frame is damaged.
+fn lift_images(grasp: &Grasp, role: Role) -> Result<Vec<Vec<u8>>> {
+    let lift = grasp.record.lift.as_ref();
+    let camera = lift.and_then(|lift| lift.cameras.get(&role));
+    let (Some(camera), Some(bytes)) = (camera, grasp.lifts.get(&role)) else {
+        return Ok(Vec::new());
+    };
+    let frames = camera.split(bytes)?.into_iter();
+    let whole = frames.map(|(_, image)| match camera.format {
+        PixelFormat::Mjpg => Ok(whole_file(image)?.0.into_owned()),
+        _ => Ok(image.to_vec()),
+    });
+    whole.collect()
 }

@@ -36,6 +36,11 @@ impl ExportFormat {
         }
     }
 
+    /// Whether it has the lift frames.
+    pub(super) fn carries_lifts(self) -> bool {
+        matches!(self, Self::Parquet | Self::WebDataset)
+    }
+
     /// Name of the split of all grasps without a split file.
     pub(super) fn default_split(self) -> &'static str {
         match self {

@@ -74,7 +74,7 @@ fn write(
         ExportFormat::Training => Box::new(TrainingShards::new(context)?),
     };
     let mut report = ExportReport::new(plan.format, &selection);
-    let mut source = Source::new(dataset)?;
+    let mut source = Source::new(dataset, plan.format.carries_lifts())?;
     let all = selection.grasps();
     let (mut done, mut is_damaged) = (0, !selection.left_out.is_empty());
     for (split, ids) in &selection.splits {
@@ -114,6 +114,7 @@ fn write(
         }));
     }
     report.notes.extend(writer.finish()?);
+    report.notes.extend(not_carried(plan.format, &selection));
     report.left_out.sort_by(|a, b| a.id.cmp(&b.id));
     Ok(report)
 }
@@ -134,6 +135,24 @@ impl ExportReport {
             left_out: selection.left_out.clone(),
         }
     }
+}
+
+/// Notes on what the format as a whole does not have.
+fn not_carried(format: ExportFormat, selection: &Selection) -> Vec<String> {
+    let survey = &selection.survey;
+    let mut notes = Vec::new();
+    if !format.carries_lifts() {
+        let note = |(role, lift): (_, &super::fields::LiftCounts)| {
+            format!("lift frames of {role} left out: {} grasps", lift.grasps)
+        };
+        notes.extend(survey.lifts.iter().map(note));
+    }
+    if format == ExportFormat::Training {
+        let note =
+            |(role, name): &super::fields::FieldKey| format!("field {name} of {role} left out");
+        notes.extend(survey.fields.iter().map(|(key, _)| note(key)));
+    }
+    notes
 }
 
 /// A note on a path in which Python libraries do not find the export.

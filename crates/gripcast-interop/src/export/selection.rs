@@ -2,6 +2,7 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
+use super::fields::{FieldSurvey, LiftCounts};
 use super::plan::{ExportFormat, ExportPlan};
 use crate::left_out::LeftOut;
 use gripcast_base::error::{Error, Result, unknown_name};
@@ -24,6 +25,10 @@ pub(super) struct Selection {
 pub(super) struct Survey {
     pub(super) grasps: usize,
     pub(super) cameras: BTreeMap<(Stage, Role), CameraCounts>,
+    /// Field arrays of the gels.
+    pub(super) fields: FieldSurvey,
+    /// Lift frames by gel.
+    pub(super) lifts: BTreeMap<Role, LiftCounts>,
     /// Number of tactile grasp images by crop profile.
     pub(super) crops: BTreeMap<String, usize>,
     pub(super) has_pose: bool,
@@ -48,6 +53,8 @@ pub(super) struct CameraCounts {
 impl Survey {
     fn add(&mut self, record: &GraspRecord) {
         self.grasps += 1;
+        self.fields.add(record);
+        LiftCounts::survey(&mut self.lifts, record);
         self.has_pose |= record.pose.is_some();
         self.has_prediction |= record.prediction.is_some();
         self.longest_id = self.longest_id.max(record.id.chars().count());

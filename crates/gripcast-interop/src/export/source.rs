@@ -2,6 +2,7 @@
 
 use std::collections::BTreeMap;
 
+use super::fields::Fields;
 use gripcast_base::error::Result;
 use gripcast_dataset::{CameraRecord, Dataset, GraspId, GraspRecord, Stage};
 use gripcast_imaging::jpeg::{self, JpegDecoder};
@@ -14,6 +15,10 @@ pub(super) struct Grasp {
     pub(super) json: Vec<u8>,
     /// Images of both stages, without pre-grasp frames.
     pub(super) images: BTreeMap<(Stage, Role), Image>,
+    /// Field arrays of both stages.
+    pub(super) fields: Fields,
+    /// Lift frames by gel, one after the other, as stored; only for formats that carry them.
+    pub(super) lifts: BTreeMap<Role, Vec<u8>>,
 }
 
 /// An encoded image in a standard format.
@@ -38,10 +43,12 @@ impl Image {
 }
 
 impl Grasp {
-    /// Size of record and images, bytes.
+    /// Size of record, images, fields and lift frames, bytes.
     pub(super) fn bytes(&self) -> usize {
         let images = self.images.values().map(|image| image.bytes.len());
-        self.json.len() + images.sum::<usize>()
+        let lifts = self.lifts.values().map(Vec::len);
+        let fields = self.fields.values().map(|array| 4 * array.values().len());
+        self.json.len() + images.chain(lifts).chain(fields).sum::<usize>()
     }
 }
 
@@ -49,12 +56,18 @@ impl Grasp {
 pub(super) struct Source<'a> {
     dataset: &'a Dataset,
     jpeg: JpegDecoder,
+    with_lifts: bool,
 }
 
 impl<'a> Source<'a> {
-    pub(super) fn new(dataset: &'a Dataset) -> Result<Self> {
+    /// `with_lifts`: reads the lift frames as well.
+    pub(super) fn new(dataset: &'a Dataset, with_lifts: bool) -> Result<Self> {
         let jpeg = JpegDecoder::new()?;
-        Ok(Self { dataset, jpeg })
+        Ok(Self {
+            dataset,
+            jpeg,
+            with_lifts,
+        })
     }
 
     /// Reads a grasp and checks that all its images decode.
@@ -72,10 +85,27 @@ impl<'a> Source<'a> {
                 images.insert((stage, *role), image);
             }
         }
+        let mut fields = Fields::new();
+        for (stage, frames) in record.stages() {
+            for (role, of_role) in &frames.fields {
+                for name in of_role.keys() {
+                    let array = self.dataset.field(&record, stage, *role, name)?;
+                    fields.insert((stage, *role, name.clone()), array);
+                }
+            }
+        }
+        let mut lifts = BTreeMap::new();
+        if self.with_lifts {
+            for role in record.lift.iter().flat_map(|lift| lift.cameras.keys()) {
+                lifts.insert(*role, self.dataset.lift_bytes(&record, *role)?);
+            }
+        }
         Ok(Grasp {
             record,
             json,
             images,
+            fields,
+            lifts,
         })
     }
 

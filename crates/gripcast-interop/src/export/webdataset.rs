@@ -13,6 +13,7 @@ use image::RgbImage;
 use tar::{Builder, EntryType, Header};
 
 use super::facts::typed_json;
+use super::fields::UniformField;
 use super::format::{ExportContext, Writer};
 use super::selection::CameraCounts;
 use super::source::{Grasp, Image};
@@ -75,6 +76,33 @@ impl Field {
     }
 }
 
+/// Lift frames of one gel: a file of every sample, empty where a grasp has none.
+struct LiftField {
+    role: Role,
+    extension: &'static str,
+}
+
+impl LiftField {
+    /// The gels whose lift frames have one format in all grasps; notes about the others.
+    fn choose(context: ExportContext<'_>, notes: &mut Vec<String>) -> Vec<Self> {
+        let mut chosen = Vec::new();
+        for (&role, counts) in &context.survey.lifts {
+            let extension = match counts.jpegs {
+                0 => "pngs",
+                all if all == counts.grasps => "mjpeg",
+                _ => {
+                    notes.push(format!(
+                        "lift frames of {role} left out: some are JPEG, some PNG"
+                    ));
+                    continue;
+                }
+            };
+            chosen.push(Self { role, extension });
+        }
+        chosen
+    }
+}
+
 /// Writes the shards.
 pub(super) struct TarShards<'a> {
     context: ExportContext<'a>,
@@ -83,6 +111,9 @@ pub(super) struct TarShards<'a> {
     shards: usize,
     open: Option<(Builder<BufWriter<File>>, usize)>,
     fields: Vec<Field>,
+    arrays: Vec<(Stage, UniformField)>,
+    lifts: Vec<LiftField>,
+    notes: Vec<String>,
     decoder: Decoder,
 }
 
@@ -92,7 +123,16 @@ impl<'a> TarShards<'a> {
     pub(super) fn new(context: ExportContext<'a>) -> Result<Self> {
         let cameras = context.survey.cameras.iter();
         let fields = cameras.map(|((stage, role), counts)| Field::new(*stage, *role, counts));
+        let (arrays, mut notes) = context.survey.fields.of_one_shape();
+        let arrays = arrays.into_iter().flat_map(|field| {
+            let stages: Vec<Stage> = field.counts.grasps.keys().copied().collect();
+            stages.into_iter().map(move |stage| (stage, field.clone()))
+        });
+        let lifts = LiftField::choose(context, &mut notes);
         Ok(Self {
+            arrays: arrays.collect(),
+            lifts,
+            notes,
             context,
             split: String::new(),
             shards: 0,
@@ -159,6 +199,24 @@ impl Writer for TarShards<'_> {
             let extension = if field.is_jpeg { "jpg" } else { "png" };
             files.push((format!("{id}.{}.{extension}", field.name()), bytes));
         }
+        for (stage, field) in &self.arrays {
+            let (role, name) = &field.key;
+            let name = format!("{}_{role}_{name}", stage.name());
+            let is_there = grasp
+                .fields
+                .contains_key(&(*stage, *role, field.key.1.clone()));
+            json.insert(format!("has_{name}"), is_there.into());
+            match field.of(&grasp.fields, *stage) {
+                Ok(array) => files.push((format!("{id}.{name}.npy"), array.to_npy())),
+                Err(error) => return Ok(Some(error)),
+            }
+        }
+        for lift in &self.lifts {
+            let bytes = grasp.lifts.remove(&lift.role);
+            json.insert(format!("has_lift_{}", lift.role), bytes.is_some().into());
+            let name = format!("{id}.lift_{}.{}", lift.role, lift.extension);
+            files.push((name, bytes.unwrap_or_default()));
+        }
         let json = serde_json::to_vec(&json)
             .map_err(|e| Error::internal("cannot write JSON").because(e))?;
         let bytes: usize = files.iter().map(|(_, bytes)| bytes.len()).sum();
@@ -173,7 +231,7 @@ impl Writer for TarShards<'_> {
 
     fn finish(mut self: Box<Self>) -> Result<Vec<String>> {
         self.close()?;
-        let mut notes = Vec::new();
+        let mut notes = std::mem::take(&mut self.notes);
         for field in &self.fields {
             let name = field.name();
             let counts = self.context.survey.cameras.get(&(field.stage, field.role));

@@ -2,6 +2,7 @@
 
 use serde_json::{Map, Value, json};
 
+use super::super::fields::{UniformField, tactile_name};
 use super::super::selection::Survey;
 use gripcast_base::error::{Error, Result};
 use gripcast_dataset::Stage;
@@ -29,12 +30,14 @@ pub(super) const ALWAYS: [(&str, ColumnType, &str); 8] = [
 ];
 
 /// Features that depend on the dataset.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug)]
 pub(super) struct Features {
     /// Colour cameras with width and height, pixels.
     pub(super) colour: Vec<(Role, (u32, u32))>,
     /// Width and height of the depth camera, pixels.
     pub(super) depth: Option<(u32, u32)>,
+    /// Field arrays; in all frames, NaN where a grasp has none.
+    pub(super) fields: Vec<UniformField>,
     pub(super) has_pose: bool,
     pub(super) has_prediction: bool,
 }
@@ -42,6 +45,11 @@ pub(super) struct Features {
 /// Name of a colour camera's feature.
 pub(super) fn colour_name(role: Role) -> String {
     format!("observation.images.{role}")
+}
+
+/// Name of a field's feature.
+fn field_name(field: &UniformField) -> String {
+    format!("observation.tactile.{}", tactile_name(&field.key))
 }
 
 impl Features {
@@ -89,7 +97,10 @@ impl Features {
                 "select grasps of one rig with `--split` and `--subset`, or use another format";
             return Err(Error::input(what).remedy(remedy));
         }
+        let (fields, other) = survey.fields.of_one_shape();
+        notes.extend(other);
         let features = Self {
+            fields,
             colour,
             depth,
             has_pose: survey.has_pose,
@@ -106,6 +117,10 @@ impl Features {
             .chain(depth)
             .map(|name| (name, ColumnType::Image))
             .collect();
+        for field in &self.fields {
+            let kind = ColumnType::Float32Array(field.shape.len());
+            columns.push((field_name(field), kind));
+        }
         if self.has_pose {
             columns.push((POSE.to_owned(), ColumnType::Float32List(7)));
         }
@@ -131,6 +146,11 @@ impl Features {
         }
         if let Some(size) = self.depth {
             features.insert(DEPTH.to_owned(), image(size, 1));
+        }
+        for field in &self.fields {
+            let names = json!({"components": field.counts.columns, "units": field.counts.units});
+            let array = json!({"dtype": "float32", "shape": field.shape, "names": names});
+            features.insert(field_name(field), array);
         }
         if self.has_pose {
             let names = ["x_m", "y_m", "z_m", "q_w", "q_x", "q_y", "q_z"];

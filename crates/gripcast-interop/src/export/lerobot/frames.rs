@@ -9,6 +9,7 @@ use super::FRAMES;
 use super::features::Features;
 use super::tiff;
 use gripcast_base::error::{Error, Result};
+use gripcast_base::files::npy::Array;
 use gripcast_dataset::Stage;
 use gripcast_dataset::shard::TableCell;
 use gripcast_imaging::{Decoder, DepthImage, Role, decode_png_grey16, encode_png_rgb};
@@ -43,13 +44,15 @@ pub(super) struct Images {
 
 struct FrameImages {
     colour: Vec<Colour>,
+    /// Field arrays in the order of the features.
+    fields: Vec<Array>,
     depth: Option<Depth>,
 }
 
-/// One frame: images, then numbers in the order of the columns.
+/// One frame: images and fields, then numbers in the order of the columns.
 pub(super) struct FrameRow {
     images: FrameImages,
-    pub numbers: Vec<Vec<f64>>,
+    numbers: Vec<Vec<f64>>,
     cells: Vec<TableCell<'static>>,
 }
 
@@ -57,7 +60,13 @@ impl Images {
     pub(super) fn bytes(&self) -> usize {
         let colour = self.frames.iter().flat_map(|frame| &frame.colour);
         let depth = self.frames.iter().flat_map(|frame| &frame.depth);
-        colour.map(|c| c.bytes.len()).sum::<usize>() + depth.map(|d| d.bytes.len()).sum::<usize>()
+        let fields = self.frames.iter().flat_map(|frame| &frame.fields);
+        let images = colour
+            .map(|c| c.bytes.len())
+            .chain(depth.map(|d| d.bytes.len()));
+        images
+            .chain(fields.map(|array| 4 * array.values().len()))
+            .sum()
     }
 }
 
@@ -65,6 +74,16 @@ impl FrameRow {
     /// Pixels of the colour cameras.
     pub(super) fn colour(&self) -> impl Iterator<Item = &RgbImage> {
         self.images.colour.iter().map(|colour| &colour.pixels)
+    }
+
+    /// Numbers of the columns that are no images.
+    pub(super) fn numbers(&self) -> impl Iterator<Item = Cow<'_, [f64]>> {
+        let fields = self.images.fields.iter().map(|array| {
+            let values = array.values().iter().map(|value| f64::from(*value));
+            Cow::Owned(values.collect())
+        });
+        let others = self.numbers.iter();
+        fields.chain(others.map(|numbers| Cow::Borrowed(numbers.as_slice())))
     }
 
     /// Counts of the depth camera.
@@ -76,7 +95,12 @@ impl FrameRow {
         let image = |bytes| TableCell::Image(Cow::Owned(bytes));
         let colour = self.images.colour.into_iter().map(|c| image(c.bytes));
         let depth = self.images.depth.map(|d| image(d.bytes));
-        colour.chain(depth).chain(self.cells).collect()
+        let fields = self.images.fields.into_iter().map(TableCell::Array);
+        colour
+            .chain(depth)
+            .chain(fields)
+            .chain(self.cells)
+            .collect()
     }
 }
 
@@ -143,7 +167,10 @@ impl Frames {
             };
             colour.push(Colour { bytes, pixels });
         }
+        let fields = self.features.fields.iter();
+        let fields = fields.map(|field| field.of(&grasp.fields, stage));
         Ok(FrameImages {
+            fields: fields.collect::<Result<_>>()?,
             colour,
             depth: None,
         })

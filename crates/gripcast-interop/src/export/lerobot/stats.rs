@@ -109,10 +109,13 @@ impl RunningStats {
 impl Stats {
     pub(super) fn new(features: &Features) -> Self {
         let colour = features.colour.iter();
+        let mut fields = features.fields.iter();
         let numbers = features.columns().into_iter().filter_map(|(name, kind)| {
             let length = match kind {
                 ColumnType::Image => return None,
                 ColumnType::Float32List(length) => length,
+                // One figure for each component, which applies to the whole array.
+                ColumnType::Float32Array(_) => fields.next()?.counts.columns.len(),
                 _ => 1,
             };
             Some((name, vec![RunningStats::NONE; length]))
@@ -137,9 +140,12 @@ impl Stats {
         if let (Some(levels), Some(counts)) = (&mut self.depth, frame.depth()) {
             levels.add(counts.iter().copied());
         }
-        for ((_, spreads), numbers) in self.numbers.iter_mut().zip(&frame.numbers) {
-            for (spread, number) in spreads.iter_mut().zip(numbers) {
-                spread.add(*number);
+        for ((_, spreads), numbers) in self.numbers.iter_mut().zip(frame.numbers()) {
+            let components = spreads.len().max(1);
+            for row in numbers.chunks_exact(components) {
+                for (spread, number) in spreads.iter_mut().zip(row) {
+                    spread.add(*number);
+                }
             }
         }
     }

@@ -10,8 +10,10 @@ use super::super::staged::write_failed;
 use super::store::Store;
 use gripcast_base::error::Result;
 
-/// Rows of a chunk; each image has its own chunk.
+/// Maximum number of rows of a chunk; each image has its own chunk.
 const ROWS_PER_CHUNK: usize = 1024;
+/// Size of a chunk of large rows, bytes.
+const CHUNK_BYTES: usize = 1 << 20;
 /// Level of zlib: higher ones hardly compress camera images further.
 const LEVEL: u32 = 1;
 /// Bytes per character of a string.
@@ -24,6 +26,7 @@ pub(super) enum Kind {
     U1,
     I1,
     I8,
+    F4,
     F8,
     /// UTF-32 string of this length, padded with zeros.
     Text(usize),
@@ -37,6 +40,7 @@ impl Kind {
             Self::U1 => "|u1".to_owned(),
             Self::I1 => "|i1".to_owned(),
             Self::I8 => "<i8".to_owned(),
+            Self::F4 => "<f4".to_owned(),
             Self::F8 => "<f8".to_owned(),
             Self::Text(length) => format!("<U{length}"),
         }
@@ -45,6 +49,7 @@ impl Kind {
     fn bytes(self) -> usize {
         match self {
             Self::Bool | Self::U1 | Self::I1 => 1,
+            Self::F4 => 4,
             Self::I8 | Self::F8 => 8,
             Self::Text(length) => CHARACTER * length,
         }
@@ -55,7 +60,7 @@ impl Kind {
         match self {
             Self::Bool => json!(false),
             Self::U1 | Self::I1 | Self::I8 => json!(0),
-            Self::F8 => json!("NaN"),
+            Self::F4 | Self::F8 => json!("NaN"),
             Self::Text(_) => json!(""),
         }
     }
@@ -87,7 +92,7 @@ impl Rows {
         debug_assert_eq!(row.len(), self.row_bytes());
         self.buffer.extend_from_slice(row);
         self.rows += 1;
-        if self.rows.is_multiple_of(ROWS_PER_CHUNK) {
+        if self.rows.is_multiple_of(self.rows_per_chunk()) {
             self.write_chunk(store)?;
         }
         Ok(())
@@ -106,21 +111,27 @@ impl Rows {
     pub(super) fn finish(mut self, store: &mut Store<'_>) -> Result<()> {
         if !self.buffer.is_empty() {
             // All chunks have the same shape; readers ignore the padding.
-            self.buffer.resize(ROWS_PER_CHUNK * self.row_bytes(), 0);
+            self.buffer
+                .resize(self.rows_per_chunk() * self.row_bytes(), 0);
             self.write_chunk(store)?;
         }
         let shape: Vec<usize> = [&[self.rows], self.shape.as_slice()].concat();
-        let chunks: Vec<usize> = [&[ROWS_PER_CHUNK], self.shape.as_slice()].concat();
+        let chunks: Vec<usize> = [&[self.rows_per_chunk()], self.shape.as_slice()].concat();
         let description = describe(&shape, &chunks, self.kind);
         store.put_json(&format!("{}/.zarray", self.name), &description)
     }
 
     fn write_chunk(&mut self, store: &mut Store<'_>) -> Result<()> {
-        let number = (self.rows - 1) / ROWS_PER_CHUNK;
+        let number = (self.rows - 1) / self.rows_per_chunk();
         let name = chunk_name(&self.name, number, self.shape.len());
         store.put(&name, &compressed(&self.buffer)?)?;
         self.buffer.clear();
         Ok(())
+    }
+
+    fn rows_per_chunk(&self) -> usize {
+        let fitting = CHUNK_BYTES / self.row_bytes().max(1);
+        fitting.clamp(1, ROWS_PER_CHUNK)
     }
 
     fn row_bytes(&self) -> usize {

@@ -14,6 +14,7 @@ use std::path::Path;
 use image::RgbImage;
 use serde_json::json;
 
+use super::fields::UniformField;
 use super::format::{ExportContext, Writer};
 use super::source::Grasp;
 use array::{Images, Kind, Rows};
@@ -41,6 +42,8 @@ pub(super) struct ReplayBuffer<'a> {
     store: Store<'a>,
     cameras: Vec<Camera>,
     stage: Rows,
+    fields: Vec<(UniformField, Rows)>,
+    notes: Vec<String>,
     grasps: PerGrasp,
     split: String,
     frames: usize,
@@ -157,8 +160,15 @@ impl<'a> ReplayBuffer<'a> {
             let what = "no grasp has an image of left, right or rgb";
             return Err(Error::input(what));
         }
+        let (fields, notes) = context.survey.fields.of_one_shape();
+        let rows = |field: UniformField| {
+            let name = format!("data/{}_{}", field.key.0, field.key.1);
+            let rows = Rows::new(name, Kind::F4, &field.shape);
+            (field, rows)
+        };
+        let fields: Vec<_> = fields.into_iter().map(rows).collect();
         let mut store = Store::create(context.folder, is_zip(context.folder.target()))?;
-        store.put_json(".zattrs", &attributes(context))?;
+        store.put_json(".zattrs", &attributes(context, &fields))?;
         for group in ["", "data/", "meta/"] {
             store.put_json(&format!("{group}.zgroup"), &json!({"zarr_format": 2}))?;
         }
@@ -167,6 +177,8 @@ impl<'a> ReplayBuffer<'a> {
             store,
             cameras,
             stage: Rows::new("data/stage", Kind::U1, &[]),
+            fields,
+            notes,
             grasps: PerGrasp::new(context),
             split: String::new(),
             frames: 0,
@@ -210,6 +222,16 @@ impl Writer for ReplayBuffer<'_> {
             Ok(frames) => frames,
             Err(error) => return Ok(Some(error)),
         };
+        let mut arrays = Vec::new();
+        for stage in Stage::ALL {
+            for (field, _) in &self.fields {
+                match field.of(&grasp.fields, stage) {
+                    Ok(array) => arrays.push(array.to_le_bytes()),
+                    Err(error) => return Ok(Some(error)),
+                }
+            }
+        }
+        let mut arrays = arrays.into_iter();
         let store = &mut self.store;
         for (stage, images) in (0_u8..).zip(frames) {
             for (camera, image) in self.cameras.iter_mut().zip(images) {
@@ -217,6 +239,9 @@ impl Writer for ReplayBuffer<'_> {
                 camera.present.push(store, &present)?;
                 let pixels = image.as_ref().map(|image| image.as_raw().as_slice());
                 camera.images.push(store, pixels)?;
+            }
+            for ((_, rows), array) in self.fields.iter_mut().zip(arrays.by_ref()) {
+                rows.push(store, &array)?;
             }
             self.stage.push(store, &[stage])?;
             self.frames += 1;
@@ -231,15 +256,31 @@ impl Writer for ReplayBuffer<'_> {
             camera.images.finish(&mut store)?;
             camera.present.finish(&mut store)?;
         }
+        for (_, rows) in self.fields {
+            rows.finish(&mut store)?;
+        }
         self.stage.finish(&mut store)?;
         self.grasps.finish(&mut store)?;
         store.finish()?;
-        Ok(not_exported(self.context))
+        let mut notes = self.notes;
+        notes.extend(not_exported(self.context));
+        Ok(notes)
     }
 }
 
 /// Meaning of the arrays, for `.zattrs`.
-fn attributes(context: ExportContext<'_>) -> serde_json::Value {
+fn attributes(context: ExportContext<'_>, fields: &[(UniformField, Rows)]) -> serde_json::Value {
+    let described = fields.iter().map(|(field, _)| {
+        let (role, name) = &field.key;
+        let counts = &field.counts;
+        let description = json!({
+            "columns": counts.columns,
+            "units": counts.units,
+            "frame": counts.frame,
+        });
+        (format!("{role}_{name}"), description)
+    });
+    let described: serde_json::Map<_, _> = described.collect();
     let (width, height) = context.plan.size;
     let descriptor = context.descriptor;
     json!({
@@ -250,6 +291,7 @@ fn attributes(context: ExportContext<'_>) -> serde_json::Value {
         "stage": {"0": "initial", "1": "grasp"},
         "width": width,
         "height": height,
+        "fields": described,
     })
 }
 
