@@ -13,10 +13,11 @@ use super::press_depth::{PressDepth, SensorGeometry};
 use super::profile::SensorProfile;
 use super::rasteriser::Rasteriser;
 use super::scene::TactileScene;
-use super::scene_renderer::{ObjectDepthRenderer, SceneRenderer, noise};
+use super::scene_renderer::{ObjectDepthRenderer, SceneRenderer};
 use super::smooth::Smoothing;
 use gripcast_base::error::{Error, Result};
 use gripcast_geometry::{Pose, TriangleMesh};
+use gripcast_shear::MarkerField;
 use gripcast_sim::fem::{GelGrid, Side};
 
 /// Renders the deformed gel face without smoothing.
@@ -48,7 +49,11 @@ impl SceneRenderer for GelSurfaceRenderer {
             Error::input("the gel-surface renderer needs the deformed gel, which the scene lacks")
                 .remedy("render the end of a stage of a simulated grasp")
         })?;
-        self.0.shading.render(&press, &noise(&self.0.drift, seed))
+        self.0.render_press(&press, scene, seed)
+    }
+
+    fn marker_field(&mut self, scene: &TactileScene<'_>) -> Result<Option<MarkerField>> {
+        self.0.marker_field(scene)
     }
 }
 
@@ -90,6 +95,7 @@ fn depth_at(press: &PressDepth, point: &DVec3) -> f64 {
 mod tests {
     use super::*;
     use crate::lookup::{LookupRenderer, TaximTable};
+    use crate::scene::Skin;
     use gripcast_geometry::builtin;
 
     /// The middle of the face sunk by `depth_m`, the object far away.
@@ -111,6 +117,7 @@ mod tests {
             face_m: 4e-3,
             gap_m: 0.0,
             gel_face: Some(face),
+            skin: Skin::default(),
         }
     }
 
