@@ -13,7 +13,7 @@ use super::press_depth::{PressDepth, SensorGeometry};
 use super::profile::SensorProfile;
 use super::rasteriser::Rasteriser;
 use super::scene::TactileScene;
-use super::scene_renderer::{ObjectDepthRenderer, SceneRenderer};
+use super::scene_renderer::{ObjectDepthRenderer, SceneRenderer, noise};
 use super::smooth::Smoothing;
 use gripcast_base::error::{Error, Result};
 use gripcast_geometry::{Pose, TriangleMesh};
@@ -49,7 +49,8 @@ impl SceneRenderer for GelSurfaceRenderer {
             Error::input("the gel-surface renderer needs the deformed gel, which the scene lacks")
                 .remedy("render the end of a stage of a simulated grasp")
         })?;
-        self.0.render_press(&press, scene, seed)
+        let noise = noise(&self.0.drift, seed);
+        self.0.shading.render_with_skin(&press, &scene.skin, &noise)
     }
 
     fn marker_field(&mut self, scene: &TactileScene<'_>) -> Result<Option<MarkerField>> {

@@ -61,6 +61,7 @@ pub use rigid_press::{depth_under_force, foundation_pa_m};
 pub use scene::{MountingAngle, SensorMount, SimulatedGel, Skin, TactileScene};
 pub use scene_renderer::{ObjectDepthRenderer, SceneRenderer};
 pub use shading::{NormalOrder, PolynomialShading, PositionOrder};
+pub use shipped_profile::SensorName;
 pub use smooth::{Smoother, Smoothing};
 pub use trace_header::{TraceHeader, TraceObject, TraceStart};
 pub use variation::SensorVariation;

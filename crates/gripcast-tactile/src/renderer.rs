@@ -3,11 +3,14 @@
 use image::RgbImage;
 
 use super::background::planes_of;
-use super::markers::{ContactLoad, ElasticLayer, LayerMotion, MarkerInk, MarkerLattice};
+use super::markers::{
+    ContactLoad, ElasticLayer, LayerMotion, MarkerInk, MarkerLattice, NodeMotion,
+};
 use super::noise::{FrameNoise, pixel_noise};
 use super::normals::Normals;
 use super::press_depth::{PressDepth, SensorGeometry};
 use super::profile::{SensorProfile, ShadingModel};
+use super::scene::Skin;
 use super::smooth::Smoother;
 use gripcast_base::error::{Error, Result};
 use gripcast_shear::MarkerField;
@@ -92,7 +95,7 @@ impl TactileRenderer {
         Ok(&self.change)
     }
 
-    /// Models how a press moves the skin ([`LayerMotion`]).
+    /// Models how a press under a tangential load moves the skin.
     ///
     /// # Errors
     /// `Input` if the press is on another grid.
@@ -102,17 +105,52 @@ impl TactileRenderer {
         Ok(LayerMotion::new(face_m, press, &self.layer, load))
     }
 
-    /// Renders the sensor image of a press, 8 bits per channel. Gel markers move as the layer that
-    /// the press deforms ([`LayerMotion`]).
+    /// Renders the sensor image of a press, 8 bits per channel. Gel markers move as in a
+    /// [`LayerMotion`] without load.
     ///
     /// # Errors
     /// `Input` if the press is on another grid.
     pub fn render(&mut self, press: &PressDepth, noise: &FrameNoise) -> Result<RgbImage> {
+        self.render_with_skin(press, &Skin::default(), noise)
+    }
+
+    /// Renders the sensor image of a press, 8 bits per channel, with gel markers that move with a
+    /// skin.
+    ///
+    /// # Errors
+    /// `Input` if the press is on another grid.
+    pub fn render_with_skin(
+        &mut self,
+        press: &PressDepth,
+        skin: &Skin,
+        noise: &FrameNoise,
+    ) -> Result<RgbImage> {
         if self.markers.is_none() {
             return self.render_moved(press, noise, &|_| [0.0; 2]);
         }
-        let motion = self.layer_motion(press, &ContactLoad::default())?;
+        let motion = self.skin_motion(press, skin)?;
         self.render_moved(press, noise, &|at| motion.displacement_m(at))
+    }
+
+    /// Returns where the gel markers truly are in [`Self::render_with_skin`]; `None` for a gel
+    /// without.
+    ///
+    /// # Errors
+    /// `Input` if the press is on another grid.
+    pub fn marker_field(&mut self, press: &PressDepth, skin: &Skin) -> Result<Option<MarkerField>> {
+        if self.markers.is_none() {
+            return Ok(None);
+        }
+        let motion = self.skin_motion(press, skin)?;
+        let lattice = self.markers();
+        Ok(lattice.map(|lattice| lattice.field(&|at| motion.displacement_m(at))))
+    }
+
+    fn skin_motion<'a>(&mut self, press: &PressDepth, skin: &'a Skin) -> Result<Motion<'a>> {
+        Ok(match skin {
+            Skin::Nodes(nodes) => Motion::Nodes(nodes),
+            Skin::Layer(load) => Motion::Layer(self.layer_motion(press, load)?),
+        })
     }
 
     /// Renders the sensor image of a press whose skin moves from a point at rest by `motion`, both m
@@ -134,7 +172,7 @@ impl TactileRenderer {
     }
 
     /// Renders the sensor image of a press whose skin moves.
-    pub(super) fn render_moved(
+    fn render_moved(
         &mut self,
         press: &PressDepth,
         noise: &FrameNoise,
@@ -192,8 +230,23 @@ impl TactileRenderer {
     }
 }
 
+/// Motion of a [`Skin`].
+enum Motion<'a> {
+    Nodes(&'a NodeMotion),
+    Layer(LayerMotion),
+}
+
+impl Motion<'_> {
+    fn displacement_m(&self, at_m: [f64; 2]) -> [f64; 2] {
+        match self {
+            Self::Nodes(nodes) => nodes.displacement_m(at_m),
+            Self::Layer(layer) => layer.displacement_m(at_m),
+        }
+    }
+}
+
 /// Error of what needs gel markers.
-pub(super) fn no_markers() -> Error {
+fn no_markers() -> Error {
     Error::config("the sensor profile has no gel markers").remedy(
         "use a profile with `[markers]`, such as gelsight-mini-markers, or describe those of the gel",
     )

@@ -3,13 +3,12 @@
 use image::RgbImage;
 
 use super::depth::object_depth;
-use super::markers::{LayerMotion, NodeMotion};
 use super::noise::{Drift, FrameNoise};
-use super::press_depth::{PressDepth, SensorGeometry};
+use super::press_depth::SensorGeometry;
 use super::profile::SensorProfile;
 use super::rasteriser::Rasteriser;
 use super::renderer::TactileRenderer;
-use super::scene::{Skin, TactileScene};
+use super::scene::TactileScene;
 use gripcast_base::error::Result;
 use gripcast_shear::MarkerField;
 
@@ -65,57 +64,13 @@ impl SceneRenderer for ObjectDepthRenderer {
 
     fn render(&mut self, scene: &TactileScene<'_>, seed: Option<u64>) -> Result<RgbImage> {
         let press = object_depth(scene, &self.grid(), &mut self.rasteriser);
-        self.render_press(&press, scene, seed)
+        let noise = noise(&self.drift, seed);
+        self.shading.render_with_skin(&press, &scene.skin, &noise)
     }
 
     fn marker_field(&mut self, scene: &TactileScene<'_>) -> Result<Option<MarkerField>> {
-        if self.shading.markers().is_none() {
-            return Ok(None);
-        }
         let press = object_depth(scene, &self.grid(), &mut self.rasteriser);
-        let motion = self.skin_motion(&press, &scene.skin)?;
-        let lattice = self.shading.markers();
-        Ok(lattice.map(|lattice| lattice.field(&|at| motion.displacement_m(at))))
-    }
-}
-
-impl ObjectDepthRenderer {
-    /// Renders the depth of a scene.
-    pub(super) fn render_press(
-        &mut self,
-        press: &PressDepth,
-        scene: &TactileScene<'_>,
-        seed: Option<u64>,
-    ) -> Result<RgbImage> {
-        let noise = noise(&self.drift, seed);
-        if self.shading.markers().is_none() {
-            return self.shading.render(press, &noise);
-        }
-        let motion = self.skin_motion(press, &scene.skin)?;
-        self.shading
-            .render_moved(press, &noise, &|at| motion.displacement_m(at))
-    }
-
-    fn skin_motion<'a>(&mut self, press: &PressDepth, skin: &'a Skin) -> Result<Motion<'a>> {
-        Ok(match skin {
-            Skin::Nodes(nodes) => Motion::Nodes(nodes),
-            Skin::Layer(load) => Motion::Layer(self.shading.layer_motion(press, load)?),
-        })
-    }
-}
-
-/// Motion of the skin of a scene.
-enum Motion<'a> {
-    Nodes(&'a NodeMotion),
-    Layer(LayerMotion),
-}
-
-impl Motion<'_> {
-    fn displacement_m(&self, at_m: [f64; 2]) -> [f64; 2] {
-        match self {
-            Self::Nodes(nodes) => nodes.displacement_m(at_m),
-            Self::Layer(layer) => layer.displacement_m(at_m),
-        }
+        self.shading.marker_field(&press, &scene.skin)
     }
 }
 

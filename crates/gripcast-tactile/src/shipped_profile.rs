@@ -2,11 +2,14 @@
 
 use std::path::Path;
 
+use serde::{Deserialize, Serialize};
+
 use super::profile::SensorProfile;
 use gripcast_base::error::{Error, Result, nearest_name};
 use gripcast_imaging::decode_png_rgb;
 
 /// A shipped profile: its name, its TOML and its background image, if it has one.
+#[derive(Clone, Copy)]
 struct Shipped {
     name: &'static str,
     toml: &'static str,
@@ -29,56 +32,98 @@ const SHIPPED: [Shipped; 2] = [
     },
 ];
 
-impl SensorProfile {
-    /// Names of the shipped profiles.
+/// Name of a shipped profile.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(try_from = "String", into = "&'static str")]
+pub struct SensorName(&'static str);
+
+impl SensorName {
+    /// The generic GelSight Mini.
+    pub const GELSIGHT_MINI: Self = Self("gelsight-mini");
+
+    /// All names.
     #[must_use]
-    pub fn names() -> [&'static str; SHIPPED.len()] {
-        SHIPPED.map(|shipped| shipped.name)
+    pub fn all() -> [Self; SHIPPED.len()] {
+        SHIPPED.map(|shipped| Self(shipped.name))
+    }
+
+    /// The name as text.
+    #[must_use]
+    pub fn as_str(self) -> &'static str {
+        self.0
     }
 
     /// Returns the shipped profile of a name.
     ///
     /// # Errors
     /// `Config` for an unknown name, with the nearest one and all names.
-    pub fn shipped(name: &str) -> Result<Self> {
-        let Some(found) = SHIPPED.iter().find(|shipped| shipped.name == name) else {
-            let names = Self::names();
-            let hint = nearest_name(name, names)
-                .map_or(String::new(), |near| format!("did you mean `{near}`? "));
-            return Err(
-                Error::config(format!("unknown sensor profile `{name}`")).remedy(format!(
-                    "{hint}use one of {}, or the path of a file that ends in .toml",
-                    names.join(", ")
-                )),
-            );
-        };
-        let mut profile = Self::from_toml(found.toml).map_err(|e| e.at(name))?;
-        if let Some(background) = found.background {
+    pub fn by_name(name: &str) -> Result<Self> {
+        Self::find(name).map(|shipped| Self(shipped.name))
+    }
+
+    /// Returns the profile.
+    ///
+    /// # Errors
+    /// None; a test covers the shipped files.
+    pub fn profile(self) -> Result<SensorProfile> {
+        let shipped = Self::find(self.0)?;
+        let mut profile = SensorProfile::from_toml(shipped.toml).map_err(|e| e.at(shipped.name))?;
+        if let Some(background) = shipped.background {
             profile.background.image = Some(decode_png_rgb(background)?);
             profile.check_image()?;
         }
         Ok(profile)
     }
 
+    fn find(name: &str) -> Result<&'static Shipped> {
+        SHIPPED
+            .iter()
+            .find(|shipped| shipped.name == name)
+            .ok_or_else(|| {
+                let names = SHIPPED.each_ref().map(|shipped| shipped.name);
+                let hint = nearest_name(name, names)
+                    .map_or(String::new(), |near| format!("did you mean `{near}`? "));
+                Error::config(format!("unknown sensor profile `{name}`")).remedy(format!(
+                    "{hint}use one of {}, or the path of a file that ends in .toml",
+                    names.join(", ")
+                ))
+            })
+    }
+}
+
+impl From<SensorName> for &'static str {
+    fn from(name: SensorName) -> Self {
+        name.0
+    }
+}
+
+impl TryFrom<String> for SensorName {
+    type Error = Error;
+
+    fn try_from(name: String) -> Result<Self> {
+        Self::by_name(&name)
+    }
+}
+
+impl SensorProfile {
     /// Returns the generic GelSight Mini.
     ///
     /// # Errors
     /// None; a test covers the shipped file.
     pub fn gelsight_mini() -> Result<Self> {
-        Self::shipped("gelsight-mini")
+        SensorName::GELSIGHT_MINI.profile()
     }
 
     /// Returns a shipped profile by its name, or reads a file: whatever has a slash or ends in
     /// `.toml`.
     ///
     /// # Errors
-    /// Those of [`SensorProfile::shipped`] and [`SensorProfile::load`].
+    /// Those of [`SensorName::by_name`] and [`SensorProfile::load`].
     pub fn named_or_load(name_or_file: &str) -> Result<Self> {
-        let is_file = name_or_file.contains('/') || name_or_file.ends_with(".toml");
-        if is_file {
+        if name_or_file.contains('/') || name_or_file.ends_with(".toml") {
             Self::load(Path::new(name_or_file))
         } else {
-            Self::shipped(name_or_file)
+            SensorName::by_name(name_or_file)?.profile()
         }
     }
 }
@@ -89,10 +134,10 @@ mod tests {
 
     #[test]
     fn shipped_profiles_are_valid_and_say_where_they_come_from() {
-        for name in SensorProfile::names() {
-            let profile = SensorProfile::shipped(name).unwrap();
-            assert_eq!(profile.name, name);
-            assert!(profile.provenance.len() > 100, "{name}");
+        for name in SensorName::all() {
+            let profile = name.profile().unwrap();
+            assert_eq!(profile.name, name.as_str());
+            assert!(profile.provenance.len() > 100, "{name:?}");
             let back = SensorProfile::from_toml(&profile.to_toml().unwrap()).unwrap();
             assert_eq!((back.gel, back.markers), (profile.gel, profile.markers));
         }
@@ -106,8 +151,8 @@ mod tests {
             text.contains("did you mean `gelsight-mini-markers`?"),
             "{text}"
         );
-        for name in SensorProfile::names() {
-            assert!(text.contains(name), "{text}");
+        for name in SensorName::all() {
+            assert!(text.contains(name.as_str()), "{text}");
         }
     }
 }
