@@ -98,6 +98,7 @@ mod tests {
     use crate::lookup::{LookupRenderer, TaximTable};
     use crate::scene::Skin;
     use gripcast_geometry::builtin;
+    use gripcast_sim::fem::{GelPad, GelResolution};
 
     /// The middle of the face sunk by `depth_m`, the object far away.
     fn scene(object: &TriangleMesh, depth_m: f64) -> TactileScene<'_> {
@@ -177,7 +178,7 @@ mod tests {
             let [x, y] = geometry.pixel_to_gel_m((pixel % 200) as f64, (pixel / 200) as f64);
             *depth = (1e-3 - 20.0 * (x * x + y * y)).max(0.0) as f32;
         }
-        let gel = GelGrid::pad(gripcast_sim::fem::GelResolution::Fine).unwrap();
+        let gel = GelPad::default().grid(GelResolution::Fine).unwrap();
         let facets = faceted(&press, &gel, &mut Rasteriser::new());
         // A node lies 0.5 mm beside the middle of x, and in the middle of y.
         let at = |press: &PressDepth, column: usize| press.depth_m[80 * 200 + column];
