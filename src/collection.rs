@@ -5,11 +5,12 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 use std::thread::JoinHandle;
+use std::time::Duration;
 
 use tokio::signal::unix::{SignalKind, signal};
 use tokio::sync::mpsc;
 
-use super::config::{CollectConfig, Config};
+use super::config::{CollectConfig, Config, KEEP_LIFT_S};
 use super::daemon::{Boards, CommandRequest, EndReason, EngineSetup, GelScale};
 use super::model_choice::chosen_model;
 use crate::note;
@@ -123,6 +124,7 @@ pub(crate) fn prepare(
         boards,
         hand,
         target_per_object: settings.target_per_object,
+        keep_lift: Duration::from_secs_f64(KEEP_LIFT_S.check(settings.keep_lift_s)?),
         black_box,
     })
 }
@@ -138,7 +140,7 @@ fn gel_scales(rig: &RigFile) -> Result<BTreeMap<Role, GelScale>> {
         let profile = match &camera.sensor_profile {
             Some(name) => {
                 let at_camera = |e: Error| e.at(format!("camera {role}"));
-                let profile = SensorProfile::load(name);
+                let profile = SensorProfile::named_or_load(name);
                 let profile = profile.map_err(at_camera)?;
                 if profile.crop_profile.name() != crop {
                     let what = format!(
@@ -162,7 +164,7 @@ fn gel_scales(rig: &RigFile) -> Result<BTreeMap<Role, GelScale>> {
         };
         let scale = GelScale {
             m_per_px: profile.geometry.pixel_m,
-            markers: None,
+            markers: profile.markers,
         };
         scales.insert(*role, scale);
     }

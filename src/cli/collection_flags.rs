@@ -2,8 +2,8 @@
 
 use std::path::PathBuf;
 
-use super::flags::{given, path_text};
-use crate::config::FlagValue;
+use super::flags::{given, number, path_text};
+use crate::config::{FlagValue, KEEP_LIFT_S};
 use gripcast_base::files::{Label, ObjectName};
 
 /// The options; each overrides a key of the configuration.
@@ -32,6 +32,15 @@ pub(super) struct CollectionFlags {
     /// configuration)
     #[arg(long)]
     black_box: bool,
+    /// Store the frames of both gels with each grasp for this time after its trigger, at most 10s:
+    /// the lift itself
+    #[arg(long, value_name = "SECONDS", value_parser = seconds)]
+    keep_lift: Option<f64>,
+}
+
+/// Parses a time such as `2s` or `0.5`.
+fn seconds(text: &str) -> Result<f64, String> {
+    number(KEEP_LIFT_S)(text.trim_end_matches('s'))
 }
 
 impl CollectionFlags {
@@ -51,6 +60,11 @@ impl CollectionFlags {
             ("--scene", "collect.scene", scene),
             ("--operator", "collect.operator", operator),
             ("--model", "collect.model", self.model.clone()),
+            (
+                "--keep-lift",
+                "collect.keep_lift_s",
+                self.keep_lift.map(|seconds| seconds.to_string()),
+            ),
             (
                 "--black-box",
                 "black_box.enabled",

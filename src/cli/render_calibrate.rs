@@ -68,9 +68,9 @@ pub(crate) struct Args {
         required_unless_present = "profile"
     )]
     out: Option<PathBuf>,
-    /// Score this sensor profile instead of fitting one; `builtin` is the generic GelSight Mini
-    #[arg(long, value_name = "FILE.toml|builtin", conflicts_with_all = FIT_FLAGS)]
-    profile: Option<PathBuf>,
+    /// Score this sensor profile instead of fitting one
+    #[arg(long, value_name = "NAME|FILE.toml", conflicts_with_all = FIT_FLAGS)]
+    profile: Option<String>,
     /// Presses to fit: files, numbers from 1 or ranges as 1-14 [default: all but --test]
     #[arg(long, value_name = "PRESS", value_delimiter = ',', num_args = 1..,
         conflicts_with_all = RANDOM_FLAGS)]
@@ -221,17 +221,14 @@ fn fit(context: &Context, args: &Args, out: &Path) -> Result<()> {
     finish(context, args.json, &report)
 }
 
-fn score(context: &Context, args: Args, profile: &Path, out: Option<&Path>) -> Result<()> {
+fn score(context: &Context, args: Args, profile: &str, out: Option<&Path>) -> Result<()> {
     if let Some(out) = out {
         check_output("--out", out, &["png"])?;
     }
     let json = args.json;
     let path = profile.to_owned();
     let (calibration, image) = interruptible(context, "scoring", move |_| {
-        let profile = match path.to_str() {
-            Some("builtin") => SensorProfile::gelsight_mini()?,
-            _ => SensorProfile::load(&path)?,
-        };
+        let profile = SensorProfile::named_or_load(&path)?;
         calibrate::score_profile(&profile, &args.read_options(), &args.test)
     })??;
     if let Some(out) = out {
@@ -239,7 +236,7 @@ fn score(context: &Context, args: Args, profile: &Path, out: Option<&Path>) -> R
     }
     let report = Report {
         calibration: &calibration,
-        profile,
+        profile: Path::new(profile),
         image: out,
     };
     finish(context, json, &report)

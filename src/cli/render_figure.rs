@@ -25,7 +25,7 @@ use gripcast_base::error::{Error, Result};
 use gripcast_base::files::save;
 use gripcast_imaging::caption::{HEIGHT, write_text};
 use gripcast_imaging::{encode_jpeg, encode_png_rgb};
-use gripcast_sim::fem::{GelGrid, GelResolution};
+use gripcast_sim::fem::{GelPad, GelResolution};
 use gripcast_sim::grasp::Finger;
 use gripcast_tactile::calibrate::{self, CalibrateOptions, Split, SplitPresses};
 use gripcast_tactile::lookup::fit_to_presses;
@@ -132,7 +132,7 @@ fn real_row(args: &Args) -> Result<(Vec<Tile>, Fitted)> {
     let depth = contact.press(profile.smoothing.sink_length_m);
     let quiet = FrameNoise::default();
     let ours = TactileRenderer::new(&profile)?.render(&depth, &quiet)?;
-    let gel = GelGrid::pad(GelResolution::Default)?;
+    let gel = GelPad::default().grid(GelResolution::Default)?;
     let flat = faceted(&depth, &gel, &mut Rasteriser::new());
     let unsmoothed = SensorProfile {
         smoothing: Smoothing::default(),

@@ -8,7 +8,9 @@
 //!
 //! `--out` is a `.png` for one image, else a folder of `TRACE.MOMENT.SIDE.png`. `--depth` writes
 //! the contact depth beside each as `….depth.png` (16 bits, µm), `--difference` the signed tactile
-//! difference (128: no change).
+//! difference (128: no change). `--markers image,field` writes the positions of the gel markers as
+//! `….markers.npy` (rows × columns × 5: rest x, rest y, displacement x, displacement y, px, and
+//! confidence; NaN where the image has no gel marker), `--markers field` nothing else.
 //!
 //! Without a trace an object is pressed `--press-m` deep into one gel. `--pose` is a JSON file
 //! with `t_sensor_object`, the object in the sensor frame: x along the columns, y along the rows, z
@@ -30,6 +32,7 @@ use super::render_out::{OutPlan, Report};
 use super::render_source::{Moment, ObjectSource, SimulatedGrasp};
 use super::working::{Progress, interruptible};
 use gripcast_base::error::{Error, Result};
+use gripcast_base::files::npy::Array;
 use gripcast_base::files::save;
 use gripcast_base::number::NumberRange;
 use gripcast_geometry::{LengthUnit, MeshOptions, Pose};
@@ -63,6 +66,9 @@ pub(crate) struct Args {
     /// Also write the tactile difference
     #[arg(long)]
     difference: bool,
+    /// What shows the gel markers, comma-separated [default: image, for a profile with gel markers]
+    #[arg(long, value_enum, value_delimiter = ',')]
+    markers: Vec<MarkerOutput>,
     /// Print the result as JSON
     #[arg(long)]
     json: bool,
@@ -100,12 +106,12 @@ struct ObjectFlags {
 #[derive(Clone, Debug, clap::Args)]
 #[command(next_help_heading = "Sensor")]
 struct SensorFlags {
-    /// Sensor profile of the left or only sensor [default: a generic GelSight Mini]
-    #[arg(long, value_name = "FILE.toml")]
-    profile: Option<PathBuf>,
+    /// Sensor profile of the left or only sensor: gelsight-mini, gelsight-mini-markers, … or a file
+    #[arg(long, value_name = "NAME|FILE.toml", default_value = "gelsight-mini")]
+    profile: String,
     /// Sensor profile of the right sensor [default: as the left]
-    #[arg(long, value_name = "FILE.toml")]
-    right_profile: Option<PathBuf>,
+    #[arg(long, value_name = "NAME|FILE.toml")]
+    right_profile: Option<String>,
     /// Rotation of the left sensor on its finger: 0, 90, 180, 270
     #[arg(long, value_name = "DEG", default_value = "0", value_parser = mounting)]
     mounting: MountingAngle,
@@ -137,6 +143,14 @@ fn side() -> impl TypedValueParser<Value = &'static [Finger]> {
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
+enum MarkerOutput {
+    /// Drawn into the image
+    Image,
+    /// Their positions as an array (.npy)
+    Field,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
 enum Method {
     /// Shading of the smoothed indentation of the object
     Object,
@@ -158,7 +172,7 @@ fn side_name(finger: Finger) -> &'static str {
     }
 }
 
-/// A written image.
+/// A written image, or what was written instead of it.
 #[derive(Debug, Serialize)]
 struct Written {
     file: PathBuf,
@@ -171,11 +185,20 @@ struct Written {
     depth: Option<PathBuf>,
     #[serde(skip_serializing_if = "Option::is_none")]
     difference: Option<PathBuf>,
+    /// Positions of the gel markers.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    markers: Option<PathBuf>,
 }
 
 /// Runs the command.
 pub(crate) fn run(context: &Context, args: Args) -> Result<()> {
     let plan = args.plan();
+    if args.markers == [MarkerOutput::Field] && args.difference {
+        return Err(
+            Error::usage("`--difference` needs the image, `--markers field` draws none")
+                .remedy("use --markers image,field"),
+        );
+    }
     plan.prepare("one --side and one --moment")?;
     let json = args.json;
     let report = interruptible(context, "rendering", move |progress| {
@@ -212,10 +235,7 @@ impl SensorFlags {
             Finger::Left => None,
             Finger::Right => self.right_profile.as_ref(),
         };
-        match own.or(self.profile.as_ref()) {
-            Some(path) => SensorProfile::load(path),
-            None => SensorProfile::gelsight_mini(),
-        }
+        SensorProfile::named_or_load(own.unwrap_or(&self.profile))
     }
 
     fn place(&self, finger: Finger) -> SensorMount {
@@ -228,12 +248,17 @@ impl SensorFlags {
         }
     }
 
-    fn renderer(&self, finger: Finger) -> Result<Box<dyn SceneRenderer>> {
+    fn sensor(&self, finger: Finger) -> Result<Sensor> {
         let profile = self.profile(finger)?;
-        Ok(match self.method {
+        let renderer: Box<dyn SceneRenderer> = match self.method {
             Method::Object => Box::new(ObjectDepthRenderer::new(&profile)?),
             Method::GelSurface => Box::new(GelSurfaceRenderer::new(&profile)?),
             Method::Lookup => Box::new(self.lookup()?),
+        };
+        Ok(Sensor {
+            finger,
+            profile,
+            renderer,
         })
     }
 
@@ -248,6 +273,13 @@ impl SensorFlags {
         let renderer = fit_to_presses(&set, &all)?;
         Ok(renderer.with_shadows())
     }
+}
+
+/// One sensor of the gripper.
+struct Sensor {
+    finger: Finger,
+    profile: SensorProfile,
+    renderer: Box<dyn SceneRenderer>,
 }
 
 fn one_press(args: &Args) -> Result<Written> {
@@ -284,19 +316,17 @@ fn one_press(args: &Args) -> Result<Written> {
     };
     let mesh = source.load()?;
     let finger = args.side[0];
-    let mut renderer = args.sensor.renderer(finger)?;
-    let scene = TactileScene::pressed(&mesh, &t_sensor_object, flags.press_m, &renderer.grid())?;
-    let out = args.out.clone();
-    write(args, renderer.as_mut(), &scene, out, finger, "press")
+    let mut sensor = args.sensor.sensor(finger)?;
+    let grid = sensor.renderer.grid();
+    let scene = TactileScene::pressed(&mesh, &t_sensor_object, flags.press_m, &grid)?;
+    write(args, &mut sensor, &scene, args.out.clone(), "press")
 }
 
 fn all_traces(args: &Args, plan: &OutPlan, progress: &Progress) -> Result<Report<Written>> {
-    let mut renderers = Vec::new();
-    for &finger in args.side {
-        renderers.push((finger, args.sensor.renderer(finger)?));
-    }
+    let sensors: Result<Vec<_>> = args.side.iter().map(|f| args.sensor.sensor(*f)).collect();
+    let mut sensors = sensors?;
     Report::of_traces(&args.trace, progress, |trace| {
-        one_trace(args, plan, trace, &mut renderers)
+        one_trace(args, plan, trace, &mut sensors)
     })
 }
 
@@ -304,18 +334,23 @@ fn one_trace(
     args: &Args,
     plan: &OutPlan,
     trace: &Path,
-    renderers: &mut [(Finger, Box<dyn SceneRenderer>)],
+    sensors: &mut [Sensor],
 ) -> Result<Vec<Written>> {
     let grasp = SimulatedGrasp::read(trace, args.object.object.as_deref())?;
+    for sensor in &*sensors {
+        sensor
+            .profile
+            .check_pad(&grasp.gel.grid)
+            .map_err(|e| e.at(trace.display()))?;
+    }
     let stem = trace.file_stem().unwrap_or_default().to_string_lossy();
     let mut written = Vec::new();
     for &moment in &args.moment {
-        for (finger, renderer) in &mut *renderers {
-            let scene = scene(&grasp, moment, args.sensor.place(*finger))?;
+        for sensor in &mut *sensors {
+            let scene = scene(&grasp, moment, args.sensor.place(sensor.finger))?;
             let moment = moment.name();
-            let out = plan.file(&format!("{stem}.{moment}.{}.png", side_name(*finger)));
-            let renderer = renderer.as_mut();
-            written.push(write(args, renderer, &scene, out, *finger, moment)?);
+            let out = plan.file(&format!("{stem}.{moment}.{}.png", side_name(sensor.finger)));
+            written.push(write(args, sensor, &scene, out, moment)?);
         }
     }
     Ok(written)
@@ -339,37 +374,74 @@ pub(super) fn scene(
 
 fn write(
     args: &Args,
-    renderer: &mut dyn SceneRenderer,
+    sensor: &mut Sensor,
     scene: &TactileScene<'_>,
     out: PathBuf,
-    finger: Finger,
     moment: &'static str,
 ) -> Result<Written> {
-    let image = renderer.render(scene, args.noise())?;
-    save(&out, &encode_png_rgb(&image)?)?;
+    let markers = match args.markers.is_empty() {
+        true => None,
+        false => Some(marker_array(sensor, scene)?),
+    };
+    let field = args.markers.contains(&MarkerOutput::Field);
+    let markers = markers
+        .filter(|_| field)
+        .map(|array| (out.with_extension("markers.npy"), array));
+    if let Some((path, array)) = &markers {
+        save(path, &array.to_npy())?;
+    }
+    let renderer = sensor.renderer.as_mut();
+    let drawn = args.markers.is_empty() || args.markers.contains(&MarkerOutput::Image);
+    let image = match drawn {
+        true => Some(renderer.render(scene, args.noise())?),
+        false => None,
+    };
+    if let Some(image) = &image {
+        save(&out, &encode_png_rgb(image)?)?;
+    }
     let press = object_depth(scene, &renderer.grid(), &mut Rasteriser::new());
     let touched = press.depth_m.iter().filter(|&&d| d > 0.0).count();
     let depth = args.depth.then(|| out.with_extension("depth.png"));
     if let Some(path) = &depth {
         save(path, &encode_png_grey16(&micrometres(&press))?)?;
     }
-    let difference = args
-        .difference
-        .then(|| out.with_extension("difference.png"));
-    if let Some(path) = &difference {
+    let difference = image.as_ref().filter(|_| args.difference);
+    let difference = difference.map(|image| (out.with_extension("difference.png"), image));
+    if let Some((path, image)) = &difference {
         let untouched = renderer.render(&scene.untouched(), args.noise())?;
-        let change = TactileDifference::between(&untouched, &image)?;
+        let change = TactileDifference::between(&untouched, image)?;
         save(path, &encode_png_rgb(&change.to_image(1.0))?)?;
     }
+    let difference = difference.map(|(path, _)| path);
+    let markers = markers.map(|(path, _)| path);
     Ok(Written {
-        file: out,
-        side: side_name(finger),
+        file: markers.clone().filter(|_| !drawn).unwrap_or(out),
+        side: side_name(sensor.finger),
         moment,
         deepest_m: press.deepest_m(),
         contact: touched as f64 / press.depth_m.len().max(1) as f64,
         depth,
         difference,
+        markers,
     })
+}
+
+/// Returns the positions of the gel markers of a scene.
+fn marker_array(sensor: &mut Sensor, scene: &TactileScene<'_>) -> Result<Array> {
+    let Some(field) = sensor.renderer.marker_field(scene)? else {
+        let error = match sensor.profile.markers {
+            Some(_) => Error::usage("`--method lookup` draws no gel markers"),
+            None => Error::config(format!(
+                "the sensor profile `{}` has no gel markers",
+                sensor.profile.name
+            )),
+        };
+        return Err(error.remedy(
+            "use --profile gelsight-mini-markers, or a profile with `[markers]`, and another method",
+        ));
+    };
+    let (values, shape) = field.to_array();
+    Array::new(shape, values)
 }
 
 /// Converts depths to whole micrometres.

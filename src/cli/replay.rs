@@ -116,9 +116,9 @@ struct SweepFlags {
     /// Poses to sample from each grasp's covariance at the best setting
     #[arg(long, value_name = "N", default_value_t = 0)]
     pose_samples: usize,
-    /// Sensor profile of the simulated tactile images [default: GelSight Mini]
+    /// Sensor profile of the simulated tactile images [default: gelsight-mini]
     #[arg(long, value_name = "FILE")]
-    sensor: Option<PathBuf>,
+    sensor: Option<String>,
     /// Omit images from the report
     #[arg(long)]
     no_images: bool,
@@ -280,7 +280,7 @@ impl SweepFlags {
             });
         }
         let sensor = match &self.sensor {
-            Some(path) => SensorProfile::load(path)?,
+            Some(name) => SensorProfile::named_or_load(name)?,
             None => SensorProfile::gelsight_mini()?,
         };
         Ok(ReplaySettings {

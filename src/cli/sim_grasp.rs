@@ -222,6 +222,7 @@ struct StablePoseRecord {
 /// Runs the command.
 pub(crate) fn run(context: &Context, args: Args) -> Result<()> {
     args.out.check()?;
+    let settings = args.settings.settings();
     let prepared = args.object.mesh.load()?;
     let object = ObjectRecord::new(&args.object, &prepared);
     let PreparedMesh { mesh, warnings, .. } = prepared;
@@ -230,9 +231,8 @@ pub(crate) fn run(context: &Context, args: Args) -> Result<()> {
         stable_pose,
         gripper: placed,
         warnings: of_pose,
-    } = place(&mesh, &args.pose)?;
+    } = place(&mesh, &args.pose, &settings)?;
     let warnings = [warnings, of_pose].concat();
-    let settings = args.settings.settings();
     let scene = Scene {
         mesh,
         mass_kg: args.object.mass_kg,
@@ -285,7 +285,7 @@ struct Placed {
 /// Smallest height above the ground at which an object's pose is a warning, m.
 const IN_THE_AIR_M: f64 = 1e-3;
 
-fn place(mesh: &TriangleMesh, flags: &PoseFlags) -> Result<Placed> {
+fn place(mesh: &TriangleMesh, flags: &PoseFlags, settings: &GraspSettings) -> Result<Placed> {
     let resting = || -> Result<(Pose, Option<StablePoseRecord>)> {
         let (index, pose) = resting_pose(mesh, flags.stable_pose)?;
         let record = StablePoseRecord {
@@ -327,6 +327,7 @@ fn place(mesh: &TriangleMesh, flags: &PoseFlags) -> Result<Placed> {
         offset_m: [flags.offset_x, flags.offset_y],
         height_m: flags.height,
         opening_m: flags.width,
+        pad: settings.pad,
     };
     let may_turn = flags.yaw_deg.is_none();
     let (gripper, warning) =

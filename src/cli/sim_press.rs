@@ -26,7 +26,7 @@ use super::{Context, print_report};
 use gripcast_base::error::{Error, ErrorKind, Result};
 use gripcast_base::number::NumberRange;
 use gripcast_geometry::{LengthUnit, MeshOptions, TriangleMesh, load_object_mesh};
-use gripcast_sim::fem::{GelGrid, GelResolution, Grading, PAD_SIZE_M};
+use gripcast_sim::fem::{GelGrid, GelPad, GelResolution, Grading};
 use gripcast_sim::press::{Indenter, Press, PressPoint, PressTarget, half_pad, quarter_pad};
 use gripcast_sim::solver::GelMaterial;
 
@@ -205,15 +205,18 @@ fn build(context: &Context, args: &Args) -> Result<Press> {
             "`--gel refined` needs a symmetric indenter, found a mesh",
         ));
     }
+    let pad = GelPad::default();
+    let uniform = |resolution| graded(&pad, resolution, args);
     let (grid, symmetric) = match args.gel {
-        Mesh::Coarse => (pad(GelResolution::Coarse, args)?, [false; 2]),
-        Mesh::Default => (pad(GelResolution::Default, args)?, [false; 2]),
-        Mesh::Fine => (pad(GelResolution::Fine, args)?, [false; 2]),
-        Mesh::Refined if args.shift_m.is_empty() => {
-            (quarter_pad([27, 25, 14], [1.1, 1.1, 1.13])?, [true; 2])
-        }
+        Mesh::Coarse => (uniform(GelResolution::Coarse)?, [false; 2]),
+        Mesh::Default => (uniform(GelResolution::Default)?, [false; 2]),
+        Mesh::Fine => (uniform(GelResolution::Fine)?, [false; 2]),
+        Mesh::Refined if args.shift_m.is_empty() => (
+            quarter_pad(&pad, [27, 25, 14], [1.1, 1.1, 1.13])?,
+            [true; 2],
+        ),
         Mesh::Refined => {
-            let grid = half_pad([19, 17, 12], [1.1, 1.1, 1.15])?;
+            let grid = half_pad(&pad, [19, 17, 12], [1.1, 1.1, 1.15])?;
             (grid, [false, true])
         }
     };
@@ -231,13 +234,13 @@ fn build(context: &Context, args: &Args) -> Result<Press> {
     Ok(press)
 }
 
-fn pad(resolution: GelResolution, args: &Args) -> Result<GelGrid> {
+fn graded(pad: &GelPad, resolution: GelResolution, args: &Args) -> Result<GelGrid> {
     let grading = Grading {
         front: args.grade_face,
         plane: args.grade_middle,
         ..Grading::default()
     };
-    GelGrid::graded(resolution.nodes(), PAD_SIZE_M, grading)
+    GelGrid::graded(resolution.nodes(pad), pad.box_m(), grading)
 }
 
 fn text(points: &[PressPoint]) -> String {

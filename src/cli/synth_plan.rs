@@ -23,6 +23,7 @@ use gripcast_synth::plan::{
 use gripcast_synth::properties::{
     DEFAULT_KEY_VARIABLE, EndpointKey, LlmClient, LlmOptions, MassMap, PropertyEstimator,
 };
+use gripcast_tactile::SensorName;
 
 /// Scales of randomisation.
 const SPREAD: NumberRange = NumberRange::between(0.0, 3.0);
@@ -102,6 +103,10 @@ struct Rendering {
     #[arg(long, value_name = "SCALE", default_value_t = 1.0,
         value_parser = number(SPREAD))]
     visual_spread: f64,
+    /// Sensor profile: gelsight-mini, gelsight-mini-markers, …
+    #[arg(long, value_name = "NAME", default_value = "gelsight-mini",
+        value_parser = SensorName::by_name)]
+    sensor: SensorName,
 }
 
 /// Objects and their properties.
@@ -230,6 +235,7 @@ impl Args {
                 samples_per_pixel: rendering.spp.unwrap_or(defaults.samples_per_pixel),
                 sensor_spread: rendering.sensor_spread,
                 visual_spread: rendering.visual_spread,
+                sensor: rendering.sensor,
             },
             textures,
             mass_map: objects.mass_map,

@@ -6,6 +6,8 @@
 mod layers;
 mod values;
 
+pub(crate) use values::KEEP_LIFT_S;
+
 use std::fmt;
 use std::path::{Path, PathBuf};
 
@@ -175,6 +177,9 @@ pub struct CollectConfig {
     pub licence: String,
     /// Labelled grasps wanted per object, shown with its count; 0: no target.
     pub target_per_object: u32,
+    /// Time after the grasp trigger for which the frames of both gels are stored with the grasp, s;
+    /// 0: none.
+    pub keep_lift_s: f64,
 }
 
 impl Default for CollectConfig {
@@ -190,6 +195,7 @@ impl Default for CollectConfig {
             graphics: "auto".into(),
             licence: "not stated".into(),
             target_per_object: 0,
+            keep_lift_s: 0.0,
         }
     }
 }

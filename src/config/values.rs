@@ -7,11 +7,14 @@ use gripcast_base::files::{Label, ObjectName};
 use gripcast_base::number::NumberRange;
 
 /// Milliseconds up to an hour.
+/// Times after the grasp trigger for which frames can be kept.
+pub(crate) const KEEP_LIFT_S: NumberRange = NumberRange::between(0.0, 10.0).unit("s");
 const TIME_MS: NumberRange = NumberRange::between(0.0, 3.6e6).unit("ms");
 
 /// Returns the range of a numeric key. A key without an entry must not be negative.
 fn range(key: &str) -> NumberRange {
     match key {
+        "collect.keep_lift_s" => KEEP_LIFT_S,
         "guards.max_frame_age_ms" => NumberRange::above(0.0, 3.6e6).unit("ms"),
         "guards.max_skew_ms" => TIME_MS,
         "guards.min_contact_fraction" => NumberRange::FRACTION,

@@ -67,11 +67,35 @@ pub(super) struct CameraInfo {
     pub warnings: Vec<String>,
 }
 
+/// Maximum size of the frames that a camera keeps, bytes.
+const MAX_KEPT_BYTES: usize = 256 << 20;
+
+/// Frames of a span of time.
+#[derive(Debug)]
+struct KeptFrames {
+    /// First and last driver time, ns.
+    span_ns: std::ops::RangeInclusive<u64>,
+    frames: Vec<Frame>,
+    bytes: usize,
+}
+
+impl KeptFrames {
+    fn add(&mut self, frame: &Frame) {
+        let bytes = self.bytes + frame.data.len();
+        if self.span_ns.contains(&frame.driver_time_ns) && bytes <= MAX_KEPT_BYTES {
+            self.bytes = bytes;
+            self.frames.push(frame.clone());
+        }
+    }
+}
+
 #[derive(Debug)]
 struct SlotState {
     ring: VecDeque<RingFrame>,
     info: CameraInfo,
     decoded: Option<Decoded>,
+    /// Frames to keep, if any.
+    kept: Option<KeptFrames>,
     /// Driver time and sequence of the newest frame handed to the decoder.
     last_taken: Option<(u64, u32)>,
     closed: bool,
@@ -106,6 +130,7 @@ impl CameraSlot {
                     warnings: Vec::new(),
                 },
                 decoded: None,
+                kept: None,
                 last_taken: None,
                 closed: false,
             }),
@@ -151,6 +176,9 @@ impl CameraSlot {
     pub(super) fn push(&self, frame: Frame) {
         self.tap.frame(self.role, &frame);
         let mut state = lock(&self.state);
+        if let Some(kept) = &mut state.kept {
+            kept.add(&frame);
+        }
         state.info.quality.arrived();
         make_room(&mut state.ring);
         let validity = match frame.format {
@@ -160,6 +188,21 @@ impl CameraSlot {
         insert(&mut state.ring, RingFrame { frame, validity });
         drop(state);
         self.arrived.notify_all();
+    }
+
+    /// Keeps all frames of this span of driver times (ns) that arrive from now on, up to 256 MB.
+    pub(super) fn keep_frames(&self, span_ns: std::ops::RangeInclusive<u64>) {
+        lock(&self.state).kept = Some(KeptFrames {
+            span_ns,
+            frames: Vec::new(),
+            bytes: 0,
+        });
+    }
+
+    /// Stops keeping frames and returns them, by arrival.
+    pub(super) fn take_kept_frames(&self) -> Vec<Frame> {
+        let kept = lock(&self.state).kept.take();
+        kept.map_or_else(Vec::new, |kept| kept.frames)
     }
 
     /// Waits for a frame newer than the last one taken; `None` after `timeout` or when closed.

@@ -37,7 +37,9 @@ pub use command_request::CommandRequest;
 pub use engine::{EngineLinks, EngineSetup, StoreEvent, run};
 pub use gripcast_capture::camera::CameraState;
 pub use infer::ModelInfo;
-pub use report::{CameraReport, CollectReport, EndReason, GraspReport, PredictionReport};
+pub use report::{
+    CameraReport, CollectReport, EndReason, GraspReport, LiftReport, PredictionReport,
+};
 pub use shear::GelScale;
 pub use start_report::{StartFinding, StartSubject};
 pub(crate) use status::disk_free_bytes;

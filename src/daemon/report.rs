@@ -65,6 +65,15 @@ pub struct PredictionReport {
     pub shear_p50_ms: Option<f64>,
 }
 
+/// Lifts whose frames were to be kept.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
+pub struct LiftReport {
+    /// Lifts stored with their grasps.
+    pub stored: u64,
+    /// Lifts that could not be stored; the log has the reasons.
+    pub failed: u64,
+}
+
 /// A grasp of this session.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct GraspReport {
@@ -97,6 +106,8 @@ pub struct CollectReport {
     pub cameras: BTreeMap<Role, CameraReport>,
     /// Inference.
     pub prediction: PredictionReport,
+    /// Lift frames.
+    pub lifts: LiftReport,
     /// The black box, if enabled.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub black_box: Option<BlackBoxReport>,

@@ -2,9 +2,9 @@
 
 use std::collections::BTreeMap;
 use std::panic::AssertUnwindSafe;
-use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, channel};
+use std::sync::{Arc, Mutex};
 use std::thread::JoinHandle;
 use std::time::Duration;
 
@@ -14,17 +14,19 @@ use tokio::sync::mpsc::UnboundedSender;
 
 use super::decode::model_image;
 use super::infer::{InferRequest, SavedAnalysis};
+use super::report::LiftReport;
 use super::tasks::{Heartbeat, TaskState, Tasks};
-use super::thread::spawn;
+use super::thread::{lock, spawn};
 use gripcast_base::catch_panic;
 use gripcast_base::error::{Error, ErrorKind, Result};
 use gripcast_base::files::ContentKey;
 use gripcast_dataset::{
-    BoardKeys, Dataset, DatasetWriter, GraspId, GraspMeta, PendingInitial, PredictionRecord, Stage,
-    StageCapture,
+    BoardKeys, Dataset, DatasetWriter, FieldArray, GraspId, GraspMeta, PendingInitial,
+    PredictionRecord, ShearRecord, Stage, StageCapture,
 };
 use gripcast_imaging::{CropProfile, Decoder, Frame, FrameDamage, Role};
 use gripcast_session::{Labels, PendingFrame, StoreReply, StoreRequest};
+use gripcast_shear::{ShearFrame, ShearSource, ShearSummary};
 
 /// Name of the thread.
 const TASK: &str = "store";
@@ -50,6 +52,15 @@ pub(super) enum StoreMessage {
         id: Option<GraspId>,
         /// Revision of the initial frame.
         revision: u64,
+    },
+    /// Add lift frames to a grasp.
+    AppendLift {
+        /// The grasp.
+        id: GraspId,
+        /// Frames of the gels, by time.
+        frames: BTreeMap<Role, Vec<Frame>>,
+        /// Time that was to be kept, s.
+        requested_s: f64,
     },
     /// Write a line to the log.
     Log(serde_json::Value),
@@ -86,6 +97,7 @@ pub(super) struct StoreContext {
 pub(super) struct Store {
     messages: Sender<StoreMessage>,
     thread: JoinHandle<Result<()>>,
+    lifts: Arc<Mutex<LiftReport>>,
     /// Mean size of a grasp, bytes; 0 if unknown.
     grasp_bytes: Arc<AtomicU64>,
 }
@@ -107,6 +119,7 @@ impl Store {
         let heartbeat = tasks.register(TASK);
         let tasks = tasks.clone();
         let grasp_bytes = Arc::new(AtomicU64::new(writer.mean_grasp_bytes().unwrap_or(0)));
+        let lifts = Arc::default();
         let mut worker = Worker {
             heartbeat,
             writer,
@@ -116,6 +129,7 @@ impl Store {
             infer,
             replies,
             grasp_bytes: Arc::clone(&grasp_bytes),
+            lifts: Arc::clone(&lifts),
         };
         let thread = spawn(TASK.into(), move || {
             let result = worker.run(&inbox);
@@ -125,6 +139,7 @@ impl Store {
         Ok(Self {
             messages,
             thread,
+            lifts,
             grasp_bytes,
         })
     }
@@ -142,16 +157,14 @@ impl Store {
         })
     }
 
-    /// Finishes queued messages, writes the index and ends the thread.
-    ///
-    /// # Errors
-    /// If the index cannot be written; saved grasps are not affected.
-    pub(super) fn stop(self) -> Result<()> {
+    /// Finishes queued messages, writes the index and ends the thread. Fails if the index cannot be
+    /// written; saved grasps are not affected.
+    pub(super) fn stop(self) -> (Result<()>, LiftReport) {
         // Fails only if the thread has ended; `join` reports it.
         let _ = self.messages.send(StoreMessage::Stop);
-        self.thread
-            .join()
-            .unwrap_or_else(|_| Err(Error::internal("the store thread panicked")))
+        let joined = self.thread.join();
+        let result = joined.unwrap_or_else(|_| Err(Error::internal("the store thread panicked")));
+        (result, *lock(&self.lifts))
     }
 }
 
@@ -164,6 +177,7 @@ struct Worker {
     infer: Sender<InferRequest>,
     replies: UnboundedSender<StoreReply>,
     grasp_bytes: Arc<AtomicU64>,
+    lifts: Arc<Mutex<LiftReport>>,
 }
 
 impl Worker {
@@ -197,6 +211,15 @@ impl Worker {
                 Ok(StoreMessage::UseInitial { id, revision }) => {
                     self.use_initial(id.as_ref(), revision)
                 }
+                Ok(StoreMessage::AppendLift {
+                    id,
+                    frames,
+                    requested_s,
+                }) => {
+                    self.heartbeat.busy();
+                    self.append_lift(&id, &frames, requested_s);
+                    self.heartbeat.idle();
+                }
                 // A failed log line must not stop the collection.
                 Ok(StoreMessage::Log(event)) => drop(self.writer.log_event(&event)),
                 Err(RecvTimeoutError::Timeout) => drop(self.writer.flush_index()),
@@ -207,13 +230,36 @@ impl Worker {
         }
     }
 
+    /// Adds lift frames to a grasp; a failure is logged and leaves the grasp as it is.
+    fn append_lift(&mut self, id: &GraspId, frames: &BTreeMap<Role, Vec<Frame>>, requested_s: f64) {
+        let work = AssertUnwindSafe(|| self.writer.append_lift(id, frames, requested_s));
+        let result = catch_panic::catch_panic(work).unwrap_or_else(|panic| Err(panicked(&panic)));
+        let mut lifts = lock(&self.lifts);
+        let (count, error) = match result {
+            Ok(_) => (&mut lifts.stored, None),
+            Err(error) => (&mut lifts.failed, Some(error.to_string())),
+        };
+        *count += 1;
+        drop(lifts);
+        let frames: BTreeMap<Role, usize> = frames
+            .iter()
+            .map(|(role, frames)| (*role, frames.len()))
+            .collect();
+        let _ = self.writer.log_event(&serde_json::json!({
+            "at": Timestamp::now().to_string(),
+            "event": "lift",
+            "what": {"id": id, "frames": frames, "error": error},
+        }));
+    }
+
     fn execute(&mut self, job: StoreJob) -> Result<StoreReply> {
-        let capture = job.capture.as_deref();
+        let mut capture = job.capture;
+        let capture = capture.as_deref_mut();
         match job.request {
             StoreRequest::SaveInitial { overridden } => {
                 let pending = self
                     .writer
-                    .save_initial(required_capture(capture)?, overridden)?;
+                    .save_initial(&*required_capture(capture)?, overridden)?;
                 Ok(self.add_pending(pending))
             }
             StoreRequest::SaveGrasp {
@@ -223,7 +269,13 @@ impl Worker {
             } => {
                 let capture = required_capture(capture)?;
                 let pending = self.pending(&initial)?;
-                let meta = self.grasp_meta(capture, labels, job.boards, job.latency_ms)?;
+                let analysis = self.analyse(capture);
+                add_shear(capture, &analysis.shear);
+                let prediction = analysis.prediction.map(|record| PredictionRecord {
+                    latency_ms: job.latency_ms,
+                    ..record
+                });
+                let meta = self.grasp_meta(labels, job.boards, prediction)?;
                 let meta = GraspMeta {
                     overridden_guards: overridden,
                     ..meta
@@ -283,22 +335,17 @@ impl Worker {
     /// Returns the metadata of a grasp, except the overridden guards.
     fn grasp_meta(
         &mut self,
-        capture: &StageCapture,
         labels: Labels,
         boards: Option<[String; 2]>,
-        latency_ms: f64,
+        prediction: Option<PredictionRecord>,
     ) -> Result<GraspMeta> {
-        let analysis = self.analyse(capture);
         Ok(GraspMeta {
             object: labels.object,
             scene: labels.scene,
             operator: labels.operator,
             rig: self.context.rig.clone(),
             boards: boards.map(|texts| self.board_keys(&texts)).transpose()?,
-            prediction: analysis.prediction.map(|record| PredictionRecord {
-                latency_ms,
-                ..record
-            }),
+            prediction,
             calibration: self.context.calibration.clone(),
             ..GraspMeta::default()
         })
@@ -406,12 +453,43 @@ impl Worker {
     }
 }
 
+/// Adds the shear of the gels to the frames that are to be stored.
+fn add_shear(capture: &mut StageCapture, shear: &BTreeMap<Role, ShearFrame>) {
+    for (role, frame) in shear {
+        if let Some(summary) = frame.summary {
+            capture.shear.insert(*role, shear_record(summary));
+        }
+        let Some(field) = &frame.field else { continue };
+        let (values, shape) = field.to_array();
+        // The size of the array is the product of its shape.
+        let array = FieldArray::markers(*role, values, shape, field.m_per_px);
+        capture.fields.extend(array.ok());
+    }
+}
+
+/// The record of a shear.
+fn shear_record(summary: ShearSummary) -> ShearRecord {
+    ShearRecord {
+        source: match summary.source {
+            ShearSource::Markers => gripcast_dataset::ShearSource::Markers,
+            ShearSource::Texture => gripcast_dataset::ShearSource::Texture,
+        },
+        confidence: summary.confidence,
+        tracked_fraction: summary.tracked_fraction,
+        mean_displacement_mm: summary.mean_displacement_mm,
+        max_displacement_mm: summary.max_displacement_mm,
+        divergence: summary.divergence,
+        curl: summary.curl,
+        slip_ratio: summary.slip_ratio,
+    }
+}
+
 fn panicked(panic: &str) -> Error {
     Error::internal(format!("the store thread panicked: {panic}"))
         .remedy("what was acknowledged is on disk; restart gripcast if this happens again")
 }
 
-fn required_capture(capture: Option<&StageCapture>) -> Result<&StageCapture> {
+fn required_capture(capture: Option<&mut StageCapture>) -> Result<&mut StageCapture> {
     capture.ok_or_else(|| Error::internal("a save request has no frames"))
 }
 

@@ -10,7 +10,7 @@ use std::hint::black_box;
 
 use criterion::{BenchmarkId, Criterion, criterion_group, criterion_main};
 use glam::DVec3;
-use gripcast_sim::fem::{Elastic, GelGrid, GelResolution, NeoHookean, Projection};
+use gripcast_sim::fem::{Elastic, GelGrid, GelPad, GelResolution, NeoHookean, Projection};
 
 /// A gel pressed to three quarters of its thickness, sheared and wavy.
 fn pressed(grid: &GelGrid) -> Vec<DVec3> {
@@ -31,7 +31,7 @@ fn element_sums(c: &mut Criterion) {
         GelResolution::Default,
         GelResolution::Fine,
     ] {
-        let grid = GelGrid::pad(resolution).unwrap();
+        let grid = GelPad::default().grid(resolution).unwrap();
         let law = NeoHookean::new(1e6, 0.3).unwrap();
         let elastic = Elastic::new(grid.positions(), grid.tets(), law).unwrap();
         let x = pressed(&grid);

@@ -10,7 +10,7 @@ use glam::{DMat3, DVec3};
 use gripcast_base::error::Result;
 use gripcast_geometry::TriangleMesh;
 use gripcast_sim::affine::AffineState;
-use gripcast_sim::fem::{GelGrid, GelResolution, Side};
+use gripcast_sim::fem::{GelGrid, GelPad, GelResolution, Side};
 use gripcast_sim::solver::{Collider, Drive, Gel, GelMaterial, GelPhases, SolverParameters};
 use serde::Serialize;
 
@@ -141,7 +141,7 @@ impl ContactScene {
     /// Creates the scene with a gel mesh and an icosphere of 20 · 4^`cuts` faces.
     pub(crate) fn new(resolution: GelResolution, cuts: u32) -> Result<Self> {
         let parameters = SolverParameters::default();
-        let grid = GelGrid::pad(resolution)?;
+        let grid = GelPad::default().grid(resolution)?;
         let sphere = icosphere(RADIUS, cuts);
         let collider = Collider::new(&sphere);
         let [left, right] = [DVec3::X, DVec3::NEG_X].map(|side| pressed(&grid, side, &parameters));

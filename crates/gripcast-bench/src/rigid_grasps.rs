@@ -197,8 +197,7 @@ fn draw(rng: &mut Pcg64Mcg, mesh: &Arc<TriangleMesh>, poses: &[Pose]) -> Result<
         roll_rad: spread(0.2),
         pitch_rad: spread(0.3),
         offset_m: [spread(0.01), spread(0.02)],
-        height_m: None,
-        opening_m: None,
+        ..Placement::default()
     };
     let higher = spread(0.5).max(0.0);
     let mut placed = placement.place(mesh, &t_world_object)?;

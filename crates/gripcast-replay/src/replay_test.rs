@@ -19,6 +19,7 @@ use gripcast_base::files::{ObjectName, Root};
 use gripcast_dataset::sample::{capture, meta, new_dataset};
 use gripcast_dataset::{Dataset, DatasetWriter, GraspId, Outcome, PoseRecord};
 use gripcast_geometry::{Pose, builtin, save_mesh};
+use gripcast_sim::fem::GelPad;
 use gripcast_sim::grasp::{GelForce, GraspOutcome, GraspResult, StageName, Trace, TraceStep};
 use gripcast_sim::solver::PhaseTimes;
 use gripcast_sim::{Engine, EngineKind, GraspSetup};
@@ -47,6 +48,10 @@ impl Engine for FakeEngine {
 
     fn parameters(&self) -> Result<Value> {
         Ok(json!({"fake": true}))
+    }
+
+    fn pad(&self) -> GelPad {
+        GelPad::default()
     }
 
     fn success_height_m(&self) -> f64 {

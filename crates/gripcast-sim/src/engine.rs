@@ -5,7 +5,7 @@ use std::sync::Arc;
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
-use super::fem::GelGrid;
+use super::fem::{GelGrid, GelPad};
 use super::grasp::{GraspResult, GraspSettings, Scene, simulate};
 use gripcast_base::error::{Error, Result};
 use gripcast_geometry::{Pose, TriangleMesh};
@@ -63,10 +63,13 @@ pub trait Engine: Send + Sync {
     /// (rigid bodies).
     fn success_height_m(&self) -> f64;
 
+    /// Size of the gels, or of the rigid fingers' faces.
+    fn pad(&self) -> GelPad;
+
     /// Mesh of the gels at rest and the contact distance `d_hat`, m; `None` without gels.
     ///
     /// # Errors
-    /// None: the built-in meshes are valid.
+    /// `Config` for a pad whose size is out of range.
     fn gel(&self) -> Result<Option<(GelGrid, f64)>> {
         Ok(None)
     }
@@ -102,6 +105,10 @@ impl Engine for FemEngine {
 
     fn success_height_m(&self) -> f64 {
         self.settings.protocol.success_height_m
+    }
+
+    fn pad(&self) -> GelPad {
+        self.settings.pad
     }
 
     fn gel(&self) -> Result<Option<(GelGrid, f64)>> {

@@ -2,12 +2,13 @@
 
 use std::path::Path;
 
+use serde::Deserialize as _;
 use serde_json::Value;
 
 use super::plan::{Plan, check_parameters};
 use gripcast_base::error::{Error, Result};
 use gripcast_base::files::Root;
-use gripcast_sim::fem::GelResolution;
+use gripcast_sim::fem::{GelPad, GelResolution};
 use gripcast_sim::grasp::{GraspSettings, Preset};
 use gripcast_sim::rigid::{RigidEngine, RigidSettings};
 use gripcast_sim::{Engine, EngineKind, FemEngine};
@@ -42,6 +43,9 @@ fn fem_settings(parameters: &Value) -> Result<GraspSettings> {
     let mut settings = GraspSettings::new(preset.ok_or_else(|| unreadable("preset"))?);
     let mesh = parameters["gel"]["mesh"].as_str();
     settings.resolution = GelResolution::from_name(mesh.ok_or_else(|| unreadable("gel.mesh"))?)?;
+    if let Some(pad) = parameters["gel"].get("pad") {
+        settings.pad = GelPad::deserialize(pad).map_err(|e| unreadable("gel.pad").because(e))?;
+    }
     settings.solver.max_grasp_iterations = parameters["solver"]["max_grasp_iterations"]
         .as_u64()
         .ok_or_else(|| unreadable("solver.max_grasp_iterations"))?;

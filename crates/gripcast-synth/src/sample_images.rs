@@ -105,7 +105,7 @@ pub(super) struct SampleRenderer {
 impl SampleRenderer {
     pub(super) fn new(plan: RenderingPlan) -> Result<Self> {
         Ok(Self {
-            sensor: SensorProfile::gelsight_mini()?,
+            sensor: plan.sensor.profile()?,
             visual: VisualRandomisation::with_spread(plan.visual_spread),
             plan,
         })

@@ -6,7 +6,7 @@ use super::*;
 use crate::rays::bumpy_ball;
 use gripcast_geometry::builtin;
 use gripcast_sim::affine::{AffineBody, AffineState};
-use gripcast_sim::fem::{GelGrid, GelResolution, Side};
+use gripcast_sim::fem::{GelPad, GelResolution, Side};
 use gripcast_sim::solver::{
     Collider, Drive, Gel, GelMaterial, Object, SolverParameters, StepStart, System,
 };
@@ -60,7 +60,7 @@ fn simulated(mesh: &TriangleMesh, depth_m: f64) -> (System, TriangleMesh) {
         newton_tolerance_m_s: 1e-7,
         ..SolverParameters::default()
     };
-    let grid = GelGrid::pad(GelResolution::Coarse).unwrap();
+    let grid = GelPad::default().grid(GelResolution::Coarse).unwrap();
     let collider = Collider::new(mesh);
     let body = AffineBody::new(1.0, 1.0, DMat3::IDENTITY, 1e9).unwrap();
     let lowest = mesh.bounds().min.z;
@@ -95,7 +95,7 @@ fn simulated_press_has_force_weighted_gap() {
     for mesh in [ball, block] {
         let (system, placed) = simulated(&mesh, 8e-4);
         let gel = &system.gels()[0];
-        let grid = GelGrid::pad(GelResolution::Coarse).unwrap();
+        let grid = GelPad::default().grid(GelResolution::Coarse).unwrap();
         let face = TriangleMesh {
             vertices: gel.positions().to_vec(),
             triangles: grid.triangles(Side::Front).to_vec(),

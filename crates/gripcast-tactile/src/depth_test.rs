@@ -20,6 +20,7 @@ fn scene(object: &TriangleMesh, position: DVec3, gap_m: f64) -> TactileScene<'_>
         face_m: 4e-3,
         gap_m,
         gel_face: None,
+        skin: crate::Skin::default(),
     }
 }
 

@@ -17,6 +17,7 @@ use super::scene_renderer::{ObjectDepthRenderer, SceneRenderer, noise};
 use super::smooth::Smoothing;
 use gripcast_base::error::{Error, Result};
 use gripcast_geometry::{Pose, TriangleMesh};
+use gripcast_shear::MarkerField;
 use gripcast_sim::fem::{GelGrid, Side};
 
 /// Renders the deformed gel face without smoothing.
@@ -48,7 +49,12 @@ impl SceneRenderer for GelSurfaceRenderer {
             Error::input("the gel-surface renderer needs the deformed gel, which the scene lacks")
                 .remedy("render the end of a stage of a simulated grasp")
         })?;
-        self.0.shading.render(&press, &noise(&self.0.drift, seed))
+        let noise = noise(&self.0.drift, seed);
+        self.0.shading.render_with_skin(&press, &scene.skin, &noise)
+    }
+
+    fn marker_field(&mut self, scene: &TactileScene<'_>) -> Result<Option<MarkerField>> {
+        self.0.marker_field(scene)
     }
 }
 
@@ -90,7 +96,9 @@ fn depth_at(press: &PressDepth, point: &DVec3) -> f64 {
 mod tests {
     use super::*;
     use crate::lookup::{LookupRenderer, TaximTable};
+    use crate::scene::Skin;
     use gripcast_geometry::builtin;
+    use gripcast_sim::fem::{GelPad, GelResolution};
 
     /// The middle of the face sunk by `depth_m`, the object far away.
     fn scene(object: &TriangleMesh, depth_m: f64) -> TactileScene<'_> {
@@ -111,6 +119,7 @@ mod tests {
             face_m: 4e-3,
             gap_m: 0.0,
             gel_face: Some(face),
+            skin: Skin::default(),
         }
     }
 
@@ -169,7 +178,7 @@ mod tests {
             let [x, y] = geometry.pixel_to_gel_m((pixel % 200) as f64, (pixel / 200) as f64);
             *depth = (1e-3 - 20.0 * (x * x + y * y)).max(0.0) as f32;
         }
-        let gel = GelGrid::pad(gripcast_sim::fem::GelResolution::Fine).unwrap();
+        let gel = GelPad::default().grid(GelResolution::Fine).unwrap();
         let facets = faceted(&press, &gel, &mut Rasteriser::new());
         // A node lies 0.5 mm beside the middle of x, and in the middle of y.
         let at = |press: &PressDepth, column: usize| press.depth_m[80 * 200 + column];

@@ -10,6 +10,7 @@ use serde::{Deserialize, Serialize};
 use super::ensure;
 use super::normals::Normals;
 use super::press_depth::SensorGeometry;
+use super::shading::direction;
 use gripcast_base::error::{Error, Result};
 
 /// One near point light.
@@ -40,6 +41,13 @@ const MAX_LEDS: usize = 16;
 /// Maximum Phong exponent.
 const MAX_SHININESS: u32 = 64;
 
+/// Unit vector from the middle of the face to an LED.
+fn direction_to(led: &Led) -> [f64; 3] {
+    let [x, y, z] = led.position_m;
+    let length = x.hypot(y).hypot(z);
+    led.position_m.map(|c| c / length)
+}
+
 impl LedShading {
     /// Initial guess for a GelSight Mini: red, green and blue LEDs at 120° beside the pad, red at
     /// the top of the image.
@@ -60,6 +68,18 @@ impl LedShading {
             shininess: 8,
             leds: vec![led(-90.0, 0), led(30.0, 1), led(150.0, 2)],
         }
+    }
+
+    /// Tilt of the normal (x, y), of length 1, that brightens red, green and blue most.
+    pub(super) fn brightening_slope(&self) -> [[f64; 2]; 3] {
+        std::array::from_fn(|channel| {
+            let along = |axis: usize| {
+                let leds = self.leds.iter();
+                leds.map(|led| led.diffuse[channel] * direction_to(led)[axis])
+                    .sum()
+            };
+            direction([along(0), along(1)])
+        })
     }
 
     /// Checks counts and ranges.

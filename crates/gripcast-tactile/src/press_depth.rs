@@ -25,6 +25,14 @@ impl SensorGeometry {
             (row - 0.5 * (self.height as f64 - 1.0)) * self.pixel_m,
         ]
     }
+
+    /// Returns the pixel, column and row, of a position on the gel face, m from the centre.
+    pub fn gel_m_to_pixel(&self, at_m: [f64; 2]) -> [f64; 2] {
+        [
+            at_m[0] / self.pixel_m + 0.5 * (self.width as f64 - 1.0),
+            at_m[1] / self.pixel_m + 0.5 * (self.height as f64 - 1.0),
+        ]
+    }
 }
 
 /// Indentation depth per pixel, m: how far the face is pushed in, 0 without contact.

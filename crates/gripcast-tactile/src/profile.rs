@@ -13,13 +13,17 @@ use serde::{Deserialize, Serialize};
 use super::background::BackgroundFit;
 use super::ensure;
 use super::led::LedShading;
+use super::markers;
 use super::noise::Drift;
 use super::press_depth::SensorGeometry;
+use super::profile_gel::ProfileGel;
 use super::shading::PolynomialShading;
 use super::smooth::Smoothing;
 use gripcast_base::error::{Error, Result};
 use gripcast_base::files::{FileKind, FileName, Root, StagedFile, read_text};
+use gripcast_base::random::SeedStream;
 use gripcast_imaging::{CropProfile, decode_png_rgb, encode_png_rgb};
+use gripcast_shear::MarkerPattern;
 
 /// Version of the file format.
 const SCHEMA: u32 = 1;
@@ -29,11 +33,8 @@ const MAX_SIDE: usize = 4096;
 const PIXEL_M: std::ops::RangeInclusive<f64> = 1e-6..=1e-3;
 /// Plausible gel thicknesses, m.
 const THICKNESS_M: std::ops::RangeInclusive<f64> = 1e-4..=0.05;
-/// Generic profile, fitted to real presses; its provenance names them.
-const MINI_TOML: &str = include_str!("../../../calib/sensors/gelsight-mini.toml");
-/// Background of the same sensor.
-const MINI_BACKGROUND: &[u8] =
-    include_bytes!("../../../calib/sensors/gelsight-mini.background.png");
+/// Plausible frame rates, Hz.
+const FRAME_RATE_HZ: std::ops::RangeInclusive<f64> = 1.0..=1000.0;
 
 /// Shading model: how slopes change the light.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -50,6 +51,14 @@ impl ShadingModel {
         match self {
             Self::Polynomial(shading) => shading.validate(),
             Self::Leds(shading) => shading.validate(),
+        }
+    }
+
+    /// Tilt of the normal (x, y), of length 1, that brightens red, green and blue most.
+    pub(super) fn brightening_slope(&self) -> [[f64; 2]; 3] {
+        match self {
+            Self::Polynomial(shading) => shading.brightening_slope(),
+            Self::Leds(shading) => shading.brightening_slope(),
         }
     }
 }
@@ -86,8 +95,17 @@ pub struct SensorProfile {
     pub provenance: String,
     /// Standard deviation of the camera noise in red, green, blue, grey levels.
     pub noise_std: [f64; 3],
-    /// Pixel grid, scale and gel.
+    /// Frames per second of the sensor's camera, if known.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub frame_rate_hz: Option<f64>,
+    /// Pixel grid, scale and thickness of the gel.
     pub geometry: SensorGeometry,
+    /// Pad and elastic law of the gel.
+    #[serde(default)]
+    pub gel: ProfileGel,
+    /// Gel markers; absent for a gel without.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub markers: Option<MarkerPattern>,
     /// Gel shape around a contact.
     pub smoothing: Smoothing,
     /// Drift between frames.
@@ -112,17 +130,6 @@ pub struct FittedPress {
 }
 
 impl SensorProfile {
-    /// Returns the built-in generic GelSight Mini profile.
-    ///
-    /// # Errors
-    /// None; a test covers the built-in file.
-    pub fn gelsight_mini() -> Result<Self> {
-        let mut profile = Self::from_toml(MINI_TOML)?;
-        profile.background.image = Some(decode_png_rgb(MINI_BACKGROUND)?);
-        profile.check_image()?;
-        Ok(profile)
-    }
-
     /// Parses a profile; its background is the smooth fit.
     ///
     /// # Errors
@@ -241,12 +248,24 @@ impl SensorProfile {
                 in_range(key, value, 0.0..=255.0)?;
             }
         }
+        if let Some(rate_hz) = self.frame_rate_hz {
+            in_range("frame_rate_hz", rate_hz, FRAME_RATE_HZ)?;
+        }
+        self.gel.validate()?;
+        if let Some(pattern) = &self.markers {
+            markers::validate(pattern, grid.pixel_m, grid.gel_thickness_m)?;
+        }
         self.smoothing.validate(grid.pixel_m)?;
         self.shading.validate()?;
         self.background.fit.validate()
     }
 
-    fn check_image(&self) -> Result<()> {
+    /// Seed of what differs between gels of a kind: equal for equal names and serials.
+    pub(super) fn gel_seed(&self) -> u64 {
+        SeedStream::named(0, &format!("gel {} {}", self.name, self.serial)).bits()
+    }
+
+    pub(super) fn check_image(&self) -> Result<()> {
         let Some(image) = &self.background.image else {
             return Ok(());
         };
@@ -261,11 +280,11 @@ impl SensorProfile {
     }
 }
 
-fn invalid(what: String) -> Error {
+pub(super) fn invalid(what: String) -> Error {
     Error::config(format!("sensor profile: {what}"))
 }
 
-fn in_range(key: &str, value: f64, range: std::ops::RangeInclusive<f64>) -> Result<()> {
+pub(super) fn in_range(key: &str, value: f64, range: std::ops::RangeInclusive<f64>) -> Result<()> {
     let (low, high) = (range.start(), range.end());
     ensure(range.contains(&value), || {
         invalid(format!("{key} must be {low} to {high}, found {value}"))

@@ -11,12 +11,13 @@
 use glam::{DQuat, DVec3};
 
 use super::contact_gap::contact_gap;
+use super::markers::{ContactLoad, NodeMotion};
 use super::press_depth::SensorGeometry;
 use super::rasteriser::Rasteriser;
 use gripcast_base::error::{Error, Result};
 use gripcast_geometry::{Pose, TriangleMesh};
 use gripcast_sim::fem::{GelGrid, Side};
-use gripcast_sim::grasp::{Finger, Snapshot, TraceStep};
+use gripcast_sim::grasp::{Finger, GelForce, Snapshot, TraceStep};
 
 /// Rotation of a sensor on its finger in quarter turns: the image columns run along the gel's x
 /// axis rotated by this angle about the gel's z axis, towards y.
@@ -49,6 +50,26 @@ impl MountingAngle {
     fn rotation(self) -> DQuat {
         DQuat::from_rotation_z(f64::from(self.degrees()).to_radians())
     }
+
+    /// Vector of the sensor's face plane in the gel frame.
+    pub(super) fn to_gel(self, [x, y]: [f64; 2]) -> [f64; 2] {
+        match self.quarters {
+            0 => [x, y],
+            1 => [-y, x],
+            2 => [-x, -y],
+            _ => [y, -x],
+        }
+    }
+
+    /// Vector of the gel's face plane in the sensor frame.
+    pub(super) fn to_sensor(self, [x, y]: [f64; 2]) -> [f64; 2] {
+        match self.quarters {
+            0 => [x, y],
+            1 => [y, -x],
+            2 => [-x, -y],
+            _ => [-y, x],
+        }
+    }
 }
 
 /// Mounting of one of the gripper's sensors.
@@ -74,6 +95,32 @@ impl SensorMount {
         let back = -(0.5 * opening_m + gel_thickness_m);
         let rotation = DQuat::from_mat3(&self.finger.rotation()) * self.mounting.rotation();
         Pose::new(rotation, self.finger.closing() * back)
+    }
+
+    /// Tangential load on the gel, whose force is in the gripper frame, in the sensor frame.
+    fn load(self, force: &GelForce) -> ContactLoad {
+        let [y, z] = force.shear_n;
+        let in_gel = self.finger.rotation().transpose() * DVec3::new(0.0, y, z);
+        ContactLoad {
+            force_n: self.mounting.to_sensor([in_gel.x, in_gel.y]),
+            torque_n_m: force.torque_n_m,
+        }
+    }
+}
+
+/// What is known of the motion of a gel's skin.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Skin {
+    /// The displacement of the nodes of its face.
+    Nodes(NodeMotion),
+    /// The tangential load of the contact, besides the depth.
+    Layer(ContactLoad),
+}
+
+impl Default for Skin {
+    /// Nothing but the depth.
+    fn default() -> Self {
+        Self::Layer(ContactLoad::default())
     }
 }
 
@@ -102,6 +149,8 @@ pub struct TactileScene<'a> {
     pub gap_m: f64,
     /// Deformed face in the sensor frame, if known.
     pub gel_face: Option<TriangleMesh>,
+    /// Motion of the gel's skin, which carries the gel markers.
+    pub skin: Skin,
 }
 
 impl<'a> TactileScene<'a> {
@@ -127,7 +176,9 @@ impl<'a> TactileScene<'a> {
         let (face, back_m) = deformed_face(&gel.grid, nodes, &t_sensor_world)?;
         let t_sensor_object = t_sensor_world * snapshot.t_world_object;
         let gap = contact_gap(object, &t_sensor_object, &face, gel.d_hat_m);
+        let skin = Skin::Nodes(node_motion(&gel.grid, &face, mount.mounting)?);
         Ok(Self {
+            skin,
             object,
             t_sensor_object,
             face_m: back_m + thickness,
@@ -163,6 +214,7 @@ impl<'a> TactileScene<'a> {
             face_m: thickness,
             gap_m: 0.5 * (min_gap + gel.d_hat_m),
             gel_face: None,
+            skin: Skin::Layer(mount.load(&step.force[mount.finger as usize])),
         })
     }
 
@@ -190,6 +242,7 @@ impl<'a> TactileScene<'a> {
             face_m: thickness,
             gap_m: gel.d_hat_m,
             gel_face: Some(deformed_face(&gel.grid, &rest, &t_sensor_gel)?.0),
+            skin: Skin::default(),
         })
     }
 
@@ -208,6 +261,7 @@ impl<'a> TactileScene<'a> {
         Self {
             t_sensor_object: away * self.t_sensor_object,
             gel_face: self.gel_face.as_ref().map(flat),
+            skin: Skin::default(),
             ..*self
         }
     }
@@ -220,6 +274,7 @@ impl<'a> TactileScene<'a> {
             face_m: grid.gel_thickness_m,
             gap_m: 0.0,
             gel_face: None,
+            skin: Skin::default(),
         }
     }
 
@@ -258,8 +313,20 @@ impl<'a> TactileScene<'a> {
             face_m: thickness,
             gap_m: 0.0,
             gel_face: None,
+            skin: Skin::default(),
         })
     }
+}
+
+/// Returns the displacement of the nodes of a face in the sensor frame.
+fn node_motion(grid: &GelGrid, face: &TriangleMesh, mounting: MountingAngle) -> Result<NodeMotion> {
+    let [_, _, layers] = grid.nodes();
+    let rest = &grid.positions()[grid.node(0, 0, layers - 1)..];
+    let displacement = face.vertices.iter().zip(rest).map(|(moved, rest)| {
+        let [x, y] = mounting.to_gel([moved.x, moved.y]);
+        [x - rest.x, y - rest.y]
+    });
+    NodeMotion::new(grid, displacement.collect(), mounting)
 }
 
 /// Returns the face of a gel and the mean z of its back's nodes in the sensor frame, m.

@@ -10,6 +10,7 @@ use super::rasteriser::Rasteriser;
 use super::renderer::TactileRenderer;
 use super::scene::TactileScene;
 use gripcast_base::error::Result;
+use gripcast_shear::MarkerField;
 
 /// Renders the image that a sensor would take of a scene.
 ///
@@ -24,6 +25,14 @@ pub trait SceneRenderer: Send {
     /// # Errors
     /// `Input` if the scene lacks data that the renderer needs.
     fn render(&mut self, scene: &TactileScene<'_>, seed: Option<u64>) -> Result<RgbImage>;
+
+    /// Returns where the gel markers of a scene are; `None` if the renderer draws none.
+    ///
+    /// # Errors
+    /// As [`SceneRenderer::render`].
+    fn marker_field(&mut self, _scene: &TactileScene<'_>) -> Result<Option<MarkerField>> {
+        Ok(None)
+    }
 }
 
 /// Renderer of the paper (§3.2): depth of the object, smoothed and shaded by a sensor profile.
@@ -55,7 +64,13 @@ impl SceneRenderer for ObjectDepthRenderer {
 
     fn render(&mut self, scene: &TactileScene<'_>, seed: Option<u64>) -> Result<RgbImage> {
         let press = object_depth(scene, &self.grid(), &mut self.rasteriser);
-        self.shading.render(&press, &noise(&self.drift, seed))
+        let noise = noise(&self.drift, seed);
+        self.shading.render_with_skin(&press, &scene.skin, &noise)
+    }
+
+    fn marker_field(&mut self, scene: &TactileScene<'_>) -> Result<Option<MarkerField>> {
+        let press = object_depth(scene, &self.grid(), &mut self.rasteriser);
+        self.shading.marker_field(&press, &scene.skin)
     }
 }
 

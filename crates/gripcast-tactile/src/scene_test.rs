@@ -5,7 +5,7 @@ use glam::{DMat3, DVec3};
 use super::*;
 use crate::object_depth;
 use gripcast_geometry::builtin;
-use gripcast_sim::fem::GelResolution;
+use gripcast_sim::fem::{GelPad, GelResolution};
 use gripcast_sim::grasp::{GelSpec, Scene, StageName};
 
 const GRID: SensorGeometry = SensorGeometry {
@@ -18,7 +18,7 @@ const OPENING_M: f64 = 0.03;
 
 fn gel() -> SimulatedGel {
     SimulatedGel {
-        grid: GelGrid::pad(GelResolution::Coarse).unwrap(),
+        grid: GelPad::default().grid(GelResolution::Coarse).unwrap(),
         d_hat_m: 5e-4,
     }
 }

@@ -71,6 +71,16 @@ impl PositionOrder {
     }
 }
 
+/// Returns a vector scaled to length 1; 0 for 0.
+pub(super) fn direction([x, y]: [f64; 2]) -> [f64; 2] {
+    let length = x.hypot(y);
+    if length > 0.0 {
+        [x / length, y / length]
+    } else {
+        [0.0; 2]
+    }
+}
+
 /// Returns all terms of a normal (nx, ny, nz − 1).
 pub(super) fn normal_terms(x: f32, y: f32, z: f32) -> [f32; NORMAL_TERMS] {
     [
@@ -131,6 +141,13 @@ impl PolynomialShading {
     /// Returns the red, green and blue coefficients.
     pub fn channels(&self) -> [&[f64]; 3] {
         [&self.red, &self.green, &self.blue]
+    }
+
+    /// Tilt of the normal (x, y), of length 1, that brightens red, green and blue most in the middle
+    /// of the image; 0 for a channel that no tilt brightens.
+    pub(super) fn brightening_slope(&self) -> [[f64; 2]; 3] {
+        let terms = self.position.terms();
+        self.channels().map(|c| direction([c[0], c[terms]]))
     }
 
     /// Checks counts and ranges.

@@ -167,11 +167,11 @@ mod tests {
     use super::*;
     use gripcast_base::error::ErrorKind;
     use gripcast_geometry::{builtin, load_mesh, prepare, save_mesh};
-    use gripcast_sim::fem::GelResolution;
+    use gripcast_sim::fem::{GelPad, GelResolution};
     use serde_json::json;
 
     fn header(object: Value) -> Value {
-        let grid = GelGrid::pad(GelResolution::Coarse).unwrap();
+        let grid = GelPad::default().grid(GelResolution::Coarse).unwrap();
         json!({
             "outcome": "success",
             "object": object,

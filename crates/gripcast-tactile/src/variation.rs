@@ -13,6 +13,10 @@ const LIGHT_STD: f64 = 0.10;
 const RESPONSE_STD: f64 = 0.12;
 /// Maximum change of the background for each low-order term, grey levels.
 const TINT_LEVELS: f64 = 6.0;
+/// Largest shift of the gel markers, pitches (the gels of real sensors lie anywhere), and largest
+/// rotation: 72 clips of real Minis have -0.8° to 0°.
+const MARKER_SHIFT: f64 = 0.5;
+const MARKER_TILT_DEG: f64 = 0.6;
 /// Ranges of the factors on noise and smoothing.
 const NOISE: [f64; 2] = [0.6, 2.0];
 const SMOOTHING: [f64; 2] = [0.85, 1.25];
@@ -33,6 +37,12 @@ pub struct SensorVariation {
     /// Added to the background, grey levels per channel: x, y, xy, 2x² − 1, 2y² − 1 with x and y in
     /// ±1 across columns and rows.
     pub tint: [[f64; 5]; 3],
+    /// Shift of the gel markers along x and y, pitches.
+    pub marker_shift: [f64; 2],
+    /// Rotation of the lattice of gel markers, degrees.
+    pub marker_tilt_deg: f64,
+    /// What selects the gel: its markers' distances from their lattice; 0 is that of the profile.
+    pub gel: u64,
 }
 
 impl SensorVariation {
@@ -44,6 +54,9 @@ impl SensorVariation {
         smoothing: 1.0,
         is_mirrored: false,
         tint: [[0.0; 5]; 3],
+        marker_shift: [0.0; 2],
+        marker_tilt_deg: 0.0,
+        gel: 0,
     };
 
     /// Samples a sensor; `spread` 0 gives [`Self::NONE`], 1 the spread of real sensors.
@@ -62,6 +75,10 @@ impl SensorVariation {
         let is_mirrored = stream.uniform() < 0.5 * spread;
         let tint =
             [0; 3].map(|_| [0; 5].map(|_| spread * stream.between(-TINT_LEVELS, TINT_LEVELS)));
+        let marker_shift =
+            [0; 2].map(|_| spread.min(1.0) * stream.between(-MARKER_SHIFT, MARKER_SHIFT));
+        let marker_tilt_deg = spread * stream.between(-MARKER_TILT_DEG, MARKER_TILT_DEG);
+        let gel = if spread > 0.0 { stream.bits() } else { 0 };
         Self {
             light,
             response,
@@ -69,6 +86,9 @@ impl SensorVariation {
             smoothing,
             is_mirrored,
             tint,
+            marker_shift,
+            marker_tilt_deg,
+            gel,
         }
     }
 
@@ -78,6 +98,7 @@ impl SensorVariation {
         let mut varied = profile.clone();
         varied.noise_std = profile.noise_std.map(|std| self.noise * std);
         varied.smoothing.sigma_m *= self.smoothing;
+        self.vary_markers(&mut varied);
         if let ShadingModel::Polynomial(shading) = &mut varied.shading {
             self.scale_response(shading);
         }
@@ -89,6 +110,21 @@ impl SensorVariation {
         self.vary_background(image);
         background.fit = BackgroundFit::from_image(image, background.fit.degree);
         varied
+    }
+
+    fn vary_markers(&self, profile: &mut SensorProfile) {
+        let Some(pattern) = &mut profile.markers else {
+            return;
+        };
+        for axis in 0..2 {
+            let pitch_m = pattern.pitch_m[axis];
+            let moved_m = pattern.offset_m[axis] + self.marker_shift[axis] * pitch_m;
+            pattern.offset_m[axis] = moved_m - pitch_m * (moved_m / pitch_m).round();
+        }
+        pattern.tilt_deg += self.marker_tilt_deg;
+        if self.gel != 0 {
+            profile.serial = format!("{:016x}", self.gel);
+        }
     }
 
     fn scale_response(&self, shading: &mut PolynomialShading) {

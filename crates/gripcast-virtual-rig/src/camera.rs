@@ -17,6 +17,7 @@ use gripcast_capture::camera::{
     CameraIdentity, CameraOpener, CaptureError, Clock, ControlValues, FrameSource, StreamInfo,
 };
 use gripcast_imaging::{Frame, PixelFormat, RgbScaler, Role, encode_jpeg};
+use gripcast_tactile::SensorProfile;
 
 /// Maximum rendered width; wider images are upscaled.
 const RENDER_WIDTH: u32 = 640;
@@ -98,6 +99,10 @@ impl VirtualRig {
                 "expected a frame rate above 0 and up to 240, found {fps}"
             )));
         }
+        let profile = role
+            .is_tactile()
+            .then(|| sensor_profile(role, config))
+            .transpose()?;
         let (product, serial) = match role {
             Role::Left => ("Virtual GelSight Mini", "VIRT-LEFT"),
             Role::Right => ("Virtual GelSight Mini", "VIRT-RIGHT"),
@@ -123,8 +128,23 @@ impl VirtualRig {
                 depth_unit_m: depth.then(|| config.depth_unit_m.unwrap_or(DEPTH_UNIT_M)),
             },
             controls: control_values(role, &config.controls),
+            profile,
         })
     }
+}
+
+/// Reads the sensor profile of a tactile camera; sensors of different roles have different gels.
+fn sensor_profile(role: Role, config: &CameraConfig) -> Result<Arc<SensorProfile>> {
+    let mut profile = match &config.sensor_profile {
+        Some(name) => {
+            SensorProfile::named_or_load(name).map_err(|e| e.at(format!("camera {role}")))?
+        }
+        None => SensorProfile::gelsight_mini()?,
+    };
+    if profile.serial.is_empty() {
+        profile.serial = role.name().to_owned();
+    }
+    Ok(Arc::new(profile))
 }
 
 /// Returns typical control values of such a camera, overridden by those of the rig file.
@@ -163,6 +183,8 @@ pub struct VirtualOpener {
     role: Role,
     info: StreamInfo,
     controls: ControlValues,
+    /// Sensor of a tactile camera.
+    profile: Option<Arc<SensorProfile>>,
 }
 
 impl CameraOpener for VirtualOpener {
@@ -179,7 +201,7 @@ impl CameraOpener for VirtualOpener {
             let what = format!("{} is not plugged in", self.info.identity);
             return Err(Error::new(ErrorKind::Device, what));
         }
-        let renderer = FrameRenderer::new(&self.rig, self.role, &self.info)?;
+        let renderer = FrameRenderer::new(self)?;
         Ok(Box::new(VirtualCamera {
             camera: self.clone(),
             renderer,
@@ -264,7 +286,14 @@ struct FrameRenderer {
 }
 
 impl FrameRenderer {
-    fn new(rig: &VirtualRig, role: Role, info: &StreamInfo) -> Result<Self> {
+    fn new(camera: &VirtualOpener) -> Result<Self> {
+        let VirtualOpener {
+            rig,
+            role,
+            info,
+            profile,
+            ..
+        } = camera;
         let limit = match role {
             Role::Left | Role::Right => GEL_RENDER_WIDTH,
             Role::Rgb | Role::Depth => RENDER_WIDTH,
@@ -276,20 +305,18 @@ impl FrameRenderer {
             (limit, (info.height * limit / info.width).max(1))
         };
         let full = (info.width, info.height);
-        let scene = match role {
-            Role::Left | Role::Right => Scene::Gel(Box::new(GelRenderer::new(
-                role,
-                rig.seed,
-                render_size,
-                full,
-            )?)),
-            Role::Rgb => Scene::Colour(ColourRenderer::new(Viewpoint::Hand, rig.seed, render_size)),
-            Role::Depth => Scene::Depth(DepthRenderer::new(rig.seed, render_size)),
-            Role::External => Scene::Colour(ColourRenderer::new(
+        let scene = match (role, profile) {
+            (_, Some(profile)) => {
+                let renderer = GelRenderer::new(*role, rig.seed, render_size, full, profile)?;
+                Scene::Gel(Box::new(renderer))
+            }
+            (Role::Depth, None) => Scene::Depth(DepthRenderer::new(rig.seed, render_size)),
+            (Role::External, None) => Scene::Colour(ColourRenderer::new(
                 Viewpoint::External,
                 rig.seed,
                 render_size,
             )),
+            (_, None) => Scene::Colour(ColourRenderer::new(Viewpoint::Hand, rig.seed, render_size)),
         };
         Ok(Self {
             scene,

@@ -33,15 +33,15 @@ pub(super) struct GelRenderer {
 }
 
 impl GelRenderer {
-    /// Creates a renderer of images of `render_size` for the gel on `side`, whose camera has frames
-    /// of `full` pixels.
+    /// Creates a renderer of images of `render_size` for the gel of a profile on `side`, whose camera
+    /// has frames of `full` pixels.
     pub(super) fn new(
         side: Role,
         seed: u64,
         render_size: (u32, u32),
         full: (u32, u32),
+        profile: &SensorProfile,
     ) -> Result<Self> {
-        let profile = SensorProfile::gelsight_mini()?;
         let seed = mixed(seed, 0x67_656C, side as u64);
         let window = profile.crop_profile.window(full.0, full.1);
         let window = window.unwrap_or(CropWindow {
@@ -50,7 +50,7 @@ impl GelRenderer {
             width: full.0,
             height: full.1,
         });
-        let frame = WholeFrame::new(&profile, window, full, render_size);
+        let frame = WholeFrame::new(profile, window, full, render_size);
         let look = FrameNoise {
             offset: [0, 1, 2].map(|n| (MAX_COLOUR_OFFSET * signed_unit(seed, 1, n)) as f32),
             ..FrameNoise::default()
@@ -59,7 +59,7 @@ impl GelRenderer {
         let shrunk = f64::from(render_size.0) / f64::from(full.0) * f64::from(window.width)
             / profile.geometry.width as f64;
         let noise_std = profile.noise_std.iter().sum::<f64>() / 3.0 * shrunk.max(1.0);
-        let mut renderer = TactileRenderer::new(&profile)?;
+        let mut renderer = TactileRenderer::new(profile)?;
         let untouched = renderer.render(&PressDepth::untouched(profile.geometry), &look)?;
         Ok(Self {
             finger: if side == Role::Right {
@@ -108,7 +108,10 @@ impl GelRenderer {
         let mesh = clip.mesh()?;
         let scene = TactileScene::from_step(mesh, &clip.gel, &t_world_gripper, step, place)?;
         let press = object_depth(&scene, &self.renderer.geometry(), &mut self.rasteriser);
-        self.renderer.render(&press, &self.look).map(Some)
+        let image = self
+            .renderer
+            .render_with_skin(&press, &scene.skin, &self.look)?;
+        Ok(Some(image))
     }
 }
 
@@ -119,11 +122,15 @@ mod tests {
     use super::*;
     use crate::ClipLibrary;
     use gripcast_imaging::{CropProfile, crop_and_resize};
-    use gripcast_tactile::ObjectDepthRenderer;
     use gripcast_tactile::SceneRenderer as _;
+    use gripcast_tactile::{ObjectDepthRenderer, SensorName};
     use gripcast_testing::mean_difference;
 
     const SIZE: (u32, u32) = (640, 480);
+
+    fn mini() -> SensorProfile {
+        SensorProfile::gelsight_mini().unwrap()
+    }
 
     fn clip(name: &str) -> Arc<Clip> {
         let library = ClipLibrary::built_in().unwrap();
@@ -151,7 +158,7 @@ mod tests {
         let profile = SensorProfile::gelsight_mini().unwrap();
         let mut reference = ObjectDepthRenderer::new(&profile).unwrap();
         for (side, finger) in [(Role::Left, Finger::Left), (Role::Right, Finger::Right)] {
-            let mut renderer = GelRenderer::new(side, 1, SIZE, SIZE).unwrap();
+            let mut renderer = GelRenderer::new(side, 1, SIZE, SIZE, &mini()).unwrap();
             renderer.look = FrameNoise::default();
             let shown = scene_at(&clip, 1.0);
             let cut = cropped(renderer.render_frame(&shown, 1).unwrap());
@@ -175,7 +182,7 @@ mod tests {
     #[test]
     fn frames_without_contact_differ_by_noise_only() {
         let clip = clip("ball");
-        let mut renderer = GelRenderer::new(Role::Left, 1, SIZE, SIZE).unwrap();
+        let mut renderer = GelRenderer::new(Role::Left, 1, SIZE, SIZE, &mini()).unwrap();
         let a = cropped(renderer.render_frame(&scene_at(&clip, 0.0), 1).unwrap());
         let b = cropped(renderer.render_frame(&scene_at(&clip, 0.2), 2).unwrap());
         assert!(a != b, "every frame must have its own noise");
@@ -189,7 +196,7 @@ mod tests {
     #[test]
     fn contact_grows_during_closure_and_the_rim_is_dark() {
         let clip = clip("ball");
-        let mut renderer = GelRenderer::new(Role::Right, 1, SIZE, SIZE).unwrap();
+        let mut renderer = GelRenderer::new(Role::Right, 1, SIZE, SIZE, &mini()).unwrap();
         let mut at = |progress: f64| {
             renderer
                 .render_frame(&scene_at(&clip, progress), 1)
@@ -214,9 +221,41 @@ mod tests {
     fn unusual_frame_sizes_are_filled() {
         let clip = clip("ball");
         for size in [(16, 16), (18, 400), (820, 616)] {
-            let mut renderer = GelRenderer::new(Role::Left, 1, size, size).unwrap();
+            let mut renderer = GelRenderer::new(Role::Left, 1, size, size, &mini()).unwrap();
             let image = renderer.render_frame(&scene_at(&clip, 1.0), 0).unwrap();
             assert_eq!(image.len(), 3 * (size.0 * size.1) as usize);
         }
+    }
+
+    #[test]
+    fn gel_markers_move_with_the_lifted_object() {
+        let clip = clip("mug");
+        let profile = SensorName::by_name("gelsight-mini-markers")
+            .unwrap()
+            .profile()
+            .unwrap();
+        let mut renderer = GelRenderer::new(Role::Left, 1, SIZE, SIZE, &profile).unwrap();
+        let bare = GelRenderer::new(Role::Left, 1, SIZE, SIZE, &mini()).unwrap();
+        let open = cropped(renderer.render_frame(&scene_at(&clip, 0.0), 1).unwrap());
+        let dark = |image: &RgbImage| image.pixels().filter(|p| p[1] < 60).count();
+        // 63 dots of 12.6 pixels cover a tenth of the image.
+        assert!((4000..12_000).contains(&dark(&open)), "{}", dark(&open));
+        assert!(dark(&bare.untouched) < 500, "{}", dark(&bare.untouched));
+        let step = clip.steps.last().unwrap();
+        let mesh = clip.mesh().unwrap();
+        let start = clip.start.t_world_gripper();
+        let place = SensorMount::on(Finger::Left);
+        let scene = TactileScene::from_step(mesh, &clip.gel, &start, step, place).unwrap();
+        let field = ObjectDepthRenderer::new(&profile)
+            .unwrap()
+            .marker_field(&scene);
+        let field = field.unwrap().unwrap();
+        assert_eq!((field.columns, field.rows), (10, 7));
+        let seen = field.markers.iter().flatten();
+        let moved = seen
+            .map(|m| m.displacement_px())
+            .fold([0.0f32; 2], |sum, [x, y]| [sum[0] + x, sum[1] + y]);
+        // The object's weight pulls the skin down, against the approach axis' up: along +x.
+        assert!(moved[0] > 0.0 && moved[0] > moved[1].abs(), "{moved:?}");
     }
 }

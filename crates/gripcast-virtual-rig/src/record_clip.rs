@@ -320,7 +320,7 @@ mod tests {
     use super::*;
     use crate::clip::Clip;
     use gripcast_geometry::{PrepareOptions, builtin, prepare};
-    use gripcast_sim::fem::GelResolution;
+    use gripcast_sim::fem::{GelPad, GelResolution};
     use gripcast_sim::grasp::GelForce;
     use gripcast_visual::demo_model;
 
@@ -366,7 +366,7 @@ mod tests {
         let mesh = prepare(&builtin("box").unwrap(), &PrepareOptions::default())
             .unwrap()
             .mesh;
-        let grid = GelGrid::pad(GelResolution::Coarse).unwrap();
+        let grid = GelPad::default().grid(GelResolution::Coarse).unwrap();
         let upright = json!({"t_m": [0.0, 0.0, 0.03], "q_wxyz": [1.0, 0.0, 0.0, 0.0]});
         let above = json!({"t_m": [0.0, 0.0, 0.0], "q_wxyz": [0.0, 1.0, 0.0, 0.0]});
         TraceFile {

@@ -2,7 +2,7 @@ use super::*;
 use crate::VisualRandomisation;
 use crate::demo::demo_model;
 use gripcast_geometry::builtin;
-use gripcast_sim::fem::{GelGrid, GelResolution};
+use gripcast_sim::fem::{GelGrid, GelPad, GelResolution};
 use gripcast_sim::grasp::{Finger, Placement, Snapshot, StageName};
 
 fn mug_state() -> (Model, GraspState) {
@@ -19,7 +19,7 @@ fn mug_state() -> (Model, GraspState) {
 }
 
 fn snapshot(state: &GraspState, resolution: GelResolution) -> Snapshot {
-    let grid = GelGrid::pad(resolution).unwrap();
+    let grid = GelPad::default().grid(resolution).unwrap();
     let gels = Finger::BOTH.map(|finger| {
         let back = finger.closing() * -(0.5 * state.opening_m + grid.thickness_m());
         let place = state.t_world_gripper * Pose::new(DQuat::from_mat3(&finger.rotation()), back);

@@ -4,7 +4,7 @@ use glam::DVec3;
 
 use gripcast_base::error::{Error, Result};
 use gripcast_geometry::{Pose, TriangleMesh};
-use gripcast_sim::fem::{GelGrid, GelResolution, Side};
+use gripcast_sim::fem::{GelGrid, GelPad, GelResolution, Side};
 use gripcast_sim::grasp::Snapshot;
 
 /// Poses of the object, the gripper and the gels.
@@ -41,14 +41,16 @@ impl GraspState {
 fn gel_surface(nodes: &[[f64; 3]], grid: Option<&GelGrid>) -> Result<TriangleMesh> {
     use GelResolution::{Coarse, Default, Fine};
     let standard = || {
-        let fits = |r: &GelResolution| r.nodes().iter().product::<usize>() == nodes.len();
+        let fits = |r: &GelResolution| {
+            r.nodes(&GelPad::default()).iter().product::<usize>() == nodes.len()
+        };
         [Coarse, Default, Fine].into_iter().find(fits)
     };
     let built;
     let grid = match (grid, standard()) {
         (Some(grid), _) if grid.positions().len() == nodes.len() => grid,
         (_, Some(resolution)) => {
-            built = GelGrid::pad(resolution)?;
+            built = GelPad::default().grid(resolution)?;
             &built
         }
         _ => {

@@ -97,6 +97,12 @@ impl Engine {
         let Some(request) = pending.and_then(|pending| pending.request.take()) else {
             return;
         };
+        if let StoreRequest::SaveGrasp { .. } = &request {
+            self.name_lift(match reply {
+                StoreReply::Grasp(grasp) => Some(grasp.id.clone()),
+                _ => None,
+            });
+        }
         self.update_grasps(&request, reply);
         let event = StoreEvent {
             at: Timestamp::now().to_string(),
@@ -181,6 +187,9 @@ impl Engine {
             let (capture, boards) = self.stage_capture(trigger, source, saves_grasp);
             (Some(Box::new(capture)), boards)
         });
+        if let Some(capture) = capture.as_ref().filter(|_| saves_grasp) {
+            self.keep_lift(capture.trigger_time_ns)?;
+        }
         let live = self.inference.state().live.clone();
         if let Some(pending) = &mut self.pending {
             pending.request = Some(request.clone());

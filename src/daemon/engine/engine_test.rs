@@ -131,6 +131,7 @@ fn setup(dataset: PathBuf, gels: [YuyvGel; 2]) -> EngineSetup {
         boards: None,
         hand: None,
         target_per_object: 20,
+        keep_lift: Duration::ZERO,
         black_box: None,
     }
 }

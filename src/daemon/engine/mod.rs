@@ -4,6 +4,7 @@ mod commands;
 #[cfg(test)]
 mod engine_test;
 mod frames;
+mod lift;
 mod monitor;
 mod script;
 mod start;
@@ -19,6 +20,7 @@ use serde::Serialize;
 use tokio::sync::{mpsc, watch};
 
 use self::commands::Pending;
+use self::lift::KeptLift;
 use self::script::ScriptCommand;
 use super::black_box::{BlackBox, BlackBoxSettings, Topic};
 use super::boards::Boards;
@@ -86,6 +88,8 @@ pub struct EngineSetup {
     pub hand: Option<Arc<VirtualHand>>,
     /// Labelled grasps wanted per object; 0: no target.
     pub target_per_object: u32,
+    /// Time after the grasp trigger for which the frames of the gels are stored; 0: none.
+    pub keep_lift: Duration,
     /// Settings of the black box, if enabled.
     pub black_box: Option<BlackBoxSettings>,
 }
@@ -163,6 +167,9 @@ struct Engine {
     undone: BTreeMap<String, GraspReport>,
     disk_free_bytes: Option<u64>,
     target_per_object: u32,
+    keep_lift: Duration,
+    /// The lift whose frames are being kept.
+    lift: Option<KeptLift>,
     /// Number of grasps by object and outcome, as of the last second.
     objects: Arc<OutcomeCounts>,
     /// What the dataset's grasps were taken with, at the start.
@@ -238,6 +245,7 @@ impl Engine {
             });
         }
         self.ticks += 1;
+        self.store_lift_if_complete()?;
         self.check_cameras();
         self.check_tasks();
         if let Some(hand) = &self.hand {
@@ -268,6 +276,7 @@ impl Engine {
     /// Finishes pending requests, then ends all threads in the order of the data flow.
     async fn finish(mut self, ended: Result<EndReason>) -> Result<CollectReport> {
         self.drain_replies().await;
+        let lift = self.store_lift();
         let session = self.session.summary();
         self.links.tasks.close();
         self.hub.close();
@@ -282,7 +291,7 @@ impl Engine {
             "end",
             &serde_json::json!({"session": session, "cameras": cameras}),
         );
-        let stored = self.store.stop();
+        let (stored, lifts) = self.store.stop();
         for decoder in self.decoders {
             // A panic has been reported already.
             let _ = decoder.join();
@@ -297,6 +306,7 @@ impl Engine {
         let state = lock(&state);
         let ended = ended?;
         stored?;
+        lift?;
         Ok(CollectReport {
             dataset: self.dataset.display().to_string(),
             rig: self.rig.id,
@@ -314,6 +324,7 @@ impl Engine {
                 gel_judge_p50_ms: state.judge_time.quantile_ms(0.5),
                 shear_p50_ms: state.shear_time.quantile_ms(0.5),
             },
+            lifts,
             black_box,
         })
     }

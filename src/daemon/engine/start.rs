@@ -119,6 +119,8 @@ impl Engine {
             undone: BTreeMap::new(),
             disk_free_bytes: None,
             target_per_object: setup.target_per_object,
+            keep_lift: setup.keep_lift,
+            lift: None,
             objects: Arc::default(),
             newest_source,
             provenance: opened.provenance,

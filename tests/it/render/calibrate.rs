@@ -137,11 +137,11 @@ fn named_presses_and_existing_profiles_are_scored() {
     );
     assert!(report["fve"].as_f64().unwrap() > 0.9, "{report}");
     assert!(png(image).width() > 320);
-    let report = calibrate(&folder, "--profile builtin --test 1");
+    let report = calibrate(&folder, "--profile gelsight-mini --test 1");
     assert_eq!(report["scored_on"], "held_out");
     assert!(report["fve"].as_f64().unwrap() > 0.9, "{report}");
     for (words, expected) in [
-        ("--profile builtin --train 1", "--train"),
+        ("--profile gelsight-mini --train 1", "--train"),
         ("--train 1 --seed 3 --out a.toml", "--seed"),
         ("--train 9 --out a.toml", "names none of the 8 presses"),
         (

@@ -17,6 +17,9 @@ use gripcast_imaging::{MAX_SIDE, PixelFormat, Role};
 const SCHEMA: u32 = 1;
 /// Name of the built-in rig.
 const VIRTUAL: &str = "virtual";
+/// Name of the built-in rig whose gels have markers, and their sensor profile.
+const VIRTUAL_MARKERS: &str = "virtual-markers";
+const MARKER_PROFILE: &str = "gelsight-mini-markers";
 /// Name of the built-in rig with an external camera, and the frame rate of that camera, 1/s.
 const VIRTUAL_EXTERNAL: &str = "virtual-external";
 const EXTERNAL_FPS: f64 = 10.0;
@@ -99,10 +102,9 @@ pub struct CameraConfig {
     /// Named crop profile of a tactile camera.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub crop_profile: Option<String>,
-    /// Sensor profile of a tactile camera: the name of a shipped one, or a `.toml` file. It has the
-    /// image scale and the gel markers; default: a generic GelSight Mini where the crop is one of its.
+    /// Sensor profile of a tactile camera: a shipped name, or a file; says which gel it has.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub sensor_profile: Option<PathBuf>,
+    pub sensor_profile: Option<String>,
     /// Depth unit of a depth camera, m.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub depth_unit_m: Option<f64>,
@@ -153,8 +155,8 @@ impl CameraConfig {
             height,
             fps,
             crop_profile: None,
-            depth_unit_m: None,
             sensor_profile: None,
+            depth_unit_m: None,
             intrinsics: None,
             controls: BTreeMap::new(),
         }
@@ -204,7 +206,20 @@ impl RigFile {
         rig
     }
 
-    /// Finds a rig by name or path: the built-in `virtual` and `virtual-external`, then
+    /// [`Self::virtual_rig`] with marker gels.
+    #[must_use]
+    pub fn virtual_rig_with_markers() -> Self {
+        let mut rig = Self::virtual_rig();
+        rig.id = VIRTUAL_MARKERS.to_owned();
+        for (role, camera) in &mut rig.cameras {
+            if role.is_tactile() {
+                camera.sensor_profile = Some(MARKER_PROFILE.to_owned());
+            }
+        }
+        rig
+    }
+
+    /// Finds a rig by name or path: the built-in `virtual`, `virtual-markers` and `virtual-external`, then
     /// `calib/rigs/NAME.toml` in the working directory, then `gripcast/rigs/NAME.toml` in the
     /// user's configuration directory. Names with a slash or ending in `.toml` are paths.
     ///
@@ -225,11 +240,11 @@ impl RigFile {
     /// # Errors
     /// As [`Self::find`].
     pub fn find_in(name: &str, directories: &[PathBuf]) -> Result<Self> {
-        if name == VIRTUAL {
-            return Ok(Self::virtual_rig());
-        }
-        if name == VIRTUAL_EXTERNAL {
-            return Ok(Self::virtual_rig_with_external());
+        match name {
+            VIRTUAL => return Ok(Self::virtual_rig()),
+            VIRTUAL_MARKERS => return Ok(Self::virtual_rig_with_markers()),
+            VIRTUAL_EXTERNAL => return Ok(Self::virtual_rig_with_external()),
+            _ => {}
         }
         if name.contains('/') || name.ends_with(".toml") {
             return Self::load(Path::new(name));
@@ -241,7 +256,9 @@ impl RigFile {
                 return Self::load(&path);
             }
         }
-        let mut known = vec![VIRTUAL.to_owned(), VIRTUAL_EXTERNAL.to_owned()];
+        let mut known = [VIRTUAL, VIRTUAL_MARKERS, VIRTUAL_EXTERNAL]
+            .map(str::to_owned)
+            .to_vec();
         for directory in directories {
             let files = fs::read_dir(directory).into_iter().flatten().flatten();
             let mut names: Vec<String> = files
@@ -286,10 +303,12 @@ impl RigFile {
         let resolve = |file: &mut PathBuf| *file = directory.join(&*file);
         for camera in rig.cameras.values_mut() {
             let files = camera.path.iter_mut().chain(&mut camera.intrinsics);
-            // Shipped profiles are named without a suffix.
-            let profile = camera.sensor_profile.iter_mut();
-            let profile = profile.filter(|name| name.extension().is_some());
-            files.chain(profile).for_each(resolve);
+            files.for_each(resolve);
+            if let Some(profile) = &mut camera.sensor_profile
+                && (profile.contains('/') || profile.ends_with(".toml"))
+            {
+                *profile = directory.join(&*profile).to_string_lossy().into_owned();
+            }
         }
         if let Some(boards) = &mut rig.boards {
             [&mut boards.tags, &mut boards.sheets]

@@ -160,13 +160,13 @@ fn add_block(values: &mut [f64], start: usize, stride: usize, block: &[Lanes; 9]
 mod tests {
     use super::*;
     use crate::fem::pattern::StiffnessPattern;
-    use crate::fem::{GelGrid, GelResolution};
+    use crate::fem::{GelPad, GelResolution};
     use pulp::Arch;
 
     /// Without SIMD on this machine both are the same.
     #[test]
     fn simd_is_bit_identical_to_scalar() {
-        let grid = GelGrid::pad(GelResolution::Coarse).unwrap();
+        let grid = GelPad::default().grid(GelResolution::Coarse).unwrap();
         let law = NeoHookean::new(1e6, 0.3).unwrap();
         let pattern = StiffnessPattern::new(grid.positions().len(), grid.tets());
         let batches = Batch::group(grid.tets(), grid.positions(), &pattern);

@@ -4,7 +4,7 @@
 )]
 
 use super::*;
-use crate::fem::{GelGrid, GelResolution};
+use crate::fem::{GelGrid, GelPad, GelResolution};
 use glam::DMat3;
 use gripcast_base::error::ErrorKind;
 use rand::{RngExt, SeedableRng};
@@ -225,7 +225,7 @@ fn inner_forces_balance() {
 
 #[test]
 fn affine_motion_has_uniform_stress() {
-    let grid = GelGrid::pad(GelResolution::Coarse).unwrap();
+    let grid = GelPad::default().grid(GelResolution::Coarse).unwrap();
     let law = NeoHookean::new(1e6, 0.3).unwrap();
     let elastic = Elastic::new(grid.positions(), grid.tets(), law).unwrap();
     let f = DMat3::from_cols(

@@ -9,13 +9,15 @@
 
 use glam::DVec3;
 
+use super::pad::GelPad;
 use super::surface::{Surface, boundary_triangles};
 use gripcast_base::error::{Error, Result, unknown_name};
 
-/// Size of the standard gel pad: x, y, thickness, m.
-pub const PAD_SIZE_M: [f64; 3] = [0.025, 0.020, 0.004];
+/// Smallest number of cells along an axis of a pad.
+const MIN_CELLS: f64 = 2.0;
 
-/// Uniform meshes of the standard 25 x 20 x 4 mm pad.
+/// Uniform meshes of a pad by their node spacing; the numbers are those of the default pad, 25 x 20
+/// x 4 mm.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum GelResolution {
     /// 13 x 11 x 3 nodes, 1200 tetrahedra.
@@ -28,13 +30,20 @@ pub enum GelResolution {
 }
 
 impl GelResolution {
-    /// Nodes along x, y, z.
-    pub fn nodes(self) -> [usize; 3] {
-        match self {
-            Self::Coarse => [13, 11, 3],
-            Self::Default => [19, 16, 4],
-            Self::Fine => [26, 21, 5],
-        }
+    /// Nodes along x, y, z of a pad: about as far apart as on the default one, at least three.
+    pub fn nodes(self, pad: &GelPad) -> [usize; 3] {
+        let cells: [f64; 3] = match self {
+            Self::Coarse => [12.0, 10.0, 2.0],
+            Self::Default => [18.0, 15.0, 3.0],
+            Self::Fine => [25.0, 20.0, 4.0],
+        };
+        let (size, usual) = (pad.box_m(), GelPad::default().box_m());
+        let nodes = |axis: usize| {
+            (cells[axis] * (size[axis] / usual[axis]))
+                .round()
+                .max(MIN_CELLS)
+        };
+        [0, 1, 2].map(|axis| nodes(axis) as usize + 1)
     }
 
     /// Name on the command line and in files.
@@ -136,14 +145,6 @@ pub struct GelGrid {
 }
 
 impl GelGrid {
-    /// The standard pad, x and y centred on 0.
-    ///
-    /// # Errors
-    /// None for the built-in sizes; the signature is that of [`GelGrid::uniform`].
-    pub fn pad(resolution: GelResolution) -> Result<Self> {
-        Self::uniform(resolution.nodes(), PAD_SIZE_M)
-    }
-
     /// Equally spaced nodes over a box of `size_m` = [x, y, thickness], x and y centred on 0.
     ///
     /// # Errors
@@ -257,6 +258,18 @@ impl GelGrid {
     /// Index of grid node (i, j, k).
     pub fn node(&self, i: usize, j: usize, k: usize) -> usize {
         i + self.axes[0].len() * (j + self.axes[1].len() * k)
+    }
+
+    /// Size of the pad.
+    pub fn pad(&self) -> GelPad {
+        let extent = |axis: &[f64]| match axis {
+            [first, .., last] => last - first,
+            _ => 0.0,
+        };
+        GelPad {
+            size_m: [extent(&self.axes[0]), extent(&self.axes[1])],
+            thickness_m: self.thickness_m(),
+        }
     }
 
     /// Thickness in m.

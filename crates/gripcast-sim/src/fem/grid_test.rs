@@ -9,8 +9,8 @@ fn grids() -> Vec<GelGrid> {
         centre_m: [0.003, -0.002],
     };
     vec![
-        GelGrid::pad(GelResolution::Coarse).unwrap(),
-        GelGrid::pad(GelResolution::Default).unwrap(),
+        GelPad::default().grid(GelResolution::Coarse).unwrap(),
+        GelPad::default().grid(GelResolution::Default).unwrap(),
         GelGrid::graded([8, 7, 4], [0.025, 0.02, 0.004], grading).unwrap(),
         GelGrid::new([vec![0.0, 1.0], vec![-1.0, 2.0], vec![0.0, 0.5]]).unwrap(),
     ]
@@ -30,7 +30,7 @@ fn standard_pads_have_the_stated_size() {
         (GelResolution::Default, 19 * 16 * 4, 4050),
         (GelResolution::Fine, 26 * 21 * 5, 10_000),
     ] {
-        let grid = GelGrid::pad(resolution).unwrap();
+        let grid = GelPad::default().grid(resolution).unwrap();
         assert_eq!(grid.positions().len(), nodes);
         assert_eq!(grid.tets().len(), tets);
         assert!(size(&grid).abs_diff_eq(DVec3::new(0.025, 0.020, 0.004), 1e-15));

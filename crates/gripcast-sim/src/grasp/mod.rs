@@ -3,6 +3,8 @@
 mod friction_use;
 #[cfg(test)]
 mod not_converged_test;
+#[cfg(test)]
+mod other_pad_test;
 mod placement;
 mod protocol;
 mod run;

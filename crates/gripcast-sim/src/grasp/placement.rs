@@ -5,6 +5,7 @@ use std::f64::consts::FRAC_PI_2;
 use glam::{DMat3, DQuat, DVec3};
 use serde::{Deserialize, Serialize};
 
+use crate::fem::GelPad;
 use gripcast_base::error::{Error, Result};
 use gripcast_geometry::{Aabb, Pose, StablePose, TriangleMesh, nearest_pose, stable_poses};
 
@@ -14,8 +15,6 @@ pub const GRIPPER_OPENING_M: f64 = 0.09;
 const SIDE_CLEARANCE_M: f64 = 1e-3;
 /// Clearance between the gels and the ground, m.
 const GROUND_CLEARANCE_M: f64 = 5e-4;
-/// Half size of the gel along the approach and across, and its thickness, m.
-const GEL_M: [f64; 3] = [0.0125, 0.010, 0.004];
 
 /// A grasp from above, relative to the resting object.
 ///
@@ -36,6 +35,8 @@ pub struct Placement {
     pub height_m: Option<f64>,
     /// Distance between the gel faces at the start, m; default as above.
     pub opening_m: Option<f64>,
+    /// Size of the gels, which clear the ground.
+    pub pad: GelPad,
 }
 
 /// Largest rotation to a stable pose for which that pose is preferred, rad.
@@ -97,7 +98,8 @@ impl Placement {
         let mut opening_m = opening(origin);
         if self.height_m.is_none() {
             let raise = |z: f64, opening_m: f64| {
-                z.max(lowest_height(rotation, opening_m) + GROUND_CLEARANCE_M)
+                let lowest = lowest_height(rotation, self.pad.pair_half_m(opening_m));
+                z.max(lowest + GROUND_CLEARANCE_M)
             };
             origin.z = raise(origin.z, opening_m);
             // With roll, a higher gripper reaches further across.
@@ -210,10 +212,9 @@ fn clear_opening(points: impl Iterator<Item = DVec3>, origin: DVec3, closing: DV
     2.0 * (reach.fold(0.0, f64::max) + SIDE_CLEARANCE_M)
 }
 
-/// Height of the gripper's origin at which a gel touches the ground, m.
-fn lowest_height(rotation: DQuat, opening_m: f64) -> f64 {
-    let [z, y, thickness] = GEL_M;
-    let half = DVec3::new(0.5 * opening_m + thickness, y, z);
+/// Height of the gripper's origin at which a gel touches the ground, m; `half` (m) is that of the
+/// box around both gels.
+fn lowest_height(rotation: DQuat, half: DVec3) -> f64 {
     // The lowest corner of the box around both gels is a corner of a gel.
     DMat3::from_quat(rotation)
         .transpose()

@@ -4,7 +4,7 @@ use glam::{DMat3, DVec3};
 use serde::{Deserialize, Serialize};
 
 use crate::affine::{AffineBody, AffineState};
-use crate::fem::{GelGrid, GelResolution};
+use crate::fem::{GelGrid, GelPad, GelResolution};
 use crate::solver::{Collider, Drive, Gel, GelMaterial, Object, SolverParameters, System};
 use gripcast_base::error::{Error, Result};
 use gripcast_geometry::{MassProperties, Pose, TriangleMesh};
@@ -13,7 +13,7 @@ use gripcast_geometry::{MassProperties, Pose, TriangleMesh};
 pub(crate) const MAX_OPENING_M: f64 = 0.2;
 
 /// A finger of the gripper. The frame of its gel has z from the back to the face, x along the
-/// gripper's approach axis (25 mm) and y across (20 mm).
+/// gripper's approach axis and y across.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Finger {
@@ -54,13 +54,13 @@ pub struct GelSpec {
 }
 
 impl GelSpec {
-    /// The standard pad with the paper's material.
+    /// The default pad with the paper's material.
     ///
     /// # Errors
-    /// None: the built-in meshes are valid.
+    /// None: the default pad is valid.
     pub fn standard(resolution: GelResolution) -> Result<Self> {
         Ok(Self {
-            grid: GelGrid::pad(resolution)?,
+            grid: GelPad::default().grid(resolution)?,
             material: GelMaterial::default(),
             drive: Drive::default(),
         })

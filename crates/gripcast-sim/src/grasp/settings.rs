@@ -5,7 +5,7 @@ use serde::{Deserialize, Serialize, Serializer};
 
 use super::protocol::Protocol;
 use super::scene::GelSpec;
-use crate::fem::GelResolution;
+use crate::fem::{GelPad, GelResolution};
 use crate::solver::{Drive, GelMaterial, SolverParameters};
 use gripcast_base::error::Result;
 
@@ -59,11 +59,14 @@ pub const TACCEL_DRIVE_WEIGHT: f64 = 5e4;
 
 /// Parameters of a grasp besides the scene.
 ///
-/// As JSON: `{"preset", "gel": {"mesh", "nodes"}, "material", "drive", "protocol", "solver"}`.
+/// As JSON: `{"preset", "gel": {"mesh", "nodes"}, "material", "drive", "protocol", "solver"}`; `gel`
+/// also has the `pad`, unless that is the default one.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct GraspSettings {
     /// Preset that the parameters are based on.
     pub preset: Preset,
+    /// Size of the gels.
+    pub pad: GelPad,
     /// Mesh of the gels.
     pub resolution: GelResolution,
     /// Material of the gels.
@@ -87,6 +90,7 @@ impl GraspSettings {
     pub fn new(preset: Preset) -> Self {
         Self {
             preset,
+            pad: GelPad::default(),
             resolution: GelResolution::default(),
             material: preset.material(),
             drive: Drive::default(),
@@ -98,22 +102,25 @@ impl GraspSettings {
     /// Mesh, material and drive of the gels.
     ///
     /// # Errors
-    /// None: the built-in meshes are valid.
+    /// `Config` for a pad whose size is out of range.
     pub fn gel(&self) -> Result<GelSpec> {
         Ok(GelSpec {
+            grid: self.pad.grid(self.resolution)?,
             material: self.material,
             drive: self.drive,
-            ..GelSpec::standard(self.resolution)?
         })
     }
 }
 
 impl Serialize for GraspSettings {
     fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
-        let gel = serde_json::json!({
+        let mut gel = serde_json::json!({
             "mesh": self.resolution.name(),
-            "nodes": self.resolution.nodes(),
+            "nodes": self.resolution.nodes(&self.pad),
         });
+        if !self.pad.is_default() {
+            gel["pad"] = serde_json::json!(self.pad);
+        }
         let material = serde_json::json!({
             "young_pa": self.material.young_pa,
             "poisson": self.material.poisson,

@@ -13,7 +13,7 @@ use serde::Serialize;
 
 use super::indenter::{Indenter, MeshSize};
 use crate::affine::{AffineBody, AffineState};
-use crate::fem::{GelGrid, Side, Surface};
+use crate::fem::{GelGrid, GelPad, Side, Surface};
 use crate::solver::{
     Collider, Drive, Gel, GelMaterial, Object, SolverParameters, StepStart, System,
 };
@@ -298,17 +298,20 @@ impl Run {
     }
 }
 
-/// Mesh of the quarter at positive x and y of the 25 x 20 x 4 mm pad.
+/// Mesh of the quarter at positive x and y of a pad.
 ///
 /// `cells` along x, y, z; each is `growth` times as long as the previous one, counted from the
 /// centre of the front face.
 ///
 /// # Errors
-/// `Input` if an axis has no cells or a growth factor is not positive.
-pub fn quarter_pad(cells: [usize; 3], growth: [f64; 3]) -> Result<GelGrid> {
-    let [x, y, depth] = [(0, 0.0125), (1, 0.01), (2, 0.004)]
+/// `Config` for a pad whose size is out of range; `Input` if an axis has no cells or a growth factor
+/// is not positive.
+pub fn quarter_pad(pad: &GelPad, cells: [usize; 3], growth: [f64; 3]) -> Result<GelGrid> {
+    pad.validate()?;
+    let ([half_x, half_y], thickness) = (pad.half_m(), pad.thickness_m);
+    let [x, y, depth] = [(0, half_x), (1, half_y), (2, thickness)]
         .map(|(axis, length)| graded_coordinates(cells[axis], growth[axis], length));
-    let z = depth.iter().rev().map(|d| 0.004 - d).collect();
+    let z = depth.iter().rev().map(|d| thickness - d).collect();
     GelGrid::new([x, y, z])
 }
 
@@ -316,8 +319,8 @@ pub fn quarter_pad(cells: [usize; 3], growth: [f64; 3]) -> Result<GelGrid> {
 ///
 /// # Errors
 /// As [`quarter_pad`].
-pub fn half_pad(cells: [usize; 3], growth: [f64; 3]) -> Result<GelGrid> {
-    let quarter = quarter_pad(cells, growth)?;
+pub fn half_pad(pad: &GelPad, cells: [usize; 3], growth: [f64; 3]) -> Result<GelGrid> {
+    let quarter = quarter_pad(pad, cells, growth)?;
     let [right, y, z] = quarter.axes().clone();
     let left = right.iter().skip(1).rev().map(|x| -x);
     GelGrid::new([left.chain(right.iter().copied()).collect(), y, z])

@@ -10,6 +10,7 @@ use super::run::Run;
 use super::settings::RigidSettings;
 use super::start;
 use super::world::{World, WorldSetup};
+use crate::fem::GelPad;
 use crate::grasp::{GraspResult, MAX_OPENING_M};
 use crate::{Engine, EngineKind, GraspSetup};
 use gripcast_base::error::{Error, Result};
@@ -60,7 +61,7 @@ impl RigidEngine {
     /// # Errors
     /// A description of the collision if the fingers start inside object or ground.
     pub fn start_opening(&self, setup: &GraspSetup, pieces: &Decomposition) -> Result<f64, String> {
-        start::opening(setup, pieces, self.settings.opening_m)
+        start::opening(setup, pieces, &self.settings)
     }
 }
 
@@ -76,6 +77,10 @@ impl Engine for RigidEngine {
 
     fn success_height_m(&self) -> f64 {
         self.settings.success_rise_m()
+    }
+
+    fn pad(&self) -> GelPad {
+        self.settings.pad
     }
 
     fn simulate(&self, setup: &GraspSetup, friction: f64, force_n: f64) -> Result<GraspResult> {

@@ -2,6 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
+use crate::fem::GelPad;
 use gripcast_base::error::{Error, Result};
 
 /// Parameters of a grasp of rigid bodies. The default is Taxim's set-up.
@@ -52,6 +53,9 @@ pub struct RigidSettings {
     pub prediction_m: f64,
     /// Convex decomposition of the object.
     pub decomposition: DecompositionSettings,
+    /// Size of the fingers' faces and gels; omitted from JSON for the default pad.
+    #[serde(skip_serializing_if = "GelPad::is_default")]
+    pub pad: GelPad,
 }
 
 impl Default for RigidSettings {
@@ -75,6 +79,7 @@ impl Default for RigidSettings {
             contact_damping_ratio: 5.0,
             prediction_m: 2e-3,
             decomposition: DecompositionSettings::default(),
+            pad: GelPad::default(),
         }
     }
 }
@@ -134,8 +139,9 @@ impl RigidSettings {
     /// Checks the range of every parameter.
     ///
     /// # Errors
-    /// `Input`, with the parameter, its value and its range.
+    /// `Input`, or `Config` for the pad, with the parameter, its value and its range.
     pub fn validate(&self) -> Result<()> {
+        self.pad.validate()?;
         let d = &self.decomposition;
         let numbers = [
             ("opening_m", self.opening_m, 0.0, 0.5),

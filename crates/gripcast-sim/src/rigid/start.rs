@@ -6,34 +6,44 @@ use rapier3d_f64::parry::query::intersection_test;
 
 use super::convert;
 use super::decomposition::Decomposition;
-use super::world::{FINGER_HALF_M, finger_x};
+use super::settings::RigidSettings;
+use super::world::finger_x;
 use crate::GraspSetup;
+use crate::fem::GelPad;
 use crate::grasp::Finger;
 use gripcast_geometry::Pose;
 
-/// Initial opening (m): `preferred_m` if it is wider than the setup's own and collision-free, else
-/// the setup's own.
+/// Initial opening (m): that of the settings if it is wider than the setup's own and collision-free,
+/// else the setup's own.
 ///
 /// # Errors
 /// A description of the collision if the fingers start inside object or ground.
 pub(super) fn opening(
     setup: &GraspSetup,
     pieces: &Decomposition,
-    preferred_m: f64,
+    settings: &RigidSettings,
 ) -> Result<f64, String> {
-    if preferred_m > setup.opening_m && penetration(setup, pieces, preferred_m).is_none() {
+    let preferred_m = settings.opening_m;
+    let penetration = |opening_m: f64| penetration(setup, pieces, &settings.pad, opening_m);
+    if preferred_m > setup.opening_m && penetration(preferred_m).is_none() {
         return Ok(preferred_m);
     }
-    penetration(setup, pieces, setup.opening_m).map_or(Ok(setup.opening_m), Err)
+    penetration(setup.opening_m).map_or(Ok(setup.opening_m), Err)
 }
 
 /// Describes a collision of a finger with object or ground at an opening, if there is one.
-fn penetration(setup: &GraspSetup, pieces: &Decomposition, opening_m: f64) -> Option<String> {
+fn penetration(
+    setup: &GraspSetup,
+    pieces: &Decomposition,
+    pad: &GelPad,
+    opening_m: f64,
+) -> Option<String> {
     let t_object = convert::pose(&setup.t_world_object);
-    let half = FINGER_HALF_M;
+    let half = pad.half_in_gripper_m();
     let shape = SharedShape::cuboid(half.x, half.y, half.z);
     for (finger, side) in Finger::BOTH.into_iter().zip(["left", "right"]) {
-        let t_gripper_finger = Pose::from_translation(DVec3::X * finger_x(finger, opening_m));
+        let x = finger_x(finger, opening_m, pad.thickness_m);
+        let t_gripper_finger = Pose::from_translation(DVec3::X * x);
         let t_finger = setup.t_world_gripper * t_gripper_finger;
         let reach = t_finger
             .rotation_matrix()

@@ -25,9 +25,6 @@ use crate::grasp::{Finger, GelForce};
 use gripcast_base::error::Result;
 use gripcast_geometry::{MassProperties, Pose};
 
-/// Half of a finger's box along the gripper's x (closing), y and z (approach), m: the gel of the
-/// finite-element simulator.
-pub(super) const FINGER_HALF_M: DVec3 = DVec3::new(0.002, 0.010, 0.0125);
 /// Motor damping, 1/s: rigid up to the maximum force.
 const MOTOR_DAMPING: f64 = 1e9;
 /// Bits of a contact id that hold the index of its point.
@@ -65,9 +62,9 @@ pub(super) struct World {
     base_speed_m_s: f64,
 }
 
-/// Centre of a finger's box on the gripper's x axis, m.
-pub(super) fn finger_x(finger: Finger, opening_m: f64) -> f64 {
-    -finger.closing().x * (0.5 * opening_m + FINGER_HALF_M.x)
+/// Centre of a finger's box of thickness `thickness_m` on the gripper's x axis, m.
+pub(super) fn finger_x(finger: Finger, opening_m: f64, thickness_m: f64) -> f64 {
+    -finger.closing().x * (0.5 * opening_m + 0.5 * thickness_m)
 }
 
 impl World {
@@ -117,9 +114,10 @@ impl World {
         }
 
         let base = physics.insert_body(RigidBodyBuilder::kinematic_velocity_based());
-        let half = FINGER_HALF_M;
+        // A finger is a box of the size of its gel.
+        let half = settings.pad.half_in_gripper_m();
         let mut finger = |finger: Finger| {
-            let x = finger_x(finger, setup.opening_m);
+            let x = finger_x(finger, setup.opening_m, settings.pad.thickness_m);
             let free_x = LockedAxes::ROTATION_LOCKED
                 | LockedAxes::TRANSLATION_LOCKED_Y
                 | LockedAxes::TRANSLATION_LOCKED_Z;
@@ -173,7 +171,8 @@ impl World {
             let along_x = body.linvel().x + rise.x - damped;
             body.set_linvel(Vector::new(along_x, base_velocity.y, base_velocity.z), true);
             // The face stops at the gripper's centre.
-            let to_go = finger_x(finger, 0.0) - (body.translation().x - base_x);
+            let to_go = finger_x(finger, 0.0, self.settings.pad.thickness_m)
+                - (body.translation().x - base_x);
             let speed = (gain * to_go).clamp(-max_speed, max_speed);
             if let Some(joint) = self.physics.impulse_joints.get_mut(self.motors[i], true) {
                 joint
@@ -214,7 +213,7 @@ impl World {
     /// Distance between the faces of the fingers, m.
     pub(super) fn opening_m(&self) -> f64 {
         let [left, right] = self.fingers.map(|f| self.physics.bodies[f].translation().x);
-        right - left - 2.0 * FINGER_HALF_M.x
+        right - left - self.settings.pad.thickness_m
     }
 
     /// Contact forces on the fingers, averaged over the last time step.

@@ -11,7 +11,7 @@ use super::super::test_scene::{
     Grip, centred, closing, crosses, near_distances, random_point, small_pad,
 };
 use super::*;
-use crate::fem::{GelGrid, GelResolution};
+use crate::fem::{GelPad, GelResolution};
 use gripcast_geometry::{Pose, TriangleMesh, convex_hull};
 
 /// Both pads over the upper corner of a box, whose ridges run along their grid lines: the left one
@@ -324,7 +324,7 @@ fn iterates_of_random_closings_never_penetrate() {
 /// Closes until both gels press with 15 N, then lifts. Returns how often a gel crosses the object,
 /// checked at every fifth step.
 fn crossings_in_grasp(mesh: &TriangleMesh, pose: Pose, opening_m: f64) -> usize {
-    let grid = GelGrid::pad(GelResolution::Coarse).unwrap();
+    let grid = GelPad::default().grid(GelResolution::Coarse).unwrap();
     let grip = Grip {
         grid,
         pose,

@@ -5,7 +5,7 @@ use glam::DVec3;
 use super::pinch::{GRAVITY, Pinch};
 use super::report::Recorder;
 use crate::contact::barrier::Barrier;
-use crate::fem::{GelGrid, GelResolution};
+use crate::fem::{GelGrid, GelPad, GelResolution};
 use crate::grasp::{ForceRule, GelSpec, GraspOutcome, Protocol, Scene, simulate};
 use crate::press::{Indenter, Press, PressTarget};
 use crate::solver::{Drive, SolverParameters};
@@ -142,7 +142,7 @@ const NODE_WEIGHT: f64 = 0.25;
 /// The gap under a plate of one face matches the barrier's formula.
 pub(super) fn gap(recorder: &mut Recorder) -> Result<()> {
     let barrier = SolverParameters::default().barrier();
-    let grid = GelGrid::pad(GelResolution::Coarse)?;
+    let grid = GelPad::default().grid(GelResolution::Coarse)?;
     let mut press = Press::new(grid, Indenter::Mesh(single_face()));
     press.d_hat_m = barrier.d_hat;
     press.kappa_pa = barrier.kappa;

@@ -3,7 +3,7 @@
 use serde::Deserialize;
 
 use super::report::Recorder;
-use crate::fem::GelGrid;
+use crate::fem::{GelGrid, GelPad};
 use crate::press::{Indenter, Press, PressTarget, half_pad, quarter_pad};
 use gripcast_base::error::{Error, Result};
 
@@ -118,7 +118,7 @@ impl Curve {
                 .collect();
             from = mesh.up_to_m;
             let targets: Vec<PressTarget> = selected.iter().map(|row| row.target()).collect();
-            let grid = quarter_pad(mesh.cells, mesh.growth)?;
+            let grid = quarter_pad(&GelPad::default(), mesh.cells, mesh.growth)?;
             let mut press = mesh.press(grid, &self.indenter);
             press.symmetric = [true, true];
             for (point, row) in press.run(&targets)?.iter().zip(selected) {
@@ -256,7 +256,7 @@ pub(super) fn friction(recorder: &mut Recorder, is_quick: bool) -> Result<()> {
     let keep = |row: &Row| !is_quick || row.depth_m > 5e-4 && row.shift_m < 5.5e-4;
     let rows: Vec<Row> = reference("F")?.into_iter().filter(keep).collect();
     let targets: Vec<PressTarget> = rows.iter().map(Row::target).collect();
-    let grid = half_pad(mesh.cells, mesh.growth)?;
+    let grid = half_pad(&GelPad::default(), mesh.cells, mesh.growth)?;
     let mut press = mesh.press(grid, &Indenter::Sphere { radius_m: 0.01 });
     press.symmetric = [false, true];
     press.friction = 0.4;

@@ -7,6 +7,7 @@ use super::{FaultRanges, GraspFault, GraspSampler, Obstacle, find_collision};
 use gripcast_base::error::Result;
 use gripcast_base::random::SeedStream;
 use gripcast_geometry::{Pose, StablePose, TriangleMesh, likely_poses};
+use gripcast_sim::fem::GelPad;
 use gripcast_sim::grasp::{GraspPose, GripperState};
 
 /// Rotation that an object in a stable pose withstands without tipping over, rad.
@@ -38,14 +39,15 @@ pub struct GraspSelection {
     pub collisions: BTreeMap<String, usize>,
 }
 
-/// Samples up to `count` grasps of an object (m, its own frame). Stable poses are drawn by their
-/// probability.
+/// Samples up to `count` grasps of an object (m, its own frame) for gels of a size. Stable poses are
+/// drawn by their probability.
 ///
 /// # Errors
 /// `Input` for an object that encloses no volume or has no stable pose.
 pub fn sample_grasps(
     name: &str,
     object: &TriangleMesh,
+    pad: GelPad,
     count: usize,
     seed: u64,
 ) -> Result<GraspSelection> {
@@ -62,7 +64,8 @@ pub fn sample_grasps(
         let (sampler, obstacle) = match stages.entry(index) {
             std::collections::btree_map::Entry::Occupied(entry) => entry.into_mut(),
             std::collections::btree_map::Entry::Vacant(entry) => entry.insert((
-                GraspSampler::new(name, object, t_world_object, FaultRanges::WIDE, seed),
+                GraspSampler::new(name, object, t_world_object, FaultRanges::WIDE, seed)
+                    .with_pad(pad),
                 Obstacle::new(object, t_world_object)?,
             )),
         };
@@ -154,16 +157,17 @@ mod tests {
     #[test]
     fn sampled_grasps_are_collision_free_and_reproducible() {
         let mesh = builtin("mug").unwrap();
-        let selection = sample_grasps("mug", &mesh, 6, 3).unwrap();
+        let pad = GelPad::default();
+        let selection = sample_grasps("mug", &mesh, pad, 6, 3).unwrap();
         assert_eq!(selection.grasps.len(), 6, "{selection:?}");
-        assert_eq!(sample_grasps("mug", &mesh, 6, 3).unwrap(), selection);
-        assert_ne!(sample_grasps("mug", &mesh, 6, 4).unwrap(), selection);
+        assert_eq!(sample_grasps("mug", &mesh, pad, 6, 3).unwrap(), selection);
+        assert_ne!(sample_grasps("mug", &mesh, pad, 6, 4).unwrap(), selection);
         for grasp in &selection.grasps {
             let obstacle = Obstacle::new(&mesh, grasp.t_world_object).unwrap();
             assert_eq!(find_collision(&grasp.placed, &obstacle).unwrap(), None);
         }
         // A shorter list is a prefix of a longer one.
-        let fewer = sample_grasps("mug", &mesh, 3, 3).unwrap();
+        let fewer = sample_grasps("mug", &mesh, pad, 3, 3).unwrap();
         assert_eq!(fewer.grasps, selection.grasps[..3]);
     }
 
@@ -184,7 +188,7 @@ mod tests {
     #[test]
     fn object_wider_than_the_gripper_has_no_grasps() {
         let mesh = builtin("sphere").unwrap().scaled(4.0);
-        let selection = sample_grasps("sphere", &mesh, 2, 1).unwrap();
+        let selection = sample_grasps("sphere", &mesh, GelPad::default(), 2, 1).unwrap();
         assert!(selection.grasps.is_empty());
         assert!(
             selection.without_antipodal_pair + selection.collisions.values().sum::<usize>() >= 24

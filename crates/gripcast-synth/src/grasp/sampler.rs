@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize};
 use gripcast_base::error::Result;
 use gripcast_base::random::SeedStream;
 use gripcast_geometry::{Aabb, MeshQuery, Pose, TriangleMesh};
-use gripcast_sim::fem::PAD_SIZE_M;
+use gripcast_sim::fem::GelPad;
 use gripcast_sim::grasp::{GripperState, Placement};
 
 /// Distance between the antipodal contacts, m.
@@ -146,6 +146,7 @@ pub struct GraspSampler<'a> {
     /// The object in its own frame, m.
     object: &'a TriangleMesh,
     t_world_object: Pose,
+    pad: GelPad,
     /// The object in the world frame, m.
     mesh: TriangleMesh,
     query: MeshQuery,
@@ -184,10 +185,17 @@ impl<'a> GraspSampler<'a> {
             ranges,
             object,
             t_world_object,
+            pad: GelPad::default(),
             query: MeshQuery::new(&mesh),
             areas: cumulative.collect(),
             mesh,
         }
+    }
+
+    /// Samples for gels of another size than the default pad's.
+    #[must_use]
+    pub fn with_pad(self, pad: GelPad) -> Self {
+        Self { pad, ..self }
     }
 
     /// Returns a sample by its number, the same on every call; none without antipodal contacts.
@@ -246,7 +254,7 @@ impl<'a> GraspSampler<'a> {
     /// Height up to which both gels can touch the object over their width, m.
     fn top(&self, pair: &AntipodalPair) -> Option<f64> {
         let across = pair.closing.cross(DVec3::Z);
-        let sides = [-0.4, 0.0, 0.4].map(|fraction| fraction * PAD_SIZE_M[1] * across);
+        let sides = [-0.4, 0.0, 0.4].map(|fraction| fraction * self.pad.size_m[1] * across);
         let height = |point: DVec3| {
             let start = point.with_z(FAR_M);
             let hit = self.query.ray_cast(start, -DVec3::Z, FAR_M)?;
@@ -259,7 +267,7 @@ impl<'a> GraspSampler<'a> {
     /// (1) of the gripper.
     fn reach(&self, pair: &AntipodalPair, side: f64) -> Option<f64> {
         let outwards = side * DVec3::Z.cross(-pair.closing);
-        let heights = [-0.2, 0.0, 0.2].map(|fraction| fraction * PAD_SIZE_M[0] * DVec3::Z);
+        let heights = [-0.2, 0.0, 0.2].map(|fraction| fraction * self.pad.size_m[0] * DVec3::Z);
         let reach = |point: DVec3| {
             let start = point + FAR_M * outwards;
             let hit = self.query.ray_cast(start, -outwards, 2.0 * FAR_M)?;
@@ -314,11 +322,11 @@ impl<'a> GraspSampler<'a> {
                 GraspFault::OffCentre => {
                     let side = lateral.signum();
                     let reach = self.reach(pair, side).unwrap_or_default();
-                    lateral = side * (reach + 0.5 * PAD_SIZE_M[1] - overlap);
+                    lateral = side * (reach + self.pad.half_m()[1] - overlap);
                 }
                 GraspFault::Shallow => {
                     let top = self.top(pair).unwrap_or(pair.center.z);
-                    raised = top + 0.5 * PAD_SIZE_M[0] - overlap - pair.center.z;
+                    raised = top + self.pad.half_m()[0] - overlap - pair.center.z;
                 }
                 _ => {}
             }
@@ -338,6 +346,7 @@ impl<'a> GraspSampler<'a> {
             ],
             height_m: None,
             opening_m: None,
+            pad: self.pad,
         };
         placement.opening_m = Some(
             placement
@@ -347,7 +356,7 @@ impl<'a> GraspSampler<'a> {
         );
         placement.height_m = Some(pair.center.z + raised);
         let placed = placement.place(self.object, &self.t_world_object)?;
-        let low = min_height_m(&placed);
+        let low = min_height_m(&placed, &self.pad);
         placement.height_m = Some(pair.center.z + raised + (CLEARANCE_M - low).max(0.0));
         Ok((fault, placement.place(self.object, &self.t_world_object)?))
     }
@@ -357,13 +366,8 @@ impl<'a> GraspSampler<'a> {
 const TOUCHED_M: f64 = 0.0015;
 
 /// Height of the lowest corner of the gels above the ground, m.
-fn min_height_m(placed: &GripperState) -> f64 {
-    let [approach, across, thickness] = PAD_SIZE_M;
-    let half = DVec3::new(
-        0.5 * placed.opening_m + thickness,
-        0.5 * across,
-        0.5 * approach,
-    );
+fn min_height_m(placed: &GripperState, pad: &GelPad) -> f64 {
+    let half = pad.pair_half_m(placed.opening_m);
     let axes = placed.t_world_gripper.rotation_matrix();
     let up = DVec3::new(axes.x_axis.z, axes.y_axis.z, axes.z_axis.z);
     placed.t_world_gripper.translation_m.z - up.abs().dot(half)
@@ -391,7 +395,10 @@ mod tests {
                 let placed = candidate.placed;
                 assert!((0.0..1.0).contains(&candidate.squeeze));
                 assert!(placed.opening_m <= MAX_OPENING_M, "{shape}");
-                assert!(min_height_m(&placed) > 0.9 * CLEARANCE_M, "{shape}");
+                assert!(
+                    min_height_m(&placed, &GelPad::default()) > 0.9 * CLEARANCE_M,
+                    "{shape}"
+                );
                 let axes = placed.t_world_gripper.rotation_matrix();
                 assert!(axes.z_axis.z < -0.7, "{shape}");
                 pitched += usize::from(axes.z_axis.z > -0.99);
@@ -421,7 +428,7 @@ mod tests {
                     .map(|v| t_gripper_object.transform_point(*v));
                 let bounds = Aabb::from_points(points);
                 // Gels span half of their size on both sides of the origin.
-                let half = 0.5 * [0.0, PAD_SIZE_M[1], PAD_SIZE_M[0]][axis];
+                let half = GelPad::default().half_in_gripper_m()[axis];
                 bounds.max[axis].min(half) - bounds.min[axis].max(-half)
             };
             of_fault.map(overlap).collect()

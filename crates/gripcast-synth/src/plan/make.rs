@@ -22,6 +22,7 @@ use gripcast_base::files::{BeneathPath, FileName, Root, SimulationId};
 use gripcast_base::random::SeedStream;
 use gripcast_base::workers::par_map_single_threaded;
 use gripcast_geometry::{MassProperties, TriangleMesh, ply_bytes};
+use gripcast_sim::fem::GelPad;
 use gripcast_sim::{Engine, EngineKind};
 
 /// Seeds in files are below 2⁵³ so that every JSON reader preserves them.
@@ -130,7 +131,7 @@ pub fn make_plan(
         mut left_out,
     } = drafts;
     check_names(&drafts)?;
-    let analyse = |draft: &ObjectDraft| Ok(analysed(draft, settings));
+    let analyse = |draft: &ObjectDraft| Ok(analysed(draft, settings, engine.pad()));
     let analyses = par_map_single_threaded(settings.jobs, &drafts, &analyse, on_progress)?;
     let mut kept = Vec::new();
     for (draft, analysis) in drafts.into_iter().zip(analyses) {
@@ -205,7 +206,7 @@ struct Analysis {
     size_m: f64,
 }
 
-fn analysed(draft: &ObjectDraft, settings: &PlanSettings) -> Result<Analysis> {
+fn analysed(draft: &ObjectDraft, settings: &PlanSettings, pad: GelPad) -> Result<Analysis> {
     let volume_m3 = MassProperties::from_mesh(&draft.mesh)?.volume_m3;
     let [size_m, ..] = oriented_size_m(&draft.mesh)?;
     if !(SIZE_M[0]..=SIZE_M[1]).contains(&size_m) {
@@ -221,7 +222,7 @@ fn analysed(draft: &ObjectDraft, settings: &PlanSettings) -> Result<Analysis> {
     }
     let selection = match &draft.grasps {
         Some(given) => select_given_grasps(name, &draft.mesh, given, count, seed)?,
-        None => sample_grasps(name, &draft.mesh, count, seed)?,
+        None => sample_grasps(name, &draft.mesh, pad, count, seed)?,
     };
     if selection.grasps.is_empty() {
         return Err(Error::input(no_grasp(&selection)));

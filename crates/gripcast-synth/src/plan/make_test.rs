@@ -15,6 +15,7 @@ fn settings(jobs: usize) -> PlanSettings {
             samples_per_pixel: 1,
             sensor_spread: 1.0,
             visual_spread: 1.0,
+            sensor: gripcast_tactile::SensorName::GELSIGHT_MINI,
         },
         textures: Vec::new(),
         mass_map: MassMap::None,

@@ -33,6 +33,7 @@ use gripcast_base::error::Result;
 use gripcast_base::files::{FileName, SimulationId};
 use gripcast_geometry::Pose;
 use gripcast_sim::EngineKind;
+use gripcast_tactile::SensorName;
 
 /// Folder of the meshes inside the plan's folder.
 pub(super) const MESHES: &str = "meshes";
@@ -77,6 +78,17 @@ pub struct RenderingPlan {
     /// the default.
     #[serde(default = "default_spread", skip_serializing_if = "is_default_spread")]
     pub visual_spread: f64,
+    /// Tactile sensor.
+    #[serde(default = "default_sensor", skip_serializing_if = "is_default_sensor")]
+    pub sensor: SensorName,
+}
+
+fn default_sensor() -> SensorName {
+    SensorName::GELSIGHT_MINI
+}
+
+fn is_default_sensor(sensor: &SensorName) -> bool {
+    *sensor == default_sensor()
 }
 
 fn default_spread() -> f64 {
@@ -237,6 +249,7 @@ mod tests {
                 samples_per_pixel: 8,
                 sensor_spread: 1.0,
                 visual_spread: 1.0,
+                sensor: SensorName::GELSIGHT_MINI,
             },
         };
         let objects = ["box-0000", "box-0001"].map(object).to_vec();
@@ -256,15 +269,19 @@ mod tests {
     }
 
     #[test]
-    fn default_visual_spread_is_not_serialised() {
+    fn default_visual_spread_and_sensor_are_not_serialised() {
         let mut rendering = plan(0).header.rendering;
         let text = serde_json::to_string(&rendering).unwrap();
-        assert!(!text.contains("visual_spread"), "{text}");
+        assert!(
+            !text.contains("visual_spread") && !text.contains("gelsight"),
+            "{text}"
+        );
         assert_eq!(
             serde_json::from_str::<RenderingPlan>(&text).unwrap(),
             rendering
         );
         rendering.visual_spread = 2.0;
+        rendering.sensor = SensorName::by_name("gelsight-mini-markers").unwrap();
         let text = serde_json::to_string(&rendering).unwrap();
         assert_eq!(
             serde_json::from_str::<RenderingPlan>(&text).unwrap(),

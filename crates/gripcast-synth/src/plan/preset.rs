@@ -8,6 +8,7 @@ use gripcast_base::files::SimulationId;
 use gripcast_base::random::SeedStream;
 use gripcast_base::workers::par_map_single_threaded;
 use gripcast_sim::fem::GelResolution;
+use gripcast_tactile::SensorName;
 
 /// Size of a plan.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -48,6 +49,7 @@ impl PlanPreset {
             samples_per_pixel: 4,
             sensor_spread: 1.0,
             visual_spread: 1.0,
+            sensor: SensorName::GELSIGHT_MINI,
         },
     };
     /// The size of the paper: 453 objects, more than 10,000 grasps at two forces.

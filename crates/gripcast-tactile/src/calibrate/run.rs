@@ -13,7 +13,8 @@ use super::select::{ChosenModel, Terms, choose};
 use super::split::{Split, SplitPresses};
 use crate::gaussian::{Gaussian, Region};
 use crate::{
-    Background, BackgroundFit, Drift, FittedPress, PolynomialShading, SensorProfile, ShadingModel,
+    Background, BackgroundFit, Drift, FittedPress, PolynomialShading, ProfileGel, SensorProfile,
+    ShadingModel,
 };
 use gripcast_base::error::Result;
 use gripcast_base::statistics::median;
@@ -189,7 +190,10 @@ fn profile(presses: &SplitPresses, fitted: &Fitted, options: &CalibrateOptions) 
         crop_profile: options.crop_profile,
         provenance: provenance(presses, options),
         noise_std: noise(set, fitted),
+        frame_rate_hz: None,
         geometry: set.geometry,
+        gel: ProfileGel::default(),
+        markers: None,
         smoothing: fitted.model.smoothing,
         drift: Drift {
             gain_std: std::array::from_fn(|c| spread(&|o| o.gain[c])),

@@ -27,6 +27,9 @@ fn truth() -> SensorProfile {
         Rgb([90 + (x / 4) as u8, 120 - (y / 4) as u8, 100 + (y / 5) as u8])
     });
     SensorProfile {
+        frame_rate_hz: None,
+        gel: ProfileGel::default(),
+        markers: None,
         schema: SCHEMA,
         name: "made up".to_owned(),
         serial: String::new(),
