@@ -8,22 +8,31 @@ use std::time::Duration;
 use tokio::sync::{mpsc, oneshot, watch};
 
 use super::*;
-use crate::daemon::{CameraState, CameraStatus};
+use crate::daemon::{CameraState, CameraStatus, LiftReport};
+use gripcast_base::files::FileName;
 use gripcast_capture::camera::{
     CameraIdentity, CaptureError, ControlValues, FrameSource, StreamInfo,
 };
 use gripcast_dataset::sample::new_dataset;
-use gripcast_dataset::{Dataset, GraspIndex, Stage};
+use gripcast_dataset::{Dataset, GraspIndex, LiftFrame, Stage};
 use gripcast_imaging::{Frame, PixelFormat};
 use gripcast_session::{Command, CommandResult, CommandSource};
 
 const WIDTH: u32 = 640;
 const HEIGHT: u32 = 480;
 
+/// Pitch and radius of the gel markers and their motion in contact, px of the camera.
+const PITCH_PX: u32 = 60;
+const RADIUS_PX: f64 = 11.0;
+const SHIFT_PX: u32 = 5;
+/// Millimetres per pixel of the camera: 5.9e-5 m for each of 320 pixels of the cropped 458.
+const MM_PER_PX: f32 = 0.059 * 320.0 / 458.0;
+
 /// Requests one frame, with or without contact.
 type Shutter = std::sync::mpsc::Sender<bool>;
 
-/// Tactile YUYV camera: uniform grey, stripes in contact. It captures a frame on request.
+/// Tactile YUYV camera: grey with gel markers; in contact it has stripes, and the markers are
+/// [`SHIFT_PX`] further right. It captures a frame on request.
 #[derive(Clone)]
 struct YuyvGel {
     role: Role,
@@ -78,7 +87,12 @@ impl FrameSource for YuyvGel {
         // Luma and chroma bytes alternate; stripes are 40 pixels wide and in the middle of the gel.
         let pixel = |n: u32| {
             let is_stripe = (n / 40).is_multiple_of(2) && (210..270).contains(&(n / WIDTH));
-            [100 + rise * u8::from(is_stripe), 128]
+            let shift = SHIFT_PX * u32::from(is_pressed);
+            let from_centre = |position: u32| f64::from(position % PITCH_PX) - 30.0;
+            let distance = from_centre(n % WIDTH + PITCH_PX - shift).hypot(from_centre(n / WIDTH));
+            let darkness = 0.65 * (RADIUS_PX + 0.5 - distance).clamp(0.0, 1.0);
+            let level = f64::from(100 + rise * u8::from(is_stripe)) * (1.0 - darkness);
+            [level as u8, 128]
         };
         let data: Vec<u8> = (0..WIDTH * HEIGHT).flat_map(pixel).collect();
         self.sequence += 1;
@@ -98,6 +112,11 @@ impl FrameSource for YuyvGel {
     }
 }
 
+const GEL: GelScale = GelScale {
+    m_per_px: 5.9e-5,
+    markers: None,
+};
+
 fn setup(dataset: PathBuf, gels: [YuyvGel; 2]) -> EngineSetup {
     let mut rig = RigFile::virtual_rig();
     rig.cameras.retain(|role, _| role.is_tactile());
@@ -107,7 +126,7 @@ fn setup(dataset: PathBuf, gels: [YuyvGel; 2]) -> EngineSetup {
             .into(),
         rig,
         intrinsics: BTreeMap::new(),
-        gel_scales: BTreeMap::new(),
+        gel_scales: [Role::Left, Role::Right].map(|role| (role, GEL)).into(),
         supervision: SupervisionPolicy {
             freeze_after_ns: None,
             ..SupervisionPolicy::default()
@@ -131,7 +150,7 @@ fn setup(dataset: PathBuf, gels: [YuyvGel; 2]) -> EngineSetup {
         boards: None,
         hand: None,
         target_per_object: 20,
-        keep_lift: Duration::ZERO,
+        keep_lift: Duration::from_secs(10),
         black_box: None,
     }
 }
@@ -230,6 +249,19 @@ async fn engine_saves_and_predicts_with_yuyv_cameras() {
                 .as_ref()
                 .is_none_or(|shown| *shown != preview.image)
         );
+        for _ in 0..3 {
+            let time_ns = |status: &EngineStatus| {
+                status
+                    .cameras
+                    .iter()
+                    .map(|c| c.counters.received)
+                    .sum::<u64>()
+            };
+            let before = time_ns(&bench.status.borrow());
+            bench
+                .take_frames(true, |status| time_ns(status) >= before + 2)
+                .await;
+        }
         bench
             .commands
             .send(CommandRequest::new(Command::Quit, CommandSource::Script))
@@ -246,7 +278,31 @@ async fn engine_saves_and_predicts_with_yuyv_cameras() {
     let dataset = Dataset::open(dir.path().join("d")).unwrap();
     let record = dataset.grasp(&last.id).unwrap();
     assert_eq!(record.prediction, Some(prediction));
-    let grasp_bytes: u64 = record.files.values().map(|file| file.bytes).sum();
+    for role in [Role::Left, Role::Right] {
+        let [x, y] = record.grasp.shear[&role].mean_displacement_mm;
+        let expected = SHIFT_PX as f32 * MM_PER_PX;
+        assert!((x - expected).abs() < 0.02 && y.abs() < 0.02, "{x} {y}");
+        let markers = &record.grasp.fields[&role];
+        assert_eq!(markers.len(), 1);
+        assert!(markers.values().all(|field| field.shape[2] == 5));
+    }
+    let lift = record.lift.as_ref().expect("lift frames");
+    assert_eq!(lift.requested_s, 10.0);
+    assert_eq!(
+        report.lifts,
+        LiftReport {
+            stored: 1,
+            failed: 0
+        }
+    );
+    for camera in lift.cameras.values() {
+        assert!(camera.frames.len() >= 3, "{}", camera.frames.len());
+        let after = |frame: &LiftFrame| frame.driver_time_ns > record.grasp.trigger_time_ns;
+        assert!(camera.frames.iter().all(after));
+    }
+    let is_image = |name: &FileName| !name.starts_with("lift.");
+    let images = record.files.iter().filter(|(name, _)| is_image(name));
+    let grasp_bytes: u64 = images.map(|(_, file)| file.bytes).sum();
     let expected = left.disk_free_bytes.unwrap() / grasp_bytes;
     assert_eq!(left.grasps_left, Some(expected));
     for stage in [Stage::Initial, Stage::Grasp] {
