@@ -196,8 +196,8 @@ impl Recorder {
                 trigger: "script".to_owned(),
                 cameras: cameras.into_iter().map(camera).collect(),
                 pre_grasp_frames: Vec::new(),
-        fields: Vec::new(),
-        shear: BTreeMap::new(),
+                fields: Vec::new(),
+                shear: BTreeMap::new(),
                 pose: None,
                 truth: None,
             }
