@@ -117,7 +117,7 @@ fn lift_name(role: Role, format: PixelFormat) -> FileName {
 /// Files of lift frames that a grasp may have.
 pub(super) fn lift_files(grasp: &BeneathPath) -> impl Iterator<Item = BeneathPath> + '_ {
     ROLES.into_iter().flat_map(move |role| {
-        [PixelFormat::Mjpg, PixelFormat::Yuyv].map(|format| grasp.join(&lift_name(role, format)))
+        [PixelFormat::Mjpg, PixelFormat::Yuyv].map(|format| grasp.join(lift_name(role, format)))
     })
 }
 
