@@ -297,6 +297,14 @@ fn info_text(summary: &Summary, all: bool) -> String {
     if let (Some(first), Some(last)) = (&summary.first_captured_at, &summary.last_captured_at) {
         line("taken", &format!("{first} to {last}"));
     }
+    let fields = summary.fields.iter();
+    let touch = fields
+        .map(|(name, grasps)| format!("{name} of {}", counted(*grasps, "grasp")))
+        .chain((summary.lifts > 0).then(|| format!("lift of {}", counted(summary.lifts, "grasp"))));
+    let touch: Vec<String> = touch.collect();
+    if !touch.is_empty() {
+        line("touch", &touch.join(", "));
+    }
     line(
         "size",
         &format!(
