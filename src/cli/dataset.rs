@@ -7,6 +7,7 @@
 //! gripcast dataset verify DIR    read every file and report all problems
 //! gripcast dataset recover DIR   recover readable grasps; the rest moves to trash/
 //! gripcast dataset edit DIR ID…  correct object, scene or operator of saved grasps
+//! gripcast dataset migrate DIR   bring it to the newest version of the format
 //! gripcast dataset reindex DIR   rebuild metadata.jsonl from the records
 //! gripcast dataset split DIR     split into train, val and test sets with disjoint objects
 //! gripcast dataset export DIR    export to Parquet, WebDataset, LeRobot or Zarr
@@ -32,8 +33,8 @@ use super::{
 use crate::note;
 use gripcast_base::error::{Error, ErrorKind, Result};
 use gripcast_dataset::{
-    Dataset, GroupKey, Outcome, Problem, RecoverReport, SplitFile, SplitPlan, Summary,
-    VerifyReport, recover, reindex, split, summary, verify,
+    Dataset, GroupKey, MigrateReport, Outcome, Problem, RecoverReport, SplitFile, SplitPlan,
+    Summary, VerifyReport, migrate, recover, reindex, split, summary, verify,
 };
 
 /// Arguments of `dataset`.
@@ -55,6 +56,8 @@ enum Action {
     Recover(RecoverArgs),
     /// Correct object, scene or operator of saved grasps
     Edit(dataset_edit::Args),
+    /// Bring a dataset to the newest version of the format; any change of it does the same
+    Migrate(DatasetArgs),
     /// Rebuild metadata.jsonl from the records
     Reindex(DatasetArgs),
     /// Split the grasps into sets with disjoint objects
@@ -148,6 +151,7 @@ pub(crate) fn run(context: &Context, args: Args) -> Result<()> {
         Action::List(args) => dataset_list::run(&args),
         Action::Recover(args) => run_recover(context, &args),
         Action::Edit(args) => dataset_edit::run(&args),
+        Action::Migrate(args) => run_migrate(&args),
         Action::Reindex(args) => run_reindex(context, &args),
         Action::Split(args) => run_split(&args),
         Action::Export(args) => dataset_export::run(context, args),
@@ -193,6 +197,20 @@ fn run_recover(context: &Context, args: &RecoverArgs) -> Result<()> {
         note!("nothing to recover");
     }
     Ok(())
+}
+
+fn run_migrate(args: &DatasetArgs) -> Result<()> {
+    let report = migrate(&args.dataset)?;
+    print_report(args.json, &report, |report| {
+        let MigrateReport { from, to } = report;
+        match from == to {
+            true => format!("the dataset is of version {to} of the format; nothing changed\n"),
+            false => format!(
+                "the dataset was of version {from} of the format and is of version {to} now; earlier \
+                 versions of gripcast refuse it\n"
+            ),
+        }
+    })
 }
 
 fn run_reindex(context: &Context, args: &DatasetArgs) -> Result<()> {
@@ -278,6 +296,14 @@ fn info_text(summary: &Summary, all: bool) -> String {
     }
     if let (Some(first), Some(last)) = (&summary.first_captured_at, &summary.last_captured_at) {
         line("taken", &format!("{first} to {last}"));
+    }
+    let fields = summary.fields.iter();
+    let touch = fields
+        .map(|(name, grasps)| format!("{name} of {}", counted(*grasps, "grasp")))
+        .chain((summary.lifts > 0).then(|| format!("lift of {}", counted(summary.lifts, "grasp"))));
+    let touch: Vec<String> = touch.collect();
+    if !touch.is_empty() {
+        line("touch", &touch.join(", "));
     }
     line(
         "size",

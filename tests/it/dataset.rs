@@ -6,8 +6,8 @@ use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 
 use gripcast_dataset::{
-    CapturedCamera, DatasetWriter, GraspId, GraspMeta, NewDataset, Outcome, PredictionRecord,
-    StageCapture,
+    CapturedCamera, DatasetWriter, FieldArray, GraspId, GraspMeta, NewDataset, Outcome,
+    PredictionRecord, StageCapture,
 };
 use gripcast_imaging::{Frame, PixelFormat, Role};
 use serde_json::Value;
@@ -138,28 +138,47 @@ pub(super) fn write_dataset(root: &Path, objects: &[&str]) -> Vec<GraspId> {
     ids
 }
 
-/// Objects 001 to 010, the first six without label, prediction, colour and depth: readers that infer
-/// types from the first grasps or the digits get them wrong.
+/// Objects 001 to 010, the first six without label, prediction, colour, depth and markers, the last two
+/// with lift frames: readers that infer types from the first grasps or the digits get them wrong.
 pub(super) fn write_mixed_dataset(root: &Path) {
     let (mut writer, _) = DatasetWriter::open_or_create(root, &new_dataset()).unwrap();
     for index in 0..10 {
         let is_bare = index < 6;
         let all = [Role::Left, Role::Right, Role::Rgb, Role::Depth];
         let roles = if is_bare { &all[..2] } else { &all[..] };
-        let initial = capture(2 * index, roles);
+        let mut initial = capture(2 * index, roles);
+        let mut closed = capture(2 * index + 1, roles);
+        if !is_bare {
+            initial.fields.push(markers(index));
+            closed.fields.push(markers(index + 10));
+        }
         let pending = writer.save_initial(&initial, Vec::new()).unwrap();
         let meta = GraspMeta {
             object: format!("{:03}", index + 1).parse().unwrap(),
             prediction: (!is_bare).then(prediction),
             ..GraspMeta::default()
         };
-        let closed = capture(2 * index + 1, roles);
         let id = writer.save_grasp(&pending, &closed, meta).unwrap().id;
         if !is_bare {
             let at = "2026-11-20T11:00:00Z".parse().unwrap();
             writer.set_outcome(&id, Outcome::Stable, at).unwrap();
         }
+        if index >= 8 {
+            let frame = |at: u32, role| camera(100 + 4 * index + at, role).frame;
+            let frames = [Role::Left, Role::Right].map(|role| {
+                let of_role = (0..3).map(|at| frame(at, role)).collect();
+                (role, of_role)
+            });
+            writer.append_lift(&id, &frames.into(), 2.0).unwrap();
+        }
     }
+}
+
+/// Markers of the left gel; one of them lost.
+fn markers(number: u32) -> FieldArray {
+    let mut values: Vec<f32> = (0..3 * 4 * 5).map(|i| (i + number) as f32 / 8.0).collect();
+    values[10..15].fill(f32::NAN);
+    FieldArray::markers(Role::Left, values, [3, 4, 5], 2.9e-5).unwrap()
 }
 
 pub(super) fn gripcast(args: &[&str], dataset: &Path) -> Output {
@@ -281,6 +300,25 @@ fn problems_are_reported_and_recovered() {
     let output = gripcast(&["recover"], dir.path());
     assert_eq!(output.status.code(), Some(0));
     assert_eq!(stderr(&output), "nothing to recover\n");
+}
+
+#[test]
+fn earlier_format_is_migrated_by_the_command() {
+    let dir = tempfile::tempdir().unwrap();
+    write_dataset(dir.path(), &["mug"]);
+    let descriptor = dir.path().join("dataset.toml");
+    let text = fs::read_to_string(&descriptor).unwrap();
+    fs::write(&descriptor, text.replace("schema = 2", "schema = 1")).unwrap();
+    assert_eq!(gripcast(&["verify"], dir.path()).status.code(), Some(0));
+    let migrated = json(&gripcast(&["migrate", "--json"], dir.path()));
+    assert_eq!(migrated, serde_json::json!({"from": 1, "to": 2}));
+    assert_eq!(fs::read_to_string(&descriptor).unwrap(), text);
+    let again = gripcast(&["migrate"], dir.path());
+    assert!(
+        stdout(&again).contains("nothing changed"),
+        "{}",
+        stdout(&again)
+    );
 }
 
 #[test]
@@ -420,7 +458,7 @@ fn splits_group_by_object_and_are_reproducible() {
 #[test]
 fn missing_and_foreign_directories_are_explained() {
     let dir = tempfile::tempdir().unwrap();
-    for verb in ["info", "verify", "recover", "reindex", "split"] {
+    for verb in ["info", "verify", "recover", "migrate", "reindex", "split"] {
         let output = gripcast(&[verb], &dir.path().join("nowhere"));
         assert_eq!(output.status.code(), Some(1), "{verb}");
         let text = stderr(&output);
@@ -440,7 +478,7 @@ fn locked_dataset_is_not_modified() {
     let dir = tempfile::tempdir().unwrap();
     write_dataset(dir.path(), &["mug"]);
     let _writer = DatasetWriter::open_or_create(dir.path(), &new_dataset()).unwrap();
-    for verb in ["recover", "reindex"] {
+    for verb in ["recover", "migrate", "reindex"] {
         let output = gripcast(&[verb], dir.path());
         assert_eq!(output.status.code(), Some(1), "{verb}");
         let owner = format!("process {}", std::process::id());

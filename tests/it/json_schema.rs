@@ -189,6 +189,8 @@ fn dataset_schemas() {
     assert_schema("dataset verify", &[&clean, &damaged]);
     let recovered = output("dataset recover --json", &dataset);
     assert_schema("dataset recover", &[&recovered]);
+    let migrated = output("dataset migrate --json", &dataset);
+    assert_schema("dataset migrate", &[&migrated]);
     let reindexed = output("dataset reindex --json", &dataset);
     assert_schema("dataset reindex", &[&reindexed]);
 

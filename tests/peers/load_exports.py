@@ -7,7 +7,7 @@
         [--lerobot L] [--zarr Z] [--training T]
 
 DATASET must be without splits and faults. Z is a folder or a .zip. Compared are ids, outcomes,
-predictions, poses, and all images: equal pixels where bytes are kept, sizes and near colours in
+predictions, poses, field arrays, lift frames, and all images: equal pixels where bytes are kept, sizes and near colours in
 Zarr, whose images are resized. Without the package `lerobot` its files are read as its
 documentation describes them, and a line says so. Exits 1 when something differs.
 """
@@ -81,6 +81,60 @@ def kinds():
     )
 
 
+def fields(record):
+    """Stage, role, name and array of the field arrays, read by NumPy."""
+    found = []
+    for stage in ("initial", "grasp"):
+        for role, of_role in record[stage].get("fields", {}).items():
+            for name, field in of_role.items():
+                path = args.dataset / "grasps" / record["id"] / field["file"]
+                array = numpy.load(path, allow_pickle=False)
+                expect(list(array.shape) == field["shape"], f"{path}: shape {array.shape}")
+                expect(array.dtype.str == field["dtype"], f"{path}: type {array.dtype}")
+                expect(len(field["columns"]) == array.shape[-1], f"{path}: columns")
+                found.append((stage, role, name, array))
+    return found
+
+
+def field_kinds():
+    """Stage, role, name and shape of every field that any grasp has."""
+    kinds = {}
+    for record in records.values():
+        for stage, role, name, array in fields(record):
+            kinds[stage, role, name] = array.shape
+    return kinds
+
+
+def same_array(found, record, stage, role, name, where):
+    """`found` is an array, NaN where the grasp has none."""
+    found = numpy.asarray(found, "f4")
+    there = {tuple(key): array for *key, array in fields(record)}
+    expected = there.get((stage, role, name))
+    if expected is None:
+        expect(numpy.isnan(found).all(), f"{where}: {role} {name} is not NaN")
+    else:
+        same = found.shape == expected.shape and numpy.array_equal(found, expected, equal_nan=True)
+        expect(same, f"{where}: {role} {name} differs")
+
+
+def lift(record, role):
+    """The images of the lift of a gel, cut out of its file by the sizes in the record."""
+    camera = record.get("lift", {}).get("cameras", {}).get(role)
+    if camera is None:
+        return None
+    rest = (args.dataset / "grasps" / record["id"] / camera["file"]).read_bytes()
+    images = []
+    for frame in camera["frames"]:
+        image, rest = rest[: frame["bytes"]], rest[frame["bytes"] :]
+        images.append(Image.open(io.BytesIO(image)))
+    expect(not rest, f"{record['id']}: bytes after the lift of {role}")
+    return images
+
+
+def lift_roles():
+    return sorted({role for r in records.values() for role in r.get("lift", {}).get("cameras", {})})
+
+
 def number(value):
     return math.nan if value is None else value
 
@@ -121,6 +175,12 @@ def check_parquet(root):
             for stage, role in kinds():
                 column = f"{stage}_{role}"
                 same_pixels(row[column], record, stage, role, f"{where} {column}")
+            for stage, role, name in field_kinds():
+                found = row[f"{stage}_{role}_{name}"]
+                found = numpy.full(1, numpy.nan) if found is None else found
+                same_array(found, record, stage, role, name, where)
+            for role in lift_roles():
+                same_lift(row[f"lift_{role}"], lift(record, role), f"{where} lift_{role}")
     files = [str(path) for path in sorted(root.glob("data/*.parquet"))]
     table = pandas.concat([pandas.read_parquet(path) for path in files])
     check_columns("pandas", lambda name: table[name].tolist())
@@ -135,6 +195,13 @@ def check_parquet(root):
     query = duckdb.sql("SELECT id, object, outcome FROM read_parquet(?)", params=[files])
     rows = query.order("id").fetchall()
     check_columns("duckdb", lambda name: [row[query.columns.index(name)] for row in rows])
+
+
+def same_lift(found, expected, where):
+    found, expected = found or [], expected or []
+    expect(len(found) == len(expected), f"{where}: {len(found)} frames of {len(expected)}")
+    for a, b in zip(found, expected):
+        expect((numpy.asarray(a) == numpy.asarray(b)).all(), f"{where}: pixels differ")
 
 
 def check_columns(library, column):
@@ -166,12 +233,45 @@ def check_webdataset(root):
             else:
                 expect(stored(record, stage, role) is None, f"{where}: {field} is there")
                 expect(not numpy.asarray(image).any(), f"{where}: {field} is not black")
+        for stage, role, name in field_kinds():
+            field = f"{stage}_{role}_{name}"
+            found = numpy.load(io.BytesIO(sample[f"{field}.npy"]), allow_pickle=False)
+            same_array(found, record, stage, role, name, where)
+            expect(facts[f"has_{field}"] == (not numpy.isnan(found).all()), f"{where}: has_{field}")
+        for role in lift_roles():
+            film = sample[f"lift_{role}.mjpeg"]
+            expect(facts[f"has_lift_{role}"] == bool(film), f"{where}: has_lift_{role}")
+            check_film(film, lift(record, role), f"{where} lift_{role}")
     expect(seen == sorted(records), f"webdataset: keys {seen}")
     # What its users do: keys and images are decoded by their endings.
     decoded = next(iter(webdataset.WebDataset(shards, shardshuffle=False).decode("pil")))
     expect(isinstance(decoded["json"], dict), "webdataset: json is not decoded")
     expect(isinstance(decoded["grasp_left.jpg"], Image.Image), "webdataset: no image")
     check_webdataset_by_datasets(root)
+
+
+def check_film(film, expected, where):
+    """The frames of a Motion JPEG by OpenCV, as a video program reads them."""
+    if expected is None:
+        expect(film == b"", f"{where}: a film without frames")
+        return
+    import cv2
+
+    with tempfile.NamedTemporaryFile(suffix=".mjpeg") as file:
+        file.write(film)
+        file.flush()
+        video = cv2.VideoCapture(file.name)
+        count = 0
+        while True:
+            there, image = video.read()
+            if not there:
+                break
+            if count < len(expected):
+                original = numpy.asarray(expected[count].convert("RGB")).astype(float)
+                difference = numpy.abs(image[:, :, ::-1] - original).mean()
+                expect(difference < 3, f"{where}: frame {count} differs by {difference:.1f}")
+            count += 1
+    expect(count == len(expected), f"{where}: {count} frames of {len(expected)} by OpenCV")
 
 
 def check_facts(facts, record, where):
@@ -203,6 +303,9 @@ def check_webdataset_by_datasets(root):
             expect(len(images) == len(kinds()), f"{where}: images {images}")
             for name in images:
                 expect(isinstance(row[name], Image.Image), f"{where}: {name} is no image")
+            for stage, role, name in field_kinds():
+                found = row[f"{stage}_{role}_{name}.npy"]
+                same_array(found, records[row["__key__"]], stage, role, name, where)
 
 
 def check_lerobot(root):
@@ -221,6 +324,7 @@ def check_lerobot(root):
         frames = LeRobotDataset("gripcast/export", root=root)
         episodes = frames.meta.episodes
         check_lerobot_statistics(frames)
+    check_lerobot_depth(root)
     expect(len(frames) == 2 * len(labelled), f"lerobot: {len(frames)} frames")
     for index, id in enumerate(labelled):
         record, episode = records[id], episodes[index]
@@ -242,6 +346,12 @@ def check_frame(frame, record, stage, info, where):
         for a, b in zip(frame["observation.pose"], pose(record)):
             same_number(a, b, f"{where}: pose", 1e-6)
     for name, feature in info["features"].items():
+        if name.startswith("observation.tactile."):
+            role, _, field = name.removeprefix("observation.tactile.").partition(".")
+            expect(len(feature["names"]["components"]) == feature["shape"][-1], f"{where}: names")
+            found = numpy.asarray(frame[name], "f4")
+            expect(list(found.shape) == feature["shape"], f"{where} {name}: {found.shape}")
+            same_array(found, record, stage, role, field or "markers", where)
         if feature["dtype"] != "image":
             continue
         role = name.split(".")[-1]
@@ -284,14 +394,64 @@ def read_lerobot_files(root):
     datasets.disable_progress_bars()
     cache = tempfile.mkdtemp()
 
-    def read(folder):
+    def read(folder, features=None):
         files = [str(path) for path in sorted((root / folder).glob("*/*.parquet"))]
-        return datasets.load_dataset("parquet", data_files=files, split="train", cache_dir=cache)
+        return datasets.Dataset.from_parquet(files, features=features, cache_dir=cache)
 
     tasks = pandas.read_parquet(root / "meta/tasks.parquet")
-    data = read("data")
+    data = read("data", lerobot_features(root))
     frames = [{**row, "task": tasks.iloc[row["task_index"]].name} for row in data]
     return frames, read("meta/episodes")
+
+
+def lerobot_features(root):
+    """The types that LeRobot gives to `datasets`: those of info.json."""
+    import datasets
+
+    array = {2: datasets.Array2D, 3: datasets.Array3D, 4: datasets.Array4D}
+    features = {}
+    for name, feature in json.loads((root / "meta/info.json").read_text())["features"].items():
+        dtype, shape = feature["dtype"], feature["shape"]
+        if dtype == "image":
+            features[name] = datasets.Image()
+        elif shape == [1]:
+            features[name] = datasets.Value(dtype)
+        elif len(shape) == 1:
+            features[name] = datasets.List(datasets.Value(dtype), length=shape[0])
+        else:
+            features[name] = array[len(shape)](shape=tuple(shape), dtype=dtype)
+    return datasets.Features(features)
+
+
+def check_lerobot_depth(root):
+    """The stored TIFF: read by Pillow, and by OpenCV's libtiff, against the metres of the dataset."""
+    import cv2
+    import pandas
+
+    files = sorted((root / "data").glob("*/*.parquet"))
+    table = pandas.concat([pandas.read_parquet(path) for path in files])
+    if "observation.depth" not in table:
+        return
+    labelled = [id for id in sorted(records) if records[id]["outcome"] != "unlabelled"]
+    for row in table.to_dict("records"):
+        record = records[labelled[row["episode_index"]]]
+        where = f"lerobot {record['id']} depth of frame {row['frame_index']}"
+        file = row["observation.depth"]["bytes"]
+        image = Image.open(io.BytesIO(file))
+        expect(image.format == "TIFF" and image.mode == "F", f"{where}: {image.format} {image.mode}")
+        counts = numpy.asarray(image)
+        by_opencv = cv2.imdecode(numpy.frombuffer(file, "u1"), cv2.IMREAD_UNCHANGED)
+        expect(by_opencv.dtype == numpy.float32, f"{where}: {by_opencv.dtype} by OpenCV")
+        expect((by_opencv == counts).all(), f"{where}: Pillow and OpenCV differ")
+        original = stored(record, "grasp", "depth") if row["frame_index"] == 1 else None
+        if original is None:
+            expect(not counts.any(), f"{where}: not 0")
+            continue
+        unit_m = record["grasp"]["cameras"]["depth"]["depth_unit_m"]
+        metres = counts.astype(float) * unit_m
+        expected = numpy.asarray(original).astype(float) * unit_m
+        expect(expected.max() > 0, f"{where}: the dataset has no depth")
+        expect(numpy.array_equal(metres, expected), f"{where}: metres differ")
 
 
 def check_zarr(path):
@@ -317,6 +477,9 @@ def check_zarr(path):
             same_number(a, b, f"{where}: pose")
         for at, stage in enumerate(("initial", "grasp")):
             expect(group["data/stage"][2 * index + at] == at, f"{where}: stage")
+            for role, name in {(role, name) for _, role, name in field_kinds()}:
+                found = group[f"data/{role}_{name}"][2 * index + at]
+                same_array(found, record, stage, role, name, where)
             for role in ("left", "right", "rgb"):
                 check_zarr_image(group, 2 * index + at, record, stage, role, where)
 

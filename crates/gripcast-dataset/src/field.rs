@@ -167,20 +167,20 @@ pub struct ShearRecord {
     /// What it was measured on.
     pub source: ShearSource,
     /// Confidence, 0 to 1.
-    pub confidence: f32,
+    pub confidence: f64,
     /// Fraction of the gel markers, or of the contact's texture, that is tracked, 0 to 1.
-    pub tracked_fraction: f32,
+    pub tracked_fraction: f64,
     /// Mean displacement of the skin in contact, of all of it without contact, mm.
-    pub mean_displacement_mm: [f32; 2],
+    pub mean_displacement_mm: [f64; 2],
     /// Maximum displacement, mm.
-    pub max_displacement_mm: f32,
+    pub max_displacement_mm: f64,
     /// Mean divergence of the displacement, ∂u/∂x + ∂v/∂y.
-    pub divergence: f32,
+    pub divergence: f64,
     /// Mean curl of the displacement, ∂v/∂x − ∂u/∂y.
-    pub curl: f32,
+    pub curl: f64,
     /// Fraction of the contact that moves against the gel's rigid motion, 0 to 1; null without
     /// contact.
-    pub slip_ratio: Option<f32>,
+    pub slip_ratio: Option<f64>,
 }
 
 impl ShearRecord {

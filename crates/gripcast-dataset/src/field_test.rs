@@ -84,6 +84,9 @@ fn fields_and_lift_are_read_as_they_were_written() {
         let all: Vec<u8> = sent.iter().flat_map(|f| f.data.to_vec()).collect();
         assert_eq!(dataset.lift_bytes(&record, role).unwrap(), all);
     }
+    let summary = super::summary(&dataset).unwrap();
+    assert_eq!((summary.schema, summary.lifts), (2, 1));
+    assert_eq!(summary.fields[MARKERS], 1);
     let missing = dataset.lift_frames(&record, Role::Rgb).unwrap_err();
     assert_eq!(missing.kind(), ErrorKind::NotFound);
     assert_eq!(stored.problems(), []);

@@ -143,7 +143,7 @@ impl DatasetWriter {
                     disk.sync_dir(&dir)
                         .and_then(synced)
                         .map_err(|e| self.failed("cannot keep the initial frame", e))?;
-                    report.pending = Some(pending);
+                    report.pending = Some(*pending);
                 }
                 Unfinished::Unusable(reason) => {
                     report

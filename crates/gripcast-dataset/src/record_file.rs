@@ -37,7 +37,7 @@ pub struct PendingInitial {
 #[derive(Debug)]
 pub(super) enum Pending {
     /// A durable initial frame.
-    Initial(PendingInitial),
+    Initial(Box<PendingInitial>),
     /// A complete grasp whose directory was not renamed.
     Grasp,
     /// An incomplete save, never acknowledged; holds the reason.
@@ -61,7 +61,7 @@ impl Pending {
             Ok(pending)
         });
         match initial {
-            Ok(pending) => Self::Initial(pending),
+            Ok(pending) => Self::Initial(Box::new(pending)),
             Err(_) if dir.join(GRASP_JSON).is_taken() => Self::Torn(grasp_error.to_string()),
             Err(error) => Self::Torn(error.to_string()),
         }

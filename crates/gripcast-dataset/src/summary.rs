@@ -8,13 +8,15 @@ use serde::Serialize;
 use super::grasp::Outcome;
 use super::reader::{Dataset, entries};
 use gripcast_base::error::Result;
-use gripcast_base::files::{BeneathPath, Label, ObjectName};
+use gripcast_base::files::{BeneathPath, FieldName, Label, ObjectName};
 
 /// Summary of a dataset.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct Summary {
     /// Name of the dataset.
     pub name: String,
+    /// Version of the dataset format.
+    pub schema: u32,
     /// Rigs that collected it.
     pub rigs: BTreeSet<String>,
     /// Licence of the data.
@@ -39,6 +41,10 @@ pub struct Summary {
     pub first_captured_at: Option<String>,
     /// Time of the last grasp, RFC 3339 UTC.
     pub last_captured_at: Option<String>,
+    /// Grasps with a field array, by its name.
+    pub fields: BTreeMap<FieldName, usize>,
+    /// Grasps with lift frames.
+    pub lifts: usize,
     /// Size of all complete grasps, bytes.
     pub bytes: u64,
     /// Size of `trash/`, bytes.
@@ -83,6 +89,7 @@ pub fn summary(dataset: &Dataset) -> Result<Summary> {
     let layout = dataset.layout();
     let mut summary = Summary {
         name: descriptor.name.clone(),
+        schema: descriptor.schema,
         licence: descriptor.licence.clone(),
         label_definition: descriptor.label_definition.clone(),
         trash_bytes: directory_bytes(&layout.trash()),
@@ -96,6 +103,12 @@ pub fn summary(dataset: &Dataset) -> Result<Summary> {
             continue;
         };
         summary.grasps += 1;
+        summary.lifts += usize::from(record.lift.is_some());
+        let stages = record.stages().into_iter();
+        let fields = stages.flat_map(|(_, stage)| stage.fields.values().flat_map(BTreeMap::keys));
+        for name in fields.collect::<BTreeSet<_>>() {
+            *summary.fields.entry(name.clone()).or_default() += 1;
+        }
         *summary.outcomes.entry(record.outcome).or_default() += 1;
         let outcomes = summary.objects.entry(record.object).or_default();
         *outcomes.entry(record.outcome).or_default() += 1;

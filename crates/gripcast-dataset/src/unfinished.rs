@@ -14,7 +14,7 @@ pub(super) enum Unfinished {
     /// A complete grasp that was not renamed: rename it.
     Complete,
     /// The newest durable initial frame: keep it for its grasp.
-    Pending(PendingInitial),
+    Pending(Box<PendingInitial>),
     /// Never acknowledged, or no longer needed; holds the reason.
     Unusable(String),
 }

@@ -23,6 +23,8 @@ mod zarr;
 
 #[cfg(test)]
 mod export_test;
+#[cfg(test)]
+mod fields_test;
 
 pub use crate::left_out::LeftOut;
 pub use plan::{ExportFormat, ExportPlan};
