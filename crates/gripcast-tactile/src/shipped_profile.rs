@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use serde::{Deserialize, Serialize};
+use serde::{Deserialize, Deserializer, Serialize, de::Error as _};
 
 use super::profile::SensorProfile;
 use gripcast_base::error::{Error, Result, nearest_name};
@@ -33,8 +33,7 @@ const SHIPPED: [Shipped; 2] = [
 ];
 
 /// Name of a shipped profile.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(try_from = "String", into = "&'static str")]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 pub struct SensorName(&'static str);
 
 impl SensorName {
@@ -91,17 +90,9 @@ impl SensorName {
     }
 }
 
-impl From<SensorName> for &'static str {
-    fn from(name: SensorName) -> Self {
-        name.0
-    }
-}
-
-impl TryFrom<String> for SensorName {
-    type Error = Error;
-
-    fn try_from(name: String) -> Result<Self> {
-        Self::by_name(&name)
+impl<'de> Deserialize<'de> for SensorName {
+    fn deserialize<D: Deserializer<'de>>(d: D) -> std::result::Result<Self, D::Error> {
+        Self::by_name(&String::deserialize(d)?).map_err(D::Error::custom)
     }
 }
 

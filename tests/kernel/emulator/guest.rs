@@ -102,6 +102,7 @@ fn camera(
         height,
         fps,
         crop_profile: None,
+        sensor_profile: None,
         depth_unit_m: None,
         intrinsics: None,
         controls: [].into(),
