@@ -4,11 +4,13 @@
 //! gripcast sim grasp --object builtin:mug --stop-force-n 40 --plot mug.svg
 //! gripcast sim grasp --object part.stl --unit mm --mass-kg 0.05 --friction 0.5 --yaw-deg 30 --json
 //! gripcast sim grasp --object part.stl --unit mm --pose grasp.json --trace grasp.bin
+//! gripcast sim grasp --object builtin:mug --trace mug.bin --fields every:10
 //! ```
 //!
 //! The gripper closes, adjusts its force and lifts. Without `--pose` it approaches from above,
 //! centred on the object. `--trace` writes every step (`.json`, or `.bin` for programs), `--plot`
-//! the forces and heights (`.svg`).
+//! the forces and heights (`.svg`). `--fields` adds displacement, traction, stick and slip of the
+//! gels' faces to a binary trace: as text they would be six times as large.
 //!
 //! Exit codes: 0 simulated, whatever the outcome · 1 invalid object, pose or file · 2 usage ·
 //! 4 steps did not converge, so there is no outcome · 130 interrupted.
@@ -31,10 +33,11 @@ use gripcast_base::number::NumberRange;
 use gripcast_geometry::{Pose, PreparedMesh, TriangleMesh};
 use gripcast_replay::plot;
 use gripcast_sim::fem::GelResolution;
+use gripcast_sim::fields::FieldSampling;
 use gripcast_sim::grasp::{
     ForceRule, GRIPPER_OPENING_M, GraspOutcome, GraspPose, GraspResult, GraspSettings,
     GraspSummary, GripperState, Placement, Preset, STEADY_STEPS, Scene, TACCEL_DRIVE_WEIGHT,
-    TraceFile, height_above_ground, resting_pose, simulate,
+    TraceFile, height_above_ground, resting_pose, simulate_with_fields,
 };
 use gripcast_sim::solver::{Drive, PhaseTimes};
 
@@ -141,6 +144,10 @@ struct OutFlags {
     /// Write every step and the states at the ends of the phases
     #[arg(long, value_name = "FILE.json|.bin")]
     trace: Option<PathBuf>,
+    /// Record displacement, traction, stick and slip of the gels' faces in the trace, which must be
+    /// binary: every:N time steps, at the ends of the stages, or all
+    #[arg(long, value_name = "every:N|stages|all", requires = "trace")]
+    fields: Option<FieldSampling>,
     /// Plot forces and heights
     #[arg(long, value_name = "FILE.svg")]
     plot: Option<PathBuf>,
@@ -246,9 +253,12 @@ pub(crate) fn run(context: &Context, args: Args) -> Result<()> {
     context.warn(warnings.iter().map(|w| format!("{name}: {w}")));
     let gel_axes_m = scene.gel.grid.axes().clone();
     let pool = args.settings.threads.pool()?;
+    let fields = args.out.fields;
     let (result, wall_s) = interruptible(context, "simulating the grasp", move |_| {
         let started = Instant::now();
-        let result = pool.install(|| simulate(&scene, &settings.protocol, &settings.solver))?;
+        let result = pool.install(|| {
+            simulate_with_fields(&scene, &settings.protocol, &settings.solver, fields)
+        })?;
         Ok::<_, Error>((result, started.elapsed().as_secs_f64()))
     })??;
     let mut summary = GraspSummary::new(&result, &settings.protocol, settings.solver.dt_s);
@@ -358,8 +368,12 @@ impl OutFlags {
     fn check(&self) -> Result<()> {
         let trace = self.trace.iter();
         let plot = self.plot.iter();
+        let formats: &[&str] = match self.fields {
+            Some(_) => &["bin"],
+            None => &["json", "bin"],
+        };
         trace
-            .map(|path| check_output("--trace", path, &["json", "bin"]))
+            .map(|path| check_output("--trace", path, formats))
             .chain(plot.map(|path| check_output("--plot", path, &["svg"])))
             .collect()
     }

@@ -19,14 +19,17 @@ use std::time::Instant;
 
 use serde::Serialize;
 
-use super::flags::{above_zero, number};
+use super::flags::{above_zero, check_output, number};
 use super::mesh_repair::RepairFlags;
 use super::working::interruptible;
 use super::{Context, print_report};
 use gripcast_base::error::{Error, ErrorKind, Result};
+use gripcast_base::files::save;
 use gripcast_base::number::NumberRange;
 use gripcast_geometry::{LengthUnit, MeshOptions, TriangleMesh, load_object_mesh};
 use gripcast_sim::fem::{GelGrid, GelPad, GelResolution, Grading};
+use gripcast_sim::fields::{FieldSampling, FieldSeries};
+use gripcast_sim::grasp::{Trace, TraceFile};
 use gripcast_sim::press::{Indenter, Press, PressPoint, PressTarget, half_pad, quarter_pad};
 use gripcast_sim::solver::GelMaterial;
 
@@ -87,6 +90,13 @@ pub(crate) struct Args {
     /// Face size of the indenter mesh
     #[arg(long, value_name = "M", default_value_t = 2e-4, value_parser = above_zero)]
     face_m: f64,
+    /// Write the fields of the gel's face, in the binary form of a trace
+    #[arg(long, value_name = "FILE.bin")]
+    trace: Option<PathBuf>,
+    /// Time steps with fields: every:N, at the targets (stages), or all
+    #[arg(long, value_name = "every:N|stages|all", requires = "trace",
+        default_value_t = FieldSampling::Stages)]
+    fields: FieldSampling,
     /// Print the result as JSON
     #[arg(long)]
     json: bool,
@@ -130,15 +140,19 @@ struct Report {
 
 /// Runs the command.
 pub(crate) fn run(context: &Context, args: Args) -> Result<()> {
+    if let Some(path) = &args.trace {
+        check_output("--trace", path, &["bin"])?;
+    }
     let press = build(context, &args)?;
     let goals = goals(&args)?;
     let gel_nodes = press.grid.nodes();
-    let (points, wall_s) = interruptible(context, "pressing", move |_| {
+    let sampling = args.trace.as_ref().map(|_| args.fields);
+    let (pressed, wall_s) = interruptible(context, "pressing", move |_| {
         let started = Instant::now();
-        let points = press.run(&goals);
-        (points, started.elapsed().as_secs_f64())
+        let pressed = press.run_with_fields(&goals, sampling);
+        (pressed, started.elapsed().as_secs_f64())
     })?;
-    let points = points?;
+    let (points, fields) = pressed?;
     let warnings = without_force(&points);
     context.warn(&warnings);
     let report = Report {
@@ -147,6 +161,9 @@ pub(crate) fn run(context: &Context, args: Args) -> Result<()> {
         points,
         warnings,
     };
+    if let Some(path) = &args.trace {
+        write_trace(path, &args, &report, fields)?;
+    }
     print_report(args.json, &report, |_| text(&report.points))?;
     let unconverged = report.points.iter().filter(|p| !p.converged).count();
     if unconverged == 0 {
@@ -155,6 +172,24 @@ pub(crate) fn run(context: &Context, args: Args) -> Result<()> {
     let total = report.points.len();
     let what = format!("{unconverged} of {total} points did not converge");
     Err(Error::new(ErrorKind::Check, what).remedy("pass a larger --d-hat-m or a coarser --gel"))
+}
+
+fn write_trace(
+    path: &Path,
+    args: &Args,
+    report: &Report,
+    fields: Option<FieldSeries>,
+) -> Result<()> {
+    let header = serde_json::json!({
+        "press": report,
+        "friction": args.friction,
+        "material": {"young_pa": args.young_pa, "poisson": args.poisson},
+    });
+    let trace = Trace {
+        fields,
+        ..Trace::default()
+    };
+    save(path, &TraceFile { header, trace }.to_bytes()?)
 }
 
 /// Warns of points at which the gel feels no force.

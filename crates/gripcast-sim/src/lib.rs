@@ -33,6 +33,7 @@ pub mod affine;
 pub mod contact;
 mod engine;
 pub mod fem;
+pub mod fields;
 pub mod grasp;
 pub mod press;
 pub mod rigid;

@@ -5,7 +5,7 @@ use serde::{Deserialize, Serialize};
 use super::markers::ElasticLayer;
 use super::profile::{SensorProfile, in_range};
 use gripcast_base::error::{Error, Result};
-use gripcast_sim::fem::GelGrid;
+use gripcast_sim::fem::{GelGrid, GelPad};
 use gripcast_sim::solver::GelMaterial;
 
 /// Plausible sides of a pad, m.
@@ -32,6 +32,22 @@ pub struct ProfileGel {
 }
 
 impl SensorProfile {
+    /// Pad of the gel, for the simulator.
+    #[must_use]
+    pub fn pad(&self) -> GelPad {
+        self.gel.pad(self.geometry.gel_thickness_m)
+    }
+
+    /// Material of the gel, for the simulator.
+    #[must_use]
+    pub fn gel_material(&self) -> GelMaterial {
+        GelMaterial {
+            young_pa: self.gel.young_pa,
+            poisson: self.gel.poisson,
+            ..GelMaterial::default()
+        }
+    }
+
     /// Checks that a simulated gel is the pad of this sensor.
     ///
     /// # Errors
@@ -48,7 +64,7 @@ impl Default for ProfileGel {
             young_pa, poisson, ..
         } = GelMaterial::default();
         Self {
-            size_m: [0.025, 0.020],
+            size_m: GelPad::default().size_m,
             young_pa,
             poisson,
         }
@@ -73,13 +89,7 @@ impl ProfileGel {
     /// # Errors
     /// `Input` with both sizes.
     fn check_pad(&self, thickness_m: f64, simulated: &GelGrid) -> Result<()> {
-        let extent = |axis: &Vec<f64>| match axis[..] {
-            [first, .., last] => last - first,
-            _ => 0.0,
-        };
-        let found = simulated.axes().each_ref().map(extent);
-        let [x, y] = self.size_m;
-        let expected = [x, y, thickness_m];
+        let (found, expected) = (simulated.pad().box_m(), self.pad(thickness_m).box_m());
         let same = |(a, b): (&f64, &f64)| (a - b).abs() <= SAME_SIZE_M;
         if found.iter().zip(&expected).all(same) {
             return Ok(());
@@ -94,6 +104,13 @@ impl ProfileGel {
             mm(expected)
         ))
         .remedy("render with the profile that was simulated, or simulate the grasp with this one"))
+    }
+
+    fn pad(&self, thickness_m: f64) -> GelPad {
+        GelPad {
+            size_m: self.size_m,
+            thickness_m,
+        }
     }
 
     /// The gel as an elastic layer.

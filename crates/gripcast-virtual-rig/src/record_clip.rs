@@ -280,6 +280,7 @@ fn thinned(header: &Value, trace: &Trace, shown: &[usize], keys: &Keyframes) -> 
                 .map(|step| trace.steps[*step].clone())
                 .collect(),
             snapshots: Vec::new(),
+            fields: None,
         },
     };
     thin.to_bytes()
@@ -359,6 +360,7 @@ mod tests {
         Trace {
             steps: steps.collect(),
             snapshots: Vec::new(),
+            fields: None,
         }
     }
 

@@ -6,6 +6,7 @@ use super::calibrate::rendered_presses;
 use super::{depth_png, png, refused, render, trace};
 use crate::json_schema::assert_schema;
 use crate::program::{json, succeed};
+use gripcast_base::files::npy::Array;
 
 #[test]
 fn grasp_is_rendered_with_depth_and_difference() {
@@ -176,4 +177,80 @@ fn invalid_input_is_refused() {
         assert_eq!(found, code, "{words}: {message}");
         assert!(message.contains(expected), "{words}: {message}");
     }
+}
+
+/// Rows, columns and values of an array of gel markers.
+fn marker_array(path: std::path::PathBuf) -> (usize, usize, Vec<f32>) {
+    let array = Array::from_npy(&fs::read(path).unwrap()).unwrap();
+    let [rows, columns, 5] = array.shape() else {
+        panic!("{:?}", array.shape());
+    };
+    (*rows, *columns, array.values().to_vec())
+}
+
+#[test]
+fn gel_markers_are_drawn_and_their_positions_written() {
+    let dir = tempfile::tempdir().unwrap();
+    let out = dir.path().join("images");
+    let words = format!(
+        "--trace {} --profile gelsight-mini-markers --moment initial,grasp,lift --markers image,field \
+         --json --out {}",
+        trace().display(),
+        out.display()
+    );
+    let report = json(&succeed(&mut render("tactile", &words)));
+    assert_schema("render tactile", &[&report]);
+    assert_eq!(report["images"].as_array().unwrap().len(), 6);
+    let read = |moment: &str| marker_array(out.join(format!("mug.{moment}.left.markers.npy")));
+    let (rows, columns, rest) = read("initial");
+    assert!((6..=8).contains(&rows) && (9..=11).contains(&columns), "{rows} {columns}");
+    let moved = |values: &[f32]| {
+        let lengths = values.chunks_exact(5).map(|m| m[2].hypot(m[3]));
+        lengths.filter(|d| d.is_finite()).fold(0.0, f32::max)
+    };
+    assert!(moved(&rest) == 0.0, "no motion before contact");
+    let (grasp, lift) = (moved(&read("grasp").2), moved(&read("lift").2));
+    assert!((0.2..30.0).contains(&grasp) && (0.2..40.0).contains(&lift), "{grasp} {lift}");
+    // The dots are dark, and where the array says.
+    let image = png(out.join("mug.initial.left.png"));
+    for marker in rest.chunks_exact(5).filter(|m| m[4] == 1.0) {
+        let [x, y] = [marker[0].round() as u32, marker[1].round() as u32];
+        if (1..319).contains(&x) && (1..239).contains(&y) {
+            let green = image.get_pixel(x, y)[1];
+            assert!(green < 60, "{green} at {x}, {y}");
+        }
+    }
+}
+
+#[test]
+fn field_alone_draws_nothing() {
+    let dir = tempfile::tempdir().unwrap();
+    let out = dir.path().join("press.png");
+    let words = format!(
+        "--object builtin:sphere --profile gelsight-mini-markers --markers field --out {}",
+        out.display()
+    );
+    succeed(&mut render("tactile", &words));
+    assert!(!out.exists());
+    let (rows, columns, values) = marker_array(dir.path().join("press.markers.npy"));
+    assert_eq!(values.len(), rows * columns * 5);
+    assert!(values.chunks_exact(5).any(|m| m[2].hypot(m[3]) > 0.05));
+}
+
+#[test]
+fn unfit_profiles_are_explained() {
+    let dir = tempfile::tempdir().unwrap();
+    let out = dir.path().join("press.png");
+    for (flags, words) in [
+        ("--profile gelsight-mini-marker", "did you mean `gelsight-mini-markers`?"),
+        ("--profile gelsight-mini --markers field", "has no gel markers"),
+        ("--profile gelsight-mini-markers --markers field --difference", "--markers image,field"),
+    ] {
+        let words_in = format!("--object builtin:sphere {flags} --out {}", out.display());
+        let (_, text) = refused(&mut render("tactile", &words_in));
+        assert!(text.contains(words), "{text}");
+    }
+    let words_in = format!("--trace {} --side left --profile digit --out {}", trace().display(), out.display());
+    let (_, text) = refused(&mut render("tactile", &words_in));
+    assert!(text.contains("25.0 × 20.0 × 4.0 mm"), "{text}");
 }

@@ -1,5 +1,7 @@
 //! Simulation of a grasp as in the paper: closure, force adjustment, lift.
 
+#[cfg(test)]
+mod fields_test;
 mod friction_use;
 #[cfg(test)]
 mod not_converged_test;
@@ -22,7 +24,7 @@ pub use placement::{
 };
 pub use protocol::{ForceRule, Protocol};
 pub(crate) use run::MIN_CONTACT_FORCE_N;
-pub use run::{GraspOutcome, GraspResult, simulate};
+pub use run::{GraspOutcome, GraspResult, simulate, simulate_with_fields};
 #[cfg(any(test, feature = "testing"))]
 pub use sample_trace::sample_trace;
 pub(crate) use scene::MAX_OPENING_M;

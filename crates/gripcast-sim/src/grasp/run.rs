@@ -5,8 +5,9 @@ use serde::{Deserialize, Serialize};
 
 use super::friction_use::friction_use;
 use super::protocol::Protocol;
-use super::scene::{BuiltScene, Scene};
+use super::scene::{BuiltScene, Finger, Scene};
 use super::trace::{GelForce, Snapshot, StageName, Trace, TraceStep};
+use crate::fields::{FaceField, FieldSampling, FieldSeries, FieldStep};
 use crate::solver::{Gel, PhaseTimes, SolverParameters, StepReport, StepStart};
 use gripcast_base::error::Result;
 use gripcast_base::statistics::median;
@@ -100,12 +101,29 @@ pub fn simulate(
     protocol: &Protocol,
     parameters: &SolverParameters,
 ) -> Result<GraspResult> {
+    simulate_with_fields(scene, protocol, parameters, None)
+}
+
+/// Simulates a grasp as [`simulate`] does, with the same result, and records the fields of the gels'
+/// faces in the trace.
+///
+/// # Errors
+/// As [`simulate`].
+pub fn simulate_with_fields(
+    scene: &Scene,
+    protocol: &Protocol,
+    parameters: &SolverParameters,
+    sampling: Option<FieldSampling>,
+) -> Result<GraspResult> {
     protocol.validate()?;
     let built = scene.build(parameters)?;
     if let Some(detail) = built.penetration {
         return Ok(GraspResult::penetrating_start(detail));
     }
-    Ok(Run::new(built, scene, protocol, parameters.dt_s).finish())
+    let mut run = Run::new(built, scene, protocol, parameters.dt_s);
+    run.sampling = sampling;
+    run.trace.fields = sampling.map(|_| FieldSeries::new(&scene.gel.grid, 2, parameters.eps_v_m_s));
+    Ok(run.finish())
 }
 
 /// A grasp in progress.
@@ -128,6 +146,7 @@ struct Run<'a> {
     /// Load of the friction in each step of the lift.
     friction_uses: Vec<f64>,
     friction: f64,
+    sampling: Option<FieldSampling>,
     trace: Trace,
 }
 
@@ -151,6 +170,7 @@ impl<'a> Run<'a> {
             iterations: 0,
             friction_uses: Vec::new(),
             friction: scene.friction,
+            sampling: None,
             trace: Trace::default(),
         }
     }
@@ -376,9 +396,36 @@ impl<'a> Run<'a> {
             min_gap_m: [gels[0].min_gap(), gels[1].min_gap()],
             solver,
         });
+        let index = self.trace.steps.len() - 1;
+        if self.sampling.is_some_and(|sampling| sampling.takes(index)) {
+            self.record_fields(stage);
+        }
+    }
+
+    /// Records the fields at the end of the last step.
+    fn record_fields(&mut self, stage: StageName) {
+        let Some(series) = &mut self.trace.fields else {
+            return;
+        };
+        let system = &self.scene.system;
+        let contacts = system.node_contacts();
+        let fields = (0..2).map(|i| {
+            let rotation = self.scene.gripper_axes * Finger::BOTH[i].rotation();
+            FaceField::new(&system.gels()[i], &series.mesh, &contacts[i], &rotation)
+        });
+        let step = FieldStep {
+            step: self.trace.steps.len().saturating_sub(1) as u32,
+            stage: Some(stage),
+            t_s: self.time,
+            gels: fields.collect(),
+        };
+        series.steps.push(step);
     }
 
     fn snapshot(&mut self, stage: StageName) {
+        if self.sampling == Some(FieldSampling::Stages) && !self.trace.steps.is_empty() {
+            self.record_fields(stage);
+        }
         let lift = Pose::from_translation(DVec3::Z * self.lifted);
         let gels = self.scene.system.gels();
         let positions = |i: usize| gels[i].positions().iter().map(|x| x.to_array()).collect();

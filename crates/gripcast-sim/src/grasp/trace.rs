@@ -2,6 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
+use crate::fields::FieldSeries;
 use crate::solver::StepReport;
 use gripcast_geometry::Pose;
 
@@ -78,6 +79,9 @@ pub struct Trace {
     pub steps: Vec<TraceStep>,
     /// States at the ends of the stages.
     pub snapshots: Vec<Snapshot>,
+    /// Fields of the gels' faces, if they were recorded; only in the binary form of a file.
+    #[serde(skip)]
+    pub fields: Option<FieldSeries>,
 }
 
 impl TraceStep {

@@ -1,24 +1,27 @@
 //! Trace files: JSON for people and scripts, a compact binary form for renderers.
 //!
-//! # Binary form, version 1
+//! # Binary form, versions 1 and 2
 //! All numbers little-endian, floats IEEE 754 `f64`, no padding but the zeros listed.
 //!
 //! | bytes | content |
 //! | --- | --- |
 //! | 8 | magic `89 47 43 54 0d 0a 1a 0a` (`\x89GCT\r\n\x1a\n`: reveals damage by text-mode copies) |
-//! | u32 | version, 1 |
+//! | u32 | version: 1, or 2 with fields |
 //! | u32 | length H of the header |
 //! | u64 | number of steps |
 //! | u32 | number of snapshots |
 //! | u32 | bytes of one step, 184 |
 //! | H | header: one JSON object in UTF-8, the result of the grasp with its parameters |
-//! | … | the steps, then the snapshots; then the file ends |
+//! | … | the steps, then the snapshots, in version 2 the records of the fields; then the file ends |
 //!
 //! A step is: u8 stage (0 closure, 1 adjustment, 2 lift) · u8 flags (1 has a solver report, 2
 //! converged, 4 has a left gap, 8 has a right gap) · u16 zero · u32 iterations, factorisations,
 //! halvings, broad-phase rebuilds, zero · f64 time, opening, lift · left gel: normal force, shear
 //! along y and z, torque · right gel: the same · left and right gap (0 if absent) · object pose:
 //! translation x y z, quaternion w x y z.
+//!
+//! The records are those of [`crate::fields`]; `fields` in the header describes them. A trace
+//! without fields is written in version 1.
 //!
 //! A snapshot is: u8 stage · 3 zero bytes · u32 nodes of the left gel, of the right gel, zero · f64
 //! time, opening · object pose · gripper pose · node positions x y z of the left gel, of the right.
@@ -28,12 +31,15 @@ use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
 use super::trace::{GelForce, Snapshot, StageName, Trace, TraceStep};
+use crate::fields::FieldSeries;
 use crate::solver::StepReport;
 use gripcast_base::error::{Error, Result};
 use gripcast_geometry::Pose;
 
 const MAGIC: [u8; 8] = *b"\x89GCT\r\n\x1a\n";
 const VERSION: u32 = 1;
+/// Version of a binary trace with fields.
+const VERSION_WITH_FIELDS: u32 = 2;
 const FORMAT: &str = "gripcast-trace";
 const STEP_BYTES: usize = 24 + 20 * 8;
 
@@ -55,8 +61,13 @@ impl TraceFile {
     /// Encodes as one JSON object: `{"format", "version", "result", "steps", "snapshots"}`.
     ///
     /// # Errors
-    /// `Internal` for a number that JSON cannot represent.
+    /// `Usage` for a trace with fields: as text they are six times as large, and numpy cannot map
+    /// them. `Internal` for a number that JSON cannot represent.
     pub fn to_json(&self) -> Result<Vec<u8>> {
+        if self.trace.fields.is_some() {
+            return Err(Error::usage("fields are written in binary traces only")
+                .remedy("write the trace to a file that ends in .bin"));
+        }
         #[derive(Serialize)]
         struct Document<'a> {
             format: &'static str,
@@ -80,11 +91,18 @@ impl TraceFile {
     /// # Errors
     /// `Internal` if the header cannot be encoded or there are more than 2³² items.
     pub fn to_bytes(&self) -> Result<Vec<u8>> {
-        let header = serde_json::to_vec(&self.header)
-            .map_err(|e| Error::internal("cannot write the trace").because(e))?;
+        let (version, header) = match &self.trace.fields {
+            None => (VERSION, serde_json::to_vec(&self.header)),
+            Some(fields) => {
+                let mut header = self.header.clone();
+                header["fields"] = fields.description();
+                (VERSION_WITH_FIELDS, serde_json::to_vec(&header))
+            }
+        };
+        let header = header.map_err(|e| Error::internal("cannot write the trace").because(e))?;
         let mut out = Writer(Vec::new());
         out.0.extend(MAGIC);
-        out.u32(VERSION);
+        out.u32(version);
         out.count(header.len())?;
         out.0.extend((self.trace.steps.len() as u64).to_le_bytes());
         out.count(self.trace.snapshots.len())?;
@@ -95,6 +113,9 @@ impl TraceFile {
         }
         for snapshot in &self.trace.snapshots {
             out.snapshot(snapshot)?;
+        }
+        if let Some(fields) = &self.trace.fields {
+            fields.write(&mut out.0);
         }
         Ok(out.0)
     }
@@ -135,7 +156,7 @@ impl TraceFile {
                 head.format
             )));
         }
-        check_version(head.version)?;
+        check_version(head.version, &[VERSION])?;
         let document: Document = serde_json::from_slice(bytes)
             .map_err(|e| damaged("invalid content".into()).because(e))?;
         Ok(Self {
@@ -154,7 +175,8 @@ impl TraceFile {
             return Err(not_a_trace("not a grasp trace"));
         }
         reader.take(MAGIC.len())?;
-        check_version(reader.u32()?)?;
+        let version = reader.u32()?;
+        check_version(version, &[VERSION, VERSION_WITH_FIELDS])?;
         let header_bytes = reader.u32()? as usize;
         let step_count = reader.u64()?;
         let snapshot_count = reader.u32()?;
@@ -164,7 +186,7 @@ impl TraceFile {
                 "expected {STEP_BYTES} bytes per step, found {step_bytes}"
             )));
         }
-        let header = serde_json::from_slice(reader.take(header_bytes)?)
+        let mut header: Value = serde_json::from_slice(reader.take(header_bytes)?)
             .map_err(|e| damaged("the header is not valid JSON".into()).because(e))?;
         let mut trace = Trace::default();
         for _ in 0..step_count {
@@ -173,9 +195,15 @@ impl TraceFile {
         for _ in 0..snapshot_count {
             trace.snapshots.push(reader.snapshot()?);
         }
-        let rest = bytes.len() - reader.position;
-        if rest > 0 {
-            return Err(damaged(format!("{rest} bytes after the end")));
+        let rest = &bytes[reader.position..];
+        if version == VERSION_WITH_FIELDS {
+            let description = header
+                .as_object_mut()
+                .and_then(|header| header.remove("fields"))
+                .unwrap_or_default();
+            trace.fields = Some(FieldSeries::read(&description, rest)?);
+        } else if !rest.is_empty() {
+            return Err(damaged(format!("{} bytes after the end", rest.len())));
         }
         Ok(Self { header, trace })
     }
@@ -185,12 +213,14 @@ fn not_a_trace(what: &str) -> Error {
     Error::input(what).remedy("write a trace with `gripcast sim grasp … --trace FILE.bin`")
 }
 
-fn check_version(version: u32) -> Result<()> {
-    if version == VERSION {
+fn check_version(version: u32, known: &[u32]) -> Result<()> {
+    if known.contains(&version) {
         return Ok(());
     }
+    let known: Vec<String> = known.iter().map(u32::to_string).collect();
+    let known = known.join(" or ");
     Err(
-        Error::input(format!("expected trace version {VERSION}, found {version}"))
+        Error::input(format!("expected trace version {known}, found {version}"))
             .remedy("read it with the gripcast that wrote it, or simulate the grasp again"),
     )
 }

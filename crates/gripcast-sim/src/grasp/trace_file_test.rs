@@ -64,9 +64,9 @@ fn foreign_newer_and_overlong_files_are_rejected() {
     let text = TraceFile::from_bytes(&bytes).unwrap_err();
     assert!(text.to_string().contains("1 bytes after the end"), "{text}");
     bytes.pop();
-    bytes[8] = 2;
+    bytes[8] = 3;
     let text = TraceFile::from_bytes(&bytes).unwrap_err();
-    assert!(text.to_string().contains("found 2"), "{text}");
+    assert!(text.to_string().contains("found 3"), "{text}");
     bytes[8] = 1;
     // A count far beyond the file must not reserve memory for it.
     bytes[16..24].copy_from_slice(&u64::MAX.to_le_bytes());

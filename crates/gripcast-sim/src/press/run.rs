@@ -14,6 +14,7 @@ use serde::Serialize;
 use super::indenter::{Indenter, MeshSize};
 use crate::affine::{AffineBody, AffineState};
 use crate::fem::{GelGrid, GelPad, Side, Surface};
+use crate::fields::{FaceField, FieldSampling, FieldSeries, FieldStep};
 use crate::solver::{
     Collider, Drive, Gel, GelMaterial, Object, SolverParameters, StepStart, System,
 };
@@ -123,9 +124,27 @@ impl Press {
     /// `Input` for a target that is not finite or deeper than half the gel; `Input` or `Config` for
     /// an invalid indenter, material or parameter.
     pub fn run(&self, targets: &[PressTarget]) -> Result<Vec<PressPoint>> {
+        Ok(self.run_with_fields(targets, None)?.0)
+    }
+
+    /// Presses as [`Self::run`] does, with the same result, and records the fields of the gel's face:
+    /// with [`FieldSampling::Stages`] at each target, else at steps. Each field is that of the
+    /// modelled part of the gel.
+    ///
+    /// # Errors
+    /// As [`Self::run`].
+    pub fn run_with_fields(
+        &self,
+        targets: &[PressTarget],
+        sampling: Option<FieldSampling>,
+    ) -> Result<(Vec<PressPoint>, Option<FieldSeries>)> {
         self.validate(targets)?;
         let mut run = self.start(targets)?;
-        targets.iter().map(|target| run.move_to(target)).collect()
+        run.sampling = sampling;
+        run.fields = sampling.map(|_| FieldSeries::new(&self.grid, 1, self.slip_m / self.dt_s));
+        let points = targets.iter().map(|target| run.move_to(target));
+        let points = points.collect::<Result<_>>()?;
+        Ok((points, run.fields))
     }
 
     fn validate(&self, targets: &[PressTarget]) -> Result<()> {
@@ -222,6 +241,9 @@ impl Press {
                 .product(),
             step_m: self.step_m,
             driven: PressTarget::default(),
+            steps: 0,
+            sampling: None,
+            fields: None,
         })
     }
 }
@@ -235,6 +257,9 @@ struct Run {
     step_m: f64,
     /// Motion of the drive so far; its depth includes the initial clearance.
     driven: PressTarget,
+    steps: u32,
+    sampling: Option<FieldSampling>,
+    fields: Option<FieldSeries>,
 }
 
 impl Run {
@@ -258,10 +283,18 @@ impl Run {
                     gel.move_target(by);
                 }
                 let report = self.system.step(&StepStart::default());
+                self.steps += 1;
+                let index = self.steps as usize - 1;
+                if self.sampling.is_some_and(|sampling| sampling.takes(index)) {
+                    self.record_fields();
+                }
                 steps += 1;
                 iterations += report.iterations;
                 converged &= report.converged;
             }
+        }
+        if self.sampling == Some(FieldSampling::Stages) {
+            self.record_fields();
         }
         Ok(PressPoint {
             steps,
@@ -269,6 +302,22 @@ impl Run {
             converged,
             ..self.measure()
         })
+    }
+
+    /// Records the fields at the end of the last step.
+    fn record_fields(&mut self) {
+        let Some(series) = &mut self.fields else {
+            return;
+        };
+        let (gel, contact) = (&self.system.gels()[0], self.system.node_contacts());
+        let field = FaceField::new(gel, &series.mesh, &contact[0], &DMat3::IDENTITY);
+        let dt_s = self.system.parameters().dt_s;
+        series.steps.push(FieldStep {
+            step: self.steps.saturating_sub(1),
+            stage: None,
+            t_s: f64::from(self.steps) * dt_s,
+            gels: vec![field],
+        });
     }
 
     fn measure(&self) -> PressPoint {

@@ -445,6 +445,10 @@ fn cross_product_hessian(e: DVec3, coefficient: f64) -> DMat3 {
     (identity - outer(e, e)) * coefficient
 }
 
+#[path = "node_contact.rs"]
+mod node_contact;
+pub use node_contact::NodeContact;
+
 #[cfg(test)]
 #[path = "gel_contact_probe.rs"]
 mod probe;

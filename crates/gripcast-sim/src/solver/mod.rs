@@ -19,6 +19,7 @@ pub use collider::Collider;
 #[doc(hidden)]
 pub use gel::GelPhases;
 pub use gel::{Drive, Gel, GelMaterial};
+pub use gel_contact::NodeContact;
 pub use object::Object;
 pub use parameters::SolverParameters;
 pub use system::{PhaseTimes, StepReport, StepStart, System};

@@ -13,6 +13,7 @@ use rayon::prelude::*;
 use super::collider::Collider;
 use super::coupling::OBJECT_DOF;
 use super::gel::Gel;
+use super::gel_contact::NodeContact;
 use super::gel_factor::NotPositiveDefinite;
 use super::lbfgs::{History, dot};
 use super::object::Object;
@@ -180,6 +181,15 @@ impl System {
         let (object, d_hat) = (&self.object.state, self.parameters.d_hat_m);
         let gels = self.gels.par_iter_mut();
         gels.map(|gel| gel.clearance(object, d_hat)).collect()
+    }
+
+    /// Stick or slip of each node of each gel over the step that has ended.
+    pub fn node_contacts(&self) -> Vec<Vec<NodeContact>> {
+        let obstacle = self.object.as_obstacle(&self.barrier);
+        let epsilon = self.parameters.eps_v_m_s * self.parameters.dt_s;
+        let gels = self.gels.iter();
+        gels.map(|gel| gel.node_contacts(obstacle, epsilon))
+            .collect()
     }
 
     /// Translates each gel rigidly (m) while the object rests: a time step without contact.

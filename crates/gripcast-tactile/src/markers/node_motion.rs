@@ -125,10 +125,10 @@ fn slope_weights(axis: &[f64], node: usize) -> impl Iterator<Item = (usize, f64)
 #[cfg(test)]
 mod tests {
     use super::*;
-    use gripcast_sim::fem::GelResolution;
+    use gripcast_sim::fem::{GelPad, GelResolution};
 
     fn motion(of: impl Fn(f64, f64) -> [f64; 2], mounting: MountingAngle) -> NodeMotion {
-        let grid = GelGrid::pad(GelResolution::Default).unwrap();
+        let grid = GelPad::default().grid(GelResolution::Default).unwrap();
         let [columns, rows, layers] = grid.nodes();
         let first = grid.node(0, 0, layers - 1);
         let face = &grid.positions()[first..];
@@ -162,7 +162,7 @@ mod tests {
 
     #[test]
     fn wrong_number_of_nodes_is_refused() {
-        let grid = GelGrid::pad(GelResolution::Coarse).unwrap();
+        let grid = GelPad::default().grid(GelResolution::Coarse).unwrap();
         let error =
             NodeMotion::new(&grid, vec![[0.0; 2]; 3], MountingAngle::default()).unwrap_err();
         assert!(error.to_string().contains("found 3"), "{error}");
