@@ -4,11 +4,8 @@
 
 use image::RgbImage;
 
-use gripcast_base::error::Result;
-use gripcast_imaging::GelCells;
-
 use crate::association::{Grid, Known, associate};
-use crate::contact::{ContactArea, skin_cells};
+use crate::contact::{ContactArea, SkinCells};
 use crate::darkness::Brightness;
 use crate::dots::{Dot, distance};
 use crate::lattice::{Lattice, median};
@@ -40,13 +37,13 @@ pub(crate) struct MarkerTracker {
     grid: Grid,
     m_per_px: f64,
     size: [u32; 2],
-    rest_cells: GelCells,
+    rest_cells: SkinCells,
     known: Vec<Option<Known>>,
     slip: SlipMeter,
 }
 
 impl MarkerTracker {
-    pub(crate) fn new(image: &RgbImage, lattice: Lattice, m_per_px: f64) -> Result<Self> {
+    pub(crate) fn new(image: &RgbImage, lattice: Lattice, m_per_px: f64) -> Self {
         let rest = |dot: &Option<Dot>| {
             dot.map(|dot| Known {
                 rest: dot.position,
@@ -54,7 +51,7 @@ impl MarkerTracker {
             })
         };
         let positions = lattice.present().map(|dot| dot.position);
-        Ok(Self {
+        Self {
             grid: Grid {
                 columns: lattice.columns,
                 rows: lattice.rows,
@@ -62,11 +59,11 @@ impl MarkerTracker {
             },
             m_per_px,
             size: [image.width(), image.height()],
-            rest_cells: skin_cells(image, positions, lattice.filter.diameter)?,
+            rest_cells: SkinCells::new(image, positions, lattice.filter.diameter),
             known: lattice.dots.iter().map(rest).collect(),
             slip: SlipMeter::default(),
             lattice,
-        })
+        }
     }
 
     pub(crate) fn update(&mut self, image: &RgbImage) -> ShearFrame {
@@ -117,8 +114,8 @@ impl MarkerTracker {
 
     fn contact(&self, image: &RgbImage, dots: &[Dot]) -> Option<ContactArea> {
         let positions = dots.iter().map(|dot| dot.position);
-        let now = skin_cells(image, positions, self.lattice.filter.diameter).ok()?;
-        ContactArea::between(&self.rest_cells, &now, self.size)
+        let now = SkinCells::new(image, positions, self.lattice.filter.diameter);
+        ContactArea::between(&self.rest_cells, &now)
     }
 
     fn is_far_from_rest(&self, found: &[Option<usize>], dots: &[Dot]) -> bool {

@@ -93,7 +93,7 @@ impl ShearTracker {
         let mut problems = Vec::new();
         let method = match Lattice::find(&Brightness::new(initial)) {
             Some(lattice) => {
-                let markers = MarkerTracker::new(initial, lattice, m_per_px)?;
+                let markers = MarkerTracker::new(initial, lattice, m_per_px);
                 if let Some(pattern) = expected {
                     let [x, y] = pattern.pitch_m;
                     let (found_px, expected_px) =
