@@ -11,6 +11,7 @@ mod component;
 mod disk_failure;
 mod foreign;
 mod name;
+pub mod npy;
 mod opening;
 mod owner_lock;
 
