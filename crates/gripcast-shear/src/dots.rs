@@ -4,8 +4,13 @@ use crate::darkness::{Brightness, Darkness};
 
 /// Minimum darkness of a dot, fraction of the darkness of the gel's dots.
 const MIN_DEPTH_FRACTION: f32 = 0.5;
-/// Part of a dot's darkness from which a pixel counts, and from which it counts fully.
-const WEIGHT_RANGE: [f32; 2] = [0.25, 0.7];
+/// Part of a dot's darkness from which a pixel counts, and from which it counts fully: beyond the
+/// noise around a large dot and without the speckles inside it.
+const LARGE_WEIGHTS: [f32; 2] = [0.25, 0.7];
+/// The same for a dot of few pixels, of which each counts by its darkness.
+const SMALL_WEIGHTS: [f32; 2] = [0.15, 1.2];
+/// Diameters of small and large dots, px.
+const SMALL_TO_LARGE: [f32; 2] = [3.0, 7.0];
 /// Maximum steps of a position towards the centroid around it.
 const CENTROID_STEPS: usize = 5;
 /// Step below which a position has converged, px.
@@ -64,11 +69,11 @@ impl DotFilter {
     fn measure(&self, darkness: &Darkness<'_>, start: [f32; 2], depth: f32) -> Option<Dot> {
         let size = darkness.image_size();
         let reach = (0.62 * self.diameter + 1.5).min(0.62 * self.distance.max(self.diameter));
-        let scale = depth.min(self.depth);
+        let range = self.weight_range().map(|part| part * depth.min(self.depth));
         let mut position = start;
         let mut moments = Moments::default();
         for _ in 0..CENTROID_STEPS {
-            moments = Moments::around(darkness, position, reach, scale);
+            moments = Moments::around(darkness, position, reach, range);
             let centroid = moments.centroid()?;
             let (expected, _) = self.visible_centroid(size, position, reach);
             let step = [0, 1].map(|a| centroid[a] - expected[a]);
@@ -88,6 +93,13 @@ impl DotFilter {
             edge: moments.edge / moments.sum.max(1.0),
             visible,
         })
+    }
+
+    /// Parts of a dot's darkness from which a pixel counts, and from which it counts fully.
+    fn weight_range(&self) -> [f32; 2] {
+        let [small, large] = SMALL_TO_LARGE;
+        let part = ((self.diameter - small) / (large - small)).clamp(0.0, 1.0);
+        [0, 1].map(|i| SMALL_WEIGHTS[i] + part * (LARGE_WEIGHTS[i] - SMALL_WEIGHTS[i]))
     }
 
     /// Centroid of the part of a whole disc at `centre` that is inside the image, and its fraction.
@@ -150,8 +162,12 @@ struct Moments {
 }
 
 impl Moments {
-    fn around(darkness: &Darkness<'_>, centre: [f32; 2], reach: f32, depth: f32) -> Self {
-        let [low, high] = WEIGHT_RANGE.map(|fraction| fraction * depth);
+    fn around(
+        darkness: &Darkness<'_>,
+        centre: [f32; 2],
+        reach: f32,
+        [low, high]: [f32; 2],
+    ) -> Self {
         let scale = 1.0 / (high - low);
         let size = darkness.image_size();
         let range = |middle: f32, reach: f32, size: usize| {
