@@ -45,8 +45,7 @@ pub use drawing::draw_line;
 pub use flat_print::FlatPrint;
 pub use frame::{Frame, FrameBytes, FramePool, MAX_SIDE, PixelFormat, Role};
 pub use gel::{
-    ChangeKind, ContactCells, GelCells, GelChange, GelMonitor, GelProblem, GelState,
-    MIN_CONTACT_FRACTION,
+    ChangeKind, GelCells, GelChange, GelMonitor, GelProblem, GelState, MIN_CONTACT_FRACTION,
 };
 pub use gel_pattern::{GelContact, gel_image, synthetic_gel};
 pub use intrinsics::{DistortionModel, Intrinsics};

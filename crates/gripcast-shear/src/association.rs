@@ -16,7 +16,9 @@ const VOTE_CELLS: f32 = 12.0;
 const MAX_MOTION: f32 = 0.65;
 /// Weight that a vote loses for the motion of a pitch: of motions that differ by a pitch, the
 /// smaller is the likelier one.
-const VOTE_LOSS: f32 = 0.35;
+const VOTE_LOSS: f32 = 1.5;
+/// Gel markers below which a fraction of them says little.
+const MIN_VOTERS: usize = 6;
 /// Maximum distance of a dot from its prediction, pitches.
 const MAX_PREDICTION_ERROR: f32 = 0.35;
 /// Maximum difference of a displacement from the median of its neighbours, pitches.
@@ -36,6 +38,8 @@ pub(crate) struct Grid {
     pub(crate) rows: usize,
     /// Shorter distance of neighbours, px.
     pub(crate) pitch: f32,
+    /// Width and height of the image, px.
+    pub(crate) size: [u32; 2],
 }
 
 impl Grid {
@@ -83,11 +87,23 @@ fn common_motion(grid: Grid, known: &[Option<Known>], dots: &[Dot]) -> [f32; 2] 
             }
         }
     });
-    let best = votes.iter().enumerate().max_by(|a, b| a.1.total_cmp(b.1));
-    let Some((best, _)) = best else {
+    let motion_of = |at: usize| [at % side, at / side].map(|i| (i as i32 - half) as f32 * cell);
+    // Of the gel markers that would be inside the image, the fraction that finds a dot: a motion
+    // that moves known gel markers out of the image is no worse than one that does not.
+    let score = |at: usize, votes: f32| {
+        let motion = motion_of(at);
+        let is_inside = |marker: &&Known| {
+            (0..2).all(|a| (0.0..grid.size[a] as f32).contains(&(marker.position[a] + motion[a])))
+        };
+        let inside = known.iter().flatten().filter(is_inside).count();
+        votes / inside.max(MIN_VOTERS) as f32
+    };
+    let scores = votes.iter().enumerate().filter(|(_, votes)| **votes > 0.0);
+    let scores = scores.map(|(at, votes)| (at, score(at, *votes)));
+    let Some((best, _)) = scores.max_by(|a, b| a.1.total_cmp(&b.1)) else {
         return [0.0; 2];
     };
-    let peak = [best % side, best / side].map(|i| (i as i32 - half) as f32 * cell);
+    let peak = motion_of(best);
     let mut near: [Vec<f32>; 2] = Default::default();
     motions(&mut |motion| {
         if distance(motion, peak) <= 2.0 * cell {

@@ -1,39 +1,134 @@
-//! Where something touches the gel, gel markers or not.
+//! Where something touches the gel.
+//!
+//! The skin between the gel markers is reduced to cells. A contact changes them locally, by its edges and
+//! slopes; lamps and exposure change them smoothly.
 
-use image::{Rgb, RgbImage};
+use image::RgbImage;
 
-use gripcast_base::error::Result;
-use gripcast_imaging::{ContactCells, GelCells, GelChange, MIN_CONTACT_FRACTION};
+use crate::darkness::BoxSums;
 
+/// Columns and rows of the cells.
+const GRID: [usize; 2] = [40, 30];
+/// Side of the surroundings that a change is relative to, cells.
+const SURROUNDINGS: usize = 11;
+/// Minimum local change of a contact, grey levels: above the noise of a cell.
+const MIN_CHANGE: f32 = 4.0;
+/// Local change expected of an illumination that changes, fraction of its change.
+const UNEVEN_FRACTION: f32 = 0.35;
+/// Minimum fraction of the cells with a local change for a contact.
+const MIN_CONTACT: f32 = 0.01;
 /// Pixels around a gel marker that its colour reaches.
 const HALO_PX: f32 = 2.5;
+/// Minimum pixels of a cell that no gel marker covers, fraction.
+const MIN_FREE: f32 = 0.3;
+
+/// Mean colours of the skin.
+#[derive(Clone, Debug)]
+pub(crate) struct SkinCells {
+    size: [u32; 2],
+    /// Mean levels of each cell; `None` below gel markers.
+    levels: Vec<Option<[f32; 3]>>,
+}
+
+impl SkinCells {
+    /// Reduces an image without the discs of `diameter` around the gel markers.
+    pub(crate) fn new(
+        image: &RgbImage,
+        markers: impl Iterator<Item = [f32; 2]>,
+        diameter: f32,
+    ) -> Self {
+        let (width, height) = (image.width() as usize, image.height() as usize);
+        let mut is_covered = vec![false; width * height];
+        let radius = 0.5 * diameter + HALO_PX;
+        for [x, y] in markers {
+            let range = |middle: f32, reach: f32, size: usize| {
+                let from = (middle - reach).ceil().max(0.0) as usize;
+                let to = (middle + reach + 1.0).max(0.0) as usize;
+                from.min(size)..to.min(size)
+            };
+            for row in range(y, radius, height) {
+                let half = (radius * radius - (row as f32 - y).powi(2)).max(0.0).sqrt();
+                is_covered[row * width..][range(x, half, width)].fill(true);
+            }
+        }
+        let cell_of: Vec<usize> = (0..width).map(|x| x * GRID[0] / width).collect();
+        let mut sums = vec![[0_u32; 5]; GRID[0] * GRID[1]];
+        let rows = image.as_raw().chunks_exact(3 * width.max(1));
+        for (y, (row, covered)) in rows.zip(is_covered.chunks_exact(width.max(1))).enumerate() {
+            let cells = &mut sums[y * GRID[1] / height * GRID[0]..][..GRID[0]];
+            for ((pixel, covered), cell) in row.chunks_exact(3).zip(covered).zip(&cell_of) {
+                let sums = &mut cells[*cell];
+                let is_free = u32::from(!covered);
+                for (sum, level) in sums.iter_mut().zip(pixel) {
+                    *sum += is_free * u32::from(*level);
+                }
+                sums[3] += is_free;
+                sums[4] += 1;
+            }
+        }
+        let mean = |[red, green, blue, free, all]: &[u32; 5]| {
+            let is_free = *free > 0 && *free as f32 >= MIN_FREE * *all as f32;
+            is_free.then(|| [red, green, blue].map(|sum| *sum as f32 / *free as f32))
+        };
+        Self {
+            size: [image.width(), image.height()],
+            levels: sums.iter().map(mean).collect(),
+        }
+    }
+}
 
 /// The area in contact, by cells.
 #[derive(Clone, Debug)]
 pub(crate) struct ContactArea {
-    /// Cells that are in contact, row-major; holes and flat parts are filled.
+    /// Cells in contact, row-major.
     cells: Vec<bool>,
     size: [f32; 2],
 }
 
 impl ContactArea {
-    /// The area between two images; `None` without contact.
-    pub(crate) fn between(initial: &GelCells, now: &GelCells, size: [u32; 2]) -> Option<Self> {
-        let (change, contact) = GelChange::with_contact(initial, now, 0.0);
-        (change.contact_fraction >= MIN_CONTACT_FRACTION).then(|| Self {
-            cells: filled(&contact),
-            size: size.map(|side| side as f32),
+    /// The area that changed between two images of a size; `None` without contact.
+    pub(crate) fn between(initial: &SkinCells, now: &SkinCells) -> Option<Self> {
+        let changes: Vec<Option<[f32; 3]>> = initial
+            .levels
+            .iter()
+            .zip(&now.levels)
+            .map(|(before, now)| {
+                let (before, now) = ((*before)?, (*now)?);
+                Some([0, 1, 2].map(|c| now[c] - before[c]))
+            })
+            .collect();
+        let means = |value: &dyn Fn(&[f32; 3]) -> f32| {
+            let values = changes
+                .iter()
+                .map(|change| change.as_ref().map_or(0.0, value));
+            BoxSums::new(GRID, values).means(SURROUNDINGS)
+        };
+        let counts = means(&|_| 1.0);
+        let around: [Vec<f32>; 3] = [0, 1, 2].map(|c| means(&|change| change[c]));
+        let is_changed = |at: usize| {
+            let Some(change) = changes[at] else {
+                return false;
+            };
+            (0..3).any(|c| {
+                let mean = around[c][at] / counts[at].max(f32::MIN_POSITIVE);
+                (change[c] - mean).abs() > MIN_CHANGE + UNEVEN_FRACTION * mean.abs()
+            })
+        };
+        let changed: Vec<bool> = (0..changes.len()).map(is_changed).collect();
+        let count = changed.iter().filter(|cell| **cell).count();
+        (count as f32 >= MIN_CONTACT * changed.len() as f32).then(|| Self {
+            cells: filled(&changed),
+            size: now.size.map(|side| side as f32),
         })
     }
 
     /// Whether a pixel is in contact.
     pub(crate) fn contains(&self, position: [f32; 2]) -> bool {
         let [column, row] = [0, 1].map(|axis| {
-            let cells = ContactCells::GRID[axis];
-            let at = (position[axis] + 0.5) / self.size[axis] * cells as f32;
-            (at.max(0.0) as usize).min(cells - 1)
+            let at = (position[axis] + 0.5) / self.size[axis] * GRID[axis] as f32;
+            (at.max(0.0) as usize).min(GRID[axis] - 1)
         });
-        self.cells[row * ContactCells::GRID[0] + column]
+        self.cells[row * GRID[0] + column]
     }
 
     /// Fraction of the image that is in contact.
@@ -42,11 +137,10 @@ impl ContactArea {
     }
 }
 
-/// Contact structure is the rim and the slopes of a contact: a cell with structure on both sides in
-/// its row and in its column is inside.
-fn filled(contact: &ContactCells) -> Vec<bool> {
-    let [columns, rows] = ContactCells::GRID;
-    let cells = contact.cells();
+/// Changes are the rim and the slopes of a contact: a cell with changes on both sides in its row and
+/// in its column is inside.
+fn filled(cells: &[bool]) -> Vec<bool> {
+    let [columns, rows] = GRID;
     let extent = |line: &mut dyn Iterator<Item = usize>| {
         let mut ends = None;
         for (i, at) in line.enumerate() {
@@ -71,41 +165,4 @@ fn filled(contact: &ContactCells) -> Vec<bool> {
     (0..columns * rows)
         .map(|i| cells[i] || is_inside(i))
         .collect()
-}
-
-/// Cells of the skin between the gel markers: each row of a gel marker is replaced by the colours
-/// at its two ends.
-///
-/// # Errors
-/// As [`GelCells::new`].
-pub(crate) fn skin_cells(
-    image: &RgbImage,
-    dots: impl Iterator<Item = [f32; 2]>,
-    diameter: f32,
-) -> Result<GelCells> {
-    let mut skin = image.clone();
-    let (width, height) = (image.width() as i32, image.height() as i32);
-    let radius = 0.5 * diameter + HALO_PX;
-    for [x, y] in dots {
-        for row in ((y - radius).ceil() as i32).max(0)..=((y + radius) as i32).min(height - 1) {
-            let half = (radius * radius - (row as f32 - y).powi(2)).max(0.0).sqrt();
-            let (left, right) = ((x - half).floor() as i32 - 1, (x + half).ceil() as i32 + 1);
-            let pixel = |column: i32| image.get_pixel(column as u32, row as u32).0;
-            let ends = match (left >= 0, right < width) {
-                (true, true) => [pixel(left), pixel(right)],
-                (true, false) if left < width => [pixel(left); 2],
-                (false, true) if right >= 0 => [pixel(right); 2],
-                _ => continue,
-            };
-            for column in (left + 1).max(0)..right.min(width) {
-                let weight = (column - left) as f32 / (right - left) as f32;
-                let colour = [0, 1, 2].map(|c| {
-                    let [a, b] = ends.map(|end| f32::from(end[c]));
-                    (a + weight * (b - a)).round() as u8
-                });
-                skin.put_pixel(column as u32, row as u32, Rgb(colour));
-            }
-        }
-    }
-    GelCells::new(&skin)
 }

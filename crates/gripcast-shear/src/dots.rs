@@ -4,10 +4,19 @@ use crate::darkness::{Brightness, Darkness};
 
 /// Minimum darkness of a dot, fraction of the darkness of the gel's dots.
 const MIN_DEPTH_FRACTION: f32 = 0.5;
-/// Part of a dot's darkness from which a pixel counts, and from which it counts fully.
-const WEIGHT_RANGE: [f32; 2] = [0.25, 0.7];
-/// Steps of a position towards the centroid around it.
-const CENTROID_STEPS: usize = 4;
+/// Part of a dot's darkness from which a pixel counts, and from which it counts fully: beyond the
+/// noise around a large dot and without the speckles inside it.
+const LARGE_WEIGHTS: [f32; 2] = [0.25, 0.7];
+/// The same for a dot of few pixels, of which each counts by its darkness.
+const SMALL_WEIGHTS: [f32; 2] = [0.15, 1.2];
+/// Diameters of small and large dots, px.
+const SMALL_TO_LARGE: [f32; 2] = [3.0, 7.0];
+/// Maximum steps of a position towards the centroid around it.
+const CENTROID_STEPS: usize = 5;
+/// Step below which a position has converged, px.
+const CONVERGED_PX: f32 = 0.03;
+/// Cells of the coarser grid across a dot: enough to find it.
+const CELLS_OF_DIAMETER: f32 = 5.0;
 /// Minimum fraction of a dot that is inside the image.
 const MIN_VISIBLE: f32 = 0.4;
 
@@ -42,46 +51,55 @@ pub(crate) struct DotFilter {
 impl DotFilter {
     /// Finds the dots of an image.
     pub(crate) fn find(&self, brightness: &Brightness) -> Vec<Dot> {
-        let darkness = brightness.darkness(self.background.round() as usize | 1);
-        let middle = (0.6 * self.diameter).round() as usize | 1;
-        let smooth = darkness.smoothed(middle);
-        let radius = (0.5 * self.distance).max(1.0) as usize;
+        let factor = ((self.diameter / CELLS_OF_DIAMETER) as usize).max(1);
+        let darkness = brightness.darkness(self.background, factor);
+        let smooth = darkness.smoothed(0.6 * self.diameter);
+        let radius = (0.5 * self.distance / factor as f32).max(1.0) as usize;
         let threshold = MIN_DEPTH_FRACTION * self.depth;
         let peaks = local_maxima(&smooth, darkness.size, radius, threshold);
-        let dots = peaks.into_iter().filter_map(|[x, y]| {
-            let peak = smooth[y * darkness.size[0] + x];
-            self.measure(&darkness, [x as f32, y as f32], peak)
+        let dots = peaks.into_iter().filter_map(|cell| {
+            let peak = smooth[cell[1] * darkness.size[0] + cell[0]];
+            let start = cell.map(|i| (i as f32 + 0.5) * factor as f32 - 0.5);
+            self.measure(&darkness, start, peak)
         });
         self.without_doubles(dots.collect())
     }
 
     /// Measures the dot around a position; `None` where there is none.
-    fn measure(&self, darkness: &Darkness, start: [f32; 2], depth: f32) -> Option<Dot> {
+    fn measure(&self, darkness: &Darkness<'_>, start: [f32; 2], depth: f32) -> Option<Dot> {
+        let size = darkness.image_size();
         let reach = (0.62 * self.diameter + 1.5).min(0.62 * self.distance.max(self.diameter));
-        let scale = depth.min(self.depth);
+        let range = self.weight_range().map(|part| part * depth.min(self.depth));
         let mut position = start;
+        let mut moments = Moments::default();
         for _ in 0..CENTROID_STEPS {
-            let centroid = Moments::around(darkness, position, reach, scale).centroid()?;
-            let expected = self.visible_centroid(darkness.size, position, reach);
-            let moved = [0, 1].map(|a| position[a] + centroid[a] - expected.0[a]);
-            let step = (0..2).map(|a| (moved[a] - start[a]).powi(2)).sum::<f32>();
-            if step.sqrt() > self.diameter.max(2.0) {
+            moments = Moments::around(darkness, position, reach, range);
+            let centroid = moments.centroid()?;
+            let (expected, _) = self.visible_centroid(size, position, reach);
+            let step = [0, 1].map(|a| centroid[a] - expected[a]);
+            position = [0, 1].map(|a| position[a] + step[a]);
+            if distance(position, start) > self.diameter.max(2.0) {
                 return None;
             }
-            position = moved;
+            if step[0].abs().max(step[1].abs()) < CONVERGED_PX {
+                break;
+            }
         }
-        let (_, visible) = self.visible_centroid(darkness.size, position, reach);
-        if visible < MIN_VISIBLE {
-            return None;
-        }
-        let moments = Moments::around(darkness, position, reach, scale);
-        Some(Dot {
+        let (_, visible) = self.visible_centroid(size, position, reach);
+        (visible >= MIN_VISIBLE).then_some(Dot {
             position,
             depth,
             area: moments.sum,
             edge: moments.edge / moments.sum.max(1.0),
             visible,
         })
+    }
+
+    /// Parts of a dot's darkness from which a pixel counts, and from which it counts fully.
+    fn weight_range(&self) -> [f32; 2] {
+        let [small, large] = SMALL_TO_LARGE;
+        let part = ((self.diameter - small) / (large - small)).clamp(0.0, 1.0);
+        [0, 1].map(|i| SMALL_WEIGHTS[i] + part * (LARGE_WEIGHTS[i] - SMALL_WEIGHTS[i]))
     }
 
     /// Centroid of the part of a whole disc at `centre` that is inside the image, and its fraction.
@@ -144,30 +162,43 @@ struct Moments {
 }
 
 impl Moments {
-    fn around(darkness: &Darkness, centre: [f32; 2], reach: f32, depth: f32) -> Self {
-        let [low, high] = WEIGHT_RANGE.map(|fraction| fraction * depth);
-        let range = |axis: usize| {
-            let last = darkness.size[axis] as f32 - 1.0;
-            let from = (centre[axis] - reach).ceil().clamp(0.0, last) as usize;
-            let to = (centre[axis] + reach).floor().clamp(0.0, last) as usize;
-            from..=to
+    fn around(
+        darkness: &Darkness<'_>,
+        centre: [f32; 2],
+        reach: f32,
+        [low, high]: [f32; 2],
+    ) -> Self {
+        let scale = 1.0 / (high - low);
+        let size = darkness.image_size();
+        let range = |middle: f32, reach: f32, size: usize| {
+            let last = size as f32 - 1.0;
+            [(middle - reach).ceil(), (middle + reach).floor()].map(|i| i.clamp(0.0, last) as usize)
         };
+        let inner = (reach - 1.0).max(0.0).powi(2);
         let mut moments = Self::default();
-        for y in range(1) {
-            for x in range(0) {
-                let offset = [x as f32 - centre[0], y as f32 - centre[1]];
-                let from_rim = reach - offset[0].hypot(offset[1]);
-                if from_rim <= 0.0 {
-                    continue;
-                }
-                let dark = ((darkness.at(x, y) - low) / (high - low)).clamp(0.0, 1.0);
-                let weight = dark * from_rim.min(1.0);
+        let [top, bottom] = range(centre[1], reach, size[1]);
+        for y in top..=bottom {
+            let dy = y as f32 - centre[1];
+            let half = (reach * reach - dy * dy).max(0.0).sqrt();
+            darkness.row(y, range(centre[0], half, size[0]), |x, darkness| {
+                let dx = x as f32 - centre[0];
+                let square = dx * dx + dy * dy;
+                // The rim of the window fades, so that a pixel does not enter it at once.
+                let rim = match square > inner {
+                    true => (reach - square.sqrt()).max(0.0),
+                    false => 1.0,
+                };
+                let dark = ((darkness - low) * scale).clamp(0.0, 1.0);
+                let weight = dark * rim;
                 moments.sum += weight;
-                moments.first[0] += weight * x as f32;
-                moments.first[1] += weight * y as f32;
-                moments.edge += f32::from(u8::from(dark > 0.0 && dark < 1.0)) * from_rim.min(1.0);
-            }
+                moments.first[0] += weight * dx;
+                moments.first[1] += weight * dy;
+                if dark > 0.0 && dark < 1.0 {
+                    moments.edge += rim;
+                }
+            });
         }
+        moments.first = [0, 1].map(|a| moments.first[a] + centre[a] * moments.sum);
         moments
     }
 

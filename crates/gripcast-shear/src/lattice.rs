@@ -1,6 +1,6 @@
 //! The lattice of a gel's dots, from the image of the untouched gel.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
 use gripcast_base::linear::NormalEquations;
 
@@ -22,9 +22,11 @@ const MIN_OCCUPIED: f32 = 0.5;
 /// Minimum fraction of all dots that are on the lattice.
 const MIN_ON_LATTICE: f32 = 0.6;
 /// Maximum distance of a dot from where its neighbours expect it, pitches.
-const MAX_OFFSET: f32 = 0.25;
+const MAX_OFFSET: f32 = 0.3;
 /// Maximum root mean square distance of the dots from a smooth lattice, pitches.
-const MAX_RESIDUAL: f32 = 0.12;
+const MAX_RESIDUAL: f32 = 0.3;
+/// The same distance from which something deforms the gel. Real gels have 0.01 to 0.03.
+const DEFORMED: f32 = 0.06;
 /// Maximum tilt, as the tangent: beyond, columns and rows could be confused.
 const MAX_TILT: f32 = 0.5;
 
@@ -39,6 +41,8 @@ pub(crate) struct Lattice {
     pub(crate) steps: [[f32; 2]; 2],
     /// What the dots look like.
     pub(crate) filter: DotFilter,
+    /// Whether the dots are not where they are on a gel that nothing touches.
+    pub(crate) is_deformed: bool,
 }
 
 impl Lattice {
@@ -109,8 +113,11 @@ impl Lattice {
             || columns.min(rows) < 2
             || occupied < MIN_OCCUPIED
             || on_lattice < MIN_ON_LATTICE
-            || residual(&dots, &indices)? > MAX_RESIDUAL * step_length(steps)
         {
+            return None;
+        }
+        let residual = residual(&dots, &indices)? / step_length(steps);
+        if residual > MAX_RESIDUAL {
             return None;
         }
         let mut placed = vec![None; columns * rows];
@@ -124,6 +131,7 @@ impl Lattice {
             dots: placed,
             steps,
             filter,
+            is_deformed: residual > DEFORMED,
         })
     }
 }
@@ -159,53 +167,86 @@ fn common_steps(dots: &[Dot]) -> Option<[[f32; 2]; 2]> {
     Some([step(0)?, step(1)?])
 }
 
-/// Column and row of the dots of the largest connected part, relative to any of them. Each dot
-/// expects its neighbours one step away, so a lattice may be curved.
+/// Column and row of the dots of the largest connected part, relative to any of them.
 fn largest_component(dots: &[Dot], steps: [[f32; 2]; 2]) -> BTreeMap<usize, [i32; 2]> {
-    let max_offset = MAX_OFFSET * step_length(steps);
-    let near = |expected: [f32; 2]| {
-        let distances = dots.iter().map(|dot| distance(dot.position, expected));
-        let nearest = distances.enumerate().min_by(|a, b| a.1.total_cmp(&b.1));
-        nearest.filter(|(_, d)| *d <= max_offset).map(|(i, _)| i)
-    };
-    let neighbours: Vec<[Option<usize>; 4]> = dots
-        .iter()
-        .map(|dot| {
-            let sides = [(0, 1.0), (0, -1.0), (1, 1.0), (1, -1.0)];
-            sides.map(|(axis, sign): (usize, f32)| {
-                near([0, 1].map(|a| dot.position[a] + sign * steps[axis][a]))
-            })
-        })
-        .collect();
     let mut best = BTreeMap::new();
     let mut is_visited = vec![false; dots.len()];
     for seed in 0..dots.len() {
-        if is_visited[seed] {
+        if is_visited[seed] || dots.len() - seed <= best.len() {
             continue;
         }
-        let mut component = BTreeMap::from([(seed, [0, 0])]);
-        let mut taken = BTreeMap::from([([0, 0], seed)]);
-        let mut open = vec![seed];
-        is_visited[seed] = true;
-        while let Some(from) = open.pop() {
-            let [column, row] = component[&from];
-            let sides = [[1, 0], [-1, 0], [0, 1], [0, -1]];
-            for (to, [right, down]) in neighbours[from].iter().zip(sides) {
-                let Some(to) = *to else { continue };
-                let index = [column + right, row + down];
-                if !is_visited[to] && !taken.contains_key(&index) {
-                    is_visited[to] = true;
-                    component.insert(to, index);
-                    taken.insert(index, to);
-                    open.push(to);
-                }
-            }
+        let component = component(dots, steps, seed);
+        for dot in component.keys() {
+            is_visited[*dot] = true;
         }
         if component.len() > best.len() {
             best = component;
         }
     }
     best
+}
+
+/// A dot that could be the neighbour of another one.
+struct Neighbour {
+    /// Distance from where it is expected, px.
+    error: f32,
+    dot: usize,
+    index: [i32; 2],
+    steps: [[f32; 2]; 2],
+}
+
+/// Grows a part of the lattice from a dot, the most regular neighbours first. Each dot expects its
+/// neighbours at the steps that led to it, so that the lattice may be curved.
+fn component(dots: &[Dot], steps: [[f32; 2]; 2], seed: usize) -> BTreeMap<usize, [i32; 2]> {
+    let max_offset = MAX_OFFSET * step_length(steps);
+    let mut placed = BTreeMap::new();
+    let mut taken = BTreeSet::new();
+    let mut open = vec![Neighbour {
+        error: 0.0,
+        dot: seed,
+        index: [0, 0],
+        steps,
+    }];
+    loop {
+        open.retain(|n| !placed.contains_key(&n.dot) && !taken.contains(&n.index));
+        let best = open
+            .iter()
+            .enumerate()
+            .min_by(|a, b| a.1.error.total_cmp(&b.1.error));
+        let Some((best, _)) = best else {
+            return placed;
+        };
+        let Neighbour {
+            dot, index, steps, ..
+        } = open.swap_remove(best);
+        placed.insert(dot, index);
+        taken.insert(index);
+        for (axis, sign) in [(0, 1), (0, -1), (1, 1), (1, -1)] {
+            let mut index = index;
+            index[axis] += sign;
+            if taken.contains(&index) {
+                continue;
+            }
+            let from = dots[dot].position;
+            let step = steps[axis].map(|s| sign as f32 * s);
+            let expected = [0, 1].map(|a| from[a] + step[a]);
+            let errors = dots.iter().map(|dot| distance(dot.position, expected));
+            let nearest = errors.enumerate().min_by(|a, b| a.1.total_cmp(&b.1));
+            if let Some((dot, error)) = nearest
+                && error <= max_offset
+            {
+                let mut steps = steps;
+                let found = [0, 1].map(|a| sign as f32 * (dots[dot].position[a] - from[a]));
+                steps[axis] = [0, 1].map(|a| 0.5 * (steps[axis][a] + found[a]));
+                open.push(Neighbour {
+                    error,
+                    dot,
+                    index,
+                    steps,
+                });
+            }
+        }
+    }
 }
 
 /// Root mean square distance of the dots from a lattice with a quadratic distortion, px.

@@ -6,11 +6,11 @@
 //! is the centre of the top-left pixel.
 //!
 //! ```
-//! use gripcast_shear::ShearTracker;
+//! use gripcast_shear::{ExpectedMarkers, ShearTracker};
 //! use image::{Rgb, RgbImage};
 //!
 //! let initial = RgbImage::from_pixel(320, 240, Rgb([90, 100, 110]));
-//! let mut tracker = ShearTracker::new(&initial, 3.0e-5, None)?;
+//! let mut tracker = ShearTracker::new(&initial, 3.0e-5, ExpectedMarkers::Unknown)?;
 //! let frame = tracker.update(&initial);
 //! assert!(frame.field.is_none());
 //! # Ok::<(), gripcast_base::error::Error>(())
@@ -27,7 +27,9 @@ mod problem;
 mod slip;
 mod texture;
 mod tracker;
+#[cfg(test)]
+mod tracker_test;
 
 pub use marker::{GelMarker, MarkerField, MarkerPattern};
 pub use problem::ShearProblem;
-pub use tracker::{ShearFrame, ShearSource, ShearSummary, ShearTracker};
+pub use tracker::{ExpectedMarkers, ShearFrame, ShearSource, ShearSummary, ShearTracker};

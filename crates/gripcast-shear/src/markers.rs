@@ -4,11 +4,8 @@
 
 use image::RgbImage;
 
-use gripcast_base::error::Result;
-use gripcast_imaging::GelCells;
-
 use crate::association::{Grid, Known, associate};
-use crate::contact::{ContactArea, skin_cells};
+use crate::contact::{ContactArea, SkinCells};
 use crate::darkness::Brightness;
 use crate::dots::{Dot, distance};
 use crate::lattice::{Lattice, median};
@@ -23,13 +20,14 @@ const SUSPICIOUS_REST: f32 = 0.25;
 const MAX_DISPLACEMENT_M: f64 = 3.0e-3;
 /// Minimum for a coarse lattice, pitches.
 const MAX_DISPLACEMENT_PITCHES: f32 = 1.2;
-/// Width of the edges of the dots, relative to the initial image, from which an image is blurred.
-const BLURRED_EDGE: f32 = 1.6;
+/// Width of the edges of the dots for their darkness, relative to the initial image, from which an
+/// image is blurred.
+const BLURRED_EDGE: f32 = 1.5;
 /// Darkness of a dot relative to the initial image: none and full confidence.
 const DEPTH_RANGE: [f32; 2] = [0.4, 0.8];
 /// Area of a dot relative to the initial image: none and full confidence, for smaller and for
 /// larger dots.
-const AREA_RANGE: [f32; 2] = [0.3, 0.7];
+const AREA_RANGE: [f32; 2] = [0.45, 0.85];
 /// Margin of a position inside the image, px: outside, a gel marker is not expected to be seen.
 const MARGIN_PX: f32 = 1.0;
 
@@ -39,14 +37,13 @@ pub(crate) struct MarkerTracker {
     lattice: Lattice,
     grid: Grid,
     m_per_px: f64,
-    size: [u32; 2],
-    rest_cells: GelCells,
+    rest_cells: SkinCells,
     known: Vec<Option<Known>>,
     slip: SlipMeter,
 }
 
 impl MarkerTracker {
-    pub(crate) fn new(image: &RgbImage, lattice: Lattice, m_per_px: f64) -> Result<Self> {
+    pub(crate) fn new(image: &RgbImage, lattice: Lattice, m_per_px: f64) -> Self {
         let rest = |dot: &Option<Dot>| {
             dot.map(|dot| Known {
                 rest: dot.position,
@@ -54,19 +51,19 @@ impl MarkerTracker {
             })
         };
         let positions = lattice.present().map(|dot| dot.position);
-        Ok(Self {
+        Self {
             grid: Grid {
                 columns: lattice.columns,
                 rows: lattice.rows,
                 pitch: lattice.pitch(),
+                size: [image.width(), image.height()],
             },
             m_per_px,
-            size: [image.width(), image.height()],
-            rest_cells: skin_cells(image, positions, lattice.filter.diameter)?,
+            rest_cells: SkinCells::new(image, positions, lattice.filter.diameter),
             known: lattice.dots.iter().map(rest).collect(),
             slip: SlipMeter::default(),
             lattice,
-        })
+        }
     }
 
     pub(crate) fn update(&mut self, image: &RgbImage) -> ShearFrame {
@@ -117,8 +114,8 @@ impl MarkerTracker {
 
     fn contact(&self, image: &RgbImage, dots: &[Dot]) -> Option<ContactArea> {
         let positions = dots.iter().map(|dot| dot.position);
-        let now = skin_cells(image, positions, self.lattice.filter.diameter).ok()?;
-        ContactArea::between(&self.rest_cells, &now, self.size)
+        let now = SkinCells::new(image, positions, self.lattice.filter.diameter);
+        ContactArea::between(&self.rest_cells, &now)
     }
 
     fn is_far_from_rest(&self, found: &[Option<usize>], dots: &[Dot]) -> bool {
@@ -179,8 +176,9 @@ impl MarkerTracker {
     /// Gel markers that are tracked, and those that should be: the others are outside the image.
     fn counts(&self, field: &MarkerField) -> (usize, usize) {
         let is_inside = |position: [f32; 2]| {
-            (0..2)
-                .all(|a| (MARGIN_PX..=self.size[a] as f32 - 1.0 - MARGIN_PX).contains(&position[a]))
+            (0..2).all(|a| {
+                (MARGIN_PX..=self.grid.size[a] as f32 - 1.0 - MARGIN_PX).contains(&position[a])
+            })
         };
         let tracked = (0..self.known.len()).filter(|at| field.tracked(*at).is_some());
         let lost = (0..self.known.len()).filter(|at| {
@@ -191,13 +189,16 @@ impl MarkerTracker {
         (tracked, tracked + lost.count())
     }
 
+    /// Whether the dots have wider edges, for their darkness, than in the initial image.
     fn is_blurred(&self, found: &[Option<usize>], dots: &[Dot]) -> bool {
+        let width = |dot: &Dot| dot.edge / dot.depth.max(f32::MIN_POSITIVE);
         let ratios = found
             .iter()
             .zip(&self.lattice.dots)
             .filter_map(|(dot, rest)| {
                 let (dot, rest) = (dots.get((*dot)?)?, (*rest)?);
-                (rest.visible >= 1.0 && dot.visible >= 1.0).then(|| dot.edge / rest.edge.max(0.01))
+                let is_whole = rest.visible >= 1.0 && dot.visible >= 1.0;
+                is_whole.then(|| width(dot) / width(&rest).max(f32::MIN_POSITIVE))
             });
         median(ratios.collect()).is_some_and(|ratio| ratio > BLURRED_EDGE)
     }
@@ -251,6 +252,7 @@ impl MarkerTracker {
             max_displacement_mm: mm_per_px * lengths.fold(0.0, f32::max),
             divergence: average(|g| g[0][0] + g[1][1]),
             curl: average(|g| g[1][0] - g[0][1]),
+            contact_fraction: contact.map_or(0.0, ContactArea::fraction),
             slip_ratio,
         })
     }

@@ -18,6 +18,8 @@ pub enum ShearProblem {
         /// Pitch of the sensor profile, px.
         expected_px: f32,
     },
+    /// The gel is deformed in the initial image already: displacements count from there.
+    DeformedInitial,
     /// Many gel markers are lost.
     ManyLost {
         /// Gel markers that are lost.
@@ -57,6 +59,11 @@ impl ShearProblem {
             } => format!(
                 "the gel markers are {found_px:.1} px apart, in the sensor profile {expected_px:.1} px"
             ),
+            Self::DeformedInitial => {
+                "something deforms the gel in the initial image, so displacements are relative to \
+                 that"
+                    .into()
+            }
             Self::ManyLost { lost, total } => format!("{lost} of {total} gel markers are lost"),
             Self::Blurred => "the image is blurred".into(),
             Self::Resized { found, expected } => format!(
@@ -80,6 +87,7 @@ impl ShearProblem {
             Self::OtherPitch { .. } => {
                 "choose the profile of this gel, or correct its scale or pitch"
             }
+            Self::DeformedInitial => "take the initial image with the gripper open",
             Self::ManyLost { .. } => {
                 "open the gripper and take the initial image again; check the gel for damage"
             }

@@ -6,7 +6,7 @@
 //! Slipping Bounds by Monitoring Incipient Slip (ICRA 2019), the rigid motion is fitted to the gel
 //! markers in the middle of the contact, and a gel marker slips where its displacement differs from
 //! it. Displacements count from the frame in which the contact last grew, because a growing contact
-//! stretches the skin without any slip.
+//! stretches the skin without any slip; a contact that loses much of its area counts anew, too.
 //!
 //! Gross slip does not move the skin at all: the ratio then stays where it was.
 
@@ -19,6 +19,8 @@ use crate::{GelMarker, MarkerField};
 
 /// Growth of the contact from which displacements count anew, fraction.
 const GROWTH: f32 = 1.1;
+/// Area below which it is another contact, fraction.
+const SHRUNK: f32 = 0.6;
 /// Minimum gel markers in contact.
 const MIN_MARKERS: usize = 5;
 /// Minimum deviation of a gel marker that slips, fraction of the rigid motion.
@@ -69,8 +71,8 @@ impl SlipMeter {
             return None;
         };
         let area = contact.fraction();
-        let has_grown = |(_, before): &(_, f32)| area > GROWTH * before;
-        if self.reference.as_ref().is_none_or(has_grown) {
+        let is_other = |(_, before): &(_, f32)| area > GROWTH * before || area < SHRUNK * before;
+        if self.reference.as_ref().is_none_or(is_other) {
             self.reference = Some((displacements.clone(), area));
         }
         let (reference, _) = self.reference.as_ref()?;

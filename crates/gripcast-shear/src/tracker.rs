@@ -40,8 +40,10 @@ pub struct ShearSummary {
     /// Mean curl of the displacement, ∂v/∂x − ∂u/∂y: twice the rotation in radians, from x
     /// towards y.
     pub curl: f32,
+    /// Fraction of the image in contact, 0 to 1.
+    pub contact_fraction: f32,
     /// Fraction of the contact that moves against the gel's rigid motion, 0 to 1; `None` without
-    /// contact.
+    /// contact, with too few gel markers in it, and for texture.
     pub slip_ratio: Option<f32>,
 }
 
@@ -54,6 +56,37 @@ pub struct ShearFrame {
     pub field: Option<MarkerField>,
     /// Problems.
     pub problems: Vec<ShearProblem>,
+}
+
+/// What is known of the gel markers before the first image.
+#[derive(Clone, Copy, Debug)]
+pub enum ExpectedMarkers<'a> {
+    /// Nothing: the image decides.
+    Unknown,
+    /// The sensor profile has no gel markers.
+    None,
+    /// The sensor profile has this pattern.
+    Pattern(&'a MarkerPattern),
+}
+
+impl ExpectedMarkers<'_> {
+    /// Problems of an initial image, by the pitch of its gel markers, px.
+    fn problem(self, found_px: Option<f32>, m_per_px: f64) -> Option<ShearProblem> {
+        match (self, found_px) {
+            (Self::Pattern(_), None) => Some(ShearProblem::NoMarkers),
+            (Self::None, Some(_)) => Some(ShearProblem::UnexpectedMarkers),
+            (Self::Pattern(pattern), Some(found_px)) => {
+                let [x, y] = pattern.pitch_m;
+                let expected_px = (x.min(y) / m_per_px) as f32;
+                let is_other = (found_px / expected_px - 1.0).abs() > MAX_PITCH_DIFFERENCE;
+                is_other.then_some(ShearProblem::OtherPitch {
+                    found_px,
+                    expected_px,
+                })
+            }
+            (Self::Unknown, _) | (Self::None, None) => None,
+        }
+    }
 }
 
 /// Measures the shear of one gel, image by image.
@@ -71,54 +104,59 @@ enum Method {
     Texture(Box<TextureTracker>),
 }
 
+/// Minimum width and height of an image, px.
+const MIN_SIZE: [u32; 2] = [80, 60];
 /// Maximum difference of the pitch from that of the sensor profile, fraction.
 const MAX_PITCH_DIFFERENCE: f32 = 0.12;
 
 impl ShearTracker {
     /// Starts from the image of the untouched gel; `m_per_px` is the scale of the image. Whether
-    /// gel markers or texture are followed is decided by the image; `expected` is the pattern of
-    /// the sensor profile, against which the image is checked.
+    /// gel markers or texture are followed is decided by the image; a difference from what is
+    /// `expected` is a problem of every frame.
     ///
     /// # Errors
     /// `Input` for a scale that is not a positive number, or an image below 80×60 pixels.
-    pub fn new(
-        initial: &RgbImage,
-        m_per_px: f64,
-        expected: Option<&MarkerPattern>,
-    ) -> Result<Self> {
+    pub fn new(initial: &RgbImage, m_per_px: f64, expected: ExpectedMarkers<'_>) -> Result<Self> {
         if !(m_per_px.is_finite() && m_per_px > 0.0) {
             let what = format!("expected a positive scale in m/px, found {m_per_px}");
-            return Err(Error::input(what).remedy("0.00003 for a cropped GelSight Mini image"));
+            return Err(
+                Error::input(what).remedy("0.00003 is that of a cropped GelSight Mini image")
+            );
         }
-        let mut problems = Vec::new();
-        let method = match Lattice::find(&Brightness::new(initial)) {
+        let size = [initial.width(), initial.height()];
+        if size[0] < MIN_SIZE[0] || size[1] < MIN_SIZE[1] {
+            let [width, height] = MIN_SIZE;
+            let what = format!(
+                "expected a tactile image of at least {width}×{height} pixels, found {}×{}",
+                size[0], size[1]
+            );
+            return Err(Error::input(what));
+        }
+        let lattice = Lattice::find(&Brightness::new(initial));
+        let pitch = lattice.as_ref().map(Lattice::pitch);
+        let mut problems = Vec::from_iter(expected.problem(pitch, m_per_px));
+        if lattice.as_ref().is_some_and(|lattice| lattice.is_deformed) {
+            problems.push(ShearProblem::DeformedInitial);
+        }
+        let method = match lattice {
             Some(lattice) => {
-                let markers = MarkerTracker::new(initial, lattice, m_per_px)?;
-                if let Some(pattern) = expected {
-                    let [x, y] = pattern.pitch_m;
-                    let (found_px, expected_px) =
-                        (markers.pitch_px(), (x.min(y) / m_per_px) as f32);
-                    if (found_px / expected_px - 1.0).abs() > MAX_PITCH_DIFFERENCE {
-                        problems.push(ShearProblem::OtherPitch {
-                            found_px,
-                            expected_px,
-                        });
-                    }
-                }
-                Method::Markers(Box::new(markers))
+                Method::Markers(Box::new(MarkerTracker::new(initial, lattice, m_per_px)))
             }
-            None => {
-                if expected.is_some() {
-                    problems.push(ShearProblem::NoMarkers);
-                }
-                Method::Texture(Box::new(TextureTracker::new(initial, m_per_px)?))
-            }
+            None => Method::Texture(Box::new(TextureTracker::new(initial, m_per_px))),
         };
         Ok(Self {
-            size: [initial.width(), initial.height()],
+            size,
             method,
             problems,
         })
+    }
+
+    /// Pitch of the gel markers in the initial image, px; `None` for a gel without.
+    pub fn pitch_px(&self) -> Option<f32> {
+        match &self.method {
+            Method::Markers(markers) => Some(markers.pitch_px()),
+            Method::Texture(_) => None,
+        }
     }
 
     /// What the shear is measured on.

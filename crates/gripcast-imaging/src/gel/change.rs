@@ -71,21 +71,6 @@ pub struct GelChange {
     pub is_other_gel: bool,
 }
 
-/// Cells of a gel with contact structure: the edges and slopes of a contact.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub struct ContactCells(Vec<bool>);
-
-impl ContactCells {
-    /// Columns and rows of the cells.
-    pub const GRID: [usize; 2] = [COLUMNS, ROWS];
-
-    /// Whether a cell has contact structure; row-major.
-    #[must_use]
-    pub fn cells(&self) -> &[bool] {
-        &self.0
-    }
-}
-
 /// What changed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
 #[serde(rename_all = "snake_case")]
@@ -105,21 +90,10 @@ impl GelChange {
     /// (see [`GelState::noise_levels`](super::GelState)), 0 if unknown.
     #[must_use]
     pub fn between(initial: &GelCells, now: &GelCells, noise_levels: f32) -> Self {
-        Self::with_contact(initial, now, noise_levels).0
-    }
-
-    /// Compares an image with the initial one and says where the contact is.
-    #[must_use]
-    pub fn with_contact(
-        initial: &GelCells,
-        now: &GelCells,
-        noise_levels: f32,
-    ) -> (Self, ContactCells) {
         let comparable: Vec<bool> = (0..CELLS).map(|i| is_comparable(initial, now, i)).collect();
         let count = comparable.iter().filter(|c| **c).count();
         if (count as f32) < MIN_COMPARABLE * CELLS as f32 {
-            let none = ContactCells(vec![false; CELLS]);
-            return (Self::incomparable(initial, now), none);
+            return Self::incomparable(initial, now);
         }
         let fields: [Field; 3] =
             std::array::from_fn(|c| Field::fit(&initial.levels[c], &now.levels[c], &comparable));
@@ -141,17 +115,15 @@ impl GelChange {
                 noise + UNEVEN_FRACTION * uneven_levels,
             ),
         };
-        let in_contact: Vec<bool> = (0..CELLS)
-            .map(|i| evidence.iter().any(|channel| channel[i].abs() > threshold))
-            .collect();
-        let count = in_contact.iter().filter(|is_contact| **is_contact).count();
-        let change = Self {
-            contact_fraction: count as f64 / CELLS as f64,
+        let in_contact = (0..CELLS)
+            .filter(|i| evidence.iter().any(|channel| channel[*i].abs() > threshold))
+            .count();
+        Self {
+            contact_fraction: in_contact as f64 / CELLS as f64,
             illumination_levels: f64::from(rms(|field| field.squares)),
             is_other_gel: markers.max(now.covering_texture()) > MARKER_LEVELS
                 && initial.texture_correlation(now) < MIN_TEXTURE_CORRELATION,
-        };
-        (change, ContactCells(in_contact))
+        }
     }
 
     /// What changed, where a contact covers at least `min_contact_fraction`, 0 to 1.

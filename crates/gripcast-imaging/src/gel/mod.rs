@@ -15,5 +15,5 @@ mod monitor_test;
 mod real_gel_test;
 
 pub use cells::GelCells;
-pub use change::{ChangeKind, ContactCells, GelChange, MIN_CONTACT_FRACTION};
+pub use change::{ChangeKind, GelChange, MIN_CONTACT_FRACTION};
 pub use monitor::{GelMonitor, GelProblem, GelState};
