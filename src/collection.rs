@@ -137,7 +137,7 @@ fn gel_scales(rig: &RigFile) -> Result<BTreeMap<Role, GelScale>> {
         let Some(crop) = camera.crop_profile.as_deref() else {
             continue;
         };
-        let profile = match &camera.sensor_profile {
+        let (profile, is_named) = match &camera.sensor_profile {
             Some(name) => {
                 let at_camera = |e: Error| e.at(format!("camera {role}"));
                 let profile = SensorProfile::named_or_load(name);
@@ -152,19 +152,19 @@ fn gel_scales(rig: &RigFile) -> Result<BTreeMap<Role, GelScale>> {
                         "set `crop_profile` to that of the profile, or choose another",
                     )));
                 }
-                profile
+                (profile, true)
             }
             None => {
                 let mini = SensorProfile::gelsight_mini()?;
                 if mini.crop_profile.name() != crop {
                     continue;
                 }
-                mini
+                (mini, false)
             }
         };
         let scale = GelScale {
             m_per_px: profile.geometry.pixel_m,
-            markers: profile.markers,
+            markers: is_named.then_some(profile.markers),
         };
         scales.insert(*role, scale);
     }

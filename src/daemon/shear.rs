@@ -6,7 +6,7 @@ use image::{Rgb, RgbImage};
 
 use super::status::ShearStatus;
 use gripcast_imaging::{Role, draw_line};
-use gripcast_shear::{MarkerField, MarkerPattern, ShearFrame, ShearTracker};
+use gripcast_shear::{ExpectedMarkers, MarkerField, MarkerPattern, ShearFrame, ShearTracker};
 
 /// Length of a drawn arrow over the displacement.
 const ARROW_GAIN: f64 = 3.0;
@@ -22,8 +22,9 @@ const LOST: Rgb<u8> = Rgb([255, 0, 60]);
 pub struct GelScale {
     /// Scale of the cropped 320×240 image, m/px.
     pub m_per_px: f64,
-    /// Gel markers of the profile; `None` for a gel without.
-    pub markers: Option<MarkerPattern>,
+    /// Gel markers of the sensor profile that the rig file names, `Some(None)` for a gel without;
+    /// `None` where it names no profile, so that the image decides.
+    pub markers: Option<Option<MarkerPattern>>,
 }
 
 /// Measures the shear of all gels.
@@ -57,7 +58,12 @@ impl GelTrackers {
                 self.unavailable.insert(role, reason.into());
                 continue;
             };
-            match ShearTracker::new(image, *m_per_px, markers.as_ref()) {
+            let expected = match markers {
+                None => ExpectedMarkers::Unknown,
+                Some(None) => ExpectedMarkers::None,
+                Some(Some(pattern)) => ExpectedMarkers::Pattern(pattern),
+            };
+            match ShearTracker::new(image, *m_per_px, expected) {
                 Ok(tracker) => drop(self.trackers.insert(role, tracker)),
                 Err(error) => drop(self.unavailable.insert(role, error.what().to_owned())),
             }

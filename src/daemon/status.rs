@@ -373,6 +373,7 @@ mod tests {
                 max_displacement_mm: 1.0,
                 divergence: 0.0,
                 curl: 0.0,
+                contact_fraction: 0.2,
                 slip_ratio: slip,
             }),
             messages: Vec::new(),

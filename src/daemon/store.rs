@@ -474,14 +474,19 @@ fn shear_record(summary: ShearSummary) -> ShearRecord {
             ShearSource::Markers => gripcast_dataset::ShearSource::Markers,
             ShearSource::Texture => gripcast_dataset::ShearSource::Texture,
         },
-        confidence: summary.confidence,
-        tracked_fraction: summary.tracked_fraction,
-        mean_displacement_mm: summary.mean_displacement_mm,
-        max_displacement_mm: summary.max_displacement_mm,
-        divergence: summary.divergence,
-        curl: summary.curl,
-        slip_ratio: summary.slip_ratio,
+        confidence: decimal(summary.confidence),
+        tracked_fraction: decimal(summary.tracked_fraction),
+        mean_displacement_mm: summary.mean_displacement_mm.map(decimal),
+        max_displacement_mm: decimal(summary.max_displacement_mm),
+        divergence: decimal(summary.divergence),
+        curl: decimal(summary.curl),
+        slip_ratio: summary.slip_ratio.map(decimal),
     }
+}
+
+/// The number with six decimal places; further ones of an `f32` are noise.
+fn decimal(number: f32) -> f64 {
+    (f64::from(number) * 1e6).round() / 1e6
 }
 
 fn panicked(panic: &str) -> Error {

@@ -26,7 +26,7 @@ const PITCH_PX: u32 = 60;
 const RADIUS_PX: f64 = 11.0;
 const SHIFT_PX: u32 = 5;
 /// Millimetres per pixel of the camera: 5.9e-5 m for each of 320 pixels of the cropped 458.
-const MM_PER_PX: f32 = 0.059 * 320.0 / 458.0;
+const MM_PER_PX: f64 = 0.059 * 320.0 / 458.0;
 
 /// Requests one frame, with or without contact.
 type Shutter = std::sync::mpsc::Sender<bool>;
@@ -280,7 +280,7 @@ async fn engine_saves_and_predicts_with_yuyv_cameras() {
     assert_eq!(record.prediction, Some(prediction));
     for role in [Role::Left, Role::Right] {
         let [x, y] = record.grasp.shear[&role].mean_displacement_mm;
-        let expected = SHIFT_PX as f32 * MM_PER_PX;
+        let expected = f64::from(SHIFT_PX) * MM_PER_PX;
         assert!((x - expected).abs() < 0.02 && y.abs() < 0.02, "{x} {y}");
         let markers = &record.grasp.fields[&role];
         assert_eq!(markers.len(), 1);
