@@ -246,6 +246,8 @@ struct Worker {
     gels: GelJudge,
     trackers: GelTrackers,
     predicting: bool,
+    /// Whether the images have been compared with an initial frame of this session.
+    has_initial: bool,
     smoothing: Smoothing,
     /// Serial of the newest image used, by role.
     seen: BTreeMap<Role, u64>,
@@ -266,6 +268,7 @@ impl Worker {
             gels: GelJudge::default(),
             trackers: GelTrackers::new(scales),
             predicting: false,
+            has_initial: false,
             smoothing: Smoothing::default(),
             seen: BTreeMap::new(),
             state: Arc::clone(state),
@@ -327,6 +330,7 @@ impl Worker {
         }
         self.compare_with(revision, left, right);
         self.predicting = true;
+        self.has_initial = true;
         self.smoothing.clear();
         lock(&self.state).live = None;
     }
@@ -388,7 +392,8 @@ impl Worker {
         }
         // After the prediction, which does not wait for the shear.
         let field = self.measure_shear(role, &decoded);
-        let difference = difference.filter(|_| self.predicting).map(|difference| {
+        // Also while the object is lifted, when there is no prediction.
+        let difference = difference.filter(|_| self.has_initial).map(|difference| {
             let mut image = difference.to_image(PREVIEW_GAIN);
             if let Some(field) = &field {
                 draw_markers(&mut image, field);

@@ -185,7 +185,8 @@ impl From<&ShearFrame> for ShearStatus {
 pub struct Preview {
     /// RGB image of the camera, at most 320×240.
     pub image: Arc<RgbImage>,
-    /// Tactile difference to the initial frame, grey for no change; none without an initial frame.
+    /// Tactile difference to the last initial frame with an arrow for each gel marker, grey for no
+    /// change; none before the first initial frame of the session.
     pub difference: Option<Arc<RgbImage>>,
 }
 
