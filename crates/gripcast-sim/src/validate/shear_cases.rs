@@ -111,9 +111,7 @@ fn press(is_quick: bool) -> Result<(Vec<PressPoint>, FieldSeries)> {
     let (cells, growth, shifts): (_, _, &[f64]) = if is_quick {
         ([13, 11, 7], [1.14, 1.14, 1.22], &[1e-4, 1.5e-4, 2e-4, 5e-4])
     } else {
-        let shifts = &[
-            2e-5, 5e-5, 8e-5, 1e-4, 1.25e-4, 1.5e-4, 1.75e-4, 2e-4, 2.5e-4, 5e-4,
-        ];
+        let shifts = &[8e-5, 1e-4, 1.25e-4, 1.5e-4, 1.75e-4, 2e-4, 2.5e-4, 5e-4];
         ([19, 17, 12], [1.1, 1.1, 1.15], shifts)
     };
     let grid = half_pad(&GelPad::default(), cells, growth)?;
@@ -142,18 +140,17 @@ pub(super) fn stick_region(recorder: &mut Recorder, is_quick: bool) -> Result<()
     for (index, point) in points.iter().enumerate().skip(1) {
         let load = point.shear_n / (FRICTION * point.normal_n);
         let found = profile(index);
-        let at = format!("shift {} mm", (point.shift_m * 1e5).round() / 100.0);
+        let at = format!("shift {} mm", (point.shift_m * 1e6).round() / 1000.0);
         recorder.require(format!("{at}: converged"), point.converged);
         if load > 0.98 {
             let ratio = point.shear_n / point.normal_n;
-            // On the coarse mesh, the contact creeps while the shift is corrected.
-            let limit = if is_quick { 0.01 } else { 0.005 };
-            recorder.absolute(format!("{at}: T/N"), (0.405, ratio), "", limit);
+            // The contact creeps a little while the shift is corrected.
+            recorder.absolute(format!("{at}: T/N"), (0.405, ratio), "", 0.0075);
             recorder.absolute(
                 format!("{at}: stick fraction"),
                 (0.0, found.stick_fraction),
                 "",
-                0.1,
+                0.05,
             );
             continue;
         }
@@ -166,7 +163,8 @@ pub(super) fn stick_region(recorder: &mut Recorder, is_quick: bool) -> Result<()
             "",
             0.04,
         );
-        recorder.absolute(format!("{at}: c/a"), (stick, ratio), "", 0.1);
+        let limit = if is_quick { 0.15 } else { 0.1 };
+        recorder.absolute(format!("{at}: c/a"), (stick, ratio), "", limit);
         let name = format!("{at}: slides from the rim inwards, more than before");
         let shrinks = ratio < earlier && found.slides_from_the_rim();
         recorder.require(name, shrinks);
