@@ -4,6 +4,9 @@ use gripcast_nn::predict::Model;
 
 use crate::dataset::write_dataset;
 
+#[path = "../../examples/contact_fields.rs"]
+#[expect(dead_code, reason = "`main` is of the example alone")]
+mod contact_fields;
 #[path = "../../examples/read_dataset.rs"]
 #[expect(dead_code, reason = "`main` is of the example alone")]
 mod read_dataset;
@@ -29,6 +32,18 @@ fn example_reads_a_dataset() {
     assert_eq!(lines[3][2], "Unlabelled");
     let strength: f64 = lines[1][4].parse().unwrap();
     assert!(strength > 1.0, "{table}");
+}
+
+#[test]
+fn example_prints_the_resultant_over_a_lift() {
+    let table = contact_fields::table("box").unwrap();
+    let lifting: Vec<&str> = table.lines().filter(|l| l.starts_with("Lift")).collect();
+    assert!(lifting.len() > 3, "{table}");
+    for line in lifting {
+        let stick = line.split("stick ").nth(1).unwrap();
+        let stick: f64 = stick.split(',').next().unwrap().parse().unwrap();
+        assert!(stick > 0.9, "{line}");
+    }
 }
 
 #[test]

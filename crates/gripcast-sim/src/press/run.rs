@@ -16,7 +16,7 @@ use crate::affine::{AffineBody, AffineState};
 use crate::fem::{GelGrid, GelPad, Side, Surface};
 use crate::fields::{FaceField, FieldSampling, FieldSeries, FieldStep};
 use crate::solver::{
-    Collider, Drive, Gel, GelMaterial, Object, SolverParameters, StepStart, System,
+    Collider, Drive, Gel, GelMaterial, NodeContact, Object, SolverParameters, StepStart, System,
 };
 use gripcast_base::error::{Error, Result};
 
@@ -128,7 +128,8 @@ impl Press {
     }
 
     /// Presses as [`Self::run`] does, with the same result, and records the fields of the gel's face:
-    /// with [`FieldSampling::Stages`] at each target, else at steps. Each field is that of the
+    /// with [`FieldSampling::Stages`] at each target, else at steps. At a target, stick and slip
+    /// are those of the step that led to it; the corrections after it are too short to slide. Each field is that of the
     /// modelled part of the gel.
     ///
     /// # Errors
@@ -265,6 +266,7 @@ struct Run {
 impl Run {
     fn move_to(&mut self, target: &PressTarget) -> Result<PressPoint> {
         let (mut steps, mut iterations, mut converged) = (0, 0, true);
+        let mut contacts = Vec::new();
         for attempt in 0..4 {
             // Gap and lag at the target are not known yet: repeat with those found.
             let now = self.measure();
@@ -286,15 +288,19 @@ impl Run {
                 self.steps += 1;
                 let index = self.steps as usize - 1;
                 if self.sampling.is_some_and(|sampling| sampling.takes(index)) {
-                    self.record_fields();
+                    self.record_fields(&self.system.node_contacts());
                 }
                 steps += 1;
                 iterations += report.iterations;
                 converged &= report.converged;
             }
+            // The corrections are too short to slide: the way to the target decides what sticks.
+            if attempt == 0 && self.sampling == Some(FieldSampling::Stages) {
+                contacts = self.system.node_contacts();
+            }
         }
         if self.sampling == Some(FieldSampling::Stages) {
-            self.record_fields();
+            self.record_fields(&contacts);
         }
         Ok(PressPoint {
             steps,
@@ -304,13 +310,13 @@ impl Run {
         })
     }
 
-    /// Records the fields at the end of the last step.
-    fn record_fields(&mut self) {
-        let Some(series) = &mut self.fields else {
+    /// Records the fields at the end of the last step, with the state of each gel's nodes.
+    fn record_fields(&mut self, contacts: &[Vec<NodeContact>]) {
+        let (Some(series), Some(contact)) = (&mut self.fields, contacts.first()) else {
             return;
         };
-        let (gel, contact) = (&self.system.gels()[0], self.system.node_contacts());
-        let field = FaceField::new(gel, &series.mesh, &contact[0], &DMat3::IDENTITY);
+        let gel = &self.system.gels()[0];
+        let field = FaceField::new(gel, &series.mesh, contact, &DMat3::IDENTITY);
         let dt_s = self.system.parameters().dt_s;
         series.steps.push(FieldStep {
             step: self.steps.saturating_sub(1),

@@ -12,6 +12,7 @@ mod pinch;
 mod press_cases;
 mod random_grasp;
 mod report;
+mod shear_cases;
 
 pub use report::{CaseResult, Report, Tolerance};
 
@@ -33,7 +34,7 @@ pub enum Effort {
 type RunGroup = fn(&mut Recorder, bool) -> Result<()>;
 
 /// Case groups, in the order of execution.
-const GROUPS: [(&str, RunGroup); 17] = [
+const GROUPS: [(&str, RunGroup); 18] = [
     ("free-fall", |recorder, _| bodies::free_fall(recorder)),
     ("momentum", |recorder, _| bodies::momentum(recorder)),
     ("incline", |recorder, _| bodies::incline(recorder)),
@@ -56,6 +57,7 @@ const GROUPS: [(&str, RunGroup); 17] = [
         press_cases::sphere_3().run(r, quick)
     }),
     ("press-friction", press_cases::friction),
+    ("press-stick", shear_cases::stick_region),
     ("mesh", grasp_cases::mesh_agreement),
 ];
 
@@ -100,6 +102,14 @@ mod tests {
     fn passes(group: &str) {
         let report = run(&[group.to_owned()], Effort::Quick).unwrap();
         assert!(!report.cases.is_empty());
+        println!(
+            "{:#?}",
+            report
+                .cases
+                .iter()
+                .map(|c| (c.name.clone(), c.expected, c.found, c.passed))
+                .collect::<Vec<_>>()
+        );
         let failed: Vec<_> = report.cases.iter().filter(|case| !case.passed).collect();
         assert!(failed.is_empty(), "{failed:#?}");
     }
@@ -134,6 +144,7 @@ mod tests {
         press_sphere_10mm: "press-sphere-10mm",
         press_sphere_3mm: "press-sphere-3mm",
         press_friction: "press-friction",
+        press_stick: "press-stick",
     }
 
     #[test]
