@@ -379,7 +379,7 @@ fn dataset_of_newer_schema_is_not_modified() {
     succeed(&mut collect(&wait, &dataset));
     let path = dataset.join("dataset.toml");
     let text = std::fs::read_to_string(&path).unwrap();
-    let newer = text.replace("schema = 1", "schema = 99");
+    let newer = text.replace("schema = 2", "schema = 99");
     assert_ne!(text, newer, "dataset.toml names its schema");
     std::fs::write(&path, &newer).unwrap();
     let output = collect(&wait, &dataset).output().unwrap();

@@ -349,7 +349,6 @@ const SESSION: &[Step] = &[
     Step::Undo,
     Step::Grasp(5, "bottle"),
     Step::Label(Outcome::Stable),
-    Step::Lift(2),
     Step::Initial(6),
     Step::Trash,
     Step::Index,
@@ -714,7 +713,13 @@ fn reading_and_opening_leave_an_earlier_dataset_as_it_is() {
     let root = dir.path().join("d");
     let id = earlier_dataset(&root);
     assert_eq!(verify(&root, &|_, _| {}).unwrap().problems, []);
-    drop(DatasetWriter::open(&root).unwrap());
+    let (writer, report) = DatasetWriter::open(&root).unwrap();
+    let notes = report.notes.join("\n");
+    assert!(
+        notes.contains("the first change makes it version 2"),
+        "{notes}"
+    );
+    drop(writer);
     assert_eq!(schemas(&root), (1, 1));
     let (mut writer, _) = DatasetWriter::open(&root).unwrap();
     writer.trash_grasp(&id).unwrap();

@@ -164,7 +164,10 @@ fn encode_lift(frames: &BTreeMap<Role, Vec<Frame>>, requested_s: f64) -> Result<
             frames: Vec::with_capacity(frames.len()),
         };
         for frame in frames.iter().filter(|frame| frame.format == format) {
-            let (image, _) = encode(frame).map_err(|e| e.at(role))?;
+            // One damaged frame must not cost the others.
+            let Ok((image, _)) = encode(frame) else {
+                continue;
+            };
             if image_file::defect(&image, format, width, height).is_some() {
                 continue;
             }

@@ -13,6 +13,7 @@ use super::lift::lift_files;
 use super::lock::DatasetLock;
 use super::provenance::Provenance;
 use super::record_file::PendingInitial;
+use super::schema::SCHEMA_VERSION;
 use super::trash::move_to_trash;
 use super::unfinished::{Unfinished, unfinished};
 use super::writer::DatasetWriter;
@@ -98,6 +99,13 @@ impl DatasetWriter {
             created,
             ..OpenReport::default()
         };
+        if writer.descriptor.schema != SCHEMA_VERSION {
+            report.notes.push(format!(
+                "the dataset is of version {} of the format; the first change makes it version \
+                 {SCHEMA_VERSION}, which earlier versions of gripcast refuse",
+                writer.descriptor.schema
+            ));
+        }
         writer.remove_partial_moves();
         if !writer.layout.grasps().can_sync_dir().unwrap_or(true) {
             report.notes.push(CANNOT_FLUSH.to_owned());

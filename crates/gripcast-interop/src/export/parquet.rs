@@ -8,7 +8,7 @@ use super::facts::{FACTS, facts};
 use super::format::{ExportContext, Writer};
 use super::shard_files::ShardFiles;
 use super::source::Grasp;
-use gripcast_base::error::{Error, Result};
+use gripcast_base::error::{Error, ErrorKind, Result};
 use gripcast_dataset::shard::{ColumnType, EXPORT, TableCell, TableWriter};
 use gripcast_dataset::{FieldName, Stage};
 use gripcast_imaging::jpeg::whole_file;
@@ -129,8 +129,11 @@ impl Writer for ParquetShards<'_> {
                 Err(error) => return Ok(Some(error)),
             });
         }
-        self.shard(size)?.push(cells)?;
-        Ok(None)
+        match self.shard(size)?.push(cells) {
+            // Too large for a row, which is then not written.
+            Err(error) if error.kind() == ErrorKind::Input => Ok(Some(error)),
+            pushed => pushed.map(|()| None),
+        }
     }
 
     fn finish(mut self: Box<Self>) -> Result<Vec<String>> {
