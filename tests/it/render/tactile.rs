@@ -203,14 +203,20 @@ fn gel_markers_are_drawn_and_their_positions_written() {
     assert_eq!(report["images"].as_array().unwrap().len(), 6);
     let read = |moment: &str| marker_array(out.join(format!("mug.{moment}.left.markers.npy")));
     let (rows, columns, rest) = read("initial");
-    assert!((6..=8).contains(&rows) && (9..=11).contains(&columns), "{rows} {columns}");
+    assert!(
+        (6..=8).contains(&rows) && (9..=11).contains(&columns),
+        "{rows} {columns}"
+    );
     let moved = |values: &[f32]| {
         let lengths = values.chunks_exact(5).map(|m| m[2].hypot(m[3]));
         lengths.filter(|d| d.is_finite()).fold(0.0, f32::max)
     };
     assert!(moved(&rest) == 0.0, "no motion before contact");
     let (grasp, lift) = (moved(&read("grasp").2), moved(&read("lift").2));
-    assert!((0.2..30.0).contains(&grasp) && (0.2..40.0).contains(&lift), "{grasp} {lift}");
+    assert!(
+        (0.2..30.0).contains(&grasp) && (0.2..40.0).contains(&lift),
+        "{grasp} {lift}"
+    );
     // The dots are dark, and where the array says.
     let image = png(out.join("mug.initial.left.png"));
     for marker in rest.chunks_exact(5).filter(|m| m[4] == 1.0) {
@@ -242,15 +248,28 @@ fn unfit_profiles_are_explained() {
     let dir = tempfile::tempdir().unwrap();
     let out = dir.path().join("press.png");
     for (flags, words) in [
-        ("--profile gelsight-mini-marker", "did you mean `gelsight-mini-markers`?"),
-        ("--profile gelsight-mini --markers field", "has no gel markers"),
-        ("--profile gelsight-mini-markers --markers field --difference", "--markers image,field"),
+        (
+            "--profile gelsight-mini-marker",
+            "did you mean `gelsight-mini-markers`?",
+        ),
+        (
+            "--profile gelsight-mini --markers field",
+            "has no gel markers",
+        ),
+        (
+            "--profile gelsight-mini-markers --markers field --difference",
+            "--markers image,field",
+        ),
     ] {
         let words_in = format!("--object builtin:sphere {flags} --out {}", out.display());
         let (_, text) = refused(&mut render("tactile", &words_in));
         assert!(text.contains(words), "{text}");
     }
-    let words_in = format!("--trace {} --side left --profile digit --out {}", trace().display(), out.display());
+    let words_in = format!(
+        "--trace {} --side left --profile digit --out {}",
+        trace().display(),
+        out.display()
+    );
     let (_, text) = refused(&mut render("tactile", &words_in));
     assert!(text.contains("25.0 × 20.0 × 4.0 mm"), "{text}");
 }
