@@ -141,13 +141,19 @@ fn marker_gel_looks_like_a_real_frame() {
     let ours = renderer.render(&press, &FrameNoise::default()).unwrap();
     let dark = |image: &RgbImage| {
         let pixels = image.pixels().zip(planes(&renderer));
-        let dark = pixels.filter(|(pixel, bare)| f32::from(pixel[1]) < 0.65 * bare);
+        let dark = pixels.filter(|(pixel, bare)| f32::from(pixel[1]) < 0.65 * **bare);
         dark.count() as f64 / f64::from(image.width() * image.height())
     };
     let (found, expected) = (dark(&ours), dark(&real));
     assert!((found / expected - 1.0).abs() < 0.25, "{found} {expected}");
-    let mean = |image: &RgbImage| image.iter().map(|v| f64::from(*v)).sum::<f64>() / image.len() as f64;
-    assert!((mean(&ours) - mean(&real)).abs() < 4.0, "{} {}", mean(&ours), mean(&real));
+    let mean =
+        |image: &RgbImage| image.iter().map(|v| f64::from(*v)).sum::<f64>() / image.len() as f64;
+    assert!(
+        (mean(&ours) - mean(&real)).abs() < 4.0,
+        "{} {}",
+        mean(&ours),
+        mean(&real)
+    );
 }
 
 /// Green levels of the untouched gel without gel markers.
