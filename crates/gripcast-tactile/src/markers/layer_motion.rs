@@ -138,9 +138,8 @@ impl LayerMotion {
     fn relax(&mut self, source: &[[f64; 2]], length_square: f64) {
         let (columns, rows) = (self.columns, self.rows);
         // The means are equal, and relaxation is slowest there.
-        let mean = [0, 1].map(|axis| {
-            source.iter().map(|s| s[axis]).sum::<f64>() / source.len().max(1) as f64
-        });
+        let mean = [0, 1]
+            .map(|axis| source.iter().map(|s| s[axis]).sum::<f64>() / source.len().max(1) as f64);
         self.displacement_m.fill(mean);
         let weight = 1.0 / (1.0 + 4.0 * length_square);
         // Optimal for the constant displacement, which one Jacobi sweep damps least.
