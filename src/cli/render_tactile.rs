@@ -235,7 +235,12 @@ impl SensorFlags {
             Finger::Left => None,
             Finger::Right => self.right_profile.as_ref(),
         };
-        SensorProfile::named_or_load(own.unwrap_or(&self.profile))
+        let mut profile = SensorProfile::named_or_load(own.unwrap_or(&self.profile))?;
+        // The gels of two sensors of a kind differ.
+        if profile.serial.is_empty() {
+            profile.serial = side_name(finger).to_owned();
+        }
+        Ok(profile)
     }
 
     fn place(&self, finger: Finger) -> SensorMount {

@@ -40,6 +40,7 @@ use gripcast_sim::grasp::{
     TraceFile, height_above_ground, resting_pose, simulate_with_fields,
 };
 use gripcast_sim::solver::{Drive, PhaseTimes};
+use gripcast_tactile::SensorProfile;
 
 /// Arguments.
 #[derive(Clone, Debug, clap::Args)]
@@ -100,6 +101,9 @@ struct SettingsFlags {
     /// Gel parameters
     #[arg(long, value_name = "PRESET", default_value = "paper", value_parser = preset())]
     preset: Preset,
+    /// Sensor whose pad and elastic law the gels have [default: 25 × 20 × 4 mm, --preset]
+    #[arg(long, value_name = "NAME|FILE.toml", conflicts_with = "preset")]
+    profile: Option<String>,
     /// Gel mesh
     #[arg(long, value_name = "MESH", default_value = "default", value_parser = gel_resolution())]
     gel: GelResolution,
@@ -173,8 +177,12 @@ enum RuleName {
 }
 
 impl SettingsFlags {
-    fn settings(&self) -> GraspSettings {
+    fn settings(&self) -> Result<GraspSettings> {
         let mut settings = GraspSettings::new(self.preset);
+        if let Some(name) = &self.profile {
+            let profile = SensorProfile::named_or_load(name)?;
+            (settings.pad, settings.material) = (profile.pad(), profile.gel_material());
+        }
         settings.resolution = self.gel;
         if let DriveName::Taccel = self.drive {
             settings.drive = Drive::PerMass(TACCEL_DRIVE_WEIGHT);
@@ -192,7 +200,7 @@ impl SettingsFlags {
         settings.solver.eps_v_m_s = self.eps_v;
         settings.solver.newton_tolerance_m_s = self.tolerance;
         settings.solver.max_iterations = self.max_iterations;
-        settings
+        Ok(settings)
     }
 }
 
@@ -229,7 +237,7 @@ struct StablePoseRecord {
 /// Runs the command.
 pub(crate) fn run(context: &Context, args: Args) -> Result<()> {
     args.out.check()?;
-    let settings = args.settings.settings();
+    let settings = args.settings.settings()?;
     let prepared = args.object.mesh.load()?;
     let object = ObjectRecord::new(&args.object, &prepared);
     let PreparedMesh { mesh, warnings, .. } = prepared;

@@ -127,3 +127,36 @@ fn non_finite_depths_are_tolerated() {
     press.depth_m[40_002] = -1.0;
     renderer.render(&press, &FrameNoise::default()).unwrap();
 }
+
+#[test]
+fn marker_gel_looks_like_a_real_frame() {
+    let item = "data/gsmini_feats_marker/nocontact_train_sensor.png";
+    let Some(path) = gripcast_testing::shared(item) else {
+        return;
+    };
+    let real = gripcast_imaging::decode_png_rgb(&std::fs::read(path).unwrap()).unwrap();
+    let name = crate::SensorName::by_name("gelsight-mini-markers").unwrap();
+    let mut renderer = TactileRenderer::new(&name.profile().unwrap()).unwrap();
+    let press = PressDepth::untouched(renderer.geometry());
+    let ours = renderer.render(&press, &FrameNoise::default()).unwrap();
+    let dark = |image: &RgbImage| {
+        let pixels = image.pixels().zip(planes(&renderer));
+        let dark = pixels.filter(|(pixel, bare)| f32::from(pixel[1]) < 0.65 * **bare);
+        dark.count() as f64 / f64::from(image.width() * image.height())
+    };
+    let (found, expected) = (dark(&ours), dark(&real));
+    assert!((found / expected - 1.0).abs() < 0.25, "{found} {expected}");
+    let mean =
+        |image: &RgbImage| image.iter().map(|v| f64::from(*v)).sum::<f64>() / image.len() as f64;
+    assert!(
+        (mean(&ours) - mean(&real)).abs() < 4.0,
+        "{} {}",
+        mean(&ours),
+        mean(&real)
+    );
+}
+
+/// Green levels of the untouched gel without gel markers.
+fn planes(renderer: &TactileRenderer) -> impl Iterator<Item = &f32> {
+    renderer.untouched[1].iter()
+}

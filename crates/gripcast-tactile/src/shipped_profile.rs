@@ -17,7 +17,7 @@ struct Shipped {
 }
 
 /// All shipped profiles; their provenance says what they were fitted to.
-const SHIPPED: [Shipped; 2] = [
+const SHIPPED: [Shipped; 4] = [
     Shipped {
         name: "gelsight-mini",
         toml: include_str!("../../../calib/sensors/gelsight-mini.toml"),
@@ -28,6 +28,18 @@ const SHIPPED: [Shipped; 2] = [
     Shipped {
         name: "gelsight-mini-markers",
         toml: include_str!("../../../calib/sensors/gelsight-mini-markers.toml"),
+        background: None,
+    },
+    Shipped {
+        name: "gelsight-r1.5",
+        toml: include_str!("../../../calib/sensors/gelsight-r1.5.toml"),
+        background: Some(include_bytes!(
+            "../../../calib/sensors/gelsight-r1.5.background.png"
+        )),
+    },
+    Shipped {
+        name: "digit",
+        toml: include_str!("../../../calib/sensors/digit.toml"),
         background: None,
     },
 ];

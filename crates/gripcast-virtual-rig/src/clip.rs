@@ -4,7 +4,7 @@
 //!
 //! | file | contents |
 //! | --- | --- |
-//! | `NAME.trace.bin` | trace of the grasp, thinned to the shown steps |
+//! | `NAME.trace.bin` | trace of the grasp and its fields, if recorded, thinned to the shown steps |
 //! | `NAME.colour.jpg` | images of the D435's colour camera at the keyframes, stacked vertically |
 //! | `NAME.depth.png` | noise-free depth images at the same keyframes, 16 bits, mm |
 //! | `NAME.external.jpg` | images of the external camera at its own keyframes |
@@ -31,7 +31,8 @@ use gripcast_dataset::SimulatedTruth;
 use gripcast_geometry::{Pose, TriangleMesh};
 use gripcast_imaging::{DepthImage, Intrinsics, decode_png_grey16};
 use gripcast_pose::BoardFile;
-use gripcast_sim::grasp::{GraspOutcome, StageName, TraceFile, TraceStep};
+use gripcast_sim::fields::{FaceField, FieldSeries};
+use gripcast_sim::grasp::{Finger, GraspOutcome, StageName, Trace, TraceFile, TraceStep};
 use gripcast_tactile::{SimulatedGel, TraceHeader, TraceObject, TraceStart};
 
 /// Suffixes of the files.
@@ -40,6 +41,8 @@ const COLOUR: &str = ".colour.jpg";
 const DEPTH: &str = ".depth.png";
 const EXTERNAL: &str = ".external.jpg";
 const SHEET: &str = ".sheet.toml";
+/// Difference of the times of one step in steps and fields, s.
+pub(super) const SAME_TIME_S: f64 = 1e-9;
 /// Maximum pixels of an image strip: 100 images of the colour camera.
 const MAX_PIXELS: usize = 100 * 1280 * 720;
 
@@ -150,6 +153,8 @@ pub struct Clip {
     pub(super) start: TraceStart,
     /// The shown steps.
     pub(super) steps: Vec<TraceStep>,
+    /// Fields of the gels' faces, if the simulation recorded them.
+    fields: Option<FieldSeries>,
     /// Index of the last step before the lift.
     closed: usize,
 }
@@ -167,7 +172,7 @@ impl Clip {
         })?;
         let TraceHeader { gel, object } = TraceHeader::read(&header)?;
         let start = TraceStart::read(&header)?;
-        let steps = trace.steps;
+        let Trace { steps, fields, .. } = trace;
         clip_header.clip.validate(steps.len())?;
         let before_lift = |step: &TraceStep| step.stage != StageName::Lift;
         let closed = steps.iter().rposition(before_lift).unwrap_or(0);
@@ -181,8 +186,17 @@ impl Clip {
             gel,
             start,
             steps,
+            fields,
             closed,
         })
+    }
+
+    /// Returns the field of a gel's face at a step, if the simulation recorded it.
+    pub(super) fn field_at(&self, step: usize, finger: Finger) -> Option<&FaceField> {
+        let t_s = self.steps[step].t_s;
+        let mut fields = self.fields.iter().flat_map(|series| &series.steps);
+        let found = fields.find(|field| (field.t_s - t_s).abs() < SAME_TIME_S)?;
+        found.gels.get(finger as usize)
     }
 
     /// Reads the mesh and all images to check the clip before playback.

@@ -10,8 +10,8 @@ use gripcast_base::error::Result;
 use gripcast_imaging::{CropWindow, Role};
 use gripcast_sim::grasp::Finger;
 use gripcast_tactile::{
-    FrameNoise, PressDepth, Rasteriser, SensorMount, SensorProfile, TactileRenderer, TactileScene,
-    WholeFrame, object_depth,
+    FrameNoise, NodeMotion, PressDepth, Rasteriser, SensorMount, SensorProfile, Skin,
+    TactileRenderer, TactileScene, WholeFrame, object_depth,
 };
 
 /// Maximum colour offset between two sensors of the same model, grey levels.
@@ -98,15 +98,19 @@ impl GelRenderer {
     }
 
     /// Renders the sensor image, or `None` without contact.
-    fn render(&mut self, clip: &Clip, step: usize) -> Result<Option<RgbImage>> {
-        let step = &clip.steps[step];
+    fn render(&mut self, clip: &Clip, index: usize) -> Result<Option<RgbImage>> {
+        let step = &clip.steps[index];
         if step.min_gap_m[self.finger as usize].is_none() {
             return Ok(None);
         }
         let place = SensorMount::on(self.finger);
         let t_world_gripper = clip.start.t_world_gripper();
         let mesh = clip.mesh()?;
-        let scene = TactileScene::from_step(mesh, &clip.gel, &t_world_gripper, step, place)?;
+        let mut scene = TactileScene::from_step(mesh, &clip.gel, &t_world_gripper, step, place)?;
+        if let Some(field) = clip.field_at(index, self.finger) {
+            let motion = NodeMotion::of_field(&clip.gel.grid, field, place.mounting)?;
+            scene.skin = Skin::Nodes(motion);
+        }
         let press = object_depth(&scene, &self.renderer.geometry(), &mut self.rasteriser);
         let image = self
             .renderer

@@ -7,13 +7,14 @@ use glam::DVec3;
 use image::{RgbImage, imageops};
 use serde_json::Value;
 
-use super::clip::{ClipFiles, Keyframes, clip_header};
+use super::clip::{ClipFiles, Keyframes, SAME_TIME_S, clip_header};
 use gripcast_base::error::{Error, Result};
 use gripcast_geometry::{Pose, TriangleMesh};
 use gripcast_imaging::{DepthImage, Intrinsics, encode_png_grey16};
 use gripcast_pose::BoardFile;
 use gripcast_pose::print::{ObjectSheet, SheetObject, default_object_sheet};
 use gripcast_sim::fem::GelGrid;
+use gripcast_sim::fields::{FieldSeries, FieldStep};
 use gripcast_sim::grasp::{StageName, Trace, TraceFile, TraceStep};
 use gripcast_tactile::{TraceHeader, TraceStart};
 use gripcast_visual::{
@@ -280,10 +281,24 @@ fn thinned(header: &Value, trace: &Trace, shown: &[usize], keys: &Keyframes) -> 
                 .map(|step| trace.steps[*step].clone())
                 .collect(),
             snapshots: Vec::new(),
-            fields: None,
+            fields: shown_fields(trace, shown),
         },
     };
     thin.to_bytes()
+}
+
+/// Returns the fields of the gels' faces at the shown steps, if they were recorded.
+fn shown_fields(trace: &Trace, shown: &[usize]) -> Option<FieldSeries> {
+    let all = trace.fields.as_ref()?;
+    let is_shown = |field: &FieldStep| {
+        let same = |step: &&usize| (trace.steps[**step].t_s - field.t_s).abs() < SAME_TIME_S;
+        shown.iter().any(|step| same(&step))
+    };
+    let steps = all.steps.iter().filter(|field| is_shown(field));
+    Some(FieldSeries {
+        steps: steps.cloned().collect(),
+        ..all.clone()
+    })
 }
 
 fn jpeg_strip(images: &[RgbImage], quality: u8) -> Result<Vec<u8>> {

@@ -7,7 +7,7 @@
 //! u − ℓ²∇²u = −a ∇w + (H/G) τ, a = H (λ/G − 1)/2, ℓ² = H² (λ + 2G)/(3G),
 //!
 //! with the traction τ of the contact on the face (one length ℓ for dilation and shear of the
-//! plane). The skin is squeezed away from the contact where the gel resists compression more than
+//! plane), and at the free rim, across it, ∂u/∂n = 3λ/(2λ + 4G) w/H. The skin is squeezed away from the contact where the gel resists compression more than
 //! shear (λ > G), and dragged along by the tangential force. The force is spread as the depth of the
 //! object is, the torque as a rotation about the middle of the contact. The depth is that of the
 //! membrane that the image shows, coarsened.
@@ -15,10 +15,9 @@
 use crate::{PressDepth, SensorGeometry};
 
 /// Cell of the grid, m.
-const CELL_M: f64 = 5e-4;
-/// Sweeps of the solution, and its over-relaxation.
-const SWEEPS: usize = 80;
-const OMEGA: f64 = 1.75;
+const CELL_M: f64 = 1e-3;
+/// Sweeps of the solution: the rest is then below 0.1 %.
+const SWEEPS: usize = 60;
 
 /// Elastic layer: thickness m, Young's modulus Pa and Poisson's ratio.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -90,13 +89,23 @@ impl LayerMotion {
         let squeeze_m = 0.5 * layer.thickness_m * (ratio - 1.0);
         let compliance = layer.thickness_m / layer.shear_pa();
         let traction = contact.traction(load);
-        let source: Vec<[f64; 2]> = (0..columns * rows)
+        let mut source: Vec<[f64; 2]> = (0..columns * rows)
             .map(|cell| {
                 let slope = face.slope(cell % columns, cell / columns);
                 [0, 1].map(|axis| compliance * traction[cell][axis] - squeeze_m * slope[axis])
             })
             .collect();
         let length = layer.thickness_m * ((ratio + 2.0) / 3.0).sqrt() / CELL_M;
+        // Free rim: beyond it, the displacement goes on as it would without stress.
+        let stretch = 1.5 * ratio / (ratio + 2.0) / layer.thickness_m;
+        for cell in 0..columns * rows {
+            let (column, row) = (cell % columns, cell / columns);
+            let beyond_m = CELL_M * stretch * face.values[cell];
+            for (axis, index, last) in [(0, column, columns - 1), (1, row, rows - 1)] {
+                let outward = f64::from(i8::from(index == last) - i8::from(index == 0));
+                source[cell][axis] += length * length * outward * beyond_m;
+            }
+        }
         let mut motion = Self {
             columns,
             rows,
@@ -124,11 +133,18 @@ impl LayerMotion {
         })
     }
 
-    /// Solves u − L²∇²u = source by successive over-relaxation, L in cells; no gradient across the
-    /// rim.
+    /// Solves u − L²∇²u = source by successive over-relaxation, L in cells. The gradient across the
+    /// rim is in the source.
     fn relax(&mut self, source: &[[f64; 2]], length_square: f64) {
         let (columns, rows) = (self.columns, self.rows);
+        // The means are equal, and relaxation is slowest there.
+        let mean = [0, 1]
+            .map(|axis| source.iter().map(|s| s[axis]).sum::<f64>() / source.len().max(1) as f64);
+        self.displacement_m.fill(mean);
         let weight = 1.0 / (1.0 + 4.0 * length_square);
+        // Optimal for the constant displacement, which one Jacobi sweep damps least.
+        let damping = 4.0 * length_square * weight;
+        let omega = 2.0 / (1.0 + (1.0 - damping * damping).sqrt());
         for sweep in 0..2 * SWEEPS {
             for row in 0..rows {
                 for column in ((row + sweep) % 2..columns).step_by(2) {
@@ -146,7 +162,7 @@ impl LayerMotion {
                             .sum();
                         let old = self.displacement_m[here][axis];
                         let new = weight * (source[here][axis] + length_square * sum);
-                        self.displacement_m[here][axis] = old + OMEGA * (new - old);
+                        self.displacement_m[here][axis] = old + omega * (new - old);
                     }
                 }
             }
@@ -232,5 +248,99 @@ impl Cells {
                 ]
             })
             .collect()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const GEOMETRY: SensorGeometry = SensorGeometry {
+        width: 320,
+        height: 240,
+        pixel_m: 7e-5,
+        gel_thickness_m: 4e-3,
+    };
+    const LAYER: ElasticLayer = ElasticLayer {
+        thickness_m: 4e-3,
+        young_pa: 4e5,
+        poisson: 0.45,
+        size_m: [0.025, 0.020],
+    };
+
+    fn motion(depth_m: impl Fn(f64, f64) -> f64, load: ContactLoad) -> LayerMotion {
+        let mut press = PressDepth::untouched(GEOMETRY);
+        for (pixel, depth) in press.depth_m.iter_mut().enumerate() {
+            let [x, y] = GEOMETRY.pixel_to_gel_m((pixel % 320) as f64, (pixel / 320) as f64);
+            *depth = depth_m(x, y).max(0.0) as f32;
+        }
+        LayerMotion::new(&press.depth_m.clone(), &press, &LAYER, &load)
+    }
+
+    fn ball(x: f64, y: f64) -> f64 {
+        6e-4 - 40.0 * (x * x + y * y)
+    }
+
+    #[test]
+    fn untouched_gel_is_still() {
+        let force_n = [1.0, 0.0];
+        let load = ContactLoad {
+            force_n,
+            ..ContactLoad::default()
+        };
+        let motion = motion(|_, _| 0.0, load);
+        assert_eq!(motion.displacement_m([1e-3, 2e-3]), [0.0; 2]);
+    }
+
+    #[test]
+    fn skin_is_squeezed_away_from_a_ball() {
+        let motion = motion(ball, ContactLoad::default());
+        let [right, left] = [4e-3, -4e-3].map(|x| motion.displacement_m([x, 0.0])[0]);
+        assert!(right > 2e-5 && right < 5e-4, "{right}");
+        assert!((right + left).abs() < 0.02 * right, "{right} {left}");
+        let middle = motion.displacement_m([0.0, 0.0]);
+        assert!(middle[0].abs() < 0.02 * right && middle[1].abs() < 0.02 * right);
+    }
+
+    #[test]
+    fn plate_over_the_whole_pad_bulges_the_free_rim() {
+        let motion = motion(|_, _| 1e-4, ContactLoad::default());
+        let at = |x: f64| motion.displacement_m([x, 0.0])[0];
+        let (inner, rim) = (at(6e-3), at(12e-3));
+        assert!(
+            inner > 0.0 && rim > 2.0 * inner && rim < 3e-4,
+            "{inner} {rim}"
+        );
+    }
+
+    #[test]
+    fn plate_under_force_shears_the_layer_as_a_block() {
+        let load = ContactLoad {
+            force_n: [0.0, 2.0],
+            ..ContactLoad::default()
+        };
+        let free = motion(|_, _| 1e-4, ContactLoad::default());
+        let dragged = motion(|_, _| 1e-4, load);
+        let shear_pa = 0.5 * LAYER.young_pa / (1.0 + LAYER.poisson);
+        let expected = 2.0 * LAYER.thickness_m / (shear_pa * 0.025 * 0.020);
+        for at in [[0.0, 0.0], [5e-3, -3e-3]] {
+            let moved = dragged.displacement_m(at)[1] - free.displacement_m(at)[1];
+            assert!((moved / expected - 1.0).abs() < 0.01, "{moved} {expected}");
+        }
+    }
+
+    #[test]
+    fn torque_turns_the_skin_from_x_towards_y() {
+        let load = ContactLoad {
+            torque_n_m: 5e-3,
+            ..ContactLoad::default()
+        };
+        let (free, turned) = (motion(ball, ContactLoad::default()), motion(ball, load));
+        let by = |at| {
+            let (a, b) = (turned.displacement_m(at), free.displacement_m(at));
+            [a[0] - b[0], a[1] - b[1]]
+        };
+        assert!(by([2e-3, 0.0])[1] > 1e-6 && by([0.0, 2e-3])[0] < -1e-6);
+        assert!(by([0.0, 0.0])[0].abs() < 1e-7);
     }
 }

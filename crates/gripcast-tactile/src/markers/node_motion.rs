@@ -2,6 +2,7 @@
 
 use gripcast_base::error::{Error, Result};
 use gripcast_sim::fem::GelGrid;
+use gripcast_sim::fields::FaceField;
 
 use crate::scene::MountingAngle;
 
@@ -41,6 +42,19 @@ impl NodeMotion {
             displacement_m,
             mounting,
         })
+    }
+
+    /// Motion of a recorded field.
+    ///
+    /// # Errors
+    /// As [`NodeMotion::new`].
+    pub fn of_field(grid: &GelGrid, field: &FaceField, mounting: MountingAngle) -> Result<Self> {
+        let in_plane = |[x, y, _]: &[f32; 3]| [f64::from(*x), f64::from(*y)];
+        Self::new(
+            grid,
+            field.displacement_m.iter().map(in_plane).collect(),
+            mounting,
+        )
     }
 
     /// Displacement of the point of the skin that rests at a point of the sensor frame, m.
