@@ -164,7 +164,7 @@ fn natural_order(a: &str, b: &str) -> Ordering {
     }
 }
 
-/// Takes the digits, or what is no digit, from the beginning of a name.
+/// Takes a run of digits, or of other characters, from the beginning of a name.
 fn next_run<'a>(rest: &mut &'a str) -> Option<&'a str> {
     let is_digit = rest.starts_with(|c: char| c.is_ascii_digit());
     let end = rest
