@@ -197,9 +197,18 @@ impl Video {
         // PPM, because each of its images has its own size. New times in steps of a frame keep
         // every frame of a video whose rate varies.
         let mut child = Command::new("ffmpeg")
-            .args(["-nostdin", "-v", "error", "-autoscale", "0", "-i"])
+            .args(["-nostdin", "-v", "error", "-i"])
             .arg(path)
-            .args(["-map", "0:v:0", "-vf", "setpts=N/(25*TB)", "-r", "25"])
+            .args([
+                "-map",
+                "0:v:0",
+                "-autoscale",
+                "0",
+                "-vf",
+                "setpts=N/(25*TB)",
+                "-r",
+                "25",
+            ])
             .args(["-f", "image2pipe", "-c:v", "ppm", "-"])
             .stdin(Stdio::null())
             .stdout(Stdio::piped())

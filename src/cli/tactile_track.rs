@@ -173,14 +173,23 @@ fn track(args: &Args, progress: &Progress) -> Result<Report> {
         left_out: Vec::new(),
         overlay: Overlay::new(args.overlay.as_deref())?,
         next: 0,
+        first: 0,
     };
     let mut tracker = match &args.initial {
         Initial::File(path) => start(&initial_image(path, crop.as_ref())?)?,
         Initial::Number(_) | Initial::Last => {
-            let (before, initial) = frames_before(args, &mut recording)?;
+            let (before, initial) = match frames_before(args, &mut recording) {
+                Ok(frames) => frames,
+                Err(error) => {
+                    // What the decoder of a video says is the cause.
+                    recording.close()?;
+                    return Err(error);
+                }
+            };
             let tracker = start(&initial)?;
             run.backwards(tracker.clone(), before)?;
             let mut tracker = tracker;
+            run.first = run.next;
             run.add(&mut tracker, (run.next.to_string(), Ok(initial)))?;
             tracker
         }
@@ -200,7 +209,12 @@ fn track(args: &Args, progress: &Progress) -> Result<Report> {
     }
     run.overlay.finish()?;
     write(&args.out, &run.frames, scale)?;
+    let after: Vec<&TrackedFrame> =
+        run.frames.iter().filter(|frame| frame.number >= run.first).collect();
+    let returned = returned(&after);
     let mut report = Report::new(args, &tracker, &run.frames, run.left_out, scale);
+    report.return_drift_px = returned.map(|(_, drift)| drift);
+    report.return_frame = returned.map(|(number, _)| number);
     report.damage = damage.map(|e| e.to_string());
     Ok(report)
 }
@@ -250,6 +264,8 @@ struct Run {
     overlay: Overlay,
     /// Number of the next frame.
     next: usize,
+    /// Number of the initial frame; 0 for one that is not in the recording.
+    first: usize,
 }
 
 impl Run {
@@ -324,7 +340,6 @@ impl Report {
             .map(|s| f64::from(s.max_displacement_mm))
             .fold(0.0, f64::max);
         let slips = summaries().filter_map(|s| s.slip_ratio);
-        let returned = returned(frames);
         let left_out = left_out_frames.len();
         left_out_frames.truncate(LISTED);
         Self {
@@ -342,8 +357,8 @@ impl Report {
             tracked_fraction: tracked / frames.len().max(1) as f64,
             max_displacement_px: max_mm / (1e3 * scale.m_per_px),
             max_displacement_mm: scale.is_known.then_some(max_mm),
-            return_drift_px: returned.map(|(_, drift)| drift),
-            return_frame: returned.map(|(number, _)| number),
+            return_drift_px: None,
+            return_frame: None,
             max_slip_ratio: slips.reduce(f32::max),
             problems: problem_frames(frames),
         }
@@ -351,14 +366,14 @@ impl Report {
 }
 
 /// The last frame without contact that follows a contact, and the median displacement in it, px.
-fn returned(frames: &[TrackedFrame]) -> Option<(usize, f32)> {
-    let is_contact = |frame: &&TrackedFrame| {
+fn returned(frames: &[&TrackedFrame]) -> Option<(usize, f32)> {
+    let is_contact = |frame: &TrackedFrame| {
         frame
             .shear
             .summary
             .is_some_and(|s| s.contact_fraction > 0.0)
     };
-    let first = frames.iter().position(|frame| is_contact(&frame))?;
+    let first = frames.iter().position(|frame| is_contact(frame))?;
     let last = frames[first..]
         .iter()
         .rev()

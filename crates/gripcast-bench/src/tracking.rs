@@ -52,8 +52,14 @@ pub(crate) fn run(_context: &Context, args: &Args) -> Result<()> {
         });
         let first = timed(5, start);
         for (figure, Timing { min, median }) in [("update", update), ("start", first)] {
-            text += &format!("\n{:<20}{min:>11.3}{median:>12.3}", format!("{name} {figure}"));
-            figures.insert(format!("{name}_{figure}_ms"), json!({"min": min, "median": median}));
+            text += &format!(
+                "\n{:<20}{min:>11.3}{median:>12.3}",
+                format!("{name} {figure}")
+            );
+            figures.insert(
+                format!("{name}_{figure}_ms"),
+                json!({"min": min, "median": median}),
+            );
         }
     }
     let params = json!({"runs": args.runs, "size": [320, 240]});
@@ -75,7 +81,9 @@ fn gel(frame: usize, has_markers: bool) -> RgbImage {
             let offset = |at: f32| (at + 0.5 * PITCH).rem_euclid(PITCH) - 0.5 * PITCH;
             let distance = offset(x as f32 - 22.0 - shift).hypot(offset(y as f32 - 20.0));
             let darkness = 0.66 * ((RADIUS + 2.0 - distance) / 4.0).clamp(0.0, 1.0);
-            pixel.0 = pixel.0.map(|level| (f32::from(level) * (1.0 - darkness)) as u8);
+            pixel.0 = pixel
+                .0
+                .map(|level| (f32::from(level) * (1.0 - darkness)) as u8);
         }
     }
     image

@@ -28,7 +28,7 @@ const MAX_RESIDUAL: f32 = 0.3;
 /// Distance of a displaced dot from the smooth lattice, pitches.
 const DISPLACED: f32 = 0.1;
 /// Fraction of displaced dots from which something deforms the gel; torn dots are fewer.
-const DEFORMED: f32 = 0.08;
+const DEFORMED: f32 = 0.06;
 /// Maximum tilt, as the tangent: beyond, columns and rows could be confused.
 const MAX_TILT: f32 = 0.5;
 
@@ -136,7 +136,7 @@ impl Lattice {
             dots: placed,
             steps,
             filter,
-            is_deformed: {eprintln!("DISPLACED {displaced} of {} rms {:.3}", residuals.len(), (squares / residuals.len() as f32).sqrt() / pitch); displaced as f32 > DEFORMED * residuals.len() as f32},
+            is_deformed: displaced as f32 > DEFORMED * residuals.len() as f32,
         })
     }
 }
@@ -273,9 +273,15 @@ fn residuals(dots: &[Dot], indices: &BTreeMap<usize, [i32; 2]>) -> Option<Vec<f3
         }
         let solution = system.solve()?;
         for (square, (dot, index)) in squares.iter_mut().zip(indices) {
-            let fitted = terms(*index).iter().zip(&solution).map(|(t, s)| t * s);
+            let terms = terms(*index);
+            let fitted = terms.iter().zip(&solution).map(|(t, s)| t * s);
             *square += (f64::from(dots[*dot].position[axis]) - fitted.sum::<f64>()).powi(2);
         }
     }
-    Some(squares.into_iter().map(|square| square.sqrt() as f32).collect())
+    Some(
+        squares
+            .into_iter()
+            .map(|square| square.sqrt() as f32)
+            .collect(),
+    )
 }

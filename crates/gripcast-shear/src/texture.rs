@@ -147,7 +147,10 @@ struct Levels {
 
 impl Levels {
     fn new(image: &RgbImage) -> Self {
-        let size = [image.width() as usize / FACTOR, image.height() as usize / FACTOR];
+        let size = [
+            image.width() as usize / FACTOR,
+            image.height() as usize / FACTOR,
+        ];
         let row_bytes = 3 * image.width() as usize;
         let pixels = image.as_raw();
         let mut values = Vec::with_capacity(size[0] * size[1]);
@@ -287,7 +290,8 @@ impl Reference {
         if inside.len() < MIN_PIXELS {
             return None;
         }
-        let mean = |a: usize| inside.iter().map(|at| at[a] as f32).sum::<f32>() / inside.len() as f32;
+        let mean =
+            |a: usize| inside.iter().map(|at| at[a] as f32).sum::<f32>() / inside.len() as f32;
         let centre = [mean(0), mean(1)];
         let value = |x: usize, y: usize| change.values[y * width + x];
         let pixel = |&[x, y]: &[usize; 2]| {
@@ -317,7 +321,9 @@ impl Reference {
     fn weakest_gradient(&self) -> f64 {
         let sum = |a: usize, b: usize| -> f64 {
             let products = self.pixels.iter().map(|pixel| {
-                (0..3).map(|c| pixel.gradient[a][c] * pixel.gradient[b][c]).sum::<f32>()
+                (0..3)
+                    .map(|c| pixel.gradient[a][c] * pixel.gradient[b][c])
+                    .sum::<f32>()
             });
             products.map(f64::from).sum::<f64>() / self.pixels.len() as f64
         };
@@ -352,7 +358,9 @@ impl Reference {
     /// The translation around the last motion with the best correlation.
     fn search(&self, change: &Levels) -> Motion {
         let range = -SEARCH_RANGE..=SEARCH_RANGE;
-        let shifts = range.clone().flat_map(|y| range.clone().map(move |x| [x, y]));
+        let shifts = range
+            .clone()
+            .flat_map(|y| range.clone().map(move |x| [x, y]));
         let scored = shifts.map(|shift| {
             let [x, y] = shift.map(|steps| f64::from(SEARCH_STEP * steps));
             let [before_x, before_y] = self.last.translation;

@@ -34,7 +34,11 @@ fn press(seed: u64, [x, y]: [f32; 2], rotation: f32, object: u64) -> RgbImage {
             slope = [slope[0] + bump * a / 6.0, slope[1] + bump * b / 6.0];
         }
         // Slopes in the object's frame are close enough to those of a rotated light.
-        let shades = [40.0 * slope[1], 30.0 * slope[0] - 15.0 * slope[1], -35.0 * slope[0]];
+        let shades = [
+            40.0 * slope[1],
+            30.0 * slope[0] - 15.0 * slope[1],
+            -35.0 * slope[0],
+        ];
         for (level, shade) in pixel.0.iter_mut().zip(shades) {
             *level = (f32::from(*level) + shade).round().clamp(0.0, 255.0) as u8;
         }
@@ -62,9 +66,18 @@ fn a_print_that_moves_and_rotates_is_followed_with_its_confidence() {
         let rotation = 0.012 * step as f32;
         let frame = tracker.update(&press(10 + step, [x, y], rotation, 3));
         let summary = frame.summary.unwrap();
-        let px = summary.mean_displacement_mm.map(|mm| mm / (1e3 * M_PER_PX) as f32);
-        assert!((px[0] - x).hypot(px[1] - y) < 1.0, "{step}: {px:?}, expected {x} {y}");
-        assert!((0.5 * summary.curl - rotation).abs() < 0.01, "{step}: {}", summary.curl);
+        let px = summary
+            .mean_displacement_mm
+            .map(|mm| mm / (1e3 * M_PER_PX) as f32);
+        assert!(
+            (px[0] - x).hypot(px[1] - y) < 1.0,
+            "{step}: {px:?}, expected {x} {y}"
+        );
+        assert!(
+            (0.5 * summary.curl - rotation).abs() < 0.01,
+            "{step}: {}",
+            summary.curl
+        );
         assert!(summary.confidence > 0.6, "{step}: {}", summary.confidence);
         assert_eq!(summary.slip_ratio, None);
     }
@@ -76,7 +89,11 @@ fn without_contact_or_with_another_object_there_is_no_number() {
     let none = tracker.update(&press(2, [0.0; 2], 0.0, 3).clone());
     assert!(none.summary.is_some());
     let other = tracker.update(&press(3, [0.0; 2], 0.0, 4));
-    assert!(other.summary.is_none_or(|s| s.confidence < 0.2), "{:?}", other.summary);
+    assert!(
+        other.summary.is_none_or(|s| s.confidence < 0.2),
+        "{:?}",
+        other.summary
+    );
     let still = GelContact {
         centre_x: 0.5,
         centre_y: 0.5,

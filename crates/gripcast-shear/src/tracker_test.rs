@@ -203,10 +203,14 @@ fn identities_come_back_after_a_gap_in_which_dots_moved_by_a_pitch() {
 #[test]
 fn a_gel_that_is_deformed_from_the_start_is_tracked_and_named() {
     let gel = Gel::mini();
-    let pressed = smooth([0.0; 2], 34.0);
-    let initial = gel.image(1, 0.9, &pressed);
+    // A bulge over a few gel markers.
+    let pressed = |[x, y]: [f32; 2]| {
+        let [u, v] = [(x - 200.0) / 60.0, (y - 100.0) / 60.0];
+        [22.0, 24.0].map(|length| length * (-(u * u + v * v)).exp())
+    };
+    let initial = gel.image(1, 0.9, pressed);
     let mut tracker = ShearTracker::new(&initial, M_PER_PX, ExpectedMarkers::Unknown).unwrap();
-    let frame = tracker.update(&gel.image(2, 0.9, &pressed));
+    let frame = tracker.update(&gel.image(2, 0.9, pressed));
     assert_eq!(frame.problems, [ShearProblem::DeformedInitial]);
     assert!(frame.summary.unwrap().tracked_fraction >= 0.99);
 }
