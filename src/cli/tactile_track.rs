@@ -209,8 +209,11 @@ fn track(args: &Args, progress: &Progress) -> Result<Report> {
     }
     run.overlay.finish()?;
     write(&args.out, &run.frames, scale)?;
-    let after: Vec<&TrackedFrame> =
-        run.frames.iter().filter(|frame| frame.number >= run.first).collect();
+    let after: Vec<&TrackedFrame> = run
+        .frames
+        .iter()
+        .filter(|frame| frame.number >= run.first)
+        .collect();
     let returned = returned(&after);
     let mut report = Report::new(args, &tracker, &run.frames, run.left_out, scale);
     report.return_drift_px = returned.map(|(_, drift)| drift);

@@ -177,9 +177,8 @@ impl MarkerTracker {
     fn counts(&self, field: &MarkerField) -> (usize, usize) {
         let margin = MARGIN * self.lattice.filter.diameter;
         let is_inside = |position: [f32; 2]| {
-            (0..2).all(|a| {
-                (margin..=self.grid.size[a] as f32 - 1.0 - margin).contains(&position[a])
-            })
+            (0..2)
+                .all(|a| (margin..=self.grid.size[a] as f32 - 1.0 - margin).contains(&position[a]))
         };
         let tracked = (0..self.known.len()).filter(|at| field.tracked(*at).is_some());
         let lost = (0..self.known.len()).filter(|at| {
