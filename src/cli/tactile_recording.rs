@@ -202,8 +202,7 @@ impl Video {
             .args([
                 "-map",
                 "0:v:0",
-                "-autoscale",
-                "0",
+                "-noautoscale",
                 "-vf",
                 "setpts=N/(25*TB)",
                 "-r",
