@@ -70,6 +70,11 @@ mod synth_merge;
 mod synth_plan;
 mod synth_report;
 mod synth_run;
+mod tactile;
+mod tactile_overlay;
+mod tactile_recording;
+mod tactile_table;
+mod tactile_track;
 mod train;
 mod training_flags;
 pub mod working;
@@ -183,6 +188,8 @@ enum Command {
     Sim(sim::Args),
     /// Render the sensor images of simulated grasps
     Render(render::Args),
+    /// Track the gel markers of tactile recordings
+    Tactile(tactile::Args),
     /// Replay annotated grasps in the simulators and compare the outcomes
     Replay(Box<replay::Args>),
     /// Generate labelled synthetic datasets, on one machine or many
@@ -267,6 +274,7 @@ fn run(cli: Cli) -> Result<()> {
         Command::Dataset(args) => dataset::run(&context, args),
         Command::Sim(args) => sim::run(&context, args),
         Command::Render(args) => render::run(&context, args),
+        Command::Tactile(args) => tactile::run(&context, args),
         Command::Replay(args) => replay::run(&context, *args),
         Command::Synth(args) => synth::run(&context, *args),
         Command::Train(args) => train::run(&context, *args),

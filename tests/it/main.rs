@@ -44,6 +44,7 @@ mod rig;
 mod screen;
 mod sim;
 mod synth;
+mod tactile_track;
 mod train;
 mod training_screen;
 mod visual_scene;

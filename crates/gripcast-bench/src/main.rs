@@ -24,6 +24,7 @@ mod rigid;
 mod rigid_grasps;
 mod synth;
 mod timing;
+mod tracking;
 mod train;
 
 use std::process::ExitCode;
@@ -66,6 +67,8 @@ enum Bench {
     Rigid(rigid::Args),
     /// Simulated and rendered grasps per hour
     Synth(synth::Args),
+    /// Tracking of gel markers and contact texture
+    Tracking(tracking::Args),
     /// Training throughput
     Train(train::Args),
 }
@@ -82,6 +85,7 @@ fn main() -> ExitCode {
         Bench::Render(args) => render::run(&context, args),
         Bench::Rigid(args) => rigid::run(&context, &args),
         Bench::Synth(args) => synth::run(&context, &args),
+        Bench::Tracking(args) => tracking::run(&context, &args),
         Bench::Train(args) => train::run(&context, &args),
     })
 }

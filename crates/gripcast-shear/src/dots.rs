@@ -207,7 +207,7 @@ impl Moments {
     }
 }
 
-/// Pixels above `threshold` that are the maximum within `radius` (Neubeck and Van Gool, Efficient
+/// Pixels above `threshold` that are the maximum within `radius` (Neubeck et al., Efficient
 /// Non-Maximum Suppression, 2006: the maximum of each block first).
 fn local_maxima(
     values: &[f32],

@@ -25,7 +25,9 @@ const MIN_ON_LATTICE: f32 = 0.6;
 const MAX_OFFSET: f32 = 0.3;
 /// Maximum root mean square distance of the dots from a smooth lattice, pitches.
 const MAX_RESIDUAL: f32 = 0.3;
-/// The same distance from which something deforms the gel. Real gels have 0.01 to 0.03.
+/// Distance of a displaced dot from the smooth lattice, pitches.
+const DISPLACED: f32 = 0.1;
+/// Fraction of displaced dots from which something deforms the gel; torn dots are fewer.
 const DEFORMED: f32 = 0.06;
 /// Maximum tilt, as the tangent: beyond, columns and rows could be confused.
 const MAX_TILT: f32 = 0.5;
@@ -116,10 +118,13 @@ impl Lattice {
         {
             return None;
         }
-        let residual = residual(&dots, &indices)? / step_length(steps);
-        if residual > MAX_RESIDUAL {
+        let residuals = residuals(&dots, &indices)?;
+        let pitch = step_length(steps);
+        let squares = residuals.iter().map(|r| r * r).sum::<f32>();
+        if (squares / residuals.len() as f32).sqrt() > MAX_RESIDUAL * pitch {
             return None;
         }
+        let displaced = residuals.iter().filter(|r| **r > DISPLACED * pitch).count();
         let mut placed = vec![None; columns * rows];
         for (dot, [column, row]) in indices {
             let at = (row - top) as usize * columns + (column - left) as usize;
@@ -131,7 +136,7 @@ impl Lattice {
             dots: placed,
             steps,
             filter,
-            is_deformed: residual > DEFORMED,
+            is_deformed: displaced as f32 > DEFORMED * residuals.len() as f32,
         })
     }
 }
@@ -249,30 +254,34 @@ fn component(dots: &[Dot], steps: [[f32; 2]; 2], seed: usize) -> BTreeMap<usize,
     }
 }
 
-/// Root mean square distance of the dots from a lattice with a quadratic distortion, px.
-fn residual(dots: &[Dot], indices: &BTreeMap<usize, [i32; 2]>) -> Option<f32> {
+/// Distances of the dots from a lattice with the distortion of a lens, px.
+fn residuals(dots: &[Dot], indices: &BTreeMap<usize, [i32; 2]>) -> Option<Vec<f32>> {
     let terms = |[column, row]: [i32; 2]| {
         let [c, r] = [column, row].map(|i| f64::from(i) / 10.0);
-        [1.0, c, r, c * c, c * r, r * r]
+        let square = c * c + r * r;
+        [1.0, c, r, c * c, c * r, r * r, square * c, square * r]
     };
-    let mut squares = 0.0;
+    let mut squares = vec![0.0; indices.len()];
     for axis in 0..2 {
-        let mut system = NormalEquations::<6>::zero();
+        let mut system = NormalEquations::<8>::zero();
         for (i, row) in system.matrix.iter_mut().enumerate() {
             row[i] = 1e-9;
         }
         for (dot, index) in indices {
-            system.add(&terms(*index), f64::from(dots[*dot].position[axis]), 1.0);
+            let position = f64::from(dots[*dot].position[axis]);
+            system.add(&terms(*index), position, 1.0);
         }
         let solution = system.solve()?;
-        for (dot, index) in indices {
-            let fitted: f64 = terms(*index)
-                .iter()
-                .zip(&solution)
-                .map(|(t, s)| t * s)
-                .sum();
-            squares += (f64::from(dots[*dot].position[axis]) - fitted).powi(2);
+        for (square, (dot, index)) in squares.iter_mut().zip(indices) {
+            let terms = terms(*index);
+            let fitted = terms.iter().zip(&solution).map(|(t, s)| t * s);
+            *square += (f64::from(dots[*dot].position[axis]) - fitted.sum::<f64>()).powi(2);
         }
     }
-    Some((squares / indices.len() as f64).sqrt() as f32)
+    Some(
+        squares
+            .into_iter()
+            .map(|square| square.sqrt() as f32)
+            .collect(),
+    )
 }

@@ -26,6 +26,8 @@ mod markers;
 mod problem;
 mod slip;
 mod texture;
+#[cfg(test)]
+mod texture_test;
 mod tracker;
 #[cfg(test)]
 mod tracker_test;

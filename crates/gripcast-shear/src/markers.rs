@@ -28,8 +28,8 @@ const DEPTH_RANGE: [f32; 2] = [0.4, 0.8];
 /// Area of a dot relative to the initial image: none and full confidence, for smaller and for
 /// larger dots.
 const AREA_RANGE: [f32; 2] = [0.45, 0.85];
-/// Margin of a position inside the image, px: outside, a gel marker is not expected to be seen.
-const MARGIN_PX: f32 = 1.0;
+/// Distance to the edge of the image from which a gel marker is expected to be seen, diameters.
+const MARGIN: f32 = 0.3;
 
 /// Follows the gel markers of one gel.
 #[derive(Clone, Debug)]
@@ -175,10 +175,10 @@ impl MarkerTracker {
 
     /// Gel markers that are tracked, and those that should be: the others are outside the image.
     fn counts(&self, field: &MarkerField) -> (usize, usize) {
+        let margin = MARGIN * self.lattice.filter.diameter;
         let is_inside = |position: [f32; 2]| {
-            (0..2).all(|a| {
-                (MARGIN_PX..=self.grid.size[a] as f32 - 1.0 - MARGIN_PX).contains(&position[a])
-            })
+            (0..2)
+                .all(|a| (margin..=self.grid.size[a] as f32 - 1.0 - margin).contains(&position[a]))
         };
         let tracked = (0..self.known.len()).filter(|at| field.tracked(*at).is_some());
         let lost = (0..self.known.len()).filter(|at| {

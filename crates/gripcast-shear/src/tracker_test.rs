@@ -203,10 +203,14 @@ fn identities_come_back_after_a_gap_in_which_dots_moved_by_a_pitch() {
 #[test]
 fn a_gel_that_is_deformed_from_the_start_is_tracked_and_named() {
     let gel = Gel::mini();
-    let pressed = smooth([0.0; 2], 34.0);
-    let initial = gel.image(1, 0.9, &pressed);
+    // A bulge over a few gel markers.
+    let pressed = |[x, y]: [f32; 2]| {
+        let [u, v] = [(x - 200.0) / 60.0, (y - 100.0) / 60.0];
+        [22.0, 24.0].map(|length| length * (-(u * u + v * v)).exp())
+    };
+    let initial = gel.image(1, 0.9, pressed);
     let mut tracker = ShearTracker::new(&initial, M_PER_PX, ExpectedMarkers::Unknown).unwrap();
-    let frame = tracker.update(&gel.image(2, 0.9, &pressed));
+    let frame = tracker.update(&gel.image(2, 0.9, pressed));
     assert_eq!(frame.problems, [ShearProblem::DeformedInitial]);
     assert!(frame.summary.unwrap().tracked_fraction >= 0.99);
 }
@@ -372,5 +376,47 @@ fn invalid_scales_and_sizes_are_refused() {
             found: [40, 30],
             expected: SIZE,
         }]
+    );
+}
+
+#[test]
+fn the_slip_ratio_is_low_while_a_contact_sticks_and_rises_as_its_rim_stays_behind() {
+    let gel = Gel {
+        pitch: 20.0,
+        diameter: 8.0,
+        jitter: 0.4,
+        ..Gel::mini()
+    };
+    let mut tracker = tracker(&gel);
+    let open = tracker.update(&gel.image(40, 0.0, |_| [0.0; 2]));
+    assert_eq!(open.summary.unwrap().slip_ratio, None);
+    // Displacements count from the contact.
+    let pressed = tracker
+        .update(&gel.image(41, 0.9, |_| [0.0; 2]))
+        .summary
+        .unwrap();
+    assert!(
+        pressed.contact_fraction > 0.05 && pressed.slip_ratio == Some(0.0),
+        "{pressed:?}"
+    );
+    // The skin moves with the object within `stick`, less outside of it.
+    let sheared = |stick: f32| {
+        move |[x, y]: [f32; 2]| {
+            let radius = (x - 160.0).hypot(y - 120.0);
+            let part = (-((radius - stick).max(0.0) / 30.0).powi(2)).exp();
+            [6.0 * part, -3.0 * part]
+        }
+    };
+    let mut ratio = |seed: u64, stick: f32| {
+        let frame = tracker.update(&gel.image(seed, 0.9, sheared(stick)));
+        frame.summary.unwrap().slip_ratio.unwrap()
+    };
+    let stick = ratio(42, 200.0);
+    assert!(stick < 0.1, "{stick}");
+    let partial = ratio(43, 50.0);
+    let more = ratio(44, 25.0);
+    assert!(
+        partial > stick && more > partial + 0.1,
+        "{stick} {partial} {more}"
     );
 }
