@@ -1,7 +1,7 @@
 //! Slip ratio: how much of a contact moves against the rigid motion of its centre.
 //!
 //! While a contact sticks, the skin below it moves as one with the object: a translation and a
-//! rotation. Slip begins at the rim, where the pressure is lowest (Cattaneo 1938, Mindlin 1949), and
+//! rotation, and evenly outwards while the load grows. Slip begins at the rim, where the pressure is lowest (Cattaneo 1938, Mindlin 1949), and
 //! the skin there stays behind. As in Dong, Ma, Donlon and Rodriguez, Maintaining Grasps within
 //! Slipping Bounds by Monitoring Incipient Slip (ICRA 2019), the rigid motion is fitted to the gel
 //! markers in the middle of the contact, and a gel marker slips where its displacement differs from
@@ -110,11 +110,13 @@ impl SlipMeter {
     }
 }
 
-/// Translation and small rotation about a centre.
+/// Translation, small rotation and even stretch about a centre.
 struct RigidMotion {
     centre: [f32; 2],
     translation: [f32; 2],
     rotation: f32,
+    /// Relative growth: pressing harder stretches the skin in contact without any slip.
+    stretch: f32,
 }
 
 impl RigidMotion {
@@ -132,19 +134,22 @@ impl RigidMotion {
             centre,
             translation: [0.0; 2],
             rotation: 0.0,
+            stretch: 0.0,
         };
         let mut weights = vec![1.0; middle.len()];
         for _ in 0..FIT_STEPS {
-            let mut system = NormalEquations::<3>::zero();
+            let mut system = NormalEquations::<4>::zero();
             system.matrix[2][2] = 1e-6;
+            system.matrix[3][3] = 1e-6;
             for ((position, moved), weight) in middle.iter().zip(&weights) {
                 let [x, y] = [0, 1].map(|a| f64::from(position[a] - centre[a]));
-                system.add(&[1.0, 0.0, -y], f64::from(moved[0]), *weight);
-                system.add(&[0.0, 1.0, x], f64::from(moved[1]), *weight);
+                system.add(&[1.0, 0.0, -y, x], f64::from(moved[0]), *weight);
+                system.add(&[0.0, 1.0, x, y], f64::from(moved[1]), *weight);
             }
-            let [x, y, rotation] = system.solve()?;
+            let [x, y, rotation, stretch] = system.solve()?;
             motion.translation = [x as f32, y as f32];
             motion.rotation = rotation as f32;
+            motion.stretch = stretch as f32;
             let errors = middle.iter().map(|(p, m)| distance(motion.at(*p), *m));
             let errors: Vec<f32> = errors.collect();
             let scale = median(errors.clone())?.max(MIN_NOISE_PX);
@@ -157,8 +162,8 @@ impl RigidMotion {
     fn at(&self, position: [f32; 2]) -> [f32; 2] {
         let [x, y] = [0, 1].map(|a| position[a] - self.centre[a]);
         [
-            self.translation[0] - self.rotation * y,
-            self.translation[1] + self.rotation * x,
+            self.translation[0] - self.rotation * y + self.stretch * x,
+            self.translation[1] + self.rotation * x + self.stretch * y,
         ]
     }
 }
