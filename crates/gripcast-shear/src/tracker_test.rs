@@ -420,3 +420,21 @@ fn the_slip_ratio_is_low_while_a_contact_sticks_and_rises_as_its_rim_stays_behin
         "{stick} {partial} {more}"
     );
 }
+
+#[test]
+fn pressing_harder_is_no_slip() {
+    let gel = Gel {
+        pitch: 20.0,
+        diameter: 8.0,
+        jitter: 0.4,
+        ..Gel::mini()
+    };
+    let mut tracker = tracker(&gel);
+    tracker.update(&gel.image(40, 0.9, |_| [0.0; 2]));
+    // The contact stays as large as it is and stretches evenly, by 5 px at its rim.
+    let stretched = |[x, y]: [f32; 2]| [0.05 * (x - 160.0), 0.05 * (y - 120.0)];
+    let frame = tracker.update(&gel.image(41, 0.9, stretched));
+    let summary = frame.summary.unwrap();
+    assert!(summary.divergence > 0.05, "{summary:?}");
+    assert!(summary.slip_ratio.unwrap() < 0.1, "{summary:?}");
+}
