@@ -95,6 +95,11 @@ def image(role, stage, seed, contact=1.0):
     return jpeg(scene(seed, stage != "initial", role == "depth"))
 
 
+def shear(mean_displacement_mm, slip_ratio):
+    summary = {"source": "markers", "confidence": 0.9, "tracked_fraction": 1.0, "mean_displacement_mm": mean_displacement_mm, "max_displacement_mm": 1.0, "divergence": 0.0, "curl": 0.0, "contact_fraction": 0.2, "slip_ratio": slip_ratio}
+    return {"summary": summary, "messages": []}
+
+
 def both(seed, contact, closed):
     """Raw image and difference of a gel side by side; dark in place of the difference without an initial frame."""
     raw = gel(seed, contact)
@@ -226,6 +231,7 @@ class Mock:
             },
             "cameras": [self.camera(role) for role in self.roles],
             "prediction": prediction, "no_prediction_reason": absent, "contact": {"left": 26.8, "right": 26.8} if self.pending else {},
+            "shear": {"left": shear([0.3, -0.3], 0.12), "right": {"summary": None, "messages": ["the image is blurred: check the focus of the sensor and its exposure time"]}} if self.pending else {},
         }  # fmt: skip
 
     def say(self, text, level="info"):

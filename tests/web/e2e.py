@@ -647,6 +647,10 @@ async def gels(d, context):
     frame = page.locator("#images figure[data-role=left] .frame")
     await true(page, "document.querySelector('#images figure[data-role=left] img').naturalWidth === 640")
     d.check("raw image and difference arrive as one image", True)
+    if d.server.mock:
+        left, right = [await page.locator(f"figure[data-role={role}] .health").inner_text() for role in ("left", "right")]
+        d.check("the shear of a gel is told", "shear 0.42 mm ↗ slip 12 %" in left, left)
+        d.check("or why there is none", "blurred" in right and "shear" not in right, right)
     seen = []
     for _ in range(3):
         seen.append([await page.locator("#images").get_attribute("data-gels"), await page.locator("figure[data-role=left] .half:visible").all_inner_texts()])
