@@ -15,6 +15,11 @@ use gripcast_base::error::{Error, Result};
 /// Code of a step that belongs to no stage.
 const NO_STAGE: u32 = 3;
 
+/// Parts of a field that make a column.
+type Get<T> = fn(&FaceField) -> T;
+type GetRef<T> = fn(&FaceField) -> &T;
+type GetMut<T> = fn(&mut FaceField) -> &mut T;
+
 /// One column of a record.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 struct Column {
@@ -104,7 +109,7 @@ impl FieldSeries {
             out.extend(step.step.to_le_bytes());
             out.extend(stage.to_le_bytes());
             out.extend(step.t_s.to_le_bytes());
-            let doubles: [fn(&FaceField) -> [f64; 3]; 4] = [
+            let doubles: [Get<[f64; 3]>; 4] = [
                 |gel| gel.resultant.force_n,
                 |gel| gel.resultant.torque_n_m,
                 |gel| gel.sides.force_n,
@@ -114,7 +119,7 @@ impl FieldSeries {
                 let values = step.gels.iter().flat_map(column);
                 out.extend(values.flat_map(f64::to_le_bytes));
             }
-            let floats: [fn(&FaceField) -> &[[f32; 3]]; 2] =
+            let floats: [GetRef<[[f32; 3]]>; 2] =
                 [|gel| &gel.displacement_m, |gel| &gel.traction_pa];
             for column in floats {
                 let values = step.gels.iter().flat_map(column).flatten();
@@ -179,7 +184,7 @@ fn read_step(mut record: &[u8], gels: usize, nodes: usize) -> Result<FieldStep> 
     let stage = u32::from_le_bytes(array(&mut record)?);
     let t_s = f64::from_le_bytes(array(&mut record)?);
     let mut fields = vec![FaceField::default(); gels];
-    let doubles: [fn(&mut FaceField) -> &mut [f64; 3]; 4] = [
+    let doubles: [GetMut<[f64; 3]>; 4] = [
         |gel| &mut gel.resultant.force_n,
         |gel| &mut gel.resultant.torque_n_m,
         |gel| &mut gel.sides.force_n,
@@ -190,7 +195,7 @@ fn read_step(mut record: &[u8], gels: usize, nodes: usize) -> Result<FieldStep> 
             *value = f64::from_le_bytes(array(&mut record)?);
         }
     }
-    let floats: [fn(&mut FaceField) -> &mut Vec<[f32; 3]>; 2] =
+    let floats: [GetMut<Vec<[f32; 3]>>; 2] =
         [|gel| &mut gel.displacement_m, |gel| &mut gel.traction_pa];
     for column in floats {
         for gel in &mut fields {
