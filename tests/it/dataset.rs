@@ -368,11 +368,13 @@ fn info_shows_counts_and_agreement() {
     insta::assert_snapshot!(format!("{info:#}"), @r#"
     {
       "bytes": 0,
+      "fields": {},
       "first_captured_at": "2026-11-20T10:15:01Z",
       "grasps": 4,
       "label_definition": "stable = still held 3 s after the lift",
       "last_captured_at": "2026-11-20T10:15:07Z",
       "licence": "CC-BY-4.0",
+      "lifts": 0,
       "name": "kitchen",
       "objects": {
         "bottle": {
@@ -407,6 +409,7 @@ fn info_shows_counts_and_agreement() {
       "scenes": {
         "table": 4
       },
+      "schema": 2,
       "stable_fraction": 0.6666666666666666,
       "trash_bytes": 0,
       "unreadable": 0
