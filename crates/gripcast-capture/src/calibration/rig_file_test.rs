@@ -153,6 +153,11 @@ fn virtual_rig_is_valid() {
             .all(|c| c.source == SourceKind::Virtual)
     );
     assert_eq!(rig.cameras.len(), 4);
+    let marked = RigFile::find_in("virtual-markers", &[]).unwrap();
+    marked.validate().unwrap();
+    for (role, camera) in &marked.cameras {
+        assert_eq!(camera.sensor_profile.is_some(), role.is_tactile());
+    }
 }
 
 #[test]
@@ -180,7 +185,7 @@ fn rigs_are_found_by_name_and_path() {
     assert_eq!(error.kind(), ErrorKind::NotFound);
     let text = error.to_string();
     assert!(text.contains("did you mean `bench-1`?"), "{text}");
-    let known = "use one of virtual, virtual-external, bench-1, ";
+    let known = "use one of virtual, virtual-markers, virtual-external, bench-1, ";
     assert!(text.contains(known), "{text}");
 
     let path = second.join("bench-1.toml");
