@@ -92,7 +92,8 @@ impl MarkerLattice {
         };
         for marker in &self.markers {
             let [column, row] = marker.index;
-            if !(across.contains(&column) && down.contains(&row)) || !self.shows(marker.rest_m) {
+            let is_inside = across.contains(&column) && down.contains(&row);
+            if !is_inside || !self.shows(marker.rest_m) {
                 continue;
             }
             let moved = motion(marker.rest_m);

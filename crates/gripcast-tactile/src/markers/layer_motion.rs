@@ -98,12 +98,12 @@ impl LayerMotion {
         let length = layer.thickness_m * ((ratio + 2.0) / 3.0).sqrt() / CELL_M;
         // Free rim: beyond it, the displacement goes on as it would without stress.
         let stretch = 1.5 * ratio / (ratio + 2.0) / layer.thickness_m;
-        for cell in 0..columns * rows {
+        for (cell, source) in source.iter_mut().enumerate() {
             let (column, row) = (cell % columns, cell / columns);
             let beyond_m = CELL_M * stretch * face.values[cell];
             for (axis, index, last) in [(0, column, columns - 1), (1, row, rows - 1)] {
                 let outward = f64::from(i8::from(index == last) - i8::from(index == 0));
-                source[cell][axis] += length * length * outward * beyond_m;
+                source[axis] += length * length * outward * beyond_m;
             }
         }
         let mut motion = Self {
@@ -155,13 +155,13 @@ impl LayerMotion {
                         row.saturating_sub(1) * columns + column,
                         (row + 1).min(rows - 1) * columns + column,
                     ];
-                    for axis in 0..2 {
+                    for (axis, source) in source[here].iter().enumerate() {
                         let sum: f64 = neighbours
                             .iter()
                             .map(|n| self.displacement_m[*n][axis])
                             .sum();
                         let old = self.displacement_m[here][axis];
-                        let new = weight * (source[here][axis] + length_square * sum);
+                        let new = weight * (source + length_square * sum);
                         self.displacement_m[here][axis] = old + omega * (new - old);
                     }
                 }
