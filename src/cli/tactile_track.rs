@@ -32,6 +32,7 @@ use super::{Context, print_report};
 use gripcast_base::error::{Error, ErrorKind, Result};
 use gripcast_imaging::{CropProfile, Role};
 use gripcast_shear::{ExpectedMarkers, ShearFrame, ShearProblem, ShearSource, ShearTracker};
+use gripcast_tactile::SensorProfile;
 
 /// Scale of a cropped GelSight Mini image, for limits of what is plausible, m/px.
 const USUAL_M_PER_PX: f64 = 3.0e-5;
@@ -58,6 +59,9 @@ pub(crate) struct Args {
         ("right", "Right finger", Role::Right),
     ]))]
     role: Role,
+    /// Sensor profile, a shipped name or a file: gives the scale and what markers are expected
+    #[arg(long, value_name = "NAME|FILE.toml", conflicts_with = "m_per_px")]
+    profile: Option<String>,
     /// Scale of the (cropped) image, m/px; without it, lengths are in px only
     #[arg(long, value_name = "SCALE", value_parser = above_zero)]
     m_per_px: Option<f64>,
@@ -159,13 +163,25 @@ pub(crate) fn run(context: &Context, args: Args) -> Result<()> {
 
 fn track(args: &Args, progress: &Progress) -> Result<Report> {
     let crop = args.crop.as_deref().map(CropProfile::by_name).transpose()?;
+    let profile = args.profile.as_deref().map(SensorProfile::named_or_load);
+    let profile = profile.transpose()?;
+    let m_per_px = args
+        .m_per_px
+        .or(profile.as_ref().map(|profile| profile.geometry.pixel_m));
+    let expected = match &profile {
+        None => ExpectedMarkers::Unknown,
+        Some(profile) => profile
+            .markers
+            .as_ref()
+            .map_or(ExpectedMarkers::None, ExpectedMarkers::Pattern),
+    };
     let scale = Scale {
-        m_per_px: args.m_per_px.unwrap_or(USUAL_M_PER_PX),
-        is_known: args.m_per_px.is_some(),
+        m_per_px: m_per_px.unwrap_or(USUAL_M_PER_PX),
+        is_known: m_per_px.is_some(),
     };
     let mut recording = Recording::open(&args.recording, args.role, crop)?;
     let start = |image: &RgbImage| {
-        ShearTracker::new(image, scale.m_per_px, ExpectedMarkers::Unknown)
+        ShearTracker::new(image, scale.m_per_px, expected)
             .map_err(|e| e.at(args.recording.display()))
     };
     let mut run = Run {

@@ -10,6 +10,7 @@ use gripcast_imaging::{encode_png_rgb, synthetic_gel};
 use image::RgbImage;
 use serde_json::Value;
 
+use crate::json_schema::assert_schema;
 use crate::program::{gripcast, stderr};
 
 /// A gel with dots 30 px apart that moved by `shift` px; pressed where they did.
@@ -87,6 +88,16 @@ fn a_folder_becomes_csv_parquet_and_npy_with_an_overlay() {
         "{report}"
     );
     assert!(fs::metadata(&strip).unwrap().len() > 10_000);
+    let markerless = track(
+        &recording,
+        &["--out", &csv, "--profile", "gelsight-mini", "--json"],
+    );
+    let problems = &summary(&markerless)["problems"];
+    assert!(
+        problems.to_string().contains("the sensor profile has none"),
+        "{problems}"
+    );
+    assert_schema("tactile track", &[&report, &summary(&markerless)]);
 
     let text = fs::read_to_string(&csv).unwrap();
     let mut lines = text.lines();
