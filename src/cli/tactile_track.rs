@@ -38,6 +38,9 @@ use gripcast_tactile::SensorProfile;
 const USUAL_M_PER_PX: f64 = 3.0e-5;
 /// Maximum size of the frames before the initial one, bytes.
 const MAX_BEFORE_BYTES: usize = 2 << 30;
+/// Fraction of the image that may differ from the initial one on a released gel: pigment that an
+/// object moved.
+const MAX_RELEASED: f32 = 0.02;
 /// Left-out frames that are listed.
 const LISTED: usize = 20;
 
@@ -354,7 +357,7 @@ impl Report {
                 .iter()
                 .filter_map(|frame| frame.shear.summary.as_ref())
         };
-        let tracked: f64 = summaries().map(|s| f64::from(s.tracked_fraction)).sum();
+        let tracked = summaries().fold(0.0, |sum, s| sum + f64::from(s.tracked_fraction));
         let max_mm = summaries()
             .map(|s| f64::from(s.max_displacement_mm))
             .fold(0.0, f64::max);
@@ -390,7 +393,7 @@ fn returned(frames: &[&TrackedFrame]) -> Option<(usize, f32)> {
         frame
             .shear
             .summary
-            .is_some_and(|s| s.contact_fraction > 0.0)
+            .is_some_and(|s| s.contact_fraction > MAX_RELEASED)
     };
     let first = frames.iter().position(|frame| is_contact(frame))?;
     let last = frames[first..]
