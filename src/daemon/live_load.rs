@@ -38,9 +38,10 @@ const QUEUE_FRAMES: u64 = 4;
 /// Size of a GelSight Mini's frame, pixels.
 const GEL_SIZE: (u32, u32) = (3280, 2464);
 
-/// Pitch, diameter and largest motion of the gel markers: 1.3, 0.5 and 0.3 mm in a full frame, px.
-const MARKER_PITCH_PX: f64 = 161.0;
-const MARKER_DIAMETER_PX: f64 = 62.0;
+/// Pitch, diameter and largest motion of the gel markers in a full frame, px: in the cropped image
+/// 31.5 px as in real frames, 12 px and 5 px.
+const MARKER_PITCH_PX: f64 = 231.0;
+const MARKER_DIAMETER_PX: f64 = 88.0;
 const MARKER_MOTION_PX: f64 = 37.0;
 
 /// Number of different frames that each camera repeats.

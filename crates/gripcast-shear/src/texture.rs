@@ -20,8 +20,11 @@ const FACTOR: usize = 2;
 const SEARCH_STEP: i32 = 3;
 /// Range of the search, steps.
 const SEARCH_RANGE: i32 = 4;
-/// Pixels of which the search looks at one.
-const SEARCH_SAMPLES: usize = 5;
+/// Correlation from which an alignment that starts at the last motion needs no search.
+const FOUND: f32 = 0.85;
+/// Maximum pixels that are compared, and that the search looks at: evenly spread over the contact.
+const MAX_PIXELS: usize = 3000;
+const MAX_SEARCH_PIXELS: usize = 600;
 /// Maximum Gauss–Newton steps.
 const STEPS: usize = 12;
 /// Step below which the alignment has converged, pixels of the change.
@@ -116,8 +119,9 @@ fn summary_frame(
         let [x, y] = pixel.offset.map(f64::from);
         (translation[0] - rotation * y).hypot(translation[1] + rotation * x)
     });
+    let placement = motion.about(reference.centre);
     let inside = reference.pixels.iter().filter(|pixel| {
-        let [x, y] = motion.apply(pixel.offset, reference.centre);
+        let [x, y] = placement.of(pixel.offset);
         let [width, height] = reference.size.map(|side| side as f32 - 1.0);
         (0.0..=width).contains(&x) && (0.0..=height).contains(&y)
     });
@@ -198,6 +202,11 @@ impl Levels {
     }
 }
 
+/// How much stronger a change is than the one with whose product and square it is given.
+fn strength(product: f32, own: f32) -> f32 {
+    (product / own.max(f32::MIN_POSITIVE)).clamp(0.3, 3.0)
+}
+
 /// Translation and rotation about the centre of the reference, pixels of the change.
 #[derive(Clone, Copy, Debug, Default)]
 struct Motion {
@@ -206,15 +215,14 @@ struct Motion {
 }
 
 impl Motion {
-    /// Position of a pixel at `offset` from the centre.
-    fn apply(self, offset: [f32; 2], centre: [f32; 2]) -> [f32; 2] {
+    /// The motion about `centre`, ready for many pixels.
+    fn about(self, centre: [f32; 2]) -> Placement {
         let (sin, cos) = self.rotation.sin_cos();
-        let [x, y] = offset.map(f64::from);
-        let [dx, dy] = [
-            cos * x - sin * y + self.translation[0],
-            sin * x + cos * y + self.translation[1],
-        ];
-        [centre[0] + dx as f32, centre[1] + dy as f32]
+        Placement {
+            sin: sin as f32,
+            cos: cos as f32,
+            middle: [0, 1].map(|a| centre[a] + self.translation[a] as f32),
+        }
     }
 
     /// The motion after undoing a small one that comes first.
@@ -228,6 +236,24 @@ impl Motion {
             ],
             rotation: turned,
         }
+    }
+}
+
+/// A motion about a centre.
+#[derive(Clone, Copy, Debug)]
+struct Placement {
+    sin: f32,
+    cos: f32,
+    middle: [f32; 2],
+}
+
+impl Placement {
+    /// Position of a pixel at an offset from the centre.
+    fn of(&self, [x, y]: [f32; 2]) -> [f32; 2] {
+        [
+            self.middle[0] + self.cos * x - self.sin * y,
+            self.middle[1] + self.sin * x + self.cos * y,
+        ]
     }
 }
 
@@ -270,6 +296,8 @@ struct Reference {
     size: [usize; 2],
     centre: [f32; 2],
     pixels: Vec<Pixel>,
+    /// Pixels in contact, of which `pixels` are some.
+    area_pixels: f64,
     area: f32,
     start: Start,
     /// Motion in the frame before.
@@ -309,7 +337,12 @@ impl Reference {
         let reference = Self {
             size: change.size,
             centre,
-            pixels: inside.iter().map(pixel).collect(),
+            pixels: inside
+                .iter()
+                .step_by(inside.len().div_ceil(MAX_PIXELS))
+                .map(pixel)
+                .collect(),
+            area_pixels: inside.len() as f64,
             area: contact.fraction(),
             start,
             last: Motion::default(),
@@ -334,20 +367,37 @@ impl Reference {
 
     /// Motion since the reference, and the correlation after it.
     fn align(&self, change: &Levels) -> (Motion, f32) {
-        let mut motion = self.search(change);
+        let (motion, correlation) = self.refine(change, self.last);
+        if correlation >= FOUND {
+            return (motion, correlation);
+        }
+        let searched = self.refine(change, self.search(change));
+        match searched.1 > correlation {
+            true => searched,
+            false => (motion, correlation),
+        }
+    }
+
+    /// The motion with the best alignment near `motion`, and the correlation after it.
+    fn refine(&self, change: &Levels, mut motion: Motion) -> (Motion, f32) {
+        let mut gain = self.gain(change, motion);
         for _ in 0..STEPS {
-            let gain = self.gain(change, motion);
             let mut system = NormalEquations::<3>::zero();
+            let (mut product, mut own) = (0.0, 0.0);
+            let placement = motion.about(self.centre);
             for pixel in &self.pixels {
-                let now = change.at(motion.apply(pixel.offset, self.centre));
+                let now = change.at(placement.of(pixel.offset));
                 for c in 0..3 {
                     let row = pixel.gradient.map(|gradient| f64::from(gain * gradient[c]));
                     system.add(&row, f64::from(now[c] - gain * pixel.value[c]), 1.0);
+                    product += pixel.value[c] * now[c];
+                    own += pixel.value[c] * pixel.value[c];
                 }
             }
+            gain = strength(product, own);
             let Some(step) = system.solve() else { break };
             motion = motion.without(step);
-            let reach = self.pixels.len() as f64;
+            let reach = self.area_pixels;
             if step[0].hypot(step[1]) < CONVERGED && step[2].abs() * reach.sqrt() < CONVERGED {
                 break;
             }
@@ -357,6 +407,7 @@ impl Reference {
 
     /// The translation around the last motion with the best correlation.
     fn search(&self, change: &Levels) -> Motion {
+        let every = self.pixels.len().div_ceil(MAX_SEARCH_PIXELS);
         let range = -SEARCH_RANGE..=SEARCH_RANGE;
         let shifts = range
             .clone()
@@ -368,7 +419,7 @@ impl Reference {
                 translation: [before_x + x, before_y + y],
                 ..self.last
             };
-            (motion, self.correlation(change, motion, SEARCH_SAMPLES))
+            (motion, self.correlation(change, motion, every))
         });
         let best = scored.max_by(|a, b| a.1.total_cmp(&b.1));
         best.map_or(self.last, |(motion, _)| motion)
@@ -377,7 +428,7 @@ impl Reference {
     /// How much stronger the change is than in the reference.
     fn gain(&self, change: &Levels, motion: Motion) -> f32 {
         let (product, [own, _]) = self.products(change, motion, 1);
-        (product / own.max(f32::MIN_POSITIVE)).clamp(0.3, 3.0)
+        strength(product, own)
     }
 
     fn correlation(&self, change: &Levels, motion: Motion, every: usize) -> f32 {
@@ -388,8 +439,9 @@ impl Reference {
     /// Sums of the product of both changes and of their squares.
     fn products(&self, change: &Levels, motion: Motion, every: usize) -> (f32, [f32; 2]) {
         let (mut product, mut squares) = (0.0, [0.0; 2]);
+        let placement = motion.about(self.centre);
         for pixel in self.pixels.iter().step_by(every) {
-            let now = change.at(motion.apply(pixel.offset, self.centre));
+            let now = change.at(placement.of(pixel.offset));
             for (before, now) in pixel.value.iter().zip(now) {
                 product += before * now;
                 squares = [squares[0] + before * before, squares[1] + now * now];
