@@ -38,9 +38,9 @@ use gripcast_tactile::SensorProfile;
 const USUAL_M_PER_PX: f64 = 3.0e-5;
 /// Maximum size of the frames before the initial one, bytes.
 const MAX_BEFORE_BYTES: usize = 2 << 30;
-/// Fraction of the image that may differ from the initial one on a released gel: pigment that an
-/// object moved.
-const MAX_RELEASED: f32 = 0.02;
+/// Contact of a released gel, at most, as a fraction of the largest contact: light and pigment are
+/// seldom quite as in the initial image.
+const MAX_RELEASED: f32 = 0.25;
 /// Left-out frames that are listed.
 const LISTED: usize = 20;
 
@@ -387,19 +387,19 @@ impl Report {
     }
 }
 
-/// The last frame without contact that follows a contact, and the median displacement in it, px.
+/// The last frame with at most a quarter of the largest contact before it, and the median
+/// displacement in it, px.
 fn returned(frames: &[&TrackedFrame]) -> Option<(usize, f32)> {
-    let is_contact = |frame: &TrackedFrame| {
-        frame
-            .shear
-            .summary
-            .is_some_and(|s| s.contact_fraction > MAX_RELEASED)
-    };
-    let first = frames.iter().position(|frame| is_contact(frame))?;
-    let last = frames[first..]
+    let contact = |frame: &&TrackedFrame| Some(frame.shear.summary?.contact_fraction);
+    let largest = frames.iter().filter_map(contact).fold(0.0, f32::max);
+    let closed = frames
         .iter()
-        .rev()
-        .find(|frame| frame.shear.summary.is_some() && !is_contact(frame))?;
+        .position(|frame| contact(frame) == Some(largest))
+        .filter(|_| largest > 0.0)?;
+    let is_released = |frame: &&&TrackedFrame| {
+        contact(frame).is_some_and(|contact| contact <= MAX_RELEASED * largest)
+    };
+    let last = frames[closed..].iter().rev().find(is_released)?;
     let markers = last.shear.field.as_ref()?.markers.iter().flatten();
     let lengths = markers
         .filter(|marker| marker.confidence > 0.0)
