@@ -29,6 +29,8 @@ pub enum StartSubject {
     Clock,
     /// Records that cannot be read.
     Unreadable,
+    /// What opening the dataset found: leftovers of a crash, an earlier format.
+    Opening,
     /// Another rig than that of the newest grasp.
     Rig,
     /// Other cameras than those of the newest grasp.
@@ -56,6 +58,8 @@ pub struct StartFinding {
 pub(super) struct StartFacts<'a> {
     /// The existing grasps.
     pub(super) dataset: &'a Provenance,
+    /// What opening the dataset found, one sentence each.
+    pub(super) opening: &'a [String],
     /// Source of the newest grasp's frames.
     pub(super) newest_source: Option<SourceKind>,
     /// The rig.
@@ -92,6 +96,7 @@ pub(super) fn start_report(facts: &StartFacts<'_>) -> Vec<StartFinding> {
         warning(StartSubject::MixedSources, mixed),
         warning(StartSubject::Clock, clock(facts)),
         warning(StartSubject::Unreadable, unreadable(facts)),
+        warning(StartSubject::Opening, opening(facts)),
         // A virtual rig differs from a real one in everything.
         warning(StartSubject::Rig, rig(facts).filter(|_| !is_mixed)),
         warning(StartSubject::Cameras, cameras(facts).filter(|_| !is_mixed)),
@@ -102,6 +107,10 @@ pub(super) fn start_report(facts: &StartFacts<'_>) -> Vec<StartFinding> {
     .into_iter()
     .flatten()
     .collect()
+}
+
+fn opening(facts: &StartFacts<'_>) -> Option<String> {
+    (!facts.opening.is_empty()).then(|| facts.opening.join(". "))
 }
 
 fn mixed_sources(facts: &StartFacts<'_>) -> Option<String> {
@@ -341,6 +350,7 @@ mod tests {
         clock_jump: SignedDuration,
         disk_free_bytes: Option<u64>,
         grasps_left: Option<u64>,
+        opening: Vec<String>,
     }
 
     impl Scene {
@@ -363,6 +373,7 @@ mod tests {
                 clock_jump: SignedDuration::ZERO,
                 disk_free_bytes: Some(500_000_000_000),
                 grasps_left: Some(50_000),
+                opening: Vec::new(),
                 dataset,
             }
         }
@@ -378,6 +389,7 @@ mod tests {
                 now: self.now,
                 clock_jump: self.clock_jump,
                 disk_free_bytes: self.disk_free_bytes,
+                opening: &self.opening,
                 grasps_left: self.grasps_left,
             })
         }
@@ -435,6 +447,14 @@ mod tests {
         let text = scene.warning(StartSubject::MixedSources);
         assert!(text.contains("FROM A RECORDING"), "{text}");
         assert!(text.contains("newest grasp is from cameras"), "{text}");
+    }
+
+    #[test]
+    fn what_opening_found_is_told() {
+        let mut scene = Scene::same();
+        scene.opening = vec!["completed A after a crash".into(), "earlier format".into()];
+        let text = scene.warning(StartSubject::Opening);
+        assert_eq!(text, "completed A after a crash. earlier format");
     }
 
     #[test]

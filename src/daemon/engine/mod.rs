@@ -172,6 +172,8 @@ struct Engine {
     lift: Option<KeptLift>,
     /// Number of grasps by object and outcome, as of the last second.
     objects: Arc<OutcomeCounts>,
+    /// What opening the dataset found, one sentence each.
+    opening: Vec<String>,
     /// What the dataset's grasps were taken with, at the start.
     provenance: Provenance,
     /// The model.

@@ -73,6 +73,7 @@ impl Engine {
             .collect();
         self.start_report = start_report(&StartFacts {
             dataset: &self.provenance,
+            opening: &self.opening,
             newest_source: self.newest_source,
             rig: &self.rig,
             cameras: &cameras,

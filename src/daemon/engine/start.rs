@@ -123,6 +123,7 @@ impl Engine {
             lift: None,
             objects: Arc::default(),
             newest_source,
+            opening: opened.notes,
             provenance: opened.provenance,
             model,
             started: (Timestamp::now(), monotonic_ns()),
