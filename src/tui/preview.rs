@@ -204,17 +204,22 @@ fn caption(shown: Shown, status: &EngineStatus, width: u16, palette: Palette) ->
         .get(&role)
         .filter(|_| shown.is_difference || shown.is_alone);
     let shear = status.shear.get(&role).and_then(ShearStatus::words);
-    let details = match contact {
-        Some(contact) => vec![
-            match shear {
-                Some(shear) => format!("{kind} · contact {contact:.1} · {shear}"),
-                None => format!("{kind} · contact {contact:.1}"),
-            },
-            format!("{kind} · contact {contact:.1}"),
-            format!(" contact {contact:.1}"),
-            format!(" {contact:.1}"),
-        ],
-        None => vec![kind.to_owned()],
+    let details = match (contact, shear) {
+        (Some(contact), shear) => {
+            let full = shear.map(|shear| format!("{kind} · contact {contact:.1} · {shear}"));
+            let shorter = [
+                format!("{kind} · contact {contact:.1}"),
+                format!(" contact {contact:.1}"),
+                format!(" {contact:.1}"),
+            ];
+            full.into_iter().chain(shorter).collect()
+        }
+        // Beside its difference, the image of a gel has room for the shear.
+        (None, Some(shear)) if kind.is_empty() => {
+            let bare = shear.replace("shear ", "").replace("slip ", "");
+            vec![format!(" {shear}"), format!(" {bare}"), String::new()]
+        }
+        (None, _) => vec![kind.to_owned()],
     };
     let room = usize::from(width).saturating_sub(role.name().len());
     let fitting = details.iter().find(|detail| detail.chars().count() <= room);
@@ -321,6 +326,7 @@ mod tests {
 
     use super::*;
     use crate::daemon::Preview;
+    use gripcast_shear::{ShearSource, ShearSummary};
 
     const PALETTE: Palette = Palette {
         depth: ColourDepth::True,
@@ -394,19 +400,44 @@ mod tests {
 
     #[test]
     fn captions_name_the_image_and_its_contact() {
-        let of = |is_difference, is_alone, width| {
+        let told = |status: &EngineStatus, is_difference, is_alone, width| {
             let shown = Shown {
                 role: Role::Left,
                 is_difference,
                 is_alone,
             };
-            caption(shown, &status(), width, PALETTE).to_string()
+            caption(shown, status, width, PALETTE).to_string()
         };
+        let of = |is_difference, is_alone, width| told(&status(), is_difference, is_alone, width);
         assert_eq!(of(true, true, 30), "left difference · contact 8.4");
         assert_eq!(of(true, true, 17), "left contact 8.4");
         assert_eq!(of(true, true, 8), "left 8.4");
         assert_eq!(of(false, true, 30), "left image · contact 8.4");
         assert_eq!(of(false, false, 30), "left");
+        let mut sheared = status();
+        let summary = ShearSummary {
+            source: ShearSource::Markers,
+            confidence: 0.9,
+            tracked_fraction: 1.0,
+            mean_displacement_mm: [0.3, 0.3],
+            max_displacement_mm: 1.0,
+            divergence: 0.0,
+            curl: 0.0,
+            contact_fraction: 0.2,
+            slip_ratio: Some(0.12),
+        };
+        let shear = ShearStatus {
+            summary: Some(summary),
+            messages: Vec::new(),
+        };
+        sheared.shear.insert(Role::Left, shear);
+        let of = |is_difference, is_alone, width| told(&sheared, is_difference, is_alone, width);
+        let all = "left difference · contact 8.4 · shear 0.42 mm ↘ slip 12 %";
+        assert_eq!(of(true, true, 60), all);
+        assert_eq!(of(true, true, 40), "left difference · contact 8.4");
+        assert_eq!(of(false, false, 40), "left shear 0.42 mm ↘ slip 12 %");
+        assert_eq!(of(false, false, 21), "left 0.42 mm ↘ 12 %");
+        assert_eq!(of(false, false, 10), "left");
     }
 
     #[test]
