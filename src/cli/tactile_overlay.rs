@@ -12,13 +12,15 @@ use super::tactile_recording::ffmpeg_error;
 use gripcast_base::error::{Error, Result};
 use gripcast_base::files::save;
 use gripcast_imaging::caption::write_text;
-use gripcast_imaging::encode_png_rgb;
+use gripcast_imaging::{draw_arrow, draw_line, encode_png_rgb};
 use gripcast_shear::{ShearFrame, ShearSource};
 
 /// Columns and rows of a strip.
 const STRIP: [usize; 2] = [3, 2];
 /// Magnification of displacements.
-const MAGNIFICATION: f32 = 4.0;
+const MAGNIFICATION: f64 = 4.0;
+/// Width of lines, px.
+const WIDTH: f64 = 2.0;
 /// Frames per second of a video.
 const VIDEO_RATE: &str = "10";
 const TRACKED: Rgb<u8> = Rgb([255, 230, 60]);
@@ -213,28 +215,27 @@ fn drawn(number: usize, image: &RgbImage, shear: &ShearFrame) -> RgbImage {
         .iter()
         .flat_map(|field| field.markers.iter().flatten());
     for marker in markers {
-        let [x, y] = marker.rest_px;
         if marker.confidence > 0.0 {
-            let [dx, dy] = marker.displacement_px().map(|d| MAGNIFICATION * d);
-            arrow(&mut drawn, [x, y], [x + dx, y + dy]);
+            let from = marker.rest_px.map(f64::from);
+            let moved = marker.displacement_px().map(f64::from);
+            let to = [0, 1].map(|axis| from[axis] + MAGNIFICATION * moved[axis]);
+            draw_arrow(&mut drawn, from, to, WIDTH, TRACKED);
         } else {
-            let [x, y] = marker.position_px;
-            line(&mut drawn, [x - 4.0, y - 4.0], [x + 4.0, y + 4.0], LOST);
-            line(&mut drawn, [x - 4.0, y + 4.0], [x + 4.0, y - 4.0], LOST);
+            let [x, y] = marker.position_px.map(f64::from);
+            let [left, right, top, bottom] = [x - 4.0, x + 4.0, y - 4.0, y + 4.0];
+            draw_line(&mut drawn, [left, top], [right, bottom], WIDTH, LOST);
+            draw_line(&mut drawn, [left, bottom], [right, top], WIDTH, LOST);
         }
     }
     let mut text = format!("{number}");
     if let Some(summary) = shear.summary {
-        let centre = [0.5 * image.width() as f32, 0.5 * image.height() as f32];
+        let centre = [image.width(), image.height()].map(|side| 0.5 * f64::from(side));
         let [dx, dy] = summary.mean_displacement_mm;
         if summary.source == ShearSource::Texture {
             // A millimetre is a quarter of the image.
-            let length = 0.25 * image.width() as f32;
-            arrow(
-                &mut drawn,
-                centre,
-                [centre[0] + length * dx, centre[1] + length * dy],
-            );
+            let length = 0.25 * f64::from(image.width());
+            let to = [centre[0] + length * dx, centre[1] + length * dy];
+            draw_arrow(&mut drawn, centre, to, WIDTH, TRACKED);
         }
         if let Some(slip) = summary.slip_ratio {
             text += &format!(" slip {slip:.2}");
@@ -248,47 +249,4 @@ fn drawn(number: usize, image: &RgbImage, shear: &ShearFrame) -> RgbImage {
         TEXT,
     );
     drawn
-}
-
-fn arrow(image: &mut RgbImage, from: [f32; 2], to: [f32; 2]) {
-    line(image, from, to, TRACKED);
-    let [dx, dy] = [to[0] - from[0], to[1] - from[1]];
-    let length = dx.hypot(dy);
-    if length < 3.0 {
-        return;
-    }
-    let [dx, dy] = [dx, dy].map(|d| d / length * length.min(8.0) * 0.5);
-    line(
-        image,
-        to,
-        [to[0] - dx - 0.6 * dy, to[1] - dy + 0.6 * dx],
-        TRACKED,
-    );
-    line(
-        image,
-        to,
-        [to[0] - dx + 0.6 * dy, to[1] - dy - 0.6 * dx],
-        TRACKED,
-    );
-}
-
-/// A line of two pixels' width.
-fn line(image: &mut RgbImage, from: [f32; 2], to: [f32; 2], colour: Rgb<u8>) {
-    let steps = (to[0] - from[0])
-        .abs()
-        .max((to[1] - from[1]).abs())
-        .ceil()
-        .max(1.0);
-    for step in 0..=steps as u32 {
-        let part = step as f32 / steps;
-        let [x, y] = [0, 1].map(|a| from[a] + part * (to[a] - from[a]));
-        for (dx, dy) in [(0, 0), (1, 0), (0, 1), (1, 1)] {
-            let at = (x.floor() as i64 + dx, y.floor() as i64 + dy);
-            if let (Ok(x), Ok(y)) = (u32::try_from(at.0), u32::try_from(at.1))
-                && let Some(pixel) = image.get_pixel_mut_checked(x, y)
-            {
-                *pixel = colour;
-            }
-        }
-    }
 }

@@ -197,7 +197,7 @@ impl Video {
         // PPM, because each of its images has its own size. New times in steps of a frame keep
         // every frame of a video whose rate varies.
         let mut child = Command::new("ffmpeg")
-            .args(["-nostdin", "-v", "error", "-i"])
+            .args(["-nostdin", "-v", "level+warning", "-i"])
             .arg(path)
             .args([
                 "-map",
@@ -238,7 +238,7 @@ impl Video {
         Some((self.frames.saturating_sub(1).to_string(), image))
     }
 
-    /// Waits for ffmpeg; its messages are errors.
+    /// Waits for ffmpeg; its errors are errors, and its warnings of damaged data.
     fn close(mut self) -> Result<()> {
         drop(self.output);
         let cannot = |e| Error::io("cannot wait for ffmpeg", e);
@@ -251,18 +251,25 @@ impl Video {
             .read_to_end(&mut bytes)
             .map_err(cannot)?;
         text.push_str(String::from_utf8_lossy(&bytes).trim());
-        if status.success() && text.is_empty() && self.frames > 0 {
+        let damage = text.lines().find(|line| tells_damage(line));
+        if status.success() && damage.is_none() && self.frames > 0 {
             return Ok(());
         }
         let found = match self.frames {
             0 => "the video has no frame that ffmpeg can decode".to_owned(),
             frames => format!("the video is damaged; ffmpeg decoded {frames} frames"),
         };
-        let message = text.lines().next().unwrap_or("no message");
+        let message = damage.or(text.lines().next()).unwrap_or("no message");
         Err(Error::input(format!("{found}: {message}"))
             .at(self.path.display())
             .remedy("record or copy it again, or extract its frames to a folder and give that"))
     }
+}
+
+/// Whether a message of ffmpeg is of damage. A file that ends early is only worth a warning to it.
+fn tells_damage(line: &str) -> bool {
+    let words = ["corrupt", "truncated", "partial file", "conceal"];
+    !line.contains("[warning]") || words.iter().any(|word| line.contains(word))
 }
 
 /// Explains that ffmpeg cannot be started.

@@ -149,8 +149,8 @@ fn marker_row(number: usize, field: &MarkerField, at: usize, scale: Scale) -> Op
 fn texture_row(frame: &TrackedFrame, scale: Scale) -> [f64; 7] {
     let summary = frame.shear.summary;
     let px = |axis: usize| {
-        let mm = summary.map_or(f32::NAN, |s| s.mean_displacement_mm[axis]);
-        f64::from(mm) / (1e3 * scale.m_per_px)
+        let mm = summary.map_or(f64::NAN, |s| s.mean_displacement_mm[axis]);
+        mm / (1e3 * scale.m_per_px)
     };
     let (dx, dy) = (px(0), px(1));
     [
@@ -159,8 +159,8 @@ fn texture_row(frame: &TrackedFrame, scale: Scale) -> [f64; 7] {
         dy,
         scale.metres(dx),
         scale.metres(dy),
-        f64::from(summary.map_or(f32::NAN, |s| s.curl)),
-        f64::from(summary.map_or(0.0, |s| s.confidence)),
+        summary.map_or(f64::NAN, |s| s.curl),
+        summary.map_or(0.0, |s| s.confidence),
     ]
 }
 

@@ -40,7 +40,7 @@ const USUAL_M_PER_PX: f64 = 3.0e-5;
 const MAX_BEFORE_BYTES: usize = 2 << 30;
 /// Contact of a released gel, at most, as a fraction of the largest contact: light and pigment are
 /// seldom quite as in the initial image.
-const MAX_RELEASED: f32 = 0.25;
+const MAX_RELEASED: f64 = 0.25;
 /// Left-out frames that are listed.
 const LISTED: usize = 20;
 
@@ -139,11 +139,11 @@ struct Report {
     tracked_fraction: f64,
     max_displacement_px: f64,
     max_displacement_mm: Option<f64>,
-    /// Median displacement in the last frame without contact after a contact, px.
+    /// Median displacement in the last frame with at most a quarter of the largest contact, px.
     return_drift_px: Option<f32>,
     /// Number of that frame.
     return_frame: Option<usize>,
-    max_slip_ratio: Option<f32>,
+    max_slip_ratio: Option<f64>,
     problems: Vec<ProblemFrames>,
 }
 
@@ -357,9 +357,9 @@ impl Report {
                 .iter()
                 .filter_map(|frame| frame.shear.summary.as_ref())
         };
-        let tracked = summaries().fold(0.0, |sum, s| sum + f64::from(s.tracked_fraction));
+        let tracked = summaries().fold(0.0, |sum, s| sum + s.tracked_fraction);
         let max_mm = summaries()
-            .map(|s| f64::from(s.max_displacement_mm))
+            .map(|s| s.max_displacement_mm)
             .fold(0.0, f64::max);
         let slips = summaries().filter_map(|s| s.slip_ratio);
         let left_out = left_out_frames.len();
@@ -381,7 +381,7 @@ impl Report {
             max_displacement_mm: scale.is_known.then_some(max_mm),
             return_drift_px: None,
             return_frame: None,
-            max_slip_ratio: slips.reduce(f32::max),
+            max_slip_ratio: slips.reduce(f64::max),
             problems: problem_frames(frames),
         }
     }
@@ -391,7 +391,7 @@ impl Report {
 /// displacement in it, px.
 fn returned(frames: &[&TrackedFrame]) -> Option<(usize, f32)> {
     let contact = |frame: &&TrackedFrame| Some(frame.shear.summary?.contact_fraction);
-    let largest = frames.iter().filter_map(contact).fold(0.0, f32::max);
+    let largest = frames.iter().filter_map(contact).fold(0.0, f64::max);
     let closed = frames
         .iter()
         .position(|frame| contact(frame) == Some(largest))

@@ -5,15 +5,13 @@ use std::collections::BTreeMap;
 use image::{Rgb, RgbImage};
 
 use super::status::ShearStatus;
-use gripcast_imaging::{Role, draw_line};
+use gripcast_imaging::{Role, draw_arrow, draw_line};
 use gripcast_shear::{ExpectedMarkers, MarkerField, MarkerPattern, ShearFrame, ShearTracker};
 
 /// Length of a drawn arrow over the displacement.
 const ARROW_GAIN: f64 = 3.0;
 /// Minimum displacement that is drawn as an arrow, px.
 const MIN_ARROW_PX: f64 = 0.3;
-/// Length of the strokes of an arrow's head, px.
-const HEAD_PX: f64 = 3.0;
 const ARROW: Rgb<u8> = Rgb([255, 230, 0]);
 const LOST: Rgb<u8> = Rgb([255, 0, 60]);
 
@@ -102,20 +100,11 @@ pub(super) fn draw_markers(image: &mut RgbImage, field: &MarkerField) {
             continue;
         }
         let moved = marker.displacement_px().map(f64::from);
-        let length = moved[0].hypot(moved[1]);
-        if length < MIN_ARROW_PX {
+        if moved[0].hypot(moved[1]) < MIN_ARROW_PX {
             continue;
         }
         let to = [0, 1].map(|i| from[i] + ARROW_GAIN * moved[i]);
-        draw_line(image, from, to, 1.0, ARROW);
-        let along = moved.map(|d| d / length * HEAD_PX.min(ARROW_GAIN * length));
-        for side in [-0.5, 0.5] {
-            let tip = [
-                to[0] - along[0] - side * along[1],
-                to[1] - along[1] + side * along[0],
-            ];
-            draw_line(image, to, tip, 1.0, ARROW);
-        }
+        draw_arrow(image, from, to, 1.0, ARROW);
     }
 }
 

@@ -159,14 +159,14 @@ impl ShearStatus {
 }
 
 /// Confidence below which a shear is shown as uncertain.
-const UNCERTAIN: f32 = 0.5;
+const UNCERTAIN: f64 = 0.5;
 /// Displacement from which a direction is shown, mm.
-const MIN_DIRECTION_MM: f32 = 0.02;
+const MIN_DIRECTION_MM: f64 = 0.02;
 
 /// Returns the arrow nearest to a direction in an image, y down.
-fn arrow(x: f32, y: f32) -> char {
+fn arrow(x: f64, y: f64) -> char {
     const ARROWS: [char; 8] = ['→', '↘', '↓', '↙', '←', '↖', '↑', '↗'];
-    let eighth = (y.atan2(x) / std::f32::consts::FRAC_PI_4).round() as i32;
+    let eighth = (y.atan2(x) / std::f64::consts::FRAC_PI_4).round() as i32;
     ARROWS[eighth.rem_euclid(8) as usize]
 }
 
@@ -364,7 +364,7 @@ mod tests {
         assert_eq!(back.shear, status.shear);
     }
 
-    fn shear(mean_displacement_mm: [f32; 2], confidence: f32, slip: Option<f32>) -> ShearStatus {
+    fn shear(mean_displacement_mm: [f64; 2], confidence: f64, slip: Option<f64>) -> ShearStatus {
         ShearStatus {
             summary: Some(ShearSummary {
                 source: ShearSource::Markers,

@@ -22,11 +22,11 @@ use gripcast_base::error::{Error, ErrorKind, Result};
 use gripcast_base::files::ContentKey;
 use gripcast_dataset::{
     BoardKeys, Dataset, DatasetWriter, FieldArray, GraspId, GraspMeta, PendingInitial,
-    PredictionRecord, ShearRecord, Stage, StageCapture,
+    PredictionRecord, Stage, StageCapture,
 };
 use gripcast_imaging::{CropProfile, Decoder, Frame, FrameDamage, Role};
 use gripcast_session::{Labels, PendingFrame, StoreReply, StoreRequest};
-use gripcast_shear::{ShearFrame, ShearSource, ShearSummary};
+use gripcast_shear::ShearFrame;
 
 /// Name of the thread.
 const TASK: &str = "store";
@@ -457,7 +457,7 @@ impl Worker {
 fn add_shear(capture: &mut StageCapture, shear: &BTreeMap<Role, ShearFrame>) {
     for (role, frame) in shear {
         if let Some(summary) = frame.summary {
-            capture.shear.insert(*role, shear_record(summary));
+            capture.shear.insert(*role, summary);
         }
         let Some(field) = &frame.field else { continue };
         let (values, shape) = field.to_array();
@@ -465,28 +465,6 @@ fn add_shear(capture: &mut StageCapture, shear: &BTreeMap<Role, ShearFrame>) {
         let array = FieldArray::markers(*role, values, shape, field.m_per_px);
         capture.fields.extend(array.ok());
     }
-}
-
-/// The record of a shear.
-fn shear_record(summary: ShearSummary) -> ShearRecord {
-    ShearRecord {
-        source: match summary.source {
-            ShearSource::Markers => gripcast_dataset::ShearSource::Markers,
-            ShearSource::Texture => gripcast_dataset::ShearSource::Texture,
-        },
-        confidence: decimal(summary.confidence),
-        tracked_fraction: decimal(summary.tracked_fraction),
-        mean_displacement_mm: summary.mean_displacement_mm.map(decimal),
-        max_displacement_mm: decimal(summary.max_displacement_mm),
-        divergence: decimal(summary.divergence),
-        curl: decimal(summary.curl),
-        slip_ratio: summary.slip_ratio.map(decimal),
-    }
-}
-
-/// The number with six decimal places; further ones of an `f32` are noise.
-fn decimal(number: f32) -> f64 {
-    (f64::from(number) * 1e6).round() / 1e6
 }
 
 fn panicked(panic: &str) -> Error {

@@ -251,6 +251,15 @@ fn videos_come_from_ffmpeg_and_its_complaints_are_reported() {
         "{report}"
     );
 
+    for (message, code) in [
+        ("[avi] [warning] Packet corrupt (stream = 0, dts = 77).", 3),
+        ("[swscaler] [warning] deprecated pixel format used", 0),
+    ] {
+        let script = format!("cat {}; echo '{message}' >&2", ppm.display());
+        let output = track_video(dir.path(), Some(&script));
+        assert_eq!(output.status.code(), Some(code), "{message}");
+    }
+
     fs::write(&ppm, &stream[..stream.len() - 1000]).unwrap();
     let cut = track_video(dir.path(), Some(&format!("cat {}", ppm.display())));
     assert_eq!(cut.status.code(), Some(3), "{}", stderr(&cut));

@@ -7,7 +7,7 @@ use jiff::Timestamp;
 use super::digest::FileDigest;
 use super::digest::digest;
 use super::encode::encode;
-use super::field::{FieldArray, FieldRecord, ShearRecord};
+use super::field::{FieldArray, FieldRecord};
 use super::grasp::{
     BoardKeys, CameraRecord, OverriddenGuard, PoseRecord, PredictionRecord, SimulatedTruth,
     StageRecord,
@@ -16,6 +16,7 @@ use super::layout::{Stage, image_name, pre_grasp_name};
 use gripcast_base::error::Result;
 use gripcast_base::files::{ContentKey, FieldName, FileName, Label, ObjectName};
 use gripcast_imaging::{Frame, JpegRepairs, Role, valid_depth_fraction};
+use gripcast_shear::ShearSummary;
 
 /// One camera's frame with its stored metadata.
 #[derive(Clone, Debug, PartialEq)]
@@ -57,7 +58,7 @@ pub struct StageCapture {
     /// Field arrays of the gels.
     pub fields: Vec<FieldArray>,
     /// Shear by gel. One with a number that is not finite is not stored: it must not stop the save.
-    pub shear: BTreeMap<Role, ShearRecord>,
+    pub shear: BTreeMap<Role, ShearSummary>,
     /// Gripper pose in the object's frame, where the pre-grasp frames give one.
     pub pose: Option<Box<PoseRecord>>,
     /// Ground truth of a virtual rig at these frames.
@@ -177,7 +178,7 @@ impl CapturedCamera {
     }
 }
 
-fn finite(shear: &BTreeMap<Role, ShearRecord>) -> BTreeMap<Role, ShearRecord> {
+fn finite(shear: &BTreeMap<Role, ShearSummary>) -> BTreeMap<Role, ShearSummary> {
     let finite = shear.iter().filter(|(_, shear)| shear.is_finite());
     finite.map(|(role, shear)| (*role, *shear)).collect()
 }

@@ -2,7 +2,6 @@
 //! files beside the images.
 
 use serde::{Deserialize, Serialize};
-use utoipa::ToSchema;
 
 use super::layout::Stage;
 use gripcast_base::error::{Error, Result};
@@ -147,57 +146,6 @@ impl FieldRecord {
         };
         let wrong = words.into_iter().find(|text| !is_word(text))?;
         Some(format!("expected a short name or unit, found {wrong:.80?}"))
-    }
-}
-
-/// What a shear was measured on.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
-#[serde(rename_all = "snake_case")]
-pub enum ShearSource {
-    /// Gel markers.
-    Markers,
-    /// The texture of the contact.
-    Texture,
-}
-
-/// Shear of one gel at one trigger. Axes are those of the sensor image: x right, y down.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
-#[serde(deny_unknown_fields)]
-pub struct ShearRecord {
-    /// What it was measured on.
-    pub source: ShearSource,
-    /// Confidence, 0 to 1.
-    pub confidence: f64,
-    /// Fraction of the gel markers, or of the contact's texture, that is tracked, 0 to 1.
-    pub tracked_fraction: f64,
-    /// Mean displacement of the skin in contact, of all of it without contact, mm.
-    pub mean_displacement_mm: [f64; 2],
-    /// Maximum displacement, mm.
-    pub max_displacement_mm: f64,
-    /// Mean divergence of the displacement, ∂u/∂x + ∂v/∂y.
-    pub divergence: f64,
-    /// Mean curl of the displacement, ∂v/∂x − ∂u/∂y.
-    pub curl: f64,
-    /// Fraction of the contact that moves against the gel's rigid motion, 0 to 1; null without
-    /// contact.
-    pub slip_ratio: Option<f64>,
-}
-
-impl ShearRecord {
-    /// Whether all numbers are finite; JSON has no others.
-    pub(super) fn is_finite(&self) -> bool {
-        let [x, y] = self.mean_displacement_mm;
-        let numbers = [
-            self.confidence,
-            self.tracked_fraction,
-            x,
-            y,
-            self.max_displacement_mm,
-            self.divergence,
-            self.curl,
-            self.slip_ratio.unwrap_or(0.0),
-        ];
-        numbers.iter().all(|number| number.is_finite())
     }
 }
 

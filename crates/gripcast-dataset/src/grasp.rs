@@ -8,13 +8,14 @@ use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
 use super::digest::FileDigest;
-use super::field::{FieldRecord, ShearRecord};
+use super::field::FieldRecord;
 use super::layout::Stage;
 use super::lift::LiftRecord;
 use gripcast_base::error::{Error, Result};
 use gripcast_base::files::{ContentKey, FieldName, FileName, GraspId, Label, ObjectName};
 use gripcast_geometry::Pose;
 use gripcast_imaging::{JpegRepairs, PixelFormat, Role};
+use gripcast_shear::ShearSummary;
 
 /// Tolerance of a unit quaternion's norm.
 const UNIT_TOLERANCE: f64 = 1e-3;
@@ -177,7 +178,7 @@ pub struct StageRecord {
     pub fields: BTreeMap<Role, BTreeMap<FieldName, FieldRecord>>,
     /// Shear by gel, where it was measured.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
-    pub shear: BTreeMap<Role, ShearRecord>,
+    pub shear: BTreeMap<Role, ShearSummary>,
 }
 
 impl StageRecord {

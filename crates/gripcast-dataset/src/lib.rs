@@ -65,7 +65,7 @@ pub use capture::{CapturedCamera, GraspMeta, StageCapture};
 pub use counts::GraspCounts;
 pub use descriptor::{Descriptor, NewDataset};
 pub use digest::FileDigest;
-pub use field::{FieldArray, FieldRecord, MARKERS, ShearRecord, ShearSource};
+pub use field::{FieldArray, FieldRecord, MARKERS};
 pub use grasp::{
     BoardKeys, CameraRecord, GraspRecord, Outcome, OverriddenGuard, PoseQuality, PoseRecord,
     PredictionRecord, SimulatedTruth, StageRecord,

@@ -8,9 +8,10 @@ use jiff::{SignedDuration, Timestamp};
 
 use super::capture::{CapturedCamera, GraspMeta, StageCapture};
 use super::descriptor::NewDataset;
-use super::field::{FieldArray, ShearRecord, ShearSource};
+use super::field::FieldArray;
 use super::grasp::PredictionRecord;
 use gripcast_imaging::{Frame, PixelFormat, Role};
+use gripcast_shear::{ShearSource, ShearSummary};
 
 /// Description of a new dataset.
 pub fn new_dataset() -> NewDataset {
@@ -112,7 +113,7 @@ pub fn capture(number: u32) -> StageCapture {
 pub fn capture_with_fields(number: u32) -> StageCapture {
     let values = (0..2 * 3 * 5).map(|i| i as f32 + number as f32 / 8.0);
     let field = FieldArray::markers(Role::Left, values.collect(), [2, 3, 5], 2.9e-5).unwrap();
-    let shear = ShearRecord {
+    let shear = ShearSummary {
         source: ShearSource::Markers,
         confidence: 0.9,
         tracked_fraction: 1.0,
@@ -120,6 +121,7 @@ pub fn capture_with_fields(number: u32) -> StageCapture {
         max_displacement_mm: 0.5,
         divergence: 0.01,
         curl: 0.0,
+        contact_fraction: 0.25,
         slip_ratio: None,
     };
     StageCapture {

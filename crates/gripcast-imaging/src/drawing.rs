@@ -1,4 +1,4 @@
-//! Lines over images.
+//! Lines and arrows over images.
 
 use image::{Rgb, RgbImage};
 
@@ -30,6 +30,24 @@ pub fn draw_line(image: &mut RgbImage, a: [f64; 2], b: [f64; 2], width: f64, col
                 }
             }
         }
+    }
+}
+
+/// Length of the strokes of an arrow's head, px.
+const HEAD_PX: f64 = 4.0;
+
+/// Draws an antialiased arrow from `a` to `b` (px), clipped to the image.
+pub fn draw_arrow(image: &mut RgbImage, a: [f64; 2], b: [f64; 2], width: f64, colour: Rgb<u8>) {
+    draw_line(image, a, b, width, colour);
+    let along = [b[0] - a[0], b[1] - a[1]];
+    let length = along[0].hypot(along[1]);
+    if length < 1.0 {
+        return;
+    }
+    let [x, y] = along.map(|d| d / length * HEAD_PX.min(0.5 * length));
+    for side in [-0.6, 0.6] {
+        let tip = [b[0] - x - side * y, b[1] - y + side * x];
+        draw_line(image, b, tip, width, colour);
     }
 }
 

@@ -41,7 +41,7 @@ pub use damage::FrameDamage;
 pub use decode::{Decoder, check_structure};
 pub use depth_preview::DEPTH_RANGE_M;
 pub use difference::TactileDifference;
-pub use drawing::draw_line;
+pub use drawing::{draw_arrow, draw_line};
 pub use flat_print::FlatPrint;
 pub use frame::{Frame, FrameBytes, FramePool, MAX_SIDE, PixelFormat, Role};
 pub use gel::{

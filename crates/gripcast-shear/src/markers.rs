@@ -10,6 +10,7 @@ use crate::darkness::Brightness;
 use crate::dots::{Dot, distance};
 use crate::lattice::{Lattice, median};
 use crate::slip::SlipMeter;
+use crate::tracker::decimal;
 use crate::{GelMarker, MarkerField, ShearFrame, ShearProblem, ShearSource, ShearSummary};
 
 /// Fraction of lost gel markers that is a problem.
@@ -246,14 +247,16 @@ impl MarkerTracker {
             .sum();
         Some(ShearSummary {
             source: ShearSource::Markers,
-            confidence: confidence / expected as f32,
-            tracked_fraction: tracked as f32 / expected as f32,
-            mean_displacement_mm: mean(markers()).unwrap_or_default().map(|d| mm_per_px * d),
-            max_displacement_mm: mm_per_px * lengths.fold(0.0, f32::max),
-            divergence: average(|g| g[0][0] + g[1][1]),
-            curl: average(|g| g[1][0] - g[0][1]),
-            contact_fraction: contact.map_or(0.0, ContactArea::fraction),
-            slip_ratio,
+            confidence: decimal(confidence / expected as f32),
+            tracked_fraction: decimal(tracked as f32 / expected as f32),
+            mean_displacement_mm: mean(markers())
+                .unwrap_or_default()
+                .map(|d| decimal(mm_per_px * d)),
+            max_displacement_mm: decimal(mm_per_px * lengths.fold(0.0, f32::max)),
+            divergence: decimal(average(|g| g[0][0] + g[1][1])),
+            curl: decimal(average(|g| g[1][0] - g[0][1])),
+            contact_fraction: decimal(contact.map_or(0.0, ContactArea::fraction)),
+            slip_ratio: slip_ratio.map(decimal),
         })
     }
 }

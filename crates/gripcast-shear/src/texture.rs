@@ -12,6 +12,7 @@ use image::RgbImage;
 use gripcast_base::linear::NormalEquations;
 
 use crate::contact::{ContactArea, SkinCells};
+use crate::tracker::decimal;
 use crate::{ShearFrame, ShearProblem, ShearSource, ShearSummary};
 
 /// Pixels of the image per pixel of the compared change.
@@ -127,13 +128,13 @@ fn summary_frame(
     });
     let summary = ShearSummary {
         source: ShearSource::Texture,
-        confidence: reference.start.confidence * confidence(correlation),
-        tracked_fraction: inside.count() as f32 / reference.pixels.len() as f32,
-        mean_displacement_mm: translation.map(|t| mm * t as f32),
-        max_displacement_mm: mm * lengths.fold(0.0, f64::max) as f32,
+        confidence: decimal(reference.start.confidence * confidence(correlation)),
+        tracked_fraction: decimal(inside.count() as f32 / reference.pixels.len() as f32),
+        mean_displacement_mm: translation.map(|t| decimal(mm * t as f32)),
+        max_displacement_mm: decimal(mm * lengths.fold(0.0, f64::max) as f32),
         divergence: 0.0,
-        curl: 2.0 * rotation as f32,
-        contact_fraction: contact.fraction(),
+        curl: decimal(2.0 * rotation as f32),
+        contact_fraction: decimal(contact.fraction()),
         slip_ratio: None,
     };
     ShearFrame {

@@ -68,13 +68,13 @@ fn a_print_that_moves_and_rotates_is_followed_with_its_confidence() {
         let summary = frame.summary.unwrap();
         let px = summary
             .mean_displacement_mm
-            .map(|mm| mm / (1e3 * M_PER_PX) as f32);
+            .map(|mm| (mm / (1e3 * M_PER_PX)) as f32);
         assert!(
             (px[0] - x).hypot(px[1] - y) < 1.0,
             "{step}: {px:?}, expected {x} {y}"
         );
         assert!(
-            (0.5 * summary.curl - rotation).abs() < 0.01,
+            (0.5 * summary.curl - f64::from(rotation)).abs() < 0.01,
             "{step}: {}",
             summary.curl
         );

@@ -24,27 +24,52 @@ pub enum ShearSource {
 
 /// The shear of one gel in one image. Axes are those of the image: x right, y down.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
+#[serde(deny_unknown_fields)]
 pub struct ShearSummary {
     /// What the shear was measured on.
     pub source: ShearSource,
     /// Confidence, 0 to 1.
-    pub confidence: f32,
+    pub confidence: f64,
     /// Fraction of the gel markers, or of the contact's texture, that is tracked, 0 to 1.
-    pub tracked_fraction: f32,
+    pub tracked_fraction: f64,
     /// Mean displacement of the skin in contact, of all of it without contact, mm.
-    pub mean_displacement_mm: [f32; 2],
+    pub mean_displacement_mm: [f64; 2],
     /// Maximum displacement, mm.
-    pub max_displacement_mm: f32,
+    pub max_displacement_mm: f64,
     /// Mean divergence of the displacement, ∂u/∂x + ∂v/∂y; above 0 where the skin is stretched.
-    pub divergence: f32,
+    pub divergence: f64,
     /// Mean curl of the displacement, ∂v/∂x − ∂u/∂y: twice the rotation in radians, from x
     /// towards y.
-    pub curl: f32,
+    pub curl: f64,
     /// Fraction of the image in contact, 0 to 1.
-    pub contact_fraction: f32,
+    pub contact_fraction: f64,
     /// Fraction of the contact that moves against the gel's rigid motion, 0 to 1; `None` without
     /// contact, with too few gel markers in it, and for texture.
-    pub slip_ratio: Option<f32>,
+    pub slip_ratio: Option<f64>,
+}
+
+impl ShearSummary {
+    /// Whether all numbers are finite; JSON has no others.
+    pub fn is_finite(&self) -> bool {
+        let [x, y] = self.mean_displacement_mm;
+        let numbers = [
+            self.confidence,
+            self.tracked_fraction,
+            x,
+            y,
+            self.max_displacement_mm,
+            self.divergence,
+            self.curl,
+            self.contact_fraction,
+            self.slip_ratio.unwrap_or(0.0),
+        ];
+        numbers.iter().all(|number| number.is_finite())
+    }
+}
+
+/// The number with six decimal places; further ones of an `f32` are noise.
+pub(crate) fn decimal(number: f32) -> f64 {
+    (f64::from(number) * 1e6).round() / 1e6
 }
 
 /// What the tracker says of one image.

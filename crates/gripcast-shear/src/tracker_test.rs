@@ -124,7 +124,10 @@ fn errors(frame: &ShearFrame, motion: impl Fn([f32; 2]) -> [f32; 2]) -> (Vec<f32
             let expected = motion(marker.rest_px);
             (dx - expected[0]).hypot(dy - expected[1])
         });
-    (errors.collect(), frame.summary.unwrap().tracked_fraction)
+    (
+        errors.collect(),
+        frame.summary.unwrap().tracked_fraction as f32,
+    )
 }
 
 fn rms(errors: &[f32]) -> f32 {
@@ -189,9 +192,9 @@ fn identities_come_back_after_a_gap_in_which_dots_moved_by_a_pitch() {
     let mut tracker = tracker(&gel);
     let far = smooth([0.95 * gel.pitch, 0.0], 0.0);
     let jumped = tracker.update(&gel.image(2, 0.6, &far));
-    let mean = jumped.summary.unwrap().mean_displacement_mm[0] / (1e3 * M_PER_PX) as f32;
+    let mean = jumped.summary.unwrap().mean_displacement_mm[0] / (1e3 * M_PER_PX);
     assert!(
-        mean.abs() < 0.5 * gel.pitch,
+        mean.abs() < 0.5 * f64::from(gel.pitch),
         "a jump of a pitch cannot be seen: {mean}"
     );
     let frame = tracker.update(&gel.image(3, 0.0, |_| [0.0; 2]));
@@ -255,6 +258,15 @@ fn hidden_dots_are_lost_and_the_others_are_right() {
     let tracked = markers
         .filter(|marker| marker.confidence > 0.0)
         .zip(&errors);
+    let whole = tracked.clone().filter(|(marker, _)| {
+        let [x, y] = marker.position_px;
+        let [inside, below] = [gel.diameter, 240.0 - gel.diameter];
+        (inside..160.0 - inside).contains(&x) && (inside..below).contains(&y)
+    });
+    assert!(whole.clone().count() > 8);
+    for (marker, error) in whole {
+        assert!(*error < 0.3, "{error} {marker:?}");
+    }
     let sure = tracked.filter(|(marker, _)| marker.confidence > 0.8);
     assert!(sure.clone().count() > 12);
     for (marker, error) in sure {

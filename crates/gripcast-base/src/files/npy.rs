@@ -172,10 +172,10 @@ struct Header<'a>(&'a str);
 impl<'a> Header<'a> {
     fn parse(mut self) -> Result<Vec<usize>> {
         let (mut dtype, mut order, mut shape) = (None, None, None);
-        self.expect("{")?;
+        self.require("{")?;
         while !self.accept("}") {
             let key = self.quoted()?;
-            self.expect(":")?;
+            self.require(":")?;
             let is_new = match key {
                 "descr" => dtype.replace(self.quoted()?).is_none(),
                 "fortran_order" => order.replace(self.boolean()?).is_none(),
@@ -186,7 +186,7 @@ impl<'a> Header<'a> {
                 return Err(not_npy(&format!("the header's key {key:.40?}")));
             }
             if !self.accept(",") {
-                self.expect("}")?;
+                self.require("}")?;
                 break;
             }
         }
@@ -217,7 +217,7 @@ impl<'a> Header<'a> {
         }
     }
 
-    fn expect(&mut self, token: &str) -> Result<()> {
+    fn require(&mut self, token: &str) -> Result<()> {
         if self.accept(token) {
             Ok(())
         } else {
@@ -228,7 +228,7 @@ impl<'a> Header<'a> {
     fn quoted(&mut self) -> Result<&'a str> {
         let quote = if self.accept("'") { '\'' } else { '"' };
         if quote == '"' {
-            self.expect("\"")?;
+            self.require("\"")?;
         }
         let (text, rest) = self.0.split_once(quote).ok_or_else(|| self.damaged())?;
         self.0 = rest;
@@ -239,12 +239,12 @@ impl<'a> Header<'a> {
         if self.accept("True") {
             return Ok(true);
         }
-        self.expect("False").map(|()| false)
+        self.require("False").map(|()| false)
     }
 
     fn tuple(&mut self) -> Result<Vec<usize>> {
         let mut sizes = Vec::new();
-        self.expect("(")?;
+        self.require("(")?;
         while !self.accept(")") {
             if sizes.len() == MAX_DIMENSIONS {
                 return Err(not_npy(&format!("more than {MAX_DIMENSIONS} dimensions")));
@@ -255,7 +255,7 @@ impl<'a> Header<'a> {
             sizes.push(number.parse().map_err(|_| self.damaged())?);
             self.0 = rest;
             if !self.accept(",") {
-                self.expect(")")?;
+                self.require(")")?;
                 break;
             }
         }
