@@ -11,6 +11,8 @@ mod lattice;
 mod layer_motion;
 mod node_motion;
 mod pattern;
+#[cfg(test)]
+mod simulated_gel_test;
 
 pub use lattice::MarkerLattice;
 pub use layer_motion::{ContactLoad, LayerMotion};
