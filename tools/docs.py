@@ -33,7 +33,7 @@ PROJECT = {
     "models/plans/README.md": "project/plans.md",
 }
 # Made by `stage`: pages of the repository do not link to them.
-GENERATED = ("reference/cli.md", "reference/json-output.md", "reference/openapi.md", "reference/replay-report.md")
+GENERATED = ("reference/cli.md", "reference/json-output.md", "reference/file-formats.md", "reference/openapi.md", "reference/replay-report.md")
 
 # Names of third parties that no source of ours has.
 EXTERNAL_NAMES = {"time_pre_grasping", "plastic_duc", "plastic_duck"}
@@ -210,6 +210,18 @@ def json_page():
     return "\n".join(lines)
 
 
+def files_page():
+    lines = [
+        "# Keys of files",
+        "",
+        "The files that people read or write, key by key, generated from files that tests hold against the program; one line per value: `path: types`. `[]` is an item of an array, `{}` a value of an object whose keys are data (roles, names of files), `?` a key that is sometimes absent. Keys that only some rigs write, such as `pose` and `truth`, are null or absent here. What they mean: [dataset format](dataset-format.md), [rig, sensor and board files](../project/calib.md), [model files](../project/models.md).",
+        "",
+    ]
+    for path in sorted((SNAPSHOTS / "files").glob("*.snap")):
+        lines += [f"## {path.stem}", "", "```text", snapshot(path), "```", ""]
+    return "\n".join(lines)
+
+
 def schema_type(schema):
     """A type in words, with links to schemas of the same page."""
     if "$ref" in schema:
@@ -308,7 +320,7 @@ def stage(folder):
         target = source / chapter
         target.parent.mkdir(parents=True, exist_ok=True)
         target.write_text(staged_links((ROOT / name).read_text(), name))
-    for page, make in zip(GENERATED, (cli_page, json_page, openapi_page, report_page)):
+    for page, make in zip(GENERATED, (cli_page, json_page, files_page, openapi_page, report_page)):
         (source / page).write_text(make() + "\n")
 
 

@@ -1,5 +1,6 @@
 //! What `--json` prints, as a reviewed schema per command: the tests that run a command with
-//! `--json` hold its output against `snapshots/json/COMMAND.snap`.
+//! `--json` hold its output against `snapshots/json/COMMAND.snap`. Files that people read or write
+//! have theirs in `snapshots/files/FILE.snap`.
 //!
 //! A line of a schema is `path: types`. `[]` is an item of an array, `{}` a value of an object
 //! whose keys are data, `?` a key that not every object has. A schema knows the values that the
@@ -15,15 +16,32 @@ use gripcast::cli;
 use rustix::process::{Pid, Signal, kill_process};
 use serde_json::Value;
 
-use crate::dataset::write_dataset;
+use crate::dataset::{write_dataset, write_mixed_dataset};
 use crate::program::{gripcast, json, succeed};
 
 /// `replay demo` takes minutes and prints the report of `replay`.
 const WITHOUT_SCHEMA: [&str; 1] = ["replay demo"];
 
-/// Objects whose keys are data: objects, operators, models, scenes, roles, parts of a dataset.
-const KEYED_BY_DATA: [&str; 7] = [
+/// Objects whose keys are data: objects, operators, models, scenes, roles, parts of a dataset. Those
+/// of files begin with `file`.
+const KEYED_BY_DATA: [&str; 23] = [
     "cameras",
+    "file.calibration",
+    "file.cameras",
+    "file.cameras.{}.controls",
+    "file.files",
+    "file.grasp.cameras",
+    "file.grasp.cameras.{}.controls",
+    "file.grasp.fields",
+    "file.grasp.fields.{}",
+    "file.grasp.shear",
+    "file.initial.cameras",
+    "file.initial.cameras.{}.controls",
+    "file.initial.fields",
+    "file.initial.fields.{}",
+    "file.initial.shear",
+    "file.lift.cameras",
+    "file.splits",
     "findings[].figures",
     "objects",
     "operators",
@@ -102,9 +120,10 @@ fn joined(path: &str, key: &str) -> String {
     }
 }
 
-fn schema(outputs: &[&Value]) -> String {
+/// `root` is the path of the outputs in [`KEYED_BY_DATA`].
+fn schema(root: &str, outputs: &[&Value]) -> String {
     let mut place = Place::default();
-    outputs.iter().for_each(|output| place.see(output, ""));
+    outputs.iter().for_each(|output| place.see(output, root));
     let mut lines = Vec::new();
     place.write("", false, &mut lines);
     lines.join("\n")
@@ -112,15 +131,78 @@ fn schema(outputs: &[&Value]) -> String {
 
 /// Holds outputs of a command, `dataset verify`, against its reviewed schema.
 pub(crate) fn assert_schema(command: &str, outputs: &[&Value]) {
-    let found = schema(outputs);
+    assert_reviewed("json", &command.replace(' ', "-"), schema("", outputs));
+}
+
+/// Holds the contents of files of a kind, `grasp.json`, against their reviewed schema.
+fn assert_file_schema(kind: &str, contents: &[Value]) {
+    let contents: Vec<&Value> = contents.iter().collect();
+    assert_reviewed("files", kind, schema("file", &contents));
+}
+
+fn assert_reviewed(folder: &str, name: &str, found: String) {
     let mut settings = insta::Settings::clone_current();
-    settings.set_snapshot_path(concat!(
-        env!("CARGO_MANIFEST_DIR"),
-        "/tests/it/snapshots/json"
-    ));
+    let snapshots = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/it/snapshots");
+    settings.set_snapshot_path(snapshots.join(folder));
     settings.set_prepend_module_to_snapshot(false);
     settings.set_omit_expression(true);
-    settings.bind(|| insta::assert_snapshot!(command.replace(' ', "-"), found));
+    settings.bind(|| insta::assert_snapshot!(name, found));
+}
+
+/// Parses JSON, the lines of JSON Lines, or TOML.
+fn read_values(path: &Path) -> Vec<Value> {
+    let text = std::fs::read_to_string(path).unwrap();
+    match path.extension().unwrap().to_str().unwrap() {
+        "toml" => vec![toml::from_str(&text).unwrap()],
+        "jsonl" => text
+            .lines()
+            .map(|line| serde_json::from_str(line).unwrap())
+            .collect(),
+        _ => vec![serde_json::from_str(&text).unwrap()],
+    }
+}
+
+/// The reference of file formats is made from these.
+#[test]
+fn file_schemas() {
+    let dir = tempfile::tempdir().unwrap();
+    let dataset = dir.path().join("d");
+    write_mixed_dataset(&dataset);
+    output("dataset split --seed 1 --json", &dataset);
+    let below = |folder: &str, file: &str| -> Vec<Value> {
+        let mut found: Vec<_> = std::fs::read_dir(dataset.join(folder))
+            .unwrap()
+            .map(|entry| entry.unwrap().path().join(file))
+            .collect();
+        found.sort();
+        found.iter().flat_map(|path| read_values(path)).collect()
+    };
+    assert_file_schema("grasp.json", &below("grasps", "grasp.json"));
+    assert_file_schema("dataset.toml", &read_values(&dataset.join("dataset.toml")));
+    let index = read_values(&dataset.join("metadata.jsonl"));
+    assert_file_schema("metadata.jsonl", &index);
+    let splits = std::fs::read_dir(dataset.join("splits")).unwrap();
+    let splits = splits.flat_map(|entry| read_values(&entry.unwrap().path()));
+    assert_file_schema("split.json", &splits.collect::<Vec<_>>());
+    let root = Path::new(env!("CARGO_MANIFEST_DIR"));
+    for (kind, folder) in [
+        ("rig.toml", "calib/rigs"),
+        ("board.toml", "calib/boards"),
+        ("sensor-profile.toml", "calib/sensors"),
+    ] {
+        let mut files: Vec<_> = std::fs::read_dir(root.join(folder))
+            .unwrap()
+            .map(|entry| entry.unwrap().path())
+            .filter(|path| path.extension().is_some_and(|e| e == "toml"))
+            .collect();
+        files.sort();
+        let contents: Vec<Value> = files.iter().flat_map(|path| read_values(path)).collect();
+        assert_file_schema(kind, &contents);
+    }
+    assert_file_schema(
+        "model.toml",
+        &read_values(&root.join("models/gripcast-vt.toml")),
+    );
 }
 
 /// Commands below `command` that have `--json`, with their path.
@@ -160,7 +242,7 @@ fn schema_shows_optional_keys_items_and_types() {
     let second = serde_json::json!({"a": [], "d": ["x"], "g": [1], "e": {"f": true}});
     let expected = "a: array\na[]: object\na[].b: integer | number\na[].c?: null\n\
                     d: array\ne?: object\ne.f: boolean\ng?: array\ng[]: integer";
-    assert_eq!(schema(&[&first, &second]), expected);
+    assert_eq!(schema("", &[&first, &second]), expected);
 }
 
 /// What a command prints; the exit code may tell that it found something.
