@@ -320,17 +320,14 @@ impl Run {
         let number = self.next;
         self.next += 1;
         let why = match (&image, tracked) {
-            (Ok(image), Some(shear)) => {
-                let resized = |p: &&ShearProblem| matches!(p, ShearProblem::Resized { .. });
-                match shear.problems.iter().find(resized) {
-                    Some(problem) => problem.text(),
-                    None => {
-                        self.overlay.add(number, image, &shear)?;
-                        self.frames.push(TrackedFrame { number, shear });
-                        return Ok(());
-                    }
+            (Ok(image), Some(shear)) => match shear.problems.iter().find(|p| p.excludes_image()) {
+                Some(problem) => problem.text(),
+                None => {
+                    self.overlay.add(number, image, &shear)?;
+                    self.frames.push(TrackedFrame { number, shear });
+                    return Ok(());
                 }
-            }
+            },
             (Err(error), _) => error.to_string(),
             (Ok(_), None) => "not tracked".to_owned(),
         };

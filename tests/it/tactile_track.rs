@@ -167,6 +167,30 @@ fn damaged_and_resized_frames_are_left_out_by_name() {
     );
 }
 
+/// The recorded image without contact is of another unit than the one with the cuboid: its dots are
+/// smaller and the whole lattice stands elsewhere.
+#[test]
+fn recorded_image_of_another_sensor_is_left_out() {
+    let Some(folder) = gripcast_testing::shared("data/gsmini_feats_marker") else {
+        return;
+    };
+    let dir = tempfile::tempdir().unwrap();
+    let recording = dir.path().join("recording");
+    fs::create_dir(&recording).unwrap();
+    for (i, name) in ["nocontact_train_sensor.png", "cuboid_10-2-284.png"]
+        .iter()
+        .enumerate()
+    {
+        fs::copy(folder.join(name), recording.join(format!("{i}.png"))).unwrap();
+    }
+    let out = dir.path().join("out.csv").display().to_string();
+    let output = track(&recording, &["--out", &out, "--json"]);
+    assert_eq!(output.status.code(), Some(3), "{}", stderr(&output));
+    let report = summary(&output);
+    let why = report["left_out_frames"][0]["why"].as_str().unwrap();
+    assert!(why.contains("another sensor or scale"), "{report}");
+}
+
 #[test]
 fn recordings_without_frames_and_invalid_scales_are_explained() {
     let dir = tempfile::tempdir().unwrap();

@@ -36,6 +36,12 @@ pub enum ShearProblem {
         /// Width and height of the initial image, px.
         expected: [u32; 2],
     },
+    /// The gel markers have another size than in the initial image, also where nothing touches the
+    /// gel.
+    OtherMarkerSize {
+        /// Median diameter relative to the initial image.
+        ratio: f32,
+    },
     /// Nothing touches the gel, so no texture can be followed.
     NoContact,
     /// The contact has no texture that could be followed.
@@ -43,6 +49,12 @@ pub enum ShearProblem {
 }
 
 impl ShearProblem {
+    /// Whether the image cannot be compared with the initial one: it has neither summary nor field.
+    #[must_use]
+    pub fn excludes_image(self) -> bool {
+        matches!(self, Self::Resized { .. } | Self::OtherMarkerSize { .. })
+    }
+
     /// What is wrong.
     #[must_use]
     pub fn what(self) -> String {
@@ -70,6 +82,10 @@ impl ShearProblem {
                 "the image has {}×{} pixels, the initial image {}×{}",
                 found[0], found[1], expected[0], expected[1]
             ),
+            Self::OtherMarkerSize { ratio } => format!(
+                "the gel markers have {ratio:.2} times the diameter of those in the initial image, \
+                 so the image is of another sensor or scale"
+            ),
             Self::NoContact => "nothing touches the gel, so there is no texture to follow".into(),
             Self::NoTexture => "the contact has no texture to follow".into(),
         }
@@ -93,6 +109,9 @@ impl ShearProblem {
             }
             Self::Blurred => "check the focus of the sensor and its exposure time",
             Self::Resized { .. } => "record all frames with the same mode and crop of the camera",
+            Self::OtherMarkerSize { .. } => {
+                "take the initial image with the same sensor, mode and crop as the others"
+            }
             Self::NoContact => "close the gripper on an object",
             Self::NoTexture => "use a gel with markers for smooth objects",
         }

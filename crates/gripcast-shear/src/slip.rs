@@ -1,8 +1,8 @@
 //! Slip ratio: how much of a contact moves against the rigid motion of its centre.
 //!
 //! While a contact sticks, the skin below it moves as one with the object: a translation and a
-//! rotation, and evenly outwards while the load grows. Slip begins at the rim, where the pressure is lowest (Cattaneo 1938, Mindlin 1949), and
-//! the skin there stays behind. As in Dong, Ma, Donlon and Rodriguez, Maintaining Grasps within
+//! rotation, and evenly outwards while the load grows. Slip begins at the rim, where the pressure
+//! is lowest (Cattaneo 1938, Mindlin 1949), and the skin there stays behind. As in Dong, Ma, Donlon and Rodriguez, Maintaining Grasps within
 //! Slipping Bounds by Monitoring Incipient Slip (ICRA 2019), the rigid motion is fitted to the gel
 //! markers in the middle of the contact, and a gel marker slips where its displacement differs from
 //! it. Displacements count from the frame in which the contact last grew, because a growing contact
@@ -24,7 +24,7 @@ const SHRUNK: f32 = 0.6;
 /// Minimum gel markers in contact.
 const MIN_MARKERS: usize = 5;
 /// Minimum deviation of a gel marker that slips, fraction of the rigid motion.
-const MIN_DEVIATION: f32 = 0.2;
+const MIN_DEVIATION: f32 = 0.1;
 /// Minimum deviation of a gel marker that slips, standard deviations of the positions.
 const NOISE_DEVIATIONS: f32 = 4.0;
 /// Standard deviation of the positions where no open gripper was seen, and its minimum, px.

@@ -392,6 +392,28 @@ fn invalid_scales_and_sizes_are_refused() {
 }
 
 #[test]
+fn image_of_another_gel_has_no_field() {
+    let gel = Gel::mini();
+    let mut tracker = tracker(&gel);
+    let other = Gel {
+        pitch: 1.04 * gel.pitch,
+        diameter: 1.25 * gel.diameter,
+        ..gel.clone()
+    };
+    let frame = tracker.update(&other.image(2, 12.0, |_| [3.0, 1.0]));
+    assert_eq!((&frame.field, frame.summary), (&None, None));
+    let [ShearProblem::OtherMarkerSize { ratio }] = frame.problems[..] else {
+        panic!("{:?}", frame.problems);
+    };
+    // The window for the darkness is that of the initial dots.
+    assert!((1.15..1.3).contains(&ratio), "{ratio}");
+    // The next image of the gel is measured as before.
+    let motion = |_| [4.0, -2.0];
+    let (errors, tracked) = errors(&tracker.update(&gel.image(3, 12.0, motion)), motion);
+    assert!(rms(&errors) < 0.2 && tracked > 0.99);
+}
+
+#[test]
 fn the_slip_ratio_is_low_while_a_contact_sticks_and_rises_as_its_rim_stays_behind() {
     let gel = Gel {
         pitch: 20.0,

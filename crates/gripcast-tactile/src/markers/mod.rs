@@ -13,6 +13,8 @@ mod node_motion;
 mod pattern;
 #[cfg(test)]
 mod simulated_gel_test;
+#[cfg(test)]
+mod slip_ratio_test;
 
 pub use lattice::MarkerLattice;
 pub use layer_motion::{ContactLoad, LayerMotion};
