@@ -113,6 +113,7 @@ mod tests {
     use super::*;
     use gripcast_imaging::synthetic_gel;
     use gripcast_shear::GelMarker;
+    use gripcast_tactile::{FrameNoise, PressDepth, SensorProfile, TactileRenderer};
 
     fn field(displacement: [f32; 2], confidence: f32) -> MarkerField {
         let rest_px = [20.0, 20.0];
@@ -161,5 +162,52 @@ mod tests {
         assert_eq!(reasons.len(), 1);
         assert_eq!(reasons[0].0, Role::Right);
         assert!(reasons[0].1.messages[0].contains("sensor_profile"));
+    }
+
+    #[test]
+    fn gel_of_an_untouched_finger_stays_at_rest() {
+        let profile = SensorProfile::named_or_load("gelsight-mini-markers").unwrap();
+        let mut renderer = TactileRenderer::new(&profile).unwrap();
+        let geometry = renderer.geometry();
+        let mut gel = |depth_m: f64, shift_m: f64, seed: u64| {
+            let mut press = PressDepth::untouched(geometry);
+            for row in 0..geometry.height {
+                for column in 0..geometry.width {
+                    let [x, y] = geometry.pixel_to_gel_m(column as f64, row as f64);
+                    let depth = depth_m - (x * x + y * y) / 0.02;
+                    press.depth_m[row * geometry.width + column] = depth.max(0.0) as f32;
+                }
+            }
+            let noise = FrameNoise {
+                noise_seed: Some(seed),
+                ..FrameNoise::default()
+            };
+            renderer
+                .render_with_markers(&press, &noise, &|_| [shift_m, 0.0])
+                .unwrap()
+                .0
+        };
+        let scale = GelScale {
+            m_per_px: geometry.pixel_m,
+            markers: Some(profile.markers.clone()),
+        };
+        let scales = [Role::Left, Role::Right].map(|role| (role, scale.clone()));
+        let mut trackers = GelTrackers::new(scales.into());
+        let initial = [gel(0.0, 0.0, 1), gel(0.0, 0.0, 2)];
+        trackers.set_initial([(Role::Left, &initial[0]), (Role::Right, &initial[1])]);
+        let mut shear = |role: Role, image: &RgbImage| {
+            let frame = trackers.update(role, image).unwrap();
+            assert_eq!(frame.problems, []);
+            frame.summary.unwrap()
+        };
+        let touched = shear(Role::Left, &gel(1e-3, 2e-4, 3));
+        assert!((touched.mean_displacement_mm[0] - 0.2).abs() < 0.01);
+        assert!(touched.contact_fraction > 0.05 && touched.slip_ratio.is_some());
+        let untouched = shear(Role::Right, &gel(0.0, 0.0, 4));
+        assert!(untouched.max_displacement_mm < 0.03);
+        assert_eq!(
+            (untouched.contact_fraction, untouched.slip_ratio),
+            (0.0, None)
+        );
     }
 }
