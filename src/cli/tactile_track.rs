@@ -31,7 +31,7 @@ use super::working::{Progress, interruptible};
 use super::{Context, print_report};
 use gripcast_base::error::{Error, ErrorKind, Result};
 use gripcast_imaging::{CropProfile, Role};
-use gripcast_shear::{ExpectedMarkers, ShearFrame, ShearProblem, ShearSource, ShearTracker};
+use gripcast_shear::{ExpectedMarkers, ShearFrame, ShearSource, ShearTracker};
 use gripcast_tactile::SensorProfile;
 
 /// Scale of a cropped GelSight Mini image, for limits of what is plausible, m/px.

@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use std::process::Output;
 
 use gripcast_base::files::npy;
-use gripcast_imaging::{encode_png_rgb, synthetic_gel};
+use gripcast_imaging::{GelContact, encode_png_rgb, gel_image};
 use image::RgbImage;
 use serde_json::Value;
 
@@ -15,8 +15,13 @@ use crate::program::{gripcast, stderr};
 
 /// A gel with dots 30 px apart that moved by `shift` px; pressed where they did.
 fn gel(shift: [f32; 2], seed: u64) -> RgbImage {
-    let pressed = if shift == [0.0; 2] { 0.0 } else { 0.8 };
-    let mut image = synthetic_gel(320, 240, seed, pressed);
+    let contact = GelContact {
+        centre_x: 0.5,
+        centre_y: 0.5,
+        radius: 0.35,
+        strength: if shift == [0.0; 2] { 0.0 } else { 0.8 },
+    };
+    let mut image = gel_image(320, 240, seed, contact);
     for (x, y, pixel) in image.enumerate_pixels_mut() {
         let offset = |at: f32| (at + 15.0).rem_euclid(30.0) - 15.0;
         let distance = offset(x as f32 - 12.0 - shift[0]).hypot(offset(y as f32 - 14.0 - shift[1]));
