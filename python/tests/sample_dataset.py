@@ -21,7 +21,8 @@ DEPTH_UNIT_M = 0.001
 
 def gel(number: int, salt: int) -> np.ndarray[Any, Any]:
     rows, columns, channels = np.indices((48, 64, 3))
-    return ((rows * 3 + columns * 2 + channels * 40 + 17 * number + salt) % 251).astype(np.uint8)
+    pattern = rows * 3 + columns * 2 + channels * 40 + 17 * number + salt
+    return np.asarray(pattern % 251, dtype=np.uint8)
 
 
 def depth(number: int) -> np.ndarray[Any, Any]:

@@ -14,7 +14,7 @@ import pytest
 from conftest import ROOT
 
 PAGE = ROOT / "docs/how-to/python.md"
-BLOCK = re.compile(r"^(<!-- not run: .* -->\n)?```python\n(.*?)^```", re.M | re.S)
+BLOCK = re.compile(r"^(<!-- not run: [^\n]* -->\n)?```python\n(.*?)^```", re.M | re.S)
 
 
 @pytest.fixture

@@ -87,7 +87,7 @@ def touch(result: gc.GraspResult) -> tuple[tuple[Image, Image], tuple[Image, Ima
 
 def colour() -> Image:
     rows, columns, channels = np.indices((240, 320, 3))
-    return ((rows + 2 * columns + 60 * channels) % 256).astype(np.uint8)
+    return np.asarray((rows + 2 * columns + 60 * channels) % 256, dtype=np.uint8)
 
 
 @pytest.mark.parametrize("model", ["gripcast-vt", "baseline-contact"])
@@ -113,8 +113,8 @@ def test_frames_of_a_camera_need_a_crop(touch: Any) -> None:
     with pytest.raises(gc.InputError) as caught:
         predictor.predict((large, large), (large, large))
     assert "found 640×480" in caught.value.what and "crop" in str(caught.value.remedy)
-    crop = predictor.crop_profile
-    assert predictor.predict((large, large), (large, large), crop=crop).predicted in ("slip", "unsure")
+    assert predictor.crop_profile == "any"
+    assert predictor.predict((large, large), (large, large), crop="gsmini-seventh-v1").predicted in ("slip", "unsure")
     with pytest.raises(gc.Error, match="unknown crop profile"):
         predictor.predict(*touch, crop="gsmini")
 

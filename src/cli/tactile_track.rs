@@ -31,9 +31,7 @@ use super::working::{Progress, interruptible};
 use super::{Context, print_report};
 use gripcast_base::error::{Error, ErrorKind, Result};
 use gripcast_imaging::{CropProfile, Role};
-use gripcast_shear::{
-    ExpectedMarkers, ShearFrame, ShearProblem, ShearSource, ShearTracker, USUAL_M_PER_PX,
-};
+use gripcast_shear::{ExpectedMarkers, ShearFrame, ShearSource, ShearTracker, USUAL_M_PER_PX};
 use gripcast_tactile::SensorProfile;
 
 /// Maximum size of the frames before the initial one, bytes.

@@ -22,6 +22,7 @@ pub(crate) struct Pose(pub(crate) geometry::Pose);
 impl Pose {
     #[new]
     #[pyo3(signature = (t_m = (0.0, 0.0, 0.0), q_wxyz = (1.0, 0.0, 0.0, 0.0)))]
+    #[pyo3(text_signature = "(t_m=(0.0, 0.0, 0.0), q_wxyz=(1.0, 0.0, 0.0, 0.0))")]
     fn new(t_m: (f64, f64, f64), q_wxyz: (f64, f64, f64, f64)) -> Outcome<Self> {
         let (w, x, y, z) = q_wxyz;
         let rotation = DQuat::from_xyzw(x, y, z, w);

@@ -126,7 +126,7 @@ impl Predictor {
         inputs.iter().map(ToString::to_string).collect()
     }
 
-    /// Crop of the camera frames that it was trained with.
+    /// Crop of the camera frames that it was trained with; `any` for a heuristic.
     #[getter]
     fn crop_profile(&self) -> &'static str {
         self.model.contract().crop_profile_name()
