@@ -1,5 +1,6 @@
 from collections.abc import Iterator, Sequence
 from os import PathLike
+from pathlib import Path
 from typing import Any, ClassVar, Literal, TypedDict, final, overload
 
 import numpy as np
@@ -498,7 +499,7 @@ class VerifyReport:
 class Dataset:
     def __new__(cls, path: _Path) -> Dataset: ...
     @property
-    def path(self) -> PathLike[str]: ...
+    def path(self) -> Path: ...
     @property
     def name(self) -> str: ...
     @property

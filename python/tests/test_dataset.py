@@ -44,7 +44,7 @@ def test_filter_keeps_objects_and_outcomes(kitchen: gc.Dataset) -> None:
     assert len(kitchen.filter(object=["mug", "bottle"], outcome=["stable", "slip"])) == 2
     assert len(kitchen[1:].filter(outcome="stable")) == 0
     with pytest.raises(gc.UsageError, match="did you mean stable"):
-        kitchen.filter(outcome="stabel")  # type: ignore[arg-type]
+        kitchen.filter(outcome="stabl")  # type: ignore[arg-type]
 
 
 def test_record_is_read(kitchen: gc.Dataset) -> None:
