@@ -17,6 +17,9 @@ use gripcast_dataset as stored;
 /// Outcomes of a grasp.
 const OUTCOMES: [&str; 3] = ["stable", "slip", "unlabelled"];
 
+/// How a dataset is opened again, and with what.
+type Reduced<'py> = (Bound<'py, PyAny>, (PathBuf, Vec<String>));
+
 /// One name or several.
 #[derive(FromPyObject)]
 enum Names {
@@ -243,9 +246,7 @@ impl Dataset {
         builtins.call_method1("map", (slf.getattr("__getitem__")?, range))
     }
 
-    fn __reduce__<'py>(
-        slf: &Bound<'py, Self>,
-    ) -> PyResult<(Bound<'py, PyAny>, (PathBuf, Vec<String>))> {
+    fn __reduce__<'py>(slf: &Bound<'py, Self>) -> PyResult<Reduced<'py>> {
         let this = slf.get();
         let ids = this.ids.iter().map(ToString::to_string).collect();
         let open = slf.get_type().getattr("_open")?;
