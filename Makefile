@@ -3,6 +3,7 @@
 # make deb    a Debian package, target/debian/*.deb
 # make tarball  an archive for other Linux machines, target/tarball/*.tar.gz
 # make docs   the documentation as a book, target/book/html/index.html
+# make python  build the Python package, run its tests, check its types
 # All install what they need first (apt through sudo when not root, pinned Rust toolchain).
 
 SHELL := /bin/bash
@@ -12,7 +13,7 @@ SHELL := /bin/bash
 CARGO := . tools/env.sh; cargo
 DATASET ?= demo-dataset
 
-.PHONY: help run test test-fast test-peers lint docs bench kernel setup setup-test setup-package package-files deb try-deb tarball
+.PHONY: help run test test-fast test-peers python lint docs bench kernel setup setup-test setup-package package-files deb try-deb tarball
 
 help:
 	@sed -n 's/^# \(make .*\)/\1/p' $(MAKEFILE_LIST)
@@ -72,6 +73,9 @@ test-fast: lint
 test-peers: setup-test
 	@$(CARGO) build --release --bin gripcast
 	@tools/test-peers.sh
+
+python: setup
+	@tools/python.sh
 
 bench: setup
 	@$(CARGO) build --release --bin gripcast

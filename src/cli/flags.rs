@@ -14,6 +14,7 @@ use gripcast_nn::predict::contract::Modality;
 use gripcast_sim::EngineKind;
 use gripcast_sim::fem::GelResolution;
 use gripcast_sim::grasp::Preset;
+use gripcast_tactile::Moment;
 use gripcast_tactile::calibrate::ReadOptions;
 
 /// Parser of named values, given as name, help and value.
@@ -56,6 +57,20 @@ pub(super) fn engine() -> impl TypedValueParser<Value = EngineKind> {
             "Rigid fingers and convex pieces",
             EngineKind::Rigid,
         ),
+    ])
+}
+
+/// Parser of a moment of a simulated grasp.
+pub(super) fn moment() -> impl TypedValueParser<Value = Moment> {
+    named([
+        ("initial", "Before closing (initial frame)", Moment::Initial),
+        ("closure", "End of the closure", Moment::Closure),
+        (
+            "grasp",
+            "End of the force adjustment (grasp frame)",
+            Moment::Grasp,
+        ),
+        ("lift", "End of the lift", Moment::Lift),
     ])
 }
 

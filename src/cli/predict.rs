@@ -19,12 +19,11 @@ use crate::note;
 use gripcast_base::error::{Error, Result};
 use gripcast_base::files::{FileKind, read_regular, save};
 use gripcast_imaging::{
-    CropProfile, Decoder, Frame, FrameDamage, GelCells, GelChange, PixelFormat, TactileDifference,
-    crop_and_resize, decode_png_rgb, jpeg,
+    CropProfile, Decoder, Frame, FrameDamage, PixelFormat, crop_and_resize, decode_png_rgb, jpeg,
 };
 use gripcast_nn::predict::contract::{IMAGE_HEIGHT, IMAGE_WIDTH, InputName, Origin};
 use gripcast_nn::predict::{
-    BASELINE, Model, ModelInput, PredictedLabel, SHIPPED, baseline, contact_doubt,
+    BASELINE, GraspPrediction, InputImages, Model, PredictedLabel, SHIPPED, baseline,
 };
 
 /// Arguments.
@@ -173,10 +172,12 @@ fn predict_images(context: &Context, args: &ImagesArgs) -> Result<()> {
         None if args.already_cropped => CropProfile::FULL,
         None => contract.crop_profile.unwrap_or(CropProfile::FULL),
     };
-    let mut input = ModelInput::zeros(contract)?;
-    let mut differences = Vec::new();
-    let mut changes = Vec::new();
-    for &name in contract.modality.inputs() {
+    let GraspPrediction {
+        prediction,
+        ood_score,
+        label,
+        unsure_reason,
+    } = model.predict_grasp(|name| {
         let (initial, grasp) = match name {
             InputName::TactileLeft => (
                 needed(args.initial_left.as_deref(), "--initial-left", name)?,
@@ -188,31 +189,15 @@ fn predict_images(context: &Context, args: &ImagesArgs) -> Result<()> {
             ),
             InputName::Rgb => {
                 let file = needed(args.rgb.as_deref(), "--rgb", name)?;
-                input.set_rgb(&image(file, &CropProfile::FULL)?)?;
-                continue;
+                return Ok(InputImages::Rgb(image(file, &CropProfile::FULL)?));
             }
         };
-        let (initial, grasp) = (image(initial, &crop)?, image(grasp, &crop)?);
-        let difference = TactileDifference::between(&initial, &grasp)?;
-        let (initial, grasp) = (GelCells::new(&initial)?, GelCells::new(&grasp)?);
-        changes.push(GelChange::between(&initial, &grasp, 0.0));
-        input.set_tactile(name, &difference)?;
-        differences.push(difference);
-    }
-    let prediction = model.predict(&input)?;
-    let ood_score = model
-        .ood_detector()
-        .and_then(|reference| reference.max_score(&differences));
-    let label = PredictedLabel::new(prediction.p_stable, contract.threshold, ood_score);
-    let unsure_reason = match &changes[..] {
-        [left, right] => contact_doubt([left, right], label == PredictedLabel::Stable),
-        _ => None,
-    };
-    let verdict = match unsure_reason {
-        Some(_) => PredictedLabel::Unsure,
-        None => label,
-    };
-    let outcome = verdict.name();
+        Ok(InputImages::Tactile {
+            initial: image(initial, &crop)?,
+            grasp: image(grasp, &crop)?,
+        })
+    })?;
+    let outcome = label.name();
     if contract.is_heuristic() {
         let name = &contract.name;
         context.warn([format!(
@@ -232,7 +217,7 @@ fn predict_images(context: &Context, args: &ImagesArgs) -> Result<()> {
         "unsure_reason": unsure_reason,
     });
     print_report(args.json, &report, |_| {
-        let reason = match (&unsure_reason, verdict) {
+        let reason = match (&unsure_reason, label) {
             (Some(reason), _) => format!("; {reason}"),
             (None, PredictedLabel::Unsure) => {
                 "; the tactile images are out of distribution".to_owned()

@@ -17,8 +17,7 @@ use image::imageops::{FilterType, resize};
 use image::{GrayImage, Rgb, RgbImage};
 
 use super::flags::{BallFlags, suffix};
-use super::render_source::{Moment, SimulatedGrasp};
-use super::render_tactile::scene;
+use super::render_source::SimulatedGrasp;
 use super::working::interruptible;
 use super::{Context, print};
 use gripcast_base::error::{Error, Result};
@@ -30,7 +29,7 @@ use gripcast_sim::grasp::Finger;
 use gripcast_tactile::calibrate::{self, CalibrateOptions, Split, SplitPresses};
 use gripcast_tactile::lookup::fit_to_presses;
 use gripcast_tactile::{
-    FrameNoise, GelSurfaceRenderer, ObjectDepthRenderer, PressDepth, Rasteriser,
+    FrameNoise, GelSurfaceRenderer, Moment, ObjectDepthRenderer, PressDepth, Rasteriser,
     SceneRenderer as _, SensorMount, SensorProfile, Smoothing, TactileRenderer, TactileScene,
     faceted, object_depth,
 };
@@ -153,7 +152,7 @@ fn real_row(args: &Args) -> Result<(Vec<Tile>, Fitted)> {
 }
 
 fn simulated_row(grasp: &SimulatedGrasp, fitted: &Fitted) -> Result<Vec<Tile>> {
-    let touched = scene(grasp, Moment::Grasp, SensorMount::on(Finger::Left))?;
+    let touched = grasp.scene(Moment::Grasp, SensorMount::on(Finger::Left))?;
     let mut ours = ObjectDepthRenderer::new(&fitted.profile)?;
     let mut gel = GelSurfaceRenderer::new(&fitted.profile)?;
     let mut lookup = fitted.lookup.clone();

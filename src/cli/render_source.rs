@@ -8,43 +8,11 @@ use super::working::Progress;
 use gripcast_base::error::{Error, Result};
 use gripcast_base::files::{FileKind, read_regular};
 use gripcast_geometry::{MeshOptions, TriangleMesh, load_object_mesh};
-use gripcast_sim::grasp::{Snapshot, StageName, Trace, TraceFile};
-use gripcast_tactile::{SimulatedGel, TraceHeader, TraceObject, TraceStart};
+use gripcast_sim::grasp::{Snapshot, Trace, TraceFile};
+use gripcast_tactile::{
+    Moment, SensorMount, SimulatedGel, TactileScene, TraceHeader, TraceObject, TraceStart,
+};
 use gripcast_visual::{Finish, Model, demo_model, random_finish};
-
-/// Rendered moment of a grasp.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
-pub(super) enum Moment {
-    /// Before closing (initial frame)
-    Initial,
-    /// End of the closure
-    Closure,
-    /// End of the force adjustment (grasp frame)
-    Grasp,
-    /// End of the lift
-    Lift,
-}
-
-impl Moment {
-    /// Returns its name on the command line.
-    pub(super) fn name(self) -> &'static str {
-        match self {
-            Self::Initial => "initial",
-            Self::Closure => "closure",
-            Self::Grasp => "grasp",
-            Self::Lift => "lift",
-        }
-    }
-
-    fn stage(self) -> Option<StageName> {
-        match self {
-            Self::Initial => None,
-            Self::Closure => Some(StageName::Closure),
-            Self::Grasp => Some(StageName::Adjustment),
-            Self::Lift => Some(StageName::Lift),
-        }
-    }
-}
 
 /// Mesh of a rendered object.
 #[derive(Clone, Debug)]
@@ -129,18 +97,18 @@ impl SimulatedGrasp {
 
     /// Returns the state at a moment; `None` for the initial one.
     pub(super) fn snapshot(&self, moment: Moment) -> Result<Option<&Snapshot>> {
-        let find = |stage| self.trace.snapshots.iter().rfind(|s| s.stage == stage);
-        let Some(stage) = moment.stage() else {
-            return Ok(None);
-        };
-        find(stage).map(Some).ok_or_else(|| {
-            let reached: Vec<_> = [Moment::Closure, Moment::Grasp, Moment::Lift]
-                .into_iter()
-                .filter(|m| m.stage().and_then(find).is_some())
-                .map(Moment::name)
-                .collect();
-            Error::input(format!("the grasp ended before its {}", moment.name()))
-                .remedy(format!("it has: initial {}", reached.join(" ")))
-        })
+        moment.snapshot(&self.trace)
+    }
+
+    /// Returns the contact scene of a sensor at a moment.
+    pub(super) fn scene(&self, moment: Moment, mount: SensorMount) -> Result<TactileScene<'_>> {
+        TactileScene::at_moment(
+            &self.mesh,
+            &self.gel,
+            &self.start,
+            &self.trace,
+            moment,
+            mount,
+        )
     }
 }

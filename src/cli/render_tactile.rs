@@ -26,10 +26,10 @@ use image::Luma;
 use serde::{Deserialize, Serialize};
 
 use super::Context;
-use super::flags::{BallFlags, named, number, read_text};
+use super::flags::{BallFlags, moment, named, number, read_text};
 use super::mesh_repair::RepairFlags;
 use super::render_out::{OutPlan, Report};
-use super::render_source::{Moment, ObjectSource, SimulatedGrasp};
+use super::render_source::{ObjectSource, SimulatedGrasp};
 use super::working::{Progress, interruptible};
 use gripcast_base::error::{Error, Result};
 use gripcast_base::files::npy::Array;
@@ -41,8 +41,8 @@ use gripcast_sim::grasp::Finger;
 use gripcast_tactile::calibrate::PressSet;
 use gripcast_tactile::lookup::{LookupRenderer, fit_to_presses};
 use gripcast_tactile::{
-    GelSurfaceRenderer, MountingAngle, ObjectDepthRenderer, PressDepth, Rasteriser, SceneRenderer,
-    SensorMount, SensorProfile, TactileScene, object_depth,
+    GelSurfaceRenderer, Moment, MountingAngle, ObjectDepthRenderer, PressDepth, Rasteriser,
+    SceneRenderer, SensorMount, SensorProfile, TactileScene, object_depth,
 };
 
 /// Arguments.
@@ -58,7 +58,7 @@ pub(crate) struct Args {
     #[arg(long, value_name = "SIDE", default_value = "both", value_parser = side())]
     side: &'static [Finger],
     /// Moments of the grasp, comma-separated
-    #[arg(long, value_enum, value_delimiter = ',', default_value = "grasp")]
+    #[arg(long, value_parser = moment(), value_delimiter = ',', default_value = "grasp")]
     moment: Vec<Moment>,
     /// Also write the contact depth
     #[arg(long)]
@@ -165,13 +165,6 @@ fn mounting(text: &str) -> Result<MountingAngle, String> {
     MountingAngle::from_degrees(degrees).map_err(|e| e.what().to_owned())
 }
 
-fn side_name(finger: Finger) -> &'static str {
-    match finger {
-        Finger::Left => "left",
-        Finger::Right => "right",
-    }
-}
-
 /// A written image, or what was written instead of it.
 #[derive(Debug, Serialize)]
 struct Written {
@@ -235,12 +228,8 @@ impl SensorFlags {
             Finger::Left => None,
             Finger::Right => self.right_profile.as_ref(),
         };
-        let mut profile = SensorProfile::named_or_load(own.unwrap_or(&self.profile))?;
-        // The gels of two sensors of a kind differ.
-        if profile.serial.is_empty() {
-            profile.serial = side_name(finger).to_owned();
-        }
-        Ok(profile)
+        let profile = SensorProfile::named_or_load(own.unwrap_or(&self.profile))?;
+        Ok(profile.on_finger(finger))
     }
 
     fn place(&self, finger: Finger) -> SensorMount {
@@ -352,29 +341,13 @@ fn one_trace(
     let mut written = Vec::new();
     for &moment in &args.moment {
         for sensor in &mut *sensors {
-            let scene = scene(&grasp, moment, args.sensor.place(sensor.finger))?;
+            let scene = grasp.scene(moment, args.sensor.place(sensor.finger))?;
             let moment = moment.name();
-            let out = plan.file(&format!("{stem}.{moment}.{}.png", side_name(sensor.finger)));
+            let out = plan.file(&format!("{stem}.{moment}.{}.png", sensor.finger.name()));
             written.push(write(args, sensor, &scene, out, moment)?);
         }
     }
     Ok(written)
-}
-
-/// Returns the contact scene of a sensor at a moment.
-pub(super) fn scene(
-    grasp: &SimulatedGrasp,
-    moment: Moment,
-    place: SensorMount,
-) -> Result<TactileScene<'_>> {
-    match grasp.snapshot(moment)? {
-        Some(snapshot) => TactileScene::from_snapshot(&grasp.mesh, &grasp.gel, snapshot, place),
-        None => {
-            let start = &grasp.start;
-            let poses = [&start.t_world_object, &start.t_world_gripper()];
-            TactileScene::before_closing(&grasp.mesh, &grasp.gel, poses, start.opening_m, place)
-        }
-    }
 }
 
 fn write(
@@ -421,7 +394,7 @@ fn write(
     let markers = markers.map(|(path, _)| path);
     Ok(Written {
         file: markers.clone().filter(|_| !drawn).unwrap_or(out),
-        side: side_name(sensor.finger),
+        side: sensor.finger.name(),
         moment,
         deepest_m: press.deepest_m(),
         contact: touched as f64 / press.depth_m.len().max(1) as f64,
@@ -434,16 +407,10 @@ fn write(
 /// Returns the positions of the gel markers of a scene.
 fn marker_array(sensor: &mut Sensor, scene: &TactileScene<'_>) -> Result<Array> {
     let Some(field) = sensor.renderer.marker_field(scene)? else {
-        let error = match sensor.profile.markers {
-            Some(_) => Error::usage("`--method lookup` draws no gel markers"),
-            None => Error::config(format!(
-                "the sensor profile `{}` has no gel markers",
-                sensor.profile.name
-            )),
-        };
-        return Err(error.remedy(
-            "use --profile gelsight-mini-markers, or a profile with `[markers]`, and another method",
-        ));
+        sensor.profile.marker_pattern()?;
+        return Err(
+            Error::usage("`--method lookup` draws no gel markers").remedy("use another method")
+        );
     };
     let (values, shape) = field.to_array();
     Array::new(shape, values)

@@ -24,10 +24,10 @@ use image::RgbImage;
 use serde::Serialize;
 
 use super::Context;
-use super::flags::{ThreadsFlag, above_zero, image_size, number};
+use super::flags::{ThreadsFlag, above_zero, image_size, moment, number};
 use super::mesh_repair::RepairFlags;
 use super::render_out::{OutPlan, Report};
-use super::render_source::{Moment, ObjectSource, SimulatedGrasp};
+use super::render_source::{ObjectSource, SimulatedGrasp};
 use super::sim_object::{default_resting_pose, read_grasp_pose};
 use super::working::{Progress, interruptible};
 use gripcast_base::error::{Error, Result};
@@ -36,6 +36,7 @@ use gripcast_base::number::NumberRange;
 use gripcast_geometry::{LengthUnit, MeshOptions};
 use gripcast_imaging::{encode_png_grey16, encode_png_rgb};
 use gripcast_sim::grasp::Placement;
+use gripcast_tactile::Moment;
 use gripcast_visual::{
     Bitmap, ColourSettings, DENOISE_RADIUS_PX, DepthSettings, Finish, GraspState, Image, Model,
     ProceduralTexture, RenderControl, RenderSettings, Renderer, Sky, View, VisualConditions,
@@ -53,7 +54,7 @@ pub(crate) struct Args {
     #[arg(long, value_name = "FILE.png|DIR")]
     out: PathBuf,
     /// Moments of the grasp, comma-separated
-    #[arg(long, value_enum, value_delimiter = ',', default_value = "grasp")]
+    #[arg(long, value_parser = moment(), value_delimiter = ',', default_value = "grasp")]
     moment: Vec<Moment>,
     /// Camera
     #[arg(long, value_enum, default_value_t = ViewName::Hand)]

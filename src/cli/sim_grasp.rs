@@ -15,7 +15,7 @@
 //! Exit codes: 0 simulated, whatever the outcome · 1 invalid object, pose or file · 2 usage ·
 //! 4 steps did not converge, so there is no outcome · 130 interrupted.
 
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::time::Instant;
 
 use serde::Serialize;
@@ -35,9 +35,9 @@ use gripcast_replay::plot;
 use gripcast_sim::fem::GelResolution;
 use gripcast_sim::fields::FieldSampling;
 use gripcast_sim::grasp::{
-    ForceRule, GRIPPER_OPENING_M, GraspOutcome, GraspPose, GraspResult, GraspSettings,
-    GraspSummary, GripperState, Placement, Preset, STEADY_STEPS, Scene, TACCEL_DRIVE_WEIGHT,
-    TraceFile, height_above_ground, resting_pose, simulate_with_fields,
+    ChosenStablePose, ForceRule, GRIPPER_OPENING_M, GraspOutcome, GraspResult, GraspSettings,
+    GraspStart, GraspSummary, Placement, Preset, STEADY_STEPS, Scene, TACCEL_DRIVE_WEIGHT,
+    TraceFile, simulate_with_fields,
 };
 use gripcast_sim::solver::{Drive, PhaseTimes};
 use gripcast_tactile::SensorProfile;
@@ -117,7 +117,7 @@ struct SettingsFlags {
     #[arg(long, value_enum, default_value_t = RuleName::BangBang)]
     rule: RuleName,
     /// Gain of --rule proportional: finger displacement per newton of force error
-    #[arg(long, value_name = "M_PER_N", default_value_t = 5e-6, value_parser = above_zero)]
+    #[arg(long, value_name = "M_PER_N", default_value_t = ForceRule::GAIN_M_PER_N, value_parser = above_zero)]
     gain: f64,
     /// Lift height
     #[arg(long, value_name = "M", default_value_t = 0.05, value_parser = above_zero)]
@@ -224,14 +224,7 @@ struct PoseRecord {
     t_object_gripper: Pose,
     opening_m: f64,
     /// The chosen stable pose, unless the pose file has `t_world_object`.
-    stable_pose: Option<StablePoseRecord>,
-}
-
-#[derive(Clone, Copy, Serialize)]
-struct StablePoseRecord {
-    index: usize,
-    probability: f64,
-    tip_angle_deg: f64,
+    stable_pose: Option<ChosenStablePose>,
 }
 
 /// Runs the command.
@@ -241,7 +234,7 @@ pub(crate) fn run(context: &Context, args: Args) -> Result<()> {
     let prepared = args.object.mesh.load()?;
     let object = ObjectRecord::new(&args.object, &prepared);
     let PreparedMesh { mesh, warnings, .. } = prepared;
-    let Placed {
+    let GraspStart {
         t_world_object,
         stable_pose,
         gripper: placed,
@@ -291,53 +284,13 @@ pub(crate) fn run(context: &Context, args: Args) -> Result<()> {
     finish(context, &report)
 }
 
-/// Poses at the start of the grasp.
-struct Placed {
-    t_world_object: Pose,
-    /// The stable pose that `t_world_object` is.
-    stable_pose: Option<StablePoseRecord>,
-    gripper: GripperState,
-    warnings: Vec<String>,
-}
-
-/// Smallest height above the ground at which an object's pose is a warning, m.
-const IN_THE_AIR_M: f64 = 1e-3;
-
-fn place(mesh: &TriangleMesh, flags: &PoseFlags, settings: &GraspSettings) -> Result<Placed> {
-    let resting = || -> Result<(Pose, Option<StablePoseRecord>)> {
-        let (index, pose) = resting_pose(mesh, flags.stable_pose)?;
-        let record = StablePoseRecord {
-            index,
-            probability: pose.probability,
-            tip_angle_deg: pose.tip_angle_rad.to_degrees(),
-        };
-        Ok((pose.t_world_object, Some(record)))
-    };
+fn place(mesh: &TriangleMesh, flags: &PoseFlags, settings: &GraspSettings) -> Result<GraspStart> {
     if let Some(path) = &flags.pose {
-        let pose = read_pose(path, flags)?;
-        let (t_world_object, stable_pose) = match pose.t_world_object {
-            Some(given) => (given, None),
-            None => resting()?,
-        };
-        let above = height_above_ground(mesh, &t_world_object);
-        let warning = format!(
-            "the pose holds the object {:.1} mm above the ground: object and gripper are set down \
-             together by that much",
-            1e3 * above
-        );
-        return Ok(Placed {
-            t_world_object,
-            stable_pose,
-            gripper: pose
-                .place_within(mesh, &t_world_object, flags.max_opening)
-                .map_err(|e| e.at(path.display()))?,
-            warnings: (above > IN_THE_AIR_M)
-                .then_some(warning)
-                .into_iter()
-                .collect(),
-        });
+        let mut pose = read_grasp_pose(path)?;
+        pose.opening_m = flags.width.or(pose.opening_m);
+        return GraspStart::recorded(mesh, flags.stable_pose, &pose, flags.max_opening)
+            .map_err(|e| e.at(path.display()));
     }
-    let (t_world_object, stable_pose) = resting()?;
     let placement = Placement {
         yaw_rad: flags.yaw_deg.unwrap_or(0.0).to_radians(),
         roll_rad: flags.roll_deg.to_radians(),
@@ -348,27 +301,13 @@ fn place(mesh: &TriangleMesh, flags: &PoseFlags, settings: &GraspSettings) -> Re
         pad: settings.pad,
     };
     let may_turn = flags.yaw_deg.is_none();
-    let (gripper, warning) =
-        placement.place_within(mesh, &t_world_object, flags.max_opening, may_turn)?;
-    Ok(Placed {
-        t_world_object,
-        stable_pose,
-        gripper,
-        warnings: warning.into_iter().collect(),
-    })
-}
-
-fn read_pose(path: &Path, flags: &PoseFlags) -> Result<GraspPose> {
-    let mut pose = read_grasp_pose(path)?;
-    if pose.t_world_object.is_some() && flags.stable_pose.is_some() {
-        return Err(Error::usage(
-            "`--stable-pose` contradicts the `t_world_object` of the pose file",
-        )
-        .at(path.display())
-        .remedy("omit one of them"));
-    }
-    pose.opening_m = flags.width.or(pose.opening_m);
-    Ok(pose)
+    GraspStart::from_above(
+        mesh,
+        flags.stable_pose,
+        &placement,
+        flags.max_opening,
+        may_turn,
+    )
 }
 
 impl OutFlags {

@@ -27,11 +27,10 @@ use gripcast_base::error::{Error, ErrorKind, Result};
 use gripcast_base::files::save;
 use gripcast_base::number::NumberRange;
 use gripcast_geometry::{LengthUnit, MeshOptions, TriangleMesh, load_object_mesh};
-use gripcast_sim::fem::{GelGrid, GelPad, GelResolution, Grading};
+use gripcast_sim::fem::{GelResolution, Grading};
 use gripcast_sim::fields::{FieldSampling, FieldSeries};
 use gripcast_sim::grasp::{Trace, TraceFile};
-use gripcast_sim::press::{Indenter, Press, PressPoint, PressTarget, half_pad, quarter_pad};
-use gripcast_sim::solver::GelMaterial;
+use gripcast_sim::press::{Indenter, PressGel, PressPoint, PressSetup, points_without_force};
 
 /// Arguments.
 #[derive(Clone, Debug, clap::Args)]
@@ -54,7 +53,7 @@ pub(crate) struct Args {
     repair: RepairFlags,
     /// Indentation depths, comma-separated
     #[arg(long, value_name = "M", value_delimiter = ',',
-        default_values_t = [1e-4, 2e-4, 4e-4, 6e-4, 8e-4, 1e-3],
+        default_values_t = PressSetup::DEPTHS_M,
         value_parser = number(NumberRange::FINITE))]
     depth_m: Vec<f64>,
     /// Shear displacements along the gel's x axis at the last depth, comma-separated
@@ -143,8 +142,7 @@ pub(crate) fn run(context: &Context, args: Args) -> Result<()> {
     if let Some(path) = &args.trace {
         check_output("--trace", path, &["bin"])?;
     }
-    let press = build(context, &args)?;
-    let goals = goals(&args)?;
+    let (press, goals) = setup(context, &args)?.build()?;
     let gel_nodes = press.grid.nodes();
     let sampling = args.trace.as_ref().map(|_| args.fields);
     let (pressed, wall_s) = interruptible(context, "pressing", move |_| {
@@ -153,7 +151,7 @@ pub(crate) fn run(context: &Context, args: Args) -> Result<()> {
         (pressed, started.elapsed().as_secs_f64())
     })?;
     let (points, fields) = pressed?;
-    let warnings = without_force(&points);
+    let warnings = points_without_force(&points);
     context.warn(&warnings);
     let report = Report {
         gel_nodes,
@@ -192,29 +190,6 @@ fn write_trace(
     save(path, &TraceFile { header, trace }.to_bytes()?)
 }
 
-/// Warns of points at which the gel feels no force.
-fn without_force(points: &[PressPoint]) -> Vec<String> {
-    let loose = points.iter().filter(|p| p.converged && p.normal_n <= 0.0);
-    let depths: Vec<String> = loose.map(|p| format!("{:.3}", 1e3 * p.depth_m)).collect();
-    if depths.is_empty() {
-        return Vec::new();
-    }
-    vec![format!(
-        "the gel feels no force at a depth of {} mm: the indenter does not touch it there",
-        depths.join(", ")
-    )]
-}
-
-fn goals(args: &Args) -> Result<Vec<PressTarget>> {
-    let goal = |depth_m: f64, shift_m: f64| PressTarget { depth_m, shift_m };
-    let Some(&last) = args.depth_m.last() else {
-        return Err(Error::usage("`--depth-m` needs a depth"));
-    };
-    let normal = args.depth_m.iter().map(|&depth| goal(depth, 0.0));
-    let shear = args.shift_m.iter().map(|&shift| goal(last, shift));
-    Ok(normal.chain(shear).collect())
-}
-
 fn load(context: &Context, path: &Path, args: &Args) -> Result<TriangleMesh> {
     let options = MeshOptions {
         prepare: args.repair.surface_options(),
@@ -226,7 +201,7 @@ fn load(context: &Context, path: &Path, args: &Args) -> Result<TriangleMesh> {
     Ok(prepared.mesh)
 }
 
-fn build(context: &Context, args: &Args) -> Result<Press> {
+fn setup(context: &Context, args: &Args) -> Result<PressSetup> {
     let radius_m = args.radius_m.unwrap_or(0.0);
     let indenter = match (args.indenter, &args.mesh) {
         (Shape::Sphere, _) => Indenter::Sphere { radius_m },
@@ -235,47 +210,28 @@ fn build(context: &Context, args: &Args) -> Result<Press> {
         (Shape::Mesh, Some(path)) => Indenter::Mesh(load(context, path, args)?),
         (Shape::Plate | Shape::Mesh, _) => Indenter::Plate,
     };
-    if args.indenter == Shape::Mesh && args.gel == Mesh::Refined {
-        return Err(Error::usage(
-            "`--gel refined` needs a symmetric indenter, found a mesh",
-        ));
-    }
-    let pad = GelPad::default();
-    let uniform = |resolution| graded(&pad, resolution, args);
-    let (grid, symmetric) = match args.gel {
-        Mesh::Coarse => (uniform(GelResolution::Coarse)?, [false; 2]),
-        Mesh::Default => (uniform(GelResolution::Default)?, [false; 2]),
-        Mesh::Fine => (uniform(GelResolution::Fine)?, [false; 2]),
-        Mesh::Refined if args.shift_m.is_empty() => (
-            quarter_pad(&pad, [27, 25, 14], [1.1, 1.1, 1.13])?,
-            [true; 2],
-        ),
-        Mesh::Refined => {
-            let grid = half_pad(&pad, [19, 17, 12], [1.1, 1.1, 1.15])?;
-            (grid, [false, true])
-        }
-    };
-    let mut press = Press::new(grid, indenter);
-    press.symmetric = symmetric;
-    press.friction = args.friction;
-    press.material = GelMaterial {
+    Ok(PressSetup {
+        gel: match args.gel {
+            Mesh::Coarse => PressGel::Whole(GelResolution::Coarse),
+            Mesh::Default => PressGel::Whole(GelResolution::Default),
+            Mesh::Fine => PressGel::Whole(GelResolution::Fine),
+            Mesh::Refined => PressGel::Refined,
+        },
+        grading: Grading {
+            front: args.grade_face,
+            plane: args.grade_middle,
+            ..Grading::default()
+        },
+        depths_m: args.depth_m.clone(),
+        shifts_m: args.shift_m.clone(),
+        friction: args.friction,
         young_pa: args.young_pa,
         poisson: args.poisson,
-        ..GelMaterial::default()
-    };
-    press.d_hat_m = args.d_hat_m;
-    press.kappa_pa = args.kappa_pa;
-    press.face_m = args.face_m;
-    Ok(press)
-}
-
-fn graded(pad: &GelPad, resolution: GelResolution, args: &Args) -> Result<GelGrid> {
-    let grading = Grading {
-        front: args.grade_face,
-        plane: args.grade_middle,
-        ..Grading::default()
-    };
-    GelGrid::graded(resolution.nodes(pad), pad.box_m(), grading)
+        d_hat_m: args.d_hat_m,
+        kappa_pa: args.kappa_pa,
+        face_m: args.face_m,
+        indenter,
+    })
 }
 
 fn text(points: &[PressPoint]) -> String {

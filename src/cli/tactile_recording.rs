@@ -10,7 +10,7 @@ use std::vec::IntoIter;
 use image::RgbImage;
 
 use super::image_folder::{file_name, images};
-use gripcast_base::error::{Error, Result};
+use gripcast_base::error::{Error, ErrorKind, Result};
 use gripcast_base::files::{FileKind, GraspId, read_regular};
 use gripcast_dataset::{Dataset, Stage};
 use gripcast_imaging::{CropProfile, Decoder, Role, crop_and_resize};
@@ -134,12 +134,13 @@ fn frames_of_grasp(folder: &Path, role: Role) -> Result<Vec<NamedFrame>> {
     let mut decoder = Decoder::new()?;
     let mut frames = Vec::new();
     for stage in Stage::ALL {
-        let camera = record.stage(stage).cameras.get(&role);
-        let crop = camera.and_then(|camera| camera.crop_profile.as_deref());
-        let crop = crop.map(CropProfile::by_name).transpose()?;
-        let frame = dataset.load_frame(&record, stage, role)?;
-        let image = decoder.decode(&frame, crop.as_ref(), CROPPED[0], CROPPED[1]);
-        frames.push((stage.name().to_owned(), image.map_err(Error::from)));
+        let image = dataset.tactile_image(&mut decoder, &record, stage, role);
+        // A damaged image can be left out; without any there is nothing to track.
+        let image = match image {
+            Err(error) if error.kind() != ErrorKind::Input => return Err(error),
+            image => image,
+        };
+        frames.push((stage.name().to_owned(), image));
     }
     Ok(frames)
 }

@@ -31,11 +31,9 @@ use super::working::{Progress, interruptible};
 use super::{Context, print_report};
 use gripcast_base::error::{Error, ErrorKind, Result};
 use gripcast_imaging::{CropProfile, Role};
-use gripcast_shear::{ExpectedMarkers, ShearFrame, ShearSource, ShearTracker};
+use gripcast_shear::{ExpectedMarkers, ShearFrame, ShearSource, ShearTracker, USUAL_M_PER_PX};
 use gripcast_tactile::SensorProfile;
 
-/// Scale of a cropped GelSight Mini image, for limits of what is plausible, m/px.
-const USUAL_M_PER_PX: f64 = 3.0e-5;
 /// Maximum size of the frames before the initial one, bytes.
 const MAX_BEFORE_BYTES: usize = 2 << 30;
 /// Contact of a released gel, at most, as a fraction of the largest contact: light and pigment are
@@ -171,13 +169,8 @@ fn track(args: &Args, progress: &Progress) -> Result<Report> {
     let m_per_px = args
         .m_per_px
         .or(profile.as_ref().map(|profile| profile.geometry.pixel_m));
-    let expected = match &profile {
-        None => ExpectedMarkers::Unknown,
-        Some(profile) => profile
-            .markers
-            .as_ref()
-            .map_or(ExpectedMarkers::None, ExpectedMarkers::Pattern),
-    };
+    let expected = profile.as_ref().map(SensorProfile::expected_markers);
+    let expected = expected.unwrap_or(ExpectedMarkers::Unknown);
     let scale = Scale {
         m_per_px: m_per_px.unwrap_or(USUAL_M_PER_PX),
         is_known: m_per_px.is_some(),
@@ -300,18 +293,10 @@ impl Run {
     }
 
     /// Tracks frames from the last to the first, and keeps them in their order.
-    fn backwards(&mut self, mut tracker: ShearTracker, frames: Vec<NamedFrame>) -> Result<()> {
-        let track = |frame: &NamedFrame| {
-            let mut shear = tracker.update(frame.1.as_ref().ok()?);
-            // Which motion was first matters for slip.
-            if let Some(summary) = &mut shear.summary {
-                summary.slip_ratio = None;
-            }
-            Some(shear)
-        };
-        let mut tracked: Vec<Option<ShearFrame>> = frames.iter().rev().map(track).collect();
-        for frame in frames {
-            self.keep(frame, tracked.pop().flatten())?;
+    fn backwards(&mut self, tracker: ShearTracker, frames: Vec<NamedFrame>) -> Result<()> {
+        let tracked = tracker.backwards(frames.iter().map(|(_, image)| image.as_ref().ok()));
+        for (frame, tracked) in frames.into_iter().zip(tracked) {
+            self.keep(frame, tracked)?;
         }
         Ok(())
     }

@@ -2,6 +2,8 @@
 
 use std::path::Path;
 
+use image::RgbImage;
+
 use super::descriptor::Descriptor;
 use super::digest::digest;
 use super::grasp::{CameraRecord, GraspRecord};
@@ -14,7 +16,10 @@ use gripcast_base::files::npy::Array;
 use gripcast_base::files::{
     BeneathPath, ContentKey, FileKind, FileName, GraspId, conflict_copy_of, without_bom,
 };
-use gripcast_imaging::{Frame, PixelFormat, Role, decode_png};
+use gripcast_imaging::{CropProfile, Decoder, Frame, PixelFormat, Role, decode_png};
+
+/// Size of the cropped images that models and markers refer to, px.
+const CROPPED: [u32; 2] = [320, 240];
 
 /// A dataset opened for reading; any number of readers may coexist with one writer.
 #[derive(Clone, Debug)]
@@ -262,6 +267,30 @@ impl Dataset {
             ))
         })?;
         load_frame(&self.layout.grasp(&record.id), camera)
+    }
+
+    /// Decodes the tactile image of a gel, cropped by the profile in its record and resized to
+    /// 320×240, as models and the tracker of gel markers see it.
+    ///
+    /// # Errors
+    /// As [`load_frame`](Self::load_frame); `Config` for an unknown crop profile.
+    pub fn tactile_image(
+        &self,
+        decoder: &mut Decoder,
+        record: &GraspRecord,
+        stage: Stage,
+        role: Role,
+    ) -> Result<RgbImage> {
+        let frame = self.load_frame(record, stage, role)?;
+        let camera = record.stage(stage).cameras.get(&role);
+        let crop = camera.and_then(|camera| camera.crop_profile.as_deref());
+        let crop = crop.map(CropProfile::by_name).transpose()?;
+        let [width, height] = CROPPED;
+        let image = decoder.decode(&frame, crop.as_ref(), width, height);
+        image.map_err(|e| {
+            let place = format!("grasps/{} {role} {}", record.id, stage.name());
+            Error::from(e).at(place).at(self.path().display())
+        })
     }
 }
 

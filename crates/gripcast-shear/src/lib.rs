@@ -34,4 +34,6 @@ mod tracker_test;
 
 pub use marker::{GelMarker, MarkerField, MarkerPattern};
 pub use problem::ShearProblem;
-pub use tracker::{ExpectedMarkers, ShearFrame, ShearSource, ShearSummary, ShearTracker};
+pub use tracker::{
+    ExpectedMarkers, ShearFrame, ShearSource, ShearSummary, ShearTracker, USUAL_M_PER_PX,
+};

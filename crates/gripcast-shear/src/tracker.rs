@@ -22,6 +22,21 @@ pub enum ShearSource {
     Texture,
 }
 
+impl ShearSource {
+    /// Name in files.
+    #[must_use]
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Markers => "markers",
+            Self::Texture => "texture",
+        }
+    }
+}
+
+/// Scale of a cropped GelSight Mini image, for limits of what is plausible where the scale is not
+/// known, m/px.
+pub const USUAL_M_PER_PX: f64 = 3.0e-5;
+
 /// The shear of one gel in one image. Axes are those of the image: x right, y down.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
@@ -135,6 +150,25 @@ const MIN_SIZE: [u32; 2] = [80, 60];
 const MAX_PITCH_DIFFERENCE: f32 = 0.12;
 
 impl ShearTracker {
+    /// Measures frames from before the initial one, from the last to the first; `None` for one that
+    /// is missing. The results are in the order of the frames and have no slip ratio, because which
+    /// motion was first matters for slip.
+    pub fn backwards<'a>(
+        mut self,
+        frames: impl DoubleEndedIterator<Item = Option<&'a RgbImage>>,
+    ) -> Vec<Option<ShearFrame>> {
+        let track = |image: Option<&RgbImage>| {
+            let mut shear = self.update(image?);
+            if let Some(summary) = &mut shear.summary {
+                summary.slip_ratio = None;
+            }
+            Some(shear)
+        };
+        let mut tracked: Vec<_> = frames.rev().map(track).collect();
+        tracked.reverse();
+        tracked
+    }
+
     /// Starts from the image of the untouched gel; `m_per_px` is the scale of the image. Whether
     /// gel markers or texture are followed is decided by the image; a difference from what is
     /// `expected` is a problem of every frame.

@@ -23,7 +23,7 @@ use gripcast_base::error::{Error, Result};
 use gripcast_base::files::{FileKind, FileName, Root, StagedFile, read_text};
 use gripcast_base::random::SeedStream;
 use gripcast_imaging::{CropProfile, decode_png_rgb, encode_png_rgb};
-use gripcast_shear::MarkerPattern;
+use gripcast_shear::{ExpectedMarkers, MarkerPattern};
 
 /// Version of the file format.
 const SCHEMA: u32 = 1;
@@ -258,6 +258,26 @@ impl SensorProfile {
         self.smoothing.validate(grid.pixel_m)?;
         self.shading.validate()?;
         self.background.fit.validate()
+    }
+
+    /// Its gel markers.
+    ///
+    /// # Errors
+    /// `Config` for a gel without.
+    pub fn marker_pattern(&self) -> Result<&MarkerPattern> {
+        self.markers.as_ref().ok_or_else(|| {
+            let what = format!("the sensor profile `{}` has no gel markers", self.name);
+            Error::config(what).remedy(
+                "use --profile gelsight-mini-markers, or a profile with a table `[markers]`",
+            )
+        })
+    }
+
+    /// What the tracker expects in its images.
+    #[must_use]
+    pub fn expected_markers(&self) -> ExpectedMarkers<'_> {
+        let pattern = self.markers.as_ref();
+        pattern.map_or(ExpectedMarkers::None, ExpectedMarkers::Pattern)
     }
 
     /// Seed of what differs between gels of a kind: equal for equal names and serials.

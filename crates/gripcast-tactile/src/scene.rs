@@ -12,12 +12,14 @@ use glam::{DQuat, DVec3};
 
 use super::contact_gap::contact_gap;
 use super::markers::{ContactLoad, NodeMotion};
+use super::moment::Moment;
 use super::press_depth::SensorGeometry;
 use super::rasteriser::Rasteriser;
+use super::trace_header::TraceStart;
 use gripcast_base::error::{Error, Result};
 use gripcast_geometry::{Pose, TriangleMesh};
 use gripcast_sim::fem::{GelGrid, Side};
-use gripcast_sim::grasp::{Finger, GelForce, Snapshot, TraceStep};
+use gripcast_sim::grasp::{Finger, GelForce, Snapshot, Trace, TraceStep};
 
 /// Rotation of a sensor on its finger in quarter turns: the image columns run along the gel's x
 /// axis rotated by this angle about the gel's z axis, towards y.
@@ -185,6 +187,27 @@ impl<'a> TactileScene<'a> {
             gap_m: gap.unwrap_or(gel.d_hat_m),
             gel_face: Some(face),
         })
+    }
+
+    /// Scene at a moment of a simulated grasp.
+    ///
+    /// # Errors
+    /// `Input` if the grasp ended before, and as [`Self::from_snapshot`].
+    pub fn at_moment(
+        object: &'a TriangleMesh,
+        gel: &SimulatedGel,
+        start: &TraceStart,
+        trace: &Trace,
+        moment: Moment,
+        mount: SensorMount,
+    ) -> Result<Self> {
+        match moment.snapshot(trace)? {
+            Some(snapshot) => Self::from_snapshot(object, gel, snapshot, mount),
+            None => {
+                let poses = [&start.t_world_object, &start.t_world_gripper()];
+                Self::before_closing(object, gel, poses, start.opening_m, mount)
+            }
+        }
     }
 
     /// Scene at any step of a simulated grasp, without the deformed face.

@@ -7,6 +7,7 @@ use serde::{Deserialize, Deserializer, Serialize, de::Error as _};
 use super::profile::SensorProfile;
 use gripcast_base::error::{Error, Result, nearest_name};
 use gripcast_imaging::decode_png_rgb;
+use gripcast_sim::grasp::Finger;
 
 /// A shipped profile: its name, its TOML and its background image, if it has one.
 #[derive(Clone, Copy)]
@@ -128,6 +129,16 @@ impl SensorProfile {
         } else {
             SensorName::by_name(name_or_file)?.profile()
         }
+    }
+
+    /// The profile of a sensor on a finger: the gels of two sensors of a kind differ, so one without
+    /// a serial gets the finger's name.
+    #[must_use]
+    pub fn on_finger(mut self, finger: Finger) -> Self {
+        if self.serial.is_empty() {
+            self.serial = finger.name().to_owned();
+        }
+        self
     }
 }
 

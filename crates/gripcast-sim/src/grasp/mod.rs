@@ -14,6 +14,7 @@ mod run;
 mod sample_trace;
 mod scene;
 mod settings;
+mod start;
 mod start_check;
 mod summary;
 pub mod trace;
@@ -24,12 +25,13 @@ pub use placement::{
 };
 pub use protocol::{ForceRule, Protocol};
 pub(crate) use run::MIN_CONTACT_FORCE_N;
-pub use run::{GraspOutcome, GraspResult, simulate, simulate_with_fields};
+pub use run::{GraspOutcome, GraspResult, simulate, simulate_until, simulate_with_fields};
 #[cfg(any(test, feature = "testing"))]
 pub use sample_trace::sample_trace;
 pub(crate) use scene::MAX_OPENING_M;
 pub use scene::{Finger, GelSpec, Scene};
 pub use settings::{GraspSettings, Preset, TACCEL_DRIVE_WEIGHT};
+pub use start::{ChosenStablePose, GraspStart};
 pub use summary::{GraspSummary, PerGel, STEADY_STEPS, StageWork};
 pub use trace::{GelForce, Snapshot, StageName, Trace, TraceStep};
 pub use trace_file::TraceFile;

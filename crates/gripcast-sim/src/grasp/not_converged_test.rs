@@ -1,6 +1,12 @@
-use super::{GelSpec, GraspOutcome, Placement, Protocol, Scene, resting_pose, simulate};
+use std::sync::atomic::AtomicBool;
+
+use super::{
+    GelSpec, GraspOutcome, GraspPose, GraspStart, Placement, Protocol, Scene, resting_pose,
+    simulate, simulate_until,
+};
 use crate::fem::{GelGrid, GelResolution};
 use crate::solver::SolverParameters;
+use gripcast_base::error::ErrorKind;
 use gripcast_geometry::builtin;
 
 fn small_box() -> Scene {
@@ -45,4 +51,26 @@ fn grasp_stops_at_its_iteration_limit() {
     let iterations = result.trace.steps.iter().filter_map(|step| step.solver);
     let spent: u32 = iterations.map(|step| step.iterations).sum();
     assert!((21..100).contains(&spent), "{spent}");
+}
+
+#[test]
+fn cancelled_grasp_has_no_result() {
+    let (protocol, parameters) = (Protocol::default(), SolverParameters::default());
+    let cancelled = AtomicBool::new(true);
+    let error = simulate_until(&small_box(), &protocol, &parameters, None, &cancelled).unwrap_err();
+    assert_eq!(error.kind(), ErrorKind::Interrupted);
+}
+
+#[test]
+fn recorded_object_pose_contradicts_a_stable_pose() {
+    let scene = small_box();
+    let pose = GraspPose {
+        t_object_gripper: scene.t_world_object.inverse() * scene.t_world_gripper,
+        t_world_object: Some(scene.t_world_object),
+        opening_m: None,
+    };
+    let start = GraspStart::recorded(&scene.mesh, None, &pose, 0.09).unwrap();
+    assert_eq!((start.stable_pose, start.warnings.len()), (None, 0));
+    let error = GraspStart::recorded(&scene.mesh, Some(0), &pose, 0.09).unwrap_err();
+    assert_eq!(error.kind(), ErrorKind::Usage);
 }

@@ -49,6 +49,11 @@ pub struct Protocol {
     pub rule: ForceRule,
 }
 
+impl ForceRule {
+    /// Gain of [`Self::Proportional`] unless another is given, m/N.
+    pub const GAIN_M_PER_N: f64 = 5e-6;
+}
+
 impl Default for Protocol {
     fn default() -> Self {
         Self {

@@ -1,5 +1,7 @@
 //! Simulates a grasp through the stages of the protocol.
 
+use std::sync::atomic::{AtomicBool, Ordering};
+
 use glam::{DQuat, DVec3};
 use serde::{Deserialize, Serialize};
 
@@ -9,7 +11,7 @@ use super::scene::{BuiltScene, Finger, Scene};
 use super::trace::{GelForce, Snapshot, StageName, Trace, TraceStep};
 use crate::fields::{FaceField, FieldSampling, FieldSeries, FieldStep};
 use crate::solver::{Gel, PhaseTimes, SolverParameters, StepReport, StepStart};
-use gripcast_base::error::Result;
+use gripcast_base::error::{Error, ErrorKind, Result};
 use gripcast_base::statistics::median;
 use gripcast_geometry::Pose;
 
@@ -115,21 +117,50 @@ pub fn simulate_with_fields(
     parameters: &SolverParameters,
     sampling: Option<FieldSampling>,
 ) -> Result<GraspResult> {
+    simulate_until(
+        scene,
+        protocol,
+        parameters,
+        sampling,
+        &AtomicBool::new(false),
+    )
+}
+
+/// Simulates a grasp as [`simulate_with_fields`] does until `is_cancelled` is set: it is read before
+/// each step.
+///
+/// # Errors
+/// As [`simulate`]; `Interrupted` once it is cancelled.
+pub fn simulate_until(
+    scene: &Scene,
+    protocol: &Protocol,
+    parameters: &SolverParameters,
+    sampling: Option<FieldSampling>,
+    is_cancelled: &AtomicBool,
+) -> Result<GraspResult> {
     protocol.validate()?;
     let built = scene.build(parameters)?;
     if let Some(detail) = built.penetration {
         return Ok(GraspResult::penetrating_start(detail));
     }
-    let mut run = Run::new(built, scene, protocol, parameters.dt_s);
+    let mut run = Run::new(built, scene, protocol, parameters.dt_s, is_cancelled);
     run.sampling = sampling;
     run.trace.fields = sampling.map(|_| FieldSeries::new(&scene.gel.grid, 2, parameters.eps_v_m_s));
-    Ok(run.finish())
+    let result = run.finish();
+    match is_cancelled.load(Ordering::Relaxed) {
+        true => Err(Error::new(
+            ErrorKind::Interrupted,
+            "the grasp was interrupted",
+        )),
+        false => Ok(result),
+    }
 }
 
 /// A grasp in progress.
 struct Run<'a> {
     scene: BuiltScene,
     protocol: &'a Protocol,
+    is_cancelled: &'a AtomicBool,
     t_world_gripper: Pose,
     dt: f64,
     time: f64,
@@ -151,7 +182,13 @@ struct Run<'a> {
 }
 
 impl<'a> Run<'a> {
-    fn new(built: BuiltScene, scene: &Scene, protocol: &'a Protocol, dt: f64) -> Self {
+    fn new(
+        built: BuiltScene,
+        scene: &Scene,
+        protocol: &'a Protocol,
+        dt: f64,
+        is_cancelled: &'a AtomicBool,
+    ) -> Self {
         let raise = Pose::from_translation(DVec3::Z * built.raised_m);
         Self {
             t_world_gripper: raise * scene.t_world_gripper,
@@ -159,6 +196,7 @@ impl<'a> Run<'a> {
             opening: scene.opening_m,
             scene: built,
             protocol,
+            is_cancelled,
             dt,
             time: 0.0,
             stiffness: 0.0,
@@ -218,6 +256,9 @@ impl<'a> Run<'a> {
 
     /// Reason to stop the simulation early.
     fn stop_reason(&self) -> Option<String> {
+        if self.is_cancelled.load(Ordering::Relaxed) {
+            return Some("cancelled".to_owned());
+        }
         let limit = self.scene.system.parameters().max_grasp_iterations;
         if self.unconverged > MAX_UNCONVERGED {
             return Some(format!("{} steps did not converge", self.unconverged));

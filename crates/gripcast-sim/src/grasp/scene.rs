@@ -27,6 +27,14 @@ impl Finger {
     /// Both, in the order of the gels.
     pub const BOTH: [Self; 2] = [Self::Left, Self::Right];
 
+    /// Name in files and on the command line.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Left => "left",
+            Self::Right => "right",
+        }
+    }
+
     /// Closing direction in the gripper's frame.
     pub fn closing(self) -> DVec3 {
         match self {

@@ -21,6 +21,15 @@ pub enum StageName {
 impl StageName {
     /// All stages in order.
     pub const ALL: [Self; 3] = [Self::Closure, Self::Adjustment, Self::Lift];
+
+    /// Name in files.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Closure => "closure",
+            Self::Adjustment => "adjustment",
+            Self::Lift => "lift",
+        }
+    }
 }
 
 /// Contact force on the passive (not driven) nodes of a gel.

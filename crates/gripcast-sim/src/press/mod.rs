@@ -2,6 +2,8 @@
 
 mod indenter;
 mod run;
+mod setup;
 
 pub use indenter::Indenter;
 pub use run::{Press, PressPoint, PressTarget, half_pad, quarter_pad};
+pub use setup::{PressGel, PressSetup, points_without_force};

@@ -8,6 +8,8 @@
 //! initial distance c between face and tip and the force-weighted mean gap g, the depth is `b - c +
 //! g`.
 
+use std::sync::atomic::{AtomicBool, Ordering};
+
 use glam::{DMat3, DVec2, DVec3};
 use serde::Serialize;
 
@@ -18,7 +20,7 @@ use crate::fields::{FaceField, FieldSampling, FieldSeries, FieldStep};
 use crate::solver::{
     Collider, Drive, Gel, GelMaterial, NodeContact, Object, SolverParameters, StepStart, System,
 };
-use gripcast_base::error::{Error, Result};
+use gripcast_base::error::{Error, ErrorKind, Result};
 
 /// Time step, s. Long enough to make inertia vanish: 2 g over its square is 2e-5 N/m.
 const DT_S: f64 = 10.0;
@@ -139,11 +141,27 @@ impl Press {
         targets: &[PressTarget],
         sampling: Option<FieldSampling>,
     ) -> Result<(Vec<PressPoint>, Option<FieldSeries>)> {
+        self.run_until(targets, sampling, &AtomicBool::new(false))
+    }
+
+    /// Presses as [`Self::run_with_fields`] does until `is_cancelled` is set: it is read before each
+    /// step.
+    ///
+    /// # Errors
+    /// As [`Self::run`]; `Interrupted` once it is cancelled.
+    pub fn run_until(
+        &self,
+        targets: &[PressTarget],
+        sampling: Option<FieldSampling>,
+        is_cancelled: &AtomicBool,
+    ) -> Result<(Vec<PressPoint>, Option<FieldSeries>)> {
         self.validate(targets)?;
         let mut run = self.start(targets)?;
         run.sampling = sampling;
         run.fields = sampling.map(|_| FieldSeries::new(&self.grid, 1, self.slip_m / self.dt_s));
-        let points = targets.iter().map(|target| run.move_to(target));
+        let points = targets
+            .iter()
+            .map(|target| run.move_to(target, is_cancelled));
         let points = points.collect::<Result<_>>()?;
         Ok((points, run.fields))
     }
@@ -264,7 +282,7 @@ struct Run {
 }
 
 impl Run {
-    fn move_to(&mut self, target: &PressTarget) -> Result<PressPoint> {
+    fn move_to(&mut self, target: &PressTarget, is_cancelled: &AtomicBool) -> Result<PressPoint> {
         let (mut steps, mut iterations, mut converged) = (0, 0, true);
         let mut contacts = Vec::new();
         for attempt in 0..4 {
@@ -278,6 +296,12 @@ impl Run {
             }
             let count = (longest / self.step_m).ceil().max(1.0);
             for _ in 0..count as u32 {
+                if is_cancelled.load(Ordering::Relaxed) {
+                    return Err(Error::new(
+                        ErrorKind::Interrupted,
+                        "the press was interrupted",
+                    ));
+                }
                 let by = DVec3::new(-missing_shift, 0.0, missing_depth) / count;
                 self.driven.depth_m += by.z;
                 self.driven.shift_m -= by.x;

@@ -1,0 +1,84 @@
+//! Predicts one grasp from images.
+
+use image::RgbImage;
+
+use super::contract::InputName;
+use super::engine::{Model, Prediction};
+use super::input::ModelInput;
+use super::label::{PredictedLabel, contact_doubt};
+use gripcast_base::error::Result;
+use gripcast_imaging::{GelCells, GelChange, TactileDifference};
+
+/// Images for one input of a model, cropped and at the model's size.
+#[derive(Clone, Debug)]
+pub enum InputImages {
+    /// Tactile images of a gel.
+    Tactile {
+        /// With the gripper open.
+        initial: RgbImage,
+        /// With the gripper closed.
+        grasp: RgbImage,
+    },
+    /// Colour image with the gripper closed.
+    Rgb(RgbImage),
+}
+
+/// What a model says of a grasp.
+#[derive(Clone, Debug, PartialEq)]
+pub struct GraspPrediction {
+    /// Output of the model.
+    pub prediction: Prediction,
+    /// OOD score of the tactile images, 1 at the threshold; `None` where the model has none.
+    pub ood_score: Option<f64>,
+    /// Label; [`PredictedLabel::Unsure`] also where the images cannot tell.
+    pub label: PredictedLabel,
+    /// Why the images cannot tell, one sentence.
+    pub unsure_reason: Option<String>,
+}
+
+impl Model {
+    /// Predicts a grasp; `images` gives those of each input that the model uses.
+    ///
+    /// # Errors
+    /// Those of `images`; `Input` for images of another size; as [`Model::predict`].
+    pub fn predict_grasp(
+        &self,
+        mut images: impl FnMut(InputName) -> Result<InputImages>,
+    ) -> Result<GraspPrediction> {
+        let contract = self.contract();
+        let mut input = ModelInput::zeros(contract)?;
+        let mut differences = Vec::new();
+        let mut changes = Vec::new();
+        for &name in contract.modality.inputs() {
+            match images(name)? {
+                InputImages::Rgb(image) => input.set_rgb(&image)?,
+                InputImages::Tactile { initial, grasp } => {
+                    let difference = TactileDifference::between(&initial, &grasp)?;
+                    let (initial, grasp) = (GelCells::new(&initial)?, GelCells::new(&grasp)?);
+                    changes.push(GelChange::between(&initial, &grasp, 0.0));
+                    input.set_tactile(name, &difference)?;
+                    differences.push(difference);
+                }
+            }
+        }
+        let prediction = self.predict(&input)?;
+        let ood_score = self
+            .ood_detector()
+            .and_then(|reference| reference.max_score(&differences));
+        let label = PredictedLabel::new(prediction.p_stable, contract.threshold, ood_score);
+        let unsure_reason = match &changes[..] {
+            [left, right] => contact_doubt([left, right], label == PredictedLabel::Stable),
+            _ => None,
+        };
+        let label = match unsure_reason {
+            Some(_) => PredictedLabel::Unsure,
+            None => label,
+        };
+        Ok(GraspPrediction {
+            prediction,
+            ood_score,
+            label,
+            unsure_reason,
+        })
+    }
+}

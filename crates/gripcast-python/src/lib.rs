@@ -1,0 +1,63 @@
+//! Python package `gripcast`: the native module `gripcast._native`.
+//!
+//! Only simulator, tactile renderer, predictor, marker tracker and dataset reader are linked: no
+//! cameras, no web, no terminal. Arrays are copied on the way in, so that work runs without the
+//! interpreter's lock; every panic becomes an `InternalError`.
+
+mod arrays;
+mod batch;
+mod case;
+mod dataset;
+mod failure;
+mod fields;
+mod grasp_record;
+mod mesh;
+mod placement;
+mod pose;
+mod predictor;
+mod press;
+mod render;
+mod result;
+mod sensor;
+mod track;
+mod work;
+
+/// The native half of the package `gripcast`.
+#[pyo3::pymodule]
+mod _native {
+    #[pymodule_export]
+    use crate::batch::{simulate, simulate_batch};
+    #[pymodule_export]
+    use crate::case::GraspCase;
+    #[pymodule_export]
+    use crate::dataset::{Dataset, Problem, VerifyReport};
+    #[pymodule_export]
+    use crate::failure::panic_for_test;
+    #[pymodule_export]
+    use crate::fields::FaceFields;
+    #[pymodule_export]
+    use crate::grasp_record::Grasp;
+    #[pymodule_export]
+    use crate::mesh::{Mesh, Object};
+    #[pymodule_export]
+    use crate::placement::{GraspPose, Placement};
+    #[pymodule_export]
+    use crate::pose::Pose;
+    #[pymodule_export]
+    use crate::predictor::{Prediction, Predictor};
+    #[pymodule_export]
+    use crate::press::{PressResult, press};
+    #[pymodule_export]
+    use crate::render::{TactileImage, render_tactile};
+    #[pymodule_export]
+    use crate::result::{GraspResult, Snapshot};
+    #[pymodule_export]
+    use crate::sensor::SensorProfile;
+    #[pymodule_export]
+    use crate::track::{MarkerTrack, track_markers};
+
+    /// Version of gripcast.
+    #[pymodule_export]
+    #[allow(non_upper_case_globals)]
+    const __version__: &str = env!("CARGO_PKG_VERSION");
+}

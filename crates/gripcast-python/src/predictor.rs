@@ -1,0 +1,226 @@
+//! Predicts stability.
+
+use std::path::PathBuf;
+use std::sync::Arc;
+
+use image::RgbImage;
+use pyo3::prelude::*;
+
+use super::arrays::image;
+use super::failure::Outcome;
+use super::work::{detached, interruptible, pool};
+use gripcast_base::error::{Error, Result};
+use gripcast_imaging::{CropProfile, crop_and_resize};
+use gripcast_nn::predict::contract::{IMAGE_HEIGHT, IMAGE_WIDTH, InputName};
+use gripcast_nn::predict::{InputImages, Model, SHIPPED};
+
+/// Images of the left and the right gel.
+type Pair<'py> = [Bound<'py, PyAny>; 2];
+
+/// A model that predicts whether a grasp is stable.
+#[pyclass(frozen, module = "gripcast")]
+pub(crate) struct Predictor {
+    model: Arc<Model>,
+    source: String,
+}
+
+#[pymethods]
+impl Predictor {
+    /// An ONNX file, `gripcast-vt` (built-in classifier) or `baseline-contact` (built-in heuristic).
+    #[new]
+    #[pyo3(signature = (model = PathBuf::from(SHIPPED)))]
+    #[pyo3(text_signature = "(model='gripcast-vt')")]
+    fn new(py: Python<'_>, model: PathBuf) -> Outcome<Self> {
+        let source = model.to_string_lossy().into_owned();
+        let name = source.clone();
+        let pool = pool(None)?;
+        let model = interruptible(py, move |_| pool.install(|| Model::by_name(&name)))?;
+        Ok(Self {
+            model: Arc::new(model),
+            source,
+        })
+    }
+
+    /// Predicts a grasp before the lift.
+    ///
+    /// `initial` and `grasp` are the images (left, right) of the gels with the gripper open and closed,
+    /// `rgb` is the colour image with the gripper closed: height × width × 3, uint8, RGB. Tactile
+    /// images are cropped already and of 320 × 240 pixels, as those of `Grasp.tactile_image` and
+    /// `render_tactile`, unless `crop` names a crop profile (`Predictor.crop_profile` for frames of a
+    /// camera, `full-v1` for none).
+    #[pyo3(signature = (initial = None, grasp = None, rgb = None, *, crop = None))]
+    fn predict(
+        &self,
+        py: Python<'_>,
+        initial: Option<Pair<'_>>,
+        grasp: Option<Pair<'_>>,
+        rgb: Option<Bound<'_, PyAny>>,
+        crop: Option<&str>,
+    ) -> Outcome<Prediction> {
+        let contract = self.model.contract();
+        let crop = crop.map(CropProfile::by_name).transpose()?;
+        if let Some(crop) = crop.filter(|crop| *crop != CropProfile::FULL) {
+            contract.check_crop_profile(crop.name())?;
+        }
+        let both = |pair: Option<Pair<'_>>, name: &str| -> Outcome<Option<[RgbImage; 2]>> {
+            let Some([left, right]) = pair else {
+                return Ok(None);
+            };
+            let left = image(&left, &format!("{name}[0]"))?;
+            Ok(Some([left, image(&right, &format!("{name}[1]"))?]))
+        };
+        let initial = both(initial, "initial")?;
+        let grasp = both(grasp, "grasp")?;
+        let rgb = rgb.map(|rgb| image(&rgb, "rgb")).transpose()?;
+        let of = |pair: &Option<[RgbImage; 2]>, gel: usize, name: &str| -> Result<RgbImage> {
+            let pair = pair.as_ref().ok_or_else(|| missing(name))?;
+            tactile(&pair[gel], crop.as_ref(), &format!("{name}[{gel}]"))
+        };
+        let pool = pool(None)?;
+        let found = detached(py, || {
+            pool.install(|| {
+                self.model.predict_grasp(|input| {
+                    let gel = match input {
+                        InputName::TactileLeft => 0,
+                        InputName::TactileRight => 1,
+                        InputName::Rgb => {
+                            let rgb = rgb.as_ref().ok_or_else(|| missing("rgb"))?;
+                            return Ok(InputImages::Rgb(resized(rgb, &CropProfile::FULL)?));
+                        }
+                    };
+                    Ok(InputImages::Tactile {
+                        initial: of(&initial, gel, "initial")?,
+                        grasp: of(&grasp, gel, "grasp")?,
+                    })
+                })
+            })
+        })?;
+        Ok(Prediction {
+            p_stable: found.prediction.p_stable,
+            threshold: contract.threshold,
+            predicted: found.label.name(),
+            ood_score: found.ood_score,
+            unsure_reason: found.unsure_reason,
+            engine_ms: found.prediction.engine_ms,
+            model: contract.name.clone(),
+            model_sha256: self.model.sha256().to_owned(),
+        })
+    }
+
+    /// Name of the model.
+    #[getter]
+    fn name(&self) -> &str {
+        &self.model.contract().name
+    }
+
+    /// Hash of the ONNX file.
+    #[getter]
+    fn sha256(&self) -> &str {
+        self.model.sha256()
+    }
+
+    /// Its inputs: tactile_left, tactile_right, rgb.
+    #[getter]
+    fn inputs(&self) -> Vec<String> {
+        let inputs = self.model.contract().modality.inputs();
+        inputs.iter().map(ToString::to_string).collect()
+    }
+
+    /// Crop of the camera frames that it was trained with; `any` for a heuristic.
+    #[getter]
+    fn crop_profile(&self) -> &'static str {
+        self.model.contract().crop_profile_name()
+    }
+
+    /// Smallest probability that is predicted to be stable.
+    #[getter]
+    fn threshold(&self) -> f64 {
+        self.model.contract().threshold
+    }
+
+    /// Whether it is a heuristic and not trained.
+    #[getter]
+    fn is_heuristic(&self) -> bool {
+        self.model.contract().is_heuristic()
+    }
+
+    fn __reduce__(&self, py: Python<'_>) -> (Py<PyAny>, (String,)) {
+        let class = py.get_type::<Self>().into_any().unbind();
+        (class, (self.source.clone(),))
+    }
+
+    fn __repr__(&self) -> String {
+        format!(
+            "<Predictor {}: inputs {}, threshold {}>",
+            self.name(),
+            self.inputs().join(", "),
+            self.threshold()
+        )
+    }
+}
+
+fn missing(argument: &str) -> Error {
+    let error = Error::usage(format!("the model uses `{argument}`, found None"));
+    match argument {
+        "rgb" => error.remedy("give it, or use a tactile model, such as \"baseline-contact\""),
+        _ => error.remedy("give the images of both gels, (left, right)"),
+    }
+}
+
+fn tactile(image: &RgbImage, crop: Option<&CropProfile>, name: &str) -> Result<RgbImage> {
+    let size = (IMAGE_WIDTH, IMAGE_HEIGHT);
+    match crop {
+        Some(crop) => resized(image, crop),
+        None if image.dimensions() == size => Ok(image.clone()),
+        None => {
+            let (width, height) = image.dimensions();
+            Err(Error::input(format!(
+                "`{name}` must be cropped and of {IMAGE_WIDTH}×{IMAGE_HEIGHT} pixels, found \
+                 {width}×{height}"
+            ))
+            .remedy(
+                "for frames of a camera pass its `crop` profile, for cropped images of another size \
+                 crop=\"full-v1\"",
+            ))
+        }
+    }
+}
+
+fn resized(image: &RgbImage, crop: &CropProfile) -> Result<RgbImage> {
+    Ok(crop_and_resize(image, crop, IMAGE_WIDTH, IMAGE_HEIGHT)?)
+}
+
+/// What a model says of a grasp.
+#[pyclass(frozen, get_all, module = "gripcast")]
+pub(crate) struct Prediction {
+    /// Probability that the grasp is stable.
+    pub(crate) p_stable: f64,
+    /// Smallest probability that is predicted to be stable.
+    pub(crate) threshold: f64,
+    /// stable, slip or unsure.
+    pub(crate) predicted: &'static str,
+    /// OOD score of the tactile images, 1 at the threshold; None where the model has none.
+    pub(crate) ood_score: Option<f64>,
+    /// Why the images cannot tell, one sentence; None where they can.
+    pub(crate) unsure_reason: Option<String>,
+    /// Inference time, ms.
+    pub(crate) engine_ms: f64,
+    /// Name of the model.
+    pub(crate) model: String,
+    /// Hash of the ONNX file.
+    pub(crate) model_sha256: String,
+}
+
+#[pymethods]
+impl Prediction {
+    fn __repr__(&self) -> String {
+        let reason = self.unsure_reason.as_ref();
+        format!(
+            "<Prediction {}: p_stable {:.3}, threshold {}{}>",
+            self.predicted,
+            self.p_stable,
+            self.threshold,
+            reason.map_or(String::new(), |reason| format!("; {reason}"))
+        )
+    }
+}

@@ -1,0 +1,81 @@
+"""gripcast: grasps with touch.
+
+Simulates grasps with finite-element gels (`simulate`), renders what a GelSight Mini sees
+(`render_tactile`), predicts stability (`Predictor`), follows gel markers (`track_markers`) and reads
+datasets (`Dataset`). Lengths are metres, forces newtons; names carry the unit. A pose `t_a_b` maps
+coordinates of frame b into frame a. Images are height × width × 3, uint8, RGB.
+"""
+
+from gripcast._errors import (
+    AccessError,
+    ConfigError,
+    Error,
+    InputError,
+    InternalError,
+    IoError,
+    NotFoundError,
+    UsageError,
+)
+from gripcast._native import (
+    Dataset,
+    FaceFields,
+    Grasp,
+    GraspCase,
+    GraspPose,
+    GraspResult,
+    MarkerTrack,
+    Mesh,
+    Object,
+    Placement,
+    Pose,
+    Prediction,
+    Predictor,
+    PressResult,
+    Problem,
+    SensorProfile,
+    Snapshot,
+    TactileImage,
+    VerifyReport,
+    __version__,
+    press,
+    render_tactile,
+    simulate,
+    simulate_batch,
+    track_markers,
+)
+
+__all__ = [
+    "AccessError",
+    "ConfigError",
+    "Dataset",
+    "Error",
+    "FaceFields",
+    "Grasp",
+    "GraspCase",
+    "GraspPose",
+    "GraspResult",
+    "InputError",
+    "InternalError",
+    "IoError",
+    "MarkerTrack",
+    "Mesh",
+    "NotFoundError",
+    "Object",
+    "Placement",
+    "Pose",
+    "Prediction",
+    "Predictor",
+    "PressResult",
+    "Problem",
+    "SensorProfile",
+    "Snapshot",
+    "TactileImage",
+    "UsageError",
+    "VerifyReport",
+    "__version__",
+    "press",
+    "render_tactile",
+    "simulate",
+    "simulate_batch",
+    "track_markers",
+]

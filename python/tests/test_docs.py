@@ -1,0 +1,43 @@
+"""Runs the Python blocks of the how-to guide, and the examples."""
+
+from __future__ import annotations
+
+import os
+import re
+import runpy
+import shutil
+import sys
+from pathlib import Path
+
+import pytest
+
+from conftest import ROOT
+
+PAGE = ROOT / "docs/how-to/python.md"
+BLOCK = re.compile(r"^(<!-- not run: [^\n]* -->\n)?```python\n(.*?)^```", re.M | re.S)
+
+
+@pytest.fixture
+def folder(dataset_folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    shutil.copytree(dataset_folder, tmp_path / "kitchen")
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def test_quick_start_runs_as_it_stands(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    blocks = [text for skipped, text in BLOCK.findall(PAGE.read_text()) if not skipped]
+    assert blocks
+    for block in blocks:
+        exec(compile(block, str(PAGE), "exec"), {"__name__": "__main__"})
+    printed = capsys.readouterr().out
+    assert printed.startswith("success ") and "(240, 320, 3)" in printed
+    assert printed.count("stable (240, 320, 3)") == 1
+
+
+def test_examples_run(folder: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
+    for example in sorted((ROOT / "python/examples").glob("*.py")):
+        monkeypatch.setattr(sys, "argv", [os.fspath(example), "kitchen"][: 2 if "batches" in example.name else 1])
+        runpy.run_path(os.fspath(example), run_name="__main__")
+    printed = capsys.readouterr().out
+    assert "(2, 6, 240, 320): 1 of 2 stable" in printed
+    assert " 20.0 N: success" in printed

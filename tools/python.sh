@@ -1,0 +1,36 @@
+#!/usr/bin/env bash
+# tools/python.sh [PYTEST ARGUMENT…]: builds the Python package and its tests' environment below
+# ${GRIPCAST_CACHE:-~/.cache/gripcast}, runs the tests and checks the types.
+#
+# Everything is built with the profile of cargo's tests; the program, which the tests compare with, too.
+set -euo pipefail
+cd "$(dirname "$0")/.."
+# shellcheck disable=SC1091
+. tools/env.sh
+
+list=python/tests/requirements.txt
+# Another list or another Python is another folder.
+key=$({ cat "$list" && python3 -c 'import sys; print(sys.version)'; } | sha256sum | cut -c1-12)
+home=${GRIPCAST_CACHE:-$HOME/.cache/gripcast}/python-$key
+python=$home/bin/python
+if [ ! -e "$home/complete" ]; then
+    echo "python: installing the packages of $list into $home" >&2
+    rm -rf "$home"
+    python3 -m venv "$home"
+    "$python" -m pip install --quiet --disable-pip-version-check --only-binary :all: -r "$list"
+    touch "$home/complete"
+fi
+
+target=$(cargo metadata --format-version 1 --no-deps --offline |
+    python3 -c 'import json, sys; print(json.load(sys.stdin)["target_directory"])')
+wheels=$target/python
+if [ -z "${GRIPCAST_BIN:-}" ]; then
+    cargo build --locked --bin gripcast
+    export GRIPCAST_BIN=$target/debug/gripcast
+fi
+rm -rf "$wheels"
+"$python" -m maturin build --quiet --locked --profile dev --auditwheel skip --out "$wheels"
+"$python" -m pip install --quiet --disable-pip-version-check --force-reinstall --no-deps "$wheels"/*.whl
+PATH=$home/bin:$PATH "$python" -m pytest "$@"
+"$python" -m mypy
+"$python" -m mypy.stubtest --ignore-missing-stub gripcast
