@@ -4,7 +4,8 @@
 //! contract. `predict images` predicts one grasp from image files (PNG or JPEG): both tactile
 //! images of the open and of the closed gripper, and the colour image if the model uses it.
 //! Tactile images are cropped with the model's crop profile unless `--already-cropped`; all are
-//! resized to 320×240. `predict baseline` writes the built-in contact-strength heuristic as an
+//! resized to 320×240. `predict stamp FILE` writes the contract into an ONNX file of another
+//! program. `predict baseline` writes the built-in contact-strength heuristic as an
 //! ONNX file.
 //!
 //! Exit codes: 0 predicted · 1 invalid model or image · 2 usage.
@@ -14,13 +15,12 @@ use std::path::{Path, PathBuf};
 use image::RgbImage;
 use serde_json::{Value, json};
 
+use super::predict_stamp::{self, StampArgs};
 use super::{Context, print_report};
 use crate::note;
 use gripcast_base::error::{Error, Result};
 use gripcast_base::files::{FileKind, read_regular, save};
-use gripcast_imaging::{
-    CropProfile, Decoder, Frame, FrameDamage, PixelFormat, crop_and_resize, decode_png_rgb, jpeg,
-};
+use gripcast_imaging::{CropProfile, Decoder};
 use gripcast_nn::predict::contract::{IMAGE_HEIGHT, IMAGE_WIDTH, InputName, Origin};
 use gripcast_nn::predict::{
     BASELINE, GraspPrediction, InputImages, Model, PredictedLabel, SHIPPED, baseline,
@@ -39,6 +39,8 @@ enum Action {
     Check(CheckArgs),
     /// Predict one grasp from image files
     Images(ImagesArgs),
+    /// Write the contract into an ONNX file of another program
+    Stamp(StampArgs),
     /// Write the built-in contact-strength heuristic as an ONNX file
     #[command(hide = true)]
     Baseline(BaselineArgs),
@@ -97,6 +99,7 @@ pub(crate) fn run(context: &Context, args: Args) -> Result<()> {
     match args.action {
         Action::Check(args) => check(context, &args),
         Action::Images(args) => predict_images(context, &args),
+        Action::Stamp(args) => predict_stamp::run(context, &args),
         Action::Baseline(args) => write_baseline(context, &args.out),
     }
 }
@@ -258,26 +261,7 @@ fn image(path: &Path, crop: &CropProfile) -> Result<RgbImage> {
     let read = || -> Result<RgbImage> {
         let bytes = read_regular(path, FileKind::Image)
             .map_err(|e| Error::io("cannot read the image", e))?;
-        if bytes.starts_with(b"\x89PNG") {
-            let image = decode_png_rgb(&bytes)?;
-            return Ok(crop_and_resize(&image, crop, IMAGE_WIDTH, IMAGE_HEIGHT)?);
-        }
-        if !bytes.starts_with(&[0xff, 0xd8]) {
-            return Err(Error::input(
-                "expected a PNG or JPEG image, found another format",
-            ));
-        }
-        let header = jpeg::inspect(&bytes).map_err(FrameDamage::Jpeg)?;
-        let frame = Frame {
-            format: PixelFormat::Mjpg,
-            width: header.width,
-            height: header.height,
-            data: bytes.into(),
-            sequence: 0,
-            driver_time_ns: 0,
-            received_ns: 0,
-        };
-        Ok(Decoder::new()?.decode(&frame, Some(crop), IMAGE_WIDTH, IMAGE_HEIGHT)?)
+        Ok(Decoder::new()?.decode_file(&bytes, Some(crop), IMAGE_WIDTH, IMAGE_HEIGHT)?)
     };
     read().map_err(|error| error.at(path.display()))
 }

@@ -1,7 +1,8 @@
 //! `gripcast train`: trains a stability classifier on a dataset.
 //!
-//! Exit codes: 0 trained · 1 failed · 2 usage, or a run with other settings · 75 stopped by
-//! SIGTERM, rerun to resume · 130 interrupted. A resumed run ends with the same bytes.
+//! Exit codes: 0 trained · 1 failed, or another program trains in the folder · 2 usage, or a run
+//! with other settings · 75 stopped by SIGTERM, rerun to resume · 130 interrupted. A resumed run
+//! ends with the same bytes.
 //!
 //! On a terminal it shows a dashboard; elsewhere, and with `--headless`, lines on stderr. The
 //! result goes to stdout.
@@ -138,8 +139,12 @@ fn show(progress: &Progress, news: &TrainingNews) {
             ..
         }) => progress.count(*done as usize, *total as usize),
         TrainingNews::Train(TrainEvent::Epoch(figures)) => progress.line(epoch_line(figures)),
-        TrainingNews::Train(TrainEvent::Started(_) | TrainEvent::Validate(_))
-        | TrainingNews::Seed(_) => {}
+        TrainingNews::Train(TrainEvent::Started(start)) => {
+            for warning in &start.warnings {
+                progress.line(format!("gripcast: {warning}"));
+            }
+        }
+        TrainingNews::Train(TrainEvent::Validate(_)) | TrainingNews::Seed(_) => {}
     }
 }
 
@@ -152,6 +157,7 @@ fn run_report(seed: u64, folder: &RunFolder, trained: &Trained, finished: &Finis
         "temperature": finished.temperature,
         "threshold": finished.threshold,
         "validation": finished.validation,
+        "warnings": trained.warnings,
     })
 }
 

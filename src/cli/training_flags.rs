@@ -18,7 +18,7 @@ pub(super) struct TrainingFlags {
     /// Number of training epochs
     #[arg(long, value_name = "N", default_value_t = 30)]
     epochs: u32,
-    /// Batch size
+    /// Batch size; at most the number of training samples is used
     #[arg(long, value_name = "N", default_value_t = 16)]
     batch_size: usize,
     /// Peak learning rate (linear decay to 0)

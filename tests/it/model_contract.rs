@@ -82,7 +82,8 @@ fn other_files_are_refused_by_type() {
     assert!(refusal(b"\xff\xd8\xff\xe0\0\x10JFIF").contains("a JPEG image"));
     assert!(refusal(b"PK\x03\x04rest").contains("PyTorch"));
     assert!(refusal(b"version https://git-lfs.github.com/spec/v1\n").contains("git lfs pull"));
-    assert!(refusal(b"<html></html>").contains("a text file"));
+    assert!(refusal(b"<html></html>").contains("an HTML page"));
+    assert!(refusal(b"\x80\x02}q\0.").contains("a Python pickle"));
     let whole = fs::read(shipped()).unwrap();
     assert!(refusal(&whole[..whole.len() / 2]).contains("damaged or truncated"));
 
@@ -105,6 +106,61 @@ fn foreign_network_is_refused_with_the_missing_key() {
     let text = refusal(folder.path(), &graph.to_bytes().unwrap());
     assert!(text.contains("missing key `gripcast.schema`"), "{text}");
     assert!(text.contains("models/README.md"), "{text}");
+}
+
+#[test]
+fn stamped_file_of_another_program_is_a_model() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = |name: &str| folder.path().join(name).to_str().unwrap().to_owned();
+    let mut graph = onnx::OnnxGraphBuilder::new("foreign");
+    let rgb = graph.input("rgb", &contract::INPUT_SHAPE).unwrap();
+    let flat = [onnx::Attribute::int("axis", 1)];
+    let flat = graph.node("Flatten", "flat", &[&rgb], flat).unwrap();
+    let over = [
+        onnx::Attribute::ints("axes", &[1]),
+        onnx::Attribute::int("keepdims", 1),
+    ];
+    let mean = graph.node("ReduceMean", "mean", &[&flat], over).unwrap();
+    let answer = graph.node("Sigmoid", contract::OUTPUT, &[&mean], []);
+    graph.output(&answer.unwrap(), &contract::OUTPUT_SHAPE);
+    fs::write(at("foreign.onnx"), graph.to_bytes().unwrap()).unwrap();
+    fs::write(at("data.txt"), "images/1.png").unwrap();
+    let stamp = |more: &[&str]| {
+        let (file, out) = (at("foreign.onnx"), at("stamped.onnx"));
+        let mut arguments = vec!["predict", "stamp", &file, "--out", &out, "--name", "mine"];
+        arguments.extend(["--modality", "v", "--threshold", "0.4"]);
+        arguments.extend(more);
+        gripcast(&arguments)
+    };
+    let colour = [
+        "--rgb-mean",
+        "0.485,0.456,0.406",
+        "--rgb-std",
+        "0.2,0.2,0.25",
+    ];
+    let data = at("data.txt");
+    let without = stamp(&["--data", &data]);
+    assert_eq!(without.status.code(), Some(2));
+    let text = String::from_utf8_lossy(&without.stderr).into_owned();
+    assert!(text.contains("needs `--rgb-mean R,G,B`"), "{text}");
+    assert_eq!(stamp(&colour).status.code(), Some(2), "no origin");
+    let stamped = stamp(&[&colour[..], &["--data", &data, "--seed", "3"]].concat());
+    let text = String::from_utf8_lossy(&stamped.stderr).into_owned();
+    assert!(stamped.status.success(), "{text}");
+    let report = json(&gripcast(&[
+        "predict",
+        "check",
+        &at("stamped.onnx"),
+        "--json",
+    ]));
+    assert_eq!(report["name"], "mine");
+    assert_eq!(
+        (&report["seed"], &report["threshold"]),
+        (&3.into(), &0.4.into())
+    );
+    let sha256 = gripcast_base::files::sha256_hex("images/1.png");
+    assert_eq!(report["train_manifest_sha256"], sha256);
+    assert_eq!(report["inputs"][0]["std"][2], 0.25);
 }
 
 #[test]
@@ -207,7 +263,10 @@ fn grasp_is_predicted_from_image_files() {
     let not_an_image = shipped();
     let (status, text) = code(predict(&closed_left, not_an_image.to_str().unwrap(), &[]));
     assert_eq!(status, Some(1), "{text}");
-    assert!(text.contains("expected a PNG or JPEG image"), "{text}");
+    assert!(
+        text.contains("expected a JPEG, PNG or WebP image"),
+        "{text}"
+    );
     let (status, text) = code(gripcast(&[
         "predict",
         "images",

@@ -14,6 +14,7 @@ mod name;
 pub mod npy;
 mod opening;
 mod owner_lock;
+mod signature;
 
 use std::fs::{self, OpenOptions};
 use std::hash::{BuildHasher as _, RandomState};
@@ -34,6 +35,7 @@ pub use name::{
 };
 pub use opening::{FileKind, open_regular, read_regular, read_text};
 pub use owner_lock::{NotLocked, OwnerLock};
+pub use signature::file_type;
 
 /// Maximum number of symbolic links that are followed, as in Linux.
 const MAX_LINKS: usize = 40;

@@ -87,10 +87,18 @@ pub fn load_object_mesh_below(
         let mesh = read_mesh(&bytes, format, &companions(&path))?;
         prepared(&mesh.scaled(options.unit.in_metres()), options)
     };
+    // The caller reads a file that names the mesh, and has no flags for it.
     let without_flag = |e: Error| match e.remedy_text() {
         Some(remedy) if remedy.contains("--unit") => {
             e.replace_remedy("check the unit or scale in the file that names the mesh")
         }
+        Some(remedy) if remedy.contains("--wall-thickness-mm") => e.replace_remedy(
+            "give the open surface a thickness in a mesh editor, or in an object file with \
+                 `wall_thickness_mm`",
+        ),
+        Some(remedy) if remedy.contains(" --") => e.replace_remedy(
+            "repair the mesh in a mesh editor, or in an object file with `repair = \"auto\"`",
+        ),
         _ => e,
     };
     read().map_err(|e: Error| without_flag(e).at(path.display()))

@@ -1,17 +1,18 @@
 //! Decodes frames to images.
 
-use image::{ImageFormat, RgbImage};
+use image::RgbImage;
 
 use super::crop::{CropProfile, CropWindow};
 use super::damage::FrameDamage;
 use super::depth_preview::{self, DepthColours};
 use super::frame::{Frame, MAX_SIDE, PixelFormat};
 use super::jpeg::{self, JpegDecoder, JpegHeader, JpegScale};
-use super::png::decode_png_rgb;
+use super::png::{decode_png_rgb, decode_webp_rgb};
 use super::resample::{RgbScaler, Source, check_stored, check_target, crop_and_resize, window_of};
 use super::yuyv::yuyv_to_rgb;
 use super::z16::{self, DepthImage};
 use gripcast_base::error::{Error, Result as CrateResult};
+use gripcast_base::files::file_type;
 
 /// Usual unit of a depth camera, m.
 const MILLIMETRE: f64 = 0.001;
@@ -55,28 +56,38 @@ impl Decoder {
         })
     }
 
-    /// Decodes a JPEG or PNG file at its size.
+    /// Decodes a JPEG, PNG or WebP file at its size.
     ///
     /// # Errors
     /// `Input` for a damaged or unsupported file.
     pub fn stored_image(&mut self, bytes: &[u8]) -> CrateResult<RgbImage> {
-        if bytes.starts_with(&[0xff, 0xd8]) {
-            let JpegHeader { width, height, .. } = jpeg::inspect(bytes)?;
-            return self.decode_file(bytes, None, width, height);
+        match bytes {
+            [0xff, 0xd8, ..] => {
+                let JpegHeader { width, height, .. } = jpeg::inspect(bytes)?;
+                self.decode_file(bytes, None, width, height)
+            }
+            [0x89, b'P', b'N', b'G', ..] => decode_png_rgb(bytes),
+            [
+                b'R',
+                b'I',
+                b'F',
+                b'F',
+                _,
+                _,
+                _,
+                _,
+                b'W',
+                b'E',
+                b'B',
+                b'P',
+                ..,
+            ] => decode_webp_rgb(bytes),
+            _ => {
+                let found = file_type(bytes).unwrap_or("another type of file");
+                let what = format!("expected a JPEG, PNG or WebP image, found {found}");
+                Err(Error::input(what).remedy("convert the image to PNG"))
+            }
         }
-        let found = match image::guess_format(bytes) {
-            Ok(ImageFormat::Png) => return decode_png_rgb(bytes),
-            Ok(other) => format!(
-                "a {} image",
-                other.to_mime_type().trim_start_matches("image/")
-            ),
-            Err(_) if bytes.is_empty() => "an empty file".to_owned(),
-            Err(_) => "another type of file".to_owned(),
-        };
-        Err(
-            Error::input(format!("expected a JPEG or PNG image, found {found}"))
-                .remedy("convert the image to PNG"),
-        )
     }
 
     /// Decodes, crops (`None`: not) and resizes a frame to RGB.
@@ -191,7 +202,6 @@ impl Decoder {
         width: u32,
         height: u32,
     ) -> CrateResult<RgbImage> {
-        const PNG: &[u8] = b"\x89PNG";
         let crop = crop.unwrap_or(&CropProfile::FULL);
         match bytes {
             [0xff, 0xd8, ..] => {
@@ -200,15 +210,10 @@ impl Decoder {
                 check_stored(header.width, header.height, 3 * pixels)?;
                 Ok(self.decode_jpeg(bytes, &header, crop, width, height)?)
             }
-            _ if bytes.starts_with(PNG) => {
-                let image = decode_png_rgb(bytes)?;
+            _ => {
+                let image = self.stored_image(bytes)?;
                 Ok(crop_and_resize(&image, crop, width, height)?)
             }
-            _ => Err(Error::input(format!(
-                "expected a JPEG or PNG image, found {} bytes that start with {:02X?}",
-                bytes.len(),
-                &bytes[..bytes.len().min(4)]
-            ))),
         }
     }
 
@@ -328,17 +333,29 @@ mod tests {
     use super::*;
 
     #[test]
-    fn files_that_are_neither_jpeg_nor_png_are_named() {
+    fn files_that_are_no_supported_images_are_named() {
         let mut decoder = Decoder::new().unwrap();
         for (bytes, found) in [
-            (&b"RIFF\x10\0\0\0WEBPVP8 "[..], "found a webp image"),
-            (b"BM\x10\0\0\0", "found a bmp image"),
-            (b"II*\0", "found a tiff image"),
-            (b"<html>", "found another type of file"),
+            (&b"BM\x10\0\0\0"[..], "found a BMP image"),
+            (b"II*\0", "found a TIFF image"),
+            (b"<html>", "found an HTML page"),
+            (b"\x01\x02", "found another type of file"),
             (b"", "found an empty file"),
         ] {
             let error = decoder.stored_image(bytes).unwrap_err().to_string();
             assert!(error.contains(found), "{error}");
         }
+    }
+
+    #[test]
+    fn webp_is_decoded_and_damage_is_an_error() {
+        let image = RgbImage::from_fn(7, 5, |x, y| image::Rgb([(30 * x) as u8, 40 * y as u8, 9]));
+        let mut webp = Vec::new();
+        let encoder = image::codecs::webp::WebPEncoder::new_lossless(&mut webp);
+        image.write_with_encoder(encoder).unwrap();
+        let mut decoder = Decoder::new().unwrap();
+        assert_eq!(decoder.stored_image(&webp).unwrap(), image);
+        let error = decoder.stored_image(&webp[..webp.len() / 2]).unwrap_err();
+        assert!(error.to_string().contains("damaged WebP image"), "{error}");
     }
 }

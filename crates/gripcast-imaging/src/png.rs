@@ -1,8 +1,9 @@
-//! PNG files: colour, grey and 16-bit depth.
+//! PNG files: colour, grey and 16-bit depth. Reads WebP files too.
 
 use std::io::Cursor;
 
 use image::codecs::png::{CompressionType, FilterType, PngDecoder, PngEncoder};
+use image::codecs::webp::WebPDecoder;
 use image::{
     DynamicImage, ExtendedColorType, GrayImage, ImageDecoder as _, ImageEncoder, Limits, RgbImage,
 };
@@ -87,6 +88,19 @@ pub fn decode_png(bytes: &[u8]) -> Result<DynamicImage> {
     let (width, height) = decoder.dimensions();
     check_stored(width, height, decoder.total_bytes())?;
     DynamicImage::from_decoder(decoder).map_err(unreadable)
+}
+
+/// WebP to RGB: the first image of an animation; drops transparency.
+///
+/// # Errors
+/// `Input` for a damaged, unsupported or too large file.
+pub(super) fn decode_webp_rgb(bytes: &[u8]) -> Result<RgbImage> {
+    let unreadable = |cause| Error::input("damaged WebP image").because(cause);
+    let decoder = WebPDecoder::new(Cursor::new(bytes)).map_err(unreadable)?;
+    let (width, height) = decoder.dimensions();
+    check_stored(width, height, decoder.total_bytes())?;
+    let image = DynamicImage::from_decoder(decoder).map_err(unreadable)?;
+    Ok(image.into_rgb8())
 }
 
 #[cfg(test)]

@@ -6,7 +6,8 @@ use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
 use super::augment::SampleImages;
-use super::finish::OBJECTS;
+use super::duplicates::duplicates;
+use super::finish::{ARCHITECTURE, OBJECTS};
 use super::metrics::{
     BaseRateCalibration, Bootstrap, ChanceCalibration, GroupSummary, Interval, Ranking,
     ReliabilityTable, Scored, SeedSummary, Summary, resampled_mean, summarise_groups,
@@ -49,7 +50,7 @@ pub struct EvalReport {
     pub objects: usize,
     /// The models, in the given order.
     pub models: Vec<ModelEvaluation>,
-    /// Mean and standard deviation over several models.
+    /// Mean and standard deviation over several models that differ in their seed alone.
     pub over_models: Option<SeedSummary>,
     /// Differences of the first model to the others.
     pub differences: Vec<Difference>,
@@ -155,6 +156,10 @@ pub fn evaluate(
             .check_crop_profile(samples.crop_profile())
             .map_err(|e| e.at(file))?;
     }
+    let mut warnings = warnings(models, samples, training, dataset_sha256);
+    let training_split = training.filter(|training| training.split() != samples.split());
+    let splits: Vec<&Samples> = training_split.into_iter().chain([samples]).collect();
+    warnings.extend(duplicates(&splits)?);
     let total = models.len() * samples.facts().len();
     let mut evaluated = Vec::new();
     for (i, (file, model)) in models.iter().enumerate() {
@@ -175,11 +180,35 @@ pub fn evaluate(
         dataset_sha256: dataset_sha256.to_owned(),
         split: samples.split().to_owned(),
         objects: samples.objects().len(),
-        over_models: (summaries.len() > 1).then(|| SeedSummary::new(&summaries)),
+        over_models: are_alike(models).then(|| SeedSummary::new(&summaries)),
         differences,
-        warnings: warnings(models, samples, training, dataset_sha256),
+        warnings,
         models: evaluated,
     })
+}
+
+/// Whether the models are several seeds of one training; a mean over others has no meaning.
+fn are_alike(models: &[(String, Model)]) -> bool {
+    let mut seeds = BTreeSet::new();
+    let mut trainings = BTreeSet::new();
+    let all_trained = models.iter().all(|(_, model)| {
+        let contract = model.contract();
+        let Origin::Trained {
+            seed,
+            manifest_sha256,
+        } = &contract.origin
+        else {
+            return false;
+        };
+        trainings.insert((
+            manifest_sha256,
+            contract.modality.name(),
+            contract.crop_profile_name(),
+            contract.other.get(ARCHITECTURE),
+        ));
+        seeds.insert(seed)
+    });
+    all_trained && models.len() > 1 && trainings.len() == 1
 }
 
 /// Lists possible causes of biased metrics.

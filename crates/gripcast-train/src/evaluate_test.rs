@@ -43,6 +43,10 @@ fn heuristic_separates_sample_dataset() {
         [0.0; 3]
     );
     assert!(report.warnings.is_empty(), "{:?}", report.warnings);
+    assert_eq!(
+        report.over_models, None,
+        "two heuristics are not seeds of a training"
+    );
     let html = page(&report, &samples).unwrap();
     for text in [
         "Stability prediction",
@@ -174,4 +178,59 @@ fn shipped_model_keeps_its_metrics_on_synthetic_set() {
     for (found, expected) in figures.into_iter().zip(expected) {
         assert!((found - expected).abs() < 1e-6, "{figures:?}");
     }
+}
+
+#[test]
+fn mean_over_models_needs_seeds_of_one_training() {
+    let folder = tempfile::tempdir().unwrap();
+    let rows = (0..4).map(|number| row("test", number));
+    write_split(folder.path(), "test", rows);
+    let samples = Samples::open(folder.path(), "test").unwrap();
+    let trained = |seed: u64, data: &str, architecture: &str| {
+        let bytes = gripcast_nn::predict::baseline::onnx_bytes().unwrap();
+        let mut contract = gripcast_nn::predict::baseline::contract();
+        contract.origin = Origin::Trained {
+            seed,
+            manifest_sha256: data.repeat(32),
+        };
+        contract.crop_profile = Some(gripcast_imaging::CropProfile::FULL);
+        let architecture = (ARCHITECTURE.to_owned(), architecture.to_owned());
+        contract.other.extend([architecture]);
+        let bytes = contract.stamp(&bytes).unwrap();
+        (format!("{seed}.onnx"), Model::from_bytes(&bytes).unwrap())
+    };
+    let over = |models: [(String, Model); 2]| {
+        let report = evaluate(&models, &samples, None, "", &|_, _| {}).unwrap();
+        report.over_models.map(|over| over.seeds)
+    };
+    let first = || trained(1, "0a", "gripcast");
+    assert_eq!(over([first(), trained(2, "0a", "gripcast")]), Some(2));
+    for other in [
+        trained(1, "0a", "gripcast"),
+        trained(2, "0b", "gripcast"),
+        trained(2, "0a", "small"),
+        ("heuristic".to_owned(), Model::baseline().unwrap()),
+    ] {
+        assert_eq!(over([first(), other]), None);
+    }
+}
+
+#[test]
+fn images_shared_with_the_training_split_give_a_warning() {
+    let folder = tempfile::tempdir().unwrap();
+    write_dataset(folder.path(), 8);
+    let mut rows: Vec<_> = (0..4).map(|number| row("test", number)).collect();
+    rows[1].images.grasp_right = row("train", 3).images.grasp_right;
+    write_split(folder.path(), "test", rows);
+    let [training, samples] =
+        ["train", "test"].map(|split| Samples::open(folder.path(), split).unwrap());
+    let models = [("baseline".to_owned(), Model::baseline().unwrap())];
+    let report = evaluate(&models, &samples, Some(&training), "", &|_, _| {}).unwrap();
+    assert_eq!(report.warnings.len(), 1, "{:?}", report.warnings);
+    let example = "`test-0001` and `train-0003`";
+    assert!(
+        report.warnings[0].contains(example),
+        "{:?}",
+        report.warnings
+    );
 }

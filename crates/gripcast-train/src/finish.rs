@@ -18,6 +18,9 @@ use gripcast_nn::to_onnx;
 /// Metadata key of the training objects.
 pub(super) const OBJECTS: &str = "gripcast.train.objects";
 
+/// Metadata key of the network architecture.
+pub(super) const ARCHITECTURE: &str = "gripcast.arch";
+
 /// Temperature and threshold are rounded to multiples of its inverse.
 const ROUNDING: f64 = 1e4;
 
@@ -38,7 +41,8 @@ pub struct Finished {
 /// split of the dataset `data`, and writes the run's `model.onnx`.
 ///
 /// # Errors
-/// Errors of reading dataset and checkpoint and of writing the file.
+/// `Busy`: another program trains the run. Errors of reading dataset and checkpoint and of writing
+/// the file.
 pub fn finish(
     folder: &RunFolder,
     file: &RunFile,
@@ -46,6 +50,7 @@ pub fn finish(
     name: &str,
     on_progress: &dyn Fn(usize),
 ) -> Result<Finished> {
+    let _lock = folder.lock()?;
     let validation = Samples::open(data, "validation")?;
     let (network, best) = folder.best_network(&file.settings)?;
     let logits = logits(
@@ -102,7 +107,7 @@ fn contract(
     let other = BTreeMap::from(
         [
             ("gripcast.licence", "MIT OR Apache-2.0".to_owned()),
-            ("gripcast.arch", settings.architecture.name.clone()),
+            (ARCHITECTURE, settings.architecture.name.clone()),
             ("gripcast.software", file.software.clone()),
             ("gripcast.epoch", best.epoch.to_string()),
             (

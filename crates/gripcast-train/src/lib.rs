@@ -6,6 +6,7 @@
 
 mod augment;
 mod batches;
+mod duplicates;
 mod evaluate;
 mod experiment;
 mod finish;

@@ -7,6 +7,7 @@ use std::time::Instant;
 
 use super::augment::InputWriter;
 use super::batches::{Batches, colour_normalisation};
+use super::duplicates::duplicates;
 use super::run_folder::{EpochMetrics, RunFile, RunFolder, VERSION, foreign_checkpoint, untrained};
 use super::samples::{Samples, dataset_sha256};
 use super::settings::TrainSettings;
@@ -60,6 +61,10 @@ pub struct RunStart {
     pub steps: [u64; 2],
     /// Metrics of the finished epochs.
     pub epochs: Vec<EpochMetrics>,
+    /// Batch size, at most the number of training samples.
+    pub batch_size: usize,
+    /// A smaller batch size than set; samples that occur in two splits.
+    pub warnings: Vec<String>,
 }
 
 /// Progress of a run.
@@ -91,6 +96,8 @@ pub struct Trained {
     pub best_epoch: u32,
     /// Metrics of that epoch.
     pub best: EpochMetrics,
+    /// Those of [`RunStart`].
+    pub warnings: Vec<String>,
 }
 
 /// Trains a classifier, or resumes an interrupted run.
@@ -98,7 +105,8 @@ pub struct Trained {
 /// # Errors
 /// `Usage`: settings out of range or other than those of the run in the folder. `Input`: a dataset
 /// without both labels, with an object in two splits, or with images of another size; a loss that
-/// is NaN or infinite (the best checkpoint is kept). Errors of reading and writing.
+/// is NaN or infinite (the best checkpoint is kept). `Busy`: another program trains in the folder.
+/// Errors of reading and writing.
 pub fn train(
     data: &Path,
     out: &Path,
@@ -114,17 +122,27 @@ pub fn train(
     for samples in [&train, &validation] {
         check_labels(samples)?;
     }
-    if train.facts().len() < settings.batch_size {
-        let what = format!(
-            "expected at least {} training samples (batch size), found {}",
-            settings.batch_size,
-            train.facts().len()
-        );
-        return Err(Error::usage(what).remedy("choose a smaller `--batch-size`"));
+    let mut warnings = Vec::new();
+    let count = train.facts().len();
+    if count < settings.batch_size {
+        warnings.push(format!(
+            "the split `{TRAIN}` has only {count} samples: the batch size is {count} instead of {}",
+            settings.batch_size
+        ));
     }
+    let settings = &TrainSettings {
+        batch_size: settings.batch_size.min(count),
+        ..settings.clone()
+    };
+    fs::create_dir_all(out)
+        .map_err(|e| Error::io("cannot create the folder of the run", e).at(out.display()))?;
     let folder = RunFolder::at(out);
-    let file = open_or_create(&folder, out, data, settings, &train)?;
-    Training::new(&folder, &file, &train, &validation)?.run(on_progress)
+    let _lock = folder.lock()?;
+    let file = open_or_create(&folder, data, settings, &train)?;
+    let test = Samples::open(data, "test").ok();
+    let splits: Vec<&Samples> = [&train, &validation].into_iter().chain(&test).collect();
+    warnings.extend(duplicates(&splits)?);
+    Training::new(&folder, &file, &train, &validation)?.run(warnings, on_progress)
 }
 
 fn check_labels(samples: &Samples) -> Result<()> {
@@ -144,7 +162,6 @@ fn check_labels(samples: &Samples) -> Result<()> {
 /// Opens the run in the folder, which must have the same settings, or creates one.
 fn open_or_create(
     folder: &RunFolder,
-    out: &Path,
     data: &Path,
     settings: &TrainSettings,
     train: &Samples,
@@ -165,8 +182,6 @@ fn open_or_create(
         }
         return Ok(file);
     }
-    fs::create_dir_all(out)
-        .map_err(|e| Error::io("cannot create the folder of the run", e).at(out.display()))?;
     let normalisation = if settings.modality.has_vision() {
         colour_normalisation(train)?
     } else {
@@ -294,7 +309,7 @@ impl<'a> Training<'a> {
     }
 
     /// Returns the state before the first step.
-    fn start(&self) -> RunStart {
+    fn start(&self, warnings: Vec<String>) -> RunStart {
         let metrics = self.folder.metrics();
         let text = metrics.read_to_string(FileKind::List).unwrap_or_default();
         let metrics = text.lines().map(serde_json::from_str);
@@ -307,6 +322,8 @@ impl<'a> Training<'a> {
             steps_per_epoch: steps,
             steps: [done, epochs * steps],
             epochs: metrics.filter_map(serde_json::Result::ok).collect(),
+            batch_size: self.settings.batch_size,
+            warnings,
         }
     }
 
@@ -323,8 +340,12 @@ impl<'a> Training<'a> {
         (self.train.facts().len() / self.settings.batch_size) as u64
     }
 
-    fn run(mut self, on_progress: &(dyn Fn(TrainEvent) + Sync)) -> Result<Trained> {
-        on_progress(TrainEvent::Started(self.start()));
+    fn run(
+        mut self,
+        warnings: Vec<String>,
+        on_progress: &(dyn Fn(TrainEvent) + Sync),
+    ) -> Result<Trained> {
+        on_progress(TrainEvent::Started(self.start(warnings.clone())));
         while self.position.epoch < self.settings.epochs && !self.stops_early() {
             let metrics = self.epoch(on_progress)?;
             if self.position.best.is_none_or(|best| metrics.beats(best)) {
@@ -346,6 +367,7 @@ impl<'a> Training<'a> {
             epochs: self.position.epoch,
             best_epoch: best.epoch,
             best,
+            warnings,
         })
     }
 

@@ -7,13 +7,15 @@ use serde_json::Value;
 
 use super::settings::TrainSettings;
 use super::state;
-use gripcast_base::error::{Error, Result};
-use gripcast_base::files::{BeneathPath, FileKind, Root};
+use gripcast_base::error::{Error, ErrorKind, Result};
+use gripcast_base::files::{BeneathPath, FileKind, NotLocked, OwnerLock, Root};
 use gripcast_nn::Network;
 use gripcast_nn::predict::contract::RgbNormalisation;
 
 /// Version of `run.json` and of the checkpoints.
 pub(super) const VERSION: u64 = 2;
+/// Lock file of a run.
+const LOCK: &str = ".lock";
 
 /// Contents of `run.json`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -105,6 +107,25 @@ impl RunFolder {
     /// Path of the exported model.
     pub fn model(&self) -> BeneathPath {
         self.0.join("model.onnx")
+    }
+
+    /// Locks the run, so that one program at a time writes it. The folder must exist.
+    ///
+    /// # Errors
+    /// `Busy`, naming the process that holds the lock. Errors of creating the lock file.
+    pub fn lock(&self) -> Result<OwnerLock> {
+        let path = self.0.shown().join(LOCK);
+        OwnerLock::acquire(&path).map_err(|why| match why {
+            NotLocked::Held(owner) => Error::new(
+                ErrorKind::Busy,
+                format!("the run is being trained by {owner}"),
+            )
+            .at(self.0.display())
+            .remedy("wait for it or end it, or name another folder with `--out`"),
+            NotLocked::Open(e) | NotLocked::Refused(e) | NotLocked::Lock(e) => {
+                Error::io("cannot lock the run", e).at(path.display())
+            }
+        })
     }
 
     /// Reads `run.json`; none if there is no run.

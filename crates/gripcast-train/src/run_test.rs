@@ -141,7 +141,8 @@ fn run_resumes_within_epoch() {
     let file = {
         let train = Samples::open(&data, TRAIN).unwrap();
         let out = folder.path().join("run");
-        open_or_create(&RunFolder::at(&out), &out, &data, &settings, &train).unwrap()
+        fs::create_dir_all(&out).unwrap();
+        open_or_create(&RunFolder::at(&out), &data, &settings, &train).unwrap()
     };
     let [train, validation] = [TRAIN, VALIDATION].map(|split| Samples::open(&data, split).unwrap());
     let run = RunFolder::at(folder.path().join("run"));
@@ -296,4 +297,55 @@ fn nan_loss_ends_run_and_keeps_best_checkpoint() {
     assert!(text.contains("NaN or infinite in epoch 2"), "{text}");
     assert!(text.contains("of epoch 1, is kept"), "{text}");
     assert_eq!(fs::read(run.best().shown()).unwrap(), best);
+}
+
+#[test]
+fn batch_holds_at_most_all_training_samples() {
+    let folder = tempfile::tempdir().unwrap();
+    let data = folder.path().join("data");
+    write_dataset(&data, 6);
+    let settings = TrainSettings {
+        epochs: 1,
+        batch_size: 16,
+        ..settings(Modality::T)
+    };
+    let out = folder.path().join("run");
+    let trained = train(&data, &out, &settings, &|_| {}).unwrap();
+    assert_eq!(trained.warnings.len(), 1, "{:?}", trained.warnings);
+    assert!(trained.warnings[0].ends_with("the batch size is 6 instead of 16"));
+    let file = RunFolder::at(&out).read().unwrap().unwrap();
+    assert_eq!(file.settings.batch_size, 6);
+    // The same command goes on with the run.
+    let again = train(&data, &out, &settings, &|_| {}).unwrap();
+    assert_eq!(again, trained);
+}
+
+#[test]
+fn second_trainer_in_a_folder_is_refused_with_the_first() {
+    let folder = tempfile::tempdir().unwrap();
+    let data = folder.path().join("data");
+    write_dataset(&data, 8);
+    let settings = TrainSettings {
+        epochs: 1,
+        ..settings(Modality::T)
+    };
+    let out = folder.path().join("run");
+    let second = std::sync::Mutex::new(None);
+    train(&data, &out, &settings, &|event| {
+        if matches!(event, TrainEvent::Started(_)) {
+            *second.lock().unwrap() = Some(train(&data, &out, &settings, &|_| {}));
+        }
+    })
+    .unwrap();
+    let error = second.into_inner().unwrap().unwrap().unwrap_err();
+    assert_eq!(error.kind(), ErrorKind::Busy);
+    let own = format!("process {}", std::process::id());
+    assert!(error.what().contains(&own), "{error}");
+    let run = RunFolder::at(&out);
+    let held = run.lock().unwrap();
+    let file = run.read().unwrap().unwrap();
+    let error = finish(&run, &file, &data, "model", &|_| {}).unwrap_err();
+    assert_eq!(error.kind(), ErrorKind::Busy);
+    drop(held);
+    assert!(finish(&run, &file, &data, "model", &|_| {}).is_ok());
 }

@@ -178,8 +178,13 @@ impl Samples {
         .remedy("split the dataset by object, as `synth merge` does"))
     }
 
+    /// Number of row groups of all files.
+    pub(super) fn num_groups(&self) -> usize {
+        self.groups.len()
+    }
+
     /// Reads all rows of a group.
-    fn read(&self, group: usize) -> Result<Vec<ShardRow>> {
+    pub(super) fn read(&self, group: usize) -> Result<Vec<ShardRow>> {
         let group = &self.groups[group];
         self.shards[group.shard].row_group(group.group)
     }

@@ -19,7 +19,7 @@ pub struct TrainSettings {
     pub seed: u64,
     /// Number of training epochs.
     pub epochs: u32,
-    /// Batch size.
+    /// Batch size; a run with fewer training samples uses one batch of all of them.
     pub batch_size: usize,
     /// Peak learning rate (linear decay to 0).
     pub learning_rate: f64,

@@ -6,7 +6,7 @@ use image::{ImageFormat, ImageReader, Limits, RgbImage};
 
 use super::texture::Bitmap;
 use gripcast_base::error::{Error, Result};
-use gripcast_base::files::{FileKind, read_regular};
+use gripcast_base::files::{FileKind, file_type, read_regular};
 use gripcast_imaging::jpeg::{JpegDecoder, JpegScale, inspect};
 use gripcast_imaging::{CropProfile, crop_and_resize};
 
@@ -116,34 +116,11 @@ fn decode_png(bytes: &[u8]) -> Result<RgbImage> {
 
 /// Error for a file of another type, which is named if recognised.
 fn unsupported(bytes: &[u8]) -> Error {
-    let is = format_name(bytes).unwrap_or("of another type");
+    let found = file_type(bytes).unwrap_or("a file of another type");
     Error::input(format!(
-        "a texture must be a PNG or JPEG image, but the file is {is}"
+        "a texture must be a PNG or JPEG image, found {found}"
     ))
     .remedy("convert it to PNG or JPEG")
-}
-
-/// Names the type of a file by its signature.
-pub(super) fn format_name(bytes: &[u8]) -> Option<&'static str> {
-    const SIGNATURES: [(&[u8], &str); 10] = [
-        (b"\x89PNG", "a PNG image"),
-        (b"\xff\xd8", "a JPEG image"),
-        (b"#?", "a Radiance HDR image"),
-        (b"\x76\x2f\x31\x01", "an OpenEXR image"),
-        (b"\xabKTX", "a KTX texture"),
-        (b"RIFF", "a WebP image"),
-        (b"GIF", "a GIF image"),
-        (b"BM", "a BMP image"),
-        (b"DDS", "a DDS texture"),
-        (
-            b"version https://git-lfs",
-            "a Git LFS pointer (fetch it with `git lfs pull`)",
-        ),
-    ];
-    let known = SIGNATURES
-        .iter()
-        .find(|(start, _)| bytes.starts_with(start));
-    known.map_or(bytes.is_empty().then_some("empty"), |(_, name)| Some(name))
 }
 
 /// Reads a whole image file, with an error that says what cannot be read.

@@ -8,9 +8,10 @@
 
 use std::path::Path;
 
-use super::bitmap_file::{format_name, read_image_file};
+use super::bitmap_file::read_image_file;
 use super::linear_image::Image;
 use gripcast_base::error::{Error, Result};
+use gripcast_base::files::file_type;
 
 /// Maximum pixels per side; the largest environment maps in circulation have 16384 × 8192.
 const MAX_SIDE: usize = 16_384;
@@ -71,9 +72,11 @@ fn invalid(what: impl Into<String>) -> Error {
 
 /// Error for a file of another type, which is named if recognised.
 fn not_hdr(bytes: &[u8]) -> Error {
-    let is = format_name(bytes).unwrap_or("without the signature `#?RADIANCE`");
-    invalid(format!("not a Radiance HDR image: the file is {is}"))
-        .remedy("use a .hdr file (RGBE), for instance from Poly Haven, or a procedural sky")
+    let found = file_type(bytes).unwrap_or("a file of another type");
+    invalid(format!(
+        "expected a Radiance HDR image (`#?RADIANCE`), found {found}"
+    ))
+    .remedy("use a .hdr file (RGBE), for instance from Poly Haven, or a procedural sky")
 }
 
 /// Size and order of the pixels: lines are rows, or columns.

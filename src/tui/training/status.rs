@@ -142,6 +142,10 @@ impl TrainingStatus {
 
     fn begin(&mut self, start: RunStart) {
         self.stage = None;
+        self.settings.batch_size = start.batch_size;
+        for warning in &start.warnings {
+            self.line(warning);
+        }
         self.at = start.steps;
         self.begun = (self.elapsed, start.steps[0]);
         self.epochs.clone_from(&start.epochs);

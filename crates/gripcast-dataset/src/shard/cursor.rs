@@ -5,7 +5,9 @@ use std::sync::Arc;
 
 use parquet::basic::Type;
 use parquet::column::reader::ColumnReaderImpl;
-use parquet::data_type::{ByteArray, ByteArrayType, DataType, DoubleType, Int32Type, Int64Type};
+use parquet::data_type::{
+    BoolType, ByteArray, ByteArrayType, DataType, DoubleType, FloatType, Int32Type, Int64Type,
+};
 use parquet::errors::ParquetError;
 use parquet::file::metadata::{ColumnChunkMetaData, RowGroupMetaData};
 
@@ -40,9 +42,14 @@ enum ColumnCursor {
     Text(Leaf<ByteArrayType>),
     Integer(Leaf<Int64Type>),
     ShortInteger(Leaf<Int32Type>),
+    Bool(Leaf<BoolType>),
     Number(Leaf<DoubleType>),
+    ShortNumber(Leaf<FloatType>),
     Numbers(Leaf<DoubleType>, usize),
+    ShortNumbers(Leaf<FloatType>, usize),
     Image(Leaf<ByteArrayType>),
+    /// Images as lists of numbers.
+    ImageList(Leaf<Int32Type>),
 }
 
 struct Leaf<D: DataType> {
@@ -110,16 +117,22 @@ impl ColumnCursor {
         let Some(chunk) = chunk else {
             return Ok(Self::Absent);
         };
-        Ok(match column.kind {
-            ColumnType::Text => Self::Text(Leaf::open(source, chunk)?),
-            ColumnType::Int64 if chunk.column_type() == Type::INT32 => {
-                Self::ShortInteger(Leaf::open(source, chunk)?)
+        Ok(match (column.kind, chunk.column_type()) {
+            (ColumnType::Text, _) => Self::Text(Leaf::open(source, chunk)?),
+            (ColumnType::Int64, Type::BOOLEAN) => Self::Bool(Leaf::open(source, chunk)?),
+            (ColumnType::Int64, Type::INT32) => Self::ShortInteger(Leaf::open(source, chunk)?),
+            (ColumnType::Int64, _) => Self::Integer(Leaf::open(source, chunk)?),
+            (ColumnType::Float64, Type::FLOAT) => Self::ShortNumber(Leaf::open(source, chunk)?),
+            (ColumnType::Float64, _) => Self::Number(Leaf::open(source, chunk)?),
+            (ColumnType::Float64List(length), Type::FLOAT) => {
+                Self::ShortNumbers(Leaf::open(source, chunk)?, length)
             }
-            ColumnType::Int64 => Self::Integer(Leaf::open(source, chunk)?),
-            ColumnType::Float64 => Self::Number(Leaf::open(source, chunk)?),
-            ColumnType::Float64List(length) => Self::Numbers(Leaf::open(source, chunk)?, length),
-            ColumnType::Image => Self::Image(Leaf::open(source, chunk)?),
-            other => return Err(ParquetError::General(format!("type {other:?} in a shard"))),
+            (ColumnType::Float64List(length), _) => {
+                Self::Numbers(Leaf::open(source, chunk)?, length)
+            }
+            (ColumnType::Image, Type::INT32) => Self::ImageList(Leaf::open(source, chunk)?),
+            (ColumnType::Image, _) => Self::Image(Leaf::open(source, chunk)?),
+            (other, _) => return Err(ParquetError::General(format!("type {other:?} in a shard"))),
         })
     }
 
@@ -150,11 +163,23 @@ impl ColumnCursor {
                 let long = |v| Cell::Integer(i64::from(v));
                 values.map(|v| cell_or_null(v.map(long))).collect()
             }
+            Self::Bool(leaf) => {
+                let values = leaf.read(rows, column)?.into_iter();
+                let integer = |v| Cell::Integer(i64::from(v));
+                values.map(|v| cell_or_null(v.map(integer))).collect()
+            }
             Self::Number(leaf) => {
                 let values = leaf.read(rows, column)?.into_iter();
                 values.map(|v| cell_or_null(v.map(Cell::Number))).collect()
             }
+            Self::ShortNumber(leaf) => {
+                let values = leaf.read(rows, column)?.into_iter();
+                let double = |v| Cell::Number(f64::from(v));
+                values.map(|v| cell_or_null(v.map(double))).collect()
+            }
             Self::Numbers(leaf, length) => leaf.read_lists(rows, *length, column)?,
+            Self::ShortNumbers(leaf, length) => leaf.read_lists(rows, *length, column)?,
+            Self::ImageList(leaf) => leaf.read_images(rows, column)?,
         })
     }
 }
@@ -207,7 +232,10 @@ impl<D: DataType> Leaf<D> {
     }
 }
 
-impl Leaf<DoubleType> {
+impl<D: DataType> Leaf<D>
+where
+    D::T: Into<f64> + Copy,
+{
     /// Reads one list of `length` values per row, or null.
     fn read_lists(
         &mut self,
@@ -235,7 +263,7 @@ impl Leaf<DoubleType> {
             lists.push(if levels == [0] && self.defined == LIST_LEVELS {
                 Cell::Null
             } else if is_whole && let Some(list) = values.next() {
-                Cell::Numbers(list.to_vec())
+                Cell::Numbers(list.iter().map(|x| (*x).into()).collect())
             } else {
                 return Err(malformed());
             });
@@ -245,6 +273,40 @@ impl Leaf<DoubleType> {
             return Err(malformed());
         }
         Ok(lists)
+    }
+}
+
+impl Leaf<Int32Type> {
+    /// Reads one list of bytes per row; an empty one is null.
+    fn read_images(&mut self, rows: usize, column: &Column) -> Result<Vec<Cell<'static>>> {
+        let Levels {
+            values,
+            definition,
+            repetition,
+        } = self.read_levels(rows, column)?;
+        let malformed = || column_error(column.name, "has a list with something else than bytes");
+        let mut cells = Vec::with_capacity(rows);
+        let (mut values, mut start) = (values.into_iter(), 0);
+        while start < repetition.len() {
+            let next = repetition[start + 1..].iter().position(|&level| level == 0);
+            let end = next.map_or(repetition.len(), |next| start + 1 + next);
+            let levels = definition.get(start..end).ok_or_else(malformed)?;
+            if matches!(levels, [level] if *level < self.defined) {
+                cells.push(Cell::Null);
+            } else {
+                let bytes = levels.iter().map(|level| {
+                    let value = (*level == self.defined).then(|| values.next()).flatten();
+                    value.and_then(|value| u8::try_from(value).ok())
+                });
+                let bytes: Option<Vec<u8>> = bytes.collect();
+                cells.push(Cell::Image(Cow::Owned(bytes.ok_or_else(malformed)?)));
+            }
+            start = end;
+        }
+        if cells.len() != rows {
+            return Err(malformed());
+        }
+        Ok(cells)
     }
 }
 
@@ -274,6 +336,7 @@ fn read_error(column: &str, error: ParquetError) -> Error {
             Ok(cause) => Error::io("cannot read the shard", *cause).at(format!("column {column}")),
             Err(cause) => column_error(column, cause.to_string()),
         },
+        ParquetError::NYI(what) => column_error(column, what),
         ParquetError::General(what) => column_error(column, format!("is damaged: {what}")),
         other => column_error(column, format!("is damaged: {other}")),
     }

@@ -1,6 +1,6 @@
 //! Maps columns to the leaves of a file's schema, for any writer.
 
-use parquet::basic::{LogicalType, Type};
+use parquet::basic::{ConvertedType, LogicalType, Type};
 use parquet::file::metadata::ParquetMetaData;
 use parquet::schema::types::{ColumnDescriptor, SchemaDescriptor};
 
@@ -11,6 +11,8 @@ use gripcast_base::error::{Error, Result};
 
 /// Maximum length of a list, so that a damaged count takes no memory.
 const MAX_LIST: i64 = 16;
+/// Maximum number of bytes of the images of a row group that are stored as lists of numbers.
+const MAX_LISTED_BYTES: i64 = 128 << 20;
 
 /// Index of each column's leaf in the schema; none where the file lacks the column.
 #[derive(Clone, Debug)]
@@ -46,6 +48,9 @@ impl Layout {
                 };
                 let max_values = match column.kind {
                     ColumnType::Float64List(_) => rows.saturating_mul(MAX_LIST),
+                    ColumnType::Image if chunk.column_descr().max_rep_level() > 0 => {
+                        MAX_LISTED_BYTES
+                    }
                     _ => rows,
                 };
                 let values = chunk.num_values();
@@ -72,7 +77,10 @@ fn leaf(schema: &SchemaDescriptor, column: &Column) -> Result<Option<usize>> {
         let path = leaf.path().parts();
         let named = path.first().is_some_and(|first| first == column.name);
         // The name of an image follows from the column's name.
-        let is_value = column.kind != ColumnType::Image || path.len() == 1 || path[1] == "bytes";
+        let is_value = column.kind != ColumnType::Image
+            || path.len() == 1
+            || path[1] == "bytes"
+            || leaf.max_rep_level() > 0;
         named && is_value
     });
     let (first, second) = (found.next(), found.next());
@@ -97,6 +105,12 @@ fn leaf(schema: &SchemaDescriptor, column: &Column) -> Result<Option<usize>> {
     }
 }
 
+/// Whether the numbers of a column are bytes.
+fn is_byte(leaf: &ColumnDescriptor) -> bool {
+    let is_byte = |logical: &LogicalType| matches!(logical, LogicalType::Integer(int) if int.bit_width == 8 && !int.is_signed);
+    leaf.logical_type_ref().is_some_and(is_byte) || leaf.converted_type() == ConvertedType::UINT_8
+}
+
 fn is_unknown(leaf: &ColumnDescriptor) -> bool {
     leaf.logical_type_ref() == Some(&LogicalType::Unknown)
 }
@@ -107,11 +121,17 @@ fn fits(leaf: &ColumnDescriptor, column: &Column) -> bool {
     match column.kind {
         ColumnType::Text => kind == Type::BYTE_ARRAY && depth == 1 && repeated == 0,
         ColumnType::Int64 => {
-            matches!(kind, Type::INT64 | Type::INT32) && depth == 1 && repeated == 0
+            matches!(kind, Type::INT64 | Type::INT32 | Type::BOOLEAN) && depth == 1 && repeated == 0
         }
-        ColumnType::Float64 => kind == Type::DOUBLE && depth == 1 && repeated == 0,
-        ColumnType::Float64List(_) => kind == Type::DOUBLE && repeated == 1,
-        ColumnType::Image => kind == Type::BYTE_ARRAY && depth <= 2 && repeated == 0,
+        ColumnType::Float64 => {
+            matches!(kind, Type::DOUBLE | Type::FLOAT) && depth == 1 && repeated == 0
+        }
+        ColumnType::Float64List(_) => matches!(kind, Type::DOUBLE | Type::FLOAT) && repeated == 1,
+        ColumnType::Image => match kind {
+            Type::BYTE_ARRAY => depth <= 2 && repeated == 0,
+            Type::INT32 => repeated == 1 && is_byte(leaf),
+            _ => false,
+        },
         _ => false,
     }
 }
@@ -128,10 +148,10 @@ fn describe(schema: &SchemaDescriptor, column: &Column, leaf: &ColumnDescriptor)
 fn expected(column: &Column) -> &'static str {
     match column.kind {
         ColumnType::Text => "BYTE_ARRAY (a string)",
-        ColumnType::Int64 => "INT64 or INT32",
-        ColumnType::Float64 => "DOUBLE",
-        ColumnType::Float64List(_) => "a list of DOUBLE",
-        ColumnType::Image => "a group of bytes (BYTE_ARRAY) and path",
+        ColumnType::Int64 => "INT64, INT32 or BOOLEAN",
+        ColumnType::Float64 => "DOUBLE or FLOAT",
+        ColumnType::Float64List(_) => "a list of DOUBLE or FLOAT",
+        ColumnType::Image => "a group of bytes (BYTE_ARRAY) and path, or a list of uint8",
         _ => "a type of a shard",
     }
 }
@@ -185,8 +205,8 @@ mod tests {
             ),
             (
                 "DOUBLE mass_kg;",
-                "FLOAT mass_kg;",
-                "column mass_kg has type FLOAT",
+                "INT64 mass_kg;",
+                "column mass_kg has type INT64",
             ),
             (
                 "BYTE_ARRAY id (STRING);",
@@ -218,6 +238,13 @@ mod tests {
             assert_eq!(error.kind(), ErrorKind::Input);
             assert!(error.to_string().contains(expected), "{error}");
         }
-        find("INT64 label;", "INT32 label;").unwrap();
+        for (ours, other) in [
+            ("INT64 label;", "INT32 label;"),
+            ("INT64 label;", "BOOLEAN label;"),
+            ("DOUBLE mass_kg;", "FLOAT mass_kg;"),
+            ("DOUBLE element;", "FLOAT element;"),
+        ] {
+            find(ours, other).unwrap();
+        }
     }
 }

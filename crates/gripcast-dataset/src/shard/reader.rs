@@ -21,12 +21,14 @@ use super::row::{ShardFacts, ShardImages, ShardRow};
 use super::source::Source;
 use gripcast_base::catch_panic::catch_panic;
 use gripcast_base::error::{Error, Result};
-use gripcast_base::files::{BeneathPath, FileKind, open_regular};
+use gripcast_base::files::{BeneathPath, FileKind, file_type, open_regular};
 
 /// Rows per read; for files of other writers also the rows in memory.
 const BATCH: usize = 32;
 /// Maximum size of a file's metadata, bytes: some hundred thousand row groups.
 const MAX_FOOTER: u64 = 256 << 20;
+/// Bytes that tell another type of file.
+const START: u64 = 4096;
 
 /// An open shard. Clones share the file and may be used from any thread.
 #[derive(Clone, Debug)]
@@ -48,7 +50,8 @@ impl ShardReader {
     /// Opens a shard and checks format, columns and counts without reading rows.
     ///
     /// Files of other writers (pandas, `datasets`) need the same columns; nullable ones may be
-    /// missing, others are ignored. Pages may be compressed with Snappy, gzip or Zstandard.
+    /// missing, others are ignored. Numbers may have single precision, labels may be bool, images
+    /// lists of uint8. Pages may be compressed with Snappy, gzip, Zstandard, Brotli or LZ4.
     ///
     /// # Errors
     /// `Input`: not a regular Parquet file, damaged, unsupported version, a column is missing or
@@ -200,22 +203,22 @@ impl Inner {
 
 fn read_footer(source: &Source) -> Result<ParquetMetaData> {
     let size = source.size();
-    let not_parquet = || {
-        let what = format!("not a Parquet file, or truncated ({size} bytes)");
-        Error::input(what).remedy("create or download the file again")
-    };
     let read = |offset, length| {
         let bytes = source.read(offset, length);
         bytes.map_err(|e| Error::io("cannot read the shard", e))
     };
-    let tail_size = FOOTER_SIZE as u64;
-    let tail_at = size.checked_sub(tail_size).ok_or_else(not_parquet)?;
-    if &*read(0, 4)? != b"PAR1" {
-        return Err(not_parquet());
+    let start = read(0, size.min(START))?;
+    if !start.starts_with(b"PAR1") {
+        let found = file_type(&start).unwrap_or("a file of another type");
+        let what = format!("expected a Parquet file, found {found} ({size} bytes)");
+        return Err(Error::input(what).remedy("create or download the file again"));
     }
+    let truncated = || damaged(format!("the Parquet file is truncated ({size} bytes)"));
+    let tail_size = FOOTER_SIZE as u64;
+    let tail_at = size.checked_sub(tail_size).ok_or_else(truncated)?;
     let tail = read(tail_at, tail_size)?;
-    let tail = <&[u8; FOOTER_SIZE]>::try_from(&*tail).map_err(|_| not_parquet())?;
-    let tail = FooterTail::try_new(tail).map_err(|_| not_parquet())?;
+    let tail = <&[u8; FOOTER_SIZE]>::try_from(&*tail).map_err(|_| truncated())?;
+    let tail = FooterTail::try_new(tail).map_err(|_| truncated())?;
     if tail.is_encrypted_footer() {
         return Err(damaged("the file is encrypted"));
     }

@@ -26,7 +26,7 @@ pub use textured::{MeshPart, TexturedMesh, load_textured_mesh, read_textured_mes
 use super::mesh::TriangleMesh;
 use super::weld::weld;
 use gripcast_base::error::{Error, Result, nearest_name};
-use gripcast_base::files::{FileKind, companions, read_regular, save};
+use gripcast_base::files::{FileKind, companions, file_type, read_regular, save};
 
 /// Reads a file that the mesh file refers to by a relative path.
 type Companions<'a> = &'a dyn Fn(&str) -> std::io::Result<Vec<u8>>;
@@ -159,7 +159,11 @@ pub fn read_mesh(
     format: MeshFormat,
     companions: Companions<'_>,
 ) -> Result<TriangleMesh> {
-    check_placeholder(bytes)?;
+    let read = read_as(bytes, format, companions);
+    read.map_err(|error| explained(error, bytes, format))
+}
+
+fn read_as(bytes: &[u8], format: MeshFormat, companions: Companions<'_>) -> Result<TriangleMesh> {
     let mesh = match format {
         MeshFormat::Obj => obj::read(bytes),
         MeshFormat::Stl => stl::read(bytes),
@@ -171,18 +175,18 @@ pub fn read_mesh(
     Ok(weld(&mesh, 0.0))
 }
 
-/// Rejects an empty file and a Git LFS pointer.
-fn check_placeholder(bytes: &[u8]) -> Result<()> {
-    if bytes.is_empty() {
-        return Err(Error::input("the file is empty").remedy("export or download the mesh again"));
+/// The error of an unreadable file; of another one if the file is clearly no mesh.
+fn explained(error: Error, bytes: &[u8], format: MeshFormat) -> Error {
+    let could_be = |found: &&str| match *found {
+        "a text file" => true,
+        "a JSON file" | "a glTF binary" => format == MeshFormat::Gltf,
+        _ => false,
+    };
+    match file_type(bytes).filter(|found| !could_be(found)) {
+        Some(found) => Error::input(format!("expected a mesh, found {found}"))
+            .remedy("give the mesh file itself: export or download it again"),
+        None => error,
     }
-    if bytes.starts_with(b"version https://git-lfs") {
-        return Err(
-            Error::input("the file is a Git LFS pointer, not the mesh itself")
-                .remedy("fetch the mesh with `git lfs pull`"),
-        );
-    }
-    Ok(())
 }
 
 /// Rejects a file without faces.

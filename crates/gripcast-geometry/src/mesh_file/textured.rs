@@ -8,7 +8,7 @@ use glam::DVec3;
 use super::material::MeshMaterial;
 use super::obj::{Corner, ObjFile};
 use super::require_triangles;
-use super::{Companions, LengthUnit, MeshFormat, check_placeholder, file_bytes};
+use super::{Companions, LengthUnit, MeshFormat, explained, file_bytes};
 use super::{REEXPORT, glb, glb_material, mtl, obj, ply, stl};
 use crate::mesh::TriangleMesh;
 use gripcast_base::error::Result;
@@ -87,7 +87,15 @@ pub fn read_textured_mesh(
     format: MeshFormat,
     companions: Companions<'_>,
 ) -> Result<TexturedMesh> {
-    check_placeholder(bytes)?;
+    let read = read_textured(bytes, format, companions);
+    read.map_err(|error| explained(error, bytes, format))
+}
+
+fn read_textured(
+    bytes: &[u8],
+    format: MeshFormat,
+    companions: Companions<'_>,
+) -> Result<TexturedMesh> {
     let mut mesh = match format {
         MeshFormat::Obj => read_obj(bytes, companions)?,
         MeshFormat::Gltf => read_gltf(bytes, companions)?,

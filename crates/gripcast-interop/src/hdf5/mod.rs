@@ -4,6 +4,7 @@
 
 mod read_log;
 
+use std::io::Read as _;
 use std::path::Path;
 
 use hdf5_pure::{
@@ -12,7 +13,7 @@ use hdf5_pure::{
 };
 
 use gripcast_base::error::{Error, ErrorKind, Result};
-use gripcast_base::files::{FileKind, open_regular};
+use gripcast_base::files::{FileKind, file_type, open_regular};
 use read_log::{LoggedFile, ReadLog};
 
 /// Maximum number of values of a dataset.
@@ -23,6 +24,8 @@ const MAX_TEXT: usize = 4096;
 const SUPPORTED_FILTERS: [u16; 5] = [1, 2, 3, 6, 32000];
 /// Maximum number of keys in an error text.
 const MAX_LISTED: usize = 24;
+/// Bytes that tell another type of file.
+const START: u64 = 4096;
 
 /// A group of an open file; its keys are relative to it.
 pub struct Hdf5 {
@@ -51,7 +54,14 @@ impl Hdf5 {
         let unread = |e| Error::io("cannot read the file", e);
         let file = open_regular(path, FileKind::Bulk).map_err(unread)?;
         if !hdf5_pure::is_hdf5(path).map_err(unread)? {
-            return Err(Error::input("not an HDF5 file").remedy(give(expected)));
+            let mut start = Vec::new();
+            (&file)
+                .take(START)
+                .read_to_end(&mut start)
+                .map_err(unread)?;
+            let found = file_type(&start).unwrap_or("another type of file");
+            let what = format!("not an HDF5 file, but {found}");
+            return Err(Error::input(what).remedy(give(expected)));
         }
         let (source, log) = LoggedFile::new(file).map_err(unread)?;
         let file = File::from_source(source)

@@ -22,8 +22,9 @@
 use std::collections::BTreeMap;
 use std::str::FromStr;
 
+use prost::Message as _;
 use serde::Serialize;
-use tract_onnx::pb::ModelProto;
+use tract_onnx::pb::{ModelProto, StringStringEntryProto};
 
 use super::graph_check::{check_graph, list, refusal};
 use super::onnx::OnnxGraphBuilder;
@@ -39,7 +40,10 @@ pub const SCHEMA: u32 = 1;
 /// Crop profile of a model that does not depend on the crop.
 const ANY_CROP: &str = "any";
 const NONE: &str = "none";
-const HOW_TO_EXPORT: &str = "export the model again with gripcast's contract, see models/README.md";
+/// Start of the contract's keys.
+const PREFIX: &str = "gripcast.";
+const HOW_TO_EXPORT: &str = "write gripcast's contract into the file with `gripcast predict stamp`, \
+                             see models/README.md";
 
 /// Origin of a model.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
@@ -109,12 +113,37 @@ impl ModelContract {
     /// # Errors
     /// When the contract is invalid.
     pub fn write(&self, graph: &mut OnnxGraphBuilder) -> Result<()> {
+        for (key, value) in self.metadata()? {
+            graph.metadata(&key, value);
+        }
+        Ok(())
+    }
+
+    /// Writes the contract into the metadata of an ONNX file, in place of one that it may have.
+    /// Network and other metadata stay as they are.
+    ///
+    /// # Errors
+    /// When the contract is invalid, the bytes are no ONNX file, or the network violates the
+    /// contract.
+    pub fn stamp(&self, onnx: &[u8]) -> Result<Vec<u8>> {
+        let mut model = super::onnx::decode(onnx)?;
+        let metadata = self.metadata()?;
+        let entries = &mut model.metadata_props;
+        entries.retain(|entry| !entry.key.starts_with(PREFIX));
+        entries.extend(
+            metadata
+                .into_iter()
+                .map(|(key, value)| StringStringEntryProto { key, value }),
+        );
+        check_graph(self.modality, &model)?;
+        Ok(model.encode_to_vec())
+    }
+
+    /// Returns the pairs of the metadata.
+    fn metadata(&self) -> Result<BTreeMap<String, String>> {
         self.check()?;
         let inputs = serde_json::to_string(&self.inputs)
             .map_err(|cause| Error::internal("cannot write the inputs").because(cause))?;
-        for (key, value) in &self.other {
-            graph.metadata(key, value);
-        }
         let (seed, manifest) = match &self.origin {
             Origin::Trained {
                 seed,
@@ -122,19 +151,23 @@ impl ModelContract {
             } => (seed.to_string(), manifest_sha256.clone()),
             Origin::Heuristic => (NONE.to_owned(), NONE.to_owned()),
         };
-        graph.metadata("gripcast.schema", SCHEMA.to_string());
-        graph.metadata("gripcast.name", &self.name);
-        graph.metadata("gripcast.kind", self.origin.name());
-        graph.metadata("gripcast.variant", self.modality.name());
-        graph.metadata("gripcast.inputs", inputs);
-        graph.metadata("gripcast.output", OUTPUT);
-        graph.metadata("gripcast.threshold", self.threshold.to_string());
-        graph.metadata("gripcast.temperature", self.temperature.to_string());
-        graph.metadata("gripcast.crop_profile", self.crop_profile_name());
-        graph.metadata("gripcast.seed", seed);
-        graph.metadata("gripcast.train.manifest_sha256", manifest);
-        graph.metadata("gripcast.card", &self.card);
-        Ok(())
+        let pairs = [
+            ("gripcast.schema", SCHEMA.to_string()),
+            ("gripcast.name", self.name.clone()),
+            ("gripcast.kind", self.origin.name().to_owned()),
+            ("gripcast.variant", self.modality.name().to_owned()),
+            ("gripcast.inputs", inputs),
+            ("gripcast.output", OUTPUT.to_owned()),
+            ("gripcast.threshold", self.threshold.to_string()),
+            ("gripcast.temperature", self.temperature.to_string()),
+            ("gripcast.crop_profile", self.crop_profile_name().to_owned()),
+            ("gripcast.seed", seed),
+            ("gripcast.train.manifest_sha256", manifest),
+            ("gripcast.card", self.card.clone()),
+        ];
+        let mut metadata = self.other.clone();
+        metadata.extend(pairs.map(|(key, value)| (key.to_owned(), value)));
+        Ok(metadata)
     }
 
     /// Specification of an input, if the model uses it.
@@ -336,7 +369,7 @@ impl Metadata {
     fn rest(self) -> BTreeMap<String, String> {
         self.0
             .into_iter()
-            .filter(|(key, _)| key.starts_with("gripcast."))
+            .filter(|(key, _)| key.starts_with(PREFIX))
             .collect()
     }
 }

@@ -5,7 +5,7 @@ use tract_onnx::pb::{GraphProto, ValueInfoProto, type_proto};
 
 use super::*;
 use crate::predict::baseline;
-use crate::predict::graph_check::close_batch;
+use crate::predict::graph_check::bind_dimensions;
 use crate::predict::onnx::{self, pb};
 
 const NORMALISATION: RgbNormalisation = RgbNormalisation {
@@ -245,23 +245,13 @@ fn graph_that_violates_the_contract_is_refused() {
         ),
         (
             |m| {
-                let shape = tensor_of(&mut graph(m).input[1]).shape.as_mut().unwrap();
-                shape.dim[0].value = Some(Dimension::DimParam("batch".to_owned()));
+                open(&mut graph(m).input[0], 2, "side");
+                open(&mut graph(m).input[0], 3, "side");
             },
             &[
-                "input `tactile_right`",
-                "found [`batch`, 3, 240, 320]",
-                "fixed",
-            ],
-        ),
-        (
-            |m| {
-                let shape = tensor_of(&mut graph(m).input[0]).shape.as_mut().unwrap();
-                shape.dim[0].value = Some(Dimension::DimParam("batch".to_owned()));
-            },
-            &[
-                "input `tactile_right`",
-                "expected shape [`batch`, 3, 240, 320], found [1, 3, 240, 320]",
+                "input `tactile_left`",
+                "expected shape [1, 3, 240, 320], found [1, 3, `side`, `side`]",
+                "one name stands for one size",
             ],
         ),
         (
@@ -276,16 +266,38 @@ fn graph_that_violates_the_contract_is_refused() {
             &["input `tactile_left`", "no type"],
         ),
         (
-            |m| m.opset_import[0].version = 22,
-            &["operator set: expected 9 to 18, found 22", "opset 17"],
+            |m| m.opset_import[0].version = 23,
+            &[
+                "operator set: expected 7 to 22, found 23",
+                "opset_version=17",
+            ],
         ),
         (
             |m| m.opset_import.clear(),
-            &["operator set: expected 9 to 18, found none"],
+            &["operator set: expected 7 to 22, found none"],
         ),
         (
-            |m| m.opset_import[0].domain = "com.microsoft".to_owned(),
-            &["operator set `com.microsoft` 17"],
+            |m| graph(m).node[0].domain = "com.microsoft".to_owned(),
+            &[
+                "unsupported operator",
+                "of the operator set `com.microsoft`",
+            ],
+        ),
+        (
+            |m| graph(m).node[0].op_type = "FancyAct".to_owned(),
+            &["unsupported operator `FancyAct` at `tactile_left_patches`"],
+        ),
+        (
+            |m| {
+                let node = &mut graph(m).node[0];
+                node.op_type = "BatchNormalization".to_owned();
+                node.output.push("mean".to_owned());
+            },
+            &["batch normalisation in training mode", "model.eval()"],
+        ),
+        (
+            |m| graph(m).initializer[0].data_type = DataType::Float16 as i32,
+            &["the weights `noise`", "found Float16", "model.float()"],
         ),
         (
             |m| graph(m).initializer[0].data_location = Some(DataLocation::External as i32),
@@ -306,18 +318,173 @@ fn graph_that_violates_the_contract_is_refused() {
     ]);
 }
 
+/// Opens a dimension of a tensor.
+fn open(value: &mut ValueInfoProto, dimension: usize, name: &str) {
+    let shape = tensor_of(value).shape.as_mut().unwrap();
+    shape.dim[dimension].value = match name {
+        "-1" => Some(Dimension::DimValue(-1)),
+        "" => None,
+        name => Some(Dimension::DimParam(name.to_owned())),
+    };
+}
+
 #[test]
-fn open_batch_is_accepted_and_set_to_one() {
-    let mut model = file();
-    let graph = model.graph.as_mut().unwrap();
-    for value in graph.input.iter_mut().chain(&mut graph.output) {
-        let shape = tensor_of(value).shape.as_mut().unwrap();
-        shape.dim[0].value = Some(Dimension::DimParam("n".to_owned()));
+fn open_dimensions_are_bound_to_the_sizes_of_the_contract() {
+    for name in ["n", "-1", ""] {
+        let mut model = file();
+        let graph = model.graph.as_mut().unwrap();
+        for value in graph.input.iter_mut().chain(&mut graph.output) {
+            open(value, 0, name);
+        }
+        // All sides of one input, the others are fixed.
+        for (dimension, name) in ["c", "h", "w"].into_iter().enumerate() {
+            open(&mut graph.input[1], dimension + 1, name);
+        }
+        let contract = ModelContract::from_proto(&model).unwrap();
+        bind_dimensions(model.graph.as_mut().unwrap());
+        assert_eq!(model, file(), "{name:?}");
+        assert_eq!(ModelContract::from_proto(&model).unwrap(), contract);
     }
-    let contract = ModelContract::from_proto(&model).unwrap();
-    close_batch(model.graph.as_mut().unwrap());
-    assert_eq!(model, file());
+}
+
+#[test]
+fn constant_that_is_not_finite_is_refused_wherever_it_is() {
+    fn floats(name: &str, values: &[f32]) -> pb::TensorProto {
+        pb::TensorProto {
+            name: name.to_owned(),
+            dims: vec![values.len() as i64],
+            data_type: DataType::Float as i32,
+            float_data: values.to_vec(),
+            ..pb::TensorProto::default()
+        }
+    }
+    fn constant(value: pb::AttributeProto) -> pb::NodeProto {
+        pb::NodeProto {
+            op_type: "Constant".to_owned(),
+            output: vec!["extra".to_owned()],
+            attribute: vec![value],
+            ..pb::NodeProto::default()
+        }
+    }
+    fn attribute(name: &str) -> pb::AttributeProto {
+        pb::AttributeProto {
+            name: name.to_owned(),
+            ..pb::AttributeProto::default()
+        }
+    }
+    fn graph(model: &mut ModelProto) -> &mut GraphProto {
+        model.graph.as_mut().unwrap()
+    }
+    let double = pb::TensorProto {
+        name: "wide".to_owned(),
+        dims: vec![2],
+        data_type: DataType::Double as i32,
+        raw_data: [1.0, f64::NAN].map(f64::to_le_bytes).concat(),
+        ..pb::TensorProto::default()
+    };
+    let inner = GraphProto {
+        initializer: vec![floats("inner", &[f32::INFINITY])],
+        ..GraphProto::default()
+    };
+    let add = |change: &dyn Fn(&mut GraphProto)| {
+        let mut model = file();
+        change(graph(&mut model));
+        ModelContract::from_proto(&model).unwrap_err().to_string()
+    };
+    let raw = add(&|g| {
+        g.initializer[0].raw_data = f32::NAN.to_le_bytes().to_vec();
+    });
+    let cases = [
+        (raw, "found NaN in the weights `noise`, at index 0"),
+        (
+            add(&|g| {
+                g.initializer
+                    .push(floats("more", &[0.0, f32::NAN, f32::NAN]))
+            }),
+            "found NaN in the weights `more`, at index 1, and 1 more",
+        ),
+        (
+            add(&|g| g.initializer.push(double.clone())),
+            "in the weights `wide`, at index 1",
+        ),
+        (
+            add(&|g| {
+                g.node.push(constant(pb::AttributeProto {
+                    t: Some(floats("", &[f32::NEG_INFINITY])),
+                    ..attribute("value")
+                }));
+            }),
+            "found -inf in `value` of `extra` (Constant)",
+        ),
+        (
+            add(&|g| {
+                g.node.push(constant(pb::AttributeProto {
+                    floats: vec![1.0, f32::NAN],
+                    ..attribute("value_floats")
+                }));
+            }),
+            "found NaN in `value_floats` of `extra` (Constant)",
+        ),
+        (
+            add(&|g| {
+                g.node.push(constant(pb::AttributeProto {
+                    g: Some(inner.clone()),
+                    ..attribute("then_branch")
+                }));
+            }),
+            "found inf in the weights `inner`",
+        ),
+    ];
+    for (error, expected) in cases {
+        assert!(error.contains(expected), "{expected}: {error}");
+    }
+}
+
+#[test]
+fn stamped_file_of_another_program_has_the_contract() {
+    let contract = trained(Modality::Vt);
+    let mut foreign = graph_of(&trained(Modality::Vt));
+    foreign.metadata_props = vec![
+        entry("gripcast.val.auroc", "0.5"),
+        entry("gripcast.name", "an older stamp"),
+        entry("author", "someone"),
+    ];
+    let stamped = contract.stamp(&foreign.encode_to_vec()).unwrap();
+    let model = onnx::decode(&stamped).unwrap();
     assert_eq!(ModelContract::from_proto(&model).unwrap(), contract);
+    assert!(model.metadata_props.contains(&entry("author", "someone")));
+    assert_eq!(model.graph, foreign.graph);
+    let error = trained(Modality::T).stamp(&stamped).unwrap_err();
+    assert!(error.what().contains("inputs of the graph"), "{error}");
+}
+
+fn entry(key: &str, value: &str) -> StringStringEntryProto {
+    StringStringEntryProto {
+        key: key.to_owned(),
+        value: value.to_owned(),
+    }
+}
+
+/// The JSON in the reference is the one that files have.
+#[test]
+fn readme_states_the_inputs_as_they_are_written() {
+    let readme = include_str!(concat!(
+        env!("CARGO_MANIFEST_DIR"),
+        "/../../models/README.md"
+    ));
+    let normalisation = RgbNormalisation {
+        mean: [0.485, 0.456, 0.406],
+        std: [0.229, 0.224, 0.225],
+    };
+    let inputs = [
+        InputSpec::tactile(InputName::TactileLeft),
+        InputSpec::tactile(InputName::TactileRight),
+        InputSpec::rgb(normalisation),
+    ];
+    for input in inputs {
+        let json = serde_json::to_string(&input).unwrap();
+        assert!(readme.contains(&json), "{json}");
+    }
 }
 
 #[test]

@@ -7,15 +7,18 @@ use std::time::Instant;
 
 use tract_onnx::pb::ModelProto;
 use tract_onnx::prelude::{
-    Framework as _, InferenceModelExt as _, IntoRunnable as _, TVec, TractResult,
+    Framework as _, InferenceModelExt as _, IntoRunnable as _, TVec, Tensor, TractResult,
     TypedRunnableModel, TypedSimpleState,
 };
+use tract_onnx::tract_core::internal::bail;
+use tract_onnx::tract_core::ops::konst::Const;
+use tract_onnx::tract_core::plan::eval;
 
 use super::contract::{self, InputName, ModelContract};
 use super::graph_check;
 use super::input::ModelInput;
 use super::native_engine::NativeEngine;
-use super::onnx;
+use super::onnx::{self, PYTORCH_EXPORT};
 use super::ood::{self, OodDetector};
 use gripcast_base::catch_panic::catch_panic;
 use gripcast_base::error::{Error, Result};
@@ -78,7 +81,10 @@ impl Model {
         let ood_detector = ood_detector
             .map(|text| OodDetector::from_metadata(text))
             .transpose()?;
-        proto.graph.iter_mut().for_each(graph_check::close_batch);
+        proto
+            .graph
+            .iter_mut()
+            .for_each(graph_check::bind_dimensions);
         let engine = match NativeEngine::new(&proto, contract.modality) {
             Some(native) => Engine::Native(Box::new(native)),
             None => Engine::Tract {
@@ -107,7 +113,10 @@ impl Model {
     /// As [`Model::load`].
     pub fn with_tract(bytes: &[u8]) -> Result<Self> {
         let mut proto = onnx::decode(bytes)?;
-        proto.graph.iter_mut().for_each(graph_check::close_batch);
+        proto
+            .graph
+            .iter_mut()
+            .for_each(graph_check::bind_dimensions);
         let mut model = Self::from_bytes(bytes)?;
         model.engine = Engine::Tract {
             order: input_order(&proto, &model.contract),
@@ -195,8 +204,18 @@ fn run_tract(
         let tensor = input.tensor(name).ok_or_else(missing_input)?;
         tensors.push(tensor.to_tvalue());
     }
-    guarded("run the model", || {
-        let output = TypedSimpleState::new(model)?.run(tensors)?;
+    let mut nan = None;
+    let run = guarded("run the model", || {
+        let output = TypedSimpleState::new(model)?.run_plan_with_eval(
+            tensors,
+            |context, state, node, inputs| {
+                let outputs = eval(context, state, node, inputs)?;
+                if nan.is_none() && outputs.iter().any(|value| has_nan(value)) {
+                    nan = Some(node.name.clone());
+                }
+                TractResult::Ok(outputs)
+            },
+        )?;
         let values = output
             .first()
             .map(|value| value.try_as_plain_ram())
@@ -206,14 +225,42 @@ fn run_tract(
             Some(Err(cause)) => return Err(cause),
             _ => f32::NAN,
         })
-    })
+    })?;
+    match nan {
+        None => Ok(run),
+        Some(node) => Err(
+            Error::input(format!("the operator `{node}` of the model answers NaN"))
+                .remedy("export a checkpoint that answers finite numbers for every image"),
+        ),
+    }
+}
+
+/// Whether a tensor of 32-bit floats has a NaN, which a later ReLU would turn into 0.
+fn has_nan(value: &Tensor) -> bool {
+    let view = value.try_as_plain_ram();
+    let values = view
+        .as_ref()
+        .ok()
+        .and_then(|view| view.as_slice::<f32>().ok());
+    // Without an early exit, so that the loop is vectorised.
+    values.is_some_and(|values| values.iter().fold(false, |nan, x| nan | x.is_nan()))
 }
 
 fn optimise(proto: &ModelProto) -> TractResult<Arc<TypedRunnableModel>> {
-    tract_onnx::onnx()
-        .model_for_proto_model(proto)?
-        .into_optimized()?
-        .into_runnable()
+    // Shapes stored in the file may name open dimensions, which are bound by now.
+    let reader = tract_onnx::onnx().with_ignore_value_info(true);
+    let model = reader.model_for_proto_model(proto)?;
+    let model = model.into_typed()?.into_decluttered()?;
+    for node in model.nodes() {
+        // A constant of the graph is finite, but one that is computed from constants may not be.
+        let constant = node.op_as::<Const>().map(Const::val);
+        if let Some(constant) = constant
+            && has_nan(constant)
+        {
+            bail!("the constant `{}` is NaN", node.name);
+        }
+    }
+    model.into_optimized()?.into_runnable()
 }
 
 fn input_order(proto: &ModelProto, contract: &ModelContract) -> Vec<InputName> {
@@ -233,10 +280,9 @@ fn guarded<T>(step: &str, work: impl FnOnce() -> TractResult<T>) -> Result<T> {
         .and_then(|result| result.map_err(|cause| format!("{cause:#}")))
         .map_err(|cause| {
             let first_line = cause.lines().next().unwrap_or_default();
-            Error::input(format!("the engine cannot {step}: {first_line}")).remedy(
-                "export the model again with standard operators and fixed shapes (opset 17), and \
-                 compare its sha256 with its card",
-            )
+            Error::input(format!("the engine cannot {step}: {first_line}")).remedy(format!(
+                "export the model again with {PYTORCH_EXPORT} (standard operators, fixed shapes)"
+            ))
         })
 }
 
@@ -249,7 +295,7 @@ mod tests {
     use super::*;
     use crate::predict::baseline;
     use crate::predict::contract::{INPUT_SHAPE, OUTPUT, OUTPUT_SHAPE};
-    use crate::predict::onnx::OnnxGraphBuilder;
+    use crate::predict::onnx::{Attribute, OnnxGraphBuilder, Value};
     use gripcast_base::error::ErrorKind;
 
     /// A touch model with the constant output `value`.
@@ -269,13 +315,68 @@ mod tests {
     #[test]
     fn output_that_is_not_a_probability_is_refused() {
         assert!(Model::from_bytes(&constant_model(0.25)).is_ok());
-        for answer in [f32::NAN, f32::INFINITY, -0.01, 1.5] {
+        for answer in [-0.01, 1.5] {
             let error = Model::from_bytes(&constant_model(answer)).unwrap_err();
             assert!(
                 error.what().contains(&format!("invalid output {answer}")),
                 "{error}"
             );
         }
+    }
+
+    /// A touch model that answers `sigmoid(relu(f(mean)))`.
+    fn model_with(f: impl FnOnce(&mut OnnxGraphBuilder, Value) -> Value) -> Vec<u8> {
+        let mut graph = OnnxGraphBuilder::new("relu");
+        let contract = baseline::contract();
+        contract.write(&mut graph).unwrap();
+        let left = graph.input("tactile_left", &INPUT_SHAPE).unwrap();
+        graph.input("tactile_right", &INPUT_SHAPE).unwrap();
+        let flat = [Attribute::int("axis", 1)];
+        let flat = graph.node("Flatten", "flat", &[&left], flat).unwrap();
+        let over = [Attribute::ints("axes", &[1]), Attribute::int("keepdims", 1)];
+        let mean = graph.node("ReduceMean", "mean", &[&flat], over).unwrap();
+        let x = f(&mut graph, mean);
+        let x = graph.node("Relu", "relu", &[&x], []).unwrap();
+        let answer = graph.node("Sigmoid", OUTPUT, &[&x], []).unwrap();
+        graph.output(&answer, &OUTPUT_SHAPE);
+        graph.to_bytes().unwrap()
+    }
+
+    #[test]
+    fn nan_that_a_relu_would_hide_is_refused() {
+        let fine = model_with(|graph, mean| graph.node("Sqrt", "root", &[&mean], []).unwrap());
+        let fine = Model::from_bytes(&fine).unwrap();
+        // The root of a negative mean is NaN.
+        let mut input = ModelInput::zeros(fine.contract()).unwrap();
+        let [dark, light] =
+            [10, 60].map(|x| image::RgbImage::from_pixel(320, 240, image::Rgb([x; 3])));
+        let darker = gripcast_imaging::TactileDifference::between(&light, &dark).unwrap();
+        input.set_tactile(InputName::TactileLeft, &darker).unwrap();
+        let error = fine.predict(&input).unwrap_err();
+        assert!(error.what().contains("answers NaN"), "{error}");
+        // Constants are finite, what is computed from them is not.
+        let folded = model_with(|graph, mean| {
+            let minus = graph.constant("minus", &[1, 1], &[-1.0]).unwrap();
+            let root = graph.node("Sqrt", "root", &[&minus], []).unwrap();
+            graph.node("Add", "sum", &[&mean, &root], []).unwrap()
+        });
+        let error = Model::from_bytes(&folded).unwrap_err();
+        assert!(error.to_string().contains("NaN"), "{error}");
+    }
+
+    #[test]
+    fn operator_sets_7_to_22_give_the_same_answer() {
+        let bytes = baseline::onnx_bytes().unwrap();
+        let mut answers = Vec::new();
+        for version in 7..=22 {
+            let mut proto = onnx::decode(&bytes).unwrap();
+            proto.opset_import[0].version = version;
+            let model = Model::with_tract(&prost::Message::encode_to_vec(&proto)).unwrap();
+            let zeros = ModelInput::zeros(model.contract()).unwrap();
+            answers.push(model.predict(&zeros).unwrap().p_stable);
+        }
+        answers.dedup();
+        assert_eq!(answers.len(), 1, "{answers:?}");
     }
 
     #[test]
@@ -301,7 +402,12 @@ mod tests {
         graph.output(&answer, &OUTPUT_SHAPE);
         let error = Model::from_bytes(&graph.to_bytes().unwrap()).unwrap_err();
         assert_eq!(error.kind(), ErrorKind::Input);
-        assert!(error.to_string().contains("the engine cannot"), "{error}");
+        assert!(
+            error
+                .to_string()
+                .contains("unsupported operator `Frobnicate`"),
+            "{error}"
+        );
         assert!(error.to_string().contains("standard operators"), "{error}");
     }
 

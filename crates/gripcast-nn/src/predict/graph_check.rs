@@ -1,18 +1,20 @@
 //! Checks the graph of a model file against its contract.
 
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
 use std::fmt::Display;
 
-use tract_onnx::pb::tensor_proto::{DataLocation, DataType};
+use tract_onnx::pb::tensor_proto::DataType;
 use tract_onnx::pb::tensor_shape_proto::Dimension as TensorDimension;
 use tract_onnx::pb::tensor_shape_proto::dimension::Value as Dimension;
-use tract_onnx::pb::{GraphProto, ModelProto, ValueInfoProto, type_proto};
+use tract_onnx::pb::{GraphProto, ModelProto, NodeProto, ValueInfoProto, type_proto};
 
+use super::constants::check_constants;
+use super::onnx::PYTORCH_EXPORT;
 use super::tensors::{INPUT_SHAPE, Modality, OUTPUT, OUTPUT_SHAPE};
 use gripcast_base::error::{Error, Result};
 
 /// Supported operator sets.
-const OPSETS: std::ops::RangeInclusive<i64> = 9..=18;
+const OPSETS: std::ops::RangeInclusive<i64> = 7..=22;
 /// Maximum kernel, stride, dilation or padding, pixels.
 const MAX_WINDOW: i64 = 4096;
 
@@ -26,7 +28,8 @@ pub(super) fn check_graph(modality: Modality, model: &ModelProto) -> Result<()> 
         .graph
         .as_ref()
         .ok_or_else(|| refusal("the file has no graph"))?;
-    check_constants(graph)?;
+    check_constants(model)?;
+    check_operators(graph)?;
     check_windows(graph)?;
     let found = graph_inputs(graph);
     let names: BTreeSet<&str> = found.iter().map(|input| input.name.as_str()).collect();
@@ -38,12 +41,14 @@ pub(super) fn check_graph(modality: Modality, model: &ModelProto) -> Result<()> 
             list(found.iter().map(|input| &input.name))
         )));
     }
-    let batch = batch_name(found.first().copied());
+    let mut sizes = BTreeMap::new();
     for input in found {
-        check_tensor("input", input, &INPUT_SHAPE, batch)?;
+        check_tensor("input", input, &INPUT_SHAPE, &mut sizes)?;
     }
     match graph.output.as_slice() {
-        [output] if output.name == OUTPUT => check_tensor("output", output, &OUTPUT_SHAPE, batch),
+        [output] if output.name == OUTPUT => {
+            check_tensor("output", output, &OUTPUT_SHAPE, &mut sizes)
+        }
         outputs => Err(refusal(format!(
             "expected the single output `{OUTPUT}` in the graph, found {}",
             list(outputs.iter().map(|output| &output.name))
@@ -61,18 +66,15 @@ pub(super) fn graph_inputs(graph: &GraphProto) -> Vec<&ValueInfoProto> {
         .collect()
 }
 
+fn is_standard(domain: &str) -> bool {
+    domain.is_empty() || domain == "ai.onnx"
+}
+
 fn check_operator_sets(model: &ModelProto) -> Result<()> {
-    let is_default = |domain: &str| domain.is_empty() || domain == "ai.onnx";
     let mut version = None;
     for import in &model.opset_import {
-        if is_default(&import.domain) {
+        if is_standard(&import.domain) {
             version = Some(import.version);
-        } else {
-            return Err(refusal(format!(
-                "unsupported operator set `{}` {}: only the standard operators are supported",
-                import.domain, import.version
-            ))
-            .remedy("export the model with standard ONNX operators, opset 17"));
         }
     }
     match version {
@@ -83,23 +85,54 @@ fn check_operator_sets(model: &ModelProto) -> Result<()> {
             OPSETS.end(),
             found.map_or("none".to_owned(), |v| v.to_string())
         ))
-        .remedy("export the model with opset 17")),
+        .remedy(format!("export the model again with {PYTORCH_EXPORT}"))),
     }
 }
 
-fn check_constants(graph: &GraphProto) -> Result<()> {
-    let external = Some(DataLocation::External as i32);
-    match graph
-        .initializer
-        .iter()
-        .find(|t| t.data_location == external)
-    {
-        None => Ok(()),
-        Some(tensor) => Err(refusal(format!(
-            "the weights `{}` are in an external file, which is not supported",
-            tensor.name
-        ))
-        .remedy("export the model without external data")),
+/// Refuses operators that the engine lacks, or would run as another operation.
+fn check_operators(graph: &GraphProto) -> Result<()> {
+    let known = &tract_onnx::onnx().op_register.0;
+    graph.node.iter().try_for_each(|node| {
+        let name = node.output.first().filter(|_| node.name.is_empty());
+        let name = name.unwrap_or(&node.name);
+        if !is_standard(&node.domain) || !known.contains_key(&node.op_type) {
+            let domain = match &*node.domain {
+                "" => String::new(),
+                domain => format!(" of the operator set `{domain}`"),
+            };
+            return Err(refusal(format!(
+                "unsupported operator `{}`{domain} at `{name}`",
+                node.op_type
+            ))
+            .remedy(format!(
+                "use standard operators and export with {PYTORCH_EXPORT}"
+            )));
+        }
+        if let Some(what) = training_operator(node) {
+            return Err(refusal(format!("unsupported: {what} at `{name}`")).remedy(
+                "export the network for inference: call `model.eval()` first, and leave out \
+                 `training=` of `torch.onnx.export`",
+            ));
+        }
+        let inner = node
+            .attribute
+            .iter()
+            .flat_map(|a| a.g.iter().chain(&a.graphs));
+        inner.into_iter().try_for_each(check_operators)
+    })
+}
+
+/// What makes the output of a node depend on the other grasps of a batch, or on chance.
+fn training_operator(node: &NodeProto) -> Option<&'static str> {
+    let is_on = |name| node.attribute.iter().any(|a| a.name == name && a.i != 0);
+    let outputs = node.output.iter().filter(|name| !name.is_empty()).count();
+    match &*node.op_type {
+        "BatchNormalization" if is_on("training_mode") || outputs > 1 => {
+            Some("batch normalisation in training mode")
+        }
+        "RandomNormal" | "RandomNormalLike" | "RandomUniform" | "RandomUniformLike"
+        | "Multinomial" | "Bernoulli" => Some("an operator that draws random numbers"),
+        _ => None,
     }
 }
 
@@ -135,35 +168,47 @@ fn shape_of(value: &ValueInfoProto) -> &[TensorDimension] {
     tensor.shape.as_ref().map_or(&[], |shape| &shape.dim)
 }
 
-/// Name of the batch dimension of a tensor, if its size is open.
-fn batch_name(value: Option<&ValueInfoProto>) -> Option<&str> {
-    match &shape_of(value?).first()?.value {
-        Some(Dimension::DimParam(symbol)) if !symbol.is_empty() => Some(symbol),
+/// Binds open dimensions to the sizes of the contract; tract needs them, and is much faster with a
+/// known batch size.
+pub(super) fn bind_dimensions(graph: &mut GraphProto) {
+    let constants: BTreeSet<String> = graph.initializer.iter().map(|t| t.name.clone()).collect();
+    let inputs = graph.input.iter_mut();
+    let inputs = inputs.filter(|input| !constants.contains(&input.name));
+    inputs.for_each(|input| bind(input, &INPUT_SHAPE));
+    graph
+        .output
+        .iter_mut()
+        .for_each(|output| bind(output, &OUTPUT_SHAPE));
+}
+
+fn bind(value: &mut ValueInfoProto, shape: &[i64]) {
+    let tensor = value.r#type.as_mut().and_then(|t| t.value.as_mut());
+    if let Some(type_proto::Value::TensorType(tensor)) = tensor
+        && let Some(found) = tensor.shape.as_mut()
+    {
+        for (dimension, size) in found.dim.iter_mut().zip(shape) {
+            if size_of(dimension).is_none() {
+                dimension.value = Some(Dimension::DimValue(*size));
+            }
+        }
+    }
+}
+
+/// Size of a dimension; none if it is open: a name, a negative number or nothing.
+fn size_of(dimension: &TensorDimension) -> Option<i64> {
+    match dimension.value {
+        Some(Dimension::DimValue(size)) if size >= 0 => Some(size),
         _ => None,
     }
 }
 
-/// Sets an open batch size to 1, with which tract is much faster.
-pub(super) fn close_batch(graph: &mut GraphProto) {
-    for value in graph.input.iter_mut().chain(&mut graph.output) {
-        if batch_name(Some(value)).is_none() {
-            continue;
-        }
-        if let Some(type_proto::Value::TensorType(tensor)) =
-            value.r#type.as_mut().and_then(|t| t.value.as_mut())
-            && let Some(side) = tensor.shape.as_mut().and_then(|s| s.dim.first_mut())
-        {
-            side.value = Some(Dimension::DimValue(1));
-        }
-    }
-}
-
-/// Checks type and shape; `batch` is the name of an open batch dimension.
-fn check_tensor(
+/// Checks type and shape of a tensor. Open dimensions get the expected size; `sizes` has those of
+/// names so far.
+fn check_tensor<'a>(
     role: &str,
-    value: &ValueInfoProto,
+    value: &'a ValueInfoProto,
     expected: &[i64],
-    batch: Option<&str>,
+    sizes: &mut BTreeMap<&'a str, i64>,
 ) -> Result<()> {
     let name = &value.name;
     let Some(type_proto::Value::TensorType(tensor)) =
@@ -178,28 +223,32 @@ fn check_tensor(
             "{role} `{name}` of the graph: expected 32-bit floats, found {found}"
         )));
     }
-    let found: Vec<String> = shape_of(value)
-        .iter()
-        .map(|dimension| match &dimension.value {
-            Some(Dimension::DimValue(size)) => size.to_string(),
-            Some(Dimension::DimParam(symbol)) => format!("`{symbol}`"),
-            None => "?".to_owned(),
-        })
-        .collect();
-    let mut expected: Vec<String> = expected.iter().map(ToString::to_string).collect();
-    if let Some(batch) = batch {
-        expected[0] = format!("`{batch}`");
+    let found = shape_of(value);
+    let mut fits = found.len() == expected.len();
+    for (dimension, expected) in found.iter().zip(expected) {
+        fits &= match &dimension.value {
+            Some(Dimension::DimParam(name)) if !name.is_empty() => {
+                *sizes.entry(name.as_str()).or_insert(*expected) == *expected
+            }
+            _ => size_of(dimension).is_none_or(|size| size == *expected),
+        };
     }
-    if found == expected {
+    if fits {
         return Ok(());
     }
+    let found = found.iter().map(|dimension| match &dimension.value {
+        Some(Dimension::DimValue(size)) => size.to_string(),
+        Some(Dimension::DimParam(name)) => format!("`{name}`"),
+        None => "?".to_owned(),
+    });
+    let found: Vec<String> = found.collect();
     Err(refusal(format!(
-        "{role} `{name}` of the graph: expected shape [{}], found [{}]",
-        expected.join(", "),
+        "{role} `{name}` of the graph: expected shape {expected:?}, found [{}]",
         found.join(", ")
     ))
     .remedy(
-        "export the model with fixed shapes; only the batch may be open, for all tensors or none",
+        "export the model for images of this shape; a dimension may be open, but one name stands \
+         for one size",
     ))
 }
 

@@ -10,6 +10,7 @@
 pub mod baseline;
 mod benchmark;
 mod builtin;
+mod constants;
 pub mod contract;
 mod engine;
 mod graph_check;

@@ -78,6 +78,16 @@ impl AcronymObject {
         let options = MeshOptions::new(LengthUnit::Metre, self.scale);
         load_object_mesh_below(meshes, &self.mesh_file, &options).map_err(|e| match e.kind() {
             ErrorKind::NotFound => missing(&self.mesh_file, meshes),
+            _ if e
+                .remedy_text()
+                .is_some_and(|remedy| remedy.contains("scale")) =>
+            {
+                e.replace_remedy(format!(
+                    "the mesh's coordinates times `object/scale` ({}) must be metres: correct it \
+                     in the .h5 file, for a mesh in millimetres to 0.001",
+                    self.scale
+                ))
+            }
             _ => e,
         })
     }

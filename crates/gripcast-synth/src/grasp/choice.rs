@@ -4,6 +4,7 @@ use std::collections::BTreeMap;
 
 use super::sampler::MAX_OPENING_M;
 use super::{FaultRanges, GraspFault, GraspSampler, Obstacle, find_collision};
+use crate::acronym::AcronymGrasp;
 use gripcast_base::error::Result;
 use gripcast_base::random::SeedStream;
 use gripcast_geometry::{Pose, StablePose, TriangleMesh, likely_poses};
@@ -26,6 +27,8 @@ pub struct ChosenGrasp {
     pub placed: GripperState,
     /// Deviation from an antipodal grasp; none for a given grasp.
     pub fault: Option<GraspFault>,
+    /// The given grasp; none for a sampled one.
+    pub given: Option<AcronymGrasp>,
 }
 
 /// Selected grasps of an object, with counts of the rejected candidates.
@@ -79,21 +82,21 @@ pub fn sample_grasps(
                 t_world_object,
                 placed: candidate.placed,
                 fault: Some(candidate.fault),
+                given: None,
             }),
         }
     }
     Ok(selection)
 }
 
-/// Selects up to `count` of the `given` grasps of an object (m, its own frame; `t_object_gripper`),
-/// each in the most likely stable pose without collisions.
+/// Selects up to `count` of the `given` grasps of an object (m, its own frame), each in the most likely stable pose without collisions.
 ///
 /// # Errors
 /// As [`sample_grasps`].
 pub fn select_given_grasps(
     name: &str,
     object: &TriangleMesh,
-    given: &[Pose],
+    given: &[AcronymGrasp],
     count: usize,
     seed: u64,
 ) -> Result<GraspSelection> {
@@ -110,7 +113,7 @@ pub fn select_given_grasps(
             break;
         }
         let grasp = GraspPose {
-            t_object_gripper: given[index],
+            t_object_gripper: given[index].t_object_gripper,
             t_world_object: None,
             opening_m: None,
         };
@@ -125,6 +128,7 @@ pub fn select_given_grasps(
                     t_world_object,
                     placed,
                     fault: None,
+                    given: Some(given[index]),
                 });
                 break;
             }
@@ -177,11 +181,18 @@ mod tests {
         let down = Pose::from_rotation(glam::DQuat::from_rotation_x(std::f64::consts::PI));
         let up = Pose::IDENTITY;
         let inside_out = Pose::from_translation(glam::DVec3::X * 0.03);
-        let given = [down, up, inside_out];
+        let given = [down, up, inside_out].map(|t_object_gripper| AcronymGrasp {
+            number: 7,
+            t_object_gripper,
+            stable: true,
+        });
         let selection = select_given_grasps("box", &mesh, &given, 5, 1).unwrap();
         // The grasp from below is free once the box lies upside down.
         assert_eq!(selection.grasps.len(), 2, "{selection:?}");
-        assert!(selection.grasps.iter().all(|grasp| grasp.fault.is_none()));
+        for grasp in &selection.grasps {
+            let given = grasp.given.unwrap();
+            assert_eq!((grasp.fault, given.number, given.stable), (None, 7, true));
+        }
         assert_eq!(selection.collisions.values().sum::<usize>(), 1);
     }
 

@@ -86,7 +86,7 @@ fn draft(file: &BeneathPath, meshes: &Root, seed: u64) -> Result<ObjectDraft> {
         friction: None,
         appearances: Vec::new(),
         textures: Vec::new(),
-        grasps: Some(set.grasps.iter().map(|g| g.t_object_gripper).collect()),
+        grasps: Some(set.grasps),
     })
 }
 
@@ -161,7 +161,9 @@ mod tests {
         );
         let materials = Category::parse("box").unwrap().materials();
         assert!(materials.contains(&&*object.material.name));
-        assert_eq!(object.grasps.as_ref().unwrap().len(), 2);
+        let grasps = object.grasps.as_ref().unwrap().iter();
+        let grasps: Vec<_> = grasps.map(|grasp| (grasp.number, grasp.stable)).collect();
+        assert_eq!(grasps, [(0, true), (1, false)]);
         let sizes = [&object.mesh, &mesh].map(|mesh| mesh.bounds().extent());
         assert!((sizes[0] - sizes[1]).length() < 1e-6, "{sizes:?}");
         let names: Vec<&str> = found.left_out.iter().map(|l| l.name.as_str()).collect();

@@ -1,10 +1,11 @@
 //! Drafts: objects before they are part of a plan.
 
 use super::{MeshSource, TextureDraft};
+use crate::acronym::AcronymGrasp;
 use crate::properties::{DescribedAppearance, Material};
 use gripcast_base::error::{ErrorKind, Result};
 use gripcast_base::files::SimulationId;
-use gripcast_geometry::{Pose, TriangleMesh};
+use gripcast_geometry::TriangleMesh;
 
 /// An object before it has properties and grasps.
 #[derive(Clone, Debug)]
@@ -29,8 +30,8 @@ pub struct ObjectDraft {
     pub appearances: Vec<DescribedAppearance>,
     /// Its own textures.
     pub textures: Vec<TextureDraft>,
-    /// Given grasps as `t_object_gripper`; none to sample them.
-    pub grasps: Option<Vec<Pose>>,
+    /// Given grasps; none to sample them.
+    pub grasps: Option<Vec<AcronymGrasp>>,
 }
 
 /// An object that is not in the plan.

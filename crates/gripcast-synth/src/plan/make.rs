@@ -422,6 +422,8 @@ fn simulations(
                     object: draft.name.clone(),
                     grasp: number as u32,
                     fault: grasp.fault,
+                    acronym_grasp: grasp.given.map(|given| given.number as u32),
+                    acronym_stable: grasp.given.map(|given| given.stable),
                     engine: engine.kind(),
                     stop_force_n: *force_n,
                     t_world_object: grasp.t_world_object,

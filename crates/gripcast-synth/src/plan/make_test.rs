@@ -1,7 +1,10 @@
+use glam::{DQuat, DVec3};
+
 use super::*;
+use crate::acronym::AcronymGrasp;
 use crate::plan::MeshSource;
 use crate::properties::Material;
-use gripcast_geometry::builtin;
+use gripcast_geometry::{Pose, builtin};
 use gripcast_sim::rigid::{RigidEngine, RigidSettings};
 
 fn settings(jobs: usize) -> PlanSettings {
@@ -65,6 +68,32 @@ fn plan_is_independent_of_threads_and_drops_unusable_objects() {
     let file = std::fs::read(folder.path().join("plan.jsonl")).unwrap();
     assert_eq!(one.plan.sha256, gripcast_base::files::sha256_hex(file));
     assert_eq!(Plan::read(folder.path()).unwrap(), one.plan);
+}
+
+#[test]
+fn plan_keeps_number_and_outcome_of_given_grasps() {
+    let given = |number, z: f64| AcronymGrasp {
+        number,
+        t_object_gripper: Pose::new(
+            DQuat::from_rotation_x(std::f64::consts::PI),
+            DVec3::new(0.0, 0.0, z),
+        ),
+        stable: number == 4,
+    };
+    let mut object = draft("a", 1.0);
+    object.grasps = Some(vec![given(4, 0.0), given(9, 0.01)]);
+    let plan = made(vec![object], &settings(1)).unwrap().plan;
+    let mut found: Vec<_> = plan
+        .simulations
+        .iter()
+        .map(|s| (s.acronym_grasp, s.acronym_stable, s.fault))
+        .collect();
+    found.sort_unstable();
+    found.dedup();
+    let expected = [(4, true), (9, false)].map(|(n, stable)| (Some(n), Some(stable), None));
+    assert_eq!(found, expected);
+    let text = serde_json::to_string(&plan.simulations[0]).unwrap();
+    assert!(text.contains("\"acronym_stable\":"), "{text}");
 }
 
 #[test]

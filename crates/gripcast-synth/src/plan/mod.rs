@@ -168,6 +168,12 @@ pub struct PlannedSimulation {
     pub grasp: u32,
     /// Deviation from an antipodal grasp; none for a given grasp.
     pub fault: Option<GraspFault>,
+    /// Index of a given grasp in its file of ACRONYM.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub acronym_grasp: Option<u32>,
+    /// Outcome of a given grasp in ACRONYM's simulator FleX, with its own mass and friction.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub acronym_stable: Option<bool>,
     /// Simulator.
     pub engine: EngineKind,
     /// Stopping force of finite elements, closing force of rigid bodies, N.
@@ -225,6 +231,8 @@ mod tests {
             object: SimulationId::parse(object).unwrap(),
             grasp: number as u32,
             fault: Some(GraspFault::Roll),
+            acronym_grasp: None,
+            acronym_stable: None,
             engine: EngineKind::Fem,
             stop_force_n: 10.0,
             t_world_object: Pose::IDENTITY,

@@ -6,6 +6,10 @@ use parquet::basic::Compression;
 
 /// Maximum ratio of Snappy: a copy of 64 bytes takes 3.
 const SNAPPY_RATIO: usize = 32;
+/// Maximum ratio of LZ4: a byte of a match's length stands for 255 bytes.
+const LZ4_RATIO: usize = 256;
+/// Buffer of the Brotli decoder, bytes.
+const BROTLI_BUFFER: usize = 4096;
 
 /// Supported codecs, all implemented in Rust.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -14,6 +18,10 @@ pub(super) enum Codec {
     Snappy,
     Gzip,
     Zstd,
+    Brotli,
+    Lz4,
+    /// LZ4 blocks with the sizes that Hadoop writes before them, or without.
+    Lz4Hadoop,
 }
 
 impl Codec {
@@ -25,6 +33,9 @@ impl Codec {
             Compression::SNAPPY => Ok(Self::Snappy),
             Compression::GZIP(_) => Ok(Self::Gzip),
             Compression::ZSTD(_) => Ok(Self::Zstd),
+            Compression::BROTLI(_) => Ok(Self::Brotli),
+            Compression::LZ4_RAW => Ok(Self::Lz4),
+            Compression::LZ4 => Ok(Self::Lz4Hadoop),
             other => Err(format!(
                 "is compressed with {other}, which is not supported; write the file again with \
                  compression=\"snappy\""
@@ -52,12 +63,49 @@ impl Codec {
                 let decoder = ruzstd::decoding::StreamingDecoder::new(packed);
                 read_bounded(decoder.map_err(|e| e.to_string())?, size)?
             }
+            Self::Brotli => {
+                let decoder = brotli_decompressor::Decompressor::new(packed, BROTLI_BUFFER);
+                read_bounded(decoder, size)?
+            }
+            Self::Lz4 => lz4_block(packed, size)?,
+            Self::Lz4Hadoop => match lz4_hadoop(packed, size) {
+                Some(bytes) => bytes,
+                None => lz4_block(packed, size)?,
+            },
         };
         if bytes.len() != size {
             return Err(sizes(bytes.len(), size));
         }
         Ok(bytes)
     }
+}
+
+fn lz4_block(packed: &[u8], size: usize) -> Result<Vec<u8>, String> {
+    if size > packed.len().saturating_mul(LZ4_RATIO) {
+        return Err(format!(
+            "a page of {size} bytes cannot come from {} bytes of LZ4",
+            packed.len()
+        ));
+    }
+    lz4_flex::block::decompress(packed, size).map_err(|e| e.to_string())
+}
+
+/// Decompresses blocks after their sizes, big-endian; none if the bytes are no such blocks.
+fn lz4_hadoop(mut packed: &[u8], size: usize) -> Option<Vec<u8>> {
+    let mut bytes = Vec::new();
+    while let Some((sizes, rest)) = packed.split_first_chunk::<8>() {
+        let [block, length] = sizes.as_chunks::<4>().0 else {
+            return None;
+        };
+        let [block, length] = [block, length].map(|size| u32::from_be_bytes(*size) as usize);
+        if block > size - bytes.len() || length > rest.len() {
+            return None;
+        }
+        let (packed_block, next) = rest.split_at(length);
+        bytes.extend(lz4_block(packed_block, block).ok()?);
+        packed = next;
+    }
+    packed.is_empty().then_some(bytes)
 }
 
 /// Reads at most one byte more than expected; memory grows with the actual size.
@@ -78,6 +126,11 @@ mod tests {
 
     use super::*;
 
+    /// The test's page, compressed by PyPI's `brotli`.
+    const BROTLI: &[u8] =
+        b"\x1b\x3f\x06\x00\x04\x1c\x72\xa4\x07\x4a\xa1\x2d\xa0\x92\xaa\x10\xdf\x6a\x00\
+                            \x65\xb1\x7a\xf8\x4b\x91\x00";
+
     fn gzip(bytes: &[u8]) -> Vec<u8> {
         let mut encoder = flate2::write::GzEncoder::new(Vec::new(), flate2::Compression::fast());
         encoder.write_all(bytes).unwrap();
@@ -88,6 +141,9 @@ mod tests {
     fn pages_round_trip_and_bombs_are_refused() {
         let page = b"sixteen bytes ..".repeat(100);
         let snappy = snap::raw::Encoder::new().compress_vec(&page).unwrap();
+        let lz4 = lz4_flex::block::compress(&page);
+        let sizes = [page.len() as u32, lz4.len() as u32].map(u32::to_be_bytes);
+        let hadoop = [&sizes.concat(), &*lz4].concat();
         let level = ruzstd::encoding::CompressionLevel::Fastest;
         let zstd = ruzstd::encoding::compress_to_vec(&page[..], level);
         for (codec, packed) in [
@@ -95,6 +151,10 @@ mod tests {
             (Codec::Snappy, snappy),
             (Codec::Gzip, gzip(&page)),
             (Codec::Zstd, zstd),
+            (Codec::Brotli, BROTLI.to_vec()),
+            (Codec::Lz4, lz4.clone()),
+            (Codec::Lz4Hadoop, lz4),
+            (Codec::Lz4Hadoop, hadoop),
         ] {
             assert_eq!(codec.decompress(&packed, page.len()).unwrap(), page);
             for size in [0, page.len() - 1, page.len() + 1, usize::MAX >> 1] {

@@ -41,7 +41,8 @@ impl ChunkPages {
     /// # Errors
     /// The chunk is outside the file, or its compression is unsupported.
     pub(super) fn new(source: Arc<Source>, chunk: &ColumnChunkMetaData) -> Result<Self> {
-        let codec = Codec::new(chunk.compression()).map_err(damaged)?;
+        // An unsupported compression is no damage.
+        let codec = Codec::new(chunk.compression()).map_err(ParquetError::NYI)?;
         let data = chunk.data_page_offset();
         // Some writers store 0 instead of none.
         let dictionary = chunk.dictionary_page_offset().filter(|&at| at > 0);

@@ -6,10 +6,15 @@ use prost::Message as _;
 use tract_onnx::pb::ModelProto;
 
 use gripcast_base::error::{Error, Result};
-use gripcast_base::files::{FileKind, read_regular};
+use gripcast_base::files::{FileKind, file_type, read_regular};
 
 /// First byte of ONNX files: field 1, varint (`ir_version`).
 const FIRST_BYTE: u8 = 0x08;
+const COPY: &str = "copy or export the model again and compare its sha256 with its card";
+/// Call of PyTorch that writes a file that gripcast reads.
+pub const PYTORCH_EXPORT: &str = "`torch.onnx.export(model.eval().float(), args, \"model.onnx\", \
+                                  opset_version=17, dynamo=False, input_names=[…], \
+                                  output_names=[\"p_stable\"])`";
 
 /// Reads a model file.
 ///
@@ -26,64 +31,28 @@ pub fn read(path: &Path) -> Result<Vec<u8>> {
 /// When the bytes are not an ONNX message; the error names recognised other formats.
 pub fn decode(bytes: &[u8]) -> Result<ModelProto> {
     if bytes.is_empty() {
-        return Err(Error::input("the model file is empty (0 bytes)")
-            .remedy("copy or export the model again"));
+        return Err(Error::input("the model file is empty (0 bytes)").remedy(COPY));
     }
-    if let Some((found, remedy)) = recognise(bytes) {
-        return Err(Error::input(format!("expected an ONNX file, found {found}")).remedy(remedy));
+    if let Some(found) = file_type(bytes) {
+        return Err(
+            Error::input(format!("expected an ONNX file, found {found}")).remedy(format!(
+                "give the .onnx file itself; from PyTorch, export the network with \
+                 {PYTORCH_EXPORT}, then `gripcast predict stamp`"
+            )),
+        );
     }
-    let decoded = ModelProto::decode(bytes).map_err(|cause| {
-        let what = if bytes[0] == FIRST_BYTE {
-            format!(
-                "the ONNX file is damaged or truncated ({} bytes)",
-                bytes.len()
-            )
-        } else {
-            "not an ONNX file".to_owned()
-        };
-        Error::input(what)
-            .because(cause)
-            .remedy("copy or export the model again and compare its sha256 with its card")
-    })?;
-    if decoded.graph.is_none() {
-        return Err(Error::input(format!(
-            "no ONNX graph in the file ({} bytes): it is truncated, or not an ONNX file",
+    // Every ONNX file begins with its `ir_version`.
+    let starts_as_onnx = bytes[0] == FIRST_BYTE;
+    let decoded = ModelProto::decode(bytes).ok();
+    let decoded = decoded.filter(|model| starts_as_onnx || model.graph.is_some());
+    match decoded {
+        Some(model) if model.graph.is_some() => Ok(model),
+        _ if starts_as_onnx => Err(Error::input(format!(
+            "the ONNX file is damaged or truncated ({} bytes)",
             bytes.len()
         ))
-        .remedy("copy or export the model again and compare its sha256 with its card"));
-    }
-    Ok(decoded)
-}
-
-/// Recognises common other formats.
-fn recognise(bytes: &[u8]) -> Option<(&'static str, &'static str)> {
-    const EXPORT: &str = "export the network with opset 17 and gripcast's metadata first";
-    const NAME: &str = "give the .onnx file itself";
-    let starts = |magic: &[u8]| bytes.starts_with(magic);
-    if starts(b"version https://git-lfs") {
-        Some((
-            "a Git LFS pointer",
-            "run `git lfs pull` to fetch the file itself",
-        ))
-    } else if starts(&[0xff, 0xd8, 0xff]) {
-        Some(("a JPEG image", NAME))
-    } else if starts(b"\x89PNG") {
-        Some(("a PNG image", NAME))
-    } else if starts(b"PK\x03\x04") {
-        Some(("a ZIP archive (PyTorch saves `.pt` like this)", EXPORT))
-    } else if starts(&[0x80, 0x02]) || starts(&[0x80, 0x04]) {
-        Some(("a Python pickle", EXPORT))
-    } else if starts(b"\x89HDF") {
-        Some(("an HDF5 file", EXPORT))
-    } else if starts(&[0x1f, 0x8b]) {
-        Some(("a gzip archive", "unpack it first"))
-    } else if bytes
-        .iter()
-        .all(|b| b.is_ascii_graphic() || b.is_ascii_whitespace())
-    {
-        Some(("a text file", NAME))
-    } else {
-        None
+        .remedy(COPY)),
+        _ => Err(Error::input("not an ONNX file, and of no type that gripcast knows").remedy(COPY)),
     }
 }
 
@@ -105,7 +74,9 @@ mod tests {
             ),
             (b"name = \"model\"\n", "a text file"),
             (b"\x08\x08\x3a\xff", "damaged or truncated"),
-            (b"\x08\x08", "no ONNX graph"),
+            (b"\x08\x08", "damaged or truncated"),
+            (b"<!DOCTYPE html>", "an HTML page"),
+            (b"\x80\x03}q\0.", "a Python pickle"),
             (b"\xfe\xfe\xfe\xfe", "not an ONNX file"),
         ] {
             let error = decode(bytes).unwrap_err();

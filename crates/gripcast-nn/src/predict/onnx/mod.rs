@@ -8,7 +8,7 @@ mod file;
 mod graph;
 
 pub use attribute::Attribute;
-pub use file::{decode, read};
+pub use file::{PYTORCH_EXPORT, decode, read};
 pub use graph::{OPEN_BATCH, OnnxGraphBuilder, Value};
 pub use tract_onnx::pb;
 
