@@ -47,6 +47,8 @@ fn start(epochs: u32) -> RunStart {
         steps_per_epoch: STEPS,
         steps: [u64::from(epochs) * STEPS, EPOCHS * STEPS],
         epochs: (1..=epochs).map(figures).collect(),
+        batch_size: 16,
+        warnings: Vec::new(),
     }
 }
 

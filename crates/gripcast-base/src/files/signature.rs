@@ -157,7 +157,7 @@ mod tests {
             ("\u{feff}<HTML>".as_bytes(), "HTML page"),
             (b"<?xml version=\"1.0\"?>", "XML"),
             (b"{\"a\": 1}", "JSON"),
-            ("Grüße vom Modell".as_bytes(), "text"),
+            ("Grüße".as_bytes(), "text"),
         ];
         for (bytes, expected) in cases {
             let name = file_type(bytes).unwrap_or_default();
