@@ -261,7 +261,7 @@ fn image(path: &Path, crop: &CropProfile) -> Result<RgbImage> {
     let read = || -> Result<RgbImage> {
         let bytes = read_regular(path, FileKind::Image)
             .map_err(|e| Error::io("cannot read the image", e))?;
-        Ok(Decoder::new()?.decode_file(&bytes, Some(crop), IMAGE_WIDTH, IMAGE_HEIGHT)?)
+        Decoder::new()?.decode_file(&bytes, Some(crop), IMAGE_WIDTH, IMAGE_HEIGHT)
     };
     read().map_err(|error| error.at(path.display()))
 }

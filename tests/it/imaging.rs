@@ -293,10 +293,10 @@ fn stored_files_are_decoded_like_frames() {
         crop_and_resize(&gel, &CropProfile::GSMINI_FIFTEEN, 320, 240).unwrap()
     );
     let text = decoder
-        .decode_file(b"BM..", crop, 8, 8)
+        .decode_file(b"II*\0", crop, 8, 8)
         .unwrap_err()
         .to_string();
-    assert!(text.contains("[42, 4D, 2E, 2E]"), "{text}");
+    assert!(text.contains("found a TIFF image"), "{text}");
 }
 
 #[test]

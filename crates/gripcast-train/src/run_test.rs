@@ -230,12 +230,6 @@ fn unusable_datasets_are_refused() {
     assert!(text.contains("8 stable and 0 slip"), "{text}");
     let text = refused("leak", (0..8).map(|n| row("train", n)).collect(), "train");
     assert!(text.contains("objects are in both"), "{text}");
-    let text = refused(
-        "few",
-        (0..2).map(|n| row("train", n)).collect(),
-        "validation",
-    );
-    assert!(text.contains("--batch-size"), "{text}");
     let mut cropped: Vec<_> = (0..8).map(|n| row("train", n)).collect();
     cropped[3].facts.crop_profile = "paper".to_owned();
     let text = refused("crops", cropped, "validation");

@@ -46,8 +46,8 @@ pub(super) fn graded_row(split: &str, number: u64, is_stable: bool, contact: f32
         seed: number,
         crop_profile: "full-v1".to_owned(),
     };
+    let salt = split.bytes().map(u64::from).sum::<u64>();
     let gel = |side: u64, contact: f32| {
-        let salt = split.bytes().map(u64::from).sum::<u64>();
         encode_jpeg(
             &synthetic_gel(320, 240, 1000 * salt + 2 * number + side, contact),
             85,
@@ -55,7 +55,11 @@ pub(super) fn graded_row(split: &str, number: u64, is_stable: bool, contact: f32
         .unwrap()
     };
     let rgb = RgbImage::from_fn(320, 240, |x, y| {
-        Rgb([(x / 2) as u8, (y + number as u32 % 16) as u8, 90])
+        Rgb([
+            (x / 2) as u8,
+            (y + number as u32 % 16) as u8,
+            (salt % 100) as u8,
+        ])
     });
     let images = ShardImages {
         initial_left: gel(0, 0.0),

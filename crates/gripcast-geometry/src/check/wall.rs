@@ -88,9 +88,15 @@ fn inward(mesh: &TriangleMesh) -> Vec<DVec3> {
         if trace <= 0.0 {
             return DVec3::ZERO;
         }
-        // The small diagonal chooses the shortest of many solutions.
-        let regular = *matrix + DMat3::from_diagonal(DVec3::splat(1e-6 * trace));
-        (regular.inverse() * *vector).clamp_length_max(MAX_MITER)
+        // The small diagonal chooses the shortest of many solutions. Divided by the trace first,
+        // because the determinant of vanishing areas is 0.
+        let regular = *matrix * trace.recip() + DMat3::from_diagonal(DVec3::splat(1e-6));
+        let shift = regular.inverse() * (*vector / trace);
+        if shift.is_finite() {
+            shift.clamp_length_max(MAX_MITER)
+        } else {
+            DVec3::ZERO
+        }
     };
     (0..mesh.vertices.len() as u32)
         .map(|v| sums.get(&v).map_or(DVec3::ZERO, shift))
