@@ -325,7 +325,7 @@ mod tests {
         assert_eq!(rows.len(), 3);
         let error = rows[2].as_ref().unwrap_err().to_string();
         assert!(
-            error.contains("train-00001-of-00002.parquet: expected a Parquet file"),
+            error.contains("train-00001-of-00002.parquet: the Parquet file is truncated"),
             "{error}"
         );
     }
