@@ -19,11 +19,6 @@ const GRID_M: f64 = 1e-9;
 /// some lattices.
 const MAX_ATTEMPTS: u32 = 8;
 
-/// Grids for the corners of a piece that cannot be used as it is, m.
-const PIECE_GRIDS_M: [f64; 3] = [1e-6, 1e-5, 1e-4];
-/// Maximum volume of pieces that are left out, as a fraction of the others.
-const MAX_LOST: f64 = 1e-3;
-
 /// An object as convex pieces, in the frame of its mesh.
 pub struct Decomposition {
     pieces: Vec<TriangleMesh>,
@@ -76,35 +71,23 @@ impl Decomposition {
     /// From convex pieces.
     ///
     /// # Errors
-    /// `Input` if there are no pieces, or one with a noticeable volume cannot be used.
+    /// `Input` if there are no pieces, or one has no volume.
     pub(super) fn from_pieces(pieces: Vec<TriangleMesh>) -> Result<Self> {
         let invalid = |what: &str| {
             Error::input(what.to_owned()).remedy("use a closed mesh with some thickness")
         };
-        let mut found = Self {
-            pieces: Vec::with_capacity(pieces.len()),
-            shapes: Vec::with_capacity(pieces.len()),
-        };
-        let (mut lost_m3, mut kept_m3) = (0.0, 0.0);
-        for piece in pieces {
+        if pieces.is_empty() {
+            return Err(invalid("the mesh has no convex pieces"));
+        }
+        let mut shapes = Vec::with_capacity(pieces.len());
+        for piece in &pieces {
             piece.validate()?;
-            let volume_m3 = MassProperties::of_closed(&piece).map_or(0.0, |mass| mass.volume_m3);
-            match usable(piece) {
-                Some((piece, shape)) => {
-                    kept_m3 += volume_m3;
-                    found.pieces.push(piece);
-                    found.shapes.push(shape);
-                }
-                None => lost_m3 += volume_m3,
-            }
+            let corners: Vec<_> = piece.vertices.iter().map(|v| convert::vector(*v)).collect();
+            let shape = SharedShape::convex_mesh(corners, &piece.triangles)
+                .ok_or_else(|| invalid("a convex piece of the mesh has no volume"))?;
+            shapes.push(shape);
         }
-        if found.pieces.is_empty() {
-            return Err(invalid("the mesh has no convex pieces with a volume"));
-        }
-        if lost_m3 > MAX_LOST * kept_m3 {
-            return Err(invalid("a convex piece of the mesh is degenerate"));
-        }
-        Ok(found)
+        Ok(Self { pieces, shapes })
     }
 
     /// The pieces: closed convex meshes (m), which may overlap at the cuts.
@@ -115,26 +98,6 @@ impl Decomposition {
     pub(super) fn shapes(&self) -> &[SharedShape] {
         &self.shapes
     }
-}
-
-/// The shape of a convex piece. The conversion panics on some pieces with slivers, or finds no
-/// volume; then the hull of the corners on a coarser grid takes the place of the piece.
-fn usable(piece: TriangleMesh) -> Option<(TriangleMesh, SharedShape)> {
-    let shape = |piece: &TriangleMesh| {
-        let corners: Vec<_> = piece.vertices.iter().map(|v| convert::vector(*v)).collect();
-        let converted = AssertUnwindSafe(|| SharedShape::convex_mesh(corners, &piece.triangles));
-        catch_panic(converted).ok().flatten()
-    };
-    if let Some(shape) = shape(&piece) {
-        return Some((piece, shape));
-    }
-    PIECE_GRIDS_M.iter().find_map(|grid_m| {
-        let corners = piece.vertices.iter();
-        let corners: Vec<DVec3> = corners.map(|v| (*v / *grid_m).round() * *grid_m).collect();
-        let hull = catch_panic(AssertUnwindSafe(|| convex_hull(&corners)));
-        let hull = hull.ok()?.ok()?;
-        shape(&hull).map(|shape| (hull, shape))
-    })
 }
 
 /// The mesh relative to `center`, with rounded coordinates.
