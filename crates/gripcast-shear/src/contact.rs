@@ -14,14 +14,14 @@ const SURROUNDINGS: usize = 11;
 /// Minimum local change of a contact, grey levels: above the noise of a cell.
 const MIN_CHANGE: f32 = 4.0;
 /// Minimum local change of a contact, fraction of that of its steep cells (the 90th percentile): the
-/// skin slopes beyond the contact, too, but less. With 0.4 the area of a simulated ball's contact
-/// is right to a tenth.
-const SLOPE_FRACTION: f32 = 0.4;
+/// skin slopes beyond the contact, too, but less. Chosen on the simulated contacts of
+/// docs/explanation/shear.md.
+const SLOPE_FRACTION: f32 = 0.2;
 /// Local change expected of an illumination that changes, fraction of its change.
 const UNEVEN_FRACTION: f32 = 0.35;
-/// Minimum fraction of the cells around a cell that its surroundings are the mean of.
+/// Minimum fraction of the cells around a cell for their mean; with fewer, all cells count.
 const MIN_SURROUNDINGS: f32 = 0.1;
-/// Minimum fraction of the cells that show skin without contact, for the surroundings of others.
+/// Minimum fraction of cells without contact for the second pass.
 const MIN_SKIN: f32 = 0.1;
 /// Minimum fraction of the cells with a local change for a contact.
 const MIN_CONTACT: f32 = 0.01;

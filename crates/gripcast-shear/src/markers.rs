@@ -2,6 +2,8 @@
 //!
 //! Every frame is measured anew and only identities are carried over, so that errors do not add up.
 
+use std::ops::RangeInclusive;
+
 use image::RgbImage;
 
 use crate::association::{Grid, Known, associate};
@@ -26,7 +28,7 @@ const MAX_DISPLACEMENT_PITCHES: f32 = 1.2;
 const BLURRED_EDGE: f32 = 1.5;
 /// Median area of the dots outside the contact, relative to the initial image, of the same gel:
 /// 0.90 to 1.06 in 72 recorded clips.
-const SAME_AREA: [f32; 2] = [0.75, 1.33];
+const SAME_AREA: RangeInclusive<f32> = 0.75..=1.33;
 /// Minimum dots outside the contact for their area; with fewer, all count.
 const MIN_OUTSIDE: usize = 6;
 /// Darkness of a dot relative to the initial image: none and full confidence.
@@ -88,19 +90,16 @@ impl MarkerTracker {
                 found = again;
             }
         }
-        let field = self.field(&found, &dots);
         let is_blurred = self.is_blurred(&found, &dots);
-        let area = self.relative_area(&field, &found, &dots, contact.as_ref());
-        let [smallest, largest] = SAME_AREA;
-        if let Some(area) = area.filter(|area| !(smallest..=largest).contains(area))
-            && !is_blurred
-        {
+        let area = self.relative_area(&found, &dots, contact.as_ref());
+        if let Some(area) = area.filter(|area| !is_blurred && !SAME_AREA.contains(area)) {
             let ratio = area.sqrt();
             return ShearFrame {
                 problems: vec![ShearProblem::OtherMarkerSize { ratio }],
                 ..ShearFrame::default()
             };
         }
+        let field = self.field(&found, &dots);
         self.remember(&field);
         let mut problems = Vec::new();
         let summary = self.summary(&field, contact.as_ref());
@@ -206,49 +205,49 @@ impl MarkerTracker {
         (tracked, tracked + lost.count())
     }
 
-    /// Whether the dots have wider edges, for their darkness, than in the initial image.
-    fn is_blurred(&self, found: &[Option<usize>], dots: &[Dot]) -> bool {
-        let width = |dot: &Dot| dot.edge / dot.depth.max(f32::MIN_POSITIVE);
-        let ratios = found
+    /// Dots that are whole now and in the initial image, as they were there and as they are.
+    fn whole_dots<'a>(
+        &'a self,
+        found: &'a [Option<usize>],
+        dots: &'a [Dot],
+    ) -> impl Iterator<Item = (Dot, Dot)> + 'a {
+        found
             .iter()
             .zip(&self.lattice.dots)
             .filter_map(|(dot, rest)| {
-                let (dot, rest) = (dots.get((*dot)?)?, (*rest)?);
-                let is_whole = rest.visible >= 1.0 && dot.visible >= 1.0;
-                is_whole.then(|| width(dot) / width(&rest).max(f32::MIN_POSITIVE))
-            });
+                let (rest, dot) = ((*rest)?, *dots.get((*dot)?)?);
+                (rest.visible >= 1.0 && dot.visible >= 1.0).then_some((rest, dot))
+            })
+    }
+
+    /// Whether the dots have wider edges, for their darkness, than in the initial image.
+    fn is_blurred(&self, found: &[Option<usize>], dots: &[Dot]) -> bool {
+        let width = |dot: &Dot| dot.edge / dot.depth.max(f32::MIN_POSITIVE);
+        let ratios = self
+            .whole_dots(found, dots)
+            .map(|(rest, dot)| width(&dot) / width(&rest).max(f32::MIN_POSITIVE));
         median(ratios.collect()).is_some_and(|ratio| ratio > BLURRED_EDGE)
     }
 
-    /// Median area of the whole dots where nothing touches the gel, relative to the initial image.
+    /// Median area of the dots where nothing touches the gel, relative to the initial image; `None`
+    /// with too few dots.
     fn relative_area(
         &self,
-        field: &MarkerField,
         found: &[Option<usize>],
         dots: &[Dot],
         contact: Option<&ContactArea>,
     ) -> Option<f32> {
-        let (mut all, mut outside) = (Vec::new(), Vec::new());
-        for (at, rest) in self.lattice.dots.iter().enumerate() {
-            let dot = found[at].and_then(|dot| dots.get(dot));
-            let (Some(rest), Some(dot), Some(_)) = (rest, dot, field.tracked(at)) else {
-                continue;
-            };
-            if rest.visible < 1.0 || dot.visible < 1.0 {
-                continue;
-            }
-            let ratio = dot.area / rest.area.max(f32::MIN_POSITIVE);
-            all.push(ratio);
-            if contact.is_none_or(|contact| !contact.contains(dot.position)) {
-                outside.push(ratio);
-            }
-        }
+        let ratio = |(rest, dot): (Dot, Dot)| dot.area / rest.area.max(f32::MIN_POSITIVE);
+        let is_outside =
+            |(_, dot): &(Dot, Dot)| contact.is_none_or(|contact| !contact.contains(dot.position));
+        let all = || self.whole_dots(found, dots);
+        let outside: Vec<f32> = all().filter(is_outside).map(ratio).collect();
         let counted = if outside.len() < MIN_OUTSIDE {
-            all
+            all().map(ratio).collect()
         } else {
             outside
         };
-        median(Some(counted).filter(|ratios| ratios.len() >= MIN_OUTSIDE)?)
+        (counted.len() >= MIN_OUTSIDE).then(|| median(counted))?
     }
 
     fn summary(

@@ -2,10 +2,10 @@
 //!
 //! While a contact sticks, the skin below it moves as one with the object: a translation and a
 //! rotation, and evenly outwards while the load grows. Slip begins at the rim, where the pressure
-//! is lowest (Cattaneo 1938, Mindlin 1949), and the skin there stays behind. As in Dong, Ma, Donlon and Rodriguez, Maintaining Grasps within
-//! Slipping Bounds by Monitoring Incipient Slip (ICRA 2019), the rigid motion is fitted to the gel
-//! markers in the middle of the contact, and a gel marker slips where its displacement differs from
-//! it. Displacements count from the frame in which the contact last grew, because a growing contact
+//! is lowest (Cattaneo 1938, Mindlin 1949), and the skin there stays behind. As in Dong, Ma, Donlon
+//! and Rodriguez, Maintaining Grasps within Slipping Bounds by Monitoring Incipient Slip (ICRA
+//! 2019), the rigid motion is fitted to the gel markers in the middle of the contact, and a gel
+//! marker slips where its displacement differs from it. Displacements count from the frame in which the contact last grew, because a growing contact
 //! stretches the skin without any slip; a contact that loses much of its area counts anew, too.
 //!
 //! Gross slip does not move the skin at all: the ratio then stays where it was.

@@ -150,25 +150,6 @@ const MIN_SIZE: [u32; 2] = [80, 60];
 const MAX_PITCH_DIFFERENCE: f32 = 0.12;
 
 impl ShearTracker {
-    /// Measures frames from before the initial one, from the last to the first; `None` for one that
-    /// is missing. The results are in the order of the frames and have no slip ratio, because which
-    /// motion was first matters for slip.
-    pub fn backwards<'a>(
-        mut self,
-        frames: impl DoubleEndedIterator<Item = Option<&'a RgbImage>>,
-    ) -> Vec<Option<ShearFrame>> {
-        let track = |image: Option<&RgbImage>| {
-            let mut shear = self.update(image?);
-            if let Some(summary) = &mut shear.summary {
-                summary.slip_ratio = None;
-            }
-            Some(shear)
-        };
-        let mut tracked: Vec<_> = frames.rev().map(track).collect();
-        tracked.reverse();
-        tracked
-    }
-
     /// Starts from the image of the untouched gel; `m_per_px` is the scale of the image. Whether
     /// gel markers or texture are followed is decided by the image; a difference from what is
     /// `expected` is a problem of every frame.
@@ -246,5 +227,24 @@ impl ShearTracker {
         };
         problems.append(&mut frame.problems);
         ShearFrame { problems, ..frame }
+    }
+
+    /// Measures frames from before the initial one, from the last to the first; `None` for one that
+    /// is missing. The results are in the order of the frames and have no slip ratio, because which
+    /// motion was first matters for slip.
+    pub fn backwards<'a>(
+        mut self,
+        frames: impl DoubleEndedIterator<Item = Option<&'a RgbImage>>,
+    ) -> Vec<Option<ShearFrame>> {
+        let track = |image: Option<&RgbImage>| {
+            let mut shear = self.update(image?);
+            if let Some(summary) = &mut shear.summary {
+                summary.slip_ratio = None;
+            }
+            Some(shear)
+        };
+        let mut tracked: Vec<_> = frames.rev().map(track).collect();
+        tracked.reverse();
+        tracked
     }
 }
