@@ -67,21 +67,9 @@ impl Decoder {
                 self.decode_file(bytes, None, width, height)
             }
             [0x89, b'P', b'N', b'G', ..] => decode_png_rgb(bytes),
-            [
-                b'R',
-                b'I',
-                b'F',
-                b'F',
-                _,
-                _,
-                _,
-                _,
-                b'W',
-                b'E',
-                b'B',
-                b'P',
-                ..,
-            ] => decode_webp_rgb(bytes),
+            [b'R', b'I', b'F', b'F', _, _, _, _, form @ ..] if form.starts_with(b"WEBP") => {
+                decode_webp_rgb(bytes)
+            }
             _ => {
                 let found = file_type(bytes).unwrap_or("another type of file");
                 let what = format!("expected a JPEG, PNG or WebP image, found {found}");

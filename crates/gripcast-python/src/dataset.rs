@@ -57,18 +57,14 @@ impl Dataset {
 
     fn read(&self, py: Python<'_>, id: &GraspId) -> Outcome<Grasp> {
         let (record, json) = detached(py, || {
-            self.dataset.grasp_with_json(id).map_err(|e| self.moved(e))
+            let read = self.dataset.grasp_with_json(id);
+            read.map_err(|e| explained(&self.dataset, e))
         })?;
         Ok(Grasp {
             dataset: Arc::clone(&self.dataset),
             record,
             json,
         })
-    }
-
-    /// An error, explained where the folder itself is gone.
-    fn moved(&self, error: Error) -> Error {
-        gone(self.dataset.path()).unwrap_or(error)
     }
 }
 

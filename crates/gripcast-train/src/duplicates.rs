@@ -12,7 +12,7 @@ use gripcast_dataset::shard::ShardRow;
 /// Hashes of the images of a grasp.
 type Hashes = [[u8; 32]; 3];
 
-/// Describes ids that occur twice, and samples that share an image of the grasp, byte for byte,
+/// Describes ids that occur in two splits, and samples that share an image of the grasp, byte for byte,
 /// with a sample of an earlier split. Empty if there are none.
 ///
 /// # Errors
@@ -31,8 +31,8 @@ pub(super) fn duplicates(splits: &[&Samples]) -> Result<Vec<String>> {
         }
         if let Some(first) = same_id.first() {
             found.push(format!(
-                "{} of {} ids in `{split}` occur twice, for example {first}: the dataset may have \
-                 the same grasp several times",
+                "{} of {} ids in `{split}` occur in an earlier split, for example {first}: metrics \
+                 on `{split}` may be biased",
                 same_id.len(),
                 samples.facts().len()
             ));

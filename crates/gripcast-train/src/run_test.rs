@@ -294,7 +294,7 @@ fn nan_loss_ends_run_and_keeps_best_checkpoint() {
 }
 
 #[test]
-fn batch_holds_at_most_all_training_samples() {
+fn batch_size_is_limited_to_the_training_samples() {
     let folder = tempfile::tempdir().unwrap();
     let data = folder.path().join("data");
     write_dataset(&data, 6);
