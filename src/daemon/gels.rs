@@ -12,6 +12,11 @@ use gripcast_imaging::{
 const MIN_MARKED_FRACTION: f64 = 0.01;
 /// Time after which a difference counts as a mark, ns.
 const MARKED_NS: u64 = 3_000_000_000;
+/// Time for which both gels look like the other one until they count as swapped, ns. A finger that
+/// closes may do so for a few frames.
+const SWAPPED_NS: u64 = 300_000_000;
+/// Maximum age difference of the newest images of both gels for a comparison, ns.
+const MAX_AGE_DIFFERENCE_NS: u64 = 200_000_000;
 
 /// Judges the images of both gels.
 #[derive(Debug, Default)]
@@ -84,8 +89,9 @@ fn cells_by_role([left, right]: [&RgbImage; 2]) -> BTreeMap<Role, GelCells> {
 #[derive(Debug, Default)]
 struct GelReference {
     cells: BTreeMap<Role, GelCells>,
-    /// Whether the newest image of each gel is that of the other.
-    swapped: BTreeMap<Role, bool>,
+    /// Driver times of the first and the newest of the images of each gel that are those of the
+    /// other, ns.
+    swapped_ns: BTreeMap<Role, (u64, u64)>,
     /// Driver time since which a part of a gel is different, ns.
     marked_since_ns: BTreeMap<Role, u64>,
 }
@@ -108,9 +114,12 @@ impl GelReference {
         let (Some(own), Some(other)) = (change(role), change(other)) else {
             return Vec::new();
         };
-        self.swapped
-            .insert(role, GelChange::is_swapped(&own, &other));
-        let are_swapped = self.swapped.len() == 2 && self.swapped.values().all(|swapped| *swapped);
+        if GelChange::is_swapped(&own, &other) {
+            let (_, newest_ns) = self.swapped_ns.entry(role).or_insert((time_ns, time_ns));
+            *newest_ns = time_ns;
+        } else {
+            self.swapped_ns.remove(&role);
+        }
         let is_marked = own.kind(MIN_MARKED_FRACTION) == ChangeKind::Contact;
         let since_ns = match is_marked {
             true => *self.marked_since_ns.entry(role).or_insert(time_ns),
@@ -121,10 +130,20 @@ impl GelReference {
         };
         let stays = time_ns.saturating_sub(since_ns) >= MARKED_NS;
         let problems = [
-            (GelProblem::Swapped, are_swapped),
-            (GelProblem::Marked, stays && !are_swapped),
+            (GelProblem::Swapped, self.are_swapped()),
+            (GelProblem::Marked, stays && !self.are_swapped()),
         ];
         problems.into_iter().filter(|p| p.1).map(|p| p.0).collect()
+    }
+
+    /// Whether both gels look like the other one at the same time, for long enough.
+    fn are_swapped(&self) -> bool {
+        let mut gels = self.swapped_ns.values();
+        let (Some(a), Some(b)) = (gels.next(), gels.next()) else {
+            return false;
+        };
+        a.1.abs_diff(b.1) <= MAX_AGE_DIFFERENCE_NS
+            && [a, b].iter().all(|gel| gel.1.saturating_sub(gel.0) >= SWAPPED_NS)
     }
 }
 
@@ -154,11 +173,35 @@ mod tests {
         let none = (vec![], vec![]);
         assert_eq!(problems(left.clone(), right.clone(), 0), none);
         let swapped = (vec![GelProblem::Swapped], vec![GelProblem::Swapped]);
-        assert_eq!(problems(right.clone(), left.clone(), 1), swapped);
+        assert_eq!(problems(right.clone(), left.clone(), 1), none, "one frame");
+        assert_eq!(
+            problems(right.clone(), left.clone(), 1 + SWAPPED_NS),
+            swapped
+        );
         let mark = tinted(Role::Left, 3, 0.5);
-        assert_eq!(problems(mark.clone(), right.clone(), 2), none);
+        let mark_ns = 2 + SWAPPED_NS;
+        assert_eq!(problems(mark.clone(), right.clone(), mark_ns), none);
         let marked = (vec![GelProblem::Marked], vec![]);
-        assert_eq!(problems(mark, right.clone(), 2 + MARKED_NS), marked);
-        assert_eq!(problems(left, right, 3 + MARKED_NS), none);
+        assert_eq!(problems(mark, right.clone(), mark_ns + MARKED_NS), marked);
+        assert_eq!(problems(left, right, mark_ns + MARKED_NS + 1), none);
+    }
+
+    #[test]
+    fn gels_that_look_swapped_one_after_the_other_are_not() {
+        let gel = |seed: u64, contact: f32| {
+            GelCells::new(&synthetic_gel(160, 120, seed, contact)).unwrap()
+        };
+        // Reference: the left finger is closed, the right one open.
+        let mut reference =
+            GelReference::new([(Role::Left, gel(1, 0.8)), (Role::Right, gel(1, 0.0))].into());
+        // The left camera shows the open finger and stops, then the right one the closed finger.
+        let mut problems = Vec::new();
+        for frame in 0..100 {
+            problems.extend(reference.problems(Role::Left, &gel(2, 0.0), frame * 10_000_000));
+        }
+        for frame in 150..250 {
+            problems.extend(reference.problems(Role::Right, &gel(3, 0.8), frame * 10_000_000));
+        }
+        assert_eq!(problems, [GelProblem::Marked; 0]);
     }
 }
