@@ -83,6 +83,9 @@ struct Simulation {
     #[arg(long, value_name = "N", default_value_t = 50_000,
         value_parser = clap::value_parser!(u64).range(1..))]
     max_iterations: u64,
+    /// Simulate every lift to its end, also when the outcome is certain
+    #[arg(long)]
+    full_lift: bool,
 }
 
 /// Rendering settings.
@@ -295,6 +298,7 @@ impl Args {
                 let mut settings = GraspSettings::new(flags.gel_preset);
                 settings.resolution = flags.gel.unwrap_or(self.preset.gel);
                 settings.solver.max_grasp_iterations = flags.max_iterations;
+                settings.protocol.early_end = !flags.full_lift;
                 Box::new(FemEngine { settings })
             }
             EngineKind::Rigid => Box::new(RigidEngine::new(RigidSettings::default())),

@@ -13,6 +13,7 @@ mod contact;
 mod contact_scene;
 mod dataset;
 mod depth_scene;
+mod early_end;
 mod grasp;
 mod grasp_cases;
 mod live;
@@ -53,6 +54,8 @@ enum Bench {
     Contact(contact::Args),
     /// Index and pages of a large dataset
     Dataset(dataset::Args),
+    /// Lifts that end once their outcome is certain
+    EarlyEnd(early_end::Args),
     /// Simulated grasps: time, steps, Newton iterations, outcomes
     Grasp(grasp::Args),
     /// `gripcast bench live` with baseline decoders
@@ -77,6 +80,7 @@ fn main() -> ExitCode {
     let Cli { context, bench } = Cli::parse();
     exit_code("gripcast-bench", || match bench {
         Bench::Contact(args) => contact::run(&context, &args),
+        Bench::EarlyEnd(args) => early_end::run(&context, &args),
         Bench::Dataset(args) => dataset::run(&context, &args),
         Bench::Grasp(args) => grasp::run(&context, args),
         Bench::Live(args) => live::run(&context, &args),

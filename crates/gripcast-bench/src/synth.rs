@@ -109,7 +109,13 @@ fn measure(args: &Args, progress: &Progress) -> Result<Vec<(GelResolution, Figur
         let engine = engine(*gel);
         let jobs = args.jobs();
         let drafts = family_drafts(args.objects, args.seed, jobs, &|_| ())?;
-        let made = make_plan(&args.settings(), drafts.into(), &engine, None, &|_| ())?;
+        let made = make_plan(
+            &plan_settings(args.seed, args.grasps, jobs),
+            drafts.into(),
+            &engine,
+            None,
+            &|_| (),
+        )?;
         let plan_folder = folder.path().join(gel.name());
         made.write(&plan_folder)?;
         let plan = made.plan;
@@ -208,19 +214,20 @@ impl Args {
     fn jobs(&self) -> usize {
         self.jobs.map_or_else(cores, usize::from)
     }
+}
 
-    fn settings(&self) -> PlanSettings {
-        PlanSettings {
-            preset: "bench".to_owned(),
-            seed: self.seed,
-            grasps: self.grasps,
-            stop_forces_n: vec![10.0, 40.0],
-            rendering: PlanPreset::SMALL.rendering,
-            textures: Vec::new(),
-            mass_map: MassMap::Logarithmic,
-            min_friction_fraction: MIN_FRICTION_FRACTION,
-            jobs: self.jobs(),
-        }
+/// Settings of a plan with the paper's stopping forces.
+pub(crate) fn plan_settings(seed: u64, grasps: usize, jobs: usize) -> PlanSettings {
+    PlanSettings {
+        preset: "bench".to_owned(),
+        seed,
+        grasps,
+        stop_forces_n: vec![10.0, 40.0],
+        rendering: PlanPreset::SMALL.rendering,
+        textures: Vec::new(),
+        mass_map: MassMap::Logarithmic,
+        min_friction_fraction: MIN_FRICTION_FRACTION,
+        jobs,
     }
 }
 

@@ -99,6 +99,7 @@ impl Engine for FakeEngine {
                     step(StageName::Lift, 0.03),
                 ],
                 snapshots: Vec::new(),
+                lift_snapshots: Vec::new(),
                 fields: None,
             },
         })

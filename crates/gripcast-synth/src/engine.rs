@@ -49,6 +49,7 @@ fn fem_settings(parameters: &Value) -> Result<GraspSettings> {
     settings.solver.max_grasp_iterations = parameters["solver"]["max_grasp_iterations"]
         .as_u64()
         .ok_or_else(|| unreadable("solver.max_grasp_iterations"))?;
+    settings.protocol.early_end = parameters["protocol"]["early_end"] == true;
     Ok(settings)
 }
 

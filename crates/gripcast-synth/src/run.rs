@@ -7,9 +7,7 @@ use std::sync::Arc;
 
 use super::object_mesh::planned_mesh;
 use super::plan::{Plan, PlannedObject, PlannedSimulation, Shard, check_parameters};
-use super::sample_images::{
-    PreLiftGrasp, SampleRenderer, pre_lift_snapshot, rendering_seed, smooth_surface,
-};
+use super::sample_images::{PreLiftGrasp, SampleRenderer, rendering_seed, smooth_surface};
 use super::store::{ResultStore, SimulationResult};
 use gripcast_base::catch_panic;
 use gripcast_base::error::{Error, ErrorKind, Result};
@@ -20,7 +18,7 @@ use gripcast_dataset::shard::{
     ShardEngine, ShardFacts, ShardImages, ShardOutcome, ShardRow, to_bytes,
 };
 use gripcast_geometry::TriangleMesh;
-use gripcast_sim::grasp::{GraspOutcome, GraspResult, Snapshot, StageName};
+use gripcast_sim::grasp::{GraspOutcome, GraspRecord, GraspResult, StageName};
 use gripcast_sim::{Engine, EngineKind, GraspSetup};
 use gripcast_tactile::SimulatedGel;
 use gripcast_visual::Model;
@@ -136,20 +134,15 @@ pub fn run(
     let work = |(simulation, labelled): &(&PlannedSimulation, Option<SimulationResult>)| {
         let id = &simulation.id;
         let labelled = labelled.clone();
-        let labelled = labelled.and_then(|result| Some((result, store.load_state(plan, id)?)));
+        let labelled = labelled.and_then(|result| Some((result, store.load_record(plan, id)?)));
         let (result, artifacts) = runner.run(simulation, labelled, settings.images.includes(id))?;
         // The result is written last: one that exists is complete.
-        match artifacts {
-            Artifacts::State(snapshot) => {
-                store.save_state(plan, id, &snapshot)?;
-                store.save(result.clone(), None)?;
-            }
-            Artifacts::Images(rows, bytes) => {
-                store.save(result.clone(), Some((rows, &bytes)))?;
-                store.remove_state(id);
-            }
-            Artifacts::None => store.save(result.clone(), None)?,
+        if let Some(record) = artifacts.record {
+            store.save_record(plan, id, &record)?;
         }
+        let images = artifacts.images.as_ref();
+        let images = images.map(|(rows, bytes)| (*rows, bytes.as_slice()));
+        store.save(result.clone(), images)?;
         Ok(result)
     };
     let results = par_map_single_threaded(settings.jobs, &open, &work, &report)?;
@@ -206,14 +199,13 @@ fn record_failure(result: &SimulationResult, failed: &mut BTreeMap<String, Strin
     }
 }
 
-/// What is stored beside a result.
-enum Artifacts {
-    /// Nothing: the simulation has no label.
-    None,
+/// What is stored beside a result; nothing without a label.
+#[derive(Default)]
+struct Artifacts {
+    /// The record of a new simulation, from which its images are rendered.
+    record: Option<Vec<u8>>,
     /// Number of rows, and the Parquet file with them.
-    Images(usize, Vec<u8>),
-    /// The state that images can be rendered from later.
-    State(Snapshot),
+    images: Option<(usize, Vec<u8>)>,
 }
 
 /// Runs simulations of one plan and renders their images.
@@ -242,7 +234,7 @@ impl<'a> SimulationRunner<'a> {
     fn run(
         &self,
         simulation: &PlannedSimulation,
-        labelled: Option<(SimulationResult, Snapshot)>,
+        labelled: Option<(SimulationResult, GraspRecord)>,
         with_images: bool,
     ) -> Result<(SimulationResult, Artifacts)> {
         let object = self.plan.object(simulation)?;
@@ -257,20 +249,22 @@ impl<'a> SimulationRunner<'a> {
         };
         let mut result = SimulationResult::new(self.plan, simulation);
         result.detail = Some(reason);
-        Ok((result, Artifacts::None))
+        Ok((result, Artifacts::default()))
     }
 
     fn try_run(
         &self,
         simulation: &PlannedSimulation,
         object: &PlannedObject,
-        labelled: Option<(SimulationResult, Snapshot)>,
+        labelled: Option<(SimulationResult, GraspRecord)>,
         with_images: bool,
     ) -> Result<(SimulationResult, Artifacts)> {
         let mut clock = Clock::new();
         let setup = grasp_setup(simulation, object, &self.root)?;
         let prepare = clock.lap();
-        let (mut result, snapshot) = match labelled {
+        let grid = self.gel.as_ref().map(|gel| &gel.grid);
+        let mut artifacts = Artifacts::default();
+        let (mut result, record) = match labelled {
             Some(labelled) => labelled,
             None => {
                 let force_n = simulation.stop_force_n;
@@ -278,18 +272,24 @@ impl<'a> SimulationRunner<'a> {
                 let mut result = SimulationResult::new(self.plan, simulation);
                 record_grasp(&mut result, &grasp);
                 result.cpu_s.simulate = clock.lap();
-                let Some(snapshot) = liftable_snapshot(&grasp) else {
+                let record = GraspRecord::new(&grasp.trace, grid)?;
+                let Some(record) = record.filter(|_| is_liftable(&grasp)) else {
                     result.stable = None;
                     result.cpu_s.prepare = prepare;
-                    return Ok((result, Artifacts::None));
+                    return Ok((result, artifacts));
                 };
-                (result, snapshot.clone())
+                // Images are those of the stored record, whenever they are rendered.
+                let bytes = record.to_bytes()?;
+                let stored = GraspRecord::from_bytes(&bytes)?;
+                artifacts.record = Some(bytes);
+                (result, stored)
             }
         };
         result.cpu_s.prepare += prepare;
         if !with_images {
-            return Ok((result, Artifacts::State(snapshot)));
+            return Ok((result, artifacts));
         }
+        let snapshot = record.snapshot(0, grid)?;
         let surface = smooth_surface(&setup.mesh);
         let grasp = PreLiftGrasp {
             setup: &setup,
@@ -301,7 +301,8 @@ impl<'a> SimulationRunner<'a> {
         let rows = self.rows(simulation, object, &grasp, &mut result, &mut clock)?;
         let info = format!("{{\"plan_sha256\":\"{}\"}}", self.plan.sha256);
         let count = rows.len();
-        Ok((result, Artifacts::Images(count, to_bytes(rows, &info)?)))
+        artifacts.images = Some((count, to_bytes(rows, &info)?));
+        Ok((result, artifacts))
     }
 
     /// Renders a labelled grasp: one row per rendering.
@@ -404,12 +405,10 @@ fn stable(outcome: GraspOutcome) -> Option<bool> {
     }
 }
 
-/// State before the lift of a labelled grasp whose fingers both press with [`MIN_FORCE_N`].
-fn liftable_snapshot(grasp: &GraspResult) -> Option<&Snapshot> {
-    stable(grasp.outcome)?;
+/// Whether a grasp has a label and both fingers press with [`MIN_FORCE_N`] before the lift.
+fn is_liftable(grasp: &GraspResult) -> bool {
     let presses = |force_n: &[f64; 2]| force_n.iter().all(|force| *force >= MIN_FORCE_N);
-    pre_lift_force_n(grasp).filter(presses)?;
-    pre_lift_snapshot(&grasp.trace.snapshots)
+    stable(grasp.outcome).is_some() && pre_lift_force_n(grasp).is_some_and(|f| presses(&f))
 }
 
 /// Normal force on each finger before the lift, N.

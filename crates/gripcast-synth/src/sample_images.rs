@@ -5,7 +5,7 @@ use gripcast_base::random::SeedStream;
 use gripcast_geometry::{CREASE_RAD, TriangleMesh, curved};
 use gripcast_imaging::encode_jpeg;
 use gripcast_sim::GraspSetup;
-use gripcast_sim::grasp::{Finger, Snapshot, StageName};
+use gripcast_sim::grasp::{Finger, Snapshot};
 use gripcast_sim::solver::GelMaterial;
 use gripcast_tactile::{
     ObjectDepthRenderer, SceneRenderer as _, SensorGeometry, SensorMount, SensorProfile,
@@ -165,9 +165,4 @@ impl SampleRenderer {
 /// Returns the seed of one rendering of a simulation.
 pub(super) fn rendering_seed(simulation: u64, rendering: u32) -> u64 {
     SeedStream::named(simulation, &format!("rendering {rendering}")).bits()
-}
-
-/// Returns the state before the lift.
-pub(super) fn pre_lift_snapshot(snapshots: &[Snapshot]) -> Option<&Snapshot> {
-    snapshots.iter().find(|s| s.stage == StageName::Adjustment)
 }

@@ -1,4 +1,5 @@
-//! Results of simulations: two files each, written atomically.
+//! Results of simulations: up to three files each, written atomically: the result as JSON, the record
+//! of the grasp, and the images.
 
 use std::path::Path;
 
@@ -9,19 +10,20 @@ use super::plan::{Plan, PlannedSimulation};
 use gripcast_base::error::{Error, Refused, Result};
 use gripcast_base::files::{BeneathPath, FileKind, Printable, Root, SimulationId, sha256_hex};
 use gripcast_dataset::shard::{ShardReader, ShardRow};
-use gripcast_sim::grasp::Snapshot;
+use gripcast_sim::grasp::GraspRecord;
 
 /// Folder of the results inside the plan's folder.
 pub const RESULTS: &str = "results";
 const FORMAT: &str = "gripcast-synth-result";
+const RECORD_FORMAT: &str = "gripcast-grasp-record";
 /// Incremented whenever the same plan may give other results.
-const VERSION: u32 = 4;
+const VERSION: u32 = 5;
 /// Outcome of a simulation that failed.
 pub const FAILED: &str = "failed";
 /// Suffix of result files.
 const RESULT: &str = ".json";
-/// Suffix of state files.
-const STATE: &str = ".state";
+/// Suffix of the records of grasps.
+const RECORD: &str = ".grasp";
 
 /// Result of one simulation.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -182,44 +184,26 @@ impl ResultStore {
         write(&self.path(&result.id, RESULT), &to_json(&result)?)
     }
 
-    /// Saves the state before the lift of a labelled simulation, to render its images later.
+    /// Saves the record of a labelled grasp, [`GraspRecord::to_bytes`].
     ///
     /// # Errors
     /// `DiskFull`, `Io`, ….
-    pub(super) fn save_state(
-        &self,
-        plan: &Plan,
-        id: &SimulationId,
-        snapshot: &Snapshot,
-    ) -> Result<()> {
-        let state = State {
-            version: VERSION,
-            plan_sha256: plan.sha256.clone(),
-            id: id.clone(),
-            snapshot: snapshot.clone(),
-        };
-        let json = to_json(&state)?;
-        let file = [sha256_hex(&json).as_bytes(), b"\n", &json].concat();
-        write(&self.path(id, STATE), &file)
+    pub(super) fn save_record(&self, plan: &Plan, id: &SimulationId, record: &[u8]) -> Result<()> {
+        let mut file = to_json(&RecordHeader::new(plan, id, record))?;
+        file.push(b'\n');
+        file.extend(record);
+        write(&self.path(id, RECORD), &file)
     }
 
-    /// Loads the saved state before the lift; none if it is missing or damaged, which means that
-    /// the simulation has to be run again.
-    pub(super) fn load_state(&self, plan: &Plan, id: &SimulationId) -> Option<Snapshot> {
-        let file = self.path(id, STATE).read_to_string(FileKind::Mesh).ok()?;
-        let (hash, text) = file.split_once('\n')?;
-        let state: State = serde_json::from_str(text).ok()?;
-        let is_valid = hash == sha256_hex(text)
-            && state.version == VERSION
-            && state.plan_sha256 == plan.sha256
-            && state.id == *id;
-        is_valid.then_some(state.snapshot)
-    }
-
-    /// Removes a state that is no longer needed.
-    pub(super) fn remove_state(&self, id: &SimulationId) {
-        // A leftover file does no harm.
-        let _ = self.path(id, STATE).remove_file();
+    /// Loads the record of a labelled grasp; none if it is missing or damaged, which means that the
+    /// simulation has to be run again.
+    pub fn load_record(&self, plan: &Plan, id: &SimulationId) -> Option<GraspRecord> {
+        let file = self.path(id, RECORD).read(FileKind::Record).ok()?;
+        let end = file.iter().position(|byte| *byte == b'\n')?;
+        let (header, record) = (&file[..end], &file[end + 1..]);
+        let found: RecordHeader = serde_json::from_slice(header).ok()?;
+        let is_valid = found == RecordHeader::new(plan, id, record);
+        is_valid.then(|| GraspRecord::from_bytes(record).ok())?
     }
 
     /// Whether a result file exists, valid or not.
@@ -263,15 +247,28 @@ impl ResultStore {
     }
 }
 
-/// State before the lift of a simulation without images. In its file it follows a line with its
-/// SHA-256.
-#[derive(Serialize, Deserialize)]
+/// First line of the file with a grasp's record.
+#[derive(PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-struct State {
+struct RecordHeader {
+    format: String,
     version: u32,
     plan_sha256: String,
     id: SimulationId,
-    snapshot: Snapshot,
+    /// SHA-256 of the record.
+    sha256: String,
+}
+
+impl RecordHeader {
+    fn new(plan: &Plan, id: &SimulationId, record: &[u8]) -> Self {
+        Self {
+            format: RECORD_FORMAT.to_owned(),
+            version: VERSION,
+            plan_sha256: plan.sha256.clone(),
+            id: id.clone(),
+            sha256: sha256_hex(record),
+        }
+    }
 }
 
 fn to_json(value: &impl Serialize) -> Result<Vec<u8>> {
@@ -313,7 +310,6 @@ mod tests {
     use super::*;
     use crate::plan::sample_plan;
     use gripcast_geometry::Pose;
-    use gripcast_sim::grasp::StageName;
 
     fn result(plan: &Plan) -> SimulationResult {
         SimulationResult {
@@ -344,15 +340,30 @@ mod tests {
         assert_eq!(store.load(&plan, id).unwrap(), None, "a damaged result");
     }
 
-    fn snapshot() -> Snapshot {
-        Snapshot {
-            stage: StageName::Adjustment,
-            t_s: 0.0,
-            t_world_object: Pose::IDENTITY,
+    /// Bytes of a record without states.
+    fn record() -> Vec<u8> {
+        let record = GraspRecord {
             t_world_gripper: Pose::IDENTITY,
-            opening_m: 0.05,
-            gels: [Vec::new(), Vec::new()],
-        }
+            face_nodes: [0; 2],
+            states: Vec::new(),
+        };
+        record.to_bytes().unwrap()
+    }
+
+    #[test]
+    fn record_is_read_back_unless_damaged_or_of_another_plan() {
+        let folder = tempfile::tempdir().unwrap();
+        let store = ResultStore::new(folder.path());
+        let plan = sample_plan(3);
+        let id = &plan.simulations[0].id;
+        store.save_record(&plan, id, &record()).unwrap();
+        assert!(store.load_record(&plan, id).is_some());
+        assert_eq!(store.load_record(&sample_plan(4), id), None);
+        let path = store.path(id, RECORD).shown().to_owned();
+        let mut bytes = fs::read(&path).unwrap();
+        *bytes.last_mut().unwrap() ^= 1;
+        fs::write(&path, bytes).unwrap();
+        assert_eq!(store.load_record(&plan, id), None);
     }
 
     /// A result store, and a file outside of the plan's folder.
@@ -369,15 +380,15 @@ mod tests {
         let (store, secret) = jail(dir.path());
         let plan = sample_plan(1);
         let id = &plan.simulations[0].id;
-        let paths = [RESULT, ".parquet", STATE].map(|suffix| store.path(id, suffix));
+        let paths = [RESULT, ".parquet", RECORD].map(|suffix| store.path(id, suffix));
         paths[0].parent().create_dir_all().unwrap();
         for path in &paths {
             symlink(&secret, path.shown()).unwrap();
         }
         let error = store.load(&plan, id).unwrap_err();
         assert_eq!(error.kind(), ErrorKind::Input, "{error}");
-        assert_eq!(store.load_state(&plan, id), None);
-        store.save_state(&plan, id, &snapshot()).unwrap();
+        assert_eq!(store.load_record(&plan, id), None);
+        store.save_record(&plan, id, &record()).unwrap();
         store.save(result(&plan), Some((1, b"rows"))).unwrap();
         assert_eq!(fs::read(&secret).unwrap(), b"secret");
         assert!(store.load(&plan, id).unwrap().is_some());

@@ -281,6 +281,7 @@ fn thinned(header: &Value, trace: &Trace, shown: &[usize], keys: &Keyframes) -> 
                 .map(|step| trace.steps[*step].clone())
                 .collect(),
             snapshots: Vec::new(),
+            lift_snapshots: Vec::new(),
             fields: shown_fields(trace, shown),
         },
     };
@@ -375,6 +376,7 @@ mod tests {
         Trace {
             steps: steps.collect(),
             snapshots: Vec::new(),
+            lift_snapshots: Vec::new(),
             fields: None,
         }
     }

@@ -1,5 +1,6 @@
 //! Simulation of a grasp as in the paper: closure, force adjustment, lift.
 
+mod early_end;
 #[cfg(test)]
 mod fields_test;
 mod friction_use;
@@ -9,6 +10,7 @@ mod not_converged_test;
 mod other_pad_test;
 mod placement;
 mod protocol;
+mod record;
 mod run;
 #[cfg(any(test, feature = "testing"))]
 mod sample_trace;
@@ -20,10 +22,12 @@ mod summary;
 pub mod trace;
 mod trace_file;
 
+pub use early_end::LiftMonitor;
 pub use placement::{
     GRIPPER_OPENING_M, GraspPose, GripperState, Placement, height_above_ground, resting_pose,
 };
 pub use protocol::{ForceRule, Protocol};
+pub use record::{GraspRecord, RecordedFace, RecordedState};
 pub(crate) use run::MIN_CONTACT_FORCE_N;
 pub use run::{GraspOutcome, GraspResult, simulate, simulate_until, simulate_with_fields};
 #[cfg(any(test, feature = "testing"))]

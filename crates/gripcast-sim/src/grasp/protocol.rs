@@ -47,6 +47,13 @@ pub struct Protocol {
     pub success_height_m: f64,
     /// Force controller in adjustment and lift.
     pub rule: ForceRule,
+    /// Whether the lift ends as soon as the outcome is certain ([`super::LiftMonitor`]).
+    #[serde(skip_serializing_if = "is_false")]
+    pub early_end: bool,
+}
+
+fn is_false(value: &bool) -> bool {
+    !value
 }
 
 impl ForceRule {
@@ -65,6 +72,7 @@ impl Default for Protocol {
             lift_m: 0.05,
             success_height_m: 0.02,
             rule: ForceRule::BangBang,
+            early_end: false,
         }
     }
 }

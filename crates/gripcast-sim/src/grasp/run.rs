@@ -5,6 +5,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use glam::{DQuat, DVec3};
 use serde::{Deserialize, Serialize};
 
+use super::early_end::LiftMonitor;
 use super::friction_use::friction_use;
 use super::protocol::Protocol;
 use super::scene::{BuiltScene, Finger, Scene};
@@ -19,6 +20,10 @@ use gripcast_geometry::Pose;
 const FREE_MOTION_MARGIN_M: f64 = 2e-4;
 /// Smallest force that counts as contact, N.
 pub(crate) const MIN_CONTACT_FORCE_N: f64 = 1e-3;
+/// Time between the states of the lift that are kept, s: a sensor of 25 frames per second.
+const FRAME_S: f64 = 0.04;
+/// Rise of the gripper up to which states of the lift are kept, m.
+const RECORDED_LIFT_M: f64 = 5e-3;
 /// Unconverged steps after which the simulation stops.
 const MAX_UNCONVERGED: usize = 5;
 
@@ -64,7 +69,7 @@ pub struct GraspResult {
     pub outcome: GraspOutcome,
     /// Further explanation of the outcome.
     pub detail: Option<String>,
-    /// Rise of the object's centre of mass, m.
+    /// Rise of the object's centre of mass, m; until the simulation ended.
     pub lifted_m: f64,
     /// Load of the grip's friction in the lift as a fraction of its limit, of shear and torsion
     /// together; the median of the steps in which both gels touch and the object is clear of the
@@ -174,6 +179,8 @@ struct Run<'a> {
     has_reached_force: bool,
     unconverged: usize,
     iterations: u64,
+    /// Outcome that became certain in the lift.
+    certain: Option<GraspOutcome>,
     /// Load of the friction in each step of the lift.
     friction_uses: Vec<f64>,
     friction: f64,
@@ -206,6 +213,7 @@ impl<'a> Run<'a> {
             has_reached_force: false,
             unconverged: 0,
             iterations: 0,
+            certain: None,
             friction_uses: Vec::new(),
             friction: scene.friction,
             sampling: None,
@@ -233,7 +241,9 @@ impl<'a> Run<'a> {
             (GraspOutcome::NotConverged, Some(reason))
         } else if !touched {
             (GraspOutcome::Miss, None)
-        } else if lowest > self.protocol.success_height_m {
+        } else if self.certain == Some(GraspOutcome::Success)
+            || lowest > self.protocol.success_height_m
+        {
             (GraspOutcome::Success, None)
         } else if !was_held {
             (GraspOutcome::Eject, None)
@@ -349,8 +359,10 @@ impl<'a> Run<'a> {
     fn lift(&mut self) {
         let rise = self.protocol.lift_speed_m_s * self.dt;
         let steps = (self.protocol.lift_m / rise).round() as usize;
+        let frame_steps = ((FRAME_S / self.dt).round() as usize).max(1);
+        let mut monitor = LiftMonitor::default();
         let mut follows = true;
-        for _ in 0..steps {
+        for step in 0..steps {
             if self.stop_reason().is_some() {
                 return;
             }
@@ -365,7 +377,32 @@ impl<'a> Run<'a> {
             self.friction_uses.extend(self.friction_use());
             let risen = self.scene.system.object().state().p.z - before;
             follows = risen > 0.5 * rise;
+            if (step + 1).is_multiple_of(frame_steps) && self.lifted < RECORDED_LIFT_M + 0.5 * rise
+            {
+                let snapshot = self.state(StageName::Lift);
+                self.trace.lift_snapshots.push(snapshot);
+            }
+            if self.protocol.early_end {
+                self.certain = self.outcome_so_far(&mut monitor);
+                if self.certain.is_some() && self.lifted >= RECORDED_LIFT_M {
+                    return;
+                }
+            }
         }
+    }
+
+    /// The outcome after the last step of the lift, if it is certain.
+    fn outcome_so_far(&self, monitor: &mut LiftMonitor) -> Option<GraspOutcome> {
+        let lift = Pose::from_translation(DVec3::Z * self.lifted);
+        let t_gripper_object = (lift * self.t_world_gripper).inverse() * self.object_pose();
+        let object = self.scene.system.object();
+        monitor.add(
+            self.lifted,
+            self.forces().map(|force| force.normal_n),
+            t_gripper_object,
+            self.scene.center_of_mass,
+            object.lowest(self.scene.system.collider()),
+        )
     }
 
     /// Mean load of both gels' friction, if both touch and carry the object alone.
@@ -467,18 +504,23 @@ impl<'a> Run<'a> {
         if self.sampling == Some(FieldSampling::Stages) && !self.trace.steps.is_empty() {
             self.record_fields(stage);
         }
+        let snapshot = self.state(stage);
+        self.trace.snapshots.push(snapshot);
+    }
+
+    /// The state at the end of the last step.
+    fn state(&self, stage: StageName) -> Snapshot {
         let lift = Pose::from_translation(DVec3::Z * self.lifted);
         let gels = self.scene.system.gels();
         let positions = |i: usize| gels[i].positions().iter().map(|x| x.to_array()).collect();
-        let snapshot = Snapshot {
+        Snapshot {
             stage,
             t_s: self.time,
             t_world_object: self.object_pose(),
             t_world_gripper: lift * self.t_world_gripper,
             opening_m: self.opening,
             gels: [positions(0), positions(1)],
-        };
-        self.trace.snapshots.push(snapshot);
+        }
     }
 }
 

@@ -88,6 +88,10 @@ pub struct Trace {
     pub steps: Vec<TraceStep>,
     /// States at the ends of the stages.
     pub snapshots: Vec<Snapshot>,
+    /// States in the first millimetres of the lift, at the frame rate of a sensor
+    /// ([`GraspRecord`](super::GraspRecord)); in no file of a trace.
+    #[serde(skip)]
+    pub lift_snapshots: Vec<Snapshot>,
     /// Fields of the gels' faces, if they were recorded; only in the binary form of a file.
     #[serde(skip)]
     pub fields: Option<FieldSeries>,

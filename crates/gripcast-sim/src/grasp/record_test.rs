@@ -1,0 +1,121 @@
+use super::*;
+use crate::fem::{GelPad, GelResolution};
+use crate::grasp::{GraspSettings, Placement, Preset, Scene, resting_pose, simulate};
+use gripcast_geometry::builtin;
+
+/// A grasp of a mug, in short stages, and the mesh of its gels.
+fn grasp() -> (Trace, GelGrid) {
+    let mesh = builtin("mug").unwrap();
+    let t_world_object = resting_pose(&mesh, None).unwrap().1.t_world_object;
+    let placed = Placement::default().place(&mesh, &t_world_object).unwrap();
+    let mut settings = GraspSettings::new(Preset::Paper);
+    settings.resolution = GelResolution::Coarse;
+    settings.protocol.stop_force_n = 20.0;
+    settings.protocol.adjust_s = 0.1;
+    settings.protocol.lift_m = 0.006;
+    let scene = Scene {
+        mesh,
+        mass_kg: 0.2,
+        friction: 0.6,
+        t_world_object,
+        t_world_gripper: placed.t_world_gripper,
+        opening_m: placed.opening_m,
+        gel: settings.gel().unwrap(),
+    };
+    let result = simulate(&scene, &settings.protocol, &settings.solver).unwrap();
+    (result.trace, scene.gel.grid)
+}
+
+#[test]
+fn record_of_a_lift_is_small_and_gives_its_snapshots_back() {
+    let (trace, grid) = grasp();
+    let record = GraspRecord::new(&trace, Some(&grid)).unwrap().unwrap();
+    let rises: Vec<f64> = record.states.iter().map(|s| 1e3 * s.lifted_m).collect();
+    let expected = [0.0, 0.8, 1.6, 2.4, 3.2, 4.0, 4.8];
+    assert_eq!(rises.len(), expected.len(), "{rises:?}");
+    for (rise, expected) in rises.iter().zip(expected) {
+        assert!((rise - expected).abs() < 1e-9, "{rises:?}");
+    }
+    let bytes = record.to_bytes().unwrap();
+    assert!(bytes.len() <= 8192, "{} bytes", bytes.len());
+    let back = GraspRecord::from_bytes(&bytes).unwrap();
+    assert_eq!(back.to_bytes().unwrap(), bytes);
+    let snapshots = trace
+        .snapshots
+        .iter()
+        .filter(|s| s.stage == StageName::Adjustment);
+    for (state, snapshot) in snapshots.chain(&trace.lift_snapshots).enumerate() {
+        let found = back.snapshot(state, Some(&grid)).unwrap();
+        assert_eq!(found.t_world_object, snapshot.t_world_object);
+        assert!(
+            found
+                .t_world_gripper
+                .translation_m
+                .distance(snapshot.t_world_gripper.translation_m)
+                < 1e-15
+        );
+        for (found, nodes) in found.gels.iter().zip(&snapshot.gels) {
+            for node in front(&grid) {
+                let [a, b] = [found[node], nodes[node]].map(DVec3::from_array);
+                assert!(a.distance(b) < 0.9e-6, "{a} {b}");
+            }
+        }
+    }
+    let force = back.states[6].force[0].normal_n;
+    assert!((force - 20.0).abs() < 4.0, "{force}");
+}
+
+#[test]
+fn trace_without_a_lift_or_with_another_mesh_has_no_record() {
+    let (mut trace, _) = grasp();
+    let other = GelPad::default().grid(GelResolution::Default).unwrap();
+    let error = GraspRecord::new(&trace, Some(&other)).unwrap_err();
+    assert!(
+        error.to_string().contains("nodes of the gel mesh"),
+        "{error}"
+    );
+    trace.snapshots.clear();
+    assert_eq!(GraspRecord::new(&trace, Some(&other)).unwrap(), None);
+}
+
+#[test]
+fn damaged_bytes_are_refused() {
+    let (trace, grid) = grasp();
+    let record = GraspRecord::new(&trace, Some(&grid)).unwrap().unwrap();
+    let bytes = record.to_bytes().unwrap();
+    for damaged in [&bytes[..bytes.len() / 2], &[], &[1, 2, 3]] {
+        let error = GraspRecord::from_bytes(damaged).unwrap_err().to_string();
+        assert!(error.contains("damaged"), "{error}");
+    }
+    let mut inflated = Vec::new();
+    DeflateDecoder::new(bytes.as_slice())
+        .read_to_end(&mut inflated)
+        .unwrap();
+    let deflated = |bytes: &[u8]| {
+        let mut encoder = DeflateEncoder::new(Vec::new(), Compression::fast());
+        encoder.write_all(bytes).unwrap();
+        encoder.finish().unwrap()
+    };
+    let mut other = inflated.clone();
+    other.push(0);
+    let error = GraspRecord::from_bytes(&deflated(&other)).unwrap_err();
+    assert!(
+        error.to_string().contains("after its last state"),
+        "{error}"
+    );
+    let mut other = inflated;
+    // The quaternion of the gripper.
+    other[30..62].fill(0);
+    let error = GraspRecord::from_bytes(&deflated(&other)).unwrap_err();
+    assert!(error.to_string().contains("pose"), "{error}");
+}
+
+#[test]
+fn integers_of_any_size_round_trip() {
+    for value in [0, 1, -1, 63, -64, 64, 1_000_000, -123_456_789] {
+        let mut bytes = Vec::new();
+        push_integer(&mut bytes, value);
+        assert_eq!(take_integer(&mut bytes.as_slice()).unwrap(), value);
+    }
+    assert!(take_integer(&mut [0xff_u8; 12].as_slice()).is_err());
+}
