@@ -226,7 +226,7 @@ fn comparison(run: &Value) -> Vec<String> {
         format!("{estimate} [{low}, {high}]")
     };
     let before = &comparison["start_validation"];
-    vec![
+    let mut lines = vec![
         format!(
             "{start} on the same {} lifts of {} objects: validation accuracy {}, AUROC {}, ECE {}",
             comparison["lifts"],
@@ -242,11 +242,13 @@ fn comparison(run: &Value) -> Vec<String> {
             difference("auroc"),
         ),
         comparison["advice"].as_str().unwrap_or_default().to_owned(),
-        format!(
-            "OOD score of the start model's images, on average: {} (above 1: UNSURE)",
-            number(&comparison["ood_score_of_start"])
-        ),
-    ]
+    ];
+    if let Some(score) = comparison["ood_score_of_start"].as_f64() {
+        lines.push(format!(
+            "OOD score of the mean of the start model's tactile images: {score:.2} (above 1: UNSURE)"
+        ));
+    }
+    lines
 }
 
 impl Args {
