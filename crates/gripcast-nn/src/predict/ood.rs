@@ -416,7 +416,9 @@ mod tests {
             difference_features(&difference).unwrap()
         };
         let own: Vec<Features> = (0..6).map(|n| tinted(n, 0.1 + 0.12 * n as f32)).collect();
-        let held_out: Vec<Features> = (0..4).map(|n| tinted(50 + n, 0.15 + 0.15 * n as f32)).collect();
+        let held_out: Vec<Features> = (0..4)
+            .map(|n| tinted(50 + n, 0.15 + 0.15 * n as f32))
+            .collect();
         let is_ood = |ood: &OodDetector, row: &Features| ood.distance(row) > ood.limit;
         assert!(own.iter().all(|row| is_ood(&ood, row)));
         let adapted = ood.adapted(&own, own.len(), &held_out).unwrap();
