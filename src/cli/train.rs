@@ -23,7 +23,9 @@ use crate::tui::{TrainingNews, TrainingScreen, TrainingStatus, epoch_line};
 use gripcast_base::error::{Error, Result};
 use gripcast_base::files;
 use gripcast_nn::predict::contract::Modality;
-use gripcast_train::{Finished, RunFolder, TrainEvent, TrainSettings, Trained, finish, train};
+use gripcast_train::{
+    Finished, RunFolder, StartModel, TrainEvent, TrainSettings, Trained, fine_tune, finish, train,
+};
 
 /// Arguments.
 #[derive(Clone, Debug, clap::Args)]
@@ -34,10 +36,16 @@ pub(crate) struct Args {
     /// Output directory; an existing run is resumed
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
+    /// Fine-tune this model on the dataset: a built-in name, an ONNX file of `train`, or a run
+    #[arg(long, value_name = "MODEL", conflicts_with_all = ["modality", "arch"])]
+    from: Option<String>,
+    /// Epochs of fine-tuning that train the whole network, after those of the head
+    #[arg(long, value_name = "N", default_value_t = 0, requires = "from")]
+    unfreeze_epochs: u32,
     /// Input modality of the classifier
     #[arg(long, value_name = "MODALITY", default_value = "vt", value_parser = modality())]
     modality: Modality,
-    /// Model name [default: trained-MODALITY]
+    /// Model name [default: trained-MODALITY, START-tuned]
     #[arg(long)]
     name: Option<String>,
     /// Random seed
@@ -63,8 +71,9 @@ pub(super) fn run(context: &Context, args: Args) -> Result<()> {
     let report = if !args.headless && !context.quiet && has_screen() {
         under_dashboard(args)?
     } else {
+        let start = args.start()?;
         resumable(context, "training", move |progress| {
-            all_seeds(&args, &|news| show(progress, &news))
+            all_seeds(&args, start.as_ref(), &|news| show(progress, &news))
         })??
     };
     print_report(is_json, &report, text)
@@ -79,7 +88,8 @@ fn has_screen() -> bool {
 }
 
 fn under_dashboard(args: Args) -> Result<Value> {
-    let settings = args.settings(args.seed)?;
+    let start = args.start()?;
+    let settings = args.settings(args.seed, start.as_ref())?;
     let name = |path: &Path| {
         let name = path.file_name().unwrap_or(path.as_os_str());
         name.to_string_lossy().into_owned()
@@ -87,7 +97,9 @@ fn under_dashboard(args: Args) -> Result<Value> {
     let status = TrainingStatus::new(&name(&args.data), &name(&args.out), settings, args.seeds);
     let (screen, cancel) = TrainingScreen::start(status)?;
     let on_progress = screen.sender();
-    let report = resumable_under_screen(cancel, move || all_seeds(&args, &on_progress));
+    let report = resumable_under_screen(cancel, move || {
+        all_seeds(&args, start.as_ref(), &on_progress)
+    });
     if let Err(error) = screen.end() {
         // The training does not depend on its screen.
         note!("gripcast: {error}");
@@ -95,7 +107,11 @@ fn under_dashboard(args: Args) -> Result<Value> {
     report?
 }
 
-fn all_seeds(args: &Args, on_progress: &(dyn Fn(TrainingNews) + Sync)) -> Result<Value> {
+fn all_seeds(
+    args: &Args,
+    start: Option<&StartModel>,
+    on_progress: &(dyn Fn(TrainingNews) + Sync),
+) -> Result<Value> {
     let mut runs = Vec::new();
     let mut best: Option<(f64, Finished)> = None;
     for seed in args.seed..args.seed.saturating_add(args.seeds) {
@@ -104,18 +120,32 @@ fn all_seeds(args: &Args, on_progress: &(dyn Fn(TrainingNews) + Sync)) -> Result
         } else {
             args.out.join(format!("seed-{seed}"))
         };
-        let settings = args.settings(seed)?;
+        let settings = args.settings(seed, start)?;
         on_progress(TrainingNews::Seed(seed));
-        let trained = train(&args.data, &folder, &settings, &|event| {
-            on_progress(TrainingNews::Train(event));
-        })?;
+        let on_event = |event| on_progress(TrainingNews::Train(event));
+        let trained = match start {
+            Some(start) => {
+                let unfreeze_epochs = args.unfreeze_epochs;
+                fine_tune(
+                    &args.data,
+                    &folder,
+                    &settings,
+                    start,
+                    unfreeze_epochs,
+                    &on_event,
+                )?
+            }
+            None => train(&args.data, &folder, &settings, &on_event)?,
+        };
         let folder = RunFolder::at(folder);
         let file = folder.read()?.ok_or_else(|| {
             Error::internal("the run has no description").at(folder.run().display())
         })?;
         on_progress(TrainingNews::Stage("calibrating"));
-        let modality = file.settings.modality.name().to_lowercase();
-        let name = args.name.clone().unwrap_or(format!("trained-{modality}"));
+        let name = args.name.clone().unwrap_or_else(|| match start {
+            Some(start) => format!("{}-tuned", start.contract().name),
+            None => format!("trained-{}", file.settings.modality.name().to_lowercase()),
+        });
         let finished = finish(&folder, &file, &args.data, &name, &|_| {})?;
         runs.push(run_report(seed, &folder, &trained, &finished));
         let accuracy = trained.best.validation_accuracy;
@@ -157,6 +187,7 @@ fn run_report(seed: u64, folder: &RunFolder, trained: &Trained, finished: &Finis
         "temperature": finished.temperature,
         "threshold": finished.threshold,
         "validation": finished.validation,
+        "comparison": finished.comparison,
         "warnings": trained.warnings,
     })
 }
@@ -175,14 +206,62 @@ fn text(report: &Value) -> String {
             number(&validation["auroc"]),
             number(&validation["ece"]),
         ));
+        lines.extend(comparison(run));
     }
     let model = report["model"].as_str().unwrap_or_default();
     lines.push(format!("model: {model}"));
     lines.join("\n")
 }
 
+/// Returns the lines that compare a fine-tuned model with its start model.
+fn comparison(run: &Value) -> Vec<String> {
+    let comparison = &run["comparison"];
+    let Some(start) = comparison["start"].as_str() else {
+        return Vec::new();
+    };
+    let number = |value: &Value| value.as_f64().map_or("–".to_owned(), |x| format!("{x:.3}"));
+    let difference = |name: &str| {
+        let interval = &comparison[name];
+        let [estimate, low, high] = ["estimate", "low", "high"].map(|key| number(&interval[key]));
+        format!("{estimate} [{low}, {high}]")
+    };
+    let before = &comparison["start_validation"];
+    let mut lines = vec![
+        format!(
+            "{start} on the same {} lifts of {} objects: validation accuracy {}, AUROC {}, ECE {}",
+            comparison["lifts"],
+            comparison["objects"],
+            number(&before["balanced_accuracy"]),
+            number(&before["auroc"]),
+            number(&before["ece"]),
+        ),
+        format!(
+            "difference [95 % interval over objects], both calibrated on this split: accuracy {}, \
+             AUROC {}",
+            difference("balanced_accuracy"),
+            difference("auroc"),
+        ),
+        comparison["advice"].as_str().unwrap_or_default().to_owned(),
+    ];
+    if let Some(score) = comparison["ood_score_of_start"].as_f64() {
+        lines.push(format!(
+            "OOD score of the mean of the start model's tactile images: {score:.2} (above 1: UNSURE)"
+        ));
+    }
+    lines
+}
+
 impl Args {
-    fn settings(&self, seed: u64) -> Result<TrainSettings> {
-        self.training.settings(self.modality, seed)
+    /// Loads the start model of fine-tuning.
+    fn start(&self) -> Result<Option<StartModel>> {
+        self.from.as_deref().map(StartModel::by_name).transpose()
+    }
+
+    fn settings(&self, seed: u64, start: Option<&StartModel>) -> Result<TrainSettings> {
+        let settings = self.training.settings(self.modality, seed)?;
+        Ok(match start {
+            Some(start) => settings.fine_tuning(start, self.unfreeze_epochs),
+            None => settings,
+        })
     }
 }

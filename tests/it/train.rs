@@ -140,7 +140,6 @@ fn killed_and_stopped_run_ends_with_same_files() {
     write_dataset(&data);
     let [whole, broken] = ["whole", "broken"].map(|name| dir.path().join(name));
     let told = json(&succeed(&mut train(&data, &whole)));
-    assert_schema("train", &[&told]);
     assert_eq!(told["runs"][0]["epochs"], 4, "{told}");
 
     assert_eq!(signalled(&data, &broken, 1, Signal::KILL), None);
@@ -194,6 +193,73 @@ fn killed_and_stopped_run_ends_with_same_files() {
         stderr(&refused).contains("another dataset"),
         "{}",
         stderr(&refused)
+    );
+}
+
+#[test]
+fn fine_tuned_model_is_compared_with_its_start_and_resumes_to_same_files() {
+    let dir = tempfile::tempdir().unwrap();
+    let data = dir.path().join("data");
+    write_dataset(&data);
+    let start = dir.path().join("start");
+    let before = json(&succeed(&mut train(&data, &start)));
+    let fine_tune = |out: &Path| {
+        let mut command = gripcast();
+        command
+            .args(["train", "--json", "--batch-size", "4", "--epochs", "3"])
+            .args(["--unfreeze-epochs", "1", "--data"])
+            .arg(&data)
+            .arg("--from")
+            .arg(&start)
+            .arg("--out")
+            .arg(out);
+        command
+    };
+    let [whole, broken] = ["whole", "broken"].map(|name| dir.path().join(name));
+    let told = json(&succeed(&mut fine_tune(&whole)));
+    assert_schema("train", &[&before, &told]);
+    let comparison = &told["runs"][0]["comparison"];
+    assert_eq!(comparison["start"], "trained-t");
+    let advice = comparison["advice"].as_str().unwrap();
+    assert!(advice.contains("`trained-t`"), "{advice}");
+
+    let mut child = fine_tune(&broken).stdout(Stdio::null()).spawn().unwrap();
+    wait_until(&mut child, || metrics(&broken).len() >= 2);
+    kill_process(Pid::from_child(&child), Signal::KILL).unwrap();
+    child.wait().unwrap();
+    succeed(&mut fine_tune(&broken));
+    let [one, other] = [&whole, &broken].map(RunFolder::at);
+    for file in [RunFolder::model, RunFolder::state, RunFolder::run] {
+        let [one, other] = [&one, &other].map(|run| fs::read(file(run).shown()).unwrap());
+        assert!(one == other, "the files differ");
+    }
+
+    for (flags, words) in [
+        (["--modality", "t"], "--modality"),
+        (["--arch", "paper"], "--arch"),
+    ] {
+        let refused = fine_tune(&whole).args(flags).output().unwrap();
+        let text = stderr(&refused);
+        assert_eq!(refused.status.code(), Some(2), "{text}");
+        assert!(text.contains(words) && text.contains("--from"), "{text}");
+    }
+    let mut heuristic = gripcast();
+    heuristic
+        .args([
+            "train",
+            "--from",
+            "baseline-contact",
+            "--out",
+            "no-run",
+            "--data",
+        ])
+        .arg(&data);
+    let refused = heuristic.output().unwrap();
+    let text = stderr(&refused);
+    assert_eq!(refused.status.code(), Some(1), "{text}");
+    assert!(
+        text.contains("baseline-contact") && text.contains("gripcast-vt"),
+        "{text}"
     );
 }
 

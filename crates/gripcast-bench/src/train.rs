@@ -121,7 +121,13 @@ fn measure(architecture: &Architecture, args: &Args) -> Result<[f64; 2]> {
             };
             gradient.fill(0.0);
             network.train_step(&batch, &step, &mut gradient);
-            adam.step(&layout, &mut network.parameters, &gradient, 3e-4, 0.01);
+            adam.step(
+                layout.params(),
+                &mut network.parameters,
+                &gradient,
+                3e-4,
+                0.01,
+            );
             if number >= WARM_UP {
                 wall.push(start.0.elapsed().as_secs_f64());
                 cpu.push(process_cpu_s() - start.1);

@@ -1,6 +1,6 @@
 //! Adam (Kingma and Ba, 2015) with decoupled weight decay (Loshchilov and Hutter, 2019).
 
-use super::architecture::Layout;
+use super::architecture::Param;
 
 const BETA: [f32; 2] = [0.9, 0.999];
 const EPSILON: f32 = 1e-8;
@@ -26,11 +26,11 @@ impl Adam {
         }
     }
 
-    /// Updates the parameters; weight decay (`rate·decay`) applies to weights only, not to biases
-    /// and scales.
+    /// Updates the parameters of the tensors `params`; weight decay (`rate·decay`) applies to
+    /// weights only, not to biases and scales.
     pub fn step(
         &mut self,
-        layout: &Layout,
+        params: &[Param],
         parameters: &mut [f32],
         gradient: &[f32],
         rate: f32,
@@ -39,7 +39,7 @@ impl Adam {
         self.steps += 1;
         let steps = i32::try_from(self.steps).unwrap_or(i32::MAX);
         let [first_fraction, second_fraction] = BETA.map(|beta| 1.0 - beta.powi(steps));
-        for param in layout.params() {
+        for param in params {
             let shrink = if param.is_weight() { rate * decay } else { 0.0 };
             let range = param.range();
             let means = self.first[range.clone()]
@@ -68,8 +68,8 @@ pub fn linear_schedule(step: u64, warm_up: u64, total: u64) -> f32 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::Architecture;
     use crate::predict::contract::Modality;
+    use crate::{Architecture, Layout};
 
     #[test]
     fn adam_converges_and_decays_weights_only() {
@@ -78,12 +78,12 @@ mod tests {
         let mut adam = Adam::new(layout.len());
         for _ in 0..400 {
             let gradient: Vec<f32> = parameters.iter().map(|p| 2.0 * (p - 0.25)).collect();
-            adam.step(&layout, &mut parameters, &gradient, 0.01, 0.0);
+            adam.step(layout.params(), &mut parameters, &gradient, 0.01, 0.0);
         }
         assert!(parameters.iter().all(|p| (p - 0.25).abs() < 1e-3));
         let gradient = vec![0.0; layout.len()];
         let mut adam = Adam::new(layout.len());
-        adam.step(&layout, &mut parameters, &gradient, 0.1, 0.5);
+        adam.step(layout.params(), &mut parameters, &gradient, 0.1, 0.5);
         for param in layout.params() {
             let expected = if param.is_weight() { 0.95 } else { 1.0 };
             let found = parameters[param.first] / 0.25;

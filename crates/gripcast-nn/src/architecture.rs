@@ -247,6 +247,12 @@ impl Layout {
         &self.params
     }
 
+    /// Parameter tensors of the head, the last ones.
+    pub fn head_params(&self) -> &[Param] {
+        let count = self.head.as_flattened().len();
+        &self.params[self.params.len() - count..]
+    }
+
     /// Number of parameters.
     pub fn len(&self) -> usize {
         self.params.last().map_or(0, |param| param.range().end)

@@ -8,7 +8,7 @@ use rayon::prelude::*;
 use super::lanes::{Isa, Lanes, WithLanes};
 
 /// Added to variances for numerical stability.
-const EPSILON: f32 = 1e-5;
+pub(super) const EPSILON: f32 = 1e-5;
 
 /// Mean and variance of each channel.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -92,11 +92,19 @@ pub(super) struct Pass<'a> {
     pub(super) a: &'a [f32],
     pub(super) image: usize,
     pub(super) stats: &'a ChannelStats,
+    /// Whether the statistics are those of `z`, so that they depend on it.
+    pub(super) is_of_batch: bool,
 }
 
 /// Returns the gradients of γ and β; replaces the gradient of `a` in `d` by that of `z`.
 pub(super) fn backward(pass: Pass<'_>, gamma: &[f32], d: &mut [f32]) -> [Vec<f32>; 2] {
-    let Pass { z, a, image, stats } = pass;
+    let Pass {
+        z,
+        a,
+        image,
+        stats,
+        is_of_batch,
+    } = pass;
     let channels = gamma.len();
     let partial_sums: Vec<Vec<[f64; 2]>> = d
         .par_chunks_mut(image)
@@ -112,6 +120,7 @@ pub(super) fn backward(pass: Pass<'_>, gamma: &[f32], d: &mut [f32]) -> [Vec<f32
         .collect();
     let count = (z.len() / channels) as f64;
     let inverse: Vec<f32> = stats.inverse_deviation().collect();
+    let share = f64::from(u8::from(is_of_batch));
     let (mut dgamma, mut dbeta) = (Vec::new(), Vec::new());
     let (mut factor, mut slope, mut offset) = (Vec::new(), Vec::new(), Vec::new());
     for (c, [sum, with_z]) in total(&partial_sums, channels).into_iter().enumerate() {
@@ -121,11 +130,12 @@ pub(super) fn backward(pass: Pass<'_>, gamma: &[f32], d: &mut [f32]) -> [Vec<f32
         dgamma.push(with_normal as f32);
         dbeta.push(sum as f32);
         // dz = γ/deviation·(d − mean(d) − normal·mean(d·normal)), as factor·d + slope·z + offset.
+        // Both means are the share of the statistics, which is 0 if these are constant.
         let scale = f64::from(gamma[c]) * inverse;
-        let of_z = -scale * inverse * with_normal / count;
+        let of_z = -scale * inverse * with_normal / count * share;
         factor.push(scale as f32);
         slope.push(of_z as f32);
-        offset.push((-scale * sum / count - of_z * mean) as f32);
+        offset.push((-scale * sum / count * share - of_z * mean) as f32);
     }
     d.par_chunks_mut(image)
         .zip(z.par_chunks(image))

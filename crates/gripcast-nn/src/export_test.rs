@@ -2,15 +2,13 @@ use tract_onnx::pb::{GraphProto, ModelProto};
 
 use super::*;
 use crate::Batch;
+use crate::from_onnx;
 use crate::predict::contract::{InputSpec, Modality, Origin, RgbNormalisation};
-use crate::predict::{Model, ModelInput, onnx};
+use crate::predict::{Model, ModelInput, SHIPPED, model_bytes, onnx};
 use gripcast_base::random::SeedStream;
 
 fn contract(modality: Modality, temperature: f64) -> ModelContract {
-    let normalisation = RgbNormalisation {
-        mean: [0.0; 3],
-        std: [1.0; 3],
-    };
+    let normalisation = RgbNormalisation::NONE;
     ModelContract {
         name: "random".to_owned(),
         origin: Origin::Trained {
@@ -215,4 +213,43 @@ fn native_engine_survives_any_damage() {
         }
     });
     assert!(2 * refused > all && all > 100, "{refused} of {all}");
+}
+
+#[test]
+fn network_of_a_file_has_its_outputs_and_exports_its_weights() {
+    let mut draw = SeedStream::named(6, "import");
+    for (architecture, modality) in [
+        (Architecture::gripcast(), Modality::Vt),
+        (Architecture::paper(), Modality::T),
+    ] {
+        let network = network(&architecture, modality, &mut draw);
+        let bytes = to_onnx(&network, &contract(modality, 1.7)).unwrap();
+        let (read, found) = from_onnx(&bytes).unwrap();
+        assert_eq!(found, contract(modality, 1.7));
+        // The temperature is in the weights already.
+        let again = to_onnx(&read, &contract(modality, 1.0)).unwrap();
+        let weights = |bytes: &[u8]| onnx::decode(bytes).unwrap().graph.unwrap().initializer;
+        assert!(weights(&again) == weights(&bytes));
+        let model = Model::from_bytes(&bytes).unwrap();
+        for _ in 0..3 {
+            let (input, batch) = images(&model, &mut draw);
+            let logit = f64::from(read.logits(&batch)[0]);
+            let expected = 1.0 / (1.0 + (-logit).exp());
+            let found = model.predict(&input).unwrap().p_stable;
+            assert!((found - expected).abs() < 1e-6, "{found} {expected}");
+        }
+    }
+}
+
+#[test]
+fn shipped_network_is_read_and_others_are_refused() {
+    let shipped = model_bytes(SHIPPED).unwrap();
+    let (network, contract) = from_onnx(&shipped).unwrap();
+    let gripcast = Architecture::gripcast();
+    assert_eq!(network.architecture().convolutions, gripcast.convolutions);
+    assert_eq!(contract.name, SHIPPED);
+    let heuristic = model_bytes(crate::predict::BASELINE).unwrap();
+    let error = from_onnx(&heuristic).unwrap_err();
+    assert!(error.what().contains("baseline-contact"), "{error}");
+    assert!(from_onnx(b"no model").is_err());
 }

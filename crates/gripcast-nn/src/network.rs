@@ -34,6 +34,30 @@ pub struct Step {
     pub number: u64,
     /// Dropout factors of the hidden units of each sample; empty for no dropout.
     pub dropout: Vec<f32>,
+    /// What the step changes.
+    pub scope: Scope,
+}
+
+/// What training changes.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Scope {
+    /// All parameters and the running statistics; normalises with the statistics of the batch.
+    #[default]
+    All,
+    /// All parameters; normalises with the running statistics, which stay as they are.
+    FixedStats,
+    /// The hidden and the output layer; the encoders and their statistics stay as they are.
+    Head,
+}
+
+impl Scope {
+    /// Returns the parameters that training changes.
+    pub fn params(self, layout: &Layout) -> &[Param] {
+        match self {
+            Self::All | Self::FixedStats => layout.params(),
+            Self::Head => layout.head_params(),
+        }
+    }
 }
 
 /// Kind of encoder.
@@ -150,7 +174,7 @@ impl Network {
     }
 
     /// Architecture of the network.
-    pub(crate) fn architecture(&self) -> &Architecture {
+    pub fn architecture(&self) -> &Architecture {
         &self.architecture
     }
 
@@ -194,11 +218,12 @@ impl Network {
     }
 
     /// Runs forward and backward pass: returns the mean binary cross entropy of a batch, nats, adds
-    /// the gradient of all parameters to `gradient` and updates the running statistics.
+    /// the gradient of the parameters in the step's [`Scope`] to `gradient` and updates the running
+    /// statistics if it includes them.
     pub fn train_step(&mut self, batch: &Batch, step: &Step, gradient: &mut [f32]) -> f64 {
         let mut workspace = std::mem::take(&mut self.workspace);
         let Workspace { passes, gradients } = &mut workspace;
-        self.forward(batch, true, passes);
+        self.forward(batch, step.scope == Scope::All, passes);
         let head = self.head_forward(passes, Some(step));
         let count = head.logits.len();
         let mut loss = 0.0;
@@ -213,20 +238,37 @@ impl Network {
             })
             .collect();
         let djoined = self.backward_head(&head, step, &dlogits, gradient);
-        let dembeddings = self.split_embeddings(passes, &djoined);
+        if step.scope != Scope::Head {
+            self.backward_encoders(batch, passes, &djoined, step.scope, gradients, gradient);
+        }
+        if step.scope == Scope::All {
+            self.update_running_stats(passes, step.number);
+        }
+        self.workspace = workspace;
+        loss
+    }
+
+    /// Adds the gradients of the encoders, given that of the concatenated embeddings.
+    fn backward_encoders(
+        &self,
+        batch: &Batch,
+        passes: &[EncoderPass],
+        djoined: &[f32],
+        scope: Scope,
+        buffers: &mut [Vec<f32>; 2],
+        gradient: &mut [f32],
+    ) {
+        let dembeddings = self.split_embeddings(passes, djoined);
         let mut first = 0;
-        let encoders = self.encoder_params().into_iter().zip(&*passes);
+        let encoders = self.encoder_params().into_iter().zip(passes);
         for ((encoder, pass), images) in encoders.zip(self.inputs(batch)) {
             let dembedding = &dembeddings[first..][..pass.embedding.len()];
             let [weight, bias] = &encoder.projection;
             let dpooled = backward_linear(&pass.pooled, dembedding, self, weight, bias, gradient);
-            self.unpool(&dpooled, &mut gradients[0]);
-            self.backward_convolutions(encoder, pass, images, gradients, gradient);
+            self.unpool(&dpooled, &mut buffers[0]);
+            self.backward_convolutions(encoder, pass, images, scope, buffers, gradient);
             first += dembedding.len();
         }
-        self.update_running_stats(passes, step.number);
-        self.workspace = workspace;
-        loss
     }
 
     /// Updates the running statistics with those of the batch.
@@ -469,6 +511,7 @@ impl Network {
         params: &EncoderParams,
         pass: &EncoderPass,
         images: &[f32],
+        scope: Scope,
         [d, dx]: &mut [Vec<f32>; 2],
         gradient: &mut [f32],
     ) {
@@ -481,6 +524,7 @@ impl Network {
                 a: &pass.a[i],
                 image: output,
                 stats: &pass.stats[i],
+                is_of_batch: scope == Scope::All,
             };
             let [dgamma, dbeta] = batch_norm::backward(of_layer, self.values(gamma), d);
             add(&mut gradient[gamma.range()], &dgamma);

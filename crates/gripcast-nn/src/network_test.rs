@@ -39,39 +39,66 @@ fn batch(modality: Modality, count: usize, draw: &mut impl FnMut() -> f64) -> Ba
     }
 }
 
-#[test]
-fn gradients_match_finite_differences() {
+/// Network, batch and dropout for a step of a scope; the running statistics are not the initial ones.
+fn case(scope: Scope) -> (Network, Batch, Step) {
     let mut draw = uniform(5);
-    let network = Network::new(&tiny(), Modality::Vt, &mut draw);
+    let mut network = Network::new(&tiny(), Modality::Vt, &mut draw);
     let batch = batch(Modality::Vt, 4, &mut draw);
+    for value in &mut network.running_stats {
+        *value += 0.3 * draw() as f32;
+    }
+    let dropout = (0..4 * 16).map(|i| if i % 5 == 0 { 0.0 } else { 1.25 });
     let step = Step {
         number: 0,
-        dropout: (0..4 * 16)
-            .map(|i| if i % 5 == 0 { 0.0 } else { 1.25 })
-            .collect(),
+        dropout: dropout.collect(),
+        scope,
     };
-    let mut gradient = vec![0.0; network.parameters.len()];
-    network.clone().train_step(&batch, &step, &mut gradient);
-    for param in network.layout().params() {
-        let expected = &gradient[param.range()];
-        let squares = |values: &[f32]| values.iter().map(|x| f64::from(*x).powi(2)).sum::<f64>();
-        let norm = squares(expected).sqrt();
-        assert!(norm > 1e-3, "{}: {norm}", param.name);
-        let size = squares(&network.parameters[param.range()]).sqrt().max(0.1);
-        let loss = |way: f64| {
-            let mut moved = network.clone();
-            for (parameter, slope) in moved.parameters[param.range()].iter_mut().zip(expected) {
-                *parameter += (way * f64::from(*slope) / norm) as f32;
-            }
-            moved.train_step(&batch, &step, &mut vec![0.0; gradient.len()])
-        };
-        // Kinks of ReLU and rounding limit the step; one of these sizes is suitable.
-        let errors = [1e-2, 3e-3, 1e-3].map(|fraction| {
-            let step = fraction * size;
-            ((loss(step) - loss(-step)) / (2.0 * step) / norm - 1.0).abs()
-        });
-        let min = errors.into_iter().fold(f64::INFINITY, f64::min);
-        assert!(min < 0.05, "{}: {errors:?}", param.name);
+    (network, batch, step)
+}
+
+#[test]
+fn gradients_match_finite_differences() {
+    for scope in [Scope::All, Scope::FixedStats, Scope::Head] {
+        let (network, batch, step) = case(scope);
+        let mut gradient = vec![0.0; network.parameters.len()];
+        network.clone().train_step(&batch, &step, &mut gradient);
+        for param in scope.params(network.layout()) {
+            let expected = &gradient[param.range()];
+            let squares =
+                |values: &[f32]| values.iter().map(|x| f64::from(*x).powi(2)).sum::<f64>();
+            let norm = squares(expected).sqrt();
+            assert!(norm > 1e-3, "{scope:?} {}: {norm}", param.name);
+            let size = squares(&network.parameters[param.range()]).sqrt().max(0.1);
+            let loss = |way: f64| {
+                let mut moved = network.clone();
+                for (parameter, slope) in moved.parameters[param.range()].iter_mut().zip(expected) {
+                    *parameter += (way * f64::from(*slope) / norm) as f32;
+                }
+                moved.train_step(&batch, &step, &mut vec![0.0; gradient.len()])
+            };
+            // Kinks of ReLU and rounding limit the step; one of these sizes is suitable.
+            let errors = [1e-2, 3e-3, 1e-3].map(|fraction| {
+                let step = fraction * size;
+                ((loss(step) - loss(-step)) / (2.0 * step) / norm - 1.0).abs()
+            });
+            let min = errors.into_iter().fold(f64::INFINITY, f64::min);
+            assert!(min < 0.05, "{scope:?} {}: {errors:?}", param.name);
+        }
+    }
+}
+
+#[test]
+fn narrower_scopes_leave_statistics_and_encoders() {
+    for scope in [Scope::FixedStats, Scope::Head] {
+        let (mut network, batch, step) = case(scope);
+        let before = network.running_stats.clone();
+        let mut gradient = vec![0.0; network.parameters.len()];
+        network.train_step(&batch, &step, &mut gradient);
+        assert!(network.running_stats == before, "{scope:?}");
+        let head = network.layout().head_params()[0].first;
+        let is_encoder_fixed = gradient[..head].iter().all(|slope| *slope == 0.0);
+        assert_eq!(is_encoder_fixed, scope == Scope::Head);
+        assert!(gradient[head..].iter().any(|slope| *slope != 0.0));
     }
 }
 

@@ -186,13 +186,7 @@ mod tests {
             });
             write_split(folder.path(), "train", rows);
             let samples = Samples::open(folder.path(), "train").unwrap();
-            let writer = InputWriter::new(
-                Augmentation::NONE,
-                RgbNormalisation {
-                    mean: [0.0; 3],
-                    std: [1.0; 3],
-                },
-            );
+            let writer = InputWriter::new(Augmentation::NONE, RgbNormalisation::NONE);
             let batches = Batches::new(&samples, Modality::T, writer, 0).balanced();
             let facts = samples.facts().iter().zip(&batches.weights);
             facts

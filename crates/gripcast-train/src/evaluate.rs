@@ -29,7 +29,7 @@ const MIN_CONTACT_FRACTION: f64 = 0.004;
 /// Maximum number of reported mistakes per label.
 const MAX_MISTAKES: usize = 12;
 /// Seed of the bootstrap.
-const SEED: u64 = 0;
+pub(super) const SEED: u64 = 0;
 
 /// Evaluation of models on a split.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -462,14 +462,14 @@ impl Resampled {
 }
 
 /// Metrics of resamples.
-struct ResampledMetrics {
+pub(super) struct ResampledMetrics {
     ranking: Ranking,
     /// For slip and for stable: 1 if a sample is correct, 0 if not, NaN for the other label.
     correct: [Vec<f64>; 2],
 }
 
 impl ResampledMetrics {
-    fn new(scored: &[Scored], threshold: f64) -> Self {
+    pub(super) fn new(scored: &[Scored], threshold: f64) -> Self {
         let correct = [false, true].map(|label| {
             let correct = scored.iter().map(|sample| {
                 let is_correct = (sample.p_stable >= threshold) == sample.stable;
@@ -487,18 +487,18 @@ impl ResampledMetrics {
         }
     }
 
-    fn auroc(&self, times: &[u32]) -> Option<f64> {
+    pub(super) fn auroc(&self, times: &[u32]) -> Option<f64> {
         self.ranking.resampled_auroc(times)
     }
 
-    fn balanced_accuracy(&self, times: &[u32]) -> Option<f64> {
+    pub(super) fn balanced_accuracy(&self, times: &[u32]) -> Option<f64> {
         let [slip, stable] = &self.correct;
         Some(0.5 * (resampled_mean(slip, times)? + resampled_mean(stable, times)?))
     }
 }
 
 /// Returns the sorted group names and the group index of each sample.
-fn grouped(
+pub(super) fn grouped(
     facts: &[SampleFacts],
     name: impl Fn(&SampleFacts) -> String,
 ) -> (Vec<String>, Vec<usize>) {

@@ -3,17 +3,19 @@
 use std::collections::BTreeMap;
 use std::path::Path;
 
+use super::comparison::Comparison;
 use super::metrics::{Summary, fit_temperature, youden_threshold};
 use super::ood::fit_tactile_reference;
 use super::run_folder::{EpochMetrics, RunFile, RunFolder};
 use super::samples::Samples;
+use super::start::StartModel;
 use super::state::write;
 use super::validate::{Logit, logits};
 use gripcast_base::error::Result;
 use gripcast_imaging::CropProfile;
 use gripcast_nn::predict::contract::{InputName, InputSpec, Origin};
 use gripcast_nn::predict::{ModelContract, ood};
-use gripcast_nn::to_onnx;
+use gripcast_nn::{Network, to_onnx};
 
 /// Metadata key of the training objects.
 pub(super) const OBJECTS: &str = "gripcast.train.objects";
@@ -33,6 +35,8 @@ pub struct Finished {
     pub threshold: f64,
     /// Metrics on the validation split, on which both were fitted.
     pub validation: Summary,
+    /// Comparison with the start model of fine-tuning.
+    pub comparison: Option<Comparison>,
     /// Bytes of the model file.
     pub onnx: Vec<u8>,
 }
@@ -53,20 +57,35 @@ pub fn finish(
     let _lock = folder.lock()?;
     let validation = Samples::open(data, "validation")?;
     let (network, best) = folder.best_network(&file.settings)?;
-    let logits = logits(
-        &network,
-        &validation,
-        &file.settings,
-        file.normalisation(),
-        on_progress,
-    )?;
+    let logits_of = |network: &Network| {
+        let (settings, normalisation) = (&file.settings, file.normalisation());
+        logits(network, &validation, settings, normalisation, on_progress)
+    };
+    let logits = logits_of(&network)?;
     let (temperature, threshold) = calibrate(&logits);
     let scored: Vec<_> = logits.iter().map(|x| x.scored(temperature)).collect();
     let summary = Summary::new(&scored, threshold);
     let mut contract = contract(file, name, &best, [temperature, threshold], &summary)?;
-    if let Some(reference) = fit_tactile_reference(&Samples::open(data, "train")?, file)? {
+    let train = Samples::open(data, "train")?;
+    let fine_tuning = file.settings.fine_tuning.as_ref();
+    let start = fine_tuning
+        .map(|_| StartModel::of_run(folder))
+        .transpose()?;
+    let compared = |start: &StartModel| -> Result<Comparison> {
+        let before = logits_of(start.network())?;
+        Ok(Comparison::new(start, &before, &logits, &validation))
+    };
+    let mut comparison = start.as_ref().map(compared).transpose()?;
+    let known = start.as_ref().and_then(StartModel::ood_detector);
+    let reference = fit_tactile_reference(&train, &validation, file, known)?;
+    if let Some(reference) = &reference {
         let metadata = reference.to_metadata();
         contract.other.insert(ood::METADATA.to_owned(), metadata);
+    }
+    if let (Some(start), Some(comparison)) = (&start, &mut comparison) {
+        let scored = reference.as_ref().zip(known);
+        comparison.ood_score_of_start = scored.map(|(own, start)| own.score_of_mean(start));
+        add_start(&mut contract, start, comparison);
     }
     let onnx = to_onnx(&network, &contract)?;
     write(&folder.model(), &onnx)?;
@@ -74,12 +93,13 @@ pub fn finish(
         temperature,
         threshold,
         validation: summary,
+        comparison,
         onnx,
     })
 }
 
 /// Fits temperature and threshold, rounded as they are written.
-fn calibrate(logits: &[Logit]) -> (f64, f64) {
+pub(super) fn calibrate(logits: &[Logit]) -> (f64, f64) {
     let rounded = |x: f64| (x * ROUNDING).round() / ROUNDING;
     let (values, stable): (Vec<f64>, Vec<bool>) =
         logits.iter().map(|x| (x.logit, x.is_stable)).unzip();
@@ -141,16 +161,57 @@ fn contract(
     })
 }
 
+/// Adds the start model of fine-tuning to the metadata and the card.
+fn add_start(contract: &mut ModelContract, start: &StartModel, comparison: &Comparison) {
+    let mut objects = start.objects();
+    let own = contract
+        .other
+        .get(OBJECTS)
+        .map(|names| serde_json::from_str(names));
+    objects.extend(
+        own.and_then(Result::<Vec<String>, _>::ok)
+            .unwrap_or_default(),
+    );
+    let mut add = |key: &str, value: String| contract.other.insert(key.to_owned(), value);
+    add(OBJECTS, serde_json::to_string(&objects).unwrap_or_default());
+    add("gripcast.start.name", comparison.start.clone());
+    add("gripcast.start.sha256", comparison.start_sha256.clone());
+    let ood = comparison.ood_score_of_start.map(|score| {
+        format!(" The mean of the start model's tactile images has OOD score {score:.2}.")
+    });
+    contract.card = format!(
+        "{}- Start: fine-tuned from `{}` (sha256 {}): {}.{}\n",
+        contract.card,
+        comparison.start,
+        comparison.start_sha256,
+        comparison.advice,
+        ood.unwrap_or_default()
+    );
+}
+
 fn card(file: &RunFile, best: &EpochMetrics, validation: &Summary) -> String {
     let figure = |value: Option<f64>| value.map_or("–".to_owned(), |x| format!("{x:.3}"));
+    let [trained, also, limits] = if file.settings.fine_tuning.is_some() {
+        [
+            "Fine-tuned on labelled grasps",
+            "",
+            "it was measured on this validation part alone",
+        ]
+    } else {
+        [
+            "Trained on simulated grasps with known outcomes",
+            ", also simulated",
+            "it has never been measured on the outcomes of real lifts",
+        ]
+    };
     format!(
         "# Grasp stability, {modality}\n\n\
          Probability that a grasp holds when it is lifted, from images taken before the lift. \
-         Trained on simulated grasps with known outcomes.\n\n\
+         {trained}.\n\n\
          - Data: dataset {dataset}, seed {seed}, {arch} network, epoch {epoch}.\n\
-         - Validation part (other objects, also simulated; checkpoint, temperature and threshold \
+         - Validation part (other objects{also}; checkpoint, temperature and threshold \
          were chosen on it): n = {n}, accuracy {accuracy}, AUROC {auroc}, ECE {ece}.\n\
-         - Limits: it has never been measured on the outcomes of real lifts. It knows neither mass \
+         - Limits: {limits}. It knows neither mass \
          nor friction but from what images show of them.\n\
          - Licence: MIT OR Apache-2.0.\n",
         modality = file.settings.modality,

@@ -2,10 +2,12 @@
 //!
 //! [`train`] writes a run: a folder with settings, metrics per epoch and checkpoints. A run can be
 //! resumed at any time and ends with the same bytes. [`finish`] calibrates the best checkpoint and
-//! writes the model file. [`evaluate`] computes metrics of model files on a labelled dataset.
+//! writes the model file. [`fine_tune`] starts from a
+//! trained model instead of random parameters. [`evaluate`] computes metrics of model files on a labelled dataset.
 
 mod augment;
 mod batches;
+mod comparison;
 mod duplicates;
 mod evaluate;
 mod experiment;
@@ -19,11 +21,13 @@ mod run_folder;
 mod sample_dataset;
 mod samples;
 mod settings;
+mod start;
 mod state;
 mod validate;
 
 pub use augment::Augmentation;
 pub use batches::colour_normalisation;
+pub use comparison::{Comparison, Verdict};
 pub use evaluate::{
     Difference, EvalReport, Mistake, ModelEvaluation, ScoredSample, evaluate, sample_images,
 };
@@ -33,8 +37,9 @@ pub use experiment::{
 };
 pub use finish::{Finished, finish};
 pub use page::page;
-pub use run::{RunStart, SplitCounts, TrainEvent, Trained, train};
+pub use run::{RunStart, SplitCounts, TrainEvent, Trained, fine_tune, train};
 pub use run_folder::{EpochMetrics, RunFile, RunFolder};
 pub use samples::{SampleFacts, Samples, dataset_sha256};
-pub use settings::TrainSettings;
+pub use settings::{FineTuning, TrainSettings};
+pub use start::StartModel;
 pub use validate::{Logit, logits};

@@ -18,30 +18,49 @@ const BATCH_SIZE: usize = 32;
 /// Cached bytes of images; samples are read in order.
 const MEMORY: usize = 1 << 25;
 
-/// Fits the reference to the augmented tactile differences of a run's training split. None
-/// without touch, or with too few samples.
+/// Fewest differences of fine-tuning: few grasps are augmented several times.
+const MIN_DIFFERENCES: usize = 256;
+
+/// Fits the reference to the augmented tactile differences of a run's training split; in
+/// fine-tuning adapts that of the start model, see [`OodDetector::adapted`]. None without touch, or
+/// with too few samples.
 ///
 /// # Errors
 /// Errors of reading and decoding.
 pub(super) fn fit_tactile_reference(
-    samples: &Samples,
+    train: &Samples,
+    validation: &Samples,
     file: &RunFile,
+    start: Option<&OodDetector>,
 ) -> Result<Option<OodDetector>> {
-    let settings = &file.settings;
-    if !settings.modality.has_touch() {
+    if !file.settings.modality.has_touch() {
         return Ok(None);
     }
+    let Some(start) = start else {
+        return Ok(OodDetector::fit(&augmented(train, file, 1)?));
+    };
+    let own = 2 * train.facts().len();
+    let rounds = MIN_DIFFERENCES.div_ceil(own);
+    let held_out = augmented(validation, file, rounds)?;
+    Ok(start.adapted(&augmented(train, file, rounds)?, own, &held_out))
+}
+
+/// Returns the features of a split's tactile differences, each augmented `rounds` times.
+fn augmented(samples: &Samples, file: &RunFile, rounds: usize) -> Result<Vec<Features>> {
+    let settings = &file.settings;
     let writer = InputWriter::new(settings.augmentation, file.normalisation());
     let mut batches = Batches::new(samples, Modality::T, writer, MEMORY);
     let step = samples.facts().len().div_ceil(MAX_SAMPLES).max(1);
     let selected: Vec<usize> = (0..samples.facts().len()).step_by(step).collect();
     let mut draw = SeedStream::named(settings.seed, "known touch");
-    let mut reference: Vec<Features> = Vec::with_capacity(2 * selected.len());
-    for indices in selected.chunks(BATCH_SIZE) {
-        let seeds: Vec<u64> = indices.iter().map(|_| draw.bits()).collect();
-        let batch = batches.batch(indices, Some(&seeds))?;
-        let features = batch.touch.par_chunks_exact(FLOATS).filter_map(features);
-        reference.extend(features.collect::<Vec<_>>());
+    let mut rows: Vec<Features> = Vec::with_capacity(2 * rounds * selected.len());
+    for _ in 0..rounds {
+        for indices in selected.chunks(BATCH_SIZE) {
+            let seeds: Vec<u64> = indices.iter().map(|_| draw.bits()).collect();
+            let batch = batches.batch(indices, Some(&seeds))?;
+            let features = batch.touch.par_chunks_exact(FLOATS).filter_map(features);
+            rows.extend(features.collect::<Vec<_>>());
+        }
     }
-    Ok(OodDetector::fit(&reference))
+    Ok(rows)
 }

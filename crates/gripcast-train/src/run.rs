@@ -1,5 +1,6 @@
 //! A training run: a folder from which training can be resumed at any time.
 
+use std::collections::BTreeSet;
 use std::fs;
 use std::io::Write as _;
 use std::path::Path;
@@ -11,14 +12,16 @@ use super::duplicates::duplicates;
 use super::run_folder::{EpochMetrics, RunFile, RunFolder, VERSION, foreign_checkpoint, untrained};
 use super::samples::{Samples, dataset_sha256};
 use super::settings::TrainSettings;
+use super::start::StartModel;
 use super::state::{self, Position};
 use super::validate::{Scores, logits};
 use gripcast_base::error::{Error, Result};
 use gripcast_base::files::{BeneathPath, FileKind};
 use gripcast_base::random::SeedStream;
+use gripcast_dataset::shard::ShardSet;
 use gripcast_imaging::CropProfile;
 use gripcast_nn::predict::contract::RgbNormalisation;
-use gripcast_nn::{Adam, Batch, Network, Step, linear_schedule};
+use gripcast_nn::{Adam, Batch, Network, Scope, Step, linear_schedule};
 
 /// Splits used by a run.
 const TRAIN: &str = "train";
@@ -113,9 +116,40 @@ pub fn train(
     settings: &TrainSettings,
     on_progress: &(dyn Fn(TrainEvent) + Sync),
 ) -> Result<Trained> {
+    let settings = &TrainSettings {
+        fine_tuning: None,
+        ..settings.clone()
+    };
+    run(data, out, settings, None, on_progress)
+}
+
+/// Fine-tunes a trained model, or resumes an interrupted run: first the head alone, then all
+/// parameters for `unfreeze_epochs`, both with the stored statistics of batch normalisation.
+/// Modality, architecture and normalisation of the colour images are those of the model.
+///
+/// # Errors
+/// As [`train`]; `Input` also for a dataset with another crop profile than the model's.
+pub fn fine_tune(
+    data: &Path,
+    out: &Path,
+    settings: &TrainSettings,
+    start: &StartModel,
+    unfreeze_epochs: u32,
+    on_progress: &(dyn Fn(TrainEvent) + Sync),
+) -> Result<Trained> {
+    let settings = settings.clone().fine_tuning(start, unfreeze_epochs);
+    run(data, out, &settings, Some(start), on_progress)
+}
+
+fn run(
+    data: &Path,
+    out: &Path,
+    settings: &TrainSettings,
+    start: Option<&StartModel>,
+    on_progress: &(dyn Fn(TrainEvent) + Sync),
+) -> Result<Trained> {
     settings.check()?;
-    let train = Samples::open(data, TRAIN)?;
-    let validation = Samples::open(data, VALIDATION)?;
+    let [train, validation] = open_splits(data)?;
     // An invalid profile would fail the export after hours of training.
     CropProfile::by_name(train.crop_profile()).map_err(|e| e.at(data.display()))?;
     train.check_disjoint(&validation)?;
@@ -123,6 +157,10 @@ pub fn train(
         check_labels(samples)?;
     }
     let mut warnings = Vec::new();
+    if let Some(start) = start {
+        start.check_crop_profile(&train)?;
+        warnings.extend(start.seen(&validation));
+    }
     let count = train.facts().len();
     if count < settings.batch_size {
         warnings.push(format!(
@@ -138,11 +176,36 @@ pub fn train(
         .map_err(|e| Error::io("cannot create the folder of the run", e).at(out.display()))?;
     let folder = RunFolder::at(out);
     let _lock = folder.lock()?;
-    let file = open_or_create(&folder, data, settings, &train)?;
+    let file = open_or_create(&folder, data, settings, start, &train)?;
     let test = Samples::open(data, "test").ok();
     let splits: Vec<&Samples> = [&train, &validation].into_iter().chain(&test).collect();
     warnings.extend(duplicates(&splits)?);
-    Training::new(&folder, &file, &train, &validation)?.run(warnings, on_progress)
+    Training::new(&folder, &file, start, &train, &validation)?.run(warnings, on_progress)
+}
+
+/// Opens both splits of a dataset.
+fn open_splits(data: &Path) -> Result<[Samples; 2]> {
+    let set = ShardSet::open(data)?;
+    let splits: Vec<&str> = set.splits().collect();
+    if let Some(absent) = [TRAIN, VALIDATION]
+        .iter()
+        .find(|name| !splits.contains(name))
+    {
+        let what = format!(
+            "no split `{absent}`: training needs the splits `{TRAIN}` and `{VALIDATION}` with \
+             different objects, found {}",
+            splits.join(", ")
+        );
+        return Err(Error::usage(what).at(data.display()).remedy(
+            "split own grasps, of three objects or more, and export them again: `gripcast dataset \
+             split DATASET --name s`, `gripcast dataset export DATASET --to training --split s \
+             --out SHARDS`",
+        ));
+    }
+    Ok([
+        Samples::open(data, TRAIN)?,
+        Samples::open(data, VALIDATION)?,
+    ])
 }
 
 fn check_labels(samples: &Samples) -> Result<()> {
@@ -156,7 +219,7 @@ fn check_labels(samples: &Samples) -> Result<()> {
     );
     Err(Error::input(what)
         .at(samples.root().display())
-        .remedy("use a larger dataset or another split"))
+        .remedy("use a dataset with more grasps of both labels, or split it with another `--seed`"))
 }
 
 /// Opens the run in the folder, which must have the same settings, or creates one.
@@ -164,6 +227,7 @@ fn open_or_create(
     folder: &RunFolder,
     data: &Path,
     settings: &TrainSettings,
+    start: Option<&StartModel>,
     train: &Samples,
 ) -> Result<RunFile> {
     let dataset_sha256 = dataset_sha256(data)?;
@@ -182,14 +246,14 @@ fn open_or_create(
         }
         return Ok(file);
     }
-    let normalisation = if settings.modality.has_vision() {
-        colour_normalisation(train)?
-    } else {
-        RgbNormalisation {
-            mean: [0.0; 3],
-            std: [1.0; 3],
-        }
+    let normalisation = match start {
+        Some(start) => start.normalisation(),
+        None if settings.modality.has_vision() => colour_normalisation(train)?,
+        None => RgbNormalisation::NONE,
     };
+    if let Some(start) = start {
+        state::write(&folder.start(), start.bytes())?;
+    }
     let file = RunFile {
         version: VERSION,
         software: concat!("gripcast ", env!("CARGO_PKG_VERSION")).to_owned(),
@@ -209,10 +273,15 @@ fn open_or_create(
 /// Lists the settings that differ, with both values.
 fn differing(run: &TrainSettings, given: &TrainSettings) -> String {
     let [run, given] = [run, given].map(|s| serde_json::to_value(s).unwrap_or_default());
-    let fields = run.as_object().into_iter().flatten();
-    let differing = fields.filter(|(name, value)| given[name.as_str()] != **value);
+    let fields = [&run, &given].map(|settings| settings.as_object().into_iter().flatten());
+    let names: BTreeSet<&str> = fields
+        .into_iter()
+        .flatten()
+        .map(|(name, _)| &**name)
+        .collect();
+    let differing = names.into_iter().filter(|name| given[name] != run[name]);
     let texts: Vec<String> = differing
-        .map(|(name, value)| format!("{name} {value}, not {}", given[name.as_str()]))
+        .map(|name| format!("{name} {}, not {}", run[name], given[name]))
         .collect();
     texts.join("; ")
 }
@@ -233,12 +302,18 @@ impl<'a> Training<'a> {
     fn new(
         folder: &'a RunFolder,
         file: &'a RunFile,
+        start: Option<&StartModel>,
         train: &'a Samples,
         validation: &'a Samples,
     ) -> Result<Self> {
         let settings = &file.settings;
-        let mut draw = SeedStream::named(settings.seed, "parameters");
-        let network = untrained(settings, || draw.uniform());
+        let network = match start {
+            Some(start) => start.network().clone(),
+            None => {
+                let mut draw = SeedStream::named(settings.seed, "parameters");
+                untrained(settings, || draw.uniform())
+            }
+        };
         let mut training = Self {
             folder,
             settings,
@@ -314,7 +389,7 @@ impl<'a> Training<'a> {
         let text = metrics.read_to_string(FileKind::List).unwrap_or_default();
         let metrics = text.lines().map(serde_json::from_str);
         let steps = self.steps_per_epoch();
-        let epochs = u64::from(self.settings.epochs);
+        let epochs = u64::from(self.settings.total_epochs());
         let done = u64::from(self.position.epoch) * steps + self.position.step;
         RunStart {
             train: SplitCounts::new(self.train),
@@ -346,7 +421,7 @@ impl<'a> Training<'a> {
         on_progress: &(dyn Fn(TrainEvent) + Sync),
     ) -> Result<Trained> {
         on_progress(TrainEvent::Started(self.start(warnings.clone())));
-        while self.position.epoch < self.settings.epochs && !self.stops_early() {
+        while self.position.epoch < self.settings.total_epochs() && !self.stops_early() {
             let metrics = self.epoch(on_progress)?;
             if self.position.best.is_none_or(|best| metrics.beats(best)) {
                 let arrays: [&[f32]; 2] = [&self.network.parameters, &self.network.running_stats];
@@ -380,6 +455,10 @@ impl<'a> Training<'a> {
         let settings = self.settings;
         let (batch_size, buffer) = (settings.batch_size, settings.shuffle_buffer);
         let epoch = self.position.epoch;
+        let phase = settings.phase(epoch);
+        if epoch == phase.first && self.position.step == 0 {
+            self.adam = Adam::new(self.network.parameters.len());
+        }
         let train = self.train;
         let epoch_seed = SeedStream::named(settings.seed, &format!("epoch {epoch}")).bits();
         let order = train.shuffled(epoch_seed, buffer);
@@ -393,27 +472,28 @@ impl<'a> Training<'a> {
             batches.batch(samples, Some(&seeds))
         };
         let steps = self.steps_per_epoch();
-        let total = steps * u64::from(settings.epochs);
+        let total = steps * u64::from(settings.total_epochs());
+        let of_phase = steps * u64::from(phase.epochs);
         let start = Instant::now();
         let first = self.position.step;
         let mut gradient = vec![0.0; self.network.parameters.len()];
         let mut next = (first < steps).then(|| read(first)).transpose()?;
         while let Some(batch) = next.take() {
             let step = self.position.step;
-            let drop = self.dropout(epoch_seed, step);
+            let inputs = self.step_inputs(epoch_seed, phase.scope);
             gradient.fill(0.0);
             let network = &mut self.network;
             let (loss, read) = rayon::join(
-                || network.train_step(&batch, &drop, &mut gradient),
+                || network.train_step(&batch, &inputs, &mut gradient),
                 || (step + 1 < steps).then(|| read(step + 1)).transpose(),
             );
             next = read?;
             self.check_loss(loss, &gradient, epoch, step)?;
-            let fraction = linear_schedule(self.adam.steps, settings.warm_up_steps, total);
-            let learning_rate = fraction * settings.learning_rate as f32;
+            let fraction = linear_schedule(self.adam.steps, settings.warm_up_steps, of_phase);
+            let learning_rate = fraction * phase.learning_rate as f32;
             let layout = self.network.layout().clone();
             self.adam.step(
-                &layout,
+                phase.scope.params(&layout),
                 &mut self.network.parameters,
                 &gradient,
                 learning_rate,
@@ -443,9 +523,9 @@ impl<'a> Training<'a> {
         })
     }
 
-    /// Draws the dropout mask of a step.
-    fn dropout(&self, epoch_seed: u64, step: u64) -> Step {
-        let p = self.settings.dropout;
+    /// Returns the inputs of the next step; draws its dropout mask.
+    fn step_inputs(&self, epoch_seed: u64, scope: Scope) -> Step {
+        let (p, step) = (self.settings.dropout, self.position.step);
         let mut draw = SeedStream::named(epoch_seed, &format!("dropout {step}"));
         let scale = (1.0 / (1.0 - p)) as f32;
         let count = self.settings.batch_size * self.settings.architecture.hidden;
@@ -454,6 +534,7 @@ impl<'a> Training<'a> {
         Step {
             number: self.adam.steps,
             dropout: hidden.collect(),
+            scope,
         }
     }
 
@@ -489,4 +570,4 @@ impl<'a> Training<'a> {
 
 #[cfg(test)]
 #[path = "run_test.rs"]
-mod tests;
+pub(crate) mod tests;

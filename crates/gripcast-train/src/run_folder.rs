@@ -104,6 +104,11 @@ impl RunFolder {
         self.0.join("best.bin")
     }
 
+    /// Path of a copy of the model that fine-tuning starts from.
+    pub fn start(&self) -> BeneathPath {
+        self.0.join("start.onnx")
+    }
+
     /// Path of the exported model.
     pub fn model(&self) -> BeneathPath {
         self.0.join("model.onnx")

@@ -11,7 +11,7 @@ use gripcast_nn::predict::contract::Modality;
 use gripcast_nn::predict::{Model, ModelInput};
 use gripcast_nn::{Architecture, ConvSpec};
 
-fn settings(modality: Modality) -> TrainSettings {
+pub(crate) fn settings(modality: Modality) -> TrainSettings {
     let conv = |channels, kernel, stride, pad| ConvSpec {
         channels,
         kernel,
@@ -142,13 +142,14 @@ fn run_resumes_within_epoch() {
         let train = Samples::open(&data, TRAIN).unwrap();
         let out = folder.path().join("run");
         fs::create_dir_all(&out).unwrap();
-        open_or_create(&RunFolder::at(&out), &data, &settings, &train).unwrap()
+        open_or_create(&RunFolder::at(&out), &data, &settings, None, &train).unwrap()
     };
     let [train, validation] = [TRAIN, VALIDATION].map(|split| Samples::open(&data, split).unwrap());
     let run = RunFolder::at(folder.path().join("run"));
-    let mut whole = Training::new(&run, &file, &train, &validation).unwrap();
+    let mut whole = Training::new(&run, &file, None, &train, &validation).unwrap();
     whole.epoch(&|_| {}).unwrap();
-    let broken = std::cell::RefCell::new(Training::new(&run, &file, &train, &validation).unwrap());
+    let broken =
+        std::cell::RefCell::new(Training::new(&run, &file, None, &train, &validation).unwrap());
     // The checkpoint is written where the panic leaves the run: after a step and its update.
     let killed = catch_panic::catch_panic(AssertUnwindSafe(|| {
         let mut training = broken.borrow_mut();
@@ -159,7 +160,7 @@ fn run_resumes_within_epoch() {
     }));
     assert!(killed.is_err());
     broken.borrow_mut().save().unwrap();
-    let mut again = Training::new(&run, &file, &train, &validation).unwrap();
+    let mut again = Training::new(&run, &file, None, &train, &validation).unwrap();
     assert_eq!(again.position.step, 3);
     again.epoch(&|_| {}).unwrap();
     assert!(again.network.parameters == whole.network.parameters);

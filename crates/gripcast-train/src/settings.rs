@@ -3,9 +3,10 @@
 use serde::{Deserialize, Serialize};
 
 use super::augment::Augmentation;
+use super::start::StartModel;
 use gripcast_base::error::{Error, Result};
-use gripcast_nn::Architecture;
 use gripcast_nn::predict::contract::Modality;
+use gripcast_nn::{Architecture, Scope};
 
 /// All settings that affect the result. A run is only resumed with the same settings.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -35,6 +36,37 @@ pub struct TrainSettings {
     pub augmentation: Augmentation,
     /// Size of the shuffle buffer, bytes of encoded images.
     pub shuffle_buffer: usize,
+    /// Fine-tuning of a trained model; none for training from random parameters.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub fine_tuning: Option<FineTuning>,
+}
+
+/// Settings of fine-tuning. `epochs` of the settings train the head alone.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct FineTuning {
+    /// SHA-256 of the start model's file.
+    pub start_sha256: String,
+    /// Epochs after those of the head, in which all parameters are trained.
+    pub unfreeze_epochs: u32,
+}
+
+/// Learning rate of all parameters relative to that of the head.
+const UNFROZEN_RATE: f64 = 0.1;
+/// Steps of linear warm-up in fine-tuning: a few dozen grasps make a few steps per epoch.
+const WARM_UP_STEPS: u64 = 10;
+
+/// Epochs with one learning rate schedule and one set of trained parameters.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Phase {
+    /// What its steps change.
+    pub(super) scope: Scope,
+    /// First epoch, from 0.
+    pub(super) first: u32,
+    /// Number of epochs.
+    pub(super) epochs: u32,
+    /// Peak learning rate.
+    pub(super) learning_rate: f64,
 }
 
 impl TrainSettings {
@@ -53,6 +85,51 @@ impl TrainSettings {
             patience: 0,
             augmentation: Augmentation::DEFAULT,
             shuffle_buffer: 1 << 30,
+            fine_tuning: None,
+        }
+    }
+
+    /// Returns these settings for fine-tuning a model, which gives modality and architecture.
+    #[must_use]
+    pub fn fine_tuning(self, start: &StartModel, unfreeze_epochs: u32) -> Self {
+        Self {
+            modality: start.contract().modality,
+            architecture: start.architecture().clone(),
+            warm_up_steps: WARM_UP_STEPS,
+            fine_tuning: Some(FineTuning {
+                start_sha256: start.sha256().to_owned(),
+                unfreeze_epochs,
+            }),
+            ..self
+        }
+    }
+
+    /// Number of epochs of all phases.
+    pub fn total_epochs(&self) -> u32 {
+        let unfrozen = self.fine_tuning.as_ref().map_or(0, |f| f.unfreeze_epochs);
+        self.epochs.saturating_add(unfrozen)
+    }
+
+    /// Returns the phase of an epoch, from 0.
+    pub(super) fn phase(&self, epoch: u32) -> Phase {
+        let first = Phase {
+            scope: Scope::All,
+            first: 0,
+            epochs: self.epochs,
+            learning_rate: self.learning_rate,
+        };
+        match &self.fine_tuning {
+            None => first,
+            Some(_) if epoch < self.epochs => Phase {
+                scope: Scope::Head,
+                ..first
+            },
+            Some(fine_tuning) => Phase {
+                scope: Scope::FixedStats,
+                first: self.epochs,
+                epochs: fine_tuning.unfreeze_epochs,
+                learning_rate: UNFROZEN_RATE * self.learning_rate,
+            },
         }
     }
 

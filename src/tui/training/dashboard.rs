@@ -109,7 +109,7 @@ fn header(buffer: &mut Buffer, area: Rect, status: &TrainingStatus, palette: Pal
 /// Returns the lines of facts; low screens omit the upper ones.
 fn facts(status: &TrainingStatus, area: Rect, palette: Palette) -> Vec<Line<'static>> {
     let (epoch, steps) = status.epoch();
-    let epochs = u64::from(status.settings.epochs);
+    let epochs = u64::from(status.settings.total_epochs());
     let bar = |name, number: [u64; 2], fraction| {
         let number = format!("{} of {}", number[0], number[1]);
         bar(name, &number, fraction, usize::from(area.width), palette)
@@ -237,7 +237,7 @@ fn tiny(status: &TrainingStatus, palette: Palette) -> Line<'static> {
     let best = figure(status.best().map(|best| best.validation_accuracy));
     let text = format!(
         "{epoch}/{} {step}/{steps} best {best}",
-        status.settings.epochs
+        status.settings.total_epochs()
     );
     Line::styled(text, palette.strong())
 }

@@ -199,7 +199,7 @@ impl TrainingStatus {
     pub(super) fn epoch(&self) -> (u64, [u64; 2]) {
         let steps = self.start.as_ref().map_or(0, |start| start.steps_per_epoch);
         let done = self.epochs.len() as u64;
-        let number = (done + 1).min(u64::from(self.settings.epochs));
+        let number = (done + 1).min(u64::from(self.settings.total_epochs()));
         let step = self.at[0].saturating_sub((number - 1) * steps).min(steps);
         (number, [step, steps])
     }

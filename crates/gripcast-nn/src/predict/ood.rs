@@ -6,6 +6,8 @@
 //! Lee et al., *A simple unified framework for detecting out-of-distribution samples*, 2018, there
 //! on layers of the network).
 
+use std::array;
+
 use serde::{Deserialize, Serialize};
 
 use crate::predict::contract::{IMAGE_HEIGHT, IMAGE_WIDTH};
@@ -162,34 +164,67 @@ impl OodDetector {
         if rows.len() < 2 * FEATURES {
             return None;
         }
-        let count = rows.len() as f64;
-        let mut mean = [0.0; FEATURES];
-        for row in rows {
-            for (mean, value) in mean.iter_mut().zip(row) {
-                *mean += value / count;
-            }
-        }
-        let mut covariance = [[0.0; FEATURES]; FEATURES];
-        for row in rows {
-            for i in 0..FEATURES {
-                for j in 0..=i {
-                    covariance[i][j] += (row[i] - mean[i]) * (row[j] - mean[j]) / count;
-                }
-            }
-        }
-        for (i, row) in covariance.iter_mut().enumerate() {
-            row[i] += SHRINKAGE * row[i] + MIN_VARIANCE;
-        }
+        let (mean, covariance) = moments(rows)?;
         let mut fitted = Self {
             mean,
             whitening: whitening(&covariance)?,
             limit: 0.0,
         };
-        let mut distances: Vec<f64> = rows.iter().map(|row| fitted.distance(row)).collect();
-        distances.sort_unstable_by(f64::total_cmp);
-        let index = (QUANTILE * (count - 1.0)).ceil() as usize;
-        fitted.limit = *distances.get(index)?;
+        fitted.limit = fitted.quantile(rows)?;
         (fitted.is_usable() && fitted.limit >= MIN_LIMIT).then_some(fitted)
+    }
+
+    /// Adapts the detector to another, smaller set of training differences: `rows` are the features
+    /// of `count` differences, augmented.
+    ///
+    /// The mean is theirs. A few differences do not determine a covariance: that of this detector is
+    /// mixed in, as if it were that of twice as many differences as there are features. The limit
+    /// is at least this detector's and includes the differences `held_out`, of other objects. None
+    /// without rows.
+    pub fn adapted(&self, rows: &[Features], count: usize, held_out: &[Features]) -> Option<Self> {
+        let (mean, own) = moments(rows)?;
+        let known = self.covariance();
+        let fraction = count as f64 / (count + 2 * FEATURES) as f64;
+        let covariance = array::from_fn(|i| {
+            array::from_fn(|j| fraction * own[i][j] + (1.0 - fraction) * known[i][j])
+        });
+        let mut adapted = Self {
+            mean,
+            whitening: whitening(&covariance)?,
+            limit: self.limit,
+        };
+        for rows in [rows, held_out] {
+            let limit = adapted.quantile(rows).unwrap_or_default();
+            adapted.limit = adapted.limit.max(limit);
+        }
+        adapted.is_usable().then_some(adapted)
+    }
+
+    /// OOD score of the mean of another detector's training differences.
+    pub fn score_of_mean(&self, other: &Self) -> f64 {
+        self.distance(&other.mean) / self.limit
+    }
+
+    /// Distance within which [`QUANTILE`] of the rows are; none without rows.
+    fn quantile(&self, rows: &[Features]) -> Option<f64> {
+        let mut distances: Vec<f64> = rows.iter().map(|row| self.distance(row)).collect();
+        distances.sort_unstable_by(f64::total_cmp);
+        let index = (QUANTILE * (rows.len() as f64 - 1.0)).ceil() as usize;
+        distances.get(index).copied()
+    }
+
+    /// Covariance that belongs to the whitening matrix W: (WᵀW)⁻¹ = W⁻¹W⁻ᵀ.
+    fn covariance(&self) -> [[f64; FEATURES]; FEATURES] {
+        let row = |i: usize| &self.whitening[i * (i + 1) / 2..][..=i];
+        let factor: [Features; FEATURES] = array::from_fn(|i| {
+            let mut values = [0.0; FEATURES];
+            values[..=i].copy_from_slice(row(i));
+            values
+        });
+        let columns = inverse_columns(&factor);
+        array::from_fn(|i| {
+            array::from_fn(|j| columns.iter().map(|column| column[i] * column[j]).sum())
+        })
     }
 
     /// Parses the metadata of a model.
@@ -255,9 +290,14 @@ impl OodDetector {
 /// read.
 fn whitening(covariance: &[[f64; FEATURES]; FEATURES]) -> Option<Vec<f64>> {
     let cholesky = Cholesky::new(covariance)?;
-    let factor = cholesky.lower();
-    // Forward substitution for each column.
-    let column = |at: usize| {
+    let columns = inverse_columns(cholesky.lower());
+    let row = |at: usize| columns[..=at].iter().map(move |column| column[at]);
+    Some((0..FEATURES).flat_map(row).collect())
+}
+
+/// Columns of the inverse of a lower triangular matrix, by forward substitution.
+fn inverse_columns(factor: &[Features; FEATURES]) -> [Features; FEATURES] {
+    array::from_fn(|at| {
         let mut values = [0.0; FEATURES];
         for (row, of_row) in factor.iter().enumerate().skip(at) {
             let before = of_row[at..row].iter().zip(&values[at..row]);
@@ -265,10 +305,33 @@ fn whitening(covariance: &[[f64; FEATURES]; FEATURES]) -> Option<Vec<f64>> {
             values[row] = (f64::from(u8::from(row == at)) - done) / of_row[row];
         }
         values
-    };
-    let columns: Vec<Features> = (0..FEATURES).map(column).collect();
-    let row = |at: usize| columns[..=at].iter().map(move |column| column[at]);
-    Some((0..FEATURES).flat_map(row).collect())
+    })
+}
+
+/// Mean and lower triangle of the regularised covariance of some rows; none without rows.
+fn moments(rows: &[Features]) -> Option<(Features, [Features; FEATURES])> {
+    let count = rows.len() as f64;
+    if rows.is_empty() {
+        return None;
+    }
+    let mut mean = [0.0; FEATURES];
+    for row in rows {
+        for (mean, value) in mean.iter_mut().zip(row) {
+            *mean += value / count;
+        }
+    }
+    let mut covariance = [[0.0; FEATURES]; FEATURES];
+    for row in rows {
+        for i in 0..FEATURES {
+            for j in 0..=i {
+                covariance[i][j] += (row[i] - mean[i]) * (row[j] - mean[j]) / count;
+            }
+        }
+    }
+    for (i, row) in covariance.iter_mut().enumerate() {
+        row[i] += SHRINKAGE * row[i] + MIN_VARIANCE;
+    }
+    Some((mean, covariance))
 }
 
 #[cfg(test)]
@@ -334,6 +397,58 @@ mod tests {
         assert!((distance / 3_f64.sqrt() - 1.0).abs() < 0.06, "{distance}");
         let beyond = rows.iter().filter(|row| ood.distance(row) > ood.limit);
         assert!(beyond.count() <= 4);
+    }
+
+    #[test]
+    fn adapted_detector_knows_own_gels_and_no_longer_the_old_ones() {
+        let ood = detector();
+        // Gels of another tint: every change is in the green channel, and stronger.
+        let tinted = |seed: u64, contact: f32| {
+            let gel = |contact: f32| {
+                let mut image = synthetic_gel(IMAGE_WIDTH, IMAGE_HEIGHT, seed, contact);
+                image.pixels_mut().for_each(|pixel| {
+                    let [r, g, _] = pixel.0;
+                    pixel.0 = [r / 4, g, g / 2];
+                });
+                image
+            };
+            let difference = TactileDifference::between(&gel(0.0), &gel(contact)).unwrap();
+            difference_features(&difference).unwrap()
+        };
+        let own: Vec<Features> = (0..6).map(|n| tinted(n, 0.1 + 0.12 * n as f32)).collect();
+        let held_out: Vec<Features> = (0..4)
+            .map(|n| tinted(50 + n, 0.15 + 0.15 * n as f32))
+            .collect();
+        let is_ood = |ood: &OodDetector, row: &Features| ood.distance(row) > ood.limit;
+        assert!(own.iter().all(|row| is_ood(&ood, row)));
+        let adapted = ood.adapted(&own, own.len(), &held_out).unwrap();
+        for row in own.iter().chain(&held_out) {
+            assert!(!is_ood(&adapted, row));
+        }
+        // New grasps of the same gels are known too.
+        assert!((0..5).all(|n| !is_ood(&adapted, &tinted(80 + n, 0.12 + 0.12 * n as f32))));
+        // The more own grasps, the less of the old covariance: the old gels become unknown.
+        let many: Vec<Features> = (0..60).map(|n| tinted(n, 0.1 + 0.01 * n as f32)).collect();
+        let sure = ood.adapted(&many, many.len(), &held_out).unwrap();
+        let scores = [&adapted, &sure].map(|adapted| adapted.score_of_mean(&ood));
+        assert!(scores[0] < scores[1] && scores[1] > 1.0, "{scores:?}");
+        assert_eq!(ood.adapted(&[], 0, &held_out), None);
+    }
+
+    #[test]
+    fn detector_adapted_to_its_own_data_stays_as_it_is() {
+        let contacts = (0..80).map(|seed| difference(seed, 0.01 * seed as f32));
+        let rows: Vec<Features> = contacts.map(|d| difference_features(&d).unwrap()).collect();
+        let ood = OodDetector::fit(&rows).unwrap();
+        let adapted = ood.adapted(&rows, rows.len(), &[]).unwrap();
+        assert!(ood.score_of_mean(&adapted) < 1e-9);
+        for row in &rows {
+            let [before, after] = [&ood, &adapted].map(|ood| ood.distance(row));
+            assert!(
+                (before - after).abs() < 0.01 * (1.0 + before),
+                "{before} {after}"
+            );
+        }
     }
 
     #[test]

@@ -243,6 +243,12 @@ pub struct RgbNormalisation {
 }
 
 impl RgbNormalisation {
+    /// Leaves pixels as they are.
+    pub const NONE: Self = Self {
+        mean: [0.0; 3],
+        std: [1.0; 3],
+    };
+
     fn is_usable(&self) -> bool {
         self.mean.iter().all(|x| x.is_finite())
             && self.std.iter().all(|&x| x > 0.0 && x.is_finite())
