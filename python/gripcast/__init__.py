@@ -1,19 +1,24 @@
 """gripcast: grasps with touch.
 
 Simulates grasps with finite-element gels (`simulate`), renders what a GelSight Mini sees
-(`render_tactile`), predicts stability (`Predictor`), follows gel markers (`track_markers`) and reads
-datasets (`Dataset`). Lengths are metres, forces newtons; names carry the unit. A pose `t_a_b` maps
-coordinates of frame b into frame a. Images are height × width × 3, uint8, RGB.
+(`render_tactile`), predicts stability (`Predictor`), follows gel markers (`track_markers`), reads
+datasets (`Dataset`) and commands a running daemon (`Client`). Lengths are metres,
+forces newtons; names carry the unit. A pose `t_a_b` maps coordinates of frame b into frame a. Images
+are height × width × 3, uint8, RGB.
 """
 
+from gripcast._client import Client, DaemonState, Event, Events, LiveFrame, LiveMarkers
 from gripcast._errors import (
     AccessError,
+    BusyError,
     ConfigError,
     Error,
     InputError,
     InternalError,
     IoError,
     NotFoundError,
+    RefusedError,
+    UnreachableError,
     UsageError,
 )
 from gripcast._native import (
@@ -46,9 +51,14 @@ from gripcast._native import (
 
 __all__ = [
     "AccessError",
+    "BusyError",
+    "Client",
     "ConfigError",
+    "DaemonState",
     "Dataset",
     "Error",
+    "Event",
+    "Events",
     "FaceFields",
     "Grasp",
     "GraspCase",
@@ -57,6 +67,8 @@ __all__ = [
     "InputError",
     "InternalError",
     "IoError",
+    "LiveFrame",
+    "LiveMarkers",
     "MarkerTrack",
     "Mesh",
     "NotFoundError",
@@ -67,9 +79,11 @@ __all__ = [
     "Predictor",
     "PressResult",
     "Problem",
+    "RefusedError",
     "SensorProfile",
     "Snapshot",
     "TactileImage",
+    "UnreachableError",
     "UsageError",
     "VerifyReport",
     "__version__",

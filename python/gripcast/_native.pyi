@@ -274,6 +274,7 @@ class GraspResult:
     @property
     def fields(self) -> FaceFields | None: ...
 
+def decode_image(data: bytes) -> _Image: ...
 def simulate(
     object: Object,
     placement: Placement | GraspPose | None = None,

@@ -9,7 +9,9 @@ use pyo3::prelude::*;
 use pyo3::types::PyDict;
 
 use super::failure::Outcome;
+use super::work::detached;
 use gripcast_base::error::Error;
+use gripcast_imaging::Decoder;
 
 /// Largest width or height of an image, px.
 const MAX_SIDE: usize = 8192;
@@ -77,6 +79,13 @@ pub(crate) fn image(value: &Bound<'_, PyAny>, name: &str) -> Outcome<RgbImage> {
 pub(crate) fn image_array(py: Python<'_>, image: RgbImage) -> PyResult<Py<PyAny>> {
     let shape = [image.height() as usize, image.width() as usize, 3];
     array(py, image.into_raw(), &shape)
+}
+
+/// Decodes a JPEG, PNG or WebP file: height × width × 3, uint8, RGB.
+#[pyfunction]
+pub(crate) fn decode_image(py: Python<'_>, data: Vec<u8>) -> Outcome<Py<PyAny>> {
+    let image = detached(py, || Decoder::new()?.stored_image(&data))?;
+    Ok(image_array(py, image)?)
 }
 
 /// Copies finite numbers of any real type; `shape` has `None` where any length is right.

@@ -64,6 +64,7 @@ fn exception(py: Python<'_>, error: &Error) -> PyResult<PyErr> {
         ErrorKind::NotFound => "NotFoundError",
         ErrorKind::Permission => "AccessError",
         ErrorKind::Io => "IoError",
+        ErrorKind::Busy => "BusyError",
         ErrorKind::Internal => "InternalError",
         _ => "Error",
     };

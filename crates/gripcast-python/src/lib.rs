@@ -26,6 +26,8 @@ mod work;
 #[pyo3::pymodule]
 mod _native {
     #[pymodule_export]
+    use crate::arrays::decode_image;
+    #[pymodule_export]
     use crate::batch::{simulate, simulate_batch};
     #[pymodule_export]
     use crate::case::GraspCase;
