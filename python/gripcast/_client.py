@@ -290,7 +290,10 @@ class Client:
         if image not in ("raw", "difference"):
             raise UsageError(f"`image` must be raw or difference, found {image!r}")
         headers, body = self._request("GET", f"/api/cameras/{quote(role, safe='')}/preview.jpg?image={image}")
-        return LiveFrame(role, _native.decode_image(body), int(headers[_DRIVER_TIME]))
+        time_ns = headers.get(_DRIVER_TIME)
+        if time_ns is None:
+            raise Error("the daemon sends no driver times of its images", self.url, "update the daemon")
+        return LiveFrame(role, _native.decode_image(body), int(time_ns))
 
     def frames(self) -> dict[Role, LiveFrame]:
         """Newest images of all cameras that have one."""
