@@ -295,3 +295,9 @@ def _sensor() -> gc.SensorProfile:
 
 
 _kept: gc.SensorProfile | None = None
+
+gymnasium.register(
+    "gripcast/Grasp-v0",
+    entry_point="gripcast.gym:GraspEnv",
+    vector_entry_point="gripcast.gym:GraspVectorEnv",
+)
