@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
-# packaging/try-wheel.sh WHEEL [SUITE…]: installs the wheel into fresh Debians without a compiler and
-# simulates a grasp there.
+# packaging/try-wheel.sh WHEEL [SUITE…]: installs the wheel into a fresh Debian without a compiler
+# and simulates a grasp there.
 #
 # SUITE: bookworm and trixie unless named. Prints the time from `pip install` to the first simulated
 # grasp. Needs root, a network and debootstrap; says SKIPPED and why without one of them, and ends with

@@ -3,7 +3,7 @@
 A bar lies on a table. The gripper grasps it somewhere along its length, at a force, and lifts it a
 little. Away from the middle the bar tilts, because its weight turns it in the grip; at a low force it
 slips. The agent feels forces and torques of the grasp and says where and how strongly to grasp next.
-Length, mass, friction and the first place differ between episodes and are not observed.
+Length, mass, friction and the first position differ between episodes and are not observed.
 """
 
 from __future__ import annotations
@@ -140,8 +140,8 @@ def _holds(result: gc.GraspResult, lift_m: float) -> bool:
     if result.outcome not in ("success", "slip") or not len(result.t_s):
         return False
     first, last = result.t_world_object[0], result.t_world_object[-1]
-    turned = first[:3, :3].T @ last[:3, :3]
-    tilt_deg = np.degrees(np.arccos(np.clip((np.trace(turned) - 1.0) / 2.0, -1.0, 1.0)))
+    rotation = first[:3, :3].T @ last[:3, :3]
+    tilt_deg = np.degrees(np.arccos(np.clip((np.trace(rotation) - 1.0) / 2.0, -1.0, 1.0)))
     return bool(tilt_deg < _HOLDS_TILT_DEG and result.lifted_m > _HOLDS_LIFT * lift_m)
 
 

@@ -32,8 +32,9 @@ def folder(dataset_folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 def test_quick_start_runs_as_it_stands(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     blocks = [text for skipped, text in BLOCK.findall(PAGE.read_text()) if not skipped]
     assert blocks
+    names = {"__name__": "__main__"}
     for block in blocks:
-        exec(compile(block, str(PAGE), "exec"), {"__name__": "__main__"})
+        exec(compile(block, str(PAGE), "exec"), names)
     printed = capsys.readouterr().out
     assert printed.startswith("success ") and "(240, 320, 3)" in printed
     assert printed.count("stable (240, 320, 3)") == 1

@@ -14,7 +14,7 @@ use super::mesh::Mesh;
 use super::placement::check;
 use super::pose::Pose;
 use super::work::{detached, interruptible};
-use gripcast_base::error::{Error, Result, nearest_name, unknown_name};
+use gripcast_base::error::{Error, nearest_name, unknown_name};
 use gripcast_base::files::save;
 use gripcast_base::number::NumberRange;
 use gripcast_geometry as geometry;

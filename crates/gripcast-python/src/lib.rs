@@ -39,6 +39,9 @@ mod _native {
     use crate::case::GraspCase;
     #[pymodule_export]
     use crate::dataset::{Dataset, Problem, VerifyReport};
+    #[cfg(debug_assertions)]
+    #[pymodule_export]
+    use crate::failure::panic_for_test;
     #[pymodule_export]
     use crate::fields::FaceFields;
     #[pymodule_export]

@@ -94,7 +94,7 @@ pub(crate) fn render_tactile(
         }
         let simulation = simulation.get();
         detached(py, || {
-            let case = simulation.case();
+            let case = simulation.simulated();
             let gel = case.gel()?;
             sensor.profile().check_pad(&gel.grid)?;
             let (mesh, snapshot) = (case.object.mesh.surface(), simulation.snapshot());

@@ -47,7 +47,7 @@ impl Simulation {
         self.stepper.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    pub(crate) fn case(&self) -> &Case {
+    pub(crate) fn simulated(&self) -> &Case {
         &self.case
     }
 
@@ -131,6 +131,7 @@ impl Simulation {
         for _ in 0..steps {
             detached(py, || -> Result<()> {
                 let mut stepper = self.lock();
+                let stepper = &mut *stepper;
                 pool.install(|| stepper.step(&target))
             })?;
             py.check_signals()?;

@@ -102,7 +102,7 @@ pub(crate) fn render_visual(
             return Err(Error::usage(what).remedy("omit it").into());
         }
         let simulation = simulation.get();
-        let (case, snapshot) = (simulation.case(), simulation.snapshot());
+        let (case, snapshot) = (simulation.simulated(), simulation.snapshot());
         (case.object.mesh.surface().clone(), seen(case, &snapshot)?)
     } else {
         let found = source.get_type().name()?;
