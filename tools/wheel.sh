@@ -28,7 +28,11 @@ export SOURCE_DATE_EPOCH=${SOURCE_DATE_EPOCH:-$(git log -1 --format=%ct || echo 
 . packaging/build-flags.sh
 export PATH=$home/bin:$PATH
 rm -rf "$out"
-maturin build --quiet --release --locked --zig --compatibility manylinux_2_28 --sdist --out "$out"
+said=$(maturin sdist --out "$out" 2>&1) || {
+    echo "$said" >&2
+    exit 1
+}
+maturin build --quiet --release --locked --zig --compatibility manylinux_2_28 --out "$out"
 for wheel in "$out"/*.whl; do
     bytes=$(stat -c %s "$wheel")
     if [ "$bytes" -gt "$max_bytes" ]; then

@@ -39,7 +39,7 @@ def arrays(draw: st.DrawFn, like: tuple[Any, tuple[int, ...]] | None = None) -> 
     if like is not None and draw(st.booleans()):
         dtype, shape = like
         elements = st.floats(width=32) if np.dtype(dtype).kind == "f" else None
-        array = draw(npst.arrays(dtype, shape, elements=elements, fill=st.nothing() if elements else None))
+        array = draw(npst.arrays(dtype, shape, elements=elements, fill=None if elements is None else st.nothing()))
     else:
         array = np.zeros(draw(shapes), dtype=draw(dtypes))
     how = draw(st.sampled_from(["plain", "reversed", "transposed", "strided", "fortran", "read-only", "swapped"]))

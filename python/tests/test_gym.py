@@ -43,15 +43,15 @@ def test_batch_is_the_same_as_single_environments() -> None:
 
 def test_grasp_in_the_middle_holds() -> None:
     env = GraspEnv(max_grasps=4, mass_kg=(0.2, 0.2), friction=(0.6, 0.6), length_m=(0.14, 0.14))
-    _, info = env.reset(seed=5)
+    first, info = env.reset(seed=5)
     for _ in range(4):
         shift = np.clip(-info["offset_m"] / 0.04, -1, 1)
         observation, reward, terminated, truncated, info = env.step(np.array([shift, 0.5], dtype=np.float32))
         if terminated:
             break
     assert terminated and not truncated and info["holds"] and reward > 0.6
-    # Level in the middle: the gels feel no torque.
-    assert abs(observation[6:8]).max() < 0.2
+    # The nearer to the middle, the less torque.
+    assert abs(observation[6:8]).max() < 0.5 * abs(first[6:8]).max()
 
 
 def test_torque_says_on_which_side_the_middle_is() -> None:

@@ -15,8 +15,9 @@ use super::access::{Authorisation, Peer};
 use super::backend::Backend;
 use super::failure::{ErrorResponse, Failure};
 use super::previews::{MAX_STREAMS, PreviewImage, Shown};
-use crate::daemon::{EngineStatus, LiveMarkers};
+use crate::daemon::EngineStatus;
 use gripcast_imaging::Role;
+use gripcast_shear::MarkerField;
 
 /// Interval between two images of a stream.
 const INTERVAL: Duration = Duration::from_millis(100);
@@ -88,6 +89,15 @@ pub(crate) async fn still(
     Ok((headers, shown.jpeg).into_response())
 }
 
+/// The gel markers of an image.
+#[derive(serde::Serialize, utoipa::ToSchema)]
+pub(crate) struct MarkerResponse {
+    #[serde(flatten)]
+    field: MarkerField,
+    /// Driver time of the image, `CLOCK_MONOTONIC` of the daemon's machine, ns.
+    driver_time_ns: u64,
+}
+
 /// Gel markers of a gel
 ///
 /// In its newest image, since the initial frame: rest and present positions in px of the 320×240
@@ -95,12 +105,12 @@ pub(crate) async fn still(
 /// of the image.
 #[utoipa::path(get, path = "/api/cameras/{role}/markers", tag = "cameras",
     params(("role" = Role, Path)),
-    responses((status = 200, body = LiveMarkers), (status = 400, body = ErrorResponse),
+    responses((status = 200, body = MarkerResponse), (status = 400, body = ErrorResponse),
         (status = 404, body = ErrorResponse), (status = 503, body = ErrorResponse)))]
 pub(crate) async fn markers(
     Shared(backend): Shared<Arc<Backend>>,
     Segment(role): Segment<Role>,
-) -> Result<Json<LiveMarkers>, Failure> {
+) -> Result<Json<MarkerResponse>, Failure> {
     let status = Arc::clone(&backend.status.borrow());
     let role = check_role(&status, role)?;
     let markers = status.marker_fields.get(&role).ok_or_else(|| {
@@ -110,7 +120,10 @@ pub(crate) async fn markers(
         };
         Failure::busy(format!("{role}: {why}"))
     })?;
-    Ok(Json(markers.clone()))
+    Ok(Json(MarkerResponse {
+        field: (*markers.field).clone(),
+        driver_time_ns: markers.driver_time_ns,
+    }))
 }
 
 /// Image stream of a camera

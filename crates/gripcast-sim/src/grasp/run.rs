@@ -410,6 +410,11 @@ impl<'a> Run<'a> {
         }
     }
 
+    /// Largest motion of a finger in one step of the force adjustment, m.
+    pub(super) fn adjustment_limit(&self) -> f64 {
+        self.protocol.adjust_speed_m_s * self.dt
+    }
+
     pub(super) fn step(&mut self, stage: StageName, start: &StepStart) {
         let report = self.scene.system.step(start);
         self.unconverged += usize::from(!report.converged);

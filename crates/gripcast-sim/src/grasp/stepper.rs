@@ -109,10 +109,12 @@ impl Stepper {
             self.solver = None;
             return Ok(());
         }
-        let stage = match run.has_touched {
-            false => StageName::Closure,
-            true if shift == DVec3::ZERO => StageName::Adjustment,
-            true => StageName::Lift,
+        // As in `simulate`: fast closing, small corrections, motion of the gripper.
+        let is_fast = by.abs() > run.adjustment_limit();
+        let stage = match shift == DVec3::ZERO {
+            true if is_fast => StageName::Closure,
+            true => StageName::Adjustment,
+            false => StageName::Lift,
         };
         run.move_targets(by, shift);
         let in_contact = |force: &GelForce| force.normal_n > MIN_CONTACT_FORCE_N;
