@@ -28,7 +28,7 @@ def act(policies: Floats, observations: Floats) -> npt.NDArray[np.float32]:
     slipping = np.abs(observations[:, [3, 5]]).sum(axis=1)
     motion = policies[:, 0] * along
     force = policies[:, 1] + policies[:, 2] * turning + policies[:, 3] * slipping
-    return np.tanh(np.stack([motion, force], axis=1)).astype(np.float32)
+    return np.asarray(np.tanh(np.stack([motion, force], axis=1)), dtype=np.float32)
 
 
 def evaluate(policies: Floats | None, envs: int, seed: list[int], max_grasps: int) -> tuple[Floats, Floats]:

@@ -9,7 +9,7 @@ Length, mass, friction and the first position differ between episodes and are no
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -20,8 +20,8 @@ try:
     import gymnasium
     from gymnasium.vector import AutoresetMode, VectorEnv
     from gymnasium.vector.utils import batch_space
-except ImportError as error:
-    raise ImportError("gripcast.gym needs Gymnasium 1.0 or newer: pip install 'gripcast[gym]'") from error
+except ImportError as _error:
+    raise ImportError("gripcast.gym needs Gymnasium 1.1 or newer: pip install 'gripcast[gym]'") from _error
 
 __all__ = ["GraspEnv", "GraspVectorEnv"]
 
@@ -192,8 +192,8 @@ class GraspEnv(gymnasium.Env[_Array, _Array]):
             return None
         result = self._need_episode().result
         assert result is not None
-        moment = "grasp" if "adjustment" in result.snapshots else "initial"
-        return np.array(gc.render_tactile(result, moment=moment, profile=_sensor()).image)
+        touched = "adjustment" in result.snapshots
+        return np.array(gc.render_tactile(result, moment="grasp" if touched else "initial", profile=_sensor()).image)
 
     def _grasp(self, episode: _Episode) -> _Step:
         (result,) = gc.simulate_batch([episode.case()], threads=1)
@@ -205,13 +205,13 @@ class GraspEnv(gymnasium.Env[_Array, _Array]):
         return self._episode
 
 
-class GraspVectorEnv(VectorEnv[_Array, _Array, _Array]):
+class GraspVectorEnv(VectorEnv[_Array, _Array, npt.NDArray[Any]]):
     """`num_envs` environments like `GraspEnv`, whose grasps run in `threads` threads (None: all cores).
 
     An environment whose episode has ended is reset by the next step.
     """
 
-    metadata: ClassVar[dict[str, Any]] = {"autoreset_mode": AutoresetMode.NEXT_STEP, "render_modes": []}
+    metadata: dict[str, Any] = {"autoreset_mode": AutoresetMode.NEXT_STEP, "render_modes": []}
 
     def __init__(self, num_envs: int, *, threads: int | None = None, **task: Any) -> None:
         if num_envs < 1:
@@ -230,7 +230,12 @@ class GraspVectorEnv(VectorEnv[_Array, _Array, _Array]):
         self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
     ) -> tuple[_Array, dict[str, Any]]:
         """New bars and their first grasps. Environment i has the seed `seed` + i, or seed[i]."""
-        seeds = [None if seed is None else seed + i for i in range(self.num_envs)] if _is_one(seed) else list(seed)
+        if seed is None:
+            seeds: list[int | None] = [None] * self.num_envs
+        elif isinstance(seed, Sequence):
+            seeds = list(seed)
+        else:
+            seeds = [int(seed) + i for i in range(self.num_envs)]
         if len(seeds) != self.num_envs:
             raise gc.UsageError(f"`seed` must have {self.num_envs} seeds, found {len(seeds)}")
         if not self._random or any(one is not None for one in seeds):
@@ -242,7 +247,7 @@ class GraspVectorEnv(VectorEnv[_Array, _Array, _Array]):
 
     def step(
         self, actions: _Array
-    ) -> tuple[_Array, npt.NDArray[np.float64], npt.NDArray[np.bool_], npt.NDArray[np.bool_], dict[str, Any]]:
+    ) -> tuple[_Array, npt.NDArray[Any], npt.NDArray[Any], npt.NDArray[Any], dict[str, Any]]:
         """Grasps again; environments that had ended make their first grasp, with the reward 0."""
         if not self._episodes:
             raise gc.UsageError("the environments have no episodes", None, "call reset() first")
@@ -277,10 +282,6 @@ class GraspVectorEnv(VectorEnv[_Array, _Array, _Array]):
     def _grasp(self, envs: list[int]) -> dict[int, _Step]:
         results = gc.simulate_batch([self._episodes[i].case() for i in envs], threads=self._threads)
         return {i: self._episodes[i].score(result) for i, result in zip(envs, results)}
-
-
-def _is_one(seed: Any) -> bool:
-    return seed is None or isinstance(seed, (int, np.integer))
 
 
 def _gathered(infos: Sequence[dict[str, Any]]) -> dict[str, Any]:

@@ -112,7 +112,7 @@ def test_selection_cannot_be_appended_to(tmp_path: Path) -> None:
 
 def test_invalid_grasps_change_nothing(tmp_path: Path) -> None:
     with create(tmp_path / "d") as dataset:
-        for more, error in [
+        wrong: list[tuple[dict[str, Any], type[gc.Error]]] = [
             ({"outcome": "fell"}, gc.UsageError),
             ({"object": ""}, gc.Error),
             ({"object": "a/b"}, gc.Error),
@@ -129,7 +129,8 @@ def test_invalid_grasps_change_nothing(tmp_path: Path) -> None:
             ({"markers": {"left": np.zeros((2, 3, 5))}}, gc.UsageError),
             ({"markers": {"left": np.zeros((2, 3, 4))}, "m_per_px": 1e-5}, gc.InputError),
             ({"markers": {"left": np.full((2, 3, 5), np.inf)}, "m_per_px": 1e-5}, gc.InputError),
-        ]:
+        ]
+        for more, error in wrong:
             with pytest.raises(error):
                 append(dataset, 0, **more)
         with pytest.raises(TypeError):

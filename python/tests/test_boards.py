@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 import gripcast as gc
 from conftest import Cli, load_png, save_png
+
+Image = np.ndarray[Any, Any]
 
 # A sheet of 100 dots per inch seen from straight above: 0.254 m at 1000 px.
 DPI, FOCAL_PX, DISTANCE_M = 100, 1000.0, 0.254
@@ -21,14 +24,14 @@ def board() -> gc.Board:
 
 
 @pytest.fixture(scope="module")
-def sheet(board: gc.Board, tmp_path_factory: pytest.TempPathFactory) -> np.ndarray:  # type: ignore[type-arg]
+def sheet(board: gc.Board, tmp_path_factory: pytest.TempPathFactory) -> Image:
     path = tmp_path_factory.mktemp("sheet") / "mug.png"
     board.save_sheet(path, dpi=DPI)
     image = load_png(path)
     return np.repeat(image[..., None], 3, axis=2) if image.ndim == 2 else np.ascontiguousarray(image[..., :3])
 
 
-def camera(image: np.ndarray) -> gc.Intrinsics:  # type: ignore[type-arg]
+def camera(image: Image) -> gc.Intrinsics:
     height, width = image.shape[:2]
     return gc.Intrinsics((width, height), (FOCAL_PX, FOCAL_PX), ((width - 1) / 2, (height - 1) / 2))
 
@@ -51,7 +54,7 @@ def test_board_is_that_of_the_program(board: gc.Board, tmp_path: Path, cli: Cli)
     assert gc.Board.gripper_umi().corners_m
 
 
-def test_pose_of_a_sheet_is_found(board: gc.Board, sheet: np.ndarray) -> None:  # type: ignore[type-arg]
+def test_pose_of_a_sheet_is_found(board: gc.Board, sheet: Image) -> None:
     markers = gc.detect_markers(sheet, board=board)
     assert [marker.id for marker in markers] == sorted(board.corners_m)
     assert markers[0].corners_px.shape == (4, 2) and markers[0].corrected_bits == 0
@@ -65,7 +68,7 @@ def test_pose_of_a_sheet_is_found(board: gc.Board, sheet: np.ndarray) -> None:  
     np.testing.assert_allclose(seen[:, 2], DISTANCE_M, atol=2e-3)
 
 
-def test_intrinsics_survive_a_file(sheet: np.ndarray, tmp_path: Path) -> None:  # type: ignore[type-arg]
+def test_intrinsics_survive_a_file(sheet: np.ndarray, tmp_path: Path) -> None:
     intrinsics = camera(sheet)
     intrinsics.save(tmp_path / "camera.toml")
     read = gc.Intrinsics.load(tmp_path / "camera.toml")
@@ -76,7 +79,7 @@ def test_intrinsics_survive_a_file(sheet: np.ndarray, tmp_path: Path) -> None:  
     )
 
 
-def test_wrong_boards_and_cameras_are_explained(board: gc.Board, sheet: np.ndarray) -> None:  # type: ignore[type-arg]
+def test_wrong_boards_and_cameras_are_explained(board: gc.Board, sheet: Image) -> None:
     markers = gc.detect_markers(sheet, board=board)
     other = gc.Intrinsics((640, 480), (600.0, 600.0), (320.0, 240.0))
     for call, error in [

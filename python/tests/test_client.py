@@ -249,7 +249,7 @@ def test_invalid_arguments_send_nothing() -> None:
         lambda: nowhere.frame("left", "both"),  # type: ignore[arg-type]
     ):
         with pytest.raises(gc.UsageError):
-            call()  # type: ignore[no-untyped-call]
+            call()
 
 
 class Stranger(http.server.BaseHTTPRequestHandler):

@@ -130,6 +130,9 @@ impl Board {
     /// 100 mm rulers. The board's frame is that of the mesh.
     #[staticmethod]
     #[pyo3(signature = (mesh, *, name = "board", dictionary = "DICT_6X6_250", first_id = 0, marker_m = 0.03, paper = "A4", stable_pose = None, yaw_deg = 0.0, measured_mm = (100.0, 100.0)))]
+    #[pyo3(
+        text_signature = "(mesh, *, name='board', dictionary='DICT_6X6_250', first_id=0, marker_m=0.03, paper='A4', stable_pose=None, yaw_deg=0.0, measured_mm=(100.0, 100.0))"
+    )]
     #[allow(clippy::too_many_arguments)]
     fn make(
         py: Python<'_>,

@@ -46,6 +46,9 @@ struct Job {
 /// image is that of `gripcast render visual`.
 #[pyfunction]
 #[pyo3(signature = (source, *, moment = None, view = "hand", size_px = (320, 240), samples = 64, seed = 0, finish = None, denoise = false, threads = None))]
+#[pyo3(
+    text_signature = "(source, *, moment=None, view='hand', size_px=(320, 240), samples=64, seed=0, finish=None, denoise=False, threads=None)"
+)]
 #[allow(clippy::too_many_arguments)]
 pub(crate) fn render_visual(
     py: Python<'_>,
