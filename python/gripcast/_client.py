@@ -12,7 +12,7 @@ import time
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from types import TracebackType
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 from urllib.parse import quote, urlencode, urlsplit
 
 import numpy as np
@@ -32,8 +32,9 @@ from gripcast._errors import (
 )
 from gripcast._websocket import Refused, WebSocket
 
-_Role = Literal["left", "right", "rgb", "depth", "external"]
-_Outcome = Literal["stable", "slip", "unlabelled"]
+if TYPE_CHECKING:
+    _Role = Literal["left", "right", "rgb", "depth", "external"]
+    _Outcome = Literal["stable", "slip", "unlabelled"]
 
 # The daemon answers a command within 20 s.
 _TIMEOUT_S = 25.0
@@ -84,7 +85,7 @@ class DaemonState:
 
     @property
     def last_outcome(self) -> _Outcome | None:
-        """_Outcome of the newest grasp."""
+        """Outcome of the newest grasp."""
         last = self._session["last"]
         return last and last["outcome"]  # type: ignore[no-any-return]
 
