@@ -33,7 +33,10 @@ for suite in "${suites[@]}"; do
     debootstrap --variant=minbase --include=python3,python3-venv,ca-certificates "$suite" "$root" "$mirror" >/dev/null
     cp /etc/resolv.conf "$root/etc/resolv.conf"
     cp "$wheel" "$root/tmp/"
-    inside=(chroot "$root" /usr/bin/env -i PATH=/usr/sbin:/usr/bin:/sbin:/bin HOME=/root LC_ALL=C.UTF-8)
+    # This machine's certificates: its network may have a proxy with one of its own.
+    cp /etc/ssl/certs/ca-certificates.crt "$root/tmp/certificates.crt"
+    inside=(chroot "$root" /usr/bin/env -i PATH=/usr/sbin:/usr/bin:/sbin:/bin HOME=/root LC_ALL=C.UTF-8
+        PIP_CERT=/tmp/certificates.crt)
     "${inside[@]}" python3 -c 'import shutil; assert not any(map(shutil.which, ("cc", "gcc", "cargo", "cmake")))'
     "${inside[@]}" python3 -m venv /opt/gripcast
     began=$(date +%s.%N)
@@ -46,5 +49,6 @@ print(gc.simulate(ball, gel="coarse", stop_force_n=12).outcome)')
         say "FAILED in $suite: the grasp was $found"
         exit 1
     }
-    say "$suite: $(echo "$(date +%s.%N) - $began" | bc) s from pip install to the first simulated grasp"
+    took=$(python3 -c "import sys; print(round(float(sys.argv[2]) - float(sys.argv[1]), 1))" "$began" "$(date +%s.%N)")
+    say "$suite: $took s from pip install to the first simulated grasp"
 done
