@@ -123,7 +123,6 @@ impl Stepper {
             refactorize: stage == StageName::Closure,
             initial_translation: if is_held { shift } else { DVec3::ZERO },
             warm_start_slot: warm_start_slot(stage, by),
-            ..StepStart::default()
         };
         run.step(stage, &start);
         run.has_touched |= run.forces().iter().any(in_contact);
@@ -158,7 +157,7 @@ impl Stepper {
 
     fn check(&self, target: &StepTarget) -> Result<()> {
         let StepTarget { opening_m, moved_m } = *target;
-        if !(opening_m >= 0.0 && opening_m <= MAX_OPENING_M) {
+        if !(0.0..=MAX_OPENING_M).contains(&opening_m) {
             return Err(Error::usage(format!(
                 "`opening_m` must be from 0 to {MAX_OPENING_M} m, found {opening_m}"
             )));
@@ -187,8 +186,10 @@ mod tests {
         let placed = Placement::default()
             .place(&mesh, &rest.t_world_object)
             .unwrap();
-        let mut settings = GraspSettings::default();
-        settings.resolution = GelResolution::Coarse;
+        let mut settings = GraspSettings {
+            resolution: GelResolution::Coarse,
+            ..GraspSettings::default()
+        };
         settings.protocol.stop_force_n = 5.0;
         let scene = Scene {
             mesh,
