@@ -2,6 +2,11 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from gripcast._client import DaemonState
+
 
 class Error(Exception):
     """An error of gripcast.
@@ -45,6 +50,40 @@ class AccessError(Error):
 
 class IoError(Error):
     """The operating system reports an IO failure."""
+
+
+class UnreachableError(IoError):
+    """No daemon answers."""
+
+
+class BusyError(Error):
+    """Something is not ready, or has too much to do; try again later."""
+
+
+class RefusedError(Error):
+    """A daemon refused a command, and changed nothing.
+
+    reasons: one sentence per guard; can_override: whether `Client.override` executes it nevertheless;
+    is_stale: whether the session had changed since the state that the sender saw, or the command was
+    too old; state: the state that the daemon answered with.
+    """
+
+    def __init__(
+        self,
+        what: str,
+        where: str | None = None,
+        remedy: str | None = None,
+        *,
+        reasons: tuple[str, ...] = (),
+        can_override: bool = False,
+        is_stale: bool = False,
+        state: DaemonState | None = None,
+    ) -> None:
+        super().__init__(what, where, remedy)
+        self.reasons = reasons
+        self.can_override = can_override
+        self.is_stale = is_stale
+        self.state = state
 
 
 class InternalError(Error):

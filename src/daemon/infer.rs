@@ -18,7 +18,7 @@ use super::gels::GelJudge;
 use super::histogram::LatencyHistogram;
 use super::hub::{Decoded, Hub};
 use super::shear::{GelScale, GelTrackers, draw_markers};
-use super::status::{PredictionStatus, Preview, ShearStatus, verdict_of};
+use super::status::{LiveMarkers, PredictionStatus, Preview, ShearStatus, verdict_of};
 use super::tasks::{Heartbeat, Tasks};
 use super::thread::lock;
 use gripcast_base::error::Result;
@@ -145,7 +145,7 @@ pub(super) struct InferenceState {
     /// Shear of each gel, relative to the initial frame of `revision`.
     pub(super) shear: BTreeMap<Role, ShearStatus>,
     /// Gel markers in the newest image of each gel that has them.
-    pub(super) marker_fields: BTreeMap<Role, Arc<MarkerField>>,
+    pub(super) marker_fields: BTreeMap<Role, LiveMarkers>,
     /// Time to measure the shear of a tactile image, ms.
     pub(super) shear_time: LatencyHistogram,
     /// Preview images.
@@ -403,6 +403,7 @@ impl Worker {
         let preview = Preview {
             image: Arc::clone(&decoded.image),
             difference,
+            driver_time_ns: decoded.driver_time_ns,
         };
         lock(&self.state).previews.insert(role, preview);
     }
@@ -427,7 +428,13 @@ impl Worker {
         state.shear_time.add(started.elapsed().as_secs_f64() * 1e3);
         state.shear.insert(role, status);
         match &field {
-            Some(field) => drop(state.marker_fields.insert(role, Arc::clone(field))),
+            Some(field) => {
+                let markers = LiveMarkers {
+                    field: Arc::clone(field),
+                    driver_time_ns: decoded.driver_time_ns,
+                };
+                state.marker_fields.insert(role, markers);
+            }
             None => drop(state.marker_fields.remove(&role)),
         }
         field

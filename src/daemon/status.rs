@@ -66,7 +66,7 @@ pub struct EngineStatus {
     pub previews: BTreeMap<Role, Preview>,
     /// Gel markers in the newest image of each gel that has them, which the API sends separately.
     #[serde(skip)]
-    pub marker_fields: BTreeMap<Role, Arc<MarkerField>>,
+    pub marker_fields: BTreeMap<Role, LiveMarkers>,
 }
 
 impl EngineStatus {
@@ -188,6 +188,17 @@ pub struct Preview {
     /// Tactile difference to the last initial frame with an arrow for each gel marker, grey for no
     /// change; none before the first initial frame of the session.
     pub difference: Option<Arc<RgbImage>>,
+    /// Driver time of the frame, `CLOCK_MONOTONIC`, ns.
+    pub driver_time_ns: u64,
+}
+
+/// The gel markers in an image of a camera.
+#[derive(Clone, Debug, PartialEq)]
+pub struct LiveMarkers {
+    /// The gel markers.
+    pub field: Arc<MarkerField>,
+    /// Driver time of the frame, `CLOCK_MONOTONIC`, ns.
+    pub driver_time_ns: u64,
 }
 
 impl Preview {

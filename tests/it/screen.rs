@@ -75,6 +75,7 @@ fn preview(is_difference: bool) -> Preview {
     Preview {
         difference: is_difference.then(|| Arc::clone(&image)),
         image,
+        driver_time_ns: 0,
     }
 }
 
@@ -576,6 +577,7 @@ prop_compose! {
         let preview = Preview {
             image: Arc::new(RgbImage::new(image.0, image.1)),
             difference: image.2.then(|| Arc::new(RgbImage::new(image.0, image.1))),
+            driver_time_ns: 0,
         };
         let contact = prediction.as_ref().map(|p| (Role::Left, p.record.p_stable));
         let subject = StartSubject::Clock;
