@@ -18,7 +18,7 @@ use super::gels::GelJudge;
 use super::histogram::LatencyHistogram;
 use super::hub::{Decoded, Hub};
 use super::shear::{GelScale, GelTrackers, draw_markers};
-use super::status::{PredictionStatus, Preview, ShearStatus, verdict_of};
+use super::status::{LiveMarkers, PredictionStatus, Preview, ShearStatus, verdict_of};
 use super::tasks::{Heartbeat, Tasks};
 use super::thread::lock;
 use gripcast_base::error::Result;
@@ -145,7 +145,7 @@ pub(super) struct InferenceState {
     /// Shear of each gel, relative to the initial frame of `revision`.
     pub(super) shear: BTreeMap<Role, ShearStatus>,
     /// Gel markers in the newest image of each gel that has them.
-    pub(super) marker_fields: BTreeMap<Role, Arc<MarkerField>>,
+    pub(super) marker_fields: BTreeMap<Role, LiveMarkers>,
     /// Time to measure the shear of a tactile image, ms.
     pub(super) shear_time: LatencyHistogram,
     /// Preview images.
@@ -393,8 +393,9 @@ impl Worker {
         // After the prediction, which does not wait for the shear.
         let field = self.measure_shear(role, &decoded);
         // Also while the object is lifted, when there is no prediction.
-        let difference = difference.filter(|_| self.has_initial).map(|difference| {
-            let mut image = difference.to_image(PREVIEW_GAIN);
+        let levels = difference.filter(|_| self.has_initial).map(Arc::new);
+        let difference = levels.as_ref().map(|levels| {
+            let mut image = levels.to_image(PREVIEW_GAIN);
             if let Some(field) = &field {
                 draw_markers(&mut image, field);
             }
@@ -403,6 +404,8 @@ impl Worker {
         let preview = Preview {
             image: Arc::clone(&decoded.image),
             difference,
+            levels,
+            driver_time_ns: decoded.driver_time_ns,
         };
         lock(&self.state).previews.insert(role, preview);
     }
@@ -427,7 +430,13 @@ impl Worker {
         state.shear_time.add(started.elapsed().as_secs_f64() * 1e3);
         state.shear.insert(role, status);
         match &field {
-            Some(field) => drop(state.marker_fields.insert(role, Arc::clone(field))),
+            Some(field) => {
+                let markers = LiveMarkers {
+                    field: MarkerField::clone(field),
+                    driver_time_ns: decoded.driver_time_ns,
+                };
+                state.marker_fields.insert(role, markers);
+            }
             None => drop(state.marker_fields.remove(&role)),
         }
         field

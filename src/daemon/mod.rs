@@ -44,8 +44,8 @@ pub use shear::GelScale;
 pub use start_report::{StartFinding, StartSubject};
 pub(crate) use status::disk_free_bytes;
 pub use status::{
-    CameraStatus, EngineStatus, GelStatus, MarkerStatus, PredictionStatus, Preview, ShearStatus,
-    verdict_of,
+    CameraStatus, EngineStatus, GelStatus, LiveMarkers, MarkerStatus, PredictionStatus, Preview,
+    ShearStatus, verdict_of,
 };
 pub use tasks::{Heartbeat, TaskReport, TaskState, Tasks};
 pub(crate) use thread::lock;

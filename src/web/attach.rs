@@ -213,7 +213,13 @@ impl Received {
         let image = Arc::new(image);
         if *first < DIFFERENCE {
             let difference = self.previews.remove(&role).and_then(|old| old.difference);
-            self.previews.insert(role, Preview { image, difference });
+            let preview = Preview {
+                image,
+                difference,
+                levels: None,
+                driver_time_ns: 0,
+            };
+            self.previews.insert(role, preview);
         } else if let Some(preview) = self.previews.get_mut(&role) {
             preview.difference = Some(image);
         }

@@ -8,23 +8,26 @@ use axum::Extension;
 use axum::body::{Body, Bytes};
 use axum::extract::rejection::QueryRejection;
 use axum::extract::{Path, Query, State as Shared};
-use axum::http::{HeaderName, header};
+use axum::http::{HeaderName, StatusCode, header};
 use axum::response::{IntoResponse, Json, Response};
 
 use super::access::{Authorisation, Peer};
 use super::backend::Backend;
 use super::failure::{ErrorResponse, Failure};
-use super::previews::{MAX_STREAMS, PreviewImage};
-use crate::daemon::EngineStatus;
+use super::frames::{MarkersQuery, other_than, timed};
+use super::previews::{MAX_STREAMS, PreviewImage, Shown};
+use crate::daemon::{EngineStatus, LiveMarkers};
 use gripcast_imaging::Role;
-use gripcast_shear::MarkerField;
 
 /// Interval between two images of a stream.
 const INTERVAL: Duration = Duration::from_millis(100);
+/// Driver time of an image's frame, `CLOCK_MONOTONIC` of this machine, ns.
+pub(super) const DRIVER_TIME: HeaderName = HeaderName::from_static("gripcast-driver-time-ns");
 /// Multipart boundary of a stream.
 const BOUNDARY: &str = "gripcast-frame";
 
-fn check_role(status: &EngineStatus, role: Role) -> Result<Role, Failure> {
+/// Returns the role of a camera that the rig has.
+pub(super) fn check_role(status: &EngineStatus, role: Role) -> Result<Role, Failure> {
     if status.cameras.iter().any(|camera| camera.role == role) {
         return Ok(role);
     }
@@ -63,7 +66,8 @@ pub(crate) fn parameters<T>(query: Parameters<T>) -> Result<T, Failure> {
 /// Newest image of a camera
 ///
 /// At most 320×240; a gel shows the difference to the initial frame once there is one, or with
-/// `image=raw` what its camera sees, and with `image=both` both, side by side.
+/// `image=raw` what its camera sees, and with `image=both` both, side by side. The header
+/// `Gripcast-Driver-Time-Ns` is the driver time of the frame, CLOCK_MONOTONIC of the daemon's machine.
 #[utoipa::path(get, path = "/api/cameras/{role}/preview.jpg", tag = "cameras",
     params(("role" = Role, Path), PreviewQuery),
     responses((status = 200, content_type = "image/jpeg", body = [u8]), (status = 400, body = ErrorResponse),
@@ -75,35 +79,47 @@ pub(crate) async fn still(
 ) -> Result<Response, Failure> {
     let PreviewQuery { image, .. } = parameters(query)?;
     let role = check_role(&backend.status.borrow(), role)?;
-    let jpeg = backend
+    let shown = backend
         .previews
         .shown(role, image)
         .ok_or_else(|| Failure::busy(format!("{role} has no image yet")))?;
-    Ok(([(header::CONTENT_TYPE, "image/jpeg")], jpeg).into_response())
+    let headers = [
+        (header::CONTENT_TYPE, "image/jpeg".to_owned()),
+        (DRIVER_TIME, shown.driver_time_ns.to_string()),
+    ];
+    Ok((headers, shown.jpeg).into_response())
 }
 
 /// Gel markers of a gel
 ///
 /// In its newest image, since the initial frame: rest and present positions in px of the 320×240
-/// image, confidence 0 for a lost one; null where the lattice has no marker.
+/// image, confidence 0 for a lost one; null where the lattice has no marker. `driver_time_ns` is that
+/// of the image. With `after`, waits for those of another driver time, a second at most, then 204.
 #[utoipa::path(get, path = "/api/cameras/{role}/markers", tag = "cameras",
-    params(("role" = Role, Path)),
-    responses((status = 200, body = MarkerField), (status = 400, body = ErrorResponse),
+    params(("role" = Role, Path), MarkersQuery),
+    responses((status = 200, body = LiveMarkers), (status = 204), (status = 400, body = ErrorResponse),
         (status = 404, body = ErrorResponse), (status = 503, body = ErrorResponse)))]
 pub(crate) async fn markers(
     Shared(backend): Shared<Arc<Backend>>,
     Segment(role): Segment<Role>,
-) -> Result<Json<MarkerField>, Failure> {
-    let status = Arc::clone(&backend.status.borrow());
-    let role = check_role(&status, role)?;
-    let field = status.marker_fields.get(&role).ok_or_else(|| {
-        let why = match status.shear.get(&role) {
-            Some(_) => "no gel markers in its image",
-            None => "no initial frame",
-        };
-        Failure::busy(format!("{role}: {why}"))
-    })?;
-    Ok(Json((**field).clone()))
+    query: Parameters<MarkersQuery>,
+) -> Result<Response, Failure> {
+    let MarkersQuery { after } = parameters(query)?;
+    let role = check_role(&backend.status.borrow(), role)?;
+    let newest = |status: &EngineStatus| {
+        let markers = status.marker_fields.get(&role).ok_or_else(|| {
+            let why = match status.shear.get(&role) {
+                Some(_) => "no gel markers in its image",
+                None => "no initial frame",
+            };
+            Failure::busy(format!("{role}: {why}"))
+        })?;
+        Ok((markers.driver_time_ns, markers.clone()))
+    };
+    Ok(match other_than(&backend.status, after, newest).await? {
+        Some((driver_time_ns, markers)) => timed(driver_time_ns, Json(markers)),
+        None => StatusCode::NO_CONTENT.into_response(),
+    })
 }
 
 /// Image stream of a camera
@@ -144,7 +160,7 @@ pub(crate) async fn stream(
             }
             match backend.previews.shown(role, image) {
                 // The same buffer means no new image.
-                Some(jpeg) if jpeg.as_ptr() != last.as_ptr() => break jpeg,
+                Some(Shown { jpeg, .. }) if jpeg.as_ptr() != last.as_ptr() => break jpeg,
                 _ => {}
             }
         };
@@ -200,7 +216,6 @@ where
 
 #[cfg(test)]
 mod tests {
-    use axum::http::StatusCode;
     use gripcast_session::Labels;
 
     use super::*;

@@ -52,7 +52,15 @@ pub(crate) struct Previews {
 struct Encoded {
     /// Source image, kept so that its address stays unique.
     source: Arc<RgbImage>,
-    jpeg: Bytes,
+    shown: Shown,
+}
+
+/// An image for clients.
+#[derive(Clone)]
+pub(crate) struct Shown {
+    pub(crate) jpeg: Bytes,
+    /// Driver time of its frame, `CLOCK_MONOTONIC`, ns.
+    pub(crate) driver_time_ns: u64,
 }
 
 impl Previews {
@@ -66,27 +74,27 @@ impl Previews {
     }
 
     /// Returns the newest image of a camera; `None` before the first.
-    pub(crate) fn jpeg(&self, role: Role) -> Option<Bytes> {
+    pub(crate) fn raw(&self, role: Role) -> Option<Shown> {
         self.encoded(role, PreviewImage::Raw)
     }
 
     /// Returns the newest image of a camera of this kind; for a gel without an initial frame its
     /// image. `None` before the first.
-    pub(crate) fn shown(&self, role: Role, which: PreviewImage) -> Option<Bytes> {
+    pub(crate) fn shown(&self, role: Role, which: PreviewImage) -> Option<Shown> {
         match which {
-            PreviewImage::Raw => self.jpeg(role),
+            PreviewImage::Raw => self.raw(role),
             PreviewImage::Both if role.is_tactile() => self.encoded(role, PreviewImage::Both),
-            PreviewImage::Both => self.jpeg(role),
-            PreviewImage::Difference => self.difference(role).or_else(|| self.jpeg(role)),
+            PreviewImage::Both => self.raw(role),
+            PreviewImage::Difference => self.difference(role).or_else(|| self.raw(role)),
         }
     }
 
     /// Returns the newest difference of a gel; `None` without an initial frame.
-    pub(crate) fn difference(&self, role: Role) -> Option<Bytes> {
+    pub(crate) fn difference(&self, role: Role) -> Option<Shown> {
         self.encoded(role, PreviewImage::Difference)
     }
 
-    fn encoded(&self, role: Role, which: PreviewImage) -> Option<Bytes> {
+    fn encoded(&self, role: Role, which: PreviewImage) -> Option<Shown> {
         let status = Arc::clone(&self.status.borrow());
         let preview = status.previews.get(&role)?;
         // Image and difference change together.
@@ -99,19 +107,22 @@ impl Previews {
             .get(&(role, which))
             .filter(|e| Arc::ptr_eq(&e.source, &image))
         {
-            return Some(cached.jpeg.clone());
+            return Some(cached.shown.clone());
         }
         let jpeg = match which {
             PreviewImage::Both => encode_jpeg(&side_by_side(preview), QUALITY),
             PreviewImage::Raw | PreviewImage::Difference => encode_jpeg(&image, QUALITY),
         };
-        let jpeg = Bytes::from(jpeg.ok()?);
+        let shown = Shown {
+            jpeg: Bytes::from(jpeg.ok()?),
+            driver_time_ns: preview.driver_time_ns,
+        };
         let entry = Encoded {
             source: image,
-            jpeg: jpeg.clone(),
+            shown: shown.clone(),
         };
         encoded.insert((role, which), entry);
-        Some(jpeg)
+        Some(shown)
     }
 }
 
@@ -151,17 +162,22 @@ mod tests {
         let gel = Preview {
             image: grey(40),
             difference: Some(grey(128)),
+            levels: None,
+            driver_time_ns: 7,
         };
         let rgb = Preview {
             image: grey(90),
             difference: None,
+            levels: None,
+            driver_time_ns: 8,
         };
         status.previews = BTreeMap::from([(Role::Left, gel), (Role::Rgb, rgb.clone())]);
         let (sender, receiver) = watch::channel(Arc::new(status.clone()));
         let previews = Previews::new(receiver);
         let decoded = |role, which| {
-            let jpeg = previews.shown(role, which).unwrap();
-            Decoder::new().unwrap().stored_image(&jpeg).unwrap()
+            let shown = previews.shown(role, which).unwrap();
+            assert_eq!(shown.driver_time_ns, if role == Role::Left { 7 } else { 8 });
+            Decoder::new().unwrap().stored_image(&shown.jpeg).unwrap()
         };
         let level = |image: &RgbImage, x| image.get_pixel(x, 10).0[0];
         let raw = decoded(Role::Left, PreviewImage::Raw);
@@ -183,11 +199,15 @@ mod tests {
         }
 
         // Without an initial frame there is no difference, and it is not made up.
-        status.previews.insert(Role::Left, rgb);
+        let left = Preview {
+            driver_time_ns: 7,
+            ..rgb
+        };
+        status.previews.insert(Role::Left, left);
         sender.send(Arc::new(status)).unwrap();
         let both = decoded(Role::Left, PreviewImage::Both);
         assert_eq!((both.width(), level(&both, 0)), (640, 90));
-        assert_eq!(previews.difference(Role::Left), None);
+        assert!(previews.difference(Role::Left).is_none());
         let difference = decoded(Role::Left, PreviewImage::Difference);
         assert_eq!((difference.width(), level(&difference, 0)), (320, 90));
     }

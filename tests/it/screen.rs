@@ -74,6 +74,8 @@ fn preview(is_difference: bool) -> Preview {
     let image = Arc::new(image);
     Preview {
         difference: is_difference.then(|| Arc::clone(&image)),
+        levels: None,
+        driver_time_ns: 0,
         image,
     }
 }
@@ -576,6 +578,8 @@ prop_compose! {
         let preview = Preview {
             image: Arc::new(RgbImage::new(image.0, image.1)),
             difference: image.2.then(|| Arc::new(RgbImage::new(image.0, image.1))),
+            levels: None,
+            driver_time_ns: 0,
         };
         let contact = prediction.as_ref().map(|p| (Role::Left, p.record.p_stable));
         let subject = StartSubject::Clock;
