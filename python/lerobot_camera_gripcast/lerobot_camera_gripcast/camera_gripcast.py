@@ -11,11 +11,7 @@ import numpy as np
 import numpy.typing as npt
 from lerobot.cameras.camera import Camera
 from lerobot.cameras.configs import ColorMode
-
-try:
-    from lerobot.utils.errors import DeviceAlreadyConnectedError, DeviceNotConnectedError
-except ImportError:  # pragma: no cover
-    from lerobot.errors import DeviceAlreadyConnectedError, DeviceNotConnectedError
+from lerobot.utils.errors import DeviceAlreadyConnectedError, DeviceNotConnectedError
 
 from ._daemon import Daemon, DaemonError, Served, state_text
 from .config_gripcast import HEIGHT, IMAGES, WIDTH, GripcastCameraConfig, default_url
