@@ -162,19 +162,26 @@ class GripcastCamera(Camera):
             raise DeviceNotConnectedError(f"{self} is not connected. Call `connect` first.")
 
     def _check_role(self) -> None:
-        daemon = self._daemon()
-        try:
-            cameras = daemon.cameras()
-        finally:
-            daemon.close()
+        cameras = self._cameras()
         roles = [camera["role"] for camera in cameras]
-        if not roles:
-            raise ConnectionError(f"{self}: the daemon is starting; try again")
         if self.config.role not in roles:
             raise ConnectionError(f"{self}: the rig has no camera {self.config.role}; it has {', '.join(roles)}")
         camera = cameras[roles.index(self.config.role)]
         if camera["state"] in ("unplugged", "unavailable"):
             raise ConnectionError(f"{self}: the camera is {state_text(camera)}; {_remedy(camera)}")
+
+    def _cameras(self) -> list[dict[str, Any]]:
+        """The rig's cameras, once the daemon has started."""
+        daemon = self._daemon()
+        until = time.monotonic() + _FIRST_S
+        try:
+            while not (cameras := daemon.cameras()):
+                if time.monotonic() > until:
+                    raise ConnectionError(f"{self}: the daemon is still starting after {_FIRST_S:g} s; try again")
+                time.sleep(_RETRY_S)
+        finally:
+            daemon.close()
+        return cameras
 
     def _daemon(self) -> Daemon:
         return Daemon(self.config.url, self.config.token_file)
