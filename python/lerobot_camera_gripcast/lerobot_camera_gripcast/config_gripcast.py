@@ -9,6 +9,8 @@ from lerobot.cameras.configs import CameraConfig, ColorMode
 
 # Size of the images that the daemon serves, px.
 WIDTH, HEIGHT = 320, 240
+# Images that the daemon serves at most, 1/s.
+FPS = 20
 IMAGES = ("raw", "difference", "shear")
 ROLES = ("left", "right", "rgb", "depth", "external")
 
@@ -30,7 +32,7 @@ class GripcastCameraConfig(CameraConfig):
     token file, if it has one. color_mode: rgb or bgr. max_age_ms: age above which `read` and `async_read`
     refuse a frame. shear_range_mm: displacement that is shown as full red or green.
 
-    width and height are 320 and 240; fps limits nothing: the daemon serves up to 20 images per second.
+    width and height are 320 and 240. fps is 20 and limits nothing: the daemon serves at most that many.
     """
 
     role: str = "left"
@@ -54,6 +56,8 @@ class GripcastCameraConfig(CameraConfig):
             if found not in (None, expected):
                 raise ValueError(f"`{name}` is {expected} px for all gripcast cameras, but {found} is provided.")
             setattr(self, name, expected)
+        # Robots need a rate.
+        self.fps = FPS if self.fps is None else self.fps
         for name in ("max_age_ms", "shear_range_mm"):
             found = getattr(self, name)
             if not 0.0 < found < float("inf"):
