@@ -4,6 +4,7 @@
 # make tarball  an archive for other Linux machines, target/tarball/*.tar.gz
 # make docs   the documentation as a book, target/book/html/index.html
 # make python  build the Python package, run its tests, check its types
+# make wheel  the Python package for other Linux machines, target/wheels
 # All install what they need first (apt through sudo when not root, pinned Rust toolchain).
 
 SHELL := /bin/bash
@@ -13,7 +14,7 @@ SHELL := /bin/bash
 CARGO := . tools/env.sh; cargo
 DATASET ?= demo-dataset
 
-.PHONY: help run test test-fast test-peers python lint docs bench kernel setup setup-test setup-package package-files deb try-deb tarball
+.PHONY: help run test test-fast test-peers python wheel lint docs bench kernel setup setup-test setup-package package-files deb try-deb tarball
 
 help:
 	@sed -n 's/^# \(make .*\)/\1/p' $(MAKEFILE_LIST)
@@ -76,6 +77,9 @@ test-peers: setup-test
 
 python: setup
 	@tools/python.sh
+
+wheel: setup
+	@tools/wheel.sh
 
 bench: setup
 	@$(CARGO) build --release --bin gripcast

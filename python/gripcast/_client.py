@@ -12,7 +12,7 @@ import time
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from types import TracebackType
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 from urllib.parse import quote, urlencode, urlsplit
 
 import numpy as np
@@ -32,8 +32,9 @@ from gripcast._errors import (
 )
 from gripcast._websocket import Refused, WebSocket
 
-Role = Literal["left", "right", "rgb", "depth", "external"]
-Outcome = Literal["stable", "slip", "unlabelled"]
+if TYPE_CHECKING:
+    _Role = Literal["left", "right", "rgb", "depth", "external"]
+    _Outcome = Literal["stable", "slip", "unlabelled"]
 
 # The daemon answers a command within 20 s.
 _TIMEOUT_S = 25.0
@@ -83,7 +84,7 @@ class DaemonState:
         return last and str(last["id"])
 
     @property
-    def last_outcome(self) -> Outcome | None:
+    def last_outcome(self) -> _Outcome | None:
         """Outcome of the newest grasp."""
         last = self._session["last"]
         return last and last["outcome"]  # type: ignore[no-any-return]
@@ -99,7 +100,7 @@ class DaemonState:
         return self._session["redo"]  # type: ignore[no-any-return]
 
     @property
-    def roles(self) -> list[Role]:
+    def roles(self) -> list[_Role]:
         """Cameras of the rig; empty while the daemon starts."""
         return [camera["role"] for camera in self.data["cameras"]]
 
@@ -142,7 +143,7 @@ class LiveFrame:
     machine `time.monotonic_ns() - driver_time_ns` is the age of the frame.
     """
 
-    role: Role
+    role: _Role
     image: npt.NDArray[np.uint8] = field(repr=False)
     driver_time_ns: int
 
@@ -156,7 +157,7 @@ class LiveMarkers:
     m_per_px: scale; driver_time_ns: as in `LiveFrame`.
     """
 
-    role: Role
+    role: _Role
     rest_px: npt.NDArray[np.float32] = field(repr=False)
     position_px: npt.NDArray[np.float32] = field(repr=False)
     confidence: npt.NDArray[np.float32] = field(repr=False)
@@ -281,7 +282,7 @@ class Client:
             raise self._lost(error) from error
         return Events(self, socket)
 
-    def frame(self, role: Role, image: Literal["raw", "difference"] = "raw") -> LiveFrame:
+    def frame(self, role: _Role, image: Literal["raw", "difference"] = "raw") -> LiveFrame:
         """Newest image of a camera: what it sees, or of a gel the difference to the initial frame.
 
         The difference is 127 where nothing has changed and shows an arrow for each gel marker; without
@@ -290,11 +291,14 @@ class Client:
         if image not in ("raw", "difference"):
             raise UsageError(f"`image` must be raw or difference, found {image!r}")
         headers, body = self._request("GET", f"/api/cameras/{quote(role, safe='')}/preview.jpg?image={image}")
-        return LiveFrame(role, _native.decode_image(body), int(headers[_DRIVER_TIME]))
+        time_ns = headers.get(_DRIVER_TIME)
+        if time_ns is None:
+            raise Error("the daemon sends no driver times of its images", self.url, "update the daemon")
+        return LiveFrame(role, _native.decode_image(body), int(time_ns))
 
-    def frames(self) -> dict[Role, LiveFrame]:
+    def frames(self) -> dict[_Role, LiveFrame]:
         """Newest images of all cameras that have one."""
-        frames: dict[Role, LiveFrame] = {}
+        frames: dict[_Role, LiveFrame] = {}
         for role in self.state().roles:
             try:
                 frames[role] = self.frame(role)
@@ -330,7 +334,7 @@ class Client:
         self,
         *,
         object: str | None = None,
-        outcome: Outcome | None = None,
+        outcome: _Outcome | None = None,
         since: str | None = None,
         until: str | None = None,
     ) -> Iterator[dict[str, Any]]:
@@ -366,7 +370,7 @@ class Client:
             raise UsageError("there is no grasp to label", self.url, "trigger the initial frame and the grasp first")
         return self._command(f"relabel {seen.last_grasp} {outcome}", seen, {"outcome": seen.last_outcome})
 
-    def relabel(self, id: str, outcome: Outcome) -> DaemonState:
+    def relabel(self, id: str, outcome: _Outcome) -> DaemonState:
         """Labels any grasp of the dataset; "unlabelled" removes the label."""
         _check_outcome(outcome)
         return self._command(f"relabel {_word('id', id)} {outcome}", None, {})
@@ -450,7 +454,7 @@ class Client:
         return state
 
     def _event(self, text: str | None) -> Event | None:
-        message = json.loads(text) if text is not None else {"type": "shutdown"}
+        message: dict[str, Any] = json.loads(text) if text is not None else {"type": "shutdown"}
         kind = message["type"]
         if kind == "state":
             return Event("state", state=self._show(message["state"]))
@@ -470,7 +474,7 @@ class Client:
 
     def _request(
         self, method: str, path: str, body: bytes | None = None, also: tuple[int, ...] = ()
-    ) -> tuple[Mapping[str, str], bytes]:
+    ) -> tuple[http.client.HTTPMessage, bytes]:
         headers = self._headers()
         if body is not None:
             headers["Content-Type"] = "application/json"

@@ -1,4 +1,5 @@
 from collections.abc import Iterator, Sequence
+from datetime import datetime
 from os import PathLike
 from pathlib import Path
 from typing import Any, ClassVar, Literal, TypedDict, final, overload
@@ -275,6 +276,60 @@ class GraspResult:
     def fields(self) -> FaceFields | None: ...
 
 def decode_image(data: bytes) -> _Image: ...
+class _SimulationSettings(TypedDict, total=False):
+    gel: Literal["coarse", "default", "fine"]
+    preset: Literal["paper", "feats"]
+    profile: SensorProfile | _Path
+    drive: Literal["area", "taccel"]
+    dt_s: float
+    eps_v_m_s: float
+    tolerance_m_s: float
+    max_iterations: int
+
+@final
+class SimulationState:
+    @property
+    def t_s(self) -> float: ...
+    @property
+    def normal_force_n(self) -> _Floats: ...
+    @property
+    def shear_force_n(self) -> _Floats: ...
+    @property
+    def torque_n_m(self) -> _Floats: ...
+    @property
+    def min_gap_m(self) -> _Floats: ...
+    @property
+    def t_world_object(self) -> Pose: ...
+    @property
+    def t_world_gripper(self) -> Pose: ...
+    @property
+    def opening_m(self) -> float: ...
+    @property
+    def moved_m(self) -> _Floats: ...
+    @property
+    def object_height_m(self) -> float: ...
+    @property
+    def converged(self) -> bool: ...
+
+@final
+class Simulation:
+    def __new__(
+        cls,
+        object: Object,
+        placement: Placement | GraspPose | None = None,
+        *,
+        max_speed_m_s: float = 0.05,
+        threads: int | None = None,
+        **settings: Unpack[_SimulationSettings],
+    ) -> Simulation: ...
+    @property
+    def case(self) -> GraspCase: ...
+    @property
+    def state(self) -> SimulationState: ...
+    def step(
+        self, opening_m: float | None = None, moved_m: _Vector | None = None, *, steps: int = 1
+    ) -> SimulationState: ...
+
 def simulate(
     object: Object,
     placement: Placement | GraspPose | None = None,
@@ -338,6 +393,35 @@ class SensorProfile:
     def crop_profile(self) -> str: ...
     @property
     def has_markers(self) -> bool: ...
+    @staticmethod
+    def fit(
+        presses: _Path,
+        *,
+        ball_m: float | None = None,
+        m_per_px: float | None = None,
+        name: str = "sensor",
+        serial: str = "",
+        model: Literal["polynomial", "leds"] = "polynomial",
+        train_fraction: float = 0.5,
+        fit_scale: bool = False,
+        crop: str = "full-v1",
+        crop_profile: str = "gsmini-seventh-v1",
+        seed: int = 0,
+    ) -> SensorFit: ...
+    def save(self, path: _Path) -> None: ...
+
+@final
+class SensorFit:
+    @property
+    def profile(self) -> SensorProfile: ...
+    @property
+    def fve(self) -> float: ...
+    @property
+    def image(self) -> _Image: ...
+    @property
+    def notes(self) -> list[str]: ...
+    @property
+    def report(self) -> dict[str, Any]: ...
 
 @final
 class TactileImage:
@@ -353,7 +437,7 @@ class TactileImage:
     def markers(self) -> _Floats32 | None: ...
 
 def render_tactile(
-    source: GraspResult | Mesh,
+    source: GraspResult | Simulation | Mesh,
     t_sensor_object: Pose | _Matrix | None = None,
     *,
     press_m: float | None = None,
@@ -364,6 +448,116 @@ def render_tactile(
     markers: bool = False,
     seed: int | None = 0,
 ) -> TactileImage: ...
+@final
+class VisualImage:
+    @property
+    def image(self) -> _Image: ...
+    @property
+    def depth_m(self) -> _Floats32: ...
+
+def render_visual(
+    source: GraspResult | Simulation,
+    *,
+    moment: Literal["initial", "closure", "grasp", "lift"] | None = None,
+    view: Literal["hand", "outside"] = "hand",
+    size_px: tuple[int, int] = (320, 240),
+    samples: int = 64,
+    seed: int = 0,
+    finish: str | None = None,
+    denoise: bool = False,
+    threads: int | None = None,
+) -> VisualImage: ...
+@final
+class Intrinsics:
+    def __new__(
+        cls,
+        size_px: tuple[int, int],
+        focal_px: tuple[float, float],
+        center_px: tuple[float, float],
+        *,
+        model: Literal["none", "brown-conrady", "inverse-brown-conrady"] = "none",
+        coefficients: Sequence[float] = (0.0, 0.0, 0.0, 0.0, 0.0),
+    ) -> Intrinsics: ...
+    @staticmethod
+    def load(path: _Path) -> Intrinsics: ...
+    def save(self, path: _Path) -> None: ...
+    @property
+    def size_px(self) -> tuple[int, int]: ...
+    @property
+    def focal_px(self) -> tuple[float, float]: ...
+    @property
+    def center_px(self) -> tuple[float, float]: ...
+
+@final
+class Board:
+    @staticmethod
+    def make(
+        mesh: Mesh,
+        *,
+        name: str = "board",
+        dictionary: str = "DICT_6X6_250",
+        first_id: int = 0,
+        marker_m: float = 0.03,
+        paper: Literal["A4", "A3", "Letter"] = "A4",
+        stable_pose: int | None = None,
+        yaw_deg: float = 0.0,
+        measured_mm: tuple[float, float] = (100.0, 100.0),
+    ) -> Board: ...
+    @staticmethod
+    def load(path: _Path) -> Board: ...
+    @staticmethod
+    def gripper_umi() -> Board: ...
+    def save(self, path: _Path) -> None: ...
+    def save_sheet(self, path: _Path, *, dpi: float = 300.0) -> None: ...
+    @property
+    def name(self) -> str: ...
+    @property
+    def dictionary(self) -> str: ...
+    @property
+    def hash(self) -> str: ...
+    @property
+    def corners_m(self) -> dict[int, _Floats]: ...
+
+@final
+class Marker:
+    @property
+    def id(self) -> int: ...
+    @property
+    def dictionary(self) -> str: ...
+    @property
+    def corners_px(self) -> _Floats: ...
+    @property
+    def corrected_bits(self) -> int: ...
+    @property
+    def size_px(self) -> tuple[int, int]: ...
+
+def detect_markers(
+    image: _Image,
+    *,
+    board: Board | None = None,
+    dictionary: str | None = None,
+    levels: Literal["srgb", "linear"] = "srgb",
+) -> list[Marker]: ...
+@final
+class BoardPose:
+    @property
+    def t_camera_board(self) -> Pose: ...
+    @property
+    def covariance(self) -> _Floats: ...
+    @property
+    def rms_px(self) -> float: ...
+    @property
+    def used_markers(self) -> int: ...
+    @property
+    def ambiguous(self) -> bool: ...
+    @property
+    def opening_m(self) -> float | None: ...
+    @property
+    def notes(self) -> list[str]: ...
+
+def solve_pose(
+    markers: Sequence[Marker], board: Board, intrinsics: Intrinsics, *, opening_m: float | None = None
+) -> BoardPose: ...
 @final
 class Prediction:
     @property
@@ -499,6 +693,43 @@ class VerifyReport:
 @final
 class Dataset:
     def __new__(cls, path: _Path) -> Dataset: ...
+    @staticmethod
+    def create(
+        path: _Path, *, label_definition: str, licence: str, name: str | None = None, rig: str = "python"
+    ) -> Dataset: ...
+    def append_grasp(
+        self,
+        *,
+        object: str,
+        initial: dict[_Role, _Image],
+        grasp: dict[_Role, _Image | npt.NDArray[np.uint16]],
+        outcome: _Outcome = "unlabelled",
+        scene: str = "",
+        operator: str = "",
+        note: str = "",
+        t_object_gripper: Pose | None = None,
+        prediction: Prediction | None = None,
+        markers: dict[_Side, npt.ArrayLike] | None = None,
+        m_per_px: float | None = None,
+        depth_unit_m: float = 0.001,
+        crop_profile: str = "full-v1",
+        captured_at: datetime | str | None = None,
+    ) -> Grasp: ...
+    def close(self) -> None: ...
+    def __enter__(self) -> Dataset: ...
+    def __exit__(self, *_error: object) -> None: ...
+    @property
+    def splits(self) -> list[str]: ...
+    def split(self, name: str) -> dict[str, Dataset]: ...
+    def make_split(
+        self,
+        name: str,
+        fractions: dict[str, float],
+        *,
+        by: Literal["object", "scene"] = "object",
+        seed: int = 0,
+    ) -> dict[str, Dataset]: ...
+    def to_pandas(self) -> Any: ...
     @property
     def path(self) -> Path: ...
     @property

@@ -14,6 +14,11 @@ import pytest
 from conftest import ROOT
 
 PAGE = ROOT / "docs/how-to/python.md"
+# Arguments of the examples that need or take some.
+ARGUMENTS = {
+    "touch_batches": ["kitchen"],
+    "learn_regrasp": ["--generations", "1", "--population", "2", "--episodes", "1", "--max-grasps", "1"],
+}
 BLOCK = re.compile(r"^(<!-- not run: [^\n]* -->\n)?```python\n(.*?)^```", re.M | re.S)
 
 
@@ -27,8 +32,9 @@ def folder(dataset_folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 def test_quick_start_runs_as_it_stands(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     blocks = [text for skipped, text in BLOCK.findall(PAGE.read_text()) if not skipped]
     assert blocks
+    names = {"__name__": "__main__"}
     for block in blocks:
-        exec(compile(block, str(PAGE), "exec"), {"__name__": "__main__"})
+        exec(compile(block, str(PAGE), "exec"), names)
     printed = capsys.readouterr().out
     assert printed.startswith("success ") and "(240, 320, 3)" in printed
     assert printed.count("stable (240, 320, 3)") == 1
@@ -36,8 +42,9 @@ def test_quick_start_runs_as_it_stands(folder: Path, capsys: pytest.CaptureFixtu
 
 def test_examples_run(folder: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
     for example in sorted((ROOT / "python/examples").glob("*.py")):
-        monkeypatch.setattr(sys, "argv", [os.fspath(example), "kitchen"][: 2 if "batches" in example.name else 1])
+        monkeypatch.setattr(sys, "argv", [os.fspath(example), *ARGUMENTS.get(example.stem, [])])
         runpy.run_path(os.fspath(example), run_name="__main__")
     printed = capsys.readouterr().out
+    assert "generation 1" in printed and "% hold" in printed
     assert "(2, 6, 240, 320): 1 of 2 stable" in printed
     assert " 20.0 N: success" in printed

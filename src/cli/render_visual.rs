@@ -383,13 +383,10 @@ impl<'a> Job<'a> {
     }
 
     fn developed(&self, light: &Image, conditions: &VisualConditions) -> RgbImage {
-        let mut settings = ColourSettings::default();
-        if self.args.view == ViewName::Outside {
-            // No sensor takes this image.
-            settings.full_well_e = 1e9;
-            settings.read_noise_e = 0.0;
-            settings.blur_px = 0.0;
-        }
+        let settings = match self.args.view {
+            ViewName::Hand => ColourSettings::default(),
+            ViewName::Outside => ColourSettings::without_sensor(),
+        };
         develop(light, &settings, conditions.sensor_seed)
     }
 }

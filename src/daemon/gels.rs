@@ -143,7 +143,9 @@ impl GelReference {
             return false;
         };
         a.1.abs_diff(b.1) <= MAX_AGE_DIFFERENCE_NS
-            && [a, b].iter().all(|gel| gel.1.saturating_sub(gel.0) >= SWAPPED_NS)
+            && [a, b]
+                .iter()
+                .all(|gel| gel.1.saturating_sub(gel.0) >= SWAPPED_NS)
     }
 }
 

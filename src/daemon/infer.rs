@@ -432,7 +432,7 @@ impl Worker {
         match &field {
             Some(field) => {
                 let markers = LiveMarkers {
-                    field: MarkerField::clone(field),
+                    field: Arc::clone(field),
                     driver_time_ns: decoded.driver_time_ns,
                 };
                 state.marker_fields.insert(role, markers);

@@ -195,11 +195,10 @@ pub struct Preview {
 }
 
 /// The gel markers in an image of a camera.
-#[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct LiveMarkers {
     /// The gel markers.
-    #[serde(flatten)]
-    pub field: MarkerField,
+    pub field: Arc<MarkerField>,
     /// Driver time of the frame, `CLOCK_MONOTONIC`, ns.
     pub driver_time_ns: u64,
 }

@@ -217,6 +217,7 @@ impl Received {
                 image,
                 difference,
                 levels: None,
+                // The event connection does not send it.
                 driver_time_ns: 0,
             };
             self.previews.insert(role, preview);

@@ -16,8 +16,9 @@ use super::backend::Backend;
 use super::failure::{ErrorResponse, Failure};
 use super::frames::{MarkersQuery, other_than, timed};
 use super::previews::{MAX_STREAMS, PreviewImage, Shown};
-use crate::daemon::{EngineStatus, LiveMarkers};
+use crate::daemon::EngineStatus;
 use gripcast_imaging::Role;
+use gripcast_shear::MarkerField;
 
 /// Interval between two images of a stream.
 const INTERVAL: Duration = Duration::from_millis(100);
@@ -90,6 +91,15 @@ pub(crate) async fn still(
     Ok((headers, shown.jpeg).into_response())
 }
 
+/// The gel markers of an image.
+#[derive(serde::Serialize, utoipa::ToSchema)]
+pub(crate) struct MarkerResponse {
+    #[serde(flatten)]
+    field: MarkerField,
+    /// Driver time of the image, `CLOCK_MONOTONIC` of the daemon's machine, ns.
+    driver_time_ns: u64,
+}
+
 /// Gel markers of a gel
 ///
 /// In its newest image, since the initial frame: rest and present positions in px of the 320×240
@@ -97,7 +107,7 @@ pub(crate) async fn still(
 /// of the image. With `after`, waits for those of another driver time, a second at most, then 204.
 #[utoipa::path(get, path = "/api/cameras/{role}/markers", tag = "cameras",
     params(("role" = Role, Path), MarkersQuery),
-    responses((status = 200, body = LiveMarkers), (status = 204), (status = 400, body = ErrorResponse),
+    responses((status = 200, body = MarkerResponse), (status = 204), (status = 400, body = ErrorResponse),
         (status = 404, body = ErrorResponse), (status = 503, body = ErrorResponse)))]
 pub(crate) async fn markers(
     Shared(backend): Shared<Arc<Backend>>,
@@ -114,7 +124,11 @@ pub(crate) async fn markers(
             };
             Failure::busy(format!("{role}: {why}"))
         })?;
-        Ok((markers.driver_time_ns, markers.clone()))
+        let response = MarkerResponse {
+            field: (*markers.field).clone(),
+            driver_time_ns: markers.driver_time_ns,
+        };
+        Ok((markers.driver_time_ns, response))
     };
     Ok(match other_than(&backend.status, after, newest).await? {
         Some((driver_time_ns, markers)) => timed(driver_time_ns, Json(markers)),

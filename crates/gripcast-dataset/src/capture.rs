@@ -9,8 +9,8 @@ use super::digest::digest;
 use super::encode::encode;
 use super::field::{FieldArray, FieldRecord};
 use super::grasp::{
-    BoardKeys, CameraRecord, OverriddenGuard, PoseRecord, PredictionRecord, SimulatedTruth,
-    StageRecord,
+    BoardKeys, CameraRecord, Outcome, OverriddenGuard, PoseRecord, PredictionRecord,
+    SimulatedTruth, StageRecord,
 };
 use super::layout::{Stage, image_name, pre_grasp_name};
 use gripcast_base::error::Result;
@@ -76,6 +76,8 @@ pub struct GraspMeta {
     pub operator: Label,
     /// Rig file's id.
     pub rig: String,
+    /// Outcome, where it is known before the grasp is saved.
+    pub outcome: Outcome,
     /// Marker boards in view of the external camera.
     pub boards: Option<BoardKeys>,
     /// Prediction shown before the lift.

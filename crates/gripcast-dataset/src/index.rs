@@ -118,6 +118,14 @@ impl AsRef<IndexRow> for IndexRow {
     }
 }
 
+/// The lines of `metadata.jsonl` for some grasps, sorted by id.
+#[must_use]
+pub fn metadata_jsonl<'a>(records: impl IntoIterator<Item = &'a GraspRecord>) -> String {
+    let records = records.into_iter();
+    let rows = records.map(|record| (record.id.clone(), IndexRow::new(record)));
+    to_jsonl(&rows.collect())
+}
+
 /// Serialises the index. All rows have the same columns: one for each image that any grasp has,
 /// null where a grasp lacks it.
 pub(super) fn to_jsonl<R: AsRef<IndexRow>>(rows: &BTreeMap<GraspId, R>) -> String {

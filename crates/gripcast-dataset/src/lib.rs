@@ -72,7 +72,7 @@ pub use grasp::{
 };
 pub use grasp_index::{GraspIndex, IndexWork};
 pub use gripcast_base::files::{FieldName, GraspId};
-pub use index::{IndexRow, ReindexReport, reindex};
+pub use index::{IndexRow, ReindexReport, metadata_jsonl, reindex};
 pub use layout::{Stage, image_name, pre_grasp_name};
 pub use lift::{LiftCamera, LiftFrame, LiftRecord};
 pub use migrate::{MigrateReport, migrate};

@@ -11,7 +11,7 @@ use pyo3::types::PyDict;
 use super::failure::Outcome;
 use super::work::detached;
 use gripcast_base::error::Error;
-use gripcast_imaging::Decoder;
+use gripcast_imaging::{Decoder, DepthImage};
 
 /// Largest width or height of an image, px.
 const MAX_SIDE: usize = 8192;
@@ -73,6 +73,24 @@ pub(crate) fn image(value: &Bound<'_, PyAny>, name: &str) -> Outcome<RgbImage> {
     }
     let pixels = array.readonly().as_array().iter().copied().collect();
     RgbImage::from_raw(width as u32, height as u32, pixels).ok_or_else(|| wrong().into())
+}
+
+/// Copies a depth image of counts: height × width, uint16.
+pub(crate) fn depth_counts(value: &Bound<'_, PyAny>, name: &str) -> Outcome<DepthImage> {
+    let wrong = || refused(name, "uint16 of shape (height, width)", value);
+    let array = value.cast::<PyArrayDyn<u16>>().map_err(|_| wrong())?;
+    let &[height, width] = array.shape() else {
+        return Err(wrong().into());
+    };
+    let is_valid = |side: usize| (1..=MAX_SIDE).contains(&side);
+    if !is_valid(width) || !is_valid(height) {
+        return Err(Error::input(format!(
+            "`{name}` must be from 1×1 to {MAX_SIDE}×{MAX_SIDE} pixels, found {width}×{height}"
+        ))
+        .into());
+    }
+    let counts = array.readonly().as_array().iter().copied().collect();
+    DepthImage::from_raw(width as u32, height as u32, counts).ok_or_else(|| wrong().into())
 }
 
 /// An image for Python.

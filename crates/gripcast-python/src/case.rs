@@ -23,6 +23,7 @@ use gripcast_sim::grasp::{
 use gripcast_sim::rigid::RigidEngine;
 use gripcast_sim::solver::Drive;
 use gripcast_sim::{Engine as _, EngineKind, GraspSetup};
+use gripcast_tactile::SimulatedGel;
 
 /// Arguments that every engine has.
 const COMMON: [&str; 2] = ["engine", "stop_force_n"];
@@ -225,31 +226,23 @@ impl Case {
             ));
         }
         let (object, fem) = (&self.object, &self.settings.fem);
-        let mesh = object.mesh.surface().clone();
-        let GraspStart {
-            t_world_object,
-            gripper,
-            ..
-        } = &self.start;
         match self.settings.engine {
             EngineKind::Fem => {
-                let scene = Scene {
-                    mesh,
-                    mass_kg: object.mass_kg,
-                    friction: object.friction,
-                    t_world_object: *t_world_object,
-                    t_world_gripper: gripper.t_world_gripper,
-                    opening_m: gripper.opening_m,
-                    gel: fem.gel()?,
-                };
                 let fields = self.settings.fields;
-                simulate_until(&scene, &fem.protocol, &fem.solver, fields, is_cancelled)
+                simulate_until(
+                    &self.scene()?,
+                    &fem.protocol,
+                    &fem.solver,
+                    fields,
+                    is_cancelled,
+                )
             }
             EngineKind::Rigid => {
+                let gripper = &self.start.gripper;
                 let setup = GraspSetup {
-                    mesh: Arc::new(mesh),
+                    mesh: Arc::new(object.mesh.surface().clone()),
                     mass_kg: object.mass_kg,
-                    t_world_object: *t_world_object,
+                    t_world_object: self.start.t_world_object,
                     t_world_gripper: gripper.t_world_gripper,
                     opening_m: gripper.opening_m,
                 };
@@ -257,6 +250,35 @@ impl Case {
                 RigidEngine::default().simulate(&setup, object.friction, force_n)
             }
         }
+    }
+
+    /// Initial state for the finite-element simulator.
+    pub(crate) fn scene(&self) -> Result<Scene> {
+        let (object, gripper) = (&self.object, &self.start.gripper);
+        Ok(Scene {
+            mesh: object.mesh.surface().clone(),
+            mass_kg: object.mass_kg,
+            friction: object.friction,
+            t_world_object: self.start.t_world_object,
+            t_world_gripper: gripper.t_world_gripper,
+            opening_m: gripper.opening_m,
+            gel: self.settings.fem.gel()?,
+        })
+    }
+
+    /// The gels, for renderers.
+    pub(crate) fn gel(&self) -> Result<SimulatedGel> {
+        let settings = &self.settings;
+        if settings.engine != EngineKind::Fem {
+            return Err(
+                Error::input("a grasp of the engine rigid has no gels to render")
+                    .remedy("simulate it with engine=\"fem\""),
+            );
+        }
+        Ok(SimulatedGel {
+            grid: settings.fem.gel()?.grid,
+            d_hat_m: settings.fem.solver.d_hat_m,
+        })
     }
 }
 

@@ -1,18 +1,23 @@
-//! Reads datasets.
+//! Reads and extends datasets.
 
+use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
-use std::sync::Arc;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use pyo3::exceptions::PyIndexError;
 use pyo3::prelude::*;
-use pyo3::types::PySlice;
+use pyo3::types::{PyDict, PySlice};
 
+use super::append::{Arguments, Writer};
 use super::failure::Outcome;
 use super::grasp_record::Grasp;
+use super::pose::Pose;
+use super::predictor::Prediction;
 use super::work::{detached, interruptible, pool};
 use gripcast_base::error::{Error, Result, unknown_name};
 use gripcast_base::files::{GraspId, ObjectName};
 use gripcast_dataset as stored;
+use gripcast_dataset::{GroupKey, NewDataset, SplitFile, SplitPlan};
 
 /// Outcomes of a grasp.
 const OUTCOMES: [&str; 3] = ["stable", "slip", "unlabelled"];
@@ -40,19 +45,32 @@ impl Names {
 ///
 /// `len`, an index and a slice work as for a list; records and images are read when they are asked for.
 /// It pickles by its path and works in forked workers, so that it can be the data set of a torch
-/// `DataLoader` with a `collate_fn`. Grasps that are added later are seen by a new `Dataset`.
+/// `DataLoader` with a `collate_fn`. Grasps that another program adds are seen by a new `Dataset`.
+///
+/// `append_grasp` locks the dataset until `close`, the end of a `with` block or of the object.
 #[pyclass(frozen, module = "gripcast")]
 pub(crate) struct Dataset {
     dataset: Arc<stored::Dataset>,
-    ids: Arc<[GraspId]>,
+    ids: Mutex<Vec<GraspId>>,
+    /// None for slices and selections.
+    writer: Option<Mutex<Writer>>,
 }
 
 impl Dataset {
-    fn with(&self, ids: Vec<GraspId>) -> Self {
+    fn whole(dataset: stored::Dataset, ids: Vec<GraspId>) -> Self {
         Self {
-            dataset: Arc::clone(&self.dataset),
-            ids: ids.into(),
+            dataset: Arc::new(dataset),
+            ids: Mutex::new(ids),
+            writer: Some(Mutex::default()),
         }
+    }
+
+    fn with(&self, ids: Vec<GraspId>) -> Self {
+        selection(&self.dataset, ids)
+    }
+
+    fn list(&self) -> MutexGuard<'_, Vec<GraspId>> {
+        self.ids.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
     fn read(&self, py: Python<'_>, id: &GraspId) -> Outcome<Grasp> {
@@ -65,6 +83,15 @@ impl Dataset {
             record,
             json,
         })
+    }
+}
+
+impl Dataset {
+    fn parts(&self, file: SplitFile) -> BTreeMap<String, Self> {
+        let parts = file.splits.into_iter();
+        parts
+            .map(|(name, members)| (name, self.with(members.grasps.into_iter().collect())))
+            .collect()
     }
 }
 
@@ -92,10 +119,198 @@ impl Dataset {
             let ids = dataset.ids()?;
             Ok((dataset, ids))
         })?;
-        Ok(Self {
-            dataset: Arc::new(dataset),
-            ids: ids.into(),
+        Ok(Self::whole(dataset, ids))
+    }
+
+    /// Creates a dataset in a folder that is missing or empty. `label_definition` says what stable and
+    /// slip mean, `licence` is an SPDX expression; `name` is that of the folder unless given.
+    #[staticmethod]
+    #[pyo3(signature = (path, *, label_definition, licence, name = None, rig = "python"))]
+    fn create(
+        py: Python<'_>,
+        path: PathBuf,
+        label_definition: &str,
+        licence: &str,
+        name: Option<String>,
+        rig: &str,
+    ) -> Outcome<Self> {
+        let folder_name = || {
+            let name = path.file_name().unwrap_or_default();
+            name.to_string_lossy().into_owned()
+        };
+        let new = NewDataset {
+            name: name.unwrap_or_else(folder_name),
+            rig: rig.to_owned(),
+            licence: licence.to_owned(),
+            label_definition: label_definition.to_owned(),
+        };
+        for (name, value) in [
+            ("label_definition", &new.label_definition),
+            ("licence", &new.licence),
+            ("name", &new.name),
+            ("rig", &new.rig),
+        ] {
+            if value.trim().is_empty() {
+                return Err(Error::usage(format!("`{name}` must not be empty")).into());
+            }
+        }
+        let dataset = interruptible(py, move |_| {
+            let path = std::path::absolute(&path)
+                .map_err(|e| Error::io("cannot create the dataset", e).at(path.display()))?;
+            if path.join("dataset.toml").exists() {
+                return Err(Error::usage("there is a dataset already")
+                    .at(path.display())
+                    .remedy("open it with Dataset(path), or choose another folder"));
+            }
+            drop(stored::DatasetWriter::open_or_create(&path, &new)?);
+            stored::Dataset::open(path)
+        })?;
+        Ok(Self::whole(dataset, Vec::new()))
+    }
+
+    /// Appends a grasp and returns it. It is durable when this returns; after a crash before, the
+    /// dataset is as if it had not been called.
+    ///
+    /// `initial` and `grasp` are the images before the gripper closed and after, by camera: left, right,
+    /// rgb and external are height × width × 3, uint8, RGB; depth, in `grasp` only, is height × width,
+    /// uint16, in units of `depth_unit_m`. `crop_profile` says how tactile images are cropped before
+    /// models see them; full-v1 is for images that are cropped already. `markers` are the gel markers
+    /// of the grasp by side, as `Grasp.markers` returns them, with the scale `m_per_px`. `captured_at` is
+    /// a `datetime` with a time zone or RFC 3339, now unless given.
+    ///
+    /// `BusyError` if another program writes the dataset.
+    #[pyo3(signature = (*, object, initial, grasp, outcome = "unlabelled", scene = "", operator = "", note = "", t_object_gripper = None, prediction = None, markers = None, m_per_px = None, depth_unit_m = 0.001, crop_profile = "full-v1", captured_at = None))]
+    #[allow(clippy::too_many_arguments)]
+    fn append_grasp(
+        &self,
+        py: Python<'_>,
+        object: &str,
+        initial: &Bound<'_, PyDict>,
+        grasp: &Bound<'_, PyDict>,
+        outcome: &str,
+        scene: &str,
+        operator: &str,
+        note: &str,
+        t_object_gripper: Option<&Pose>,
+        prediction: Option<&Prediction>,
+        markers: Option<&Bound<'_, PyDict>>,
+        m_per_px: Option<f64>,
+        depth_unit_m: f64,
+        crop_profile: &str,
+        captured_at: Option<&Bound<'_, PyAny>>,
+    ) -> Outcome<Grasp> {
+        let Some(writer) = &self.writer else {
+            return Err(Error::usage("grasps cannot be appended to a selection")
+                .remedy("append to the whole Dataset(path)")
+                .into());
+        };
+        let arguments = Arguments {
+            object,
+            initial,
+            grasp,
+            outcome,
+            scene,
+            operator,
+            note,
+            t_object_gripper,
+            prediction,
+            markers,
+            m_per_px,
+            depth_unit_m,
+            crop_profile,
+            captured_at,
+        };
+        let new = arguments.read()?;
+        let id = detached(py, || {
+            let mut writer = writer.lock().unwrap_or_else(PoisonError::into_inner);
+            let saved = writer.append(self.dataset.path(), new);
+            Ok(saved.map_err(|e| explained(&self.dataset, e))?.id)
+        })?;
+        let mut ids = self.list();
+        // Ids are in the order of the times.
+        let at = ids.partition_point(|other| *other < id);
+        ids.insert(at, id.clone());
+        drop(ids);
+        self.read(py, &id)
+    }
+
+    /// Writes the index of appended grasps and lets other programs write the dataset. Reading goes on.
+    fn close(&self, py: Python<'_>) -> Outcome<()> {
+        let Some(writer) = &self.writer else {
+            return Ok(());
+        };
+        detached(py, || {
+            let mut writer = writer.lock().unwrap_or_else(PoisonError::into_inner);
+            writer.finish()
         })
+    }
+
+    fn __enter__(slf: Py<Self>) -> Py<Self> {
+        slf
+    }
+
+    #[pyo3(signature = (*_error))]
+    fn __exit__(&self, py: Python<'_>, _error: &Bound<'_, pyo3::types::PyTuple>) -> Outcome<()> {
+        self.close(py)
+    }
+
+    /// Names of the splits that are stored with the dataset.
+    #[getter]
+    fn splits(&self, py: Python<'_>) -> Outcome<Vec<String>> {
+        detached(py, || self.dataset.split_names())
+    }
+
+    /// The grasps of a stored split, by the name of its part (train, …).
+    fn split(&self, py: Python<'_>, name: &str) -> Outcome<BTreeMap<String, Self>> {
+        let file = detached(py, || {
+            let split = self.dataset.split(name);
+            split.map_err(|e| explained(&self.dataset, e))
+        })?;
+        Ok(self.parts(file))
+    }
+
+    /// Splits the whole dataset so that no object (or scene, by `by`) is in two parts, and stores the
+    /// split. `fractions` are those of the grasps, by the name of the part; they sum to 1.
+    #[pyo3(signature = (name, fractions, *, by = "object", seed = 0))]
+    fn make_split(
+        &self,
+        py: Python<'_>,
+        name: &str,
+        fractions: BTreeMap<String, f64>,
+        by: &str,
+        seed: u64,
+    ) -> Outcome<BTreeMap<String, Self>> {
+        let plan = SplitPlan {
+            name: name.to_owned(),
+            by: match by {
+                "object" => GroupKey::Object,
+                "scene" => GroupKey::Scene,
+                other => return Err(unknown_name("group", other, &["object", "scene"]).into()),
+            },
+            seed,
+            fractions,
+        };
+        let dataset = Arc::clone(&self.dataset);
+        let file = interruptible(py, move |_| {
+            stored::split(&dataset, &plan).map_err(|e| explained(&dataset, e))
+        })?;
+        Ok(self.parts(file))
+    }
+
+    /// A pandas `DataFrame` with one row per grasp; the columns are those of metadata.jsonl.
+    fn to_pandas<'py>(&self, py: Python<'py>) -> Outcome<Bound<'py, PyAny>> {
+        let pandas = py.import("pandas")?;
+        let ids = self.list().clone();
+        let mut records = Vec::with_capacity(ids.len());
+        for id in &ids {
+            py.check_signals()?;
+            records.push(self.read(py, id)?.record);
+        }
+        let lines = stored::metadata_jsonl(&records);
+        let loads = py.import("json")?.getattr("loads")?;
+        let rows = lines.lines().map(|line| loads.call1((line,)));
+        let rows = rows.collect::<PyResult<Vec<_>>>()?;
+        Ok(pandas.getattr("DataFrame")?.call1((rows,))?)
     }
 
     /// Opens some grasps of a dataset.
@@ -103,10 +318,8 @@ impl Dataset {
     fn _open(py: Python<'_>, path: PathBuf, ids: Vec<String>) -> Outcome<Self> {
         let dataset = detached(py, || stored::Dataset::open(path))?;
         let ids = ids.iter().map(|id| GraspId::parse(id));
-        Ok(Self {
-            dataset: Arc::new(dataset),
-            ids: ids.collect::<Result<Vec<_>>>()?.into(),
-        })
+        let ids = ids.collect::<Result<Vec<_>>>()?;
+        Ok(selection(&Arc::new(dataset), ids))
     }
 
     /// Folder of the dataset.
@@ -129,8 +342,8 @@ impl Dataset {
 
     /// Ids of the grasps.
     #[getter]
-    fn ids(&self) -> Vec<&str> {
-        self.ids.iter().map(GraspId::as_str).collect()
+    fn ids(&self) -> Vec<String> {
+        self.list().iter().map(ToString::to_string).collect()
     }
 
     /// The grasp with an id.
@@ -163,15 +376,16 @@ impl Dataset {
         });
         let outcomes = outcomes.transpose()?;
         let mut kept = Vec::new();
-        for id in self.ids.iter() {
+        let ids = self.list().clone();
+        for id in ids {
             py.check_signals()?;
-            let record = self.read(py, id)?.record;
+            let record = self.read(py, &id)?.record;
             let is_object = objects.as_ref().is_none_or(|o| o.contains(&record.object));
             let is_outcome = outcomes
                 .as_ref()
                 .is_none_or(|o| o.contains(&record.outcome));
             if is_object && is_outcome {
-                kept.push(id.clone());
+                kept.push(id);
             }
         }
         Ok(self.with(kept))
@@ -212,7 +426,7 @@ impl Dataset {
     }
 
     fn __len__(&self) -> usize {
-        self.ids.len()
+        self.list().len()
     }
 
     fn __getitem__<'py>(
@@ -221,39 +435,46 @@ impl Dataset {
         index: &Bound<'py, PyAny>,
     ) -> Outcome<Bound<'py, PyAny>> {
         if let Ok(slice) = index.cast::<PySlice>() {
-            let range = slice.indices(self.ids.len() as isize)?;
+            let ids = self.list().clone();
+            let range = slice.indices(ids.len() as isize)?;
             let at = (0..range.slicelength as isize).map(|i| range.start + i * range.step);
-            let ids = at.map(|at| self.ids[at as usize].clone()).collect();
+            let ids = at.map(|at| ids[at as usize].clone()).collect();
             return Ok(Bound::new(py, self.with(ids))?.into_any());
         }
         let given: isize = index.extract()?;
-        let count = self.ids.len() as isize;
-        let at = if given < 0 { given + count } else { given };
-        if !(0..count).contains(&at) {
+        let ids = self.list();
+        let count = ids.len();
+        let at = if given < 0 {
+            given.saturating_add_unsigned(count)
+        } else {
+            given
+        };
+        let id = usize::try_from(at).ok().and_then(|at| ids.get(at).cloned());
+        drop(ids);
+        let id = id.ok_or_else(|| {
             let text = format!("index {given} is out of range: there are {count} grasps");
-            return Err(PyIndexError::new_err(text).into());
-        }
-        Ok(Bound::new(py, self.read(py, &self.ids[at as usize])?)?.into_any())
+            PyIndexError::new_err(text)
+        })?;
+        Ok(Bound::new(py, self.read(py, &id)?)?.into_any())
     }
 
     fn __iter__<'py>(slf: &Bound<'py, Self>) -> PyResult<Bound<'py, PyAny>> {
         let builtins = slf.py().import("builtins")?;
-        let range = builtins.call_method1("range", (slf.get().ids.len(),))?;
+        let range = builtins.call_method1("range", (slf.get().list().len(),))?;
         builtins.call_method1("map", (slf.getattr("__getitem__")?, range))
     }
 
     fn __reduce__<'py>(slf: &Bound<'py, Self>) -> PyResult<Reduced<'py>> {
         let this = slf.get();
-        let ids = this.ids.iter().map(ToString::to_string).collect();
         let open = slf.get_type().getattr("_open")?;
-        Ok((open, (this.dataset.path().to_owned(), ids)))
+        Ok((open, (this.dataset.path().to_owned(), this.ids())))
     }
 
     fn __repr__(&self) -> String {
         format!(
             "<Dataset {}: {} grasps, {}>",
             self.name(),
-            self.ids.len(),
+            self.list().len(),
             self.dataset.path().display()
         )
     }
@@ -261,9 +482,15 @@ impl Dataset {
 
 /// A `Dataset` of one grasp, for pickling it.
 pub(crate) fn dataset_of(dataset: &Arc<stored::Dataset>, id: &GraspId) -> Dataset {
+    selection(dataset, vec![id.clone()])
+}
+
+/// Some grasps of a dataset.
+fn selection(dataset: &Arc<stored::Dataset>, ids: Vec<GraspId>) -> Dataset {
     Dataset {
         dataset: Arc::clone(dataset),
-        ids: [id.clone()].into(),
+        ids: Mutex::new(ids),
+        writer: None,
     }
 }
 

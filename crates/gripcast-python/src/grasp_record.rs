@@ -28,12 +28,12 @@ fn stage_of(name: &str) -> Result<Stage> {
     found.ok_or_else(|| unknown_name("stage", name, &Stage::ALL.map(Stage::name)))
 }
 
-fn role_of(name: &str) -> Result<Role> {
+pub(crate) fn role_of(name: &str) -> Result<Role> {
     let found = Role::ALL.into_iter().find(|role| role.name() == name);
     found.ok_or_else(|| unknown_name("role", name, &Role::ALL.map(Role::name)))
 }
 
-fn gel_of(name: &str) -> Result<Role> {
+pub(crate) fn gel_of(name: &str) -> Result<Role> {
     match name {
         "left" => Ok(Role::Left),
         "right" => Ok(Role::Right),

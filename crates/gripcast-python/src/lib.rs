@@ -1,11 +1,13 @@
 //! Python package `gripcast`: the native module `gripcast._native`.
 //!
-//! Only simulator, tactile renderer, predictor, marker tracker and dataset reader are linked: no
-//! cameras, no web, no terminal. Arrays are copied on the way in, so that work runs without the
+//! Simulator, renderers, predictor, marker tracker, marker boards and datasets are linked: no cameras,
+//! no web, no terminal. Arrays are copied on the way in, so that work runs without the
 //! interpreter's lock; every panic becomes an `InternalError`.
 
+mod append;
 mod arrays;
 mod batch;
+mod board;
 mod case;
 mod dataset;
 mod failure;
@@ -19,7 +21,9 @@ mod press;
 mod render;
 mod result;
 mod sensor;
+mod simulation;
 mod track;
+mod visual;
 mod work;
 
 /// The native half of the package `gripcast`.
@@ -30,9 +34,12 @@ mod _native {
     #[pymodule_export]
     use crate::batch::{simulate, simulate_batch};
     #[pymodule_export]
+    use crate::board::{Board, BoardPose, Intrinsics, Marker, detect_markers, solve_pose};
+    #[pymodule_export]
     use crate::case::GraspCase;
     #[pymodule_export]
     use crate::dataset::{Dataset, Problem, VerifyReport};
+    #[cfg(debug_assertions)]
     #[pymodule_export]
     use crate::failure::panic_for_test;
     #[pymodule_export]
@@ -54,9 +61,13 @@ mod _native {
     #[pymodule_export]
     use crate::result::{GraspResult, Snapshot};
     #[pymodule_export]
-    use crate::sensor::SensorProfile;
+    use crate::sensor::{SensorFit, SensorProfile};
+    #[pymodule_export]
+    use crate::simulation::{Simulation, SimulationState};
     #[pymodule_export]
     use crate::track::{MarkerTrack, track_markers};
+    #[pymodule_export]
+    use crate::visual::{VisualImage, render_visual};
 
     /// Version of gripcast.
     #[pymodule_export]

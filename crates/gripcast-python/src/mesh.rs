@@ -132,7 +132,7 @@ impl Mesh {
 
     /// File, `builtin:NAME`, or `arrays`.
     #[getter]
-    fn source(&self) -> &str {
+    pub(crate) fn source(&self) -> &str {
         &self.source
     }
 

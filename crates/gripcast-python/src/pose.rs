@@ -53,7 +53,7 @@ impl Pose {
 
     /// Rotation from b to a, a unit quaternion with w ≥ 0.
     #[getter]
-    fn q_wxyz(&self) -> (f64, f64, f64, f64) {
+    pub(crate) fn q_wxyz(&self) -> (f64, f64, f64, f64) {
         let DQuat { x, y, z, w } = self.0.rotation;
         (w, x, y, z)
     }

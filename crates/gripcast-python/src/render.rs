@@ -9,6 +9,7 @@ use super::mesh::Mesh;
 use super::pose::pose;
 use super::result::GraspResult;
 use super::sensor::{SensorProfile, sensor};
+use super::simulation::Simulation;
 use super::work::detached;
 use gripcast_base::error::{Error, Result, unknown_name};
 use gripcast_geometry::Pose;
@@ -31,7 +32,7 @@ struct Rendered {
 /// Renders what a tactile sensor sees.
 ///
 /// `source` is a `GraspResult`, whose `side` (left or right) is seen at a `moment` (initial, closure,
-/// grasp or lift), or a `Mesh` that is pressed `press_m` deep into one gel (m, 5e-4 by default) at
+/// grasp or lift), a `Simulation` as it is now, or a `Mesh` that is pressed `press_m` deep into one gel (m, 5e-4 by default) at
 /// `t_sensor_object`: the sensor's x runs along the columns, y along the rows, z towards the object,
 /// from the centre of the gel; z of the pose is ignored.
 ///
@@ -75,18 +76,32 @@ pub(crate) fn render_tactile(
         let moment = named_moment(moment.unwrap_or(Moment::Grasp.name()))?;
         let grasp = result.get().simulated();
         detached(py, || {
-            let gel = grasp.gel()?;
+            let gel = grasp.case().gel()?;
             sensor.profile().check_pad(&gel.grid)?;
             let mesh = grasp.case().object.mesh.surface();
             let start = grasp.start();
             let scene = TactileScene::at_moment(mesh, &gel, &start, grasp.trace(), moment, mount)?;
             render(&sensor, &scene, mount.finger, markers, seed)
         })?
-    } else if let Ok(mesh) = source.cast::<Mesh>() {
-        if moment.is_some() {
-            let what = "`moment` is of a GraspResult, found a Mesh";
-            return Err(Error::usage(what).remedy("omit it").into());
+    } else if moment.is_some() {
+        let found = source.get_type().name()?;
+        let what = format!("`moment` is of a GraspResult, found a {found}");
+        return Err(Error::usage(what).remedy("omit it").into());
+    } else if let Ok(simulation) = source.cast::<Simulation>() {
+        if t_sensor_object.is_some() || press_m.is_some() {
+            let what = "`t_sensor_object` and `press_m` are of a mesh, found a Simulation";
+            return Err(Error::usage(what).remedy("omit them").into());
         }
+        let simulation = simulation.get();
+        detached(py, || {
+            let case = simulation.simulated();
+            let gel = case.gel()?;
+            sensor.profile().check_pad(&gel.grid)?;
+            let (mesh, snapshot) = (case.object.mesh.surface(), simulation.snapshot());
+            let scene = TactileScene::from_snapshot(mesh, &gel, &snapshot, mount)?;
+            render(&sensor, &scene, mount.finger, markers, seed)
+        })?
+    } else if let Ok(mesh) = source.cast::<Mesh>() {
         let at = t_sensor_object.map(|value| pose(value, "t_sensor_object"));
         let at = at.transpose()?.unwrap_or(Pose::IDENTITY);
         let mesh = mesh.get();
@@ -98,7 +113,7 @@ pub(crate) fn render_tactile(
         })?
     } else {
         let found = source.get_type().name()?;
-        let what = format!("`source` must be a GraspResult or a Mesh, found {found}");
+        let what = format!("`source` must be a GraspResult, a Simulation or a Mesh, found {found}");
         return Err(Error::usage(what).into());
     };
     let (width, height) = (
@@ -153,7 +168,7 @@ fn finger(side: &str) -> Result<Finger> {
     found.ok_or_else(|| unknown_name("side", side, &Finger::BOTH.map(Finger::name)))
 }
 
-fn named_moment(name: &str) -> Result<Moment> {
+pub(crate) fn named_moment(name: &str) -> Result<Moment> {
     let found = Moment::ALL.into_iter().find(|moment| moment.name() == name);
     found.ok_or_else(|| unknown_name("moment", name, &Moment::ALL.map(Moment::name)))
 }

@@ -10,10 +10,9 @@ use super::arrays::{array, column};
 use super::case::{Case, GraspCase};
 use super::fields::FaceFields;
 use super::pose::{Pose, trajectory};
-use gripcast_base::error::{Error, Result};
 use gripcast_sim::EngineKind;
 use gripcast_sim::grasp::{self, GraspSummary, StageName, Trace, TraceStep};
-use gripcast_tactile::{SimulatedGel, TraceStart};
+use gripcast_tactile::TraceStart;
 
 /// Result of a simulated grasp. Arrays have one row per time step (n) and one column per finger: left,
 /// right.
@@ -60,21 +59,6 @@ impl Simulated {
 
     pub(crate) fn case(&self) -> &Case {
         &self.case
-    }
-
-    /// The gels, for renderers.
-    pub(crate) fn gel(&self) -> Result<SimulatedGel> {
-        let settings = &self.case.settings;
-        if settings.engine != EngineKind::Fem {
-            return Err(
-                Error::input("a grasp of the engine rigid has no gels to render")
-                    .remedy("simulate it with engine=\"fem\""),
-            );
-        }
-        Ok(SimulatedGel {
-            grid: settings.fem.gel()?.grid,
-            d_hat_m: settings.fem.solver.d_hat_m,
-        })
     }
 
     pub(crate) fn start(&self) -> TraceStart {

@@ -5,10 +5,15 @@ use std::sync::{Arc, Mutex, PoisonError};
 
 use pyo3::prelude::*;
 
+use super::arrays::image_array;
 use super::failure::Outcome;
-use super::work::detached;
-use gripcast_base::error::{Error, Result};
+use super::placement::check;
+use super::work::{detached, interruptible, pool};
+use gripcast_base::error::{Error, Result, unknown_name};
+use gripcast_base::number::NumberRange;
+use gripcast_imaging::CropProfile;
 use gripcast_sim::grasp::Finger;
+use gripcast_tactile::calibrate::{self, CalibrateOptions, ModelChoice, ReadOptions, Split, Terms};
 use gripcast_tactile::{ObjectDepthRenderer, SensorName, SensorProfile as Profile};
 
 /// A sensor: geometry, gel, shading, background, noise and gel markers.
@@ -24,10 +29,14 @@ struct Sensor {
 
 impl SensorProfile {
     pub(crate) fn named(name: &str) -> Result<Self> {
-        Ok(Self(Arc::new(Sensor {
-            profile: Profile::named_or_load(name)?,
+        Ok(Self::of(Profile::named_or_load(name)?))
+    }
+
+    fn of(profile: Profile) -> Self {
+        Self(Arc::new(Sensor {
+            profile,
             renderers: Mutex::default(),
-        })))
+        }))
     }
 
     pub(crate) fn profile(&self) -> &Profile {
@@ -78,6 +87,86 @@ impl SensorProfile {
     fn new(py: Python<'_>, name_or_path: PathBuf) -> Outcome<Self> {
         let name = name_or_path.to_string_lossy().into_owned();
         detached(py, || Self::named(&name))
+    }
+
+    /// Fits a profile to presses of a ball, as `gripcast render calibrate` does.
+    ///
+    /// `presses` is a folder with an image without contact and images of a ball of the diameter
+    /// `ball_m` (m) pressed into the gel, with or without a presses.json. Half of the presses, drawn by
+    /// `seed`, are fitted (`train_fraction`), the others are scored. `model` is polynomial or leds.
+    /// `m_per_px` is the scale of the stored images; `fit_scale` searches it within 15 %.
+    #[staticmethod]
+    #[pyo3(signature = (presses, *, ball_m = None, m_per_px = None, name = "sensor", serial = "", model = "polynomial", train_fraction = 0.5, fit_scale = false, crop = "full-v1", crop_profile = "gsmini-seventh-v1", seed = 0))]
+    #[allow(clippy::too_many_arguments)]
+    fn fit(
+        py: Python<'_>,
+        presses: PathBuf,
+        ball_m: Option<f64>,
+        m_per_px: Option<f64>,
+        name: &str,
+        serial: &str,
+        model: &str,
+        train_fraction: f64,
+        fit_scale: bool,
+        crop: &str,
+        crop_profile: &str,
+        seed: u64,
+    ) -> Outcome<SensorFit> {
+        check("ball_m", ball_m, NumberRange::POSITIVE)?;
+        check("m_per_px", m_per_px, NumberRange::POSITIVE)?;
+        // NaN is refused, too.
+        if !(train_fraction > 0.0 && train_fraction <= 1.0) {
+            return Err(Error::usage(format!(
+                "`train_fraction` must be above 0 and at most 1, found {train_fraction}"
+            ))
+            .into());
+        }
+        let options = CalibrateOptions {
+            read: ReadOptions {
+                ball_diameter_m: ball_m,
+                pixel_m: m_per_px,
+                crop: CropProfile::by_name(crop)?,
+                ..ReadOptions::from_folder(&presses)
+            },
+            split: Split::Random {
+                train_fraction,
+                max_fitted: None,
+                seed,
+            },
+            model: match model {
+                "polynomial" => ModelChoice::Polynomial(Terms::default()),
+                "leds" => ModelChoice::Leds,
+                other => return Err(unknown_name("model", other, &["polynomial", "leds"]).into()),
+            },
+            fit_scale,
+            name: name.to_owned(),
+            serial: serial.to_owned(),
+            crop_profile: CropProfile::by_name(crop_profile)?,
+            ..CalibrateOptions::from_folder(&presses)
+        };
+        let pool = pool(None)?;
+        let fitted = interruptible(py, move |_| pool.install(|| calibrate::run(&options)))?;
+        let report = serde_json::to_string(&fitted.report)
+            .map_err(|e| Error::internal("cannot write the report as JSON").because(e))?;
+        Ok(SensorFit {
+            profile: Py::new(py, Self::of(fitted.profile))?,
+            fve: fitted.report.score.fve,
+            image: image_array(py, fitted.image)?,
+            notes: fitted.report.notes,
+            report: py
+                .import("json")?
+                .call_method1("loads", (report,))?
+                .unbind(),
+        })
+    }
+
+    /// Writes the profile to a .toml file, with its background as a .png beside it.
+    fn save(&self, py: Python<'_>, path: PathBuf) -> Outcome<()> {
+        if path.extension().is_none_or(|suffix| suffix != "toml") {
+            let what = "`path` must end in .toml";
+            return Err(Error::usage(what).at(path.display()).into());
+        }
+        detached(py, || self.profile().save(&path))
     }
 
     /// Name of the profile.
@@ -134,6 +223,32 @@ impl SensorProfile {
             "<SensorProfile {}: {width} × {height} px, {:.1} µm/px, {markers} gel markers>",
             self.name(),
             1e6 * self.m_per_px()
+        )
+    }
+}
+
+/// A sensor profile fitted to presses.
+#[pyclass(frozen, get_all, module = "gripcast")]
+pub(crate) struct SensorFit {
+    /// The fitted profile.
+    profile: Py<SensorProfile>,
+    /// Fraction of the variance in the contacts that it explains, on the presses that were not fitted.
+    fve: f64,
+    /// Real, rendered and residual images of scored presses: height × width × 3, uint8, RGB.
+    image: Py<PyAny>,
+    /// What to check before the profile is used, one sentence each.
+    notes: Vec<String>,
+    /// Scores, presses and chosen terms, as `gripcast render calibrate --json` prints them.
+    report: Py<PyAny>,
+}
+
+#[pymethods]
+impl SensorFit {
+    fn __repr__(&self) -> String {
+        format!(
+            "<SensorFit {}: FVE {:.3}>",
+            self.profile.get().name(),
+            self.fve
         )
     }
 }

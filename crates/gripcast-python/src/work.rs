@@ -78,9 +78,32 @@ pub(crate) fn interruptible<T: Send + 'static>(
 /// # Errors
 /// `Usage` for a number out of range.
 pub(crate) fn pool(threads: Option<usize>) -> Result<Arc<ThreadPool>> {
+    static SHARED: ProcessPool = ProcessPool(Mutex::new(None));
     match threads {
-        None => shared_pool(),
+        None => SHARED.get(None),
         Some(threads) => start(thread_count(Some(threads))?),
+    }
+}
+
+/// Threads that outlive a call. A process that was forked has none of its parent's threads, so it
+/// starts its own.
+#[derive(Default)]
+pub(crate) struct ProcessPool(Mutex<Option<(u32, Arc<ThreadPool>)>>);
+
+impl ProcessPool {
+    /// The threads, started with this number the first time.
+    pub(crate) fn get(&self, threads: Option<usize>) -> Result<Arc<ThreadPool>> {
+        let mut started = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+        let here = process::id();
+        match &*started {
+            Some((process, pool)) if *process == here => Ok(Arc::clone(pool)),
+            _ => {
+                let pool = start(thread_count(threads)?)?;
+                // Ending a parent's pool would wait for locks that its threads may hold.
+                mem::forget(started.replace((here, Arc::clone(&pool))));
+                Ok(pool)
+            }
+        }
     }
 }
 
@@ -102,20 +125,4 @@ fn start(threads: usize) -> Result<Arc<ThreadPool>> {
     let pool = ThreadPoolBuilder::new().num_threads(threads).build();
     pool.map(Arc::new)
         .map_err(|e| Error::new(ErrorKind::Io, "cannot start threads").because(e))
-}
-
-/// A process that was forked has none of its parent's threads, so it starts its own.
-fn shared_pool() -> Result<Arc<ThreadPool>> {
-    static SHARED: Mutex<Option<(u32, Arc<ThreadPool>)>> = Mutex::new(None);
-    let mut shared = SHARED.lock().unwrap_or_else(PoisonError::into_inner);
-    let here = process::id();
-    match &*shared {
-        Some((process, pool)) if *process == here => Ok(Arc::clone(pool)),
-        _ => {
-            let pool = start(thread_count(None)?)?;
-            // Ending a parent's pool would wait for locks that its threads may hold.
-            mem::forget(shared.replace((here, Arc::clone(&pool))));
-            Ok(pool)
-        }
-    }
 }

@@ -143,7 +143,7 @@ pub fn simulate_until(
     if let Some(detail) = built.penetration {
         return Ok(GraspResult::penetrating_start(detail));
     }
-    let mut run = Run::new(built, scene, protocol, parameters.dt_s, is_cancelled);
+    let mut run = Run::new(built, scene, *protocol, parameters.dt_s, is_cancelled);
     run.sampling = sampling;
     run.trace.fields = sampling.map(|_| FieldSeries::new(&scene.gel.grid, 2, parameters.eps_v_m_s));
     let result = run.finish();
@@ -157,20 +157,20 @@ pub fn simulate_until(
 }
 
 /// A grasp in progress.
-struct Run<'a> {
-    scene: BuiltScene,
-    protocol: &'a Protocol,
+pub(super) struct Run<'a> {
+    pub(super) scene: BuiltScene,
+    protocol: Protocol,
     is_cancelled: &'a AtomicBool,
-    t_world_gripper: Pose,
-    dt: f64,
+    pub(super) t_world_gripper: Pose,
+    pub(super) dt: f64,
     time: f64,
-    opening: f64,
+    pub(super) opening: f64,
     /// Mean force per motion of each finger, N/m, from the last steps.
     stiffness: f64,
-    lifted: f64,
+    pub(super) lifted: f64,
     start_height: f64,
     gels_have_met: bool,
-    has_touched: bool,
+    pub(super) has_touched: bool,
     has_reached_force: bool,
     unconverged: usize,
     iterations: u64,
@@ -178,14 +178,14 @@ struct Run<'a> {
     friction_uses: Vec<f64>,
     friction: f64,
     sampling: Option<FieldSampling>,
-    trace: Trace,
+    pub(super) trace: Trace,
 }
 
 impl<'a> Run<'a> {
-    fn new(
+    pub(super) fn new(
         built: BuiltScene,
         scene: &Scene,
-        protocol: &'a Protocol,
+        protocol: Protocol,
         dt: f64,
         is_cancelled: &'a AtomicBool,
     ) -> Self {
@@ -266,7 +266,7 @@ impl<'a> Run<'a> {
         (self.iterations > limit).then(|| format!("stopped after {limit} iterations"))
     }
 
-    fn forces(&self) -> [GelForce; 2] {
+    pub(super) fn forces(&self) -> [GelForce; 2] {
         let gels = self.scene.system.gels();
         [0, 1].map(|i| gel_force(&gels[i], self.scene.closing[i], &self.scene.gripper_axes))
     }
@@ -278,7 +278,7 @@ impl<'a> Run<'a> {
 
     /// Closes the opening by up to `by` (m) per finger, until the gels meet. Returns the actual
     /// motion per finger.
-    fn close_by(&mut self, by: f64) -> f64 {
+    pub(super) fn close_by(&mut self, by: f64) -> f64 {
         let room = 0.5 * (self.opening - self.scene.system.parameters().d_hat_m);
         let by = if by > 0.0 && self.scene.gels_meet() {
             self.gels_have_met = true;
@@ -293,15 +293,15 @@ impl<'a> Run<'a> {
         by
     }
 
-    fn move_targets(&mut self, closing_by: f64, lift: f64) {
+    pub(super) fn move_targets(&mut self, closing_by: f64, shift: DVec3) {
         let closing = self.scene.closing;
         for (gel, closing) in self.scene.system.gels_mut().iter_mut().zip(closing) {
-            gel.move_target(closing * closing_by + DVec3::Z * lift);
+            gel.move_target(closing * closing_by + shift);
         }
     }
 
-    /// Whether the gels are out of contact range, also after closing by `by` (m).
-    fn is_out_of_range(&mut self, by: f64) -> bool {
+    /// Whether the gels are out of contact range, also after each has moved by `by` (m).
+    pub(super) fn is_out_of_range(&mut self, by: f64) -> bool {
         let d_hat = self.scene.system.parameters().d_hat_m;
         let near = d_hat + FREE_MOTION_MARGIN_M + by;
         !self.has_touched && self.scene.system.clearance().iter().all(|c| *c > near)
@@ -317,7 +317,7 @@ impl<'a> Run<'a> {
                 self.record(StageName::Closure, None);
                 continue;
             }
-            self.move_targets(by, 0.0);
+            self.move_targets(by, DVec3::ZERO);
             let start = StepStart {
                 refactorize: true,
                 warm_start_slot: warm_start_slot(StageName::Closure, by),
@@ -386,7 +386,7 @@ impl<'a> Run<'a> {
         let before = self.mean_force();
         let by = self.protocol.adjustment(before, self.stiffness, self.dt);
         let by = self.close_by(by);
-        self.move_targets(by, rise);
+        self.move_targets(by, DVec3::Z * rise);
         let start = StepStart {
             initial_translation,
             warm_start_slot: warm_start_slot(stage, by),
@@ -410,21 +410,26 @@ impl<'a> Run<'a> {
         }
     }
 
-    fn step(&mut self, stage: StageName, start: &StepStart) {
+    /// Largest motion of a finger in one step of the force adjustment, m.
+    pub(super) fn adjustment_limit(&self) -> f64 {
+        self.protocol.adjust_speed_m_s * self.dt
+    }
+
+    pub(super) fn step(&mut self, stage: StageName, start: &StepStart) {
         let report = self.scene.system.step(start);
         self.unconverged += usize::from(!report.converged);
         self.iterations += u64::from(report.iterations);
         self.record(stage, Some(report));
     }
 
-    fn object_pose(&self) -> Pose {
+    pub(super) fn object_pose(&self) -> Pose {
         let state = self.scene.system.object().state();
         let rotation = state.nearest_rotation();
         let origin = state.p - rotation * self.scene.center_of_mass;
         Pose::new(DQuat::from_mat3(&rotation), origin)
     }
 
-    fn record(&mut self, stage: StageName, solver: Option<StepReport>) {
+    pub(super) fn record(&mut self, stage: StageName, solver: Option<StepReport>) {
         self.time += self.dt;
         let gels = self.scene.system.gels();
         self.trace.steps.push(TraceStep {
@@ -467,23 +472,27 @@ impl<'a> Run<'a> {
         if self.sampling == Some(FieldSampling::Stages) && !self.trace.steps.is_empty() {
             self.record_fields(stage);
         }
-        let lift = Pose::from_translation(DVec3::Z * self.lifted);
+        let snapshot = self.current(stage, DVec3::Z * self.lifted);
+        self.trace.snapshots.push(snapshot);
+    }
+
+    /// Current state, with the gripper displaced by `moved_m` since the start.
+    pub(super) fn current(&self, stage: StageName, moved_m: DVec3) -> Snapshot {
         let gels = self.scene.system.gels();
         let positions = |i: usize| gels[i].positions().iter().map(|x| x.to_array()).collect();
-        let snapshot = Snapshot {
+        Snapshot {
             stage,
             t_s: self.time,
             t_world_object: self.object_pose(),
-            t_world_gripper: lift * self.t_world_gripper,
+            t_world_gripper: Pose::from_translation(moved_m) * self.t_world_gripper,
             opening_m: self.opening,
             gels: [positions(0), positions(1)],
-        };
-        self.trace.snapshots.push(snapshot);
+        }
     }
 }
 
 /// Warm-start slot: one per stage and direction of finger motion.
-fn warm_start_slot(stage: StageName, closing_by: f64) -> usize {
+pub(super) fn warm_start_slot(stage: StageName, closing_by: f64) -> usize {
     2 * stage as usize + usize::from(closing_by > 0.0)
 }
 

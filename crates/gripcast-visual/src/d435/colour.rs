@@ -43,6 +43,19 @@ impl Default for ColourSettings {
     }
 }
 
+impl ColourSettings {
+    /// Exposure and white balance of the default, without blur and noise of a sensor.
+    #[must_use]
+    pub fn without_sensor() -> Self {
+        Self {
+            blur_px: 0.0,
+            full_well_e: 1e9,
+            read_noise_e: 0.0,
+            ..Self::default()
+        }
+    }
+}
+
 /// Range of the exposure search, stops around a mean of 18 %.
 const EXPOSURE_RANGE_STOPS: f32 = 12.0;
 /// Bisection steps: to 1/700 of a stop.
