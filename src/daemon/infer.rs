@@ -393,8 +393,9 @@ impl Worker {
         // After the prediction, which does not wait for the shear.
         let field = self.measure_shear(role, &decoded);
         // Also while the object is lifted, when there is no prediction.
-        let difference = difference.filter(|_| self.has_initial).map(|difference| {
-            let mut image = difference.to_image(PREVIEW_GAIN);
+        let levels = difference.filter(|_| self.has_initial).map(Arc::new);
+        let difference = levels.as_ref().map(|levels| {
+            let mut image = levels.to_image(PREVIEW_GAIN);
             if let Some(field) = &field {
                 draw_markers(&mut image, field);
             }
@@ -403,6 +404,7 @@ impl Worker {
         let preview = Preview {
             image: Arc::clone(&decoded.image),
             difference,
+            levels,
             driver_time_ns: decoded.driver_time_ns,
         };
         lock(&self.state).previews.insert(role, preview);

@@ -13,7 +13,7 @@ use super::black_box::BlackBoxStatus;
 use super::start_report::StartFinding;
 use gripcast_capture::camera::{CameraCounters, CameraState, monotonic_ns};
 use gripcast_dataset::PredictionRecord;
-use gripcast_imaging::{ChangeKind, GelChange, GelState, Role};
+use gripcast_imaging::{ChangeKind, GelChange, GelState, Role, TactileDifference};
 use gripcast_nn::predict::PredictedLabel;
 use gripcast_session::{GuardLimits, Labels, OutcomeCounts, Session, SessionView};
 use gripcast_shear::{MarkerField, ShearFrame, ShearSummary};
@@ -188,6 +188,8 @@ pub struct Preview {
     /// Tactile difference to the last initial frame with an arrow for each gel marker, grey for no
     /// change; none before the first initial frame of the session.
     pub difference: Option<Arc<RgbImage>>,
+    /// The same in grey levels, without arrows; none in `collect --attach`.
+    pub levels: Option<Arc<TactileDifference>>,
     /// Driver time of the frame, `CLOCK_MONOTONIC`, ns.
     pub driver_time_ns: u64,
 }

@@ -339,14 +339,13 @@ mod tests {
         for role in [Role::Left, Role::Right, Role::Rgb] {
             let difference = role.is_tactile().then(|| Arc::clone(&image));
             let image = Arc::clone(&image);
-            status.previews.insert(
-                role,
-                Preview {
-                    image,
-                    difference,
-                    driver_time_ns: 0,
-                },
-            );
+            let preview = Preview {
+                image,
+                difference,
+                levels: None,
+                driver_time_ns: 0,
+            };
+            status.previews.insert(role, preview);
         }
         status.contact.insert(Role::Left, 8.4);
         status

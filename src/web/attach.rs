@@ -216,6 +216,7 @@ impl Received {
             let preview = Preview {
                 image,
                 difference,
+                levels: None,
                 // The event connection does not send it.
                 driver_time_ns: 0,
             };

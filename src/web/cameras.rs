@@ -8,12 +8,13 @@ use axum::Extension;
 use axum::body::{Body, Bytes};
 use axum::extract::rejection::QueryRejection;
 use axum::extract::{Path, Query, State as Shared};
-use axum::http::{HeaderName, header};
+use axum::http::{HeaderName, StatusCode, header};
 use axum::response::{IntoResponse, Json, Response};
 
 use super::access::{Authorisation, Peer};
 use super::backend::Backend;
 use super::failure::{ErrorResponse, Failure};
+use super::frames::{MarkersQuery, other_than, timed};
 use super::previews::{MAX_STREAMS, PreviewImage, Shown};
 use crate::daemon::EngineStatus;
 use gripcast_imaging::Role;
@@ -22,11 +23,12 @@ use gripcast_shear::MarkerField;
 /// Interval between two images of a stream.
 const INTERVAL: Duration = Duration::from_millis(100);
 /// Driver time of an image's frame, `CLOCK_MONOTONIC` of this machine, ns.
-const DRIVER_TIME: HeaderName = HeaderName::from_static("gripcast-driver-time-ns");
+pub(super) const DRIVER_TIME: HeaderName = HeaderName::from_static("gripcast-driver-time-ns");
 /// Multipart boundary of a stream.
 const BOUNDARY: &str = "gripcast-frame";
 
-fn check_role(status: &EngineStatus, role: Role) -> Result<Role, Failure> {
+/// Returns the role of a camera that the rig has.
+pub(super) fn check_role(status: &EngineStatus, role: Role) -> Result<Role, Failure> {
     if status.cameras.iter().any(|camera| camera.role == role) {
         return Ok(role);
     }
@@ -102,28 +104,36 @@ pub(crate) struct MarkerResponse {
 ///
 /// In its newest image, since the initial frame: rest and present positions in px of the 320×240
 /// image, confidence 0 for a lost one; null where the lattice has no marker. `driver_time_ns` is that
-/// of the image.
+/// of the image. With `after`, waits for those of another driver time, a second at most, then 204.
 #[utoipa::path(get, path = "/api/cameras/{role}/markers", tag = "cameras",
-    params(("role" = Role, Path)),
-    responses((status = 200, body = MarkerResponse), (status = 400, body = ErrorResponse),
+    params(("role" = Role, Path), MarkersQuery),
+    responses((status = 200, body = MarkerResponse), (status = 204), (status = 400, body = ErrorResponse),
         (status = 404, body = ErrorResponse), (status = 503, body = ErrorResponse)))]
 pub(crate) async fn markers(
     Shared(backend): Shared<Arc<Backend>>,
     Segment(role): Segment<Role>,
-) -> Result<Json<MarkerResponse>, Failure> {
-    let status = Arc::clone(&backend.status.borrow());
-    let role = check_role(&status, role)?;
-    let markers = status.marker_fields.get(&role).ok_or_else(|| {
-        let why = match status.shear.get(&role) {
-            Some(_) => "no gel markers in its image",
-            None => "no initial frame",
+    query: Parameters<MarkersQuery>,
+) -> Result<Response, Failure> {
+    let MarkersQuery { after } = parameters(query)?;
+    let role = check_role(&backend.status.borrow(), role)?;
+    let newest = |status: &EngineStatus| {
+        let markers = status.marker_fields.get(&role).ok_or_else(|| {
+            let why = match status.shear.get(&role) {
+                Some(_) => "no gel markers in its image",
+                None => "no initial frame",
+            };
+            Failure::busy(format!("{role}: {why}"))
+        })?;
+        let response = MarkerResponse {
+            field: (*markers.field).clone(),
+            driver_time_ns: markers.driver_time_ns,
         };
-        Failure::busy(format!("{role}: {why}"))
-    })?;
-    Ok(Json(MarkerResponse {
-        field: (*markers.field).clone(),
-        driver_time_ns: markers.driver_time_ns,
-    }))
+        Ok((markers.driver_time_ns, response))
+    };
+    Ok(match other_than(&backend.status, after, newest).await? {
+        Some((driver_time_ns, markers)) => timed(driver_time_ns, Json(markers)),
+        None => StatusCode::NO_CONTENT.into_response(),
+    })
 }
 
 /// Image stream of a camera
@@ -220,7 +230,6 @@ where
 
 #[cfg(test)]
 mod tests {
-    use axum::http::StatusCode;
     use gripcast_session::Labels;
 
     use super::*;

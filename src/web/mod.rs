@@ -19,6 +19,7 @@ mod cameras;
 mod commands;
 mod events;
 mod failure;
+mod frames;
 mod grasp_list;
 mod grasps;
 mod health;

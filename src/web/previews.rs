@@ -162,11 +162,13 @@ mod tests {
         let gel = Preview {
             image: grey(40),
             difference: Some(grey(128)),
+            levels: None,
             driver_time_ns: 7,
         };
         let rgb = Preview {
             image: grey(90),
             difference: None,
+            levels: None,
             driver_time_ns: 8,
         };
         status.previews = BTreeMap::from([(Role::Left, gel), (Role::Rgb, rgb.clone())]);

@@ -11,7 +11,7 @@ use utoipa_axum::routes;
 
 use super::backend::Backend;
 use super::failure::Failure;
-use super::{access, cameras, commands, events, grasps, health, login, page};
+use super::{access, cameras, commands, events, frames, grasps, health, login, page};
 use gripcast_imaging::Role;
 
 /// Maximum size of a request body, bytes.
@@ -51,6 +51,7 @@ fn api_routes() -> OpenApiRouter<Arc<Backend>> {
         .routes(routes!(grasps::trash))
         .routes(routes!(grasps::restore))
         .routes(routes!(cameras::still))
+        .routes(routes!(frames::image))
         .routes(routes!(cameras::markers))
         .routes(routes!(cameras::stream))
         .routes(routes!(health::health))

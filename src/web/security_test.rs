@@ -206,6 +206,7 @@ fn status() -> EngineStatus {
     let preview = Preview {
         image: Arc::new(image),
         difference: None,
+        levels: None,
         driver_time_ns: 0,
     };
     status.previews.insert(Role::Left, preview);

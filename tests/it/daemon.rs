@@ -460,6 +460,38 @@ fn late_repeated_and_outdated_commands_change_nothing() {
 }
 
 #[test]
+fn programs_get_each_image_of_a_gel_once_without_loss() {
+    let place = Place::new();
+    let daemon = place.daemon();
+    let own = format!("Host: {}\r\n", daemon.address);
+    let ask = |path: &str| exchange(daemon.connect(), "GET", path, &own, b"");
+    let driver_time = |head: &str| -> u64 {
+        let head = head.to_lowercase();
+        let (_, rest) = head.split_once("gripcast-driver-time-ns: ").unwrap();
+        rest.lines().next().unwrap().trim().parse().unwrap()
+    };
+    // Until the first image there is none.
+    let image = |path: &str| loop {
+        let (status, head, body) = ask(path);
+        match status {
+            200 => break (driver_time(&head), image::load_from_memory(&body).unwrap()),
+            204 | 503 => {}
+            _ => panic!("{path}: {head}"),
+        }
+    };
+    let (first_ns, first) = image("/api/cameras/left/image.png");
+    assert_eq!((first.width(), first.height()), (320, 240));
+    let (second_ns, _) = image(&format!("/api/cameras/left/image.png?after={first_ns}"));
+    assert!(second_ns > first_ns);
+    assert_eq!(ask("/api/cameras/left/image.png?image=difference").0, 503);
+    assert_eq!(ask("/api/cameras/rgb/image.png?image=difference").0, 400);
+    assert_eq!(ask("/api/cameras/external/image.png").0, 404);
+    daemon.trigger();
+    let (_, difference) = image("/api/cameras/left/image.png?image=difference");
+    assert_eq!((difference.width(), difference.height()), (320, 240));
+}
+
+#[test]
 fn invalid_requests_are_rejected() {
     let place = Place::new();
     let daemon = place.daemon();

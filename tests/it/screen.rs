@@ -74,8 +74,9 @@ fn preview(is_difference: bool) -> Preview {
     let image = Arc::new(image);
     Preview {
         difference: is_difference.then(|| Arc::clone(&image)),
-        image,
+        levels: None,
         driver_time_ns: 0,
+        image,
     }
 }
 
@@ -577,6 +578,7 @@ prop_compose! {
         let preview = Preview {
             image: Arc::new(RgbImage::new(image.0, image.1)),
             difference: image.2.then(|| Arc::new(RgbImage::new(image.0, image.1))),
+            levels: None,
             driver_time_ns: 0,
         };
         let contact = prediction.as_ref().map(|p| (Role::Left, p.record.p_stable));
