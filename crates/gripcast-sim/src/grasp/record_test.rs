@@ -1,10 +1,17 @@
 use super::*;
 use crate::fem::{GelPad, GelResolution};
-use crate::grasp::{GraspSettings, Placement, Preset, Scene, resting_pose, simulate};
+use crate::grasp::{
+    GraspOutcome, GraspResult, GraspSettings, Placement, Preset, Scene, resting_pose, simulate,
+};
 use gripcast_geometry::builtin;
 
 /// A grasp of a mug, in short stages, and the mesh of its gels.
 fn grasp() -> (Trace, GelGrid) {
+    let (result, grid) = grasp_of(0.6, 0.006, false);
+    (result.trace, grid)
+}
+
+fn grasp_of(friction: f64, lift_m: f64, early_end: bool) -> (GraspResult, GelGrid) {
     let mesh = builtin("mug").unwrap();
     let t_world_object = resting_pose(&mesh, None).unwrap().1.t_world_object;
     let placed = Placement::default().place(&mesh, &t_world_object).unwrap();
@@ -12,18 +19,19 @@ fn grasp() -> (Trace, GelGrid) {
     settings.resolution = GelResolution::Coarse;
     settings.protocol.stop_force_n = 20.0;
     settings.protocol.adjust_s = 0.1;
-    settings.protocol.lift_m = 0.006;
+    settings.protocol.lift_m = lift_m;
+    settings.protocol.early_end = early_end;
     let scene = Scene {
         mesh,
         mass_kg: 0.2,
-        friction: 0.6,
+        friction,
         t_world_object,
         t_world_gripper: placed.t_world_gripper,
         opening_m: placed.opening_m,
         gel: settings.gel().unwrap(),
     };
     let result = simulate(&scene, &settings.protocol, &settings.solver).unwrap();
-    (result.trace, scene.gel.grid)
+    (result, scene.gel.grid)
 }
 
 #[test]
@@ -118,4 +126,20 @@ fn integers_of_any_size_round_trip() {
         assert_eq!(take_integer(&mut bytes.as_slice()).unwrap(), value);
     }
     assert!(take_integer(&mut [0xff_u8; 12].as_slice()).is_err());
+}
+
+#[test]
+fn early_end_keeps_outcome_record_and_the_steps_before() {
+    let cases = [(0.6, GraspOutcome::Success), (0.05, GraspOutcome::Slip)];
+    for (friction, outcome) in cases {
+        let (full, grid) = grasp_of(friction, 0.05, false);
+        let (early, _) = grasp_of(friction, 0.05, true);
+        assert_eq!((full.outcome, early.outcome), (outcome, outcome));
+        let count = early.trace.steps.len();
+        assert!(count < full.trace.steps.len(), "{outcome:?}: {count} steps");
+        assert_eq!(early.trace.steps, full.trace.steps[..count]);
+        let record = |result: &GraspResult| GraspRecord::new(&result.trace, Some(&grid)).unwrap();
+        assert_eq!(record(&early), record(&full));
+        assert_eq!(record(&early).unwrap().states.len(), 7);
+    }
 }
