@@ -72,6 +72,7 @@ def test_collecting_writes_ten_labelled_grasps(executed: dict[str, Any], folder:
     assert len(kitchen) == 10 and {grasp.outcome for grasp in kitchen} == {"stable", "slip"}
     assert [grasp.outcome == "stable" for grasp in kitchen] == [truth["stable"] for truth in truths]
     assert [f"builtin:{grasp.object}" for grasp in kitchen] == [truth["object"] for truth in truths]
+    assert "problems: []" in printed(executed["1"])
     assert "(4, 6, 240, 320)" in printed(executed["1"]) and figures(executed["1"]) == 2
 
 
