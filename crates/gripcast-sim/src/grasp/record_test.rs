@@ -7,12 +7,12 @@ use gripcast_geometry::builtin;
 
 /// A grasp of a mug, in short stages, and the mesh of its gels.
 fn grasp() -> (Trace, GelGrid) {
-    let (result, grid) = grasp_of(0.6, 0.006, false);
+    let (result, grid) = grasp_of("mug", 0.6, 0.006, false);
     (result.trace, grid)
 }
 
-fn grasp_of(friction: f64, lift_m: f64, early_end: bool) -> (GraspResult, GelGrid) {
-    let mesh = builtin("mug").unwrap();
+fn grasp_of(object: &str, friction: f64, lift_m: f64, early_end: bool) -> (GraspResult, GelGrid) {
+    let mesh = builtin(object).unwrap();
     let t_world_object = resting_pose(&mesh, None).unwrap().1.t_world_object;
     let placed = Placement::default().place(&mesh, &t_world_object).unwrap();
     let mut settings = GraspSettings::new(Preset::Paper);
@@ -130,10 +130,13 @@ fn integers_of_any_size_round_trip() {
 
 #[test]
 fn early_end_keeps_outcome_record_and_the_steps_before() {
-    let cases = [(0.6, GraspOutcome::Success), (0.05, GraspOutcome::Slip)];
-    for (friction, outcome) in cases {
-        let (full, grid) = grasp_of(friction, 0.05, false);
-        let (early, _) = grasp_of(friction, 0.05, true);
+    let cases = [
+        ("mug", 0.6, GraspOutcome::Success),
+        ("sphere", 0.02, GraspOutcome::Slip),
+    ];
+    for (object, friction, outcome) in cases {
+        let (full, grid) = grasp_of(object, friction, 0.05, false);
+        let (early, _) = grasp_of(object, friction, 0.05, true);
         assert_eq!((full.outcome, early.outcome), (outcome, outcome));
         let count = early.trace.steps.len();
         assert!(count < full.trace.steps.len(), "{outcome:?}: {count} steps");
