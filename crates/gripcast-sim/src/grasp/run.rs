@@ -384,7 +384,7 @@ impl<'a> Run<'a> {
             }
             if self.protocol.early_end {
                 self.certain = self.outcome_so_far(&mut monitor);
-                if self.certain.is_some() && self.lifted >= RECORDED_LIFT_M {
+                if self.certain.is_some() {
                     return;
                 }
             }
