@@ -22,9 +22,10 @@ const MIN_CLEARANCE_M: f64 = 0.002;
 
 /// Follows a lift step by step.
 ///
-/// An object is lost once a finger has not touched it for [`LOST_STEPS`] steps, after [`MIN_LIFT_M`]. It is held once it
-/// is clear of the ground and rests in the grip: it neither creeps nor turns. How often the full
-/// protocol ends otherwise is in docs/how-to/synth.md (`gripcast-bench early-end`).
+/// Nothing is certain in the first 5 mm. Then an object is lost once a finger has not touched it for
+/// five steps. It is held once the gripper has risen by 10 mm and the object is clear of the ground
+/// and rests in the grip: it neither creeps nor turns. How often the full protocol ends otherwise is
+/// in docs/how-to/synth.md (`gripcast-bench early-end`).
 #[derive(Clone, Debug, Default)]
 pub struct LiftMonitor {
     steps_without_contact: usize,
