@@ -285,16 +285,13 @@ class Client:
     def frame(self, role: _Role, image: Literal["raw", "difference"] = "raw") -> LiveFrame:
         """Newest image of a camera: what it sees, or of a gel the difference to the initial frame.
 
-        The difference is 127 where nothing has changed and shows an arrow for each gel marker; without
-        an initial frame it is the raw image. `BusyError` before the first image.
+        Without loss, as models see it. The difference is 128 where nothing has changed, in grey levels.
+        `BusyError` before the first image, and for a difference without an initial frame.
         """
         if image not in ("raw", "difference"):
             raise UsageError(f"`image` must be raw or difference, found {image!r}")
-        headers, body = self._request("GET", f"/api/cameras/{quote(role, safe='')}/preview.jpg?image={image}")
-        time_ns = headers.get(_DRIVER_TIME)
-        if time_ns is None:
-            raise Error("the daemon sends no driver times of its images", self.url, "update the daemon")
-        return LiveFrame(role, _native.decode_image(body), int(time_ns))
+        headers, body = self._request("GET", f"/api/cameras/{quote(role, safe='')}/image.png?image={image}")
+        return LiveFrame(role, _native.decode_image(body), int(headers[_DRIVER_TIME]))
 
     def frames(self) -> dict[_Role, LiveFrame]:
         """Newest images of all cameras that have one."""

@@ -15,15 +15,13 @@ use super::access::{Authorisation, Peer};
 use super::backend::Backend;
 use super::failure::{ErrorResponse, Failure};
 use super::frames::{MarkersQuery, other_than, timed};
-use super::previews::{MAX_STREAMS, PreviewImage, Shown};
+use super::previews::{MAX_STREAMS, PreviewImage};
 use crate::daemon::EngineStatus;
 use gripcast_imaging::Role;
 use gripcast_shear::MarkerField;
 
 /// Interval between two images of a stream.
 const INTERVAL: Duration = Duration::from_millis(100);
-/// Driver time of an image's frame, `CLOCK_MONOTONIC` of this machine, ns.
-pub(super) const DRIVER_TIME: HeaderName = HeaderName::from_static("gripcast-driver-time-ns");
 /// Multipart boundary of a stream.
 const BOUNDARY: &str = "gripcast-frame";
 
@@ -67,8 +65,7 @@ pub(crate) fn parameters<T>(query: Parameters<T>) -> Result<T, Failure> {
 /// Newest image of a camera
 ///
 /// At most 320×240; a gel shows the difference to the initial frame once there is one, or with
-/// `image=raw` what its camera sees, and with `image=both` both, side by side. The header
-/// `Gripcast-Driver-Time-Ns` is the driver time of the frame, CLOCK_MONOTONIC of the daemon's machine.
+/// `image=raw` what its camera sees, and with `image=both` both, side by side.
 #[utoipa::path(get, path = "/api/cameras/{role}/preview.jpg", tag = "cameras",
     params(("role" = Role, Path), PreviewQuery),
     responses((status = 200, content_type = "image/jpeg", body = [u8]), (status = 400, body = ErrorResponse),
@@ -80,15 +77,11 @@ pub(crate) async fn still(
 ) -> Result<Response, Failure> {
     let PreviewQuery { image, .. } = parameters(query)?;
     let role = check_role(&backend.status.borrow(), role)?;
-    let shown = backend
+    let jpeg = backend
         .previews
         .shown(role, image)
         .ok_or_else(|| Failure::busy(format!("{role} has no image yet")))?;
-    let headers = [
-        (header::CONTENT_TYPE, "image/jpeg".to_owned()),
-        (DRIVER_TIME, shown.driver_time_ns.to_string()),
-    ];
-    Ok((headers, shown.jpeg).into_response())
+    Ok(([(header::CONTENT_TYPE, "image/jpeg")], jpeg).into_response())
 }
 
 /// The gel markers of an image.
@@ -174,7 +167,7 @@ pub(crate) async fn stream(
             }
             match backend.previews.shown(role, image) {
                 // The same buffer means no new image.
-                Some(Shown { jpeg, .. }) if jpeg.as_ptr() != last.as_ptr() => break jpeg,
+                Some(jpeg) if jpeg.as_ptr() != last.as_ptr() => break jpeg,
                 _ => {}
             }
         };

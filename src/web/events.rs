@@ -26,7 +26,6 @@ use super::access::{Authorisation, Peer};
 use super::backend::{Backend, News};
 use super::commands::{CommandResponse, parse, reply};
 use super::failure::Failure;
-use super::previews::Shown;
 use super::sender::{Arrival, Sender};
 use crate::daemon::{EngineStatus, StoreEvent};
 use gripcast_imaging::Role;
@@ -234,7 +233,7 @@ impl Listener {
 
     async fn send_previews(&mut self) -> Result<(), Disconnected> {
         for (index, role) in (0..).zip(Role::ALL) {
-            self.send_preview(index, self.backend.previews.raw(role))
+            self.send_preview(index, self.backend.previews.jpeg(role))
                 .await?;
             if role.is_tactile() {
                 let difference = self.backend.previews.difference(role);
@@ -245,10 +244,8 @@ impl Listener {
     }
 
     /// Sends an image that was not sent yet.
-    async fn send_preview(&mut self, first: u8, shown: Option<Shown>) -> Result<(), Disconnected> {
-        let Some(Shown { jpeg, .. }) = shown else {
-            return Ok(());
-        };
+    async fn send_preview(&mut self, first: u8, jpeg: Option<Bytes>) -> Result<(), Disconnected> {
+        let Some(jpeg) = jpeg else { return Ok(()) };
         let sent = self.sent.get(&first);
         if sent.is_some_and(|sent| sent.as_ptr() == jpeg.as_ptr()) {
             return Ok(());

@@ -9,7 +9,7 @@ use axum::response::{IntoResponse, Response};
 use tokio::sync::watch;
 
 use super::backend::Backend;
-use super::cameras::{DRIVER_TIME, Parameters, Segment, check_role, parameters};
+use super::cameras::{Parameters, Segment, check_role, parameters};
 use super::failure::{ErrorResponse, Failure};
 use crate::daemon::{EngineStatus, Preview};
 use gripcast_capture::camera::monotonic_ns;
@@ -17,6 +17,8 @@ use gripcast_imaging::{Role, encode_png_rgb};
 
 /// Maximum wait for another image.
 const WAIT: Duration = Duration::from_secs(1);
+/// Driver time of an image's frame, `CLOCK_MONOTONIC` of this machine, ns.
+const DRIVER_TIME: HeaderName = HeaderName::from_static("gripcast-driver-time-ns");
 /// Age of a frame when it is sent, ms.
 const AGE: HeaderName = HeaderName::from_static("gripcast-age-ms");
 

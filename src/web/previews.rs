@@ -52,15 +52,7 @@ pub(crate) struct Previews {
 struct Encoded {
     /// Source image, kept so that its address stays unique.
     source: Arc<RgbImage>,
-    shown: Shown,
-}
-
-/// An image for clients.
-#[derive(Clone)]
-pub(crate) struct Shown {
-    pub(crate) jpeg: Bytes,
-    /// Driver time of its frame, `CLOCK_MONOTONIC`, ns.
-    pub(crate) driver_time_ns: u64,
+    jpeg: Bytes,
 }
 
 impl Previews {
@@ -74,27 +66,27 @@ impl Previews {
     }
 
     /// Returns the newest image of a camera; `None` before the first.
-    pub(crate) fn raw(&self, role: Role) -> Option<Shown> {
+    pub(crate) fn jpeg(&self, role: Role) -> Option<Bytes> {
         self.encoded(role, PreviewImage::Raw)
     }
 
     /// Returns the newest image of a camera of this kind; for a gel without an initial frame its
     /// image. `None` before the first.
-    pub(crate) fn shown(&self, role: Role, which: PreviewImage) -> Option<Shown> {
+    pub(crate) fn shown(&self, role: Role, which: PreviewImage) -> Option<Bytes> {
         match which {
-            PreviewImage::Raw => self.raw(role),
+            PreviewImage::Raw => self.jpeg(role),
             PreviewImage::Both if role.is_tactile() => self.encoded(role, PreviewImage::Both),
-            PreviewImage::Both => self.raw(role),
-            PreviewImage::Difference => self.difference(role).or_else(|| self.raw(role)),
+            PreviewImage::Both => self.jpeg(role),
+            PreviewImage::Difference => self.difference(role).or_else(|| self.jpeg(role)),
         }
     }
 
     /// Returns the newest difference of a gel; `None` without an initial frame.
-    pub(crate) fn difference(&self, role: Role) -> Option<Shown> {
+    pub(crate) fn difference(&self, role: Role) -> Option<Bytes> {
         self.encoded(role, PreviewImage::Difference)
     }
 
-    fn encoded(&self, role: Role, which: PreviewImage) -> Option<Shown> {
+    fn encoded(&self, role: Role, which: PreviewImage) -> Option<Bytes> {
         let status = Arc::clone(&self.status.borrow());
         let preview = status.previews.get(&role)?;
         // Image and difference change together.
@@ -107,22 +99,19 @@ impl Previews {
             .get(&(role, which))
             .filter(|e| Arc::ptr_eq(&e.source, &image))
         {
-            return Some(cached.shown.clone());
+            return Some(cached.jpeg.clone());
         }
         let jpeg = match which {
             PreviewImage::Both => encode_jpeg(&side_by_side(preview), QUALITY),
             PreviewImage::Raw | PreviewImage::Difference => encode_jpeg(&image, QUALITY),
         };
-        let shown = Shown {
-            jpeg: Bytes::from(jpeg.ok()?),
-            driver_time_ns: preview.driver_time_ns,
-        };
+        let jpeg = Bytes::from(jpeg.ok()?);
         let entry = Encoded {
             source: image,
-            shown: shown.clone(),
+            jpeg: jpeg.clone(),
         };
         encoded.insert((role, which), entry);
-        Some(shown)
+        Some(jpeg)
     }
 }
 
@@ -175,9 +164,8 @@ mod tests {
         let (sender, receiver) = watch::channel(Arc::new(status.clone()));
         let previews = Previews::new(receiver);
         let decoded = |role, which| {
-            let shown = previews.shown(role, which).unwrap();
-            assert_eq!(shown.driver_time_ns, if role == Role::Left { 7 } else { 8 });
-            Decoder::new().unwrap().stored_image(&shown.jpeg).unwrap()
+            let jpeg = previews.shown(role, which).unwrap();
+            Decoder::new().unwrap().stored_image(&jpeg).unwrap()
         };
         let level = |image: &RgbImage, x| image.get_pixel(x, 10).0[0];
         let raw = decoded(Role::Left, PreviewImage::Raw);
@@ -199,15 +187,11 @@ mod tests {
         }
 
         // Without an initial frame there is no difference, and it is not made up.
-        let left = Preview {
-            driver_time_ns: 7,
-            ..rgb
-        };
-        status.previews.insert(Role::Left, left);
+        status.previews.insert(Role::Left, rgb);
         sender.send(Arc::new(status)).unwrap();
         let both = decoded(Role::Left, PreviewImage::Both);
         assert_eq!((both.width(), level(&both, 0)), (640, 90));
-        assert!(previews.difference(Role::Left).is_none());
+        assert_eq!(previews.difference(Role::Left), None);
         let difference = decoded(Role::Left, PreviewImage::Difference);
         assert_eq!((difference.width(), level(&difference, 0)), (320, 90));
     }

@@ -339,6 +339,22 @@ fn partial_run_renders_labelled_simulations_only() {
 }
 
 #[test]
+fn lifts_of_a_plan_end_early_unless_full_ones_are_asked_for() {
+    let dir = tempfile::tempdir().unwrap();
+    let protocol = |name: &str, flags: &[&str]| {
+        let folder = dir.path().join(name);
+        plan(&folder, &[&["--preset", "tiny", "--objects", "1"], flags].concat());
+        let text = fs::read_to_string(folder.join("plan.jsonl")).unwrap();
+        let header: Value = serde_json::from_str(text.lines().next().unwrap()).unwrap();
+        header["parameters"]["protocol"].clone()
+    };
+    assert_eq!(protocol("default", &[])["early_end"], true);
+    let full = protocol("full", &["--full-lift"]);
+    assert_eq!(full.get("early_end"), None, "as plans of earlier versions");
+    assert_eq!(full["lift_m"], 0.05);
+}
+
+#[test]
 fn images_rendered_after_curation_are_identical() {
     let dir = tempfile::tempdir().unwrap();
     let [whole, late] = ["whole", "late"].map(|name| dir.path().join(name));

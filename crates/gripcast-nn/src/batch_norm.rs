@@ -120,7 +120,8 @@ pub(super) fn backward(pass: Pass<'_>, gamma: &[f32], d: &mut [f32]) -> [Vec<f32
         .collect();
     let count = (z.len() / channels) as f64;
     let inverse: Vec<f32> = stats.inverse_deviation().collect();
-    let share = f64::from(u8::from(is_of_batch));
+    // Constant statistics have no gradient.
+    let of_batch = f64::from(u8::from(is_of_batch));
     let (mut dgamma, mut dbeta) = (Vec::new(), Vec::new());
     let (mut factor, mut slope, mut offset) = (Vec::new(), Vec::new(), Vec::new());
     for (c, [sum, with_z]) in total(&partial_sums, channels).into_iter().enumerate() {
@@ -130,12 +131,12 @@ pub(super) fn backward(pass: Pass<'_>, gamma: &[f32], d: &mut [f32]) -> [Vec<f32
         dgamma.push(with_normal as f32);
         dbeta.push(sum as f32);
         // dz = γ/deviation·(d − mean(d) − normal·mean(d·normal)), as factor·d + slope·z + offset.
-        // Both means are the share of the statistics, which is 0 if these are constant.
+        // Both means are the gradient of the statistics.
         let scale = f64::from(gamma[c]) * inverse;
-        let of_z = -scale * inverse * with_normal / count * share;
+        let of_z = -scale * inverse * with_normal / count * of_batch;
         factor.push(scale as f32);
         slope.push(of_z as f32);
-        offset.push((-scale * sum / count * share - of_z * mean) as f32);
+        offset.push((-scale * sum / count * of_batch - of_z * mean) as f32);
     }
     d.par_chunks_mut(image)
         .zip(z.par_chunks(image))

@@ -57,6 +57,17 @@ fn refused(name: &str, expected: &str, value: &Bound<'_, PyAny>) -> Error {
     ))
 }
 
+/// Checks width and height of an image.
+fn sides(name: &str, width: usize, height: usize) -> Result<[u32; 2], Error> {
+    let is_valid = |side: usize| (1..=MAX_SIDE).contains(&side);
+    if is_valid(width) && is_valid(height) {
+        return Ok([width as u32, height as u32]);
+    }
+    Err(Error::input(format!(
+        "`{name}` must be from 1×1 to {MAX_SIDE}×{MAX_SIDE} pixels, found {width}×{height}"
+    )))
+}
+
 /// Copies an image: height × width × 3, uint8, RGB.
 pub(crate) fn image(value: &Bound<'_, PyAny>, name: &str) -> Outcome<RgbImage> {
     let wrong = || refused(name, "uint8 of shape (height, width, 3), RGB", value);
@@ -64,15 +75,9 @@ pub(crate) fn image(value: &Bound<'_, PyAny>, name: &str) -> Outcome<RgbImage> {
     let &[height, width, 3] = array.shape() else {
         return Err(wrong().into());
     };
-    let is_valid = |side: usize| (1..=MAX_SIDE).contains(&side);
-    if !is_valid(width) || !is_valid(height) {
-        return Err(Error::input(format!(
-            "`{name}` must be from 1×1 to {MAX_SIDE}×{MAX_SIDE} pixels, found {width}×{height}"
-        ))
-        .into());
-    }
+    let [width, height] = sides(name, width, height)?;
     let pixels = array.readonly().as_array().iter().copied().collect();
-    RgbImage::from_raw(width as u32, height as u32, pixels).ok_or_else(|| wrong().into())
+    RgbImage::from_raw(width, height, pixels).ok_or_else(|| wrong().into())
 }
 
 /// Copies a depth image of counts: height × width, uint16.
@@ -82,15 +87,9 @@ pub(crate) fn depth_counts(value: &Bound<'_, PyAny>, name: &str) -> Outcome<Dept
     let &[height, width] = array.shape() else {
         return Err(wrong().into());
     };
-    let is_valid = |side: usize| (1..=MAX_SIDE).contains(&side);
-    if !is_valid(width) || !is_valid(height) {
-        return Err(Error::input(format!(
-            "`{name}` must be from 1×1 to {MAX_SIDE}×{MAX_SIDE} pixels, found {width}×{height}"
-        ))
-        .into());
-    }
+    let [width, height] = sides(name, width, height)?;
     let counts = array.readonly().as_array().iter().copied().collect();
-    DepthImage::from_raw(width as u32, height as u32, counts).ok_or_else(|| wrong().into())
+    DepthImage::from_raw(width, height, counts).ok_or_else(|| wrong().into())
 }
 
 /// An image for Python.
