@@ -343,7 +343,10 @@ fn lifts_of_a_plan_end_early_unless_full_ones_are_asked_for() {
     let dir = tempfile::tempdir().unwrap();
     let protocol = |name: &str, flags: &[&str]| {
         let folder = dir.path().join(name);
-        plan(&folder, &[&["--preset", "tiny", "--objects", "1"], flags].concat());
+        plan(
+            &folder,
+            &[&["--preset", "tiny", "--objects", "1"], flags].concat(),
+        );
         let text = fs::read_to_string(folder.join("plan.jsonl")).unwrap();
         let header: Value = serde_json::from_str(text.lines().next().unwrap()).unwrap();
         header["parameters"]["protocol"].clone()

@@ -195,7 +195,7 @@ fn card(file: &RunFile, best: &EpochMetrics, validation: &Summary) -> String {
         [
             "Fine-tuned on labelled grasps",
             "",
-            "it was measured on this validation part alone",
+            "it was measured on this validation split alone",
         ]
     } else {
         [
@@ -209,7 +209,7 @@ fn card(file: &RunFile, best: &EpochMetrics, validation: &Summary) -> String {
          Probability that a grasp holds when it is lifted, from images taken before the lift. \
          {trained}.\n\n\
          - Data: dataset {dataset}, seed {seed}, {arch} network, epoch {epoch}.\n\
-         - Validation part (other objects{also}; checkpoint, temperature and threshold \
+         - Validation split (other objects{also}; checkpoint, temperature and threshold \
          were chosen on it): n = {n}, accuracy {accuracy}, AUROC {auroc}, ECE {ece}.\n\
          - Limits: {limits}. It knows neither mass \
          nor friction but from what images show of them.\n\

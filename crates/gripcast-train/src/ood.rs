@@ -18,7 +18,7 @@ const BATCH_SIZE: usize = 32;
 /// Cached bytes of images; samples are read in order.
 const MEMORY: usize = 1 << 25;
 
-/// Fewest differences of fine-tuning: few grasps are augmented several times.
+/// Minimum number of differences in fine-tuning: few grasps are augmented several times.
 const MIN_DIFFERENCES: usize = 256;
 
 /// Fits the reference to the augmented tactile differences of a run's training split; in

@@ -11,9 +11,9 @@ use super::stream_monitor::Health;
 pub const MAX_DAMAGED_FRACTION: f64 = 0.1;
 /// Fraction of damaged frames below which a damaged camera is live again.
 const RECOVERED_FRACTION: f64 = 0.05;
-/// Fewest frames that are judged by their fraction.
+/// Minimum number of frames that are judged by their fraction.
 const MIN_FRAMES: usize = 8;
-/// Fewest damaged frames of a damaged camera: the first frames of a stream are often cut.
+/// Minimum number of damaged frames of a damaged camera: the first frames of a stream are often cut.
 const MIN_DAMAGED_FRAMES: usize = 3;
 /// Newest frames that are judged while a camera runs: 2.5 s at 25/s.
 const LIVE_FRAMES: usize = 64;
