@@ -53,6 +53,8 @@ pub(crate) fn onnx() -> Result<Vec<u8>> {
         inputs: GELS.map(|(_, name)| InputSpec::tactile(name)).to_vec(),
         threshold: 0.5,
         temperature: 1.0,
+        fallbacks: Vec::new(),
+        geometry: Vec::new(),
         crop_profile: None,
         card: "Asks whether the weaker contact exceeds a limit. Not trained.".into(),
         other: [("gripcast.licence".into(), "CC0-1.0".into())].into(),

@@ -3,6 +3,7 @@
 use crate::note;
 use gripcast_base::error::Result;
 use gripcast_capture::calibration::RigFile;
+use gripcast_nn::predict::contract::InputName;
 use gripcast_nn::predict::{BASELINE, Model, ModelContract, SHIPPED};
 
 /// Loads the named model. Without a name, loads the built-in classifier if it suits the rig, else
@@ -36,9 +37,13 @@ pub(crate) fn default_model(rig: &RigFile) -> Result<(&'static str, Option<Strin
     })
 }
 
-/// Returns why a model does not suit the cameras of a rig; none if it does.
+/// Returns why a model does not suit the cameras of a rig; none if it does. A model that also
+/// predicts from touch alone needs no other camera.
 pub(crate) fn misfit(model: &ModelContract, rig: &RigFile) -> Option<String> {
-    for input in model.modality.inputs() {
+    let has = |name: InputName| rig.cameras.contains_key(&name.role());
+    let usable = model.output_from(has).map(|output| output.modality);
+    let usable = usable.filter(|usable| usable.has_touch() || !model.modality.has_touch());
+    for input in usable.unwrap_or(model.modality).inputs() {
         let role = input.role();
         let Some(camera) = rig.cameras.get(&role) else {
             return Some(format!("the rig has no camera `{role}`"));

@@ -93,23 +93,29 @@ fn first(report: &EvalReport) -> serde_json::Value {
 
 fn text(report: &EvalReport) -> String {
     let mut lines = vec![format!(
-        "{:<28} {:>6} {:>8} {:>8} {:>20} {:>7} {:>9} {:>7}",
-        "model", "n", "accuracy", "balanced", "AUROC", "ECE", "by chance", "Brier"
+        "{:<28} {:<6} {:>6} {:>8} {:>8} {:>20} {:>7} {:>9} {:>7}",
+        "model", "inputs", "n", "accuracy", "balanced", "AUROC", "ECE", "by chance", "Brier"
     )];
     lines.extend(report.models.iter().map(row));
     lines.extend(report.models.iter().filter_map(at_base_rate));
-    if let Some(over) = &report.over_models {
+    lines.extend(report.models.iter().flat_map(in_the_lift));
+    for result in report.over_models.iter().filter(|r| r.summary.seeds > 1) {
+        let over = &result.summary;
         let spread = |s: &Option<gripcast_train::metrics::Spread>| {
             s.as_ref().map_or("–".to_owned(), |s| {
                 format!("{:.3} ± {:.3}", s.mean, s.standard_deviation.unwrap_or(0.0))
             })
         };
         lines.push(format!(
-            "over {} models: balanced accuracy {}, AUROC {}, ECE {}",
+            "{} over {} seeds: balanced accuracy {}, AUROC {} [{}], ECE {}; all inputs − {}: AUROC {}",
+            result.modality,
             over.seeds,
             spread(&over.balanced_accuracy),
             spread(&over.auroc),
+            interval(result.auroc),
             spread(&over.ece),
+            result.modality,
+            interval(result.auroc_less_than_all),
         ));
     }
     for difference in &report.differences {
@@ -127,8 +133,9 @@ fn row(model: &ModelEvaluation) -> String {
     let figure = |x: Option<f64>| x.map_or("–".to_owned(), |x| format!("{x:.3}"));
     let s = &model.summary;
     format!(
-        "{:<28} {:>6} {:>8} {:>8} {:>20} {:>7} {:>9} {:>7}",
+        "{:<28} {:<6} {:>6} {:>8} {:>8} {:>20} {:>7} {:>9} {:>7}",
         model.file,
+        model.modality,
         s.n,
         figure(s.accuracy),
         figure(s.balanced_accuracy),
@@ -141,12 +148,41 @@ fn row(model: &ModelEvaluation) -> String {
     )
 }
 
+/// Formats the verdict in the lift.
+fn in_the_lift(model: &ModelEvaluation) -> Vec<String> {
+    let Some(lift) = &model.lift else {
+        return Vec::new();
+    };
+    let [lifts, slips] = lift.lifts;
+    let mut lines: Vec<String> = lift
+        .points
+        .iter()
+        .map(|point| {
+            format!(
+                "{} after {:.1} mm of lift: AUROC {}, balanced accuracy {}",
+                model.file,
+                1e3 * point.lifted_m,
+                interval(point.auroc),
+                interval(point.balanced_accuracy),
+            )
+        })
+        .collect();
+    lines.push(format!(
+        "{} alarm: {} of the held lifts, {} of the slips 80 ms ahead ({lifts} lifts, {slips} slips)",
+        model.file,
+        interval(lift.alarmed_held),
+        interval(lift.alarmed_slips),
+    ));
+    lines
+}
+
 /// Formats the calibration after a prior correction, unless the classes are balanced.
 fn at_base_rate(model: &ModelEvaluation) -> Option<String> {
     let corrected = model.at_base_rate.filter(BaseRateCalibration::is_uneven)?;
     Some(format!(
-        "{}: {:.0} % are stable; corrected for this base rate: ECE {:.3}, Brier {:.3}",
+        "{} {}: {:.0} % are stable; corrected for this base rate: ECE {:.3}, Brier {:.3}",
         model.file,
+        model.modality,
         100.0 * corrected.base_rate,
         corrected.ece,
         corrected.brier

@@ -79,7 +79,11 @@ pub(super) fn modality() -> impl TypedValueParser<Value = Modality> {
     named([
         ("v", "Colour image", Modality::V),
         ("t", "Both tactile differences", Modality::T),
+        ("d", "Depth image", Modality::D),
         ("vt", "Colour image and tactile differences", Modality::Vt),
+        ("vd", "Colour and depth image", Modality::Vd),
+        ("td", "Tactile differences and depth image", Modality::Td),
+        ("vtd", "All of them", Modality::Vtd),
     ])
 }
 

@@ -16,14 +16,15 @@ use image::RgbImage;
 use serde_json::{Value, json};
 
 use super::predict_stamp::{self, StampArgs};
+use super::flags::above_zero;
 use super::{Context, print_report};
 use crate::note;
 use gripcast_base::error::{Error, Result};
 use gripcast_base::files::{FileKind, read_regular, save};
-use gripcast_imaging::{CropProfile, Decoder};
-use gripcast_nn::predict::contract::{IMAGE_HEIGHT, IMAGE_WIDTH, InputName, Origin};
+use gripcast_imaging::{CropProfile, Decoder, decode_png_grey16};
+use gripcast_nn::predict::contract::{IMAGE_HEIGHT, IMAGE_WIDTH, InputName, Modality, Origin};
 use gripcast_nn::predict::{
-    BASELINE, GraspPrediction, InputImages, Model, PredictedLabel, SHIPPED, baseline,
+    Depth, GraspPrediction, InputImages, Model, ModelContract, PredictedLabel, SHIPPED, baseline,
 };
 
 /// Arguments.
@@ -73,6 +74,12 @@ struct ImagesArgs {
     /// Colour image, gripper closed
     #[arg(long, value_name = "FILE")]
     rgb: Option<PathBuf>,
+    /// Depth image aligned to the colour image, 16-bit PNG, gripper closed
+    #[arg(long, value_name = "FILE")]
+    depth: Option<PathBuf>,
+    /// Depth of one count of the depth image, m
+    #[arg(long, value_name = "M", default_value_t = 1e-3, value_parser = above_zero)]
+    depth_unit_m: f64,
     /// Crop profile of the tactile images [default: the model's]
     #[arg(long, value_name = "PROFILE")]
     crop: Option<String>,
@@ -126,6 +133,8 @@ fn check(context: &Context, args: &CheckArgs) -> Result<()> {
         "kind": contract.origin.name(),
         "load_ms": model.load_ms(),
         "name": contract.name,
+        "fallbacks": contract.fallbacks,
+        "geometry": contract.geometry,
         "other": contract.other,
         "seed": seed,
         "sha256": model.sha256(),
@@ -150,6 +159,14 @@ fn contract_text(context: &Context, model: &Model, origin: &str) -> String {
         lines.push(format!(
             "input      {} {:?} {} {} {}, {}",
             input.name, input.shape, input.dtype, input.layout, input.colour, input.formula
+        ));
+    }
+    for output in &contract.fallbacks {
+        lines.push(format!(
+            "fallback   {} ({}), threshold {}",
+            output.modality,
+            output.modality.words(),
+            output.threshold
         ));
     }
     lines.push(format!("crop       {}", contract.crop_profile_name()));
@@ -181,25 +198,47 @@ fn predict_images(context: &Context, args: &ImagesArgs) -> Result<()> {
         label,
         unsure_reason,
     } = model.predict_grasp(|name| {
-        let (initial, grasp) = match name {
-            InputName::TactileLeft => (
-                needed(args.initial_left.as_deref(), "--initial-left", name)?,
-                needed(args.grasp_left.as_deref(), "--grasp-left", name)?,
-            ),
-            InputName::TactileRight => (
-                needed(args.initial_right.as_deref(), "--initial-right", name)?,
-                needed(args.grasp_right.as_deref(), "--grasp-right", name)?,
-            ),
-            InputName::Rgb => {
-                let file = needed(args.rgb.as_deref(), "--rgb", name)?;
-                return Ok(InputImages::Rgb(image(file, &CropProfile::FULL)?));
+        let tactile = |initial: Option<&Path>, grasp: Option<&Path>| match (initial, grasp) {
+            (None, None) => Ok(None),
+            (Some(initial), Some(grasp)) => Ok(Some(InputImages::Tactile {
+                initial: image(initial, &crop)?,
+                grasp: image(grasp, &crop)?,
+            })),
+            _ => {
+                let side = name.role();
+                let what = format!("expected both `--initial-{side}` and `--grasp-{side}`");
+                Err(Error::usage(what))
             }
         };
-        Ok(InputImages::Tactile {
-            initial: image(initial, &crop)?,
-            grasp: image(grasp, &crop)?,
-        })
+        match name {
+            InputName::TactileLeft => tactile(
+                args.initial_left.as_deref(),
+                args.grasp_left.as_deref(),
+            ),
+            InputName::TactileRight => tactile(
+                args.initial_right.as_deref(),
+                args.grasp_right.as_deref(),
+            ),
+            InputName::Rgb => {
+                let rgb = args.rgb.as_deref();
+                let rgb = rgb.map(|rgb| image(rgb, &CropProfile::FULL)).transpose()?;
+                Ok(rgb.map(InputImages::Rgb))
+            }
+            InputName::Depth => {
+                let depth = args.depth.as_deref();
+                let depth = depth.map(|path| depth_image(path, args.depth_unit_m));
+                Ok(depth.transpose()?.map(InputImages::Depth))
+            }
+        }
     })?;
+    let missing = missing_flags(contract, prediction.modality);
+    if !missing.is_empty() {
+        context.warn([format!(
+            "predicted from {} alone; the model also uses {}",
+            prediction.modality.words(),
+            missing.join(", ")
+        )]);
+    }
     let outcome = label.name();
     if contract.is_heuristic() {
         let name = &contract.name;
@@ -210,13 +249,15 @@ fn predict_images(context: &Context, args: &ImagesArgs) -> Result<()> {
     let report = json!({
         "crop_profile": crop.name(),
         "engine_ms": prediction.engine_ms,
+        "geometry": prediction.geometry,
+        "inputs": prediction.modality,
         "kind": contract.origin.name(),
         "model": contract.name,
         "model_sha256": model.sha256(),
         "ood_score": ood_score,
         "p_stable": prediction.p_stable,
         "predicted": outcome,
-        "threshold": contract.threshold,
+        "threshold": prediction.threshold,
         "unsure_reason": unsure_reason,
     });
     print_report(args.json, &report, |_| {
@@ -229,7 +270,7 @@ fn predict_images(context: &Context, args: &ImagesArgs) -> Result<()> {
         };
         format!(
             "{outcome}: p_stable {:.3}, threshold {}{reason}",
-            prediction.p_stable, contract.threshold
+            prediction.p_stable, prediction.threshold
         )
     })
 }
@@ -243,17 +284,28 @@ fn write_baseline(context: &Context, out: &Path) -> Result<()> {
     Ok(())
 }
 
-fn needed<'a>(file: Option<&'a Path>, flag: &str, input: InputName) -> Result<&'a Path> {
-    file.ok_or_else(|| {
-        let what = format!("the model uses `{input}`, so `{flag} FILE` is needed");
-        let error = Error::usage(what);
-        match input {
-            InputName::Rgb => error.remedy(format!(
-                "give it, or use a tactile model, such as --model {BASELINE}"
-            )),
-            InputName::TactileLeft | InputName::TactileRight => error,
-        }
-    })
+/// Flags of the inputs that a model has beside those of a prediction.
+fn missing_flags(contract: &ModelContract, used: Modality) -> Vec<&'static str> {
+    let inputs = contract.modality.inputs().into_iter();
+    let missing = inputs.filter(|name| !used.has(*name));
+    let flags = missing.filter_map(|name| match name {
+        InputName::TactileLeft => Some("tactile images (`--initial-left`, …)"),
+        InputName::TactileRight => None,
+        InputName::Rgb => Some("`--rgb`"),
+        InputName::Depth => Some("`--depth`"),
+    });
+    flags.collect()
+}
+
+/// Reads a depth image.
+fn depth_image(path: &Path, unit_m: f64) -> Result<Depth> {
+    let read = || -> Result<Depth> {
+        let bytes = read_regular(path, FileKind::Image)
+            .map_err(|e| Error::io("cannot read the depth image", e))?;
+        let image = decode_png_grey16(&bytes)?;
+        Ok(Depth { image, unit_m })
+    };
+    read().map_err(|error| error.at(path.display()))
 }
 
 /// Reads an image file, cropped and resized like a live frame.

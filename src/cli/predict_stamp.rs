@@ -79,12 +79,13 @@ fn contract(args: &StampArgs) -> Result<ModelContract> {
         let what = format!("the modality {} needs `{flag}`", args.modality);
         Error::usage(what)
     };
-    let inputs = args.modality.inputs().iter().map(|name| match name {
+    let inputs = args.modality.inputs().into_iter().map(|name| match name {
         InputName::Rgb => Ok(InputSpec::rgb(RgbNormalisation {
             mean: args.rgb_mean.ok_or_else(|| needed("--rgb-mean R,G,B"))?,
             std: args.rgb_std.ok_or_else(|| needed("--rgb-std R,G,B"))?,
         })),
-        touch => Ok(InputSpec::tactile(*touch)),
+        InputName::Depth => Ok(InputSpec::depth()),
+        touch => Ok(InputSpec::tactile(touch)),
     });
     let crop_profile = match &args.crop {
         Some(name) => Some(CropProfile::by_name(name).map_err(|e| e.at("--crop"))?),
@@ -111,6 +112,8 @@ fn contract(args: &StampArgs) -> Result<ModelContract> {
         inputs: inputs.collect::<Result<_>>()?,
         threshold: args.threshold,
         temperature: 1.0,
+        fallbacks: Vec::new(),
+        geometry: Vec::new(),
         crop_profile,
         card: card.transpose()?.unwrap_or_else(|| NO_CARD.to_owned()),
         other: BTreeMap::new(),

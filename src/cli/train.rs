@@ -24,7 +24,7 @@ use gripcast_base::error::{Error, Result};
 use gripcast_base::files;
 use gripcast_nn::predict::contract::Modality;
 use gripcast_train::{
-    Finished, RunFolder, StartModel, TrainEvent, TrainSettings, Trained, fine_tune, finish, train,
+    Finished, RunFolder, Samples, StartModel, TrainEvent, TrainSettings, Trained, fine_tune, finish, train,
 };
 
 /// Arguments.
@@ -42,9 +42,9 @@ pub(crate) struct Args {
     /// Epochs of fine-tuning that train the whole network, after those of the head
     #[arg(long, value_name = "N", default_value_t = 0, requires = "from")]
     unfreeze_epochs: u32,
-    /// Input modality of the classifier
-    #[arg(long, value_name = "MODALITY", default_value = "vt", value_parser = modality())]
-    modality: Modality,
+    /// Inputs of the classifier [default: vtd, or vt without depth images]
+    #[arg(long, value_name = "MODALITY", value_parser = modality())]
+    modality: Option<Modality>,
     /// Model name [default: trained-MODALITY, START-tuned]
     #[arg(long)]
     name: Option<String>,
@@ -258,10 +258,14 @@ impl Args {
     }
 
     fn settings(&self, seed: u64, start: Option<&StartModel>) -> Result<TrainSettings> {
-        let settings = self.training.settings(self.modality, seed)?;
-        Ok(match start {
-            Some(start) => settings.fine_tuning(start, self.unfreeze_epochs),
-            None => settings,
+        let settings = |modality| self.training.settings(modality, seed);
+        if let Some(start) = start {
+            let modality = start.contract().modality;
+            return Ok(settings(modality)?.fine_tuning(start, self.unfreeze_epochs));
+        }
+        settings(match self.modality {
+            Some(modality) => modality,
+            None => Samples::open(&self.data, "train")?.modality()?,
         })
     }
 }

@@ -309,6 +309,8 @@ mod tests {
             ood_score: Some(0.5),
             unsure_reason: None,
             threshold: 0.5,
+            inputs: None,
+            geometry: None,
             model_sha256: "0".repeat(64),
             model: "m".into(),
             latency_ms: 12.0,

@@ -161,6 +161,8 @@ mod tests {
                 predicted: Some(PredictionRecord {
                     p_stable: p,
                     threshold: 0.5,
+                    inputs: None,
+                    geometry: None,
                     ood_score,
                     unsure_reason: None,
                     model: "m".to_owned(),

@@ -372,6 +372,8 @@ mod tests {
             ood_score,
             unsure_reason: None,
             threshold: 0.5,
+            inputs: None,
+            geometry: None,
             model: "m".to_owned(),
             model_sha256: String::new(),
             latency_ms: 12.0,

@@ -97,6 +97,8 @@ fn prediction() -> PredictionRecord {
         ood_score: None,
         unsure_reason: None,
         threshold: 0.5,
+        inputs: None,
+        geometry: None,
         model_sha256: "ab".repeat(32),
         model: "baseline-contact".into(),
         latency_ms: 31.0,

@@ -29,6 +29,8 @@ fn predicted(p_stable: f64, ood_score: Option<f64>) -> PredictionRecord {
         ood_score,
         unsure_reason: None,
         threshold: 0.5,
+        inputs: None,
+        geometry: None,
         model_sha256: String::new(),
         model: "baseline-contact".to_owned(),
         latency_ms: 12.4,

@@ -50,6 +50,8 @@ fn row(part: &str, number: u64, is_stable: bool) -> ShardRow {
         rendering: 0,
         seed: number,
         crop_profile: "full-v1".to_owned(),
+        geometry: None,
+        lift: None,
     };
     let gel = |side: u64, contact: f32| {
         let image = synthetic_gel(

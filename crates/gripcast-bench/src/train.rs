@@ -106,6 +106,7 @@ fn measure(architecture: &Architecture, args: &Args) -> Result<[f64; 2]> {
         vision: images(count),
         targets: (0..count).map(|i| (i % 2) as f32).collect(),
         weights: vec![1.0; count],
+        ..Batch::default()
     };
     let mut gradient = vec![0.0; network.parameters.len()];
     let mut adam = Adam::new(network.parameters.len());

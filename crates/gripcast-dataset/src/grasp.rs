@@ -13,7 +13,7 @@ use super::layout::Stage;
 use super::lift::LiftRecord;
 use gripcast_base::error::{Error, Result};
 use gripcast_base::files::{ContentKey, FieldName, FileName, GraspId, Label, ObjectName};
-use gripcast_geometry::Pose;
+use gripcast_geometry::{GraspGeometry, Pose};
 use gripcast_imaging::{JpegRepairs, PixelFormat, Role};
 use gripcast_shear::ShearSummary;
 
@@ -363,6 +363,14 @@ pub struct PredictionRecord {
     pub unsure_reason: Option<String>,
     /// Decision threshold of the model.
     pub threshold: f64,
+    /// Inputs that the prediction is made from: `VTD`, `VT`, `T`, …; absent in older datasets.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub inputs: Option<String>,
+    /// Extents of the object in the gripper frame as the model sees them; absent without camera
+    /// images.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[schema(value_type = Option<Object>)]
+    pub geometry: Option<GraspGeometry>,
     /// sha256 of the ONNX file.
     pub model_sha256: String,
     /// Name of the model.

@@ -155,6 +155,8 @@ pub fn meta(object: &str) -> GraspMeta {
             ood_score: None,
             unsure_reason: None,
             threshold: 0.5,
+            inputs: None,
+            geometry: None,
             model_sha256: "0".repeat(64),
             model: "baseline".into(),
             latency_ms: 20.5,

@@ -20,6 +20,7 @@ mod check;
 mod convex_hull;
 mod corner_normals;
 mod curved;
+mod grasp_geometry;
 mod mass_properties;
 mod mesh;
 mod mesh_file;
@@ -31,6 +32,7 @@ mod solid;
 mod stable_poses;
 mod weld;
 mod winding_number;
+mod wrist_camera;
 
 pub use aabb::Aabb;
 pub use builtin::implicit;
@@ -40,6 +42,7 @@ pub use check::{PrepareOptions, PreparedMesh, Repair, prepare};
 pub use convex_hull::convex_hull;
 pub use corner_normals::{CREASE_RAD, corner_normals};
 pub use curved::curved;
+pub use grasp_geometry::GraspGeometry;
 pub use mass_properties::MassProperties;
 pub use mesh::{MeshEdges, TriangleMesh};
 pub use mesh_file::{
@@ -51,3 +54,4 @@ pub use object_mesh::{MeshOptions, load_object_mesh, load_object_mesh_below};
 pub use pose::Pose;
 pub use solid::Solid;
 pub use stable_poses::{StablePose, likely_poses, nearest_pose, stable_poses};
+pub use wrist_camera::WristCamera;

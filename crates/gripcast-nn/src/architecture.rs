@@ -3,7 +3,8 @@
 use serde::{Deserialize, Serialize};
 
 use super::conv::ConvShape;
-use crate::predict::contract::Modality;
+pub use crate::predict::contract::GEOMETRY;
+use crate::predict::contract::{InputName, Modality};
 
 /// Height, width and channels of the input images.
 pub const IMAGE: [usize; 3] = [240, 320, 3];
@@ -21,8 +22,9 @@ pub struct ConvSpec {
     pub pad: usize,
 }
 
-/// Architecture of a classifier: an encoder for tactile differences, one of equal size for the
-/// colour image, and two dense layers on their embeddings.
+/// Architecture of a classifier: an encoder for tactile differences, one each for the colour image
+/// and the depth image, and two dense layers on their embeddings for each set of inputs that it
+/// predicts from.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Architecture {
     /// Name on the command line and in files.
@@ -31,8 +33,16 @@ pub struct Architecture {
     pub convolutions: Vec<ConvSpec>,
     /// Height and width of the average pooling after the last convolution, pixels.
     pub pool: [usize; 2],
-    /// Size of an embedding.
+    /// Size of the embedding of a tactile difference.
     pub embedding: usize,
+    /// Size of the embedding of a colour or depth image. With [`Architecture::geometry`] its first
+    /// numbers are the geometry of the grasp.
+    pub camera_embedding: usize,
+    /// Whether the encoders of colour and depth image estimate the geometry of the grasp
+    /// ([`GEOMETRY`] numbers).
+    pub geometry: bool,
+    /// Whether it also predicts from fewer inputs, each with layers of its own.
+    pub fallbacks: bool,
     /// Size of the hidden layer.
     pub hidden: usize,
 }
@@ -68,6 +78,9 @@ impl Architecture {
             ],
             pool: [2, 2],
             embedding: 128,
+            camera_embedding: 32,
+            geometry: true,
+            fallbacks: true,
             hidden: 128,
         }
     }
@@ -91,8 +104,35 @@ impl Architecture {
             ],
             pool: [3, 4],
             embedding: 512,
+            camera_embedding: 512,
+            geometry: false,
+            fallbacks: false,
             hidden: 256,
         }
+    }
+
+    /// Sets of inputs that a classifier of `modality` predicts from, all of its inputs first.
+    pub fn heads(&self, modality: Modality) -> Vec<Modality> {
+        match self.fallbacks {
+            true => modality.subsets(),
+            false => vec![modality],
+        }
+    }
+
+    /// Size of the embedding of an image.
+    pub(super) fn embedding_of(&self, kind: EncoderKind) -> usize {
+        match kind {
+            EncoderKind::Touch => self.embedding,
+            EncoderKind::Vision | EncoderKind::Depth => self.camera_embedding,
+        }
+    }
+
+    /// Size of the concatenated embeddings of some inputs.
+    pub(super) fn joined(&self, modality: Modality) -> usize {
+        let inputs = modality.inputs().into_iter();
+        inputs
+            .map(|name| self.embedding_of(EncoderKind::of(name)))
+            .sum()
     }
 
     /// Shapes of an encoder's convolutions.
@@ -152,9 +192,58 @@ impl Param {
     }
 }
 
+/// Kind of encoder.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum EncoderKind {
+    /// Encoder of tactile differences.
+    Touch,
+    /// Encoder of the colour image.
+    Vision,
+    /// Encoder of the depth image.
+    Depth,
+}
+
+impl EncoderKind {
+    /// All kinds, in the order of the inputs.
+    pub(crate) const ALL: [Self; 3] = [Self::Touch, Self::Vision, Self::Depth];
+
+    /// The encoder of an input; both sensors share one.
+    pub(crate) fn of(input: InputName) -> Self {
+        match input {
+            InputName::TactileLeft | InputName::TactileRight => Self::Touch,
+            InputName::Rgb => Self::Vision,
+            InputName::Depth => Self::Depth,
+        }
+    }
+
+    /// Inputs of the encoder.
+    pub(crate) fn inputs(self) -> &'static [InputName] {
+        match self {
+            Self::Touch => &[InputName::TactileLeft, InputName::TactileRight],
+            Self::Vision => &[InputName::Rgb],
+            Self::Depth => &[InputName::Depth],
+        }
+    }
+
+    /// Name in parameter names.
+    pub(crate) fn name(self) -> &'static str {
+        match self {
+            Self::Touch => "touch",
+            Self::Vision => "vision",
+            Self::Depth => "depth",
+        }
+    }
+
+    /// Whether a classifier has it.
+    pub(crate) fn is_in(self, modality: Modality) -> bool {
+        self.inputs().iter().all(|name| modality.has(*name))
+    }
+}
+
 /// Parameters of one encoder.
 #[derive(Clone, Debug)]
 pub(super) struct EncoderParams {
+    pub(super) kind: EncoderKind,
     /// Weight, γ, β of each convolution.
     pub(super) convolutions: Vec<[Param; 3]>,
     /// Weight and bias.
@@ -163,15 +252,34 @@ pub(super) struct EncoderParams {
     pub(super) stats: Vec<[std::ops::Range<usize>; 2]>,
 }
 
+/// Parameters of the dense layers on the embeddings of some inputs.
+#[derive(Clone, Debug)]
+pub(crate) struct HeadParams {
+    /// The inputs.
+    pub(crate) modality: Modality,
+    /// Weight and bias of the hidden layer.
+    pub(crate) hidden: [Param; 2],
+    /// Weight and bias of the output layer.
+    pub(crate) logit: [Param; 2],
+}
+
 /// Layout of all parameters in one slice.
 #[derive(Clone, Debug)]
 pub struct Layout {
-    pub(super) touch: Option<EncoderParams>,
-    pub(super) vision: Option<EncoderParams>,
-    /// Weight and bias of the hidden and the output layer.
-    pub(super) head: [[Param; 2]; 2],
+    pub(super) encoders: Vec<EncoderParams>,
+    /// Those of all inputs first.
+    pub(super) heads: Vec<HeadParams>,
     params: Vec<Param>,
+    first_of_heads: usize,
     running_stats_len: usize,
+}
+
+/// Start of the parameter names of a head.
+pub(crate) fn head_name(head: Modality, all: Modality) -> String {
+    if head == all {
+        return "head".to_owned();
+    }
+    format!("head_{}", head.name().to_ascii_lowercase())
 }
 
 impl Layout {
@@ -185,11 +293,12 @@ impl Layout {
             params.push(param.clone());
             param
         };
-        let mut encoder = |name: &str| {
+        let mut encoder = |kind: EncoderKind| {
             let shapes = architecture.shapes();
+            let prefix = kind.name();
             let convolutions = shapes.iter().enumerate().map(|(i, shape)| {
                 let channels = shape.channels;
-                let name = |what: &str| format!("{name}.conv{}.{what}", i + 1);
+                let name = |what: &str| format!("{prefix}.conv{}.{what}", i + 1);
                 [
                     add(name("weight"), [shape.fan_in(), channels]),
                     add(name("gamma"), [1, channels]),
@@ -198,15 +307,10 @@ impl Layout {
             });
             let convolutions = convolutions.collect();
             let pooled = architecture.pooled().iter().product();
+            let embedding = architecture.embedding_of(kind);
             let projection = [
-                add(
-                    format!("{name}.projection.weight"),
-                    [pooled, architecture.embedding],
-                ),
-                add(
-                    format!("{name}.projection.bias"),
-                    [1, architecture.embedding],
-                ),
+                add(format!("{prefix}.projection.weight"), [pooled, embedding]),
+                add(format!("{prefix}.projection.bias"), [1, embedding]),
             ];
             let ranges = shapes.iter().map(|shape| {
                 let mean = running_stats_len..running_stats_len + shape.channels;
@@ -214,29 +318,41 @@ impl Layout {
                 [mean.clone(), mean.end..running_stats_len]
             });
             EncoderParams {
+                kind,
                 convolutions,
                 projection,
                 stats: ranges.collect(),
             }
         };
-        let touch = modality.has_touch().then(|| encoder("touch"));
-        let vision = modality.has_vision().then(|| encoder("vision"));
-        let joined = modality.inputs().len() * architecture.embedding;
+        let kinds = EncoderKind::ALL.into_iter();
+        let encoders: Vec<EncoderParams> = kinds
+            .filter(|kind| kind.is_in(modality))
+            .map(&mut encoder)
+            .collect();
         let hidden = architecture.hidden;
-        let head = [
-            [
-                add("head.hidden.weight".to_owned(), [joined, hidden]),
-                add("head.hidden.bias".to_owned(), [1, hidden]),
-            ],
-            [
-                add("head.logit.weight".to_owned(), [hidden, 1]),
-                add("head.logit.bias".to_owned(), [1, 1]),
-            ],
-        ];
+        let heads = architecture.heads(modality).into_iter().map(|head| {
+            let name = head_name(head, modality);
+            HeadParams {
+                modality: head,
+                hidden: [
+                    add(
+                        format!("{name}.hidden.weight"),
+                        [architecture.joined(head), hidden],
+                    ),
+                    add(format!("{name}.hidden.bias"), [1, hidden]),
+                ],
+                logit: [
+                    add(format!("{name}.logit.weight"), [hidden, 1]),
+                    add(format!("{name}.logit.bias"), [1, 1]),
+                ],
+            }
+        });
+        let heads: Vec<HeadParams> = heads.collect();
+        let is_of_encoder = |param: &&Param| !param.name.starts_with("head");
         Self {
-            touch,
-            vision,
-            head,
+            encoders,
+            heads,
+            first_of_heads: params.iter().take_while(is_of_encoder).count(),
             params,
             running_stats_len,
         }
@@ -247,10 +363,9 @@ impl Layout {
         &self.params
     }
 
-    /// Parameter tensors of the head, the last ones.
+    /// Parameter tensors of the heads, the last ones.
     pub fn head_params(&self) -> &[Param] {
-        let count = self.head.as_flattened().len();
-        &self.params[self.params.len() - count..]
+        &self.params[self.first_of_heads..]
     }
 
     /// Number of parameters.

@@ -6,13 +6,20 @@
 
 use tract_onnx::pb::{GraphProto, NodeProto, TensorProto, tensor_proto::DataType};
 
-use crate::architecture::{Architecture, ConvSpec, IMAGE, Param};
-use crate::network::{EncoderKind, Network};
+use crate::architecture::{
+    Architecture, ConvSpec, EncoderKind, GEOMETRY, IMAGE, Param, head_name,
+};
+use crate::network::Network;
 use crate::predict::ModelContract;
-use crate::predict::contract::{INPUT_SHAPE, InputName, OUTPUT, OUTPUT_SHAPE};
+use crate::predict::contract::{
+    GEOMETRY_SHAPE, INPUT_SHAPE, InputName, Modality, OUTPUT_SHAPE, geometry_output,
+    is_fallback, output_of,
+};
 use crate::predict::onnx::{Attribute, OPEN_BATCH, OnnxGraphBuilder, Value};
 use gripcast_base::error::{Error, Result};
 
+/// Name of the constant that selects the geometry of an embedding.
+const SELECT: &str = "geometry.select";
 /// Maximum padding of a recognised convolution, pixels.
 const MAX_PAD: usize = 16;
 
@@ -24,30 +31,31 @@ pub fn to_onnx(network: &Network, contract: &ModelContract) -> Result<Vec<u8>> {
     let mut graph = OnnxGraphBuilder::new(&contract.name);
     graph.description("Grasp stability from touch and sight, trained on simulated grasps");
     contract.write(&mut graph)?;
-    let inputs: Vec<InputName> = contract.inputs.iter().map(|input| input.name).collect();
-    for name in &inputs {
-        graph.input(name.name(), &with_open_batch(INPUT_SHAPE))?;
-        if network.projection(encoder_kind(*name)).is_none() {
-            let what = format!("the network has no encoder for `{name}`");
-            return Err(Error::internal(what));
-        }
+    let all = contract.modality;
+    if network.modality() != all || !network.heads().eq(contract.outputs().map(|o| o.modality)) {
+        return Err(Error::internal("the contract is not that of the network"));
     }
-    for kind in [EncoderKind::Touch, EncoderKind::Vision] {
+    for name in all.inputs() {
+        graph.input(name.name(), &with_open_batch(INPUT_SHAPE))?;
+    }
+    for kind in EncoderKind::ALL {
         write_encoder(&mut graph, network, kind)?;
     }
-    let [hidden, last] = network.head();
-    write_linear(&mut graph, network, hidden, 1.0)?;
-    write_linear(&mut graph, network, last, contract.temperature)?;
-    let p_stable = write_nodes(&mut graph, network.architecture(), &inputs)?;
-    graph.output(&p_stable, &with_open_batch(OUTPUT_SHAPE));
-    graph.to_bytes()
-}
-
-fn encoder_kind(input: InputName) -> EncoderKind {
-    match input {
-        InputName::TactileLeft | InputName::TactileRight => EncoderKind::Touch,
-        InputName::Rgb => EncoderKind::Vision,
+    for (head, output) in network.layout().heads.iter().zip(contract.outputs()) {
+        write_linear(&mut graph, network, &head.hidden, 1.0)?;
+        write_linear(&mut graph, network, &head.logit, output.temperature)?;
     }
+    if !contract.geometry.is_empty() {
+        let (rows, columns) = (network.architecture().camera_embedding, GEOMETRY);
+        let one = |at: usize| f32::from(u8::from(at / columns == at % columns));
+        let values: Vec<f32> = (0..rows * columns).map(one).collect();
+        graph.constant(SELECT, &[rows as i64, columns as i64], &values)?;
+    }
+    let outputs = write_nodes(&mut graph, network.architecture(), all)?;
+    for (value, shape) in &outputs {
+        graph.output(value, &with_open_batch(*shape));
+    }
+    graph.to_bytes()
 }
 
 /// Replaces the batch size of a shape by an open one.
@@ -105,27 +113,47 @@ fn conv_param(kind: EncoderKind, at: usize, what: &str) -> String {
     format!("{}.conv{}.{what}", kind.name(), at + 1)
 }
 
-/// Appends the nodes of a network; inputs and constants are referenced by name.
+/// Appends the nodes of a network, returns the outputs with their shapes; inputs and constants are
+/// referenced by name.
 fn write_nodes(
     graph: &mut OnnxGraphBuilder,
     architecture: &Architecture,
-    inputs: &[InputName],
-) -> Result<Value> {
+    modality: Modality,
+) -> Result<Vec<(Value, [i64; 2])>> {
     let mut embeddings = Vec::new();
-    for input in inputs {
-        embeddings.push(write_encoder_nodes(graph, architecture, *input)?);
+    for input in modality.inputs() {
+        embeddings.push((input, write_encoder_nodes(graph, architecture, input)?));
     }
-    let joined = match &embeddings[..] {
-        [one] => one.clone(),
-        many => {
-            let axis = [Attribute::int("axis", 1)];
-            graph.node("Concat", "joined", &many.iter().collect::<Vec<_>>(), axis)?
+    let mut outputs = Vec::new();
+    for head in architecture.heads(modality) {
+        let own = embeddings.iter().filter(|(input, _)| head.has(*input));
+        let own: Vec<&Value> = own.map(|(_, value)| value).collect();
+        // Nodes of the head of all inputs have short names.
+        let suffix = head_name(head, modality).trim_start_matches("head").to_owned();
+        let node = |what: &str| format!("{what}{suffix}");
+        let layer = |what: &str| format!("head{suffix}.{what}");
+        let joined = match &own[..] {
+            [one] => (*one).clone(),
+            many => {
+                let axis = [Attribute::int("axis", 1)];
+                graph.node("Concat", &node("joined"), many, axis)?
+            }
+        };
+        let sums = write_gemm(graph, &node("hidden"), &joined, &layer("hidden"))?;
+        let active = graph.node("Relu", &node("hidden_relu"), &[&sums], [])?;
+        let logit = write_gemm(graph, &node("logit"), &active, &layer("logit"))?;
+        let p_stable = graph.node("Sigmoid", &output_of(head, modality), &[&logit], [])?;
+        outputs.push((p_stable, OUTPUT_SHAPE));
+    }
+    for (input, embedding) in &embeddings {
+        if architecture.geometry && EncoderKind::of(*input) != EncoderKind::Touch {
+            let name = geometry_output(*input);
+            let select = Value::named(SELECT);
+            let geometry = graph.node("MatMul", &name, &[embedding, &select], [])?;
+            outputs.push((geometry, GEOMETRY_SHAPE));
         }
-    };
-    let sums = write_gemm(graph, "hidden", &joined, "head.hidden")?;
-    let active = graph.node("Relu", "hidden_relu", &[&sums], [])?;
-    let logit = write_gemm(graph, "logit", &active, "head.logit")?;
-    graph.node("Sigmoid", OUTPUT, &[&logit], [])
+    }
+    Ok(outputs)
 }
 
 fn write_encoder_nodes(
@@ -133,7 +161,7 @@ fn write_encoder_nodes(
     architecture: &Architecture,
     input: InputName,
 ) -> Result<Value> {
-    let (name, kind) = (input.name(), encoder_kind(input));
+    let (name, kind) = (input.name(), EncoderKind::of(input));
     let mut x = Value::named(name);
     for (i, spec) in architecture.convolutions.iter().enumerate() {
         let [kernel, stride, pad] = [spec.kernel, spec.stride, spec.pad].map(|n| n as i64);
@@ -207,10 +235,10 @@ pub(crate) type Layer = [Vec<f32>; 2];
 
 impl<'a> RecognisedNetwork<'a> {
     /// Recognises the graph of a network with these inputs; none if any node differs.
-    pub(crate) fn new(graph: &'a GraphProto, inputs: &[InputName]) -> Option<Self> {
-        let architecture = architecture_of(graph, *inputs.first()?)?;
+    pub(crate) fn new(graph: &'a GraphProto, modality: Modality) -> Option<Self> {
+        let architecture = architecture_of(graph, modality)?;
         let mut expected = OnnxGraphBuilder::new("");
-        write_nodes(&mut expected, &architecture, inputs).ok()?;
+        write_nodes(&mut expected, &architecture, modality).ok()?;
         let matches = expected.nodes() == graph.node;
         matches.then_some(Self {
             graph,
@@ -257,9 +285,10 @@ impl<'a> RecognisedNetwork<'a> {
     }
 }
 
-/// Reads the architecture of a graph from the encoder of an input.
-fn architecture_of(graph: &GraphProto, input: InputName) -> Option<Architecture> {
-    let kind = encoder_kind(input);
+/// Reads the architecture of a graph; the encoders are alike.
+fn architecture_of(graph: &GraphProto, modality: Modality) -> Option<Architecture> {
+    let input = *modality.inputs().first()?;
+    let kind = EncoderKind::of(input);
     let outputs = |name: &str, at: usize| dims(constant(graph, name)?)?.get(at).copied();
     let mut side = [IMAGE[0], IMAGE[1]];
     let mut convolutions = Vec::new();
@@ -282,12 +311,22 @@ fn architecture_of(graph: &GraphProto, input: InputName) -> Option<Architecture>
     let pool = ints(node(graph, &format!("{input}_pool"))?, "kernel_shape")?;
     let pool = <[usize; 2]>::try_from(pool).ok()?;
     let fits = |(pool, side): (&usize, &usize)| (1..=*side).contains(pool);
+    let embedding = |kind: EncoderKind| match kind.is_in(modality) {
+        true => outputs(&format!("{}.projection.weight", kind.name()), 1),
+        // Unused.
+        false => Some(0),
+    };
+    let cameras = [EncoderKind::Vision, EncoderKind::Depth];
+    let camera = cameras.into_iter().find(|kind| kind.is_in(modality));
     let is_usable = !convolutions.is_empty() && pool.iter().zip(&side).all(fits);
     is_usable.then_some(Architecture {
         name: String::new(),
         convolutions,
         pool,
-        embedding: outputs(&format!("{}.projection.weight", kind.name()), 1)?,
+        embedding: embedding(EncoderKind::Touch)?,
+        camera_embedding: camera.map_or(Some(0), embedding)?,
+        geometry: constant(graph, SELECT).is_some(),
+        fallbacks: graph.output.iter().any(|output| is_fallback(&output.name)),
         hidden: outputs("head.hidden.weight", 1)?,
     })
 }

@@ -3,11 +3,25 @@ use tract_onnx::pb::{GraphProto, ModelProto};
 use super::*;
 use crate::Batch;
 use crate::from_onnx;
-use crate::predict::contract::{InputSpec, Modality, Origin, RgbNormalisation};
-use crate::predict::{Model, ModelInput, SHIPPED, model_bytes, onnx};
+use crate::predict::contract::{
+    GEOMETRY_UNIT_M, InputSpec, Modality, Origin, OutputSpec, RgbNormalisation,
+};
+use crate::predict::{Depth, Model, ModelInput, PointMap, SHIPPED, model_bytes, onnx};
 use gripcast_base::random::SeedStream;
 
-fn contract(modality: Modality, temperature: f64) -> ModelContract {
+fn contract(
+    architecture: &Architecture,
+    modality: Modality,
+    temperature: f64,
+) -> ModelContract {
+    let heads = architecture.heads(modality).into_iter().skip(1).enumerate();
+    let fallbacks = heads.map(|(i, modality)| OutputSpec {
+        modality,
+        threshold: 0.4,
+        temperature: temperature + i as f64,
+    });
+    let cameras = modality.inputs().into_iter();
+    let cameras = cameras.filter(|name| matches!(name, InputName::Rgb | InputName::Depth));
     let normalisation = RgbNormalisation::NONE;
     ModelContract {
         name: "random".to_owned(),
@@ -18,14 +32,17 @@ fn contract(modality: Modality, temperature: f64) -> ModelContract {
         modality,
         inputs: modality
             .inputs()
-            .iter()
+            .into_iter()
             .map(|name| match name {
                 InputName::Rgb => InputSpec::rgb(normalisation),
-                touch => InputSpec::tactile(*touch),
+                InputName::Depth => InputSpec::depth(),
+                touch => InputSpec::tactile(touch),
             })
             .collect(),
         threshold: 0.5,
         temperature,
+        fallbacks: fallbacks.collect(),
+        geometry: cameras.filter(|_| architecture.geometry).collect(),
         crop_profile: Some(gripcast_imaging::CropProfile::FULL),
         card: "random".to_owned(),
         other: std::collections::BTreeMap::new(),
@@ -64,7 +81,7 @@ fn images(model: &Model, draw: &mut SeedStream) -> (ModelInput, Batch) {
     for name in [InputName::TactileLeft, InputName::TactileRight] {
         let difference = gripcast_imaging::TactileDifference::between(&image(), &image()).unwrap();
         input.set_tactile(name, &difference).unwrap();
-        if model.contract().modality != Modality::V {
+        if model.contract().modality.has_touch() {
             batch
                 .touch
                 .extend(difference.levels().iter().map(|x| f32::from(*x) / 255.0));
@@ -72,10 +89,21 @@ fn images(model: &Model, draw: &mut SeedStream) -> (ModelInput, Batch) {
     }
     let rgb = image();
     input.set_rgb(&rgb).unwrap();
-    if model.contract().modality != Modality::T {
+    if model.contract().modality.has_vision() {
         batch
             .vision
             .extend(rgb.as_raw().iter().map(|x| f32::from(*x) / 255.0));
+    }
+    let image = gripcast_imaging::DepthImage::from_fn(320, 240, |_, _| {
+        image::Luma([(draw.bits() % 300) as u16])
+    });
+    let points = PointMap::new(&Depth {
+        image,
+        unit_m: 1e-3,
+    });
+    input.set_depth(&points).unwrap();
+    if model.contract().modality.has_depth() {
+        batch.depth.extend(points.points().as_flattened());
     }
     (input, batch)
 }
@@ -84,24 +112,43 @@ fn images(model: &Model, draw: &mut SeedStream) -> (ModelInput, Batch) {
 fn network_and_both_engines_agree() {
     let mut draw = SeedStream::named(3, "export");
     for (architecture, modality) in [
-        (Architecture::gripcast(), Modality::Vt),
+        (Architecture::gripcast(), Modality::Vtd),
         (Architecture::gripcast(), Modality::T),
-        (Architecture::paper(), Modality::V),
+        (Architecture::paper(), Modality::Vt),
     ] {
         let network = network(&architecture, modality, &mut draw);
-        let contract = contract(modality, 1.7);
+        let contract = contract(&architecture, modality, 1.7);
         let bytes = to_onnx(&network, &contract).unwrap();
         let native = Model::from_bytes(&bytes).unwrap();
         assert!(native.is_native());
         let tract = Model::with_tract(&bytes).unwrap();
         assert!(!tract.is_native());
         for _ in 0..3 {
-            let (input, batch) = images(&native, &mut draw);
-            let logit = f64::from(network.logits(&batch)[0]) / contract.temperature;
-            let expected = 1.0 / (1.0 + (-logit).exp());
-            let found = [&native, &tract].map(|model| model.predict(&input).unwrap().p_stable);
-            for found in found {
-                assert!((found - expected).abs() < 1e-5, "{found} {expected}");
+            let (whole, batch) = images(&native, &mut draw);
+            let outputs = network.outputs(&batch);
+            for (output, logits) in contract.outputs().zip(&outputs.logits) {
+                let logit = f64::from(logits[0]) / output.temperature;
+                let expected = 1.0 / (1.0 + (-logit).exp());
+                let mut input = whole.clone();
+                input.keep(output.modality);
+                let mut cameras = outputs.geometry.iter();
+                let geometry = cameras.rfind(|(input, _)| output.modality.has(*input));
+                for model in [&native, &tract] {
+                    let found = model.predict(&input).unwrap();
+                    assert_eq!(found.modality, output.modality);
+                    assert_eq!(found.threshold, output.threshold);
+                    let error = (found.p_stable - expected).abs();
+                    assert!(error < 1e-5, "{}: {} {expected}", output.modality, found.p_stable);
+                    let Some((_, expected)) = geometry else {
+                        assert_eq!(found.geometry, None);
+                        continue;
+                    };
+                    let found = found.geometry.unwrap().to_array();
+                    for (found, expected) in found.iter().zip(expected) {
+                        let expected = f64::from(*expected) * GEOMETRY_UNIT_M;
+                        assert!((found - expected).abs() < 1e-5, "{found} {expected}");
+                    }
+                }
             }
         }
     }
@@ -112,7 +159,7 @@ fn altered_graph_runs_on_tract() {
     let mut draw = SeedStream::named(4, "export");
     let architecture = Architecture::gripcast();
     let network = network(&architecture, Modality::T, &mut draw);
-    let bytes = to_onnx(&network, &contract(Modality::T, 1.0)).unwrap();
+    let bytes = to_onnx(&network, &contract(&architecture, Modality::T, 1.0)).unwrap();
     let original = Model::from_bytes(&bytes).unwrap();
     let (input, _) = images(&original, &mut draw);
     let expected = original.predict(&input).unwrap().p_stable;
@@ -201,7 +248,7 @@ fn native_engine_survives_any_damage() {
     let mut draw = SeedStream::named(5, "export");
     let architecture = Architecture::gripcast();
     let network = network(&architecture, Modality::T, &mut draw);
-    let contract = contract(Modality::T, 1.0);
+    let contract = contract(&architecture, Modality::T, 1.0);
     let proto = onnx::decode(&to_onnx(&network, &contract).unwrap()).unwrap();
     assert!(Model::native_prediction_for_zeros(&proto, &contract).is_some());
     let (mut refused, mut all) = (0, 0);
@@ -219,21 +266,26 @@ fn native_engine_survives_any_damage() {
 fn network_of_a_file_has_its_outputs_and_exports_its_weights() {
     let mut draw = SeedStream::named(6, "import");
     for (architecture, modality) in [
-        (Architecture::gripcast(), Modality::Vt),
+        (Architecture::gripcast(), Modality::Td),
         (Architecture::paper(), Modality::T),
     ] {
         let network = network(&architecture, modality, &mut draw);
-        let bytes = to_onnx(&network, &contract(modality, 1.7)).unwrap();
+        let written = contract(&architecture, modality, 1.7);
+        let bytes = to_onnx(&network, &written).unwrap();
         let (read, found) = from_onnx(&bytes).unwrap();
-        assert_eq!(found, contract(modality, 1.7));
-        // The temperature is in the weights already.
-        let again = to_onnx(&read, &contract(modality, 1.0)).unwrap();
+        assert_eq!(found, written);
+        // The temperatures are in the weights already.
+        let mut neutral = contract(&architecture, modality, 1.0);
+        for output in &mut neutral.fallbacks {
+            output.temperature = 1.0;
+        }
+        let again = to_onnx(&read, &neutral).unwrap();
         let weights = |bytes: &[u8]| onnx::decode(bytes).unwrap().graph.unwrap().initializer;
         assert!(weights(&again) == weights(&bytes));
         let model = Model::from_bytes(&bytes).unwrap();
         for _ in 0..3 {
             let (input, batch) = images(&model, &mut draw);
-            let logit = f64::from(read.logits(&batch)[0]);
+            let logit = f64::from(read.outputs(&batch).logits[0][0]);
             let expected = 1.0 / (1.0 + (-logit).exp());
             let found = model.predict(&input).unwrap().p_stable;
             assert!((found - expected).abs() < 1e-6, "{found} {expected}");

@@ -6,8 +6,8 @@
 
 use super::batch_norm::EPSILON;
 use super::export::{Layer, RecognisedNetwork};
-use super::network::{EncoderKind, Network};
-use crate::architecture::{EncoderParams, Param};
+use super::network::Network;
+use crate::architecture::{EncoderKind, EncoderParams, GEOMETRY, Param, head_name};
 use crate::predict::ModelContract;
 use crate::predict::onnx;
 use gripcast_base::error::{Error, Result};
@@ -23,7 +23,7 @@ pub fn from_onnx(bytes: &[u8]) -> Result<(Network, ModelContract)> {
     let contract = ModelContract::from_proto(&model)?;
     let graph = model.graph.as_ref();
     let network = graph
-        .and_then(|graph| RecognisedNetwork::new(graph, contract.modality.inputs()))
+        .and_then(|graph| RecognisedNetwork::new(graph, contract.modality))
         .and_then(|graph| network(&graph, &contract));
     let network = network.ok_or_else(|| {
         let what = format!(
@@ -60,7 +60,7 @@ fn network(graph: &RecognisedNetwork<'_>, contract: &ModelContract) -> Option<Ne
         let convolutions = convolutions.collect::<Option<_>>()?;
         let layer = format!("{}.projection", kind.name());
         let inputs = pooled.iter().product();
-        let [weight, bias] = graph.dense(&layer, inputs, architecture.embedding)?;
+        let [weight, bias] = graph.dense(&layer, inputs, architecture.embedding_of(kind))?;
         let pixels = pooled[0] * pooled[1];
         Some(Encoder {
             convolutions,
@@ -68,22 +68,28 @@ fn network(graph: &RecognisedNetwork<'_>, contract: &ModelContract) -> Option<Ne
         })
     };
     // Sizes of a file can lie: a layer is read before the sizes that follow from it are used.
-    let touch = modality.has_touch().then(|| encoder(EncoderKind::Touch));
-    let vision = modality.has_vision().then(|| encoder(EncoderKind::Vision));
-    let encoders = touch.into_iter().chain(vision);
-    let encoders = encoders.collect::<Option<Vec<_>>>()?;
-    let joined = modality.inputs().len() * architecture.embedding;
-    let head = [
-        graph.dense("head.hidden", joined, architecture.hidden)?,
-        graph.dense("head.logit", architecture.hidden, 1)?,
-    ];
+    let kinds = EncoderKind::ALL.into_iter();
+    let kinds = kinds.filter(|kind| kind.is_in(modality));
+    let encoders = kinds.map(encoder).collect::<Option<Vec<_>>>()?;
+    if architecture.geometry && architecture.camera_embedding < GEOMETRY {
+        return None;
+    }
+    let heads = architecture.heads(modality).into_iter().map(|head| {
+        let (name, joined) = (head_name(head, modality), architecture.joined(head));
+        Some([
+            graph.dense(&format!("{name}.hidden"), joined, architecture.hidden)?,
+            graph.dense(&format!("{name}.logit"), architecture.hidden, 1)?,
+        ])
+    });
+    let heads = heads.collect::<Option<Vec<_>>>()?;
     let mut network = Network::new(architecture, modality, || 0.5);
     let layout = network.layout().clone();
-    for (params, encoder) in layout.touch.iter().chain(&layout.vision).zip(&encoders) {
+    for (params, encoder) in layout.encoders.iter().zip(&encoders) {
         set_encoder(&mut network, params, encoder);
     }
-    for (params, layer) in layout.head.iter().zip(&head) {
-        set_layer(&mut network, params, layer);
+    for (params, [hidden, logit]) in layout.heads.iter().zip(&heads) {
+        set_layer(&mut network, &params.hidden, hidden);
+        set_layer(&mut network, &params.logit, logit);
     }
     Some(network)
 }

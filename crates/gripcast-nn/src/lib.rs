@@ -28,8 +28,8 @@ pub mod predict;
 mod product;
 
 pub use adam::{Adam, linear_schedule};
-pub use architecture::{Architecture, ConvSpec, IMAGE, Layout, Param};
+pub use architecture::{Architecture, ConvSpec, GEOMETRY, IMAGE, Layout, Param};
 pub use export::to_onnx;
 pub use import::from_onnx;
 pub use lanes::vector_bits;
-pub use network::{Batch, Network, Scope, Step};
+pub use network::{Batch, Network, Outputs, Scope, Step};

@@ -2,17 +2,26 @@
 
 use rayon::prelude::*;
 
-use super::architecture::{Architecture, EncoderParams, IMAGE, Layout, Param};
+use super::architecture::{
+    Architecture, EncoderKind, EncoderParams, GEOMETRY, HeadParams, IMAGE, Layout, Param,
+};
 use super::batch_norm::{self, ChannelStats};
 use super::conv::{self, ConvShape, Scratch};
 use super::product::{Finish, Packed};
-use crate::predict::contract::Modality;
+use crate::predict::contract::{InputName, Modality};
 
 /// Minimum momentum of the running statistics.
 const MOMENTUM: f32 = 0.1;
 /// Number of groups of a batch with separate gradient sums, so that sums do not depend on the
 /// number of threads.
 const GROUPS: usize = 8;
+/// Weight of the predictions from all inputs in the loss; those from fewer share the rest.
+const FULL_WEIGHT: f64 = 0.5;
+/// Weight of the geometry's smooth L1 loss relative to the cross entropy, with errors in 0.1 m.
+const GEOMETRY_WEIGHT: f64 = 10.0;
+/// Error of a geometry value at which its loss becomes linear, 0.1 m: the ends of long objects are
+/// out of view.
+const GEOMETRY_KNEE: f64 = 0.2;
 
 /// Images of a batch, f32 HWC, concatenated; empty for a modality that the classifier lacks.
 #[derive(Clone, Debug, Default)]
@@ -21,10 +30,57 @@ pub struct Batch {
     pub touch: Vec<f32>,
     /// Colour images.
     pub vision: Vec<f32>,
+    /// Depth images as points.
+    pub depth: Vec<f32>,
+    /// Inputs of each sample that are valid; empty if all are.
+    pub available: Vec<Modality>,
+    /// Geometry of each sample, [`GEOMETRY`] values in units of 0.1 m, NaN where unknown; empty if
+    /// no sample has one.
+    pub geometry: Vec<f32>,
     /// Target: 1 stable, 0 slip.
     pub targets: Vec<f32>,
     /// Weight of each sample's loss.
     pub weights: Vec<f32>,
+}
+
+impl Batch {
+    /// Images of an encoder.
+    fn images(&self, kind: EncoderKind) -> &[f32] {
+        match kind {
+            EncoderKind::Touch => &self.touch,
+            EncoderKind::Vision => &self.vision,
+            EncoderKind::Depth => &self.depth,
+        }
+    }
+
+    fn has(&self, sample: usize, inputs: Modality) -> bool {
+        let available = self.available.get(sample);
+        available.is_none_or(|available| available.includes(inputs))
+    }
+
+    /// Weights of the samples in the loss of the predictions from `inputs`; sum 1, or 0 without
+    /// samples that have these inputs.
+    fn weights_of(&self, inputs: Modality) -> Vec<f64> {
+        let weights = self.weights.iter().enumerate();
+        let weights = weights.map(|(i, weight)| match self.has(i, inputs) {
+            true => f64::from(*weight),
+            false => 0.0,
+        });
+        let weights: Vec<f64> = weights.collect();
+        let total: f64 = weights.iter().sum();
+        let scale = if total > 0.0 { 1.0 / total } else { 0.0 };
+        weights.into_iter().map(|weight| weight * scale).collect()
+    }
+}
+
+/// Outputs of the network for a batch.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Outputs {
+    /// Logits of the samples for each of [`Network::heads`].
+    pub logits: Vec<Vec<f32>>,
+    /// Geometry of the samples, [`GEOMETRY`] values of each in units of 0.1 m, by the input it is
+    /// read from.
+    pub geometry: Vec<(InputName, Vec<f32>)>,
 }
 
 /// Inputs of a training step besides the data.
@@ -56,25 +112,6 @@ impl Scope {
         match self {
             Self::All | Self::FixedStats => layout.params(),
             Self::Head => layout.head_params(),
-        }
-    }
-}
-
-/// Kind of encoder.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum EncoderKind {
-    /// Encoder of tactile differences.
-    Touch,
-    /// Encoder of the colour image.
-    Vision,
-}
-
-impl EncoderKind {
-    /// Name in parameter names.
-    pub(crate) fn name(self) -> &'static str {
-        match self {
-            Self::Touch => "touch",
-            Self::Vision => "vision",
         }
     }
 }
@@ -142,7 +179,7 @@ impl Network {
             }
         }
         let mut running_stats = vec![0.0; layout.running_stats_len()];
-        for encoder in layout.touch.iter().chain(&layout.vision) {
+        for encoder in &layout.encoders {
             for [_, variance] in &encoder.stats {
                 running_stats[variance.clone()].fill(1.0);
             }
@@ -178,16 +215,19 @@ impl Network {
         &self.architecture
     }
 
-    /// Weight and bias of the hidden and the output layer.
-    pub(crate) fn head(&self) -> &[[Param; 2]; 2] {
-        &self.layout.head
+    /// Modality of the network.
+    pub fn modality(&self) -> Modality {
+        self.modality
+    }
+
+    /// Sets of inputs that the network predicts from, all of its inputs first.
+    pub fn heads(&self) -> impl ExactSizeIterator<Item = Modality> + '_ {
+        self.layout.heads.iter().map(|head| head.modality)
     }
 
     fn encoder(&self, kind: EncoderKind) -> Option<&EncoderParams> {
-        match kind {
-            EncoderKind::Touch => self.layout.touch.as_ref(),
-            EncoderKind::Vision => self.layout.vision.as_ref(),
-        }
+        let mut encoders = self.layout.encoders.iter();
+        encoders.find(|encoder| encoder.kind == kind)
     }
 
     /// Weight and bias of an encoder's projection; none without that encoder.
@@ -210,36 +250,56 @@ impl Network {
         Some(folded.collect())
     }
 
-    /// Computes the logits of a batch with the running statistics.
-    pub fn logits(&self, batch: &Batch) -> Vec<f32> {
+    /// Computes the outputs for a batch with the running statistics.
+    pub fn outputs(&self, batch: &Batch) -> Outputs {
         let mut passes = Vec::new();
         self.forward(batch, false, &mut passes);
-        self.head_forward(&passes, None).logits
+        let heads = self.layout.heads.iter();
+        let logits = heads.map(|head| self.head_forward(head, &passes, None).logits);
+        let geometry = self.geometry_passes(&passes).map(|(kind, pass)| {
+            let rows = pass.embedding.chunks_exact(self.embedding(kind));
+            let values = rows.flat_map(|row| &row[..GEOMETRY]).copied();
+            (kind.inputs()[0], values.collect())
+        });
+        Outputs {
+            logits: logits.collect(),
+            geometry: geometry.collect(),
+        }
     }
 
-    /// Runs forward and backward pass: returns the mean binary cross entropy of a batch, nats, adds
-    /// the gradient of the parameters in the step's [`Scope`] to `gradient` and updates the running
-    /// statistics if it includes them.
+    /// Runs forward and backward pass: returns the loss of a batch, adds the gradient of the
+    /// parameters in the step's [`Scope`] to `gradient` and updates the running statistics if it
+    /// includes them. The loss is the weighted mean binary cross entropy of all heads, nats, and
+    /// the error of the geometry.
     pub fn train_step(&mut self, batch: &Batch, step: &Step, gradient: &mut [f32]) -> f64 {
         let mut workspace = std::mem::take(&mut self.workspace);
         let Workspace { passes, gradients } = &mut workspace;
         self.forward(batch, step.scope == Scope::All, passes);
-        let head = self.head_forward(passes, Some(step));
-        let count = head.logits.len();
-        let mut loss = 0.0;
-        let total: f64 = batch.weights.iter().map(|w| f64::from(*w)).sum();
-        let dlogits: Vec<f32> = (0..count)
-            .map(|i| {
-                let (x, y) = (f64::from(head.logits[i]), f64::from(batch.targets[i]));
-                let weight = f64::from(batch.weights[i]) / total;
-                // ln(1 + eˣ) − y·x without overflow.
-                loss += weight * (x.max(0.0) - x * y + (-x.abs()).exp().ln_1p());
-                (weight * (1.0 / (1.0 + (-x).exp()) - y)) as f32
-            })
+        let mut dembeddings: Vec<Vec<f32>> = passes
+            .iter()
+            .map(|pass| vec![0.0; pass.embedding.len()])
             .collect();
-        let djoined = self.backward_head(&head, step, &dlogits, gradient);
+        let mut loss = 0.0;
+        for (index, params) in self.layout.heads.iter().enumerate() {
+            let scale = head_weight(index, self.layout.heads.len());
+            let head = self.head_forward(params, passes, Some(step));
+            let weights = batch.weights_of(params.modality);
+            let samples = head.logits.iter().zip(&batch.targets).zip(&weights);
+            let dlogits: Vec<f32> = samples
+                .map(|((logit, target), weight)| {
+                    let (x, y) = (f64::from(*logit), f64::from(*target));
+                    let weight = scale * weight;
+                    // ln(1 + eˣ) − y·x without overflow.
+                    loss += weight * (x.max(0.0) - x * y + (-x.abs()).exp().ln_1p());
+                    (weight * (1.0 / (1.0 + (-x).exp()) - y)) as f32
+                })
+                .collect();
+            let djoined = self.backward_head(params, &head, step, &dlogits, gradient);
+            self.split_embeddings(params.modality, &djoined, &mut dembeddings);
+        }
         if step.scope != Scope::Head {
-            self.backward_encoders(batch, passes, &djoined, step.scope, gradients, gradient);
+            loss += self.geometry_loss(batch, passes, &mut dembeddings);
+            self.backward_encoders(batch, passes, &dembeddings, step.scope, gradients, gradient);
         }
         if step.scope == Scope::All {
             self.update_running_stats(passes, step.number);
@@ -248,26 +308,85 @@ impl Network {
         loss
     }
 
-    /// Adds the gradients of the encoders, given that of the concatenated embeddings.
+    /// Passes of the encoders that estimate the geometry.
+    fn geometry_passes<'a>(
+        &'a self,
+        passes: &'a [EncoderPass],
+    ) -> impl Iterator<Item = (EncoderKind, &'a EncoderPass)> {
+        let encoders = self.layout.encoders.iter().map(|encoder| encoder.kind);
+        let reads = |kind: &EncoderKind| self.architecture.geometry && *kind != EncoderKind::Touch;
+        encoders.zip(passes).filter(move |(kind, _)| reads(kind))
+    }
+
+    /// Adds the gradient of the geometry's loss to those of the embeddings; returns the loss.
+    fn geometry_loss(
+        &self,
+        batch: &Batch,
+        passes: &[EncoderPass],
+        dembeddings: &mut [Vec<f32>],
+    ) -> f64 {
+        let mut loss = 0.0;
+        for (encoder, (pass, gradient)) in self
+            .layout
+            .encoders
+            .iter()
+            .zip(passes.iter().zip(dembeddings))
+        {
+            let kind = encoder.kind;
+            if kind == EncoderKind::Touch || !self.architecture.geometry {
+                continue;
+            }
+            let input = Modality::of(|name| kind.inputs().contains(&name));
+            let width = self.embedding(kind);
+            let known: Vec<bool> = batch
+                .geometry
+                .chunks_exact(GEOMETRY)
+                .enumerate()
+                .map(|(i, values)| {
+                    input.is_none_or(|input| batch.has(i, input))
+                        && values.iter().all(|x| x.is_finite())
+                })
+                .collect();
+            let count = known.iter().filter(|known| **known).count() * GEOMETRY;
+            let scale = GEOMETRY_WEIGHT / count.max(1) as f64;
+            let rows = pass.embedding.chunks_exact(width);
+            let rows = rows.zip(gradient.chunks_exact_mut(width));
+            let targets = batch.geometry.chunks_exact(GEOMETRY).zip(known);
+            for ((row, gradient), (target, _)) in rows.zip(targets).filter(|(_, (_, known))| *known)
+            {
+                for ((gradient, found), target) in gradient.iter_mut().zip(row).zip(target) {
+                    let error = f64::from(found - target);
+                    // Smooth L1.
+                    let [value, slope] = if error.abs() < GEOMETRY_KNEE {
+                        [0.5 * error * error / GEOMETRY_KNEE, error / GEOMETRY_KNEE]
+                    } else {
+                        [error.abs() - 0.5 * GEOMETRY_KNEE, error.signum()]
+                    };
+                    loss += scale * value;
+                    *gradient += (scale * slope) as f32;
+                }
+            }
+        }
+        loss
+    }
+
+    /// Adds the gradients of the encoders, given those of their embeddings.
     fn backward_encoders(
         &self,
         batch: &Batch,
         passes: &[EncoderPass],
-        djoined: &[f32],
+        dembeddings: &[Vec<f32>],
         scope: Scope,
         buffers: &mut [Vec<f32>; 2],
         gradient: &mut [f32],
     ) {
-        let dembeddings = self.split_embeddings(passes, djoined);
-        let mut first = 0;
-        let encoders = self.encoder_params().into_iter().zip(passes);
-        for ((encoder, pass), images) in encoders.zip(self.inputs(batch)) {
-            let dembedding = &dembeddings[first..][..pass.embedding.len()];
+        let encoders = self.layout.encoders.iter().zip(passes);
+        for ((encoder, pass), dembedding) in encoders.zip(dembeddings) {
+            let images = batch.images(encoder.kind);
             let [weight, bias] = &encoder.projection;
             let dpooled = backward_linear(&pass.pooled, dembedding, self, weight, bias, gradient);
             self.unpool(&dpooled, &mut buffers[0]);
             self.backward_convolutions(encoder, pass, images, scope, buffers, gradient);
-            first += dembedding.len();
         }
     }
 
@@ -275,7 +394,7 @@ impl Network {
     fn update_running_stats(&mut self, passes: &[EncoderPass], number: u64) {
         // The first steps average all batches: the initial statistics are arbitrary.
         let fraction = MOMENTUM.max(1.0 / (number + 1) as f32);
-        let encoders: Vec<EncoderParams> = self.encoder_params().into_iter().cloned().collect();
+        let encoders = self.layout.encoders.clone();
         for (encoder, pass) in encoders.iter().zip(passes) {
             for ([mean, variance], (stats, z)) in
                 encoder.stats.iter().zip(pass.stats.iter().zip(&pass.z))
@@ -305,25 +424,11 @@ impl Network {
         ChannelStats { mean, variance }
     }
 
-    fn encoder_params(&self) -> Vec<&EncoderParams> {
-        self.layout
-            .touch
-            .iter()
-            .chain(&self.layout.vision)
-            .collect()
-    }
-
-    fn inputs<'a>(&self, batch: &'a Batch) -> Vec<&'a [f32]> {
-        let touch = self.modality.has_touch().then_some(&batch.touch[..]);
-        let vision = self.modality.has_vision().then_some(&batch.vision[..]);
-        touch.into_iter().chain(vision).collect()
-    }
-
     fn forward(&self, batch: &Batch, is_training: bool, passes: &mut Vec<EncoderPass>) {
-        let params = self.encoder_params();
-        passes.resize_with(params.len(), EncoderPass::default);
-        for ((params, images), pass) in params.into_iter().zip(self.inputs(batch)).zip(passes) {
-            self.forward_encoder(params, images, is_training, pass);
+        let encoders = &self.layout.encoders;
+        passes.resize_with(encoders.len(), EncoderPass::default);
+        for (params, pass) in encoders.iter().zip(passes) {
+            self.forward_encoder(params, batch.images(params.kind), is_training, pass);
         }
     }
 
@@ -429,9 +534,15 @@ impl Network {
         }
     }
 
-    fn head_forward(&self, passes: &[EncoderPass], step: Option<&Step>) -> HeadPass {
-        let [[weight, bias], [last, last_bias]] = &self.layout.head;
-        let joined = self.join(passes);
+    fn head_forward(
+        &self,
+        head: &HeadParams,
+        passes: &[EncoderPass],
+        step: Option<&Step>,
+    ) -> HeadPass {
+        let [weight, bias] = &head.hidden;
+        let [last, last_bias] = &head.logit;
+        let joined = self.join(head.modality, passes);
         let mut hidden = linear(&joined, self.values(weight), self.values(bias), true);
         if let Some(step) = step {
             for (hidden, factor) in hidden.iter_mut().zip(&step.dropout) {
@@ -446,39 +557,71 @@ impl Network {
         }
     }
 
-    /// Concatenates the embeddings of each sample: left, right, colour.
-    fn join(&self, passes: &[EncoderPass]) -> Vec<f32> {
-        let width = self.embedding();
+    /// Size of an encoder's embedding.
+    fn embedding(&self, kind: EncoderKind) -> usize {
+        self.architecture.embedding_of(kind)
+    }
+
+    /// Index of the encoder and of the first row of each input in its embeddings, in units of
+    /// samples, with the size of a row.
+    fn rows(&self, inputs: Modality) -> impl Iterator<Item = (usize, usize, usize)> + '_ {
+        let encoders = self.layout.encoders.iter().enumerate();
+        encoders.flat_map(move |(index, encoder)| {
+            let width = self.embedding(encoder.kind);
+            let names = encoder.kind.inputs().iter().enumerate();
+            let names = names.filter(move |(_, name)| inputs.has(**name));
+            names.map(move |(block, _)| (index, block, width))
+        })
+    }
+
+    /// Number of samples.
+    fn count(&self, passes: &[EncoderPass]) -> usize {
+        let first = self.layout.encoders.iter().zip(passes).next();
+        first.map_or(0, |(encoder, pass)| {
+            let rows = pass.embedding.len() / self.embedding(encoder.kind);
+            rows / encoder.kind.inputs().len()
+        })
+    }
+
+    /// Concatenates the embeddings of each sample: left, right, colour, depth.
+    fn join(&self, inputs: Modality, passes: &[EncoderPass]) -> Vec<f32> {
         let count = self.count(passes);
-        let mut joined = Vec::with_capacity(count * self.modality.inputs().len() * width);
+        let mut joined = Vec::with_capacity(count * self.architecture.joined(inputs));
         for sample in 0..count {
-            for pass in passes {
-                for row in (sample..pass.embedding.len() / width).step_by(count) {
-                    joined.extend_from_slice(&pass.embedding[row * width..][..width]);
-                }
+            for (encoder, block, width) in self.rows(inputs) {
+                let row = block * count + sample;
+                joined.extend_from_slice(&passes[encoder].embedding[row * width..][..width]);
             }
         }
         joined
     }
 
-    fn embedding(&self) -> usize {
-        self.layout.head[0][0].shape[0] / self.modality.inputs().len()
-    }
-
-    fn count(&self, passes: &[EncoderPass]) -> usize {
-        let floats: usize = passes.iter().map(|pass| pass.embedding.len()).sum();
-        floats / (self.embedding() * self.modality.inputs().len())
+    /// Adds the gradient of the concatenated embeddings to those of the encoders.
+    fn split_embeddings(&self, inputs: Modality, djoined: &[f32], gradients: &mut [Vec<f32>]) {
+        let size = self.architecture.joined(inputs);
+        let count = djoined.len() / size;
+        for (sample, of_sample) in djoined.chunks_exact(size).enumerate() {
+            let mut first = 0;
+            for (encoder, block, width) in self.rows(inputs) {
+                let row = block * count + sample;
+                let from = &of_sample[first..][..width];
+                add(&mut gradients[encoder][row * width..][..width], from);
+                first += width;
+            }
+        }
     }
 
     /// Gradient of the concatenated embeddings.
     fn backward_head(
         &self,
+        params: &HeadParams,
         head: &HeadPass,
         step: &Step,
         dlogits: &[f32],
         gradient: &mut [f32],
     ) -> Vec<f32> {
-        let [[weight, bias], [last, last_bias]] = &self.layout.head;
+        let [weight, bias] = &params.hidden;
+        let [last, last_bias] = &params.logit;
         let mut dhidden = backward_linear(&head.hidden, dlogits, self, last, last_bias, gradient);
         for (d, hidden) in dhidden.iter_mut().zip(&head.hidden) {
             if *hidden <= 0.0 {
@@ -489,20 +632,6 @@ impl Network {
             *d *= factor;
         }
         backward_linear(&head.joined, &dhidden, self, weight, bias, gradient)
-    }
-
-    /// Splits the gradient into those of the encoders' embeddings, in the order of the passes.
-    fn split_embeddings(&self, passes: &[EncoderPass], djoined: &[f32]) -> Vec<f32> {
-        let width = self.embedding();
-        let count = self.count(passes);
-        let row = self.modality.inputs().len() * width;
-        let mut split = Vec::with_capacity(djoined.len());
-        for which in 0..self.modality.inputs().len() {
-            for sample in 0..count {
-                split.extend_from_slice(&djoined[sample * row + which * width..][..width]);
-            }
-        }
-        split
     }
 
     /// Adds the gradients of an encoder's convolutions, given that of the last output.
@@ -568,6 +697,15 @@ struct HeadPass {
     joined: Vec<f32>,
     hidden: Vec<f32>,
     logits: Vec<f32>,
+}
+
+/// Weight of a head's loss; the weights of all have the sum 1.
+fn head_weight(index: usize, count: usize) -> f64 {
+    match (index, count) {
+        (_, 1) => 1.0,
+        (0, _) => FULL_WEIGHT,
+        (_, count) => (1.0 - FULL_WEIGHT) / (count - 1) as f64,
+    }
 }
 
 fn add(to: &mut [f32], from: &[f32]) {

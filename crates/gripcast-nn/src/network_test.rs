@@ -24,6 +24,9 @@ fn tiny() -> Architecture {
         convolutions: vec![conv(16, 8, 8, 0), conv(16, 5, 2, 2), conv(32, 3, 2, 1)],
         pool: [2, 3],
         embedding: 16,
+        camera_embedding: 12,
+        geometry: true,
+        fallbacks: true,
         hidden: 16,
     }
 }
@@ -34,6 +37,9 @@ fn batch(modality: Modality, count: usize, draw: &mut impl FnMut() -> f64) -> Ba
     Batch {
         touch: images(2 * count * usize::from(modality.has_touch())),
         vision: images(count * usize::from(modality.has_vision())),
+        depth: images(count * usize::from(modality.has_depth())),
+        available: Vec::new(),
+        geometry: (0..count * GEOMETRY).map(|i| 0.1 * (i % 7) as f32).collect(),
         targets: (0..count).map(|i| (i % 2) as f32).collect(),
         weights: (0..count).map(|i| 0.5 + i as f32).collect(),
     }
@@ -42,8 +48,11 @@ fn batch(modality: Modality, count: usize, draw: &mut impl FnMut() -> f64) -> Ba
 /// Network, batch and dropout for a step of a scope; the running statistics are not the initial ones.
 fn case(scope: Scope) -> (Network, Batch, Step) {
     let mut draw = uniform(5);
-    let mut network = Network::new(&tiny(), Modality::Vt, &mut draw);
-    let batch = batch(Modality::Vt, 4, &mut draw);
+    let mut network = Network::new(&tiny(), Modality::Vtd, &mut draw);
+    let mut batch = batch(Modality::Vtd, 4, &mut draw);
+    // One sample lacks its camera images, another its geometry.
+    batch.available = vec![Modality::Vtd, Modality::T, Modality::Vtd, Modality::Vt];
+    batch.geometry[2 * GEOMETRY..3 * GEOMETRY].fill(f32::NAN);
     for value in &mut network.running_stats {
         *value += 0.3 * draw() as f32;
     }
@@ -152,6 +161,7 @@ fn swapping_sensors_swaps_embeddings() {
     let modality = Modality::T;
     let network = Network::new(&tiny(), modality, &mut draw);
     let batch = batch(modality, 3, &mut draw);
+    assert_eq!(network.heads().collect::<Vec<_>>(), [Modality::T]);
     let half = batch.touch.len() / 2;
     let swapped = Batch {
         touch: [&batch.touch[half..], &batch.touch[..half]].concat(),
@@ -160,10 +170,50 @@ fn swapping_sensors_swaps_embeddings() {
     let [joined, of_swapped] = [&batch, &swapped].map(|batch| {
         let mut passes = Vec::new();
         network.forward(batch, false, &mut passes);
-        network.join(&passes)
+        network.join(modality, &passes)
     });
     for (row, other) in joined.chunks(32).zip(of_swapped.chunks(32)) {
         assert_eq!(row[..16], other[16..]);
         assert_eq!(row[16..], other[..16]);
     }
+}
+
+#[test]
+fn predictions_depend_on_their_inputs_alone() {
+    let mut draw = uniform(9);
+    let network = Network::new(&tiny(), Modality::Vtd, &mut draw);
+    let whole = batch(Modality::Vtd, 3, &mut draw);
+    let blind = Batch {
+        vision: vec![0.0; whole.vision.len()],
+        depth: vec![0.0; whole.depth.len()],
+        ..whole.clone()
+    };
+    let (seen, unseen) = (network.outputs(&whole), network.outputs(&blind));
+    let heads = network.heads().zip(seen.logits.iter().zip(&unseen.logits));
+    for (head, (seen, unseen)) in heads {
+        assert_eq!(seen == unseen, head == Modality::T, "{head}");
+    }
+    let read: Vec<InputName> = seen.geometry.iter().map(|(input, _)| *input).collect();
+    assert_eq!(read, [InputName::Rgb, InputName::Depth]);
+    assert!(seen.geometry.iter().all(|(_, g)| g.len() == 3 * GEOMETRY));
+}
+
+#[test]
+fn missing_inputs_change_no_gradient() {
+    let gradient = |noise: f32| {
+        let mut draw = uniform(10);
+        let mut network = Network::new(&tiny(), Modality::Td, &mut draw);
+        let mut batch = batch(Modality::Td, 2, &mut draw);
+        batch.available = vec![Modality::Td, Modality::T];
+        let half = batch.depth.len() / 2;
+        batch.depth[half..].fill(noise);
+        let mut gradient = vec![0.0; network.parameters.len()];
+        let step = Step {
+            scope: Scope::FixedStats,
+            ..Step::default()
+        };
+        let loss = network.train_step(&batch, &step, &mut gradient);
+        (loss, gradient)
+    };
+    assert!(gradient(0.0) == gradient(3.0));
 }

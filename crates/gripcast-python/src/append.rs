@@ -23,6 +23,7 @@ use gripcast_dataset::{
     CapturedCamera, DatasetWriter, FieldArray, GraspMeta, GraspRecord, Outcome as Label,
     PoseRecord, PredictionRecord, Stage, StageCapture,
 };
+use gripcast_geometry::GraspGeometry;
 use gripcast_imaging::{CropProfile, Frame, PixelFormat, Role};
 
 /// Trigger and product of images that a program gave.
@@ -307,6 +308,8 @@ fn prediction_record(prediction: &Prediction) -> PredictionRecord {
         ood_score: prediction.ood_score,
         unsure_reason: prediction.unsure_reason.clone(),
         threshold: prediction.threshold,
+        inputs: prediction.inputs.clone(),
+        geometry: prediction.geometry_m.map(GraspGeometry::from_array),
         model_sha256: prediction.model_sha256.clone(),
         model: prediction.model.clone(),
         latency_ms: prediction.engine_ms,

@@ -113,6 +113,8 @@ impl Grasp {
         Some(Prediction {
             p_stable: prediction.p_stable,
             threshold: prediction.threshold,
+            inputs: prediction.inputs.clone(),
+            geometry_m: prediction.geometry.map(|geometry| geometry.to_array()),
             predicted: label.name(),
             ood_score: prediction.ood_score,
             unsure_reason: prediction.unsure_reason.clone(),

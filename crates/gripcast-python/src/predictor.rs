@@ -6,13 +6,13 @@ use std::sync::Arc;
 use image::RgbImage;
 use pyo3::prelude::*;
 
-use super::arrays::image;
+use super::arrays::{depth_counts, image};
 use super::failure::Outcome;
 use super::work::{detached, interruptible, pool};
 use gripcast_base::error::{Error, Result};
 use gripcast_imaging::{CropProfile, crop_and_resize};
 use gripcast_nn::predict::contract::{IMAGE_HEIGHT, IMAGE_WIDTH, InputName};
-use gripcast_nn::predict::{InputImages, Model, SHIPPED};
+use gripcast_nn::predict::{Depth, InputImages, Model, SHIPPED};
 
 /// Images of the left and the right gel.
 type Pair<'py> = [Bound<'py, PyAny>; 2];
@@ -44,17 +44,20 @@ impl Predictor {
     /// Predicts a grasp before the lift.
     ///
     /// `initial` and `grasp` are the images (left, right) of the gels with the gripper open and closed,
-    /// `rgb` is the colour image with the gripper closed: height × width × 3, uint8, RGB. Tactile
+    /// `rgb` is the colour image with the gripper closed: height × width × 3, uint8, RGB. `depth` is
+    /// the depth image aligned to it: height × width, uint16, mm. Inputs that are not given are
+    /// missing: the model predicts from the others if it can (`Prediction.inputs`). Tactile
     /// images are cropped already and of 320 × 240 pixels, as those of `Grasp.tactile_image` and
     /// `render_tactile`, unless `crop` names a crop profile (`Predictor.crop_profile` for frames of a
     /// camera, `full-v1` for none).
-    #[pyo3(signature = (initial = None, grasp = None, rgb = None, *, crop = None))]
+    #[pyo3(signature = (initial = None, grasp = None, rgb = None, depth = None, *, crop = None))]
     fn predict(
         &self,
         py: Python<'_>,
         initial: Option<Pair<'_>>,
         grasp: Option<Pair<'_>>,
         rgb: Option<Bound<'_, PyAny>>,
+        depth: Option<Bound<'_, PyAny>>,
         crop: Option<&str>,
     ) -> Outcome<Prediction> {
         let contract = self.model.contract();
@@ -72,32 +75,49 @@ impl Predictor {
         let initial = both(initial, "initial")?;
         let grasp = both(grasp, "grasp")?;
         let rgb = rgb.map(|rgb| image(&rgb, "rgb")).transpose()?;
-        let of = |pair: &Option<[RgbImage; 2]>, gel: usize, name: &str| -> Result<RgbImage> {
-            let pair = pair.as_ref().ok_or_else(|| missing(name))?;
-            tactile(&pair[gel], crop.as_ref(), &format!("{name}[{gel}]"))
+        let depth = depth.map(|depth| depth_counts(&depth, "depth")).transpose()?;
+        let gels = match (&initial, &grasp) {
+            (Some(initial), Some(grasp)) => Some([initial, grasp]),
+            (None, None) => None,
+            (None, Some(_)) => return Err(missing("initial").into()),
+            (Some(_), None) => return Err(missing("grasp").into()),
         };
         let pool = pool(None)?;
         let found = detached(py, || {
             pool.install(|| {
                 self.model.predict_grasp(|input| {
-                    let gel = match input {
-                        InputName::TactileLeft => 0,
-                        InputName::TactileRight => 1,
-                        InputName::Rgb => {
-                            let rgb = rgb.as_ref().ok_or_else(|| missing("rgb"))?;
-                            return Ok(InputImages::Rgb(resized(rgb, &CropProfile::FULL)?));
-                        }
+                    let tactile = |gel: usize| {
+                        let of = |pair: &[RgbImage; 2], name: &str| {
+                            tactile(&pair[gel], crop.as_ref(), &format!("{name}[{gel}]"))
+                        };
+                        let both = |[initial, grasp]: [&[RgbImage; 2]; 2]| {
+                            Ok::<_, Error>(InputImages::Tactile {
+                                initial: of(initial, "initial")?,
+                                grasp: of(grasp, "grasp")?,
+                            })
+                        };
+                        gels.map(both).transpose()
                     };
-                    Ok(InputImages::Tactile {
-                        initial: of(&initial, gel, "initial")?,
-                        grasp: of(&grasp, gel, "grasp")?,
-                    })
+                    match input {
+                        InputName::TactileLeft => tactile(0),
+                        InputName::TactileRight => tactile(1),
+                        InputName::Rgb => {
+                            let image = rgb.as_ref().map(|rgb| resized(rgb, &CropProfile::FULL));
+                            Ok(image.transpose()?.map(InputImages::Rgb))
+                        }
+                        InputName::Depth => Ok(depth.clone().map(|image| {
+                            let unit_m = 1e-3;
+                            InputImages::Depth(Depth { image, unit_m })
+                        })),
+                    }
                 })
             })
         })?;
         Ok(Prediction {
             p_stable: found.prediction.p_stable,
-            threshold: contract.threshold,
+            threshold: found.prediction.threshold,
+            inputs: Some(found.prediction.modality.name().to_owned()),
+            geometry_m: found.prediction.geometry.map(|g| g.to_array()),
             predicted: found.label.name(),
             ood_score: found.ood_score,
             unsure_reason: found.unsure_reason,
@@ -119,7 +139,7 @@ impl Predictor {
         self.model.sha256()
     }
 
-    /// Its inputs: tactile_left, tactile_right, rgb.
+    /// Its inputs: tactile_left, tactile_right, rgb, depth.
     #[getter]
     fn inputs(&self) -> Vec<String> {
         let inputs = self.model.contract().modality.inputs();
@@ -160,11 +180,8 @@ impl Predictor {
 }
 
 fn missing(argument: &str) -> Error {
-    let error = Error::usage(format!("the model uses `{argument}`, found None"));
-    match argument {
-        "rgb" => error.remedy("give it, or use a tactile model, such as \"baseline-contact\""),
-        _ => error.remedy("give the images of both gels, (left, right)"),
-    }
+    Error::usage(format!("expected `{argument}` beside the other tactile images, found None"))
+        .remedy("give `initial` and `grasp`, each the images of both gels, (left, right)")
 }
 
 fn tactile(image: &RgbImage, crop: Option<&CropProfile>, name: &str) -> Result<RgbImage> {
@@ -197,6 +214,11 @@ pub(crate) struct Prediction {
     pub(crate) p_stable: f64,
     /// Smallest probability that is predicted to be stable.
     pub(crate) threshold: f64,
+    /// Inputs that it is made from: V colour, T touch, D depth; None in older datasets.
+    pub(crate) inputs: Option<String>,
+    /// Extents of the object in the gripper frame as the model sees them, m: x, y and z bounds, y
+    /// bounds at the height of the gels, y and z of the centre; None without camera images.
+    pub(crate) geometry_m: Option<[f64; 10]>,
     /// stable, slip or unsure.
     pub(crate) predicted: &'static str,
     /// OOD score of the tactile images, 1 at the threshold; None where the model has none.

@@ -17,7 +17,7 @@ pub(crate) enum HistoryStep {
     },
     Grasp {
         last: LastGrasp,
-        before: Option<LastGrasp>,
+        before: Option<Box<LastGrasp>>,
         /// Pending frame that an undo reopened from the grasp's initial frame.
         reopened: Option<GraspId>,
     },
@@ -157,7 +157,7 @@ impl Session {
                 };
                 self.rename_initial(&last.id, &frame.id);
                 self.count(&last.object, last.outcome, -1);
-                self.last.clone_from(before);
+                self.last = before.as_deref().cloned();
                 *reopened = Some(frame.id.clone());
                 self.pending = Some(frame);
                 format!("grasp {} undone", last.id.short())

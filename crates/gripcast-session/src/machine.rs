@@ -469,7 +469,7 @@ impl Session {
     fn grasp_saved(&mut self, last: LastGrasp) -> Vec<Effect> {
         self.summary.saved += 1;
         self.count(&last.object, last.outcome, 1);
-        let before = self.last.replace(last.clone());
+        let before = self.last.replace(last.clone()).map(Box::new);
         self.pending = None;
         self.set_message(
             MessageLevel::Info,

@@ -17,8 +17,9 @@ use gripcast_base::workers::{par_map_single_threaded, thread_cpu_s};
 use gripcast_dataset::shard::{
     ShardEngine, ShardFacts, ShardImages, ShardOutcome, ShardRow, to_bytes,
 };
-use gripcast_geometry::TriangleMesh;
-use gripcast_sim::grasp::{GraspOutcome, GraspRecord, GraspResult, StageName};
+use gripcast_geometry::{GraspGeometry, TriangleMesh};
+use gripcast_shear::LiftMotion;
+use gripcast_sim::grasp::{GraspOutcome, GraspRecord, GraspResult, Snapshot, StageName};
 use gripcast_sim::{Engine, EngineKind, GraspSetup};
 use gripcast_tactile::SimulatedGel;
 use gripcast_visual::Model;
@@ -289,12 +290,17 @@ impl<'a> SimulationRunner<'a> {
         if !with_images {
             return Ok((result, artifacts));
         }
-        let snapshot = record.snapshot(0, grid)?;
+        let states = 0..record.states.len().min(LiftMotion::FRAMES);
+        let states = states.map(|state| record.snapshot(state, grid));
+        let states: Vec<Snapshot> = states.collect::<Result<_>>()?;
         let surface = smooth_surface(&setup.mesh);
         let grasp = PreLiftGrasp {
             setup: &setup,
             surface: &surface,
-            snapshot: &snapshot,
+            snapshot: states
+                .first()
+                .ok_or_else(|| Error::input("the record of the grasp has no state"))?,
+            lift: states.get(1..).unwrap_or_default(),
             gel: self.gel.as_ref(),
             force_n: result.force_n.unwrap_or_default(),
         };
@@ -316,13 +322,16 @@ impl<'a> SimulationRunner<'a> {
     ) -> Result<Vec<ShardRow>> {
         let (setup, snapshot, force_n) = (grasp.setup, grasp.snapshot, grasp.force_n);
         let count = self.plan.header.rendering.renderings;
+        let t_gripper_object = snapshot.t_world_gripper.inverse() * snapshot.t_world_object;
+        let geometry = GraspGeometry::new(&setup.mesh, &t_gripper_object)?;
         let mut rows = Vec::with_capacity(count as usize);
         for rendering in 0..count {
             let seed = rendering_seed(simulation.seed, rendering);
             let [initial, pressed] = self.renderer.tactile(grasp, seed)?;
+            let lift = self.renderer.lift(grasp, seed)?;
             result.cpu_s.tactile += clock.lap();
             let (appearance, model) = draw_appearance(object, &self.root, &setup.mesh, seed)?;
-            let grasp_rgb = self.renderer.rgb(grasp, &model, seed)?;
+            let [grasp_rgb, grasp_depth] = self.renderer.wrist(grasp, &model, seed)?;
             result.cpu_s.visual += clock.lap();
             let [initial_left, initial_right] = initial;
             let [grasp_left, grasp_right] = pressed;
@@ -356,6 +365,8 @@ impl<'a> SimulationRunner<'a> {
                     rendering,
                     seed: seed >> 1,
                     crop_profile: self.renderer.crop_profile().to_owned(),
+                    geometry: Some(geometry),
+                    lift,
                 },
                 images: ShardImages {
                     initial_left,
@@ -364,7 +375,7 @@ impl<'a> SimulationRunner<'a> {
                     grasp_right,
                     grasp_rgb,
                     initial_rgb: None,
-                    grasp_depth: None,
+                    grasp_depth: Some(grasp_depth),
                 },
             });
         }

@@ -3,7 +3,8 @@
 use gripcast_base::error::Result;
 use gripcast_base::random::SeedStream;
 use gripcast_geometry::{CREASE_RAD, TriangleMesh, curved};
-use gripcast_imaging::encode_jpeg;
+use gripcast_imaging::{TactileDifference, encode_jpeg, encode_png_grey16};
+use gripcast_shear::{ExpectedMarkers, GelMotion, LiftMotion, ShearTracker};
 use gripcast_sim::GraspSetup;
 use gripcast_sim::grasp::{Finger, Snapshot};
 use gripcast_sim::solver::GelMaterial;
@@ -12,8 +13,8 @@ use gripcast_tactile::{
     SensorVariation, SimulatedGel, TactileScene, depth_under_force, foundation_pa_m,
 };
 use gripcast_visual::{
-    ColourSettings, GraspState, Model, RenderControl, RenderSettings, Renderer, View,
-    VisualRandomisation, denoise, develop, grasp_scene,
+    ColourSettings, DepthSettings, GraspState, Model, RenderControl, RenderSettings, Renderer, View,
+    VisualRandomisation, denoise, develop, grasp_scene, measure_depth,
 };
 
 use super::plan::RenderingPlan;
@@ -24,6 +25,9 @@ const VIEW: [usize; 2] = [320, 240];
 const DENOISE_RADIUS: usize = 5;
 /// JPEG quality of all images.
 const QUALITY: u8 = 92;
+
+/// Sensor with gel markers.
+const MARKED_SENSOR: &str = "gelsight-mini-markers";
 
 /// Edge length of the surface that tactile images show, m: the facets of simulation meshes are a
 /// few millimetres wide and would be visible.
@@ -42,6 +46,8 @@ pub(super) struct PreLiftGrasp<'a> {
     pub(super) surface: &'a TriangleMesh,
     /// State before the lift.
     pub(super) snapshot: &'a Snapshot,
+    /// States in the first millimetres of the lift.
+    pub(super) lift: &'a [Snapshot],
     /// The gels, if they were simulated.
     pub(super) gel: Option<&'a SimulatedGel>,
     /// Normal force on the left and the right finger, N.
@@ -80,6 +86,15 @@ impl PreLiftGrasp<'_> {
         }
     }
 
+    /// The grasp at a state of the lift, and the force on the fingers of before.
+    fn at<'b>(&'b self, snapshot: &'b Snapshot) -> PreLiftGrasp<'b> {
+        PreLiftGrasp {
+            snapshot,
+            lift: &[],
+            ..*self
+        }
+    }
+
     fn state(&self) -> Result<GraspState> {
         let snapshot = self.snapshot;
         match self.gel {
@@ -98,14 +113,22 @@ impl PreLiftGrasp<'_> {
 #[derive(Clone, Debug)]
 pub(super) struct SampleRenderer {
     sensor: SensorProfile,
+    /// A sensor with gel markers.
+    marked: SensorProfile,
     visual: VisualRandomisation,
     plan: RenderingPlan,
 }
 
 impl SampleRenderer {
     pub(super) fn new(plan: RenderingPlan) -> Result<Self> {
+        let sensor = plan.sensor.profile()?;
+        let marked = match sensor.markers {
+            Some(_) => sensor.clone(),
+            None => SensorProfile::named_or_load(MARKED_SENSOR)?,
+        };
         Ok(Self {
-            sensor: plan.sensor.profile()?,
+            sensor,
+            marked,
             visual: VisualRandomisation::with_spread(plan.visual_spread),
             plan,
         })
@@ -135,16 +158,60 @@ impl SampleRenderer {
         Ok([[a, c], [b, d]])
     }
 
-    /// Renders the colour image, JPEG.
+    /// Renders the tactile images of the lift, half of the samples with gel markers, and measures
+    /// what the gels show in them; none without simulated gels or states of the lift.
+    ///
+    /// # Errors
+    /// `Input` if a snapshot does not belong to the gel.
+    pub(super) fn lift(&self, grasp: &PreLiftGrasp<'_>, seed: u64) -> Result<Option<LiftMotion>> {
+        if grasp.gel.is_none() || grasp.lift.is_empty() {
+            return Ok(None);
+        }
+        let mut draw = SeedStream::named(seed, "lift");
+        let profile = match draw.bits() & 1 {
+            0 => &self.sensor,
+            _ => &self.marked,
+        };
+        let mut follow = |finger: Finger| -> Result<Vec<GelMotion>> {
+            let variation = SensorVariation::sample(draw.bits(), self.plan.sensor_spread);
+            let mut renderer = ObjectDepthRenderer::new(&variation.apply(profile))?;
+            let before = grasp.scene(finger, &profile.geometry)?;
+            let initial = renderer.render(&before.untouched(), Some(draw.bits()))?;
+            let markers = match &profile.markers {
+                Some(pattern) => ExpectedMarkers::Pattern(pattern),
+                None => ExpectedMarkers::None,
+            };
+            let mut tracker = ShearTracker::new(&initial, profile.geometry.pixel_m, markers)?;
+            let states = [grasp.snapshot].into_iter().chain(grasp.lift);
+            states
+                .map(|state| {
+                    let at = grasp.at(state);
+                    let scene = at.scene(finger, &profile.geometry)?;
+                    let image = renderer.render(&scene, Some(draw.bits()))?;
+                    let difference = TactileDifference::between(&initial, &image)?;
+                    let level = f64::from(difference.mean_abs());
+                    Ok(GelMotion::new(level, &tracker.update(&image)))
+                })
+                .collect()
+        };
+        let (left, right) = (follow(Finger::Left)?, follow(Finger::Right)?);
+        let frames = left.into_iter().zip(right);
+        Ok(Some(LiftMotion {
+            frames: frames.map(|(left, right)| [left, right]).collect(),
+        }))
+    }
+
+    /// Renders the images of the wrist camera: colour, JPEG, and depth aligned to it, 16-bit PNG,
+    /// mm.
     ///
     /// # Errors
     /// `Input` if the camera would be inside an object.
-    pub(super) fn rgb(
+    pub(super) fn wrist(
         &self,
         grasp: &PreLiftGrasp<'_>,
         model: &Model,
         seed: u64,
-    ) -> Result<Vec<u8>> {
+    ) -> Result<[Vec<u8>; 2]> {
         let mut draw = SeedStream::named(seed, "visual");
         let conditions = self.visual.sample(draw.bits());
         let state = grasp.state()?;
@@ -154,11 +221,14 @@ impl SampleRenderer {
             seed: draw.bits(),
             ..RenderSettings::default()
         };
-        let rendering =
-            Renderer::new(&scene)?.render(&scene.camera, &settings, &RenderControl::default())?;
+        let renderer = Renderer::new(&scene)?;
+        let rendering = renderer.render(&scene.camera, &settings, &RenderControl::default())?;
         let light = denoise(&rendering, DENOISE_RADIUS);
         let image = develop(&light, &ColourSettings::default(), draw.bits());
-        encode_jpeg(&image, QUALITY)
+        let exact_m = renderer.depth(&scene.camera)?;
+        let settings = DepthSettings::sample(draw.bits(), self.plan.visual_spread);
+        let depth = measure_depth(&exact_m, &scene.camera, &settings, draw.bits())?;
+        Ok([encode_jpeg(&image, QUALITY)?, encode_png_grey16(&depth)?])
     }
 }
 

@@ -6,9 +6,10 @@ use serde::{Deserialize, Serialize};
 use gripcast_base::error::{Error, Result};
 use gripcast_base::random::SeedStream;
 use gripcast_dataset::shard::ShardImages;
-use gripcast_imaging::Decoder;
+use gripcast_imaging::{Decoder, decode_png_grey16};
 use gripcast_nn::IMAGE;
-use gripcast_nn::predict::contract::RgbNormalisation;
+use gripcast_nn::predict::contract::{InputName, Modality, RgbNormalisation};
+use gripcast_nn::predict::{Depth, PointMap};
 
 const HEIGHT: usize = IMAGE[0];
 const WIDTH: usize = IMAGE[1];
@@ -22,11 +23,11 @@ const NOISE_TABLE: usize = 1 << 20;
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Augmentation {
-    /// Rotates the gripper by 180° about its approach with probability 0.5: the sensors swap, the
-    /// colour image is rotated.
+    /// Rotates the gripper by 180° about its approach with probability 0.5: the sensors swap. Such
+    /// samples have touch alone, as the camera is on one side of the gripper.
     pub rotate_180: bool,
     /// Mirrors the fingers with probability 0.5: the sensors swap, their images are flipped
-    /// vertically, the colour image horizontally.
+    /// vertically, colour and depth image horizontally.
     pub mirror: bool,
     /// Gain of a tactile sensor: 0.25 means 0.75 to 1.25.
     pub tactile_gain: f64,
@@ -46,6 +47,8 @@ pub struct Augmentation {
     pub channel_gain: f64,
     /// Saturation.
     pub saturation: f64,
+    /// Maximum fraction of each side of the rectangles without depth, up to three per image.
+    pub depth_holes: f64,
 }
 
 impl Augmentation {
@@ -62,6 +65,7 @@ impl Augmentation {
         brightness: 0.0,
         channel_gain: 0.0,
         saturation: 0.0,
+        depth_holes: 0.0,
     };
     /// Default augmentation.
     pub const DEFAULT: Self = Self {
@@ -72,10 +76,11 @@ impl Augmentation {
         tactile_offset: 4.0,
         tactile_noise: 3.0,
         tactile_shift: 10,
-        crop: 0.15,
+        crop: 0.03,
         brightness: 0.3,
         channel_gain: 0.1,
         saturation: 0.4,
+        depth_holes: 0.25,
     };
 }
 
@@ -86,18 +91,30 @@ pub(super) struct SampleImages {
     pub(super) tactile: [[RgbImage; 2]; 2],
     /// Colour image of the grasp frame.
     pub(super) rgb: RgbImage,
+    /// Depth image of the grasp frame, if it is used and there is one.
+    pub(super) depth: Option<PointMap>,
 }
 
+/// Depth of one code in shards, m.
+const DEPTH_UNIT_M: f64 = 1e-3;
+
 impl SampleImages {
-    /// Decodes the tactile images and the colour image, if they are used; others stay empty.
+    /// Decodes the images of a modality; others stay empty.
     ///
     /// # Errors
-    /// `Input`: an image is damaged or not 320×240.
+    /// `Input`: an image is damaged or, depth apart, not 320×240.
     pub(super) fn decode(
         decoder: &mut Decoder,
         images: &ShardImages,
-        [touch, vision]: [bool; 2],
+        modality: Modality,
     ) -> Result<Self> {
+        let (touch, vision) = (modality.has_touch(), modality.has_vision());
+        let depth = images.grasp_depth.as_ref().filter(|_| modality.has_depth());
+        let depth = depth.map(|bytes| {
+            let image = decode_png_grey16(bytes).map_err(|e| e.at("grasp_depth"))?;
+            let unit_m = DEPTH_UNIT_M;
+            Ok::<_, Error>(PointMap::new(&Depth { image, unit_m }))
+        });
         let mut image = |is_used: bool, name: &str, bytes: &[u8]| {
             if !is_used {
                 return Ok(RgbImage::default());
@@ -124,6 +141,7 @@ impl SampleImages {
                 ],
             ],
             rgb: image(vision, "grasp_rgb", &images.grasp_rgb)?,
+            depth: depth.transpose()?,
         })
     }
 }
@@ -136,10 +154,21 @@ pub(super) struct InputWriter {
     noise: Vec<f32>,
 }
 
-/// Flips of the colour image.
-struct Flips {
-    vertical: bool,
-    horizontal: bool,
+/// Where the inputs of a sample are written; empty slices for those that are not used.
+#[derive(Debug, Default)]
+pub(super) struct Slots<'a> {
+    /// Left and right.
+    pub(super) touch: [&'a mut [f32]; 2],
+    pub(super) rgb: &'a mut [f32],
+    pub(super) depth: &'a mut [f32],
+}
+
+/// What was written of a sample.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Written {
+    /// The inputs that are valid; none if there are none.
+    pub(super) available: Option<Modality>,
+    pub(super) is_mirrored: bool,
 }
 
 impl InputWriter {
@@ -159,16 +188,15 @@ impl InputWriter {
         }
     }
 
-    /// Writes left and right tactile difference and the colour image, HWC; empty slices stay
+    /// Writes left and right tactile difference, colour and depth image, HWC; empty slices stay
     /// empty. Without augmentation, the floats are those of
     /// [`ModelInput`](gripcast_nn::predict::ModelInput) up to rounding.
     pub(super) fn write(
         &self,
         images: &SampleImages,
         seed: Option<u64>,
-        [left, right]: [&mut [f32]; 2],
-        rgb: &mut [f32],
-    ) {
+        Slots { touch, rgb, depth }: Slots<'_>,
+    ) -> Written {
         let augmentation = if seed.is_some() {
             self.augmentation
         } else {
@@ -177,6 +205,7 @@ impl InputWriter {
         let mut draw = SeedStream::named(seed.unwrap_or(0), "augment");
         let rotate = augmentation.rotate_180 && draw.bits() & 1 == 1;
         let mirror = augmentation.mirror && draw.bits() & 1 == 1;
+        let has_cameras = !rotate;
         // Each swaps the sensors, both together do not.
         let swap = rotate != mirror;
         let [from_left, from_right] = &images.tactile;
@@ -185,17 +214,27 @@ impl InputWriter {
         } else {
             [from_left, from_right]
         };
-        for (pair, to) in pairs.into_iter().zip([left, right]) {
+        let has_touch = touch.iter().all(|to| !to.is_empty());
+        for (pair, to) in pairs.into_iter().zip(touch) {
             if !to.is_empty() {
                 self.write_difference(&augmentation, pair, mirror, &mut draw, to);
             }
         }
-        if !rgb.is_empty() {
-            let flips = Flips {
-                vertical: rotate,
-                horizontal: swap,
-            };
-            self.write_rgb(&augmentation, &images.rgb, &flips, &mut draw, rgb);
+        let has_rgb = !rgb.is_empty();
+        if has_rgb {
+            self.write_rgb(&augmentation, &images.rgb, mirror, &mut draw, rgb);
+        }
+        let points = images.depth.as_ref().filter(|_| !depth.is_empty());
+        if let Some(points) = points {
+            write_points(&augmentation, points.points(), mirror, &mut draw, depth);
+        }
+        Written {
+            available: Modality::of(|input| match input {
+                InputName::TactileLeft | InputName::TactileRight => has_touch,
+                InputName::Rgb => has_rgb && has_cameras,
+                InputName::Depth => points.is_some() && has_cameras,
+            }),
+            is_mirrored: mirror,
         }
     }
 
@@ -243,7 +282,7 @@ impl InputWriter {
         &self,
         augmentation: &Augmentation,
         rgb: &RgbImage,
-        flips: &Flips,
+        is_mirrored: bool,
         draw: &mut SeedStream,
         to: &mut [f32],
     ) {
@@ -261,10 +300,10 @@ impl InputWriter {
             ((offset + i as f64 * scale) as usize).min(side - 1)
         };
         let columns: Vec<usize> = (0..WIDTH)
-            .map(|x| 3 * source(x, WIDTH, flips.horizontal, right))
+            .map(|x| 3 * source(x, WIDTH, is_mirrored, right))
             .collect();
         for (y, row) in to.chunks_exact_mut(3 * WIDTH).enumerate() {
-            let y = source(y, HEIGHT, flips.vertical, down);
+            let y = source(y, HEIGHT, false, down);
             let from = &rgb.as_raw()[y * 3 * WIDTH..][..3 * WIDTH];
             for (to, &x) in row.as_chunks_mut::<3>().0.iter_mut().zip(&columns) {
                 let pixel: [f32; 3] = std::array::from_fn(|c| f32::from(from[x + c]) * gains[c]);
@@ -274,6 +313,37 @@ impl InputWriter {
                     to[c] = (value - mean[c]) / std[c];
                 }
             }
+        }
+    }
+}
+
+/// Writes the points of a depth image with some rectangles removed.
+fn write_points(
+    augmentation: &Augmentation,
+    points: &[[f32; 3]],
+    is_mirrored: bool,
+    draw: &mut SeedStream,
+    to: &mut [f32],
+) {
+    let pixels = to.as_chunks_mut::<3>().0.chunks_exact_mut(WIDTH);
+    for (row, from) in pixels.zip(points.chunks_exact(WIDTH)) {
+        if is_mirrored {
+            for (to, [x, y, inverse]) in row.iter_mut().zip(from.iter().rev()) {
+                *to = [-x, *y, *inverse];
+            }
+        } else {
+            row.copy_from_slice(from);
+        }
+    }
+    if augmentation.depth_holes <= 0.0 {
+        return;
+    }
+    for _ in 0..draw.index(4) {
+        let [height, width] =
+            [HEIGHT, WIDTH].map(|side| (draw.uniform() * augmentation.depth_holes * side as f64) as usize);
+        let (top, left) = (draw.index(HEIGHT - height), draw.index(WIDTH - width));
+        for row in to.chunks_exact_mut(3 * WIDTH).skip(top).take(height) {
+            row[3 * left..3 * (left + width)].fill(0.0);
         }
     }
 }

@@ -4,12 +4,12 @@ use std::collections::BTreeMap;
 
 use rayon::prelude::*;
 
-use super::augment::{FLOATS, InputWriter, SampleImages};
+use super::augment::{FLOATS, InputWriter, SampleImages, Slots, Written};
 use super::samples::{SampleFacts, SampleReader, Samples};
-use gripcast_base::error::{Error, Result};
+use gripcast_base::error::Result;
 use gripcast_imaging::Decoder;
-use gripcast_nn::Batch;
-use gripcast_nn::predict::contract::{Modality, RgbNormalisation};
+use gripcast_nn::{Batch, GEOMETRY};
+use gripcast_nn::predict::contract::{GEOMETRY_UNIT_M, Modality, RgbNormalisation};
 
 /// Samples used for the mean and standard deviation of the colour image.
 const NORMALISATION_SAMPLES: usize = 256;
@@ -76,52 +76,66 @@ impl<'a> Batches<'a> {
     pub(super) fn batch(&mut self, samples: &[usize], seeds: Option<&[u64]>) -> Result<Batch> {
         let rows = self.reader.rows(samples)?;
         let count = samples.len();
+        let modality = self.modality;
         let floats = |is_used, images: usize| vec![0.0; usize::from(is_used) * images * FLOATS];
-        let inputs = [self.modality.has_touch(), self.modality.has_vision()];
-        let mut touch = floats(inputs[0], 2 * count);
-        let mut vision = floats(inputs[1], count);
+        let mut touch = floats(modality.has_touch(), 2 * count);
+        let mut vision = floats(modality.has_vision(), count);
+        let mut depth = floats(modality.has_depth(), count);
         let half = touch.len() / 2;
         let (left, right) = touch.split_at_mut(half);
-        let mut slots: Vec<[&mut [f32]; 3]> = Vec::with_capacity(count);
-        let mut vision_slots = vision.chunks_exact_mut(FLOATS);
-        let (mut left, mut right) = (
-            left.chunks_exact_mut(FLOATS),
-            right.chunks_exact_mut(FLOATS),
-        );
-        for _ in 0..count {
-            slots.push([
-                left.next().unwrap_or_default(),
-                right.next().unwrap_or_default(),
-                vision_slots.next().unwrap_or_default(),
-            ]);
-        }
-        slots
+        let [mut left, mut right, mut rgb, mut points] =
+            [left, right, &mut vision[..], &mut depth[..]].map(|all| all.chunks_exact_mut(FLOATS));
+        let slots: Vec<Slots<'_>> = (0..count)
+            .map(|_| Slots {
+                touch: [
+                    left.next().unwrap_or_default(),
+                    right.next().unwrap_or_default(),
+                ],
+                rgb: rgb.next().unwrap_or_default(),
+                depth: points.next().unwrap_or_default(),
+            })
+            .collect();
+        let written: Vec<Written> = slots
             .into_par_iter()
             .zip(rows)
             .enumerate()
-            .try_for_each_init(
+            .map_init(
                 || None,
-                |decoder, (i, ([left, right, rgb], (rows, row)))| {
+                |decoder, (i, (slots, (rows, row)))| {
                     let decoder = match decoder {
                         Some(decoder) => decoder,
                         none => none.insert(Decoder::new()?),
                     };
                     let row = &rows[row];
-                    let images = SampleImages::decode(decoder, &row.images, inputs)
+                    let images = SampleImages::decode(decoder, &row.images, modality)
                         .map_err(|e| e.at(&row.facts.id))?;
                     let seed = seeds.and_then(|seeds| seeds.get(i)).copied();
-                    self.writer.write(&images, seed, [left, right], rgb);
-                    Ok::<(), Error>(())
+                    Ok(self.writer.write(&images, seed, slots))
                 },
-            )?;
+            )
+            .collect::<Result<_>>()?;
+        let facts = || samples.iter().map(|i| &self.samples.facts()[*i]);
+        let geometry = facts().zip(&written).flat_map(|(facts, written)| {
+            let geometry = facts.geometry.map(|geometry| match written.is_mirrored {
+                true => geometry.mirrored(),
+                false => geometry,
+            });
+            geometry.map_or([f32::NAN; GEOMETRY], |geometry| {
+                geometry.to_array().map(|m| (m / GEOMETRY_UNIT_M) as f32)
+            })
+        });
         Ok(Batch {
+            geometry: geometry.collect(),
+            // A sample without any input has at least no weight.
+            available: written
+                .iter()
+                .map(|written| written.available.unwrap_or(Modality::T))
+                .collect(),
+            targets: facts().map(|facts| f32::from(u8::from(facts.is_stable))).collect(),
+            weights: samples.iter().map(|i| self.weights[*i]).collect(),
             touch,
             vision,
-            targets: samples
-                .iter()
-                .map(|i| f32::from(u8::from(self.samples.facts()[*i].is_stable)))
-                .collect(),
-            weights: samples.iter().map(|i| self.weights[*i]).collect(),
+            depth,
         })
     }
 }
@@ -138,7 +152,7 @@ pub fn colour_normalisation(samples: &Samples) -> Result<RgbNormalisation> {
     for sample in (0..samples.facts().len()).step_by(step) {
         for (rows, row) in reader.rows(&[sample])? {
             let row = &rows[row];
-            let images = SampleImages::decode(&mut decoder, &row.images, [false, true])
+            let images = SampleImages::decode(&mut decoder, &row.images, Modality::V)
                 .map_err(|e| e.at(&row.facts.id))?;
             for pixel in images.rgb.pixels() {
                 for c in 0..3 {

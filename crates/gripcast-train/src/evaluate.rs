@@ -8,6 +8,7 @@ use serde::{Deserialize, Serialize};
 use super::augment::SampleImages;
 use super::duplicates::duplicates;
 use super::finish::{ARCHITECTURE, OBJECTS};
+use super::lift::LiftEvaluation;
 use super::metrics::{
     BaseRateCalibration, Bootstrap, ChanceCalibration, GroupSummary, Interval, Ranking,
     ReliabilityTable, Scored, SeedSummary, Summary, resampled_mean, summarise_groups,
@@ -15,7 +16,7 @@ use super::metrics::{
 use super::samples::{SampleFacts, SampleReader, Samples};
 use gripcast_base::error::{Error, Result};
 use gripcast_imaging::{Decoder, TactileDifference};
-use gripcast_nn::predict::contract::{InputName, Modality, Origin};
+use gripcast_nn::predict::contract::{InputName, Modality, Origin, OutputSpec};
 use gripcast_nn::predict::{Model, ModelInput};
 
 /// Samples read together.
@@ -50,15 +51,31 @@ pub struct EvalReport {
     pub objects: usize,
     /// The models, in the given order.
     pub models: Vec<ModelEvaluation>,
-    /// Mean and standard deviation over several models that differ in their seed alone.
-    pub over_models: Option<SeedSummary>,
-    /// Differences of the first model to the others.
+    /// Means over several models that differ in their seed alone, by inputs; of one model the same
+    /// figures.
+    pub over_models: Vec<SeedResult>,
+    /// Differences of the first entry of `models` to the others.
     pub differences: Vec<Difference>,
     /// Possible causes of biased metrics.
     pub warnings: Vec<String>,
 }
 
-/// Metrics of a model.
+/// Metrics of models that differ in their seed, from the same inputs.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct SeedResult {
+    /// The inputs.
+    pub modality: Modality,
+    /// Mean and standard deviation over the seeds.
+    pub summary: SeedSummary,
+    /// Mean AUROC with its 95 % interval over objects.
+    pub auroc: Option<Interval>,
+    /// Mean balanced accuracy with its 95 % interval over objects.
+    pub balanced_accuracy: Option<Interval>,
+    /// Mean AUROC from all inputs minus that from these.
+    pub auroc_less_than_all: Option<Interval>,
+}
+
+/// Metrics of a model's predictions from some of its inputs.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct ModelEvaluation {
     /// Model name.
@@ -67,7 +84,7 @@ pub struct ModelEvaluation {
     pub file: String,
     /// SHA-256 of the file.
     pub sha256: String,
-    /// Modality: `V`, `T` or `VT`.
+    /// The inputs.
     pub modality: Modality,
     /// Metrics of all samples at the model's threshold.
     pub summary: Summary,
@@ -90,6 +107,9 @@ pub struct ModelEvaluation {
     pub per_object: Vec<GroupSummary>,
     /// Metrics by stopping force, N.
     pub forces: Vec<GroupSummary>,
+    /// Verdict in the lift that follows from this prediction.
+    #[serde(default)]
+    pub lift: Option<LiftEvaluation>,
     /// The most confident mistakes: stable grasps, then slips.
     pub mistakes: Vec<Mistake>,
     /// All predictions.
@@ -160,14 +180,35 @@ pub fn evaluate(
     let training_split = training.filter(|training| training.split() != samples.split());
     let splits: Vec<&Samples> = training_split.into_iter().chain([samples]).collect();
     warnings.extend(duplicates(&splits)?);
-    let total = models.len() * samples.facts().len();
-    let mut evaluated = Vec::new();
-    for (i, (file, model)) in models.iter().enumerate() {
-        let before = i * samples.facts().len();
-        let predictions = predict(model, samples, &|done| on_progress(before + done, total))?;
-        evaluated.push(ModelEvaluation::new(file, model, samples, predictions));
+    let available = samples.modality()?;
+    let mut outputs = Vec::new();
+    for (file, model) in models {
+        let contract = model.contract();
+        let before = outputs.len();
+        let usable = contract.outputs().filter(|o| available.includes(o.modality));
+        outputs.extend(usable.map(|output| (file, model, output)));
+        if outputs.len() == before {
+            let what = format!("the model needs {}", contract.modality.words());
+            return Err(Error::input(format!("{what}, the dataset has {}", available.words()))
+                .at(file)
+                .remedy("evaluate it on a dataset with depth images"));
+        }
+        if !available.includes(contract.modality) {
+            warnings.push(format!(
+                "{file} also uses {}, which the dataset lacks: its predictions from fewer inputs \
+                 are evaluated",
+                contract.modality.words()
+            ));
+        }
     }
-    let summaries: Vec<Summary> = evaluated.iter().map(|e| e.summary.clone()).collect();
+    let total = outputs.len() * samples.facts().len();
+    let mut evaluated = Vec::new();
+    for (i, (file, model, output)) in outputs.into_iter().enumerate() {
+        let before = i * samples.facts().len();
+        let on_progress = |done| on_progress(before + done, total);
+        let predictions = predict(model, output.modality, samples, &on_progress)?;
+        evaluated.push(ModelEvaluation::new(file, model, output, samples, predictions));
+    }
     let differences = evaluated.iter().skip(1);
     let differences = differences
         .map(|other| Difference::between(&evaluated[0], other))
@@ -180,7 +221,10 @@ pub fn evaluate(
         dataset_sha256: dataset_sha256.to_owned(),
         split: samples.split().to_owned(),
         objects: samples.objects().len(),
-        over_models: are_alike(models).then(|| SeedSummary::new(&summaries)),
+        over_models: match are_alike(models) {
+            true => SeedResult::all(&evaluated),
+            false => Vec::new(),
+        },
         differences,
         warnings,
         models: evaluated,
@@ -208,7 +252,7 @@ fn are_alike(models: &[(String, Model)]) -> bool {
         ));
         seeds.insert(seed)
     });
-    all_trained && models.len() > 1 && trainings.len() == 1
+    all_trained && trainings.len() == 1 && seeds.len() == models.len()
 }
 
 /// Lists possible causes of biased metrics.
@@ -264,9 +308,11 @@ fn warnings(
     warnings
 }
 
-/// Predicts all samples; returns the probability of stable and whether the sample is in contact.
+/// Predicts all samples from some inputs; returns the probability of stable and whether the sample
+/// is in contact.
 fn predict(
     model: &Model,
+    inputs: Modality,
     samples: &Samples,
     on_progress: &(dyn Fn(usize) + Sync),
 ) -> Result<Vec<(f64, bool)>> {
@@ -283,13 +329,15 @@ fn predict(
                     let (decoder, input) = match buffers {
                         Some(buffers) => buffers,
                         none => {
-                            none.insert((Decoder::new()?, ModelInput::zeros(model.contract())?))
+                            none.insert((Decoder::new()?, ModelInput::new(model.contract())?))
                         }
                     };
                     let row = &rows[*row];
-                    let images = SampleImages::decode(decoder, &row.images, [true, true])
-                        .map_err(|e| e.at(&row.facts.id))?;
-                    let in_contact = set_input(&images, input)?;
+                    let used = Modality::of(|name| name.role().is_tactile() || inputs.has(name));
+                    let images =
+                        SampleImages::decode(decoder, &row.images, used.unwrap_or(inputs))
+                            .map_err(|e| e.at(&row.facts.id))?;
+                    let in_contact = set_input(&images, inputs, input)?;
                     Ok((model.predict(input)?.p_stable, in_contact))
                 },
             )
@@ -300,9 +348,10 @@ fn predict(
     Ok(predictions)
 }
 
-/// Sets the inputs of a model; returns whether both tactile images show contact.
-fn set_input(images: &SampleImages, input: &mut ModelInput) -> Result<bool> {
+/// Sets some inputs of a model; returns whether both tactile images show contact.
+fn set_input(images: &SampleImages, inputs: Modality, input: &mut ModelInput) -> Result<bool> {
     let mut in_contact = true;
+    input.clear();
     let names = [InputName::TactileLeft, InputName::TactileRight];
     for (name, [initial, grasp]) in names.into_iter().zip(&images.tactile) {
         let difference = TactileDifference::between(initial, grasp)?;
@@ -310,15 +359,28 @@ fn set_input(images: &SampleImages, input: &mut ModelInput) -> Result<bool> {
         let is_contact = |pixel: &&[i16; 3]| pixel.iter().any(|x| x.abs() > CONTACT_LEVELS);
         let contact = pixels.iter().filter(is_contact).count();
         in_contact &= contact as f64 >= MIN_CONTACT_FRACTION * pixels.len() as f64;
-        input.set_tactile(name, &difference)?;
+        if inputs.has_touch() {
+            input.set_tactile(name, &difference)?;
+        }
     }
-    input.set_rgb(&images.rgb)?;
+    if inputs.has_vision() {
+        input.set_rgb(&images.rgb)?;
+    }
+    if let (true, Some(points)) = (inputs.has_depth(), &images.depth) {
+        input.set_depth(points)?;
+    }
     Ok(in_contact)
 }
 
 impl ModelEvaluation {
-    fn new(file: &str, model: &Model, samples: &Samples, predictions: Vec<(f64, bool)>) -> Self {
-        let threshold = model.contract().threshold;
+    fn new(
+        file: &str,
+        model: &Model,
+        output: OutputSpec,
+        samples: &Samples,
+        predictions: Vec<(f64, bool)>,
+    ) -> Self {
+        let threshold = output.threshold;
         let facts = samples.facts();
         let scored = predictions.iter().zip(facts);
         let scored: Vec<Scored> = scored
@@ -339,12 +401,16 @@ impl ModelEvaluation {
         let (_, objects) = grouped(facts, |facts| facts.object.clone());
         let (_, lifts) = grouped(facts, |facts| facts.lift.clone());
         let metrics = ResampledMetrics::new(&scored, threshold);
+        let p_before: Vec<f64> = scored.iter().map(|sample| sample.p_stable).collect();
+        let head = model.lift_head();
+        // Fitted to the prediction from all inputs.
+        let head = head.filter(|_| output.modality == model.contract().modality);
         let bootstrap = Bootstrap::new(SEED);
         Self {
             name: model.contract().name.clone(),
             file: file.to_owned(),
             sha256: model.sha256().to_owned(),
-            modality: model.contract().modality,
+            modality: output.modality,
             summary: Summary::new(&scored, threshold),
             auroc: bootstrap.interval(&objects, |times| metrics.auroc(times)),
             balanced_accuracy: bootstrap
@@ -359,6 +425,7 @@ impl ModelEvaluation {
                 Some(force_n) => format!("{force_n:>4} N"),
                 None => "unknown".to_owned(),
             }),
+            lift: head.and_then(|head| LiftEvaluation::new(head, samples, &p_before)),
             mistakes: mistakes(&scored, samples, threshold),
             predictions: predictions
                 .into_iter()
@@ -387,13 +454,44 @@ impl Difference {
     fn between(first: &ModelEvaluation, second: &ModelEvaluation) -> Self {
         let [one, other] = [first, second].map(|e| Resampled::new(std::slice::from_ref(e)));
         let [auroc, balanced_accuracy] = one.minus(&other);
-        let names = |e: &ModelEvaluation| format!("{} ({})", e.name, e.file);
+        let names = |e: &ModelEvaluation| format!("{} {} ({})", e.name, e.modality, e.file);
         Self {
             first: names(first),
             second: names(second),
             auroc,
             balanced_accuracy,
         }
+    }
+}
+
+impl SeedResult {
+    /// Results by inputs, in the order of the first model's outputs.
+    fn all(evaluated: &[ModelEvaluation]) -> Vec<Self> {
+        let mut order: Vec<Modality> = evaluated.iter().map(|e| e.modality).collect();
+        order.sort_unstable();
+        order.dedup();
+        let of = |modality: Modality| -> Vec<ModelEvaluation> {
+            let own = evaluated.iter().filter(|e| e.modality == modality);
+            own.cloned().collect()
+        };
+        let all = order.first().map(|modality| Resampled::new(&of(*modality)));
+        let result = |modality: &Modality| {
+            let seeds = of(*modality);
+            let summaries: Vec<Summary> = seeds.iter().map(|e| e.summary.clone()).collect();
+            let resampled = Resampled::new(&seeds);
+            let [auroc, balanced_accuracy] = resampled.intervals();
+            Self {
+                modality: *modality,
+                summary: SeedSummary::new(&summaries),
+                auroc,
+                balanced_accuracy,
+                auroc_less_than_all: all.as_ref().and_then(|all| {
+                    let [auroc, _] = all.minus(&resampled);
+                    auroc.filter(|_| order.first() != Some(modality))
+                }),
+            }
+        };
+        order.iter().map(result).collect()
     }
 }
 
@@ -545,7 +643,7 @@ pub fn sample_images(samples: &Samples, sample: usize) -> Result<[image::RgbImag
         return Err(Error::internal("sample not found"));
     };
     let mut decoder = Decoder::new()?;
-    let images = SampleImages::decode(&mut decoder, &rows[*row].images, [true, true])?;
+    let images = SampleImages::decode(&mut decoder, &rows[*row].images, Modality::Vt)?;
     let [left, right] = &images.tactile;
     let difference = |[initial, grasp]: &[image::RgbImage; 2]| {
         TactileDifference::between(initial, grasp).map(|difference| difference.to_image(2.0))

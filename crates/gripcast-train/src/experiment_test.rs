@@ -22,6 +22,9 @@ fn experiment_trains_tests_and_compares_conditions() {
         }],
         pool: [6, 8],
         embedding: 16,
+        camera_embedding: 16,
+        geometry: true,
+        fallbacks: false,
         hidden: 16,
     };
     let settings = ExperimentSettings {

@@ -4,16 +4,18 @@ use std::collections::BTreeMap;
 use std::path::Path;
 
 use super::comparison::Comparison;
+use super::lift;
 use super::metrics::{Summary, fit_temperature, youden_threshold};
 use super::ood::fit_tactile_reference;
 use super::run_folder::{EpochMetrics, RunFile, RunFolder};
 use super::samples::Samples;
 use super::start::StartModel;
 use super::state::write;
-use super::validate::{Logit, logits};
-use gripcast_base::error::Result;
+use super::validate::{Logit, SplitLogits, logits};
+use gripcast_base::error::{Error, Result};
 use gripcast_imaging::CropProfile;
-use gripcast_nn::predict::contract::{InputName, InputSpec, Origin};
+use gripcast_nn::predict::contract::{InputName, InputSpec, Modality, OutputSpec, Origin};
+use gripcast_nn::predict::lift::METADATA as LIFT;
 use gripcast_nn::predict::{ModelContract, ood};
 use gripcast_nn::{Network, to_onnx};
 
@@ -62,18 +64,33 @@ pub fn finish(
         logits(network, &validation, settings, normalisation, on_progress)
     };
     let logits = logits_of(&network)?;
-    let (temperature, threshold) = calibrate(&logits);
-    let scored: Vec<_> = logits.iter().map(|x| x.scored(temperature)).collect();
-    let summary = Summary::new(&scored, threshold);
-    let mut contract = contract(file, name, &best, [temperature, threshold], &summary)?;
+    let known = start_of(folder, file)?;
+    let outputs = network.heads().map(|inputs| calibrated(inputs, &logits, known.as_ref()));
+    let outputs: Vec<OutputSpec> = outputs.collect();
+    // The inputs that all samples have.
+    let used = logits.complete().and_then(|i| outputs.iter().find(|o| o.modality == i));
+    let used = *used.ok_or_else(|| missing_inputs(&validation))?;
+    let scored = logits.best().iter().map(|x| x.scored(used.temperature));
+    let summary = Summary::new(&scored.collect::<Vec<_>>(), used.threshold);
+    let mut contract = contract(file, name, &best, &outputs, &summary)?;
     let train = Samples::open(data, "train")?;
-    let fine_tuning = file.settings.fine_tuning.as_ref();
-    let start = fine_tuning
-        .map(|_| StartModel::of_run(folder))
-        .transpose()?;
+    let lift_head = lift::fit(
+        &train,
+        &validation,
+        logits.best(),
+        used.temperature,
+        file.settings.seed,
+    );
+    // Few own lifts do not make a head of their own.
+    let kept = known.as_ref().and_then(StartModel::lift_head);
+    if let Some(head) = lift_head.as_ref().or(kept) {
+        let metadata = head.to_metadata();
+        contract.other.insert(LIFT.to_owned(), metadata);
+    }
+    let start = known;
     let compared = |start: &StartModel| -> Result<Comparison> {
         let before = logits_of(start.network())?;
-        Ok(Comparison::new(start, &before, &logits, &validation))
+        Ok(Comparison::new(start, before.best(), logits.best(), &validation))
     };
     let mut comparison = start.as_ref().map(compared).transpose()?;
     let known = start.as_ref().and_then(StartModel::ood_detector);
@@ -90,12 +107,46 @@ pub fn finish(
     let onnx = to_onnx(&network, &contract)?;
     write(&folder.model(), &onnx)?;
     Ok(Finished {
-        temperature,
-        threshold,
+        temperature: used.temperature,
+        threshold: used.threshold,
         validation: summary,
         comparison,
         onnx,
     })
+}
+
+/// Reads the start model of a fine-tuning run.
+fn start_of(folder: &RunFolder, file: &RunFile) -> Result<Option<StartModel>> {
+    let fine_tuning = file.settings.fine_tuning.as_ref();
+    fine_tuning
+        .map(|_| StartModel::of_run(folder))
+        .transpose()
+}
+
+fn missing_inputs(samples: &Samples) -> Error {
+    let what = "the samples lack inputs that the model needs";
+    Error::input(what)
+        .at(samples.root().display())
+        .remedy("fine-tune a model of fewer inputs")
+}
+
+/// Calibrates the predictions from some inputs. Where a sample lacks them those of the start model
+/// stay; its temperature is in its weights.
+fn calibrated(inputs: Modality, logits: &SplitLogits, start: Option<&StartModel>) -> OutputSpec {
+    let logits = logits.of(inputs);
+    let of_start = start.and_then(|start| {
+        let mut outputs = start.contract().outputs();
+        outputs.find(|output| output.modality == inputs)
+    });
+    let (temperature, threshold) = match of_start {
+        Some(output) if logits.is_empty() => (1.0, output.threshold),
+        _ => calibrate(logits),
+    };
+    OutputSpec {
+        modality: inputs,
+        threshold,
+        temperature,
+    }
 }
 
 /// Fits temperature and threshold, rounded as they are written.
@@ -115,14 +166,22 @@ fn contract(
     file: &RunFile,
     name: &str,
     best: &EpochMetrics,
-    [temperature, threshold]: [f64; 2],
+    outputs: &[OutputSpec],
     validation: &Summary,
 ) -> Result<ModelContract> {
     let settings = &file.settings;
-    let inputs = settings.modality.inputs().iter().map(|input| match input {
-        InputName::Rgb => InputSpec::rgb(file.normalisation()),
-        touch => InputSpec::tactile(*touch),
+    let inputs = settings.modality.inputs().into_iter();
+    let cameras = inputs.clone().filter(|input| {
+        settings.architecture.geometry && matches!(input, InputName::Rgb | InputName::Depth)
     });
+    let inputs = inputs.map(|input| match input {
+        InputName::Rgb => InputSpec::rgb(file.normalisation()),
+        InputName::Depth => InputSpec::depth(),
+        touch => InputSpec::tactile(touch),
+    });
+    let (all, fallbacks) = outputs
+        .split_first()
+        .ok_or_else(|| Error::internal("the network has no output"))?;
     let text = |value: Option<f64>| value.map_or("none".to_owned(), |x| format!("{x:.4}"));
     let other = BTreeMap::from(
         [
@@ -142,6 +201,10 @@ fn contract(
             ),
             ("gripcast.val.auroc", text(validation.auroc)),
             ("gripcast.val.ece", text(validation.ece)),
+            (
+                "gripcast.val.geometry_error_m",
+                text(best.validation_geometry_error_m),
+            ),
         ]
         .map(|(key, value)| (key.to_owned(), value)),
     );
@@ -153,8 +216,10 @@ fn contract(
         },
         modality: settings.modality,
         inputs: inputs.collect(),
-        threshold,
-        temperature,
+        threshold: all.threshold,
+        temperature: all.temperature,
+        fallbacks: fallbacks.to_vec(),
+        geometry: cameras.collect(),
         crop_profile: Some(CropProfile::by_name(&file.crop_profile)?),
         card: card(file, best, validation),
         other,
@@ -205,7 +270,7 @@ fn card(file: &RunFile, best: &EpochMetrics, validation: &Summary) -> String {
         ]
     };
     format!(
-        "# Grasp stability, {modality}\n\n\
+        "# Grasp stability from {modality}\n\n\
          Probability that a grasp holds when it is lifted, from images taken before the lift. \
          {trained}.\n\n\
          - Data: dataset {dataset}, seed {seed}, {arch} network, epoch {epoch}.\n\
@@ -214,7 +279,7 @@ fn card(file: &RunFile, best: &EpochMetrics, validation: &Summary) -> String {
          - Limits: {limits}. It knows neither mass \
          nor friction but from what images show of them.\n\
          - Licence: MIT OR Apache-2.0.\n",
-        modality = file.settings.modality,
+        modality = file.settings.modality.words(),
         dataset = file.dataset_sha256,
         seed = file.settings.seed,
         arch = file.settings.architecture.name,

@@ -12,6 +12,7 @@ mod duplicates;
 mod evaluate;
 mod experiment;
 mod finish;
+mod lift;
 pub mod metrics;
 mod ood;
 mod page;
@@ -29,17 +30,19 @@ pub use augment::Augmentation;
 pub use batches::colour_normalisation;
 pub use comparison::{Comparison, Verdict};
 pub use evaluate::{
-    Difference, EvalReport, Mistake, ModelEvaluation, ScoredSample, evaluate, sample_images,
+    Difference, EvalReport, Mistake, ModelEvaluation, ScoredSample, SeedResult, evaluate,
+    sample_images,
 };
 pub use experiment::{
     Condition, ConditionDifference, ConditionResult, ExperimentEvent, ExperimentReport,
     ExperimentSettings, TestSet, experiment,
 };
 pub use finish::{Finished, finish};
+pub use lift::{LiftEvaluation, LiftPoint};
 pub use page::page;
 pub use run::{RunStart, SplitCounts, TrainEvent, Trained, fine_tune, train};
 pub use run_folder::{EpochMetrics, RunFile, RunFolder};
 pub use samples::{SampleFacts, Samples, dataset_sha256};
 pub use settings::{FineTuning, TrainSettings};
 pub use start::StartModel;
-pub use validate::{Logit, logits};
+pub use validate::{Logit, SplitLogits, logits};

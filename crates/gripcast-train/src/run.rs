@@ -20,7 +20,7 @@ use gripcast_base::files::{BeneathPath, FileKind};
 use gripcast_base::random::SeedStream;
 use gripcast_dataset::shard::ShardSet;
 use gripcast_imaging::CropProfile;
-use gripcast_nn::predict::contract::RgbNormalisation;
+use gripcast_nn::predict::contract::{Modality, RgbNormalisation};
 use gripcast_nn::{Adam, Batch, Network, Scope, Step, linear_schedule};
 
 /// Splits used by a run.
@@ -153,6 +153,9 @@ fn run(
     // An invalid profile would fail the export after hours of training.
     CropProfile::by_name(train.crop_profile()).map_err(|e| e.at(data.display()))?;
     train.check_disjoint(&validation)?;
+    if start.is_none() {
+        check_inputs(settings.modality, &train)?;
+    }
     for samples in [&train, &validation] {
         check_labels(samples)?;
     }
@@ -206,6 +209,20 @@ fn open_splits(data: &Path) -> Result<[Samples; 2]> {
         Samples::open(data, TRAIN)?,
         Samples::open(data, VALIDATION)?,
     ])
+}
+
+fn check_inputs(modality: Modality, samples: &Samples) -> Result<()> {
+    let found = samples.modality()?;
+    if found.includes(modality) {
+        return Ok(());
+    }
+    let what = format!("cannot train on {}: the dataset has no depth images", modality.words());
+    Err(Error::input(what)
+        .at(samples.root().display())
+        .remedy(format!(
+            "train with `--modality {}`, or render or record depth",
+            found.name().to_ascii_lowercase()
+        )))
 }
 
 fn check_labels(samples: &Samples) -> Result<()> {
@@ -462,7 +479,7 @@ impl<'a> Training<'a> {
         let train = self.train;
         let epoch_seed = SeedStream::named(settings.seed, &format!("epoch {epoch}")).bits();
         let order = train.shuffled(epoch_seed, buffer);
-        let writer = InputWriter::new(settings.augmentation, self.normalisation);
+        let writer = InputWriter::new(settings.augmentation(), self.normalisation);
         let mut batches = Batches::new(train, settings.modality, writer, buffer).balanced();
         let mut read = |step: u64| -> Result<Batch> {
             let first = step as usize * batch_size;
@@ -512,13 +529,14 @@ impl<'a> Training<'a> {
         }
         let seconds = start.elapsed().as_secs_f64();
         let done = (steps - first) * batch_size as u64;
-        let scores = self.validate(on_progress)?;
+        let (scores, geometry_error_m) = self.validate(on_progress)?;
         Ok(EpochMetrics {
             epoch: epoch + 1,
             train_loss: self.position.loss_sum / steps.max(1) as f64,
             validation_loss: scores.loss,
             validation_accuracy: scores.accuracy,
             validation_auroc: scores.auroc,
+            validation_geometry_error_m: geometry_error_m,
             samples_per_s: done as f64 / seconds.max(1e-9),
         })
     }
@@ -555,7 +573,10 @@ impl<'a> Training<'a> {
     }
 
     /// Evaluates the network on the validation split.
-    fn validate(&self, on_progress: &(dyn Fn(TrainEvent) + Sync)) -> Result<Scores> {
+    fn validate(
+        &self,
+        on_progress: &(dyn Fn(TrainEvent) + Sync),
+    ) -> Result<(Scores, Option<f64>)> {
         let total = self.validation.facts().len();
         let logits = logits(
             &self.network,
@@ -564,7 +585,7 @@ impl<'a> Training<'a> {
             self.normalisation,
             &|done| on_progress(TrainEvent::Validate([done, total])),
         )?;
-        Ok(Scores::new(&logits))
+        Ok((Scores::new(logits.best()), logits.geometry_error_m))
     }
 }
 

@@ -13,7 +13,7 @@ use gripcast_nn::Network;
 use gripcast_nn::predict::contract::RgbNormalisation;
 
 /// Version of `run.json` and of the checkpoints.
-pub(super) const VERSION: u64 = 2;
+pub(super) const VERSION: u64 = 3;
 /// Lock file of a run.
 const LOCK: &str = ".lock";
 
@@ -62,6 +62,10 @@ pub struct EpochMetrics {
     pub validation_accuracy: f64,
     /// AUROC on the validation split.
     pub validation_auroc: Option<f64>,
+    /// Mean absolute error of the object's extents on the validation split, m; none without camera
+    /// images or known extents.
+    #[serde(default)]
+    pub validation_geometry_error_m: Option<f64>,
     /// Training throughput, samples/s.
     pub samples_per_s: f64,
 }

@@ -23,6 +23,9 @@ pub(crate) fn settings(modality: Modality) -> TrainSettings {
         convolutions: vec![conv(16, 8, 8, 0), conv(16, 3, 2, 1)],
         pool: [3, 4],
         embedding: 16,
+        camera_embedding: 16,
+        geometry: true,
+        fallbacks: true,
         hidden: 16,
     };
     TrainSettings {
@@ -51,7 +54,7 @@ fn exported_model_matches_network() {
     let data = folder.path().join("data");
     write_dataset(&data, 24);
     let out = folder.path().join("run");
-    for modality in [Modality::Vt, Modality::T, Modality::V] {
+    for modality in [Modality::Vtd, Modality::T, Modality::V] {
         let settings = TrainSettings {
             epochs: 6,
             ..settings(modality)
@@ -69,7 +72,10 @@ fn exported_model_matches_network() {
         assert_eq!(fs::read(run.model().shown()).unwrap(), finished.onnx);
         let model = Model::from_bytes(&finished.onnx).unwrap();
         assert_eq!(model.contract().modality, modality);
-        assert_eq!(model.ood_detector().is_some(), modality != Modality::V);
+        assert_eq!(model.ood_detector().is_some(), modality.has_touch());
+        let validation_metrics = &trained.best;
+        let has_geometry = validation_metrics.validation_geometry_error_m.is_some();
+        assert_eq!(has_geometry, modality != Modality::T);
         let (network, _) = run.best_network(&settings).unwrap();
         let found = logits(
             &network,
@@ -81,11 +87,11 @@ fn exported_model_matches_network() {
         .unwrap();
         let mut reader = SampleReader::new(&validation, 0);
         let mut decoder = gripcast_imaging::Decoder::new().unwrap();
-        for (i, logit) in found.iter().enumerate() {
+        for (i, logit) in found.best().iter().enumerate() {
             let (rows, row) = reader.rows(&[i]).unwrap().remove(0);
             let images =
-                SampleImages::decode(&mut decoder, &rows[row].images, [true, true]).unwrap();
-            let mut input = ModelInput::zeros(model.contract()).unwrap();
+                SampleImages::decode(&mut decoder, &rows[row].images, Modality::Vtd).unwrap();
+            let mut input = ModelInput::new(model.contract()).unwrap();
             let names = [
                 gripcast_nn::predict::contract::InputName::TactileLeft,
                 gripcast_nn::predict::contract::InputName::TactileRight,
@@ -96,6 +102,7 @@ fn exported_model_matches_network() {
                 input.set_tactile(name, &difference).unwrap();
             }
             input.set_rgb(&images.rgb).unwrap();
+            input.set_depth(images.depth.as_ref().unwrap()).unwrap();
             let predicted = model.predict(&input).unwrap().p_stable;
             let expected = logit.scored(finished.temperature).p_stable;
             assert!(

@@ -3,14 +3,14 @@
 use std::path::Path;
 
 use glam::{DQuat, DVec3};
-use image::{Rgb, RgbImage};
+use image::{Luma, Rgb, RgbImage};
 
 use gripcast_base::files::Root;
 use gripcast_dataset::shard::{
     ShardEngine, ShardFacts, ShardImages, ShardOutcome, ShardRow, ShardWriter, shard_path,
 };
-use gripcast_geometry::Pose;
-use gripcast_imaging::{encode_jpeg, synthetic_gel};
+use gripcast_geometry::{GraspGeometry, Pose, WristCamera};
+use gripcast_imaging::{DepthImage, encode_jpeg, encode_png_grey16, synthetic_gel};
 
 /// Returns row `number` of a split; each split has its own objects.
 pub(super) fn row(split: &str, number: u64) -> ShardRow {
@@ -20,6 +20,7 @@ pub(super) fn row(split: &str, number: u64) -> ShardRow {
 
 /// Returns a row with a label and a contact from 0 (none) to 1 (full).
 pub(super) fn graded_row(split: &str, number: u64, is_stable: bool, contact: f32) -> ShardRow {
+    let half_m = 0.01 + 0.005 * (number % 5) as f64;
     let facts = ShardFacts {
         id: format!("{split}-{number:04}"),
         simulation: format!("{split}-{number:04}"),
@@ -45,6 +46,14 @@ pub(super) fn graded_row(split: &str, number: u64, is_stable: bool, contact: f32
         rendering: 0,
         seed: number,
         crop_profile: "full-v1".to_owned(),
+        geometry: Some(GraspGeometry {
+            x_m: [-half_m, half_m],
+            y_m: [-0.02, 0.02],
+            z_m: [-0.01, 0.05],
+            y_at_gels_m: [-0.02, 0.02],
+            centre_m: [0.0, 0.02],
+        }),
+        lift: None,
     };
     let salt = split.bytes().map(u64::from).sum::<u64>();
     let gel = |side: u64, contact: f32| {
@@ -69,9 +78,22 @@ pub(super) fn graded_row(split: &str, number: u64, is_stable: bool, contact: f32
         grasp_right: gel(1, contact),
         grasp_rgb: encode_jpeg(&rgb, 85).unwrap(),
         initial_rgb: None,
-        grasp_depth: None,
+        grasp_depth: Some(depth(half_m, number)),
     };
     ShardRow { facts, images }
+}
+
+/// Depth image of a plate of this half width, mm.
+fn depth(half_m: f64, number: u64) -> Vec<u8> {
+    let depth_m = 0.18;
+    let half_px = half_m / depth_m * WristCamera::focal_px(320, 240);
+    let image = DepthImage::from_fn(320, 240, |x, y| {
+        let is_plate = (f64::from(x) - 159.5).abs() < half_px && (60..180).contains(&y);
+        // Rows differ between samples, as images in two splits would be duplicates.
+        let noise = (u64::from(y) + number) % 3;
+        Luma([if is_plate { 180 } else { 400 + noise as u16 }])
+    });
+    encode_png_grey16(&image).unwrap()
 }
 
 /// Writes a split as one shard.

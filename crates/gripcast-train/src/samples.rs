@@ -11,6 +11,9 @@ use gripcast_base::error::{Error, Result};
 use gripcast_base::files::{BeneathPath, FileKind, hex};
 use gripcast_base::random::SeedStream;
 use gripcast_dataset::shard::{ShardFacts, ShardReader, ShardRow, ShardSet};
+use gripcast_geometry::GraspGeometry;
+use gripcast_nn::predict::contract::Modality;
+use gripcast_shear::LiftMotion;
 
 /// Metadata of a sample.
 #[derive(Clone, Debug)]
@@ -27,6 +30,10 @@ pub struct SampleFacts {
     pub is_stable: bool,
     /// Stopping force (mean normal force per finger), N, if known.
     pub stop_force_n: Option<f64>,
+    /// Extents of the object in the gripper frame, if known.
+    pub geometry: Option<GraspGeometry>,
+    /// What the gels show in the lift, if known.
+    pub lift_motion: Option<LiftMotion>,
 }
 
 impl From<ShardFacts> for SampleFacts {
@@ -38,6 +45,8 @@ impl From<ShardFacts> for SampleFacts {
             object: facts.object,
             category: facts.category,
             stop_force_n: facts.stop_force_n,
+            geometry: facts.geometry,
+            lift_motion: facts.lift,
         }
     }
 }
@@ -143,6 +152,21 @@ impl Samples {
     /// Crop profile of the tactile images.
     pub fn crop_profile(&self) -> &str {
         &self.crop_profile
+    }
+
+    /// Returns the inputs that the first sample has: touch, colour and perhaps depth.
+    ///
+    /// # Errors
+    /// Errors of reading the file.
+    pub fn modality(&self) -> Result<Modality> {
+        let rows = SampleReader::new(self, 0).rows(&[0])?;
+        let has_depth = |(rows, row): &(Arc<Vec<ShardRow>>, usize)| {
+            rows[*row].images.grasp_depth.is_some()
+        };
+        Ok(match rows.iter().any(has_depth) {
+            true => Modality::Vtd,
+            false => Modality::Vt,
+        })
     }
 
     /// Returns the number of samples per label: slip, stable.

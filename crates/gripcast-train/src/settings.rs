@@ -104,6 +104,16 @@ impl TrainSettings {
         }
     }
 
+    /// Augmentation that suits the inputs: a gripper rotated by 180° has no camera images, which only
+    /// a network that also predicts from touch alone can use.
+    pub(super) fn augmentation(&self) -> Augmentation {
+        let heads = self.architecture.heads(self.modality);
+        Augmentation {
+            rotate_180: self.augmentation.rotate_180 && heads.contains(&Modality::T),
+            ..self.augmentation
+        }
+    }
+
     /// Number of epochs of all phases.
     pub fn total_epochs(&self) -> u32 {
         let unfrozen = self.fine_tuning.as_ref().map_or(0, |f| f.unfreeze_epochs);

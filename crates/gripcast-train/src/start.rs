@@ -9,7 +9,9 @@ use super::samples::Samples;
 use gripcast_base::error::{Error, Result};
 use gripcast_base::files::{BeneathPath, FileKind, sha256_hex};
 use gripcast_nn::predict::contract::{InputName, Origin, RgbNormalisation};
-use gripcast_nn::predict::{ModelContract, OodDetector, SHIPPED, model_bytes, ood};
+use gripcast_nn::predict::{
+    LiftHead, ModelContract, OodDetector, SHIPPED, lift, model_bytes, ood,
+};
 use gripcast_nn::{Architecture, Network, from_onnx};
 
 /// A model that `train` wrote, ready to be trained further.
@@ -21,6 +23,7 @@ pub struct StartModel {
     network: Network,
     architecture: Architecture,
     ood_detector: Option<OodDetector>,
+    lift_head: Option<LiftHead>,
 }
 
 impl StartModel {
@@ -75,7 +78,12 @@ impl StartModel {
         let ood_detector = ood_detector
             .map(|text| OodDetector::from_metadata(text))
             .transpose()?;
+        let lift_head = contract.other.get(lift::METADATA);
+        let lift_head = lift_head
+            .map(|text| LiftHead::from_metadata(text))
+            .transpose()?;
         Ok(Self {
+            lift_head,
             sha256: sha256_hex(&bytes),
             bytes,
             network,
@@ -113,6 +121,11 @@ impl StartModel {
     /// OOD detector of the model, if any.
     pub(super) fn ood_detector(&self) -> Option<&OodDetector> {
         self.ood_detector.as_ref()
+    }
+
+    /// Verdict in the lift, if the model has it.
+    pub(super) fn lift_head(&self) -> Option<&LiftHead> {
+        self.lift_head.as_ref()
     }
 
     /// Normalisation of the colour images.

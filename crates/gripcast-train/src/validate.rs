@@ -7,7 +7,7 @@ use super::samples::Samples;
 use super::settings::TrainSettings;
 use gripcast_base::error::Result;
 use gripcast_nn::Network;
-use gripcast_nn::predict::contract::RgbNormalisation;
+use gripcast_nn::predict::contract::{GEOMETRY_UNIT_M, Modality, RgbNormalisation};
 
 /// Cached bytes of images; samples are read in order.
 const MEMORY: usize = 1 << 25;
@@ -32,7 +32,42 @@ impl Logit {
     }
 }
 
-/// Computes the logits of all samples of a split, in order.
+/// Predictions of all samples of a split, in order.
+#[derive(Clone, Debug, PartialEq)]
+pub struct SplitLogits {
+    /// The sets of inputs that the network predicts from, all of its inputs first.
+    heads: Vec<Modality>,
+    /// Logits by head and sample, also where a sample lacks inputs.
+    logits: Vec<Vec<Logit>>,
+    /// Inputs that each sample has.
+    available: Vec<Modality>,
+    /// Mean absolute error of the geometry, m; none where it is unknown.
+    pub geometry_error_m: Option<f64>,
+}
+
+impl SplitLogits {
+    /// The largest set of inputs that all samples have; none if no prediction can be made for all.
+    pub fn complete(&self) -> Option<Modality> {
+        let has_all = |head: &Modality| self.available.iter().all(|a| a.includes(*head));
+        self.heads.iter().copied().find(has_all)
+    }
+
+    /// Logits of all samples from some inputs; empty if a sample lacks one or the network does not
+    /// predict from them.
+    pub fn of(&self, inputs: Modality) -> &[Logit] {
+        let is_complete = self.available.iter().all(|a| a.includes(inputs));
+        let index = self.heads.iter().position(|head| *head == inputs);
+        let logits = index.filter(|_| is_complete).map(|at| &self.logits[at][..]);
+        logits.unwrap_or_default()
+    }
+
+    /// Logits of all samples from the [complete](Self::complete) inputs.
+    pub fn best(&self) -> &[Logit] {
+        self.complete().map_or(&[], |inputs| self.of(inputs))
+    }
+}
+
+/// Computes the predictions of all samples of a split.
 ///
 /// # Errors
 /// Errors of reading and decoding.
@@ -42,21 +77,39 @@ pub fn logits(
     settings: &TrainSettings,
     normalisation: RgbNormalisation,
     on_progress: &dyn Fn(usize),
-) -> Result<Vec<Logit>> {
+) -> Result<SplitLogits> {
     let writer = InputWriter::new(Augmentation::NONE, normalisation);
     let mut batches = Batches::new(samples, settings.modality, writer, MEMORY);
     let all: Vec<usize> = (0..samples.facts().len()).collect();
-    let mut logits = Vec::with_capacity(all.len());
+    let heads: Vec<Modality> = network.heads().collect();
+    let mut logits = vec![Vec::with_capacity(all.len()); heads.len()];
+    let mut available = Vec::with_capacity(all.len());
+    let (mut error, mut known) = (0.0, 0_usize);
     for indices in all.chunks(BATCH_SIZE) {
         let batch = batches.batch(indices, None)?;
-        let outputs = network.logits(&batch);
-        logits.extend(indices.iter().zip(outputs).map(|(i, logit)| Logit {
-            logit: f64::from(logit),
-            is_stable: samples.facts()[*i].is_stable,
-        }));
-        on_progress(logits.len());
+        let outputs = network.outputs(&batch);
+        for (all, head) in logits.iter_mut().zip(outputs.logits) {
+            all.extend(indices.iter().zip(head).map(|(i, logit)| Logit {
+                logit: f64::from(logit),
+                is_stable: samples.facts()[*i].is_stable,
+            }));
+        }
+        if let Some((_, found)) = outputs.geometry.last() {
+            let pairs = found.iter().zip(&batch.geometry);
+            for (found, truth) in pairs.filter(|(_, truth)| truth.is_finite()) {
+                error += f64::from((found - truth).abs()) * GEOMETRY_UNIT_M;
+                known += 1;
+            }
+        }
+        available.extend(batch.available);
+        on_progress(available.len());
     }
-    Ok(logits)
+    Ok(SplitLogits {
+        heads,
+        logits,
+        available,
+        geometry_error_m: (known > 0).then(|| error / known as f64),
+    })
 }
 
 /// Validation scores of a checkpoint.

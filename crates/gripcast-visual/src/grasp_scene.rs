@@ -8,7 +8,7 @@ use glam::{DQuat, DVec3, Vec3};
 use super::annotation_markers::{AnnotationMarkers, PRINT_LIFT_M};
 use super::camera::Camera;
 use super::conditions::{GroundSource, VisualConditions};
-use super::d435::{colour_camera, t_gripper_camera};
+use super::d435::colour_camera;
 use super::finish::STEEL;
 use super::grasp_state::GraspState;
 use super::gripper::{GripperSurface, gripper_parts};
@@ -18,7 +18,7 @@ use super::scene::{Mesh, Scene};
 use super::shading::{Projection, shaded_mesh};
 use super::texture::Bitmap;
 use gripcast_base::error::{Error, Result};
-use gripcast_geometry::{Aabb, CREASE_RAD, Pose};
+use gripcast_geometry::{Aabb, CREASE_RAD, Pose, WristCamera};
 
 /// Half width of the table, m; beyond it the lower hemisphere of the environment map is visible.
 const TABLE_HALF_M: f32 = 0.9;
@@ -132,7 +132,7 @@ pub fn eye_in_hand_camera(
     let moved = |fraction: f64| {
         let shift = conditions.t_nominal_camera.translation_m * fraction;
         let rotation = DQuat::IDENTITY.slerp(conditions.t_nominal_camera.rotation, fraction);
-        let t_gripper_moved = t_gripper_camera() * Pose::new(rotation, shift);
+        let t_gripper_moved = WristCamera::t_gripper_camera() * Pose::new(rotation, shift);
         let mut camera = colour_camera(width, height, state.t_world_gripper * t_gripper_moved);
         let factor = 1.0 + fraction * (conditions.focal_factor - 1.0);
         camera.focal_px = camera.focal_px.map(|f| f * factor);

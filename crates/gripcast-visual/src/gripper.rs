@@ -36,10 +36,9 @@ use serde::Deserialize;
 
 use GripperSurface::{Anodised, CameraShell, CameraWindow, Housing, Print, Rubber, Steel};
 
-use super::d435::t_gripper_camera;
 use super::solids::{cylinder, mirrored_x, rounded_box, smooth_path, tube};
 use gripcast_base::error::{Error, Result};
-use gripcast_geometry::{Pose, TriangleMesh};
+use gripcast_geometry::{Pose, TriangleMesh, WristCamera};
 
 /// Maximum opening, m.
 const MAX_OPENING_M: f64 = 0.2;
@@ -203,7 +202,7 @@ fn camera() -> Vec<GripperPart> {
     ];
     let lens = |x| rod("camera lens", Housing, x, [1.0, 4.5], 3.2, 24);
     parts.extend([0.0, 14.7, 45.0, 64.7].map(lens));
-    let t_gripper_camera = t_gripper_camera();
+    let t_gripper_camera = WristCamera::t_gripper_camera();
     parts
         .iter()
         .map(|part| part.moved(&t_gripper_camera))
@@ -272,7 +271,7 @@ mod tests {
     #[test]
     fn camera_has_clear_view_of_gels() {
         let parts = gripper_parts(0.06).unwrap();
-        let eye = t_gripper_camera().translation_m;
+        let eye = WristCamera::t_gripper_camera().translation_m;
         for part in parts.iter().filter(|p| !p.name.starts_with("camera")) {
             let query = MeshQuery::new(&part.shape);
             // Just in front of the middles of the faces, and the point between them.

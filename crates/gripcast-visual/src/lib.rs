@@ -49,8 +49,7 @@ pub use bitmap_file::{load_bitmap, read_bitmap};
 pub use camera::Camera;
 pub use conditions::{EnvMapSource, GroundSource, VisualConditions, VisualRandomisation};
 pub use d435::{
-    COLOUR_FOCAL_PX, COLOUR_SIZE, ColourSettings, DepthSettings, colour_camera, crop_scale,
-    develop, measure_depth, t_gripper_camera,
+    ColourSettings, DepthSettings, colour_camera, develop, measure_depth,
 };
 pub use demo::{demo_model, random_finish, typical_finishes};
 pub use denoise::{DENOISE_RADIUS_PX, denoise};

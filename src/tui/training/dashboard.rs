@@ -11,7 +11,6 @@ use super::super::text::{
 };
 use super::plot;
 use super::status::{TrainingStatus, figure};
-use gripcast_nn::predict::contract::Modality;
 
 /// Minimum size of the dashboard; smaller ones show one line only.
 const MIN_COLUMNS: u16 = 40;
@@ -152,11 +151,7 @@ fn dataset(status: &TrainingStatus, palette: Palette) -> Line<'static> {
 
 fn settings(status: &TrainingStatus, palette: Palette) -> Line<'static> {
     let settings = &status.settings;
-    let modality = match settings.modality {
-        Modality::V => "vision",
-        Modality::T => "touch",
-        Modality::Vt => "vision and touch",
-    };
+    let modality = settings.modality.words();
     let mut text = format!(
         "{modality} · network {} · batch {} · seed {}",
         settings.architecture.name, settings.batch_size, settings.seed

@@ -4,6 +4,8 @@ use parquet::errors::ParquetError;
 use parquet::schema::types::TypePtr;
 
 use super::table_column::{self, ColumnType};
+use gripcast_geometry::GraspGeometry;
+use gripcast_shear::LiftMotion;
 
 /// One column.
 #[derive(Clone, Copy, Debug)]
@@ -31,7 +33,7 @@ const fn nullable(name: &'static str, kind: ColumnType) -> Column {
 }
 
 /// Columns of `ShardFacts`, in the order of the file.
-pub(super) const FACTS: [Column; 22] = [
+pub(super) const FACTS: [Column; 24] = [
     required("id", ColumnType::Text),
     required("simulation", ColumnType::Text),
     required("object", ColumnType::Text),
@@ -54,6 +56,8 @@ pub(super) const FACTS: [Column; 22] = [
     required("rendering", ColumnType::Int64),
     required("seed", ColumnType::Int64),
     required("crop_profile", ColumnType::Text),
+    nullable("geometry_m", ColumnType::Float64List(GraspGeometry::LEN)),
+    nullable("lift_motion", ColumnType::Float64List(LiftMotion::LEN)),
 ];
 
 /// Columns of `ShardImages`, after the facts: `<stage>_<role>`.

@@ -6,7 +6,8 @@ use glam::DQuat;
 
 use super::cell::{Cell, Cells, column_error};
 use gripcast_base::error::Result;
-use gripcast_geometry::Pose;
+use gripcast_geometry::{GraspGeometry, Pose};
+use gripcast_shear::LiftMotion;
 
 /// Tolerance of a unit quaternion's norm.
 const UNIT_TOLERANCE: f64 = 1e-3;
@@ -61,6 +62,12 @@ pub struct ShardFacts {
     /// Maps gripper coordinates into the object frame; columns `pose_t_m` (m) and `pose_q_wxyz`
     /// (unit quaternion, w ≥ 0).
     pub t_object_gripper: Option<Pose>,
+    /// Extents of the object in the gripper frame; column `geometry_m` with the values of
+    /// [`GraspGeometry::to_array`].
+    pub geometry: Option<GraspGeometry>,
+    /// What the gels show in the first millimetres of the lift; column `lift_motion` with the values
+    /// of [`LiftMotion::to_values`].
+    pub lift: Option<LiftMotion>,
     /// Planned deviation from an antipodal grasp: `none`, `off_centre`, `tilted`, …; none for a
     /// grasp from outside the plan.
     pub fault: Option<String>,
@@ -193,6 +200,12 @@ impl ShardFacts {
             Cell::Integer(i64::from(self.rendering)),
             Cell::Integer(self.seed.cast_signed()),
             Cell::text(&self.crop_profile),
+            self.geometry.map_or(Cell::Null, |geometry| {
+                Cell::Numbers(geometry.to_array().to_vec())
+            }),
+            self.lift.as_ref().map_or(Cell::Null, |lift| {
+                Cell::Numbers(lift.to_values())
+            }),
         ]
     }
 
@@ -230,6 +243,10 @@ impl ShardFacts {
             rendering: cells.natural()?,
             seed: cells.natural()?,
             crop_profile: cells.text()?,
+            geometry: cells.optional_numbers()?.map(geometry).transpose()?,
+            lift: cells
+                .optional_numbers()?
+                .map(|values| LiftMotion::from_values(&values)),
         })
     }
 
@@ -271,6 +288,11 @@ impl ShardFacts {
                 "seed",
                 format!("is {}, expected a value below 2^63", self.seed),
             ));
+        }
+        let extents = self.geometry.iter().flat_map(|g| g.to_array());
+        if let Some(value) = extents.into_iter().find(|value| !value.is_finite()) {
+            let what = format!("has {value}, expected finite numbers");
+            return Err(column_error("geometry_m", what));
         }
         let Some(stored) = &self.t_object_gripper else {
             return Ok(());
@@ -345,6 +367,17 @@ fn optional_pose(cells: &mut Cells<'_>) -> Result<Option<Pose>> {
         (Some(t_m), Some(q_wxyz)) => pose(&t_m, &q_wxyz).map(Some),
         (None, Some(_)) => Err(column_error("pose_t_m", "is null, pose_q_wxyz is not")),
         (Some(_), None) => Err(column_error("pose_q_wxyz", "is null, pose_t_m is not")),
+    }
+}
+
+fn geometry(values: Vec<f64>) -> Result<GraspGeometry> {
+    let found = values.len();
+    match values.try_into() {
+        Ok(values) => Ok(GraspGeometry::from_array(values)),
+        Err(_) => Err(column_error(
+            "geometry_m",
+            format!("has {found} numbers, expected {}", GraspGeometry::LEN),
+        )),
     }
 }
 

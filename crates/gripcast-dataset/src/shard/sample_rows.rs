@@ -3,7 +3,8 @@
 use glam::{DQuat, DVec3};
 
 use super::row::{ShardEngine, ShardFacts, ShardImages, ShardOutcome, ShardRow};
-use gripcast_geometry::Pose;
+use gripcast_geometry::{GraspGeometry, Pose};
+use gripcast_shear::{GelMotion, LiftMotion};
 
 /// Bytes with the signature of an image; not decodable.
 pub(super) fn image(png: bool, seed: u64, length: usize) -> Vec<u8> {
@@ -59,6 +60,12 @@ pub(super) fn sample_row(number: u64) -> ShardRow {
         rendering: (number % 3) as u32,
         seed: i64::MAX as u64 - number,
         crop_profile: "paper".to_owned(),
+        lift: every(2).then(|| LiftMotion {
+            frames: vec![[GelMotion { level: 4.0 + x, ..GelMotion::default() }; 2]; 2],
+        }),
+        geometry: every(3).then(|| {
+            GraspGeometry::from_array(std::array::from_fn(|i| 0.01 * i as f64 - 0.02 * x))
+        }),
     };
     let images = ShardImages {
         initial_left: image(false, number, 40),

@@ -196,5 +196,7 @@ fn facts(record: &GraspRecord, outcome: ShardOutcome, crop: &str) -> Result<Shar
         rendering: 0,
         seed: 0,
         crop_profile: crop.to_owned(),
+        geometry: None,
+        lift: None,
     })
 }

@@ -216,6 +216,8 @@ fn row(id: String, label: &GraspLabel, images: ShardImages) -> ShardRow {
             rendering: 0,
             seed: 0,
             crop_profile: CROP.name().to_owned(),
+            geometry: None,
+            lift: None,
         },
         images,
     }

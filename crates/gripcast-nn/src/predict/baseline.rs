@@ -63,6 +63,8 @@ pub fn contract() -> ModelContract {
             .to_vec(),
         threshold: 0.5,
         temperature: 1.0,
+        fallbacks: Vec::new(),
+        geometry: Vec::new(),
         crop_profile: None,
         card: CARD.to_owned(),
         other: [("gripcast.licence", "MIT OR Apache-2.0")]

@@ -8,8 +8,9 @@ use serde::Serialize;
 use super::contract::{IMAGE_HEIGHT, IMAGE_WIDTH, InputName};
 use super::engine::Model;
 use super::input::ModelInput;
+use super::points::{Depth, PointMap};
 use gripcast_base::error::Result;
-use gripcast_imaging::TactileDifference;
+use gripcast_imaging::{DepthImage, TactileDifference};
 
 /// Number of loads per measurement.
 const LOADS: usize = 5;
@@ -122,9 +123,16 @@ fn synthetic_input(model: &Model) -> Result<ModelInput> {
 
 /// Sets all inputs of a model.
 fn fill(input: &mut ModelInput, model: &Model, initial: &RgbImage, grasp: &RgbImage) -> Result<()> {
-    for &name in model.contract().modality.inputs() {
+    for name in model.contract().modality.inputs() {
         match name {
             InputName::Rgb => input.set_rgb(grasp)?,
+            InputName::Depth => {
+                let image = DepthImage::from_fn(IMAGE_WIDTH, IMAGE_HEIGHT, |x, y| {
+                    image::Luma([(150 + (x + y) % 100) as u16])
+                });
+                let unit_m = 1e-3;
+                input.set_depth(&PointMap::new(&Depth { image, unit_m }))?;
+            }
             tactile => {
                 let difference = TactileDifference::between(initial, grasp)?;
                 input.set_tactile(tactile, &difference)?;

@@ -9,11 +9,13 @@
 //! | `gripcast.schema` | `1` |
 //! | `gripcast.name` | name of the model |
 //! | `gripcast.kind` | `trained` or `heuristic` |
-//! | `gripcast.variant` | `V`, `T` or `VT` |
+//! | `gripcast.variant` | modalities: `V`, `T`, `VT`, `D`, `VD`, `TD` or `VTD` |
 //! | `gripcast.inputs` | JSON list of [`InputSpec`] |
 //! | `gripcast.output` | `p_stable` |
 //! | `gripcast.threshold` | decision threshold: stable at or above it; in (0, 1) |
 //! | `gripcast.temperature` | calibration temperature, already part of the graph |
+//! | `gripcast.fallbacks` | JSON list of [`OutputSpec`]: outputs from fewer inputs, `p_stable_t`, …; absent without any |
+//! | `gripcast.geometry` | JSON list of the inputs from which the graph reads the geometry, output `geometry_depth`, …; absent without any |
 //! | `gripcast.crop_profile` | crop of the tactile images; `any` if the model does not depend on it |
 //! | `gripcast.seed`, `gripcast.train.manifest_sha256` | origin of a trained model; `none` for a heuristic |
 //! | `gripcast.card` | Markdown: intended use, data, limits, licence |
@@ -23,14 +25,14 @@ use std::collections::BTreeMap;
 use std::str::FromStr;
 
 use prost::Message as _;
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 use tract_onnx::pb::{ModelProto, StringStringEntryProto};
 
 use super::graph_check::{check_graph, list, refusal};
 use super::onnx::OnnxGraphBuilder;
 pub use super::tensors::{
-    IMAGE_HEIGHT, IMAGE_WIDTH, INPUT_SHAPE, InputName, InputSpec, Modality, OUTPUT, OUTPUT_SHAPE,
-    RgbNormalisation,
+    GEOMETRY, GEOMETRY_SHAPE, GEOMETRY_UNIT_M, IMAGE_HEIGHT, IMAGE_WIDTH, INPUT_SHAPE, InputName, InputSpec,
+    Modality, OUTPUT, OUTPUT_SHAPE, RgbNormalisation, geometry_output, is_fallback, output_of,
 };
 use gripcast_base::error::{Error, Result};
 use gripcast_imaging::CropProfile;
@@ -40,6 +42,10 @@ pub const SCHEMA: u32 = 1;
 /// Crop profile of a model that does not depend on the crop.
 const ANY_CROP: &str = "any";
 const NONE: &str = "none";
+/// Key of the outputs from fewer inputs.
+const FALLBACKS: &str = "gripcast.fallbacks";
+/// Key of the inputs from which the geometry is read.
+const GEOMETRY_INPUTS: &str = "gripcast.geometry";
 /// Start of the contract's keys.
 const PREFIX: &str = "gripcast.";
 const HOW_TO_EXPORT: &str = "write gripcast's contract into the file with `gripcast predict stamp`, \
@@ -71,6 +77,19 @@ impl Origin {
     }
 }
 
+/// A prediction that a model makes from some of its inputs.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct OutputSpec {
+    /// The inputs.
+    #[serde(rename = "variant")]
+    pub modality: Modality,
+    /// Decision threshold: the grasp is predicted stable at or above it; in (0, 1).
+    pub threshold: f64,
+    /// Calibration temperature, already part of the graph.
+    pub temperature: f64,
+}
+
 /// Contract of a model file.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ModelContract {
@@ -86,6 +105,10 @@ pub struct ModelContract {
     pub threshold: f64,
     /// Calibration temperature, already part of the graph.
     pub temperature: f64,
+    /// Predictions from fewer inputs, in the order of [`Modality::ALL`].
+    pub fallbacks: Vec<OutputSpec>,
+    /// Inputs from which the graph reads the geometry of the grasp.
+    pub geometry: Vec<InputName>,
     /// Crop of the tactile images; `None` if the model does not depend on it.
     pub crop_profile: Option<CropProfile>,
     /// Markdown: intended use, data, limits, licence.
@@ -102,7 +125,7 @@ impl ModelContract {
     pub fn from_proto(model: &ModelProto) -> Result<Self> {
         let read = || {
             let contract = Self::from_metadata(model)?;
-            check_graph(contract.modality, model)?;
+            check_graph(&contract, model)?;
             Ok(contract)
         };
         read().map_err(|error: Error| error.remedy(HOW_TO_EXPORT))
@@ -135,7 +158,7 @@ impl ModelContract {
                 .into_iter()
                 .map(|(key, value)| StringStringEntryProto { key, value }),
         );
-        check_graph(self.modality, &model)?;
+        check_graph(self, &model)?;
         Ok(model.encode_to_vec())
     }
 
@@ -166,6 +189,17 @@ impl ModelContract {
             ("gripcast.card", self.card.clone()),
         ];
         let mut metadata = self.other.clone();
+        let text = |list: serde_json::Result<String>| {
+            list.map_err(|cause| Error::internal("cannot write the outputs").because(cause))
+        };
+        if !self.fallbacks.is_empty() {
+            let list = text(serde_json::to_string(&self.fallbacks))?;
+            metadata.insert(FALLBACKS.to_owned(), list);
+        }
+        if !self.geometry.is_empty() {
+            let list = text(serde_json::to_string(&self.geometry))?;
+            metadata.insert(GEOMETRY_INPUTS.to_owned(), list);
+        }
         metadata.extend(pairs.map(|(key, value)| (key.to_owned(), value)));
         Ok(metadata)
     }
@@ -174,6 +208,24 @@ impl ModelContract {
     #[must_use]
     pub fn input(&self, name: InputName) -> Option<&InputSpec> {
         self.inputs.iter().find(|input| input.name == name)
+    }
+
+    /// All predictions of the model, those from all inputs first.
+    pub fn outputs(&self) -> impl Iterator<Item = OutputSpec> + '_ {
+        let all = OutputSpec {
+            modality: self.modality,
+            threshold: self.threshold,
+            temperature: self.temperature,
+        };
+        [all].into_iter().chain(self.fallbacks.iter().copied())
+    }
+
+    /// The prediction that uses most of the available inputs; none if no prediction can be made
+    /// from them.
+    #[must_use]
+    pub fn output_from(&self, is_available: impl Fn(InputName) -> bool) -> Option<OutputSpec> {
+        let complete = |output: &OutputSpec| output.modality.inputs().into_iter().all(&is_available);
+        self.outputs().find(complete)
     }
 
     /// Whether the model is a heuristic, not trained.
@@ -223,10 +275,10 @@ impl ModelContract {
             }));
         }
         let name = metadata.take("gripcast.variant")?;
-        let all = [Modality::V, Modality::T, Modality::Vt];
-        let Some(modality) = all.into_iter().find(|modality| modality.name() == name) else {
+        let Some(modality) = Modality::by_name(&name) else {
             return Err(refusal(format!(
-                "`gripcast.variant`: expected V, T or VT, found `{name}`"
+                "`gripcast.variant`: expected {}, found `{name}`",
+                list(Modality::ALL)
             )));
         };
         let inputs: Vec<InputSpec> = serde_json::from_str(&metadata.take("gripcast.inputs")?)
@@ -261,6 +313,8 @@ impl ModelContract {
             inputs,
             threshold: metadata.parse("gripcast.threshold", "a number")?,
             temperature: metadata.parse("gripcast.temperature", "a number")?,
+            fallbacks: metadata.list(FALLBACKS)?,
+            geometry: metadata.list(GEOMETRY_INPUTS)?,
             crop_profile: metadata.crop_profile()?,
             card: metadata.take("gripcast.card")?,
             other: metadata.rest(),
@@ -274,16 +328,43 @@ impl ModelContract {
         if self.name.trim().is_empty() {
             return Err(refusal("`gripcast.name` is empty"));
         }
-        if !(self.threshold > 0.0 && self.threshold < 1.0) {
+        for output in self.outputs() {
+            // The keys of fallbacks are in their list.
+            let key = |what: &str| match output.modality == self.modality {
+                true => format!("`gripcast.{what}`"),
+                false => format!("`{FALLBACKS}`, `{what}` of {}", output.modality),
+            };
+            if !(output.threshold > 0.0 && output.threshold < 1.0) {
+                return Err(refusal(format!(
+                    "{}: expected a probability between 0 and 1, found {}",
+                    key("threshold"),
+                    output.threshold
+                )));
+            }
+            if !(output.temperature > 0.0 && output.temperature.is_finite()) {
+                return Err(refusal(format!(
+                    "{}: expected a finite number above 0, found {}",
+                    key("temperature"),
+                    output.temperature
+                )));
+            }
+        }
+        let mut fallbacks = self.fallbacks.iter().map(|output| output.modality);
+        let all = self.modality;
+        let is_part = |part: &Modality| all.includes(*part) && *part != all;
+        if !fallbacks.clone().is_sorted_by(|a, b| a < b) || !fallbacks.all(|m| is_part(&m)) {
+            let found = list(self.fallbacks.iter().map(|output| output.modality));
             return Err(refusal(format!(
-                "`gripcast.threshold`: expected a probability between 0 and 1, found {}",
-                self.threshold
+                "`{FALLBACKS}`: expected parts of {all} in the order of {}, found {found}",
+                list(Modality::ALL)
             )));
         }
-        if !(self.temperature > 0.0 && self.temperature.is_finite()) {
+        let is_camera =
+            |name: &InputName| matches!(name, InputName::Rgb | InputName::Depth) && all.has(*name);
+        if !self.geometry.is_sorted_by(|a, b| a < b) || !self.geometry.iter().all(is_camera) {
             return Err(refusal(format!(
-                "`gripcast.temperature`: expected a finite number above 0, found {}",
-                self.temperature
+                "`{GEOMETRY_INPUTS}`: expected `rgb` and `depth` of the inputs, found {}",
+                list(&self.geometry)
             )));
         }
         if let Origin::Trained {
@@ -353,6 +434,17 @@ impl Metadata {
         text.trim()
             .parse()
             .map_err(|_| refusal(format!("`{key}`: expected {expected}, found `{text}`")))
+    }
+
+    /// Reads a JSON list; empty if the key is absent.
+    fn list<T: serde::de::DeserializeOwned>(&mut self, key: &str) -> Result<Vec<T>> {
+        let Some(text) = self.0.remove(key) else {
+            return Ok(Vec::new());
+        };
+        serde_json::from_str(&text).map_err(|cause| {
+            let what = format!("`{key}`: expected a JSON list, found `{text}`");
+            refusal(what).because(cause)
+        })
     }
 
     fn crop_profile(&mut self) -> Result<Option<CropProfile>> {

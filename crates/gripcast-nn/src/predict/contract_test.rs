@@ -40,8 +40,9 @@ fn refuses(cases: &[Case]) {
 }
 
 fn trained(modality: Modality) -> ModelContract {
-    let inputs = modality.inputs().iter().map(|&name| match name {
+    let inputs = modality.inputs().into_iter().map(|name| match name {
         InputName::Rgb => InputSpec::rgb(NORMALISATION),
+        InputName::Depth => InputSpec::depth(),
         tactile => InputSpec::tactile(tactile),
     });
     ModelContract {
@@ -54,6 +55,8 @@ fn trained(modality: Modality) -> ModelContract {
         inputs: inputs.collect(),
         threshold: 0.1 + 0.2,
         temperature: 1.7,
+        fallbacks: Vec::new(),
+        geometry: Vec::new(),
         crop_profile: Some(CropProfile::GSMINI_SEVENTH),
         card: "# net\n".to_owned(),
         other: [("gripcast.val.auroc".to_owned(), "0.93".to_owned())].into(),
@@ -115,7 +118,7 @@ fn invalid_values_are_refused_with_expected_and_found() {
         ),
         (
             |m| set(m, "gripcast.variant", "TV"),
-            &["expected V, T or VT, found `TV`"],
+            &["expected VTD, VT, TD, T, VD, V, D, found `TV`"],
         ),
         (
             |m| set(m, "gripcast.variant", "VT"),

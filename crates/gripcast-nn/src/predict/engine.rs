@@ -7,22 +7,26 @@ use std::time::Instant;
 
 use tract_onnx::pb::ModelProto;
 use tract_onnx::prelude::{
-    Framework as _, InferenceModelExt as _, IntoRunnable as _, TVec, Tensor, TractResult,
+    Framework as _, InferenceModelExt as _, IntoRunnable as _, TVec, TValue, Tensor, TractResult,
     TypedRunnableModel, TypedSimpleState,
 };
 use tract_onnx::tract_core::internal::bail;
 use tract_onnx::tract_core::ops::konst::Const;
 use tract_onnx::tract_core::plan::eval;
 
-use super::contract::{self, InputName, ModelContract};
+use super::contract::{
+    self, GEOMETRY, GEOMETRY_UNIT_M, InputName, Modality, ModelContract, geometry_output, output_of,
+};
 use super::graph_check;
-use super::input::ModelInput;
+use super::input::{InputTensor, ModelInput};
+use super::lift::{self, LiftHead};
 use super::native_engine::NativeEngine;
 use super::onnx::{self, PYTORCH_EXPORT};
 use super::ood::{self, OodDetector};
 use gripcast_base::catch_panic::catch_panic;
 use gripcast_base::error::{Error, Result};
 use gripcast_base::files::sha256_hex;
+use gripcast_geometry::GraspGeometry;
 
 /// A checked model, ready to run on the calling thread.
 #[derive(Debug)]
@@ -31,6 +35,7 @@ pub struct Model {
     sha256: String,
     load_ms: f64,
     ood_detector: Option<OodDetector>,
+    lift_head: Option<LiftHead>,
     engine: Engine,
 }
 
@@ -42,15 +47,43 @@ enum Engine {
     Tract {
         /// Inputs in the order of the graph.
         order: Vec<InputName>,
+        /// Names of the outputs in the order of the graph.
+        outputs: Vec<String>,
         model: Arc<TypedRunnableModel>,
     },
 }
+
+impl Engine {
+    fn tract(proto: &ModelProto, contract: &ModelContract) -> Result<Self> {
+        let outputs = proto.graph.iter().flat_map(|graph| &graph.output);
+        Ok(Self::Tract {
+            order: input_order(proto, contract),
+            outputs: outputs.map(|output| output.name.clone()).collect(),
+            model: guarded("build the model's graph", || optimise(proto))?,
+        })
+    }
+}
+
+/// Outputs of an engine for one grasp.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Values {
+    pub(super) p_stable: f32,
+    /// Geometry in units of 0.1 m.
+    pub(super) geometry: Option<[f32; GEOMETRY]>,
+}
+
 
 /// Prediction of one grasp.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Prediction {
     /// Probability that the grasp is stable.
     pub p_stable: f64,
+    /// The inputs that it is made from.
+    pub modality: Modality,
+    /// Minimum probability of a stable grasp.
+    pub threshold: f64,
+    /// Geometry of the grasp as the model sees it; none without camera images.
+    pub geometry: Option<GraspGeometry>,
     /// Inference time of the model, ms.
     pub engine_ms: f64,
 }
@@ -81,22 +114,24 @@ impl Model {
         let ood_detector = ood_detector
             .map(|text| OodDetector::from_metadata(text))
             .transpose()?;
+        let lift_head = contract.other.get(lift::METADATA);
+        let lift_head = lift_head
+            .map(|text| LiftHead::from_metadata(text))
+            .transpose()?;
         proto
             .graph
             .iter_mut()
             .for_each(graph_check::bind_dimensions);
         let engine = match NativeEngine::new(&proto, contract.modality) {
             Some(native) => Engine::Native(Box::new(native)),
-            None => Engine::Tract {
-                order: input_order(&proto, &contract),
-                model: guarded("build the model's graph", || optimise(&proto))?,
-            },
+            None => Engine::tract(&proto, &contract)?,
         };
         let mut model = Self {
             contract,
             sha256: sha256_hex(bytes),
             load_ms: 0.0,
             ood_detector,
+            lift_head,
             engine,
         };
         let zeros = ModelInput::zeros(&model.contract)?;
@@ -118,10 +153,7 @@ impl Model {
             .iter_mut()
             .for_each(graph_check::bind_dimensions);
         let mut model = Self::from_bytes(bytes)?;
-        model.engine = Engine::Tract {
-            order: input_order(&proto, &model.contract),
-            model: guarded("build the model's graph", || optimise(&proto))?,
-        };
+        model.engine = Engine::tract(&proto, &model.contract)?;
         Ok(model)
     }
 
@@ -132,7 +164,8 @@ impl Model {
         contract: &ModelContract,
     ) -> Option<f32> {
         let zeros = ModelInput::zeros(contract).ok()?;
-        NativeEngine::new(proto, contract.modality)?.run(&zeros)
+        let values = NativeEngine::new(proto, contract.modality)?.run(&zeros, contract.modality);
+        values.map(|values| values.p_stable)
     }
 
     /// Whether the native engine runs it.
@@ -164,17 +197,42 @@ impl Model {
         self.ood_detector.as_ref()
     }
 
-    /// Predicts one grasp.
+    /// Verdict in the lift, if the model has it.
+    #[must_use]
+    pub fn lift_head(&self) -> Option<&LiftHead> {
+        self.lift_head.as_ref()
+    }
+
+    /// Predicts one grasp from the available inputs.
     ///
     /// # Errors
-    /// When the input is for another modality, the engine fails, or the output is not a
-    /// probability.
+    /// `Input`: no prediction can be made from the available inputs, or the output is not a
+    /// probability. When the engine fails.
     pub fn predict(&self, input: &ModelInput) -> Result<Prediction> {
         let started = Instant::now();
-        let p_stable = match &self.engine {
-            Engine::Native(native) => native.run(input).ok_or_else(missing_input)?,
-            Engine::Tract { order, model } => run_tract(order, model, input)?,
+        let output = self.contract.output_from(|name| input.is_available(name));
+        let output = output.ok_or_else(|| self.missing_input(input))?;
+        let values = match &self.engine {
+            Engine::Native(native) => native
+                .run(input, output.modality)
+                .ok_or_else(|| self.missing_input(input))?,
+            Engine::Tract {
+                order,
+                outputs,
+                model,
+            } => {
+                let name = output_of(output.modality, self.contract.modality);
+                let geometry = self.contract.geometry.iter().rev();
+                let geometry = geometry.copied().find(|name| output.modality.has(*name));
+                let wanted = |name: &str| outputs.iter().position(|output| output == name);
+                let places = [
+                    wanted(&name),
+                    geometry.and_then(|input| wanted(&geometry_output(input))),
+                ];
+                run_tract(order, model, input, places)?
+            }
         };
+        let p_stable = values.p_stable;
         if !(0.0..=1.0).contains(&p_stable) {
             return Err(Error::input(format!(
                 "invalid output {p_stable} of the model `{}`: expected `{}` between 0 and 1",
@@ -182,28 +240,45 @@ impl Model {
                 contract::OUTPUT
             )));
         }
+        let metres = |values: [f32; GEOMETRY]| values.map(|x| f64::from(x) * GEOMETRY_UNIT_M);
         Ok(Prediction {
             p_stable: f64::from(p_stable),
+            modality: output.modality,
+            threshold: output.threshold,
+            geometry: values
+                .geometry
+                .map(|values| GraspGeometry::from_array(metres(values))),
             engine_ms: milliseconds_since(started),
         })
     }
-}
 
-fn missing_input() -> Error {
-    let what = "an input of the model is missing";
-    Error::internal(what)
+    fn missing_input(&self, input: &ModelInput) -> Error {
+        let outputs = self.contract.outputs().map(|output| output.modality);
+        let least = outputs.min_by_key(|modality| modality.inputs().len());
+        let least = least.unwrap_or(self.contract.modality).inputs();
+        let missing: Vec<&str> = least
+            .into_iter()
+            .filter(|name| !input.is_available(*name))
+            .map(InputName::name)
+            .collect();
+        Error::input(format!(
+            "the model `{}` cannot predict: missing input {}",
+            self.contract.name,
+            missing.join(", ")
+        ))
+        .remedy("give the images of all its inputs, or use a model of the given ones")
+    }
 }
 
 fn run_tract(
     order: &[InputName],
     model: &Arc<TypedRunnableModel>,
     input: &ModelInput,
-) -> Result<f32> {
-    let mut tensors = TVec::new();
-    for &name in order {
-        let tensor = input.tensor(name).ok_or_else(missing_input)?;
-        tensors.push(tensor.to_tvalue());
-    }
+    [p_stable, geometry]: [Option<usize>; 2],
+) -> Result<Values> {
+    // The wanted outputs do not depend on inputs that are not available.
+    let tensors = order.iter().filter_map(|name| input.tensor(*name));
+    let tensors: TVec<TValue> = tensors.map(InputTensor::to_tvalue).collect();
     let mut nan = None;
     let run = guarded("run the model", || {
         let output = TypedSimpleState::new(model)?.run_plan_with_eval(
@@ -216,14 +291,19 @@ fn run_tract(
                 TractResult::Ok(outputs)
             },
         )?;
-        let values = output
-            .first()
-            .map(|value| value.try_as_plain_ram())
-            .transpose()?;
-        Ok(match values.as_ref().map(|view| view.as_slice::<f32>()) {
-            Some(Ok([p_stable])) => *p_stable,
-            Some(Err(cause)) => return Err(cause),
+        let values = |at: Option<usize>| -> TractResult<Vec<f32>> {
+            let value = at.and_then(|at| output.get(at));
+            let view = value.map(|value| value.try_as_plain_ram()).transpose()?;
+            let values = view.as_ref().map(|view| view.as_slice::<f32>()).transpose()?;
+            Ok(values.unwrap_or_default().to_vec())
+        };
+        let p_stable = match values(p_stable)?[..] {
+            [p_stable] => p_stable,
             _ => f32::NAN,
+        };
+        Ok(Values {
+            p_stable,
+            geometry: values(geometry)?.try_into().ok(),
         })
     })?;
     match nan {
@@ -267,8 +347,8 @@ fn input_order(proto: &ModelProto, contract: &ModelContract) -> Vec<InputName> {
     let inputs = proto.graph.iter().flat_map(graph_check::graph_inputs);
     inputs
         .filter_map(|input| {
-            let names = contract.modality.inputs().iter();
-            names.copied().find(|name| name.name() == input.name)
+            let mut names = contract.modality.inputs().into_iter();
+            names.find(|name| name.name() == input.name)
         })
         .collect()
 }

@@ -10,7 +10,8 @@ use tract_onnx::pb::{GraphProto, ModelProto, NodeProto, ValueInfoProto, type_pro
 
 use super::constants::check_constants;
 use super::onnx::PYTORCH_EXPORT;
-use super::tensors::{INPUT_SHAPE, Modality, OUTPUT, OUTPUT_SHAPE};
+use super::contract::ModelContract;
+use super::tensors::{GEOMETRY_SHAPE, INPUT_SHAPE, OUTPUT_SHAPE, geometry_output, output_of};
 use gripcast_base::error::{Error, Result};
 
 /// Supported operator sets.
@@ -22,7 +23,8 @@ const MAX_WINDOW: i64 = 4096;
 ///
 /// # Errors
 /// `Input`, with expected and found values.
-pub(super) fn check_graph(modality: Modality, model: &ModelProto) -> Result<()> {
+pub(super) fn check_graph(contract: &ModelContract, model: &ModelProto) -> Result<()> {
+    let modality = contract.modality;
     check_operator_sets(model)?;
     let graph = model
         .graph
@@ -33,7 +35,8 @@ pub(super) fn check_graph(modality: Modality, model: &ModelProto) -> Result<()> 
     check_windows(graph)?;
     let found = graph_inputs(graph);
     let names: BTreeSet<&str> = found.iter().map(|input| input.name.as_str()).collect();
-    let expected: BTreeSet<&str> = modality.inputs().iter().map(|n| n.name()).collect();
+    let inputs = modality.inputs().into_iter();
+    let expected: BTreeSet<&str> = inputs.map(|n| n.name()).collect();
     if names != expected || found.len() != expected.len() {
         return Err(refusal(format!(
             "inputs of the graph: expected {} for modality {modality}, found {}",
@@ -45,15 +48,27 @@ pub(super) fn check_graph(modality: Modality, model: &ModelProto) -> Result<()> 
     for input in found {
         check_tensor("input", input, &INPUT_SHAPE, &mut sizes)?;
     }
-    match graph.output.as_slice() {
-        [output] if output.name == OUTPUT => {
-            check_tensor("output", output, &OUTPUT_SHAPE, &mut sizes)
-        }
-        outputs => Err(refusal(format!(
-            "expected the single output `{OUTPUT}` in the graph, found {}",
-            list(outputs.iter().map(|output| &output.name))
-        ))),
+    let predictions = contract.outputs();
+    let predictions = predictions.map(|o| (output_of(o.modality, modality), OUTPUT_SHAPE));
+    let geometry = contract.geometry.iter();
+    let geometry = geometry.map(|input| (geometry_output(*input), GEOMETRY_SHAPE));
+    let expected: BTreeMap<String, [i64; 2]> = predictions.chain(geometry).collect();
+    let names: BTreeSet<&str> = graph.output.iter().map(|output| &*output.name).collect();
+    if graph.output.len() != expected.len() || !names.iter().eq(expected.keys()) {
+        let what = match expected.len() {
+            1 => "the single output",
+            _ => "the outputs",
+        };
+        return Err(refusal(format!(
+            "expected {what} {} in the graph, found {}",
+            list(expected.keys().map(|name| format!("`{name}`"))),
+            list(graph.output.iter().map(|output| &output.name))
+        )));
     }
+    graph.output.iter().try_for_each(|output| {
+        let shape = expected.get(&output.name).unwrap_or(&OUTPUT_SHAPE);
+        check_tensor("output", output, shape, &mut sizes)
+    })
 }
 
 /// Inputs of a graph in order, without constants that are listed among them.

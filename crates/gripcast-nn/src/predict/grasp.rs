@@ -6,6 +6,7 @@ use super::contract::InputName;
 use super::engine::{Model, Prediction};
 use super::input::ModelInput;
 use super::label::{PredictedLabel, contact_doubt};
+use super::points::{Depth, PointMap};
 use gripcast_base::error::Result;
 use gripcast_imaging::{GelCells, GelChange, TactileDifference};
 
@@ -21,6 +22,8 @@ pub enum InputImages {
     },
     /// Colour image with the gripper closed.
     Rgb(RgbImage),
+    /// Depth image with the gripper closed, aligned to the colour image.
+    Depth(Depth),
 }
 
 /// What a model says of a grasp.
@@ -37,22 +40,24 @@ pub struct GraspPrediction {
 }
 
 impl Model {
-    /// Predicts a grasp; `images` gives those of each input that the model uses.
+    /// Predicts a grasp from the images that there are; `images` gives those of an input.
     ///
     /// # Errors
     /// Those of `images`; `Input` for images of another size; as [`Model::predict`].
     pub fn predict_grasp(
         &self,
-        mut images: impl FnMut(InputName) -> Result<InputImages>,
+        mut images: impl FnMut(InputName) -> Result<Option<InputImages>>,
     ) -> Result<GraspPrediction> {
         let contract = self.contract();
-        let mut input = ModelInput::zeros(contract)?;
+        let mut input = ModelInput::new(contract)?;
         let mut differences = Vec::new();
         let mut changes = Vec::new();
-        for &name in contract.modality.inputs() {
+        for name in contract.modality.inputs() {
             match images(name)? {
-                InputImages::Rgb(image) => input.set_rgb(&image)?,
-                InputImages::Tactile { initial, grasp } => {
+                None => {}
+                Some(InputImages::Rgb(image)) => input.set_rgb(&image)?,
+                Some(InputImages::Depth(depth)) => input.set_depth(&PointMap::new(&depth))?,
+                Some(InputImages::Tactile { initial, grasp }) => {
                     let difference = TactileDifference::between(&initial, &grasp)?;
                     let (initial, grasp) = (GelCells::new(&initial)?, GelCells::new(&grasp)?);
                     changes.push(GelChange::between(&initial, &grasp, 0.0));
@@ -65,7 +70,7 @@ impl Model {
         let ood_score = self
             .ood_detector()
             .and_then(|reference| reference.max_score(&differences));
-        let label = PredictedLabel::new(prediction.p_stable, contract.threshold, ood_score);
+        let label = PredictedLabel::new(prediction.p_stable, prediction.threshold, ood_score);
         let unsure_reason = match &changes[..] {
             [left, right] => contact_doubt([left, right], label == PredictedLabel::Stable),
             _ => None,

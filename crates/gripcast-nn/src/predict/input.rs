@@ -6,39 +6,98 @@ use image::RgbImage;
 use tract_onnx::prelude::{TValue, Tensor};
 
 use super::contract::{
-    IMAGE_HEIGHT, IMAGE_WIDTH, InputName, InputSpec, ModelContract, RgbNormalisation,
+    IMAGE_HEIGHT, IMAGE_WIDTH, InputName, InputSpec, Modality, ModelContract, RgbNormalisation,
 };
+use super::points::PointMap;
 use gripcast_base::error::{Error, Result};
 use gripcast_imaging::TactileDifference;
 
 const PIXELS: usize = IMAGE_WIDTH as usize * IMAGE_HEIGHT as usize;
 
-/// Input tensors of a prediction, each `[1, 3, 240, 320]` NCHW f32, RGB.
+/// Input tensors of a prediction, each `[1, 3, 240, 320]` NCHW f32.
 ///
-/// Reuse it between predictions: the engine reads the memory without a copy.
+/// An input is available once it is set; a model predicts from those that are. Reuse it between
+/// predictions: the engine reads the memory without a copy.
 #[derive(Clone, Debug)]
 pub struct ModelInput {
-    planes: Vec<(InputName, InputTensor)>,
+    planes: Vec<Plane>,
     normalisation: Option<RgbNormalisation>,
 }
 
+#[derive(Clone, Debug)]
+struct Plane {
+    name: InputName,
+    tensor: InputTensor,
+    is_available: bool,
+}
+
 impl ModelInput {
-    /// Zeros for every input of the model: no tactile difference, the mean colour.
+    /// Creates the inputs of a model; none is available.
     ///
     /// # Errors
     /// `Internal`: the memory cannot be allocated.
-    pub fn zeros(contract: &ModelContract) -> Result<Self> {
+    pub fn new(contract: &ModelContract) -> Result<Self> {
+        let plane = |name| {
+            Ok(Plane {
+                name,
+                tensor: InputTensor::zeros()?,
+                is_available: false,
+            })
+        };
+        let inputs = contract.modality.inputs().into_iter();
         Ok(Self {
-            planes: contract
-                .modality
-                .inputs()
-                .iter()
-                .map(|&name| Ok((name, InputTensor::zeros()?)))
-                .collect::<Result<_>>()?,
+            planes: inputs.map(plane).collect::<Result<_>>()?,
             normalisation: contract
                 .input(InputName::Rgb)
                 .and_then(InputSpec::normalisation),
         })
+    }
+
+    /// Zeros for every input of the model: no tactile difference, the mean colour, no depth.
+    ///
+    /// # Errors
+    /// `Internal`: the memory cannot be allocated.
+    pub fn zeros(contract: &ModelContract) -> Result<Self> {
+        let mut input = Self::new(contract)?;
+        for plane in &mut input.planes {
+            plane.is_available = true;
+        }
+        Ok(input)
+    }
+
+    /// Whether an input is set.
+    #[must_use]
+    pub fn is_available(&self, name: InputName) -> bool {
+        let mut planes = self.planes.iter();
+        planes.any(|plane| plane.name == name && plane.is_available)
+    }
+
+    /// Marks inputs that a modality does not have as missing.
+    pub fn keep(&mut self, inputs: Modality) {
+        for plane in &mut self.planes {
+            plane.is_available &= inputs.has(plane.name);
+        }
+    }
+
+    /// Marks all inputs as missing.
+    pub fn clear(&mut self) {
+        for plane in &mut self.planes {
+            plane.is_available = false;
+        }
+    }
+
+    /// Writes the depth image. Ignored by models without depth.
+    ///
+    /// # Errors
+    /// `Internal`: the memory cannot be written.
+    pub fn set_depth(&mut self, points: &PointMap) -> Result<()> {
+        match self.tensor_mut(InputName::Depth) {
+            Some(tensor) => tensor.write(|planes| {
+                points.write_planes(planes);
+                Ok(())
+            }),
+            None => Ok(()),
+        }
     }
 
     /// Writes a tactile difference, (grasp − initial) / 255. Ignored by models without touch.
@@ -68,21 +127,24 @@ impl ModelInput {
         }
     }
 
-    /// Values of an input, 3·240·320; `None` if the model does not use it.
+    /// Values of an input, 3·240·320; `None` if it is not available.
     pub fn values(&self, name: InputName) -> Option<&[f32]> {
-        self.tensor(name)?.values()
+        self.is_available(name)
+            .then(|| self.tensor(name)?.values())
+            .flatten()
     }
 
+    /// The tensor of an input, also of one that is not available.
     pub(super) fn tensor(&self, name: InputName) -> Option<&InputTensor> {
-        self.planes
-            .iter()
-            .find_map(|(n, tensor)| (*n == name).then_some(tensor))
+        let mut planes = self.planes.iter();
+        planes.find_map(|plane| (plane.name == name).then_some(&plane.tensor))
     }
 
+    /// The tensor of an input to write, which makes it available.
     fn tensor_mut(&mut self, name: InputName) -> Option<&mut InputTensor> {
-        self.planes
-            .iter_mut()
-            .find_map(|(n, tensor)| (*n == name).then_some(tensor))
+        let plane = self.planes.iter_mut().find(|plane| plane.name == name)?;
+        plane.is_available = true;
+        Some(&mut plane.tensor)
     }
 }
 
@@ -145,7 +207,6 @@ mod tests {
 
     use super::*;
     use crate::predict::baseline;
-    use crate::predict::contract::Modality;
 
     fn image(colour: [u8; 3]) -> RgbImage {
         RgbImage::from_pixel(IMAGE_WIDTH, IMAGE_HEIGHT, Rgb(colour))

@@ -4,10 +4,12 @@ use std::time::Instant;
 
 use image::RgbImage;
 
-use super::contract::InputName;
+use super::contract::{InputName, Modality};
 use super::engine::Model;
 use super::input::ModelInput;
+use super::points::{Depth, PointMap};
 use gripcast_base::error::Result;
+use gripcast_geometry::GraspGeometry;
 use gripcast_imaging::{Role, TactileDifference};
 
 /// A model with the initial images and the newest image of each role.
@@ -21,6 +23,13 @@ pub struct LivePredictor {
     left: Tactile,
     right: Tactile,
     rgb: Option<Image>,
+    depth: Option<DepthFrame>,
+}
+
+#[derive(Debug)]
+struct DepthFrame {
+    points: PointMap,
+    driver_time_ns: u64,
 }
 
 #[derive(Debug, Default)]
@@ -40,6 +49,12 @@ struct Image {
 pub struct LivePrediction {
     /// Probability that the grasp is stable.
     pub p_stable: f64,
+    /// The inputs that it is made from.
+    pub modality: Modality,
+    /// Minimum probability of a stable grasp.
+    pub threshold: f64,
+    /// Geometry of the grasp as the model sees it; none without camera images.
+    pub geometry: Option<GraspGeometry>,
     /// OOD score of the tactile images (see [`PredictedLabel`](super::PredictedLabel)); none for a
     /// model without OOD detector or touch.
     pub ood_score: Option<f64>,
@@ -60,11 +75,12 @@ impl LivePredictor {
     /// `Internal`: the input tensors cannot be allocated.
     pub fn new(model: Model) -> Result<Self> {
         Ok(Self {
-            input: ModelInput::zeros(model.contract())?,
+            input: ModelInput::new(model.contract())?,
             model,
             left: Tactile::default(),
             right: Tactile::default(),
             rgb: None,
+            depth: None,
         })
     }
 
@@ -95,6 +111,16 @@ impl LivePredictor {
         self.set_newest(role, image);
     }
 
+    /// Sets the newest depth image, which is aligned to the colour image.
+    pub fn update_depth(&mut self, depth: &Depth, driver_time_ns: u64) {
+        if self.model.contract().modality.has_depth() {
+            self.depth = Some(DepthFrame {
+                points: PointMap::new(depth),
+                driver_time_ns,
+            });
+        }
+    }
+
     /// Clears the newest image of a lost camera, so that no stale image is used.
     pub fn clear(&mut self, role: Role) {
         self.set_newest(role, None);
@@ -105,15 +131,27 @@ impl LivePredictor {
             Role::Left => self.left.newest = image,
             Role::Right => self.right.newest = image,
             Role::Rgb => self.rgb = image,
-            Role::Depth | Role::External => {}
+            Role::Depth => self.depth = None,
+            Role::External => {}
         }
     }
 
-    /// Short description of the missing input, if any.
+    fn is_available(&self, name: InputName) -> bool {
+        let both = |t: &Tactile| t.initial.is_some() && t.newest.is_some();
+        match name {
+            InputName::TactileLeft => both(&self.left),
+            InputName::TactileRight => both(&self.right),
+            InputName::Rgb => self.rgb.is_some(),
+            InputName::Depth => self.depth.is_some(),
+        }
+    }
+
+    /// Short description of the missing input without which the model cannot predict, if any. A
+    /// model with touch does not predict without it: what the cameras show is little.
     #[must_use]
     pub fn missing_input(&self) -> Option<&'static str> {
-        let modality = self.model.contract().modality;
-        if modality.has_touch() {
+        let contract = self.model.contract();
+        if contract.modality.has_touch() {
             if self.left.initial.is_none() || self.right.initial.is_none() {
                 return Some("no initial frame");
             }
@@ -124,10 +162,11 @@ impl LivePredictor {
                 return Some("no right frame");
             }
         }
-        if modality.has_vision() && self.rgb.is_none() {
-            return Some("no rgb frame");
+        match contract.output_from(|name| self.is_available(name)) {
+            Some(_) => None,
+            None if self.rgb.is_none() && contract.modality.has_vision() => Some("no rgb frame"),
+            None => Some("no depth frame"),
         }
-        None
     }
 
     /// Predicts from the newest images; `None` while there is a [missing
@@ -141,12 +180,13 @@ impl LivePredictor {
     fn predict_newest(&mut self) -> Result<LivePrediction> {
         let started = Instant::now();
         let (mut newest_frame_ns, mut oldest_frame_ns) = (0, u64::MAX);
-        let mut used = |image: &Image| {
-            newest_frame_ns = image.driver_time_ns.max(newest_frame_ns);
-            oldest_frame_ns = image.driver_time_ns.min(oldest_frame_ns);
+        let mut used_time = |driver_time_ns: u64| {
+            newest_frame_ns = driver_time_ns.max(newest_frame_ns);
+            oldest_frame_ns = driver_time_ns.min(oldest_frame_ns);
         };
         let mut differences = Vec::with_capacity(2);
         let uses = self.model.contract().modality.inputs();
+        self.input.clear();
         for (name, tactile) in [
             (InputName::TactileLeft, &self.left),
             (InputName::TactileRight, &self.right),
@@ -157,19 +197,26 @@ impl LivePredictor {
                 let difference = TactileDifference::between(initial, &image.image)?;
                 self.input.set_tactile(name, &difference)?;
                 differences.push(difference);
-                used(image);
+                used_time(image.driver_time_ns);
             }
         }
         let detector = self.model.ood_detector();
         let ood_score = detector.and_then(|detector| detector.max_score(&differences));
         if let (true, Some(image)) = (uses.contains(&InputName::Rgb), &self.rgb) {
             self.input.set_rgb(&image.image)?;
-            used(image);
+            used_time(image.driver_time_ns);
+        }
+        if let (true, Some(depth)) = (uses.contains(&InputName::Depth), &self.depth) {
+            self.input.set_depth(&depth.points)?;
+            used_time(depth.driver_time_ns);
         }
         let preprocess_ms = started.elapsed().as_secs_f64() * 1e3;
         let prediction = self.model.predict(&self.input)?;
         Ok(LivePrediction {
             p_stable: prediction.p_stable,
+            modality: prediction.modality,
+            threshold: prediction.threshold,
+            geometry: prediction.geometry,
             ood_score,
             engine_ms: prediction.engine_ms,
             preprocess_ms,

@@ -5,20 +5,21 @@ use std::sync::{Mutex, PoisonError};
 
 use tract_onnx::pb::ModelProto;
 
-use super::contract::{InputName, Modality};
+use super::contract::{GEOMETRY, Modality};
+use super::engine::Values;
 use super::input::ModelInput;
-use crate::architecture::IMAGE;
+use crate::architecture::{EncoderKind, IMAGE, head_name};
 use crate::export::RecognisedNetwork;
 use crate::inference::{Convolution, Dense, Padded};
-use crate::network::EncoderKind;
 
 /// A network ready to run.
 #[derive(Debug)]
 pub(super) struct NativeEngine {
     encoders: Vec<Encoder>,
     pool: [usize; 2],
-    hidden: Dense,
-    logit: Dense,
+    heads: Vec<Head>,
+    /// Whether the first numbers of a camera's embedding are the geometry.
+    geometry: bool,
     empty: Buffers,
     /// Buffers for reuse.
     free: Mutex<Vec<Buffers>>,
@@ -26,10 +27,17 @@ pub(super) struct NativeEngine {
 
 #[derive(Debug)]
 struct Encoder {
-    /// Inputs; both sensors share an encoder.
-    inputs: &'static [InputName],
+    kind: EncoderKind,
     convolutions: Vec<Convolution>,
     projection: Dense,
+}
+
+/// Dense layers on the embeddings of some inputs.
+#[derive(Debug)]
+struct Head {
+    modality: Modality,
+    hidden: Dense,
+    logit: Dense,
 }
 
 /// Buffers of a run.
@@ -47,12 +55,11 @@ struct Buffers {
 impl NativeEngine {
     /// Builds the engine for a model; none if its graph is not a gripcast network.
     pub(super) fn new(model: &ModelProto, modality: Modality) -> Option<Self> {
-        use InputName::{Rgb, TactileLeft, TactileRight};
-        let graph = RecognisedNetwork::new(model.graph.as_ref()?, modality.inputs())?;
+        let graph = RecognisedNetwork::new(model.graph.as_ref()?, modality)?;
         let architecture = &graph.architecture;
         let shapes = architecture.shapes();
         let [height, width, channels] = architecture.pooled();
-        let encoder = |kind: EncoderKind, inputs: &'static [InputName]| {
+        let encoder = |kind: EncoderKind| {
             let convolutions = shapes.iter().enumerate().map(|(at, shape)| {
                 let [weight, bias] = graph.convolution(kind, at, shape.input[2])?;
                 Some(Convolution::new(*shape, &weight, bias, true))
@@ -61,33 +68,41 @@ impl NativeEngine {
             let convolutions = convolutions.collect::<Option<_>>()?;
             let layer = format!("{}.projection", kind.name());
             let means = height * width * channels;
-            let [weight, bias] = graph.dense(&layer, means, architecture.embedding)?;
+            let [weight, bias] = graph.dense(&layer, means, architecture.embedding_of(kind))?;
             Some(Encoder {
-                inputs,
+                kind,
                 convolutions,
                 projection: Dense::from_planes([height * width, channels], &weight, bias),
             })
         };
-        let all: [(EncoderKind, &'static [InputName]); 2] = [
-            (EncoderKind::Touch, &[TactileLeft, TactileRight]),
-            (EncoderKind::Vision, &[Rgb]),
-        ];
-        let encoders = all
-            .into_iter()
-            .filter(|(_, inputs)| inputs.iter().all(|name| modality.inputs().contains(name)))
-            .map(|(kind, inputs)| encoder(kind, inputs));
-        let encoders = encoders.collect::<Option<_>>()?;
-        let joined = modality.inputs().len() * architecture.embedding;
-        let [hidden, hidden_bias] = graph.dense("head.hidden", joined, architecture.hidden)?;
-        let [logit, logit_bias] = graph.dense("head.logit", architecture.hidden, 1)?;
+        let kinds = EncoderKind::ALL.into_iter();
+        let kinds = kinds.filter(|kind| kind.is_in(modality));
+        let encoders = kinds.map(encoder).collect::<Option<_>>()?;
+        let heads = architecture.heads(modality).into_iter().map(|head| {
+            let (name, joined) = (head_name(head, modality), architecture.joined(head));
+            let sizes = [joined, architecture.hidden];
+            let [hidden, hidden_bias] =
+                graph.dense(&format!("{name}.hidden"), sizes[0], sizes[1])?;
+            let [logit, logit_bias] = graph.dense(&format!("{name}.logit"), sizes[1], 1)?;
+            Some(Head {
+                modality: head,
+                hidden: Dense::new(joined, &hidden, hidden_bias, true),
+                logit: Dense::new(architecture.hidden, &logit, logit_bias, false),
+            })
+        });
+        let heads = heads.collect::<Option<_>>()?;
+        let geometry = architecture.geometry;
+        if geometry && architecture.camera_embedding < GEOMETRY && modality != Modality::T {
+            return None;
+        }
         let pads = shapes.iter().map(|shape| shape.pad).chain([0]);
         let sizes = [IMAGE].into_iter().chain(shapes.iter().map(|s| s.output()));
         let images = sizes.zip(pads).map(|(size, pad)| Padded::new(size, pad));
         Some(Self {
             encoders,
             pool: architecture.pool,
-            hidden: Dense::new(joined, &hidden, hidden_bias, true),
-            logit: Dense::new(architecture.hidden, &logit, logit_bias, false),
+            heads,
+            geometry,
             empty: Buffers {
                 images: images.collect(),
                 ..Buffers::default()
@@ -96,16 +111,22 @@ impl NativeEngine {
         })
     }
 
-    /// Predicts p_stable; none if an input is missing.
-    pub(super) fn run(&self, input: &ModelInput) -> Option<f32> {
+    /// Predicts from the inputs of a modality; none if one is missing.
+    pub(super) fn run(&self, input: &ModelInput, modality: Modality) -> Option<Values> {
         let free = || self.free.lock().unwrap_or_else(PoisonError::into_inner);
         let mut buffers = free().pop().unwrap_or_else(|| self.empty.clone());
-        let logit = self.logit(input, &mut buffers);
+        let values = self.values(input, modality, &mut buffers);
         free().push(buffers);
-        logit.map(|x| 1.0 / (1.0 + (-x).exp()))
+        values
     }
 
-    fn logit(&self, input: &ModelInput, buffers: &mut Buffers) -> Option<f32> {
+    fn values(
+        &self,
+        input: &ModelInput,
+        modality: Modality,
+        buffers: &mut Buffers,
+    ) -> Option<Values> {
+        let head = self.heads.iter().find(|head| head.modality == modality)?;
         let Buffers {
             images,
             pooled,
@@ -113,18 +134,30 @@ impl NativeEngine {
             joined,
         } = buffers;
         joined.clear();
+        let mut geometry = None;
         for encoder in &self.encoders {
+            if !encoder.kind.is_in(modality) {
+                continue;
+            }
             pooled.clear();
-            for name in encoder.inputs {
+            for name in encoder.kind.inputs() {
                 encoder.convolve(input.values(*name)?, images);
                 images.last()?.pool(self.pool, pooled);
             }
             encoder.projection.forward(pooled, numbers);
             joined.extend_from_slice(numbers);
+            if self.geometry && encoder.kind != EncoderKind::Touch {
+                // The depth image, which comes last, shows it best.
+                geometry = numbers.first_chunk().copied();
+            }
         }
-        self.hidden.forward(joined, numbers);
-        self.logit.forward(numbers, joined);
-        joined.first().copied()
+        head.hidden.forward(joined, numbers);
+        head.logit.forward(numbers, joined);
+        let logit = joined.first()?;
+        Some(Values {
+            p_stable: 1.0 / (1.0 + (-logit).exp()),
+            geometry,
+        })
     }
 }
 

@@ -12,10 +12,39 @@ pub const IMAGE_WIDTH: u32 = 320;
 pub const IMAGE_HEIGHT: u32 = 240;
 /// Shape of every input: one image, NCHW.
 pub const INPUT_SHAPE: [i64; 4] = [1, 3, IMAGE_HEIGHT as i64, IMAGE_WIDTH as i64];
-/// Name of the output, the probability that the grasp is stable; shape `[1, 1]`.
+/// Name of the output, the probability that the grasp is stable; shape `[1, 1]`. Outputs of fewer
+/// inputs have their modality appended, as `p_stable_t`.
 pub const OUTPUT: &str = "p_stable";
 /// Shape of the output.
 pub const OUTPUT_SHAPE: [i64; 2] = [1, 1];
+/// Number of values of a grasp's geometry, see [`GraspGeometry`](gripcast_geometry::GraspGeometry).
+pub const GEOMETRY: usize = gripcast_geometry::GraspGeometry::LEN;
+/// Unit of the geometry in networks and model files, m.
+pub const GEOMETRY_UNIT_M: f64 = 0.1;
+/// Shape of the output `geometry_rgb` or `geometry_depth`: the geometry in units of 0.1 m.
+pub const GEOMETRY_SHAPE: [i64; 2] = [1, GEOMETRY as i64];
+
+/// Name of the output of the predictions from `inputs` in a model with the inputs `all`.
+#[must_use]
+pub fn output_of(inputs: Modality, all: Modality) -> String {
+    match inputs == all {
+        true => OUTPUT.to_owned(),
+        false => format!("{OUTPUT}_{}", inputs.name().to_ascii_lowercase()),
+    }
+}
+
+/// Whether an output is a prediction from fewer inputs than the model has.
+#[must_use]
+pub fn is_fallback(output: &str) -> bool {
+    let rest = output.strip_prefix(OUTPUT);
+    rest.is_some_and(|rest| rest.starts_with('_'))
+}
+
+/// Name of the output of the geometry that is read from an input.
+#[must_use]
+pub fn geometry_output(input: InputName) -> String {
+    format!("geometry_{input}")
+}
 
 /// Name of an input tensor.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
@@ -27,9 +56,14 @@ pub enum InputName {
     TactileRight,
     /// Image of the colour camera.
     Rgb,
+    /// Image of the depth camera, as points in the gripper frame.
+    Depth,
 }
 
 impl InputName {
+    /// All inputs in order.
+    pub const ALL: [Self; 4] = [Self::TactileLeft, Self::TactileRight, Self::Rgb, Self::Depth];
+
     /// Name in the graph.
     #[must_use]
     pub fn name(self) -> &'static str {
@@ -37,6 +71,7 @@ impl InputName {
             Self::TactileLeft => "tactile_left",
             Self::TactileRight => "tactile_right",
             Self::Rgb => "rgb",
+            Self::Depth => "depth",
         }
     }
 
@@ -47,6 +82,7 @@ impl InputName {
             Self::TactileLeft => Role::Left,
             Self::TactileRight => Role::Right,
             Self::Rgb => Role::Rgb,
+            Self::Depth => Role::Depth,
         }
     }
 }
@@ -57,49 +93,124 @@ impl Display for InputName {
     }
 }
 
-/// Modalities that a model uses: a non-empty set of vision (V) and touch (T).
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+/// Modalities that a model uses: a non-empty set of vision (V), touch (T) and depth (D).
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
+#[serde(rename_all = "UPPERCASE")]
 pub enum Modality {
-    /// Vision only.
-    V,
-    /// Touch only.
-    T,
-    /// Vision and touch.
-    #[serde(rename = "VT")]
+    /// Colour image, both tactile differences and depth image.
+    Vtd,
+    /// Colour image and tactile differences.
     Vt,
+    /// Tactile differences and depth image.
+    Td,
+    /// Tactile differences.
+    T,
+    /// Colour and depth image.
+    Vd,
+    /// Colour image.
+    V,
+    /// Depth image.
+    D,
 }
 
 impl Modality {
+    /// All modalities; those with touch first, more inputs before fewer.
+    pub const ALL: [Self; 7] = [
+        Self::Vtd,
+        Self::Vt,
+        Self::Td,
+        Self::T,
+        Self::Vd,
+        Self::V,
+        Self::D,
+    ];
+
+    /// Returns the modality of a set of inputs; none without a complete one.
+    #[must_use]
+    pub fn of(has: impl Fn(InputName) -> bool) -> Option<Self> {
+        let complete = |modality: &Self| modality.inputs().into_iter().all(&has);
+        Self::ALL.into_iter().find(complete)
+    }
+
+    /// Returns the modality of a name.
+    #[must_use]
+    pub fn by_name(name: &str) -> Option<Self> {
+        Self::ALL.into_iter().find(|m| m.name() == name)
+    }
+
     /// Inputs of a model with these modalities.
     #[must_use]
-    pub fn inputs(self) -> &'static [InputName] {
-        use InputName::{Rgb, TactileLeft, TactileRight};
-        match self {
-            Self::V => &[Rgb],
-            Self::T => &[TactileLeft, TactileRight],
-            Self::Vt => &[TactileLeft, TactileRight, Rgb],
+    pub fn inputs(self) -> Vec<InputName> {
+        let all = InputName::ALL.into_iter();
+        all.filter(|name| self.has(*name)).collect()
+    }
+
+    /// Whether it includes an input.
+    #[must_use]
+    pub fn has(self, input: InputName) -> bool {
+        match input {
+            InputName::TactileLeft | InputName::TactileRight => self.has_touch(),
+            InputName::Rgb => self.has_vision(),
+            InputName::Depth => self.has_depth(),
         }
+    }
+
+    /// Whether it includes all inputs of another.
+    #[must_use]
+    pub fn includes(self, other: Self) -> bool {
+        other.inputs().into_iter().all(|name| self.has(name))
+    }
+
+    /// All modalities that it includes, itself first.
+    #[must_use]
+    pub fn subsets(self) -> Vec<Self> {
+        let all = Self::ALL.into_iter();
+        all.filter(|other| self.includes(*other)).collect()
     }
 
     /// Whether it includes the tactile differences.
     #[must_use]
     pub fn has_touch(self) -> bool {
-        self != Self::V
+        matches!(self, Self::Vtd | Self::Vt | Self::Td | Self::T)
     }
 
     /// Whether it includes the colour image.
     #[must_use]
     pub fn has_vision(self) -> bool {
-        self != Self::T
+        matches!(self, Self::Vtd | Self::Vt | Self::Vd | Self::V)
+    }
+
+    /// Whether it includes the depth image.
+    #[must_use]
+    pub fn has_depth(self) -> bool {
+        matches!(self, Self::Vtd | Self::Td | Self::Vd | Self::D)
     }
 
     /// Name in the metadata.
     #[must_use]
     pub fn name(self) -> &'static str {
         match self {
-            Self::V => "V",
-            Self::T => "T",
+            Self::Vtd => "VTD",
             Self::Vt => "VT",
+            Self::Td => "TD",
+            Self::T => "T",
+            Self::Vd => "VD",
+            Self::V => "V",
+            Self::D => "D",
+        }
+    }
+
+    /// What it is, in words.
+    #[must_use]
+    pub fn words(self) -> &'static str {
+        match self {
+            Self::Vtd => "vision, touch and depth",
+            Self::Vt => "vision and touch",
+            Self::Td => "touch and depth",
+            Self::T => "touch",
+            Self::Vd => "vision and depth",
+            Self::V => "vision",
+            Self::D => "depth",
         }
     }
 }
@@ -122,9 +233,9 @@ pub struct InputSpec {
     pub dtype: String,
     /// `NCHW`.
     pub layout: String,
-    /// `RGB`: order of the channels.
+    /// `RGB`: order of the channels; `XYD` for the depth image.
     pub colour: String,
-    /// `diff` (tactile difference) or `normalised` (colour image).
+    /// `diff` (tactile difference), `normalised` (colour image) or `points` (depth image).
     pub encoding: String,
     /// Formula of a value from 8-bit pixels.
     pub formula: String,
@@ -178,6 +289,20 @@ impl InputSpec {
         }
     }
 
+    /// Specification of the depth image: for each pixel of the colour camera x and y of the surface
+    /// in the gripper frame and its inverse depth; zeros where there is no depth.
+    pub fn depth() -> Self {
+        Self {
+            colour: "XYD".to_owned(),
+            encoding: "points".to_owned(),
+            formula: "x/0.1 m, y/0.1 m, 0.2 m/depth; 0 without depth".to_owned(),
+            range: None,
+            resize: Some("nearest".to_owned()),
+            crop: Some(CropProfile::FULL.name().to_owned()),
+            ..Self::tactile(InputName::Depth)
+        }
+    }
+
     /// Normalisation of a colour image.
     pub fn normalisation(&self) -> Option<RgbNormalisation> {
         Some(RgbNormalisation {
@@ -203,6 +328,7 @@ impl InputSpec {
                     })?;
                 Self::rgb(normalisation)
             }
+            InputName::Depth => Self::depth(),
         };
         for ((field, found), (_, expected)) in self.fields().into_iter().zip(expected.fields()) {
             if found != expected {

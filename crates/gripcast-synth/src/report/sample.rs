@@ -80,6 +80,8 @@ impl Sample {
                 rendering: 0,
                 seed: 1,
                 crop_profile: "paper".to_owned(),
+                geometry: None,
+                lift: None,
             },
             images: ShardImages {
                 initial_left: plain.clone(),

@@ -44,8 +44,12 @@ fn models(report: &EvalReport) -> Table {
             &none,
         );
     }
-    if let Some(over) = &report.over_models {
-        let name = format!("mean ± sd of {}", over.seeds);
+    for result in &report.over_models {
+        let over = &result.summary;
+        if over.seeds < 2 {
+            continue;
+        }
+        let name = format!("{}: mean ± sd of {} seeds", result.modality, over.seeds);
         table.total([
             &name as &dyn Render,
             &"",

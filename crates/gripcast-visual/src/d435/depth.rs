@@ -6,7 +6,7 @@ use super::{BASELINE_M, LEFT_IMAGER_M};
 use crate::camera::Camera;
 use crate::material::ensure;
 use gripcast_base::error::{Error, Result};
-use gripcast_base::random::gaussians;
+use gripcast_base::random::{SeedStream, gaussians};
 use gripcast_imaging::DepthImage;
 
 /// Focal length of the stereo images of 640 × 360 with 87°, px.
@@ -15,8 +15,13 @@ const STEREO_FOCAL_PX: f64 = 337.0;
 const CORRELATED_FRACTION: f64 = 0.7;
 /// Disparity steps per pixel.
 const DISPARITY_STEPS: f64 = 32.0;
-/// Maximum disparity, px; closer than `f · b / max_disparity`, 0.134 m, there is no depth.
+/// Maximum disparity, px: closer than `f · b / max_disparity` there is no depth.
 const MAX_DISPARITY_PX: f64 = 126.0;
+/// Minimum depth of stereo images of 640 × 360, m. It grows with the width of the images: about
+/// 0.1 m at 480 × 270, 0.2 m at 848 × 480 (D400 series data sheet).
+const MIN_DEPTH_M: f64 = STEREO_FOCAL_PX * BASELINE_M / MAX_DISPARITY_PX;
+/// Side of the cells in which stereo matching succeeds or fails, px.
+const CELL: usize = 12;
 /// Maximum depth, m.
 const MAX_DEPTH_M: f64 = 10.0;
 /// Minimum angle between a surface and the viewing ray, rad; below it stereo matching fails.
@@ -32,19 +37,39 @@ pub struct DepthSettings {
     pub disparity_std_px: f64,
     /// Depth unit, m.
     pub unit_m: f64,
+    /// Minimum depth of the mode, m.
+    pub min_depth_m: f64,
+    /// Fraction of the image without a match, as on surfaces without texture.
+    pub hole_fraction: f64,
 }
 
 impl Default for DepthSettings {
-    /// Noise of a textured scene, 1 mm units.
+    /// Noise of a textured scene at 640 × 360, 1 mm units.
     fn default() -> Self {
         Self {
             disparity_std_px: 0.08,
             unit_m: 1e-3,
+            min_depth_m: MIN_DEPTH_M,
+            hole_fraction: 0.0,
         }
     }
 }
 
 impl DepthSettings {
+    /// Draws settings of a mode that sees the object between the fingers; `spread` 0 gives the
+    /// default, 1 the full range of noise and holes.
+    pub fn sample(seed: u64, spread: f64) -> Self {
+        let mut draw = SeedStream::named(seed, "depth");
+        let default = Self::default();
+        let modes_m = draw.between(0.75, 1.15);
+        Self {
+            disparity_std_px: default.disparity_std_px * (spread * draw.between(-0.7, 1.1)).exp(),
+            min_depth_m: default.min_depth_m * (1.0 + spread * (modes_m - 1.0)),
+            hole_fraction: (spread * draw.between(-0.1, 0.2)).clamp(0.0, 0.5),
+            ..default
+        }
+    }
+
     /// Standard deviation of a measured depth, m.
     pub fn depth_std_m(&self, depth_m: f64) -> f64 {
         depth_m * depth_m * self.disparity_std_px / (STEREO_FOCAL_PX * BASELINE_M)
@@ -57,6 +82,13 @@ impl DepthSettings {
         })?;
         ensure(unit_m.is_finite() && unit_m > 0.0, || {
             format!("the depth unit must be positive, found {unit_m} m")
+        })?;
+        let (min_m, holes) = (self.min_depth_m, self.hole_fraction);
+        ensure(min_m.is_finite() && min_m >= 0.0, || {
+            format!("the minimum depth must not be negative, found {min_m} m")
+        })?;
+        ensure((0.0..=1.0).contains(&holes), || {
+            format!("the fraction of holes must lie in 0 to 1, found {holes}")
         })
     }
 }
@@ -91,7 +123,8 @@ pub fn measure_depth(
             let visible = visible_to_both(line, camera);
             for (column, code) in codes.iter_mut().enumerate() {
                 let pixel = (column, row);
-                if visible[column] && !is_grazing(depth_m, pixel, camera) {
+                let is_matched = !is_hole(pixel, settings.hole_fraction, seed);
+                if visible[column] && is_matched && !is_grazing(depth_m, pixel, camera) {
                     *code = measured(line[column], pixel, settings, seed);
                 }
             }
@@ -100,17 +133,28 @@ pub fn measure_depth(
         .ok_or_else(|| Error::internal("the depth image has the wrong size"))
 }
 
+/// Whether matching fails at a pixel.
+fn is_hole((column, row): (usize, usize), fraction: f64, seed: u64) -> bool {
+    if fraction <= 0.0 {
+        return false;
+    }
+    let cell = ((row / CELL) as u64) << 32 | (column / CELL) as u64;
+    let normal = f64::from(gaussians(seed ^ 0x0f0f_9876, cell)[0]);
+    // The logistic function nearly is the normal distribution function.
+    1.0 / (1.0 + (-1.702 * normal).exp()) < fraction
+}
+
 /// Measures one depth with noise and quantisation.
 fn measured(depth: f32, pixel: (usize, usize), settings: &DepthSettings, seed: u64) -> u16 {
     let depth = f64::from(depth);
     let scale = STEREO_FOCAL_PX * BASELINE_M;
-    if !(scale / MAX_DISPARITY_PX..=MAX_DEPTH_M).contains(&depth) {
+    if !(settings.min_depth_m..=MAX_DEPTH_M).contains(&depth) {
         return 0;
     }
     let noise = settings.disparity_std_px * disparity_noise(pixel, seed);
     let steps = ((scale / depth + noise) * DISPARITY_STEPS).round();
     let disparity = steps / DISPARITY_STEPS;
-    if disparity <= 0.0 || disparity > MAX_DISPARITY_PX {
+    if disparity <= 0.0 {
         return 0;
     }
     // Codes beyond 16 bits are invalid.
@@ -252,6 +296,33 @@ mod tests {
         assert_eq!(code(f32::INFINITY), 0);
         assert_eq!(code(0.0), 0);
         assert!((i32::from(code(0.3)) - 300).abs() <= 3, "{}", code(0.3));
+    }
+
+    #[test]
+    fn mode_and_holes_are_those_of_the_settings() {
+        let near = [0.12_f32; 320 * 240];
+        let known = |settings: DepthSettings| {
+            let codes = measure_depth(&near, &camera(), &settings, 5).unwrap();
+            codes.iter().filter(|code| **code > 0).count() as f64 / codes.len() as f64
+        };
+        let default = DepthSettings::default();
+        assert_eq!(known(default), 0.0);
+        let small = DepthSettings {
+            min_depth_m: 0.1,
+            ..default
+        };
+        assert_eq!(known(small), 1.0);
+        let holes = DepthSettings {
+            hole_fraction: 0.3,
+            ..small
+        };
+        assert!((known(holes) - 0.7).abs() < 0.06, "{}", known(holes));
+        assert_eq!(DepthSettings::sample(3, 0.0), default);
+        for seed in 0..20 {
+            let drawn = DepthSettings::sample(seed, 1.0);
+            assert!((0.09..0.16).contains(&drawn.min_depth_m), "{drawn:?}");
+            assert!(drawn.validate().is_ok(), "{drawn:?}");
+        }
     }
 
     #[test]

@@ -1,0 +1,344 @@
+//! Trains and evaluates the verdict in the lift.
+
+use serde::{Deserialize, Serialize};
+
+use super::evaluate::{ResampledMetrics, SEED, grouped};
+use super::metrics::{Bootstrap, Interval, Scored, youden_threshold};
+use super::samples::{SampleFacts, Samples};
+use super::validate::Logit;
+use gripcast_base::linear::NormalEquations;
+use gripcast_base::random::SeedStream;
+use gripcast_nn::predict::lift::{FEATURES, Features, LiftHead, MotionNetwork, features};
+use gripcast_shear::LiftMotion;
+
+/// Rise of the gripper between the images of a simulated lift, m.
+const STEP_M: f64 = 8e-4;
+/// Hidden units of the motion network.
+const HIDDEN: usize = 16;
+const EPOCHS: usize = 300;
+const LEARNING_RATE: f64 = 1e-2;
+const WEIGHT_DECAY: f64 = 1e-3;
+/// Newton steps of the combination.
+const NEWTON_STEPS: usize = 25;
+/// Fraction of held lifts of the validation split that may give an alarm; the goal on other objects
+/// is 5 %.
+const ALARMED_FRACTION: f64 = 0.04;
+/// Minimum lifts of each label to train on.
+const MIN_LIFTS: usize = 20;
+/// Images between alarm and loss that leave time to react: 80 ms.
+const LEAD: usize = 2;
+
+/// Features of each image of a lift after the first.
+fn sequence(motion: &LiftMotion) -> Vec<Features> {
+    let Some(before) = motion.frames.first() else {
+        return Vec::new();
+    };
+    let pairs = motion.frames.windows(2);
+    pairs
+        .map(|pair| features(before, &pair[0], &pair[1]))
+        .collect()
+}
+
+/// Image from which a finger has lost contact, if it has.
+fn loss(motion: &LiftMotion) -> Option<usize> {
+    let before = motion.frames.first()?;
+    let is_lost = |frame: &[gripcast_shear::GelMotion; 2]| {
+        let gels = frame.iter().zip(before);
+        gels.into_iter().any(|(now, before)| {
+            before.contact_fraction > 0.0 && now.contact_fraction <= 0.0
+        })
+    };
+    motion.frames.iter().position(is_lost)
+}
+
+/// A row of training data.
+struct Row {
+    features: Features,
+    is_stable: bool,
+    weight: f64,
+}
+
+fn rows<'a>(facts: impl Iterator<Item = &'a SampleFacts>) -> Vec<Row> {
+    let of_lift = |facts: &SampleFacts| {
+        let sequence = facts.lift_motion.as_ref().map(sequence);
+        let sequence = sequence.unwrap_or_default();
+        let weight = 1.0 / sequence.len().max(1) as f64;
+        let is_stable = facts.is_stable;
+        sequence.into_iter().map(move |features| Row {
+            features,
+            is_stable,
+            weight,
+        })
+    };
+    facts.flat_map(of_lift).collect()
+}
+
+/// Fits the lift head on the training split and its combination with the prediction before the
+/// lift on the validation split, whose logits and temperature are given. None with too few lifts
+/// that show the motion.
+pub(super) fn fit(
+    train: &Samples,
+    validation: &Samples,
+    logits: &[Logit],
+    temperature: f64,
+    seed: u64,
+) -> Option<LiftHead> {
+    for samples in [train, validation] {
+        let known = |label: bool| {
+            let facts = samples.facts().iter();
+            let lifts = facts.filter(|f| f.is_stable == label && f.lift_motion.is_some());
+            lifts.count() >= MIN_LIFTS
+        };
+        if !(known(true) && known(false)) {
+            return None;
+        }
+    }
+    let network = train_network(&rows(train.facts().iter()), seed)?;
+    let samples: Vec<(f64, Vec<f64>, bool)> = logits
+        .iter()
+        .zip(validation.facts())
+        .filter_map(|(logit, facts)| {
+            let motion = sequence(facts.lift_motion.as_ref()?);
+            let motion = motion.iter().map(|features| network.logit(features));
+            Some((logit.logit / temperature, motion.collect(), facts.is_stable))
+        })
+        .collect();
+    let [prior_weight, motion_weight, offset] = combine(&samples)?;
+    let mut head = LiftHead {
+        network,
+        prior_weight,
+        motion_weight,
+        offset,
+        threshold: 0.5,
+        alarm: 0.0,
+    };
+    let probability = |prior: f64, motion: f64| {
+        let logit = prior_weight * prior + motion_weight * motion + offset;
+        1.0 / (1.0 + (-logit).exp())
+    };
+    let scored: Vec<Scored> = samples
+        .iter()
+        .flat_map(|(prior, motion, stable)| {
+            motion.iter().map(|motion| Scored {
+                p_stable: probability(*prior, *motion),
+                stable: *stable,
+            })
+        })
+        .collect();
+    head.threshold = youden_threshold(&scored)?.clamp(0.01, 0.99);
+    let held = samples.iter().filter(|(_, _, stable)| *stable);
+    let mut least: Vec<f64> = held
+        .map(|(prior, motion, _)| {
+            let all = motion.iter().map(|motion| probability(*prior, *motion));
+            all.fold(1.0, f64::min)
+        })
+        .collect();
+    least.sort_by(f64::total_cmp);
+    let allowed = (ALARMED_FRACTION * least.len() as f64) as usize;
+    head.alarm = least.get(allowed)?.clamp(0.0, head.threshold);
+    Some(head)
+}
+
+/// Trains the network on the motion by full-batch Adam (Kingma and Ba, 2015).
+fn train_network(rows: &[Row], seed: u64) -> Option<MotionNetwork> {
+    let total: f64 = rows.iter().map(|row| row.weight).sum();
+    let mean_of = |value: &dyn Fn(&Row) -> f64| {
+        let sum: f64 = rows.iter().map(|row| row.weight * value(row)).sum();
+        sum / total
+    };
+    let mean: Vec<f64> = (0..FEATURES).map(|i| mean_of(&|row| row.features[i])).collect();
+    let std: Vec<f64> = (0..FEATURES)
+        .map(|i| mean_of(&|row| (row.features[i] - mean[i]).powi(2)).sqrt().max(1e-3))
+        .collect();
+    let mut draw = SeedStream::named(seed, "lift");
+    let bound = (6.0 / FEATURES as f64).sqrt();
+    let hidden = (0..HIDDEN).map(|_| {
+        let weights = (0..FEATURES).map(|_| draw.between(-bound, bound));
+        let mut weights: Vec<f64> = weights.collect();
+        weights.push(0.0);
+        weights
+    });
+    let mut network = MotionNetwork {
+        mean,
+        std,
+        hidden: hidden.collect(),
+        output: Vec::new(),
+    };
+    let bound = (3.0 / HIDDEN as f64).sqrt();
+    network.output = (0..HIDDEN).map(|_| draw.between(-bound, bound)).collect();
+    network.output.push(0.0);
+    let inputs: Vec<Vec<f64>> = rows
+        .iter()
+        .map(|row| network.standardised(&row.features).collect())
+        .collect();
+    let count = HIDDEN * (FEATURES + 1) + HIDDEN + 1;
+    let (mut first, mut second) = (vec![0.0; count], vec![0.0; count]);
+    for step in 1..=EPOCHS {
+        let gradient = gradient(&network, rows, &inputs, total);
+        let rate = LEARNING_RATE * (1.0 - (step - 1) as f64 / EPOCHS as f64);
+        let [fraction, square_fraction] = [0.9_f64, 0.999].map(|b| 1.0 - b.powi(step as i32));
+        let parameters = network.hidden.iter_mut().flatten().chain(&mut network.output);
+        let moments = first.iter_mut().zip(&mut second).zip(gradient);
+        for (parameter, ((first, second), slope)) in parameters.zip(moments) {
+            *first += 0.1 * (slope - *first);
+            *second += 0.001 * (slope * slope - *second);
+            let direction = *first / fraction / ((*second / square_fraction).sqrt() + 1e-8);
+            *parameter -= rate * (direction + WEIGHT_DECAY * *parameter);
+        }
+    }
+    let usable = network.output.iter().all(|x| x.is_finite());
+    usable.then_some(network)
+}
+
+/// Gradient of the mean cross entropy in the order of the parameters.
+fn gradient(network: &MotionNetwork, rows: &[Row], inputs: &[Vec<f64>], total: f64) -> Vec<f64> {
+    let width = FEATURES + 1;
+    let mut gradient = vec![0.0; HIDDEN * width + HIDDEN + 1];
+    for (row, input) in rows.iter().zip(inputs) {
+        let hidden = network.hidden(&row.features);
+        let sum: f64 = network.output.iter().zip(&hidden).map(|(w, x)| w * x).sum();
+        let logit = sum + network.output[HIDDEN];
+        let target = f64::from(u8::from(row.is_stable));
+        let slope = row.weight / total * (1.0 / (1.0 + (-logit).exp()) - target);
+        for (unit, value) in hidden.iter().enumerate() {
+            gradient[HIDDEN * width + unit] += slope * value;
+            if *value > 0.0 {
+                let back = slope * network.output[unit];
+                let of_unit = &mut gradient[unit * width..][..width];
+                for (gradient, input) in of_unit.iter_mut().zip(input) {
+                    *gradient += back * input;
+                }
+                of_unit[FEATURES] += back;
+            }
+        }
+        gradient[HIDDEN * width + HIDDEN] += slope;
+    }
+    gradient
+}
+
+/// Fits weights of the log-odds before the lift and of the motion, and an offset, by Newton steps
+/// on the ridge-penalised cross entropy.
+fn combine(samples: &[(f64, Vec<f64>, bool)]) -> Option<[f64; 3]> {
+    let mut weights = [0.5, 0.5, 0.0];
+    for _ in 0..NEWTON_STEPS {
+        let mut system = NormalEquations::<3>::zero();
+        let mut gradient = [0.0; 3];
+        for (prior, motion, stable) in samples {
+            for motion_logit in motion {
+                let x = [*prior, *motion_logit, 1.0];
+                let logit: f64 = weights.iter().zip(x).map(|(w, x)| w * x).sum();
+                let p = 1.0 / (1.0 + (-logit).exp());
+                let error = p - f64::from(u8::from(*stable));
+                let share = 1.0 / motion.len() as f64;
+                // A step towards zero residual, weighted by the curvature.
+                let curvature = share * (p * (1.0 - p)).max(1e-6);
+                system.add(&x, -share * error / curvature, curvature);
+                for (gradient, x) in gradient.iter_mut().zip(x) {
+                    *gradient += share * error * x;
+                }
+            }
+        }
+        let step = system.solve()?;
+        for (weight, step) in weights.iter_mut().zip(step) {
+            *weight += step.clamp(-1.0, 1.0);
+        }
+        if gradient.iter().all(|slope| slope.abs() < 1e-9) {
+            break;
+        }
+    }
+    // More risk before the lift or in the motion never is a better grasp.
+    let usable = weights.iter().all(|x| x.is_finite()) && weights[1] > 0.0;
+    usable.then_some([weights[0].max(0.0), weights[1], weights[2]])
+}
+
+/// Metrics of the verdict at one image of the lift.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct LiftPoint {
+    /// Rise of the gripper, m.
+    pub lifted_m: f64,
+    /// AUROC with its 95 % interval over objects.
+    pub auroc: Option<Interval>,
+    /// Balanced accuracy at the threshold with its 95 % interval over objects.
+    pub balanced_accuracy: Option<Interval>,
+}
+
+/// Evaluation of the verdict in the lift.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct LiftEvaluation {
+    /// Lifts with motion: all, and those that slip.
+    pub lifts: [usize; 2],
+    /// Metrics by rise.
+    pub points: Vec<LiftPoint>,
+    /// Fraction of held lifts that give an alarm, with its 95 % interval over objects.
+    pub alarmed_held: Option<Interval>,
+    /// Fraction of slips that give an alarm at least 80 ms before a finger loses contact, or within
+    /// the images where none does.
+    pub alarmed_slips: Option<Interval>,
+}
+
+impl LiftEvaluation {
+    /// Evaluates a head on samples with the probabilities before the lift; none without motion.
+    pub(super) fn new(head: &LiftHead, samples: &Samples, p_before: &[f64]) -> Option<Self> {
+        let lifts: Vec<(&SampleFacts, &LiftMotion, Vec<f64>)> = samples
+            .facts()
+            .iter()
+            .zip(p_before)
+            .filter_map(|(facts, p_before)| {
+                let motion = facts.lift_motion.as_ref()?;
+                let features = sequence(motion);
+                let p = features.iter().map(|f| head.probability(*p_before, f));
+                Some((facts, motion, p.collect()))
+            })
+            .collect();
+        let longest = lifts.iter().map(|(_, _, p)| p.len()).max()?;
+        let facts: Vec<SampleFacts> = lifts.iter().map(|(facts, _, _)| (*facts).clone()).collect();
+        let (_, objects) = grouped(&facts, |facts| facts.object.clone());
+        let bootstrap = Bootstrap::new(SEED);
+        let point = |image: usize| {
+            // A lift without this image keeps its last verdict.
+            let scored: Vec<Scored> = lifts
+                .iter()
+                .map(|(facts, _, p)| Scored {
+                    p_stable: p.get(image).or(p.last()).copied().unwrap_or(0.5),
+                    stable: facts.is_stable,
+                })
+                .collect();
+            let metrics = ResampledMetrics::new(&scored, head.threshold);
+            LiftPoint {
+                lifted_m: (image + 1) as f64 * STEP_M,
+                auroc: bootstrap.interval(&objects, |times| metrics.auroc(times)),
+                balanced_accuracy: bootstrap
+                    .interval(&objects, |times| metrics.balanced_accuracy(times)),
+            }
+        };
+        let alarm = |(_, motion, p): &(&SampleFacts, &LiftMotion, Vec<f64>)| {
+            let last = loss(motion).map_or(p.len(), |image| image.saturating_sub(LEAD));
+            p.iter().take(last).any(|p| *p < head.alarm)
+        };
+        let fraction = |label: bool| {
+            let values: Vec<f64> = lifts
+                .iter()
+                .map(|lift| match lift.0.is_stable == label {
+                    true => f64::from(u8::from(alarm(lift))),
+                    false => f64::NAN,
+                })
+                .collect();
+            bootstrap.interval(&objects, |times| {
+                super::metrics::resampled_mean(&values, times)
+            })
+        };
+        Some(Self {
+            lifts: [
+                lifts.len(),
+                lifts.iter().filter(|(facts, _, _)| !facts.is_stable).count(),
+            ],
+            points: (0..longest).map(point).collect(),
+            alarmed_held: fraction(true),
+            alarmed_slips: fraction(false),
+        })
+    }
+}
+
+#[cfg(test)]
+#[path = "lift_test.rs"]
+mod tests;
