@@ -4,6 +4,7 @@ use std::collections::BTreeMap;
 use std::path::Path;
 
 use super::comparison::Comparison;
+use super::conformal::add_conformal_scores;
 use super::metrics::{Summary, fit_temperature, youden_threshold};
 use super::ood::fit_tactile_reference;
 use super::run_folder::{EpochMetrics, RunFile, RunFolder};
@@ -14,7 +15,7 @@ use super::validate::{Logit, logits};
 use gripcast_base::error::Result;
 use gripcast_imaging::CropProfile;
 use gripcast_nn::predict::contract::{InputName, InputSpec, Origin};
-use gripcast_nn::predict::{ModelContract, ood};
+use gripcast_nn::predict::{BASE_RATE, ModelContract, ood};
 use gripcast_nn::{Network, to_onnx};
 
 /// Metadata key of the training objects.
@@ -66,6 +67,7 @@ pub fn finish(
     let scored: Vec<_> = logits.iter().map(|x| x.scored(temperature)).collect();
     let summary = Summary::new(&scored, threshold);
     let mut contract = contract(file, name, &best, [temperature, threshold], &summary)?;
+    add_conformal_scores(&mut contract, &validation, &scored);
     let train = Samples::open(data, "train")?;
     let fine_tuning = file.settings.fine_tuning.as_ref();
     let start = fine_tuning
@@ -130,6 +132,8 @@ fn contract(
             (ARCHITECTURE, settings.architecture.name.clone()),
             ("gripcast.software", file.software.clone()),
             ("gripcast.epoch", best.epoch.to_string()),
+            // Both labels have equal weight.
+            (BASE_RATE, "0.5".to_owned()),
             (
                 OBJECTS,
                 serde_json::to_string(&file.objects).unwrap_or_default(),

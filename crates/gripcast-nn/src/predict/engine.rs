@@ -14,6 +14,7 @@ use tract_onnx::tract_core::internal::bail;
 use tract_onnx::tract_core::ops::konst::Const;
 use tract_onnx::tract_core::plan::eval;
 
+use super::conformal::{self, ConformalLimits, ConformalScores};
 use super::contract::{self, InputName, ModelContract};
 use super::graph_check;
 use super::input::ModelInput;
@@ -31,6 +32,7 @@ pub struct Model {
     sha256: String,
     load_ms: f64,
     ood_detector: Option<OodDetector>,
+    conformal_scores: Option<ConformalScores>,
     engine: Engine,
 }
 
@@ -81,6 +83,10 @@ impl Model {
         let ood_detector = ood_detector
             .map(|text| OodDetector::from_metadata(text))
             .transpose()?;
+        let conformal_scores = contract.other.get(conformal::METADATA);
+        let conformal_scores = conformal_scores
+            .map(|text| ConformalScores::from_metadata(text))
+            .transpose()?;
         proto
             .graph
             .iter_mut()
@@ -97,6 +103,7 @@ impl Model {
             sha256: sha256_hex(bytes),
             load_ms: 0.0,
             ood_detector,
+            conformal_scores,
             engine,
         };
         let zeros = ModelInput::zeros(&model.contract)?;
@@ -162,6 +169,30 @@ impl Model {
     #[must_use]
     pub fn ood_detector(&self) -> Option<&OodDetector> {
         self.ood_detector.as_ref()
+    }
+
+    /// Scores for prediction sets, if any.
+    #[must_use]
+    pub fn conformal_scores(&self) -> Option<&ConformalScores> {
+        self.conformal_scores.as_ref()
+    }
+
+    /// Limits of the prediction sets at an error rate in (0, 1).
+    ///
+    /// # Errors
+    /// `Input` where the model has no scores.
+    pub fn conformal_limits(&self, error_rate: f64) -> Result<ConformalLimits> {
+        let scores = self.conformal_scores.as_ref().ok_or_else(|| {
+            Error::input(format!(
+                "the model `{}` has no conformal scores, so it has no sets at an error rate",
+                self.contract.name
+            ))
+            .remedy(
+                "compute them on labelled grasps that it was not trained on: gripcast predict \
+                 conformal MODEL --data D --split validation --out FILE",
+            )
+        })?;
+        Ok(scores.limits(error_rate))
     }
 
     /// Predicts one grasp.
