@@ -23,10 +23,11 @@ use super::tasks::{Heartbeat, Tasks};
 use super::thread::lock;
 use gripcast_base::error::Result;
 use gripcast_capture::camera::monotonic_ns;
-use gripcast_dataset::PredictionRecord;
+use gripcast_dataset::{AdaptedPrediction, OpenOutcomes, PredictionRecord};
 use gripcast_imaging::{GelChange, GelState, Role, TactileDifference};
 use gripcast_nn::predict::{
-    LivePrediction, LivePredictor, Model, PredictedLabel, Smoothing, contact_doubt,
+    Adaptation, ConformalLimits, LivePrediction, LivePredictor, Model, PredictedLabel, Smoothing,
+    contact_doubt,
 };
 use gripcast_shear::{MarkerField, ShearFrame};
 
@@ -55,6 +56,8 @@ pub(super) enum InferRequest {
         /// Right gel, open gripper.
         right: Arc<RgbImage>,
     },
+    /// Adapt predictions to this base rate from now on.
+    SetAdaptation(Adaptation),
     /// Stop predicting, for this reason. Contact is still measured against the last initial frame.
     ClearInitial(String),
     /// Predict and measure shear on exactly these images and the current initial frame.
@@ -106,6 +109,8 @@ impl ModelInfo {
             p_stable: prediction.p_stable,
             ood_score: prediction.ood_score,
             unsure_reason: None,
+            adapted: None,
+            set: None,
             threshold: self.threshold,
             model_sha256: self.sha256.clone(),
             model: self.name.clone(),
@@ -193,13 +198,15 @@ pub(super) struct Inference {
 }
 
 impl Inference {
-    /// Starts the thread. Without a model it measures contact and makes previews.
+    /// Starts the thread. Without a model it measures contact and makes previews; with `limits` it
+    /// predicts sets of outcomes.
     ///
     /// # Errors
     /// Errors of loading the model or starting the thread.
     pub(super) fn start(
         hub: &Hub,
         model: Option<Model>,
+        limits: Option<ConformalLimits>,
         scales: BTreeMap<Role, GelScale>,
         (requests, inbox): (Sender<InferRequest>, Receiver<InferRequest>),
         tasks: &Tasks,
@@ -216,6 +223,7 @@ impl Inference {
         let name = info.as_ref().map(|info| info.name.clone());
         let predictor = model.map(LivePredictor::new).transpose()?;
         let mut worker = Worker::new(hub, predictor.zip(info), scales, &state);
+        worker.limits = limits;
         let thread = tasks.spawn("inference", move |heartbeat| worker.run(&inbox, heartbeat))?;
         Ok(Self {
             state,
@@ -242,6 +250,10 @@ impl Inference {
 struct Worker {
     hub: Hub,
     predictor: Option<(LivePredictor, ModelInfo)>,
+    /// Limits of the prediction sets.
+    limits: Option<ConformalLimits>,
+    /// Base rate that predictions are adapted to.
+    adaptation: Option<Adaptation>,
     initial: BTreeMap<Role, Arc<RgbImage>>,
     gels: GelJudge,
     trackers: GelTrackers,
@@ -264,6 +276,8 @@ impl Worker {
         Self {
             hub: hub.clone(),
             predictor,
+            limits: None,
+            adaptation: None,
             initial: BTreeMap::new(),
             gels: GelJudge::default(),
             trackers: GelTrackers::new(scales),
@@ -314,6 +328,7 @@ impl Worker {
                 right,
             } => self.set_initial(revision, left, right),
             InferRequest::SetReference { left, right } => self.compare_with(0, left, right),
+            InferRequest::SetAdaptation(adaptation) => self.adaptation = Some(adaptation),
             InferRequest::ClearInitial(reason) => self.clear_initial(reason),
             InferRequest::Analyse { images, reply } => {
                 // The requester may have timed out.
@@ -481,12 +496,15 @@ impl Worker {
                     p_stable: self.smoothing.add(prediction.p_stable, frame_time_ns),
                     ..model.record(&prediction, latency_ms)
                 };
+                let record = decided(record, self.limits, self.adaptation);
                 let changes = [Role::Left, Role::Right].map(|role| state.contact.get(&role));
                 let changes = changes.map(|contact| contact.map(|contact| contact.change));
                 let record = with_doubt(record, predictor, changes);
                 let message = serde_json::json!({
                     "p_stable": record.p_stable,
                     "p_stable_frame": prediction.p_stable,
+                    "p_stable_adapted": record.adapted.map(|adapted| adapted.p_stable),
+                    "set": record.set,
                     "ood_score": record.ood_score,
                     "unsure_reason": record.unsure_reason,
                     "frame_time_ns": frame_time_ns,
@@ -531,6 +549,7 @@ impl Worker {
         }
         // The store sets the latency to that of the live prediction at the trigger.
         let record = model.record(&result?.ok()?, 0.0);
+        let record = decided(record, self.limits, self.adaptation);
         Some(with_doubt(record, predictor, changes))
     }
 }
@@ -550,6 +569,34 @@ impl MarkerMessage {
             shape,
             values: values.iter().map(|v| v.is_finite().then_some(*v)).collect(),
         }
+    }
+}
+
+/// Adds the adapted probability and the prediction set. The set follows from the model's own
+/// probability: it covers each outcome on its own, whatever the base rate.
+fn decided(
+    record: PredictionRecord,
+    limits: Option<ConformalLimits>,
+    adaptation: Option<Adaptation>,
+) -> PredictionRecord {
+    let p_stable = record.p_stable;
+    let set = limits.map(|limits| {
+        let set = limits.set_of(p_stable);
+        OpenOutcomes {
+            error_rate: limits.error_rate,
+            stable: set.contains(true),
+            slip: set.contains(false),
+        }
+    });
+    let adapted = adaptation.map(|adaptation| AdaptedPrediction {
+        p_stable: adaptation.adapted(p_stable),
+        base_rate: adaptation.base_rate,
+        labels: adaptation.labels,
+    });
+    PredictionRecord {
+        adapted,
+        set,
+        ..record
     }
 }
 

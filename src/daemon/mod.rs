@@ -34,7 +34,7 @@ pub use black_box::{BlackBoxReport, BlackBoxSettings, BlackBoxStatus, FrameCount
 pub use boards::{Boards, read_object_boards};
 pub use calibration::stored_intrinsics;
 pub use command_request::CommandRequest;
-pub use engine::{EngineLinks, EngineSetup, StoreEvent, run};
+pub use engine::{DecisionSettings, EngineLinks, EngineSetup, StoreEvent, run};
 pub use gripcast_capture::camera::CameraState;
 pub use infer::ModelInfo;
 pub use report::{
@@ -45,7 +45,7 @@ pub use start_report::{StartFinding, StartSubject};
 pub(crate) use status::disk_free_bytes;
 pub use status::{
     CameraStatus, EngineStatus, GelStatus, LiveMarkers, MarkerStatus, PredictionStatus, Preview,
-    ShearStatus, verdict_of,
+    ShearStatus, unsure_words, verdict_of,
 };
 pub use tasks::{Heartbeat, TaskReport, TaskState, Tasks};
 pub(crate) use thread::lock;

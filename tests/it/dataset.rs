@@ -96,6 +96,8 @@ fn prediction() -> PredictionRecord {
         p_stable: 0.75,
         ood_score: None,
         unsure_reason: None,
+        adapted: None,
+        set: None,
         threshold: 0.5,
         model_sha256: "ab".repeat(32),
         model: "baseline-contact".into(),

@@ -306,6 +306,8 @@ fn prediction_record(prediction: &Prediction) -> PredictionRecord {
         p_stable: prediction.p_stable,
         ood_score: prediction.ood_score,
         unsure_reason: prediction.unsure_reason.clone(),
+        adapted: None,
+        set: None,
         threshold: prediction.threshold,
         model_sha256: prediction.model_sha256.clone(),
         model: prediction.model.clone(),

@@ -135,6 +135,7 @@ impl Engine {
                 ..live
             }),
             no_prediction_reason: state.unavailable.clone(),
+            adaptation: self.adaptation(),
             contact: state.contact_levels(),
             objects: Arc::clone(&self.objects),
             gels: self.gels(&state),

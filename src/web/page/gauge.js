@@ -4,7 +4,18 @@
  * @import {Predicted, Session, State} from "./types.js"
  */
 import { attribute, byId, make, refill, say, style } from "./dom.js";
-import { banner, duration, messageText, savedVerdict, short, shownVerdict, STEPS } from "./words.js";
+import {
+  adaptationWords,
+  banner,
+  duration,
+  messageText,
+  probability,
+  savedVerdict,
+  short,
+  shownVerdict,
+  STEPS,
+  unsureWords,
+} from "./words.js";
 
 /** Time after which a verdict is read out by screen readers, ms. */
 const SETTLED_MS = 1200;
@@ -107,8 +118,8 @@ function isUsable(prediction) {
 }
 
 /** @param {Predicted} prediction */
-function shownProbability({ p_stable }) {
-  return Math.min(Math.max(p_stable, 0), 1);
+function shownProbability(prediction) {
+  return Math.min(Math.max(probability(prediction), 0), 1);
 }
 
 /** @param {Reading} reading */
@@ -129,7 +140,8 @@ function drawBar({ prediction, verdict }) {
 function drawTitle({ prediction, verdict, heuristic, about, timing }) {
   byId("heuristic").hidden = !heuristic;
   byId("unknown").hidden = verdict !== "unsure";
-  say(byId("unknown"), prediction?.unsure_reason ?? "unlike the training images");
+  say(byId("unknown"), prediction ? unsureWords(prediction) : "");
+  say(byId("adapted"), prediction ? adaptationWords(prediction) : "");
   say(byId("model"), prediction?.model ?? "");
   style(byId("about"), verdict === "old" ? "warning" : "faint");
   say(byId("about"), about);
