@@ -10,8 +10,8 @@ use std::time::Duration;
 use tokio::signal::unix::{SignalKind, signal};
 use tokio::sync::mpsc;
 
-use super::config::{CollectConfig, Config, KEEP_LIFT_S};
-use super::daemon::{Boards, CommandRequest, EndReason, EngineSetup, GelScale};
+use super::config::{ADAPT_STRENGTH, CollectConfig, Config, ERROR_RATE_OR_NONE, KEEP_LIFT_S};
+use super::daemon::{Boards, CommandRequest, DecisionSettings, EndReason, EngineSetup, GelScale};
 use super::model_choice::chosen_model;
 use crate::note;
 use gripcast_base::error::{Error, Result};
@@ -120,6 +120,15 @@ pub(crate) fn prepare(
         },
         guards: config.guards,
         model,
+        decision: DecisionSettings {
+            error_rate: (settings.error_rate > 0.0)
+                .then(|| ERROR_RATE_OR_NONE.check(settings.error_rate))
+                .transpose()?,
+            adapt_strength: settings
+                .adapt
+                .then(|| ADAPT_STRENGTH.check(settings.adapt_strength))
+                .transpose()?,
+        },
         script,
         boards,
         hand,

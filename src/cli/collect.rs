@@ -55,7 +55,7 @@ pub(crate) struct Args {
         num_args = 0..=1,
         default_missing_value = "",
         conflicts_with_all = ["rig", "dataset", "object", "scene", "operator", "model", "script",
-            "headless", "json", "events", "black_box"]
+            "headless", "json", "events", "black_box", "error_rate", "adapt", "adapt_strength"]
     )]
     attach: Option<String>,
     /// File with the daemon's token, for --attach

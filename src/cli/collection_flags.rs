@@ -3,7 +3,7 @@
 use std::path::PathBuf;
 
 use super::flags::{given, number, path_text};
-use crate::config::{FlagValue, KEEP_LIFT_S};
+use crate::config::{ADAPT_STRENGTH, ERROR_RATE_OR_NONE, FlagValue, KEEP_LIFT_S};
 use gripcast_base::files::{Label, ObjectName};
 
 /// The options; each overrides a key of the configuration.
@@ -28,6 +28,17 @@ pub(super) struct CollectionFlags {
     /// or none [default: gripcast-vt if it suits the rig's cameras, else baseline-contact]
     #[arg(long, value_name = "MODEL")]
     model: Option<String>,
+    /// Predict the set of outcomes that is wrong at most at this rate: stable, slip or can't tell;
+    /// 0 disables it
+    #[arg(long, value_name = "RATE", value_parser = number(ERROR_RATE_OR_NONE))]
+    error_rate: Option<f64>,
+    /// Adapt predictions to the base rate of the labels that this rig has in the dataset; the
+    /// model's own probability is stored too
+    #[arg(long)]
+    adapt: bool,
+    /// Weight of the model's base rate in the adaptation [default: 10]
+    #[arg(long, value_name = "LABELS", value_parser = number(ADAPT_STRENGTH))]
+    adapt_strength: Option<f64>,
     /// Log every frame, event and prediction as MCAP (location and limits: `[black_box]` of the
     /// configuration)
     #[arg(long)]
@@ -64,6 +75,21 @@ impl CollectionFlags {
                 "--keep-lift",
                 "collect.keep_lift_s",
                 self.keep_lift.map(|seconds| seconds.to_string()),
+            ),
+            (
+                "--error-rate",
+                "collect.error_rate",
+                self.error_rate.map(|rate| rate.to_string()),
+            ),
+            (
+                "--adapt",
+                "collect.adapt",
+                self.adapt.then(|| "true".to_owned()),
+            ),
+            (
+                "--adapt-strength",
+                "collect.adapt_strength",
+                self.adapt_strength.map(|labels| labels.to_string()),
             ),
             (
                 "--black-box",

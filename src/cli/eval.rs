@@ -6,6 +6,7 @@ use std::path::PathBuf;
 
 use serde_json::json;
 
+use super::flags::{ERROR_RATE, number};
 use super::working::{Progress, interruptible};
 use super::{Context, create_folder, print_report};
 use crate::note;
@@ -13,7 +14,12 @@ use gripcast_base::error::{Error, Result};
 use gripcast_base::files;
 use gripcast_nn::predict::Model;
 use gripcast_train::metrics::{BaseRateCalibration, Interval};
-use gripcast_train::{EvalReport, ModelEvaluation, Samples, dataset_sha256, evaluate, page};
+use gripcast_train::{
+    ConformalLabel, EvalReport, ModelEvaluation, Samples, dataset_sha256, evaluate, page,
+};
+
+/// Error rate of the sets without `--error-rate`.
+const DEFAULT_ERROR_RATE: f64 = 0.1;
 
 /// Arguments.
 #[derive(Clone, Debug, clap::Args)]
@@ -27,6 +33,10 @@ pub(crate) struct Args {
     /// Split of the dataset
     #[arg(long, value_name = "NAME", default_value = "test")]
     split: String,
+    /// Error rate of the prediction sets (stable, slip, can't tell) [default: 0.1, of the models that
+    /// have conformal scores]
+    #[arg(long, value_name = "RATE", value_parser = number(ERROR_RATE))]
+    error_rate: Option<f64>,
     /// Output directory of eval.json and eval.html
     #[arg(long, value_name = "DIR")]
     out: Option<PathBuf>,
@@ -59,7 +69,9 @@ fn evaluated(args: &Args, progress: &Progress) -> Result<EvalReport> {
     let training = Samples::open(&args.data, "train").ok();
     let sha256 = dataset_sha256(&args.data)?;
     let on_progress = |done: usize, total: usize| progress.count(done, total);
-    let report = evaluate(&models, &samples, training.as_ref(), &sha256, &on_progress)?;
+    let mut report = evaluate(&models, &samples, training.as_ref(), &sha256, &on_progress)?;
+    let error_rate = args.error_rate.unwrap_or(DEFAULT_ERROR_RATE);
+    report.add_sets(&models, &samples, error_rate, args.error_rate.is_some())?;
     if let Some(out) = &args.out {
         create_folder(out)?;
         let text = serde_json::to_vec_pretty(&report)
@@ -82,6 +94,7 @@ fn first(report: &EvalReport) -> serde_json::Value {
         );
         fields.insert("ece_by_chance".into(), json!(model.ece_by_chance));
         fields.insert("at_base_rate".into(), json!(model.at_base_rate));
+        fields.insert("conformal".into(), json!(model.conformal));
         fields.insert("in_contact".into(), json!(model.in_contact));
         fields.insert("over_models".into(), json!(report.over_models));
         fields.insert("differences".into(), json!(report.differences));
@@ -99,6 +112,7 @@ fn text(report: &EvalReport) -> String {
     lines.extend(report.models.iter().map(row));
     lines.extend(report.models.iter().filter_map(at_base_rate));
     lines.extend(report.models.iter().flat_map(in_the_lift));
+    lines.extend(report.models.iter().filter_map(sets));
     for result in report.over_models.iter().filter(|r| r.summary.seeds > 1) {
         let over = &result.summary;
         let spread = |s: &Option<gripcast_train::metrics::Spread>| {
@@ -186,6 +200,27 @@ fn at_base_rate(model: &ModelEvaluation) -> Option<String> {
         100.0 * corrected.base_rate,
         corrected.ece,
         corrected.brier
+    ))
+}
+
+/// Formats coverage and undecided fraction of the prediction sets.
+fn sets(model: &ModelEvaluation) -> Option<String> {
+    let conformal = model.conformal.as_ref()?;
+    let of = |name: &str, label: &ConformalLabel| {
+        format!(
+            "{name} {}, can't tell {}",
+            interval(label.coverage_interval),
+            interval(label.cant_tell_interval)
+        )
+    };
+    Some(format!(
+        "{}: sets at an error rate of {} (scores of {}): coverage {}; {}; {}",
+        model.file,
+        conformal.limits.error_rate,
+        conformal.scores_of,
+        of("all", &conformal.all),
+        of("stable", &conformal.stable),
+        of("slip", &conformal.slip),
     ))
 }
 

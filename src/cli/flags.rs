@@ -99,6 +99,9 @@ pub(super) fn above_zero(text: &str) -> Result<f64, String> {
     number(NumberRange::POSITIVE)(text)
 }
 
+/// Error rates of prediction sets.
+pub(super) const ERROR_RATE: NumberRange = NumberRange::above(0.0, 0.5);
+
 /// Parses a fraction.
 pub(super) fn fraction(text: &str) -> Result<f64, String> {
     number(NumberRange::FRACTION)(text)

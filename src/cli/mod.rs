@@ -48,6 +48,7 @@ mod image_folder;
 mod man;
 mod mesh_repair;
 mod predict;
+mod predict_conformal;
 mod predict_stamp;
 mod render;
 mod render_calibrate;

@@ -5,7 +5,7 @@
 //! images of the open and of the closed gripper, and the colour image if the model uses it.
 //! Tactile images are cropped with the model's crop profile unless `--already-cropped`; all are
 //! resized to 320×240. `predict stamp FILE` writes the contract into an ONNX file of another
-//! program. `predict baseline` writes the built-in contact-strength heuristic as an
+//! program. `predict conformal MODEL` adds scores for prediction sets. `predict baseline` writes the built-in contact-strength heuristic as an
 //! ONNX file.
 //!
 //! Exit codes: 0 predicted · 1 invalid model or image · 2 usage.
@@ -15,6 +15,8 @@ use std::path::{Path, PathBuf};
 use image::RgbImage;
 use serde_json::{Value, json};
 
+use super::flags::{ERROR_RATE, number};
+use super::predict_conformal::{self, ConformalArgs};
 use super::predict_stamp::{self, StampArgs};
 use super::flags::above_zero;
 use super::{Context, print_report};
@@ -42,6 +44,8 @@ enum Action {
     Images(ImagesArgs),
     /// Write the contract into an ONNX file of another program
     Stamp(StampArgs),
+    /// Write a model with the conformal scores of labelled grasps, for sets at an error rate
+    Conformal(ConformalArgs),
     /// Write the built-in contact-strength heuristic as an ONNX file
     #[command(hide = true)]
     Baseline(BaselineArgs),
@@ -89,6 +93,9 @@ struct ImagesArgs {
     /// ONNX file, gripcast-vt (built-in classifier) or baseline-contact (built-in heuristic)
     #[arg(long, value_name = "MODEL", default_value = SHIPPED)]
     model: String,
+    /// Predict the set of outcomes that is wrong at most at this rate: stable, slip or can't tell
+    #[arg(long, value_name = "RATE", value_parser = number(ERROR_RATE))]
+    error_rate: Option<f64>,
     /// Print the result as JSON
     #[arg(long)]
     json: bool,
@@ -107,6 +114,7 @@ pub(crate) fn run(context: &Context, args: Args) -> Result<()> {
         Action::Check(args) => check(context, &args),
         Action::Images(args) => predict_images(context, &args),
         Action::Stamp(args) => predict_stamp::run(context, &args),
+        Action::Conformal(args) => predict_conformal::run(context, args),
         Action::Baseline(args) => write_baseline(context, &args.out),
     }
 }
@@ -180,6 +188,8 @@ fn contract_text(context: &Context, model: &Model, origin: &str) -> String {
 
 fn predict_images(context: &Context, args: &ImagesArgs) -> Result<()> {
     let model = Model::by_name(&args.model)?;
+    let limits = args.error_rate.map(|rate| model.conformal_limits(rate));
+    let limits = limits.transpose()?;
     let contract = model.contract();
     let crop = match &args.crop {
         Some(name) => {
@@ -240,6 +250,10 @@ fn predict_images(context: &Context, args: &ImagesArgs) -> Result<()> {
         )]);
     }
     let outcome = label.name();
+    // The scores are those of the prediction from all inputs.
+    let is_whole = prediction.modality == contract.modality;
+    let set = limits.filter(|_| is_whole);
+    let set = set.map(|limits| limits.set_of(prediction.p_stable));
     if contract.is_heuristic() {
         let name = &contract.name;
         context.warn([format!(
@@ -249,6 +263,7 @@ fn predict_images(context: &Context, args: &ImagesArgs) -> Result<()> {
     let report = json!({
         "crop_profile": crop.name(),
         "engine_ms": prediction.engine_ms,
+        "error_rate": args.error_rate,
         "geometry": prediction.geometry,
         "inputs": prediction.modality,
         "kind": contract.origin.name(),
@@ -257,6 +272,7 @@ fn predict_images(context: &Context, args: &ImagesArgs) -> Result<()> {
         "ood_score": ood_score,
         "p_stable": prediction.p_stable,
         "predicted": outcome,
+        "set": set,
         "threshold": prediction.threshold,
         "unsure_reason": unsure_reason,
     });
@@ -268,9 +284,18 @@ fn predict_images(context: &Context, args: &ImagesArgs) -> Result<()> {
             }
             (None, PredictedLabel::Stable | PredictedLabel::Slip) => String::new(),
         };
+        let set = limits.zip(set).map(|(limits, set)| {
+            format!(
+                "\nat an error rate of {}: {}",
+                limits.error_rate,
+                set.words()
+            )
+        });
         format!(
-            "{outcome}: p_stable {:.3}, threshold {}{reason}",
-            prediction.p_stable, prediction.threshold
+            "{outcome}: p_stable {:.3}, threshold {}{reason}{}",
+            prediction.p_stable,
+            prediction.threshold,
+            set.unwrap_or_default()
         )
     })
 }

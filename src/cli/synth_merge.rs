@@ -11,7 +11,7 @@ use super::{Context, print_report};
 use gripcast_base::error::{Error, ErrorKind, Result};
 use gripcast_base::number::NumberRange;
 use gripcast_dataset::shard::SplitFractions;
-use gripcast_synth::curate::{CurationSettings, GroupKey};
+use gripcast_synth::curate::{CurationSettings, GroupKey, LabelBalance};
 use gripcast_synth::plan::Plan;
 use gripcast_synth::{MergeReport, MergeSettings, merge};
 
@@ -50,11 +50,17 @@ pub(super) struct SelectionFlags {
     #[arg(long, value_name = "FACTOR", default_value_t = 2.0,
         value_parser = number(NumberRange::NOT_NEGATIVE))]
     category_cap: f64,
-    /// Do not balance the labels
-    #[arg(long)]
-    unbalanced: bool,
+    /// How the labels of a split are balanced
+    #[arg(long, value_name = "BALANCE", default_value = "overall", value_parser = named([
+        ("overall", "As many stable grasps as slips in the split, dropped at random (as in the \
+            paper's test set)", LabelBalance::Overall),
+        ("category", "At each force, first from the categories with the largest surplus",
+            LabelBalance::Category),
+        ("none", "Keep all labelled simulations", LabelBalance::None),
+    ]))]
+    balance: LabelBalance,
     /// Balance all splits but `train`, where training weights the labels instead
-    #[arg(long, conflicts_with = "unbalanced")]
+    #[arg(long)]
     whole_train: bool,
     /// Random seed of the selection
     #[arg(long, value_name = "SEED", default_value_t = 0)]
@@ -93,7 +99,7 @@ impl SelectionFlags {
             group_by: self.group_by,
             splits: self.split.clone(),
             category_cap: (self.category_cap > 0.0).then_some(self.category_cap),
-            is_balanced: !self.unbalanced,
+            balance: self.balance,
             keep_all_training: self.whole_train,
             seed: self.seed,
         }

@@ -17,8 +17,8 @@ use gripcast_sim::grasp::{GraspSettings, Preset};
 use gripcast_sim::rigid::{RigidEngine, RigidSettings};
 use gripcast_sim::{Engine, EngineKind, FemEngine};
 use gripcast_synth::plan::{
-    Drafts, MIN_FRICTION_FRACTION, PlanBundle, PlanPreset, PlanSettings, RenderingPlan,
-    acronym_drafts, family_drafts, load_textures, make_plan, table_drafts,
+    Drafts, FrictionFrom, MIN_FRICTION_FRACTION, PlanBundle, PlanPreset, PlanSettings,
+    RenderingPlan, acronym_drafts, family_drafts, load_textures, make_plan, table_drafts,
 };
 use gripcast_synth::properties::{
     DEFAULT_KEY_VARIABLE, EndpointKey, LlmClient, LlmOptions, MassMap, PropertyEstimator,
@@ -145,10 +145,17 @@ struct Objects {
         ("none", "Keep estimated masses", MassMap::None),
     ]))]
     mass_map: MassMap,
-    /// Minimum friction of a contaminated surface, as a fraction of the clean, dry one (material
-    /// table only)
-    #[arg(long, value_name = "FRACTION", default_value_t = MIN_FRICTION_FRACTION, value_parser = number(NumberRange::above(0.0, 1.0)))]
-    min_friction_fraction: f64,
+    /// What the friction of an object follows from; given friction is kept
+    #[arg(long, value_name = "SOURCE", default_value = "soiled", value_parser = named([
+        ("material", "Category and appearance alone, so that a camera can see it, as in the paper",
+            FrictionFrom::Material),
+        ("soiled", "Material and contamination, which no image shows", FrictionFrom::Soiled),
+    ]))]
+    friction_from: FrictionFrom,
+    /// Minimum friction of a contaminated surface, as a fraction of the clean, dry one; with
+    /// --friction-from soiled and the material table only [default: 0.25]
+    #[arg(long, value_name = "FRACTION", value_parser = number(NumberRange::above(0.0, 1.0)))]
+    min_friction_fraction: Option<f64>,
 }
 
 /// Language model that estimates masses, friction and appearances.
@@ -242,7 +249,8 @@ impl Args {
             },
             textures,
             mass_map: objects.mass_map,
-            min_friction_fraction: objects.min_friction_fraction,
+            friction_from: objects.friction_from,
+            min_friction_fraction: objects.min_friction_fraction()?,
             jobs,
         };
         let drafts = self.drafts(jobs, progress)?;
@@ -302,6 +310,20 @@ impl Args {
                 Box::new(FemEngine { settings })
             }
             EngineKind::Rigid => Box::new(RigidEngine::new(RigidSettings::default())),
+        }
+    }
+}
+
+impl Objects {
+    /// Returns the minimum friction fraction, which has no effect without contamination.
+    fn min_friction_fraction(&self) -> Result<f64> {
+        match (self.friction_from, self.min_friction_fraction) {
+            (FrictionFrom::Material, Some(_)) => Err(Error::usage(
+                "--min-friction-fraction has no effect with --friction-from material: surfaces are \
+                 clean",
+            )
+            .remedy("omit one of them")),
+            (_, given) => Ok(given.unwrap_or(MIN_FRICTION_FRACTION)),
         }
     }
 }

@@ -6,7 +6,7 @@
 mod layers;
 mod values;
 
-pub(crate) use values::KEEP_LIFT_S;
+pub(crate) use values::{ADAPT_STRENGTH, ERROR_RATE_OR_NONE, KEEP_LIFT_S};
 
 use std::fmt;
 use std::path::{Path, PathBuf};
@@ -16,6 +16,7 @@ use serde::{Deserialize, Serialize};
 use crate::daemon::BlackBoxSettings;
 use gripcast_base::error::{Error, Result};
 use gripcast_base::files::{Label, ObjectName};
+use gripcast_nn::predict::ADAPTATION_STRENGTH;
 use gripcast_session::GuardLimits;
 
 pub use layers::{
@@ -180,6 +181,12 @@ pub struct CollectConfig {
     /// Time after the grasp trigger for which the frames of both gels are stored with the grasp, s;
     /// 0: none.
     pub keep_lift_s: f64,
+    /// Error rate of the prediction sets (stable, slip, can't tell); 0: no sets.
+    pub error_rate: f64,
+    /// Whether predictions are adapted to the base rate of the rig's labels.
+    pub adapt: bool,
+    /// Weight of the model's base rate in the adaptation, in labels.
+    pub adapt_strength: f64,
 }
 
 impl Default for CollectConfig {
@@ -196,6 +203,9 @@ impl Default for CollectConfig {
             licence: "not stated".into(),
             target_per_object: 0,
             keep_lift_s: 0.0,
+            error_rate: 0.0,
+            adapt: false,
+            adapt_strength: ADAPTATION_STRENGTH,
         }
     }
 }

@@ -6,14 +6,20 @@ use gripcast_base::error::Result;
 use gripcast_base::files::{Label, ObjectName};
 use gripcast_base::number::NumberRange;
 
-/// Milliseconds up to an hour.
+/// Error rates of prediction sets; 0: no sets.
+pub(crate) const ERROR_RATE_OR_NONE: NumberRange = NumberRange::between(0.0, 0.5);
+/// Weights of the model's base rate in the adaptation, in labels.
+pub(crate) const ADAPT_STRENGTH: NumberRange = NumberRange::above(0.0, 1e6).unit("labels");
 /// Times after the grasp trigger for which frames can be kept.
 pub(crate) const KEEP_LIFT_S: NumberRange = NumberRange::between(0.0, 10.0).unit("s");
+/// Milliseconds up to an hour.
 const TIME_MS: NumberRange = NumberRange::between(0.0, 3.6e6).unit("ms");
 
 /// Returns the range of a numeric key. A key without an entry must not be negative.
 fn range(key: &str) -> NumberRange {
     match key {
+        "collect.adapt_strength" => ADAPT_STRENGTH,
+        "collect.error_rate" => ERROR_RATE_OR_NONE,
         "collect.keep_lift_s" => KEEP_LIFT_S,
         "guards.max_frame_age_ms" => NumberRange::above(0.0, 3.6e6).unit("ms"),
         "guards.max_skew_ms" => TIME_MS,

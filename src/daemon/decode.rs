@@ -10,6 +10,7 @@ use super::infer::InferRequest;
 use super::tasks::{Heartbeat, Tasks};
 use gripcast_base::error::Result;
 use gripcast_imaging::{CropProfile, Decoder, Frame, PixelFormat, Role};
+use gripcast_nn::predict::Depth;
 use gripcast_nn::predict::contract::{IMAGE_HEIGHT, IMAGE_WIDTH};
 
 /// Wait for a frame before the decoder checks whether the hub is closed.
@@ -50,19 +51,21 @@ pub(super) fn start(
         .collect()
 }
 
-/// Decodes a frame for inference and previews.
+/// Decodes a frame for inference and previews; that of a depth camera also to depths.
 fn shown_image(
     slot: &CameraSlot,
     decoder: &mut Decoder,
     frame: &Frame,
     crop: Option<&CropProfile>,
-) -> Result<image::RgbImage, gripcast_imaging::FrameDamage> {
+) -> Result<(image::RgbImage, Option<Depth>), gripcast_imaging::FrameDamage> {
     let unit_m = slot.with_info(|info| info.stream.as_ref()?.depth_unit_m);
     match (frame.format, unit_m) {
         (PixelFormat::Z16, Some(unit_m)) => {
-            decoder.depth_preview(frame, unit_m, IMAGE_WIDTH, IMAGE_HEIGHT)
+            let preview = decoder.depth_preview(frame, unit_m, IMAGE_WIDTH, IMAGE_HEIGHT)?;
+            let image = decoder.depth(frame)?;
+            Ok((preview, Some(Depth { image, unit_m })))
         }
-        _ => model_image(decoder, frame, crop),
+        _ => Ok((model_image(decoder, frame, crop)?, None)),
     }
 }
 
@@ -80,8 +83,8 @@ fn run(
         let started = Instant::now();
         heartbeat.busy();
         match shown_image(slot, decoder, &frame, crop) {
-            Ok(image) => {
-                slot.on_decoded(&frame, image);
+            Ok((image, depth)) => {
+                slot.on_decoded(&frame, image, depth);
                 if infer.send(InferRequest::NewImage(slot.role)).is_err() {
                     return;
                 }

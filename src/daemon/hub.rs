@@ -14,6 +14,7 @@ use gripcast_capture::camera::{
     CameraCounters, CameraState, ControlValues, FrameQuality, Health, StreamInfo,
 };
 use gripcast_imaging::{Frame, PixelFormat, Role};
+use gripcast_nn::predict::Depth;
 
 /// Frames kept per camera: 0.3 s at 25/s, enough to pair cameras of different frame rates.
 const RING_FRAMES: usize = 8;
@@ -38,6 +39,8 @@ struct RingFrame {
 pub(super) struct Decoded {
     /// Cropped and scaled image.
     pub image: Arc<RgbImage>,
+    /// Depth image of a depth camera.
+    pub depth: Option<Arc<Depth>>,
     /// Driver time of its frame, ns.
     pub driver_time_ns: u64,
     /// Number of this decoded frame, counted per camera.
@@ -231,11 +234,12 @@ impl CameraSlot {
     }
 
     /// Stores a decoded image and marks its frame as valid.
-    pub(super) fn on_decoded(&self, frame: &Frame, image: RgbImage) {
+    pub(super) fn on_decoded(&self, frame: &Frame, image: RgbImage, depth: Option<Depth>) {
         let mut state = lock(&self.state);
         let serial = state.decoded.as_ref().map_or(0, |d| d.serial) + 1;
         state.decoded = Some(Decoded {
             image: Arc::new(image),
+            depth: depth.map(Arc::new),
             driver_time_ns: frame.driver_time_ns,
             serial,
         });
@@ -435,7 +439,7 @@ mod tests {
         slot.push(good.clone());
         slot.push(bad.clone());
         assert!(slot.frames().iter().all(|(_, s)| *s == Validity::Unknown));
-        slot.on_decoded(&good, RgbImage::new(1, 1));
+        slot.on_decoded(&good, RgbImage::new(1, 1), None);
         slot.on_damaged(&bad, String::new());
         let frames = slot.frames();
         assert_eq!(frames.len(), 1);
@@ -475,7 +479,7 @@ mod tests {
                     if round > 0 { vec![first - 20] } else { vec![] }
                 );
             }
-            slot.on_decoded(&taken, RgbImage::new(1, 1));
+            slot.on_decoded(&taken, RgbImage::new(1, 1), None);
             assert_eq!(valid(&slot).last(), Some(&first));
             assert_eq!(slot.frames().len(), RING_FRAMES);
         }
@@ -495,7 +499,7 @@ mod tests {
         slot.push(frame(1, PixelFormat::Mjpg));
         let taken = slot.take_newest(Duration::ZERO).unwrap();
         slot.clear_frames();
-        slot.on_decoded(&taken, RgbImage::new(1, 1));
+        slot.on_decoded(&taken, RgbImage::new(1, 1), None);
         assert!(slot.frames().is_empty());
     }
 }

@@ -17,18 +17,22 @@ use super::black_box::Topic;
 use super::gels::GelJudge;
 use super::histogram::LatencyHistogram;
 use super::hub::{Decoded, Hub};
+use super::live_lift::{LiveLift, draw_outline};
 use super::shear::{GelScale, GelTrackers, draw_markers};
-use super::status::{LiveMarkers, PredictionStatus, Preview, ShearStatus, verdict_of};
+use super::status::{
+    LiftStatus, LiveMarkers, PredictionStatus, Preview, ShearStatus, verdict_of,
+};
 use super::tasks::{Heartbeat, Tasks};
 use super::thread::lock;
 use gripcast_base::error::Result;
 use gripcast_capture::camera::monotonic_ns;
-use gripcast_dataset::PredictionRecord;
+use gripcast_dataset::{AdaptedPrediction, OpenOutcomes, PredictionRecord};
 use gripcast_imaging::{GelChange, GelState, Role, TactileDifference};
 use gripcast_nn::predict::{
-    LivePrediction, LivePredictor, Model, PredictedLabel, Smoothing, contact_doubt,
+    Adaptation, ConformalLimits, Depth, LivePrediction, LivePredictor, Model, PredictedLabel, Smoothing,
+    contact_doubt,
 };
-use gripcast_shear::{MarkerField, ShearFrame};
+use gripcast_shear::{GelMotion, MarkerField, ShearFrame};
 
 /// Gain of the displayed difference.
 const PREVIEW_GAIN: f32 = 1.5;
@@ -55,12 +59,16 @@ pub(super) enum InferRequest {
         /// Right gel, open gripper.
         right: Arc<RgbImage>,
     },
+    /// Adapt predictions to this base rate from now on.
+    SetAdaptation(Adaptation),
     /// Stop predicting, for this reason. Contact is still measured against the last initial frame.
     ClearInitial(String),
     /// Predict and measure shear on exactly these images and the current initial frame.
     Analyse {
         /// Images by role.
         images: BTreeMap<Role, RgbImage>,
+        /// Depth image.
+        depth: Option<Depth>,
         /// Receives the results.
         reply: Sender<SavedAnalysis>,
     },
@@ -106,6 +114,8 @@ impl ModelInfo {
             p_stable: prediction.p_stable,
             ood_score: prediction.ood_score,
             unsure_reason: None,
+            adapted: None,
+            set: None,
             threshold: prediction.threshold,
             inputs: Some(prediction.modality.name().to_owned()),
             geometry: prediction.geometry,
@@ -133,6 +143,8 @@ pub(super) struct Contact {
 pub(super) struct InferenceState {
     /// Newest prediction; `None` without an initial frame.
     pub(super) live: Option<PredictionStatus>,
+    /// Verdict in the lift of the last saved grasp.
+    pub(super) lift: Option<LiftStatus>,
     /// Reason why there is no prediction.
     pub(super) unavailable: Option<String>,
     /// Contact by gel, relative to the initial frame of `revision`.
@@ -195,13 +207,15 @@ pub(super) struct Inference {
 }
 
 impl Inference {
-    /// Starts the thread. Without a model it measures contact and makes previews.
+    /// Starts the thread. Without a model it measures contact and makes previews; with `limits` it
+    /// predicts sets of outcomes.
     ///
     /// # Errors
     /// Errors of loading the model or starting the thread.
     pub(super) fn start(
         hub: &Hub,
         model: Option<Model>,
+        limits: Option<ConformalLimits>,
         scales: BTreeMap<Role, GelScale>,
         (requests, inbox): (Sender<InferRequest>, Receiver<InferRequest>),
         tasks: &Tasks,
@@ -218,6 +232,7 @@ impl Inference {
         let name = info.as_ref().map(|info| info.name.clone());
         let predictor = model.map(LivePredictor::new).transpose()?;
         let mut worker = Worker::new(hub, predictor.zip(info), scales, &state);
+        worker.limits = limits;
         let thread = tasks.spawn("inference", move |heartbeat| worker.run(&inbox, heartbeat))?;
         Ok(Self {
             state,
@@ -244,6 +259,10 @@ impl Inference {
 struct Worker {
     hub: Hub,
     predictor: Option<(LivePredictor, ModelInfo)>,
+    /// Limits of the prediction sets.
+    limits: Option<ConformalLimits>,
+    /// Base rate that predictions are adapted to.
+    adaptation: Option<Adaptation>,
     initial: BTreeMap<Role, Arc<RgbImage>>,
     gels: GelJudge,
     trackers: GelTrackers,
@@ -251,6 +270,8 @@ struct Worker {
     /// Whether the images have been compared with an initial frame of this session.
     has_initial: bool,
     smoothing: Smoothing,
+    /// The lift of the last saved grasp.
+    lift: Option<LiveLift>,
     /// Serial of the newest image used, by role.
     seen: BTreeMap<Role, u64>,
     state: Arc<Mutex<InferenceState>>,
@@ -266,12 +287,15 @@ impl Worker {
         Self {
             hub: hub.clone(),
             predictor,
+            limits: None,
+            adaptation: None,
             initial: BTreeMap::new(),
             gels: GelJudge::default(),
             trackers: GelTrackers::new(scales),
             predicting: false,
             has_initial: false,
             smoothing: Smoothing::default(),
+            lift: None,
             seen: BTreeMap::new(),
             state: Arc::clone(state),
         }
@@ -316,10 +340,15 @@ impl Worker {
                 right,
             } => self.set_initial(revision, left, right),
             InferRequest::SetReference { left, right } => self.compare_with(0, left, right),
+            InferRequest::SetAdaptation(adaptation) => self.adaptation = Some(adaptation),
             InferRequest::ClearInitial(reason) => self.clear_initial(reason),
-            InferRequest::Analyse { images, reply } => {
+            InferRequest::Analyse {
+                images,
+                depth,
+                reply,
+            } => {
                 // The requester may have timed out.
-                let _ = reply.send(self.analyse_saved(images));
+                let _ = reply.send(self.analyse_saved(images, depth.as_ref()));
             }
             InferRequest::Stop => return ControlFlow::Break(()),
         }
@@ -332,6 +361,8 @@ impl Worker {
         }
         self.compare_with(revision, left, right);
         self.predicting = true;
+        self.lift = None;
+        lock(&self.state).lift = None;
         self.has_initial = true;
         self.smoothing.clear();
         lock(&self.state).live = None;
@@ -387,13 +418,14 @@ impl Worker {
             lock(&self.state).contact.insert(role, contact);
         }
         if let Some((predictor, _)) = &mut self.predictor {
-            predictor.update(role, (*decoded.image).clone(), decoded.driver_time_ns);
+            show(predictor, role, &decoded);
             if role.is_tactile() {
                 self.predict();
             }
         }
         // After the prediction, which does not wait for the shear.
-        let field = self.measure_shear(role, &decoded);
+        let level = difference.as_ref().map(TactileDifference::mean_abs);
+        let field = self.measure_shear(role, &decoded, level);
         // Also while the object is lifted, when there is no prediction.
         let levels = difference.filter(|_| self.has_initial).map(Arc::new);
         let difference = levels.as_ref().map(|levels| {
@@ -404,7 +436,7 @@ impl Worker {
             Arc::new(image)
         });
         let preview = Preview {
-            image: Arc::clone(&decoded.image),
+            image: self.with_outline(role, &decoded),
             difference,
             levels,
             driver_time_ns: decoded.driver_time_ns,
@@ -412,10 +444,50 @@ impl Worker {
         lock(&self.state).previews.insert(role, preview);
     }
 
-    /// Measures the shear of a gel and returns its markers, if it has them.
-    fn measure_shear(&mut self, role: Role, decoded: &Decoded) -> Option<Arc<MarkerField>> {
+    /// The image of a camera for people: that of the colour camera with an outline of the object
+    /// where the model sees it.
+    fn with_outline(&self, role: Role, decoded: &Decoded) -> Arc<RgbImage> {
+        let geometry = match role {
+            Role::Rgb => lock(&self.state).live.as_ref().and_then(|l| l.record.geometry),
+            _ => None,
+        };
+        let Some(geometry) = geometry else {
+            return Arc::clone(&decoded.image);
+        };
+        let mut image = (*decoded.image).clone();
+        draw_outline(&mut image, &geometry);
+        Arc::new(image)
+    }
+
+    /// Updates the verdict in the lift once both gels have a new image.
+    fn follow_lift(&mut self, role: Role, motion: GelMotion, time_ns: u64) {
+        let head = self.predictor.as_ref();
+        let head = head.and_then(|(predictor, _)| predictor.model().lift_head());
+        let (Some(lift), Some(head)) = (&mut self.lift, head) else {
+            return;
+        };
+        if let Some(status) = lift.add(head, role, motion, time_ns) {
+            self.hub.tap.json(Topic::Prediction, || {
+                serde_json::json!({ "lift": status, "frame_time_ns": time_ns })
+            });
+            lock(&self.state).lift = Some(status);
+        }
+    }
+
+    /// Measures the shear of a gel, whose image differs from the initial one by `level`, and
+    /// returns its markers, if it has them.
+    fn measure_shear(
+        &mut self,
+        role: Role,
+        decoded: &Decoded,
+        level: Option<f32>,
+    ) -> Option<Arc<MarkerField>> {
         let started = Instant::now();
         let frame = self.trackers.update(role, &decoded.image)?;
+        if let Some(level) = level {
+            let motion = GelMotion::new(f64::from(level), &frame);
+            self.follow_lift(role, motion, decoded.driver_time_ns);
+        }
         let status = ShearStatus::from(&frame);
         let field = frame.field.map(Arc::new);
         self.hub.tap.json(Topic::Shear, || {
@@ -483,12 +555,16 @@ impl Worker {
                     p_stable: self.smoothing.add(prediction.p_stable, frame_time_ns),
                     ..model.record(&prediction, latency_ms)
                 };
+                let limits = limits_of(predictor, &record, self.limits);
+                let record = decided(record, limits, self.adaptation);
                 let changes = [Role::Left, Role::Right].map(|role| state.contact.get(&role));
                 let changes = changes.map(|contact| contact.map(|contact| contact.change));
                 let record = with_doubt(record, predictor, changes);
                 let message = serde_json::json!({
                     "p_stable": record.p_stable,
                     "p_stable_frame": prediction.p_stable,
+                    "p_stable_adapted": record.adapted.map(|adapted| adapted.p_stable),
+                    "set": record.set,
                     "ood_score": record.ood_score,
                     "unsure_reason": record.unsure_reason,
                     "frame_time_ns": frame_time_ns,
@@ -505,34 +581,58 @@ impl Worker {
         }
     }
 
-    /// Predicts and measures the shear on saved images, then restores the live ones.
-    fn analyse_saved(&mut self, images: BTreeMap<Role, RgbImage>) -> SavedAnalysis {
+    /// Predicts and measures the shear on the images of a saved grasp, then restores the live ones.
+    /// The lift begins here.
+    fn analyse_saved(
+        &mut self,
+        images: BTreeMap<Role, RgbImage>,
+        depth: Option<&Depth>,
+    ) -> SavedAnalysis {
         let shear = images.iter().filter(|(role, _)| role.is_tactile());
-        let shear = shear
+        let shear: BTreeMap<Role, ShearFrame> = shear
             .filter_map(|(role, image)| Some((*role, self.trackers.measure(*role, image)?)))
             .collect();
-        SavedAnalysis {
-            shear,
-            prediction: self.predict_saved(images),
-        }
+        let motion = [Role::Left, Role::Right].map(|role| {
+            let (initial, image) = (self.initial.get(&role)?, images.get(&role)?);
+            let level = TactileDifference::between(initial, image).ok()?.mean_abs();
+            Some(GelMotion::new(f64::from(level), shear.get(&role)?))
+        });
+        let prediction = self.predict_saved(images, depth);
+        let p_before = prediction.as_ref().map(|record| record.p_stable);
+        self.lift = match (motion, p_before) {
+            ([Some(left), Some(right)], Some(p)) => Some(LiveLift::new(p, [left, right])),
+            _ => None,
+        };
+        lock(&self.state).lift = None;
+        SavedAnalysis { shear, prediction }
     }
 
-    fn predict_saved(&mut self, images: BTreeMap<Role, RgbImage>) -> Option<PredictionRecord> {
+    fn predict_saved(
+        &mut self,
+        images: BTreeMap<Role, RgbImage>,
+        depth: Option<&Depth>,
+    ) -> Option<PredictionRecord> {
         let changes =
             [Role::Left, Role::Right].map(|role| self.gels.change(role, images.get(&role)?));
         let (predictor, model) = self.predictor.as_mut().filter(|_| self.predicting)?;
         for (role, image) in images {
             predictor.update(role, image, 0);
         }
+        match depth {
+            Some(depth) => predictor.update_depth(depth, 0),
+            None => predictor.clear(Role::Depth),
+        }
         let result = predictor.predict();
-        for role in [Role::Left, Role::Right, Role::Rgb] {
+        for role in [Role::Left, Role::Right, Role::Rgb, Role::Depth] {
             match self.hub.slot(role).and_then(|slot| slot.latest()) {
-                Some(live) => predictor.update(role, (*live.image).clone(), live.driver_time_ns),
+                Some(live) => show(predictor, role, &live),
                 None => predictor.clear(role),
             }
         }
         // The store sets the latency to that of the live prediction at the trigger.
         let record = model.record(&result?.ok()?, 0.0);
+        let limits = limits_of(predictor, &record, self.limits);
+        let record = decided(record, limits, self.adaptation);
         Some(with_doubt(record, predictor, changes))
     }
 }
@@ -552,6 +652,52 @@ impl MarkerMessage {
             shape,
             values: values.iter().map(|v| v.is_finite().then_some(*v)).collect(),
         }
+    }
+}
+
+/// Gives a predictor the newest image of a camera.
+fn show(predictor: &mut LivePredictor, role: Role, decoded: &Decoded) {
+    match &decoded.depth {
+        Some(depth) => predictor.update_depth(depth, decoded.driver_time_ns),
+        None => predictor.update(role, (*decoded.image).clone(), decoded.driver_time_ns),
+    }
+}
+
+/// Limits of the prediction set, which hold for predictions from all inputs of the model.
+fn limits_of(
+    predictor: &LivePredictor,
+    record: &PredictionRecord,
+    limits: Option<ConformalLimits>,
+) -> Option<ConformalLimits> {
+    let all = predictor.model().contract().modality.name();
+    limits.filter(|_| record.inputs.as_deref() == Some(all))
+}
+
+/// Adds the adapted probability and the prediction set. The set follows from the model's own
+/// probability: it covers each outcome on its own, whatever the base rate.
+fn decided(
+    record: PredictionRecord,
+    limits: Option<ConformalLimits>,
+    adaptation: Option<Adaptation>,
+) -> PredictionRecord {
+    let p_stable = record.p_stable;
+    let set = limits.map(|limits| {
+        let set = limits.set_of(p_stable);
+        OpenOutcomes {
+            error_rate: limits.error_rate,
+            stable: set.contains(true),
+            slip: set.contains(false),
+        }
+    });
+    let adapted = adaptation.map(|adaptation| AdaptedPrediction {
+        p_stable: adaptation.adapted(p_stable),
+        base_rate: adaptation.base_rate,
+        labels: adaptation.labels,
+    });
+    PredictionRecord {
+        adapted,
+        set,
+        ..record
     }
 }
 

@@ -21,7 +21,11 @@ fn newest_image_per_camera_is_used_after_pending_requests() {
         InferRequest::NewImage(Role::Left),
         InferRequest::NewImage(Role::Right),
         InferRequest::NewImage(Role::Left),
-        InferRequest::Analyse { images, reply },
+        InferRequest::Analyse {
+            images,
+            depth: None,
+            reply,
+        },
     ] {
         assert!(worker.handle(request, &mut new_images).is_continue());
     }
@@ -55,7 +59,7 @@ fn contact_refers_to_the_newest_initial_frame_only() {
         };
         hub.slot(Role::Left)
             .unwrap()
-            .on_decoded(&frame, gel(contact));
+            .on_decoded(&frame, gel(contact), None);
         worker.on_new_image(Role::Left);
     };
     let contact = |revision: u64, since_ns: u64| {

@@ -121,7 +121,7 @@ pub fn run_load(model: Model, params: LoadParams) -> Result<LoadFigures> {
         markers: None,
     };
     let scales = BTreeMap::from([(Role::Left, scale.clone()), (Role::Right, scale)]);
-    let inference = Inference::start(&hub, Some(model), scales, (requests, inbox), &tasks)?;
+    let inference = Inference::start(&hub, Some(model), None, scales, (requests, inbox), &tasks)?;
     // This source repeats its frames by design.
     let policy = SupervisionPolicy {
         freeze_after_ns: None,

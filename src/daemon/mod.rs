@@ -19,6 +19,7 @@ mod gels;
 mod histogram;
 mod hub;
 mod infer;
+mod live_lift;
 pub mod live_load;
 mod pairing;
 mod pre_grasp;
@@ -34,7 +35,7 @@ pub use black_box::{BlackBoxReport, BlackBoxSettings, BlackBoxStatus, FrameCount
 pub use boards::{Boards, read_object_boards};
 pub use calibration::stored_intrinsics;
 pub use command_request::CommandRequest;
-pub use engine::{EngineLinks, EngineSetup, StoreEvent, run};
+pub use engine::{DecisionSettings, EngineLinks, EngineSetup, StoreEvent, run};
 pub use gripcast_capture::camera::CameraState;
 pub use infer::ModelInfo;
 pub use report::{
@@ -44,8 +45,8 @@ pub use shear::GelScale;
 pub use start_report::{StartFinding, StartSubject};
 pub(crate) use status::disk_free_bytes;
 pub use status::{
-    CameraStatus, EngineStatus, GelStatus, LiveMarkers, MarkerStatus, PredictionStatus, Preview,
-    ShearStatus, verdict_of,
+    CameraStatus, EngineStatus, GelStatus, LiftStatus, LiveMarkers, MarkerStatus, PredictionStatus, Preview,
+    ShearStatus, unsure_words, verdict_of,
 };
 pub use tasks::{Heartbeat, TaskReport, TaskState, Tasks};
 pub(crate) use thread::lock;

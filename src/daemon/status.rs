@@ -14,7 +14,7 @@ use super::start_report::StartFinding;
 use gripcast_capture::camera::{CameraCounters, CameraState, monotonic_ns};
 use gripcast_dataset::PredictionRecord;
 use gripcast_imaging::{ChangeKind, GelChange, GelState, Role, TactileDifference};
-use gripcast_nn::predict::PredictedLabel;
+use gripcast_nn::predict::{Adaptation, PredictedLabel};
 use gripcast_session::{GuardLimits, Labels, OutcomeCounts, Session, SessionView};
 use gripcast_shear::{MarkerField, ShearFrame, ShearSummary};
 
@@ -48,8 +48,14 @@ pub struct EngineStatus {
     pub cameras: Vec<CameraStatus>,
     /// Newest prediction; `None` before the initial frame or without a model.
     pub prediction: Option<PredictionStatus>,
+    /// Verdict in the lift of the last saved grasp; `None` without a model that gives one.
+    #[serde(default)]
+    pub lift: Option<LiftStatus>,
     /// Reason why there is no prediction.
     pub no_prediction_reason: Option<String>,
+    /// Base rate that predictions are adapted to; null without adaptation.
+    #[serde(default)]
+    pub adaptation: Option<Adaptation>,
     /// Mean absolute difference of each gel to the initial frame, grey levels (0 to 255).
     pub contact: BTreeMap<Role, f64>,
     /// State of each gel.
@@ -86,7 +92,9 @@ impl EngineStatus {
             session: session.view(0),
             cameras: Vec::new(),
             prediction: None,
+            lift: None,
             no_prediction_reason: None,
+            adaptation: None,
             contact: BTreeMap::new(),
             objects: Arc::default(),
             gels: BTreeMap::new(),
@@ -213,6 +221,40 @@ impl Preview {
     }
 }
 
+/// Verdict in the lift of the last saved grasp.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
+pub struct LiftStatus {
+    /// Probability that the grasp holds, from the prediction before the lift and what the gels have
+    /// shown since.
+    pub p_stable: f64,
+    /// Probability before the lift.
+    pub p_before: f64,
+    /// Minimum probability of a stable grasp.
+    pub threshold: f64,
+    /// Whether the probability is at least the threshold.
+    pub is_stable: bool,
+    /// Whether the contact is being lost.
+    pub is_slipping: bool,
+    /// Driver time of the newest tactile frame, ns.
+    pub frame_time_ns: u64,
+}
+
+impl LiftStatus {
+    /// The verdict as a word.
+    #[must_use]
+    pub fn word(&self) -> &'static str {
+        match self {
+            Self {
+                is_slipping: true, ..
+            } => "SLIPPING",
+            Self {
+                is_stable: true, ..
+            } => "STABLE",
+            _ => "SLIP",
+        }
+    }
+}
+
 /// The newest live prediction.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct PredictionStatus {
@@ -249,7 +291,25 @@ impl PredictionStatus {
 pub fn verdict_of(record: &PredictionRecord) -> PredictedLabel {
     match record.unsure_reason {
         Some(_) => PredictedLabel::Unsure,
-        None => PredictedLabel::new(record.p_stable, record.threshold, record.ood_score),
+        None => {
+            let p_stable = record.shown_p_stable();
+            let label = PredictedLabel::new(p_stable, record.threshold, record.ood_score);
+            record
+                .set
+                .map_or(label, |set| label.within(set.stable, set.slip))
+        }
+    }
+}
+
+/// Returns why a verdict is `UNSURE`, in words.
+pub fn unsure_words(record: &PredictionRecord) -> String {
+    let is_unfamiliar = record.ood_score.is_some_and(|score| score > 1.0);
+    match (&record.unsure_reason, record.set) {
+        (Some(reason), _) => reason.clone(),
+        (None, Some(set)) if !is_unfamiliar => {
+            format!("can't tell at an error rate of {}", set.error_rate)
+        }
+        (None, _) => "unlike the training images".to_owned(),
     }
 }
 
@@ -298,6 +358,7 @@ pub(crate) fn disk_free_bytes(path: &Path) -> Option<u64> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use gripcast_dataset::{AdaptedPrediction, OpenOutcomes};
     use gripcast_imaging::GelProblem;
     use gripcast_shear::ShearSource;
 
@@ -308,6 +369,8 @@ mod tests {
             p_stable: 0.81,
             ood_score: Some(0.5),
             unsure_reason: None,
+            adapted: None,
+            set: None,
             threshold: 0.5,
             inputs: None,
             geometry: None,
@@ -352,12 +415,14 @@ mod tests {
                 camera(Role::Right, CameraState::Live),
             ],
             prediction: Some(PredictionStatus::new(record, true)),
+            adaptation: Some(Adaptation::new(0.5, 10.0, [1, 6])),
             contact: BTreeMap::from([(Role::Left, 8.5)]),
             gels: BTreeMap::from([(Role::Left, gel)]),
             shear: BTreeMap::from([(Role::Left, shear([0.3, 0.3], 0.9, Some(0.12)))]),
             ..EngineStatus::starting("d", "bench", Labels::default())
         };
         let json = serde_json::to_value(&status).unwrap();
+        assert_eq!(json["adaptation"]["labels"], 7);
         assert_eq!(json["gels"]["left"]["problems"][0], "flickering");
         assert_eq!(json["gels"]["left"]["change"], "illumination");
         let camera = &json["cameras"][0];
@@ -377,6 +442,55 @@ mod tests {
         assert_eq!(back.contact, status.contact);
         assert_eq!(back.gels, status.gels);
         assert_eq!(back.shear, status.shear);
+    }
+
+    #[test]
+    fn verdict_follows_adapted_probability_and_set() {
+        let record = PredictionRecord {
+            p_stable: 0.4,
+            ood_score: Some(0.5),
+            unsure_reason: None,
+            adapted: None,
+            set: None,
+            threshold: 0.5,
+            inputs: None,
+            geometry: None,
+            model_sha256: String::new(),
+            model: "m".into(),
+            latency_ms: 1.0,
+            engine_ms: 1.0,
+        };
+        assert_eq!(verdict_of(&record), PredictedLabel::Slip);
+        let adapted = PredictionRecord {
+            adapted: Some(AdaptedPrediction {
+                p_stable: 0.6,
+                base_rate: 0.7,
+                labels: 20,
+            }),
+            ..record.clone()
+        };
+        assert_eq!(verdict_of(&adapted), PredictedLabel::Stable);
+        let with_set = |record: &PredictionRecord, stable, slip| PredictionRecord {
+            set: Some(OpenOutcomes {
+                error_rate: 0.1,
+                stable,
+                slip,
+            }),
+            ..record.clone()
+        };
+        let both = with_set(&adapted, true, true);
+        assert_eq!(verdict_of(&both), PredictedLabel::Unsure);
+        assert_eq!(unsure_words(&both), "can't tell at an error rate of 0.1");
+        assert_eq!(
+            verdict_of(&with_set(&adapted, false, true)),
+            PredictedLabel::Slip
+        );
+        let unfamiliar = PredictionRecord {
+            ood_score: Some(2.0),
+            ..with_set(&adapted, true, false)
+        };
+        assert_eq!(verdict_of(&unfamiliar), PredictedLabel::Unsure);
+        assert_eq!(unsure_words(&unfamiliar), "unlike the training images");
     }
 
     fn shear(mean_displacement_mm: [f64; 2], confidence: f64, slip: Option<f64>) -> ShearStatus {

@@ -25,6 +25,7 @@ use gripcast_dataset::{
     PredictionRecord, Stage, StageCapture,
 };
 use gripcast_imaging::{CropProfile, Decoder, Frame, FrameDamage, Role};
+use gripcast_nn::predict::Depth;
 use gripcast_session::{Labels, PendingFrame, StoreReply, StoreRequest};
 use gripcast_shear::ShearFrame;
 
@@ -445,8 +446,17 @@ impl Worker {
                 Some((role, self.image(frame, role).ok()?))
             })
             .collect();
+        let depth = capture.cameras.get(&Role::Depth).and_then(|camera| {
+            let image = self.decoder.depth(&camera.frame).ok()?;
+            let unit_m = camera.depth_unit_m?;
+            Some(Depth { image, unit_m })
+        });
         let (reply, answer) = channel();
-        let request = InferRequest::Analyse { images, reply };
+        let request = InferRequest::Analyse {
+            images,
+            depth,
+            reply,
+        };
         let sent = self.infer.send(request).is_ok();
         let analysis = sent.then(|| answer.recv_timeout(ANALYSIS_TIMEOUT).ok());
         analysis.flatten().unwrap_or_default()

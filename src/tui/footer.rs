@@ -70,7 +70,7 @@ fn predicted(last: &LastGrasp, palette: Palette) -> Vec<Span<'static>> {
     let Some(prediction) = &last.predicted else {
         return Vec::new();
     };
-    let p = prediction.p_stable;
+    let p = prediction.shown_p_stable();
     let (mark, style) = match (verdict_of(prediction), last.outcome) {
         (PredictedLabel::Unsure, _) => (" ?", palette.warning()),
         (_, Outcome::Unlabelled) => ("", Style::new()),
@@ -165,6 +165,8 @@ mod tests {
                     geometry: None,
                     ood_score,
                     unsure_reason: None,
+                    adapted: None,
+                    set: None,
                     model: "m".to_owned(),
                     model_sha256: String::new(),
                     latency_ms: 12.0,

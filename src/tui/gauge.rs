@@ -10,8 +10,8 @@ use super::palette::Palette;
 use super::text::{
     clipped, columns, duration_ms, inset, row, trimmed, without_last, write, write_right,
 };
-use crate::daemon::{EngineStatus, PredictionStatus, verdict_of};
-use gripcast_dataset::{GraspId, Outcome, PredictionRecord};
+use crate::daemon::{EngineStatus, LiftStatus, PredictionStatus, unsure_words, verdict_of};
+use gripcast_dataset::{AdaptedPrediction, GraspId, Outcome, PredictionRecord};
 use gripcast_nn::predict::PredictedLabel;
 use gripcast_session::{LastGrasp, SessionView, Step};
 
@@ -30,6 +30,8 @@ struct Reading<'a> {
     /// Reason for the missing prediction.
     no_prediction: String,
     style: Style,
+    /// Adaptation to the rig's labels, in words; empty without.
+    adaptation: String,
     /// What was predicted.
     of: Predicted<'a>,
 }
@@ -39,15 +41,15 @@ struct Reading<'a> {
 enum Predicted<'a> {
     /// The newest images.
     Live(Option<&'a PredictionStatus>),
-    /// The grasp that waits for its label.
-    Grasp(&'a GraspId),
+    /// The grasp that waits for its label, and the verdict in its lift.
+    Grasp(&'a GraspId, Option<&'a LiftStatus>),
 }
 
 impl Reading<'_> {
     /// Probability and threshold of the bar.
     fn bar(&self) -> Option<(f64, f64)> {
         self.prediction
-            .map(|record| (record.p_stable, record.threshold))
+            .map(|record| (record.shown_p_stable(), record.threshold))
     }
 }
 
@@ -73,6 +75,14 @@ fn verdict_style(verdict: &str, palette: Palette) -> Style {
     }
 }
 
+fn lift_style(lift: &LiftStatus, palette: Palette) -> Style {
+    match (lift.is_slipping, lift.is_stable) {
+        (true, _) => palette.slip(),
+        (false, true) => palette.stable(),
+        (false, false) => palette.warning(),
+    }
+}
+
 /// Returns the grasp that waits for its label. Until then its own prediction is shown, not the live
 /// one: the gripper is about to open.
 fn grasp_to_label(session: &SessionView) -> Option<&LastGrasp> {
@@ -88,7 +98,7 @@ fn reading(status: &EngineStatus, palette: Palette) -> Reading<'_> {
     let live = status.prediction.as_ref();
     let (of, record, verdict, no_prediction) = match grasp_to_label(&status.session) {
         Some(grasp) => (
-            Predicted::Grasp(&grasp.id),
+            Predicted::Grasp(&grasp.id, status.lift.as_ref()),
             grasp.predicted.as_ref(),
             grasp
                 .predicted
@@ -114,13 +124,31 @@ fn reading(status: &EngineStatus, palette: Palette) -> Reading<'_> {
     Reading {
         number: prediction.map_or_else(
             || "-.--".to_owned(),
-            |record| format!("{:.2}", record.p_stable.clamp(0.0, 1.0)),
+            |record| format!("{:.2}", record.shown_p_stable().clamp(0.0, 1.0)),
         ),
+        adaptation: adaptation_words(status, prediction),
         prediction,
         verdict,
         no_prediction,
         style: verdict_style(verdict, palette),
         of,
+    }
+}
+
+/// Returns `adapted to 7 labels: base rate 0.62, model 0.48`: base rate and the model's own
+/// probability; empty without adaptation.
+fn adaptation_words(status: &EngineStatus, prediction: Option<&PredictionRecord>) -> String {
+    let adapted = prediction.and_then(|record| Some((record.adapted?, record.p_stable)));
+    match (adapted, &status.adaptation) {
+        (Some((adapted, p_stable)), _) => {
+            let AdaptedPrediction {
+                labels, base_rate, ..
+            } = adapted;
+            let label = if labels == 1 { "label" } else { "labels" };
+            format!("adapted to {labels} {label}: base rate {base_rate:.2}, model {p_stable:.2}")
+        }
+        (None, Some(adaptation)) => adaptation.words(),
+        (None, None) => String::new(),
     }
 }
 
@@ -245,14 +273,17 @@ fn wrap_line(text: &str, columns_wide: usize) -> (&str, &str) {
 
 fn write_title(buffer: &mut Buffer, area: Rect, reading: &Reading<'_>, palette: Palette) {
     let mut left = vec![Span::styled(" STABILITY ", palette.strong())];
+    let adaptation = Span::styled(format!("{} ", reading.adaptation), palette.faint());
     let Some(record) = reading.prediction else {
+        left.push(adaptation);
         write(buffer, area, &Line::from(left));
         return;
     };
     let name = clipped(&record.model, 28);
     let is_heuristic = matches!(reading.of, Predicted::Live(Some(live)) if live.heuristic);
     let heuristic = u16::from(is_heuristic) * columns(" HEURISTIC ");
-    let needed = columns(" STABILITY ") + columns(&name) + heuristic + 2;
+    let needed =
+        columns(" STABILITY ") + columns(&name) + heuristic + 2 + columns(&reading.adaptation);
     let mut details = details(reading, record, palette);
     let long = details.remove(0);
     let taken = match area.width.checked_sub(needed) {
@@ -264,9 +295,11 @@ fn write_title(buffer: &mut Buffer, area: Rect, reading: &Reading<'_>, palette: 
         left.push(Span::styled("HEURISTIC ", palette.warning()));
     }
     if reading.verdict == word(PredictedLabel::Unsure) {
-        let reason = record.unsure_reason.as_deref();
-        let words = format!("{} ", reason.unwrap_or("unlike the training images"));
+        let words = format!("{} ", unsure_words(record));
         left.push(Span::styled(words, palette.warning()));
+    }
+    if !reading.adaptation.is_empty() {
+        left.push(adaptation);
     }
     let room = usize::from(rest.width).saturating_sub(Line::from(left.clone()).width());
     left.push(Span::styled(clipped(&name, room), palette.faint()));
@@ -280,11 +313,19 @@ fn details(
     palette: Palette,
 ) -> Vec<Line<'static>> {
     let prediction = match reading.of {
-        Predicted::Grasp(id) => {
+        Predicted::Grasp(id, lift) => {
             let id = id.short();
+            let with_lift = |words: String, lead: &str| {
+                let mut line = Line::styled(words, palette.strong());
+                if let Some(lift) = lift {
+                    let words = format!("{lead}{:.2} {} ", lift.p_stable, lift.word());
+                    line.push_span(Span::styled(words, lift_style(lift, palette)));
+                }
+                line
+            };
             return vec![
-                Line::styled(format!("grasp {id}, before the lift "), palette.strong()),
-                Line::styled(format!("grasp {id} "), palette.strong()),
+                with_lift(format!("grasp {id}, before the lift "), "· in the lift "),
+                with_lift(format!("grasp {id} "), "lift "),
             ];
         }
         Predicted::Live(prediction) => prediction,
@@ -371,6 +412,8 @@ mod tests {
             p_stable,
             ood_score,
             unsure_reason: None,
+            adapted: None,
+            set: None,
             threshold: 0.5,
             inputs: None,
             geometry: None,
@@ -477,6 +520,60 @@ mod tests {
         assert_eq!(read(1.01, 18.0), ("UNSURE", PALETTE.warning()));
         assert_eq!(read(0.99, 18.0).0, "STABLE");
         assert_eq!(read(7.0, 900.0).0, "OLD");
+    }
+
+    #[test]
+    fn adapted_probability_is_shown_with_the_models_own() {
+        let mut status = predicted(0.48, 18.0);
+        if let Some(live) = &mut status.prediction {
+            live.record.adapted = Some(AdaptedPrediction {
+                p_stable: 0.63,
+                base_rate: 0.65,
+                labels: 7,
+            });
+            *live = PredictionStatus {
+                frame_age_ms: 18.0,
+                ..PredictionStatus::new(live.record.clone(), false)
+            };
+        }
+        let shown = reading(&status, PALETTE);
+        assert_eq!((shown.number.as_str(), shown.verdict), ("0.63", "STABLE"));
+        let text = drawn(&status);
+        assert!(
+            text.contains("adapted to 7 labels: base rate 0.65, model 0.48"),
+            "{text}"
+        );
+        let waiting = EngineStatus {
+            adaptation: Some(gripcast_nn::predict::Adaptation::new(0.5, 10.0, [1, 6])),
+            ..live(None)
+        };
+        let text = drawn(&waiting);
+        assert!(
+            text.contains("adapted to 7 labels: base rate 0.65"),
+            "{text}"
+        );
+    }
+
+    #[test]
+    fn open_outcomes_are_unsure_with_the_error_rate() {
+        let mut status = predicted(0.9, 18.0);
+        if let Some(live) = &mut status.prediction {
+            live.record.set = Some(gripcast_dataset::OpenOutcomes {
+                error_rate: 0.1,
+                stable: true,
+                slip: true,
+            });
+            *live = PredictionStatus {
+                frame_age_ms: 18.0,
+                ..PredictionStatus::new(live.record.clone(), false)
+            };
+        }
+        assert_eq!(reading(&status, PALETTE).verdict, "UNSURE");
+        let text = drawn(&status);
+        assert!(
+            text.contains("can't tell at an error rate of 0.1"),
+            "{text}"
+        );
     }
 
     #[test]

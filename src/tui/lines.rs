@@ -10,12 +10,12 @@ use super::fault::{identity, summary};
 use super::gauge::word;
 use crate::daemon::{
     BlackBoxStatus, CameraState, CameraStatus, EngineStatus, GelStatus, MarkerStatus,
-    PredictionStatus, StartSubject, verdict_of,
+    PredictionStatus, StartSubject, unsure_words, verdict_of,
 };
 use crate::note;
-use gripcast_dataset::Outcome;
+use gripcast_dataset::{Outcome, PredictionRecord};
 use gripcast_imaging::{GelProblem, Role};
-use gripcast_nn::predict::PredictedLabel;
+use gripcast_nn::predict::{Adaptation, PredictedLabel};
 use gripcast_session::{LastGrasp, Message, MessageLevel};
 
 /// Minimum interval between two lines on the same subject.
@@ -31,6 +31,7 @@ pub struct LinePrinter {
     no_prediction_reason: Option<String>,
     black_box: Printed<BlackBoxNews>,
     black_box_ended: bool,
+    adaptation: Option<Adaptation>,
     last: Option<LastGrasp>,
     message: Option<Message>,
     start_findings: BTreeSet<StartSubject>,
@@ -95,6 +96,7 @@ impl LinePrinter {
         lines.extend(self.prediction(status, now));
         lines.extend(self.black_box(status.black_box.as_ref(), now));
         lines.extend(self.grasp(status.session.last.as_ref()));
+        lines.extend(self.adaptation(status.adaptation));
         lines.extend(self.message(status.session.message.as_ref()));
         lines
     }
@@ -175,10 +177,9 @@ impl LinePrinter {
     fn prediction(&mut self, status: &EngineStatus, now: Instant) -> Option<String> {
         if let Some(prediction) = &status.prediction {
             self.no_prediction_reason = None;
-            let verdict = match (prediction.verdict, &prediction.record.unsure_reason) {
-                (PredictedLabel::Unsure, Some(reason)) => format!("UNSURE, {reason}"),
-                (PredictedLabel::Unsure, None) => "UNSURE, unlike the training images".to_owned(),
-                (verdict, _) => word(verdict).to_owned(),
+            let verdict = match prediction.verdict {
+                PredictedLabel::Unsure => format!("UNSURE, {}", unsure_words(&prediction.record)),
+                verdict => word(verdict).to_owned(),
             };
             // The sentence contains measured levels: only a new verdict is news.
             let is_news = self.prediction.is_news(word(prediction.verdict), now);
@@ -202,7 +203,7 @@ impl LinePrinter {
         if same.is_none() {
             let predicted = last.predicted.as_ref().map_or_else(
                 || "no prediction".to_owned(),
-                |p| format!("predicted {:.2} {}", p.p_stable, word(verdict_of(p))),
+                |p| format!("predicted {} {}", probability(p), word(verdict_of(p))),
             );
             lines.push(format!("saved {} {}: {predicted}", last.id, last.object));
         }
@@ -211,6 +212,13 @@ impl LinePrinter {
             lines.push(format!("labelled {} {}", last.id, last.outcome));
         }
         lines
+    }
+
+    /// Reports a new base rate of the rig's labels.
+    fn adaptation(&mut self, adaptation: Option<Adaptation>) -> Option<String> {
+        let news = adaptation != self.adaptation;
+        self.adaptation = adaptation;
+        adaptation.filter(|_| news).map(|now| now.words())
     }
 
     /// Reports warnings and errors.
@@ -232,9 +240,18 @@ fn live(prediction: &PredictionStatus, verdict: &str) -> String {
         false => "",
     };
     format!(
-        "predicting {:.2} {verdict} ({}{kind})",
-        prediction.record.p_stable, prediction.record.model
+        "predicting {} {verdict} ({}{kind})",
+        probability(&prediction.record),
+        prediction.record.model
     )
+}
+
+/// `0.62`, or `0.62 (model 0.48)` where it is adapted.
+fn probability(record: &PredictionRecord) -> String {
+    match &record.adapted {
+        Some(adapted) => format!("{:.2} (model {:.2})", adapted.p_stable, record.p_stable),
+        None => format!("{:.2}", record.p_stable),
+    }
 }
 
 /// Prints lines to standard error until the sender of `status` is dropped.

@@ -170,11 +170,11 @@ limited "$gripcast" --quiet synth plan "${plan_flags[@]}" --out "$dir/plan"
 limited "$gripcast" --quiet synth plan "${plan_flags[@]}" --out "$dir/alone"
 cmp "$dir/plan/plan.jsonl" "$dir/alone/plan.jsonl"
 limited "$gripcast" --quiet synth run --plan "$dir/alone"
-limited "$gripcast" --quiet synth merge --plan "$dir/alone" --out "$dir/expected" --unbalanced
+limited "$gripcast" --quiet synth merge --plan "$dir/alone" --out "$dir/expected" --balance none
 say "a single process has made the dataset"
 
 cd "$dir/jobs"
-export GRIPCAST=$gripcast MERGE_FLAGS=--unbalanced
+export GRIPCAST=$gripcast MERGE_FLAGS=--balance none
 submitted=$(limited "$examples/slurm-submit.sh" "$dir/plan" "$dir/dataset" "$shards")
 [[ $submitted =~ ^array\ ([0-9]+),\ merge\ ([0-9]+)$ ]] || fail "slurm-submit.sh: $submitted"
 array=${BASH_REMATCH[1]}

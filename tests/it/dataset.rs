@@ -96,6 +96,8 @@ fn prediction() -> PredictionRecord {
         p_stable: 0.75,
         ood_score: None,
         unsure_reason: None,
+        adapted: None,
+        set: None,
         threshold: 0.5,
         inputs: None,
         geometry: None,

@@ -51,7 +51,7 @@ fn plan(folder: &Path, flags: &[&str]) -> Output {
 fn merge(plan: &Path, out: &Path) -> Command {
     let mut command = synth("merge", plan);
     command
-        .args(["--unbalanced", "--split", "train=1", "--json", "--out"])
+        .args(["--balance", "none", "--split", "train=1", "--json", "--out"])
         .arg(out);
     command
 }
@@ -181,6 +181,61 @@ fn fem_rows_contain_the_simulated_properties() {
         assert!(facts.force_left_n.unwrap() > 0.0 && facts.mass_kg.unwrap() <= 0.2);
         assert!([10.0, 40.0].contains(&facts.stop_force_n.unwrap()));
     }
+}
+
+#[test]
+fn friction_from_material_is_that_of_the_appearance_in_the_images() {
+    let dir = tempfile::tempdir().unwrap();
+    let folder = dir.path().join("p");
+    let flags = ["--friction-from", "material", "--renderings", "2"];
+    plan(&folder, &[&SMALL_PLAN[..], &flags].concat());
+    succeed(&mut synth("run", &folder));
+    let out = dir.path().join("d");
+    succeed(&mut merge(&folder, &out));
+    let mut planned = BTreeMap::new();
+    let text = fs::read_to_string(folder.join("plan.jsonl")).unwrap();
+    let lines: Vec<Value> = text
+        .lines()
+        .map(|l| serde_json::from_str(l).unwrap())
+        .collect();
+    assert_eq!(lines[0]["friction_from"], "material");
+    let object = |name: &Value| lines.iter().find(|line| line["name"] == *name).unwrap();
+    for simulation in lines.iter().filter(|line| line["id"].is_string()) {
+        let look = simulation["look"].as_u64().unwrap() as usize;
+        let words = &object(&simulation["object"])["looks"][look]["words"];
+        let id = simulation["id"].as_str().unwrap().to_owned();
+        planned.insert(id, (words.clone(), simulation["friction"].as_f64()));
+    }
+    let shard = out.join("data/train-00000-of-00001.parquet");
+    let rows = gripcast_dataset::shard::ShardReader::open(&shard).unwrap();
+    let mut count = 0;
+    for row in rows.rows() {
+        let facts = row.unwrap().facts;
+        let (words, friction) = &planned[&facts.simulation];
+        assert_eq!(
+            (&Value::from(facts.appearance), facts.friction),
+            (words, *friction)
+        );
+        count += 1;
+    }
+    assert!(count > 4 && count % 2 == 0, "{count}");
+    let contradiction = synth_plan_refused(&dir.path().join("q"));
+    assert!(
+        contradiction.contains("--min-friction-fraction"),
+        "{contradiction}"
+    );
+}
+
+/// What is said about contamination of a surface that a camera can see.
+fn synth_plan_refused(out: &Path) -> String {
+    let mut command = gripcast();
+    command.args(["synth", "plan", "--friction-from", "material"]);
+    command
+        .args(["--min-friction-fraction", "0.5", "--out"])
+        .arg(out);
+    let output = command.output().unwrap();
+    assert_eq!(output.status.code(), Some(2));
+    stderr(&output)
 }
 
 #[test]
@@ -322,7 +377,7 @@ fn partial_run_renders_labelled_simulations_only() {
     assert!(stderr(&alone).contains("--images chosen"));
     let mut run = synth("run", &folder);
     run.args(["--images", "chosen", "--partial", "--json"]);
-    run.args(["--unbalanced", "--split", "train=1"]);
+    run.args(["--balance", "none", "--split", "train=1"]);
     let summary = json(&succeed(&mut run));
     assert_eq!(summary["simulated_now"], labelled);
     assert_eq!(summary["simulations"], done);

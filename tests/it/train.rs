@@ -266,6 +266,65 @@ fn fine_tuned_model_is_compared_with_its_start_and_resumes_to_same_files() {
 }
 
 #[test]
+fn trained_model_predicts_sets_at_an_error_rate() {
+    let dir = tempfile::tempdir().unwrap();
+    let [data, out] = ["data", "run"].map(|name| dir.path().join(name));
+    write_dataset(&data);
+    write_part(&data, "test", (0..8).map(|n| row("test", n, n % 4 < 2)));
+    succeed(&mut train(&data, &out));
+    let model = out.join("model.onnx");
+    let eval = |model: &Path, flags: &[&str]| {
+        let mut command = gripcast();
+        command.args(["eval", "--json", "--model"]).arg(model);
+        command.arg("--data").arg(&data).args(flags);
+        command
+    };
+    let found = json(&succeed(&mut eval(&model, &[])));
+    let sets = &found["conformal"];
+    assert_eq!(
+        (&sets["error_rate"], &sets["all"]["n"]),
+        (&0.1.into(), &8.into())
+    );
+    assert_eq!(sets["scores_of"], "validation");
+    // Two objects cannot promise 10 %.
+    assert_eq!(sets["all"]["cant_tell"], 1.0);
+    let found = json(&succeed(&mut eval(&model, &["--error-rate", "0.5"])));
+    let cant_tell = found["conformal"]["all"]["cant_tell"].as_f64().unwrap();
+    assert!(cant_tell < 1.0, "{found}");
+
+    // Scores of other grasps; the predictions stay.
+    let scored = dir.path().join("scored.onnx");
+    let mut conformal = gripcast();
+    conformal.args([
+        "predict",
+        "conformal",
+        "--json",
+        "--split",
+        "test",
+        "--data",
+    ]);
+    conformal.arg(&data).arg(&model).arg("--out").arg(&scored);
+    let written = json(&succeed(&mut conformal));
+    assert_eq!(
+        (&written["slip"], &written["stable"]),
+        (&4.into(), &4.into())
+    );
+    let again = json(&succeed(&mut eval(&scored, &["--error-rate", "0.5"])));
+    assert_eq!(again["auroc"], found["auroc"]);
+    let source = again["conformal"]["scores_of"].as_str().unwrap();
+    assert!(source.starts_with("test of dataset "), "{source}");
+
+    let refused = eval(Path::new("baseline-contact"), &["--error-rate", "0.1"]);
+    let output = { refused }.output().unwrap();
+    assert_eq!(output.status.code(), Some(1));
+    assert!(
+        stderr(&output).contains("predict conformal"),
+        "{}",
+        stderr(&output)
+    );
+}
+
+#[test]
 fn fig6_experiment_reports_comparison() {
     let dir = tempfile::tempdir().unwrap();
     let data = dir.path().join("data");

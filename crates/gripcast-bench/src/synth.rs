@@ -22,7 +22,8 @@ use gripcast_sim::fem::GelResolution;
 use gripcast_sim::grasp::{GraspSettings, Preset};
 use gripcast_sim::{Engine, FemEngine};
 use gripcast_synth::plan::{
-    MIN_FRICTION_FRACTION, Plan, PlanPreset, PlanSettings, Shard, family_drafts, make_plan,
+    FrictionFrom, MIN_FRICTION_FRACTION, Plan, PlanPreset, PlanSettings, Shard, family_drafts,
+    make_plan,
 };
 use gripcast_synth::properties::MassMap;
 use gripcast_synth::{
@@ -226,6 +227,7 @@ pub(crate) fn plan_settings(seed: u64, grasps: usize, jobs: usize) -> PlanSettin
         rendering: PlanPreset::SMALL.rendering,
         textures: Vec::new(),
         mass_map: MassMap::Logarithmic,
+        friction_from: FrictionFrom::Soiled,
         min_friction_fraction: MIN_FRICTION_FRACTION,
         jobs,
     }

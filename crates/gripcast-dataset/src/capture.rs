@@ -9,10 +9,10 @@ use super::digest::digest;
 use super::encode::encode;
 use super::field::{FieldArray, FieldRecord};
 use super::grasp::{
-    BoardKeys, CameraRecord, Outcome, OverriddenGuard, PoseRecord, PredictionRecord,
-    SimulatedTruth, StageRecord,
+    BoardKeys, CameraRecord, Outcome, OverriddenGuard, PoseRecord, SimulatedTruth, StageRecord,
 };
 use super::layout::{Stage, image_name, pre_grasp_name};
+use super::prediction::PredictionRecord;
 use gripcast_base::error::Result;
 use gripcast_base::files::{ContentKey, FieldName, FileName, Label, ObjectName};
 use gripcast_imaging::{Frame, JpegRepairs, Role, valid_depth_fraction};

@@ -11,9 +11,10 @@ use super::digest::FileDigest;
 use super::field::FieldRecord;
 use super::layout::Stage;
 use super::lift::LiftRecord;
+use super::prediction::PredictionRecord;
 use gripcast_base::error::{Error, Result};
 use gripcast_base::files::{ContentKey, FieldName, FileName, GraspId, Label, ObjectName};
-use gripcast_geometry::{GraspGeometry, Pose};
+use gripcast_geometry::Pose;
 use gripcast_imaging::{JpegRepairs, PixelFormat, Role};
 use gripcast_shear::ShearSummary;
 
@@ -347,38 +348,6 @@ pub struct SimulatedTruth {
     pub opening_m: f64,
     /// Normal force on the left and the right gel at that frame, N.
     pub force_n: [f64; 2],
-}
-
-/// Prediction of the model before the lift.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
-#[serde(deny_unknown_fields)]
-pub struct PredictionRecord {
-    /// Probability that the grasp is stable.
-    pub p_stable: f64,
-    /// OOD score, 1 at the threshold; absent where the model has none.
-    #[serde(alias = "novelty", default, skip_serializing_if = "Option::is_none")]
-    pub ood_score: Option<f64>,
-    /// Why the images cannot tell, one sentence; absent where they can.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub unsure_reason: Option<String>,
-    /// Decision threshold of the model.
-    pub threshold: f64,
-    /// Inputs that the prediction is made from: `VTD`, `VT`, `T`, …; absent in older datasets.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub inputs: Option<String>,
-    /// Extents of the object in the gripper frame as the model sees them; absent without camera
-    /// images.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    #[schema(value_type = Option<Object>)]
-    pub geometry: Option<GraspGeometry>,
-    /// sha256 of the ONNX file.
-    pub model_sha256: String,
-    /// Name of the model.
-    pub model: String,
-    /// Time from the newest frame's driver time stamp to the result, ms.
-    pub latency_ms: f64,
-    /// Inference time of the model, ms.
-    pub engine_ms: f64,
 }
 
 /// A guard violation that the operator overrode.

@@ -14,7 +14,7 @@ use std::time::{Duration, Instant};
 use rayon::prelude::*;
 
 use super::counts::GraspCounts;
-use super::grasp::GraspRecord;
+use super::grasp::{GraspRecord, Outcome};
 use super::index::{IndexRow, to_jsonl};
 use super::layout::Layout;
 use super::reader::grasp_ids;
@@ -217,6 +217,20 @@ impl GraspIndex {
         counts
     }
 
+    /// Number of labelled grasps of a rig: slips, stable.
+    #[must_use]
+    pub fn labels_of_rig(&self, rig: &str) -> [u64; 2] {
+        let mut labels = [0, 0];
+        for row in self.state().rows.values().filter(|row| row.rig == rig) {
+            match row.outcome {
+                Outcome::Slip => labels[0] += 1,
+                Outcome::Stable => labels[1] += 1,
+                Outcome::Unlabelled => {}
+            }
+        }
+        labels
+    }
+
     /// Takes in a grasp that the writer saved or changed.
     pub(super) fn insert(&self, record: &GraspRecord) {
         self.state().insert(record);
@@ -274,8 +288,8 @@ mod tests {
     use std::fs;
 
     use super::*;
+    use crate::DatasetWriter;
     use crate::sample::{capture, meta, new_dataset};
-    use crate::{DatasetWriter, Outcome};
 
     fn saved(writer: &mut DatasetWriter, number: u32, object: &str) -> GraspId {
         let pending = writer.save_initial(&capture(2 * number + 1), Vec::new());
@@ -308,6 +322,9 @@ mod tests {
             index.refresh().unwrap();
             assert_eq!(newest(&index), [saved[2].clone(), saved[0].clone()]);
             assert_eq!(index.newest(Some(&saved[2]), 24, |_| true).len(), 1);
+            let rig = index.get(&saved[0]).unwrap().rig.clone();
+            assert_eq!(index.labels_of_rig(&rig), [1, 0]);
+            assert_eq!(index.labels_of_rig("another rig"), [0, 0]);
             let slips = index.newest(None, 24, |row| row.outcome == Outcome::Slip);
             assert_eq!(slips[0].0, saved[0]);
         }

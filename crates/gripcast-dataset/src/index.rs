@@ -8,9 +8,10 @@ use serde::Serialize;
 use serde_json::{Value, json};
 
 use super::disk::{Disk, SystemDisk, replace};
-use super::grasp::{GraspRecord, Outcome, PredictionRecord};
+use super::grasp::{GraspRecord, Outcome};
 use super::layout::{Layout, METADATA_JSONL, Stage};
 use super::lock::DatasetLock;
+use super::prediction::PredictionRecord;
 use super::reader::{Dataset, grasp_ids};
 use super::record_file::read_grasp_of;
 use gripcast_base::error::Result;

@@ -43,6 +43,7 @@ mod lock;
 mod migrate;
 mod names;
 mod opening;
+mod prediction;
 mod problem;
 mod provenance;
 mod reader;
@@ -68,7 +69,7 @@ pub use digest::FileDigest;
 pub use field::{FieldArray, FieldRecord, MARKERS};
 pub use grasp::{
     BoardKeys, CameraRecord, GraspRecord, Outcome, OverriddenGuard, PoseQuality, PoseRecord,
-    PredictionRecord, SimulatedTruth, StageRecord,
+    SimulatedTruth, StageRecord,
 };
 pub use grasp_index::{GraspIndex, IndexWork};
 pub use gripcast_base::files::{FieldName, GraspId};
@@ -78,6 +79,7 @@ pub use lift::{LiftCamera, LiftFrame, LiftRecord};
 pub use migrate::{MigrateReport, migrate};
 pub use names::{EditReport, EditedGrasp, NameChange, Selection, edit};
 pub use opening::OpenReport;
+pub use prediction::{AdaptedPrediction, OpenOutcomes, PredictionRecord};
 pub use problem::{Problem, ProblemKind, ProblemSummary, VerifyReport};
 pub use provenance::Provenance;
 pub use reader::Dataset;

@@ -4,9 +4,10 @@ use std::collections::BTreeMap;
 
 use jiff::Timestamp;
 
-use super::grasp::{CameraRecord, PredictionRecord};
+use super::grasp::CameraRecord;
 use super::grasp_index::GraspIndex;
 use super::layout::Layout;
+use super::prediction::PredictionRecord;
 use super::record_file::read_grasp_of;
 use gripcast_base::files::ContentKey;
 use gripcast_imaging::Role;

@@ -9,7 +9,7 @@ use jiff::{SignedDuration, Timestamp};
 use super::capture::{CapturedCamera, GraspMeta, StageCapture};
 use super::descriptor::NewDataset;
 use super::field::FieldArray;
-use super::grasp::PredictionRecord;
+use super::prediction::PredictionRecord;
 use gripcast_imaging::{Frame, PixelFormat, Role};
 use gripcast_shear::{ShearSource, ShearSummary};
 
@@ -154,6 +154,8 @@ pub fn meta(object: &str) -> GraspMeta {
             p_stable: 0.75,
             ood_score: None,
             unsure_reason: None,
+            adapted: None,
+            set: None,
             threshold: 0.5,
             inputs: None,
             geometry: None,

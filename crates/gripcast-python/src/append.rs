@@ -307,6 +307,8 @@ fn prediction_record(prediction: &Prediction) -> PredictionRecord {
         p_stable: prediction.p_stable,
         ood_score: prediction.ood_score,
         unsure_reason: prediction.unsure_reason.clone(),
+        adapted: None,
+        set: None,
         threshold: prediction.threshold,
         inputs: prediction.inputs.clone(),
         geometry: prediction.geometry_m.map(GraspGeometry::from_array),

@@ -102,13 +102,14 @@ impl Grasp {
     fn prediction(&self) -> Option<Prediction> {
         let prediction = self.record.prediction.as_ref()?;
         let label = PredictedLabel::new(
-            prediction.p_stable,
+            prediction.shown_p_stable(),
             prediction.threshold,
             prediction.ood_score,
         );
-        let label = match prediction.unsure_reason {
-            Some(_) => PredictedLabel::Unsure,
-            None => label,
+        let label = match (&prediction.unsure_reason, prediction.set) {
+            (Some(_), _) => PredictedLabel::Unsure,
+            (None, Some(set)) => label.within(set.stable, set.slip),
+            (None, None) => label,
         };
         Some(Prediction {
             p_stable: prediction.p_stable,

@@ -3,7 +3,7 @@
 //! Objects (or whole categories) are assigned to splits first, so that no split contains another's
 //! objects. The assignment depends on the plan alone: datasets of the same grasps from two engines
 //! have the same objects in each split, whatever the labels. Within each split, categories are
-//! capped and the two labels balanced, as in the paper (§3.2).
+//! capped and the two labels balanced, as in the paper (§3.2, §4).
 
 use std::collections::BTreeMap;
 
@@ -23,6 +23,46 @@ pub enum GroupKey {
     Category,
 }
 
+/// How the labels of a split are balanced: simulations with the more frequent label are left out
+/// until both labels are equally frequent.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum LabelBalance {
+    /// In the whole split, as in the paper's test set (§4): those left out are drawn at random, so
+    /// forces and categories keep their own base rates.
+    #[default]
+    Overall,
+    /// At each force, and first in the category with the largest surplus, so that neither the force
+    /// nor the category predicts the label.
+    Category,
+    /// Not at all: all labelled simulations are kept.
+    None,
+}
+
+/// Descriptions of datasets before version 2 have `is_balanced`: true is `category`, false `none`.
+impl<'de> Deserialize<'de> for LabelBalance {
+    fn deserialize<D: serde::Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        #[derive(Deserialize)]
+        #[serde(untagged)]
+        enum Stored {
+            IsBalanced(bool),
+            Name(String),
+        }
+        match Stored::deserialize(deserializer)? {
+            Stored::IsBalanced(true) => Ok(Self::Category),
+            Stored::IsBalanced(false) => Ok(Self::None),
+            Stored::Name(name) => match &*name {
+                "overall" => Ok(Self::Overall),
+                "category" => Ok(Self::Category),
+                "none" => Ok(Self::None),
+                _ => Err(serde::de::Error::custom(format!(
+                    "expected a balance overall, category or none, found {name:?}"
+                ))),
+            },
+        }
+    }
+}
+
 /// How a dataset is selected from results.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -35,9 +75,9 @@ pub struct CurationSettings {
     pub splits: SplitFractions,
     /// Maximum simulations of a category, as a multiple of the mean; none for no cap.
     pub category_cap: Option<f64>,
-    /// Whether each split gets as many stable simulations as slips at each force, so that the force
-    /// does not predict the label.
-    pub is_balanced: bool,
+    /// How the labels of each split are balanced.
+    #[serde(alias = "is_balanced")]
+    pub balance: LabelBalance,
     /// Whether the split `train` keeps all of both labels nevertheless, since training can weight
     /// them; the other splits are still balanced.
     #[serde(default, rename = "is_training_whole")]
@@ -51,13 +91,13 @@ const TRAIN: &str = "train";
 
 impl Default for CurationSettings {
     /// 80 % train, 10 % validation, 10 % test; grouped by object; at most twice the mean of
-    /// simulations per category.
+    /// simulations per category; labels balanced over the split.
     fn default() -> Self {
         Self {
             group_by: GroupKey::Object,
             splits: SplitFractions::standard(),
             category_cap: Some(2.0),
-            is_balanced: true,
+            balance: LabelBalance::default(),
             keep_all_training: false,
             seed: 0,
         }
@@ -142,14 +182,11 @@ pub fn curate(
         // A shuffle that does not depend on the order or on the other simulations.
         all.sort_by_key(|one| (shuffle_key(settings.seed, &one.id), &one.id));
         cap(&mut all, settings.category_cap, &mut curation.left_out);
-        if settings.is_balanced && !(settings.keep_all_training && split == TRAIN) {
-            let mut forces: Vec<f64> = all.iter().map(|one| one.stop_force_n).collect();
-            forces.sort_by(f64::total_cmp);
-            forces.dedup();
-            for force_n in forces {
-                let at_force = |one: &&&LabelledSimulation| one.stop_force_n == force_n;
-                let group = all.iter().filter(at_force).copied().collect();
-                balance(group, &mut curation.left_out);
+        if !(settings.keep_all_training && split == TRAIN) {
+            match settings.balance {
+                LabelBalance::Overall => balance_overall(&all, &mut curation.left_out),
+                LabelBalance::Category => balance_at_forces(&all, &mut curation.left_out),
+                LabelBalance::None => {}
             }
             all.retain(|one| !curation.left_out.contains_key(&one.id));
         }
@@ -162,7 +199,7 @@ pub fn curate(
             labelled.len(),
             labelled.iter().filter(|one| one.stable).count()
         ))
-        .remedy("simulate more grasps, or merge with --unbalanced"));
+        .remedy("simulate more grasps, or merge with --balance none"));
     }
     Ok(curation)
 }
@@ -195,10 +232,35 @@ fn cap(
     });
 }
 
-/// Drops the surplus of the more frequent label, first from the category with the largest surplus.
-fn balance(all: Vec<&LabelledSimulation>, left_out: &mut BTreeMap<String, LeftOut>) {
+/// Drops the surplus of the more frequent label; `all` is in random order.
+fn balance_overall(all: &[&LabelledSimulation], left_out: &mut BTreeMap<String, LeftOut>) {
+    let (frequent, surplus) = surplus(all);
+    let frequent = all.iter().filter(|one| one.stable == frequent);
+    let dropped = frequent.take(surplus);
+    left_out.extend(dropped.map(|one| (one.id.clone(), LeftOut::Balance)));
+}
+
+/// Balances the simulations of each force.
+fn balance_at_forces(all: &[&LabelledSimulation], left_out: &mut BTreeMap<String, LeftOut>) {
+    let mut forces: Vec<f64> = all.iter().map(|one| one.stop_force_n).collect();
+    forces.sort_by(f64::total_cmp);
+    forces.dedup();
+    for force_n in forces {
+        let at_force = |one: &&&LabelledSimulation| one.stop_force_n == force_n;
+        let group: Vec<_> = all.iter().filter(at_force).copied().collect();
+        balance_by_category(&group, left_out);
+    }
+}
+
+/// Returns the more frequent label and how many more simulations have it.
+fn surplus(all: &[&LabelledSimulation]) -> (bool, usize) {
     let stable = all.iter().filter(|one| one.stable).count();
-    let frequent = 2 * stable > all.len();
+    (2 * stable > all.len(), (2 * stable).abs_diff(all.len()))
+}
+
+/// Drops the surplus of the more frequent label, first from the category with the largest surplus.
+fn balance_by_category(all: &[&LabelledSimulation], left_out: &mut BTreeMap<String, LeftOut>) {
+    let (frequent, surplus) = surplus(all);
     // By category: surplus of the frequent label, and the ids with it.
     let mut categories: BTreeMap<&String, (i64, Vec<&String>)> = BTreeMap::new();
     for one in all.iter() {
@@ -210,7 +272,7 @@ fn balance(all: Vec<&LabelledSimulation>, left_out: &mut BTreeMap<String, LeftOu
             *excess -= 1;
         }
     }
-    for _ in 0..(2 * stable).abs_diff(all.len()) {
+    for _ in 0..surplus {
         let largest = categories
             .values_mut()
             .filter(|(_, members)| !members.is_empty())
@@ -262,9 +324,72 @@ mod tests {
     }
 
     #[test]
-    fn splits_are_disjoint_sized_and_balanced() {
+    fn overall_balance_keeps_base_rates_of_forces_and_categories() {
+        let mut all = labelled(1200);
+        // Strong grasps are stable more often.
+        for one in &mut all {
+            one.stable |= one.stop_force_n == 40.0 && one.id.ends_with(['1', '2', '3']);
+        }
+        let fractions = |balance: LabelBalance| {
+            let settings = CurationSettings {
+                balance,
+                category_cap: None,
+                ..CurationSettings::default()
+            };
+            let curation = curate(&planned(&all), &all, &settings).unwrap();
+            let kept = all.iter().filter(|one| {
+                let split = curation.split_of.get(&one.id);
+                split.is_some_and(|split| split == TRAIN)
+            });
+            let kept: Vec<&LabelledSimulation> = kept.collect();
+            let fraction = |of: &dyn Fn(&LabelledSimulation) -> bool| {
+                let of: Vec<_> = kept.iter().filter(|one| of(one)).collect();
+                of.iter().filter(|one| one.stable).count() as f64 / of.len() as f64
+            };
+            [
+                fraction(&|_| true),
+                fraction(&|one| one.stop_force_n == 40.0),
+                fraction(&|one| one.category == "mug"),
+            ]
+        };
+        let [all_kept, strong, mugs] = fractions(LabelBalance::Overall);
+        assert_eq!(all_kept, 0.5);
+        assert!(strong > 0.53 && mugs > 0.53, "{strong} {mugs}");
+        let [all_kept, strong, mugs] = fractions(LabelBalance::Category);
+        assert_eq!([all_kept, strong], [0.5, 0.5]);
+        assert!(mugs < 0.53, "{mugs}");
+        let [all_kept, ..] = fractions(LabelBalance::None);
+        assert!(all_kept > 0.65, "{all_kept}");
+    }
+
+    #[test]
+    fn older_descriptions_name_their_balance() {
+        let read = |text: &str| serde_json::from_str::<LabelBalance>(text);
+        for balance in [
+            LabelBalance::Overall,
+            LabelBalance::Category,
+            LabelBalance::None,
+        ] {
+            let text = serde_json::to_string(&balance).unwrap();
+            assert_eq!(read(&text).unwrap(), balance);
+        }
+        assert_eq!(read("true").unwrap(), LabelBalance::Category);
+        assert_eq!(read("false").unwrap(), LabelBalance::None);
+        assert!(read("\"all\"").is_err());
+        let older = r#"{"apart": "object", "parts": {"train": 0.8, "test": 0.2},
+            "category_cap": 2.0, "is_balanced": true, "is_training_whole": false, "seed": 0}"#;
+        let settings: CurationSettings = serde_json::from_str(older).unwrap();
+        assert_eq!(settings.balance, LabelBalance::Category);
+    }
+
+    #[test]
+    fn splits_are_disjoint_sized_and_balanced_at_each_force() {
         let all = labelled(1200);
-        let curation = curate(&planned(&all), &all, &CurationSettings::default()).unwrap();
+        let settings = CurationSettings {
+            balance: LabelBalance::Category,
+            ..CurationSettings::default()
+        };
+        let curation = curate(&planned(&all), &all, &settings).unwrap();
         let mut split_of_object: BTreeMap<&str, &str> = BTreeMap::new();
         let mut counts: BTreeMap<(&str, bool), usize> = BTreeMap::new();
         let mut by_force: BTreeMap<(u32, bool), usize> = BTreeMap::new();
@@ -328,7 +453,7 @@ mod tests {
     fn frequent_category_is_capped() {
         let all = labelled(1200);
         let settings = CurationSettings {
-            is_balanced: false,
+            balance: LabelBalance::None,
             category_cap: Some(1.2),
             ..CurationSettings::default()
         };
@@ -347,7 +472,7 @@ mod tests {
         let settings = CurationSettings {
             group_by: GroupKey::Category,
             splits: "train=0.6,test=0.4".parse().unwrap(),
-            is_balanced: false,
+            balance: LabelBalance::None,
             category_cap: None,
             ..CurationSettings::default()
         };
@@ -386,7 +511,7 @@ mod tests {
         let planned = planned(&all);
         let splits = |labelled: &[LabelledSimulation]| {
             let settings = CurationSettings {
-                is_balanced: false,
+                balance: LabelBalance::None,
                 category_cap: None,
                 ..CurationSettings::default()
             };

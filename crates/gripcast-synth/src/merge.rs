@@ -10,7 +10,7 @@ use sha2::{Digest as _, Sha256};
 use super::curate::{
     Curation, CurationSettings, LabelledSimulation, LeftOut, ObjectSummary, curate,
 };
-use super::plan::{Plan, PlannedSimulation, replace};
+use super::plan::{FrictionFrom, Plan, PlannedSimulation, replace};
 use super::store::{ResultStore, SimulationResult};
 use gripcast_base::error::{Error, Result};
 use gripcast_base::files::{FileKind, Root, SimulationId, sha256_hex};
@@ -25,7 +25,9 @@ const DATA: &str = "data";
 /// Maximum rows of a shard, about 150 MB.
 const ROWS_PER_SHARD: usize = 2000;
 const FORMAT: &str = "gripcast-synth-dataset";
-const VERSION: u32 = 1;
+const VERSION: u32 = 2;
+/// Oldest version that can be read; see [`LabelBalance`](super::curate::LabelBalance).
+const OLDEST_VERSION: u32 = 1;
 
 /// How a dataset is merged.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -86,9 +88,9 @@ impl MergeReport {
         };
         let found: Self = serde_json::from_slice(&bytes)
             .map_err(|e| invalid(format!("not a description of a dataset: {e}")))?;
-        if found.format != FORMAT || found.version != VERSION {
+        if found.format != FORMAT || !(OLDEST_VERSION..=VERSION).contains(&found.version) {
             return Err(invalid(format!(
-                "expected {FORMAT} version {VERSION}, found {:?} version {}",
+                "expected {FORMAT} version {OLDEST_VERSION} to {VERSION}, found {:?} version {}",
                 found.format, found.version
             )));
         }
@@ -445,7 +447,7 @@ fn card(plan: &Plan, report: &MergeReport) -> String {
     format!(
         "---\nconfigs:\n- config_name: default\n  data_files:\n{splits}---\n\n\
          # Simulated grasps\n\n\
-         Made by {} from plan `{}` (preset {}, seed {}, engine {}). Everything here is simulated \
+         Made by {} from plan `{}` (preset {}, seed {}, engine {}, friction from {}). Everything here is simulated \
          and rendered; nothing was measured.\n\n\
          | part | rows | grasps | objects | stable simulations | slips |\n\
          | --- | --- | --- | --- | --- | --- |\n{table}",
@@ -454,5 +456,9 @@ fn card(plan: &Plan, report: &MergeReport) -> String {
         plan.header.preset,
         plan.header.seed,
         plan.header.engine.name(),
+        match plan.header.friction_from {
+            FrictionFrom::Soiled => "the soiled material",
+            FrictionFrom::Material => "category and appearance",
+        },
     )
 }

@@ -173,7 +173,8 @@ pub fn simulate_labels(
     let label = |simulation: &PlannedSimulation| -> Result<Option<bool>> {
         let object = plan.object(simulation)?;
         let setup = grasp_setup(simulation, object, &root)?;
-        let grasp = engine.simulate(&setup, object.friction, simulation.stop_force_n)?;
+        let friction = simulation.friction_on(object);
+        let grasp = engine.simulate(&setup, friction, simulation.stop_force_n)?;
         Ok(stable(grasp.outcome))
     };
     par_map_single_threaded(jobs, &plan.simulations, &label, on_progress)
@@ -269,7 +270,8 @@ impl<'a> SimulationRunner<'a> {
             Some(labelled) => labelled,
             None => {
                 let force_n = simulation.stop_force_n;
-                let grasp = self.engine.simulate(&setup, object.friction, force_n)?;
+                let friction = simulation.friction_on(object);
+                let grasp = self.engine.simulate(&setup, friction, force_n)?;
                 let mut result = SimulationResult::new(self.plan, simulation);
                 record_grasp(&mut result, &grasp);
                 result.cpu_s.simulate = clock.lap();
@@ -330,7 +332,9 @@ impl<'a> SimulationRunner<'a> {
             let [initial, pressed] = self.renderer.tactile(grasp, seed)?;
             let lift = self.renderer.lift(grasp, seed)?;
             result.cpu_s.tactile += clock.lap();
-            let (appearance, model) = draw_appearance(object, &self.root, &setup.mesh, seed)?;
+            let shown = simulation.appearance;
+            let (appearance, model) =
+                draw_appearance(object, shown, &self.root, &setup.mesh, seed)?;
             let [grasp_rgb, grasp_depth] = self.renderer.wrist(grasp, &model, seed)?;
             result.cpu_s.visual += clock.lap();
             let [initial_left, initial_right] = initial;
@@ -351,7 +355,7 @@ impl<'a> SimulationRunner<'a> {
                     },
                     outcome_detail: result.outcome.clone(),
                     stop_force_n: Some(simulation.stop_force_n),
-                    friction: Some(object.friction),
+                    friction: Some(simulation.friction_on(object)),
                     mass_kg: Some(object.mass_kg),
                     lifted_m: Some(result.lifted_m),
                     force_left_n: Some(force_n[0]),
@@ -383,22 +387,26 @@ impl<'a> SimulationRunner<'a> {
     }
 }
 
-/// Draws the appearance of an object in one rendering: its description and the model.
+/// Draws the appearance of an object in one rendering, unless the simulation has the one that is
+/// `shown`: its description and the model.
 fn draw_appearance(
     object: &PlannedObject,
+    shown: Option<u32>,
     root: &Root,
     mesh: &TriangleMesh,
     seed: u64,
 ) -> Result<(String, Model)> {
     let mut draw = SeedStream::named(seed, "appearance");
     let (appearances, textures) = (&object.appearances, &object.textures);
-    let index = draw.index(appearances.len() + textures.len());
+    let drawn = draw.index(appearances.len() + textures.len());
+    let index = shown.map_or(drawn, |index| index as usize);
     if let Some(drawn) = appearances.get(index) {
         let model = Model::with_appearance(mesh, &drawn.appearance, draw.bits())?;
         return Ok((drawn.description.clone(), model));
     }
-    let texture = textures
-        .get(index - appearances.len())
+    let texture = index.checked_sub(appearances.len());
+    let texture = texture
+        .and_then(|index| textures.get(index))
         .ok_or_else(|| Error::input(format!("{} has no appearance", object.name)))?;
     let model = Model::textured(mesh, &texture.load(root)?, texture.width_m)?;
     Ok((texture.name.to_string(), model))

@@ -6,8 +6,9 @@ use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
 use super::augment::SampleImages;
+use super::conformal::{ConformalEvaluation, trained_objects};
 use super::duplicates::duplicates;
-use super::finish::{ARCHITECTURE, OBJECTS};
+use super::finish::ARCHITECTURE;
 use super::lift::LiftEvaluation;
 use super::metrics::{
     BaseRateCalibration, Bootstrap, ChanceCalibration, GroupSummary, Interval, Ranking,
@@ -101,6 +102,9 @@ pub struct ModelEvaluation {
     /// Calibration after correction for the base rate of these grasps.
     #[serde(default)]
     pub at_base_rate: Option<BaseRateCalibration>,
+    /// Prediction sets at an error rate, where the model has conformal scores.
+    #[serde(default)]
+    pub conformal: Option<ConformalEvaluation>,
     /// Metrics by category.
     pub categories: Vec<GroupSummary>,
     /// Metrics by object.
@@ -231,6 +235,36 @@ pub fn evaluate(
     })
 }
 
+impl EvalReport {
+    /// Evaluates the prediction sets of the models at an error rate. Models without conformal
+    /// scores are refused if `is_required`, else omitted. `models` and `samples` are those of
+    /// [`evaluate`].
+    ///
+    /// # Errors
+    /// `Input` for a model without scores.
+    pub fn add_sets(
+        &mut self,
+        models: &[(String, Model)],
+        samples: &Samples,
+        error_rate: f64,
+        is_required: bool,
+    ) -> Result<()> {
+        for (file, model) in models {
+            // The scores are those of the prediction from all inputs.
+            let all = model.contract().modality;
+            let mut evaluated = self.models.iter_mut();
+            let evaluated = evaluated.find(|e| e.file == *file && e.modality == all);
+            let Some(evaluated) = evaluated else { continue };
+            if model.conformal_scores().is_some() || is_required {
+                let scored = evaluated.scored();
+                let sets = ConformalEvaluation::new(model, error_rate, samples.facts(), &scored);
+                evaluated.conformal = Some(sets.map_err(|e| e.at(file))?);
+            }
+        }
+        Ok(())
+    }
+}
+
 /// Whether the models are several seeds of one training; a mean over others has no meaning.
 fn are_alike(models: &[(String, Model)]) -> bool {
     let mut seeds = BTreeSet::new();
@@ -291,10 +325,7 @@ fn warnings(
             ));
         }
         if !is_same {
-            let names = model.contract().other.get(OBJECTS);
-            let trained: BTreeSet<String> = names
-                .and_then(|names| serde_json::from_str(names).ok())
-                .unwrap_or_default();
+            let trained = trained_objects(model.contract());
             let ours = samples.objects().into_iter();
             let shared = ours.filter(|object| trained.contains(*object)).count();
             if shared > 0 {
@@ -310,7 +341,7 @@ fn warnings(
 
 /// Predicts all samples from some inputs; returns the probability of stable and whether the sample
 /// is in contact.
-fn predict(
+pub(super) fn predict(
     model: &Model,
     inputs: Modality,
     samples: &Samples,
@@ -419,6 +450,7 @@ impl ModelEvaluation {
             reliability: ReliabilityTable::new(&scored),
             ece_by_chance: ChanceCalibration::new(&scored, &lifts, SEED),
             at_base_rate: BaseRateCalibration::new(&scored),
+            conformal: None,
             categories: by(&|facts| facts.category.clone()),
             per_object: by(&|facts| facts.object.clone()),
             forces: by(&|facts| match facts.stop_force_n {

@@ -1,7 +1,7 @@
 use super::*;
 use crate::sample_dataset::{graded_row, row, write_dataset, write_split};
-use crate::{dataset_sha256, page};
-use gripcast_nn::predict::{Model, SHIPPED};
+use crate::{conformal_scores, dataset_sha256, page};
+use gripcast_nn::predict::{BASELINE, Model, SHIPPED, model_bytes};
 
 fn evaluated(root: &std::path::Path, models: usize) -> (EvalReport, Samples) {
     let samples = Samples::open(root, "test").unwrap();
@@ -73,6 +73,48 @@ fn heuristic_separates_sample_dataset() {
     }
     let escaped = "&lt;script&gt;alert(&quot;1&quot;)&lt;/script&gt;&amp;  ";
     assert!(html.matches(escaped).count() >= 10, "{html}");
+}
+
+#[test]
+fn prediction_sets_need_scores_and_are_in_the_report() {
+    let folder = tempfile::tempdir().unwrap();
+    write_dataset(folder.path(), 32);
+    let rows = (0..40).map(|number| {
+        // A fifth of the grasps with contact slips.
+        let is_stable = number % 2 == 1 && number % 5 != 0;
+        graded_row("test", number, is_stable, (number % 10) as f32 / 10.0)
+    });
+    write_split(folder.path(), "test", rows);
+    let (mut report, samples) = evaluated(folder.path(), 1);
+    let plain = [("model.onnx".to_owned(), Model::baseline().unwrap())];
+    report.add_sets(&plain, &samples, 0.1, false).unwrap();
+    assert_eq!(report.models[0].conformal, None);
+    let error = report.add_sets(&plain, &samples, 0.1, true).unwrap_err();
+    assert!(error.to_string().contains("model.onnx"), "{error}");
+    assert!(error.remedy_text().unwrap().contains("predict conformal"));
+
+    let scores = conformal_scores(&plain[0].1, &samples, "these", &|_| ()).unwrap();
+    let mut contract = plain[0].1.contract().clone();
+    let key = gripcast_nn::predict::conformal::METADATA.to_owned();
+    contract.other.insert(key, scores.to_metadata());
+    let onnx = contract.stamp(&model_bytes(BASELINE).unwrap()).unwrap();
+    let with_scores = [("scored.onnx".to_owned(), Model::from_bytes(&onnx).unwrap())];
+    report.add_sets(&with_scores, &samples, 0.2, true).unwrap();
+    let sets = report.models[0].conformal.clone().unwrap();
+    assert_eq!(
+        (sets.scores_of.as_str(), sets.limits.error_rate),
+        ("these", 0.2)
+    );
+    assert_eq!(sets.stable.n + sets.slip.n, 40);
+    // On the grasps of the scores themselves both labels are covered.
+    for label in [&sets.stable, &sets.slip] {
+        assert!(label.coverage.unwrap() >= 0.8, "{label:?}");
+    }
+    assert!(sets.all.cant_tell.unwrap() > 0.0, "{sets:?}");
+    let html = page(&report, &samples).unwrap();
+    assert!(html.contains("Prediction sets: stable, slip or can") && html.contains("Coverage"));
+    let json = serde_json::to_string(&report).unwrap();
+    assert_eq!(serde_json::from_str::<EvalReport>(&json).unwrap(), report);
 }
 
 /// Returns the report with hostile names.

@@ -4,6 +4,7 @@ use std::collections::BTreeMap;
 use std::path::Path;
 
 use super::comparison::Comparison;
+use super::conformal::add_conformal_scores;
 use super::lift;
 use super::metrics::{Summary, fit_temperature, youden_threshold};
 use super::ood::fit_tactile_reference;
@@ -14,9 +15,9 @@ use super::state::write;
 use super::validate::{Logit, SplitLogits, logits};
 use gripcast_base::error::{Error, Result};
 use gripcast_imaging::CropProfile;
-use gripcast_nn::predict::contract::{InputName, InputSpec, Modality, OutputSpec, Origin};
+use gripcast_nn::predict::contract::{InputName, InputSpec, Modality, Origin, OutputSpec};
 use gripcast_nn::predict::lift::METADATA as LIFT;
-use gripcast_nn::predict::{ModelContract, ood};
+use gripcast_nn::predict::{BASE_RATE, ModelContract, ood};
 use gripcast_nn::{Network, to_onnx};
 
 /// Metadata key of the training objects.
@@ -65,14 +66,21 @@ pub fn finish(
     };
     let logits = logits_of(&network)?;
     let known = start_of(folder, file)?;
-    let outputs = network.heads().map(|inputs| calibrated(inputs, &logits, known.as_ref()));
+    let outputs = network
+        .heads()
+        .map(|inputs| calibrated(inputs, &logits, known.as_ref()));
     let outputs: Vec<OutputSpec> = outputs.collect();
     // The inputs that all samples have.
-    let used = logits.complete().and_then(|i| outputs.iter().find(|o| o.modality == i));
+    let used = logits.complete();
+    let used = used.and_then(|inputs| outputs.iter().find(|o| o.modality == inputs));
     let used = *used.ok_or_else(|| missing_inputs(&validation))?;
     let scored = logits.best().iter().map(|x| x.scored(used.temperature));
-    let summary = Summary::new(&scored.collect::<Vec<_>>(), used.threshold);
+    let scored: Vec<_> = scored.collect();
+    let summary = Summary::new(&scored, used.threshold);
     let mut contract = contract(file, name, &best, &outputs, &summary)?;
+    if used.modality == contract.modality {
+        add_conformal_scores(&mut contract, &validation, &scored);
+    }
     let train = Samples::open(data, "train")?;
     let lift_head = lift::fit(
         &train,
@@ -189,6 +197,8 @@ fn contract(
             (ARCHITECTURE, settings.architecture.name.clone()),
             ("gripcast.software", file.software.clone()),
             ("gripcast.epoch", best.epoch.to_string()),
+            // Both labels have equal weight.
+            (BASE_RATE, "0.5".to_owned()),
             (
                 OBJECTS,
                 serde_json::to_string(&file.objects).unwrap_or_default(),

@@ -8,6 +8,7 @@
 mod augment;
 mod batches;
 mod comparison;
+mod conformal;
 mod duplicates;
 mod evaluate;
 mod experiment;
@@ -29,6 +30,7 @@ mod validate;
 pub use augment::Augmentation;
 pub use batches::colour_normalisation;
 pub use comparison::{Comparison, Verdict};
+pub use conformal::{ConformalEvaluation, ConformalLabel, conformal_scores, trained_objects};
 pub use evaluate::{
     Difference, EvalReport, Mistake, ModelEvaluation, ScoredSample, SeedResult, evaluate,
     sample_images,

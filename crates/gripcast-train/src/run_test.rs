@@ -8,7 +8,7 @@ use crate::samples::SampleReader;
 use crate::{finish, logits};
 use gripcast_base::catch_panic;
 use gripcast_nn::predict::contract::Modality;
-use gripcast_nn::predict::{Model, ModelInput};
+use gripcast_nn::predict::{Model, ModelInput, training_base_rate};
 use gripcast_nn::{Architecture, ConvSpec};
 
 pub(crate) fn settings(modality: Modality) -> TrainSettings {
@@ -73,9 +73,15 @@ fn exported_model_matches_network() {
         let model = Model::from_bytes(&finished.onnx).unwrap();
         assert_eq!(model.contract().modality, modality);
         assert_eq!(model.ood_detector().is_some(), modality.has_touch());
-        let validation_metrics = &trained.best;
-        let has_geometry = validation_metrics.validation_geometry_error_m.is_some();
+        let has_geometry = trained.best.validation_geometry_error_m.is_some();
         assert_eq!(has_geometry, modality != Modality::T);
+        let sets = model.conformal_scores().unwrap();
+        let [slip, stable] = validation.by_label();
+        assert_eq!(
+            (sets.source(), sets.grasps()),
+            ("validation", [slip, stable])
+        );
+        assert_eq!(training_base_rate(model.contract()), 0.5);
         let (network, _) = run.best_network(&settings).unwrap();
         let found = logits(
             &network,

@@ -104,6 +104,7 @@ impl Engine {
             });
         }
         self.update_grasps(&request, reply);
+        self.adapt();
         let event = StoreEvent {
             at: Timestamp::now().to_string(),
             request,

@@ -14,8 +14,9 @@ use gripcast_capture::camera::{
     CameraIdentity, CaptureError, ControlValues, FrameSource, StreamInfo,
 };
 use gripcast_dataset::sample::new_dataset;
-use gripcast_dataset::{Dataset, GraspIndex, LiftFrame, Stage};
+use gripcast_dataset::{Dataset, GraspIndex, LiftFrame, Outcome, Stage};
 use gripcast_imaging::{Frame, PixelFormat};
+use gripcast_nn::predict::Adaptation;
 use gripcast_session::{Command, CommandResult, CommandSource};
 
 const WIDTH: u32 = 640;
@@ -146,6 +147,7 @@ fn setup(dataset: PathBuf, gels: [YuyvGel; 2]) -> EngineSetup {
             ..GuardLimits::default()
         },
         model: Some(Model::baseline().unwrap()),
+        decision: DecisionSettings::default(),
         script: None,
         boards: None,
         hand: None,
@@ -186,6 +188,21 @@ impl Bench {
         assert!(is_stale, "{result:?}");
         let message = self.status.borrow().session.message.clone().unwrap();
         assert!(message.text.contains("NOT carried out"), "{message:?}");
+    }
+
+    /// Saves a grasp.
+    async fn take_grasp(&mut self) {
+        let are_live = |status: &EngineStatus| {
+            let live = |camera: &CameraStatus| camera.state == CameraState::Live;
+            status.cameras.len() == 2 && status.cameras.iter().all(live)
+        };
+        self.take_frames(false, are_live).await;
+        self.accepted(Command::Initial).await;
+        let is_in_contact = |status: &EngineStatus| {
+            status.contact.len() == 2 && status.contact.values().all(|levels| *levels > 10.0)
+        };
+        self.take_frames(true, is_in_contact).await;
+        self.accepted(Command::Grasp).await;
     }
 
     async fn accepted(&self, command: Command) {
@@ -315,4 +332,91 @@ async fn engine_saves_and_predicts_with_yuyv_cameras() {
                 .all(|format| format == PixelFormat::Yuyv)
         );
     }
+}
+
+/// Runs an engine with adaptation while `operator` acts.
+async fn run_adapted<F: Future>(dataset: &std::path::Path, operator: impl FnOnce(Bench) -> F) {
+    let (left, left_shutter) = YuyvGel::new(Role::Left);
+    let (right, right_shutter) = YuyvGel::new(Role::Right);
+    let setup = EngineSetup {
+        decision: DecisionSettings {
+            error_rate: None,
+            adapt_strength: Some(10.0),
+        },
+        keep_lift: Duration::ZERO,
+        ..setup(dataset.to_owned(), [left, right])
+    };
+    let starting = EngineStatus::starting("d", "bench", Labels::default());
+    let (commands, command_queue) = mpsc::channel(8);
+    let (_limits, limits) = mpsc::channel(1);
+    let (status, newest) = watch::channel(Arc::new(starting));
+    let (tones, _tone_receiver) = mpsc::unbounded_channel();
+    let links = EngineLinks {
+        commands: command_queue,
+        limits,
+        tasks: Tasks::default(),
+        status,
+        tones,
+        on_stored: Box::new(|_| {}),
+    };
+    let bench = Bench {
+        commands: commands.clone(),
+        shutters: [left_shutter, right_shutter],
+        status: newest,
+    };
+    let operator = async {
+        operator(bench).await;
+        let quit = CommandRequest::new(Command::Quit, CommandSource::Script);
+        commands.send(quit).await.unwrap();
+    };
+    let (report, ()) = tokio::join!(run(setup, links, std::future::pending()), operator);
+    assert_eq!(report.unwrap().ended, EndReason::Quit);
+}
+
+#[tokio::test]
+async fn predictions_adapt_to_labels_and_back() {
+    let dir = tempfile::tempdir().unwrap();
+    let dataset = dir.path().join("d");
+    /// Waits until predictions are adapted to this number of labels.
+    async fn adapted_to(bench: &mut Bench, labels: u64) -> Adaptation {
+        let is_adapted =
+            |status: &Arc<EngineStatus>| status.adaptation.is_some_and(|now| now.labels == labels);
+        let status = bench.status.wait_for(is_adapted).await.unwrap();
+        status.adaptation.unwrap()
+    }
+    run_adapted(&dataset, async |mut bench: Bench| {
+        bench.take_grasp().await;
+        assert_eq!(adapted_to(&mut bench, 0).await.base_rate, 0.5);
+        bench.accepted(Command::Label(Outcome::Stable)).await;
+        let stable = adapted_to(&mut bench, 1).await.base_rate;
+        assert!((stable - 6.0 / 11.0).abs() < 1e-12, "{stable}");
+        bench.accepted(Command::Undo).await;
+        assert_eq!(adapted_to(&mut bench, 0).await.offset, 0.0);
+        bench.accepted(Command::Label(Outcome::Slip)).await;
+        let slip = adapted_to(&mut bench, 1).await;
+        assert!((slip.base_rate - 5.0 / 11.0).abs() < 1e-12, "{slip:?}");
+        assert!(slip.offset < 0.0);
+    })
+    .await;
+    // A restart continues with the labels of the dataset.
+    run_adapted(&dataset, async |mut bench: Bench| {
+        let now = adapted_to(&mut bench, 1).await;
+        assert_eq!((now.labels, now.stable), (1, 0));
+        bench.take_grasp().await;
+    })
+    .await;
+    let opened = Dataset::open(&dataset).unwrap();
+    let mut predictions = Vec::new();
+    for id in opened.ids().unwrap() {
+        let record = opened.grasp(&id).unwrap();
+        predictions.push(record.prediction.expect("a prediction"));
+    }
+    let [first, second] = &predictions[..] else {
+        panic!("two grasps: {}", predictions.len());
+    };
+    let of_first = first.adapted.expect("adapted");
+    assert_eq!((of_first.labels, of_first.p_stable), (0, first.p_stable));
+    let of_second = second.adapted.expect("adapted");
+    assert_eq!(of_second.labels, 1);
+    assert!(of_second.p_stable < second.p_stable, "{second:?}");
 }

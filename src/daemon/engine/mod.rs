@@ -1,5 +1,6 @@
 //! The engine: connects cameras, inference, session and dataset. All slow work has its own thread.
 
+mod adapt;
 mod commands;
 #[cfg(test)]
 mod engine_test;
@@ -19,6 +20,7 @@ use jiff::Timestamp;
 use serde::Serialize;
 use tokio::sync::{mpsc, watch};
 
+use self::adapt::RigAdaptation;
 use self::commands::Pending;
 use self::lift::KeptLift;
 use self::script::ScriptCommand;
@@ -80,6 +82,8 @@ pub struct EngineSetup {
     pub guards: GuardLimits,
     /// Model; `None` disables predictions.
     pub model: Option<Model>,
+    /// What is added to the model's probability.
+    pub decision: DecisionSettings,
     /// Scripted commands.
     pub script: Option<Script>,
     /// Printed boards in view of the external camera.
@@ -92,6 +96,16 @@ pub struct EngineSetup {
     pub keep_lift: Duration,
     /// Settings of the black box, if enabled.
     pub black_box: Option<BlackBoxSettings>,
+}
+
+/// What is added to a model's probability.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct DecisionSettings {
+    /// Error rate of prediction sets; none: no sets.
+    pub error_rate: Option<f64>,
+    /// Weight of the prior, in labels, with which predictions are adapted to the base rate of the
+    /// rig's labels; none: no adaptation.
+    pub adapt_strength: Option<f64>,
 }
 
 /// Channels between the engine and screens, triggers and API.
@@ -178,6 +192,8 @@ struct Engine {
     provenance: Provenance,
     /// The model.
     model: Option<ModelInfo>,
+    /// Adaptation to the rig's labels.
+    adaptation: Option<RigAdaptation>,
     /// Source of the newest grasp's frames, at the start.
     newest_source: Option<SourceKind>,
     /// Wall clock and `CLOCK_MONOTONIC` (ns) at the start.
@@ -241,6 +257,7 @@ impl Engine {
         if self.ticks.is_multiple_of(DISK_TICKS) {
             self.disk_free_bytes = disk_free_bytes(&self.dataset);
             self.objects = Arc::new(self.session.outcome_counts().clone());
+            self.adapt();
             self.check_start();
             self.hub.tap.json(Topic::Cameras, || {
                 cameras_json(&self.hub, &self.rig, monotonic_ns())

@@ -134,7 +134,9 @@ impl Engine {
                 frame_age_ms: now_ns.saturating_sub(live.frame_time_ns) as f64 * 1e-6,
                 ..live
             }),
+            lift: state.lift,
             no_prediction_reason: state.unavailable.clone(),
+            adaptation: self.adaptation(),
             contact: state.contact_levels(),
             objects: Arc::clone(&self.objects),
             gels: self.gels(&state),

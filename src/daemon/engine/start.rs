@@ -8,6 +8,7 @@ use std::sync::mpsc::channel;
 use jiff::Timestamp;
 use tokio::sync::mpsc;
 
+use super::adapt::RigAdaptation;
 use super::script::ScriptCommand;
 use super::{Engine, EngineLinks, EngineSetup};
 use crate::daemon::black_box::{BlackBox, Tap};
@@ -31,6 +32,14 @@ impl Engine {
     pub(super) fn start(setup: EngineSetup, links: EngineLinks) -> Result<Self> {
         let crops = crop_profiles(&setup.rig, setup.model.as_ref())?;
         let newest_source_of = setup.index.path().to_owned();
+        let limits = match (&setup.model, setup.decision.error_rate) {
+            (Some(model), Some(error_rate)) => Some(model.conformal_limits(error_rate)?),
+            _ => None,
+        };
+        let strength = setup.decision.adapt_strength;
+        let adaptation = setup.model.as_ref().zip(strength).map(|(model, strength)| {
+            RigAdaptation::new(setup.index.clone(), &setup.rig.id, model, strength)
+        });
         let (mut writer, opened) = DatasetWriter::open_index(setup.index, &setup.new_dataset)?;
         let newest_source = newest_source(&newest_source_of, &opened.provenance);
         let calibration = store_calibration(&mut writer, &setup.rig, &setup.intrinsics)?;
@@ -64,6 +73,7 @@ impl Engine {
         let inference = Inference::start(
             &hub,
             setup.model,
+            limits,
             setup.gel_scales,
             infer_channel,
             &links.tasks,
@@ -92,7 +102,7 @@ impl Engine {
             })?;
         }
         let capture = CaptureThreads::start(setup.openers, &hub, &setup.supervision, &links.tasks)?;
-        Ok(Self {
+        let mut engine = Self {
             rig: setup.rig,
             dataset: setup.dataset,
             dataset_name,
@@ -126,13 +136,17 @@ impl Engine {
             opening: opened.notes,
             provenance: opened.provenance,
             model,
+            adaptation,
             started: (Timestamp::now(), monotonic_ns()),
             start_report: Vec::new(),
             start_findings: BTreeMap::new(),
             was_live: BTreeMap::new(),
             last_task_states: BTreeMap::new(),
             ticks: 0,
-        })
+        };
+        // Before the first prediction.
+        engine.adapt();
+        Ok(engine)
     }
 }
 

@@ -7,7 +7,7 @@ import { address, ApiError, change, get, failureReason } from "./api.js";
 import { button, byId, make, refill, say, toast } from "./dom.js";
 import { neighbours, noteTrashed, restore } from "./gallery.js";
 import { askEdit, markNode, outcomeNode } from "./labels.js";
-import { agreement, moment, short } from "./words.js";
+import { adaptationWords, agreement, moment, probability, short } from "./words.js";
 
 /** @type {Role[]} */
 const ROLES = ["left", "right", "rgb", "depth", "external"];
@@ -78,7 +78,9 @@ function verdict({ outcome, prediction }) {
     line.append(make("span", "faint", " · no prediction"));
     return line;
   }
-  line.append(make("span", "faint", ` · predicted ${prediction.p_stable.toFixed(2)} against ${prediction.threshold.toFixed(2)} `));
+  line.append(make("span", "faint", ` · predicted ${probability(prediction).toFixed(2)} against ${prediction.threshold.toFixed(2)} `));
+  const adapted = adaptationWords(prediction);
+  if (adapted) line.append(make("span", "faint", `(${adapted}) `));
   const mark = agreement(prediction, outcome);
   if (mark) line.append(markNode(mark));
   return line;

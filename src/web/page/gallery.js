@@ -8,7 +8,7 @@ import { drawBulk, isLabelling, isSelected, isSelecting, startBulk, toggleSelect
 import { openDetail, refreshDetail } from "./detail.js";
 import { button, byId, make, refill, say, toast } from "./dom.js";
 import { markNode, outcomeNode } from "./labels.js";
-import { moment, number, OUTCOMES, short } from "./words.js";
+import { moment, number, OUTCOMES, probability, short } from "./words.js";
 
 const PAGE = 24;
 /** Maximum number of grasps in one request. */
@@ -139,7 +139,7 @@ function cardButton(grasp) {
   const mark = { true: "✓", false: "✗", null: "" }[String(grasp.agrees)] ?? "";
   const node = button("", () => (isSelecting() ? toggleSelected(grasp) : openDetail(grasp.id)), "card");
   if (isSelecting()) node.setAttribute("aria-pressed", String(isSelected(grasp.id)));
-  const p = grasp.prediction?.p_stable;
+  const p = grasp.prediction ? probability(grasp.prediction) : undefined;
   const said = p === undefined ? "no prediction" : `predicted ${p.toFixed(2)}`;
   node.setAttribute("aria-label", `grasp ${short(grasp.id)}, ${grasp.object || "no object"}, ${OUTCOMES[grasp.outcome]}, ${said}${mark === "✗" ? ", disagree" : ""}`);
   const images = make("span", "thumbs", ...thumbs(grasp));

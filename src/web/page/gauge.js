@@ -4,7 +4,18 @@
  * @import {Predicted, Session, State} from "./types.js"
  */
 import { attribute, byId, make, refill, say, style } from "./dom.js";
-import { banner, duration, messageText, savedVerdict, short, shownVerdict, STEPS } from "./words.js";
+import {
+  adaptationWords,
+  banner,
+  duration,
+  messageText,
+  probability,
+  savedVerdict,
+  short,
+  shownVerdict,
+  STEPS,
+  unsureWords,
+} from "./words.js";
 
 /** Time after which a verdict is read out by screen readers, ms. */
 const SETTLED_MS = 1200;
@@ -59,7 +70,7 @@ const heuristics = new Set();
  */
 export function drawGauge(state, staleReason) {
   const { step, last } = state.session;
-  const reading = staleReason ? none(staleReason) : step === "label" && last ? saved(last) : live(state);
+  const reading = staleReason ? none(staleReason) : step === "label" && last ? saved(last, state.lift) : live(state);
   const { prediction, verdict } = reading;
   style(byId("gauge"), verdict);
   say(byId("number"), prediction ? shownProbability(prediction).toFixed(2) : "-.--");
@@ -74,12 +85,22 @@ function none(words) {
   return { prediction: null, verdict: "none", heuristic: false, words, about: "", timing: "" };
 }
 
-/** @param {NonNullable<Session["last"]>} last @returns {Reading} */
-function saved({ id, predicted }) {
+/**
+ * @param {NonNullable<Session["last"]>} last
+ * @param {State["lift"]} lift
+ * @returns {Reading}
+ */
+function saved({ id, predicted }, lift) {
   if (!isUsable(predicted)) return none(`none was saved with grasp ${short(id)}`);
   const about = `grasp ${short(id)}, before the lift`;
   const heuristic = heuristics.has(predicted.model);
-  return { prediction: predicted, verdict: savedVerdict(predicted), heuristic, words: "", about, timing: "" };
+  const timing = lift ? `in the lift ${lift.p_stable.toFixed(2)} ${liftWord(lift)}` : "";
+  return { prediction: predicted, verdict: savedVerdict(predicted), heuristic, words: "", about, timing };
+}
+
+/** @param {NonNullable<State["lift"]>} lift */
+function liftWord({ is_slipping, is_stable }) {
+  return is_slipping ? "SLIPPING" : is_stable ? "STABLE" : "SLIP";
 }
 
 /** @param {State} state @returns {Reading} */
@@ -107,8 +128,8 @@ function isUsable(prediction) {
 }
 
 /** @param {Predicted} prediction */
-function shownProbability({ p_stable }) {
-  return Math.min(Math.max(p_stable, 0), 1);
+function shownProbability(prediction) {
+  return Math.min(Math.max(probability(prediction), 0), 1);
 }
 
 /** @param {Reading} reading */
@@ -129,7 +150,8 @@ function drawBar({ prediction, verdict }) {
 function drawTitle({ prediction, verdict, heuristic, about, timing }) {
   byId("heuristic").hidden = !heuristic;
   byId("unknown").hidden = verdict !== "unsure";
-  say(byId("unknown"), prediction?.unsure_reason ?? "unlike the training images");
+  say(byId("unknown"), prediction ? unsureWords(prediction) : "");
+  say(byId("adapted"), prediction ? adaptationWords(prediction) : "");
   say(byId("model"), prediction?.model ?? "");
   style(byId("about"), verdict === "old" ? "warning" : "faint");
   say(byId("about"), about);

@@ -5,7 +5,7 @@
  */
 import { change, failureReason } from "./api.js";
 import { button, byId, make, refill, say, style, toast } from "./dom.js";
-import { agreement, agreementWords, balance, bytes, messageText, number, OUTCOMES, refusalRemedy, rigMark, short } from "./words.js";
+import { agreement, agreementWords, balance, bytes, messageText, number, OUTCOMES, probability, refusalRemedy, rigMark, short } from "./words.js";
 
 const LOW_DISK_BYTES = 5e9;
 const FULL_DISK_BYTES = 1e9;
@@ -143,7 +143,7 @@ function lastGrasp(last, show) {
   if (!last) return [make("span", "faint", "no grasp yet")];
   const nodes = [make("span", "faint", "last "), button(short(last.id), () => show(last.id), "link"), ` ${last.object} → `, outcomeNode(last.outcome)];
   if (last.predicted) {
-    nodes.push(make("span", "faint", ` predicted ${last.predicted.p_stable.toFixed(2)} `));
+    nodes.push(make("span", "faint", ` predicted ${probability(last.predicted).toFixed(2)} `));
     const mark = agreement(last.predicted, last.outcome);
     if (mark) nodes.push(markNode(mark));
   }

@@ -11,6 +11,8 @@
  * @property {number} threshold
  * @property {number} [ood_score] OOD score; above 1: unlike the training images
  * @property {string} [unsure_reason] why the images cannot tell
+ * @property {{p_stable: number, base_rate: number, labels: number}} [adapted] at the base rate of the rig's labels
+ * @property {{error_rate: number, stable: boolean, slip: boolean}} [set] outcomes that are open
  * @property {string} model
  * @property {number} latency_ms
  * @property {number} engine_ms
@@ -98,6 +100,7 @@
  * @property {Camera[]} cameras
  * @property {Prediction|null} prediction
  * @property {string|null} no_prediction_reason
+ * @property {{p_stable: number, p_before: number, is_stable: boolean, is_slipping: boolean}|null} [lift]
  * @property {{left?: number, right?: number}} contact
  * @property {{left?: Gel, right?: Gel}} [gels]
  * @property {{left?: Shear, right?: Shear}} [shear]

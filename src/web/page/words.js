@@ -124,18 +124,41 @@ export function shownVerdict(prediction) {
 }
 
 /** The verdict of a saved prediction. @param {Predicted} predicted */
-export function savedVerdict({ p_stable, threshold, ood_score }) {
-  if ((ood_score ?? 0) > 1) return "unsure";
-  return p_stable >= threshold ? "stable" : "slip";
+export function savedVerdict(predicted) {
+  const { threshold, ood_score, unsure_reason, set } = predicted;
+  if (unsure_reason || (ood_score ?? 0) > 1) return "unsure";
+  if (set && set.stable === set.slip) return "unsure";
+  if (set) return set.stable ? "stable" : "slip";
+  return probability(predicted) >= threshold ? "stable" : "slip";
+}
+
+/** The probability that is shown: adapted to the rig's labels where it is. @param {Predicted} predicted */
+export function probability({ p_stable, adapted }) {
+  return adapted?.p_stable ?? p_stable;
+}
+
+/** Why a verdict is "unsure". @param {Predicted} predicted */
+export function unsureWords({ ood_score, unsure_reason, set }) {
+  if (unsure_reason) return unsure_reason;
+  if (set && !((ood_score ?? 0) > 1)) return `can't tell at an error rate of ${set.error_rate}`;
+  return "unlike the training images";
+}
+
+/** Adaptation to the rig's labels, with the model's own probability. @param {Predicted} predicted */
+export function adaptationWords({ p_stable, adapted }) {
+  if (!adapted) return "";
+  const labels = `${adapted.labels} ${adapted.labels === 1 ? "label" : "labels"}`;
+  return `adapted to ${labels}: base rate ${adapted.base_rate.toFixed(2)}, model ${p_stable.toFixed(2)}`;
 }
 
 /** `✓` if label and prediction agree, `✗` if not, `?` for out-of-distribution images.
  * @param {Predicted|null} prediction @param {Outcome} outcome */
 export function agreement(prediction, outcome) {
   if (!prediction) return "";
-  if (prediction.unsure_reason || (prediction.ood_score ?? 0) > 1) return "?";
+  const verdict = savedVerdict(prediction);
+  if (verdict === "unsure") return "?";
   if (outcome === "unlabelled") return "";
-  return prediction.p_stable >= prediction.threshold === (outcome === "stable") ? "✓" : "✗";
+  return verdict === outcome ? "✓" : "✗";
 }
 
 /** Meaning of an agreement mark. @param {string} mark */

@@ -14,6 +14,7 @@ use tract_onnx::tract_core::internal::bail;
 use tract_onnx::tract_core::ops::konst::Const;
 use tract_onnx::tract_core::plan::eval;
 
+use super::conformal::{self, ConformalLimits, ConformalScores};
 use super::contract::{
     self, GEOMETRY, GEOMETRY_UNIT_M, InputName, Modality, ModelContract, geometry_output, output_of,
 };
@@ -36,6 +37,7 @@ pub struct Model {
     load_ms: f64,
     ood_detector: Option<OodDetector>,
     lift_head: Option<LiftHead>,
+    conformal_scores: Option<ConformalScores>,
     engine: Engine,
 }
 
@@ -118,6 +120,10 @@ impl Model {
         let lift_head = lift_head
             .map(|text| LiftHead::from_metadata(text))
             .transpose()?;
+        let conformal_scores = contract.other.get(conformal::METADATA);
+        let conformal_scores = conformal_scores
+            .map(|text| ConformalScores::from_metadata(text))
+            .transpose()?;
         proto
             .graph
             .iter_mut()
@@ -132,6 +138,7 @@ impl Model {
             load_ms: 0.0,
             ood_detector,
             lift_head,
+            conformal_scores,
             engine,
         };
         let zeros = ModelInput::zeros(&model.contract)?;
@@ -201,6 +208,30 @@ impl Model {
     #[must_use]
     pub fn lift_head(&self) -> Option<&LiftHead> {
         self.lift_head.as_ref()
+    }
+
+    /// Scores for prediction sets, if any.
+    #[must_use]
+    pub fn conformal_scores(&self) -> Option<&ConformalScores> {
+        self.conformal_scores.as_ref()
+    }
+
+    /// Limits of the prediction sets at an error rate in (0, 1).
+    ///
+    /// # Errors
+    /// `Input` where the model has no scores.
+    pub fn conformal_limits(&self, error_rate: f64) -> Result<ConformalLimits> {
+        let scores = self.conformal_scores.as_ref().ok_or_else(|| {
+            Error::input(format!(
+                "the model `{}` has no conformal scores, so it has no sets at an error rate",
+                self.contract.name
+            ))
+            .remedy(
+                "compute them on labelled grasps that it was not trained on: gripcast predict \
+                 conformal MODEL --data D --split validation --out FILE",
+            )
+        })?;
+        Ok(scores.limits(error_rate))
     }
 
     /// Predicts one grasp from the available inputs.

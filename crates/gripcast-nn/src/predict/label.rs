@@ -14,7 +14,7 @@ pub enum PredictedLabel {
     /// The grasp is predicted to slip.
     Slip,
     /// The tactile images are out of distribution or show no contact of both gels, so that the
-    /// probability is meaningless.
+    /// probability is meaningless, or both outcomes are open at the error rate.
     Unsure,
 }
 
@@ -29,6 +29,17 @@ impl PredictedLabel {
             Self::Stable
         } else {
             Self::Slip
+        }
+    }
+
+    /// The label where a prediction set says which outcomes are open: unsure unless it is one alone.
+    #[must_use]
+    pub fn within(self, stable: bool, slip: bool) -> Self {
+        match (self, stable, slip) {
+            (Self::Unsure, _, _) => Self::Unsure,
+            (_, true, false) => Self::Stable,
+            (_, false, true) => Self::Slip,
+            _ => Self::Unsure,
         }
     }
 
@@ -89,6 +100,16 @@ mod tests {
                 "{p_stable} {ood_score:?}"
             );
         }
+    }
+
+    #[test]
+    fn sets_of_one_outcome_decide_in_place_of_the_threshold() {
+        let label = PredictedLabel::Stable;
+        assert_eq!(label.within(true, false), PredictedLabel::Stable);
+        assert_eq!(label.within(false, true), PredictedLabel::Slip);
+        assert_eq!(label.within(true, true), PredictedLabel::Unsure);
+        let unsure = PredictedLabel::Unsure;
+        assert_eq!(unsure.within(true, false), PredictedLabel::Unsure);
     }
 
     #[test]

@@ -8,14 +8,15 @@ use serde_json::Value;
 
 use super::file::replace;
 use super::{
-    Drafts, LeftOutObject, MESHES, MeshSource, ObjectDraft, PLAN_FORMAT, PLAN_VERSION, Plan,
-    PlanHeader, PlannedObject, PlannedSimulation, RenderingPlan, TEXTURES, TextureDraft,
+    Drafts, FrictionFrom, LeftOutObject, MESHES, MeshSource, ObjectDraft, PLAN_FORMAT,
+    PLAN_VERSION, Plan, PlanHeader, PlannedObject, PlannedSimulation, RenderingPlan, TEXTURES,
+    TextureDraft,
 };
 use crate::grasp::{GraspSelection, sample_grasps, select_given_grasps};
 use crate::properties::{
     APPEARANCES, DescribedAppearance, FRICTION_RANGE, MassMap, PhysicalProperties,
     PropertyEstimator, PropertyQuery, PropertySource, builtin_appearances, estimate, map_masses,
-    oriented_size_m,
+    oriented_size_m, visible_friction, visible_friction_of_image,
 };
 use gripcast_base::error::{Error, Result};
 use gripcast_base::files::{BeneathPath, FileName, Root, SimulationId};
@@ -60,8 +61,10 @@ pub struct PlanSettings {
     pub textures: Vec<TextureDraft>,
     /// How estimated masses are mapped to the range of the paper's objects (A.1).
     pub mass_map: MassMap,
-    /// Minimum fraction of a clean surface's friction: the table of materials lists clean and dry
-    /// surfaces.
+    /// What the friction of an object follows from.
+    pub friction_from: FrictionFrom,
+    /// Minimum fraction of a clean surface's friction with [`FrictionFrom::Soiled`]: the table of
+    /// materials lists clean and dry surfaces.
     pub min_friction_fraction: f64,
     /// Objects that are processed in parallel; the plan does not depend on it.
     pub jobs: usize,
@@ -149,8 +152,8 @@ pub fn make_plan(
             .map_or("no object was given", |l| &l.reason);
         return Err(Error::input(format!("no object can be used: {reason}")));
     }
-    let objects = planned_objects(&kept, settings, estimator)?;
-    let simulations = simulations(&kept, settings, engine)?;
+    let (objects, frictions) = planned_objects(&kept, settings, estimator)?;
+    let simulations = simulations(&kept, &frictions, settings, engine)?;
     let header = PlanHeader {
         format: PLAN_FORMAT.to_owned(),
         version: PLAN_VERSION,
@@ -160,6 +163,7 @@ pub fn make_plan(
         engine: engine.kind(),
         parameters: engine.parameters()?,
         rendering: settings.rendering,
+        friction_from: settings.friction_from,
     };
     let plan = Plan::new(header, objects, simulations)?;
     let (meshes, textures) = files(kept, settings, &plan);
@@ -257,13 +261,15 @@ fn check_names(drafts: &[ObjectDraft]) -> Result<()> {
     }
 }
 
-/// Returns the objects with mass, friction and appearances.
+/// Returns the objects with mass, friction and appearances, and the friction of each appearance and
+/// texture of an object; none of them where the object has one friction.
 fn planned_objects(
     kept: &[(ObjectDraft, Analysis)],
     settings: &PlanSettings,
     mut estimator: Option<&mut PropertyEstimator>,
-) -> Result<Vec<PlannedObject>> {
+) -> Result<(Vec<PlannedObject>, Vec<Vec<f64>>)> {
     let mut objects = Vec::with_capacity(kept.len());
+    let mut all_frictions = Vec::with_capacity(kept.len());
     for (draft, analysis) in kept {
         let seed = SeedStream::named(settings.seed, &format!("object {}", draft.name)).bits();
         let appearances = appearances(draft, seed, estimator.as_deref_mut())?;
@@ -274,6 +280,36 @@ fn planned_objects(
             seed,
             estimator.as_deref_mut(),
         )?;
+        let textures = textures(draft, seed, settings);
+        let frictions = match settings.friction_from {
+            FrictionFrom::Material if draft.friction.is_none() => {
+                let mut frictions = Vec::new();
+                for appearance in &appearances {
+                    let query = PropertyQuery {
+                        size_m: analysis.size_m,
+                        volume_m3: analysis.volume_m3,
+                        ..query(draft, &appearance.description, seed)
+                    };
+                    frictions.push(appearance_friction(
+                        appearance,
+                        &query,
+                        estimator.as_deref_mut(),
+                    )?);
+                }
+                let image = visible_friction_of_image(&draft.category, draft.material);
+                frictions.extend(textures.iter().map(|_| rounded(image, 1e4)));
+                frictions
+            }
+            FrictionFrom::Material | FrictionFrom::Soiled => Vec::new(),
+        };
+        let mean = frictions.iter().sum::<f64>() / frictions.len() as f64;
+        let friction = draft
+            .friction
+            .unwrap_or_else(|| match frictions.is_empty() {
+                true => contaminated_friction(&physical, settings.min_friction_fraction, seed),
+                false => mean,
+            });
+        all_frictions.push(frictions);
         objects.push(PlannedObject {
             name: draft.name.clone(),
             category: draft.category.clone(),
@@ -281,11 +317,9 @@ fn planned_objects(
             mesh_sha256: draft.mesh.content_hash(),
             material: draft.material.name.clone(),
             mass_kg: physical.mass_kg,
-            friction: draft.friction.unwrap_or_else(|| {
-                contaminated_friction(&physical, settings.min_friction_fraction, seed)
-            }),
+            friction,
             properties: physical.source,
-            textures: textures(draft, seed, settings)
+            textures: textures
                 .into_iter()
                 .map(|texture| texture.planned.clone())
                 .collect(),
@@ -308,7 +342,22 @@ fn planned_objects(
         object.mass_kg = rounded(object.mass_kg, 1e6);
         object.friction = rounded(object.friction, 1e4);
     }
-    Ok(objects)
+    Ok((objects, all_frictions))
+}
+
+/// Returns the friction of an appearance on an object: that of the language model for "*texture
+/// category*", if there is one, else [`visible_friction`].
+fn appearance_friction(
+    appearance: &DescribedAppearance,
+    query: &PropertyQuery<'_>,
+    estimator: Option<&mut PropertyEstimator>,
+) -> Result<f64> {
+    let asked = estimator.map(|estimator| estimator.physical(query));
+    let friction = match asked.transpose()? {
+        Some(found) if matches!(found.source, PropertySource::Llm { .. }) => found.friction,
+        _ => visible_friction(query.category, &appearance.appearance),
+    };
+    Ok(rounded(friction, 1e4))
 }
 
 /// Reduces the friction of a clean surface by dust, grease and wear.
@@ -406,13 +455,18 @@ fn query<'a>(draft: &'a ObjectDraft, texture: &'a str, seed: u64) -> PropertyQue
 
 fn simulations(
     kept: &[(ObjectDraft, Analysis)],
+    frictions: &[Vec<f64>],
     settings: &PlanSettings,
     engine: &dyn Engine,
 ) -> Result<Vec<PlannedSimulation>> {
     let cost_s = cost_s(settings, engine)?;
     let mut all = Vec::new();
-    for (draft, analysis) in kept {
+    for ((draft, analysis), frictions) in kept.iter().zip(frictions) {
         for (number, grasp) in analysis.selection.grasps.iter().enumerate() {
+            // One appearance per grasp, at all forces.
+            let name = format!("appearance {} {number}", draft.name);
+            let mut draw = SeedStream::named(settings.seed, &name);
+            let appearance = (!frictions.is_empty()).then(|| draw.index(frictions.len()));
             for force_n in &settings.stop_forces_n {
                 let id = simulation_id(&draft.name, number, *force_n)?;
                 // Independent of the engine: both engines get images under the same conditions.
@@ -430,6 +484,8 @@ fn simulations(
                     t_world_gripper: grasp.placed.t_world_gripper,
                     opening_m: grasp.placed.opening_m,
                     seed: seed >> (u64::BITS - SEED_BITS),
+                    appearance: appearance.map(|index| index as u32),
+                    friction: appearance.and_then(|index| frictions.get(index).copied()),
                     cost_s: rounded(cost_s, 1e3),
                 });
             }

@@ -22,6 +22,7 @@ fn settings(jobs: usize) -> PlanSettings {
         },
         textures: Vec::new(),
         mass_map: MassMap::None,
+        friction_from: FrictionFrom::Soiled,
         min_friction_fraction: MIN_FRICTION_FRACTION,
         jobs,
     }
@@ -158,6 +159,51 @@ fn given_properties_stay_and_estimated_friction_is_reduced() {
         "{friction:?}"
     );
     assert!(friction.iter().any(|f| *f < wood[0]), "{friction:?}");
+}
+
+#[test]
+fn friction_from_material_follows_from_the_appearance_shown() {
+    let mut given = draft("given", 1.0);
+    given.friction = Some(1.4);
+    let mut drafts = vec![given];
+    let metal = |number: usize| ObjectDraft {
+        material: Material::named("steel").unwrap(),
+        category: "tool".to_owned(),
+        ..draft(&format!("n{number}"), 1.0)
+    };
+    drafts.extend((0..8).map(metal));
+    let visible = PlanSettings {
+        friction_from: FrictionFrom::Material,
+        ..settings(2)
+    };
+    let plan = made(drafts.clone(), &visible).unwrap().plan;
+    assert_eq!(plan.header.friction_from, FrictionFrom::Material);
+    let mut of_appearance = BTreeMap::new();
+    let mut shown = BTreeSet::new();
+    for simulation in &plan.simulations {
+        let object = plan.object(simulation).unwrap();
+        let friction = simulation.friction_on(object);
+        if object.name == "given" {
+            assert_eq!((simulation.appearance, friction), (None, 1.4));
+            continue;
+        }
+        let index = simulation.appearance.unwrap() as usize;
+        let appearance = &object.appearances[index].appearance;
+        let expected = visible_friction("tool", appearance);
+        assert!((friction - expected).abs() < 1e-4, "{friction} {expected}");
+        shown.insert((&object.name, simulation.grasp, index));
+        // The same surface never has another friction.
+        let surface = format!("{:?} {:.5}", appearance.finish, appearance.roughness);
+        let same = of_appearance.entry(surface).or_insert(friction);
+        assert_eq!(*same, friction);
+    }
+    // The same appearance at both forces, and different ones.
+    assert_eq!(shown.len(), 8 * 2);
+    assert!(of_appearance.len() > 4, "{of_appearance:?}");
+    let soiled = made(drafts, &settings(2)).unwrap().plan;
+    assert!(soiled.simulations.iter().all(|s| s.appearance.is_none()));
+    let text = serde_json::to_string(&soiled.header).unwrap();
+    assert!(!text.contains("friction_from"), "hashes stay: {text}");
 }
 
 #[test]

@@ -60,6 +60,36 @@ pub struct PlanHeader {
     pub parameters: Value,
     /// How images are rendered from a simulation.
     pub rendering: RenderingPlan,
+    /// What the friction of an object follows from.
+    #[serde(default, skip_serializing_if = "FrictionFrom::is_soiled")]
+    pub friction_from: FrictionFrom,
+}
+
+/// What the friction between gel and object follows from.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum FrictionFrom {
+    /// The material and its contamination, which no image shows: each object keeps a random
+    /// fraction of its clean friction.
+    #[default]
+    Soiled,
+    /// Category and appearance alone, as in the paper (A.1). A simulation has one of the object's
+    /// appearances in all its renderings, and the friction of that.
+    Material,
+}
+
+impl FrictionFrom {
+    /// Name in files and flags.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Soiled => "soiled",
+            Self::Material => "material",
+        }
+    }
+
+    fn is_soiled(&self) -> bool {
+        *self == Self::Soiled
+    }
 }
 
 /// How images are rendered from a simulation.
@@ -144,7 +174,8 @@ pub struct PlannedObject {
     pub material: String,
     /// Mass, kg.
     pub mass_kg: f64,
-    /// Coulomb friction coefficient between gel and object.
+    /// Coulomb friction coefficient between gel and object; the mean over its appearances where
+    /// simulations have [their own](PlannedSimulation::friction).
     pub friction: f64,
     /// Source of mass and friction.
     pub properties: PropertySource,
@@ -186,8 +217,22 @@ pub struct PlannedSimulation {
     pub opening_m: f64,
     /// Seed of its images, below 2⁵³ so that every JSON reader preserves it.
     pub seed: u64,
+    /// Index of the appearance that all renderings show: among the object's appearances, then its
+    /// textures. None where each rendering draws one.
+    #[serde(rename = "look", default, skip_serializing_if = "Option::is_none")]
+    pub appearance: Option<u32>,
+    /// Coulomb friction coefficient of that appearance; none where the object has one.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub friction: Option<f64>,
     /// Estimated CPU time, s.
     pub cost_s: f64,
+}
+
+impl PlannedSimulation {
+    /// Coulomb friction coefficient between gel and `object`, which is that of the simulation.
+    pub fn friction_on(&self, object: &PlannedObject) -> f64 {
+        self.friction.unwrap_or(object.friction)
+    }
 }
 
 /// Returns a plan of `count` simulations of two objects with different costs.
@@ -239,6 +284,8 @@ mod tests {
             t_world_gripper: Pose::from_translation(DVec3::Z * 0.04),
             opening_m: 0.05,
             seed: number as u64,
+            appearance: None,
+            friction: None,
             cost_s: 1.0 + (number % 7) as f64,
         }
     }
@@ -259,6 +306,7 @@ mod tests {
                 visual_spread: 1.0,
                 sensor: SensorName::GELSIGHT_MINI,
             },
+            friction_from: FrictionFrom::Soiled,
         };
         let objects = ["box-0000", "box-0001"].map(object).to_vec();
         Plan::new(header, objects, (0..count).map(simulation).collect()).unwrap()

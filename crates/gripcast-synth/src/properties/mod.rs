@@ -9,6 +9,7 @@ mod llm;
 mod material;
 mod physical;
 mod surface;
+mod visible_friction;
 mod words;
 
 pub use appearance::{APPEARANCES, DescribedAppearance, builtin_appearances};
@@ -22,3 +23,4 @@ pub use physical::{
     FRICTION_RANGE, MASS_RANGE_KG, MAX_MASS_KG, MassMap, PhysicalProperties, PropertySource,
     estimate, map_masses,
 };
+pub use visible_friction::{visible_friction, visible_friction_of_image};

@@ -21,7 +21,9 @@ const TABLES: [Attribute; 6] = [
     ("grasp fault", |done| (0, fault(done))),
     ("category", |done| (0, done.object.category.clone())),
     ("material", |done| (0, done.object.material.clone())),
-    ("friction", |done| bin(done.object.friction, &FRICTION, 1.0)),
+    ("friction", |done| {
+        bin(done.simulation.friction_on(done.object), &FRICTION, 1.0)
+    }),
     ("mass, g", |done| bin(done.object.mass_kg, &MASS_KG, 1e3)),
 ];
 

@@ -56,6 +56,8 @@ pub struct PlanFacts {
     pub seed: u64,
     /// Simulator.
     pub engine: String,
+    /// What the friction follows from: `soiled` or `material`.
+    pub friction_from: String,
     /// `gripcast <version>` that created the plan.
     pub software: String,
     /// Number of objects.

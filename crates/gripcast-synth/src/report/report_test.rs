@@ -3,7 +3,7 @@ use std::path::Path;
 
 use super::sample::Sample;
 use super::{SynthReport, SynthReportSettings, report};
-use crate::curate::CurationSettings;
+use crate::curate::{CurationSettings, LabelBalance};
 use crate::plan::Plan;
 use crate::store::{ResultStore, SimulationResult};
 use crate::{MergeSettings, merge};
@@ -44,12 +44,13 @@ fn reported(plan: &Plan, folder: &Path, dataset: Option<&Path>) -> Result<SynthR
     report(plan, folder, &settings(dataset), &|_, _| ())
 }
 
-/// Merges all labelled results, balanced.
+/// Merges the labelled results, balanced at each force.
 fn merged(plan: &Plan, folder: &Path, out: &Path) {
     let settings = MergeSettings {
         curation: CurationSettings {
             splits: SplitFractions::single("train").unwrap(),
             category_cap: None,
+            balance: LabelBalance::Category,
             ..CurationSettings::default()
         },
         allow_partial: true,
@@ -225,6 +226,7 @@ fn dataset_files_outside_of_the_folder_are_not_read() {
         curation: CurationSettings {
             splits: SplitFractions::single("train").unwrap(),
             category_cap: None,
+            balance: LabelBalance::Category,
             ..CurationSettings::default()
         },
         allow_partial: true,

@@ -104,6 +104,7 @@ pub(super) fn plan_facts(plan: &Plan) -> PlanFacts {
         preset: header.preset.clone(),
         seed: header.seed,
         engine: header.engine.name().to_owned(),
+        friction_from: header.friction_from.name().to_owned(),
         software: header.software.clone(),
         objects: plan.objects.len(),
         categories: categories.len(),

@@ -68,7 +68,7 @@ impl Sample {
                 },
                 outcome_detail: "success".to_owned(),
                 stop_force_n: Some(simulation.stop_force_n),
-                friction: Some(object.friction),
+                friction: Some(simulation.friction_on(object)),
                 mass_kg: Some(object.mass_kg),
                 lifted_m: Some(0.05),
                 force_left_n: None,

@@ -65,7 +65,7 @@ fn example(inspected: &InspectedSimulation<'_>) -> Option<Example> {
         material: object.material.clone(),
         fault: simulation.fault.map(|_| fault(inspected.done)),
         stop_force_n: simulation.stop_force_n,
-        friction: object.friction,
+        friction: simulation.friction_on(object),
         mass_kg: object.mass_kg,
         lifted_m: result.lifted_m,
         outcome: result.outcome.clone(),

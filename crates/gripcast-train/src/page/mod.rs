@@ -162,7 +162,7 @@ fn mistakes(model: &ModelEvaluation, samples: &Samples) -> Result<Markup> {
 }
 
 fn notes(report: &EvalReport) -> Markup {
-    let notes: [(&str, &dyn Render); 4] = [
+    let notes: [(&str, &dyn Render); 5] = [
         (
             "Positive class",
             &"Stable. A grasp is predicted stable if its probability reaches the model's threshold, \
@@ -183,6 +183,13 @@ fn notes(report: &EvalReport) -> Markup {
             &"Expected calibration error over 15 bins of equal width. It is above 0 for a finite \
               number of grasps: for a perfectly calibrated model it is below the value given as \
               “by chance” in 95 % of such tests.",
+        ),
+        (
+            "Prediction sets",
+            &"Conformal sets for each outcome on its own: the scores of grasps that the model was \
+              not trained on say which outcomes a prediction leaves open. Coverage is the fraction \
+              of grasps whose outcome is in the set; it is 1 − error rate only for grasps like \
+              those of the scores.",
         ),
     ];
     let body = html! {

@@ -14,6 +14,7 @@ pub(super) fn summary(report: &EvalReport) -> Markup {
     html! {
         (models(report))
         @if let Some(model) = report.models.first() { (confusion(model)) }
+        @if report.models.iter().any(|model| model.conformal.is_some()) { (sets(report)) }
         @if !report.differences.is_empty() { (differences(report)) }
     }
 }
@@ -115,6 +116,40 @@ fn confusion(model: &ModelEvaluation) -> Table {
         &matrix.true_slip,
         &percent(matrix.true_slip, matrix.n_slip()),
     ]);
+    table
+}
+
+/// Prediction sets of the models that have conformal scores.
+fn sets(report: &EvalReport) -> Table {
+    let columns = [
+        text("Model"),
+        text("Outcome"),
+        number("Error rate"),
+        number("n"),
+        number("Coverage"),
+        number("Can't tell"),
+    ];
+    let mut table = Table::new("Prediction sets", columns)
+        .caption("Prediction sets: stable, slip or can't tell");
+    for model in &report.models {
+        let Some(conformal) = &model.conformal else {
+            continue;
+        };
+        for (outcome, label) in [
+            ("all", &conformal.all),
+            ("stable", &conformal.stable),
+            ("slip", &conformal.slip),
+        ] {
+            table.row([
+                &display_name(model) as &dyn Render,
+                &outcome,
+                &fixed(conformal.limits.error_rate, 2),
+                &label.n,
+                &with_interval(label.coverage, label.coverage_interval),
+                &with_interval(label.cant_tell, label.cant_tell_interval),
+            ]);
+        }
+    }
     table
 }
 

@@ -3,7 +3,7 @@
 use std::collections::BTreeSet;
 
 use super::{bar, key, percent};
-use crate::curate::{GroupKey, LeftOut};
+use crate::curate::{GroupKey, LabelBalance, LeftOut};
 use crate::merge::SplitFacts;
 use crate::report::facts::{DatasetFacts, LabelCounts, SynthReport};
 use gripcast_report::outcome_name;
@@ -65,8 +65,13 @@ fn of_dataset(dataset: &DatasetFacts) -> Markup {
         GroupKey::Object => "grouped by object",
         GroupKey::Category => "grouped by category",
     };
+    let balance = match curation.balance {
+        LabelBalance::Overall => "labels balanced overall",
+        LabelBalance::Category => "labels balanced at each force and by category",
+        LabelBalance::None => "labels not balanced",
+    };
     html! {
-        h3 { "The dataset " span { (grouping) "; seed " (curation.seed) } }
+        h3 { "The dataset " span { (grouping) "; " (balance) "; seed " (curation.seed) } }
         (splits(dataset))
         (split_categories(dataset))
         (left_out(dataset))

@@ -98,6 +98,7 @@ fn facts(report: &SynthReport) -> Markup {
                 &format!("{}, {}", plan.preset, plan.seed),
             ),
             ("Simulator", &engine_name(&plan.engine)),
+            ("Friction from", &plan.friction_from),
             ("Forces, N", &forces.join(", ")),
             (
                 "Grasps",
