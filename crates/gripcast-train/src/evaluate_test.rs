@@ -86,11 +86,11 @@ fn prediction_sets_need_scores_and_are_in_the_report() {
     });
     write_split(folder.path(), "test", rows);
     let (mut report, samples) = evaluated(folder.path(), 1);
-    let plain = [("model.onnx".to_owned(), Model::baseline().unwrap())];
+    let plain = [("model-0.onnx".to_owned(), Model::baseline().unwrap())];
     report.add_sets(&plain, &samples, 0.1, false).unwrap();
     assert_eq!(report.models[0].conformal, None);
     let error = report.add_sets(&plain, &samples, 0.1, true).unwrap_err();
-    assert!(error.to_string().contains("model.onnx"), "{error}");
+    assert!(error.to_string().contains("model-0.onnx"), "{error}");
     assert!(error.remedy_text().unwrap().contains("predict conformal"));
 
     let scores = conformal_scores(&plain[0].1, &samples, "these", &|_| ()).unwrap();
@@ -98,7 +98,7 @@ fn prediction_sets_need_scores_and_are_in_the_report() {
     let key = gripcast_nn::predict::conformal::METADATA.to_owned();
     contract.other.insert(key, scores.to_metadata());
     let onnx = contract.stamp(&model_bytes(BASELINE).unwrap()).unwrap();
-    let with_scores = [("scored.onnx".to_owned(), Model::from_bytes(&onnx).unwrap())];
+    let with_scores = [("model-0.onnx".to_owned(), Model::from_bytes(&onnx).unwrap())];
     report.add_sets(&with_scores, &samples, 0.2, true).unwrap();
     let sets = report.models[0].conformal.clone().unwrap();
     assert_eq!(

@@ -20,6 +20,8 @@ const LEARNING_RATE: f64 = 1e-2;
 const WEIGHT_DECAY: f64 = 1e-3;
 /// Newton steps of the combination.
 const NEWTON_STEPS: usize = 25;
+/// Ridge penalty of the combination, for predictions that say nothing.
+const RIDGE: f64 = 1e-3;
 /// Fraction of held lifts of the validation split that may give an alarm; the goal on other objects
 /// is 5 %.
 const ALARMED_FRACTION: f64 = 0.04;
@@ -237,6 +239,11 @@ fn combine(samples: &[(f64, Vec<f64>, bool)]) -> Option<[f64; 3]> {
                     *gradient += share * error * x;
                 }
             }
+        }
+        for (i, weight) in weights.iter().enumerate() {
+            system.matrix[i][i] += RIDGE;
+            system.vector[i] -= RIDGE * weight;
+            gradient[i] += RIDGE * weight;
         }
         let step = system.solve()?;
         for (weight, step) in weights.iter_mut().zip(step) {

@@ -121,6 +121,7 @@ fn gradient_is_that_of_the_loss() {
             loss(&network)
         };
         let expected = (moved(1e-5) - moved(-1e-5)) / 2e-5;
-        assert!((found[at] - expected).abs() < 1e-6 * (1.0 + expected.abs()), "{at}");
+        let error = (found[at] - expected).abs();
+        assert!(error < 1e-6 * (1.0 + expected.abs()), "{at}: {} {expected}", found[at]);
     }
 }

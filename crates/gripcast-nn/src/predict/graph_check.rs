@@ -61,7 +61,7 @@ pub(super) fn check_graph(contract: &ModelContract, model: &ModelProto) -> Resul
         };
         return Err(refusal(format!(
             "expected {what} {} in the graph, found {}",
-            list(expected.keys().map(|name| format!("`{name}`"))),
+            list(expected.keys()),
             list(graph.output.iter().map(|output| &output.name))
         )));
     }
