@@ -133,7 +133,7 @@ mod tests {
         let mut image = RgbImage::new(320, 240);
         draw_outline(&mut image, &geometry);
         let [x, y] = WristCamera::project(geometry.near_face()[2], 320, 240).unwrap();
-        assert_eq!(image.get_pixel(x as u32, y as u32), &OUTLINE);
+        assert!(image.get_pixel(x as u32, y as u32)[2] > 100);
         assert_eq!(image.get_pixel(160, 239).0, [0; 3]);
     }
 }
