@@ -25,6 +25,7 @@ mod board_detect;
 mod board_make;
 mod calibrate;
 mod calibrate_convert;
+mod calibrate_force;
 mod calibrate_gripper;
 mod calibrate_intrinsics;
 mod calibrate_live;

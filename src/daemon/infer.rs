@@ -17,7 +17,7 @@ use super::black_box::Topic;
 use super::gels::GelJudge;
 use super::histogram::LatencyHistogram;
 use super::hub::{Decoded, Hub};
-use super::shear::{GelScale, GelTrackers, draw_markers};
+use super::shear::{GelForces, GelScale, GelTrackers, draw_markers};
 use super::status::{LiveMarkers, PredictionStatus, Preview, ShearStatus, verdict_of};
 use super::tasks::{Heartbeat, Tasks};
 use super::thread::lock;
@@ -28,7 +28,7 @@ use gripcast_imaging::{GelChange, GelState, Role, TactileDifference};
 use gripcast_nn::predict::{
     LivePrediction, LivePredictor, Model, PredictedLabel, Smoothing, contact_doubt,
 };
-use gripcast_shear::{MarkerField, ShearFrame};
+use gripcast_shear::{FingerForce, MarkerField, ShearFrame};
 
 /// Gain of the displayed difference.
 const PREVIEW_GAIN: f32 = 1.5;
@@ -75,6 +75,8 @@ pub(super) struct SavedAnalysis {
     pub(super) prediction: Option<PredictionRecord>,
     /// Shear by gel.
     pub(super) shear: BTreeMap<Role, ShearFrame>,
+    /// Force by gel.
+    pub(super) force: BTreeMap<Role, FingerForce>,
 }
 
 /// The model used for predictions.
@@ -144,6 +146,8 @@ pub(super) struct InferenceState {
     pub(super) judge_time: LatencyHistogram,
     /// Shear of each gel, relative to the initial frame of `revision`.
     pub(super) shear: BTreeMap<Role, ShearStatus>,
+    /// Force on each gel, relative to the initial frame of `revision`.
+    pub(super) force: BTreeMap<Role, FingerForce>,
     /// Gel markers in the newest image of each gel that has them.
     pub(super) marker_fields: BTreeMap<Role, LiveMarkers>,
     /// Time to measure the shear of a tactile image, ms.
@@ -200,7 +204,7 @@ impl Inference {
     pub(super) fn start(
         hub: &Hub,
         model: Option<Model>,
-        scales: BTreeMap<Role, GelScale>,
+        (scales, forces): (BTreeMap<Role, GelScale>, GelForces),
         (requests, inbox): (Sender<InferRequest>, Receiver<InferRequest>),
         tasks: &Tasks,
     ) -> Result<Self> {
@@ -215,7 +219,8 @@ impl Inference {
         }));
         let name = info.as_ref().map(|info| info.name.clone());
         let predictor = model.map(LivePredictor::new).transpose()?;
-        let mut worker = Worker::new(hub, predictor.zip(info), scales, &state);
+        let trackers = GelTrackers::new(scales, forces);
+        let mut worker = Worker::new(hub, predictor.zip(info), trackers, &state);
         let thread = tasks.spawn("inference", move |heartbeat| worker.run(&inbox, heartbeat))?;
         Ok(Self {
             state,
@@ -258,7 +263,7 @@ impl Worker {
     fn new(
         hub: &Hub,
         predictor: Option<(LivePredictor, ModelInfo)>,
-        scales: BTreeMap<Role, GelScale>,
+        trackers: GelTrackers,
         state: &Arc<Mutex<InferenceState>>,
     ) -> Self {
         Self {
@@ -266,7 +271,7 @@ impl Worker {
             predictor,
             initial: BTreeMap::new(),
             gels: GelJudge::default(),
-            trackers: GelTrackers::new(scales),
+            trackers,
             predicting: false,
             has_initial: false,
             smoothing: Smoothing::default(),
@@ -344,6 +349,7 @@ impl Worker {
         let mut state = lock(&self.state);
         state.contact.clear();
         state.shear = self.trackers.unavailable().collect();
+        state.force.clear();
         state.marker_fields.clear();
         state.revision = Some(revision);
     }
@@ -410,10 +416,13 @@ impl Worker {
         lock(&self.state).previews.insert(role, preview);
     }
 
-    /// Measures the shear of a gel and returns its markers, if it has them.
+    /// Measures shear and force of a gel and returns its markers, if it has them.
     fn measure_shear(&mut self, role: Role, decoded: &Decoded) -> Option<Arc<MarkerField>> {
         let started = Instant::now();
         let frame = self.trackers.update(role, &decoded.image)?;
+        let initial = self.initial.get(&role);
+        let force =
+            initial.and_then(|initial| self.trackers.force(role, initial, &decoded.image, &frame));
         let status = ShearStatus::from(&frame);
         let field = frame.field.map(Arc::new);
         self.hub.tap.json(Topic::Shear, || {
@@ -422,6 +431,7 @@ impl Worker {
                 "role": role,
                 "frame_time_ns": decoded.driver_time_ns,
                 "summary": status.summary,
+                "force": force,
                 "problems": frame.problems,
                 "markers": markers.map(|(values, shape)| MarkerMessage::new(&values, shape)),
             })
@@ -429,6 +439,10 @@ impl Worker {
         let mut state = lock(&self.state);
         state.shear_time.add(started.elapsed().as_secs_f64() * 1e3);
         state.shear.insert(role, status);
+        match force {
+            Some(force) => drop(state.force.insert(role, force)),
+            None => drop(state.force.remove(&role)),
+        }
         match &field {
             Some(field) => {
                 let markers = LiveMarkers {
@@ -503,13 +517,18 @@ impl Worker {
         }
     }
 
-    /// Predicts and measures the shear on saved images, then restores the live ones.
+    /// Predicts and measures shear and force on saved images, then restores the live ones.
     fn analyse_saved(&mut self, images: BTreeMap<Role, RgbImage>) -> SavedAnalysis {
-        let shear = images.iter().filter(|(role, _)| role.is_tactile());
-        let shear = shear
+        let gels = images.iter().filter(|(role, _)| role.is_tactile());
+        let shear: BTreeMap<Role, ShearFrame> = gels
             .filter_map(|(role, image)| Some((*role, self.trackers.measure(*role, image)?)))
             .collect();
+        let force = shear.iter().filter_map(|(role, frame)| {
+            let (initial, image) = (self.initial.get(role)?, images.get(role)?);
+            Some((*role, self.trackers.force(*role, initial, image, frame)?))
+        });
         SavedAnalysis {
+            force: force.collect(),
             shear,
             prediction: self.predict_saved(images),
         }

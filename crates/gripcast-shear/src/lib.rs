@@ -20,6 +20,7 @@ mod association;
 mod contact;
 mod darkness;
 mod dots;
+mod force;
 mod lattice;
 mod marker;
 mod markers;
@@ -32,6 +33,7 @@ mod tracker;
 #[cfg(test)]
 mod tracker_test;
 
+pub use force::FingerForce;
 pub use marker::{GelMarker, MarkerField, MarkerPattern};
 pub use problem::ShearProblem;
 pub use tracker::{

@@ -33,7 +33,12 @@ impl Engine {
         let newest_source_of = setup.index.path().to_owned();
         let (mut writer, opened) = DatasetWriter::open_index(setup.index, &setup.new_dataset)?;
         let newest_source = newest_source(&newest_source_of, &opened.provenance);
-        let calibration = store_calibration(&mut writer, &setup.rig, &setup.intrinsics)?;
+        let calibration = store_calibration(
+            &mut writer,
+            &setup.rig,
+            &setup.intrinsics,
+            &setup.force_calibrations,
+        )?;
         let model = setup.model.as_ref().map(ModelInfo::new);
         if let Some(model) = &model {
             writer.put_model(&model_card(model)?)?;
@@ -64,7 +69,7 @@ impl Engine {
         let inference = Inference::start(
             &hub,
             setup.model,
-            setup.gel_scales,
+            (setup.gel_scales, setup.gel_forces),
             infer_channel,
             &links.tasks,
         )?;
