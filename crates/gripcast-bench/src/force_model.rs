@@ -12,7 +12,7 @@
 //!
 //! Exit codes: 0 done · 130 interrupted.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use gripcast::cli::Context;
 use gripcast::cli::working::interruptible;
@@ -78,7 +78,7 @@ pub(crate) fn run(context: &Context, args: Args) -> Result<()> {
     Ok(())
 }
 
-fn read_presses(file: &PathBuf) -> Result<Vec<SimulatedPress>> {
+fn read_presses(file: &Path) -> Result<Vec<SimulatedPress>> {
     let cannot = |e| Error::io("cannot read the presses", e).at(file.display());
     let bytes = read_regular(file, FileKind::Bulk).map_err(cannot)?;
     serde_json::from_slice(&bytes).map_err(|e| {
@@ -88,7 +88,7 @@ fn read_presses(file: &PathBuf) -> Result<Vec<SimulatedPress>> {
     })
 }
 
-fn write_json(file: &PathBuf, value: &impl Serialize) -> Result<()> {
+fn write_json(file: &Path, value: &impl Serialize) -> Result<()> {
     let bytes = serde_json::to_vec(value)
         .map_err(|e| Error::internal("cannot write the file").because(e))?;
     save(file, &bytes)

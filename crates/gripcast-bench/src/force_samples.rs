@@ -127,7 +127,11 @@ fn sequence_of(
             depth_m: state.depth_m,
             shift_m: state.shift_m,
             normal: state.normal_n / (YOUNG_PA * h2),
-            shear: state.shear_n / (YOUNG_PA * h2),
+            // Half or a quarter of a gel is pushed aside by its press, the whole gel is not.
+            shear: match press.is_sheared {
+                true => state.shear_n / (YOUNG_PA * h2),
+                false => 0.0,
+            },
             features,
             motion,
             features_array: features.to_array(),
