@@ -1,5 +1,10 @@
 //! The force on rendered presses.
 
+#![allow(
+    clippy::unwrap_used,
+    reason = "a helper of a test fails as a test does"
+)]
+
 use image::RgbImage;
 
 use gripcast_shear::{FingerForce, ShearFrame, ShearTracker};
